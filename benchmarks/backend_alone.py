@@ -1,0 +1,112 @@
+"""Kept against rebuilt without anything round it: the calls of ProxQP and OSQP alone, as a program may have them.
+
+Kept: update and solve, warm. Rebuilt: ``qpsolvers.solve_problem``, at the same accuracy. No tests, no polishing.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import common  # first: it limits BLAS to one thread
+import numpy as np
+from common import Record
+from recorded_qps import Recorded
+
+from coopqp.solvers import QpProblem
+from coopqp.solvers.base import Workspace
+from coopqp.solvers.osqp import OsqpSolver
+
+_PROXQP = {"eps_abs": 1e-9, "eps_rel": 0.0, "check_duality_gap": True, "eps_duality_gap_abs": 1e-9}
+_OSQP = {"eps_abs": 1e-7, "eps_rel": 1e-7, "max_iter": 4000}
+_INFINITE = 1e20
+
+
+def _stated(problem: QpProblem, *, sparse: bool) -> Any:
+    """The problem as qpsolvers takes it."""
+    import qpsolvers
+    from scipy.sparse import csc_matrix
+
+    above, below = np.isfinite(problem.u), np.isfinite(problem.l)
+    G = np.vstack([problem.C[above], -problem.C[below]])
+    h = np.concatenate([problem.u[above], -problem.l[below]])
+    form = csc_matrix if sparse else np.array
+    rows = (form(G), h) if h.size else (None, None)
+    equal = (form(problem.A), problem.b.copy()) if problem.b.size else (None, None)
+    return qpsolvers.Problem(form(problem.H), problem.g.copy(), *rows, *equal, problem.lb, problem.ub)
+
+
+def _proxqp(problems: Sequence[QpProblem]) -> Callable[[QpProblem], Callable[[], object]]:
+    from proxsuite import proxqp
+
+    def data(problem: QpProblem) -> tuple[Any, ...]:
+        bounds = (problem.l, problem.u, problem.lb, problem.ub)
+        clipped = [np.clip(bound, -_INFINITE, _INFINITE) for bound in bounds]
+        return (problem.H, problem.g, problem.A, problem.b, problem.C, *clipped)
+
+    qp = proxqp.dense.QP(*problems[0].sizes, True)
+    qp.settings.initial_guess = proxqp.WARM_START_WITH_PREVIOUS_RESULT
+    for key, value in {**_PROXQP, "eps_duality_gap_rel": 0.0, "max_iter": 60, "max_iter_in": 10}.items():
+        setattr(qp.settings, key, value)
+    qp.init(*data(problems[0]))
+    qp.solve()
+
+    def ready(problem: QpProblem) -> Callable[[], object]:
+        given = data(problem)
+
+        def solve() -> None:
+            qp.update(*given, update_preconditioner=False)
+            qp.solve()
+
+        return solve
+
+    return ready
+
+
+def _osqp(problems: Sequence[QpProblem]) -> Callable[[QpProblem], Callable[[], object]]:
+    kept, work = OsqpSolver(), Workspace(problems[0].sizes)
+    kept.solve(problems[0])  # sets it up with every entry stored
+
+    def ready(problem: QpProblem) -> Callable[[], object]:
+        work.load(problem, 1e30)
+        kept._load(problem)
+        theirs = kept._osqp
+
+        def solve() -> None:
+            theirs.update(q=problem.g, l=work.lower, u=work.upper)
+            theirs.update(Px=kept._P, Ax=kept._A)
+            theirs.solve(raise_error=False)
+
+        return solve
+
+    return ready
+
+
+def backend_alone(recorded: Sequence[Recorded]) -> list[Record]:
+    """Medians and their ratios over successive QPs, kept and rebuilt in turn; CPU time of the thread."""
+    import qpsolvers
+
+    records: list[Record] = []
+    for one in recorded:
+        # Kept memory is of one size; a form may leave an unknown out where nothing depends on it.
+        sizes = [qp.problem.sizes for qp in one.qps]
+        usual = max(set(sizes), key=sizes.count, default=None)
+        problems = [qp.problem for qp in one.qps if qp.problem.sizes == usual]
+        for name, start, options in (("proxqp", _proxqp, _PROXQP), ("osqp", _osqp, _OSQP)):
+            if name not in qpsolvers.available_solvers or len(problems) < 2:
+                continue
+            ready, times = start(problems), ([], [])  # type: tuple[Any, tuple[list[float], list[float]]]
+            for problem in problems[1:]:
+                kept, stated = ready(problem), _stated(problem, sparse=name == "osqp")
+                began = time.thread_time_ns()
+                kept()
+                between = time.thread_time_ns()
+                qpsolvers.solve_problem(stated, name, **options)
+                times[0].append(1e-3 * (between - began))
+                times[1].append(1e-3 * (time.thread_time_ns() - between))
+            medians = [common.percentiles(row, shares=(50.0,))["p50_us"] or np.nan for row in times]
+            keys = {"solver": name, "case": one.case, "arms": one.arms, "form": one.form}
+            ratio = round(medians[0] / medians[1], 3)
+            records.append({**keys, "kept_us": medians[0], "rebuilt_us": medians[1], "ratio": ratio})
+    return records

@@ -1,0 +1,215 @@
+"""Contestants: coopqp and its peers, each in a process of its own, the peers in environments made for them."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import selectors
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import common  # first: it limits BLAS to one thread
+import export_cell
+import numpy as np
+import peer_cases
+
+HERE = Path(__file__).resolve().parent
+#: Default folder of the peers' environments.
+CACHE = HERE.parent / ".venv-peers"
+#: What is installed for each peer, in an environment of its own.
+PINS: dict[str, tuple[str, ...]] = {
+    "pink": (
+        "pin-pink==4.4.0",
+        "pin==4.1.0",
+        "qpsolvers==4.13.0",
+        "daqp==0.11.0",
+        "quadprog==0.1.14",
+        "proxsuite==0.8.0",
+        "osqp==1.1.3",
+    ),
+    "mink": ("mink==1.3.0", "mujoco==4.0.0", "qpsolvers==4.13.0", "daqp==0.11.0"),
+    "placo": ("placo==0.10.2",),
+    "oink": ("roboplan-oink==0.7.0",),
+}
+PIP_INSTALL = ("-m", "pip", "install", "--quiet", "--disable-pip-version-check", "--only-binary", ":all:")
+#: Periods of the steps [s]: one after the other, or one a millisecond with caches that others have used.
+PACES = {"hot": 0.0, "1 kHz": 1e-3}
+#: Largest difference between a peer's kinematics and coopqp's that is accepted [m, or of a rotation's entries].
+KINEMATICS_TOLERANCE = 1e-9
+
+
+# -- environments ------------------------------------------------------------------------------------------------------
+
+
+class NotAvailable(Exception):  # noqa: N818  # an outcome to report, not a fault
+    """A peer that cannot be run, and why."""
+
+
+def environment(peer: str, cache: Path, *, install: bool) -> Path:
+    """The Python of the peer's environment, which is made if need be.
+
+    Raises:
+        NotAvailable: it is not there and may not be made, or cannot be.
+    """
+    folder, pins = cache / peer, "\n".join(PINS[peer])
+    python = folder / ("Scripts/python.exe" if os.name == "nt" else "bin/python")
+    stamp = folder / "pins.txt"
+    if stamp.is_file() and stamp.read_text() == pins and python.exists():
+        return python
+    if not install:
+        raise NotAvailable("not installed")
+    shutil.rmtree(folder, ignore_errors=True)
+    for command in (
+        [sys.executable, "-m", "venv", str(folder)],
+        [str(python), *PIP_INSTALL, *PINS[peer]],
+    ):
+        try:
+            done = subprocess.run(command, capture_output=True, text=True, timeout=900, check=False)
+        except (OSError, subprocess.TimeoutExpired) as error:
+            raise NotAvailable(f"cannot be installed: {type(error).__name__}") from error
+        if done.returncode:
+            errors = [line for line in done.stderr.splitlines() if line.startswith("ERROR")]
+            raise NotAvailable(f"cannot be installed: {(errors or ['pip failed'])[-1][:160]}")
+    stamp.write_text(pins)
+    return python
+
+
+class Contestant:
+    """A runner in its process.
+
+    Attributes:
+        name: of the peer.
+        version: of its package.
+        modes: ways of doing a task that it offers.
+        note: why it takes no further part, or empty.
+    """
+
+    def __init__(self, name: str, python: Path) -> None:
+        self.name, self.note = name, ""
+        self._log = tempfile.TemporaryFile("w+", prefix=f"{name}_")  # noqa: SIM115  # closed by stop()
+        self._process = subprocess.Popen(
+            [str(python), str(HERE / "peers" / f"run_{name}.py")],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=self._log,
+            env={**os.environ, **common.ONE_THREAD},
+        )
+        self._pending = b""
+        hello = self._answer(120.0)
+        self.version, self.modes = str(hello["version"]), tuple(hello["modes"])
+
+    @staticmethod
+    def start(name: str, cache: Path, *, install: bool) -> Contestant:
+        """Start coopqp, or a peer in its environment, which is made if need be and allowed.
+
+        Raises:
+            NotAvailable: it cannot be run, and why.
+        """
+        return Contestant(name, Path(sys.executable) if name == "coopqp" else environment(name, cache, install=install))
+
+    def load(self, file: Path) -> None:
+        """Read a task, and forget the one before.
+
+        Raises:
+            NotAvailable: it cannot, or its kinematics are not coopqp's.
+        """
+        error = self.ask(do="load", file=str(file), timeout=600.0)["kinematics_error"]
+        if not error <= KINEMATICS_TOLERANCE:
+            raise NotAvailable(f"its kinematics differ by {error:.1e}")
+
+    def ask(self, *, timeout: float, **command: Any) -> dict[str, Any]:
+        """Send a command and return the answer.
+
+        Raises:
+            NotAvailable: no answer in time (solvers can hang), a dead process, or an answer that is an error.
+        """
+        if self.note:
+            raise NotAvailable(self.note)
+        assert self._process.stdin is not None
+        with contextlib.suppress(BrokenPipeError):  # _answer says why
+            self._process.stdin.write(json.dumps(command).encode() + b"\n")
+            self._process.stdin.flush()
+        answer = self._answer(timeout)
+        if "error" in answer:
+            raise NotAvailable(str(answer["error"]))
+        return answer
+
+    def _answer(self, timeout: float) -> dict[str, Any]:
+        assert self._process.stdout is not None
+        end = time.monotonic() + timeout
+        with selectors.DefaultSelector() as selector:
+            selector.register(self._process.stdout, selectors.EVENT_READ)
+            while b"\n" not in self._pending:
+                if not selector.select(max(0.0, end - time.monotonic())):
+                    self.stop(f"no answer within {timeout:.0f} s")
+                    raise NotAvailable(self.note)
+                chunk = os.read(self._process.stdout.fileno(), 1 << 20)
+                if not chunk:
+                    self._log.seek(0)
+                    lines = self._log.read().split("\n")
+                    self.stop(f"ended: {' '.join(lines[-3:]).strip()[-160:]}")
+                    raise NotAvailable(self.note)
+                self._pending += chunk
+        line, _, self._pending = self._pending.partition(b"\n")
+        answer: dict[str, Any] = json.loads(line)
+        return answer
+
+    def stop(self, note: str = "stopped") -> None:
+        """End the process."""
+        self.note = self.note or note
+        self._process.kill()
+        self._process.wait()
+        self._log.close()
+
+
+# -- the task, handed over ---------------------------------------------------------------------------------------------
+
+
+def hand_over(case: peer_cases.Case, folder: Path) -> Path:
+    """Write the cell and the task for the peers; returns the task's file."""
+    folder.mkdir(parents=True)
+    s = case.scenario
+    (folder / "cell.urdf").write_text(export_cell.urdf(s.cell))
+    (folder / "cell.xml").write_text(export_cell.mjcf(s.cell))
+    joints, tools = export_cell.names(s.cell)
+    low, high = (np.clip(x, -np.pi, np.pi) for x in (s.cell.limits.lower, s.cell.limits.upper))
+    samples = [s.q_start, *np.random.default_rng(0).uniform(low, high, (2, s.cell.nv))]
+    steps = max(1, round(s.path.duration / s.dt))
+    task = {
+        "case": case.name,
+        "joints_each": len(joints) // len(tools),
+        "urdf": "cell.urdf",
+        "mjcf": "cell.xml",
+        "joints": joints,
+        "tools": tools,
+        "q_start": s.q_start.tolist(),
+        "speed": s.cell.limits.velocity.tolist(),
+        "dt": s.dt,
+        "grasp": [X.homogeneous.tolist() for X in s.grasp.T_object_tool],
+        "poses": [s.path.pose((i + 1) * s.dt).homogeneous.tolist() for i in range(steps)],
+        "kinematics": [
+            {"q": q.tolist(), "tools": [T.homogeneous.tolist() for T in export_cell.tools_at(s.cell, q)]}
+            for q in samples
+        ],
+    }
+    file = folder / "task.json"
+    file.write_text(json.dumps(task))
+    return file
+
+
+def ratio(own: Sequence[Sequence[float]], other: Sequence[Sequence[float]]) -> float | None:
+    """Time of ``own`` over that of ``other``: the median over the rounds of the ratio of their medians."""
+    pairs = [(a, b) for a, b in zip(own, other, strict=False) if len(a) and len(b)]
+    return float(np.median([np.median(a) / np.median(b) for a, b in pairs])) if pairs else None
+
+
+def pinned(peer: str) -> str:
+    """The version of a peer that is pinned; empty for coopqp."""
+    return PINS[peer][0].partition("==")[2] if peer in PINS else ""

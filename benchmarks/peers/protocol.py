@@ -1,0 +1,220 @@
+"""What every runner does: read a task, then answer commands, one JSON line each. Standard library and NumPy only."""
+
+from __future__ import annotations
+
+import importlib.metadata
+import json
+import os
+import sys
+import time
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+#: Untimed steps at the start of each round: the caches belonged to another contestant.
+WARM_UP = 5
+#: CPU time of the process, all threads [ns]: other processes on the machine do not count, except through caches.
+clock = time.process_time_ns
+
+
+class Task:
+    """The cell, its start, and what it is to do.
+
+    Attributes:
+        urdf, mjcf: files.
+        joints, tools: names in them, in the order of configurations and of the arms.
+        q_start: (nv,).
+        grasp: T_object_tool of each arm (N, 4, 4).
+        poses: the object's target at the end of each step (T, 4, 4).
+        targets: the tools' targets (T, N, 4, 4).
+        speed: velocity limits (nv,) [rad/s or m/s].
+        dt: length of a step [s].
+        spec: the task as it was handed over.
+    """
+
+    def __init__(self, file: str) -> None:
+        spec: dict[str, Any] = json.loads(Path(file).read_text())
+        folder = Path(file).parent
+        self.spec = spec
+        self.urdf, self.mjcf = str(folder / spec["urdf"]), str(folder / spec["mjcf"])
+        self.joints: list[str] = spec["joints"]
+        self.tools: list[str] = spec["tools"]
+        self.q_start, self.speed = np.array(spec["q_start"]), np.array(spec["speed"])
+        self.grasp, self.poses = np.array(spec["grasp"]), np.array(spec["poses"])
+        self.targets = self.poses[:, None] @ self.grasp[None]
+        self.dt = float(spec["dt"])
+        self.arms = len(self.tools)
+
+    def relative(self, k: int) -> Array:
+        """Placement of tool ``k`` in the frame of tool 0 when the object is held."""
+        placement: Array = np.linalg.inv(self.grasp[0]) @ self.grasp[k]
+        return placement
+
+
+class Motion(Protocol):
+    """One way (mode) of doing a task with a peer; holds its configuration."""
+
+    def over(self, i: int) -> bool:
+        """Whether the path ends before step ``i``."""
+        ...
+
+    def start(self) -> None:
+        """Go back to the start of the task."""
+        ...
+
+    def step(self, i: int) -> float:
+        """Targets of step ``i``, kinematics, solve, integrate; returns the share of the motion that was kept."""
+        ...
+
+    def q(self) -> Array:
+        """Configuration in the task's order (nv,)."""
+        ...
+
+
+class Timed:
+    """Motions whose targets come one a step, whatever the arms do."""
+
+    _task: Task
+
+    def over(self, i: int) -> bool:
+        return i >= len(self._task.poses)
+
+
+class Runner(Protocol):
+    """A peer."""
+
+    package: str
+    modes: tuple[str, ...]
+
+    def load(self, task: Task) -> None:
+        """Read the cell."""
+        ...
+
+    def tools_at(self, q: Array) -> Array:
+        """Placement of every tool in the world at ``q`` (N, 4, 4)."""
+        ...
+
+    def motion(self, mode: str) -> Motion:
+        """A new motion at the start of the task."""
+        ...
+
+
+class _Session:
+    """A motion that is carried on from round to round."""
+
+    def __init__(self, motion: Motion) -> None:
+        self.motion, self.i = motion, 0
+
+    def advance(self) -> tuple[int, str]:
+        """One step; starts again at the path's end. Returns its CPU time [ns] and the failure, if any."""
+        if self.motion.over(self.i):
+            self.motion.start()
+            self.i = 0
+        note = ""
+        began = clock()
+        try:
+            self.motion.step(self.i)
+        except Exception as error:
+            note = _reason(error)
+        took = clock() - began
+        self.i += 1
+        return took, note
+
+
+def _reason(error: Exception) -> str:
+    text = " ".join(str(error).split())
+    return f"{type(error).__name__}: {text}"[:160]
+
+
+class _Server:
+    def __init__(self, runner: Runner) -> None:
+        self.runner, self.sessions = runner, dict[str, _Session]()
+        self.task: Task | None = None
+
+    def _session(self, mode: str) -> _Session:
+        if mode not in self.sessions:
+            self.sessions[mode] = _Session(self.runner.motion(mode))
+        return self.sessions[mode]
+
+    def load(self, file: str) -> dict[str, Any]:
+        """Read the task; compare the kinematics."""
+        self.task = None
+        self.sessions.clear()
+        task = Task(file)
+        self.runner.load(task)
+        self.task = task
+        worst = 0.0
+        for sample in task.spec["kinematics"]:
+            worst = max(worst, float(np.abs(self.runner.tools_at(np.array(sample["q"])) - sample["tools"]).max()))
+        return {"kinematics_error": worst}
+
+    def forget(self) -> dict[str, Any]:
+        """Free the memory of all motions; the task is kept."""
+        self.sessions.clear()
+        return {}
+
+    def behave(self, mode: str, steps: int, budget: float) -> dict[str, Any]:
+        """Up to ``steps`` steps from the start: configurations, failures (a failed step holds still), times."""
+        assert self.task is not None
+        session = self._session(mode)
+        motion, session.i = session.motion, 0
+        motion.start()
+        rows, times, failures, note, least = [motion.q().tolist()], [], 0, "", 1.0
+        end = time.perf_counter() + budget
+        for i in range(steps):
+            began = clock()
+            try:
+                least = min(least, motion.step(min(i, len(self.task.poses) - 1)))
+            except Exception as error:
+                failures += 1
+                note = note or _reason(error)
+            times.append((clock() - began) / 1e3)
+            row = motion.q()
+            if not np.isfinite(row).all():
+                failures += steps - i
+                note = note or "the configuration is not finite"
+                break
+            rows.append(row.tolist())
+            if time.perf_counter() > end:
+                break
+        motion.start()
+        return {"q": rows, "us": times, "failures": failures, "note": note, "least": least}
+
+    def time(self, mode: str, steps: int, period: float, budget: float) -> dict[str, Any]:
+        """Times of up to ``steps`` steps [µs], hot (period 0) or one every ``period`` seconds."""
+        session, times, failures, note = self._session(mode), [], 0, ""
+        for _ in range(WARM_UP):
+            session.advance()
+        end = time.perf_counter() + budget
+        due = time.perf_counter()
+        for _ in range(steps):
+            if period:
+                now = time.perf_counter()
+                due += period * max(1.0, np.ceil((now - due) / period))
+                time.sleep(max(0.0, due - now))
+            took, failed = session.advance()
+            times.append(took / 1e3)
+            failures += bool(failed)
+            note = note or failed
+            if time.perf_counter() > end:
+                break
+        return {"us": times, "failures": failures, "note": note}
+
+
+def serve(runner: Runner) -> None:
+    """Answer commands on stdin until it ends; what libraries print goes to stderr."""
+    answers = os.fdopen(os.dup(1), "w")
+    os.dup2(2, 1)
+    server = _Server(runner)
+    hello = {"version": importlib.metadata.version(runner.package), "modes": list(runner.modes)}
+    print(json.dumps(hello), file=answers, flush=True)
+    for line in sys.stdin:
+        command = json.loads(line)
+        try:
+            answer = getattr(server, command.pop("do"))(**command)
+        except Exception as error:
+            answer = {"error": _reason(error)}
+        print(json.dumps(answer), file=answers, flush=True)

@@ -1,0 +1,103 @@
+"""What is wrong with a cell file, and where, in words."""
+
+from __future__ import annotations
+
+import difflib
+import re
+from collections.abc import Sequence
+from typing import Any
+
+from pydantic import ValidationError
+
+#: Most problems that one message lists.
+MAX_PROBLEMS = 5
+#: Unions of the schema: the tag that pydantic puts into a place is none of the file's keys.
+_UNIONS = ("grasp", "path", "controller", "plant")
+_KINDS = {
+    "float_type": "a number",
+    "int_type": "a whole number",
+    "int_from_float": "a whole number",
+    "bool_type": "true or false",
+    "string_type": "text",
+    "list_type": "a list",
+    "dict_type": "a table",
+    "model_type": "a table",
+    "model_attributes_type": "a table",
+}
+_TYPES = ("float", "int", "bool", "str")
+_OWN = ("unknown_key", "cell_file")
+
+
+def explain(error: ValidationError) -> str:
+    """The problems, each with its place; at most :data:`MAX_PROBLEMS` of them."""
+    by_place: dict[str, list[Any]] = {}
+    for problem in error.errors(include_url=False):
+        by_place.setdefault(_place(problem["loc"]), []).append(problem)
+    # A value that fits no member of a union makes a problem for each of them.
+    texts = [f"{place}: {_words(problems)}" for place, problems in by_place.items()]
+    more = len(texts) - MAX_PROBLEMS
+    return "; ".join(texts[:MAX_PROBLEMS]) + (f"; and {more} more" if more > 0 else "") + "."
+
+
+def _words(problems: Sequence[Any]) -> str:
+    own = [p for p in problems if p["type"] in _OWN]
+    if own:
+        return str(own[0]["msg"])
+    wanted = [_KINDS[p["type"]] for p in problems if p["type"] in _KINDS]
+    first = problems[0]
+    if wanted:
+        off = ["false"] if any(_expects_false(p) for p in problems) else []
+        return f"give {' or '.join(dict.fromkeys([*wanted, *off]))}, not {_shown(first['input'])}"
+    return _single(next((p for p in problems if not _expects_false(p)), first))
+
+
+def _single(problem: Any) -> str:
+    kind, context = problem["type"], problem.get("ctx", {})
+    if kind == "missing":
+        return "is missing"
+    if kind == "union_tag_not_found":
+        return "kind is missing"
+    if kind == "union_tag_invalid":
+        return _unknown(context["tag"], re.findall(r"'([^']*)'", context["expected_tags"]))
+    if kind == "literal_error":
+        return _unknown(problem["input"], re.findall(r"'([^']*)'", context["expected"]))
+    if kind in ("too_short", "too_long"):
+        bound = context.get("min_length", context.get("max_length"))
+        return (
+            f"give {'at least' if kind == 'too_short' else 'at most'} {bound} entries, not {context['actual_length']}"
+        )
+    text = str(problem["msg"]).removeprefix("Input should be ").removeprefix("a valid ")
+    return f"must be {text[:1].lower()}{text[1:]}, not {_shown(problem['input'])}"
+
+
+def _unknown(given: Any, known: Sequence[str]) -> str:
+    near = difflib.get_close_matches(str(given), known, n=1)
+    hint = f"did you mean '{near[0]}'? " if near else ""
+    return f"there is no {_shown(given)}; {hint}known: {', '.join(known)}"
+
+
+def _expects_false(problem: Any) -> bool:
+    return bool(problem["type"] == "literal_error" and problem["ctx"]["expected"] == "False")
+
+
+def _place(location: Sequence[int | str]) -> str:
+    """``arms[0].base.xyz_m`` from pydantic's location, whose names of types are left out."""
+    parts = list(location)
+    if len(parts) > 1 and parts[0] in _UNIONS:
+        del parts[1]
+    place = ""
+    for part in parts:
+        if isinstance(part, int):
+            place += f"[{part}]"
+        elif (
+            re.fullmatch(r"[A-Za-z0-9_ -]+", part)
+            and part not in ("float", "int", "bool", "str")
+            and "Table" not in part
+        ):
+            place += f".{part}" if place else part
+    return place or "the file"
+
+
+def _shown(value: Any) -> str:
+    text = str(value).lower() if isinstance(value, bool) else repr(value)
+    return text if len(text) <= 60 else f"{text[:57]}…"

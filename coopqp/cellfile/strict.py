@@ -1,0 +1,154 @@
+"""Tables whose keys and types are checked, and tables made from the options dataclasses."""
+
+from __future__ import annotations
+
+import dataclasses
+import difflib
+import re
+import types
+import typing
+from collections.abc import Mapping
+from typing import Annotated, Any, Literal, Union
+
+from annotated_types import Len
+from pydantic import BaseModel, ConfigDict, Field, create_model, model_validator
+from pydantic_core import PydanticCustomError
+
+#: Longest list of numbers that is read.
+MAX_LIST = 10_000
+
+
+class Table(BaseModel):
+    """A table of a cell file: unknown keys and wrong types are errors, nothing is converted."""
+
+    model_config = ConfigDict(extra="forbid", strict=True, frozen=True, allow_inf_nan=False)
+
+    @model_validator(mode="before")
+    @classmethod
+    def _known_keys(cls, data: Any) -> Any:
+        if isinstance(data, Mapping):
+            unknown = [str(key) for key in data if key not in cls.model_fields]
+            if unknown:
+                near = difflib.get_close_matches(unknown[0], cls.model_fields, n=1)
+                hint = f"did you mean '{near[0]}'? " if near else ""
+                raise PydanticCustomError(
+                    "unknown_key",
+                    "unknown key '{key}'; {hint}known: {known}",
+                    {"key": unknown[0], "hint": hint, "known": ", ".join(cls.model_fields)},
+                )
+        return data
+
+
+Vector3 = Annotated[list[float], Len(3, 3)]
+Numbers = Annotated[list[float], Len(1, MAX_LIST)]
+
+
+def table_of(
+    options: type,
+    name: str,
+    *,
+    replaced: Mapping[str, Any] | None = None,
+    first: Mapping[str, tuple[Any, Any]] | None = None,
+) -> type[Table]:
+    """A table with the fields of an options dataclass, their types, defaults and documentation.
+
+    A field that may be None takes ``false`` for it; one whose type no file can give is left out.
+
+    Args:
+        options: the dataclass.
+        name: of the table's class.
+        replaced: types of fields that are to be given otherwise.
+        first: fields to put before them, as (type, default).
+    """
+    hints = typing.get_type_hints(options)
+    meanings = attribute_docs(options)
+    fields: dict[str, Any] = dict(first or {})
+    for item in dataclasses.fields(options):
+        kind = (replaced or {}).get(item.name) or _file_type(hints[item.name], f"{name}_{item.name}")
+        if kind is not None:
+            fields[item.name] = (kind | None, Field(None, description=_meaning(meanings.get(item.name, ""), item)))
+    return create_model(name, __base__=Table, __doc__=(options.__doc__ or "").split("\n", 1)[0], **fields)
+
+
+def build_options(options: type, values: BaseModel, **replaced: Any) -> Any:
+    """The options dataclass from a table of :func:`table_of`: what the table leaves out keeps its default."""
+    hints = typing.get_type_hints(options)
+    arguments: dict[str, Any] = {}
+    for item in dataclasses.fields(options):
+        value = replaced.get(item.name, getattr(values, item.name, None))
+        if value is None:
+            continue
+        nested = _nested(hints[item.name])
+        if value is False and (hints[item.name] is Any or type(None) in typing.get_args(hints[item.name])):
+            arguments[item.name] = None
+        elif nested is not None and isinstance(value, BaseModel):
+            arguments[item.name] = build_options(nested, value)
+        else:
+            arguments[item.name] = tuple(value) if typing.get_origin(hints[item.name]) is tuple else value
+    return options(**arguments)
+
+
+def attribute_docs(documented: type) -> dict[str, str]:
+    """The meaning of each attribute, from the section ``Attributes:`` of a docstring."""
+    _, _, section = (documented.__doc__ or "").partition("Attributes:")
+    meanings: dict[str, str] = {}
+    names: list[str] = []
+    for line in section.splitlines():
+        head = re.match(r"\s{8}(\w+(?:, \w+)*): (.*)", line)
+        if head:
+            names = head[1].split(", ")
+            meanings.update(dict.fromkeys(names, head[2]))
+        elif line.startswith(" " * 12):
+            meanings.update({name: f"{meanings[name]} {line.strip()}" for name in names})
+        elif line.strip():
+            break
+    return {name: _as_text(text) for name, text in meanings.items()}
+
+
+def _as_text(text: str) -> str:
+    """A docstring's line without its markup; what a program calls None is false in a file."""
+    plain = re.sub(r":\w+:`~?\.?([^`]*)`", r"\1", text).replace('``"', '"').replace('"``', '"').replace("``", "'")
+    return re.sub(r"\bNone\b", "false", plain).rstrip(".")
+
+
+def _meaning(text: str, item: dataclasses.Field[Any]) -> str:
+    default = item.default
+    if default is None or default is dataclasses.MISSING:
+        return text
+    return f"{text} (default {shown_default(default)})".strip()
+
+
+def shown_default(value: Any) -> str:
+    """A default as a file gives it."""
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, float):
+        return f"{value:.4g}"
+    return str(list(value)) if isinstance(value, tuple) else str(value)
+
+
+def _nested(hint: Any) -> type | None:
+    """The dataclass in a type hint, if there is one."""
+    for kind in (hint, *typing.get_args(hint)):
+        if isinstance(kind, type) and dataclasses.is_dataclass(kind):
+            return kind
+    return None
+
+
+def _file_type(hint: Any, name: str) -> Any:
+    """What a file may give for a type hint; None if nothing."""
+    if hint in (float, int, bool, str):
+        return hint
+    origin, arguments = typing.get_origin(hint), typing.get_args(hint)
+    if origin is Literal:
+        return hint
+    if origin is tuple and arguments == (float, ...):
+        return Numbers
+    if origin is tuple and set(arguments) == {float}:
+        return Annotated[list[float], Len(len(arguments), len(arguments))]
+    if origin in (Union, types.UnionType) and type(None) in arguments:
+        inner = [_file_type(kind, name) for kind in arguments if kind is not type(None)]
+        return None if len(inner) != 1 or inner[0] is None else inner[0] | Literal[False]
+    if isinstance(hint, type) and dataclasses.is_dataclass(hint):
+        return table_of(hint, name)
+    return None

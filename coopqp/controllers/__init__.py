@@ -1,0 +1,1 @@
+"""Controllers: the paper's algorithm (baseline) and the QP."""

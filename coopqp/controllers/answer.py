@@ -1,0 +1,212 @@
+"""The ranked answer of one step: nominal, ray, QP, QP with slack, brake."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import final
+
+import numpy as np
+
+from coopqp.chain import Chain
+from coopqp.controllers.base import NO_SOLVE, SolverReport
+from coopqp.controllers.options import QPOptions
+from coopqp.limits import LIMIT_TOLERANCE, BindingLimit, VelocityBox, rate_interval
+from coopqp.program import Answer, Pieces, StepProgram, StepTerms
+from coopqp.solvers import QpProblem, QpSolution, QpSolver, SolverStatus, make_solver
+from coopqp.spatial import Array
+
+#: A solver's excess over a limit up to this is clipped; more is a failure [rad/s or m/s].
+RESIDUE_TOLERANCE = 1e-5
+
+#: Cost of joint velocities in the second attempt at a chain that may part [1/(rad/s)²].
+_CALM = 1e-4
+
+_ZERO6 = np.zeros(6)
+_ZERO6.flags.writeable = False
+
+
+#: What a broken solver may raise; :class:`QpSolver` itself turns what its backend is known to raise into a status.
+_BROKEN = (
+    ArithmeticError,
+    AssertionError,
+    AttributeError,
+    BufferError,
+    LookupError,
+    MemoryError,
+    OSError,
+    RuntimeError,
+    SystemError,
+    TypeError,
+    ValueError,
+)
+
+
+def _ask(solver: QpSolver, problem: QpProblem) -> QpSolution:
+    """Solve, whatever the solver does: what raises, or answers with anything but n finite numbers, has failed."""
+    try:
+        solution = solver.solve(problem)
+        if isinstance(solution, QpSolution) and (
+            not solution.usable or (solution.x.shape == problem.g.shape and np.isfinite(solution.x).all())
+        ):
+            return solution
+        message = "the answer is not as many finite numbers as there are unknowns"
+    except _BROKEN as error:
+        message = f"it raised {type(error).__name__}: {str(error)[:200]}"
+    nothing = np.full(problem.g.size, np.nan)
+    return QpSolution(nothing, SolverStatus.FAILED, None, None, None, 0, 0.0, message)
+
+
+@dataclass(eq=False)
+class StepAnswer:
+    """Joint velocities inside the box, and what was given up for them; see :class:`GivenUp`."""
+
+    velocity: Array
+    rate: float
+    grasp_share: float = 1.0
+    path_share: float = 1.0
+    off_path: Array = field(default_factory=lambda: _ZERO6)
+    chain: float = 0.0
+    binding: tuple[BindingLimit, ...] = ()
+    report: SolverReport = NO_SOLVE
+    braked: bool = False
+    exact: bool = False
+    reason: str = ""
+    correction: Array = field(default_factory=lambda: _ZERO6)
+
+
+@final
+class StepSolver:
+    """Finds the answer of a step whose kinematics are linearised; owns the kept QP solvers."""
+
+    def __init__(self, chain: Chain, box: VelocityBox, options: QPOptions) -> None:
+        self._chain, self._box, self._options = chain, box, options
+        self.program = StepProgram(chain, options.weights)
+        self._solver = make_solver(options.solver, options.solver_settings)
+        self._slack_solver = make_solver(options.solver, options.solver_settings)
+
+    def reset(self) -> None:
+        """Forget warm starts."""
+        self._solver.reset()
+        self._slack_solver.reset()
+
+    def answer(self, terms: StepTerms, v_prev: Array, h: float) -> StepAnswer:
+        """The best admissible command; never fails."""
+        box = self._box
+        pieces = self.program.pieces(terms)
+        if self._options.shortcut and not box.outside.any():
+            found = self._on_path(terms, pieces, v_prev, h)
+            if found is not None:
+                return found
+        solved, report = self._solve(terms, pieces)
+        if solved is None:
+            return self._brake(pieces, v_prev, h, report)
+        return StepAnswer(
+            np.clip(solved.velocity, box.lower, box.upper),
+            solved.rate,
+            solved.grasp_share,
+            solved.path_share,
+            solved.off_path,
+            solved.chain,
+            self._active(solved.velocity, v_prev, h),
+            report,
+        )
+
+    def _on_path(self, terms: StepTerms, pieces: Pieces, v_prev: Array, h: float) -> StepAnswer | None:
+        """Full corrections at the fastest admissible rate, up to the cap; None if no rate will do."""
+        box, cap = self._box, terms.rate_cap
+        base = pieces.fixed + pieces.grasp + pieces.path
+        found = rate_interval(base, pieces.along, box.lower, box.upper)
+        if found is None:
+            return None
+        low, high, j = found
+        if not (high >= max(low, 0.0) and low <= 1.0):
+            return None
+        rate = max(cap, low)
+        binding: tuple[BindingLimit, ...] = ()
+        if high < cap:
+            rate = high
+            binding = (box.binding(j, 1.0 if pieces.along[j] > 0.0 else -1.0, v_prev, h),)
+        v = base + rate * pieces.along
+        clipped = np.clip(v, box.lower, box.upper)
+        if not np.abs(v - clipped).max() <= 2.0 * LIMIT_TOLERANCE:
+            return None
+        return StepAnswer(clipped, rate, binding=binding, exact=True)
+
+    def _solve(self, terms: StepTerms, pieces: Pieces) -> tuple[Answer | None, SolverReport]:
+        """The QP of the chosen form; where its chain cannot be kept, the one that lets the chain part."""
+        program, box = self.program, self._box
+        if self._options.form == "condensed":
+            problem, base, B = program.condensed(terms, pieces, box)
+            solution = _ask(self._solver, problem)
+            answer = program.read_condensed(solution.x, terms, base, B) if solution.usable else None
+        else:
+            problem = program.full(terms, box)
+            solution = _ask(self._solver, problem)
+            answer = program.read_full(solution.x, terms) if solution.usable else None
+        if answer is not None and self._believable(answer.velocity):
+            return answer, self._report(problem, solution)
+        problem = program.full(terms, box, slack=True)
+        relaxed = _ask(self._slack_solver, problem)
+        if not relaxed.usable:
+            # Without a cost of their own the joint velocities defeat some solvers near a singularity.
+            joints = range(self._chain.nv)
+            problem.H[joints, joints] += _CALM
+            relaxed = _ask(self._slack_solver, problem)
+        report = self._report(problem, relaxed)
+        if not relaxed.usable:
+            return None, report
+        answer = program.read_full(relaxed.x, terms)
+        if not self._believable(answer.velocity):
+            return None, report
+        parting = program.parting(answer, terms)
+        return Answer(
+            answer.velocity, answer.rate, answer.grasp_share, answer.path_share, answer.off_path, parting
+        ), report
+
+    def _believable(self, v: Array) -> bool:
+        """Finite, and inside the box but for the solver's residue (a NaN fails the comparison)."""
+        excess = np.maximum(v - self._box.upper, self._box.lower - v)
+        return bool(excess[excess.argmax()] <= RESIDUE_TOLERANCE)
+
+    def _report(self, problem: QpProblem, solution: QpSolution) -> SolverReport:
+        residual = solution.primal_residual(problem)
+        return SolverReport(
+            self._solver.name,
+            solution.status.value,
+            solution.iterations,
+            residual,
+            solution.solve_time_s,
+            solution.message,
+        )
+
+    def _brake(self, pieces: Pieces, v_prev: Array, h: float, report: SolverReport) -> StepAnswer:
+        """All arms brake together: along the path if a rate will do, else by one common factor. Needs no solver."""
+        box = self._box
+        why = f"{report.status}: {report.message}" if report.message else report.status
+        reason = f"the QP has no usable answer ({why}); braking"
+        for base in (pieces.fixed + pieces.grasp, pieces.fixed):
+            interval = rate_interval(base, pieces.along, box.lower, box.upper)
+            if interval is not None and interval[1] >= max(interval[0], 0.0):
+                rate = max(interval[0], 0.0)
+                v = np.clip(base + rate * pieces.along, box.lower, box.upper)
+                return StepAnswer(v, rate, 0.0, 0.0, report=report, braked=True, reason=reason)
+        v = np.clip(v_prev * self._slowdown(v_prev, h), box.lower, box.upper)
+        return StepAnswer(v, 0.0, 0.0, 0.0, report=report, braked=True, reason=reason)
+
+    def _slowdown(self, v: Array, h: float) -> float:
+        """Largest common braking: the factor that the tightest joint can follow in one step."""
+        speed = np.abs(v)
+        moving = speed > 1e-12
+        if not moving.any():
+            return 0.0
+        reach = self._chain.cell.limits.acceleration[moving] * h / speed[moving]
+        return float(1.0 - min(reach.min(), 1.0))
+
+    def _active(self, v: Array, v_prev: Array, h: float) -> tuple[BindingLimit, ...]:
+        """Names of the limits that a QP's answer stands at."""
+        box = self._box
+        return tuple(
+            box.binding(int(j), sign, v_prev, h)
+            for sign, bound in ((1.0, box.upper), (-1.0, box.lower))
+            for j in np.flatnonzero(np.abs(v - bound) <= 1e-7)
+        )

@@ -1,0 +1,535 @@
+"""The cooperative QP controller: the chain holds, the object stays on its path, a command always comes.
+
+One step, in the order in which the code reads: guards (is the input to be believed, are the arms in step), the rate
+that the path ahead allows, what the step wants (errors and corrections), and the strictly ranked answer: the nominal
+command if it is admissible; else the fastest rate on the path; else the QP; else the QP whose chain may part; else a
+synchronised brake. The first two are fused in a kernel (:mod:`coopqp.kernel`), which the code here also does step by
+step where the kernel does not apply. See docs/derivations.md.
+"""
+
+from __future__ import annotations
+
+import time
+from typing import Any, final
+
+import numpy as np
+import pinocchio as pin
+
+from coopqp.cell import RobotCell
+from coopqp.chain import Chain
+from coopqp.controllers.answer import StepAnswer, StepSolver
+from coopqp.controllers.base import (
+    NO_SOLVE,
+    NOTHING,
+    ControlStep,
+    GivenUp,
+    Status,
+    check_start,
+    make_step,
+)
+from coopqp.controllers.options import QPOptions
+from coopqp.controllers.supervision import Supervision, Watch
+from coopqp.errors import InvalidInputError
+from coopqp.grasp import Grasp
+from coopqp.kernel import Outcome, Workspace, make_kernel
+from coopqp.kernel.reference import bound
+from coopqp.limits import BindingLimit, LimitKind, VelocityBox
+from coopqp.path import HoldPath, ObjectPath, ServoPath
+from coopqp.posture import Posture
+from coopqp.preview import PathPreview
+from coopqp.program import StepTerms
+from coopqp.spatial import Array, Placement, as_scalar, log6_batch
+from coopqp.state import CellState
+
+#: Linearisations that the first step may have beyond the others.
+_EXTRA_AT_START = 3
+#: Share of the accelerations that braking together ahead of a limit is planned with, where there is no preview.
+_BRAKING_SHARE = 0.8
+#: Square of an off-path twist that needs no braking distance [m²/s², rad²/s²].
+_NEGLIGIBLE = 1e-10
+
+
+@final
+class QPController:
+    """Cooperative QP controller for any number of arms that hold one object.
+
+    Args:
+        cell, grasp, path: what moves, how it holds, and where to.
+        dt: nominal length of a step [s].
+        options: settings.
+
+    Attributes:
+        kernel: name of the fused step that runs: "compiled", "numpy" or "none".
+
+    Raises:
+        InvalidInputError, UnknownNameError, MissingExtraError: bad settings, an unknown or missing solver.
+    """
+
+    def __init__(
+        self, cell: RobotCell, grasp: Grasp, path: ObjectPath, *, dt: float, options: QPOptions | None = None
+    ) -> None:
+        grasp.check_arms(cell)
+        self.cell, self.grasp, self.path = cell, grasp, path
+        self.dt = as_scalar(dt, "QPController: dt")
+        o = self.options = options or QPOptions()
+        self._chain = Chain(cell, grasp)
+        self._box = VelocityBox(cell)
+        self._shares = o.common_error.shares(cell)
+        self._solver = StepSolver(self._chain, self._box, o)
+        self._ws = Workspace(self._chain, self._shares, self._box)
+        self._ws.scalars[[self._ws.SPEED, self._ws.SPIN]] = o.correction_speed, o.correction_spin
+        fused = o.shortcut and o.iterations == 1 and self._ws.eligible
+        self._kernel = make_kernel(self._ws, o.kernel) if fused else None
+        self.kernel = "none" if self._kernel is None else self._kernel.name
+        self._follows_lines = self._kernel is not None and self._kernel.follows_lines
+        self._line: Array | None = None
+        self._gains_dt = 0.0
+        self._posture = Posture(cell, o.posture)
+        self._supervision = Supervision(cell, o.supervision)
+        self._measuring = Chain(cell, grasp)
+        self._preview = self._make_preview(path)
+        self._restricted = tuple(cell.arm_names[k] for k in self._chain.deficient)
+        self._plain = not cell.continuous.any()
+        self._started = False
+        self._begin(pin.neutral(cell.model))
+
+    def _make_preview(self, path: ObjectPath) -> PathPreview | None:
+        if self.options.preview is None or self._chain.deficient or not path.known_ahead:
+            return None
+        ahead = Chain(self.cell, self.grasp)
+        return PathPreview(
+            ahead, path, self._posture, dt=self.dt, options=self.options.preview, kernel=self.options.kernel
+        )
+
+    # -- starting --------------------------------------------------------------------------------------------------
+
+    def reset(self, q: Any) -> None:
+        """Start at ``q`` (nq,), at rest, the object's clock at 0; ends a fault. Errors as :class:`Controller`.
+
+        A later reset with a :class:`ServoPath` starts where the arms hold the object, and rests there until the next
+        target. With any other path the arms have to be at its start: :meth:`follow` one that starts where they are.
+        """
+        o = self.options
+        again = self._started and isinstance(self.path, ServoPath)
+        path = HoldPath(self._held_at(q)) if again else self.path
+        start = check_start(
+            self.cell, self.grasp, path, q, tolerance_m=o.start_tolerance_m, tolerance_rad=o.start_tolerance_rad
+        )
+        if isinstance(self.path, ServoPath) and again:
+            self.path.restart(path.pose(0.0))
+        self._solver.reset()
+        self._supervision.reset()
+        self._posture.reset(start)
+        self._begin(start)
+        self._start_path()
+        self._started = True
+
+    def _held_at(self, q: Any) -> pin.SE3:
+        """Where the arms hold the object at ``q``: by their shares in the common error, from the first one's view."""
+        O = self.grasp.carried(CellState(self.cell, q))
+        errors = np.array([pin.log6(O[0].actInv(other)).vector for other in O])
+        return O[0] * pin.exp6((self._shares * errors).sum(axis=0))
+
+    def _begin(self, q: Array) -> None:
+        self._q = q
+        self._v, self._v_before = np.zeros(self.cell.nv), np.zeros(self.cell.nv)
+        self._midpoint = q
+        self._fault = ""
+        self._drift, self._drifted = np.zeros(6), False
+        self._correcting = np.zeros(6)  # off-path twist of the last step
+        self._clock, self._rate, self._fresh = 0.0, 1.0, True
+        self._next_pose: tuple[float, pin.SE3] | None = None
+        self._predicted = False
+        self._last_dt = self.dt
+
+    def follow(self, path: ObjectPath) -> None:
+        """Go on from the present command along another path, its clock at 0; the motion is not interrupted.
+
+        The path should start where the object is; what is missing is made up for by the path correction.
+        """
+        self.path = path
+        self._preview = self._make_preview(path)
+        self._start_path()
+
+    def retarget(self, T_world_object: Placement) -> None:
+        """Move the target of a :class:`ServoPath`.
+
+        Raises:
+            InvalidInputError: the path is no ServoPath, or the pose is not one; the old target stays.
+        """
+        if not isinstance(self.path, ServoPath):
+            raise InvalidInputError(
+                f"the path is a {type(self.path).__name__}", "retarget", "Build the controller with a ServoPath."
+            )
+        self.path.set_target(T_world_object, clock=self._clock)
+        self._next_pose = None
+
+    def _start_path(self) -> None:
+        self._clock, self._fresh, self._predicted, self._next_pose = 0.0, True, False, None
+        self._rate = 0.0 if self._box.accelerates else 1.0
+        if self._preview is not None:
+            self._preview.reset(self._q, 0.0)
+
+    # -- the step --------------------------------------------------------------------------------------------------
+
+    def step(self, q_measured: Any = None, *, dt: float | None = None) -> ControlStep:
+        """Compute the command of one period.
+
+        The chain error is taken from the *commanded* configuration and the object's error from the measured one:
+        once the object is gripped the measured chain error hides in servo deflection, and feeding it back into an
+        integrated command would wind up without bound.
+
+        Args:
+            q_measured: measured configuration (nq,); None where commands are followed exactly.
+            dt: length of this step [s], if not the nominal one.
+
+        Raises:
+            InvalidInputError: before the first :meth:`reset`. Never for run-time data: those lead to a status.
+        """
+        if not self._started:
+            raise InvalidInputError("step before reset", "QPController", "Call reset(q) first.")
+        began = time.perf_counter()
+        h, measured, watch = self._guard(q_measured, dt)
+        binding = self._prepare(h, measured, watch)
+        chain, ws = self._chain, self._ws
+        chain.place(self._q)
+        if self._kernel is not None and not self._fresh:
+            chain.evaluate(self._midpoint if h == self._last_dt else self._advanced(self._guess(), 0.5 * h))
+            outcome = self._kernel.step()
+            if outcome != Outcome.OPEN:
+                self._predicted = True
+                rate, joint, side = ws.result.tolist()
+                if joint >= 0.0:
+                    binding = (self._box.binding(int(joint), side, self._v, h),)
+                v = ws.velocity.copy()
+                if self._plain:
+                    q_next, self._midpoint = ws.moved.copy(), ws.midpoint
+                else:
+                    q_next = self._advanced(v, h)
+                    self._midpoint = pin.integrate(self.cell.model, q_next, 0.5 * h * (2.0 * v - self._v))
+                return self._finish(h, v, q_next, rate, binding, watch, None, began)
+        answer = self._open_step(h)
+        v = answer.velocity
+        q_next = self._advanced(v, h)
+        return self._finish(h, v, q_next, answer.rate, answer.binding or binding, watch, answer, began)
+
+    def _guess(self) -> Array:
+        """The velocity of this step, predicted, so that it can be linearised at its midpoint."""
+        guess: Array = 2.0 * self._v - self._v_before
+        return guess
+
+    def _guard(self, q_measured: Any, dt: Any) -> tuple[float, Array | None, Watch]:
+        """Accept or refuse the inputs of a step; a refusal holds."""
+        supervision, h = self._supervision, self.dt
+        watch = Watch()
+        if dt is not None:
+            trouble = supervision.accept_dt(dt, self.dt)
+            if trouble:
+                watch = Watch(rate_cap=0.0, hold=True, reason=trouble)
+            else:
+                h = float(dt)
+        measured = None
+        if q_measured is not None and q_measured is not self._q:
+            measured, trouble = supervision.accept_measurement(q_measured, self._q)
+            if trouble:
+                measured, watch = None, Watch(rate_cap=0.0, hold=True, reason=trouble)
+        if self._fault:
+            watch = Watch(rate_cap=0.0, hold=True, fault=True, reason=self._fault)
+        return h, measured, watch
+
+    def _prepare(self, h: float, measured: Array | None, watch: Watch) -> tuple[BindingLimit, ...]:
+        """Fill the workspace's inputs: reference pose, rate cap, increment along the path, measured error."""
+        o, path, ws, clock = self.options, self.path, self._ws, self._clock
+        has_measured = self._let_in(h, measured, watch)
+        cap, ahead = (1.0, None) if self._preview is None else self._preview.cap(clock, h)
+        if self._box.accelerates and (self._preview is None or self._correcting @ self._correcting > _NEGLIGIBLE):
+            keep = self._brake_share(h)
+            if keep < 1.0:
+                has_measured = self._brake_correction(keep, has_measured)
+                if self._preview is None:
+                    cap = min(cap, keep * self._rate)
+        binding = () if ahead is None else (ahead,)
+        if watch.rate_cap < cap:
+            cap = watch.rate_cap
+            binding = (
+                () if watch.arm < 0 else (BindingLimit(self.cell.arm_names[watch.arm], "", LimitKind.OUT_OF_STEP),)
+            )
+        if self._box.accelerates and o.preview is not None and self._rate + o.preview.rate_slope * h < cap:
+            cap, binding = self._rate + o.preview.rate_slope * h, ()
+        rest = path.duration - clock
+        if rest < h * cap:
+            cap = rest / h  # the last step ends at the end
+        span = min(h * max(min(cap, self._rate), 1e-3), rest)
+        s = ws.scalars
+        line = path.line_at(clock, span) if self._follows_lines and not self._fresh else None
+        if line is None:
+            self._look_along(clock, span)
+            s[ws.ON_LINE] = 0.0
+        else:
+            if line is not self._line:
+                ws.line[:] = self._line = line
+            s[ws.ON_LINE], s[ws.CLOCK], s[ws.SPAN] = 1.0, clock, span
+        ws.positions[:] = self._q if self._plain else self.cell.positions(self._q)
+        ws.v_prev[:] = self._v
+        s[ws.CAP], s[ws.LAST_DT] = cap, self._last_dt
+        if h != self._gains_dt:
+            self._gains_dt = s[ws.DT] = h
+            # never more than the whole error in one step
+            s[ws.GRASP_GAIN], s[ws.PATH_GAIN] = min(o.grasp_gain, 1.0 / h), min(o.path_gain, 1.0 / h)
+        s[ws.HAS_MEASURED], s[ws.HAS_PREDICTED] = has_measured, self._predicted
+        if ws.redundant:
+            self._wanted_posture()
+            if watch.hold:
+                ws.null_offset[:] = 0.0
+        return binding
+
+    def _let_in(self, h: float, measured: Array | None, watch: Watch) -> bool:
+        """The object's error for the path correction, in ``ws.measured``; False if the commanded one will do.
+
+        It is the commanded error and, let in slowly, what is measured besides. The less the arms are in step the less
+        of it is corrected, and while they hold nothing: the measured error of an arm that does not move would lead
+        the others away from it without end.
+        """
+        ws, shares = self._ws, self._shares
+        if measured is not None:
+            O, told = self._measuring.carried(measured), self._chain.carried(self._q)
+            seen = self._supervision.watch(measured, self._q, O[:, 3], told[:, 3], h)
+            if seen.rate_cap < watch.rate_cap or seen.fault:
+                watch.rate_cap, watch.hold, watch.fault = seen.rate_cap, seen.hold, seen.fault
+                watch.arm, watch.reason = seen.arm, seen.reason
+        elif self._drifted and not watch.hold:
+            told = self._chain.carried(self._q)
+        else:
+            ws.measured[:] = 0.0
+            return watch.hold
+        pose = self._pose(self._clock)
+        commanded = (shares * self._chain.errors(told, pose)).sum(axis=0)
+        if measured is not None:
+            found = (shares * self._measuring.errors(O, pose)).sum(axis=0)
+            self._drift += h / (h + self.options.measurement_time) * (found - commanded - self._drift)
+            self._drifted = True
+        np.multiply(commanded + self._drift, 0.0 if watch.hold else watch.rate_cap, out=ws.measured)
+        return True
+
+    def _brake_share(self, h: float) -> float:
+        """1 if all joints, braking together after this step, stop inside their limits; else the share of their speed
+        that they keep if they do so now.
+
+        A joint's own braking distance is not enough: the others may be slower to stop, and they hold one object.
+        """
+        v, limits = self._v, self._box.limits
+        speed = np.abs(v)
+        longest = float((speed / limits.acceleration).max())  # of the times that the joints need to stop
+        if longest <= 0.0:
+            return 1.0
+        planned = longest / _BRAKING_SHARE
+        x = self.cell.positions(self._q)
+        room = np.where(v > 0.0, limits.upper - x, x - limits.lower)
+        late = (speed * (h + 0.5 * planned) > room) & (room >= 0.0)
+        if not late.any():
+            return 1.0
+        left = float((room[late] / speed[late]).min())
+        return max(0.0, 1.0 - h / min(max(2.0 * (left - h), longest), planned))
+
+    def _brake_correction(self, keep: float, has_measured: bool) -> bool:
+        """Limit the error that the path correction sees, so that the correction is ``keep`` of the last one."""
+        ws, o = self._ws, self.options
+        if not has_measured:
+            errors = self._chain.errors(self._chain.carried(self._q), self._pose(self._clock))
+            ws.measured[:] = (self._shares * errors).sum(axis=0)
+        wanted = o.path_gain * ws.measured
+        for part in (slice(0, 3), slice(3, 6)):
+            now = float(np.linalg.norm(wanted[part]))
+            allowed = keep * float(np.linalg.norm(self._correcting[part]))
+            if now > allowed:
+                ws.measured[part] *= allowed / now
+        return True
+
+    def _look_along(self, clock: float, span: float) -> None:
+        """The reference pose, and the twist that follows the path for ``span``, where the kernel does not do it."""
+        ws, pose = self._ws, self._pose(clock)
+        if span > 1e-12:
+            ahead = self.path.pose(clock + span)
+            self._next_pose = (clock + span, ahead)
+            np.divide(pin.log6(pose.actInv(ahead)).vector, span, out=ws.along)
+        else:
+            ws.along[:] = 0.0
+        ws.set_pose(pose)
+
+    def _pose(self, clock: float) -> pin.SE3:
+        """The path's pose; that of the last step's end is at hand."""
+        if self._next_pose is not None and self._next_pose[0] == clock:
+            return self._next_pose[1]
+        return self.path.pose(clock)
+
+    def _wanted_posture(self) -> None:
+        """Joint velocities wanted in the null-space: along the preview, or the posture rule."""
+        ws = self._ws
+        if self._preview is not None:
+            q_ahead, slope = self._preview.reference(self._clock)
+            ws.null_along[:] = slope
+            ws.null_offset[:] = self.options.posture.gain * pin.difference(self.cell.model, self._q, q_ahead)
+        else:
+            ws.null_offset[:] = self._posture.velocity(self._q)
+
+    # -- step by step, where the kernel does not apply ---------------------------------------------------------------
+
+    def _open_step(self, h: float) -> StepAnswer:
+        """The same step without the kernel; with the QP where rate alone does not settle it."""
+        chain, ws, q = self._chain, self._ws, self._q
+        pose = pin.SE3(ws.R, ws.p)
+        O = chain.carried(q)
+        ws.errors[:] = chain.errors(O, pose)
+        terms = self._terms(h, pose)
+        self._box.update(ws.positions, self._v, h)
+        guess = self._guess()
+        start = guess
+        for iteration in range(self.options.iterations + _EXTRA_AT_START):
+            chain.linearise(self._advanced(guess, 0.5 * h))
+            if iteration:
+                terms.offsets = self._linearisation_defect(O, guess, h, terms)
+            self._complete(terms, pose)
+            answer = self._solver.answer(terms, self._v, h)
+            answer.correction = terms.path_correction
+            if iteration == 0:
+                start = answer.velocity
+            if iteration + 1 >= self.options.iterations and not self._unsettled(answer.velocity, guess, h):
+                break
+            guess = answer.velocity
+        if self._fresh:
+            # The velocities at the start and the middle of the first step stand in for those of two steps.
+            self._v = 2.0 * start - answer.velocity
+        self._predicted = answer.chain == 0.0 and not answer.braked
+        drift = answer.grasp_share * terms.grasp_corrections + terms.offsets
+        drift += answer.path_share * terms.path_correction + answer.off_path
+        ws.predicted[:] = ws.errors + h * drift
+        return answer
+
+    def _terms(self, h: float, pose: pin.SE3) -> StepTerms:
+        ws, s = self._ws, self._ws.scalars
+        common = (self._shares * ws.errors).sum(axis=0)
+        grasp = -s[ws.GRASP_GAIN] * (ws.errors - common)
+        path = -s[ws.PATH_GAIN] * (ws.measured if s[ws.HAS_MEASURED] else common)
+        bound(grasp, s[ws.SPEED], s[ws.SPIN])
+        bound(path[None, :], s[ws.SPEED], s[ws.SPIN])
+        return StepTerms(
+            to_world=np.asarray(pose.action),
+            along=ws.along.copy(),
+            path_correction=path,
+            grasp_corrections=grasp,
+            offsets=(ws.predicted - ws.errors) / self._last_dt if self._predicted else np.zeros_like(grasp),
+            rate_cap=float(s[ws.CAP]),
+        )
+
+    def _complete(self, terms: StepTerms, pose: pin.SE3) -> None:
+        """What depends on the linearisation: null-space motion, and what arms with few joints allow."""
+        chain, ws = self._chain, self._ws
+        if chain.redundancy:
+            terms.null_along = chain.null_part(ws.null_along)
+            terms.null_offset = chain.null_part(ws.null_offset)
+        if chain.deficient:
+            Z, ranges = chain.admissible_twists(np.asarray(pose.inverse().action))
+            metric = np.array([1.0] * 3 + [self.options.weights.length**2] * 3)
+            project = Z @ np.linalg.solve(Z.T @ (metric[:, None] * Z), Z.T * metric)
+            terms.along, terms.path_correction = project @ terms.along, project @ terms.path_correction
+            for k, P in ranges:
+                terms.grasp_corrections[k] = P @ terms.grasp_corrections[k]
+                terms.offsets[k] = P @ terms.offsets[k]
+            terms.admissible, terms.ranges = Z, ranges
+
+    def _advanced(self, v: Array, h: float) -> Array:
+        """The commanded configuration after ``h`` at ``v``."""
+        if self._plain:
+            moved: Array = self._q + h * v
+            return moved
+        return np.asarray(pin.integrate(self.cell.model, self._q, h * v))
+
+    def _unsettled(self, v: Array, guess: Array, h: float) -> bool:
+        """Whether the first step, which has no velocity to predict its midpoint with, needs another linearisation."""
+        if not self._fresh:
+            return False
+        change, fastest = float(np.abs(v - guess).max()), float(np.abs(v).max())
+        return change * fastest * h * h > 1e-13
+
+    def _linearisation_defect(self, before: Array, v: Array, h: float, terms: StepTerms) -> Array:
+        """b_k = A_k v − log(step that v really makes)/dt, (N, 6) in the reference object frame."""
+        after = self._chain.carried(self._advanced(v, h))
+        R = after[:, :3].transpose(0, 2, 1) @ before[:, :3]  # spatial displacement O₁ O₀⁻¹
+        p = after[:, 3] - np.einsum("kij,kj->ki", R, before[:, 3])
+        made = log6_batch(R, p) / h
+        defect: Array = (self._chain.twists(v) - made) @ np.linalg.inv(terms.to_world).T
+        return defect
+
+    # -- the result --------------------------------------------------------------------------------------------------
+
+    def _finish(
+        self,
+        h: float,
+        v: Array,
+        q_next: Array,
+        rate: float,
+        binding: tuple[BindingLimit, ...],
+        watch: Watch,
+        answer: StepAnswer | None,
+        began: float,
+    ) -> ControlStep:
+        clock, duration = self._clock, self.path.duration
+        rate = min(max(rate, 0.0), 1.0)
+        whole = (duration - clock) / h  # what the last step needs is the full rate
+        share = 1.0 if rate >= 1.0 or rate >= whole else rate
+        clock_next = clock + rate * h
+        if duration - clock_next < 1e-9 * duration:
+            clock_next = duration
+        given_up = NOTHING
+        if answer is not None or share < 1.0:
+            given_up = self._given_up(answer, share)
+        status = Status.TRACKING if share > 1.0 - 1e-6 else self._slow_status(share, binding)
+        if watch.hold or (answer is not None and answer.braked):
+            status = Status.HOLDING
+            if watch.fault:
+                self._fault = self._fault or watch.reason
+                status = Status.FAULT
+        report = NO_SOLVE if answer is None else answer.report
+        step = make_step(
+            cell=self.cell,
+            grasp=self.grasp,
+            path=self.path,
+            q=self._q,
+            velocity=v,
+            q_next=q_next,
+            dt=h,
+            clock=clock,
+            clock_next=clock_next,
+            rate=share,
+            status=status,
+            reason=watch.reason or (answer.reason if answer is not None else ""),
+            binding=() if status is Status.TRACKING and answer is None else binding,
+            given_up=given_up,
+            solver=report,
+            build_time_s=time.perf_counter() - began - report.time_s,
+        )
+        if answer is not None:
+            guess = 2.0 * v - self._v
+            self._midpoint = pin.integrate(self.cell.model, q_next, 0.5 * h * guess)
+        self._v_before = self._v
+        self._q, self._v, self._clock, self._rate = q_next, v, clock_next, rate
+        self._fresh, self._last_dt = False, h
+        return step
+
+    def _slow_status(self, rate: float, binding: tuple[BindingLimit, ...]) -> Status:
+        speeding_up = any(b.kind is LimitKind.ACCELERATION for b in binding)
+        return Status.BLOCKED if rate < self.options.blocked_rate and not speeding_up else Status.SLOWED
+
+    def _given_up(self, answer: StepAnswer | None, rate: float) -> GivenUp:
+        if answer is None:
+            return GivenUp(rate=1.0 - rate)
+        if rate == 1.0 and answer.exact and not self._restricted:
+            return NOTHING
+        return GivenUp(
+            chain=answer.chain,
+            grasp=1.0 - answer.grasp_share,
+            off_path=tuple(float(x) for x in answer.off_path),
+            path=1.0 - answer.path_share,
+            rate=1.0 - rate,
+            restricted=self._restricted,
+        )

@@ -1,0 +1,228 @@
+"""Are the arms where they were told to be? Watches measured against commanded configurations.
+
+An arm that lags or stalls pulls on the object that the others carry on. The watch compares, for every arm, where it
+carries the object with where it was told to, and slows the object before the arms part by more than they may.
+Deviations common to all arms do not count: they only displace the object.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from coopqp.cell import RobotCell
+from coopqp.spatial import Array, as_scalar
+
+
+@dataclass(frozen=True, kw_only=True)
+class SupervisionOptions:
+    """Thresholds of the supervision; None turns a part of it off.
+
+    The defaults keep arms within a millimetre of each other when one of them lags by 10 ms at 0.25 m/s.
+
+    Attributes:
+        slow_from, hold_from: distance of an arm from the others, as far as it is not as commanded, at which the
+            object begins to slow, and is held [m]. What noise alone would make of it is added.
+        noise_margin: so many root mean squares of the noise, as seen in the measurements, are added.
+        recovery_time: a slowed object is let go again at such a pace that it takes this long from rest [s].
+        fault_from: distance at which the controller latches a fault [m].
+        stall_samples: an arm that in so many samples moves less than ``stall_share`` of its command, while another
+            follows its own, has stalled.
+        stall_share: see ``stall_samples``.
+        silent_time: so long no arm may be seen to follow its command: all have stopped, or measurements are stale [s].
+        filter_time: time constant of the filter on the distances [s].
+        dt_range: accepted length of a step, as multiples of the nominal one.
+        joint_jump: a measured joint this far from its command is not believed [rad or m].
+    """
+
+    slow_from: float | None = 0.00025
+    hold_from: float = 0.00075
+    noise_margin: float = 4.0
+    recovery_time: float = 0.1
+    fault_from: float = 0.02
+    stall_samples: int | None = 4
+    stall_share: float = 0.2
+    silent_time: float = 0.03
+    filter_time: float = 0.002
+    dt_range: tuple[float, float] = (0.1, 5.0)
+    joint_jump: float = 0.3
+
+    def __post_init__(self) -> None:
+        for name in ("hold_from", "fault_from", "silent_time", "joint_jump"):
+            as_scalar(getattr(self, name), f"SupervisionOptions: {name}")
+        as_scalar(self.stall_share, "SupervisionOptions: stall_share", high=1.0)
+        for name in ("filter_time", "noise_margin", "recovery_time"):
+            as_scalar(getattr(self, name), f"SupervisionOptions: {name}", open_low=False)
+        as_scalar(self.dt_range[0], "SupervisionOptions: dt_range[0]", high=1.0)
+        as_scalar(self.dt_range[1], "SupervisionOptions: dt_range[1]", low=1.0, open_low=False)
+        if self.slow_from is not None:
+            as_scalar(self.slow_from, "SupervisionOptions: slow_from", high=self.hold_from)
+        if self.stall_samples is not None:
+            as_scalar(self.stall_samples, "SupervisionOptions: stall_samples", low=1, open_low=False)
+
+
+@dataclass(slots=True)
+class Watch:
+    """What the supervision says about one step: a rate cap, and why it is below 1."""
+
+    rate_cap: float = 1.0
+    hold: bool = False
+    fault: bool = False
+    arm: int = -1
+    reason: str = ""
+
+
+#: Commanded motion of an arm below this, within the samples that are looked at, says nothing of a stall [rad or m].
+_STILL = 1e-5
+#: An arm that moves by more than this share of its command follows it.
+_FOLLOWS = 0.5
+#: A stalled arm this close to its command again, or at this share of the largest gap, has caught up [rad or m].
+_CAUGHT_UP, _CAUGHT_UP_SHARE = 5e-4, 0.3
+#: The two numbers (cos, sin) of a continuous joint may be this far from the unit circle.
+_CIRCLE_TOLERANCE = 0.05
+#: Noise is averaged over this time [s].
+_NOISE_TIME = 0.2
+#: Fewer samples than this tell nothing of the noise.
+_FEW_SAMPLES = 4
+
+
+class Supervision:
+    """Memory of the watch; one per controller."""
+
+    def __init__(self, cell: RobotCell, options: SupervisionOptions) -> None:
+        self._cell, self._options = cell, options
+        self._turning = cell.position_index[cell.continuous]
+        n = len(cell)
+        self._deviation, self._away, self._step = (np.zeros((n, 3)) for _ in range(3))
+        self._noise, self._samples, self._cap, self._arm = np.zeros(n), 0.0, 1.0, -1
+        self._stalled = np.zeros(n, dtype=bool)
+        self._widest = np.zeros(n)
+        self._starts = [q.start for q in cell.q_slices]
+        self._past: deque[tuple[Array, Array]] = deque(maxlen=1 + (options.stall_samples or 1))
+        self._silence = 0.0
+
+    def reset(self) -> None:
+        """Forget."""
+        self._deviation[:] = self._away[:] = self._step[:] = 0.0
+        self._noise[:] = 0.0
+        self._samples, self._cap, self._arm = 0.0, 1.0, -1
+        self._stalled[:] = False
+        self._past.clear()
+        self._silence = 0.0
+
+    def accept_dt(self, dt: Any, nominal: float) -> str:
+        """Empty, or why ``dt`` is not accepted."""
+        low, high = self._options.dt_range
+        try:
+            value = float(dt)
+        except (TypeError, ValueError):
+            return f"dt is {dt!r}, not a number"
+        if not low * nominal <= value <= high * nominal:
+            return f"dt = {value:g} s is outside {low * nominal:g} … {high * nominal:g} s"
+        return ""
+
+    def accept_measurement(self, q: Any, q_command: Array) -> tuple[Array, str]:
+        """The measured configuration as an array, and why it is not believed (empty if it is)."""
+        try:
+            measured = np.asarray(q, dtype=np.float64)
+        except (TypeError, ValueError):
+            return q_command, f"q_measured is {type(q).__name__}, not {self._cell.nq} numbers"
+        if measured.shape != (self._cell.nq,):
+            return q_command, f"q_measured must have shape ({self._cell.nq},), got {measured.shape}"
+        away = np.abs(measured - q_command)
+        worst = int(away.argmax())  # NaN wins
+        if not np.isfinite(away[worst]):
+            return q_command, f"q_measured[{worst}] is {measured[worst]}"
+        for i in self._turning:
+            radius = float(np.hypot(measured[i], measured[i + 1]))
+            if abs(radius - 1.0) > _CIRCLE_TOLERANCE:
+                return q_command, f"q_measured[{i}] and [{i + 1}] are no cosine and sine (norm {radius:.3g})"
+            if radius != 1.0:
+                measured = measured.copy() if measured is q else measured
+                measured[i : i + 2] /= radius
+        if away[worst] > self._options.joint_jump:
+            joint = self._cell.joint_names[int(np.searchsorted(self._cell.position_index, worst, side="right")) - 1]
+            return q_command, f"joint {joint} is measured {away[worst]:.3g} rad (or m) from its command"
+        return measured, ""
+
+    def watch(self, measured: Array, commanded: Array, O_measured: Array, O_commanded: Array, dt: float) -> Watch:
+        """Compare one sample.
+
+        Args:
+            measured, commanded: configurations at the same time (nq,).
+            O_measured, O_commanded: the object as each arm carries it, origins (N, 3) [m].
+            dt: time since the last sample [s].
+        """
+        o, result = self._options, Watch()
+        if len(O_measured) > 1 and o.slow_from is not None:
+            self._watch_distances(O_measured - O_commanded, dt, result)
+        if o.stall_samples is not None:
+            self._watch_stall(measured, commanded, dt, result)
+        if o.recovery_time > 0.0:
+            allowed = self._cap + dt / o.recovery_time
+            if allowed < result.rate_cap:
+                result.rate_cap, result.arm = allowed, self._arm
+                result.reason = result.reason or f"arm {self._cell.arm_names[self._arm]} was out of step"
+            self._cap, self._arm = result.rate_cap, result.arm
+        return result
+
+    def _watch_distances(self, away: Array, dt: float, result: Watch) -> None:
+        """How far each arm, as far as it is not as commanded, is from the mean of the others."""
+        o, n = self._options, len(away)
+        assert o.slow_from is not None
+        keep = o.filter_time / (o.filter_time + dt)
+        self._deviation += (1.0 - keep) * (away - self._deviation)
+        factor = n / (n - 1.0)
+        apart = (self._deviation - self._deviation.mean(axis=0)) * factor
+        spread = np.sqrt(np.einsum("ij,ij->i", apart, apart))
+        worst = float(spread.max()) - self._noise_seen(away, dt) * float(np.sqrt(factor * (1.0 - keep) / (1.0 + keep)))
+        if worst <= o.slow_from or self._samples < _FEW_SAMPLES:
+            return
+        # Of arms equally far from the others, as two arms always are, the one that is not where it should be.
+        own = np.where(spread >= 0.99 * spread.max(), np.einsum("ij,ij->i", self._deviation, self._deviation), -1.0)
+        arm = result.arm = int(own.argmax())
+        result.hold, result.fault = worst >= o.hold_from, worst >= o.fault_from
+        result.rate_cap = 0.0 if result.hold else (o.hold_from - worst) / (o.hold_from - o.slow_from)
+        result.reason = f"arm {self._cell.arm_names[arm]} is {1e3 * spread[arm]:.2f} mm out of step with the others"
+
+    def _noise_seen(self, away: Array, dt: float) -> float:
+        """The margin for noise in unfiltered deviations [m], from their second differences, which motion hardly has."""
+        step = away - self._away
+        bend = step - self._step
+        self._away[:], self._step[:] = away, step
+        self._samples = min(self._samples + 1.0, _NOISE_TIME / dt)
+        if self._samples > 2.0:  # the first differences are with nothing
+            # With long steps the averaging time holds few samples: the latest then counts for all.
+            self._noise += (np.einsum("ij,ij->i", bend, bend) - self._noise) / max(self._samples - 2.0, 1.0)
+        return self._options.noise_margin * float(np.sqrt(self._noise.max() / 6.0))
+
+    def _watch_stall(self, measured: Array, commanded: Array, dt: float, result: Watch) -> None:
+        """An arm that stands while another follows has stalled; where none follows, signals may just be late."""
+        o, past = self._options, self._past
+        past.append((measured.copy(), commanded))
+        told, moved, gap = (
+            np.maximum.reduceat(np.abs(x), self._starts)
+            for x in (commanded - past[0][1], measured - past[0][0], commanded - measured)
+        )
+        stalled = self._stalled
+        if stalled.any():
+            np.maximum(self._widest, gap, out=self._widest)
+            stalled &= gap >= np.maximum(_CAUGHT_UP, _CAUGHT_UP_SHARE * self._widest)
+        moving = told > _STILL
+        stands = moving & (moved < o.stall_share * told)
+        if len(past) == past.maxlen and stands.any():
+            follows = bool((moving & (moved > _FOLLOWS * told)).any())
+            self._silence = 0.0 if follows else self._silence + dt
+            if follows or self._silence > o.silent_time:
+                self._widest[stands & ~stalled] = 0.0
+                stalled |= stands
+        else:
+            self._silence = 0.0
+        if stalled.any():
+            result.rate_cap, result.hold, result.arm = 0.0, True, int(stalled.argmax())
+            result.reason = f"arm {self._cell.arm_names[result.arm]} does not follow its command (stalled)"
+            if stalled.all():
+                result.reason = "no arm is seen to follow its command (all have stopped, or measurements are stale)"

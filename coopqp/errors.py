@@ -1,0 +1,59 @@
+"""Errors: one root, each with what is wrong, where, and what to do about it."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable
+
+
+class CoopqpError(Exception):
+    """Root of every error that coopqp raises."""
+
+
+class InvalidInputError(CoopqpError, ValueError):
+    """A value that cannot be used: what is wrong, where it was given, and the remedy."""
+
+    def __init__(self, what: str, where: str, remedy: str) -> None:
+        super().__init__(f"{where}: {what}. {remedy}")
+        self.what, self.where, self.remedy = what, where, remedy
+
+    def __reduce__(self) -> tuple[type[InvalidInputError], tuple[str, str, str]]:
+        return type(self), (self.what, self.where, self.remedy)
+
+
+class UnknownNameError(CoopqpError, KeyError):
+    """A name that does not exist; the message gives the nearest one and all that do."""
+
+    def __init__(self, kind: str, name: str, available: Iterable[str], where: str = "") -> None:
+        self.kind, self.name, self.available = kind, name, tuple(available)
+        near = difflib.get_close_matches(name, self.available, n=1)
+        hint = f" Did you mean '{near[0]}'?" if near else ""
+        at = f" in {where}" if where else ""
+        self.message = f"no {kind} named '{name}'{at}.{hint} Available: {', '.join(self.available) or 'none'}."
+        self._where = where
+        super().__init__(self.message)
+
+    def __str__(self) -> str:
+        return self.message
+
+    def __reduce__(self) -> tuple[type[UnknownNameError], tuple[str, str, tuple[str, ...], str]]:
+        return type(self), (self.kind, self.name, self.available, self._where)
+
+
+class ModelError(CoopqpError):
+    """A robot model that cannot be read or that no arm can be made from."""
+
+
+class UnreachableError(CoopqpError):
+    """A pose that an arm cannot reach."""
+
+
+class MissingExtraError(CoopqpError, ImportError):
+    """An optional dependency is not installed; the message names the extra."""
+
+    def __init__(self, extra: str, package: str) -> None:
+        super().__init__(f"this needs the package '{package}': pip install 'coopqp[{extra}]'")
+        self.extra, self.package = extra, package
+
+    def __reduce__(self) -> tuple[type[MissingExtraError], tuple[str, str]]:
+        return type(self), (self.extra, self.package)

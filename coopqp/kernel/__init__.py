@@ -1,0 +1,34 @@
+"""The fused step: compiled where a compiler was there when the package was built, NumPy elsewhere."""
+
+from __future__ import annotations
+
+from coopqp.errors import UnknownNameError
+from coopqp.kernel.reference import NumpyKernel
+from coopqp.kernel.workspace import Outcome, StepKernel, Workspace
+
+try:
+    from coopqp.kernel.compiled import CompiledKernel
+except ImportError:  # built without a compiler
+    _KERNELS: dict[str, type[StepKernel]] = {"numpy": NumpyKernel}
+else:
+    _KERNELS = {"compiled": CompiledKernel, "numpy": NumpyKernel}
+
+__all__ = ["NumpyKernel", "Outcome", "StepKernel", "Workspace", "available_kernels", "make_kernel"]
+
+
+def available_kernels() -> tuple[str, ...]:
+    """Names of the kernels that this installation has, the fastest first."""
+    return tuple(_KERNELS)
+
+
+def make_kernel(workspace: Workspace, name: str = "auto") -> StepKernel | None:
+    """The kernel of that name; ``"auto"`` for the fastest, ``"none"`` for None.
+
+    Raises:
+        UnknownNameError: this installation has no such kernel.
+    """
+    if name == "none":
+        return None
+    if name != "auto" and name not in _KERNELS:
+        raise UnknownNameError("kernel", name, _KERNELS)
+    return _KERNELS[available_kernels()[0] if name == "auto" else name](workspace)

@@ -1,0 +1,512 @@
+/* The fused step, compiled: the same arithmetic as reference.py, arrays in and arrays out, no Pinocchio linkage.
+ *
+ * A Kernel is told the addresses and lengths of a Workspace's arrays (contiguous, 8-byte items: compiled.py checks and
+ * keeps them alive) and step() works on them; see workspace.py for what each one is. Any NaN fails a comparison written as "not inside", so non-finite data come out as OPEN. */
+
+#define PY_SSIZE_T_CLEAN
+#define Py_LIMITED_API 0x030A0000
+#include <Python.h>
+#include <math.h>
+#include <stddef.h>
+#include <stdint.h>
+#include <string.h>
+
+enum { NOMINAL = 0, RAY = 1, OPEN = 2 };
+enum { CAP, DT, GRASP_GAIN, PATH_GAIN, SPEED, SPIN, HAS_MEASURED, HAS_PREDICTED, LAST_DT,
+       ON_LINE, CLOCK, SPAN, N_SCALARS };
+#define LIMIT_TOLERANCE 1e-9
+#define STILL 1e-12
+#define MAX_JOINTS 16
+#define SMALLEST_PIVOT 1e-9
+
+/* -- three-vectors and rotations ---------------------------------------------------------------------------------- */
+
+static void cross(const double *a, const double *b, double *out) {
+    out[0] = a[1] * b[2] - a[2] * b[1];
+    out[1] = a[2] * b[0] - a[0] * b[2];
+    out[2] = a[0] * b[1] - a[1] * b[0];
+}
+
+static double dot3(const double *a, const double *b) { return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]; }
+
+/* log of a placement given by Rᵀ (row major) and p. Returns 0 near half a turn, where the caller must do otherwise. */
+static int log6(const double *RT, const double *p, double *e) {
+    double w[3] = {0.5 * (RT[5] - RT[7]), 0.5 * (RT[6] - RT[2]), 0.5 * (RT[1] - RT[3])};
+    double s2 = dot3(w, w), c = 0.5 * (RT[0] + RT[4] + RT[8] - 1.0);
+    double ratio, third; /* θ / sin θ, and (1 − θ cot(θ/2) / 2) / θ² */
+    if (!(c > -0.9)) return 0;
+    if (s2 < 4e-4 && c > 0.0) {
+        ratio = 1.0 + s2 * (1.0 / 6 + s2 * (3.0 / 40 + s2 * (5.0 / 112)));
+        double t2 = s2 * ratio * ratio;
+        third = 1.0 / 12 + t2 * (1.0 / 720 + t2 / 30240);
+    } else {
+        double s = sqrt(s2), theta = atan2(s, c);
+        ratio = theta / s;
+        third = (1.0 - 0.5 * theta * s / (1.0 - c)) / (theta * theta);
+    }
+    double *omega = e + 3, wp[3], wwp[3];
+    for (int i = 0; i < 3; i++) omega[i] = ratio * w[i];
+    cross(omega, p, wp);
+    cross(omega, wp, wwp);
+    for (int i = 0; i < 3; i++) e[i] = p[i] - 0.5 * wp[i] + third * wwp[i];
+    return 1;
+}
+
+/* -- linear algebra: one small system, several right-hand sides ---------------------------------------------------- */
+
+/* Solve A X = B in place by elimination with partial pivoting; A (6, 6), B (6, m) row major. 0 if singular. */
+static int solve6(double *A, double *B, int m) {
+    double scale = 0.0;
+    for (int i = 0; i < 36; i++) scale = fmax(scale, fabs(A[i]));
+    for (int k = 0; k < 6; k++) {
+        int pivot = k;
+        for (int i = k + 1; i < 6; i++)
+            if (fabs(A[6 * i + k]) > fabs(A[6 * pivot + k])) pivot = i;
+        if (!(fabs(A[6 * pivot + k]) > SMALLEST_PIVOT * scale)) return 0;
+        if (pivot != k) {
+            for (int j = k; j < 6; j++) {
+                double t = A[6 * k + j];
+                A[6 * k + j] = A[6 * pivot + j];
+                A[6 * pivot + j] = t;
+            }
+            for (int j = 0; j < m; j++) {
+                double t = B[m * k + j];
+                B[m * k + j] = B[m * pivot + j];
+                B[m * pivot + j] = t;
+            }
+        }
+        double inverse = 1.0 / A[6 * k + k];
+        for (int i = k + 1; i < 6; i++) {
+            double f = A[6 * i + k] * inverse;
+            if (f == 0.0) continue;
+            for (int j = k + 1; j < 6; j++) A[6 * i + j] -= f * A[6 * k + j];
+            for (int j = 0; j < m; j++) B[m * i + j] -= f * B[m * k + j];
+        }
+    }
+    for (int k = 5; k >= 0; k--) {
+        double inverse = 1.0 / A[6 * k + k];
+        for (int c = 0; c < m; c++) {
+            double x = B[m * k + c];
+            for (int j = k + 1; j < 6; j++) x -= A[6 * k + j] * B[m * j + c];
+            B[m * k + c] = x * inverse;
+        }
+    }
+    return 1;
+}
+
+/* Joint velocities of one arm with n ≥ 6 joints for m world twists W (m, 6), near the null-space wishes U (m, n) for
+ * a redundant arm: v = u + A⁺(w − J u), A⁺ the right inverse of least Σ (v/scale)². JT is (n, 6). out (m, n). */
+static int arm_velocities(const double *JT, const double *scale, int n, const double *W, const double *U, int m,
+                          double *out) {
+    double A[36], B[12];
+    if (n == 6) {
+        for (int i = 0; i < 6; i++) {
+            for (int j = 0; j < 6; j++) A[6 * i + j] = JT[6 * j + i];
+            for (int c = 0; c < m; c++) B[m * i + c] = W[6 * c + i];
+        }
+        if (!solve6(A, B, m)) return 0;
+        for (int j = 0; j < 6; j++)
+            for (int c = 0; c < m; c++) out[n * c + j] = B[m * j + c];
+        return 1;
+    }
+    for (int i = 0; i < 6; i++) {
+        for (int k = 0; k <= i; k++) {
+            double sum = 0.0;
+            for (int j = 0; j < n; j++) sum += JT[6 * j + i] * JT[6 * j + k] * scale[j] * scale[j];
+            A[6 * i + k] = A[6 * k + i] = sum;
+        }
+        for (int c = 0; c < m; c++) {
+            double rest = W[6 * c + i];
+            for (int j = 0; j < n; j++) rest -= JT[6 * j + i] * U[n * c + j];
+            B[m * i + c] = rest;
+        }
+    }
+    if (!solve6(A, B, m)) return 0;
+    for (int j = 0; j < n; j++)
+        for (int c = 0; c < m; c++) {
+            double sum = 0.0;
+            for (int i = 0; i < 6; i++) sum += JT[6 * j + i] * B[m * i + c];
+            out[n * c + j] = U[n * c + j] + scale[j] * scale[j] * sum;
+        }
+    return 1;
+}
+
+/* -- the kernel object ---------------------------------------------------------------------------------------------- */
+
+/* The order in which kernel/__init__.py hands the buffers over. */
+enum {
+    B_PLACEMENTS, B_JACOBIAN, B_Y, B_JOINTS, B_STARTS, B_SIZES, B_SCALE, B_SHARES, B_LOW, B_HIGH, B_MAXSPEED,
+    B_ACCELERATION, B_LOWER, B_UPPER, B_R, B_P, B_ALONG, B_PATH, B_MEASURED, B_POSITIONS, B_VPREV, B_NULL_ALONG,
+    B_NULL_OFFSET, B_SCALARS, B_RESULT, B_ERRORS, B_GRASP, B_OFFSETS, B_PREDICTED, B_VELOCITY, B_ALONG_VELOCITY, B_MOVED, B_MIDPOINT,
+    B_LINE, B_COUNT
+};
+
+typedef struct {
+    PyObject_HEAD
+    struct {
+        void *buf;
+        Py_ssize_t len;
+    } view[B_COUNT];
+    int arms, joints, redundant, accelerates;
+    int built;
+} Kernel;
+
+#define D(k, i) ((double *)(k)->view[i].buf)
+#define L(k, i) ((int64_t *)(k)->view[i].buf)
+
+static void kernel_dealloc(PyObject *self) {
+    PyTypeObject *type = Py_TYPE(self);
+    freefunc release = (freefunc)PyType_GetSlot(type, Py_tp_free);
+    release(self);
+    Py_DECREF(type);
+}
+
+static int kernel_init(PyObject *self, PyObject *args, PyObject *kwargs) {
+    Kernel *k = (Kernel *)self;
+    PyObject *buffers;
+    (void)kwargs;
+    if (!PyArg_ParseTuple(args, "O!", &PyTuple_Type, &buffers)) return -1;
+    if (k->built || PyTuple_Size(buffers) != B_COUNT) {
+        PyErr_Format(PyExc_ValueError, "a Kernel is built once, from %d buffers", (int)B_COUNT);
+        return -1;
+    }
+    for (int i = 0; i < B_COUNT; i++) {
+        unsigned long long address;
+        if (!PyArg_ParseTuple(PyTuple_GetItem(buffers, i), "Kn", &address, &k->view[i].len)) return -1;
+        k->view[i].buf = (void *)(uintptr_t)address;
+    }
+    Py_ssize_t n = k->view[B_STARTS].len / 8, nv = k->view[B_VELOCITY].len / 8;
+    k->arms = (int)n;
+    k->joints = (int)nv;
+    static const int per_joint[] = {B_SCALE, B_LOW, B_HIGH, B_MAXSPEED, B_ACCELERATION, B_LOWER, B_UPPER, B_POSITIONS,
+                                    B_VPREV, B_NULL_ALONG, B_NULL_OFFSET, B_ALONG_VELOCITY,
+                                    B_MOVED, B_MIDPOINT};
+    static const int per_arm[] = {B_SHARES, B_ERRORS, B_GRASP, B_OFFSETS, B_PREDICTED};
+    int fits = k->view[B_JACOBIAN].len == 48 * nv && k->view[B_Y].len == 128 * n && k->view[B_JOINTS].len == 8 * n &&
+               k->view[B_SIZES].len == 8 * n && k->view[B_SCALARS].len == 8 * N_SCALARS && k->view[B_LINE].len == 168 && k->view[B_RESULT].len == 24 &&
+               k->view[B_R].len == 72 && k->view[B_P].len == 24 && k->view[B_ALONG].len == 48 &&
+               k->view[B_PATH].len == 48 && k->view[B_MEASURED].len == 48;
+    for (size_t i = 0; i < sizeof per_joint / sizeof *per_joint; i++) fits = fits && k->view[per_joint[i]].len == 8 * nv;
+    for (size_t i = 0; i < sizeof per_arm / sizeof *per_arm; i++) fits = fits && k->view[per_arm[i]].len == 48 * n;
+    for (int a = 0; fits && a < k->arms; a++) {
+        int64_t size = L(k, B_SIZES)[a], start = L(k, B_STARTS)[a], joint = L(k, B_JOINTS)[a];
+        fits = size >= 6 && size <= MAX_JOINTS && start >= 0 && start + size <= nv && joint >= 0 &&
+               (joint + 1) * 96 <= k->view[B_PLACEMENTS].len;
+        k->redundant = k->redundant || size > 6;
+    }
+    for (int j = 0; fits && j < k->joints; j++) k->accelerates = k->accelerates || isfinite(D(k, B_ACCELERATION)[j]);
+    if (!fits) {
+        PyErr_SetString(PyExc_ValueError, "the buffers do not fit together");
+        return -1;
+    }
+    k->built = 1;
+    return 0;
+}
+
+/* e_k = log(R⁻¹ O_k), O_k = T_world_joint Y_k; the rows of placements and Y are transposed. */
+static int errors(Kernel *k) {
+    const double *R = D(k, B_R), *p = D(k, B_P);
+    for (int a = 0; a < k->arms; a++) {
+        const double *Y = D(k, B_Y) + 16 * a, *M = D(k, B_PLACEMENTS) + 12 * L(k, B_JOINTS)[a];
+        double O[12], E[12];
+        for (int i = 0; i < 4; i++)
+            for (int j = 0; j < 3; j++) {
+                double sum = i == 3 ? M[9 + j] : 0.0;
+                for (int m = 0; m < 3; m++) sum += Y[4 * i + m] * M[3 * m + j];
+                O[3 * i + j] = sum;
+            }
+        for (int j = 0; j < 3; j++) O[9 + j] -= p[j];
+        for (int i = 0; i < 4; i++)
+            for (int j = 0; j < 3; j++)
+                E[3 * i + j] = O[3 * i] * R[j] + O[3 * i + 1] * R[3 + j] + O[3 * i + 2] * R[6 + j];
+        if (!log6(E, E + 9, D(k, B_ERRORS) + 6 * a)) return 0;
+    }
+    return 1;
+}
+
+/* Shrink n corrections by one common factor to the bounds of speed and spin. */
+static void bound(double *c, int n, double speed, double spin) {
+    double excess = 0.0;
+    for (int a = 0; a < n; a++) {
+        excess = fmax(excess, dot3(c + 6 * a, c + 6 * a) / (speed * speed));
+        excess = fmax(excess, dot3(c + 6 * a + 3, c + 6 * a + 3) / (spin * spin));
+    }
+    if (excess > 1.0) {
+        double f = 1.0 / sqrt(excess);
+        for (int i = 0; i < 6 * n; i++) c[i] *= f;
+    }
+}
+
+static void corrections(Kernel *k) {
+    const double *s = D(k, B_SCALARS), *e = D(k, B_ERRORS), *shares = D(k, B_SHARES);
+    double common[6] = {0}, *grasp = D(k, B_GRASP), *path = D(k, B_PATH), *offsets = D(k, B_OFFSETS);
+    int n = 6 * k->arms;
+    for (int i = 0; i < n; i++) common[i % 6] += shares[i] * e[i];
+    for (int i = 0; i < n; i++) grasp[i] = -s[GRASP_GAIN] * (e[i] - common[i % 6]);
+    for (int i = 0; i < 6; i++) path[i] = -s[PATH_GAIN] * (s[HAS_MEASURED] != 0.0 ? D(k, B_MEASURED)[i] : common[i]);
+    bound(grasp, k->arms, s[SPEED], s[SPIN]);
+    bound(path, 1, s[SPEED], s[SPIN]);
+    for (int i = 0; i < n; i++)
+        offsets[i] = s[HAS_PREDICTED] != 0.0 ? (D(k, B_PREDICTED)[i] - e[i]) / s[LAST_DT] : 0.0;
+}
+
+/* A twist of the reference object frame, in the world: Ad(R) w. */
+static void to_world(const double *R, const double *p, const double *w, double *out) {
+    double swept[3];
+    for (int i = 0; i < 3; i++) {
+        out[i] = dot3(R + 3 * i, w);
+        out[3 + i] = dot3(R + 3 * i, w + 3);
+    }
+    cross(p, out + 3, swept);
+    for (int i = 0; i < 3; i++) out[i] += swept[i];
+}
+
+/* Nominal command, and what a unit of rate contributes. */
+static int command(Kernel *k) {
+    const double *R = D(k, B_R), *p = D(k, B_P), *along = D(k, B_ALONG), *path = D(k, B_PATH);
+    const double cap = D(k, B_SCALARS)[CAP];
+    double ahead[6];
+    to_world(R, p, along, ahead);
+    for (int a = 0; a < k->arms; a++) {
+        int n = (int)L(k, B_SIZES)[a], start = (int)L(k, B_STARTS)[a];
+        double w[6], W[12], U[2 * MAX_JOINTS], V[2 * MAX_JOINTS];
+        for (int i = 0; i < 6; i++)
+            w[i] = D(k, B_GRASP)[6 * a + i] + D(k, B_OFFSETS)[6 * a + i] + cap * along[i] + path[i];
+        to_world(R, p, w, W);
+        memcpy(W + 6, ahead, sizeof ahead);
+        for (int j = 0; n > 6 && j < n; j++) {
+            U[n + j] = D(k, B_NULL_ALONG)[start + j];
+            U[j] = cap * U[n + j] + D(k, B_NULL_OFFSET)[start + j];
+        }
+        if (!arm_velocities(D(k, B_JACOBIAN) + 6 * start, D(k, B_SCALE) + start, n, W, U, 2, V)) return 0;
+        memcpy(D(k, B_VELOCITY) + start, V, sizeof(double) * (size_t)n);
+        memcpy(D(k, B_ALONG_VELOCITY) + start, V + n, sizeof(double) * (size_t)n);
+    }
+    return 1;
+}
+
+static double clamp(double x, double low, double high) { return x < low ? low : (x > high ? high : x); }
+
+/* Largest speed from which distance d ≥ 0 suffices to stop; see VelocityBox. */
+static double stopping_speed(double d, double a, double h, int accelerates) {
+    if (!accelerates || !isfinite(a) || !isfinite(d)) return d / h;
+    double step = a * h;
+    return 2.0 * a * d / (sqrt(step * step + 2.0 * a * d) + step);
+}
+
+/* The box of VelocityBox.update. Returns 0 if a joint is outside a position limit. */
+static int box(Kernel *k) {
+    const double h = D(k, B_SCALARS)[DT];
+    int inside = 1;
+    for (int j = 0; j < k->joints; j++) {
+        double x = D(k, B_POSITIONS)[j], up = D(k, B_HIGH)[j] - x, down = x - D(k, B_LOW)[j];
+        double a = D(k, B_ACCELERATION)[j], speed = D(k, B_MAXSPEED)[j], v = D(k, B_VPREV)[j];
+        if (!(up >= 0.0 && down >= 0.0 && isfinite(v))) inside = 0;
+        double upper = fmin(speed, stopping_speed(fmax(up, 0.0), a, h, k->accelerates));
+        double lower = -fmin(speed, stopping_speed(fmax(down, 0.0), a, h, k->accelerates));
+        if (k->accelerates) {
+            upper = clamp(upper, v - a * h, v + a * h);
+            lower = clamp(lower, v - a * h, v + a * h);
+        }
+        D(k, B_UPPER)[j] = upper;
+        D(k, B_LOWER)[j] = lower;
+    }
+    return inside;
+}
+
+static int admissible(Kernel *k) {
+    for (int j = 0; j < k->joints; j++) {
+        double v = D(k, B_VELOCITY)[j];
+        if (!(v <= D(k, B_UPPER)[j] + LIMIT_TOLERANCE && v >= D(k, B_LOWER)[j] - LIMIT_TOLERANCE)) return 0;
+    }
+    return 1;
+}
+
+static void clip(Kernel *k) {
+    for (int j = 0; j < k->joints; j++)
+        D(k, B_VELOCITY)[j] = clamp(D(k, B_VELOCITY)[j], D(k, B_LOWER)[j], D(k, B_UPPER)[j]);
+}
+
+/* rate_interval and what follows from it; see reference.py. */
+static int ray(Kernel *k) {
+    const double cap = D(k, B_SCALARS)[CAP];
+    double *v = D(k, B_VELOCITY), *result = D(k, B_RESULT), *along = D(k, B_ALONG_VELOCITY);
+    double low = -INFINITY, high = INFINITY, low_slack = 0.0, high_slack = 0.0;
+    int binding = -1;
+    for (int j = 0; j < k->joints; j++) {
+        double base = v[j] - cap * along[j], up = D(k, B_UPPER)[j] - base, down = D(k, B_LOWER)[j] - base;
+        if (!isfinite(base)) return OPEN;
+        if (fabs(along[j]) < STILL) {
+            if (!(up >= -LIMIT_TOLERANCE && down <= LIMIT_TOLERANCE)) return OPEN;
+            continue;
+        }
+        double inverse = 1.0 / along[j], slack = LIMIT_TOLERANCE * fabs(inverse);
+        double first = (along[j] > 0.0 ? down : up) * inverse, last = (along[j] > 0.0 ? up : down) * inverse;
+        if (last < high) high = last, high_slack = slack, binding = j;
+        if (first > low) low = first, low_slack = slack;
+    }
+    if (low > high) {
+        if (low - low_slack > high + high_slack) return OPEN;
+        low = high = 0.5 * (low + high);
+    }
+    if (high < 0.0 && high + high_slack >= 0.0) {
+        high = 0.0;
+        low = fmin(low, 0.0);
+    }
+    if (!(high >= fmax(low, 0.0) && low <= 1.0)) return OPEN;
+    double rate = fmax(cap, low);
+    result[1] = -1.0;
+    result[2] = 0.0;
+    if (high < cap) {
+        rate = high;
+        result[1] = binding;
+        result[2] = along[binding] > 0.0 ? 1.0 : -1.0;
+    }
+    result[0] = rate;
+    for (int j = 0; j < k->joints; j++) {
+        double x = v[j] + (rate - cap) * along[j];
+        v[j] = clamp(x, D(k, B_LOWER)[j], D(k, B_UPPER)[j]);
+        if (!(fabs(x - v[j]) <= 2.0 * LIMIT_TOLERANCE)) return OPEN;
+    }
+    return RAY;
+}
+
+/* What the next step starts from: foreseen errors, positions, and where to linearise. */
+static void look_ahead(Kernel *k) {
+    const double h = D(k, B_SCALARS)[DT], *v = D(k, B_VELOCITY), *v_prev = D(k, B_VPREV);
+    for (int i = 0; i < 6 * k->arms; i++)
+        D(k, B_PREDICTED)[i] = D(k, B_ERRORS)[i] + h * (D(k, B_GRASP)[i] + D(k, B_OFFSETS)[i] + D(k, B_PATH)[i % 6]);
+    for (int j = 0; j < k->joints; j++) {
+        D(k, B_MOVED)[j] = D(k, B_POSITIONS)[j] + h * v[j];
+        D(k, B_MIDPOINT)[j] = D(k, B_MOVED)[j] + 0.5 * h * (2.0 * v[j] - v_prev[j]);
+    }
+}
+
+/* Rodrigues' rotation of a rotation vector. */
+static void exp3(const double *w, double *R) {
+    double t2 = dot3(w, w), t = sqrt(t2), a, b; /* sin θ / θ and (1 − cos θ) / θ² */
+    if (t2 < 1e-6) {
+        a = 1.0 - t2 * (1.0 / 6 - t2 / 120);
+        b = 0.5 - t2 * (1.0 / 24 - t2 / 720);
+    } else {
+        a = sin(t) / t;
+        b = (1.0 - cos(t)) / t2;
+    }
+    for (int i = 0; i < 3; i++)
+        for (int j = 0; j < 3; j++) R[3 * i + j] = b * w[i] * w[j] + (i == j ? 1.0 - b * t2 : 0.0);
+    R[1] -= a * w[2], R[3] += a * w[2];
+    R[2] += a * w[1], R[6] -= a * w[1];
+    R[5] -= a * w[0], R[7] += a * w[0];
+}
+
+/* TimeLaw.value_at */
+static double time_law(double x, double quintic) {
+    if (x <= 0.0) return 0.0;
+    if (x >= 1.0) return 1.0;
+    return quintic != 0.0 ? fmin(x * x * x * (10.0 + x * (6.0 * x - 15.0)), 1.0) : x;
+}
+
+/* TimeLaw.slope_at */
+static double time_law_slope(double x, double quintic) {
+    if (x < 0.0 || x >= 1.0) return 0.0;
+    return quintic != 0.0 ? 30.0 * x * x * (1.0 - x) * (1.0 - x) : 1.0;
+}
+
+/* Reference pose and ν = log(T(τ)⁻¹ T(τ + span)) / span on a LinePath; see path.py for its numbers.
+ * A negative span asks for the twist at τ instead. */
+static void follow_line(Kernel *k) {
+    const double *line = D(k, B_LINE), *s = D(k, B_SCALARS), *turn = line + 12, *way = line + 15;
+    double x = (s[CLOCK] - line[18]) / line[19], u = time_law(x, line[20]);
+    double *R = D(k, B_R), *p = D(k, B_P), *along = D(k, B_ALONG), w[3], E[9];
+    for (int i = 0; i < 3; i++) {
+        w[i] = u * turn[i];
+        p[i] = line[9 + i] + u * way[i];
+    }
+    exp3(w, E);
+    for (int i = 0; i < 3; i++)
+        for (int j = 0; j < 3; j++)
+            R[3 * i + j] = line[3 * i] * E[j] + line[3 * i + 1] * E[3 + j] + line[3 * i + 2] * E[6 + j];
+    memset(along, 0, 6 * sizeof(double));
+    if (s[SPAN] < 0.0) { /* the twist itself */
+        double rate = time_law_slope(x, line[20]) / line[19];
+        for (int i = 0; i < 3; i++) {
+            along[i] = rate * (R[i] * way[0] + R[3 + i] * way[1] + R[6 + i] * way[2]);
+            along[3 + i] = rate * turn[i];
+        }
+    }
+    if (!(s[SPAN] > 0.0)) return;
+    double gain = time_law(x + s[SPAN] / line[19], line[20]) - u, step[3], omega[3], wt[3], wwt[3];
+    for (int i = 0; i < 3; i++) {
+        omega[i] = gain * turn[i];
+        step[i] = gain * (R[i] * way[0] + R[3 + i] * way[1] + R[6 + i] * way[2]);
+    }
+    double t2 = dot3(omega, omega), t = sqrt(t2);
+    double third = t2 < 1e-4 ? 1.0 / 12 + t2 * (1.0 / 720 + t2 / 30240) : (1.0 - 0.5 * t / tan(0.5 * t)) / t2;
+    cross(omega, step, wt);
+    cross(omega, wt, wwt);
+    for (int i = 0; i < 3; i++) {
+        along[i] = (step[i] - 0.5 * wt[i] + third * wwt[i]) / s[SPAN];
+        along[3 + i] = omega[i] / s[SPAN];
+    }
+}
+
+static int fused_step(Kernel *k) {
+    int outcome = OPEN;
+    if (D(k, B_SCALARS)[ON_LINE] != 0.0) follow_line(k);
+    if (!errors(k)) return OPEN;
+    corrections(k);
+    if (!box(k) || !command(k)) return OPEN;
+    if (admissible(k)) {
+        double *result = D(k, B_RESULT);
+        result[0] = D(k, B_SCALARS)[CAP];
+        result[1] = -1.0;
+        result[2] = 0.0;
+        clip(k);
+        outcome = NOMINAL;
+    } else {
+        outcome = ray(k);
+    }
+    if (outcome != OPEN) look_ahead(k);
+    return outcome;
+}
+
+static PyObject *kernel_step(PyObject *self, PyObject *unused) {
+    (void)unused;
+    if (!((Kernel *)self)->built) {
+        PyErr_SetString(PyExc_RuntimeError, "the Kernel was not built");
+        return NULL;
+    }
+    return PyLong_FromLong(fused_step((Kernel *)self));
+}
+
+/* -- module ---------------------------------------------------------------------------------------------------------- */
+
+static PyMethodDef kernel_methods[] = {
+    {"step", kernel_step, METH_NOARGS, "One fused step over the workspace's buffers; returns an Outcome."},
+    {NULL, NULL, 0, NULL},
+};
+
+static PyType_Slot kernel_slots[] = {
+    {Py_tp_doc, "Kernel(((address, bytes), ...)): the fused step over the arrays of a Workspace."},
+    {Py_tp_init, kernel_init},
+    {Py_tp_dealloc, kernel_dealloc},
+    {Py_tp_methods, kernel_methods},
+    {Py_tp_new, PyType_GenericNew},
+    {0, NULL},
+};
+
+static PyType_Spec kernel_spec = {"coopqp.kernel._native.Kernel", sizeof(Kernel), 0, Py_TPFLAGS_DEFAULT, kernel_slots};
+
+static struct PyModuleDef module = {
+    PyModuleDef_HEAD_INIT, "_native", "Compiled fused step.", -1, NULL, NULL, NULL, NULL, NULL,
+};
+
+PyMODINIT_FUNC PyInit__native(void) {
+    PyObject *m = PyModule_Create(&module), *type = m ? PyType_FromSpec(&kernel_spec) : NULL;
+    if (!type || PyModule_AddObject(m, "Kernel", type) < 0) {
+        Py_XDECREF(type);
+        Py_XDECREF(m);
+        return NULL;
+    }
+    return m;
+}

@@ -1,0 +1,470 @@
+"""The path ahead of the object's clock: where limits and singularities bind, and how fast the object may go.
+
+Under acceleration limits no single step can keep both the chain and the path at a limit: all arms have to brake
+together, ahead of it. The preview runs the chain's own inverse kinematics ahead of the clock, cell by cell, and
+stores the joints' derivatives with respect to the clock, ``q′ = A⁻¹ν`` and ``q″``. With rate σ the joints move at
+``q′σ`` and accelerate at ``q′σ̇ + q″σ²``, so each cell bounds ``z = σ²`` and its decrease per clock second:
+
+    z_cap = min(1, (η v_j / |q′_j|)², κ η a_j / |q″_j|),   D = min(0.9 σ̇_max, (η a_j − |q″_j| z_cap) / |q′_j|)
+
+and the rate at clock τ may be what still brakes to every bound ahead, ``S(τ) = min_b [z_b + 2∫_τ^b D]``. It is path
+timing on a rolling horizon: as long as the object needs to stop, and no longer.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pinocchio as pin
+
+from coopqp.cell import JointLimits
+from coopqp.chain import Chain
+from coopqp.inverse_kinematics import newton
+from coopqp.kernel import NumpyKernel, Outcome, Workspace, make_kernel
+from coopqp.limits import BindingLimit, LimitKind, VelocityBox
+from coopqp.path import ObjectPath
+from coopqp.posture import Posture
+from coopqp.spatial import Array, as_scalar
+
+
+@dataclass(frozen=True, kw_only=True)
+class PreviewOptions:
+    """Settings of the preview.
+
+    Attributes:
+        cell: longest cell [s of the clock].
+        joint_step: largest joint motion in a cell [rad or m].
+        slope_step: largest change of a joint's slope in a cell, as a share of the largest slope and of its speed.
+        shortest: cells are not halved below this [s].
+        margin: η, share of velocity and acceleration limits that is planned with where acceleration is limited.
+        curvature_share: κ, share of the acceleration that the path's curvature may take.
+        rate_slope: σ̇_max, largest change of the rate [1/s], where acceleration is limited.
+        singular_rate: a rate cap below this, while joint speeds still rise, ends the path there.
+        cells_per_step: how many cells one control step may add at most.
+    """
+
+    cell: float = 0.02
+    joint_step: float = 0.02
+    slope_step: float = 0.1
+    shortest: float = 1e-6
+    margin: float = 0.95
+    curvature_share: float = 0.5
+    rate_slope: float = 10.0
+    singular_rate: float = 1e-2
+    cells_per_step: int = 200
+
+    def __post_init__(self) -> None:
+        for name in ("cell", "joint_step", "slope_step", "shortest", "rate_slope"):
+            as_scalar(getattr(self, name), f"PreviewOptions: {name}")
+        for name in ("margin", "curvature_share", "singular_rate"):
+            as_scalar(getattr(self, name), f"PreviewOptions: {name}", high=1.0)
+
+
+@dataclass(frozen=True, eq=False)
+class _Cell:
+    """The border of a cell: the chain at one clock."""
+
+    clock: float
+    q: Array
+    slope: Array  # q′ (nv,)
+    cap: float  # z_b: largest σ² here
+    squeeze: float  # what the limits alone would make of the cap
+    cumulative: float  # C = 2 ∫ D up to here
+    decrease: float  # D in the cell that ends here
+    curvature: Array  # q″ in the cell that ends here
+    binding: BindingLimit | None  # what makes the cap
+
+
+#: A joint without acceleration limit is planned to reach full speed in this many steps.
+_STEPS_TO_FULL_SPEED = 10
+#: Cells shorter than this are not halved for a change of slope [s].
+_FINE_CELL = 0.001
+#: Refinements of the rate near a bound.
+_BISECTIONS = 4
+_UNBOUND = _Cell(np.inf, np.zeros(0), np.zeros(0), 0.0, 0.0, 0.0, 0.0, np.zeros(0), None)
+_OPEN = _Cell(np.inf, np.zeros(0), np.zeros(0), np.inf, 0.0, 0.0, 0.0, np.zeros(0), None)
+#: Newton steps shorter than this are the last: the next would be of the square of it [rad or m].
+_CONVERGED = 1e-5
+
+
+class PathPreview:
+    """Rolling preview of one path for one chain.
+
+    Args:
+        chain: a workspace of its own (it is overwritten).
+        path: the object's path.
+        posture: what redundant arms do with their freedom.
+        dt: nominal length of a control step [s].
+        options: settings.
+    """
+
+    def __init__(
+        self,
+        chain: Chain,
+        path: ObjectPath,
+        posture: Posture,
+        *,
+        dt: float,
+        options: PreviewOptions | None = None,
+        kernel: str = "auto",
+    ) -> None:
+        self._chain, self._path, self._posture, self._dt = chain, path, posture, dt
+        self.options = options or PreviewOptions()
+        limits = chain.cell.limits
+        # The kernel's step with unit gains and without limits is one Newton step of the chain's inverse kinematics,
+        # and what a unit of rate contributes is q′.
+        n = chain.nv
+        free = JointLimits(np.full(n, -np.inf), np.full(n, np.inf), np.full(n, np.inf), np.full(n, np.inf))
+        shares = np.full((chain.n_arms, 6), 1.0 / chain.n_arms)
+        ws = self._ws = Workspace(chain, shares, VelocityBox(chain.cell, free), wants_along=True)
+        ws.scalars[[ws.DT, ws.GRASP_GAIN, ws.PATH_GAIN, ws.LAST_DT]] = 1.0
+        ws.scalars[[ws.SPEED, ws.SPIN]] = np.inf
+        self._kernel = make_kernel(ws, "auto" if kernel == "none" else kernel) or NumpyKernel(ws)
+        self._low, self._high = limits.lower, limits.upper
+        finite = np.isfinite(limits.acceleration)
+        self.accelerates = bool(finite.any())
+        self._speed = np.where(finite, self.options.margin, 1.0) * limits.velocity
+        # A joint without acceleration limit may still not change its velocity so fast that a step's linearisation
+        # fails: it is planned with a change of full speed in a number of steps, and without speed cap, which the
+        # step itself finds. A jump of velocity (a corner, the path's end) is its own business.
+        speed = np.where(np.isfinite(limits.velocity), limits.velocity, 1.0)
+        self._plain = not chain.cell.continuous.any()
+        swift = speed / (_STEPS_TO_FULL_SPEED * dt)
+        self._acceleration = np.where(finite, self.options.margin * limits.acceleration, swift)
+        self._jump = np.where(finite, self.options.margin * limits.acceleration, np.inf) * dt
+        self._per_speed = 1.0 / self._speed
+        self._per_bend = 1.0 / (self.options.curvature_share * self._acceleration)
+        self._slope_change = self.options.slope_step * speed
+        self._slope_cap = 0.9 * self.options.rate_slope if self.accelerates else 1.0 / (_STEPS_TO_FULL_SPEED * dt)
+        self._line: Array | None = None
+        self._cells: deque[_Cell] = deque()
+        self._bounds: deque[_Cell] = deque()  # candidates for min (z_b + C_b), increasing
+        self._complete, self._free_until = False, -np.inf
+
+    def reset(self, q: Array, clock: float) -> None:
+        """Start at a configuration on (or near) the path."""
+        self._cells.clear()
+        self._bounds.clear()
+        self._complete, self._free_until = False, -np.inf
+        pose = self._path.pose(clock)
+        q, errors = newton(self._chain, pose, q, tolerance=1e-10, max_iter=8)
+        if not np.abs(errors).max() < 1e-6:
+            arm = int(np.abs(errors).max(axis=1).argmax())
+            blocked = self._cell_at(clock, q, np.zeros(self._chain.nv), None)
+            self._push(replace(blocked, cap=0.0, binding=self._arm_limit(arm, LimitKind.REACH)))
+            self._complete = True
+            return
+        self._newton_step(clock, q)
+        self._push(self._cell_at(clock, q, self._ws.along_velocity.copy(), None))
+
+    # -- reading -------------------------------------------------------------------------------------------------
+
+    def cap(self, clock: float, dt: float) -> tuple[float, BindingLimit | None]:
+        """Largest admissible rate σ at ``clock`` for a step of ``dt``, and what ahead makes it less than 1."""
+        if clock < self._free_until and dt <= self._dt:
+            return 1.0, None
+        self._extend(clock, dt)
+        here = self._cells[0]
+        while self._bounds and self._bounds[0].clock <= clock and (len(self._bounds) > 1 or self._bounds[0].cap > 0.0):
+            self._bounds.popleft()
+        ahead = self._cells[1] if len(self._cells) > 1 else here
+        D = ahead.decrease
+        C = here.cumulative + 2.0 * D * (clock - here.clock)
+        square, bound = self._square(C)
+        step = D * dt
+        if square >= 1.0 + 2.0 * step:  # −D dt + √((D dt)² + S) ≥ 1
+            if not self._bounds:
+                self._free_until = self._enough_until()
+            return 1.0, None
+        root = np.sqrt(step * step + square)
+        rate = float(square / (step + root)) if root > 0.0 else 0.0  # −D dt + √((D dt)² + S)
+        # That assumes S to fall as fast as it can; the fastest admissible rate lies between it and √S.
+        fast = min(float(np.sqrt(square)), 1.0)
+        for _ in range(_BISECTIONS):
+            if self._admits(fast, clock + fast * dt):
+                return fast, bound.binding
+            middle = 0.5 * (rate + fast)
+            if self._admits(middle, clock + middle * dt):
+                rate = middle
+            else:
+                fast = middle
+        return rate, bound.binding
+
+    def _square(self, cumulative: float) -> tuple[float, _Cell]:
+        """S where C has a value: the least of z_b + C_b ahead, less C, and the cell that makes it."""
+        last = self._cells[-1]
+        bound = self._bounds[0] if self._bounds else _OPEN
+        square = bound.cap + bound.cumulative - cumulative
+        if not self._complete and last.cumulative - cumulative < square:
+            return max(last.cumulative - cumulative, 0.0), _UNBOUND
+        return max(square, 0.0), bound
+
+    def _enough_until(self) -> float:
+        """Clock until which the known horizon lets the object go on at full rate."""
+        cells = self._cells
+        if self._complete:
+            return np.inf
+        enough = cells[-1].cumulative - 1.0 - 2.0 * self._slope_cap * self._dt
+        latest = cells[-1].clock - 2.0 * self._dt
+        # The last border up to which there is enough; a cell's own decrease counts for the one that begins there.
+        clocks = [c.clock for c in cells if c.cumulative < enough and c.clock <= latest]
+        return clocks[-1] if clocks else -np.inf
+
+    def _admits(self, rate: float, clock: float) -> bool:
+        """Whether the object may arrive at ``clock`` with ``rate``."""
+        cells = self._cells
+        i = 0
+        while i + 1 < len(cells) and cells[i + 1].clock <= clock:
+            i += 1
+        if i + 1 == len(cells):
+            return rate * rate <= cells[i].cap if self._complete else False
+        here, ahead = cells[i], cells[i + 1]
+        C = here.cumulative + 2.0 * ahead.decrease * (clock - here.clock)
+        square = rate * rate
+        if not self._complete and cells[-1].cumulative - C < square:
+            return False
+        return all(c.cap + c.cumulative - C >= square for c in self._bounds if c.clock > clock) and all(
+            cells[m].cap >= square for m in range(1, i + 1)
+        )
+
+    def reference(self, clock: float) -> tuple[Array, Array]:
+        """Previewed configuration (nq,) and q′ (nv,) at ``clock``: what redundant arms follow."""
+        self._leave_behind(clock)
+        here = self._cells[0]
+        ahead = self._cells[1] if len(self._cells) > 1 else here
+        span = ahead.clock - here.clock
+        share = min(max((clock - here.clock) / span, 0.0), 1.0) if span > 0.0 else 0.0
+        model = self._chain.cell.model
+        slope = here.slope + share * (ahead.slope - here.slope)
+        # Quadratic from the nearer border: exact to second order, continuous to third.
+        q = pin.integrate(model, here.q, 0.5 * (here.slope + slope) * (share * span))
+        return q, slope
+
+    # -- building ------------------------------------------------------------------------------------------------
+
+    def _extend(self, clock: float, dt: float) -> None:
+        """Grow the horizon until the object could brake from full rate within it."""
+        cells = self._cells
+        enough = 1.0 + 2.0 * self._slope_cap * dt  # what a step at full rate uses up is still there after it
+        for _ in range(self.options.cells_per_step):
+            self._leave_behind(clock)
+            ahead = cells[min(1, len(cells) - 1)]
+            if self._complete or (
+                cells[-1].clock > clock + 2.0 * dt and cells[-1].cumulative - ahead.cumulative > enough
+            ):
+                return
+            self._grow(cells[-1])
+
+    def _leave_behind(self, clock: float) -> None:
+        """Drop the cells that end before ``clock``."""
+        while len(self._cells) > 1 and self._cells[1].clock <= clock:
+            self._cells.popleft()
+
+    def _grow(self, last: _Cell) -> None:
+        path, options = self._path, self.options
+        rest = path.duration - last.clock
+        if rest <= 1e-12:
+            self._finish(last)
+            return
+        fastest = float(np.abs(last.slope).max())
+        h = min(options.cell, rest, options.joint_step / fastest if fastest > 0.0 else np.inf)
+        breakpoint_ = path.next_breakpoint(last.clock)
+        if last.clock + h > breakpoint_ - 1e-9:
+            h = breakpoint_ - last.clock
+        while True:
+            cell = self._try(last, h)
+            if cell is not None:
+                break
+            h *= 0.5
+            if h < options.shortest:
+                self._block(last, self._singular_arm(last), LimitKind.REACH)
+                return
+        crossing = self._limit_crossing(last, cell)
+        if crossing is not None:
+            self._push(crossing)
+            self._complete = True
+            return
+        singular = cell.squeeze < options.singular_rate**2 and np.abs(cell.slope).max() > np.abs(last.slope).max()
+        if singular:
+            self._block(cell, self._singular_arm(cell), LimitKind.SINGULARITY)
+            return
+        if abs(cell.clock - breakpoint_) < 1e-9 and breakpoint_ < path.duration:
+            cell = self._corner(cell)
+        self._push(cell)
+
+    def _try(self, last: _Cell, h: float) -> _Cell | None:
+        """The chain at ``last.clock + h``, or None if Newton's method or the joints' slopes do not follow."""
+        clock = last.clock + h
+        ws = self._ws
+        q = self._moved(last.q, h * (last.slope + 0.5 * h * last.curvature))
+        for _ in range(4):
+            if not self._newton_step(clock, q):
+                return None
+            step = np.abs(ws.velocity)
+            largest = float(step[step.argmax()])
+            if not largest < self.options.joint_step:
+                return None
+            q = self._moved(q, ws.velocity)
+            if largest < _CONVERGED:
+                break
+        else:
+            return None
+        cell = self._cell_at(clock, q, ws.along_velocity.copy(), last)
+        speed = np.abs(cell.slope)
+        growth = float(speed[speed.argmax()])
+        if h > self.options.shortest and h * growth > 1.5 * self.options.joint_step:
+            return None
+        if h > _FINE_CELL:
+            change = np.abs(cell.curvature) * h - self._slope_change
+            if change[change.argmax()] > self.options.slope_step * growth:
+                return None
+        return cell
+
+    def _newton_step(self, clock: float, q: Array) -> bool:
+        """Newton's step to the pose at ``clock`` into ``velocity``, q′ into ``along_velocity``; False if singular."""
+        ws, chain, path = self._ws, self._chain, self._path
+        chain.place(q)
+        chain.evaluate(q)
+        before = max(min(clock, path.duration) - 1e-12 * path.duration, 0.0)  # the twist before a corner or the end
+        line = path.line_at(before, 0.0) if self._kernel.follows_lines else None
+        if line is None:
+            ws.set_pose(path.pose(clock))
+            ws.along[:] = path.twist(before)
+            ws.scalars[ws.ON_LINE] = 0.0
+        else:
+            if line is not self._line:
+                ws.line[:] = self._line = line
+            ws.scalars[ws.ON_LINE], ws.scalars[ws.CLOCK], ws.scalars[ws.SPAN] = 1.0, before, -1.0
+        if ws.redundant:
+            ws.null_along[:] = self._posture.velocity(q)
+        return self._kernel.step() == Outcome.NOMINAL
+
+    def _moved(self, q: Array, step: Array) -> Array:
+        if self._plain:
+            moved: Array = q + step
+            return moved
+        return np.asarray(pin.integrate(self._chain.cell.model, q, step))
+
+    def _cell_at(self, clock: float, q: Array, slope: Array, last: _Cell | None) -> _Cell:
+        """Bounds at a configuration on the path, from the slopes there and at the cell before."""
+        speed = np.abs(slope)
+        if last is None:
+            curvature = np.zeros_like(slope)
+        else:
+            np.maximum(speed, np.abs(last.slope), out=speed)
+            curvature = (slope - last.slope) / (clock - last.clock)
+        bend = np.abs(curvature)
+        # How often each joint's limit is used up at full rate: z may be 1 over the square, or over the curvature's.
+        use_speed, use_bend = speed * self._per_speed, bend * self._per_bend
+        j_speed, j_bend = int(use_speed.argmax()), int(use_bend.argmax())
+        squeeze = max(float(use_speed[j_speed]) ** 2, float(use_bend[j_bend]), 1.0)
+        by_speed = float(use_speed[j_speed]) ** 2 if self.accelerates else 0.0  # else the step itself finds that cap
+        by_bend = float(use_bend[j_bend])
+        cap, binding = 1.0, None
+        if max(by_speed, by_bend) > 1.0:
+            if by_speed >= by_bend:
+                cap, binding = 1.0 / by_speed, self._joint_limit(j_speed, LimitKind.VELOCITY)
+            else:
+                cap, binding = 1.0 / by_bend, self._joint_limit(j_bend, LimitKind.ACCELERATION)
+        bend *= -cap
+        bend += self._acceleration  # what the curvature leaves
+        tightest = float((speed / bend).max())
+        decrease = min(self._slope_cap, 1.0 / tightest) if tightest > 0.0 else self._slope_cap
+        cumulative = 0.0 if last is None else last.cumulative + 2.0 * decrease * (clock - last.clock)
+        return _Cell(clock, q, slope, cap, 1.0 / squeeze, cumulative, decrease, curvature, binding)
+
+    def _finish(self, last: _Cell) -> None:
+        """The end of the path: where it ends moving, the joints have one step to stop in."""
+        if self.accelerates:
+            end = self._jump_cap(np.zeros_like(last.slope), last.slope)
+            if end < last.cap:
+                arm, _, joint = "", "", ""
+                self._push(replace(last, cap=end, binding=BindingLimit(arm, joint, LimitKind.PATH_END)))
+        self._complete = True
+
+    def _corner(self, cell: _Cell) -> _Cell:
+        """A cell where the twist jumps: slopes after it, and the rate at which the joints can take the jump."""
+        after_clock = cell.clock + 1e-9
+        self._newton_step(after_clock, cell.q)
+        after = self._ws.along_velocity.copy()
+        cap, binding = cell.cap, cell.binding
+        if self.accelerates:
+            jump = self._jump_cap(after, cell.slope)
+            if jump < cap:
+                j = int((np.abs(after - cell.slope) / self._jump).argmax())
+                cap, binding = jump, self._joint_limit(j, LimitKind.ACCELERATION)
+        return replace(cell, slope=after, cap=cap, binding=binding, curvature=np.zeros_like(after))
+
+    def _jump_cap(self, after: Array, before: Array) -> float:
+        """Largest σ² at which every joint can change its slope within one step."""
+        jump = np.abs(after - before)
+        moving = jump > 1e-9
+        if not moving.any():
+            return np.inf
+        return float((self._jump[moving] / jump[moving]).min() ** 2)
+
+    def _limit_crossing(self, last: _Cell, cell: _Cell) -> _Cell | None:
+        """Where the first joint meets a position limit between two borders, as a cell at which the object rests."""
+        x, ahead = (c.q if self._plain else self._chain.cell.positions(c.q) for c in (last, cell))
+        if ((ahead <= self._high) & (ahead >= self._low)).all():
+            return None
+        # A joint outside may come back in; only going further out is the end.
+        over = (ahead > np.maximum(self._high, x)) & (ahead > self._high)
+        under = (ahead < np.minimum(self._low, x)) & (ahead < self._low)
+        crossed = np.flatnonzero(over | under)
+        if not crossed.size:
+            return None
+        limit = np.where(over[crossed], self._high[crossed], self._low[crossed])
+        shares = np.clip((limit - x[crossed]) / (ahead[crossed] - x[crossed]), 0.0, 1.0)
+        first = int(shares.argmin())
+        j = int(crossed[first])
+        at = self._cell_where(last, cell, j, float(limit[first]))
+        return replace(at, cap=0.0, binding=self._joint_limit(j, LimitKind.POSITION))
+
+    def _cell_where(self, last: _Cell, beyond: _Cell, j: int, position: float) -> _Cell:
+        """The cell at which joint ``j`` is at ``position``, between two borders: regula falsi on the chain itself."""
+        positions = self._chain.cell.positions
+        start, end = last.clock, beyond.clock
+        miss_start, miss_end = (positions(c.q)[j] - position for c in (last, beyond))
+        if miss_start * miss_end >= 0.0:
+            return last  # it is there already
+        best = beyond
+        for _ in range(8):
+            clock = start - miss_start * (end - start) / (miss_end - miss_start)
+            cell = self._try(last, clock - last.clock) if clock - last.clock > 1e-9 else last
+            if cell is None:
+                break
+            best, miss = cell, float(positions(cell.q)[j] - position)
+            if abs(miss) < 1e-9:
+                break
+            if miss * miss_end > 0.0:
+                end, miss_end = clock, miss
+            else:
+                start, miss_start = clock, miss
+        return best
+
+    def _block(self, cell: _Cell, arm: int, kind: LimitKind) -> None:
+        self._push(replace(cell, cap=0.0, binding=self._arm_limit(arm, kind)))
+        self._complete = True
+
+    def _singular_arm(self, cell: _Cell) -> int:
+        share = np.abs(cell.slope) / np.where(np.isfinite(self._speed), self._speed, 1.0)
+        return self._chain.cell.arm_of_joint(int(share.argmax()))
+
+    def _joint_limit(self, j: int, kind: LimitKind) -> BindingLimit:
+        arm, _, joint = self._chain.cell.joint_names[j].partition("/")
+        return BindingLimit(arm, joint, kind)
+
+    def _arm_limit(self, arm: int, kind: LimitKind) -> BindingLimit:
+        return BindingLimit(self._chain.cell.arm_names[arm], "", kind)
+
+    def _push(self, cell: _Cell) -> None:
+        self._cells.append(cell)
+        if cell.cap >= 1.0:
+            return  # no bound: the rate is never above 1
+        key = cell.cap + cell.cumulative
+        while self._bounds and self._bounds[-1].cap + self._bounds[-1].cumulative >= key:
+            self._bounds.pop()
+        self._bounds.append(cell)

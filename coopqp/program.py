@@ -1,0 +1,291 @@
+"""The QP of one step: from what is wanted (terms) and what is allowed (box) to matrices, and back.
+
+With the arms' kinematics inverted, every admissible command of a perfect chain is
+
+    v = A⁻¹(σ ν + s) + ρ_g A⁻¹ c_k + ρ_p A⁻¹ c_p + v_0 (+ N z for redundant arms)
+
+so the unknowns are the off-path twist s (6), the path rate σ, the shares ρ_g and ρ_p of the grasp and path
+corrections and z: nine plus the redundancy, whatever the number of arms, with a row per joint. That is the
+**condensed form**. The **full form** keeps the joint velocities as unknowns and the chain as equalities; it is the
+reference that the condensed form is tested against. The **slack form** lets the chain part, at a price above all
+else, for the case in which the limits leave no other answer.
+
+Costs, in the order of rank: chain 1e8, recovery 1e6, off-path 1e4, grasp correction 1, path correction 1e-2, rate
+1e-4, comfort 1e-6. Variables are scaled so that the condensed Hessian is the identity: a least-distance problem.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from coopqp.chain import Chain
+from coopqp.limits import VelocityBox
+from coopqp.solvers.base import QpProblem
+from coopqp.spatial import Array, as_scalar
+
+
+@dataclass(frozen=True, kw_only=True)
+class RankWeights:
+    """Costs of giving something up, per unit squared; ratios of at least 100 keep the ranks apart.
+
+    Attributes:
+        chain: of the arms parting [1/(m/s)²].
+        off_path: of velocity off the path [1/(m/s)²].
+        recovery: of a joint outside its limits not being led back [1/(rad/s)²].
+        grasp, path: of giving up all of the grasp or path correction.
+        rate: of standing still (σ = 0).
+        comfort: of null-space motion other than the wanted one, in units of the joints' speeds.
+        length: characteristic length that weighs rotation against translation [m].
+    """
+
+    chain: float = 1e8
+    off_path: float = 1e4
+    recovery: float = 1e6
+    grasp: float = 1.0
+    path: float = 1e-2
+    rate: float = 1e-4
+    comfort: float = 1e-6
+    length: float = 0.3
+
+    def __post_init__(self) -> None:
+        for name in self.__dataclass_fields__:
+            as_scalar(getattr(self, name), f"RankWeights: {name}")
+
+
+@dataclass(eq=False)
+class StepTerms:
+    """What one step wants; twists of the object in the reference object frame.
+
+    Attributes:
+        to_world: Ad(R) (6, 6).
+        along: ν, twist of the object along its path at full rate (6,).
+        path_correction: c_p (6,).
+        grasp_corrections: c_k (N, 6).
+        offsets: b_k, what a linearisation leaves out (N, 6).
+        rate_cap: largest admissible σ, in [0, 1].
+        null_along: null-space part of the joint velocities per unit of σ (nv,), or None.
+        null_offset: null-space joint velocities wanted besides (nv,), or None.
+        admissible: basis Z (6, d) of the twists that every arm can follow, None if all can follow all.
+    """
+
+    to_world: Array
+    along: Array
+    path_correction: Array
+    grasp_corrections: Array
+    offsets: Array
+    rate_cap: float = 1.0
+    null_along: Array | None = None
+    null_offset: Array | None = None
+    admissible: Array | None = None
+    ranges: list[tuple[int, Array]] = field(default_factory=list)
+
+    def twists(self, rate: float) -> Array:
+        """World twists (N, 6) that a perfect step at this rate gives each arm."""
+        w = self.grasp_corrections + self.offsets
+        w += rate * self.along + self.path_correction
+        out: Array = w @ self.to_world.T
+        return out
+
+
+@dataclass(eq=False)
+class Pieces:
+    """Joint velocities that each unknown contributes, all (nv,): v = fixed + σ along + ρ_g grasp + ρ_p path."""
+
+    fixed: Array
+    along: Array
+    grasp: Array
+    path: Array
+
+    def command(self, rate: float) -> Array:
+        """Velocities with full corrections at a rate."""
+        return self.fixed + self.grasp + self.path + rate * self.along
+
+
+@dataclass(frozen=True, eq=False)
+class Answer:
+    """A solved step: joint velocities and what was given up."""
+
+    velocity: Array
+    rate: float
+    grasp_share: float
+    path_share: float
+    off_path: Array
+    chain: float = 0.0
+
+
+class StepProgram:
+    """Builds and reads the QPs of one chain; holds no memory between steps."""
+
+    def __init__(self, chain: Chain, weights: RankWeights) -> None:
+        self.chain, self.weights = chain, weights
+        w = weights
+        angular = w.off_path * w.length**2
+        self._twist_scale = 1.0 / np.sqrt(np.array([w.off_path] * 3 + [angular] * 3))
+        self._share_scale = 1.0 / np.sqrt(np.array([w.rate, w.grasp, w.path]))
+        self._comfort_scale = 1.0 / np.sqrt(w.comfort)
+
+    def pieces(self, terms: StepTerms) -> Pieces:
+        """Split the command into the contributions of the unknowns."""
+        chain, to_world = self.chain, terms.to_world
+        n = chain.n_arms
+        T = np.column_stack([to_world @ terms.along, to_world @ terms.path_correction])
+        columns = chain.joint_columns(T)
+        grasp = chain.joint_velocities(terms.grasp_corrections @ to_world.T, np.empty(chain.nv))
+        fixed = chain.joint_velocities(terms.offsets.reshape(n, 6) @ to_world.T, np.empty(chain.nv))
+        along = columns[:, 0].copy()
+        if terms.null_along is not None:
+            along += terms.null_along
+        if terms.null_offset is not None:
+            fixed += terms.null_offset
+        return Pieces(fixed, along, grasp, columns[:, 1].copy())
+
+    def _twist_basis(self, terms: StepTerms) -> Array:
+        """Scaled basis of s in the reference frame, (6, d)."""
+        if terms.admissible is None:
+            return np.diag(self._twist_scale)
+        # s = Z y with ‖s‖_W = ‖y‖ after orthonormalisation in the metric W
+        Q, _ = np.linalg.qr(terms.admissible / self._twist_scale[:, None])
+        basis: Array = self._twist_scale[:, None] * Q
+        return basis
+
+    # -- condensed -----------------------------------------------------------------------------------------------
+
+    def condensed(self, terms: StepTerms, pieces: Pieces, box: VelocityBox) -> tuple[QpProblem, Array, Array]:
+        """The condensed form. Returns the problem and (base, B) with v = base + B x.
+
+        x = [y (d), (cap − σ), (1 − ρ_g), (1 − ρ_p), z, r], each divided by its scale; r of the joints outside.
+        """
+        S = self._twist_basis(terms)
+        base = pieces.command(terms.rate_cap)
+        shares = np.column_stack([-pieces.along, -pieces.grasp, -pieces.path]) * self._share_scale
+        parts = [self.chain.joint_columns(terms.to_world @ S), shares]
+        if self.chain.redundancy:
+            parts.append(self.chain.null_basis() * self._comfort_scale)
+        outside = np.flatnonzero(box.outside)
+        parts.append(np.zeros((len(base), outside.size)))
+        B = np.hstack(parts)
+        d, n = S.shape[1], B.shape[1]
+        lb, ub = np.full(n, -np.inf), np.full(n, np.inf)
+        lb[d : d + 3] = 0.0
+        ub[d : d + 3] = np.array([terms.rate_cap, 1.0, 1.0]) / self._share_scale
+        norms = np.linalg.norm(B, axis=1)
+        norms[norms < 1e-12] = 1.0
+        # The way back in: v_j − recovery_j is an unknown of its own. (Squared into H it would square the conditioning.)
+        A = B[outside]
+        A[:, n - outside.size :] = np.diag(np.full(outside.size, -1.0 / np.sqrt(self.weights.recovery)))
+        problem = QpProblem(
+            H=np.eye(n),
+            g=np.zeros(n),
+            A=A / norms[outside, None],
+            b=(box.recovery - base)[outside] / norms[outside],
+            C=B / norms[:, None],
+            l=(box.lower - base) / norms,
+            u=(box.upper - base) / norms,
+            lb=lb,
+            ub=ub,
+        )
+        return problem, base, B
+
+    def read_condensed(self, x: Array, terms: StepTerms, base: Array, B: Array) -> Answer:
+        """The step that a solution of :meth:`condensed` stands for."""
+        S = self._twist_basis(terms)
+        d = S.shape[1]
+        shares = x[d : d + 3] * self._share_scale
+        return Answer(base + B @ x, terms.rate_cap - shares[0], 1.0 - shares[1], 1.0 - shares[2], S @ x[:d])
+
+    # -- full and slack ------------------------------------------------------------------------------------------
+
+    def full(self, terms: StepTerms, box: VelocityBox, *, slack: bool = False) -> QpProblem:
+        """The full form: x = [v (nv), y (d), (cap − σ), (1 − ρ_g), (1 − ρ_p)], the last scaled as in the condensed.
+
+        With ``slack`` the chain may part: x goes on with t (6N), the twists by which the arms leave the common
+        motion, scaled so that their cost is of unit weight; in either case it ends with r, how far the joints outside
+        their limits stay from the velocities that lead them back, scaled alike. (Squaring these equalities instead
+        would square their conditioning, and active-set solvers then fail.)
+        """
+        chain, nv = self.chain, self.chain.nv
+        S = self._twist_basis(terms)
+        d = S.shape[1]
+        own = nv + d + 3
+        outside = np.flatnonzero(box.outside)
+        n = own + (6 * chain.n_arms if slack else 0) + outside.size
+        to_reference = np.linalg.inv(terms.to_world)
+        J = chain.dense()
+        A = np.zeros((6 * chain.n_arms + outside.size, n))
+        b = np.empty(len(A))
+        cap, scale = terms.rate_cap, self._share_scale
+        for k in range(chain.n_arms):
+            rows = slice(6 * k, 6 * k + 6)
+            A[rows, :nv] = to_reference @ J[rows]
+            A[rows, nv : nv + d] = -S
+            A[rows, nv + d] = terms.along * scale[0]
+            A[rows, nv + d + 1] = terms.grasp_corrections[k] * scale[1]
+            A[rows, nv + d + 2] = terms.path_correction * scale[2]
+            b[rows] = terms.offsets[k] + cap * terms.along + terms.grasp_corrections[k] + terms.path_correction
+        for k, _ in terms.ranges:
+            # Rows outside what the arm can do are 0 = 0 up to rounding: leave them out.
+            U = np.linalg.svd(A[6 * k : 6 * k + 6, :nv], full_matrices=False)[0]
+            P = U @ U.T
+            A[6 * k : 6 * k + 6] = P @ A[6 * k : 6 * k + 6]
+            b[6 * k : 6 * k + 6] = P @ b[6 * k : 6 * k + 6]
+        H, g = np.zeros((n, n)), np.zeros(n)
+        H[range(nv, n), range(nv, n)] = 1.0
+        if slack:
+            part = 1.0 / np.sqrt(self.weights.chain)
+            scale_t = np.tile([part] * 3 + [part / self.weights.length] * 3, chain.n_arms)
+            A[range(6 * chain.n_arms), range(own, n - outside.size)] = scale_t
+        for i, j in enumerate(outside):
+            A[6 * chain.n_arms + i, [j, n - outside.size + i]] = 1.0, -1.0 / np.sqrt(self.weights.recovery)
+            b[6 * chain.n_arms + i] = box.recovery[j]
+        if chain.redundancy:
+            # Active-set solvers manage ten orders of magnitude between costs, not fourteen.
+            comfort = max(self.weights.comfort, 1e-10 * self.weights.chain) if slack else self.weights.comfort
+            self._add_comfort(H, g, terms, nv, d, comfort)
+        lb, ub = np.full(n, -np.inf), np.full(n, np.inf)
+        lb[:nv], ub[:nv] = box.lower, box.upper
+        lb[nv + d : own] = 0.0
+        ub[nv + d : own] = np.array([cap, 1.0, 1.0]) / scale
+        return QpProblem(H=H, g=g, A=A, b=b, C=np.zeros((0, n)), l=np.zeros(0), u=np.zeros(0), lb=lb, ub=ub)
+
+    def _add_comfort(self, H: Array, g: Array, terms: StepTerms, nv: int, d: int, comfort: float) -> None:
+        """Cost of z: the null-space part of v, less the wanted one."""
+        # The basis is orthonormal in the joints' units, and orthogonal in them to every least motion of the object.
+        dual = (self.chain.null_basis() / self.chain.scale[:, None] ** 2).T
+        G = np.zeros((len(dual), H.shape[0]))
+        G[:, :nv] = dual
+        wanted = np.zeros(nv) if terms.null_offset is None else terms.null_offset.copy()
+        if terms.null_along is not None:
+            wanted += terms.rate_cap * terms.null_along
+            G[:, nv + d] = dual @ terms.null_along * self._share_scale[0]
+        target = dual @ wanted
+        H += comfort * G.T @ G
+        g -= comfort * G.T @ target
+
+    def read_full(self, x: Array, terms: StepTerms) -> Answer:
+        """The step that a solution of :meth:`full` stands for, with the speed at which the arms part."""
+        nv = self.chain.nv
+        S = self._twist_basis(terms)
+        d = S.shape[1]
+        shares = x[nv + d : nv + d + 3] * self._share_scale
+        answer = Answer(
+            x[:nv].copy(),
+            terms.rate_cap - shares[0],
+            1.0 - shares[1],
+            1.0 - shares[2],
+            S @ x[nv : nv + d],
+        )
+        return answer
+
+    def parting(self, answer: Answer, terms: StepTerms) -> float:
+        """Largest speed [m/s] at which an arm leaves the common motion of ``answer``."""
+        common = (
+            answer.off_path
+            + answer.rate * terms.along
+            + answer.path_share * terms.path_correction
+            + answer.grasp_share * terms.grasp_corrections
+            + terms.offsets
+        )
+        actual = self.chain.twists(answer.velocity) @ np.linalg.inv(terms.to_world).T
+        return float(np.linalg.norm((actual - common)[:, :3], axis=1).max())

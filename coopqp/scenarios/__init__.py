@@ -1,0 +1,58 @@
+"""Ready cells and tasks, one function each; :data:`SCENARIOS` has them by name."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from coopqp.errors import UnknownNameError
+from coopqp.scenarios.base import Scenario
+from coopqp.scenarios.cells import dual_arm7, five_joint_pair, mixed_cell, ring, scara_pair
+from coopqp.scenarios.paper import fast_lift, paper_lift, wide_grasp
+from coopqp.scenarios.robot_data import panda_bar, ur5_table
+from coopqp.scenarios.troubles import at_limit, at_singularity
+
+__all__ = [
+    "SCENARIOS",
+    "Scenario",
+    "at_limit",
+    "at_singularity",
+    "dual_arm7",
+    "fast_lift",
+    "five_joint_pair",
+    "mixed_cell",
+    "panda_bar",
+    "paper_lift",
+    "ring",
+    "scara_pair",
+    "scenario",
+    "ur5_table",
+    "wide_grasp",
+]
+
+#: Every scenario by name, built with its defaults when called. Some need the extra ``robots``.
+SCENARIOS: dict[str, Callable[[], Scenario]] = {
+    "paper_lift": paper_lift,
+    "wide_grasp": wide_grasp,
+    "fast_lift": fast_lift,
+    "at_limit": at_limit,
+    "at_singularity": at_singularity,
+    "dual_arm7": dual_arm7,
+    "panda_bar": panda_bar,
+    "ur5_table": ur5_table,
+    "mixed_cell": mixed_cell,
+    "ring": ring,
+    "scara_pair": scara_pair,
+    "five_joint_pair": five_joint_pair,
+}
+
+
+def scenario(name: str) -> Scenario:
+    """Build the scenario of this name, with its defaults.
+
+    Raises:
+        UnknownNameError: no such scenario.
+        MissingExtraError: its robots are in a package that is not installed.
+    """
+    if name not in SCENARIOS:
+        raise UnknownNameError("scenario", name, SCENARIOS)
+    return SCENARIOS[name]()

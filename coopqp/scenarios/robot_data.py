@@ -1,0 +1,116 @@
+"""Cells of well-known robots, from the package ``example-robot-data`` (extra ``robots``), loaded by path."""
+
+from __future__ import annotations
+
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+
+from coopqp.cell import Arm
+from coopqp.errors import MissingExtraError
+from coopqp.path import LinePath, TimeLaw
+from coopqp.scenarios.base import DOWN, FORWARD_SIDEWAYS, Scenario, Station, put_together
+
+_PACKAGE = "example-robot-data"
+#: Franka's published joint acceleration limits [rad/s²].
+PANDA_ACCELERATION = (15.0, 7.5, 10.0, 12.5, 15.0, 20.0, 20.0)
+_FINGERS = {"panda_finger_joint1": 0.02, "panda_finger_joint2": 0.02}
+
+
+def robot_data_path(name: str) -> Path:
+    """Path of a file of ``example-robot-data`` whose name in the package ends so, e.g. ``"urdf/panda.urdf"``.
+
+    Raises:
+        MissingExtraError: the package is not installed, or has no such file.
+    """
+    try:
+        files = metadata.distribution(_PACKAGE).files or []
+    except metadata.PackageNotFoundError as error:
+        raise MissingExtraError("robots", _PACKAGE) from error
+    for file in files:
+        if str(file).endswith(name):
+            return Path(str(file.locate())).resolve()
+    raise MissingExtraError("robots", f"{_PACKAGE} with a file {name}")
+
+
+def _arm(urdf: str, *, tool_frame: str, geometry: bool, **options: Any) -> Arm:
+    path = robot_data_path(urdf)
+    share = next(folder for folder in path.parents if folder.name == "share")  # package://example-robot-data/…
+    return Arm.from_urdf("arm", path, tool_frame=tool_frame, package_dirs=[share], geometry=geometry, **options)
+
+
+def panda_bar(*, geometry: bool = False, duration: float = 3.0, time_law: TimeLaw | str = TimeLaw.QUINTIC) -> Scenario:
+    """A bar of 1 m and 3 kg by two seven-joint pandas, their fingers locked, with their acceleration limits.
+
+    Args:
+        geometry: load the meshes too (about one second).
+        duration: of the path [s].
+        time_law: along the path.
+
+    Raises:
+        MissingExtraError: ``example-robot-data`` is not installed.
+    """
+    panda = _arm(
+        "urdf/panda.urdf",
+        tool_frame="panda_hand_tcp",
+        geometry=geometry,
+        locked_joints=_FINGERS,
+        acceleration_limits=PANDA_ACCELERATION,
+    )
+    path = LinePath.displaced(
+        pin.SE3(np.eye(3), np.array([0.0, 0.0, 0.30])),
+        translation=(0.06, 0.10, 0.20),
+        rotation=(0.30, 0.15, 0.20),
+        duration=duration,
+        time_law=time_law,
+    )
+    stations = [
+        Station(
+            arm=panda.placed(pin.SE3.Identity(), name=name),
+            point=(x, 0.0, 0.0),
+            yaw=yaw,
+            reach=0.48,
+            height=0.30,
+            near=(0.0, -10.0, 0.0, -135.0, 0.0, 125.0, 45.0),
+            tool=DOWN,
+        )
+        for name, x, yaw in (("left", -0.40, 0.0), ("right", 0.40, 180.0))
+    ]
+    return put_together("panda_bar", stations, path, object_size=(1.00, 0.04, 0.04), object_mass=3.0)
+
+
+def ur5_table(*, geometry: bool = False, duration: float = 3.0, time_law: TimeLaw | str = TimeLaw.QUINTIC) -> Scenario:
+    """A table top of 1.2 x 0.8 m and 12 kg by four UR5 that stand along its long sides.
+
+    Args:
+        geometry: load the meshes too (about one second).
+        duration: of the path [s].
+        time_law: along the path.
+
+    Raises:
+        MissingExtraError: ``example-robot-data`` is not installed.
+    """
+    ur5 = _arm("urdf/ur5_robot.urdf", tool_frame="tool0", geometry=geometry)
+    path = LinePath.displaced(
+        pin.SE3(np.eye(3), np.array([0.0, 0.0, 0.30])),
+        translation=(0.08, 0.05, 0.15),
+        rotation=(0.15, -0.12, 0.10),
+        duration=duration,
+        time_law=time_law,
+    )
+    stations = [
+        Station(
+            arm=ur5.placed(pin.SE3.Identity(), name=f"ur5_{k + 1}"),
+            point=(x, y, 0.0),
+            yaw=-90.0 if y > 0.0 else 90.0,
+            reach=0.50,
+            height=0.30,
+            near=(-15.1, -86.1, 103.6, -17.6, 74.9, 0.0),
+            tool=FORWARD_SIDEWAYS,
+        )
+        for k, (x, y) in enumerate(((-0.5, -0.4), (0.5, -0.4), (0.5, 0.4), (-0.5, 0.4)))
+    ]
+    return put_together("ur5_table", stations, path, object_size=(1.20, 0.80, 0.03), object_mass=12.0)

@@ -1,0 +1,23 @@
+"""Robot descriptions that come with coopqp: URDF files of primitive shapes, without meshes."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Final
+
+from coopqp.errors import UnknownNameError
+
+__all__ = ["ROBOT_NAMES", "robot_path"]
+
+ROBOT_NAMES: Final[tuple[str, ...]] = ("arm5", "arm6c", "arm7", "gantry7", "rx90l", "scara4")
+"""The robots, by the stem of their file: `rx90l` is the Stäubli RX-90L, the others are made up."""
+
+
+def robot_path(name: str) -> Path:
+    """Return the path of the URDF of the robot `name`, one of `ROBOT_NAMES`.
+
+    The end-effector frame is `flange` for `rx90l` and `tool` for the others.
+    """
+    if name not in ROBOT_NAMES:
+        raise UnknownNameError("robot", name, ROBOT_NAMES, "coopqp.scenarios.robots")
+    return Path(__file__).parent / f"{name}.urdf"

@@ -1,0 +1,138 @@
+"""Tasks that cannot be finished: a path that meets a position limit, one that leads an arm into a singularity."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any, Literal
+
+import numpy as np
+import pinocchio as pin
+
+from coopqp.errors import InvalidInputError, UnknownNameError
+from coopqp.path import LinePath, TimeLaw
+from coopqp.scenarios.base import Scenario, Station, put_together
+from coopqp.scenarios.cells import named_robot
+from coopqp.scenarios.paper import paper_lift
+from coopqp.spatial import as_scalar, as_vector
+from coopqp.state import CellState
+
+#: Kinds of singularity of :func:`at_singularity`.
+SINGULARITIES = ("wrist", "elbow", "reach")
+
+
+def at_limit(
+    *,
+    direction: Sequence[float] = (0.0, 0.0, 1.0),
+    rotation: Sequence[float] = (0.0, 0.0, 0.0),
+    margin: Any = 0.25,
+    speed: float = 0.25,
+    acceleration: float = 5.0,
+) -> Scenario:
+    """The paper's three arms with their joints fenced in around the start, and a path of 1 m that leads out.
+
+    Args:
+        direction: of the path in the world; its length does not matter.
+        rotation: of the plate along the path, a rotation vector in world axes [rad].
+        margin: how far each joint may move from its start, one number or (nv,) [rad].
+        speed: of the object [m/s].
+        acceleration: limit of every joint [rad/s²]; inf for none.
+    """
+    lift = paper_lift()
+    way = as_vector(direction, 3, "at_limit: direction")
+    length = float(np.linalg.norm(way))
+    if length < 1e-9:
+        raise InvalidInputError("direction is zero", "at_limit", "Give a direction.")
+    path = LinePath.displaced(
+        lift.path.pose(0.0),
+        translation=way / length,
+        rotation=rotation,
+        duration=1.0 / as_scalar(speed, "at_limit: speed"),
+        time_law=TimeLaw.LINEAR,
+    )
+    limits = lift.cell.limits
+    cell = lift.cell.with_limits(
+        lower=np.maximum(limits.lower, lift.q_start - margin),
+        upper=np.minimum(limits.upper, lift.q_start + margin),
+        acceleration=acceleration,
+    )
+    return replace(lift, name="at_limit", cell=cell, path=path, dt=0.002)
+
+
+def at_singularity(
+    kind: Literal["wrist", "elbow", "reach"] = "wrist",
+    arm: int = 0,
+    *,
+    miss: float = 0.0,
+    speed: float = 0.25,
+    acceleration: float = np.inf,
+) -> Scenario:
+    """Three RX-90L round a plate, and a path that leads one of them into a singularity and on.
+
+    The path goes straight through a pose at which the arm's wrist or elbow is stretched, and a third further, or out
+    of its reach. A stretched elbow and the end of the reach stop the object; a path exactly through the pole of a
+    wrist can go on, one that misses it by little must slow down while the wrist turns round.
+
+    Args:
+        kind: ``"wrist"``, ``"elbow"`` or ``"reach"``.
+        arm: index of the arm, 0 to 2.
+        miss: how far the path passes from the wrist's pole, as an angle of joint 5 [rad]; 0 is straight through it.
+        speed: of the object, where 1 rad counts as 0.3 m [m/s].
+        acceleration: limit of every joint [rad/s²]; inf for none.
+
+    Raises:
+        UnknownNameError: no such kind or arm.
+    """
+    if kind not in SINGULARITIES:
+        raise UnknownNameError("singularity", str(kind), SINGULARITIES, "at_singularity")
+    if arm not in (0, 1, 2):
+        raise UnknownNameError("arm", str(arm), ("0", "1", "2"), "at_singularity")
+    start = pin.SE3(np.eye(3), np.array([0.0, 0.0, 0.60]))
+    still = LinePath(start, start, duration=1.0)
+    stations = []
+    for k, angle in enumerate((180.0, -60.0, 60.0)):
+        x, y = 0.45 * np.cos(np.deg2rad(angle)), 0.45 * np.sin(np.deg2rad(angle))
+        led = k == arm
+        stations.append(
+            Station(
+                arm=named_robot("rx90l", f"arm_{k + 1}"),
+                point=(float(x), float(y), 0.0),
+                yaw=angle + 180.0,
+                reach=1.0 if led and kind != "wrist" else 0.80,
+                height=0.60 if led and kind == "wrist" else 0.30,
+                near=(0.0, 45.0, 70.0, 0.0, -25.0, 0.0) if led else (0.0, 38.0, 100.0, 0.0, -47.0, 0.0),
+            )
+        )
+    rest = put_together("at_singularity", stations, still, object_size=(0.90, 0.90, 0.03), object_mass=9.0)
+    goal = _singular_goal(rest, kind, arm, start, as_scalar(miss, "at_singularity: miss", open_low=False))
+    way, turn = goal.translation - start.translation, pin.log3(start.rotation.T @ goal.rotation)
+    beyond = 4.0 / 3.0
+    path = LinePath.displaced(
+        start,
+        translation=beyond * way,
+        rotation=beyond * turn,
+        duration=beyond
+        * float(np.linalg.norm(way) + 0.3 * np.linalg.norm(turn))
+        / as_scalar(speed, "at_singularity: speed"),
+        time_law=TimeLaw.LINEAR,
+    )
+    return replace(rest, cell=rest.cell.with_limits(acceleration=acceleration), path=path)
+
+
+def _singular_goal(rest: Scenario, kind: str, arm: int, start: pin.SE3, miss: float) -> pin.SE3:
+    """Pose of the object at which the arm is singular, or one out of its reach."""
+    if kind == "reach":
+        away = rest.cell.arms[arm].T_world_base.rotation[:, 0]
+        return pin.SE3(start.rotation, start.translation + 0.40 * away)
+    q = rest.q_start.copy()
+    joints = q[rest.cell.q_slices[arm]]  # a view
+    joints += np.deg2rad([4.0, 2.0, -3.0, 12.0, 0.0, -8.0])
+    if kind == "elbow":
+        joints[1] += np.deg2rad(40.0)
+        joints[2] = 0.0
+    else:
+        joints[4] = -miss
+        if miss:
+            joints[[3, 5]] += 0.5 * np.pi, -0.5 * np.pi  # by then the wrist has turned by a quarter: it passes sideways
+    carried: pin.SE3 = CellState(rest.cell, q).T_world_tool[arm] * rest.grasp.T_object_tool[arm].inverse()
+    return carried

@@ -1,0 +1,93 @@
+"""What the command prints while it works: a bar on a terminal, plain lines elsewhere, nothing if quiet."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import sys
+from collections.abc import Iterator, Sequence
+from typing import TYPE_CHECKING, TextIO
+
+if TYPE_CHECKING:
+    from rich.progress import Progress
+
+
+class Reporter:
+    """Told what goes on; this one says nothing."""
+
+    def note(self, text: str) -> None:
+        """What goes on now."""
+
+    def step(self, label: str, done: int, planned: int) -> None:
+        """So many steps of something are done; a slowed run takes more than planned."""
+
+
+class _Lines(Reporter):
+    """One plain line on stderr for whatever begins."""
+
+    def note(self, text: str) -> None:
+        print(text, file=sys.stderr, flush=True)
+
+    def step(self, label: str, done: int, planned: int) -> None:
+        if done == 1:
+            self.note(f"running {label}")
+
+
+class _Bar(Reporter):
+    """A progress bar of rich."""
+
+    def __init__(self, bar: Progress, total: int | None) -> None:
+        self._bar, self._task = bar, bar.add_task("", total=total)
+        self._total = total
+
+    def note(self, text: str) -> None:
+        self._bar.update(self._task, description=text)
+
+    def step(self, label: str, done: int, planned: int) -> None:
+        if self._total is None:
+            self._total = planned
+            self._bar.update(self._task, total=planned)
+        # A slowed run takes more steps than planned: they do not count.
+        self._bar.update(self._task, advance=float(done <= planned), description=label)
+
+
+@contextlib.contextmanager
+def reporter(total: int | None = None, *, quiet: bool = False) -> Iterator[Reporter]:
+    """A progress bar on a terminal, plain lines elsewhere or without rich, nothing if quiet.
+
+    Args:
+        total: steps in all; by default those that the first step says are planned.
+        quiet: say nothing.
+    """
+    if quiet or not sys.stderr.isatty():
+        yield Reporter() if quiet else _Lines()
+        return
+    try:
+        from rich.console import Console
+        from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+    except ImportError:
+        yield _Lines()
+        return
+    columns = (TextColumn("{task.description:<31}"), BarColumn(), TextColumn("{task.percentage:3.0f} %"))
+    with Progress(*columns, TimeElapsedColumn(), console=Console(stderr=True), transient=True) as bar:
+        yield _Bar(bar, total)
+
+
+def styled(text: str, *codes: int, stream: TextIO | None = None) -> str:
+    """Text with ANSI codes where the stream (stdout) is a terminal that is not asked to be plain (NO_COLOR)."""
+    out = sys.stdout if stream is None else stream
+    if not codes or not out.isatty() or "NO_COLOR" in os.environ:
+        return text
+    return f"\033[{';'.join(map(str, codes))}m{text}\033[0m"
+
+
+#: ANSI codes for :func:`styled`.
+BOLD, GREEN, RED = 1, 32, 31
+
+
+def print_table(lines: Sequence[Sequence[str]], *, numeric: Sequence[bool], head: bool = True) -> None:
+    """Print rows in columns, numbers to the right; the head in bold."""
+    widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
+    for i, line in enumerate(lines):
+        padded = (t.rjust(w) if n else t.ljust(w) for t, w, n in zip(line, widths, numeric, strict=True))
+        print(styled("  ".join(padded).rstrip(), *((BOLD,) if head and i == 0 else ())))

@@ -1,0 +1,67 @@
+"""Sphinx: ``make docs`` builds these pages, warnings as errors."""
+
+import re
+from importlib.metadata import version as installed_version
+from pathlib import Path
+
+project = "coopqp"
+author = "The coopqp authors"
+version = release = installed_version("coopqp")
+copyright = author
+
+extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon"]
+myst_enable_extensions = ["colon_fence", "deflist"]
+myst_heading_anchors = 3
+exclude_patterns = ["examples/**", "_build"]
+
+html_theme = "furo"
+html_title = f"coopqp {release}"
+
+autodoc_member_order = "bysource"
+autodoc_typehints = "none"  # shapes and units are in the text
+autodoc_class_signature = "mixed"
+napoleon_use_ivar = True
+napoleon_attr_annotations = False
+napoleon_use_rtype = False
+
+ROOT = Path(__file__).parents[1]
+
+
+def _include_text(app, docname, source):
+    """Put a file of the repository in place of ``<!-- include: FILE -->``; links in it that lead elsewhere are cut."""
+
+    def text(match):
+        file = ROOT / match[1]
+        if not file.is_file():
+            return ""
+        body = re.sub(r"\A# .*\n", "", file.read_text(encoding="utf-8"))
+        return re.sub(r"!?\[([^]]*)\]\((?!https?://)[^)]*\)", r"\1", body)
+
+    source[0] = re.sub(r"<!-- include: (\S+) -->", text, source[0])
+    if not (ROOT / "docs/reliability.md").is_file():
+        source[0] = source[0].replace("\nreliability\n", "\n")
+
+
+def _plain_bars(app, what, name, obj, options, lines):
+    """``|x|`` is an absolute value in these docstrings, not a substitution of reStructuredText."""
+    inside_literal = re.compile(r"(``.*?``)")
+    for i, line in enumerate(lines):
+        parts = inside_literal.split(line)
+        lines[i] = "".join(p if p.startswith("``") else p.replace("|", "\\|") for p in parts)
+
+
+def _one_attribute_a_line(app, what, name, obj, options, lines):
+    """``a, b: text`` in a list of attributes describes two of them; Sphinx would take ``a,`` for a type."""
+    several = re.compile(r"^(    )((?:\w+, )+\w+): (.*)$")
+    lines[:] = [
+        f"{found[1]}{attribute}: {found[3]}" if found else line
+        for line in lines
+        for found in [several.match(line)]
+        for attribute in (found[2].split(", ") if found else [""])
+    ]
+
+
+def setup(app):
+    app.connect("source-read", _include_text)
+    app.connect("autodoc-process-docstring", _one_attribute_a_line, priority=300)  # before napoleon
+    app.connect("autodoc-process-docstring", _plain_bars)

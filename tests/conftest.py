@@ -1,0 +1,106 @@
+"""Shared by the tests: Hypothesis profiles, the cells that take time to build, and seeded random data.
+
+Profiles: ``ci`` (default, the same examples every time) and ``nightly`` (ten times as many, new ones every time),
+chosen by the variable HYPOTHESIS_PROFILE or by ``pytest --hypothesis-profile``. A module that needs more examples
+than the profile's default multiplies it, so that the nightly run grows alike.
+"""
+
+from __future__ import annotations
+
+import functools
+import os
+import zlib
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from hypothesis import HealthCheck, settings
+
+from coopqp.cell import Arm, RobotCell
+from coopqp.controllers.pseudo_inverse import PseudoInverseController, PseudoInverseOptions
+from coopqp.scenarios import Scenario, paper_lift
+from coopqp.scenarios.robots import robot_path
+from coopqp.simulation import Recording, simulate
+
+settings.register_profile(
+    "ci",
+    max_examples=200,
+    derandomize=True,
+    deadline=None,
+    database=None,
+    suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow],
+)
+settings.register_profile(
+    "nightly", parent=settings.get_profile("ci"), max_examples=2000, derandomize=False, print_blob=True
+)
+settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "ci"))
+
+
+@pytest.fixture
+def rng(request: pytest.FixtureRequest) -> np.random.Generator:
+    """Random numbers of the test's own, the same in every run."""
+    return np.random.default_rng(zlib.crc32(request.node.nodeid.encode()))
+
+
+@pytest.fixture(scope="session")
+def paper() -> Scenario:
+    """The paper's lift, with the linear time law."""
+    return paper_lift()
+
+
+@functools.cache
+def _robot(robot: str) -> Arm:
+    return Arm.from_urdf(robot, robot_path(robot), tool_frame="flange" if robot == "rx90l" else "tool", geometry=False)
+
+
+@pytest.fixture(scope="session")
+def make_cell() -> Callable[..., RobotCell]:
+    """``make_cell(["rx90l", "arm7"], bases=…)``: arms ``0_rx90l``, ``1_arm7`` of robots that come with coopqp."""
+
+    def make(robots: Sequence[str], bases: Sequence[pin.SE3] | None = None, **limits: Any) -> RobotCell:
+        placed = bases or [pin.SE3(np.eye(3), np.array([0.0, 1.1 * k, 0.0])) for k in range(len(robots))]
+        arms = [_robot(r).placed(T, name=f"{k}_{r}") for k, (r, T) in enumerate(zip(robots, placed, strict=True))]
+        cell = RobotCell(arms)
+        return cell.with_limits(**limits) if limits else cell
+
+    return make
+
+
+@pytest.fixture(scope="session")
+def mixed_cell(make_cell: Callable[..., RobotCell]) -> RobotCell:
+    """4, 5, 6 and 7 joints, revolute, prismatic and continuous, on turned bases."""
+    pin.seed(7)
+    robots = ("arm7", "rx90l", "scara4", "gantry7", "arm5", "arm6c")
+    return make_cell(robots, [pin.SE3.Random() for _ in robots])
+
+
+@pytest.fixture(scope="session")
+def random_q() -> Callable[[RobotCell, np.random.Generator], Any]:
+    """``random_q(cell, rng)``: a configuration inside the limits (any angle where there is none)."""
+
+    def draw(cell: RobotCell, rng: np.random.Generator) -> Any:
+        low = np.where(np.isfinite(cell.limits.lower), cell.limits.lower, -np.pi)
+        high = np.where(np.isfinite(cell.limits.upper), cell.limits.upper, np.pi)
+        return cell.configuration(rng.uniform(low, high))
+
+    return draw
+
+
+@pytest.fixture(scope="session")
+def baseline(paper: Scenario) -> Callable[..., Recording]:
+    """``baseline(N, **options)``: the paper's algorithm on the paper's lift in N steps, run once for all tests."""
+
+    @functools.cache
+    def run(steps: int, **options: Any) -> Recording:
+        controller = PseudoInverseController(
+            paper.cell,
+            paper.grasp,
+            paper.path,
+            dt=paper.path.duration / steps,
+            options=PseudoInverseOptions(**options),
+        )
+        return simulate(controller, q_start=paper.q_start)
+
+    return run

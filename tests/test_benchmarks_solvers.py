@@ -1,0 +1,156 @@
+"""benchmarks/: the recorded QPs, all solvers on them, the profile of a step; tiny counts."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from coopqp import available_kernels
+from coopqp.solvers import available_solvers, make_solver
+
+BENCHMARKS = Path(__file__).resolve().parent.parent / "benchmarks"
+sys.path.insert(0, str(BENCHMARKS))
+
+import common  # noqa: E402
+import compare_solvers  # noqa: E402
+import recorded_qps  # noqa: E402
+import step_profile  # noqa: E402
+
+CONTRACT = {
+    *("solver", "mode", "form", "case", "arms", "p50_us", "p99_us", "p999_us", "max_us"),
+    *("failures", "error_rad_s", "chain_mm"),
+}
+
+
+class TestRecorded:
+    @pytest.mark.parametrize("case", recorded_qps.CASES)
+    def test_forms_agree(self, case: str) -> None:
+        condensed, full = recorded_qps.record(case, 3, 3)
+        assert len(condensed.qps) == len(full.qps) == 3
+        assert condensed.qps[0].problem.sizes[0] < full.qps[0].problem.sizes[0]
+        best = [compare_solvers.best_answers(one) for one in (condensed, full)]
+        for a, b in zip(*best, strict=True):
+            assert a is not None
+            assert b is not None
+            assert np.abs(a - b).max() < 1e-8
+
+    def test_hard_cases_are_hard(self) -> None:
+        for case in ("saturated", "corner", "outside"):
+            one = recorded_qps.record(case, 3, 2)[0].qps[0]
+            x = make_solver("daqp").solve(one.problem).x
+            assert np.abs(x).max() > 1e-6, case  # the unconstrained optimum is the origin
+
+    def test_chain_error(self) -> None:
+        one = recorded_qps.record("nominal", 3, 1)[0].qps[0]
+        assert one.chain_mm(one.velocity(np.zeros(one.B.shape[1])) * 0.0) == 0.0
+        common_motion = one.B[:, 0] / np.linalg.norm(one.B[:, 0])  # off the path, all arms alike
+        assert one.chain_mm(common_motion) < 1e-9
+        alone = common_motion.copy()
+        alone[:6] = 0.0
+        twist = one.jacobians[1] @ alone
+        assert one.chain_mm(alone) == pytest.approx(1e3 * one.dt * np.linalg.norm(twist[:3]), rel=1e-9)
+
+    def test_export(self, tmp_path: Path) -> None:
+        import qpsolvers
+
+        recorded = recorded_qps.record("corner", 3, 4)
+        files = recorded_qps.export(recorded, tmp_path, each=2)
+        assert files[0].name == "cooperative_arms.py"
+        compile(files[0].read_text(), "cooperative_arms.py", "exec")
+        assert len(files) == 1 + 2 * 2
+        first = {one.form: one.qps[0] for one in recorded}
+        for form in recorded_qps.FORMS:
+            (file,) = (tmp_path / "problems").glob(f"corner_3_{form}_0001.npz")
+            with np.load(file) as stored:
+                data = {key: stored.get(key) for key in ("P", "q", "G", "h", "A", "b", "lb", "ub")}
+            x = qpsolvers.solve_problem(qpsolvers.Problem(**data), "daqp", primal_tol=1e-10).x
+            own = first[form]
+            assert np.allclose(own.velocity(x), own.velocity(make_solver("daqp").solve(own.problem).x), atol=1e-8)
+
+
+def test_compare_solvers(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    plan = compare_solvers.Plan(recordings=(("saturated", 3, 3),), rounds=1, round_s=0.0)
+    monkeypatch.setattr(compare_solvers, "QUICK", plan)
+    file, out, exported = tmp_path / "r.json", tmp_path / "out", tmp_path / "set"
+    argv = ["--quick", "--json", str(file), "--out", str(out), "--export", str(exported)]
+    assert compare_solvers.main(argv) == 0
+    assert "coopqp kernel:" in capsys.readouterr().out
+    records = json.loads(file.read_text())
+    assert all(set(r) >= CONTRACT for r in records)
+    assert {r["solver"] for r in records} == set(available_solvers())
+    assert {(r["mode"], r["form"]) for r in records} == {
+        (m, f) for m in ("kept", "rebuilt") for f in ("condensed", "full")
+    }
+    for r in records:
+        if r["solver"] == "quadprog" and r["form"] == "full":  # H is singular there: failures are in the records
+            assert r["failures"] == r["solves"] > 0
+            assert r["error_rad_s"] is None
+            assert r["message"]
+            continue
+        assert r["failures"] == 0, r
+        assert r["error_rad_s"] < (1e-9 if r["polish"] else 1e-2), r
+        assert r["max_us"] >= r["p50_us"] > 0.0
+    assert (out / "solvers.md").is_file()
+    assert len(list((exported / "problems").glob("*.npz"))) == 6
+
+
+def test_failures_without_an_answer_are_counted() -> None:
+    recorded = recorded_qps.record("saturated", 3, 1)[0]
+    broken = recorded.qps[0]
+    broken.problem.u[:] = np.nan
+    way = compare_solvers.Way(solver="daqp", mode="kept", start="warm", polish=True)
+    run = compare_solvers.Run(way, recorded.qps, [None], 0.0)
+    assert len(list(run.round())) == 1
+    assert (run.solves, run.failures) == (1, 1)
+    assert "u" in run.message
+
+
+class TestProfile:
+    def test_stopwatch_takes_out_what_is_inside(self) -> None:
+        class Thing:
+            def inner(self) -> int:
+                return sum(range(20000))
+
+            def outer(self) -> int:
+                return self.inner()
+
+        thing, watch = Thing(), step_profile.Stopwatch()
+        watch.watch(thing, "inner", "in")
+        watch.watch(thing, "outer", "out")
+        thing.outer()
+        watch.next_row()
+        thing.inner()
+        watch.next_row()
+        assert set(watch.rows[0]) == {"in", "out"}
+        assert watch.rows[0]["out"] < watch.rows[0]["in"]
+        assert set(watch.rows[1]) == {"in"}
+
+    def test_quick_run(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+        monkeypatch.setattr(step_profile, "QUICK", step_profile.Plan(steps=40, profiled=12, block=20))
+        file, out = tmp_path / "r.json", tmp_path / "out"
+        assert step_profile.main(["--quick", "--json", str(file), "--out", str(out)]) == 0
+        records = json.loads(file.read_text())
+        assert all(set(r) == set(step_profile.KEYS) for r in records)
+        profiles = [r for r in records if r["what"] == "profile"]
+        assert {r["kernel"] for r in profiles} == {*available_kernels(), step_profile.ALWAYS_QP}
+        for kernel, case in {(r["kernel"], r["case"]) for r in profiles}:
+            shares = [r["share"] for r in profiles if (r["kernel"], r["case"]) == (kernel, case) and r["share"]]
+            assert sum(shares) == pytest.approx(1.0, abs=0.01)
+        parts = {r["part"] for r in profiles if r["kernel"] == step_profile.ALWAYS_QP}
+        assert parts >= {"kinematics", "errors", "assembly", "solve", "report"}
+        whats = {r["what"] for r in records}
+        assert whats >= {"step", "null spin", "limit: kinematics + nominal test", "step / limit"}
+        assert all(r["ratio"] > 0.0 for r in records if r["what"] != "profile")
+        assert (out / "step_profile.md").is_file()
+
+    def test_limit_repeats_the_step(self) -> None:
+        scenario = common.ring(arms=2)
+        for kernel in available_kernels():
+            limit = step_profile.Limit(scenario, kernel)
+            v = limit._controller._ws.velocity.copy()
+            limit.block(3)
+            assert np.abs(limit._controller._ws.velocity - v).max() < 1e-12

@@ -1,0 +1,431 @@
+"""The chain: batched kinematics of the object as every arm carries it, against one arm at a time."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from coopqp.cell import Arm, RobotCell
+from coopqp.chain import SINGULAR_FLOOR, Chain
+from coopqp.grasp import Grasp
+from coopqp.scenarios import Scenario
+from coopqp.scenarios.robots import robot_path
+from coopqp.spatial import adjoint
+from coopqp.state import CellState
+
+Array = NDArray[np.float64]
+FEW = settings(max_examples=settings().max_examples // 4)  # each example builds two cells
+RandomQ = Callable[[RobotCell, np.random.Generator], Array]
+CELLS = (
+    ["rx90l"],
+    ["arm7"],
+    ["scara4"],
+    ["rx90l", "rx90l", "rx90l"],
+    ["arm7", "gantry7"],
+    ["rx90l", "arm7", "rx90l"],  # groups whose columns are not contiguous
+    ["arm5", "arm6c", "scara4", "arm5"],
+    ["arm7", "rx90l", "scara4", "gantry7", "arm5", "arm6c"],
+)
+
+
+def close(a: Any, b: Any, tolerance: float) -> None:
+    np.testing.assert_allclose(a, b, rtol=0, atol=tolerance)
+
+
+def pose(rows: Array) -> pin.SE3:
+    """A placement from a row of ``Chain.carried``."""
+    return pin.SE3(rows[:3].T.copy(), rows[3].copy())
+
+
+@pytest.fixture(params=CELLS, ids="-".join)
+def setting(request: pytest.FixtureRequest, make_cell: Any, random_q: RandomQ, rng: Any) -> tuple[Chain, Array]:
+    """A chain with a random grasp, and a configuration away from singularities."""
+    pin.seed(11)
+    cell = make_cell(request.param, [pin.SE3.Random() for _ in request.param])
+    q = next(q for q in (random_q(cell, rng) for _ in range(1000)) if CellState(cell, q).sigma_min.min() > 0.05)
+    return Chain(cell, Grasp(tuple(pin.SE3.Random() for _ in request.param))), q
+
+
+# -- poses and errors --------------------------------------------------------------------------------------------------
+
+
+def test_carried_is_the_grasps(setting: tuple[Chain, Array], random_q: RandomQ, rng: Any) -> None:
+    chain, _ = setting
+    for _ in range(20):
+        q = random_q(chain.cell, rng)
+        O = chain.carried(q)
+        assert O.shape == (chain.n_arms, 4, 3)
+        for rows, expected in zip(O, chain.grasp.carried(CellState(chain.cell, q)), strict=True):
+            close(pose(rows).homogeneous, expected.homogeneous, 1e-14)
+
+
+def test_an_answer_outlives_the_next_question(setting: tuple[Chain, Array], random_q: RandomQ, rng: Any) -> None:
+    chain, q = setting
+    first = chain.carried(q)
+    kept = first.copy()
+    chain.carried(random_q(chain.cell, rng))
+    chain.linearise(random_q(chain.cell, rng))
+    assert np.array_equal(first, kept)
+    assert np.array_equal(chain.carried(q), kept)
+
+
+@pytest.mark.parametrize("size", [0.0, 1e-9, 1e-4, 0.01, 0.1, 1.0, 2.5])
+def test_errors_are_logs(setting: tuple[Chain, Array], size: float, rng: Any) -> None:
+    """For small errors (by series) and large ones (by Pinocchio), and for both at once."""
+    chain, q = setting
+    O = [pose(rows) for rows in chain.carried(q)]
+    for _ in range(10):
+        xi = rng.normal(size=6)
+        xi[3:] *= size / np.linalg.norm(xi[3:])
+        R = O[0] * pin.exp6(pin.Motion(xi))
+        errors = chain.errors(chain.carried(q), R)
+        assert errors.shape == (chain.n_arms, 6)
+        close(errors[0], -xi, 1e-11)
+        for e, o in zip(errors, O, strict=True):
+            close(e, pin.log6(R.actInv(o)).vector, 1e-11)
+
+
+def test_a_latched_grasp_has_no_error(setting: tuple[Chain, Array], rng: Any) -> None:
+    chain, q = setting
+    R = pin.SE3.Random()
+    latched = Chain(chain.cell, Grasp.from_configuration(chain.cell, q, R))
+    assert np.abs(latched.errors(latched.carried(q), R)).max() < 1e-14
+    moved = R * pin.exp6(pin.Motion(0.001 * rng.normal(size=6)))
+    errors = latched.errors(latched.carried(q), moved)
+    close(errors, np.tile(errors[0], (latched.n_arms, 1)), 1e-14)
+
+
+# -- Jacobians ---------------------------------------------------------------------------------------------------------
+
+
+def test_jacobians_are_derivatives_of_what_is_carried(setting: tuple[Chain, Array], rng: Any) -> None:
+    """A_k = Ad(R⁻¹) J_k: central differences of O_k, whatever the grasp and wherever R is."""
+    chain, q = setting
+    cell, h = chain.cell, 1e-5
+    R = pin.SE3.Random()
+    for _ in range(3):
+        v = rng.uniform(-1, 1, cell.nv)
+        back, ahead = (chain.carried(pin.integrate(cell.model, q, x)) for x in (-h * v, h * v))
+        chain.linearise(q)
+        twists = chain.twists(v)
+        close((chain.dense() @ v).reshape(-1, 6), twists, 1e-13)
+        for k in range(chain.n_arms):
+            displacement = pose(ahead[k]) * pose(back[k]).inverse()  # spatial
+            spatial = pin.log6(displacement).vector / (2 * h)
+            close(spatial, twists[k], 3e-9)
+            seen = R.inverse() * displacement * R  # the same, in the reference frame
+            close(pin.log6(seen).vector / (2 * h), adjoint(R.inverse()) @ twists[k], 3e-8)
+
+
+def test_dense_is_the_arms_jacobians(setting: tuple[Chain, Array]) -> None:
+    chain, q = setting
+    chain.linearise(q)
+    J, state = chain.dense(), CellState(chain.cell, q)
+    assert J.shape == (6 * chain.n_arms, chain.nv)
+    for k, s in enumerate(chain.cell.v_slices):
+        block = J[6 * k : 6 * k + 6]
+        close(block[:, s], state.jacobian(k, pin.WORLD), 1e-14)
+        assert not np.delete(block, np.arange(s.start, s.stop), axis=1).any()
+
+
+def scale_of(chain: Chain, k: int) -> Array:
+    """The unit of each joint of an arm: its speed."""
+    speed = chain.cell.limits.velocity[chain.cell.v_slices[k]]
+    return np.where(np.isfinite(speed), speed, 1.0)
+
+
+def test_joint_velocities_are_a_right_inverse(setting: tuple[Chain, Array], rng: Any) -> None:
+    """J v = W for six and seven joints; for fewer, whatever part of W the arm can do."""
+    chain, q = setting
+    chain.linearise(q)
+    assert chain.singular == bool(chain.deficient)
+    state = CellState(chain.cell, q)
+    for _ in range(10):
+        W = rng.uniform(-1, 1, (chain.n_arms, 6))
+        v = chain.joint_velocities(W, np.empty(chain.nv))
+        made = chain.twists(v)
+        for k, s in enumerate(chain.cell.v_slices):
+            J = state.jacobian(k, pin.WORLD)
+            if k in chain.deficient:
+                close(made[k], J @ np.linalg.lstsq(J, W[k], rcond=None)[0], 1e-11)
+                continue
+            close(made[k], W[k], 1e-11)
+            # Least Σ (v_j / speed_j)² of all joint velocities that make the twist.
+            D = np.diag(scale_of(chain, k))
+            expected = D @ np.linalg.lstsq(J @ D, W[k], rcond=None)[0]
+            close(v[s], expected, 1e-10)
+
+
+def test_redundant_arms_move_no_more_than_they_need(make_cell: Any, random_q: RandomQ, rng: Any) -> None:
+    cell = make_cell(["arm7", "gantry7"])
+    chain = Chain(cell, Grasp((np.eye(4), np.eye(4))))
+    assert chain.redundancy == 2
+    chain.linearise(random_q(cell, rng))
+    scale = np.concatenate([scale_of(chain, k) for k in range(2)])
+    v = chain.joint_velocities(rng.uniform(-1, 1, (2, 6)), np.empty(14))
+    basis = chain.null_basis()
+    cost = np.sum((v / scale) ** 2)
+    for _ in range(50):
+        other = v + basis @ rng.normal(size=2)
+        assert np.sum((other / scale) ** 2) > cost
+    close(basis.T @ (v / scale**2), np.zeros(2), 1e-12)
+
+
+def test_columns_are_velocities_of_common_twists(setting: tuple[Chain, Array], rng: Any) -> None:
+    chain, q = setting
+    chain.linearise(q)
+    T = rng.uniform(-1, 1, (6, 4))
+    columns = chain.joint_columns(T)
+    assert columns.shape == (chain.nv, 4)
+    for c in range(4):
+        alone = chain.joint_velocities(np.tile(T[:, c], (chain.n_arms, 1)), np.empty(chain.nv))
+        close(columns[:, c], alone, 1e-12)
+
+
+def test_null_motions_leave_the_object_at_rest(setting: tuple[Chain, Array], rng: Any) -> None:
+    chain, q = setting
+    chain.linearise(q)
+    basis = chain.null_basis()
+    redundant = sum(max(s.stop - s.start - 6, 0) for s in chain.cell.v_slices)
+    assert basis.shape == (chain.nv, redundant)
+    assert chain.redundancy == redundant
+    if redundant:
+        close(chain.dense() @ basis, np.zeros((6 * chain.n_arms, redundant)), 1e-13)
+        scale = np.concatenate([scale_of(chain, k) for k in range(chain.n_arms)])
+        in_units = basis / scale[:, None]
+        close(in_units.T @ in_units, np.eye(redundant), 1e-13)
+    v = rng.uniform(-1, 1, chain.nv)
+    part = chain.null_part(v)
+    close(chain.twists(part), np.zeros((chain.n_arms, 6)), 1e-11)
+    close(chain.null_part(part), part, 1e-11)  # a projection
+    for s in chain.cell.v_slices:
+        if s.stop - s.start <= 6:
+            assert not part[s].any()
+    if redundant:  # on the span of the basis: nothing that moves no object is lost
+        z = rng.normal(size=redundant)
+        close(chain.null_part(basis @ z), basis @ z, 1e-11)
+
+
+def test_null_motions_to_second_order(make_cell: Any, random_q: RandomQ, rng: Any) -> None:
+    cell = make_cell(["arm7", "gantry7"])
+    q = random_q(cell, rng)
+    chain = Chain(cell, Grasp((np.eye(4), np.eye(4))))
+    chain.linearise(q)
+    v = chain.null_basis() @ np.array([0.6, -0.8])
+    before = chain.carried(q)
+    gaps = [np.abs(chain.carried(q + h * v) - before).max() for h in (2e-4, 1e-4)]
+    assert gaps[0] / gaps[1] == pytest.approx(4.0, rel=0.05)
+
+
+def test_admissible_twists(setting: tuple[Chain, Array], rng: Any) -> None:
+    """What arms of four and five joints can follow: every one of them, exactly, and nothing else."""
+    chain, q = setting
+    chain.linearise(q)
+    R = pin.SE3.Random()
+    Z, ranges = chain.admissible_twists(np.asarray(R.inverse().action))
+    assert sorted(k for k, _ in ranges) == sorted(chain.deficient)
+    d = Z.shape[1]
+    close(Z.T @ Z, np.eye(d), 1e-13)
+    if not chain.deficient:
+        assert d == 6
+    bases = []
+    for k, P in ranges:
+        A = adjoint(R.inverse()) @ CellState(chain.cell, q).jacobian(k, pin.WORLD)
+        close(P, P.T, 1e-13)
+        close(P @ P, P, 1e-13)
+        close(P @ A, A, 1e-12)  # its own twists
+        assert np.linalg.matrix_rank(P, tol=1e-8) == A.shape[1]
+        close(P @ Z, Z, 1e-7)
+        bases.append(np.linalg.svd(A)[0][:, A.shape[1] :])  # what it cannot do
+    if bases:
+        forbidden = np.hstack(bases)
+        assert d == 6 - np.linalg.matrix_rank(forbidden, tol=1e-6)
+    for _ in range(5):  # commanded, an admissible twist is what every arm makes
+        V = R.action @ (Z @ rng.normal(size=d)) if d else np.zeros(6)
+        v = chain.joint_velocities(np.tile(V, (chain.n_arms, 1)), np.empty(chain.nv))
+        close(chain.twists(v), np.tile(V, (chain.n_arms, 1)), 1e-6)
+
+
+def test_four_joints_in_parallel_agree_on_their_twists(make_cell: Any, rng: Any) -> None:
+    """Two SCARA arms side by side: three translations and the turn about the vertical."""
+    cell = make_cell(["scara4", "scara4"], [pin.SE3.Identity(), pin.SE3(pin.exp3(np.array([0, 0, 2.0])), np.ones(3))])
+    chain = Chain(cell, Grasp((np.eye(4), np.eye(4))))
+    chain.linearise(cell.configuration([0.3, 0.8, -0.05, 0.1, -0.2, 0.9, -0.1, 0.4]))
+    Z, _ = chain.admissible_twists(np.eye(6))
+    assert Z.shape == (6, 4)
+    close(Z[3:5], np.zeros((2, 4)), 1e-7)
+
+
+def test_a_singular_arm_admits_less(make_cell: Any) -> None:
+    """Stretched upwards, the five joints of arm5 make fewer than five twists: those, and no others."""
+    cell = make_cell(["arm5"])
+    chain = Chain(cell, Grasp((np.eye(4),)))
+    chain.linearise(np.zeros(5))
+    rank = int(np.linalg.matrix_rank(chain.dense(), tol=1e-9))
+    assert rank < 5
+    Z, ((_, P),) = chain.admissible_twists(np.eye(6))
+    assert Z.shape == (6, rank)
+    assert np.linalg.matrix_rank(P, tol=1e-9) == rank
+    close(P @ chain.dense(), chain.dense(), 1e-13)
+
+
+def with_fingers(robot: str, tool: str, folder: Path) -> Path:
+    """The robot with two sliding fingers beyond its tool frame."""
+    finger = (
+        '<link name="finger_{0}"/>'
+        '<joint name="slide_{0}" type="prismatic"><parent link="{1}"/><child link="finger_{0}"/>'
+        '<axis xyz="0 1 0"/><limit lower="0" upper="0.1" velocity="1" effort="1"/></joint>'
+    )
+    file = folder / f"{robot}.urdf"
+    text = robot_path(robot).read_text()
+    file.write_text(text.replace("</robot>", finger.format(1, tool) + finger.format(2, tool) + "</robot>"))
+    return file
+
+
+def test_fingers_carry_nothing(tmp_path: Path, rng: Any) -> None:
+    """Joints beyond the tool do not move the object, and are not moved for it."""
+    file = with_fingers("rx90l", "flange", tmp_path)
+    whole = RobotCell([Arm.from_urdf("a", file, tool_frame="flange", geometry=False)])
+    lock = {"slide_1": 0.0, "slide_2": 0.0}
+    plain = RobotCell([Arm.from_urdf("a", file, tool_frame="flange", geometry=False, locked_joints=lock)])
+    assert (whole.nv, plain.nv) == (8, 6)
+    chain, reference = Chain(whole, Grasp((np.eye(4),))), Chain(plain, Grasp((np.eye(4),)))
+    q = np.array([0.2, 0.5, 0.8, 0.3, 0.6, 0.1])
+    chain.linearise(np.concatenate([q, [0.05, 0.02]]))
+    reference.linearise(q)
+    W = rng.normal(size=(1, 6))
+    v = chain.joint_velocities(W, np.empty(8))
+    close(v[:6], reference.joint_velocities(W, np.empty(6)), 1e-11)
+    close(v[6:], np.zeros(2), 1e-12)
+    close(chain.dense()[:, :6], reference.dense(), 1e-15)
+    assert not chain.dense()[:, 6:].any()
+    assert chain.redundancy == 0
+
+
+def test_fingers_do_not_hide_that_an_arm_has_four_joints(tmp_path: Path) -> None:
+    arm = Arm.from_urdf("a", with_fingers("scara4", "tool", tmp_path), tool_frame="tool", geometry=False)
+    chain = Chain(RobotCell([arm]), Grasp((np.eye(4),)))
+    chain.linearise(np.array([0.3, 0.5, -0.05, 0.2, 0.0, 0.0]))
+    assert chain.deficient == (0,)
+    assert chain.admissible_twists(np.eye(6))[0].shape == (6, 4)
+
+
+def test_smallest_singular_values(setting: tuple[Chain, Array], random_q: RandomQ, rng: Any) -> None:
+    chain, _ = setting
+    for _ in range(20):
+        q = random_q(chain.cell, rng)
+        close(chain.smallest_singular_values(q), CellState(chain.cell, q).sigma_min, 1e-13)
+
+
+# -- singularities ---------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("robot", "angles"),
+    [
+        ("rx90l", [0.1, 0.5, 0.7, 0.3, 0.0, 0.2]),  # wrist
+        ("rx90l", [0.1, 0.5, 0.0, 0.3, 0.4, 0.2]),  # elbow stretched
+        ("rx90l", [0.0, 0.0, 0.0, 0.0, 0.0, 0.0]),  # both, and the shoulder
+        ("arm7", [0.0] * 7),
+        ("gantry7", [0.0] * 7),
+        ("arm6c", [0.0] * 6),
+        ("scara4", [0.2, 0.0, 0.0, 0.1]),
+        ("arm5", [0.0] * 5),
+    ],
+)
+def test_at_a_singularity_the_inverse_stays_finite(make_cell: Any, robot: str, angles: list[float], rng: Any) -> None:
+    cell = make_cell([robot])
+    chain = Chain(cell, Grasp((np.eye(4),)))
+    chain.linearise(cell.configuration(angles))
+    assert chain.singular
+    J = chain.dense()
+    U, s, _ = np.linalg.svd(J, full_matrices=False)
+    weak = s < 1e-7
+    assert weak.any()
+    W = rng.uniform(-1, 1, (1, 6))
+    v = chain.joint_velocities(W, np.empty(cell.nv))
+    assert np.isfinite(v).all()
+    assert np.abs(v).max() <= 20.0 * np.abs(W).max() / SINGULAR_FLOOR
+    # What the arm can do there, it does.
+    possible = U[:, ~weak] @ (U[:, ~weak].T @ W[0])
+    close(J @ chain.joint_velocities(possible[None], np.empty(cell.nv)), possible, 1e-6)
+    chain.linearise(cell.configuration(0.4 + np.array(angles)))  # nothing of it is remembered
+    assert chain.singular == bool(chain.deficient)
+
+
+@given(st.floats(-12.0, -0.5))
+def test_towards_a_singularity_nothing_jumps(paper: Scenario, exponent: float) -> None:
+    """Where the plain inverse hands over to the floored one, both give the same velocities."""
+    q = paper.q_start.copy()
+    q[4] = 10.0**exponent
+    chain = Chain(paper.cell, paper.grasp)
+    chain.linearise(q)
+    J = chain.dense()[:6, :6]
+    W = np.tile([0.1, 0.2, 0.3, 0.1, -0.2, 0.3], (3, 1))
+    v = chain.joint_velocities(W, np.empty(18))[:6]
+    s = np.linalg.svd(J, compute_uv=False)
+    if s[-1] > 2.0 * SINGULAR_FLOOR:
+        close(v, np.linalg.solve(J, W[0]), 1e-13 / s[-1] ** 2)
+    assert np.abs(v).max() <= 1.0 / max(s[-1], SINGULAR_FLOOR)
+
+
+# -- invariances -----------------------------------------------------------------------------------------------------
+
+
+def commands(cell: RobotCell, grasp: Grasp, q: Array, R: pin.SE3, V: Array) -> Array:
+    """Joint velocities that carry the object at the twist V, given in its own frame R."""
+    chain = Chain(cell, grasp)
+    chain.linearise(q)
+    return chain.joint_velocities(np.tile(adjoint(R) @ V, (len(cell), 1)), np.empty(cell.nv))
+
+
+@FEW
+@given(st.permutations(range(4)), st.integers(0, 1000))
+def test_the_order_of_the_arms_does_not_matter(make_cell: Any, order: list[int], seed: int) -> None:
+    pin.seed(12)
+    rng = np.random.default_rng(seed)
+    robots, bases = ["rx90l", "arm7", "rx90l", "arm6c"], [pin.SE3.Random() for _ in range(4)]
+    cell = make_cell(robots, bases)
+    shuffled = make_cell([robots[i] for i in order], [bases[i] for i in order])
+    x, V, R = rng.uniform(0.3, 0.9, cell.nv), rng.normal(size=6), pin.SE3.Random()
+    grasp = Grasp.from_configuration(cell, cell.configuration(x), R)
+    y = np.concatenate([x[cell.v_slices[i]] for i in order])
+    same = Grasp(tuple(grasp.T_object_tool[i] for i in order))
+    v = commands(cell, grasp, cell.configuration(x), R, V)
+    u = commands(shuffled, same, shuffled.configuration(y), R, V)
+    expected = np.concatenate([v[cell.v_slices[i]] for i in order])
+    close(u, expected, 1e-10 * max(1.0, np.abs(v).max()))
+
+
+@FEW
+@given(
+    st.lists(st.floats(-3.0, 3.0), min_size=3, max_size=3),
+    st.lists(st.floats(-10.0, 10.0), min_size=3, max_size=3),
+)
+def test_the_world_frame_does_not_matter(make_cell: Any, turn: list[float], shift: list[float]) -> None:
+    pin.seed(13)
+    robots, bases = ["rx90l", "arm7", "scara4"], [pin.SE3.Random() for _ in range(3)]
+    G = pin.SE3(pin.exp3(np.array(turn)), np.array(shift))
+    cell, moved = make_cell(robots, bases), make_cell(robots, [G * T for T in bases])
+    q = cell.configuration(np.linspace(0.3, 0.9, cell.nv))
+    R, V = pin.SE3.Random(), np.array([0.1, -0.2, 0.3, 0.2, 0.1, -0.4])
+    grasp = Grasp.from_configuration(cell, q, R)
+    close(commands(cell, grasp, q, R, V)[:13], commands(moved, grasp, q, G * R, V)[:13], 1e-9)
+    close(Chain(cell, grasp).smallest_singular_values(q), Chain(moved, grasp).smallest_singular_values(q), 1e-12)
+
+
+def test_one_hundred_metres_from_the_origin(make_cell: Any) -> None:
+    pin.seed(14)
+    bases, G = [pin.SE3.Random()] * 2, pin.SE3(pin.exp3(np.array([0.3, 0.2, 1.0])), np.array([80.0, -60.0, 1.0]))
+    near, far = make_cell(["rx90l", "arm7"], bases), make_cell(["rx90l", "arm7"], [G * T for T in bases])
+    q, R, V = np.linspace(0.3, 0.9, 13), pin.SE3.Random(), np.full(6, 0.2)
+    grasp = Grasp.from_configuration(near, q, R)
+    close(commands(near, grasp, q, R, V), commands(far, grasp, q, G * R, V), 1e-8)

@@ -1,0 +1,317 @@
+"""The commands about single runs: what they print and write, and that bad input ends in one line."""
+
+from __future__ import annotations
+
+import copy
+import csv
+import json
+import logging
+import re
+import shlex
+import subprocess
+import sys
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from coopqp import cli, plots, runs, viewer
+from coopqp.cellfile import example_path
+from coopqp.output import OutputError
+from coopqp.simulation import Recording
+
+SMALL = """
+name = "small {name}"
+steps = 12
+[[arms]]
+name = "a"
+robot = "arm7"
+[grasp]
+kind = "latched"
+[path]
+kind = "line"
+start = {{ xyz_m = [0.5, 0, 0.5] }}
+displacement = {{ translation_m = [0, 0, 0.02] }}
+duration_s = 0.6
+[start]
+positions_deg.a = [0, 23, 0, 122, 0, -55, 0]
+{more}
+"""
+
+
+@pytest.fixture
+def cell_file(tmp_path: Path) -> Path:
+    file = tmp_path / "small.toml"
+    file.write_text(SMALL.format(name="run", more=""))
+    return file
+
+
+@pytest.fixture(scope="module")
+def recording_file(baseline: Callable[..., Recording], tmp_path_factory: pytest.TempPathFactory) -> Path:
+    recording = replace(baseline(40), metadata=copy.deepcopy(baseline(40).metadata))
+    for arm in recording.metadata["scene"]["arms"]:
+        arm["shapes"] = []  # pictures take long
+    return recording.save(tmp_path_factory.mktemp("recordings") / "run.npz")
+
+
+@pytest.fixture(autouse=True)
+def _elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Commands write where they run."""
+    monkeypatch.chdir(tmp_path)
+
+
+def written(text: str) -> list[str]:
+    return [line.strip() for line in text.split("written:\n")[1].splitlines()]
+
+
+# -- run -----------------------------------------------------------------------------------------------------------
+
+
+def test_run_prints_figures_and_verdict(cell_file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["run", str(cell_file)]) == 0
+    printed = capsys.readouterr()
+    assert "largest ε_p" in printed.out
+    assert "yes  Did the object arrive? 0.6 s for a path of 0.6 s" in printed.out
+    assert written(printed.out) == ["out/small_run/recording.npz"]
+    assert printed.err.splitlines() == ["running small run"]
+    assert "\033" not in printed.out + printed.err
+    assert Recording.load(tmp_path / "out" / "small_run" / "recording.npz").n_steps == 12
+
+
+def test_run_writes_what_is_asked(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    draw = plots.render
+    monkeypatch.setattr(plots, "render", lambda scene, view, *, width: draw(scene, view, width=min(width, 60)))
+    file = tmp_path / "asks.toml"
+    file.write_text(SMALL.format(name="b", more='[output]\nfolder = "here"\nrecording = false\ncsv = true'))
+    assert cli.main(["run", str(file), "--bag", "--page", "--report", "--plots"]) == 0
+    names = {"report.html", "timeline.png", "joints.png", "motion.png", "view.html", "run.csv", "bag"}
+    assert {Path(f).name for f in written(capsys.readouterr().out)} == names
+    assert {f.name for f in (tmp_path / "here").iterdir()} == names
+    assert cli.main(["run", str(file), "--bag", "--quiet"]) == 2  # the bag is there already: said before the run
+    assert capsys.readouterr().err.count("\n") == 1
+    assert cli.main(["run", str(file), "--out", "other", "--quiet"]) == 0
+    assert capsys.readouterr() == ("", "")
+    assert [f.name for f in (tmp_path / "other").iterdir()] == ["run.csv"]
+
+
+def test_the_papers_file_prints_the_papers_figure(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    text = example_path("paper_lift").read_text().replace('kind = "qp"', 'kind = "pseudo_inverse"')
+    (tmp_path / "paper.toml").write_text(text.replace("report = true", ""))
+    assert cli.main(["run", "paper.toml", "--out", "paper"]) == 0
+    printed = capsys.readouterr().out
+    assert "largest ε_p              0.871 mm" in printed
+    assert "NO   Do the arms agree" in printed
+
+
+def test_a_terminal_gets_colours_and_a_bar(
+    cell_file: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for stream in ("stdout", "stderr"):
+        monkeypatch.setattr(f"sys.{stream}.isatty", lambda: True)
+    monkeypatch.setenv("TERM", "xterm")
+    monkeypatch.delenv("NO_COLOR", raising=False)
+    assert cli.main(["run", str(cell_file)]) == 0
+    printed = capsys.readouterr()
+    assert "\033[32myes\033[0m" in printed.out
+    assert "%" in printed.err
+    monkeypatch.setenv("NO_COLOR", "1")
+    assert cli.main(["run", str(cell_file)]) == 0
+    assert "\033" not in capsys.readouterr().out
+
+
+# -- schema --------------------------------------------------------------------------------------------------------
+
+
+def test_schema_is_printed_for_people_and_programs(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["schema"]) == 0
+    assert "[[arms]]" in capsys.readouterr().out
+    assert cli.main(["schema", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["title"] == "CellFile"
+    assert cli.main(["schema", "--example"]) == 0
+    assert capsys.readouterr().out == example_path("paper_lift").read_text()
+
+
+# -- view, report, export ------------------------------------------------------------------------------------------
+
+
+def test_view_writes_a_page(recording_file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["view", str(recording_file), "--html", "new/view.html"]) == 0
+    assert written(capsys.readouterr().out) == ["new/view.html"]
+    assert "PseudoInverseController, 40 steps" in (tmp_path / "new" / "view.html").read_text()
+
+
+def test_view_serves_until_interrupted(
+    recording_file: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    opened: list[str] = []
+    monkeypatch.setattr("webbrowser.open", opened.append)
+
+    def interrupt(self: viewer.LiveViewer) -> None:
+        assert self.update(0.5) > 0
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(viewer.LiveViewer, "run", interrupt)
+    assert cli.main(["view", str(recording_file), "--port", "0"]) == 0
+    assert opened[0].startswith("http://127.0.0.1:")
+    assert opened[0] in capsys.readouterr().out
+    assert cli.main(["view", str(recording_file), "--port", "0", "--no-open", "--sticks", "--quiet"]) == 0
+    assert len(opened) == 1
+    assert capsys.readouterr().out == ""
+
+
+def test_run_can_end_in_the_viewer(cell_file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    served: list[int] = []
+    monkeypatch.setattr("coopqp.commands._serve", lambda recording, **_: served.append(recording.n_steps))
+    assert cli.main(["run", str(cell_file), "--view", "--quiet"]) == 0
+    assert served == [12]
+
+
+def test_report_lies_beside_the_recording(recording_file: Path, tmp_path: Path) -> None:
+    assert cli.main(["report", str(recording_file), "--quiet"]) == 0
+    page = recording_file.with_name("run_report.html").read_text()
+    assert "(asked: 0.1 mm, 0.1°)" in page
+    assert cli.main(["report", str(recording_file), "--out", "r.html", "--chain-mm", "50", "--quiet"]) == 0
+    assert "(asked: 50 mm, 0.1°)" in (tmp_path / "r.html").read_text()
+
+
+def test_export_writes_every_kind(recording_file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    what = str(recording_file)
+    assert cli.main(["export", what, "--csv", "a/run.csv", "--bag", "bag", "--npz", "b/run.npz"]) == 0
+    assert written(capsys.readouterr().out) == ["b/run.npz", "a/run.csv", "bag"]
+    assert (tmp_path / "bag" / "bag.mcap").is_file()
+    again = Recording.load(tmp_path / "b" / "run.npz")
+    np.testing.assert_array_equal(again.q, Recording.load(recording_file).q)
+    assert cli.main(["export", what, "--csv", "-"]) == 0
+    rows = list(csv.DictReader(capsys.readouterr().out.splitlines()))
+    assert len(rows) == 41
+
+
+def test_runs_come_from_recordings_cell_files_and_scenarios(cell_file: Path, recording_file: Path) -> None:
+    assert runs.obtain_run(str(recording_file)).n_steps == 40
+    assert runs.obtain_run(str(cell_file)).n_steps == 12
+    told: list[int] = []
+    recording = runs.obtain_run("paper_lift", progress=lambda done, total: told.append(done))
+    assert recording.metadata["scenario"] == "paper_lift"
+    assert recording.metadata["object"]["size_m"] == [0.8, pytest.approx(1.8), 0.04]
+    assert told == list(range(1, 401))
+
+
+# -- the how-tos ---------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("page", ["cell-file", "look"])
+def test_the_how_tos_run_as_they_stand(
+    page: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    draw = plots.render
+    monkeypatch.setattr(plots, "render", lambda scene, view, *, width: draw(scene, view, width=min(width, 60)))
+    text = (Path(__file__).parents[1] / "docs" / "howto" / f"{page}.md").read_text(encoding="utf-8")
+    ran = 0
+    for block in re.findall(r"^```sh\n(.*?)^```$", text, flags=re.M | re.S):
+        for line in block.splitlines():
+            command, _, redirect = line.partition(" > ")
+            program, *arguments = shlex.split(command)
+            assert program == "coopqp"
+            assert cli.main(arguments) == 0, line
+            if redirect:
+                Path(redirect).write_text(capsys.readouterr().out, encoding="utf-8")
+            ran += 1
+    for block in re.findall(r"^```python\n(.*?)^```$", text, flags=re.M | re.S):
+        exec(compile(block, page, "exec"), {"__name__": "__main__"})
+        ran += 1
+    assert ran == 4
+
+
+# -- bad input -----------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["run"], "CELL.toml"),
+        (["run", "none.toml"], "cannot read none.toml: No such file"),
+        (["run", "{cell}", "--out", "{cell}"], "is a file, not a folder"),
+        (["view", "papre_lift"], "Did you mean 'paper_lift'?"),
+        (["view", "{cell}x"], "no recording (.npz), cell file (.toml) or scenario"),
+        (["view", "none.npz"], "is not a coopqp recording"),
+        (["view", "{recording}", "--html", "."], "it is a folder"),
+        (["view", "{recording}", "--port", "99999", "--no-open"], "port is 99999"),
+        (["view", "{recording}", "--port", "x"], "--port"),
+        (["report", "{recording}", "--out", "."], "it is a folder"),
+        (["report", "{recording}", "--chain-mm", "-1"], "Tolerances: chain_mm: -1"),
+        (["export", "{recording}"], "nothing to write: give --csv, --bag or --npz"),
+        (["export", "{recording}", "--bag", "."], "it exists"),
+        (["export", "{recording}", "--csv", "{cell}/x.csv"], "is a file, not a folder"),
+        (["schema", "--yaml"], "--yaml"),
+    ],
+)
+def test_bad_input_is_one_line_and_status_2(
+    arguments: list[str], message: str, cell_file: Path, recording_file: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    names = {"cell": str(cell_file), "recording": str(recording_file)}
+    assert cli.main([argument.format(**names) for argument in arguments]) == 2
+    printed = capsys.readouterr()
+    assert printed.out == ""
+    *progress, error = printed.err.splitlines()
+    assert error.startswith("coopqp: error:")
+    assert message in error
+    assert all(line.startswith("running") for line in progress)
+
+
+def test_a_recording_without_a_scene_says_so(recording_file: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    recording = Recording.load(recording_file)
+    recording.metadata.pop("scene")
+    recording.save("bare.npz")
+    for command in (["view", "bare.npz", "--no-open"], ["report", "bare.npz"], ["export", "bare.npz", "--csv", "x"]):
+        assert cli.main(command) == 2
+        assert "does not describe its cell" in capsys.readouterr().err
+
+
+def test_products_that_do_not_exist_are_named(tmp_path: Path) -> None:
+    with pytest.raises(KeyError, match="Did you mean 'report'"):
+        runs.check_products(tmp_path, ["reprot"])
+    (tmp_path / "bag").mkdir()
+    with pytest.raises(OutputError, match="it exists"):
+        runs.check_products(tmp_path, ["bag"])
+
+
+@pytest.mark.parametrize(("name", "folder"), [("paper lift", "paper_lift"), ("../../etc", "_.._etc"), ("a/b", "a_b")])
+def test_names_cannot_leave_the_folder(name: str, folder: str) -> None:
+    assert runs.safe_name(name) == folder
+
+
+def test_a_name_of_dots_is_refused() -> None:
+    with pytest.raises(Exception, match="makes no name"):
+        runs.safe_name("..")
+
+
+# -- the library is quiet ------------------------------------------------------------------------------------------
+
+
+def test_the_library_attaches_no_log_handler() -> None:
+    code = (
+        "import logging; import coopqp.runs, coopqp.report, coopqp.export, coopqp.viewer, coopqp.cellfile.build;"
+        "names = [n for n in logging.root.manager.loggerDict if n.startswith('coopqp')];"
+        "assert not logging.root.handlers, logging.root.handlers;"
+        "assert not any(logging.getLogger(n).handlers for n in names), names"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
+    assert not any(handler.__class__.__module__.startswith("coopqp") for handler in logging.root.handlers)
+
+
+def test_only_what_is_used_is_imported() -> None:
+    """`coopqp --help` needs no extra."""
+    code = (
+        "import sys; from coopqp.cli import main\n"
+        "try: main(['--help'])\nexcept SystemExit: pass\n"
+        "heavy = [m for m in ('viser', 'rosbags', 'pydantic', 'matplotlib', 'rich') if m in sys.modules]\n"
+        "assert not heavy, heavy"
+    )
+    done: Any = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr

@@ -1,0 +1,156 @@
+"""The pages in docs/ are true: every example runs and prints what its page shows; the pages build without warnings."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import os
+import re
+import runpy
+import subprocess
+import sys
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import pytest
+
+import coopqp
+
+ROOT = Path(__file__).parents[1]
+DOCS = ROOT / "docs"
+EXAMPLES = sorted((DOCS / "examples").glob("[0-9][0-9]_*.py"))
+PAGES = sorted(p for p in DOCS.rglob("*.md") if "_build" not in p.parts)
+#: An example that a page includes, and the output below it.
+SHOWN = re.compile(r"```\{literalinclude\} (\S+\.py)\n.*?^```\n(?:(?!```)[^\n]*\n)*?```text\n(.*?)^```$", re.M | re.S)
+NUMBER = re.compile(r"(?<![\w.])-?\d+(?:\.\d+)?(?:e[+-]?\d+)?")
+#: Below this a figure is rounding, and differs from machine to machine.
+ROUNDING = 1e-3
+TIMES = "µs"
+
+
+@pytest.fixture(scope="module")
+def outputs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
+    """What each example prints; run from another folder, as a user would."""
+    folder = tmp_path_factory.mktemp("examples")
+    environment = {**os.environ, "MPLBACKEND": "Agg", "PYTHONIOENCODING": "utf-8", "OMP_NUM_THREADS": "1"}
+
+    def run(file: Path) -> str:
+        options = ["--out", str(folder)] if file.name.startswith("04") else []
+        done = subprocess.run(
+            [sys.executable, str(file), *options],
+            cwd=folder, env=environment, capture_output=True, text=True, encoding="utf-8", timeout=120, check=False,
+        )  # fmt: skip
+        assert done.returncode == 0, f"{file.name}: {done.stderr}"
+        return done.stdout
+
+    with ThreadPoolExecutor(4) as pool:
+        printed = dict(zip((file.name for file in EXAMPLES), pool.map(run, EXAMPLES), strict=True))
+    assert (folder / "at_a_limit.png").stat().st_size > 10_000
+    return printed
+
+
+def test_examples_are_numbered_short_and_shown() -> None:
+    assert [file.name[:2] for file in EXAMPLES] == [f"{i:02d}" for i in range(1, len(EXAMPLES) + 1)]
+    text = "\n".join(page.read_text(encoding="utf-8") for page in PAGES)
+    for file in EXAMPLES:
+        source = file.read_text(encoding="utf-8")
+        assert len(source.splitlines()) <= 65, file.name
+        assert f"python docs/examples/{file.name}" in source
+        assert f"examples/{file.name}" in text
+
+
+@pytest.mark.parametrize("file", EXAMPLES, ids=lambda file: file.stem)
+def test_an_example_runs(file: Path, outputs: dict[str, str]) -> None:
+    assert outputs[file.name].strip()
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
+def test_a_page_shows_what_its_examples_print(page: Path, outputs: dict[str, str]) -> None:
+    for include, shown in SHOWN.findall(page.read_text(encoding="utf-8")):
+        printed = outputs[Path(include).name]
+        for said, line in zip(shown.splitlines(), printed.splitlines(), strict=False):
+            assert NUMBER.sub("#", said).split() == NUMBER.sub("#", line).split(), f"{page.name}: {line}"
+            if TIMES in said:
+                continue
+            for a, b in zip(map(float, NUMBER.findall(said)), map(float, NUMBER.findall(line)), strict=True):
+                assert abs(a - b) <= 0.05 * abs(a) or max(abs(a), abs(b)) < ROUNDING, f"{page.name}: {line}"
+        assert len(printed.splitlines()) - len(shown.splitlines()) in (0, 1)  # a last line of times may be left out
+
+
+def test_figures_of_the_derivations_are_those_of_the_paper_and_of_the_run(outputs: dict[str, str]) -> None:
+    found = re.findall(r"N = (\d+): paper (\S+) mm, QP (\S+) mm", outputs["01_paper_lift.py"])
+    assert [int(n) for n, _, _ in found] == [40, 400, 1000]
+    for (_, paper, qp), expected, at_most in zip(found, (8.70, 0.871, 0.348), (9.8e-4, 9.4e-7, 6.0e-8), strict=True):
+        assert float(paper) == pytest.approx(expected, rel=0.01)
+        assert float(qp) == pytest.approx(at_most, rel=0.1)
+
+
+def test_the_second_tutorial_judges_its_run_well(outputs: dict[str, str]) -> None:
+    assert all(line.startswith("yes ") for line in outputs["02_your_own_arms.py"].splitlines())
+
+
+def test_the_reference_has_every_public_name() -> None:
+    text = (DOCS / "reference.md").read_text(encoding="utf-8")
+    named = set(re.findall(r"auto(?:class|function|exception):: coopqp\.(\w+)$", text, flags=re.M))
+    assert named == set(coopqp.__all__) - {"__version__"}
+
+
+def test_notation_and_code_agree() -> None:
+    """A_k v = Ad(R⁻¹) J_k v is the derivative of e_k, whatever the grasp."""
+    import numpy as np
+    import pinocchio as pin
+
+    from coopqp.chain import Chain
+    from coopqp.scenarios import paper_lift
+
+    lift = paper_lift()
+    chain, rng, h = Chain(lift.cell, lift.grasp), np.random.default_rng(1), 1e-6
+    q, v, R = lift.q_start, rng.standard_normal(lift.cell.nv), lift.path.pose(0.0)
+    chain.linearise(q)
+    A_v = chain.twists(v) @ np.linalg.inv(R.action).T
+    ends = [chain.errors(chain.carried(pin.integrate(lift.cell.model, q, s * h * v)), R) for s in (-1.0, 1.0)]
+    np.testing.assert_allclose((ends[1] - ends[0]) / (2.0 * h), A_v, atol=1e-7)
+
+
+def test_defaults_in_the_text_are_those_of_the_code() -> None:
+    """Who changes one of these changes the pages too: howto/gains, howto/why-slow, derivations, tutorials 2 and 5."""
+    o = coopqp.QPOptions()
+    s, w, p = o.supervision, o.weights, coopqp.PreviewOptions()
+    assert (o.grasp_gain, o.path_gain, o.correction_speed, o.correction_spin) == (20.0, 20.0, 0.1, 0.4)
+    assert (o.measurement_time, o.solver, o.common_error.kind) == (0.02, "daqp", "master")
+    assert (s.slow_from, s.hold_from, s.fault_from, s.dt_range) == (0.00025, 0.00075, 0.02, (0.1, 5.0))
+    assert (w.chain, w.recovery, w.off_path, w.grasp, w.path, w.rate, w.comfort) == (1e8, 1e6, 1e4, 1, 1e-2, 1e-4, 1e-6)
+    assert (w.length, p.rate_slope, p.margin, p.curvature_share) == (0.3, 10.0, 0.95, 0.5)
+
+
+def test_links_lead_somewhere() -> None:
+    for page in PAGES:
+        for target in re.findall(r"\]\((?!https?://|#)([^)#]+)", page.read_text(encoding="utf-8")):
+            assert (page.parent / target).exists(), f"{page.name}: {target}"
+
+
+def test_the_pages_build_without_warnings(tmp_path: Path) -> None:
+    pytest.importorskip("sphinx")
+    pytest.importorskip("furo")
+    pytest.importorskip("myst_parser")
+    done = subprocess.run(
+        [sys.executable, "-m", "sphinx", "-W", "--keep-going", "-q", "-b", "html", str(DOCS), str(tmp_path / "html")],
+        capture_output=True, text=True, timeout=300, check=False,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    page = (tmp_path / "html" / "tutorials" / "1-paper-lift.html").read_text(encoding="utf-8")
+    assert "paper_lift" in page
+
+
+def test_view_needs_nothing_but_the_extra(monkeypatch: pytest.MonkeyPatch) -> None:
+    """``--view`` opens the viewer on the run; here it is closed at once."""
+    pytest.importorskip("viser")
+    from coopqp import viewer
+
+    opened = []
+    monkeypatch.setattr(viewer.LiveViewer, "run", lambda self: opened.append(self.url))
+    monkeypatch.setattr(sys, "argv", ["02_your_own_arms.py", "--view"])
+    with contextlib.redirect_stdout(io.StringIO()) as out:
+        runpy.run_path(str(DOCS / "examples" / "02_your_own_arms.py"), run_name="__main__")
+    assert opened
+    assert f"Open {opened[0]}" in out.getvalue()

@@ -1,0 +1,218 @@
+"""Exports read back by readers of others: every position exact, and nothing half-written."""
+
+from __future__ import annotations
+
+import builtins
+import csv
+import warnings
+from collections import defaultdict
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from coopqp.assessment import read_run
+from coopqp.cell import RobotCell
+from coopqp.errors import InvalidInputError, MissingExtraError
+from coopqp.export import csv_text, joint_table, knot_velocities, topic_name, write_bag, write_csv
+from coopqp.output import OutputError
+from coopqp.scenarios import Scenario
+from coopqp.scene import SceneError, describe_cell
+from coopqp.simulation import Recording
+
+with warnings.catch_warnings():
+    warnings.simplefilter("ignore", DeprecationWarning)
+    from mcap_ros2.reader import read_ros2_messages
+
+
+@pytest.fixture
+def run(baseline: Callable[..., Recording]) -> Recording:
+    recording = baseline(40)
+    bound = {**recording.metadata, "binding": [[3, [["slave_1", "joint_2", "velocity"]]], [5, []]]}
+    return replace(recording, metadata=bound)
+
+
+@pytest.fixture
+def mixed_run(make_cell: Callable[..., RobotCell]) -> tuple[RobotCell, Recording]:
+    """A sliding joint, and a continuous one that turns on past π."""
+    cell = make_cell(["gantry7", "arm6c"])
+    T = 20
+    x = np.linspace(0.0, 1.0, T + 1)[:, None] * np.full(cell.nv, 0.2)
+    turning = np.flatnonzero(cell.continuous)
+    x[:, turning] = np.linspace(3.0, 4.0, T + 1)[:, None]
+    q = np.array([cell.configuration(row) for row in x])
+    recording = Recording(
+        time=np.linspace(0.0, 1.0, T + 1), q=q, q_command=q, velocity=np.diff(x, axis=0) * T,
+        clock=np.linspace(0.0, 1.0, T + 1), rate=np.ones(T), status=np.zeros(T),
+        reference=np.tile(np.eye(4), (T + 1, 1, 1)), T_object_tool=np.tile(np.eye(4), (2, 1, 1)), notes=(),
+        metadata={"scene": describe_cell(cell), "finished": True},
+    )  # fmt: skip
+    return cell, recording
+
+
+# -- CSV -----------------------------------------------------------------------------------------------------------
+
+
+def columns(text: str) -> dict[str, list[str]]:
+    rows = list(csv.DictReader(text.splitlines()))
+    return {name: [row[name] for row in rows] for name in rows[0]}
+
+
+def numbers(column: list[str]) -> Any:
+    return np.array([float(x) for x in column])
+
+
+def test_the_table_has_every_digit(run: Recording, paper: Scenario, tmp_path: Path) -> None:
+    table = columns(write_csv(run, tmp_path / "new" / "run.csv").read_text())
+    assert len(table["time_s"]) == 41
+    np.testing.assert_array_equal(numbers(table["time_s"]), run.time)
+    np.testing.assert_array_equal(numbers(table["clock_s"]), run.clock)
+    for j, name in enumerate(paper.cell.joint_names):
+        np.testing.assert_array_equal(numbers(table[f"{name}.position_rad"]), run.q[:, j])
+        np.testing.assert_array_equal(numbers(table[f"{name}.command_rad"]), run.q_command[:, j])
+        np.testing.assert_array_equal(numbers(table[f"{name}.velocity_rad_per_s"][:-1]), run.velocity[:, j])
+    np.testing.assert_array_equal(numbers(table["path.z_m"]), run.reference[:, 2, 3])
+    np.testing.assert_array_equal(numbers(table["eps_p_mm"]), read_run(paper.cell, run).eps_p_mm)
+    assert set(table["status"][:-1]) == {"tracking"}
+    assert [i for i, text in enumerate(table["binding"]) if text] == [3, 4]
+    assert table["binding"][3] == "arm slave_1 joint joint_2: velocity"
+    assert {table[name][-1] for name in ("rate", "status", "binding", "master/joint_1.velocity_rad_per_s")} == {""}
+
+
+def test_units_follow_the_joints(mixed_run: tuple[RobotCell, Recording]) -> None:
+    cell, recording = mixed_run
+    table = columns(csv_text(recording))
+    slide = cell.joint_names[0]
+    np.testing.assert_array_equal(numbers(table[f"{slide}.position_m"]), recording.q[:, 0])
+    assert f"{slide}.velocity_m_per_s" in table
+    turning = cell.joint_names[int(np.flatnonzero(cell.continuous)[0])]
+    angles = numbers(table[f"{turning}.position_rad"])
+    assert np.abs(angles).max() <= np.pi
+    assert angles[0] == pytest.approx(3.0)
+
+
+def test_a_recording_without_a_scene_needs_the_cell(run: Recording, paper: Scenario) -> None:
+    bare = replace(run, metadata={"finished": True})
+    with pytest.raises(SceneError):
+        csv_text(bare)
+    assert csv_text(bare, cell=paper.cell).count("\n") == 42
+    with pytest.raises(InvalidInputError, match="for a cell with"):
+        csv_text(bare, cell=RobotCell(paper.cell.arms[:2]))
+
+
+# -- ROS 2 bags ----------------------------------------------------------------------------------------------------
+
+
+def messages(bag: Path) -> dict[str, list[Any]]:
+    by_topic: dict[str, list[Any]] = defaultdict(list)
+    (file,) = bag.glob("*.mcap")
+    for message in read_ros2_messages(str(file)):
+        by_topic[message.channel.topic].append(message)
+    return by_topic
+
+
+def _nanoseconds(stamp: Any) -> int:
+    return int(stamp.sec * 10**9 + stamp.nanosec)
+
+
+def test_a_bag_is_read_back_exactly(run: Recording, paper: Scenario, tmp_path: Path) -> None:
+    bag = write_bag(run, tmp_path / "bag")
+    topics = messages(bag)
+    assert set(topics) == {
+        "/joint_states", "/joint_commands", "/object_path",
+        *(f"/{arm}/joint_trajectory" for arm in paper.cell.arm_names),
+    }  # fmt: skip
+    for topic, positions in (("/joint_states", run.q), ("/joint_commands", run.q_command)):
+        assert {m.schema.name for m in topics[topic]} == {"sensor_msgs/msg/JointState"}
+        states = [m.ros_msg for m in topics[topic]]
+        np.testing.assert_array_equal([list(s.position) for s in states], positions)
+        np.testing.assert_array_equal([list(s.velocity) for s in states], knot_velocities(run))
+        assert all(tuple(s.name) == paper.cell.joint_names and len(s.effort) == 0 for s in states)
+        np.testing.assert_allclose([1e-9 * _nanoseconds(s.header.stamp) for s in states], run.time, atol=1e-9)
+        assert [_nanoseconds(m.ros_msg.header.stamp) for m in topics[topic]] == [m.log_time_ns for m in topics[topic]]
+    poses = [m.ros_msg.pose for m in topics["/object_path"]]
+    np.testing.assert_array_equal([[p.position.x, p.position.y, p.position.z] for p in poses], run.reference[:, :3, 3])
+
+
+def test_a_trajectory_is_the_command_of_an_arm(run: Recording, paper: Scenario, tmp_path: Path) -> None:
+    topics = messages(write_bag(run, tmp_path / "bag"))
+    for arm, own in zip(paper.cell.arm_names, paper.cell.v_slices, strict=True):
+        (message,) = topics[f"/{arm}/joint_trajectory"]
+        assert message.schema.name == "trajectory_msgs/msg/JointTrajectory"
+        trajectory = message.ros_msg
+        assert tuple(trajectory.joint_names) == paper.cell.joint_names[own]
+        assert _nanoseconds(trajectory.header.stamp) == 0
+        np.testing.assert_array_equal([list(p.positions) for p in trajectory.points], run.q_command[:, own])
+        times = [_nanoseconds(p.time_from_start) for p in trajectory.points]
+        assert times == sorted(set(times))
+        assert times[-1] == 3 * 10**9
+        for end in (trajectory.points[0], trajectory.points[-1]):
+            assert not np.any(end.velocities)
+
+
+def test_knot_velocities_follow_the_positions(run: Recording) -> None:
+    """A cubic through the points passes near the middle of each step's chord: no overshoot of a whole step."""
+    v, h = knot_velocities(run), np.diff(run.time)[:, None]
+    middle = 0.5 * (run.q_command[:-1] + run.q_command[1:]) + h / 8.0 * (v[:-1] - v[1:])
+    chord = 0.5 * (run.q_command[:-1] + run.q_command[1:])
+    steps = np.abs(np.diff(run.q_command, axis=0)).max()
+    assert np.abs(middle - chord)[1:-1].max() < 0.05 * steps
+
+
+def test_a_continuous_joint_does_not_jump_back(mixed_run: tuple[RobotCell, Recording], tmp_path: Path) -> None:
+    cell, recording = mixed_run
+    topics = messages(write_bag(recording, tmp_path / "bag"))
+    arm = cell.arm_names[1]
+    (message,) = topics[f"/{topic_name(arm)}/joint_trajectory"]
+    j = int(np.flatnonzero(cell.continuous)[0]) - cell.v_slices[1].start
+    angles = np.array([p.positions[j] for p in message.ros_msg.points])
+    np.testing.assert_allclose(angles, np.linspace(3.0, 4.0, 21), atol=1e-12)
+    assert np.abs(joint_table(cell, recording)[0]).max() <= np.pi
+
+
+def test_the_start_of_a_bag_may_be_set(run: Recording, tmp_path: Path) -> None:
+    topics = messages(write_bag(run, tmp_path / "bag", start=1_700_000_000.5))
+    assert topics["/joint_states"][0].log_time_ns == 1_700_000_000_500_000_000
+    assert "bag.mcap" in (tmp_path / "bag" / "metadata.yaml").read_text()
+    with pytest.raises(InvalidInputError, match="start is -1"):
+        write_bag(run, tmp_path / "other", start=-1.0)
+
+
+def test_a_bag_is_not_written_over(run: Recording, tmp_path: Path) -> None:
+    (tmp_path / "bag").mkdir()
+    with pytest.raises(OutputError, match="it exists"):
+        write_bag(run, tmp_path / "bag")
+    (tmp_path / "file").write_text("")
+    with pytest.raises(OutputError, match="is a file"):
+        write_bag(run, tmp_path / "file" / "bag")
+
+
+def test_a_failure_leaves_nothing(run: Recording, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(*_: Any) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("coopqp.export._rename_inside", full)
+    with pytest.raises(OutputError, match="No space left"):
+        write_bag(run, tmp_path / "bag")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_missing_rosbags_names_the_extra(run: Recording, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    real = builtins.__import__
+
+    def without(name: str, *arguments: Any, **options: Any) -> Any:
+        if name.startswith("rosbags"):
+            raise ImportError(name)
+        return real(name, *arguments, **options)
+
+    monkeypatch.setattr(builtins, "__import__", without)
+    with pytest.raises(MissingExtraError, match=r"coopqp\[bags\]"):
+        write_bag(run, tmp_path / "bag")
+
+
+@pytest.mark.parametrize(("arm", "topic"), [("master", "master"), ("arm 1-b", "arm_1_b"), ("7th", "_7th"), ("é", "_")])
+def test_topics_have_names_that_ros_allows(arm: str, topic: str) -> None:
+    assert topic_name(arm) == topic

@@ -1,0 +1,245 @@
+"""The grasp: what every arm thinks of the object, the paper's triangle, and both ways of Figure 2."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from coopqp.cell import RobotCell
+from coopqp.errors import InvalidInputError
+from coopqp.grasp import THETA, Grasp, plate_from_centroid, plate_from_points, triangle_frames
+from coopqp.scenarios import Scenario
+from coopqp.spatial import adjoint
+from coopqp.state import CellState
+
+Array = NDArray[np.float64]
+RandomQ = Callable[[RobotCell, np.random.Generator], Array]
+
+lengths = st.floats(0.01, 5.0)
+vectors = st.lists(st.floats(-3.0, 3.0), min_size=3, max_size=3).map(np.array)
+poses = st.builds(lambda w, p: pin.SE3(pin.exp3(w), p), vectors, vectors)
+
+
+def close(a: Any, b: Any, tolerance: float = 1e-13) -> None:
+    np.testing.assert_allclose(getattr(a, "homogeneous", a), getattr(b, "homogeneous", b), rtol=0, atol=tolerance)
+
+
+# -- where the arms carry the object -----------------------------------------------------------------------------------
+
+
+@given(st.lists(poses, min_size=1, max_size=5), poses)
+def test_tools_at_their_targets_agree_on_the_object(X: list[pin.SE3], T: pin.SE3) -> None:
+    grasp = Grasp(tuple(X))
+    assert len(grasp) == len(X)
+    for tool, x in zip(grasp.tool_targets(T), X, strict=True):
+        close(tool * x.inverse(), T, 1e-12)
+        close(T.actInv(tool), x, 1e-12)
+
+
+def test_a_latched_grasp_has_no_error(mixed_cell: RobotCell, random_q: RandomQ, rng: Any) -> None:
+    pin.seed(4)
+    for _ in range(20):
+        q, T = random_q(mixed_cell, rng), pin.SE3.Random()
+        grasp = Grasp.from_configuration(mixed_cell, q, T)
+        state = CellState(mixed_cell, q)
+        for O in grasp.carried(state):
+            close(O, T)
+        errors = grasp.relative_errors(state)
+        assert errors.shape == (15, 6)
+        assert np.abs(errors).max() < 1e-13
+        for target, tool in zip(grasp.tool_targets(T), state.T_world_tool, strict=True):
+            close(target, tool)
+
+
+def test_relative_errors_are_logs_of_pairs_in_order(mixed_cell: RobotCell, random_q: RandomQ, rng: Any) -> None:
+    grasp = Grasp.from_configuration(mixed_cell, random_q(mixed_cell, rng), pin.SE3.Identity())
+    state = CellState(mixed_cell, random_q(mixed_cell, rng))
+    O = grasp.carried(state)
+    pairs = [(i, j) for i in range(6) for j in range(i + 1, 6)]
+    for (i, j), e in zip(pairs, grasp.relative_errors(state), strict=True):
+        close(O[i] * pin.exp6(pin.Motion(e)), O[j], 1e-9)
+    single = RobotCell(mixed_cell.arms[:1])
+    alone = CellState(single, np.zeros(7))
+    assert Grasp((np.eye(4),)).relative_errors(alone).shape == (0, 6)
+
+
+def test_relative_errors_do_not_depend_on_the_world(make_cell: Callable[..., RobotCell], rng: Any) -> None:
+    pin.seed(6)
+    bases, G = [pin.SE3.Random() for _ in range(3)], pin.SE3.Random()
+    grasp = Grasp(tuple(pin.SE3.Random() for _ in range(3)))
+    q = rng.uniform(-1, 1, 18)
+    one, other = (
+        grasp.relative_errors(CellState(make_cell(["rx90l"] * 3, b), q)) for b in (bases, [G * T for T in bases])
+    )
+    close(one, other, 1e-12)
+
+
+def test_master_and_nominal_grasp_say_where_the_object_is(paper: Scenario) -> None:
+    latched = Grasp.from_configuration(paper.cell, paper.q_start, nominal=paper.grasp)
+    for X, nominal in zip(latched.T_object_tool, paper.grasp.T_object_tool, strict=True):
+        close(X, nominal, 1e-11)
+
+
+@given(st.integers(0, 2), st.sampled_from(["near", "far"]), vectors)
+def test_a_tool_beyond_the_tolerance_is_named(paper: Scenario, k: int, how: str, w: Array) -> None:
+    offset = 0.004 if how == "near" else 0.006
+    aim = w + np.array([10.0, 0.0, 0.0])
+    direction = aim / np.linalg.norm(aim)
+    nominal = list(paper.grasp.T_object_tool)
+    nominal[k] = nominal[k] * pin.SE3(np.eye(3), offset * direction)
+    start = paper.path.start
+    if how == "near":
+        Grasp.from_configuration(paper.cell, paper.q_start, start, nominal=Grasp(tuple(nominal)))
+        return
+    with pytest.raises(InvalidInputError, match=f"arm '{paper.cell.arm_names[k]}' grasps 6.00 mm"):
+        Grasp.from_configuration(paper.cell, paper.q_start, start, nominal=Grasp(tuple(nominal)))
+    Grasp.from_configuration(paper.cell, paper.q_start, start, nominal=Grasp(tuple(nominal)), tolerance_m=0.0061)
+
+
+def test_a_turned_tool_is_named_too(paper: Scenario) -> None:
+    nominal = list(paper.grasp.T_object_tool)
+    nominal[2] = nominal[2] * pin.SE3(pin.exp3(np.array([0.0, np.deg2rad(1.5), 0.0])), np.zeros(3))
+    with pytest.raises(InvalidInputError, match=r"arm 'slave_2' grasps 0\.00 mm and 1\.500°"):
+        Grasp.from_configuration(paper.cell, paper.q_start, paper.path.start, nominal=Grasp(tuple(nominal)))
+
+
+# -- increments ------------------------------------------------------------------------------------------------------
+
+
+@given(st.lists(poses, min_size=1, max_size=4), st.lists(st.floats(-2, 2), min_size=6, max_size=6))
+def test_increments_are_adjoints(X: list[pin.SE3], delta: list[float]) -> None:
+    got = Grasp(tuple(X)).arm_increments(delta)
+    assert got.shape == (len(X), 6)
+    for x, d in zip(X, got, strict=True):
+        close(adjoint(x) @ d, np.array(delta), 1e-11)
+
+
+@given(poses, st.lists(st.floats(-0.5, 0.5), min_size=6, max_size=6))
+def test_increments_keep_the_grasp(T: pin.SE3, delta: list[float]) -> None:
+    """Tools moved by their Δ^k still agree on the object, moved by Δ: for finite Δ."""
+    grasp = Grasp.triangle(0.6, 0.3)
+    moved = T * pin.exp6(pin.Motion(np.array(delta)))
+    for tool, target, d in zip(
+        grasp.tool_targets(T), grasp.tool_targets(moved), grasp.arm_increments(delta), strict=True
+    ):
+        close(tool * pin.exp6(pin.Motion(d)), target, 1e-12)
+
+
+# -- the triangle and Figure 2 ---------------------------------------------------------------------------------------
+
+
+@given(lengths, lengths)
+def test_the_triangle(alpha: float, beta: float) -> None:
+    points = [(X.homogeneous @ THETA)[:3, 3] for X in Grasp.triangle(alpha, beta).T_object_tool]
+    A, B, C = points
+    assert np.linalg.norm(B - A) == pytest.approx(np.linalg.norm(C - A))
+    close(C - B, np.array([2.0 * beta, 0.0, 0.0]))
+    close((A + B + C) / 3.0, np.array([0.0, 2.0 * alpha, 0.0]), 1e-14)
+    K_B, K_C = triangle_frames(alpha, beta)
+    close(K_B[:3, 3], B, 0.0)
+    close(K_C[:3, 3], C, 0.0)
+
+
+@given(poses, lengths, lengths)
+def test_both_ways_of_figure_2_agree(T: pin.SE3, alpha: float, beta: float) -> None:
+    """The plate from its grasp points, and from its centroid and orientation."""
+    A, B, C = (T.act(np.array(p)) for p in ([0.0, 0.0, 0.0], [-beta, 3 * alpha, 0.0], [beta, 3 * alpha, 0.0]))
+    placed, a, b = plate_from_points(A, B, C)
+    close(placed, T, 1e-8)  # points far from the origin and near each other
+    assert (a, b) == pytest.approx((alpha, beta), rel=1e-9, abs=1e-12)
+    centroid = pin.SE3(T.rotation, (A + B + C) / 3.0)
+    close(plate_from_centroid(centroid, alpha), T, 1e-12)
+
+
+@given(poses, poses)
+def test_a_moved_plate_is_the_plate_moved(T: pin.SE3, G: pin.SE3) -> None:
+    points = [T.act(np.array(p)) for p in ([0.0, 0.0, 0.0], [-0.3, 1.8, 0.0], [0.3, 1.8, 0.0])]
+    here, *_ = plate_from_points(*points)
+    there, *_ = plate_from_points(*(G.act(p) for p in points))
+    close(there, G * here, 1e-11)
+    close(plate_from_centroid(G * T, 0.6), G * plate_from_centroid(T, 0.6), 1e-11)
+
+
+# -- bad input -------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "bad",
+    [None, 3, pin.SE3.Identity(), np.eye(4), (), [], [np.eye(3)], ["X"], [2 * np.eye(4)],
+     [np.diag([1.0, 1.0, -1.0, 1.0])], [np.full((4, 4), np.nan)]],
+)  # fmt: skip
+def test_what_is_no_grasp(bad: Any) -> None:
+    with pytest.raises(InvalidInputError, match=r"Grasp\.T_object_tool"):
+        Grasp(bad)
+
+
+@pytest.mark.parametrize("bad", [0.0, -1.0, np.nan, np.inf, None, "wide", [1.0]])
+def test_what_is_no_triangle(bad: Any) -> None:
+    with pytest.raises(InvalidInputError, match="alpha"):
+        Grasp.triangle(bad, 0.3)
+    with pytest.raises(InvalidInputError, match="beta"):
+        Grasp.triangle(0.6, bad)
+    with pytest.raises(InvalidInputError, match="alpha"):
+        plate_from_centroid(np.eye(4), bad)
+
+
+@pytest.mark.parametrize(
+    ("points", "says"),
+    [
+        (([0, 0, 0], [0, 0, 0], [0, 0, 0]), "do not span"),
+        (([0, 0, 0], [1, 1, 0], [1, 1, 0]), "do not span"),
+        (([0, 0, 0], [-1, 0, 0], [1, 0, 0]), "do not span"),  # on a line
+        (([0, 0, 0], [1, 0, 0], [2, 0, 0]), "not isosceles"),
+        (([0, 0, 0], [-1, 1, 0], [1, 1.1, 0]), "not isosceles"),
+        (([0, 0], [-1, 1, 0], [1, 1, 0]), "plate_from_points: A"),
+        (([0, 0, 0], [-1, np.nan, 0], [1, 1, 0]), "plate_from_points: B"),
+        (([0, 0, 0], [-1, 1, 0], None), "plate_from_points: C"),
+    ],
+)
+def test_what_is_no_plate(points: tuple[Any, Any, Any], says: str) -> None:
+    with pytest.raises(InvalidInputError, match="plate_from_points") as caught:
+        plate_from_points(*points)
+    assert says in str(caught.value)
+
+
+def test_grasps_of_the_wrong_cell(paper: Scenario, mixed_cell: RobotCell) -> None:
+    with pytest.raises(InvalidInputError, match=r"3 placements for 6 arms.*one T_object_tool per arm"):
+        paper.grasp.check_arms(mixed_cell)
+    q = mixed_cell.configuration(np.zeros(mixed_cell.nv))
+    with pytest.raises(InvalidInputError, match="3 placements for 6 arms"):
+        Grasp.from_configuration(mixed_cell, q, nominal=paper.grasp)
+    with pytest.raises(InvalidInputError, match="3 placements for 6 arms"):
+        Grasp.from_configuration(mixed_cell, q, pin.SE3.Identity(), nominal=paper.grasp)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        ({"q": np.zeros(3)}, "CellState"),
+        ({"q": np.full(18, np.nan)}, "NaN"),
+        ({"T_world_object": 2.0 * np.eye(4)}, "T_world_object"),
+        ({"T_world_object": None, "nominal": None}, "Give T_world_object, or nominal"),
+        ({"tolerance_m": np.nan}, "tolerance_m"),
+        ({"tolerance_rad": -1.0}, "tolerance_rad"),
+    ],
+)
+def test_bad_latches(paper: Scenario, arguments: dict[str, Any], says: str) -> None:
+    good = {"q": paper.q_start, "T_world_object": paper.path.start, "nominal": paper.grasp}
+    with pytest.raises(InvalidInputError) as caught:
+        Grasp.from_configuration(paper.cell, **{**good, **arguments})
+    assert says in str(caught.value)
+
+
+def test_bad_increments_and_targets(paper: Scenario) -> None:
+    for bad in (np.zeros(3), np.full(6, np.nan), None, "Δ"):
+        with pytest.raises(InvalidInputError, match=r"Grasp\.arm_increments"):
+            paper.grasp.arm_increments(bad)
+    with pytest.raises(InvalidInputError, match=r"Grasp\.tool_targets"):
+        paper.grasp.tool_targets(np.ones((4, 4)))

@@ -1,0 +1,82 @@
+"""``import coopqp`` needs the core dependencies only: what an extra installs is imported where it is used."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+
+import pytest
+
+OPTIONAL = (
+    "matplotlib", "rich", "mujoco", "viser", "meshcat", "example_robot_data", "trimesh", "PIL", "pandas",
+    "rosbags", "pydantic", "hypothesis", "pytest", "IPython", "daqp", "quadprog",
+)  # fmt: skip
+MODULES = (
+    "coopqp",
+    "coopqp.assessment",
+    "coopqp.cell",
+    "coopqp.cellfile",
+    "coopqp.chain",
+    "coopqp.cli",
+    "coopqp.controllers.base",
+    "coopqp.controllers.pseudo_inverse",
+    "coopqp.controllers.qp",
+    "coopqp.export",
+    "coopqp.grasp",
+    "coopqp.inverse_kinematics",
+    "coopqp.limits",
+    "coopqp.metrics",
+    "coopqp.path",
+    "coopqp.plants",
+    "coopqp.report",
+    "coopqp.runs",
+    "coopqp.scenarios",
+    "coopqp.scene",
+    "coopqp.simulation",
+    "coopqp.spatial",
+    "coopqp.state",
+    "coopqp.viewer",
+)
+
+CHECK = """
+import importlib, sys
+optional, names = {optional!r}, {names!r}
+class Refuse:
+    def find_spec(self, name, path=None, target=None):
+        if name.split(".")[0] in optional:
+            raise ImportError(name + " is not installed here")
+if {blocked}:
+    sys.meta_path.insert(0, Refuse())
+for name in names:
+    importlib.import_module(name)
+loaded = sorted({{name.split(".")[0] for name in sys.modules}} & set(optional))
+print(",".join(loaded))
+"""
+
+
+def imported(names: tuple[str, ...], *, blocked: bool) -> subprocess.CompletedProcess[str]:
+    code = CHECK.format(optional=OPTIONAL, names=names, blocked=blocked)
+    return subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120, check=False)
+
+
+@pytest.mark.parametrize("names", [("coopqp",), MODULES], ids=["the package", "its modules"])
+def test_no_optional_package_is_imported(names: tuple[str, ...]) -> None:
+    done = imported(names, blocked=False)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.strip() == ""
+
+
+def test_it_works_where_none_is_installed() -> None:
+    done = imported(MODULES, blocked=True)
+    assert done.returncode == 0, done.stderr
+
+
+def test_importing_says_nothing() -> None:
+    done = subprocess.run(
+        [sys.executable, "-W", "error::DeprecationWarning:coopqp", "-c", "import coopqp"],
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=False,
+    )
+    assert (done.returncode, done.stdout, done.stderr) == (0, "", "")

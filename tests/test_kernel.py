@@ -1,0 +1,321 @@
+"""The fused step: NumPy, compiled and step by step are one controller; what a kernel computes, and what it refuses."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from coopqp.cell import RobotCell
+from coopqp.chain import Chain
+from coopqp.controllers.options import QPOptions
+from coopqp.controllers.qp import QPController
+from coopqp.errors import UnknownNameError
+from coopqp.grasp import Grasp
+from coopqp.kernel import Outcome, Workspace, available_kernels, make_kernel
+from coopqp.limits import LIMIT_TOLERANCE, VelocityBox
+from coopqp.path import LinePath, ObjectPath, ServoPath, WaypointPath
+from coopqp.scenarios import Scenario, at_limit, dual_arm7, mixed_cell, paper_lift, ring
+from coopqp.spatial import Array
+from coopqp.state import CellState
+
+#: Largest difference of a joint velocity in closed loop [rad/s or m/s].
+SAME = 1e-10
+KERNELS = available_kernels()
+
+
+def limited(**limits: Any) -> Callable[[], Scenario]:
+    def make() -> Scenario:
+        lift = paper_lift(time_law="quintic")
+        return dataclasses.replace(lift, cell=lift.cell.with_limits(**limits))
+
+    return make
+
+
+def zigzag() -> Scenario:
+    lift = paper_lift()
+    middle = pin.SE3(lift.path.pose(1.0))
+    middle.translation = middle.translation + np.array([0.02, 0.01, 0.0])
+    poses = [lift.path.pose(0.0), middle, lift.path.pose(lift.path.duration)]
+    return dataclasses.replace(lift, path=WaypointPath(poses, durations=[1.0, 1.5], time_law="linear"))
+
+
+LIFTS: dict[str, tuple[Callable[[], Scenario], float]] = {
+    "plain": (lambda: paper_lift(time_law="quintic"), 0.01),
+    "jump at the ends": (lambda: paper_lift(time_law="linear"), 0.01),
+    "zigzag": (zigzag, 0.01),
+    "slowed by speed": (limited(velocity=0.05), 0.01),
+    "slowed by acceleration": (limited(velocity=1.0, acceleration=0.1), 0.01),
+    "acceleration": (limited(acceleration=5.0), 0.01),
+    "at a limit": (at_limit, 0.01),
+    "seven joints": (dual_arm7, 0.01),
+    "mixed": (mixed_cell, 0.01),
+    "ten arms": (lambda: ring(arms=10), 0.02),
+}
+
+
+def controllers(
+    scenario: Scenario, dt: float, path: Callable[[], ObjectPath] | None = None, **options: Any
+) -> list[QPController]:
+    made = []
+    for kernel in (*KERNELS, "none"):
+        follow = scenario.path if path is None else path()
+        controller = QPController(
+            scenario.cell, scenario.grasp, follow, dt=dt, options=QPOptions(kernel=kernel, **options)
+        )
+        controller.reset(scenario.q_start)
+        assert controller.kernel == kernel
+        made.append(controller)
+    return made
+
+
+def agree(loops: list[QPController], steps: int, inputs: Callable[[int, Array], dict[str, Any]] | None = None) -> float:
+    """Run the loops side by side; returns the lowest rate."""
+    rng_state = [np.random.default_rng(5) for _ in loops]
+    q = [c._q for c in loops]
+    lowest = 1.0
+    for i in range(steps):
+        done = []
+        for k, controller in enumerate(loops):
+            given = {} if inputs is None else inputs(i, q[k] + 1e-5 * rng_state[k].standard_normal(len(q[k])))
+            done.append(controller.step(**given))
+            q[k] = done[k].q_next
+        for other in done[1:]:
+            np.testing.assert_allclose(other.velocity, done[0].velocity, rtol=0.0, atol=SAME, err_msg=f"step {i}")
+            assert other.rate == pytest.approx(done[0].rate, abs=1e-8)
+            assert other.status is done[0].status
+        lowest = min(lowest, done[0].rate)
+        if done[0].finished:
+            break
+    return lowest
+
+
+@pytest.mark.parametrize("name", LIFTS)
+def test_all_agree_in_closed_loop(name: str) -> None:
+    make, dt = LIFTS[name]
+    lowest = agree(controllers(make(), dt), 400)
+    assert lowest < 0.9 or not name.startswith("slowed")
+
+
+@pytest.mark.parametrize("robots", [("arm6c", "gantry7", "rx90l"), ("arm6c", "arm6c"), ("arm7", "arm7", "arm7")])
+def test_all_agree_on_continuous_and_prismatic_joints(
+    robots: tuple[str, ...], make_cell: Callable[..., RobotCell], random_q: Callable[..., Array]
+) -> None:
+    cell = make_cell(robots)
+    q = random_q(cell, np.random.default_rng(3))
+    tools = CellState(cell, q).T_world_tool
+    path = LinePath.displaced(tools[0], translation=(0.01, -0.02, 0.015), rotation=(0.03, 0.02, -0.05), duration=2.0)
+    scenario = Scenario("mixed", cell, Grasp(tuple(tools[0].actInv(X) for X in tools)), path, q, 0.01)
+    assert cell.continuous.any() == ("arm6c" in robots)
+    agree(controllers(scenario, 0.01), 200)
+
+
+def test_all_agree_with_measurements_fed_back(paper: Scenario) -> None:
+    agree(controllers(paper, 0.004), 200, lambda i, q: {"q_measured": q})
+
+
+def test_all_agree_with_bad_input_in_between(paper: Scenario) -> None:
+    def inputs(i: int, q: Array) -> dict[str, Any]:
+        bad: Any = {20: np.full(18, np.nan), 21: "nonsense", 22: np.zeros(3), 60: q + 1.0}.get(i, q)
+        return {"q_measured": bad if i > 10 else None, "dt": {40: np.nan, 41: -1.0, 42: 0.006}.get(i)}
+
+    assert agree(controllers(paper, 0.004), 120, inputs) == 0.0
+
+
+def test_all_agree_on_a_moving_target(paper: Scenario) -> None:
+    """A path whose poses are not known ahead, and is no line."""
+    start = paper.path.pose(0.0)
+    loops = controllers(paper, 0.005, lambda: ServoPath(start))
+    for i in range(4):
+        target = pin.SE3(start.rotation, start.translation + 0.01 * np.sin([i, 2.0 * i, 3.0 * i]))
+        for controller in loops:
+            controller.retarget(target)
+        agree(loops, 25)
+
+
+@pytest.mark.parametrize(
+    "options",
+    [{"correction_speed": 1e-7, "correction_spin": 1e-7}, {"preview": None}, {"grasp_gain": 500.0, "path_gain": 0.0}],
+    ids=["bounded corrections", "no preview", "gains"],
+)
+def test_all_agree_with_other_options(options: dict[str, Any], paper: Scenario) -> None:
+    q = paper.q_start + 1e-4 * np.random.default_rng(4).standard_normal(18)
+    agree(controllers(dataclasses.replace(paper, q_start=q), 0.005, **options), 150)
+
+
+def test_a_kernel_that_is_not_there(paper: Scenario) -> None:
+    with pytest.raises(UnknownNameError):
+        QPController(paper.cell, paper.grasp, paper.path, dt=0.01, options=QPOptions(kernel="fpga"))
+
+
+# -- one call ------------------------------------------------------------------------------------------------------
+
+
+def random_workspace(cell: RobotCell, grasp: Grasp, shares: Array, q: Array, rng: np.random.Generator) -> Workspace:
+    """Errors of any size, gains, flags, and velocities that may or may not fit the limits."""
+    chain = Chain(cell, grasp)
+    ws = Workspace(chain, shares, VelocityBox(cell))
+    chain.place(q)
+    chain.evaluate(q)
+    reference = CellState(cell, q).T_world_tool[0] * grasp.T_object_tool[0].inverse()
+    ws.set_pose(reference * pin.exp6(10.0 ** rng.uniform(-12, -1) * rng.standard_normal(6)))
+    ws.along[:] = 10.0 ** rng.uniform(-3, 0) * rng.standard_normal(6)
+    ws.measured[:] = 1e-3 * rng.standard_normal(6)
+    ws.positions[:] = cell.positions(q)
+    ws.v_prev[:] = 10.0 ** rng.uniform(-3, 0) * rng.standard_normal(cell.nv)
+    h = 10.0 ** rng.uniform(-3, -1)
+    ws.scalars[:9] = (
+        rng.uniform(0.2, 1.0), h, rng.uniform(0, 20), rng.uniform(0, 20), rng.uniform(0.01, 0.2),
+        rng.uniform(0.01, 0.2), rng.integers(2), rng.integers(2), h * rng.uniform(0.5, 2.0),
+    )  # fmt: skip
+    return ws
+
+
+def random_problem(paper: Scenario, rng: np.random.Generator) -> tuple[Workspace, Callable[[], Workspace], Array]:
+    cell = paper.cell
+    if rng.integers(2):
+        cell = cell.with_limits(velocity=10.0 ** rng.uniform(-2, 1), acceleration=10.0 ** rng.uniform(-1, 2))
+    q = paper.q_start + 10.0 ** rng.uniform(-9, -2) * rng.standard_normal(18)
+    shares = np.zeros((3, 6))
+    shares[rng.integers(3, size=6), np.arange(6)] = 1.0  # each axis another arm's
+    shares = [shares, np.full((3, 6), 1 / 3), np.eye(3)[0][:, None] * np.ones(6)][rng.integers(3)]
+    predicted, seed = 1e-5 * rng.standard_normal((3, 6)), int(rng.integers(2**31))
+
+    def make() -> Workspace:
+        ws = random_workspace(cell, paper.grasp, shares, q, np.random.default_rng(seed))
+        ws.predicted[:] = predicted
+        return ws
+
+    return make(), make, q
+
+
+def test_kernels_agree_call_by_call(paper: Scenario, rng: np.random.Generator) -> None:
+    """Outcome, velocity, and what the next step starts from; and what they are by definition."""
+    seen = set()
+    for _ in range(600):
+        _, make, q = random_problem(paper, rng)
+        results = []
+        for name in KERNELS:
+            ws = make()
+            kernel = make_kernel(ws, name)
+            assert kernel is not None
+            outcome = Outcome(kernel.step())
+            seen.add(outcome)
+            carried = paper.grasp.carried(CellState(paper.cell, q))
+            expected = [pin.log6(pin.SE3(ws.R, ws.p).actInv(O)).vector for O in carried]
+            np.testing.assert_allclose(ws.errors, expected, rtol=0.0, atol=1e-13)
+            results.append((outcome, ws))
+            if outcome == Outcome.OPEN:
+                continue
+            h, rate = ws.scalars[ws.DT], ws.result[ws.RATE]
+            box = VelocityBox(ws.box._cell)
+            box.update(ws.positions, ws.v_prev, h)
+            assert (ws.velocity <= box.upper + LIMIT_TOLERANCE).all()
+            assert (ws.velocity >= box.lower - LIMIT_TOLERANCE).all()
+            if outcome == Outcome.NOMINAL:
+                assert ws.result.tolist() == [ws.scalars[ws.CAP], -1.0, 0.0]
+            elif ws.result[ws.JOINT] >= 0:
+                j = int(ws.result[ws.JOINT])
+                side = box.upper if ws.result[ws.SIDE] > 0.0 else box.lower
+                assert ws.velocity[j] == pytest.approx(side[j], abs=1e-8)
+            # A v − σν is what corrects the errors
+            twists = ws.chain.twists(ws.velocity) @ np.linalg.inv(ws.action).T - rate * ws.along
+            np.testing.assert_allclose(ws.predicted, ws.errors + h * twists, rtol=0.0, atol=1e-8)
+            np.testing.assert_allclose(ws.moved, ws.positions + h * ws.velocity, rtol=0.0, atol=1e-14)
+            after = ws.moved + 0.5 * h * (2.0 * ws.velocity - ws.v_prev)
+            np.testing.assert_allclose(ws.midpoint, after, rtol=0.0, atol=1e-14)
+        for outcome, ws in results[1:]:
+            first, reference = results[0]
+            assert outcome == first
+            if outcome != Outcome.OPEN:
+                for field in ("velocity", "result", "predicted", "moved", "midpoint"):
+                    a, b = getattr(ws, field), getattr(reference, field)
+                    np.testing.assert_allclose(a, b, rtol=1e-9, atol=1e-9, err_msg=field)
+    assert seen == set(Outcome)
+
+
+def test_kernels_follow_lines_as_the_path_does(paper: Scenario, rng: np.random.Generator) -> None:
+    for _ in range(200):
+        turn = rng.standard_normal(3) * rng.choice([0.0, 1e-9, 1e-3, 1.0])
+        law = ("linear", "quintic")[rng.integers(2)]
+        path = LinePath.displaced(
+            pin.SE3.Random(), translation=rng.standard_normal(3), rotation=turn, duration=2.0, time_law=law
+        )
+        clock, span = float(rng.uniform(0.0, 2.0)), float(rng.choice([-1.0, 0.0, 1e-3, 0.1, 0.5]))
+        along = path.increment(clock, span) if span > 0.0 else path.twist(clock) if span < 0.0 else np.zeros(6)
+        for name in KERNELS:
+            ws = Workspace(Chain(paper.cell, paper.grasp), np.full((3, 6), 1 / 3), VelocityBox(paper.cell))
+            kernel = make_kernel(ws, name)
+            assert kernel is not None
+            assert kernel.follows_lines
+            ws.line[:] = path.line_at(clock, span)
+            ws.scalars[[ws.DT, ws.LAST_DT]] = 0.01
+            ws.scalars[[ws.ON_LINE, ws.CLOCK, ws.SPAN]] = 1.0, clock, span
+            kernel.step()
+            pose = path.pose(clock)
+            np.testing.assert_allclose(ws.R, pose.rotation, rtol=0.0, atol=1e-14)
+            np.testing.assert_allclose(ws.p, pose.translation, rtol=0.0, atol=1e-14)
+            np.testing.assert_allclose(ws.along, along, rtol=0.0, atol=1e-11)
+
+
+INPUTS = (
+    "placements", "jacobian_T", "R", "p", "along", "measured", "positions", "v_prev", "predicted", "scalars", "line",
+)  # fmt: skip
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf, 0.0])
+@pytest.mark.parametrize("field", INPUTS)
+@pytest.mark.parametrize("name", KERNELS)
+def test_what_is_no_number_stays_open(
+    name: str, field: str, value: float, paper: Scenario, rng: np.random.Generator
+) -> None:
+    for _ in range(10):
+        ws, _, _ = random_problem(paper, rng)
+        ws.scalars[[ws.HAS_MEASURED, ws.HAS_PREDICTED]] = 1.0
+        ws.line[:] = paper.path.line_at(0.0, 0.0)
+        if field == "line":
+            ws.scalars[[ws.ON_LINE, ws.CLOCK, ws.SPAN]] = 1.0, 0.5, 0.01
+        kernel = make_kernel(ws, name)
+        assert kernel is not None
+        target = getattr(ws, field)
+        target[...] = value
+        if field in ("R", "p"):
+            ws.action[:] = value
+        with np.errstate(all="raise" if np.isnan(value) else "ignore"):
+            outcome = Outcome(kernel.step())
+        if not np.isfinite(value):
+            assert outcome == Outcome.OPEN
+
+
+@pytest.mark.parametrize("rows", [slice(None), slice(3, 5)], ids=["all", "two joints"])
+@pytest.mark.parametrize("name", KERNELS)
+def test_a_singular_arm_is_left_open(name: str, rows: slice, paper: Scenario, rng: np.random.Generator) -> None:
+    for _ in range(20):
+        ws, _, _ = random_problem(paper, rng)
+        ws.jacobian_T[rows] = 0.0
+        kernel = make_kernel(ws, name)
+        assert kernel is not None
+        with np.errstate(all="raise"):
+            assert kernel.step() == Outcome.OPEN
+
+
+@pytest.mark.parametrize("name", KERNELS)
+def test_a_joint_outside_its_limits_is_left_open(name: str, paper: Scenario) -> None:
+    for side in (1.0, -1.0):
+        chain = Chain(paper.cell, paper.grasp)
+        ws = Workspace(chain, np.full((3, 6), 1 / 3), VelocityBox(paper.cell))
+        chain.place(paper.q_start)
+        chain.evaluate(paper.q_start)
+        ws.set_pose(paper.path.pose(0.0))
+        ws.scalars[:6] = 1.0, 0.01, 1.0, 1.0, 0.1, 0.4
+        ws.positions[:] = paper.q_start
+        kernel = make_kernel(ws, name)
+        assert kernel is not None
+        assert kernel.step() == Outcome.NOMINAL
+        limit = paper.cell.limits.upper if side > 0 else paper.cell.limits.lower
+        ws.positions[4] = limit[4] + side * 1e-6
+        assert kernel.step() == Outcome.OPEN

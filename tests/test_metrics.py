@@ -1,0 +1,192 @@
+"""The measures: from configurations alone, by the paper's definitions, and never perfect for a broken run."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from coopqp.cell import RobotCell
+from coopqp.errors import InvalidInputError
+from coopqp.grasp import Grasp
+from coopqp.metrics import (
+    chain_error,
+    limit_excess,
+    object_error,
+    path_error,
+    relative_orientation_error,
+    relative_positioning_error,
+    tool_placements,
+)
+from coopqp.path import LinePath
+from coopqp.scenarios import Scenario
+from coopqp.simulation import Recording
+from coopqp.state import CellState
+
+Array = NDArray[np.float64]
+
+vectors = st.lists(st.floats(-2.0, 2.0), min_size=3, max_size=3).map(np.array)
+poses = st.builds(lambda w, p: pin.SE3(pin.exp3(w), p), vectors, vectors)
+grasps = st.lists(poses, min_size=2, max_size=4).map(lambda X: Grasp(tuple(X)))
+NAN_POSE = pin.SE3(np.eye(3), np.full(3, np.nan))
+
+
+def perturbed(grasp: Grasp, T: pin.SE3, seed: int, size: float = 0.1) -> list[pin.SE3]:
+    rng = np.random.default_rng(seed)
+    return [X * pin.exp6(pin.Motion(size * rng.normal(size=6))) for X in grasp.tool_targets(T)]
+
+
+def measures(tools: list[pin.SE3], grasp: Grasp) -> Array:
+    return np.array(
+        [relative_positioning_error(tools, grasp), relative_orientation_error(tools, grasp), *chain_error(tools, grasp)]
+    )
+
+
+def test_placements_are_the_states(paper: Scenario, baseline: Callable[..., Recording]) -> None:
+    run = baseline(40)
+    all_tools = tool_placements(paper.cell, run.q)
+    assert len(all_tools) == 41
+    for q, tools in zip(run.q[::10], all_tools[::10], strict=True):
+        for T, expected in zip(tools, CellState(paper.cell, q).T_world_tool, strict=True):
+            np.testing.assert_allclose(T.homogeneous, expected.homogeneous, rtol=0, atol=1e-14)
+    assert tool_placements(paper.cell, []) == []
+
+
+@given(grasps, poses)
+def test_a_perfect_grasp_has_no_error(grasp: Grasp, T: pin.SE3) -> None:
+    tools = list(grasp.tool_targets(T))
+    assert measures(tools, grasp).max() < 1e-13
+    for k in range(len(grasp)):
+        assert max(object_error(tools, grasp, T, k)) < 1e-13
+    path = LinePath(T, T, duration=1.0)
+    assert max(path_error(tools, grasp, path, 0.3)) < 1e-13
+
+
+@given(grasps, poses, poses, st.integers(0, 2**32 - 1))
+def test_the_world_does_not_matter(grasp: Grasp, T: pin.SE3, G: pin.SE3, seed: int) -> None:
+    tools = perturbed(grasp, T, seed)
+    moved = [G * tool for tool in tools]
+    np.testing.assert_allclose(measures(tools, grasp), measures(moved, grasp), rtol=0, atol=1e-12)
+    for k in range(len(grasp)):
+        here, there = object_error(tools, grasp, T, k), object_error(moved, grasp, G * T, k)
+        assert here == pytest.approx(there, abs=1e-12)
+
+
+@given(grasps, poses, st.integers(0, 2**32 - 1))
+def test_definitions(grasp: Grasp, T: pin.SE3, seed: int) -> None:
+    """ε_p sums |p_ji − d_ji|² over pairs in tool frame i; ε_o does so with angles; the chain compares the O_k."""
+    tools, X = perturbed(grasp, T, seed), grasp.T_object_tool
+    pairs = [(i, j) for i in range(len(X)) for j in range(i + 1, len(X))]
+    e_p = sum(
+        np.sum(((tools[i].inverse() * tools[j]).translation - (X[i].inverse() * X[j]).translation) ** 2)
+        for i, j in pairs
+    )
+    e_o = sum(
+        np.sum(pin.log3((X[i].inverse() * X[j]).rotation.T @ (tools[i].inverse() * tools[j]).rotation) ** 2)
+        for i, j in pairs
+    )
+    assert relative_positioning_error(tools, grasp) == pytest.approx(np.sqrt(e_p), abs=1e-13)
+    assert relative_orientation_error(tools, grasp) == pytest.approx(np.sqrt(e_o), abs=1e-12)
+    O = [tool * x.inverse() for tool, x in zip(tools, X, strict=True)]
+    distance, angle = chain_error(tools, grasp)
+    assert distance == pytest.approx(max(np.linalg.norm(O[i].translation - O[j].translation) for i, j in pairs))
+    assert angle == pytest.approx(
+        max(np.linalg.norm(pin.log3(O[i].rotation.T @ O[j].rotation)) for i, j in pairs), abs=1e-12
+    )
+    pose = T * pin.exp6(pin.Motion(np.full(6, 0.1)))
+    path = LinePath(pose, T, duration=2.0)
+    errors = [object_error(tools, grasp, pose, k) for k in range(len(X))]
+    for (d, a), o in zip(errors, O, strict=True):
+        assert d == pytest.approx(np.linalg.norm(o.translation - pose.translation))
+        assert a == pytest.approx(np.linalg.norm(pin.log3(o.rotation.T @ pose.rotation)), abs=1e-12)
+    assert path_error(tools, grasp, path, 0.0) == pytest.approx(tuple(max(e[i] for e in errors) for i in range(2)))
+
+
+@pytest.mark.parametrize("angle", [0.0, 1e-12, 1e-8, 1e-3, 1.0, np.pi - 1e-8, np.pi])
+def test_angles_keep_their_digits(angle: float) -> None:
+    grasp = Grasp((np.eye(4), np.eye(4)))
+    turned = pin.SE3(pin.exp3(np.array([0.0, 0.6 * angle, 0.8 * angle])), np.zeros(3))
+    tools = [pin.SE3.Identity(), turned]
+    assert relative_orientation_error(tools, grasp) == pytest.approx(angle, rel=1e-9, abs=1e-15)
+    assert chain_error(tools, grasp)[1] == pytest.approx(angle, rel=1e-9, abs=1e-15)
+
+
+def test_a_rotation_about_a_grasp_is_invisible_to_eps_p_only() -> None:
+    """Why ε_p alone is no measure: the second arm turns its tool about the grasp point."""
+    grasp = Grasp.triangle(0.6, 0.3)
+    tools = list(grasp.tool_targets(pin.SE3(pin.exp3(np.array([0.3, -0.8, 0.5])), np.array([0.4, 0.9, -0.2]))))
+    tools[2] = tools[2] * pin.SE3(pin.exp3(np.array([0.0, 0.0, 0.01])), np.zeros(3))
+    assert relative_positioning_error(tools, grasp) < 1e-14
+    assert relative_orientation_error(tools, grasp) == pytest.approx(0.01 * np.sqrt(2.0))
+    assert chain_error(tools, grasp)[0] == pytest.approx(0.01 * 0.3, rel=1e-3)  # at A, 0.3 m from that axis
+
+
+def test_excess_over_limits(mixed_cell: RobotCell, rng: Any) -> None:
+    limits = mixed_cell.limits
+    low = np.where(np.isfinite(limits.lower), limits.lower, -1.0)
+    high = np.where(np.isfinite(limits.upper), limits.upper, 1.0)
+    x = rng.uniform(low, high, (20, mixed_cell.nv))
+    v = rng.uniform(-1, 1, (19, mixed_cell.nv)) * limits.velocity
+
+    def excess(x: Array, v: Array) -> float:
+        return limit_excess(mixed_cell, [mixed_cell.configuration(row) for row in x], v)
+
+    assert excess(x, v) == 0.0
+    assert limit_excess(mixed_cell, [], []) == 0.0
+    for j in (0, 3, 15):
+        over = x.copy()
+        over[7, j] = high[j] + 0.125
+        assert excess(over, v) == pytest.approx(0.125)
+        under = x.copy()
+        under[0, j] = low[j] - 0.25
+        assert excess(under, v) == pytest.approx(0.25)
+        fast = v.copy()
+        fast[18, j] = -limits.velocity[j] - 0.5
+        assert excess(x, fast) == pytest.approx(0.5)
+    turned = x.copy()
+    turned[3, -1] = 40.0  # a continuous joint has no position limit
+    assert excess(turned, v) == 0.0
+
+
+def test_nan_never_measures_as_perfect(paper: Scenario) -> None:
+    tools = list(paper.grasp.tool_targets(pin.SE3.Identity()))
+    for k in range(3):
+        broken = [*tools[:k], NAN_POSE, *tools[k + 1 :]]
+        assert np.isnan(relative_positioning_error(broken, paper.grasp))
+        assert np.isnan(chain_error(broken, paper.grasp)[0])
+        assert np.isnan(object_error(broken, paper.grasp, pin.SE3.Identity(), k)[0])
+        assert np.isnan(path_error(broken, paper.grasp, paper.path, 0.0)[0])
+    q, v = np.tile(paper.q_start, (3, 1)), np.zeros((2, 18))
+    for bad in (np.nan, np.inf, -np.inf):
+        for row, column in ((0, 0), (1, 17)):
+            broken_q, broken_v = q.copy(), v.copy()
+            broken_q[row, column] = broken_v[row, column] = bad
+            assert not limit_excess(paper.cell, broken_q, v) <= 1e9
+            assert not limit_excess(paper.cell, q, broken_v) <= 1e9
+
+
+@pytest.mark.parametrize("bad", [np.zeros(18), np.zeros((2, 17)), np.zeros((1, 2, 18)), "run", [[0.0] * 18, [0.0]], 5])
+def test_bad_tables(paper: Scenario, bad: Any) -> None:
+    with pytest.raises(InvalidInputError, match="metrics: configurations"):
+        tool_placements(paper.cell, bad)
+    with pytest.raises(InvalidInputError, match="metrics: configurations"):
+        limit_excess(paper.cell, bad, np.zeros((2, 18)))
+    with pytest.raises(InvalidInputError, match="metrics: velocities"):
+        limit_excess(paper.cell, [paper.q_start], bad)
+
+
+def test_tools_of_another_cell(paper: Scenario) -> None:
+    two = [pin.SE3.Identity()] * 2
+    for measure in (relative_positioning_error, relative_orientation_error, chain_error):
+        with pytest.raises(InvalidInputError, match="2 tools and a grasp of 3 arms"):
+            measure(two, paper.grasp)
+    with pytest.raises(InvalidInputError, match="2 tools"):
+        object_error(two, paper.grasp, pin.SE3.Identity())
+    with pytest.raises(InvalidInputError, match="2 tools"):
+        path_error(two, paper.grasp, paper.path, 0.0)

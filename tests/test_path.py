@@ -1,0 +1,341 @@
+"""Object paths: poses, twists and increments that belong together, and the paper's screw as one of them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from coopqp.errors import InvalidInputError, UnknownNameError
+from coopqp.path import HoldPath, LinePath, ObjectPath, ScrewParameters, ServoPath, TimeLaw, WaypointPath, as_time_law
+from coopqp.spatial import adjoint
+
+Array = NDArray[np.float64]
+
+vectors = st.lists(st.floats(-3.0, 3.0), min_size=3, max_size=3).map(np.array)
+poses = st.builds(lambda w, p: pin.SE3(pin.exp3(0.9 * w), p), vectors, vectors)
+laws = st.sampled_from(list(TimeLaw))
+durations = st.floats(0.01, 100.0)
+lines = st.builds(
+    lambda a, b, d, law: LinePath(a, b, duration=d, time_law=law), poses, poses, durations, laws
+)  # fmt: skip
+
+
+@st.composite
+def waypoints(draw: st.DrawFn) -> WaypointPath:
+    n = draw(st.integers(2, 5))
+    return WaypointPath(
+        draw(st.lists(poses, min_size=n, max_size=n)),
+        durations=draw(st.lists(st.floats(0.1, 5.0), min_size=n - 1, max_size=n - 1)),
+        time_law=draw(laws),
+    )
+
+
+paths = st.one_of(lines, waypoints(), st.builds(lambda T, d: HoldPath(T, duration=d), poses, durations))
+shares = st.floats(0.0, 1.0)
+
+
+def close(a: Any, b: Any, tolerance: float = 1e-13) -> None:
+    np.testing.assert_allclose(getattr(a, "homogeneous", a), getattr(b, "homogeneous", b), rtol=0, atol=tolerance)
+
+
+def exp(xi: Array) -> pin.SE3:
+    return pin.exp6(pin.Motion(xi))
+
+
+# -- time laws -------------------------------------------------------------------------------------------------------
+
+
+@given(laws, shares, shares)
+def test_a_time_law_rises_from_0_to_1(law: TimeLaw, a: float, b: float) -> None:
+    assert law.value_at(0.0) == 0.0
+    assert law.value_at(1.0) == 1.0
+    low, high = sorted((a, b))
+    assert 0.0 <= law.value_at(low) <= law.value_at(high) + 2e-14
+    assert law.value_at(high) <= 1.0
+    assert law.value_at(a) + law.value_at(1.0 - a) == pytest.approx(1.0, abs=2e-14)
+    assert law.value_at(-a) == 0.0
+    assert law.value_at(1.0 + a) == 1.0
+    assert law.slope_at(1.0 + a) == 0.0
+    assert law.slope_at(-a - 1e-300) == 0.0
+
+
+@given(laws, st.floats(0.001, 0.999))
+def test_its_slope_is_its_derivative(law: TimeLaw, x: float) -> None:
+    h = 1e-5
+    assert (law.value_at(x + h) - law.value_at(x - h)) / (2 * h) == pytest.approx(law.slope_at(x), abs=1e-8)
+
+
+def test_quintic_starts_and_ends_at_rest_without_acceleration() -> None:
+    for x in (1e-4, 1.0 - 1e-4):
+        assert TimeLaw.QUINTIC.slope_at(x) < 31e-8
+    assert TimeLaw.QUINTIC.slope_at(0.5) == 1.875
+    assert as_time_law("quintic") is as_time_law(TimeLaw.QUINTIC) is TimeLaw.QUINTIC
+
+
+# -- every path ------------------------------------------------------------------------------------------------------
+
+
+@given(paths, shares)
+def test_a_twist_is_the_derivative_of_the_pose(path: ObjectPath, x: float) -> None:
+    """Central differences, away from the corners."""
+    shortest = min([s.duration for s in getattr(path, "segments", [path])])
+    clock, h = x * path.duration, 1e-5 * shortest
+    corners = getattr(path, "_starts", [0.0])
+    if min(abs(clock - c) for c in [*corners, path.duration]) <= h:
+        return
+    made = pin.log6(path.pose(clock - h).actInv(path.pose(clock + h))).vector / (2 * h)
+    close(made * shortest, path.twist(clock) * shortest, 1e-7)
+
+
+@given(paths, shares, st.floats(1e-6, 1.0))
+def test_an_increment_makes_exactly_one_step(path: ObjectPath, x: float, share: float) -> None:
+    clock, dt = x * path.duration, share * path.duration
+    moved = path.pose(clock) * exp(path.increment(clock, dt) * dt)
+    close(moved, path.pose(clock + dt), 1e-9)
+
+
+@given(paths, st.floats(0.0, 1e9))
+def test_the_object_rests_at_the_ends(path: ObjectPath, t: float) -> None:
+    close(path.pose(-t), path.pose(0.0), 0.0)
+    close(path.pose(path.duration + t), path.pose(path.duration), 1e-12)
+    for clock in (-t - 1e-9, path.duration * (1.0 + 1e-15) + t):
+        close(path.twist(clock), np.zeros(6), 0.0)
+    close(path.increment(path.duration, 1.0 + t), np.zeros(6), 1e-12)
+
+
+@given(paths, shares)
+def test_rotations_stay_rotations(path: ObjectPath, x: float) -> None:
+    R = path.pose(x * path.duration).rotation
+    close(R @ R.T, np.eye(3), 1e-13)
+
+
+@given(paths, shares)
+def test_poses_are_the_callers(path: ObjectPath, x: float) -> None:
+    before = path.pose(x * path.duration).homogeneous.copy()
+    if not isinstance(path, HoldPath):
+        path.pose(x * path.duration).translation[:] = 7.0
+    close(path.pose(x * path.duration), before, 0.0)
+
+
+# -- lines -----------------------------------------------------------------------------------------------------------
+
+
+@given(poses, poses, durations, laws)
+def test_a_line_joins_its_ends(a: pin.SE3, b: pin.SE3, duration: float, law: TimeLaw) -> None:
+    path = LinePath(a, b, duration=duration, time_law=law)
+    close(path.pose(0.0), a, 1e-15)
+    close(path.pose(duration), b, 1e-13)
+    close(path.start, a, 0.0)
+    close(path.goal, b, 0.0)
+
+
+@given(poses, poses, poses, shares)
+def test_a_moved_line_is_the_line_moved(G: pin.SE3, a: pin.SE3, b: pin.SE3, x: float) -> None:
+    here, there = (LinePath(T * a, T * b, duration=1.0) for T in (pin.SE3.Identity(), G))
+    if here.screw.angle > np.pi - 1e-6:
+        return  # the sign of the axis is free
+    close(there.pose(x), G * here.pose(x), 1e-8 / (np.pi - here.screw.angle))
+    close(there.twist(x), here.twist(x), 1e-7 / (np.pi - here.screw.angle))
+
+
+@given(poses, poses, shares)
+def test_back_is_the_same_way(a: pin.SE3, b: pin.SE3, x: float) -> None:
+    there, back = LinePath(a, b, duration=1.0, time_law="linear"), LinePath(b, a, duration=1.0, time_law="linear")
+    if there.screw.angle < np.pi - 1e-6:
+        close(there.pose(x), back.pose(1.0 - x), 1e-8 / (np.pi - there.screw.angle))
+
+
+@given(lines, shares)
+def test_a_lines_spatial_motion(path: LinePath, x: float) -> None:
+    """In the world: straight, and about one fixed axis, both at the time law's pace."""
+    u, slope = path.time_law.value_at(x), path.time_law.slope_at(x) / path.duration
+    T = path.pose(x * path.duration)
+    close(T.translation, path.start.translation + u * (path.goal.translation - path.start.translation), 1e-12)
+    at_A = pin.SE3(T.rotation, np.zeros(3))
+    v = adjoint(at_A) @ path.twist(x * path.duration)
+    if 1e-9 < x < 1.0 - 1e-9:
+        close(v[:3] / slope, path.goal.translation - path.start.translation, 1e-9)
+        close(v[3:] / slope, path.start.rotation @ path.screw.r * path.screw.angle, 1e-9)
+
+
+@given(poses, vectors, vectors)
+def test_a_displacement_is_in_the_world_and_about_the_objects_origin(T: pin.SE3, shift: Array, turn: Array) -> None:
+    path = LinePath.displaced(T, translation=shift, rotation=turn, duration=1.0)
+    close(path.goal.translation, T.translation + shift, 1e-13)
+    close(path.goal.rotation, pin.exp3(turn) @ T.rotation, 1e-13)
+    close(LinePath.displaced(T, duration=1.0).pose(1.0), T)
+
+
+@given(poses, poses)
+def test_screw_parameters(a: pin.SE3, b: pin.SE3) -> None:
+    screw = ScrewParameters.between(a, b)
+    assert 0.0 <= screw.angle <= np.pi
+    norm = np.linalg.norm(screw.r)
+    assert norm == pytest.approx(1.0, abs=1e-12) or (norm == 0.0 and screw.angle == 0.0)
+    close(a.rotation @ pin.exp3(screw.angle * screw.r), b.rotation, 1e-13)
+    close(a.act(screw.p), b.translation, 1e-12)
+
+
+# -- waypoints -------------------------------------------------------------------------------------------------------
+
+
+@given(st.lists(poses, min_size=2, max_size=6), laws)
+def test_waypoints_are_passed_on_time(stations: list[pin.SE3], law: TimeLaw) -> None:
+    times = [0.5 + 0.25 * i for i in range(len(stations) - 1)]
+    path = WaypointPath(stations, durations=times, time_law=law)
+    assert path.duration == pytest.approx(sum(times))
+    assert len(path.segments) == len(times)
+    for station, clock in zip(stations, np.cumsum([0.0, *times]), strict=True):
+        close(path.pose(clock), station, 1e-11)
+        if law is TimeLaw.QUINTIC:
+            close(path.twist(clock), np.zeros(6), 1e-9)
+
+
+@given(waypoints(), shares)
+def test_waypoints_join_lines(path: WaypointPath, x: float) -> None:
+    clock, start = x * path.duration, 0.0
+    for segment in path.segments:
+        if clock < start + segment.duration - 1e-9 and clock > start + 1e-9:
+            close(path.pose(clock), segment.pose(clock - start), 1e-12)
+            close(path.twist(clock), segment.twist(clock - start), 1e-9)
+        start += segment.duration
+
+
+@given(waypoints(), shares)
+def test_a_path_has_no_gap(path: WaypointPath, x: float) -> None:
+    clock, h = x * path.duration, 1e-9
+    fastest = max(2.0 * np.linalg.norm(s.goal.translation - s.start.translation) / s.duration for s in path.segments)
+    step = np.linalg.norm(path.pose(clock + h).translation - path.pose(clock).translation)
+    assert step <= 1.01 * fastest * h + 1e-12
+
+
+@given(waypoints(), shares)
+def test_a_breakpoint_is_the_next_corner(path: WaypointPath, x: float) -> None:
+    clock = x * path.duration
+    corners = np.cumsum([s.duration for s in path.segments])
+    expected = next((c for c in corners[:-1] if c > clock + 1e-9), path.duration)
+    assert path.next_breakpoint(clock) == pytest.approx(expected, abs=1e-12)
+    assert path.segments[0].next_breakpoint(0.0) == path.segments[0].duration
+    assert path.next_breakpoint(path.duration) == path.duration
+
+
+# -- targets that move -------------------------------------------------------------------------------------------------
+
+
+@given(poses, st.lists(st.tuples(poses, st.floats(0.01, 3.0)), min_size=1, max_size=4))
+def test_a_servo_path_never_jumps(start: pin.SE3, targets: list[tuple[pin.SE3, float]]) -> None:
+    """Whenever the target moves: the object goes on from where it is, at bounded speed and spin, and gets there."""
+    path, clock = ServoPath(start, speed=0.5, spin=1.0), 0.0
+    close(path.pose(0.0), start)
+    assert not path.known_ahead
+    for target, wait in targets:
+        before = path.pose(clock)
+        path.set_target(target, clock=clock)
+        close(path.pose(clock), before, 1e-12)
+        for t in np.linspace(clock, clock + wait, 7):
+            v = path.twist(t)
+            assert np.linalg.norm(v[:3]) <= 0.5 + 1e-9
+            assert np.linalg.norm(v[3:]) <= 1.0 + 1e-9
+        clock += wait
+    close(path.pose(clock + 100.0), targets[-1][0], 1e-12)
+    close(path.twist(clock + 100.0), np.zeros(6), 0.0)
+
+
+@pytest.mark.parametrize("bad", [None, 2.0 * np.eye(4), np.full((4, 4), np.nan), "there"])
+def test_a_bad_target_leaves_the_old_one(bad: Any) -> None:
+    path, target = ServoPath(np.eye(4)), pin.SE3(np.eye(3), np.ones(3))
+    path.set_target(target, clock=0.0)
+    with pytest.raises(InvalidInputError, match=r"ServoPath\.set_target"):
+        path.set_target(bad, clock=1.0)
+    close(path.pose(100.0), target, 1e-15)
+    with pytest.raises(InvalidInputError, match="ServoPath"):
+        ServoPath(bad)
+
+
+@pytest.mark.parametrize("bad", [0.0, -1.0, np.nan, np.inf, None])
+def test_a_servo_path_needs_speeds(bad: Any) -> None:
+    with pytest.raises(InvalidInputError, match="ServoPath: speed"):
+        ServoPath(np.eye(4), speed=bad)
+    with pytest.raises(InvalidInputError, match="ServoPath: spin"):
+        ServoPath(np.eye(4), spin=bad)
+
+
+# -- bad input -------------------------------------------------------------------------------------------------------
+
+BAD_POSES = [None, "goal", np.eye(3), 2.0 * np.eye(4), np.diag([1.0, 1.0, -1.0, 1.0]), np.full((4, 4), np.nan)]
+BAD_TIMES = [0.0, -1.0, np.nan, np.inf, None, "soon", [1.0, 2.0]]
+
+
+@pytest.mark.parametrize("bad", BAD_POSES)
+def test_bad_poses(bad: Any) -> None:
+    good = np.eye(4)
+    with pytest.raises(InvalidInputError, match="LinePath: start"):
+        LinePath(bad, good, duration=1.0)
+    with pytest.raises(InvalidInputError, match="LinePath: goal"):
+        LinePath(good, bad, duration=1.0)
+    with pytest.raises(InvalidInputError, match=r"LinePath\.displaced: start"):
+        LinePath.displaced(bad, duration=1.0)
+    with pytest.raises(InvalidInputError, match=r"WaypointPath: placements\[1\]"):
+        WaypointPath([good, bad], durations=[1.0])
+    with pytest.raises(InvalidInputError, match="HoldPath"):
+        HoldPath(bad)
+    with pytest.raises(InvalidInputError, match="ScrewParameters: goal"):
+        ScrewParameters.between(good, bad)
+
+
+@pytest.mark.parametrize("bad", BAD_TIMES)
+def test_bad_durations(bad: Any) -> None:
+    good = np.eye(4)
+    makers: list[Callable[[], Any]] = [
+        lambda: LinePath(good, good, duration=bad),
+        lambda: HoldPath(good, duration=bad),
+        lambda: WaypointPath([good, good], durations=[bad]),
+    ]
+    for make in makers:
+        with pytest.raises(InvalidInputError, match="duration"):
+            make()
+
+
+@pytest.mark.parametrize("bad", [None, 1.0, [1.0], [1.0, np.nan, 0.0], "up", np.zeros((3, 1)), np.zeros(6)])
+def test_bad_displacements(bad: Any) -> None:
+    with pytest.raises(InvalidInputError, match=r"LinePath\.displaced: translation"):
+        LinePath.displaced(np.eye(4), translation=bad, duration=1.0)
+    with pytest.raises(InvalidInputError, match=r"LinePath\.displaced: rotation"):
+        LinePath.displaced(np.eye(4), rotation=bad, duration=1.0)
+
+
+@pytest.mark.parametrize("bad", ["cubic", "LINEAR", None, 3])
+def test_an_unknown_time_law_lists_what_there_is(bad: Any) -> None:
+    with pytest.raises(UnknownNameError, match="Available: linear, quintic"):
+        LinePath(np.eye(4), np.eye(4), duration=1.0, time_law=bad)
+
+
+@pytest.mark.parametrize(
+    ("placements", "times"),
+    [([], []), ([np.eye(4)], []), ([np.eye(4)] * 2, []), ([np.eye(4)] * 2, [1.0, 1.0]), (5, [1.0]),
+     ([np.eye(4)] * 2, 1.0), ([np.eye(4)] * 2, None), (None, [1.0])],
+)  # fmt: skip
+def test_bad_waypoints(placements: Any, times: Any) -> None:
+    with pytest.raises(InvalidInputError, match="WaypointPath"):
+        WaypointPath(placements, durations=times)
+
+
+def test_bad_clocks() -> None:
+    path = LinePath(np.eye(4), np.eye(4), duration=1.0)
+    joined = WaypointPath([np.eye(4)] * 3, durations=[1.0, 1.0])
+    for any_path in (path, joined):
+        for read in (any_path.pose, any_path.twist):
+            with pytest.raises(InvalidInputError, match="clock is NaN"):
+                read(np.nan)
+        for dt in (0.0, np.nan, np.inf):
+            with pytest.raises(InvalidInputError, match=r"ObjectPath\.increment"):
+                any_path.increment(0.5, dt)
+        for clock in (np.inf, -np.inf, 1e300):
+            close(any_path.pose(clock), np.eye(4), 0.0)

@@ -1,0 +1,158 @@
+"""The pictures show what the recordings hold."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from coopqp import plots
+from coopqp.cell import RobotCell
+from coopqp.controllers.pseudo_inverse import PseudoInverseController, PseudoInverseOptions
+from coopqp.errors import InvalidInputError, MissingExtraError
+from coopqp.output import OutputError
+from coopqp.scenarios import Scenario, paper_lift
+from coopqp.simulation import Recording, simulate
+
+
+@pytest.fixture(scope="module")
+def lift() -> Scenario:
+    return paper_lift()
+
+
+def run(lift: Scenario, steps: int, **options: str) -> Recording:
+    controller = PseudoInverseController(
+        lift.cell,
+        lift.grasp,
+        lift.path,
+        dt=lift.path.duration / steps,
+        options=PseudoInverseOptions(**options),  # type: ignore[arg-type]
+    )
+    return simulate(controller, q_start=lift.q_start)
+
+
+@pytest.fixture(scope="module")
+def runs(lift: Scenario) -> dict[str, list[Recording]]:
+    return {
+        "euler": [run(lift, n) for n in (12, 24)],
+        "midpoint": [run(lift, n, integration="midpoint") for n in (12, 24)],
+    }
+
+
+@pytest.fixture(scope="module")
+def one(runs: dict[str, list[Recording]]) -> Recording:
+    return runs["euler"][1]
+
+
+@pytest.mark.parametrize("quantity", ["position", "orientation"])
+def test_figure_5_has_a_curve_per_run_and_a_colour_per_number_of_steps(
+    lift: Scenario, runs: dict[str, list[Recording]], quantity: plots.Quantity
+) -> None:
+    figure = plots.error_figure(lift.cell, runs, quantity=quantity)
+    (axes,) = figure.axes
+    assert axes.get_yscale() == "log"
+    curves = axes.lines
+    assert len(curves) == 4
+    assert curves[0].get_color() == curves[2].get_color() != curves[1].get_color()
+    assert curves[0].get_linestyle() == "-"
+    assert curves[2].get_linestyle() == "--"
+    expected = plots.relative_errors(lift.cell, runs["midpoint"][1], quantity)
+    np.testing.assert_array_equal(curves[3].get_ydata(), expected[1:])
+    assert {"euler", "midpoint"} < {text.get_text() for text in figure.legends[0].get_texts()}
+
+
+def test_figure_5_takes_any_number_of_runs(lift: Scenario, one: Recording) -> None:
+    recordings = [run(lift, n) for n in (2, 3, 4, 5)]
+    assert len(plots.error_figure(lift.cell, {"a": recordings, "b": [one]}).axes[0].lines) == 5
+
+
+def test_a_slowed_run_keeps_the_colour_of_its_number_of_steps(lift: Scenario, one: Recording) -> None:
+    longer = np.append(one.time, one.time[-1] + 0.1)
+    slowed = replace(
+        one, time=longer, q_command=np.vstack([one.q_command, one.q_command[-1:]]), rate=np.append(one.rate, 0.0)
+    )
+    curves = plots.error_figure(lift.cell, {"full": [one], "slowed": [slowed]}).axes[0].lines
+    assert slowed.n_steps == plots.planned_steps(slowed) + 1
+    assert curves[0].get_color() == curves[1].get_color()
+
+
+def test_figure_5_without_a_run_is_refused(lift: Scenario) -> None:
+    with pytest.raises(InvalidInputError, match="no recording"):
+        plots.error_figure(lift.cell, {"a": []})
+
+
+def test_figure_5_refuses_another_quantity(lift: Scenario, one: Recording) -> None:
+    with pytest.raises(InvalidInputError, match="no quantity"):
+        plots.error_figure(lift.cell, {"a": [one]}, quantity="force")  # type: ignore[arg-type]
+
+
+def test_joints_are_drawn_in_shares_of_their_limits(lift: Scenario, one: Recording) -> None:
+    figure = plots.joint_figure(lift.cell, one)
+    assert len(figure.axes) == 6  # positions above speeds, three arms
+    limits, joint = lift.cell.limits, 4  # the one with limits that are not symmetric
+    line = figure.axes[0].lines[joint]
+    middle = 0.5 * (limits.upper[joint] + limits.lower[joint])
+    expected = (one.q_command[:, joint] - middle) / (0.5 * (limits.upper[joint] - limits.lower[joint]))
+    np.testing.assert_allclose(line.get_ydata(), expected, atol=1e-12)
+    speed = figure.axes[3].lines[joint].get_ydata()
+    np.testing.assert_allclose(speed[:-1], 100.0 * one.velocity[:, joint] / limits.velocity[joint])
+
+
+def test_joints_without_limits_leave_a_gap(lift: Scenario, one: Recording) -> None:
+    cell = RobotCell([arm.with_limits(lower=-np.inf, upper=np.inf, velocity=np.inf) for arm in lift.cell.arms])
+    plots.figure_bytes(plots.joint_figure(cell, one), dpi=40)
+
+
+def test_the_lift_has_four_frames(lift: Scenario, one: Recording) -> None:
+    figure = plots.motion_figure(
+        lift.cell, one, object_size=lift.object_size, T_object_body=lift.T_object_body, pixels=120
+    )
+    labels = [axes.texts[-1 if i else 0].get_text() for i, axes in enumerate(figure.axes)]
+    assert labels == ["t = 0.0 s", "t = 1.0 s", "t = 2.0 s", "t = 3.0 s"]
+    assert {"master", "slave 1", "slave 2"} < {text.get_text() for text in figure.axes[0].texts}
+    first, last = (np.asarray(figure.axes[i].images[0].get_array()) for i in (0, 3))
+    assert (first != last).mean() > 0.05
+    blue = (last[..., 2].astype(int) - last[..., 0] > 60).mean()  # the plate, tilted towards the viewer
+    assert blue > (first[..., 2].astype(int) - first[..., 0] > 60).mean() > 0.02
+
+
+def test_the_lift_refuses_no_frames(lift: Scenario, one: Recording) -> None:
+    with pytest.raises(InvalidInputError, match="frames = 0"):
+        plots.motion_figure(lift.cell, one, object_size=lift.object_size, T_object_body=lift.T_object_body, frames=0)
+
+
+@pytest.mark.parametrize(("kind", "start"), [("png", b"\x89PNG"), ("pdf", b"%PDF"), ("svg", b"<?xml")])
+def test_figures_are_saved_by_their_ending(
+    lift: Scenario, one: Recording, tmp_path: Path, kind: str, start: bytes
+) -> None:
+    figure = plots.error_figure(lift.cell, {"a": [one]})
+    file = plots.save_figure(figure, tmp_path / f"new/picture.{kind}", dpi=40)
+    assert file.read_bytes().startswith(start)
+
+
+def test_bad_destinations_are_named(lift: Scenario, one: Recording, tmp_path: Path) -> None:
+    figure = plots.error_figure(lift.cell, {"a": [one]})
+    with pytest.raises(InvalidInputError, match="no kind of picture"):
+        plots.save_figure(figure, tmp_path / "picture.xyz")
+    (tmp_path / "file").touch()
+    with pytest.raises(OutputError, match="not a folder"):
+        plots.save_figure(figure, tmp_path / "file" / "picture.png", dpi=40)
+
+
+def test_no_window_and_no_global_state(lift: Scenario, one: Recording, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "matplotlib.pyplot", None)  # importing it would fail
+    plots.figure_bytes(plots.error_figure(lift.cell, {"a": [one]}), dpi=40)
+
+
+def test_a_missing_matplotlib_is_named(lift: Scenario, one: Recording, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
+    with pytest.raises(MissingExtraError, match=r"coopqp\[plot\]"):
+        plots.error_figure(lift.cell, {"a": [one]})
+
+
+def test_saving_is_repeatable(lift: Scenario, one: Recording) -> None:
+    first, second = (plots.figure_bytes(plots.error_figure(lift.cell, {"a": [one]}), dpi=40) for _ in range(2))
+    assert first == second

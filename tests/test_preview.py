@@ -1,0 +1,306 @@
+"""The path ahead: its caps against path timing by brute force; stops at limits, corners, ends and singularities."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from coopqp.chain import Chain
+from coopqp.controllers.options import QPOptions
+from coopqp.controllers.qp import QPController
+from coopqp.errors import InvalidInputError
+from coopqp.inverse_kinematics import newton
+from coopqp.limits import LimitKind
+from coopqp.metrics import chain_error, path_error, tool_placements
+from coopqp.path import HoldPath, LinePath, ObjectPath, ServoPath, TimeLaw, WaypointPath
+from coopqp.posture import Posture, PostureOptions
+from coopqp.preview import PathPreview, PreviewOptions
+from coopqp.scenarios import Scenario, at_limit, at_singularity, dual_arm7, mixed_cell, paper_lift
+from coopqp.spatial import Array
+
+NIGHTLY = os.environ.get("HYPOTHESIS_PROFILE") == "nightly"
+DIRECTIONS = 40 if NIGHTLY else 6
+DT = 0.002
+
+
+def preview_of(task: Scenario, *, dt: float = DT, **options: Any) -> PathPreview:
+    posture = Posture(task.cell, PostureOptions())
+    posture.reset(task.q_start)
+    chain = Chain(task.cell, task.grasp)
+    preview = PathPreview(chain, task.path, posture, dt=dt, options=PreviewOptions(**options))
+    preview.reset(task.q_start, 0.0)
+    return preview
+
+
+class Joints:
+    """q(τ) along a path by the chain's inverse kinematics, warm started."""
+
+    def __init__(self, task: Scenario) -> None:
+        self._task, self._chain, self._q = task, Chain(task.cell, task.grasp), task.q_start
+
+    def at(self, clock: float) -> Array:
+        q, errors = newton(self._chain, self._task.path.pose(clock), self._q, tolerance=1e-13, max_iter=12)
+        assert np.abs(errors).max() < 1e-9
+        self._q = q
+        return self._task.cell.positions(q)
+
+    def table(self, clocks: Array) -> Array:
+        return np.array([self.at(float(c)) for c in clocks])
+
+
+def driven(task: Scenario, *, longest: float) -> tuple[Array, Array, Any]:
+    """Clocks and rates of an object that follows the caps, and what bound at the end.
+
+    The rate rises slowly: how fast it may rise is not the preview's business, but that of the step's own limits.
+    """
+    preview = preview_of(task, rate_slope=1.0)
+    clock, rate, binding = 0.0, 0.0, None
+    clocks, rates = [0.0], []
+    for _ in range(int(longest / DT)):
+        cap, binding = preview.cap(clock, DT)
+        rate = min(cap, rate + preview.options.rate_slope * DT) if preview.accelerates else cap
+        rate = min(rate, (task.path.duration - clock) / DT)
+        clock += rate * DT
+        clocks.append(clock)
+        rates.append(rate)
+        if rate < 1e-9 or clock >= task.path.duration - 1e-12:
+            break
+    return np.array(clocks), np.array(rates), binding
+
+
+# -- the caps ----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("speed", "acceleration"), [(0.4, 3.0), (np.inf, 0.6), (0.25, 20.0)])
+def test_caps_are_those_of_path_timing_by_brute_force(speed: float, acceleration: float) -> None:
+    """S(τ) = min_b [z_b + 2 ∫ D] from a table of q(τ), its derivatives by differences, integrated backwards."""
+    task = paper_lift(time_law=TimeLaw.QUINTIC, duration=1.5)
+    task = replace(task, cell=task.cell.with_limits(velocity=speed, acceleration=acceleration))
+    h = 0.002
+    clocks = np.arange(0.0, task.path.duration + h / 2, h)
+    q = Joints(task).table(clocks)
+    slope = np.maximum(np.abs(np.gradient(q, h, axis=0)), 1e-12)
+    bend = np.maximum(np.abs(np.gradient(np.gradient(q, h, axis=0), h, axis=0)), 1e-12)
+    o = PreviewOptions()
+    a = o.margin * acceleration
+    z = np.minimum(1.0, ((o.margin * speed / slope) ** 2).min(axis=1))
+    z = np.minimum(z, (o.curvature_share * a / bend).min(axis=1))
+    D = np.minimum(0.9 * o.rate_slope, ((a - bend * z[:, None]) / slope).min(axis=1))
+    S = z.copy()
+    for i in range(len(S) - 2, -1, -1):
+        S[i] = min(z[i], S[i + 1] + 2.0 * h * min(D[i], D[i + 1]))
+    assert S.min() < 0.7  # it has something to do
+    preview = preview_of(task, cell=h, slope_step=0.01)
+    clock, count = 0.0, 0
+    while clock < 1.45:
+        rate, binding = preview.cap(clock, 1e-9)
+        assert rate**2 == pytest.approx(np.interp(clock, clocks, S), rel=0.04)
+        assert (binding is None) == (rate == 1.0)
+        # The bounds are those at the borders of cells: look again just before one.
+        clock = min(c.clock for c in preview._cells if c.clock > clock + 0.01) - 1e-9
+        count += 1
+    assert count > 50
+
+
+def test_an_easy_path_is_not_slowed() -> None:
+    task = paper_lift()
+    preview = preview_of(task)
+    assert all(preview.cap(float(c), DT) == (1.0, None) for c in np.arange(0.0, task.path.duration, DT))
+
+
+def test_the_horizon_rolls_along() -> None:
+    """As long as the object needs to stop, and no longer: cells ahead stay few."""
+    for acceleration in (np.inf, 5.0):
+        task = paper_lift(time_law=TimeLaw.QUINTIC)
+        task = replace(task, cell=task.cell.with_limits(acceleration=acceleration))
+        preview = preview_of(task)
+        ahead = []
+        for clock in np.arange(0.0, 2.5, DT):
+            preview.cap(float(clock), DT)
+            ahead.append(preview._cells[-1].clock - clock)
+        assert min(ahead) > 0.0
+        assert max(ahead) < 1.2
+        assert len(preview._cells) < 1500
+
+
+# -- stops -------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("number", range(DIRECTIONS))
+def test_caps_lead_to_a_stop_exactly_at_the_limit(number: int) -> None:
+    rng = np.random.default_rng(number)
+    rotation = tuple(rng.normal(size=3) * (0.4 if number % 2 else 0.0))
+    task = at_limit(direction=tuple(rng.normal(size=3)), rotation=rotation, margin=rng.uniform(0.1, 0.4, size=18))
+    limits = task.cell.limits
+    clocks, rates, binding = driven(task, longest=6.0)
+    assert rates[-1] < 1e-6
+    q = Joints(task).table(clocks)
+    margin = np.minimum(q - limits.lower, limits.upper - q).min(axis=1)
+    assert margin.min() > -1e-7
+    assert margin[-1] < 1e-5
+    assert binding.kind is LimitKind.POSITION
+    j = int(np.minimum(q[-1] - limits.lower, limits.upper - q[-1]).argmin())
+    assert f"{binding.arm}/{binding.joint}" == task.cell.joint_names[j]
+    v = np.diff(q, axis=0) / DT
+    change = np.abs(np.diff(np.vstack([np.zeros(18), v, np.zeros(18)]), axis=0)) / DT
+    assert (change / limits.acceleration).max() < 1.0
+    assert (np.abs(v) / limits.velocity).max() < 1.0
+
+
+def test_without_acceleration_limits_too() -> None:
+    task = at_limit(acceleration=np.inf)
+    clocks, rates, binding = driven(task, longest=6.0)
+    q = Joints(task).table(clocks)[-1]
+    margin = np.minimum(q - task.cell.limits.lower, task.cell.limits.upper - q)
+    assert rates[-1] < 1e-6
+    assert -1e-7 < margin.min() < 1e-5
+    assert binding.kind is LimitKind.POSITION
+
+
+@pytest.mark.parametrize("acceleration", [np.inf, 5.0])
+@pytest.mark.parametrize("kind", ["elbow", "reach"])
+def test_a_singularity_ends_the_path_and_is_named(kind: Any, acceleration: float) -> None:
+    task = at_singularity(kind, 1, acceleration=acceleration)
+    clocks, rates, binding = driven(task, longest=8.0)
+    assert rates[-1] < 1e-6
+    assert binding.kind in (LimitKind.SINGULARITY, LimitKind.REACH)
+    assert binding.arm == "arm_2"
+    assert binding.joint == ""
+    Joints(task).table(clocks)  # asserts that the arms still carry the object
+
+
+def test_a_path_that_starts_out_of_reach() -> None:
+    task = paper_lift()
+    start = task.path.pose(0.0)
+    far = pin.SE3(start.rotation, start.translation + np.array([3.0, 0.0, 0.0]))
+    preview = preview_of(replace(task, path=LinePath(far, start, duration=1.0)))
+    rate, binding = preview.cap(0.0, DT)
+    assert rate == 0.0
+    assert binding is not None
+    assert binding.kind is LimitKind.REACH
+    assert binding.arm in task.cell.arm_names
+
+
+# -- corners, ends, standstill -----------------------------------------------------------------------------------------
+
+
+def zigzag(start: pin.SE3) -> WaypointPath:
+    shifts = ((0.0, 0.0, 0.0), (0.06, 0.0, 0.05), (0.0, 0.05, 0.0), (-0.05, 0.0, 0.05))
+    poses = [pin.SE3(start.rotation, start.translation + np.array(s)) for s in shifts]
+    return WaypointPath(poses, durations=[0.3, 0.3, 0.3], time_law=TimeLaw.LINEAR)
+
+
+def test_corners_are_taken_at_a_speed_that_the_joints_can_jump() -> None:
+    task = paper_lift()
+    path = zigzag(task.path.pose(0.0))
+    task = replace(task, path=path, cell=task.cell.with_limits(acceleration=5.0))
+    clocks, rates, _ = driven(task, longest=8.0)
+    assert clocks[-1] == pytest.approx(path.duration)
+    v = np.diff(Joints(task).table(clocks), axis=0) / DT
+    change = np.abs(np.diff(np.vstack([np.zeros(18), v, np.zeros(18)]), axis=0)) / DT
+    assert (change / 5.0).max() < 1.0
+    for corner in (0.3, 0.6):
+        assert rates[np.abs(clocks[:-1] - corner).argmin()] < 0.05
+    assert rates.max() > 0.3
+
+
+def test_an_end_with_velocity_is_reached_slowly_enough_to_stop() -> None:
+    task = paper_lift(duration=1.0)
+    task = replace(task, cell=task.cell.with_limits(acceleration=5.0))
+    clocks, rates, binding = driven(task, longest=8.0)
+    assert clocks[-1] == pytest.approx(1.0)
+    v = np.diff(Joints(task).table(clocks), axis=0) / DT
+    change = np.abs(np.diff(np.vstack([v, np.zeros(18)]), axis=0)) / DT
+    assert (change / 5.0).max() < 1.0
+    assert rates.max() > 0.9
+    assert binding is not None
+    assert binding.kind is LimitKind.PATH_END
+
+
+def test_an_object_that_rests_has_no_cap() -> None:
+    task = paper_lift()
+    task = replace(task, path=HoldPath(task.path.pose(0.0), duration=0.5), cell=task.cell.with_limits(acceleration=5.0))
+    preview = preview_of(task)
+    assert all(preview.cap(float(c), DT)[0] == 1.0 for c in np.arange(0.0, 0.5, DT))
+
+
+# -- the reference of redundant arms -----------------------------------------------------------------------------------
+
+
+def test_the_reference_is_on_the_path() -> None:
+    for task in (paper_lift(), mixed_cell(), dual_arm7()):
+        preview, chain = preview_of(task), Chain(task.cell, task.grasp)
+        for clock in np.arange(0.0, 1.0, 0.0137):
+            preview.cap(float(clock), DT)
+            q, slope = preview.reference(float(clock))
+            errors = chain.errors(chain.carried(q), task.path.pose(float(clock)))
+            assert np.abs(errors).max() < 1e-6
+            chain.linearise(q)
+            made = chain.twists(slope) @ np.linalg.inv(task.path.pose(float(clock)).action).T
+            assert np.abs(made - task.path.twist(float(clock))).max() < 1e-3
+
+
+# -- in the controller -------------------------------------------------------------------------------------------------
+
+
+def test_what_the_preview_is_for() -> None:
+    """Under acceleration limits the object leaves its path at a corner without it; the chain holds either way."""
+    task = paper_lift()
+    cell, path = task.cell.with_limits(acceleration=5.0), zigzag(task.path.pose(0.0))
+    off_path = {}
+    for preview in (PreviewOptions(), None):
+        controller = QPController(cell, task.grasp, path, dt=DT, options=QPOptions(preview=preview))
+        controller.reset(task.q_start)
+        steps = [controller.step() for _ in range(600)]
+        tools = tool_placements(cell, [s.q_next for s in steps])
+        assert max(chain_error(T, task.grasp)[0] for T in tools) < 1e-6
+        off_path[preview is None] = max(
+            path_error(T, task.grasp, path, s.clock_next)[0] for T, s in zip(tools, steps, strict=True)
+        )
+    assert off_path[False] < 1e-6
+    assert off_path[True] > 1e-3
+
+
+@pytest.mark.parametrize("acceleration", [5.0, np.inf])
+def test_the_object_keeps_its_path_at_corners(acceleration: float) -> None:
+    task = paper_lift()
+    cell, path = task.cell.with_limits(acceleration=acceleration), zigzag(task.path.pose(0.0))
+    controller = QPController(cell, task.grasp, path, dt=DT)
+    controller.reset(task.q_start)
+    steps = [controller.step()]
+    while not steps[-1].finished and len(steps) < 3000:
+        steps.append(controller.step())
+    assert steps[-1].finished
+    assert all(s.given_up.off_path == (0.0,) * 6 for s in steps)
+    for tools, s in zip(tool_placements(cell, [s.q_next for s in steps]), steps, strict=True):
+        assert path_error(tools, task.grasp, path, s.clock_next)[0] < 3e-6
+
+
+def test_paths_that_are_not_known_ahead_have_no_preview() -> None:
+    task = paper_lift()
+    path: ObjectPath = ServoPath(task.path.pose(0.0))
+    assert QPController(task.cell, task.grasp, path, dt=DT)._preview is None
+    assert QPController(task.cell, task.grasp, task.path, dt=DT)._preview is not None
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("cell", 0.0),
+        ("cell", "long"),
+        ("joint_step", -1.0),
+        ("shortest", np.nan),
+        ("rate_slope", np.inf),
+        ("margin", 1.5),
+        ("curvature_share", 0.0),
+        ("singular_rate", 2.0),
+    ],
+)
+def test_bad_options(name: str, value: Any) -> None:
+    with pytest.raises(InvalidInputError, match=f"PreviewOptions: {name}"):
+        PreviewOptions(**{name: value})

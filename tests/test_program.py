@@ -1,0 +1,279 @@
+"""The QP of a step: the condensed form against the full, the ray against both, and the form whose chain may part."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from coopqp.chain import Chain
+from coopqp.controllers.answer import StepAnswer, StepSolver
+from coopqp.controllers.options import QPOptions
+from coopqp.controllers.qp import QPController
+from coopqp.errors import InvalidInputError
+from coopqp.limits import VelocityBox
+from coopqp.program import Answer, Pieces, RankWeights, StepProgram, StepTerms
+from coopqp.scenarios import SCENARIOS, Scenario, dual_arm7, five_joint_pair, mixed_cell, paper_lift, scara_pair
+from coopqp.solvers import make_solver
+from coopqp.spatial import Array
+
+#: Random boxes per recorded step.
+BOXES = 50 if os.environ.get("HYPOTHESIS_PROFILE") == "nightly" else 5
+#: The promise: both forms give the same velocities [rad/s or m/s].
+AGREEMENT = 1e-8
+
+
+@dataclass(eq=False)
+class Recorded:
+    """What a step asked its solver, with the chain as it was linearised then."""
+
+    solver: StepSolver
+    terms: StepTerms
+    v_prev: Array
+    dt: float
+
+    @property
+    def program(self) -> StepProgram:
+        return self.solver.program
+
+    @property
+    def chain(self) -> Chain:
+        return self.solver.program.chain
+
+    @property
+    def box(self) -> VelocityBox:
+        return self.solver._box
+
+    @property
+    def pieces(self) -> Pieces:
+        return self.program.pieces(self.terms)
+
+    def condensed(self, box: Any = None, weights: RankWeights | None = None) -> Answer:
+        program = self.program if weights is None else StepProgram(self.chain, weights)
+        problem, base, B = program.condensed(self.terms, self.pieces, box or self.box)
+        solution = make_solver("daqp").solve(problem)
+        assert solution.usable, solution
+        return program.read_condensed(solution.x, self.terms, base, B)
+
+    def full(self, box: Any = None, *, slack: bool = False, solver: str = "daqp") -> Answer:
+        solution = make_solver(solver).solve(self.program.full(self.terms, box or self.box, slack=slack))
+        assert solution.usable, solution
+        return self.program.read_full(solution.x, self.terms)
+
+
+def steps(task: Scenario, monkeypatch: pytest.MonkeyPatch, *, every: int = 5, dt: float = 0.02) -> Iterator[Recorded]:
+    """Every so many steps of a run, at the moment at which its answer is computed."""
+    asked: list[Recorded] = []
+    answer = StepSolver.answer
+
+    def spy(self: StepSolver, terms: StepTerms, v_prev: Array, h: float) -> StepAnswer:
+        asked[:] = [Recorded(self, terms, v_prev.copy(), h)]
+        return answer(self, terms, v_prev, h)
+
+    monkeypatch.setattr(StepSolver, "answer", spy)
+    options = QPOptions(shortcut=False, kernel="none")
+    controller = QPController(task.cell, task.grasp, task.path, dt=dt, options=options)
+    controller.reset(task.q_start)
+    for number in range(10_000):
+        step = controller.step()
+        if number % every == 0:
+            yield asked[0]
+        if step.finished or number * dt > 2.0 * task.path.duration:
+            return
+
+
+@dataclass(eq=False)
+class Box:
+    """A box of one's own: what the program reads of a VelocityBox."""
+
+    lower: Array
+    upper: Array
+    outside: Array
+    recovery: Array
+
+
+def a_box(rng: np.random.Generator, recorded: Recorded, *, width: float, outside: int = 0) -> Box:
+    """A random box with room for some command that keeps the chain, though not for the nominal one."""
+    chain, terms, pieces = recorded.chain, recorded.terms, recorded.pieces
+    program = recorded.program
+    _, _, B = program.condensed(terms, pieces, recorded.box)
+    shares = rng.uniform(size=3)
+    off = rng.normal(size=6) * [0.02, 0.02, 0.02, 0.06, 0.06, 0.06]
+    if terms.admissible is not None:
+        off = terms.admissible @ (terms.admissible.T @ off)
+    inside = pieces.fixed + shares[0] * terms.rate_cap * pieces.along + shares[1] * pieces.grasp
+    inside = inside + shares[2] * pieces.path + chain.joint_columns(terms.to_world @ off[:, None])[:, 0]
+    if chain.redundancy:
+        inside = inside + B[:, -chain.redundancy :] @ rng.normal(size=chain.redundancy) * 1e-3
+    n = chain.nv
+    lower, upper = inside - width * rng.uniform(size=n), inside + width * rng.uniform(size=n)
+    flags = np.zeros(n, dtype=bool)
+    flags[rng.choice(n, size=outside, replace=False)] = True
+    recovery = np.where(flags, rng.uniform(lower, upper), 0.0)
+    return Box(lower, upper, flags, recovery)
+
+
+# -- condensed against full --------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("limits", [{}, {"velocity": 0.2}, {"acceleration": 2.0}], ids=["own", "slow", "accelerating"])
+@pytest.mark.parametrize("name", SCENARIOS)
+def test_both_forms_agree_on_every_scenario(name: str, limits: dict[str, float], monkeypatch: Any) -> None:
+    task = SCENARIOS[name]()
+    task = replace(task, cell=task.cell.with_limits(**limits) if limits else task.cell)
+    count = 0
+    for recorded in steps(task, monkeypatch, every=7):
+        a, b = recorded.condensed(), recorded.full()
+        assert np.abs(a.velocity - b.velocity).max() < AGREEMENT
+        assert abs(a.rate - b.rate) < 1e-6
+        count += 1
+    assert count >= 3
+
+
+@pytest.mark.parametrize("outside", [0, 2])
+@pytest.mark.parametrize("make", [paper_lift, dual_arm7, mixed_cell, scara_pair, five_joint_pair])
+def test_both_forms_agree_in_random_boxes(
+    make: Any, outside: int, monkeypatch: pytest.MonkeyPatch, rng: np.random.Generator
+) -> None:
+    """Boxes that leave the chain possible, and force the object off its path."""
+    off_path = 0
+    for recorded in steps(make(), monkeypatch, every=40):
+        for _ in range(BOXES):
+            box = a_box(rng, recorded, width=10.0 ** rng.uniform(-3.0, 0.0), outside=outside)
+            a, b = recorded.condensed(box), recorded.full(box)
+            assert np.abs(a.velocity - b.velocity).max() < AGREEMENT
+            assert np.maximum(a.velocity - box.upper, box.lower - a.velocity).max() < 1e-8
+            off_path += np.linalg.norm(a.off_path) > 1e-4
+    assert off_path > 3
+
+
+def test_another_solver_finds_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
+    task = paper_lift()
+    task = replace(task, cell=task.cell.with_limits(velocity=0.2))
+    for recorded in steps(task, monkeypatch, every=20):
+        assert np.abs(recorded.full().velocity - recorded.full(solver="proxqp").velocity).max() < 1e-7
+
+
+@pytest.mark.parametrize("make", [paper_lift, dual_arm7, mixed_cell, scara_pair, five_joint_pair])
+def test_every_answer_keeps_the_chain(make: Any, monkeypatch: Any, rng: np.random.Generator) -> None:
+    """A_k v_k = σν + s + ρ_p c_p + ρ_g c_k + b_k for every arm, whatever was given up."""
+    for recorded in steps(make(), monkeypatch, every=40):
+        terms = recorded.terms
+        terms.grasp_corrections = rng.normal(size=terms.grasp_corrections.shape) * 0.01
+        for k, P in terms.ranges:
+            terms.grasp_corrections[k] = P @ terms.grasp_corrections[k]
+        answer = recorded.condensed(a_box(rng, recorded, width=0.1))
+        assert recorded.program.parting(answer, terms) < 1e-9
+        common = answer.rate * terms.along + answer.off_path + answer.path_share * terms.path_correction
+        wanted = common + answer.grasp_share * terms.grasp_corrections + terms.offsets
+        made = recorded.chain.twists(answer.velocity) @ np.linalg.inv(terms.to_world).T
+        assert np.abs(made - wanted).max() < 1e-9
+
+
+def test_pieces_add_up_to_the_command(monkeypatch: pytest.MonkeyPatch, rng: np.random.Generator) -> None:
+    for recorded in steps(mixed_cell(), monkeypatch, every=40):
+        terms, chain = recorded.terms, recorded.chain
+        terms.path_correction, rate = rng.normal(size=6) * 0.01, rng.uniform()
+        v = recorded.pieces.command(rate)
+        assert np.abs(chain.twists(v) - terms.twists(rate)).max() < 1e-12
+
+
+# -- the ray -----------------------------------------------------------------------------------------------------------
+
+
+def test_the_ray_is_what_the_weights_tend_to(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Strict ranks in closed form: the weighted QP comes nearer in proportion to rate cost over off-path cost."""
+    task = paper_lift(time_law="quintic")
+    task = replace(task, cell=task.cell.with_limits(velocity=0.15))
+    apart: dict[float, list[float]] = {1e-4: [], 1e-6: [], 1e-8: []}
+    used = 0
+    for recorded in steps(task, monkeypatch, every=3):
+        on_path = recorded.solver._on_path(recorded.terms, recorded.pieces, recorded.v_prev, recorded.dt)
+        assert on_path is not None
+        if on_path.rate > 0.999 * recorded.terms.rate_cap:
+            continue
+        used += 1
+        for ratio, distances in apart.items():
+            solved = recorded.condensed(weights=RankWeights(rate=1e4 * ratio, grasp=1e8, path=1e6))
+            distances.append(np.abs(solved.velocity - on_path.velocity).max())
+        default = recorded.condensed()
+        assert np.abs(default.velocity - on_path.velocity).max() < 5e-6
+        assert on_path.binding
+    assert used > 10
+    worst = {ratio: max(d) for ratio, d in apart.items()}
+    assert worst[1e-6] < 2e-2 * worst[1e-4]
+    assert worst[1e-8] < 2e-2 * worst[1e-6]
+
+
+# -- the form whose chain may part -------------------------------------------------------------------------------------
+
+
+def test_slack_changes_nothing_where_the_chain_can_be_kept(
+    monkeypatch: pytest.MonkeyPatch, rng: np.random.Generator
+) -> None:
+    for recorded in steps(paper_lift(), monkeypatch, every=60):
+        box = a_box(rng, recorded, width=0.1)
+        relaxed = recorded.full(box, slack=True)
+        assert recorded.program.parting(relaxed, recorded.terms) < 1e-5
+        assert np.abs(relaxed.velocity - recorded.full(box).velocity).max() < 1e-3
+
+
+def test_slack_parts_the_arms_no_more_than_it_must(monkeypatch: pytest.MonkeyPatch) -> None:
+    """One arm is nailed down, a joint of another must move: the third has no part in it."""
+    recorded = next(steps(paper_lift(), monkeypatch))
+    n = recorded.chain.nv
+    lower, upper = np.full(n, -1.0), np.full(n, 1.0)
+    lower[:6] = upper[:6] = 0.0
+    lower[6] = 0.1
+    box = Box(lower, upper, np.zeros(n, dtype=bool), np.zeros(n))
+    problem, _, _ = recorded.program.condensed(recorded.terms, recorded.pieces, box)  # type: ignore[arg-type]
+    assert not make_solver("daqp").solve(problem).usable
+    answer = recorded.full(box, slack=True)
+    parted = recorded.program.parting(answer, recorded.terms)
+    assert 1e-4 < parted < 0.1
+    assert np.all(answer.velocity >= lower - 1e-8)
+    twists = recorded.chain.twists(answer.velocity) @ np.linalg.inv(recorded.terms.to_world).T
+    assert np.abs(twists[0]).max() < 1e-9
+    apart = np.linalg.norm(twists[1] - twists[0]), np.linalg.norm(twists[2] - twists[0])
+    assert apart[1] < apart[0]
+
+
+@pytest.mark.parametrize("make", [paper_lift, dual_arm7, mixed_cell, scara_pair])
+def test_slack_always_has_an_answer(make: Any, monkeypatch: pytest.MonkeyPatch, rng: np.random.Generator) -> None:
+    """In boxes that no closed chain fits into, with and without joints to lead back."""
+    for recorded in steps(make(), monkeypatch, every=40):
+        n = recorded.chain.nv
+        for _ in range(BOXES):
+            middle, width = rng.normal(size=n) * 0.3, 10.0 ** rng.uniform(-4.0, 0.0)
+            flags = rng.uniform(size=n) < 0.2
+            box = Box(middle - width, middle + width, flags, middle * flags)
+            answer = recorded.full(box, slack=True)  # asserts that there is one
+            assert np.maximum(answer.velocity - box.upper, box.lower - answer.velocity).max() < 1e-6
+            assert answer.rate > -1e-9
+            assert np.isfinite(recorded.program.parting(answer, recorded.terms))
+
+
+# -- arms with few joints, weights -------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("make", [scara_pair, five_joint_pair])
+def test_off_path_motion_is_one_that_all_arms_can_follow(
+    make: Any, monkeypatch: pytest.MonkeyPatch, rng: np.random.Generator
+) -> None:
+    for recorded in steps(make(), monkeypatch, every=40):
+        Z = recorded.terms.admissible
+        assert Z is not None
+        assert Z.shape[1] == 4
+        s = recorded.condensed(a_box(rng, recorded, width=0.01)).off_path
+        assert np.abs(s - Z @ (Z.T @ s)).max() < 1e-9
+
+
+@pytest.mark.parametrize("name", RankWeights.__dataclass_fields__)
+@pytest.mark.parametrize("value", [0.0, -1.0, np.nan, np.inf, "much"])
+def test_weights_must_be_positive(name: str, value: Any) -> None:
+    with pytest.raises(InvalidInputError, match=f"RankWeights: {name}"):
+        RankWeights(**{name: value})

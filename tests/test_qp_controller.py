@@ -1,0 +1,730 @@
+"""The cooperative QP controller: what it promises whatever the cell, the frame, the order of the arms or the units."""
+
+from __future__ import annotations
+
+import itertools
+import os
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from coopqp.cell import Arm, RobotCell
+from coopqp.controllers.base import ControlStep, Status
+from coopqp.controllers.common_error import CommonError
+from coopqp.controllers.options import QPOptions
+from coopqp.controllers.qp import QPController
+from coopqp.errors import InvalidInputError, MissingExtraError, UnknownNameError
+from coopqp.grasp import Grasp
+from coopqp.inverse_kinematics import inverse_kinematics
+from coopqp.limits import LimitKind
+from coopqp.metrics import (
+    chain_error,
+    limit_excess,
+    object_error,
+    path_error,
+    relative_positioning_error,
+    tool_placements,
+)
+from coopqp.path import HoldPath, LinePath, ObjectPath, TimeLaw
+from coopqp.posture import PostureOptions
+from coopqp.preview import PreviewOptions
+from coopqp.program import RankWeights
+from coopqp.scenarios import (
+    SCENARIOS,
+    Scenario,
+    at_limit,
+    at_singularity,
+    dual_arm7,
+    fast_lift,
+    five_joint_pair,
+    mixed_cell,
+    paper_lift,
+    ring,
+    scara_pair,
+)
+from coopqp.scenarios.paper import three_rx90l
+from coopqp.spatial import Array
+
+NIGHTLY = os.environ.get("HYPOTHESIS_PROFILE") == "nightly"
+MM = 1e-3
+
+
+def make(task: Scenario, *, dt: float | None = None, **options: Any) -> QPController:
+    controller = QPController(task.cell, task.grasp, task.path, dt=dt or task.dt, options=QPOptions(**options))
+    controller.reset(task.q_start)
+    return controller
+
+
+def go(controller: QPController, *, longest: int = 6000, dwell: int = 20) -> list[ControlStep]:
+    """Steps until the path is finished or the object has waited for a while."""
+    steps: list[ControlStep] = []
+    waited = 0
+    while len(steps) < longest and waited < dwell:
+        steps.append(controller.step())
+        waited = waited + 1 if steps[-1].status is Status.BLOCKED else 0
+        if steps[-1].finished:
+            break
+    return steps
+
+
+def run(task: Scenario, *, dt: float | None = None, longest: int = 6000, **options: Any) -> list[ControlStep]:
+    return go(make(task, dt=dt, **options), longest=longest)
+
+
+def chain_of(task: Scenario, steps: Sequence[ControlStep]) -> Array:
+    """Chain error after each step [m]."""
+    return np.array([chain_error(T, task.grasp)[0] for T in tool_placements(task.cell, [s.q_next for s in steps])])
+
+
+def off_path(task: Scenario, steps: Sequence[ControlStep]) -> Array:
+    """Path error after each step [m]."""
+    tools = tool_placements(task.cell, [s.q_next for s in steps])
+    return np.array([path_error(T, task.grasp, s.path, s.clock_next)[0] for T, s in zip(tools, steps, strict=True)])
+
+
+def excess(task: Scenario, steps: Sequence[ControlStep]) -> float:
+    return limit_excess(task.cell, [steps[0].q, *(s.q_next for s in steps)], [s.velocity for s in steps])
+
+
+def acceleration_used(task: Scenario, steps: Sequence[ControlStep]) -> float:
+    """Largest share of an acceleration limit, from standstill on."""
+    v = np.array([np.zeros(task.cell.nv), *(s.velocity for s in steps)])
+    return float((np.abs(np.diff(v, axis=0)) / (steps[0].dt * task.cell.limits.acceleration)).max())
+
+
+def with_mismatch(task: Scenario, arm: int, shift: Sequence[float], turn: Sequence[float] = (0, 0, 0)) -> Scenario:
+    """The same start, with another idea of where an arm holds the object."""
+    tools = list(task.grasp.T_object_tool)
+    tools[arm] = pin.SE3(pin.exp3(np.array(turn, dtype=float)), np.array(shift, dtype=float)) * tools[arm]
+    return replace(task, grasp=Grasp(tuple(tools)))
+
+
+# -- invariance --------------------------------------------------------------------------------------------------------
+
+
+def a_task_in_another_world(task: Scenario, W: pin.SE3) -> Scenario:
+    path = task.path
+    assert isinstance(path, LinePath)
+    return replace(
+        task,
+        cell=RobotCell([arm.placed(W * arm.T_world_base) for arm in task.cell.arms]),
+        path=LinePath(W * path.start, W * path.goal, duration=path.duration, time_law=path.time_law),
+    )
+
+
+@pytest.mark.parametrize("shortcut", [True, False])
+@pytest.mark.parametrize("scenario", [fast_lift, dual_arm7, mixed_cell, at_limit])
+def test_the_world_frame_does_not_matter(scenario: Callable[..., Scenario], shortcut: bool) -> None:
+    task = scenario()
+    pin.seed(3)
+    moved = a_task_in_another_world(task, pin.SE3.Random())
+    pairs = zip(
+        run(task, dt=0.005, longest=200, shortcut=shortcut),
+        run(moved, dt=0.005, longest=200, shortcut=shortcut),
+        strict=True,
+    )
+    for a, b in pairs:
+        assert np.abs(a.velocity - b.velocity).max() < 2e-7
+        assert a.rate == pytest.approx(b.rate, abs=1e-7)
+        assert a.status is b.status
+
+
+def reordered(task: Scenario, order: Sequence[int]) -> Scenario:
+    return replace(
+        task,
+        cell=RobotCell([task.cell.arms[k] for k in order]),
+        grasp=Grasp(tuple(task.grasp.T_object_tool[k] for k in order)),
+        q_start=np.concatenate([task.q_start[task.cell.q_slices[k]] for k in order]),
+    )
+
+
+@pytest.mark.parametrize("common", ["master", "leaderless"])
+@pytest.mark.parametrize("scenario", [fast_lift, mixed_cell, at_limit, scara_pair])
+def test_the_order_of_the_arms_does_not_matter(scenario: Callable[..., Scenario], common: str) -> None:
+    task = with_mismatch(scenario(), 1, (0.0, 0.001, 0.0))
+    order = list(np.random.default_rng(5).permutation(len(task.cell)))
+    other = reordered(task, order)
+    first = task.cell.arm_names[0]
+    error = CommonError.master(first) if common == "master" else CommonError.leaderless()
+    a_steps = run(task, dt=0.005, longest=150, common_error=error)
+    b_steps = run(other, dt=0.005, longest=150, common_error=error)
+    for a, b in zip(a_steps, b_steps, strict=True):
+        for k, name in enumerate(other.cell.arm_names):
+            s = task.cell.v_slices[task.cell.index(name)]
+            assert np.abs(a.velocity[s] - b.velocity[other.cell.v_slices[k]]).max() < 1e-7
+        assert {x.arm for x in a.binding} == {x.arm for x in b.binding} or a.rate == pytest.approx(b.rate, abs=1e-7)
+
+
+@pytest.mark.parametrize("scenario", [fast_lift, at_limit, dual_arm7])
+def test_the_unit_of_time_does_not_matter(scenario: Callable[..., Scenario]) -> None:
+    """Everything ten times slower, limits and gains included: the same configurations, step by step."""
+    task, slow = scenario(), 10.0
+    path = task.path
+    assert isinstance(path, LinePath)
+    limits = task.cell.limits
+    slowed = replace(
+        task,
+        cell=task.cell.with_limits(velocity=limits.velocity / slow, acceleration=limits.acceleration / slow**2),
+        path=LinePath(path.start, path.goal, duration=path.duration * slow, time_law=path.time_law),
+    )
+    o, p = QPOptions(), PreviewOptions()
+    scaled = {
+        "grasp_gain": o.grasp_gain / slow,
+        "path_gain": o.path_gain / slow,
+        "correction_speed": o.correction_speed / slow,
+        "correction_spin": o.correction_spin / slow,
+        "posture": PostureOptions(gain=PostureOptions().gain / slow),
+        "preview": PreviewOptions(cell=p.cell * slow, shortest=p.shortest * slow, rate_slope=p.rate_slope / slow),
+        "weights": RankWeights(off_path=o.weights.off_path * slow**2, recovery=o.weights.recovery * slow**2),
+    }
+    a_steps = run(task, dt=0.004, longest=250)
+    b_steps = run(slowed, dt=0.004 * slow, longest=250, **scaled)
+    for a, b in zip(a_steps, b_steps, strict=True):
+        assert np.abs(a.q_next - b.q_next).max() < 2e-6
+        assert a.rate == pytest.approx(b.rate, abs=2e-4)
+
+
+# -- one behaviour by every way of solving -----------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("scenario", "alike"),
+    [(fast_lift, 2e-5), (five_joint_pair, 2e-5), (mixed_cell, 1e-3)],
+    ids=["six", "five", "mixed"],
+)
+def test_shortcut_form_and_solver_change_nothing_that_matters(scenario: Callable[..., Scenario], alike: float) -> None:
+    """Redundant arms may differ in how they use their freedom, the others and the object not."""
+    task = scenario()
+    task = replace(task, cell=task.cell.with_limits(velocity=np.minimum(task.cell.limits.velocity, 0.3)))
+    reference = run(task, dt=0.01, longest=120)
+    bound = np.concatenate([np.arange(s.start, s.stop) for s in task.cell.v_slices if s.stop - s.start <= 6])
+    ways: list[dict[str, Any]] = [{"shortcut": False}, {"shortcut": False, "form": "full"}, {"kernel": "none"}]
+    ways += [{"shortcut": False, "solver": name} for name in ("proxqp", "osqp")]
+    for way in ways:
+        steps = run(task, dt=0.01, longest=120, **way)
+        for a, b in zip(reference, steps, strict=True):
+            assert np.abs(a.velocity - b.velocity)[bound].max() < alike, way
+            assert a.rate == pytest.approx(b.rate, abs=5.0 * alike), way
+        assert chain_of(task, steps).max() < 1e-2 * MM, way
+        assert excess(task, steps) == 0.0, way
+
+
+@pytest.mark.parametrize("kernel", ["numpy", "compiled"])
+def test_kernels_agree(kernel: str) -> None:
+    task = fast_lift()
+    try:
+        controller = make(task, kernel=kernel)
+    except MissingExtraError:
+        controller = make(task)  # a machine without a compiler has only one
+    for a, b in zip(go(controller, longest=300), run(task, longest=300, kernel="none"), strict=True):
+        assert np.abs(a.velocity - b.velocity).max() < 1e-8
+
+
+# -- whose view of the object counts -----------------------------------------------------------------------------------
+
+SHIFT, TURN = (0.002, -0.003, 0.001), (0.004, 0.002, -0.003)
+
+
+def views(task: Scenario, steps: Sequence[ControlStep], arm: int) -> tuple[float, float]:
+    """Largest distance [m] and angle [rad] of an arm's view of the object from the path."""
+    errors = [
+        object_error(T, task.grasp, task.path.pose(s.clock_next), arm)
+        for T, s in zip(tool_placements(task.cell, [s.q_next for s in steps]), steps, strict=True)
+    ]
+    return max(e[0] for e in errors), max(e[1] for e in errors)
+
+
+@pytest.mark.parametrize("master", [0, 1, 2])
+def test_master_slave_the_object_is_where_the_master_carries_it(master: int) -> None:
+    """The slaves make up for all of a mismatch; the master's view never leaves the path."""
+    task = with_mismatch(paper_lift(time_law=TimeLaw.QUINTIC), 1, SHIFT, TURN)
+    if master == 1:  # the master itself starts off the path by its own mismatch: let the path start at its view
+        task = replace(
+            task,
+            path=LinePath.displaced(
+                task.path.pose(0.0) * pin.SE3(pin.exp3(np.array(TURN, dtype=float)), np.array(SHIFT)).inverse(),
+                translation=(0.0, 0.0, 0.3),
+                duration=3.0,
+            ),
+        )
+    steps = run(task, common_error=CommonError.master(master))
+    d, a = views(task, steps, master)
+    assert d < 1e-3 * MM
+    assert a < 1e-6
+    assert chain_of(task, steps)[-1] < 1e-6 * MM
+
+
+def test_leaderless_all_arms_give_way_alike() -> None:
+    task = with_mismatch(paper_lift(time_law=TimeLaw.QUINTIC), 1, SHIFT)
+    steps = run(task, common_error=CommonError.leaderless(), path_gain=0.0)
+    at_end = [views(task, steps[-1:], k)[0] for k in range(3)]
+    assert np.ptp(at_end) < 1e-5 * MM
+    assert at_end[0] == pytest.approx(np.linalg.norm(SHIFT) / 3.0, rel=0.02)  # they meet in the middle of their views
+    corrected = run(task, common_error=CommonError.leaderless())
+    assert off_path(task, corrected)[-1] < 1e-5 * MM  # the path gain then leads the object back
+
+
+def test_driver_orients_and_master_positions() -> None:
+    """The paper's mode I: the object's position is the master's, its orientation the driver's."""
+    task = with_mismatch(paper_lift(time_law=TimeLaw.QUINTIC), 0, (0, 0, 0), TURN)
+    task = with_mismatch(task, 2, SHIFT)
+    strategy = CommonError.driver(master="master", driver="slave_2")
+    steps = run(task, common_error=strategy, path_gain=0.0)
+    positions, angles = zip(*(views(task, steps, k) for k in range(3)), strict=True)
+    assert positions[0] < 0.05 * MM  # to second order in the mismatch
+    assert angles[2] < 1e-5
+    assert angles[0] > 0.8 * np.linalg.norm(TURN)
+    assert positions[2] > 0.8 * np.linalg.norm(SHIFT)
+    assert chain_of(task, steps)[-1] < 1e-6 * MM
+    # Under a master alone the driver's orientation has no say: it turns to the master's.
+    other = run(task, common_error=CommonError.master("master"), path_gain=0.0)
+    assert views(task, other, 0)[1] == pytest.approx(np.linalg.norm(TURN), rel=0.02)
+    assert views(task, other[-1:], 2)[1] == pytest.approx(np.linalg.norm(TURN), rel=0.02)
+
+
+def test_weights_per_axis_are_what_the_strategies_are_made_of() -> None:
+    task = with_mismatch(paper_lift(), 1, SHIFT, TURN)
+    weights = np.zeros((3, 6))
+    weights[0] = 1.0
+    a = run(task, longest=50, common_error=CommonError.per_axis(weights))
+    b = run(task, longest=50, common_error=CommonError.master())
+    assert all(np.array_equal(x.velocity, y.velocity) for x, y in zip(a, b, strict=True))
+
+
+@pytest.mark.parametrize(
+    "weights", [np.ones((3, 6)), np.eye(6), -np.ones((3, 6)), "all", np.full((3, 6), np.nan), [[1.0] * 6, [0.0] * 6]]
+)
+def test_weights_that_do_not_fit(weights: Any) -> None:
+    with pytest.raises(InvalidInputError, match="CommonError"):
+        make(paper_lift(), common_error=CommonError.per_axis(weights))
+    with pytest.raises(UnknownNameError, match="Did you mean 'slave_1'"):
+        make(paper_lift(), common_error=CommonError.master("slave1"))
+
+
+# -- drift and its correction ------------------------------------------------------------------------------------------
+
+
+def test_a_step_never_corrects_more_than_the_whole_error() -> None:
+    """K dt ≤ 1: with an absurd gain the mismatch is gone after one step, and stays so."""
+    task = paper_lift()
+    task = replace(task, path=HoldPath(task.path.pose(0.0), duration=0.05))
+    task = with_mismatch(task, 1, (5e-5, 0.0, 0.0))
+    steps = run(task, dt=0.002, grasp_gain=1e9, path_gain=1e9, correction_speed=10.0, correction_spin=10.0)
+    errors = chain_of(task, steps)
+    assert errors[0] < 1e-8
+    assert errors.max() < 1e-8
+
+
+@pytest.mark.parametrize("gain", [2.0, 20.0, 100.0])
+def test_the_mismatch_decays_with_the_gain(gain: float) -> None:
+    task = paper_lift()
+    task = replace(task, path=HoldPath(task.path.pose(0.0), duration=0.2))
+    task = with_mismatch(task, 1, (1e-4, -2e-4, 1e-4))
+    errors = chain_of(task, run(task, dt=0.002, grasp_gain=gain))
+    ratio = errors[10:60] / errors[9:59]
+    assert np.abs(ratio - (1.0 - gain * 0.002)).max() < 2e-3
+
+
+def test_without_gain_the_mismatch_stays() -> None:
+    task = with_mismatch(paper_lift(time_law=TimeLaw.QUINTIC), 1, SHIFT)
+    errors = chain_of(task, run(task, grasp_gain=0.0, path_gain=0.0))
+    assert errors[-1] == pytest.approx(np.linalg.norm(SHIFT), rel=1e-3)
+
+
+@pytest.mark.parametrize(("speed", "spin"), [(0.01, 1.0), (1.0, 0.01)])
+def test_corrections_are_bounded(speed: float, spin: float) -> None:
+    task = paper_lift()
+    task = replace(task, path=HoldPath(task.path.pose(0.0), duration=0.3))
+    task = with_mismatch(task, 1, (0.004, 0.0, 0.0), (0.0, 0.006, 0.0))
+    steps = run(task, dt=0.002, correction_speed=speed, correction_spin=spin)
+    T = tool_placements(task.cell, [steps[0].q, *(s.q_next for s in steps)])
+    O = [t[1] * task.grasp.T_object_tool[1].inverse() for t in T]
+    moved = np.array([pin.log6(a.actInv(b)).vector for a, b in itertools.pairwise(O)]) / 0.002
+    fastest = np.linalg.norm(moved[:, :3], axis=1).max() / speed, np.linalg.norm(moved[:, 3:], axis=1).max() / spin
+    assert max(fastest) == pytest.approx(1.0, rel=0.01)
+
+
+def order_of_accuracy(iterations: int) -> Array:
+    """ε_p [m] of the paper's lift at N = 25, 50, 100, 200."""
+    task = paper_lift()
+    figures = []
+    for N in (25, 50, 100, 200):
+        steps = run(task, dt=3.0 / N, iterations=iterations)
+        tools = tool_placements(task.cell, [s.q_next for s in steps])
+        figures.append(max(relative_positioning_error(T, task.grasp) for T in tools))
+    return np.array(figures)
+
+
+def test_a_second_linearisation_raises_the_order_of_accuracy() -> None:
+    """Halving the step divides the drift by 8 or more with one, by 14 or more with two (orders 3 and 4)."""
+    one, two = order_of_accuracy(1), order_of_accuracy(2)
+    assert np.all(one[:-1] / one[1:] > 7.0)
+    assert np.all(two[:-1] / two[1:] > 13.0)
+    assert np.all(two < 0.2 * one)
+
+
+@pytest.mark.parametrize(("steps", "bound"), [(40, 0.003), (400, 3e-6), (1000, 2e-7)])
+def test_drift_of_the_papers_lift(steps: int, bound: float) -> None:
+    """The paper's open question, complete elimination of cumulative errors, in figures [mm]."""
+    task = paper_lift()
+    made = run(task, dt=3.0 / steps)
+    tools = tool_placements(task.cell, [s.q_next for s in made])
+    assert 1e3 * max(relative_positioning_error(T, task.grasp) for T in tools) < bound
+    assert len(made) == steps
+    assert all(s.status is Status.TRACKING for s in made)
+
+
+# -- the object's clock ------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("acceleration", [np.inf, 5.0])
+@pytest.mark.parametrize("time_law", TimeLaw)
+def test_the_final_pose_is_held(time_law: TimeLaw, acceleration: float) -> None:
+    task = paper_lift(time_law=time_law, duration=1.0)
+    task = replace(task, cell=task.cell.with_limits(acceleration=acceleration), dt=0.002)
+    controller = make(task)
+    steps = go(controller)
+    assert steps[-1].finished
+    assert steps[-1].clock_next == 1.0
+    after = [controller.step() for _ in range(200)]
+    assert all(s.finished and s.clock_next == 1.0 for s in after)
+    assert all(s.status is Status.TRACKING for s in after[5:])
+    assert np.abs(after[-1].velocity).max() < 1e-6
+    goal = task.path.pose(1.0)
+    for T in tool_placements(task.cell, [s.q_next for s in after]):
+        assert max(object_error(T, task.grasp, goal, k)[0] for k in range(3)) < 1e-3 * MM
+    assert acceleration_used(task, steps + after) < 1.0 + 1e-6 or np.isinf(acceleration)
+
+
+def test_the_clock_advances_by_the_rate() -> None:
+    task = fast_lift()
+    steps = run(task)
+    assert steps[-1].finished
+    for s in steps[:-1]:
+        assert s.clock_next - s.clock == pytest.approx(s.rate * s.dt, abs=1e-12)
+    assert len(steps) > 1.5 * task.path.duration / task.dt
+    assert max(off_path(task, steps)) < 1e-3 * MM
+
+
+def test_the_length_of_a_step_may_vary(rng: np.random.Generator) -> None:
+    task = paper_lift(time_law=TimeLaw.QUINTIC, duration=1.0)
+    task = replace(task, cell=task.cell.with_limits(acceleration=10.0), dt=0.002)
+    controller = make(task)
+    steps: list[ControlStep] = []
+    while not steps or not steps[-1].finished:
+        steps.append(controller.step(dt=float(rng.uniform(0.0016, 0.0024))))
+    assert chain_of(task, steps).max() < 1e-3 * MM
+    assert off_path(task, steps).max() < 1e-2 * MM
+    assert sum(s.status is Status.HOLDING for s in steps) == 0
+
+
+# -- another path ------------------------------------------------------------------------------------------------------
+
+
+def test_follow_goes_on_from_a_standstill() -> None:
+    task = at_limit()
+    controller = make(task)
+    steps = go(controller)
+    assert steps[-1].status is Status.BLOCKED
+    stuck = steps[-1]
+    controller.follow(LinePath(task.path.pose(stuck.clock_next), task.path.pose(0.0), duration=1.0))
+    back = go(controller)
+    assert back[-1].finished
+    everything = [*steps, *back]
+    assert chain_of(task, everything).max() < 1e-3 * MM
+    assert off_path(task, everything).max() < 1e-3 * MM
+    assert excess(task, everything) == 0.0
+    assert acceleration_used(task, everything) < 1.0 + 1e-6
+    assert np.abs(back[-1].q_next - task.q_start).max() < 1e-6
+
+
+# -- singularities that are only passed --------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("acceleration", [np.inf, 5.0])
+@pytest.mark.parametrize("miss", [0.1, 0.01, 0.003])
+def test_a_path_that_passes_near_a_singularity_is_completed(miss: float, acceleration: float) -> None:
+    task = at_singularity("wrist", 1, miss=miss, acceleration=acceleration)
+    steps = run(task)
+    assert steps[-1].finished
+    assert chain_of(task, steps).max() < 5e-3 * MM
+    assert off_path(task, steps).max() < 5e-3 * MM
+    assert excess(task, steps) == 0.0
+    rates = np.array([s.rate for s in steps])
+    assert rates[-1] > 0.9 or np.isfinite(acceleration)
+
+
+# -- the measured configuration ----------------------------------------------------------------------------------------
+
+
+def test_a_deflected_arm_does_not_wind_up_the_command(rng: np.random.Generator) -> None:
+    """The object is gripped: one arm's servos give way by a constant angle, and no command can change that."""
+    task = paper_lift()
+    task = replace(task, path=HoldPath(task.path.pose(0.0), duration=10.0), dt=0.004)
+    controller = make(task, common_error=CommonError.leaderless())
+    deflection = np.zeros(18)
+    deflection[6:12] = rng.normal(size=6) * 1e-4
+    q, steps = task.q_start, []
+    for _ in range(2000):
+        steps.append(controller.step(q + deflection))
+        q = steps[-1].q_next
+    assert chain_of(task, steps).max() < 1e-4 * MM  # of the command: the arms are told one and the same object
+    assert np.abs(steps[-1].velocity).max() < 1e-6  # and it comes to rest
+    assert np.abs(q - task.q_start).max() < 2e-3
+
+
+def test_the_object_goes_where_it_should_be_as_measured() -> None:
+    """A displacement common to all arms is seen in the measurement, and corrected."""
+    task = paper_lift()
+    start = task.path.pose(0.0)
+    task = replace(task, path=HoldPath(start, duration=10.0), dt=0.004)
+    shifted = pin.SE3(start.rotation, start.translation + np.array([2e-4, -3e-4, 1e-4]))
+    offset = inverse_kinematics(task.cell, task.grasp, shifted, task.q_start) - task.q_start
+    controller = make(task)
+    measured = task.q_start + offset
+    for _ in range(500):
+        measured = controller.step(measured).q_next + offset
+    (tools,) = tool_placements(task.cell, [measured])
+    assert path_error(tools, task.grasp, task.path, 0.0)[0] < 1e-3 * MM
+
+
+def test_a_perfect_measurement_changes_nothing() -> None:
+    task = fast_lift()
+    blind, seeing = make(task), make(task)
+    q = task.q_start
+    for _ in range(200):
+        a, b = blind.step(), seeing.step(q)
+        assert np.abs(a.velocity - b.velocity).max() < 1e-8
+        q = b.q_next
+
+
+# -- arms of any number, with any joints and limits --------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("arms", [1, 2, 5, 12, 16])
+def test_any_number_of_arms(arms: int) -> None:
+    task = ring(arms=max(arms, 2))
+    if arms == 1:
+        q = task.q_start[task.cell.q_slices[0]]
+        task = replace(task, cell=RobotCell(task.cell.arms[:1]), grasp=Grasp(task.grasp.T_object_tool[:1]), q_start=q)
+    task = replace(task, cell=task.cell.with_limits(velocity=0.15))
+    steps = run(task, dt=0.01)
+    assert steps[-1].finished
+    assert min(s.rate for s in steps) < 0.95  # the limits bind
+    assert chain_of(task, steps[::20]).max() < 5e-3 * MM
+    assert off_path(task, steps[::20]).max() < 1e-2 * MM
+    assert excess(task, steps) == 0.0
+
+
+@pytest.mark.parametrize("scenario", [scara_pair, five_joint_pair])
+def test_arms_with_few_joints_are_named_and_restrict_the_object(scenario: Callable[..., Scenario]) -> None:
+    task = scenario()
+    steps = run(task, dt=0.005)
+    assert steps[-1].finished
+    assert steps[-1].given_up.restricted == ("left", "right")
+    assert chain_of(task, steps).max() < 1e-3 * MM
+    assert off_path(task, steps).max() < 1e-3 * MM
+    assert "motions that left, right cannot follow" in steps[-1].explain()
+
+
+def test_what_arms_with_few_joints_cannot_do_is_left_out() -> None:
+    """A tilt that no SCARA can make stays away; the rest of the motion is made, and the chain holds."""
+    task = scara_pair(tilt=0.1)
+    steps = run(task, dt=0.005)
+    assert steps[-1].finished
+    assert chain_of(task, steps).max() < 1e-2 * MM
+    (tools,) = tool_placements(task.cell, [steps[-1].q_next])
+    carried = tools[0] * task.grasp.T_object_tool[0].inverse()
+    goal = task.path.pose(task.path.duration)
+    assert np.abs(carried.translation - goal.translation).max() < 5 * MM
+    assert abs(carried.rotation[2, 2] - 1.0) < 1e-9  # still level
+    heading = pin.log3(carried.rotation)[2]
+    assert heading == pytest.approx(0.3, abs=0.02)
+
+
+@pytest.mark.parametrize("scenario", [paper_lift, dual_arm7, mixed_cell, scara_pair])
+def test_limits_may_be_missing(scenario: Callable[..., Scenario]) -> None:
+    task = scenario()
+    free = task.cell.with_limits(lower=-np.inf, upper=np.inf, velocity=np.inf, acceleration=np.inf)
+    task = replace(task, cell=free)
+    steps = run(task, dt=0.005)
+    assert steps[-1].finished
+    assert chain_of(task, steps).max() < 1e-3 * MM
+    assert all(s.rate == 1.0 for s in steps)
+
+
+def test_limits_may_be_missing_for_some_joints() -> None:
+    """Every third joint without acceleration limit, every fourth without speed limit, every fifth without range."""
+    task = paper_lift(time_law=TimeLaw.QUINTIC, duration=1.0)
+    acceleration, velocity = np.full(18, 5.0), np.full(18, 0.8)
+    lower, upper = task.cell.limits.lower.copy(), task.cell.limits.upper.copy()
+    acceleration[::3], velocity[::4], lower[::5], upper[::5] = np.inf, np.inf, -np.inf, np.inf
+    cell = task.cell.with_limits(acceleration=acceleration, velocity=velocity, lower=lower, upper=upper)
+    task = replace(task, cell=cell, dt=0.002)
+    steps = run(task)
+    assert steps[-1].finished
+    assert chain_of(task, steps).max() < 1e-3 * MM
+    assert off_path(task, steps).max() < 1e-3 * MM
+    assert excess(task, steps) == 0.0
+    assert acceleration_used(task, steps) < 1.0 + 1e-6
+
+
+def test_an_arm_may_have_joints_that_do_not_move_its_tool() -> None:
+    """A gripper's fingers, say: they stay still."""
+    task = dual_arm7()
+    arm = task.cell.arms[0]
+    model = pin.Model(arm.model)
+    flange = model.frames[model.getFrameId("tool")]
+    finger = model.addJoint(flange.parentJoint, pin.JointModelPX(), flange.placement, "finger")
+    model.lowerPositionLimit[-1], model.upperPositionLimit[-1] = 0.0, 0.05
+    model.lowerVelocityLimit[-1], model.upperVelocityLimit[-1] = -0.1, 0.1
+    assert finger == 8
+    gripper = Arm.from_model("left", model, tool_frame="tool", T_world_base=arm.T_world_base)
+    cell = RobotCell([gripper, task.cell.arms[1]])
+    q = np.insert(task.q_start, 7, 0.02)
+    task = replace(task, cell=cell, q_start=q)
+    steps = run(task, dt=0.01)
+    assert steps[-1].finished
+    assert chain_of(task, steps).max() < 1e-3 * MM
+    assert all(abs(s.velocity[7]) < 1e-9 for s in steps)
+
+
+@pytest.mark.parametrize("acceleration", [np.inf, 5.0])
+def test_redundant_arms_come_back_from_outside(acceleration: float) -> None:
+    """Joints that redundancy could move alone, and that no solver may stumble over."""
+    for j in (0, 2, 4, 6):
+        task = dual_arm7()
+        upper = task.cell.limits.upper.copy()
+        upper[j] = task.q_start[j] - 0.01
+        task = replace(task, cell=task.cell.with_limits(upper=upper, acceleration=acceleration))
+        steps = run(task, dt=0.002, longest=200)
+        inside = [i for i, s in enumerate(steps) if s.q_next[j] <= upper[j]]
+        assert inside, task.cell.joint_names[j]
+        assert inside[0] < 50
+        assert all(s.status not in (Status.HOLDING, Status.FAULT) for s in steps)
+        assert chain_of(task, steps).max() < 0.05 * MM
+
+
+# -- what a step tells -------------------------------------------------------------------------------------------------
+
+
+def test_a_step_tells_what_binds() -> None:
+    steps = run(fast_lift(), longest=20)
+    slow = steps[-1]
+    assert slow.status is Status.SLOWED
+    assert slow.binding[0].kind is LimitKind.VELOCITY
+    assert slow.binding[0].joint.startswith("joint_")
+    assert slow.given_up.rate == pytest.approx(1.0 - slow.rate)
+    text = slow.explain()
+    assert str(slow.binding[0]) in text
+    assert "% of its rate" in text
+    blocked = run(at_limit())[-1]
+    assert blocked.explain().startswith(f"The object cannot go on ({blocked.binding[0]}")
+
+
+def test_readings_of_a_step_are_those_of_the_metrics() -> None:
+    task = with_mismatch(paper_lift(), 1, SHIFT, TURN)
+    controller = make(task)
+    for _ in range(3):
+        step = controller.step()
+        (tools,) = tool_placements(task.cell, [step.q])
+        distance, angle = chain_error(tools, task.grasp)
+        assert step.relative_errors.shape == (3, 2)
+        assert step.relative_errors[:, 1].max() == pytest.approx(np.rad2deg(angle), rel=1e-6)
+        assert step.relative_errors[:, 0].max() == pytest.approx(1e3 * distance, rel=0.01)
+        assert step.sigma_min.shape == (3,)
+        after = tool_placements(task.cell, [step.q_next])[0]
+        for k, increment in enumerate(step.arm_increments):
+            made = pin.log6(tools[k].actInv(after[k])).vector
+            assert np.abs(made - increment).max() < 1e-4 * max(1.0, np.abs(made).max())
+
+
+def test_inputs_are_not_changed() -> None:
+    task = paper_lift()
+    q = task.q_start.copy()
+    measured = q.copy()
+    controller = QPController(task.cell, task.grasp, task.path, dt=task.dt)
+    controller.reset(q)
+    steps = []
+    for _ in range(5):
+        steps.append(controller.step(measured))
+        kept = steps[0].q_next.copy()
+        measured = steps[-1].q_next.copy()
+    assert np.array_equal(q, task.q_start)
+    assert np.array_equal(steps[0].q_next, kept)  # later steps do not write into earlier ones
+    assert not np.array_equal(steps[0].velocity, steps[-1].velocity)
+
+
+def test_runs_repeat_to_the_last_bit() -> None:
+    for scenario in (fast_lift, dual_arm7):
+        task = scenario()
+        controller = make(task, shortcut=False)
+        first = go(controller, longest=60)
+        controller.reset(task.q_start)
+        second = go(controller, longest=60)
+        assert all(np.array_equal(a.velocity, b.velocity) for a, b in zip(first, second, strict=True))
+
+
+# -- what is refused ---------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("options", "error"),
+    [
+        ({"grasp_gain": -1.0}, InvalidInputError),
+        ({"path_gain": np.nan}, InvalidInputError),
+        ({"correction_speed": 0.0}, InvalidInputError),
+        ({"blocked_rate": "slow"}, InvalidInputError),
+        ({"iterations": 0}, InvalidInputError),
+        ({"iterations": 1.5}, InvalidInputError),
+        ({"form": "short"}, UnknownNameError),
+        ({"solver": "simplex"}, UnknownNameError),
+        ({"kernel": "gpu"}, UnknownNameError),
+    ],
+)
+def test_bad_options(options: dict[str, Any], error: type[Exception]) -> None:
+    task = paper_lift()
+    with pytest.raises(error):
+        QPController(task.cell, task.grasp, task.path, dt=task.dt, options=QPOptions(**options))
+
+
+@pytest.mark.parametrize("dt", [0.0, -0.001, np.nan, np.inf, "fast", None])
+def test_bad_steps(dt: Any) -> None:
+    task = paper_lift()
+    with pytest.raises(InvalidInputError, match="QPController: dt"):
+        QPController(task.cell, task.grasp, task.path, dt=dt)
+
+
+def test_a_start_that_does_not_hold_the_object() -> None:
+    task = paper_lift()
+    controller = QPController(task.cell, task.grasp, task.path, dt=task.dt)
+    with pytest.raises(InvalidInputError, match="step before reset"):
+        controller.step()
+    q = task.q_start.copy()
+    q[7] += 0.1
+    with pytest.raises(InvalidInputError, match="arm 'slave_1' holds the object"):
+        controller.reset(q)
+    with pytest.raises(InvalidInputError, match="reset: q"):
+        controller.reset(q[:-1])
+    controller.reset(task.q_start)
+    assert controller.step().status is Status.TRACKING
+
+
+def test_a_grasp_for_another_number_of_arms() -> None:
+    with pytest.raises(InvalidInputError, match="Grasp"):
+        QPController(three_rx90l(), Grasp((pin.SE3.Identity(),)), paper_lift().path, dt=0.01)
+
+
+def test_every_scenario_runs() -> None:
+    """A first look at all of them: 60 coarse steps each, no failures, the chain closed."""
+    for name, build in SCENARIOS.items():
+        task = build()
+        path: ObjectPath = task.path
+        steps = run(task, dt=max(task.dt, path.duration / 200), longest=60)
+        assert all(s.status not in (Status.HOLDING, Status.FAULT) for s in steps), name
+        assert chain_of(task, steps).max() < 0.05 * MM, name
+        assert excess(task, steps) == 0.0, name

@@ -1,0 +1,63 @@
+"""What the README shows is true: its program runs, its commands exist, its pictures are there."""
+
+from __future__ import annotations
+
+import re
+import shlex
+import shutil
+import subprocess
+from pathlib import Path
+
+import matplotlib.image
+import pytest
+
+from coopqp import cli, demo
+
+ROOT = Path(__file__).parents[1]
+README = (ROOT / "README.md").read_text(encoding="utf-8")
+
+
+def blocks(language: str) -> list[str]:
+    return re.findall(rf"^```{language}\n(.*?)^```$", README, flags=re.MULTILINE | re.DOTALL)
+
+
+COMMANDS = [line for block in blocks("sh") for line in block.splitlines()]
+
+
+def test_the_program_runs(capsys: pytest.CaptureFixture[str]) -> None:
+    (program,) = blocks("python")
+    assert len(program.splitlines()) <= 16
+    exec(compile(program, "README.md", "exec"), {"__name__": "__main__"})
+    reason, agreement = capsys.readouterr().out.splitlines()
+    assert reason == "The object follows its path."
+    match = re.fullmatch(r"The arms agree to (\S+) mm on where the plate is\.", agreement)
+    assert match is not None
+    assert float(match[1]) < 1e-3
+
+
+def test_all_commands_are_known() -> None:
+    assert [shlex.split(line)[0] for line in COMMANDS] == ["make", "make", "coopqp"]
+    assert set(blocks("[a-z]*")) == {*blocks("sh"), *blocks("python")}
+
+
+@pytest.mark.skipif(shutil.which("make") is None, reason="make is not installed")
+@pytest.mark.parametrize("line", [line for line in COMMANDS if line.startswith("make")])
+def test_make_targets_exist(line: str) -> None:
+    command, *arguments = shlex.split(line)
+    subprocess.run([command, "--dry-run", *arguments], cwd=ROOT, check=True, capture_output=True)
+
+
+@pytest.mark.parametrize("line", [line for line in COMMANDS if line.startswith("coopqp")])
+def test_the_command_lines_run(line: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(demo, "demo_pictures", lambda *_: {"picture.png": b""})  # drawn in test_cli
+    _, *arguments = shlex.split(line)
+    assert cli.main([*arguments, "--quiet"]) == 0
+    assert (tmp_path / "out" / "records.json").is_file()
+
+
+def test_the_pictures_are_there_and_wide_enough() -> None:
+    pictures = re.findall(r"!\[[^\]]+\]\(([^)]+)\)", README)
+    assert len(pictures) == 2
+    for name in pictures:
+        assert matplotlib.image.imread(ROOT / name).shape[1] >= 1000

@@ -1,0 +1,401 @@
+"""The robot descriptions: kinematics, limits, inertias and shapes against figures written out here."""
+
+from __future__ import annotations
+
+import functools
+import xml.etree.ElementTree as ET
+from collections.abc import Callable
+from pathlib import Path
+
+import coal
+import numpy as np
+import pinocchio as pin
+import pytest
+from numpy.typing import NDArray
+
+from coopqp.errors import UnknownNameError
+from coopqp.scenarios.robots import ROBOT_NAMES, robot_path
+
+Array = NDArray[np.float64]
+
+
+def rotation(axis: int, angle: float) -> Array:
+    i, j = (axis + 1) % 3, (axis + 2) % 3
+    T = np.eye(4)
+    T[i, i] = T[j, j] = np.cos(angle)
+    T[i, j], T[j, i] = -np.sin(angle), np.sin(angle)
+    return T
+
+
+def translation(axis: int, distance: float) -> Array:
+    T = np.eye(4)
+    T[axis, 3] = distance
+    return T
+
+
+Rx, Ry, Rz = (functools.partial(rotation, axis) for axis in range(3))
+Tx, Ty, Tz = (functools.partial(translation, axis) for axis in range(3))
+
+# Pose of the end frame in the base frame, as the header of each file writes it.
+CHAINS: dict[str, Callable[[Array], Array]] = {
+    "rx90l": lambda q: (
+        Tz(0.420) @ Rz(q[0]) @ Ry(q[1]) @ Tz(0.450) @ Ry(q[2]) @ Rz(q[3]) @ Tz(0.650) @ Ry(q[4])
+        @ Tz(0.085) @ Rz(q[5])
+    ),
+    "arm7": lambda q: (
+        Tz(0.30) @ Rz(q[0]) @ Ry(q[1]) @ Rz(q[2]) @ Tz(0.32) @ Ry(q[3]) @ Tz(0.36) @ Rz(q[4]) @ Ry(q[5])
+        @ Rz(q[6]) @ Tz(0.22)
+    ),
+    "scara4": lambda q: (
+        Tz(0.30) @ Rz(q[0]) @ Tx(0.32) @ Rz(q[1]) @ Tx(0.28) @ Tz(q[2]) @ Rz(q[3]) @ Tz(-0.15) @ Rx(np.pi)
+    ),
+    "arm5": lambda q: (
+        Tz(0.20) @ Rz(q[0]) @ Ry(q[1]) @ Tz(0.30) @ Ry(q[2]) @ Tz(0.28) @ Ry(q[3]) @ Rz(q[4]) @ Tz(0.17)
+    ),
+    "gantry7": lambda q: (
+        Tx(q[0]) @ Tz(0.45) @ Rz(q[1]) @ Ry(q[2]) @ Tz(0.40) @ Ry(q[3]) @ Rz(q[4]) @ Tz(0.42) @ Ry(q[5])
+        @ Rz(q[6]) @ Tz(0.13)
+    ),
+    "arm6c": lambda q: (
+        Tz(0.16) @ Rz(q[0]) @ Ty(0.13) @ Ry(q[1]) @ Ty(-0.12) @ Tz(0.42) @ Ry(q[2]) @ Tz(0.39) @ Ry(q[3])
+        @ Ty(0.12) @ Rz(q[4]) @ Tz(0.10) @ Ry(q[5]) @ Ty(0.10) @ Rx(-np.pi / 2)
+    ),
+}  # fmt: skip
+
+SIZES = {  # nq, nv, joint types
+    "rx90l": (6, 6, ["revolute"] * 6),
+    "arm7": (7, 7, ["revolute"] * 7),
+    "scara4": (4, 4, ["revolute", "revolute", "prismatic", "revolute"]),
+    "arm5": (5, 5, ["revolute"] * 5),
+    "gantry7": (7, 7, ["prismatic"] + ["revolute"] * 6),
+    "arm6c": (7, 6, ["revolute"] * 5 + ["continuous"]),
+}
+
+# The table of the RX-90L, in degrees, degrees per second and kg (links 2 to 6).
+RX90L_LOWER = [-160, -137.5, -142.5, -270, -105, -270]
+RX90L_UPPER = [160, 137.5, 142.5, 270, 120, 270]
+RX90L_SPEED = [236, 200, 286, 401, 320, 580]
+RX90L_MASSES = [18.04, 16.37, 11.36, 0.58, 0.30]
+RX90L_POSES = np.radians(
+    [
+        [0, 0, 0, 0, 0, 0],
+        [0, 65.4, 76.0, 180, 51.3, -90],
+        [13.8, 67.4, 71.9, -162.1, 50.7, -101.6],
+        [-13.8, 67.4, 71.9, 162.1, 50.7, -78.4],
+        [90, 90, 0, 0, 0, 0],
+        [-120, -40, 140, 30, -100, 200],
+    ]
+)
+
+
+def load(name: str) -> pin.Model:
+    return pin.buildModelFromUrdf(str(robot_path(name)))
+
+
+def load_floating(name: str) -> pin.Model:
+    """The model on a floating base: so its base link has an inertia too."""
+    return pin.buildModelFromUrdf(str(robot_path(name)), pin.JointModelFreeFlyer())
+
+
+def load_shapes(name: str, model: pin.Model, kind: pin.GeometryType) -> pin.GeometryModel:
+    return pin.buildGeomFromUrdf(model, str(robot_path(name)), kind)
+
+
+def end_frame(name: str, model: pin.Model) -> int:
+    frame = "flange" if name == "rx90l" else "tool"
+    assert model.existFrame(frame)
+    return int(model.getFrameId(frame))
+
+
+def random_angles(model: pin.Model, rng: np.random.Generator) -> tuple[Array, Array]:
+    """One number a joint within the limits (any angle for a continuous joint), and Pinocchio's configuration."""
+    angles, q = np.empty(model.nv), np.empty(model.nq)
+    for joint in model.joints[1:]:
+        if joint.nq == joint.nv:
+            angles[joint.idx_v] = rng.uniform(
+                model.lowerPositionLimit[joint.idx_q], model.upperPositionLimit[joint.idx_q]
+            )
+            q[joint.idx_q] = angles[joint.idx_v]
+        else:
+            angles[joint.idx_v] = rng.uniform(-np.pi, np.pi)
+            q[joint.idx_q : joint.idx_q + 2] = np.cos(angles[joint.idx_v]), np.sin(angles[joint.idx_v])
+    return angles, q
+
+
+def half_extents(shape: coal.CollisionGeometry) -> Array:
+    """Half the size of a primitive's bounding box in its own frame [m]."""
+    if isinstance(shape, coal.Box):
+        return np.array(shape.halfSide)
+    if isinstance(shape, coal.Cylinder):
+        return np.array([shape.radius, shape.radius, shape.halfLength])
+    assert isinstance(shape, coal.Sphere), f"{type(shape).__name__} is not a primitive"
+    return np.full(3, shape.radius)
+
+
+def distance_to_point(shape: coal.CollisionGeometry, point: Array) -> float:
+    """Distance from a point, in the shape's frame, to the solid [m]; 0 inside."""
+    half = half_extents(shape)
+    if isinstance(shape, coal.Box):
+        outside = np.maximum(np.abs(point) - half, 0.0)
+    elif isinstance(shape, coal.Cylinder):
+        radial, axial = np.hypot(point[0], point[1]) - half[0], abs(point[2]) - half[2]
+        outside = np.maximum([radial, axial], 0.0)
+    else:
+        outside = np.maximum([np.linalg.norm(point) - half[0]], 0.0)
+    return float(np.linalg.norm(outside))
+
+
+def solid_inertia(shape: coal.CollisionGeometry, density: float) -> pin.Inertia:
+    if isinstance(shape, coal.Box):
+        x, y, z = 2.0 * np.array(shape.halfSide)
+        return pin.Inertia.FromBox(density * x * y * z, x, y, z)
+    if isinstance(shape, coal.Cylinder):
+        radius, length = shape.radius, 2.0 * shape.halfLength
+        return pin.Inertia.FromCylinder(density * np.pi * radius**2 * length, radius, length)
+    assert isinstance(shape, coal.Sphere)
+    return pin.Inertia.FromSphere(density * 4.0 / 3.0 * np.pi * shape.radius**3, shape.radius)
+
+
+def add_pairs(shapes: pin.GeometryModel, wanted: Callable[[int], bool]) -> None:
+    """Pair every two shapes whose links are `wanted` joints apart, the one nearer the base first."""
+    for i, first in enumerate(shapes.geometryObjects):
+        for j, second in enumerate(shapes.geometryObjects):
+            if wanted(second.parentJoint - first.parentJoint):
+                shapes.addCollisionPair(pin.CollisionPair(i, j))
+
+
+def joint_limits(name: str) -> list[dict[str, str]]:
+    return [dict(limit.attrib) for limit in ET.parse(robot_path(name)).getroot().iterfind("joint/limit")]
+
+
+# --- the files
+
+
+def test_names_are_the_files() -> None:
+    folder = robot_path("rx90l").parent
+    assert sorted(path.stem for path in folder.glob("*.urdf")) == sorted(ROBOT_NAMES) == sorted(CHAINS)
+
+
+def test_path_is_an_existing_file() -> None:
+    for name in ROBOT_NAMES:
+        path = robot_path(name)
+        assert isinstance(path, Path)
+        assert path.is_file()
+        assert ET.parse(path).getroot().get("name") == name
+
+
+@pytest.mark.parametrize("name", ["rx90", "", "../errors", "RX90L"])
+def test_unknown_name_lists_what_there_is(name: str) -> None:
+    with pytest.raises(UnknownNameError) as caught:
+        robot_path(name)
+    for available in ROBOT_NAMES:
+        assert available in str(caught.value)
+
+
+@pytest.mark.parametrize("name", ROBOT_NAMES)
+def test_needs_no_other_file(name: str) -> None:
+    text = robot_path(name).read_text(encoding="utf-8")
+    assert "package://" not in text
+    assert "<mesh" not in text
+
+
+# --- kinematics
+
+
+@pytest.mark.parametrize("name", ROBOT_NAMES)
+def test_sizes_joints_and_end_frame(name: str) -> None:
+    model = load(name)
+    nq, nv, types = SIZES[name]
+    assert (model.nq, model.nv) == (nq, nv)
+    assert list(model.names)[1:] == [f"joint_{k + 1}" for k in range(nv)]
+    joints = ET.parse(robot_path(name)).getroot().findall("joint")
+    assert [joint.get("type") for joint in joints] == [*types, "fixed"]
+    end_frame(name, model)
+
+
+@pytest.mark.parametrize("name", ROBOT_NAMES)
+def test_forward_kinematics_is_the_chain(name: str) -> None:
+    model = load(name)
+    data = model.createData()
+    frame = end_frame(name, model)
+    rng = np.random.default_rng(90)
+    for _ in range(200):
+        angles, q = random_angles(model, rng)
+        pin.framesForwardKinematics(model, data, q)
+        np.testing.assert_allclose(data.oMf[frame].homogeneous, CHAINS[name](angles), rtol=0.0, atol=1e-12)
+
+
+def test_rx90l_determinant_has_the_closed_form() -> None:
+    model = load("rx90l")
+    data = model.createData()
+    frame = end_frame("rx90l", model)
+    rng = np.random.default_rng(91)
+    for _ in range(200):
+        _, q = random_angles(model, rng)
+        det = abs(np.linalg.det(pin.computeFrameJacobian(model, data, q, frame, pin.LOCAL)))
+        _, q2, q3, _, q5, _ = q
+        reach = abs(0.45 * np.sin(q2) + 0.65 * np.sin(q2 + q3))
+        expected = 0.45 * 0.65 * abs(np.sin(q3)) * reach * abs(np.sin(q5))
+        # The absolute term is the rounding of a determinant near a singularity.
+        assert det == pytest.approx(expected, rel=1e-9, abs=1e-14)
+
+
+@pytest.mark.parametrize("name", ROBOT_NAMES)
+def test_jacobian_has_full_rank_somewhere(name: str) -> None:
+    model = load(name)
+    data = model.createData()
+    frame = end_frame(name, model)
+    rng = np.random.default_rng(92)
+    smallest = 0.0
+    for _ in range(20):
+        _, q = random_angles(model, rng)
+        J = pin.computeFrameJacobian(model, data, q, frame, pin.LOCAL)
+        smallest = max(smallest, float(np.linalg.svd(J, compute_uv=False)[min(6, model.nv) - 1]))
+    assert smallest > 0.05
+
+
+# --- limits
+
+
+def test_rx90l_limits_are_the_table() -> None:
+    model = load("rx90l")
+    np.testing.assert_allclose(np.degrees(model.lowerPositionLimit), RX90L_LOWER, rtol=0.0, atol=1e-12)
+    np.testing.assert_allclose(np.degrees(model.upperPositionLimit), RX90L_UPPER, rtol=0.0, atol=1e-12)
+    np.testing.assert_allclose(np.degrees(model.velocityLimit), RX90L_SPEED, rtol=0.0, atol=1e-12)
+
+
+def test_rx90l_effort_holds_the_stretched_arm_with_6_kg() -> None:
+    model = load("rx90l")
+    data = model.createData()
+    frame = end_frame("rx90l", model)
+    force = np.array([0.0, 0.0, 6.0 * 9.81, 0.0, 0.0, 0.0])  # [N], on the load, world axes
+    for pose in ([0, 90, 0, 0, 0, 0], [0, 90, 0, 0, 90, 0], [0, 90, 0, 90, 90, 0], [0, 0, 90, 0, 0, 0]):
+        q = np.radians(pose)
+        J = pin.computeFrameJacobian(model, data, q, frame, pin.LOCAL_WORLD_ALIGNED)
+        torque = pin.computeGeneralizedGravity(model, data, q) + J.T @ force
+        assert np.all(np.abs(torque) < model.effortLimit)
+
+
+@pytest.mark.parametrize("name", ROBOT_NAMES)
+def test_limits_are_usable(name: str) -> None:
+    model = load(name)
+    assert np.all((model.velocityLimit > 0.0) & (model.velocityLimit < 20.0))
+    assert np.all((model.effortLimit > 0.0) & (model.effortLimit <= 2000.0))
+    neutral = pin.neutral(model)
+    for limit, joint in zip(joint_limits(name), model.joints[1:], strict=True):
+        if "lower" not in limit:
+            assert joint.nq == 2  # continuous: no position limit
+            continue
+        assert float(limit["lower"]) < neutral[joint.idx_q] < float(limit["upper"])
+
+
+def test_gantry_rail_is_two_metres() -> None:
+    model = load("gantry7")
+    assert model.upperPositionLimit[0] - model.lowerPositionLimit[0] == 2.0
+
+
+# --- inertias
+
+
+def test_rx90l_masses_are_the_table() -> None:
+    assert [inertia.mass for inertia in load("rx90l").inertias][2:] == RX90L_MASSES
+
+
+@pytest.mark.parametrize("name", ROBOT_NAMES)
+def test_inertias_are_physical(name: str) -> None:
+    for inertia in list(load_floating(name).inertias)[1:]:
+        assert inertia.mass > 0.0
+        moments = np.linalg.eigvalsh(inertia.inertia)
+        assert moments[0] > 0.0
+        assert moments[0] + moments[1] > moments[2]
+
+
+@pytest.mark.parametrize("name", ROBOT_NAMES)
+def test_inertias_are_those_of_the_collision_solids(name: str) -> None:
+    model = load_floating(name)
+    shapes = load_shapes(name, model, pin.GeometryType.COLLISION).geometryObjects
+    for joint, inertia in list(enumerate(model.inertias))[1:]:
+        own = [shape for shape in shapes if shape.parentJoint == joint]
+        density = inertia.mass / sum(solid_inertia(shape.geometry, 1.0).mass for shape in own)
+        expected = pin.Inertia.Zero()
+        for shape in own:
+            expected += shape.placement.act(solid_inertia(shape.geometry, density))
+        np.testing.assert_allclose(inertia.matrix(), expected.matrix(), rtol=1e-8, atol=1e-10)
+
+
+# --- shapes
+
+
+@pytest.mark.parametrize("name", ROBOT_NAMES)
+@pytest.mark.parametrize("kind", [pin.GeometryType.VISUAL, pin.GeometryType.COLLISION])
+def test_shapes_are_primitives_on_every_link(name: str, kind: pin.GeometryType) -> None:
+    model = load(name)
+    shapes = load_shapes(name, model, kind)
+    count = dict.fromkeys(range(model.njoints), 0)
+    for shape in shapes.geometryObjects:
+        assert np.all(half_extents(shape.geometry) > 0.0)
+        count[shape.parentJoint] += 1
+    assert min(count.values()) >= 1
+    if kind == pin.GeometryType.COLLISION:
+        assert max(count.values()) <= 2
+
+
+def test_rx90l_stands_from_the_floor_to_its_flange() -> None:
+    model = load("rx90l")
+    for kind in (pin.GeometryType.VISUAL, pin.GeometryType.COLLISION):
+        shapes = load_shapes("rx90l", model, kind)
+        data, placed = model.createData(), shapes.createData()
+        pin.forwardKinematics(model, data, pin.neutral(model))
+        pin.updateGeometryPlacements(model, data, shapes, placed)
+        centre = np.array([M.translation for M in placed.oMg])
+        half = np.array(
+            [
+                np.abs(M.rotation) @ half_extents(shape.geometry)
+                for shape, M in zip(shapes.geometryObjects, placed.oMg, strict=True)
+            ]
+        )
+        low, high = np.min(centre - half, axis=0), np.max(centre + half, axis=0)
+        assert low[2] == pytest.approx(0.0, abs=1e-9)
+        assert high[2] == pytest.approx(1.605, abs=1e-9)
+        assert np.all(high[:2] - low[:2] < 0.5)
+
+
+@pytest.mark.parametrize("q", RX90L_POSES)
+def test_rx90l_shapes_reach_the_joints(q: Array) -> None:
+    model = load("rx90l")
+    shapes = load_shapes("rx90l", model, pin.GeometryType.COLLISION)
+    data, placed = model.createData(), shapes.createData()
+    pin.forwardKinematics(model, data, q)
+    pin.updateGeometryPlacements(model, data, shapes, placed)
+    points = [M.translation for M in list(data.oMi)[1:]]
+    for point in points:  # the last one is the flange
+        nearest = min(
+            distance_to_point(shape.geometry, M.actInv(point))
+            for shape, M in zip(shapes.geometryObjects, placed.oMg, strict=True)
+        )
+        assert nearest < 1e-9
+
+
+@pytest.mark.parametrize("name", ROBOT_NAMES)
+def test_neighbouring_links_leave_no_gap(name: str) -> None:
+    model = load(name)
+    shapes = load_shapes(name, model, pin.GeometryType.COLLISION)
+    add_pairs(shapes, lambda steps: steps == 1)
+    parents = [shapes.geometryObjects[pair.second].parentJoint for pair in shapes.collisionPairs]
+    data, placed = model.createData(), shapes.createData()
+    rng = np.random.default_rng(93)
+    for _ in range(5):
+        _, q = random_angles(model, rng)
+        pin.computeDistances(model, data, shapes, placed, q)
+        gap = dict.fromkeys(range(1, model.njoints), np.inf)
+        for parent, result in zip(parents, placed.distanceResults, strict=True):
+            gap[parent] = min(gap[parent], result.min_distance)
+        assert max(gap.values()) < 5e-3
+
+
+@pytest.mark.parametrize("q", RX90L_POSES)
+def test_rx90l_does_not_hit_itself(q: Array) -> None:
+    model = load("rx90l")
+    shapes = load_shapes("rx90l", model, pin.GeometryType.COLLISION)
+    add_pairs(shapes, lambda steps: steps > 1)
+    assert not pin.computeCollisions(model, model.createData(), shapes, shapes.createData(), q, False)

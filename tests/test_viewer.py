@@ -1,0 +1,307 @@
+"""The 3D scene and its two shows: what stands where at a sample, what is marked, and what a page contains."""
+
+from __future__ import annotations
+
+import builtins
+import json
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from coopqp import viewer
+from coopqp.cell import Arm, RobotCell
+from coopqp.errors import InvalidInputError, MissingExtraError
+from coopqp.metrics import tool_placements
+from coopqp.output import OutputError
+from coopqp.scenarios import Scenario
+from coopqp.scenarios.robots import robot_path
+from coopqp.scene import SceneError, describe_cell, describe_object
+from coopqp.simulation import Recording
+from coopqp.stage import ALERT, FIELD_OF_VIEW, READOUT_SHARE, Stage
+from coopqp.viewer import LiveViewer, export_html, readout
+
+
+class Node:
+    """Stands for a node of viser's scene: it keeps what is set."""
+
+    def __init__(self, **options: Any) -> None:
+        self.__dict__.update(options)
+
+
+class FakeScene:
+    """Stands for viser's scene: it keeps the nodes by name."""
+
+    def __init__(self) -> None:
+        self.nodes: dict[str, Node] = {}
+
+    def __getattr__(self, method: str) -> Callable[..., Node]:
+        assert method.startswith("add_")
+
+        def add(name: str, *arguments: Any, **options: Any) -> Node:
+            assert name not in self.nodes
+            self.nodes[name] = Node(arguments=arguments, text=arguments[0] if arguments else None, **options)
+            return self.nodes[name]
+
+        return add
+
+
+@pytest.fixture
+def run(baseline: Callable[..., Recording], paper: Scenario) -> Recording:
+    """A run in which slave 2's joint 3 is at its speed limit in steps 10 to 19."""
+    recording = baseline(40)
+    extra = {
+        "binding": [[10, [["slave_2", "joint_3", "velocity"]]], [20, []], [30, [["", "", "path end"]]]],
+        "object": describe_object(paper.object_size, paper.T_object_body),
+        "scenario": "paper_lift",
+    }
+    return replace(recording, metadata={**recording.metadata, **extra})
+
+
+@pytest.fixture
+def scene() -> FakeScene:
+    return FakeScene()
+
+
+def _pose(node: Node) -> pin.SE3:
+    w, x, y, z = node.wxyz
+    return pin.SE3(pin.Quaternion(float(w), float(x), float(y), float(z)).matrix(), np.asarray(node.position))
+
+
+def test_links_and_object_stand_where_the_run_says(scene: FakeScene, run: Recording, paper: Scenario) -> None:
+    stage = Stage(scene, run)
+    data = paper.cell.model.createData()
+    for sample in (0, 17, 40):
+        stage.show(sample)
+        pin.forwardKinematics(paper.cell.model, data, run.q[sample])
+        for j in range(1, 19):
+            np.testing.assert_allclose(
+                _pose(scene.nodes[f"/links/{j}"]).homogeneous, data.oMi[j].homogeneous, atol=1e-9
+            )
+        tool = tool_placements(paper.cell, [run.q[sample]])[0][0]
+        carried = tool * paper.grasp.T_object_tool[0].inverse()
+        np.testing.assert_allclose(_pose(scene.nodes["/object"]).homogeneous, carried.homogeneous, atol=1e-9)
+
+
+def test_every_shape_is_there(scene: FakeScene, run: Recording, paper: Scenario) -> None:
+    Stage(scene, run)
+    drawn = [name for name in scene.nodes if name.startswith("/links/") and name.count("/") == 3]
+    assert len(drawn) == paper.cell.visual_model().ngeoms
+    corners = scene.nodes["/object/body"].arguments[0]
+    np.testing.assert_allclose(np.ptp(corners, axis=0), paper.object_size, atol=1e-6)
+    assert {f"/object/grasp {name}" for name in paper.cell.arm_names} <= set(scene.nodes)
+    np.testing.assert_allclose(
+        scene.nodes["/path/line 0"].arguments[0][0, 0], paper.path.pose(0).translation, atol=1e-6
+    )
+    assert not any(name.startswith("/sticks/") for name in scene.nodes)
+
+
+def _colours(scene: FakeScene, joint: int) -> set[tuple[int, int, int]]:
+    return {node.color for name, node in scene.nodes.items() if name.startswith(f"/links/{joint}/")}
+
+
+def test_a_limit_that_binds_is_marked_and_named(scene: FakeScene, run: Recording) -> None:
+    stage = Stage(scene, run)
+    plain = {j: _colours(scene, j) for j in range(1, 19)}
+    stage.show(15)
+    assert _colours(scene, 15) == {ALERT}  # joint 3 of slave 2
+    for j in (13, 14, 16, 17, 18):
+        assert _colours(scene, j) != plain[j]
+    assert all(_colours(scene, j) == plain[j] for j in range(1, 13))
+    assert scene.nodes["/names/slave_2"].text == "slave 2\n! joint 3 velocity"
+    assert "arm slave_2 joint joint_3: velocity" in readout(stage, 15)
+    for sample in (25, 35):
+        stage.show(sample)
+        assert all(_colours(scene, j) == plain[j] for j in range(1, 19))
+        assert scene.nodes["/names/slave_2"].text == "slave 2"
+        assert "no limit binds" in readout(stage, sample)
+
+
+def test_the_last_sample_shows_the_last_step(scene: FakeScene, run: Recording) -> None:
+    bound = {**run.metadata, "binding": [[39, [["master", "", "singularity"]]]]}
+    stage = Stage(scene, replace(run, metadata=bound))
+    stage.show(40)
+    assert scene.nodes["/names/master"].text == "master\n! singularity"
+    assert readout(stage, 40).startswith("t = 3.00 s · 100 % of the path · tracking, σ = 100 %")
+
+
+def test_the_readout_gives_the_errors(scene: FakeScene, run: Recording) -> None:
+    assert "ε_p 8.7 mm" in readout(Stage(scene, run), 40)
+
+
+def test_the_goal_is_shown_even_if_it_was_not_reached(scene: FakeScene, run: Recording, paper: Scenario) -> None:
+    half = replace(
+        run, time=run.time[:21], q=run.q[:21], q_command=run.q_command[:21], velocity=run.velocity[:20],
+        clock=run.clock[:21], rate=run.rate[:20], status=run.status[:20], reference=run.reference[:21],
+    )  # fmt: skip
+    Stage(scene, half)
+    goal = paper.path.pose(3.0) * paper.T_object_body
+    np.testing.assert_allclose(scene.nodes["/path/end"].arguments[0].mean(axis=(0, 1)), goal.translation, atol=1e-6)
+    unknown = FakeScene()
+    Stage(unknown, replace(half, metadata={**half.metadata, "path": None}))
+    reached = pin.SE3(half.reference[-1]) * paper.T_object_body
+    np.testing.assert_allclose(
+        unknown.nodes["/path/end"].arguments[0].mean(axis=(0, 1)), reached.translation, atol=1e-6
+    )
+
+
+@pytest.mark.parametrize(
+    ("mm", "text"), [(8.7, "8.7 mm"), (0.0043, "4.3 µm"), (2e-9, "< 0.001 µm"), (float("nan"), "nan mm")]
+)
+def test_lengths_are_told_in_a_fitting_unit(mm: float, text: str) -> None:
+    assert viewer._length(mm) == text
+
+
+def test_a_path_without_end_has_no_share(scene: FakeScene, run: Recording) -> None:
+    endless = replace(run, metadata={**run.metadata, "duration": float("inf")})
+    assert readout(Stage(scene, endless), 40).startswith("t = 3.00 s · tracking, σ = 100 %")
+
+
+def test_sticks_join_base_joints_and_tool(scene: FakeScene, run: Recording, paper: Scenario) -> None:
+    stage = Stage(scene, run, sticks=True)
+    stage.show(40)
+    for k, (name, arm) in enumerate(zip(paper.cell.arm_names, paper.cell.arms, strict=True)):
+        points = scene.nodes[f"/sticks/{name}"].points
+        assert points.shape == (7, 2, 3)
+        np.testing.assert_allclose(points[0, 0], arm.T_world_base.translation, atol=1e-6)
+        np.testing.assert_allclose(points[-1, 1], tool_placements(paper.cell, [run.q[40]])[0][k].translation, atol=1e-6)
+        np.testing.assert_allclose(points[1:, 0], points[:-1, 1], atol=1e-6)  # one chain
+    stage.show(15)
+    assert tuple(scene.nodes["/sticks/slave_2"].colors[2, 0]) == ALERT
+    assert not hasattr(scene.nodes["/sticks/master"].colors, "shape")
+
+
+def test_arms_without_shapes_become_sticks(scene: FakeScene, run: Recording, paper: Scenario) -> None:
+    bare = RobotCell([replace(arm, visual=None) for arm in paper.cell.arms])
+    Stage(scene, replace(run, metadata={**run.metadata, "scene": describe_cell(bare)}))
+    assert {f"/sticks/{name}" for name in bare.arm_names} <= set(scene.nodes)
+
+
+def test_everything_is_in_view(scene: FakeScene, run: Recording, paper: Scenario) -> None:
+    """Bases, tools, object and readout, in the part of the picture that a window of 4:3 shows."""
+    stage = Stage(scene, run)
+    eye, target = stage.camera()
+    back = (eye - target) / np.linalg.norm(eye - target)
+    right = np.cross([0.0, 0.0, 1.0], back)
+    right /= np.linalg.norm(right)
+    up = np.cross(back, right)
+    points = [arm.T_world_base.translation for arm in paper.cell.arms]
+    points += [T.translation for i in (0, 20, 40) for T in tool_placements(paper.cell, [run.q[i]])[0]]
+    points += [paper.path.pose(3.0).translation, stage.above(READOUT_SHARE)]
+    slope = np.tan(np.deg2rad(0.5 * FIELD_OF_VIEW))
+    for point in points:
+        depth = (eye - point) @ back
+        assert abs((point - eye) @ up) < slope * depth
+        assert abs((point - eye) @ right) < 4 / 3 * slope * depth
+
+
+def test_a_recording_without_a_scene_is_refused(scene: FakeScene, run: Recording) -> None:
+    metadata = {key: value for key, value in run.metadata.items() if key != "scene"}
+    with pytest.raises(SceneError, match="does not describe its cell"):
+        Stage(scene, replace(run, metadata=metadata))
+
+
+def test_a_recording_of_another_cell_is_refused(scene: FakeScene, run: Recording, make_cell: Any) -> None:
+    other = {**run.metadata, "scene": describe_cell(make_cell(["arm7"]))}
+    with pytest.raises(InvalidInputError, match="3 arms for a cell with nq = 7"):
+        Stage(scene, replace(run, metadata=other))
+
+
+# -- the page ------------------------------------------------------------------------------------------------------
+
+
+def test_the_page_is_one_file_that_names_the_run(
+    run: Recording, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    told: list[tuple[int, int]] = []
+    hostile = replace(run, metadata={**run.metadata, "scenario": "<script>alert(1)</script>"})
+    page = export_html(hostile, tmp_path / "new" / "run.html", progress=lambda *done: told.append(done))
+    text = page.read_text()
+    assert len(text) < 5_000_000
+    assert "PseudoInverseController, 40 steps, 3 s, ok" in text
+    assert "&lt;script&gt;alert(1)" in text
+    assert "<script>alert(1)" not in text
+    assert told[-1] == (75, 75)
+    assert [p.name for p in page.parent.iterdir()] == ["run.html"]
+    assert capfd.readouterr() == ("", "")  # viser's banner stays away
+
+
+def test_a_page_that_cannot_be_written_is_refused_first(run: Recording, tmp_path: Path) -> None:
+    with pytest.raises(OutputError, match="is a folder"):
+        export_html(run, tmp_path)
+
+
+def test_a_missing_viser_names_the_extra(run: Recording, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    real = builtins.__import__
+
+    def without(name: str, *arguments: Any, **options: Any) -> Any:
+        if name == "viser":
+            raise ImportError(name)
+        return real(name, *arguments, **options)
+
+    monkeypatch.setattr(builtins, "__import__", without)
+    with pytest.raises(MissingExtraError, match=r"pip install 'coopqp\[viewer\]'"):
+        export_html(run, tmp_path / "run.html")
+
+
+# -- live ----------------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def live(run: Recording) -> Iterator[LiveViewer]:
+    with LiveViewer(run, port=0) as shown:
+        yield shown
+
+
+def test_it_listens_on_this_machine_alone(live: LiveViewer) -> None:
+    assert live.url.startswith("http://127.0.0.1:")
+
+
+def test_it_plays_and_starts_again_after_a_rest(live: LiveViewer) -> None:
+    assert live.update(0.75) == 10
+    assert live._time.value == pytest.approx(0.75)
+    assert "0.75 s" in live._text.content
+    assert live.update(2.5) == 40
+    assert live.update(1.0) == 40  # at rest at the end
+    assert live.update(1.0) == 0
+
+
+def test_speed_pause_and_scrub(live: LiveViewer) -> None:
+    live._speed.value = "2x"
+    assert live.update(0.75) == 20
+    live._playing.value = False
+    assert live.update(0.75) == 20
+    live._time.value = 0.375
+    assert live.update(0.75) == 5
+    live._playing.value = True
+    live._time.value = 3.0
+    assert live.update(0.1) == 40
+
+
+@pytest.mark.parametrize("port", [-1, 65536, True, "8080"])
+def test_a_port_that_is_none_is_refused(run: Recording, port: Any) -> None:
+    with pytest.raises(InvalidInputError, match="port"):
+        LiveViewer(run, port=port)
+
+
+def test_text_in_markdown_stays_text() -> None:
+    assert viewer._plain("a_b *c* <d>") == "a\\_b \\*c\\* \\<d\\>"
+
+
+def test_other_robots_are_shown_too(scene: FakeScene, make_cell: Any) -> None:
+    """Turning, sliding and continuous joints; a scene read back from JSON."""
+    arm = Arm.from_urdf("a", robot_path("gantry7"), tool_frame="tool")
+    cell = RobotCell([arm])
+    q = cell.configuration(np.full(7, 0.1))
+    recording = Recording(
+        time=np.array([0.0, 1.0]), q=np.array([q, q]), q_command=np.array([q, q]), velocity=np.zeros((1, 7)),
+        clock=np.array([0.0, 1.0]), rate=np.ones(1), status=np.zeros(1), reference=np.tile(np.eye(4), (2, 1, 1)),
+        T_object_tool=np.eye(4)[None], notes=(), metadata=json.loads(json.dumps({"scene": describe_cell(cell)})),
+    )  # fmt: skip
+    stage = Stage(scene, recording)
+    stage.show(1)
+    assert "/path/line 0" not in scene.nodes  # the object rests
