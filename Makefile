@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 OUT ?= out/demo
 BENCH_OUT ?= out/bench
 
-.PHONY: demo test lint docs bench browser clean
+.PHONY: demo test test-nightly lint docs bench browser clean
 
 $(VENV)/.installed: pyproject.toml CMakeLists.txt coopqp/kernel/_native.c
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 10) and "coopqp needs Python >= 3.10: make PYTHON=python3.x ...")'
@@ -18,6 +18,11 @@ demo: $(VENV)/.installed
 
 test: $(VENV)/.installed
 	$(BIN)/python -m pytest
+
+# The catalogue of docs/reliability.md with ten times the cases, random ones each time; hours.
+test-nightly: $(VENV)/.installed
+	@mkdir -p out
+	HYPOTHESIS_PROFILE=nightly $(BIN)/python -m pytest tests/reliability --timeout 36000 --reliability-json out/reliability.json
 
 lint: $(VENV)/.installed
 	$(BIN)/ruff check .

@@ -1,0 +1,47 @@
+"""The table of the catalogue: a missed target fails, and the page shows what was measured."""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+
+@pytest.fixture(name="table")
+def _table() -> Any:
+    spec = importlib.util.spec_from_file_location("table", Path(__file__).with_name("table.py"))
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def test_a_missed_target_fails(catalogue: Any) -> None:
+    fresh = type(catalogue)()
+    fresh.row("A1", "met", cases=3, measured=1.0, target=1.0)
+    with pytest.raises(AssertionError, match=r"A1 missed: 1\.1 mm, target 1"):
+        fresh.row("A1", "missed", cases=3, measured=1.1, target=1.0, unit="mm")
+    with pytest.raises(AssertionError, match="nothing was tried"):
+        fresh.row("A1", "empty", cases=0, measured=0.0, target=1.0)
+    with pytest.raises(AssertionError, match="nan"):
+        fresh.row("A1", "not a number", cases=1, measured=float("nan"), target=1.0)
+    assert len(fresh.rows) == 4
+
+
+def test_the_page_shows_what_was_measured(tmp_path: Path, table: Any, count: Callable[[int], int]) -> None:
+    page, source = tmp_path / "page.md", tmp_path / "rows.json"
+    page.write_text(f"Head.\n{table.BEGIN}\nold\n{table.END}\nTail.\n", encoding="utf-8")
+    line = {"row": "A1", "test": "t", "cases": 1000, "measured": 2.0, "target": 1.0, "unit": "mm", "note": "why"}
+    source.write_text(json.dumps([line]), encoding="utf-8")
+    table.main(str(source), str(page))
+    text = page.read_text(encoding="utf-8")
+    assert "| A1 | t | 1,000 | 2 mm | 1 mm | missed. why |" in text
+    assert "old" not in text
+    assert text.startswith("Head.")
+    assert text.endswith("Tail.\n")
+    assert count(7) in (7, 70)
