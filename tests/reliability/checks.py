@@ -1,0 +1,145 @@
+"""The checks behind the rows of the catalogue: each drives controllers that ``make`` builds, and returns figures.
+
+A check takes the maker of the controllers as an argument, so that test_broken_controllers.py can put controllers that
+do something wrong through the very same checks as the others do with those that should do everything right.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, replace
+from typing import Any, TypeAlias
+
+import numpy as np
+import numpy.typing as npt
+
+from coopqp.cell import JointLimits
+from coopqp.controllers.base import Controller, ControlStep, Status
+from coopqp.controllers.options import QPOptions
+from coopqp.controllers.qp import QPController
+from coopqp.limits import VelocityBox
+from coopqp.monitor import Monitor, MonitorTolerances, Verdict
+from coopqp.path import ServoPath
+from coopqp.scenarios import Scenario, at_limit
+
+Array: TypeAlias = npt.NDArray[np.float64]
+#: ``make(task, **options)`` builds a controller for a scenario.
+Maker: TypeAlias = Callable[..., Any]
+
+
+def cooperative(task: Scenario, **options: Any) -> QPController:
+    """What is under test."""
+    return QPController(task.cell, task.grasp, task.path, dt=task.dt, options=QPOptions(**options))
+
+
+def limited(task: Scenario, **limits: Any) -> Scenario:
+    """The scenario with other limits."""
+    return replace(task, cell=task.cell.with_limits(**limits))
+
+
+def drive(controller: Controller, q: Any, steps: int, *, rest: int | None = None) -> list[ControlStep]:
+    """Reset at ``q`` and step, at most so often, to the end of the path; or until blocked for ``rest`` steps."""
+    controller.reset(q)
+    done: list[ControlStep] = []
+    waited = 0
+    while len(done) < steps and not (done and done[-1].finished):
+        done.append(controller.step())
+        waited = waited + 1 if done[-1].status is Status.BLOCKED else 0
+        if rest is not None and waited >= rest:
+            break
+    return done
+
+
+def judged(task: Scenario, steps: Iterable[ControlStep], **tolerances: Any) -> Verdict:
+    """The oracle's verdict on a run from rest."""
+    monitor = Monitor(task.cell, task.grasp, tolerances=MonitorTolerances(**tolerances))
+    monitor.observe_all(list(steps))
+    return monitor.verdict()
+
+
+# -- A4: stopping distance ---------------------------------------------------------------------------------------------
+
+#: How a joint is driven towards its limit: as fast as the box allows, anywhere in the box, or from side to side of it.
+DRIVES = ("outward", "random", "bang")
+
+
+@dataclass(frozen=True)
+class Stopping:
+    """Largest excesses over position [rad], velocity [rad/s] and acceleration limits (as a share), at least 0."""
+
+    overshoot: float
+    velocity: float
+    acceleration: float
+    unused: float  # largest share of its way to the limit that a joint leaves unused
+
+
+def box_stops(rng: np.random.Generator, dt: float, n: int, how: str, box_of: Any = VelocityBox) -> Stopping:
+    """``n`` joints at random distances from a limit, half of them as fast towards it as they can still stop from."""
+    acceleration = 10.0 ** rng.uniform(-0.5, 2.5, n)
+    braking_steps = 10.0 ** rng.uniform(-1.5, 2.0, n)
+    v = acceleration * dt * braking_steps
+    distance = v * dt + 0.5 * v * v / acceleration
+    distance *= 1.0 + np.where(rng.uniform(size=n) < 0.5, 0.0, rng.uniform(0.0, 0.2, n))
+    speed = np.where(rng.uniform(size=n) < 0.5, np.inf, v * rng.uniform(1.0, 2.0, n))
+    up = rng.uniform(size=n) < 0.5  # the side that the limit is on
+    low, high = np.where(up, -1e3, 0.0), np.where(up, 0.0, 1e3)
+    cell: Any = _Joints(JointLimits(low, high, speed, acceleration), n)
+    box, x, v = box_of(cell), np.where(up, -distance, distance), np.where(up, v, -v)
+    overshoot = velocity = used = 0.0
+    for _ in range(130):  # the slowest have stopped by then
+        box.update(x, v, dt)
+        share = {"outward": up * 1.0, "random": rng.uniform(size=n), "bang": rng.integers(0, 2, n) * 1.0}[how]
+        v_next = box.lower + share * (box.upper - box.lower)
+        velocity = max(velocity, float((np.abs(v_next) - speed).max()))
+        used = max(used, float((np.abs(v_next - v) / (acceleration * dt)).max()))
+        x, v = x + v_next * dt, v_next
+        overshoot = max(overshoot, float(np.maximum(x - high, low - x).max()))
+    return Stopping(overshoot, velocity, max(used - 1.0, 0.0), float((np.abs(x) / distance).max()))
+
+
+@dataclass(frozen=True)
+class _Joints:
+    """What a box asks of a cell, for joints that belong to nothing."""
+
+    limits: JointLimits
+    nv: int
+
+    @property
+    def joint_names(self) -> tuple[str, ...]:
+        return tuple(f"arm/{j}" for j in range(self.nv))
+
+
+def controller_overshoot(make: Maker, rng: np.random.Generator, dt: float, runs: int) -> tuple[float, int, int]:
+    """Three arms run into their joint limits: along a path, after a moving target, or while they are made to hold.
+
+    Returns the largest overshoot [rad], the number of steps, and in how many of them a joint stood at its limit.
+    """
+    worst, steps, touching = -np.inf, 0, 0
+    for run in range(runs):
+        task = at_limit(
+            direction=tuple(rng.normal(size=3)),
+            rotation=tuple(rng.normal(size=3) * (run % 2)),
+            margin=rng.uniform(0.02, 0.12, size=18),
+            speed=float(rng.uniform(0.1, 0.6)),
+            acceleration=float(10.0 ** rng.uniform(0.0, 1.5)),
+        )
+        task = replace(task, dt=dt)
+        moving = run % 3 == 1
+        if moving:
+            start, goal = task.path.pose(0.0), task.path.pose(task.path.duration)
+            task = replace(task, path=ServoPath(start, speed=0.4, spin=1.0))
+        controller = make(task)
+        controller.reset(task.q_start)
+        if moving:
+            controller.retarget(goal)
+        done = []
+        for i in range(int(1.0 / dt)):
+            holds = run % 3 == 2 and i * dt > 0.1 and i % 7 == 0
+            done.append(controller.step(dt=np.nan if holds else None))
+        low, high = task.cell.limits.lower, task.cell.limits.upper
+        x = np.array([s.q_next for s in done])
+        over = np.maximum(x - high, low - x)
+        worst = max(worst, float(over.max()))
+        touching += int((over.max(axis=1) > -1e-4).sum())
+        steps += len(done)
+    return worst, steps, touching
