@@ -7,6 +7,7 @@ way back in is a cost of the program (see :mod:`coopqp.program`). Where limits c
 from __future__ import annotations
 
 import enum
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -29,6 +30,11 @@ class LimitKind(enum.Enum):
 
 #: Velocities within this of a limit count as admissible, and are clipped [rad/s or m/s].
 LIMIT_TOLERANCE = 1e-9
+#: Per unit of rate, a joint slower than this stands still [rad/s or m/s].
+_STILL = 1e-12
+#: In place of an infinite position limit, where inf / inf would be NaN.
+_FAR = 1e100
+_SIDES = np.array([[1.0], [-1.0]])
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,7 +64,8 @@ class VelocityBox:
     ``limits`` are the cell's, unless others are given.
 
     After :meth:`update`, ``lower`` and ``upper`` (nv,) [rad/s or m/s] hold the box, ``outside`` the joints beyond a
-    position limit and ``recovery`` the velocity that leads those back in (0 elsewhere).
+    position limit (``any_outside`` if there are some) and ``recovery`` the velocity that leads those back in (0
+    elsewhere).
     """
 
     #: Share of a joint's speed at which it is led back from outside its limits.
@@ -68,17 +75,24 @@ class VelocityBox:
 
     def __init__(self, cell: RobotCell, limits: JointLimits | None = None) -> None:
         limits = self.limits = cell.limits if limits is None else limits
+        n = cell.nv
         self._cell = cell
+        self._names = [name.partition("/")[::2] for name in cell.joint_names]
         self._speed = limits.velocity
         self._acceleration = limits.acceleration
-        self._low, self._high = limits.lower, limits.upper
-        self._bounded = np.flatnonzero(np.isfinite(limits.lower) | np.isfinite(limits.upper))
         self._braking = np.isfinite(limits.acceleration)
-        self.accelerates = bool(self._braking.any())
-        self.lower, self.upper = np.empty(cell.nv), np.empty(cell.nv)
-        self.recovery = np.zeros(cell.nv)
-        self.outside = np.zeros(cell.nv, dtype=bool)
-        self._way_up, self._way_down = np.empty(cell.nv), np.empty(cell.nv)
+        self.accelerates, self._all_brake = bool(self._braking.any()), bool(self._braking.all())
+        self._braking_gain = 2.0 * limits.acceleration
+        # Rows: upwards, and downwards with all signs turned. Buffers, for NumPy's calls cost more than its arithmetic.
+        self._ends = np.stack([limits.upper, -limits.lower])
+        self._ends_cut = np.clip(self._ends, -_FAR, _FAR)
+        self._ways, self._bounds, self._work, self._v = (np.empty((2, n)) for _ in range(4))
+        self._ways_flat = self._ways.reshape(-1)
+        self._reach, self._reach2, self._reach_dt = np.zeros(n), np.zeros(n), 0.0
+        self.lower, self.upper = np.empty(n), np.empty(n)
+        self.recovery = np.zeros(n)
+        self.outside = np.zeros(n, dtype=bool)
+        self.any_outside = False
 
     def update(self, positions: Array, v_prev: Array, dt: float) -> None:
         """Compute the box for one step.
@@ -88,75 +102,105 @@ class VelocityBox:
             v_prev: velocity of the previous step (nv,).
             dt: length of the step [s].
         """
-        up, down = self._way_up, self._way_down
-        np.subtract(self._high, positions, out=up)  # distance left upwards; negative outside
-        np.subtract(positions, self._low, out=down)
-        np.logical_or(up < 0.0, down < 0.0, out=self.outside)
-        self.upper[:] = np.minimum(self._speed, self._stopping_speed(up, dt))
-        self.lower[:] = -np.minimum(self._speed, self._stopping_speed(down, dt))
+        ways, bounds = self._ways, self._bounds
+        np.multiply(_SIDES, positions, out=ways)
+        np.subtract(self._ends_cut if self._all_brake else self._ends, ways, out=ways)
+        least = self._ways_flat.item(self._ways_flat.argmin())
+        inside = least >= 0.0  # not so for NaN
+        np.minimum(self._speed, self._stopping_speed(ways if inside else np.maximum(ways, 0.0), dt), out=bounds)
         if self.accelerates:
-            reach = self._acceleration * dt
-            floor, ceiling = v_prev - reach, v_prev + reach
-            np.clip(self.upper, floor, ceiling, out=self.upper)
-            np.clip(self.lower, floor, ceiling, out=self.lower)
-        self.recovery[:] = 0.0
-        if self.outside.any():
-            # The signed way back in, and a little further: a joint led to the limit itself would only approach it.
-            way = np.where(self.outside, np.where(up < 0.0, up - self.INSIDE, self.INSIDE - down), 0.0)
-            share = self.RECOVERY_SHARE * np.where(np.isfinite(self._speed), self._speed, 1.0)
-            self.recovery[:] = np.clip(np.clip(way / dt, -share, share), self.lower, self.upper)
+            self._keep_reach(dt)
+            v, work = self._v, self._work
+            np.multiply(_SIDES, v_prev, out=v)
+            np.maximum(bounds, np.subtract(v, self._reach, out=work), out=bounds)
+            np.minimum(bounds, np.add(v, self._reach, out=work), out=bounds)
+        self.upper[:] = bounds[0]
+        np.negative(bounds[1], out=self.lower)
+        if self.any_outside:
+            self.recovery[:], self.outside[:], self.any_outside = 0.0, False, False
+        if not inside:
+            self._lead_back(dt)
+
+    def _lead_back(self, dt: float) -> None:
+        up, down = self._ways
+        np.logical_or(up < 0.0, down < 0.0, out=self.outside)
+        # The signed way back in, and a little further: a joint led to the limit itself would only approach it.
+        way = np.where(self.outside, np.where(up < 0.0, up - self.INSIDE, self.INSIDE - down), 0.0)
+        share = self.RECOVERY_SHARE * np.where(np.isfinite(self._speed), self._speed, 1.0)
+        self.recovery[:] = np.clip(np.clip(way / dt, -share, share), self.lower, self.upper)
+        self.any_outside = bool(self.outside.any())
+
+    def _keep_reach(self, dt: float) -> None:
+        """Largest changes of velocity in one step."""
+        if dt != self._reach_dt:
+            self._reach, self._reach_dt = self._acceleration * dt, dt
+            self._reach2 = self._reach * self._reach
 
     def _stopping_speed(self, distance: Array, dt: float) -> Array:
-        """Largest speed from which ``distance`` suffices to stop: v dt + v²/(2a) = d; 0 outside, inf without limit."""
-        d = np.maximum(distance, 0.0)
+        """Largest speed from which ``distance`` ≥ 0 suffices to stop: v dt + v²/(2a) = d; inf without limit.
+
+        ``distance`` has joints along its last axis, and is finite where all of them have an acceleration limit.
+        """
         if not self.accelerates:
-            speed: Array = d / dt
+            speed: Array = distance / dt
             return speed
-        finite = self._braking & np.isfinite(d)
-        a, d_finite = np.where(finite, self._acceleration, 1.0), np.where(finite, d, 1.0)
-        step = a * dt
         # −a dt + √((a dt)² + 2 a d), written without cancellation
-        braking = 2.0 * a * d_finite / (np.sqrt(step * step + 2.0 * a * d_finite) + step)
-        return np.where(finite, braking, d / dt)
+        if self._all_brake:
+            self._keep_reach(dt)
+            gain = self._braking_gain * distance
+            root = np.sqrt(self._reach2 + gain)
+            root += self._reach
+            gain /= root
+            return gain
+        finite = self._braking & np.isfinite(distance)
+        a, d = np.where(finite, self._acceleration, 1.0), np.where(finite, distance, 1.0)
+        step = a * dt
+        braking = 2.0 * a * d / (np.sqrt(step * step + 2.0 * a * d) + step)
+        return np.where(finite, braking, distance / dt)
 
     def kind_of(self, j: int, sign: float, v_prev: Array, dt: float) -> LimitKind:
         """Which limit makes the bound of joint ``j`` on the side of ``sign``."""
-        bound = self.upper[j] if sign > 0 else self.lower[j]
+        bound = self.upper.item(j) if sign > 0 else self.lower.item(j)
         tolerance = 1e-9 * (1.0 + abs(bound))
-        if abs(abs(bound) - self._speed[j]) <= tolerance:
+        if abs(abs(bound) - self._speed.item(j)) <= tolerance:
             return LimitKind.VELOCITY
-        if np.isfinite(self._acceleration[j]):
-            change = (bound - v_prev[j]) * sign
-            if abs(abs(change) - self._acceleration[j] * dt) <= tolerance:
+        acceleration = self._acceleration.item(j)
+        if acceleration < math.inf:
+            change = (bound - v_prev.item(j)) * sign
+            if abs(abs(change) - acceleration * dt) <= tolerance:
                 return LimitKind.ACCELERATION
         return LimitKind.POSITION
 
     def binding(self, j: int, sign: float, v_prev: Array, dt: float) -> BindingLimit:
         """The limit of joint ``j`` on the side of ``sign``, by name."""
-        arm, _, joint = self._cell.joint_names[j].partition("/")
+        arm, joint = self._names[j]
         return BindingLimit(arm, joint, self.kind_of(j, sign, v_prev, dt))
 
 
 def rate_interval(base: Array, along: Array, lower: Array, upper: Array) -> tuple[float, float, int] | None:
     """Rates σ with ``lower ≤ base + σ along ≤ upper``: (low, high, joint that makes high); None if there are none."""
-    room_up, room_down = upper - base, lower - base
-    still = np.abs(along) < 1e-12
-    if still.any() and ((room_up < -LIMIT_TOLERANCE) | (room_down > LIMIT_TOLERANCE))[still].any():
-        return None
-    slope = np.where(still, 1.0, along)
-    forward = slope > 0.0
-    high = np.where(still, np.inf, np.where(forward, room_up, room_down) / slope)
-    low = np.where(still, -np.inf, np.where(forward, room_down, room_up) / slope)
+    first, last, size = lower - base, upper - base, np.abs(along)
+    slope = along
+    some_still = size[size.argmin()] < _STILL
+    if some_still:
+        still = size < _STILL
+        if ((last < -LIMIT_TOLERANCE) | (first > LIMIT_TOLERANCE))[still].any():
+            return None
+        slope = np.where(still, 1.0, along)
+    first /= slope
+    last /= slope
+    low, high = np.minimum(first, last), np.maximum(first, last)
+    if some_still:
+        low[still], high[still] = -np.inf, np.inf
+    i, j = int(low.argmax()), int(high.argmin())
+    lowest, highest = low.item(i), high.item(j)
     # At standstill a rounding error of the box must not look like an empty interval.
-    slack = np.where(still, 0.0, LIMIT_TOLERANCE / np.abs(slope))
-    j = int(high.argmin())
-    i = int(low.argmax())
-    lowest, highest = float(low[i]), float(high[j])
+    slack = LIMIT_TOLERANCE / float(abs(slope[j]))
     if lowest > highest:
-        if lowest - slack[i] > highest + slack[j]:
+        if lowest - LIMIT_TOLERANCE / float(abs(slope[i])) > highest + slack:
             return None
         lowest = highest = 0.5 * (lowest + highest)
-    if highest < 0.0 <= highest + slack[j]:
+    if highest < 0.0 <= highest + slack:
         highest = 0.0
         lowest = min(lowest, 0.0)
     return lowest, highest, j

@@ -25,6 +25,19 @@ _SERIES_RADIUS = 0.02  # rad; below it the series of log6_batch are exact to 2e-
 _EYE3 = np.eye(3)
 
 
+def _levi_civita() -> Array:
+    """Constant (9, 3): the entries of a bᵀ, row by row → a × b; those of a rotation → axis · 2 sin θ, negative."""
+    M = np.zeros((3, 3, 3))
+    for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
+        M[i, j, k], M[j, i, k] = 1.0, -1.0
+    return M.reshape(9, 3)
+
+
+_CROSS = _levi_civita()
+#: A rotation's entries → axis · sin θ, trace.
+_AXIS_TRACE = np.column_stack([-0.5 * _CROSS, _EYE3.ravel()])
+
+
 def as_placement(value: Placement, where: str) -> pin.SE3:
     """Return ``value`` as a new :class:`pinocchio.SE3`.
 
@@ -142,16 +155,20 @@ def log6_batch(R: Array, p: Array) -> Array:
     Angles below 0.02 rad by series (error ≤ 2e-14, see the tests), larger ones by :func:`pinocchio.log6`.
     """
     out: Array = np.empty((len(R), 6))
-    w = 0.5 * (R[:, [2, 0, 1], [1, 2, 0]] - R[:, [1, 2, 0], [2, 0, 1]])  # axis · sin θ
+    linear = R.reshape(len(R), 9) @ _AXIS_TRACE
+    w, trace = linear[:, :3], linear[:, 3]  # axis · sin θ
     s2 = np.einsum("ij,ij->i", w, w)
-    trace = R[:, 0, 0] + R[:, 1, 1] + R[:, 2, 2]
     if s2[s2.argmax()] <= _SERIES_RADIUS**2 and trace[trace.argmin()] > 1.0:
         # θ / sin θ, then V⁻¹ p = p − ½ ω×p + (1/12 + θ²/720 + …) ω×(ω×p)
-        omega = w * (1.0 + s2 * (1 / 6 + s2 * (3 / 40 + s2 * (5 / 112))))[:, None]
-        theta2 = np.einsum("ij,ij->i", omega, omega)
+        ratio = 1.0 + s2 * (1 / 6 + s2 * (3 / 40 + s2 * (5 / 112)))
+        omega = np.multiply(w, ratio[:, None], out=out[:, 3:])
+        theta2 = s2 * ratio * ratio
         wp = cross(omega, p)
-        out[:, 3:] = omega
-        out[:, :3] = p - 0.5 * wp + (1 / 12 + theta2 * (1 / 720 + theta2 / 30240))[:, None] * cross(omega, wp)
+        wwp = cross(omega, wp)
+        wwp *= (1 / 12 + theta2 * (1 / 720 + theta2 / 30240))[:, None]
+        wp *= 0.5
+        wwp -= wp
+        np.add(wwp, p, out=out[:, :3])
         return out
     for i in range(len(R)):
         out[i] = pin.log6(pin.SE3(np.ascontiguousarray(R[i]), np.ascontiguousarray(p[i]))).vector
@@ -160,4 +177,6 @@ def log6_batch(R: Array, p: Array) -> Array:
 
 def cross(a: Array, b: Array) -> Array:
     """Row-wise cross product of (n, 3) arrays; several times cheaper than :func:`numpy.cross`."""
-    return a[:, [1, 2, 0]] * b[:, [2, 0, 1]] - a[:, [2, 0, 1]] * b[:, [1, 2, 0]]
+    products = a[:, :, None] * b[:, None, :]
+    out: Array = products.reshape(len(a), 9) @ _CROSS
+    return out

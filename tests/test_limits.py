@@ -106,6 +106,29 @@ def test_at_rest_the_box_keeps_every_limit(seed: int, dt: float) -> None:
     assert (x + box.lower * dt >= limits.lower - rounding)[inside].all()
 
 
+@given(st.integers(0, 2**32 - 1), st.sampled_from(STEPS))
+def test_a_joint_has_its_own_box_whatever_the_others_have(seed: int, dt: float) -> None:
+    """Whether all joints, some or no other have acceleration limits."""
+    rng = np.random.default_rng(seed)
+    n = 50
+    v = rng.normal(size=n)
+    low, high = np.where(rng.uniform(size=(2, n)) < 0.2, np.inf, 10.0 ** rng.uniform(-6, 1, (2, n))) * [[-1], [1]]
+    x = np.where(rng.uniform(size=n) < 0.1, np.where(np.isfinite(high), high, 0.0) + 0.01, 0.0)
+    speed, acceleration = 10.0 ** rng.uniform(-2, 1, n), 10.0 ** rng.uniform(-2, 3, n)
+    together = box_of(low, high, speed, acceleration)
+    together.update(x, v, dt)
+    more = box_of(
+        *(
+            np.append(limit, last)
+            for limit, last in zip((low, high, speed, acceleration), (-1.0, 1.0, 1.0, np.inf), strict=True)
+        )
+    )
+    more.update(np.append(x, 0.0), np.append(v, 0.0), dt)
+    for name in ("lower", "upper", "recovery", "outside"):
+        np.testing.assert_allclose(getattr(together, name), getattr(more, name)[:n], rtol=1e-13, atol=1e-300)
+    assert together.any_outside == together.outside.any()
+
+
 def test_without_any_limit_there_is_none() -> None:
     box = box_of([-np.inf] * 3, np.inf, np.inf, np.inf)
     box.update(np.array([0.0, 1e6, -1e6]), np.array([0.0, 5.0, -1e9]), 0.01)

@@ -23,12 +23,14 @@ import numpy.typing as npt
 from coopqp.kernel.lines import LineFollower
 from coopqp.kernel.workspace import Outcome, Workspace
 from coopqp.limits import LIMIT_TOLERANCE, rate_interval
-from coopqp.spatial import Array, log6_batch
+from coopqp.spatial import Array, cross, log6_batch
 
 #: Largest inverse that the fused step trusts; beyond, singular values have to be looked at.
 _LARGE_INVERSE = 1e6
 #: Below this the logarithm of an error is its linear part to rounding [m, rad].
 _LINEAR = 1e-8
+#: Below this it is that, and −½ ω×p, to rounding.
+_QUADRATIC = 1e-5
 #: In place of infinite limits: inf − inf would be NaN. Half of a range that is open at one end is _OPEN_RANGE.
 _NO_LIMIT, _OPEN_RANGE = 1e100, 1e3
 _SQRT3 = 1.7320508075688774
@@ -72,6 +74,7 @@ class NumpyKernel:
         self._placements = _equally_spaced(ws.placements, ws.tool_joints)
         self._linear = np.empty((n, 13))
         self._linear_flat, self._linear_errors = self._linear.reshape(-1), self._linear[:, :6]
+        self._linear_p, self._linear_w, self._errors_p = self._linear[:, :3], self._linear[:, 3:6], ws.errors[:, :3]
         self._same_on_all_axes = bool((ws.shares == ws.shares[:, :1]).all())
         self._mix, self._mixed = np.zeros((2 * n, 2 + 2 * n)), np.empty((2 * n, 6))
         self._cap = self._mix[:n, 0]
@@ -94,6 +97,9 @@ class NumpyKernel:
         self._room[0], self._room[2:] = np.minimum(ws.speed, _NO_LIMIT), half
         self._tested, self._tests_flat = ws.ahead[:4], self._tests.reshape(-1)
         self._brake = ws.motion[3]
+        self._wanted = np.empty(nv)
+        inverses = np.empty((len(self._arms), 6, 6))
+        self._inverses, self._inverses_flat = list(inverses), inverses.reshape(-1)
         # A tiny number in place of 1 / inf: 0 times an infinite velocity would be NaN.
         self._per_acceleration = np.maximum(0.5 / ws.acceleration, 1e-200)
 
@@ -183,6 +189,9 @@ class NumpyKernel:
         largest = flat.item(flat.argmax())
         if largest <= _LINEAR:
             ws.errors[:] = self._linear_errors
+        elif largest <= _QUADRATIC:
+            ws.errors[:] = self._linear_errors
+            np.subtract(self._linear_p, 0.5 * cross(self._linear_w, self._linear_p), out=self._errors_p)
         elif largest < math.inf:
             D = self._D
             ws.errors[:] = log6_batch(D[:, :3].transpose(0, 2, 1), D[:, 3])
@@ -247,17 +256,17 @@ class NumpyKernel:
         """The nominal command if the box admits it, or the fastest admissible rate with full corrections."""
         ws, box, v = self._ws, self._ws.box, self._ws.velocity
         box.update(ws.positions, ws.v_prev, h)
-        if box.outside.any():
+        if box.any_outside:
             return Outcome.OPEN
-        inside = np.clip(v, box.lower, box.upper)
-        if np.abs(v - inside).max() <= LIMIT_TOLERANCE:
-            v[:] = inside
+        wanted = self._wanted
+        wanted[:] = v
+        if self._cut_off(wanted, v) <= LIMIT_TOLERANCE:
             ws.result[:] = cap, -1.0, 0.0
             return Outcome.NOMINAL
-        if not all(np.abs(lu.inverse()).max() < _LARGE_INVERSE for lu, *_ in self._arms):
+        if not self._well_conditioned():
             return Outcome.OPEN
         along = self._along()
-        base = v - cap * along
+        base = wanted - cap * along
         found = rate_interval(base, along, box.lower, box.upper)
         if found is None:
             return Outcome.OPEN
@@ -268,12 +277,29 @@ class NumpyKernel:
             rate, side = high, (1.0 if along[j] > 0.0 else -1.0)
         else:
             rate, j, side = max(cap, low), -1, 0.0
-        wanted = base + rate * along
-        np.clip(wanted, box.lower, box.upper, out=v)
-        if not np.abs(wanted - v).max() <= 2.0 * LIMIT_TOLERANCE:
+        np.multiply(along, rate, out=wanted)
+        wanted += base
+        if not self._cut_off(wanted, v) <= 2.0 * LIMIT_TOLERANCE:
             return Outcome.OPEN
         ws.result[:] = rate, j, side
         return Outcome.RAY
+
+    def _cut_off(self, wanted: Array, out: Array) -> float:
+        """Bring velocities into the box; returns the largest change, NaN if there is one."""
+        box = self._ws.box
+        np.maximum(wanted, box.lower, out=out)
+        np.minimum(out, box.upper, out=out)
+        change = np.abs(wanted - out)
+        return float(change[change.argmax()])
+
+    def _well_conditioned(self) -> bool:
+        """No entry of an arm's inverse is so large that its singular values have to be looked at."""
+        if not self._six:
+            return True  # a chain that is singular says so
+        for inverse, (lu, *_) in zip(self._inverses, self._arms, strict=True):
+            inverse[:] = lu.inverse()
+        flat = np.abs(self._inverses_flat)
+        return bool(flat[flat.argmax()] < _LARGE_INVERSE)
 
 
 def _equally_spaced(placements: Array, joints: npt.NDArray[np.int64]) -> Array | None:
