@@ -137,6 +137,18 @@ class RobotCell:
             x[j] = np.arctan2(q[i + 1], q[i])
         return x
 
+    def average(self, configurations: Any) -> Array:
+        """Mean (nq,) of configurations (T, nq) that were measured at rest: to start from, without most of their noise.
+
+        Raises:
+            InvalidInputError: none, or one that is no configuration.
+        """
+        rows = [self.check_configuration(q, "RobotCell.average") for q in configurations]
+        if not rows:
+            raise InvalidInputError("no configurations", "RobotCell.average", "Measure at least once.")
+        away = np.mean([pin.difference(self.model, rows[0], q) for q in rows], axis=0)
+        return np.asarray(pin.integrate(self.model, rows[0], away))
+
     def visual_model(self) -> pin.GeometryModel:
         """Visual shapes of all arms, for :attr:`model`; empty where an arm has none."""
         return _assemble(self.arms, "visual")[1]

@@ -588,3 +588,19 @@ def test_a_damaged_description_is_refused_or_read(tmp_path: Path, noise: bytes, 
     file.write_bytes(raw[:at] + noise + raw[at + len(noise) :])
     with contextlib.suppress(CoopqpError):
         assert Arm.from_urdf("a", file, tool_frame="tool", geometry=False).model.nv >= 1
+
+
+def test_readings_at_rest_are_averaged_joint_by_joint(mixed_cell: RobotCell) -> None:
+    """Continuous joints on their circle, also across ±π; noise falls with the root of the number of readings."""
+    rng = np.random.default_rng(3)
+    x = rng.uniform(-0.5, 0.5, mixed_cell.nv)
+    x[mixed_cell.continuous] = np.pi - 1e-4
+    readings = [mixed_cell.configuration(x + rng.uniform(-1e-3, 1e-3, mixed_cell.nv)) for _ in range(400)]
+    mean = mixed_cell.average(readings)
+    away = pin.difference(mixed_cell.model, mixed_cell.configuration(x), mean)
+    assert np.abs(away).max() < 5.0 * 1e-3 / np.sqrt(3.0 * 400)
+    np.testing.assert_allclose(mixed_cell.average([readings[0]]), readings[0], atol=1e-15)
+    with pytest.raises(InvalidInputError, match="average"):
+        mixed_cell.average([])
+    with pytest.raises(InvalidInputError, match="average"):
+        mixed_cell.average([readings[0], readings[0] * np.nan])

@@ -30,7 +30,7 @@ class SupervisionOptions:
         recovery_time: a slowed object is let go again at such a pace that it takes this long from rest [s].
         fault_from: distance at which the controller latches a fault [m].
         stall_samples: an arm that in so many samples moves less than ``stall_share`` of its command, while another
-            follows its own, has stalled.
+            follows its own, has stalled (once a joint is 0.5 mrad or 0.5 mm from its command).
         stall_share: see ``stall_samples``.
         silent_time: so long no arm may be seen to follow its command: all have stopped, or measurements are stale [s].
         filter_time: time constant of the filter on the distances [s].
@@ -212,7 +212,8 @@ class Supervision:
             np.maximum(self._widest, gap, out=self._widest)
             stalled &= gap >= np.maximum(_CAUGHT_UP, _CAUGHT_UP_SHARE * self._widest)
         moving = told > _STILL
-        stands = moving & (moved < o.stall_share * told)
+        # With less of a gap it is not stalled but late: it may be turning round.
+        stands = moving & (moved < o.stall_share * told) & (gap >= _CAUGHT_UP)
         if len(past) == past.maxlen and stands.any():
             follows = bool((moving & (moved > _FOLLOWS * told)).any())
             self._silence = 0.0 if follows else self._silence + dt

@@ -81,6 +81,10 @@ class DisturbedPlant:
         self._grip = Grasp(tuple(T_object_world * T for T in tools))
         return self._encoders.reset(self.q)
 
+    def measure(self) -> Array:
+        """Another reading (nq,) where the joints are: at rest, :meth:`RobotCell.average` some before a start."""
+        return self._encoders.read(self.q, 0.0)
+
     def apply(self, step: ControlStep) -> Array:
         """Execute a command for its ``dt``; returns the measured configuration (nq,) at its end."""
         model, dt = self.cell.model, step.dt

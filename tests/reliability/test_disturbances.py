@@ -1,0 +1,318 @@
+"""Row B, in mm: what is not ideal, and how far it parts the arms. Nothing but their commands holds them together here.
+
+Every figure is the chain error of the plant's *true* configuration, at every sample, with the default supervision,
+at 1 kHz and a peak speed of the object of 0.25 m/s. Row B in newtons is in ``test_disturbances_physics.py``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from coopqp.controllers.base import ControlStep, Status
+from coopqp.controllers.qp import QPController
+from coopqp.errors import InvalidInputError
+from coopqp.grasp import Grasp
+from coopqp.inverse_kinematics import inverse_kinematics
+from coopqp.limits import LimitKind
+from coopqp.path import ObjectPath, TimeLaw, WaypointPath
+from coopqp.plants.disturbances import misplaced
+from coopqp.plants.disturbed import Disturbances, DisturbedPlant
+from coopqp.scenarios import Scenario, dual_arm7, mixed_cell, paper_lift
+from coopqp.spatial import Array
+
+DT = 1e-3
+SPEED = 0.25
+#: Readings at rest that a start is averaged from: 0.1 s.
+READINGS = 100
+#: A base that is 1 mm and 0.1° off, along and about one axis.
+AXIS = np.ones(3) / np.sqrt(3.0)
+BASE_OFF = pin.SE3(pin.exp3(np.deg2rad(0.1) * AXIS), 1e-3 * AXIS)
+
+
+def peak_speed(path: ObjectPath) -> float:
+    """Of the object's frame [m/s]."""
+    return max(float(np.linalg.norm(path.twist(t)[:3])) for t in np.linspace(0.0, path.duration, 201))
+
+
+def at_speed(make: Callable[..., Scenario]) -> Scenario:
+    """The scenario in such a time that the object's fastest is :data:`SPEED`."""
+    slow = make(time_law=TimeLaw.QUINTIC, duration=3.0)
+    task = make(time_law=TimeLaw.QUINTIC, duration=3.0 * peak_speed(slow.path) / SPEED)
+    assert peak_speed(task.path) == pytest.approx(SPEED, rel=1e-6)
+    return task
+
+
+@pytest.fixture(scope="module")
+def tasks() -> list[Scenario]:
+    """Three arms of six joints, two of seven, and a mixture of robots."""
+    return [at_speed(make) for make in (paper_lift, dual_arm7, mixed_cell)]
+
+
+@dataclass(frozen=True)
+class Run:
+    """One run: chain error of the true configuration at every sample [mm], and the steps."""
+
+    chain: Array
+    steps: list[ControlStep]
+
+    @property
+    def chain_mm(self) -> float:
+        return float(self.chain.max())
+
+    @property
+    def smooth(self) -> bool:
+        """Finished, and never held."""
+        return self.steps[-1].finished and not any(s.status in (Status.HOLDING, Status.FAULT) for s in self.steps)
+
+
+def drive(
+    task: Scenario,
+    disturbances: Disturbances | None = None,
+    *,
+    grasp: Grasp | None = None,
+    command_latency: Mapping[str, float] | None = None,
+    readings: int = READINGS,
+    longest: float | None = None,
+) -> Run:
+    """Start from an average of readings at rest, then one loop with everything that is not ideal."""
+    held = task.grasp if grasp is None else grasp
+    plant = DisturbedPlant(task.cell, held, disturbances, command_latency=command_latency)
+    controller = QPController(task.cell, held, task.path, dt=DT)
+    rest = [plant.reset(task.q_start), *(plant.measure() for _ in range(readings - 1))]
+    q = rest[-1]
+    controller.reset(task.cell.average(rest))
+    chain, steps = [plant.chain_error()[0]], []
+    end = 10.0 * task.path.duration if longest is None else longest
+    while plant.time < end and not (steps and steps[-1].finished):
+        steps.append(controller.step(q, dt=plant.period(DT)))
+        q = plant.apply(steps[-1])
+        chain.append(plant.chain_error()[0])
+    return Run(1e3 * np.array(chain), steps)
+
+
+# -- signals -----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("noise", "target"), [(1e-4, 0.2), (1e-3, 1.0)])
+def test_encoder_noise(tasks: list[Scenario], catalogue: Any, count: Any, noise: float, target: float) -> None:
+    seeds = range(count(2))
+    runs = [drive(task, Disturbances(encoder_noise=noise, seed=seed)) for task in tasks for seed in seeds]
+    assert all(run.smooth for run in runs)
+    single = max(drive(task, Disturbances(encoder_noise=noise), readings=1, longest=0.1).chain_mm for task in tasks)
+    catalogue.row(
+        "B",
+        f"encoder noise ±{noise:g} rad",
+        cases=sum(len(run.steps) for run in runs),
+        measured=max(run.chain_mm for run in runs),
+        target=target,
+        unit="mm",
+        note=f"from the start, the mean of {READINGS} readings; from one reading {single:.2g} mm",
+    )
+
+
+@pytest.mark.parametrize(("latency", "target"), [(0.002, 0.2), (0.005, 0.4), (0.010, 0.8)])
+def test_late_measurements(tasks: list[Scenario], catalogue: Any, latency: float, target: float) -> None:
+    """Of all arms, with commands that are executed as late."""
+    runs = []
+    for task in tasks:
+        late = dict.fromkeys(task.cell.arm_names, latency)
+        disturbances = Disturbances(latency=latency)
+        runs += [drive(task, disturbances), drive(task, disturbances, command_latency=late)]
+    assert all(run.smooth for run in runs)
+    cases = sum(len(run.steps) for run in runs)
+    chain = max(run.chain_mm for run in runs)
+    name = f"measurements, and commands, late by {1e3 * latency:g} ms"
+    catalogue.row("B", name, cases=cases, measured=chain, target=target, unit="mm")
+
+
+def test_lost_samples(tasks: list[Scenario], catalogue: Any, count: Any) -> None:
+    runs = [
+        drive(task, Disturbances(drop_share=0.05, drops_by_arm=by_arm, seed=seed))
+        for task in tasks
+        for by_arm in (False, True)
+        for seed in range(count(1))
+    ]
+    assert all(run.smooth for run in runs)
+    cases, chain = sum(len(run.steps) for run in runs), max(run.chain_mm for run in runs)
+    catalogue.row("B", "5 % of the samples lost", cases=cases, measured=chain, target=0.1, unit="mm")
+
+
+def test_periods_that_vary(tasks: list[Scenario], catalogue: Any, count: Any) -> None:
+    runs = [drive(task, Disturbances(dt_jitter=0.2, seed=seed)) for task in tasks for seed in range(count(1))]
+    for run in runs:
+        lengths = [s.dt for s in run.steps]
+        assert min(lengths) < 0.81 * DT
+        assert max(lengths) > 1.19 * DT
+    assert all(run.smooth for run in runs)
+    cases, chain = sum(len(run.steps) for run in runs), max(run.chain_mm for run in runs)
+    catalogue.row("B", "periods that vary by ±20 %", cases=cases, measured=chain, target=0.1, unit="mm")
+
+
+# -- where the arms stand and hold -------------------------------------------------------------------------------------
+
+
+def test_a_base_that_is_off_for_ten_minutes(catalogue: Any, count: Any) -> None:
+    """Lifted by 0.3 m and lowered again and again: what the base's error makes of it, and no more with time."""
+    lift, minutes = paper_lift(), count(10)
+    low = lift.path.pose(0.0)
+    high = pin.SE3(low.rotation, low.translation + np.array([0.0, 0.0, 0.3]))
+    half = 0.3 * 1.875 / SPEED  # a quintic law's peak is 1.875 times its mean
+    turns = round(60.0 * minutes / half)
+    path = WaypointPath(
+        [high if i % 2 else low for i in range(turns + 1)], durations=[half] * turns, time_law=TimeLaw.QUINTIC
+    )
+    plant = DisturbedPlant(lift.cell, lift.grasp, Disturbances(base_offset={"slave_1": BASE_OFF}))
+    controller = QPController(lift.cell, lift.grasp, path, dt=DT)
+    controller.reset(plant.reset(lift.q_start))
+    chain, tick = [], 0
+    step = controller.step()
+    while not step.finished:
+        plant.apply(step)
+        if tick % 25 == 0:  # 1 in 25: the motion between takes 2 s
+            chain.append(1e3 * plant.chain_error()[0])
+        step = controller.step()  # the encoders see nothing of a base that is off
+        assert step.status is Status.TRACKING
+        tick += 1
+    assert tick >= 59_900 * minutes
+    assert np.abs(step.q_next - lift.q_start).max() < 1e-6 or turns % 2
+    cycle = round(2.0 * half / DT / 25)
+    drift = abs(max(chain[-2 * cycle :]) - max(chain[: 2 * cycle]))
+    where = f"base off by 1 mm and 0.1°, 0.3 m up and down for {minutes} min"
+    catalogue.row("B", where, cases=tick, measured=max(chain), target=0.6, unit="mm")
+    catalogue.row("B", f"{where}: drift", cases=tick, measured=drift, target=1e-3, unit="mm")
+
+
+def test_a_base_that_is_off_and_a_turn(tasks: list[Scenario], catalogue: Any, count: Any) -> None:
+    """Turning the object costs what geometry says, which no encoder tells: the control adds nothing to it."""
+    added, whole, cases = 0.0, 0.0, 0
+    for task in tasks:
+        ideal = drive(task)
+        for arm in task.cell.arm_names[1 : 2 + count(1)]:
+            off = Disturbances(base_offset={arm: BASE_OFF}, encoder_noise=1e-6)
+            plant = DisturbedPlant(task.cell, task.grasp, Disturbances(base_offset={arm: BASE_OFF}))
+            plant.reset(task.q_start)
+            geometry = [0.0]
+            for step in ideal.steps:
+                plant.apply(step)
+                geometry.append(1e3 * plant.chain_error()[0])
+            run = drive(task, off)
+            assert run.smooth
+            assert len(run.chain) == len(geometry)
+            added = max(added, float(np.abs(run.chain - geometry).max()))
+            whole, cases = max(whole, max(geometry)), cases + len(run.steps)
+    catalogue.row(
+        "B",
+        "base off by 1 mm and 0.1°, lifted and turned by up to 40°: beyond geometry",
+        cases=cases,
+        measured=added,
+        target=0.01,
+        unit="mm",
+        note=f"geometry alone makes {whole:.2g} mm of it; calibrate, or turn less",
+    )
+
+
+def offset(rng: np.random.Generator, distance: float, angle: float) -> pin.SE3:
+    """A placement off by so much, in a random direction."""
+    axes = rng.normal(size=(2, 3))
+    axes /= np.linalg.norm(axes, axis=1)[:, None]
+    return pin.exp6(np.concatenate([distance * axes[0], angle * axes[1]]))
+
+
+def test_a_grasp_that_is_off(tasks: list[Scenario], catalogue: Any, count: Any) -> None:
+    """By 2 mm, latched when the grips close; the object then lies where the first arm holds it."""
+    rng, runs = np.random.default_rng(1), []
+    for task in tasks:
+        for arm in task.cell.arm_names[1 : 1 + count(1)]:
+            real = misplaced(task.cell, task.grasp, {arm: offset(rng, 2e-3, 0.0)})
+            q = inverse_kinematics(task.cell, real, task.path.pose(0.0), task.q_start)
+            grasp = Grasp.from_configuration(task.cell, q, nominal=task.grasp)
+            run = drive(replace(task, q_start=q), grasp=grasp)
+            assert run.smooth
+            runs.append(run)
+    cases, chain = sum(len(run.steps) for run in runs), max(run.chain_mm for run in runs)
+    catalogue.row("B", "grasp off by 2 mm, latched", cases=cases, measured=chain, target=0.1, unit="mm")
+
+
+def test_a_grasp_too_far_off_is_refused(tasks: list[Scenario], catalogue: Any, count: Any) -> None:
+    rng, wrong, cases = np.random.default_rng(2), 0, 0
+    for task in (tasks[0], tasks[1]):  # arms of six joints and more get anywhere
+        for _ in range(count(50)):
+            arm = str(rng.choice(task.cell.arm_names[1:]))
+            far = bool(rng.integers(2))
+            turned = bool(rng.integers(2))
+            excess = float(rng.uniform(1.001, 1.5) if far else rng.uniform(0.3, 0.999))
+            off = offset(rng, *((0.0, np.deg2rad(excess)) if turned else (5e-3 * excess, 0.0)))
+            q = inverse_kinematics(
+                task.cell, misplaced(task.cell, task.grasp, {arm: off}), task.path.pose(0.0), task.q_start
+            )
+            try:
+                Grasp.from_configuration(task.cell, q, nominal=task.grasp)
+                refused = False
+            except InvalidInputError as error:
+                refused = f"'{arm}'" in str(error)
+            wrong, cases = wrong + (refused is not far), cases + 1
+    catalogue.row(
+        "B", "grasp off by more than 5 mm or 1° refused, less accepted", cases=cases, measured=wrong, target=0
+    )
+
+
+# -- arms out of step --------------------------------------------------------------------------------------------------
+
+
+def test_an_arm_that_lags(tasks: list[Scenario], catalogue: Any) -> None:
+    runs = [drive(task, Disturbances(lag={arm: 0.01})) for task in tasks for arm in task.cell.arm_names]
+    assert all(run.smooth for run in runs)
+    slowed = [s for run in runs for s in run.steps if s.status is Status.SLOWED]
+    assert slowed
+    assert all(b.kind is LimitKind.OUT_OF_STEP for s in slowed for b in s.binding)
+    cases, chain = sum(len(run.steps) for run in runs), max(run.chain_mm for run in runs)
+    unslowed = 1e3 * SPEED * 0.01
+    catalogue.row(
+        "B",
+        "an arm that lags by 10 ms",
+        cases=cases,
+        measured=chain,
+        target=1.0,
+        unit="mm",
+        note=f"the object is slowed; at full rate {unslowed:.2g} mm",
+    )
+
+
+def test_an_arm_whose_commands_come_late(tasks: list[Scenario], catalogue: Any) -> None:
+    late = (0.002, 0.005, 0.010)
+    runs = [drive(task, command_latency={task.cell.arm_names[-1]: delay}) for task in tasks for delay in late]
+    assert all(run.smooth for run in runs)
+    cases, chain = sum(len(run.steps) for run in runs), max(run.chain_mm for run in runs)
+    name = "an arm whose commands come 2, 5, 10 ms later than the others'"
+    catalogue.row("B", name, cases=cases, measured=chain, target=1.0, unit="mm")
+
+
+@pytest.mark.parametrize("noise", [0.0, 1e-4], ids=["quiet", "noisy"])
+def test_an_arm_that_stalls(tasks: list[Scenario], catalogue: Any, noise: float) -> None:
+    """At the fastest, where the arms part by 0.25 mm a sample, and (quiet) at 30 % of the path's time."""
+    latest, worst, cases = 0, 0.0, 0
+    for task in tasks:
+        for k, arm in enumerate(task.cell.arm_names):
+            for share in (0.5,) if noise else (0.3, 0.5):
+                when = DT * round(share * task.path.duration / DT)
+                stall = Disturbances(stall={arm: when}, encoder_noise=noise, seed=k)
+                run = drive(task, stall, longest=when + 0.3)
+                first = round(when / DT)  # this step's command is the first that is not followed
+                held = next(i for i, s in enumerate(run.steps) if s.status is Status.HOLDING)
+                step = run.steps[held]
+                assert step.binding[0].arm == arm
+                assert arm in step.reason
+                latest = max(latest, held - first)  # samples that could show it when it was decided
+                worst, cases = max(worst, run.chain_mm), cases + 1
+                after = run.steps[held:]
+                assert all(s.status is Status.HOLDING for s in after)
+                assert np.abs(after[-1].velocity).max() < 1e-6
+    kind = f"an arm that stalls{', encoder noise ±0.0001 rad' if noise else ''}"
+    catalogue.row("B", f"{kind}: samples until it is known", cases=cases, measured=latest, target=5)
+    catalogue.row("B", f"{kind}: arms apart", cases=cases, measured=worst, target=3.0, unit="mm")
