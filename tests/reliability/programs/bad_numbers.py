@@ -1,0 +1,223 @@
+"""Steps of one solver's controllers on numbers that are none; prints what became of them as JSON.
+
+``python bad_numbers.py SOLVER``: a process of its own, so that whoever starts it can end it if a solver hangs.
+
+Every case is tried three times. A step that is bad is followed by a sound one, which has to go on.
+"""
+
+from __future__ import annotations
+
+import json
+import statistics
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+
+from coopqp import InvalidInputError, QPController, QPOptions, Status
+from coopqp.monitor import Monitor, MonitorTolerances
+from coopqp.path import ObjectPath, ServoPath
+from coopqp.scenarios import Scenario, dual_arm7, fast_lift
+from coopqp.solvers import QpProblem
+
+BAD = {"NaN": np.nan, "+inf": np.inf, "-inf": -np.inf}
+#: Finite numbers that solvers have been seen to take very long on, or to fail at.
+WILD = {"1e300": 1e300, "-1e300": -1e300, "1e25": 1e25, "1e15": 1e15, "1e-310": 1e-310}
+#: "No bound" is written as these.
+ABSENT = {("u", "+inf"), ("ub", "+inf"), ("l", "-inf"), ("lb", "-inf")}
+#: Where the forms that have no rows of one kind have the same data.
+ELSEWHERE = {"A": "C", "b": "u", "C": "A", "l": "lb", "u": "ub"}
+#: Arrays without entries.
+EMPTY = {"condensed": ("A", "b"), "full": ("C", "l", "u")}
+TRIES = 3
+
+
+@dataclass
+class Tally:
+    """What became of the cases."""
+
+    cases: int = 0
+    not_holding: list[str] = field(default_factory=list)
+    not_going_on: list[str] = field(default_factory=list)
+    raised: list[str] = field(default_factory=list)
+    violations: list[str] = field(default_factory=list)
+    cpu_ms: list[float] = field(default_factory=list)  # of each case, the middle one of its tries
+    longest_ms: float = 0.0
+
+
+class Poisoned:
+    """A controller whose QPs can be given one bad entry, in all of the forms that one step may try."""
+
+    def __init__(self, scenario: Scenario, options: QPOptions, *, limits_only: bool = False) -> None:
+        self.controller = QPController(scenario.cell, scenario.grasp, scenario.path, dt=scenario.dt, options=options)
+        self.controller.reset(scenario.q_start)
+        chain = {"chain_m": None, "chain_rad": None} if limits_only else {}
+        self._tolerances = MonitorTolerances(path_m=None, path_rad=None, **chain)
+        self.judge()
+        self._entry: tuple[str, float, float] | None = None
+        program = self.controller._solver.program
+        condensed, full = program.condensed, program.full
+        vars(program)["condensed"] = lambda *a: (self._poison(condensed(*a)[0]), *condensed(*a)[1:])
+        vars(program)["full"] = lambda *a, **k: self._poison(full(*a, **k))
+
+    def judge(self, path: ObjectPath | None = None) -> None:
+        """A new judge, of the steps from here on."""
+        self.monitor = Monitor(self.controller.cell, self.controller.grasp, path, tolerances=self._tolerances)
+
+    def _poison(self, problem: QpProblem) -> QpProblem:
+        if self._entry is None:
+            return problem
+        name, where, value = self._entry
+        if not getattr(problem, name).size:
+            name = ELSEWHERE[name]
+        array = getattr(problem, name).copy()
+        array.flat[int(where * array.size)] = value
+        return replace(problem, **{name: array})
+
+    def step(self, entry: tuple[str, float, float] | None = None, q: Any = None, dt: Any = None) -> Any:
+        self._entry = entry
+        began = time.thread_time()
+        step = self.controller.step(q, dt=dt)
+        self.took = time.thread_time() - began
+        self.monitor.observe(step)
+        return step
+
+
+class SwitchedPath(ObjectPath):
+    """A path of the user's own, whose poses can be spoilt; nothing ahead of the clock is known."""
+
+    known_ahead = False
+
+    def __init__(self, path: ObjectPath) -> None:
+        self._path, self.duration, self.bad = path, path.duration, 0.0
+
+    def pose(self, clock: float) -> pin.SE3:
+        T = self._path.pose(clock)
+        return T if self.bad == 0.0 else pin.SE3(T.rotation, T.translation + np.array([0.0, self.bad, 0.0]))
+
+    def twist(self, clock: float) -> Any:
+        return self._path.twist(clock)
+
+
+def tried(
+    tally: Tally, name: str, bad: Callable[[], tuple[Any, float]], sound: Callable[[], Any], *, holds: bool = True
+) -> None:
+    """One case: bad steps, each followed by a sound one."""
+    tally.cases += 1
+    took = []
+    for _ in range(TRIES):
+        try:
+            step, seconds = bad()
+        except Exception as error:  # whatever it is, it is what must not be
+            tally.raised.append(f"{name}: {error!r}")
+            return
+        took.append(1e3 * seconds)
+        if holds and not (step.status is Status.HOLDING and step.reason):
+            tally.not_holding.append(f"{name}: {step.status.value}")
+        after = sound()
+        if after.status in (Status.HOLDING, Status.FAULT):
+            tally.not_going_on.append(f"{name}: {after.reason}")
+    tally.cpu_ms.append(statistics.median(took))
+    tally.longest_ms = max(tally.longest_ms, *took)
+
+
+def qp_cases(solver: str, numbers: dict[str, float], tally: Tally, *, holds: bool) -> None:
+    """One entry of each array of each form of the QP."""
+    rng = np.random.default_rng(6)
+    for scenario in (fast_lift(), dual_arm7()):
+        for form in ("condensed", "full"):
+            options = QPOptions(solver=solver, form=form, shortcut=False, kernel="none")  # type: ignore[arg-type]
+            for name in ("H", "g", "A", "b", "C", "l", "u", "lb", "ub"):
+                if name in EMPTY[form]:
+                    continue
+                # From absurd data a solver finds an absurd optimum; what holds even then are the limits.
+                one = Poisoned(scenario, options, limits_only=not holds)
+                for _ in range(4):
+                    one.step()  # past the first steps, which set up and warm up
+                for label, value in numbers.items():
+                    for where in rng.random(2):
+                        entry = (name, float(where), value)
+                        tried(
+                            tally,
+                            f"{scenario.name} {form} {name} {label}",
+                            lambda one=one, entry=entry: (one.step(entry), one.took),
+                            one.step,
+                            holds=holds and (name, label) not in ABSENT,
+                        )
+                tally.violations += map(str, one.monitor.verdict().violations)
+
+
+def input_cases(solver: str, tally: Tally) -> None:
+    """Each entry of q, and dt."""
+    for scenario in (fast_lift(), dual_arm7()):
+        for acceleration in (np.inf, 5.0):
+            task = replace(scenario, cell=scenario.cell.with_limits(acceleration=acceleration))
+            one = Poisoned(task, QPOptions(solver=solver))
+            for _ in range(4):
+                one.step()
+            for label, value in BAD.items():
+                for i in range(0, task.cell.nq, 3):
+                    q = task.q_start.copy()
+                    q[i] = value
+                    tried(tally, f"q[{i}] {label}", lambda q=q, one=one: (one.step(q=q), one.took), one.step)
+                tried(tally, f"dt {label}", lambda v=value, one=one: (one.step(dt=v), one.took), one.step)
+            tally.violations += map(str, one.monitor.verdict().violations)
+
+
+def target_cases(solver: str, tally: Tally) -> None:
+    """A bad target is refused and the old one stays; a path whose poses go bad is not followed."""
+    scenario = fast_lift()
+    start = scenario.path.pose(0.0)
+    servo = replace(scenario, path=ServoPath(start))
+    one = Poisoned(servo, QPOptions(solver=solver))
+    one.controller.retarget(pin.SE3(start.rotation, start.translation + np.array([0.0, 0.0, 0.1])))
+    one.step()
+    for label, value in BAD.items():
+        for i in range(12):
+            T = start.homogeneous.copy()
+            T.flat[i] = value
+            tally.cases += 1
+            began = time.thread_time()
+            try:
+                one.controller.retarget(T)
+                tally.not_holding.append(f"target {label} [{i}] was taken")
+            except InvalidInputError:
+                tally.cpu_ms.append(1e3 * (time.thread_time() - began))
+            if one.step().status not in (Status.TRACKING, Status.SLOWED):
+                tally.not_going_on.append(f"target {label} [{i}]")
+    tally.violations += map(str, one.monitor.verdict().violations)
+    for make in (fast_lift, dual_arm7):
+        for kernel in ("auto", "numpy", "none"):
+            scenario = make()
+            path = SwitchedPath(scenario.path)
+            one = Poisoned(replace(scenario, path=path), QPOptions(solver=solver, kernel=kernel))
+            one.judge(scenario.path)  # by the path's own poses, not by spoilt ones
+            for _ in range(4):
+                one.step()
+            for label, value in BAD.items():
+
+                def bad(one: Poisoned = one, path: SwitchedPath = path, value: float = value) -> tuple[Any, float]:
+                    path.bad = value
+                    step = one.step()
+                    path.bad = 0.0
+                    return step, one.took
+
+                tried(tally, f"{scenario.name} path {label}, kernel {kernel}", bad, one.step)
+
+
+def main(solver: str) -> None:
+    bad, wild = Tally(), Tally()
+    qp_cases(solver, BAD, bad, holds=True)
+    input_cases(solver, bad)
+    target_cases(solver, bad)
+    qp_cases(solver, WILD, wild, holds=False)
+    print()  # OSQP prints errors of its own
+    print(json.dumps({"bad": vars(bad), "wild": vars(wild)}))
+
+
+if __name__ == "__main__":
+    main(sys.argv[1])

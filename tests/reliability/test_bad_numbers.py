@@ -1,0 +1,72 @@
+"""NaN and infinities in what a step is given, for every solver: it holds at once, and goes on when they are gone."""
+
+from __future__ import annotations
+
+import json
+import os
+import statistics
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from coopqp.solvers import available_solvers
+
+PROGRAM = Path(__file__).with_name("programs") / "bad_numbers.py"
+#: A solver that takes longer than this with all of its cases hangs [s]; they take about 10.
+HARD_TIMEOUT = 180.0
+
+
+def ran(solver: str) -> dict[str, Any]:
+    environment = {**os.environ, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
+    done = subprocess.run(
+        [sys.executable, str(PROGRAM), solver],
+        capture_output=True,
+        text=True,
+        timeout=HARD_TIMEOUT,
+        env=environment,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr[-2000:]
+    found: dict[str, Any] = json.loads(done.stdout.splitlines()[-1])
+    return found
+
+
+@pytest.mark.parametrize("solver", available_solvers())
+def test_bad_numbers_hold_and_are_forgotten(solver: str, catalogue: Any) -> None:
+    found = ran(solver)
+    bad, wild = found["bad"], found["wild"]
+    for tally in (bad, wild):
+        assert not tally["raised"], tally["raised"][:5]
+        assert not tally["violations"], tally["violations"][:5]
+        assert not tally["not_going_on"], tally["not_going_on"][:5]
+    catalogue.row(
+        "A6",
+        f"NaN, ±inf in q, dt, target, each QP array; {solver}: not held",
+        cases=bad["cases"],
+        measured=len(bad["not_holding"]),
+        target=0,
+        unit="steps",
+        note="each goes on once the number is gone",
+    )
+    catalogue.row(
+        "A6",
+        f"NaN, ±inf: thread CPU time of the step; {solver}",
+        cases=bad["cases"],
+        measured=max(bad["cpu_ms"]),
+        target=10.0,
+        unit="ms",
+        note=f"the slowest case, the middle one of three tries; median case {statistics.median(bad['cpu_ms']):.2f} ms, "
+        f"longest try {bad['longest_ms']:.2f} ms",
+    )
+    catalogue.row(
+        "A6",
+        f"finite but absurd numbers (1e-310 … 1e300) in the QP; {solver}",
+        cases=wild["cases"],
+        measured=wild["longest_ms"],
+        target=1000.0,
+        unit="ms",
+        note="longest try; no exception, command within the limits",
+    )
