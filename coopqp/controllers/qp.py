@@ -517,8 +517,16 @@ class QPController:
         return step
 
     def _slow_status(self, rate: float, binding: tuple[BindingLimit, ...]) -> Status:
-        speeding_up = any(b.kind is LimitKind.ACCELERATION for b in binding)
-        return Status.BLOCKED if rate < self.options.blocked_rate and not speeding_up else Status.SLOWED
+        if rate >= self.options.blocked_rate:
+            return Status.SLOWED
+        # From rest the accelerations alone keep the rate small; it grows then, or a joint is on its way back in.
+        accelerating = any(b.kind is LimitKind.ACCELERATION for b in binding)
+        return Status.SLOWED if accelerating and (rate > self._rate or self._outside()) else Status.BLOCKED
+
+    def _outside(self) -> bool:
+        """Whether a joint is outside its position limits."""
+        x, limits = self._ws.positions, self._box.limits
+        return bool(((x > limits.upper) | (x < limits.lower)).any())
 
     def _given_up(self, answer: StepAnswer | None, rate: float) -> GivenUp:
         if answer is None:
