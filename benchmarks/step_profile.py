@@ -207,22 +207,25 @@ class Limit:
         for _ in range(int(0.25 * scenario.path.duration / scenario.dt)):
             self._controller.step()
         # What the next step starts from: it is repeated.
+        ws = self._controller._ws
         self._q, self._middle = np.array(self._controller._q), np.array(self._controller._midpoint)
-        self._foreseen = self._controller._ws.predicted.copy()
+        self._state = [(array, array.copy()) for array in (ws.positions, ws.v_prev, ws.predicted)]
+        self._clock = self._controller._clock
         self._controller.step()
 
     def block(self, size: int) -> list[Sample]:
-        controller, q, middle, foreseen = self._controller, self._q, self._middle, self._foreseen
-        chain, ws, kernel, samples = controller._chain, controller._ws, controller._kernel, []
+        controller, q, middle, clock = self._controller, self._q, self._middle, self._clock
+        chain, kernel, span, samples = controller._chain, controller._kernel, controller.dt, []
         assert kernel is not None
         model, placements, jacobians, run = controller.cell.model, chain._data, chain._jacobian_data, kernel.step
         place, evaluate = pin.forwardKinematics, pin.computeJointJacobians
         for _ in range(size):
-            ws.predicted[:] = foreseen
+            for array, before in self._state:
+                array[:] = before
             spent, began = cpu(), wall()
             place(model, placements, q)
             evaluate(model, jacobians, middle)
-            outcome = run()
+            outcome = run(1.0, clock, span)
             samples.append((wall() - began, cpu() - spent))
             if outcome != Outcome.NOMINAL:
                 raise RuntimeError("the limit is that of a nominal step, and this one is none")

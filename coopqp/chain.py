@@ -10,7 +10,9 @@ whatever the grasp: the grasp only enters the poses. See docs/derivations.md.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 import numpy.typing as npt
@@ -44,6 +46,7 @@ class Chain:
         moving_columns: per arm, the velocity coordinates that move its tool; only those count as its joints here.
         redundancy: joints beyond six, summed over the arms.
         deficient: indices of arms with fewer than six joints.
+        place, evaluate: update the joint placements, the world Jacobians of :meth:`live_views` at a configuration.
     """
 
     def __init__(self, cell: RobotCell, grasp: Grasp) -> None:
@@ -55,6 +58,9 @@ class Chain:
         q0 = pin.neutral(cell.model)
         for data in (self._data, self._jacobian_data):
             pin.computeJointJacobians(cell.model, data, q0)
+        # Pinocchio's own functions: a call in between would cost as much as an arm.
+        self.place: Callable[[Array], object] = partial(pin.forwardKinematics, cell.model, self._data)
+        self.evaluate: Callable[[Array], object] = partial(pin.computeJointJacobians, cell.model, self._jacobian_data)
         self._placements = _live_placements(cell.model, self._data)
         self.tool_joints = np.array(cell.tool_joints, dtype=np.int64) - 1
         # O_k = T_world_joint · Y_k with constant Y_k; the transpose suits Pinocchio's column-major memory.
@@ -93,14 +99,6 @@ class Chain:
     def live_views(self) -> tuple[Array, Array]:
         """Pinocchio's memory: placements (joints, 4, 3) after :meth:`place`, Jᵀ (nv, 6) after :meth:`evaluate`."""
         return self._placements, self._JT
-
-    def place(self, q: Array) -> None:
-        """Update the joint placements of :meth:`live_views`."""
-        pin.forwardKinematics(self._model, self._data, q)
-
-    def evaluate(self, q: Array) -> None:
-        """Update the world Jacobians of :meth:`live_views`."""
-        pin.computeJointJacobians(self._model, self._jacobian_data, q)
 
     def linearise(self, q: Array) -> None:
         """Evaluate the world Jacobians at ``q`` and invert them."""

@@ -336,10 +336,11 @@ class PathPreview:
         else:
             if line is not self._line:
                 ws.line[:] = self._line = line
-            ws.scalars[ws.ON_LINE], ws.scalars[ws.CLOCK], ws.scalars[ws.SPAN] = 1.0, before, -1.0
+            ws.scalars[ws.ON_LINE] = 1.0
         if ws.redundant:
             ws.null_along[:] = self._posture.velocity(q)
-        return self._kernel.step() == Outcome.NOMINAL
+        ws.scalars[ws.HAS_PREDICTED] = 0.0  # nothing of the step before counts
+        return self._kernel.step(0.0, before, -1.0) == Outcome.NOMINAL
 
     def _moved(self, q: Array, step: Array) -> Array:
         if self._plain:

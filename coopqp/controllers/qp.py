@@ -45,6 +45,10 @@ from coopqp.state import CellState
 _EXTRA_AT_START = 3
 #: Share of the accelerations that braking together ahead of a limit is planned with, where there is no preview.
 _BRAKING_SHARE = 0.8
+# Members of an enumeration cost a look-up of a tenth of a microsecond each.
+_TRACKING, _NOMINAL, _OPEN = Status.TRACKING, int(Outcome.NOMINAL), int(Outcome.OPEN)
+#: Nothing to watch: shared, so not to be changed.
+_CLEAR = Watch()
 #: Square of an off-path twist that needs no braking distance [m²/s², rad²/s²].
 _NEGLIGIBLE = 1e-10
 
@@ -83,7 +87,9 @@ class QPController:
         self.kernel = "none" if self._kernel is None else self._kernel.name
         self._follows_lines = self._kernel is not None and self._kernel.follows_lines
         self._line: Array | None = None
-        self._gains_dt = 0.0
+        self._gains_dt, self._has_measured = 0.0, False
+        self._accelerates = self._box.accelerates
+        self._late, self._keep = False, 1.0
         self._posture = Posture(cell, o.posture)
         self._supervision = Supervision(cell, o.supervision)
         self._measuring = Chain(cell, grasp)
@@ -136,11 +142,12 @@ class QPController:
         self._midpoint = q
         self._fault = ""
         self._drift, self._drifted = np.zeros(6), False
-        self._correcting = np.zeros(6)  # off-path twist of the last step
+        self._correcting: Array | None = None  # off-path twist of the last step, where there was one
         self._clock, self._rate, self._fresh = 0.0, 1.0, True
         self._next_pose: tuple[float, pin.SE3] | None = None
-        self._predicted = False
         self._last_dt = self.dt
+        ws = self._ws
+        ws.positions[:], ws.v_prev[:], ws.scalars[ws.HAS_PREDICTED] = self.cell.positions(q), 0.0, 0.0
 
     def follow(self, path: ObjectPath) -> None:
         """Go on from the present command along another path, its clock at 0; the motion is not interrupted.
@@ -165,7 +172,8 @@ class QPController:
         self._next_pose = None
 
     def _start_path(self) -> None:
-        self._clock, self._fresh, self._predicted, self._next_pose = 0.0, True, False, None
+        self._clock, self._fresh, self._next_pose = 0.0, True, None
+        self._ws.scalars[self._ws.HAS_PREDICTED] = 0.0
         self._rate = 0.0 if self._box.accelerates else 1.0
         if self._preview is not None:
             self._preview.reset(self._q, 0.0)
@@ -189,29 +197,37 @@ class QPController:
         if not self._started:
             raise InvalidInputError("step before reset", "QPController", "Call reset(q) first.")
         began = time.perf_counter()
-        h, measured, watch = self._guard(q_measured, dt)
-        binding = self._prepare(h, measured, watch)
+        if q_measured is None and dt is None and not self._fault:
+            h, measured, watch = self.dt, None, _CLEAR
+        else:
+            h, measured, watch = self._guard(q_measured, dt)
+        cap, span, binding = self._prepare(h, measured, watch)
         chain, ws = self._chain, self._ws
         chain.place(self._q)
         if self._kernel is not None and not self._fresh:
             chain.evaluate(self._midpoint if h == self._last_dt else self._advanced(self._guess(), 0.5 * h))
-            outcome = self._kernel.step()
-            if outcome != Outcome.OPEN:
-                self._predicted = True
-                rate, joint, side = ws.result.tolist()
-                if joint >= 0.0:
-                    binding = (self._box.binding(int(joint), side, self._v, h),)
+            outcome = self._kernel.step(cap, self._clock, span)
+            if outcome != _OPEN:
+                rate = cap
+                if outcome != _NOMINAL:
+                    rate, joint, side, _ = ws.result.tolist()
+                    if joint >= 0.0:
+                        binding = (self._box.binding(int(joint), side, self._v, h),)
                 v = ws.velocity.copy()
                 if self._plain:
-                    q_next, self._midpoint = ws.moved.copy(), ws.midpoint
+                    q_next, self._midpoint = ws.positions.copy(), ws.midpoint
                 else:
                     q_next = self._advanced(v, h)
                     self._midpoint = pin.integrate(self.cell.model, q_next, 0.5 * h * (2.0 * v - self._v))
+                    ws.positions[:] = self.cell.positions(q_next)
                 return self._finish(h, v, q_next, rate, binding, watch, None, began)
-        answer = self._open_step(h)
+        answer = self._open_step(h, cap)
         v = answer.velocity
         q_next = self._advanced(v, h)
-        return self._finish(h, v, q_next, answer.rate, answer.binding or binding, watch, answer, began)
+        step = self._finish(h, v, q_next, answer.rate, answer.binding or binding, watch, answer, began)
+        self._midpoint = self._advanced(self._guess(), 0.5 * h)
+        ws.positions[:], ws.v_prev[:] = self.cell.positions(q_next), self._v
+        return step
 
     def _guess(self) -> Array:
         """The velocity of this step, predicted, so that it can be linearised at its midpoint."""
@@ -237,51 +253,65 @@ class QPController:
             watch = Watch(rate_cap=0.0, hold=True, fault=True, reason=self._fault)
         return h, measured, watch
 
-    def _prepare(self, h: float, measured: Array | None, watch: Watch) -> tuple[BindingLimit, ...]:
-        """Fill the workspace's inputs: reference pose, rate cap, increment along the path, measured error."""
+    def _prepare(self, h: float, measured: Array | None, watch: Watch) -> tuple[float, float, tuple[BindingLimit, ...]]:
+        """Fill the workspace's inputs: reference pose, increment along the path, measured error, posture.
+
+        Returns:
+            Rate cap, span of the clock that the increment along the path is the mean of [s], and what makes the cap.
+        """
         o, path, ws, clock = self.options, self.path, self._ws, self._clock
-        has_measured = self._let_in(h, measured, watch)
-        cap, ahead = (1.0, None) if self._preview is None else self._preview.cap(clock, h)
-        if self._box.accelerates and (self._preview is None or self._correcting @ self._correcting > _NEGLIGIBLE):
-            keep = self._brake_share(h)
-            if keep < 1.0:
-                has_measured = self._brake_correction(keep, has_measured)
-                if self._preview is None:
-                    cap = min(cap, keep * self._rate)
+        has_measured = False
+        if measured is not None or self._drifted or watch.hold:
+            has_measured = self._let_in(h, measured, watch)
+        cap, binding = self._rate_cap(h, watch)
+        if self._late:
+            has_measured = self._brake_correction(self._keep, has_measured)
+        rest = path.duration - clock
+        if rest < h * cap:
+            cap = rest / h  # the last step ends at the end
+        span = min(h * max(min(cap, self._rate), 1e-3), rest)
+        line = path.line_at(clock, span) if self._follows_lines and not self._fresh else None
+        s = ws.scalars
+        if line is not self._line:
+            self._line = line
+            s[ws.ON_LINE] = line is not None
+            if line is not None:
+                ws.line[:] = line
+        if line is None:
+            self._look_along(clock, span)
+        if h != self._gains_dt:
+            self._gains_dt = s[ws.DT] = h
+            # never more than the whole error in one step
+            s[ws.GRASP_GAIN], s[ws.PATH_GAIN] = min(o.grasp_gain, 1.0 / h), min(o.path_gain, 1.0 / h)
+        if has_measured is not self._has_measured:
+            self._has_measured = has_measured
+            s[ws.HAS_MEASURED] = has_measured
+        if ws.redundant:
+            self._wanted_posture()
+            if watch.hold:
+                ws.null_offset[:] = 0.0
+        return cap, span, binding
+
+    def _rate_cap(self, h: float, watch: Watch) -> tuple[float, tuple[BindingLimit, ...]]:
+        """The fastest rate that what is ahead, the supervision and the last rate allow, and what makes it so."""
+        cap, ahead = (1.0, None) if self._preview is None else self._preview.cap(self._clock, h)
+        self._late = False
+        if self._accelerates and (self._preview is None or self._correcting is not None):
+            self._keep = self._brake_share(h)
+            self._late = self._keep < 1.0
+            if self._late and self._preview is None:
+                cap = min(cap, self._keep * self._rate)
         binding = () if ahead is None else (ahead,)
         if watch.rate_cap < cap:
             cap = watch.rate_cap
             binding = (
                 () if watch.arm < 0 else (BindingLimit(self.cell.arm_names[watch.arm], "", LimitKind.OUT_OF_STEP),)
             )
-        if self._box.accelerates and o.preview is not None and self._rate + o.preview.rate_slope * h < cap:
-            cap, binding = self._rate + o.preview.rate_slope * h, ()
-        rest = path.duration - clock
-        if rest < h * cap:
-            cap = rest / h  # the last step ends at the end
-        span = min(h * max(min(cap, self._rate), 1e-3), rest)
-        s = ws.scalars
-        line = path.line_at(clock, span) if self._follows_lines and not self._fresh else None
-        if line is None:
-            self._look_along(clock, span)
-            s[ws.ON_LINE] = 0.0
-        else:
-            if line is not self._line:
-                ws.line[:] = self._line = line
-            s[ws.ON_LINE], s[ws.CLOCK], s[ws.SPAN] = 1.0, clock, span
-        ws.positions[:] = self._q if self._plain else self.cell.positions(self._q)
-        ws.v_prev[:] = self._v
-        s[ws.CAP], s[ws.LAST_DT] = cap, self._last_dt
-        if h != self._gains_dt:
-            self._gains_dt = s[ws.DT] = h
-            # never more than the whole error in one step
-            s[ws.GRASP_GAIN], s[ws.PATH_GAIN] = min(o.grasp_gain, 1.0 / h), min(o.path_gain, 1.0 / h)
-        s[ws.HAS_MEASURED], s[ws.HAS_PREDICTED] = has_measured, self._predicted
-        if ws.redundant:
-            self._wanted_posture()
-            if watch.hold:
-                ws.null_offset[:] = 0.0
-        return binding
+        if self._accelerates and self.options.preview is not None:
+            allowed = self._rate + self.options.preview.rate_slope * h
+            if allowed < cap:
+                cap, binding = allowed, ()
+        return cap, binding
 
     def _let_in(self, h: float, measured: Array | None, watch: Watch) -> bool:
         """The object's error for the path correction, in ``ws.measured``; False if the commanded one will do.
@@ -340,7 +370,7 @@ class QPController:
         wanted = o.path_gain * ws.measured
         for part in (slice(0, 3), slice(3, 6)):
             now = float(np.linalg.norm(wanted[part]))
-            allowed = keep * float(np.linalg.norm(self._correcting[part]))
+            allowed = 0.0 if self._correcting is None else keep * float(np.linalg.norm(self._correcting[part]))
             if now > allowed:
                 ws.measured[part] *= allowed / now
         return True
@@ -374,13 +404,13 @@ class QPController:
 
     # -- step by step, where the kernel does not apply ---------------------------------------------------------------
 
-    def _open_step(self, h: float) -> StepAnswer:
+    def _open_step(self, h: float, cap: float) -> StepAnswer:
         """The same step without the kernel; with the QP where rate alone does not settle it."""
         chain, ws, q = self._chain, self._ws, self._q
         pose = pin.SE3(ws.R, ws.p)
         O = chain.carried(q)
         ws.errors[:] = chain.errors(O, pose)
-        terms = self._terms(h, pose)
+        terms = self._terms(cap, pose)
         self._box.update(ws.positions, self._v, h)
         guess = self._guess()
         start = guess
@@ -399,13 +429,14 @@ class QPController:
         if self._fresh:
             # The velocities at the start and the middle of the first step stand in for those of two steps.
             self._v = 2.0 * start - answer.velocity
-        self._predicted = answer.chain == 0.0 and not answer.braked
+        s = ws.scalars
+        s[ws.HAS_PREDICTED], s[ws.LAST_DT] = answer.chain == 0.0 and not answer.braked, h
         drift = answer.grasp_share * terms.grasp_corrections + terms.offsets
         drift += answer.path_share * terms.path_correction + answer.off_path
         ws.predicted[:] = ws.errors + h * drift
         return answer
 
-    def _terms(self, h: float, pose: pin.SE3) -> StepTerms:
+    def _terms(self, cap: float, pose: pin.SE3) -> StepTerms:
         ws, s = self._ws, self._ws.scalars
         common = (self._shares * ws.errors).sum(axis=0)
         grasp = -s[ws.GRASP_GAIN] * (ws.errors - common)
@@ -417,8 +448,8 @@ class QPController:
             along=ws.along.copy(),
             path_correction=path,
             grasp_corrections=grasp,
-            offsets=(ws.predicted - ws.errors) / self._last_dt if self._predicted else np.zeros_like(grasp),
-            rate_cap=float(s[ws.CAP]),
+            offsets=(ws.predicted - ws.errors) / s[ws.LAST_DT] if s[ws.HAS_PREDICTED] else np.zeros_like(grasp),
+            rate_cap=cap,
         )
 
     def _complete(self, terms: StepTerms, pose: pin.SE3) -> None:
@@ -475,42 +506,49 @@ class QPController:
     ) -> ControlStep:
         clock, duration = self._clock, self.path.duration
         rate = min(max(rate, 0.0), 1.0)
-        whole = (duration - clock) / h  # what the last step needs is the full rate
-        share = 1.0 if rate >= 1.0 or rate >= whole else rate
+        # what the last step needs is the full rate
+        share = 1.0 if rate >= 1.0 or rate * h >= duration - clock else rate
         clock_next = clock + rate * h
         if duration - clock_next < 1e-9 * duration:
             clock_next = duration
-        given_up = NOTHING
-        if answer is not None or share < 1.0:
+        status, given_up, reason, report = _TRACKING, NOTHING, watch.reason, NO_SOLVE
+        if answer is None:
+            if self._accelerates:
+                ws = self._ws
+                self._correcting = ws.path.copy() if ws.result.item(3) > _NEGLIGIBLE else None
+        else:
+            given_up, reason, report = self._given_up(answer, share), reason or answer.reason, answer.report
+            twist = answer.path_share * answer.correction + answer.off_path
+            self._correcting = twist if twist @ twist > _NEGLIGIBLE else None
+        if share < 1.0:
             given_up = self._given_up(answer, share)
-        status = Status.TRACKING if share > 1.0 - 1e-6 else self._slow_status(share, binding)
+            if share <= 1.0 - 1e-6:
+                status = self._slow_status(share, binding)
         if watch.hold or (answer is not None and answer.braked):
             status = Status.HOLDING
             if watch.fault:
                 self._fault = self._fault or watch.reason
                 status = Status.FAULT
-        report = NO_SOLVE if answer is None else answer.report
         step = make_step(
-            cell=self.cell,
-            grasp=self.grasp,
-            path=self.path,
-            q=self._q,
-            velocity=v,
-            q_next=q_next,
-            dt=h,
-            clock=clock,
-            clock_next=clock_next,
-            rate=share,
-            status=status,
-            reason=watch.reason or (answer.reason if answer is not None else ""),
-            binding=() if status is Status.TRACKING and answer is None else binding,
-            given_up=given_up,
-            solver=report,
-            build_time_s=time.perf_counter() - began - report.time_s,
+            {
+                "cell": self.cell,
+                "grasp": self.grasp,
+                "path": self.path,
+                "q": self._q,
+                "velocity": v,
+                "q_next": q_next,
+                "dt": h,
+                "clock": clock,
+                "clock_next": clock_next,
+                "rate": share,
+                "status": status,
+                "reason": reason,
+                "binding": () if status is _TRACKING and answer is None else binding,
+                "given_up": given_up,
+                "solver": report,
+                "build_time_s": time.perf_counter() - began - report.time_s,
+            }
         )
-        if answer is not None:
-            guess = 2.0 * v - self._v
-            self._midpoint = pin.integrate(self.cell.model, q_next, 0.5 * h * guess)
         self._v_before = self._v
         self._q, self._v, self._clock, self._rate = q_next, v, clock_next, rate
         self._fresh, self._last_dt = False, h

@@ -12,8 +12,7 @@
 #include <string.h>
 
 enum { NOMINAL = 0, RAY = 1, OPEN = 2 };
-enum { CAP, DT, GRASP_GAIN, PATH_GAIN, SPEED, SPIN, HAS_MEASURED, HAS_PREDICTED, LAST_DT,
-       ON_LINE, CLOCK, SPAN, N_SCALARS };
+enum { DT, GRASP_GAIN, PATH_GAIN, SPEED, SPIN, HAS_MEASURED, HAS_PREDICTED, LAST_DT, ON_LINE, N_SCALARS };
 #define LIMIT_TOLERANCE 1e-9
 #define STILL 1e-12
 #define MAX_JOINTS 16
@@ -54,79 +53,86 @@ static int log6(const double *RT, const double *p, double *e) {
 
 /* -- linear algebra: one small system, several right-hand sides ---------------------------------------------------- */
 
-/* Solve A X = B in place by elimination with partial pivoting; A (6, 6), B (6, m) row major. 0 if singular. */
-static int solve6(double *A, double *B, int m) {
-    double scale = 0.0;
-    for (int i = 0; i < 36; i++) scale = fmax(scale, fabs(A[i]));
-    for (int k = 0; k < 6; k++) {
-        int pivot = k;
-        for (int i = k + 1; i < 6; i++)
-            if (fabs(A[6 * i + k]) > fabs(A[6 * pivot + k])) pivot = i;
-        if (!(fabs(A[6 * pivot + k]) > SMALLEST_PIVOT * scale)) return 0;
-        if (pivot != k) {
-            for (int j = k; j < 6; j++) {
-                double t = A[6 * k + j];
-                A[6 * k + j] = A[6 * pivot + j];
-                A[6 * pivot + j] = t;
-            }
-            for (int j = 0; j < m; j++) {
-                double t = B[m * k + j];
-                B[m * k + j] = B[m * pivot + j];
-                B[m * pivot + j] = t;
-            }
+/* Two numbers side by side, as GCC and Clang know them; other compilers leave it to the NumPy step. */
+typedef double pair __attribute__((vector_size(16)));
+/* Rows of [A | b₀ b₁]: a system of six, and two right-hand sides; entry (i, j) is rows[i][j / 2][j % 2]. */
+typedef pair Rows[6][4];
+#define UNROLL _Pragma("GCC unroll 6")
+
+/* Solve by elimination with partial pivoting; the answers take the right-hand sides' place. 0 if singular. */
+static int solve6(Rows A) {
+    double scale = 0.0, inverse[6];
+    for (int i = 0; i < 6; i++)
+        for (int j = 0; j < 6; j++) {
+            double size = fabs(A[i][j / 2][j % 2]);
+            scale = size > scale ? size : scale;
         }
-        double inverse = 1.0 / A[6 * k + k];
-        for (int i = k + 1; i < 6; i++) {
-            double f = A[6 * i + k] * inverse;
-            if (f == 0.0) continue;
-            for (int j = k + 1; j < 6; j++) A[6 * i + j] -= f * A[6 * k + j];
-            for (int j = 0; j < m; j++) B[m * i + j] -= f * B[m * k + j];
+    UNROLL for (int k = 0; k < 6; k++) {
+        int first = k / 2, pivot = k;
+        double largest = fabs(A[k][first][k % 2]);
+        UNROLL for (int i = k + 1; i < 6; i++) {
+            double size = fabs(A[i][first][k % 2]);
+            pivot = size > largest ? i : pivot;
+            largest = size > largest ? size : largest;
+        }
+        if (!(largest > SMALLEST_PIVOT * scale)) return 0;
+        if (pivot != k)
+            for (int j = first; j < 4; j++) {
+                pair other = A[pivot][j];
+                A[pivot][j] = A[k][j];
+                A[k][j] = other;
+            }
+        inverse[k] = 1.0 / A[k][first][k % 2];
+        UNROLL for (int i = k + 1; i < 6; i++) {
+            double f = A[i][first][k % 2] * inverse[k];
+            for (int j = first; j < 4; j++) A[i][j] -= (pair){f, f} * A[k][j];
         }
     }
-    for (int k = 5; k >= 0; k--) {
-        double inverse = 1.0 / A[6 * k + k];
-        for (int c = 0; c < m; c++) {
-            double x = B[m * k + c];
-            for (int j = k + 1; j < 6; j++) x -= A[6 * k + j] * B[m * j + c];
-            B[m * k + c] = x * inverse;
+    UNROLL for (int k = 5; k >= 0; k--) {
+        pair x = A[k][3];
+        UNROLL for (int j = k + 1; j < 6; j++) {
+            double f = A[k][j / 2][j % 2];
+            x -= (pair){f, f} * A[j][3];
         }
+        A[k][3] = x * (pair){inverse[k], inverse[k]};
     }
     return 1;
 }
 
-/* Joint velocities of one arm with n ≥ 6 joints for m world twists W (m, 6), near the null-space wishes U (m, n) for
- * a redundant arm: v = u + A⁺(w − J u), A⁺ the right inverse of least Σ (v/scale)². JT is (n, 6). out (m, n). */
-static int arm_velocities(const double *JT, const double *scale, int n, const double *W, const double *U, int m,
-                          double *out) {
-    double A[36], B[12];
+/* Joint velocities v (2, n) of one arm with n ≥ 6 joints for two world twists w (2, 6), near the null-space wishes
+ * u (2, n) for a redundant arm: v = u + A⁺(w − J u), A⁺ the right inverse of least Σ (v/scale)². JT is (n, 6). */
+static int arm_velocities(const double *JT, const double *scale, int n, const double *w, const double *u, double *v) {
+    Rows A;
     if (n == 6) {
         for (int i = 0; i < 6; i++) {
-            for (int j = 0; j < 6; j++) A[6 * i + j] = JT[6 * j + i];
-            for (int c = 0; c < m; c++) B[m * i + c] = W[6 * c + i];
+            for (int j = 0; j < 3; j++) A[i][j] = (pair){JT[12 * j + i], JT[12 * j + 6 + i]};
+            A[i][3] = (pair){w[i], w[6 + i]};
         }
-        if (!solve6(A, B, m)) return 0;
-        for (int j = 0; j < 6; j++)
-            for (int c = 0; c < m; c++) out[n * c + j] = B[m * j + c];
+        if (!solve6(A)) return 0;
+        for (int j = 0; j < 6; j++) {
+            v[j] = A[j][3][0];
+            v[6 + j] = A[j][3][1];
+        }
         return 1;
     }
     for (int i = 0; i < 6; i++) {
         for (int k = 0; k <= i; k++) {
             double sum = 0.0;
             for (int j = 0; j < n; j++) sum += JT[6 * j + i] * JT[6 * j + k] * scale[j] * scale[j];
-            A[6 * i + k] = A[6 * k + i] = sum;
+            A[i][k / 2][k % 2] = A[k][i / 2][i % 2] = sum;
         }
-        for (int c = 0; c < m; c++) {
-            double rest = W[6 * c + i];
-            for (int j = 0; j < n; j++) rest -= JT[6 * j + i] * U[n * c + j];
-            B[m * i + c] = rest;
+        for (int c = 0; c < 2; c++) {
+            double rest = w[6 * c + i];
+            for (int j = 0; j < n; j++) rest -= JT[6 * j + i] * u[n * c + j];
+            A[i][3][c] = rest;
         }
     }
-    if (!solve6(A, B, m)) return 0;
+    if (!solve6(A)) return 0;
     for (int j = 0; j < n; j++)
-        for (int c = 0; c < m; c++) {
+        for (int c = 0; c < 2; c++) {
             double sum = 0.0;
-            for (int i = 0; i < 6; i++) sum += JT[6 * j + i] * B[m * i + c];
-            out[n * c + j] = U[n * c + j] + scale[j] * scale[j] * sum;
+            for (int i = 0; i < 6; i++) sum += JT[6 * j + i] * A[i][3][c];
+            v[n * c + j] = u[n * c + j] + scale[j] * scale[j] * sum;
         }
     return 1;
 }
@@ -137,8 +143,8 @@ static int arm_velocities(const double *JT, const double *scale, int n, const do
 enum {
     B_PLACEMENTS, B_JACOBIAN, B_Y, B_JOINTS, B_STARTS, B_SIZES, B_SCALE, B_SHARES, B_LOW, B_HIGH, B_MAXSPEED,
     B_ACCELERATION, B_LOWER, B_UPPER, B_R, B_P, B_ALONG, B_PATH, B_MEASURED, B_POSITIONS, B_VPREV, B_NULL_ALONG,
-    B_NULL_OFFSET, B_SCALARS, B_RESULT, B_ERRORS, B_GRASP, B_OFFSETS, B_PREDICTED, B_VELOCITY, B_ALONG_VELOCITY, B_MOVED, B_MIDPOINT,
-    B_LINE, B_COUNT
+    B_NULL_OFFSET, B_SCALARS, B_RESULT, B_ERRORS, B_GRASP, B_OFFSETS, B_PREDICTED, B_VELOCITY, B_ALONG_VELOCITY, B_MIDPOINT,
+    B_LINE, B_PER_ACCELERATION, B_COUNT
 };
 
 typedef struct {
@@ -180,10 +186,11 @@ static int kernel_init(PyObject *self, PyObject *args, PyObject *kwargs) {
     k->joints = (int)nv;
     static const int per_joint[] = {B_SCALE, B_LOW, B_HIGH, B_MAXSPEED, B_ACCELERATION, B_LOWER, B_UPPER, B_POSITIONS,
                                     B_VPREV, B_NULL_ALONG, B_NULL_OFFSET, B_ALONG_VELOCITY,
-                                    B_MOVED, B_MIDPOINT};
+                                    B_MIDPOINT, B_PER_ACCELERATION};
     static const int per_arm[] = {B_SHARES, B_ERRORS, B_GRASP, B_OFFSETS, B_PREDICTED};
     int fits = k->view[B_JACOBIAN].len == 48 * nv && k->view[B_Y].len == 128 * n && k->view[B_JOINTS].len == 8 * n &&
-               k->view[B_SIZES].len == 8 * n && k->view[B_SCALARS].len == 8 * N_SCALARS && k->view[B_LINE].len == 168 && k->view[B_RESULT].len == 24 &&
+               k->view[B_SIZES].len == 8 * n && k->view[B_SCALARS].len == 8 * N_SCALARS && k->view[B_LINE].len == 168 &&
+               k->view[B_RESULT].len == 32 &&
                k->view[B_R].len == 72 && k->view[B_P].len == 24 && k->view[B_ALONG].len == 48 &&
                k->view[B_PATH].len == 48 && k->view[B_MEASURED].len == 48;
     for (size_t i = 0; i < sizeof per_joint / sizeof *per_joint; i++) fits = fits && k->view[per_joint[i]].len == 8 * nv;
@@ -226,10 +233,12 @@ static int errors(Kernel *k) {
 
 /* Shrink n corrections by one common factor to the bounds of speed and spin. */
 static void bound(double *c, int n, double speed, double spin) {
+    const double per_speed = 1.0 / (speed * speed), per_spin = 1.0 / (spin * spin);
     double excess = 0.0;
     for (int a = 0; a < n; a++) {
-        excess = fmax(excess, dot3(c + 6 * a, c + 6 * a) / (speed * speed));
-        excess = fmax(excess, dot3(c + 6 * a + 3, c + 6 * a + 3) / (spin * spin));
+        double linear = dot3(c + 6 * a, c + 6 * a) * per_speed, angular = dot3(c + 6 * a + 3, c + 6 * a + 3) * per_spin;
+        excess = linear > excess ? linear : excess;
+        excess = angular > excess ? angular : excess;
     }
     if (excess > 1.0) {
         double f = 1.0 / sqrt(excess);
@@ -238,16 +247,21 @@ static void bound(double *c, int n, double speed, double spin) {
 }
 
 static void corrections(Kernel *k) {
-    const double *s = D(k, B_SCALARS), *e = D(k, B_ERRORS), *shares = D(k, B_SHARES);
+    const double *s = D(k, B_SCALARS), *shares = D(k, B_SHARES), *errors = D(k, B_ERRORS), *foreseen = D(k, B_PREDICTED);
     double common[6] = {0}, *grasp = D(k, B_GRASP), *path = D(k, B_PATH), *offsets = D(k, B_OFFSETS);
-    int n = 6 * k->arms;
-    for (int i = 0; i < n; i++) common[i % 6] += shares[i] * e[i];
-    for (int i = 0; i < n; i++) grasp[i] = -s[GRASP_GAIN] * (e[i] - common[i % 6]);
+    const double gain = -s[GRASP_GAIN], rate = 1.0 / s[LAST_DT];
+    for (int a = 0; a < k->arms; a++)
+        for (int i = 0; i < 6; i++) common[i] += shares[6 * a + i] * errors[6 * a + i];
+    for (int a = 0; a < k->arms; a++)
+        for (int i = 0; i < 6; i++) {
+            double e = errors[6 * a + i];
+            grasp[6 * a + i] = gain * (e - common[i]);
+            offsets[6 * a + i] = s[HAS_PREDICTED] != 0.0 ? (foreseen[6 * a + i] - e) * rate : 0.0;
+        }
     for (int i = 0; i < 6; i++) path[i] = -s[PATH_GAIN] * (s[HAS_MEASURED] != 0.0 ? D(k, B_MEASURED)[i] : common[i]);
     bound(grasp, k->arms, s[SPEED], s[SPIN]);
     bound(path, 1, s[SPEED], s[SPIN]);
-    for (int i = 0; i < n; i++)
-        offsets[i] = s[HAS_PREDICTED] != 0.0 ? (D(k, B_PREDICTED)[i] - e[i]) / s[LAST_DT] : 0.0;
+    D(k, B_RESULT)[3] = dot3(path, path) + dot3(path + 3, path + 3);
 }
 
 /* A twist of the reference object frame, in the world: Ad(R) w. */
@@ -262,23 +276,22 @@ static void to_world(const double *R, const double *p, const double *w, double *
 }
 
 /* Nominal command, and what a unit of rate contributes. */
-static int command(Kernel *k) {
+static int command(Kernel *k, double cap) {
     const double *R = D(k, B_R), *p = D(k, B_P), *along = D(k, B_ALONG), *path = D(k, B_PATH);
-    const double cap = D(k, B_SCALARS)[CAP];
-    double ahead[6];
-    to_world(R, p, along, ahead);
-    for (int a = 0; a < k->arms; a++) {
+    const double *grasp = D(k, B_GRASP), *offsets = D(k, B_OFFSETS);
+    double common[6], W[12], U[2 * MAX_JOINTS], V[2 * MAX_JOINTS];
+    for (int i = 0; i < 6; i++) common[i] = cap * along[i] + path[i];
+    to_world(R, p, along, W + 6);
+    for (int a = 0; a < k->arms; a++, grasp += 6, offsets += 6) {
         int n = (int)L(k, B_SIZES)[a], start = (int)L(k, B_STARTS)[a];
-        double w[6], W[12], U[2 * MAX_JOINTS], V[2 * MAX_JOINTS];
-        for (int i = 0; i < 6; i++)
-            w[i] = D(k, B_GRASP)[6 * a + i] + D(k, B_OFFSETS)[6 * a + i] + cap * along[i] + path[i];
+        double w[6];
+        for (int i = 0; i < 6; i++) w[i] = common[i] + grasp[i] + offsets[i];
         to_world(R, p, w, W);
-        memcpy(W + 6, ahead, sizeof ahead);
         for (int j = 0; n > 6 && j < n; j++) {
             U[n + j] = D(k, B_NULL_ALONG)[start + j];
             U[j] = cap * U[n + j] + D(k, B_NULL_OFFSET)[start + j];
         }
-        if (!arm_velocities(D(k, B_JACOBIAN) + 6 * start, D(k, B_SCALE) + start, n, W, U, 2, V)) return 0;
+        if (!arm_velocities(D(k, B_JACOBIAN) + 6 * start, D(k, B_SCALE) + start, n, W, U, V)) return 0;
         memcpy(D(k, B_VELOCITY) + start, V, sizeof(double) * (size_t)n);
         memcpy(D(k, B_ALONG_VELOCITY) + start, V + n, sizeof(double) * (size_t)n);
     }
@@ -314,6 +327,22 @@ static int box(Kernel *k) {
     return inside;
 }
 
+/* Whether the command stays inside all limits, from inside and without a need to clip: the box without its divisions. */
+static int well_inside(const Kernel *k) {
+    const double h = D(k, B_SCALARS)[DT], *velocity = D(k, B_VELOCITY), *v_prev = D(k, B_VPREV);
+    const double *x = D(k, B_POSITIONS), *low = D(k, B_LOW), *high = D(k, B_HIGH), *fastest = D(k, B_MAXSPEED);
+    const double *acceleration = D(k, B_ACCELERATION), *per_acceleration = D(k, B_PER_ACCELERATION);
+    int inside = 1;
+    for (int j = 0; j < k->joints; j++) {
+        double v = velocity[j], speed = fabs(v), up = high[j] - x[j], down = x[j] - low[j];
+        double way = speed * h + speed * speed * per_acceleration[j], room = v > 0.0 ? up : down;
+        double change = fabs(v - v_prev[j]);
+        inside &= (way <= room) & (up >= 0.0) & (down >= 0.0) & (speed <= fastest[j]) &
+                  (change <= acceleration[j] * h) & (change < INFINITY);
+    }
+    return inside;
+}
+
 static int admissible(Kernel *k) {
     for (int j = 0; j < k->joints; j++) {
         double v = D(k, B_VELOCITY)[j];
@@ -328,8 +357,7 @@ static void clip(Kernel *k) {
 }
 
 /* rate_interval and what follows from it; see reference.py. */
-static int ray(Kernel *k) {
-    const double cap = D(k, B_SCALARS)[CAP];
+static int ray(Kernel *k, double cap) {
     double *v = D(k, B_VELOCITY), *result = D(k, B_RESULT), *along = D(k, B_ALONG_VELOCITY);
     double low = -INFINITY, high = INFINITY, low_slack = 0.0, high_slack = 0.0;
     int binding = -1;
@@ -371,15 +399,21 @@ static int ray(Kernel *k) {
     return RAY;
 }
 
-/* What the next step starts from: foreseen errors, positions, and where to linearise. */
+/* What the next step starts from: foreseen errors, positions and velocity, and where to linearise. */
 static void look_ahead(Kernel *k) {
-    const double h = D(k, B_SCALARS)[DT], *v = D(k, B_VELOCITY), *v_prev = D(k, B_VPREV);
-    for (int i = 0; i < 6 * k->arms; i++)
-        D(k, B_PREDICTED)[i] = D(k, B_ERRORS)[i] + h * (D(k, B_GRASP)[i] + D(k, B_OFFSETS)[i] + D(k, B_PATH)[i % 6]);
+    double *s = D(k, B_SCALARS), *x = D(k, B_POSITIONS), *v_prev = D(k, B_VPREV);
+    const double h = s[DT], *v = D(k, B_VELOCITY), *errors = D(k, B_ERRORS), *path = D(k, B_PATH);
+    const double *grasp = D(k, B_GRASP), *offsets = D(k, B_OFFSETS);
+    double *predicted = D(k, B_PREDICTED), *midpoint = D(k, B_MIDPOINT);
+    for (int a = 0; a < k->arms; a++)
+        for (int i = 6 * a, m = 0; m < 6; i++, m++) predicted[i] = errors[i] + h * (grasp[i] + offsets[i] + path[m]);
     for (int j = 0; j < k->joints; j++) {
-        D(k, B_MOVED)[j] = D(k, B_POSITIONS)[j] + h * v[j];
-        D(k, B_MIDPOINT)[j] = D(k, B_MOVED)[j] + 0.5 * h * (2.0 * v[j] - v_prev[j]);
+        x[j] += h * v[j];
+        midpoint[j] = x[j] + 0.5 * h * (2.0 * v[j] - v_prev[j]);
+        v_prev[j] = v[j];
     }
+    s[HAS_PREDICTED] = 1.0;
+    s[LAST_DT] = h;
 }
 
 /* Rodrigues' rotation of a rotation vector. */
@@ -403,7 +437,8 @@ static void exp3(const double *w, double *R) {
 static double time_law(double x, double quintic) {
     if (x <= 0.0) return 0.0;
     if (x >= 1.0) return 1.0;
-    return quintic != 0.0 ? fmin(x * x * x * (10.0 + x * (6.0 * x - 15.0)), 1.0) : x;
+    double u = quintic != 0.0 ? x * x * x * (10.0 + x * (6.0 * x - 15.0)) : x;
+    return u > 1.0 ? 1.0 : u; /* by rounding; a NaN stays one */
 }
 
 /* TimeLaw.slope_at */
@@ -414,9 +449,9 @@ static double time_law_slope(double x, double quintic) {
 
 /* Reference pose and ν = log(T(τ)⁻¹ T(τ + span)) / span on a LinePath; see path.py for its numbers.
  * A negative span asks for the twist at τ instead. */
-static void follow_line(Kernel *k) {
-    const double *line = D(k, B_LINE), *s = D(k, B_SCALARS), *turn = line + 12, *way = line + 15;
-    double x = (s[CLOCK] - line[18]) / line[19], u = time_law(x, line[20]);
+static void follow_line(Kernel *k, double clock, double span) {
+    const double *line = D(k, B_LINE), *turn = line + 12, *way = line + 15;
+    double x = (clock - line[18]) / line[19], u = time_law(x, line[20]);
     double *R = D(k, B_R), *p = D(k, B_P), *along = D(k, B_ALONG), w[3], E[9];
     for (int i = 0; i < 3; i++) {
         w[i] = u * turn[i];
@@ -427,15 +462,15 @@ static void follow_line(Kernel *k) {
         for (int j = 0; j < 3; j++)
             R[3 * i + j] = line[3 * i] * E[j] + line[3 * i + 1] * E[3 + j] + line[3 * i + 2] * E[6 + j];
     memset(along, 0, 6 * sizeof(double));
-    if (s[SPAN] < 0.0) { /* the twist itself */
+    if (span < 0.0) { /* the twist itself */
         double rate = time_law_slope(x, line[20]) / line[19];
         for (int i = 0; i < 3; i++) {
             along[i] = rate * (R[i] * way[0] + R[3 + i] * way[1] + R[6 + i] * way[2]);
             along[3 + i] = rate * turn[i];
         }
     }
-    if (!(s[SPAN] > 0.0)) return;
-    double gain = time_law(x + s[SPAN] / line[19], line[20]) - u, step[3], omega[3], wt[3], wwt[3];
+    if (span <= 0.0) return;
+    double gain = time_law(x + span / line[19], line[20]) - u, step[3], omega[3], wt[3], wwt[3];
     for (int i = 0; i < 3; i++) {
         omega[i] = gain * turn[i];
         step[i] = gain * (R[i] * way[0] + R[3 + i] * way[1] + R[6 + i] * way[2]);
@@ -445,44 +480,50 @@ static void follow_line(Kernel *k) {
     cross(omega, step, wt);
     cross(omega, wt, wwt);
     for (int i = 0; i < 3; i++) {
-        along[i] = (step[i] - 0.5 * wt[i] + third * wwt[i]) / s[SPAN];
-        along[3 + i] = omega[i] / s[SPAN];
+        along[i] = (step[i] - 0.5 * wt[i] + third * wwt[i]) / span;
+        along[3 + i] = omega[i] / span;
     }
 }
 
-static int fused_step(Kernel *k) {
-    int outcome = OPEN;
-    if (D(k, B_SCALARS)[ON_LINE] != 0.0) follow_line(k);
+static int fused_step(Kernel *k, double cap, double clock, double span) {
+    int outcome = NOMINAL;
+    double *result = D(k, B_RESULT);
+    if (D(k, B_SCALARS)[ON_LINE] != 0.0) follow_line(k, clock, span);
     if (!errors(k)) return OPEN;
     corrections(k);
-    if (!box(k) || !command(k)) return OPEN;
-    if (admissible(k)) {
-        double *result = D(k, B_RESULT);
-        result[0] = D(k, B_SCALARS)[CAP];
-        result[1] = -1.0;
-        result[2] = 0.0;
-        clip(k);
-        outcome = NOMINAL;
-    } else {
-        outcome = ray(k);
+    if (!command(k, cap)) return OPEN;
+    result[0] = cap;
+    result[1] = -1.0;
+    result[2] = 0.0;
+    if (!well_inside(k)) {
+        if (!box(k)) return OPEN;
+        if (admissible(k))
+            clip(k);
+        else
+            outcome = ray(k, cap);
     }
     if (outcome != OPEN) look_ahead(k);
     return outcome;
 }
 
-static PyObject *kernel_step(PyObject *self, PyObject *unused) {
-    (void)unused;
-    if (!((Kernel *)self)->built) {
-        PyErr_SetString(PyExc_RuntimeError, "the Kernel was not built");
+static PyObject *kernel_step(PyObject *self, PyObject *const *args, Py_ssize_t n) {
+    if (!((Kernel *)self)->built || n != 3) {
+        PyErr_SetString(PyExc_TypeError, "step(cap, clock, span) of a Kernel that was built");
         return NULL;
     }
-    return PyLong_FromLong(fused_step((Kernel *)self));
+    double numbers[3];
+    for (int i = 0; i < 3; i++) {
+        numbers[i] = PyFloat_AsDouble(args[i]);
+        if (numbers[i] == -1.0 && PyErr_Occurred()) return NULL;
+    }
+    return PyLong_FromLong(fused_step((Kernel *)self, numbers[0], numbers[1], numbers[2]));
 }
 
 /* -- module ---------------------------------------------------------------------------------------------------------- */
 
 static PyMethodDef kernel_methods[] = {
-    {"step", kernel_step, METH_NOARGS, "One fused step over the workspace's buffers; returns an Outcome."},
+    {"step", (PyCFunction)(void (*)(void))kernel_step, METH_FASTCALL,
+     "step(cap, clock, span): one fused step over the workspace's buffers; returns an Outcome."},
     {NULL, NULL, 0, NULL},
 };
 

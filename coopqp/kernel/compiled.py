@@ -12,7 +12,7 @@ _BUFFERS = (
     "placements", "jacobian_T", "Y_transposed", "tool_joints", "starts", "sizes", "scale", "shares", "low", "high",
     "speed", "acceleration", "lower", "upper", "R", "p", "along", "path", "measured", "positions", "v_prev",
     "null_along", "null_offset", "scalars", "result", "errors", "grasp", "offsets", "predicted", "velocity",
-    "along_velocity", "moved", "midpoint", "line",
+    "along_velocity", "midpoint", "line", "per_acceleration",
 )  # fmt: skip
 
 

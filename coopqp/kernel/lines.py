@@ -48,7 +48,7 @@ class LineFollower:
             c, s = math.cos(theta), math.sin(theta)
             if span < 0.0:
                 gain = self._slope(x) / self._duration
-            elif span > 0.0:
+            elif span != 0.0:
                 step = self._value(x + span / self._duration) - u
                 half, gain = 0.5 * step * self._angle, step / span
                 # (δ/2) cot(δ/2) by series: the next term is below rounding

@@ -31,6 +31,8 @@ _LARGE_INVERSE = 1e6
 _LINEAR = 1e-8
 #: Below this it is that, and −½ ω×p, to rounding.
 _QUADRATIC = 1e-5
+#: Errors up to this make a path correction that nobody needs to know of [m, rad].
+_NO_CORRECTION = 1e-7
 #: In place of infinite limits: inf − inf would be NaN. Half of a range that is open at one end is _OPEN_RANGE.
 _NO_LIMIT, _OPEN_RANGE = 1e100, 1e3
 _SQRT3 = 1.7320508075688774
@@ -95,26 +97,26 @@ class NumpyKernel:
         self._ahead = np.zeros((6, 5))
         self._room, self._tests = np.full((4, nv), _NO_LIMIT), np.empty((4, nv))
         self._room[0], self._room[2:] = np.minimum(ws.speed, _NO_LIMIT), half
-        self._tested, self._tests_flat = ws.ahead[:4], self._tests.reshape(-1)
+        self._tested, self._tests_flat, self._moved = ws.ahead[:4], self._tests.reshape(-1), ws.ahead[4]
         self._brake = ws.motion[3]
         self._wanted = np.empty(nv)
         inverses = np.empty((len(self._arms), 6, 6))
         self._inverses, self._inverses_flat = list(inverses), inverses.reshape(-1)
         # A tiny number in place of 1 / inf: 0 times an infinite velocity would be NaN.
-        self._per_acceleration = np.maximum(0.5 / ws.acceleration, 1e-200)
+        self._per_acceleration = np.maximum(ws.per_acceleration, 1e-200)
 
-    def step(self) -> int:
+    def step(self, cap: float, clock: float, span: float) -> int:
         """Errors, corrections, nominal command, limits and, on a miss, the ray."""
         ws = self._ws
         s = ws.scalars.tolist()  # Python's numbers: NumPy's cost more to work with
-        if s[1:9] != self._settings:
+        if s != self._settings:
             self._set(s)
-        if s[ws.ON_LINE] != 0.0 and not self._line.follow(s[ws.CLOCK], s[ws.SPAN]):
+        if s[ws.ON_LINE] != 0.0 and not self._line.follow(clock, span):
             return Outcome.OPEN
         largest = self._errors()
         if not largest < math.inf:
             return Outcome.OPEN
-        self._corrections(s, largest)
+        self._corrections(s, cap, largest)
         np.dot(self._twists, self._to_world, out=self._W)
         velocity = ws.velocity
         if self._six:
@@ -130,21 +132,25 @@ class NumpyKernel:
                 return Outcome.OPEN
             chain.joint_velocities(self._W, velocity)
             if ws.redundant:
-                velocity += chain.null_part(s[ws.CAP] * ws.null_along + ws.null_offset)
+                velocity += chain.null_part(cap * ws.null_along + ws.null_offset)
         if ws.wants_along:
             self._along()
         worst = self._look_ahead()
         outcome, result = Outcome.NOMINAL, ws.result
         if worst <= 0.0:
-            result[0], result[1], result[2] = s[ws.CAP], -1.0, 0.0
+            result[0], result[1], result[2] = cap, -1.0, 0.0
         elif worst < math.inf:
-            outcome = self._at_limits(s[ws.CAP], s[ws.DT])
+            outcome = self._at_limits(cap, s[ws.DT])
             if outcome == Outcome.OPEN:
                 return outcome
             self._look_ahead()
         else:
             return Outcome.OPEN
         ws.predicted[:] = self._foreseen
+        ws.v_prev[:] = velocity
+        ws.positions[:] = self._moved
+        if s[ws.HAS_PREDICTED] == 0.0 or s[ws.LAST_DT] != s[ws.DT]:
+            ws.scalars[ws.HAS_PREDICTED], ws.scalars[ws.LAST_DT] = 1.0, s[ws.DT]
         return outcome
 
     def _set(self, s: list[float]) -> None:
@@ -175,7 +181,7 @@ class NumpyKernel:
             (2.0 * h, -0.5 * h, 1.0, 0.0, 0.0),
         )
         self._room[1] = np.minimum(ws.acceleration * h, _NO_LIMIT)
-        self._settings = s[1:9]
+        self._settings = s
 
     def _errors(self) -> float:
         """``e_k = log(R⁻¹ O_k)`` of every arm; returns the largest entry, NaN if there is one."""
@@ -198,16 +204,19 @@ class NumpyKernel:
             largest = float(np.abs(ws.errors).max())
         return largest
 
-    def _corrections(self, s: list[float], largest: float) -> None:
+    def _corrections(self, s: list[float], cap: float, largest: float) -> None:
         """Twists in the reference object frame, and the errors foreseen for the next step."""
         ws = self._ws
+        unbound = self._unbound
         if s[ws.HAS_MEASURED] != 0.0:
             np.multiply(ws.measured, -s[ws.PATH_GAIN], out=ws.path)
             bound(ws.path[None, :], s[ws.SPEED], s[ws.SPIN])
+            ws.result[3] = np.dot(ws.path, ws.path)
         else:
-            ws.path[:] = 0.0
-        if largest <= self._unbound and self._same_on_all_axes:
-            self._cap[:] = s[ws.CAP]
+            ws.path[:] = ws.result[3] = 0.0
+            unbound = min(unbound, _NO_CORRECTION)
+        if largest <= unbound and self._same_on_all_axes:
+            self._cap[:] = cap
             np.dot(self._mix, ws.twists, out=self._mixed)
             return
         e = ws.errors
@@ -217,12 +226,13 @@ class NumpyKernel:
         if s[ws.HAS_MEASURED] == 0.0:
             np.multiply(common, -s[ws.PATH_GAIN], out=ws.path)
             bound(ws.path[None, :], s[ws.SPEED], s[ws.SPIN])
+            ws.result[3] = np.dot(ws.path, ws.path)
         if s[ws.HAS_PREDICTED] != 0.0:
             np.divide(ws.predicted - e, s[ws.LAST_DT], out=ws.offsets)
         else:
             ws.offsets[:] = 0.0
         drift = ws.grasp + ws.offsets + ws.path
-        np.add(drift, s[ws.CAP] * ws.along, out=self._twists)
+        np.add(drift, cap * ws.along, out=self._twists)
         np.add(e, s[ws.DT] * drift, out=self._foreseen)
 
     def _look_ahead(self) -> float:
@@ -261,7 +271,7 @@ class NumpyKernel:
         wanted = self._wanted
         wanted[:] = v
         if self._cut_off(wanted, v) <= LIMIT_TOLERANCE:
-            ws.result[:] = cap, -1.0, 0.0
+            ws.result[:3] = cap, -1.0, 0.0
             return Outcome.NOMINAL
         if not self._well_conditioned():
             return Outcome.OPEN
@@ -281,7 +291,7 @@ class NumpyKernel:
         wanted += base
         if not self._cut_off(wanted, v) <= 2.0 * LIMIT_TOLERANCE:
             return Outcome.OPEN
-        ws.result[:] = rate, j, side
+        ws.result[:3] = rate, j, side
         return Outcome.RAY
 
     def _cut_off(self, wanted: Array, out: Array) -> float:

@@ -27,25 +27,26 @@ class Outcome(enum.IntEnum):
 class Workspace:
     """Arrays of one controller, allocated once.
 
-    Inputs set before each call: ``R`` (3, 3), ``p`` (3,) and ``action`` Ad(R) (6, 6) of the reference pose
-    (:meth:`set_pose`) and ``along`` ν (6,), or ``line`` (21,) where ``ON_LINE`` is set; ``positions``, ``v_prev``
-    (nv,), ``scalars`` (see the index constants), and where they apply ``measured`` (6,), ``null_along``,
-    ``null_offset`` (nv,). ``predicted`` (N, 6) goes in as the errors foreseen by the previous step and comes out as
-    those foreseen for the next.
-    Outputs: ``along_velocity``, the joints' share of ``along`` (nv,) (the NumPy kernel fills it at need or where
-    ``wants_along``), ``moved`` and ``midpoint``, the positions after the step and half a step later at the predicted
-    velocity (nv,), ``errors`` (N, 6), ``velocity`` (nv,) and ``result`` [rate, joint, side].
+    Inputs: ``R`` (3, 3), ``p`` (3,) and ``action`` Ad(R) (6, 6) of the reference pose (:meth:`set_pose`) and ``along``
+    ν (6,), or ``line`` (21,) where ``ON_LINE`` is set; ``scalars`` (see the index constants), and where they apply
+    ``measured`` (6,), ``null_along``, ``null_offset`` (nv,).
+    State, which a settled step leaves as the next one needs it, and an open one as it was: ``positions`` and
+    ``v_prev`` (nv,), ``predicted`` (N, 6), the errors foreseen for the step, and the scalars ``HAS_PREDICTED`` and
+    ``LAST_DT``.
+    Outputs: ``velocity`` (nv,), ``midpoint``, the positions half a step after the step's end at the predicted velocity
+    (nv,), ``errors`` (N, 6), ``along_velocity``, the joints' share of ``along`` (nv,) (the NumPy kernel fills it at
+    need or where ``wants_along``), and ``result`` [rate, joint, side, square of the path correction].
     The rest is a kernel's own: ``grasp``, ``offsets``, ``path``, and the box's ``lower`` and ``upper``.
 
     What the NumPy kernel multiplies by one matrix lies together: ``posed`` holds ``action``, R, p and ν, ``twists``
     (2 + 2N, 6) the rows ν, c_p, errors, predicted, ``motion`` (5, nv) the rows velocity, v_prev, positions, and two of
-    the kernel's own, and ``ahead`` (6, nv) four of the kernel's own, moved, midpoint.
+    the kernel's own, and ``ahead`` (6, nv) five of the kernel's own, midpoint.
     """
 
     # indices of scalars
-    CAP, DT, GRASP_GAIN, PATH_GAIN, SPEED, SPIN, HAS_MEASURED, HAS_PREDICTED, LAST_DT, ON_LINE, CLOCK, SPAN = range(12)
+    DT, GRASP_GAIN, PATH_GAIN, SPEED, SPIN, HAS_MEASURED, HAS_PREDICTED, LAST_DT, ON_LINE = range(9)
     # indices of result
-    RATE, JOINT, SIDE = range(3)
+    RATE, JOINT, SIDE, CORRECTION = range(4)
 
     def __init__(self, chain: Chain, shares: Array, box: VelocityBox, *, wants_along: bool = False) -> None:
         n, nv = chain.n_arms, chain.nv
@@ -60,6 +61,7 @@ class Workspace:
         limits = box.limits
         self.low, self.high = limits.lower, limits.upper
         self.speed, self.acceleration = limits.velocity, limits.acceleration
+        self.per_acceleration = 0.5 / limits.acceleration  # braking from v takes v² times it; 0 without limit
         self.lower, self.upper = box.lower, box.upper
         memory = np.zeros(60 + 12 * n)
         self.posed, self.twists = memory[:54], memory[48:].reshape(2 + 2 * n, 6)
@@ -71,10 +73,10 @@ class Workspace:
         self.velocity, self.v_prev, self.positions = self.motion[:3]
         self.measured = np.zeros(6)
         self.null_along, self.null_offset = np.zeros(nv), np.zeros(nv)
-        self.scalars, self.result, self.line = np.zeros(12), np.zeros(3), np.zeros(21)
+        self.scalars, self.result, self.line = np.zeros(9), np.zeros(4), np.zeros(21)
         self.grasp, self.offsets = np.zeros((n, 6)), np.zeros((n, 6))
         self.along_velocity, self.ahead = np.zeros(nv), np.zeros((6, nv))
-        self.moved, self.midpoint = self.ahead[4:]
+        self.midpoint = self.ahead[5]
         self.redundant = bool((self.sizes > 6).any())
         gapless = all(np.all(np.diff(columns) == 1) for columns in chain.moving_columns)
         self.eligible = bool((self.sizes >= 6).all()) and gapless
@@ -90,12 +92,17 @@ class StepKernel(Protocol):
     """One fused step over a workspace whose Pinocchio data are up to date."""
 
     name: str
-    #: The kernel evaluates the reference pose and ``along`` itself where ``ON_LINE`` is set: ``line`` is the segment,
-    #: ``along`` the mean twist over ``SPAN``, or the twist at ``CLOCK`` where ``SPAN`` is negative.
+    #: The kernel evaluates the reference pose and ``along`` itself where ``ON_LINE`` is set.
     follows_lines: bool
 
     def __init__(self, workspace: Workspace) -> None: ...
 
-    def step(self) -> int:
-        """Errors, corrections, nominal command, limits and, on a miss, the ray; returns an :class:`Outcome`."""
+    def step(self, cap: float, clock: float, span: float) -> int:
+        """Errors, corrections, nominal command, limits and, on a miss, the ray; returns an :class:`Outcome`.
+
+        Args:
+            cap: largest rate, that of the nominal command.
+            clock, span: on a line, the reference pose's clock, and ``along`` is the mean twist over ``span`` from there
+                [s], or the twist at ``clock`` where ``span`` is negative.
+        """
         ...
