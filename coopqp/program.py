@@ -116,13 +116,17 @@ class Answer:
 
 
 class StepProgram:
-    """Builds and reads the QPs of one chain; holds no memory between steps."""
+    """Builds and reads the QPs of one chain; holds no memory between steps.
+
+    Attributes:
+        metric: diagonal W (6,) that makes linear and angular parts of a twist comparable.
+    """
 
     def __init__(self, chain: Chain, weights: RankWeights) -> None:
         self.chain, self.weights = chain, weights
         w = weights
-        angular = w.off_path * w.length**2
-        self._twist_scale = 1.0 / np.sqrt(np.array([w.off_path] * 3 + [angular] * 3))
+        self.metric = np.array([1.0] * 3 + [w.length**2] * 3)
+        self._twist_scale = 1.0 / np.sqrt(w.off_path * self.metric)
         self._share_scale = 1.0 / np.sqrt(np.array([w.rate, w.grasp, w.path]))
         self._comfort_scale = 1.0 / np.sqrt(w.comfort)
 

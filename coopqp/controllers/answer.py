@@ -99,7 +99,7 @@ class StepSolver:
                 return found
         solved, report = self._solve(terms, pieces)
         if solved is None:
-            return self._brake(pieces, v_prev, h, report)
+            return self._brake(terms, v_prev, h, report)
         return StepAnswer(
             np.clip(solved.velocity, box.lower, box.upper),
             solved.rate,
@@ -179,17 +179,32 @@ class StepSolver:
             solution.message,
         )
 
-    def _brake(self, pieces: Pieces, v_prev: Array, h: float, report: SolverReport) -> StepAnswer:
-        """All arms brake together: along the path if a rate will do, else by one common factor. Needs no solver."""
-        box = self._box
+    def _brake(self, terms: StepTerms, v_prev: Array, h: float, report: SolverReport) -> StepAnswer:
+        """All arms brake together, as hard as the box allows, without a solver.
+
+        Along the path if a rate will do, else along the object's present motion, else by one common factor. What
+        redundant arms do in their null-space fades with the rest.
+        """
+        box, chain, metric = self._box, self._chain, self.program.metric
         why = f"{report.status}: {report.message}" if report.message else report.status
         reason = f"the QP has no usable answer ({why}); braking"
-        for base in (pieces.fixed + pieces.grasp, pieces.fixed):
-            interval = rate_interval(base, pieces.along, box.lower, box.upper)
-            if interval is not None and interval[1] >= max(interval[0], 0.0):
-                rate = max(interval[0], 0.0)
-                v = np.clip(base + rate * pieces.along, box.lower, box.upper)
-                return StepAnswer(v, rate, 0.0, 0.0, report=report, braked=True, reason=reason)
+        offsets, grasp = (
+            chain.joint_velocities(twists @ terms.to_world.T, np.empty(chain.nv))
+            for twists in (terms.offsets, terms.grasp_corrections)
+        )
+        object_twist = chain.twists(v_prev).mean(axis=0)
+        present = np.linalg.solve(terms.to_world, object_twist)
+        length = float(terms.along @ (metric * terms.along))
+        rate = max(float(terms.along @ (metric * present)) / length, 0.0) if length > 0.0 else 0.0
+        ways = chain.joint_columns(np.column_stack([rate * (terms.to_world @ terms.along), object_twist]))
+        ways += chain.null_part(v_prev)[:, None]
+        for along in ways.T:
+            for base in (offsets + grasp, offsets):
+                interval = rate_interval(base, along, box.lower, box.upper)
+                if interval is not None and interval[1] >= max(interval[0], 0.0):
+                    share = max(interval[0], 0.0)
+                    v = np.clip(base + share * along, box.lower, box.upper)
+                    return StepAnswer(v, min(share * rate, 1.0), 0.0, 0.0, report=report, braked=True, reason=reason)
         v = np.clip(v_prev * self._slowdown(v_prev, h), box.lower, box.upper)
         return StepAnswer(v, 0.0, 0.0, 0.0, report=report, braked=True, reason=reason)
 

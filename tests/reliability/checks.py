@@ -21,10 +21,13 @@ from coopqp.limits import VelocityBox
 from coopqp.monitor import Monitor, MonitorTolerances, Verdict
 from coopqp.path import ServoPath
 from coopqp.scenarios import Scenario, at_limit
+from coopqp.solvers import QpProblem, QpSolution, QpSolver, SolverStatus
 
 Array: TypeAlias = npt.NDArray[np.float64]
 #: ``make(task, **options)`` builds a controller for a scenario.
 Maker: TypeAlias = Callable[..., Any]
+#: Tolerances of a verdict whose chain and path are only measured.
+WIDE: dict[str, Any] = {"chain_m": None, "chain_rad": None, "path_m": None, "path_rad": None}
 
 
 def cooperative(task: Scenario, **options: Any) -> QPController:
@@ -143,3 +146,126 @@ def controller_overshoot(make: Maker, rng: np.random.Generator, dt: float, runs:
         touching += int((over.max(axis=1) > -1e-4).sum())
         steps += len(done)
     return worst, steps, touching
+
+
+# -- A5: a solver that fails -------------------------------------------------------------------------------------------
+
+#: Joints slower than this are at rest [rad/s]; what is left is the correction of errors of micrometres.
+REST = 1e-4
+#: Status of a step that gave its solver up.
+STOPPED = (Status.HOLDING, Status.FAULT)
+
+
+class FaultySolver:
+    """A solver that does what it should until ``broken``, then what ``fault(solver, problem)`` does."""
+
+    def __init__(self, solver: QpSolver, fault: Callable[[QpSolver, QpProblem], Any]) -> None:
+        self.solver, self.fault, self.name = solver, fault, solver.name
+        self.broken, self.hits = False, 0
+
+    def reset(self) -> None:
+        self.solver.reset()
+
+    def solve(self, problem: QpProblem) -> Any:
+        if not self.broken:
+            return self.solver.solve(problem)
+        self.hits += 1
+        return self.fault(self.solver, problem)
+
+
+def _raising(error: type[Exception]) -> Callable[[QpSolver, QpProblem], Any]:
+    def fault(solver: QpSolver, problem: QpProblem) -> Any:
+        raise error("the solver is broken")
+
+    return fault
+
+
+def _answering(value: Any, status: SolverStatus = SolverStatus.SOLVED) -> Callable[[QpSolver, QpProblem], Any]:
+    """An answer full of ``value``."""
+
+    def fault(solver: QpSolver, problem: QpProblem) -> QpSolution:
+        return replace(solver.solve(problem), x=np.full(problem.g.size, value), status=status)
+
+    return fault
+
+
+#: What a solver may do wrong. 2.1e9 is what one of them fills its memory with.
+FAULTS: dict[str, Callable[[QpSolver, QpProblem], Any]] = {
+    **{f"raises {e.__name__}": _raising(e) for e in (RuntimeError, ValueError, ZeroDivisionError, MemoryError)},
+    **{f"raises {e.__name__}": _raising(e) for e in (KeyError, TypeError, OSError, AssertionError, AttributeError)},
+    "returns nothing": lambda solver, problem: None,
+    "returns a bare array": lambda solver, problem: np.zeros(problem.g.size),
+    "answers NaN": _answering(np.nan),
+    "answers inf": _answering(np.inf),
+    "answers 2.1e9": _answering(2.1e9),
+    "answers -2.1e9": _answering(-2.1e9),
+    "answers too few": lambda solver, problem: replace(solver.solve(problem), x=np.zeros(1)),
+    "answers no array": lambda solver, problem: replace(solver.solve(problem), x=None),
+    **{f"status: {s.value}": _answering(np.nan, s) for s in SolverStatus if s is not SolverStatus.SOLVED},
+    "status: failed, with an answer": _answering(0.0, SolverStatus.FAILED),
+}
+
+
+@dataclass(frozen=True)
+class Failure:
+    """What came of a solver that failed.
+
+    Attributes:
+        held: the very step in which it failed says so.
+        hits: how often it was asked and failed.
+        stopping: time until all joints rest, as a share of what the slowest needs by itself and two steps; NaN where
+            the solver recovered.
+        chain_mm: growth of the chain error.
+        recovery: steps until the status is another one after the solver has recovered.
+        broken: other promises broken: limits, continuity, clock.
+    """
+
+    held: bool
+    hits: int
+    stopping: float
+    chain_mm: float
+    recovery: float
+    broken: int
+
+
+def solver_fails(
+    make: Maker,
+    task: Scenario,
+    fault: Callable[[QpSolver, QpProblem], Any],
+    *,
+    at: int,
+    for_ever: bool,
+    goal: Any = None,
+) -> Failure:
+    """Let the solvers of a controller that solves a QP in every step fail after ``at`` steps."""
+    controller = make(task, shortcut=False)
+    controller.reset(task.q_start)
+    if goal is not None:
+        controller.retarget(goal)
+    answers = controller._solver
+    doubles = [FaultySolver(solver, fault) for solver in (answers._solver, answers._slack_solver)]
+    answers._solver, answers._slack_solver = doubles
+    steps = [controller.step() for _ in range(at)]
+    before = judged(task, steps, **WIDE)
+    v, dt, limits = steps[-1].velocity, task.dt, task.cell.limits
+    alone = float(np.max(np.abs(v) / limits.acceleration))
+    for double in doubles:
+        double.broken = True
+    steps.append(controller.step())
+    held = steps[-1].status in STOPPED
+    stopping, recovery = np.nan, 0.0
+    if for_ever:
+        longest = int(3.0 * alone / dt) + 10
+        while np.abs(steps[-1].velocity).max() > REST and len(steps) < at + longest:
+            steps.append(controller.step())
+            held = held and steps[-1].status in STOPPED
+        stopped = bool(np.abs(steps[-1].velocity).max() <= REST)
+        stopping = (len(steps) - 1 - at) * dt / (alone + 2.0 * dt) if stopped else np.inf
+    for double in doubles:
+        double.broken = False
+    after = [controller.step() for _ in range(30)]
+    recovery = next((i + 1.0 for i, s in enumerate(after) if s.status not in STOPPED), np.inf)
+    verdict = judged(task, [*steps, *after], **WIDE)
+    growth = 1e3 * (verdict.worst.chain_m - before.worst.chain_m)
+    hits = min(double.hits for double in doubles)
+    return Failure(held, hits, stopping, growth, recovery, sum(verdict.counts.values()))

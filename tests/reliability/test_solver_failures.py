@@ -1,0 +1,169 @@
+"""A5: a solver that fails, in any way, once or for ever: all arms brake together in the same step."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from checks import FAULTS, Failure, FaultySolver, cooperative, judged, limited, solver_fails
+
+from coopqp.controllers.base import Status
+from coopqp.path import ServoPath
+from coopqp.scenarios import Scenario, dual_arm7, fast_lift, mixed_cell, paper_lift, scara_pair
+from coopqp.solvers import SolverStatus, make_solver
+from coopqp.solvers.daqp import DaqpSettings
+from coopqp.solvers.osqp import OsqpSettings
+from coopqp.solvers.proxqp import ProxqpSettings
+
+
+def moving_target() -> tuple[Scenario, Any]:
+    """Three arms on their way to a target, with nothing known ahead."""
+    task = limited(paper_lift(), velocity=1.0, acceleration=5.0)
+    start, goal = task.path.pose(0.0), task.path.pose(task.path.duration)
+    return replace(task, path=ServoPath(start, speed=0.5, spin=1.0), dt=0.002), goal
+
+
+def coming_back() -> tuple[Scenario, Any]:
+    """Two joints of two arms start outside their limits."""
+    task = limited(paper_lift(time_law="quintic"), velocity=1.0, acceleration=5.0)
+    upper, lower = np.array(task.cell.limits.upper), np.array(task.cell.limits.lower)
+    upper[2], lower[9] = task.q_start[2] - 0.1, task.q_start[9] + 0.1
+    return replace(limited(task, upper=upper, lower=lower), dt=0.002), None
+
+
+TASKS: dict[str, Callable[[], tuple[Scenario, Any]]] = {
+    "three arms at their speed limits": lambda: (limited(fast_lift(), acceleration=5.0), None),
+    "no acceleration limits": lambda: (fast_lift(), None),
+    "redundant arms": lambda: (limited(dual_arm7(duration=1.0), acceleration=5.0), None),
+    "four different arms": lambda: (limited(mixed_cell(duration=1.0), acceleration=5.0), None),
+    "arms with four joints": lambda: (limited(scara_pair(duration=1.0), acceleration=5.0), None),
+    "a moving target": moving_target,
+    "on the way back inside": coming_back,
+}
+
+
+@pytest.fixture(scope="module")
+def failures(count: Callable[[int], int]) -> list[tuple[bool, Failure]]:
+    """Every fault on one task each, and one fault on all tasks, at several moments; once and for ever."""
+    rng = np.random.default_rng(5)
+    names, found = list(TASKS), []
+    for _ in range(count(1)):
+        shift = int(rng.integers(len(names)))
+        runs = [(fault, names[(i + shift) % len(names)], at) for i, fault in enumerate(FAULTS) for at in (30, 120)]
+        runs += [("answers NaN", name, at) for name in names for at in (1, 60, 200)]
+        for fault, name, at in runs:
+            task, goal = TASKS[name]()
+            for for_ever in (False, True):
+                moment = at + int(rng.integers(20))
+                failure = solver_fails(cooperative, task, FAULTS[fault], at=moment, for_ever=for_ever, goal=goal)
+                found.append((for_ever, failure))
+    return found
+
+
+def test_it_holds_within_the_same_step(failures: list[tuple[bool, Failure]], catalogue: Any) -> None:
+    catalogue.row(
+        "A5",
+        "solver fails: steps with a failed solver that do not hold",
+        cases=sum(f.hits for _, f in failures),
+        measured=sum(not f.held or f.hits == 0 for _, f in failures),
+        target=0,
+        note=f"{len(FAULTS)} faults in {len(failures)} runs",
+    )
+
+
+def test_it_comes_to_rest(failures: list[tuple[bool, Failure]], catalogue: Any) -> None:
+    stopping = [f.stopping for for_ever, f in failures if for_ever]
+    catalogue.row(
+        "A5",
+        "solver fails for ever: time to rest, in multiples of v/a + 2 dt",
+        cases=len(stopping),
+        measured=max(stopping),
+        target=1.1,
+        note="above 1 on curved paths, where the slowest joint's share rises; nothing stops sooner on the path",
+    )
+    assert np.median(stopping) <= 1.0
+
+
+def test_the_arms_stay_together(failures: list[tuple[bool, Failure]], catalogue: Any) -> None:
+    catalogue.row(
+        "A5",
+        "solver fails: growth of the chain error",
+        cases=len(failures),
+        measured=max(f.chain_mm for _, f in failures),
+        target=0.1,
+        unit="mm",
+    )
+
+
+def test_limits_are_kept_and_the_clock_is_right(failures: list[tuple[bool, Failure]], catalogue: Any) -> None:
+    catalogue.row(
+        "A5",
+        "solver fails: limits, continuity and clock violated",
+        cases=len(failures),
+        measured=sum(f.broken for _, f in failures),
+        target=0,
+    )
+
+
+def test_it_goes_on_when_the_solver_does(failures: list[tuple[bool, Failure]], catalogue: Any) -> None:
+    catalogue.row(
+        "A5",
+        "solver recovers: steps until it goes on",
+        cases=len(failures),
+        measured=max(f.recovery for _, f in failures),
+        target=1,
+    )
+
+
+def test_only_one_form_fails() -> None:
+    """Where the first QP fails and the one that lets the chain part does not, nothing is lost."""
+    task = limited(fast_lift(), acceleration=5.0)
+    controller = cooperative(task, shortcut=False)
+    controller.reset(task.q_start)
+    double = FaultySolver(controller._solver._solver, FAULTS["answers NaN"])
+    controller._solver._solver = double  # type: ignore[assignment]
+    double.broken = True
+    steps = [controller.step() for _ in range(100)]
+    assert double.hits >= 100
+    assert all(s.status in (Status.TRACKING, Status.SLOWED) for s in steps)
+    assert max(s.given_up.chain for s in steps) < 1e-9
+
+
+@pytest.mark.parametrize(
+    ("solver", "settings"),
+    [
+        ("daqp", DaqpSettings(iter_limit=1)),
+        ("proxqp", ProxqpSettings(max_iter=1, max_iter_in=1, max_iter_warm=1, max_iter_in_warm=1)),
+        ("osqp", OsqpSettings(max_iter=1, polish=False)),
+    ],
+)
+def test_the_real_iteration_limit(solver: str, settings: Any) -> None:
+    """A solver that may take one iteration finds nothing most of the time: the arms brake, and the reason says why."""
+    task = limited(fast_lift(), acceleration=5.0)
+    controller = cooperative(task, shortcut=False)
+    controller.reset(task.q_start)
+    steps = [controller.step() for _ in range(100)]
+    starved = make_solver(solver, settings), make_solver(solver, settings)
+    controller._solver._solver, controller._solver._slack_solver = starved
+    steps += [controller.step() for _ in range(200)]
+    held = [s for s in steps[100:] if s.status is Status.HOLDING]
+    assert len(held) > 50
+    assert all(SolverStatus.MAX_ITERATIONS.value in s.reason for s in held)
+    assert judged(task, steps).ok
+
+
+def test_an_interrupt_is_not_swallowed() -> None:
+    def interrupted(*_: Any) -> Any:
+        raise KeyboardInterrupt
+
+    task = fast_lift()
+    controller = cooperative(task, shortcut=False)
+    controller.reset(task.q_start)
+    double = FaultySolver(controller._solver._solver, interrupted)
+    controller._solver._solver = double  # type: ignore[assignment]
+    double.broken = True
+    with pytest.raises(KeyboardInterrupt):
+        controller.step()
