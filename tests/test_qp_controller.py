@@ -142,23 +142,6 @@ def reordered(task: Scenario, order: Sequence[int]) -> Scenario:
     )
 
 
-@pytest.mark.parametrize("common", ["master", "leaderless"])
-@pytest.mark.parametrize("scenario", [fast_lift, mixed_cell, at_limit, scara_pair])
-def test_the_order_of_the_arms_does_not_matter(scenario: Callable[..., Scenario], common: str) -> None:
-    task = with_mismatch(scenario(), 1, (0.0, 0.001, 0.0))
-    order = list(np.random.default_rng(5).permutation(len(task.cell)))
-    other = reordered(task, order)
-    first = task.cell.arm_names[0]
-    error = CommonError.master(first) if common == "master" else CommonError.leaderless()
-    a_steps = run(task, dt=0.005, longest=150, common_error=error)
-    b_steps = run(other, dt=0.005, longest=150, common_error=error)
-    for a, b in zip(a_steps, b_steps, strict=True):
-        for k, name in enumerate(other.cell.arm_names):
-            s = task.cell.v_slices[task.cell.index(name)]
-            assert np.abs(a.velocity[s] - b.velocity[other.cell.v_slices[k]]).max() < 1e-7
-        assert {x.arm for x in a.binding} == {x.arm for x in b.binding} or a.rate == pytest.approx(b.rate, abs=1e-7)
-
-
 @pytest.mark.parametrize("scenario", [fast_lift, at_limit, dual_arm7])
 def test_the_unit_of_time_does_not_matter(scenario: Callable[..., Scenario]) -> None:
     """Everything ten times slower, limits and gains included: the same configurations, step by step."""

@@ -1,0 +1,126 @@
+"""The same task gives the same commands: in another process, and with the arms in another order."""
+
+from __future__ import annotations
+
+import itertools
+import os
+import subprocess
+import sys
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from coopqp.cell import RobotCell
+from coopqp.controllers.common_error import CommonError
+from coopqp.controllers.options import QPOptions
+from coopqp.controllers.qp import QPController
+from coopqp.grasp import Grasp
+from coopqp.scenarios import Scenario, at_limit, dual_arm7, fast_lift, mixed_cell, ring, scara_pair
+
+PROGRAM = Path(__file__).with_name("programs") / "repeat.py"
+
+
+def ran(solver: str, steps: int, file: Path, seed: int) -> tuple[int, str]:
+    """Steps and hash of a process of its own, whose strings hash otherwise."""
+    environment = {**os.environ, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "PYTHONHASHSEED": str(seed)}
+    done = subprocess.run(
+        [sys.executable, str(PROGRAM), solver, str(steps), str(file)],
+        capture_output=True,
+        text=True,
+        timeout=600,
+        env=environment,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr[-2000:]
+    number, digest = done.stdout.split()
+    return int(number), digest
+
+
+@pytest.mark.parametrize(("solver", "steps", "target"), [("daqp", 100_000, 0.0), ("proxqp", 20_000, 1e-10)])
+def test_another_process_commands_the_same(
+    solver: str, steps: int, target: float, count: Callable[[int], int], catalogue: Any, tmp_path: Path
+) -> None:
+    runs = [ran(solver, count(steps), tmp_path / f"{seed}.npy", seed) for seed in (1, 2)]
+    assert runs[0][0] == runs[1][0] == count(steps)
+    a, b = (np.load(tmp_path / f"{seed}.npy") for seed in (1, 2))
+    assert len(a) > steps // 100  # a QP was solved in many of them
+    if target == 0.0:
+        catalogue.row(
+            "E",
+            f"two processes, one hash over all commands, {solver}",
+            cases=runs[0][0],
+            measured=runs[0][1] != runs[1][1],
+            target=0,
+            unit="differences",
+            note=f"{len(a):,} of the steps solved a QP",
+        )
+    else:
+        catalogue.row(
+            "E",
+            f"two processes, joint velocities of the steps with a QP, {solver}",
+            cases=len(a),
+            measured=float(np.abs(a - b).max()) if a.shape == b.shape else np.inf,
+            target=target,
+            unit="rad/s",
+            note=f"of {runs[0][0]:,} steps; hashes {'agree' if runs[0][1] == runs[1][1] else 'differ'}",
+        )
+
+
+# -- the order of the arms ---------------------------------------------------------------------------------------------
+
+
+def reordered(task: Scenario, order: Sequence[int]) -> Scenario:
+    return replace(
+        task,
+        cell=RobotCell([task.cell.arms[k] for k in order]),
+        grasp=Grasp(tuple(task.grasp.T_object_tool[k] for k in order)),
+        q_start=np.concatenate([task.q_start[task.cell.q_slices[k]] for k in order]),
+    )
+
+
+def with_mismatch(task: Scenario) -> Scenario:
+    """One arm holds the object a millimetre from where it is thought to: something to correct."""
+    tools = list(task.grasp.T_object_tool)
+    tools[1] = pin.SE3(np.eye(3), np.array([0.0, 0.001, 0.0])) * tools[1]
+    return replace(task, grasp=Grasp(tuple(tools)))
+
+
+def commands(task: Scenario, names: Sequence[str], options: QPOptions, steps: int) -> Any:
+    """Joint velocities (steps, nv), the arms in the order of ``names``."""
+    controller = QPController(task.cell, task.grasp, task.path, dt=0.005, options=options)
+    controller.reset(task.q_start)
+    columns = np.concatenate([np.arange(task.cell.nv)[task.cell.v_slices[task.cell.index(n)]] for n in names])
+    return np.array([controller.step().velocity[columns] for _ in range(steps)])
+
+
+@pytest.mark.parametrize("how", ["as it comes", "a QP at every step"])
+def test_the_order_of_the_arms_does_not_matter(
+    how: str, rng: np.random.Generator, count: Callable[[int], int], catalogue: Any
+) -> None:
+    worst, where, cases = 0.0, "", 0
+    for make in (fast_lift, at_limit, mixed_cell, dual_arm7, scara_pair, lambda: ring(arms=5)):
+        task = with_mismatch(make())
+        names = task.cell.arm_names
+        orders = list(itertools.permutations(range(len(names))))[1:]
+        for common in (CommonError.master(names[0]), CommonError.leaderless()):
+            options = QPOptions(common_error=common, shortcut=how == "as it comes")
+            first = commands(task, names, options, 150)
+            for i in rng.permutation(len(orders))[: count(5)]:
+                apart = float(np.abs(commands(reordered(task, orders[i]), names, options, 150) - first).max())
+                cases += len(first)
+                if apart > worst:
+                    worst, where = apart, task.name
+    catalogue.row(
+        "E",
+        f"arms in another order, {how}",
+        cases=cases,
+        measured=worst,
+        target=1e-9,
+        unit="rad/s",
+        note=f"six cells of two to five arms in closed loop, each by its master and leaderless; largest in {where}",
+    )
