@@ -14,7 +14,8 @@ timing on a rolling horizon: as long as the object needs to stop, and no longer.
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import pinocchio as pin
@@ -22,7 +23,7 @@ import pinocchio as pin
 from coopqp.cell import JointLimits
 from coopqp.chain import Chain
 from coopqp.inverse_kinematics import newton
-from coopqp.kernel import NumpyKernel, Outcome, Workspace, make_kernel
+from coopqp.kernel import BorderArrays, NumpyKernel, Outcome, Workspace, make_border, make_kernel
 from coopqp.limits import BindingLimit, LimitKind, VelocityBox
 from coopqp.path import ObjectPath
 from coopqp.posture import Posture
@@ -62,8 +63,7 @@ class PreviewOptions:
             as_scalar(getattr(self, name), f"PreviewOptions: {name}", high=1.0)
 
 
-@dataclass(frozen=True, eq=False)
-class _Cell:
+class _Cell(NamedTuple):
     """The border of a cell: the chain at one clock."""
 
     clock: float
@@ -75,6 +75,9 @@ class _Cell:
     decrease: float  # D in the cell that ends here
     curvature: Array  # q″ in the cell that ends here
     binding: BindingLimit | None  # what makes the cap
+    fastest: float  # largest |q′|
+    change: float  # largest change of a slope in the cell that ends here, less what is always allowed
+    inside: bool  # all joints are inside their position limits
 
 
 #: A joint without acceleration limit is planned to reach full speed in this many steps.
@@ -83,8 +86,8 @@ _STEPS_TO_FULL_SPEED = 10
 _FINE_CELL = 0.001
 #: Refinements of the rate near a bound.
 _BISECTIONS = 4
-_UNBOUND = _Cell(np.inf, np.zeros(0), np.zeros(0), 0.0, 0.0, 0.0, 0.0, np.zeros(0), None)
-_OPEN = _Cell(np.inf, np.zeros(0), np.zeros(0), np.inf, 0.0, 0.0, 0.0, np.zeros(0), None)
+_UNBOUND = _Cell(np.inf, np.zeros(0), np.zeros(0), 0.0, 0.0, 0.0, 0.0, np.zeros(0), None, 0.0, 0.0, True)
+_OPEN = _UNBOUND._replace(cap=np.inf)
 #: Newton steps shorter than this are the last: the next would be of the square of it [rad or m].
 _CONVERGED = 1e-5
 
@@ -134,9 +137,16 @@ class PathPreview:
         swift = speed / (_STEPS_TO_FULL_SPEED * dt)
         self._acceleration = np.where(finite, self.options.margin * limits.acceleration, swift)
         self._jump = np.where(finite, self.options.margin * limits.acceleration, np.inf) * dt
-        self._per_speed = 1.0 / self._speed
-        self._per_bend = 1.0 / (self.options.curvature_share * self._acceleration)
-        self._slope_change = self.options.slope_step * speed
+        self._border = BorderArrays(
+            ws.along_velocity,
+            limits,
+            per_speed=1.0 / self._speed,
+            per_bend=1.0 / (self.options.curvature_share * self._acceleration),
+            acceleration=self._acceleration,
+            slope_change=self.options.slope_step * speed,
+            caps_speed=self.accelerates,  # else the step itself finds that cap
+        )
+        self._evaluate = make_border(self._border, self._kernel.name).evaluate
         self._slope_cap = 0.9 * self.options.rate_slope if self.accelerates else 1.0 / (_STEPS_TO_FULL_SPEED * dt)
         self._line: Array | None = None
         self._cells: deque[_Cell] = deque()
@@ -152,12 +162,13 @@ class PathPreview:
         q, errors = newton(self._chain, pose, q, tolerance=1e-10, max_iter=8)
         if not np.abs(errors).max() < 1e-6:
             arm = int(np.abs(errors).max(axis=1).argmax())
-            blocked = self._cell_at(clock, q, np.zeros(self._chain.nv), None)
-            self._push(replace(blocked, cap=0.0, binding=self._arm_limit(arm, LimitKind.REACH)))
+            self._ws.along_velocity[:] = 0.0
+            blocked = self._cell_at(clock, q, None)
+            self._push(blocked._replace(cap=0.0, binding=self._arm_limit(arm, LimitKind.REACH)))
             self._complete = True
             return
         self._newton_step(clock, q)
-        self._push(self._cell_at(clock, q, self._ws.along_velocity.copy(), None))
+        self._push(self._cell_at(clock, q, None))
 
     # -- reading -------------------------------------------------------------------------------------------------
 
@@ -209,8 +220,7 @@ class PathPreview:
         enough = cells[-1].cumulative - 1.0 - 2.0 * self._slope_cap * self._dt
         latest = cells[-1].clock - 2.0 * self._dt
         # The last border up to which there is enough; a cell's own decrease counts for the one that begins there.
-        clocks = [c.clock for c in cells if c.cumulative < enough and c.clock <= latest]
-        return clocks[-1] if clocks else -np.inf
+        return next((c.clock for c in reversed(cells) if c.cumulative < enough and c.clock <= latest), -np.inf)
 
     def _admits(self, rate: float, clock: float) -> bool:
         """Whether the object may arrive at ``clock`` with ``rate``."""
@@ -268,8 +278,7 @@ class PathPreview:
         if rest <= 1e-12:
             self._finish(last)
             return
-        fastest = float(np.abs(last.slope).max())
-        h = min(options.cell, rest, options.joint_step / fastest if fastest > 0.0 else np.inf)
+        h = min(options.cell, rest, options.joint_step / last.fastest if last.fastest > 0.0 else np.inf)
         breakpoint_ = path.next_breakpoint(last.clock)
         if last.clock + h > breakpoint_ - 1e-9:
             h = breakpoint_ - last.clock
@@ -281,13 +290,12 @@ class PathPreview:
             if h < options.shortest:
                 self._block(last, self._singular_arm(last), LimitKind.REACH)
                 return
-        crossing = self._limit_crossing(last, cell)
+        crossing = None if cell.inside else self._limit_crossing(last, cell)
         if crossing is not None:
             self._push(crossing)
             self._complete = True
             return
-        singular = cell.squeeze < options.singular_rate**2 and np.abs(cell.slope).max() > np.abs(last.slope).max()
-        if singular:
+        if cell.squeeze < options.singular_rate**2 and cell.fastest > last.fastest:
             self._block(cell, self._singular_arm(cell), LimitKind.SINGULARITY)
             return
         if abs(cell.clock - breakpoint_) < 1e-9 and breakpoint_ < path.duration:
@@ -297,29 +305,29 @@ class PathPreview:
     def _try(self, last: _Cell, h: float) -> _Cell | None:
         """The chain at ``last.clock + h``, or None if Newton's method or the joints' slopes do not follow."""
         clock = last.clock + h
-        ws = self._ws
-        q = self._moved(last.q, h * (last.slope + 0.5 * h * last.curvature))
+        ws, options = self._ws, self.options
+        ahead = last.curvature * (0.5 * h)
+        ahead += last.slope
+        ahead *= h
+        q = self._moved(last.q, ahead)
+        largest = np.inf
         for _ in range(4):
             if not self._newton_step(clock, q):
                 return None
-            step = np.abs(ws.velocity)
-            largest = float(step[step.argmax()])
-            if not largest < self.options.joint_step:
+            np.abs(ws.velocity, out=ahead)
+            largest = ahead.item(ahead.argmax())
+            if not largest < options.joint_step:
                 return None
             q = self._moved(q, ws.velocity)
             if largest < _CONVERGED:
                 break
-        else:
+        if not largest < _CONVERGED:
             return None
-        cell = self._cell_at(clock, q, ws.along_velocity.copy(), last)
-        speed = np.abs(cell.slope)
-        growth = float(speed[speed.argmax()])
-        if h > self.options.shortest and h * growth > 1.5 * self.options.joint_step:
+        cell = self._cell_at(clock, q, last)
+        if h > options.shortest and not h * cell.fastest <= 1.5 * options.joint_step:
             return None
-        if h > _FINE_CELL:
-            change = np.abs(cell.curvature) * h - self._slope_change
-            if change[change.argmax()] > self.options.slope_step * growth:
-                return None
+        if h > _FINE_CELL and not cell.change <= options.slope_step * cell.fastest:
+            return None
         return cell
 
     def _newton_step(self, clock: float, q: Array) -> bool:
@@ -348,33 +356,27 @@ class PathPreview:
             return moved
         return np.asarray(pin.integrate(self._chain.cell.model, q, step))
 
-    def _cell_at(self, clock: float, q: Array, slope: Array, last: _Cell | None) -> _Cell:
-        """Bounds at a configuration on the path, from the slopes there and at the cell before."""
-        speed = np.abs(slope)
-        if last is None:
-            curvature = np.zeros_like(slope)
-        else:
-            np.maximum(speed, np.abs(last.slope), out=speed)
-            curvature = (slope - last.slope) / (clock - last.clock)
-        bend = np.abs(curvature)
-        # How often each joint's limit is used up at full rate: z may be 1 over the square, or over the curvature's.
-        use_speed, use_bend = speed * self._per_speed, bend * self._per_bend
-        j_speed, j_bend = int(use_speed.argmax()), int(use_bend.argmax())
-        squeeze = max(float(use_speed[j_speed]) ** 2, float(use_bend[j_bend]), 1.0)
-        by_speed = float(use_speed[j_speed]) ** 2 if self.accelerates else 0.0  # else the step itself finds that cap
-        by_bend = float(use_bend[j_bend])
-        cap, binding = 1.0, None
-        if max(by_speed, by_bend) > 1.0:
-            if by_speed >= by_bend:
-                cap, binding = 1.0 / by_speed, self._joint_limit(j_speed, LimitKind.VELOCITY)
+    def _cell_at(self, clock: float, q: Array, last: _Cell | None) -> _Cell:
+        """Bounds at a configuration on the path, from the slopes there (in the workspace) and at the cell before."""
+        border, slope = self._border, self._ws.along_velocity.copy()
+        border.before[:] = slope if last is None else last.slope
+        border.positions[:] = q if self._plain else self._chain.cell.positions(q)
+        span = 1.0 if last is None else clock - last.clock
+        self._evaluate(span)
+        fastest, change, by_speed, j_speed, by_bend, j_bend, cap, tightest, inside = border.result.tolist()
+        squeeze = 1.0 / max(by_speed * by_speed, by_bend, 1.0)
+        binding = None
+        if cap < 1.0:
+            if border.caps_speed and by_speed * by_speed >= by_bend:
+                binding = self._joint_limit(int(j_speed), LimitKind.VELOCITY)
             else:
-                cap, binding = 1.0 / by_bend, self._joint_limit(j_bend, LimitKind.ACCELERATION)
-        bend *= -cap
-        bend += self._acceleration  # what the curvature leaves
-        tightest = float((speed / bend).max())
+                binding = self._joint_limit(int(j_bend), LimitKind.ACCELERATION)
         decrease = min(self._slope_cap, 1.0 / tightest) if tightest > 0.0 else self._slope_cap
-        cumulative = 0.0 if last is None else last.cumulative + 2.0 * decrease * (clock - last.clock)
-        return _Cell(clock, q, slope, cap, 1.0 / squeeze, cumulative, decrease, curvature, binding)
+        cumulative = 0.0 if last is None else last.cumulative + 2.0 * decrease * span
+        curvature = border.curvature.copy()
+        return _Cell(
+            clock, q, slope, cap, squeeze, cumulative, decrease, curvature, binding, fastest, change, inside != 0.0
+        )
 
     def _finish(self, last: _Cell) -> None:
         """The end of the path: where it ends moving, the joints have one step to stop in."""
@@ -382,7 +384,7 @@ class PathPreview:
             end = self._jump_cap(np.zeros_like(last.slope), last.slope)
             if end < last.cap:
                 arm, _, joint = "", "", ""
-                self._push(replace(last, cap=end, binding=BindingLimit(arm, joint, LimitKind.PATH_END)))
+                self._push(last._replace(cap=end, binding=BindingLimit(arm, joint, LimitKind.PATH_END)))
         self._complete = True
 
     def _corner(self, cell: _Cell) -> _Cell:
@@ -396,7 +398,8 @@ class PathPreview:
             if jump < cap:
                 j = int((np.abs(after - cell.slope) / self._jump).argmax())
                 cap, binding = jump, self._joint_limit(j, LimitKind.ACCELERATION)
-        return replace(cell, slope=after, cap=cap, binding=binding, curvature=np.zeros_like(after))
+        fastest = float(np.abs(after).max())
+        return cell._replace(slope=after, cap=cap, binding=binding, curvature=np.zeros_like(after), fastest=fastest)
 
     def _jump_cap(self, after: Array, before: Array) -> float:
         """Largest σ² at which every joint can change its slope within one step."""
@@ -409,8 +412,6 @@ class PathPreview:
     def _limit_crossing(self, last: _Cell, cell: _Cell) -> _Cell | None:
         """Where the first joint meets a position limit between two borders, as a cell at which the object rests."""
         x, ahead = (c.q if self._plain else self._chain.cell.positions(c.q) for c in (last, cell))
-        if ((ahead <= self._high) & (ahead >= self._low)).all():
-            return None
         # A joint outside may come back in; only going further out is the end.
         over = (ahead > np.maximum(self._high, x)) & (ahead > self._high)
         under = (ahead < np.minimum(self._low, x)) & (ahead < self._low)
@@ -422,7 +423,7 @@ class PathPreview:
         first = int(shares.argmin())
         j = int(crossed[first])
         at = self._cell_where(last, cell, j, float(limit[first]))
-        return replace(at, cap=0.0, binding=self._joint_limit(j, LimitKind.POSITION))
+        return at._replace(cap=0.0, binding=self._joint_limit(j, LimitKind.POSITION))
 
     def _cell_where(self, last: _Cell, beyond: _Cell, j: int, position: float) -> _Cell:
         """The cell at which joint ``j`` is at ``position``, between two borders: regula falsi on the chain itself."""
@@ -447,7 +448,7 @@ class PathPreview:
         return best
 
     def _block(self, cell: _Cell, arm: int, kind: LimitKind) -> None:
-        self._push(replace(cell, cap=0.0, binding=self._arm_limit(arm, kind)))
+        self._push(cell._replace(cap=0.0, binding=self._arm_limit(arm, kind)))
         self._complete = True
 
     def _singular_arm(self, cell: _Cell) -> int:

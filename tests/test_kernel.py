@@ -10,13 +10,13 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from coopqp.cell import RobotCell
+from coopqp.cell import JointLimits, RobotCell
 from coopqp.chain import Chain
 from coopqp.controllers.options import QPOptions
 from coopqp.controllers.qp import QPController
 from coopqp.errors import UnknownNameError
 from coopqp.grasp import Grasp
-from coopqp.kernel import Outcome, Workspace, available_kernels, make_kernel
+from coopqp.kernel import BorderArrays, Outcome, Workspace, available_kernels, make_border, make_kernel
 from coopqp.kernel.reference import bound
 from coopqp.limits import LIMIT_TOLERANCE, VelocityBox
 from coopqp.path import LinePath, ObjectPath, ServoPath, WaypointPath
@@ -341,3 +341,59 @@ def test_a_joint_outside_its_limits_is_left_open(name: str, paper: Scenario) -> 
         limit = paper.cell.limits.upper if side > 0 else paper.cell.limits.lower
         ws.positions[4] = limit[4] + side * 1e-6
         assert kernel.step(1.0, 0.0, 0.0) == Outcome.OPEN
+
+
+# -- the preview's borders ---------------------------------------------------------------------------------------------
+
+
+def random_border(rng: np.random.Generator, joints: int) -> BorderArrays:
+    a = 10.0 ** rng.uniform(-1, 2, size=joints)
+    limits = JointLimits(
+        np.full(joints, -1.0),
+        np.full(joints, rng.choice([1.0, np.inf])),
+        np.full(joints, np.inf),
+        np.full(joints, np.inf),
+    )
+    border = BorderArrays(
+        rng.standard_normal(joints),
+        limits,
+        per_speed=rng.uniform(0.0, 2.0, size=joints),
+        per_bend=1.0 / (0.5 * a),
+        acceleration=a,
+        slope_change=rng.uniform(0.0, 0.1, size=joints),
+        caps_speed=bool(rng.integers(2)),
+    )
+    border.before[:] = border.slope + 10.0 ** rng.uniform(-6, -1) * rng.standard_normal(joints)
+    border.positions[:] = rng.uniform(-1.02, 1.02, size=joints)
+    return border
+
+
+@pytest.mark.parametrize("name", KERNELS)
+def test_a_border_is_what_the_limits_leave(name: str, rng: np.random.Generator) -> None:
+    """z_cap and the decrease of the rate, by their definitions in docs/derivations.md."""
+    for _ in range(300):
+        b, h = random_border(rng, int(rng.integers(1, 20))), 10.0 ** rng.uniform(-3, -1)
+        make_border(b, name).evaluate(h)
+        fastest, change, by_speed, j_speed, by_bend, j_bend, cap, tightest, inside = b.result.tolist()
+        bend = (b.slope - b.before) / h
+        np.testing.assert_allclose(b.curvature, bend, rtol=1e-12)
+        assert fastest == np.abs(b.slope).max()
+        assert change == pytest.approx((np.abs(b.slope - b.before) - b.slope_change).max(), rel=1e-9, abs=1e-12)
+        speed = np.maximum(np.abs(b.slope), np.abs(b.before))
+        assert (by_speed, j_speed) == (pytest.approx((speed * b.per_speed).max()), (speed * b.per_speed).argmax())
+        assert by_bend == pytest.approx((np.abs(bend) * b.per_bend).max())
+        assert j_bend == (np.abs(bend) * b.per_bend).argmax()
+        caps = [1.0, 1.0 / by_bend, 1.0 / by_speed**2 if b.caps_speed and by_speed > 0.0 else 1.0]
+        assert cap == pytest.approx(min(caps))
+        assert tightest == pytest.approx((speed / (b.acceleration - np.abs(bend) * cap)).max())
+        assert inside == ((b.positions >= b.low) & (b.positions <= b.high)).all()
+
+
+@pytest.mark.parametrize("name", KERNELS)
+@pytest.mark.parametrize("field", ["slope", "before"])
+def test_a_border_that_is_no_number_says_so(name: str, field: str, rng: np.random.Generator) -> None:
+    for j in range(6):
+        b = random_border(rng, 6)
+        getattr(b, field)[j] = np.nan
+        make_border(b, name).evaluate(0.01)
+        assert np.isnan(b.result[[b.CHANGE, b.SPEED_USE, b.BEND_USE, b.TIGHTEST]]).all()

@@ -3,17 +3,29 @@
 from __future__ import annotations
 
 from coopqp.errors import UnknownNameError
+from coopqp.kernel.border import Border, BorderArrays, NumpyBorder
 from coopqp.kernel.reference import NumpyKernel
 from coopqp.kernel.workspace import Outcome, StepKernel, Workspace
 
 try:
-    from coopqp.kernel.compiled import CompiledKernel
+    from coopqp.kernel.compiled import CompiledBorder, CompiledKernel
 except ImportError:  # built without a compiler
     _KERNELS: dict[str, type[StepKernel]] = {"numpy": NumpyKernel}
+    _BORDERS: dict[str, type[Border]] = {"numpy": NumpyBorder}
 else:
     _KERNELS = {"compiled": CompiledKernel, "numpy": NumpyKernel}
+    _BORDERS = {"compiled": CompiledBorder, "numpy": NumpyBorder}
 
-__all__ = ["NumpyKernel", "Outcome", "StepKernel", "Workspace", "available_kernels", "make_kernel"]
+__all__ = [
+    "BorderArrays",
+    "NumpyKernel",
+    "Outcome",
+    "StepKernel",
+    "Workspace",
+    "available_kernels",
+    "make_border",
+    "make_kernel",
+]
 
 
 def available_kernels() -> tuple[str, ...]:
@@ -32,3 +44,8 @@ def make_kernel(workspace: Workspace, name: str = "auto") -> StepKernel | None:
     if name != "auto" and name not in _KERNELS:
         raise UnknownNameError("kernel", name, _KERNELS)
     return _KERNELS[available_kernels()[0] if name == "auto" else name](workspace)
+
+
+def make_border(arrays: BorderArrays, name: str) -> Border:
+    """The border of the kernel of that name."""
+    return _BORDERS[name](arrays)

@@ -147,12 +147,15 @@ enum {
     B_LINE, B_PER_ACCELERATION, B_COUNT
 };
 
+/* The memory of an array. */
+typedef struct {
+    void *buf;
+    Py_ssize_t len;
+} View;
+
 typedef struct {
     PyObject_HEAD
-    struct {
-        void *buf;
-        Py_ssize_t len;
-    } view[B_COUNT];
+    View view[B_COUNT];
     int arms, joints, redundant, accelerates;
     int built;
 } Kernel;
@@ -160,7 +163,21 @@ typedef struct {
 #define D(k, i) ((double *)(k)->view[i].buf)
 #define L(k, i) ((int64_t *)(k)->view[i].buf)
 
-static void kernel_dealloc(PyObject *self) {
+/* Addresses and lengths from a tuple of pairs; 0 and an exception if they are not as many as expected. */
+static int read_views(PyObject *buffers, View *view, int count) {
+    if (PyTuple_Size(buffers) != count) {
+        PyErr_Format(PyExc_ValueError, "expected %d buffers", count);
+        return 0;
+    }
+    for (int i = 0; i < count; i++) {
+        unsigned long long address;
+        if (!PyArg_ParseTuple(PyTuple_GetItem(buffers, i), "Kn", &address, &view[i].len)) return 0;
+        view[i].buf = (void *)(uintptr_t)address;
+    }
+    return 1;
+}
+
+static void object_dealloc(PyObject *self) {
     PyTypeObject *type = Py_TYPE(self);
     freefunc release = (freefunc)PyType_GetSlot(type, Py_tp_free);
     release(self);
@@ -172,15 +189,11 @@ static int kernel_init(PyObject *self, PyObject *args, PyObject *kwargs) {
     PyObject *buffers;
     (void)kwargs;
     if (!PyArg_ParseTuple(args, "O!", &PyTuple_Type, &buffers)) return -1;
-    if (k->built || PyTuple_Size(buffers) != B_COUNT) {
-        PyErr_Format(PyExc_ValueError, "a Kernel is built once, from %d buffers", (int)B_COUNT);
+    if (k->built) {
+        PyErr_SetString(PyExc_ValueError, "a Kernel is built once");
         return -1;
     }
-    for (int i = 0; i < B_COUNT; i++) {
-        unsigned long long address;
-        if (!PyArg_ParseTuple(PyTuple_GetItem(buffers, i), "Kn", &address, &k->view[i].len)) return -1;
-        k->view[i].buf = (void *)(uintptr_t)address;
-    }
+    if (!read_views(buffers, k->view, B_COUNT)) return -1;
     Py_ssize_t n = k->view[B_STARTS].len / 8, nv = k->view[B_VELOCITY].len / 8;
     k->arms = (int)n;
     k->joints = (int)nv;
@@ -519,6 +532,78 @@ static PyObject *kernel_step(PyObject *self, PyObject *const *args, Py_ssize_t n
     return PyLong_FromLong(fused_step((Kernel *)self, numbers[0], numbers[1], numbers[2]));
 }
 
+/* -- a border of the preview, see border.py --------------------------------------------------------------------------- */
+
+enum { SLOPE, BEFORE, POSITIONS, LOW, HIGH, PER_SPEED, PER_BEND, ACCELERATION, SLOPE_CHANGE, CURVATURE, RESULT, BORDER_COUNT };
+
+typedef struct {
+    PyObject_HEAD
+    View view[BORDER_COUNT];
+    int joints, caps_speed, built;
+} Border;
+
+static int border_init(PyObject *self, PyObject *args, PyObject *kwargs) {
+    Border *b = (Border *)self;
+    PyObject *buffers;
+    (void)kwargs;
+    if (!PyArg_ParseTuple(args, "O!p", &PyTuple_Type, &buffers, &b->caps_speed)) return -1;
+    if (b->built || !read_views(buffers, b->view, BORDER_COUNT)) return -1;
+    b->joints = (int)(b->view[SLOPE].len / 8);
+    int fits = b->view[RESULT].len == 72 && b->joints > 0;
+    for (int i = 0; i < RESULT; i++) fits = fits && b->view[i].len == b->view[SLOPE].len;
+    if (!fits) {
+        PyErr_SetString(PyExc_ValueError, "the buffers do not fit together");
+        return -1;
+    }
+    b->built = 1;
+    return 0;
+}
+
+/* Larger, or not a number. */
+static int beyond(double x, double largest) { return x > largest || x != x; }
+
+static void border_evaluate(Border *b, double span) {
+    const double *slope = D(b, SLOPE), *before = D(b, BEFORE), *x = D(b, POSITIONS), per_span = 1.0 / span;
+    const double *low = D(b, LOW), *high = D(b, HIGH), *acceleration = D(b, ACCELERATION);
+    const double *per_speed = D(b, PER_SPEED), *per_bend = D(b, PER_BEND), *slope_change = D(b, SLOPE_CHANGE);
+    double *curvature = D(b, CURVATURE), *result = D(b, RESULT);
+    double fastest = 0.0, change = -INFINITY, by_speed = 0.0, by_bend = 0.0, tightest = 0.0;
+    int j_speed = 0, j_bend = 0, inside = 1;
+    for (int j = 0; j < b->joints; j++) {
+        double now = fabs(slope[j]), then = fabs(before[j]), speed = beyond(then, now) ? then : now;
+        double step = slope[j] - before[j];
+        curvature[j] = step * per_span;
+        double use_speed = speed * per_speed[j], use_bend = fabs(curvature[j]) * per_bend[j];
+        if (beyond(now, fastest)) fastest = now;
+        if (beyond(fabs(step) - slope_change[j], change)) change = fabs(step) - slope_change[j];
+        if (beyond(use_speed, by_speed)) by_speed = use_speed, j_speed = j;
+        if (beyond(use_bend, by_bend)) by_bend = use_bend, j_bend = j;
+        inside &= (x[j] <= high[j]) & (x[j] >= low[j]);
+    }
+    double most = b->caps_speed ? by_speed * by_speed : 0.0;
+    most = by_bend > most ? by_bend : most;
+    double cap = 1.0 / (most > 1.0 ? most : 1.0);
+    for (int j = 0; j < b->joints; j++) {
+        double now = fabs(slope[j]), then = fabs(before[j]), speed = then > now ? then : now;
+        double time = speed / (acceleration[j] - fabs(curvature[j]) * cap);
+        if (beyond(time, tightest)) tightest = time;
+    }
+    double values[9] = {fastest, change, by_speed, j_speed, by_bend, j_bend, cap, tightest, inside};
+    memcpy(result, values, sizeof values);
+}
+
+static PyObject *border_call(PyObject *self, PyObject *span) {
+    double number = PyFloat_AsDouble(span);
+    if (number == -1.0 && PyErr_Occurred()) return NULL;
+    if (!((Border *)self)->built) {
+        PyErr_SetString(PyExc_RuntimeError, "the Border was not built");
+        return NULL;
+    }
+    border_evaluate((Border *)self, number);
+    Py_INCREF(Py_None);
+    return Py_None;
+}
+
 /* -- module ---------------------------------------------------------------------------------------------------------- */
 
 static PyMethodDef kernel_methods[] = {
@@ -530,7 +615,7 @@ static PyMethodDef kernel_methods[] = {
 static PyType_Slot kernel_slots[] = {
     {Py_tp_doc, "Kernel(((address, bytes), ...)): the fused step over the arrays of a Workspace."},
     {Py_tp_init, kernel_init},
-    {Py_tp_dealloc, kernel_dealloc},
+    {Py_tp_dealloc, object_dealloc},
     {Py_tp_methods, kernel_methods},
     {Py_tp_new, PyType_GenericNew},
     {0, NULL},
@@ -538,16 +623,37 @@ static PyType_Slot kernel_slots[] = {
 
 static PyType_Spec kernel_spec = {"coopqp.kernel._native.Kernel", sizeof(Kernel), 0, Py_TPFLAGS_DEFAULT, kernel_slots};
 
+static PyMethodDef border_methods[] = {
+    {"evaluate", border_call, METH_O, "evaluate(span): curvature and bounds of a cell of that span."},
+    {NULL, NULL, 0, NULL},
+};
+
+static PyType_Slot border_slots[] = {
+    {Py_tp_doc, "Border(((address, bytes), ...), caps_speed): the bounds of one border of the preview."},
+    {Py_tp_init, border_init},
+    {Py_tp_dealloc, object_dealloc},
+    {Py_tp_methods, border_methods},
+    {Py_tp_new, PyType_GenericNew},
+    {0, NULL},
+};
+
+static PyType_Spec border_spec = {"coopqp.kernel._native.Border", sizeof(Border), 0, Py_TPFLAGS_DEFAULT, border_slots};
+
 static struct PyModuleDef module = {
     PyModuleDef_HEAD_INIT, "_native", "Compiled fused step.", -1, NULL, NULL, NULL, NULL, NULL,
 };
 
+/* Add a type to the module; 0 and an exception on failure. */
+static int add_type(PyObject *m, const char *name, PyType_Spec *spec) {
+    PyObject *type = PyType_FromSpec(spec);
+    if (type && PyModule_AddObject(m, name, type) == 0) return 1;
+    Py_XDECREF(type);
+    return 0;
+}
+
 PyMODINIT_FUNC PyInit__native(void) {
-    PyObject *m = PyModule_Create(&module), *type = m ? PyType_FromSpec(&kernel_spec) : NULL;
-    if (!type || PyModule_AddObject(m, "Kernel", type) < 0) {
-        Py_XDECREF(type);
-        Py_XDECREF(m);
-        return NULL;
-    }
-    return m;
+    PyObject *m = PyModule_Create(&module);
+    if (m && add_type(m, "Kernel", &kernel_spec) && add_type(m, "Border", &border_spec)) return m;
+    Py_XDECREF(m);
+    return NULL;
 }

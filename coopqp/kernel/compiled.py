@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from typing import final
+from typing import Any, final
 
-from coopqp.kernel._native import Kernel
+import coopqp.kernel._native as native
+from coopqp.kernel.border import BorderArrays
 from coopqp.kernel.workspace import Workspace
 
 #: Order of the buffers, as the enumeration in _native.c.
@@ -16,6 +17,22 @@ _BUFFERS = (
 )  # fmt: skip
 
 
+#: The same of a border.
+_BORDER_BUFFERS = (
+    "slope", "before", "positions", "low", "high", "per_speed", "per_bend", "acceleration", "slope_change", "curvature",
+    "result",
+)  # fmt: skip
+
+
+def _buffers(owner: Any, names: tuple[str, ...]) -> tuple[tuple[Any, ...], tuple[tuple[int, int], ...]]:
+    """The arrays, to keep their memory alive, and their addresses and lengths."""
+    arrays = tuple(getattr(owner, name) for name in names)
+    for name, array in zip(names, arrays, strict=True):
+        if not (array.flags.c_contiguous and array.dtype.itemsize == 8):
+            raise ValueError(f"'{name}' is not a contiguous array of 8-byte items")
+    return arrays, tuple((array.ctypes.data, array.nbytes) for array in arrays)
+
+
 @final
 class CompiledKernel:
     """See :class:`StepKernel`."""
@@ -24,9 +41,15 @@ class CompiledKernel:
     follows_lines = True
 
     def __init__(self, workspace: Workspace) -> None:
-        self._arrays = tuple(getattr(workspace, name) for name in _BUFFERS)  # keeps their memory alive
-        for name, array in zip(_BUFFERS, self._arrays, strict=True):
-            if not (array.flags.c_contiguous and array.dtype.itemsize == 8):
-                raise ValueError(f"the workspace's '{name}' is not a contiguous array of 8-byte items")
-        self._workspace = workspace  # and Pinocchio's
-        self.step = Kernel(tuple((array.ctypes.data, array.nbytes) for array in self._arrays)).step
+        self._arrays, addresses = _buffers(workspace, _BUFFERS)
+        self._workspace = workspace  # and Pinocchio's memory
+        self.step = native.Kernel(addresses).step
+
+
+@final
+class CompiledBorder:
+    """See :class:`Border`."""
+
+    def __init__(self, arrays: BorderArrays) -> None:
+        self._arrays, addresses = _buffers(arrays, _BORDER_BUFFERS)
+        self.evaluate = native.Border(addresses, arrays.caps_speed).evaluate
