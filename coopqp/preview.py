@@ -96,7 +96,7 @@ class PathPreview:
     """Rolling preview of one path for one chain.
 
     Args:
-        chain: a workspace of its own (it is overwritten).
+        chain: a workspace; what it held is overwritten.
         path: the object's path.
         posture: what redundant arms do with their freedom.
         dt: nominal length of a control step [s].

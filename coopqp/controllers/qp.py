@@ -92,7 +92,6 @@ class QPController:
         self._late, self._keep = False, 1.0
         self._posture = Posture(cell, o.posture)
         self._supervision = Supervision(cell, o.supervision)
-        self._measuring = Chain(cell, grasp)
         self._preview = self._make_preview(path)
         self._restricted = tuple(cell.arm_names[k] for k in self._chain.deficient)
         self._plain = not cell.continuous.any()
@@ -102,9 +101,9 @@ class QPController:
     def _make_preview(self, path: ObjectPath) -> PathPreview | None:
         if self.options.preview is None or self._chain.deficient or not path.known_ahead:
             return None
-        ahead = Chain(self.cell, self.grasp)
+        # The chain is shared: nothing that the preview leaves in it is used after.
         return PathPreview(
-            ahead, path, self._posture, dt=self.dt, options=self.options.preview, kernel=self.options.kernel
+            self._chain, path, self._posture, dt=self.dt, options=self.options.preview, kernel=self.options.kernel
         )
 
     # -- starting --------------------------------------------------------------------------------------------------
@@ -322,7 +321,7 @@ class QPController:
         """
         ws, shares = self._ws, self._shares
         if measured is not None:
-            O, told = self._measuring.carried(measured), self._chain.carried(self._q)
+            O, told = self._chain.carried(measured), self._chain.carried(self._q)
             seen = self._supervision.watch(measured, self._q, O[:, 3], told[:, 3], h)
             if seen.rate_cap < watch.rate_cap or seen.fault:
                 watch.rate_cap, watch.hold, watch.fault = seen.rate_cap, seen.hold, seen.fault
@@ -335,7 +334,7 @@ class QPController:
         pose = self._pose(self._clock)
         commanded = (shares * self._chain.errors(told, pose)).sum(axis=0)
         if measured is not None:
-            found = (shares * self._measuring.errors(O, pose)).sum(axis=0)
+            found = (shares * self._chain.errors(O, pose)).sum(axis=0)
             self._drift += h / (h + self.options.measurement_time) * (found - commanded - self._drift)
             self._drifted = True
         np.multiply(commanded + self._drift, 0.0 if watch.hold else watch.rate_cap, out=ws.measured)
