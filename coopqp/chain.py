@@ -179,6 +179,17 @@ class Chain:
             out[g.arms] = (v[g.columns][:, None, :] @ self.jacobian_rows(g))[:, 0, :]
         return out
 
+    def compliances(self, softness: Array) -> Array:
+        """``J_k diag(softness) J_kᵀ``, (N, 6, 6): by how much the object gives way to a wrench on arm k.
+
+        ``softness`` (nv,) is that of the joints [rad/(N·m) or m/N]; twists and wrenches are those of the world.
+        """
+        out = np.empty((self.n_arms, 6, 6))
+        for g in self._groups:
+            rows = self.jacobian_rows(g)
+            out[g.arms] = rows.transpose(0, 2, 1) @ (softness[g.columns][:, :, None] * rows)
+        return out
+
     def null_part(self, v: Array) -> Array:
         """The part of joint velocities ``v`` (nv,) that does not move the object: ``v − A⁺ A v``."""
         out = np.zeros(self.nv)

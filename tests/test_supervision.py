@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 
 from coopqp import QPController
+from coopqp.controllers.stress_watch import StressWatch
 from coopqp.controllers.supervision import Supervision, SupervisionOptions
+from coopqp.errors import InvalidInputError
 from coopqp.scenarios import paper_lift
 from coopqp.spatial import Array
 
@@ -27,8 +31,8 @@ def test_the_noise_margin_stays_a_number_for_long_steps(steps: int) -> None:
 
 def test_an_arm_that_turns_round_late_has_not_stalled() -> None:
     """Seen late, an arm whose joints reverse stands while its command moves already, and others follow theirs."""
-    cell = paper_lift().cell
-    watch = Supervision(cell, SupervisionOptions())
+    lift = paper_lift()
+    watch = Supervision(lift.cell, lift.grasp, SupervisionOptions())
     late, amplitude, still = 10, 0.05, np.zeros((3, 3))  # it turns with 2 rad/s²
 
     def at(t: float) -> Array:
@@ -44,7 +48,8 @@ def test_an_arm_that_turns_round_late_has_not_stalled() -> None:
 @pytest.mark.parametrize("speed", [0.06, 0.3, 1.0])
 def test_a_stall_is_known_once_it_opens_a_gap(speed: float) -> None:
     """Within the samples that it takes, and those in which a joint gets 0.5 mrad from its command."""
-    watch = Supervision(paper_lift().cell, SupervisionOptions())
+    lift = paper_lift()
+    watch = Supervision(lift.cell, lift.grasp, SupervisionOptions())
     still, stalls = np.zeros((3, 3)), 100
     for i in range(200):
         command = np.full(18, 1e-3 * i * speed)
@@ -56,3 +61,45 @@ def test_a_stall_is_known_once_it_opens_a_gap(speed: float) -> None:
     assert i - stalls == max(4, np.ceil(0.5 / speed))
     assert seen.arm == 2
     assert "stalled" in seen.reason
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"stiffness": 0.0},
+        {"stiffness": np.nan},
+        {"stiffness": (1e5, -1.0)},
+        {"stiffness": 1e5, "force_limit": 0.0},
+        {"stiffness": 1e5, "servo_delay": -1e-3},
+    ],
+)
+def test_bad_stiffness_and_limits_are_named(options: dict[str, Any]) -> None:
+    with pytest.raises(InvalidInputError, match="SupervisionOptions"):
+        SupervisionOptions(**options)
+
+
+def test_stiffness_is_one_number_or_one_per_joint() -> None:
+    lift = paper_lift()
+    for stiffness in (1e5, np.full(18, 1e5), [1e5] * 18):
+        options = SupervisionOptions(stiffness=stiffness)
+        assert Supervision(lift.cell, lift.grasp, options)._stress is not None
+        assert options == SupervisionOptions(stiffness=stiffness)
+    with pytest.raises(InvalidInputError, match="17 numbers for 18 joints"):
+        Supervision(lift.cell, lift.grasp, SupervisionOptions(stiffness=(1e5,) * 17))
+
+
+def test_arms_that_press_too_hard_are_held_until_they_press_half_as_hard() -> None:
+    lift = paper_lift()
+    options = SupervisionOptions(stiffness=1e5, force_limit=100.0, filter_time=0.0)
+    watch = Supervision(lift.cell, lift.grasp, options)
+    still, q, unit = np.zeros((3, 3)), lift.q_start, np.zeros(18)
+    unit[7] = 1e-4
+    probe = StressWatch(lift.cell, lift.grasp, stiffness=np.full(18, 1e5), delay=0.0, filter_time=0.0)
+    probe.read(q - unit, q, 1e-3)
+    per_newton = unit / probe.forces[1]
+    held = []
+    for force in (50.0, 99.0, 101.0, 90.0, 51.0, 49.0, 99.0):
+        seen = watch.watch(q - force * per_newton, q, still, still, 1e-3)
+        held.append(seen.hold)
+        assert seen.reason.startswith(f"{force:.0f} N at the grasp of arm slave_1") is seen.hold
+    assert held == [False, False, True, True, True, False, False]

@@ -91,7 +91,7 @@ class QPController:
         self._accelerates = self._box.accelerates
         self._late, self._keep = False, 1.0
         self._posture = Posture(cell, o.posture)
-        self._supervision = Supervision(cell, o.supervision)
+        self._supervision = Supervision(cell, grasp, o.supervision)
         self._preview = self._make_preview(path)
         self._restricted = tuple(cell.arm_names[k] for k in self._chain.deficient)
         self._plain = not cell.continuous.any()

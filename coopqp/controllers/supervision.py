@@ -14,6 +14,9 @@ from typing import Any
 import numpy as np
 
 from coopqp.cell import RobotCell
+from coopqp.controllers.stress_watch import StressWatch
+from coopqp.errors import InvalidInputError
+from coopqp.grasp import Grasp
 from coopqp.spatial import Array, as_scalar
 
 
@@ -36,6 +39,12 @@ class SupervisionOptions:
         filter_time: time constant of the filter on the distances [s].
         dt_range: accepted length of a step, as multiples of the nominal one.
         joint_jump: a measured joint this far from its command is not believed [rad or m].
+        stiffness: Kp of the joint servos, one number or one per joint [N·m/rad or N/m]. With it the force at each
+            grasp is read from the servos' deflection, which shows what a rigid grip hides from the distances; None
+            does without.
+        force_limit: force at a grasp, by the servos, at which the object is held [N]; it goes on below half of it.
+            It has to be more than what noise, the share of the load and inertia make of it.
+        servo_delay: age of measurements against commands, and what servos lag by [s]: that much motion is no force.
     """
 
     slow_from: float | None = 0.00025
@@ -49,10 +58,16 @@ class SupervisionOptions:
     filter_time: float = 0.002
     dt_range: tuple[float, float] = (0.1, 5.0)
     joint_jump: float = 0.3
+    stiffness: float | tuple[float, ...] | None = None
+    force_limit: float = 300.0
+    servo_delay: float = 0.0
 
     def __post_init__(self) -> None:
-        for name in ("hold_from", "fault_from", "silent_time", "joint_jump"):
+        for name in ("hold_from", "fault_from", "silent_time", "joint_jump", "force_limit"):
             as_scalar(getattr(self, name), f"SupervisionOptions: {name}")
+        as_scalar(self.servo_delay, "SupervisionOptions: servo_delay", open_low=False)
+        if self.stiffness is not None:
+            object.__setattr__(self, "stiffness", _as_stiffness(self.stiffness))
         as_scalar(self.stall_share, "SupervisionOptions: stall_share", high=1.0)
         for name in ("filter_time", "noise_margin", "recovery_time"):
             as_scalar(getattr(self, name), f"SupervisionOptions: {name}", open_low=False)
@@ -62,6 +77,14 @@ class SupervisionOptions:
             as_scalar(self.slow_from, "SupervisionOptions: slow_from", high=self.hold_from)
         if self.stall_samples is not None:
             as_scalar(self.stall_samples, "SupervisionOptions: stall_samples", low=1, open_low=False)
+
+
+def _as_stiffness(value: Any) -> float | tuple[float, ...]:
+    """One number or a tuple of them, each finite and > 0; an array is taken too."""
+    where = "SupervisionOptions: stiffness"
+    if np.ndim(value) == 0:
+        return as_scalar(value, where)
+    return tuple(as_scalar(x, f"{where}[{i}]") for i, x in enumerate(value))
 
 
 @dataclass(slots=True)
@@ -83,6 +106,8 @@ _FOLLOWS = 0.5
 _CAUGHT_UP, _CAUGHT_UP_SHARE = 5e-4, 0.3
 #: The two numbers (cos, sin) of a continuous joint may be this far from the unit circle.
 _CIRCLE_TOLERANCE = 0.05
+#: A force that held the object lets it go on below this share of its limit.
+_LET_GO = 0.5
 #: Noise is averaged over this time [s].
 _NOISE_TIME = 0.2
 #: Fewer samples than this tell nothing of the noise.
@@ -92,8 +117,10 @@ _FEW_SAMPLES = 4
 class Supervision:
     """Memory of the watch; one per controller."""
 
-    def __init__(self, cell: RobotCell, options: SupervisionOptions) -> None:
+    def __init__(self, cell: RobotCell, grasp: Grasp, options: SupervisionOptions) -> None:
         self._cell, self._options = cell, options
+        self._stress = _stress_watch(cell, grasp, options)
+        self._pressed = False
         self._turning = cell.position_index[cell.continuous]
         n = len(cell)
         self._deviation, self._away, self._step = (np.zeros((n, 3)) for _ in range(3))
@@ -112,6 +139,9 @@ class Supervision:
         self._stalled[:] = False
         self._past.clear()
         self._silence = 0.0
+        self._pressed = False
+        if self._stress is not None:
+            self._stress.reset()
 
     def accept_dt(self, dt: Any, nominal: float) -> str:
         """Empty, or why ``dt`` is not accepted."""
@@ -161,6 +191,8 @@ class Supervision:
             self._watch_distances(O_measured - O_commanded, dt, result)
         if o.stall_samples is not None:
             self._watch_stall(measured, commanded, dt, result)
+        if self._stress is not None:
+            self._watch_stress(self._stress, measured, commanded, dt, result)
         if o.recovery_time > 0.0:
             allowed = self._cap + dt / o.recovery_time
             if allowed < result.rate_cap:
@@ -227,3 +259,37 @@ class Supervision:
             result.reason = f"arm {self._cell.arm_names[result.arm]} does not follow its command (stalled)"
             if stalled.all():
                 result.reason = "no arm is seen to follow its command (all have stopped, or measurements are stale)"
+
+    def _watch_stress(self, stress: StressWatch, measured: Array, commanded: Array, dt: float, result: Watch) -> None:
+        """Arms that press too hard on the object hold it, until they press less than half as hard."""
+        limit = self._options.force_limit
+        stress.read(measured, commanded, dt)
+        most = int(stress.forces.argmax())
+        force = float(stress.forces[most])
+        self._pressed = force >= (_LET_GO * limit if self._pressed else limit)
+        if not self._pressed:
+            return
+        result.rate_cap, result.hold, names = 0.0, True, self._cell.arm_names
+        if stress.behind < 0:
+            result.arm = most
+            result.reason = f"{force:.0f} N at the grasp of arm {names[most]} by its servos (limit {limit:g} N)"
+        else:
+            result.arm = stress.behind
+            result.reason = (
+                f"arm {names[result.arm]} does not follow its command: it hangs {1e3 * stress.gap:.2g} mm behind, "
+                f"and the others pull it with {stress.pull:.0f} N"
+            )
+
+
+def _stress_watch(cell: RobotCell, grasp: Grasp, options: SupervisionOptions) -> StressWatch | None:
+    if options.stiffness is None:
+        return None
+    size = np.size(options.stiffness)
+    if size not in (1, cell.nv):
+        raise InvalidInputError(
+            f"{size} numbers for {cell.nv} joints",
+            "SupervisionOptions: stiffness",
+            "Give one number, or one per joint.",
+        )
+    stiffness = np.broadcast_to(np.asarray(options.stiffness, dtype=float), (cell.nv,))
+    return StressWatch(cell, grasp, stiffness=stiffness, delay=options.servo_delay, filter_time=options.filter_time)
