@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import io
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
@@ -115,10 +115,10 @@ def record(case: str, arms: int, count: int) -> list[Recorded]:
             full = program.full(terms, box)
             only_v = np.eye(chain.nv, full.g.size)
             for form, qp, start, columns in (
-                ("condensed", problem, base, B),
+                ("condensed", copied(problem), base.copy(), B.copy()),
                 ("full", full, np.zeros(chain.nv), only_v),
             ):
-                found[form].append(RecordedQp(qp, start.copy(), columns, J, scenario.dt, number))
+                found[form].append(RecordedQp(qp, start, columns, J, scenario.dt, number))
         return problem, base, B
 
     vars(program)["condensed"] = listen
@@ -128,6 +128,11 @@ def record(case: str, arms: int, count: int) -> list[Recorded]:
         if controller.step().finished:
             break
     return [Recorded(case, arms, form, found[form]) for form in FORMS]
+
+
+def copied(problem: QpProblem) -> QpProblem:
+    """The problem with memory of its own; the program's is filled anew at every step."""
+    return QpProblem(**{field.name: getattr(problem, field.name).copy() for field in fields(QpProblem)})
 
 
 def _first_difficulty(scenario: Scenario, count: int) -> int:

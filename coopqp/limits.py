@@ -127,7 +127,7 @@ class VelocityBox:
         # The signed way back in, and a little further: a joint led to the limit itself would only approach it.
         way = np.where(self.outside, np.where(up < 0.0, up - self.INSIDE, self.INSIDE - down), 0.0)
         share = self.RECOVERY_SHARE * np.where(np.isfinite(self._speed), self._speed, 1.0)
-        self.recovery[:] = np.clip(np.clip(way / dt, -share, share), self.lower, self.upper)
+        self.recovery[:] = np.clip(np.clip(way / dt, -share, share), self.lower, self.upper) * self.outside
         self.any_outside = bool(self.outside.any())
 
     def _keep_reach(self, dt: float) -> None:

@@ -19,6 +19,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
+import numpy.typing as npt
 
 from coopqp.chain import Chain
 from coopqp.limits import VelocityBox
@@ -103,6 +104,54 @@ class Pieces:
         return self.fixed + self.grasp + self.path + rate * self.along
 
 
+class CondensedQp:
+    """The memory of a condensed QP: filled anew at every step, so what is to be kept has to be copied.
+
+    Attributes:
+        base, columns: joint velocities v = base + columns x, (nv,) and (nv, n).
+        norms: of the rows of ``columns`` (nv,), 1 where there is nothing.
+        problem: the QP, a row of unit norm per joint.
+    """
+
+    def __init__(self, joints: int, unknowns: int, outside: int = 0) -> None:
+        n = unknowns + outside
+        self.base, self.columns, self.norms = np.zeros(joints), np.zeros((joints, n)), np.ones(joints)
+        self.problem = QpProblem(
+            H=np.eye(n),
+            g=np.zeros(n),
+            A=np.zeros((outside, n)),
+            b=np.zeros(outside),
+            C=np.zeros((joints, n)),
+            l=np.zeros(joints),
+            u=np.zeros(joints),
+            lb=np.full(n, -np.inf),
+            ub=np.full(n, np.inf),
+        )
+
+    def take(self, other: CondensedQp) -> None:
+        """Copy all but the bounds of x from one with fewer unknowns, which are the first of this one's."""
+        mine, theirs, n = self.problem, other.problem, other.columns.shape[1]
+        self.base[:], self.norms[:] = other.base, other.norms
+        self.columns[:, :n], mine.C[:, :n] = other.columns, theirs.C
+        mine.l[:], mine.u[:] = theirs.l, theirs.u
+
+    def set_bounds(self, first: int, unit: Array, rate_cap: float) -> None:
+        """Bounds of (cap − σ), (1 − ρ_g), (1 − ρ_p), from unknown ``first`` on, each divided by its ``unit``."""
+        lb, ub = self.problem.lb, self.problem.ub
+        lb[first : first + 3] = 0.0
+        ub[first], ub[first + 1], ub[first + 2] = rate_cap / unit[0], 1.0 / unit[1], 1.0 / unit[2]
+
+    def lead_back(self, outside: npt.NDArray[np.intp], recovery: Array, unit: float) -> None:
+        """The equalities of the joints outside their limits: v_j − recovery_j is an unknown of its own.
+
+        Squared into the cost it would square the conditioning.
+        """
+        problem, norms, k = self.problem, self.norms[outside], outside.size
+        problem.A[:] = problem.C[outside]
+        np.fill_diagonal(problem.A[:, problem.A.shape[1] - k :], -unit / norms)
+        np.divide((recovery - self.base)[outside], norms, out=problem.b)
+
+
 @dataclass(frozen=True, eq=False)
 class Answer:
     """A solved step: joint velocities and what was given up."""
@@ -116,10 +165,12 @@ class Answer:
 
 
 class StepProgram:
-    """Builds and reads the QPs of one chain; holds no memory between steps.
+    """Builds and reads the QPs of one chain. Nothing is carried from step to step but memory.
 
     Attributes:
         metric: diagonal W (6,) that makes linear and angular parts of a twist comparable.
+        units: of the unknowns of a condensed QP without deficient arms, (9 + redundancy,).
+        recovery_scale: unit of the unknowns of joints that are led back.
     """
 
     def __init__(self, chain: Chain, weights: RankWeights) -> None:
@@ -129,6 +180,10 @@ class StepProgram:
         self._twist_scale = 1.0 / np.sqrt(w.off_path * self.metric)
         self._share_scale = 1.0 / np.sqrt(np.array([w.rate, w.grasp, w.path]))
         self._comfort_scale = 1.0 / np.sqrt(w.comfort)
+        self.recovery_scale = 1.0 / float(np.sqrt(w.recovery))
+        comfort = np.full(chain.redundancy, self._comfort_scale)
+        self.units = np.concatenate([self._twist_scale, self._share_scale, comfort])
+        self._qp: CondensedQp | None = None
 
     def pieces(self, terms: StepTerms) -> Pieces:
         """Split the command into the contributions of the unknowns."""
@@ -157,47 +212,44 @@ class StepProgram:
     # -- condensed -----------------------------------------------------------------------------------------------
 
     def condensed(self, terms: StepTerms, pieces: Pieces, box: VelocityBox) -> tuple[QpProblem, Array, Array]:
-        """The condensed form. Returns the problem and (base, B) with v = base + B x.
+        """The condensed form. Returns the problem and (base, B) with v = base + B x, valid until the next call.
 
         x = [y (d), (cap − σ), (1 − ρ_g), (1 − ρ_p), z, r], each divided by its scale; r of the joints outside.
         """
         S = self._twist_basis(terms)
-        base = pieces.command(terms.rate_cap)
-        shares = np.column_stack([-pieces.along, -pieces.grasp, -pieces.path]) * self._share_scale
-        parts = [self.chain.joint_columns(terms.to_world @ S), shares]
-        if self.chain.redundancy:
-            parts.append(self.chain.null_basis() * self._comfort_scale)
+        d, redundancy = S.shape[1], self.chain.redundancy
         outside = np.flatnonzero(box.outside)
-        parts.append(np.zeros((len(base), outside.size)))
-        B = np.hstack(parts)
-        d, n = S.shape[1], B.shape[1]
-        lb, ub = np.full(n, -np.inf), np.full(n, np.inf)
-        lb[d : d + 3] = 0.0
-        ub[d : d + 3] = np.array([terms.rate_cap, 1.0, 1.0]) / self._share_scale
-        norms = np.linalg.norm(B, axis=1)
+        qp = self.memory(d + 3 + redundancy, outside.size)
+        base, B, norms, problem = qp.base, qp.columns, qp.norms, qp.problem
+        base[:] = pieces.command(terms.rate_cap)
+        B[:, :d] = self.chain.joint_columns(terms.to_world @ S)
+        for column, piece in enumerate((pieces.along, pieces.grasp, pieces.path)):
+            np.multiply(piece, -self._share_scale[column], out=B[:, d + column])
+        if redundancy:
+            np.multiply(self.chain.null_basis(), self._comfort_scale, out=B[:, d + 3 : d + 3 + redundancy])
+        np.sqrt(np.einsum("ij,ij->i", B, B), out=norms)
         norms[norms < 1e-12] = 1.0
-        # The way back in: v_j − recovery_j is an unknown of its own. (Squared into H it would square the conditioning.)
-        A = B[outside]
-        A[:, n - outside.size :] = np.diag(np.full(outside.size, -1.0 / np.sqrt(self.weights.recovery)))
-        problem = QpProblem(
-            H=np.eye(n),
-            g=np.zeros(n),
-            A=A / norms[outside, None],
-            b=(box.recovery - base)[outside] / norms[outside],
-            C=B / norms[:, None],
-            l=(box.lower - base) / norms,
-            u=(box.upper - base) / norms,
-            lb=lb,
-            ub=ub,
-        )
+        np.divide(B, norms[:, None], out=problem.C)
+        np.divide(box.lower - base, norms, out=problem.l)
+        np.divide(box.upper - base, norms, out=problem.u)
+        qp.set_bounds(d, self._share_scale, terms.rate_cap)
+        if outside.size:
+            qp.lead_back(outside, box.recovery, self.recovery_scale)
         return problem, base, B
+
+    def memory(self, unknowns: int, outside: int) -> CondensedQp:
+        """The memory of the last QP if its size fits; sizes seldom change."""
+        n = unknowns + outside
+        if self._qp is None or self._qp.problem.sizes != (n, outside, self.chain.nv):
+            self._qp = CondensedQp(self.chain.nv, unknowns, outside)
+        return self._qp
 
     def read_condensed(self, x: Array, terms: StepTerms, base: Array, B: Array) -> Answer:
         """The step that a solution of :meth:`condensed` stands for."""
         S = self._twist_basis(terms)
         d = S.shape[1]
-        shares = x[d : d + 3] * self._share_scale
-        return Answer(base + B @ x, terms.rate_cap - shares[0], 1.0 - shares[1], 1.0 - shares[2], S @ x[:d])
+        late, grasp, path = (x[d : d + 3] * self._share_scale).tolist()
+        return Answer(base + B @ x, terms.rate_cap - late, 1.0 - grasp, 1.0 - path, S @ x[:d])
 
     # -- full and slack ------------------------------------------------------------------------------------------
 
@@ -272,15 +324,8 @@ class StepProgram:
         nv = self.chain.nv
         S = self._twist_basis(terms)
         d = S.shape[1]
-        shares = x[nv + d : nv + d + 3] * self._share_scale
-        answer = Answer(
-            x[:nv].copy(),
-            terms.rate_cap - shares[0],
-            1.0 - shares[1],
-            1.0 - shares[2],
-            S @ x[nv : nv + d],
-        )
-        return answer
+        late, grasp, path = (x[nv + d : nv + d + 3] * self._share_scale).tolist()
+        return Answer(x[:nv].copy(), terms.rate_cap - late, 1.0 - grasp, 1.0 - path, S @ x[nv : nv + d])
 
     def parting(self, answer: Answer, terms: StepTerms) -> float:
         """Largest speed [m/s] at which an arm leaves the common motion of ``answer``."""

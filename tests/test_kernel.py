@@ -20,6 +20,7 @@ from coopqp.kernel import BorderArrays, Outcome, Workspace, available_kernels, m
 from coopqp.kernel.reference import bound
 from coopqp.limits import LIMIT_TOLERANCE, VelocityBox
 from coopqp.path import LinePath, ObjectPath, ServoPath, WaypointPath
+from coopqp.program import RankWeights, StepProgram, StepTerms
 from coopqp.scenarios import Scenario, at_limit, dual_arm7, mixed_cell, paper_lift, ring
 from coopqp.spatial import Array
 from coopqp.state import CellState
@@ -148,6 +149,51 @@ def test_all_agree_with_other_options(options: dict[str, Any], paper: Scenario) 
     agree(controllers(dataclasses.replace(paper, q_start=q), 0.005, **options), 150)
 
 
+@pytest.mark.parametrize("name", LIFTS)
+def test_the_kernels_qp_is_that_of_the_program(name: str) -> None:
+    """A QP at every step, filled in by the kernel and step by step."""
+    make, dt = LIFTS[name]
+    task = make()
+    loops = []
+    for kernel in (*KERNELS, "none"):
+        options = QPOptions(kernel=kernel, shortcut=False)
+        controller = QPController(task.cell, task.grasp, task.path, dt=dt, options=options)
+        controller.reset(task.q_start)
+        loops.append(controller)
+    assert loops[0].kernel == ("compiled" if "compiled" in KERNELS else "none")
+    agree(loops, 100)
+
+
+@pytest.mark.parametrize("make", [paper_lift, dual_arm7, mixed_cell])
+@pytest.mark.parametrize("acceleration", [np.inf, 20.0])
+def test_all_agree_while_joints_are_led_back(make: Callable[[], Scenario], acceleration: float) -> None:
+    """Three joints outside their limits, in both directions: QPs whose size changes on the way."""
+    task = make()
+    # Null-space motion costs 1e-12 of what leading back does, and so follows rounding a thousand times as much.
+    same = SAME if task.cell.nv == 6 * len(task.cell) else 1e-8
+    limits = task.cell.limits
+    lower, upper = limits.lower.copy(), limits.upper.copy()
+    q = task.cell.positions(task.q_start)
+    lower[1], upper[4], upper[8] = q[1] + 2e-3, q[4] - 1e-3, q[8] - 5e-3
+    speed = np.minimum(limits.velocity, 1.0)
+    cell = task.cell.with_limits(lower=lower, upper=upper, velocity=speed, acceleration=acceleration)
+    loops = controllers(dataclasses.replace(task, cell=cell), 0.005)
+    solved = {0: 0, 1: 0, 2: 0, 3: 0}
+    for _ in range(60):
+        x = cell.positions(loops[0]._q)
+        outside = int(((x < lower) | (x > upper)).sum())
+        done = [loop.step() for loop in loops]
+        for other in done[1:]:
+            np.testing.assert_allclose(other.velocity, done[0].velocity, rtol=0.0, atol=same)
+            assert other.status is done[0].status
+            assert other.binding == done[0].binding
+            np.testing.assert_allclose(other.given_up.off_path, done[0].given_up.off_path, rtol=0.0, atol=same)
+            assert other.solver.status == done[0].solver.status
+        solved[outside] += done[0].solver.status == "solved"
+    assert solved[3] > 0
+    assert solved[1] + solved[2] > 0
+
+
 def test_a_kernel_that_is_not_there(paper: Scenario) -> None:
     with pytest.raises(UnknownNameError):
         QPController(paper.cell, paper.grasp, paper.path, dt=0.01, options=QPOptions(kernel="fpga"))
@@ -252,6 +298,55 @@ def test_kernels_agree_call_by_call(paper: Scenario, rng: np.random.Generator) -
     assert seen == set(Outcome)
 
 
+@pytest.mark.parametrize("name", KERNELS)
+@pytest.mark.parametrize("make", [paper_lift, dual_arm7, mixed_cell, lambda: ring(arms=5)])
+def test_rows_are_those_of_the_program(name: str, make: Callable[[], Scenario], rng: np.random.Generator) -> None:
+    """Entry by entry, but for the basis of the null-spaces, of which only the span is given."""
+    task = make()
+    n, nv = len(task.cell), task.cell.nv
+    counts = set()
+    for _ in range(40):
+        limits: dict[str, Any] = {"velocity": 10.0 ** rng.uniform(-2, 1), "acceleration": 10.0 ** rng.uniform(-1, 2)}
+        cell = task.cell.with_limits(**limits) if rng.integers(2) else task.cell
+        q = pin.integrate(cell.model, task.q_start, 10.0 ** rng.uniform(-9, -2) * rng.standard_normal(nv))
+        ws = random_workspace(cell, task.grasp, np.full((n, 6), 1.0 / n), q, rng)
+        chain, weights = ws.chain, RankWeights(rate=10.0 ** rng.uniform(-6, -2), length=rng.uniform(0.1, 1.0))
+        program = StepProgram(chain, weights)
+        ws.unit[:] = program.units
+        ws.predicted[:] = 1e-5 * rng.standard_normal((n, 6))
+        ws.null_along[:], ws.null_offset[:] = 1e-2 * rng.standard_normal((2, nv))
+        for j in rng.choice(np.flatnonzero(np.isfinite(cell.limits.upper)), size=rng.integers(4), replace=False):
+            ws.positions[j] = rng.choice([cell.limits.lower[j] - 1e-3, cell.limits.upper[j] + 1e-6])
+        kernel = make_kernel(ws, name)
+        assert kernel is not None
+        if kernel.rows is None:
+            pytest.skip("this kernel leaves the QP to the program")
+        cap = rng.uniform()
+        outside = kernel.rows(cap, 0.0, 0.0)
+        pose, h = pin.SE3(ws.R, ws.p), float(ws.scalars[ws.DT])
+        box = VelocityBox(cell)
+        box.update(ws.positions, ws.v_prev, h)
+        chain.invert()
+        terms = StepTerms(
+            to_world=pose.action, along=ws.along, path_correction=ws.path, grasp_corrections=ws.grasp,
+            offsets=ws.offsets, rate_cap=cap, null_along=chain.null_part(ws.null_along),
+            null_offset=chain.null_part(ws.null_offset),
+        )  # fmt: skip
+        problem, base, B = program.condensed(terms, program.pieces(terms), box)
+        own, close = ws.unit.size, {"rtol": 1e-9, "atol": 1e-10}
+        np.testing.assert_array_equal(ws.outside[:outside], np.flatnonzero(box.outside))
+        np.testing.assert_allclose(ws.recovery, box.recovery, rtol=1e-12)
+        np.testing.assert_allclose(ws.base, base, **close)
+        np.testing.assert_allclose(ws.columns[:, :9], B[:, :9], **close)
+        mine, theirs = ws.columns[:, 9:] / ws.unit[9:], B[:, 9:own] / ws.unit[9:]
+        np.testing.assert_allclose(mine @ mine.T, theirs @ theirs.T, **close)
+        np.testing.assert_allclose(ws.rows * ws.norms[:, None], ws.columns, **close)
+        np.testing.assert_allclose(ws.row_lower, problem.l, **close)
+        np.testing.assert_allclose(ws.row_upper, problem.u, **close)
+        counts.add(outside)
+    assert len(counts) >= 3
+
+
 def test_kernels_follow_lines_as_the_path_does(paper: Scenario, rng: np.random.Generator) -> None:
     for _ in range(200):
         turn = rng.standard_normal(3) * rng.choice([0.0, 1e-9, 1e-3, 1.0])
@@ -309,8 +404,10 @@ def test_what_is_no_number_stays_open(
             ws.action[:] = value
         with np.errstate(all="raise" if np.isnan(value) else "ignore"):
             outcome = Outcome(kernel.step(*numbers.values()))
+            rows = 0 if kernel.rows is None else kernel.rows(*numbers.values())
         if not np.isfinite(value) and not (np.isinf(value) and field in ("clock", "span")):  # that is the path's end
             assert outcome == Outcome.OPEN
+            assert kernel.rows is None or rows == -1
 
 
 @pytest.mark.parametrize("rows", [slice(None), slice(3, 5)], ids=["all", "two joints"])
@@ -323,6 +420,7 @@ def test_a_singular_arm_is_left_open(name: str, rows: slice, paper: Scenario, rn
         assert kernel is not None
         with np.errstate(all="raise"):
             assert kernel.step(1.0, 0.0, 0.0) == Outcome.OPEN
+            assert kernel.rows is None or kernel.rows(1.0, 0.0, 0.0) == -1
 
 
 @pytest.mark.parametrize("name", KERNELS)

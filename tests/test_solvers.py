@@ -335,6 +335,7 @@ def test_residual_methods(name: str) -> None:
     solution = make_solver(name).solve(problem)
     assert max(solution.primal_residual(problem), solution.dual_residual(problem)) <= 1e-8
     assert solution.complementarity(problem) <= 1e-8
+    assert solution.violation == pytest.approx(solution.primal_residual(problem), abs=1e-14)
     shifted = dataclasses.replace(problem, ub=np.where(np.isinf(problem.ub), solution.x - 0.25, problem.ub))
     assert solution.primal_residual(shifted) == pytest.approx(0.25, abs=1e-9)
     heavier = dataclasses.replace(problem, g=problem.g + 0.5)

@@ -10,13 +10,17 @@ import numpy as np
 from coopqp.chain import Chain
 from coopqp.controllers.base import NO_SOLVE, SolverReport
 from coopqp.controllers.options import QPOptions
+from coopqp.kernel import Workspace
 from coopqp.limits import LIMIT_TOLERANCE, BindingLimit, VelocityBox, rate_interval
-from coopqp.program import Answer, Pieces, StepProgram, StepTerms
+from coopqp.program import Answer, CondensedQp, Pieces, StepProgram, StepTerms
 from coopqp.solvers import QpProblem, QpSolution, QpSolver, SolverStatus, make_solver
 from coopqp.spatial import Array
 
 #: A solver's excess over a limit up to this is clipped; more is a failure [rad/s or m/s].
 RESIDUE_TOLERANCE = 1e-5
+
+#: Distance within which a velocity stands at its limit [rad/s or m/s].
+_AT_LIMIT = 1e-7
 
 #: Cost of joint velocities in the second attempt at a chain that may part [1/(rad/s)²].
 _CALM = 1e-4
@@ -111,6 +115,57 @@ class StepSolver:
             report,
         )
 
+    def settle(self, ws: Workspace, outside: int, cap: float, v_prev: Array, h: float) -> StepAnswer | None:
+        """The answer of the condensed QP that a kernel has filled in; None if there is none to be believed.
+
+        Args:
+            ws: the kernel's workspace; the errors foreseen for the next step come out in it.
+            outside: joints outside their limits, as the kernel's ``rows`` counted them.
+            cap: largest rate.
+            v_prev, h: velocity of the previous step (nv,), length of this one [s].
+        """
+        qp, unit = self._filled(ws, outside, cap), ws.unit
+        solution = _ask(self._solver, qp.problem)
+        if not solution.usable:
+            return None
+        x = solution.x[: unit.size]
+        found = np.dot(ws.columns, x)
+        found += ws.base
+        v = np.maximum(found, ws.lower)
+        np.minimum(v, ws.upper, out=v)
+        excess = np.abs(found - v)
+        if not excess[excess.argmax()] <= RESIDUE_TOLERANCE:
+            return None
+        x = x[:9] * unit[:9]
+        off_path = x[:6]
+        late, grasp_lost, path_lost = x[6:].tolist()
+        drift = off_path + (1.0 - path_lost) * ws.path + ws.offsets
+        drift += (1.0 - grasp_lost) * ws.grasp
+        drift *= h
+        np.add(ws.errors, drift, out=ws.predicted)
+        ws.scalars[ws.HAS_PREDICTED], ws.scalars[ws.LAST_DT] = 1.0, h
+        return StepAnswer(
+            v,
+            cap - late,
+            1.0 - grasp_lost,
+            1.0 - path_lost,
+            off_path,
+            0.0,
+            self._active(found, v_prev, h),
+            self._report(solution),
+            correction=ws.path,
+        )
+
+    def _filled(self, ws: Workspace, outside: int, cap: float) -> CondensedQp:
+        """The kernel's QP with the bounds of its unknowns; with an unknown and an equality for every joint outside."""
+        qp = ws.qp
+        if outside:
+            qp = self.program.memory(ws.unit.size, outside)
+            qp.take(ws.qp)
+            qp.lead_back(ws.outside[:outside], ws.recovery, self.program.recovery_scale)
+        qp.set_bounds(6, ws.unit[6:9], cap)
+        return qp
+
     def _on_path(self, terms: StepTerms, pieces: Pieces, v_prev: Array, h: float) -> StepAnswer | None:
         """Full corrections at the fastest admissible rate, up to the cap; None if no rate will do."""
         box, cap = self._box, terms.rate_cap
@@ -144,7 +199,7 @@ class StepSolver:
             solution = _ask(self._solver, problem)
             answer = program.read_full(solution.x, terms) if solution.usable else None
         if answer is not None and self._believable(answer.velocity):
-            return answer, self._report(problem, solution)
+            return answer, self._report(solution)
         problem = program.full(terms, box, slack=True)
         relaxed = _ask(self._slack_solver, problem)
         if not relaxed.usable:
@@ -152,7 +207,7 @@ class StepSolver:
             joints = range(self._chain.nv)
             problem.H[joints, joints] += _CALM
             relaxed = _ask(self._slack_solver, problem)
-        report = self._report(problem, relaxed)
+        report = self._report(relaxed)
         if not relaxed.usable:
             return None, report
         answer = program.read_full(relaxed.x, terms)
@@ -168,13 +223,12 @@ class StepSolver:
         excess = np.maximum(v - self._box.upper, self._box.lower - v)
         return bool(excess[excess.argmax()] <= RESIDUE_TOLERANCE)
 
-    def _report(self, problem: QpProblem, solution: QpSolution) -> SolverReport:
-        residual = solution.primal_residual(problem)
+    def _report(self, solution: QpSolution) -> SolverReport:
         return SolverReport(
             self._solver.name,
             solution.status.value,
             solution.iterations,
-            residual,
+            solution.violation,
             solution.solve_time_s,
             solution.message,
         )
@@ -220,8 +274,12 @@ class StepSolver:
     def _active(self, v: Array, v_prev: Array, h: float) -> tuple[BindingLimit, ...]:
         """Names of the limits that a QP's answer stands at."""
         box = self._box
+        above, below = v - box.upper, box.lower - v
+        room = np.maximum(above, below)
+        if room[room.argmax()] < -_AT_LIMIT:
+            return ()
         return tuple(
             box.binding(int(j), sign, v_prev, h)
-            for sign, bound in ((1.0, box.upper), (-1.0, box.lower))
-            for j in np.flatnonzero(np.abs(v - bound) <= 1e-7)
+            for sign, excess in ((1.0, above), (-1.0, below))
+            for j in np.flatnonzero(np.abs(excess) <= _AT_LIMIT)
         )

@@ -47,6 +47,8 @@ _EXTRA_AT_START = 3
 _BRAKING_SHARE = 0.8
 # Members of an enumeration cost a look-up of a tenth of a microsecond each.
 _TRACKING, _NOMINAL, _OPEN = Status.TRACKING, int(Outcome.NOMINAL), int(Outcome.OPEN)
+#: A rate that rises by less stands still: a QP's zero has the solver's rounding.
+_RATE_ROUNDING = 1e-12
 #: Nothing to watch: shared, so not to be changed.
 _CLEAR = Watch()
 #: Square of an off-path twist that needs no braking distance [m²/s², rad²/s²].
@@ -82,8 +84,13 @@ class QPController:
         self._solver = StepSolver(self._chain, self._box, o)
         self._ws = Workspace(self._chain, self._shares, self._box)
         self._ws.scalars[[self._ws.SPEED, self._ws.SPIN]] = o.correction_speed, o.correction_spin
-        fused = o.shortcut and o.iterations == 1 and self._ws.eligible
-        self._kernel = make_kernel(self._ws, o.kernel) if fused else None
+        self._ws.unit[:] = self._solver.program.units
+        fused = o.iterations == 1 and self._ws.eligible
+        kernel = make_kernel(self._ws, o.kernel) if fused else None
+        #: The kernel's own QP, where it fills in what is asked for.
+        self._rows = None if kernel is None or o.form != "condensed" else kernel.rows
+        self._kernel = kernel if o.shortcut or self._rows is not None else None
+        self._shortcut = o.shortcut
         self.kernel = "none" if self._kernel is None else self._kernel.name
         self._follows_lines = self._kernel is not None and self._kernel.follows_lines
         self._line: Array | None = None
@@ -203,9 +210,10 @@ class QPController:
         cap, span, binding = self._prepare(h, measured, watch)
         chain, ws = self._chain, self._ws
         chain.place(self._q)
+        found: StepAnswer | None = None
         if self._kernel is not None and not self._fresh:
             chain.evaluate(self._midpoint if h == self._last_dt else self._advanced(self._guess(), 0.5 * h))
-            outcome = self._kernel.step(cap, self._clock, span)
+            outcome = self._kernel.step(cap, self._clock, span) if self._shortcut else _OPEN
             if outcome != _OPEN:
                 rate = cap
                 if outcome != _NOMINAL:
@@ -220,7 +228,8 @@ class QPController:
                     self._midpoint = pin.integrate(self.cell.model, q_next, 0.5 * h * (2.0 * v - self._v))
                     ws.positions[:] = self.cell.positions(q_next)
                 return self._finish(h, v, q_next, rate, binding, watch, None, began)
-        answer = self._open_step(h, cap)
+            found = self._open_in_kernel(h, cap, span)
+        answer = found or self._open_step(h, cap)
         v = answer.velocity
         q_next = self._advanced(v, h)
         step = self._finish(h, v, q_next, answer.rate, answer.binding or binding, watch, answer, began)
@@ -401,7 +410,12 @@ class QPController:
         else:
             ws.null_offset[:] = self._posture.velocity(self._q)
 
-    # -- step by step, where the kernel does not apply ---------------------------------------------------------------
+    # -- step by step, where the kernel does not settle it -----------------------------------------------------------
+
+    def _open_in_kernel(self, h: float, cap: float, span: float) -> StepAnswer | None:
+        """The QP as the kernel fills it in; None where it cannot, or where the chain cannot be kept."""
+        outside = -1 if self._rows is None else self._rows(cap, self._clock, span)
+        return self._solver.settle(self._ws, outside, cap, self._v, h) if outside >= 0 else None
 
     def _open_step(self, h: float, cap: float) -> StepAnswer:
         """The same step without the kernel; with the QP where rate alone does not settle it."""
@@ -520,7 +534,8 @@ class QPController:
             twist = answer.path_share * answer.correction + answer.off_path
             self._correcting = twist if twist @ twist > _NEGLIGIBLE else None
         if share < 1.0:
-            given_up = self._given_up(answer, share)
+            if answer is None:
+                given_up = self._given_up(None, share)
             if share <= 1.0 - 1e-6:
                 status = self._slow_status(share, binding)
         if watch.hold or (answer is not None and answer.braked):
@@ -558,7 +573,8 @@ class QPController:
             return Status.SLOWED
         # From rest the accelerations alone keep the rate small; it grows then, or a joint is on its way back in.
         accelerating = any(b.kind is LimitKind.ACCELERATION for b in binding)
-        return Status.SLOWED if accelerating and (rate > self._rate or self._outside()) else Status.BLOCKED
+        rising = rate > self._rate + _RATE_ROUNDING
+        return Status.SLOWED if accelerating and (rising or self._outside()) else Status.BLOCKED
 
     def _outside(self) -> bool:
         """Whether a joint is outside its position limits."""
@@ -573,7 +589,7 @@ class QPController:
         return GivenUp(
             chain=answer.chain,
             grasp=1.0 - answer.grasp_share,
-            off_path=tuple(float(x) for x in answer.off_path),
+            off_path=tuple(answer.off_path.tolist()),
             path=1.0 - answer.path_share,
             rate=1.0 - rate,
             restricted=self._restricted,

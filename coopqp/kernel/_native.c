@@ -17,6 +17,13 @@ enum { DT, GRASP_GAIN, PATH_GAIN, SPEED, SPIN, HAS_MEASURED, HAS_PREDICTED, LAST
 #define STILL 1e-12
 #define MAX_JOINTS 16
 #define SMALLEST_PIVOT 1e-9
+/* Unknowns of the condensed QP, but for the null-space motions of redundant arms. */
+#define TWIST_AND_SHARES 9
+/* Beyond this an inverse needs its singular values looked at, as in chain.py. */
+#define LARGE_INVERSE 1e4
+/* As VelocityBox.RECOVERY_SHARE and VelocityBox.INSIDE. */
+#define RECOVERY_SHARE 0.2
+#define INSIDE 1e-5
 
 /* -- three-vectors and rotations ---------------------------------------------------------------------------------- */
 
@@ -144,7 +151,8 @@ enum {
     B_PLACEMENTS, B_JACOBIAN, B_Y, B_JOINTS, B_STARTS, B_SIZES, B_SCALE, B_SHARES, B_LOW, B_HIGH, B_MAXSPEED,
     B_ACCELERATION, B_LOWER, B_UPPER, B_R, B_P, B_ALONG, B_PATH, B_MEASURED, B_POSITIONS, B_VPREV, B_NULL_ALONG,
     B_NULL_OFFSET, B_SCALARS, B_RESULT, B_ERRORS, B_GRASP, B_OFFSETS, B_PREDICTED, B_VELOCITY, B_ALONG_VELOCITY, B_MIDPOINT,
-    B_LINE, B_PER_ACCELERATION, B_COUNT
+    B_LINE, B_PER_ACCELERATION, B_UNIT, B_BASE, B_COLUMNS, B_ROWS, B_NORMS, B_ROW_LOWER, B_ROW_UPPER, B_RECOVERY,
+    B_OUTSIDE, B_COUNT
 };
 
 /* The memory of an array. */
@@ -156,7 +164,7 @@ typedef struct {
 typedef struct {
     PyObject_HEAD
     View view[B_COUNT];
-    int arms, joints, redundant, accelerates;
+    int arms, joints, redundant, accelerates, unknowns;
     int built;
 } Kernel;
 
@@ -197,9 +205,11 @@ static int kernel_init(PyObject *self, PyObject *args, PyObject *kwargs) {
     Py_ssize_t n = k->view[B_STARTS].len / 8, nv = k->view[B_VELOCITY].len / 8;
     k->arms = (int)n;
     k->joints = (int)nv;
+    k->unknowns = (int)(k->view[B_UNIT].len / 8);
     static const int per_joint[] = {B_SCALE, B_LOW, B_HIGH, B_MAXSPEED, B_ACCELERATION, B_LOWER, B_UPPER, B_POSITIONS,
-                                    B_VPREV, B_NULL_ALONG, B_NULL_OFFSET, B_ALONG_VELOCITY,
-                                    B_MIDPOINT, B_PER_ACCELERATION};
+                                    B_VPREV, B_NULL_ALONG, B_NULL_OFFSET, B_ALONG_VELOCITY, B_MIDPOINT,
+                                    B_PER_ACCELERATION, B_BASE, B_NORMS, B_ROW_LOWER, B_ROW_UPPER, B_RECOVERY,
+                                    B_OUTSIDE};
     static const int per_arm[] = {B_SHARES, B_ERRORS, B_GRASP, B_OFFSETS, B_PREDICTED};
     int fits = k->view[B_JACOBIAN].len == 48 * nv && k->view[B_Y].len == 128 * n && k->view[B_JOINTS].len == 8 * n &&
                k->view[B_SIZES].len == 8 * n && k->view[B_SCALARS].len == 8 * N_SCALARS && k->view[B_LINE].len == 168 &&
@@ -208,12 +218,16 @@ static int kernel_init(PyObject *self, PyObject *args, PyObject *kwargs) {
                k->view[B_PATH].len == 48 && k->view[B_MEASURED].len == 48;
     for (size_t i = 0; i < sizeof per_joint / sizeof *per_joint; i++) fits = fits && k->view[per_joint[i]].len == 8 * nv;
     for (size_t i = 0; i < sizeof per_arm / sizeof *per_arm; i++) fits = fits && k->view[per_arm[i]].len == 48 * n;
+    int unknowns = TWIST_AND_SHARES;
     for (int a = 0; fits && a < k->arms; a++) {
         int64_t size = L(k, B_SIZES)[a], start = L(k, B_STARTS)[a], joint = L(k, B_JOINTS)[a];
         fits = size >= 6 && size <= MAX_JOINTS && start >= 0 && start + size <= nv && joint >= 0 &&
                (joint + 1) * 96 <= k->view[B_PLACEMENTS].len;
         k->redundant = k->redundant || size > 6;
+        unknowns += (int)size - 6;
     }
+    fits = fits && k->unknowns == unknowns && k->view[B_COLUMNS].len == 8 * nv * unknowns &&
+           k->view[B_ROWS].len == 8 * nv * unknowns;
     for (int j = 0; fits && j < k->joints; j++) k->accelerates = k->accelerates || isfinite(D(k, B_ACCELERATION)[j]);
     if (!fits) {
         PyErr_SetString(PyExc_ValueError, "the buffers do not fit together");
@@ -519,17 +533,170 @@ static int fused_step(Kernel *k, double cap, double clock, double span) {
     return outcome;
 }
 
-static PyObject *kernel_step(PyObject *self, PyObject *const *args, Py_ssize_t n) {
+/* -- the condensed QP; see program.py ------------------------------------------------------------------------------ */
+
+/* Of one arm with n ≥ 6 joints: the right inverse P (n, 6) of least Σ (v/scale)², and a basis N (n, n − 6) of what moves
+ * nothing, orthonormal in the joints' units. By Householder's QR of diag(scale) Jᵀ. Returns 0 if near a singularity. */
+static int right_inverse(const double *JT, const double *scale, int n, double *P, double *N) {
+    double M[6 * MAX_JOINTS], Q[MAX_JOINTS * MAX_JOINTS], diagonal[6], largest = 0.0;
+    for (int j = 0; j < n; j++)
+        for (int i = 0; i < 6; i++) M[6 * j + i] = scale[j] * JT[6 * j + i];
+    for (int c = 0; c < 6; c++) {
+        double square = 0.0;
+        for (int j = c; j < n; j++) square += M[6 * j + c] * M[6 * j + c];
+        double length = sqrt(square);
+        if (!(length > 0.0 && isfinite(length))) return 0;
+        diagonal[c] = M[6 * c + c] > 0.0 ? -length : length;
+        M[6 * c + c] -= diagonal[c]; /* the reflector, of squared length 2 |d M_cc| */
+        double per = -1.0 / (diagonal[c] * M[6 * c + c]);
+        for (int i = c + 1; i < 6; i++) {
+            double sum = 0.0;
+            for (int j = c; j < n; j++) sum += M[6 * j + c] * M[6 * j + i];
+            sum *= per;
+            for (int j = c; j < n; j++) M[6 * j + i] -= sum * M[6 * j + c];
+        }
+    }
+    memset(Q, 0, sizeof(double) * (size_t)(n * n)); /* row j: the j-th unit vector, reflected */
+    for (int j = 0; j < n; j++) Q[n * j + j] = 1.0;
+    for (int c = 0; c < 6; c++) {
+        double per = -1.0 / (diagonal[c] * M[6 * c + c]);
+        for (int j = 0; j < n; j++) {
+            double sum = 0.0;
+            for (int m = c; m < n; m++) sum += Q[n * j + m] * M[6 * m + c];
+            sum *= per;
+            for (int m = c; m < n; m++) Q[n * j + m] -= sum * M[6 * m + c];
+        }
+    }
+    for (int j = 0; j < n; j++) {
+        for (int i = 5; i >= 0; i--) { /* P = diag(scale) Q₁ R⁻ᵀ, row by row */
+            double x = Q[n * j + i];
+            for (int m = i + 1; m < 6; m++) x -= M[6 * i + m] * P[6 * j + m];
+            P[6 * j + i] = x / diagonal[i];
+        }
+        for (int i = 0; i < 6; i++) {
+            P[6 * j + i] *= scale[j];
+            largest = fmax(largest, fabs(P[6 * j + i]));
+            if (!isfinite(P[6 * j + i])) return 0;
+        }
+        for (int m = 6; m < n; m++) N[(n - 6) * j + m - 6] = scale[j] * Q[n * j + m];
+    }
+    return largest < LARGE_INVERSE;
+}
+
+/* The joints outside their limits, and the velocities that lead them back: as VelocityBox.update, after box(). */
+static int lead_back(Kernel *k) {
+    const double h = D(k, B_SCALARS)[DT];
+    int count = 0;
+    for (int j = 0; j < k->joints; j++) {
+        double x = D(k, B_POSITIONS)[j], up = D(k, B_HIGH)[j] - x, down = x - D(k, B_LOW)[j];
+        double share = RECOVERY_SHARE * (isfinite(D(k, B_MAXSPEED)[j]) ? D(k, B_MAXSPEED)[j] : 1.0);
+        if (!(isfinite(x) && isfinite(D(k, B_VPREV)[j]))) return -1;
+        D(k, B_RECOVERY)[j] = 0.0;
+        if (up >= 0.0 && down >= 0.0) continue;
+        double way = clamp((up < 0.0 ? up - INSIDE : INSIDE - down) / h, -share, share);
+        D(k, B_RECOVERY)[j] = clamp(way, D(k, B_LOWER)[j], D(k, B_UPPER)[j]);
+        L(k, B_OUTSIDE)[count++] = j;
+    }
+    return count;
+}
+
+/* v = base + columns x of one arm with the joints from start on; z is the first of its null-space unknowns. */
+static void fill_columns(Kernel *k, int start, int n, int z, const double *P, const double *N,
+                         double T[10][6], double cap) {
+    const double *unit = D(k, B_UNIT), *wish = D(k, B_NULL_ALONG) + start, *offset = D(k, B_NULL_OFFSET) + start;
+    const double *scale = D(k, B_SCALE) + start;
+    const int width = k->unknowns, extra = n - 6;
+    double along[MAX_JOINTS], rest[MAX_JOINTS]; /* the wishes' coordinates in the null-space */
+    for (int e = 0; e < extra; e++) {
+        along[e] = rest[e] = 0.0;
+        for (int j = 0; j < n; j++) {
+            double per = N[extra * j + e] / (scale[j] * scale[j]);
+            along[e] += per * wish[j];
+            rest[e] += per * offset[j];
+        }
+    }
+    for (int j = 0; j < n; j++) {
+        double x[10], *row = D(k, B_COLUMNS) + width * (start + j);
+        for (int c = 0; c < 10; c++) {
+            x[c] = 0.0;
+            for (int i = 0; i < 6; i++) x[c] += P[6 * j + i] * T[c][i];
+        }
+        for (int e = 0; e < extra; e++) {
+            x[6] += N[extra * j + e] * along[e];
+            x[9] += N[extra * j + e] * rest[e];
+        }
+        for (int c = 0; c < 6; c++) row[c] = x[c] * unit[c];
+        for (int c = 6; c < 9; c++) row[c] = -x[c] * unit[c];
+        for (int e = 0; e < extra; e++) row[z + e] = N[extra * j + e] * unit[z + e];
+        D(k, B_BASE)[start + j] = x[9] + x[7] + x[8] + cap * x[6];
+    }
+}
+
+/* The condensed QP of this step: base, columns, and the rows of unit norm with their bounds. Returns the number of
+ * joints outside their limits, −1 where an arm is near a singularity or something is not finite. */
+static int condensed_rows(Kernel *k, double cap, double clock, double span) {
+    const double *R = D(k, B_R), *p = D(k, B_P);
+    double T[10][6]; /* world twists: the object's six directions, ν, c_k, c_p, b_k */
+    int z = TWIST_AND_SHARES, width = k->unknowns;
+    if (D(k, B_SCALARS)[ON_LINE] != 0.0) follow_line(k, clock, span);
+    if (!errors(k)) return -1;
+    corrections(k);
+    box(k);
+    int outside = lead_back(k);
+    if (outside < 0) return -1;
+    for (int c = 0; c < 6; c++) {
+        double one[6] = {0};
+        one[c] = 1.0;
+        to_world(R, p, one, T[c]);
+    }
+    to_world(R, p, D(k, B_ALONG), T[6]);
+    to_world(R, p, D(k, B_PATH), T[8]);
+    for (int a = 0; a < k->arms; a++) {
+        int n = (int)L(k, B_SIZES)[a], start = (int)L(k, B_STARTS)[a];
+        double P[6 * MAX_JOINTS], N[MAX_JOINTS * MAX_JOINTS];
+        to_world(R, p, D(k, B_GRASP) + 6 * a, T[7]);
+        to_world(R, p, D(k, B_OFFSETS) + 6 * a, T[9]);
+        if (!right_inverse(D(k, B_JACOBIAN) + 6 * start, D(k, B_SCALE) + start, n, P, N)) return -1;
+        fill_columns(k, start, n, z, P, N, T, cap);
+        z += n - 6;
+    }
+    for (int j = 0; j < k->joints; j++) {
+        const double *column = D(k, B_COLUMNS) + width * j;
+        double square = 0.0, base = D(k, B_BASE)[j];
+        for (int c = 0; c < width; c++) square += column[c] * column[c];
+        double norm = square < 1e-24 ? 1.0 : sqrt(square), per = 1.0 / norm;
+        if (!isfinite(norm) || !isfinite(base)) return -1;
+        for (int c = 0; c < width; c++) D(k, B_ROWS)[width * j + c] = column[c] * per;
+        D(k, B_NORMS)[j] = norm;
+        D(k, B_ROW_LOWER)[j] = (D(k, B_LOWER)[j] - base) * per;
+        D(k, B_ROW_UPPER)[j] = (D(k, B_UPPER)[j] - base) * per;
+    }
+    return outside;
+}
+
+/* -- the calls from Python ------------------------------------------------------------------------------------------ */
+
+/* The arguments cap, clock, span of a Kernel's method. */
+static int numbers(PyObject *self, PyObject *const *args, Py_ssize_t n, double *out) {
     if (!((Kernel *)self)->built || n != 3) {
-        PyErr_SetString(PyExc_TypeError, "step(cap, clock, span) of a Kernel that was built");
-        return NULL;
+        PyErr_SetString(PyExc_TypeError, "(cap, clock, span) of a Kernel that was built");
+        return 0;
     }
-    double numbers[3];
     for (int i = 0; i < 3; i++) {
-        numbers[i] = PyFloat_AsDouble(args[i]);
-        if (numbers[i] == -1.0 && PyErr_Occurred()) return NULL;
+        out[i] = PyFloat_AsDouble(args[i]);
+        if (out[i] == -1.0 && PyErr_Occurred()) return 0;
     }
-    return PyLong_FromLong(fused_step((Kernel *)self, numbers[0], numbers[1], numbers[2]));
+    return 1;
+}
+
+static PyObject *kernel_step(PyObject *self, PyObject *const *args, Py_ssize_t n) {
+    double x[3];
+    return numbers(self, args, n, x) ? PyLong_FromLong(fused_step((Kernel *)self, x[0], x[1], x[2])) : NULL;
+}
+
+static PyObject *kernel_rows(PyObject *self, PyObject *const *args, Py_ssize_t n) {
+    double x[3];
+    return numbers(self, args, n, x) ? PyLong_FromLong(condensed_rows((Kernel *)self, x[0], x[1], x[2])) : NULL;
 }
 
 /* -- a border of the preview, see border.py --------------------------------------------------------------------------- */
@@ -609,6 +776,8 @@ static PyObject *border_call(PyObject *self, PyObject *span) {
 static PyMethodDef kernel_methods[] = {
     {"step", (PyCFunction)(void (*)(void))kernel_step, METH_FASTCALL,
      "step(cap, clock, span): one fused step over the workspace's buffers; returns an Outcome."},
+    {"rows", (PyCFunction)(void (*)(void))kernel_rows, METH_FASTCALL,
+     "rows(cap, clock, span): the condensed QP of an open step; returns the joints outside, or -1."},
     {NULL, NULL, 0, NULL},
 };
 

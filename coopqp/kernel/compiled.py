@@ -13,7 +13,8 @@ _BUFFERS = (
     "placements", "jacobian_T", "Y_transposed", "tool_joints", "starts", "sizes", "scale", "shares", "low", "high",
     "speed", "acceleration", "lower", "upper", "R", "p", "along", "path", "measured", "positions", "v_prev",
     "null_along", "null_offset", "scalars", "result", "errors", "grasp", "offsets", "predicted", "velocity",
-    "along_velocity", "midpoint", "line", "per_acceleration",
+    "along_velocity", "midpoint", "line", "per_acceleration", "unit", "base", "columns", "rows", "norms", "row_lower",
+    "row_upper", "recovery", "outside",
 )  # fmt: skip
 
 
@@ -43,7 +44,8 @@ class CompiledKernel:
     def __init__(self, workspace: Workspace) -> None:
         self._arrays, addresses = _buffers(workspace, _BUFFERS)
         self._workspace = workspace  # and Pinocchio's memory
-        self.step = native.Kernel(addresses).step
+        kernel = native.Kernel(addresses)
+        self.step, self.rows = kernel.step, kernel.rows
 
 
 @final

@@ -63,6 +63,7 @@ class NumpyKernel:
 
     name = "numpy"
     follows_lines = True
+    rows = None  # the program's own arithmetic is in NumPy
 
     def __init__(self, workspace: Workspace) -> None:
         ws = self._ws = workspace

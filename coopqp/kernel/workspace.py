@@ -6,6 +6,7 @@ Both kernels (NumPy and compiled) read and write these arrays and nothing else, 
 from __future__ import annotations
 
 import enum
+from collections.abc import Callable
 from typing import Protocol
 
 import numpy as np
@@ -13,6 +14,7 @@ import pinocchio as pin
 
 from coopqp.chain import Chain
 from coopqp.limits import VelocityBox
+from coopqp.program import CondensedQp
 from coopqp.spatial import Array
 
 
@@ -37,6 +39,9 @@ class Workspace:
     (nv,), ``errors`` (N, 6), ``along_velocity``, the joints' share of ``along`` (nv,) (the NumPy kernel fills it at
     need or where ``wants_along``), and ``result`` [rate, joint, side, square of the path correction].
     The rest is a kernel's own: ``grasp``, ``offsets``, ``path``, and the box's ``lower`` and ``upper``.
+
+    ``rows`` of a kernel fills ``qp``, the condensed QP whose unknowns are in the units ``unit``, but for the bounds of
+    x, and lists the joints ``outside`` their limits, with the velocities ``recovery`` (nv,) that lead them back.
 
     What the NumPy kernel multiplies by one matrix lies together: ``posed`` holds ``action``, R, p and ν, ``twists``
     (2 + 2N, 6) the rows ν, c_p, errors, predicted, ``motion`` (5, nv) the rows velocity, v_prev, positions, and two of
@@ -77,6 +82,11 @@ class Workspace:
         self.grasp, self.offsets = np.zeros((n, 6)), np.zeros((n, 6))
         self.along_velocity, self.ahead = np.zeros(nv), np.zeros((6, nv))
         self.midpoint = self.ahead[5]
+        self.qp = CondensedQp(nv, 9 + chain.redundancy)
+        self.base, self.columns, self.norms = self.qp.base, self.qp.columns, self.qp.norms
+        self.rows, self.row_lower, self.row_upper = self.qp.problem.C, self.qp.problem.l, self.qp.problem.u
+        self.unit = np.ones(9 + chain.redundancy)
+        self.recovery, self.outside = np.zeros(nv), np.zeros(nv, dtype=np.int64)
         self.redundant = bool((self.sizes > 6).any())
         gapless = all(np.all(np.diff(columns) == 1) for columns in chain.moving_columns)
         self.eligible = bool((self.sizes >= 6).all()) and gapless
@@ -104,5 +114,14 @@ class StepKernel(Protocol):
             cap: largest rate, that of the nominal command.
             clock, span: on a line, the reference pose's clock, and ``along`` is the mean twist over ``span`` from there
                 [s], or the twist at ``clock`` where ``span`` is negative.
+        """
+        ...
+
+    @property
+    def rows(self) -> Callable[[float, float, float], int] | None:
+        """The condensed QP of the step that was left open, with its arguments; None where a kernel does not offer it.
+
+        Fills ``qp``, errors and corrections, and returns the number of joints outside their limits; −1 where an arm is
+        near a singularity, or something is not finite.
         """
         ...

@@ -118,6 +118,7 @@ class QpSolution:
         iterations: the backend's count, over all its attempts.
         solve_time_s: wall time of the whole call, the tests before and after included [s].
         message: why there is no answer, or what was special; empty in the normal case.
+        violation: largest violation of a constraint by x, as :meth:`primal_residual`; NaN unless usable.
     """
 
     x: Array
@@ -128,6 +129,7 @@ class QpSolution:
     iterations: int
     solve_time_s: float
     message: str = ""
+    violation: float = float("nan")
 
     @property
     def usable(self) -> bool:
@@ -263,6 +265,7 @@ class Outcome:
     y: Array | None = None
     iterations: int = 0
     message: str = ""
+    violation: float = float("nan")
 
 
 class QpSolver(abc.ABC):
@@ -309,6 +312,7 @@ class QpSolver(abc.ABC):
             outcome.iterations,
             time.perf_counter() - began,
             outcome.message,
+            outcome.violation,
         )
 
     def reset(self) -> None:
@@ -330,7 +334,9 @@ class QpSolver(abc.ABC):
                 if not excess <= self.settings.feasibility_tol:
                     message = f"answer breaks {work.name(worst)} by {excess:.3g}"
                     outcome = Outcome(SolverStatus.FAILED, iterations=outcome.iterations, message=message)
-                elif outcome.y is not None and not np.vdot(outcome.y, outcome.y) < np.inf:
+                else:
+                    outcome.violation = max(excess, 0.0)
+                if outcome.y is not None and not np.vdot(outcome.y, outcome.y) < np.inf:
                     outcome.y, outcome.message = None, "multipliers are not finite"
         if outcome.status is not SolverStatus.SOLVED:
             # What a failed solve left behind is no start for the next one.
