@@ -14,6 +14,7 @@ timing on a rolling horizon: as long as the object needs to stop, and no longer.
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Generator, Iterator
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -86,6 +87,8 @@ _STEPS_TO_FULL_SPEED = 10
 _FINE_CELL = 0.001
 #: Refinements of the rate near a bound.
 _BISECTIONS = 4
+#: A cell is begun so many steps before it is needed.
+_STEPS_TO_GROW = 4
 _UNBOUND = _Cell(np.inf, np.zeros(0), np.zeros(0), 0.0, 0.0, 0.0, 0.0, np.zeros(0), None, 0.0, 0.0, True)
 _OPEN = _UNBOUND._replace(cap=np.inf)
 #: Newton steps shorter than this are the last: the next would be of the square of it [rad or m].
@@ -151,13 +154,20 @@ class PathPreview:
         self._line: Array | None = None
         self._cells: deque[_Cell] = deque()
         self._bounds: deque[_Cell] = deque()  # candidates for min (z_b + C_b), increasing
-        self._complete, self._free_until = False, -np.inf
+        self._complete = False
+        self._forget()
+
+    def _forget(self) -> None:
+        """Nothing is known of when the next cell will be needed, and none is begun."""
+        self._free_until, self._begin_at = -np.inf, np.inf
+        self._growing: Iterator[None] | None = None
 
     def reset(self, q: Array, clock: float) -> None:
         """Start at a configuration on (or near) the path."""
         self._cells.clear()
         self._bounds.clear()
-        self._complete, self._free_until = False, -np.inf
+        self._complete = False
+        self._forget()
         pose = self._path.pose(clock)
         q, errors = newton(self._chain, pose, q, tolerance=1e-10, max_iter=8)
         if not np.abs(errors).max() < 1e-6:
@@ -175,6 +185,8 @@ class PathPreview:
     def cap(self, clock: float, dt: float) -> tuple[float, BindingLimit | None]:
         """Largest admissible rate σ at ``clock`` for a step of ``dt``, and what ahead makes it less than 1."""
         if clock < self._free_until and dt <= self._dt:
+            if clock >= self._begin_at:
+                self._work_ahead()
             return 1.0, None
         self._extend(clock, dt)
         here = self._cells[0]
@@ -188,6 +200,7 @@ class PathPreview:
         if square >= 1.0 + 2.0 * step:  # −D dt + √((D dt)² + S) ≥ 1
             if not self._bounds:
                 self._free_until = self._enough_until()
+                self._begin_at = self._free_until - _STEPS_TO_GROW * self._dt if self._free_until < np.inf else np.inf
             return 1.0, None
         root = np.sqrt(step * step + square)
         rate = float(square / (step + root)) if root > 0.0 else 0.0  # −D dt + √((D dt)² + S)
@@ -265,14 +278,26 @@ class PathPreview:
                 cells[-1].clock > clock + 2.0 * dt and cells[-1].cumulative - ahead.cumulative > enough
             ):
                 return
-            self._grow(cells[-1])
+            for _ in self._growing or self._grow(cells[-1]):
+                pass
+            self._growing = None
+
+    def _work_ahead(self) -> None:
+        """A piece of the next cell, so that no single step has to make a whole one."""
+        if self._growing is None:
+            self._growing = self._grow(self._cells[-1])
+        try:
+            next(self._growing)
+        except StopIteration:
+            self._growing, self._begin_at = None, np.inf
 
     def _leave_behind(self, clock: float) -> None:
         """Drop the cells that end before ``clock``."""
         while len(self._cells) > 1 and self._cells[1].clock <= clock:
             self._cells.popleft()
 
-    def _grow(self, last: _Cell) -> None:
+    def _grow(self, last: _Cell) -> Iterator[None]:
+        """Add a cell; pauses after every Newton step."""
         path, options = self._path, self.options
         rest = path.duration - last.clock
         if rest <= 1e-12:
@@ -283,7 +308,7 @@ class PathPreview:
         if last.clock + h > breakpoint_ - 1e-9:
             h = breakpoint_ - last.clock
         while True:
-            cell = self._try(last, h)
+            cell = yield from self._try(last, h)
             if cell is not None:
                 break
             h *= 0.5
@@ -302,7 +327,7 @@ class PathPreview:
             cell = self._corner(cell)
         self._push(cell)
 
-    def _try(self, last: _Cell, h: float) -> _Cell | None:
+    def _try(self, last: _Cell, h: float) -> Generator[None, None, _Cell | None]:
         """The chain at ``last.clock + h``, or None if Newton's method or the joints' slopes do not follow."""
         clock = last.clock + h
         ws, options = self._ws, self.options
@@ -314,6 +339,7 @@ class PathPreview:
         for _ in range(4):
             if not self._newton_step(clock, q):
                 return None
+            yield
             np.abs(ws.velocity, out=ahead)
             largest = ahead.item(ahead.argmax())
             if not largest < options.joint_step:
@@ -435,7 +461,7 @@ class PathPreview:
         best = beyond
         for _ in range(8):
             clock = start - miss_start * (end - start) / (miss_end - miss_start)
-            cell = self._try(last, clock - last.clock) if clock - last.clock > 1e-9 else last
+            cell = _whole(self._try(last, clock - last.clock)) if clock - last.clock > 1e-9 else last
             if cell is None:
                 break
             best, miss = cell, float(positions(cell.q)[j] - position)
@@ -470,3 +496,13 @@ class PathPreview:
         while self._bounds and self._bounds[-1].cap + self._bounds[-1].cumulative >= key:
             self._bounds.pop()
         self._bounds.append(cell)
+
+
+def _whole(pieces: Generator[None, None, _Cell | None]) -> _Cell | None:
+    """The result of work that pauses, without the pauses."""
+    while True:
+        try:
+            next(pieces)
+        except StopIteration as done:
+            cell: _Cell | None = done.value
+            return cell
