@@ -45,6 +45,9 @@ from coopqp.state import CellState
 _EXTRA_AT_START = 3
 #: Share of the accelerations that braking together ahead of a limit is planned with, where there is no preview.
 _BRAKING_SHARE = 0.8
+_UNBOUND: tuple[BindingLimit, ...] = ()
+#: Where the object all but stands, the increment along the path is the mean over this share of a step.
+_LEAST_PACE = 1e-3
 # Members of an enumeration cost a look-up of a tenth of a microsecond each.
 _TRACKING, _NOMINAL, _OPEN = Status.TRACKING, int(Outcome.NOMINAL), int(Outcome.OPEN)
 #: A rate that rises by less stands still: a QP's zero has the solver's rounding.
@@ -277,7 +280,10 @@ class QPController:
         rest = path.duration - clock
         if rest < h * cap:
             cap = rest / h  # the last step ends at the end
-        span = min(h * max(min(cap, self._rate), 1e-3), rest)
+        pace = cap if cap < self._rate else self._rate
+        span = h * (pace if pace > _LEAST_PACE else _LEAST_PACE)
+        if span > rest:
+            span = rest
         line = path.line_at(clock, span) if self._follows_lines and not self._fresh else None
         s = ws.scalars
         if line is not self._line:
@@ -302,20 +308,23 @@ class QPController:
 
     def _rate_cap(self, h: float, watch: Watch) -> tuple[float, tuple[BindingLimit, ...]]:
         """The fastest rate that what is ahead, the supervision and the last rate allow, and what makes it so."""
-        cap, ahead = (1.0, None) if self._preview is None else self._preview.cap(self._clock, h)
+        cap, binding = 1.0, _UNBOUND
+        if self._preview is not None:
+            cap, ahead = self._preview.cap(self._clock, h)
+            if ahead is not None:
+                binding = (ahead,)
         self._late = False
         if self._accelerates and (self._preview is None or self._correcting is not None):
             self._keep = self._brake_share(h)
             self._late = self._keep < 1.0
             if self._late and self._preview is None:
                 cap = min(cap, self._keep * self._rate)
-        binding = () if ahead is None else (ahead,)
         if watch.rate_cap < cap:
             cap = watch.rate_cap
             binding = (
                 () if watch.arm < 0 else (BindingLimit(self.cell.arm_names[watch.arm], "", LimitKind.OUT_OF_STEP),)
             )
-        if self._accelerates and self.options.preview is not None:
+        if self._rate < 1.0 and self._accelerates and self.options.preview is not None:
             allowed = self._rate + self.options.preview.rate_slope * h
             if allowed < cap:
                 cap, binding = allowed, ()
@@ -518,7 +527,7 @@ class QPController:
         began: float,
     ) -> ControlStep:
         clock, duration = self._clock, self.path.duration
-        rate = min(max(rate, 0.0), 1.0)
+        rate = 0.0 if rate < 0.0 else 1.0 if rate > 1.0 else rate
         # what the last step needs is the full rate
         share = 1.0 if rate >= 1.0 or rate * h >= duration - clock else rate
         clock_next = clock + rate * h
