@@ -54,7 +54,7 @@ class Plan:
 
     arms: tuple[int, ...] = (3, 8, 16, 32)
     rounds: int = 8
-    steps: int = 60
+    steps: int = 300
     round_s: float = 0.5
     behave_s: float = 10.0
     all_modes: bool = True

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 #: Untimed steps at the start of each round: the caches belonged to another contestant.
-WARM_UP = 5
+WARM_UP = 20
 #: CPU time of the process, all threads [ns]: other processes on the machine do not count, except through caches.
 clock = time.process_time_ns
 

@@ -16,17 +16,15 @@ from __future__ import annotations
 import math
 from typing import final
 
-import eigenpy  # type: ignore[import-untyped]
 import numpy as np
 import numpy.typing as npt
 
 from coopqp.kernel.lines import LineFollower
+from coopqp.kernel.systems import make_systems
 from coopqp.kernel.workspace import Outcome, Workspace
 from coopqp.limits import LIMIT_TOLERANCE, rate_interval
 from coopqp.spatial import Array, cross, log6_batch
 
-#: Largest inverse that the fused step trusts; beyond, singular values have to be looked at.
-_LARGE_INVERSE = 1e6
 #: Below this the logarithm of an error is its linear part to rounding [m, rad].
 _LINEAR = 1e-8
 #: Below this it is that, and −½ ω×p, to rounding.
@@ -85,13 +83,7 @@ class NumpyKernel:
         self._unbound = 0.0
         self._to_world = ws.action.T
         self._W = np.empty((n, 6))
-        self._arms = []
-        self._six = ws.eligible and bool((ws.sizes == 6).all())
-        if self._six:
-            # Factors cost a third of np.linalg.inv, most of which is checks; views of Pinocchio's memory, as above.
-            for k, start in enumerate(ws.starts.tolist()):
-                lu, columns = eigenpy.PartialPivLU(6), slice(start, start + 6)
-                self._arms.append((lu, ws.jacobian_T.T[:, columns], self._W[k], columns, ws.velocity[columns]))
+        self._systems = make_systems(ws, self._W)
         # Tests |motion ahead| ≤ room: velocity, its change, where the joint could stop and where it is.
         centre, half = _ranges(ws.low, ws.high)
         ws.motion[4] = centre
@@ -101,8 +93,6 @@ class NumpyKernel:
         self._tested, self._tests_flat, self._moved = ws.ahead[:4], self._tests.reshape(-1), ws.ahead[4]
         self._brake = ws.motion[3]
         self._wanted = np.empty(nv)
-        inverses = np.empty((len(self._arms), 6, 6))
-        self._inverses, self._inverses_flat = list(inverses), inverses.reshape(-1)
         # A tiny number in place of 1 / inf: 0 times an infinite velocity would be NaN.
         self._per_acceleration = np.maximum(ws.per_acceleration, 1e-200)
 
@@ -120,20 +110,8 @@ class NumpyKernel:
         self._corrections(s, cap, largest)
         np.dot(self._twists, self._to_world, out=self._W)
         velocity = ws.velocity
-        if self._six:
-            for lu, jacobian, w, _, v in self._arms:
-                lu.compute(jacobian)
-                v[:] = lu.solve(w)
-            if not np.dot(velocity, velocity) < math.inf:  # an arm is singular
-                return Outcome.OPEN
-        else:
-            chain = ws.chain
-            chain.invert()
-            if chain.singular:
-                return Outcome.OPEN
-            chain.joint_velocities(self._W, velocity)
-            if ws.redundant:
-                velocity += chain.null_part(cap * ws.null_along + ws.null_offset)
+        if not self._systems.solve(cap):
+            return Outcome.OPEN
         if ws.wants_along:
             self._along()
         worst = self._look_ahead()
@@ -253,14 +231,7 @@ class NumpyKernel:
     def _along(self) -> Array:
         """Joint velocities per unit of rate."""
         ws = self._ws
-        twist = np.dot(ws.action, ws.along)
-        if self._six:
-            for lu, _, _, columns, _ in self._arms:
-                ws.along_velocity[columns] = lu.solve(twist)
-        else:
-            ws.chain.joint_velocities(np.broadcast_to(twist, (ws.n_arms, 6)), ws.along_velocity)
-            if ws.redundant:
-                ws.along_velocity += ws.chain.null_part(ws.null_along)
+        self._systems.along(np.dot(ws.action, ws.along))
         return ws.along_velocity
 
     def _at_limits(self, cap: float, h: float) -> Outcome:
@@ -274,7 +245,7 @@ class NumpyKernel:
         if self._cut_off(wanted, v) <= LIMIT_TOLERANCE:
             ws.result[:3] = cap, -1.0, 0.0
             return Outcome.NOMINAL
-        if not self._well_conditioned():
+        if not self._systems.well_conditioned():
             return Outcome.OPEN
         along = self._along()
         base = wanted - cap * along
@@ -302,15 +273,6 @@ class NumpyKernel:
         np.minimum(out, box.upper, out=out)
         change = np.abs(wanted - out)
         return float(change[change.argmax()])
-
-    def _well_conditioned(self) -> bool:
-        """No entry of an arm's inverse is so large that its singular values have to be looked at."""
-        if not self._six:
-            return True  # a chain that is singular says so
-        for inverse, (lu, *_) in zip(self._inverses, self._arms, strict=True):
-            inverse[:] = lu.inverse()
-        flat = np.abs(self._inverses_flat)
-        return bool(flat[flat.argmax()] < _LARGE_INVERSE)
 
 
 def _equally_spaced(placements: Array, joints: npt.NDArray[np.int64]) -> Array | None:
