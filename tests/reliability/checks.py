@@ -12,11 +12,14 @@ from typing import Any, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
+import pinocchio as pin
 
 from coopqp.cell import JointLimits
 from coopqp.controllers.base import Controller, ControlStep, Status
 from coopqp.controllers.options import QPOptions
 from coopqp.controllers.qp import QPController
+from coopqp.errors import UnreachableError
+from coopqp.inverse_kinematics import inverse_kinematics
 from coopqp.limits import VelocityBox
 from coopqp.monitor import Monitor, MonitorTolerances, Verdict
 from coopqp.path import ServoPath
@@ -269,3 +272,121 @@ def solver_fails(
     growth = 1e3 * (verdict.worst.chain_m - before.worst.chain_m)
     hits = min(double.hits for double in doubles)
     return Failure(held, hits, stopping, growth, recovery, sum(verdict.counts.values()))
+
+
+# -- A3: a start outside the limits ------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Return:
+    """How joints came back inside.
+
+    Attributes:
+        outward: largest velocity that leads further out of a joint that is outside [rad/s], at least 0.
+        growth: largest growth of a distance from a limit from one step to the next [rad], at least 0.
+        ratio: time until all are inside, in multiples of what the slowest would need alone; inf if they are not.
+        chain_mm: largest chain error.
+        failures: steps that hold.
+        broken: other promises broken: limits, continuity, clock.
+        steps: of the run.
+    """
+
+    outward: float
+    growth: float
+    ratio: float
+    chain_mm: float
+    failures: int
+    broken: int
+    steps: int
+
+
+def fenced_out(task: Scenario, depths: dict[int, float], **limits: Any) -> Scenario:
+    """Move position limits so that the joints start outside by these distances: above where positive [rad]."""
+    upper, lower = np.array(task.cell.limits.upper), np.array(task.cell.limits.lower)
+    for j, depth in depths.items():
+        x = task.cell.positions(task.q_start)[j]
+        if depth > 0.0:
+            upper[j] = x - depth
+        else:
+            lower[j] = x - depth
+    return limited(task, lower=lower, upper=upper, **limits)
+
+
+def alone_inside(depth: float, speed: float, acceleration: float) -> float:
+    """Time that a joint by itself needs for ``depth`` from rest, at the speed at which joints are led back [s]."""
+    if 0.5 * speed * speed / acceleration < depth:
+        return depth / speed + 0.5 * speed / acceleration
+    return float(np.sqrt(2.0 * depth / acceleration))
+
+
+def ideal_return(task: Scenario, depths: dict[int, float], motion: dict[int, float] | None = None) -> float:
+    """Time for joints that start outside to get in, each as fast as alone; and for others to go their ways [s]."""
+    speed, acceleration = (
+        np.asarray(x, dtype=float) for x in (task.cell.limits.velocity, task.cell.limits.acceleration)
+    )
+    slow = VelocityBox.RECOVERY_SHARE * speed
+    back = [alone_inside(abs(d), float(slow[j]), float(acceleration[j])) for j, d in depths.items()]
+    others = [alone_inside(abs(d), float(speed[j]), float(acceleration[j])) for j, d in (motion or {}).items() if d]
+    return max(back + others)
+
+
+def from_outside(
+    make: Maker, task: Scenario, depths: dict[int, float], ideal: float | None = None, **options: Any
+) -> Return:
+    """Run a task whose joints start outside by these distances, until 0.1 s after they should be back."""
+    limits, cell, dt = task.cell.limits, task.cell, task.dt
+    ideal = ideal_return(task, depths) if ideal is None else ideal
+    controller = make(task, **options)
+    controller.reset(task.q_start)
+    steps = [controller.step() for _ in range(int((1.6 * ideal + 0.1) / dt))]
+    x = np.array([cell.positions(q) for q in (steps[0].q, *(s.q_next for s in steps))])
+    v = np.array([s.velocity for s in steps])
+    above, below = x - limits.upper, limits.lower - x
+    excess = np.maximum(np.maximum(above, below), 0.0)
+    leading_out = np.where(above[:-1] > 0.0, v, np.where(below[:-1] > 0.0, -v, 0.0))
+    inside = np.flatnonzero(excess.max(axis=1) <= 0.0)
+    verdict = judged(task, steps, **WIDE)
+    return Return(
+        outward=max(0.0, float(leading_out.max())),
+        growth=max(0.0, float(np.diff(excess, axis=0).max())),
+        ratio=float(inside[0] * dt / ideal) if inside.size else np.inf,
+        chain_mm=1e3 * verdict.worst.chain_m,
+        failures=sum(s.status in STOPPED for s in steps),
+        broken=sum(verdict.counts.values()),
+        steps=len(steps),
+    )
+
+
+def shifted_together(
+    rng: np.random.Generator, task: Scenario, size: float, joints: int
+) -> tuple[dict[int, float], dict[int, float]]:
+    """Distances at which joints of several arms start outside, such that one motion of the object leads all back.
+
+    Args:
+        size: the largest distance, about [rad].
+        joints: how many, of as many arms as there are.
+
+    Returns:
+        The distances, and by how much that motion moves the other joints.
+    """
+    cell, start = task.cell, task.path.pose(0.0)
+    chosen: list[int] = []
+    for k in range(joints):
+        s = cell.v_slices[k % len(cell)]
+        left = [j for j in range(s.start, s.stop) if j not in chosen and not cell.continuous[j]]
+        chosen.append(int(rng.choice(left)))
+    while True:
+        twist, scale = rng.normal(size=6) * np.array([1.0, 1.0, 1.0, 2.0, 2.0, 2.0]), 1e-3
+        for _ in range(2):
+            try:
+                q = inverse_kinematics(cell, task.grasp, start * pin.exp6(scale * twist), task.q_start)
+            except UnreachableError:
+                break
+            motion = pin.difference(cell.model, task.q_start, q)
+            scale *= size / np.abs(motion[chosen]).max()
+        else:
+            if np.abs(motion[chosen]).max() <= 1.5 * size:
+                break
+    # Above its limit is a joint that the motion leads down.
+    depths = {j: -float(motion[j]) for j in chosen if abs(motion[j]) > 1e-4}
+    return depths, {j: float(d) for j, d in enumerate(motion) if j not in depths}
