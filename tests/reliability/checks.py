@@ -274,6 +274,50 @@ def solver_fails(
     return Failure(held, hits, stopping, growth, recovery, sum(verdict.counts.values()))
 
 
+# -- A2: limits --------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Saturated:
+    """A run at the limits.
+
+    Attributes:
+        excess: largest over a position [rad or m], velocity [rad/s or m/s] and acceleration limit (a share), at
+            least 0.
+        steps, touching, qps: steps judged; with a joint at a speed or acceleration limit, or within 0.1 mrad of the end
+            of its range; settled by a QP.
+        broken: promises broken, of any kind.
+    """
+
+    excess: Array
+    steps: int
+    touching: int
+    qps: int
+    broken: int
+
+
+def saturated(controller: Any, task: Scenario, start: int, steps: int, goal: Any = None) -> Saturated:
+    """Judge a run, and count from ``start`` on how often it is at a limit."""
+    controller.reset(task.q_start)
+    if goal is not None:
+        controller.retarget(goal)
+    done = [controller.step() for _ in range(start + steps)]
+    verdict, limits = judged(task, done, **WIDE), task.cell.limits
+    x = np.array([task.cell.positions(s.q_next) for s in done])
+    v = np.array([s.velocity for s in done])
+    change = np.abs(np.diff(v, axis=0, prepend=np.zeros((1, v.shape[1]))))
+    at_limit = (np.abs(v) > 0.94 * limits.velocity) | (change > 0.9 * limits.acceleration * task.dt)
+    at_limit |= (x > limits.upper - 1e-4) | (x < limits.lower + 1e-4)
+    worst = verdict.worst
+    return Saturated(
+        np.maximum([worst.position, worst.velocity, worst.acceleration], 0.0),
+        steps,
+        int(at_limit[start:].any(axis=1).sum()),
+        sum(s.solver.name != "none" for s in done[start:]),
+        sum(verdict.counts.values()),
+    )
+
+
 # -- A3: a start outside the limits ------------------------------------------------------------------------------------
 
 
@@ -390,3 +434,79 @@ def shifted_together(
     # Above its limit is a joint that the motion leads down.
     depths = {j: -float(motion[j]) for j in chosen if abs(motion[j]) > 1e-4}
     return depths, {j: float(d) for j, d in enumerate(motion) if j not in depths}
+
+
+# -- A9: one joint saturates -------------------------------------------------------------------------------------------
+
+#: A share of the object's speed is judged where it is faster than this, 1 rad counting as 0.3 m [m/s].
+MOVING = 1e-3
+_WEIGHTS = np.array([1.0, 1.0, 1.0, 0.3, 0.3, 0.3])
+
+
+@dataclass(frozen=True)
+class Sharing:
+    """How the arms share the slowing down while one joint is at its limit.
+
+    Attributes:
+        spread: largest difference between the arms' rates along the path.
+        angle: largest angle between the object's motion, as any arm carries it, and the path [deg].
+        steps: with a joint at its limit.
+        chain_mm: largest chain error of the run.
+    """
+
+    spread: float
+    angle: float
+    steps: int
+    chain_mm: float
+
+
+def needed_speeds(task: Scenario) -> Array:
+    """Largest speed of each joint along the path, unlimited (nv,) [rad/s]."""
+    free = limited(task, velocity=100.0)
+    return np.asarray(np.abs([s.velocity for s in drive(cooperative(free), task.q_start, 5000)]).max(axis=0))
+
+
+def slows_together(make: Maker, task: Scenario, share: float, *, joint: int | None = None, **options: Any) -> Sharing:
+    """Cut speed limits to a share of what the path needs: of one joint, or of all so that the fastest is cut so far."""
+    peak = needed_speeds(task)
+    speed = np.array(task.cell.limits.velocity)
+    if joint is None:
+        speed *= share * float((peak / speed).max())
+    else:
+        speed[joint] = share * peak[joint]
+    cut = limited(task, velocity=speed)
+    steps = drive(make(cut, **options), task.q_start, 10_000, rest=5)
+    saturated = []
+    for s in steps:
+        fast = np.linalg.norm(_WEIGHTS * s.path.twist(s.clock)) * s.rate > MOVING
+        part = 1.0 - 1e-6 if not np.isfinite(cut.cell.limits.acceleration).any() else 0.94  # a preview plans with 95 %
+        at_limit = np.abs(s.velocity) >= part * speed
+        if fast and s.rate < 1.0 and (at_limit.any() if joint is None else at_limit[joint]):
+            saturated.append(s)
+    shares = [arm_rates(cut, s) for s in saturated]
+    return Sharing(
+        max((float(np.ptp(rates)) for rates, _ in shares), default=0.0),
+        max((float(np.rad2deg(angles.max())) for _, angles in shares), default=0.0),
+        len(saturated),
+        1e3 * judged(cut, steps, **WIDE).worst.chain_m,
+    )
+
+
+def arm_rates(task: Scenario, step: ControlStep) -> tuple[Array, Array]:
+    """Each arm's rate along the path, and the angle between its motion of the object and the path [rad], both (N,).
+
+    From Pinocchio's frame Jacobians in the middle of the step.
+    """
+    cell, path = task.cell, step.path
+    data = cell.model.createData()
+    pin.computeJointJacobians(cell.model, data, pin.integrate(cell.model, step.q, 0.5 * step.dt * step.velocity))
+    pin.updateFramePlacements(cell.model, data)
+    span = step.clock_next - step.clock
+    start, middle = path.pose(step.clock), path.pose(0.5 * (step.clock + step.clock_next))
+    along = start.action @ pin.log6(start.actInv(path.pose(step.clock_next))).vector / span
+    wanted = _WEIGHTS * (middle.actionInverse @ along)
+    J = [pin.getFrameJacobian(cell.model, data, f, pin.WORLD) for f in cell.tool_frames]
+    twists = _WEIGHTS * np.array([middle.actionInverse @ (j @ step.velocity) for j in J])
+    rates = twists @ wanted / (wanted @ wanted)
+    aside = np.linalg.norm(twists - rates[:, None] * wanted, axis=1)
+    return rates, np.arctan2(aside, rates * np.linalg.norm(wanted))

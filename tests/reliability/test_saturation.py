@@ -1,0 +1,132 @@
+"""A2 and A9: at the limits, whatever the solver: none is exceeded, and all arms slow down together."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from checks import Sharing, cooperative, fenced_out, limited, needed_speeds, saturated, slows_together
+
+from coopqp.path import LinePath, ServoPath
+from coopqp.scenarios import (
+    Scenario,
+    at_limit,
+    at_singularity,
+    dual_arm7,
+    fast_lift,
+    five_joint_pair,
+    mixed_cell,
+    paper_lift,
+    ring,
+)
+from coopqp.solvers import available_solvers
+
+
+def at_limit_without_preview() -> tuple[Scenario, Any]:
+    return at_limit(margin=0.1, acceleration=5.0), None
+
+
+def moving_target(acceleration: float) -> tuple[Scenario, Any]:
+    """Three arms after a target beyond their joint limits."""
+    task = at_limit(margin=0.1, acceleration=acceleration)
+    start, goal = task.path.pose(0.0), task.path.pose(task.path.duration)
+    return replace(task, path=ServoPath(start, speed=0.4, spin=1.0)), goal
+
+
+def outside() -> tuple[Scenario, Any]:
+    task = replace(paper_lift(time_law="quintic"), dt=0.002)
+    return fenced_out(task, {1: 0.05, 9: -0.05}, velocity=1.0, acceleration=5.0), None
+
+
+#: What saturates: the task, a target if it has one, and the controller's options.
+SATURATING: dict[str, tuple[Callable[[], tuple[Scenario, Any]], dict[str, Any]]] = {
+    "speed": (lambda: (fast_lift(), None), {}),
+    "speed and acceleration": (lambda: (limited(fast_lift(), acceleration=5.0), None), {}),
+    "no preview": (lambda: (limited(fast_lift(), acceleration=5.0), None), {"preview": None}),
+    "position, no preview": (at_limit_without_preview, {"preview": None}),
+    "moving target": (lambda: moving_target(np.inf), {}),
+    "moving target, acceleration": (lambda: moving_target(5.0), {}),
+    "redundant": (
+        lambda: (limited(dual_arm7(duration=0.5, time_law="linear"), velocity=0.3, acceleration=5.0), None),
+        {},
+    ),
+    "four arms": (lambda: (limited(mixed_cell(duration=0.5, time_law="linear"), velocity=0.5), None), {}),
+    "five joints": (
+        lambda: (limited(five_joint_pair(duration=0.5, time_law="linear"), velocity=0.5, acceleration=5.0), None),
+        {},
+    ),
+    "singular": (lambda: (at_singularity("elbow", 1, acceleration=5.0), None), {"preview": None}),
+    "outside": (outside, {}),
+}
+
+
+def test_limits_hold_after_clipping(count: Callable[[int], int], catalogue: Any) -> None:
+    worst, solvers, steps = np.zeros(3), available_solvers(), 0
+    for solver, (name, (build, options)) in itertools.product(solvers, SATURATING.items()):
+        task, goal = build()
+        start = int(1.2 / task.dt) if name == "singular" else 0
+        runs = [
+            saturated(cooperative(task, solver=solver, shortcut=shortcut, **options), task, start, count(120), goal)
+            for shortcut in (True, False)  # False: a QP at every step
+        ]
+        assert runs[1].qps == runs[1].steps
+        assert runs[1].touching > 0.25 * runs[1].steps, name
+        assert not any(r.broken for r in runs), (name, solver)
+        worst = np.maximum(worst, np.max([r.excess for r in runs], axis=0))
+        steps += sum(r.steps for r in runs)
+    for kind, excess, target, unit in zip(
+        ("position", "velocity", "acceleration"), worst, (1e-9, 1e-9, 1e-6), ("rad", "rad/s", ""), strict=True
+    ):
+        name = f"{kind} excess, {', '.join(solvers)}"
+        catalogue.row("A2", name, cases=steps, measured=excess, target=target, unit=unit)
+
+
+def test_one_joint_saturates(count: Callable[[int], int], catalogue: Any) -> None:
+    """Each joint of three arms in turn at half the speed that the path asks of it, where it asks for any."""
+    found = []
+    for i, law in enumerate(("linear", "quintic")):
+        task = replace(paper_lift(duration=2.0, time_law=law), dt=0.001)
+        joints = np.flatnonzero(needed_speeds(task) > 0.02)
+        assert len(joints) >= 12
+        shares = np.linspace(0.5, 0.8, count(1))
+        found += [slows_together(cooperative, task, float(s), joint=int(j)) for j in joints[i::2] for s in shares]
+    assert min(s.steps for s in found) > 100
+    sharing(catalogue, "one joint at its speed limit, each in turn", found)
+
+
+def sharing(catalogue: Any, what: str, found: list[Sharing], note: str = "") -> None:
+    steps = sum(s.steps for s in found)
+    spread, angle = max(s.spread for s in found), max(s.angle for s in found)
+    catalogue.row("A9", f"{what}: spread of path rate", cases=steps, measured=spread, target=1e-6, note=note)
+    catalogue.row("A9", f"{what}: direction of the object", cases=steps, measured=angle, target=1.0, unit="°")
+
+
+@pytest.mark.parametrize("acceleration", [np.inf, 5.0], ids=["speed", "acceleration"])
+def test_random_paths_too_fast(
+    acceleration: float, count: Callable[[int], int], catalogue: Any, rng: np.random.Generator
+) -> None:
+    """With one linearisation a jump of joint velocities leaves more, in that step: its chain error is judged."""
+    found: list[Sharing] = []
+    single: list[Sharing] = []
+    for i in range(count(4)):
+        base = (paper_lift, ring, dual_arm7, mixed_cell)[i % 4]()
+        path = LinePath.displaced(
+            base.path.pose(0.0),
+            translation=rng.uniform(-0.05, 0.05, 3),
+            rotation=rng.uniform(-0.12, 0.12, 3),
+            duration=0.5,
+            time_law="linear" if i % 2 else "quintic",
+        )
+        task = limited(replace(base, path=path, dt=0.001), acceleration=acceleration)
+        found.append(slows_together(cooperative, task, 0.6, iterations=2))
+        single.append(slows_together(cooperative, task, 0.6))
+    note = f"two linearisations a step; {max(s.spread for s in single):.1g} with one, the default"
+    limit = "speed" if np.isinf(acceleration) else "speed and acceleration"
+    sharing(catalogue, f"random paths, {limit} limited", found, note)
+    chain = max(s.chain_mm for s in single)
+    name = f"random paths, {limit} limited, one linearisation: chain error"
+    catalogue.row("A9", name, cases=sum(s.steps for s in single), measured=chain, target=1e-3, unit="mm")
