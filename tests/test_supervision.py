@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -9,7 +10,7 @@ import pytest
 
 from coopqp import QPController
 from coopqp.controllers.stress_watch import StressWatch
-from coopqp.controllers.supervision import Supervision, SupervisionOptions
+from coopqp.controllers.supervision import Supervision, SupervisionOptions, Watch
 from coopqp.errors import InvalidInputError
 from coopqp.scenarios import paper_lift
 from coopqp.spatial import Array
@@ -103,3 +104,71 @@ def test_arms_that_press_too_hard_are_held_until_they_press_half_as_hard() -> No
         held.append(seen.hold)
         assert seen.reason.startswith(f"{force:.0f} N at the grasp of arm slave_1") is seen.hold
     assert held == [False, False, True, True, True, False, False]
+
+
+def watch_of(**options: Any) -> Callable[[float, float], Watch]:
+    """A watch that is told where the object is along z [m], and how far slave_1 is seen off along x [m], each 1 ms."""
+    lift = paper_lift()
+    watch = Supervision(lift.cell, lift.grasp, SupervisionOptions(stall_samples=None, **options))
+
+    def see(z: float, off: float) -> Watch:
+        command = np.full(18, z)  # every joint turns by 1 rad for 1 m
+        told = np.tile([0.0, 0.0, z], (3, 1))
+        return watch.watch(command, command, told + np.outer([0.0, off, 0.0], [1.0, 0.0, 0.0]), told, 1e-3)
+
+    return see
+
+
+def lifted(*, slope: float = 0.0, lag: float = 0.0, seconds: float = 2.25, **options: Any) -> tuple[Array, Array]:
+    """0.3 m by a quintic law, as slow as the watch asks: caps of the rate, and by how much slave_1 was off [m].
+
+    It is off by ``slope`` times the way and by ``lag`` times the speed.
+    """
+    see, clock, z, caps, offs = watch_of(**options), 0.0, 0.0, [], []
+    off = 0.0
+    while clock < seconds and len(caps) < 3e3 * seconds:
+        cap = see(z, off).rate_cap
+        clock += 1e-3 * cap
+        u = min(clock / seconds, 1.0)
+        last, z = z, 0.3 * u**3 * (10.0 - 15.0 * u + 6.0 * u**2)
+        off = slope * z - lag * (z - last) / 1e-3
+        caps.append(cap)
+        offs.append(abs(off))
+    return np.array(caps), np.array(offs)
+
+
+@pytest.mark.parametrize("seconds", [2.25, 6.0])
+def test_a_drift_with_the_way_is_let_in(seconds: float) -> None:
+    caps, offs = lifted(slope=8e-3, seconds=seconds)
+    assert offs[-1] == pytest.approx(2.4e-3, rel=1e-2)  # it arrives
+    assert caps.min() > 0.1
+    assert len(caps) < 1.5e3 * seconds
+    stopped, offs = lifted(slope=8e-3, seconds=seconds, let_in=0.0)
+    assert stopped[-1] < 1e-3
+    assert offs[-1] < 1e-3
+
+
+def test_a_lag_is_not_let_in() -> None:
+    caps, offs = lifted(lag=0.01)
+    assert caps.min() < 0.5
+    assert offs.max() < 1e-3  # unslowed 2.5 mm
+
+
+def test_a_drift_beyond_what_is_let_in_holds() -> None:
+    caps, offs = lifted(slope=20e-3)
+    assert caps[-1] < 1e-3
+    assert 3e-3 < offs[-1] < 4e-3
+
+
+def test_at_rest_nothing_is_let_in() -> None:
+    see = watch_of()
+    held = [see(0.0, 1e-3 * min(1.0, i / 1000.0)).hold for i in range(5000)]
+    assert all(held[1000:])
+
+
+def test_a_jump_is_let_in_as_slowly_as_a_drift_may_be() -> None:
+    """At 0.25 m/s, where 5 mm/s is the most."""
+    see = watch_of()
+    held = [see(0.25e-3 * i, 0.0 if i < 1000 else 1.5e-3).hold for i in range(1150)]
+    assert not any(held[:1000])
+    assert all(held[1005:1100])

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from coopqp.cell import RobotCell
+from coopqp.controllers.drift import Drift
 from coopqp.controllers.stress_watch import StressWatch
 from coopqp.errors import InvalidInputError
 from coopqp.grasp import Grasp
@@ -29,6 +30,8 @@ class SupervisionOptions:
     Attributes:
         slow_from, hold_from: distance of an arm from the others, as far as it is not as commanded, at which the
             object begins to slow, and is held [m]. What noise alone would make of it is added.
+        let_in: arms may drift apart by so much while they move, as they are seen to where bases stand not quite where
+            the model has them: slowly, as much at rest as in motion. Beyond it, or with 0, a drift counts as well [m].
         noise_margin: so many root mean squares of the noise, as seen in the measurements, are added.
         recovery_time: a slowed object is let go again at such a pace that it takes this long from rest [s].
         fault_from: distance at which the controller latches a fault [m].
@@ -49,6 +52,7 @@ class SupervisionOptions:
 
     slow_from: float | None = 0.00025
     hold_from: float = 0.00075
+    let_in: float = 0.003
     noise_margin: float = 4.0
     recovery_time: float = 0.1
     fault_from: float = 0.02
@@ -69,7 +73,7 @@ class SupervisionOptions:
         if self.stiffness is not None:
             object.__setattr__(self, "stiffness", _as_stiffness(self.stiffness))
         as_scalar(self.stall_share, "SupervisionOptions: stall_share", high=1.0)
-        for name in ("filter_time", "noise_margin", "recovery_time"):
+        for name in ("filter_time", "noise_margin", "recovery_time", "let_in"):
             as_scalar(getattr(self, name), f"SupervisionOptions: {name}", open_low=False)
         as_scalar(self.dt_range[0], "SupervisionOptions: dt_range[0]", high=1.0)
         as_scalar(self.dt_range[1], "SupervisionOptions: dt_range[1]", low=1.0, open_low=False)
@@ -130,6 +134,8 @@ class Supervision:
         self._starts = [q.start for q in cell.q_slices]
         self._past: deque[tuple[Array, Array]] = deque(maxlen=1 + (options.stall_samples or 1))
         self._silence = 0.0
+        self._drift = Drift(n, options.let_in)
+        self._last: tuple[Array, Array] | None = None
 
     def reset(self) -> None:
         """Forget."""
@@ -139,6 +145,8 @@ class Supervision:
         self._stalled[:] = False
         self._past.clear()
         self._silence = 0.0
+        self._drift.reset()
+        self._last = None
         self._pressed = False
         if self._stress is not None:
             self._stress.reset()
@@ -188,7 +196,7 @@ class Supervision:
         """
         o, result = self._options, Watch()
         if len(O_measured) > 1 and o.slow_from is not None:
-            self._watch_distances(O_measured - O_commanded, dt, result)
+            self._watch_distances(commanded, O_measured, O_commanded, dt, result)
         if o.stall_samples is not None:
             self._watch_stall(measured, commanded, dt, result)
         if self._stress is not None:
@@ -201,16 +209,31 @@ class Supervision:
             self._cap, self._arm = result.rate_cap, result.arm
         return result
 
-    def _watch_distances(self, away: Array, dt: float, result: Watch) -> None:
+    def _watch_distances(
+        self, commanded: Array, O_measured: Array, O_commanded: Array, dt: float, result: Watch
+    ) -> None:
         """How far each arm, as far as it is not as commanded, is from the mean of the others."""
-        o, n = self._options, len(away)
+        o, n, away = self._options, len(O_measured), O_measured - O_commanded
         assert o.slow_from is not None
         keep = o.filter_time / (o.filter_time + dt)
         self._deviation += (1.0 - keep) * (away - self._deviation)
+        centre = O_commanded.mean(axis=0)
+        speed = way = 0.0
+        if self._last is not None:
+            speed, way = (
+                float(np.linalg.norm(centre - self._last[0])) / dt,
+                float(np.abs(commanded - self._last[1]).max()),
+            )
+        self._last = centre, commanded
         factor = n / (n - 1.0)
+        share = float(np.sqrt(factor * (1.0 - keep) / (1.0 + keep)))  # of the noise, that the filter lets pass
+        noise = share * self._noise_seen(away, dt)
         apart = (self._deviation - self._deviation.mean(axis=0)) * factor
-        spread = np.sqrt(np.einsum("ij,ij->i", apart, apart))
-        worst = float(spread.max()) - self._noise_seen(away, dt) * float(np.sqrt(factor * (1.0 - keep) / (1.0 + keep)))
+        out_of_step = apart
+        if o.let_in > 0.0:
+            out_of_step = self._drift.without(apart, noise=noise, speed=speed, way=way, dt=dt)
+        spread = np.sqrt(np.einsum("ij,ij->i", out_of_step, out_of_step))
+        worst = float(spread.max()) - o.noise_margin * noise
         if worst <= o.slow_from or self._samples < _FEW_SAMPLES:
             return
         # Of arms equally far from the others, as two arms always are, the one that is not where it should be.
@@ -221,7 +244,7 @@ class Supervision:
         result.reason = f"arm {self._cell.arm_names[arm]} is {1e3 * spread[arm]:.2f} mm out of step with the others"
 
     def _noise_seen(self, away: Array, dt: float) -> float:
-        """The margin for noise in unfiltered deviations [m], from their second differences, which motion hardly has."""
+        """The noise in unfiltered deviations [m, rms], from their second differences, which motion hardly has."""
         step = away - self._away
         bend = step - self._step
         self._away[:], self._step[:] = away, step
@@ -229,7 +252,7 @@ class Supervision:
         if self._samples > 2.0:  # the first differences are with nothing
             # With long steps the averaging time holds few samples: the latest then counts for all.
             self._noise += (np.einsum("ij,ij->i", bend, bend) - self._noise) / max(self._samples - 2.0, 1.0)
-        return self._options.noise_margin * float(np.sqrt(self._noise.max() / 6.0))
+        return float(np.sqrt(self._noise.max() / 6.0))
 
     def _watch_stall(self, measured: Array, commanded: Array, dt: float, result: Watch) -> None:
         """An arm that stands while another follows has stalled; where none follows, signals may just be late."""

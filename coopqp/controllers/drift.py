@@ -1,0 +1,78 @@
+"""What the cell is like, and what is out of step: two causes of arms that are not where the others are.
+
+Where a base is not quite where the model has it, arms in a rigid grip are seen to drift apart as the object moves and
+turns: slowly, and as much at rest as in motion. An arm that lags is apart by its speed times the lag. So a distance is
+taken for ``d = b + c s`` with the speed s of the object, a drift b that wanders slowly and a lag c that stays, and the
+filter of least variance (Kalman's) tells them apart. What is left without b is out of step.
+"""
+
+from __future__ import annotations
+
+from typing import final
+
+import numpy as np
+
+from coopqp.spatial import Array
+
+#: How far a drift wanders within a second [m]; what lag an arm may have, and how well it is known at best [s].
+_WANDER, _LAG, _LEAST_LAG = 1e-3, 0.02, 1e-4
+#: Distances are known to so much without noise [m]: the lag does not model them better.
+_FLOOR = 5e-4
+#: Distances and speed are smoothed alike [s]: a lagging arm does not follow a speed that jitters.
+_SMOOTHING = 0.1
+#: A drift changes by no more than this share of the arms' way, joints counted with a lever of 1 m.
+_LARGEST_SLOPE = 0.02
+
+
+@final
+class Drift:
+    """The drift of each arm from the others; all arms share the variances, since all see the same speed.
+
+    Args:
+        n: arms.
+        largest: drift of an arm that is let in at most, along each axis [m].
+    """
+
+    def __init__(self, n: int, largest: float) -> None:
+        self._drift, self._lag, self._apart = np.zeros((n, 3)), np.zeros((n, 3)), np.zeros((n, 3))
+        self._largest = largest
+        self.reset()
+
+    def reset(self) -> None:
+        """Nothing has drifted."""
+        self._drift[:] = self._lag[:] = self._apart[:] = 0.0
+        self._speed = 0.0
+        self._bb, self._bc, self._cc = 0.0, 0.0, _LAG**2  # variances and covariance of drift and lag
+
+    def without(self, apart: Array, *, noise: float, speed: float, way: float, dt: float) -> Array:
+        """Distances ``apart`` (N, 3) [m] without the drift.
+
+        Args:
+            apart: of each arm from the others.
+            noise: root mean square of the noise in them [m].
+            speed: of the object [m/s].
+            way: that the arms have gone since the last sample [m].
+            dt: time since then [s].
+        """
+        new = dt / (_SMOOTHING + dt)
+        self._apart += new * (apart - self._apart)
+        self._speed += new * (speed - self._speed)
+        s = self._speed
+        self._bb += _WANDER**2 * dt
+        hb, hc = self._bb + self._bc * s, self._bc + self._cc * s  # P h with h = (1, s)
+        scale = 1.0 / (hb + hc * s + _FLOOR**2 + noise**2)
+        surprise = self._apart - self._drift - s * self._lag
+        change = scale * hb * surprise
+        largest = float(np.abs(change).max())
+        too_fast = largest > _LARGEST_SLOPE * way
+        if too_fast:
+            change *= _LARGEST_SLOPE * way / largest
+        self._drift += change
+        np.clip(self._drift, -self._largest, self._largest, out=self._drift)
+        self._lag += scale * hc * surprise
+        self._bb = max(self._bb - scale * hb * hb, 0.0)
+        self._bc -= scale * hb * hc
+        self._cc = max(self._cc - scale * hc * hc, _LEAST_LAG**2)
+        if too_fast:  # for a drift: the lag may have changed
+            self._cc = _LAG**2
+        return apart - self._drift
