@@ -45,7 +45,7 @@ def _proxqp(problems: Sequence[QpProblem]) -> Callable[[QpProblem], Callable[[],
         clipped = [np.clip(bound, -_INFINITE, _INFINITE) for bound in bounds]
         return (problem.H, problem.g, problem.A, problem.b, problem.C, *clipped)
 
-    qp = proxqp.dense.QP(*problems[0].sizes, True)
+    qp = proxqp.dense.QP(*problems[0].sizes, True, dense_backend=proxqp.dense.DenseBackend.PrimalDualLDLT)
     qp.settings.initial_guess = proxqp.WARM_START_WITH_PREVIOUS_RESULT
     for key, value in {**_PROXQP, "eps_duality_gap_rel": 0.0, "max_iter": 60, "max_iter_in": 10}.items():
         setattr(qp.settings, key, value)
@@ -66,11 +66,12 @@ def _proxqp(problems: Sequence[QpProblem]) -> Callable[[QpProblem], Callable[[],
 
 def _osqp(problems: Sequence[QpProblem]) -> Callable[[QpProblem], Callable[[], object]]:
     kept, work = OsqpSolver(), Workspace(problems[0].sizes)
-    kept.solve(problems[0])  # sets it up with every entry stored
+    kept.solve(problems[0])
 
     def ready(problem: QpProblem) -> Callable[[], object]:
         work.load(problem, 1e30)
-        kept._load(problem)
+        if not kept._load(problem):
+            kept.solve(problem)  # other entries than before: set up anew
         theirs = kept._osqp
 
         def solve() -> None:

@@ -17,7 +17,16 @@ from coopqp.controllers.qp import QPController
 from coopqp.errors import InvalidInputError
 from coopqp.limits import VelocityBox
 from coopqp.program import Answer, Pieces, RankWeights, StepProgram, StepTerms
-from coopqp.scenarios import SCENARIOS, Scenario, dual_arm7, five_joint_pair, mixed_cell, paper_lift, scara_pair
+from coopqp.scenarios import (
+    SCENARIOS,
+    Scenario,
+    at_singularity,
+    dual_arm7,
+    five_joint_pair,
+    mixed_cell,
+    paper_lift,
+    scara_pair,
+)
 from coopqp.solvers import make_solver
 from coopqp.spatial import Array
 
@@ -132,6 +141,24 @@ def test_both_forms_agree_on_every_scenario(name: str, limits: dict[str, float],
         assert abs(a.rate - b.rate) < 1e-6
         count += 1
     assert count >= 3
+
+
+def test_both_forms_agree_on_the_way_to_a_singular_elbow(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Velocities that hardly change what the full form costs."""
+    task = at_singularity("elbow")
+    weakest, compared = np.inf, 0
+    for recorded in steps(task, monkeypatch, every=1, dt=task.dt):
+        J = recorded.chain.dense().reshape(3, 6, 18)
+        weakest = float(np.linalg.svd(J, compute_uv=False).min())
+        if weakest > 0.03:
+            continue
+        a = recorded.condensed()
+        for solver in ("daqp", "proxqp", "osqp", "qpsolvers:daqp"):
+            assert np.abs(a.velocity - recorded.full(solver=solver).velocity).max() < AGREEMENT, solver
+        compared += 1
+        if compared == 60:
+            break
+    assert weakest < 1e-3
 
 
 @pytest.mark.parametrize("outside", [0, 2])

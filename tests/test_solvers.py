@@ -759,6 +759,21 @@ def test_polishing_makes_rough_answers_exact(seed: int) -> None:
     assert np.abs(rough.x - exact.x).max() <= 1e-10
 
 
+@pytest.mark.parametrize("slope", [1e-2, 1e-3, 1e-4, 3e-5])
+@pytest.mark.parametrize("name", KEPT)
+def test_directions_of_little_curvature(name: str, slope: float) -> None:
+    """As near a singularity: v costs nothing itself, and what it makes in s and r hardly changes with v."""
+    v = np.array([0.3, -0.2])
+    A = np.array([[1.0, 0.0, -1.0, 0.0], [0.0, slope, 0.0, -1.0]])
+    problem = qp(np.diag([0.0, 0.0, 1.0, 1.0]), np.zeros(4), A=A, b=A[:, :2] @ v, lb=[-1.0] * 4, ub=[1.0] * 4)
+    solver = make_solver(name)
+    for _ in range(3):
+        solution = solver.solve(problem)
+        assert solution.usable
+        np.testing.assert_allclose(solution.x, [*v, 0.0, 0.0], rtol=0.0, atol=1e-10)
+        problem = dataclasses.replace(problem, H=problem.H * 1.5)
+
+
 def test_proof_of_infeasibility() -> None:
     """x ≥ 1 and x ≤ −1: y = (1, −1) excludes every x; so does no y where there is an answer."""
     bad = qp([[1.0]], [0.0], C=[[1.0], [1.0]], l=[1.0, -np.inf], u=[np.inf, -1.0])

@@ -206,47 +206,77 @@ class Workspace:
         sizes: (n, m, p).
         lower, upper: all bounds (n + p + m,), none beyond ± the backend's infinity.
         values: x, C x and A x (n + p + m,) of the last answer tested.
+        above, below: how far those are above their upper and below their lower bounds.
     """
 
-    __slots__ = ("_above", "_below", "_sections", "lower", "sizes", "upper", "values")
+    __slots__ = (
+        "_ends",
+        "_judged",
+        "_ordered",
+        "_sections",
+        "_worst",
+        "above",
+        "below",
+        "lower",
+        "sizes",
+        "upper",
+        "values",
+    )
 
     def __init__(self, sizes: tuple[int, int, int]) -> None:
         n, m, p = sizes
         self.sizes = sizes
-        self.lower, self.upper, self.values, self._below, self._above = (np.zeros(n + p + m) for _ in range(5))
+        self.lower, self.upper, self.values, self.above, self.below = (np.zeros(n + p + m) for _ in range(5))
         self._sections = [(a[:n], a[n : n + p], a[n + p :]) for a in (self.lower, self.upper, self.values)]
+        self._ordered = np.zeros(n + p + m, dtype=bool)
+        self._ends: tuple[float, Array, Array] = (0.0, np.zeros(0), np.zeros(0))
+        self._judged: Array | None = None
+        self._worst = (0.0, 0)
 
     def load(self, problem: QpProblem, infinity: float) -> bool:
         """Copy the bounds; False if anything in the problem is NaN, infinite where it may not be, or crossed."""
+        n, m, p = self.sizes
+        self._judged = None
         (lb, l, lower_b), (ub, u, upper_b), _ = self._sections
-        np.maximum(problem.lb, -infinity, out=lb)
-        np.maximum(problem.l, -infinity, out=l)
-        np.minimum(problem.ub, infinity, out=ub)
-        np.minimum(problem.u, infinity, out=u)
-        lower_b[:] = problem.b
-        upper_b[:] = problem.b
-        # NaN fails both comparisons, whichever operand it is in; so do lower bounds of +inf and upper ones of -inf.
+        if infinity != self._ends[0]:
+            self._ends = infinity, np.full(n, infinity), np.full(p, infinity)  # a number is slower than an array
+        _, n_ends, p_ends = self._ends
+        np.minimum(problem.ub, n_ends, out=ub)
+        np.minimum(problem.u, p_ends, out=u)
+        np.maximum(problem.lb, np.negative(n_ends), out=lb)
+        np.maximum(problem.l, np.negative(p_ends), out=l)
+        if m:
+            lower_b[:] = upper_b[:] = problem.b
+        # NaN fails every comparison, whichever operand it is in; so do lower bounds of +inf and upper ones of -inf.
+        np.less_equal(self.lower, self.upper, out=self._ordered)
         limit = INFINITE * INFINITE
         return bool(
-            (self.lower <= self.upper).all()
+            np.count_nonzero(self._ordered) == self._ordered.size
             and np.vdot(problem.H, problem.H) < limit
             and np.vdot(problem.g, problem.g) < limit
-            and np.vdot(problem.A, problem.A) < limit
-            and np.vdot(problem.b, problem.b) < limit
             and np.vdot(problem.C, problem.C) < limit
+            and (m == 0 or (np.vdot(problem.A, problem.A) < limit and np.vdot(problem.b, problem.b) < limit))
         )
 
     def violation(self, problem: QpProblem, x: Array) -> tuple[float, int]:
-        """Largest excess of x, C x, A x over a bound (NaN if x is not finite), and the index of that entry."""
+        """Largest excess of x, C x, A x over a bound (NaN if x is not finite), and the index of that entry.
+
+        Leaves in ``above`` and ``below`` how far each entry is above its upper and below its lower bound. The answer
+        for the same array x is remembered until the next problem is loaded.
+        """
+        if x is self._judged:
+            return self._worst
         box, rows, equalities = self._sections[2]
         box[:] = x
         np.dot(problem.C, x, out=rows)
-        np.dot(problem.A, x, out=equalities)
-        np.subtract(self.values, self.upper, out=self._above)
-        np.subtract(self.lower, self.values, out=self._below)
-        np.maximum(self._above, self._below, out=self._above)
-        worst = int(self._above.argmax())  # argmax stops at the first NaN
-        return float(self._above[worst]), worst
+        if equalities.size:
+            np.dot(problem.A, x, out=equalities)
+        np.subtract(self.values, self.upper, out=self.above)
+        np.subtract(self.lower, self.values, out=self.below)
+        excess = np.maximum(self.above, self.below)
+        worst = int(excess.argmax())  # argmax stops at the first NaN
+        self._judged, self._worst = x, (excess.item(worst), worst)
+        return self._worst
 
     def name(self, index: int) -> str:
         """Name of an entry of the stack, for messages."""

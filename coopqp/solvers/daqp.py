@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from coopqp.errors import MissingExtraError
 from coopqp.solvers.base import (
     INFINITE,
+    Array,
     Outcome,
     QpProblem,
     QpSolver,
@@ -21,6 +22,7 @@ from coopqp.solvers.base import (
     require_positive,
     settings_of,
 )
+from coopqp.solvers.polish import finish
 
 # Marks of a constraint in DAQP's ``sense``.
 _ACTIVE_UPPER, _ACTIVE_LOWER, _EQUALITY = 1, 3, 5
@@ -45,6 +47,19 @@ _REASON = {
 }
 
 
+#: A polished answer this far from optimal is not worth a message.
+_ACCURACY = 1e-8
+
+
+def _is_singular(H: Array) -> bool:
+    """Whether H is positive definite no more than rounding allows to tell."""
+    try:
+        diagonal = np.linalg.cholesky(H).diagonal()
+    except np.linalg.LinAlgError:
+        return True
+    return bool(diagonal.min() ** 2 <= 1e-12 * diagonal.max() ** 2)
+
+
 @dataclass(frozen=True, kw_only=True)
 class DaqpSettings(SolverSettings):
     """Settings of DAQP; those not named here keep DAQP's defaults.
@@ -55,12 +70,15 @@ class DaqpSettings(SolverSettings):
         dual_tol: wrong sign of a multiplier that counts as none.
         eta_prox: accuracy of the proximal iterations that DAQP takes where H is singular.
         iter_limit: cap on the changes of the active set in one attempt.
+        polish: where H is singular, solve the equations of the active set. DAQP takes proximal iterations there, which
+            stop early along directions of little curvature.
     """
 
     primal_tol: float = 1e-10
     dual_tol: float = 1e-12
     eta_prox: float = 1e-12
     iter_limit: int = 1000
+    polish: bool = True
 
     def __post_init__(self) -> None:
         SolverSettings.__post_init__(self)
@@ -105,8 +123,7 @@ class DaqpSolver(QpSolver):
                 x, _, flag, info = self._model.solve()
                 iterations = info["iterations"]
                 if _STATUS.get(flag) is SolverStatus.SOLVED:
-                    self._y = info["lam"]
-                    return Outcome(SolverStatus.SOLVED, x, self._y, iterations)
+                    return self._solved(problem, work, x, info["lam"], iterations)
         self._start(problem, work)
         flag, _ = self._model.setup(self._H, self._g, self._rows, work.upper, work.lower, self._sense)
         if flag < 0:
@@ -115,8 +132,14 @@ class DaqpSolver(QpSolver):
         iterations += info["iterations"]
         if _STATUS.get(flag) is not SolverStatus.SOLVED:
             return self._report(flag, iterations)
-        self._y = info["lam"]
-        return Outcome(SolverStatus.SOLVED, x, self._y, iterations)
+        return self._solved(problem, work, x, info["lam"], iterations)
+
+    def _solved(self, problem: QpProblem, work: Workspace, x: Array, y: Array, iterations: int) -> Outcome:
+        self._y = y
+        outcome = Outcome(SolverStatus.SOLVED, x, y, iterations)
+        if self._singular and self.settings.polish:
+            finish(problem, work, outcome, _ACCURACY, polished=True)
+        return outcome
 
     def _start(self, problem: QpProblem, work: Workspace) -> None:
         """A new model, and buffers of our own: DAQP keeps pointers to what it is given."""
@@ -130,14 +153,17 @@ class DaqpSolver(QpSolver):
             # Eliminate the equalities also after a warm start: without it H = 0 on some unknowns costs six digits.
             "eq_reduction": 1,
         }
-        self._H, self._g, self._rows = np.empty((n, n)), np.empty(n), np.empty((p + m, n))
+        self._H, self._g, self._rows = np.full((n, n), np.nan), np.empty(n), np.empty((p + m, n))
+        self._singular = False
         self._sense: NDArray[np.intc] = np.zeros(n + p + m, dtype=np.intc)
         self._sense[n + p :] = _EQUALITY
         self._load(problem)
 
     def _load(self, problem: QpProblem) -> None:
         p = problem.l.size
-        self._H[:] = problem.H
+        if not np.array_equal(self._H, problem.H):
+            self._H[:] = problem.H
+            self._singular = _is_singular(problem.H)
         self._g[:] = problem.g
         self._rows[:p] = problem.C
         self._rows[p:] = problem.A

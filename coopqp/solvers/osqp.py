@@ -56,7 +56,7 @@ class OsqpSettings(SolverSettings):
 class OsqpSolver(QpSolver):
     """``osqp.OSQP``, updated between solves and started from its previous result. Bit for bit repeatable.
 
-    Matrices are passed with every entry stored, so that the pattern never changes.
+    Kept are the places of the entries that have not been zero; a problem with others is set up anew, for all of them.
     """
 
     name = "osqp"
@@ -72,31 +72,39 @@ class OsqpSolver(QpSolver):
 
     def _forget(self) -> None:
         self._osqp: Any = None
+        self._entries: tuple[NDArray[np.bool_], NDArray[np.bool_]] | None = None
 
     def _solve(self, problem: QpProblem, work: Workspace) -> Outcome:
-        if self._osqp is None:
-            self._start(problem, work)
-        else:
-            self._load(problem)
+        if self._osqp is not None and self._load(problem):
             self._osqp.update(q=problem.g, l=work.lower, u=work.upper)
             self._osqp.update(Px=self._P, Ax=self._A)
+        else:
+            self._start(problem, work)
         outcome = self._read(self._osqp.solve(raise_error=False))
         finish(problem, work, outcome, self.settings.accuracy, polished=self.settings.polish)
         return outcome
 
     def _start(self, problem: QpProblem, work: Workspace) -> None:
+        """Set up for the entries that are not zero, and those that were not in the problems before."""
         from scipy import sparse
 
         n, m, p = work.sizes
-        # Upper triangle of H, column by column.
-        self._upper: NDArray[np.intp] = np.concatenate([np.arange(j + 1) * n + j for j in range(n)])
-        self._P = np.empty(self._upper.size)
-        self._A = np.empty((n, 1 + p + m))
-        self._load(problem)
-        rows = np.concatenate([np.append(j, np.arange(n, n + p + m)) for j in range(n)])
-        A = sparse.csc_matrix((self._A.ravel(), rows, np.arange(n + 1) * (1 + p + m)), shape=(n + p + m, n))
-        columns = np.concatenate([np.arange(j + 1) for j in range(n)])
-        P = sparse.csc_matrix((self._P, columns, np.cumsum([0, *range(1, n + 1)])), shape=(n, n))
+        self._stacked = np.empty((n, 1 + p + m))
+        self._stacked[:, 0] = 1.0
+        self._stack(problem)
+        in_P, in_A = np.triu(problem.H != 0.0).T, self._stacked != 0.0
+        if self._entries is not None:
+            in_P, in_A = in_P | self._entries[0], in_A | self._entries[1]
+        self._entries = in_P, in_A
+        # By columns: both masks have a row for each of them.
+        self._upper, self._places = np.flatnonzero(in_P), np.flatnonzero(in_A)
+        self._P, self._A = np.empty(self._upper.size), np.empty(self._places.size)
+        if not self._load(problem):
+            raise RuntimeError("an entry is missing from its own pattern")
+        rows = np.column_stack([np.arange(n), np.broadcast_to(np.arange(n, n + p + m), (n, p + m))])
+        ends = [np.concatenate([[0], np.cumsum(mask.sum(axis=1))]) for mask in (in_P, in_A)]
+        P = sparse.csc_matrix((self._P, np.nonzero(in_P)[1], ends[0]), shape=(n, n))
+        A = sparse.csc_matrix((self._A, rows[in_A], ends[1]), shape=(n + p + m, n))
         own = self.settings
         self._osqp = self._module.OSQP()
         self._osqp.setup(
@@ -117,13 +125,23 @@ class OsqpSolver(QpSolver):
             polishing=False,
         )
 
-    def _load(self, problem: QpProblem) -> None:
-        """Copy H and the stacked rows [I; C; A] into OSQP's order: by columns, every entry."""
+    def _stack(self, problem: QpProblem) -> None:
+        """The rows [I; C; A], without the zeros of I, by columns."""
         p = problem.l.size
+        if p:
+            self._stacked[:, 1 : 1 + p] = problem.C.T
+        self._stacked[:, 1 + p :] = problem.A.T
+
+    def _load(self, problem: QpProblem) -> bool:
+        """Copy the entries of H and the rows into OSQP's order; False if there are others than these."""
+        self._stack(problem)
+        # The transpose of H is H.
         np.take(problem.H.reshape(-1), self._upper, out=self._P)
-        self._A[:, 0] = 1.0
-        self._A[:, 1 : 1 + p] = problem.C.T
-        self._A[:, 1 + p :] = problem.A.T
+        np.take(self._stacked.reshape(-1), self._places, out=self._A)
+        stored = 2 * np.count_nonzero(self._P) - np.count_nonzero(problem.H.diagonal())
+        return bool(
+            stored == np.count_nonzero(problem.H) and np.count_nonzero(self._A) == np.count_nonzero(self._stacked)
+        )
 
     def _read(self, result: Any) -> Outcome:
         status, iterations = result.info.status_val, int(result.info.iter)
