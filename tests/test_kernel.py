@@ -347,6 +347,27 @@ def test_rows_are_those_of_the_program(name: str, make: Callable[[], Scenario], 
     assert len(counts) >= 3
 
 
+@pytest.mark.parametrize("name", KERNELS)
+def test_where_the_object_is_seen(name: str, paper: Scenario, rng: np.random.Generator) -> None:
+    """Errors, their common part and the origins, against the path's pose or the one that is set."""
+    for _ in range(100):
+        ws, _, q, _ = random_problem(paper, rng)
+        kernel, clock = make_kernel(ws, name), float(rng.uniform(0.0, paper.path.duration))
+        assert kernel is not None
+        pose = pin.SE3(ws.R, ws.p)
+        if rng.integers(2):
+            pose = paper.path.pose(clock)
+            ws.line[:], ws.scalars[ws.ON_LINE] = paper.path.line_at(clock, 0.0), 1.0
+        assert kernel.observe(clock)
+        carried = paper.grasp.carried(CellState(paper.cell, q))
+        errors = np.array([pin.log6(pose.actInv(O)).vector for O in carried])
+        np.testing.assert_allclose(ws.errors, errors, rtol=0.0, atol=1e-12)
+        np.testing.assert_allclose(ws.common, (ws.shares * errors).sum(axis=0), rtol=0.0, atol=1e-12)
+        np.testing.assert_allclose(ws.origins, [O.translation for O in carried], rtol=0.0, atol=1e-14)
+    ws.placements[-1] = np.nan
+    assert not kernel.observe(clock)
+
+
 def test_kernels_follow_lines_as_the_path_does(paper: Scenario, rng: np.random.Generator) -> None:
     for _ in range(200):
         turn = rng.standard_normal(3) * rng.choice([0.0, 1e-9, 1e-3, 1.0])

@@ -284,15 +284,9 @@ class QPController:
         span = h * (pace if pace > _LEAST_PACE else _LEAST_PACE)
         if span > rest:
             span = rest
-        line = path.line_at(clock, span) if self._follows_lines and not self._fresh else None
-        s = ws.scalars
-        if line is not self._line:
-            self._line = line
-            s[ws.ON_LINE] = line is not None
-            if line is not None:
-                ws.line[:] = line
-        if line is None:
+        if not self._on_line(span):
             self._look_along(clock, span)
+        s = ws.scalars
         if h != self._gains_dt:
             self._gains_dt = s[ws.DT] = h
             # never more than the whole error in one step
@@ -337,26 +331,44 @@ class QPController:
         of it is corrected, and while they hold nothing: the measured error of an arm that does not move would lead
         the others away from it without end.
         """
-        ws, shares = self._ws, self._shares
         if measured is not None:
-            O, told = self._chain.carried(measured), self._chain.carried(self._q)
-            seen = self._supervision.watch(measured, self._q, O[:, 3], told[:, 3], h)
+            found, origins = self._object_at(measured)
+            commanded, told = self._object_at(self._q)
+            seen = self._supervision.watch(measured, self._q, origins, told, h)
             if seen.rate_cap < watch.rate_cap or seen.fault:
                 watch.rate_cap, watch.hold, watch.fault = seen.rate_cap, seen.hold, seen.fault
                 watch.arm, watch.reason = seen.arm, seen.reason
-        elif self._drifted and not watch.hold:
-            told = self._chain.carried(self._q)
-        else:
-            ws.measured[:] = 0.0
-            return watch.hold
-        pose = self._pose(self._clock)
-        commanded = (shares * self._chain.errors(told, pose)).sum(axis=0)
-        if measured is not None:
-            found = (shares * self._chain.errors(O, pose)).sum(axis=0)
             self._drift += h / (h + self.options.measurement_time) * (found - commanded - self._drift)
             self._drifted = True
-        np.multiply(commanded + self._drift, 0.0 if watch.hold else watch.rate_cap, out=ws.measured)
+        elif self._drifted and not watch.hold:
+            commanded, _ = self._object_at(self._q)
+        else:
+            self._ws.measured[:] = 0.0
+            return watch.hold
+        np.multiply(commanded + self._drift, 0.0 if watch.hold else watch.rate_cap, out=self._ws.measured)
         return True
+
+    def _object_at(self, q: Array) -> tuple[Array, Array]:
+        """The object's error at a configuration (6,) [m, rad], and its origin as each arm carries it (N, 3) [m]."""
+        chain, ws = self._chain, self._ws
+        if self._kernel is not None and not self._fresh:
+            chain.place(q)
+            if not self._on_line(0.0):
+                ws.set_pose(self._pose(self._clock))
+            if self._kernel.observe(self._clock):
+                return ws.common.copy(), ws.origins.copy()
+        O = chain.carried(q)
+        return (self._shares * chain.errors(O, self._pose(self._clock))).sum(axis=0), O[:, 3]
+
+    def _on_line(self, span: float) -> bool:
+        """Whether the kernel follows the path by itself for ``span``, on a line that it is told of."""
+        line = self.path.line_at(self._clock, span) if self._follows_lines and not self._fresh else None
+        if line is not self._line:
+            ws, self._line = self._ws, line
+            ws.scalars[ws.ON_LINE] = line is not None
+            if line is not None:
+                ws.line[:] = line
+        return line is not None
 
     def _brake_share(self, h: float) -> float:
         """1 if all joints, braking together after this step, stop inside their limits; else the share of their speed
@@ -382,8 +394,7 @@ class QPController:
         """Limit the error that the path correction sees, so that the correction is ``keep`` of the last one."""
         ws, o = self._ws, self.options
         if not has_measured:
-            errors = self._chain.errors(self._chain.carried(self._q), self._pose(self._clock))
-            ws.measured[:] = (self._shares * errors).sum(axis=0)
+            ws.measured[:], _ = self._object_at(self._q)
         wanted = o.path_gain * ws.measured
         for part in (slice(0, 3), slice(3, 6)):
             now = float(np.linalg.norm(wanted[part]))

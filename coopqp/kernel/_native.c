@@ -152,7 +152,7 @@ enum {
     B_ACCELERATION, B_LOWER, B_UPPER, B_R, B_P, B_ALONG, B_PATH, B_MEASURED, B_POSITIONS, B_VPREV, B_NULL_ALONG,
     B_NULL_OFFSET, B_SCALARS, B_RESULT, B_ERRORS, B_GRASP, B_OFFSETS, B_PREDICTED, B_VELOCITY, B_ALONG_VELOCITY, B_MIDPOINT,
     B_LINE, B_PER_ACCELERATION, B_UNIT, B_BASE, B_COLUMNS, B_ROWS, B_NORMS, B_ROW_LOWER, B_ROW_UPPER, B_RECOVERY,
-    B_OUTSIDE, B_COUNT
+    B_OUTSIDE, B_COMMON, B_ORIGINS, B_COUNT
 };
 
 /* The memory of an array. */
@@ -215,7 +215,8 @@ static int kernel_init(PyObject *self, PyObject *args, PyObject *kwargs) {
                k->view[B_SIZES].len == 8 * n && k->view[B_SCALARS].len == 8 * N_SCALARS && k->view[B_LINE].len == 168 &&
                k->view[B_RESULT].len == 32 &&
                k->view[B_R].len == 72 && k->view[B_P].len == 24 && k->view[B_ALONG].len == 48 &&
-               k->view[B_PATH].len == 48 && k->view[B_MEASURED].len == 48;
+               k->view[B_PATH].len == 48 && k->view[B_MEASURED].len == 48 && k->view[B_COMMON].len == 48 &&
+               k->view[B_ORIGINS].len == 24 * n;
     for (size_t i = 0; i < sizeof per_joint / sizeof *per_joint; i++) fits = fits && k->view[per_joint[i]].len == 8 * nv;
     for (size_t i = 0; i < sizeof per_arm / sizeof *per_arm; i++) fits = fits && k->view[per_arm[i]].len == 48 * n;
     int unknowns = TWIST_AND_SHARES;
@@ -249,6 +250,7 @@ static int errors(Kernel *k) {
                 for (int m = 0; m < 3; m++) sum += Y[4 * i + m] * M[3 * m + j];
                 O[3 * i + j] = sum;
             }
+        memcpy(D(k, B_ORIGINS) + 3 * a, O + 9, 3 * sizeof(double));
         for (int j = 0; j < 3; j++) O[9 + j] -= p[j];
         for (int i = 0; i < 4; i++)
             for (int j = 0; j < 3; j++)
@@ -273,12 +275,20 @@ static void bound(double *c, int n, double speed, double spin) {
     }
 }
 
-static void corrections(Kernel *k) {
-    const double *s = D(k, B_SCALARS), *shares = D(k, B_SHARES), *errors = D(k, B_ERRORS), *foreseen = D(k, B_PREDICTED);
-    double common[6] = {0}, *grasp = D(k, B_GRASP), *path = D(k, B_PATH), *offsets = D(k, B_OFFSETS);
-    const double gain = -s[GRASP_GAIN], rate = 1.0 / s[LAST_DT];
+/* The object's error: that of the arms by their shares. */
+static void common_error(Kernel *k) {
+    const double *shares = D(k, B_SHARES), *errors = D(k, B_ERRORS);
+    double common[6] = {0};
     for (int a = 0; a < k->arms; a++)
         for (int i = 0; i < 6; i++) common[i] += shares[6 * a + i] * errors[6 * a + i];
+    memcpy(D(k, B_COMMON), common, sizeof common);
+}
+
+static void corrections(Kernel *k) {
+    const double *s = D(k, B_SCALARS), *errors = D(k, B_ERRORS), *foreseen = D(k, B_PREDICTED), *common = D(k, B_COMMON);
+    double *grasp = D(k, B_GRASP), *path = D(k, B_PATH), *offsets = D(k, B_OFFSETS);
+    const double gain = -s[GRASP_GAIN], rate = 1.0 / s[LAST_DT];
+    common_error(k);
     for (int a = 0; a < k->arms; a++)
         for (int i = 0; i < 6; i++) {
             double e = errors[6 * a + i];
@@ -689,6 +699,21 @@ static int numbers(PyObject *self, PyObject *const *args, Py_ssize_t n, double *
     return 1;
 }
 
+static PyObject *kernel_observe(PyObject *self, PyObject *number) {
+    Kernel *k = (Kernel *)self;
+    double clock = PyFloat_AsDouble(number);
+    if (clock == -1.0 && PyErr_Occurred()) return NULL;
+    if (!k->built) {
+        PyErr_SetString(PyExc_RuntimeError, "the Kernel was not built");
+        return NULL;
+    }
+    if (D(k, B_SCALARS)[ON_LINE] != 0.0) follow_line(k, clock, 0.0);
+    int found = errors(k);
+    common_error(k);
+    for (int i = 0; i < 6; i++) found = found && isfinite(D(k, B_COMMON)[i]);
+    return PyBool_FromLong(found);
+}
+
 static PyObject *kernel_step(PyObject *self, PyObject *const *args, Py_ssize_t n) {
     double x[3];
     return numbers(self, args, n, x) ? PyLong_FromLong(fused_step((Kernel *)self, x[0], x[1], x[2])) : NULL;
@@ -774,6 +799,7 @@ static PyObject *border_call(PyObject *self, PyObject *span) {
 /* -- module ---------------------------------------------------------------------------------------------------------- */
 
 static PyMethodDef kernel_methods[] = {
+    {"observe", kernel_observe, METH_O, "observe(clock): errors, their common part, and origins, at the placements."},
     {"step", (PyCFunction)(void (*)(void))kernel_step, METH_FASTCALL,
      "step(cap, clock, span): one fused step over the workspace's buffers; returns an Outcome."},
     {"rows", (PyCFunction)(void (*)(void))kernel_rows, METH_FASTCALL,

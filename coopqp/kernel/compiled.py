@@ -14,7 +14,7 @@ _BUFFERS = (
     "speed", "acceleration", "lower", "upper", "R", "p", "along", "path", "measured", "positions", "v_prev",
     "null_along", "null_offset", "scalars", "result", "errors", "grasp", "offsets", "predicted", "velocity",
     "along_velocity", "midpoint", "line", "per_acceleration", "unit", "base", "columns", "rows", "norms", "row_lower",
-    "row_upper", "recovery", "outside",
+    "row_upper", "recovery", "outside", "common", "origins",
 )  # fmt: skip
 
 
@@ -45,7 +45,7 @@ class CompiledKernel:
         self._arrays, addresses = _buffers(workspace, _BUFFERS)
         self._workspace = workspace  # and Pinocchio's memory
         kernel = native.Kernel(addresses)
-        self.step, self.rows = kernel.step, kernel.rows
+        self.step, self.observe, self.rows = kernel.step, kernel.observe, kernel.rows
 
 
 @final

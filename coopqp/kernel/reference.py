@@ -132,6 +132,17 @@ class NumpyKernel:
             ws.scalars[ws.HAS_PREDICTED], ws.scalars[ws.LAST_DT] = 1.0, s[ws.DT]
         return outcome
 
+    def observe(self, clock: float) -> bool:
+        """As the protocol says."""
+        ws = self._ws
+        if ws.scalars[ws.ON_LINE] and not self._line.follow(clock, 0.0):
+            return False
+        if not self._errors() < math.inf:
+            return False
+        np.add(self._O_origin, ws.p, out=ws.origins)
+        np.einsum("ij,ij->j", ws.shares, ws.errors, out=ws.common)
+        return True
+
     def _set(self, s: list[float]) -> None:
         """The matrices that depend on the step's length, the gains, and on what there is."""
         ws, n = self._ws, self._ws.n_arms

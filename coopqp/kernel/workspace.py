@@ -38,6 +38,8 @@ class Workspace:
     Outputs: ``velocity`` (nv,), ``midpoint``, the positions half a step after the step's end at the predicted velocity
     (nv,), ``errors`` (N, 6), ``along_velocity``, the joints' share of ``along`` (nv,) (the NumPy kernel fills it at
     need or where ``wants_along``), and ``result`` [rate, joint, side, square of the path correction].
+    What :meth:`StepKernel.observe` puts out besides the errors: ``common`` (6,), the object's error, and ``origins``
+    (N, 3), the object's origin as each arm carries it.
     The rest is a kernel's own: ``grasp``, ``offsets``, ``path``, and the box's ``lower`` and ``upper``.
 
     ``rows`` of a kernel fills ``qp``, the condensed QP whose unknowns are in the units ``unit``, but for the bounds of
@@ -80,6 +82,7 @@ class Workspace:
         self.null_along, self.null_offset = np.zeros(nv), np.zeros(nv)
         self.scalars, self.result, self.line = np.zeros(9), np.zeros(4), np.zeros(21)
         self.grasp, self.offsets = np.zeros((n, 6)), np.zeros((n, 6))
+        self.common, self.origins = np.zeros(6), np.zeros((n, 3))
         self.along_velocity, self.ahead = np.zeros(nv), np.zeros((6, nv))
         self.midpoint = self.ahead[5]
         self.qp = CondensedQp(nv, 9 + chain.redundancy)
@@ -115,6 +118,10 @@ class StepKernel(Protocol):
             clock, span: on a line, the reference pose's clock, and ``along`` is the mean twist over ``span`` from there
                 [s], or the twist at ``clock`` where ``span`` is negative.
         """
+        ...
+
+    def observe(self, clock: float) -> bool:
+        """``errors``, ``common`` and ``origins`` at the placements; False if that is the step's business after all."""
         ...
 
     @property
