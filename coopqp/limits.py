@@ -34,6 +34,8 @@ LIMIT_TOLERANCE = 1e-9
 _STILL = 1e-12
 #: In place of an infinite position limit, where inf / inf would be NaN.
 _FAR = 1e100
+#: Slope of a joint that stands still: what the tolerance of a limit over it is beyond _FAR.
+_TINY = 1e-200
 _SIDES = np.array([[1.0], [-1.0]])
 
 
@@ -179,25 +181,27 @@ class VelocityBox:
 
 def rate_interval(base: Array, along: Array, lower: Array, upper: Array) -> tuple[float, float, int] | None:
     """Rates σ with ``lower ≤ base + σ along ≤ upper``: (low, high, joint that makes high); None if there are none."""
-    first, last, size = lower - base, upper - base, np.abs(along)
+    first, last = lower - base, upper - base
+    still = np.abs(along) < _STILL
     slope = along
-    some_still = size[size.argmin()] < _STILL
-    if some_still:
-        still = size < _STILL
-        if ((last < -LIMIT_TOLERANCE) | (first > LIMIT_TOLERANCE))[still].any():
-            return None
-        slope = np.where(still, 1.0, along)
+    if np.count_nonzero(still):
+        # Inside, with the tolerance, they allow any rate, and outside none.
+        room = LIMIT_TOLERANCE * still
+        first -= room
+        last += room
+        slope = np.where(still, _TINY, along)
     first /= slope
     last /= slope
     low, high = np.minimum(first, last), np.maximum(first, last)
-    if some_still:
-        low[still], high[still] = -np.inf, np.inf
     i, j = int(low.argmax()), int(high.argmin())
     lowest, highest = low.item(i), high.item(j)
+    if lowest > _FAR or highest < -_FAR:
+        return None
+    lowest, highest = (-math.inf if lowest < -_FAR else lowest), (math.inf if highest > _FAR else highest)
     # At standstill a rounding error of the box must not look like an empty interval.
-    slack = LIMIT_TOLERANCE / float(abs(slope[j]))
+    slack = LIMIT_TOLERANCE / abs(slope.item(j))
     if lowest > highest:
-        if lowest - LIMIT_TOLERANCE / float(abs(slope[i])) > highest + slack:
+        if lowest - LIMIT_TOLERANCE / abs(slope.item(i)) > highest + slack:
             return None
         lowest = highest = 0.5 * (lowest + highest)
     if highest < 0.0 <= highest + slack:

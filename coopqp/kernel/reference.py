@@ -78,7 +78,7 @@ class NumpyKernel:
         self._linear_p, self._linear_w, self._errors_p = self._linear[:, :3], self._linear[:, 3:6], ws.errors[:, :3]
         self._same_on_all_axes = bool((ws.shares == ws.shares[:, :1]).all())
         self._mix, self._mixed = np.zeros((2 * n, 2 + 2 * n)), np.empty((2 * n, 6))
-        self._cap = self._mix[:n, 0]
+        self._cap, self._path_mix = self._mix[:n, 0], np.zeros(n)
         self._twists, self._foreseen = self._mixed[:n], self._mixed[n:]
         self._unbound = 0.0
         self._to_world = ws.action.T
@@ -156,6 +156,7 @@ class NumpyKernel:
         one = np.eye(n)
         errors -= (grasp + per_dt) * one
         M, mine, foreseen = self._mix, slice(2, 2 + n), slice(2 + n, 2 + 2 * n)
+        self._path_mix = -path * ws.shares[:, 0]
         M[:n, 1], M[:n, mine], M[:n, foreseen] = 1.0, errors, per_dt * one
         M[n:, 1], M[n:, mine], M[n:, foreseen] = h, one + h * errors, h * per_dt * one
         # With every error at most x, |e_k − ē| ≤ 2 x in every axis.
@@ -197,17 +198,18 @@ class NumpyKernel:
     def _corrections(self, s: list[float], cap: float, largest: float) -> None:
         """Twists in the reference object frame, and the errors foreseen for the next step."""
         ws = self._ws
-        unbound = self._unbound
         if s[ws.HAS_MEASURED] != 0.0:
             np.multiply(ws.measured, -s[ws.PATH_GAIN], out=ws.path)
             bound(ws.path[None, :], s[ws.SPEED], s[ws.SPIN])
             ws.result[3] = np.dot(ws.path, ws.path)
         else:
             ws.path[:] = ws.result[3] = 0.0
-            unbound = min(unbound, _NO_CORRECTION)
-        if largest <= unbound and self._same_on_all_axes:
+        if largest <= self._unbound and self._same_on_all_axes:
             self._cap[:] = cap
             np.dot(self._mix, ws.twists, out=self._mixed)
+            if largest > _NO_CORRECTION and s[ws.HAS_MEASURED] == 0.0:
+                np.dot(self._path_mix, ws.errors, out=ws.path)  # already in the twists, by their matrix
+                ws.result[3] = np.dot(ws.path, ws.path)
             return
         e = ws.errors
         common = (ws.shares * e).sum(axis=0)

@@ -54,28 +54,23 @@ class _OneByOne:
         for k, start in enumerate(ws.starts.tolist()):
             columns = slice(start, start + 6)
             # Views of Pinocchio's memory and of the result: making one costs as much as a product.
-            self._arms.append(
-                (eigenpy.PartialPivLU(6), ws.jacobian_T.T[:, columns], W[k], columns, ws.velocity[columns])
-            )
-        inverses = np.empty((ws.n_arms, 6, 6))
-        self._inverses, self._inverses_flat = list(inverses), inverses.reshape(-1)
+            views = ws.jacobian_T.T[:, columns], W[k], ws.velocity[columns], ws.along_velocity[columns]
+            self._arms.append((eigenpy.PartialPivLU(6), *views))
 
     def solve(self, cap: float) -> bool:
-        for lu, jacobian, w, _, v in self._arms:
+        for lu, jacobian, w, v, _ in self._arms:
             lu.compute(jacobian)
             v[:] = lu.solve(w)
         velocity = self._ws.velocity
         return bool(np.dot(velocity, velocity) < math.inf)
 
     def along(self, twist: Array) -> None:
-        for lu, _, _, columns, _ in self._arms:
-            self._ws.along_velocity[columns] = lu.solve(twist)
+        for lu, _, _, _, along in self._arms:
+            along[:] = lu.solve(twist)
 
     def well_conditioned(self) -> bool:
-        for inverse, (lu, *_) in zip(self._inverses, self._arms, strict=True):
-            inverse[:] = lu.inverse()
-        flat = np.abs(self._inverses_flat)
-        return bool(flat[flat.argmax()] < _LARGE_INVERSE)
+        # The Jacobian's norm is above 1 (its angular columns are unit vectors), and its inverse's below 1 / rcond.
+        return all(lu.rcond() * _LARGE_INVERSE > 1.0 for lu, *_ in self._arms)
 
 
 @final
