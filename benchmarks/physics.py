@@ -15,7 +15,7 @@ import argparse
 import io
 import sys
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -173,6 +173,7 @@ class Case:
         latched: the grasp is latched from the measured configuration before the start; None: nothing to latch.
         options: of the controller, other than the defaults.
         tolerant: supervised with :data:`TOLERANT` thresholds instead of the defaults.
+        watched: the controller knows the servos' stiffness, and holds at its default force limit.
     """
 
     name: str
@@ -182,6 +183,7 @@ class Case:
     latched: bool | None = None
     options: Mapping[str, Any] = field(default_factory=dict)
     tolerant: bool = False
+    watched: bool = False
 
 
 def geometry_cases(arm: str, name: str = "", offsets: dict[str, pin.SE3] | None = None) -> Iterator[Case]:
@@ -215,7 +217,9 @@ def signal_cases() -> Iterator[Case]:
     yield Case("5 % of samples lost", {}, {}, {"drop_share": 0.05, "drops_by_arm": True})
     yield Case("dt ± 20 %", {}, {}, {"dt_jitter": 0.2})
     yield Case("slave_1 lags by 10 ms", {}, {}, {"lag": {"slave_1": 0.01}})
-    yield Case("slave_1 stalls at 1.2 s", {}, {}, {"stall": {"slave_1": 1.2}})
+    for watched in (False, True):
+        name = "slave_1 stalls at 1.2 s" + (", servos watched" if watched else "")
+        yield Case(name, {}, {}, {"stall": {"slave_1": 1.2}}, watched=watched)
 
 
 class Jittered:
@@ -262,6 +266,8 @@ class Loop:
         if case.latched:
             grasp = Grasp.from_configuration(s.cell, plant.reset(s.q_start), nominal=s.grasp)
         options = dict(case.options) | ({"supervision": TOLERANT} if case.tolerant else {})
+        if case.watched:
+            options["supervision"] = SupervisionOptions(stiffness=tuple(plant.stiffness))
         made = controller(QP, s, dt=self.dt, grasp=grasp, **options)
         jittered = disturbances.dt_jitter > 0.0
         run = watch(Jittered(made, plant) if jittered else made, plant, s, settle=self.hold)
@@ -330,20 +336,23 @@ def figures(curves: dict[str, dict[str, Array]], real: dict[str, Array]) -> dict
         picture.savefig(stream, format="png", dpi=130)
         files[name] = stream.getvalue()
 
-    picture = Figure(figsize=(10, 4.2), layout="constrained")
-    left, right = picture.subplots(1, 2)
-    for label, curve in curves.items():
-        if label.startswith(PSEUDO_INVERSE):
-            left.plot(curve["eps"], curve["force"], label=label)
-        line = right.semilogy(curve["time"], np.maximum(curve["force"], 1e-6), label=label)[0]
-        if label.startswith(PSEUDO_INVERSE):
-            right.semilogy(curve["time"], np.maximum(curve["est"], 1e-6), ":", color=line.get_color())
-    left.set(xscale="log", yscale="log", xlabel="ε_p [mm]", ylabel="ΔF [N]", title="force against the paper's measure")
-    right.set(xlabel="time [s]", ylabel="ΔF [N]", title="force over time (dotted: estimate)", ylim=(1e-6, 1e4))
-    for axes in (left, right):
-        axes.grid(alpha=0.3)
-        axes.legend(fontsize=8)
-    png("force.png", picture)
+    if curves:
+        picture = Figure(figsize=(10, 4.2), layout="constrained")
+        left, right = picture.subplots(1, 2)
+        for label, curve in curves.items():
+            if label.startswith(PSEUDO_INVERSE):
+                left.plot(curve["eps"], curve["force"], label=label)
+            line = right.semilogy(curve["time"], np.maximum(curve["force"], 1e-6), label=label)[0]
+            if label.startswith(PSEUDO_INVERSE):
+                right.semilogy(curve["time"], np.maximum(curve["est"], 1e-6), ":", color=line.get_color())
+        left.set(
+            xscale="log", yscale="log", xlabel="ε_p [mm]", ylabel="ΔF [N]", title="force against the paper's measure"
+        )
+        right.set(xlabel="time [s]", ylabel="ΔF [N]", title="force over time (dotted: estimate)", ylim=(1e-6, 1e4))
+        for axes in (left, right):
+            axes.grid(alpha=0.3)
+            axes.legend(fontsize=8)
+        png("force.png", picture)
     if real:
         picture = Figure(figsize=(10, 4.8), layout="constrained")
         axes = picture.subplots()
@@ -359,11 +368,15 @@ def figures(curves: dict[str, dict[str, Array]], real: dict[str, Array]) -> dict
 # -- the run -----------------------------------------------------------------------------------------------------------
 
 
-def run(*, quick: bool) -> tuple[list[common.Record], dict[str, bytes]]:
-    """All records, and pictures."""
+#: Parts of the run; "directions" is of the group "real" and not in quick runs.
+PARTS = ("replays", "loop", "real", "directions")
+
+
+def run(*, quick: bool, parts: Sequence[str] = PARTS) -> tuple[list[common.Record], dict[str, bytes]]:
+    """All records of some parts, and pictures."""
     records: list[common.Record] = []
     curves: dict[str, dict[str, Array]] = {}
-    real: dict[str, Array] = {}
+    drawn: dict[str, Array] = {}
     lift, smooth = paper_lift(), paper_lift(time_law=TimeLaw.QUINTIC)
     numbers = (40, 400) if quick else (40, 400, 1000)
     interpolations: tuple[Interpolation, ...] = ("cubic",) if quick else ("cubic", "linear")
@@ -393,20 +406,23 @@ def run(*, quick: bool) -> tuple[list[common.Record], dict[str, bytes]]:
             if draw:
                 how = {True: ", latched", False: ", not latched", None: ""}[case.latched]
                 strict = "" if case.tolerant or case.latched is None else ", default supervision"
-                real[case.name + how + strict] = curve[::5]
+                drawn[case.name + how + strict] = curve[::5]
             progress.advance(case.name)
 
     geometry = list(geometry_cases("slave_1"))
-    stopped = [replace(c, tolerant=False) for c in geometry if c.latched and c.base]
-    signals = [] if quick else list(signal_cases())
-    directions = [] if quick else list(direction_cases())
-    tasks = [(f"replays, {i}", lambda i=i: play(i)) for i in interpolations]  # type: ignore[misc]
-    tasks += [("loop", nominal)]
-    tasks += [("real", lambda: disturb([*geometry, *stopped, *signals], 5e-3 if quick else 1e-3, HOLD, draw=True))]
+    geometry += [replace(c, tolerant=False) for c in geometry if c.latched and c.base]
+    real = [*geometry, *([] if quick else signal_cases())] if "real" in parts else []
+    directions = list(direction_cases()) if "directions" in parts and not quick else []
+    if "replays" in parts:
+        tasks += [(f"replays, {i}", lambda i=i: play(i)) for i in interpolations]  # type: ignore[misc]
+    if "loop" in parts:
+        tasks += [("loop", nominal)]
+    before = len(tasks)
+    if real:
+        tasks += [("real", lambda: disturb(real, 5e-3 if quick else 1e-3, HOLD, draw=True))]
     if directions:
         tasks += [("directions", lambda: disturb(directions, 5e-3, 2.0, draw=False))]
-    cases = len(geometry) + len(stopped) + len(signals) + len(directions)
-    progress = common.Progress(len(interpolations) + 1 + cases)
+    progress = common.Progress(before + len(real) + len(directions))
     for label, task in tasks:
         progress.label = label
         progress.show()
@@ -414,7 +430,7 @@ def run(*, quick: bool) -> tuple[list[common.Record], dict[str, bytes]]:
         if label.startswith(("replays", "loop")):
             progress.advance()
     progress.close()
-    return records, figures({k: v for k, v in curves.items() if "linear" not in k}, real)
+    return records, figures({k: v for k, v in curves.items() if "linear" not in k}, drawn)
 
 
 COLUMNS = {
@@ -443,6 +459,7 @@ def tables(records: list[common.Record]) -> str:
 def main(arguments: list[str] | None = None) -> int:
     """Run, print the tables, write the files."""
     parser: argparse.ArgumentParser = common.arguments(__doc__.split("\n")[0] if __doc__ else "")
+    parser.add_argument("--parts", nargs="+", choices=PARTS, default=PARTS, help="which parts (all)")
     options = parser.parse_args(arguments)
     plant = PhysicsPlant.of(paper_lift())
     description = common.describe(
@@ -458,7 +475,7 @@ def main(arguments: list[str] | None = None) -> int:
     description["versions"] |= common.versions(["mujoco"])
     print(common.header(description), file=sys.stderr)
     began = time.perf_counter()
-    records, pictures = run(quick=options.quick)
+    records, pictures = run(quick=options.quick, parts=options.parts)
     text = tables(records)
     print(text)
     print(f"{time.perf_counter() - began:.0f} s", file=sys.stderr)

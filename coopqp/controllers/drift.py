@@ -8,6 +8,7 @@ filter of least variance (Kalman's) tells them apart. What is left without b is 
 
 from __future__ import annotations
 
+import math
 from typing import final
 
 import numpy as np
@@ -16,10 +17,12 @@ from coopqp.spatial import Array
 
 #: How far a drift wanders within a second [m]; what lag an arm may have, and how well it is known at best [s].
 _WANDER, _LAG, _LEAST_LAG = 1e-3, 0.02, 1e-4
-#: Distances are known to so much without noise [m]: the lag does not model them better.
-_FLOOR = 5e-4
+#: Distances are known to so much without noise [m], each such time [s]: the lag does not model them better.
+_FLOOR, _SAMPLE = 5e-4, 1e-3
 #: Distances and speed are smoothed alike [s]: a lagging arm does not follow a speed that jitters.
 _SMOOTHING = 0.1
+#: The filter runs as often [s], or at every step if that is longer.
+_PERIOD = 0.0045
 #: A drift changes by no more than this share of the arms' way, joints counted with a lever of 1 m.
 _LARGEST_SLOPE = 0.02
 
@@ -41,32 +44,46 @@ class Drift:
     def reset(self) -> None:
         """Nothing has drifted."""
         self._drift[:] = self._lag[:] = self._apart[:] = 0.0
-        self._speed = 0.0
+        self._speed, self._since = 0.0, 0.0
+        self._last: tuple[Array, Array] | None = None
         self._bb, self._bc, self._cc = 0.0, 0.0, _LAG**2  # variances and covariance of drift and lag
 
-    def without(self, apart: Array, *, noise: float, speed: float, way: float, dt: float) -> Array:
+    def without(self, apart: Array, noise: float, commanded: Array, origins: Array, dt: float) -> Array:
         """Distances ``apart`` (N, 3) [m] without the drift.
 
         Args:
             apart: of each arm from the others.
             noise: root mean square of the noise in them [m].
-            speed: of the object [m/s].
-            way: that the arms have gone since the last sample [m].
-            dt: time since then [s].
+            commanded: configuration (nq,).
+            origins: of the object as each arm is told to carry it (N, 3) [m].
+            dt: time since the last sample [s].
         """
+        self._since += dt
+        if self._last is None:
+            self._last = commanded, origins.mean(axis=0)
+        elif self._since >= _PERIOD:
+            last, here = self._last, origins.mean(axis=0)
+            self._last = commanded, here
+            way, step = float(np.abs(commanded - last[0]).max()), here - last[1]
+            self._update(apart, noise, math.sqrt(step @ step) / self._since, _LARGEST_SLOPE * way, self._since)
+            self._since = 0.0
+        return apart - self._drift
+
+    def _update(self, apart: Array, noise: float, speed: float, most: float, dt: float) -> None:
+        """One step of the filter; the drift changes by no more than ``most`` [m]."""
         new = dt / (_SMOOTHING + dt)
         self._apart += new * (apart - self._apart)
         self._speed += new * (speed - self._speed)
         s = self._speed
         self._bb += _WANDER**2 * dt
         hb, hc = self._bb + self._bc * s, self._bc + self._cc * s  # P h with h = (1, s)
-        scale = 1.0 / (hb + hc * s + _FLOOR**2 + noise**2)
+        scale = 1.0 / (hb + hc * s + (_FLOOR**2 + noise**2) * _SAMPLE / dt)
         surprise = self._apart - self._drift - s * self._lag
         change = scale * hb * surprise
         largest = float(np.abs(change).max())
-        too_fast = largest > _LARGEST_SLOPE * way
+        too_fast = largest > most
         if too_fast:
-            change *= _LARGEST_SLOPE * way / largest
+            change *= most / largest
         self._drift += change
         np.clip(self._drift, -self._largest, self._largest, out=self._drift)
         self._lag += scale * hc * surprise
@@ -75,4 +92,3 @@ class Drift:
         self._cc = max(self._cc - scale * hc * hc, _LEAST_LAG**2)
         if too_fast:  # for a drift: the lag may have changed
             self._cc = _LAG**2
-        return apart - self._drift

@@ -7,6 +7,7 @@ Deviations common to all arms do not count: they only displace the object.
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from dataclasses import dataclass
 from typing import Any
@@ -127,6 +128,9 @@ class Supervision:
         self._pressed = False
         self._turning = cell.position_index[cell.continuous]
         n = len(cell)
+        #: Takes what the arms do to how far each is from the mean of the others.
+        self._from_others = (np.eye(n) - 1.0 / n) * (n / max(n - 1.0, 1.0))
+        self._moves = np.zeros((3, cell.nq))
         self._deviation, self._away, self._step = (np.zeros((n, 3)) for _ in range(3))
         self._noise, self._samples, self._cap, self._arm = np.zeros(n), 0.0, 1.0, -1
         self._stalled = np.zeros(n, dtype=bool)
@@ -135,7 +139,6 @@ class Supervision:
         self._past: deque[tuple[Array, Array]] = deque(maxlen=1 + (options.stall_samples or 1))
         self._silence = 0.0
         self._drift = Drift(n, options.let_in)
-        self._last: tuple[Array, Array] | None = None
 
     def reset(self) -> None:
         """Forget."""
@@ -146,7 +149,6 @@ class Supervision:
         self._past.clear()
         self._silence = 0.0
         self._drift.reset()
-        self._last = None
         self._pressed = False
         if self._stress is not None:
             self._stress.reset()
@@ -213,29 +215,20 @@ class Supervision:
         self, commanded: Array, O_measured: Array, O_commanded: Array, dt: float, result: Watch
     ) -> None:
         """How far each arm, as far as it is not as commanded, is from the mean of the others."""
-        o, n, away = self._options, len(O_measured), O_measured - O_commanded
+        o, away = self._options, O_measured - O_commanded
         assert o.slow_from is not None
         keep = o.filter_time / (o.filter_time + dt)
         self._deviation += (1.0 - keep) * (away - self._deviation)
-        centre = O_commanded.mean(axis=0)
-        speed = way = 0.0
-        if self._last is not None:
-            speed, way = (
-                float(np.linalg.norm(centre - self._last[0])) / dt,
-                float(np.abs(commanded - self._last[1]).max()),
-            )
-        self._last = centre, commanded
-        factor = n / (n - 1.0)
-        share = float(np.sqrt(factor * (1.0 - keep) / (1.0 + keep)))  # of the noise, that the filter lets pass
+        share = math.sqrt(self._from_others[0, 0] * (1.0 - keep) / (1.0 + keep))  # of the noise: what the filter leaves
         noise = share * self._noise_seen(away, dt)
-        apart = (self._deviation - self._deviation.mean(axis=0)) * factor
-        out_of_step = apart
+        apart = out_of_step = self._from_others @ self._deviation
         if o.let_in > 0.0:
-            out_of_step = self._drift.without(apart, noise=noise, speed=speed, way=way, dt=dt)
-        spread = np.sqrt(np.einsum("ij,ij->i", out_of_step, out_of_step))
-        worst = float(spread.max()) - o.noise_margin * noise
+            out_of_step = self._drift.without(apart, noise, commanded, O_commanded, dt)
+        spread = np.einsum("ij,ij->i", out_of_step, out_of_step)
+        worst = math.sqrt(spread.max()) - o.noise_margin * noise
         if worst <= o.slow_from or self._samples < _FEW_SAMPLES:
             return
+        spread = np.sqrt(spread)
         # Of arms equally far from the others, as two arms always are, the one that is not where it should be.
         own = np.where(spread >= 0.99 * spread.max(), np.einsum("ij,ij->i", self._deviation, self._deviation), -1.0)
         arm = result.arm = int(own.argmax())
@@ -252,16 +245,17 @@ class Supervision:
         if self._samples > 2.0:  # the first differences are with nothing
             # With long steps the averaging time holds few samples: the latest then counts for all.
             self._noise += (np.einsum("ij,ij->i", bend, bend) - self._noise) / max(self._samples - 2.0, 1.0)
-        return float(np.sqrt(self._noise.max() / 6.0))
+        return math.sqrt(self._noise.max() / 6.0)
 
     def _watch_stall(self, measured: Array, commanded: Array, dt: float, result: Watch) -> None:
         """An arm that stands while another follows has stalled; where none follows, signals may just be late."""
         o, past = self._options, self._past
         past.append((measured.copy(), commanded))
-        told, moved, gap = (
-            np.maximum.reduceat(np.abs(x), self._starts)
-            for x in (commanded - past[0][1], measured - past[0][0], commanded - measured)
-        )
+        before, moves = past[0], self._moves
+        np.subtract(commanded, before[1], out=moves[0])
+        np.subtract(measured, before[0], out=moves[1])
+        np.subtract(commanded, measured, out=moves[2])
+        told, moved, gap = np.maximum.reduceat(np.abs(moves, out=moves), self._starts, axis=1)
         stalled = self._stalled
         if stalled.any():
             np.maximum(self._widest, gap, out=self._widest)

@@ -1,0 +1,303 @@
+"""How long can a step take? The tail of a step, beside a loop that does nothing, and pauses of the garbage collector.
+
+Records of the first kind, CPU time of the thread [µs], in turn with a null spin of about the same length, whose tail is
+the machine's (``case`` "null spin: …"):
+
+``nominal``   three arms round a ring, always within the limits;
+``measured``  the same, with noisy measured configurations, which the supervision watches;
+``watched``   the same, and the force at the grasps is read from the servos;
+``slowed``    a zigzag at 0.6 m/s with joints limited to 1 rad/s: slowed at most steps;
+``corner``    the same with joints limited to 10 rad/s² too: the preview brakes ahead of every corner;
+``qp``        a QP at every step of the zigzag.
+
+``ratio`` is p99.9 / p50. Records of the second kind (``case`` "garbage: …") have 10⁶ objects alive besides, with and
+without ``gc.freeze()``, the steps dropped or kept by the caller: ``gc_pause_ms`` is the longest pause, ``collections``
+how many there were, ``full`` how many of them of everything, ``unreachable`` how many objects they freed.
+"""
+
+from __future__ import annotations
+
+import gc
+import time
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any
+
+import common  # first: it limits BLAS to one thread
+import numpy as np
+from common import Record
+from step_profile import tail
+
+from coopqp.controllers.options import QPOptions
+from coopqp.controllers.qp import QPController
+from coopqp.controllers.supervision import SupervisionOptions
+from coopqp.kernel import available_kernels
+from coopqp.scenarios import Scenario
+from coopqp.spatial import Array
+
+ARMS = 3
+CASES = ("nominal", "measured", "watched", "slowed", "corner", "qp")
+KEYS = (
+    "case", "kernel", "arms", "p50_us", "p99_us", "p999_us", "max_us", "ratio", "steps",
+    "gc_pause_ms", "collections", "full", "unreachable",
+)  # fmt: skip
+#: Encoder noise of the measured cases [rad], and servo stiffness [N·m/rad].
+NOISE, STIFFNESS = 1e-5, 1e5
+ACCELERATION = 10.0
+#: Targets: p99.9 in multiples of p50, and the longest pause of the collector [ms].
+RATIO, PAUSE_MS = 3.0, 1.0
+cpu = time.thread_time_ns
+
+
+@dataclass(frozen=True, kw_only=True)
+class Plan:
+    """Steps of each tail, steps at a time before the next one's turn, steps with garbage, and objects alive."""
+
+    steps: int = 100_000
+    block: int = 1000
+    garbage_steps: int = 50_000
+    alive: int = 1_000_000
+
+
+FULL = Plan()
+QUICK = Plan(steps=2000, block=500, garbage_steps=5000)
+
+
+def scenario_of(case: str) -> Scenario:
+    """What is moved."""
+    if case in ("nominal", "measured", "watched"):
+        return common.ring(arms=ARMS)
+    zigzag = common.ring(arms=ARMS, path="zigzag")
+    if case == "corner":
+        return replace(zigzag, cell=zigzag.cell.with_limits(acceleration=ACCELERATION))
+    return zigzag
+
+
+class Loop:
+    """Steps of one controller, timed one by one; resets are not timed, the steps after them are."""
+
+    def __init__(self, case: str, kernel: str) -> None:
+        task = self._task = scenario_of(case)
+        supervision = SupervisionOptions(stiffness=STIFFNESS if case == "watched" else None)
+        options = QPOptions(kernel=kernel, shortcut=case != "qp", supervision=supervision)
+        self.controller = QPController(task.cell, task.grasp, task.path, dt=task.dt, options=options)
+        self.controller.reset(task.q_start)
+        self._q = task.q_start
+        self._noise: Array | None = None
+        if case in ("measured", "watched"):
+            self._noise = np.random.default_rng(0).uniform(-NOISE, NOISE, (997, task.cell.nq))
+        self._count = 0
+
+    def block(self, size: int) -> list[float]:
+        """CPU time of ``size`` steps [µs]."""
+        step, noise, samples = self.controller.step, self._noise, []
+        for _ in range(size):
+            self._count += 1
+            measured = None if noise is None else self._q + noise[self._count % len(noise)]
+            began = cpu()
+            result = step(measured)
+            samples.append(1e-3 * (cpu() - began))
+            self._q = result.q_next
+            if result.finished:
+                self.controller.reset(self._task.q_start)
+                self._q = self._task.q_start
+        return samples
+
+
+class Spin:
+    """A loop that does nothing for about as long as a step: the tail is the machine's."""
+
+    def __init__(self, length_us: float) -> None:
+        self._turns = 2000
+        self._turns = max(1, round(self._turns * length_us / float(np.median(self.block(50)))))
+
+    def block(self, size: int) -> list[float]:
+        """CPU time of ``size`` spins [µs]."""
+        turns, samples = range(self._turns), []
+        for _ in range(size):
+            began = cpu()
+            for _ in turns:
+                pass
+            samples.append(1e-3 * (cpu() - began))
+        return samples
+
+
+def tails(plan: Plan, cases: Sequence[str], progress: common.Progress) -> tuple[list[Record], dict[str, Array]]:
+    """One record per case, kernel, and spin; and all samples [µs] by name."""
+    rounds: dict[tuple[str, str], Any] = {}
+    for case in cases:
+        for kernel in available_kernels():
+            loop = Loop(case, kernel)
+            length = float(np.median(loop.block(min(plan.block, 400))))
+            rounds[case, kernel] = loop.block
+            rounds[f"null spin: {case}", kernel] = Spin(length).block
+    gc.collect()
+    gc.freeze()  # as a real-time loop would; the collector stays on
+
+    def one_round(block: Any) -> Iterable[float]:
+        samples: list[float] = block(plan.block)
+        return samples
+
+    names = {f"{case}, {kernel}": (case, kernel) for case, kernel in rounds}
+    turns = {name: partial(one_round, rounds[key]) for name, key in names.items()}
+    try:
+        samples = common.interleaved(turns, rounds=max(1, plan.steps // plan.block), progress=progress)
+    finally:
+        gc.unfreeze()
+    records = []
+    for name, (case, kernel) in names.items():
+        row = {"case": case, "kernel": kernel, "arms": ARMS, **tail(samples[name]), "steps": samples[name].size}
+        records.append({**row, "ratio": round(row["p999_us"] / row["p50_us"], 2)})
+    return records, samples
+
+
+# -- garbage -----------------------------------------------------------------------------------------------------------
+
+
+@dataclass
+class Pauses:
+    """What the collector did."""
+
+    longest_ms: float = 0.0
+    collections: int = 0
+    full: int = 0
+    unreachable: int = 0
+
+
+@contextmanager
+def watched_collector() -> Iterator[Pauses]:
+    """Count and time the collections."""
+    seen, began = Pauses(), [0]
+
+    def watch(phase: str, info: dict[str, int]) -> None:
+        if phase == "start":
+            began[0] = time.perf_counter_ns()
+            return
+        seen.longest_ms = max(seen.longest_ms, 1e-6 * (time.perf_counter_ns() - began[0]))
+        seen.collections += 1
+        seen.full += info["generation"] == 2
+        seen.unreachable += info["collected"] + info["uncollectable"]
+
+    gc.callbacks.append(watch)
+    try:
+        yield seen
+    finally:
+        gc.callbacks.remove(watch)
+
+
+def garbage(plan: Plan, progress: common.Progress) -> list[Record]:
+    """The longest pause while a controller runs and the caller has many objects alive."""
+    records = []
+    for keep in (False, True):
+        for frozen in (False, True):
+            alive = [[i] for i in range(plan.alive)]
+            loop = Loop("measured", available_kernels()[0])
+            step, q = loop.controller.step, scenario_of("measured").q_start
+            loop.block(100)
+            loop.controller.reset(q)
+            gc.collect()
+            if frozen:
+                gc.freeze()
+            kept, samples = [], []
+            try:
+                with watched_collector() as seen:
+                    for _ in range(plan.garbage_steps):
+                        began = cpu()
+                        result = step(q + 0.0)
+                        samples.append(1e-3 * (cpu() - began))
+                        q = result.q_next
+                        if keep:
+                            kept.append(result)
+            finally:
+                gc.unfreeze()
+            case = f"garbage: steps {'kept' if keep else 'dropped'}{', frozen' if frozen else ''}"
+            row = {"case": case, "kernel": loop.controller.kernel, "arms": ARMS, **tail(samples)}
+            row |= {"ratio": round(row["p999_us"] / row["p50_us"], 2), "steps": plan.garbage_steps}
+            row |= {"gc_pause_ms": round(seen.longest_ms, 3), "collections": seen.collections}
+            records.append({**row, "full": seen.full, "unreachable": seen.unreachable})
+            del alive, kept
+            progress.advance(case)
+    return records
+
+
+# -- the run -----------------------------------------------------------------------------------------------------------
+
+
+def verdict(records: Sequence[Record]) -> str:
+    """The targets, in words."""
+    lines = []
+    by_key = {(r["case"], r["kernel"]): r for r in records}
+    for (case, kernel), r in by_key.items():
+        spin = by_key.get((f"null spin: {case}", kernel))
+        if spin is not None:
+            met = "met" if r["ratio"] <= RATIO else "missed"
+            lines.append(f"{case}, {kernel}: p99.9 / p50 = {r['ratio']:.3g} (null spin {spin['ratio']:.3g}): {met}")
+    dropped = [r for r in records if r["case"].startswith("garbage: steps dropped")]
+    if dropped:
+        longest, freed = max(r["gc_pause_ms"] for r in dropped), sum(r["unreachable"] for r in dropped)
+        met = "met" if longest <= PAUSE_MS and freed == 0 else "missed"
+        lines.append(f"steps dropped by the caller: longest pause {longest:.3g} ms, {freed} unreachable objects: {met}")
+    return "\n".join(f"- {line}" for line in lines)
+
+
+def report(records: Sequence[Record]) -> str:
+    """Two tables and the targets."""
+    latency = [r for r in records if "gc_pause_ms" not in r or r["gc_pause_ms"] is None]
+    pauses = [r for r in records if r["gc_pause_ms"] is not None]
+    return "\n\n".join(
+        [
+            "## A step (CPU time of the thread; ratio: p99.9 / p50)",
+            common.markdown_table(latency, KEYS[: KEYS.index("gc_pause_ms")]),
+            "## Garbage collection beside 10⁶ live objects (time: wall)",
+            common.markdown_table(pauses, ("case", "kernel", "p50_us", "max_us", *KEYS[KEYS.index("gc_pause_ms") :])),
+            f"## Targets: p99.9 ≤ {RATIO:g} × p50, no pause over {PAUSE_MS:g} ms by the library's own garbage",
+            verdict(records),
+        ]
+    )
+
+
+def plot(samples: dict[str, Array]) -> dict[str, bytes]:
+    """How large a share of the steps took longer than a time."""
+    curves = {}
+    for name, times in samples.items():
+        shares = np.geomspace(0.5, 1.0 / times.size, 20)
+        curves[name.replace("null spin", "soft null spin")] = [
+            (float(share), float(np.quantile(times, 1.0 - share))) for share in shares
+        ]
+    compiled = {k: v for k, v in curves.items() if k.endswith(available_kernels()[0])}
+    return common.log_log_plot("latency.png", compiled, x="share of the steps that take longer", y="CPU time [µs]")
+
+
+def measure(plan: Plan, cases: Sequence[str] = CASES) -> tuple[list[Record], dict[str, Array]]:
+    """All records, and the samples of the tails."""
+    turns = 2 * len(cases) * len(available_kernels()) * max(1, plan.steps // plan.block)
+    progress = common.Progress(turns + 4, label="tails")
+    records, samples = tails(plan, cases, progress)
+    records += garbage(plan, progress)
+    progress.close()
+    return [{key: r.get(key) for key in KEYS} for r in records], samples
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Command line."""
+    parser = common.arguments(__doc__.partition("\n")[0] if __doc__ else "")
+    parser.add_argument("--cases", nargs="+", choices=CASES, default=CASES, help="which cases (all)")
+    args = parser.parse_args(argv)
+    plan = QUICK if args.quick else FULL
+    settings = {"arms": ARMS, "dt": "1 ms", "steps": plan.steps, "a block": plan.block, "objects alive": plan.alive}
+    settings |= {"garbage": "gc.freeze() before, collector on", "clock": "CPU time of the thread"}
+    description = common.describe("latency", settings)
+    print(common.header(description), flush=True)
+    records, samples = measure(plan, args.cases)
+    text = report(records)
+    print("\n" + text)
+    files = {"latency.md": (text + "\n").encode(), **plot(samples)} if args.out is not None else None
+    for file in common.save(records, description, json_file=args.json, out=args.out, files=files):
+        print(f"wrote {file}")
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

@@ -1,0 +1,72 @@
+"""benchmarks/latency.py and physics.py: small runs."""
+
+from __future__ import annotations
+
+import gc
+import json
+import sys
+from pathlib import Path
+
+import pytest
+
+from coopqp import available_kernels
+
+BENCHMARKS = Path(__file__).resolve().parent.parent / "benchmarks"
+sys.path.insert(0, str(BENCHMARKS))
+
+import common  # noqa: E402, F401
+import latency  # noqa: E402
+
+CONTRACT = {"case", "kernel", "arms", "p50_us", "p99_us", "p999_us", "max_us", "gc_pause_ms"}
+
+
+def test_latency(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    plan = latency.Plan(steps=40, block=20, garbage_steps=1000, alive=1000)
+    monkeypatch.setattr(latency, "QUICK", plan)
+    file, out = tmp_path / "r.json", tmp_path / "out"
+    assert latency.main(["--quick", "--json", str(file), "--out", str(out)]) == 0
+    assert "coopqp kernel:" in capsys.readouterr().out
+    records = json.loads(file.read_text())
+    assert all(set(r) >= CONTRACT for r in records)
+    tails = [r for r in records if r["gc_pause_ms"] is None]
+    names = {*latency.CASES, *(f"null spin: {case}" for case in latency.CASES)}
+    assert {(r["case"], r["kernel"]) for r in tails} == {(c, k) for c in names for k in available_kernels()}
+    for r in tails:
+        assert r["steps"] == 40
+        assert 0.0 < r["p50_us"] <= r["p99_us"] <= r["p999_us"] <= r["max_us"]
+    pauses = {r["case"]: r for r in records if r["gc_pause_ms"] is not None}
+    assert len(pauses) == 4
+    for case, r in pauses.items():  # a step leaves nothing behind that only the collector could free
+        assert r["unreachable"] == 0, case
+        assert (r["collections"] > 0) is ("kept" in case)
+    assert "## Targets" in (out / "latency.md").read_text()
+    assert (out / "latency.png").stat().st_size > 10_000
+    assert not gc.get_freeze_count()
+
+
+def test_the_cases_are_what_they_say() -> None:
+    """Slowed where it says so, a QP where it says so; the watched one reads forces."""
+    for case in latency.CASES:
+        loop = latency.Loop(case, available_kernels()[0])
+        steps = []
+        step = loop.controller.step
+        loop.controller.step = lambda q=None, step=step, steps=steps: steps.append(step(q)) or steps[-1]  # type: ignore[method-assign]
+        loop.block(300)
+        slowed = sum(s.rate < 1.0 for s in steps)
+        solved = sum(s.solver.name != "none" for s in steps)
+        assert (slowed > 100) is (case in ("slowed", "corner", "qp")), case
+        assert (solved > 250) is (case == "qp"), case
+        assert (loop.controller._supervision._stress is not None) is (case == "watched")
+
+
+def test_physics(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    pytest.importorskip("mujoco")
+    import physics
+
+    file, out = tmp_path / "r.json", tmp_path / "out"
+    assert physics.main(["--quick", "--parts", "loop", "--json", str(file), "--out", str(out)]) == 0
+    assert "## loop" in capsys.readouterr().out
+    forces = {(r["controller"], r["N"]): r["delta_force_N"] for r in json.loads(file.read_text())}
+    assert forces[physics.QP, 400] < 0.02 * forces[physics.PSEUDO_INVERSE, 400]
+    assert forces[physics.QP, 40] < 0.05 * forces[physics.PSEUDO_INVERSE, 40]
+    assert (out / "physics.md").is_file()
