@@ -187,6 +187,7 @@ class Monitor:
         path: where the object should go; by default the path that each step names.
         tolerances: what still counts as kept.
         keep: number of violations kept in full; all are counted.
+        kinematics: judge the chain and the path too; without them a step costs a third.
     """
 
     def __init__(
@@ -197,11 +198,12 @@ class Monitor:
         *,
         tolerances: MonitorTolerances | None = None,
         keep: int = 50,
+        kinematics: bool = True,
     ) -> None:
         grasp.check_arms(cell)
         self.cell, self.grasp, self.path = cell, grasp, path
         self.tolerances = tolerances or MonitorTolerances()
-        self._keep = keep
+        self._keep, self._kinematics = keep, kinematics
         self._data = cell.model.createData()
         self._inverse_grasp = np.array([X.inverse().homogeneous for X in grasp.T_object_tool])
         limits = cell.limits
@@ -318,7 +320,9 @@ class Monitor:
             rate=np.array([s.rate for s in steps]),
             holding=np.array([s.status in (Status.HOLDING, Status.FAULT) for s in steps]),
             same_path=np.array([a is b for a, b in zip(before, paths, strict=True)]),
-            reference=np.array([p.pose(s.clock_next).homogeneous for p, s in zip(paths, steps, strict=True)]),
+            reference=np.array(
+                [p.pose(s.clock_next).homogeneous for p, s in zip(paths, steps, strict=True) if self._kinematics]
+            ),
             duration=np.array([p.duration for p in paths]),
         )
         self._judge(block)
@@ -365,7 +369,8 @@ class Monitor:
         self._judge_continuity(block, x, x_next, ends)
         self._judge_clock(block, ends)
         self._judge_holding(block, v_before, ends)
-        self._judge_object(block, ends)
+        if self._kinematics:
+            self._judge_object(block, ends)
         self._steps += steps
         self._time = float(ends[-1])
         self._last_q, self._last_v = block.q_next[-1].copy(), block.velocity[-1].copy()

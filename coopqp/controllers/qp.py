@@ -540,7 +540,7 @@ class QPController:
         clock, duration = self._clock, self.path.duration
         rate = 0.0 if rate < 0.0 else 1.0 if rate > 1.0 else rate
         # what the last step needs is the full rate
-        share = 1.0 if rate >= 1.0 or rate * h >= duration - clock else rate
+        share = 1.0 if rate >= 1.0 or (rate * h >= duration - clock and not watch.hold) else rate
         clock_next = clock + rate * h
         if duration - clock_next < 1e-9 * duration:
             clock_next = duration

@@ -6,8 +6,9 @@ do something wrong through the very same checks as the others do with those that
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -22,9 +23,10 @@ from coopqp.errors import UnreachableError
 from coopqp.inverse_kinematics import inverse_kinematics
 from coopqp.limits import VelocityBox
 from coopqp.monitor import Monitor, MonitorTolerances, Verdict
-from coopqp.path import ServoPath
+from coopqp.path import HoldPath, LinePath, ObjectPath, ServoPath, WaypointPath
 from coopqp.scenarios import Scenario, at_limit
 from coopqp.solvers import QpProblem, QpSolution, QpSolver, SolverStatus
+from coopqp.state import CellState
 
 Array: TypeAlias = npt.NDArray[np.float64]
 #: ``make(task, **options)`` builds a controller for a scenario.
@@ -272,6 +274,138 @@ def solver_fails(
     growth = 1e3 * (verdict.worst.chain_m - before.worst.chain_m)
     hits = min(double.hits for double in doubles)
     return Failure(held, hits, stopping, growth, recovery, sum(verdict.counts.values()))
+
+
+# -- A1: any command ---------------------------------------------------------------------------------------------------
+
+#: Steps that are judged at once.
+BLOCK = 500
+
+
+@dataclass
+class Commands:
+    """Random steps.
+
+    Attributes:
+        steps: judged.
+        violations: by kind: form, finiteness, limits, continuity, clock, data modified; and what was raised.
+        statuses: how often each was seen.
+    """
+
+    steps: int = 0
+    violations: Counter[str] = field(default_factory=Counter)
+    statuses: Counter[Status] = field(default_factory=Counter)
+
+
+def rough_steps(make: Maker, task: Scenario, rng: np.random.Generator, steps: int, *, measured: float) -> Commands:
+    """Drive one controller with whatever may come, and judge every command.
+
+    New paths and targets (too fast, unreachable) at any moment, lengths of steps that vary or are none, resets; and in
+    a share ``measured`` of the time measured configurations with noise, jumps, NaN.
+    """
+    result, monitor = Commands(), Monitor(task.cell, task.grasp, tolerances=MonitorTolerances(**WIDE), kinematics=False)
+    limits = [np.array(getattr(task.cell.limits, name)) for name in ("lower", "upper", "velocity", "acceleration")]
+    block: list[ControlStep] = []
+    handed: list[tuple[Array, Array]] = []
+    kept = {name: np.empty((BLOCK, n)) for name, n in (("q", task.cell.nq), ("velocity", task.cell.nv))}
+    kept["q_next"] = np.empty_like(kept["q"])
+
+    def judge() -> None:
+        if not block:
+            return
+        monitor.observe_all(block)
+        for name, copies in kept.items():
+            now = [getattr(step, name) for step in block]
+            result.violations["mutated"] += not np.array_equal(now, copies[: len(block)], equal_nan=True)
+        result.violations["mutated"] += sum(not np.array_equal(a, b, equal_nan=True) for a, b in handed)
+        result.statuses.update(s.status for s in block)
+        result.steps += len(block)
+        block.clear()
+        handed.clear()
+
+    q = np.array(task.q_start)
+    controller = make(task)
+    controller.reset(q)
+    while result.steps + len(block) < steps:
+        mode = rng.choice(["plain", "dt", "measured"], p=[0.8 * (1.0 - measured), 0.2 * (1.0 - measured), measured])
+        noise, wild = 10.0 ** rng.uniform(-6.0, -3.0), rng.uniform() < 0.3
+        for _ in range(min(int(rng.integers(1, 400)), BLOCK - len(block))):
+            argument, dt = None, None
+            if mode == "dt":
+                dt = rng.choice(_LENGTHS) if wild else task.dt * float(rng.uniform(0.5, 2.0))
+            elif mode == "measured":
+                argument = _measured(task, q, rng, noise, wild)
+                handed.append((argument, argument.copy()))
+            try:
+                step = controller.step(argument, dt=dt)
+            except Exception as error:
+                result.violations[f"raised {type(error).__name__}"] += 1
+                break
+            for name, copies in kept.items():
+                copies[len(block)] = getattr(step, name)
+            block.append(step)
+            q = step.q_next
+            if step.status is Status.FAULT:
+                break
+        if len(block) == BLOCK:
+            judge()
+        _interfere(controller, task, q, rng, judge, monitor)
+    judge()
+    verdict = monitor.verdict()
+    result.violations.update({breach.name: n for breach, n in verdict.counts.items()})
+    for name, before in zip(("lower", "upper", "velocity", "acceleration"), limits, strict=True):
+        result.violations["mutated"] += not np.array_equal(getattr(task.cell.limits, name), before)
+    result.violations += Counter()  # drops zeros
+    return result
+
+
+#: Lengths of a step that are none.
+_LENGTHS = np.array([0.0, -1.0, np.nan, np.inf, 1e-12, 1e9])
+
+
+def _measured(task: Scenario, q: Array, rng: np.random.Generator, noise: float, wild: bool) -> Array:
+    """The commanded configuration as an encoder may report it."""
+    moved = rng.uniform(-noise, noise, task.cell.nv)
+    if wild and rng.uniform() < 0.2:
+        moved[rng.integers(task.cell.nv)] += rng.choice([0.01, 0.2, -1.0])
+    argument = np.array(pin.integrate(task.cell.model, q, moved))
+    if wild and rng.uniform() < 0.05:
+        argument[rng.integers(task.cell.nq)] = rng.choice([np.nan, np.inf, 1e300])
+    return argument
+
+
+def random_path(rng: np.random.Generator, start: pin.SE3) -> ObjectPath:
+    """A path from ``start``: slow or much too fast, near or out of reach, smooth or with corners."""
+
+    def away(T: pin.SE3) -> pin.SE3:
+        size = 10.0 ** rng.uniform(-3.0, 0.0)
+        return T * pin.exp6(size * rng.normal(size=6) * np.array([0.3, 0.3, 0.3, 1.0, 1.0, 1.0]))
+
+    duration, law = float(10.0 ** rng.uniform(-1.0, 1.0)), str(rng.choice(["linear", "quintic"]))
+    kind = rng.integers(3)
+    if kind == 0:
+        return ServoPath(start, speed=float(10.0 ** rng.uniform(-2.0, 0.5)), spin=float(10.0 ** rng.uniform(-2.0, 0.5)))
+    if kind == 1:
+        return LinePath(start, away(start), duration=duration, time_law=law)
+    middle = away(start)
+    return WaypointPath([start, middle, away(middle)], durations=[duration, 0.5 * duration], time_law=law)
+
+
+def _interfere(
+    controller: Any, task: Scenario, q: Array, rng: np.random.Generator, judge: Callable[[], None], monitor: Monitor
+) -> None:
+    """A new path, a new target, a reset where the arms are; and after a fault always a reset."""
+    here = task.grasp.carried(CellState(task.cell, q))[0]
+    faulty = bool(getattr(controller, "_fault", ""))
+    if not faulty and isinstance(controller.path, ServoPath) and rng.uniform() < 0.7:
+        controller.retarget(here * pin.exp6(10.0 ** rng.uniform(-3.0, 0.0) * rng.normal(size=6)))
+    elif not faulty and rng.uniform() < 0.7:
+        controller.follow(random_path(rng, here))
+    elif faulty or rng.uniform() < 0.3:
+        judge()
+        controller.follow(HoldPath(here))
+        controller.reset(q)
+        monitor.restart()
 
 
 # -- A2: limits --------------------------------------------------------------------------------------------------------

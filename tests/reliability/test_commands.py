@@ -1,0 +1,73 @@
+"""A1: whatever comes in, a command that may be sent comes out, and nothing that was handed in or out is modified."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from checks import cooperative, limited, rough_steps
+
+from coopqp.controllers.base import Status
+from coopqp.kernel import available_kernels
+from coopqp.scenarios import Scenario, dual_arm7, five_joint_pair, mixed_cell, paper_lift, ring, scara_pair
+
+
+def rough_task(task: Scenario, rng: np.random.Generator) -> Scenario:
+    """The scenario with another length of the step and other limits; sometimes it starts outside of some."""
+    limits, x = task.cell.limits, task.cell.positions(task.q_start)
+    lower, upper = np.array(limits.lower), np.array(limits.upper)
+    if rng.uniform() < 0.3:
+        joints = ~task.cell.continuous & (rng.uniform(size=task.cell.nv) < 0.3)
+        upper[joints] = np.minimum(upper, x + rng.uniform(-0.1, 0.5, task.cell.nv))[joints]
+        lower[joints] = np.minimum(lower, upper - 0.5)[joints]
+    return limited(
+        replace(task, dt=float(rng.choice([0.001, 0.002, 0.005]))),
+        lower=lower,
+        upper=upper,
+        velocity=np.array(limits.velocity) * 10.0 ** rng.uniform(-1.0, 0.0),
+        acceleration=np.inf if rng.uniform() < 0.5 else 10.0 ** rng.uniform(0.0, 1.5, task.cell.nv),
+    )
+
+
+def test_any_command_may_be_sent(count: Callable[[int], int], catalogue: Any, rng: np.random.Generator) -> None:
+    """A million steps: nearly all with the compiled kernel, some with the NumPy one, some without either."""
+    fused = [paper_lift(), dual_arm7(), mixed_cell(), ring(arms=4)]
+    unfused = [scara_pair(), five_joint_pair()]
+    kernels = {"compiled": 19_500, "numpy": 600} if "compiled" in available_kernels() else {"numpy": 2_000}
+    steps: Counter[str] = Counter()
+    violations: Counter[str] = Counter()
+    statuses: Counter[Status] = Counter()
+    for i in range(count(50)):
+        runs = [(fused[i % 4], name, n) for name, n in kernels.items()]
+        if i % 5 == 0:
+            runs.append((unfused[i // 5 % 2], "auto", 400))
+        for task, kernel, n in runs:
+            found = rough_steps(
+                lambda task, kernel=kernel: cooperative(task, kernel=kernel),
+                rough_task(task, rng),
+                rng,
+                n,
+                measured=0.05,
+            )
+            steps[kernel if task in fused else "none"] += found.steps
+            violations += found.violations
+            statuses += found.statuses
+    late = violations.pop("HOLDING", 0)
+    what = ", ".join(f"{n:,} {name}" for name, n in steps.items())
+    catalogue.row(
+        "A1",
+        "form, finiteness, limits, continuity, clock, data modified",
+        cases=steps.total(),
+        measured=violations.total(),
+        target=0,
+        note=f"kernels: {what}; {late} steps held longer than 1.1 v/a + 2 dt, after a new path in motion",
+    )
+    assert not violations
+    assert set(statuses) == set(Status), "each status was seen"
+    assert (
+        min(statuses[s] for s in (Status.TRACKING, Status.SLOWED, Status.BLOCKED, Status.HOLDING))
+        > 0.01 * steps.total()
+    )
