@@ -279,7 +279,7 @@ def solver_fails(
 # -- A1: any command ---------------------------------------------------------------------------------------------------
 
 #: Steps that are judged at once.
-BLOCK = 500
+BLOCK = 1000
 
 
 @dataclass
@@ -329,7 +329,7 @@ def rough_steps(make: Maker, task: Scenario, rng: np.random.Generator, steps: in
     while result.steps + len(block) < steps:
         mode = rng.choice(["plain", "dt", "measured"], p=[0.8 * (1.0 - measured), 0.2 * (1.0 - measured), measured])
         noise, wild = 10.0 ** rng.uniform(-6.0, -3.0), rng.uniform() < 0.3
-        for _ in range(min(int(rng.integers(1, 400)), BLOCK - len(block))):
+        for _ in range(min(int(rng.integers(1, 1000)), BLOCK - len(block))):
             argument, dt = None, None
             if mode == "dt":
                 dt = rng.choice(_LENGTHS) if wild else task.dt * float(rng.uniform(0.5, 2.0))

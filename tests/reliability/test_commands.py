@@ -50,7 +50,7 @@ def test_any_command_may_be_sent(count: Callable[[int], int], catalogue: Any, rn
                 rough_task(task, rng),
                 rng,
                 n,
-                measured=0.05,
+                measured=0.03,
             )
             steps[kernel if task in fused else "none"] += found.steps
             violations += found.violations
