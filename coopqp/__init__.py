@@ -21,12 +21,14 @@ from coopqp.kernel import available_kernels
 from coopqp.limits import BindingLimit, LimitKind
 from coopqp.path import HoldPath, LinePath, ObjectPath, ServoPath, TimeLaw, WaypointPath
 from coopqp.plants.kinematic import KinematicPlant, Plant
+from coopqp.plants.physics import PhysicsOptions, PhysicsPlant
 from coopqp.posture import PostureOptions
 from coopqp.preview import PreviewOptions
 from coopqp.program import RankWeights
 from coopqp.simulation import Recording, simulate
 from coopqp.solvers import available_solvers
 from coopqp.state import CellState
+from coopqp.stress import StressModel
 
 __version__ = "0.1.0"
 
@@ -48,6 +50,8 @@ __all__ = [
     "MissingExtraError",
     "ModelError",
     "ObjectPath",
+    "PhysicsOptions",
+    "PhysicsPlant",
     "Plant",
     "PostureOptions",
     "PreviewOptions",
@@ -60,6 +64,7 @@ __all__ = [
     "RobotCell",
     "ServoPath",
     "Status",
+    "StressModel",
     "SupervisionOptions",
     "TimeLaw",
     "UnknownNameError",
