@@ -166,10 +166,17 @@ class Chain:
         return out
 
     def joint_columns(self, T: Array) -> Array:
-        """Joint velocities (nv, c) for c object motions at once: ``T`` (6, c) world twists common to all arms."""
-        out = np.zeros((self.nv, T.shape[1]))
+        """Joint velocities (nv, c) for c object motions at once.
+
+        ``T`` holds world twists, (6, c) where they are common to all arms, (N, 6, c) where each arm has its own.
+        """
+        columns = T.shape[-1]
+        if self._still is None and len(self._groups) == 1:
+            product: Array = self.inverses[0].transpose(0, 2, 1) @ T
+            return product.reshape(self.nv, columns)
+        out = np.zeros((self.nv, columns))
         for g, inverse in zip(self._groups, self.inverses, strict=True):
-            out[g.columns] = inverse.transpose(0, 2, 1) @ T
+            out[g.columns] = inverse.transpose(0, 2, 1) @ (T if T.ndim == 2 else T[g.arms])
         return out
 
     def twists(self, v: Array) -> Array:

@@ -178,6 +178,7 @@ class StepProgram:
         w = weights
         self.metric = np.array([1.0] * 3 + [w.length**2] * 3)
         self._twist_scale = 1.0 / np.sqrt(w.off_path * self.metric)
+        self._basis = np.diag(self._twist_scale)
         self._share_scale = 1.0 / np.sqrt(np.array([w.rate, w.grasp, w.path]))
         self._comfort_scale = 1.0 / np.sqrt(w.comfort)
         self.recovery_scale = 1.0 / float(np.sqrt(w.recovery))
@@ -187,23 +188,21 @@ class StepProgram:
 
     def pieces(self, terms: StepTerms) -> Pieces:
         """Split the command into the contributions of the unknowns."""
-        chain, to_world = self.chain, terms.to_world
-        n = chain.n_arms
-        T = np.column_stack([to_world @ terms.along, to_world @ terms.path_correction])
-        columns = chain.joint_columns(T)
-        grasp = chain.joint_velocities(terms.grasp_corrections @ to_world.T, np.empty(chain.nv))
-        fixed = chain.joint_velocities(terms.offsets.reshape(n, 6) @ to_world.T, np.empty(chain.nv))
-        along = columns[:, 0].copy()
+        chain = self.chain
+        twists = np.empty((chain.n_arms, 6, 4))
+        twists[:, :, 0], twists[:, :, 1] = terms.along, terms.path_correction
+        twists[:, :, 2], twists[:, :, 3] = terms.grasp_corrections, terms.offsets
+        along, path, grasp, fixed = np.ascontiguousarray(chain.joint_columns(terms.to_world @ twists).T)
         if terms.null_along is not None:
             along += terms.null_along
         if terms.null_offset is not None:
             fixed += terms.null_offset
-        return Pieces(fixed, along, grasp, columns[:, 1].copy())
+        return Pieces(fixed, along, grasp, path)
 
     def _twist_basis(self, terms: StepTerms) -> Array:
         """Scaled basis of s in the reference frame, (6, d)."""
         if terms.admissible is None:
-            return np.diag(self._twist_scale)
+            return self._basis
         # s = Z y with ‖s‖_W = ‖y‖ after orthonormalisation in the metric W
         Q, _ = np.linalg.qr(terms.admissible / self._twist_scale[:, None])
         basis: Array = self._twist_scale[:, None] * Q
