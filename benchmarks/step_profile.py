@@ -88,7 +88,7 @@ class Stopwatch:
 
 def controller_of(scenario: Scenario, kernel: str) -> QPController:
     """A controller that runs this kernel, or a QP at every step."""
-    options = QPOptions(shortcut=False, kernel="none") if kernel == ALWAYS_QP else QPOptions(kernel=kernel)
+    options = QPOptions(shortcut=False) if kernel == ALWAYS_QP else QPOptions(kernel=kernel)
     controller = QPController(scenario.cell, scenario.grasp, scenario.path, dt=scenario.dt, options=options)
     controller.reset(scenario.q_start)
     return controller
@@ -104,12 +104,15 @@ def watched(controller: QPController) -> Stopwatch:
         (controller, ("_terms",), "errors"),
         (controller._box, ("update",), "assembly"),
         (solver.program, ("pieces", "condensed", "read_condensed"), "assembly"),
+        (solver, ("settle",), "report"),
         (solver._solver, ("solve",), "solve"),
         (solver._slack_solver, ("solve",), "solve"),
         (controller, ("_finish",), "report"),
     ):
         for name in names:
             watch.watch(owner, name, part)
+    if controller._rows is not None:
+        watch.watch(controller, "_rows", "kernel")
     if kernel is not None and kernel.name == "numpy":
         for name, part in _NUMPY_PARTS.items():
             if hasattr(kernel, name):

@@ -141,7 +141,8 @@ class TestProfile:
             shares = [r["share"] for r in profiles if (r["kernel"], r["case"]) == (kernel, case) and r["share"]]
             assert sum(shares) == pytest.approx(1.0, abs=0.01)
         parts = {r["part"] for r in profiles if r["kernel"] == step_profile.ALWAYS_QP}
-        assert parts >= {"kinematics", "errors", "assembly", "solve", "report"}
+        filled = {"kernel"} if "compiled" in available_kernels() else {"errors", "assembly"}
+        assert parts >= {"kinematics", "solve", "report"} | filled
         whats = {r["what"] for r in records}
         assert whats >= {"step", "null spin", "limit: kinematics + nominal test", "step / limit"}
         assert all(r["ratio"] > 0.0 for r in records if r["what"] != "profile")
