@@ -711,3 +711,18 @@ def test_every_scenario_runs() -> None:
         assert all(s.status not in (Status.HOLDING, Status.FAULT) for s in steps), name
         assert chain_of(task, steps).max() < 0.05 * MM, name
         assert excess(task, steps) == 0.0, name
+
+
+@pytest.mark.parametrize("kernel", ["auto", "numpy", "none"])
+def test_a_result_cannot_be_changed_behind_the_controllers_back(kernel: str) -> None:
+    task = paper_lift()
+    controller = QPController(task.cell, task.grasp, task.path, dt=task.dt, options=QPOptions(kernel=kernel))
+    start = task.q_start.copy()
+    controller.reset(start)
+    start += 1.0
+    for _ in range(3):
+        step = controller.step()
+        for array in (step.q, step.velocity, step.q_next):
+            with pytest.raises(ValueError, match="read-only"):
+                array[0] = 1.0
+    np.testing.assert_allclose(step.q, task.q_start, atol=0.01)

@@ -15,7 +15,7 @@ from coopqp.errors import InvalidInputError
 from coopqp.grasp import Grasp
 from coopqp.limits import BindingLimit
 from coopqp.path import ObjectPath
-from coopqp.spatial import Array
+from coopqp.spatial import Array, read_only
 from coopqp.state import CellState
 
 
@@ -79,6 +79,8 @@ NOTHING = GivenUp()
 @dataclass(frozen=True, eq=False)
 class ControlStep:
     """The command of one step, and the reason for it. Costly readings are computed when asked for.
+
+    Its arrays are read-only; copy one to change it.
 
     Attributes:
         q: commanded configuration at the start of the step (nq,).
@@ -175,6 +177,9 @@ def make_step(fields: dict[str, Any]) -> ControlStep:
     """A ControlStep that keeps ``fields``, every one of them, without the cost of a frozen dataclass's constructor."""
     step = _new(ControlStep)
     _set(step, "__dict__", fields)
+    # The controller goes on from them: what a user adds to one must not move the arms.
+    fields["velocity"].setflags(False)
+    fields["q_next"].setflags(False)
     return step
 
 
@@ -209,7 +214,7 @@ START_TOLERANCE_M, START_TOLERANCE_RAD = 0.02, np.deg2rad(3.0)
 def check_start(
     cell: RobotCell, grasp: Grasp, path: ObjectPath, q: Any, *, tolerance_m: float, tolerance_rad: float
 ) -> Array:
-    """Return ``q`` as an array if the arms hold the object at the start of the path there.
+    """Return ``q`` as a read-only array if the arms hold the object at the start of the path there.
 
     Raises:
         InvalidInputError: names the arm and how far it is from the grasp, and from the path's start.
@@ -226,4 +231,4 @@ def check_start(
                 "reset: q",
                 "Start where the arms meet the grasp (coopqp.inverse_kinematics), or widen the start tolerance.",
             )
-    return configuration
+    return read_only(configuration)
