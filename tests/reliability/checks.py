@@ -297,31 +297,31 @@ class Commands:
     statuses: Counter[Status] = field(default_factory=Counter)
 
 
-def rough_steps(make: Maker, task: Scenario, rng: np.random.Generator, steps: int, *, measured: float) -> Commands:
+def rough_steps(
+    make: Maker, task: Scenario, rng: np.random.Generator, steps: int, *, measured: float, stretch: int = BLOCK
+) -> Commands:
     """Drive one controller with whatever may come, and judge every command.
 
     New paths and targets (too fast, unreachable) at any moment, lengths of steps that vary or are none, resets; and in
-    a share ``measured`` of the time measured configurations with noise, jumps, NaN.
+    a share ``measured`` of the time measured configurations with noise, jumps, NaN. Something else comes after at most
+    ``stretch`` steps.
     """
     result, monitor = Commands(), Monitor(task.cell, task.grasp, tolerances=MonitorTolerances(**WIDE), kinematics=False)
     limits = [np.array(getattr(task.cell.limits, name)) for name in ("lower", "upper", "velocity", "acceleration")]
     block: list[ControlStep] = []
     handed: list[tuple[Array, Array]] = []
-    kept = {name: np.empty((BLOCK, n)) for name, n in (("q", task.cell.nq), ("velocity", task.cell.nv))}
-    kept["q_next"] = np.empty_like(kept["q"])
+    kept: list[tuple[bytes, ...]] = []
 
     def judge() -> None:
         if not block:
             return
         monitor.observe_all(block)
-        for name, copies in kept.items():
-            now = [getattr(step, name) for step in block]
-            result.violations["mutated"] += not np.array_equal(now, copies[: len(block)], equal_nan=True)
+        result.violations["mutated"] += sum(_bytes(s) != before for s, before in zip(block, kept, strict=True))
         result.violations["mutated"] += sum(not np.array_equal(a, b, equal_nan=True) for a, b in handed)
         result.statuses.update(s.status for s in block)
         result.steps += len(block)
-        block.clear()
-        handed.clear()
+        for done in (block, kept, handed):
+            done.clear()
 
     q = np.array(task.q_start)
     controller = make(task)
@@ -329,7 +329,7 @@ def rough_steps(make: Maker, task: Scenario, rng: np.random.Generator, steps: in
     while result.steps + len(block) < steps:
         mode = rng.choice(["plain", "dt", "measured"], p=[0.8 * (1.0 - measured), 0.2 * (1.0 - measured), measured])
         noise, wild = 10.0 ** rng.uniform(-6.0, -3.0), rng.uniform() < 0.3
-        for _ in range(min(int(rng.integers(1, 1000)), BLOCK - len(block))):
+        for _ in range(min(int(rng.integers(1, stretch)), BLOCK - len(block))):
             argument, dt = None, None
             if mode == "dt":
                 dt = rng.choice(_LENGTHS) if wild else task.dt * float(rng.uniform(0.5, 2.0))
@@ -341,14 +341,16 @@ def rough_steps(make: Maker, task: Scenario, rng: np.random.Generator, steps: in
             except Exception as error:
                 result.violations[f"raised {type(error).__name__}"] += 1
                 break
-            for name, copies in kept.items():
-                copies[len(block)] = getattr(step, name)
+            kept.append(_bytes(step))
             block.append(step)
-            q = step.q_next
+            if np.shape(step.q_next) == q.shape:
+                q = np.asarray(step.q_next)
             if step.status is Status.FAULT:
                 break
         if len(block) == BLOCK:
             judge()
+        if not np.isfinite(q).all():
+            q = np.array(task.q_start)
         _interfere(controller, task, q, rng, judge, monitor)
     judge()
     verdict = monitor.verdict()
@@ -357,6 +359,11 @@ def rough_steps(make: Maker, task: Scenario, rng: np.random.Generator, steps: in
         result.violations["mutated"] += not np.array_equal(getattr(task.cell.limits, name), before)
     result.violations += Counter()  # drops zeros
     return result
+
+
+def _bytes(step: ControlStep) -> tuple[bytes, ...]:
+    """What a command holds, to the last bit."""
+    return tuple(np.asarray(array).tobytes() for array in (step.q, step.velocity, step.q_next))
 
 
 #: Lengths of a step that are none.

@@ -1,0 +1,495 @@
+"""H: controllers that do something wrong, put through the checks of the rows: every one has to be caught.
+
+A check that passes what is broken proves nothing. Each defect is one that a controller may really have: a limit that it
+knows wrongly, a brake that is none, a failed solve taken for an answer, memory handed out and written to again.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from checks import (
+    FAULTS,
+    box_stops,
+    controller_overshoot,
+    cooperative,
+    drive,
+    fenced_out,
+    from_outside,
+    judged,
+    limited,
+    rough_steps,
+    saturated,
+    slows_together,
+    solver_fails,
+)
+
+from coopqp.controllers import answer as answers
+from coopqp.controllers.answer import StepAnswer, StepSolver
+from coopqp.controllers.base import ControlStep, Status
+from coopqp.controllers.independent import IndependentQPController
+from coopqp.controllers.pseudo_inverse import PseudoInverseController, PseudoInverseOptions
+from coopqp.controllers.supervision import Supervision
+from coopqp.limits import VelocityBox
+from coopqp.monitor import Breach, Monitor, Monitored
+from coopqp.path import ServoPath
+from coopqp.scenarios import Scenario, at_limit, at_singularity, fast_lift, mixed_cell, paper_lift
+
+Spoil = Callable[[ControlStep, int], ControlStep]
+
+
+class Spoiled:
+    """A sound controller whose commands are spoiled on the way out."""
+
+    def __init__(self, controller: Any, spoil: Spoil) -> None:
+        self._inner, self._spoil, self._count = controller, spoil, 0
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._inner, name)
+
+    def step(self, q_measured: Any = None, *, dt: float | None = None) -> ControlStep:
+        self._count += 1
+        return self._spoil(self._inner.step(q_measured, dt=dt), self._count)
+
+
+def spoiled(spoil: Spoil) -> Callable[..., Any]:
+    return lambda task, **options: Spoiled(cooperative(task, **options), spoil)
+
+
+@contextmanager
+def patched(owner: Any, name: str, value: Any) -> Iterator[None]:
+    """For a while a part of the controller is another."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(owner, name, value)
+        yield
+
+
+def lift() -> Scenario:
+    return replace(paper_lift(time_law="quintic"), dt=0.002)
+
+
+def with_believed(**factors: float) -> Callable[..., Any]:
+    """Controllers that take limits to be wider than they are, by a factor; positions by a margin [rad]."""
+
+    def make(task: Scenario, **options: Any) -> Any:
+        limits, margin = task.cell.limits, factors.get("position", 0.0)
+        believed = limited(
+            task,
+            lower=np.array(limits.lower) - margin,
+            upper=np.array(limits.upper) + margin,
+            velocity=np.array(limits.velocity) * factors.get("velocity", 1.0),
+            acceleration=np.array(limits.acceleration) * factors.get("acceleration", 1.0),
+        )
+        return cooperative(believed, **options)
+
+    return make
+
+
+# -- A1: commands ------------------------------------------------------------------------------------------------------
+
+
+def changed(step: ControlStep, name: str, j: int, by: float) -> ControlStep:
+    """One number of the command is another."""
+    value = np.array(getattr(step, name))
+    value[j] = by if np.isnan(by) else value[j] + by
+    return replace(step, **{name: value})
+
+
+def now_and_then(spoil: Callable[[ControlStep], ControlStep], every: int = 50) -> Spoil:
+    return lambda step, i: spoil(step) if i % every == 0 else step
+
+
+COMMANDS: dict[str, Spoil] = {
+    "a velocity that is NaN": now_and_then(lambda s: changed(s, "velocity", 3, np.nan)),
+    "a configuration that is NaN": now_and_then(lambda s: changed(s, "q_next", 7, np.nan)),
+    "single precision": now_and_then(lambda s: replace(s, velocity=s.velocity.astype(np.float32))),
+    "one number missing": now_and_then(lambda s: replace(s, velocity=s.velocity[:-1])),
+    "a list": now_and_then(lambda s: replace(s, q_next=s.q_next.tolist())),
+    "a status that is none": now_and_then(lambda s: replace(s, status="tracking")),  # type: ignore[arg-type]
+    "a configuration that the velocity does not lead to": now_and_then(lambda s: changed(s, "q_next", 2, 1e-7)),
+    "a configuration that is not the last one": now_and_then(lambda s: changed(s, "q", 2, 1e-7)),
+    "a speed above the limit": now_and_then(
+        lambda s: changed(s, "velocity", 4, float(s.cell.limits.velocity[4] - s.velocity[4]) + 1e-6)
+    ),
+    "a clock that runs backwards": now_and_then(lambda s: replace(s, clock_next=s.clock - 1e-6)),
+    "a clock that runs at full rate all the time": lambda s, i: replace(
+        s, clock_next=min(s.clock + s.dt, s.path.duration), rate=s.rate
+    ),
+    "a rate above 1": now_and_then(lambda s: replace(s, rate=1.0 + 1e-6)),
+}
+
+
+class OwnMemory:
+    """Hands out the same array in every step."""
+
+    def __init__(self) -> None:
+        self.memory: dict[int, Any] = {}
+
+    def __call__(self, step: ControlStep, i: int) -> ControlStep:
+        kept = self.memory.setdefault(step.velocity.size, np.empty_like(step.velocity))
+        kept[:] = step.velocity
+        return replace(step, velocity=kept)
+
+
+class Scribbler(Spoiled):
+    """Writes into the configuration that it is given."""
+
+    def step(self, q_measured: Any = None, *, dt: float | None = None) -> ControlStep:
+        step = super().step(q_measured, dt=dt)
+        if q_measured is not None:
+            q_measured[0] += 1e-9
+        return step
+
+
+class Raising(Spoiled):
+    """Takes every dt for a number that it can work with."""
+
+    def step(self, q_measured: Any = None, *, dt: float | None = None) -> ControlStep:
+        if dt is not None and not 0.0 < dt < 1.0:
+            raise ValueError("dt")
+        return super().step(q_measured, dt=dt)
+
+
+def rough(make: Callable[..., Any], measured: float = 0.0) -> bool:
+    rng = np.random.default_rng(3)
+    task = limited(paper_lift(), velocity=0.3)
+    return bool(rough_steps(make, task, rng, 4000, measured=measured, stretch=100).violations)
+
+
+def kind(wrapper: Any) -> Callable[..., Any]:
+    return lambda task, **options: wrapper(cooperative(task, **options), lambda step, i: step)
+
+
+# -- A2 to A4: limits --------------------------------------------------------------------------------------------------
+
+
+def exceeds(make: Callable[..., Any], limit: int) -> bool:
+    """The check of A2 finds an excess over its target: of position, velocity or acceleration."""
+    task, goal = (fast_lift(), None) if limit == 1 else (limited(fast_lift(), acceleration=5.0), None)
+    if limit == 0:
+        task = at_limit(margin=0.1, acceleration=np.inf)
+        start, goal = task.path.pose(0.0), task.path.pose(task.path.duration)
+        task = replace(task, path=ServoPath(start, speed=0.4, spin=1.0))
+    return bool(saturated(make(task), task, 0, 400, goal).excess[limit] > (1e-9, 1e-9, 1e-6)[limit])
+
+
+def returns_wrongly(make: Callable[..., Any]) -> bool:
+    depths = {8: 0.02}
+    task = fenced_out(lift(), depths, velocity=1.0, acceleration=5.0)
+    r = from_outside(make, task, depths)
+    return r.outward > 1e-9 or r.growth > 1e-12 or r.ratio > 1.35 or r.chain_mm > 0.05 or r.failures > 0 or r.broken > 0
+
+
+class NoBrakingDistance(VelocityBox):
+    """Knows where the limit is, but not that stopping takes a way."""
+
+    def _stopping_speed(self, distance: Any, dt: float) -> Any:
+        return distance / dt
+
+
+class ContinuousBraking(VelocityBox):
+    """v²/(2a), without the way of the step that is decided now."""
+
+    def _stopping_speed(self, distance: Any, dt: float) -> Any:
+        return np.sqrt(2.0 * self._acceleration * np.maximum(distance, 0.0))
+
+
+def overshoots(box: Any) -> bool:
+    return box_stops(np.random.default_rng(1), 0.002, 2000, "outward", box).overshoot > 1e-6
+
+
+# -- A5: a failed solver -----------------------------------------------------------------------------------------------
+
+
+def fails_badly(fault: str = "answers NaN") -> bool:
+    """The check of A5 finds something, once or for ever."""
+    task = limited(fast_lift(), acceleration=5.0)
+    for for_ever in (False, True):
+        try:
+            f = solver_fails(cooperative, task, FAULTS[fault], at=120, for_ever=for_ever)
+        except RuntimeError:  # the double's: no step may raise
+            return True
+        if not f.held or f.stopping > 1.1 or f.chain_mm > 0.1 or f.broken or f.recovery > 1:
+            return True
+    return False
+
+
+def braking(velocity: Callable[[StepSolver, Any, float], Any], *, told: bool = True) -> Callable[..., StepAnswer]:
+    """A brake that commands something else."""
+
+    def brake(self: StepSolver, terms: Any, v_prev: Any, h: float, report: Any) -> StepAnswer:
+        return StepAnswer(velocity(self, v_prev, h), 0.0, 0.0, 0.0, report=report, braked=told, reason="braking")
+
+    return brake
+
+
+def each_alone(solver: StepSolver, v: Any, h: float) -> Any:
+    reach = solver._chain.cell.limits.acceleration * h
+    return np.sign(v) * np.maximum(np.abs(v) - reach, 0.0)
+
+
+BRAKES: dict[str, Callable[..., StepAnswer]] = {
+    "the last velocity is sent again": braking(lambda s, v, h: v.copy()),
+    "a step to zero": braking(lambda s, v, h: np.zeros_like(v)),
+    "every joint brakes alone": braking(each_alone),
+    "nobody is told": braking(lambda s, v, h: v * 0.99, told=False),
+}
+
+
+# -- A6 to A8, on the oracle -------------------------------------------------------------------------------------------
+
+
+class Feedback(Spoiled):
+    """Commands on from what is measured, whatever that is."""
+
+    def step(self, q_measured: Any = None, *, dt: float | None = None) -> ControlStep:
+        step = super().step(q_measured, dt=dt)
+        return step if q_measured is None else replace(step, q_next=q_measured + step.velocity * step.dt)
+
+
+def after_nan(controller: Any) -> tuple[set[Breach], int]:
+    """One measured configuration is NaN: what the oracle finds, and how many steps hold."""
+    watched = Monitored(controller, Monitor(controller.cell, controller.grasp))
+    watched.reset(lift().q_start)
+    q, held = lift().q_start, 0
+    for i in range(50):
+        step = watched.step(np.full_like(q, np.nan) if i == 20 else q)
+        held += step.status is Status.HOLDING
+        q = step.q_next
+    return set(watched.verdict().counts), held
+
+
+def stays_blocked(make: Callable[..., Any]) -> bool:
+    """After a target out of reach, one within: the joints should move within 10 steps."""
+    task = lift()
+    start = task.path.pose(0.0)
+    controller = make(replace(task, path=ServoPath(start)))
+    controller.reset(task.q_start)
+    away, near = (pin.SE3(start.rotation, start.translation + np.array([0.0, 0.0, up])) for up in (3.0, 0.05))
+    controller.retarget(away)
+    blocked = next((i for i in range(5000) if controller.step().status is Status.BLOCKED), None)
+    if blocked is None:
+        return True
+    controller.retarget(near)
+    return not any(np.abs(controller.step().velocity).max() > 1e-3 for _ in range(10))
+
+
+def never_again() -> Spoil:
+    """Once blocked, at rest for good."""
+    rest: list[ControlStep] = []
+
+    def spoil(step: ControlStep, i: int) -> ControlStep:
+        if rest or step.status is Status.BLOCKED:
+            rest.append(step)
+            return replace(rest[0], velocity=np.zeros_like(step.velocity), q_next=rest[0].q)
+        return step
+
+    return spoil
+
+
+def tears(make: Callable[[Scenario], Any]) -> bool:
+    """The oracle sees the arms part on the way into a stretched elbow."""
+    task = at_singularity("elbow", 1, acceleration=np.inf)
+    counts = judged(task, drive(make(task), task.q_start, 1200, rest=20), path_m=None, path_rad=None).counts
+    return Breach.CHAIN in counts
+
+
+def damped(task: Scenario) -> PseudoInverseController:
+    options = PseudoInverseOptions(damping=0.05)
+    return PseudoInverseController(task.cell, task.grasp, task.path, dt=task.dt, options=options)
+
+
+def alone(task: Scenario) -> IndependentQPController:
+    return IndependentQPController(task.cell, task.grasp, task.path, dt=task.dt)
+
+
+# -- A9, A10 and the rest ----------------------------------------------------------------------------------------------
+
+
+def unequal(spoil: Spoil) -> bool:
+    """The check of A9 finds that arms do not slow alike, or that the object leaves its direction."""
+    task = replace(paper_lift(duration=2.0), dt=0.002)
+    found = slows_together(spoiled(spoil), task, 0.5, joint=13)
+    return found.steps > 0 and (found.spread > 1e-6 or found.angle > 1.0)
+
+
+def one_arm_faster(step: ControlStep, i: int) -> ControlStep:
+    """The second arm does not know that the others are slowed."""
+    v = step.velocity.copy()
+    v[step.cell.v_slices[2]] *= 1.0 + 2e-6
+    return replace(step, velocity=v)
+
+
+def aside(step: ControlStep, i: int) -> ControlStep:
+    """All arms carry the object sideways a little, by 2 % of its speed."""
+    cell, data, v = step.cell, step.cell.model.createData(), step.velocity.copy()
+    pin.computeJointJacobians(cell.model, data, step.q)
+    pin.updateFramePlacements(cell.model, data)
+    for f, s in zip(cell.tool_frames, cell.v_slices, strict=True):
+        J = pin.getFrameJacobian(cell.model, data, f, pin.WORLD)[:, s]
+        twist = J @ step.velocity[s]
+        v[s] += np.linalg.solve(J, 0.02 * np.linalg.norm(twist) * np.array([1.0, 0.0, 0.0, 0.0, 0.0, 0.0]))
+    return replace(step, velocity=v)
+
+
+def baseline_breaks() -> bool:
+    task = fast_lift()
+    controller = PseudoInverseController(task.cell, task.grasp, task.path, dt=task.dt)
+    return {Breach.VELOCITY, Breach.CHAIN} <= set(judged(task, drive(controller, task.q_start, 300)).counts)
+
+
+def off_the_path() -> bool:
+    """The clock says that the object is further than it is."""
+    task = lift()
+    steps = [replace(s, clock_next=s.clock_next + 0.1) for s in drive(cooperative(task), task.q_start, 200)]
+    return Breach.PATH in judged(task, steps).counts
+
+
+def goes_on_while_holding() -> bool:
+    task = lift()
+    steps = [replace(s, status=Status.HOLDING) for s in drive(cooperative(task), task.q_start, 200)]
+    return Breach.HOLDING in judged(task, steps).counts
+
+
+def differs_between_runs() -> bool:
+    """A controller that draws random numbers: two runs are compared as in row E."""
+
+    def run() -> list[Any]:
+        rng = np.random.default_rng()
+        noisy = spoiled(lambda s, i: changed(s, "velocity", 0, float(rng.uniform(0.0, 1e-15))))
+        return [s.velocity for s in drive(noisy(mixed_cell()), mixed_cell().q_start, 20)]
+
+    return not np.array_equal(run(), run())
+
+
+@dataclass(frozen=True)
+class Broken:
+    """A defect: the row that it belongs to, and whether the check of that row catches it."""
+
+    row: str
+    caught: Callable[[], bool]
+
+
+def under(owner: Any, name: str, value: Any, caught: Callable[[], bool]) -> Callable[[], bool]:
+    """The check with a part of the controller replaced."""
+
+    def check() -> bool:
+        with patched(owner, name, value):
+            return caught()
+
+    return check
+
+
+def outward(self: VelocityBox, positions: Any, v_prev: Any, dt: float) -> None:
+    """The way back in has the wrong sign, and the box allows it."""
+    _update(self, positions, v_prev, dt)
+    self.recovery *= -1.0
+    self.upper[self.outside] = np.maximum(self.upper, np.maximum(self.recovery, 0.0))[self.outside]
+
+
+def no_way_back(self: VelocityBox, positions: Any, v_prev: Any, dt: float) -> None:
+    """A joint outside just stays there."""
+    _update(self, positions, v_prev, dt)
+    self.recovery[:] = 0.0
+
+
+_update = VelocityBox.update
+_UNKERNELED: Callable[..., Any] = lambda task, **options: cooperative(task, **{"kernel": "none", **options})  # noqa: E731
+
+BROKEN: dict[str, Broken] = {
+    **{name: Broken("A1", lambda s=spoil: rough(spoiled(s))) for name, spoil in COMMANDS.items()},  # type: ignore[misc]
+    "hands out its own memory": Broken("A1", lambda: rough(spoiled(OwnMemory()))),
+    "writes into what it is given": Broken("A1", lambda: rough(kind(Scribbler), measured=0.5)),
+    "raises for a bad dt": Broken("A1", lambda: rough(kind(Raising))),
+    "believes in speeds 1e-8 higher": Broken("A2", lambda: exceeds(with_believed(velocity=1.0 + 1e-8), 1)),
+    "believes in accelerations 1e-5 higher": Broken("A2", lambda: exceeds(with_believed(acceleration=1.0 + 1e-5), 2)),
+    "believes in 2e-9 rad more": Broken("A2", lambda: exceeds(with_believed(position=2e-9), 0)),
+    "does not see that a joint is outside": Broken("A3", lambda: returns_wrongly(with_believed(position=1.0))),
+    "leads it further out": Broken("A3", under(VelocityBox, "update", outward, lambda: returns_wrongly(_UNKERNELED))),
+    "does not lead it back": Broken(
+        "A3", under(VelocityBox, "update", no_way_back, lambda: returns_wrongly(_UNKERNELED))
+    ),
+    "no braking distance": Broken("A4", lambda: overshoots(NoBrakingDistance)),
+    "braking distance of continuous time": Broken("A4", lambda: overshoots(ContinuousBraking)),
+    "limits 2e-6 rad too wide": Broken(
+        "A4", lambda: controller_overshoot(with_believed(position=2e-6), np.random.default_rng(2), 0.002, 3)[0] > 1e-6
+    ),
+    **{name: Broken("A5", under(StepSolver, "_brake", brake, fails_badly)) for name, brake in BRAKES.items()},
+    "a failed solve is taken for an answer": Broken(
+        "A5",
+        under(
+            answers,
+            "_ask",
+            lambda solver, problem: replace(solver.solve(problem), status=answers.SolverStatus.SOLVED),
+            lambda: fails_badly("status: failed, with an answer"),
+        ),
+    ),
+    "a solver that raises is not caught": Broken(
+        "A5",
+        under(
+            answers, "_ask", lambda solver, problem: solver.solve(problem), lambda: fails_badly("raises RuntimeError")
+        ),
+    ),
+    "commands on from NaN": Broken("A6", lambda: Breach.NOT_FINITE in after_nan(kind(Feedback)(lift()))[0]),
+    "stays blocked": Broken("A7", lambda: stays_blocked(spoiled(never_again()))),
+    "a damped inverse": Broken("A8", lambda: tears(damped)),
+    "arms that know nothing of each other": Broken("A8", lambda: tears(alone)),
+    "one arm slows a little less": Broken("A9", lambda: unequal(one_arm_faster)),
+    "gives way sideways": Broken("A9", lambda: unequal(aside)),
+    "the baseline": Broken("A10", baseline_breaks),
+    "a clock ahead of the object": Broken("H", off_the_path),
+    "goes on while holding": Broken("H", goes_on_while_holding),
+    "random numbers": Broken("E", differs_between_runs),
+}
+
+
+def test_every_broken_controller_is_caught(catalogue: Any) -> None:
+    missed = [name for name, broken in BROKEN.items() if not broken.caught()]
+    rows = sorted({broken.row for broken in BROKEN.values()}, key=lambda r: (r[0], int(r[1:] or 0)))
+    catalogue.row(
+        "H",
+        "controllers broken on purpose that a check lets pass",
+        cases=len(BROKEN),
+        measured=len(missed),
+        target=0,
+        note=f"for rows {', '.join(rows)}",
+    )
+    assert not missed
+
+
+def test_nan_is_stopped_twice() -> None:
+    """Even a supervision that believes everything lets no NaN through: the QP has no answer, and the arms brake."""
+
+    def believe(self: Supervision, q: Any, q_command: Any) -> tuple[Any, str]:
+        return np.asarray(q, dtype=float), ""
+
+    assert after_nan(cooperative(lift())) == (set(), 1)
+    with patched(Supervision, "accept_measurement", believe):
+        breaches, held = after_nan(cooperative(lift()))
+    assert not breaches
+    assert held >= 1
+
+
+def test_the_sound_one_is_not(catalogue: Any) -> None:
+    """The same checks let the real controller pass, so that being caught means something."""
+    checks: dict[str, Callable[[], bool]] = {
+        "A1": lambda: rough(cooperative, measured=0.3),
+        "A2": lambda: any(exceeds(cooperative, limit) for limit in range(3)),
+        "A3": lambda: returns_wrongly(cooperative) or returns_wrongly(_UNKERNELED),
+        "A4": lambda: overshoots(VelocityBox),
+        "A5": fails_badly,
+        "A7": lambda: stays_blocked(cooperative),
+        "A8": lambda: tears(cooperative),
+        "A9": lambda: unequal(lambda step, i: step),
+    }
+    caught = [row for row, check in checks.items() if check()]
+    catalogue.row(
+        "H", "the sound controller, caught by the same checks", cases=len(checks), measured=len(caught), target=0
+    )
+    assert not caught
