@@ -6,6 +6,7 @@ import itertools
 import os
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -15,7 +16,9 @@ import pytest
 from coopqp.cell import Arm, RobotCell
 from coopqp.controllers.base import ControlStep, Status
 from coopqp.controllers.common_error import CommonError
+from coopqp.controllers.independent import IndependentQPController
 from coopqp.controllers.options import QPOptions
+from coopqp.controllers.pseudo_inverse import PseudoInverseController
 from coopqp.controllers.qp import QPController
 from coopqp.errors import InvalidInputError, MissingExtraError, UnknownNameError
 from coopqp.grasp import Grasp
@@ -713,10 +716,17 @@ def test_every_scenario_runs() -> None:
         assert excess(task, steps) == 0.0, name
 
 
-@pytest.mark.parametrize("kernel", ["auto", "numpy", "none"])
-def test_a_result_cannot_be_changed_behind_the_controllers_back(kernel: str) -> None:
+CONTROLLERS: list[Callable[..., Any]] = [
+    *(partial(QPController, options=QPOptions(kernel=kernel)) for kernel in ("auto", "numpy", "none")),
+    PseudoInverseController,
+    IndependentQPController,
+]
+
+
+@pytest.mark.parametrize("make", CONTROLLERS)
+def test_a_result_cannot_be_changed_behind_the_controllers_back(make: Callable[..., Any]) -> None:
     task = paper_lift()
-    controller = QPController(task.cell, task.grasp, task.path, dt=task.dt, options=QPOptions(kernel=kernel))
+    controller = make(task.cell, task.grasp, task.path, dt=task.dt)
     start = task.q_start.copy()
     controller.reset(start)
     start += 1.0

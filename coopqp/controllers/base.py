@@ -114,6 +114,10 @@ class ControlStep:
     solver: SolverReport = NO_SOLVE
     build_time_s: float = 0.0
 
+    def __post_init__(self) -> None:
+        for name in ("q", "velocity", "q_next"):
+            _set(self, name, read_only(getattr(self, name)))
+
     @property
     def finished(self) -> bool:
         """The object's clock has reached the end of its path."""
@@ -174,12 +178,12 @@ class ControlStep:
 
 
 def make_step(fields: dict[str, Any]) -> ControlStep:
-    """A ControlStep that keeps ``fields``, every one of them, without the cost of a frozen dataclass's constructor."""
+    """A ControlStep that keeps ``fields``, every one of them, without the cost of its constructor and of copies."""
     step = _new(ControlStep)
     _set(step, "__dict__", fields)
     # The controller goes on from them: what a user adds to one must not move the arms.
-    fields["velocity"].setflags(False)
-    fields["q_next"].setflags(False)
+    fields["velocity"].setflags(write=False)
+    fields["q_next"].setflags(write=False)
     return step
 
 
