@@ -239,12 +239,13 @@ class Workspace:
         self._judged = None
         (lb, l, lower_b), (ub, u, upper_b), _ = self._sections
         if infinity != self._ends[0]:
-            self._ends = infinity, np.full(n, infinity), np.full(p, infinity)  # a number is slower than an array
-        _, n_ends, p_ends = self._ends
-        np.minimum(problem.ub, n_ends, out=ub)
-        np.minimum(problem.u, p_ends, out=u)
-        np.maximum(problem.lb, np.negative(n_ends), out=lb)
-        np.maximum(problem.l, np.negative(p_ends), out=l)
+            far = np.full(max(n, p), infinity)  # a number is slower than an array
+            self._ends = infinity, far, -far
+        _, far, far_below = self._ends
+        np.minimum(problem.ub, far[:n], out=ub)
+        np.minimum(problem.u, far[:p], out=u)
+        np.maximum(problem.lb, far_below[:n], out=lb)
+        np.maximum(problem.l, far_below[:p], out=l)
         if m:
             lower_b[:] = upper_b[:] = problem.b
         # NaN fails every comparison, whichever operand it is in; so do lower bounds of +inf and upper ones of -inf.

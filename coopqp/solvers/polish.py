@@ -94,21 +94,23 @@ def measure(problem: QpProblem, work: Workspace, x: Array, y: Array) -> Residual
     violation, _ = work.violation(problem, x)
     bounded = n + p
     size = np.abs(y)
-    gap = np.where(y > 0.0, work.above, work.below)
-    np.abs(gap, out=gap)
-    np.minimum(gap, size, out=gap)
-    if m:
-        gap[bounded:] = 0.0
+    # x[x.argmax()] is x.max(), NaN and all, at a quarter of the cost.
+    largest, widest = size.item(size.argmax()), 0.0
     slope = np.dot(problem.H, x)
     slope += problem.g
-    slope += y[:n]
-    if p:
-        slope += np.dot(y[n:bounded], problem.C)
-    if m:
-        slope += np.dot(y[bounded:], problem.A)
+    if largest != 0.0:
+        gap = np.where(y > 0.0, work.above, work.below)
+        np.abs(gap, out=gap)
+        np.minimum(gap, size, out=gap)
+        if m:
+            gap[bounded:] = 0.0
+            slope += np.dot(y[bounded:], problem.A)
+        if p:
+            slope += np.dot(y[n:bounded], problem.C)
+        slope += y[:n]
+        widest = gap.item(gap.argmax())
     np.abs(slope, out=slope)
-    # x[x.argmax()] is x.max(), NaN and all, at a quarter of the cost.
-    largest, widest, steepest = size.item(size.argmax()), gap.item(gap.argmax()), slope.item(slope.argmax())
+    steepest = slope.item(slope.argmax())
     absolute = max(violation, widest, steepest / (1.0 + largest))
     if not violation + widest + steepest + largest < np.inf:
         return Residual(np.nan, np.nan)
