@@ -187,7 +187,7 @@ class Monitor:
         path: where the object should go; by default the path that each step names.
         tolerances: what still counts as kept.
         keep: number of violations kept in full; all are counted.
-        kinematics: judge the chain and the path too; without them a step costs a third.
+        kinematics: judge the chain and the path too; without them a step costs half as much.
     """
 
     def __init__(

@@ -1,0 +1,22 @@
+"""Judge a run by its commands alone, afterwards or while it goes on.  python docs/examples/14_monitor.py"""
+
+from coopqp import PseudoInverseController, QPController, simulate
+from coopqp.monitor import Monitor, Monitored, MonitorTolerances, check
+from coopqp.scenarios import fast_lift
+
+task = fast_lift()  # faster than the joints can move
+
+# Afterwards: a recording.
+recording = simulate(PseudoInverseController(task.cell, task.grasp, task.path, dt=task.dt), q_start=task.q_start)
+print("pseudo-inverse,", str(check(recording, task.cell)).splitlines()[0])
+
+# While it goes on: a monitor beside the controller, with tolerances of your own.
+tolerances = MonitorTolerances(chain_m=1e-5, path_m=1e-5)
+monitor = Monitor(task.cell, task.grasp, tolerances=tolerances)
+watched = Monitored(QPController(task.cell, task.grasp, task.path, dt=task.dt), monitor)
+watched.reset(task.q_start)
+while not watched.step().finished:
+    if not watched.verdict().ok:
+        print(watched.verdict().violations[0])
+        break
+print("cooperative QP,", watched.verdict())
