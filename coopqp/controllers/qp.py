@@ -34,7 +34,7 @@ from coopqp.grasp import Grasp
 from coopqp.kernel import Outcome, Workspace, make_kernel
 from coopqp.kernel.reference import bound
 from coopqp.limits import BindingLimit, LimitKind, VelocityBox
-from coopqp.path import HoldPath, ObjectPath, ServoPath
+from coopqp.path import HoldPath, LinePath, ObjectPath, ServoPath, WaypointPath
 from coopqp.posture import Posture
 from coopqp.preview import PathPreview
 from coopqp.program import StepTerms
@@ -56,6 +56,8 @@ _RATE_ROUNDING = 1e-12
 _CLEAR = Watch()
 #: Square of an off-path twist that needs no braking distance [m²/s², rad²/s²].
 _NEGLIGIBLE = 1e-10
+#: A pose with numbers from here on is none [m].
+_FARTHEST = 1e9
 
 
 @final
@@ -182,6 +184,7 @@ class QPController:
 
     def _start_path(self) -> None:
         self._clock, self._fresh, self._next_pose = 0.0, True, None
+        self._own_path, self._lost = not isinstance(self.path, (LinePath, WaypointPath, HoldPath, ServoPath)), False
         self._ws.scalars[self._ws.HAS_PREDICTED] = 0.0
         self._rate = 0.0 if self._box.accelerates else 1.0
         if self._preview is not None:
@@ -206,7 +209,7 @@ class QPController:
         if not self._started:
             raise InvalidInputError("step before reset", "QPController", "Call reset(q) first.")
         began = time.perf_counter()
-        if q_measured is None and dt is None and not self._fault:
+        if q_measured is None and dt is None and not self._fault and not self._own_path:
             h, measured, watch = self.dt, None, _CLEAR
         else:
             h, measured, watch = self._guard(q_measured, dt)
@@ -260,9 +263,22 @@ class QPController:
             measured, trouble = supervision.accept_measurement(q_measured, self._q)
             if trouble:
                 measured, watch = None, Watch(rate_cap=0.0, hold=True, reason=trouble)
+        if self._own_path:
+            trouble = self._path_trouble(h)
+            self._lost = bool(trouble)
+            if trouble:
+                measured, watch = None, Watch(rate_cap=0.0, hold=True, reason=trouble)
         if self._fault:
             watch = Watch(rate_cap=0.0, hold=True, fault=True, reason=self._fault)
         return h, measured, watch
+
+    def _path_trouble(self, h: float) -> str:
+        """Empty, or what is wrong with the poses of a path of the user's own; the object is then held where it is."""
+        for clock in (self._clock, self._clock + h):
+            if not float(np.abs(self._pose(clock).homogeneous).max()) < _FARTHEST:
+                self._next_pose = (self._clock, self._held_at(self._q))
+                return f"the path's pose at its clock {clock:.6g} s is not finite"
+        return ""
 
     def _prepare(self, h: float, measured: Array | None, watch: Watch) -> tuple[float, float, tuple[BindingLimit, ...]]:
         """Fill the workspace's inputs: reference pose, increment along the path, measured error, posture.
@@ -406,7 +422,10 @@ class QPController:
     def _look_along(self, clock: float, span: float) -> None:
         """The reference pose, and the twist that follows the path for ``span``, where the kernel does not do it."""
         ws, pose = self._ws, self._pose(clock)
-        if span > 1e-12:
+        if self._lost:
+            self._next_pose = None
+            ws.along[:] = 0.0
+        elif span > 1e-12:
             ahead = self.path.pose(clock + span)
             self._next_pose = (clock + span, ahead)
             np.divide(pin.log6(pose.actInv(ahead)).vector, span, out=ws.along)

@@ -21,7 +21,7 @@ import pinocchio as pin
 from coopqp import InvalidInputError, QPController, QPOptions, Status
 from coopqp.monitor import Monitor, MonitorTolerances
 from coopqp.path import ObjectPath, ServoPath
-from coopqp.scenarios import Scenario, dual_arm7, fast_lift
+from coopqp.scenarios import Scenario, dual_arm7, fast_lift, scara_pair
 from coopqp.solvers import QpProblem
 
 BAD = {"NaN": np.nan, "+inf": np.inf, "-inf": -np.inf}
@@ -190,7 +190,7 @@ def target_cases(solver: str, tally: Tally) -> None:
             if one.step().status not in (Status.TRACKING, Status.SLOWED):
                 tally.not_going_on.append(f"target {label} [{i}]")
     tally.violations += map(str, one.monitor.verdict().violations)
-    for make in (fast_lift, dual_arm7):
+    for make in (fast_lift, dual_arm7, scara_pair):
         for kernel in ("auto", "numpy", "none"):
             scenario = make()
             path = SwitchedPath(scenario.path)
