@@ -15,10 +15,14 @@ import numpy as np
 import pinocchio as pin
 
 from coopqp.errors import InvalidInputError, ModelError, UnknownNameError
-from coopqp.spatial import Array, Placement, as_placement, as_vector, read_only
+from coopqp.spatial import NOT_NUMBERS, Array, Placement, as_floats, as_placement, as_vector, read_only
 
 #: A position limit beyond this [rad or m] means "none" (parsers write the largest double there).
 UNLIMITED = 1e6
+#: A velocity or acceleration limit below this [rad/s, rad/s², or in metres] is a mistake: the joint could not move.
+SMALLEST_LIMIT = 1e-6
+#: A finite limit beyond this is a mistake, too, and would not survive being squared.
+LARGEST_LIMIT = 1e9
 #: Largest robot description that is read [bytes].
 MAX_DESCRIPTION_BYTES = 20_000_000
 #: The fields of :class:`JointLimits`, in its order.
@@ -44,17 +48,21 @@ class JointLimits:
         n = None
         for name in ("lower", "upper", "velocity", "acceleration"):
             try:
-                value = np.array(getattr(self, name), dtype=float)
-            except (TypeError, ValueError, OverflowError) as error:
+                value = as_floats(getattr(self, name))
+            except NOT_NUMBERS as error:
                 raise InvalidInputError(f"{name} is not a vector of numbers", "JointLimits", "Give floats.") from error
             n = value.size if n is None else n
-            if value.shape != (n,) or np.isnan(value).any():
+            if value.shape != (n,) or n == 0 or np.isnan(value).any():
                 raise InvalidInputError(
                     f"{name} has shape {value.shape} or NaN, expected ({n},)",
                     "JointLimits",
                     "One number per joint.",
                 )
             object.__setattr__(self, name, read_only(value))
+            if (np.isfinite(value) & (np.abs(value) > LARGEST_LIMIT)).any():
+                raise InvalidInputError(
+                    f"{name} has entries beyond {LARGEST_LIMIT:g}", "JointLimits", "Give inf where there is no limit."
+                )
         for j in range(len(self.lower)):
             if not self.lower[j] < self.upper[j]:
                 raise InvalidInputError(
@@ -62,9 +70,10 @@ class JointLimits:
                     "JointLimits",
                     "Swap reversed limits, or lock the joint.",
                 )
-            if not (self.velocity[j] > 0.0 and self.acceleration[j] > 0.0):
+            if not min(self.velocity[j], self.acceleration[j]) >= SMALLEST_LIMIT:
                 raise InvalidInputError(
-                    f"joint {j}: velocity {self.velocity[j]:g} and acceleration {self.acceleration[j]:g} must be > 0",
+                    f"joint {j}: velocity {self.velocity[j]:g} and acceleration {self.acceleration[j]:g} must be > 0 "
+                    f"(at least {SMALLEST_LIMIT:g})",
                     "JointLimits",
                     "Give a positive limit (inf for none).",
                 )
@@ -320,6 +329,15 @@ def _check_joints(name: str, model: pin.Model) -> None:
                 f"arm '{name}': joint '{joint_name}' ({joint.shortname()}) has {joint.nv} degrees of freedom; an arm "
                 "stands on a fixed base and its joints have one each. Remove the floating base, set T_world_base."
             )
+    data = model.createData()
+    pin.computeJointJacobians(model, data, pin.neutral(model))
+    for i in range(1, model.njoints):
+        axis = np.asarray(pin.getJointJacobian(model, data, i, pin.LOCAL)).reshape(6, -1)[:, model.joints[i].idx_v]
+        if not abs(max(np.linalg.norm(axis[:3]), np.linalg.norm(axis[3:])) - 1.0) < 1e-6:
+            raise ModelError(
+                f"arm '{name}': joint '{names[i]}' has no axis, or stands nowhere ({axis.tolist()}). Give its axis and "
+                "origin as finite numbers, the axis not zero."
+            )
 
 
 def _cause(error: Exception) -> str:
@@ -345,8 +363,8 @@ def _separate_frames(model: pin.Model) -> None:
 def _one_per_joint(value: Any, n: int, where: str, remedy: str) -> Array:
     """One number for all or (n,) numbers, as a new array."""
     try:
-        return np.array(np.broadcast_to(np.asarray(value, dtype=float), (n,)))
-    except (TypeError, ValueError, OverflowError) as error:
+        return np.array(np.broadcast_to(as_floats(value), (n,)))
+    except NOT_NUMBERS as error:
         raise InvalidInputError(f"cannot be read as {n} numbers", where, remedy) from error
 
 
@@ -379,9 +397,10 @@ def _model_limits(name: str, model: pin.Model, velocity: Any, acceleration: Any,
                 f"arm '{name}', joint '{joint}'",
                 "Correct the model, or give lower_limits and upper_limits.",
             )
-        if not (speed[j] > 0.0 and accel[j] > 0.0):
+        if not min(speed[j], accel[j]) >= SMALLEST_LIMIT:
             raise InvalidInputError(
-                f"velocity limit {speed[j]:g}, acceleration limit {accel[j]:g}: both must be > 0",
+                f"velocity limit {speed[j]:g}, acceleration limit {accel[j]:g}: both must be > 0 "
+                f"(at least {SMALLEST_LIMIT:g})",
                 f"arm '{name}', joint '{joint}'",
                 "Give velocity_limits [rad/s or m/s] and acceleration_limits, inf for none.",
             )

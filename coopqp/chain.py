@@ -66,7 +66,7 @@ class Chain:
         # O_k = T_world_joint · Y_k with constant Y_k; the transpose suits Pinocchio's column-major memory.
         Y = [T * X.inverse() for T, X in zip(cell.T_joint_tool, grasp.T_object_tool, strict=True)]
         self.Y_transposed = np.array([y.homogeneous.T for y in Y])
-        self._JT = self._jacobian_data.J.T  # (nv, 6), C-contiguous live view
+        self._JT = self._jacobian_data.J.T.reshape(-1, 6)  # (nv, 6), C-contiguous live view; of one joint, J is flat
         self.moving_columns = _moving_columns(cell)
         self._groups = _group_arms(cell, self.moving_columns)
         still = np.setdiff1d(np.arange(cell.nv), np.concatenate(self.moving_columns))
