@@ -17,7 +17,7 @@ from coopqp.cell import RobotCell
 from coopqp.controllers.base import Status
 from coopqp.errors import InvalidInputError
 from coopqp.simulation import Recording
-from coopqp.spatial import Array, as_scalar
+from coopqp.spatial import Array, keep_scalars
 from coopqp.state import CellState
 
 #: Excess over a position limit [rad or m], and over a speed or acceleration limit [share], that is rounding.
@@ -60,7 +60,7 @@ class Tolerances:
 
     def __post_init__(self) -> None:
         for name in self.__dataclass_fields__:
-            as_scalar(getattr(self, name), f"Tolerances: {name}")
+            keep_scalars(self, name)
 
 
 @dataclass(frozen=True)

@@ -25,7 +25,7 @@ from coopqp.errors import InvalidInputError
 from coopqp.grasp import Grasp
 from coopqp.path import ObjectPath
 from coopqp.simulation import Recording
-from coopqp.spatial import Array, as_scalar
+from coopqp.spatial import Array, keep_scalars
 
 Flags: TypeAlias = npt.NDArray[np.bool_]
 
@@ -105,7 +105,7 @@ class MonitorTolerances:
     def __post_init__(self) -> None:
         for name in self.__dataclass_fields__:
             if getattr(self, name) is not None or name in ("position", "velocity", "acceleration", "consistency"):
-                as_scalar(getattr(self, name), f"MonitorTolerances: {name}", open_low=False)
+                keep_scalars(self, name, open_low=False)
 
 
 @dataclass(frozen=True, kw_only=True)

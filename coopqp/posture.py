@@ -9,7 +9,7 @@ import numpy as np
 import pinocchio as pin
 
 from coopqp.cell import RobotCell
-from coopqp.spatial import Array, as_scalar
+from coopqp.spatial import Array, keep_scalars
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -31,9 +31,8 @@ class PostureOptions:
     speed_share: float = 0.2
 
     def __post_init__(self) -> None:
-        for name in ("gain", "centring", "manipulability"):
-            as_scalar(getattr(self, name), f"PostureOptions: {name}", open_low=False)
-        as_scalar(self.speed_share, "PostureOptions: speed_share", high=1.0)
+        keep_scalars(self, "gain", "centring", "manipulability", open_low=False)
+        keep_scalars(self, "speed_share", high=1.0)
 
 
 @final

@@ -28,7 +28,7 @@ from coopqp.kernel import BorderArrays, NumpyKernel, Outcome, Workspace, make_bo
 from coopqp.limits import BindingLimit, LimitKind, VelocityBox
 from coopqp.path import ObjectPath
 from coopqp.posture import Posture
-from coopqp.spatial import Array, as_scalar
+from coopqp.spatial import Array, as_count, keep_scalars
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -58,10 +58,9 @@ class PreviewOptions:
     cells_per_step: int = 200
 
     def __post_init__(self) -> None:
-        for name in ("cell", "joint_step", "slope_step", "shortest", "rate_slope"):
-            as_scalar(getattr(self, name), f"PreviewOptions: {name}")
-        for name in ("margin", "curvature_share", "singular_rate"):
-            as_scalar(getattr(self, name), f"PreviewOptions: {name}", high=1.0)
+        keep_scalars(self, "cell", "joint_step", "slope_step", "shortest", "rate_slope")
+        keep_scalars(self, "margin", "curvature_share", "singular_rate", high=1.0)
+        object.__setattr__(self, "cells_per_step", as_count(self.cells_per_step, "PreviewOptions: cells_per_step"))
 
 
 class _Cell(NamedTuple):

@@ -24,7 +24,7 @@ import numpy.typing as npt
 from coopqp.chain import Chain
 from coopqp.limits import VelocityBox
 from coopqp.solvers.base import QpProblem
-from coopqp.spatial import Array, as_scalar
+from coopqp.spatial import Array, keep_scalars
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -51,8 +51,7 @@ class RankWeights:
     length: float = 0.3
 
     def __post_init__(self) -> None:
-        for name in self.__dataclass_fields__:
-            as_scalar(getattr(self, name), f"RankWeights: {name}")
+        keep_scalars(self, *self.__dataclass_fields__, low=1e-20, high=1e20)
 
 
 @dataclass(eq=False)

@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 import pinocchio as pin
 
-from coopqp.errors import InvalidInputError
+from coopqp.errors import InvalidInputError, shown
 
 Array: TypeAlias = npt.NDArray[np.float64]
 Placement: TypeAlias = "pin.SE3 | Array"
@@ -48,8 +48,8 @@ def as_placement(value: Placement, where: str) -> pin.SE3:
         matrix = np.asarray(value.homogeneous, dtype=float)
     else:
         try:
-            matrix = _floats(value)
-        except (TypeError, ValueError, OverflowError) as error:
+            matrix = as_floats(value)
+        except NOT_NUMBERS as error:
             raise InvalidInputError(
                 f"not a placement ({error})", where, "Give a pinocchio.SE3 or a 4x4 matrix."
             ) from error
@@ -97,8 +97,8 @@ def as_vector(value: Any, size: int, where: str) -> Array:
         InvalidInputError: wrong shape, not numbers, NaN or infinite entries.
     """
     try:
-        vector = _floats(value)
-    except (TypeError, ValueError, OverflowError) as error:
+        vector = as_floats(value)
+    except NOT_NUMBERS as error:
         raise InvalidInputError(f"not a vector of numbers ({error})", where, f"Give {size} numbers.") from error
     if vector.shape != (size,):
         raise InvalidInputError(
@@ -112,10 +112,7 @@ def as_vector(value: Any, size: int, where: str) -> Array:
 
 def as_scalar(value: Any, where: str, *, low: float = 0.0, high: float = np.inf, open_low: bool = True) -> float:
     """Return a finite float in (low, high] (or [low, high] with ``open_low=False``)."""
-    try:
-        number = float(value)
-    except (TypeError, ValueError, OverflowError) as error:
-        raise InvalidInputError(f"not a number ({value!r})", where, "Give a finite number.") from error
+    number = _as_float(value, where)
     if not np.isfinite(number) or number > high or number < low or (open_low and number == low):
         bracket = "(" if open_low else "["
         raise InvalidInputError(
@@ -124,11 +121,46 @@ def as_scalar(value: Any, where: str, *, low: float = 0.0, high: float = np.inf,
     return number
 
 
-def _floats(value: Any) -> Array:
-    """A new float array; complex numbers are refused rather than cut."""
+def as_count(value: Any, where: str) -> int:
+    """Return a whole number of 1 or more."""
+    number = _as_float(value, where)
+    if not (1.0 <= number < 2.0**53 and number == int(number)):
+        raise InvalidInputError(f"{number:g} is no whole number of 1 or more", where, "Give 1, 2, 3, …")
+    return int(number)
+
+
+def keep_scalars(options: object, *names: str, low: float = 0.0, high: float = np.inf, open_low: bool = True) -> None:
+    """Check fields of a frozen dataclass by :func:`as_scalar`, and keep the floats that they stand for."""
+    for name in names:
+        where = f"{type(options).__name__}: {name}"
+        number = as_scalar(getattr(options, name), where, low=low, high=high, open_low=open_low)
+        object.__setattr__(options, name, number)
+
+
+def _as_float(value: Any, where: str) -> float:
+    try:
+        if isinstance(value, (np.ndarray, np.generic)) and (value.ndim or value.dtype.kind in _NO_FLOATS):
+            raise TypeError
+        return float(value)
+    except NOT_NUMBERS as error:
+        raise InvalidInputError(f"not a number ({shown(value)})", where, "Give a finite number.") from error
+
+
+#: What NumPy and Python raise for what are no numbers.
+NOT_NUMBERS = (TypeError, ValueError, OverflowError)
+#: Kinds of array that NumPy would make floats of, losing what they say: complex numbers, durations, dates.
+_NO_FLOATS = "cmM"
+
+
+def as_floats(value: Any) -> Array:
+    """A new float array, of any shape.
+
+    Raises:
+        NOT_NUMBERS: the value is nothing of the kind.
+    """
     raw = np.asarray(value)
-    if raw.dtype.kind == "c":
-        raise TypeError("the numbers are complex")
+    if raw.dtype.kind in _NO_FLOATS:
+        raise TypeError(f"numbers of type {raw.dtype} are not real")
     return np.array(raw, dtype=float)
 
 

@@ -22,7 +22,7 @@ import pinocchio as pin
 from coopqp.cell import RobotCell
 from coopqp.errors import InvalidInputError
 from coopqp.grasp import Grasp
-from coopqp.spatial import Array, Placement, as_placement, as_vector, read_only
+from coopqp.spatial import NOT_NUMBERS, Array, Placement, as_floats, as_placement, as_vector, read_only
 from coopqp.state import CellState
 
 #: A compliance worse conditioned than this is not inverted: the arm is near a singularity, or has few joints.
@@ -170,8 +170,8 @@ def _equilibrium(C: Array, e: Array) -> tuple[Array, Array]:
 
 def _per_joint(value: Any, n: int, where: str) -> Array:
     try:
-        out = np.array(np.broadcast_to(np.asarray(value, dtype=float), (n,)))
-    except (TypeError, ValueError) as error:
+        out = np.array(np.broadcast_to(as_floats(value), (n,)))
+    except NOT_NUMBERS as error:
         raise InvalidInputError("cannot be read as numbers", where, f"Give one number or {n}.") from error
     if not (np.isfinite(out).all() and (out > 0.0).all()):
         raise InvalidInputError(f"{out.tolist()} must be finite and > 0", where, "Give the servos' stiffness.")

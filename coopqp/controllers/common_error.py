@@ -9,7 +9,7 @@ import numpy as np
 
 from coopqp.cell import RobotCell
 from coopqp.errors import InvalidInputError
-from coopqp.spatial import Array
+from coopqp.spatial import NOT_NUMBERS, Array, as_floats
 
 
 @final
@@ -62,8 +62,8 @@ class CommonError:
             W[arms[1], 3:] = 1.0
         else:
             try:
-                W = np.array(self.weights, dtype=float)
-            except (TypeError, ValueError) as error:
+                W = as_floats(self.weights)
+            except NOT_NUMBERS as error:
                 raise InvalidInputError(f"not numbers ({error})", "CommonError.per_axis", f"Give ({n}, 6).") from error
             if W.shape != (n, 6) or not np.all(W >= 0.0) or np.abs(W.sum(axis=0) - 1.0).max() > 1e-9:
                 raise InvalidInputError(

@@ -31,7 +31,7 @@ from coopqp.grasp import Grasp
 from coopqp.limits import BindingLimit, VelocityBox
 from coopqp.path import ObjectPath
 from coopqp.solvers import QpProblem, QpSolution, make_solver
-from coopqp.spatial import Array, adjoint, as_scalar
+from coopqp.spatial import Array, adjoint, as_scalar, keep_scalars
 
 #: Cost that makes every problem strictly convex; small enough for an error of micrometres [m²].
 _REGULARISATION = 1e-8
@@ -65,10 +65,8 @@ class IndependentQPOptions:
     damping_from: float = 0.02
 
     def __post_init__(self) -> None:
-        for name in ("correction_speed", "correction_spin", "length", "damping_from"):
-            as_scalar(getattr(self, name), f"IndependentQPOptions: {name}")
-        for name in ("gain", "damping"):
-            as_scalar(getattr(self, name), f"IndependentQPOptions: {name}", open_low=False)
+        keep_scalars(self, "correction_speed", "correction_spin", "length", "damping_from")
+        keep_scalars(self, "gain", "damping", open_low=False)
 
 
 @final

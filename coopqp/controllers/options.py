@@ -12,7 +12,7 @@ from coopqp.errors import InvalidInputError, UnknownNameError
 from coopqp.posture import PostureOptions
 from coopqp.preview import PreviewOptions
 from coopqp.program import RankWeights
-from coopqp.spatial import as_scalar
+from coopqp.spatial import as_count, keep_scalars
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -59,19 +59,29 @@ class QPOptions:
     start_tolerance_rad: float = START_TOLERANCE_RAD
 
     def __post_init__(self) -> None:
-        for name in ("grasp_gain", "path_gain", "measurement_time"):
-            as_scalar(getattr(self, name), f"QPOptions: {name}", open_low=False)
-        for name in (
-            "correction_speed",
-            "correction_spin",
-            "blocked_rate",
-            "start_tolerance_m",
-            "start_tolerance_rad",
-        ):
-            as_scalar(getattr(self, name), f"QPOptions: {name}")
+        keep_scalars(self, "grasp_gain", "path_gain", "measurement_time", open_low=False)
+        keep_scalars(self, "correction_speed", "correction_spin", "blocked_rate")
+        keep_scalars(self, "start_tolerance_m", "start_tolerance_rad")
+        for name, kind in _PARTS.items():
+            part = getattr(self, name)
+            if not isinstance(part, kind) and not (name == "preview" and part is None):
+                raise InvalidInputError(
+                    f"{name} is a {type(part).__name__}", "QPOptions", f"Give {kind.__name__}(…), or nothing."
+                )
         if self.form not in ("condensed", "full"):
             raise UnknownNameError("form", str(self.form), ("condensed", "full"), "QPOptions")
         if self.kernel not in ("auto", "numpy", "compiled", "none"):
             raise UnknownNameError("kernel", str(self.kernel), ("auto", "numpy", "compiled", "none"), "QPOptions")
-        if not (isinstance(self.iterations, int) and 1 <= self.iterations <= 5):
+        object.__setattr__(self, "iterations", as_count(self.iterations, "QPOptions: iterations"))
+        if self.iterations > 5:
             raise InvalidInputError(f"iterations is {self.iterations}", "QPOptions", "Give 1 to 5.")
+
+
+#: Options that are groups of options.
+_PARTS: dict[str, type] = {
+    "common_error": CommonError,
+    "weights": RankWeights,
+    "preview": PreviewOptions,
+    "posture": PostureOptions,
+    "supervision": SupervisionOptions,
+}

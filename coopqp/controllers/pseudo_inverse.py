@@ -18,7 +18,7 @@ from coopqp.errors import InvalidInputError, UnknownNameError, UnreachableError
 from coopqp.grasp import Grasp
 from coopqp.inverse_kinematics import inverse_kinematics
 from coopqp.path import LinePath, ObjectPath
-from coopqp.spatial import Array, as_scalar
+from coopqp.spatial import Array, as_count, as_scalar, keep_scalars
 from coopqp.state import CellState
 
 Increment = Literal["rotated", "literal", "exact"]
@@ -51,13 +51,10 @@ class PseudoInverseOptions:
             raise UnknownNameError("increment", str(self.increment), ("rotated", "literal", "exact"))
         if self.integration not in ("euler", "midpoint"):
             raise UnknownNameError("integration", str(self.integration), ("euler", "midpoint"))
-        every = self.reset_every
-        if every is not None and not (isinstance(every, (int, np.integer)) and every >= 1):
-            raise InvalidInputError(
-                f"reset_every is {every}", "PseudoInverseOptions", "Give a number of steps ≥ 1, or None."
-            )
-        as_scalar(self.damping, "PseudoInverseOptions: damping", open_low=False)
-        as_scalar(self.damping_from, "PseudoInverseOptions: damping_from")
+        if self.reset_every is not None:
+            object.__setattr__(self, "reset_every", as_count(self.reset_every, "PseudoInverseOptions: reset_every"))
+        keep_scalars(self, "damping", open_low=False)
+        keep_scalars(self, "damping_from")
 
 
 @final

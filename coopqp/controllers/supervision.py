@@ -19,7 +19,7 @@ from coopqp.controllers.drift import Drift
 from coopqp.controllers.stress_watch import StressWatch
 from coopqp.errors import InvalidInputError
 from coopqp.grasp import Grasp
-from coopqp.spatial import Array, as_scalar
+from coopqp.spatial import NOT_NUMBERS, Array, as_count, as_floats, as_scalar, as_vector, keep_scalars
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -68,26 +68,35 @@ class SupervisionOptions:
     servo_delay: float = 0.0
 
     def __post_init__(self) -> None:
-        for name in ("hold_from", "fault_from", "silent_time", "joint_jump", "force_limit"):
-            as_scalar(getattr(self, name), f"SupervisionOptions: {name}")
-        as_scalar(self.servo_delay, "SupervisionOptions: servo_delay", open_low=False)
+        keep_scalars(self, "hold_from", "fault_from", "silent_time", "joint_jump", "force_limit")
+        keep_scalars(self, "servo_delay", open_low=False)
         if self.stiffness is not None:
             object.__setattr__(self, "stiffness", _as_stiffness(self.stiffness))
-        as_scalar(self.stall_share, "SupervisionOptions: stall_share", high=1.0)
-        for name in ("filter_time", "noise_margin", "recovery_time", "let_in"):
-            as_scalar(getattr(self, name), f"SupervisionOptions: {name}", open_low=False)
-        as_scalar(self.dt_range[0], "SupervisionOptions: dt_range[0]", high=1.0)
-        as_scalar(self.dt_range[1], "SupervisionOptions: dt_range[1]", low=1.0, open_low=False)
+        keep_scalars(self, "stall_share", high=1.0)
+        keep_scalars(self, "filter_time", "noise_margin", "recovery_time", "let_in", open_low=False)
+        low, high = as_vector(self.dt_range, 2, "SupervisionOptions: dt_range")
+        low = as_scalar(low, "SupervisionOptions: dt_range[0]", high=1.0)
+        high = as_scalar(high, "SupervisionOptions: dt_range[1]", low=1.0, open_low=False)
+        object.__setattr__(self, "dt_range", (low, high))
         if self.slow_from is not None:
-            as_scalar(self.slow_from, "SupervisionOptions: slow_from", high=self.hold_from)
+            keep_scalars(self, "slow_from", high=self.hold_from)
         if self.stall_samples is not None:
-            as_scalar(self.stall_samples, "SupervisionOptions: stall_samples", low=1, open_low=False)
+            samples = as_count(self.stall_samples, "SupervisionOptions: stall_samples")
+            if samples > _MOST_SAMPLES:
+                raise InvalidInputError(
+                    f"stall_samples is {samples}", "SupervisionOptions", f"Give at most {_MOST_SAMPLES}."
+                )
+            object.__setattr__(self, "stall_samples", samples)
 
 
 def _as_stiffness(value: Any) -> float | tuple[float, ...]:
     """One number or a tuple of them, each finite and > 0; an array is taken too."""
     where = "SupervisionOptions: stiffness"
-    if np.ndim(value) == 0:
+    try:
+        many = np.ndim(value) > 0
+    except ValueError:  # rows of several lengths
+        many = True
+    if not many:
         return as_scalar(value, where)
     return tuple(as_scalar(x, f"{where}[{i}]") for i, x in enumerate(value))
 
@@ -103,6 +112,8 @@ class Watch:
     reason: str = ""
 
 
+#: Samples that are kept at most, to see an arm stall in.
+_MOST_SAMPLES = 10_000
 #: Commanded motion of an arm below this, within the samples that are looked at, says nothing of a stall [rad or m].
 _STILL = 1e-5
 #: An arm that moves by more than this share of its command follows it.
@@ -157,18 +168,16 @@ class Supervision:
         """Empty, or why ``dt`` is not accepted."""
         low, high = self._options.dt_range
         try:
-            value = float(dt)
-        except (TypeError, ValueError):
-            return f"dt is {dt!r}, not a number"
-        if not low * nominal <= value <= high * nominal:
-            return f"dt = {value:g} s is outside {low * nominal:g} … {high * nominal:g} s"
+            as_scalar(dt, "dt", low=low * nominal, high=high * nominal, open_low=False)
+        except InvalidInputError as error:
+            return f"dt is not accepted: {error.what}"
         return ""
 
     def accept_measurement(self, q: Any, q_command: Array) -> tuple[Array, str]:
         """The measured configuration as an array, and why it is not believed (empty if it is)."""
         try:
-            measured = np.asarray(q, dtype=np.float64)
-        except (TypeError, ValueError):
+            measured = q if type(q) is np.ndarray and q.dtype == np.float64 else as_floats(q)
+        except NOT_NUMBERS:
             return q_command, f"q_measured is {type(q).__name__}, not {self._cell.nq} numbers"
         if measured.shape != (self._cell.nq,):
             return q_command, f"q_measured must have shape ({self._cell.nq},), got {measured.shape}"
@@ -181,7 +190,7 @@ class Supervision:
             if abs(radius - 1.0) > _CIRCLE_TOLERANCE:
                 return q_command, f"q_measured[{i}] and [{i + 1}] are no cosine and sine (norm {radius:.3g})"
             if radius != 1.0:
-                measured = measured.copy() if measured is q else measured
+                measured = measured.copy() if measured is q else measured  # the caller's array stays as it is
                 measured[i : i + 2] /= radius
         if away[worst] > self._options.joint_jump:
             joint = self._cell.joint_names[int(np.searchsorted(self._cell.position_index, worst, side="right")) - 1]

@@ -5,9 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
+import numpy as np
+
 from coopqp.cell import RobotCell
+from coopqp.errors import InvalidInputError, shown
 from coopqp.grasp import Grasp
-from coopqp.spatial import Placement, as_placement, as_scalar
+from coopqp.spatial import Placement, as_placement, as_scalar, keep_scalars
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -37,10 +40,10 @@ class Disturbances:
     seed: int = 0
 
     def __post_init__(self) -> None:
-        for name in ("encoder_noise", "latency"):
-            as_scalar(getattr(self, name), f"Disturbances: {name}", open_low=False)
-        for name in ("drop_share", "dt_jitter"):
-            as_scalar(getattr(self, name), f"Disturbances: {name}", high=0.99, open_low=False)
+        keep_scalars(self, "encoder_noise", "latency", open_low=False)
+        keep_scalars(self, "drop_share", "dt_jitter", high=0.99, open_low=False)
+        if isinstance(self.seed, bool) or not isinstance(self.seed, (int, np.integer)) or self.seed < 0:
+            raise InvalidInputError(f"seed is {shown(self.seed)}", "Disturbances", "Give a whole number from 0 on.")
         for name in ("lag", "stall"):
             for arm, value in getattr(self, name).items():
                 as_scalar(value, f"Disturbances: {name}['{arm}']", open_low=False)

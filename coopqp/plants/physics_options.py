@@ -10,7 +10,7 @@ import pinocchio as pin
 
 from coopqp.cell import RobotCell
 from coopqp.errors import InvalidInputError, UnknownNameError
-from coopqp.spatial import Array, as_scalar, as_vector, read_only
+from coopqp.spatial import NOT_NUMBERS, Array, as_count, as_floats, as_vector, keep_scalars, read_only
 
 Interpolation = Literal["linear", "cubic"]
 GripPoints = Literal["grasp", "where they are"]
@@ -70,18 +70,16 @@ class PhysicsOptions:
 
     def __post_init__(self) -> None:
         where = "PhysicsOptions"
-        as_scalar(self.timestep, f"{where}: timestep", high=0.1)
-        as_scalar(self.settle, f"{where}: settle", open_low=False)
-        as_scalar(self.hand_over, f"{where}: hand_over", open_low=False)
-        as_scalar(self.tolerance, f"{where}: tolerance")
+        keep_scalars(self, "timestep", high=0.1)
+        keep_scalars(self, "settle", "hand_over", open_low=False)
+        keep_scalars(self, "tolerance")
         for name, size in (("gravity", 3), ("weld_solref", 2), ("weld_solimp", 5)):
-            as_vector(getattr(self, name), size, f"{where}: {name}")
+            object.__setattr__(self, name, tuple(as_vector(getattr(self, name), size, f"{where}: {name}").tolist()))
         if self.interpolation not in ("linear", "cubic"):
             raise UnknownNameError("interpolation", str(self.interpolation), ("linear", "cubic"), where)
         if self.grips not in ("grasp", "where they are"):
             raise UnknownNameError("place to grip", str(self.grips), ("grasp", "where they are"), where)
-        if not (isinstance(self.iterations, int) and self.iterations >= 1):
-            raise InvalidInputError(f"iterations is {self.iterations!r}", where, "Give a whole number ≥ 1.")
+        object.__setattr__(self, "iterations", as_count(self.iterations, f"{where}: iterations"))
 
     def servos(self, cell: RobotCell) -> Servos:
         """The servos of a cell's joints.
@@ -134,7 +132,7 @@ def _default_servos(model: pin.Model) -> Array:
 
 def _one_per_joint(value: Any, n: int, where: str) -> Array:
     try:
-        full = np.broadcast_to(np.asarray(value, dtype=float), (n,))
-    except (TypeError, ValueError) as error:
+        full = np.broadcast_to(as_floats(value), (n,))
+    except NOT_NUMBERS as error:
         raise InvalidInputError("cannot be read as numbers", where, f"Give one number or {n}.") from error
     return as_vector(full, n, where)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import abc
 import enum
+import sys
 import time
 from dataclasses import dataclass
 from typing import Any, TypeAlias
@@ -11,7 +12,7 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from coopqp.errors import InvalidInputError
+from coopqp.errors import InvalidInputError, shown
 
 Array: TypeAlias = NDArray[np.float64]
 
@@ -187,16 +188,18 @@ def require_positive(settings: object, *names: str) -> None:
     """Raise unless the settings of these names are finite numbers above zero."""
     for name in names:
         value = getattr(settings, name)
-        if isinstance(value, bool) or not isinstance(value, (int, float)) or not 0.0 < value < float("inf"):
-            raise InvalidInputError(f"{name} = {value!r}", type(settings).__name__, "Give a number above zero.")
+        if isinstance(value, bool) or not isinstance(value, (int, float)) or not 0.0 < value <= sys.float_info.max:
+            raise InvalidInputError(f"{name} = {shown(value)}", type(settings).__name__, "Give a number above zero.")
 
 
 def require_count(settings: object, *names: str) -> None:
     """Raise unless the settings of these names are whole numbers above zero."""
     for name in names:
         value = getattr(settings, name)
-        if isinstance(value, bool) or not isinstance(value, int) or value < 1:
-            raise InvalidInputError(f"{name} = {value!r}", type(settings).__name__, "Give a whole number above zero.")
+        if isinstance(value, bool) or not isinstance(value, int) or not 1 <= value < 2**31:
+            raise InvalidInputError(
+                f"{name} = {shown(value)}", type(settings).__name__, "Give a whole number above zero."
+            )
 
 
 class Workspace:
