@@ -1,0 +1,527 @@
+"""Odd arrays, poses, numbers and times at every door: a named error or a correct round trip, nothing else."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Callable
+from dataclasses import fields, replace
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from fuzzing import MANY, MORE, Tried, answer, arrays_like, is_refused, numbers, poses_like
+from hypothesis import given
+from hypothesis import strategies as st
+
+from coopqp import (
+    CellState,
+    CommonError,
+    Grasp,
+    HoldPath,
+    JointLimits,
+    KinematicPlant,
+    LinePath,
+    PostureOptions,
+    PreviewOptions,
+    PseudoInverseController,
+    PseudoInverseOptions,
+    QPController,
+    QPOptions,
+    RankWeights,
+    RobotCell,
+    ServoPath,
+    Status,
+    SupervisionOptions,
+    WaypointPath,
+    inverse_kinematics,
+    plate_from_centroid,
+    plate_from_points,
+)
+from coopqp.controllers.independent import IndependentQPController, IndependentQPOptions
+from coopqp.monitor import Breach, Monitor, MonitorTolerances
+from coopqp.path import ScrewParameters
+from coopqp.plants.disturbances import Disturbances
+from coopqp.plants.physics_options import PhysicsOptions
+from coopqp.scenarios import Scenario, mixed_cell, paper_lift
+from coopqp.solvers.daqp import DaqpSettings
+from coopqp.solvers.osqp import OsqpSettings
+from coopqp.solvers.proxqp import ProxqpSettings
+
+pytestmark = pytest.mark.filterwarnings("ignore::RuntimeWarning")
+LIFT, MIXED = paper_lift(), mixed_cell()
+N = LIFT.cell.nv
+START = LIFT.path.pose(0.0)
+LIMITS = LIFT.cell.limits
+ARM = LIFT.cell.arms[0]
+FOLLOWER = QPController(LIFT.cell, LIFT.grasp, LIFT.path, dt=0.01)
+
+
+def same(given: Any, meant: Any) -> bool:
+    return np.array_equal(np.asarray(given), meant)
+
+
+# -- arrays ------------------------------------------------------------------------------------------------------------
+
+#: (a usual value, what is done with the array, what must come out of it): these doors accept exactly what is an array
+#: of finite numbers of that shape.
+VECTORS: dict[str, tuple[Any, Callable[[Any], Any], Callable[[Any, Any], bool]]] = {
+    "CellState": (LIFT.q_start, lambda x: CellState(LIFT.cell, x), lambda r, m: same(r.q, m)),
+    "check_configuration": (LIFT.q_start, lambda x: LIFT.cell.check_configuration(x, "here"), same),
+    "configuration": (LIFT.q_start, LIFT.cell.configuration, same),
+    "KinematicPlant": (LIFT.q_start, KinematicPlant(LIFT.cell).reset, same),
+    "arm_increments": (np.ones(6), LIFT.grasp.arm_increments, lambda r, m: r.shape == (3, 6)),
+    "displaced, translation": (
+        [0.1, 0.2, 0.3],
+        lambda x: LinePath.displaced(START, translation=x, duration=1.0),
+        lambda r, m: same(r.goal.translation, START.translation + m),
+    ),
+    "from_configuration": (
+        LIFT.q_start,
+        lambda x: Grasp.from_configuration(LIFT.cell, x, START),
+        lambda r, m: np.abs(r.relative_errors(CellState(LIFT.cell, m))).max() < 1e-9,
+    ),
+    "PostureOptions.target": (
+        LIFT.q_start,
+        lambda x: QPController(
+            LIFT.cell,
+            LIFT.grasp,
+            LIFT.path,
+            dt=0.01,
+            options=QPOptions(posture=PostureOptions(target="none" if x is None else x)),
+        ),
+        lambda r, m: True,
+    ),
+}
+
+
+def test_arrays_of_finite_numbers_and_nothing_else(catalogue: Any) -> None:
+    tried = Tried()
+
+    @MORE
+    @given(st.sampled_from(list(VECTORS)), st.data())
+    def holds(door: str, data: st.DataObject) -> None:
+        tried.number += 1
+        usual, build, right = VECTORS[door]
+        worn, meant = data.draw(arrays_like(usual))
+        before = copy.deepcopy(worn) if isinstance(worn, (np.ndarray, list)) else None
+        result = answer(lambda: (build(worn),))
+        acceptable = meant is not None and np.isfinite(meant).all()
+        assert (result is not None) == acceptable
+        if result is not None:
+            tried.accepted += 1
+            assert right(result[0], meant)
+        if isinstance(before, np.ndarray):
+            assert str(worn) == str(before)
+
+    holds()
+    tried.row(catalogue, f"arrays at {len(VECTORS)} doors that take any finite one", MORE)
+
+
+def rows(x: Any, n: int) -> list[Any]:
+    """The value's rows, or the value itself in place of each of them."""
+    return [x[i] for i in range(n)] if isinstance(x, (np.ndarray, list, tuple)) and len(x) == n else [x] * n
+
+
+#: Doors that ask for more than finite numbers: whatever they accept must be right.
+PICKY: dict[str, tuple[Any, Callable[[Any], Any], Callable[[Any, Any], bool]]] = {
+    "displaced, rotation": (
+        [0.1, 0.2, 0.3],
+        lambda x: LinePath.displaced(START, rotation=x, duration=1.0),
+        lambda r, m: np.allclose(r.goal.rotation, pin.exp3(m) @ START.rotation, atol=1e-6),
+    ),
+    "JointLimits": (
+        [[-1.0, -2.0, 0.0], [1.0, 0.5, 2.0], [1.0, 2.0, 3.0], [5.0, 6.0, 7.0]],
+        lambda x: JointLimits(*rows(x, 4)),
+        lambda r, m: (
+            same([r.lower, r.upper, r.velocity, r.acceleration], m)
+            and bool((r.lower < r.upper).all() and (r.velocity > 0.0).all() and (r.acceleration > 0.0).all())
+        ),
+    ),
+    "with_limits, velocity": (
+        LIMITS.velocity,
+        lambda x: LIFT.cell.with_limits(velocity=x),
+        lambda r, m: same(r.limits.velocity, m) and bool((m > 0.0).all()),
+    ),
+    "with_limits, lower": (
+        ARM.limits.lower,
+        lambda x: ARM.with_limits(lower=x),
+        lambda r, m: same(r.limits.lower, m) and bool((m < ARM.limits.upper).all()),
+    ),
+    "inverse_kinematics": (
+        LIFT.q_start,
+        lambda x: inverse_kinematics(LIFT.cell, LIFT.grasp, START, x, max_iter=5),
+        lambda q, m: np.abs(LIFT.grasp.relative_errors(CellState(LIFT.cell, q))).max() < 1e-8,
+    ),
+    "reset": (
+        LIFT.q_start,
+        FOLLOWER.reset,
+        lambda r, m: np.abs(m - LIFT.q_start).max() < 0.1,
+    ),
+    "configuration of turning joints": (
+        MIXED.q_start,
+        lambda x: MIXED.cell.check_configuration(x, "here"),
+        lambda r, m: np.allclose(r, m, atol=1e-5),
+    ),
+    "plate_from_points": (
+        [[0.0, 0.0, 0.0], [-0.2, 0.6, 0.0], [0.2, 0.6, 0.0]],
+        lambda x: plate_from_points(*rows(x, 3)),
+        lambda r, m: np.allclose(r[0].translation, m[0]) and r[1] > 0.0 and r[2] > 0.0,
+    ),
+    "CommonError": (
+        np.full((3, 6), 1.0 / 3.0),
+        lambda x: CommonError.per_axis(x).shares(LIFT.cell),
+        lambda r, m: same(r, m) and np.allclose(m.sum(axis=0), 1.0),
+    ),
+}
+
+
+#: One number stands for all joints here.
+SCALARS_TOO = ("with_limits, velocity", "with_limits, lower")
+
+
+def test_what_is_accepted_is_right(catalogue: Any) -> None:
+    tried = Tried()
+
+    @MORE
+    @given(st.sampled_from(list(PICKY)), st.data())
+    def holds(door: str, data: st.DataObject) -> None:
+        tried.number += 1
+        usual, build, right = PICKY[door]
+        worn, meant = data.draw(arrays_like(usual))
+        if isinstance(worn, memoryview):
+            return  # of several dimensions, it has no rows
+        result = answer(lambda: (build(worn),))
+        if result is not None:
+            tried.accepted += 1
+            if door in SCALARS_TOO and np.ndim(worn) == 0:
+                meant = np.full(np.shape(usual), float(worn))
+            assert meant is not None
+            assert right(result[0], meant)
+
+    holds()
+    tried.row(catalogue, f"arrays at {len(PICKY)} doors that ask for more", MORE)
+
+
+# -- poses -------------------------------------------------------------------------------------------------------------
+
+
+def _servo(T: Any) -> Any:
+    controller = QPController(LIFT.cell, LIFT.grasp, ServoPath(START), dt=0.01)
+    controller.reset(LIFT.q_start)
+    kept = controller.path._line
+    try:
+        controller.retarget(T)
+    except ValueError:
+        assert controller.path._line is kept  # the old target stays
+        raise
+    return controller.path._line.goal
+
+
+#: What is made of a pose, and a placement that has to be the one given.
+POSES: dict[str, Callable[[Any], Any]] = {
+    "LinePath, start": lambda T: LinePath(T, START, duration=1.0).start,
+    "LinePath, goal": lambda T: LinePath(START, T, duration=1.0).goal,
+    "displaced": lambda T: LinePath.displaced(T, duration=1.0).pose(0.0),
+    "WaypointPath": lambda T: WaypointPath([START, T, START], durations=[1.0, 2.0]).pose(1.0),
+    "HoldPath": lambda T: HoldPath(T).pose(0.3),
+    "ServoPath": lambda T: ServoPath(T).pose(0.0),
+    "retarget": _servo,
+    "ScrewParameters": lambda T: pin.SE3(
+        pin.exp3((s := ScrewParameters.between(pin.SE3.Identity(), T)).angle * s.r), s.p
+    ),
+    "Grasp": lambda T: Grasp((T, START)).T_object_tool[0],
+    "tool_targets": lambda T: Grasp((pin.SE3.Identity(),)).tool_targets(T)[0],
+    "from_configuration": lambda T: Grasp.from_configuration(LIFT.cell, LIFT.q_start, T).carried(
+        CellState(LIFT.cell, LIFT.q_start)
+    )[2],
+    "plate_from_centroid": lambda T: plate_from_centroid(T, 1.0) * pin.SE3(np.eye(3), np.array([0.0, 2.0, 0.0])),
+    "placed": lambda T: RobotCell([ARM.placed(T)]).arms[0].T_world_base,
+    "Disturbances": lambda T: (
+        pin.SE3(np.asarray(getattr(T, "homogeneous", T), dtype=float)) if Disturbances(base_offset={"a": T}) else None
+    ),
+}
+
+
+def test_poses_and_nothing_else(catalogue: Any) -> None:
+    tried = Tried()
+
+    @MORE
+    @given(st.sampled_from(list(POSES)), poses_like())
+    def holds(door: str, value: tuple[Any, pin.SE3 | None]) -> None:
+        tried.number += 1
+        worn, T = value
+        result = answer(lambda: POSES[door](worn))
+        assert (result is not None) == (T is not None)
+        if result is not None:
+            tried.accepted += 1
+            assert np.abs(result.homogeneous - T.homogeneous).max() < 1e-6
+
+    holds()
+    tried.row(catalogue, f"poses at {len(POSES)} doors", MORE)
+
+
+def test_a_pose_to_be_reached(catalogue: Any) -> None:
+    """inverse_kinematics: a pose it is not, one out of reach, or one that is reached."""
+    tried = Tried()
+
+    @MANY
+    @given(poses_like(), st.floats(0.0, 0.3))
+    def holds(value: tuple[Any, pin.SE3 | None], share: float) -> None:
+        tried.number += 1
+        worn, T = value
+        if T is not None:  # near enough to be reached sometimes
+            worn = T = START * pin.exp6(share * pin.log6(T).vector / (1.0 + np.linalg.norm(pin.log6(T).vector)))
+        q = answer(lambda: inverse_kinematics(LIFT.cell, LIFT.grasp, worn, LIFT.q_start, max_iter=8))
+        if q is not None:
+            tried.accepted += 1
+            assert T is not None
+            for O in LIFT.grasp.carried(CellState(LIFT.cell, q)):
+                assert np.abs(O.homogeneous - T.homogeneous).max() < 1e-8
+
+    holds()
+    tried.row(catalogue, "poses, inverse_kinematics")
+
+
+# -- numbers and options -----------------------------------------------------------------------------------------------
+
+OPTIONS = (
+    QPOptions,
+    SupervisionOptions,
+    PreviewOptions,
+    PostureOptions,
+    RankWeights,
+    PseudoInverseOptions,
+    IndependentQPOptions,
+    MonitorTolerances,
+    Disturbances,
+    PhysicsOptions,
+    DaqpSettings,
+    OsqpSettings,
+    ProxqpSettings,
+)
+
+
+def numbers_of(options: Any) -> list[str]:
+    """Names of the fields that are numbers or tuples of them."""
+    defaults = options()
+    return [f.name for f in fields(options) if type(getattr(defaults, f.name)) in (float, int, tuple)]
+
+
+def sound(value: Any) -> bool:
+    """A finite number, or something else that is as it should be; deep inside sequences too."""
+    if isinstance(value, tuple):
+        return all(map(sound, value))
+    return type(value) is not float or bool(np.isfinite(value))
+
+
+def test_options_of_any_value(catalogue: Any) -> None:
+    """Each number of each options class: refused by name, or kept as the number it is."""
+    tried = Tried()
+    every = [(options, name) for options in OPTIONS for name in numbers_of(options)]
+
+    @MORE
+    @given(st.sampled_from(every), numbers)
+    def holds(field: tuple[Any, str], value: Any) -> None:
+        tried.number += 1
+        options, name = field
+        made = answer(lambda: options(**{name: value}))
+        if made is None:
+            return
+        tried.accepted += 1
+        kept = getattr(made, name)
+        if value is None:
+            assert kept is None  # does without
+        elif isinstance(kept, tuple):
+            assert all(type(x) is float and np.isfinite(x) for x in kept)
+        else:
+            assert isinstance(kept, (float, int, np.integer))
+            assert abs(kept) < np.inf
+            assert kept == (value if isinstance(value, int) else float(value))
+
+    holds()
+    tried.row(catalogue, f"numbers in {len(every)} fields of {len(OPTIONS)} options classes", MORE)
+
+
+def test_accepted_options_never_make_a_step_fail(catalogue: Any) -> None:
+    """Whatever the options, a step returns a command within the limits (or the controller is not built)."""
+    tried = Tried()
+    tasks = [replace(LIFT, cell=LIFT.cell.with_limits(acceleration=a), dt=0.01) for a in (np.inf, 5.0)]
+    kinds = (QPOptions, SupervisionOptions, PreviewOptions, PostureOptions, RankWeights)
+    names = {kind: numbers_of(kind) for kind in kinds}
+    part = {
+        SupervisionOptions: "supervision",
+        PreviewOptions: "preview",
+        PostureOptions: "posture",
+        RankWeights: "weights",
+    }
+    positive = st.one_of(st.sampled_from([1e-300, 1e-12, 1e-6, 1e6, 1e12, 1e300, 1, 3]), st.floats(1e-3, 1.0))
+    odd_noise = st.sampled_from([0.0, 1e-4, 1e-2])
+
+    @MANY
+    @given(st.sampled_from(list(names)), st.data(), odd_noise, st.booleans(), st.booleans())
+    def holds(kind: Any, data: st.DataObject, noise: float, accelerates: bool, shortcut: bool) -> None:
+        tried.number += 1
+        changed = {data.draw(st.sampled_from(names[kind])): data.draw(positive) for _ in range(2)}
+        task = tasks[accelerates]
+        options = answer(lambda: kind(**changed))
+        if options is None:
+            return
+        whole = options if kind is QPOptions else QPOptions(**{part[kind]: options})
+        whole = replace(whole, shortcut=shortcut)
+        controller = QPController(task.cell, task.grasp, task.path, dt=task.dt, options=whole)
+        if answer(lambda: (controller.reset(task.q_start),)) is None:
+            return
+        tried.accepted += 1
+        monitor = Monitor(task.cell, task.grasp, tolerances=LIMITS_ONLY)
+        rng = np.random.default_rng(3)
+        q = task.q_start
+        for _ in range(3):
+            step = controller.step(q + noise * rng.standard_normal(q.size))
+            monitor.observe(step)
+            q = step.q_next
+        assert monitor.verdict().ok, monitor.verdict()
+
+    holds()
+    tried.row(catalogue, "options that are accepted, then steps")
+
+
+LIMITS_ONLY = MonitorTolerances(chain_m=None, chain_rad=None, path_m=None, path_rad=None)
+
+
+# -- time --------------------------------------------------------------------------------------------------------------
+
+times = st.one_of(numbers, st.sampled_from([0.0, -1.0, np.nan, 1e-12, 10.0, -1e-3, 1e300, 5e-324, np.inf]))
+
+DURATIONS: dict[str, Callable[[Any], Any]] = {
+    "QPController": lambda t: QPController(LIFT.cell, LIFT.grasp, LIFT.path, dt=t).dt,
+    "PseudoInverseController": lambda t: PseudoInverseController(LIFT.cell, LIFT.grasp, LIFT.path, dt=t).dt,
+    "IndependentQPController": lambda t: IndependentQPController(LIFT.cell, LIFT.grasp, LIFT.path, dt=t).dt,
+    "LinePath": lambda t: LinePath(START, START, duration=t).duration,
+    "HoldPath": lambda t: HoldPath(START, duration=t).duration,
+    "WaypointPath": lambda t: WaypointPath([START, START], durations=[t]).duration,
+    "ServoPath, speed": lambda t: ServoPath(START, speed=t)._speed,
+}
+
+
+def test_times_that_are_none(catalogue: Any) -> None:
+    tried = Tried()
+
+    @MORE
+    @given(st.sampled_from(list(DURATIONS)), times)
+    def holds(door: str, t: Any) -> None:
+        tried.number += 1
+        kept = answer(lambda: DURATIONS[door](t))
+        if kept is not None:
+            tried.accepted += 1
+            assert type(kept) is float
+            assert kept == float(t)
+            assert 0.0 < kept < np.inf
+        elif type(t) is float:
+            assert not 0.0 < t < np.inf
+
+    holds()
+    tried.row(catalogue, f"times at {len(DURATIONS)} doors", MORE)
+
+
+def test_a_path_at_any_clock(catalogue: Any) -> None:
+    tried = Tried()
+    other = START * pin.exp6(np.array([0.1, 0.2, 0.3, 0.4, 0.5, 0.6]))
+    servo = ServoPath(START)
+    servo.set_target(other, clock=0.5)
+    paths = [
+        LinePath(START, other, duration=2.0),
+        LinePath(START, other, duration=2.0, time_law="linear"),
+        WaypointPath([START, other, START], durations=[1.0, 1e-6]),
+        HoldPath(other),
+        servo,
+    ]
+    clocks = st.one_of(st.floats(), st.floats(-1.0, 4.0), st.sampled_from([np.nan, np.inf, -np.inf, 1e300, 5e-324]))
+
+    @MANY
+    @given(st.sampled_from(paths), clocks, clocks)
+    def holds(path: Any, clock: float, dt: float) -> None:
+        tried.number += 1
+        for read in (path.pose, path.twist):
+            found = answer(lambda read=read: read(clock))
+            if found is not None:
+                tried.accepted += 1
+                assert np.isfinite(found.homogeneous if isinstance(found, pin.SE3) else found).all()
+            else:
+                assert np.isnan(clock)
+        increment = answer(lambda: path.increment(clock, dt))
+        if increment is not None:
+            assert np.isfinite(increment).all()
+
+    holds()
+    tried.row(catalogue, "times, a path at any clock")
+
+
+# -- what a step is given ----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("kind", ["QP", "QP, turning joints", "independent", "pseudo-inverse"])
+def test_a_step_answers_to_anything(kind: str, catalogue: Any) -> None:
+    """Whatever is measured and however long the step: a command within the limits, never an exception."""
+    tried = Tried()
+    task: Scenario = replace(MIXED if kind == "QP, turning joints" else LIFT, dt=0.01)
+    limited = replace(task, cell=task.cell.with_limits(acceleration=8.0))
+    made: list[Any] = []
+    for one in (task, limited):
+        if kind == "independent":
+            made.append(IndependentQPController(one.cell, one.grasp, one.path, dt=one.dt))
+        elif kind == "pseudo-inverse":
+            made.append(PseudoInverseController(one.cell, one.grasp, one.path, dt=one.dt))
+        else:
+            made.append(QPController(one.cell, one.grasp, one.path, dt=one.dt))
+
+    given_once = st.tuples(st.booleans(), arrays_like(task.q_start), st.booleans(), times)
+
+    @MANY
+    @given(st.booleans(), st.lists(given_once, min_size=1, max_size=2))
+    def holds(accelerates: bool, odd_steps: list[Any]) -> None:
+        tried.number += 1
+        controller = made[accelerates]
+        controller.reset(task.q_start)
+        monitor = Monitor(controller.cell, controller.grasp, tolerances=LIMITS_ONLY)
+        monitor.observe(controller.step())
+        for measures, (worn, _), odd_time, dt in odd_steps:
+            before = str(worn)
+            step = controller.step(worn if measures else None, dt=dt if odd_time else None)
+            assert str(worn) == before
+            monitor.observe(step)
+            assert step.reason or step.status not in (Status.HOLDING, Status.FAULT)
+            assert step.explain()
+            tried.accepted += step.status not in (Status.HOLDING, Status.FAULT)
+        monitor.observe(controller.step())
+        kinds = set(monitor.verdict().counts)
+        assert kinds <= ({Breach.VELOCITY, Breach.POSITION, Breach.ACCELERATION} if kind == "pseudo-inverse" else set())
+
+    holds()
+    tried.row(catalogue, f"a step of anything, {kind}")
+
+
+def test_a_refused_value_changes_nothing(catalogue: Any) -> None:
+    """After a refused reset or target a controller goes on as if nothing had been asked."""
+    tried = Tried()
+
+    def fresh() -> QPController:
+        controller = QPController(LIFT.cell, LIFT.grasp, ServoPath(START), dt=0.01)
+        controller.reset(LIFT.q_start)
+        controller.retarget(START * pin.exp6(np.array([0.0, 0.1, 0.1, 0.0, 0.0, 0.2])))
+        return controller
+
+    a, b = fresh(), fresh()
+
+    @MANY
+    @given(arrays_like(LIFT.q_start), poses_like())
+    def holds(q: tuple[Any, Any], T: tuple[Any, Any]) -> None:
+        tried.number += 1
+        if q[1] is None or not np.isfinite(q[1]).all():
+            assert is_refused(lambda: a.reset(q[0]))
+        if T[1] is None:
+            assert is_refused(lambda: a.retarget(T[0]))
+        assert np.array_equal(a.step().velocity, b.step().velocity)
+
+    holds()
+    tried.row(catalogue, "a refused reset or target changes nothing")
