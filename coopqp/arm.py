@@ -70,7 +70,7 @@ class JointLimits:
                     "JointLimits",
                     "Swap reversed limits, or lock the joint.",
                 )
-            if not min(self.velocity[j], self.acceleration[j]) >= SMALLEST_LIMIT:
+            if not (self.velocity[j] >= SMALLEST_LIMIT and self.acceleration[j] >= SMALLEST_LIMIT):
                 raise InvalidInputError(
                     f"joint {j}: velocity {self.velocity[j]:g} and acceleration {self.acceleration[j]:g} must be > 0 "
                     f"(at least {SMALLEST_LIMIT:g})",
@@ -397,7 +397,7 @@ def _model_limits(name: str, model: pin.Model, velocity: Any, acceleration: Any,
                 f"arm '{name}', joint '{joint}'",
                 "Correct the model, or give lower_limits and upper_limits.",
             )
-        if not min(speed[j], accel[j]) >= SMALLEST_LIMIT:
+        if not (speed[j] >= SMALLEST_LIMIT and accel[j] >= SMALLEST_LIMIT):
             raise InvalidInputError(
                 f"velocity limit {speed[j]:g}, acceleration limit {accel[j]:g}: both must be > 0 "
                 f"(at least {SMALLEST_LIMIT:g})",
