@@ -134,6 +134,15 @@ class CondensedQp:
         self.columns[:, :n], mine.C[:, :n] = other.columns, theirs.C
         mine.l[:], mine.u[:] = theirs.l, theirs.u
 
+    def set_rows(self, lower: Array, upper: Array) -> None:
+        """The rows of unit norm that keep v in its box, from ``base`` and ``columns``."""
+        norms, problem = self.norms, self.problem
+        np.sqrt(np.einsum("ij,ij->i", self.columns, self.columns), out=norms)
+        norms[norms < 1e-12] = 1.0
+        np.divide(self.columns, norms[:, None], out=problem.C)
+        np.divide(lower - self.base, norms, out=problem.l)
+        np.divide(upper - self.base, norms, out=problem.u)
+
     def set_bounds(self, first: int, unit: Array, rate_cap: float) -> None:
         """Bounds of (cap − σ), (1 − ρ_g), (1 − ρ_p), from unknown ``first`` on, each divided by its ``unit``."""
         lb, ub = self.problem.lb, self.problem.ub
@@ -218,22 +227,18 @@ class StepProgram:
         d, redundancy = S.shape[1], self.chain.redundancy
         outside = np.flatnonzero(box.outside)
         qp = self.memory(d + 3 + redundancy, outside.size)
-        base, B, norms, problem = qp.base, qp.columns, qp.norms, qp.problem
+        base, B = qp.base, qp.columns
         base[:] = pieces.command(terms.rate_cap)
         B[:, :d] = self.chain.joint_columns(terms.to_world @ S)
         for column, piece in enumerate((pieces.along, pieces.grasp, pieces.path)):
             np.multiply(piece, -self._share_scale[column], out=B[:, d + column])
         if redundancy:
             np.multiply(self.chain.null_basis(), self._comfort_scale, out=B[:, d + 3 : d + 3 + redundancy])
-        np.sqrt(np.einsum("ij,ij->i", B, B), out=norms)
-        norms[norms < 1e-12] = 1.0
-        np.divide(B, norms[:, None], out=problem.C)
-        np.divide(box.lower - base, norms, out=problem.l)
-        np.divide(box.upper - base, norms, out=problem.u)
+        qp.set_rows(box.lower, box.upper)
         qp.set_bounds(d, self._share_scale, terms.rate_cap)
         if outside.size:
             qp.lead_back(outside, box.recovery, self.recovery_scale)
-        return problem, base, B
+        return qp.problem, base, B
 
     def memory(self, unknowns: int, outside: int) -> CondensedQp:
         """The memory of the last QP if its size fits; sizes seldom change."""

@@ -61,7 +61,6 @@ class NumpyKernel:
 
     name = "numpy"
     follows_lines = True
-    rows = None  # the program's own arithmetic is in NumPy
 
     def __init__(self, workspace: Workspace) -> None:
         ws = self._ws = workspace
@@ -93,6 +92,9 @@ class NumpyKernel:
         self._tested, self._tests_flat, self._moved = ws.ahead[:4], self._tests.reshape(-1), ws.ahead[4]
         self._brake = ws.motion[3]
         self._wanted = np.empty(nv)
+        # World twists of every arm in the QP's unknowns, and of its command: the first six are the object's directions.
+        self._directions = np.zeros((n, 6, 10))
+        self._six_directions = np.einsum("kii->ki", self._directions[:, :, :6])
         # A tiny number in place of 1 / inf: 0 times an infinite velocity would be NaN.
         self._per_acceleration = np.maximum(ws.per_acceleration, 1e-200)
 
@@ -142,6 +144,44 @@ class NumpyKernel:
         np.add(self._O_origin, ws.p, out=ws.origins)
         np.einsum("ij,ij->j", ws.shares, ws.errors, out=ws.common)
         return True
+
+    def rows(self, cap: float, clock: float, span: float) -> int:
+        """The condensed QP of a step that :meth:`step` left open."""
+        ws, chain, box = self._ws, self._ws.chain, self._ws.box
+        s = ws.scalars.tolist()
+        if s != self._settings:
+            self._set(s)
+        if s[ws.ON_LINE] != 0.0 and not self._line.follow(clock, span):
+            return -1
+        given = (ws.positions, ws.v_prev, ws.jacobian_T.reshape(-1))
+        if not (self._errors() < math.inf and all(np.dot(x, x) < math.inf for x in given)):
+            return -1
+        self._corrections(s, cap, math.nan)  # each of them by itself
+        box.update(ws.positions, ws.v_prev, s[ws.DT])
+        chain.invert()
+        if chain.singular:
+            return -1
+        unit, twists, qp = ws.unit, self._directions, ws.qp
+        late, grasp_lost, path_lost = unit[6:9].tolist()
+        self._six_directions[:] = unit[:6]
+        np.multiply(ws.along, -late, out=twists[:, :, 6])
+        np.multiply(ws.grasp, -grasp_lost, out=twists[:, :, 7])
+        np.multiply(ws.path, -path_lost, out=twists[:, :, 8])
+        np.add(ws.grasp + ws.offsets, ws.path + cap * ws.along, out=twists[:, :, 9])
+        columns = chain.joint_columns(ws.action @ twists)
+        qp.columns[:, :9], qp.base[:] = columns[:, :9], columns[:, 9]
+        if chain.redundancy:
+            qp.columns[:, 6] -= late * chain.null_part(ws.null_along)
+            qp.base += chain.null_part(cap * ws.null_along + ws.null_offset)
+            np.multiply(chain.null_basis(), unit[9:], out=qp.columns[:, 9:])
+        qp.set_rows(box.lower, box.upper)
+        if not np.dot(qp.base, qp.base) + np.dot(qp.norms, qp.norms) < math.inf:
+            return -1
+        if not box.any_outside:
+            return 0
+        outside = np.flatnonzero(box.outside)
+        ws.outside[: outside.size], ws.recovery[:] = outside, box.recovery
+        return outside.size
 
     def _set(self, s: list[float]) -> None:
         """The matrices that depend on the step's length, the gains, and on what there is."""

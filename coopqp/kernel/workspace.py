@@ -6,7 +6,6 @@ Both kernels (NumPy and compiled) read and write these arrays and nothing else, 
 from __future__ import annotations
 
 import enum
-from collections.abc import Callable
 from typing import Protocol
 
 import numpy as np
@@ -124,9 +123,8 @@ class StepKernel(Protocol):
         """``errors``, ``common`` and ``origins`` at the placements; False if that is the step's business after all."""
         ...
 
-    @property
-    def rows(self) -> Callable[[float, float, float], int] | None:
-        """The condensed QP of the step that was left open, with its arguments; None where a kernel does not offer it.
+    def rows(self, cap: float, clock: float, span: float) -> int:
+        """The condensed QP of the step that was left open, from the same arguments.
 
         Fills ``qp``, errors and corrections, and returns the number of joints outside their limits; −1 where an arm is
         near a singularity, or something is not finite.
