@@ -13,6 +13,7 @@ timing on a rolling horizon: as long as the object needs to stop, and no longer.
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from collections.abc import Generator, Iterator
 from dataclasses import dataclass
@@ -85,7 +86,9 @@ _STEPS_TO_FULL_SPEED = 10
 #: Cells shorter than this are not halved for a change of slope [s].
 _FINE_CELL = 0.001
 #: Refinements of the rate near a bound.
-_BISECTIONS = 4
+_BISECTIONS = 6
+#: Of squares of rates, which are differences of sums.
+_ROUNDING = 1e-12
 #: A cell is begun so many steps before it is needed.
 _STEPS_TO_GROW = 4
 _UNBOUND = _Cell(np.inf, np.zeros(0), np.zeros(0), 0.0, 0.0, 0.0, 0.0, np.zeros(0), None, 0.0, 0.0, True)
@@ -195,25 +198,34 @@ class PathPreview:
         D = ahead.decrease
         C = here.cumulative + 2.0 * D * (clock - here.clock)
         square, bound = self._square(C)
+        between = _between(here, ahead, clock)
         step = D * dt
-        if square >= 1.0 + 2.0 * step:  # −D dt + √((D dt)² + S) ≥ 1
+        if between >= 1.0 and square >= 1.0 + 2.0 * step:  # −D dt + √((D dt)² + S) ≥ 1
             if not self._bounds:
                 self._free_until = self._enough_until()
                 self._begin_at = self._free_until - _STEPS_TO_GROW * self._dt if self._free_until < np.inf else np.inf
             return 1.0, None
-        root = np.sqrt(step * step + square)
-        rate = float(square / (step + root)) if root > 0.0 else 0.0  # −D dt + √((D dt)² + S)
-        # That assumes S to fall as fast as it can; the fastest admissible rate lies between it and √S.
-        fast = min(float(np.sqrt(square)), 1.0)
+        fall = 2.0 * D  # of S, per clock second
+        if between < square:
+            square, bound = between, here if here.cap < ahead.cap else ahead
+            fall = max(here.cap - ahead.cap, 0.0) / (ahead.clock - here.clock) if ahead.clock > here.clock else 0.0
+        # S falls while the object goes: σ² = S − fall σ dt while it goes on as it begins, or what there is on arrival.
+        half = 0.5 * fall * dt
+        root = math.sqrt(half * half + square)
+        rate = min(square / (half + root) if root > 0.0 else 0.0, 1.0)
+        fast = min(math.sqrt(square), 1.0)
+        fast = min(fast, math.sqrt(self._square_at(clock + fast * dt)))
+        for candidate in (max(rate, fast), min(rate, fast)):
+            if self._admits(candidate, clock + candidate * dt):
+                return candidate, bound.binding
+        low, high = 0.0, min(rate, fast)
         for _ in range(_BISECTIONS):
-            if self._admits(fast, clock + fast * dt):
-                return fast, bound.binding
-            middle = 0.5 * (rate + fast)
+            middle = 0.5 * (low + high)
             if self._admits(middle, clock + middle * dt):
-                rate = middle
+                low = middle
             else:
-                fast = middle
-        return rate, bound.binding
+                high = middle
+        return low, bound.binding
 
     def _square(self, cumulative: float) -> tuple[float, _Cell]:
         """S where C has a value: the least of z_b + C_b ahead, less C, and the cell that makes it."""
@@ -234,21 +246,35 @@ class PathPreview:
         # The last border up to which there is enough; a cell's own decrease counts for the one that begins there.
         return next((c.clock for c in reversed(cells) if c.cumulative < enough and c.clock <= latest), -np.inf)
 
-    def _admits(self, rate: float, clock: float) -> bool:
-        """Whether the object may arrive at ``clock`` with ``rate``."""
+    def _cell_of(self, clock: float) -> int:
+        """Number of the border that the cell of ``clock`` begins with."""
         cells = self._cells
         i = 0
         while i + 1 < len(cells) and cells[i + 1].clock <= clock:
             i += 1
+        return i
+
+    def _square_at(self, clock: float) -> float:
+        """S at a clock ahead."""
+        cells, i = self._cells, self._cell_of(clock)
+        here = cells[i]
         if i + 1 == len(cells):
-            return rate * rate <= cells[i].cap if self._complete else False
-        here, ahead = cells[i], cells[i + 1]
+            return max(here.cap, 0.0) if self._complete else 0.0
+        ahead = cells[i + 1]
         C = here.cumulative + 2.0 * ahead.decrease * (clock - here.clock)
+        square = _between(here, ahead, clock)
+        if not self._complete:
+            square = min(square, cells[-1].cumulative - C)
+        for bound in self._bounds:
+            if bound.clock > clock:
+                square = min(square, bound.cap + bound.cumulative - C)
+        return max(square, 0.0)
+
+    def _admits(self, rate: float, clock: float) -> bool:
+        """Whether the object may arrive at ``clock`` with ``rate``."""
         square = rate * rate
-        if not self._complete and cells[-1].cumulative - C < square:
-            return False
-        return all(c.cap + c.cumulative - C >= square for c in self._bounds if c.clock > clock) and all(
-            cells[m].cap >= square for m in range(1, i + 1)
+        return square <= self._square_at(clock) + _ROUNDING and all(
+            self._cells[m].cap + _ROUNDING >= square for m in range(1, self._cell_of(clock) + 1)
         )
 
     def reference(self, clock: float) -> tuple[Array, Array]:
@@ -495,6 +521,12 @@ class PathPreview:
         while self._bounds and self._bounds[-1].cap + self._bounds[-1].cumulative >= key:
             self._bounds.pop()
         self._bounds.append(cell)
+
+
+def _between(here: _Cell, ahead: _Cell, clock: float) -> float:
+    """z_cap between two borders. Without it the rate would rise within each cell, and fall again to its end."""
+    span = ahead.clock - here.clock
+    return ahead.cap + (here.cap - ahead.cap) * (ahead.clock - clock) / span if span > 0.0 else here.cap
 
 
 def _whole(pieces: Generator[None, None, _Cell | None]) -> _Cell | None:
