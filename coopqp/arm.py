@@ -5,11 +5,13 @@ Nothing that the user hands in is modified: models are copied.
 
 from __future__ import annotations
 
+import contextlib
 import difflib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
+from xml.parsers import expat
 
 import numpy as np
 import pinocchio as pin
@@ -19,6 +21,8 @@ from coopqp.spatial import NOT_NUMBERS, Array, Placement, as_floats, as_placemen
 
 #: A position limit beyond this [rad or m] means "none" (parsers write the largest double there).
 UNLIMITED = 1e6
+#: Deepest nesting of elements that is read from MJCF; an arm of a hundred joints needs a little more than a hundred.
+MAX_NESTING = 500
 #: A velocity or acceleration limit below this [rad/s, rad/s², or in metres] is a mistake: the joint could not move.
 SMALLEST_LIMIT = 1e-6
 #: A finite limit beyond this is a mistake, too, and would not survive being squared.
@@ -195,6 +199,7 @@ class Arm:
         MJCF has no velocity limits: give ``velocity_limits``.
         """
         source = _description_file(path, name)
+        _check_nesting(source, name)
         try:
             model = pin.buildModelFromMJCF(str(source))
             shapes: dict[str, pin.GeometryModel | None] = {"visual": None, "collision": None}
@@ -298,6 +303,30 @@ def _description_file(path: str | Path, arm: str) -> Path:
     if file.stat().st_size > MAX_DESCRIPTION_BYTES:
         raise ModelError(f"arm '{arm}': {file} is larger than {MAX_DESCRIPTION_BYTES} bytes and was not read.")
     return file
+
+
+def _check_nesting(file: Path, arm: str) -> None:
+    """Refuse what Pinocchio's reader of MJCF, which calls itself for every level, would not survive."""
+    depth = 0
+
+    def begin(tag: str, attributes: object) -> None:
+        nonlocal depth
+        depth += 1
+        if depth > MAX_NESTING:
+            raise ModelError(f"arm '{arm}': the elements of {file} are nested more than {MAX_NESTING} deep.")
+
+    def end(tag: str) -> None:
+        nonlocal depth
+        depth -= 1
+
+    def entity(*declaration: object) -> None:
+        raise ModelError(f"arm '{arm}': {file} declares XML entities, which MJCF does without. Write their text out.")
+
+    parser = expat.ParserCreate()
+    parser.StartElementHandler, parser.EndElementHandler, parser.EntityDeclHandler = begin, end, entity
+    # What is no XML is the reader's business, which says so.
+    with contextlib.suppress(expat.ExpatError):
+        parser.Parse(file.read_bytes(), True)
 
 
 def _lock(

@@ -127,7 +127,7 @@ def read(file: Path) -> CellFile:
         data = tomllib.loads(file.read_bytes().decode())
     except OSError as error:
         raise CellFileError(f"cannot read {file}: {error.strerror}. Check the path.") from error
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError, RecursionError) as error:
+    except (ValueError, RecursionError) as error:  # TOMLDecodeError, UnicodeDecodeError, integers of too many digits
         raise CellFileError(f"{file} is not TOML: {error}.") from error
     try:
         return CellFile.model_validate(data)
