@@ -34,7 +34,7 @@ def test_an_arm_that_turns_round_late_has_not_stalled() -> None:
     """Seen late, an arm whose joints reverse stands while its command moves already, and others follow theirs."""
     lift = paper_lift()
     watch = Supervision(lift.cell, lift.grasp, SupervisionOptions())
-    late, amplitude, still = 10, 0.05, np.zeros((3, 3))  # it turns with 2 rad/s²
+    late, amplitude, still = 10, 0.05, np.zeros((3, 6))  # it turns with 2 rad/s²
 
     def at(t: float) -> Array:
         q = np.full(18, 0.3 * t)
@@ -42,7 +42,7 @@ def test_an_arm_that_turns_round_late_has_not_stalled() -> None:
         return q
 
     for i in range(1000):
-        seen = watch.watch(at(1e-3 * max(i - late, 0)), at(1e-3 * i), still, still, 1e-3)
+        seen = watch.watch(at(1e-3 * max(i - late, 0)), at(1e-3 * i), still, 1e-3)
         assert not seen.hold, f"{i} ms: {seen.reason}"
 
 
@@ -51,12 +51,12 @@ def test_a_stall_is_known_once_it_opens_a_gap(speed: float) -> None:
     """Within the samples that it takes, and those in which a joint gets 0.5 mrad from its command."""
     lift = paper_lift()
     watch = Supervision(lift.cell, lift.grasp, SupervisionOptions())
-    still, stalls = np.zeros((3, 3)), 100
+    still, stalls = np.zeros((3, 6)), 100
     for i in range(200):
         command = np.full(18, 1e-3 * i * speed)
         measured = command.copy()
         measured[12:] = 1e-3 * min(i, stalls) * speed
-        seen = watch.watch(measured, command, still, still, 1e-3)
+        seen = watch.watch(measured, command, still, 1e-3)
         if seen.hold:
             break
     assert i - stalls == max(4, np.ceil(0.5 / speed))
@@ -93,14 +93,14 @@ def test_arms_that_press_too_hard_are_held_until_they_press_half_as_hard() -> No
     lift = paper_lift()
     options = SupervisionOptions(stiffness=1e5, force_limit=100.0, filter_time=0.0)
     watch = Supervision(lift.cell, lift.grasp, options)
-    still, q, unit = np.zeros((3, 3)), lift.q_start, np.zeros(18)
+    still, q, unit = np.zeros((3, 6)), lift.q_start, np.zeros(18)
     unit[7] = 1e-4
     probe = StressWatch(lift.cell, lift.grasp, stiffness=np.full(18, 1e5), delay=0.0, filter_time=0.0)
     probe.read(q - unit, q, 1e-3)
     per_newton = unit / probe.forces[1]
     held = []
     for force in (50.0, 99.0, 101.0, 90.0, 51.0, 49.0, 99.0):
-        seen = watch.watch(q - force * per_newton, q, still, still, 1e-3)
+        seen = watch.watch(q - force * per_newton, q, still, 1e-3)
         held.append(seen.hold)
         assert seen.reason.startswith(f"{force:.0f} N at the grasp of arm slave_1") is seen.hold
     assert held == [False, False, True, True, True, False, False]
@@ -113,8 +113,7 @@ def watch_of(**options: Any) -> Callable[[float, float], Watch]:
 
     def see(z: float, off: float) -> Watch:
         command = np.full(18, z)  # every joint turns by 1 rad for 1 m
-        told = np.tile([0.0, 0.0, z], (3, 1))
-        return watch.watch(command, command, told + np.outer([0.0, off, 0.0], [1.0, 0.0, 0.0]), told, 1e-3)
+        return watch.watch(command, command, np.outer([0.0, off, 0.0], [1.0, 0.0, 0.0, 0.0, 0.0, 0.0]), 1e-3)
 
     return see
 
@@ -172,3 +171,34 @@ def test_a_jump_is_let_in_as_slowly_as_a_drift_may_be() -> None:
     held = [see(0.25e-3 * i, 0.0 if i < 1000 else 1.5e-3).hold for i in range(1150)]
     assert not any(held[:1000])
     assert all(held[1005:1100])
+
+
+def test_a_turn_parts_the_arms_at_their_grasps() -> None:
+    """One arm that turns the object about its origin, where that stays, is seen by how far the grasps part."""
+    lift = paper_lift()
+    watch = Supervision(lift.cell, lift.grasp, SupervisionOptions(stall_samples=None, filter_time=0.0))
+    q, away = lift.q_start, np.zeros((3, 6))
+    for i in range(100):
+        away[1, 3] = min(i, 50) * 1e-5  # 0.5 mrad, 0.9 mm at the farthest grasp
+        seen = watch.watch(q, q, away, 1e-3)
+    assert seen.hold
+    assert "slave_1" in seen.reason
+
+
+def test_lost_samples_part_nobody() -> None:
+    """An arm that is seen where it was, three samples in a row at 0.5 m/s, is not out of step; one that stays is."""
+    lift = paper_lift()
+    watch = Supervision(lift.cell, lift.grasp, SupervisionOptions(stall_samples=None))
+    told, seen_at = lift.q_start, lift.q_start
+    for i in range(400):
+        told = told + 5e-4
+        lost = 100 <= i % 200 < (103 if i < 200 else 110)
+        seen_at = np.concatenate([told[:6], seen_at[6:12] if lost else told[6:12], told[12:]])
+        away = np.zeros((3, 6))
+        away[1, 2] = seen_at[6] - told[6]  # 1 rad of every joint for 1 m
+        seen = watch.watch(seen_at, told, away, 1e-3)
+        assert seen.rate_cap == 1.0 or i > 302, i
+        if i == 309:
+            assert seen.hold
+            assert "slave_1" in seen.reason
+            break

@@ -2,13 +2,12 @@
 
 Where a base is not quite where the model has it, arms in a rigid grip are seen to drift apart as the object moves and
 turns: slowly, and as much at rest as in motion. An arm that lags is apart by its speed times the lag. So a distance is
-taken for ``d = b + c s`` with the speed s of the object, a drift b that wanders slowly and a lag c that stays, and the
+taken for ``d = b + c s`` with the speed s of the joints, a drift b that wanders slowly and a lag c that stays, and the
 filter of least variance (Kalman's) tells them apart. What is left without b is out of step.
 """
 
 from __future__ import annotations
 
-import math
 from typing import final
 
 import numpy as np
@@ -29,7 +28,7 @@ _LARGEST_SLOPE = 0.02
 
 @final
 class Drift:
-    """The drift of each arm from the others; all arms share the variances, since all see the same speed.
+    """The drift of each arm from the others; all arms share the variances, since all have one speed.
 
     Args:
         n: arms.
@@ -37,7 +36,7 @@ class Drift:
     """
 
     def __init__(self, n: int, largest: float) -> None:
-        self._drift, self._lag, self._apart = np.zeros((n, 3)), np.zeros((n, 3)), np.zeros((n, 3))
+        self._drift, self._lag, self._apart = np.zeros((n, 6)), np.zeros((n, 6)), np.zeros((n, 6))
         self._largest = largest
         self.reset()
 
@@ -45,27 +44,25 @@ class Drift:
         """Nothing has drifted."""
         self._drift[:] = self._lag[:] = self._apart[:] = 0.0
         self._speed, self._since = 0.0, 0.0
-        self._last: tuple[Array, Array] | None = None
+        self._last: Array | None = None
         self._bb, self._bc, self._cc = 0.0, 0.0, _LAG**2  # variances and covariance of drift and lag
 
-    def without(self, apart: Array, noise: float, commanded: Array, origins: Array, dt: float) -> Array:
-        """Distances ``apart`` (N, 3) [m] without the drift.
+    def without(self, apart: Array, noise: float, commanded: Array, dt: float) -> Array:
+        """Distances ``apart`` (N, 6) [m] without the drift.
 
         Args:
             apart: of each arm from the others.
             noise: root mean square of the noise in them [m].
             commanded: configuration (nq,).
-            origins: of the object as each arm is told to carry it (N, 3) [m].
             dt: time since the last sample [s].
         """
         self._since += dt
         if self._last is None:
-            self._last = commanded, origins.mean(axis=0)
+            self._last = commanded
         elif self._since >= _PERIOD:
-            last, here = self._last, origins.mean(axis=0)
-            self._last = commanded, here
-            way, step = float(np.abs(commanded - last[0]).max()), here - last[1]
-            self._update(apart, noise, math.sqrt(step @ step) / self._since, _LARGEST_SLOPE * way, self._since)
+            way = float(np.abs(commanded - self._last).max())  # joints counted with a lever of 1 m
+            self._last = commanded
+            self._update(apart, noise, way / self._since, _LARGEST_SLOPE * way, self._since)
             self._since = 0.0
         return apart - self._drift
 

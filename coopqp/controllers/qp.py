@@ -348,9 +348,9 @@ class QPController:
         the others away from it without end.
         """
         if measured is not None:
-            found, origins = self._object_at(measured)
+            found, errors = self._object_at(measured)
             commanded, told = self._object_at(self._q)
-            seen = self._supervision.watch(measured, self._q, origins, told, h)
+            seen = self._supervision.watch(measured, self._q, errors - told, h)
             if seen.rate_cap < watch.rate_cap or seen.fault:
                 watch.rate_cap, watch.hold, watch.fault = seen.rate_cap, seen.hold, seen.fault
                 watch.arm, watch.reason = seen.arm, seen.reason
@@ -365,16 +365,16 @@ class QPController:
         return True
 
     def _object_at(self, q: Array) -> tuple[Array, Array]:
-        """The object's error at a configuration (6,) [m, rad], and its origin as each arm carries it (N, 3) [m]."""
+        """The object's error at a configuration (6,), and that of the object as each arm carries it (N, 6) [m, rad]."""
         chain, ws = self._chain, self._ws
         if self._kernel is not None and not self._fresh:
             chain.place(q)
             if not self._on_line(0.0):
                 ws.set_pose(self._pose(self._clock))
             if self._kernel.observe(self._clock):
-                return ws.common.copy(), ws.origins.copy()
-        O = chain.carried(q)
-        return (self._shares * chain.errors(O, self._pose(self._clock))).sum(axis=0), O[:, 3]
+                return ws.common.copy(), ws.errors.copy()
+        errors = chain.errors(chain.carried(q), self._pose(self._clock))
+        return (self._shares * errors).sum(axis=0), errors
 
     def _on_line(self, span: float) -> bool:
         """Whether the kernel follows the path by itself for ``span``, on a line that it is told of."""

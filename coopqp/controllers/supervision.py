@@ -19,7 +19,7 @@ from coopqp.controllers.drift import Drift
 from coopqp.controllers.stress_watch import StressWatch
 from coopqp.errors import InvalidInputError
 from coopqp.grasp import Grasp
-from coopqp.spatial import NOT_NUMBERS, Array, as_count, as_floats, as_scalar, as_vector, keep_scalars
+from coopqp.spatial import NOT_NUMBERS, Array, as_count, as_floats, as_scalar, as_vector, keep_scalars, skew
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -29,8 +29,8 @@ class SupervisionOptions:
     The defaults keep arms within a millimetre of each other when one of them lags by 10 ms at 0.25 m/s.
 
     Attributes:
-        slow_from, hold_from: distance of an arm from the others, as far as it is not as commanded, at which the
-            object begins to slow, and is held [m]. What noise alone would make of it is added.
+        slow_from, hold_from: distance of an arm from the others at the grasps, as far as it is not as commanded, at
+            which the object begins to slow, and is held [m]. What noise alone would make of it is added.
         let_in: arms may drift apart by so much while they move, as they are seen to where bases stand not quite where
             the model has them: slowly, as much at rest as in motion. Beyond it, or with 0, a drift counts as well [m].
         noise_margin: so many root mean squares of the noise, as seen in the measurements, are added.
@@ -124,6 +124,10 @@ _CAUGHT_UP, _CAUGHT_UP_SHARE = 5e-4, 0.3
 _CIRCLE_TOLERANCE = 0.05
 #: A force that held the object lets it go on below this share of its limit.
 _LET_GO = 0.5
+#: Grasps closer to their centre than this count as so far away [m].
+_LEAST_REACH = 0.1
+#: An arm whose samples stay the same is taken to have lost them for so many in a row; then it stands.
+_MOST_LOST = 3
 #: Noise is averaged over this time [s].
 _NOISE_TIME = 0.2
 #: Fewer samples than this tell nothing of the noise.
@@ -142,7 +146,8 @@ class Supervision:
         #: Takes what the arms do to how far each is from the mean of the others.
         self._from_others = (np.eye(n) - 1.0 / n) * (n / max(n - 1.0, 1.0))
         self._moves = np.zeros((3, cell.nq))
-        self._deviation, self._away, self._step = (np.zeros((n, 3)) for _ in range(3))
+        self._at_grasps = _at_grasps(grasp)
+        self._deviation, self._away, self._step = (np.zeros((n, 6)) for _ in range(3))
         self._noise, self._samples, self._cap, self._arm = np.zeros(n), 0.0, 1.0, -1
         self._stalled = np.zeros(n, dtype=bool)
         self._widest = np.zeros(n)
@@ -150,6 +155,8 @@ class Supervision:
         self._past: deque[tuple[Array, Array]] = deque(maxlen=1 + (options.stall_samples or 1))
         self._silence = 0.0
         self._drift = Drift(n, options.let_in)
+        self._seen: Array | None = None
+        self._lost = np.zeros(n, dtype=int)
 
     def reset(self) -> None:
         """Forget."""
@@ -160,6 +167,8 @@ class Supervision:
         self._past.clear()
         self._silence = 0.0
         self._drift.reset()
+        self._seen = None
+        self._lost[:] = 0
         self._pressed = False
         if self._stress is not None:
             self._stress.reset()
@@ -197,17 +206,19 @@ class Supervision:
             return q_command, f"joint {joint} is measured {away[worst]:.3g} rad (or m) from its command"
         return measured, ""
 
-    def watch(self, measured: Array, commanded: Array, O_measured: Array, O_commanded: Array, dt: float) -> Watch:
+    def watch(self, measured: Array, commanded: Array, away: Array, dt: float) -> Watch:
         """Compare one sample.
 
         Args:
             measured, commanded: configurations at the same time (nq,).
-            O_measured, O_commanded: the object as each arm carries it, origins (N, 3) [m].
+            away: of the object as each arm carries it, measured from commanded, in its own frame (N, 6) [m, rad].
             dt: time since the last sample [s].
         """
         o, result = self._options, Watch()
-        if len(O_measured) > 1 and o.slow_from is not None:
-            self._watch_distances(commanded, O_measured, O_commanded, dt, result)
+        if len(away) > 1 and o.slow_from is not None:
+            away = away @ self._at_grasps
+            self._keep_where_lost(measured, away)
+            self._watch_distances(commanded, away, dt, result)
         if o.stall_samples is not None:
             self._watch_stall(measured, commanded, dt, result)
         if self._stress is not None:
@@ -220,11 +231,21 @@ class Supervision:
             self._cap, self._arm = result.rate_cap, result.arm
         return result
 
-    def _watch_distances(
-        self, commanded: Array, O_measured: Array, O_commanded: Array, dt: float, result: Watch
-    ) -> None:
+    def _keep_where_lost(self, measured: Array, away: Array) -> None:
+        """A sample of an arm that is that of before, to the last bit, says nothing: the distance is that of before."""
+        if self._seen is not None:
+            same = ~np.logical_or.reduceat(measured != self._seen, self._starts)
+            if same.any():
+                self._lost = np.where(same, self._lost + 1, 0)
+                lost = same & (self._lost <= _MOST_LOST)
+                away[lost] = self._away[lost]
+            else:
+                self._lost[:] = 0
+        self._seen = measured.copy()
+
+    def _watch_distances(self, commanded: Array, away: Array, dt: float, result: Watch) -> None:
         """How far each arm, as far as it is not as commanded, is from the mean of the others."""
-        o, away = self._options, O_measured - O_commanded
+        o = self._options
         assert o.slow_from is not None
         keep = o.filter_time / (o.filter_time + dt)
         self._deviation += (1.0 - keep) * (away - self._deviation)
@@ -232,7 +253,7 @@ class Supervision:
         noise = share * self._noise_seen(away, dt)
         apart = out_of_step = self._from_others @ self._deviation
         if o.let_in > 0.0:
-            out_of_step = self._drift.without(apart, noise, commanded, O_commanded, dt)
+            out_of_step = self._drift.without(apart, noise, commanded, dt)
         spread = np.einsum("ij,ij->i", out_of_step, out_of_step)
         worst = math.sqrt(spread.max()) - o.noise_margin * noise
         if worst <= o.slow_from or self._samples < _FEW_SAMPLES:
@@ -305,6 +326,21 @@ class Supervision:
                 f"arm {names[result.arm]} does not follow its command: it hangs {1e3 * stress.gap:.2g} mm behind, "
                 f"and the others pull it with {stress.pull:.0f} N"
             )
+
+
+def _at_grasps(grasp: Grasp) -> Array:
+    """Takes displacements of the object (…, 6) [m, rad] to lengths at the grasps (…, 6) [m].
+
+    The first three are the displacement of the grasps' centre, the others the turn times their largest distance from
+    it: what a turn of the object as one arm carries it parts is the grasps.
+    """
+    points = np.array([X.translation for X in grasp.T_object_tool])
+    centre = points.mean(axis=0)
+    reach = max(float(np.linalg.norm(points - centre, axis=1).max()), _LEAST_REACH)
+    L = np.eye(6)
+    L[:3, 3:] = -skew(centre)
+    L[3:, 3:] *= reach
+    return L.T
 
 
 def _stress_watch(cell: RobotCell, grasp: Grasp, options: SupervisionOptions) -> StressWatch | None:
