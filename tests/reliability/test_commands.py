@@ -56,14 +56,15 @@ def test_any_command_may_be_sent(count: Callable[[int], int], catalogue: Any, rn
             violations += found.violations
             statuses += found.statuses
     late = violations.pop("HOLDING", 0)
-    what = ", ".join(f"{n:,} {name}" for name, n in steps.items())
+    kernels_used = ", ".join(f"{n:,} {name}" for name, n in steps.items())
+    longer = f"{late} steps held longer than 1.1 v/a + 2 dt, after a new path in motion or at a singularity"
     catalogue.row(
         "A1",
         "form, finiteness, limits, continuity, clock, data modified",
         cases=steps.total(),
         measured=violations.total(),
         target=0,
-        note=f"kernels: {what}; {late} steps held longer than 1.1 v/a + 2 dt, after a new path in motion",
+        note=f"kernels: {kernels_used}; {longer}",
     )
     assert not violations
     assert set(statuses) == set(Status), "each status was seen"

@@ -12,7 +12,7 @@ from checks import FAULTS, Failure, FaultySolver, cooperative, judged, limited, 
 
 from coopqp.controllers.base import Status
 from coopqp.path import ServoPath
-from coopqp.scenarios import Scenario, dual_arm7, fast_lift, mixed_cell, paper_lift, scara_pair
+from coopqp.scenarios import Scenario, dual_arm7, fast_lift, five_joint_pair, mixed_cell, paper_lift, scara_pair
 from coopqp.solvers import SolverStatus, make_solver
 from coopqp.solvers.daqp import DaqpSettings
 from coopqp.solvers.osqp import OsqpSettings
@@ -40,6 +40,7 @@ TASKS: dict[str, Callable[[], tuple[Scenario, Any]]] = {
     "redundant arms": lambda: (limited(dual_arm7(duration=1.0), acceleration=5.0), None),
     "four different arms": lambda: (limited(mixed_cell(duration=1.0), acceleration=5.0), None),
     "arms with four joints": lambda: (limited(scara_pair(duration=1.0), acceleration=5.0), None),
+    "off the path past a corner": lambda: (limited(five_joint_pair(duration=1.0), acceleration=5.0), None),
     "a moving target": moving_target,
     "on the way back inside": coming_back,
 }
@@ -54,6 +55,7 @@ def failures(count: Callable[[int], int]) -> list[tuple[bool, Failure]]:
         shift = int(rng.integers(len(names)))
         runs = [(fault, names[(i + shift) % len(names)], at) for i, fault in enumerate(FAULTS) for at in (30, 120)]
         runs += [("answers NaN", name, at) for name in names for at in (1, 60, 200)]
+        runs += [("answers NaN", "off the path past a corner", 300)]
         for fault, name, at in runs:
             task, goal = TASKS[name]()
             for for_ever in (False, True):
