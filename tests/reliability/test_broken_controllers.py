@@ -94,6 +94,13 @@ def with_believed(**factors: float) -> Callable[..., Any]:
 # -- A1: commands ------------------------------------------------------------------------------------------------------
 
 
+def as_it_is(step: ControlStep, **changes: Any) -> ControlStep:
+    """A step with other fields, past the constructor, which would make sound arrays of them."""
+    other = object.__new__(ControlStep)
+    object.__setattr__(other, "__dict__", {**vars(step), **changes})
+    return other
+
+
 def changed(step: ControlStep, name: str, j: int, by: float) -> ControlStep:
     """One number of the command is another."""
     value = np.array(getattr(step, name))
@@ -108,9 +115,9 @@ def now_and_then(spoil: Callable[[ControlStep], ControlStep], every: int = 50) -
 COMMANDS: dict[str, Spoil] = {
     "a velocity that is NaN": now_and_then(lambda s: changed(s, "velocity", 3, np.nan)),
     "a configuration that is NaN": now_and_then(lambda s: changed(s, "q_next", 7, np.nan)),
-    "single precision": now_and_then(lambda s: replace(s, velocity=s.velocity.astype(np.float32))),
-    "one number missing": now_and_then(lambda s: replace(s, velocity=s.velocity[:-1])),
-    "a list": now_and_then(lambda s: replace(s, q_next=s.q_next.tolist())),
+    "single precision": now_and_then(lambda s: as_it_is(s, velocity=s.velocity.astype(np.float32))),
+    "one number missing": now_and_then(lambda s: as_it_is(s, velocity=s.velocity[:-1])),
+    "a list": now_and_then(lambda s: as_it_is(s, q_next=s.q_next.tolist())),
     "a status that is none": now_and_then(lambda s: replace(s, status="tracking")),  # type: ignore[arg-type]
     "a configuration that the velocity does not lead to": now_and_then(lambda s: changed(s, "q_next", 2, 1e-7)),
     "a configuration that is not the last one": now_and_then(lambda s: changed(s, "q", 2, 1e-7)),
@@ -134,7 +141,7 @@ class OwnMemory:
     def __call__(self, step: ControlStep, i: int) -> ControlStep:
         kept = self.memory.setdefault(step.velocity.size, np.empty_like(step.velocity))
         kept[:] = step.velocity
-        return replace(step, velocity=kept)
+        return as_it_is(step, velocity=kept)
 
 
 class Scribbler(Spoiled):
