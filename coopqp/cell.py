@@ -37,6 +37,7 @@ class RobotCell:
         position_index: where in a configuration the position of each velocity coordinate stands (nv,); for a
             continuous joint, whose position is a point of the circle, that entry is its cosine.
         continuous: which velocity coordinates belong to continuous joints (nv,).
+        euclidean: no joint is continuous, so that configurations add up.
 
     Raises:
         InvalidInputError: no arm, or two arms of one name.
@@ -68,6 +69,7 @@ class RobotCell:
         joints = list(self.model.joints)[1:]  # 0 is the universe
         self.position_index = np.array([j.idx_q for j in joints])
         self.continuous = np.array([j.nq != j.nv for j in joints])
+        self.euclidean = not self.continuous.any()
 
     def __len__(self) -> int:
         return len(self.arms)
@@ -97,6 +99,13 @@ class RobotCell:
             replace(arm, limits=JointLimits(*(getattr(limits, f)[s] for f in LIMIT_FIELDS)))
             for arm, s in zip(self.arms, self.v_slices, strict=True)
         )
+
+    def moved(self, q: Array, displacement: Array) -> Array:
+        """Configuration (nq,) after a displacement of the joints (nv,) [rad or m]."""
+        if self.euclidean:
+            result: Array = q + displacement
+            return result
+        return np.asarray(pin.integrate(self.model, q, displacement))
 
     def check_configuration(self, q: Any, where: str) -> Array:
         """Return ``q`` as a new finite (nq,) array whose continuous joints lie on the unit circle.

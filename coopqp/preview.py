@@ -138,7 +138,7 @@ class PathPreview:
         # fails: it is planned with a change of full speed in a number of steps, and without speed cap, which the
         # step itself finds. A jump of velocity (a corner, the path's end) is its own business.
         speed = np.where(np.isfinite(limits.velocity), limits.velocity, 1.0)
-        self._plain = not chain.cell.continuous.any()
+        self._cell = chain.cell
         swift = speed / (_STEPS_TO_FULL_SPEED * dt)
         self._acceleration = np.where(finite, self.options.margin * limits.acceleration, swift)
         self._jump = np.where(finite, self.options.margin * limits.acceleration, np.inf) * dt
@@ -284,7 +284,7 @@ class PathPreview:
         ahead = self._cells[1] if len(self._cells) > 1 else here
         span = ahead.clock - here.clock
         share = min(max((clock - here.clock) / span, 0.0), 1.0) if span > 0.0 else 0.0
-        model = self._chain.cell.model
+        model = self._cell.model
         slope = here.slope + share * (ahead.slope - here.slope)
         # Quadratic from the nearer border: exact to second order, continuous to third.
         q = pin.integrate(model, here.q, 0.5 * (here.slope + slope) * (share * span))
@@ -359,7 +359,7 @@ class PathPreview:
         ahead = last.curvature * (0.5 * h)
         ahead += last.slope
         ahead *= h
-        q = self._moved(last.q, ahead)
+        q = self._cell.moved(last.q, ahead)
         largest = np.inf
         for _ in range(4):
             if not self._newton_step(clock, q):
@@ -369,7 +369,7 @@ class PathPreview:
             largest = ahead.item(ahead.argmax())
             if not largest < options.joint_step:
                 return None
-            q = self._moved(q, ws.velocity)
+            q = self._cell.moved(q, ws.velocity)
             if largest < _CONVERGED:
                 break
         if not largest < _CONVERGED:
@@ -401,17 +401,11 @@ class PathPreview:
         ws.scalars[ws.HAS_PREDICTED] = 0.0  # nothing of the step before counts
         return self._kernel.step(0.0, before, -1.0) == Outcome.NOMINAL
 
-    def _moved(self, q: Array, step: Array) -> Array:
-        if self._plain:
-            moved: Array = q + step
-            return moved
-        return np.asarray(pin.integrate(self._chain.cell.model, q, step))
-
     def _cell_at(self, clock: float, q: Array, last: _Cell | None) -> _Cell:
         """Bounds at a configuration on the path, from the slopes there (in the workspace) and at the cell before."""
         border, slope = self._border, self._ws.along_velocity.copy()
         border.before[:] = slope if last is None else last.slope
-        border.positions[:] = q if self._plain else self._chain.cell.positions(q)
+        border.positions[:] = q if self._cell.euclidean else self._cell.positions(q)
         span = 1.0 if last is None else clock - last.clock
         self._evaluate(span)
         fastest, change, by_speed, j_speed, by_bend, j_bend, cap, tightest, inside = border.result.tolist()
@@ -462,7 +456,7 @@ class PathPreview:
 
     def _limit_crossing(self, last: _Cell, cell: _Cell) -> _Cell | None:
         """Where the first joint meets a position limit between two borders, as a cell at which the object rests."""
-        x, ahead = (c.q if self._plain else self._chain.cell.positions(c.q) for c in (last, cell))
+        x, ahead = (c.q if self._cell.euclidean else self._cell.positions(c.q) for c in (last, cell))
         # A joint outside may come back in; only going further out is the end.
         over = (ahead > np.maximum(self._high, x)) & (ahead > self._high)
         under = (ahead < np.minimum(self._low, x)) & (ahead < self._low)
@@ -478,7 +472,7 @@ class PathPreview:
 
     def _cell_where(self, last: _Cell, beyond: _Cell, j: int, position: float) -> _Cell:
         """The cell at which joint ``j`` is at ``position``, between two borders: regula falsi on the chain itself."""
-        positions = self._chain.cell.positions
+        positions = self._cell.positions
         start, end = last.clock, beyond.clock
         miss_start, miss_end = (positions(c.q)[j] - position for c in (last, beyond))
         if miss_start * miss_end >= 0.0:
@@ -504,14 +498,14 @@ class PathPreview:
 
     def _singular_arm(self, cell: _Cell) -> int:
         share = np.abs(cell.slope) / np.where(np.isfinite(self._speed), self._speed, 1.0)
-        return self._chain.cell.arm_of_joint(int(share.argmax()))
+        return self._cell.arm_of_joint(int(share.argmax()))
 
     def _joint_limit(self, j: int, kind: LimitKind) -> BindingLimit:
-        arm, _, joint = self._chain.cell.joint_names[j].partition("/")
+        arm, _, joint = self._cell.joint_names[j].partition("/")
         return BindingLimit(arm, joint, kind)
 
     def _arm_limit(self, arm: int, kind: LimitKind) -> BindingLimit:
-        return BindingLimit(self._chain.cell.arm_names[arm], "", kind)
+        return BindingLimit(self._cell.arm_names[arm], "", kind)
 
     def _push(self, cell: _Cell) -> None:
         self._cells.append(cell)

@@ -604,3 +604,12 @@ def test_readings_at_rest_are_averaged_joint_by_joint(mixed_cell: RobotCell) -> 
         mixed_cell.average([])
     with pytest.raises(InvalidInputError, match="average"):
         mixed_cell.average([readings[0], readings[0] * np.nan])
+
+
+def test_moved_is_the_integral_of_a_displacement(
+    make_cell: Any, mixed_cell: RobotCell, random_q: Any, rng: np.random.Generator
+) -> None:
+    for cell in (make_cell(["rx90l", "arm7"]), mixed_cell):
+        q, step = random_q(cell, rng), 0.1 * rng.standard_normal(cell.nv)
+        np.testing.assert_allclose(cell.moved(q, step), pin.integrate(cell.model, q, step), rtol=0.0, atol=1e-15)
+        assert cell.euclidean == (cell.nq == cell.nv)

@@ -3,8 +3,8 @@
 One step, in the order in which the code reads: guards (is the input to be believed, are the arms in step), the rate
 that the path ahead allows, what the step wants (errors and corrections), and the strictly ranked answer: the nominal
 command if it is admissible; else the fastest rate on the path; else the QP; else the QP whose chain may part; else a
-synchronised brake. The first two are fused in a kernel (:mod:`coopqp.kernel`), which the code here also does step by
-step where the kernel does not apply. See docs/derivations.md.
+synchronised brake. The first two are fused in a kernel (:mod:`coopqp.kernel`); :mod:`coopqp.controllers.linearised`
+does the same step by step where the kernel does not apply. See docs/derivations.md.
 """
 
 from __future__ import annotations
@@ -27,22 +27,19 @@ from coopqp.controllers.base import (
     check_start,
     make_step,
 )
+from coopqp.controllers.linearised import LinearisedStep
 from coopqp.controllers.options import QPOptions
 from coopqp.controllers.supervision import Supervision, Watch
 from coopqp.errors import InvalidInputError
 from coopqp.grasp import Grasp
 from coopqp.kernel import Outcome, Workspace, make_kernel
-from coopqp.kernel.reference import bound
 from coopqp.limits import BindingLimit, LimitKind, VelocityBox
 from coopqp.path import HoldPath, LinePath, ObjectPath, ServoPath, WaypointPath
 from coopqp.posture import Posture
 from coopqp.preview import PathPreview
-from coopqp.program import StepTerms
-from coopqp.spatial import Array, Placement, as_scalar, log6_batch
+from coopqp.spatial import Array, Placement, as_scalar
 from coopqp.state import CellState
 
-#: Linearisations that the first step may have beyond the others.
-_EXTRA_AT_START = 3
 #: Share of the accelerations that braking together ahead of a limit is planned with, where there is no preview.
 _BRAKING_SHARE = 0.8
 _UNBOUND: tuple[BindingLimit, ...] = ()
@@ -98,6 +95,7 @@ class QPController:
         self._shortcut = o.shortcut
         self.kernel = "none" if self._kernel is None else self._kernel.name
         self._follows_lines = self._kernel is not None and self._kernel.follows_lines
+        self._linearised = LinearisedStep(self._ws, self._solver, o)
         self._line: Array | None = None
         self._gains_dt, self._has_measured = 0.0, False
         self._accelerates = self._box.accelerates
@@ -106,7 +104,6 @@ class QPController:
         self._supervision = Supervision(cell, grasp, o.supervision)
         self._preview = self._make_preview(path)
         self._restricted = tuple(cell.arm_names[k] for k in self._chain.deficient)
-        self._plain = not cell.continuous.any()
         self._started = False
         self._begin(pin.neutral(cell.model))
 
@@ -218,7 +215,7 @@ class QPController:
         chain.place(self._q)
         found: StepAnswer | None = None
         if self._kernel is not None and not self._fresh:
-            chain.evaluate(self._midpoint if h == self._last_dt else self._advanced(self._guess(), 0.5 * h))
+            chain.evaluate(self._midpoint if h == self._last_dt else self._ahead(0.5 * h))
             outcome = self._kernel.step(cap, self._clock, span) if self._shortcut else _OPEN
             if outcome != _OPEN:
                 rate = cap
@@ -227,26 +224,25 @@ class QPController:
                     if joint >= 0.0:
                         binding = (self._box.binding(int(joint), side, self._v, h),)
                 v = ws.velocity.copy()
-                if self._plain:
+                if self.cell.euclidean:
                     q_next, self._midpoint = ws.positions.copy(), ws.midpoint
                 else:
-                    q_next = self._advanced(v, h)
+                    q_next = self.cell.moved(self._q, h * v)
                     self._midpoint = pin.integrate(self.cell.model, q_next, 0.5 * h * (2.0 * v - self._v))
                     ws.positions[:] = self.cell.positions(q_next)
                 return self._finish(h, v, q_next, rate, binding, watch, None, began)
             found = self._open_in_kernel(h, cap, span)
         answer = found or self._open_step(h, cap)
         v = answer.velocity
-        q_next = self._advanced(v, h)
+        q_next = self.cell.moved(self._q, h * v)
         step = self._finish(h, v, q_next, answer.rate, answer.binding or binding, watch, answer, began)
-        self._midpoint = self._advanced(self._guess(), 0.5 * h)
+        self._midpoint = self._ahead(0.5 * h)
         ws.positions[:], ws.v_prev[:] = self.cell.positions(q_next), self._v
         return step
 
-    def _guess(self) -> Array:
-        """The velocity of this step, predicted, so that it can be linearised at its midpoint."""
-        guess: Array = 2.0 * self._v - self._v_before
-        return guess
+    def _ahead(self, time_ahead: float) -> Array:
+        """The configuration a while ahead, at the velocity predicted for this step: half of it is its midpoint."""
+        return self.cell.moved(self._q, time_ahead * (2.0 * self._v - self._v_before))
 
     def _guard(self, q_measured: Any, dt: Any) -> tuple[float, Array | None, Watch]:
         """Accept or refuse the inputs of a step; a refusal holds."""
@@ -457,91 +453,12 @@ class QPController:
         return self._solver.settle(self._ws, outside, cap, self._v, h) if outside >= 0 else None
 
     def _open_step(self, h: float, cap: float) -> StepAnswer:
-        """The same step without the kernel; with the QP where rate alone does not settle it."""
-        chain, ws, q = self._chain, self._ws, self._q
-        pose = pin.SE3(ws.R, ws.p)
-        O = chain.carried(q)
-        ws.errors[:] = chain.errors(O, pose)
-        terms = self._terms(cap, pose)
-        self._box.update(ws.positions, self._v, h)
-        guess = self._guess()
-        start = guess
-        for iteration in range(self.options.iterations + _EXTRA_AT_START):
-            chain.linearise(self._advanced(guess, 0.5 * h))
-            if iteration:
-                terms.offsets = self._linearisation_defect(O, guess, h, terms)
-            self._complete(terms, pose)
-            answer = self._solver.answer(terms, self._v, h)
-            answer.correction = terms.path_correction
-            if iteration == 0:
-                start = answer.velocity
-            if iteration + 1 >= self.options.iterations and not self._unsettled(answer.velocity, guess, h):
-                break
-            guess = answer.velocity
+        """The same step without the kernel."""
+        answer, start = self._linearised.answer(self._q, self._v, self._v_before, h, cap, first=self._fresh)
         if self._fresh:
             # The velocities at the start and the middle of the first step stand in for those of two steps.
             self._v = 2.0 * start - answer.velocity
-        s = ws.scalars
-        s[ws.HAS_PREDICTED], s[ws.LAST_DT] = answer.chain == 0.0 and not answer.braked, h
-        drift = answer.grasp_share * terms.grasp_corrections + terms.offsets
-        drift += answer.path_share * terms.path_correction + answer.off_path
-        ws.predicted[:] = ws.errors + h * drift
         return answer
-
-    def _terms(self, cap: float, pose: pin.SE3) -> StepTerms:
-        ws, s = self._ws, self._ws.scalars
-        common = (self._shares * ws.errors).sum(axis=0)
-        grasp = -s[ws.GRASP_GAIN] * (ws.errors - common)
-        path = -s[ws.PATH_GAIN] * (ws.measured if s[ws.HAS_MEASURED] else common)
-        bound(grasp, s[ws.SPEED], s[ws.SPIN])
-        bound(path[None, :], s[ws.SPEED], s[ws.SPIN])
-        return StepTerms(
-            to_world=np.asarray(pose.action),
-            along=ws.along.copy(),
-            path_correction=path,
-            grasp_corrections=grasp,
-            offsets=(ws.predicted - ws.errors) / s[ws.LAST_DT] if s[ws.HAS_PREDICTED] else np.zeros_like(grasp),
-            rate_cap=cap,
-        )
-
-    def _complete(self, terms: StepTerms, pose: pin.SE3) -> None:
-        """What depends on the linearisation: null-space motion, and what arms with few joints allow."""
-        chain, ws = self._chain, self._ws
-        if chain.redundancy:
-            terms.null_along = chain.null_part(ws.null_along)
-            terms.null_offset = chain.null_part(ws.null_offset)
-        if chain.deficient:
-            Z, ranges = chain.admissible_twists(np.asarray(pose.inverse().action))
-            metric = np.array([1.0] * 3 + [self.options.weights.length**2] * 3)
-            project = Z @ np.linalg.solve(Z.T @ (metric[:, None] * Z), Z.T * metric)
-            terms.along, terms.path_correction = project @ terms.along, project @ terms.path_correction
-            for k, P in ranges:
-                terms.grasp_corrections[k] = P @ terms.grasp_corrections[k]
-                terms.offsets[k] = P @ terms.offsets[k]
-            terms.admissible, terms.ranges = Z, ranges
-
-    def _advanced(self, v: Array, h: float) -> Array:
-        """The commanded configuration after ``h`` at ``v``."""
-        if self._plain:
-            moved: Array = self._q + h * v
-            return moved
-        return np.asarray(pin.integrate(self.cell.model, self._q, h * v))
-
-    def _unsettled(self, v: Array, guess: Array, h: float) -> bool:
-        """Whether the first step, which has no velocity to predict its midpoint with, needs another linearisation."""
-        if not self._fresh:
-            return False
-        change, fastest = float(np.abs(v - guess).max()), float(np.abs(v).max())
-        return change * fastest * h * h > 1e-13
-
-    def _linearisation_defect(self, before: Array, v: Array, h: float, terms: StepTerms) -> Array:
-        """b_k = A_k v − log(step that v really makes)/dt, (N, 6) in the reference object frame."""
-        after = self._chain.carried(self._advanced(v, h))
-        R = after[:, :3].transpose(0, 2, 1) @ before[:, :3]  # spatial displacement O₁ O₀⁻¹
-        p = after[:, 3] - np.einsum("kij,kj->ki", R, before[:, 3])
-        made = log6_batch(R, p) / h
-        defect: Array = (self._chain.twists(v) - made) @ np.linalg.inv(terms.to_world).T
-        return defect
 
     # -- the result --------------------------------------------------------------------------------------------------
 
