@@ -15,7 +15,7 @@ from coopqp.errors import CoopqpError, InvalidInputError
 
 #: At least 2000 examples of each property in CI; more where a property has many doors.
 MANY = settings(max_examples=10 * settings().max_examples)
-MORE = settings(max_examples=20 * settings().max_examples)
+MORE = settings(max_examples=12 * settings().max_examples)
 
 
 class Tried:

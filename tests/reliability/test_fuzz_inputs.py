@@ -380,7 +380,7 @@ def test_accepted_options_never_make_a_step_fail(catalogue: Any) -> None:
         monitor = Monitor(task.cell, task.grasp, tolerances=LIMITS_ONLY)
         rng = np.random.default_rng(3)
         q = task.q_start
-        for _ in range(3):
+        for _ in range(2):
             step = controller.step(q + noise * rng.standard_normal(q.size))
             monitor.observe(step)
             q = step.q_next
