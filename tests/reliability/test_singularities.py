@@ -21,7 +21,7 @@ from coopqp.scenarios import Scenario, at_singularity, five_joint_pair, scara_pa
 #: How long the object is kept waiting where it is blocked [steps].
 DWELL = 100
 #: Longest way there and longest way back [s].
-LONGEST = 4.0
+LONGEST = 6.0
 NIGHTLY = settings.get_current_profile_name() == "nightly"
 NOTHING_ELSE = MonitorTolerances(chain_m=None, chain_rad=None, path_m=None, path_rad=None)
 
