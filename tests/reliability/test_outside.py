@@ -90,4 +90,8 @@ def test_joints_whose_ways_back_contradict_each_other(
         depths = {int(j): float(rng.choice([-1.0, 1.0]) * 10.0 ** rng.uniform(-3.0, -0.7)) for j in joints}
         task = fenced_out(lift, depths, acceleration=5.0 if i % 2 else np.inf, **LIMITED)
         found.append(from_outside(cooperative, task, depths))
+    # The worst that was found for the chain.
+    four = replace(mixed_cell(time_law="quintic"), dt=0.002)
+    depths = {7: 0.002, 16: 0.0129, 23: 0.0179, 19: -0.0244, 5: -0.0099, 1: 0.1099}
+    found.append(from_outside(cooperative, fenced_out(four, depths, acceleration=5.0, **LIMITED), depths))
     rows(catalogue, "ways back contradict", found, contradict=True)
