@@ -17,7 +17,8 @@ demo: $(VENV)/.installed
 	$(BIN)/coopqp demo --out $(OUT)
 
 test: $(VENV)/.installed
-	$(BIN)/python -m pytest
+	@mkdir -p out
+	$(BIN)/python -m pytest --reliability-json out/reliability.json
 
 # The catalogue of docs/reliability.md with ten times the cases, random ones each time; hours.
 test-nightly: $(VENV)/.installed

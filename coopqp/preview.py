@@ -87,6 +87,8 @@ _STEPS_TO_FULL_SPEED = 10
 _FINE_CELL = 0.001
 #: Refinements of the rate near a bound.
 _BISECTIONS = 6
+#: The twist before a corner or the end is that so much earlier [s].
+_JUST_BEFORE = 1e-10
 #: Of squares of rates, which are differences of sums.
 _ROUNDING = 1e-12
 #: A cell is begun so many steps before it is needed.
@@ -179,7 +181,7 @@ class PathPreview:
             self._push(blocked._replace(cap=0.0, binding=self._arm_limit(arm, LimitKind.REACH)))
             self._complete = True
             return
-        self._newton_step(clock, q)
+        self._newton_step(clock, q, after=True)
         self._push(self._cell_at(clock, q, None))
 
     # -- reading -------------------------------------------------------------------------------------------------
@@ -381,12 +383,15 @@ class PathPreview:
             return None
         return cell
 
-    def _newton_step(self, clock: float, q: Array) -> bool:
-        """Newton's step to the pose at ``clock`` into ``velocity``, q′ into ``along_velocity``; False if singular."""
+    def _newton_step(self, clock: float, q: Array, *, after: bool = False) -> bool:
+        """Newton's step to the pose at ``clock`` into ``velocity``, q′ into ``along_velocity``; False if singular.
+
+        Where the twist jumps, q′ is that before, or after.
+        """
         ws, chain, path = self._ws, self._chain, self._path
         chain.place(q)
         chain.evaluate(q)
-        before = max(min(clock, path.duration) - 1e-12 * path.duration, 0.0)  # the twist before a corner or the end
+        before = max(min(clock, path.duration) - (0.0 if after else _JUST_BEFORE), 0.0)
         line = path.line_at(before, 0.0) if self._kernel.follows_lines else None
         if line is None:
             ws.set_pose(path.pose(clock))

@@ -347,7 +347,7 @@ def test_rows_are_those_of_the_program(name: str, make: Callable[[], Scenario], 
 
 @pytest.mark.parametrize("name", KERNELS)
 def test_where_the_object_is_seen(name: str, paper: Scenario, rng: np.random.Generator) -> None:
-    """Errors, their common part and the origins, against the path's pose or the one that is set."""
+    """Errors and their common part, against the path's pose or the one that is set."""
     for _ in range(100):
         ws, _, q, _ = random_problem(paper, rng)
         kernel, clock = make_kernel(ws, name), float(rng.uniform(0.0, paper.path.duration))
@@ -361,7 +361,6 @@ def test_where_the_object_is_seen(name: str, paper: Scenario, rng: np.random.Gen
         errors = np.array([pin.log6(pose.actInv(O)).vector for O in carried])
         np.testing.assert_allclose(ws.errors, errors, rtol=0.0, atol=1e-12)
         np.testing.assert_allclose(ws.common, (ws.shares * errors).sum(axis=0), rtol=0.0, atol=1e-12)
-        np.testing.assert_allclose(ws.origins, [O.translation for O in carried], rtol=0.0, atol=1e-14)
     ws.placements[-1] = np.nan
     assert not kernel.observe(clock)
 

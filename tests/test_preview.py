@@ -303,6 +303,8 @@ def test_paths_that_are_not_known_ahead_have_no_preview() -> None:
     task = paper_lift()
     path: ObjectPath = ServoPath(task.path.pose(0.0))
     assert QPController(task.cell, task.grasp, path, dt=DT)._preview is None
+    path = ServoPath(task.path.pose(0.0), look_ahead=True)
+    assert QPController(task.cell, task.grasp, path, dt=DT)._preview is not None
     assert QPController(task.cell, task.grasp, task.path, dt=DT)._preview is not None
 
 

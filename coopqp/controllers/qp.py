@@ -178,6 +178,8 @@ class QPController:
             )
         self.path.set_target(T_world_object, clock=self._clock)
         self._next_pose = None
+        if self._preview is not None:
+            self._preview.reset(self._q, self._clock)
 
     def _start_path(self) -> None:
         self._clock, self._fresh, self._next_pose = 0.0, True, None

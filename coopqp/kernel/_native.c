@@ -152,7 +152,7 @@ enum {
     B_ACCELERATION, B_LOWER, B_UPPER, B_R, B_P, B_ALONG, B_PATH, B_MEASURED, B_POSITIONS, B_VPREV, B_NULL_ALONG,
     B_NULL_OFFSET, B_SCALARS, B_RESULT, B_ERRORS, B_GRASP, B_OFFSETS, B_PREDICTED, B_VELOCITY, B_ALONG_VELOCITY, B_MIDPOINT,
     B_LINE, B_PER_ACCELERATION, B_UNIT, B_BASE, B_COLUMNS, B_ROWS, B_NORMS, B_ROW_LOWER, B_ROW_UPPER, B_RECOVERY,
-    B_OUTSIDE, B_COMMON, B_ORIGINS, B_COUNT
+    B_OUTSIDE, B_COMMON, B_COUNT
 };
 
 /* The memory of an array. */
@@ -215,8 +215,7 @@ static int kernel_init(PyObject *self, PyObject *args, PyObject *kwargs) {
                k->view[B_SIZES].len == 8 * n && k->view[B_SCALARS].len == 8 * N_SCALARS && k->view[B_LINE].len == 168 &&
                k->view[B_RESULT].len == 32 &&
                k->view[B_R].len == 72 && k->view[B_P].len == 24 && k->view[B_ALONG].len == 48 &&
-               k->view[B_PATH].len == 48 && k->view[B_MEASURED].len == 48 && k->view[B_COMMON].len == 48 &&
-               k->view[B_ORIGINS].len == 24 * n;
+               k->view[B_PATH].len == 48 && k->view[B_MEASURED].len == 48 && k->view[B_COMMON].len == 48;
     for (size_t i = 0; i < sizeof per_joint / sizeof *per_joint; i++) fits = fits && k->view[per_joint[i]].len == 8 * nv;
     for (size_t i = 0; i < sizeof per_arm / sizeof *per_arm; i++) fits = fits && k->view[per_arm[i]].len == 48 * n;
     int unknowns = TWIST_AND_SHARES;
@@ -250,7 +249,7 @@ static int errors(Kernel *k) {
                 for (int m = 0; m < 3; m++) sum += Y[4 * i + m] * M[3 * m + j];
                 O[3 * i + j] = sum;
             }
-        memcpy(D(k, B_ORIGINS) + 3 * a, O + 9, 3 * sizeof(double));
+        memcpy(D(k) + 3 * a, O + 9, 3 * sizeof(double));
         for (int j = 0; j < 3; j++) O[9 + j] -= p[j];
         for (int i = 0; i < 4; i++)
             for (int j = 0; j < 3; j++)
@@ -799,7 +798,7 @@ static PyObject *border_call(PyObject *self, PyObject *span) {
 /* -- module ---------------------------------------------------------------------------------------------------------- */
 
 static PyMethodDef kernel_methods[] = {
-    {"observe", kernel_observe, METH_O, "observe(clock): errors, their common part, and origins, at the placements."},
+    {"observe", kernel_observe, METH_O, "observe(clock): errors and their common part at the placements."},
     {"step", (PyCFunction)(void (*)(void))kernel_step, METH_FASTCALL,
      "step(cap, clock, span): one fused step over the workspace's buffers; returns an Outcome."},
     {"rows", (PyCFunction)(void (*)(void))kernel_rows, METH_FASTCALL,

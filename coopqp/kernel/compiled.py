@@ -14,7 +14,7 @@ _BUFFERS = (
     "speed", "acceleration", "lower", "upper", "R", "p", "along", "path", "measured", "positions", "v_prev",
     "null_along", "null_offset", "scalars", "result", "errors", "grasp", "offsets", "predicted", "velocity",
     "along_velocity", "midpoint", "line", "per_acceleration", "unit", "base", "columns", "rows", "norms", "row_lower",
-    "row_upper", "recovery", "outside", "common", "origins",
+    "row_upper", "recovery", "outside", "common",
 )  # fmt: skip
 
 

@@ -141,7 +141,6 @@ class NumpyKernel:
             return False
         if not self._errors() < math.inf:
             return False
-        np.add(self._O_origin, ws.p, out=ws.origins)
         np.einsum("ij,ij->j", ws.shares, ws.errors, out=ws.common)
         return True
 

@@ -37,8 +37,7 @@ class Workspace:
     Outputs: ``velocity`` (nv,), ``midpoint``, the positions half a step after the step's end at the predicted velocity
     (nv,), ``errors`` (N, 6), ``along_velocity``, the joints' share of ``along`` (nv,) (the NumPy kernel fills it at
     need or where ``wants_along``), and ``result`` [rate, joint, side, square of the path correction].
-    What :meth:`StepKernel.observe` puts out besides the errors: ``common`` (6,), the object's error, and ``origins``
-    (N, 3), the object's origin as each arm carries it.
+    :meth:`StepKernel.observe` puts out ``common`` (6,), the object's error, besides ``errors``.
     The rest is a kernel's own: ``grasp``, ``offsets``, ``path``, and the box's ``lower`` and ``upper``.
 
     ``rows`` of a kernel fills ``qp``, the condensed QP whose unknowns are in the units ``unit``, but for the bounds of
@@ -81,7 +80,7 @@ class Workspace:
         self.null_along, self.null_offset = np.zeros(nv), np.zeros(nv)
         self.scalars, self.result, self.line = np.zeros(9), np.zeros(4), np.zeros(21)
         self.grasp, self.offsets = np.zeros((n, 6)), np.zeros((n, 6))
-        self.common, self.origins = np.zeros(6), np.zeros((n, 3))
+        self.common = np.zeros(6)
         self.along_velocity, self.ahead = np.zeros(nv), np.zeros((6, nv))
         self.midpoint = self.ahead[5]
         self.qp = CondensedQp(nv, 9 + chain.redundancy)
@@ -120,7 +119,7 @@ class StepKernel(Protocol):
         ...
 
     def observe(self, clock: float) -> bool:
-        """``errors``, ``common`` and ``origins`` at the placements; False if that is the step's business after all."""
+        """``errors`` and ``common`` at the placements; False if that is the step's business after all."""
         ...
 
     def rows(self, cap: float, clock: float, span: float) -> int:

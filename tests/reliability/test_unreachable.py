@@ -26,9 +26,10 @@ LONGEST = 6000
 class Chase:
     """A controller that is led to targets, and the oracle that judges it by its limits."""
 
-    def __init__(self, scenario: Scenario) -> None:
+    def __init__(self, scenario: Scenario, *, look_ahead: bool) -> None:
         self.start = scenario.path.pose(0.0)
-        self.controller = QPController(scenario.cell, scenario.grasp, ServoPath(self.start), dt=scenario.dt)
+        path = ServoPath(self.start, look_ahead=look_ahead)
+        self.controller = QPController(scenario.cell, scenario.grasp, path, dt=scenario.dt)
         self.controller.reset(scenario.q_start)
         nothing = {"chain_m": None, "chain_rad": None, "path_m": None, "path_rad": None}
         self.monitor = Monitor(scenario.cell, scenario.grasp, tolerances=MonitorTolerances(**nothing))
@@ -58,6 +59,15 @@ class Chase:
                 return n
         return LONGEST
 
+    def arrives(self) -> bool:
+        """Whether the object comes back to where it started."""
+        for _ in range(LONGEST):
+            step = self.step()
+            carried = step.grasp.carried(step.state)[0]
+            if np.linalg.norm(carried.translation - self.start.translation) < 1e-4:
+                return True
+        return False
+
 
 def away(rng: np.random.Generator, start: pin.SE3) -> pin.SE3:
     """A pose two metres away, farther than any of the arms reach."""
@@ -67,40 +77,45 @@ def away(rng: np.random.Generator, start: pin.SE3) -> pin.SE3:
 
 
 def chases(acceleration: float, number: int) -> Iterator[Chase]:
-    """Chases of unreachable targets by three cells, before their first step."""
+    """Chases of unreachable targets by three cells, before their first step; under acceleration limits looking ahead.
+
+    Without looking ahead nothing brakes the arms ahead of a singularity, and elbows swing through it.
+    """
     rng = np.random.default_rng(77)
     for make in (paper_lift, dual_arm7, mixed_cell):
         task = make()
         task = replace(task, cell=task.cell.with_limits(acceleration=acceleration), dt=0.002)
         for _ in range(number):
-            chase = Chase(task)
+            chase = Chase(task, look_ahead=bool(np.isfinite(acceleration)))
             chase.controller.retarget(away(rng, chase.start))
             yield chase
 
 
 @pytest.fixture(name="found", scope="module", params=[np.inf, 5.0], ids=["no acceleration limits", "5 rad/s²"])
-def _found(request: pytest.FixtureRequest, count: Callable[[int], int]) -> tuple[bool, list[int], list[int]]:
-    """Whether accelerations are limited; steps to blocked, and steps until the object is off again, of each chase."""
-    to_blocked, to_off = [], []
+def _found(request: pytest.FixtureRequest, count: Callable[[int], int]) -> tuple[bool, list[int], list[int], int]:
+    """Whether accelerations are limited; of each chase the steps to blocked, and until the object is off again; and
+    how many did not come back, where accelerations are limited.
+    """
+    to_blocked, to_off, lost = [], [], 0
     for chase in chases(request.param, count(6)):
         to_blocked.append(chase.until_blocked())
         chase.controller.retarget(chase.start)
         to_off.append(chase.until_off())
+        lost += bool(np.isfinite(request.param)) and not chase.arrives()
         assert chase.monitor.verdict().ok, chase.monitor.verdict()
-    return bool(np.isfinite(request.param)), to_blocked, to_off
+    return bool(np.isfinite(request.param)), to_blocked, to_off, lost
 
 
-#: Without a preview nothing brakes the arms ahead of a singularity: an elbow swings through it, and until it has come
-#: to rest the object creeps, or stands though it could go.
-SWINGS = pytest.mark.xfail(strict=True, reason="a target that moves has no preview: an elbow swings on for a while")
+#: The last tenth of a second before a singularity is spent between 1 % and 0.1 % of the rate.
+CREEPS = pytest.mark.xfail(strict=True, reason="the object creeps up to a singularity, slowed but not blocked")
 
 
 def test_a_standing_object_is_reported_blocked(
-    found: tuple[bool, list[int], list[int]], catalogue: Any, request: pytest.FixtureRequest
+    found: tuple[bool, list[int], list[int], int], catalogue: Any, request: pytest.FixtureRequest
 ) -> None:
-    limited, to_blocked, _ = found
+    limited, to_blocked, _, _ = found
     if limited:
-        request.applymarker(SWINGS)
+        request.applymarker(CREEPS)
     catalogue.row(
         "A7",
         f"unreachable target, {'with' if limited else 'without'} acceleration limits: steps to blocked",
@@ -112,12 +127,8 @@ def test_a_standing_object_is_reported_blocked(
     )
 
 
-def test_it_is_off_again_at_once(
-    found: tuple[bool, list[int], list[int]], catalogue: Any, request: pytest.FixtureRequest
-) -> None:
-    limited, _, to_off = found
-    if limited:
-        request.applymarker(SWINGS)
+def test_it_is_off_again_at_once(found: tuple[bool, list[int], list[int], int], catalogue: Any) -> None:
+    limited, _, to_off, lost = found
     catalogue.row(
         "A7",
         f"then a reachable one, {'with' if limited else 'without'} acceleration limits: steps to off",
@@ -127,3 +138,5 @@ def test_it_is_off_again_at_once(
         unit="steps",
         note="to σ > 0.1 % and a joint that moves",
     )
+    if limited:
+        catalogue.row("A7", "and that is not reached in the end", cases=len(to_off), measured=lost, target=0)
