@@ -101,7 +101,7 @@ def watched(controller: QPController) -> Stopwatch:
         (controller, ("_guard", "_prepare"), "inputs"),
         (chain, ("place", "evaluate", "carried", "linearise"), "kinematics"),
         (chain, ("errors",), "errors"),
-        (controller, ("_terms",), "errors"),
+        (controller._linearised, ("_terms",), "errors"),
         (controller._box, ("update",), "assembly"),
         (solver.program, ("pieces", "condensed", "read_condensed"), "assembly"),
         (solver, ("settle",), "report"),
