@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import shutil
 from collections.abc import Callable
 from typing import Any
 
@@ -513,3 +514,9 @@ def test_a_border_that_is_no_number_says_so(name: str, field: str, rng: np.rando
         getattr(b, field)[j] = np.nan
         make_border(b, name).evaluate(0.01)
         assert np.isnan(b.result[[b.CHANGE, b.SPEED_USE, b.BEND_USE, b.TIGHTEST]]).all()
+
+
+@pytest.mark.skipif(shutil.which("cc") is None, reason="no compiler")
+def test_where_there_is_a_compiler_the_kernel_is_compiled() -> None:
+    """Without it the build falls back without a word, and nothing else here would try the compiled kernel."""
+    assert KERNELS[0] == "compiled"

@@ -249,7 +249,6 @@ static int errors(Kernel *k) {
                 for (int m = 0; m < 3; m++) sum += Y[4 * i + m] * M[3 * m + j];
                 O[3 * i + j] = sum;
             }
-        memcpy(D(k) + 3 * a, O + 9, 3 * sizeof(double));
         for (int j = 0; j < 3; j++) O[9 + j] -= p[j];
         for (int i = 0; i < 4; i++)
             for (int j = 0; j < 3; j++)
