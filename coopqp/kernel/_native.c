@@ -260,17 +260,14 @@ static int errors(Kernel *k) {
 
 /* Shrink n corrections by one common factor to the bounds of speed and spin. */
 static void bound(double *c, int n, double speed, double spin) {
-    const double per_speed = 1.0 / (speed * speed), per_spin = 1.0 / (spin * spin);
-    double excess = 0.0;
+    double linear = 0.0, angular = 0.0;
     for (int a = 0; a < n; a++) {
-        double linear = dot3(c + 6 * a, c + 6 * a) * per_speed, angular = dot3(c + 6 * a + 3, c + 6 * a + 3) * per_spin;
-        excess = linear > excess ? linear : excess;
-        excess = angular > excess ? angular : excess;
+        double way = dot3(c + 6 * a, c + 6 * a), turn = dot3(c + 6 * a + 3, c + 6 * a + 3);
+        linear = way > linear ? way : linear;
+        angular = turn > angular ? turn : angular;
     }
-    if (excess > 1.0) {
-        double f = 1.0 / sqrt(excess);
-        for (int i = 0; i < 6 * n; i++) c[i] *= f;
-    }
+    double excess = fmax(sqrt(linear) / speed, sqrt(angular) / spin);
+    for (int i = 0; excess > 1.0 && i < 6 * n; i++) c[i] /= excess;
 }
 
 /* The object's error: that of the arms by their shares. */

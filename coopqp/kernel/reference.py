@@ -352,6 +352,7 @@ def bound(corrections: Array, speed: float, spin: float) -> None:
         return
     linear = np.einsum("ij,ij->i", corrections[:, :3], corrections[:, :3])
     angular = np.einsum("ij,ij->i", corrections[:, 3:], corrections[:, 3:])
-    excess = max(float(linear[linear.argmax()]) / speed**2, float(angular[angular.argmax()]) / spin**2)
+    # Roots first: the square of a tiny bound would be 0.
+    excess = max(math.sqrt(linear[linear.argmax()]) / speed, math.sqrt(angular[angular.argmax()]) / spin)
     if excess > 1.0:
-        corrections /= np.sqrt(excess)
+        corrections /= excess
