@@ -63,6 +63,10 @@ class PreviewOptions:
         keep_scalars(self, "margin", "curvature_share", "singular_rate", high=1.0)
         object.__setattr__(self, "cells_per_step", as_count(self.cells_per_step, "PreviewOptions: cells_per_step"))
 
+    def slope(self, *, accelerates: bool, dt: float) -> float:
+        """Largest change of the rate [1/s] of joints with or without acceleration limits."""
+        return self.rate_slope if accelerates else 1.0 / (_STEPS_TO_FULL_SPEED * dt)
+
 
 class _Cell(NamedTuple):
     """The border of a cell: the chain at one clock."""
@@ -81,8 +85,8 @@ class _Cell(NamedTuple):
     inside: bool  # all joints are inside their position limits
 
 
-#: A joint without acceleration limit is planned to reach full speed in this many steps.
-_STEPS_TO_FULL_SPEED = 10
+#: A joint without acceleration limit is planned to reach full speed in this many steps, and so is the rate.
+_STEPS_TO_FULL_SPEED = 22
 #: Cells shorter than this are not halved for a change of slope [s].
 _FINE_CELL = 0.001
 #: Refinements of the rate near a bound.
@@ -154,7 +158,9 @@ class PathPreview:
             caps_speed=self.accelerates,  # else the step itself finds that cap
         )
         self._evaluate = make_border(self._border, self._kernel.name).evaluate
-        self._slope_cap = 0.9 * self.options.rate_slope if self.accelerates else 1.0 / (_STEPS_TO_FULL_SPEED * dt)
+        self._slope_cap = self.options.slope(accelerates=self.accelerates, dt=dt)
+        if self.accelerates:
+            self._slope_cap *= 0.9
         self._line: Array | None = None
         self._cells: deque[_Cell] = deque()
         self._bounds: deque[_Cell] = deque()  # candidates for min (z_b + C_b), increasing

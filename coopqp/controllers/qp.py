@@ -99,6 +99,7 @@ class QPController:
         self._line: Array | None = None
         self._gains_dt, self._has_measured = 0.0, False
         self._accelerates = self._box.accelerates
+        self._rise = None if o.preview is None else o.preview.slope(accelerates=self._accelerates, dt=self.dt)
         self._late, self._keep = False, 1.0
         self._posture = Posture(cell, o.posture)
         self._supervision = Supervision(cell, grasp, o.supervision)
@@ -332,8 +333,8 @@ class QPController:
             binding = (
                 () if watch.arm < 0 else (BindingLimit(self.cell.arm_names[watch.arm], "", LimitKind.OUT_OF_STEP),)
             )
-        if self._rate < 1.0 and self._accelerates and self.options.preview is not None:
-            allowed = self._rate + self.options.preview.rate_slope * h
+        if self._rate < 1.0 and self._rise is not None:
+            allowed = self._rate + self._rise * h
             if allowed < cap:
                 cap, binding = allowed, ()
         return cap, binding
