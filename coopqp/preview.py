@@ -44,7 +44,8 @@ class PreviewOptions:
         margin: η, share of velocity and acceleration limits that is planned with where acceleration is limited.
         curvature_share: κ, share of the acceleration that the path's curvature may take.
         rate_slope: σ̇_max, largest change of the rate [1/s], where acceleration is limited.
-        singular_rate: a rate cap below this, while joint speeds still rise, ends the path there.
+        singular_rate: a rate cap below this, while joint speeds still rise, ends the path there, unless they fall
+            again before it is below 0.3 of this.
         cells_per_step: how many cells one control step may add at most.
     """
 
@@ -87,6 +88,8 @@ class _Cell(NamedTuple):
 
 #: A joint without acceleration limit is planned to reach full speed in this many steps, and so is the rate.
 _STEPS_TO_FULL_SPEED = 22
+#: A singularity is passed where the rate's cap stays above this share of the one that ends the path.
+_PASSABLE = 0.3
 #: Cells shorter than this are not halved for a change of slope [s].
 _FINE_CELL = 0.001
 #: Refinements of the rate near a bound.
@@ -112,6 +115,9 @@ class PathPreview:
         posture: what redundant arms do with their freedom.
         dt: nominal length of a control step [s].
         options: settings.
+
+    Attributes:
+        ends: what makes the latest cap stops the object for good.
     """
 
     def __init__(
@@ -164,7 +170,7 @@ class PathPreview:
         self._line: Array | None = None
         self._cells: deque[_Cell] = deque()
         self._bounds: deque[_Cell] = deque()  # candidates for min (z_b + C_b), increasing
-        self._complete = False
+        self._complete = self.ends = False
         self._forget()
 
     def _forget(self) -> None:
@@ -176,7 +182,7 @@ class PathPreview:
         """Start at a configuration on (or near) the path."""
         self._cells.clear()
         self._bounds.clear()
-        self._complete = False
+        self._complete = self.ends = False
         self._forget()
         pose = self._path.pose(clock)
         q, errors = newton(self._chain, pose, q, tolerance=1e-10, max_iter=8)
@@ -200,6 +206,7 @@ class PathPreview:
             return 1.0, None
         self._extend(clock, dt)
         here = self._cells[0]
+        self.ends = False
         while self._bounds and self._bounds[0].clock <= clock and (len(self._bounds) > 1 or self._bounds[0].cap > 0.0):
             self._bounds.popleft()
         ahead = self._cells[1] if len(self._cells) > 1 else here
@@ -217,6 +224,7 @@ class PathPreview:
         if between < square:
             square, bound = between, here if here.cap < ahead.cap else ahead
             fall = max(here.cap - ahead.cap, 0.0) / (ahead.clock - here.clock) if ahead.clock > here.clock else 0.0
+        self.ends = bound.cap == 0.0
         # S falls while the object goes: σ² = S − fall σ dt while it goes on as it begins, or what there is on arrival.
         half = 0.5 * fall * dt
         root = math.sqrt(half * half + square)
@@ -331,34 +339,60 @@ class PathPreview:
 
     def _grow(self, last: _Cell) -> Iterator[None]:
         """Add a cell; pauses after every Newton step."""
-        path, options = self._path, self.options
-        rest = path.duration - last.clock
-        if rest <= 1e-12:
+        path = self._path
+        if path.duration - last.clock <= 1e-12:
             self._finish(last)
             return
-        h = min(options.cell, rest, options.joint_step / last.fastest if last.fastest > 0.0 else np.inf)
-        breakpoint_ = path.next_breakpoint(last.clock)
-        if last.clock + h > breakpoint_ - 1e-9:
-            h = breakpoint_ - last.clock
-        while True:
-            cell = yield from self._try(last, h)
-            if cell is not None:
-                break
-            h *= 0.5
-            if h < options.shortest:
-                self._block(last, self._singular_arm(last), LimitKind.REACH)
-                return
+        cell = yield from self._next(last)
+        if cell is None:
+            self._block(last, self._singular_arm(last), LimitKind.REACH)
+            return
         crossing = None if cell.inside else self._limit_crossing(last, cell)
         if crossing is not None:
             self._push(crossing)
             self._complete = True
             return
-        if cell.squeeze < options.singular_rate**2 and cell.fastest > last.fastest:
-            self._block(cell, self._singular_arm(cell), LimitKind.SINGULARITY)
-            return
+        if cell.squeeze < self.options.singular_rate**2 and cell.fastest > last.fastest:
+            way = yield from self._past(cell)
+            if not way:
+                self._block(cell, self._singular_arm(cell), LimitKind.SINGULARITY)
+                return
+            for between in way[:-1]:
+                self._push(between)
+            cell = way[-1]
+        breakpoint_ = path.next_breakpoint(last.clock)
         if abs(cell.clock - breakpoint_) < 1e-9 and breakpoint_ < path.duration:
             cell = self._corner(cell)
         self._push(cell)
+
+    def _next(self, last: _Cell) -> Generator[None, None, _Cell | None]:
+        """The border after ``last``, as far on as the chain can be followed in one go; None where it cannot."""
+        path, options = self._path, self.options
+        h = min(options.cell, path.duration - last.clock)
+        if last.fastest > 0.0:
+            h = min(h, options.joint_step / last.fastest)
+        breakpoint_ = path.next_breakpoint(last.clock)
+        if last.clock + h > breakpoint_ - 1e-9:
+            h = breakpoint_ - last.clock
+        while True:
+            cell = yield from self._try(last, h)
+            h *= 0.5
+            if cell is not None or h < options.shortest:
+                return cell
+
+    def _past(self, cell: _Cell) -> Generator[None, None, list[_Cell]]:
+        """The borders from ``cell``, near a singularity, to where the joints slow down; none if there is no way."""
+        least = (_PASSABLE * self.options.singular_rate) ** 2
+        end = self._path.next_breakpoint(cell.clock) - 1e-9
+        way = [cell]
+        while len(way) < self.options.cells_per_step:
+            ahead = yield from self._next(way[-1])
+            if ahead is None or not ahead.inside or ahead.squeeze < least or ahead.clock > end:
+                return []
+            way.append(ahead)
+            if ahead.fastest < way[-2].fastest:
+                return way
+        return []
 
     def _try(self, last: _Cell, h: float) -> Generator[None, None, _Cell | None]:
         """The chain at ``last.clock + h``, or None if Newton's method or the joints' slopes do not follow."""

@@ -47,6 +47,8 @@ _UNBOUND: tuple[BindingLimit, ...] = ()
 _LEAST_PACE = 1e-3
 # Members of an enumeration cost a look-up of a tenth of a microsecond each.
 _TRACKING, _NOMINAL, _OPEN = Status.TRACKING, int(Outcome.NOMINAL), int(Outcome.OPEN)
+#: An object that comes to what stops it for good counts as blocked from so many times the rate on.
+_ARRIVING = 10.0
 #: A rate that rises by less stands still: a QP's zero has the solver's rounding.
 _RATE_ROUNDING = 1e-12
 #: Nothing to watch: shared, so not to be changed.
@@ -528,11 +530,12 @@ class QPController:
         return step
 
     def _slow_status(self, rate: float, binding: tuple[BindingLimit, ...]) -> Status:
-        if rate >= self.options.blocked_rate:
+        rising = rate > self._rate + _RATE_ROUNDING
+        ends = self._preview is not None and self._preview.ends and not rising
+        if rate >= self.options.blocked_rate * (_ARRIVING if ends else 1.0):
             return Status.SLOWED
         # From rest the accelerations alone keep the rate small; it grows then, or a joint is on its way back in.
         accelerating = any(b.kind is LimitKind.ACCELERATION for b in binding)
-        rising = rate > self._rate + _RATE_ROUNDING
         return Status.SLOWED if accelerating and (rising or self._outside()) else Status.BLOCKED
 
     def _outside(self) -> bool:

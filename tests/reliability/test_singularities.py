@@ -82,7 +82,7 @@ def six_joints() -> Iterator[tuple[Scenario, float]]:
             for arm in range(3):
                 if NIGHTLY or (k + arm) % 2 == i:
                     yield at_singularity(kind, arm, acceleration=acceleration), 0.0  # type: ignore[arg-type]
-        for miss in (1e-4, 5e-4, 1e-3, 1e-2):
+        for miss in (1e-4, 5e-4, 1.1e-3, 2e-3, 1e-2):
             yield at_singularity("wrist", 0, acceleration=acceleration, miss=miss), miss
 
 
@@ -115,8 +115,10 @@ def accelerates(task: Scenario) -> bool:
 
 
 def test_limits_are_kept(previewed: Any, few: Any, catalogue: Any) -> None:
-    for arms, found in (("six", [e for _, _, e in previewed]), ("four and five", [e for _, e in few])):
+    met = [e for _, miss, e in previewed if miss == 0.0]
+    for found in (met, [e for _, e in few]):
         assert sum(e.blocked for e in found) >= len(found) // 2
+    for arms, found in (("six", [e for _, _, e in previewed]), ("four and five", [e for _, e in few])):
         catalogue.row(
             "A8",
             f"singularities, arms of {arms} joints: limits",
@@ -136,6 +138,17 @@ def test_the_chain_on_previewed_paths(previewed: Any, catalogue: Any) -> None:
         measured=1e3 * max(e.verdict.worst.chain_m for *_, e in previewed),
         target=0.02,
         unit="mm",
+    )
+
+
+def test_what_is_only_near_is_passed(previewed: Any, catalogue: Any) -> None:
+    near = [e for _, miss, e in previewed if miss > 1e-3]
+    catalogue.row(
+        "A8",
+        "a pole missed by more than 1 mrad: object blocked",
+        cases=len(near),
+        measured=sum(e.blocked or not e.back for e in near),
+        target=0,
     )
 
 

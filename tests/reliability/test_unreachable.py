@@ -106,16 +106,8 @@ def _found(request: pytest.FixtureRequest, count: Callable[[int], int]) -> tuple
     return bool(np.isfinite(request.param)), to_blocked, to_off, lost
 
 
-#: The last tenth of a second before a singularity is spent between 1 % and 0.1 % of the rate.
-CREEPS = pytest.mark.xfail(strict=True, reason="the object creeps up to a singularity, slowed but not blocked")
-
-
-def test_a_standing_object_is_reported_blocked(
-    found: tuple[bool, list[int], list[int], int], catalogue: Any, request: pytest.FixtureRequest
-) -> None:
+def test_a_standing_object_is_reported_blocked(found: tuple[bool, list[int], list[int], int], catalogue: Any) -> None:
     limited, to_blocked, _, _ = found
-    if limited:
-        request.applymarker(CREEPS)
     catalogue.row(
         "A7",
         f"unreachable target, {'with' if limited else 'without'} acceleration limits: steps to blocked",
