@@ -10,9 +10,12 @@ the machine's (``case`` "null spin: …"):
 ``corner``    the same with joints limited to 10 rad/s² too: the preview brakes ahead of every corner;
 ``qp``        a QP at every step of the zigzag.
 
-``ratio`` is p99.9 / p50. Records of the second kind (``case`` "garbage: …") have 10⁶ objects alive besides, with and
-without ``gc.freeze()``, the steps dropped or kept by the caller: ``gc_pause_ms`` is the longest pause, ``collections``
-how many there were, ``full`` how many of them of everything, ``unreachable`` how many objects they freed.
+``ratio`` is p99.9 / p50. Records of the second kind (``case`` "lap: …") are of one lap from reset to the path's end,
+each step the median of the same step in several laps: what they take by themselves, without the machine's part.
+``first_us`` is the first step after a reset, which the percentiles leave out. Records of the third kind (``case``
+"garbage: …") have 10⁶ objects alive besides, with and without ``gc.freeze()``, the steps dropped or kept by the caller:
+``gc_pause_ms`` is the longest pause, ``collections`` how many there were, ``full`` how many of them of everything,
+``unreachable`` how many objects they freed.
 """
 
 from __future__ import annotations
@@ -40,7 +43,7 @@ from coopqp.spatial import Array
 ARMS = 3
 CASES = ("nominal", "measured", "watched", "slowed", "corner", "qp")
 KEYS = (
-    "case", "kernel", "arms", "p50_us", "p99_us", "p999_us", "max_us", "ratio", "steps",
+    "case", "kernel", "arms", "p50_us", "p99_us", "p999_us", "max_us", "ratio", "steps", "first_us",
     "gc_pause_ms", "collections", "full", "unreachable",
 )  # fmt: skip
 #: Encoder noise of the measured cases [rad], and servo stiffness [N·m/rad].
@@ -53,16 +56,17 @@ cpu = time.thread_time_ns
 
 @dataclass(frozen=True, kw_only=True)
 class Plan:
-    """Steps of each tail, steps at a time before the next one's turn, steps with garbage, and objects alive."""
+    """Steps of each tail, steps at a time before the next one's turn, laps, steps with garbage, and objects alive."""
 
     steps: int = 100_000
     block: int = 1000
+    laps: int = 15
     garbage_steps: int = 50_000
     alive: int = 1_000_000
 
 
 FULL = Plan()
-QUICK = Plan(steps=2000, block=500, garbage_steps=5000)
+QUICK = Plan(steps=2000, block=500, laps=3, garbage_steps=5000)
 
 
 def scenario_of(case: str) -> Scenario:
@@ -92,18 +96,35 @@ class Loop:
 
     def block(self, size: int) -> list[float]:
         """CPU time of ``size`` steps [µs]."""
-        step, noise, samples = self.controller.step, self._noise, []
+        samples = []
         for _ in range(size):
-            self._count += 1
-            measured = None if noise is None else self._q + noise[self._count % len(noise)]
-            began = cpu()
-            result = step(measured)
-            samples.append(1e-3 * (cpu() - began))
-            self._q = result.q_next
-            if result.finished:
-                self.controller.reset(self._task.q_start)
-                self._q = self._task.q_start
+            time_us, finished = self._step()
+            samples.append(time_us)
+            if finished:
+                self._restart()
         return samples
+
+    def lap(self) -> list[float]:
+        """CPU time of every step from a reset to the path's end [µs]."""
+        self._restart()
+        self._count, samples, finished = 0, [], False
+        while not finished:
+            time_us, finished = self._step()
+            samples.append(time_us)
+        return samples
+
+    def _step(self) -> tuple[float, bool]:
+        self._count += 1
+        measured = None if self._noise is None else self._q + self._noise[self._count % len(self._noise)]
+        began = cpu()
+        result = self.controller.step(measured)
+        time_us = 1e-3 * (cpu() - began)
+        self._q = result.q_next
+        return time_us, result.finished
+
+    def _restart(self) -> None:
+        self.controller.reset(self._task.q_start)
+        self._q = self._task.q_start
 
 
 class Spin:
@@ -151,6 +172,19 @@ def tails(plan: Plan, cases: Sequence[str], progress: common.Progress) -> tuple[
         row = {"case": case, "kernel": kernel, "arms": ARMS, **tail(samples[name]), "steps": samples[name].size}
         records.append({**row, "ratio": round(row["p999_us"] / row["p50_us"], 2)})
     return records, samples
+
+
+def laps(plan: Plan, cases: Sequence[str], progress: common.Progress) -> list[Record]:
+    """One record per case and kernel: medians over laps of the same step."""
+    records = []
+    for case in cases:
+        for kernel in available_kernels():
+            loop = Loop(case, kernel)
+            first, *rest = np.median([loop.lap() for _ in range(plan.laps)], axis=0)
+            row = {"case": f"lap: {case}", "kernel": kernel, "arms": ARMS, **tail(rest), "steps": len(rest)}
+            records.append(row | {"ratio": round(row["p999_us"] / row["p50_us"], 2), "first_us": round(first, 1)})
+            progress.advance(f"lap: {case}")
+    return records
 
 
 # -- garbage -----------------------------------------------------------------------------------------------------------
@@ -233,7 +267,9 @@ def verdict(records: Sequence[Record]) -> str:
         spin = by_key.get((f"null spin: {case}", kernel))
         if spin is not None:
             met = "met" if r["ratio"] <= RATIO else "missed"
-            lines.append(f"{case}, {kernel}: p99.9 / p50 = {r['ratio']:.3g} (null spin {spin['ratio']:.3g}): {met}")
+            alone = by_key[f"lap: {case}", kernel]["ratio"]
+            found = f"p99.9 / p50 = {r['ratio']:.3g} (null spin {spin['ratio']:.3g}, by itself {alone:.3g})"
+            lines.append(f"{case}, {kernel}: {found}: {met}")
     dropped = [r for r in records if r["case"].startswith("garbage: steps dropped")]
     if dropped:
         longest, freed = max(r["gc_pause_ms"] for r in dropped), sum(r["unreachable"] for r in dropped)
@@ -273,8 +309,9 @@ def plot(samples: dict[str, Array]) -> dict[str, bytes]:
 def measure(plan: Plan, cases: Sequence[str] = CASES) -> tuple[list[Record], dict[str, Array]]:
     """All records, and the samples of the tails."""
     turns = 2 * len(cases) * len(available_kernels()) * max(1, plan.steps // plan.block)
-    progress = common.Progress(turns + 4, label="tails")
+    progress = common.Progress(turns + len(cases) * len(available_kernels()) + 4, label="tails")
     records, samples = tails(plan, cases, progress)
+    records += laps(plan, cases, progress)
     records += garbage(plan, progress)
     progress.close()
     return [{key: r.get(key) for key in KEYS} for r in records], samples

@@ -21,7 +21,7 @@ CONTRACT = {"case", "kernel", "arms", "p50_us", "p99_us", "p999_us", "max_us", "
 
 
 def test_latency(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
-    plan = latency.Plan(steps=40, block=20, garbage_steps=1000, alive=1000)
+    plan = latency.Plan(steps=40, block=20, laps=1, garbage_steps=1000, alive=1000)
     monkeypatch.setattr(latency, "QUICK", plan)
     file, out = tmp_path / "r.json", tmp_path / "out"
     assert latency.main(["--quick", "--json", str(file), "--out", str(out)]) == 0
@@ -30,9 +30,11 @@ def test_latency(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest
     assert all(set(r) >= CONTRACT for r in records)
     tails = [r for r in records if r["gc_pause_ms"] is None]
     names = {*latency.CASES, *(f"null spin: {case}" for case in latency.CASES)}
+    names |= {f"lap: {case}" for case in latency.CASES}
     assert {(r["case"], r["kernel"]) for r in tails} == {(c, k) for c in names for k in available_kernels()}
     for r in tails:
-        assert r["steps"] == 40
+        assert r["steps"] > 500 if r["case"].startswith("lap: ") else r["steps"] == 40
+        assert (r["first_us"] is not None) is r["case"].startswith("lap: ")
         assert 0.0 < r["p50_us"] <= r["p99_us"] <= r["p999_us"] <= r["max_us"]
     pauses = {r["case"]: r for r in records if r["gc_pause_ms"] is not None}
     assert len(pauses) == 4
