@@ -99,7 +99,7 @@ _JUST_BEFORE = 1e-10
 #: Of squares of rates, which are differences of sums.
 _ROUNDING = 1e-12
 #: A cell is begun so many steps before it is needed.
-_STEPS_TO_GROW = 4
+_STEPS_TO_GROW = 8
 _UNBOUND = _Cell(np.inf, np.zeros(0), np.zeros(0), 0.0, 0.0, 0.0, 0.0, np.zeros(0), None, 0.0, 0.0, True)
 _OPEN = _UNBOUND._replace(cap=np.inf)
 #: Newton steps shorter than this are the last: the next would be of the square of it [rad or m].
@@ -205,6 +205,8 @@ class PathPreview:
                 self._work_ahead()
             return 1.0, None
         self._extend(clock, dt)
+        if not self._complete and not self._reaches(clock + _STEPS_TO_GROW * dt, dt):
+            self._work_ahead()
         here = self._cells[0]
         self.ends = False
         while self._bounds and self._bounds[0].clock <= clock and (len(self._bounds) > 1 or self._bounds[0].cap > 0.0):
@@ -310,18 +312,20 @@ class PathPreview:
 
     def _extend(self, clock: float, dt: float) -> None:
         """Grow the horizon until the object could brake from full rate within it."""
-        cells = self._cells
-        enough = 1.0 + 2.0 * self._slope_cap * dt  # what a step at full rate uses up is still there after it
         for _ in range(self.options.cells_per_step):
             self._leave_behind(clock)
-            ahead = cells[min(1, len(cells) - 1)]
-            if self._complete or (
-                cells[-1].clock > clock + 2.0 * dt and cells[-1].cumulative - ahead.cumulative > enough
-            ):
+            if self._complete or self._reaches(clock, dt):
                 return
-            for _ in self._growing or self._grow(cells[-1]):
+            for _ in self._growing or self._grow(self._cells[-1]):
                 pass
             self._growing = None
+
+    def _reaches(self, clock: float, dt: float) -> bool:
+        """Whether the object could brake from full rate at ``clock`` within the horizon."""
+        cells = self._cells
+        ahead = cells[min(self._cell_of(clock) + 1, len(cells) - 1)]
+        enough = 1.0 + 2.0 * self._slope_cap * dt  # what a step at full rate uses up is still there after it
+        return cells[-1].clock > clock + 2.0 * dt and cells[-1].cumulative - ahead.cumulative > enough
 
     def _work_ahead(self) -> None:
         """A piece of the next cell, so that no single step has to make a whole one."""
