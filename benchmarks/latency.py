@@ -1,7 +1,8 @@
 """How long can a step take? The tail of a step, beside a loop that does nothing, and pauses of the garbage collector.
 
 Records of the first kind, CPU time of the thread [µs], in turn with a null spin of about the same length, whose tail is
-the machine's (``case`` "null spin: …"):
+the machine's (``case`` "null spin: …"). Left out are the first steps of a turn, which find the caches cold, and the
+first one after a reset, which is ``first_us`` below:
 
 ``nominal``   three arms round a ring, always within the limits;
 ``measured``  the same, with noisy measured configurations, which the supervision watches;
@@ -49,6 +50,8 @@ KEYS = (
 #: Encoder noise of the measured cases [rad], and servo stiffness [N·m/rad].
 NOISE, STIFFNESS = 1e-5, 1e5
 ACCELERATION = 10.0
+#: Steps at the beginning of a turn that do not count.
+WARM_UP = 20
 #: Targets: p99.9 in multiples of p50, and the longest pause of the collector [ms].
 RATIO, PAUSE_MS = 3.0, 1.0
 cpu = time.thread_time_ns
@@ -80,7 +83,7 @@ def scenario_of(case: str) -> Scenario:
 
 
 class Loop:
-    """Steps of one controller, timed one by one; resets are not timed, the steps after them are."""
+    """Steps of one controller, timed one by one."""
 
     def __init__(self, case: str, kernel: str) -> None:
         task = self._task = scenario_of(case)
@@ -95,13 +98,15 @@ class Loop:
         self._count = 0
 
     def block(self, size: int) -> list[float]:
-        """CPU time of ``size`` steps [µs]."""
-        samples = []
-        for _ in range(size):
+        """CPU time of ``size`` steps in motion [µs]."""
+        samples: list[float] = []
+        for number in range(-WARM_UP, size):
             time_us, finished = self._step()
-            samples.append(time_us)
+            if number >= 0:
+                samples.append(time_us)
             if finished:
                 self._restart()
+                self._step()
         return samples
 
     def lap(self) -> list[float]:
@@ -137,11 +142,12 @@ class Spin:
     def block(self, size: int) -> list[float]:
         """CPU time of ``size`` spins [µs]."""
         turns, samples = range(self._turns), []
-        for _ in range(size):
+        for number in range(-WARM_UP, size):
             began = cpu()
             for _ in turns:
                 pass
-            samples.append(1e-3 * (cpu() - began))
+            if number >= 0:
+                samples.append(1e-3 * (cpu() - began))
         return samples
 
 

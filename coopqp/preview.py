@@ -179,7 +179,7 @@ class PathPreview:
         self._growing: Iterator[None] | None = None
 
     def reset(self, q: Array, clock: float) -> None:
-        """Start at a configuration on (or near) the path."""
+        """Start at a configuration on (or near) the path, and look ahead as far as the first step needs."""
         self._cells.clear()
         self._bounds.clear()
         self._complete = self.ends = False
@@ -195,6 +195,7 @@ class PathPreview:
             return
         self._newton_step(clock, q, after=True)
         self._push(self._cell_at(clock, q, None))
+        self._extend(clock, self._dt)
 
     # -- reading -------------------------------------------------------------------------------------------------
 
