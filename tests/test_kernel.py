@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 import shutil
 from collections.abc import Callable
 from typing import Any
@@ -11,13 +12,14 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
+from coopqp import kernel as kernels
 from coopqp.cell import JointLimits, RobotCell
 from coopqp.chain import Chain
 from coopqp.controllers.options import QPOptions
 from coopqp.controllers.qp import QPController
 from coopqp.errors import UnknownNameError
 from coopqp.grasp import Grasp
-from coopqp.kernel import BorderArrays, Outcome, Workspace, available_kernels, make_border, make_kernel
+from coopqp.kernel import BorderArrays, Outcome, StepKernel, Workspace, available_kernels, make_border, make_kernel
 from coopqp.kernel.reference import bound
 from coopqp.limits import LIMIT_TOLERANCE, VelocityBox
 from coopqp.path import LinePath, ObjectPath, ServoPath, WaypointPath
@@ -28,7 +30,29 @@ from coopqp.state import CellState
 
 #: Largest difference of a joint velocity in closed loop [rad/s or m/s].
 SAME = 1e-10
-KERNELS = available_kernels()
+#: The compiled one also with the arithmetic that it takes on processors without AVX2.
+KERNELS = (*available_kernels(), *(["plain"] if "compiled" in available_kernels() else []))
+
+
+@pytest.fixture(autouse=True)
+def _plain_kernel(monkeypatch: pytest.MonkeyPatch) -> None:
+    if "plain" not in KERNELS:
+        return
+    compiled = pytest.importorskip("coopqp.kernel.compiled")
+
+    def plain(workspace: Workspace) -> StepKernel:
+        made: StepKernel = compiled.CompiledKernel(workspace, plain=True)
+        made.name = "plain"
+        return made
+
+    monkeypatch.setitem(kernels._KERNELS, "plain", plain)
+    monkeypatch.setitem(kernels._BORDERS, "plain", functools.partial(compiled.CompiledBorder, plain=True))
+
+
+def options_with(name: str, **options: Any) -> QPOptions:
+    made = QPOptions(**options)
+    object.__setattr__(made, "kernel", name)  # "plain" is no name that they take
+    return made
 
 
 def limited(**limits: Any) -> Callable[[], Scenario]:
@@ -67,9 +91,8 @@ def controllers(
     made = []
     for kernel in (*KERNELS, "none"):
         follow = scenario.path if path is None else path()
-        controller = QPController(
-            scenario.cell, scenario.grasp, follow, dt=dt, options=QPOptions(kernel=kernel, **options)
-        )
+        made_of = options_with(kernel, **options)
+        controller = QPController(scenario.cell, scenario.grasp, follow, dt=dt, options=made_of)
         controller.reset(scenario.q_start)
         assert controller.kernel == kernel
         made.append(controller)
@@ -157,7 +180,7 @@ def test_the_kernels_qp_is_that_of_the_program(name: str) -> None:
     task = make()
     loops = []
     for kernel in (*KERNELS, "none"):
-        options = QPOptions(kernel=kernel, shortcut=False)
+        options = options_with(kernel, shortcut=False)
         controller = QPController(task.cell, task.grasp, task.path, dt=dt, options=options)
         controller.reset(task.q_start)
         assert controller.kernel == kernel

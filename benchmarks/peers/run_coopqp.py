@@ -20,6 +20,8 @@ ALWAYS_QP = "always a QP"
 #: The solver, the same in every mode; the shortcut's steps need none.
 SOLVER = "daqp"
 
+_NO_COMMAND = (Status.HOLDING, Status.FAULT)
+
 
 class _Motion:
     def __init__(self, scenario: Scenario, mode: str) -> None:
@@ -37,7 +39,7 @@ class _Motion:
 
     def step(self, i: int) -> float:
         self._step = step = self._controller.step()
-        if step.status is Status.HOLDING or step.status is Status.FAULT:
+        if step.status in _NO_COMMAND:
             raise RuntimeError(step.explain())
         return step.rate
 

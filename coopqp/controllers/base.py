@@ -182,8 +182,8 @@ def make_step(fields: dict[str, Any]) -> ControlStep:
     step = _new(ControlStep)
     _set(step, "__dict__", fields)
     # The controller goes on from them: what a user adds to one must not move the arms.
-    fields["velocity"].setflags(write=False)
-    fields["q_next"].setflags(write=False)
+    fields["velocity"].setflags(False)
+    fields["q_next"].setflags(False)
     return step
 
 

@@ -8,7 +8,7 @@ import coopqp.kernel._native as native
 from coopqp.kernel.border import BorderArrays
 from coopqp.kernel.workspace import Workspace
 
-#: Order of the buffers, as the enumeration in _native.c.
+#: Order of the buffers, as the enumeration in arithmetic.h.
 _BUFFERS = (
     "placements", "jacobian_T", "Y_transposed", "tool_joints", "starts", "sizes", "scale", "shares", "low", "high",
     "speed", "acceleration", "lower", "upper", "R", "p", "along", "path", "measured", "positions", "v_prev",
@@ -36,22 +36,22 @@ def _buffers(owner: Any, names: tuple[str, ...]) -> tuple[tuple[Any, ...], tuple
 
 @final
 class CompiledKernel:
-    """See :class:`StepKernel`."""
+    """See :class:`StepKernel`; ``plain`` for the arithmetic that any processor can do."""
 
     name = "compiled"
     follows_lines = True
 
-    def __init__(self, workspace: Workspace) -> None:
+    def __init__(self, workspace: Workspace, *, plain: bool = False) -> None:
         self._arrays, addresses = _buffers(workspace, _BUFFERS)
         self._workspace = workspace  # and Pinocchio's memory
-        kernel = native.Kernel(addresses)
+        kernel = native.Kernel(addresses, plain)
         self.step, self.observe, self.rows = kernel.step, kernel.observe, kernel.rows
 
 
 @final
 class CompiledBorder:
-    """See :class:`Border`."""
+    """See :class:`Border`; ``plain`` as for the kernel."""
 
-    def __init__(self, arrays: BorderArrays) -> None:
+    def __init__(self, arrays: BorderArrays, *, plain: bool = False) -> None:
         self._arrays, addresses = _buffers(arrays, _BORDER_BUFFERS)
-        self.evaluate = native.Border(addresses, arrays.caps_speed).evaluate
+        self.evaluate = native.Border(addresses, arrays.caps_speed, plain).evaluate
