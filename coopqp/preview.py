@@ -46,7 +46,8 @@ class PreviewOptions:
         rate_slope: σ̇_max, largest change of the rate [1/s], where acceleration is limited.
         singular_rate: a rate cap below this, while joint speeds still rise, ends the path there, unless they fall
             again before it is below 0.3 of this.
-        cells_per_step: how many cells one control step may add at most.
+        newton_steps: so many of the chain's Newton steps may be taken in one control step. Where that is too little to
+            see as far as the object needs to stop, it slows down.
     """
 
     cell: float = 0.02
@@ -57,12 +58,12 @@ class PreviewOptions:
     curvature_share: float = 0.5
     rate_slope: float = 10.0
     singular_rate: float = 1e-2
-    cells_per_step: int = 200
+    newton_steps: int = 60
 
     def __post_init__(self) -> None:
         keep_scalars(self, "cell", "joint_step", "slope_step", "shortest", "rate_slope")
         keep_scalars(self, "margin", "curvature_share", "singular_rate", high=1.0)
-        object.__setattr__(self, "cells_per_step", as_count(self.cells_per_step, "PreviewOptions: cells_per_step"))
+        object.__setattr__(self, "newton_steps", as_count(self.newton_steps, "PreviewOptions: newton_steps"))
 
     def slope(self, *, accelerates: bool, dt: float) -> float:
         """Largest change of the rate [1/s] of joints with or without acceleration limits."""
@@ -102,6 +103,8 @@ _ROUNDING = 1e-12
 _STEPS_TO_GROW = 8
 _UNBOUND = _Cell(np.inf, np.zeros(0), np.zeros(0), 0.0, 0.0, 0.0, 0.0, np.zeros(0), None, 0.0, 0.0, True)
 _OPEN = _UNBOUND._replace(cap=np.inf)
+#: Newton steps that a reset may take, and cells that a way past a singularity may have.
+_NEWTON_STEPS_AT_START, _LONGEST_WAY = 1000, 300
 #: Newton steps shorter than this are the last: the next would be of the square of it [rad or m].
 _CONVERGED = 1e-5
 
@@ -195,7 +198,7 @@ class PathPreview:
             return
         self._newton_step(clock, q, after=True)
         self._push(self._cell_at(clock, q, None))
-        self._extend(clock, self._dt)
+        self._extend(clock, self._dt, _NEWTON_STEPS_AT_START)
 
     # -- reading -------------------------------------------------------------------------------------------------
 
@@ -205,7 +208,7 @@ class PathPreview:
             if clock >= self._begin_at:
                 self._work_ahead()
             return 1.0, None
-        self._extend(clock, dt)
+        self._extend(clock, dt, self.options.newton_steps)
         if not self._complete and not self._reaches(clock + _STEPS_TO_GROW * dt, dt):
             self._work_ahead()
         here = self._cells[0]
@@ -227,7 +230,7 @@ class PathPreview:
         if between < square:
             square, bound = between, here if here.cap < ahead.cap else ahead
             fall = max(here.cap - ahead.cap, 0.0) / (ahead.clock - here.clock) if ahead.clock > here.clock else 0.0
-        self.ends = bound.cap == 0.0
+        self.ends = bound.cap == 0.0 and bound is not _UNBOUND
         # S falls while the object goes: σ² = S − fall σ dt while it goes on as it begins, or what there is on arrival.
         half = 0.5 * fall * dt
         root = math.sqrt(half * half + square)
@@ -311,15 +314,13 @@ class PathPreview:
 
     # -- building ------------------------------------------------------------------------------------------------
 
-    def _extend(self, clock: float, dt: float) -> None:
-        """Grow the horizon until the object could brake from full rate within it."""
-        for _ in range(self.options.cells_per_step):
+    def _extend(self, clock: float, dt: float, newton_steps: int) -> None:
+        """Grow the horizon until the object could brake from full rate within it, or until that is all for now."""
+        for _ in range(newton_steps):
             self._leave_behind(clock)
             if self._complete or self._reaches(clock, dt):
                 return
-            for _ in self._growing or self._grow(self._cells[-1]):
-                pass
-            self._growing = None
+            self._work_ahead()
 
     def _reaches(self, clock: float, dt: float) -> bool:
         """Whether the object could brake from full rate at ``clock`` within the horizon."""
@@ -390,7 +391,7 @@ class PathPreview:
         least = (_PASSABLE * self.options.singular_rate) ** 2
         end = self._path.next_breakpoint(cell.clock) - 1e-9
         way = [cell]
-        while len(way) < self.options.cells_per_step:
+        while len(way) < _LONGEST_WAY:
             ahead = yield from self._next(way[-1])
             if ahead is None or not ahead.inside or ahead.squeeze < least or ahead.clock > end:
                 return []

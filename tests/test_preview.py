@@ -319,6 +319,7 @@ def test_paths_that_are_not_known_ahead_have_no_preview() -> None:
         ("margin", 1.5),
         ("curvature_share", 0.0),
         ("singular_rate", 2.0),
+        ("newton_steps", 0),
     ],
 )
 def test_bad_options(name: str, value: Any) -> None:

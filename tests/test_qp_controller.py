@@ -444,6 +444,19 @@ def test_a_path_that_passes_near_a_singularity_is_completed(miss: float, acceler
     assert rates[-1] > 0.9 or np.isfinite(acceleration)
 
 
+def test_a_horizon_that_grows_too_slowly_only_slows_the_object() -> None:
+    """Few Newton steps a control step, where the preview needs many."""
+    task = at_singularity("wrist", 1, miss=0.003, acceleration=5.0)
+    for newton_steps in (1, 3):
+        steps = run(task, preview=PreviewOptions(newton_steps=newton_steps))
+        assert steps[-1].finished
+        assert chain_of(task, steps).max() < 5e-3 * MM
+        assert off_path(task, steps).max() < 5e-3 * MM
+        assert excess(task, steps) == 0.0
+        assert acceleration_used(task, steps) < 1.0 + 1e-6
+        assert all(s.status in (Status.TRACKING, Status.SLOWED) for s in steps)
+
+
 # -- the measured configuration ----------------------------------------------------------------------------------------
 
 
