@@ -132,7 +132,14 @@ class Chain:
             if extremes[np.abs(extremes).argmax()] ** 2 < _LARGE_INVERSE**2:
                 return inverse
             return self._floored(g)
-        return self._floored(g) if g.joints < 6 else self._redundant(g)
+        return self._least_squares(g) if g.joints < 6 else self._redundant(g)
+
+    def _least_squares(self, g: _Group) -> Array:
+        """Inverse on the twists that arms with few joints can do; the rest of a twist is lost."""
+        before = self.singular
+        inverse = self._floored(g)
+        self.singular = before or not np.abs(inverse).max() < _LARGE_INVERSE
+        return inverse
 
     def _redundant(self, g: _Group) -> Array:
         """Weighted right inverse: least Σ (v_j / scale_j)² among the joint velocities that make the twist."""

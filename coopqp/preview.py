@@ -105,6 +105,8 @@ _UNBOUND = _Cell(np.inf, np.zeros(0), np.zeros(0), 0.0, 0.0, 0.0, 0.0, np.zeros(
 _OPEN = _UNBOUND._replace(cap=np.inf)
 #: Newton steps that a reset may take, and cells that a way past a singularity may have.
 _NEWTON_STEPS_AT_START, _LONGEST_WAY = 1000, 300
+#: Arms with few joints can follow a path if no more than this is left where Newton's method ends [m, rad].
+_FOLLOWED = 1e-4
 #: Newton steps shorter than this are the last: the next would be of the square of it [rad or m].
 _CONVERGED = 1e-5
 
@@ -121,6 +123,7 @@ class PathPreview:
 
     Attributes:
         ends: what makes the latest cap stops the object for good.
+        blind: arms with fewer than six joints cannot follow the path; nothing is known ahead.
     """
 
     def __init__(
@@ -144,7 +147,8 @@ class PathPreview:
         ws = self._ws = Workspace(chain, shares, VelocityBox(chain.cell, free), wants_along=True)
         ws.scalars[[ws.DT, ws.GRASP_GAIN, ws.PATH_GAIN, ws.LAST_DT]] = 1.0
         ws.scalars[[ws.SPEED, ws.SPIN]] = np.inf
-        self._kernel = make_kernel(ws, "auto" if kernel == "none" else kernel) or NumpyKernel(ws)
+        kernel = "numpy" if chain.deficient else "auto" if kernel == "none" else kernel
+        self._kernel = make_kernel(ws, kernel) or NumpyKernel(ws)
         self._low, self._high = limits.lower, limits.upper
         finite = np.isfinite(limits.acceleration)
         self.accelerates = bool(finite.any())
@@ -173,7 +177,7 @@ class PathPreview:
         self._line: Array | None = None
         self._cells: deque[_Cell] = deque()
         self._bounds: deque[_Cell] = deque()  # candidates for min (z_b + C_b), increasing
-        self._complete = self.ends = False
+        self._complete = self.ends = self.blind = False
         self._forget()
 
     def _forget(self) -> None:
@@ -185,11 +189,12 @@ class PathPreview:
         """Start at a configuration on (or near) the path, and look ahead as far as the first step needs."""
         self._cells.clear()
         self._bounds.clear()
-        self._complete = self.ends = False
+        self._complete = self.ends = self.blind = False
         self._forget()
         pose = self._path.pose(clock)
         q, errors = newton(self._chain, pose, q, tolerance=1e-10, max_iter=8)
-        if not np.abs(errors).max() < 1e-6:
+        self.blind = self._beyond_few_joints(errors)
+        if not np.abs(errors).max() < 1e-6 and not self.blind:
             arm = int(np.abs(errors).max(axis=1).argmax())
             self._ws.along_velocity[:] = 0.0
             blocked = self._cell_at(clock, q, None)
@@ -204,6 +209,8 @@ class PathPreview:
 
     def cap(self, clock: float, dt: float) -> tuple[float, BindingLimit | None]:
         """Largest admissible rate σ at ``clock`` for a step of ``dt``, and what ahead makes it less than 1."""
+        if self.blind:
+            return 1.0, None
         if clock < self._free_until and dt <= self._dt:
             if clock >= self._begin_at:
                 self._work_ahead()
@@ -318,7 +325,7 @@ class PathPreview:
         """Grow the horizon until the object could brake from full rate within it, or until that is all for now."""
         for _ in range(newton_steps):
             self._leave_behind(clock)
-            if self._complete or self._reaches(clock, dt):
+            if self._complete or self.blind or self._reaches(clock, dt):
                 return
             self._work_ahead()
 
@@ -350,6 +357,8 @@ class PathPreview:
             self._finish(last)
             return
         cell = yield from self._next(last)
+        if self.blind:
+            return
         if cell is None:
             self._block(last, self._singular_arm(last), LimitKind.REACH)
             return
@@ -383,7 +392,7 @@ class PathPreview:
         while True:
             cell = yield from self._try(last, h)
             h *= 0.5
-            if cell is not None or h < options.shortest:
+            if cell is not None or h < options.shortest or self.blind:
                 return cell
 
     def _past(self, cell: _Cell) -> Generator[None, None, list[_Cell]]:
@@ -422,12 +431,20 @@ class PathPreview:
                 break
         if not largest < _CONVERGED:
             return None
+        if self._beyond_few_joints(ws.errors):
+            self.blind = True
+            return None
         cell = self._cell_at(clock, q, last)
         if h > options.shortest and not h * cell.fastest <= 1.5 * options.joint_step:
             return None
         if h > _FINE_CELL and not cell.change <= options.slope_step * cell.fastest:
             return None
         return cell
+
+    def _beyond_few_joints(self, errors: Array) -> bool:
+        """Whether errors (N, 6) are left that arms with few joints cannot make up for."""
+        few = errors[list(self._chain.deficient)]
+        return few.size > 0 and not np.abs(few).max() < _FOLLOWED
 
     def _newton_step(self, clock: float, q: Array, *, after: bool = False) -> bool:
         """Newton's step to the pose at ``clock`` into ``velocity``, q′ into ``along_velocity``; False if singular.

@@ -32,7 +32,7 @@ from coopqp.metrics import (
     relative_positioning_error,
     tool_placements,
 )
-from coopqp.path import HoldPath, LinePath, ObjectPath, TimeLaw
+from coopqp.path import HoldPath, LinePath, ObjectPath, TimeLaw, WaypointPath
 from coopqp.posture import PostureOptions
 from coopqp.preview import PreviewOptions
 from coopqp.program import RankWeights
@@ -528,6 +528,42 @@ def test_arms_with_few_joints_are_named_and_restrict_the_object(scenario: Callab
     assert chain_of(task, steps).max() < 1e-3 * MM
     assert off_path(task, steps).max() < 1e-3 * MM
     assert "motions that left, right cannot follow" in steps[-1].explain()
+
+
+@pytest.mark.parametrize("scenario", [scara_pair, five_joint_pair])
+def test_arms_with_few_joints_brake_together_ahead_of_a_limit(
+    scenario: Callable[..., Scenario], rng: np.random.Generator
+) -> None:
+    task = scenario()
+    x = task.cell.positions(task.q_start)
+    for _ in range(6):
+        margin = rng.uniform(0.1, 0.4, task.cell.nv)
+        way = rng.normal(size=3) * (1.0, float(scenario is scara_pair), 1.0)  # the others have no base to turn
+        way /= np.linalg.norm(way)
+        path = LinePath.displaced(task.path.pose(0.0), translation=way, duration=4.0, time_law="linear")
+        limited = task.cell.with_limits(lower=x - margin, upper=x + margin, acceleration=5.0)
+        blocked = replace(task, cell=limited, path=path, dt=0.002)
+        steps = run(blocked)
+        assert steps[-1].status is Status.BLOCKED
+        assert steps[-1].binding[0].kind is LimitKind.POSITION
+        assert chain_of(blocked, steps).max() < 1e-3 * MM
+        assert off_path(blocked, steps).max() < 1e-3 * MM
+        assert excess(blocked, steps) == 0.0
+        assert acceleration_used(blocked, steps) < 1.0 + 1e-6
+
+
+def test_a_path_that_arms_with_few_joints_cannot_follow_is_not_previewed() -> None:
+    """It begins as they can; where it tilts, the object goes on without the tilt, and is not stopped."""
+    task = scara_pair()
+    start = task.path.pose(0.0)
+    shifted = pin.SE3(start.rotation, start.translation + np.array([0.05, 0.0, 0.02]))
+    tilted = pin.SE3(start.rotation @ pin.exp3(np.array([0.3, 0.0, 0.0])), start.translation)
+    path = WaypointPath([start, shifted, tilted], durations=[1.0, 1.0], time_law="quintic")
+    task = replace(task, path=path, cell=task.cell.with_limits(acceleration=5.0))
+    steps = run(task, dt=0.002)
+    assert steps[-1].finished
+    assert chain_of(task, steps).max() < 1e-3 * MM
+    assert {s.status for s in steps} == {Status.SLOWED, Status.TRACKING}
 
 
 def test_what_arms_with_few_joints_cannot_do_is_left_out() -> None:

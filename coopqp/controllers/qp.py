@@ -111,7 +111,7 @@ class QPController:
         self._begin(pin.neutral(cell.model))
 
     def _make_preview(self, path: ObjectPath) -> PathPreview | None:
-        if self.options.preview is None or self._chain.deficient or not path.known_ahead:
+        if self.options.preview is None or not path.known_ahead:
             return None
         # The chain is shared: nothing that the preview leaves in it is used after.
         return PathPreview(
@@ -325,10 +325,11 @@ class QPController:
             if ahead is not None:
                 binding = (ahead,)
         self._late = False
-        if self._accelerates and (self._preview is None or self._correcting is not None):
+        blind = self._preview is None or self._preview.blind
+        if self._accelerates and (blind or self._correcting is not None):
             self._keep = self._brake_share(h)
             self._late = self._keep < 1.0
-            if self._late and self._preview is None:
+            if self._late and blind:
                 cap = min(cap, self._keep * self._rate)
         if watch.rate_cap < cap:
             cap = watch.rate_cap
@@ -443,7 +444,7 @@ class QPController:
     def _wanted_posture(self) -> None:
         """Joint velocities wanted in the null-space: along the preview, or the posture rule."""
         ws = self._ws
-        if self._preview is not None:
+        if self._preview is not None and not self._preview.blind:
             q_ahead, slope = self._preview.reference(self._clock)
             ws.null_along[:] = slope
             ws.null_offset[:] = self.options.posture.gain * pin.difference(self.cell.model, self._q, q_ahead)
