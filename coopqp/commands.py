@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from coopqp.simulation import ProgressCallback, Recording
 
 _OK = 0
-_RUN_HELP = "a recording (.npz), a cell file (.toml) or the name of a scenario"
+_RUN_HELP = "a recording (.npz), a cell file (.toml, .yaml) or the name of a scenario"
 
 
 # -- coopqp run ----------------------------------------------------------------------------------------------------
@@ -27,11 +27,11 @@ _RUN_HELP = "a recording (.npz), a cell file (.toml) or the name of a scenario"
 def _add_run(commands: Any) -> None:
     parser = commands.add_parser(
         "run",
-        help="run a cell file (TOML)",
+        help="run a cell file (TOML or YAML)",
         description="Run what a cell file describes, print its figures and verdict, and write what it asks for.",
         epilog="`coopqp schema` prints every key of a cell file.",
     )
-    parser.add_argument("cell", type=Path, metavar="CELL.toml", help="the cell file")
+    parser.add_argument("cell", type=Path, metavar="CELL", help="the cell file, TOML or YAML")
     parser.add_argument("--out", type=Path, metavar="DIR", help="folder of what is written (out/NAME)")
     for product, text in (
         ("report", "the report (HTML)"),

@@ -27,7 +27,7 @@ PATIENCE = 1.0
 
 
 def obtain_run(name: str, *, progress: ProgressCallback | None = None) -> Recording:
-    """The recording in a ``.npz``, or a run of a cell file (``.toml``) or of a scenario under the QP controller.
+    """The recording in a ``.npz``, or a run of a cell file (``.toml``, ``.yaml``) or, under the QP, of a scenario.
 
     Args:
         name: a file, or one of :data:`coopqp.scenarios.SCENARIOS`.
@@ -40,14 +40,14 @@ def obtain_run(name: str, *, progress: ProgressCallback | None = None) -> Record
     from coopqp.scenarios import SCENARIOS
 
     file = Path(name)
-    if file.suffix == ".toml":
+    if file.suffix in (".toml", ".yaml", ".yml"):
         from coopqp.cellfile import load_cell_file
 
         return load_cell_file(file).run(progress=progress)
     if file.suffix == ".npz" or file.exists():
         return Recording.load(file)
     if name not in SCENARIOS:
-        raise UnknownNameError("recording (.npz), cell file (.toml) or scenario", name, SCENARIOS)
+        raise UnknownNameError("recording (.npz), cell file (.toml, .yaml) or scenario", name, SCENARIOS)
     scenario = SCENARIOS[name]()
     controller = QPController(scenario.cell, scenario.grasp, scenario.path, dt=scenario.dt)
     box = describe_object(scenario.object_size, scenario.T_object_body)

@@ -14,12 +14,14 @@ import pinocchio as pin
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from ruamel.yaml import YAML
 
 from coopqp.assessment import judge, read_run
 from coopqp.cell import RobotCell
 from coopqp.cellfile import CELLS, example_path, json_schema, load_cell_file, schema_text
-from coopqp.cellfile.build import CellFileError, CellRun
+from coopqp.cellfile.build import CellRun
 from coopqp.cellfile.strict import attribute_docs
+from coopqp.cellfile.text import CellFileError, read_tables
 from coopqp.controllers.independent import IndependentQPOptions
 from coopqp.controllers.options import QPOptions
 from coopqp.controllers.pseudo_inverse import PseudoInverseOptions
@@ -410,6 +412,45 @@ def test_whatever_is_broken_in_a_file_ends_in_its_error(data: st.DataObject, tmp
         load_cell_file(file)
 
 
+YAML_REFUSED = {
+    "name: 1\nname: 2": "line 2 is not YAML: .*duplicate key",
+    "a: &x [1]\nb: *x": r"line 2 has the alias \*x",
+    "a: !!python/object/apply:os.getcwd []": "could not determine a constructor",
+    "a: !own 1": "could not determine a constructor",
+    "[" * 3000: "nested more than 50 deep",
+    "a: [": "line 1 is not YAML",
+    "a: 1\n---\nb: 2": "another document",
+    "x: " + "9" * 6000: "not YAML: Exceeds the limit",
+    "? [1]\n: 2": "unknown key",
+    "": "",
+    "- 1": "",
+}
+
+
+@pytest.mark.parametrize("text", YAML_REFUSED)
+def test_what_is_no_yaml_cell_file_is_refused(text: str, tmp_path: Path) -> None:
+    file = tmp_path / "cell.yaml"
+    file.write_text(text)
+    with pytest.raises(CellFileError, match=YAML_REFUSED[text]) as caught:
+        load_cell_file(file)
+    assert "\n" not in str(caught.value)
+    assert str(caught.value).startswith(str(file))
+
+
+def test_a_yaml_file_says_what_the_toml_file_says(tmp_path: Path) -> None:
+    file = tmp_path / "cell.yml"
+    for example in (example_path("paper_lift"), *EXAMPLES):
+        tables = read_tables(example)
+        (tmp_path / example.name).write_text(example.read_text())
+        with file.open("w") as stream:
+            YAML(typ="safe", pure=True).dump(tables, stream)
+        assert read_tables(file) == tables
+        run, same = load_cell_file(tmp_path / example.name), load_cell_file(file)
+        assert run.settings == same.settings
+    file.write_text("dt_s: 1e-3")
+    assert read_tables(file) == {"dt_s": 1e-3}  # as in YAML 1.2; a text for readers of 1.1
+
+
 def test_missing_and_huge_files_are_refused(tmp_path: Path) -> None:
     with pytest.raises(CellFileError, match="No such file"):
         load_cell_file(tmp_path / "none.toml")
@@ -419,6 +460,9 @@ def test_missing_and_huge_files_are_refused(tmp_path: Path) -> None:
     huge.write_bytes(b"#" * 1_000_001)
     with pytest.raises(CellFileError, match="larger than 1000000 bytes"):
         load_cell_file(huge)
+    huge.rename(tmp_path / "huge.yaml")
+    with pytest.raises(CellFileError, match="larger than 100000 bytes"):
+        load_cell_file(tmp_path / "huge.yaml")
 
 
 def test_an_unknown_example_is_named() -> None:

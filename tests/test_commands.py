@@ -233,11 +233,11 @@ def test_the_how_tos_run_as_they_stand(
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["run"], "CELL.toml"),
+        (["run"], "CELL"),
         (["run", "none.toml"], "cannot read none.toml: No such file"),
         (["run", "{cell}", "--out", "{cell}"], "is a file, not a folder"),
         (["view", "papre_lift"], "Did you mean 'paper_lift'?"),
-        (["view", "{cell}x"], "no recording (.npz), cell file (.toml) or scenario"),
+        (["view", "{cell}x"], "no recording (.npz), cell file (.toml, .yaml) or scenario"),
         (["view", "none.npz"], "is not a coopqp recording"),
         (["view", "{recording}", "--html", "."], "it is a folder"),
         (["view", "{recording}", "--port", "99999", "--no-open"], "port is 99999"),

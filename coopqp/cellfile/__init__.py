@@ -1,4 +1,4 @@
-"""A cell and its task in a TOML file, instead of in code: :func:`load_cell_file`, then :meth:`CellRun.run`.
+"""A cell and its task in a TOML or YAML file, instead of in code: :func:`load_cell_file`, then :meth:`CellRun.run`.
 
 Reading executes nothing: every name in a file is looked up in a fixed table. Needs the extra ``files``.
 """
@@ -37,11 +37,11 @@ def load_cell_file(path: str | Path) -> CellRun:
     """Read a cell file and build its cell, task and controller settings.
 
     Raises:
-        CellFileError: the file is missing, too large, not TOML, or breaks the schema; or what it asks for cannot be
-            built: a missing model, a pose out of reach, … It says what and where.
+        CellFileError: the file is missing, too large, neither TOML nor YAML, or breaks the schema; or what it asks for
+            cannot be built: a missing model, a pose out of reach, … It says what and where.
         MissingExtraError: the extra ``files`` is not installed.
     """
-    _require_pydantic()
+    _require_readers()
     from coopqp.cellfile.build import load
 
     return load(Path(path))
@@ -49,7 +49,7 @@ def load_cell_file(path: str | Path) -> CellRun:
 
 def schema_text() -> str:
     """Every key of a cell file with its type, unit, default and meaning, to be read."""
-    _require_pydantic()
+    _require_readers()
     from coopqp.cellfile.describe import describe_schema
 
     return describe_schema()
@@ -57,12 +57,13 @@ def schema_text() -> str:
 
 def json_schema() -> dict[str, Any]:
     """The JSON Schema of a cell file, for editors."""
-    _require_pydantic()
+    _require_readers()
     from coopqp.cellfile.schema import CellFile
 
     return CellFile.model_json_schema()
 
 
-def _require_pydantic() -> None:
-    if find_spec("pydantic") is None:
-        raise MissingExtraError("files", "pydantic")
+def _require_readers() -> None:
+    for module, package in (("pydantic", "pydantic"), ("ruamel", "ruamel.yaml")):
+        if find_spec(module) is None:
+            raise MissingExtraError("files", package)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import importlib
-import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,6 +17,7 @@ from coopqp.cell import Arm, RobotCell
 from coopqp.cellfile.explain import explain
 from coopqp.cellfile.schema import MAX_STEPS, ArmTable, CellFile, CommonErrorTable, PlacementTable, StartTable
 from coopqp.cellfile.strict import build_options
+from coopqp.cellfile.text import CellFileError, read_tables
 from coopqp.controllers.base import Controller
 from coopqp.controllers.common_error import CommonError
 from coopqp.controllers.independent import IndependentQPController, IndependentQPOptions
@@ -37,8 +37,6 @@ from coopqp.scene import describe_object
 from coopqp.simulation import ProgressCallback, Recording, simulate
 from coopqp.spatial import Array, as_placement
 
-#: Largest cell file that is read [bytes].
-MAX_FILE_BYTES = 1_000_000
 DEFAULT_DT = 0.002
 
 _CONTROLLERS: dict[str, tuple[Any, Any]] = {
@@ -47,10 +45,6 @@ _CONTROLLERS: dict[str, tuple[Any, Any]] = {
     "independent": (IndependentQPController, IndependentQPOptions),
 }
 _SOLVER_SETTINGS = {"proxqp": "ProxqpSettings", "osqp": "OsqpSettings", "daqp": "DaqpSettings"}
-
-
-class CellFileError(CoopqpError):
-    """A cell file that is missing, is not TOML, or breaks the schema."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,20 +109,9 @@ def read(file: Path) -> CellFile:
     """Read and check a cell file; nothing is built yet.
 
     Raises:
-        CellFileError: missing, too large, not TOML, or against the schema.
+        CellFileError: as :func:`read_tables`, or against the schema.
     """
-    if sys.version_info >= (3, 11):
-        import tomllib
-    else:
-        import tomli as tomllib
-    try:
-        if file.stat().st_size > MAX_FILE_BYTES:
-            raise CellFileError(f"{file} is larger than {MAX_FILE_BYTES} bytes and was not read.")
-        data = tomllib.loads(file.read_bytes().decode())
-    except OSError as error:
-        raise CellFileError(f"cannot read {file}: {error.strerror}. Check the path.") from error
-    except (ValueError, RecursionError) as error:  # TOMLDecodeError, UnicodeDecodeError, integers of too many digits
-        raise CellFileError(f"{file} is not TOML: {error}.") from error
+    data = read_tables(file)
     try:
         return CellFile.model_validate(data)
     except ValidationError as error:

@@ -12,6 +12,7 @@ import subprocess
 import sys
 import zipfile
 from collections.abc import Callable
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -149,6 +150,13 @@ CELL_FILES = {
     "not_utf8.toml": "x = '\udcff'",
     "model_elsewhere.toml": '[[arms]]\nname = "a"\nurdf = "/etc/passwd"\ntool_frame = "tool"\n',
     "numbers.toml": "x = " + "9" * 6000,
+    "object.yaml": "a: !!python/object/apply:os.system ['touch trap']",
+    "aliases.yaml": "a: &a [x]\n"
+    + "\n".join(f"{b}: &{b} [{', '.join([f'*{a}'] * 9)}]" for a, b in pairwise("abcdefghij")),
+    "deep.yaml": "[" * 5000,
+    "deep_keys.yaml": "".join(" " * i + "a:\n" for i in range(400)),
+    "numbers.yaml": "x: " + "9" * 6000,
+    "many.yaml": "\n".join(f"k{i}: {i}" for i in range(9_000)),
 }
 
 

@@ -20,7 +20,7 @@ def read(file: Path) -> Any:
         return Arm.from_urdf("arm", file, tool_frame="tool")
     if file.suffix == ".xml":
         return Arm.from_mjcf("arm", file, tool_frame="tool")
-    if file.suffix == ".toml":
+    if file.suffix in (".toml", ".yaml"):
         return load_cell_file(file)
     return Recording.load(file)
 
