@@ -22,8 +22,8 @@ def describe_schema() -> str:
     """Every key with its type, unit, default and meaning."""
     lines = [
         "A coopqp cell file: TOML, or YAML with the same keys. Those with * must be given. Units are in the names:",
-        "_m metres, _deg degrees, _rad radians, _s seconds, _kg kilograms. A joint that slides is given in metres (m/s,",
-        "m/s²) under either angle unit. Paths are relative to the file.",
+        "_m metres, _deg degrees, _rad radians, _s seconds, _kg kilograms. A joint that slides is given in metres",
+        "(m/s, m/s²) under either angle unit. Paths are relative to the file.",
     ]
     lines += _table("", CellFile)
     return "\n".join(lines) + "\n"
