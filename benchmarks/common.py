@@ -186,8 +186,25 @@ def markdown_table(records: Sequence[Record], columns: Sequence[str]) -> str:
     return "\n".join("| " + " | ".join(row) + " |" for row in [list(columns), ["---"] * len(columns), *rows])
 
 
-def log_log_plot(name: str, curves: Mapping[str, Sequence[tuple[float, float]]], *, x: str, y: str) -> dict[str, bytes]:
-    """``{name: PNG}`` of the curves on logarithmic axes, soft tasks dashed; nothing without Matplotlib."""
+def log_log_plot(
+    name: str,
+    curves: Mapping[str, Sequence[tuple[float, float]]],
+    *,
+    x: str,
+    y: str,
+    ticks: Sequence[float] | None = None,
+    dashed: Mapping[str, str] | None = None,
+) -> dict[str, bytes]:
+    """``{name: PNG}`` of the curves on logarithmic axes; nothing without Matplotlib.
+
+    Args:
+        name: of the file.
+        curves: label → points.
+        x, y: titles of the axes.
+        ticks: on the x axis; None for every point.
+        dashed: label of a curve → that of the one whose colour it takes, dashed and without a line in the legend;
+            curves of soft tasks are dashed anyway.
+    """
     try:
         from matplotlib.backends.backend_agg import FigureCanvasAgg
         from matplotlib.figure import Figure
@@ -196,9 +213,17 @@ def log_log_plot(name: str, curves: Mapping[str, Sequence[tuple[float, float]]],
     figure = Figure(figsize=(9.0, 6.0), layout="constrained")
     FigureCanvasAgg(figure)
     axes = figure.subplots()
+    colours: dict[str, Any] = {}
     for label, points in curves.items():
-        axes.loglog(*zip(*points, strict=True), "o--" if "soft" in label else "o-", label=label)
-    ticks = sorted({point[0] for points in curves.values() for point in points})
+        partner = (dashed or {}).get(label)
+        (line,) = axes.loglog(*zip(*points, strict=True), "o--" if partner or "soft" in label else "o-", ms=4)
+        if partner:
+            line.set_color(colours[partner])
+        else:
+            line.set_label(label)
+        colours[label] = line.get_color()
+    if ticks is None:
+        ticks = sorted({point[0] for points in curves.values() for point in points})
     axes.set_xticks(ticks, [f"{tick:g}" for tick in ticks], minor=False)
     axes.minorticks_off()
     axes.set(xlabel=x, ylabel=y)

@@ -301,15 +301,24 @@ def report(records: Sequence[Record]) -> str:
 
 
 def plot(samples: dict[str, Array]) -> dict[str, bytes]:
-    """How large a share of the steps took longer than a time."""
-    curves = {}
+    """How large a share of the compiled steps took longer than a time, and of null spins of that length, dashed."""
+    curves, spins, kernel = {}, {}, available_kernels()[0]
     for name, times in samples.items():
-        shares = np.geomspace(0.5, 1.0 / times.size, 20)
-        curves[name.replace("null spin", "soft null spin")] = [
-            (float(share), float(np.quantile(times, 1.0 - share))) for share in shares
-        ]
-    compiled = {k: v for k, v in curves.items() if k.endswith(available_kernels()[0])}
-    return common.log_log_plot("latency.png", compiled, x="share of the steps that take longer", y="CPU time [µs]")
+        case, _, of = name.partition(", ")
+        if of == kernel:
+            shares = np.geomspace(0.5, 1.0 / times.size, 20)
+            curves[case] = [(float(share), float(np.quantile(times, 1.0 - share))) for share in shares]
+            if case.startswith("null spin: "):
+                spins[case] = case.removeprefix("null spin: ")
+    ordered = dict(sorted(curves.items(), key=lambda curve: curve[0] in spins))
+    return common.log_log_plot(
+        "latency.png",
+        ordered,
+        x=f"share of the steps that take longer ({kernel}; dashed: a loop that does nothing, of the same length)",
+        y="CPU time [µs]",
+        ticks=[10.0**-k for k in range(1, 6) if any(x <= 10.0**-k for points in curves.values() for x, _ in points)],
+        dashed=spins,
+    )
 
 
 def measure(plan: Plan, cases: Sequence[str] = CASES) -> tuple[list[Record], dict[str, Array]]:
