@@ -32,8 +32,8 @@ def test_the_page_plays_offline(page: Any, baseline: Callable[..., Recording], t
     file = export_html(baseline(40), tmp_path / "run.html")
     page.open(file.as_uri())
     page.wait_until(lambda: page.evaluate(f"!!document.querySelector('{TRACK}')"))
-    page.pause()
     page.wait_until(lambda: coloured(page.screenshot()) > 0.02)
+    page.pause()  # only now: what is paused before its first message stays empty
     track = page.box(TRACK)
 
     def at(share: float) -> Any:
