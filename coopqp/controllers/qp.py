@@ -532,8 +532,9 @@ class QPController:
 
     def _slow_status(self, rate: float, binding: tuple[BindingLimit, ...]) -> Status:
         rising = rate > self._rate + _RATE_ROUNDING
-        ends = self._preview is not None and self._preview.ends and not rising
-        if rate >= self.options.blocked_rate * (_ARRIVING if ends else 1.0):
+        ends = any(b.kind is LimitKind.POSITION for b in binding) or (self._preview is not None and self._preview.ends)
+        arriving = ends and not rising and not self._outside()
+        if rate >= self.options.blocked_rate * (_ARRIVING if arriving else 1.0):
             return Status.SLOWED
         # From rest the accelerations alone keep the rate small; it grows then, or a joint is on its way back in.
         accelerating = any(b.kind is LimitKind.ACCELERATION for b in binding)

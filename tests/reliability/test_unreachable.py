@@ -11,6 +11,7 @@ import pinocchio as pin
 import pytest
 
 from coopqp.controllers.base import Status
+from coopqp.controllers.options import QPOptions
 from coopqp.controllers.qp import QPController
 from coopqp.monitor import Monitor, MonitorTolerances
 from coopqp.path import ServoPath
@@ -46,7 +47,7 @@ class Chase:
             step = self.step()
             standing = standing + 1 if step.rate < STANDS and step.status is not Status.BLOCKED else 0
             longest = max(longest, standing)
-            blocked += step.status is Status.BLOCKED
+            blocked += step.status is Status.BLOCKED and step.rate < QPOptions().blocked_rate  # it has come to rest
             if blocked >= DWELL:
                 return longest
         return LONGEST
