@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import gc
 import importlib.metadata
 import io
 import json
@@ -79,7 +80,11 @@ class Progress:
 
 
 def interleaved(
-    contestants: Mapping[str, Callable[[], Iterable[float]]], *, rounds: int, progress: Progress | None = None
+    contestants: Mapping[str, Callable[[], Iterable[float]]],
+    *,
+    rounds: int,
+    progress: Progress | None = None,
+    frozen: bool = False,
 ) -> dict[str, Array]:
     """Samples of every contestant, one round of each in turn, so that a slow phase of the machine meets them all.
 
@@ -87,17 +92,25 @@ def interleaved(
         contestants: name → a function that runs one round and returns its samples.
         rounds: how many rounds; the order is reversed in every other one.
         progress: advanced once per contestant and round.
+        frozen: what is alive is kept out of the garbage collector's passes, as a real-time loop would; it stays on.
     """
     samples: dict[str, list[float]] = {name: [] for name in contestants}
-    for number in range(rounds):
-        names = list(contestants)
-        for name in reversed(names) if number % 2 else names:
-            if progress is not None:
-                progress.label = name
-                progress.show()
-            samples[name].extend(contestants[name]())
-            if progress is not None:
-                progress.advance()
+    if frozen:
+        gc.collect()
+        gc.freeze()
+    try:
+        for number in range(rounds):
+            names = list(contestants)
+            for name in reversed(names) if number % 2 else names:
+                if progress is not None:
+                    progress.label = name
+                    progress.show()
+                samples[name].extend(contestants[name]())
+                if progress is not None:
+                    progress.advance()
+    finally:
+        if frozen:
+            gc.unfreeze()
     return {name: np.array(values) for name, values in samples.items()}
 
 

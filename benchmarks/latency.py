@@ -9,7 +9,8 @@ first one after a reset, which is ``first_us`` below:
 ``watched``   the same, and the force at the grasps is read from the servos;
 ``slowed``    a zigzag at 0.6 m/s with joints limited to 1 rad/s: slowed at most steps;
 ``corner``    the same with joints limited to 10 rad/s² too: the preview brakes ahead of every corner;
-``qp``        a QP at every step of the zigzag.
+``qp``        a QP at every step of the zigzag;
+``pole``      three arms past a wrist's singularity, missed by 2 mrad, 5 rad/s²: the preview needs many small cells.
 
 ``ratio`` is p99.9 / p50. Records of the second kind (``case`` "lap: …") are of one lap from reset to the path's end,
 each step the median of the same step in several laps: what they take by themselves, without the machine's part.
@@ -23,7 +24,7 @@ from __future__ import annotations
 
 import gc
 import time
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import partial
@@ -32,17 +33,17 @@ from typing import Any
 import common  # first: it limits BLAS to one thread
 import numpy as np
 from common import Record
-from step_profile import tail
+from step_profile import Spin, tail
 
 from coopqp.controllers.options import QPOptions
 from coopqp.controllers.qp import QPController
 from coopqp.controllers.supervision import SupervisionOptions
 from coopqp.kernel import available_kernels
-from coopqp.scenarios import Scenario
+from coopqp.scenarios import Scenario, at_singularity
 from coopqp.spatial import Array
 
 ARMS = 3
-CASES = ("nominal", "measured", "watched", "slowed", "corner", "qp")
+CASES = ("nominal", "measured", "watched", "slowed", "corner", "qp", "pole")
 KEYS = (
     "case", "kernel", "arms", "p50_us", "p99_us", "p999_us", "max_us", "ratio", "steps", "first_us",
     "gc_pause_ms", "collections", "full", "unreachable",
@@ -76,6 +77,8 @@ def scenario_of(case: str) -> Scenario:
     """What is moved."""
     if case in ("nominal", "measured", "watched"):
         return common.ring(arms=ARMS)
+    if case == "pole":
+        return at_singularity("wrist", 0, acceleration=5.0, miss=2e-3)
     zigzag = common.ring(arms=ARMS, path="zigzag")
     if case == "corner":
         return replace(zigzag, cell=zigzag.cell.with_limits(acceleration=ACCELERATION))
@@ -132,23 +135,10 @@ class Loop:
         self._q = self._task.q_start
 
 
-class Spin:
-    """A loop that does nothing for about as long as a step: the tail is the machine's."""
-
-    def __init__(self, length_us: float) -> None:
-        self._turns = 2000
-        self._turns = max(1, round(self._turns * length_us / float(np.median(self.block(50)))))
-
-    def block(self, size: int) -> list[float]:
-        """CPU time of ``size`` spins [µs]."""
-        turns, samples = range(self._turns), []
-        for number in range(-WARM_UP, size):
-            began = cpu()
-            for _ in turns:
-                pass
-            if number >= 0:
-                samples.append(1e-3 * (cpu() - began))
-        return samples
+def null_spin(length_us: float) -> Callable[[int], list[float]]:
+    """Blocks of a loop that does nothing for about as long as a step; CPU time [µs]."""
+    spin = Spin(length_us)
+    return lambda size: [1e-3 * spent for _, spent in spin.block(WARM_UP + size)[WARM_UP:]]
 
 
 def tails(plan: Plan, cases: Sequence[str], progress: common.Progress) -> tuple[list[Record], dict[str, Array]]:
@@ -159,9 +149,7 @@ def tails(plan: Plan, cases: Sequence[str], progress: common.Progress) -> tuple[
             loop = Loop(case, kernel)
             length = float(np.median(loop.block(min(plan.block, 400))))
             rounds[case, kernel] = loop.block
-            rounds[f"null spin: {case}", kernel] = Spin(length).block
-    gc.collect()
-    gc.freeze()  # as a real-time loop would; the collector stays on
+            rounds[f"null spin: {case}", kernel] = null_spin(length)
 
     def one_round(block: Any) -> Iterable[float]:
         samples: list[float] = block(plan.block)
@@ -169,10 +157,8 @@ def tails(plan: Plan, cases: Sequence[str], progress: common.Progress) -> tuple[
 
     names = {f"{case}, {kernel}": (case, kernel) for case, kernel in rounds}
     turns = {name: partial(one_round, rounds[key]) for name, key in names.items()}
-    try:
-        samples = common.interleaved(turns, rounds=max(1, plan.steps // plan.block), progress=progress)
-    finally:
-        gc.unfreeze()
+    number = max(1, plan.steps // plan.block)
+    samples = common.interleaved(turns, rounds=number, progress=progress, frozen=True)
     records = []
     for name, (case, kernel) in names.items():
         row = {"case": case, "kernel": kernel, "arms": ARMS, **tail(samples[name]), "steps": samples[name].size}

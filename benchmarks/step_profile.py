@@ -5,7 +5,6 @@ Three arms round a ring, each kernel in turn with a null spin of the same length
 
 from __future__ import annotations
 
-import gc
 import time
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
@@ -270,18 +269,14 @@ def tails(scenario: Scenario, plan: Plan, progress: common.Progress) -> list[Rec
         contestants["null spin", kernel] = Spin(median_us(stepping.block(400))).block
         contestants["limit: kinematics + nominal test", kernel] = Limit(scenario, kernel).block
     contestants["limit: Jacobians + least QP", ""] = LeastQp(scenario).block
-    gc.collect()
-    gc.freeze()  # as a real-time loop would; the collector stays on
 
     def one_block(block: Callable[[int], list[Sample]]) -> Iterable[float]:
         return (x for sample in block(plan.block) for x in sample)
 
     names = {f"{what}, {kernel}": (what, kernel) for what, kernel in contestants}
     rounds = {name: partial(one_block, contestants[key]) for name, key in names.items()}
-    try:
-        samples = common.interleaved(rounds, rounds=max(1, plan.steps // plan.block), progress=progress)
-    finally:
-        gc.unfreeze()
+    number = max(1, plan.steps // plan.block)
+    samples = common.interleaved(rounds, rounds=number, progress=progress, frozen=True)
     records = []
     for name, (what, kernel) in names.items():
         for clock, times in zip(("wall", "cpu"), 1e-3 * samples[name].reshape(-1, 2).T, strict=True):

@@ -136,9 +136,8 @@ class Chain:
 
     def _least_squares(self, g: _Group) -> Array:
         """Inverse on the twists that arms with few joints can do; the rest of a twist is lost."""
-        before = self.singular
-        inverse = self._floored(g)
-        self.singular = before or not np.abs(inverse).max() < _LARGE_INVERSE
+        inverse = self._svd_inverse(g)
+        self.singular = self.singular or not np.abs(inverse).max() < _LARGE_INVERSE
         return inverse
 
     def _redundant(self, g: _Group) -> Array:
@@ -154,8 +153,12 @@ class Chain:
         return self._floored(g)
 
     def _floored(self, g: _Group) -> Array:
-        """Inverse from the singular value decomposition, small singular values floored."""
+        """Inverse of arms that are near a singularity."""
         self.singular = True
+        return self._svd_inverse(g)
+
+    def _svd_inverse(self, g: _Group) -> Array:
+        """Inverse from the singular value decomposition, small singular values floored."""
         JT = self.jacobian_rows(g) * g.scale
         U, s, Vt = np.linalg.svd(JT, full_matrices=False)  # JT (m, joints, 6) = U s Vᵀ
         inverse: Array = np.einsum("mrk,mr,mjr->mkj", Vt, 1.0 / np.maximum(s, SINGULAR_FLOOR), U * g.scale)
