@@ -37,12 +37,11 @@ def obtain_run(name: str, *, progress: ProgressCallback | None = None) -> Record
         UnknownNameError: neither a file nor a scenario.
         RecordingError, CellFileError, CoopqpError: what is wrong with it.
     """
+    from coopqp.cellfile import TOML_SUFFIX, YAML_SUFFIXES, load_cell_file
     from coopqp.scenarios import SCENARIOS
 
     file = Path(name)
-    if file.suffix in (".toml", ".yaml", ".yml"):
-        from coopqp.cellfile import load_cell_file
-
+    if file.suffix in (TOML_SUFFIX, *YAML_SUFFIXES):
         return load_cell_file(file).run(progress=progress)
     if file.suffix == ".npz" or file.exists():
         return Recording.load(file)

@@ -16,6 +16,8 @@ if TYPE_CHECKING:
 
 __all__ = ["CELLS", "example_path", "json_schema", "load_cell_file", "schema_text"]
 
+#: Endings of cell files in TOML, and in YAML.
+TOML_SUFFIX, YAML_SUFFIXES = ".toml", (".yaml", ".yml")
 #: Cell files that come with coopqp, by the stem of their name.
 CELLS = ("paper_lift",)
 

@@ -11,6 +11,7 @@ from ruamel.yaml import YAML
 from ruamel.yaml.error import MarkedYAMLError, YAMLError
 from ruamel.yaml.events import AliasEvent, CollectionEndEvent, CollectionStartEvent
 
+from coopqp.cellfile import YAML_SUFFIXES
 from coopqp.errors import CoopqpError
 
 if sys.version_info >= (3, 11):
@@ -34,7 +35,7 @@ def read_tables(file: Path) -> Any:
     Raises:
         CellFileError: missing, too large, neither TOML nor YAML, or YAML with aliases.
     """
-    is_yaml = file.suffix in (".yaml", ".yml")
+    is_yaml = file.suffix in YAML_SUFFIXES
     limit = MAX_YAML_BYTES if is_yaml else MAX_FILE_BYTES
     try:
         if file.stat().st_size > limit:
