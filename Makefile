@@ -7,7 +7,7 @@ BENCH_OUT ?= out/bench
 
 .PHONY: demo test test-nightly lint docs bench browser clean
 
-$(VENV)/.installed: pyproject.toml CMakeLists.txt $(wildcard coopqp/kernel/*.[ch])
+$(VENV)/.installed: pyproject.toml CMakeLists.txt $(wildcard coopqp/control/core/*.[ch])
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 10) and "coopqp needs Python >= 3.10: make PYTHON=python3.x ...")'
 	$(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[dev]'

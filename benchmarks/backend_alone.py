@@ -14,9 +14,9 @@ import numpy as np
 from common import Record
 from recorded_qps import Recorded
 
-from coopqp.solvers import QpProblem
-from coopqp.solvers.base import Workspace
-from coopqp.solvers.osqp import OsqpSolver
+from coopqp.control.solvers import QpProblem
+from coopqp.control.solvers.base import Workspace
+from coopqp.control.solvers.osqp import OsqpSolver
 
 _PROXQP = {"eps_abs": 1e-9, "eps_rel": 0.0, "check_duality_gap": True, "eps_duality_gap_abs": 1e-9}
 _OSQP = {"eps_abs": 1e-7, "eps_rel": 1e-7, "max_iter": 4000}

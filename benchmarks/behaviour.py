@@ -37,14 +37,14 @@ import pinocchio as pin
 from behaviour_cases import CASES, DWELL, OUTSIDE, Key, Run, build, keys_of, way_back
 from common import Record
 
-from coopqp import metrics
-from coopqp.controllers.base import Controller, ControlStep, Status
-from coopqp.controllers.independent import IndependentQPController, IndependentQPOptions
-from coopqp.controllers.options import QPOptions
-from coopqp.controllers.pseudo_inverse import PseudoInverseController
-from coopqp.controllers.qp import QPController
-from coopqp.limits import VelocityBox
-from coopqp.solvers import available_solvers
+from coopqp.control.command import Controller, ControlStep, Status
+from coopqp.control.independent import IndependentQPController, IndependentQPOptions
+from coopqp.control.limits import VelocityBox
+from coopqp.control.options import QPOptions
+from coopqp.control.pseudo_inverse import PseudoInverseController
+from coopqp.control.qp import QPController
+from coopqp.control.solvers import available_solvers
+from coopqp.simulation import metrics
 from coopqp.spatial import Array
 
 #: QP solvers that keep their memory; those of them that are installed are run.

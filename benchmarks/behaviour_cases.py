@@ -9,10 +9,9 @@ from typing import Any, Literal, TypeAlias
 import numpy as np
 import pinocchio as pin
 
-from coopqp.cell import RobotCell
 from coopqp.errors import MissingExtraError
-from coopqp.grasp import Grasp
-from coopqp.path import LinePath, ObjectPath, TimeLaw
+from coopqp.model.cell import RobotCell
+from coopqp.model.grasp import Grasp
 from coopqp.scenarios import (
     SCENARIOS,
     Scenario,
@@ -26,6 +25,7 @@ from coopqp.scenarios import (
     ring,
 )
 from coopqp.spatial import Array
+from coopqp.task.path import LinePath, ObjectPath, TimeLaw
 
 #: What tells the runs of one case apart: plain values, from which the run is built.
 Key: TypeAlias = tuple[Any, ...]

@@ -21,8 +21,8 @@ from common import Record
 from contestants import CACHE, PACES, PINS, Contestant, NotAvailable, hand_over, pinned, ratio
 
 from coopqp import available_kernels
-from coopqp.cell import RobotCell
-from coopqp.metrics import tool_placements
+from coopqp.model.cell import RobotCell
+from coopqp.simulation.metrics import tool_placements
 from coopqp.spatial import Array
 
 #: Modes that --quick runs; all others need the full run.

@@ -20,10 +20,10 @@ from backend_alone import backend_alone
 from common import Record
 from recorded_qps import FORMS, Recorded, RecordedQp, export, record
 
-from coopqp.solvers import QpSolver, available_solvers, make_solver
-from coopqp.solvers.generic import GenericSettings
-from coopqp.solvers.osqp import OsqpSettings
-from coopqp.solvers.proxqp import ProxqpSettings
+from coopqp.control.solvers import QpSolver, available_solvers, make_solver
+from coopqp.control.solvers.generic import GenericSettings
+from coopqp.control.solvers.osqp import OsqpSettings
+from coopqp.control.solvers.proxqp import ProxqpSettings
 from coopqp.spatial import Array
 
 KEYS = (

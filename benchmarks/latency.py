@@ -35,10 +35,10 @@ import numpy as np
 from common import Record
 from step_profile import Spin, tail
 
-from coopqp.controllers.options import QPOptions
-from coopqp.controllers.qp import QPController
-from coopqp.controllers.supervision import SupervisionOptions
-from coopqp.kernel import available_kernels
+from coopqp.control.core import available_kernels
+from coopqp.control.options import QPOptions
+from coopqp.control.qp import QPController
+from coopqp.control.supervision import SupervisionOptions
 from coopqp.scenarios import Scenario, at_singularity
 from coopqp.spatial import Array
 

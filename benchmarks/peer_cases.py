@@ -8,9 +8,9 @@ import common  # first: it limits BLAS to one thread
 import numpy as np
 import pinocchio as pin
 
-from coopqp.chain import Chain
-from coopqp.grasp import Grasp
-from coopqp.inverse_kinematics import inverse_kinematics
+from coopqp.model.chain import Chain
+from coopqp.model.grasp import Grasp
+from coopqp.model.inverse_kinematics import inverse_kinematics
 from coopqp.scenarios import Scenario, fast_lift, paper_lift
 
 #: Cases of behaviour (the paper's three arms, 1 rad/s) and of cost (arms round a ring).

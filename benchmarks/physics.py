@@ -23,22 +23,22 @@ import common  # first: it limits BLAS to one thread
 import numpy as np
 import pinocchio as pin
 
-from coopqp import metrics
-from coopqp.controllers.base import Controller, ControlStep, Status
-from coopqp.controllers.options import QPOptions
-from coopqp.controllers.pseudo_inverse import PseudoInverseController, PseudoInverseOptions
-from coopqp.controllers.qp import QPController
-from coopqp.controllers.supervision import SupervisionOptions
-from coopqp.grasp import Grasp
-from coopqp.path import TimeLaw
-from coopqp.plants.disturbances import Disturbances, misplaced
-from coopqp.plants.physics import PhysicsOptions, PhysicsPlant
-from coopqp.plants.physics_options import Interpolation
-from coopqp.plants.replay import Motion, Replay, exact_motion, recorded_motion
+from coopqp.control.command import Controller, ControlStep, Status
+from coopqp.control.options import QPOptions
+from coopqp.control.pseudo_inverse import PseudoInverseController, PseudoInverseOptions
+from coopqp.control.qp import QPController
+from coopqp.control.supervision import SupervisionOptions
+from coopqp.forces.stress import StressModel, at_tools
+from coopqp.model.grasp import Grasp
 from coopqp.scenarios import Scenario, paper_lift
-from coopqp.simulation import Recording, simulate
+from coopqp.simulation import metrics
+from coopqp.simulation.plants.disturbances import Disturbances, misplaced
+from coopqp.simulation.plants.physics import PhysicsOptions, PhysicsPlant
+from coopqp.simulation.plants.physics_options import Interpolation
+from coopqp.simulation.plants.replay import Motion, Replay, exact_motion, recorded_motion
+from coopqp.simulation.simulate import Recording, simulate
 from coopqp.spatial import Array
-from coopqp.stress import StressModel, at_tools
+from coopqp.task.path import TimeLaw
 
 PSEUDO_INVERSE, QP = "pseudo-inverse", "qp"
 ENGINE_STEP = 1e-3

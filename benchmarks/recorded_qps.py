@@ -12,13 +12,13 @@ import common  # first: it limits BLAS to one thread
 import numpy as np
 import peer_cases
 
-from coopqp.controllers.options import QPOptions
-from coopqp.controllers.qp import QPController
-from coopqp.limits import VelocityBox
+from coopqp.control.forms import Pieces, StepTerms
+from coopqp.control.limits import VelocityBox
+from coopqp.control.options import QPOptions
+from coopqp.control.qp import QPController
+from coopqp.control.solvers import QpProblem
 from coopqp.output import write_files
-from coopqp.program import Pieces, StepTerms
 from coopqp.scenarios import Scenario, at_singularity, fast_lift
-from coopqp.solvers import QpProblem
 from coopqp.spatial import Array
 
 FORMS = ("condensed", "full")

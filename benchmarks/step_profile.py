@@ -18,11 +18,11 @@ import pinocchio as pin
 from common import Record
 from recorded_qps import record as record_qps
 
-from coopqp.controllers.options import QPOptions
-from coopqp.controllers.qp import QPController
-from coopqp.kernel import Outcome, available_kernels
+from coopqp.control.core import Outcome, available_kernels
+from coopqp.control.options import QPOptions
+from coopqp.control.qp import QPController
+from coopqp.control.solvers import make_solver
 from coopqp.scenarios import Scenario
-from coopqp.solvers import make_solver
 
 KEYS = ("what", "kernel", "case", "part", "clock", "p50_us", "p99_us", "p999_us", "max_us", "share", "ratio", "samples")
 #: Parts of a step in the order of the code; a fused kernel does the errors, the assembly and the tests of limits.

@@ -1,12 +1,13 @@
 """QP-based cooperative control of several robot arms that hold one object."""
 
-from coopqp.cell import Arm, JointLimits, RobotCell
-from coopqp.controllers.base import Controller, ControlStep, Status
-from coopqp.controllers.common_error import CommonError
-from coopqp.controllers.options import QPOptions
-from coopqp.controllers.pseudo_inverse import PseudoInverseController, PseudoInverseOptions
-from coopqp.controllers.qp import QPController
-from coopqp.controllers.supervision import SupervisionOptions
+from coopqp.control.command import Controller, ControlStep, Status
+from coopqp.control.core import available_kernels
+from coopqp.control.forms import RankWeights
+from coopqp.control.options import QPOptions
+from coopqp.control.pseudo_inverse import PseudoInverseController, PseudoInverseOptions
+from coopqp.control.qp import QPController
+from coopqp.control.solvers import available_solvers
+from coopqp.control.supervision import SupervisionOptions
 from coopqp.errors import (
     CoopqpError,
     InvalidInputError,
@@ -15,20 +16,19 @@ from coopqp.errors import (
     UnknownNameError,
     UnreachableError,
 )
-from coopqp.grasp import Grasp, plate_from_centroid, plate_from_points
-from coopqp.inverse_kinematics import inverse_kinematics
-from coopqp.kernel import available_kernels
-from coopqp.limits import BindingLimit, LimitKind
-from coopqp.path import HoldPath, LinePath, ObjectPath, ServoPath, TimeLaw, WaypointPath
-from coopqp.plants.kinematic import KinematicPlant, Plant
-from coopqp.plants.physics import PhysicsOptions, PhysicsPlant
-from coopqp.posture import PostureOptions
-from coopqp.preview import PreviewOptions
-from coopqp.program import RankWeights
-from coopqp.simulation import Recording, simulate
-from coopqp.solvers import available_solvers
-from coopqp.state import CellState
-from coopqp.stress import StressModel
+from coopqp.forces.stress import StressModel
+from coopqp.model.cell import Arm, JointLimits, RobotCell
+from coopqp.model.grasp import Grasp, plate_from_centroid, plate_from_points
+from coopqp.model.inverse_kinematics import inverse_kinematics
+from coopqp.model.limits import BindingLimit, LimitKind
+from coopqp.model.state import CellState
+from coopqp.planning.preview import PreviewOptions
+from coopqp.simulation.plants.kinematic import KinematicPlant, Plant
+from coopqp.simulation.plants.physics import PhysicsOptions, PhysicsPlant
+from coopqp.simulation.simulate import Recording, simulate
+from coopqp.task.common_error import CommonError
+from coopqp.task.path import HoldPath, LinePath, ObjectPath, ServoPath, TimeLaw, WaypointPath
+from coopqp.task.posture import PostureOptions
 
 __version__ = "0.1.0"
 

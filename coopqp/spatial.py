@@ -7,15 +7,15 @@ of frame b in frame a; :class:`pinocchio.SE3` or a 4x4 homogeneous matrix is acc
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, TypeAlias
+from typing import TypeAlias
 
 import numpy as np
-import numpy.typing as npt
 import pinocchio as pin
 
-from coopqp.errors import InvalidInputError, shown
+from coopqp.checks import NOT_NUMBERS, as_floats
+from coopqp.checks import Array as Array
+from coopqp.errors import InvalidInputError
 
-Array: TypeAlias = npt.NDArray[np.float64]
 Placement: TypeAlias = "pin.SE3 | Array"
 
 #: Largest entry of ``R Rᵀ − I`` (and of ``det R − 1``) that a rotation may have at the door.
@@ -88,87 +88,6 @@ def as_placements(values: Sequence[Placement] | Array, where: str) -> tuple[pin.
             f"expected a sequence of placements, got {type(values).__name__}", where, "Give a list, one entry each."
         ) from error
     return tuple(as_placement(value, f"{where}[{i}]") for i, value in enumerate(items))
-
-
-def as_vector(value: Any, size: int, where: str) -> Array:
-    """Return a finite float vector of shape (size,), a new array.
-
-    Raises:
-        InvalidInputError: wrong shape, not numbers, NaN or infinite entries.
-    """
-    try:
-        vector = as_floats(value)
-    except NOT_NUMBERS as error:
-        raise InvalidInputError(f"not a vector of numbers ({error})", where, f"Give {size} numbers.") from error
-    if vector.shape != (size,):
-        raise InvalidInputError(
-            f"expected shape ({size},), got {vector.shape}", where, f"Give a flat vector of {size} numbers."
-        )
-    if not np.all(np.isfinite(vector)):
-        bad = np.flatnonzero(~np.isfinite(vector)).tolist()
-        raise InvalidInputError(f"entries {bad} are NaN or infinite", where, "Give finite numbers.")
-    return vector
-
-
-def as_scalar(value: Any, where: str, *, low: float = 0.0, high: float = np.inf, open_low: bool = True) -> float:
-    """Return a finite float in (low, high] (or [low, high] with ``open_low=False``)."""
-    number = _as_float(value, where)
-    if not np.isfinite(number) or number > high or number < low or (open_low and number == low):
-        bracket = "(" if open_low else "["
-        raise InvalidInputError(
-            f"{number:g} is outside {bracket}{low:g}, {high:g}]", where, "Give a number inside the interval."
-        )
-    return number
-
-
-def as_count(value: Any, where: str) -> int:
-    """Return a whole number of 1 or more."""
-    number = _as_float(value, where)
-    if not (1.0 <= number < 2.0**53 and number == int(number)):
-        raise InvalidInputError(f"{number:g} is no whole number of 1 or more", where, "Give 1, 2, 3, …")
-    return int(number)
-
-
-def keep_scalars(options: object, *names: str, low: float = 0.0, high: float = np.inf, open_low: bool = True) -> None:
-    """Check fields of a frozen dataclass by :func:`as_scalar`, and keep the floats that they stand for."""
-    for name in names:
-        where = f"{type(options).__name__}: {name}"
-        number = as_scalar(getattr(options, name), where, low=low, high=high, open_low=open_low)
-        object.__setattr__(options, name, number)
-
-
-def _as_float(value: Any, where: str) -> float:
-    try:
-        if isinstance(value, (np.ndarray, np.generic)) and (value.ndim or value.dtype.kind in _NO_FLOATS):
-            raise TypeError
-        return float(value)
-    except NOT_NUMBERS as error:
-        raise InvalidInputError(f"not a number ({shown(value)})", where, "Give a finite number.") from error
-
-
-#: What NumPy and Python raise for what are no numbers.
-NOT_NUMBERS = (TypeError, ValueError, OverflowError)
-#: Kinds of array that NumPy would make floats of, losing what they say: complex numbers, durations, dates.
-_NO_FLOATS = "cmM"
-
-
-def as_floats(value: Any) -> Array:
-    """A new float array, of any shape.
-
-    Raises:
-        NOT_NUMBERS: the value is nothing of the kind.
-    """
-    raw = np.asarray(value)
-    if raw.dtype.kind in _NO_FLOATS:
-        raise TypeError(f"numbers of type {raw.dtype} are not real")
-    return np.array(raw, dtype=float)
-
-
-def read_only(array: Array) -> Array:
-    """Return a contiguous copy that cannot be written to."""
-    copy = np.array(array, dtype=float, order="C")
-    copy.flags.writeable = False
-    return copy
 
 
 def adjoint(T: pin.SE3) -> Array:

@@ -18,11 +18,11 @@ import pinocchio as pin
 import pytest
 from hypothesis import HealthCheck, settings
 
-from coopqp.cell import Arm, RobotCell
-from coopqp.controllers.pseudo_inverse import PseudoInverseController, PseudoInverseOptions
+from coopqp.control.pseudo_inverse import PseudoInverseController, PseudoInverseOptions
+from coopqp.model.cell import Arm, RobotCell
 from coopqp.scenarios import Scenario, paper_lift
 from coopqp.scenarios.robots import robot_path
-from coopqp.simulation import Recording, simulate
+from coopqp.simulation.simulate import Recording, simulate
 
 settings.register_profile(
     "ci",

@@ -17,11 +17,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from coopqp.controllers.base import ControlStep, Status
-from coopqp.controllers.independent import IndependentQPController, IndependentQPOptions
+from coopqp.control.command import ControlStep, Status
+from coopqp.control.independent import IndependentQPController, IndependentQPOptions
+from coopqp.control.solvers import QpProblem, QpSolution, SolverStatus
 from coopqp.errors import InvalidInputError, UnknownNameError
-from coopqp.limits import BindingLimit, LimitKind
-from coopqp.metrics import chain_error, limit_excess, path_error, tool_placements
+from coopqp.model.limits import BindingLimit, LimitKind
 from coopqp.scenarios import (
     Scenario,
     at_limit,
@@ -32,7 +32,7 @@ from coopqp.scenarios import (
     mixed_cell,
     paper_lift,
 )
-from coopqp.solvers import QpProblem, QpSolution, SolverStatus
+from coopqp.simulation.metrics import chain_error, limit_excess, path_error, tool_placements
 
 NIGHTLY = os.environ.get("HYPOTHESIS_PROFILE") == "nightly"
 BENCHMARKS = Path(__file__).parents[1] / "benchmarks"

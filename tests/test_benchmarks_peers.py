@@ -13,7 +13,7 @@ import pinocchio as pin
 import pytest
 
 from coopqp import available_kernels
-from coopqp.metrics import tool_placements
+from coopqp.simulation.metrics import tool_placements
 
 BENCHMARKS = Path(__file__).resolve().parent.parent / "benchmarks"
 sys.path.insert(0, str(BENCHMARKS))

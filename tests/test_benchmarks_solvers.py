@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from coopqp import available_kernels
-from coopqp.solvers import available_solvers, make_solver
+from coopqp.control.solvers import available_solvers, make_solver
 
 BENCHMARKS = Path(__file__).resolve().parent.parent / "benchmarks"
 sys.path.insert(0, str(BENCHMARKS))

@@ -15,11 +15,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-import coopqp.arm
-from coopqp.cell import Arm, JointLimits, RobotCell
+import coopqp.model.arm
 from coopqp.errors import CoopqpError, InvalidInputError, ModelError, UnknownNameError
+from coopqp.model.cell import Arm, JointLimits, RobotCell
+from coopqp.model.state import CellState
 from coopqp.scenarios.robots import ROBOT_NAMES, robot_path
-from coopqp.state import CellState
 
 Array = NDArray[np.float64]
 
@@ -510,7 +510,7 @@ def test_a_path_that_is_no_file(read: Callable[..., Arm], tmp_path: Path, monkey
             read("left", bad, tool_frame="tool")
     with pytest.raises(ModelError, match=r"no file .*nothing\.urdf.*relative to"):
         read("left", "nothing.urdf", tool_frame="tool")
-    monkeypatch.setattr(coopqp.arm, "MAX_DESCRIPTION_BYTES", 100)
+    monkeypatch.setattr(coopqp.model.arm, "MAX_DESCRIPTION_BYTES", 100)
     with pytest.raises(ModelError, match="larger than 100 bytes"):
         read("left", robot_path("rx90l"), tool_frame="flange")
 

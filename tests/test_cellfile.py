@@ -16,22 +16,22 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from ruamel.yaml import YAML
 
-from coopqp.assessment import judge, read_run
-from coopqp.cell import RobotCell
-from coopqp.cellfile import CELLS, example_path, json_schema, load_cell_file, schema_text
-from coopqp.cellfile.build import CellRun
-from coopqp.cellfile.strict import attribute_docs
-from coopqp.cellfile.text import CellFileError, read_tables
-from coopqp.controllers.independent import IndependentQPOptions
-from coopqp.controllers.options import QPOptions
-from coopqp.controllers.pseudo_inverse import PseudoInverseOptions
-from coopqp.demo import run_method
+from coopqp.app.demo import run_method
+from coopqp.control.independent import IndependentQPOptions
+from coopqp.control.options import QPOptions
+from coopqp.control.pseudo_inverse import PseudoInverseOptions
 from coopqp.errors import CoopqpError, MissingExtraError, UnknownNameError
-from coopqp.path import HoldPath
-from coopqp.plants.physics import PhysicsPlant
+from coopqp.files.cellfile import CELLS, example_path, json_schema, load_cell_file, schema_text
+from coopqp.files.cellfile.build import CellRun
+from coopqp.files.cellfile.strict import attribute_docs
+from coopqp.files.cellfile.text import CellFileError, read_tables
+from coopqp.model.cell import RobotCell
 from coopqp.scenarios import Scenario
 from coopqp.scenarios.robots import robot_path
-from coopqp.simulation import Recording
+from coopqp.simulation.assessment import judge, read_run
+from coopqp.simulation.plants.physics import PhysicsPlant
+from coopqp.simulation.simulate import Recording
+from coopqp.task.path import HoldPath
 
 EXAMPLES = sorted((Path(__file__).parents[1] / "docs" / "examples" / "cells").glob("*.toml"))
 PAPER = example_path("paper_lift").read_text()
@@ -471,7 +471,7 @@ def test_an_unknown_example_is_named() -> None:
 
 
 def test_a_missing_pydantic_names_the_extra(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("coopqp.cellfile.find_spec", lambda name: None)
+    monkeypatch.setattr("coopqp.files.cellfile.find_spec", lambda name: None)
     with pytest.raises(MissingExtraError, match=r"coopqp\[files\]"):
         schema_text()
 

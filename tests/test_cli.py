@@ -13,14 +13,14 @@ from pathlib import Path
 
 import pytest
 
-from coopqp import cli, demo
+from coopqp.app import cli, demo
 from coopqp.output import OutputError
 
 PICTURES = {"paper_lift.png", "figure5.png", "figure5_orientation.png", "joints.png"}
 
 
 def coopqp(*arguments: str, **options: object) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, "-c", "import sys; from coopqp.cli import main; sys.exit(main())", *arguments]
+    command = [sys.executable, "-c", "import sys; from coopqp.app.cli import main; sys.exit(main())", *arguments]
     return subprocess.run(command, capture_output=True, text=True, timeout=120, check=False, **options)  # type: ignore[call-overload,no-any-return]
 
 
@@ -199,7 +199,7 @@ def test_control_c_stops_a_run_without_a_traceback(tmp_path: Path) -> None:
     # Started in the background, the tests may ignore Ctrl-C, and their children with them: the child takes it again.
     program = (
         "import signal, sys; signal.signal(signal.SIGINT, signal.default_int_handler);"
-        "from coopqp.cli import main; sys.exit(main())"
+        "from coopqp.app.cli import main; sys.exit(main())"
     )
     arguments = ["demo", "--steps", "200000", "--out", str(tmp_path / "new")]
     with subprocess.Popen([sys.executable, "-c", program, *arguments], stderr=subprocess.PIPE, text=True) as process:

@@ -18,10 +18,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from coopqp import cli, plots, runs, viewer
-from coopqp.cellfile import example_path
+from coopqp.app import cli, runs
+from coopqp.files.cellfile import example_path
+from coopqp.look import plots, viewer
 from coopqp.output import OutputError
-from coopqp.simulation import Recording
+from coopqp.simulation.simulate import Recording
 
 SMALL = """
 name = "small {name}"
@@ -166,7 +167,7 @@ def test_view_serves_until_interrupted(
 
 def test_run_can_end_in_the_viewer(cell_file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     served: list[int] = []
-    monkeypatch.setattr("coopqp.commands._serve", lambda recording, **_: served.append(recording.n_steps))
+    monkeypatch.setattr("coopqp.app.commands._serve", lambda recording, **_: served.append(recording.n_steps))
     assert cli.main(["run", str(cell_file), "--view", "--quiet"]) == 0
     assert served == [12]
 
@@ -295,7 +296,8 @@ def test_a_name_of_dots_is_refused() -> None:
 
 def test_the_library_attaches_no_log_handler() -> None:
     code = (
-        "import logging; import coopqp.runs, coopqp.report, coopqp.export, coopqp.viewer, coopqp.cellfile.build;"
+        "import logging; import coopqp.app.runs, coopqp.look.report, coopqp.files.export;"
+        "import coopqp.look.viewer, coopqp.files.cellfile.build;"
         "names = [n for n in logging.root.manager.loggerDict if n.startswith('coopqp')];"
         "assert not logging.root.handlers, logging.root.handlers;"
         "assert not any(logging.getLogger(n).handlers for n in names), names"
@@ -308,7 +310,7 @@ def test_the_library_attaches_no_log_handler() -> None:
 def test_only_what_is_used_is_imported() -> None:
     """`coopqp --help` needs no extra."""
     code = (
-        "import sys; from coopqp.cli import main\n"
+        "import sys; from coopqp.app.cli import main\n"
         "try: main(['--help'])\nexcept SystemExit: pass\n"
         "heavy = [m for m in ('viser', 'rosbags', 'pydantic', 'matplotlib', 'rich') if m in sys.modules]\n"
         "assert not heavy, heavy"

@@ -13,11 +13,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from coopqp import metrics
-from coopqp.demo import METHODS, DemoRun, check_demo, records_json, run_demo, run_method
+from coopqp.app.demo import METHODS, DemoRun, check_demo, records_json, run_demo, run_method
+from coopqp.control.solvers import available_solvers
 from coopqp.errors import InvalidInputError, MissingExtraError, UnknownNameError
 from coopqp.scenarios import Scenario, paper_lift
-from coopqp.solvers import available_solvers
+from coopqp.simulation import metrics
 
 Runner = Callable[..., DemoRun]
 STEPS = (40, 400, 1000)

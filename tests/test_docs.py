@@ -100,7 +100,7 @@ def test_notation_and_code_agree() -> None:
     import numpy as np
     import pinocchio as pin
 
-    from coopqp.chain import Chain
+    from coopqp.model.chain import Chain
     from coopqp.scenarios import paper_lift
 
     lift = paper_lift()
@@ -115,9 +115,9 @@ def test_notation_and_code_agree() -> None:
 def test_defaults_in_the_text_are_those_of_the_code() -> None:
     """Who changes one of these changes the pages too: howto/gains, howto/why-slow, derivations, tutorials 2 and 5,
     reliability."""
-    from coopqp.controllers.answer import RESIDUE_TOLERANCE
-    from coopqp.limits import VelocityBox
-    from coopqp.solvers.osqp import OsqpSettings
+    from coopqp.control.limits import VelocityBox
+    from coopqp.control.ranks import RESIDUE_TOLERANCE
+    from coopqp.control.solvers.osqp import OsqpSettings
 
     assert (RESIDUE_TOLERANCE, VelocityBox.RECOVERY_SHARE, OsqpSettings().max_iter) == (1e-5, 0.2, 4000)
     o = coopqp.QPOptions()
@@ -152,7 +152,7 @@ def test_the_pages_build_without_warnings(tmp_path: Path) -> None:
 def test_view_needs_nothing_but_the_extra(monkeypatch: pytest.MonkeyPatch) -> None:
     """``--view`` opens the viewer on the run; here it is closed at once."""
     pytest.importorskip("viser")
-    from coopqp import viewer
+    from coopqp.look import viewer
 
     opened = []
     monkeypatch.setattr(viewer.LiveViewer, "run", lambda self: opened.append(self.url))

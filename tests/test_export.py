@@ -14,14 +14,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from coopqp.assessment import read_run
-from coopqp.cell import RobotCell
 from coopqp.errors import InvalidInputError, MissingExtraError
-from coopqp.export import csv_text, joint_table, knot_velocities, topic_name, write_bag, write_csv
+from coopqp.files.export import csv_text, joint_table, knot_velocities, topic_name, write_bag, write_csv
+from coopqp.model.cell import RobotCell
 from coopqp.output import OutputError
 from coopqp.scenarios import Scenario
-from coopqp.scene import SceneError, describe_cell
-from coopqp.simulation import Recording
+from coopqp.simulation.assessment import read_run
+from coopqp.simulation.scene import SceneError, describe_cell
+from coopqp.simulation.simulate import Recording
 
 with warnings.catch_warnings():
     warnings.simplefilter("ignore", DeprecationWarning)
@@ -194,7 +194,7 @@ def test_a_failure_leaves_nothing(run: Recording, tmp_path: Path, monkeypatch: p
     def full(*_: Any) -> None:
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr("coopqp.export._rename_inside", full)
+    monkeypatch.setattr("coopqp.files.export._rename_inside", full)
     with pytest.raises(OutputError, match="No space left"):
         write_bag(run, tmp_path / "bag")
     assert list(tmp_path.iterdir()) == []

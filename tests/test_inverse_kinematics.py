@@ -12,12 +12,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from coopqp.cell import RobotCell
 from coopqp.errors import InvalidInputError, UnreachableError
-from coopqp.grasp import Grasp
-from coopqp.inverse_kinematics import inverse_kinematics
+from coopqp.model.cell import RobotCell
+from coopqp.model.grasp import Grasp
+from coopqp.model.inverse_kinematics import inverse_kinematics
+from coopqp.model.state import CellState
 from coopqp.scenarios import Scenario
-from coopqp.state import CellState
 
 Array = NDArray[np.float64]
 RandomQ = Callable[[RobotCell, np.random.Generator], Array]

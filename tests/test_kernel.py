@@ -12,21 +12,29 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from coopqp import kernel as kernels
-from coopqp.cell import JointLimits, RobotCell
-from coopqp.chain import Chain
-from coopqp.controllers.options import QPOptions
-from coopqp.controllers.qp import QPController
+from coopqp.control import core as kernels
+from coopqp.control.core import (
+    BorderArrays,
+    Outcome,
+    StepKernel,
+    Workspace,
+    available_kernels,
+    make_border,
+    make_kernel,
+)
+from coopqp.control.core.reference import bound
+from coopqp.control.forms import RankWeights, StepProgram, StepTerms
+from coopqp.control.limits import LIMIT_TOLERANCE, VelocityBox
+from coopqp.control.options import QPOptions
+from coopqp.control.qp import QPController
 from coopqp.errors import UnknownNameError
-from coopqp.grasp import Grasp
-from coopqp.kernel import BorderArrays, Outcome, StepKernel, Workspace, available_kernels, make_border, make_kernel
-from coopqp.kernel.reference import bound
-from coopqp.limits import LIMIT_TOLERANCE, VelocityBox
-from coopqp.path import LinePath, ObjectPath, ServoPath, WaypointPath
-from coopqp.program import RankWeights, StepProgram, StepTerms
+from coopqp.model.cell import JointLimits, RobotCell
+from coopqp.model.chain import Chain
+from coopqp.model.grasp import Grasp
+from coopqp.model.state import CellState
 from coopqp.scenarios import Scenario, at_limit, dual_arm7, mixed_cell, paper_lift, ring
 from coopqp.spatial import Array
-from coopqp.state import CellState
+from coopqp.task.path import LinePath, ObjectPath, ServoPath, WaypointPath
 
 #: Largest difference of a joint velocity in closed loop [rad/s or m/s].
 SAME = 1e-10
@@ -38,7 +46,7 @@ KERNELS = (*available_kernels(), *(["plain"] if "compiled" in available_kernels(
 def _plain_kernel(monkeypatch: pytest.MonkeyPatch) -> None:
     if "plain" not in KERNELS:
         return
-    compiled = pytest.importorskip("coopqp.kernel.compiled")
+    compiled = pytest.importorskip("coopqp.control.core.compiled")
 
     def plain(workspace: Workspace) -> StepKernel:
         made: StepKernel = compiled.CompiledKernel(workspace, plain=True)

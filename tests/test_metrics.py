@@ -12,10 +12,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from coopqp.cell import RobotCell
 from coopqp.errors import InvalidInputError
-from coopqp.grasp import Grasp
-from coopqp.metrics import (
+from coopqp.model.cell import RobotCell
+from coopqp.model.grasp import Grasp
+from coopqp.model.state import CellState
+from coopqp.scenarios import Scenario
+from coopqp.simulation.metrics import (
     chain_error,
     limit_excess,
     object_error,
@@ -24,10 +26,8 @@ from coopqp.metrics import (
     relative_positioning_error,
     tool_placements,
 )
-from coopqp.path import LinePath
-from coopqp.scenarios import Scenario
-from coopqp.simulation import Recording
-from coopqp.state import CellState
+from coopqp.simulation.simulate import Recording
+from coopqp.task.path import LinePath
 
 Array = NDArray[np.float64]
 

@@ -13,8 +13,17 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from coopqp.errors import InvalidInputError, UnknownNameError
-from coopqp.path import HoldPath, LinePath, ObjectPath, ScrewParameters, ServoPath, TimeLaw, WaypointPath, as_time_law
 from coopqp.spatial import adjoint
+from coopqp.task.path import (
+    HoldPath,
+    LinePath,
+    ObjectPath,
+    ScrewParameters,
+    ServoPath,
+    TimeLaw,
+    WaypointPath,
+    as_time_law,
+)
 
 Array = NDArray[np.float64]
 

@@ -9,13 +9,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from coopqp import plots
-from coopqp.cell import RobotCell
-from coopqp.controllers.pseudo_inverse import PseudoInverseController, PseudoInverseOptions
+from coopqp.control.pseudo_inverse import PseudoInverseController, PseudoInverseOptions
 from coopqp.errors import InvalidInputError, MissingExtraError
+from coopqp.look import plots
+from coopqp.model.cell import RobotCell
 from coopqp.output import OutputError
 from coopqp.scenarios import Scenario, paper_lift
-from coopqp.simulation import Recording, simulate
+from coopqp.simulation.simulate import Recording, simulate
 
 
 @pytest.fixture(scope="module")

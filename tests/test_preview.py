@@ -10,18 +10,18 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from coopqp.chain import Chain
-from coopqp.controllers.options import QPOptions
-from coopqp.controllers.qp import QPController
+from coopqp.control.options import QPOptions
+from coopqp.control.qp import QPController
 from coopqp.errors import InvalidInputError
-from coopqp.inverse_kinematics import newton
-from coopqp.limits import LimitKind
-from coopqp.metrics import chain_error, path_error, tool_placements
-from coopqp.path import HoldPath, LinePath, ObjectPath, ServoPath, TimeLaw, WaypointPath
-from coopqp.posture import Posture, PostureOptions
-from coopqp.preview import PathPreview, PreviewOptions
+from coopqp.model.chain import Chain
+from coopqp.model.inverse_kinematics import newton
+from coopqp.model.limits import LimitKind
+from coopqp.planning.preview import PathPreview, PreviewOptions
 from coopqp.scenarios import Scenario, at_limit, at_singularity, dual_arm7, mixed_cell, paper_lift
+from coopqp.simulation.metrics import chain_error, path_error, tool_placements
 from coopqp.spatial import Array
+from coopqp.task.path import HoldPath, LinePath, ObjectPath, ServoPath, TimeLaw, WaypointPath
+from coopqp.task.posture import Posture, PostureOptions
 
 NIGHTLY = os.environ.get("HYPOTHESIS_PROFILE") == "nightly"
 DIRECTIONS = 40 if NIGHTLY else 6

@@ -10,14 +10,15 @@ from typing import Any
 import numpy as np
 import pytest
 
-from coopqp.chain import Chain
-from coopqp.controllers.answer import StepAnswer, StepSolver
-from coopqp.controllers.options import QPOptions
-from coopqp.controllers.qp import QPController
+from coopqp.control.forms import Answer, Pieces, RankWeights, StepProgram, StepTerms
+from coopqp.control.limits import VelocityBox
+from coopqp.control.options import QPOptions
+from coopqp.control.qp import QPController
+from coopqp.control.ranks import StepAnswer, StepSolver
+from coopqp.control.solvers import make_solver
 from coopqp.errors import InvalidInputError
-from coopqp.limits import VelocityBox
-from coopqp.preview import PreviewOptions
-from coopqp.program import Answer, Pieces, RankWeights, StepProgram, StepTerms
+from coopqp.model.chain import Chain
+from coopqp.planning.preview import PreviewOptions
 from coopqp.scenarios import (
     SCENARIOS,
     Scenario,
@@ -28,7 +29,6 @@ from coopqp.scenarios import (
     paper_lift,
     scara_pair,
 )
-from coopqp.solvers import make_solver
 from coopqp.spatial import Array
 
 #: Random boxes per recorded step.

@@ -12,24 +12,24 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from coopqp.cell import RobotCell
-from coopqp.controllers.base import Status
-from coopqp.controllers.pseudo_inverse import PseudoInverseController, PseudoInverseOptions
+from coopqp.control.command import Status
+from coopqp.control.pseudo_inverse import PseudoInverseController, PseudoInverseOptions
 from coopqp.errors import InvalidInputError, UnknownNameError
-from coopqp.grasp import Grasp
-from coopqp.inverse_kinematics import inverse_kinematics
-from coopqp.metrics import (
+from coopqp.model.cell import RobotCell
+from coopqp.model.grasp import Grasp
+from coopqp.model.inverse_kinematics import inverse_kinematics
+from coopqp.model.state import CellState
+from coopqp.scenarios import Scenario
+from coopqp.scenarios.paper import BASE_DISTANCE_H, slave_base
+from coopqp.simulation.metrics import (
     limit_excess,
     object_error,
     relative_orientation_error,
     relative_positioning_error,
     tool_placements,
 )
-from coopqp.path import HoldPath, LinePath, WaypointPath
-from coopqp.scenarios import Scenario
-from coopqp.scenarios.paper import BASE_DISTANCE_H, slave_base
-from coopqp.simulation import Recording, simulate
-from coopqp.state import CellState
+from coopqp.simulation.simulate import Recording, simulate
+from coopqp.task.path import HoldPath, LinePath, WaypointPath
 
 Array = NDArray[np.float64]
 Baseline = Callable[..., Recording]

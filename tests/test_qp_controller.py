@@ -13,29 +13,18 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from coopqp.cell import Arm, RobotCell
-from coopqp.controllers.base import ControlStep, Status
-from coopqp.controllers.common_error import CommonError
-from coopqp.controllers.independent import IndependentQPController
-from coopqp.controllers.options import QPOptions
-from coopqp.controllers.pseudo_inverse import PseudoInverseController
-from coopqp.controllers.qp import QPController
+from coopqp.control.command import ControlStep, Status
+from coopqp.control.forms import RankWeights
+from coopqp.control.independent import IndependentQPController
+from coopqp.control.options import QPOptions
+from coopqp.control.pseudo_inverse import PseudoInverseController
+from coopqp.control.qp import QPController
 from coopqp.errors import InvalidInputError, MissingExtraError, UnknownNameError
-from coopqp.grasp import Grasp
-from coopqp.inverse_kinematics import inverse_kinematics
-from coopqp.limits import LimitKind
-from coopqp.metrics import (
-    chain_error,
-    limit_excess,
-    object_error,
-    path_error,
-    relative_positioning_error,
-    tool_placements,
-)
-from coopqp.path import HoldPath, LinePath, ObjectPath, TimeLaw, WaypointPath
-from coopqp.posture import PostureOptions
-from coopqp.preview import PreviewOptions
-from coopqp.program import RankWeights
+from coopqp.model.cell import Arm, RobotCell
+from coopqp.model.grasp import Grasp
+from coopqp.model.inverse_kinematics import inverse_kinematics
+from coopqp.model.limits import LimitKind
+from coopqp.planning.preview import PreviewOptions
 from coopqp.scenarios import (
     SCENARIOS,
     Scenario,
@@ -50,7 +39,18 @@ from coopqp.scenarios import (
     scara_pair,
 )
 from coopqp.scenarios.paper import three_rx90l
+from coopqp.simulation.metrics import (
+    chain_error,
+    limit_excess,
+    object_error,
+    path_error,
+    relative_positioning_error,
+    tool_placements,
+)
 from coopqp.spatial import Array
+from coopqp.task.common_error import CommonError
+from coopqp.task.path import HoldPath, LinePath, ObjectPath, TimeLaw, WaypointPath
+from coopqp.task.posture import PostureOptions
 
 NIGHTLY = os.environ.get("HYPOTHESIS_PROFILE") == "nightly"
 MM = 1e-3

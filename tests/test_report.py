@@ -13,18 +13,18 @@ from typing import Any
 import numpy as np
 import pytest
 
-from coopqp.assessment import Tolerances, judge, read_run, run_figures, worst_status
-from coopqp.cell import RobotCell
-from coopqp.controllers.base import Status
-from coopqp.controllers.qp import QPController
+from coopqp.control.command import Status
+from coopqp.control.qp import QPController
 from coopqp.errors import InvalidInputError, MissingExtraError
-from coopqp.limits import BindingLimit, LimitKind
+from coopqp.look.report import report_html, write_report
+from coopqp.look.timeline import bound_limits, timeline_figure
+from coopqp.model.cell import RobotCell
+from coopqp.model.limits import BindingLimit, LimitKind
 from coopqp.output import OutputError
-from coopqp.report import report_html, write_report
 from coopqp.scenarios import Scenario
-from coopqp.scene import SceneError, describe_object
-from coopqp.simulation import Recording, RecordingError, simulate
-from coopqp.timeline import bound_limits, timeline_figure
+from coopqp.simulation.assessment import Tolerances, judge, read_run, run_figures, worst_status
+from coopqp.simulation.scene import SceneError, describe_object
+from coopqp.simulation.simulate import Recording, RecordingError, simulate
 
 
 @pytest.fixture(scope="module")
@@ -134,7 +134,7 @@ def test_a_recording_cannot_change_the_page(baseline: Callable[..., Recording]) 
 
 def test_long_runs_stay_small(slowed: Recording, monkeypatch: pytest.MonkeyPatch) -> None:
     """Thousands of samples, notes and settings."""
-    monkeypatch.setattr("coopqp.report.MAX_SVG_BYTES", 100_000)
+    monkeypatch.setattr("coopqp.look.report.MAX_SVG_BYTES", 100_000)
     k = 8
     T = slowed.n_steps
 
@@ -179,7 +179,7 @@ def test_a_missing_matplotlib_names_the_extra(
     def missing() -> None:
         raise MissingExtraError("plot", "matplotlib")
 
-    monkeypatch.setattr("coopqp.plots.require_matplotlib", missing)
+    monkeypatch.setattr("coopqp.look.plots.require_matplotlib", missing)
     with pytest.raises(MissingExtraError, match=r"coopqp\[plot\]"):
         report_html(baseline(40))
 

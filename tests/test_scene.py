@@ -13,13 +13,21 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from coopqp.cell import Arm, RobotCell
-from coopqp.metrics import tool_placements
-from coopqp.path import HoldPath, ServoPath
-from coopqp.render import cell_solids
+from coopqp.look.render import cell_solids
+from coopqp.model.cell import Arm, RobotCell
 from coopqp.scenarios.robots import ROBOT_NAMES, robot_path
-from coopqp.scene import SceneError, describe_cell, describe_object, describe_path, read_cell, read_object, read_path
-from coopqp.simulation import Recording
+from coopqp.simulation.metrics import tool_placements
+from coopqp.simulation.scene import (
+    SceneError,
+    describe_cell,
+    describe_object,
+    describe_path,
+    read_cell,
+    read_object,
+    read_path,
+)
+from coopqp.simulation.simulate import Recording
+from coopqp.task.path import HoldPath, ServoPath
 
 
 def _all_robots() -> RobotCell:

@@ -17,15 +17,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-import coopqp.simulation
-from coopqp.controllers.base import ControlStep, Status
-from coopqp.controllers.pseudo_inverse import PseudoInverseController, PseudoInverseOptions
-from coopqp.controllers.qp import QPController
+import coopqp.simulation.simulate
+from coopqp.control.command import ControlStep, Status
+from coopqp.control.pseudo_inverse import PseudoInverseController, PseudoInverseOptions
+from coopqp.control.qp import QPController
 from coopqp.errors import CoopqpError, InvalidInputError
-from coopqp.path import ServoPath
-from coopqp.plants import KinematicPlant
 from coopqp.scenarios import Scenario, at_limit
-from coopqp.simulation import Recording, RecordingError, simulate
+from coopqp.simulation.plants import KinematicPlant
+from coopqp.simulation.simulate import Recording, RecordingError, simulate
+from coopqp.task.path import ServoPath
 
 Array = NDArray[np.float64]
 MANY = settings(max_examples=4 * settings().max_examples)
@@ -299,9 +299,9 @@ def test_pickles_are_not_executed(run: Recording, tmp_path: Path) -> None:
 def test_a_bomb_is_not_unpacked(run: Recording, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     file = saved(run, tmp_path)
     unpacked = sum(info.file_size for info in zipfile.ZipFile(file).infolist())
-    monkeypatch.setattr(coopqp.simulation, "MAX_RECORDING_BYTES", unpacked)
+    monkeypatch.setattr(coopqp.simulation.simulate, "MAX_RECORDING_BYTES", unpacked)
     Recording.load(file)
-    monkeypatch.setattr(coopqp.simulation, "MAX_RECORDING_BYTES", unpacked - 1)
+    monkeypatch.setattr(coopqp.simulation.simulate, "MAX_RECORDING_BYTES", unpacked - 1)
     with pytest.raises(RecordingError, match=f"unpacks to {unpacked} bytes"):
         Recording.load(file)
 

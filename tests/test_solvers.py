@@ -16,8 +16,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from coopqp.errors import InvalidInputError, MissingExtraError, UnknownNameError
-from coopqp.solvers import (
+from coopqp.control.solvers import (
     QpProblem,
     QpSolution,
     QpSolver,
@@ -26,12 +25,13 @@ from coopqp.solvers import (
     available_solvers,
     make_solver,
 )
-from coopqp.solvers.base import Outcome, Workspace
-from coopqp.solvers.daqp import DaqpSettings
-from coopqp.solvers.generic import GenericSettings
-from coopqp.solvers.osqp import OsqpSettings
-from coopqp.solvers.polish import excluded_ball, finish, kkt_residual
-from coopqp.solvers.proxqp import ProxqpSettings
+from coopqp.control.solvers.base import Outcome, Workspace
+from coopqp.control.solvers.daqp import DaqpSettings
+from coopqp.control.solvers.generic import GenericSettings
+from coopqp.control.solvers.osqp import OsqpSettings
+from coopqp.control.solvers.polish import excluded_ball, finish, kkt_residual
+from coopqp.control.solvers.proxqp import ProxqpSettings
+from coopqp.errors import InvalidInputError, MissingExtraError, UnknownNameError
 
 KEPT = [name for name in ("proxqp", "osqp", "daqp") if name in available_solvers()]
 REBUILT = [f"qpsolvers:{name}" for name in KEPT] + [n for n in ("quadprog",) if n in available_solvers()]
@@ -481,7 +481,7 @@ def test_hard_is_not_called_infeasible(name: str) -> None:
 _INVALID = """
     import json, sys, time
     import numpy as np
-    from coopqp.solvers import QpProblem, make_solver
+    from coopqp.control.solvers import QpProblem, make_solver
 
     fields = ("H", "g", "A", "b", "C", "l", "u", "lb", "ub")
     def good():
@@ -796,7 +796,7 @@ def test_import_is_light() -> None:
         import sys, types, pathlib
         import coopqp.errors
         before = set(sys.modules)
-        import coopqp.solvers
+        import coopqp.control.solvers
         heavy = {"osqp", "proxsuite", "daqp", "qpsolvers", "scipy"}
         print(sorted(heavy & (set(sys.modules) - before)))
     """
@@ -819,7 +819,7 @@ def test_names() -> None:
 
 def test_missing_package(monkeypatch: pytest.MonkeyPatch) -> None:
     real = importlib.util.find_spec
-    monkeypatch.setattr("coopqp.solvers.find_spec", lambda name: None if name == "daqp" else real(name))
+    monkeypatch.setattr("coopqp.control.solvers.find_spec", lambda name: None if name == "daqp" else real(name))
     with pytest.raises(MissingExtraError, match="daqp"):
         make_solver("daqp")
     assert "daqp" not in available_solvers() or "daqp" not in KEPT

@@ -10,11 +10,11 @@ import pinocchio as pin
 import pytest
 from numpy.typing import NDArray
 
-from coopqp.cell import RobotCell
 from coopqp.errors import InvalidInputError, UnknownNameError
+from coopqp.model.cell import RobotCell
+from coopqp.model.state import CellState
 from coopqp.scenarios import Scenario
 from coopqp.spatial import adjoint
-from coopqp.state import CellState
 
 Array = NDArray[np.float64]
 RandomQ = Callable[[RobotCell, np.random.Generator], Array]

@@ -8,15 +8,15 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-import coopqp.stress
-from coopqp.cell import RobotCell
-from coopqp.controllers.stress_watch import StressWatch
+import coopqp.forces.stress
+from coopqp.control.stress_watch import StressWatch
 from coopqp.errors import InvalidInputError
-from coopqp.grasp import Grasp
+from coopqp.forces.stress import StressModel, at_tools
+from coopqp.model.cell import RobotCell
+from coopqp.model.grasp import Grasp
+from coopqp.model.state import CellState
 from coopqp.scenarios import Scenario
 from coopqp.spatial import Array
-from coopqp.state import CellState
-from coopqp.stress import StressModel, at_tools
 
 #: Cells with 6, 7, and fewer joints an arm.
 ROBOTS = [("rx90l", "rx90l", "rx90l"), ("arm7", "rx90l"), ("arm7", "arm6c", "gantry7"), ("rx90l", "arm5", "scara4")]
@@ -109,7 +109,7 @@ def test_both_ways_to_solve_agree(paper: Scenario, monkeypatch: pytest.MonkeyPat
     model = StressModel(paper.cell, paper.grasp, stiffness=rng.uniform(5e3, 1e5, paper.cell.nv))
     q = paper.q_start + rng.uniform(-1e-3, 1e-3, paper.cell.nq)
     direct = model.estimate(q)
-    monkeypatch.setattr(coopqp.stress, "_LARGEST_CONDITION", 0.0)
+    monkeypatch.setattr(coopqp.forces.stress, "_LARGEST_CONDITION", 0.0)
     general = model.estimate(q)
     np.testing.assert_allclose(general.wrenches, direct.wrenches, rtol=1e-6, atol=1e-6)
     np.testing.assert_allclose(general.settled, direct.settled, atol=1e-10)

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from coopqp import QPController
-from coopqp.controllers.stress_watch import StressWatch
-from coopqp.controllers.supervision import Supervision, SupervisionOptions, Watch
+from coopqp.control.stress_watch import StressWatch
+from coopqp.control.supervision import Supervision, SupervisionOptions, Watch
 from coopqp.errors import InvalidInputError
 from coopqp.scenarios import paper_lift
 from coopqp.spatial import Array

@@ -13,17 +13,17 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from coopqp import viewer
-from coopqp.cell import Arm, RobotCell
 from coopqp.errors import InvalidInputError, MissingExtraError
-from coopqp.metrics import tool_placements
+from coopqp.look import viewer
+from coopqp.look.stage import ALERT, FIELD_OF_VIEW, READOUT_SHARE, Stage
+from coopqp.look.viewer import LiveViewer, export_html, readout
+from coopqp.model.cell import Arm, RobotCell
 from coopqp.output import OutputError
 from coopqp.scenarios import Scenario
 from coopqp.scenarios.robots import robot_path
-from coopqp.scene import SceneError, describe_cell, describe_object
-from coopqp.simulation import Recording
-from coopqp.stage import ALERT, FIELD_OF_VIEW, READOUT_SHARE, Stage
-from coopqp.viewer import LiveViewer, export_html, readout
+from coopqp.simulation.metrics import tool_placements
+from coopqp.simulation.scene import SceneError, describe_cell, describe_object
+from coopqp.simulation.simulate import Recording
 
 
 class Node:

@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from coopqp.errors import UnknownNameError
-from coopqp.scenarios.base import Scenario
 from coopqp.scenarios.cells import dual_arm7, five_joint_pair, mixed_cell, ring, scara_pair
 from coopqp.scenarios.paper import fast_lift, paper_lift, wide_grasp
 from coopqp.scenarios.robot_data import panda_bar, ur5_table
 from coopqp.scenarios.troubles import at_limit, at_singularity
+from coopqp.task.scenario import Scenario
 
 __all__ = [
     "SCENARIOS",

@@ -9,11 +9,12 @@ from typing import Literal
 import numpy as np
 import pinocchio as pin
 
-from coopqp.cell import Arm
 from coopqp.errors import InvalidInputError, UnknownNameError
-from coopqp.path import LinePath, TimeLaw, WaypointPath
-from coopqp.scenarios.base import DOWN, FORWARD, Scenario, Station, put_together
+from coopqp.model.cell import Arm
 from coopqp.scenarios.robots import robot_path
+from coopqp.scenarios.stations import DOWN, FORWARD, Station, put_together
+from coopqp.task.path import LinePath, TimeLaw, WaypointPath
+from coopqp.task.scenario import Scenario
 
 #: Postures in which the arms hold [deg or m]; arm7 comes from above, the others from the side.
 _ARM7_NEAR = (0.0, 14.0, 0.0, 105.0, 0.0, 31.0, 0.0)

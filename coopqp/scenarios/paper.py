@@ -11,12 +11,12 @@ from dataclasses import replace
 import numpy as np
 import pinocchio as pin
 
-from coopqp.cell import Arm, RobotCell
-from coopqp.grasp import Grasp
-from coopqp.inverse_kinematics import inverse_kinematics
-from coopqp.path import LinePath, TimeLaw
-from coopqp.scenarios.base import Scenario
+from coopqp.model.cell import Arm, RobotCell
+from coopqp.model.grasp import Grasp
+from coopqp.model.inverse_kinematics import inverse_kinematics
 from coopqp.scenarios.robots import robot_path
+from coopqp.task.path import LinePath, TimeLaw
+from coopqp.task.scenario import Scenario
 
 #: Base distances of Eq. (3) [m].
 BASE_DISTANCE_H, BASE_OFFSET_B = 3.60, 0.50

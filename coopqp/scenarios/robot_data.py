@@ -9,10 +9,11 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from coopqp.cell import Arm
 from coopqp.errors import MissingExtraError
-from coopqp.path import LinePath, TimeLaw
-from coopqp.scenarios.base import DOWN, FORWARD_SIDEWAYS, Scenario, Station, put_together
+from coopqp.model.cell import Arm
+from coopqp.scenarios.stations import DOWN, FORWARD_SIDEWAYS, Station, put_together
+from coopqp.task.path import LinePath, TimeLaw
+from coopqp.task.scenario import Scenario
 
 _PACKAGE = "example-robot-data"
 #: Franka's published joint acceleration limits [rad/s²].

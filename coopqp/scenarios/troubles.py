@@ -9,13 +9,14 @@ from typing import Any, Literal
 import numpy as np
 import pinocchio as pin
 
+from coopqp.checks import as_scalar, as_vector
 from coopqp.errors import InvalidInputError, UnknownNameError
-from coopqp.path import LinePath, TimeLaw
-from coopqp.scenarios.base import Scenario, Station, put_together
+from coopqp.model.state import CellState
 from coopqp.scenarios.cells import named_robot
 from coopqp.scenarios.paper import paper_lift
-from coopqp.spatial import as_scalar, as_vector
-from coopqp.state import CellState
+from coopqp.scenarios.stations import Station, put_together
+from coopqp.task.path import LinePath, TimeLaw
+from coopqp.task.scenario import Scenario
 
 #: Kinds of singularity of :func:`at_singularity`.
 SINGULARITIES = ("wrist", "elbow", "reach")

@@ -6,8 +6,8 @@ import numpy as np
 import pinocchio as pin
 
 from coopqp import Arm, Grasp, LinePath, QPController, RobotCell, inverse_kinematics, simulate
-from coopqp.assessment import judge, read_run
 from coopqp.scenarios.robots import robot_path
+from coopqp.simulation.assessment import judge, read_run
 
 my_arm = robot_path("arm7")  # a URDF that comes with coopqp; put the path of yours here: "my_arm.urdf"
 
@@ -43,7 +43,7 @@ for finding in judge(cell, recording, read_run(cell, recording)):
     print("yes" if finding.holds else "NO ", finding.question, finding.answer)
 
 if "--view" in sys.argv:
-    from coopqp.viewer import LiveViewer
+    from coopqp.look.viewer import LiveViewer
 
     with LiveViewer(recording) as viewer:
         print("Open", viewer.url)

@@ -5,7 +5,7 @@ from importlib.util import find_spec
 from pathlib import Path
 
 from coopqp import QPController, Recording, simulate
-from coopqp.export import write_bag, write_csv
+from coopqp.files.export import write_bag, write_csv
 from coopqp.scenarios import paper_lift
 
 lift = paper_lift()

@@ -4,10 +4,10 @@ import numpy as np
 import pinocchio as pin
 
 import coopqp
-from coopqp.plants.disturbances import Disturbances
+from coopqp.forces.stress import at_tools
 from coopqp.scenarios import paper_lift
 from coopqp.scenarios.robots import robot_path
-from coopqp.stress import at_tools
+from coopqp.simulation.plants.disturbances import Disturbances
 
 
 def pose(x, y, z, *, yaw=0.0, pitch=0.0):
@@ -22,7 +22,7 @@ cell = coopqp.RobotCell([arm.placed(pose(-0.8, 0, 0)), arm.placed(pose(0.8, 0, 0
 grasp = coopqp.Grasp((pose(-0.3, 0, 0, pitch=150), pose(0.3, 0, 0, yaw=180, pitch=150)))
 path = coopqp.LinePath.displaced(pose(0, 0, 0.25), translation=(0, 0.1, 0.2), rotation=(0, 0, 0.2), duration=3.0)
 guess = cell.configuration(np.deg2rad([0, 14, 0, 105, 0, 31, 0] * 2))
-q_start = coopqp.inverse_kinematics(cell, grasp, path.pose(0.0), guess)
+q_start = coopqp.model.inverse_kinematics(cell, grasp, path.pose(0.0), guess)
 
 # 2. The same loop on the engine, the bar a body with mass; once as modelled, once with a base that is 1 mm off.
 for what, base in (("as modelled", {}), ("right base 1 mm off", {"right": pose(0.001, 0, 0)})):

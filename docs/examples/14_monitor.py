@@ -1,8 +1,8 @@
 """Judge a run by its commands alone, afterwards or while it goes on.  python docs/examples/14_monitor.py"""
 
 from coopqp import PseudoInverseController, QPController, simulate
-from coopqp.monitor import Monitor, Monitored, MonitorTolerances, check
 from coopqp.scenarios import fast_lift
+from coopqp.simulation.monitor import Monitor, Monitored, MonitorTolerances, check
 
 task = fast_lift()  # faster than the joints can move
 

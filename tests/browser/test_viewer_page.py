@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from coopqp.simulation import Recording
-from coopqp.viewer import LiveViewer, export_html
+from coopqp.look.viewer import LiveViewer, export_html
+from coopqp.simulation.simulate import Recording
 
 TRACK = "[class*=Slider-track]"
 

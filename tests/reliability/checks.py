@@ -15,18 +15,18 @@ import numpy as np
 import numpy.typing as npt
 import pinocchio as pin
 
-from coopqp.cell import JointLimits
-from coopqp.controllers.base import Controller, ControlStep, Status
-from coopqp.controllers.options import QPOptions
-from coopqp.controllers.qp import QPController
+from coopqp.control.command import Controller, ControlStep, Status
+from coopqp.control.limits import VelocityBox
+from coopqp.control.options import QPOptions
+from coopqp.control.qp import QPController
+from coopqp.control.solvers import QpProblem, QpSolution, QpSolver, SolverStatus
 from coopqp.errors import UnreachableError
-from coopqp.inverse_kinematics import inverse_kinematics
-from coopqp.limits import VelocityBox
-from coopqp.monitor import Monitor, MonitorTolerances, Verdict
-from coopqp.path import HoldPath, LinePath, ObjectPath, ServoPath, WaypointPath
+from coopqp.model.cell import JointLimits
+from coopqp.model.inverse_kinematics import inverse_kinematics
+from coopqp.model.state import CellState
 from coopqp.scenarios import Scenario, at_limit
-from coopqp.solvers import QpProblem, QpSolution, QpSolver, SolverStatus
-from coopqp.state import CellState
+from coopqp.simulation.monitor import Monitor, MonitorTolerances, Verdict
+from coopqp.task.path import HoldPath, LinePath, ObjectPath, ServoPath, WaypointPath
 
 Array: TypeAlias = npt.NDArray[np.float64]
 #: ``make(task, **options)`` builds a controller for a scenario.

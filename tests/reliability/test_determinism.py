@@ -15,12 +15,12 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from coopqp.cell import RobotCell
-from coopqp.controllers.common_error import CommonError
-from coopqp.controllers.options import QPOptions
-from coopqp.controllers.qp import QPController
-from coopqp.grasp import Grasp
+from coopqp.control.options import QPOptions
+from coopqp.control.qp import QPController
+from coopqp.model.cell import RobotCell
+from coopqp.model.grasp import Grasp
 from coopqp.scenarios import Scenario, at_limit, dual_arm7, fast_lift, mixed_cell, ring, scara_pair
+from coopqp.task.common_error import CommonError
 
 PROGRAM = Path(__file__).with_name("programs") / "repeat.py"
 

@@ -1,7 +1,7 @@
 """Row B in newtons: the paper's lift on MuJoCo, gripped, at 1 kHz; how hard the arms press beyond the plate's weight.
 
 In a rigid grip the measured chain error says nothing: what does not fit bends the servos. Forces are those of the
-welds at the servo stiffness of :mod:`coopqp.plants.physics_options`, to which they are proportional.
+welds at the servo stiffness of :mod:`coopqp.simulation.plants.physics_options`, to which they are proportional.
 """
 
 from __future__ import annotations
@@ -13,16 +13,16 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from coopqp.controllers.base import ControlStep, Status
-from coopqp.controllers.options import QPOptions
-from coopqp.controllers.qp import QPController
-from coopqp.controllers.supervision import SupervisionOptions
-from coopqp.grasp import Grasp
-from coopqp.plants.disturbances import Disturbances, misplaced
-from coopqp.plants.physics import PhysicsPlant
+from coopqp.control.command import ControlStep, Status
+from coopqp.control.options import QPOptions
+from coopqp.control.qp import QPController
+from coopqp.control.supervision import SupervisionOptions
+from coopqp.forces.stress import StressModel
+from coopqp.model.grasp import Grasp
 from coopqp.scenarios import Scenario, paper_lift
+from coopqp.simulation.plants.disturbances import Disturbances, misplaced
+from coopqp.simulation.plants.physics import PhysicsPlant
 from coopqp.spatial import Array
-from coopqp.stress import StressModel
 
 pytest.importorskip("mujoco")
 

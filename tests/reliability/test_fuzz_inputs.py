@@ -38,15 +38,15 @@ from coopqp import (
     plate_from_centroid,
     plate_from_points,
 )
-from coopqp.controllers.independent import IndependentQPController, IndependentQPOptions
-from coopqp.monitor import Breach, Monitor, MonitorTolerances
-from coopqp.path import ScrewParameters
-from coopqp.plants.disturbances import Disturbances
-from coopqp.plants.physics_options import PhysicsOptions
+from coopqp.control.independent import IndependentQPController, IndependentQPOptions
+from coopqp.control.solvers.daqp import DaqpSettings
+from coopqp.control.solvers.osqp import OsqpSettings
+from coopqp.control.solvers.proxqp import ProxqpSettings
 from coopqp.scenarios import mixed_cell, paper_lift
-from coopqp.solvers.daqp import DaqpSettings
-from coopqp.solvers.osqp import OsqpSettings
-from coopqp.solvers.proxqp import ProxqpSettings
+from coopqp.simulation.monitor import Breach, Monitor, MonitorTolerances
+from coopqp.simulation.plants.disturbances import Disturbances
+from coopqp.simulation.plants.physics_options import PhysicsOptions
+from coopqp.task.path import ScrewParameters
 
 pytestmark = pytest.mark.filterwarnings("ignore::RuntimeWarning")
 LIFT, MIXED = paper_lift(), mixed_cell()

@@ -14,7 +14,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from coopqp import Arm, CellState, Grasp, LinePath, QPController, RobotCell
-from coopqp.monitor import Monitor, MonitorTolerances
+from coopqp.simulation.monitor import Monitor, MonitorTolerances
 
 pytestmark = pytest.mark.filterwarnings("ignore::RuntimeWarning")
 LIMITS_ONLY = MonitorTolerances(chain_m=None, chain_rad=None, path_m=None, path_rad=None)

@@ -14,10 +14,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from coopqp.controllers.options import QPOptions
-from coopqp.controllers.qp import QPController
-from coopqp.controllers.supervision import SupervisionOptions
-from coopqp.kernel import available_kernels
+from coopqp.control.core import available_kernels
+from coopqp.control.options import QPOptions
+from coopqp.control.qp import QPController
+from coopqp.control.supervision import SupervisionOptions
 from coopqp.scenarios import Scenario, fast_lift, paper_lift
 
 

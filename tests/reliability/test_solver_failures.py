@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 from checks import FAULTS, REST, Failure, FaultySolver, cooperative, judged, limited, solver_fails
 
-from coopqp.controllers.base import Status
-from coopqp.path import ServoPath
+from coopqp.control.command import Status
+from coopqp.control.solvers import SolverStatus, make_solver
+from coopqp.control.solvers.daqp import DaqpSettings
+from coopqp.control.solvers.osqp import OsqpSettings
+from coopqp.control.solvers.proxqp import ProxqpSettings
 from coopqp.scenarios import Scenario, dual_arm7, fast_lift, five_joint_pair, mixed_cell, paper_lift, scara_pair
-from coopqp.solvers import SolverStatus, make_solver
-from coopqp.solvers.daqp import DaqpSettings
-from coopqp.solvers.osqp import OsqpSettings
-from coopqp.solvers.proxqp import ProxqpSettings
+from coopqp.task.path import ServoPath
 
 
 def moving_target() -> tuple[Scenario, Any]:

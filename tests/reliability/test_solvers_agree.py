@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from coopqp.controllers.base import Status
-from coopqp.controllers.options import QPOptions
-from coopqp.controllers.qp import QPController
+from coopqp.control.command import Status
+from coopqp.control.options import QPOptions
+from coopqp.control.qp import QPController
+from coopqp.control.solvers import QpProblem, QpSolution, SolverStatus, available_solvers, make_solver
 from coopqp.scenarios import fast_lift
-from coopqp.solvers import QpProblem, QpSolution, SolverStatus, available_solvers, make_solver
 
 BENCHMARKS = Path(__file__).parents[2] / "benchmarks"
 #: How far joint velocities may be apart [rad/s], and answers from optimal.

@@ -1,7 +1,7 @@
 """Anything in any order: steps good and bad, resets, new grasps, other limits, new targets, the loss of an arm.
 
 Whatever came before, every command is finite, continues the last one and keeps the limits, the status says what it is
-worth, and while the object is tracked the arms stay in step. The oracle of coopqp.monitor judges.
+worth, and while the object is tracked the arms stay in step. The oracle of coopqp.simulation.monitor judges.
 """
 
 from __future__ import annotations
@@ -17,10 +17,10 @@ from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, precondition, rule, run_state_machine_as_test
 
 from coopqp import CellState, Grasp, LinePath, QPController, QPOptions, RobotCell, ServoPath, Status
-from coopqp.controllers.base import ControlStep
+from coopqp.control.command import ControlStep
 from coopqp.errors import CoopqpError
-from coopqp.monitor import Monitor, MonitorTolerances
 from coopqp.scenarios import Scenario, dual_arm7, fast_lift, mixed_cell
+from coopqp.simulation.monitor import Monitor, MonitorTolerances
 
 pytestmark = pytest.mark.filterwarnings("ignore::RuntimeWarning")
 TASKS = (fast_lift(), dual_arm7(), mixed_cell())

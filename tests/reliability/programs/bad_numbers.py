@@ -19,10 +19,10 @@ import numpy as np
 import pinocchio as pin
 
 from coopqp import InvalidInputError, QPController, QPOptions, Status
-from coopqp.monitor import Monitor, MonitorTolerances
-from coopqp.path import ObjectPath, ServoPath
+from coopqp.control.solvers import QpProblem
 from coopqp.scenarios import Scenario, dual_arm7, fast_lift, scara_pair
-from coopqp.solvers import QpProblem
+from coopqp.simulation.monitor import Monitor, MonitorTolerances
+from coopqp.task.path import ObjectPath, ServoPath
 
 BAD = {"NaN": np.nan, "+inf": np.inf, "-inf": -np.inf}
 #: Finite numbers that solvers have been seen to take very long on, or to fail at.

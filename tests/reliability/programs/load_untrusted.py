@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from coopqp import Arm, CoopqpError, Recording
-from coopqp.cellfile import load_cell_file
+from coopqp.files.cellfile import load_cell_file
 
 
 def read(file: Path) -> Any:

@@ -1,0 +1,1 @@
+"""The command: coopqp run, view, report, export, demo."""

@@ -1,0 +1,125 @@
+"""The command ``coopqp``. Each subcommand is one function that adds its parser and one that runs it."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+from collections.abc import Callable, Sequence
+from importlib import metadata
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NoReturn
+
+from coopqp.app.commands import COMMANDS
+from coopqp.app.terminal import print_table, reporter
+from coopqp.errors import CoopqpError
+
+if TYPE_CHECKING:
+    from coopqp.app.demo import DemoRun
+
+#: Exit statuses.
+OK, BAD_INPUT, INTERRUPTED = 0, 2, 130
+
+
+class UsageError(CoopqpError):
+    """A command line that cannot be understood."""
+
+
+class _Parser(argparse.ArgumentParser):
+    """A parser whose errors are raised, so that they leave like every other error: in one line."""
+
+    def error(self, message: str) -> NoReturn:
+        raise UsageError(f"{message} (see {self.prog} --help)")
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the command line; return the exit status: 0, 2 after bad input, 130 when interrupted."""
+    parser = _Parser(prog="coopqp", description="QP-based cooperative control of several arms that hold one object.")
+    parser.add_argument("--version", action="version", version=f"coopqp {metadata.version('coopqp')}")
+    commands = parser.add_subparsers(title="commands", dest="command", metavar="COMMAND", required=True)
+    for add in _COMMANDS:
+        add(commands)
+    try:
+        arguments = parser.parse_args(argv)
+        run: Callable[[argparse.Namespace], int] = arguments.run
+        status = run(arguments)
+        sys.stdout.flush()
+    except CoopqpError as error:
+        print("coopqp: error:", " ".join(str(error).split()), file=sys.stderr)
+        return BAD_INPUT
+    except KeyboardInterrupt:
+        print("coopqp: interrupted", file=sys.stderr)
+        return INTERRUPTED
+    except BrokenPipeError:  # the reader has left, as in `coopqp demo | head`
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return OK
+    return status
+
+
+# -- coopqp demo ---------------------------------------------------------------------------------------------------
+
+
+def _add_demo(commands: Any) -> None:
+    parser = commands.add_parser(
+        "demo",
+        help="run the paper's three-arm lift by every method",
+        description="Run the paper's three-arm lift by the pseudo-inverse and its variants and by the QP, and draw it.",
+    )
+    parser.add_argument(
+        "--steps", nargs="+", type=_count, default=[40, 400, 1000], metavar="N", help="numbers of steps (40 400 1000)"
+    )
+    parser.add_argument("--solver", default="proxqp", metavar="NAME", help="QP solver (proxqp)")
+    parser.add_argument("--out", type=Path, default=Path("out/demo"), metavar="DIR", help="folder (out/demo)")
+    parser.add_argument("--json", type=Path, metavar="FILE", help="also write the figures of every run as JSON")
+    parser.add_argument("--quiet", action="store_true", help="print errors only")
+    parser.set_defaults(run=_run_demo)
+
+
+def _run_demo(arguments: argparse.Namespace) -> int:
+    from coopqp.app import demo
+    from coopqp.output import check_file, check_folder
+    from coopqp.scenarios import paper_lift
+
+    steps = demo.check_demo(arguments.steps, arguments.solver)
+    check_folder(arguments.out)
+    if arguments.json is not None:
+        check_file(arguments.json)
+    total = len(demo.METHODS) * sum(steps)
+    with reporter(total, quiet=arguments.quiet) as report:
+        scenario = paper_lift()
+
+        def progress(method: str, planned: int, done: int) -> None:
+            report.step(f"{method}, N = {planned}", done, planned)
+
+        runs = demo.run_demo(scenario, steps=steps, solver=arguments.solver, progress=progress)
+        report.note("drawing the pictures")
+        files = demo.write_demo(scenario, runs, arguments.out, json_file=arguments.json)
+    if not arguments.quiet:
+        _print_table(runs)
+        print("\nwritten:", *files, sep="\n  ")
+    return OK
+
+
+_COMMANDS = (_add_demo, *COMMANDS)
+
+
+def _count(text: str) -> int:
+    """A whole number ≥ 1, for argparse."""
+    try:
+        value = int(text)
+    except ValueError:
+        value = 0
+    if value < 1:
+        raise argparse.ArgumentTypeError(f"'{text}' is not a whole number ≥ 1")
+    return value
+
+
+def _print_table(runs: Sequence[DemoRun]) -> None:
+    records = [run.record() for run in runs]
+    lines = [list(records[0]), *([_cell(value) for value in record.values()] for record in records)]
+    numeric = [not isinstance(value, str) for value in records[0].values()]
+    print_table(lines, numeric=numeric)
+
+
+def _cell(value: Any) -> str:
+    return f"{value:.3g}" if isinstance(value, float) else str(value)

@@ -1,0 +1,268 @@
+"""Subcommands about single runs: ``coopqp run``, ``schema``, ``view``, ``report`` and ``export``."""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import json
+import sys
+import webbrowser
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from coopqp.app.terminal import BOLD, GREEN, RED, Reporter, print_table, reporter, styled
+from coopqp.errors import CoopqpError
+
+if TYPE_CHECKING:
+    from coopqp.model.cell import RobotCell
+    from coopqp.simulation.simulate import ProgressCallback, Recording
+
+_OK = 0
+_RUN_HELP = "a recording (.npz), a cell file (.toml, .yaml) or the name of a scenario"
+
+
+# -- coopqp run ----------------------------------------------------------------------------------------------------
+
+
+def _add_run(commands: Any) -> None:
+    parser = commands.add_parser(
+        "run",
+        help="run a cell file (TOML or YAML)",
+        description="Run what a cell file describes, print its figures and verdict, and write what it asks for.",
+        epilog="`coopqp schema` prints every key of a cell file.",
+    )
+    parser.add_argument("cell", type=Path, metavar="CELL", help="the cell file, TOML or YAML")
+    parser.add_argument("--out", type=Path, metavar="DIR", help="folder of what is written (out/NAME)")
+    for product, text in (
+        ("report", "the report (HTML)"),
+        ("plots", "the pictures (PNG)"),
+        ("page", "the run in 3D (HTML)"),
+        ("csv", "the table (CSV)"),
+        ("bag", "the ROS 2 bag (MCAP)"),
+    ):
+        parser.add_argument(f"--{product}", action="store_true", help=f"also write {text}")
+    parser.add_argument("--view", action="store_true", help="then show the run in the browser")
+    parser.add_argument("--quiet", action="store_true", help="print errors only")
+    parser.set_defaults(run=_run_run)
+
+
+def _run_run(arguments: argparse.Namespace) -> int:
+    from coopqp.app import runs
+    from coopqp.files.cellfile import load_cell_file
+
+    task = load_cell_file(arguments.cell)
+    output = task.settings.output
+    products = [name for name in runs.PRODUCTS if getattr(output, name) or getattr(arguments, name, False)]
+    folder = arguments.out or Path(output.folder or Path("out") / runs.safe_name(task.scenario.name))
+    runs.check_products(folder, products)
+    with reporter(quiet=arguments.quiet) as report:
+        recording = task.run(progress=_progress(report, task.scenario.name))
+        files = runs.write_products(recording, folder, products, tell=report.note)
+    if not arguments.quiet:
+        _print_run(task.scenario.cell, recording)
+        print()
+        _print_written(files)
+    if arguments.view:
+        _serve(recording, quiet=arguments.quiet)
+    return _OK
+
+
+def _progress(report: Reporter, name: str) -> ProgressCallback:
+    return lambda done, planned: report.step(name, done, planned)
+
+
+def _print_run(cell: RobotCell, recording: Recording) -> None:
+    """The figures as a table, and the verdict in lines."""
+    from coopqp.simulation.assessment import judge, read_run, run_figures
+
+    readings = read_run(cell, recording)
+    print_table(list(run_figures(cell, recording, readings).items()), numeric=(False, False), head=False)
+    print()
+    for finding in judge(cell, recording, readings):
+        mark = styled("yes", GREEN) if finding.holds else styled("NO ", BOLD, RED)
+        print(f"{mark}  {finding.question} {finding.answer}")
+
+
+def _print_written(files: list[Path]) -> None:
+    if files:
+        print("written:", *files, sep="\n  ")
+
+
+# -- coopqp schema -------------------------------------------------------------------------------------------------
+
+
+def _add_schema(commands: Any) -> None:
+    parser = commands.add_parser(
+        "schema", help="print every key of a cell file", description="Print every key of a cell file."
+    )
+    parser.add_argument("--json", action="store_true", help="print the JSON Schema, for editors")
+    parser.add_argument("--example", action="store_true", help="print the paper's example as a cell file")
+    parser.set_defaults(run=_run_schema)
+
+
+def _run_schema(arguments: argparse.Namespace) -> int:
+    from coopqp.files import cellfile
+
+    if arguments.example:
+        print(cellfile.example_path("paper_lift").read_text(), end="")
+    elif arguments.json:
+        print(json.dumps(cellfile.json_schema(), indent=1, ensure_ascii=False))
+    else:
+        print(cellfile.schema_text(), end="")
+    return _OK
+
+
+# -- coopqp view ---------------------------------------------------------------------------------------------------
+
+
+def _add_view(commands: Any) -> None:
+    parser = commands.add_parser(
+        "view",
+        help="show a run in the browser",
+        description="Show a run in 3D, in the browser, with play, pause and scrub; or write it as one HTML file.",
+    )
+    parser.add_argument("what", metavar="RUN", help=_RUN_HELP)
+    parser.add_argument("--html", type=Path, metavar="FILE", help="write one page that opens offline, and end")
+    parser.add_argument("--port", type=int, default=8080, metavar="N", help="port (8080; 0 for any that is free)")
+    parser.add_argument("--no-open", action="store_true", help="do not open the browser")
+    parser.add_argument("--sticks", action="store_true", help="draw the arms as sticks, without their shapes")
+    parser.add_argument("--quiet", action="store_true", help="print errors only")
+    parser.set_defaults(run=_run_view)
+
+
+def _run_view(arguments: argparse.Namespace) -> int:
+    from coopqp.look.viewer import export_html, require_viser
+    from coopqp.output import check_file
+
+    require_viser()
+    if arguments.html is not None:
+        check_file(arguments.html)
+    recording = _obtain(arguments.what, quiet=arguments.quiet)
+    if arguments.html is None:
+        _serve(
+            recording,
+            port=arguments.port,
+            sticks=arguments.sticks,
+            browser=not arguments.no_open,
+            quiet=arguments.quiet,
+        )
+        return _OK
+    with reporter(quiet=arguments.quiet) as report:
+        page = export_html(
+            recording,
+            arguments.html,
+            sticks=arguments.sticks,
+            progress=lambda done, total: report.step("the pictures of the page", done, total),
+        )
+    if not arguments.quiet:
+        _print_written([page])
+    return _OK
+
+
+def _obtain(what: str, *, quiet: bool) -> Recording:
+    from coopqp.app.runs import obtain_run
+
+    with reporter(quiet=quiet) as report:
+        return obtain_run(what, progress=_progress(report, what))
+
+
+def _serve(
+    recording: Recording, *, port: int = 8080, sticks: bool = False, browser: bool = True, quiet: bool = False
+) -> None:
+    """Show a run until Ctrl-C."""
+    from coopqp.look.viewer import LiveViewer
+
+    with LiveViewer(recording, port=port, sticks=sticks) as viewer:
+        if not quiet:
+            print(f"{viewer.url} shows the run; Ctrl-C ends it", flush=True)
+        if browser:
+            webbrowser.open(viewer.url)
+        with contextlib.suppress(KeyboardInterrupt):
+            viewer.run()
+
+
+# -- coopqp report -------------------------------------------------------------------------------------------------
+
+
+def _add_report(commands: Any) -> None:
+    parser = commands.add_parser(
+        "report",
+        help="write the report of a run (HTML)",
+        description="Write the report of a run: one page with verdict, figures, plots and settings that opens offline.",
+    )
+    parser.add_argument("what", metavar="RUN", help=_RUN_HELP)
+    parser.add_argument("--out", type=Path, metavar="FILE", help="the page (NAME_report.html, beside a recording)")
+    for name, unit, text in (
+        ("chain-mm", "MM", "the arms against each other (0.1)"),
+        ("chain-deg", "DEG", "the arms against each other (0.1)"),
+        ("object-mm", "MM", "the object against its path (1)"),
+        ("object-deg", "DEG", "the object against its path (0.5)"),
+    ):
+        parser.add_argument(f"--{name}", type=float, metavar=unit, help=f"largest error that is held: {text}")
+    parser.add_argument("--quiet", action="store_true", help="print errors only")
+    parser.set_defaults(run=_run_report)
+
+
+def _run_report(arguments: argparse.Namespace) -> int:
+    from coopqp.look.report import write_report
+    from coopqp.output import check_file
+    from coopqp.simulation.assessment import Tolerances
+
+    asked = {name: getattr(arguments, name) for name in ("chain_mm", "chain_deg", "object_mm", "object_deg")}
+    tolerances = Tolerances(**{name: value for name, value in asked.items() if value is not None})
+    source = Path(arguments.what)
+    name = f"{source.stem}_report.html"
+    page = arguments.out or (source.with_name(name) if source.suffix == ".npz" else Path(name))
+    check_file(page)
+    recording = _obtain(arguments.what, quiet=arguments.quiet)
+    with reporter(quiet=arguments.quiet) as report:
+        write_report(recording, page, tolerances=tolerances, progress=report.note)
+    if not arguments.quiet:
+        _print_written([page])
+    return _OK
+
+
+# -- coopqp export -------------------------------------------------------------------------------------------------
+
+
+def _add_export(commands: Any) -> None:
+    parser = commands.add_parser(
+        "export",
+        help="write a run as CSV, ROS 2 bag or recording",
+        description="Write a run as a CSV table, a ROS 2 bag (MCAP) or a recording.",
+    )
+    parser.add_argument("what", metavar="RUN", help=_RUN_HELP)
+    parser.add_argument("--csv", type=Path, metavar="FILE", help="a table, one row per sample; - for stdout")
+    parser.add_argument("--bag", type=Path, metavar="DIR", help="a bag of joint states and trajectories; a new folder")
+    parser.add_argument("--npz", type=Path, metavar="FILE", help="a recording, to be shown and reported later")
+    parser.add_argument("--quiet", action="store_true", help="print errors only")
+    parser.set_defaults(run=_run_export)
+
+
+def _run_export(arguments: argparse.Namespace) -> int:
+    from coopqp.files.export import csv_text, write_bag, write_csv
+    from coopqp.output import check_file
+
+    to_stdout = arguments.csv == Path("-")
+    if arguments.csv is None and arguments.bag is None and arguments.npz is None:
+        raise CoopqpError("nothing to write: give --csv, --bag or --npz.")
+    for file in (None if to_stdout else arguments.csv, arguments.npz):
+        if file is not None:
+            check_file(file)
+    recording = _obtain(arguments.what, quiet=arguments.quiet)
+    files = []
+    if arguments.npz is not None:
+        arguments.npz.parent.mkdir(parents=True, exist_ok=True)
+        files.append(recording.save(arguments.npz))
+    if to_stdout:
+        sys.stdout.write(csv_text(recording))
+    elif arguments.csv is not None:
+        files.append(write_csv(recording, arguments.csv))
+    if arguments.bag is not None:
+        files.append(write_bag(recording, arguments.bag))
+    if not arguments.quiet and not to_stdout:
+        _print_written(files)
+    return _OK
+
+
+COMMANDS = (_add_run, _add_schema, _add_view, _add_report, _add_export)

@@ -1,0 +1,193 @@
+"""The paper's lift by every method: what ``coopqp demo`` runs, measures and draws."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from coopqp.control.command import NO_SOLVE, Controller, ControlStep
+from coopqp.control.options import QPOptions
+from coopqp.control.pseudo_inverse import PseudoInverseController, PseudoInverseOptions
+from coopqp.control.qp import QPController
+from coopqp.control.solvers import make_solver
+from coopqp.errors import InvalidInputError, UnknownNameError
+from coopqp.look import plots
+from coopqp.output import write_files
+from coopqp.scenarios import Scenario
+from coopqp.simulation import metrics
+from coopqp.simulation.simulate import Recording, simulate
+
+#: Steps between the inverse-kinematics resets of ``pseudo_inverse_reset``.
+RESET_EVERY = 10
+#: Numbers of steps of the paper's Figure 5.
+DEFAULT_STEPS = (40, 400, 1000)
+
+_VARIANTS = {
+    "pseudo_inverse": PseudoInverseOptions(),
+    "pseudo_inverse_literal": PseudoInverseOptions(increment="literal"),
+    "pseudo_inverse_midpoint": PseudoInverseOptions(integration="midpoint"),
+    "pseudo_inverse_reset": PseudoInverseOptions(reset_every=RESET_EVERY),
+}
+#: The methods, in the order in which they run.
+METHODS = (*_VARIANTS, "qp")
+
+#: Called as ``progress(method, steps, done)`` after every step of a run.
+DemoProgress = Callable[[str, int, int], None]
+
+
+@dataclass(frozen=True, eq=False)
+class DemoRun:
+    """One method with one number of steps.
+
+    Attributes:
+        method: one of :data:`METHODS`.
+        solver: name of the QP solver; "none" for the baseline.
+        steps: N, the number of steps of an unslowed run.
+        recording: the run.
+        solved: in how many of its steps the QP solver gave the answer.
+        eps_p_mm, eps_o_deg: ε_p and ε_o, largest over the run.
+        object_error_mm: distance of A from its target at the end of the run.
+    """
+
+    method: str
+    solver: str
+    steps: int
+    recording: Recording
+    solved: int
+    eps_p_mm: float
+    eps_o_deg: float
+    object_error_mm: float
+
+    @property
+    def status(self) -> str:
+        """``"ok"`` when every step tracked and the object arrived, else the worst status."""
+        statuses = set(self.recording.statuses)
+        worst = max(statuses, key=lambda status: status.code)
+        return "ok" if worst.code == 0 and self.recording.finished else worst.value
+
+    def record(self) -> dict[str, Any]:
+        """The run in a flat record, ready for JSON; a figure that is not finite is None."""
+        figures = {name: getattr(self, name) for name in ("eps_p_mm", "eps_o_deg", "object_error_mm")}
+        return {
+            "method": self.method,
+            "solver": self.solver,
+            "steps": self.steps,
+            **{name: value if math.isfinite(value) else None for name, value in figures.items()},
+            "status": self.status,
+        }
+
+
+def check_demo(steps: Sequence[int], solver: str) -> tuple[int, ...]:
+    """Check the demo's settings before anything runs; return the numbers of steps, sorted, each once.
+
+    Raises:
+        InvalidInputError: no number of steps, or one below 1.
+        UnknownNameError: no such solver.
+        MissingExtraError: the solver's package, or Matplotlib, is not installed.
+    """
+    if not steps or any(isinstance(n, bool) or not isinstance(n, int) or n < 1 for n in steps):
+        raise InvalidInputError(f"steps are {list(steps)}", "demo: steps", "Give whole numbers ≥ 1.")
+    make_solver(solver)
+    plots.require_matplotlib()
+    return tuple(sorted(set(steps)))
+
+
+def run_method(
+    scenario: Scenario, method: str, steps: int, *, solver: str = "proxqp", progress: DemoProgress | None = None
+) -> DemoRun:
+    """Run one method on a scenario in ``steps`` steps, and measure it.
+
+    Raises:
+        UnknownNameError: no such method or solver.
+    """
+    if method not in METHODS:
+        raise UnknownNameError("method", method, METHODS)
+    cell, grasp, path = scenario.cell, scenario.grasp, scenario.path
+    dt = path.duration / steps
+    controller: Controller
+    if method == "qp":
+        # Without the shortcut, so that every step is a QP and the solver is what is measured.
+        options = QPOptions(solver=solver, shortcut=False)
+        controller = QPController(cell, grasp, path, dt=dt, options=options)
+    else:
+        controller, solver = PseudoInverseController(cell, grasp, path, dt=dt, options=_VARIANTS[method]), "none"
+    solved = 0
+
+    def count(step: ControlStep) -> None:
+        nonlocal solved
+        solved += step.solver.name != NO_SOLVE.name
+
+    recording = simulate(
+        controller,
+        q_start=scenario.q_start,
+        progress=None if progress is None else lambda done, _: progress(method, steps, done),
+        observe=count,
+        metadata={"scenario": scenario.name, "method": method, "solver": solver, "steps": steps},
+    )
+    end = metrics.tool_placements(cell, recording.q[-1:])[0]
+    return DemoRun(
+        method=method,
+        solver=solver,
+        steps=steps,
+        recording=recording,
+        solved=solved,
+        eps_p_mm=float(np.max(plots.relative_errors(cell, recording, "position"))),
+        eps_o_deg=float(np.max(plots.relative_errors(cell, recording, "orientation"))),
+        object_error_mm=1e3 * metrics.object_error(end, grasp, path.pose(path.duration))[0],
+    )
+
+
+def run_demo(
+    scenario: Scenario,
+    *,
+    steps: Sequence[int] = DEFAULT_STEPS,
+    solver: str = "proxqp",
+    progress: DemoProgress | None = None,
+) -> list[DemoRun]:
+    """Every method with every number of steps. Errors as :func:`check_demo`."""
+    counts = check_demo(steps, solver)
+    return [run_method(scenario, m, n, solver=solver, progress=progress) for m in METHODS for n in counts]
+
+
+def records_json(runs: Sequence[DemoRun]) -> bytes:
+    """The records as JSON."""
+    return (json.dumps([run.record() for run in runs], indent=1, allow_nan=False) + "\n").encode()
+
+
+def demo_pictures(scenario: Scenario, runs: Sequence[DemoRun]) -> dict[str, bytes]:
+    """The pictures, by file name: the lift, Figure 5, ε_o, and the joints of the QP's finest run."""
+    cell = scenario.cell
+    curves = {
+        label: [run.recording for run in runs if run.method == method]
+        for method, label in (("pseudo_inverse", "pseudo-inverse"), ("qp", "QP"))
+    }
+    finest = max((run for run in runs if run.method == "qp"), key=lambda run: run.steps).recording
+    figures = {
+        "paper_lift.png": plots.motion_figure(
+            cell, finest, object_size=scenario.object_size, T_object_body=scenario.T_object_body
+        ),
+        "figure5.png": plots.error_figure(cell, curves),
+        "figure5_orientation.png": plots.error_figure(cell, curves, quantity="orientation"),
+        "joints.png": plots.joint_figure(cell, finest),
+    }
+    return {name: plots.figure_bytes(figure) for name, figure in figures.items()}
+
+
+def write_demo(
+    scenario: Scenario, runs: Sequence[DemoRun], folder: str | Path, *, json_file: str | Path | None = None
+) -> list[Path]:
+    """Write the pictures into ``folder`` and the records to ``json_file``; all of it or nothing.
+
+    Raises:
+        OutputError: a folder or file cannot be written.
+    """
+    contents = {Path(folder) / name: content for name, content in demo_pictures(scenario, runs).items()}
+    if json_file is not None:
+        contents[Path(json_file)] = records_json(runs)
+    return write_files(contents)

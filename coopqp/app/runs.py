@@ -1,0 +1,167 @@
+"""A run by name: from a recording, a cell file or a ready scenario; and what can be made of it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from pathlib import Path
+
+from coopqp.control.qp import QPController
+from coopqp.errors import CoopqpError, UnknownNameError
+from coopqp.output import OutputError, check_folder
+from coopqp.simulation.scene import describe_object, read_cell, read_object
+from coopqp.simulation.simulate import ProgressCallback, Recording, simulate
+
+#: What :func:`write_products` makes, and under which names.
+PRODUCTS = {
+    "recording": ("recording.npz",),
+    "report": ("report.html",),
+    "plots": ("timeline.png", "joints.png", "motion.png"),
+    "page": ("view.html",),
+    "csv": ("run.csv",),
+    "bag": ("bag",),
+}
+
+
+#: How long a scenario goes on once the object cannot [s].
+PATIENCE = 1.0
+
+
+def obtain_run(name: str, *, progress: ProgressCallback | None = None) -> Recording:
+    """The recording in a ``.npz``, or a run of a cell file (``.toml``, ``.yaml``) or, under the QP, of a scenario.
+
+    Args:
+        name: a file, or one of :data:`coopqp.scenarios.SCENARIOS`.
+        progress: as in :func:`coopqp.simulation.simulate.simulate`.
+
+    Raises:
+        UnknownNameError: neither a file nor a scenario.
+        RecordingError, CellFileError, CoopqpError: what is wrong with it.
+    """
+    from coopqp.files.cellfile import TOML_SUFFIX, YAML_SUFFIXES, load_cell_file
+    from coopqp.scenarios import SCENARIOS
+
+    file = Path(name)
+    if file.suffix in (TOML_SUFFIX, *YAML_SUFFIXES):
+        return load_cell_file(file).run(progress=progress)
+    if file.suffix == ".npz" or file.exists():
+        return Recording.load(file)
+    if name not in SCENARIOS:
+        raise UnknownNameError("recording (.npz), cell file (.toml, .yaml) or scenario", name, SCENARIOS)
+    scenario = SCENARIOS[name]()
+    controller = QPController(scenario.cell, scenario.grasp, scenario.path, dt=scenario.dt)
+    box = describe_object(scenario.object_size, scenario.T_object_body)
+    metadata = {"scenario": scenario.name, "method": "qp", "object": box}
+    return simulate(controller, q_start=scenario.q_start, patience=PATIENCE, progress=progress, metadata=metadata)
+
+
+def check_products(folder: Path, products: Iterable[str]) -> None:
+    """Raise before a long run, instead of after it, what would keep its products from being written.
+
+    Raises:
+        UnknownNameError: no such product.
+        OutputError: the folder cannot be written, or holds a bag already.
+    """
+    wanted = list(products)
+    for product in wanted:
+        if product not in PRODUCTS:
+            raise UnknownNameError("product", product, PRODUCTS)
+    if wanted:
+        check_folder(folder)
+    bag = folder / PRODUCTS["bag"][0]
+    if "bag" in wanted and bag.exists():
+        raise OutputError(f"cannot write the bag {bag}: it exists. Remove it, or give another folder.")
+
+
+def write_products(
+    recording: Recording,
+    folder: Path,
+    products: Iterable[str],
+    *,
+    tell: Callable[[str], None] | None = None,
+) -> list[Path]:
+    """Write what was asked for into a folder; return the files, in the order of :data:`PRODUCTS`.
+
+    Args:
+        recording: the run.
+        folder: made if it is not there.
+        products: names of :data:`PRODUCTS`.
+        tell: called with what goes on.
+
+    Raises:
+        as :func:`check_products`, and MissingExtraError where a product needs an extra.
+    """
+    wanted = set(products)
+    check_products(folder, wanted)
+    say = tell or (lambda _: None)
+    makers: dict[str, Callable[[Recording, Path, Callable[[str], None]], list[Path]]] = {
+        "recording": lambda run, into, _: [_save(run, into)],
+        "report": _report,
+        "plots": _plots,
+        "page": _page,
+        "csv": _csv,
+        "bag": _bag,
+    }
+    return [file for name in PRODUCTS if name in wanted for file in makers[name](recording, folder, say)]
+
+
+def _save(recording: Recording, folder: Path) -> Path:
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise OutputError(f"cannot make {folder}: {error.strerror}. Give another folder.") from error
+    return recording.save(folder / PRODUCTS["recording"][0])
+
+
+def _report(recording: Recording, folder: Path, say: Callable[[str], None]) -> list[Path]:
+    from coopqp.look.report import write_report
+
+    return [write_report(recording, folder / PRODUCTS["report"][0], progress=say)]
+
+
+def _plots(recording: Recording, folder: Path, say: Callable[[str], None]) -> list[Path]:
+    from coopqp.look import plots
+    from coopqp.look.timeline import timeline_figure
+    from coopqp.output import write_files
+    from coopqp.simulation.assessment import read_run
+
+    say("drawing the pictures")
+    cell = read_cell(recording.metadata)
+    size, body = read_object(recording.metadata, recording.T_object_tool)
+    figures = {
+        "timeline.png": timeline_figure(recording, read_run(cell, recording)),
+        "joints.png": plots.joint_figure(cell, recording),
+    }
+    if cell.visual_model().ngeoms:
+        figures["motion.png"] = plots.motion_figure(
+            cell, recording, object_size=(size[0], size[1], size[2]), T_object_body=body, pixels=600
+        )
+    return write_files({folder / name: plots.figure_bytes(figure) for name, figure in figures.items()})
+
+
+def _page(recording: Recording, folder: Path, say: Callable[[str], None]) -> list[Path]:
+    from coopqp.look.viewer import export_html
+
+    say("building the 3D page")
+    return [export_html(recording, folder / PRODUCTS["page"][0])]
+
+
+def _csv(recording: Recording, folder: Path, say: Callable[[str], None]) -> list[Path]:
+    from coopqp.files.export import write_csv
+
+    say("writing the table")
+    return [write_csv(recording, folder / PRODUCTS["csv"][0])]
+
+
+def _bag(recording: Recording, folder: Path, say: Callable[[str], None]) -> list[Path]:
+    from coopqp.files.export import write_bag
+
+    say("writing the bag")
+    return [write_bag(recording, folder / PRODUCTS["bag"][0])]
+
+
+def safe_name(name: str) -> str:
+    """A name as a folder may be called: letters, digits, dots and dashes, no dot first."""
+    plain = "".join(c if c.isalnum() or c in "._-" else "_" for c in name).lstrip(".")
+    if not plain:
+        raise CoopqpError(f"'{name}' makes no name for a folder. Give one with --out.")
+    return plain

@@ -1,0 +1,1 @@
+"""One step: limits, forms, ranks, supervision, and the controllers."""

@@ -1,0 +1,239 @@
+"""What every controller is: ``reset(q)``, then ``step() → ControlStep`` once a period."""
+
+from __future__ import annotations
+
+import enum
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any, Protocol
+
+import numpy as np
+import pinocchio as pin
+
+from coopqp.checks import read_only
+from coopqp.errors import InvalidInputError
+from coopqp.model.cell import RobotCell
+from coopqp.model.grasp import Grasp
+from coopqp.model.limits import BindingLimit
+from coopqp.model.state import CellState
+from coopqp.spatial import Array
+from coopqp.task.path import ObjectPath
+
+
+class Status(enum.Enum):
+    """What a step is worth. Every status but FAULT comes with a command that advances or brakes the motion."""
+
+    TRACKING = "tracking"  #: the object follows its path at full rate
+    SLOWED = "slowed"  #: the object is on its path, slower (σ < 1)
+    BLOCKED = "blocked"  #: the object cannot go on: a limit, a singularity, out of reach (σ ≈ 0)
+    HOLDING = "holding"  #: bad input, no solution, a stale clock, arms out of step: braking together, then at rest
+    FAULT = "fault"  #: latched; at rest until ``reset`` is called with the measured configuration
+
+    @property
+    def code(self) -> int:
+        """A number for recordings."""
+        return _STATUS_ORDER.index(self)
+
+
+_STATUS_ORDER = list(Status)
+
+
+@dataclass(frozen=True, slots=True)
+class SolverReport:
+    """How the QP of a step went; ``name`` is "none" where the step was settled without one."""
+
+    name: str = "none"
+    status: str = "not needed"
+    iterations: int = 0
+    residual: float = 0.0
+    time_s: float = 0.0
+    message: str = ""
+
+
+NO_SOLVE = SolverReport()
+
+
+@dataclass(frozen=True, slots=True)
+class GivenUp:
+    """What a higher rank forced the lower ones to give up, in the order of rank.
+
+    Attributes:
+        chain: speed by which the arms part despite everything (0 unless the limits are infeasible) [m/s].
+        grasp: share of the grasp correction given up, 1 − ρ_g.
+        off_path: twist of the object off its path, s, in the reference object frame (6,) [m/s, rad/s].
+        path: share of the path correction given up, 1 − ρ_p.
+        rate: share of the path rate given up, 1 − σ.
+        restricted: names of arms (fewer than six joints) that cannot follow every object motion.
+    """
+
+    chain: float = 0.0
+    grasp: float = 0.0
+    off_path: tuple[float, ...] = (0.0,) * 6
+    path: float = 0.0
+    rate: float = 0.0
+    restricted: tuple[str, ...] = ()
+
+
+NOTHING = GivenUp()
+
+
+@dataclass(frozen=True, eq=False)
+class ControlStep:
+    """The command of one step, and the reason for it. Costly readings are computed when asked for.
+
+    Its arrays are read-only; copy one to change it.
+
+    Attributes:
+        q: commanded configuration at the start of the step (nq,).
+        velocity: joint velocities (nv,) [rad/s or m/s], constant over the step.
+        q_next: commanded configuration at its end (nq,): send this to position servos.
+        dt: length of the step [s].
+        clock, clock_next: the object's clock at both ends [s].
+        rate: σ, share of the nominal path rate.
+        status, reason: what the step is worth, in a word and in a sentence.
+        binding: limits that the step runs against.
+        given_up: what each rank gave up.
+        solver: how the QP went.
+        build_time_s: time to compute the step without the solve [s].
+        finished: the object's clock has reached the end of its path.
+    """
+
+    cell: RobotCell = field(repr=False)
+    grasp: Grasp = field(repr=False)
+    path: ObjectPath = field(repr=False)
+    q: Array
+    velocity: Array
+    q_next: Array
+    dt: float
+    clock: float
+    clock_next: float
+    rate: float
+    status: Status
+    reason: str = ""
+    binding: tuple[BindingLimit, ...] = ()
+    given_up: GivenUp = NOTHING
+    solver: SolverReport = NO_SOLVE
+    build_time_s: float = 0.0
+
+    def __post_init__(self) -> None:
+        for name in ("q", "velocity", "q_next"):
+            _set(self, name, read_only(getattr(self, name)))
+
+    @property
+    def finished(self) -> bool:
+        """The object's clock has reached the end of its path."""
+        return self.clock_next >= self.path.duration
+
+    @cached_property
+    def state(self) -> CellState:
+        """Kinematics at :attr:`q`."""
+        return CellState(self.cell, self.q)
+
+    @cached_property
+    def arm_increments(self) -> Array:
+        """Δ^k of Eq. (16) as commanded: displacement of each tool in its own frame over the step, (N, 6) [m, rad]."""
+        v = [self.velocity[s] for s in self.cell.v_slices]
+        return np.array([self.state.jacobian(k) @ v[k] * self.dt for k in range(len(self.cell))])
+
+    @cached_property
+    def relative_errors(self) -> Array:
+        """Per pair of arms (0,1), (0,2), … (1,2) …: distance [mm] and angle [deg] between their views of the object."""
+        e = self.grasp.relative_errors(self.state)
+        return np.column_stack([1e3 * np.linalg.norm(e[:, :3], axis=1), np.rad2deg(np.linalg.norm(e[:, 3:], axis=1))])
+
+    @property
+    def sigma_min(self) -> Array:
+        """Smallest singular value of each arm's tool Jacobian, (N,)."""
+        return self.state.sigma_min
+
+    def explain(self) -> str:
+        """One sentence that a person can act on."""
+        where = f" ({'; '.join(str(b) for b in self.binding)})" if self.binding else ""
+        rate = f" at {100 * self.rate:.3g} % of its rate" if self.status is Status.SLOWED else ""
+        what = {
+            Status.TRACKING: "The object follows its path",
+            Status.SLOWED: "The object follows its path" + rate,
+            Status.BLOCKED: "The object cannot go on",
+            Status.HOLDING: "All arms brake together and hold",
+            Status.FAULT: "Stopped until reset() is called with the measured configuration",
+        }[self.status]
+        parts = [what + where]
+        if self.reason:
+            parts.append(self.reason)
+        g = self.given_up
+        lost = []
+        if g.chain > 0.0:
+            lost.append(f"the arms part at {1e3 * g.chain:.3g} mm/s")
+        if g.grasp > 1e-3:
+            lost.append(f"{100 * g.grasp:.0f} % of the grasp correction")
+        off = float(np.linalg.norm(g.off_path[:3]))
+        if off > 1e-9:
+            lost.append(f"{1e3 * off:.3g} mm/s off the path")
+        if g.path > 1e-3:
+            lost.append(f"{100 * g.path:.0f} % of the path correction")
+        if g.restricted:
+            lost.append(f"motions that {', '.join(g.restricted)} cannot follow")
+        if lost:
+            parts.append("given up: " + ", ".join(lost))
+        return "; ".join(parts) + "."
+
+
+def make_step(fields: dict[str, Any]) -> ControlStep:
+    """A ControlStep that keeps ``fields``, every one of them, without the cost of its constructor and of copies."""
+    step = _new(ControlStep)
+    _set(step, "__dict__", fields)
+    # The controller goes on from them: what a user adds to one must not move the arms.
+    fields["velocity"].setflags(False)
+    fields["q_next"].setflags(False)
+    return step
+
+
+_new, _set = object.__new__, object.__setattr__
+
+
+class Controller(Protocol):
+    """The protocol that :func:`coopqp.simulation.simulate.simulate` drives."""
+
+    cell: RobotCell
+    grasp: Grasp
+    path: ObjectPath
+    dt: float
+
+    def reset(self, q: Any) -> None:
+        """Start at a measured configuration (nq,), at rest, the object's clock at 0.
+
+        Raises:
+            InvalidInputError: wrong shape, NaN, or a configuration at which the arms do not hold the object.
+        """
+        ...
+
+    def step(self, q_measured: Any = None, *, dt: float | None = None) -> ControlStep:
+        """Compute the command of one period; never raises for run-time data."""
+        ...
+
+
+#: Largest chain error at reset, unless the user says otherwise [m, rad].
+START_TOLERANCE_M, START_TOLERANCE_RAD = 0.02, np.deg2rad(3.0)
+
+
+def check_start(
+    cell: RobotCell, grasp: Grasp, path: ObjectPath, q: Any, *, tolerance_m: float, tolerance_rad: float
+) -> Array:
+    """Return ``q`` as a read-only array if the arms hold the object at the start of the path there.
+
+    Raises:
+        InvalidInputError: names the arm and how far it is from the grasp, and from the path's start.
+    """
+    configuration = cell.check_configuration(q, "reset: q")
+    start = path.pose(0.0)
+    for name, O in zip(cell.arm_names, grasp.carried(CellState(cell, configuration)), strict=True):
+        error = pin.log6(start.actInv(O)).vector
+        d, a = float(np.linalg.norm(error[:3])), float(np.linalg.norm(error[3:]))
+        if d > tolerance_m or a > tolerance_rad:
+            raise InvalidInputError(
+                f"arm '{name}' holds the object {1e3 * d:.1f} mm and {np.rad2deg(a):.2f}° from the start of its path "
+                f"(tolerance {1e3 * tolerance_m:g} mm, {np.rad2deg(tolerance_rad):.3g}°)",
+                "reset: q",
+                "Start where the arms meet the grasp (coopqp.model.inverse_kinematics), or widen the start tolerance.",
+            )
+    return read_only(configuration)

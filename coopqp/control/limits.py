@@ -1,0 +1,175 @@
+"""Admissible joint velocities of one step: position, velocity, acceleration and braking distance in one box.
+
+The box ``lower ≤ v ≤ upper`` is never empty. From outside a position limit it only forbids going further out; the
+way back in is a cost of the program (see :mod:`coopqp.control.forms`). Where limits conflict, acceleration wins.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from coopqp.model.cell import JointLimits, RobotCell
+from coopqp.model.limits import BindingLimit, LimitKind
+from coopqp.spatial import Array
+
+#: Velocities within this of a limit count as admissible, and are clipped [rad/s or m/s].
+LIMIT_TOLERANCE = 1e-9
+#: Per unit of rate, a joint slower than this stands still [rad/s or m/s].
+_STILL = 1e-12
+#: In place of an infinite position limit, where inf / inf would be NaN.
+_FAR = 1e100
+#: Slope of a joint that stands still: what the tolerance of a limit over it is beyond _FAR.
+_TINY = 1e-200
+_SIDES = np.array([[1.0], [-1.0]])
+
+
+class VelocityBox:
+    """The box of admissible joint velocities; a workspace that one controller owns.
+
+    ``limits`` are the cell's, unless others are given.
+
+    After :meth:`update`, ``lower`` and ``upper`` (nv,) [rad/s or m/s] hold the box, ``outside`` the joints beyond a
+    position limit (``any_outside`` if there are some) and ``recovery`` the velocity that leads those back in (0
+    elsewhere).
+    """
+
+    #: Share of a joint's speed at which it is led back from outside its limits.
+    RECOVERY_SHARE = 0.2
+    #: How far inside its limit such a joint is led [rad or m].
+    INSIDE = 1e-5
+
+    def __init__(self, cell: RobotCell, limits: JointLimits | None = None) -> None:
+        limits = self.limits = cell.limits if limits is None else limits
+        n = cell.nv
+        self._cell = cell
+        self._names = [name.partition("/")[::2] for name in cell.joint_names]
+        self._speed = limits.velocity
+        self._acceleration = limits.acceleration
+        self._braking = np.isfinite(limits.acceleration)
+        self.accelerates, self._all_brake = bool(self._braking.any()), bool(self._braking.all())
+        self._braking_gain = 2.0 * limits.acceleration
+        # Rows: upwards, and downwards with all signs turned. Buffers, for NumPy's calls cost more than its arithmetic.
+        self._ends = np.stack([limits.upper, -limits.lower])
+        self._ends_cut = np.clip(self._ends, -_FAR, _FAR)
+        self._ways, self._bounds, self._work, self._v = (np.empty((2, n)) for _ in range(4))
+        self._ways_flat = self._ways.reshape(-1)
+        self._reach, self._reach2, self._reach_dt = np.zeros(n), np.zeros(n), 0.0
+        self.lower, self.upper = np.empty(n), np.empty(n)
+        self.recovery = np.zeros(n)
+        self.outside = np.zeros(n, dtype=bool)
+        self.any_outside = False
+
+    def update(self, positions: Array, v_prev: Array, dt: float) -> None:
+        """Compute the box for one step.
+
+        Args:
+            positions: one position per joint (nv,) [rad or m].
+            v_prev: velocity of the previous step (nv,).
+            dt: length of the step [s].
+        """
+        ways, bounds = self._ways, self._bounds
+        np.multiply(_SIDES, positions, out=ways)
+        np.subtract(self._ends_cut if self._all_brake else self._ends, ways, out=ways)
+        least = self._ways_flat.item(self._ways_flat.argmin())
+        inside = least >= 0.0  # not so for NaN
+        np.minimum(self._speed, self._stopping_speed(ways if inside else np.maximum(ways, 0.0), dt), out=bounds)
+        if self.accelerates:
+            self._keep_reach(dt)
+            v, work = self._v, self._work
+            np.multiply(_SIDES, v_prev, out=v)
+            np.maximum(bounds, np.subtract(v, self._reach, out=work), out=bounds)
+            np.minimum(bounds, np.add(v, self._reach, out=work), out=bounds)
+        self.upper[:] = bounds[0]
+        np.negative(bounds[1], out=self.lower)
+        if self.any_outside:
+            self.recovery[:], self.outside[:], self.any_outside = 0.0, False, False
+        if not inside:
+            self._lead_back(dt)
+
+    def _lead_back(self, dt: float) -> None:
+        up, down = self._ways
+        np.logical_or(up < 0.0, down < 0.0, out=self.outside)
+        # The signed way back in, and a little further: a joint led to the limit itself would only approach it.
+        way = np.where(self.outside, np.where(up < 0.0, up - self.INSIDE, self.INSIDE - down), 0.0)
+        share = self.RECOVERY_SHARE * np.where(np.isfinite(self._speed), self._speed, 1.0)
+        self.recovery[:] = np.clip(np.clip(way / dt, -share, share), self.lower, self.upper) * self.outside
+        self.any_outside = bool(self.outside.any())
+
+    def _keep_reach(self, dt: float) -> None:
+        """Largest changes of velocity in one step."""
+        if dt != self._reach_dt:
+            self._reach, self._reach_dt = self._acceleration * dt, dt
+            self._reach2 = self._reach * self._reach
+
+    def _stopping_speed(self, distance: Array, dt: float) -> Array:
+        """Largest speed from which ``distance`` ≥ 0 suffices to stop: v dt + v²/(2a) = d; inf without limit.
+
+        ``distance`` has joints along its last axis, and is finite where all of them have an acceleration limit.
+        """
+        if not self.accelerates:
+            speed: Array = distance / dt
+            return speed
+        # −a dt + √((a dt)² + 2 a d), written without cancellation
+        if self._all_brake:
+            self._keep_reach(dt)
+            gain = self._braking_gain * distance
+            root = np.sqrt(self._reach2 + gain)
+            root += self._reach
+            gain /= root
+            return gain
+        finite = self._braking & np.isfinite(distance)
+        a, d = np.where(finite, self._acceleration, 1.0), np.where(finite, distance, 1.0)
+        step = a * dt
+        braking = 2.0 * a * d / (np.sqrt(step * step + 2.0 * a * d) + step)
+        return np.where(finite, braking, distance / dt)
+
+    def kind_of(self, j: int, sign: float, v_prev: Array, dt: float) -> LimitKind:
+        """Which limit makes the bound of joint ``j`` on the side of ``sign``."""
+        bound = self.upper.item(j) if sign > 0 else self.lower.item(j)
+        tolerance = 1e-9 * (1.0 + abs(bound))
+        if abs(abs(bound) - self._speed.item(j)) <= tolerance:
+            return LimitKind.VELOCITY
+        acceleration = self._acceleration.item(j)
+        if acceleration < math.inf:
+            change = (bound - v_prev.item(j)) * sign
+            if abs(abs(change) - acceleration * dt) <= tolerance:
+                return LimitKind.ACCELERATION
+        return LimitKind.POSITION
+
+    def binding(self, j: int, sign: float, v_prev: Array, dt: float) -> BindingLimit:
+        """The limit of joint ``j`` on the side of ``sign``, by name."""
+        arm, joint = self._names[j]
+        return BindingLimit(arm, joint, self.kind_of(j, sign, v_prev, dt))
+
+
+def rate_interval(base: Array, along: Array, lower: Array, upper: Array) -> tuple[float, float, int] | None:
+    """Rates σ with ``lower ≤ base + σ along ≤ upper``: (low, high, joint that makes high); None if there are none."""
+    first, last = lower - base, upper - base
+    still = np.abs(along) < _STILL
+    slope = along
+    if np.count_nonzero(still):
+        # Inside, with the tolerance, they allow any rate, and outside none.
+        room = LIMIT_TOLERANCE * still
+        first -= room
+        last += room
+        slope = np.where(still, _TINY, along)
+    first /= slope
+    last /= slope
+    low, high = np.minimum(first, last), np.maximum(first, last)
+    i, j = int(low.argmax()), int(high.argmin())
+    lowest, highest = low.item(i), high.item(j)
+    if lowest > _FAR or highest < -_FAR:
+        return None
+    lowest, highest = (-math.inf if lowest < -_FAR else lowest), (math.inf if highest > _FAR else highest)
+    # At standstill a rounding error of the box must not look like an empty interval.
+    slack = LIMIT_TOLERANCE / abs(slope.item(j))
+    if lowest > highest:
+        if lowest - LIMIT_TOLERANCE / abs(slope.item(i)) > highest + slack:
+            return None
+        lowest = highest = 0.5 * (lowest + highest)
+    if highest < 0.0 <= highest + slack:
+        highest = 0.0
+        lowest = min(lowest, 0.0)
+    return lowest, highest, j

@@ -1,0 +1,87 @@
+"""Settings of the cooperative controller."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+from coopqp.checks import as_count, keep_scalars
+from coopqp.control.command import START_TOLERANCE_M, START_TOLERANCE_RAD
+from coopqp.control.forms import RankWeights
+from coopqp.control.supervision import SupervisionOptions
+from coopqp.errors import InvalidInputError, UnknownNameError
+from coopqp.planning.preview import PreviewOptions
+from coopqp.task.common_error import CommonError
+from coopqp.task.posture import PostureOptions
+
+
+@dataclass(frozen=True, kw_only=True)
+class QPOptions:
+    """Settings of the cooperative controller.
+
+    Attributes:
+        solver: name of the QP solver, see :func:`coopqp.control.solvers.available_solvers`.
+        solver_settings: settings object of that solver.
+        grasp_gain, path_gain: K_g, K_p [1/s]; a step never corrects more than the whole error (K dt ≤ 1).
+        correction_speed, correction_spin: bound of each correction [m/s, rad/s].
+        measurement_time: time constant with which the measured error of the object is let in [s].
+        common_error: whose view of the object is the object's: the first arm's (master–slave) by default.
+        weights: costs of the ranks.
+        form: the QP that is solved, ``"condensed"`` or ``"full"``.
+        shortcut: settle a step without a QP where the nominal command or a rate on the path is admissible.
+        iterations: linearisations of a step; 2 where accuracy matters more than time.
+        preview: settings of the path preview; None to do without.
+        posture: what redundant arms do with their freedom.
+        supervision: thresholds for measured against commanded configurations.
+        kernel: ``"auto"`` for the fastest there is, or ``"numpy"``, ``"compiled"``, ``"none"`` (no fused step).
+        blocked_rate: below this rate the object counts as blocked.
+        start_tolerance_m, start_tolerance_rad: accepted error of any arm at reset [m, rad].
+    """
+
+    solver: str = "daqp"
+    solver_settings: Any = None
+    grasp_gain: float = 20.0
+    path_gain: float = 20.0
+    correction_speed: float = 0.1
+    correction_spin: float = 0.4
+    measurement_time: float = 0.02
+    common_error: CommonError = field(default_factory=CommonError.master)
+    weights: RankWeights = field(default_factory=RankWeights)
+    form: Literal["condensed", "full"] = "condensed"
+    shortcut: bool = True
+    iterations: int = 1
+    preview: PreviewOptions | None = field(default_factory=PreviewOptions)
+    posture: PostureOptions = field(default_factory=PostureOptions)
+    supervision: SupervisionOptions = field(default_factory=SupervisionOptions)
+    kernel: str = "auto"
+    blocked_rate: float = 1e-3
+    start_tolerance_m: float = START_TOLERANCE_M
+    start_tolerance_rad: float = START_TOLERANCE_RAD
+
+    def __post_init__(self) -> None:
+        keep_scalars(self, "grasp_gain", "path_gain", "measurement_time", open_low=False)
+        keep_scalars(self, "correction_speed", "correction_spin", "blocked_rate")
+        keep_scalars(self, "start_tolerance_m", "start_tolerance_rad")
+        for name, kind in _PARTS.items():
+            part = getattr(self, name)
+            if not isinstance(part, kind) and not (name == "preview" and part is None):
+                raise InvalidInputError(
+                    f"{name} is a {type(part).__name__}", "QPOptions", f"Give {kind.__name__}(…), or nothing."
+                )
+        if self.form not in ("condensed", "full"):
+            raise UnknownNameError("form", str(self.form), ("condensed", "full"), "QPOptions")
+        if self.kernel not in ("auto", "numpy", "compiled", "none"):
+            raise UnknownNameError("kernel", str(self.kernel), ("auto", "numpy", "compiled", "none"), "QPOptions")
+        object.__setattr__(self, "iterations", as_count(self.iterations, "QPOptions: iterations"))
+        if self.iterations > 5:
+            raise InvalidInputError(f"iterations is {self.iterations}", "QPOptions", "Give 1 to 5.")
+
+
+#: Options that are groups of options.
+_PARTS: dict[str, type] = {
+    "common_error": CommonError,
+    "weights": RankWeights,
+    "preview": PreviewOptions,
+    "posture": PostureOptions,
+    "supervision": SupervisionOptions,
+}

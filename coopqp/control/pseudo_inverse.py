@@ -1,0 +1,187 @@
+"""The paper's algorithm, Steps 0–5: each increment of the object, carried into each arm and solved for its joints.
+
+It is open loop, knows no limits, and serves as the baseline.
+"""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+from typing import Any, Literal, final
+
+import numpy as np
+import pinocchio as pin
+
+from coopqp.checks import as_count, as_scalar, keep_scalars
+from coopqp.control.command import START_TOLERANCE_M, START_TOLERANCE_RAD, ControlStep, Status, check_start
+from coopqp.errors import InvalidInputError, UnknownNameError, UnreachableError
+from coopqp.model.cell import RobotCell
+from coopqp.model.grasp import Grasp
+from coopqp.model.inverse_kinematics import inverse_kinematics
+from coopqp.model.state import CellState
+from coopqp.spatial import Array
+from coopqp.task.path import LinePath, ObjectPath
+
+Increment = Literal["rotated", "literal", "exact"]
+Integration = Literal["euler", "midpoint"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class PseudoInverseOptions:
+    """Variants of the paper's algorithm.
+
+    Attributes:
+        increment: how the total displacement is divided (Step 1). ``"rotated"``: δφ = r φ*/N and
+            δp_k = Rot(r, −τ_k φ*) p/N, which follows G(0)M(τ) to first order. ``"literal"``: the constant body
+            increment (p, φ* r)/N, a screw that ends elsewhere. ``"exact"``: log(M(τ)⁻¹ M(τ + dτ)), for any path.
+        integration: ``"euler"`` evaluates the Jacobian at the start of the step, ``"midpoint"`` half-way.
+        reset_every: every so many steps solve the inverse kinematics of the path's pose (the paper's future
+            work); None for never.
+        damping: damped pseudo-inverse: λ_max of λ² = λ_max² (1 − (σ_min/σ_0)²) below ``damping_from``.
+        damping_from: σ_0, the smallest singular value below which damping sets in.
+    """
+
+    increment: Increment = "rotated"
+    integration: Integration = "euler"
+    reset_every: int | None = None
+    damping: float = 0.0
+    damping_from: float = 0.05
+
+    def __post_init__(self) -> None:
+        if self.increment not in ("rotated", "literal", "exact"):
+            raise UnknownNameError("increment", str(self.increment), ("rotated", "literal", "exact"))
+        if self.integration not in ("euler", "midpoint"):
+            raise UnknownNameError("integration", str(self.integration), ("euler", "midpoint"))
+        if self.reset_every is not None:
+            object.__setattr__(self, "reset_every", as_count(self.reset_every, "PseudoInverseOptions: reset_every"))
+        keep_scalars(self, "damping", open_low=False)
+        keep_scalars(self, "damping_from")
+
+
+@final
+class PseudoInverseController:
+    """Steps 0–5 of the paper for any number of arms; see :class:`PseudoInverseOptions` for its variants.
+
+    Args:
+        cell, grasp, path: what moves, how it holds, and where to.
+        dt: length of a step [s]; the paper's N increments are ``dt = t_f / N``.
+        options: variants.
+
+    Raises:
+        InvalidInputError: ``"rotated"`` or ``"literal"`` with a path that is not a :class:`LinePath`.
+    """
+
+    def __init__(
+        self,
+        cell: RobotCell,
+        grasp: Grasp,
+        path: ObjectPath,
+        *,
+        dt: float,
+        options: PseudoInverseOptions | None = None,
+    ) -> None:
+        grasp.check_arms(cell)
+        self.cell, self.grasp, self.path = cell, grasp, path
+        self.dt = as_scalar(dt, "PseudoInverseController: dt")
+        self.options = options or PseudoInverseOptions()
+        if self.options.increment != "exact" and not isinstance(path, LinePath):
+            raise InvalidInputError(
+                f"the paper's '{self.options.increment}' increment needs a LinePath, got {type(path).__name__}",
+                "PseudoInverseController",
+                "Use increment='exact' for other paths.",
+            )
+        self._q = pin.neutral(cell.model)
+        self._clock, self._count, self._started = 0.0, 0, False
+
+    def reset(self, q: Any) -> None:
+        """Step 0: start at ``q`` (nq,), the object's clock at 0. Errors as :class:`Controller`."""
+        self._q = check_start(
+            self.cell,
+            self.grasp,
+            self.path,
+            q,
+            tolerance_m=START_TOLERANCE_M,
+            tolerance_rad=START_TOLERANCE_RAD,
+        )
+        self._clock, self._count, self._started = 0.0, 0, True
+
+    def step(self, q_measured: Any = None, *, dt: float | None = None) -> ControlStep:
+        """Steps 3–5. The algorithm is open loop: ``q_measured`` is not used.
+
+        A ``dt`` that is no length of time makes the arms hold; a periodic reset that the arms cannot reach is left
+        out, and the reason says so.
+        """
+        if not self._started:
+            raise InvalidInputError("step before reset", "PseudoInverseController", "Call reset(q) first.")
+        began = time.perf_counter()
+        try:
+            h = self.dt if dt is None else as_scalar(dt, "step: dt")
+        except InvalidInputError as error:
+            return self._result(self._q, self._clock, self.dt, began, Status.HOLDING, str(error).rstrip("."))
+        clock = self._clock
+        share = min(h, max(self.path.duration - clock, 0.0))
+        arm_increments = self.grasp.arm_increments(self._object_increment(clock, share))  # Step 3, Eq. (16)
+        dq = self._joint_increment(self._q, arm_increments)  # Step 4, Eq. (17)
+        if self.options.integration == "midpoint":
+            dq = self._joint_increment(pin.integrate(self.cell.model, self._q, 0.5 * dq), arm_increments)
+        q_next = pin.integrate(self.cell.model, self._q, dq)  # Step 5
+        clock_next = self._end_of_step(clock, share)
+        self._count += 1
+        every, reason = self.options.reset_every, ""
+        if every is not None and self._count % every == 0:
+            try:
+                q_next = inverse_kinematics(self.cell, self.grasp, self.path.pose(clock_next), q_next)
+            except UnreachableError as error:
+                reason = f"no periodic reset: {error}".rstrip(".")
+        step = self._result(q_next, clock_next, h, began, Status.TRACKING, reason)
+        self._q, self._clock = q_next, clock_next
+        return step
+
+    def _result(
+        self, q_next: Array, clock_next: float, h: float, began: float, status: Status, reason: str
+    ) -> ControlStep:
+        return ControlStep(
+            cell=self.cell,
+            grasp=self.grasp,
+            path=self.path,
+            q=self._q,
+            velocity=pin.difference(self.cell.model, self._q, q_next) / h,
+            q_next=q_next,
+            dt=h,
+            clock=self._clock,
+            clock_next=clock_next,
+            rate=1.0 if status is Status.TRACKING else 0.0,
+            status=status,
+            reason=reason,
+            build_time_s=time.perf_counter() - began,
+        )
+
+    def _end_of_step(self, clock: float, share: float) -> float:
+        """Rounding of N · dt must not add a step: what is within 1e-9 of the end is the end."""
+        end = clock + share
+        return self.path.duration if self.path.duration - end < 1e-9 * self.path.duration else end
+
+    def _object_increment(self, clock: float, share: float) -> Array:
+        """Δ of Eq. (13): the object's body-frame increment over ``share`` seconds (6,) [m, rad]."""
+        if share <= 0.0:
+            return np.zeros(6)
+        if self.options.increment == "exact" or not isinstance(self.path, LinePath):
+            return self.path.increment(clock, share) * share
+        path, law = self.path, self.path.time_law
+        u, u_end = (law.value_at(t / path.duration) for t in (clock, clock + share))
+        p, turn = path.screw.p, path.screw.angle * path.screw.r
+        if self.options.increment == "rotated":
+            p = pin.exp3(-u * turn) @ p
+        return np.concatenate([p, turn]) * (u_end - u)
+
+    def _joint_increment(self, q: Array, arm_increments: Array) -> Array:
+        """Step 4 for every arm: solve J δq = Δ^k, both in the tool's frame."""
+        state = CellState(self.cell, q)
+        dq = np.empty(self.cell.nv)
+        for k, s in enumerate(self.cell.v_slices):
+            J = state.jacobian(k)
+            U, sigma, Vt = np.linalg.svd(J, full_matrices=False)
+            damping = self.options.damping**2 * max(0.0, 1.0 - (sigma[-1] / self.options.damping_from) ** 2)
+            inverse = sigma / (sigma**2 + damping) if damping else 1.0 / np.maximum(sigma, 1e-12)
+            dq[s] = Vt.T @ (inverse * (U.T @ arm_increments[k]))
+        return dq

@@ -1,0 +1,208 @@
+"""From an approximate answer to an exact one: solve the equations of the constraints that the multipliers point at."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import eigenpy  # type: ignore[import-untyped]
+import numpy as np
+from numpy.typing import NDArray
+
+from coopqp.control.solvers.base import INFINITE, Array, Outcome, QpProblem, SolverStatus, Workspace
+
+#: Residuals up to these are rounding: nothing is left to polish.
+_EXACT, _EXACT_RELATIVE = 1e-13, 1e-10
+#: Multipliers up to this are none.
+_NO_MULTIPLIER = 1e-8
+#: Active sets tried; more than a few mean that the answer was not near.
+_ROUNDS = 8
+#: Unknowns of this size are no answer to anything: a proof up to here is one of infeasibility.
+_REACH = 1e5
+#: Regularisation of the equations, taken out again by refinement: a handful of times where H is nearly singular on
+#: what the active constraints leave free, as near a singularity.
+_DELTA = 1e-10
+_REFINEMENTS = 20
+_CONVERGED = 1e-15
+
+
+@dataclass(slots=True)
+class Residual:
+    """How far an answer is from optimal.
+
+    Attributes:
+        absolute: the :func:`kkt_residual`.
+        relative: the same with what depends on the multipliers in units of the largest of them. An answer whose
+            multipliers all but vanish is near an optimum in the absolute sense, and may be far from it.
+    """
+
+    absolute: float
+    relative: float
+
+    @property
+    def exact(self) -> bool:
+        """Nothing but rounding is left."""
+        return self.absolute <= _EXACT and self.relative <= _EXACT_RELATIVE
+
+    def __lt__(self, other: Residual) -> bool:
+        """Nearer to optimal; what is below rounding in the absolute sense counts as that."""
+        mine, theirs = max(self.absolute, _EXACT), max(other.absolute, _EXACT)
+        return mine < theirs or (mine == theirs and self.relative < other.relative)
+
+
+def finish(problem: QpProblem, work: Workspace, outcome: Outcome, accuracy: float, *, polished: bool) -> float:
+    """Judge what a solver reached and, if asked to, polish it in place.
+
+    A residual within the accuracy makes the outcome ``SOLVED`` whatever the solver thought of it: it is measured. And
+    multipliers that grew without end in a solve that hit its cap often prove that there is no answer.
+
+    Returns:
+        The :func:`kkt_residual` of the outcome; infinite if it holds no numbers.
+    """
+    if outcome.x is None or outcome.y is None:
+        return np.inf
+    residual = measure(problem, work, outcome.x, outcome.y)
+    if not residual.absolute < np.inf:
+        outcome.x = outcome.y = None
+        if outcome.status is SolverStatus.SOLVED:
+            outcome.status, outcome.message = SolverStatus.FAILED, "answer is not finite"
+        return np.inf
+    raw = outcome.y
+    if polished and not residual.exact:
+        residual = _polish(problem, work, outcome, residual)
+    if residual.absolute <= accuracy:
+        outcome.status, outcome.message = SolverStatus.SOLVED, ""
+    elif outcome.status is SolverStatus.MAX_ITERATIONS and excluded_ball(problem, work, raw) > _REACH:
+        outcome.status = SolverStatus.INFEASIBLE
+        outcome.message = f"infeasible: the multipliers prove that no x up to {_REACH:.0e} meets the constraints"
+    elif outcome.status is SolverStatus.SOLVED:
+        outcome.message = f"optimal to {residual.absolute:.1e} only"
+    return residual.absolute
+
+
+def kkt_residual(problem: QpProblem, work: Workspace, x: Array, y: Array) -> float:
+    """How far x (n,) and y (n + p + m,), stacked as in the workspace, are from optimal: 0 at an optimum.
+
+    The largest of: a violated constraint, min(|y|, distance to the bound that y pushes from), and the gradient of the
+    Lagrangian, the last over 1 + the largest |y|. NaN where x or y is. Leaves x, C x, A x in the workspace.
+    """
+    return measure(problem, work, x, y).absolute
+
+
+def measure(problem: QpProblem, work: Workspace, x: Array, y: Array) -> Residual:
+    """As :func:`kkt_residual`, in both senses."""
+    n, m, p = work.sizes
+    violation, _ = work.violation(problem, x)
+    bounded = n + p
+    size = np.abs(y)
+    # x[x.argmax()] is x.max(), NaN and all, at a quarter of the cost.
+    largest, widest = size.item(size.argmax()), 0.0
+    slope = np.dot(problem.H, x)
+    slope += problem.g
+    if largest != 0.0:
+        gap = np.where(y > 0.0, work.above, work.below)
+        np.abs(gap, out=gap)
+        np.minimum(gap, size, out=gap)
+        if m:
+            gap[bounded:] = 0.0
+            slope += np.dot(y[bounded:], problem.A)
+        if p:
+            slope += np.dot(y[n:bounded], problem.C)
+        slope += y[:n]
+        widest = gap.item(gap.argmax())
+    np.abs(slope, out=slope)
+    steepest = slope.item(slope.argmax())
+    absolute = max(violation, widest, steepest / (1.0 + largest))
+    if not violation + widest + steepest + largest < np.inf:
+        return Residual(np.nan, np.nan)
+    return Residual(absolute, max(widest, steepest) / max(largest, _NO_MULTIPLIER))
+
+
+def excluded_ball(problem: QpProblem, work: Workspace, y: Array) -> float:
+    """Size of the unknowns, max |x|, below which y (n + p + m,) proves that no x meets the constraints.
+
+    Every feasible x has yᵀ G x ≤ s, with G the stacked rows and s the sum of y times the bound on its side; so if
+    s < 0, then max |x| ≥ −s / Σ|Gᵀ y|. Zero or less proves nothing.
+    """
+    n, _, p = work.sizes
+    y = np.where((y > 0.0) & (work.upper >= INFINITE) | (y < 0.0) & (work.lower <= -INFINITE), 0.0, y)
+    support = float(y @ np.where(y > 0.0, work.upper, work.lower))
+    slope = float(np.abs(y[:n] + y[n : n + p] @ problem.C + y[n + p :] @ problem.A).sum())
+    return -support / slope if slope > 0.0 else (np.inf if support < 0.0 else 0.0)
+
+
+def _polish(problem: QpProblem, work: Workspace, outcome: Outcome, residual: Residual) -> Residual:
+    """Steps of a primal-dual active-set method from x and y of the outcome; keeps the best, returns its residual.
+
+    Expects x, C x, A x of the outcome in the workspace, where :func:`measure` leaves them.
+    """
+    assert outcome.x is not None
+    assert outcome.y is not None
+    n, m, p = work.sizes
+    y = outcome.y
+    fixed = work.lower == work.upper
+    previous = b""
+    for _ in range(_ROUNDS):
+        # Active where the multiplier outweighs the distance to its bound.
+        at_upper = work.above + y > 0.0
+        at_upper |= fixed
+        at_lower = work.below - y > 0.0
+        at_lower &= ~at_upper
+        now = at_upper.tobytes() + at_lower.tobytes()
+        if now == previous:
+            break
+        previous = now
+        active = np.flatnonzero(at_upper | at_lower)
+        if active.size > n + m:
+            break
+        solved = _equations(problem, work, active, at_upper)
+        if solved is None:
+            break
+        x, multipliers = solved
+        y = np.zeros(n + p + m)
+        y[active] = multipliers
+        after = measure(problem, work, x, y)
+        if after < residual:
+            outcome.x, outcome.y, residual = x, y, after
+        if residual.exact:
+            break
+    return residual
+
+
+def _equations(
+    problem: QpProblem, work: Workspace, active: NDArray[np.intp], at_upper: NDArray[np.bool_]
+) -> tuple[Array, Array] | None:
+    """The minimum with the active constraints at their bounds, and their multipliers; None if it is not finite."""
+    n, _, p = work.sizes
+    k = active.size
+    first, second = np.searchsorted(active, (n, n + p)).tolist()
+    exact = np.zeros((n + k, n + k))
+    exact[:n, :n] = problem.H
+    rows = exact[n:, :n]
+    rows[np.arange(first), active[:first]] = 1.0
+    if second > first:
+        rows[first:second] = problem.C[active[first:second] - n]
+    if k > second:
+        rows[second:] = problem.A[active[second:] - (n + p)]
+    exact[:n, n:] = rows.T
+    right = np.empty(n + k)
+    np.negative(problem.g, out=right[:n])
+    right[n:] = np.where(at_upper, work.upper, work.lower)[active]
+    shifted = exact.copy()
+    diagonal = shifted.reshape(-1)[:: n + k + 1]
+    diagonal[:n] += _DELTA
+    diagonal[n:] -= _DELTA
+    factors = eigenpy.PartialPivLU(shifted)
+    solution: Array = factors.solve(right).reshape(n + k)  # eigenpy makes a matrix of a single number
+    last, size = np.inf, float(np.vdot(solution, solution))
+    for _ in range(_REFINEMENTS):
+        correction = factors.solve(right - np.dot(exact, solution)).reshape(n + k)
+        length = float(np.vdot(correction, correction))
+        if not length < 0.25 * last:
+            break  # as near as rounding allows; or not finite
+        solution += correction
+        if length <= _CONVERGED**2 * size:
+            break
+        last = length
+    if not np.vdot(solution, solution) < np.inf:
+        return None
+    return solution[:n].copy(), solution[n:]

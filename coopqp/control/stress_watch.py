@@ -1,0 +1,95 @@
+"""How hard do the arms press on what they hold? Read from the servos, without a sensor.
+
+A servo of stiffness Kp that stands off its command pushes with ``Kp (q_command − q_measured)``. At the object that is
+the wrench ``w_k = C_k⁻¹ A_k (q_command − q_measured)`` with the compliance ``C_k = A_k Kp⁻¹ A_kᵀ``, as
+:meth:`coopqp.forces.stress.StressModel.from_servos` reads it.
+
+An arm in a rigid grip that does not follow its command is dragged along by the others, and all arms then stand off
+their commands by the same displacement: nothing parts them, but the wrenches do not cancel. At rest, where neither
+inertia nor damping plays a part, the arm that does not follow is the one that the total puts straight back along its
+way: ``C_k Σ w`` is by how much its servos' target hangs behind.
+"""
+
+from __future__ import annotations
+
+from typing import final
+
+import numpy as np
+import pinocchio as pin
+
+from coopqp.model.cell import RobotCell
+from coopqp.model.chain import Chain
+from coopqp.model.grasp import Grasp
+from coopqp.spatial import Array
+
+#: Of what servos do not model (links, gears, grips) [m/N]; 1 rad counts as 1 m. Keeps readings finite near
+#: singularities, where a servo's deflection tells nothing of the force along the direction that is lost.
+_STRUCTURE = 2e-9
+#: 1 rad of turning counts as so many metres where directions of motion are compared.
+_SCALE = np.array([1.0] * 3 + [0.3] * 3)
+#: Commanded joint velocities below this are rest [rad/s or m/s], and after so long at rest servos have settled [s].
+_STILL, _SETTLED = 1e-3, 0.2
+#: Share of the largest wrench from which on wrenches do not cancel.
+_UNBALANCED = 0.3
+#: Cosine between the way back that the total asks of an arm and its motion, from which on it is taken for the cause.
+_STRAIGHT_BACK = 0.95
+
+
+@final
+class StressWatch:
+    """Forces at the grasps from commanded and measured configurations, filtered.
+
+    Args:
+        cell, grasp: the arms, and how they hold.
+        stiffness: Kp of the joint servos (nv,) [N·m/rad or N/m].
+        delay: age of a measurement against the command [s]; the motion in that time is no deflection.
+        filter_time: time constant of the filter on deflections [s].
+
+    Attributes:
+        forces: at each grasp, if every arm follows its command (N,) [N].
+        behind: index of the arm that does not, as far as can be told; else -1.
+        gap: by how much its servos' target hangs behind [m].
+        pull: force with which the others pull it [N].
+    """
+
+    def __init__(self, cell: RobotCell, grasp: Grasp, *, stiffness: Array, delay: float, filter_time: float) -> None:
+        self._cell, self._chain = cell, Chain(cell, grasp)
+        self._softness, self._delay, self._filter_time = 1.0 / stiffness, delay, filter_time
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget."""
+        self.forces, self.behind, self.gap, self.pull = np.zeros(len(self._cell)), -1, 0.0, 0.0
+        self._deflection, self._way = np.zeros(self._cell.nv), np.zeros(self._cell.nv)
+        self._last: Array | None = None
+        self._rest = 0.0
+
+    def read(self, measured: Array, commanded: Array, dt: float) -> None:
+        """Take one sample: configurations at the same time (nq,), ``dt`` seconds after the last ones."""
+        model, chain = self._cell.model, self._chain
+        keep = self._filter_time / (self._filter_time + dt)
+        velocity = np.zeros(self._cell.nv) if self._last is None else pin.difference(model, self._last, commanded) / dt
+        self._last = commanded
+        off = pin.difference(model, measured, commanded) - self._delay * velocity
+        self._deflection += (1.0 - keep) * (off - self._deflection)
+        O = chain.carried(measured)
+        chain.evaluate(measured)
+        at_object = np.asarray(pin.SE3(np.eye(3), O[0, 3].copy()).inverse().action)
+        C = at_object @ chain.compliances(self._softness) @ at_object.T
+        bent = chain.twists(self._deflection) @ at_object.T
+        wrenches = np.linalg.solve(C + _STRUCTURE * np.eye(6), bent[:, :, None])[:, :, 0]
+        self.forces = np.linalg.norm(wrenches[:, :3], axis=1)
+        self.behind = -1
+        if np.abs(velocity).max() > _STILL:
+            self._way, self._rest = velocity, 0.0
+            return
+        self._rest += dt
+        total = wrenches.sum(axis=0)
+        if self._rest > _SETTLED and np.linalg.norm(total[:3]) > _UNBALANCED * self.forces.max():
+            back, way = C @ total, chain.twists(self._way) @ at_object.T * _SCALE
+            size = np.linalg.norm(back * _SCALE, axis=1) * np.linalg.norm(way, axis=1)
+            straight = np.einsum("ij,ij->i", back * _SCALE, way) / np.maximum(size, 1e-300)
+            k = int(straight.argmax())
+            if straight[k] > _STRAIGHT_BACK:
+                self.behind, self.gap = k, float(np.linalg.norm(back[k, :3]))
+                self.pull = float(np.linalg.norm((total - wrenches[k])[:3]))

@@ -1,0 +1,358 @@
+"""Are the arms where they were told to be? Watches measured against commanded configurations.
+
+An arm that lags or stalls pulls on the object that the others carry on. The watch compares, for every arm, where it
+carries the object with where it was told to, and slows the object before the arms part by more than they may.
+Deviations common to all arms do not count: they only displace the object.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from coopqp.checks import NOT_NUMBERS, as_count, as_floats, as_scalar, as_vector, keep_scalars
+from coopqp.control.drift import Drift
+from coopqp.control.stress_watch import StressWatch
+from coopqp.errors import InvalidInputError
+from coopqp.model.cell import RobotCell
+from coopqp.model.grasp import Grasp
+from coopqp.spatial import Array, skew
+
+
+@dataclass(frozen=True, kw_only=True)
+class SupervisionOptions:
+    """Thresholds of the supervision; None turns a part of it off.
+
+    The defaults keep arms within a millimetre of each other when one of them lags by 10 ms at 0.25 m/s.
+
+    Attributes:
+        slow_from, hold_from: distance of an arm from the others at the grasps, as far as it is not as commanded, at
+            which the object begins to slow, and is held [m]. What noise alone would make of it is added.
+        let_in: arms may drift apart by so much while they move, as they are seen to where bases stand not quite where
+            the model has them: slowly, as much at rest as in motion. Beyond it, or with 0, a drift counts as well [m].
+        noise_margin: so many root mean squares of the noise, as seen in the measurements, are added.
+        recovery_time: a slowed object is let go again at such a pace that it takes this long from rest [s].
+        fault_from: distance at which the controller latches a fault [m].
+        stall_samples: an arm that in so many samples moves less than ``stall_share`` of its command, while another
+            follows its own, has stalled (once a joint is 0.5 mrad or 0.5 mm from its command).
+        stall_share: see ``stall_samples``.
+        silent_time: so long no arm may be seen to follow its command: all have stopped, or measurements are stale [s].
+        filter_time: time constant of the filter on the distances [s].
+        dt_range: accepted length of a step, as multiples of the nominal one.
+        joint_jump: a measured joint this far from its command is not believed [rad or m].
+        stiffness: Kp of the joint servos, one number or one per joint [N·m/rad or N/m]. With it the force at each
+            grasp is read from the servos' deflection, which shows what a rigid grip hides from the distances; None
+            does without.
+        force_limit: force at a grasp, by the servos, at which the object is held [N]; it goes on below half of it.
+            It has to be more than what noise, the share of the load and inertia make of it.
+        servo_delay: age of measurements against commands, and what servos lag by [s]: that much motion is no force.
+    """
+
+    slow_from: float | None = 0.00025
+    hold_from: float = 0.00075
+    let_in: float = 0.003
+    noise_margin: float = 4.0
+    recovery_time: float = 0.1
+    fault_from: float = 0.02
+    stall_samples: int | None = 4
+    stall_share: float = 0.2
+    silent_time: float = 0.03
+    filter_time: float = 0.002
+    dt_range: tuple[float, float] = (0.1, 5.0)
+    joint_jump: float = 0.3
+    stiffness: float | tuple[float, ...] | None = None
+    force_limit: float = 300.0
+    servo_delay: float = 0.0
+
+    def __post_init__(self) -> None:
+        keep_scalars(self, "hold_from", "fault_from", "silent_time", "joint_jump", "force_limit")
+        keep_scalars(self, "servo_delay", open_low=False)
+        if self.stiffness is not None:
+            object.__setattr__(self, "stiffness", _as_stiffness(self.stiffness))
+        keep_scalars(self, "stall_share", high=1.0)
+        keep_scalars(self, "filter_time", "noise_margin", "recovery_time", "let_in", open_low=False)
+        low, high = as_vector(self.dt_range, 2, "SupervisionOptions: dt_range")
+        low = as_scalar(low, "SupervisionOptions: dt_range[0]", high=1.0)
+        high = as_scalar(high, "SupervisionOptions: dt_range[1]", low=1.0, open_low=False)
+        object.__setattr__(self, "dt_range", (low, high))
+        if self.slow_from is not None:
+            keep_scalars(self, "slow_from", high=self.hold_from)
+        if self.stall_samples is not None:
+            samples = as_count(self.stall_samples, "SupervisionOptions: stall_samples")
+            if samples > _MOST_SAMPLES:
+                raise InvalidInputError(
+                    f"stall_samples is {samples}", "SupervisionOptions", f"Give at most {_MOST_SAMPLES}."
+                )
+            object.__setattr__(self, "stall_samples", samples)
+
+
+def _as_stiffness(value: Any) -> float | tuple[float, ...]:
+    """One number or a tuple of them, each finite and > 0; an array is taken too."""
+    where = "SupervisionOptions: stiffness"
+    try:
+        many = np.ndim(value) > 0
+    except ValueError:  # rows of several lengths
+        many = True
+    if not many:
+        return as_scalar(value, where)
+    return tuple(as_scalar(x, f"{where}[{i}]") for i, x in enumerate(value))
+
+
+@dataclass(slots=True)
+class Watch:
+    """What the supervision says about one step: a rate cap, and why it is below 1."""
+
+    rate_cap: float = 1.0
+    hold: bool = False
+    fault: bool = False
+    arm: int = -1
+    reason: str = ""
+
+
+#: Samples that are kept at most, to see an arm stall in.
+_MOST_SAMPLES = 10_000
+#: Commanded motion of an arm below this, within the samples that are looked at, says nothing of a stall [rad or m].
+_STILL = 1e-5
+#: An arm that moves by more than this share of its command follows it.
+_FOLLOWS = 0.5
+#: A stalled arm this close to its command again, or at this share of the largest gap, has caught up [rad or m].
+_CAUGHT_UP, _CAUGHT_UP_SHARE = 5e-4, 0.3
+#: The two numbers (cos, sin) of a continuous joint may be this far from the unit circle.
+_CIRCLE_TOLERANCE = 0.05
+#: A force that held the object lets it go on below this share of its limit.
+_LET_GO = 0.5
+#: Grasps closer to their centre than this count as so far away [m].
+_LEAST_REACH = 0.1
+#: An arm whose samples stay the same is taken to have lost them for so many in a row; then it stands.
+_MOST_LOST = 3
+#: Noise is averaged over this time [s].
+_NOISE_TIME = 0.2
+#: Fewer samples than this tell nothing of the noise.
+_FEW_SAMPLES = 4
+
+
+class Supervision:
+    """Memory of the watch; one per controller."""
+
+    def __init__(self, cell: RobotCell, grasp: Grasp, options: SupervisionOptions) -> None:
+        self._cell, self._options = cell, options
+        self._stress = _stress_watch(cell, grasp, options)
+        self._pressed = False
+        self._turning = cell.position_index[cell.continuous]
+        n = len(cell)
+        #: Takes what the arms do to how far each is from the mean of the others.
+        self._from_others = (np.eye(n) - 1.0 / n) * (n / max(n - 1.0, 1.0))
+        self._moves = np.zeros((3, cell.nq))
+        self._at_grasps = _at_grasps(grasp)
+        self._deviation, self._away, self._step = (np.zeros((n, 6)) for _ in range(3))
+        self._noise, self._samples, self._cap, self._arm = np.zeros(n), 0.0, 1.0, -1
+        self._stalled = np.zeros(n, dtype=bool)
+        self._widest = np.zeros(n)
+        self._starts = [q.start for q in cell.q_slices]
+        self._past: deque[tuple[Array, Array]] = deque(maxlen=1 + (options.stall_samples or 1))
+        self._silence = 0.0
+        self._drift = Drift(n, options.let_in)
+        self._seen: Array | None = None
+        self._lost = np.zeros(n, dtype=int)
+
+    def reset(self) -> None:
+        """Forget."""
+        self._deviation[:] = self._away[:] = self._step[:] = 0.0
+        self._noise[:] = 0.0
+        self._samples, self._cap, self._arm = 0.0, 1.0, -1
+        self._stalled[:] = False
+        self._past.clear()
+        self._silence = 0.0
+        self._drift.reset()
+        self._seen = None
+        self._lost[:] = 0
+        self._pressed = False
+        if self._stress is not None:
+            self._stress.reset()
+
+    def accept_dt(self, dt: Any, nominal: float) -> str:
+        """Empty, or why ``dt`` is not accepted."""
+        low, high = self._options.dt_range
+        try:
+            as_scalar(dt, "dt", low=low * nominal, high=high * nominal, open_low=False)
+        except InvalidInputError as error:
+            return f"dt is not accepted: {error.what}"
+        return ""
+
+    def accept_measurement(self, q: Any, q_command: Array) -> tuple[Array, str]:
+        """The measured configuration as an array, and why it is not believed (empty if it is)."""
+        try:
+            measured = q if type(q) is np.ndarray and q.dtype == np.float64 else as_floats(q)
+        except NOT_NUMBERS:
+            return q_command, f"q_measured is {type(q).__name__}, not {self._cell.nq} numbers"
+        if measured.shape != (self._cell.nq,):
+            return q_command, f"q_measured must have shape ({self._cell.nq},), got {measured.shape}"
+        away = np.abs(measured - q_command)
+        worst = int(away.argmax())  # NaN wins
+        if not np.isfinite(away[worst]):
+            return q_command, f"q_measured[{worst}] is {measured[worst]}"
+        for i in self._turning:
+            radius = float(np.hypot(measured[i], measured[i + 1]))
+            if abs(radius - 1.0) > _CIRCLE_TOLERANCE:
+                return q_command, f"q_measured[{i}] and [{i + 1}] are no cosine and sine (norm {radius:.3g})"
+            if radius != 1.0:
+                measured = measured.copy() if measured is q else measured  # the caller's array stays as it is
+                measured[i : i + 2] /= radius
+        if away[worst] > self._options.joint_jump:
+            joint = self._cell.joint_names[int(np.searchsorted(self._cell.position_index, worst, side="right")) - 1]
+            return q_command, f"joint {joint} is measured {away[worst]:.3g} rad (or m) from its command"
+        return measured, ""
+
+    def watch(self, measured: Array, commanded: Array, away: Array, dt: float) -> Watch:
+        """Compare one sample.
+
+        Args:
+            measured, commanded: configurations at the same time (nq,).
+            away: of the object as each arm carries it, measured from commanded, in its own frame (N, 6) [m, rad].
+            dt: time since the last sample [s].
+        """
+        o, result = self._options, Watch()
+        if len(away) > 1 and o.slow_from is not None:
+            away = away @ self._at_grasps
+            self._keep_where_lost(measured, away)
+            self._watch_distances(commanded, away, dt, result)
+        if o.stall_samples is not None:
+            self._watch_stall(measured, commanded, dt, result)
+        if self._stress is not None:
+            self._watch_stress(self._stress, measured, commanded, dt, result)
+        if o.recovery_time > 0.0:
+            allowed = self._cap + dt / o.recovery_time
+            if allowed < result.rate_cap:
+                result.rate_cap, result.arm = allowed, self._arm
+                result.reason = result.reason or f"arm {self._cell.arm_names[self._arm]} was out of step"
+            self._cap, self._arm = result.rate_cap, result.arm
+        return result
+
+    def _keep_where_lost(self, measured: Array, away: Array) -> None:
+        """A sample of an arm that is that of before, to the last bit, says nothing: the distance is that of before."""
+        if self._seen is not None:
+            same = ~np.logical_or.reduceat(measured != self._seen, self._starts)
+            if same.any():
+                self._lost = np.where(same, self._lost + 1, 0)
+                lost = same & (self._lost <= _MOST_LOST)
+                away[lost] = self._away[lost]
+            else:
+                self._lost[:] = 0
+        self._seen = measured.copy()
+
+    def _watch_distances(self, commanded: Array, away: Array, dt: float, result: Watch) -> None:
+        """How far each arm, as far as it is not as commanded, is from the mean of the others."""
+        o = self._options
+        assert o.slow_from is not None
+        keep = o.filter_time / (o.filter_time + dt)
+        self._deviation += (1.0 - keep) * (away - self._deviation)
+        share = math.sqrt(self._from_others[0, 0] * (1.0 - keep) / (1.0 + keep))  # of the noise: what the filter leaves
+        noise = share * self._noise_seen(away, dt)
+        apart = out_of_step = self._from_others @ self._deviation
+        if o.let_in > 0.0:
+            out_of_step = self._drift.without(apart, noise, commanded, dt)
+        spread = np.einsum("ij,ij->i", out_of_step, out_of_step)
+        worst = math.sqrt(spread.max()) - o.noise_margin * noise
+        if worst <= o.slow_from or self._samples < _FEW_SAMPLES:
+            return
+        spread = np.sqrt(spread)
+        # Of arms equally far from the others, as two arms always are, the one that is not where it should be.
+        own = np.where(spread >= 0.99 * spread.max(), np.einsum("ij,ij->i", self._deviation, self._deviation), -1.0)
+        arm = result.arm = int(own.argmax())
+        result.hold, result.fault = worst >= o.hold_from, worst >= o.fault_from
+        result.rate_cap = 0.0 if result.hold else (o.hold_from - worst) / (o.hold_from - o.slow_from)
+        result.reason = f"arm {self._cell.arm_names[arm]} is {1e3 * spread[arm]:.2f} mm out of step with the others"
+
+    def _noise_seen(self, away: Array, dt: float) -> float:
+        """The noise in unfiltered deviations [m, rms], from their second differences, which motion hardly has."""
+        step = away - self._away
+        bend = step - self._step
+        self._away[:], self._step[:] = away, step
+        self._samples = min(self._samples + 1.0, _NOISE_TIME / dt)
+        if self._samples > 2.0:  # the first differences are with nothing
+            # With long steps the averaging time holds few samples: the latest then counts for all.
+            self._noise += (np.einsum("ij,ij->i", bend, bend) - self._noise) / max(self._samples - 2.0, 1.0)
+        return math.sqrt(self._noise.max() / 6.0)
+
+    def _watch_stall(self, measured: Array, commanded: Array, dt: float, result: Watch) -> None:
+        """An arm that stands while another follows has stalled; where none follows, signals may just be late."""
+        o, past = self._options, self._past
+        past.append((measured.copy(), commanded))
+        before, moves = past[0], self._moves
+        np.subtract(commanded, before[1], out=moves[0])
+        np.subtract(measured, before[0], out=moves[1])
+        np.subtract(commanded, measured, out=moves[2])
+        told, moved, gap = np.maximum.reduceat(np.abs(moves, out=moves), self._starts, axis=1)
+        stalled = self._stalled
+        if stalled.any():
+            np.maximum(self._widest, gap, out=self._widest)
+            stalled &= gap >= np.maximum(_CAUGHT_UP, _CAUGHT_UP_SHARE * self._widest)
+        moving = told > _STILL
+        # With less of a gap it is not stalled but late: it may be turning round.
+        stands = moving & (moved < o.stall_share * told) & (gap >= _CAUGHT_UP)
+        if len(past) == past.maxlen and stands.any():
+            follows = bool((moving & (moved > _FOLLOWS * told)).any())
+            self._silence = 0.0 if follows else self._silence + dt
+            if follows or self._silence > o.silent_time:
+                self._widest[stands & ~stalled] = 0.0
+                stalled |= stands
+        else:
+            self._silence = 0.0
+        if stalled.any():
+            result.rate_cap, result.hold, result.arm = 0.0, True, int(stalled.argmax())
+            result.reason = f"arm {self._cell.arm_names[result.arm]} does not follow its command (stalled)"
+            if stalled.all():
+                result.reason = "no arm is seen to follow its command (all have stopped, or measurements are stale)"
+
+    def _watch_stress(self, stress: StressWatch, measured: Array, commanded: Array, dt: float, result: Watch) -> None:
+        """Arms that press too hard on the object hold it, until they press less than half as hard."""
+        limit = self._options.force_limit
+        stress.read(measured, commanded, dt)
+        most = int(stress.forces.argmax())
+        force = float(stress.forces[most])
+        self._pressed = force >= (_LET_GO * limit if self._pressed else limit)
+        if not self._pressed:
+            return
+        result.rate_cap, result.hold, names = 0.0, True, self._cell.arm_names
+        if stress.behind < 0:
+            result.arm = most
+            result.reason = f"{force:.0f} N at the grasp of arm {names[most]} by its servos (limit {limit:g} N)"
+        else:
+            result.arm = stress.behind
+            result.reason = (
+                f"arm {names[result.arm]} does not follow its command: it hangs {1e3 * stress.gap:.2g} mm behind, "
+                f"and the others pull it with {stress.pull:.0f} N"
+            )
+
+
+def _at_grasps(grasp: Grasp) -> Array:
+    """Takes displacements of the object (…, 6) [m, rad] to lengths at the grasps (…, 6) [m].
+
+    The first three are the displacement of the grasps' centre, the others the turn times their largest distance from
+    it: what a turn of the object as one arm carries it parts is the grasps.
+    """
+    points = np.array([X.translation for X in grasp.T_object_tool])
+    centre = points.mean(axis=0)
+    reach = max(float(np.linalg.norm(points - centre, axis=1).max()), _LEAST_REACH)
+    L = np.eye(6)
+    L[:3, 3:] = -skew(centre)
+    L[3:, 3:] *= reach
+    return L.T
+
+
+def _stress_watch(cell: RobotCell, grasp: Grasp, options: SupervisionOptions) -> StressWatch | None:
+    if options.stiffness is None:
+        return None
+    size = np.size(options.stiffness)
+    if size not in (1, cell.nv):
+        raise InvalidInputError(
+            f"{size} numbers for {cell.nv} joints",
+            "SupervisionOptions: stiffness",
+            "Give one number, or one per joint.",
+        )
+    stiffness = np.broadcast_to(np.asarray(options.stiffness, dtype=float), (cell.nv,))
+    return StressWatch(cell, grasp, stiffness=stiffness, delay=options.servo_delay, filter_time=options.filter_time)

@@ -1,1 +1,0 @@
-"""Controllers: the paper's algorithm (baseline) and the QP."""

@@ -1,0 +1,1 @@
+"""Files: descriptions of cells, exports."""

@@ -1,0 +1,71 @@
+"""A cell and its task in a TOML or YAML file, instead of in code: :func:`load_cell_file`, then :meth:`CellRun.run`.
+
+Reading executes nothing: every name in a file is looked up in a fixed table. Needs the extra ``files``.
+"""
+
+from __future__ import annotations
+
+from importlib.util import find_spec
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from coopqp.errors import MissingExtraError
+
+if TYPE_CHECKING:
+    from coopqp.files.cellfile.build import CellRun
+
+__all__ = ["CELLS", "example_path", "json_schema", "load_cell_file", "schema_text"]
+
+#: Endings of cell files in TOML, and in YAML.
+TOML_SUFFIX, YAML_SUFFIXES = ".toml", (".yaml", ".yml")
+#: Cell files that come with coopqp, by the stem of their name.
+CELLS = ("paper_lift",)
+
+
+def example_path(name: str) -> Path:
+    """Path of a cell file that comes with coopqp, one of :data:`CELLS`.
+
+    Raises:
+        UnknownNameError: no such file.
+    """
+    from coopqp.errors import UnknownNameError
+
+    if name not in CELLS:
+        raise UnknownNameError("cell file", name, CELLS)
+    return Path(__file__).parents[2] / "scenarios" / "cells" / f"{name}.toml"
+
+
+def load_cell_file(path: str | Path) -> CellRun:
+    """Read a cell file and build its cell, task and controller settings.
+
+    Raises:
+        CellFileError: the file is missing, too large, neither TOML nor YAML, or breaks the schema; or what it asks for
+            cannot be built: a missing model, a pose out of reach, … It says what and where.
+        MissingExtraError: the extra ``files`` is not installed.
+    """
+    _require_readers()
+    from coopqp.files.cellfile.build import load
+
+    return load(Path(path))
+
+
+def schema_text() -> str:
+    """Every key of a cell file with its type, unit, default and meaning, to be read."""
+    _require_readers()
+    from coopqp.files.cellfile.describe import describe_schema
+
+    return describe_schema()
+
+
+def json_schema() -> dict[str, Any]:
+    """The JSON Schema of a cell file, for editors."""
+    _require_readers()
+    from coopqp.files.cellfile.schema import CellFile
+
+    return CellFile.model_json_schema()
+
+
+def _require_readers() -> None:
+    for module, package in (("pydantic", "pydantic"), ("ruamel", "ruamel.yaml")):
+        if find_spec(module) is None:
+            raise MissingExtraError("files", package)

@@ -1,0 +1,296 @@
+"""From the text of a cell file to the objects of a run."""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+from pydantic import ValidationError
+
+from coopqp.control.command import Controller
+from coopqp.control.independent import IndependentQPController, IndependentQPOptions
+from coopqp.control.options import QPOptions
+from coopqp.control.pseudo_inverse import PseudoInverseController, PseudoInverseOptions
+from coopqp.control.qp import QPController
+from coopqp.errors import CoopqpError, InvalidInputError, MissingExtraError, UnknownNameError
+from coopqp.files.cellfile.explain import explain
+from coopqp.files.cellfile.schema import MAX_STEPS, ArmTable, CellFile, CommonErrorTable, PlacementTable, StartTable
+from coopqp.files.cellfile.strict import build_options
+from coopqp.files.cellfile.text import CellFileError, read_tables
+from coopqp.model.cell import Arm, RobotCell
+from coopqp.model.grasp import Grasp
+from coopqp.model.inverse_kinematics import inverse_kinematics
+from coopqp.scenarios.robots import robot_path
+from coopqp.simulation.assessment import slides
+from coopqp.simulation.plants.kinematic import KinematicPlant, Plant
+from coopqp.simulation.plants.physics import PhysicsPlant
+from coopqp.simulation.plants.physics_options import PhysicsOptions
+from coopqp.simulation.scene import describe_object
+from coopqp.simulation.simulate import ProgressCallback, Recording, simulate
+from coopqp.spatial import Array, as_placement
+from coopqp.task.common_error import CommonError
+from coopqp.task.path import HoldPath, LinePath, ObjectPath, WaypointPath
+from coopqp.task.scenario import Scenario
+
+DEFAULT_DT = 0.002
+
+_CONTROLLERS: dict[str, tuple[Any, Any]] = {
+    "qp": (QPController, QPOptions),
+    "pseudo_inverse": (PseudoInverseController, PseudoInverseOptions),
+    "independent": (IndependentQPController, IndependentQPOptions),
+}
+_SOLVER_SETTINGS = {"proxqp": "ProxqpSettings", "osqp": "OsqpSettings", "daqp": "DaqpSettings"}
+
+
+@dataclass(frozen=True, eq=False)
+class CellRun:
+    """A run that a cell file describes.
+
+    Attributes:
+        scenario: the cell, grasp, path, start and object.
+        controller_kind: ``"qp"``, ``"pseudo_inverse"`` or ``"independent"``.
+        options: settings of the controller, its options dataclass.
+        settle: how long to go on after the end [s].
+        longest: longest run [s], or None.
+        settings: the file, as plain data; the ``output`` of its tables says what to write.
+    """
+
+    scenario: Scenario
+    controller_kind: str
+    options: Any
+    settle: float
+    longest: float | None
+    settings: CellFile
+
+    def controller(self) -> Controller:
+        """A new controller."""
+        kind, s = _CONTROLLERS[self.controller_kind][0], self.scenario
+        made: Controller = kind(s.cell, s.grasp, s.path, dt=s.dt, options=self.options)
+        return made
+
+    def plant(self) -> Plant:
+        """A new plant.
+
+        Raises:
+            MissingExtraError: the physics plant without MuJoCo.
+        """
+        table = self.settings.plant
+        if table.kind == "kinematic":
+            return KinematicPlant(self.scenario.cell)
+        return PhysicsPlant.of(self.scenario, options=build_options(PhysicsOptions, table))
+
+    def run(self, *, progress: ProgressCallback | None = None) -> Recording:
+        """Run the controller on the plant."""
+        s = self.scenario
+        given = self.settings.model_dump(mode="json", exclude_none=True, exclude_unset=True)
+        return simulate(
+            self.controller(),
+            self.plant(),
+            q_start=s.q_start,
+            duration=self.longest,
+            settle=self.settle,
+            patience=self.settings.patience_s,
+            progress=progress,
+            metadata={
+                "scenario": s.name,
+                "method": self.controller_kind,
+                "object": describe_object(s.object_size, s.T_object_body),
+                "settings": given,
+            },
+        )
+
+
+def read(file: Path) -> CellFile:
+    """Read and check a cell file; nothing is built yet.
+
+    Raises:
+        CellFileError: as :func:`read_tables`, or against the schema.
+    """
+    data = read_tables(file)
+    try:
+        return CellFile.model_validate(data)
+    except ValidationError as error:
+        raise CellFileError(f"{file}: {explain(error)}") from error
+
+
+def load(file: Path) -> CellRun:
+    """Read a cell file, build what it describes, and try its controller; every error names the file."""
+    settings = read(file)
+    try:
+        run = build(settings, file.parent)
+        run.controller()
+        run.plant()
+    except (CellFileError, MissingExtraError):
+        raise
+    except CoopqpError as error:
+        raise CellFileError(f"{file}: {error}") from error
+    return run
+
+
+def build(file: CellFile, folder: Path) -> CellRun:
+    """Build what a cell file describes; its paths are relative to ``folder``. Errors name the arm or table."""
+    cell = RobotCell([_arm(arm, folder) for arm in file.arms])
+    path, q_near = _path(file), _start(file.start, cell)
+    if file.grasp.kind == "latched":
+        grasp, q_start = Grasp.from_configuration(cell, q_near, path.pose(0.0)), q_near
+    else:
+        grasp = _grasp(file, cell)
+        q_start = inverse_kinematics(cell, grasp, path.pose(0.0), q_near) if file.start.inverse_kinematics else q_near
+    dt = path.duration / file.steps if file.steps is not None else file.dt_s or DEFAULT_DT
+    longest = file.longest_s if file.longest_s is not None else 10.0 * path.duration
+    if (longest + file.settle_s) / dt > 10.0 * MAX_STEPS:
+        raise _BuildError(
+            f"a run of up to {longest:g} s in steps of {dt:g} s is too long; raise dt_s or lower longest_s."
+        )
+    size = file.object.size_m
+    scenario = Scenario(
+        name=file.name,
+        cell=cell,
+        grasp=grasp,
+        path=path,
+        q_start=q_start,
+        dt=dt,
+        object_size=(size[0], size[1], size[2]),
+        T_object_body=_placement(file.object.centre),
+        object_mass=file.object.mass_kg,
+    )
+    kind = str(file.controller.kind)
+    return CellRun(scenario, kind, _options(kind, file.controller), file.settle_s, file.longest_s, file)
+
+
+class _BuildError(CoopqpError):
+    """What a file asks for and nobody can build; :func:`load` adds the file's name."""
+
+
+def _placement(table: PlacementTable) -> pin.SE3:
+    if table.matrix is not None:
+        return as_placement(np.array(table.matrix), "matrix")
+    angles = np.deg2rad(table.rpy_deg) if table.rpy_deg is not None else np.array(table.rpy_rad or (0.0, 0.0, 0.0))
+    R = pin.rpy.rpyToMatrix(angles)
+    whole = np.round(R)
+    R = np.where(np.abs(R - whole) < 4e-16, whole, R)  # quarter turns are exact
+    return pin.SE3(R, np.array(table.xyz_m or (0.0, 0.0, 0.0)))
+
+
+def _in_radians(given: Any, sliding: Sequence[bool], where: str, *, degrees: bool) -> Array:
+    """Joint values (n,) in radians, of joints that slide in metres, from one number or n."""
+    n = len(sliding)
+    values = np.array(given, dtype=float)
+    if values.ndim and values.shape != (n,):
+        raise _BuildError(f"{where} has {values.size} numbers for {n} joints.")
+    values = np.array(np.broadcast_to(values, (n,)))
+    return np.where(sliding, values, np.deg2rad(values)) if degrees else values
+
+
+def _arm(table: ArmTable, folder: Path) -> Arm:
+    common: dict[str, Any] = {"T_world_base": _placement(table.base)}
+    locked = {**{k: float(np.deg2rad(v)) for k, v in table.locked_joints_deg.items()}, **table.locked_joints_rad}
+    common["locked_joints"] = locked or None
+    if table.robot is not None:
+        frame = table.tool_frame or ("flange" if table.robot == "rx90l" else "tool")
+        arm = Arm.from_urdf(table.name, robot_path(table.robot), tool_frame=frame, **common)
+    elif table.urdf is not None:
+        dirs = [folder / d for d in table.package_dirs]
+        arm = Arm.from_urdf(
+            table.name, folder / table.urdf, tool_frame=str(table.tool_frame), package_dirs=dirs, **common
+        )
+    else:
+        arm = Arm.from_mjcf(table.name, folder / str(table.mjcf), tool_frame=str(table.tool_frame), **common)
+    sliding = slides(RobotCell([arm]))
+    changes: dict[str, Array] = {}
+    for name, per in (("lower", ""), ("upper", ""), ("velocity", "_per_s"), ("acceleration", "_per_s2")):
+        for unit in ("deg", "rad"):
+            value = getattr(table.limits, f"{name}_{unit}{per}")
+            if value is not None:
+                where = f"arm '{table.name}': limits.{name}_{unit}{per}"
+                changes[name] = _in_radians(value, sliding, where, degrees=unit == "deg")
+    try:
+        return arm.with_limits(**changes) if changes else arm
+    except InvalidInputError as error:
+        raise _BuildError(f"arm '{table.name}': {error}") from error
+
+
+def _by_arm(given: Mapping[str, Any], cell: RobotCell, where: str) -> list[Any]:
+    """The values of a table by arm, in the order of the arms; every arm must be there."""
+    for name in given:
+        if name not in cell.arm_names:
+            raise UnknownNameError("arm", name, cell.arm_names, where)
+    missing = [name for name in cell.arm_names if name not in given]
+    if missing:
+        raise _BuildError(f"{where}: arm '{missing[0]}' is missing.")
+    return [given[name] for name in cell.arm_names]
+
+
+def _start(table: StartTable, cell: RobotCell) -> Array:
+    degrees = table.positions_deg is not None
+    where = f"start.positions_{'deg' if degrees else 'rad'}"
+    values = _by_arm(table.positions_deg or table.positions_rad or {}, cell, where)
+    sliding = slides(cell)
+    parts = []
+    for name, own, numbers in zip(cell.arm_names, cell.v_slices, values, strict=True):
+        if len(numbers) != own.stop - own.start:
+            raise _BuildError(f"{where}.{name} has {len(numbers)} numbers for {own.stop - own.start} joints.")
+        parts.append(_in_radians(numbers, sliding[own], f"{where}.{name}", degrees=degrees))
+    return cell.configuration(np.concatenate(parts))
+
+
+def _grasp(file: CellFile, cell: RobotCell) -> Grasp:
+    if file.grasp.kind == "triangle":
+        grasp = Grasp.triangle(file.grasp.alpha_m, file.grasp.beta_m)
+        grasp.check_arms(cell)
+        return grasp
+    assert file.grasp.kind == "tools"
+    return Grasp(tuple(_placement(tool) for tool in _by_arm(file.grasp.tools, cell, "grasp.tools")))
+
+
+def _path(file: CellFile) -> ObjectPath:
+    path = file.path
+    if path.kind == "hold":
+        return HoldPath(_placement(path.pose), duration=path.duration_s)
+    if path.kind == "waypoints":
+        poses = [_placement(pose) for pose in path.poses]
+        return WaypointPath(poses, durations=path.durations_s, time_law=path.time_law)
+    start = _placement(path.start)
+    if path.goal is not None:
+        return LinePath(start, _placement(path.goal), duration=path.duration_s, time_law=path.time_law)
+    assert path.displacement is not None
+    return LinePath.displaced(
+        start,
+        translation=path.displacement.translation_m,
+        rotation=np.deg2rad(path.displacement.rotation_vector_deg),
+        duration=path.duration_s,
+        time_law=path.time_law,
+    )
+
+
+def _options(kind: str, table: Any) -> Any:
+    replaced: dict[str, Any] = {}
+    if getattr(table, "solver_settings", None) is not None:
+        default = _CONTROLLERS[kind][1]().solver
+        replaced["solver_settings"] = _solver_settings(table.solver or default, table.solver_settings)
+    if isinstance(getattr(table, "common_error", None), CommonErrorTable):
+        replaced["common_error"] = _common_error(table.common_error)
+    return build_options(_CONTROLLERS[kind][1], table, **replaced)
+
+
+def _solver_settings(solver: str, given: Mapping[str, Any]) -> Any:
+    """The settings object of a QP solver."""
+    name = _SOLVER_SETTINGS.get(solver, "GenericSettings")
+    settings = getattr(importlib.import_module(f"coopqp.control.solvers.{name.removesuffix('Settings').lower()}"), name)
+    for key in given:
+        if key not in settings.__dataclass_fields__ or key == "options":
+            raise UnknownNameError("setting", key, (k for k in settings.__dataclass_fields__ if k != "options"), name)
+    return settings(**given)
+
+
+def _common_error(table: CommonErrorTable) -> CommonError:
+    if table.kind == "master":
+        return CommonError.master(str(table.master))
+    if table.kind == "driver":
+        return CommonError.driver(master=str(table.master), driver=str(table.driver))
+    return CommonError.leaderless() if table.kind == "leaderless" else CommonError.per_axis(table.weights)

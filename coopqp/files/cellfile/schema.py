@@ -1,0 +1,308 @@
+"""The keys of a cell file. Units are in the names: ``_m`` metres, ``_deg`` degrees, ``_rad`` radians, ``_s`` seconds.
+
+A joint that slides is given in metres (and m/s, m/s²) under the keys of either angle unit.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+from annotated_types import Ge, Gt, Le, Len
+from pydantic import Field, model_validator
+from pydantic_core import PydanticCustomError
+
+from coopqp.control.independent import IndependentQPOptions
+from coopqp.control.options import QPOptions
+from coopqp.control.pseudo_inverse import PseudoInverseOptions
+from coopqp.files.cellfile.strict import MAX_LIST, Numbers, Table, Vector3, table_of
+from coopqp.scenarios.robots import ROBOT_NAMES
+from coopqp.simulation.plants.physics_options import PhysicsOptions
+
+#: Most arms, steps and waypoints of a run.
+MAX_ARMS, MAX_STEPS, MAX_WAYPOINTS = 128, 1_000_000, 1_000
+
+Name = Annotated[str, Len(1, 100)]
+Seconds = Annotated[float, Gt(0.0), Le(1e5)]
+Unbounded = Annotated[float, Field(allow_inf_nan=True)]
+Sides = Annotated[list[Annotated[float, Gt(0.0)]], Len(3, 3)]
+PerJoint = Unbounded | Annotated[list[Unbounded], Len(1, 100)]
+Degrees = Annotated[dict[Name, Numbers], Len(1, MAX_ARMS)]
+
+
+def _problem(text: str) -> PydanticCustomError:
+    return PydanticCustomError("cell_file", "{text}", {"text": text})
+
+
+def exactly_one(table: Table, *keys: str) -> str:
+    """The one of ``keys`` that is given; an error unless it is one."""
+    given = [key for key in keys if getattr(table, key) is not None]
+    if len(given) != 1:
+        raise _problem(f"give one of {', '.join(keys)}" + (f", not {' and '.join(given)}" if given else ""))
+    return given[0]
+
+
+def at_most_one(table: Table, *keys: str) -> None:
+    """An error if more than one of ``keys`` is given."""
+    given = [key for key in keys if getattr(table, key) is not None]
+    if len(given) > 1:
+        raise _problem(f"give {' or '.join(given)}, not both")
+
+
+class PlacementTable(Table):
+    """A placement: a position with an orientation, or a 4x4 matrix."""
+
+    xyz_m: Vector3 | None = Field(default=None, description="position (default 0, 0, 0)")
+    rpy_deg: Vector3 | None = Field(default=None, description="turns about the fixed x, y and z axes, in this order")
+    rpy_rad: Vector3 | None = Field(default=None, description="the same in radians")
+    matrix: Annotated[list[Annotated[list[float], Len(4, 4)]], Len(4, 4)] | None = Field(
+        default=None, description="rows of the homogeneous matrix, in metres, instead of all else"
+    )
+
+    @model_validator(mode="after")
+    def _one_form(self) -> PlacementTable:
+        at_most_one(self, "rpy_deg", "rpy_rad", "matrix")
+        at_most_one(self, "xyz_m", "matrix")
+        return self
+
+
+class LimitsTable(Table):
+    """Limits that replace those of the model: one number for all joints, or one per joint; ``inf`` for none."""
+
+    lower_deg: PerJoint | None = Field(default=None, description="lowest position")
+    upper_deg: PerJoint | None = Field(default=None, description="highest position")
+    velocity_deg_per_s: PerJoint | None = Field(default=None, description="largest speed")
+    acceleration_deg_per_s2: PerJoint | None = Field(default=None, description="largest acceleration")
+    lower_rad: PerJoint | None = Field(default=None, description="the same in radians")
+    upper_rad: PerJoint | None = Field(default=None, description="the same in radians")
+    velocity_rad_per_s: PerJoint | None = Field(default=None, description="the same in radians")
+    acceleration_rad_per_s2: PerJoint | None = Field(default=None, description="the same in radians")
+
+    @model_validator(mode="after")
+    def _one_unit(self) -> LimitsTable:
+        for name, per in (("lower", ""), ("upper", ""), ("velocity", "_per_s"), ("acceleration", "_per_s2")):
+            at_most_one(self, f"{name}_deg{per}", f"{name}_rad{per}")
+        return self
+
+
+class ArmTable(Table):
+    """One arm: its model, the frame that holds the object, where its base stands, its limits."""
+
+    name: Name = Field(description="unique name, without '/'")
+    robot: Literal[ROBOT_NAMES] | None = Field(default=None, description="a robot that comes with coopqp")  # type: ignore[valid-type]
+    urdf: Name | None = Field(default=None, description="URDF file, relative to this file")
+    mjcf: Name | None = Field(default=None, description="MJCF file, relative to this file")
+    tool_frame: Name | None = Field(
+        default=None, description="link or frame that holds the object; a robot has its own"
+    )
+    base: PlacementTable = Field(default_factory=PlacementTable, description="where the root of the model stands")
+    package_dirs: Annotated[list[Name], Len(0, 20)] = Field(default=[], description="where package:// paths begin")
+    locked_joints_deg: dict[Name, float] = Field(default={}, description="joints to freeze, and where")
+    locked_joints_rad: dict[Name, float] = Field(default={}, description="the same in radians")
+    limits: LimitsTable = Field(default_factory=LimitsTable, description="limits in place of the model's")
+
+    @model_validator(mode="after")
+    def _one_model(self) -> ArmTable:
+        if exactly_one(self, "robot", "urdf", "mjcf") != "robot" and self.tool_frame is None:
+            raise _problem("tool_frame is missing: the link or frame that holds the object")
+        return self
+
+
+class TriangleGrasp(Table):
+    """The paper's grasp: tools at A (0, 0), B (−β, 3α), C (β, 3α) of a plate, whose frame is that of A."""
+
+    kind: Literal["triangle"]
+    alpha_m: Annotated[float, Gt(0.0)] = Field(description="α: a third of the triangle's height")
+    beta_m: Annotated[float, Gt(0.0)] = Field(description="β: half its base")
+
+
+class ToolsGrasp(Table):
+    """Where each tool sits on the object."""
+
+    kind: Literal["tools"]
+    tools: dict[Name, PlacementTable] = Field(description="placement of each arm's tool in the object frame, by arm")
+
+
+class LatchedGrasp(Table):
+    """The grasp is wherever the tools are at the start; the path's first pose says where the object is."""
+
+    kind: Literal["latched"]
+
+
+class DisplacementTable(Table):
+    """From the start: a translation, and a rotation about the object frame's origin, in world axes."""
+
+    translation_m: Vector3 = Field(default=[0.0, 0.0, 0.0], description="translation")
+    rotation_vector_deg: Vector3 = Field(default=[0.0, 0.0, 0.0], description="axis times angle")
+
+
+TimeLawName = Literal["quintic", "linear"]
+
+
+class LineTable(Table):
+    """A straight line with a turn about one axis."""
+
+    kind: Literal["line"]
+    start: PlacementTable = Field(description="pose of the object frame in the world at the start")
+    goal: PlacementTable | None = Field(default=None, description="pose at the end; or give displacement")
+    displacement: DisplacementTable | None = Field(default=None, description="the way instead of the end")
+    duration_s: Seconds = Field(description="time it takes at full rate")
+    time_law: TimeLawName = Field(default="quintic", description="quintic: rest to rest; linear: with jumps")
+
+    @model_validator(mode="after")
+    def _one_end(self) -> LineTable:
+        exactly_one(self, "goal", "displacement")
+        return self
+
+
+class WaypointsTable(Table):
+    """Lines through several poses."""
+
+    kind: Literal["waypoints"]
+    poses: Annotated[list[PlacementTable], Len(2, MAX_WAYPOINTS)] = Field(description="poses of the object frame")
+    durations_s: Annotated[list[Seconds], Len(1, MAX_WAYPOINTS)] = Field(description="one per segment, at full rate")
+    time_law: TimeLawName = Field(default="quintic", description="of every segment")
+
+    @model_validator(mode="after")
+    def _fits(self) -> WaypointsTable:
+        if len(self.durations_s) != len(self.poses) - 1:
+            raise _problem(
+                f"{len(self.poses)} poses need {len(self.poses) - 1} durations_s, not {len(self.durations_s)}"
+            )
+        return self
+
+
+class HoldTable(Table):
+    """The object rests."""
+
+    kind: Literal["hold"]
+    pose: PlacementTable = Field(description="pose of the object frame in the world")
+    duration_s: Seconds = Field(description="how long")
+
+
+class StartTable(Table):
+    """Where the arms start."""
+
+    positions_deg: Degrees | None = Field(default=None, description="position of every joint, by arm")
+    positions_rad: Degrees | None = Field(default=None, description="the same in radians")
+    inverse_kinematics: bool = Field(
+        default=True,
+        description="put the tools exactly where the grasp and the first pose want them",
+    )
+
+    @model_validator(mode="after")
+    def _one_unit(self) -> StartTable:
+        exactly_one(self, "positions_deg", "positions_rad")
+        return self
+
+
+class ObjectTable(Table):
+    """The box that stands for the object in pictures and in the physics engine."""
+
+    size_m: Sides = Field(default=[0.1, 0.1, 0.1], description="its sides")
+    centre: PlacementTable = Field(default_factory=PlacementTable, description="its centre in the object frame")
+    mass_kg: Annotated[float, Gt(0.0)] = Field(default=20.0, description="its mass")
+
+
+class CommonErrorTable(Table):
+    """Whose view of the object is the object's."""
+
+    kind: Literal["master", "leaderless", "driver", "per_axis"] = Field(description="see coopqp.task.common_error")
+    master: Name | None = Field(default=None, description="arm; with kinds master and driver")
+    driver: Name | None = Field(default=None, description="arm that orients the object; with kind driver")
+    weights: Annotated[list[Annotated[list[float], Len(6, 6)]], Len(1, MAX_ARMS)] | None = Field(
+        default=None, description="rows [x, y, z, rx, ry, rz], one per arm; with kind per_axis"
+    )
+
+    @model_validator(mode="after")
+    def _fits(self) -> CommonErrorTable:
+        needed = {"master": {"master"}, "leaderless": set(), "driver": {"master", "driver"}, "per_axis": {"weights"}}
+        given = {key for key in ("master", "driver", "weights") if getattr(self, key) is not None}
+        if given != needed[self.kind]:
+            wants = " and ".join(sorted(needed[self.kind])) or "nothing else"
+            raise _problem(f"kind '{self.kind}' takes {wants}")
+        return self
+
+
+_Settings = Annotated[dict[Name, float | int | bool | str], Len(0, 50)]
+_SOLVER = {"solver": Name, "solver_settings": _Settings}
+
+QPTable = table_of(
+    QPOptions,
+    "QPTable",
+    replaced={**_SOLVER, "common_error": CommonErrorTable},
+    first={"kind": (Literal["qp"], ...)},
+)
+PseudoInverseTable = table_of(
+    PseudoInverseOptions, "PseudoInverseTable", first={"kind": (Literal["pseudo_inverse"], ...)}
+)
+IndependentTable = table_of(
+    IndependentQPOptions, "IndependentTable", replaced=_SOLVER, first={"kind": (Literal["independent"], ...)}
+)
+
+
+class KinematicTable(Table):
+    """Joints that go exactly where they are told."""
+
+    kind: Literal["kinematic"]
+
+
+PhysicsTable = table_of(
+    PhysicsOptions,
+    "PhysicsTable",
+    replaced=dict.fromkeys(("stiffness", "damping", "armature"), float | Numbers | Literal[False]),
+    first={"kind": (Literal["physics"], ...)},
+)
+
+if TYPE_CHECKING:
+    ControllerTable = Any  # made at run time, from the options dataclasses
+    PlantTable = Any
+else:
+    ControllerTable = Annotated[QPTable | PseudoInverseTable | IndependentTable, Field(discriminator="kind")]
+    PlantTable = Annotated[KinematicTable | PhysicsTable, Field(discriminator="kind")]
+
+
+class OutputTable(Table):
+    """What a run leaves behind, in one folder."""
+
+    folder: Name | None = Field(default=None, description="folder, relative to where the command runs (out/NAME)")
+    recording: bool = Field(default=True, description="recording.npz, to be shown, reported and exported later")
+    report: bool = Field(default=False, description="report.html: figures, plots, settings and verdict")
+    plots: bool = Field(default=False, description="error.png, joints.png, motion.png")
+    page: bool = Field(default=False, description="view.html: the run in 3D, opens offline")
+    csv: bool = Field(default=False, description="run.csv")
+    bag: bool = Field(default=False, description="bag/: a ROS 2 bag (MCAP)")
+
+
+class CellFile(Table):
+    """A cell, what it holds, where to, and how."""
+
+    name: Name = Field(description="what the run is called")
+    arms: Annotated[list[ArmTable], Len(1, MAX_ARMS)] = Field(description="one table per arm; the first is the master")
+    grasp: Annotated[TriangleGrasp | ToolsGrasp | LatchedGrasp, Field(discriminator="kind")] = Field(
+        description="how the arms hold the object"
+    )
+    path: Annotated[LineTable | WaypointsTable | HoldTable, Field(discriminator="kind")] = Field(
+        description="where the object goes"
+    )
+    start: StartTable = Field(description="where the arms start")
+    object: ObjectTable = Field(default_factory=ObjectTable, description="what they hold")
+    controller: ControllerTable = Field(
+        default_factory=lambda: QPTable.model_validate({"kind": "qp"}), description="who computes the commands"
+    )
+    plant: PlantTable = Field(
+        default_factory=lambda: KinematicTable(kind="kinematic"), description="what moves (physics: extra mujoco)"
+    )
+    dt_s: Seconds | None = Field(default=None, description="length of a step (0.002); or give steps")
+    steps: Annotated[int, Ge(1), Le(MAX_STEPS)] | None = Field(default=None, description="steps of an unslowed run")
+    settle_s: Annotated[float, Ge(0.0), Le(1e5)] = Field(default=0.0, description="how long to go on after the end")
+    patience_s: Seconds = Field(default=1.0, description="how long to go on once the object cannot")
+    longest_s: Seconds | None = Field(default=None, description="longest run (ten times the path's duration)")
+    output: OutputTable = Field(default_factory=OutputTable, description="what the run leaves behind")
+
+    @model_validator(mode="after")
+    def _fits(self) -> CellFile:
+        at_most_one(self, "dt_s", "steps")
+        return self
+
+
+__all__ = ["MAX_ARMS", "MAX_LIST", "MAX_STEPS", "CellFile"]

@@ -1,0 +1,64 @@
+"""From the text of a cell file to plain tables: TOML, or YAML by the name of the file. Nothing of it is executed."""
+
+from __future__ import annotations
+
+import io
+import sys
+from pathlib import Path
+from typing import Any
+
+from ruamel.yaml import YAML
+from ruamel.yaml.error import MarkedYAMLError, YAMLError
+from ruamel.yaml.events import AliasEvent, CollectionEndEvent, CollectionStartEvent
+
+from coopqp.errors import CoopqpError
+from coopqp.files.cellfile import YAML_SUFFIXES
+
+if sys.version_info >= (3, 11):
+    import tomllib
+else:
+    import tomli as tomllib
+
+#: Larger files are not read [bytes]; YAML takes its reader fifteen times as long.
+MAX_FILE_BYTES, MAX_YAML_BYTES = 1_000_000, 100_000
+#: Deeper YAML is not read.
+_MAX_DEPTH = 50
+
+
+class CellFileError(CoopqpError):
+    """A cell file that is missing, is neither TOML nor YAML, or breaks the schema."""
+
+
+def read_tables(file: Path) -> Any:
+    """What a file says, as it stands there; YAML where its name ends so.
+
+    Raises:
+        CellFileError: missing, too large, neither TOML nor YAML, or YAML with aliases.
+    """
+    is_yaml = file.suffix in YAML_SUFFIXES
+    limit = MAX_YAML_BYTES if is_yaml else MAX_FILE_BYTES
+    try:
+        if file.stat().st_size > limit:
+            raise CellFileError(f"{file} is larger than {limit} bytes and was not read.")
+        content = file.read_bytes()
+    except OSError as error:
+        raise CellFileError(f"cannot read {file}: {error.strerror}. Check the path.") from error
+    try:
+        return _read_yaml(content.decode()) if is_yaml else tomllib.loads(content.decode())
+    except MarkedYAMLError as error:
+        line = f", line {error.problem_mark.line + 1}" if error.problem_mark else ""
+        raise CellFileError(f"{file}{line} is not YAML: {error.problem}.") from error
+    except (ValueError, RecursionError, YAMLError) as error:  # bad encoding and integers of too many digits, too
+        raise CellFileError(f"{file} is not {'YAML' if is_yaml else 'TOML'}: {error}.") from error
+
+
+def _read_yaml(text: str) -> Any:
+    """YAML 1.2, every key once; an alias is refused, as few of them can stand for more than memory holds."""
+    reader, depth = YAML(typ="safe", pure=True), 0
+    for event in reader.parse(io.StringIO(text)):
+        if isinstance(event, AliasEvent):
+            raise ValueError(f"line {event.start_mark.line + 1} has the alias *{event.anchor}, which is not read")
+        depth += isinstance(event, CollectionStartEvent) - isinstance(event, CollectionEndEvent)
+        if depth > _MAX_DEPTH:
+            raise ValueError(f"line {event.start_mark.line + 1} is nested more than {_MAX_DEPTH} deep")
+    return reader.load(text)

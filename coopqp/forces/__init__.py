@@ -1,0 +1,1 @@
+"""Forces between the arms and the object."""

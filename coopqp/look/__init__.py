@@ -1,0 +1,1 @@
+"""Pictures: plots, renderer, viewer, report."""

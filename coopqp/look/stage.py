@@ -1,0 +1,294 @@
+"""A run as a 3D scene of viser: what stands where at each sample, and what is marked.
+
+The scene knows nothing of windows, buttons or files: :mod:`coopqp.look.viewer` shows it, live or as a page.
+"""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+
+from coopqp.look.render import box, mesh_of
+from coopqp.model.cell import RobotCell
+from coopqp.model.limits import BindingLimit
+from coopqp.simulation import metrics
+from coopqp.simulation.assessment import Readings, read_run
+from coopqp.simulation.scene import read_cell, read_object, read_path
+from coopqp.simulation.simulate import Recording
+from coopqp.spatial import Array
+
+Colour = tuple[int, int, int]
+
+#: Colour of whatever a limit binds.
+ALERT: Colour = (214, 30, 30)
+_OBJECT: Colour = (76, 132, 191)
+_PATH: Colour = (0, 114, 178)
+_GOAL: Colour = (120, 126, 134)
+_STICK: Colour = (90, 98, 108)
+#: Points of the drawn path at most.
+_PATH_POINTS = 200
+#: How far up the camera stands and from where, and its field of view [deg].
+_ELEVATION, _AZIMUTH, FIELD_OF_VIEW = 24.0, 125.0, 38.0
+#: Share of the picture that is filled, and its width over its height, at least.
+_FILL, _ASPECT = 0.80, 1.4
+#: How high above everything the readout stands, as a share of the diagonal.
+READOUT_SHARE = 0.13
+
+
+class Stage:
+    """The arms, the object, its path and its goal in a viser scene.
+
+    Attributes:
+        recording: the run.
+        cell: read from the recording.
+        readings: its errors over time.
+
+    Raises:
+        SceneError: the recording does not tell what its cell looks like, or a mesh file is gone.
+    """
+
+    def __init__(self, scene: Any, recording: Recording, *, sticks: bool = False) -> None:
+        self.recording = recording
+        self.cell: RobotCell = read_cell(recording.metadata, shapes=not sticks)
+        self.readings: Readings = read_run(self.cell, recording)
+        self._scene = scene
+        self._data = self.cell.model.createData()
+        self._bindings = [*recording.bindings, *recording.bindings[-1:]]  # the last sample is the end of the last step
+        self._links: dict[int, Any] = {}  # frame of each joint that carries shapes
+        self._meshes: dict[int, list[tuple[Any, Colour]]] = defaultdict(list)  # by joint
+        self._sticks: list[tuple[Any, list[int]]] = []
+        self._names: list[Any] = []
+        self._shown: tuple[Any, ...] = ()  # limits that are marked
+        size, self._T_object_body = read_object(recording.metadata, recording.T_object_tool)
+        self._first_grasp = recording.grasp.T_object_tool[0].inverse()
+        self._path = read_path(recording.metadata) or self._followed()
+        self._cloud = self._points(size)
+        self.low, self.high = self._cloud.min(axis=0), self._cloud.max(axis=0)
+        self._add_floor()
+        self._add_arms()
+        self._add_object(size)
+        self._add_path(size)
+        self.show(0)
+
+    def _followed(self) -> list[pin.SE3]:
+        """The part of the path that the object has followed, for recordings that do not tell more."""
+        samples = np.unique(np.linspace(0, self.recording.n_steps, _PATH_POINTS).astype(int))
+        return [pin.SE3(self.recording.reference[i]) for i in samples]
+
+    # -- what stands there ---------------------------------------------------------------------------------------
+
+    def _points(self, size: Array) -> Array:
+        """Bases, joints at the start, the middle and the end, and corners of the object on its path (n, 3) [m]."""
+        corners = box(size)[0]
+        points = []
+        for i in {0, self.recording.n_steps // 2, self.recording.n_steps}:
+            pin.forwardKinematics(self.cell.model, self._data, self.recording.q[i])
+            points += [T.translation for T in list(self._data.oMi)[1:]]
+        for pose in [*self._path[:: max(1, len(self._path) // 8)], self._path[-1]]:
+            T = pose * self._T_object_body
+            points += list(corners @ T.rotation.T + T.translation)
+        points += [arm.T_world_base.translation for arm in self.cell.arms]
+        return np.array(points)
+
+    def above(self, share: float) -> Array:
+        """The point above the middle, so much of the diagonal higher than everything (3,) [m]."""
+        x, y, _ = 0.5 * (self.low + self.high)
+        return np.array([x, y, self.high[2] + share * float(np.linalg.norm(self.high - self.low))])
+
+    def camera(self) -> tuple[Array, Array]:
+        """Where to look from and at, so that everything and a readout above it are in view [m]."""
+        readout = self.above(READOUT_SHARE + 0.06)
+        points = np.array([*self._cloud, readout])
+        target = 0.5 * (points.min(axis=0) + points.max(axis=0))
+        azimuth, elevation = np.deg2rad(_AZIMUTH), np.deg2rad(_ELEVATION)
+        right = np.array([-np.sin(azimuth), np.cos(azimuth), 0.0])
+        flat = np.array([np.cos(azimuth), np.sin(azimuth), 0.0])
+        away = np.cos(elevation) * flat + np.array([0.0, 0.0, np.sin(elevation)])
+        up = np.cross(away, right)
+        # A point is in the picture from a distance of what it is nearer by, and what its offset needs.
+        slope = _FILL * np.tan(np.deg2rad(0.5 * FIELD_OF_VIEW))
+        offsets = points - target
+        needed = np.maximum(np.abs(offsets @ up), np.abs(offsets @ right) / _ASPECT) / slope
+        return target + float(np.max(offsets @ away + needed)) * away, target
+
+    def _add_floor(self) -> None:
+        middle, span = 0.5 * (self.low + self.high), float(np.max(self.high - self.low)) + 1.5
+        bases = [arm.T_world_base.translation[2] for arm in self.cell.arms]
+        self._scene.add_grid(
+            "/floor",
+            width=span,
+            height=span,
+            cell_size=0.1,
+            section_size=0.5,
+            cell_color=(236, 238, 240),
+            section_color=(205, 210, 215),
+            position=(middle[0], middle[1], min([0.0, *bases]) - 1e-3),
+        )
+
+    def _add_arms(self) -> None:
+        visual = self.cell.visual_model()
+        drawn: set[str] = set()
+        for item in visual.geometryObjects:
+            mesh = mesh_of(item.geometry)
+            if mesh is None:
+                continue
+            vertices, triangles = mesh
+            joint, T = int(item.parentJoint), item.placement
+            red, green, blue = (round(255 * float(c)) for c in np.asarray(item.meshColor)[:3])
+            self._add_mesh(joint, item.name, vertices @ T.rotation.T + T.translation, triangles, (red, green, blue))
+            drawn.add(item.name.split("/", 1)[0])
+        for name, joints in zip(self.cell.arm_names, self.cell.v_slices, strict=True):
+            own = list(range(joints.start + 1, joints.stop + 1))
+            if name not in drawn:
+                handle = self._scene.add_line_segments(
+                    f"/sticks/{name}",
+                    np.zeros((len(own) + 1, 2, 3)),
+                    colors=_STICK,
+                    thickness=7.0,
+                    thickness_units="screen",
+                )
+                self._sticks.append((handle, own))
+            label = self._scene.add_label(
+                f"/names/{name}", _title(name), position=self._name_place(own), anchor="bottom-center"
+            )
+            self._names.append(label)
+
+    def _name_place(self, joints: list[int]) -> Array:
+        """Above the arm's highest joint at the start [m]."""
+        pin.forwardKinematics(self.cell.model, self._data, self.recording.q[0])
+        top = max((self._data.oMi[j].translation for j in joints), key=lambda p: float(p[2]))
+        above = 0.045 * float(np.linalg.norm(self.high - self.low))
+        return np.array([top[0], top[1], top[2] + above])
+
+    def _add_mesh(self, joint: int, name: str, vertices: Array, triangles: Any, colour: Colour) -> None:
+        """A mesh in the frame of a joint; each triangle has corners of its own, for crisp edges."""
+        if joint not in self._links:
+            self._links[joint] = self._scene.add_frame(f"/links/{joint}", show_axes=False)
+        mesh = self._scene.add_mesh_simple(
+            f"/links/{joint}/{name.replace('/', '_')}",
+            vertices[triangles].reshape(-1, 3).astype(np.float32),
+            np.arange(3 * len(triangles), dtype=np.uint32).reshape(-1, 3),
+            color=colour,
+        )
+        self._meshes[joint].append((mesh, colour))
+
+    def _add_object(self, size: Array) -> None:
+        vertices, triangles = box(size)
+        T = self._T_object_body
+        self._object = self._scene.add_frame("/object", axes_length=0.16, axes_radius=0.006, origin_radius=0.012)
+        self._scene.add_mesh_simple(
+            "/object/body",
+            (vertices @ T.rotation.T + T.translation)[triangles].reshape(-1, 3).astype(np.float32),
+            np.arange(3 * len(triangles), dtype=np.uint32).reshape(-1, 3),
+            color=_OBJECT,
+        )
+        for name, X in zip(self.cell.arm_names, self.recording.grasp.T_object_tool, strict=True):
+            self._scene.add_frame(
+                f"/object/grasp {name}", axes_length=0.11, axes_radius=0.004, origin_radius=0.009,
+                wxyz=_wxyz(X), position=X.translation,
+            )  # fmt: skip
+
+    def _add_path(self, size: Array) -> None:
+        """Lines of the object frame's origin and of the grasps, and outlines of the object at both ends."""
+        poses = self._path
+        points = [np.zeros(3), *(X.translation for X in self.recording.grasp.T_object_tool)]
+        for k, point in enumerate(points):
+            line = np.array([T.act(point) for T in poses], dtype=np.float32)
+            if float(np.linalg.norm(np.ptp(line, axis=0))) > 1e-6:
+                segments = np.stack([line[:-1], line[1:]], axis=1)
+                width = 2.0 if k else 4.5
+                self._scene.add_line_segments(
+                    f"/path/line {k}", segments, colors=_PATH, thickness=width, thickness_units="screen"
+                )
+        corners = box(size)[0]
+        edges = [(i, i ^ bit) for i in range(8) for bit in (1, 2, 4) if not i & bit]
+        for name, pose in (("start", poses[0]), ("end", poses[-1])):
+            T = pose * self._T_object_body
+            world = (corners @ T.rotation.T + T.translation).astype(np.float32)
+            self._scene.add_line_segments(
+                f"/path/{name}",
+                np.array([[world[a], world[b]] for a, b in edges]),
+                colors=_GOAL,
+                thickness=1.5,
+                thickness_units="screen",
+            )
+
+    # -- a sample ------------------------------------------------------------------------------------------------
+
+    def show(self, sample: int) -> None:
+        """Move everything to a sample (0 to T) of the run, and mark what a limit binds there."""
+        q = self.recording.q[sample]
+        pin.forwardKinematics(self.cell.model, self._data, q)
+        for joint, frame in self._links.items():
+            _place(frame, self._data.oMi[joint])
+        for handle, joints in self._sticks:
+            handle.points = self._stick_points(joints)
+        tool = metrics.tool_placements(self.cell, [q])[0][0]
+        _place(self._object, tool * self._first_grasp)
+        limits = self.limits(sample)
+        if limits != self._shown:
+            self._mark(limits)
+            self._shown = limits
+
+    def _stick_points(self, joints: list[int]) -> Array:
+        """Ends of the sticks of an arm: from its base along the joints to the tool, (n, 2, 3)."""
+        arm = self.cell.arm_of_joint(joints[0] - 1)
+        places = [self._data.oMi[j].translation for j in joints]
+        parents = [int(self.cell.model.parents[j]) for j in joints]
+        base = self.cell.arms[arm].T_world_base.translation
+        before = [self._data.oMi[p].translation if p else base for p in parents]
+        last = self._data.oMi[self.cell.tool_joints[arm]]
+        tool = (last * self.cell.T_joint_tool[arm]).translation
+        return np.array([*zip(before, places, strict=True), (last.translation, tool)], dtype=np.float32)
+
+    def limits(self, sample: int) -> tuple[BindingLimit, ...]:
+        """The limits of joints and arms that bind in the step that starts at a sample."""
+        if not self._bindings:
+            return ()
+        return tuple(limit for limit in self._bindings[sample] if limit.arm in self.cell.arm_names)
+
+    def _mark(self, limits: tuple[BindingLimit, ...]) -> None:
+        """Paint the arms whose limits bind, strongest the links of the joints, and say which under their names."""
+        for arm, own in enumerate(self.cell.v_slices):
+            name = self.cell.arm_names[arm]
+            bound = [limit for limit in limits if limit.arm == name]
+            if not bound and not any(limit.arm == name for limit in self._shown):
+                continue
+            self._names[arm].text = "\n".join([_title(name), *(_short(limit) for limit in bound)])
+            joints = range(own.start + 1, own.stop + 1)
+            strong = {j for j in joints if self.cell.joint_names[j - 1] in {f"{b.arm}/{b.joint}" for b in bound}}
+            share = {j: 0.0 if not bound else 1.0 if j in strong else 0.45 for j in joints}
+            for j in joints:
+                for mesh, colour in self._meshes[j]:
+                    mesh.color = _blend(colour, share[j])
+            for handle, sticks in self._sticks:
+                if sticks[0] == joints[0]:
+                    colours = [_blend(_STICK, share[j]) for j in [*sticks, sticks[-1]]]
+                    handle.colors = np.repeat(np.array(colours, dtype=np.uint8)[:, None, :], 2, axis=1)
+
+
+def _title(arm: str) -> str:
+    return arm.replace("_", " ")
+
+
+def _short(limit: BindingLimit) -> str:
+    return f"! {limit.joint.replace('_', ' ')} {limit.kind.value}".replace("!  ", "! ")
+
+
+def _blend(colour: Colour, share: float) -> Colour:
+    """``colour`` with a share of the alert colour."""
+    red, green, blue = (round((1.0 - share) * a + share * b) for a, b in zip(colour, ALERT, strict=True))
+    return red, green, blue
+
+
+def _place(frame: Any, T: pin.SE3) -> None:
+    frame.wxyz = _wxyz(T)
+    frame.position = T.translation
+
+
+def _wxyz(T: pin.SE3) -> Array:
+    x, y, z, w = pin.Quaternion(T.rotation).coeffs()
+    return np.array([w, x, y, z])

@@ -1,0 +1,271 @@
+"""Runs in a browser, through viser: live, with play, pause and scrub, or as one page that opens offline.
+
+Needs the extra ``viewer``. Nothing is sent anywhere: the live viewer listens on this machine alone unless told
+otherwise, and the page carries all that it shows.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import html
+import io
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from coopqp.checks import as_scalar
+from coopqp.control.command import Status
+from coopqp.errors import InvalidInputError, MissingExtraError
+from coopqp.look.stage import FIELD_OF_VIEW, READOUT_SHARE, Stage
+from coopqp.output import check_file, write_files
+from coopqp.simulation.assessment import worst_status
+from coopqp.simulation.simulate import Recording
+
+#: Pictures a second of the page, and at most in all.
+FRAMES_PER_SECOND, MAX_FRAMES = 25.0, 500
+#: How long the page rests at the end before it starts again [s].
+PAUSE_AT_END = 1.5
+#: Redraws a second of the live viewer.
+LIVE_RATE = 30.0
+SPEEDS = ("0.1x", "0.25x", "0.5x", "1x", "2x", "5x", "10x")
+
+_CARD = """
+<style>
+#coopqp {{ position: fixed; left: 14px; top: 14px; z-index: 5; max-width: 25em; padding: 9px 13px; font: 13px/1.45
+  system-ui, sans-serif; color: #222; background: rgba(255, 255, 255, .88); border: 1px solid #dfe3e8;
+  border-radius: 6px; pointer-events: none; }}
+#coopqp b {{ font-size: 15px; }}
+#coopqp i {{ display: inline-block; width: 1.1em; height: .62em; margin-right: .45em; border-radius: 2px; }}
+</style>
+<div id="coopqp"><b>{title}</b><br>{subtitle}<br>
+<i style="background: #4c84bf"></i>the object (grey: its start and end)<br>
+<i style="background: #0072b2; height: .25em; vertical-align: .2em"></i>paths of its frame and of the grasps<br>
+<i style="background: #d61e1e"></i>an arm at a limit, named above it<br>
+Drag to turn, scroll to zoom; the space bar plays and pauses.</div>
+"""
+
+
+def require_viser() -> Any:
+    """The package viser.
+
+    Raises:
+        MissingExtraError: it is not installed.
+    """
+    try:
+        import viser
+    except ImportError as error:
+        raise MissingExtraError("viewer", "viser") from error
+    return viser
+
+
+def _serve(viser: Any, host: str, port: int) -> Any:
+    """A server of viser that keeps its banner to itself."""
+    with contextlib.redirect_stdout(io.StringIO()):
+        return viser.ViserServer(host=host, port=port, verbose=False)
+
+
+def _stop(server: Any) -> None:
+    with contextlib.redirect_stdout(io.StringIO()):
+        server.stop()
+
+
+def title_of(recording: Recording) -> tuple[str, str]:
+    """What a run is called, and by which controller in how many steps it was made."""
+    data = recording.metadata
+    name = str(data.get("scenario") or data.get("name") or "A run").replace("_", " ")
+    controller = str(data.get("controller", "an unknown controller"))
+    return name, f"{controller}, {recording.n_steps} steps, {recording.time[-1]:.4g} s, {worst_status(recording)}"
+
+
+def readout(stage: Stage, sample: int) -> str:
+    """Three lines: clock, rate and status; what binds; the errors at a sample."""
+    run, errors = stage.recording, stage.readings
+    step = min(sample, run.n_steps - 1)
+    end = float(run.metadata.get("duration", run.clock[-1]))
+    share = f"{100.0 * run.clock[sample] / end:.0f} % of the path · " if 0.0 < end < np.inf else ""
+    limits = "; ".join(str(limit) for limit in stage.limits(sample)) or "no limit binds"
+    status = list(Status)[int(run.status[step])].value
+    return (
+        f"t = {run.time[sample]:.2f} s · {share}{status}, σ = {100.0 * run.rate[step]:.3g} %\n"
+        f"{limits}\n"
+        f"ε_p {_length(errors.eps_p_mm[sample])} · chain error {_length(errors.chain_mm[sample])}, "
+        f"{_angle(errors.chain_deg[sample])}"
+    )
+
+
+def _length(mm: float) -> str:
+    """Millimetres, or micrometres where there are few of them."""
+    if mm < 1e-6:
+        return "< 0.001 µm"
+    return f"{1e3 * mm:.2g} µm" if mm < 0.01 else f"{mm:.3g} mm"
+
+
+def _angle(deg: float) -> str:
+    return "< 1e-6°" if deg < 1e-6 else f"{deg:.2g}°"
+
+
+def _frame_camera(server: Any, stage: Stage) -> None:
+    position, target = stage.camera()
+    server.scene.set_up_direction("+z")
+    server.initial_camera.position = tuple(float(x) for x in position)
+    server.initial_camera.look_at = tuple(float(x) for x in target)
+    server.initial_camera.fov = float(np.deg2rad(FIELD_OF_VIEW))
+
+
+def export_html(
+    recording: Recording,
+    file: str | Path,
+    *,
+    sticks: bool = False,
+    progress: Callable[[int, int], None] | None = None,
+) -> Path:
+    """Write a run as one page with play, pause, scrub and speed, which opens offline.
+
+    Args:
+        recording: the run.
+        file: the page.
+        sticks: draw the arms as sticks instead of their shapes.
+        progress: called as ``progress(pictures done, pictures)``.
+
+    Raises:
+        SceneError: the recording does not tell what its cell looks like, or a mesh file is gone.
+        OutputError: the file cannot be written.
+        MissingExtraError: viser is not installed.
+    """
+    viser, page = require_viser(), Path(file)
+    check_file(page)
+    server = _serve(viser, "127.0.0.1", 0)
+    try:
+        stage = Stage(server.scene, recording, sticks=sticks)
+        _frame_camera(server, stage)
+        hud = server.scene.add_label(
+            "/readout",
+            readout(stage, 0),
+            position=stage.above(READOUT_SHARE),
+            anchor="bottom-center",
+            font_screen_scale=1.15,
+        )
+        duration = float(recording.time[-1])
+        n_frames = int(np.clip(np.ceil(FRAMES_PER_SECOND * duration - 1e-6), 2, MAX_FRAMES))
+        times = np.linspace(0.0, duration, n_frames)
+        samples = np.clip(np.searchsorted(recording.time, times - 1e-9), 0, recording.n_steps)
+        serializer = server.get_scene_serializer()
+        for done, sample in enumerate(samples, start=1):
+            stage.show(int(sample))
+            hud.text = readout(stage, int(sample))
+            serializer.insert_sleep(float(times[1] - times[0]) if done < n_frames else PAUSE_AT_END)
+            if progress is not None:
+                progress(done, n_frames)
+        document: str = serializer.as_html()
+    finally:
+        _stop(server)
+    name, made = title_of(recording)
+    card = _CARD.format(title=html.escape(name), subtitle=html.escape(made))
+    head, found, tail = document.rpartition("</body>")
+    write_files({page: f"{head}{card}{found}{tail}".encode() if found else f"{document}{card}".encode()})
+    return page
+
+
+class LiveViewer:
+    """A run in the browser, served from this machine, with play, pause, scrub, speed and readouts.
+
+    Args:
+        recording: the run.
+        host: address to listen on; the default is reached from this machine alone.
+        port: 0 for any that is free.
+        sticks: draw the arms as sticks instead of their shapes.
+
+    Attributes:
+        url: where to point the browser.
+
+    Raises:
+        SceneError, MissingExtraError: as :func:`export_html`.
+        InvalidInputError: a port that is none, or that is taken.
+    """
+
+    def __init__(
+        self, recording: Recording, *, host: str = "127.0.0.1", port: int = 8080, sticks: bool = False
+    ) -> None:
+        viser = require_viser()
+        if isinstance(port, bool) or not isinstance(port, int) or not 0 <= port < 65536:
+            raise InvalidInputError(f"port is {port!r}", "LiveViewer", "Give a number from 0 (any) to 65535.")
+        try:
+            self._server = _serve(viser, host, port)
+        except OSError as error:
+            raise InvalidInputError(
+                f"cannot listen on {host}:{port} ({error})", "LiveViewer", "Use --port 0."
+            ) from error
+        try:
+            self.stage = Stage(self._server.scene, recording, sticks=sticks)
+            _frame_camera(self._server, self.stage)
+            self._add_controls(recording)
+        except BaseException:
+            _stop(self._server)
+            raise
+        self.url = f"http://{host}:{self._server.get_port()}"
+
+    def __enter__(self) -> LiveViewer:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Stop serving."""
+        _stop(self._server)
+
+    def _add_controls(self, recording: Recording) -> None:
+        gui = self._server.gui
+        gui.configure_theme(show_share_button=False)
+        name, made = title_of(recording)
+        gui.add_markdown(f"**{_plain(name)}**\n\n{_plain(made)}")
+        end = max(float(recording.time[-1]), 1e-6)
+        self._time = gui.add_slider("time [s]", min=0.0, max=end, step=end / 2000.0, initial_value=0.0)
+        self._playing = gui.add_checkbox("play", initial_value=True)
+        self._speed = gui.add_dropdown("speed", SPEEDS, initial_value="1x")
+        self._text = gui.add_markdown("")
+        self._clock, self._slider = 0.0, self._time.value  # the clock runs on through the pause at the end
+        self._show(0)
+
+    def _show(self, sample: int) -> None:
+        with self._server.atomic():
+            self.stage.show(sample)
+            self._text.content = "\n\n".join(_plain(line) for line in readout(self.stage, sample).split("\n"))
+        self._shown = sample
+
+    def update(self, elapsed: float) -> int:
+        """Advance by a time [s] if playing, or follow the slider if it was moved; return the sample that is shown."""
+        run = self.stage.recording
+        end = float(run.time[-1])
+        seconds = as_scalar(elapsed, "LiveViewer.update: elapsed", open_low=False)
+        if self._time.value != self._slider:
+            self._clock = float(self._time.value)
+        elif self._playing.value:
+            self._clock += seconds * float(self._speed.value.rstrip("x"))
+            if self._clock > end + PAUSE_AT_END:
+                self._clock = 0.0
+        shown = min(self._clock, end)
+        if shown != self._time.value:
+            self._time.value = shown
+        self._slider = self._time.value
+        sample = int(np.clip(np.searchsorted(run.time, shown - 1e-9), 0, run.n_steps))
+        if sample != self._shown:
+            self._show(sample)
+        return sample
+
+    def run(self) -> None:
+        """Serve until interrupted (Ctrl-C)."""
+        last = time.monotonic()
+        while True:
+            time.sleep(1.0 / LIVE_RATE)
+            now = time.monotonic()
+            self.update(now - last)
+            last = now
+
+
+def _plain(text: str) -> str:
+    """Text in which Markdown finds nothing to format."""
+    return "".join(f"\\{c}" if c in "\\`*_{}[]<>#|~" else c for c in text)

@@ -1,0 +1,1 @@
+"""What is there: arms, cell, grasp, closed chain."""

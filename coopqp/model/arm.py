@@ -1,0 +1,437 @@
+"""One arm: its model, its joint limits, the frame that grasps, and where its base stands.
+
+Nothing that the user hands in is modified: models are copied.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import difflib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+from xml.parsers import expat
+
+import numpy as np
+import pinocchio as pin
+
+from coopqp.checks import NOT_NUMBERS, as_floats, as_vector, read_only
+from coopqp.errors import InvalidInputError, ModelError, UnknownNameError
+from coopqp.spatial import Array, Placement, as_placement
+
+#: A position limit beyond this [rad or m] means "none" (parsers write the largest double there).
+UNLIMITED = 1e6
+#: Deepest nesting of elements that is read from MJCF; an arm of a hundred joints needs a little more than a hundred.
+MAX_NESTING = 500
+#: A velocity or acceleration limit below this [rad/s, rad/s², or in metres] is a mistake: the joint could not move.
+SMALLEST_LIMIT = 1e-6
+#: A finite limit beyond this is a mistake, too, and would not survive being squared.
+LARGEST_LIMIT = 1e9
+#: Largest robot description that is read [bytes].
+MAX_DESCRIPTION_BYTES = 20_000_000
+#: The fields of :class:`JointLimits`, in its order.
+LIMIT_FIELDS = ("lower", "upper", "velocity", "acceleration")
+
+
+@dataclass(frozen=True, eq=False)
+class JointLimits:
+    """Limits of joints, one entry per velocity coordinate; ±inf where there is none.
+
+    Attributes:
+        lower, upper: position [rad or m], shape (nv,).
+        velocity: largest speed [rad/s or m/s], shape (nv,), > 0.
+        acceleration: largest acceleration [rad/s² or m/s²], shape (nv,), > 0.
+    """
+
+    lower: Array
+    upper: Array
+    velocity: Array
+    acceleration: Array
+
+    def __post_init__(self) -> None:
+        n = None
+        for name in ("lower", "upper", "velocity", "acceleration"):
+            try:
+                value = as_floats(getattr(self, name))
+            except NOT_NUMBERS as error:
+                raise InvalidInputError(f"{name} is not a vector of numbers", "JointLimits", "Give floats.") from error
+            n = value.size if n is None else n
+            if value.shape != (n,) or n == 0 or np.isnan(value).any():
+                raise InvalidInputError(
+                    f"{name} has shape {value.shape} or NaN, expected ({n},)",
+                    "JointLimits",
+                    "One number per joint.",
+                )
+            object.__setattr__(self, name, read_only(value))
+            if (np.isfinite(value) & (np.abs(value) > LARGEST_LIMIT)).any():
+                raise InvalidInputError(
+                    f"{name} has entries beyond {LARGEST_LIMIT:g}", "JointLimits", "Give inf where there is no limit."
+                )
+        for j in range(len(self.lower)):
+            if not self.lower[j] < self.upper[j]:
+                raise InvalidInputError(
+                    f"joint {j}: lower {self.lower[j]:g} is not below upper {self.upper[j]:g}",
+                    "JointLimits",
+                    "Swap reversed limits, or lock the joint.",
+                )
+            if not (self.velocity[j] >= SMALLEST_LIMIT and self.acceleration[j] >= SMALLEST_LIMIT):
+                raise InvalidInputError(
+                    f"joint {j}: velocity {self.velocity[j]:g} and acceleration {self.acceleration[j]:g} must be > 0 "
+                    f"(at least {SMALLEST_LIMIT:g})",
+                    "JointLimits",
+                    "Give a positive limit (inf for none).",
+                )
+
+    def replace(self, **changes: Any) -> JointLimits:
+        """A copy with some limits replaced; a scalar applies to every joint."""
+        n = len(self.lower)
+        full = {}
+        for key, value in changes.items():
+            if key not in LIMIT_FIELDS:
+                raise UnknownNameError("limit", key, LIMIT_FIELDS, "JointLimits")
+            full[key] = _one_per_joint(value, n, f"JointLimits: {key}", f"Give one number or {n}.")
+        return replace(self, **full)
+
+
+@dataclass(frozen=True, eq=False)
+class Arm:
+    """One arm: its model, the frame that grasps, and where its base stands.
+
+    Build it with :meth:`from_urdf`, :meth:`from_mjcf` or :meth:`from_model`.
+
+    Attributes:
+        name: used as the prefix of its joints and frames in the cell.
+        model: the arm's own Pinocchio model, a copy, base at the origin.
+        tool_frame: name of the frame that is rigidly attached to the object.
+        T_world_base: placement of the base.
+        limits: joint limits.
+        visual, collision: geometry, or None.
+        source: where the model came from, for messages and recordings.
+    """
+
+    name: str
+    model: pin.Model
+    tool_frame: str
+    T_world_base: pin.SE3
+    limits: JointLimits
+    visual: pin.GeometryModel | None = None
+    collision: pin.GeometryModel | None = None
+    source: str = ""
+
+    @staticmethod
+    def from_urdf(
+        name: str,
+        path: str | Path,
+        *,
+        tool_frame: str,
+        T_world_base: Placement | None = None,
+        package_dirs: Sequence[str | Path] = (),
+        geometry: bool = True,
+        locked_joints: Mapping[str, float] | None = None,
+        velocity_limits: Any = None,
+        acceleration_limits: Any = None,
+        lower_limits: Any = None,
+        upper_limits: Any = None,
+    ) -> Arm:
+        """Build an arm from a URDF file.
+
+        Args:
+            name: unique name in the cell.
+            path: the URDF.
+            tool_frame: link or frame that grasps the object.
+            T_world_base: placement of the model's root in the world (identity by default).
+            package_dirs: where ``package://`` mesh paths are looked up.
+            geometry: also load visual and collision shapes.
+            locked_joints: joints to freeze, with their positions [rad or m], e.g. gripper fingers.
+            velocity_limits, acceleration_limits, lower_limits, upper_limits: override the model's; a scalar
+                or one number per remaining joint. URDF has no acceleration limits, so they are infinite
+                unless given here.
+
+        Raises:
+            ModelError: the file is missing, too large, not a robot, or has joints coopqp cannot drive.
+            UnknownNameError: no such tool frame or locked joint.
+            InvalidInputError: bad limits or placement.
+        """
+        source = _description_file(path, name)
+        try:
+            mimics = _mimic_joints(pin.buildModelFromUrdf(str(source), True))  # True: they show up as such
+            model = pin.buildModelFromUrdf(str(source))
+        except (ValueError, RuntimeError) as error:
+            raise ModelError(f"arm '{name}': {source} is not a URDF that can be read ({_cause(error)})") from error
+        for joint in mimics:
+            if joint not in (locked_joints or {}):
+                raise ModelError(
+                    f"arm '{name}': joint '{joint}' mimics another. Lock it: locked_joints={{'{joint}': 0.0}}."
+                )
+        shapes: dict[str, pin.GeometryModel | None] = {"visual": None, "collision": None}
+        if geometry:
+            kinds = {"visual": pin.GeometryType.VISUAL, "collision": pin.GeometryType.COLLISION}
+            dirs = [str(d) for d in package_dirs]
+            for key, kind in kinds.items():
+                try:
+                    shapes[key] = pin.buildGeomFromUrdf(model, str(source), kind, package_dirs=dirs)
+                except (ValueError, RuntimeError) as error:
+                    raise ModelError(
+                        f"arm '{name}': the {key} geometry of {source} cannot be read ({_cause(error)}). "
+                        "Give package_dirs, or geometry=False to do without."
+                    ) from error
+        return Arm._build(
+            name, model, tool_frame, T_world_base, locked_joints, shapes, str(source),
+            velocity_limits, acceleration_limits, lower_limits, upper_limits,
+        )  # fmt: skip
+
+    @staticmethod
+    def from_mjcf(
+        name: str,
+        path: str | Path,
+        *,
+        tool_frame: str,
+        T_world_base: Placement | None = None,
+        geometry: bool = True,
+        locked_joints: Mapping[str, float] | None = None,
+        velocity_limits: Any = None,
+        acceleration_limits: Any = None,
+        lower_limits: Any = None,
+        upper_limits: Any = None,
+    ) -> Arm:
+        """Build an arm from an MJCF file; arguments and errors as :meth:`from_urdf`.
+
+        MJCF has no velocity limits: give ``velocity_limits``.
+        """
+        source = _description_file(path, name)
+        _check_nesting(source, name)
+        try:
+            model = pin.buildModelFromMJCF(str(source))
+            shapes: dict[str, pin.GeometryModel | None] = {"visual": None, "collision": None}
+            if geometry:
+                shapes["visual"] = pin.buildGeomFromMJCF(model, str(source), pin.GeometryType.VISUAL)
+                shapes["collision"] = pin.buildGeomFromMJCF(model, str(source), pin.GeometryType.COLLISION)
+        except (ValueError, RuntimeError) as error:
+            raise ModelError(f"arm '{name}': {source} is not an MJCF that can be read ({_cause(error)})") from error
+        return Arm._build(
+            name, model, tool_frame, T_world_base, locked_joints, shapes, str(source),
+            velocity_limits, acceleration_limits, lower_limits, upper_limits,
+        )  # fmt: skip
+
+    @staticmethod
+    def from_model(
+        name: str,
+        model: pin.Model,
+        *,
+        tool_frame: str,
+        T_world_base: Placement | None = None,
+        visual: pin.GeometryModel | None = None,
+        collision: pin.GeometryModel | None = None,
+        locked_joints: Mapping[str, float] | None = None,
+        velocity_limits: Any = None,
+        acceleration_limits: Any = None,
+        lower_limits: Any = None,
+        upper_limits: Any = None,
+    ) -> Arm:
+        """Build an arm from a :class:`pinocchio.Model`, which is copied; see :meth:`from_urdf`."""
+        if not isinstance(model, pin.Model):
+            raise InvalidInputError(
+                f"expected a pinocchio.Model, got {type(model).__name__}",
+                f"arm '{name}'",
+                "Use from_urdf for a file.",
+            )
+        shapes = {
+            "visual": None if visual is None else visual.copy(),
+            "collision": None if collision is None else collision.copy(),
+        }
+        return Arm._build(
+            name, pin.Model(model), tool_frame, T_world_base, locked_joints, shapes, "pinocchio.Model",
+            velocity_limits, acceleration_limits, lower_limits, upper_limits,
+        )  # fmt: skip
+
+    @staticmethod
+    def _build(
+        name: str,
+        model: pin.Model,
+        tool_frame: str,
+        T_world_base: Placement | None,
+        locked_joints: Mapping[str, float] | None,
+        shapes: dict[str, pin.GeometryModel | None],
+        source: str,
+        velocity: Any,
+        acceleration: Any,
+        lower: Any,
+        upper: Any,
+    ) -> Arm:
+        if not isinstance(name, str) or not name or "/" in name:
+            raise InvalidInputError(f"'{name}' is not a name", "Arm.name", "Give a non-empty name without '/'.")
+        base = pin.SE3.Identity() if T_world_base is None else as_placement(T_world_base, f"arm '{name}': T_world_base")
+        mimics = _mimic_joints(model)
+        if mimics:
+            raise ModelError(
+                f"arm '{name}': joint '{mimics[0]}' mimics another. Replace it in the model, or read its URDF with "
+                "Arm.from_urdf, which can lock it."
+            )
+        if locked_joints:
+            model, shapes = _lock(name, model, shapes, locked_joints)
+        _check_joints(name, model)
+        _separate_frames(model)
+        if not isinstance(tool_frame, str) or not model.existFrame(tool_frame):
+            names = [f.name for f in model.frames if f.name != "universe"]
+            near = difflib.get_close_matches(str(tool_frame), names, n=len(names), cutoff=0.0)[:12]
+            raise UnknownNameError("frame", str(tool_frame), near, f"arm '{name}' ({source})")
+        if model.frames[model.getFrameId(tool_frame)].parentJoint == 0:
+            raise ModelError(f"arm '{name}': no joint moves the tool frame '{tool_frame}' ({source}).")
+        limits = _model_limits(name, model, velocity, acceleration, lower, upper)
+        return Arm(name, model, tool_frame, base, limits, shapes["visual"], shapes["collision"], source)
+
+    def placed(self, T_world_base: Placement, *, name: str | None = None) -> Arm:
+        """The same arm at another base, under another name if given."""
+        return replace(
+            self,
+            name=self.name if name is None else name,
+            T_world_base=as_placement(T_world_base, f"arm '{name or self.name}': T_world_base"),
+        )
+
+    def with_limits(self, **changes: Any) -> Arm:
+        """The same arm with other limits; keywords of :class:`JointLimits`, scalars apply to every joint."""
+        return replace(self, limits=self.limits.replace(**changes))
+
+
+def _description_file(path: str | Path, arm: str) -> Path:
+    try:
+        file = Path(path)
+    except TypeError as error:
+        raise ModelError(f"arm '{arm}': {path!r} is not a path. Give the file's name.") from error
+    if not file.is_file():
+        raise ModelError(f"arm '{arm}': there is no file {file}. Check the path (it is relative to {Path.cwd()}).")
+    if file.stat().st_size > MAX_DESCRIPTION_BYTES:
+        raise ModelError(f"arm '{arm}': {file} is larger than {MAX_DESCRIPTION_BYTES} bytes and was not read.")
+    return file
+
+
+def _check_nesting(file: Path, arm: str) -> None:
+    """Refuse what Pinocchio's reader of MJCF, which calls itself for every level, would not survive."""
+    depth = 0
+
+    def begin(tag: str, attributes: object) -> None:
+        nonlocal depth
+        depth += 1
+        if depth > MAX_NESTING:
+            raise ModelError(f"arm '{arm}': the elements of {file} are nested more than {MAX_NESTING} deep.")
+
+    def end(tag: str) -> None:
+        nonlocal depth
+        depth -= 1
+
+    def entity(*declaration: object) -> None:
+        raise ModelError(f"arm '{arm}': {file} declares XML entities, which MJCF does without. Write their text out.")
+
+    parser = expat.ParserCreate()
+    parser.StartElementHandler, parser.EndElementHandler, parser.EntityDeclHandler = begin, end, entity
+    # What is no XML is the reader's business, which says so.
+    with contextlib.suppress(expat.ExpatError):
+        parser.Parse(file.read_bytes(), True)
+
+
+def _lock(
+    name: str, model: pin.Model, shapes: dict[str, pin.GeometryModel | None], locked: Mapping[str, float]
+) -> tuple[pin.Model, dict[str, pin.GeometryModel | None]]:
+    q = pin.neutral(model)
+    for joint, position in locked.items():
+        if not model.existJointName(joint):
+            raise UnknownNameError("joint", joint, list(model.names)[1:], f"arm '{name}', locked_joints")
+        j = model.joints[model.getJointId(joint)]
+        if j.nq != 1 or j.nv != 1:
+            raise ModelError(f"arm '{name}': joint '{joint}' has nq = {j.nq}, nv = {j.nv}; only plain ones lock.")
+        q[j.idx_q] = as_vector([position], 1, f"arm '{name}': locked_joints['{joint}']")[0]
+    ids = [model.getJointId(joint) for joint in locked]
+    keys = [key for key, shape in shapes.items() if shape is not None]
+    reduced, geometries = pin.buildReducedModel(model, [shapes[k] for k in keys], ids, q)
+    return reduced, {**dict.fromkeys(shapes), **dict(zip(keys, geometries, strict=True))}
+
+
+def _check_joints(name: str, model: pin.Model) -> None:
+    if model.nv == 0:
+        raise ModelError(f"arm '{name}': the model has no moving joint. Lock fewer joints, or check the description.")
+    names = list(model.names)
+    if len(set(names)) != len(names):
+        raise ModelError(f"arm '{name}': joint names are not unique: {names}.")
+    for joint, joint_name in list(zip(model.joints, names, strict=True))[1:]:
+        if joint.nv > 1:
+            raise ModelError(
+                f"arm '{name}': joint '{joint_name}' ({joint.shortname()}) has {joint.nv} degrees of freedom; an arm "
+                "stands on a fixed base and its joints have one each. Remove the floating base, set T_world_base."
+            )
+    data = model.createData()
+    pin.computeJointJacobians(model, data, pin.neutral(model))
+    for i in range(1, model.njoints):
+        axis = np.asarray(pin.getJointJacobian(model, data, i, pin.LOCAL)).reshape(6, -1)[:, model.joints[i].idx_v]
+        if not abs(max(np.linalg.norm(axis[:3]), np.linalg.norm(axis[3:])) - 1.0) < 1e-6:
+            raise ModelError(
+                f"arm '{name}': joint '{names[i]}' has no axis, or stands nowhere ({axis.tolist()}). Give its axis and "
+                "origin as finite numbers, the axis not zero."
+            )
+
+
+def _cause(error: Exception) -> str:
+    """What a parser says, without the place in its own source."""
+    return str(error).rpartition("message:")[2].strip().rstrip(".")
+
+
+def _mimic_joints(model: pin.Model) -> list[str]:
+    return [n for n, joint in zip(model.names, model.joints, strict=True) if "Mimic" in joint.shortname()]
+
+
+def _separate_frames(model: pin.Model) -> None:
+    """Give every frame its own name: where a link shares its name with a joint (MJCF), the link keeps it."""
+    taken: set[str] = set()
+    for joint_frames in (False, True):
+        for frame in model.frames:
+            if (frame.type == pin.FrameType.JOINT) is joint_frames:
+                if frame.name in taken:
+                    frame.name = f"{frame.name} ({str(frame.type).lower()})"
+                taken.add(frame.name)
+
+
+def _one_per_joint(value: Any, n: int, where: str, remedy: str) -> Array:
+    """One number for all or (n,) numbers, as a new array."""
+    try:
+        return np.array(np.broadcast_to(as_floats(value), (n,)))
+    except NOT_NUMBERS as error:
+        raise InvalidInputError(f"cannot be read as {n} numbers", where, remedy) from error
+
+
+def _model_limits(name: str, model: pin.Model, velocity: Any, acceleration: Any, lower: Any, upper: Any) -> JointLimits:
+    n = model.nv
+    joints = list(model.joints)[1:]  # 0 is the universe
+    continuous = np.array([j.nq != j.nv for j in joints])
+    index = np.array([j.idx_q for j in joints])
+    joint_names = [x for x in model.names if x != "universe"]
+
+    def override(value: Any, default: Array, what: str) -> Array:
+        if value is None:
+            return default
+        return _one_per_joint(value, n, f"arm '{name}': {what}", f"Give one number or {n}: {joint_names}.")
+
+    low = np.asarray(model.lowerPositionLimit)[index].copy()
+    high = np.asarray(model.upperPositionLimit)[index].copy()
+    # A continuous joint's "limits" are ±1.01 on its cosine; huge numbers stand for none.
+    low[continuous | (low <= -UNLIMITED)] = -np.inf
+    high[continuous | (high >= UNLIMITED)] = np.inf
+    speed = np.asarray(model.upperVelocityLimit).copy()
+    speed[speed >= UNLIMITED] = np.inf
+    low, high = override(lower, low, "lower_limits"), override(upper, high, "upper_limits")
+    speed = override(velocity, speed, "velocity_limits")
+    accel = override(acceleration, np.full(n, np.inf), "acceleration_limits")
+    for j, joint in enumerate(joint_names):
+        if not low[j] < high[j]:
+            raise InvalidInputError(
+                f"position limits [{low[j]:g}, {high[j]:g}] are empty or reversed",
+                f"arm '{name}', joint '{joint}'",
+                "Correct the model, or give lower_limits and upper_limits.",
+            )
+        if not (speed[j] >= SMALLEST_LIMIT and accel[j] >= SMALLEST_LIMIT):
+            raise InvalidInputError(
+                f"velocity limit {speed[j]:g}, acceleration limit {accel[j]:g}: both must be > 0 "
+                f"(at least {SMALLEST_LIMIT:g})",
+                f"arm '{name}', joint '{joint}'",
+                "Give velocity_limits [rad/s or m/s] and acceleration_limits, inf for none.",
+            )
+    return JointLimits(low, high, speed, accel)

@@ -1,0 +1,194 @@
+"""The cell: several arms, each from its own model, assembled into one Pinocchio model.
+
+Every arm's model is copied, its joints and frames are prefixed with the arm's name (``master/joint_1``), and the copy
+is placed at the arm's base.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+
+from coopqp.checks import as_vector
+from coopqp.errors import InvalidInputError, UnknownNameError
+from coopqp.model.arm import LIMIT_FIELDS, Arm, JointLimits
+from coopqp.spatial import Array
+
+__all__ = ["Arm", "JointLimits", "RobotCell"]
+
+
+class RobotCell:
+    """N arms in one Pinocchio model.
+
+    Attributes:
+        model: all arms, joints in the order of the arms; do not modify it.
+        arms: the arms as given.
+        arm_names: their names.
+        nq, nv: sizes of a configuration and of a velocity of the whole cell.
+        q_slices, v_slices: slice of each arm in a configuration and in a velocity.
+        joint_names: ``arm/joint``, one per velocity coordinate.
+        limits: joint limits of the whole cell, shape (nv,) each.
+        tool_joints, tool_frames: index of the joint that carries each tool, and of each tool frame.
+        T_joint_tool: placement of each tool in its joint's frame.
+        position_index: where in a configuration the position of each velocity coordinate stands (nv,); for a
+            continuous joint, whose position is a point of the circle, that entry is its cosine.
+        continuous: which velocity coordinates belong to continuous joints (nv,).
+        euclidean: no joint is continuous, so that configurations add up.
+
+    Raises:
+        InvalidInputError: no arm, or two arms of one name.
+    """
+
+    def __init__(self, arms: Iterable[Arm]) -> None:
+        self.arms = tuple(arms)
+        if not self.arms:
+            raise InvalidInputError("a cell needs at least one arm", "RobotCell", "Give a list of Arm.")
+        for arm in self.arms:
+            if not isinstance(arm, Arm):
+                raise InvalidInputError(
+                    f"expected Arm, got {type(arm).__name__}", "RobotCell", "Build arms with Arm.from_urdf."
+                )
+        self.arm_names = tuple(arm.name for arm in self.arms)
+        double = sorted({n for n in self.arm_names if self.arm_names.count(n) > 1})
+        if double:
+            raise InvalidInputError(f"two arms are named '{double[0]}'", "RobotCell", "Give each arm its own name.")
+
+        self.model = _assemble(self.arms)[0]
+        self.nq, self.nv = int(self.model.nq), int(self.model.nv)
+        self.q_slices, self.v_slices = _slices(self.arms, "nq"), _slices(self.arms, "nv")
+        self.joint_names = tuple(name for name in self.model.names if name != "universe")
+        self.limits = JointLimits(*(np.concatenate([getattr(a.limits, f) for a in self.arms]) for f in LIMIT_FIELDS))
+        frames = [self.model.getFrameId(f"{a.name}/{a.tool_frame}") for a in self.arms]
+        self.tool_frames = tuple(int(f) for f in frames)
+        self.tool_joints = tuple(int(self.model.frames[f].parentJoint) for f in frames)
+        self.T_joint_tool = tuple(self.model.frames[f].placement.copy() for f in frames)
+        joints = list(self.model.joints)[1:]  # 0 is the universe
+        self.position_index = np.array([j.idx_q for j in joints])
+        self.continuous = np.array([j.nq != j.nv for j in joints])
+        self.euclidean = not self.continuous.any()
+
+    def __len__(self) -> int:
+        return len(self.arms)
+
+    def __repr__(self) -> str:
+        parts = ", ".join(f"{a.name}: {a.model.nv} joints" for a in self.arms)
+        return f"RobotCell({parts})"
+
+    def index(self, arm: str | int) -> int:
+        """Index of an arm given by name or index."""
+        if isinstance(arm, str):
+            if arm not in self.arm_names:
+                raise UnknownNameError("arm", arm, self.arm_names, "the cell")
+            return self.arm_names.index(arm)
+        if not 0 <= arm < len(self.arms):
+            raise UnknownNameError("arm", str(arm), (str(i) for i in range(len(self.arms))), "the cell")
+        return arm
+
+    def arm_of_joint(self, j: int) -> int:
+        """Index of the arm that velocity coordinate ``j`` belongs to."""
+        return next(k for k, s in enumerate(self.v_slices) if s.start <= j < s.stop)
+
+    def with_limits(self, **changes: Any) -> RobotCell:
+        """The same cell with other limits: keywords of :class:`JointLimits`, a scalar or shape (nv,)."""
+        limits = self.limits.replace(**changes)
+        return RobotCell(
+            replace(arm, limits=JointLimits(*(getattr(limits, f)[s] for f in LIMIT_FIELDS)))
+            for arm, s in zip(self.arms, self.v_slices, strict=True)
+        )
+
+    def moved(self, q: Array, displacement: Array) -> Array:
+        """Configuration (nq,) after a displacement of the joints (nv,) [rad or m]."""
+        if self.euclidean:
+            result: Array = q + displacement
+            return result
+        return np.asarray(pin.integrate(self.model, q, displacement))
+
+    def check_configuration(self, q: Any, where: str) -> Array:
+        """Return ``q`` as a new finite (nq,) array whose continuous joints lie on the unit circle.
+
+        Raises:
+            InvalidInputError: wrong shape, NaN, infinite, or off the circle by more than 1e-6.
+        """
+        vector = as_vector(q, self.nq, where)
+        for j in np.flatnonzero(self.continuous):
+            i = self.position_index[j]
+            radius = float(np.hypot(vector[i], vector[i + 1]))
+            if abs(radius - 1.0) > 1e-6:
+                raise InvalidInputError(
+                    f"continuous joint {self.joint_names[j]} is given by (cos, sin) at entries {i}, {i + 1}; "
+                    f"their norm is {radius:.6g}",
+                    where,
+                    "Use coopqp.RobotCell.configuration to build a configuration from angles.",
+                )
+            vector[i : i + 2] /= radius
+        return vector
+
+    def configuration(self, angles: Any) -> Array:
+        """Configuration (nq,) from one position per joint (nv,) [rad or m]; continuous joints become (cos, sin)."""
+        x = as_vector(angles, self.nv, "RobotCell.configuration")
+        q = np.empty(self.nq)
+        for j, i in enumerate(self.position_index):
+            if self.continuous[j]:
+                q[i : i + 2] = np.cos(x[j]), np.sin(x[j])
+            else:
+                q[i] = x[j]
+        return q
+
+    def positions(self, q: Array) -> Array:
+        """One position per joint (nv,) [rad or m] of a configuration (nq,); continuous joints in (−π, π]."""
+        x: Array = q[self.position_index].copy()
+        for j in np.flatnonzero(self.continuous):
+            i = self.position_index[j]
+            x[j] = np.arctan2(q[i + 1], q[i])
+        return x
+
+    def average(self, configurations: Any) -> Array:
+        """Mean (nq,) of configurations (T, nq) that were measured at rest: to start from, without most of their noise.
+
+        Raises:
+            InvalidInputError: none, or one that is no configuration.
+        """
+        rows = [self.check_configuration(q, "RobotCell.average") for q in configurations]
+        if not rows:
+            raise InvalidInputError("no configurations", "RobotCell.average", "Measure at least once.")
+        away = np.mean([pin.difference(self.model, rows[0], q) for q in rows], axis=0)
+        return np.asarray(pin.integrate(self.model, rows[0], away))
+
+    def visual_model(self) -> pin.GeometryModel:
+        """Visual shapes of all arms, for :attr:`model`; empty where an arm has none."""
+        return _assemble(self.arms, "visual")[1]
+
+    def collision_model(self) -> pin.GeometryModel:
+        """Collision shapes of all arms, for :attr:`model`; empty where an arm has none."""
+        return _assemble(self.arms, "collision")[1]
+
+
+def _slices(arms: Sequence[Arm], size: str) -> tuple[slice, ...]:
+    ends = np.cumsum([0, *(getattr(arm.model, size) for arm in arms)])
+    return tuple(slice(int(a), int(b)) for a, b in itertools.pairwise(ends))
+
+
+def _prefixed(arm: Arm, kind: str | None) -> tuple[pin.Model, pin.GeometryModel]:
+    model = pin.Model(arm.model)
+    for i in range(1, model.njoints):
+        model.names[i] = f"{arm.name}/{model.names[i]}"
+    for i in range(1, model.nframes):
+        model.frames[i].name = f"{arm.name}/{model.frames[i].name}"
+    shapes = getattr(arm, kind) if kind else None
+    geometry = pin.GeometryModel() if shapes is None else shapes.copy()
+    for shape in geometry.geometryObjects:
+        shape.name = f"{arm.name}/{shape.name}"
+    return model, geometry
+
+
+def _assemble(arms: Sequence[Arm], kind: str | None = None) -> tuple[pin.Model, pin.GeometryModel]:
+    model, geometry = pin.Model(), pin.GeometryModel()
+    for arm in arms:
+        own_model, own_geometry = _prefixed(arm, kind)
+        model, geometry = pin.appendModel(model, own_model, geometry, own_geometry, 0, arm.T_world_base)
+    return model, geometry

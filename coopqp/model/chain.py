@@ -1,0 +1,315 @@
+"""The closed chain that arms and object form: batched kinematics of the object as every arm carries it.
+
+One :class:`Chain` is a workspace over its own Pinocchio data. Placements and Jacobians are live, strided views of
+Pinocchio's memory, and arms of equal joint count are handled in one batch, so a step costs no Python object per arm.
+
+Twists of the object are given in the *reference object frame* R: ``A_k v_k`` is the twist of the object as arm k
+carries it. With the world Jacobian ``J_k`` (spatial twist at the world's origin) simply ``A_k = Ad(R⁻¹) J_k``,
+whatever the grasp: the grasp only enters the poses. See docs/derivations.md.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+import numpy.typing as npt
+import pinocchio as pin
+
+from coopqp.model.cell import RobotCell
+from coopqp.model.grasp import Grasp
+from coopqp.spatial import Array, log6_batch
+
+#: Singular values of A_k below this count as this in an inverse: limits and rate keep the command finite.
+SINGULAR_FLOOR = 1e-6
+#: Entries of an inverse beyond this send it to the singular value decomposition.
+_LARGE_INVERSE = 1e4
+
+
+@dataclass(frozen=True, eq=False)
+class _Group:
+    """Arms of the same number of joints."""
+
+    joints: int
+    arms: Array  # indices of the arms (m,)
+    columns: Array  # their velocity coordinates (m, joints)
+    scale: Array  # unit of each joint [rad/s or m/s], (m, joints, 1): the metric of redundant arms
+    span: slice | None  # the same columns as one slice, where they are contiguous
+
+
+class Chain:
+    """Batched kinematics of one cell and grasp.
+
+    Attributes:
+        moving_columns: per arm, the velocity coordinates that move its tool; only those count as its joints here.
+        redundancy: joints beyond six, summed over the arms.
+        deficient: indices of arms with fewer than six joints.
+        place, evaluate: update the joint placements, the world Jacobians of :meth:`live_views` at a configuration.
+    """
+
+    def __init__(self, cell: RobotCell, grasp: Grasp) -> None:
+        grasp.check_arms(cell)
+        self.cell, self.grasp = cell, grasp
+        self.n_arms, self.nv = len(cell), cell.nv
+        self._model = cell.model
+        self._data, self._jacobian_data = cell.model.createData(), cell.model.createData()
+        q0 = pin.neutral(cell.model)
+        for data in (self._data, self._jacobian_data):
+            pin.computeJointJacobians(cell.model, data, q0)
+        # Pinocchio's own functions: a call in between would cost as much as an arm.
+        self.place: Callable[[Array], object] = partial(pin.forwardKinematics, cell.model, self._data)
+        self.evaluate: Callable[[Array], object] = partial(pin.computeJointJacobians, cell.model, self._jacobian_data)
+        self._placements = _live_placements(cell.model, self._data)
+        self.tool_joints = np.array(cell.tool_joints, dtype=np.int64) - 1
+        # O_k = T_world_joint · Y_k with constant Y_k; the transpose suits Pinocchio's column-major memory.
+        Y = [T * X.inverse() for T, X in zip(cell.T_joint_tool, grasp.T_object_tool, strict=True)]
+        self.Y_transposed = np.array([y.homogeneous.T for y in Y])
+        self._JT = self._jacobian_data.J.T.reshape(-1, 6)  # (nv, 6), C-contiguous live view; of one joint, J is flat
+        self.moving_columns = _moving_columns(cell)
+        self._groups = _group_arms(cell, self.moving_columns)
+        still = np.setdiff1d(np.arange(cell.nv), np.concatenate(self.moving_columns))
+        self._still: npt.NDArray[np.intp] | None = still if still.size else None
+        self.scale = np.ones(cell.nv)
+        for g in self._groups:
+            self.scale[g.columns] = g.scale[:, :, 0]
+        self.redundancy = sum(max(g.joints - 6, 0) * len(g.arms) for g in self._groups)
+        self.deficient = tuple(int(k) for g in self._groups if g.joints < 6 for k in g.arms)
+        self.inverses: list[Array] = []
+        self.singular = False
+
+    # -- poses ---------------------------------------------------------------------------------------------------
+
+    def carried(self, q: Array) -> Array:
+        """``O_k`` at ``q`` for every arm, shape (N, 4, 3): rows 0–2 are the rotation transposed, row 3 the origin."""
+        self.place(q)
+        O: Array = self.Y_transposed @ self._placements[self.tool_joints]
+        return O
+
+    def errors(self, O: Array, reference: pin.SE3) -> Array:
+        """``e_k = log(R⁻¹ O_k)``, shape (N, 6) [m, rad], from :meth:`carried` and the reference pose R."""
+        R = reference.rotation
+        D = O @ R  # rows transposed: (O_Rᵀ) R = (Rᵀ O_R)ᵀ
+        D[:, 3, :] -= reference.translation @ R
+        return log6_batch(D[:, :3, :].transpose(0, 2, 1), D[:, 3, :])
+
+    # -- Jacobians -----------------------------------------------------------------------------------------------
+
+    def live_views(self) -> tuple[Array, Array]:
+        """Pinocchio's memory: placements (joints, 4, 3) after :meth:`place`, Jᵀ (nv, 6) after :meth:`evaluate`."""
+        return self._placements, self._JT
+
+    def linearise(self, q: Array) -> None:
+        """Evaluate the world Jacobians at ``q`` and invert them."""
+        self.evaluate(q)
+        self.invert()
+
+    def invert(self) -> None:
+        """Invert the world Jacobians.
+
+        After it :attr:`inverses` holds, per group, the transposed (weighted pseudo-)inverses (m, 6, joints).
+        """
+        self.singular = False
+        self.inverses = [self._invert(g) for g in self._groups]
+
+    def jacobian_rows(self, g: _Group) -> Array:
+        """Transposed world Jacobians of a group, (m, joints, 6)."""
+        if g.span is not None:
+            rows: Array = self._JT[g.span].reshape(-1, g.joints, 6)
+        else:
+            rows = self._JT[g.columns]
+        return rows
+
+    def _invert(self, g: _Group) -> Array:
+        JT = self.jacobian_rows(g)
+        if g.joints == 6:
+            try:
+                inverse: Array = np.asarray(np.linalg.inv(JT), dtype=np.float64)
+            except np.linalg.LinAlgError:
+                return self._floored(g)
+            extremes = inverse.ravel()
+            if extremes[np.abs(extremes).argmax()] ** 2 < _LARGE_INVERSE**2:
+                return inverse
+            return self._floored(g)
+        return self._least_squares(g) if g.joints < 6 else self._redundant(g)
+
+    def _least_squares(self, g: _Group) -> Array:
+        """Inverse on the twists that arms with few joints can do; the rest of a twist is lost."""
+        inverse = self._svd_inverse(g)
+        self.singular = self.singular or not np.abs(inverse).max() < _LARGE_INVERSE
+        return inverse
+
+    def _redundant(self, g: _Group) -> Array:
+        """Weighted right inverse: least Σ (v_j / scale_j)² among the joint velocities that make the twist."""
+        JT = self.jacobian_rows(g) * g.scale
+        try:
+            gram = np.linalg.inv(JT.transpose(0, 2, 1) @ JT)
+        except np.linalg.LinAlgError:
+            return self._floored(g)
+        inverse: Array = gram @ (JT * g.scale).transpose(0, 2, 1)
+        if np.abs(inverse).max() < _LARGE_INVERSE:
+            return inverse
+        return self._floored(g)
+
+    def _floored(self, g: _Group) -> Array:
+        """Inverse of arms that are near a singularity."""
+        self.singular = True
+        return self._svd_inverse(g)
+
+    def _svd_inverse(self, g: _Group) -> Array:
+        """Inverse from the singular value decomposition, small singular values floored."""
+        JT = self.jacobian_rows(g) * g.scale
+        U, s, Vt = np.linalg.svd(JT, full_matrices=False)  # JT (m, joints, 6) = U s Vᵀ
+        inverse: Array = np.einsum("mrk,mr,mjr->mkj", Vt, 1.0 / np.maximum(s, SINGULAR_FLOOR), U * g.scale)
+        return inverse
+
+    def joint_velocities(self, W: Array, out: Array) -> Array:
+        """Joint velocities (nv,) that carry the object at world twists ``W`` (N, 6), one per arm."""
+        if self._still is not None:
+            out[self._still] = 0.0
+        for g, inverse in zip(self._groups, self.inverses, strict=True):
+            if self._still is None and len(self._groups) == 1:
+                np.matmul(W[:, None, :], inverse, out=out.reshape(self.n_arms, 1, g.joints))
+            else:
+                out[g.columns] = (W[g.arms, None, :] @ inverse)[:, 0, :]
+        return out
+
+    def joint_columns(self, T: Array) -> Array:
+        """Joint velocities (nv, c) for c object motions at once.
+
+        ``T`` holds world twists, (6, c) where they are common to all arms, (N, 6, c) where each arm has its own.
+        """
+        columns = T.shape[-1]
+        if self._still is None and len(self._groups) == 1:
+            product: Array = self.inverses[0].transpose(0, 2, 1) @ T
+            return product.reshape(self.nv, columns)
+        out = np.zeros((self.nv, columns))
+        for g, inverse in zip(self._groups, self.inverses, strict=True):
+            out[g.columns] = inverse.transpose(0, 2, 1) @ (T if T.ndim == 2 else T[g.arms])
+        return out
+
+    def twists(self, v: Array) -> Array:
+        """World twist of the object as each arm carries it, ``J_k v_k``, shape (N, 6)."""
+        out = np.empty((self.n_arms, 6))
+        for g in self._groups:
+            out[g.arms] = (v[g.columns][:, None, :] @ self.jacobian_rows(g))[:, 0, :]
+        return out
+
+    def compliances(self, softness: Array) -> Array:
+        """``J_k diag(softness) J_kᵀ``, (N, 6, 6): by how much the object gives way to a wrench on arm k.
+
+        ``softness`` (nv,) is that of the joints [rad/(N·m) or m/N]; twists and wrenches are those of the world.
+        """
+        out = np.empty((self.n_arms, 6, 6))
+        for g in self._groups:
+            rows = self.jacobian_rows(g)
+            out[g.arms] = rows.transpose(0, 2, 1) @ (softness[g.columns][:, :, None] * rows)
+        return out
+
+    def null_part(self, v: Array) -> Array:
+        """The part of joint velocities ``v`` (nv,) that does not move the object: ``v − A⁺ A v``."""
+        out = np.zeros(self.nv)
+        for g, inverse in zip(self._groups, self.inverses, strict=True):
+            if g.joints > 6:
+                u = v[g.columns][:, None, :]
+                out[g.columns] = (u - u @ self.jacobian_rows(g) @ inverse)[:, 0, :]
+        return out
+
+    def null_basis(self) -> Array:
+        """Basis of the motions that leave the object at rest, (nv, redundancy), orthonormal in the joints' units."""
+        basis = np.zeros((self.nv, self.redundancy))
+        c = 0
+        for g in self._groups:
+            extra = g.joints - 6
+            if extra > 0:
+                U = np.linalg.svd(self.jacobian_rows(g) * g.scale)[0]
+                for i in range(len(g.arms)):
+                    basis[g.columns[i], c : c + extra] = g.scale[i] * U[i, :, 6:]
+                    c += extra
+        return basis
+
+    def admissible_twists(self, to_reference: Array) -> tuple[Array, list[tuple[int, Array]]]:
+        """What arms with fewer than six joints allow.
+
+        Args:
+            to_reference: ``Ad(R⁻¹)`` (6, 6).
+
+        Returns:
+            (Z, ranges): orthonormal basis Z (6, d) of the object twists that every arm can follow, in the reference
+            frame, and for each deficient arm its index and the projector (6, 6) on its own twists.
+        """
+        ranges = []
+        forbidden = np.zeros((6, 6))
+        for g in self._groups:
+            if g.joints >= 6:
+                continue
+            A = to_reference @ self.jacobian_rows(g).transpose(0, 2, 1)
+            for i, k in enumerate(g.arms):
+                U, s, _ = np.linalg.svd(A[i], full_matrices=False)
+                U = U[:, s > SINGULAR_FLOOR]
+                P = U @ U.T
+                ranges.append((int(k), P))
+                forbidden += np.eye(6) - P
+        eigenvalues, vectors = np.linalg.eigh(forbidden)
+        return vectors[:, eigenvalues < 1e-8], ranges
+
+    def dense(self) -> Array:
+        """World Jacobians of all arms as one block-diagonal matrix (6N, nv)."""
+        J = np.zeros((6 * self.n_arms, self.nv))
+        for g in self._groups:
+            rows = self.jacobian_rows(g)
+            for i, k in enumerate(g.arms):
+                J[6 * k : 6 * k + 6, g.columns[i]] = rows[i].T
+        return J
+
+    def smallest_singular_values(self, q: Array) -> Array:
+        """σ_min of each tool Jacobian at ``q``, (N,), in the tool's frame (metres, radians)."""
+        O = self.carried(q)
+        self.evaluate(q)
+        values = np.empty(self.n_arms)
+        for g in self._groups:
+            rows = self.jacobian_rows(g)
+            for i, k in enumerate(g.arms):
+                to_tool = (pin.SE3(O[k, :3].T.copy(), O[k, 3].copy()) * self.grasp.T_object_tool[k]).inverse().action
+                values[k] = np.linalg.svd(to_tool @ rows[i].T, compute_uv=False)[-1]
+        return values
+
+
+def _live_placements(model: pin.Model, data: pin.Data) -> Array:
+    """A strided view of ``data.oMi[1:]``: (joints, 4, 3), rows 0–2 the rotation transposed, row 3 the origin."""
+    first = data.oMi[1].rotation
+    gap = data.oMi[2].rotation.ctypes.data - first.ctypes.data if model.njoints > 2 else 96
+    view = np.lib.stride_tricks.as_strided(first.T, shape=(model.njoints - 1, 4, 3), strides=(gap, 24, 8))
+    for j in range(1, model.njoints):
+        if not (
+            np.array_equal(view[j - 1, :3], data.oMi[j].rotation.T)
+            and np.array_equal(view[j - 1, 3], data.oMi[j].translation)
+        ):
+            raise RuntimeError("Pinocchio's memory layout of placements is not the expected one")
+    return view
+
+
+def _moving_columns(cell: RobotCell) -> list[npt.NDArray[np.intp]]:
+    """Per arm, the velocity coordinates that move its tool (a gripper's fingers do not)."""
+    columns = []
+    for joint in cell.tool_joints:
+        chain = [cell.model.joints[j].idx_v for j in cell.model.supports[joint] if j]
+        columns.append(np.array(sorted(chain), dtype=np.intp))
+    return columns
+
+
+def _group_arms(cell: RobotCell, moving: list[npt.NDArray[np.intp]]) -> list[_Group]:
+    speed = np.where(np.isfinite(cell.limits.velocity), cell.limits.velocity, 1.0)
+    groups = []
+    sizes = [len(columns) for columns in moving]
+    for n in sorted(set(sizes)):
+        arms = np.array([k for k, size in enumerate(sizes) if size == n])
+        columns = np.array([moving[k] for k in arms])
+        flat = columns.ravel()
+        contiguous = bool(np.all(np.diff(flat) == 1)) if len(flat) > 1 else True
+        span = slice(int(flat[0]), int(flat[-1]) + 1) if contiguous else None
+        # Six-joint arms have one inverse, whatever the metric.
+        scale = speed[columns][:, :, None] if n != 6 else np.ones((len(arms), n, 1))
+        groups.append(_Group(n, arms, columns, scale, span))
+    return groups

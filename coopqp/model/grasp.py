@@ -1,0 +1,178 @@
+"""The grasp: where each tool sits on the object, and what the arms think of the object's pose.
+
+``X_k = T_object_tool_k`` is fixed. Arm k carries the object at ``O_k = T_world_tool_k X_k⁻¹``; in a perfect grasp
+all ``O_k`` are equal. The paper's triangle (Θ, K_B*, K_C*, Eqs. 4–6) is one special case.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+
+from coopqp.checks import as_scalar, as_vector
+from coopqp.errors import InvalidInputError
+from coopqp.model.cell import RobotCell
+from coopqp.model.state import CellState
+from coopqp.spatial import Array, Placement, adjoint, as_placement, as_placements
+
+#: Θ of Eq. (5): tool frame in the grasp-point frame of the paper; an involution.
+THETA = np.array([[-1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]])
+
+
+def triangle_frames(alpha: float, beta: float) -> tuple[Array, Array]:
+    """K_B* and K_C* of Eq. (6): frames of grasp points B and C in the frame of A; 4x4, lengths in metres."""
+    K_B = np.diag([-1.0, -1.0, 1.0, 1.0])
+    K_C = K_B.copy()
+    K_B[:2, 3] = -beta, 3.0 * alpha
+    K_C[:2, 3] = beta, 3.0 * alpha
+    return K_B, K_C
+
+
+@dataclass(frozen=True, eq=False)
+class Grasp:
+    """Fixed placements of the tools on the object.
+
+    Attributes:
+        T_object_tool: one placement per arm, in the order of the cell's arms.
+    """
+
+    T_object_tool: tuple[pin.SE3, ...]
+
+    def __post_init__(self) -> None:
+        placements = as_placements(self.T_object_tool, "Grasp.T_object_tool")
+        if not placements:
+            raise InvalidInputError("no placement", "Grasp.T_object_tool", "Give one per arm.")
+        object.__setattr__(self, "T_object_tool", placements)
+
+    def __len__(self) -> int:
+        return len(self.T_object_tool)
+
+    @staticmethod
+    def triangle(alpha: float, beta: float) -> Grasp:
+        """The paper's grasp: A, B, C at (0, 0), (−β, 3α), (β, 3α) of the plate; the object frame is that of A.
+
+        The centroid is at (0, 2α). Lengths in metres. Source: Eqs. (4)–(6) and (15).
+        """
+        a = as_scalar(alpha, "Grasp.triangle: alpha")
+        b = as_scalar(beta, "Grasp.triangle: beta")
+        K_B, K_C = triangle_frames(a, b)
+        return Grasp((THETA, K_B @ THETA, K_C @ THETA))
+
+    @staticmethod
+    def from_configuration(
+        cell: RobotCell,
+        q: Any,
+        T_world_object: Placement | None = None,
+        *,
+        nominal: Grasp | None = None,
+        tolerance_m: float = 0.005,
+        tolerance_rad: float = np.deg2rad(1.0),
+    ) -> Grasp:
+        """Latch the grasp where the tools are: the chain error is zero at ``q`` by definition.
+
+        Args:
+            cell: the cell.
+            q: configuration at the moment of grasping (nq,).
+            T_world_object: pose of the object; by default where the first arm carries it under ``nominal``.
+            nominal: the intended grasp; a tool further than the tolerances from it is refused.
+            tolerance_m, tolerance_rad: accepted distance to ``nominal`` [m, rad].
+
+        Raises:
+            InvalidInputError: bad ``q`` or pose, or a tool beyond the tolerances (names the arm).
+        """
+        as_scalar(tolerance_m, "Grasp.from_configuration: tolerance_m", open_low=False)
+        as_scalar(tolerance_rad, "Grasp.from_configuration: tolerance_rad", open_low=False)
+        state = CellState(cell, q)
+        if T_world_object is None:
+            if nominal is None:
+                raise InvalidInputError(
+                    "neither the object's pose nor a nominal grasp is given",
+                    "Grasp.from_configuration",
+                    "Give T_world_object, or nominal.",
+                )
+            nominal.check_arms(cell)
+            T_world_object = state.T_world_tool[0] * nominal.T_object_tool[0].inverse()
+        T_object_world = as_placement(T_world_object, "Grasp.from_configuration: T_world_object").inverse()
+        latched = Grasp(tuple(T_object_world * T for T in state.T_world_tool))
+        if nominal is not None:
+            nominal.check_arms(cell)
+            for name, X, X_nominal in zip(cell.arm_names, latched.T_object_tool, nominal.T_object_tool, strict=True):
+                offset = pin.log6(X_nominal.inverse() * X).vector
+                d, a = float(np.linalg.norm(offset[:3])), float(np.linalg.norm(offset[3:]))
+                if d > tolerance_m or a > tolerance_rad:
+                    raise InvalidInputError(
+                        f"arm '{name}' grasps {1e3 * d:.2f} mm and {np.rad2deg(a):.3f}° from its nominal grasp "
+                        f"(tolerance {1e3 * tolerance_m:g} mm, {np.rad2deg(tolerance_rad):g}°)",
+                        "Grasp.from_configuration",
+                        "Grasp again, or widen the tolerances if the object allows it.",
+                    )
+        return latched
+
+    def check_arms(self, cell: RobotCell) -> None:
+        """Raise InvalidInputError unless there is one placement per arm of ``cell``."""
+        if len(self) != len(cell):
+            raise InvalidInputError(
+                f"{len(self)} placements for {len(cell)} arms", "Grasp", "Give one T_object_tool per arm."
+            )
+
+    def carried(self, state: CellState) -> tuple[pin.SE3, ...]:
+        """``O_k``: where each arm carries the object, in the world."""
+        return tuple(T * X.inverse() for T, X in zip(state.T_world_tool, self.T_object_tool, strict=True))
+
+    def tool_targets(self, T_world_object: Placement) -> tuple[pin.SE3, ...]:
+        """Placement of each tool for an object pose (Eq. 12 for any number of arms)."""
+        T = as_placement(T_world_object, "Grasp.tool_targets")
+        return tuple(T * X for X in self.T_object_tool)
+
+    def arm_increments(self, increment: Any) -> Array:
+        """Δ^k of Eq. (16), shape (N, 6): the object's body-frame increment carried into each tool frame.
+
+        ``Δ^k = Ad(X_k⁻¹) Δ``; with the paper's triangle these are the 18 component lists below Eq. (16).
+        """
+        delta = as_vector(increment, 6, "Grasp.arm_increments")
+        return np.array([adjoint(X.inverse()) @ delta for X in self.T_object_tool])
+
+    def relative_errors(self, state: CellState) -> Array:
+        """``log(O_i⁻¹ O_j)`` for every pair i < j, shape (pairs, 6) [m, rad]; zero in a perfect grasp."""
+        O = self.carried(state)
+        n = len(O)
+        return np.array([pin.log6(O[i].actInv(O[j])).vector for i in range(n) for j in range(i + 1, n)]).reshape(-1, 6)
+
+
+def plate_from_points(A: Sequence[float], B: Sequence[float], C: Sequence[float]) -> tuple[pin.SE3, float, float]:
+    """First way of the paper's Figure 2: the plate from its three grasp points in the world [m].
+
+    Returns:
+        (T_world_A, alpha, beta): frame of A, with C − B along x and the centre of BC along y, and the triangle's
+        parameters of Eq. (6).
+
+    Raises:
+        InvalidInputError: points that coincide, lie on a line, or are not an isosceles triangle with apex A.
+    """
+    where = "plate_from_points"
+    a, b, c = (as_vector(x, 3, f"{where}: {n}") for x, n in ((A, "A"), (B, "B"), (C, "C")))
+    base, height = c - b, 0.5 * (b + c) - a
+    width, depth = float(np.linalg.norm(base)), float(np.linalg.norm(height))
+    if width < 1e-9 or depth < 1e-9:
+        raise InvalidInputError("the three points do not span a triangle", where, "Give three points apart.")
+    skewness = abs(float(base @ height)) / (width * depth)
+    if skewness > 1e-6:
+        raise InvalidInputError(
+            f"|AB| = {np.linalg.norm(b - a):.6g} and |AC| = {np.linalg.norm(c - a):.6g} m differ: not isosceles at A",
+            where,
+            "Use a general Grasp for other triangles.",
+        )
+    x, y = base / width, height / depth
+    y = y - (x @ y) * x
+    y /= np.linalg.norm(y)
+    return pin.SE3(np.column_stack([x, y, np.cross(x, y)]), a), depth / 3.0, width / 2.0
+
+
+def plate_from_centroid(T_world_centroid: Placement, alpha: float) -> pin.SE3:
+    """Second way of the paper's Figure 2: T_world_A from the centroid's placement (axes parallel to those of A)."""
+    T = as_placement(T_world_centroid, "plate_from_centroid")
+    return T * pin.SE3(np.eye(3), np.array([0.0, -2.0 * as_scalar(alpha, "plate_from_centroid: alpha"), 0.0]))

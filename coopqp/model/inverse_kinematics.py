@@ -1,0 +1,79 @@
+"""Closed-chain inverse kinematics: the configuration at which every arm carries the object at one pose.
+
+Newton's method on ``log(O_k⁻¹ R)`` for all arms at once. Used to start a task, by the baseline's periodic reset
+and, with warm starts, by the path preview.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+
+from coopqp.checks import as_scalar
+from coopqp.errors import UnreachableError
+from coopqp.model.cell import RobotCell
+from coopqp.model.chain import Chain
+from coopqp.model.grasp import Grasp
+from coopqp.spatial import Array, Placement, as_placement
+
+#: Newton's step is shortened to this [rad or m] per joint.
+_LONGEST_STEP = 0.5
+
+
+def newton(chain: Chain, target: pin.SE3, q: Array, *, tolerance: float, max_iter: int) -> tuple[Array, Array]:
+    """Iterate from ``q``; returns the last configuration and its errors (N, 6) with respect to ``target``."""
+    to_world = target.action
+    velocity = np.empty(chain.nv)
+    errors = chain.errors(chain.carried(q), target)
+    for _ in range(max_iter):
+        if np.abs(errors).max() <= tolerance:
+            break
+        chain.linearise(q)
+        step = chain.joint_velocities(-errors @ to_world.T, velocity)
+        largest = np.abs(step).max()
+        if not np.isfinite(largest):
+            break
+        if largest > _LONGEST_STEP:
+            step *= _LONGEST_STEP / largest
+        q = pin.integrate(chain.cell.model, q, step)
+        errors = chain.errors(chain.carried(q), target)
+    return q, errors
+
+
+def inverse_kinematics(
+    cell: RobotCell,
+    grasp: Grasp,
+    T_world_object: Placement,
+    q_start: Any,
+    *,
+    tolerance: float = 1e-12,
+    max_iter: int = 100,
+) -> Array:
+    """Configuration (nq,) at which all arms carry the object at ``T_world_object``, near ``q_start``.
+
+    Args:
+        cell: the cell.
+        grasp: the grasp.
+        T_world_object: the object's pose.
+        q_start: where to start from (nq,); decides the branch (elbow up or down …).
+        tolerance: largest error [m, rad]; what rounding leaves (below 1e-9) is accepted too.
+        max_iter: Newton iterations.
+
+    Raises:
+        InvalidInputError: bad pose or ``q_start``.
+        UnreachableError: an arm does not get there; names it and how far it stays away.
+    """
+    target = as_placement(T_world_object, "inverse_kinematics: T_world_object")
+    q0 = cell.check_configuration(q_start, "inverse_kinematics: q_start")
+    tolerance = as_scalar(tolerance, "inverse_kinematics: tolerance", open_low=False)
+    q, errors = newton(Chain(cell, grasp), target, q0, tolerance=tolerance, max_iter=max_iter)
+    worst = int(np.abs(errors).max(axis=1).argmax())
+    if not np.abs(errors[worst]).max() <= max(tolerance, 1e-9):
+        d, a = np.linalg.norm(errors[worst, :3]), np.linalg.norm(errors[worst, 3:])
+        raise UnreachableError(
+            f"arm '{cell.arm_names[worst]}' does not reach its grasp: {1e3 * d:.1f} mm and {np.rad2deg(a):.2f}° remain "
+            f"after {max_iter} iterations. Move its base or the object, or start from another q_start."
+        )
+    return q

@@ -1,0 +1,67 @@
+"""Everything that depends on a configuration, computed once: holding a CellState means kinematics ran."""
+
+from __future__ import annotations
+
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+
+from coopqp.checks import read_only
+from coopqp.model.cell import RobotCell
+from coopqp.spatial import Array
+
+
+class CellState:
+    """Kinematics of a cell at one configuration, read-only.
+
+    Args:
+        cell: the cell.
+        q: configuration, shape (nq,) [rad or m]; copied.
+
+    Attributes:
+        T_world_tool: placement of each tool, tuple of :class:`pinocchio.SE3`.
+
+    Raises:
+        InvalidInputError: wrong shape or non-finite entries.
+    """
+
+    def __init__(self, cell: RobotCell, q: Any) -> None:
+        self.cell = cell
+        self.q = read_only(cell.check_configuration(q, "CellState"))
+        self._data = cell.model.createData()
+        pin.computeJointJacobians(cell.model, self._data, self.q)
+        self.T_world_tool = tuple(
+            self._data.oMi[j] * X for j, X in zip(cell.tool_joints, cell.T_joint_tool, strict=True)
+        )
+
+    def jacobian(self, arm: str | int, frame: pin.ReferenceFrame = pin.LOCAL) -> Array:
+        """Jacobian of an arm's tool, shape (6, n): twist of the tool = J · joint velocities of that arm.
+
+        ``frame`` says where the twist is expressed: LOCAL (the tool frame), LOCAL_WORLD_ALIGNED, or WORLD.
+        """
+        k = self.cell.index(arm)
+        J = pin.getFrameJacobian(self.cell.model, self._data, self.cell.tool_frames[k], frame)
+        return np.asarray(J)[:, self.cell.v_slices[k]]
+
+    @cached_property
+    def singular_values(self) -> tuple[Array, ...]:
+        """Singular values of each arm's tool Jacobian (LOCAL; metres and radians), descending."""
+        return tuple(
+            np.asarray(np.linalg.svd(self.jacobian(k), compute_uv=False), dtype=float) for k in range(len(self.cell))
+        )
+
+    @cached_property
+    def sigma_min(self) -> Array:
+        """Smallest singular value of each arm's tool Jacobian, shape (N,).
+
+        With fewer than six joints the value is that of the motions the arm can do.
+        """
+        return np.array([s[-1] for s in self.singular_values])
+
+    @cached_property
+    def limit_margins(self) -> Array:
+        """Distance of each joint to its nearer position limit, (nv,) [rad or m]; negative outside, inf if none."""
+        x, limits = self.cell.positions(self.q), self.cell.limits
+        return np.minimum(x - limits.lower, limits.upper - x)

@@ -1,0 +1,1 @@
+"""Ahead of the clock: the path preview."""

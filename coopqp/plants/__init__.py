@@ -1,5 +1,0 @@
-"""Plants: what a controller's commands move."""
-
-from coopqp.plants.kinematic import KinematicPlant, Plant
-
-__all__ = ["KinematicPlant", "Plant"]

@@ -1,0 +1,87 @@
+"""Arms that stand around an object, put together into a scenario."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+import pinocchio as pin
+
+from coopqp.model.cell import Arm, RobotCell
+from coopqp.model.grasp import Grasp
+from coopqp.model.inverse_kinematics import inverse_kinematics
+from coopqp.spatial import Array
+from coopqp.task.path import ObjectPath
+from coopqp.task.scenario import Scenario
+
+#: Orientation in its base of a tool that points forward, along the base's x axis: a turn by 90° about y.
+FORWARD = np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]])
+#: The same with the tool's x axis sideways, along the base's y axis.
+FORWARD_SIDEWAYS = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
+#: Orientation in its base of a tool that points down.
+DOWN = np.diag([1.0, -1.0, -1.0])
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Station:
+    """Where one arm stands and holds: upright, on the side of the object that it faces.
+
+    Attributes:
+        arm: the arm, under its name in the cell.
+        point: where it holds, in the object frame at the start [m].
+        yaw: direction in which it looks, about the world's z axis [deg].
+        reach: horizontal distance from the base's axis to the point [m].
+        height: of the tool above the base [m].
+        tool: orientation of the tool in the base's frame, a rotation (3, 3).
+        near: joint positions near the start, (n,) [deg or m]; the exact ones are computed.
+    """
+
+    arm: Arm
+    point: tuple[float, float, float]
+    yaw: float
+    reach: float
+    height: float
+    near: Sequence[float]
+    tool: Array = field(default_factory=lambda: FORWARD)
+
+    def placed(self, T_world_object: pin.SE3) -> tuple[Arm, pin.SE3]:
+        """The arm on its base, and T_object_tool."""
+        turn = pin.utils.rotate("z", float(np.deg2rad(self.yaw)))
+        hold = T_world_object.act(np.array(self.point))
+        base = hold - turn @ np.array([self.reach, 0.0, self.height])
+        T_world_tool = pin.SE3(turn @ self.tool, hold)
+        return self.arm.placed(pin.SE3(turn, base)), T_world_object.actInv(T_world_tool)
+
+    @property
+    def near_positions(self) -> Array:
+        """:attr:`near` in radians, prismatic joints in metres."""
+        prismatic = np.array(["P" in joint.shortname()[len("JointModel") :][:1] for joint in self.arm.model.joints][1:])
+        x = np.array(self.near, dtype=float)
+        return np.where(prismatic, x, np.deg2rad(x))
+
+
+def put_together(
+    name: str,
+    stations: Sequence[Station],
+    path: ObjectPath,
+    *,
+    dt: float = 0.002,
+    object_size: tuple[float, float, float],
+    object_mass: float,
+) -> Scenario:
+    """A scenario whose arms stand around the object at the start of ``path``."""
+    start = path.pose(0.0)
+    arms, tools = zip(*(station.placed(start) for station in stations), strict=True)
+    cell, grasp = RobotCell(arms), Grasp(tools)
+    near = cell.configuration(np.concatenate([station.near_positions for station in stations]))
+    return Scenario(
+        name=name,
+        cell=cell,
+        grasp=grasp,
+        path=path,
+        q_start=inverse_kinematics(cell, grasp, start, near),
+        dt=dt,
+        object_size=object_size,
+        object_mass=object_mass,
+    )

@@ -1,0 +1,1 @@
+"""Runs: plants, the loop, recordings, and what they amount to."""

@@ -1,0 +1,247 @@
+"""What a run amounts to: its errors over time, and a verdict on limits, grasp, path and end.
+
+Computed from the recording alone. What the arms do to each other is judged by the *commanded* configurations (once the
+object is gripped, the measured ones hide it in servo deflection), where the object is by the *measured* ones.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import pinocchio as pin
+
+from coopqp.checks import keep_scalars
+from coopqp.control.command import Status
+from coopqp.errors import InvalidInputError
+from coopqp.model.cell import RobotCell
+from coopqp.model.state import CellState
+from coopqp.simulation import metrics
+from coopqp.simulation.simulate import Recording
+from coopqp.spatial import Array
+
+#: Excess over a position limit [rad or m], and over a speed or acceleration limit [share], that is rounding.
+POSITION_ROUNDING, RATE_ROUNDING = 1e-6, 1e-6
+
+
+@dataclass(frozen=True, eq=False)
+class Readings:
+    """Errors at every sample of a run, shape (T+1,) unless told otherwise.
+
+    Attributes:
+        eps_p_mm, eps_o_deg: the paper's ε_p and ε_o.
+        chain_mm, chain_deg: largest distance and angle between any two arms' views of the object.
+        object_mm, object_deg: largest distance and angle of any arm's view of the object from its path.
+        sigma_min: smallest singular value of each arm's Jacobian, (T+1, N).
+    """
+
+    eps_p_mm: Array
+    eps_o_deg: Array
+    chain_mm: Array
+    chain_deg: Array
+    object_mm: Array
+    object_deg: Array
+    sigma_min: Array
+
+
+@dataclass(frozen=True)
+class Tolerances:
+    """What still counts as held.
+
+    Attributes:
+        chain_mm, chain_deg: of the arms' views of the object against each other.
+        object_mm, object_deg: of the object against its path.
+    """
+
+    chain_mm: float = 0.1
+    chain_deg: float = 0.1
+    object_mm: float = 1.0
+    object_deg: float = 0.5
+
+    def __post_init__(self) -> None:
+        for name in self.__dataclass_fields__:
+            keep_scalars(self, name)
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One line of a verdict.
+
+    Attributes:
+        question: what was asked.
+        holds: the answer.
+        answer: the answer in figures.
+    """
+
+    question: str
+    holds: bool
+    answer: str
+
+
+def check_recording(cell: RobotCell, recording: Recording) -> None:
+    """Raise InvalidInputError unless the recording is one of this cell."""
+    q, v, n = recording.q.shape[1], recording.velocity.shape[1], len(recording.T_object_tool)
+    if (q, v, n) != (cell.nq, cell.nv, len(cell)):
+        raise InvalidInputError(
+            f"a recording with nq = {q}, nv = {v} and {n} arms for a cell with nq = {cell.nq}, nv = {cell.nv} and "
+            f"{len(cell)} arms",
+            "recording",
+            "Use the cell that the run was made with.",
+        )
+
+
+def read_run(cell: RobotCell, recording: Recording) -> Readings:
+    """The errors of a run at every sample.
+
+    Raises:
+        InvalidInputError: a recording of another cell.
+    """
+    check_recording(cell, recording)
+    grasp = recording.grasp
+    commanded = metrics.tool_placements(cell, recording.q_command)
+    measured = metrics.tool_placements(cell, recording.q)
+    chain = np.array([metrics.chain_error(T, grasp) for T in commanded])
+    poses = [pin.SE3(M) for M in recording.reference]
+    arms = range(len(cell))
+    off = np.array(
+        [
+            np.max([metrics.object_error(T, grasp, pose, k) for k in arms], axis=0)
+            for T, pose in zip(measured, poses, strict=True)
+        ]
+    )
+    return Readings(
+        eps_p_mm=np.array([1e3 * metrics.relative_positioning_error(T, grasp) for T in commanded]),
+        eps_o_deg=np.array([np.rad2deg(metrics.relative_orientation_error(T, grasp)) for T in commanded]),
+        chain_mm=1e3 * chain[:, 0],
+        chain_deg=np.rad2deg(chain[:, 1]),
+        object_mm=1e3 * off[:, 0],
+        object_deg=np.rad2deg(off[:, 1]),
+        sigma_min=np.array([_sigma_min(cell, q) for q in recording.q_command]),
+    )
+
+
+def _sigma_min(cell: RobotCell, q: Array) -> Array:
+    """(N,); NaN where the configuration is none."""
+    return CellState(cell, q).sigma_min if np.isfinite(q).all() else np.full(len(cell), np.nan)
+
+
+def worst_status(recording: Recording) -> str:
+    """``"ok"`` when every step tracked and the object arrived, else the worst status of the run."""
+    worst = max(recording.statuses, key=lambda status: status.code, default=Status.TRACKING)
+    return "ok" if worst is Status.TRACKING and recording.finished else worst.value
+
+
+def run_figures(cell: RobotCell, recording: Recording, readings: Readings) -> dict[str, str]:
+    """The figures of a run by name, each with its unit."""
+    sigma = readings.sigma_min
+    arm = int(np.unravel_index(int(np.nanargmin(sigma)), sigma.shape)[1]) if np.isfinite(sigma).any() else 0
+    return {
+        "largest ε_p": f"{_number(readings.eps_p_mm.max())} mm",
+        "largest ε_o": f"{_number(readings.eps_o_deg.max())}°",
+        "arms against each other": f"{_number(readings.chain_mm.max())} mm",
+        "object off its path": f"{_number(readings.object_mm.max())} mm",
+        "object off at the end": f"{_number(readings.object_mm[-1])} mm",
+        "smallest rate σ": f"{100.0 * float(recording.rate.min(initial=1.0)):.3g} %",
+        "smallest singular value": f"{_number(sigma.min())} ({cell.arm_names[arm]})",
+        "time": f"{float(recording.time[-1]):.4g} s",
+        "steps": f"{recording.n_steps} of {1e3 * float(np.median(np.diff(recording.time))):.4g} ms",
+        "worst status": worst_status(recording),
+    }
+
+
+def _number(value: float) -> str:
+    value = float(value)
+    if not math.isfinite(value):
+        return "not finite"
+    return f"{value:.3g}" if value == 0.0 or abs(value) >= 1e-4 else f"{value:.1e}"
+
+
+def judge(
+    cell: RobotCell, recording: Recording, readings: Readings, *, tolerances: Tolerances | None = None
+) -> tuple[Finding, ...]:
+    """The verdict on a run: finished? limits? grasp? path?
+
+    Args:
+        cell, recording: the run.
+        readings: of :func:`read_run`.
+        tolerances: what still counts as held.
+    """
+    t = tolerances or Tolerances()
+    return (
+        _finished(recording),
+        _positions(cell, recording),
+        _rates(cell, recording),
+        _held(
+            "Do the arms agree on where the object is?", readings.chain_mm, readings.chain_deg, t.chain_mm, t.chain_deg
+        ),
+        _held("Is the object on its path?", readings.object_mm, readings.object_deg, t.object_mm, t.object_deg),
+    )
+
+
+def _finished(recording: Recording) -> Finding:
+    question = "Did the object arrive?"
+    end = float(recording.metadata.get("duration", math.nan))
+    took = f"{recording.time[-1]:.4g} s" + (f" for a path of {end:.4g} s" if math.isfinite(end) else "")
+    slowed = sum(s in (Status.SLOWED, Status.BLOCKED) for s in recording.statuses)
+    stopped = sum(s in (Status.HOLDING, Status.FAULT) for s in recording.statuses)
+    text = f"{took}, {slowed} of {recording.n_steps} steps slowed"
+    endless = end == math.inf
+    if endless:
+        text += "; the path has no end"
+    elif not recording.finished:
+        text = f"the object's clock stands at {recording.clock[-1]:.4g} s after {took}"
+    if stopped:
+        text += f", {stopped} steps stopped by a failure"
+    return Finding(question, (recording.finished or endless) and not stopped, text)
+
+
+def _positions(cell: RobotCell, recording: Recording) -> Finding:
+    q = np.array([cell.positions(x) for x in recording.q_command])
+    room = np.minimum(q - cell.limits.lower, cell.limits.upper - q)  # inf where there is no limit
+    closest = room.min(axis=0)
+    j = int(closest.argmin())
+    margin = float(closest[j])
+    if not np.isfinite(margin):
+        return Finding("Are the joints inside their positions?", bool(np.isfinite(q).all()), "no joint has a limit")
+    unit = _amount(cell, j, abs(margin))
+    if margin < -POSITION_ROUNDING:
+        return Finding("Are the joints inside their positions?", False, f"{cell.joint_names[j]} is {unit} outside")
+    return Finding("Are the joints inside their positions?", True, f"closest: {cell.joint_names[j]}, {unit} inside")
+
+
+def _rates(cell: RobotCell, recording: Recording) -> Finding:
+    question = "Are the joints within speed and acceleration?"
+    speed = np.abs(recording.velocity) / cell.limits.velocity
+    dt = np.diff(recording.time)[:, None]
+    before = np.vstack([np.zeros(cell.nv), recording.velocity[:-1]])
+    acceleration = np.abs(recording.velocity - before) / dt / cell.limits.acceleration
+    parts, holds = [], True
+    for name, share, limit in (
+        ("speed", speed, cell.limits.velocity),
+        ("acceleration", acceleration, cell.limits.acceleration),
+    ):
+        if not np.isfinite(limit).any():
+            parts.append(f"no limit of {name}")
+            continue
+        largest = share.max(axis=0, initial=0.0)
+        j = int(largest.argmax())
+        holds = holds and bool(largest[j] <= 1.0 + RATE_ROUNDING)
+        parts.append(f"{name} ≤ {100.0 * largest[j]:.4g} % of the limit ({cell.joint_names[j]})")
+    return Finding(question, holds, "; ".join(parts))
+
+
+def _held(question: str, mm: Array, deg: Array, largest_mm: float, largest_deg: float) -> Finding:
+    a, b = float(np.max(mm)), float(np.max(deg))
+    text = f"within {a:.3g} mm and {b:.3g}° (asked: {largest_mm:g} mm, {largest_deg:g}°)"
+    return Finding(question, a <= largest_mm and b <= largest_deg, text)
+
+
+def _amount(cell: RobotCell, j: int, value: float) -> str:
+    """A joint position with its unit: degrees, or millimetres where the joint slides."""
+    return f"{1e3 * value:.4g} mm" if slides(cell)[j] else f"{np.rad2deg(value):.4g}°"
+
+
+def slides(cell: RobotCell) -> list[bool]:
+    """Which joints slide (metres) instead of turning (radians), one per velocity coordinate."""
+    return [joint.shortname().startswith("JointModelP") for joint in list(cell.model.joints)[1:]]

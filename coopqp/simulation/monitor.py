@@ -1,0 +1,603 @@
+"""An oracle: were limits, chain, path and promises kept? For a recording, or live beside a control loop.
+
+It judges commands, not intentions, and shares no code with what it judges: kinematics come straight from Pinocchio's
+frames, limits from the cell, and nothing from the controllers, their limits, chain or preview. Use it in tests of a
+controller of your own, after a run (:func:`check`), or while one goes on (:class:`Monitor`, :class:`Monitored`).
+"""
+
+from __future__ import annotations
+
+import enum
+import itertools
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from types import MappingProxyType
+from typing import Any, TypeAlias, final
+
+import numpy as np
+import numpy.typing as npt
+import pinocchio as pin
+
+from coopqp.checks import keep_scalars
+from coopqp.control.command import Controller, ControlStep, Status
+from coopqp.errors import InvalidInputError
+from coopqp.model.cell import RobotCell
+from coopqp.model.grasp import Grasp
+from coopqp.simulation.simulate import Recording
+from coopqp.spatial import Array
+from coopqp.task.path import ObjectPath
+
+Flags: TypeAlias = npt.NDArray[np.bool_]
+
+
+class Breach(enum.Enum):
+    """What a command can get wrong."""
+
+    FORM = "wrong shape or type"
+    NOT_FINITE = "not finite"
+    POSITION = "position limit"
+    VELOCITY = "velocity limit"
+    ACCELERATION = "acceleration limit"
+    CONTINUITY = "does not continue the last command"
+    CLOCK = "clock and rate disagree"
+    RATE = "rate out of range"
+    HOLDING = "not at rest while holding"
+    CHAIN = "arms out of step"
+    PATH = "off the path"
+    MUTATED = "data were modified"
+
+
+#: Braking together along a curved path may take longer than the slowest joint alone would, by this factor.
+_BRAKING_SLACK = 1.1
+#: Pairs of placements compared at once, so that many arms and steps do not fill the memory.
+_LARGEST_TABLE = 200_000
+
+
+@dataclass(frozen=True, slots=True)
+class Violation:
+    """One breach.
+
+    Attributes:
+        breach: what.
+        step: number of the step since the monitor's reset.
+        time: at its end, since the reset [s].
+        arm, joint: whose; empty where it concerns all.
+        amount: how much beyond what is allowed [rad, m, rad/s, m/s; a share of the limit for accelerations].
+        detail: in words.
+    """
+
+    breach: Breach
+    step: int
+    time: float
+    arm: str = ""
+    joint: str = ""
+    amount: float = 0.0
+    detail: str = ""
+
+    def __str__(self) -> str:
+        who = f" {self.arm}{'/' if self.joint else ''}{self.joint}" if self.arm else ""
+        more = f" ({self.detail})" if self.detail else ""
+        return f"step {self.step} ({self.time:.4f} s):{who} {self.breach.value}, {self.amount:.3g} too much{more}"
+
+
+@dataclass(frozen=True, kw_only=True)
+class MonitorTolerances:
+    """What still counts as kept; None leaves a check out.
+
+    Attributes:
+        position: excess over a position limit [rad or m]. From outside, no further out than before.
+        velocity: excess over a velocity limit [rad/s or m/s].
+        acceleration: excess over an acceleration limit, as a share of it.
+        consistency: between commands that should be equal [rad or m; s for clocks].
+        chain_m, chain_rad: between any two arms' views of the object, as commanded.
+        path_m, path_rad: between any arm's view of the object, as commanded, and the path at the object's clock.
+    """
+
+    position: float = 1e-9
+    velocity: float = 1e-9
+    acceleration: float = 1e-6
+    consistency: float = 1e-9
+    chain_m: float | None = 1e-4
+    chain_rad: float | None = 1e-3
+    path_m: float | None = 1e-3
+    path_rad: float | None = 1e-2
+
+    def __post_init__(self) -> None:
+        for name in self.__dataclass_fields__:
+            if getattr(self, name) is not None or name in ("position", "velocity", "acceleration", "consistency"):
+                keep_scalars(self, name, open_low=False)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Worst:
+    """The largest figures seen, kept or not; negative excesses are room to spare.
+
+    Attributes:
+        position, velocity: excess over a limit [rad or m, rad/s or m/s]; −inf where nothing is limited.
+        acceleration: excess over a limit, as a share of it.
+        chain_m, chain_rad, path_m, path_rad: as :class:`MonitorTolerances`.
+    """
+
+    position: float = -np.inf
+    velocity: float = -np.inf
+    acceleration: float = -np.inf
+    chain_m: float = 0.0
+    chain_rad: float = 0.0
+    path_m: float = 0.0
+    path_rad: float = 0.0
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """What a monitor found.
+
+    Attributes:
+        steps: steps judged.
+        violations: the first of them, at most the number that the monitor keeps.
+        counts: how many of each breach there were in all.
+        worst: the largest figures.
+    """
+
+    steps: int
+    violations: tuple[Violation, ...] = ()
+    counts: Mapping[Breach, int] = field(default_factory=lambda: MappingProxyType({}))
+    worst: Worst = field(default_factory=Worst)
+
+    @property
+    def ok(self) -> bool:
+        """Nothing was violated, and there was something to judge."""
+        return self.steps > 0 and not self.counts
+
+    def __str__(self) -> str:
+        w = self.worst
+        figures = (
+            f"{self.steps} steps; chain ≤ {1e3 * w.chain_m:.3g} mm, {np.rad2deg(w.chain_rad):.3g}°; "
+            f"path ≤ {1e3 * w.path_m:.3g} mm, {np.rad2deg(w.path_rad):.3g}°"
+        )
+        if not self.counts:
+            return f"kept: {figures}"
+        kinds = ", ".join(f"{n} x {breach.value}" for breach, n in self.counts.items())
+        return f"violated: {kinds}; {figures}\n" + "\n".join(f"  {v}" for v in self.violations)
+
+
+@dataclass(frozen=True, eq=False)
+class _Block:
+    """Consecutive steps as arrays, T of them."""
+
+    q: Array  # (T, nq)
+    q_next: Array  # (T, nq)
+    velocity: Array  # (T, nv)
+    dt: Array  # (T,)
+    clock: Array  # (T,)
+    clock_next: Array  # (T,)
+    rate: Array  # (T,)
+    holding: Flags  # (T,)
+    same_path: Flags  # (T,): the clock goes on from the step before
+    reference: Array  # (T, 4, 4) of the object at clock_next
+    duration: Array  # (T,)
+
+
+@final
+class Monitor:
+    """Judges the commands of one controller, step by step or many at once.
+
+    Args:
+        cell: whose limits and kinematics; where the true limits are others than the controller knows, give those.
+        grasp: where the tools should be on the object.
+        path: where the object should go; by default the path that each step names.
+        tolerances: what still counts as kept.
+        keep: number of violations kept in full; all are counted.
+        kinematics: judge the chain and the path too; without them a step costs half as much.
+    """
+
+    def __init__(
+        self,
+        cell: RobotCell,
+        grasp: Grasp,
+        path: ObjectPath | None = None,
+        *,
+        tolerances: MonitorTolerances | None = None,
+        keep: int = 50,
+        kinematics: bool = True,
+    ) -> None:
+        grasp.check_arms(cell)
+        self.cell, self.grasp, self.path = cell, grasp, path
+        self.tolerances = tolerances or MonitorTolerances()
+        self._keep, self._kinematics = keep, kinematics
+        self._data = cell.model.createData()
+        self._inverse_grasp = np.array([X.inverse().homogeneous for X in grasp.T_object_tool])
+        limits = cell.limits
+        self._lower, self._upper = np.array(limits.lower), np.array(limits.upper)
+        self._speed, self._acceleration = np.array(limits.velocity), np.array(limits.acceleration)
+        self._accelerates = bool(np.isfinite(self._acceleration).any())
+        n = len(cell)
+        first, second = np.triu_indices(n, 1)
+        self._first, self._second = np.append(first, np.arange(n)), np.append(second, np.full(n, n))
+        self._pairs = len(self._first)
+        self._names = [name.partition("/")[::2] for name in cell.joint_names]
+        joints = list(cell.model.joints)[1:]
+        self._turning = np.array([joint.idx_v for joint in joints if joint.nq == 2], dtype=int)
+        self._at = np.empty(cell.nv, dtype=int)
+        for joint in joints:
+            self._at[joint.idx_v] = joint.idx_q
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget everything; the next step is one from rest."""
+        self._steps, self._time = 0, 0.0
+        self._violations: list[Violation] = []
+        self._counts: Counter[Breach] = Counter()
+        self._worst = Worst()
+        self.restart()
+
+    def restart(self) -> None:
+        """The next step is one from rest, anywhere; findings so far stay."""
+        self._last_q: Array | None = None
+        self._last_v = np.zeros(self.cell.nv)
+        self._last_clock, self._held = 0.0, 0.0
+        self._last_path: ObjectPath | None = None
+
+    # -- judging -----------------------------------------------------------------------------------------------------
+
+    def observe(self, step: ControlStep) -> tuple[Violation, ...]:
+        """Judge one step; returns what is wrong with it."""
+        return self.observe_all([step])
+
+    def observe_all(self, steps: Sequence[ControlStep]) -> tuple[Violation, ...]:
+        """Judge consecutive steps at once, which costs less; returns what is wrong, as far as it is kept in full."""
+        before = len(self._violations)
+        sound: list[ControlStep] = []
+        for step in steps:
+            if self._well_formed(step, len(sound)):
+                sound.append(step)
+            else:
+                self._judge_steps(sound)
+                self._steps += 1
+                self._lose()
+                sound = []
+        self._judge_steps(sound)
+        return tuple(self._violations[before:])
+
+    def report(self, breach: Breach, *, arm: str = "", amount: float = 0.0, detail: str = "") -> None:
+        """Add a finding of one's own to the verdict."""
+        self._add(Violation(breach, max(self._steps - 1, 0), self._time, arm, "", amount, detail))
+
+    def verdict(self) -> Verdict:
+        """What was found so far."""
+        limits = self.cell.limits
+        for name, kept in (("lower", self._lower), ("upper", self._upper), ("velocity", self._speed)):
+            if not np.array_equal(getattr(limits, name), kept):
+                self.report(Breach.MUTATED, detail=f"the cell's limits: {name}")
+        return Verdict(self._steps, tuple(self._violations), MappingProxyType(dict(self._counts)), self._worst)
+
+    def _add(self, violation: Violation) -> None:
+        self._counts[violation.breach] += 1
+        if len(self._violations) < self._keep:
+            self._violations.append(violation)
+
+    def _well_formed(self, step: ControlStep, ahead: int) -> bool:
+        """Shapes, types and finiteness: what has to hold before there is anything to compute with."""
+        faults = []
+        number, now = self._steps + ahead, self._time
+        for name, size in (("q", self.cell.nq), ("q_next", self.cell.nq), ("velocity", self.cell.nv)):
+            value = getattr(step, name)
+            if not isinstance(value, np.ndarray) or value.dtype != np.float64 or value.shape != (size,):
+                faults.append(Violation(Breach.FORM, number, now, detail=f"{name} of shape ({size},)"))
+            elif not np.isfinite(value).all():
+                bad = int(np.flatnonzero(~np.isfinite(value))[0])
+                arm, joint = self._names[bad] if name == "velocity" else ("", "")
+                faults.append(Violation(Breach.NOT_FINITE, number, now, arm, joint, np.nan, f"{name}[{bad}]"))
+        for name in ("dt", "clock", "clock_next", "rate"):
+            value = getattr(step, name)
+            if not isinstance(value, float):
+                faults.append(Violation(Breach.FORM, number, now, detail=f"{name} is no float"))
+            elif not np.isfinite(value):
+                faults.append(Violation(Breach.NOT_FINITE, number, now, amount=np.nan, detail=name))
+        if not isinstance(step.status, Status) or not isinstance(step.reason, str):
+            faults.append(Violation(Breach.FORM, number, now, detail="status or reason"))
+        for fault in faults:
+            self._add(fault)
+        return not faults
+
+    def _lose(self) -> None:
+        """What a broken step leaves behind is not known: nothing is compared with it."""
+        self._last_q, self._last_path = None, None
+        self._last_v, self._held = np.full(self.cell.nv, np.nan), 0.0
+
+    def _judge_steps(self, steps: Sequence[ControlStep]) -> None:
+        if not steps:
+            return
+        paths = [step.path if self.path is None else self.path for step in steps]
+        before = [self._last_path, *paths[:-1]]
+        self._last_path = paths[-1]
+        block = _Block(
+            q=np.array([s.q for s in steps]),
+            q_next=np.array([s.q_next for s in steps]),
+            velocity=np.array([s.velocity for s in steps]),
+            dt=np.array([s.dt for s in steps]),
+            clock=np.array([s.clock for s in steps]),
+            clock_next=np.array([s.clock_next for s in steps]),
+            rate=np.array([s.rate for s in steps]),
+            holding=np.array([s.status in (Status.HOLDING, Status.FAULT) for s in steps]),
+            same_path=np.array([a is b for a, b in zip(before, paths, strict=True)]),
+            reference=np.array(
+                [p.pose(s.clock_next).homogeneous for p, s in zip(paths, steps, strict=True) if self._kinematics]
+            ),
+            duration=np.array([p.duration for p in paths]),
+        )
+        self._judge(block)
+
+    def judge_recording(self, recording: Recording) -> Verdict:
+        """Judge a run; see :func:`check`."""
+        r, stopped = recording, (Status.HOLDING.code, Status.FAULT.code)
+        sound = np.isfinite(r.q_command).all(axis=1) & np.isfinite(r.clock) & np.isfinite(r.time)
+        sound = sound[:-1] & sound[1:] & np.isfinite(r.velocity).all(axis=1) & np.isfinite(r.rate)
+        duration = float(r.metadata.get("duration") or np.inf)
+        for same, rows in itertools.groupby(range(r.n_steps), key=lambda i: bool(sound[i])):
+            i, *rest = rows
+            cut, ends = slice(i, i + len(rest) + 1), slice(i + 1, i + len(rest) + 2)
+            if not same:
+                for row in (i, *rest):
+                    self._add(Violation(Breach.NOT_FINITE, row, float(r.time[row]), amount=np.nan))
+                self._steps += len(rest) + 1
+                self._lose()
+                continue
+            self._judge(
+                _Block(
+                    q=r.q_command[cut],
+                    q_next=r.q_command[ends],
+                    velocity=r.velocity[cut],
+                    dt=np.diff(r.time[i : ends.stop]),
+                    clock=r.clock[cut],
+                    clock_next=r.clock[ends],
+                    rate=r.rate[cut],
+                    holding=np.isin(r.status[cut], stopped),
+                    same_path=np.arange(i, ends.stop - 1) > i,
+                    reference=r.reference[ends],
+                    duration=np.full(len(rest) + 1, duration),
+                )
+            )
+        return self.verdict()
+
+    def _judge(self, block: _Block) -> None:
+        steps = len(block.dt)
+        ends = self._time + np.cumsum(block.dt)
+        x, x_next = self._positions(block.q), self._positions(block.q_next)
+        v_before = np.vstack([self._last_v, block.velocity[:-1]])
+        self._judge_positions(x, x_next, ends)
+        self._judge_rates(block, v_before, ends)
+        self._judge_continuity(block, x, x_next, ends)
+        self._judge_clock(block, ends)
+        self._judge_holding(block, v_before, ends)
+        if self._kinematics:
+            self._judge_object(block, ends)
+        self._steps += steps
+        self._time = float(ends[-1])
+        self._last_q, self._last_v = block.q_next[-1].copy(), block.velocity[-1].copy()
+        self._last_clock = float(block.clock_next[-1])
+
+    def _positions(self, q: Array) -> Array:
+        """One position per joint (T, nv); continuous joints in (−π, π]."""
+        x: Array = q[:, self._at]
+        for j in self._turning:
+            x[:, j] = np.arctan2(q[:, self._at[j] + 1], q[:, self._at[j]])
+        return x
+
+    def _judge_positions(self, x: Array, x_next: Array, ends: Array) -> None:
+        excess = np.maximum(x_next - self._upper, self._lower - x_next)
+        before = np.maximum(x - self._upper, self._lower - x)
+        outward = excess - np.maximum(before, 0.0)  # from outside, no further out
+        self._note(position=float(outward.max()))
+        self._joints(Breach.POSITION, outward, self.tolerances.position, ends)
+
+    def _judge_rates(self, block: _Block, v_before: Array, ends: Array) -> None:
+        excess = np.abs(block.velocity) - self._speed
+        self._note(velocity=float(excess.max()))
+        self._joints(Breach.VELOCITY, excess, self.tolerances.velocity, ends)
+        if self._accelerates:
+            with np.errstate(divide="ignore", invalid="ignore"):
+                share = np.abs(block.velocity - v_before) / (block.dt[:, None] * self._acceleration) - 1.0
+            share[np.isnan(v_before)] = -1.0
+            self._note(acceleration=float(share.max()))
+            self._joints(Breach.ACCELERATION, share, self.tolerances.acceleration, ends)
+
+    def _judge_continuity(self, block: _Block, x: Array, x_next: Array, ends: Array) -> None:
+        gap = np.abs(self._difference(x, x_next) - block.velocity * block.dt[:, None])
+        self._joints(Breach.CONTINUITY, gap, self.tolerances.consistency, ends, "q_next is not q + v dt")
+        before = np.vstack([block.q[:1] if self._last_q is None else self._last_q[None, :], block.q_next[:-1]])
+        jump = np.abs(self._difference(self._positions(before), x))
+        self._joints(Breach.CONTINUITY, jump, self.tolerances.consistency, ends, "q is not the last q_next")
+        for j in self._turning:
+            i = self._at[j]
+            radius = np.abs(np.hypot(block.q_next[:, i], block.q_next[:, i + 1]) - 1.0)
+            self._all(Breach.CONTINUITY, radius - self.tolerances.consistency, ends, "off the unit circle")
+
+    def _difference(self, start: Array, end: Array) -> Array:
+        d: Array = end - start
+        if self._turning.size:
+            t = self._turning
+            d[:, t] = np.arctan2(np.sin(d[:, t]), np.cos(d[:, t]))
+        return d
+
+    def _judge_clock(self, block: _Block, ends: Array) -> None:
+        slack = self.tolerances.consistency
+        rate, advance = block.rate, block.clock_next - block.clock
+        self._all(Breach.RATE, np.maximum(-rate, rate - 1.0) - slack, ends, "σ in [0, 1]")
+        self._all(Breach.RATE, np.where(block.dt > 0.0, -1.0, 1.0), ends, "dt > 0")
+        self._all(Breach.CLOCK, -advance - slack, ends, "runs backwards")
+        # The last step may be a part of one.
+        ended = block.clock_next >= block.duration
+        miss = np.where(ended, advance - rate * block.dt, np.abs(advance - rate * block.dt))
+        self._all(Breach.CLOCK, miss - slack * (1.0 + block.clock_next), ends, "does not advance by σ dt")
+        before = np.concatenate([[self._last_clock], block.clock_next[:-1]])
+        self._all(Breach.CLOCK, np.where(block.same_path, np.abs(block.clock - before), 0.0) - slack, ends, "jumps")
+
+    def _judge_holding(self, block: _Block, v_before: Array, ends: Array) -> None:
+        """Whoever holds comes to rest on the path, in the time that the slowest joint needs to brake."""
+        if not block.holding.any():
+            self._held = 0.0
+            return
+        for i, holding in enumerate(block.holding):
+            if not holding:
+                self._held = 0.0
+                continue
+            if self._held == 0.0:
+                fastest = np.nan_to_num(np.abs(v_before[i]) / self._acceleration).max()
+                self._may_take = _BRAKING_SLACK * float(fastest) + 2.0 * float(block.dt[i])
+            self._held += float(block.dt[i])
+            over = float(block.rate[i]) if self._held > self._may_take + 1e-9 else 0.0
+            if over > self.tolerances.consistency:
+                self._add(Violation(Breach.HOLDING, self._steps + i, float(ends[i]), amount=over, detail="σ"))
+
+    def _judge_object(self, block: _Block, ends: Array) -> None:
+        t = self.tolerances
+        chain = self._pairs - len(self.cell)  # the first of the pairs are arm and arm, the others arm and reference
+        distance, angle = self._apart(block)
+        for breach, values, allowed, unit in (
+            (Breach.CHAIN, distance[:, :chain], t.chain_m, "m"),
+            (Breach.CHAIN, angle[:, :chain], t.chain_rad, "rad"),
+            (Breach.PATH, distance[:, chain:], t.path_m, "m"),
+            (Breach.PATH, angle[:, chain:], t.path_rad, "rad"),
+        ):
+            if values.size == 0:  # one arm is no chain
+                continue
+            largest = float(values.max())
+            self._note(**{f"{'chain' if breach is Breach.CHAIN else 'path'}_{unit}": largest})
+            if allowed is None or largest <= allowed:
+                continue
+            worst = values.argmax(axis=1)
+            for i in np.flatnonzero(~(values.max(axis=1) <= allowed)):
+                k = self._second[worst[i]] if breach is Breach.CHAIN else worst[i]
+                amount = float(values[i, worst[i]] - allowed)
+                arm = self.cell.arm_names[int(k)]
+                self._add(Violation(breach, self._steps + int(i), float(ends[i]), arm, "", amount, f"[{unit}]"))
+
+    def _apart(self, block: _Block) -> tuple[Array, Array]:
+        """Distances [m] and angles [rad] (T, pairs) between the arms' views of the object, and from the reference."""
+        steps, n = len(block.dt), len(self.cell)
+        distance, angle = np.empty((steps, self._pairs)), np.empty((steps, self._pairs))
+        T = np.empty((steps, n + 1, 4, 4))
+        T[:, :n] = self._carried(block.q_next)
+        T[:, n] = block.reference
+        rows = max(1, _LARGEST_TABLE // self._pairs)
+        for start in range(0, steps, rows):
+            part = T[start : start + rows]
+            D = part[:, self._first] - part[:, self._second]
+            np.sqrt(np.einsum("tpi,tpi->tp", D[..., :3, 3], D[..., :3, 3]), out=distance[start : start + rows])
+            # |A − B| = 2√2 sin(θ/2), which keeps its digits near 0
+            half = np.sqrt(np.einsum("tpij,tpij->tp", D[..., :3, :3], D[..., :3, :3]) / 8.0)
+            angle[start : start + rows] = 2.0 * np.arcsin(np.minimum(half, 1.0))
+        return distance, angle
+
+    def _carried(self, q: Array) -> Array:
+        """The object as each arm carries it, placements (T, N, 4, 4)."""
+        cell, data = self.cell, self._data
+        frames = cell.tool_frames
+        T = np.empty((len(q), len(frames), 4, 4))
+        for i, configuration in enumerate(q):
+            pin.framesForwardKinematics(cell.model, data, configuration)
+            for k, f in enumerate(frames):
+                T[i, k] = data.oMf[f].homogeneous
+        carried: Array = T @ self._inverse_grasp
+        return carried
+
+    # -- findings ----------------------------------------------------------------------------------------------------
+
+    def _note(self, **figures: float) -> None:
+        w = self._worst
+        if any(not value <= getattr(w, name) for name, value in figures.items()):
+            known = {name: getattr(w, name) for name in w.__dataclass_fields__}
+            known.update({name: float(np.maximum(known[name], value)) for name, value in figures.items()})
+            self._worst = Worst(**known)
+
+    def _joints(self, breach: Breach, amounts: Array, allowed: float, ends: Array, detail: str = "") -> None:
+        """Findings per joint, from amounts (T, nv)."""
+        if amounts.max() <= allowed:
+            return
+        for i, j in np.argwhere(~(amounts <= allowed)):
+            arm, joint = self._names[j]
+            self._add(Violation(breach, self._steps + int(i), float(ends[i]), arm, joint, float(amounts[i, j]), detail))
+
+    def _all(self, breach: Breach, amounts: Array, ends: Array, detail: str) -> None:
+        """Findings that concern all arms, from amounts (T,) that should not be above 0."""
+        for i in np.flatnonzero(~(amounts <= 0.0)):
+            self._add(Violation(breach, self._steps + int(i), float(ends[i]), amount=float(amounts[i]), detail=detail))
+
+
+@final
+class Monitored:
+    """A controller with a monitor beside it: every step is judged, and so is what happens to the data handed in.
+
+    Args:
+        controller: the one that is judged; use its other methods directly.
+        monitor: by default one for the controller's own cell and grasp.
+    """
+
+    def __init__(self, controller: Controller, monitor: Monitor | None = None) -> None:
+        self.controller = controller
+        self.cell, self.grasp, self.dt = controller.cell, controller.grasp, controller.dt
+        self.monitor = monitor or Monitor(controller.cell, controller.grasp)
+        self._last: ControlStep | None = None
+        self._kept: tuple[Array, ...] = ()
+
+    @property
+    def path(self) -> ObjectPath:
+        """The controller's path."""
+        return self.controller.path
+
+    def reset(self, q: Any) -> None:
+        """Reset the controller; the monitor's findings stay."""
+        kept = _copy(q)
+        self.controller.reset(q)
+        self._unchanged(q, kept, "q of reset")
+        self.monitor.restart()
+        self._last = None
+
+    def step(self, q_measured: Any = None, *, dt: float | None = None) -> ControlStep:
+        """The controller's step."""
+        kept = _copy(q_measured)
+        step = self.controller.step(q_measured, dt=dt)
+        self._unchanged(q_measured, kept, "q_measured")
+        self.monitor.observe(step)
+        last = self._last
+        if last is not None:
+            for name, value in zip(("q", "velocity", "q_next"), self._kept, strict=True):
+                self._unchanged(getattr(last, name), value, f"{name} of the step before")
+        self._last, self._kept = step, (_copy(step.q), _copy(step.velocity), _copy(step.q_next))
+        return step
+
+    def verdict(self) -> Verdict:
+        """What was found so far."""
+        return self.monitor.verdict()
+
+    def _unchanged(self, now: Any, before: Any, what: str) -> None:
+        if isinstance(before, np.ndarray) and not np.array_equal(now, before, equal_nan=before.dtype.kind == "f"):
+            self.monitor.report(Breach.MUTATED, detail=what)
+
+
+def _copy(value: Any) -> Any:
+    return value.copy() if isinstance(value, np.ndarray) else value
+
+
+def check(recording: Recording, cell: RobotCell, *, tolerances: MonitorTolerances | None = None) -> Verdict:
+    """Judge a recorded run by its commands.
+
+    Args:
+        recording: the run; it starts at rest.
+        cell: whose limits and kinematics.
+        tolerances: what still counts as kept.
+
+    Raises:
+        InvalidInputError: a recording of another cell.
+    """
+    r = recording
+    if (r.q_command.shape[1], r.velocity.shape[1], len(r.T_object_tool)) != (cell.nq, cell.nv, len(cell)):
+        raise InvalidInputError(
+            f"a recording with nq = {r.q_command.shape[1]}, nv = {r.velocity.shape[1]} and {len(r.T_object_tool)} "
+            f"arms for a cell with nq = {cell.nq}, nv = {cell.nv} and {len(cell)} arms",
+            "monitor.check",
+            "Give the cell that the run was made with.",
+        )
+    monitor = Monitor(cell, r.grasp, tolerances=tolerances)
+    return monitor.judge_recording(r)

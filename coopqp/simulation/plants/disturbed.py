@@ -1,0 +1,151 @@
+"""A kinematic plant that is not ideal: noisy, late and lost signals, arms that lag, stall or stand elsewhere.
+
+The *true* configuration and the *measured* one are kept apart, and nothing but the commands holds the arms together:
+:meth:`DisturbedPlant.chain_error` is what a grip would have to take up. (A rigid grip forces the arms together and
+turns the same error into stress; that is the physics plant's business, which takes the same :class:`Disturbances`.)
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Mapping
+from typing import Any, final
+
+import numpy as np
+import pinocchio as pin
+
+from coopqp.checks import as_scalar, read_only
+from coopqp.control.command import ControlStep
+from coopqp.model.cell import RobotCell
+from coopqp.model.grasp import Grasp
+from coopqp.simulation.metrics import chain_error
+from coopqp.simulation.plants.disturbances import Disturbances, misplaced
+from coopqp.simulation.plants.encoders import Encoders
+from coopqp.spatial import Array, as_placement
+
+__all__ = ["Disturbances", "DisturbedPlant", "misplaced"]
+
+
+@final
+class DisturbedPlant:
+    """Joints that follow their commands as far as :class:`Disturbances` let them.
+
+    The grip closes at reset, wherever the tools then really are on the object.
+
+    Args:
+        cell: the cell as the controller knows it.
+        grasp: the intended grasp, which says where the object's frame is.
+        disturbances: what is not ideal.
+        command_latency: by arm, how much later its commands are executed [s].
+
+    Attributes:
+        q: true configuration (nq,).
+        time: since the reset [s].
+
+    Raises:
+        UnknownNameError: a disturbance of an arm that is not in the cell.
+    """
+
+    def __init__(
+        self,
+        cell: RobotCell,
+        grasp: Grasp,
+        disturbances: Disturbances | None = None,
+        *,
+        command_latency: Mapping[str, float] | None = None,
+    ) -> None:
+        grasp.check_arms(cell)
+        self.cell, self.grasp, self.disturbances = cell, grasp, disturbances or Disturbances()
+        d, late = self.disturbances, command_latency or {}
+        self._lag = {cell.index(arm): tau for arm, tau in d.lag.items() if tau > 0.0}
+        self._stall = {cell.index(arm): time for arm, time in d.stall.items()}
+        self._late = {
+            cell.index(arm): as_scalar(delay, f"DisturbedPlant: command_latency['{arm}']", open_low=False)
+            for arm, delay in late.items()
+        }
+        self._displaced = [pin.SE3.Identity() for _ in cell.arms]  # in the world
+        for arm, offset in d.base_offset.items():
+            base = cell.arms[cell.index(arm)].T_world_base
+            self._displaced[cell.index(arm)] = base * as_placement(offset, "base_offset") * base.inverse()
+        self._data = cell.model.createData()
+        self._encoders = Encoders(cell, d)
+        self.reset(pin.neutral(cell.model))
+
+    def reset(self, q: Any) -> Array:
+        """Put the cell at ``q`` (nq,), at rest, and close the grip; returns the measured configuration."""
+        self.q = read_only(self.cell.check_configuration(q, "DisturbedPlant.reset"))
+        self.time = 0.0
+        self._commands: deque[tuple[float, Array]] = deque([(0.0, self.q)])
+        self._last_target = self.q
+        tools = self.true_tools()
+        T_object_world = self.grasp.T_object_tool[0] * tools[0].inverse()
+        self._grip = Grasp(tuple(T_object_world * T for T in tools))
+        return self._encoders.reset(self.q)
+
+    def measure(self) -> Array:
+        """Another reading (nq,) where the joints are: at rest, :meth:`RobotCell.average` some before a start."""
+        return self._encoders.read(self.q, 0.0)
+
+    def apply(self, step: ControlStep) -> Array:
+        """Execute a command for its ``dt``; returns the measured configuration (nq,) at its end."""
+        model, dt = self.cell.model, step.dt
+        self._commands.append((self.time + dt, step.q_next))
+        target = self._target(self.time + dt)
+        if self._lag or self._stall:
+            behind = pin.difference(model, self._last_target, self.q)
+            pace = pin.difference(model, self._last_target, target)
+            after = np.zeros(self.cell.nv)
+            for k, tau in self._lag.items():
+                s = self.cell.v_slices[k]  # ẋ = (target − x) / τ against a target that moves evenly
+                keep = np.exp(-dt / tau)
+                after[s] = keep * behind[s] - (1.0 - keep) * tau / dt * pace[s]
+            for k, time in self._stall.items():
+                if self.time >= time - 1e-12:
+                    s = self.cell.v_slices[k]
+                    after[s] = pin.difference(model, target, self.q)[s]
+            self.q = read_only(pin.integrate(model, target, after))
+        else:
+            self.q = read_only(target)
+        self._last_target = target
+        self.time += dt
+        return self._encoders.read(self.q, dt)
+
+    def period(self, nominal: float) -> float:
+        """Length of the next step [s], for a loop that hands it to the controller."""
+        return self._encoders.period(nominal)
+
+    def true_tools(self) -> list[pin.SE3]:
+        """T_world_tool of every arm where it really is."""
+        pin.framesForwardKinematics(self.cell.model, self._data, self.q)
+        return [E * self._data.oMf[f] for E, f in zip(self._displaced, self.cell.tool_frames, strict=True)]
+
+    def chain_error(self) -> tuple[float, float]:
+        """Largest distance [m] and angle [rad] between where any two arms really carry the object."""
+        return chain_error(self.true_tools(), self._grip)
+
+    def _target(self, now: float) -> Array:
+        """What the drives are told at ``now``: the newest command, of late arms an older one."""
+        target = self._commands[-1][1]
+        if self._late:
+            target = target.copy()
+            for k, delay in self._late.items():
+                s = self.cell.q_slices[k]
+                target[s] = self._at(now - delay)[s]
+            oldest = now - max(self._late.values())
+            while len(self._commands) > 2 and self._commands[1][0] < oldest:
+                self._commands.popleft()
+        else:
+            self._commands = deque([self._commands[-1]])
+        return target
+
+    def _at(self, time: float) -> Array:
+        """The commanded configuration at a time, between commands on the way from one to the next."""
+        before = self._commands[0]
+        if time <= before[0]:
+            return before[1]
+        for after in self._commands:
+            if after[0] >= time:
+                share = (time - before[0]) / (after[0] - before[0])
+                return np.asarray(pin.interpolate(self.cell.model, before[1], after[1], share))
+            before = after
+        return before[1]

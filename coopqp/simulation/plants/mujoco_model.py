@@ -1,0 +1,216 @@
+"""A cell and its object as a MuJoCo model, built from the arms' own Pinocchio models.
+
+Nothing is read from files a second time, so URDF, MJCF and hand-made models are treated alike: joint placements, axes
+and inertias are copied, primitive visual shapes are drawn (meshes are not). Nothing collides, joints have no stops and
+drives have no largest torque: what is limited is the controller's business.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+
+from coopqp.errors import MissingExtraError, ModelError
+from coopqp.model.cell import Arm, RobotCell
+from coopqp.model.grasp import Grasp
+from coopqp.simulation.plants.physics_options import PhysicsOptions, Servos, joint_axes
+from coopqp.spatial import Array
+
+OBJECT = "object"
+#: Masses and inertias of links below these count as these [kg, kg·m²]: the engine needs them positive.
+_LEAST_MASS, _LEAST_INERTIA = 1e-6, 1e-9
+
+
+def require_mujoco() -> Any:
+    """The mujoco module.
+
+    Raises:
+        MissingExtraError: it is not installed.
+    """
+    try:
+        import mujoco
+    except ImportError as error:
+        raise MissingExtraError("mujoco", "mujoco") from error
+    return mujoco
+
+
+def tool_site(arm: str) -> str:
+    """Name of the site at an arm's tool, and of its body, weld and sensors."""
+    return f"{arm}:tool"
+
+
+def grip_site(arm: str) -> str:
+    """Name of the site on the object that an arm's tool is welded to."""
+    return f"{arm}:grip"
+
+
+def build_spec(
+    cell: RobotCell,
+    grasp: Grasp,
+    *,
+    object_size: Array,
+    object_mass: float,
+    T_object_body: pin.SE3,
+    servos: Servos,
+    options: PhysicsOptions,
+    base_offset: Mapping[str, pin.SE3],
+) -> Any:
+    """The ``mujoco.MjSpec``: arms at their (real) bases, the object as a free box, welds from tools to grip sites.
+
+    The object's body frame is the object frame, so that the generalized force of its free joint is the wrench there.
+    Joints are named as the cell's; each is driven by a position servo of the same name.
+    """
+    mujoco = require_mujoco()
+    spec = mujoco.MjSpec()
+    spec.modelname = "coopqp cell"
+    compiler = spec.compiler
+    compiler.degree, compiler.autolimits, compiler.discardvisual, compiler.fusestatic = False, False, False, False
+    compiler.inertiafromgeom = mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_FALSE
+    compiler.boundmass, compiler.boundinertia, compiler.balanceinertia = _LEAST_MASS, _LEAST_INERTIA, True
+    option = spec.option
+    option.timestep, option.gravity = options.timestep, options.gravity
+    option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    option.solver = mujoco.mjtSolver.mjSOL_NEWTON
+    option.jacobian = mujoco.mjtJacobian.mjJAC_DENSE
+    option.tolerance, option.iterations = options.tolerance, options.iterations
+    option.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT | mujoco.mjtDisableBit.mjDSBL_AUTORESET
+    spec.visual.global_.offwidth, spec.visual.global_.offheight = 1280, 720
+    spec.worldbody.add_light(pos=[0.0, 0.0, 4.0], dir=[0.0, 0.0, -1.0])
+    _add_geom(spec.worldbody, mujoco.mjtGeom.mjGEOM_PLANE, [10.0, 10.0, 0.1], pin.SE3.Identity(), (0.9, 0.9, 0.92, 1.0))
+
+    box = _add_body(spec.worldbody, OBJECT, pin.SE3.Identity())
+    box.add_freejoint(name=OBJECT)
+    x, y, z = object_size
+    inertia = object_mass / 12.0 * np.array([y * y + z * z, x * x + z * z, x * x + y * y])
+    _set_inertia(box, pin.Inertia(object_mass, T_object_body.translation,
+                                  T_object_body.rotation @ np.diag(inertia) @ T_object_body.rotation.T))  # fmt: skip
+    _add_geom(box, mujoco.mjtGeom.mjGEOM_BOX, 0.5 * object_size, T_object_body, (0.30, 0.52, 0.75, 1.0))
+
+    for arm, rows, X in zip(cell.arms, cell.v_slices, grasp.T_object_tool, strict=True):
+        box.add_site(name=grip_site(arm.name), pos=X.translation, quat=quaternion(X.rotation))  # moved at reset
+        _add_arm(mujoco, spec, arm, servos, rows, options, base_offset)
+    return spec
+
+
+def compile_spec(spec: Any) -> Any:
+    """The ``mujoco.MjModel``.
+
+    Raises:
+        ModelError: the engine refuses it (says why).
+    """
+    try:
+        return spec.compile()
+    except ValueError as error:
+        raise ModelError(
+            f"MuJoCo cannot use the cell's model: {error}. Check the links' masses and inertias."
+        ) from error
+
+
+def _add_arm(
+    mujoco: Any,
+    spec: Any,
+    arm: Arm,
+    servos: Servos,
+    rows: slice,
+    options: PhysicsOptions,
+    base_offset: Mapping[str, pin.SE3],
+) -> None:
+    model = arm.model
+    T_base = arm.T_world_base * base_offset.get(arm.name, pin.SE3.Identity())
+    twists = joint_axes(model)
+    bodies = [_add_body(spec.worldbody, f"{arm.name}:base", T_base)]
+    _set_inertia(bodies[0], model.inertias[0])
+    for i in range(1, model.njoints):
+        name, j = f"{arm.name}/{model.names[i]}", rows.start + model.joints[i].idx_v
+        body = _add_body(bodies[model.parents[i]], name, model.jointPlacements[i])
+        body.gravcomp = 1.0 if options.gravity_compensation else 0.0
+        _set_inertia(body, model.inertias[i])
+        axis, slides = _axis(arm, i, twists[model.joints[i].idx_v])
+        body.add_joint(
+            name=name,
+            type=mujoco.mjtJoint.mjJNT_SLIDE if slides else mujoco.mjtJoint.mjJNT_HINGE,
+            axis=axis,
+            armature=float(servos.armature[j]),
+        )
+        actuator = spec.add_actuator(name=name, trntype=mujoco.mjtTrn.mjTRN_JOINT, target=name)
+        actuator.gaintype, actuator.biastype = mujoco.mjtGain.mjGAIN_FIXED, mujoco.mjtBias.mjBIAS_AFFINE
+        kp, kd = float(servos.stiffness[j]), float(servos.damping[j])
+        actuator.gainprm[0], actuator.biasprm[1], actuator.biasprm[2] = kp, -kp, -kd
+        bodies.append(body)
+    if arm.visual is not None:
+        for item in arm.visual.geometryObjects:
+            _add_shape(mujoco, bodies[item.parentJoint], item)
+    frame = model.frames[model.getFrameId(arm.tool_frame)]
+    site = tool_site(arm.name)
+    tool = _add_body(bodies[frame.parentJoint], site, frame.placement)  # of no mass: for the force and torque sensors
+    tool.gravcomp = 1.0
+    tool.add_site(name=site)
+    weld = spec.add_equality(name=site, type=mujoco.mjtEq.mjEQ_WELD, objtype=mujoco.mjtObj.mjOBJ_SITE)
+    weld.name1, weld.name2 = grip_site(arm.name), site
+    weld.solref, weld.solimp = options.weld_solref, options.weld_solimp
+    for kind, sensor in (("force", mujoco.mjtSensor.mjSENS_FORCE), ("torque", mujoco.mjtSensor.mjSENS_TORQUE)):
+        spec.add_sensor(name=f"{arm.name}:{kind}", type=sensor, objtype=mujoco.mjtObj.mjOBJ_SITE, objname=site)
+
+
+def _axis(arm: Arm, i: int, twist: Array) -> tuple[Array, bool]:
+    """Axis of joint ``i`` in its own frame, and whether it slides."""
+    slides, turns = np.linalg.norm(twist[:3]) > 1e-12, np.linalg.norm(twist[3:]) > 1e-12
+    if slides and turns:
+        raise ModelError(
+            f"arm '{arm.name}': joint '{arm.model.names[i]}' turns and slides at once, which the physics plant has no "
+            "joint for. Model it as a revolute or a prismatic joint."
+        )
+    return (twist[:3] if slides else twist[3:]), bool(slides)
+
+
+def _add_body(parent: Any, name: str, T: pin.SE3) -> Any:
+    return parent.add_body(name=name, pos=T.translation, quat=quaternion(T.rotation))
+
+
+def _set_inertia(body: Any, inertia: pin.Inertia) -> None:
+    body.explicitinertial = True
+    body.mass = max(inertia.mass, _LEAST_MASS)
+    body.ipos = inertia.lever
+    moments, axes = np.linalg.eigh(0.5 * (inertia.inertia + inertia.inertia.T))
+    if np.linalg.det(axes) < 0.0:
+        axes[:, 0] = -axes[:, 0]
+    body.iquat, body.inertia = quaternion(axes), np.maximum(moments, _LEAST_INERTIA)
+
+
+def _add_geom(body: Any, kind: Any, size: Any, T: pin.SE3, rgba: tuple[float, ...]) -> None:
+    full = np.zeros(3)
+    full[: len(size)] = size
+    body.add_geom(type=kind, size=full, pos=T.translation, quat=quaternion(T.rotation), rgba=rgba,
+                  contype=0, conaffinity=0, mass=0.0)  # fmt: skip
+
+
+def _add_shape(mujoco: Any, body: Any, item: pin.GeometryObject) -> None:
+    """Draw a primitive shape; others are left out."""
+    shape, kind, size = item.geometry, None, []
+    name = type(shape).__name__
+    if name == "Box":
+        kind, size = mujoco.mjtGeom.mjGEOM_BOX, list(shape.halfSide)
+    elif name == "Sphere":
+        kind, size = mujoco.mjtGeom.mjGEOM_SPHERE, [shape.radius]
+    elif name == "Cylinder":
+        kind, size = mujoco.mjtGeom.mjGEOM_CYLINDER, [shape.radius, shape.halfLength]
+    elif name == "Capsule":
+        kind, size = mujoco.mjtGeom.mjGEOM_CAPSULE, [shape.radius, shape.halfLength]
+    elif name == "Ellipsoid":
+        kind, size = mujoco.mjtGeom.mjGEOM_ELLIPSOID, list(shape.radii)
+    if kind is not None:
+        _add_geom(body, kind, size, item.placement, tuple(float(c) for c in item.meshColor))
+
+
+def quaternion(R: Array) -> Array:
+    """(w, x, y, z) of a rotation matrix, MuJoCo's order."""
+    x, y, z, w = pin.Quaternion(np.ascontiguousarray(R)).normalized().coeffs()
+    return np.array([w, x, y, z])
+
+
+def placement(position: Array, matrix: Array) -> pin.SE3:
+    """SE3 from MuJoCo's position (3,) and flat rotation matrix (9,)."""
+    return pin.SE3(np.array(matrix, dtype=float).reshape(3, 3), np.array(position, dtype=float))

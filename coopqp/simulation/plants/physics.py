@@ -1,0 +1,362 @@
+"""The physics plant: the cell in MuJoCo, driven by position servos, the object a body with mass welded to the tools.
+
+The object is rigid and so are links and welds (nearly): a command that does not fit the grasp bends the servos and
+presses the object, and the forces at the grasps can be read. They scale with the servos' stiffness, so quote it.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Any, final
+
+import numpy as np
+import pinocchio as pin
+
+from coopqp.checks import as_scalar, as_vector
+from coopqp.control.command import ControlStep
+from coopqp.errors import CoopqpError, InvalidInputError
+from coopqp.model.cell import RobotCell
+from coopqp.model.grasp import Grasp
+from coopqp.model.state import CellState
+from coopqp.simulation.plants.disturbances import Disturbances
+from coopqp.simulation.plants.encoders import Encoders
+from coopqp.simulation.plants.mujoco_model import (
+    OBJECT,
+    build_spec,
+    compile_spec,
+    grip_site,
+    placement,
+    quaternion,
+    require_mujoco,
+    tool_site,
+)
+from coopqp.simulation.plants.physics_options import PhysicsOptions
+from coopqp.simulation.plants.targets import JointTargets
+from coopqp.spatial import Array, Placement, as_placement
+from coopqp.task.path import TimeLaw
+
+if TYPE_CHECKING:
+    from coopqp.task.scenario import Scenario
+
+__all__ = ["PhysicsError", "PhysicsOptions", "PhysicsPlant"]
+
+
+class PhysicsError(CoopqpError):
+    """The engine diverged: positions are no longer finite."""
+
+
+@final
+class PhysicsPlant:
+    """A cell and the object it holds, in MuJoCo. Needs the extra ``mujoco``.
+
+    A command is executed in ``ceil(dt / timestep)`` equal steps of the engine, so it always ends exactly when the
+    next one begins, whatever its ``dt``; one that is shorter than the time step makes the engine's step shorter.
+
+    Args:
+        cell: the arms as the controller knows them.
+        grasp: how they hold the object, likewise.
+        object_size: full side lengths of the box [m].
+        object_mass: [kg].
+        T_object_body: placement of the box's centre in the object frame (identity by default).
+        real_grasp: where the tools really are on the object, if not where ``grasp`` says
+            (:func:`coopqp.simulation.plants.disturbances.misplaced`).
+        options: servos and engine.
+        disturbances: as for :class:`coopqp.simulation.plants.disturbed.DisturbedPlant`; the servos' targets
+            lag or stall, the bases are where the engine has them.
+
+    Attributes:
+        stiffness: kp of the servos (nv,) [N·m/rad or N/m].
+        time: since the last reset, settling excluded [s].
+        mj_model, mj_data: MuJoCo's own, for viewers and readings that are not offered here.
+
+    Raises:
+        MissingExtraError: mujoco is not installed.
+        ModelError: an arm that the engine has no model for.
+        InvalidInputError, UnknownNameError: bad settings.
+    """
+
+    def __init__(
+        self,
+        cell: RobotCell,
+        grasp: Grasp,
+        *,
+        object_size: tuple[float, float, float],
+        object_mass: float,
+        T_object_body: Placement | None = None,
+        real_grasp: Grasp | None = None,
+        options: PhysicsOptions | None = None,
+        disturbances: Disturbances | None = None,
+    ) -> None:
+        mujoco = require_mujoco()
+        grasp.check_arms(cell)
+        self._mujoco = mujoco
+        self.cell, self.grasp = cell, grasp
+        self.options = options or PhysicsOptions()
+        self.disturbances = disturbances or Disturbances()
+        self._real_grasp = grasp if real_grasp is None else real_grasp
+        self._real_grasp.check_arms(cell)
+        size = as_vector(object_size, 3, "PhysicsPlant: object_size")
+        if not (size > 0.0).all():
+            raise InvalidInputError(f"{size.tolist()} must be > 0", "PhysicsPlant: object_size", "Give lengths [m].")
+        self.object_mass = as_scalar(object_mass, "PhysicsPlant: object_mass")
+        self.T_object_body = (
+            pin.SE3.Identity() if T_object_body is None else as_placement(T_object_body, "PhysicsPlant: T_object_body")
+        )
+        servos = self.options.servos(cell)
+        self.stiffness = servos.stiffness
+        self._lead = servos.damping / servos.stiffness if self.options.velocity_feed_forward else np.zeros(cell.nv)
+        self._load = self._load_wrenches()
+        self._spec = build_spec(
+            cell,
+            grasp,
+            object_size=size,
+            object_mass=self.object_mass,
+            T_object_body=self.T_object_body,
+            servos=servos,
+            options=self.options,
+            base_offset={
+                cell.arm_names[cell.index(k)]: as_placement(T, "base_offset")
+                for k, T in self.disturbances.base_offset.items()
+            },
+        )
+        self.mj_model = compile_spec(self._spec)
+        self.mj_data = mujoco.MjData(self.mj_model)
+        self._index()
+        self._targets = JointTargets(
+            cell,
+            interpolation=self.options.interpolation,
+            lag=self.disturbances.lag,
+            stall=self.disturbances.stall,
+        )
+        self._encoders = Encoders(cell, self.disturbances)
+        self.time, self._fresh = 0.0, False
+        self._torque = np.zeros(cell.nv)
+
+    @staticmethod
+    def of(
+        scenario: Scenario,
+        *,
+        real_grasp: Grasp | None = None,
+        options: PhysicsOptions | None = None,
+        disturbances: Disturbances | None = None,
+    ) -> PhysicsPlant:
+        """The plant of a scenario: its cell, grasp and object."""
+        return PhysicsPlant(
+            scenario.cell,
+            scenario.grasp,
+            object_size=scenario.object_size,
+            object_mass=scenario.object_mass,
+            T_object_body=scenario.T_object_body,
+            real_grasp=real_grasp,
+            options=options,
+            disturbances=disturbances,
+        )
+
+    # -- the plant -----------------------------------------------------------------------------------------------
+
+    def reset(self, q: Any) -> Array:
+        """Command ``q`` (nq,), close the grips and settle for ``options.settle``; return the measured configuration.
+
+        With grip points that do not fit (offsets, ``grips="grasp"``) the arms are pulled to them against their
+        servos, and the measured configuration shows it: :meth:`coopqp.Grasp.from_configuration` latches on that.
+        Within ``options.hand_over`` the servos are then led to the measured configuration, where a controller
+        starts. What is returned is free of noise: of arms at rest, it averages out.
+        """
+        start = self.cell.check_configuration(q, "PhysicsPlant.reset")
+        m, d = self.mj_model, self.mj_data
+        self._mujoco.mj_resetData(m, d)
+        x = self.cell.positions(start)
+        d.qpos[self._q_at] = x
+        self._mujoco.mj_kinematics(m, d)
+        self._grip([self._site(s) for s in self._tool_sites])
+        self.time = 0.0
+        h = m.opt.timestep = self.options.timestep
+        still, torque = np.zeros(self.cell.nv), self._load_torque(start)
+        self._command(x, still, torque)
+        for _ in range(round(self.options.settle / h)):
+            self._mujoco.mj_step(m, d)
+        measured = self._configuration()
+        self._encoders.reset(measured)
+        self._torque = self._load_torque(measured)
+        n, way = round(self.options.hand_over / h), pin.difference(self.cell.model, start, measured)
+        for i in range(2 * n):
+            u = TimeLaw.QUINTIC.value_at((i + 1) / n)  # there in half the steps, at rest in the other half
+            self._command(x + u * way, still, torque + u * (self._torque - torque))
+            self._mujoco.mj_step(m, d)
+        self._targets.reset(measured if n else start)
+        return measured
+
+    def apply(self, step: ControlStep) -> Array:
+        """Drive the joints to ``step.q_next`` in ``step.dt``; return the measured configuration (nq,) at its end."""
+        dt = as_scalar(step.dt, "PhysicsPlant.apply: step.dt")
+        q_next = self.cell.check_configuration(step.q_next, "PhysicsPlant.apply: step.q_next")
+        m, d, targets = self.mj_model, self.mj_data, self._targets
+        targets.push(q_next, dt)
+        before, after = self._torque, self._load_torque(q_next)
+        n = max(1, math.ceil(dt / self.options.timestep - 1e-9))
+        h = m.opt.timestep = dt / n
+        for i in range(n):
+            x, v = targets.at(self.time + i * h)
+            self._command(x, v, before + (i / n) * (after - before))
+            self._mujoco.mj_step(m, d)
+        self.time = targets.end
+        self._command(*targets.at(self.time), after)  # so that what is read now belongs to now
+        self._torque = after
+        return self._encoders.read(self._configuration(), dt)
+
+    def period(self, nominal: float) -> float:
+        """Length of the next step [s] with the disturbances' jitter, for a loop that hands it to the controller."""
+        return self._encoders.period(nominal)
+
+    def release(self) -> None:
+        """Open all grips until the next reset: the object falls."""
+        self.mj_data.eq_active[self._welds] = 0
+        self._fresh = False
+
+    # -- readings ------------------------------------------------------------------------------------------------
+
+    def wrenches(self) -> Array:
+        """What each arm does to the object now, (N, 6) [N, N·m]: at the object frame's origin, in its axes.
+
+        Read from the weld constraints; zero of an open grip. See :func:`coopqp.forces.stress.at_tools`.
+        """
+        m, d = self.mj_model, self.mj_data
+        self._refresh()
+        R = d.xmat[self._object].reshape(3, 3)
+        J = d.efc_J.reshape(d.nefc, m.nv)[:, self._object_dofs]
+        equality = d.efc_type == self._mujoco.mjtConstraint.mjCNSTR_EQUALITY
+        out = np.zeros((len(self.cell), 6))
+        for k, weld in enumerate(self._welds):
+            rows = equality & (d.efc_id == weld)
+            generalized = J[rows].T @ d.efc_force[rows]  # force in the world's axes, torque in the body's
+            out[k, :3], out[k, 3:] = R.T @ generalized[:3], generalized[3:]
+        return out
+
+    def sensed_wrenches(self) -> Array:
+        """The same, from force and torque sensors at the tools: at each tool's origin, in its axes, (N, 6).
+
+        Before version 4 the engine's torque sensors misread welds under load; the forces are right.
+        """
+        self._refresh()
+        d = self.mj_data
+        return np.array([d.sensordata[[*range(f, f + 3), *range(t, t + 3)]] for f, t in self._sensors])
+
+    @property
+    def servo_torques(self) -> Array:
+        """What the servos do now, (nv,) [N·m or N]; what is fed forward (gravity, load) comes on top."""
+        self._refresh()
+        return np.array(self.mj_data.actuator_force[self._actuators])
+
+    @property
+    def T_world_object(self) -> pin.SE3:
+        """Where the object really is."""
+        self._refresh()
+        return placement(self.mj_data.xpos[self._object], self.mj_data.xmat[self._object])
+
+    @property
+    def T_world_tool(self) -> tuple[pin.SE3, ...]:
+        """Where the tools really are."""
+        self._refresh()
+        return tuple(self._site(s) for s in self._tool_sites)
+
+    @property
+    def positions(self) -> Array:
+        """Where the joints really are, without noise (nv,) [rad or m]; continuous ones counted on beyond ±π."""
+        return np.array(self.mj_data.qpos[self._q_at])
+
+    def xml(self) -> str:
+        """The model as MJCF text, as it was built (grips are placed at reset)."""
+        return str(self._spec.to_xml())
+
+    # -- inside --------------------------------------------------------------------------------------------------
+
+    def _index(self) -> None:
+        """Where things stand in MuJoCo's arrays."""
+        m, names = self.mj_model, self.cell.arm_names
+        joints = [m.joint(name) for name in self.cell.joint_names]
+        self._q_at = np.array([j.qposadr[0] for j in joints])
+        self._v_at = np.array([j.dofadr[0] for j in joints])
+        self._actuators = np.array([m.actuator(name).id for name in self.cell.joint_names])
+        self._tool_sites = [m.site(tool_site(name)).id for name in names]
+        self._grip_sites = [m.site(grip_site(name)).id for name in names]
+        self._welds = np.array([m.equality(tool_site(name)).id for name in names])
+        self._sensors = [(m.sensor(f"{name}:force").adr[0], m.sensor(f"{name}:torque").adr[0]) for name in names]
+        self._object = m.body(OBJECT).id
+        free = m.joint(OBJECT)
+        self._object_q = slice(free.qposadr[0], free.qposadr[0] + 7)
+        self._object_dofs = slice(free.dofadr[0], free.dofadr[0] + 6)
+
+    def _grip(self, tools: list[pin.SE3]) -> None:
+        """Put the object where the first arm carries it, and the grip points where the welds shall hold."""
+        m, d, real = self.mj_model, self.mj_data, list(self._real_grasp.T_object_tool)
+        O = tools[0] * real[0].inverse()
+        if self.options.grips == "where they are":
+            real = [O.actInv(T) for T in tools]
+        d.qpos[self._object_q] = [*O.translation, *quaternion(O.rotation)]
+        for s, X in zip(self._grip_sites, real, strict=True):
+            m.site_pos[s], m.site_quat[s] = X.translation, quaternion(X.rotation)
+            m.site_sameframe[s] = self._mujoco.mjtSameFrame.mjSAMEFRAME_NONE  # or its place may be ignored
+
+    def _load_wrenches(self) -> Array:
+        """Force and torque at each grasp that carry the object's weight: (N, 6), force in the world's axes.
+
+        The torque is the lever (3,) in the object's axes that, times the weight, the shares leave unbalanced.
+        """
+        options, n = self.options, len(self.cell)
+        points = np.array([X.translation for X in self.grasp.T_object_tool])
+        centre = self.T_object_body.translation
+        if options.load_shares is None:
+            system = np.vstack([np.ones(n), (points - centre).T])
+            shares = np.linalg.lstsq(system, np.array([1.0, 0.0, 0.0, 0.0]), rcond=1e-9)[0]
+            total = float(shares.sum())
+            shares = shares / total if abs(total) > 1e-6 else np.full(n, 1.0 / n)
+        else:
+            shares = as_vector(options.load_shares, n, "PhysicsOptions: load_shares")
+            if abs(float(shares.sum()) - 1.0) > 1e-9:
+                raise InvalidInputError(
+                    f"load_shares {shares.tolist()} do not sum to 1", "PhysicsOptions", "Give shares of the weight."
+                )
+        lever = centre - shares @ points
+        weight = -self.object_mass * np.array(options.gravity)
+        return np.array([np.concatenate([share * weight, lever / n]) for share in shares])
+
+    def _load_torque(self, q: Array) -> Array:
+        """Feed-forward Jᵀf of the object's weight at ``q``, (nv,), with the cell and grasp that the model knows."""
+        out = np.zeros(self.cell.nv)
+        if not self.options.load_feed_forward:
+            return out
+        state = CellState(self.cell, q)
+        weight = -self.object_mass * np.array(self.options.gravity)
+        R_object = (state.T_world_tool[0] * self.grasp.T_object_tool[0].inverse()).rotation
+        for k, s in enumerate(self.cell.v_slices):
+            moment = np.cross(R_object @ self._load[k, 3:], weight)
+            wrench = np.concatenate([self._load[k, :3], moment])
+            out[s] = state.jacobian(k, pin.LOCAL_WORLD_ALIGNED).T @ wrench
+        return out
+
+    def _command(self, x: Array, v: Array, torque: Array) -> None:
+        self.mj_data.ctrl[self._actuators] = x + self._lead * v
+        self.mj_data.qfrc_applied[self._v_at] = torque
+        self._fresh = False
+
+    def _configuration(self) -> Array:
+        """Where the joints really are (nq,)."""
+        x = self.positions
+        if not np.isfinite(x).all():
+            raise PhysicsError(
+                f"the engine diverged at {self.time:.3f} s: its positions are not finite. Check the command, or lower "
+                "the servos' stiffness or the time step."
+            )
+        return self.cell.configuration(x)
+
+    def _site(self, site: int) -> pin.SE3:
+        return placement(self.mj_data.site_xpos[site], self.mj_data.site_xmat[site])
+
+    def _refresh(self) -> None:
+        """Evaluate the engine at the present state and command, without changing what it does next."""
+        if self._fresh:
+            return
+        start = self.mj_data.qacc_warmstart.copy()
+        self._mujoco.mj_forward(self.mj_model, self.mj_data)
+        self.mj_data.qacc_warmstart[:] = start
+        self._fresh = True

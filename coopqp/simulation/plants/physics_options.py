@@ -1,0 +1,139 @@
+"""Settings of the physics plant: the servos and the engine."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+import pinocchio as pin
+
+from coopqp.checks import NOT_NUMBERS, as_count, as_floats, as_vector, keep_scalars, read_only
+from coopqp.errors import InvalidInputError, UnknownNameError
+from coopqp.model.cell import RobotCell
+from coopqp.spatial import Array
+
+Interpolation = Literal["linear", "cubic"]
+GripPoints = Literal["grasp", "where they are"]
+
+#: Servos of a large six-joint arm, base to wrist: an assumption, since no maker publishes them. Forces scale with kp.
+STIFFNESS = (1e5, 1e5, 5e4, 1e4, 1e4, 5e3)  # kp [N·m/rad]
+DAMPING = (3160.0, 3160.0, 1265.0, 167.0, 167.0, 71.0)  # kd [N·m·s/rad]
+ARMATURE = (5.0, 5.0, 3.0, 0.5, 0.5, 0.2)  # [kg·m²]
+#: Servos of prismatic joints: kp [N/m], kd [N·s/m], moved mass of the drive [kg].
+PRISMATIC_SERVO = (1e6, 2e4, 20.0)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class PhysicsOptions:
+    """How the servos and the engine are set.
+
+    Attributes:
+        timestep: longest step of the engine [s]. A command of ``dt`` is executed in ``ceil(dt / timestep)`` equal
+            steps, so commands need not be a multiple of it, nor longer than it.
+        settle: time that a reset holds the start, for the welds and servos to come to rest [s].
+        hand_over: time in which the servos are then led to the measured configuration, and the same time to come to
+            rest there [s]: a controller starts there, and a jump of its first command would be a blow. 0: not at all.
+        stiffness: kp of the joint servos [N·m/rad or N/m]; a scalar, one per joint (nv,), or None for the defaults.
+        damping: kd [N·m·s/rad or N·s/m], likewise.
+        armature: inertia of the drives at the joints [kg·m² or kg], likewise.
+        interpolation: of the joint targets at the engine's rate, within a command. ``"cubic"`` has a continuous
+            velocity; it is causal, so a velocity jump overshoots by up to half of it within one command.
+        velocity_feed_forward: servos get the target's velocity too; without it they lag by kd/kp times it.
+        gravity_compensation: the drives carry the arms' own weight.
+        load_feed_forward: the drives carry the object's weight, Jᵀf with each arm's share.
+        load_shares: share of the object's weight per arm (N,), summing to 1; by default the least ones whose
+            moments balance.
+        gravity: [m/s²].
+        grips: where the welds hold: ``"grasp"`` at the placements of the grasp (the object has its own grip points);
+            ``"where they are"`` at the placements that the tools have at reset (the object gives no way).
+        weld_solref, weld_solimp: the engine's weld parameters. Its defaults stretch by 0.36 mm under these loads.
+        tolerance, iterations: of the engine's Newton solver.
+    """
+
+    timestep: float = 1e-3
+    settle: float = 1.0
+    hand_over: float = 0.25
+    stiffness: Any = None
+    damping: Any = None
+    armature: Any = None
+    interpolation: Interpolation = "cubic"
+    velocity_feed_forward: bool = True
+    gravity_compensation: bool = True
+    load_feed_forward: bool = True
+    load_shares: tuple[float, ...] | None = None
+    gravity: tuple[float, float, float] = (0.0, 0.0, -9.81)
+    grips: GripPoints = "grasp"
+    weld_solref: tuple[float, float] = (0.004, 1.0)
+    weld_solimp: tuple[float, float, float, float, float] = (0.9999, 0.9999, 0.001, 0.5, 2.0)
+    tolerance: float = 1e-12
+    iterations: int = 100
+
+    def __post_init__(self) -> None:
+        where = "PhysicsOptions"
+        keep_scalars(self, "timestep", high=0.1)
+        keep_scalars(self, "settle", "hand_over", open_low=False)
+        keep_scalars(self, "tolerance")
+        for name, size in (("gravity", 3), ("weld_solref", 2), ("weld_solimp", 5)):
+            object.__setattr__(self, name, tuple(as_vector(getattr(self, name), size, f"{where}: {name}").tolist()))
+        if self.interpolation not in ("linear", "cubic"):
+            raise UnknownNameError("interpolation", str(self.interpolation), ("linear", "cubic"), where)
+        if self.grips not in ("grasp", "where they are"):
+            raise UnknownNameError("place to grip", str(self.grips), ("grasp", "where they are"), where)
+        object.__setattr__(self, "iterations", as_count(self.iterations, f"{where}: iterations"))
+
+    def servos(self, cell: RobotCell) -> Servos:
+        """The servos of a cell's joints.
+
+        Raises:
+            InvalidInputError: wrong shape, or a number that is not positive (0 is a valid armature).
+        """
+        default = np.concatenate([_default_servos(arm.model) for arm in cell.arms], axis=1)
+        given = (self.stiffness, self.damping, self.armature)
+        rows = []
+        for i, (name, value) in enumerate(zip(("stiffness", "damping", "armature"), given, strict=True)):
+            row = default[i] if value is None else _one_per_joint(value, cell.nv, f"PhysicsOptions: {name}")
+            if (row < 0.0).any() or (i < 2 and (row == 0.0).any()):
+                raise InvalidInputError(f"{row.tolist()} must be > 0", f"PhysicsOptions: {name}", "Correct its sign.")
+            rows.append(read_only(row))
+        return Servos(*rows)
+
+
+@dataclass(frozen=True, eq=False)
+class Servos:
+    """kp, kd and armature, (nv,) each; units as in :class:`PhysicsOptions`."""
+
+    stiffness: Array
+    damping: Array
+    armature: Array
+
+
+def joint_axes(model: pin.Model) -> Array:
+    """Unit twist of each joint of an arm in its own frame, (nv, 6): [axis; 0] if it slides, [0; axis] if it turns."""
+    data = model.createData()
+    pin.computeJointJacobians(model, data, pin.neutral(model))
+    out = np.empty((model.nv, 6))
+    for i in range(1, model.njoints):
+        column = model.joints[i].idx_v
+        out[column] = np.asarray(pin.getJointJacobian(model, data, i, pin.LOCAL)).reshape(6, -1)[:, column]
+    return out
+
+
+def _default_servos(model: pin.Model) -> Array:
+    """kp, kd, armature (3, nv) of an arm: the six-joint table, stretched along the chain for other counts."""
+    n = model.nv
+    place = np.linspace(0.0, 5.0, n) if n > 1 else np.zeros(1)
+    below = np.minimum(place.astype(int), 4)
+    share, table = place - below, np.array([STIFFNESS, DAMPING, ARMATURE])
+    values = table[:, below] ** (1.0 - share) * table[:, below + 1] ** share
+    slides = ~joint_axes(model)[:, 3:].any(axis=1)
+    values[:, slides] = np.array(PRISMATIC_SERVO)[:, None]
+    return np.asarray(values)
+
+
+def _one_per_joint(value: Any, n: int, where: str) -> Array:
+    try:
+        full = np.broadcast_to(as_floats(value), (n,))
+    except NOT_NUMBERS as error:
+        raise InvalidInputError("cannot be read as numbers", where, f"Give one number or {n}.") from error
+    return as_vector(full, n, where)

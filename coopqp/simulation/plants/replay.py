@@ -1,0 +1,143 @@
+"""Play a known joint motion on a plant: a recording at another rate or time law, or the exact inverse kinematics."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any, final
+
+import numpy as np
+import pinocchio as pin
+
+from coopqp.checks import as_scalar
+from coopqp.control.command import ControlStep, Status
+from coopqp.errors import InvalidInputError
+from coopqp.model.cell import RobotCell
+from coopqp.model.chain import Chain
+from coopqp.model.grasp import Grasp
+from coopqp.model.inverse_kinematics import inverse_kinematics, newton
+from coopqp.simulation.plants.physics_options import Interpolation
+from coopqp.spatial import Array
+from coopqp.task.path import ObjectPath, TimeLaw, as_time_law
+
+if TYPE_CHECKING:
+    from coopqp.simulation.simulate import Recording
+
+#: From the object's clock [s] to a configuration (nq,).
+Motion = Callable[[float], Array]
+
+
+@final
+class Replay:
+    """A :class:`~coopqp.control.command.Controller` that commands a motion q(τ) known ahead, open loop.
+
+    With ``time_law="quintic"`` the clock τ is warped: the same configurations are passed, starting and ending at rest.
+
+    Args:
+        cell, grasp, path: of the motion; the path's duration is that of the replay.
+        motion: configuration (nq,) at a clock τ in [0, duration].
+        dt: length of a step [s].
+        time_law: clock over time: ``"linear"`` is as recorded.
+    """
+
+    def __init__(
+        self,
+        cell: RobotCell,
+        grasp: Grasp,
+        path: ObjectPath,
+        motion: Motion,
+        *,
+        dt: float,
+        time_law: TimeLaw | str = TimeLaw.LINEAR,
+    ) -> None:
+        grasp.check_arms(cell)
+        self.cell, self.grasp, self.path = cell, grasp, path
+        self.dt, self.time_law = as_scalar(dt, "Replay: dt"), as_time_law(time_law)
+        self._motion = motion
+        self._time, self._q = 0.0, np.asarray(motion(0.0), dtype=float)
+
+    def reset(self, q: Any) -> None:
+        """Start over; the motion starts where it starts, wherever ``q`` (nq,) is."""
+        self.cell.check_configuration(q, "Replay.reset")
+        self._time, self._q = 0.0, np.asarray(self._motion(0.0), dtype=float)
+
+    def step(self, q_measured: Any = None, *, dt: float | None = None) -> ControlStep:
+        """The next piece of the motion; ``q_measured`` is not used."""
+        h = self.dt if dt is None else as_scalar(dt, "Replay.step: dt")
+        before = self._clock(self._time)
+        self._time += h
+        after = self._clock(self._time)
+        q, q_next = self._q, np.asarray(self._motion(after), dtype=float)
+        self._q = q_next
+        return ControlStep(
+            cell=self.cell,
+            grasp=self.grasp,
+            path=self.path,
+            q=q,
+            velocity=pin.difference(self.cell.model, q, q_next) / h,
+            q_next=q_next,
+            dt=h,
+            clock=before,
+            clock_next=after,
+            rate=1.0,
+            status=Status.TRACKING,
+        )
+
+    def _clock(self, time: float) -> float:
+        T = self.path.duration
+        return T if T - time < 1e-9 * T else T * self.time_law.value_at(time / T)
+
+
+def recorded_motion(cell: RobotCell, recording: Recording, *, interpolation: Interpolation = "cubic") -> Motion:
+    """q(τ) of a recording's commands over the object's clock.
+
+    ``"cubic"`` is the piecewise cubic through the commands, slopes by central differences (continuous velocity).
+
+    Raises:
+        InvalidInputError: the clock does not advance, so that q is no function of it.
+    """
+    clock = np.asarray(recording.clock)
+    moves = np.concatenate([[True], np.diff(clock) > 0.0])  # what was commanded at rest is left out
+    knots, q = clock[moves], np.asarray(recording.q_command)[moves]
+    if len(knots) < 2:
+        raise InvalidInputError("the clock never advances", "recorded_motion", "Give a recording that moves.")
+    spans = np.diff(knots)
+    means = np.array([pin.difference(cell.model, a, b) for a, b in itertools.pairwise(q)]) / spans[:, None]
+    slopes = np.empty((len(knots), cell.nv))
+    if len(knots) > 2:
+        share = (spans[:-1] / (spans[:-1] + spans[1:]))[:, None]
+        slopes[1:-1] = (1.0 - share) * means[:-1] + share * means[1:]
+        slopes[0], slopes[-1] = 2.0 * means[0] - slopes[1], 2.0 * means[-1] - slopes[-2]
+    else:
+        slopes[:] = means
+
+    def motion(tau: float) -> Array:
+        i = int(np.clip(np.searchsorted(knots, tau, side="right") - 1, 0, len(spans) - 1))
+        h = spans[i]
+        s = float(np.clip((tau - knots[i]) / h, 0.0, 1.0))
+        step = s * h * means[i]
+        if interpolation == "cubic":
+            step = step + h * s * (1.0 - s) * ((1.0 - s) * (slopes[i] - means[i]) - s * (slopes[i + 1] - means[i]))
+        return np.asarray(pin.integrate(cell.model, q[i], step))
+
+    return motion
+
+
+def exact_motion(cell: RobotCell, grasp: Grasp, path: ObjectPath, q_start: Any) -> Motion:
+    """q(τ) by inverse kinematics of the path's pose at every τ asked for, each from the last answer.
+
+    The motion raises UnreachableError where an arm does not reach its grasp.
+    """
+    start = cell.check_configuration(q_start, "exact_motion: q_start")
+    chain, last = Chain(cell, grasp), start
+
+    def motion(tau: float) -> Array:
+        nonlocal last
+        pose = path.pose(tau)
+        q, errors = newton(chain, pose, start if tau <= 0.0 else last, tolerance=1e-12, max_iter=20)
+        if not np.abs(errors).max() <= 1e-9:
+            q = inverse_kinematics(cell, grasp, pose, last)  # tries longer, and says which arm does not reach
+        last = q
+        return q
+
+    return motion

@@ -1,0 +1,106 @@
+"""Joint targets as the servos receive them: interpolated between commands, lagging or stalled where asked."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import final
+
+import numpy as np
+import pinocchio as pin
+
+from coopqp.model.cell import RobotCell
+from coopqp.simulation.plants.physics_options import Interpolation
+from coopqp.spatial import Array
+
+#: Times closer than this are the same [s].
+_SAME_TIME = 1e-12
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class _Segment:
+    """One command: from a position and velocity at ``start`` to those at ``end`` (a cubic, or a line)."""
+
+    start: float
+    end: float
+    x0: Array
+    v0: Array
+    x1: Array
+    v1: Array
+    straight: bool
+
+    def at(self, t: float) -> tuple[Array, Array]:
+        """Position and velocity at ``t``; the last position at rest after the end."""
+        h = self.end - self.start
+        if t > self.end + 1e-6 * h:
+            return self.x1, np.zeros_like(self.x1)
+        s = min(max((t - self.start) / h, 0.0), 1.0)
+        way = self.x1 - self.x0
+        if self.straight:
+            return self.x0 + s * way, way / h
+        bend, twist = self.v0 - way / h, self.v1 - way / h
+        x = self.x0 + s * way + h * s * (1.0 - s) * ((1.0 - s) * bend - s * twist)
+        v = way / h + (1.0 - s) * (1.0 - 3.0 * s) * bend + s * (3.0 * s - 2.0) * twist
+        return x, v
+
+
+@final
+class JointTargets:
+    """Positions and velocities (nv,) over time, from commands that arrive one by one.
+
+    Positions are one per joint [rad or m], those of continuous joints counted on beyond ±π.
+
+    A cubic segment takes over the velocity that the last one ended with and ends with the velocity that the mean
+    velocities of both extrapolate to: smooth commands are met to third order, without knowing the next one.
+    """
+
+    def __init__(
+        self, cell: RobotCell, *, interpolation: Interpolation, lag: Mapping[str, float], stall: Mapping[str, float]
+    ) -> None:
+        self._cell, self._straight = cell, interpolation == "linear"
+        self._lag = [(cell.v_slices[cell.index(name)], tau) for name, tau in lag.items() if tau > 0.0]
+        self._stall = [(cell.v_slices[cell.index(name)], time) for name, time in stall.items()]
+        self.reset(pin.neutral(cell.model))
+
+    def reset(self, q: Array) -> None:
+        """Rest at the configuration ``q`` (nq,), time 0."""
+        self._q = np.array(q)
+        x = self._cell.positions(self._q)
+        zero = np.zeros_like(x)
+        self._segment = _Segment(-1.0, 0.0, x, zero, x, zero, True)
+        self._mean, self._span = zero, 1.0
+        self._lagged, self._last_time = x.copy(), 0.0
+        self._frozen: dict[int, Array] = {}
+
+    @property
+    def end(self) -> float:
+        """Time at which the last command ends [s]."""
+        return self._segment.end
+
+    def push(self, q_next: Array, dt: float) -> None:
+        """The next command: be at ``q_next`` (nq,) in ``dt`` seconds."""
+        last = self._segment
+        # From where the last target ended: also where a controller starts elsewhere (at the measured configuration).
+        way = pin.difference(self._cell.model, self._q, q_next)
+        mean = way / dt
+        slope = (mean - self._mean) / (0.5 * (dt + self._span))
+        self._segment = _Segment(
+            last.end, last.end + dt, last.x1, last.v1, last.x1 + way, mean + 0.5 * dt * slope, self._straight
+        )
+        self._mean, self._span, self._q = mean, dt, np.array(q_next)
+
+    def at(self, t: float) -> tuple[Array, Array]:
+        """Targets at ``t`` [s] within the last command, never before a time asked for: position, velocity (nv,)."""
+        x, v = self._segment.at(t)
+        if self._lag or self._stall:
+            x, v = x.copy(), v.copy()
+        passed, self._last_time = t - self._last_time, t
+        for s, tau in self._lag:
+            self._lagged[s] += (x[s] - self._lagged[s]) * -np.expm1(-passed / tau)
+            v[s] = (x[s] - self._lagged[s]) / tau
+            x[s] = self._lagged[s]
+        for s, time in self._stall:
+            if t >= time - _SAME_TIME:
+                x[s] = self._frozen.setdefault(s.start, x[s].copy())
+                v[s] = 0.0
+        return x, v

@@ -1,0 +1,1 @@
+"""What the object should do: paths, whose error counts, posture."""

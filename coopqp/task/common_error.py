@@ -1,0 +1,75 @@
+"""Whose view of the object is the object's: the weights of the common error ``ē = Σ_k W_k e_k``."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, final
+
+import numpy as np
+
+from coopqp.checks import NOT_NUMBERS, as_floats
+from coopqp.errors import InvalidInputError
+from coopqp.model.cell import RobotCell
+from coopqp.spatial import Array
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class CommonError:
+    """Diagonal weights of the arms' errors, per axis of the object frame; they sum to 1 on every axis.
+
+    Build it with :meth:`master`, :meth:`leaderless`, :meth:`driver` or :meth:`per_axis`.
+    """
+
+    kind: str
+    arms: tuple[str | int, ...] = ()
+    weights: Any = None
+
+    @staticmethod
+    def master(arm: str | int = 0) -> CommonError:
+        """Master–slave: the object is where the master carries it, the others follow (the paper's mode II)."""
+        return CommonError("master", (arm,))
+
+    @staticmethod
+    def leaderless() -> CommonError:
+        """All arms count the same."""
+        return CommonError("leaderless")
+
+    @staticmethod
+    def driver(*, master: str | int, driver: str | int) -> CommonError:
+        """Master–slave–driver (the paper's mode I): the master positions the object, the driver orients it."""
+        return CommonError("driver", (master, driver))
+
+    @staticmethod
+    def per_axis(weights: Any) -> CommonError:
+        """Any weights (N, 6) ≥ 0 that sum to 1 over the arms on every axis [x, y, z, rx, ry, rz]."""
+        return CommonError("per_axis", (), weights)
+
+    def shares(self, cell: RobotCell) -> Array:
+        """The weights for a cell, shape (N, 6).
+
+        Raises:
+            UnknownNameError: no such arm. InvalidInputError: weights that do not fit.
+        """
+        n = len(cell)
+        W = np.zeros((n, 6))
+        arms = [cell.index(arm) for arm in self.arms]
+        if self.kind == "master":
+            W[arms[0]] = 1.0
+        elif self.kind == "leaderless":
+            W[:] = 1.0 / n
+        elif self.kind == "driver":
+            W[arms[0], :3] = 1.0
+            W[arms[1], 3:] = 1.0
+        else:
+            try:
+                W = as_floats(self.weights)
+            except NOT_NUMBERS as error:
+                raise InvalidInputError(f"not numbers ({error})", "CommonError.per_axis", f"Give ({n}, 6).") from error
+            if W.shape != (n, 6) or not np.all(W >= 0.0) or np.abs(W.sum(axis=0) - 1.0).max() > 1e-9:
+                raise InvalidInputError(
+                    f"weights of shape {W.shape} that are not ≥ 0 with column sums 1",
+                    "CommonError.per_axis",
+                    f"Give shape ({n}, 6), one row per arm; every column sums to 1.",
+                )
+        return W

@@ -1,0 +1,332 @@
+"""Object paths: from the object's own clock [s] to its pose and twist.
+
+The clock τ runs from 0 to the path's duration; before and after, the object rests at the ends. A controller that
+slows the object advances the clock slower than real time, so a path never runs away.
+"""
+
+from __future__ import annotations
+
+import abc
+import enum
+import math
+from bisect import bisect_right
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, final
+
+import numpy as np
+import pinocchio as pin
+
+from coopqp.checks import as_scalar, as_vector, read_only
+from coopqp.errors import InvalidInputError, UnknownNameError
+from coopqp.spatial import Array, Placement, as_placement, as_placements
+
+
+class TimeLaw(enum.Enum):
+    """How far along a segment the object is: share of the way u(x) for the share of the time x, both in [0, 1]."""
+
+    LINEAR = "linear"  #: u = x, the paper's τ = t/t_f; starts and stops with a jump of velocity
+    QUINTIC = "quintic"  #: u = 10x³ − 15x⁴ + 6x⁵; velocity and acceleration are zero at both ends
+
+    def value_at(self, x: float) -> float:
+        """u(x), clamped to [0, 1]."""
+        if x <= 0.0:
+            return 0.0
+        if x >= 1.0:
+            return 1.0
+        if x != x:
+            raise InvalidInputError("the clock is NaN", "ObjectPath", "Give a finite time [s].")
+        return x if self is TimeLaw.LINEAR else min(1.0, x * x * x * (10.0 + x * (6.0 * x - 15.0)))  # rounding
+
+    def slope_at(self, x: float) -> float:
+        """du/dx; 0 outside [0, 1)."""
+        if x < 0.0 or x >= 1.0:
+            return 0.0
+        return 1.0 if self is TimeLaw.LINEAR else 30.0 * x * x * (1.0 - x) * (1.0 - x)
+
+
+def as_time_law(value: TimeLaw | str) -> TimeLaw:
+    """A TimeLaw from its name."""
+    if isinstance(value, TimeLaw):
+        return value
+    try:
+        return TimeLaw(value)
+    except ValueError:
+        raise UnknownNameError("time law", str(value), (law.value for law in TimeLaw)) from None
+
+
+class ObjectPath(abc.ABC):
+    """A path of the object: pose and twist as functions of the object's clock τ [s]."""
+
+    duration: float  #: [s]
+    known_ahead: bool = True  #: whether poses ahead of the clock may be asked for (the preview does)
+
+    @abc.abstractmethod
+    def pose(self, clock: float) -> pin.SE3:
+        """T_world_object at ``clock`` [s], constant before 0 and after :attr:`duration`."""
+
+    @abc.abstractmethod
+    def twist(self, clock: float) -> Array:
+        """Twist of the object in its own frame, shape (6,) [m/s, rad/s]: ``dT/dτ = T · [twist]``."""
+
+    def next_breakpoint(self, clock: float) -> float:
+        """First clock after ``clock`` at which the twist jumps, the end at the latest [s]."""
+        return self.duration
+
+    def line_at(self, clock: float, span: float) -> Array | None:
+        """The straight segment that holds [clock, clock + span] as numbers (21,), None if there is none.
+
+        ``[R(0) row by row (9), p(0) (3), φ* r (3), displacement in the world (3), start [s], duration [s], time law]``
+        with time law 0 for linear and 1 for quintic: what a compiled kernel evaluates itself.
+        """
+        return None
+
+    def increment(self, clock: float, dt: float) -> Array:
+        """``log(T(τ)⁻¹ T(τ + dt)) / dt``, shape (6,): the constant twist that makes exactly one step.
+
+        Raises:
+            InvalidInputError: ``dt`` is 0, NaN or infinite.
+        """
+        if dt == 0.0 or not math.isfinite(dt):
+            raise InvalidInputError(f"dt is {dt}", "ObjectPath.increment", "Give a step [s] other than 0.")
+        return np.asarray(pin.log6(self.pose(clock).actInv(self.pose(clock + dt))).vector) / dt
+
+
+@dataclass(frozen=True, eq=False)
+class ScrewParameters:
+    """p, r, φ* of Eq. (10): how the object gets from its initial to its final placement.
+
+    Attributes:
+        p: displacement in the initial frame [m], shape (3,).
+        r: unit axis in the initial frame, shape (3,); zero when φ* = 0.
+        angle: φ* in [0, π] [rad].
+    """
+
+    p: Array
+    r: Array
+    angle: float
+
+    @staticmethod
+    def between(start: Placement, goal: Placement) -> ScrewParameters:
+        """Eq. (10) with its two repairs: r is normalised (10c has norm 2 sin φ*) and φ* comes from atan2.
+
+        At φ* = π the vector of (10c) vanishes: r is the rotation's eigenvector for eigenvalue 1 (its sign is free).
+        """
+        T0, T1 = as_placement(start, "ScrewParameters: start"), as_placement(goal, "ScrewParameters: goal")
+        R = T0.rotation.T @ T1.rotation
+        w = np.array([R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]])  # Eq. (10c)
+        sin2, cos = float(np.linalg.norm(w)), 0.5 * (float(np.trace(R)) - 1.0)
+        angle = float(np.arctan2(0.5 * sin2, cos))
+        if cos < 0.0:
+            # Towards φ* = π the skew part loses its digits; the symmetric part does not.
+            _, vectors = np.linalg.eigh(0.5 * (R + R.T))
+            r = vectors[:, 2]
+            r = -r if w @ r < 0.0 else r
+        elif sin2 < 1e-15:
+            r, angle = np.zeros(3), 0.0
+        else:
+            r = w / sin2
+        return ScrewParameters(T0.rotation.T @ (T1.translation - T0.translation), r, angle)
+
+
+@final
+class LinePath(ObjectPath):
+    """The paper's motion, Eqs. (7)–(9): the origin moves on a straight line while the object turns about a fixed axis.
+
+    ``T(τ) = T(0) M(τ)``, ``M = [Rot(r, u φ*), u p]``, u the time law.
+
+    Args:
+        start, goal: placements of the object in the world.
+        duration: t_f [s].
+        time_law: ``"linear"`` (the paper's) or ``"quintic"``.
+    """
+
+    def __init__(
+        self, start: Placement, goal: Placement, *, duration: float, time_law: TimeLaw | str = TimeLaw.QUINTIC
+    ) -> None:
+        self.duration = as_scalar(duration, "LinePath: duration")
+        self.time_law = as_time_law(time_law)
+        self.start, self.goal = as_placement(start, "LinePath: start"), as_placement(goal, "LinePath: goal")
+        self.screw = ScrewParameters.between(self.start, self.goal)
+        self._R0, self._p0 = self.start.rotation.copy(), self.start.translation.copy()
+        self._line = self._R0 @ self.screw.p
+        self._rotation_vector = self.screw.angle * self.screw.r
+        law = 0.0 if self.time_law is TimeLaw.LINEAR else 1.0
+        self._packed = read_only(
+            np.concatenate([self._R0.ravel(), self._p0, self._rotation_vector, self._line, [0.0, self.duration, law]])
+        )
+
+    @staticmethod
+    def displaced(
+        start: Placement,
+        *,
+        translation: Any = (0.0, 0.0, 0.0),
+        rotation: Any = (0.0, 0.0, 0.0),
+        duration: float,
+        time_law: TimeLaw | str = TimeLaw.QUINTIC,
+    ) -> LinePath:
+        """Path from ``start`` by a translation [m] and a rotation vector [rad], about the origin, in world axes."""
+        T = as_placement(start, "LinePath.displaced: start")
+        shift = as_vector(translation, 3, "LinePath.displaced: translation")
+        turn = as_vector(rotation, 3, "LinePath.displaced: rotation")
+        goal = pin.SE3(pin.exp3(turn) @ T.rotation, T.translation + shift)
+        return LinePath(T, goal, duration=duration, time_law=time_law)
+
+    def line_at(self, clock: float, span: float) -> Array | None:
+        """The path itself."""
+        return self._packed
+
+    def pose(self, clock: float) -> pin.SE3:
+        """T_world_object at ``clock`` [s], Eq. (8)."""
+        u = self.time_law.value_at(clock / self.duration)
+        return pin.SE3(self._R0.dot(pin.exp3(u * self._rotation_vector)), self._p0 + u * self._line)
+
+    def twist(self, clock: float) -> Array:
+        """Body twist [m/s, rad/s]: the axis is fixed in the body too, so the angular part is ``r φ* u′``."""
+        x = clock / self.duration
+        rate = self.time_law.slope_at(x) / self.duration
+        u = self.time_law.value_at(x)
+        R = pin.exp3(u * self._rotation_vector)
+        return np.concatenate([R.T @ self.screw.p, self._rotation_vector]) * rate
+
+
+@final
+class WaypointPath(ObjectPath):
+    """Straight segments through placements, one time law per segment.
+
+    With ``"quintic"`` the object rests at every waypoint; with ``"linear"`` it turns corners with a jump of velocity.
+
+    Args:
+        placements: at least two placements of the object in the world.
+        durations: time of each segment [s], one fewer than placements.
+        time_law: of every segment.
+    """
+
+    def __init__(
+        self,
+        placements: Sequence[Placement],
+        *,
+        durations: Sequence[float],
+        time_law: TimeLaw | str = TimeLaw.QUINTIC,
+    ) -> None:
+        poses = as_placements(placements, "WaypointPath: placements")
+        if not np.iterable(durations):
+            raise InvalidInputError(f"durations is {durations!r}", "WaypointPath", "Give one number per segment [s].")
+        times = tuple(as_scalar(d, f"WaypointPath: durations[{i}]") for i, d in enumerate(durations))
+        if len(poses) < 2 or len(times) != len(poses) - 1:
+            raise InvalidInputError(
+                f"{len(poses)} placements and {len(times)} durations",
+                "WaypointPath",
+                "Give at least two placements and one duration per segment.",
+            )
+        self.segments = tuple(
+            LinePath(a, b, duration=d, time_law=time_law) for a, b, d in zip(poses[:-1], poses[1:], times, strict=True)
+        )
+        self._starts = [0.0, *np.cumsum(times)[:-1].tolist()]
+        self.duration = float(np.sum(times))
+
+        self._packed = []
+        for segment, start in zip(self.segments, self._starts, strict=True):
+            packed = np.array(segment.line_at(0.0, 0.0))
+            packed[18] = start
+            self._packed.append(read_only(packed))
+
+    def line_at(self, clock: float, span: float) -> Array | None:
+        """The segment at ``clock``, if ``span`` stays in it."""
+        i = min(max(bisect_right(self._starts, clock) - 1, 0), len(self.segments) - 1)
+        last = i + 1 == len(self._starts)
+        return self._packed[i] if last or clock + span <= self._starts[i + 1] else None
+
+    def _segment(self, clock: float) -> tuple[LinePath, float]:
+        i = min(max(bisect_right(self._starts, clock) - 1, 0), len(self.segments) - 1)
+        return self.segments[i], clock - self._starts[i]
+
+    def next_breakpoint(self, clock: float) -> float:
+        """Start of the next segment [s]."""
+        i = bisect_right(self._starts, clock + 1e-9)
+        return self._starts[i] if i < len(self._starts) else self.duration
+
+    def pose(self, clock: float) -> pin.SE3:
+        """T_world_object at ``clock`` [s]."""
+        segment, local = self._segment(clock)
+        return segment.pose(local)
+
+    def twist(self, clock: float) -> Array:
+        """Body twist at ``clock`` [m/s, rad/s]."""
+        segment, local = self._segment(clock)
+        return segment.twist(local)
+
+
+@final
+class HoldPath(ObjectPath):
+    """The object rests at one pose."""
+
+    def __init__(self, T_world_object: Placement, *, duration: float = 1.0) -> None:
+        self._pose = as_placement(T_world_object, "HoldPath")
+        self.duration = as_scalar(duration, "HoldPath: duration")
+
+    def pose(self, clock: float) -> pin.SE3:
+        """The pose."""
+        return self._pose
+
+    def twist(self, clock: float) -> Array:
+        """Zero."""
+        return np.zeros(6)
+
+
+@final
+class ServoPath(ObjectPath):
+    """Follows a target that the user moves at run time, on straight lines at bounded speed.
+
+    What comes after the target is not known. Where targets are far apart, look ahead: the object then brakes ahead of
+    limits, singularities and the target itself, as on any path. Without it there is no preview: limits and a named
+    reason are promised, and under acceleration limits not the chain.
+
+    Args:
+        T_world_object: pose to start at.
+        speed, spin: of the object on its way to the target [m/s, rad/s].
+        look_ahead: preview the line to each target. It costs a fraction of a millisecond whenever the target moves,
+            and the object is always able to stop at the target: not for targets that are streamed.
+    """
+
+    def __init__(
+        self, T_world_object: Placement, *, speed: float = 0.25, spin: float = 0.5, look_ahead: bool = False
+    ) -> None:
+        self.duration = np.inf
+        self.known_ahead = bool(look_ahead)
+        self._speed, self._spin = as_scalar(speed, "ServoPath: speed"), as_scalar(spin, "ServoPath: spin")
+        pose = as_placement(T_world_object, "ServoPath")
+        self._line, self._since = LinePath(pose, pose, duration=1.0, time_law=TimeLaw.LINEAR), 0.0
+
+    def restart(self, T_world_object: Placement) -> None:
+        """Rest at ``T_world_object`` at clock 0, the target there too.
+
+        Raises:
+            InvalidInputError: not a pose; nothing changes.
+        """
+        pose = as_placement(T_world_object, "ServoPath.restart")
+        self._line, self._since = LinePath(pose, pose, duration=1.0, time_law=TimeLaw.LINEAR), 0.0
+
+    def set_target(self, T_world_object: Placement, *, clock: float) -> None:
+        """Go to ``T_world_object`` from where the object is at ``clock``.
+
+        Raises:
+            InvalidInputError: not a pose; the old target stays.
+        """
+        goal, here = as_placement(T_world_object, "ServoPath.set_target"), self.pose(clock)
+        way = ScrewParameters.between(here, goal)
+        duration = max(float(np.linalg.norm(way.p)) / self._speed, way.angle / self._spin, 1e-6)
+        self._line, self._since = LinePath(here, goal, duration=duration, time_law=TimeLaw.LINEAR), clock
+
+    def next_breakpoint(self, clock: float) -> float:
+        """Where the line ends [s]."""
+        end = self._since + self._line.duration
+        return end if clock < end - 1e-9 else self.duration
+
+    def pose(self, clock: float) -> pin.SE3:
+        """T_world_object at ``clock`` [s]."""
+        return self._line.pose(clock - self._since)
+
+    def twist(self, clock: float) -> Array:
+        """Body twist at ``clock`` [m/s, rad/s]."""
+        return self._line.twist(clock - self._since)

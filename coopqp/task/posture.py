@@ -1,0 +1,96 @@
+"""What redundant arms do with the freedom that the object leaves them: posture, centring, manipulability."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, final
+
+import numpy as np
+import pinocchio as pin
+
+from coopqp.checks import keep_scalars
+from coopqp.model.cell import RobotCell
+from coopqp.spatial import Array
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class PostureOptions:
+    """Weights of the null-space goals; all act in the null-space of the chain and never disturb it.
+
+    Attributes:
+        gain: towards ``target`` [1/s].
+        target: configuration to stay near (nq,); None for the one at reset.
+        centring: gain away from position limits, towards their middle [1/s].
+        manipulability: gain along the gradient of √det(J Jᵀ) [rad²/s]; costs a finite difference per joint.
+        speed_share: the wanted null-space velocity is kept below this share of every joint's speed.
+    """
+
+    gain: float = 1.0
+    target: Any = None
+    centring: float = 0.0
+    manipulability: float = 0.0
+    speed_share: float = 0.2
+
+    def __post_init__(self) -> None:
+        keep_scalars(self, "gain", "centring", "manipulability", open_low=False)
+        keep_scalars(self, "speed_share", high=1.0)
+
+
+@final
+class Posture:
+    """Wanted joint velocities of a cell's redundant arms (zero for the others)."""
+
+    def __init__(self, cell: RobotCell, options: PostureOptions) -> None:
+        self._cell, self._options = cell, options
+        self._redundant = np.concatenate([np.full(s.stop - s.start, s.stop - s.start > 6) for s in cell.v_slices])
+        limits = cell.limits
+        bounded = np.isfinite(limits.lower) & np.isfinite(limits.upper) & self._redundant
+        self._bounded = np.flatnonzero(bounded)
+        self._middle = 0.5 * (limits.lower[bounded] + limits.upper[bounded])
+        self._cap = options.speed_share * np.where(np.isfinite(limits.velocity), limits.velocity, 1.0)
+        self._data = cell.model.createData() if options.manipulability else None
+        target = options.target
+        self._target = None if target is None else cell.check_configuration(target, "PostureOptions: target")
+
+    def reset(self, q: Array) -> None:
+        """Take ``q`` as the target, unless one was given."""
+        if self._options.target is None:
+            self._target = q
+
+    def velocity(self, q: Array) -> Array:
+        """Wanted joint velocities (nv,) at ``q``; the caller projects them on the null-space."""
+        o, cell = self._options, self._cell
+        v = np.zeros(cell.nv)
+        if self._target is not None and o.gain:
+            v += o.gain * pin.difference(cell.model, q, self._target)
+        if o.centring:
+            v[self._bounded] += o.centring * (self._middle - cell.positions(q)[self._bounded])
+        if o.manipulability:
+            v += o.manipulability * self._manipulability_gradient(q)
+        v[~self._redundant] = 0.0
+        excess = np.abs(v / self._cap).max()
+        return v / excess if excess > 1.0 else v
+
+    def _manipulability(self, q: Array) -> Array:
+        cell, data = self._cell, self._data
+        pin.computeJointJacobians(cell.model, data, q)
+        values = []
+        for k, s in enumerate(cell.v_slices):
+            J = pin.getFrameJacobian(cell.model, data, cell.tool_frames[k], pin.LOCAL)[:, s]
+            values.append(np.sqrt(max(np.linalg.det(J @ J.T), 0.0)))
+        return np.array(values)
+
+    def _manipulability_gradient(self, q: Array, h: float = 1e-5) -> Array:
+        """d√det(J Jᵀ)/dq of each joint's own arm, by central differences."""
+        cell = self._cell
+        gradient = np.zeros(cell.nv)
+        for k, s in enumerate(cell.v_slices):
+            if s.stop - s.start <= 6:
+                continue
+            for j in range(s.start, s.stop):
+                e = np.zeros(cell.nv)
+                e[j] = h
+                up = self._manipulability(pin.integrate(cell.model, q, e))[k]
+                down = self._manipulability(pin.integrate(cell.model, q, -e))[k]
+                gradient[j] = (up - down) / (2.0 * h)
+        return gradient

@@ -1,0 +1,38 @@
+"""What a ready task consists of, and how one is put together from arms that stand around an object."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+import pinocchio as pin
+
+from coopqp.model.cell import RobotCell
+from coopqp.model.grasp import Grasp
+from coopqp.spatial import Array
+from coopqp.task.path import ObjectPath
+
+
+@dataclass(frozen=True, eq=False)
+class Scenario:
+    """A cell, what it holds, where to, and where it starts.
+
+    Attributes:
+        name: of the scenario.
+        cell, grasp, path: the task.
+        q_start: configuration (nq,) at which the arms hold the object at the start of the path.
+        dt: length of a step [s] that suits it.
+        object_size: box that stands for the object in pictures and in the physics engine [m].
+        T_object_body: placement of that box's centre in the object frame.
+        object_mass: [kg].
+    """
+
+    name: str
+    cell: RobotCell
+    grasp: Grasp
+    path: ObjectPath
+    q_start: Array
+    dt: float
+    object_size: tuple[float, float, float] = (0.1, 0.1, 0.1)
+    T_object_body: pin.SE3 = field(default_factory=lambda: pin.SE3(np.eye(3), np.zeros(3)))
+    object_mass: float = 20.0
