@@ -4,11 +4,20 @@
  * keeps them alive), a Border those of BorderArrays; their methods work on them. */
 
 #define PY_SSIZE_T_CLEAN
+#ifndef Py_LIMITED_API
 #define Py_LIMITED_API 0x030A0000
+#endif
 #include <Python.h>
 #include <math.h>
 
 #include "arithmetic.h"
+
+/* CPython passes functions as void *, which ISO C forbids and every platform with dynamic libraries allows. */
+#if defined(__GNUC__)
+#define POINTER(type, address) (__extension__(type)(address))
+#else
+#define POINTER(type, address) ((type)(address))
+#endif
 
 /* The best of the arithmetics that this processor can do. */
 static const Arithmetic *best(void) {
@@ -93,7 +102,7 @@ static int kernel_init(PyObject *self, PyObject *args, PyObject *kwargs) {
 
 static void object_dealloc(PyObject *self) {
     PyTypeObject *type = Py_TYPE(self);
-    freefunc release = (freefunc)PyType_GetSlot(type, Py_tp_free);
+    freefunc release = POINTER(freefunc, PyType_GetSlot(type, Py_tp_free));
     release(self);
     Py_DECREF(type);
 }
@@ -178,10 +187,10 @@ static PyMethodDef kernel_methods[] = {
 
 static PyType_Slot kernel_slots[] = {
     {Py_tp_doc, "Kernel(((address, bytes), ...), plain=False): the fused step over the arrays of a Workspace."},
-    {Py_tp_init, kernel_init},
-    {Py_tp_dealloc, object_dealloc},
+    {Py_tp_init, POINTER(void *, kernel_init)},
+    {Py_tp_dealloc, POINTER(void *, object_dealloc)},
     {Py_tp_methods, kernel_methods},
-    {Py_tp_new, PyType_GenericNew},
+    {Py_tp_new, POINTER(void *, PyType_GenericNew)},
     {0, NULL},
 };
 
@@ -194,10 +203,10 @@ static PyMethodDef border_methods[] = {
 
 static PyType_Slot border_slots[] = {
     {Py_tp_doc, "Border(((address, bytes), ...), caps_speed, plain=False): the bounds of one border of the preview."},
-    {Py_tp_init, border_init},
-    {Py_tp_dealloc, object_dealloc},
+    {Py_tp_init, POINTER(void *, border_init)},
+    {Py_tp_dealloc, POINTER(void *, object_dealloc)},
     {Py_tp_methods, border_methods},
-    {Py_tp_new, PyType_GenericNew},
+    {Py_tp_new, POINTER(void *, PyType_GenericNew)},
     {0, NULL},
 };
 
