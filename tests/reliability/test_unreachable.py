@@ -17,6 +17,8 @@ from coopqp.scenarios import Scenario, dual_arm7, mixed_cell, paper_lift
 from coopqp.simulation.monitor import Monitor, MonitorTolerances
 from coopqp.task.path import ServoPath
 
+pytestmark = pytest.mark.slow
+
 #: Below this share of the path's rate the object counts as standing.
 STANDS = 0.01
 #: A run ends when the object has been blocked for so many steps.
@@ -107,7 +109,6 @@ def _found(request: pytest.FixtureRequest, count: Callable[[int], int]) -> tuple
     return bool(np.isfinite(request.param)), to_blocked, to_off, lost
 
 
-@pytest.mark.slow
 def test_a_standing_object_is_reported_blocked(found: tuple[bool, list[int], list[int], int], catalogue: Any) -> None:
     limited, to_blocked, _, _ = found
     catalogue.row(
