@@ -25,7 +25,7 @@
 typedef struct Core Core;
 struct Core {
     FIELDS
-    int arms, joints, nq, unknowns, rows, past; /* rows: further rows that fit; past: samples of a stall */
+    int arms, joints, nq, unknowns, rows, past; /* rows: further rows that fit; past: samples in `history` */
     int redundant, accelerates;
     int further_rows; /* of this step */
     /* The path: duration, number of breakpoints, number of segments, breakpoints, segments of 21 numbers and in the
@@ -61,9 +61,10 @@ static double next_breakpoint(const Core *c, double clock);
 static int errors_at(const Core *c, const double *carried, const double *R, const double *p, double *errors);
 /* ē = Σ W_k e_k */
 static void common_error(const Core *c, const double *errors, double *common);
-/* Joint velocities (joints) for one world twist per arm w (6 arms, about the point of the Jacobian), near the null-space
- * wishes u (joints; NULL for none): v = u + A⁺(w − J u). 0 if an arm is singular. */
-static int velocities(const Core *c, const double *jacobian, const double *w, const double *u, double *v);
+/* Joint velocities v0, v1 for world twists about the point of the Jacobian: w0 has one per arm, w1 is common to all; near
+ * the null-space wishes u0, u1 (NULL for none). 0 if an arm is singular. */
+static int two_velocities(const Core *c, const double *jacobian, const double *w0, const double *w1, const double *u0,
+                          const double *u1, double *v0, double *v1);
 
 /* -- watch.c --------------------------------------------------------------------------------------------------------- */
 

@@ -131,7 +131,7 @@ STATE = (
     ("loop", str(len(LOOP))), ("positions", "nv"), ("velocity", "nv"), ("before", "nv"), ("predicted", "6 * n"),
     ("drift", "6"), ("correcting", "6"), ("posture_target", "nv"),
     ("watch", str(len(WATCH))), ("deviation", "6 * n"), ("away", "6 * n"), ("away_step", "6 * n"), ("noise", "n"),
-    ("stalled", "n"), ("widest", "n"), ("lost", "n"), ("seen", "nq"), ("past", "2 * nv * past"),
+    ("stalled", "n"), ("widest", "n"), ("lost", "n"), ("seen", "nq"), ("history", "2 * nv * past"),
     ("slow_drift", "6 * n"), ("lag", "6 * n"), ("apart", "6 * n"), ("drift_last", "nv"),
     ("deflection", "nv"), ("way", "nv"), ("commanded", "nv"), ("forces", "n"),
     ("ahead", str(len(AHEAD))), ("try_positions", "nv"),
