@@ -60,6 +60,17 @@ class MissingExtraError(CoopqpError, ImportError):
         return type(self), (self.extra, self.package)
 
 
+class MissingSolverError(MissingExtraError):
+    """A QP solver that coopqp knows and that is not installed; the message says what to install."""
+
+    def __init__(self, solver: str, remedy: str) -> None:
+        ImportError.__init__(self, f"the QP solver '{solver}' is not installed: {remedy}")
+        self.extra, self.package, self.remedy = "solvers", solver, remedy
+
+    def __reduce__(self) -> tuple[type[MissingSolverError], tuple[str, str]]:
+        return type(self), (self.package, self.remedy)
+
+
 def shown(value: Any) -> str:
     """A value in a message: short, whatever it is."""
     try:

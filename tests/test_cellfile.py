@@ -343,7 +343,7 @@ ROBOT, BASE, QP = 'robot = "rx90l"', "xyz_m = [3.60, 0.50, 0.0]", 'kind = "qp" #
         (QP, f"grasp_gian = 3\n{QP}", "controller: unknown key 'grasp_gian'; did you mean 'grasp_gain'?"),
         (QP, f"grasp_gain = -3\n{QP}", "grasp_gain: -3 is outside"),
         (QP, f'solver = "proxpq"\n{QP}', "no QP solver named 'proxpq'. Did you mean 'proxqp'?"),
-        (QP, f"solver_settings = {{ eps = 3 }}\n{QP}", "no setting named 'eps' in DaqpSettings"),
+        (QP, f"solver_settings = {{ eps = 3 }}\n{QP}", "no setting named 'eps' in "),
         (QP, f"preview = {{ cel = 3 }}\n{QP}", "controller.preview: unknown key 'cel'; did you mean 'cell'?"),
         (QP, f"preview = true\n{QP}", "controller.preview: give a table or false, not true"),
         (

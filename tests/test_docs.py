@@ -123,7 +123,7 @@ def test_defaults_in_the_text_are_those_of_the_code() -> None:
     o = coopqp.QPOptions()
     s, w, p = o.supervision, o.weights, coopqp.PreviewOptions()
     assert (o.grasp_gain, o.path_gain, o.correction_speed, o.correction_spin) == (20.0, 20.0, 0.1, 0.4)
-    assert (o.measurement_time, o.solver, o.common_error.kind) == (0.02, "daqp", "master")
+    assert (o.measurement_time, o.solver, o.common_error.kind) == (0.02, "auto", "master")
     assert (o.blocked_rate, s.joint_jump, s.stall_samples) == (1e-3, 0.3, 4)
     assert (s.slow_from, s.hold_from, s.fault_from, s.dt_range) == (0.00025, 0.00075, 0.02, (0.1, 5.0))
     assert (w.chain, w.recovery, w.off_path, w.grasp, w.path, w.rate, w.comfort) == (1e8, 1e6, 1e4, 1, 1e-2, 1e-4, 1e-6)

@@ -101,8 +101,8 @@ def test_caps_are_those_of_path_timing_by_brute_force(speed: float, acceleration
         rate, binding = preview.cap(clock, 1e-9)
         assert rate**2 == pytest.approx(np.interp(clock, clocks, S), rel=0.04)
         assert (binding is None) == (rate == 1.0)
-        # The bounds are those at the borders of cells: look again just before one.
-        clock = min(c.clock for c in preview._cells if c.clock > clock + 0.01) - 1e-9
+        # The bounds are those at knots: look again just before one.
+        clock = min(c.clock for c in preview._knots if c.clock > clock + 0.01) - 1e-9
         count += 1
     assert count > 50
 
@@ -114,7 +114,7 @@ def test_an_easy_path_is_not_slowed() -> None:
 
 
 def test_the_horizon_rolls_along() -> None:
-    """As long as the object needs to stop, and no longer: cells ahead stay few."""
+    """As long as the object needs to stop, and no longer: knots ahead stay few."""
     for acceleration in (np.inf, 5.0):
         task = paper_lift(time_law=TimeLaw.QUINTIC)
         task = replace(task, cell=task.cell.with_limits(acceleration=acceleration))
@@ -122,10 +122,10 @@ def test_the_horizon_rolls_along() -> None:
         ahead = []
         for clock in np.arange(0.0, 2.5, DT):
             preview.cap(float(clock), DT)
-            ahead.append(preview._cells[-1].clock - clock)
+            ahead.append(preview._knots[-1].clock - clock)
         assert min(ahead) > 0.0
         assert max(ahead) < 1.2
-        assert len(preview._cells) < 1500
+        assert len(preview._knots) < 1500
 
 
 # -- stops -------------------------------------------------------------------------------------------------------------

@@ -33,8 +33,9 @@ from coopqp.control.solvers.polish import excluded_ball, finish, kkt_residual
 from coopqp.control.solvers.proxqp import ProxqpSettings
 from coopqp.errors import InvalidInputError, MissingExtraError, UnknownNameError
 
-KEPT = [name for name in ("proxqp", "osqp", "daqp") if name in available_solvers()]
-REBUILT = [f"qpsolvers:{name}" for name in KEPT] + [n for n in ("quadprog",) if n in available_solvers()]
+SEMIDEFINITE = [name for name in ("proxqp", "osqp", "daqp") if name in available_solvers()]
+KEPT = SEMIDEFINITE + [name for name in ("ldp",) if name in available_solvers()]
+REBUILT = [f"qpsolvers:{name}" for name in SEMIDEFINITE] + [n for n in ("quadprog",) if n in available_solvers()]
 EVERY = KEPT + REBUILT
 # In the one-sided form that qpsolvers takes, OSQP stops at its cap on some of these problems, and ProxQP, whose
 # accuracy of a certificate cannot be set there, calls some feasible ones infeasible.
@@ -225,7 +226,7 @@ def test_condensed_covers_free_and_busy_optima() -> None:
     assert max(active) >= 6
 
 
-@pytest.mark.parametrize("name", [n for n in EVERY if n != "quadprog"])
+@pytest.mark.parametrize("name", [n for n in EVERY if n not in ("quadprog", "ldp")])
 @pytest.mark.parametrize("n_arms", [3, 4, 8])
 def test_full_optimal(name: str, n_arms: int) -> None:
     for seed in range(3):
@@ -369,7 +370,7 @@ def test_warm_equals_cold_condensed(name: str, seed: int) -> None:
 
 
 @needs_daqp
-@pytest.mark.parametrize("name", KEPT)
+@pytest.mark.parametrize("name", SEMIDEFINITE)
 @pytest.mark.parametrize("joint", [1e-8, 0.0])
 def test_warm_equals_cold_full(name: str, joint: float) -> None:
     warm = make_solver(name)
@@ -391,7 +392,7 @@ def test_repeatable_to_the_last_bit(name: str) -> None:
     assert run(solver) == first
 
 
-@pytest.mark.parametrize("name", KEPT)
+@pytest.mark.parametrize("name", SEMIDEFINITE)
 def test_sizes_change(name: str) -> None:
     solver = make_solver(name)
     for seed in (0, 1, 4, 0, 8):
@@ -467,7 +468,7 @@ def test_infeasible(name: str, what: str) -> None:
                 assert solution.status is SolverStatus.INFEASIBLE
 
 
-@pytest.mark.parametrize("name", KEPT)
+@pytest.mark.parametrize("name", SEMIDEFINITE)
 def test_hard_is_not_called_infeasible(name: str) -> None:
     """A solver may give up on these; there is an answer to each."""
     for seed in range(12):
@@ -589,7 +590,7 @@ _CAPPED: dict[str, Any] = {
 }
 
 
-@pytest.mark.parametrize("name", KEPT)
+@pytest.mark.parametrize("name", SEMIDEFINITE)
 def test_iteration_cap(name: str) -> None:
     solver = make_solver(name, _CAPPED[name])
     seen = set()
@@ -760,7 +761,7 @@ def test_polishing_makes_rough_answers_exact(seed: int) -> None:
 
 
 @pytest.mark.parametrize("slope", [1e-2, 1e-3, 1e-4, 3e-5])
-@pytest.mark.parametrize("name", KEPT)
+@pytest.mark.parametrize("name", SEMIDEFINITE)
 def test_directions_of_little_curvature(name: str, slope: float) -> None:
     """As near a singularity: v costs nothing itself, and what it makes in s and r hardly changes with v."""
     v = np.array([0.3, -0.2])

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import enum
-from dataclasses import dataclass, field
-from functools import cached_property
-from typing import Any, Protocol
+from dataclasses import dataclass
+from typing import Any, Protocol, final
 
 import numpy as np
 import pinocchio as pin
@@ -77,11 +76,20 @@ class GivenUp:
 NOTHING = GivenUp()
 
 
-@dataclass(frozen=True, eq=False)
-class ControlStep:
-    """The command of one step, and the reason for it. Costly readings are computed when asked for.
+class StepReader(Protocol):
+    """Reads what a record does not say in words; one per controller."""
 
-    Its arrays are read-only; copy one to change it.
+    def read(self, record: bytes, name: str) -> Any:
+        """Value of the attribute ``name`` of :class:`ControlStep`."""
+        ...
+
+
+@final
+class ControlStep:
+    """The command of one step, and the reason for it.
+
+    A compiled controller hands out a record of numbers: an attribute is read from it when asked for. Arrays are
+    read-only; copy one to change it.
 
     Attributes:
         q: commanded configuration at the start of the step (nq,).
@@ -94,13 +102,15 @@ class ControlStep:
         binding: limits that the step runs against.
         given_up: what each rank gave up.
         solver: how the QP went.
-        build_time_s: time to compute the step without the solve [s].
+        build_time_s: time to compute the step without the solve [s]; 0 where it is not measured.
         finished: the object's clock has reached the end of its path.
     """
 
-    cell: RobotCell = field(repr=False)
-    grasp: Grasp = field(repr=False)
-    path: ObjectPath = field(repr=False)
+    __slots__ = ("_context", "_record", "_values", "rate", "status")
+
+    cell: RobotCell
+    grasp: Grasp
+    path: ObjectPath
     q: Array
     velocity: Array
     q_next: Array
@@ -109,33 +119,84 @@ class ControlStep:
     clock_next: float
     rate: float
     status: Status
-    reason: str = ""
-    binding: tuple[BindingLimit, ...] = ()
-    given_up: GivenUp = NOTHING
-    solver: SolverReport = NO_SOLVE
-    build_time_s: float = 0.0
+    reason: str
+    binding: tuple[BindingLimit, ...]
+    given_up: GivenUp
+    solver: SolverReport
+    build_time_s: float
 
-    def __post_init__(self) -> None:
-        for name in ("q", "velocity", "q_next"):
-            _set(self, name, read_only(getattr(self, name)))
+    def __init__(
+        self,
+        *,
+        cell: RobotCell,
+        grasp: Grasp,
+        path: ObjectPath,
+        q: Array,
+        velocity: Array,
+        q_next: Array,
+        dt: float,
+        clock: float,
+        clock_next: float,
+        rate: float,
+        status: Status,
+        reason: str = "",
+        binding: tuple[BindingLimit, ...] = (),
+        given_up: GivenUp = NOTHING,
+        solver: SolverReport = NO_SOLVE,
+        build_time_s: float = 0.0,
+    ) -> None:
+        values = dict(locals())
+        del values["self"]
+        values.update(q=read_only(q), velocity=read_only(velocity), q_next=read_only(q_next))
+        _put(self, values)
+
+    def __getattr__(self, name: str) -> Any:
+        # Only for what is not there yet: C leaves all but the record, the context, rate and status to be read.
+        if name == "_values":
+            empty: dict[str, Any] = {}
+            _set(self, "_values", empty)
+            return empty
+        values = self._values
+        if name not in values:
+            if name not in _FIELDS:
+                raise AttributeError(f"a ControlStep has no '{name}'")
+            values[name] = self._context.read(self._record, name)
+        return values[name]
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        raise AttributeError(f"a ControlStep is read-only: {name} stays; replaced({name}=…) makes another step")
+
+    def replaced(self, **changes: Any) -> ControlStep:
+        """The same step with other values."""
+        return ControlStep(**{**{name: getattr(self, name) for name in _FIELDS}, **changes})
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return _restored, ({name: getattr(self, name) for name in _FIELDS},)
+
+    def __repr__(self) -> str:
+        return f"ControlStep({self.status.name}, rate {self.rate:.4g}, clock {self.clock:.6g} s, {self.explain()!r})"
 
     @property
     def finished(self) -> bool:
         """The object's clock has reached the end of its path."""
         return self.clock_next >= self.path.duration
 
-    @cached_property
+    @property
     def state(self) -> CellState:
         """Kinematics at :attr:`q`."""
-        return CellState(self.cell, self.q)
+        values = self._values
+        if "state" not in values:
+            values["state"] = CellState(self.cell, self.q)
+        state: CellState = values["state"]
+        return state
 
-    @cached_property
+    @property
     def arm_increments(self) -> Array:
         """Δ^k of Eq. (16) as commanded: displacement of each tool in its own frame over the step, (N, 6) [m, rad]."""
         v = [self.velocity[s] for s in self.cell.v_slices]
         return np.array([self.state.jacobian(k) @ v[k] * self.dt for k in range(len(self.cell))])
 
-    @cached_property
+    @property
     def relative_errors(self) -> Array:
         """Per pair of arms (0,1), (0,2), … (1,2) …: distance [mm] and angle [deg] between their views of the object."""
         e = self.grasp.relative_errors(self.state)
@@ -178,17 +239,31 @@ class ControlStep:
         return "; ".join(parts) + "."
 
 
-def make_step(fields: dict[str, Any]) -> ControlStep:
-    """A ControlStep that keeps ``fields``, every one of them, without the cost of its constructor and of copies."""
-    step = _new(ControlStep)
-    _set(step, "__dict__", fields)
-    # The controller goes on from them: what a user adds to one must not move the arms.
-    fields["velocity"].setflags(False)
-    fields["q_next"].setflags(False)
+_set = object.__setattr__
+_FIELDS = tuple(ControlStep.__annotations__)
+
+
+def _put(step: ControlStep, values: dict[str, Any]) -> None:
+    _set(step, "_values", values)
+    _set(step, "rate", values["rate"])
+    _set(step, "status", values["status"])
+
+
+def _restored(values: dict[str, Any]) -> ControlStep:
+    return ControlStep(**values)
+
+
+def amend(step: ControlStep, **values: Any) -> None:
+    """Put words into a step that nobody has seen yet."""
+    step._values.update(values)
+
+
+def read_step(record: bytes, context: StepReader, status: Status, rate: float) -> ControlStep:
+    """The step of a record, as the compiled core makes it."""
+    step = object.__new__(ControlStep)
+    for name, value in (("_record", record), ("_context", context), ("status", status), ("rate", rate)):
+        _set(step, name, value)
     return step
-
-
-_new, _set = object.__new__, object.__setattr__
 
 
 class Controller(Protocol):

@@ -26,7 +26,7 @@ from coopqp.control.command import (
     check_start,
 )
 from coopqp.control.limits import VelocityBox
-from coopqp.control.solvers import QpProblem, QpSolution, make_solver
+from coopqp.control.solvers import QpProblem, QpSolution, QpSolver, make_solver
 from coopqp.errors import InvalidInputError
 from coopqp.model.cell import RobotCell
 from coopqp.model.chain import Chain
@@ -48,8 +48,9 @@ class IndependentQPOptions:
     """Settings of the QP with independent arms.
 
     Attributes:
-        solver: name of the QP solver, see :func:`coopqp.control.solvers.available_solvers`; one is kept per arm.
-        solver_settings: settings object of that solver.
+        solver: name of the QP solver, see :func:`coopqp.control.solvers.available_solvers`, one is kept per arm;
+            ``"auto"`` for the :func:`~coopqp.control.solvers.default_solver`; or a solver, which serves all arms.
+        solver_settings: settings object of the solver of that name.
         gain: of every arm's error [1/s]; a step never corrects more than the whole error.
         correction_speed, correction_spin: bound of the correction [m/s, rad/s].
         length: characteristic length that weighs rotation against translation [m].
@@ -57,7 +58,7 @@ class IndependentQPOptions:
         damping_from: σ_0, smallest singular value of the tool's Jacobian below which damping sets in.
     """
 
-    solver: str = "daqp"
+    solver: str | QpSolver = "auto"
     solver_settings: Any = None
     gain: float = 20.0
     correction_speed: float = 0.1
@@ -99,6 +100,7 @@ class IndependentQPController:
         o = self.options = options or IndependentQPOptions()
         self._chain, self._box = Chain(cell, grasp), VelocityBox(cell)
         self._solvers = [make_solver(o.solver, o.solver_settings) for _ in cell.arms]
+        self._shared = isinstance(o.solver, QpSolver)
         self._to_tool = [adjoint(X.inverse()) for X in grasp.T_object_tool]
         self._metric = np.array([1.0] * 3 + [o.length**2] * 3)
         self._q, self._v = pin.neutral(cell.model), np.zeros(cell.nv)
@@ -134,6 +136,8 @@ class IndependentQPController:
         A, wanted = self._tasks(h, span)
         v, reports = np.zeros(self.cell.nv), []
         for k, s in enumerate(self.cell.v_slices):
+            if self._shared:
+                self._solvers[k].reset()
             solution = self._solvers[k].solve(self._problem(k, A[k], wanted[k]))
             reports.append(solution)
             if not self._believable(solution, s):
@@ -159,8 +163,10 @@ class IndependentQPController:
                 c /= excess
         if span > 0.0:
             wanted += path.increment(self._clock, span) * (span / h)
-        chain.evaluate(pin.integrate(self.cell.model, self._q, 0.5 * h * self._v))
-        J, to_reference = chain.dense(), adjoint(reference.inverse())
+        middle = pin.integrate(self.cell.model, self._q, 0.5 * h * self._v)
+        chain.evaluate(middle, about=reference.translation)
+        J, R = chain.dense(), reference.rotation
+        to_reference = np.kron(np.eye(2), R.T)
         return [to_reference @ J[6 * k : 6 * k + 6, s] for k, s in enumerate(self.cell.v_slices)], wanted
 
     def _problem(self, k: int, A: Array, wanted: Array) -> QpProblem:

@@ -112,6 +112,17 @@ class Watch:
     arm: int = -1
     reason: str = ""
 
+    @staticmethod
+    def holding(reason: str, *, fault: bool = False) -> Watch:
+        """The arms hold."""
+        return Watch(rate_cap=0.0, hold=True, fault=fault, reason=reason)
+
+    def lower(self, seen: Watch) -> None:
+        """Take what was seen besides, if it says more."""
+        if seen.rate_cap < self.rate_cap or seen.fault:
+            self.rate_cap, self.hold, self.fault = seen.rate_cap, seen.hold, seen.fault
+            self.arm, self.reason = seen.arm, seen.reason
+
 
 #: Samples that are kept at most, to see an arm stall in.
 _MOST_SAMPLES = 10_000
@@ -135,6 +146,13 @@ _NOISE_TIME = 0.2
 _FEW_SAMPLES = 4
 
 
+#: Attributes of a Supervision that never change.
+_FIXED = (
+    "_cell", "_options", "_stress", "_turning", "_from_others", "_starts", "_moving", "_at_grasps", "_numbers",
+    "_first_numbers",
+)  # fmt: skip
+
+
 class Supervision:
     """Memory of the watch; one per controller."""
 
@@ -147,7 +165,7 @@ class Supervision:
         #: Takes what the arms do to how far each is from the mean of the others.
         self._from_others = (np.eye(n) - 1.0 / n) * (n / max(n - 1.0, 1.0))
         self._moves = np.zeros((3, cell.nq))
-        self._at_grasps = _at_grasps(grasp)
+        self._at_grasps = grasp_lengths(grasp)
         self._deviation, self._away, self._step = (np.zeros((n, 6)) for _ in range(3))
         self._noise, self._samples, self._cap, self._arm = np.zeros(n), 0.0, 1.0, -1
         self._stalled = np.zeros(n, dtype=bool)
@@ -174,6 +192,18 @@ class Supervision:
         if self._stress is not None:
             self._stress.reset()
 
+    def memory(self) -> dict[str, Any]:
+        """What a copy of this watch goes on from."""
+        own = {name: value for name, value in vars(self).items() if name not in _FIXED}
+        return own | {"stress": None if self._stress is None else self._stress.memory()}
+
+    def restore(self, memory: dict[str, Any]) -> None:
+        """Go on from a copy of what :meth:`memory` returned."""
+        stress = memory.pop("stress")
+        vars(self).update(memory)
+        if self._stress is not None:
+            self._stress.restore(stress)
+
     def accept_dt(self, dt: Any, nominal: float) -> str:
         """Empty, or why ``dt`` is not accepted."""
         low, high = self._options.dt_range
@@ -185,12 +215,9 @@ class Supervision:
 
     def accept_measurement(self, q: Any, q_command: Array) -> tuple[Array, str]:
         """The measured configuration as an array, and why it is not believed (empty if it is)."""
-        try:
-            measured = q if type(q) is np.ndarray and q.dtype == np.float64 else as_floats(q)
-        except NOT_NUMBERS:
-            return q_command, f"q_measured is {type(q).__name__}, not {self._cell.nq} numbers"
-        if measured.shape != (self._cell.nq,):
-            return q_command, f"q_measured must have shape ({self._cell.nq},), got {measured.shape}"
+        measured, trouble = as_configuration(self._cell, q)
+        if measured is None:
+            return q_command, trouble
         away = np.abs(measured - q_command)
         worst = int(away.argmax())  # NaN wins
         if not np.isfinite(away[worst]):
@@ -329,7 +356,18 @@ class Supervision:
             )
 
 
-def _at_grasps(grasp: Grasp) -> Array:
+def as_configuration(cell: RobotCell, q: Any) -> tuple[Array | None, str]:
+    """A measured configuration as an array (nq,), or None and what is wrong with its type or shape."""
+    try:
+        measured = q if type(q) is np.ndarray and q.dtype == np.float64 else as_floats(q)
+    except NOT_NUMBERS:
+        return None, f"q_measured is {type(q).__name__}, not {cell.nq} numbers"
+    if measured.shape != (cell.nq,):
+        return None, f"q_measured must have shape ({cell.nq},), got {measured.shape}"
+    return np.ascontiguousarray(measured), ""
+
+
+def grasp_lengths(grasp: Grasp) -> Array:
     """Takes displacements of the object (…, 6) [m, rad] to lengths at the grasps (…, 6) [m].
 
     The first three are the displacement of the grasps' centre, the others the turn times their largest distance from

@@ -24,14 +24,14 @@ _LONGEST_STEP = 0.5
 
 def newton(chain: Chain, target: pin.SE3, q: Array, *, tolerance: float, max_iter: int) -> tuple[Array, Array]:
     """Iterate from ``q``; returns the last configuration and its errors (N, 6) with respect to ``target``."""
-    to_world = target.action
+    R, about = target.rotation, target.translation
     velocity = np.empty(chain.nv)
     errors = chain.errors(chain.carried(q), target)
     for _ in range(max_iter):
         if np.abs(errors).max() <= tolerance:
             break
-        chain.linearise(q)
-        step = chain.joint_velocities(-errors @ to_world.T, velocity)
+        chain.linearise(q, about)
+        step = chain.joint_velocities(np.hstack([-errors[:, :3] @ R.T, -errors[:, 3:] @ R.T]), velocity)
         largest = np.abs(step).max()
         if not np.isfinite(largest):
             break

@@ -17,7 +17,7 @@ from typing import Any, final
 import numpy as np
 import pinocchio as pin
 
-from coopqp.checks import as_scalar, as_vector, read_only
+from coopqp.checks import as_scalar, as_vector
 from coopqp.errors import InvalidInputError, UnknownNameError
 from coopqp.spatial import Array, Placement, as_placement, as_placements
 
@@ -73,11 +73,12 @@ class ObjectPath(abc.ABC):
         """First clock after ``clock`` at which the twist jumps, the end at the latest [s]."""
         return self.duration
 
-    def line_at(self, clock: float, span: float) -> Array | None:
-        """The straight segment that holds [clock, clock + span] as numbers (21,), None if there is none.
+    def packed(self) -> Array | None:
+        """The path as numbers, None where only :meth:`pose` knows it: what a compiled core evaluates itself.
 
-        ``[R(0) row by row (9), p(0) (3), φ* r (3), displacement in the world (3), start [s], duration [s], time law]``
-        with time law 0 for linear and 1 for quintic: what a compiled kernel evaluates itself.
+        ``[duration, number of breakpoints, number of segments, breakpoints …, segments …]``; a segment has 21 numbers:
+        ``R(0)`` row by row (9), p(0) (3), φ* r (3), displacement in the world (3), start [s], duration [s], time law
+        (0 linear, 1 quintic).
         """
         return None
 
@@ -152,8 +153,8 @@ class LinePath(ObjectPath):
         self._line = self._R0 @ self.screw.p
         self._rotation_vector = self.screw.angle * self.screw.r
         law = 0.0 if self.time_law is TimeLaw.LINEAR else 1.0
-        self._packed = read_only(
-            np.concatenate([self._R0.ravel(), self._p0, self._rotation_vector, self._line, [0.0, self.duration, law]])
+        self._segment = np.concatenate(
+            [self._R0.ravel(), self._p0, self._rotation_vector, self._line, [0.0, self.duration, law]]
         )
 
     @staticmethod
@@ -172,9 +173,15 @@ class LinePath(ObjectPath):
         goal = pin.SE3(pin.exp3(turn) @ T.rotation, T.translation + shift)
         return LinePath(T, goal, duration=duration, time_law=time_law)
 
-    def line_at(self, clock: float, span: float) -> Array | None:
-        """The path itself."""
-        return self._packed
+    def segment(self, start: float = 0.0) -> Array:
+        """The numbers of :meth:`packed` for this line, begun at ``start`` [s] (21,)."""
+        numbers = self._segment.copy()
+        numbers[18] = start
+        return numbers
+
+    def packed(self) -> Array:
+        """One segment."""
+        return np.concatenate([[self.duration, 0.0, 1.0], self._segment])
 
     def pose(self, clock: float) -> pin.SE3:
         """T_world_object at ``clock`` [s], Eq. (8)."""
@@ -225,17 +232,10 @@ class WaypointPath(ObjectPath):
         self._starts = [0.0, *np.cumsum(times)[:-1].tolist()]
         self.duration = float(np.sum(times))
 
-        self._packed = []
-        for segment, start in zip(self.segments, self._starts, strict=True):
-            packed = np.array(segment.line_at(0.0, 0.0))
-            packed[18] = start
-            self._packed.append(read_only(packed))
-
-    def line_at(self, clock: float, span: float) -> Array | None:
-        """The segment at ``clock``, if ``span`` stays in it."""
-        i = min(max(bisect_right(self._starts, clock) - 1, 0), len(self.segments) - 1)
-        last = i + 1 == len(self._starts)
-        return self._packed[i] if last or clock + span <= self._starts[i + 1] else None
+    def packed(self) -> Array:
+        """A segment for each pair of waypoints; the twist jumps between them."""
+        inner, segments = self._starts[1:], [s.segment(t) for s, t in zip(self.segments, self._starts, strict=True)]
+        return np.concatenate([[self.duration, len(inner), len(segments)], inner, *segments])
 
     def _segment(self, clock: float) -> tuple[LinePath, float]:
         i = min(max(bisect_right(self._starts, clock) - 1, 0), len(self.segments) - 1)
@@ -264,6 +264,11 @@ class HoldPath(ObjectPath):
     def __init__(self, T_world_object: Placement, *, duration: float = 1.0) -> None:
         self._pose = as_placement(T_world_object, "HoldPath")
         self.duration = as_scalar(duration, "HoldPath: duration")
+
+    def packed(self) -> Array:
+        """A segment that stays where it begins."""
+        still = LinePath(self._pose, self._pose, duration=self.duration)
+        return still.packed()
 
     def pose(self, clock: float) -> pin.SE3:
         """The pose."""
@@ -317,6 +322,11 @@ class ServoPath(ObjectPath):
         way = ScrewParameters.between(here, goal)
         duration = max(float(np.linalg.norm(way.p)) / self._speed, way.angle / self._spin, 1e-6)
         self._line, self._since = LinePath(here, goal, duration=duration, time_law=TimeLaw.LINEAR), clock
+
+    def packed(self) -> Array:
+        """The line to the present target; the object rests at its end."""
+        end = self._since + self._line.duration
+        return np.concatenate([[self.duration, 1.0, 1.0, end], self._line.segment(self._since)])
 
     def next_breakpoint(self, clock: float) -> float:
         """Where the line ends [s]."""

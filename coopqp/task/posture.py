@@ -50,19 +50,19 @@ class Posture:
         self._cap = options.speed_share * np.where(np.isfinite(limits.velocity), limits.velocity, 1.0)
         self._data = cell.model.createData() if options.manipulability else None
         target = options.target
-        self._target = None if target is None else cell.check_configuration(target, "PostureOptions: target")
+        self.target = None if target is None else cell.check_configuration(target, "PostureOptions: target")
 
     def reset(self, q: Array) -> None:
         """Take ``q`` as the target, unless one was given."""
         if self._options.target is None:
-            self._target = q
+            self.target = q
 
     def velocity(self, q: Array) -> Array:
         """Wanted joint velocities (nv,) at ``q``; the caller projects them on the null-space."""
         o, cell = self._options, self._cell
         v = np.zeros(cell.nv)
-        if self._target is not None and o.gain:
-            v += o.gain * pin.difference(cell.model, q, self._target)
+        if self.target is not None and o.gain:
+            v += o.gain * pin.difference(cell.model, q, self.target)
         if o.centring:
             v[self._bounded] += o.centring * (self._middle - cell.positions(q)[self._bounded])
         if o.manipulability:

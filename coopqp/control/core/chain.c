@@ -1,7 +1,6 @@
 /* The closed chain: errors, corrections, and joint velocities from twists of the object. */
 
-#include "core.h"
-#include "spatial.h"
+#include "functions.h"
 
 /* -- errors and corrections ------------------------------------------------------------------------------------------ */
 
@@ -211,7 +210,7 @@ static void posture_velocity(Core *c, const double *positions, double *v) {
             v[j] = o[POSTURE_GAIN] * wrapped(c, j, c->posture_target[j] - positions[j]);
             if (c->posture_bounded[j] != 0.0) v[j] += o[CENTRING] * (c->posture_middle[j] - positions[j]);
             if (o[MANIPULABILITY] > 0.0) {
-                double *moved = c->scratch + 16 * c->arms + 2 * c->joints, *jacobian = moved + c->joints;
+                double *moved = c->posture_work, *jacobian = moved + c->joints;
                 memcpy(moved, positions, sizeof(double) * (size_t)c->joints);
                 moved[j] += step;
                 double up = manipulability(c, k, moved, jacobian);

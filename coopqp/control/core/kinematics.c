@@ -1,7 +1,6 @@
 /* Where the arms carry the object, and how fast: a product of joint frames whose z axes are the joints' axes. */
 
-#include "core.h"
-#include "spatial.h"
+#include "functions.h"
 
 /* From the frame of the joint before to that of joint j at position x. */
 static void advance(const Core *c, int j, double x, double *R, double *p) {

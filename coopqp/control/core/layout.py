@@ -25,10 +25,14 @@ CONSTANTS: dict[str, float] = {
     "LEAST_PACE": 1e-3,  # the increment along the path is the mean over this share of a step at least
     "NEGLIGIBLE": 1e-10,  # square of an off-path twist that needs no braking distance [m²/s², rad²/s²]
     "SETTLED": 1e-13,  # the first step has settled when its change of velocity moves the joints by less [rad²]
+    "RATE_ROUNDING": 1e-12,  # a rate that rises by less stands still: a QP's zero has the solver's rounding
+    "ARRIVING": 10.0,  # an object that comes to a stop for good counts as blocked from this many times the rate on
+    "LARGEST_X": 1e5,  # an infeasibility has to cover unknowns of the QP up to this, in their units
     "EXTRA_AT_START": 3,  # linearisations of the first step beyond the others
     # preview
     "STEPS_TO_FULL_SPEED": 22,  # steps in which a joint without acceleration limit is planned to reach full speed
     "PASSABLE": 0.3,  # a singularity is passed where the rate's cap stays above this share of singular_rate
+    "LEAST_LEFT": 1e-3,  # the path's curvature leaves at least this share of the acceleration for the rate
     "FINE_CELL": 1e-3,  # intervals shorter than this are not halved for a change of slope [s]
     "BISECTIONS": 6,  # refinements of the rate near a bound
     "JUST_BEFORE": 1e-10,  # the twist before a corner is taken this much earlier [s]
@@ -36,6 +40,8 @@ CONSTANTS: dict[str, float] = {
     "STEPS_TO_GROW": 8,  # a knot is begun this many steps before it is needed
     "NEWTON_STEPS_AT_START": 1000,  # Newton steps that a reset may take
     "LONGEST_WAY": 300,  # knots of a way past a singularity
+    "MOST_TRIES": 4,  # Newton steps that a knot may take
+    "STARTING_STEPS": 8,  # Newton steps that the first knot may take
     "CONVERGED": 1e-5,  # Newton steps shorter than this are the last [rad or m]
     # supervision
     "STILL_COMMAND": 1e-5,  # commanded motion of an arm below this says nothing of a stall [rad or m]
@@ -44,6 +50,7 @@ CONSTANTS: dict[str, float] = {
     "CAUGHT_UP_SHARE": 0.3,  # so has one at this share of the largest gap
     "CIRCLE_TOLERANCE": 0.05,  # how far (cos, sin) of a continuous joint may be from the unit circle
     "LET_GO": 0.5,  # a force that held the object lets it go below this share of its limit
+    "FAULT_SAMPLES": 2,  # a fault needs as many samples in a row
     "MOST_LOST": 3,  # samples in a row that an arm may repeat before it counts as standing
     "NOISE_TIME": 0.2,  # noise is averaged over this time [s]
     "FEW_SAMPLES": 4,  # fewer samples tell nothing of the noise
@@ -72,7 +79,8 @@ SEGMENT = 21
 
 OPTIONS = (
     "NOMINAL_DT", "GRASP_GAIN", "PATH_GAIN", "CORRECTION_SPEED", "CORRECTION_SPIN", "MEASUREMENT_TIME", "SHORTCUT",
-    "ACCELERATES", "RECOVERY_UNIT", "RELAX_UNIT", "RISE",
+    "OWN_SOLVER",
+    "ACCELERATES", "RECOVERY_UNIT", "RELAX_UNIT", "RISE", "BLOCKED_RATE",
     "POSTURE_GAIN", "CENTRING", "MANIPULABILITY", "POSTURE_SHARE",
     "LOOKS_AHEAD", "CAPS_SPEED", "CELL", "JOINT_STEP", "SLOPE_STEP", "SHORTEST", "CURVATURE_SHARE", "SLOPE_CAP",
     "SINGULAR_RATE", "NEWTON_STEPS",
@@ -92,7 +100,7 @@ WATCH = (
 )  # fmt: skip
 AHEAD = (
     "HEAD", "COUNT", "BOUND_HEAD", "BOUND_COUNT", "COMPLETE", "ENDS", "FREE_UNTIL", "BEGIN_AT",
-    "PHASE", "TRY_CLOCK", "TRY_SPAN", "ITERATION", "WAY",
+    "GROWING", "TRY_SPAN", "ITERATION", "WAY", "BEYOND",
 )  # fmt: skip
 #: Numbers of a knot beside its vectors.
 KNOT = (
@@ -103,10 +111,20 @@ KNOT = (
 PROPOSAL = (
     "DT", "CAP", "SPAN", "HAS_MEASURED", "CAP_KIND", "CAP_ARM", "CAP_JOINT", "WATCH_CAP", "HOLD", "FAULTS",
     "REASON", "REASON_ARM", "REASON_A", "REASON_B", "OUTCOME", "NEW_RATE", "BINDING_ROW", "BINDING_SIDE",
-    "GRASP_SHARE", "PATH_SHARE", "PARTING", "BRAKED", "CORRECTION", "ITERATIONS", "OUTSIDE", "RELAXED", "OBSERVED",
+    "GRASP_SHARE", "PATH_SHARE", "PARTING", "BRAKED", "ITERATIONS", "OUTSIDE", "RELAXED", "PLACED", "LATE", "KEEP",
+    "BINDINGS",
 )  # fmt: skip
+#: What a step hands out, before its vectors q, velocity, q_next, off_path, and four numbers per binding limit: kind,
+#: arm, joint, constraint, each −1 where there is none.
+RECORD = (
+    "R_DT", "R_CLOCK", "R_CLOCK_NEXT", "R_RATE", "R_STATUS", "R_REASON", "R_REASON_ARM", "R_REASON_A", "R_REASON_B",
+    "R_GRASP_SHARE", "R_PATH_SHARE", "R_PARTING", "R_OUTCOME", "R_ITERATIONS", "R_BINDINGS",
+)  # fmt: skip
+#: Members of Status, in the order of their codes.
+STATUSES = ("TRACKING", "SLOWED", "BLOCKED", "HOLDING", "FAULTED")
 
-OUTCOMES = ("NOMINAL", "RAY", "QP", "OPEN")
+#: FILLED: base and columns are there for another solver. OPEN: the plain definition has to find the answer.
+OUTCOMES = ("NOMINAL", "RAY", "QP", "FILLED", "OPEN")
 #: Members of LimitKind, in the order of their codes; 0 is none.
 KINDS = (
     "NONE", "POSITION", "VELOCITY", "ACCELERATION", "SINGULARITY", "REACH", "PATH_END", "OUT_OF_STEP", "CONSTRAINT",
@@ -134,18 +152,21 @@ STATE = (
     ("stalled", "n"), ("widest", "n"), ("lost", "n"), ("seen", "nq"), ("history", "2 * nv * past"),
     ("slow_drift", "6 * n"), ("lag", "6 * n"), ("apart", "6 * n"), ("drift_last", "nv"),
     ("deflection", "nv"), ("way", "nv"), ("commanded", "nv"), ("forces", "n"),
-    ("ahead", str(len(AHEAD))), ("try_positions", "nv"),
+    ("ahead", str(len(AHEAD))),
     ("knots", f"{len(KNOT)} * knots"), ("knot_positions", "nv * knots"), ("knot_slope", "nv * knots"),
     ("knot_curvature", "nv * knots"), ("bounds", "knots"),
 )  # fmt: skip
 WORK = (
-    ("proposal", str(len(PROPOSAL))), ("q", "nq"), ("q_next", "nq"),
-    ("carried", "12 * n"), ("jacobian", "6 * nv"), ("R", "9"), ("p", "3"), ("along", "6"), ("path", "6"),
-    ("measured", "6"), ("common", "6"), ("errors", "6 * n"), ("grasp", "6 * n"), ("offsets", "6 * n"),
-    ("null_along", "nv"), ("null_offset", "nv"), ("command", "nv"), ("along_velocity", "nv"), ("off_path", "6"),
-    ("lower", "nv"), ("upper", "nv"), ("recovery", "nv"), ("outside", "nv"),
-    ("further", "nv * rows"), ("further_lower", "rows"), ("further_upper", "rows"), ("further_soft", "rows"),
-    ("base", "nv + rows"), ("columns", "(nv + rows) * unknowns"), ("x", "unknowns + nv + rows"),
+    ("proposal", str(len(PROPOSAL))),
+    ("q", "nq"), ("q_next", "nq"), ("carried", "12 * n"), ("jacobian", "6 * nv"), ("R", "9"), ("p", "3"),
+    ("along", "6"), ("path", "6"), ("measured", "6"), ("measured_positions", "nv"), ("measured_carried", "12 * n"),
+    ("measured_away", "6 * n"), ("posture_work", "7 * nv"), ("common", "6"), ("errors", "6 * n"), ("grasp", "6 * n"),
+    ("offsets", "6 * n"), ("null_along", "nv"), ("null_offset", "nv"), ("command", "nv"), ("stand_in", "nv"),
+    ("guess", "nv"), ("first_guess", "nv"), ("along_velocity", "nv"), ("off_path", "6"), ("lower", "nv"),
+    ("upper", "nv"), ("recovery", "nv"), ("outside", "nv"), ("further", "nv * rows"), ("further_lower", "rows"),
+    ("further_upper", "rows"), ("further_soft", "rows"), ("further_owner", "rows"), ("base", "nv + rows"),
+    ("columns", "(nv + rows) * unknowns"), ("x", "unknowns + nv + rows"), ("bindings", "4 * (nv + rows)"),
+    ("record", f"{len(RECORD)} + 2 * nq + nv + 6 + 4 * (nv + rows)"), ("sketch", "24 * n + 9 * nv"),
     ("scratch", "scratch"),
 )  # fmt: skip
 
@@ -161,8 +182,8 @@ def sizes(*, n: int, nv: int, nq: int, unknowns: int, past: int, rows: int) -> d
         past: samples in which a stall is looked for.
         rows: further rows that a step may have.
     """
-    most = unknowns + nv + rows  # unknowns and rows of the largest QP
-    scratch = most * (3 * most + 2 * (nv + rows) + 16) + 64 * n + 8 * nv
+    x, m = unknowns + nv + rows, 2 * nv + rows  # unknowns and rows of the largest QP
+    scratch = x * m + 3 * (m + x) + 2 * x * (x + 3) + 64 * n + 8 * nv
     return {
         "n": n, "nv": nv, "nq": nq, "unknowns": unknowns, "past": past, "rows": rows, "knots": MOST_KNOTS,
         "scratch": scratch,
@@ -180,26 +201,38 @@ def offsets(block: tuple[tuple[str, str], ...], symbols: dict[str, int]) -> dict
 
 
 def _value(size: str, symbols: dict[str, int]) -> int:
-    """Value of a sum of products of symbols and numbers, such as ``(nv + rows) * unknowns``."""
-    if size.startswith("(") and ") * " in size:
-        inner, _, factor = size[1:].partition(") * ")
-        return _value(inner, symbols) * _value(factor, symbols)
-    total = 0
-    for term in size.split(" + "):
-        product = 1
-        for factor in term.split(" * "):
-            product *= symbols[factor] if factor in symbols else int(factor)
-        total += product
-    return total
+    """Value of a sum of products of symbols, numbers and bracketed sums, such as ``6 + 4 * (nv + rows)``."""
+    words = size.replace("(", "( ").replace(")", " )").split()
+
+    def product() -> int:
+        total = 1
+        while True:
+            word = words.pop(0)
+            total *= summed() if word == "(" else symbols[word] if word in symbols else int(word)
+            if not words or words[0] != "*":
+                return total
+            words.pop(0)
+
+    def summed() -> int:
+        total = product()
+        while words and words.pop(0) == "+":
+            total += product()
+        return total
+
+    return summed()
 
 
 def header() -> str:
     """The same as a C header."""
     lines = ["/* Generated by layout.py. */", "#ifndef COOPQP_LAYOUT_H", "#define COOPQP_LAYOUT_H", ""]
     lines += [f"#define {name} {value!r}" for name, value in CONSTANTS.items()]
-    lines += [f"#define MOST_KNOTS {MOST_KNOTS}", f"#define MOST_JOINTS {MOST_JOINTS}", f"#define SEGMENT {SEGMENT}", ""]
-    for names in (OPTIONS, LOOP, WATCH, AHEAD, KNOT, PROPOSAL, OUTCOMES, KINDS, REASONS):
-        count = next(k for k, v in _LISTS.items() if v is names)
+    lines += [
+        f"#define MOST_KNOTS {MOST_KNOTS}",
+        f"#define MOST_JOINTS {MOST_JOINTS}",
+        f"#define SEGMENT {SEGMENT}",
+        "",
+    ]
+    for count, names in _LISTS.items():
         lines.append("enum { " + ", ".join((*names, f"N_{count}")) + " };")
     lines += ["", "/* Every field of the three blocks, in their order, as members of a struct. */", "#define FIELDS \\"]
     lines += [f"    double *{name}; /* {size} */ \\" for _, block in BLOCKS for name, size in block]
@@ -210,7 +243,7 @@ def header() -> str:
 
 _LISTS = {
     "OPTIONS": OPTIONS, "LOOP": LOOP, "WATCH": WATCH, "AHEAD": AHEAD, "KNOT": KNOT, "PROPOSAL": PROPOSAL,
-    "OUTCOMES": OUTCOMES, "KINDS": KINDS, "REASONS": REASONS,
+    "OUTCOMES": OUTCOMES, "KINDS": KINDS, "REASONS": REASONS, "RECORD": RECORD, "STATUSES": STATUSES,
 }  # fmt: skip
 
 if __name__ == "__main__":

@@ -2,8 +2,7 @@
  *   R(0) 0–8, p(0) 9–11, rotation vector 12–14, displacement 15–17, start 18, duration 19, time law 20 (1: quintic)
  * as LinePath, WaypointPath, HoldPath and ServoPath pack them, or a path that only its owner knows. */
 
-#include "core.h"
-#include "spatial.h"
+#include "functions.h"
 
 /* u(x): TimeLaw.value_at */
 static double time_law(double x, double quintic) {

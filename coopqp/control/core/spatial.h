@@ -82,4 +82,16 @@ static inline int log6(const double *R, const double *p, double *e) {
     return isfinite(e[0]) && isfinite(e[1]) && isfinite(e[2]);
 }
 
+/* exp of a twist */
+static inline void exp6(const double *twist, double *R, double *p) {
+    const double *w = twist + 3, t2 = dot3(w, w), t = sqrt(t2);
+    const double b = t2 < 1e-6 ? 0.5 - t2 * (1.0 / 24 - t2 / 720) : (1.0 - cos(t)) / t2;
+    const double c = t2 < 1e-4 ? 1.0 / 6 - t2 * (1.0 / 120 - t2 / 5040) : (1.0 - sin(t) / t) / t2;
+    double wv[3], wwv[3];
+    exp3(w, R);
+    cross(w, twist, wv);
+    cross(w, wv, wwv);
+    for (int i = 0; i < 3; i++) p[i] = twist[i] + b * wv[i] + c * wwv[i];
+}
+
 #endif

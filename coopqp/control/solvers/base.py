@@ -315,6 +315,8 @@ class QpSolver(abc.ABC):
 
     name: str
     settings: SolverSettings
+    #: It takes QPs with a positive definite H only.
+    strictly_convex_only: bool = False
 
     #: What the backend takes as an infinite bound.
     _infinity: float = INFINITE

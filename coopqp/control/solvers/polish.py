@@ -16,8 +16,8 @@ _EXACT, _EXACT_RELATIVE = 1e-13, 1e-10
 _NO_MULTIPLIER = 1e-8
 #: Active sets tried; more than a few mean that the answer was not near.
 _ROUNDS = 8
-#: Unknowns of this size are no answer to anything: a proof up to here is one of infeasibility.
-_REACH = 1e5
+#: Largest max |x| that a proof of infeasibility has to cover.
+REACH = 1e5
 #: Regularisation of the equations, taken out again by refinement: a handful of times where H is nearly singular on
 #: what the active constraints leave free, as near a singularity.
 _DELTA = 1e-10
@@ -71,9 +71,9 @@ def finish(problem: QpProblem, work: Workspace, outcome: Outcome, accuracy: floa
         residual = _polish(problem, work, outcome, residual)
     if residual.absolute <= accuracy:
         outcome.status, outcome.message = SolverStatus.SOLVED, ""
-    elif outcome.status is SolverStatus.MAX_ITERATIONS and excluded_ball(problem, work, raw) > _REACH:
+    elif outcome.status is SolverStatus.MAX_ITERATIONS and excluded_ball(problem, work, raw) > REACH:
         outcome.status = SolverStatus.INFEASIBLE
-        outcome.message = f"infeasible: the multipliers prove that no x up to {_REACH:.0e} meets the constraints"
+        outcome.message = f"infeasible: the multipliers prove that no x up to {REACH:.0e} meets the constraints"
     elif outcome.status is SolverStatus.SOLVED:
         outcome.message = f"optimal to {residual.absolute:.1e} only"
     return residual.absolute

@@ -17,6 +17,7 @@ from coopqp.control.independent import IndependentQPController, IndependentQPOpt
 from coopqp.control.options import QPOptions
 from coopqp.control.pseudo_inverse import PseudoInverseController, PseudoInverseOptions
 from coopqp.control.qp import QPController
+from coopqp.control.solvers import default_solver
 from coopqp.errors import CoopqpError, InvalidInputError, MissingExtraError, UnknownNameError
 from coopqp.files.cellfile.explain import explain
 from coopqp.files.cellfile.schema import MAX_STEPS, ArmTable, CellFile, CommonErrorTable, PlacementTable, StartTable
@@ -44,7 +45,7 @@ _CONTROLLERS: dict[str, tuple[Any, Any]] = {
     "pseudo_inverse": (PseudoInverseController, PseudoInverseOptions),
     "independent": (IndependentQPController, IndependentQPOptions),
 }
-_SOLVER_SETTINGS = {"proxqp": "ProxqpSettings", "osqp": "OsqpSettings", "daqp": "DaqpSettings"}
+_SOLVER_SETTINGS = {"proxqp": "ProxqpSettings", "osqp": "OsqpSettings", "daqp": "DaqpSettings", "ldp": "LdpSettings"}
 
 
 @dataclass(frozen=True, eq=False)
@@ -272,7 +273,10 @@ def _options(kind: str, table: Any) -> Any:
     replaced: dict[str, Any] = {}
     if getattr(table, "solver_settings", None) is not None:
         default = _CONTROLLERS[kind][1]().solver
-        replaced["solver_settings"] = _solver_settings(table.solver or default, table.solver_settings)
+        chosen = table.solver or default
+        replaced["solver_settings"] = _solver_settings(
+            default_solver() if chosen == "auto" else chosen, table.solver_settings
+        )
     if isinstance(getattr(table, "common_error", None), CommonErrorTable):
         replaced["common_error"] = _common_error(table.common_error)
     return build_options(_CONTROLLERS[kind][1], table, **replaced)

@@ -128,8 +128,9 @@ def tried(
 def qp_cases(solver: str, numbers: dict[str, float], tally: Tally, *, holds: bool) -> None:
     """One entry of each array of each form of the QP."""
     rng = np.random.default_rng(6)
+    forms = ("condensed",) if solver == "ldp" else ("condensed", "full")  # the full form is not strictly convex
     for scenario in (fast_lift(), dual_arm7()):
-        for form in ("condensed", "full"):
+        for form in forms:
             options = QPOptions(solver=solver, form=form, shortcut=False, kernel="none")  # type: ignore[arg-type]
             for name in ("H", "g", "A", "b", "C", "l", "u", "lb", "ub"):
                 if name in EMPTY[form]:
