@@ -13,8 +13,8 @@ from pathlib import Path
 
 import pytest
 
+from coopqp import OutputError
 from coopqp.app import cli, demo
-from coopqp.output import OutputError
 
 PICTURES = {"paper_lift.png", "figure5.png", "figure5_orientation.png", "joints.png"}
 

@@ -115,9 +115,9 @@ def test_notation_and_code_agree() -> None:
 def test_defaults_in_the_text_are_those_of_the_code() -> None:
     """Who changes one of these changes the pages too: howto/gains, howto/why-slow, derivations, tutorials 2 and 5,
     reliability."""
+    from coopqp import OsqpSettings
     from coopqp.control.limits import VelocityBox
     from coopqp.control.ranks import RESIDUE_TOLERANCE
-    from coopqp.control.solvers.osqp import OsqpSettings
 
     assert (RESIDUE_TOLERANCE, VelocityBox.RECOVERY_SHARE, OsqpSettings().max_iter) == (1e-5, 0.2, 4000)
     o = coopqp.QPOptions()

@@ -18,10 +18,11 @@ from coopqp.control.options import QPOptions
 from coopqp.control.pseudo_inverse import PseudoInverseController, PseudoInverseOptions
 from coopqp.control.qp import QPController
 from coopqp.errors import CoopqpError, InvalidInputError, MissingExtraError, UnknownNameError
+from coopqp.files.cellfile import CellFileError
 from coopqp.files.cellfile.explain import explain
 from coopqp.files.cellfile.schema import MAX_STEPS, ArmTable, CellFile, CommonErrorTable, PlacementTable, StartTable
 from coopqp.files.cellfile.strict import build_options
-from coopqp.files.cellfile.text import CellFileError, read_tables
+from coopqp.files.cellfile.text import read_tables
 from coopqp.model.cell import Arm, RobotCell
 from coopqp.model.grasp import Grasp
 from coopqp.model.inverse_kinematics import inverse_kinematics
