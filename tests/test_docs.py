@@ -91,7 +91,7 @@ def test_the_second_tutorial_judges_its_run_well(outputs: dict[str, str]) -> Non
 
 def test_the_reference_has_every_public_name() -> None:
     text = (DOCS / "reference.md").read_text(encoding="utf-8")
-    named = set(re.findall(r"auto(?:class|function|exception):: coopqp\.(\w+)$", text, flags=re.M))
+    named = set(re.findall(r"(?:auto(?:class|function|exception)|py:data):: coopqp\.(\w+)$", text, flags=re.M))
     assert named == set(coopqp.__all__) - {"__version__"}
 
 
