@@ -1,4 +1,4 @@
-"""Files: descriptions of cells, exports.
+"""Files: cell files and exports of recordings.
 
 What users need most is in :mod:`coopqp`. The names here are the rest: the cell files of coopqp, the schema of cell
 files, and files that are written whole or not at all.

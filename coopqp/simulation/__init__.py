@@ -1,4 +1,4 @@
-"""Runs: plants, the loop, recordings, and what they amount to.
+"""Runs: plants, the control loop, recordings, monitoring and assessment.
 
 What users need is in :mod:`coopqp`. The names here replay a motion on the physics engine without a controller.
 """

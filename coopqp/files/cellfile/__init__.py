@@ -23,7 +23,7 @@ CELLS = ("paper_lift",)
 
 
 class CellFileError(CoopqpError):
-    """A cell file that is missing, is neither TOML nor YAML, or breaks the schema."""
+    """A cell file is missing, is neither TOML nor YAML, or breaks the schema."""
 
 
 def example_path(name: str) -> Path:
