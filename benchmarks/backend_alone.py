@@ -14,9 +14,7 @@ import numpy as np
 from common import Record
 from recorded_qps import Recorded
 
-from coopqp.control.solvers import QpProblem
-from coopqp.control.solvers.base import Workspace
-from coopqp.control.solvers.osqp import OsqpSolver
+from coopqp import QpProblem, make_solver
 
 _PROXQP = {"eps_abs": 1e-9, "eps_rel": 0.0, "check_duality_gap": True, "eps_duality_gap_abs": 1e-9}
 _OSQP = {"eps_abs": 1e-7, "eps_rel": 1e-7, "max_iter": 4000}
@@ -65,8 +63,9 @@ def _proxqp(problems: Sequence[QpProblem]) -> Callable[[QpProblem], Callable[[],
 
 
 def _osqp(problems: Sequence[QpProblem]) -> Callable[[QpProblem], Callable[[], object]]:
-    kept, work = OsqpSolver(), Workspace(problems[0].sizes)
+    kept: Any = make_solver("osqp")
     kept.solve(problems[0])
+    work = kept._workspace
 
     def ready(problem: QpProblem) -> Callable[[], object]:
         work.load(problem, 1e30)

@@ -37,15 +37,22 @@ import pinocchio as pin
 from behaviour_cases import CASES, DWELL, OUTSIDE, Key, Run, build, keys_of, way_back
 from common import Record
 
-from coopqp.control.command import Controller, ControlStep, Status
-from coopqp.control.independent import IndependentQPController, IndependentQPOptions
-from coopqp.control.limits import VelocityBox
-from coopqp.control.options import QPOptions
-from coopqp.control.pseudo_inverse import PseudoInverseController
-from coopqp.control.qp import QPController
-from coopqp.control.solvers import available_solvers
-from coopqp.simulation import metrics
-from coopqp.spatial import Array
+from coopqp import (
+    Array,
+    Controller,
+    ControlStep,
+    IndependentQPController,
+    IndependentQPOptions,
+    PseudoInverseController,
+    QPController,
+    QPOptions,
+    Status,
+    available_solvers,
+    limit_excess,
+    relative_positioning_error,
+    tool_placements,
+)
+from coopqp.control import VelocityBox
 
 #: QP solvers that keep their memory; those of them that are installed are run.
 KEPT = ("daqp", "proxqp", "osqp")
@@ -100,7 +107,7 @@ def judge(run: Run, steps: Sequence[ControlStep]) -> Record:
     cell, grasp = run.task.cell, run.task.grasp
     q = np.array([steps[0].q, *(s.q_next for s in steps)])
     v = np.array([s.velocity for s in steps])
-    tools = metrics.tool_placements(cell, q)
+    tools = tool_placements(cell, q)
     views = _homogeneous(tools) @ np.linalg.inv(_homogeneous(grasp.T_object_tool))  # O_k, (T, N, 4, 4)
     poses = _homogeneous([s.path.pose(s.clock_next) for s in steps])
     pairs = [(i, j) for i in range(len(cell)) for j in range(i)]
@@ -127,7 +134,7 @@ def judge(run: Run, steps: Sequence[ControlStep]) -> Record:
         "blocked_joint": (blocked.joint or None) if blocked else None,
         "named": _named(run, end),
         "recovery_ratio": _recovery_ratio(run, q),
-        "eps_p_mm": 1e3 * max(metrics.relative_positioning_error(T, grasp) for T in tools) if len(cell) == 3 else None,
+        "eps_p_mm": 1e3 * max(relative_positioning_error(T, grasp) for T in tools) if len(cell) == 3 else None,
         "arms": len(cell),
         "steps": len(steps),
         "qp_steps": sum(s.solver.name != "none" for s in steps),
@@ -152,7 +159,7 @@ def _apart(A: Array, B: Array) -> Array:
 
 def _limit_excess(run: Run, q: Array, v: Array) -> float:
     if run.outside is None:
-        return metrics.limit_excess(run.task.cell, q, v)
+        return limit_excess(run.task.cell, q, v)
     way = _way_out(run, q)
     inside = np.flatnonzero(way <= 0.0)
     back = int(inside[0]) if inside.size else len(way)
@@ -160,7 +167,7 @@ def _limit_excess(run: Run, q: Array, v: Array) -> float:
     others = run.task.cell.with_limits(
         lower=np.minimum(run.task.cell.limits.lower, q[0]), upper=np.maximum(run.task.cell.limits.upper, q[0])
     )
-    return max(further_out, metrics.limit_excess(run.task.cell, q[back:], []), metrics.limit_excess(others, q, v))
+    return max(further_out, limit_excess(run.task.cell, q[back:], []), limit_excess(others, q, v))
 
 
 def _way_out(run: Run, q: Array) -> Array:

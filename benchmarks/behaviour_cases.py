@@ -9,9 +9,7 @@ from typing import Any, Literal, TypeAlias
 import numpy as np
 import pinocchio as pin
 
-from coopqp.errors import MissingExtraError
-from coopqp.model.cell import RobotCell
-from coopqp.model.grasp import Grasp
+from coopqp import Array, Grasp, LinePath, MissingExtraError, ObjectPath, RobotCell, TimeLaw
 from coopqp.scenarios import (
     SCENARIOS,
     Scenario,
@@ -24,8 +22,6 @@ from coopqp.scenarios import (
     paper_lift,
     ring,
 )
-from coopqp.spatial import Array
-from coopqp.task.path import LinePath, ObjectPath, TimeLaw
 
 #: What tells the runs of one case apart: plain values, from which the run is built.
 Key: TypeAlias = tuple[Any, ...]

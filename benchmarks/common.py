@@ -23,14 +23,10 @@ os.environ.update(ONE_THREAD)
 import numpy as np  # noqa: E402
 import pinocchio as pin  # noqa: E402
 
-from coopqp.control.core import available_kernels  # noqa: E402
-from coopqp.model.cell import RobotCell  # noqa: E402
-from coopqp.model.grasp import Grasp  # noqa: E402
-from coopqp.output import write_files  # noqa: E402
+from coopqp import Array, Grasp, RobotCell, TimeLaw, WaypointPath, available_kernels  # noqa: E402
+from coopqp.files import write_files  # noqa: E402
 from coopqp.scenarios import Scenario  # noqa: E402
 from coopqp.scenarios import ring as coopqp_ring  # noqa: E402
-from coopqp.spatial import Array  # noqa: E402
-from coopqp.task.path import TimeLaw, WaypointPath  # noqa: E402
 
 #: One flat record of results; its keys are each script's contract.
 Record = dict[str, Any]

@@ -20,11 +20,7 @@ from backend_alone import backend_alone
 from common import Record
 from recorded_qps import FORMS, Recorded, RecordedQp, export, record
 
-from coopqp.control.solvers import QpSolver, available_solvers, make_solver
-from coopqp.control.solvers.generic import GenericSettings
-from coopqp.control.solvers.osqp import OsqpSettings
-from coopqp.control.solvers.proxqp import ProxqpSettings
-from coopqp.spatial import Array
+from coopqp import Array, GenericSettings, OsqpSettings, ProxqpSettings, QpSolver, available_solvers, make_solver
 
 KEYS = (
     "solver",

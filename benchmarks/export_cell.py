@@ -13,8 +13,7 @@ from xml.etree.ElementTree import Element, SubElement, indent, tostring
 import numpy as np
 import pinocchio as pin
 
-from coopqp.model.cell import RobotCell
-from coopqp.spatial import Array
+from coopqp import Array, RobotCell
 
 _TOKEN_INERTIA = {"ixx": "0.01", "iyy": "0.01", "izz": "0.01", "ixy": "0", "ixz": "0", "iyz": "0"}
 

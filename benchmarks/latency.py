@@ -35,12 +35,8 @@ import numpy as np
 from common import Record
 from step_profile import Spin, tail
 
-from coopqp.control.core import available_kernels
-from coopqp.control.options import QPOptions
-from coopqp.control.qp import QPController
-from coopqp.control.supervision import SupervisionOptions
+from coopqp import Array, QPController, QPOptions, SupervisionOptions, available_kernels
 from coopqp.scenarios import Scenario, at_singularity
-from coopqp.spatial import Array
 
 ARMS = 3
 CASES = ("nominal", "measured", "watched", "slowed", "corner", "qp", "pole")

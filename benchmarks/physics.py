@@ -23,22 +23,31 @@ import common  # first: it limits BLAS to one thread
 import numpy as np
 import pinocchio as pin
 
-from coopqp.control.command import Controller, ControlStep, Status
-from coopqp.control.options import QPOptions
-from coopqp.control.pseudo_inverse import PseudoInverseController, PseudoInverseOptions
-from coopqp.control.qp import QPController
-from coopqp.control.supervision import SupervisionOptions
-from coopqp.forces.stress import StressModel, at_tools
-from coopqp.model.grasp import Grasp
+from coopqp import (
+    Array,
+    Controller,
+    ControlStep,
+    Disturbances,
+    Grasp,
+    PhysicsOptions,
+    PhysicsPlant,
+    PseudoInverseController,
+    PseudoInverseOptions,
+    QPController,
+    QPOptions,
+    Recording,
+    Status,
+    StressModel,
+    SupervisionOptions,
+    TimeLaw,
+    at_tools,
+    misplaced,
+    relative_positioning_error,
+    simulate,
+    tool_placements,
+)
 from coopqp.scenarios import Scenario, paper_lift
-from coopqp.simulation import metrics
-from coopqp.simulation.plants.disturbances import Disturbances, misplaced
-from coopqp.simulation.plants.physics import PhysicsOptions, PhysicsPlant
-from coopqp.simulation.plants.physics_options import Interpolation
-from coopqp.simulation.plants.replay import Motion, Replay, exact_motion, recorded_motion
-from coopqp.simulation.simulate import Recording, simulate
-from coopqp.spatial import Array
-from coopqp.task.path import TimeLaw
+from coopqp.simulation import Interpolation, Motion, Replay, exact_motion, recorded_motion
 
 PSEUDO_INVERSE, QP = "pseudo-inverse", "qp"
 ENGINE_STEP = 1e-3
@@ -128,9 +137,7 @@ class Replays:
         added = run.added(self.reference)
         total, pressed = force(added), added[::every]
         q = run.recording.q_command[1::every]
-        measure = np.array(
-            [1e3 * metrics.relative_positioning_error(T, s.grasp) for T in metrics.tool_placements(s.cell, q)]
-        )
+        measure = np.array([1e3 * relative_positioning_error(T, s.grasp) for T in tool_placements(s.cell, q)])
         model = StressModel(s.cell, s.grasp, stiffness=self.plant.stiffness)
         estimate = np.array([at_tools(w, s.grasp) for w in model.history(q)])
         error = force(estimate - pressed)

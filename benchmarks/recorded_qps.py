@@ -12,14 +12,10 @@ import common  # first: it limits BLAS to one thread
 import numpy as np
 import peer_cases
 
-from coopqp.control.forms import Pieces, StepTerms
-from coopqp.control.limits import VelocityBox
-from coopqp.control.options import QPOptions
-from coopqp.control.qp import QPController
-from coopqp.control.solvers import QpProblem
-from coopqp.output import write_files
+from coopqp import Array, QPController, QPOptions, QpProblem
+from coopqp.control import Pieces, StepTerms, VelocityBox
+from coopqp.files import write_files
 from coopqp.scenarios import Scenario, at_singularity, fast_lift
-from coopqp.spatial import Array
 
 FORMS = ("condensed", "full")
 #: What happens in each case.

@@ -18,10 +18,8 @@ import pinocchio as pin
 from common import Record
 from recorded_qps import record as record_qps
 
-from coopqp.control.core import Outcome, available_kernels
-from coopqp.control.options import QPOptions
-from coopqp.control.qp import QPController
-from coopqp.control.solvers import make_solver
+from coopqp import QPController, QPOptions, available_kernels, make_solver
+from coopqp.control import Outcome
 from coopqp.scenarios import Scenario
 
 KEYS = ("what", "kernel", "case", "part", "clock", "p50_us", "p99_us", "p999_us", "max_us", "share", "ratio", "samples")

@@ -18,11 +18,8 @@ import pinocchio as pin
 import pytest
 from hypothesis import HealthCheck, settings
 
-from coopqp.control.pseudo_inverse import PseudoInverseController, PseudoInverseOptions
-from coopqp.model.cell import Arm, RobotCell
+from coopqp import Arm, PseudoInverseController, PseudoInverseOptions, Recording, RobotCell, robot_path, simulate
 from coopqp.scenarios import Scenario, paper_lift
-from coopqp.scenarios.robots import robot_path
-from coopqp.simulation.simulate import Recording, simulate
 
 settings.register_profile(
     "ci",

@@ -17,11 +17,23 @@ from typing import Any
 import numpy as np
 import pytest
 
-from coopqp.control.command import ControlStep, Status
-from coopqp.control.independent import IndependentQPController, IndependentQPOptions
-from coopqp.control.solvers import QpProblem, QpSolution, SolverStatus
-from coopqp.errors import InvalidInputError, UnknownNameError
-from coopqp.model.limits import BindingLimit, LimitKind
+from coopqp import (
+    BindingLimit,
+    ControlStep,
+    IndependentQPController,
+    IndependentQPOptions,
+    InvalidInputError,
+    LimitKind,
+    QpProblem,
+    QpSolution,
+    SolverStatus,
+    Status,
+    UnknownNameError,
+    chain_error,
+    limit_excess,
+    path_error,
+    tool_placements,
+)
 from coopqp.scenarios import (
     Scenario,
     at_limit,
@@ -32,7 +44,6 @@ from coopqp.scenarios import (
     mixed_cell,
     paper_lift,
 )
-from coopqp.simulation.metrics import chain_error, limit_excess, path_error, tool_placements
 
 NIGHTLY = os.environ.get("HYPOTHESIS_PROFILE") == "nightly"
 BENCHMARKS = Path(__file__).parents[1] / "benchmarks"

@@ -12,8 +12,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from coopqp import available_kernels
-from coopqp.simulation.metrics import tool_placements
+from coopqp import available_kernels, tool_placements
 
 BENCHMARKS = Path(__file__).resolve().parent.parent / "benchmarks"
 sys.path.insert(0, str(BENCHMARKS))

@@ -16,10 +16,18 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 import coopqp.model.arm
-from coopqp.errors import CoopqpError, InvalidInputError, ModelError, UnknownNameError
-from coopqp.model.cell import Arm, JointLimits, RobotCell
-from coopqp.model.state import CellState
-from coopqp.scenarios.robots import ROBOT_NAMES, robot_path
+from coopqp import (
+    Arm,
+    CellState,
+    CoopqpError,
+    InvalidInputError,
+    JointLimits,
+    ModelError,
+    RobotCell,
+    UnknownNameError,
+    robot_path,
+)
+from coopqp.scenarios import ROBOT_NAMES
 
 Array = NDArray[np.float64]
 

@@ -16,22 +16,29 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from ruamel.yaml import YAML
 
+from coopqp import (
+    CellFileError,
+    CoopqpError,
+    HoldPath,
+    IndependentQPOptions,
+    MissingExtraError,
+    PhysicsPlant,
+    PseudoInverseOptions,
+    QPOptions,
+    Recording,
+    RobotCell,
+    UnknownNameError,
+    judge,
+    load_cell_file,
+    read_run,
+    robot_path,
+)
 from coopqp.app.demo import run_method
-from coopqp.control.independent import IndependentQPOptions
-from coopqp.control.options import QPOptions
-from coopqp.control.pseudo_inverse import PseudoInverseOptions
-from coopqp.errors import CoopqpError, MissingExtraError, UnknownNameError
-from coopqp.files.cellfile import CELLS, example_path, json_schema, load_cell_file, schema_text
+from coopqp.files.cellfile import CELLS, example_path, json_schema, schema_text
 from coopqp.files.cellfile.build import CellRun
 from coopqp.files.cellfile.strict import attribute_docs
-from coopqp.files.cellfile.text import CellFileError, read_tables
-from coopqp.model.cell import RobotCell
+from coopqp.files.cellfile.text import read_tables
 from coopqp.scenarios import Scenario
-from coopqp.scenarios.robots import robot_path
-from coopqp.simulation.assessment import judge, read_run
-from coopqp.simulation.plants.physics import PhysicsPlant
-from coopqp.simulation.simulate import Recording
-from coopqp.task.path import HoldPath
 
 EXAMPLES = sorted((Path(__file__).parents[1] / "docs" / "examples" / "cells").glob("*.toml"))
 PAPER = example_path("paper_lift").read_text()

@@ -13,13 +13,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from coopqp.model.cell import Arm, RobotCell
+from coopqp import Arm, CellState, Grasp, RobotCell, adjoint, robot_path
 from coopqp.model.chain import SINGULAR_FLOOR, Chain
-from coopqp.model.grasp import Grasp
-from coopqp.model.state import CellState
 from coopqp.scenarios import Scenario
-from coopqp.scenarios.robots import robot_path
-from coopqp.spatial import adjoint
 
 Array = NDArray[np.float64]
 FEW = settings(max_examples=settings().max_examples // 4)  # each example builds two cells

@@ -13,8 +13,8 @@ from pathlib import Path
 
 import pytest
 
+from coopqp import OutputError
 from coopqp.app import cli, demo
-from coopqp.output import OutputError
 
 PICTURES = {"paper_lift.png", "figure5.png", "figure5_orientation.png", "joints.png"}
 
@@ -217,7 +217,7 @@ def test_control_c_stops_a_run_without_a_traceback(tmp_path: Path) -> None:
 
 def test_a_reader_that_leaves_is_no_error(tmp_path: Path) -> None:
     program = (
-        "import sys; from coopqp import cli, demo; demo.demo_pictures = lambda *_: {};"
+        "import sys; from coopqp.app import cli, demo; demo.demo_pictures = lambda *_: {};"
         f"sys.exit(cli.main(['demo', '--steps', '2', '--out', {str(tmp_path)!r}]))"
     )
     with subprocess.Popen([sys.executable, "-c", program], stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:

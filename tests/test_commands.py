@@ -18,11 +18,10 @@ from typing import Any
 import numpy as np
 import pytest
 
+from coopqp import OutputError, Recording
 from coopqp.app import cli, runs
 from coopqp.files.cellfile import example_path
 from coopqp.look import plots, viewer
-from coopqp.output import OutputError
-from coopqp.simulation.simulate import Recording
 
 SMALL = """
 name = "small {name}"

@@ -13,9 +13,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from coopqp import InvalidInputError, MissingExtraError, UnknownNameError, available_solvers
 from coopqp.app.demo import METHODS, DemoRun, check_demo, records_json, run_demo, run_method
-from coopqp.control.solvers import available_solvers
-from coopqp.errors import InvalidInputError, MissingExtraError, UnknownNameError
 from coopqp.scenarios import Scenario, paper_lift
 from coopqp.simulation import metrics
 

@@ -91,7 +91,7 @@ def test_the_second_tutorial_judges_its_run_well(outputs: dict[str, str]) -> Non
 
 def test_the_reference_has_every_public_name() -> None:
     text = (DOCS / "reference.md").read_text(encoding="utf-8")
-    named = set(re.findall(r"auto(?:class|function|exception):: coopqp\.(\w+)$", text, flags=re.M))
+    named = set(re.findall(r"(?:auto(?:class|function|exception)|py:data):: coopqp\.(\w+)$", text, flags=re.M))
     assert named == set(coopqp.__all__) - {"__version__"}
 
 
@@ -115,9 +115,9 @@ def test_notation_and_code_agree() -> None:
 def test_defaults_in_the_text_are_those_of_the_code() -> None:
     """Who changes one of these changes the pages too: howto/gains, howto/why-slow, derivations, tutorials 2 and 5,
     reliability."""
+    from coopqp import OsqpSettings
     from coopqp.control.limits import VelocityBox
     from coopqp.control.ranks import RESIDUE_TOLERANCE
-    from coopqp.control.solvers.osqp import OsqpSettings
 
     assert (RESIDUE_TOLERANCE, VelocityBox.RECOVERY_SHARE, OsqpSettings().max_iter) == (1e-5, 0.2, 4000)
     o = coopqp.QPOptions()

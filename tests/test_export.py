@@ -14,14 +14,20 @@ from typing import Any
 import numpy as np
 import pytest
 
-from coopqp.errors import InvalidInputError, MissingExtraError
-from coopqp.files.export import csv_text, joint_table, knot_velocities, topic_name, write_bag, write_csv
-from coopqp.model.cell import RobotCell
-from coopqp.output import OutputError
+from coopqp import (
+    InvalidInputError,
+    MissingExtraError,
+    OutputError,
+    Recording,
+    RobotCell,
+    SceneError,
+    read_run,
+    write_bag,
+    write_csv,
+)
+from coopqp.files.export import csv_text, joint_table, knot_velocities, topic_name
 from coopqp.scenarios import Scenario
-from coopqp.simulation.assessment import read_run
-from coopqp.simulation.scene import SceneError, describe_cell
-from coopqp.simulation.simulate import Recording
+from coopqp.simulation.scene import describe_cell
 
 with warnings.catch_warnings():
     warnings.simplefilter("ignore", DeprecationWarning)

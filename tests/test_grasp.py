@@ -12,12 +12,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from coopqp.errors import InvalidInputError
-from coopqp.model.cell import RobotCell
-from coopqp.model.grasp import THETA, Grasp, plate_from_centroid, plate_from_points, triangle_frames
-from coopqp.model.state import CellState
+from coopqp import CellState, Grasp, InvalidInputError, RobotCell, adjoint, plate_from_centroid, plate_from_points
+from coopqp.model.grasp import THETA, triangle_frames
 from coopqp.scenarios import Scenario
-from coopqp.spatial import adjoint
 
 Array = NDArray[np.float64]
 RandomQ = Callable[[RobotCell, np.random.Generator], Array]

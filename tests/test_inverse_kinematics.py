@@ -12,11 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from coopqp.errors import InvalidInputError, UnreachableError
-from coopqp.model.cell import RobotCell
-from coopqp.model.grasp import Grasp
-from coopqp.model.inverse_kinematics import inverse_kinematics
-from coopqp.model.state import CellState
+from coopqp import CellState, Grasp, InvalidInputError, RobotCell, UnreachableError, inverse_kinematics
 from coopqp.scenarios import Scenario
 
 Array = NDArray[np.float64]

@@ -12,29 +12,29 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from coopqp.control import core as kernels
-from coopqp.control.core import (
-    BorderArrays,
-    Outcome,
-    StepKernel,
-    Workspace,
+from coopqp import (
+    Array,
+    CellState,
+    Grasp,
+    JointLimits,
+    LinePath,
+    ObjectPath,
+    QPController,
+    QPOptions,
+    RankWeights,
+    RobotCell,
+    ServoPath,
+    UnknownNameError,
+    WaypointPath,
     available_kernels,
-    make_border,
-    make_kernel,
 )
+from coopqp.control import core as kernels
+from coopqp.control.core import BorderArrays, Outcome, StepKernel, Workspace, make_border, make_kernel
 from coopqp.control.core.reference import bound
-from coopqp.control.forms import RankWeights, StepProgram, StepTerms
+from coopqp.control.forms import StepProgram, StepTerms
 from coopqp.control.limits import LIMIT_TOLERANCE, VelocityBox
-from coopqp.control.options import QPOptions
-from coopqp.control.qp import QPController
-from coopqp.errors import UnknownNameError
-from coopqp.model.cell import JointLimits, RobotCell
 from coopqp.model.chain import Chain
-from coopqp.model.grasp import Grasp
-from coopqp.model.state import CellState
 from coopqp.scenarios import Scenario, at_limit, dual_arm7, mixed_cell, paper_lift, ring
-from coopqp.spatial import Array
-from coopqp.task.path import LinePath, ObjectPath, ServoPath, WaypointPath
 
 #: Largest difference of a joint velocity in closed loop [rad/s or m/s].
 SAME = 1e-10

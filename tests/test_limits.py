@@ -14,9 +14,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
+from coopqp import BindingLimit, JointLimits, LimitKind, RobotCell
 from coopqp.control.limits import LIMIT_TOLERANCE, VelocityBox, rate_interval
-from coopqp.model.cell import JointLimits, RobotCell
-from coopqp.model.limits import BindingLimit, LimitKind
 
 Array = NDArray[np.float64]
 STEPS = [0.001, 0.002, 0.01]  # [s]

@@ -12,12 +12,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from coopqp.errors import InvalidInputError
-from coopqp.model.cell import RobotCell
-from coopqp.model.grasp import Grasp
-from coopqp.model.state import CellState
-from coopqp.scenarios import Scenario
-from coopqp.simulation.metrics import (
+from coopqp import (
+    CellState,
+    Grasp,
+    InvalidInputError,
+    LinePath,
+    Recording,
+    RobotCell,
     chain_error,
     limit_excess,
     object_error,
@@ -26,8 +27,7 @@ from coopqp.simulation.metrics import (
     relative_positioning_error,
     tool_placements,
 )
-from coopqp.simulation.simulate import Recording
-from coopqp.task.path import LinePath
+from coopqp.scenarios import Scenario
 
 Array = NDArray[np.float64]
 

@@ -12,21 +12,23 @@ import pinocchio as pin
 import pytest
 from numpy.typing import NDArray
 
-from coopqp.model.cell import RobotCell
-from coopqp.model.grasp import THETA, Grasp, triangle_frames
-from coopqp.model.inverse_kinematics import inverse_kinematics
-from coopqp.model.state import CellState
-from coopqp.scenarios import Scenario
-from coopqp.scenarios.paper import BASE_DISTANCE_H, BASE_OFFSET_B, slave_base
-from coopqp.simulation.metrics import (
+from coopqp import (
+    CellState,
+    Grasp,
+    LinePath,
+    Recording,
+    RobotCell,
+    adjoint,
+    inverse_kinematics,
     object_error,
     relative_orientation_error,
     relative_positioning_error,
     tool_placements,
 )
-from coopqp.simulation.simulate import Recording
-from coopqp.spatial import adjoint
-from coopqp.task.path import LinePath, ScrewParameters
+from coopqp.model.grasp import THETA, triangle_frames
+from coopqp.scenarios import Scenario
+from coopqp.scenarios.paper import BASE_DISTANCE_H, BASE_OFFSET_B, slave_base
+from coopqp.task.path import ScrewParameters
 
 Array = NDArray[np.float64]
 EXACT = 1e-13

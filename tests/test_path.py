@@ -12,18 +12,18 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from coopqp.errors import InvalidInputError, UnknownNameError
-from coopqp.spatial import adjoint
-from coopqp.task.path import (
+from coopqp import (
     HoldPath,
+    InvalidInputError,
     LinePath,
     ObjectPath,
-    ScrewParameters,
     ServoPath,
     TimeLaw,
+    UnknownNameError,
     WaypointPath,
-    as_time_law,
+    adjoint,
 )
+from coopqp.task.path import ScrewParameters, as_time_law
 
 Array = NDArray[np.float64]
 

@@ -12,24 +12,37 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from coopqp.control.command import Controller
-from coopqp.control.options import QPOptions
-from coopqp.control.pseudo_inverse import PseudoInverseController
-from coopqp.control.qp import QPController
-from coopqp.control.supervision import SupervisionOptions
-from coopqp.errors import CoopqpError, InvalidInputError, MissingExtraError, ModelError
-from coopqp.forces.stress import StressModel, at_tools
-from coopqp.model.cell import Arm, RobotCell
-from coopqp.model.grasp import Grasp
-from coopqp.model.state import CellState
+from coopqp import (
+    Arm,
+    Array,
+    CellState,
+    Controller,
+    CoopqpError,
+    Disturbances,
+    Grasp,
+    HoldPath,
+    InvalidInputError,
+    MissingExtraError,
+    ModelError,
+    ObjectPath,
+    PhysicsError,
+    PhysicsOptions,
+    PhysicsPlant,
+    PseudoInverseController,
+    QPController,
+    QPOptions,
+    Recording,
+    RobotCell,
+    StressModel,
+    SupervisionOptions,
+    WaypointPath,
+    at_tools,
+    misplaced,
+    simulate,
+)
 from coopqp.scenarios import Scenario, paper_lift
 from coopqp.simulation import metrics
-from coopqp.simulation.plants.disturbances import Disturbances, misplaced
-from coopqp.simulation.plants.physics import PhysicsError, PhysicsOptions, PhysicsPlant
 from coopqp.simulation.plants.replay import Motion, Replay, exact_motion, recorded_motion
-from coopqp.simulation.simulate import Recording, simulate
-from coopqp.spatial import Array
-from coopqp.task.path import HoldPath, ObjectPath, WaypointPath
 
 mujoco = pytest.importorskip("mujoco")
 

@@ -9,13 +9,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from coopqp.control.pseudo_inverse import PseudoInverseController, PseudoInverseOptions
-from coopqp.errors import InvalidInputError, MissingExtraError
+from coopqp import (
+    InvalidInputError,
+    MissingExtraError,
+    OutputError,
+    PseudoInverseController,
+    PseudoInverseOptions,
+    Recording,
+    RobotCell,
+    simulate,
+)
 from coopqp.look import plots
-from coopqp.model.cell import RobotCell
-from coopqp.output import OutputError
 from coopqp.scenarios import Scenario, paper_lift
-from coopqp.simulation.simulate import Recording, simulate
 
 
 @pytest.fixture(scope="module")

@@ -9,17 +9,23 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from coopqp.control.command import ControlStep
-from coopqp.control.options import QPOptions
-from coopqp.control.qp import QPController
-from coopqp.errors import InvalidInputError
-from coopqp.model.cell import RobotCell
-from coopqp.model.state import CellState
+from coopqp import (
+    Array,
+    CellState,
+    ControlStep,
+    HoldPath,
+    InvalidInputError,
+    PostureOptions,
+    QPController,
+    QPOptions,
+    RobotCell,
+    chain_error,
+    limit_excess,
+    path_error,
+    tool_placements,
+)
 from coopqp.scenarios import Scenario, dual_arm7, mixed_cell, paper_lift
-from coopqp.simulation.metrics import chain_error, limit_excess, path_error, tool_placements
-from coopqp.spatial import Array
-from coopqp.task.path import HoldPath
-from coopqp.task.posture import Posture, PostureOptions
+from coopqp.task.posture import Posture
 
 
 def posture_of(cell: RobotCell, q: Array, **options: Any) -> Posture:

@@ -10,18 +10,29 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from coopqp.control.options import QPOptions
-from coopqp.control.qp import QPController
-from coopqp.errors import InvalidInputError
+from coopqp import (
+    Array,
+    HoldPath,
+    InvalidInputError,
+    LimitKind,
+    LinePath,
+    ObjectPath,
+    PostureOptions,
+    PreviewOptions,
+    QPController,
+    QPOptions,
+    ServoPath,
+    TimeLaw,
+    WaypointPath,
+    chain_error,
+    path_error,
+    tool_placements,
+)
 from coopqp.model.chain import Chain
 from coopqp.model.inverse_kinematics import newton
-from coopqp.model.limits import LimitKind
-from coopqp.planning.preview import PathPreview, PreviewOptions
+from coopqp.planning.preview import PathPreview
 from coopqp.scenarios import Scenario, at_limit, at_singularity, dual_arm7, mixed_cell, paper_lift
-from coopqp.simulation.metrics import chain_error, path_error, tool_placements
-from coopqp.spatial import Array
-from coopqp.task.path import HoldPath, LinePath, ObjectPath, ServoPath, TimeLaw, WaypointPath
-from coopqp.task.posture import Posture, PostureOptions
+from coopqp.task.posture import Posture
 
 NIGHTLY = os.environ.get("HYPOTHESIS_PROFILE") == "nightly"
 DIRECTIONS = 40 if NIGHTLY else 6

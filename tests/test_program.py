@@ -10,15 +10,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from coopqp.control.forms import Answer, Pieces, RankWeights, StepProgram, StepTerms
+from coopqp import Array, InvalidInputError, PreviewOptions, QPController, QPOptions, RankWeights, make_solver
+from coopqp.control.forms import Answer, Pieces, StepProgram, StepTerms
 from coopqp.control.limits import VelocityBox
-from coopqp.control.options import QPOptions
-from coopqp.control.qp import QPController
 from coopqp.control.ranks import StepAnswer, StepSolver
-from coopqp.control.solvers import make_solver
-from coopqp.errors import InvalidInputError
 from coopqp.model.chain import Chain
-from coopqp.planning.preview import PreviewOptions
 from coopqp.scenarios import (
     SCENARIOS,
     Scenario,
@@ -29,7 +25,6 @@ from coopqp.scenarios import (
     paper_lift,
     scara_pair,
 )
-from coopqp.spatial import Array
 
 #: Random boxes per recorded step.
 BOXES = 50 if os.environ.get("HYPOTHESIS_PROFILE") == "nightly" else 5

@@ -12,24 +12,29 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from coopqp.control.command import Status
-from coopqp.control.pseudo_inverse import PseudoInverseController, PseudoInverseOptions
-from coopqp.errors import InvalidInputError, UnknownNameError
-from coopqp.model.cell import RobotCell
-from coopqp.model.grasp import Grasp
-from coopqp.model.inverse_kinematics import inverse_kinematics
-from coopqp.model.state import CellState
-from coopqp.scenarios import Scenario
-from coopqp.scenarios.paper import BASE_DISTANCE_H, slave_base
-from coopqp.simulation.metrics import (
+from coopqp import (
+    CellState,
+    Grasp,
+    HoldPath,
+    InvalidInputError,
+    LinePath,
+    PseudoInverseController,
+    PseudoInverseOptions,
+    Recording,
+    RobotCell,
+    Status,
+    UnknownNameError,
+    WaypointPath,
+    inverse_kinematics,
     limit_excess,
     object_error,
     relative_orientation_error,
     relative_positioning_error,
+    simulate,
     tool_placements,
 )
-from coopqp.simulation.simulate import Recording, simulate
-from coopqp.task.path import HoldPath, LinePath, WaypointPath
+from coopqp.scenarios import Scenario
+from coopqp.scenarios.paper import BASE_DISTANCE_H, slave_base
 
 Array = NDArray[np.float64]
 Baseline = Callable[..., Recording]

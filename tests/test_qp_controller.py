@@ -13,18 +13,38 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from coopqp.control.command import ControlStep, Status
-from coopqp.control.forms import RankWeights
-from coopqp.control.independent import IndependentQPController
-from coopqp.control.options import QPOptions
-from coopqp.control.pseudo_inverse import PseudoInverseController
-from coopqp.control.qp import QPController
-from coopqp.errors import InvalidInputError, MissingExtraError, UnknownNameError
-from coopqp.model.cell import Arm, RobotCell
-from coopqp.model.grasp import Grasp
-from coopqp.model.inverse_kinematics import inverse_kinematics
-from coopqp.model.limits import LimitKind
-from coopqp.planning.preview import PreviewOptions
+from coopqp import (
+    Arm,
+    Array,
+    CommonError,
+    ControlStep,
+    Grasp,
+    HoldPath,
+    IndependentQPController,
+    InvalidInputError,
+    LimitKind,
+    LinePath,
+    MissingExtraError,
+    ObjectPath,
+    PostureOptions,
+    PreviewOptions,
+    PseudoInverseController,
+    QPController,
+    QPOptions,
+    RankWeights,
+    RobotCell,
+    Status,
+    TimeLaw,
+    UnknownNameError,
+    WaypointPath,
+    chain_error,
+    inverse_kinematics,
+    limit_excess,
+    object_error,
+    path_error,
+    relative_positioning_error,
+    tool_placements,
+)
 from coopqp.scenarios import (
     SCENARIOS,
     Scenario,
@@ -39,18 +59,6 @@ from coopqp.scenarios import (
     scara_pair,
 )
 from coopqp.scenarios.paper import three_rx90l
-from coopqp.simulation.metrics import (
-    chain_error,
-    limit_excess,
-    object_error,
-    path_error,
-    relative_positioning_error,
-    tool_placements,
-)
-from coopqp.spatial import Array
-from coopqp.task.common_error import CommonError
-from coopqp.task.path import HoldPath, LinePath, ObjectPath, TimeLaw, WaypointPath
-from coopqp.task.posture import PostureOptions
 
 NIGHTLY = os.environ.get("HYPOTHESIS_PROFILE") == "nightly"
 MM = 1e-3

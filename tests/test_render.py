@@ -10,10 +10,8 @@ import pinocchio as pin
 import pytest
 from numpy.typing import NDArray
 
-from coopqp.errors import InvalidInputError
+from coopqp import Arm, InvalidInputError, RobotCell, robot_path
 from coopqp.look.render import Solid, View, box_solid, cell_solids, mesh_of, render
-from coopqp.model.cell import Arm, RobotCell
-from coopqp.scenarios.robots import robot_path
 
 Array = NDArray[np.float64]
 

@@ -13,18 +13,29 @@ from typing import Any
 import numpy as np
 import pytest
 
-from coopqp.control.command import Status
-from coopqp.control.qp import QPController
-from coopqp.errors import InvalidInputError, MissingExtraError
-from coopqp.look.report import report_html, write_report
+from coopqp import (
+    BindingLimit,
+    InvalidInputError,
+    LimitKind,
+    MissingExtraError,
+    OutputError,
+    QPController,
+    Recording,
+    RecordingError,
+    RobotCell,
+    SceneError,
+    Status,
+    Tolerances,
+    describe_object,
+    judge,
+    read_run,
+    simulate,
+    write_report,
+)
+from coopqp.look.report import report_html
 from coopqp.look.timeline import bound_limits, timeline_figure
-from coopqp.model.cell import RobotCell
-from coopqp.model.limits import BindingLimit, LimitKind
-from coopqp.output import OutputError
 from coopqp.scenarios import Scenario
-from coopqp.simulation.assessment import Tolerances, judge, read_run, run_figures, worst_status
-from coopqp.simulation.scene import SceneError, describe_object
-from coopqp.simulation.simulate import Recording, RecordingError, simulate
+from coopqp.simulation.assessment import run_figures, worst_status
 
 
 @pytest.fixture(scope="module")

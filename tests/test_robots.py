@@ -13,8 +13,8 @@ import pinocchio as pin
 import pytest
 from numpy.typing import NDArray
 
-from coopqp.errors import UnknownNameError
-from coopqp.scenarios.robots import ROBOT_NAMES, robot_path
+from coopqp import UnknownNameError, robot_path
+from coopqp.scenarios import ROBOT_NAMES
 
 Array = NDArray[np.float64]
 

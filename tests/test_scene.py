@@ -13,21 +13,20 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from coopqp.look.render import cell_solids
-from coopqp.model.cell import Arm, RobotCell
-from coopqp.scenarios.robots import ROBOT_NAMES, robot_path
-from coopqp.simulation.metrics import tool_placements
-from coopqp.simulation.scene import (
+from coopqp import (
+    Arm,
+    HoldPath,
+    Recording,
+    RobotCell,
     SceneError,
-    describe_cell,
+    ServoPath,
     describe_object,
-    describe_path,
-    read_cell,
-    read_object,
-    read_path,
+    robot_path,
+    tool_placements,
 )
-from coopqp.simulation.simulate import Recording
-from coopqp.task.path import HoldPath, ServoPath
+from coopqp.look.render import cell_solids
+from coopqp.scenarios import ROBOT_NAMES
+from coopqp.simulation.scene import describe_cell, describe_path, read_cell, read_object, read_path
 
 
 def _all_robots() -> RobotCell:

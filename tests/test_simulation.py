@@ -18,14 +18,21 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 import coopqp.simulation.simulate
-from coopqp.control.command import ControlStep, Status
-from coopqp.control.pseudo_inverse import PseudoInverseController, PseudoInverseOptions
-from coopqp.control.qp import QPController
-from coopqp.errors import CoopqpError, InvalidInputError
+from coopqp import (
+    ControlStep,
+    CoopqpError,
+    InvalidInputError,
+    KinematicPlant,
+    PseudoInverseController,
+    PseudoInverseOptions,
+    QPController,
+    Recording,
+    RecordingError,
+    ServoPath,
+    Status,
+    simulate,
+)
 from coopqp.scenarios import Scenario, at_limit
-from coopqp.simulation.plants import KinematicPlant
-from coopqp.simulation.simulate import Recording, RecordingError, simulate
-from coopqp.task.path import ServoPath
 
 Array = NDArray[np.float64]
 MANY = settings(max_examples=4 * settings().max_examples)

@@ -16,22 +16,24 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from coopqp.control.solvers import (
+from coopqp import (
+    DaqpSettings,
+    GenericSettings,
+    InvalidInputError,
+    MissingExtraError,
+    OsqpSettings,
+    ProxqpSettings,
     QpProblem,
     QpSolution,
     QpSolver,
     SolverSettings,
     SolverStatus,
+    UnknownNameError,
     available_solvers,
     make_solver,
 )
 from coopqp.control.solvers.base import Outcome, Workspace
-from coopqp.control.solvers.daqp import DaqpSettings
-from coopqp.control.solvers.generic import GenericSettings
-from coopqp.control.solvers.osqp import OsqpSettings
 from coopqp.control.solvers.polish import excluded_ball, finish, kkt_residual
-from coopqp.control.solvers.proxqp import ProxqpSettings
-from coopqp.errors import InvalidInputError, MissingExtraError, UnknownNameError
 
 SEMIDEFINITE = [name for name in ("proxqp", "osqp", "daqp") if name in available_solvers()]
 KEPT = SEMIDEFINITE + [name for name in ("ldp",) if name in available_solvers()]

@@ -10,11 +10,8 @@ import pinocchio as pin
 import pytest
 from numpy.typing import NDArray
 
-from coopqp.errors import InvalidInputError, UnknownNameError
-from coopqp.model.cell import RobotCell
-from coopqp.model.state import CellState
+from coopqp import CellState, InvalidInputError, RobotCell, UnknownNameError, adjoint
 from coopqp.scenarios import Scenario
-from coopqp.spatial import adjoint
 
 Array = NDArray[np.float64]
 RandomQ = Callable[[RobotCell, np.random.Generator], Array]

@@ -9,14 +9,9 @@ import pinocchio as pin
 import pytest
 
 import coopqp.forces.stress
+from coopqp import Array, CellState, Grasp, InvalidInputError, RobotCell, StressModel, at_tools
 from coopqp.control.stress_watch import StressWatch
-from coopqp.errors import InvalidInputError
-from coopqp.forces.stress import StressModel, at_tools
-from coopqp.model.cell import RobotCell
-from coopqp.model.grasp import Grasp
-from coopqp.model.state import CellState
 from coopqp.scenarios import Scenario
-from coopqp.spatial import Array
 
 #: Cells with 6, 7, and fewer joints an arm.
 ROBOTS = [("rx90l", "rx90l", "rx90l"), ("arm7", "rx90l"), ("arm7", "arm6c", "gantry7"), ("rx90l", "arm5", "scara4")]

@@ -8,12 +8,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from coopqp import QPController
+from coopqp import Array, InvalidInputError, QPController, SupervisionOptions
 from coopqp.control.stress_watch import StressWatch
-from coopqp.control.supervision import Supervision, SupervisionOptions, Watch
-from coopqp.errors import InvalidInputError
+from coopqp.control.supervision import Supervision, Watch
 from coopqp.scenarios import paper_lift
-from coopqp.spatial import Array
 
 
 @pytest.mark.parametrize("steps", [40, 41, 400])

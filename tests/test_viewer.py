@@ -13,17 +13,25 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from coopqp.errors import InvalidInputError, MissingExtraError
+from coopqp import (
+    Arm,
+    InvalidInputError,
+    LiveViewer,
+    MissingExtraError,
+    OutputError,
+    Recording,
+    RobotCell,
+    SceneError,
+    describe_object,
+    export_html,
+    robot_path,
+    tool_placements,
+)
 from coopqp.look import viewer
 from coopqp.look.stage import ALERT, FIELD_OF_VIEW, READOUT_SHARE, Stage
-from coopqp.look.viewer import LiveViewer, export_html, readout
-from coopqp.model.cell import Arm, RobotCell
-from coopqp.output import OutputError
+from coopqp.look.viewer import readout
 from coopqp.scenarios import Scenario
-from coopqp.scenarios.robots import robot_path
-from coopqp.simulation.metrics import tool_placements
-from coopqp.simulation.scene import SceneError, describe_cell, describe_object
-from coopqp.simulation.simulate import Recording
+from coopqp.simulation.scene import describe_cell
 
 
 class Node:

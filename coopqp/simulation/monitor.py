@@ -2,7 +2,7 @@
 
 It judges commands, not intentions, and shares no code with what it judges: kinematics come straight from Pinocchio's
 frames, limits from the cell, and nothing from the controllers, their limits, chain or preview. Use it in tests of a
-controller of your own, after a run (:func:`check`), or while one goes on (:class:`Monitor`, :class:`Monitored`).
+controller of your own, after a run (:func:`check_run`), or while one goes on (:class:`Monitor`, :class:`Monitored`).
 """
 
 from __future__ import annotations
@@ -329,7 +329,7 @@ class Monitor:
         self._judge(block)
 
     def judge_recording(self, recording: Recording) -> Verdict:
-        """Judge a run; see :func:`check`."""
+        """Judge a run; see :func:`check_run`."""
         r, stopped = recording, (Status.HOLDING.code, Status.FAULT.code)
         sound = np.isfinite(r.q_command).all(axis=1) & np.isfinite(r.clock) & np.isfinite(r.time)
         sound = sound[:-1] & sound[1:] & np.isfinite(r.velocity).all(axis=1) & np.isfinite(r.rate)
@@ -580,7 +580,7 @@ def _copy(value: Any) -> Any:
     return value.copy() if isinstance(value, np.ndarray) else value
 
 
-def check(recording: Recording, cell: RobotCell, *, tolerances: MonitorTolerances | None = None) -> Verdict:
+def check_run(recording: Recording, cell: RobotCell, *, tolerances: MonitorTolerances | None = None) -> Verdict:
     """Judge a recorded run by its commands.
 
     Args:
@@ -596,7 +596,7 @@ def check(recording: Recording, cell: RobotCell, *, tolerances: MonitorTolerance
         raise InvalidInputError(
             f"a recording with nq = {r.q_command.shape[1]}, nv = {r.velocity.shape[1]} and {len(r.T_object_tool)} "
             f"arms for a cell with nq = {cell.nq}, nv = {cell.nv} and {len(cell)} arms",
-            "monitor.check",
+            "check_run",
             "Give the cell that the run was made with.",
         )
     monitor = Monitor(cell, r.grasp, tolerances=tolerances)

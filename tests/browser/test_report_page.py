@@ -6,8 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from coopqp.look.report import write_report
-from coopqp.simulation.simulate import Recording
+from coopqp import Recording, write_report
 
 
 def test_the_report_opens_offline(page: Any, baseline: Callable[..., Recording], tmp_path: Path) -> None:

@@ -8,8 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from coopqp.look.viewer import LiveViewer, export_html
-from coopqp.simulation.simulate import Recording
+from coopqp import LiveViewer, Recording, export_html
 
 TRACK = "[class*=Slider-track]"
 

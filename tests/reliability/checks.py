@@ -15,18 +15,31 @@ import numpy as np
 import numpy.typing as npt
 import pinocchio as pin
 
-from coopqp.control.command import Controller, ControlStep, Status
+from coopqp import (
+    CellState,
+    Controller,
+    ControlStep,
+    HoldPath,
+    JointLimits,
+    LinePath,
+    Monitor,
+    MonitorTolerances,
+    ObjectPath,
+    QPController,
+    QPOptions,
+    QpProblem,
+    QpSolution,
+    QpSolver,
+    ServoPath,
+    SolverStatus,
+    Status,
+    UnreachableError,
+    Verdict,
+    WaypointPath,
+    inverse_kinematics,
+)
 from coopqp.control.limits import VelocityBox
-from coopqp.control.options import QPOptions
-from coopqp.control.qp import QPController
-from coopqp.control.solvers import QpProblem, QpSolution, QpSolver, SolverStatus
-from coopqp.errors import UnreachableError
-from coopqp.model.cell import JointLimits
-from coopqp.model.inverse_kinematics import inverse_kinematics
-from coopqp.model.state import CellState
 from coopqp.scenarios import Scenario, at_limit
-from coopqp.simulation.monitor import Monitor, MonitorTolerances, Verdict
-from coopqp.task.path import HoldPath, LinePath, ObjectPath, ServoPath, WaypointPath
 
 Array: TypeAlias = npt.NDArray[np.float64]
 #: ``make(task, **options)`` builds a controller for a scenario.

@@ -11,7 +11,7 @@ import pinocchio as pin
 from hypothesis import settings
 from hypothesis import strategies as st
 
-from coopqp.errors import CoopqpError, InvalidInputError
+from coopqp import CoopqpError, InvalidInputError
 
 #: At least 2000 examples of each property in CI; more where a property has many doors.
 MANY = settings(max_examples=10 * settings().max_examples)

@@ -12,7 +12,7 @@ from typing import Any
 
 import pytest
 
-from coopqp.control.solvers import available_solvers
+from coopqp import available_solvers
 
 PROGRAM = Path(__file__).with_name("programs") / "bad_numbers.py"
 #: A solver that takes longer than this with all of its cases hangs [s]; they take about 10.

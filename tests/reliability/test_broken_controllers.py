@@ -30,16 +30,22 @@ from checks import (
     solver_fails,
 )
 
+from coopqp import (
+    Breach,
+    ControlStep,
+    IndependentQPController,
+    Monitor,
+    Monitored,
+    PseudoInverseController,
+    PseudoInverseOptions,
+    ServoPath,
+    Status,
+)
 from coopqp.control import ranks as answers
-from coopqp.control.command import ControlStep, Status
-from coopqp.control.independent import IndependentQPController
 from coopqp.control.limits import VelocityBox
-from coopqp.control.pseudo_inverse import PseudoInverseController, PseudoInverseOptions
 from coopqp.control.ranks import StepAnswer, StepSolver
 from coopqp.control.supervision import Supervision
 from coopqp.scenarios import Scenario, at_limit, at_singularity, fast_lift, mixed_cell, paper_lift
-from coopqp.simulation.monitor import Breach, Monitor, Monitored
-from coopqp.task.path import ServoPath
 
 Spoil = Callable[[ControlStep, int], ControlStep]
 

@@ -10,8 +10,7 @@ from typing import Any
 import numpy as np
 from checks import cooperative, limited, rough_steps
 
-from coopqp.control.command import Status
-from coopqp.control.core import available_kernels
+from coopqp import Status, available_kernels
 from coopqp.scenarios import Scenario, dual_arm7, five_joint_pair, mixed_cell, paper_lift, ring, scara_pair
 
 

@@ -15,12 +15,8 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from coopqp.control.options import QPOptions
-from coopqp.control.qp import QPController
-from coopqp.model.cell import RobotCell
-from coopqp.model.grasp import Grasp
+from coopqp import CommonError, Grasp, QPController, QPOptions, RobotCell
 from coopqp.scenarios import Scenario, at_limit, dual_arm7, fast_lift, mixed_cell, ring, scara_pair
-from coopqp.task.common_error import CommonError
 
 PROGRAM = Path(__file__).with_name("programs") / "repeat.py"
 

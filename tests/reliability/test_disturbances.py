@@ -14,17 +14,24 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from coopqp.control.command import ControlStep, Status
-from coopqp.control.qp import QPController
-from coopqp.errors import InvalidInputError
-from coopqp.model.grasp import Grasp
-from coopqp.model.inverse_kinematics import inverse_kinematics
-from coopqp.model.limits import LimitKind
+from coopqp import (
+    Array,
+    ControlStep,
+    Disturbances,
+    DisturbedPlant,
+    Grasp,
+    InvalidInputError,
+    LimitKind,
+    LinePath,
+    ObjectPath,
+    QPController,
+    Status,
+    TimeLaw,
+    WaypointPath,
+    inverse_kinematics,
+    misplaced,
+)
 from coopqp.scenarios import Scenario, dual_arm7, mixed_cell, paper_lift
-from coopqp.simulation.plants.disturbances import misplaced
-from coopqp.simulation.plants.disturbed import Disturbances, DisturbedPlant
-from coopqp.spatial import Array
-from coopqp.task.path import LinePath, ObjectPath, TimeLaw, WaypointPath
 
 DT = 1e-3
 SPEED = 0.25

@@ -13,16 +13,20 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from coopqp.control.command import ControlStep, Status
-from coopqp.control.options import QPOptions
-from coopqp.control.qp import QPController
-from coopqp.control.supervision import SupervisionOptions
-from coopqp.forces.stress import StressModel
-from coopqp.model.grasp import Grasp
+from coopqp import (
+    Array,
+    ControlStep,
+    Disturbances,
+    Grasp,
+    PhysicsPlant,
+    QPController,
+    QPOptions,
+    Status,
+    StressModel,
+    SupervisionOptions,
+    misplaced,
+)
 from coopqp.scenarios import Scenario, paper_lift
-from coopqp.simulation.plants.disturbances import Disturbances, misplaced
-from coopqp.simulation.plants.physics import PhysicsPlant
-from coopqp.spatial import Array
 
 pytest.importorskip("mujoco")
 

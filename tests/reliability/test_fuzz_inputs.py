@@ -15,15 +15,25 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from coopqp import (
+    Breach,
     CellState,
     CommonError,
+    DaqpSettings,
+    Disturbances,
     Grasp,
     HoldPath,
+    IndependentQPController,
+    IndependentQPOptions,
     JointLimits,
     KinematicPlant,
     LinePath,
+    Monitor,
+    MonitorTolerances,
+    OsqpSettings,
+    PhysicsOptions,
     PostureOptions,
     PreviewOptions,
+    ProxqpSettings,
     PseudoInverseController,
     PseudoInverseOptions,
     QPController,
@@ -38,14 +48,7 @@ from coopqp import (
     plate_from_centroid,
     plate_from_points,
 )
-from coopqp.control.independent import IndependentQPController, IndependentQPOptions
-from coopqp.control.solvers.daqp import DaqpSettings
-from coopqp.control.solvers.osqp import OsqpSettings
-from coopqp.control.solvers.proxqp import ProxqpSettings
 from coopqp.scenarios import mixed_cell, paper_lift
-from coopqp.simulation.monitor import Breach, Monitor, MonitorTolerances
-from coopqp.simulation.plants.disturbances import Disturbances
-from coopqp.simulation.plants.physics_options import PhysicsOptions
 from coopqp.task.path import ScrewParameters
 
 pytestmark = pytest.mark.filterwarnings("ignore::RuntimeWarning")

@@ -13,8 +13,7 @@ from fuzzing import MANY, Tried, answer
 from hypothesis import given
 from hypothesis import strategies as st
 
-from coopqp import Arm, CellState, Grasp, LinePath, QPController, RobotCell
-from coopqp.simulation.monitor import Monitor, MonitorTolerances
+from coopqp import Arm, CellState, Grasp, LinePath, Monitor, MonitorTolerances, QPController, RobotCell
 
 pytestmark = pytest.mark.filterwarnings("ignore::RuntimeWarning")
 LIMITS_ONLY = MonitorTolerances(chain_m=None, chain_rad=None, path_m=None, path_rad=None)

@@ -14,10 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from coopqp.control.core import available_kernels
-from coopqp.control.options import QPOptions
-from coopqp.control.qp import QPController
-from coopqp.control.supervision import SupervisionOptions
+from coopqp import QPController, QPOptions, SupervisionOptions, available_kernels
 from coopqp.scenarios import Scenario, fast_lift, paper_lift
 
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from checks import Return, cooperative, fenced_out, from_outside, ideal_return, shifted_together
 
-from coopqp.control.solvers import available_solvers
+from coopqp import available_solvers
 from coopqp.scenarios import Scenario, dual_arm7, mixed_cell, paper_lift
 
 DEPTHS = (0.001, 0.01, 0.05, 0.2)  # [rad]

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from checks import Sharing, cooperative, fenced_out, limited, needed_speeds, saturated, slows_together
 
-from coopqp.control.solvers import available_solvers
+from coopqp import LinePath, ServoPath, available_solvers
 from coopqp.scenarios import (
     Scenario,
     at_limit,
@@ -23,7 +23,6 @@ from coopqp.scenarios import (
     paper_lift,
     ring,
 )
-from coopqp.task.path import LinePath, ServoPath
 
 
 def at_limit_without_preview() -> tuple[Scenario, Any]:

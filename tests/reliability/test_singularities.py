@@ -10,13 +10,8 @@ import numpy as np
 import pytest
 from hypothesis import settings
 
-from coopqp.control.command import Status
-from coopqp.control.options import QPOptions
-from coopqp.control.qp import QPController
-from coopqp.model.limits import LimitKind
+from coopqp import LimitKind, LinePath, Monitor, MonitorTolerances, QPController, QPOptions, Status, Verdict
 from coopqp.scenarios import Scenario, at_singularity, five_joint_pair, scara_pair
-from coopqp.simulation.monitor import Monitor, MonitorTolerances, Verdict
-from coopqp.task.path import LinePath
 
 #: How long the object is kept waiting where it is blocked [steps].
 DWELL = 100

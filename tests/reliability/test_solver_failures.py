@@ -10,13 +10,8 @@ import numpy as np
 import pytest
 from checks import FAULTS, REST, Failure, FaultySolver, cooperative, judged, limited, solver_fails
 
-from coopqp.control.command import Status
-from coopqp.control.solvers import SolverStatus, make_solver
-from coopqp.control.solvers.daqp import DaqpSettings
-from coopqp.control.solvers.osqp import OsqpSettings
-from coopqp.control.solvers.proxqp import ProxqpSettings
+from coopqp import DaqpSettings, OsqpSettings, ProxqpSettings, ServoPath, SolverStatus, Status, make_solver
 from coopqp.scenarios import Scenario, dual_arm7, fast_lift, five_joint_pair, mixed_cell, paper_lift, scara_pair
-from coopqp.task.path import ServoPath
 
 
 def moving_target() -> tuple[Scenario, Any]:

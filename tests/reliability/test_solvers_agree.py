@@ -9,10 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from coopqp.control.command import Status
-from coopqp.control.options import QPOptions
-from coopqp.control.qp import QPController
-from coopqp.control.solvers import QpProblem, QpSolution, SolverStatus, available_solvers, make_solver
+from coopqp import QPController, QPOptions, QpProblem, QpSolution, SolverStatus, Status, available_solvers, make_solver
 from coopqp.scenarios import fast_lift
 
 BENCHMARKS = Path(__file__).parents[2] / "benchmarks"

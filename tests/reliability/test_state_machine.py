@@ -16,11 +16,21 @@ from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, precondition, rule, run_state_machine_as_test
 
-from coopqp import CellState, Grasp, LinePath, QPController, QPOptions, RobotCell, ServoPath, Status
-from coopqp.control.command import ControlStep
-from coopqp.errors import CoopqpError
+from coopqp import (
+    CellState,
+    ControlStep,
+    CoopqpError,
+    Grasp,
+    LinePath,
+    Monitor,
+    MonitorTolerances,
+    QPController,
+    QPOptions,
+    RobotCell,
+    ServoPath,
+    Status,
+)
 from coopqp.scenarios import Scenario, dual_arm7, fast_lift, mixed_cell
-from coopqp.simulation.monitor import Monitor, MonitorTolerances
 
 pytestmark = pytest.mark.filterwarnings("ignore::RuntimeWarning")
 TASKS = (fast_lift(), dual_arm7(), mixed_cell())

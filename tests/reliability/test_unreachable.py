@@ -10,12 +10,8 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from coopqp.control.command import Status
-from coopqp.control.options import QPOptions
-from coopqp.control.qp import QPController
+from coopqp import Monitor, MonitorTolerances, QPController, QPOptions, ServoPath, Status
 from coopqp.scenarios import Scenario, dual_arm7, mixed_cell, paper_lift
-from coopqp.simulation.monitor import Monitor, MonitorTolerances
-from coopqp.task.path import ServoPath
 
 #: Below this share of the path's rate the object counts as standing.
 STANDS = 0.01

@@ -9,17 +9,21 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from coopqp.errors import MissingExtraError
+from coopqp.errors import CoopqpError, MissingExtraError
 
 if TYPE_CHECKING:
     from coopqp.files.cellfile.build import CellRun
 
-__all__ = ["CELLS", "example_path", "json_schema", "load_cell_file", "schema_text"]
+__all__ = ["CELLS", "CellFileError", "example_path", "json_schema", "load_cell_file", "schema_text"]
 
 #: Endings of cell files in TOML, and in YAML.
 TOML_SUFFIX, YAML_SUFFIXES = ".toml", (".yaml", ".yml")
 #: Cell files that come with coopqp, by the stem of their name.
 CELLS = ("paper_lift",)
+
+
+class CellFileError(CoopqpError):
+    """A cell file is missing, is neither TOML nor YAML, or breaks the schema."""
 
 
 def example_path(name: str) -> Path:

@@ -19,10 +19,11 @@ from coopqp.control.pseudo_inverse import PseudoInverseController, PseudoInverse
 from coopqp.control.qp import QPController
 from coopqp.control.solvers import default_solver
 from coopqp.errors import CoopqpError, InvalidInputError, MissingExtraError, UnknownNameError
+from coopqp.files.cellfile import CellFileError
 from coopqp.files.cellfile.explain import explain
 from coopqp.files.cellfile.schema import MAX_STEPS, ArmTable, CellFile, CommonErrorTable, PlacementTable, StartTable
 from coopqp.files.cellfile.strict import build_options
-from coopqp.files.cellfile.text import CellFileError, read_tables
+from coopqp.files.cellfile.text import read_tables
 from coopqp.model.cell import Arm, RobotCell
 from coopqp.model.grasp import Grasp
 from coopqp.model.inverse_kinematics import inverse_kinematics

@@ -11,8 +11,7 @@ from ruamel.yaml import YAML
 from ruamel.yaml.error import MarkedYAMLError, YAMLError
 from ruamel.yaml.events import AliasEvent, CollectionEndEvent, CollectionStartEvent
 
-from coopqp.errors import CoopqpError
-from coopqp.files.cellfile import YAML_SUFFIXES
+from coopqp.files.cellfile import YAML_SUFFIXES, CellFileError
 
 if sys.version_info >= (3, 11):
     import tomllib
@@ -23,10 +22,6 @@ else:
 MAX_FILE_BYTES, MAX_YAML_BYTES = 1_000_000, 100_000
 #: Deeper YAML is not read.
 _MAX_DEPTH = 50
-
-
-class CellFileError(CoopqpError):
-    """A cell file that is missing, is neither TOML nor YAML, or breaks the schema."""
 
 
 def read_tables(file: Path) -> Any:

@@ -18,11 +18,18 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from coopqp import InvalidInputError, QPController, QPOptions, Status
-from coopqp.control.solvers import QpProblem
+from coopqp import (
+    InvalidInputError,
+    Monitor,
+    MonitorTolerances,
+    ObjectPath,
+    QPController,
+    QPOptions,
+    QpProblem,
+    ServoPath,
+    Status,
+)
 from coopqp.scenarios import Scenario, dual_arm7, fast_lift, scara_pair
-from coopqp.simulation.monitor import Monitor, MonitorTolerances
-from coopqp.task.path import ObjectPath, ServoPath
 
 BAD = {"NaN": np.nan, "+inf": np.inf, "-inf": -np.inf}
 #: Finite numbers that solvers have been seen to take very long on, or to fail at.

@@ -11,8 +11,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from coopqp import Arm, CoopqpError, Recording
-from coopqp.files.cellfile import load_cell_file
+from coopqp import Arm, CoopqpError, Recording, load_cell_file
 
 
 def read(file: Path) -> Any:
