@@ -192,7 +192,7 @@ class _Session:
         self._before = self.command
         if command is not None:
             self.command = np.array(command)
-            note = motion.failure()
+            note = motion.failure()[:160]
         if again and motion.over(self.i):
             self.start()
         else:
