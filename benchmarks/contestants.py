@@ -192,6 +192,7 @@ def hand_over(case: peer_cases.Case, folder: Path) -> Path:
         "q_start": s.q_start.tolist(),
         "speed": s.cell.limits.velocity.tolist(),
         "dt": s.dt,
+        "noise": case.noise,
         "grasp": [X.homogeneous.tolist() for X in s.grasp.T_object_tool],
         "poses": [s.path.pose((i + 1) * s.dt).homogeneous.tolist() for i in range(steps)],
         "kinematics": [
@@ -204,10 +205,10 @@ def hand_over(case: peer_cases.Case, folder: Path) -> Path:
     return file
 
 
-def ratio(own: Sequence[Sequence[float]], other: Sequence[Sequence[float]]) -> float | None:
-    """Time of ``own`` over that of ``other``: the median over the rounds of the ratio of their medians."""
+def ratio(own: Sequence[Sequence[float]], other: Sequence[Sequence[float]], *, share: float = 50.0) -> float | None:
+    """Time of ``own`` over that of ``other``: the median over the rounds of the ratio of this percentile of theirs."""
     pairs = [(a, b) for a, b in zip(own, other, strict=False) if len(a) and len(b)]
-    return float(np.median([np.median(a) / np.median(b) for a, b in pairs])) if pairs else None
+    return float(np.median([np.percentile(a, share) / np.percentile(b, share) for a, b in pairs])) if pairs else None
 
 
 def pinned(peer: str) -> str:

@@ -17,8 +17,6 @@ import peer_cases
 from common import Record
 from contestants import CACHE, PACES, PINS, Contestant, NotAvailable, hand_over, pinned, ratio
 
-from coopqp import available_kernels
-
 #: The size that others are compared with.
 REFERENCE = 4
 #: Largest size for peers: their cost grows with the cube.
@@ -95,8 +93,7 @@ class Scaling:
         except NotAvailable as error:
             self.record(contestant, **size, note=str(error))
             return
-        kernels = [mode for mode in contestant.modes if mode in available_kernels()]
-        for mode in kernels if own else (PEER_MODES[contestant.name],):
+        for mode in contestant.modes if own else (PEER_MODES[contestant.name],):
             against = mode if own else reference.modes[0]
             for pacing, period in PACES.items():
                 rounds = max(2, self.plan.rounds // 2) if period else self.plan.rounds
