@@ -4,8 +4,14 @@ VENV := .venv
 BIN := $(VENV)/bin
 OUT ?= out/demo
 BENCH_OUT ?= out/bench
+# Processes that tests run in: 2, or auto for one per core.
+WORKERS ?= auto
+MUTANTS ?= 400
 
-.PHONY: demo test test-nightly lint docs bench browser clean
+PYTEST = OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/pytest -n $(WORKERS) --dist worksteal
+SANITIZED := build/sanitized
+
+.PHONY: demo check test test-nightly lint core sanitize mutation docs bench browser clean
 
 $(VENV)/.installed: pyproject.toml CMakeLists.txt $(wildcard coopqp/control/core/*.[ch])
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 10) and "coopqp needs Python >= 3.10: make PYTHON=python3.x ...")'
@@ -16,20 +22,54 @@ $(VENV)/.installed: pyproject.toml CMakeLists.txt $(wildcard coopqp/control/core
 demo: $(VENV)/.installed
 	$(BIN)/coopqp demo --out $(OUT)
 
+# After every edit: lint, types, and every test that is not marked slow, properties with a fifth of their examples.
+# About a minute on two cores; pytest --durations 20 -m "not slow" shows what deserves the mark.
+check: lint
+	HYPOTHESIS_PROFILE=check $(PYTEST) -m "not slow"
+
+# Before every commit: all tests. Eight minutes on two cores.
 test: $(VENV)/.installed
 	@mkdir -p out
-	$(BIN)/python -m pytest --reliability-json out/reliability.json
+	$(PYTEST) --reliability-json out/reliability.json
 
 # The catalogue of docs/reliability.md with ten times the cases, random ones each time; hours.
 test-nightly: $(VENV)/.installed
 	@mkdir -p out
-	HYPOTHESIS_PROFILE=nightly $(BIN)/python -m pytest tests/reliability --timeout 36000 --reliability-json out/reliability.json
+	HYPOTHESIS_PROFILE=nightly $(PYTEST) tests/reliability --timeout 36000 --reliability-json out/reliability.json
 
 lint: $(VENV)/.installed
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
+
+# The compiled core, each warning an error.
+core: $(VENV)/.installed
+	$(BIN)/cmake -S . -B build/strict -DCOOPQP_WERROR=ON -DPython_EXECUTABLE=$(CURDIR)/$(BIN)/python
+	$(BIN)/cmake --build build/strict --clean-first
+
+# The tests marked core in a copy of the package whose core stops at the first wrong access to memory and the first
+# undefined operation. The first command shows that it is this core that the tests get.
+sanitize: export PYTHONPATH := $(CURDIR)/tests/elsewhere:$(CURDIR)/$(SANITIZED)/tree
+sanitize: export ASAN_OPTIONS := detect_leaks=0
+sanitize: export UBSAN_OPTIONS := print_stacktrace=1
+sanitize: $(VENV)/.installed
+	rm -rf $(SANITIZED)/tree
+	$(BIN)/cmake -S . -B $(SANITIZED) -DCMAKE_BUILD_TYPE=RelWithDebInfo -DCOOPQP_SANITIZE=ON \
+	  -DPython_EXECUTABLE=$(CURDIR)/$(BIN)/python
+	$(BIN)/cmake --build $(SANITIZED)
+	mkdir -p $(SANITIZED)/tree && cp -r coopqp $(SANITIZED)/tree
+	$(BIN)/cmake --install $(SANITIZED) --prefix $(SANITIZED)/tree
+	export LD_PRELOAD="$$(cc -print-file-name=libasan.so) $$(cc -print-file-name=libstdc++.so.6)" PYTHONMALLOC=malloc; \
+	(cd $(SANITIZED) && $(CURDIR)/$(BIN)/python -c \
+	  'from coopqp.control.core import _native as n; print(n.__file__); assert "$(SANITIZED)/tree" in n.__file__') && \
+	$(PYTEST) -m core --capture sys -p no:cacheprovider
+
+# Would a test fail if the code said something else? Hours; MUTANTS=20 for a look.
+mutation: $(VENV)/.installed
+	@mkdir -p out
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[mutation]'
+	$(BIN)/python tests/mutation.py --number $(MUTANTS) --json out/mutation.json
 
 docs: $(VENV)/.installed
 	$(BIN)/python -m sphinx -W --keep-going -q -b html docs out/docs

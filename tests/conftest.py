@@ -21,6 +21,8 @@ from hypothesis import HealthCheck, settings
 from coopqp import Arm, PseudoInverseController, PseudoInverseOptions, Recording, RobotCell, robot_path, simulate
 from coopqp.scenarios import Scenario, paper_lift
 
+pytest_plugins = ["catalogue"]  # tests/reliability/catalogue.py, whose table ends every run
+
 settings.register_profile(
     "ci",
     max_examples=200,
@@ -32,11 +34,8 @@ settings.register_profile(
 settings.register_profile(
     "nightly", parent=settings.get_profile("ci"), max_examples=2000, derandomize=False, print_blob=True
 )
+settings.register_profile("check", parent=settings.get_profile("ci"), max_examples=40)
 settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "ci"))
-
-
-def pytest_addoption(parser: pytest.Parser) -> None:
-    parser.addoption("--reliability-json", metavar="FILE", help="write what tests/reliability measured to FILE")
 
 
 @pytest.fixture

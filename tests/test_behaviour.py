@@ -79,6 +79,7 @@ def test_the_cooperative_qp_meets_its_figures(behaviour: Any, case: str) -> None
     assert all_met(behaviour, case, behaviour.keys_of(case, quick=False))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("tenth", range(5))
 def test_it_stops_at_limits_in_every_direction(behaviour: Any, tenth: int) -> None:
     keys = behaviour.keys_of("limit", quick=False)
@@ -88,6 +89,7 @@ def test_it_stops_at_limits_in_every_direction(behaviour: Any, tenth: int) -> No
         assert record["blocked_joint"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("arm", [0, 1, 2])
 def test_it_enters_dwells_in_and_leaves_singularities(behaviour: Any, arm: int) -> None:
     keys = [key for key in behaviour.keys_of("singular", quick=False) if key[1] == arm]
@@ -102,6 +104,7 @@ def test_it_comes_back_from_outside_a_limit(behaviour: Any) -> None:
     all_met(behaviour, "outside", behaviour.keys_of("outside", quick=not NIGHTLY))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("solver", ["proxqp", "osqp"])
 def test_other_solvers_behave_the_same(behaviour: Any, solver: str) -> None:
     all_met(behaviour, "fast", [(np.inf, False)], solver)
@@ -110,6 +113,7 @@ def test_other_solvers_behave_the_same(behaviour: Any, solver: str) -> None:
     all_met(behaviour, "limit", [(3,)], solver)
 
 
+@pytest.mark.slow
 def test_the_others_show_what_it_is_for(behaviour: Any) -> None:
     """The baseline breaks limits, independent arms tear the object, where the cooperative QP does neither."""
     key = (np.inf, True)
@@ -219,6 +223,7 @@ def test_quick_runs_are_a_part_of_full_runs(behaviour: Any) -> None:
         assert {job[3] for job in quick if job[0] == case and job[2] == "cooperative"} == {"daqp", "proxqp", "osqp"}
 
 
+@pytest.mark.slow
 def test_the_command_line(tmp_path: Path) -> None:
     command = [
         sys.executable,
@@ -265,6 +270,7 @@ def errors_of(task: Scenario, steps: list[ControlStep]) -> tuple[float, float]:
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("make", [paper_lift, dual_arm7, mixed_cell, five_joint_pair])
 def test_independent_arms_follow_an_easy_path(make: Any) -> None:
     task = make()
@@ -275,6 +281,7 @@ def test_independent_arms_follow_an_easy_path(make: Any) -> None:
     assert all(s.status is Status.TRACKING and not s.binding for s in steps)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("make", [fast_lift, at_limit, at_singularity])
 def test_independent_arms_keep_their_limits_and_tear_the_object(make: Any) -> None:
     task = at_singularity("elbow", 1, acceleration=5.0) if make is at_singularity else make()
@@ -289,6 +296,7 @@ def test_independent_arms_keep_their_limits_and_tear_the_object(make: Any) -> No
     assert "the arms part at" in torn.explain()
 
 
+@pytest.mark.slow
 def test_solvers_of_independent_arms_agree() -> None:
     task = fast_lift()
     reference = alone(task, steps=100)
@@ -297,6 +305,7 @@ def test_solvers_of_independent_arms_agree() -> None:
             assert np.abs(a.velocity - b.velocity).max() < 1e-4
 
 
+@pytest.mark.slow
 def test_damping_bounds_the_joints_at_a_singularity() -> None:
     """Without limits: a stretched elbow with damping, and without."""
     task = at_singularity("elbow", 0)

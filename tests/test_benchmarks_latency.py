@@ -20,6 +20,7 @@ import latency  # noqa: E402
 CONTRACT = {"case", "kernel", "arms", "p50_us", "p99_us", "p999_us", "max_us", "gc_pause_ms"}
 
 
+@pytest.mark.slow
 def test_latency(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     plan = latency.Plan(steps=40, block=20, laps=1, garbage_steps=1000, alive=1000)
     monkeypatch.setattr(latency, "QUICK", plan)
@@ -67,6 +68,7 @@ def test_the_cases_are_what_they_say() -> None:
         assert (loop.controller.options.supervision.stiffness is not None) is (case == "watched")
 
 
+@pytest.mark.slow
 def test_physics(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     pytest.importorskip("mujoco")
     import physics

@@ -312,6 +312,7 @@ class TestContestant:
             peer.load(tmp_path)
         peer.stop()
 
+    @pytest.mark.slow
     def test_cannot_be_installed(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setitem(contestants.PINS, "pink", ("coopqp-has-no-such-peer==1.0",))
         monkeypatch.setattr(contestants, "PIP_INSTALL", (*contestants.PIP_INSTALL, "--no-index"))
@@ -321,6 +322,7 @@ class TestContestant:
             contestants.environment("pink", tmp_path, install=False)
 
 
+@pytest.mark.slow
 def test_peers_that_are_not_installed_are_reported(tmp_path: Path) -> None:
     records = compare_peers.compare(["mink", "placo"], TINY, tmp_path, install=False)
     assert all(set(r) == set(compare_peers.KEYS) for r in records)
@@ -346,6 +348,7 @@ def test_peers_that_are_not_installed_are_reported(tmp_path: Path) -> None:
     assert "not installed" in compare_peers.report(records)
 
 
+@pytest.mark.slow
 def test_quick_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     monkeypatch.setattr(compare_peers, "QUICK", TINY)
     file, out = tmp_path / "records.json", tmp_path / "out"
@@ -366,6 +369,7 @@ def test_quick_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pyte
             assert r["failures"] > 0
 
 
+@pytest.mark.slow
 def test_scaling(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     plan = scaling.Plan(arms=(1, 3), peers=(3,), rounds=2, steps=4, round_s=0.05)
     monkeypatch.setattr(scaling, "QUICK", plan)
@@ -382,6 +386,7 @@ def test_scaling(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     }
 
 
+@pytest.mark.slow
 def test_a_size_that_does_not_fit_is_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(scaling, "free_memory", lambda: 1e6)
     records = scaling.scale([], scaling.Plan(arms=(8,)), tmp_path)

@@ -131,6 +131,7 @@ class TestProfile:
         assert watch.rows[0]["out"] < watch.rows[0]["in"]
         assert set(watch.rows[1]) == {"in"}
 
+    @pytest.mark.slow
     def test_quick_run(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setattr(step_profile, "QUICK", step_profile.Plan(steps=40, profiled=12, block=20))
         file, out = tmp_path / "r.json", tmp_path / "out"

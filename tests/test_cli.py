@@ -32,6 +32,7 @@ def finished(tmp_path_factory: pytest.TempPathFactory) -> tuple[subprocess.Compl
     return coopqp("demo", "--steps", "12", "6", "--out", "pictures", "--json", "new/records.json", **options), folder
 
 
+@pytest.mark.slow
 def test_the_demo_writes_its_files_and_nothing_else(
     finished: tuple[subprocess.CompletedProcess[str], Path],
 ) -> None:
@@ -42,6 +43,7 @@ def test_the_demo_writes_its_files_and_nothing_else(
     assert all((folder / file).read_bytes().startswith(b"\x89PNG") for file in files if file.endswith(".png"))
 
 
+@pytest.mark.slow
 def test_the_demo_prints_a_table_and_the_files(finished: tuple[subprocess.CompletedProcess[str], Path]) -> None:
     result, folder = finished
     table, files = result.stdout.split("\n\n")
@@ -55,6 +57,7 @@ def test_the_demo_prints_a_table_and_the_files(finished: tuple[subprocess.Comple
     assert all((folder / line.strip()).is_file() for line in written[1:] if line)
 
 
+@pytest.mark.slow
 def test_output_that_is_no_terminal_is_plain(finished: tuple[subprocess.CompletedProcess[str], Path]) -> None:
     result, _ = finished
     assert "\033" not in result.stdout + result.stderr
@@ -194,6 +197,7 @@ def test_an_interrupt_is_status_130(
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform == "win32", reason="POSIX signals")
 def test_control_c_stops_a_run_without_a_traceback(tmp_path: Path) -> None:
     # Started in the background, the tests may ignore Ctrl-C, and their children with them: the child takes it again.

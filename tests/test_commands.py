@@ -81,6 +81,7 @@ def test_run_prints_figures_and_verdict(cell_file: Path, tmp_path: Path, capsys:
     assert Recording.load(tmp_path / "out" / "small_run" / "recording.npz").n_steps == 12
 
 
+@pytest.mark.slow
 def test_run_writes_what_is_asked(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -171,6 +172,7 @@ def test_run_can_end_in_the_viewer(cell_file: Path, monkeypatch: pytest.MonkeyPa
     assert served == [12]
 
 
+@pytest.mark.slow
 def test_report_lies_beside_the_recording(recording_file: Path, tmp_path: Path) -> None:
     assert cli.main(["report", str(recording_file), "--quiet"]) == 0
     page = recording_file.with_name("run_report.html").read_text()
@@ -204,6 +206,7 @@ def test_runs_come_from_recordings_cell_files_and_scenarios(cell_file: Path, rec
 # -- the how-tos ---------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("page", ["cell-file", "look"])
 def test_the_how_tos_run_as_they_stand(
     page: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
@@ -293,6 +296,7 @@ def test_a_name_of_dots_is_refused() -> None:
 # -- the library is quiet ------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_the_library_attaches_no_log_handler() -> None:
     code = (
         "import logging; import coopqp.app.runs, coopqp.look.report, coopqp.files.export;"

@@ -149,6 +149,7 @@ def test_wider_grasps_drift_more() -> None:
     assert wide.eps_p_mm == pytest.approx(1.48, rel=0.01)
 
 
+@pytest.mark.slow
 def test_the_table_of_the_readme_is_measured(run: Runner) -> None:
     text = (Path(__file__).parents[1] / "README.md").read_text(encoding="utf-8")
     rows = re.findall(r"^\| `(\w+)` \| (.+) \|$", text, flags=re.MULTILINE)

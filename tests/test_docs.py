@@ -59,11 +59,13 @@ def test_examples_are_numbered_short_and_shown() -> None:
         assert f"examples/{file.name}" in text
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("file", EXAMPLES, ids=lambda file: file.stem)
 def test_an_example_runs(file: Path, outputs: dict[str, str]) -> None:
     assert outputs[file.name].strip()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
 def test_a_page_shows_what_its_examples_print(page: Path, outputs: dict[str, str]) -> None:
     for include, shown in SHOWN.findall(page.read_text(encoding="utf-8")):
@@ -77,6 +79,7 @@ def test_a_page_shows_what_its_examples_print(page: Path, outputs: dict[str, str
         assert len(printed.splitlines()) - len(shown.splitlines()) in (0, 1)  # a last line of times may be left out
 
 
+@pytest.mark.slow
 def test_figures_of_the_derivations_are_those_of_the_paper_and_of_the_run(outputs: dict[str, str]) -> None:
     found = re.findall(r"N = (\d+): paper (\S+) mm, QP (\S+) mm", outputs["01_paper_lift.py"])
     assert [int(n) for n, _, _ in found] == [40, 400, 1000]
@@ -85,6 +88,7 @@ def test_figures_of_the_derivations_are_those_of_the_paper_and_of_the_run(output
         assert float(qp) == pytest.approx(at_most, rel=0.1)
 
 
+@pytest.mark.slow
 def test_the_second_tutorial_judges_its_run_well(outputs: dict[str, str]) -> None:
     assert all(line.startswith("yes ") for line in outputs["02_your_own_arms.py"].splitlines())
 
@@ -136,6 +140,7 @@ def test_links_lead_somewhere() -> None:
             assert (page.parent / target).exists(), f"{page.name}: {target}"
 
 
+@pytest.mark.slow
 def test_the_pages_build_without_warnings(tmp_path: Path) -> None:
     pytest.importorskip("sphinx")
     pytest.importorskip("furo")
@@ -149,6 +154,7 @@ def test_the_pages_build_without_warnings(tmp_path: Path) -> None:
     assert "paper_lift" in page
 
 
+@pytest.mark.slow
 def test_view_needs_nothing_but_the_extra(monkeypatch: pytest.MonkeyPatch) -> None:
     """``--view`` opens the viewer on the run; here it is closed at once."""
     pytest.importorskip("viser")

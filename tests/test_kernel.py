@@ -36,6 +36,8 @@ from coopqp.control.limits import LIMIT_TOLERANCE, VelocityBox
 from coopqp.model.chain import Chain
 from coopqp.scenarios import Scenario, at_limit, dual_arm7, mixed_cell, paper_lift, ring
 
+pytestmark = pytest.mark.core
+
 #: Largest difference of a joint velocity in closed loop [rad/s or m/s].
 SAME = 1e-10
 #: The compiled one also with the arithmetic that it takes on processors without AVX2.
@@ -275,6 +277,7 @@ def random_problem(
     return make(), make, q, float(rng.uniform(0.2, 1.0))
 
 
+@pytest.mark.slow
 def test_kernels_agree_call_by_call(paper: Scenario, rng: np.random.Generator) -> None:
     """Outcome, velocity, and what the next step starts from; and what they are by definition."""
     seen = set()

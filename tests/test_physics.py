@@ -230,6 +230,7 @@ def test_weld_forces_are_what_force_torque_sensors_read(paper: Scenario, baselin
 # -- time --------------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("dt", [0.0075, 0.0031, 0.001, 0.0004])
 def test_any_step_ends_where_it_was_told(paper: Scenario, dt: float) -> None:
     """A step need not be a multiple of the engine's, nor longer."""
@@ -242,6 +243,7 @@ def test_any_step_ends_where_it_was_told(paper: Scenario, dt: float) -> None:
     np.testing.assert_allclose(plant.positions, run.q_command[-1], atol=1e-4)  # the inertia of the start
 
 
+@pytest.mark.slow
 def test_two_runs_are_the_same_and_noise_has_its_seed(paper: Scenario) -> None:
     def run(**disturbances: Any) -> Array:
         plant = PhysicsPlant.of(paper, disturbances=Disturbances(**disturbances))
@@ -316,10 +318,12 @@ def added_force(run: Run, reference: Run) -> Array:
     return np.asarray(np.linalg.norm((run.wrenches - reference.wrenches)[:, :, :3], axis=2))
 
 
+@pytest.mark.slow
 def test_the_baseline_presses_as_hard_as_expected(lifted: dict[tuple[str, int], Run], reference: Run) -> None:
     assert added_force(lifted["pseudo-inverse", 400], reference).max() == pytest.approx(187.0, rel=0.05)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("steps", "ratio"), [(400, 0.02), (40, 0.05)])
 def test_the_qp_presses_a_small_share_of_what_the_baseline_does(
     lifted: dict[tuple[str, int], Run], reference: Run, steps: int, ratio: float
@@ -328,6 +332,7 @@ def test_the_qp_presses_a_small_share_of_what_the_baseline_does(
     assert qp <= ratio * baseline
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("steps", [40, 400])
 def test_within_a_baseline_run_force_follows_the_paper_s_measure(
     paper: Scenario, lifted: dict[tuple[str, int], Run], reference: Run, steps: int
@@ -359,6 +364,7 @@ def test_the_stress_estimate_is_the_engine_s(
     assert np.linalg.norm((servos - added[-1])[:, :3], axis=1).max() <= 0.002 * np.linalg.norm(added[-1, :, :3])
 
 
+@pytest.mark.slow
 def test_the_same_loop_runs_on_either_plant(paper: Scenario) -> None:
     """Closed on the measured state: the engine presses next to nothing, and the object ends where it should."""
     lift = paper_lift(time_law="quintic")
@@ -418,6 +424,7 @@ def closed_loop(
     return np.array(forces), recording
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("latched", [True, False])
 @pytest.mark.parametrize("off", [{"base": BASE_OFF}, {"grip": GRASP_OFF}], ids=["base", "grip"])
 def test_held_for_ten_seconds_the_force_stays(paper: Scenario, off: dict[str, pin.SE3], latched: bool) -> None:
@@ -430,6 +437,7 @@ def test_held_for_ten_seconds_the_force_stays(paper: Scenario, off: dict[str, pi
     assert late < (2.0 if latched else 300.0)
 
 
+@pytest.mark.slow
 def test_lifted_and_lowered_for_ten_seconds_the_force_does_not_wind_up(paper: Scenario) -> None:
     low, high = paper.path.pose(0.0), paper.path.pose(paper.path.duration)
     path = WaypointPath([low, high] * 3 + [low], durations=[10.0 / 6.0] * 6)

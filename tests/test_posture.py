@@ -144,6 +144,7 @@ WISHES = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("preview", [True, False])
 @pytest.mark.parametrize("make", [dual_arm7, mixed_cell])
 def test_null_space_motion_does_not_move_the_object(make: Any, preview: bool) -> None:

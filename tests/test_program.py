@@ -141,6 +141,7 @@ def test_both_forms_agree_on_every_scenario(name: str, limits: dict[str, float],
     assert count >= 3
 
 
+@pytest.mark.slow
 def test_both_forms_agree_on_the_way_to_a_singular_elbow(monkeypatch: pytest.MonkeyPatch) -> None:
     """Velocities that hardly change what the full form costs."""
     task = at_singularity("elbow")

@@ -452,6 +452,7 @@ def test_a_path_that_passes_near_a_singularity_is_completed(miss: float, acceler
     assert rates[-1] > 0.9 or np.isfinite(acceleration)
 
 
+@pytest.mark.slow
 def test_a_horizon_that_grows_too_slowly_only_slows_the_object() -> None:
     """Few Newton steps a control step, where the preview needs many."""
     task = at_singularity("wrist", 1, miss=0.003, acceleration=5.0)
@@ -538,6 +539,7 @@ def test_arms_with_few_joints_are_named_and_restrict_the_object(scenario: Callab
     assert "motions that left, right cannot follow" in steps[-1].explain()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("scenario", [scara_pair, five_joint_pair])
 def test_arms_with_few_joints_brake_together_ahead_of_a_limit(
     scenario: Callable[..., Scenario], rng: np.random.Generator

@@ -47,6 +47,7 @@ def test_make_targets_exist(line: str) -> None:
     subprocess.run([command, "--dry-run", *arguments], cwd=ROOT, check=True, capture_output=True)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("line", [line for line in COMMANDS if line.startswith("coopqp")])
 def test_the_command_lines_run(line: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)

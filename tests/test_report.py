@@ -86,6 +86,7 @@ class Page(HTMLParser):
 # -- the page ------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_the_report_tells_what_happened(slowed: Recording, tmp_path: Path) -> None:
     told: list[str] = []
     file = write_report(slowed, tmp_path / "new" / "report.html", progress=told.append)
@@ -117,6 +118,7 @@ def test_the_report_tells_what_happened(slowed: Recording, tmp_path: Path) -> No
     assert [f.name for f in file.parent.iterdir()] == ["report.html"]
 
 
+@pytest.mark.slow
 def test_what_did_not_hold_is_said(baseline: Callable[..., Recording]) -> None:
     page = Page(report_html(_bare(baseline(40)), tolerances=Tolerances(chain_mm=1e-3)))
     assert "2 of 5 did not hold." in page.text
@@ -126,6 +128,7 @@ def test_what_did_not_hold_is_said(baseline: Callable[..., Recording]) -> None:
     assert "None: the object followed its path at full rate" in page.text
 
 
+@pytest.mark.slow
 def test_a_recording_cannot_change_the_page(baseline: Callable[..., Recording]) -> None:
     evil = "<script>alert(1)</script>'\"&"
     recording = _bare(baseline(40))
@@ -143,6 +146,7 @@ def test_a_recording_cannot_change_the_page(baseline: Callable[..., Recording]) 
     assert "999999: x" in page.text
 
 
+@pytest.mark.slow
 def test_long_runs_stay_small(slowed: Recording, monkeypatch: pytest.MonkeyPatch) -> None:
     """Thousands of samples, notes and settings."""
     monkeypatch.setattr("coopqp.look.report.MAX_SVG_BYTES", 100_000)
@@ -166,6 +170,7 @@ def test_long_runs_stay_small(slowed: Recording, monkeypatch: pytest.MonkeyPatch
     assert 'src="data:image/png' in document
 
 
+@pytest.mark.slow
 def test_arms_without_shapes_and_cells_that_are_given(baseline: Callable[..., Recording], paper: Scenario) -> None:
     recording = _bare(baseline(40))
     assert "no shapes to draw" in report_html(recording)

@@ -162,6 +162,7 @@ def test_the_path_leads_the_named_arm_into_its_singularity(kind: Any, arm: int) 
     assert (end == task.path.duration) == (kind == "wrist")  # a straight wrist is no end of the workspace
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("miss", [0.1, 0.01, 0.001])
 def test_a_wrist_that_is_missed_by_an_angle(miss: float) -> None:
     task = at_singularity("wrist", 1, miss=miss)
@@ -257,6 +258,7 @@ def test_the_pandas_hold_with_locked_fingers() -> None:
     assert np.isfinite(task.cell.limits.acceleration).all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("make", "shapes"), [(panda_bar, 2), (ur5_table, 4)])
 def test_meshes_are_loaded_when_asked_for(make: Callable[..., Scenario], shapes: int) -> None:
     assert make().cell.visual_model().ngeoms == 0

@@ -507,6 +507,7 @@ _INVALID = """
 """
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", EVERY)
 def test_data_that_hang_solvers(name: str) -> None:
     """NaN, infinities and overflow in every array; in another process, since ProxQP never comes back from some."""

@@ -134,6 +134,7 @@ def lifted(*, slope: float = 0.0, lag: float = 0.0, seconds: float = 2.25, **opt
     return np.array(caps), np.array(offs)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seconds", [2.25, 6.0])
 def test_a_drift_with_the_way_is_let_in(seconds: float) -> None:
     caps, offs = lifted(slope=8e-3, seconds=seconds)

@@ -34,6 +34,7 @@ def ran(solver: str) -> dict[str, Any]:
     return found
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("solver", available_solvers())
 def test_bad_numbers_hold_and_are_forgotten(solver: str, catalogue: Any) -> None:
     found = ran(solver)

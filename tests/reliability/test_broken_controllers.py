@@ -462,6 +462,7 @@ BROKEN: dict[str, Broken] = {
 }
 
 
+@pytest.mark.slow
 def test_every_broken_controller_is_caught(catalogue: Any) -> None:
     missed = [name for name, broken in BROKEN.items() if not broken.caught()]
     rows = sorted({broken.row for broken in BROKEN.values()}, key=lambda r: (r[0], int(r[1:] or 0)))

@@ -8,10 +8,14 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+import pytest
 from checks import cooperative, limited, rough_steps
 
 from coopqp import Status, available_kernels
 from coopqp.scenarios import Scenario, dual_arm7, five_joint_pair, mixed_cell, paper_lift, ring, scara_pair
+
+#: Tests that the steps are spread over, so that several processes can share them.
+PARTS = 5
 
 
 def rough_task(task: Scenario, rng: np.random.Generator) -> Scenario:
@@ -31,15 +35,19 @@ def rough_task(task: Scenario, rng: np.random.Generator) -> Scenario:
     )
 
 
-def test_any_command_may_be_sent(count: Callable[[int], int], catalogue: Any, rng: np.random.Generator) -> None:
-    """A million steps: nearly all with the compiled kernel, some with the NumPy one, some without either."""
+@pytest.mark.slow
+@pytest.mark.parametrize("part", [pytest.param(1, marks=pytest.mark.core), *range(2, PARTS + 1)])
+def test_any_command_may_be_sent(
+    part: int, count: Callable[[int], int], catalogue: Any, rng: np.random.Generator
+) -> None:
+    """A million steps in all: nearly all with the compiled kernel, some with the NumPy one, some without either."""
     fused = [paper_lift(), dual_arm7(), mixed_cell(), ring(arms=4)]
     unfused = [scara_pair(), five_joint_pair()]
     kernels = {"compiled": 19_500, "numpy": 600} if "compiled" in available_kernels() else {"numpy": 2_000}
     steps: Counter[str] = Counter()
     violations: Counter[str] = Counter()
     statuses: Counter[Status] = Counter()
-    for i in range(count(50)):
+    for i in range(count(50 // PARTS)):
         runs = [(fused[i % 4], name, n) for name, n in kernels.items()]
         if i % 5 == 0:
             runs.append((unfused[i // 5 % 2], "auto", 400))
@@ -59,7 +67,7 @@ def test_any_command_may_be_sent(count: Callable[[int], int], catalogue: Any, rn
     longer = f"{late} steps held longer than 1.1 v/a + 2 dt, after a new path in motion or at a singularity"
     catalogue.row(
         "A1",
-        "form, finiteness, limits, continuity, clock, data modified",
+        f"form, finiteness, limits, continuity, clock, data modified: {part} of {PARTS}",
         cases=steps.total(),
         measured=violations.total(),
         target=0,

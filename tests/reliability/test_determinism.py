@@ -37,6 +37,7 @@ def ran(solver: str, steps: int, file: Path, seed: int) -> tuple[int, str]:
     return int(number), digest
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("solver", "steps", "target"), [("daqp", 100_000, 0.0), ("proxqp", 20_000, 1e-10)])
 def test_another_process_commands_the_same(
     solver: str, steps: int, target: float, count: Callable[[int], int], catalogue: Any, tmp_path: Path
@@ -94,7 +95,7 @@ def commands(task: Scenario, names: Sequence[str], options: QPOptions, steps: in
     return np.array([controller.step().velocity[columns] for _ in range(steps)])
 
 
-@pytest.mark.parametrize("how", ["as it comes", "a QP at every step"])
+@pytest.mark.parametrize("how", ["as it comes", pytest.param("a QP at every step", marks=pytest.mark.slow)])
 def test_the_order_of_the_arms_does_not_matter(
     how: str, rng: np.random.Generator, count: Callable[[int], int], catalogue: Any
 ) -> None:

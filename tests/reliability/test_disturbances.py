@@ -129,6 +129,7 @@ def drive(
 # -- signals -----------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("noise", "target"), [(1e-4, 0.2), (1e-3, 1.0)])
 def test_encoder_noise(tasks: list[Scenario], catalogue: Any, count: Any, noise: float, target: float) -> None:
     seeds = range(count(2))
@@ -146,6 +147,7 @@ def test_encoder_noise(tasks: list[Scenario], catalogue: Any, count: Any, noise:
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("latency", "target"), [(0.002, 0.2), (0.005, 0.4), (0.010, 0.8)])
 def test_late_measurements(tasks: list[Scenario], catalogue: Any, latency: float, target: float) -> None:
     """Of all arms, with commands that are executed as late."""
@@ -161,6 +163,7 @@ def test_late_measurements(tasks: list[Scenario], catalogue: Any, latency: float
     catalogue.row("B", name, cases=cases, measured=chain, target=target, unit="mm")
 
 
+@pytest.mark.slow
 def test_lost_samples(tasks: list[Scenario], catalogue: Any, count: Any) -> None:
     runs = [
         drive(task, Disturbances(drop_share=0.05, drops_by_arm=by_arm, seed=seed))
@@ -173,6 +176,7 @@ def test_lost_samples(tasks: list[Scenario], catalogue: Any, count: Any) -> None
     catalogue.row("B", "5 % of the samples lost", cases=cases, measured=chain, target=0.1, unit="mm")
 
 
+@pytest.mark.slow
 def test_periods_that_vary(tasks: list[Scenario], catalogue: Any, count: Any) -> None:
     runs = [drive(task, Disturbances(dt_jitter=0.2, seed=seed)) for task in tasks for seed in range(count(1))]
     for run in runs:
@@ -187,6 +191,7 @@ def test_periods_that_vary(tasks: list[Scenario], catalogue: Any, count: Any) ->
 # -- where the arms stand and hold -------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_a_base_that_is_off_for_ten_minutes(catalogue: Any, count: Any) -> None:
     """Lifted by 0.3 m and lowered again and again: what the base's error makes of it, and no more with time."""
     lift, minutes = paper_lift(), count(10)
@@ -218,6 +223,7 @@ def test_a_base_that_is_off_for_ten_minutes(catalogue: Any, count: Any) -> None:
     catalogue.row("B", f"{where}: drift", cases=tick, measured=drift, target=1e-3, unit="mm")
 
 
+@pytest.mark.slow
 def test_a_base_that_is_off_and_a_turn(tasks: list[Scenario], catalogue: Any, count: Any) -> None:
     """Turning the object costs what geometry says, which no encoder tells: the control adds nothing to it."""
     added, whole, cases = 0.0, 0.0, 0
@@ -295,6 +301,7 @@ def test_a_grasp_too_far_off_is_refused(tasks: list[Scenario], catalogue: Any, c
 # -- arms out of step --------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_an_arm_that_lags(tasks: list[Scenario], catalogue: Any, count: Any) -> None:
     runs = [
         drive(task, Disturbances(lag={arm: 0.01})) for task in tasks for arm in task.cell.arm_names[1 : 1 + count(1)]
@@ -311,6 +318,7 @@ def test_an_arm_that_lags(tasks: list[Scenario], catalogue: Any, count: Any) -> 
     catalogue.row("B", f"{name}: at the grasps", cases=cases, measured=grasps, target=1.0, unit="mm")
 
 
+@pytest.mark.slow
 def test_an_arm_that_lags_while_the_object_only_turns(tasks: list[Scenario], catalogue: Any) -> None:
     """About the object's origin, where nothing moves: what parts is the grasps."""
     lift, cases, worst = tasks[0], 0, 0.0
@@ -324,6 +332,7 @@ def test_an_arm_that_lags_while_the_object_only_turns(tasks: list[Scenario], cat
     catalogue.row("B", name, cases=cases, measured=worst, target=1.0, unit="mm", note=note)
 
 
+@pytest.mark.slow
 def test_an_arm_whose_commands_come_late(tasks: list[Scenario], catalogue: Any) -> None:
     late = (0.002, 0.005, 0.010)
     runs = [drive(task, command_latency={task.cell.arm_names[-1]: delay}) for task in tasks[1:] for delay in late]
@@ -333,6 +342,7 @@ def test_an_arm_whose_commands_come_late(tasks: list[Scenario], catalogue: Any) 
     catalogue.row("B", name, cases=cases, measured=chain, target=1.0, unit="mm")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("noise", [0.0, 1e-4], ids=["quiet", "noisy"])
 def test_an_arm_that_stalls(tasks: list[Scenario], catalogue: Any, noise: float) -> None:
     """At the fastest, where the arms part by 0.25 mm a sample, and (quiet) at 30 % of the path's time."""

@@ -106,6 +106,7 @@ SIGNALS = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", SIGNALS)
 def test_signals(lift: Scenario, catalogue: Any, name: str) -> None:
     settings, target = SIGNALS[name]
@@ -115,6 +116,7 @@ def test_signals(lift: Scenario, catalogue: Any, name: str) -> None:
     catalogue.row("B", f"gripped, {name}", cases=len(run.steps), measured=force, target=target, unit="N")
 
 
+@pytest.mark.slow
 def test_a_grasp_that_is_off(lift: Scenario, catalogue: Any) -> None:
     run = drive(lift, grip={"slave_1": GRIP_OFF})
     assert run.smooth
@@ -124,6 +126,7 @@ def test_a_grasp_that_is_off(lift: Scenario, catalogue: Any) -> None:
     )
 
 
+@pytest.mark.slow
 def test_a_base_that_is_off(lift: Scenario, catalogue: Any) -> None:
     """Lifted and turned, the arms drift apart by up to 3 mm, as they are seen: what the cell is like, not a fault."""
     force, stopped, cases, longest = 0.0, 0, 0, 0.0
@@ -138,6 +141,7 @@ def test_a_base_that_is_off(lift: Scenario, catalogue: Any) -> None:
     catalogue.row("B", name, cases=cases, measured=force, target=LIMIT, unit="N", note="what geometry makes of it")
 
 
+@pytest.mark.slow
 def test_a_stalled_arm_that_is_dragged_along(lift: Scenario, catalogue: Any, count: Any) -> None:
     """Neither distances nor joints show it: the others pull it along. The servos' deflection does."""
     blind = drive(lift, Disturbances(stall={"slave_1": 1.2}), longest=2.2)
@@ -173,6 +177,7 @@ def test_a_stalled_arm_that_is_dragged_along(lift: Scenario, catalogue: Any, cou
     catalogue.row("B", f"{what}: not named, or another, at rest", cases=cases, measured=cases - named, target=0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("settings", "delay"), [({}, 0.0), ({"encoder_noise": 1e-4}, 0.0), ({"latency": 0.01}, 0.01)], ids=str
 )

@@ -98,6 +98,7 @@ VECTORS: dict[str, tuple[Any, Callable[[Any], Any], Callable[[Any, Any], bool]]]
 }
 
 
+@pytest.mark.slow
 def test_arrays_of_finite_numbers_and_nothing_else(catalogue: Any) -> None:
     tried = Tried()
 
@@ -187,6 +188,7 @@ PICKY: dict[str, tuple[Any, Callable[[Any], Any], Callable[[Any, Any], bool]]] =
 SCALARS_TOO = ("with_limits, velocity", "with_limits, lower")
 
 
+@pytest.mark.slow
 def test_what_is_accepted_is_right(catalogue: Any) -> None:
     tried = Tried()
 
@@ -268,6 +270,7 @@ def test_poses_and_nothing_else(catalogue: Any) -> None:
     tried.row(catalogue, f"poses at {len(POSES)} doors", MORE)
 
 
+@pytest.mark.slow
 def test_a_pose_to_be_reached(catalogue: Any) -> None:
     """inverse_kinematics: a pose it is not, one out of reach, or one that is reached."""
     tried = Tried()
@@ -350,6 +353,7 @@ def test_options_of_any_value(catalogue: Any) -> None:
     tried.row(catalogue, f"numbers in {len(every)} fields of {len(OPTIONS)} options classes", MORE)
 
 
+@pytest.mark.slow
 def test_accepted_options_never_make_a_step_fail(catalogue: Any) -> None:
     """Whatever the options, a step returns a command within the limits (or the controller is not built)."""
     tried = Tried()
@@ -411,6 +415,7 @@ DURATIONS: dict[str, Callable[[Any], Any]] = {
 }
 
 
+@pytest.mark.slow
 def test_times_that_are_none(catalogue: Any) -> None:
     tried = Tried()
 
@@ -431,6 +436,7 @@ def test_times_that_are_none(catalogue: Any) -> None:
     tried.row(catalogue, f"times at {len(DURATIONS)} doors", MORE)
 
 
+@pytest.mark.slow
 def test_a_path_at_any_clock(catalogue: Any) -> None:
     tried = Tried()
     other = START * pin.exp6(np.array([0.1, 0.2, 0.3, 0.4, 0.5, 0.6]))
@@ -475,6 +481,7 @@ MAKERS: dict[str, Any] = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kinds", [["QP"], ["QP, turning joints", "independent", "pseudo-inverse"]], ids=len)
 def test_a_step_answers_to_anything(kinds: list[str], catalogue: Any) -> None:
     """Whatever is measured and however long the step: a command within the limits, never an exception."""
@@ -515,6 +522,7 @@ def test_a_step_answers_to_anything(kinds: list[str], catalogue: Any) -> None:
     tried.row(catalogue, f"a step of anything, {', '.join(kinds)}")
 
 
+@pytest.mark.slow
 def test_a_refused_value_changes_nothing(catalogue: Any) -> None:
     """After a refused reset or target a controller goes on as if nothing had been asked."""
     tried = Tried()

@@ -131,6 +131,7 @@ def check_cell(arm: Arm, arms: int, rng: np.random.Generator) -> None:
     assert monitor.verdict().ok, monitor.verdict()
 
 
+@pytest.mark.slow
 def test_descriptions_of_arms(catalogue: Any, tmp_path: Path) -> None:
     tried, file = Tried(), tmp_path / "arm.urdf"
 
@@ -223,6 +224,7 @@ def models(draw: st.DrawFn) -> tuple[pin.Model, dict[str, Any], bool]:
     return model, given, plain and n > 0
 
 
+@pytest.mark.slow
 def test_models_built_in_code(catalogue: Any) -> None:
     tried = Tried()
 

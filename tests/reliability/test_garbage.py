@@ -56,6 +56,7 @@ def collections() -> Iterator[list[tuple[int, int]]]:
     gc.callbacks.remove(watch)
 
 
+@pytest.mark.slow
 def test_steps_leave_nothing_to_collect(collections: list[tuple[int, int]], catalogue: Any, count: Any) -> None:
     steps, cases, left = count(1000), 0, 0
     for kernel in available_kernels():

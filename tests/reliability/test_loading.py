@@ -160,6 +160,7 @@ CELL_FILES = {
 }
 
 
+@pytest.mark.slow
 def test_files_that_mean_no_good(run: Recording, tmp_path: Path, catalogue: Any) -> None:
     folder, trap, secret = tmp_path / "files", tmp_path / "trap", tmp_path / "secret.txt"
     folder.mkdir()
@@ -228,6 +229,7 @@ new.save(file)
 """
 
 
+@pytest.mark.slow
 def test_a_kill_while_writing_leaves_the_old_file(
     run: Recording, tmp_path: Path, count: Callable[[int], int], catalogue: Any
 ) -> None:

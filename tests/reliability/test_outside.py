@@ -39,6 +39,7 @@ def rows(catalogue: Any, what: str, found: list[Return], *, capped: int = 0, con
     catalogue.row("A3", f"{what}: chain error", cases=len(found), measured=chain, target=CHAIN_MM, unit="mm")
 
 
+@pytest.mark.slow
 def test_every_joint_comes_back(lift: Scenario, count: Callable[[int], int], catalogue: Any) -> None:
     found = []
     for i in range(count(36)):
@@ -61,6 +62,7 @@ def together(task: Scenario, rng: np.random.Generator, runs: int, **options: Any
     return found
 
 
+@pytest.mark.slow
 def test_joints_of_several_arms_come_back_at_once(
     lift: Scenario, count: Callable[[int], int], catalogue: Any, rng: np.random.Generator
 ) -> None:
@@ -70,6 +72,7 @@ def test_joints_of_several_arms_come_back_at_once(
     rows(catalogue, "2 to 6 joints outside", found)
 
 
+@pytest.mark.slow
 def test_with_every_solver(
     lift: Scenario, count: Callable[[int], int], catalogue: Any, rng: np.random.Generator
 ) -> None:
@@ -80,6 +83,7 @@ def test_with_every_solver(
     rows(catalogue, ", ".join(others), [r for runs in found.values() for r in runs], capped=capped)
 
 
+@pytest.mark.slow
 def test_joints_whose_ways_back_contradict_each_other(
     lift: Scenario, count: Callable[[int], int], catalogue: Any, rng: np.random.Generator
 ) -> None:

@@ -63,6 +63,7 @@ SATURATING: dict[str, tuple[Callable[[], tuple[Scenario, Any]], dict[str, Any]]]
 }
 
 
+@pytest.mark.slow
 def test_limits_hold_after_clipping(count: Callable[[int], int], catalogue: Any) -> None:
     worst, solvers, steps = np.zeros(3), available_solvers(), 0
     for solver, (name, (build, options)) in itertools.product(solvers, SATURATING.items()):
@@ -84,6 +85,7 @@ def test_limits_hold_after_clipping(count: Callable[[int], int], catalogue: Any)
         catalogue.row("A2", name, cases=steps, measured=excess, target=target, unit=unit)
 
 
+@pytest.mark.slow
 def test_one_joint_saturates(count: Callable[[int], int], catalogue: Any) -> None:
     """Each joint of three arms in turn at half the speed that the path asks of it, where it asks for any."""
     found = []
@@ -104,6 +106,7 @@ def sharing(catalogue: Any, what: str, found: list[Sharing], note: str = "") -> 
     catalogue.row("A9", f"{what}: direction of the object", cases=steps, measured=angle, target=1.0, unit="°")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("acceleration", [np.inf, 5.0], ids=["speed", "acceleration"])
 def test_random_paths_too_fast(
     acceleration: float, count: Callable[[int], int], catalogue: Any, rng: np.random.Generator

@@ -109,6 +109,7 @@ def accelerates(task: Scenario) -> bool:
     return bool(np.isfinite(task.cell.limits.acceleration).any())
 
 
+@pytest.mark.slow
 def test_limits_are_kept(previewed: Any, few: Any, catalogue: Any) -> None:
     met = [e for _, miss, e in previewed if miss == 0.0]
     for found in (met, [e for _, e in few]):
@@ -125,6 +126,7 @@ def test_limits_are_kept(previewed: Any, few: Any, catalogue: Any) -> None:
         )
 
 
+@pytest.mark.slow
 def test_the_chain_on_previewed_paths(previewed: Any, few: Any, catalogue: Any) -> None:
     for arms, found in (("six", [e for _, _, e in previewed]), ("four and five", [e for _, e in few])):
         catalogue.row(
@@ -156,6 +158,7 @@ def test_the_object_comes_out_again(previewed: Any, catalogue: Any) -> None:
     )
 
 
+@pytest.mark.slow
 def test_arms_with_few_joints_come_out_again(few: Any, catalogue: Any) -> None:
     stuck = [task for task, e in few if not e.back]
     catalogue.row(
@@ -167,6 +170,7 @@ def test_arms_with_few_joints_come_out_again(few: Any, catalogue: Any) -> None:
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("limited", [True, False])
 def test_the_rate_changes_smoothly(limited: bool, previewed: Any, few: Any, catalogue: Any) -> None:
     found = [e for task, *_, e in (*previewed, *few) if accelerates(task) is limited]

@@ -20,6 +20,7 @@ WARM_UP = 2
 MIB = 2**20
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="reads /proc")
 @pytest.mark.timeout(3600)
 def test_a_million_steps_leave_nothing_behind(count: Callable[[int], int], catalogue: Any) -> None:

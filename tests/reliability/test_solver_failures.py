@@ -60,6 +60,7 @@ def failures(count: Callable[[int], int]) -> list[tuple[bool, Failure]]:
     return found
 
 
+@pytest.mark.slow
 def test_it_holds_within_the_same_step(failures: list[tuple[bool, Failure]], catalogue: Any) -> None:
     catalogue.row(
         "A5",
@@ -129,6 +130,7 @@ def test_only_one_form_fails() -> None:
     assert max(s.given_up.chain for s in steps) < 1e-9
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("solver", "settings"),
     [

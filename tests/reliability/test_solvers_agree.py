@@ -153,6 +153,7 @@ def test_on_random_problems(rng: np.random.Generator, count: Callable[[int], int
     assert_holding(tally, catalogue, "random QPs")
 
 
+@pytest.mark.slow
 def test_on_problems_at_the_border_of_feasibility(
     rng: np.random.Generator, count: Callable[[int], int], catalogue: Any
 ) -> None:

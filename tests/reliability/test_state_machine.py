@@ -190,6 +190,7 @@ class AnyOrder(RuleBasedStateMachine):
         self._new_controller(ServoPath(self.object))
 
 
+@pytest.mark.slow
 def test_anything_in_any_order(catalogue: Any) -> None:
     scale = settings().max_examples / 200  # 1 in CI, 10 every night
     machine = type("Machine", (AnyOrder,), {"statuses": set()})

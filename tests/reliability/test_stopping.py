@@ -13,6 +13,7 @@ STEPS = (0.001, 0.002, 0.01)  # [s]
 OVERSHOOT = 1e-6  # [rad]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("dt", STEPS)
 def test_any_choice_from_the_box_stops_inside(
     dt: float, count: Callable[[int], int], catalogue: Any, rng: np.random.Generator
@@ -33,7 +34,7 @@ def test_any_choice_from_the_box_stops_inside(
     assert found["outward"].unused < 0.05
 
 
-@pytest.mark.parametrize("dt", STEPS)
+@pytest.mark.parametrize("dt", [*(pytest.param(dt, marks=pytest.mark.slow) for dt in STEPS[:-1]), STEPS[-1]])
 def test_the_controllers_own_commands_stop_inside(
     dt: float, count: Callable[[int], int], catalogue: Any, rng: np.random.Generator
 ) -> None:

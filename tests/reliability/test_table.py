@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import importlib.util
 import json
+import os
+import subprocess
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -45,3 +48,30 @@ def test_the_page_shows_what_was_measured(tmp_path: Path, table: Any, count: Cal
     assert text.startswith("Head.")
     assert text.endswith("Tail.\n")
     assert count(7) in (7, 70)
+
+
+def test_lines_of_every_worker_arrive(tmp_path: Path) -> None:
+    """Also the line of a test that misses its target, whichever process ran it."""
+    (tmp_path / "test_lines.py").write_text(
+        "import os\n"
+        "import pytest\n"
+        "@pytest.mark.parametrize('i', range(8))\n"
+        "def test_a_line(i, catalogue):\n"
+        "    catalogue.row('A1', f'line {i}', cases=1, measured=i, target=6, note=os.environ['PYTEST_XDIST_WORKER'])\n",
+        encoding="utf-8",
+    )
+    file = tmp_path / "rows.json"
+    options = ["-p", "catalogue", "-n", "2", "--dist", "load", "--reliability-json", str(file), str(tmp_path)]
+    done = subprocess.run(
+        [sys.executable, "-m", "pytest", "-c", os.devnull, "--rootdir", str(tmp_path), *options],
+        env={**os.environ, "PYTHONPATH": str(Path(__file__).parent)},
+        capture_output=True,
+        text=True,
+        encoding="utf-8",
+        check=False,
+    )
+    assert "7 passed" in done.stdout, done.stdout + done.stderr
+    assert "reliability: 8 cases in 8 lines" in done.stdout
+    rows = json.loads(file.read_text(encoding="utf-8"))
+    assert [r["test"] for r in rows] == [f"line {i}" for i in range(8)]
+    assert {r["note"] for r in rows} == {"gw0", "gw1"}

@@ -103,6 +103,7 @@ def _found(request: pytest.FixtureRequest, count: Callable[[int], int]) -> tuple
     return bool(np.isfinite(request.param)), to_blocked, to_off, lost
 
 
+@pytest.mark.slow
 def test_a_standing_object_is_reported_blocked(found: tuple[bool, list[int], list[int], int], catalogue: Any) -> None:
     limited, to_blocked, _, _ = found
     catalogue.row(

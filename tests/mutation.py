@@ -1,0 +1,327 @@
+"""Mutation testing: would a test fail if the code said something else?  ``make mutation``, or ``mutation.py --help``.
+
+cosmic-ray makes the mutants; two kinds that it lacks are added here (a statement left out, minimum for maximum). It
+runs one command for every module, in place, and cannot sample: choosing and running is therefore done here, in copies
+of the tree, with the tests of the mutated module, those that end soonest first. A mutant that no quick test kills meets
+the slow tests of its module and then :data:`EVERYWHERE`.
+
+A mutant that survives lacks a test, or is equivalent: then :data:`EQUIVALENT` says why.
+"""
+
+from __future__ import annotations
+
+import argparse
+import difflib
+import json
+import os
+import queue
+import random
+import re
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+from collections import Counter, defaultdict
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor, as_completed
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import parso.python.tree as tree
+from cosmic_ray.ast import ast_nodes, get_ast
+from cosmic_ray.mutating import mutate_code
+from cosmic_ray.operators.operator import Operator
+from cosmic_ray.plugins import get_operator
+
+ROOT = Path(__file__).resolve().parents[1]
+
+#: What is mutated, and the tests of each module: those first that are quick and kill many.
+MODULES: dict[str, tuple[str, ...]] = {
+    "coopqp/control/limits.py": ("limits", "program", "kernel", "qp_controller", "reliability/stopping"),
+    "coopqp/control/forms.py": ("program", "kernel", "qp_controller", "posture"),
+    "coopqp/control/ranks.py": ("program", "kernel", "qp_controller", "posture"),
+    "coopqp/control/linearised.py": ("program", "kernel", "qp_controller", "preview"),
+    "coopqp/control/supervision.py": ("supervision", "stress", "qp_controller", "kernel", "reliability/disturbances"),
+    "coopqp/control/drift.py": ("supervision", "qp_controller", "pseudo_inverse", "reliability/disturbances"),
+    "coopqp/model/grasp.py": ("grasp", "targets", "chain", "paper_equations", "state", "cell"),
+    "coopqp/model/chain.py": ("chain", "posture", "program", "kernel", "inverse_kinematics", "qp_controller"),
+    "coopqp/task/path.py": ("path", "targets", "kernel", "preview", "scenarios", "simulation"),
+    "coopqp/planning/preview.py": ("preview", "kernel", "qp_controller", "scenarios", "reliability/saturation"),
+}
+#: Tests of whole runs, for mutants that the module's own let live.
+EVERYWHERE = (
+    "behaviour",
+    "reliability/broken_controllers",
+    "reliability/outside",
+    "reliability/state_machine",
+    "reliability/fuzz_inputs",
+    "reliability/singularities",
+    "reliability/commands",
+)
+#: Mutants that change nothing: module, line, mutated line (stripped), and why no test can see it.
+EQUIVALENT: dict[tuple[str, str, str], str] = {}
+
+_COSMIC = [
+    *(f"ReplaceBinaryOperator_{pair}" for pair in (
+        "Add_Sub", "Sub_Add", "Mul_Div", "Div_Mul", "Pow_Mul", "FloorDiv_Div", "Mod_Mul",
+        "BitAnd_BitOr", "BitOr_BitAnd",
+    )),
+    *(f"ReplaceComparisonOperator_{pair}" for pair in (
+        "Lt_LtE", "Lt_GtE", "LtE_Lt", "LtE_Gt", "Gt_GtE", "Gt_LtE", "GtE_Gt", "GtE_Lt", "Eq_NotEq", "NotEq_Eq",
+        "Is_IsNot", "IsNot_Is",
+    )),
+    "ReplaceUnaryOperator_Delete_USub", "ReplaceUnaryOperator_Delete_Not", "ReplaceUnaryOperator_Delete_Invert",
+    "AddNot", "ReplaceAndWithOr", "ReplaceOrWithAnd", "ReplaceTrueWithFalse", "ReplaceFalseWithTrue",
+    "ReplaceBreakWithContinue", "ReplaceContinueWithBreak", "ZeroIterationForLoop", "ExceptionReplacer",
+    "NumberReplacer",
+]  # fmt: skip
+_PAIRS = ("minimum maximum", "min max", "any all", "argmin argmax", "floor ceil", "sin cos", "fmin fmax")
+_OTHER = {a: b for pair in _PAIRS for a, b in (pair.split(), pair.split()[::-1])}
+
+
+class _Kind(Operator):  # type: ignore[misc]
+    """A kind of mutation with one mutant a place."""
+
+    @classmethod
+    def examples(cls) -> tuple[()]:
+        return ()
+
+    def fits(self, node: Any) -> bool:
+        raise NotImplementedError
+
+    def mutation_positions(self, node: Any) -> Iterator[Any]:
+        if self.fits(node):
+            yield node.start_pos, node.end_pos
+
+
+class OtherFunction(_Kind):
+    """The minimum for the maximum, and such."""
+
+    def fits(self, node: Any) -> bool:
+        return isinstance(node, tree.Name) and node.value in _OTHER and not node.is_definition()
+
+    def mutate(self, node: Any, index: int) -> Any:
+        return tree.Name(_OTHER[node.value], node.start_pos, prefix=node.prefix)
+
+
+class LeaveOut(_Kind):
+    """Without a call, or without an assignment to something that is there already."""
+
+    def fits(self, node: Any) -> bool:
+        if node.parent is None or node.parent.type != "simple_stmt" or node is not node.parent.children[0]:
+            return False
+        if node.type == "expr_stmt":
+            target, operator = node.children[:2]
+            return operator.type != "annassign" and (target.type != "name" or operator.value != "=")
+        return node.type == "atom_expr"
+
+    def mutate(self, node: Any, index: int) -> Any:
+        return tree.Keyword("pass", node.start_pos, prefix=node.get_first_leaf().prefix)
+
+
+OPERATORS: dict[str, Operator] = {name: get_operator(f"core/{name}")() for name in _COSMIC}
+OPERATORS |= {"OtherFunction": OtherFunction(), "LeaveOut": LeaveOut()}
+
+
+@dataclass
+class Mutant:
+    """One change of one module, and what came of it."""
+
+    module: str
+    operator: str
+    occurrence: int
+    line: int
+    before: str = ""
+    after: str = ""
+    diff: str = ""
+    outcome: str = ""
+    killer: str = ""
+    seconds: float = 0.0
+
+    @property
+    def why_equivalent(self) -> str | None:
+        return EQUIVALENT.get((self.module, self.before, self.after))
+
+
+def annotations(module: Any) -> list[tuple[Any, Any]]:
+    """Where types are written, which nothing evaluates."""
+    found = []
+    for node in ast_nodes(module):
+        if node.type == "annassign":
+            found.append(node.children[1])
+        elif node.type in ("param", "funcdef") and node.annotation is not None:
+            found.append(node.annotation)
+    return [(node.start_pos, node.end_pos) for node in found]
+
+
+def sites(source: str) -> dict[Any, list[tuple[str, int]]]:
+    """The mutants of a module by the place that they change: operator and its occurrence."""
+    module = get_ast(source)
+    types, found = annotations(module), defaultdict(list)
+    for name, operator in OPERATORS.items():
+        occurrence = 0
+        for node in ast_nodes(module):
+            for start, end in operator.mutation_positions(node):
+                huge = node.type == "number" and abs(eval(node.value)) >= 2.0**53  # one more is the same
+                if not huge and not any(a <= start and end <= b for a, b in types):
+                    found[start].append((name, occurrence))
+                occurrence += 1
+    return dict(found)
+
+
+def chosen(modules: list[str], number: int, seed: int) -> list[Mutant]:
+    """Mutants at ``number`` places of the modules, one a place; any place as likely as any other."""
+    rng = random.Random(seed)
+    places = {module: sites((ROOT / module).read_text(encoding="utf-8")) for module in modules}
+    every = [(module, start) for module in modules for start in sorted(places[module])]
+    print(f"{len(every)} places in {len(modules)} modules", flush=True)
+    mutants = []
+    for module, start in rng.sample(every, min(number, len(every))):
+        operator, occurrence = rng.choice(places[module][start])
+        mutants.append(Mutant(module, operator, occurrence, start[0]))
+    return mutants
+
+
+class Copy:
+    """A copy of the tree, in which one mutant after the other is tested."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        shutil.copytree(
+            ROOT, folder, ignore=shutil.ignore_patterns(".*", "out", "build", "dist", "__pycache__"), symlinks=True
+        )
+        locate = (
+            "import importlib.util as u; s = u.find_spec('coopqp.control.core._native'); print(s.origin if s else '')"
+        )
+        native = subprocess.run([sys.executable, "-c", locate], cwd=ROOT, capture_output=True, text=True, check=True)
+        if file := native.stdout.strip():
+            shutil.copy(file, folder / "coopqp/control/core")
+        path = [str(folder / "tests" / "elsewhere"), str(folder)]
+        self._environment = {
+            **os.environ, "PYTHONPATH": os.pathsep.join(path), "HYPOTHESIS_PROFILE": "ci",
+            "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1",
+        }  # fmt: skip
+        where = subprocess.run(
+            [sys.executable, "-c", "import coopqp; print(coopqp.__file__)"],
+            env=self._environment, cwd=folder, capture_output=True, text=True, check=True,
+        )  # fmt: skip
+        assert Path(where.stdout.strip()).is_relative_to(folder), where.stdout
+
+    def killer(self, files: tuple[str, ...], *options: str, limit: float) -> str:
+        """The test that failed, or "" if none did."""
+        tests = [f"tests/{name}.py" for name in (re.sub(r"(\w+)$", r"test_\1", f) for f in files)]
+        tests = [name for name in tests if (self.folder / name).exists()]
+        command = [sys.executable, "-m", "pytest", "-x", "-p", "no:cacheprovider", *options, *tests]
+        try:
+            done = subprocess.run(
+                command, cwd=self.folder, env=self._environment, capture_output=True, text=True, timeout=limit
+            )
+        except subprocess.TimeoutExpired:
+            return "timeout"
+        if done.returncode in (0, 5):  # 5: no test of that kind
+            return ""
+        found = re.search(r"^(?:FAILED|ERROR) (\S+)", done.stdout, re.MULTILINE)
+        return found.group(1) if found else f"status {done.returncode}"
+
+    def stages(self, files: tuple[str, ...]) -> Iterator[str]:
+        yield self.killer(files, "-m", "not slow", "--timeout", "60", limit=600.0)
+        yield self.killer(files, "-m", "slow", "--timeout", "300", limit=1800.0)
+        yield self.killer(EVERYWHERE, "--timeout", "600", limit=3600.0)
+
+    def test(self, mutant: Mutant) -> Mutant:
+        """Write the mutant, run the tests, put the module back."""
+        file, started = self.folder / mutant.module, time.monotonic()
+        source = file.read_text(encoding="utf-8")
+        mutated = mutate_code(source, OPERATORS[mutant.operator], mutant.occurrence)
+        assert mutated is not None, mutant
+        assert mutated != source, mutant
+        lines = list(difflib.unified_diff(source.splitlines(), mutated.splitlines(), lineterm="", n=2))[2:]
+        mutant.diff = "\n".join(lines)
+        mutant.before, mutant.after = (
+            " ".join(line[1:].strip() for line in lines if line.startswith(sign)) for sign in "-+"
+        )
+        try:
+            file.write_text(mutated, encoding="utf-8")
+            self._forget(file)
+            mutant.killer = next((killer for killer in self.stages(MODULES[mutant.module]) if killer), "")
+        finally:
+            file.write_text(source, encoding="utf-8")
+            self._forget(file)
+        mutant.outcome = "killed" if mutant.killer else "equivalent" if mutant.why_equivalent else "survived"
+        mutant.seconds = time.monotonic() - started
+        return mutant
+
+    @staticmethod
+    def _forget(file: Path) -> None:
+        """Compiled, one second may be as good as another to Python, and one length as good as another."""
+        for compiled in (file.parent / "__pycache__").glob(f"{file.stem}.*.pyc"):
+            compiled.unlink()
+
+
+def report(mutants: list[Mutant]) -> float:
+    """Print what came out; share of those killed that can be [1]."""
+    for m in mutants:
+        if m.outcome == "survived":
+            print(f"\nsurvived: {m.module}:{m.line} {m.operator}\n{m.diff}")
+    print(f"\n{'':34}{'killed':>8}{'survived':>10}{'equivalent':>12}")
+    rows = [(module, [m for m in mutants if m.module == module]) for module in MODULES]
+    for name, those in [*((module, those) for module, those in rows if those), ("all", mutants)]:
+        n = Counter(m.outcome for m in those)
+        print(f"{name:34}{n['killed']:>8}{n['survived']:>10}{n['equivalent']:>12}")
+    n = Counter(m.outcome for m in mutants)
+    return n["killed"] / max(1, n["killed"] + n["survived"])
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description="Mutation testing of the modules that everything rests on.")
+    parser.add_argument("--number", type=int, default=400, help="mutants (default 400)")
+    parser.add_argument("--seed", type=int, default=1, help="choice of the mutants (default 1)")
+    parser.add_argument("--only", nargs="+", choices=MODULES, metavar="MODULE", help="modules (default all)")
+    parser.add_argument("--least", type=float, default=0.9, help="share to be killed (default 0.9)")
+    parser.add_argument("--processes", type=int, default=2, help="mutants at a time (default 2)")
+    parser.add_argument("--json", type=Path, help="write each mutant and what came of it to this file")
+    parser.add_argument("--list", action="store_true", help="print the mutants, and test none")
+    args = parser.parse_args()
+    modules = [m for m in args.only or MODULES if (ROOT / m).exists()]
+    mutants, tested = chosen(modules, args.number, args.seed), []
+    if args.list:
+        for m in mutants:
+            print(f"{m.module}:{m.line} {m.operator} {m.occurrence}")
+        return 0
+    with tempfile.TemporaryDirectory() as folder, ThreadPoolExecutor(args.processes) as pool:
+        copies: queue.SimpleQueue[Copy] = queue.SimpleQueue()
+        for i in range(args.processes):
+            copies.put(Copy(Path(folder) / str(i)))
+
+        def run(mutant: Mutant) -> Mutant:
+            copy = copies.get()
+            try:
+                return copy.test(mutant)
+            finally:
+                copies.put(copy)
+
+        sound = copies.get()
+        files = tuple(dict.fromkeys(f for m in modules for f in MODULES[m]))
+        if killer := sound.killer(files, "-n", str(args.processes), limit=3600.0):
+            print(f"without any mutation {killer} fails")
+            return 2
+        copies.put(sound)
+        for done in as_completed([pool.submit(run, mutant) for mutant in mutants]):
+            m = done.result()
+            tested.append(m)
+            print(
+                f"{len(tested):4}/{len(mutants)} {m.seconds:5.0f} s {m.outcome:10} {m.module}:{m.line} {m.operator} "
+                f"{m.killer}",
+                flush=True,
+            )
+            if args.json:
+                args.json.write_text(json.dumps([asdict(m) for m in tested], indent=1), encoding="utf-8")
+    share = report(tested)
+    print(f"\n{share:.1%} killed, {args.least:.0%} asked")
+    return int(share < args.least)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
