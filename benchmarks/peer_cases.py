@@ -86,8 +86,9 @@ def build(name: str, arms: int = 3, joints: int = 6) -> Case:
     if name == "outside":  # the joint that moves most starts 10 mrad outside its limit; the path leads it inwards
         lift = _slow_joints(paper_lift(duration=3.0))
         chain = Chain(lift.cell, lift.grasp)
-        chain.linearise(lift.q_start)
-        twist = lift.path.pose(0.0).action @ lift.path.twist(0.0)
+        start = lift.path.pose(0.0)
+        chain.linearise(lift.q_start, about=start.translation)
+        twist = np.kron(np.eye(2), start.rotation) @ lift.path.twist(0.0)
         v = chain.joint_velocities(np.tile(twist, (len(lift.cell), 1)), np.empty(lift.cell.nv))
         j = int(np.abs(v).argmax())
         limits = {"lower": lift.cell.limits.lower.copy(), "upper": lift.cell.limits.upper.copy()}

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 import pytest
+from coopqp.control.core.reference import bound
 
 from coopqp import (
     Array,
@@ -30,7 +31,6 @@ from coopqp import (
 )
 from coopqp.control import core as kernels
 from coopqp.control.core import BorderArrays, Outcome, StepKernel, Workspace, make_border, make_kernel
-from coopqp.control.core.reference import bound
 from coopqp.control.forms import StepProgram, StepTerms
 from coopqp.control.limits import LIMIT_TOLERANCE, VelocityBox
 from coopqp.model.chain import Chain

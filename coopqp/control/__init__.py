@@ -8,17 +8,15 @@ from typing import TYPE_CHECKING
 from coopqp.lazy import lazy_names
 
 if TYPE_CHECKING:
-    from coopqp.control.core import Outcome
     from coopqp.control.forms import Pieces, StepTerms
     from coopqp.control.limits import VelocityBox
 else:
     __getattr__, __dir__ = lazy_names(
         __name__,
         {
-            "coopqp.control.core": ("Outcome",),
             "coopqp.control.forms": ("Pieces", "StepTerms"),
             "coopqp.control.limits": ("VelocityBox",),
         },
     )
 
-__all__ = ["Outcome", "Pieces", "StepTerms", "VelocityBox"]
+__all__ = ["Pieces", "StepTerms", "VelocityBox"]
