@@ -67,7 +67,7 @@ class Chain:
         Y = [T * X.inverse() for T, X in zip(cell.T_joint_tool, grasp.T_object_tool, strict=True)]
         self.Y_transposed = np.array([y.homogeneous.T for y in Y])
         self._JT = self._jacobian_data.J.T.reshape(-1, 6)  # (nv, 6), C-contiguous live view; of one joint, J is flat
-        self.moving_columns = _moving_columns(cell)
+        self.moving_columns = moving_columns(cell)
         self._groups = _group_arms(cell, self.moving_columns)
         still = np.setdiff1d(np.arange(cell.nv), np.concatenate(self.moving_columns))
         self._still: npt.NDArray[np.intp] | None = still if still.size else None
@@ -290,7 +290,7 @@ def _live_placements(model: pin.Model, data: pin.Data) -> Array:
     return view
 
 
-def _moving_columns(cell: RobotCell) -> list[npt.NDArray[np.intp]]:
+def moving_columns(cell: RobotCell) -> list[npt.NDArray[np.intp]]:
     """Per arm, the velocity coordinates that move its tool (a gripper's fingers do not)."""
     columns = []
     for joint in cell.tool_joints:
