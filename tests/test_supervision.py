@@ -11,7 +11,7 @@ import pytest
 from coopqp import Array, InvalidInputError, QPController, SupervisionOptions
 from coopqp.control.stress_watch import StressWatch
 from coopqp.control.supervision import Supervision, Watch
-from coopqp.scenarios import paper_lift
+from coopqp.scenarios import mixed_cell, paper_lift
 
 
 @pytest.mark.parametrize("steps", [40, 41, 400])
@@ -201,3 +201,96 @@ def test_lost_samples_part_nobody() -> None:
             assert seen.hold
             assert "slave_1" in seen.reason
             break
+
+
+def out_of_step_for(seconds: float, *, then: float, **options: Any) -> list[Watch]:
+    """What the watch says after an arm was off while all moved at 0.25 m/s, and at rest is where it should be."""
+    see, z = watch_of(**options), 0.0
+    for i in range(round(1e3 * seconds)):
+        z += 0.25e-3
+        see(z, min(2e-3, 4e-6 * i))
+    return [see(z, 0.0) for _ in range(round(1e3 * then))]
+
+
+@pytest.mark.parametrize("seconds", [0.5, 1.0, 2.0])
+def test_a_drift_that_is_gone_is_forgotten_at_rest(seconds: float) -> None:
+    """Else arms that are where they were told to be would be held for good."""
+    seen = out_of_step_for(seconds, then=2.0)
+    assert any(s.hold for s in seen[:50])
+    assert not any(s.hold for s in seen[500:])
+    assert seen[-1].rate_cap == 1.0
+
+
+@pytest.mark.parametrize("off", [0.022, 0.1, 0.29])
+@pytest.mark.parametrize("filter_time", [0.0, 0.002])
+def test_one_sample_holds_but_is_no_fault_and_two_are(off: float, filter_time: float) -> None:
+    for many in (1, 2, 3):
+        see = watch_of(noise_margin=0.0, filter_time=filter_time)
+        seen = [see(0.1 * i, 0.0) for i in range(10)]
+        seen += [see(1.0 + 1e-6 * i, off) for i in range(many)]
+        assert seen[-1].hold
+        enough = filter_time == 0.0 or off >= 0.1  # the filter, too, has to let it through
+        assert any(s.fault for s in seen) is (many >= 2 and enough)
+        after = [see(1.1 + 1e-6 * i, 0.0) for i in range(300)]
+        assert not any(s.fault for s in after)
+        assert after[-1].rate_cap == 1.0
+
+
+def test_a_sample_that_is_sent_again_is_no_second_one() -> None:
+    lift = paper_lift()
+    watch = Supervision(lift.cell, lift.grasp, SupervisionOptions(stall_samples=None, noise_margin=0.0))
+    q = lift.q_start
+    for i in range(10):
+        watch.watch(q + 1e-6 * i, q, np.zeros((3, 6)), 1e-3)
+    faults = []
+    for i in range(5):
+        away = np.zeros((3, 6))
+        away[1, 0] = 0.2
+        measured = q + 1e-6 * i
+        measured[6:12] = q[6:12] + 0.2
+        faults.append(watch.watch(measured, q, away, 1e-3).fault)
+    assert faults == [False, False, False, False, True]  # three lost, then it stands
+
+
+def turning(position: float) -> tuple[QPController, Array, Array, int]:
+    """A cell with a continuous joint at a position: its controller, configuration, joint positions, and that joint."""
+    task = mixed_cell()
+    joint = int(np.flatnonzero(task.cell.continuous)[0])
+    x = task.cell.positions(task.q_start)
+    x[joint] = position
+    return QPController(task.cell, task.grasp, task.path, dt=1e-3), task.cell.configuration(x), x, joint
+
+
+@pytest.mark.parametrize("position", [0.0, 0.25 * np.pi, 0.5 * np.pi, 3.1, -np.pi])
+@pytest.mark.parametrize("side", [-1.0, 1.0])
+def test_the_jump_of_a_continuous_joint_is_an_angle(position: float, side: float) -> None:
+    """Across half a turn as well; its cosine and sine alone change by less than the angle, or hardly at all."""
+    controller, q, x, joint = turning(position)
+    watch, cell = Supervision(controller.cell, controller.grasp, SupervisionOptions()), controller.cell
+    for jump, believed in ((0.299, True), (0.301, False), (0.4, False)):
+        off = x.copy()
+        off[joint] += side * jump
+        reason = watch.accept_measurement(cell.configuration(off), q)[1]
+        assert (not reason) is believed
+        assert (
+            believed or reason == f"joint {cell.joint_names[joint]} is measured {jump:.3g} rad (or m) from its command"
+        )
+
+
+def test_a_continuous_joint_stalls_at_the_same_angle_everywhere() -> None:
+    """Where its cosine hardly changes, where its sine hardly does, and across half a turn."""
+    when = []
+    for position in (0.0, 0.25 * np.pi, 0.5 * np.pi, np.pi - 2e-4):
+        controller, _, x, joint = turning(position)
+        cell = controller.cell
+        watch = Supervision(cell, controller.grasp, SupervisionOptions())
+        own = cell.v_slices[cell.arm_of_joint(joint)]
+        for i in range(200):
+            told = x + 0.95e-4 * i
+            told[own] = x[own]
+            found = told.copy()
+            told[joint] += 0.95e-4 * i
+            if watch.watch(cell.configuration(found), cell.configuration(told), np.zeros((4, 6)), 1e-3).hold:
+                break
+        when.append(i)
+    assert when == [6] * 4  # 0.5 mrad from its command

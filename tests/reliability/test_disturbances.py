@@ -366,3 +366,60 @@ def test_an_arm_that_stalls(tasks: list[Scenario], catalogue: Any, noise: float)
     kind = f"an arm that stalls{', encoder noise ±0.0001 rad' if noise else ''}"
     catalogue.row("B", f"{kind}: samples until it is known", cases=cases, measured=latest, target=5)
     catalogue.row("B", f"{kind}: apart at the grasps", cases=cases, measured=worst, target=3.0, unit="mm")
+
+
+def test_an_arm_that_stands_and_goes_on(tasks: list[Scenario], catalogue: Any, count: Any) -> None:
+    """Measured where they are told to be from then on, the arms go on too; a fault, once they were far apart, stays."""
+    rng, longest, faults, cases = np.random.default_rng(4), 0, 0, count(12)
+    accelerations = ((None, 20.0), (5.0, 20.0), (12.0, 12.0))  # rad/s² (m/s²): with limits, braking goes on for a while
+    for i in range(cases):
+        task = tasks[i % 3]
+        limit = accelerations[i % 3][i // 3 % 2]
+        cell = task.cell if limit is None else task.cell.with_limits(acceleration=limit)
+        controller = QPController(cell, task.grasp, task.path, dt=DT)
+        controller.reset(task.q_start)
+        arm = cell.q_slices[int(rng.integers(len(cell)))]
+        begin = round(float(rng.uniform(0.3, 0.7)) * task.path.duration / DT)
+        end = begin + round(float(rng.uniform(0.1, 1.0 if i % 2 else 2.0)) / DT)
+        q, held = task.q_start, 0
+        for tick in range(end + 10_000):
+            step = controller.step(q)
+            held = held + 1 if step.status is Status.HOLDING and tick > end else 0
+            longest = max(longest, held)
+            if step.finished or step.status is Status.FAULT or held > 2000:
+                break
+            stands = q[arm] if begin <= tick < end else None
+            q = step.q_next.copy()
+            if stands is not None:
+                q[arm] = stands
+        faults += step.status is Status.FAULT
+        assert step.finished or step.status is Status.FAULT or held
+    assert faults < cases / 2
+    name = "an arm that stands for 0.1 to 2 s and goes on: held after it"
+    note = f"{faults} of them were 20 mm apart before they had braked: a fault"
+    catalogue.row("I4", name, cases=cases, measured=longest * DT, target=1.0, unit="s", note=note)
+
+
+def test_one_corrupted_sample(tasks: list[Scenario], catalogue: Any, count: Any) -> None:
+    """One joint of one sample is off, from 10 µrad to half a turn; nothing else is."""
+    rng, wrong, longest, cases = np.random.default_rng(9), 0, 0, count(30)
+    for i in range(cases):
+        task = tasks[i % 3]
+        cell = task.cell
+        controller = QPController(cell, task.grasp, task.path, dt=DT)
+        controller.reset(task.q_start)
+        size = float(rng.uniform(0.1, 0.299) if i // 3 % 2 else 10.0 ** rng.uniform(-5.0, 0.5))
+        off = np.zeros(cell.nv)
+        off[rng.integers(cell.nv)] = rng.choice([-1.0, 1.0]) * size
+        when = int(rng.integers(1, round(0.9 * task.path.duration / DT)))
+        q, statuses = task.q_start, []
+        while len(statuses) < 10_000:
+            step = controller.step(q)
+            statuses.append(step.status)
+            if step.finished or step.status is Status.FAULT:
+                break
+            q = cell.moved(step.q_next, off if len(statuses) == when else np.zeros(cell.nv))
+        wrong += not step.finished
+        longest = max(longest, statuses.count(Status.HOLDING))
+    name, note = "one corrupted sample: a fault, or no end", f"held for {longest} steps at most"
+    catalogue.row("I9", name, cases=cases, measured=wrong, target=0, note=note)

@@ -134,7 +134,8 @@ static void find_cap(Core *c) {
         p[LATE] = p[KEEP] < 1.0;
         if (p[LATE] != 0.0 && !c->looks_ahead && p[KEEP] * rate < p[CAP]) p[CAP] = p[KEEP] * rate;
     }
-    cap_rate(c, p[WATCH_CAP], p[REASON_ARM] >= 0.0 ? OUT_OF_STEP : NONE, (int)p[REASON_ARM]);
+    const int by_arm = p[REASON] >= OUT_OF_STEP_BY && p[REASON_ARM] >= 0.0; /* else it is an index, or nothing */
+    cap_rate(c, p[WATCH_CAP], by_arm ? OUT_OF_STEP : NONE, by_arm ? (int)p[REASON_ARM] : -1);
     if (rise > 0.0 && rate < 1.0) cap_rate(c, rate + rise * h, NONE, -1);
 }
 

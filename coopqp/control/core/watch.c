@@ -379,16 +379,25 @@ static void find_behind(Core *c, const double *jacobian, const double *C, const 
     }
 }
 
+/* Jacobians about the object as arm 0 carries it at the measured positions. */
+static void linearise_measured(const Core *c, const double *positions, double *carried, double *jacobian) {
+    const double *near = c->carried + 9; /* any point would do: nearby ones lose no digits */
+    carry_and_linearise(c, positions, near, carried, jacobian);
+    const double shift[3] = {carried[9] - near[0], carried[10] - near[1], carried[11] - near[2]};
+    for (int j = 0; j < c->joints; j++) {
+        double *row = jacobian + 6 * j, turned[3];
+        cross(row + 3, shift, turned);
+        for (int i = 0; i < 3; i++) row[i] += turned[i];
+    }
+}
+
 /* Read the force at each grasp, and who hangs behind; the arm with the largest. */
 static int read_forces(Core *c, const double *positions, double dt) {
     const int n = c->arms, nv = c->joints;
     double *carried = c->scratch, *C = carried + 12 * n, *wrenches = C + 36 * n;
     double *jacobian = wrenches + 6 * n, *velocity = jacobian + 6 * nv, *w = c->watch;
     const int rests = deflect(c, positions, dt, velocity);
-    double about[3];
-    carry(c, positions, carried);
-    memcpy(about, carried + 9, sizeof about);
-    carry_and_linearise(c, positions, about, NULL, jacobian);
+    linearise_measured(c, positions, carried, jacobian);
     int most = 0;
     for (int k = 0; k < n; k++) {
         double factored[36];
