@@ -1,4 +1,4 @@
-"""What can bind a step: the limits, by name."""
+"""Names of the limits that can bind a step."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 
 class LimitKind(enum.Enum):
-    """Which limit of a joint binds."""
+    """Kind of a binding limit."""
 
     POSITION = "position"
     VELOCITY = "velocity"
@@ -20,12 +20,12 @@ class LimitKind(enum.Enum):
 
 @dataclass(frozen=True, slots=True)
 class BindingLimit:
-    """A limit that the step runs against.
+    """A limit that binds in a step.
 
     Attributes:
-        arm: name of the arm; empty where the limit is the path's.
-        joint: name of the joint, without the arm's prefix; empty where the limit is the whole arm's.
-        kind: which limit.
+        arm: name of the arm; empty for a limit of the path.
+        joint: name of the joint without the arm's prefix; empty for a limit of the whole arm.
+        kind: kind of the limit.
     """
 
     arm: str
@@ -34,6 +34,6 @@ class BindingLimit:
 
     def __str__(self) -> str:
         if not self.arm:
-            return self.kind.value  # the path's own
+            return self.kind.value  # a limit of the path
         joint = f" joint {self.joint}" if self.joint else ""
         return f"arm {self.arm}{joint}: {self.kind.value}"
