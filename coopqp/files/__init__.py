@@ -1,1 +1,1 @@
-"""Files: descriptions of cells, exports."""
+"""Files: cell files and exports of recordings."""
