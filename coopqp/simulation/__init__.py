@@ -1,1 +1,1 @@
-"""Runs: plants, the loop, recordings, and what they amount to."""
+"""Runs: plants, the control loop, recordings, monitoring and assessment."""
