@@ -1,8 +1,8 @@
-"""QP solvers behind one interface: kept between solves, guarded before and after each.
+"""QP solvers behind one interface. Every problem is checked before, and every answer after the solve.
 
-``proxqp``, ``osqp`` and ``daqp`` are kept: memory, factorisation and warm start survive from one solve to the next.
-Any other backend that qpsolvers finds installed works by its name, built anew at every solve; ``qpsolvers:proxqp``
-forces that route for a backend that could be kept.
+The solvers ``proxqp``, ``osqp`` and ``daqp`` persist: they keep memory, factorisation and warm start between solves.
+All other installed backends of qpsolvers work by their names; they are rebuilt for every solve. ``qpsolvers:proxqp``
+forces this route for a persistent backend.
 """
 
 from __future__ import annotations
@@ -23,29 +23,29 @@ __all__ = [
     "make_solver",
 ]
 
-#: Kept backends: the name, and the package it needs.
+#: Names of the persistent backends, and their packages.
 _KEPT = {"proxqp": "proxsuite", "osqp": "osqp", "daqp": "daqp"}
 _GENERIC = "qpsolvers:"
 
 
 def available_solvers() -> tuple[str, ...]:
-    """Names of the installed solvers: the kept ones first, then the other backends of qpsolvers."""
+    """Names of the installed solvers: first the persistent ones, then the other backends of qpsolvers."""
     kept = tuple(name for name, package in _KEPT.items() if find_spec(package) is not None)
     return kept + tuple(name for name in _backends() if name not in _KEPT)
 
 
 def make_solver(name: str, settings: Any = None) -> QpSolver:
-    """A new solver.
+    """Build a new solver.
 
     Args:
-        name: one of :func:`available_solvers`, or ``qpsolvers:<backend>`` for a backend built anew at every solve.
-        settings: ``ProxqpSettings``, ``OsqpSettings``, ``DaqpSettings``, or ``GenericSettings`` for the others, from
-            the backend's module; None for the defaults.
+        name: one of :func:`available_solvers`, or ``qpsolvers:<backend>`` for a backend that is rebuilt every solve.
+        settings: ``ProxqpSettings``, ``OsqpSettings``, ``DaqpSettings``, or ``GenericSettings`` for other backends,
+            from the module of the backend; None for the defaults.
 
     Raises:
         UnknownNameError: no such solver.
-        MissingExtraError: a kept solver whose package is not installed.
-        InvalidInputError: settings of another backend.
+        MissingExtraError: the package of a persistent solver is not installed.
+        InvalidInputError: the settings belong to another backend.
     """
     if name in _KEPT:
         if find_spec(_KEPT[name]) is None:
@@ -70,7 +70,7 @@ def make_solver(name: str, settings: Any = None) -> QpSolver:
 
 
 def _backends() -> tuple[str, ...]:
-    """Backends that qpsolvers finds installed."""
+    """Installed backends of qpsolvers."""
     import qpsolvers
 
     return tuple(sorted(qpsolvers.available_solvers))
