@@ -1,4 +1,4 @@
-"""benchmarks/: what the scripts share, the cell as peers get it, and runs with tiny counts on what is installed."""
+"""benchmarks/: shared functions, the cell exported for peers, and short runs with the installed peers."""
 
 from __future__ import annotations
 
@@ -116,7 +116,7 @@ class TestCases:
         case = peer_cases.build("mismatch")
         worth = compare_peers.judge(case, [case.scenario.q_start] * 2)
         assert worth["chain_mm"] == pytest.approx(5.0, abs=1e-6)
-        assert worth["path_mm"] < 1e-6  # the first arm is where it should be
+        assert worth["path_mm"] < 1e-6  # the first arm has no error
 
     def test_outside_is_10_mrad(self) -> None:
         case = peer_cases.build("outside")
@@ -134,7 +134,7 @@ class TestJudge:
         s = paper_case.scenario
         corners = [s.path.pose(float(c)) for c in np.linspace(0.0, s.path.duration, 50)]
         half = s.path.pose(0.5 * s.path.duration)
-        moved = half.translation + np.array([0.003, 0.0, 0.0])  # across the path, which goes straight up
+        moved = half.translation + np.array([0.003, 0.0, 0.0])  # perpendicular to the vertical path
         away, turned = compare_peers._off_path(
             np.array([moved]), [half.rotation @ pin.exp3(np.array([0, 0.02, 0]))], corners
         )
@@ -212,7 +212,7 @@ def test_quick_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pyte
     assert compare_peers.main(["--quick", "--no-install", "--json", str(file), "--out", str(out)]) == 0
     assert "coopqp kernel:" in capsys.readouterr().out
     records = json.loads(file.read_text())
-    assert {r["peer"] for r in records} == {"coopqp", *contestants.PINS}  # run, or said why not
+    assert {r["peer"] for r in records} == {"coopqp", *contestants.PINS}  # each peer ran or has a reason
     contract = {"peer", "version", "case", "arms", "p50_us", "ratio", "chain_mm", "path_mm", "failures"}
     for r in records:
         assert contract <= set(r)

@@ -1,4 +1,4 @@
-"""What a recording keeps of its cell: the same cell comes back, and a damaged one is refused by name."""
+"""The description of a cell in a recording: reading restores the cell, and damage gives a named error."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ from coopqp.task.path import HoldPath, ServoPath
 
 
 def _all_robots() -> RobotCell:
-    """Turning, sliding and continuous joints, on turned bases, with shapes."""
+    """Revolute, prismatic and continuous joints, on turned bases, with shapes."""
     pin.seed(11)
     arms = [
         Arm.from_urdf(
@@ -53,7 +53,7 @@ def everything() -> RobotCell:
 
 @pytest.fixture
 def metadata(everything: RobotCell) -> dict[str, Any]:
-    """The metadata of a recording, as they come from its file."""
+    """The metadata of a recording, after a round trip through JSON."""
     return json.loads(json.dumps({"scene": describe_cell(everything)}, allow_nan=False))
 
 
