@@ -1,23 +1,23 @@
-"""How long can a step take? The tail of a step, beside a loop that does nothing, and pauses of the garbage collector.
+"""The longest time of a step: the tail of its distribution, compared with an empty loop, and garbage collector pauses.
 
-Records of the first kind, CPU time of the thread [µs], in turn with a null spin of about the same length, whose tail is
-the machine's (``case`` "null spin: …"). Left out are the first steps of a turn, which find the caches cold, and the
-first one after a reset, which is ``first_us`` below:
+Records of the first kind are CPU times of the thread [µs]. The steps alternate with an empty loop ("null spin") of
+about the same length, whose tail is due to the machine (``case`` "null spin: …"). The first steps of a turn (cold
+caches) and the first step after a reset (``first_us`` below) are left out. The cases are:
 
-``nominal``   three arms round a ring, always within the limits;
-``measured``  the same, with noisy measured configurations, which the supervision watches;
-``watched``   the same, and the force at the grasps is read from the servos;
-``slowed``    a zigzag at 0.6 m/s with joints limited to 1 rad/s: slowed at most steps;
-``corner``    the same with joints limited to 10 rad/s² too: the preview brakes ahead of every corner;
+``nominal``   three arms around a ring, always within the limits;
+``measured``  the same with noisy measured configurations under supervision;
+``watched``   the same, and the servos give the force at the grasps;
+``slowed``    a zigzag at 0.6 m/s with joints limited to 1 rad/s, slowed in most steps;
+``corner``    the same with joints also limited to 10 rad/s²: the preview brakes before every corner;
 ``qp``        a QP at every step of the zigzag;
-``pole``      three arms past a wrist's singularity, missed by 2 mrad, 5 rad/s²: the preview needs many small cells.
+``pole``      three arms past a wrist singularity, missed by 2 mrad, 5 rad/s²: the preview needs many small cells.
 
-``ratio`` is p99.9 / p50. Records of the second kind (``case`` "lap: …") are of one lap from reset to the path's end,
-each step the median of the same step in several laps: what they take by themselves, without the machine's part.
-``first_us`` is the first step after a reset, which the percentiles leave out. Records of the third kind (``case``
-"garbage: …") have 10⁶ objects alive besides, with and without ``gc.freeze()``, the steps dropped or kept by the caller:
-``gc_pause_ms`` is the longest pause, ``collections`` how many there were, ``full`` how many of them of everything,
-``unreachable`` how many objects they freed.
+``ratio`` is p99.9 / p50. Records of the second kind (``case`` "lap: …") describe one lap from the reset to the end of
+the path. Each step is the median of the same step in several laps, without the effect of the machine. ``first_us`` is
+the first step after a reset, which the percentiles leave out. Records of the third kind (``case`` "garbage: …") have
+10⁶ other objects in memory, with and without ``gc.freeze()``; the caller drops or keeps the steps. ``gc_pause_ms`` is
+the longest pause, ``collections`` the number of collections, ``full`` the number of full ones, ``unreachable`` the
+number of freed objects.
 """
 
 from __future__ import annotations
@@ -51,16 +51,16 @@ KEYS = (
 #: Encoder noise of the measured cases [rad], and servo stiffness [N·m/rad].
 NOISE, STIFFNESS = 1e-5, 1e5
 ACCELERATION = 10.0
-#: Steps at the beginning of a turn that do not count.
+#: Number of omitted steps at the beginning of a turn.
 WARM_UP = 20
-#: Targets: p99.9 in multiples of p50, and the longest pause of the collector [ms].
+#: Targets: p99.9 / p50, and the longest pause of the collector [ms].
 RATIO, PAUSE_MS = 3.0, 1.0
 cpu = time.thread_time_ns
 
 
 @dataclass(frozen=True, kw_only=True)
 class Plan:
-    """Steps of each tail, steps at a time before the next one's turn, laps, steps with garbage, and objects alive."""
+    """Numbers of steps per tail, of steps per turn, of laps, of steps with garbage, and of other objects."""
 
     steps: int = 100_000
     block: int = 1000
@@ -74,7 +74,7 @@ QUICK = Plan(steps=2000, block=500, laps=3, garbage_steps=5000)
 
 
 def scenario_of(case: str) -> Scenario:
-    """What is moved."""
+    """The task of a case."""
     if case in ("nominal", "measured", "watched"):
         return common.ring(arms=ARMS)
     if case == "pole":
@@ -86,7 +86,7 @@ def scenario_of(case: str) -> Scenario:
 
 
 class Loop:
-    """Steps of one controller, timed one by one."""
+    """Steps of one controller, each with its time."""
 
     def __init__(self, case: str, kernel: str) -> None:
         task = self._task = scenario_of(case)
@@ -136,13 +136,13 @@ class Loop:
 
 
 def null_spin(length_us: float) -> Callable[[int], list[float]]:
-    """Blocks of a loop that does nothing for about as long as a step; CPU time [µs]."""
+    """Blocks of an empty loop of about the length of a step; CPU time [µs]."""
     spin = Spin(length_us)
     return lambda size: [1e-3 * spent for _, spent in spin.block(WARM_UP + size)[WARM_UP:]]
 
 
 def tails(plan: Plan, cases: Sequence[str], progress: common.Progress) -> tuple[list[Record], dict[str, Array]]:
-    """One record per case, kernel, and spin; and all samples [µs] by name."""
+    """One record per case, kernel and spin; and all samples [µs] by name."""
     rounds: dict[tuple[str, str], Any] = {}
     for case in cases:
         for kernel in available_kernels():
@@ -167,7 +167,7 @@ def tails(plan: Plan, cases: Sequence[str], progress: common.Progress) -> tuple[
 
 
 def laps(plan: Plan, cases: Sequence[str], progress: common.Progress) -> list[Record]:
-    """One record per case and kernel: medians over laps of the same step."""
+    """One record per case and kernel: medians of the same step over the laps."""
     records = []
     for case in cases:
         for kernel in available_kernels():
@@ -184,7 +184,7 @@ def laps(plan: Plan, cases: Sequence[str], progress: common.Progress) -> list[Re
 
 @dataclass
 class Pauses:
-    """What the collector did."""
+    """Activity of the collector."""
 
     longest_ms: float = 0.0
     collections: int = 0
@@ -214,7 +214,7 @@ def watched_collector() -> Iterator[Pauses]:
 
 
 def garbage(plan: Plan, progress: common.Progress) -> list[Record]:
-    """The longest pause while a controller runs and the caller has many objects alive."""
+    """The longest pause while a controller runs and the caller keeps many objects."""
     records = []
     for keep in (False, True):
         for frozen in (False, True):
@@ -287,7 +287,7 @@ def report(records: Sequence[Record]) -> str:
 
 
 def plot(samples: dict[str, Array]) -> dict[str, bytes]:
-    """How large a share of the compiled steps took longer than a time, and of null spins of that length, dashed."""
+    """Share of compiled steps above a time, over the time; dashed for null spins of the same length."""
     curves, spins, kernel = {}, {}, available_kernels()[0]
     for name, times in samples.items():
         case, _, of = name.partition(", ")

@@ -1,4 +1,4 @@
-"""The tasks that coopqp and its peers do side by side."""
+"""The common tasks of coopqp and its peers."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from coopqp.model.grasp import Grasp
 from coopqp.model.inverse_kinematics import inverse_kinematics
 from coopqp.scenarios import Scenario, fast_lift, paper_lift
 
-#: Cases of behaviour (the paper's three arms, 1 rad/s) and of cost (arms round a ring).
+#: Cases of behaviour (the paper's three arms, 1 rad/s) and of cost (arms around a ring).
 BEHAVIOUR = ("fast", "mismatch", "outside")
 COST = ("nominal", "zigzag")
 
@@ -24,12 +24,12 @@ _OUTSIDE = 10e-3
 
 @dataclass(frozen=True)
 class Case:
-    """A task and how long it is watched.
+    """A task and its length.
 
     Attributes:
-        name: of the case.
-        scenario: what to do.
-        steps: longest run that is watched; a target beyond the path's end is the end.
+        name: name of the case.
+        scenario: the task.
+        steps: largest number of steps; after the end of the path the target is its end.
     """
 
     name: str
@@ -38,7 +38,7 @@ class Case:
 
 
 def build(name: str, arms: int = 3, joints: int = 6) -> Case:
-    """The case of that name; ``arms`` and ``joints`` of each matter for the cases of cost only."""
+    """Build a case by name. ``arms`` and ``joints`` (per arm) only apply to the cases of cost."""
     if name in COST:
         return Case(name, common.ring(arms=arms, joints=joints, path=name), 200)
     if name == "fast":  # the object at 0.6 m/s: too fast for joints of 1 rad/s

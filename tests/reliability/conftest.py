@@ -1,8 +1,8 @@
-"""The catalogue of docs/reliability.md as tests: how many cases a run takes, and the table of what it measured.
+"""The catalogue of docs/reliability.md as tests: the numbers of cases, and the table of measured figures.
 
-``count(n)`` is n cases in the ``ci`` profile and ten times as many in ``nightly``. ``catalogue.row(…)`` states what was
-measured beside its target, fails if the target is missed, and puts the line into the table that ends the run
-(``--reliability-json FILE`` keeps it; ``tests/reliability/table.py FILE`` writes it into docs/reliability.md).
+``count(n)`` is n cases in the ``ci`` profile and ten times as many in ``nightly``. ``catalogue.row(…)`` compares a
+measured figure with its target, fails if the target is missed, and adds a line to the table at the end of the run
+(``--reliability-json FILE`` saves the table; ``tests/reliability/table.py FILE`` writes it into docs/reliability.md).
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ NIGHTLY_FACTOR = 10
 
 @dataclass(frozen=True)
 class Row:
-    """One line of the catalogue: what was tried, how often, what came out, and what had to."""
+    """One line of the catalogue: the test, its number of cases, the measured figure and the target."""
 
     row: str
     test: str
@@ -44,7 +44,7 @@ class Catalogue:
     def row(
         self, row: str, test: str, *, cases: int, measured: float, target: float, unit: str = "", note: str = ""
     ) -> None:
-        """Keep a line and fail if ``measured`` is above ``target`` (count violations or failures: target 0)."""
+        """Add a line and fail if ``measured`` is above ``target`` (0 for numbers of violations or failures)."""
         line = Row(row, test, int(cases), float(measured), float(target), unit, note)
         self.rows.append(line)
         assert cases > 0, f"{row} {test}: nothing was tried"

@@ -1,4 +1,4 @@
-"""A1: whatever comes in, a command that may be sent comes out, and nothing that was handed in or out is modified."""
+"""A1: for any input the command is safe to send, and no input or output array is modified."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from coopqp.scenarios import Scenario, dual_arm7, five_joint_pair, mixed_cell, p
 
 
 def rough_task(task: Scenario, rng: np.random.Generator) -> Scenario:
-    """The scenario with another length of the step and other limits; sometimes it starts outside of some."""
+    """The scenario with another step length and other limits; sometimes joints start outside."""
     limits, x = task.cell.limits, task.cell.positions(task.q_start)
     lower, upper = np.array(limits.lower), np.array(limits.upper)
     if rng.uniform() < 0.3:
@@ -33,7 +33,7 @@ def rough_task(task: Scenario, rng: np.random.Generator) -> Scenario:
 
 
 def test_any_command_may_be_sent(count: Callable[[int], int], catalogue: Any, rng: np.random.Generator) -> None:
-    """A million steps: nearly all with the compiled kernel, some with the NumPy one, some without either."""
+    """A million steps: nearly all with the compiled kernel, some with the NumPy kernel, some without a kernel."""
     fused = [paper_lift(), dual_arm7(), mixed_cell(), ring(arms=4)]
     unfused = [scara_pair(), five_joint_pair()]
     kernels = {"compiled": 19_500, "numpy": 600} if "compiled" in available_kernels() else {"numpy": 2_000}
