@@ -1,4 +1,4 @@
-"""How long can a step take? The tail of a step, beside a loop that does nothing, and pauses of the garbage collector.
+"""The longest time of a step: the tail of its distribution, compared with an empty loop, and garbage collector pauses.
 
 A step is ``step(reading)``, its status, and its next command as an array. Records of the first kind, CPU time of the
 thread [µs], in turn with a null spin of about the same length, whose tail is the machine's (``case`` "null spin: …").
@@ -11,7 +11,7 @@ Left out are the first steps of a turn, which find the caches cold, and the firs
 ``slowed``    a zigzag at 0.6 m/s with joints limited to 1 rad/s: slowed at most steps;
 ``corner``    the same with joints limited to 10 rad/s² too: the preview brakes ahead of every corner;
 ``qp``        a QP at every step of the zigzag;
-``pole``      three arms past a wrist's singularity, missed by 2 mrad, 5 rad/s²: the preview needs many small cells.
+``pole``      three arms past a wrist singularity, missed by 2 mrad, 5 rad/s²: the preview needs many small cells.
 
 ``ratio`` is p99.9 / p50. Records of the second kind (``case`` "lap: …") are of one lap from reset to the path's end,
 each step the median of the same step in several laps: what they take by themselves, without the machine's part.
@@ -47,7 +47,7 @@ KEYS = (
     "gc_pause_ms", "collections", "full", "unreachable",
 )  # fmt: skip
 ACCELERATION = 10.0
-#: Steps at the beginning of a turn that do not count.
+#: Number of omitted steps at the beginning of a turn.
 WARM_UP = 20
 #: Targets: p99.9 in multiples of p50, the longest pause of the collector [ms], and, of the fastest kernel by itself,
 #: the first step after a reset and the longest one past a pole [µs].
@@ -58,7 +58,7 @@ cpu = time.thread_time_ns
 
 @dataclass(frozen=True, kw_only=True)
 class Plan:
-    """Steps of each tail, steps at a time before the next one's turn, laps, steps with garbage, and objects alive."""
+    """Numbers of steps per tail, of steps per turn, of laps, of steps with garbage, and of other objects."""
 
     steps: int = 100_000
     block: int = 1000
@@ -72,7 +72,7 @@ QUICK = Plan(steps=2000, block=500, laps=3, garbage_steps=5000)
 
 
 def scenario_of(case: str) -> Scenario:
-    """What is moved."""
+    """The task of a case."""
     if case in ("nominal", "measured", "watched"):
         return common.ring(arms=ARMS)
     if case == "pole":
@@ -141,13 +141,13 @@ class Loop:
 
 
 def null_spin(length_us: float) -> Callable[[int], list[float]]:
-    """Blocks of a loop that does nothing for about as long as a step; CPU time [µs]."""
+    """Blocks of an empty loop of about the length of a step; CPU time [µs]."""
     spin = Spin(length_us)
     return lambda size: [1e-3 * spent for _, spent in spin.block(WARM_UP + size)[WARM_UP:]]
 
 
 def tails(plan: Plan, cases: Sequence[str], progress: common.Progress) -> tuple[list[Record], dict[str, Array]]:
-    """One record per case, kernel, and spin; and all samples [µs] by name."""
+    """One record per case, kernel and spin; and all samples [µs] by name."""
     rounds: dict[tuple[str, str], Any] = {}
     for case in cases:
         for kernel in available_kernels():
@@ -172,7 +172,7 @@ def tails(plan: Plan, cases: Sequence[str], progress: common.Progress) -> tuple[
 
 
 def laps(plan: Plan, cases: Sequence[str], progress: common.Progress) -> list[Record]:
-    """One record per case and kernel: medians over laps of the same step."""
+    """One record per case and kernel: medians of the same step over the laps."""
     records = []
     for case in cases:
         for kernel in available_kernels():
@@ -189,7 +189,7 @@ def laps(plan: Plan, cases: Sequence[str], progress: common.Progress) -> list[Re
 
 @dataclass
 class Pauses:
-    """What the collector did."""
+    """Activity of the collector."""
 
     longest_ms: float = 0.0
     collections: int = 0
@@ -219,7 +219,7 @@ def watched_collector() -> Iterator[Pauses]:
 
 
 def garbage(plan: Plan, progress: common.Progress) -> list[Record]:
-    """The longest pause while a controller runs and the caller has many objects alive."""
+    """The longest pause while a controller runs and the caller keeps many objects."""
     records = []
     for keep in (False, True):
         for frozen in (False, True):
@@ -315,7 +315,7 @@ def report(records: Sequence[Record]) -> str:
 
 
 def plot(samples: dict[str, Array]) -> dict[str, bytes]:
-    """How large a share of the compiled steps took longer than a time, and of null spins of that length, dashed."""
+    """Share of compiled steps above a time, over the time; dashed for null spins of the same length."""
     curves, spins, kernel = {}, {}, available_kernels()[0]
     for name, times in samples.items():
         case, _, of = name.partition(", ")

@@ -26,7 +26,7 @@ from coopqp.model.grasp import Grasp
 from coopqp.model.inverse_kinematics import inverse_kinematics
 from coopqp.scenarios import Scenario, fast_lift, paper_lift
 
-#: Cases of behaviour (the paper's three arms, 1 rad/s) and of cost (arms round a ring).
+#: Cases of behaviour (the paper's three arms, 1 rad/s) and of cost (arms around a ring).
 BEHAVIOUR = ("fast", "mismatch", "outside")
 COST = ("nominal", "measured", "watched", "qp", "zigzag")
 #: Cases of cost that peers do.
@@ -45,7 +45,7 @@ _OUTSIDE = 10e-3
 
 @dataclass(frozen=True)
 class Case:
-    """A task and how long it is watched.
+    """A task and its length.
 
     Attributes:
         name: of the case.
@@ -70,7 +70,7 @@ def options_of(name: str, dt: float) -> QPOptions:
 
 
 def build(name: str, arms: int = 3, joints: int = 6) -> Case:
-    """The case of that name; ``arms`` and ``joints`` of each matter for the cases of cost only."""
+    """Build a case by name. ``arms`` and ``joints`` (per arm) only apply to the cases of cost."""
     if name in COST:
         scenario = common.ring(arms=arms, joints=joints, path="zigzag" if name == "zigzag" else "nominal")
         noise = NOISE if name in READ else None

@@ -39,7 +39,7 @@ def test_latency(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest
         assert 0.0 < r["p50_us"] <= r["p99_us"] <= r["p999_us"] <= r["max_us"]
     pauses = {r["case"]: r for r in records if r["gc_pause_ms"] is not None}
     assert len(pauses) == 4
-    for case, r in pauses.items():  # a step leaves nothing behind that only the collector could free
+    for case, r in pauses.items():  # a step creates no garbage cycles
         assert r["unreachable"] == 0, case
         assert (r["collections"] > 0) is ("kept" in case)
     text = (out / "latency.md").read_text()
@@ -55,7 +55,7 @@ def test_latency(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest
 
 
 def test_the_cases_are_what_they_say() -> None:
-    """Slowed where it says so, a QP where it says so; the watched one reads forces."""
+    """Cases are slowed or need a QP as their names say; the watched one reads forces."""
     for case in latency.CASES:
         loop = latency.Loop(case, available_kernels()[0])
         slowed = solved = 0

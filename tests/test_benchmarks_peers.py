@@ -1,4 +1,4 @@
-"""benchmarks/: what the scripts share, the cell as peers get it, and runs with tiny counts on what is installed."""
+"""benchmarks/: shared functions, the cell exported for peers, and short runs with the installed peers."""
 
 from __future__ import annotations
 
@@ -118,7 +118,7 @@ class TestCases:
         case = peer_cases.build("mismatch")
         worth = compare_peers.judge(case, [case.scenario.q_start] * 2)
         assert worth["chain_mm"] == pytest.approx(5.0, abs=1e-6)
-        assert worth["path_mm"] < 1e-6  # the first arm is where it should be
+        assert worth["path_mm"] < 1e-6  # the first arm has no error
 
     def test_outside_is_10_mrad(self) -> None:
         case = peer_cases.build("outside")
@@ -270,7 +270,7 @@ class TestJudge:
         s = paper_case.scenario
         corners = [s.path.pose(float(c)) for c in np.linspace(0.0, s.path.duration, 50)]
         half = s.path.pose(0.5 * s.path.duration)
-        moved = half.translation + np.array([0.003, 0.0, 0.0])  # across the path, which goes straight up
+        moved = half.translation + np.array([0.003, 0.0, 0.0])  # perpendicular to the vertical path
         away, turned = compare_peers._off_path(
             np.array([moved]), [half.rotation @ pin.exp3(np.array([0, 0.02, 0]))], corners
         )

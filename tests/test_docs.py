@@ -1,4 +1,4 @@
-"""The pages in docs/ are true: every example runs and prints what its page shows; the pages build without warnings."""
+"""The pages in docs/ are true: every example prints the output on its page, and the pages build without warnings."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ PAGES = sorted(p for p in DOCS.rglob("*.md") if "_build" not in p.parts)
 #: An example that a page includes, and the output below it.
 SHOWN = re.compile(r"```\{literalinclude\} (\S+\.py)\n.*?^```\n(?:(?!```)[^\n]*\n)*?```text\n(.*?)^```$", re.M | re.S)
 NUMBER = re.compile(r"(?<![\w.])-?\d+(?:\.\d+)?(?:e[+-]?\d+)?")
-#: Below this a figure is rounding, and differs from machine to machine.
+#: Figures below this are rounding and differ between machines.
 ROUNDING = 1e-3
 TIMES = "µs"
 
 
 @pytest.fixture(scope="module")
 def outputs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
-    """What each example prints; run from another folder, as a user would."""
+    """The output of each example, run from another folder like a user's program."""
     folder = tmp_path_factory.mktemp("examples")
     environment = {**os.environ, "MPLBACKEND": "Agg", "PYTHONIOENCODING": "utf-8", "OMP_NUM_THREADS": "1"}
 
@@ -100,7 +100,7 @@ def test_the_reference_has_every_public_name() -> None:
 
 
 def test_notation_and_code_agree() -> None:
-    """A_k v = Ad(R⁻¹) J_k v is the derivative of e_k, whatever the grasp."""
+    """A_k v = Ad(R⁻¹) J_k v is the derivative of e_k for any grasp."""
     import numpy as np
     import pinocchio as pin
 
@@ -117,7 +117,7 @@ def test_notation_and_code_agree() -> None:
 
 
 def test_defaults_in_the_text_are_those_of_the_code() -> None:
-    """Who changes one of these changes the pages too: howto/gains, howto/why-slow, derivations, tutorials 2 and 5,
+    """After a change of a default, also change the pages: howto/gains, howto/why-slow, derivations, tutorials 2 and 5,
     reliability."""
     from coopqp import OsqpSettings
     from coopqp.control.limits import VelocityBox
@@ -156,7 +156,7 @@ def test_the_pages_build_without_warnings(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_view_needs_nothing_but_the_extra(monkeypatch: pytest.MonkeyPatch) -> None:
-    """``--view`` opens the viewer on the run; here it is closed at once."""
+    """``--view`` opens the viewer on the run; the test closes it at once."""
     pytest.importorskip("viser")
     from coopqp.look import viewer
 

@@ -1,4 +1,4 @@
-"""Exports read back by readers of others: every position exact, and nothing half-written."""
+"""Exports, read by other packages: every position is exact, and no file is partial."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def run(baseline: Callable[..., Recording]) -> Recording:
 
 @pytest.fixture
 def mixed_run(make_cell: Callable[..., RobotCell]) -> tuple[RobotCell, Recording]:
-    """A sliding joint, and a continuous one that turns on past π."""
+    """A run with a prismatic joint, and a continuous joint that turns beyond π."""
     cell = make_cell(["gantry7", "arm6c"])
     T = 20
     x = np.linspace(0.0, 1.0, T + 1)[:, None] * np.full(cell.nv, 0.2)
@@ -160,7 +160,7 @@ def test_a_trajectory_is_the_command_of_an_arm(run: Recording, paper: Scenario, 
 
 
 def test_knot_velocities_follow_the_positions(run: Recording) -> None:
-    """A cubic through the points passes near the middle of each step's chord: no overshoot of a whole step."""
+    """A cubic through the points passes near the middle of each step's chord, without overshoot."""
     v, h = knot_velocities(run), np.diff(run.time)[:, None]
     middle = 0.5 * (run.q_command[:-1] + run.q_command[1:]) + h / 8.0 * (v[:-1] - v[1:])
     chord = 0.5 * (run.q_command[:-1] + run.q_command[1:])

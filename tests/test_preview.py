@@ -1,4 +1,4 @@
-"""The path ahead: its caps against path timing by brute force; stops at limits, corners, ends and singularities."""
+"""The preview: its caps agree with brute-force path timing; stops at limits, corners, ends and singularities."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def preview_of(task: Scenario, *, dt: float = DT, **options: Any) -> PathPreview
 
 
 class Joints:
-    """q(τ) along a path by the chain's inverse kinematics, warm started."""
+    """q(τ) along a path by warm-started inverse kinematics of the chain."""
 
     def __init__(self, task: Scenario) -> None:
         self._task, self._chain, self._q = task, Chain(task.cell, task.grasp), task.q_start
@@ -65,9 +65,9 @@ class Joints:
 
 
 def driven(task: Scenario, *, longest: float) -> tuple[Array, Array, Any]:
-    """Clocks and rates of an object that follows the caps, and what bound at the end.
+    """Clocks and rates of an object that follows the caps, and the binding limit at the end.
 
-    The rate rises slowly: how fast it may rise is not the preview's business, but that of the step's own limits.
+    The rate rises slowly: the limits of a step bound the rise, not the preview.
     """
     preview = preview_of(task, rate_slope=1.0)
     clock, rate, binding = 0.0, 0.0, None
@@ -89,7 +89,7 @@ def driven(task: Scenario, *, longest: float) -> tuple[Array, Array, Any]:
 
 @pytest.mark.parametrize(("speed", "acceleration"), [(0.4, 3.0), (np.inf, 0.6), (0.25, 20.0)])
 def test_caps_are_those_of_path_timing_by_brute_force(speed: float, acceleration: float) -> None:
-    """S(τ) = min_b [z_b + 2 ∫ D] from a table of q(τ), its derivatives by differences, integrated backwards."""
+    """S(τ) = min_b [z_b + 2 ∫ D], integrated backwards from a table of q(τ) with derivatives by differences."""
     task = paper_lift(time_law=TimeLaw.QUINTIC, duration=1.5)
     task = replace(task, cell=task.cell.with_limits(velocity=speed, acceleration=acceleration))
     h = 0.002
@@ -105,7 +105,7 @@ def test_caps_are_those_of_path_timing_by_brute_force(speed: float, acceleration
     S = z.copy()
     for i in range(len(S) - 2, -1, -1):
         S[i] = min(z[i], S[i + 1] + 2.0 * h * min(D[i], D[i + 1]))
-    assert S.min() < 0.7  # it has something to do
+    assert S.min() < 0.7  # the limits matter
     preview = preview_of(task, cell=h, slope_step=0.01)
     clock, count = 0.0, 0
     while clock < 1.45:
@@ -182,7 +182,7 @@ def test_a_singularity_ends_the_path_and_is_named(kind: Any, acceleration: float
     assert binding.kind in (LimitKind.SINGULARITY, LimitKind.REACH)
     assert binding.arm == "arm_2"
     assert binding.joint == ""
-    Joints(task).table(clocks)  # asserts that the arms still carry the object
+    Joints(task).table(clocks)  # asserts that the arms carry the object
 
 
 def test_a_path_that_starts_out_of_reach() -> None:
@@ -260,7 +260,7 @@ def test_the_reference_is_on_the_path() -> None:
 
 
 def test_what_the_preview_is_for() -> None:
-    """Under acceleration limits the object leaves its path at a corner without it; the chain holds either way."""
+    """Under acceleration limits and without preview, the object leaves its path at a corner. The chain holds."""
     task = paper_lift()
     cell, path = task.cell.with_limits(acceleration=5.0), zigzag(task.path.pose(0.0))
     off_path = {}
@@ -278,7 +278,7 @@ def test_what_the_preview_is_for() -> None:
 
 
 def test_at_a_velocity_limit_the_rate_does_not_chatter() -> None:
-    """Slowed by one joint's speed for most of the way, the rate changes direction where the path asks for it only."""
+    """One joint's speed slows most of the path. The rate changes direction only if the path requires it."""
     task = paper_lift()
     task = replace(task, cell=task.cell.with_limits(velocity=0.35, acceleration=5.0))
     controller = QPController(task.cell, task.grasp, task.path, dt=DT)

@@ -1,4 +1,4 @@
-"""What the README shows is true: its program runs, its commands exist, its pictures are there."""
+"""The README is true: its program runs, its commands exist, its pictures exist."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The software renderer: closed meshes of the right size, projection, and what hides what."""
+"""The software renderer: closed meshes of the right size, projection, and occlusion."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ VOLUMES: dict[str, tuple[Any, float]] = {
 
 
 def volume(vertices: Array, triangles: NDArray[np.intp]) -> float:
-    """Signed volume: positive, and the solid's own, only if the mesh is closed and faces outwards."""
+    """Signed volume. It equals the solid's volume only if the mesh is closed and faces outwards."""
     a, b, c = vertices[triangles].transpose(1, 0, 2)
     return float(np.einsum("fi,fi->", a, np.cross(b, c)) / 6.0)
 

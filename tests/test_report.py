@@ -1,4 +1,4 @@
-"""The report: what it says is what happened, it is one small file, and nothing in a recording can change its page."""
+"""The report is true, it is one small file, and no text in a recording can change its page."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ from coopqp.simulation.assessment import run_figures, worst_status
 
 @pytest.fixture(scope="module")
 def slowed(paper: Scenario) -> Recording:
-    """The lift with joints so slow that they bind."""
+    """The lift with binding speed limits."""
     cell = paper.cell.with_limits(velocity=0.25)
     controller = QPController(cell, paper.grasp, paper.path, dt=paper.path.duration / 60)
     metadata = {
@@ -52,7 +52,7 @@ def slowed(paper: Scenario) -> Recording:
 
 
 def _bare(recording: Recording) -> Recording:
-    """The run of arms without shapes: its pictures take long."""
+    """The run without the arms' shapes, which take long to draw."""
     metadata = json.loads(json.dumps(recording.metadata))
     for arm in metadata["scene"]["arms"]:
         arm["shapes"] = []

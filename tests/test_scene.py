@@ -1,4 +1,4 @@
-"""What a recording keeps of its cell: the same cell comes back, and a damaged one is refused by name."""
+"""The description of a cell in a recording: reading restores the cell, and damage gives a named error."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ from coopqp.simulation.scene import describe_cell, describe_path, read_cell, rea
 
 
 def _all_robots() -> RobotCell:
-    """Turning, sliding and continuous joints, on turned bases, with shapes."""
+    """Revolute, prismatic and continuous joints, on turned bases, with shapes."""
     pin.seed(11)
     arms = [
         Arm.from_urdf(
@@ -52,7 +52,7 @@ def everything() -> RobotCell:
 
 @pytest.fixture
 def metadata(everything: RobotCell) -> dict[str, Any]:
-    """The metadata of a recording, as they come from its file."""
+    """The metadata of a recording, after a round trip through JSON."""
     return json.loads(json.dumps({"scene": describe_cell(everything)}, allow_nan=False))
 
 

@@ -1,4 +1,4 @@
-"""Supervision: what noise makes of the thresholds, whatever the length of a step."""
+"""Supervision: the effect of noise on the thresholds is independent of the length of a step."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def test_the_noise_margin_stays_a_number_for_long_steps(steps: int) -> None:
 
 
 def test_an_arm_that_turns_round_late_has_not_stalled() -> None:
-    """Seen late, an arm whose joints reverse stands while its command moves already, and others follow theirs."""
+    """With latency, a reversing arm seems to stand while its command moves and the other arms follow."""
     lift = paper_lift()
     watch = Supervision(lift.cell, lift.grasp, SupervisionOptions())
     late, amplitude, still = 10, 0.05, np.zeros((3, 6))  # it turns with 2 rad/s²
@@ -46,7 +46,7 @@ def test_an_arm_that_turns_round_late_has_not_stalled() -> None:
 
 @pytest.mark.parametrize("speed", [0.06, 0.3, 1.0])
 def test_a_stall_is_known_once_it_opens_a_gap(speed: float) -> None:
-    """Within the samples that it takes, and those in which a joint gets 0.5 mrad from its command."""
+    """A stall is detected when a joint is 0.5 mrad from its command, plus the samples of the decision."""
     lift = paper_lift()
     watch = Supervision(lift.cell, lift.grasp, SupervisionOptions())
     still, stalls = np.zeros((3, 6)), 100
@@ -105,7 +105,7 @@ def test_arms_that_press_too_hard_are_held_until_they_press_half_as_hard() -> No
 
 
 def watch_of(**options: Any) -> Callable[[float, float], Watch]:
-    """A watch that is told where the object is along z [m], and how far slave_1 is seen off along x [m], each 1 ms."""
+    """A watch as a function of the object's z [m] and the measured error of slave_1 along x [m], called every 1 ms."""
     lift = paper_lift()
     watch = Supervision(lift.cell, lift.grasp, SupervisionOptions(stall_samples=None, **options))
 
@@ -117,9 +117,9 @@ def watch_of(**options: Any) -> Callable[[float, float], Watch]:
 
 
 def lifted(*, slope: float = 0.0, lag: float = 0.0, seconds: float = 2.25, **options: Any) -> tuple[Array, Array]:
-    """0.3 m by a quintic law, as slow as the watch asks: caps of the rate, and by how much slave_1 was off [m].
+    """A quintic lift by 0.3 m at the rate of the watch: the caps of the rate, and the error of slave_1 [m].
 
-    It is off by ``slope`` times the way and by ``lag`` times the speed.
+    The error is ``slope`` times the way plus ``lag`` times the speed.
     """
     see, clock, z, caps, offs = watch_of(**options), 0.0, 0.0, [], []
     off = 0.0
@@ -165,7 +165,7 @@ def test_at_rest_nothing_is_let_in() -> None:
 
 
 def test_a_jump_is_let_in_as_slowly_as_a_drift_may_be() -> None:
-    """At 0.25 m/s, where 5 mm/s is the most."""
+    """The allowance grows by at most 5 mm/s at 0.25 m/s."""
     see = watch_of()
     held = [see(0.25e-3 * i, 0.0 if i < 1000 else 1.5e-3).hold for i in range(1150)]
     assert not any(held[:1000])
@@ -173,7 +173,7 @@ def test_a_jump_is_let_in_as_slowly_as_a_drift_may_be() -> None:
 
 
 def test_a_turn_parts_the_arms_at_their_grasps() -> None:
-    """One arm that turns the object about its origin, where that stays, is seen by how far the grasps part."""
+    """If one arm turns the object about its origin, the distance between the grasps shows it."""
     lift = paper_lift()
     watch = Supervision(lift.cell, lift.grasp, SupervisionOptions(stall_samples=None, filter_time=0.0))
     q, away = lift.q_start, np.zeros((3, 6))
@@ -185,7 +185,7 @@ def test_a_turn_parts_the_arms_at_their_grasps() -> None:
 
 
 def test_lost_samples_part_nobody() -> None:
-    """An arm that is seen where it was, three samples in a row at 0.5 m/s, is not out of step; one that stays is."""
+    """With three lost samples in a row at 0.5 m/s an arm is not out of step; an arm that really stops is."""
     lift = paper_lift()
     watch = Supervision(lift.cell, lift.grasp, SupervisionOptions(stall_samples=None))
     told, seen_at = lift.q_start, lift.q_start

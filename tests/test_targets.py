@@ -1,4 +1,4 @@
-"""Joint targets, encoders and replays, without an engine: interpolation, time warp, lags, stalls, noise, losses."""
+"""Joint targets, encoders and replays without an engine: interpolation, time warp, lags, stalls, noise, losses."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def targets(cell: RobotCell, interpolation: Any = "cubic", lag: Any = (), stall:
 
 
 def drive(made: JointTargets, cell: RobotCell, motion: Callable[[float], float], dt: float, steps: int) -> list[Array]:
-    """Command every joint to ``motion`` and sample the targets ten times a step: rows (t, x, v) of the first joint."""
+    """Command every joint to ``motion``; sample the targets ten times per step: rows (t, x, v) of the first joint."""
     rows = []
     for i in range(steps):
         made.push(cell.configuration([motion((i + 1) * dt)] * cell.nv), dt)

@@ -1,4 +1,4 @@
-"""What every controller is: ``reset(q)``, then ``step() → ControlStep`` once a period."""
+"""The interface of all controllers: ``reset(q)``, then ``step() → ControlStep`` in every period."""
 
 from __future__ import annotations
 
@@ -20,17 +20,17 @@ from coopqp.task.path import ObjectPath
 
 
 class Status(enum.Enum):
-    """What a step is worth. Every status but FAULT comes with a command that advances or brakes the motion."""
+    """Status of a step. With every status but FAULT, the command advances or brakes the motion."""
 
     TRACKING = "tracking"  #: the object follows its path at full rate
-    SLOWED = "slowed"  #: the object is on its path, slower (σ < 1)
-    BLOCKED = "blocked"  #: the object cannot go on: a limit, a singularity, out of reach (σ ≈ 0)
-    HOLDING = "holding"  #: bad input, no solution, a stale clock, arms out of step: braking together, then at rest
-    FAULT = "fault"  #: latched; at rest until ``reset`` is called with the measured configuration
+    SLOWED = "slowed"  #: the object follows its path at a lower rate (σ < 1)
+    BLOCKED = "blocked"  #: the object cannot move on (σ ≈ 0): a limit, a singularity, or out of reach
+    HOLDING = "holding"  #: bad input, no solution, a stale clock or arms out of step: all arms brake together and rest
+    FAULT = "fault"  #: latched: the arms rest until ``reset`` is called with the measured configuration
 
     @property
     def code(self) -> int:
-        """A number for recordings."""
+        """Number of the status in recordings."""
         return _STATUS_ORDER.index(self)
 
 
@@ -39,7 +39,7 @@ _STATUS_ORDER = list(Status)
 
 @dataclass(frozen=True, slots=True)
 class SolverReport:
-    """How the QP of a step went; ``name`` is "none" where the step was settled without one."""
+    """Result of the QP solver in a step; ``name`` is "none" if the step needed no QP."""
 
     name: str = "none"
     status: str = "not needed"
@@ -54,15 +54,15 @@ NO_SOLVE = SolverReport()
 
 @dataclass(frozen=True, slots=True)
 class GivenUp:
-    """What a higher rank forced the lower ones to give up, in the order of rank.
+    """The parts of each rank that higher ranks made impossible, in the order of rank.
 
     Attributes:
-        chain: speed by which the arms part despite everything (0 unless the limits are infeasible) [m/s].
-        grasp: share of the grasp correction given up, 1 − ρ_g.
-        off_path: twist of the object off its path, s, in the reference object frame (6,) [m/s, rad/s].
-        path: share of the path correction given up, 1 − ρ_p.
-        rate: share of the path rate given up, 1 − σ.
-        restricted: names of arms (fewer than six joints) that cannot follow every object motion.
+        chain: speed at which the arms part [m/s]; 0 unless the limits are infeasible.
+        grasp: lost share of the grasp correction, 1 − ρ_g.
+        off_path: object velocity off the path, the twist s in the reference object frame (6,) [m/s, rad/s].
+        path: lost share of the path correction, 1 − ρ_p.
+        rate: lost share of the path rate, 1 − σ.
+        restricted: names of arms with fewer than six joints that cannot follow every object motion.
     """
 
     chain: float = 0.0
@@ -93,8 +93,8 @@ class ControlStep:
 
     Attributes:
         q: commanded configuration at the start of the step (nq,).
-        velocity: joint velocities (nv,) [rad/s or m/s], constant over the step.
-        q_next: commanded configuration at its end (nq,): send this to position servos.
+        velocity: commanded joint velocities (nv,) [rad/s or m/s], constant over the step.
+        q_next: commanded configuration at the end of the step (nq,); send it to position servos.
         dt: length of the step [s].
         clock, clock_next: the object's clock at both ends [s].
         rate: σ, share of the nominal path rate.
@@ -178,7 +178,7 @@ class ControlStep:
 
     @property
     def finished(self) -> bool:
-        """The object's clock has reached the end of its path."""
+        """True if the object's clock has reached the end of the path."""
         return self.clock_next >= self.path.duration
 
     @property
@@ -192,23 +192,23 @@ class ControlStep:
 
     @property
     def arm_increments(self) -> Array:
-        """Δ^k of Eq. (16) as commanded: displacement of each tool in its own frame over the step, (N, 6) [m, rad]."""
+        """Δ^k of Eq. (16) as commanded: displacement of each tool in its own frame during the step (N, 6) [m, rad]."""
         v = [self.velocity[s] for s in self.cell.v_slices]
         return np.array([self.state.jacobian(k) @ v[k] * self.dt for k in range(len(self.cell))])
 
     @property
     def relative_errors(self) -> Array:
-        """Per pair of arms (0,1), (0,2), … (1,2) …: distance [mm] and angle [deg] between their views of the object."""
+        """Distance [mm] and angle [deg] between the object poses of each pair of arms (0,1), (0,2), … (1,2) …"""
         e = self.grasp.relative_errors(self.state)
         return np.column_stack([1e3 * np.linalg.norm(e[:, :3], axis=1), np.rad2deg(np.linalg.norm(e[:, 3:], axis=1))])
 
     @property
     def sigma_min(self) -> Array:
-        """Smallest singular value of each arm's tool Jacobian, (N,)."""
+        """Smallest singular value of each arm's tool Jacobian (N,)."""
         return self.state.sigma_min
 
     def explain(self) -> str:
-        """One sentence that a person can act on."""
+        """A sentence with the status, the binding limits, the reason and the lost parts of the ranks."""
         where = f" ({'; '.join(str(b) for b in self.binding)})" if self.binding else ""
         rate = f" at {100 * self.rate:.3g} % of its rate" if self.status is Status.SLOWED else ""
         what = {
@@ -267,7 +267,7 @@ def read_step(record: bytes, context: StepReader, status: Status, rate: float) -
 
 
 class Controller(Protocol):
-    """The protocol that :func:`coopqp.simulation.simulate.simulate` drives."""
+    """The protocol of the controllers of :func:`coopqp.simulation.simulate.simulate`."""
 
     cell: RobotCell
     grasp: Grasp
@@ -275,29 +275,29 @@ class Controller(Protocol):
     dt: float
 
     def reset(self, q: Any) -> None:
-        """Start at a measured configuration (nq,), at rest, the object's clock at 0.
+        """Start at rest at a measured configuration (nq,), with the object's clock at 0.
 
         Raises:
-            InvalidInputError: wrong shape, NaN, or a configuration at which the arms do not hold the object.
+            InvalidInputError: wrong shape, NaN, or the arms do not hold the object at ``q``.
         """
         ...
 
     def step(self, q_measured: Any = None, *, dt: float | None = None) -> ControlStep:
-        """Compute the command of one period; never raises for run-time data."""
+        """Compute the command of one period. Run-time data never raise an error."""
         ...
 
 
-#: Largest chain error at reset, unless the user says otherwise [m, rad].
+#: Default of the largest accepted error of an arm at reset [m, rad].
 START_TOLERANCE_M, START_TOLERANCE_RAD = 0.02, np.deg2rad(3.0)
 
 
 def check_start(
     cell: RobotCell, grasp: Grasp, path: ObjectPath, q: Any, *, tolerance_m: float, tolerance_rad: float
 ) -> Array:
-    """Return ``q`` as a read-only array if the arms hold the object at the start of the path there.
+    """Check that the arms hold the object at the start of the path. Returns ``q`` (nq,) as a read-only array.
 
     Raises:
-        InvalidInputError: names the arm and how far it is from the grasp, and from the path's start.
+        InvalidInputError: an arm does not; the message names the arm and its distance from the path's start.
     """
     configuration = cell.check_configuration(q, "reset: q")
     start = path.pose(0.0)

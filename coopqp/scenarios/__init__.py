@@ -1,4 +1,4 @@
-"""Ready cells and tasks, one function each; :data:`SCENARIOS` has them by name."""
+"""Ready cells and tasks, one function each. :data:`SCENARIOS` maps their names to the functions."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ __all__ = [
     "wide_grasp",
 ]
 
-#: Every scenario by name, built with its defaults when called. Some need the extra ``robots``.
+#: The function of every scenario, by name. A call without arguments uses the defaults. Some need the extra ``robots``.
 SCENARIOS: dict[str, Callable[[], Scenario]] = {
     "paper_lift": paper_lift,
     "wide_grasp": wide_grasp,
@@ -54,7 +54,7 @@ def scenario(name: str) -> Scenario:
 
     Raises:
         UnknownNameError: no such scenario.
-        MissingExtraError: its robots are in a package that is not installed.
+        MissingExtraError: the package of its robots is not installed.
     """
     if name not in SCENARIOS:
         raise UnknownNameError("scenario", name, SCENARIOS)

@@ -1,4 +1,4 @@
-"""A10: the pseudo-inverse of the paper on the same oracle: what it is that the others keep."""
+"""A10: the paper's pseudo-inverse, judged by the same monitor, breaks the promises that the QP keeps."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""QP solvers behind one interface: kept between solves, guarded before and after each.
+"""QP solvers behind one interface. Every problem is checked before, and every answer after the solve.
 
 ``ldp`` is the compiled core's own, for strictly convex QPs. ``proxqp``, ``osqp`` and ``daqp`` are kept: memory,
 factorisation and warm start survive from one solve to the next.
@@ -32,7 +32,7 @@ _GENERIC = "qpsolvers:"
 
 
 def available_solvers() -> tuple[str, ...]:
-    """Names of the installed solvers: the kept ones first, then the other backends of qpsolvers."""
+    """Names of the installed solvers: first the persistent ones, then the other backends of qpsolvers."""
     kept = tuple(name for name, package in _KEPT.items() if find_spec(package) is not None)
     return kept + tuple(name for name in _backends() if name not in _KEPT)
 
@@ -106,7 +106,7 @@ def _make_kept(name: str, settings: Any) -> QpSolver:
 
 
 def _backends() -> tuple[str, ...]:
-    """Backends that qpsolvers finds installed."""
+    """Installed backends of qpsolvers."""
     import qpsolvers
 
     return tuple(sorted(qpsolvers.available_solvers))

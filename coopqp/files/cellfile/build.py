@@ -1,4 +1,4 @@
-"""From the text of a cell file to the objects of a run."""
+"""Building the objects of a run from a cell file."""
 
 from __future__ import annotations
 
@@ -54,12 +54,12 @@ class CellRun:
     """A run that a cell file describes.
 
     Attributes:
-        scenario: the cell, grasp, path, start and object.
+        scenario: cell, grasp, path, start and object.
         controller_kind: ``"qp"``, ``"pseudo_inverse"`` or ``"independent"``.
-        options: settings of the controller, its options dataclass.
-        settle: how long to go on after the end [s].
+        options: options dataclass of the controller.
+        settle: time that the run continues after the end of the path [s].
         longest: longest run [s], or None.
-        settings: the file, as plain data; the ``output`` of its tables says what to write.
+        settings: contents of the file as plain data; its table ``output`` selects the files to write.
     """
 
     scenario: Scenario
@@ -108,10 +108,10 @@ class CellRun:
 
 
 def read(file: Path) -> CellFile:
-    """Read and check a cell file; nothing is built yet.
+    """Read and check a cell file. Builds nothing.
 
     Raises:
-        CellFileError: as :func:`read_tables`, or against the schema.
+        CellFileError: as in :func:`read_tables`, or the file breaks the schema.
     """
     data = read_tables(file)
     try:
@@ -121,7 +121,7 @@ def read(file: Path) -> CellFile:
 
 
 def load(file: Path) -> CellRun:
-    """Read a cell file, build what it describes, and try its controller; every error names the file."""
+    """Read a cell file, build its objects, and test its controller. Every error names the file."""
     settings = read(file)
     try:
         run = build(settings, file.parent)
@@ -135,7 +135,7 @@ def load(file: Path) -> CellRun:
 
 
 def build(file: CellFile, folder: Path) -> CellRun:
-    """Build what a cell file describes; its paths are relative to ``folder``. Errors name the arm or table."""
+    """Build the objects of a cell file. Its paths are relative to ``folder``. Errors name the arm or table."""
     cell = RobotCell([_arm(arm, folder) for arm in file.arms])
     path, q_near = _path(file), _start(file.start, cell)
     if file.grasp.kind == "latched":
@@ -166,7 +166,7 @@ def build(file: CellFile, folder: Path) -> CellRun:
 
 
 class _BuildError(CoopqpError):
-    """What a file asks for and nobody can build; :func:`load` adds the file's name."""
+    """A cell file describes something that cannot be built. :func:`load` adds the name of the file."""
 
 
 def _placement(table: PlacementTable) -> pin.SE3:
@@ -175,12 +175,12 @@ def _placement(table: PlacementTable) -> pin.SE3:
     angles = np.deg2rad(table.rpy_deg) if table.rpy_deg is not None else np.array(table.rpy_rad or (0.0, 0.0, 0.0))
     R = pin.rpy.rpyToMatrix(angles)
     whole = np.round(R)
-    R = np.where(np.abs(R - whole) < 4e-16, whole, R)  # quarter turns are exact
+    R = np.where(np.abs(R - whole) < 4e-16, whole, R)  # make quarter turns exact
     return pin.SE3(R, np.array(table.xyz_m or (0.0, 0.0, 0.0)))
 
 
 def _in_radians(given: Any, sliding: Sequence[bool], where: str, *, degrees: bool) -> Array:
-    """Joint values (n,) in radians, of joints that slide in metres, from one number or n."""
+    """Joint values (n,) in radians (prismatic joints in metres), from one number or n numbers."""
     n = len(sliding)
     values = np.array(given, dtype=float)
     if values.ndim and values.shape != (n,):
@@ -218,7 +218,7 @@ def _arm(table: ArmTable, folder: Path) -> Arm:
 
 
 def _by_arm(given: Mapping[str, Any], cell: RobotCell, where: str) -> list[Any]:
-    """The values of a table by arm, in the order of the arms; every arm must be there."""
+    """The values of a table with one key per arm, in the order of the arms. Every arm must have a key."""
     for name in given:
         if name not in cell.arm_names:
             raise UnknownNameError("arm", name, cell.arm_names, where)

@@ -1,6 +1,6 @@
-"""Read files that mean no good, in a process whose memory and time are bounded; prints what became of each as JSON.
+"""Read malicious files in a process with bounded memory and time; prints the result of each file as JSON.
 
-``python load_untrusted.py FOLDER``: every file in it by its suffix.
+``python load_untrusted.py FOLDER`` reads every file in the folder according to its suffix.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ def main(folder: Path) -> None:
             found[file.name] = ["read", text]
         except CoopqpError as error:
             found[file.name] = [type(error).__name__, str(error)]
-        except Exception as error:  # what must not be
+        except Exception as error:  # any other exception is a failure
             found[file.name] = ["OTHER", repr(error)]
     grown = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - at_start
     print()
