@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import os
 from dataclasses import replace
 from typing import Any
@@ -101,8 +102,8 @@ def test_caps_are_those_of_path_timing_by_brute_force(speed: float, acceleration
         rate, binding = preview.cap(clock, 1e-9)
         assert rate**2 == pytest.approx(np.interp(clock, clocks, S), rel=0.04)
         assert (binding is None) == (rate == 1.0)
-        # The bounds are those at the borders of cells: look again just before one.
-        clock = min(c.clock for c in preview._cells if c.clock > clock + 0.01) - 1e-9
+        # The bounds are those at knots: look again just before one.
+        clock = min(c.clock for c in preview._knots if c.clock > clock + 0.01) - 1e-9
         count += 1
     assert count > 50
 
@@ -114,7 +115,7 @@ def test_an_easy_path_is_not_slowed() -> None:
 
 
 def test_the_horizon_rolls_along() -> None:
-    """As long as the object needs to stop, and no longer: cells ahead stay few."""
+    """As long as the object needs to stop, and no longer: knots ahead stay few."""
     for acceleration in (np.inf, 5.0):
         task = paper_lift(time_law=TimeLaw.QUINTIC)
         task = replace(task, cell=task.cell.with_limits(acceleration=acceleration))
@@ -122,10 +123,10 @@ def test_the_horizon_rolls_along() -> None:
         ahead = []
         for clock in np.arange(0.0, 2.5, DT):
             preview.cap(float(clock), DT)
-            ahead.append(preview._cells[-1].clock - clock)
+            ahead.append(preview._knots[-1].clock - clock)
         assert min(ahead) > 0.0
         assert max(ahead) < 1.2
-        assert len(preview._cells) < 1500
+        assert len(preview._knots) < 1500
 
 
 # -- stops -------------------------------------------------------------------------------------------------------------
@@ -150,6 +151,29 @@ def test_caps_lead_to_a_stop_exactly_at_the_limit(number: int) -> None:
     change = np.abs(np.diff(np.vstack([np.zeros(18), v, np.zeros(18)]), axis=0)) / DT
     assert (change / limits.acceleration).max() < 1.0
     assert (np.abs(v) / limits.velocity).max() < 1.0
+
+
+@pytest.mark.parametrize("dt", [0.002, 0.06, 0.1, 0.15])
+def test_long_steps_lead_to_the_limit_too(dt: float) -> None:
+    """Where arriving too fast is not admissible, a lower rate is: the object does not stop short of the limit."""
+    task = at_limit()
+    preview, clock, rates = preview_of(task, dt=dt), 0.0, [1.0]
+    for _ in range(400):
+        rates.append(preview.cap(clock, dt)[0])
+        clock += rates[-1] * dt
+    assert rates[-1] < 1e-6
+    q, limits = Joints(task).at(clock), task.cell.limits
+    assert -1e-7 < np.minimum(q - limits.lower, limits.upper - q).min() < 1e-5
+    assert all(after > 0.0 for before, after in itertools.pairwise(rates) if before > 0.1)
+
+
+def test_curvature_may_take_all_of_the_acceleration() -> None:
+    task = paper_lift()
+    task = replace(task, cell=task.cell.with_limits(acceleration=1.0))
+    preview, clock = preview_of(task, curvature_share=1.0), 0.0
+    for _ in range(4000):
+        clock += preview.cap(clock, DT)[0] * DT
+    assert clock > 0.9 * task.path.duration
 
 
 def test_without_acceleration_limits_too() -> None:

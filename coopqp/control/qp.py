@@ -116,9 +116,7 @@ class QPController:
         if self.options.preview is None or not path.known_ahead:
             return None
         # The chain is shared: nothing that the preview leaves in it is used after.
-        return PathPreview(
-            self._chain, path, self._posture, dt=self.dt, options=self.options.preview, kernel=self.options.kernel
-        )
+        return PathPreview(self._chain, path, self._posture, dt=self.dt, options=self.options.preview)
 
     # -- starting --------------------------------------------------------------------------------------------------
 

@@ -29,6 +29,7 @@ CONSTANTS: dict[str, float] = {
     # preview
     "STEPS_TO_FULL_SPEED": 22,  # steps in which a joint without acceleration limit is planned to reach full speed
     "PASSABLE": 0.3,  # a singularity is passed where the rate's cap stays above this share of singular_rate
+    "LEAST_LEFT": 1e-3,  # least share of the acceleration that the path's curvature leaves to change the rate with
     "FINE_CELL": 1e-3,  # intervals shorter than this are not halved for a change of slope [s]
     "BISECTIONS": 6,  # refinements of the rate near a bound
     "JUST_BEFORE": 1e-10,  # the twist before a corner is taken this much earlier [s]
@@ -37,6 +38,8 @@ CONSTANTS: dict[str, float] = {
     "NEWTON_STEPS_AT_START": 1000,  # Newton steps that a reset may take
     "LONGEST_WAY": 300,  # knots of a way past a singularity
     "CONVERGED": 1e-5,  # Newton steps shorter than this are the last [rad or m]
+    "MOST_TRIES": 4,  # Newton steps that a knot may take
+    "STARTING_STEPS": 8,  # Newton steps that the first knot may take
     # supervision
     "STILL_COMMAND": 1e-5,  # commanded motion of an arm below this says nothing of a stall [rad or m]
     "FOLLOWS": 0.5,  # an arm that moves by more than this share of its command follows it
@@ -92,7 +95,7 @@ WATCH = (
 )  # fmt: skip
 AHEAD = (
     "HEAD", "COUNT", "BOUND_HEAD", "BOUND_COUNT", "COMPLETE", "ENDS", "FREE_UNTIL", "BEGIN_AT",
-    "PHASE", "TRY_CLOCK", "TRY_SPAN", "ITERATION", "WAY",
+    "GROWING", "TRY_SPAN", "ITERATION", "WAY",
 )  # fmt: skip
 #: Numbers of a knot beside its vectors.
 KNOT = (
@@ -134,7 +137,7 @@ STATE = (
     ("stalled", "n"), ("widest", "n"), ("lost", "n"), ("seen", "nq"), ("past", "2 * nv * past"),
     ("slow_drift", "6 * n"), ("lag", "6 * n"), ("apart", "6 * n"), ("drift_last", "nv"),
     ("deflection", "nv"), ("way", "nv"), ("commanded", "nv"), ("forces", "n"),
-    ("ahead", str(len(AHEAD))), ("try_positions", "nv"),
+    ("ahead", str(len(AHEAD))),
     ("knots", f"{len(KNOT)} * knots"), ("knot_positions", "nv * knots"), ("knot_slope", "nv * knots"),
     ("knot_curvature", "nv * knots"), ("bounds", "knots"),
 )  # fmt: skip
@@ -146,7 +149,7 @@ WORK = (
     ("lower", "nv"), ("upper", "nv"), ("recovery", "nv"), ("outside", "nv"),
     ("further", "nv * rows"), ("further_lower", "rows"), ("further_upper", "rows"), ("further_soft", "rows"),
     ("base", "nv + rows"), ("columns", "(nv + rows) * unknowns"), ("x", "unknowns + nv + rows"),
-    ("scratch", "scratch"),
+    ("sketch", "24 * n + 9 * nv"), ("scratch", "scratch"),
 )  # fmt: skip
 
 BLOCKS = (("CONFIG", CONFIG), ("STATE", STATE), ("WORK", WORK))
