@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import os
 from dataclasses import replace
 from typing import Any
@@ -161,6 +162,29 @@ def test_caps_lead_to_a_stop_exactly_at_the_limit(number: int) -> None:
     change = np.abs(np.diff(np.vstack([np.zeros(18), v, np.zeros(18)]), axis=0)) / DT
     assert (change / limits.acceleration).max() < 1.0
     assert (np.abs(v) / limits.velocity).max() < 1.0
+
+
+@pytest.mark.parametrize("dt", [0.002, 0.06, 0.1, 0.15])
+def test_long_steps_lead_to_the_limit_too(dt: float) -> None:
+    """Where arriving too fast is not admissible, a lower rate is: the object does not stop short of the limit."""
+    task = at_limit()
+    preview, clock, rates = preview_of(task, dt=dt), 0.0, [1.0]
+    for _ in range(400):
+        rates.append(preview.cap(clock, dt)[0])
+        clock += rates[-1] * dt
+    assert rates[-1] < 1e-6
+    q, limits = Joints(task).at(clock), task.cell.limits
+    assert -1e-7 < np.minimum(q - limits.lower, limits.upper - q).min() < 1e-5
+    assert all(after > 0.0 for before, after in itertools.pairwise(rates) if before > 0.1)
+
+
+def test_curvature_may_take_all_of_the_acceleration() -> None:
+    task = paper_lift()
+    task = replace(task, cell=task.cell.with_limits(acceleration=1.0))
+    preview, clock = preview_of(task, curvature_share=1.0), 0.0
+    for _ in range(4000):
+        clock += preview.cap(clock, DT)[0] * DT
+    assert clock > 0.9 * task.path.duration
 
 
 def test_without_acceleration_limits_too() -> None:

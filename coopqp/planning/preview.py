@@ -14,6 +14,7 @@ timing on a rolling horizon: as long as the object needs to stop, and no longer.
 from __future__ import annotations
 
 import math
+from bisect import bisect_right
 from collections import deque
 from collections.abc import Callable, Generator, Iterator
 from dataclasses import dataclass
@@ -28,6 +29,7 @@ from coopqp.model.chain import Chain
 from coopqp.model.inverse_kinematics import newton
 from coopqp.model.limits import BindingLimit, LimitKind
 from coopqp.spatial import Array
+from coopqp.task.guarded import GuardedPath
 from coopqp.task.path import ObjectPath
 from coopqp.task.posture import Posture
 
@@ -109,6 +111,10 @@ class PlanLimits:
 KnotBound = Callable[[float, Array, Array, Array], tuple[float, float, str]]
 
 
+class _PathLost(Exception):  # noqa: N818
+    """A user's path has no pose or no twist ahead."""
+
+
 class _Knot(NamedTuple):
     """The chain at one clock."""
 
@@ -182,7 +188,8 @@ class PathPreview:
         options: PreviewOptions | None = None,
         bound: KnotBound | None = None,
     ) -> None:
-        self._chain, self._path, self._posture, self._dt = chain, path, posture, dt
+        self._chain, self._path, self._posture, self._dt = chain, GuardedPath(path), posture, dt
+        self._duration = path.duration
         self.options = options or PreviewOptions()
         limits = chain.cell.limits
         n = chain.nv
@@ -196,6 +203,7 @@ class PathPreview:
         self._slope_cap = self.options.slope(accelerates=self.accelerates, dt=dt)
         if self.accelerates:
             self._slope_cap *= 0.9
+        self._begun, self._breakpoints = pin.neutral(chain.cell.model), list[float]()
         self._knots: deque[_Knot] = deque()
         self._way: list[_Knot] = []  # past a singularity, while it is looked for
         self._bounds: deque[_Knot] = deque()  # candidates for min (z_b + C_b), increasing
@@ -214,7 +222,10 @@ class PathPreview:
         self._bounds.clear()
         self._complete = self.ends = self.blind = False
         self._forget()
+        self._begun, self._breakpoints = q, self._path.breakpoints()
         pose = self._path.pose(clock)
+        if pose is None:
+            return  # nothing is known ahead: the object rests, and the next step tries again
         q, errors = newton(self._chain, pose, q, tolerance=1e-10, max_iter=_STARTING_STEPS)
         self.blind = self._beyond_few_joints(errors)
         if not np.abs(errors).max() < 1e-6 and not self.blind:
@@ -249,6 +260,10 @@ class PathPreview:
         """Largest admissible rate σ at ``clock`` for a step of ``dt``, and what ahead makes it less than 1."""
         if self.blind:
             return 1.0, None
+        if not self._knots:
+            self.reset(self._begun, clock)
+            if not self._knots:
+                return 0.0, None
         if clock < self._free_until and dt <= self._dt:
             if clock >= self._begin_at:
                 self._work_ahead()
@@ -352,6 +367,8 @@ class PathPreview:
 
     def reference(self, clock: float) -> tuple[Array, Array]:
         """Previewed configuration (nq,) and q′ (nv,) at ``clock``: what redundant arms follow."""
+        if not self._knots:
+            return self._begun, np.zeros_like(self._slope)
         self._leave_behind(clock)
         here = self._knots[0]
         ahead = self._knots[1] if len(self._knots) > 1 else here
@@ -391,6 +408,10 @@ class PathPreview:
         except StopIteration:
             self._growing, self._begin_at = None, np.inf
             self._way.clear()
+        except _PathLost:  # the horizon stops the object; the next step tries again
+            self._growing = None
+            self._way.clear()
+            return False
         return True
 
     def _leave_behind(self, clock: float) -> None:
@@ -400,8 +421,7 @@ class PathPreview:
 
     def _grow(self, last: _Knot) -> Iterator[None]:
         """Add a knot; pauses before every Newton step."""
-        path = self._path
-        if path.duration - last.clock <= 1e-12:
+        if self._duration - last.clock <= 1e-12:
             self._finish(last)
             return
         knot = yield from self._next(last)
@@ -423,19 +443,19 @@ class PathPreview:
             if not way:
                 self._block(knot, self._singular_arm(knot), LimitKind.SINGULARITY)
                 return
-        breakpoint_ = path.next_breakpoint(last.clock)
-        if abs(way[-1].clock - breakpoint_) < 1e-9 and breakpoint_ < path.duration:
+        breakpoint_ = self._next_breakpoint(last.clock)
+        if abs(way[-1].clock - breakpoint_) < 1e-9 and breakpoint_ < self._duration:
             way[-1] = self._corner(way[-1])
         for knot in way:
             self._push(knot)
 
     def _next(self, last: _Knot) -> Generator[None, None, _Knot | None]:
         """The knot after ``last``, as far on as the chain can be followed in one go; None where it cannot."""
-        path, options = self._path, self.options
-        h = min(options.cell, path.duration - last.clock)
+        options = self.options
+        h = min(options.cell, self._duration - last.clock)
         if last.fastest > 0.0:
             h = min(h, options.joint_step / last.fastest)
-        breakpoint_ = path.next_breakpoint(last.clock)
+        breakpoint_ = self._next_breakpoint(last.clock)
         if last.clock + h > breakpoint_ - 1e-9:
             h = breakpoint_ - last.clock
         while True:
@@ -447,7 +467,7 @@ class PathPreview:
     def _past(self, knot: _Knot) -> Generator[None, None, list[_Knot]]:
         """The knots from ``knot``, near a singularity, to where the joints slow down; none if there is no way."""
         least = (_PASSABLE * self.options.singular_rate) ** 2
-        end = self._path.next_breakpoint(knot.clock) - 1e-9
+        end = self._next_breakpoint(knot.clock) - 1e-9
         way = self._way
         way.append(knot)
         while len(way) < _LONGEST_WAY and way[-1].clock < end:
@@ -458,6 +478,11 @@ class PathPreview:
             if ahead.fastest < way[-2].fastest:
                 return list(way)
         return []
+
+    def _next_breakpoint(self, clock: float) -> float:
+        """First clock after ``clock`` at which the twist jumps, the end at the latest [s]."""
+        i = bisect_right(self._breakpoints, clock + 1e-9)
+        return self._breakpoints[i] if i < len(self._breakpoints) else self._duration
 
     def _try(self, last: _Knot, h: float) -> Generator[None, None, _Knot | None]:
         """The chain at ``last.clock + h``, or None if Newton's method or the joints' slopes do not follow."""
@@ -513,13 +538,15 @@ class PathPreview:
         q′ is that for the twist a moment ``before`` the clock [s], which tells the sides of a jump apart.
         """
         chain, path = self._chain, self._path
-        pose = path.pose(clock)
+        pose, twist = path.pose(clock), path.twist(max(min(clock, self._duration) - before, 0.0))
+        if pose is None or twist is None:
+            raise _PathLost
         errors = self._errors = chain.errors(chain.carried(q), pose)
         if not np.abs(errors).max() < np.inf:
             return False
         chain.linearise(q, about=pose.translation)
         to_world = np.kron(np.eye(2), pose.rotation)
-        along = to_world @ path.twist(max(min(clock, path.duration) - before, 0.0))
+        along = to_world @ twist
         step, slope = self._step, self._slope
         chain.joint_velocities(-errors @ to_world.T, step)
         chain.joint_velocities(np.broadcast_to(along, (chain.n_arms, 6)), slope)

@@ -14,6 +14,8 @@ from coopqp.task.path import HoldPath, LinePath, ObjectPath, ServoPath, Waypoint
 
 #: Entries this large make a pose invalid [m].
 FARTHEST = 1e9
+#: Breakpoints that are asked for, at most.
+_MOST_BREAKPOINTS = 10_000
 #: What a user's code may raise.
 _RAISED = (
     ArithmeticError, AssertionError, AttributeError, BufferError, LookupError, MemoryError, OSError, RuntimeError,
@@ -66,6 +68,21 @@ class GuardedPath:
         except _RAISED as error:
             self.problem = f"the path raised {type(error).__name__} at its clock {clock:.6g} s: {str(error)[:200]}"
         return None
+
+    def breakpoints(self) -> list[float]:
+        """Clocks at which the twist jumps before the end [s]; none from where the path cannot tell."""
+        found: list[float] = []
+        clock = 0.0
+        while len(found) < _MOST_BREAKPOINTS:
+            try:
+                ahead = float(self.path.next_breakpoint(clock))
+            except _RAISED:
+                break
+            if not clock < ahead < self.path.duration:
+                break
+            found.append(ahead)
+            clock = ahead
+        return found
 
     def trouble(self, *clocks: float) -> str:
         """Empty, or what is wrong with the path's poses at these clocks."""

@@ -103,10 +103,11 @@ class CompiledLoop:
         """Hand the path's numbers to the core: again where a target has moved."""
         path, numbers = self.path, self.path.packed()
         looks_ahead = self.options.preview is not None and path.known_ahead
+        own = None if numbers is not None else self._ask_path
         if numbers is None:
-            self._core.set_path(self._ask_path, self._pose_out, float(path.duration), looks_ahead)
-        else:
-            self._core.set_path(numbers, None, float(path.duration), looks_ahead)
+            breakpoints = self._guarded.breakpoints()
+            numbers = np.array([path.duration, len(breakpoints), 0.0, *breakpoints])
+        self._core.set_path(numbers, own, self._pose_out, float(path.duration), looks_ahead)
 
     def start(self, q: Array) -> None:
         """At rest at ``q``; forgets everything."""

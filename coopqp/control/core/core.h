@@ -28,8 +28,8 @@ struct Core {
     int arms, joints, nq, unknowns, rows, past; /* rows: further rows that fit; past: samples in `history` */
     int redundant, accelerates, looks_ahead;
     int further_rows; /* of this step */
-    /* The path: duration, number of breakpoints, number of segments, breakpoints, segments of 21 numbers and in the
-     * order of their starts; NULL where own_path knows it. */
+    /* The path: duration, number of breakpoints, number of segments, breakpoints, segments of 21 numbers in the order of
+     * their starts. A path without segments is known to own_path. */
     const double *path_numbers;
     double duration;
     /* Calls of what is not known here; 0 if they fail. `out` takes R (9) and p (3), or with `twist` six numbers. */

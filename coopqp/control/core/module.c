@@ -22,7 +22,8 @@ typedef struct {
     Core core;
     const Arithmetic *can; /* NULL before it is built */
     double *own_pose;      /* where own_path leaves its numbers, 12 */
-    PyObject *own_path, *bound_knot, *path_buffer; /* callables and the path's numbers; NULL for none */
+    PyObject *own_path, *bound_knot;               /* callables; NULL for none */
+    PyObject *path_buffer, *pose_buffer;           /* arrays whose memory is in use */
     PyObject *step_type, *context, *statuses;      /* what a step is made of */
 } CoreObject;
 
@@ -96,7 +97,8 @@ static int core_init(PyObject *object, PyObject *args, PyObject *kwargs) {
         if (!PyErr_Occurred()) PyErr_SetString(PyExc_ValueError, "the memory does not fit together");
         return -1;
     }
-    c->duration = 1.0;
+    static const double nowhere[3] = {1.0, 0.0, 0.0};
+    c->duration = 1.0, c->path_numbers = nowhere;
     self->can = plain ? &arithmetic_plain : best();
     return 0;
 }
@@ -107,6 +109,7 @@ static void core_dealloc(PyObject *object) {
     Py_XDECREF(self->own_path);
     Py_XDECREF(self->bound_knot);
     Py_XDECREF(self->path_buffer);
+    Py_XDECREF(self->pose_buffer);
     Py_XDECREF(self->step_type);
     Py_XDECREF(self->context);
     Py_XDECREF(self->statuses);
@@ -146,37 +149,36 @@ static int ask_knot(Core *c, int slot) {
     return ask(self->bound_knot, Py_BuildValue("(i)", slot));
 }
 
+/* set_path(numbers, own, pose, duration, looks_ahead): own(clock, twist) leaves what it knows in pose. */
 static PyObject *core_set_path(PyObject *object, PyObject *args) {
     CoreObject *self = built(object);
-    PyObject *path, *pose;
-    double duration;
+    PyObject *path, *own, *pose;
+    double duration, *found, *where = NULL;
     int looks_ahead;
     Py_buffer view;
-    if (!self || !PyArg_ParseTuple(args, "OOdp", &path, &pose, &duration, &looks_ahead)) return NULL;
-    PyObject *own = NULL, *buffer = NULL;
-    double *where;
-    if (PyCallable_Check(path)) {
-        where = numbers(pose, 12, 1, &view);
-        own = path, buffer = pose;
-    } else {
-        where = numbers(path, -1, 0, &view);
-        buffer = path;
-    }
-    if (!where) return NULL;
+    if (!self || !PyArg_ParseTuple(args, "OOOdp", &path, &own, &pose, &duration, &looks_ahead)) return NULL;
+    if (!(found = numbers(path, -1, 0, &view))) return NULL;
     const Py_ssize_t count = view.len / 8;
-    PyBuffer_Release(&view); /* the arrays stay where they are while path_buffer holds them */
-    if (!own && !(count >= 3 && where[1] >= 0 && where[1] < 1e6 && where[2] >= 1 && where[2] < 1e6 &&
-                  count >= 3 + (Py_ssize_t)where[1] + SEGMENT * (Py_ssize_t)where[2])) {
+    PyBuffer_Release(&view); /* the arrays stay where they are while they are held here */
+    const int asks = own != Py_None;
+    if (!(count >= 3 && found[1] >= 0 && found[1] < 1e6 && found[2] >= (asks ? 0 : 1) && found[2] < 1e6 &&
+          count >= 3 + (Py_ssize_t)found[1] + SEGMENT * (Py_ssize_t)found[2])) {
         PyErr_SetString(PyExc_ValueError, "the numbers are no path");
         return NULL;
     }
-    Py_XINCREF(own);
-    Py_INCREF(buffer);
-    Py_XDECREF(self->own_path);
+    if (asks) {
+        if (!(where = numbers(pose, 12, 1, &view))) return NULL;
+        PyBuffer_Release(&view);
+    }
+    Py_INCREF(path);
+    Py_INCREF(own);
+    Py_INCREF(pose);
     Py_XDECREF(self->path_buffer);
-    self->own_path = own, self->path_buffer = buffer, self->own_pose = own ? where : NULL;
-    self->core.own_path = own ? ask_path : NULL;
-    self->core.path_numbers = own ? NULL : where;
+    Py_XDECREF(self->own_path);
+    Py_XDECREF(self->pose_buffer);
+    self->path_buffer = path, self->own_path = own, self->pose_buffer = pose, self->own_pose = where;
+    self->core.own_path = asks ? ask_path : NULL;
+    self->core.path_numbers = found;
     self->core.duration = duration, self->core.looks_ahead = looks_ahead;
     Py_RETURN_NONE;
 }
@@ -397,7 +399,7 @@ static PyMethodDef core_methods[] = {
     {"advance", core_advance, METH_VARARGS, "advance(steps, q): steps without Python in between."},
     {"start", core_start, METH_O, "start(positions): at rest there."},
     {"start_path", core_start_path, METH_VARARGS, "start_path(clock, rate): along the path from there."},
-    {"set_path", core_set_path, METH_VARARGS, "set_path(numbers or function, pose, duration, looks_ahead)."},
+    {"set_path", core_set_path, METH_VARARGS, "set_path(numbers, function, pose, duration, looks_ahead)."},
     {"bind_knots", core_bind_knots, METH_O, "bind_knots(function): called with the place of every new knot."},
     {"make_steps", core_make_steps, METH_VARARGS, "make_steps(type, context, statuses): what step() returns."},
     {"linearise", core_linearise, METH_VARARGS, "linearise(positions, about, carried, jacobian)."},

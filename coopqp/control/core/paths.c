@@ -31,7 +31,7 @@ static const double *segment_at(const Core *c, double clock, double *end) {
 }
 
 static double next_breakpoint(const Core *c, double clock) {
-    for (int i = 0; c->path_numbers && i < count_of(c, 1); i++)
+    for (int i = 0; i < count_of(c, 1); i++)
         if (c->path_numbers[3 + i] > clock + 1e-9) return c->path_numbers[3 + i];
     return c->duration;
 }
@@ -47,7 +47,7 @@ static void pose_on(const double *segment, double u, double *R, double *p) {
 }
 
 static int path_pose(Core *c, double clock, double *R, double *p) {
-    if (c->path_numbers) {
+    if (count_of(c, 2)) {
         double end;
         const double *segment = segment_at(c, clock, &end);
         pose_on(segment, time_law((clock - segment[18]) / segment[19], segment[20]), R, p);
@@ -61,7 +61,7 @@ static int path_pose(Core *c, double clock, double *R, double *p) {
 }
 
 static int path_twist(Core *c, double clock, double *twist) {
-    if (!c->path_numbers) return c->own_path && c->own_path(c, clock, 1, twist);
+    if (!count_of(c, 2)) return c->own_path && c->own_path(c, clock, 1, twist);
     double end, R[9], p[3];
     const double *segment = segment_at(c, clock, &end);
     const double x = (clock - segment[18]) / segment[19], rate = time_law_slope(x, segment[20]) / segment[19];
@@ -78,7 +78,7 @@ static int path_increment(Core *c, double clock, double span, const double *R, c
     memset(twist, 0, 6 * sizeof(double));
     if (!(span > 1e-12)) return 1;
     double end;
-    const double *segment = c->path_numbers ? segment_at(c, clock, &end) : NULL;
+    const double *segment = count_of(c, 2) ? segment_at(c, clock, &end) : NULL;
     if (segment && clock + span <= end) { /* log of one screw is known */
         const double x = (clock - segment[18]) / segment[19];
         const double gain = time_law(x + span / segment[19], segment[20]) - time_law(x, segment[20]);

@@ -167,6 +167,7 @@ static int constrain(Core *c, int made) {
     double *k = knot(c, made);
     c->ahead[BEYOND] = 0.0;
     if (c->bound_knot && !c->bound_knot(c, place_of(c, made))) c->ahead[BEYOND] = 1.0 + k[K_JOINT];
+    if (!(k[K_CAP] > 0.0)) k[K_CAP] = 0.0; /* nor a NaN */
     if (!(k[K_DECREASE] > 0.0)) k[K_DECREASE] = 0.0;
     return c->ahead[BEYOND] == 0.0;
 }

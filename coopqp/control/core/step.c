@@ -102,7 +102,7 @@ static void observe(Core *c, const double *q, const double *dt) {
     c->loop[PATH_LOST] = 0.0;
     double ahead[12];
     if (!path_pose(c, c->loop[CLOCK], c->R, c->p) ||
-        (!c->path_numbers && !path_pose(c, c->loop[CLOCK] + p[DT], ahead, ahead + 9))) {
+        (c->path_numbers[2] == 0.0 && !path_pose(c, c->loop[CLOCK] + p[DT], ahead, ahead + 9))) {
         c->loop[PATH_LOST] = 1.0;
         q = NULL;
         hold_here(c);
