@@ -1,6 +1,6 @@
-"""Kept against rebuilt without anything round it: the calls of ProxQP and OSQP alone, as a program may have them.
+"""Persistent solvers compared with rebuilt ones: only the calls of ProxQP and OSQP, without coopqp's checks.
 
-Kept: update and solve, warm. Rebuilt: ``qpsolvers.solve_problem``, at the same accuracy. No tests, no polishing.
+Persistent: update and solve, warm. Rebuilt: ``qpsolvers.solve_problem`` at the same accuracy. No checks, no polishing.
 """
 
 from __future__ import annotations
@@ -14,9 +14,7 @@ import numpy as np
 from common import Record
 from recorded_qps import Recorded
 
-from coopqp.control.solvers import QpProblem
-from coopqp.control.solvers.base import Workspace
-from coopqp.control.solvers.osqp import OsqpSolver
+from coopqp import QpProblem, make_solver
 
 _PROXQP = {"eps_abs": 1e-9, "eps_rel": 0.0, "check_duality_gap": True, "eps_duality_gap_abs": 1e-9}
 _OSQP = {"eps_abs": 1e-7, "eps_rel": 1e-7, "max_iter": 4000}
@@ -24,7 +22,7 @@ _INFINITE = 1e20
 
 
 def _stated(problem: QpProblem, *, sparse: bool) -> Any:
-    """The problem as qpsolvers takes it."""
+    """The problem in the notation of qpsolvers."""
     import qpsolvers
     from scipy.sparse import csc_matrix
 
@@ -65,13 +63,14 @@ def _proxqp(problems: Sequence[QpProblem]) -> Callable[[QpProblem], Callable[[],
 
 
 def _osqp(problems: Sequence[QpProblem]) -> Callable[[QpProblem], Callable[[], object]]:
-    kept, work = OsqpSolver(), Workspace(problems[0].sizes)
+    kept: Any = make_solver("osqp")
     kept.solve(problems[0])
+    work = kept._workspace
 
     def ready(problem: QpProblem) -> Callable[[], object]:
         work.load(problem, 1e30)
         if not kept._load(problem):
-            kept.solve(problem)  # other entries than before: set up anew
+            kept.solve(problem)  # other nonzero entries: sets up again
         theirs = kept._osqp
 
         def solve() -> None:
@@ -85,12 +84,12 @@ def _osqp(problems: Sequence[QpProblem]) -> Callable[[QpProblem], Callable[[], o
 
 
 def backend_alone(recorded: Sequence[Recorded]) -> list[Record]:
-    """Medians and their ratios over successive QPs, kept and rebuilt in turn; CPU time of the thread."""
+    """Medians and their ratios over successive QPs, persistent and rebuilt in turn; CPU time of the thread."""
     import qpsolvers
 
     records: list[Record] = []
     for one in recorded:
-        # Kept memory is of one size; a form may leave an unknown out where nothing depends on it.
+        # Persistent memory has one size; a form may leave out an unknown without effect.
         sizes = [qp.problem.sizes for qp in one.qps]
         usual = max(set(sizes), key=sizes.count, default=None)
         problems = [qp.problem for qp in one.qps if qp.problem.sizes == usual]

@@ -1,24 +1,23 @@
-"""What the pseudo-inverse, the QP with independent arms and the cooperative QP do when it gets difficult.
+"""Difficult tasks with the pseudo-inverse, the QP with independent arms and the cooperative QP.
 
-Every run is judged from its configurations alone. One flat record a run:
+Every run is judged from its configurations only. Each run has one flat record:
 
 * ``case``, ``variant``, ``controller`` (pseudo_inverse, independent, cooperative), ``solver`` ("none" without a QP);
-* ``chain_mm``, ``chain_deg``: largest distance and angle between any two arms' views of the object, over the whole run.
-  In the case ``mismatch`` that is the 5 mm it starts with: what is left is ``chain_final_mm``, and ``chain_rise_mm`` is
-  the largest growth from one step to the next (0 where it falls monotonically);
-* ``path_mm``, ``path_deg``: largest distance and angle of any arm's view from the path's pose at the object's clock;
-* ``failures``: steps with the status holding or fault, or with a velocity that is not finite;
-* ``finished``: the object's clock came to the end of its path; a path that leads into a limit or a singularity has
-  none that can be reached. ``came_back``: it went back to its start afterwards (where it was asked to);
+* ``chain_mm``, ``chain_deg``: largest distance and angle between the object poses of any two arms during the run. In
+  the case ``mismatch`` this is the initial 5 mm; ``chain_final_mm`` is the remaining error, and ``chain_rise_mm`` the
+  largest growth in one step (0 if the error falls monotonically);
+* ``path_mm``, ``path_deg``: largest distance and angle between any arm's object pose and the path at its clock;
+* ``failures``: number of steps with the status holding or fault, or with a velocity that is not finite;
+* ``finished``: true if the object's clock reached the end of its path; a path into a limit or a singularity has no
+  reachable end. ``came_back``: true if the object returned to its start afterwards (if requested);
 * ``rate_min``: smallest share σ of the path's nominal rate;
-* ``limit_excess``: largest excess over a position limit [rad or m] or velocity limit [rad/s or m/s]. A joint that
-  starts outside its limit (case ``outside``) counts with what it moves further out, and as all others once inside;
-* ``blocked_arm``, ``blocked_joint``: what the last step of a blocked run names; ``named``: it is what an independent
-  inverse kinematics along the path finds (null where nothing blocks);
-* ``recovery_ratio``: time to get back inside, in multiples of what the joint would need alone at the speed at which
-  joints are led back;
-* ``eps_p_mm``, ``acceleration_excess`` (share), ``arms``, ``steps``, ``qp_steps`` (settled by a QP), ``note``;
-* ``missed``: which of the cooperative QP's targets the run misses.
+* ``limit_excess``: largest excess over a position limit [rad or m] or velocity limit [rad/s or m/s]. For a joint that
+  starts outside its limit (case ``outside``), the excess counts relative to the start until the joint is inside;
+* ``blocked_arm``, ``blocked_joint``: names in the last step of a blocked run; ``named``: true if an independent inverse
+  kinematics along the path finds the same (null without a block);
+* ``recovery_ratio``: time to return inside, relative to the time of the joint alone at the recovery speed;
+* ``eps_p_mm``, ``acceleration_excess`` (share), ``arms``, ``steps``, ``qp_steps`` (steps with a QP), ``note``;
+* ``missed``: the missed targets of the cooperative QP.
 
 A figure that is not finite is null.
 """
@@ -37,24 +36,31 @@ import pinocchio as pin
 from behaviour_cases import CASES, DWELL, OUTSIDE, Key, Run, build, keys_of, way_back
 from common import Record
 
-from coopqp.control.command import Controller, ControlStep, Status
-from coopqp.control.independent import IndependentQPController, IndependentQPOptions
-from coopqp.control.limits import VelocityBox
-from coopqp.control.options import QPOptions
-from coopqp.control.pseudo_inverse import PseudoInverseController
-from coopqp.control.qp import QPController
-from coopqp.control.solvers import available_solvers
-from coopqp.simulation import metrics
-from coopqp.spatial import Array
+from coopqp import (
+    Array,
+    Controller,
+    ControlStep,
+    IndependentQPController,
+    IndependentQPOptions,
+    PseudoInverseController,
+    QPController,
+    QPOptions,
+    Status,
+    available_solvers,
+    limit_excess,
+    relative_positioning_error,
+    tool_placements,
+)
+from coopqp.control import VelocityBox
 
-#: QP solvers that keep their memory; those of them that are installed are run.
+#: Persistent QP solvers; the installed ones are run.
 KEPT = ("daqp", "proxqp", "osqp")
 CONTROLLERS = ("pseudo_inverse", "independent", "cooperative")
-#: Runs of a case that --quick gives to all but the cooperative QP with the first solver.
+#: With --quick, number of runs per case of all controllers except the cooperative QP with the first solver.
 QUICK_OTHERS = 1
-#: Cases in which --quick also runs the independent QP with all solvers.
+#: With --quick, cases in which the independent QP runs with all solvers.
 QUICK_ALL_SOLVERS = ("fast", "paper")
-#: Limits that every run of the cooperative QP keeps.
+#: Targets of every run of the cooperative QP.
 ALWAYS: dict[str, float | bool] = {"failures": 0, "limit_excess": 1e-9, "acceleration_excess": 1e-6}
 COLUMNS = (
     "case", "controller", "solver", "runs", "chain_mm", "chain_final_mm", "chain_deg", "path_mm", "path_deg",
@@ -63,7 +69,7 @@ COLUMNS = (
 
 
 def make_controller(run: Run, controller: str, solver: str) -> Controller:
-    """A controller for a run."""
+    """Build a controller for a run."""
     task = run.task
     if controller == "pseudo_inverse":
         return PseudoInverseController(task.cell, task.grasp, task.path, dt=task.dt)
@@ -75,7 +81,7 @@ def make_controller(run: Run, controller: str, solver: str) -> Controller:
 
 
 def drive(run: Run, controller: Controller) -> list[ControlStep]:
-    """Run until the path is finished, the object has waited for a while, or it takes too long; then back."""
+    """Run until the path is finished, the object has waited for a while, or the time is over; then run back."""
     controller.reset(run.task.q_start)
     steps = list(_until_rest(controller, run.longest))
     if run.back and isinstance(controller, QPController):
@@ -100,7 +106,7 @@ def judge(run: Run, steps: Sequence[ControlStep]) -> Record:
     cell, grasp = run.task.cell, run.task.grasp
     q = np.array([steps[0].q, *(s.q_next for s in steps)])
     v = np.array([s.velocity for s in steps])
-    tools = metrics.tool_placements(cell, q)
+    tools = tool_placements(cell, q)
     views = _homogeneous(tools) @ np.linalg.inv(_homogeneous(grasp.T_object_tool))  # O_k, (T, N, 4, 4)
     poses = _homogeneous([s.path.pose(s.clock_next) for s in steps])
     pairs = [(i, j) for i in range(len(cell)) for j in range(i)]
@@ -127,7 +133,7 @@ def judge(run: Run, steps: Sequence[ControlStep]) -> Record:
         "blocked_joint": (blocked.joint or None) if blocked else None,
         "named": _named(run, end),
         "recovery_ratio": _recovery_ratio(run, q),
-        "eps_p_mm": 1e3 * max(metrics.relative_positioning_error(T, grasp) for T in tools) if len(cell) == 3 else None,
+        "eps_p_mm": 1e3 * max(relative_positioning_error(T, grasp) for T in tools) if len(cell) == 3 else None,
         "arms": len(cell),
         "steps": len(steps),
         "qp_steps": sum(s.solver.name != "none" for s in steps),
@@ -136,14 +142,14 @@ def judge(run: Run, steps: Sequence[ControlStep]) -> Record:
 
 
 def _homogeneous(placements: Any) -> Array:
-    """Placements, in lists of lists of any depth, as one array (…, 4, 4)."""
+    """Nested lists of placements as one array (…, 4, 4)."""
     if isinstance(placements, pin.SE3):
         return np.asarray(placements.homogeneous)
     return np.array([_homogeneous(T) for T in placements])
 
 
 def _apart(A: Array, B: Array) -> Array:
-    """Distance [m] and angle [rad] between placements (n, 4, 4), as columns (n, 2); NaN where either has any."""
+    """Distance [m] and angle [rad] between placements (n, 4, 4), as columns (n, 2); NaN if a placement has NaN."""
     R = A[:, :3, :3].transpose(0, 2, 1) @ B[:, :3, :3]
     sine = 0.5 * np.linalg.norm(R[:, [2, 0, 1], [1, 2, 0]] - R[:, [1, 2, 0], [2, 0, 1]], axis=1)
     cosine = 0.5 * (np.trace(R, axis1=1, axis2=2) - 1.0)
@@ -152,7 +158,7 @@ def _apart(A: Array, B: Array) -> Array:
 
 def _limit_excess(run: Run, q: Array, v: Array) -> float:
     if run.outside is None:
-        return metrics.limit_excess(run.task.cell, q, v)
+        return limit_excess(run.task.cell, q, v)
     way = _way_out(run, q)
     inside = np.flatnonzero(way <= 0.0)
     back = int(inside[0]) if inside.size else len(way)
@@ -160,24 +166,24 @@ def _limit_excess(run: Run, q: Array, v: Array) -> float:
     others = run.task.cell.with_limits(
         lower=np.minimum(run.task.cell.limits.lower, q[0]), upper=np.maximum(run.task.cell.limits.upper, q[0])
     )
-    return max(further_out, metrics.limit_excess(run.task.cell, q[back:], []), metrics.limit_excess(others, q, v))
+    return max(further_out, limit_excess(run.task.cell, q[back:], []), limit_excess(others, q, v))
 
 
 def _way_out(run: Run, q: Array) -> Array:
-    """How far the joint that started outside is from its limit at every sample; negative inside [rad]."""
+    """Excess over its limit of the joint that started outside, at every sample [rad]; negative inside."""
     assert run.outside is not None
     limits, x = run.task.cell.limits, q[:, run.outside]
     return np.asarray(np.maximum(x - limits.upper[run.outside], limits.lower[run.outside] - x))
 
 
 def _recovery_ratio(run: Run, q: Array) -> float | None:
-    """Time to get inside, against a run at the recovery speed with the joint's acceleration; inf if it never does."""
+    """Time to return inside relative to a motion at recovery speed and full acceleration; inf without return."""
     if run.outside is None:
         return None
     limits = run.task.cell.limits
     acceleration = float(limits.acceleration[run.outside])
     speed = VelocityBox.RECOVERY_SHARE * float(limits.velocity[run.outside])
-    if 0.5 * speed * speed / acceleration < OUTSIDE:  # it gets to that speed on the way
+    if 0.5 * speed * speed / acceleration < OUTSIDE:  # the joint reaches this speed
         ideal = OUTSIDE / speed + 0.5 * speed / acceleration
     else:
         ideal = float(np.sqrt(2.0 * OUTSIDE / acceleration))
@@ -186,7 +192,7 @@ def _recovery_ratio(run: Run, q: Array) -> float | None:
 
 
 def _named(run: Run, end: ControlStep) -> bool | None:
-    """Whether the last step names the arm, and a joint, that the oracle found."""
+    """True if the last step names the arm and a joint of the oracle."""
     if run.expected is None:
         return None
     arm, joints, _ = run.expected
@@ -198,14 +204,14 @@ def _named(run: Run, end: ControlStep) -> bool | None:
 
 
 def plain(value: Any) -> Any:
-    """A value as JSON has it; a number that is not finite becomes None."""
+    """A value for JSON. A number that is not finite becomes None."""
     if isinstance(value, np.generic):
         value = value.item()
     return None if isinstance(value, float) and not np.isfinite(value) else value
 
 
 def missed_targets(run: Run, record: Record) -> list[str]:
-    """Targets of the cooperative QP that a record misses, in words."""
+    """The missed targets of the cooperative QP in a record, in words."""
     missed = []
     for name, target in {**ALWAYS, **run.targets}.items():
         value = record[name]
@@ -246,7 +252,7 @@ def plan(cases: Sequence[str], *, quick: bool, solvers: Sequence[str]) -> list[t
 
 
 def run_all(jobs: Sequence[tuple[str, Key, str, str]], workers: int) -> list[Record]:
-    """Run the jobs in processes of their own, in any order; the records come in the order of the jobs."""
+    """Run the jobs in separate processes in any order. Returns the records in the order of the jobs."""
     records: dict[int, Record] = {}
     progress = common.Progress(len(jobs))
     with ProcessPoolExecutor(max_workers=workers) as pool:
@@ -290,7 +296,7 @@ def summary(records: Sequence[Record]) -> list[Record]:
 
 
 def report(records: Sequence[Record]) -> str:
-    """A table of the worst figures, and every target missed."""
+    """A table of the worst figures, and every missed target."""
     rows = summary(records)
     lines = [common.markdown_table(rows, COLUMNS), ""]
     missed = [r for r in records if r["missed"]]

@@ -1,4 +1,4 @@
-"""The cases of behaviour.py: what is run, and what an oracle that knows nothing of the controllers says about it."""
+"""The cases of behaviour.py: their runs, and the results of an oracle that is independent of the controllers."""
 
 from __future__ import annotations
 
@@ -9,9 +9,7 @@ from typing import Any, Literal, TypeAlias
 import numpy as np
 import pinocchio as pin
 
-from coopqp.errors import MissingExtraError
-from coopqp.model.cell import RobotCell
-from coopqp.model.grasp import Grasp
+from coopqp import Array, Grasp, LinePath, MissingExtraError, ObjectPath, RobotCell, TimeLaw
 from coopqp.scenarios import (
     SCENARIOS,
     Scenario,
@@ -24,19 +22,17 @@ from coopqp.scenarios import (
     paper_lift,
     ring,
 )
-from coopqp.spatial import Array
-from coopqp.task.path import LinePath, ObjectPath, TimeLaw
 
-#: What tells the runs of one case apart: plain values, from which the run is built.
+#: Plain values that identify a run of a case; the run is built from them.
 Key: TypeAlias = tuple[Any, ...]
 
-#: Acceleration limit of the cases that have one [rad/s²].
+#: Acceleration limit in the cases with a limit [rad/s²].
 ACCELERATION = 5.0
 #: Grasp mismatch of one slave in its object frame [m]: 5 mm.
 MISMATCH = (0.003, 0.004, 0.0)
-#: How far outside its limit a joint starts [rad].
+#: Initial excess of a joint over its limit [rad].
 OUTSIDE = 0.010
-#: Steps that a blocked object is kept waiting.
+#: Number of steps that a blocked object waits.
 DWELL = 100
 
 
@@ -45,13 +41,13 @@ class Run:
     """One run of a case.
 
     Attributes:
-        variant: in words.
+        variant: description in words.
         task: the scenario.
-        longest: a run ends after so many seconds, if the object has neither finished nor come to rest [s].
-        options: of the cooperative controller, besides the solver.
-        back: after a standstill, or at the end of the path, go back to the start where the controller can.
+        longest: largest duration of the run [s].
+        options: options of the cooperative controller, besides the solver.
+        back: after a standstill or at the end of the path, return to the start if the controller can.
         outside: index of the joint that starts outside its limit.
-        expected: arm, joints that should block, and the clock at which [s]; joints may be empty for the whole arm.
+        expected: arm and joints that should block, and the clock of the block [s]; no joints means the whole arm.
         targets: largest values (or truth values) of the record's keys for the cooperative QP.
     """
 
@@ -66,9 +62,9 @@ class Run:
 
 
 def arms_along(cell: RobotCell, grasp: Grasp, path: ObjectPath, q: Array, clocks: Array) -> Iterator[Array | str]:
-    """Configuration at each clock by Newton's method, arm by arm, straight from Pinocchio's frames.
+    """Configuration at each clock by Newton's method, arm by arm, directly from Pinocchio's frames.
 
-    Yields the name of an arm, as the last item, where it does not follow.
+    If an arm cannot follow, its name is the last item.
     """
     data, q = cell.model.createData(), q.copy()
     for clock in clocks:
@@ -90,7 +86,7 @@ def arms_along(cell: RobotCell, grasp: Grasp, path: ObjectPath, q: Array, clocks
 
 
 def first_crossing(task: Scenario, step: float = 0.004) -> tuple[str, tuple[str, ...], float]:
-    """Arm, joints and clock at which the first position limit is met along the path, by :func:`arms_along`."""
+    """Arm, joints and clock of the first position limit along the path, by :func:`arms_along`."""
     cell = task.cell
     clocks = np.arange(0.0, task.path.duration, step)
     last = cell.positions(task.q_start)
@@ -101,7 +97,7 @@ def first_crossing(task: Scenario, step: float = 0.004) -> tuple[str, tuple[str,
         over = np.maximum(x - cell.limits.upper, cell.limits.lower - x)
         crossed = np.flatnonzero(over > 0.0)
         if crossed.size:
-            share = 1.0 - over[crossed] / np.abs(x - last)[crossed]  # of the last cell, by straight lines
+            share = 1.0 - over[crossed] / np.abs(x - last)[crossed]  # linear interpolation in the last interval
             first = crossed[share < share.min() + 1e-3]  # mirrored arms cross together
             names = [cell.joint_names[j].partition("/") for j in first]
             clock_of = float(clock) - step * (1.0 - float(share.min()))
@@ -188,7 +184,7 @@ def _singular(kind: Literal["wrist", "elbow", "reach"], arm: int, acceleration: 
     )
 
 
-#: Largest ε_p of the cooperative QP in mm for N steps; with a second linearisation for N = 40.
+#: Target of the cooperative QP's largest ε_p [mm] for N steps; with a second linearisation it is at most 1e-4.
 _EPS_P = {40: 0.003, 400: 3e-6, 1000: 2e-7}
 
 
@@ -261,20 +257,20 @@ _BUILD: dict[str, Callable[..., Run]] = {
     "mixed": _nominal,
     "ring": _nominal,
 }
-#: The cases, in the order in which they are run.
+#: The cases, in the order of the runs.
 CASES = tuple(_BUILD)
 
 
 def keys_of(case: str, *, quick: bool) -> list[Key]:
-    """What :func:`build` makes the runs of a case from."""
+    """The keys of the runs of a case, for :func:`build`."""
     return _keys(case, quick)
 
 
 def build(case: str, key: Key) -> Run:
-    """One run."""
+    """Build one run."""
     return _BUILD[case](*key)
 
 
 def way_back(task: Scenario, clock: float) -> LinePath:
-    """From the path's pose at ``clock`` to its start, in 2 s."""
+    """A path of 2 s from the path's pose at ``clock`` to its start."""
     return LinePath(task.path.pose(clock), task.path.pose(0.0), duration=2.0)

@@ -1,4 +1,4 @@
-"""What the benchmark scripts share. Import it before NumPy: it limits BLAS to one thread."""
+"""Shared parts of the benchmark scripts. Import it before NumPy: it limits BLAS to one thread."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, TextIO
 
-#: One thread for every BLAS, here and in processes that are started.
+#: One thread for every BLAS, here and in child processes.
 ONE_THREAD = dict.fromkeys(
     ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "BLIS_NUM_THREADS", "VECLIB_MAXIMUM_THREADS"), "1"
 )
@@ -23,16 +23,12 @@ os.environ.update(ONE_THREAD)
 import numpy as np  # noqa: E402
 import pinocchio as pin  # noqa: E402
 
-from coopqp.control.core import available_kernels  # noqa: E402
-from coopqp.model.cell import RobotCell  # noqa: E402
-from coopqp.model.grasp import Grasp  # noqa: E402
-from coopqp.output import write_files  # noqa: E402
+from coopqp import Array, Grasp, RobotCell, TimeLaw, WaypointPath, available_kernels  # noqa: E402
+from coopqp.files import write_files  # noqa: E402
 from coopqp.scenarios import Scenario  # noqa: E402
 from coopqp.scenarios import ring as coopqp_ring  # noqa: E402
-from coopqp.spatial import Array  # noqa: E402
-from coopqp.task.path import TimeLaw, WaypointPath  # noqa: E402
 
-#: One flat record of results; its keys are each script's contract.
+#: One flat record of results. Each script defines its keys.
 Record = dict[str, Any]
 
 
@@ -40,7 +36,7 @@ Record = dict[str, Any]
 
 
 def arguments(description: str) -> argparse.ArgumentParser:
-    """A parser with the options that every benchmark has."""
+    """A parser with the common options of all benchmarks."""
     parser = argparse.ArgumentParser(description=description)
     parser.add_argument("--quick", action="store_true", help="a small run (under 45 s on 2 cores)")
     parser.add_argument("--json", type=Path, metavar="FILE", help="write the records as a JSON list")
@@ -49,7 +45,7 @@ def arguments(description: str) -> argparse.ArgumentParser:
 
 
 class Progress:
-    """A bar on stderr; silent where stderr is not a terminal."""
+    """A progress bar on stderr; silent if stderr is not a terminal."""
 
     WIDTH = 30
 
@@ -59,7 +55,7 @@ class Progress:
         self._shown = self._stream.isatty()
 
     def advance(self, label: str | None = None) -> None:
-        """One unit of work is done; ``label`` says what comes next."""
+        """Count one unit of work; ``label`` names the next one."""
         self.done = min(self.done + 1, self.total)
         self.label = self.label if label is None else label
         self.show()
@@ -73,7 +69,7 @@ class Progress:
             self._stream.flush()
 
     def close(self) -> None:
-        """Wipe the bar."""
+        """Erase the bar."""
         if self._shown:
             self._stream.write("\r" + " " * (self.WIDTH + 60) + "\r")
             self._stream.flush()
@@ -86,13 +82,13 @@ def interleaved(
     progress: Progress | None = None,
     frozen: bool = False,
 ) -> dict[str, Array]:
-    """Samples of every contestant, one round of each in turn, so that a slow phase of the machine meets them all.
+    """Samples of every contestant, one round of each in turn. A slow phase of the machine then affects all of them.
 
     Args:
-        contestants: name → a function that runs one round and returns its samples.
-        rounds: how many rounds; the order is reversed in every other one.
-        progress: advanced once per contestant and round.
-        frozen: what is alive is kept out of the garbage collector's passes, as a real-time loop would; it stays on.
+        contestants: name → function that runs one round and returns its samples.
+        rounds: number of rounds; every other round has the reverse order.
+        progress: progress bar, advanced once per contestant and round.
+        frozen: call ``gc.freeze`` first, as in a real-time loop; the garbage collector stays on.
     """
     samples: dict[str, list[float]] = {name: [] for name in contestants}
     if frozen:
@@ -115,7 +111,7 @@ def interleaved(
 
 
 def percentiles(samples_us: Any, *, shares: Sequence[float] = (50.0, 99.0)) -> dict[str, float | None]:
-    """``{"p50_us": …, "p99_us": …}`` of samples [µs], rounded to 1 ns; ``99.9`` gives ``p999_us``; None of none."""
+    """``{"p50_us": …, "p99_us": …}`` of samples [µs], rounded to 1 ns (None if empty); ``99.9`` gives ``p999_us``."""
     values = np.asarray(samples_us, dtype=float)
     names = [f"p{share:g}_us".replace(".", "") for share in shares]
     if values.size == 0:
@@ -123,7 +119,7 @@ def percentiles(samples_us: Any, *, shares: Sequence[float] = (50.0, 99.0)) -> d
     return dict(zip(names, (round(float(x), 3) for x in np.percentile(values, shares)), strict=True))
 
 
-# -- what it ran on ----------------------------------------------------------------------------------------------------
+# -- machine and versions ----------------------------------------------------------------------------------------------
 
 
 def machine() -> dict[str, str]:
@@ -142,7 +138,7 @@ def machine() -> dict[str, str]:
 
 
 def versions(packages: Iterable[str]) -> dict[str, str]:
-    """Installed versions; packages that are not installed are left out."""
+    """Versions of the installed packages among ``packages``."""
     found = {}
     for package in packages:
         try:
@@ -153,12 +149,12 @@ def versions(packages: Iterable[str]) -> dict[str, str]:
 
 
 def kernel_name() -> str:
-    """Which kernel computes coopqp's step unless another is asked for."""
+    """Name of the default kernel of coopqp's step."""
     return available_kernels()[0]
 
 
 def describe(title: str, settings: Mapping[str, Any]) -> dict[str, Any]:
-    """Everything needed to judge a result: machine, versions, coopqp's kernel, settings."""
+    """The context of a result: machine, versions, coopqp's kernel, settings."""
     packages = ("coopqp", "pin", "numpy", "daqp", "proxsuite", "osqp", "quadprog", "qpsolvers", "scipy")
     return {
         "benchmark": title,
@@ -183,7 +179,7 @@ def header(description: Mapping[str, Any]) -> str:
 
 
 def cell_text(value: Any) -> str:
-    """A value as it stands in a table."""
+    """Text of a value in a table."""
     if value is None:
         return "–"
     if isinstance(value, bool):
@@ -208,15 +204,15 @@ def log_log_plot(
     ticks: Sequence[float] | None = None,
     dashed: Mapping[str, str] | None = None,
 ) -> dict[str, bytes]:
-    """``{name: PNG}`` of the curves on logarithmic axes; nothing without Matplotlib.
+    """``{name: PNG}`` of the curves on logarithmic axes; empty without Matplotlib.
 
     Args:
-        name: of the file.
+        name: name of the file.
         curves: label → points.
         x, y: titles of the axes.
-        ticks: on the x axis; None for every point.
-        dashed: label of a curve → that of the one whose colour it takes, dashed and without a line in the legend;
-            curves of soft tasks are dashed anyway.
+        ticks: ticks of the x axis; None for a tick at every point.
+        dashed: label of a dashed curve → label of the curve with the same colour; the dashed curve has no legend
+            entry. Curves of soft tasks are always dashed.
     """
     try:
         from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -270,12 +266,12 @@ def save(
 
 
 def ring(*, arms: int, joints: int = 6, path: str = "nominal", dt: float = 1e-3) -> Scenario:
-    """Arms of 6 or 7 joints round a ring (:func:`coopqp.scenarios.ring`), or the first of them alone.
+    """Arms with 6 or 7 joints around a ring (:func:`coopqp.scenarios.ring`), or only the first of them.
 
     Args:
-        arms: how many, 1 to 64.
-        joints: of each arm: 6 (RX-90L) or 7 (arm7).
-        path: ``"nominal"``: 2 s within all limits; ``"zigzag"``: 0.6 m/s round corners, joints limited to 1 rad/s.
+        arms: number of arms, 1 to 64.
+        joints: number of joints of each arm: 6 (RX-90L) or 7 (arm7).
+        path: ``"nominal"``: 2 s within all limits; ``"zigzag"``: 0.6 m/s around corners, joints limited to 1 rad/s.
         dt: length of a step [s].
     """
     full = coopqp_ring(arms=max(arms, 2), robot="rx90l" if joints == 6 else "arm7", duration=2.0)

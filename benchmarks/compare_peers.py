@@ -2,6 +2,18 @@
 
 Every peer runs in a process and a virtual environment of its own, made here; the cell goes to it as a URDF or an MJCF.
 Cost is measured in interleaved rounds, behaviour on the paper's three arms. See benchmarks/README.md.
+
+What is timed is a period of a control loop. coopqp: ``step(reading)``, its status, and its next command as an array.
+Peers: the reading into their state where there is one, targets (ready made), kinematics, solve, integrate, and the next
+command as an array. Readings are made, and commands kept, outside the timed part. Records of cost have
+
+``case``, ``arms``, ``mode``, ``pacing``   see :mod:`peer_cases`; coopqp's modes are its kernels; "hot" or "1 kHz";
+``ratio``, ``ratio_numpy``          coopqp / this record, its fastest kernel and its plain one, where both do the case;
+``ratio_placo``, ``p99_ratio_placo``  coopqp's record / PlaCo's mode ``hard scaled`` in the same rounds, with the same
+                                    pacing: of ``measured`` in that case, of ``nominal`` in all others;
+``placo_p50_us``, ``placo_p99_us``    of that PlaCo in those rounds.
+
+Ratios are the median over the rounds of each round's ratio.
 """
 
 from __future__ import annotations
@@ -9,7 +21,7 @@ from __future__ import annotations
 import contextlib
 import tempfile
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +32,7 @@ import pinocchio as pin
 from common import Record
 from contestants import CACHE, PACES, PINS, Contestant, NotAvailable, hand_over, pinned, ratio
 
-from coopqp import available_kernels
+from coopqp import QPOptions, available_kernels
 from coopqp.model.cell import RobotCell
 from coopqp.simulation.metrics import tool_placements
 from coopqp.spatial import Array
@@ -34,9 +46,40 @@ QUICK_MODES = {
 }
 #: Keys of every record.
 KEYS = (
-    "peer", "version", "case", "arms", "mode", "pacing", "p50_us", "p99_us", "ratio", "ratio_numpy", "chain_mm",
-    "chain_end_mm", "path_mm", "path_deg", "failures", "steps", "finished", "rate_min", "limit_excess", "note",
+    "peer", "version", "case", "arms", "mode", "pacing", "p50_us", "p99_us", "ratio", "ratio_numpy", "ratio_placo",
+    "p99_ratio_placo", "placo_p50_us", "placo_p99_us", "chain_mm", "chain_end_mm", "path_mm", "path_deg", "failures",
+    "steps", "finished", "rate_min", "limit_excess", "note",
 )  # fmt: skip
+#: The peer and its mode that coopqp's records are compared with, and its case by coopqp's, where it is not "nominal".
+REFERENCE, REFERENCE_MODE, REFERENCE_CASES = "placo", "hard scaled", {"measured": "measured"}
+
+
+@dataclass(frozen=True)
+class Target:
+    """A figure of coopqp's records, and the most that it should be."""
+
+    case: str
+    pacing: str
+    key: str
+    most: float
+    mode: str = "compiled"
+    arms: int = 3
+
+
+TARGETS = (
+    Target("nominal", "hot", "ratio_placo", 0.20),
+    Target("nominal", "1 kHz", "ratio_placo", 0.40),
+    Target("measured", "hot", "ratio_placo", 0.30),
+    Target("measured", "1 kHz", "ratio_placo", 0.35),
+    Target("watched", "hot", "ratio_placo", 0.35),
+    Target("watched", "1 kHz", "ratio_placo", 0.40),
+    Target("qp", "hot", "ratio_placo", 0.45),
+    Target("qp", "1 kHz", "ratio_placo", 0.50),
+    Target("measured", "1 kHz", "p99_ratio_placo", 0.60),
+    Target("measured", "1 kHz", "ratio_placo", 0.15, arms=8),
+    Target("measured", "1 kHz", "ratio_placo", 0.07, arms=16),
+    Target("nominal", "hot", "p50_us", 120.0, mode="plain"),
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,7 +88,8 @@ class Plan:
 
     Attributes:
         arms: numbers of arms round the ring.
-        rounds: of each contestant, hot; half as many, at least two, at 1 kHz.
+        cases: of behaviour and of cost.
+        rounds: of each contestant, with each pacing.
         steps: of each round.
         round_s: a round ends after this time [s].
         behave_s: a run of behaviour ends after this time [s].
@@ -53,15 +97,16 @@ class Plan:
     """
 
     arms: tuple[int, ...] = (3, 8, 16, 32)
+    cases: tuple[str, ...] = (*peer_cases.BEHAVIOUR, *peer_cases.COST)
     rounds: int = 8
-    steps: int = 300
+    steps: int = 400
     round_s: float = 0.5
     behave_s: float = 10.0
     all_modes: bool = True
 
 
 FULL = Plan()
-QUICK = Plan(arms=(3, 8), rounds=4, steps=30, round_s=0.1, behave_s=0.3, all_modes=False)
+QUICK = Plan(arms=(3, 8), rounds=4, steps=50, round_s=0.1, behave_s=0.3, all_modes=False)
 
 
 # -- what a run was worth ----------------------------------------------------------------------------------------------
@@ -118,15 +163,53 @@ def _off_path(points: Array, rotations: Sequence[Array], poses: Sequence[pin.SE3
 # -- the run -----------------------------------------------------------------------------------------------------------
 
 
+@dataclass(eq=False)
+class Entry:
+    """One way of doing a case of cost, its times [µs] round by round, its failed steps and the first one's reason."""
+
+    contestant: Contestant
+    mode: str
+    rounds: list[list[float]] = field(default_factory=list)
+    failures: int = 0
+    note: str = ""
+
+    def clear(self) -> None:
+        """Forget the times."""
+        self.rounds, self.failures, self.note = [], 0, ""
+
+    def run(self, plan: Plan, period: float) -> None:
+        """One round more; ``period`` in s, 0 for hot."""
+        steps = plan.steps
+        try:
+            answer = self.contestant.ask(
+                do="time", mode=self.mode, steps=steps, period=period, budget=plan.round_s, timeout=120.0
+            )
+        except NotAvailable as error:
+            answer = {"us": [], "failures": steps, "note": str(error)}
+        self.rounds.append(answer["us"])
+        self.failures += answer["failures"]
+        self.note = self.note or answer["note"]
+
+    def percentiles(self) -> dict[str, float | None]:
+        """Over all rounds."""
+        return common.percentiles([x for times in self.rounds for x in times])
+
+
 @dataclass
 class Comparison:
-    """Contestants, and the records so far."""
+    """Contestants, and the records so far.
+
+    Attributes:
+        reference: the peer that coopqp's records are compared with, in a second process, where it does another case
+            than coopqp; None where it does not run.
+    """
 
     plan: Plan
     contestants: list[Contestant]
     folder: Path
     progress: common.Progress
     records: list[Record] = field(default_factory=list)
+    reference: Contestant | None = None
 
     def modes(self, contestant: Contestant) -> tuple[str, ...]:
         """Modes of a contestant that the plan runs."""
@@ -142,11 +225,18 @@ class Comparison:
         self.records.append(record)
         return record
 
+    def _file(self, case: peer_cases.Case) -> Path:
+        """The task's file, written when first asked for."""
+        folder = self.folder / f"{case.name}_{len(case.scenario.cell)}"
+        return folder / "task.json" if folder.exists() else hand_over(case, folder)
+
     def _load(self, case: peer_cases.Case) -> Iterator[Contestant]:
         """Contestants that have read the case; those that cannot are recorded."""
         arms = len(case.scenario.cell)
-        file = hand_over(case, self.folder / f"{case.name}_{arms}")
+        file = self._file(case)
         for contestant in self.contestants:
+            if contestant.name != "coopqp" and case.name in peer_cases.COST and case.name not in peer_cases.PEER_COST:
+                continue
             try:
                 contestant.load(file)
             except NotAvailable as error:
@@ -188,62 +278,61 @@ class Comparison:
         """One case of cost: first what the motion is worth, then its time in interleaved rounds."""
         case = peer_cases.build(name, arms)
         ready = list(self._load(case))
-        entries = [(contestant, mode) for contestant in ready for mode in self.modes(contestant)]
-        worth = {(c.name, mode): self._behave(c, case, mode) for c, mode in entries}
+        entries = [Entry(contestant, mode) for contestant in ready for mode in self.modes(contestant)]
+        own = [entry for entry in entries if entry.contestant.name == "coopqp"]
+        reference = self._reference(name, arms, entries)
+        worth = [self._behave(entry.contestant, case, entry.mode) for entry in entries]
+        running = entries if reference is None or reference in entries else [*entries, reference]
         for pacing, period in PACES.items():
-            rounds = max(2, self.plan.rounds // 2) if period else self.plan.rounds
             self.progress.label = f"{name}, {arms} arms, {pacing}"
             self.progress.show()
-            samples, failures, notes = self._rounds(entries, period, rounds)
-            # coopqp's first mode is its fastest kernel.
-            own = next((rows for (name, _), rows in samples.items() if name == "coopqp"), [])
-            own_numpy = samples.get(("coopqp", "numpy"), [])
-            for contestant, mode in entries:
-                key = (contestant.name, mode)
-                values = {k: v for k, v in worth[key].items() if not k.endswith("_us")}
-                values["failures"] = values["failures"] + failures[key]
-                values["note"] = values["note"] or notes[key]
-                values["steps"] = sum(len(r) for r in samples[key])
-                self.record(
-                    contestant, name, arms, mode=mode, pacing=pacing, **values,
-                    **common.percentiles([x for r in samples[key] for x in r]),
-                    ratio=ratio(own, samples[key]), ratio_numpy=ratio(own_numpy, samples[key]),
-                )  # fmt: skip
+            for entry in running:
+                entry.clear()
+            for number in range(self.plan.rounds):
+                for entry in reversed(running) if number % 2 else running:
+                    entry.run(self.plan, period)
+            for entry, found in zip(entries, worth, strict=True):
+                values = {k: v for k, v in found.items() if not k.endswith("_us")}
+                values["failures"] = values["failures"] + entry.failures
+                values["note"] = values["note"] or entry.note
+                values["steps"] = sum(len(times) for times in entry.rounds)
+                # coopqp's first mode is its fastest kernel, the last one its plain one.
+                values["ratio"], values["ratio_numpy"] = (
+                    ratio(own[k].rounds, entry.rounds) if own else None for k in (0, -1)
+                )
+                if entry in own and reference is not None:
+                    values["ratio_placo"] = ratio(entry.rounds, reference.rounds)
+                    values["p99_ratio_placo"] = ratio(entry.rounds, reference.rounds, share=99.0)
+                    values |= {f"placo_{key}": value for key, value in reference.percentiles().items()}
+                values |= entry.percentiles()
+                self.record(entry.contestant, name, arms, mode=entry.mode, pacing=pacing, **values)
             self.progress.advance()
 
-    def _rounds(
-        self, entries: Sequence[tuple[Contestant, str]], period: float, rounds: int
-    ) -> tuple[dict[tuple[str, str], list[list[float]]], dict[tuple[str, str], int], dict[tuple[str, str], str]]:
-        """Times [µs] of every round of every entry, in turn; failed steps; the first failure's reason."""
-        keys = [(contestant.name, mode) for contestant, mode in entries]
-        samples: dict[tuple[str, str], list[list[float]]] = {key: [] for key in keys}
-        failures, notes = dict.fromkeys(keys, 0), dict.fromkeys(keys, "")
-        plan = self.plan
-        for number in range(rounds):
-            for contestant, mode in reversed(entries) if number % 2 else entries:
-                key = (contestant.name, mode)
-                try:
-                    answer = contestant.ask(
-                        do="time", mode=mode, steps=plan.steps, period=period, budget=plan.round_s, timeout=120.0
-                    )
-                except NotAvailable as error:
-                    notes[key] = notes[key] or str(error)
-                    failures[key] += plan.steps
-                    samples[key].append([])
-                else:
-                    samples[key].append(answer["us"])
-                    failures[key] += answer["failures"]
-                    notes[key] = notes[key] or answer["note"]
-        return samples, failures, notes
+    def _reference(self, name: str, arms: int, entries: Sequence[Entry]) -> Entry | None:
+        """What coopqp's records of a case are compared with: one of the entries, or one that runs along."""
+        wanted = REFERENCE_CASES.get(name, "nominal")
+        if wanted == name:
+            key = (REFERENCE, REFERENCE_MODE)
+            return next((entry for entry in entries if (entry.contestant.name, entry.mode) == key), None)
+        if self.reference is None:
+            return None
+        try:
+            self.reference.load(self._file(peer_cases.build(wanted, arms)))
+        except NotAvailable:  # a record of its own case says why
+            return None
+        return Entry(self.reference, REFERENCE_MODE)
 
 
 def compare(peers: Sequence[str], plan: Plan, cache: Path, *, install: bool) -> list[Record]:
     """Run everything; peers that are not available are in the records, with a note."""
-    progress = common.Progress(len(peers) + len(peer_cases.BEHAVIOUR) + 2 * len(peer_cases.COST) * len(plan.arms))
+    behaviour = [case for case in peer_cases.BEHAVIOUR if case in plan.cases]
+    cost = [case for case in peer_cases.COST if case in plan.cases]
+    progress = common.Progress(len(peers) + len(behaviour) + len(PACES) * len(cost) * len(plan.arms))
     with tempfile.TemporaryDirectory(prefix="compare_peers_") as temporary, contextlib.ExitStack() as stack:
         folder = Path(temporary)
         missing: list[Record] = []
         contestants: list[Contestant] = []
+        reference: Contestant | None = None
         for name in ("coopqp", *peers):
             progress.label = f"installing {name}"
             progress.show()
@@ -253,13 +342,16 @@ def compare(peers: Sequence[str], plan: Plan, cache: Path, *, install: bool) -> 
                 missing.append({**dict.fromkeys(KEYS), "peer": name, "version": pinned(name), "note": str(error)})
             else:
                 stack.callback(contestants[-1].stop)
+                if name == REFERENCE and any(REFERENCE_CASES.get(case, "nominal") != case for case in cost):
+                    reference = Contestant.start(name, cache, install=False)
+                    stack.callback(reference.stop)
             if name != "coopqp":
                 progress.advance()
-        comparison = Comparison(plan, contestants, folder, progress, missing)
-        for case in peer_cases.BEHAVIOUR:
+        comparison = Comparison(plan, contestants, folder, progress, missing, reference)
+        for case in behaviour:
             comparison.behaviour(case)
         for arms in plan.arms:
-            for case in peer_cases.COST:
+            for case in cost:
                 comparison.cost(case, arms)
     progress.close()
     return comparison.records
@@ -277,28 +369,66 @@ def report(records: Sequence[Record]) -> str:
         "case", "peer", "mode", "failures", "steps", "chain_mm", "chain_end_mm", "path_mm", "path_deg", "finished",
         "rate_min", "limit_excess", "note",
     )  # fmt: skip
-    parts.append("## Behaviour: three arms, joints limited to 1 rad/s\n\n" + common.markdown_table(behaviour, columns))
-    timing = ("peer", "mode", "p50_us", "p99_us", "ratio", "ratio_numpy", "failures", "chain_mm", "path_mm")
+    if behaviour:
+        title = "## Behaviour: three arms, joints limited to 1 rad/s"
+        parts.append(f"{title}\n\n" + common.markdown_table(behaviour, columns))
+    timing = (
+        "peer", "mode", "p50_us", "p99_us", "ratio", "ratio_numpy", "ratio_placo", "p99_ratio_placo", "failures",
+        "chain_mm", "path_mm",
+    )  # fmt: skip
     for case in peer_cases.COST:
         for arms in sorted({r["arms"] for r in records if r["case"] == case and r["mode"]}):
             for pacing in PACES:
                 rows = [r for r in records if (r["case"], r["pacing"], r["arms"]) == (case, pacing, arms)]
                 title = f"## Cost of one step: {case}, {arms} arms, {pacing} (ratio: coopqp / peer)"
                 parts.append(f"{title}\n\n" + common.markdown_table(rows, timing))
+    if any(r["case"] in peer_cases.COST for r in records):
+        parts.append(against_placo(records))
     if missing:
         parts.append("## Not run\n\n" + common.markdown_table(missing, ("peer", "version", "case", "arms", "note")))
     return "\n\n".join(parts) + "\n"
 
 
+def against_placo(records: Sequence[Record]) -> str:
+    """coopqp ÷ PlaCo as a table, its fastest kernel and whatever has a target; targets stand beside the figures."""
+    targets = {(t.case, t.arms, t.mode, t.pacing, t.key): t.most for t in TARGETS}
+    figures = ("ratio_placo", "p99_ratio_placo", "p50_us")
+    rows: list[Record] = []
+    for r in records:
+        if r["peer"] != "coopqp" or r["pacing"] is None:
+            continue
+        place = (r["case"], r["arms"], r["mode"], r["pacing"])
+        if r["mode"] != available_kernels()[0] and not any((*place, key) in targets for key in figures):
+            continue
+        row = {**r, "placo_case": REFERENCE_CASES.get(r["case"], "nominal")}
+        for key in figures:
+            row[key] = _beside(r[key], targets.get((*place, key)))
+        rows.append(row)
+    if not rows:
+        return "## coopqp ÷ PlaCo\n\ncoopqp has no cost."
+    columns = ("case", "arms", "mode", "pacing", *figures, "placo_p50_us", "placo_case", "steps", "failures")
+    note = "In brackets: the most that is wanted. `placo_p50_us` is PlaCo (hard, scaled) in the same rounds."
+    return f"## coopqp ÷ PlaCo\n\n{note}\n\n{common.markdown_table(rows, columns)}"
+
+
+def _beside(found: float | None, most: float | None) -> str | None:
+    """A figure with its target."""
+    if found is None or most is None:
+        return None if found is None else common.cell_text(found)
+    return f"{common.cell_text(found)} (≤ {most:g}: {'met' if found <= most else 'missed'})"
+
+
 def plot(records: Sequence[Record]) -> dict[str, bytes]:
     """Cost against the number of arms, as PNG; nothing without Matplotlib."""
-    shown = {"coopqp": (*available_kernels(), "always a QP"), **QUICK_MODES}
-    rows = [r for r in records if r["case"] == "nominal" and r["pacing"] == "hot" and r["p50_us"]]
-    rows = [r for r in rows if r["mode"] in shown[r["peer"]]]
-    curves = {
-        f"{peer} ({mode})": [(r["arms"], r["p50_us"]) for r in rows if (r["peer"], r["mode"]) == (peer, mode)]
-        for peer, mode in dict.fromkeys((r["peer"], r["mode"]) for r in rows)
-    }
+    shown = {"coopqp": available_kernels(), **QUICK_MODES}
+    names = {"nominal": "", "qp": ", a QP every step"}
+    curves: dict[str, list[tuple[float, float]]] = {}
+    for r in records:
+        if r["case"] in names and r["pacing"] == "hot" and r["p50_us"] and r["mode"] in shown[r["peer"]]:
+            label = f"{r['peer']} ({r['mode']}){names[r['case']]}"
+            curves.setdefault(label, []).append((r["arms"], r["p50_us"]))
+    if not curves:
+        return {}
     return common.log_log_plot("peers.png", curves, x="arms", y="one step, hot, nominal: median [µs]")
 
 
@@ -306,14 +436,18 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Command line."""
     parser = common.arguments(__doc__.partition("\n")[0] if __doc__ else "")
     parser.add_argument("--peers", nargs="*", choices=tuple(PINS), default=tuple(PINS), help="which peers (all)")
+    parser.add_argument("--cases", nargs="+", choices=FULL.cases, help="which cases (all)")
+    parser.add_argument("--arms", nargs="+", type=int, metavar="N", help="how many arms in the cases of cost")
     parser.add_argument("--no-install", action="store_true", help="only peers that are installed already")
     parser.add_argument("--cache", type=Path, default=CACHE, help="folder of the peers' environments")
     args = parser.parse_args(argv)
     plan = QUICK if args.quick else FULL
+    plan = replace(plan, cases=tuple(args.cases or plan.cases), arms=tuple(args.arms or plan.arms))
     settings = {
         "times": "CPU time of the process",
         "dt of cost cases": "1 ms",
-        "coopqp solver": "daqp",
+        "readings": f"one sample late, ±{peer_cases.NOISE:g} rad",
+        "coopqp solver": QPOptions().solver,
         "rounds": plan.rounds,
         "steps a round": plan.steps,
     }

@@ -1,7 +1,7 @@
-"""Every installed QP solver on QPs recorded from closed loops: kept and rebuilt, warm and cold, both forms of the QP.
+"""Every installed QP solver on recorded QPs: persistent and rebuilt, warm and cold, in both forms of the QP.
 
-Time is that of ``solve``, with the tests of the data before and of the answer after: CPU time of the thread, so that
-other processes do not count. See benchmarks/README.md.
+The time of ``solve`` includes the checks before and after it. It is CPU time of the thread, without other processes.
+See benchmarks/README.md.
 """
 
 from __future__ import annotations
@@ -20,11 +20,7 @@ from backend_alone import backend_alone
 from common import Record
 from recorded_qps import FORMS, Recorded, RecordedQp, export, record
 
-from coopqp.control.solvers import QpSolver, available_solvers, make_solver
-from coopqp.control.solvers.generic import GenericSettings
-from coopqp.control.solvers.osqp import OsqpSettings
-from coopqp.control.solvers.proxqp import ProxqpSettings
-from coopqp.spatial import Array
+from coopqp import Array, GenericSettings, OsqpSettings, ProxqpSettings, QpSolver, available_solvers, make_solver
 
 KEYS = (
     "solver",
@@ -39,7 +35,7 @@ KEYS = (
     "failures",
     "error_rad_s",
     "chain_mm",
-    # beyond the contract
+    # additional keys
     "start",
     "polish",
     "solves",
@@ -47,17 +43,17 @@ KEYS = (
     "without_answer",
     "message",
 )
-#: Backends that can be kept; those whose raw answers are approximate, which are run with and without polishing.
+#: Persistent backends; backends with approximate solutions, which run with and without polishing.
 KEPT, APPROXIMATE = ("daqp", "proxqp", "osqp"), ("proxqp", "osqp")
-#: Backends whose answers are exact up to rounding: the best of theirs is what all are compared with.
+#: Backends with solutions that are exact up to rounding. Their best solution is the reference.
 ACTIVE_SET = ("daqp", "qpsolvers:daqp", "quadprog")
-#: Raw answers are taken as they come: they are not solved again for accuracy.
+#: Accuracy and feasibility of raw solutions, so loose that they are not solved again.
 _RAW_ACCURACY, _RAW_FEASIBILITY = 1e-3, 1e-5
 
 
 @dataclass(frozen=True, kw_only=True)
 class Plan:
-    """Recordings as (case, arms, QPs), and rounds; a round ends after ``round_s`` seconds."""
+    """Recordings as (case, arms, number of QPs), and rounds of at most ``round_s`` seconds."""
 
     recordings: tuple[tuple[str, int, int], ...]
     rounds: int
@@ -86,7 +82,7 @@ QUICK = Plan(
 
 @dataclass(frozen=True, kw_only=True)
 class Way:
-    """One way of solving."""
+    """One way to solve: a solver with its settings and its start."""
 
     solver: str
     mode: str
@@ -108,10 +104,10 @@ class Way:
 
 
 def ways() -> list[Way]:
-    """Kept solvers warm and from scratch, and all backends built anew by qpsolvers."""
+    """Persistent solvers warm and from scratch, and all backends rebuilt by qpsolvers."""
     found = []
     for solver in available_solvers():
-        # What an active-set method returns is exact; rebuilt, the tests after the solve may still polish it.
+        # Active-set methods are exact. The checks after a rebuilt solve may still polish the solution.
         polishes = (True, False) if solver in APPROXIMATE else (True,)
         for polish in polishes:
             if solver in KEPT:
@@ -121,7 +117,7 @@ def ways() -> list[Way]:
 
 
 class Run:
-    """One way of solving, on one recording."""
+    """One way to solve, on one recording."""
 
     def __init__(self, way: Way, qps: Sequence[RecordedQp], best: Sequence[Array | None], round_s: float) -> None:
         self.way, self._qps, self._best, self._round_s = way, qps, best, round_s
@@ -131,7 +127,7 @@ class Run:
         self.message = ""
 
     def round(self) -> Iterable[float]:
-        """Solve successive QPs until the time is up; yields times [µs]."""
+        """Solve successive QPs until the end of the round; yields times [µs]."""
         solver, warm = self._solver, self.way.start == "warm"
         samples = []
         ends = time.perf_counter() + self._round_s
@@ -141,7 +137,7 @@ class Run:
             if i == 0 or not warm:
                 solver.reset()
             if i == 0 and warm:
-                solver.solve(self._qps[-1 if len(self._qps) == 1 else 1].problem)  # the first of a run is a cold one
+                solver.solve(self._qps[-1 if len(self._qps) == 1 else 1].problem)  # the first solve is cold
             qp = self._qps[i]
             began = time.thread_time_ns()
             solution = solver.solve(qp.problem)
@@ -164,7 +160,7 @@ class Run:
 
 
 def best_answers(recorded: Recorded) -> list[Array | None]:
-    """Velocities (nv,) of the active-set solution with the smallest KKT residual; None where there is no solution."""
+    """Velocities (nv,) of the active-set solution with the smallest KKT residual; None without a solution."""
     names = [name for name in ACTIVE_SET if name.removeprefix("qpsolvers:") in available_solvers()]
     answers: list[Array | None] = []
     for qp in recorded.qps:
@@ -183,7 +179,7 @@ def best_answers(recorded: Recorded) -> list[Array | None]:
 
 
 def compare(plan: Plan) -> tuple[list[Record], list[Recorded], list[Record]]:
-    """Solve everything. Returns records, recordings, and how far the two forms' answers are apart."""
+    """Solve everything. Returns records, recordings, and the differences between the solutions of both forms."""
     each = ways()
     progress = common.Progress(len(plan.recordings) * (1 + len(FORMS) * len(each) * plan.rounds))
     records: list[Record] = []
@@ -236,7 +232,7 @@ def _record(run: Run, one: Recorded, samples: Array, missing: int) -> Record:
 
 
 def kept_ratios(records: Sequence[Record]) -> list[Record]:
-    """Median of kept and warm over median of rebuilt, of the same recording, with the same polishing."""
+    """Ratio of the medians persistent and warm / rebuilt, for the same recording and the same polishing."""
     times = {(r["solver"], r["polish"], r["case"], r["arms"], r["form"], r["mode"], r["start"]): r for r in records}
     found = []
     for (solver, polish, case, arms, form, mode, start), r in times.items():

@@ -1,4 +1,4 @@
-"""Contestants: coopqp and its peers, each in a process of its own, the peers in environments made for them."""
+"""Contestants: coopqp and its peers, each in a separate process, the peers in separate environments."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ import peer_cases
 HERE = Path(__file__).resolve().parent
 #: Default folder of the peers' environments.
 CACHE = HERE.parent / ".venv-peers"
-#: What is installed for each peer, in an environment of its own.
+#: Packages of each peer, installed in a separate environment.
 PINS: dict[str, tuple[str, ...]] = {
     "pink": (
         "pin-pink==4.4.0",
@@ -39,9 +39,9 @@ PINS: dict[str, tuple[str, ...]] = {
     "oink": ("roboplan-oink==0.7.0",),
 }
 PIP_INSTALL = ("-m", "pip", "install", "--quiet", "--disable-pip-version-check", "--only-binary", ":all:")
-#: Periods of the steps [s]: one after the other, or one a millisecond with caches that others have used.
+#: Periods of the steps [s]: without a pause, or one step per millisecond with caches used by other processes.
 PACES = {"hot": 0.0, "1 kHz": 1e-3}
-#: Largest difference between a peer's kinematics and coopqp's that is accepted [m, or of a rotation's entries].
+#: Largest accepted difference between the kinematics of a peer and coopqp [m, or entries of a rotation].
 KINEMATICS_TOLERANCE = 1e-9
 
 
@@ -49,14 +49,14 @@ KINEMATICS_TOLERANCE = 1e-9
 
 
 class NotAvailable(Exception):  # noqa: N818  # an outcome to report, not a fault
-    """A peer that cannot be run, and why."""
+    """A peer cannot run; the message gives the reason."""
 
 
 def environment(peer: str, cache: Path, *, install: bool) -> Path:
-    """The Python of the peer's environment, which is made if need be.
+    """Path of Python in the peer's environment, which is created if needed and allowed.
 
     Raises:
-        NotAvailable: it is not there and may not be made, or cannot be.
+        NotAvailable: the environment is missing and must not or cannot be created.
     """
     folder, pins = cache / peer, "\n".join(PINS[peer])
     python = folder / ("Scripts/python.exe" if os.name == "nt" else "bin/python")
@@ -82,13 +82,13 @@ def environment(peer: str, cache: Path, *, install: bool) -> Path:
 
 
 class Contestant:
-    """A runner in its process.
+    """A contestant in its process.
 
     Attributes:
-        name: of the peer.
-        version: of its package.
-        modes: ways of doing a task that it offers.
-        note: why it takes no further part, or empty.
+        name: name of the peer.
+        version: version of its package.
+        modes: available modes of a task.
+        note: reason for leaving the benchmark, or empty.
     """
 
     def __init__(self, name: str, python: Path) -> None:
@@ -107,18 +107,18 @@ class Contestant:
 
     @staticmethod
     def start(name: str, cache: Path, *, install: bool) -> Contestant:
-        """Start coopqp, or a peer in its environment, which is made if need be and allowed.
+        """Start coopqp, or a peer in its environment, which is created if needed and allowed.
 
         Raises:
-            NotAvailable: it cannot be run, and why.
+            NotAvailable: the peer cannot run.
         """
         return Contestant(name, Path(sys.executable) if name == "coopqp" else environment(name, cache, install=install))
 
     def load(self, file: Path) -> None:
-        """Read a task, and forget the one before.
+        """Load a task in place of the last one.
 
         Raises:
-            NotAvailable: it cannot, or its kinematics are not coopqp's.
+            NotAvailable: the peer cannot load it, or its kinematics differ from coopqp's.
         """
         error = self.ask(do="load", file=str(file), timeout=600.0)["kinematics_error"]
         if not error <= KINEMATICS_TOLERANCE:
@@ -128,12 +128,12 @@ class Contestant:
         """Send a command and return the answer.
 
         Raises:
-            NotAvailable: no answer in time (solvers can hang), a dead process, or an answer that is an error.
+            NotAvailable: no answer in time (solvers can hang), an ended process, or an error as the answer.
         """
         if self.note:
             raise NotAvailable(self.note)
         assert self._process.stdin is not None
-        with contextlib.suppress(BrokenPipeError):  # _answer says why
+        with contextlib.suppress(BrokenPipeError):  # _answer reports the reason
             self._process.stdin.write(json.dumps(command).encode() + b"\n")
             self._process.stdin.flush()
         answer = self._answer(timeout)
@@ -169,11 +169,11 @@ class Contestant:
         self._log.close()
 
 
-# -- the task, handed over ---------------------------------------------------------------------------------------------
+# -- files of the task -------------------------------------------------------------------------------------------------
 
 
 def hand_over(case: peer_cases.Case, folder: Path) -> Path:
-    """Write the cell and the task for the peers; returns the task's file."""
+    """Write the cell and the task for the peers. Returns the task's file."""
     folder.mkdir(parents=True)
     s = case.scenario
     (folder / "cell.urdf").write_text(export_cell.urdf(s.cell))
@@ -192,6 +192,7 @@ def hand_over(case: peer_cases.Case, folder: Path) -> Path:
         "q_start": s.q_start.tolist(),
         "speed": s.cell.limits.velocity.tolist(),
         "dt": s.dt,
+        "noise": case.noise,
         "grasp": [X.homogeneous.tolist() for X in s.grasp.T_object_tool],
         "poses": [s.path.pose((i + 1) * s.dt).homogeneous.tolist() for i in range(steps)],
         "kinematics": [
@@ -204,12 +205,12 @@ def hand_over(case: peer_cases.Case, folder: Path) -> Path:
     return file
 
 
-def ratio(own: Sequence[Sequence[float]], other: Sequence[Sequence[float]]) -> float | None:
-    """Time of ``own`` over that of ``other``: the median over the rounds of the ratio of their medians."""
+def ratio(own: Sequence[Sequence[float]], other: Sequence[Sequence[float]], *, share: float = 50.0) -> float | None:
+    """Time of ``own`` over that of ``other``: the median over the rounds of the ratio of this percentile of theirs."""
     pairs = [(a, b) for a, b in zip(own, other, strict=False) if len(a) and len(b)]
-    return float(np.median([np.median(a) / np.median(b) for a, b in pairs])) if pairs else None
+    return float(np.median([np.percentile(a, share) / np.percentile(b, share) for a, b in pairs])) if pairs else None
 
 
 def pinned(peer: str) -> str:
-    """The version of a peer that is pinned; empty for coopqp."""
+    """The pinned version of a peer; empty for coopqp."""
     return PINS[peer][0].partition("==")[2] if peer in PINS else ""

@@ -1,7 +1,7 @@
-"""A cell as one URDF and one MJCF, all arms under a common world link, straight from its Pinocchio model.
+"""Export of a cell as one URDF and one MJCF, with all arms under a common world link, from its Pinocchio model.
 
-Joints are named ``a00_j0``, ``a00_j1`` … in the order of the cell's velocity coordinates, tools ``a00_tool`` …, so that
-parsers that sort by name keep the order. No geometry; every link has the same token mass.
+Joints have the names ``a00_j0``, ``a00_j1`` … in the order of the cell's velocity coordinates, tools ``a00_tool`` …:
+parsers that sort by name keep the order. There is no geometry; every link has the same token mass.
 """
 
 from __future__ import annotations
@@ -13,8 +13,7 @@ from xml.etree.ElementTree import Element, SubElement, indent, tostring
 import numpy as np
 import pinocchio as pin
 
-from coopqp.model.cell import RobotCell
-from coopqp.spatial import Array
+from coopqp import Array, RobotCell
 
 _TOKEN_INERTIA = {"ixx": "0.01", "iyy": "0.01", "izz": "0.01", "ixy": "0", "ixz": "0", "iyz": "0"}
 
@@ -23,7 +22,7 @@ _TOKEN_INERTIA = {"ixx": "0.01", "iyy": "0.01", "izz": "0.01", "ixy": "0", "ixz"
 class _Joint:
     name: str
     parent: int  #: index of the parent joint, -1 for the world
-    placement: pin.SE3  #: in the parent joint's frame
+    placement: pin.SE3  #: placement in the parent joint's frame
     axis: Array
     prismatic: bool
     lower: float
@@ -38,7 +37,7 @@ def names(cell: RobotCell) -> tuple[list[str], list[str]]:
 
 
 def tools_at(cell: RobotCell, q: Array) -> list[pin.SE3]:
-    """Placement of each tool in the world: arm by arm from the arms' own models, which need little memory."""
+    """Placement of each tool in the world, from the arms' own models, which need little memory."""
     placements = []
     for arm, span in zip(cell.arms, cell.q_slices, strict=True):
         data = arm.model.createData()
@@ -51,7 +50,7 @@ def _joints(cell: RobotCell) -> list[_Joint]:
     if cell.continuous.any():
         raise ValueError("continuous joints are not exported")
     model, limits = cell.model, cell.limits
-    # An arm's own small model knows the axes; the cell's data would be large.
+    # The small model of an arm gives the axes; the data of the cell would be large.
     axes: list[Array] = []
     for arm in cell.arms:
         data = arm.model.createData()
@@ -114,10 +113,10 @@ def urdf(cell: RobotCell) -> str:
 
 
 def mjcf(cell: RobotCell) -> str:
-    """The same for MuJoCo: tools are sites."""
+    """One robot with all arms for MuJoCo; tools are sites."""
     root = Element("mujoco", model="cell")
     SubElement(root, "compiler", angle="radian", autolimits="true")
-    world = SubElement(SubElement(root, "worldbody"), "body", name="world_link")  # some parsers want one root body
+    world = SubElement(SubElement(root, "worldbody"), "body", name="world_link")  # some parsers need one root body
     joints = _joints(cell)
     bodies: list[Element] = []
 

@@ -1,12 +1,12 @@
-"""The paper's lift in a physics engine, in newtons: what ε_p costs, and what a real cell does to it.
+"""The paper's lift in a physics engine, in newtons: the forces due to ε_p and to the errors of a real cell.
 
-Every force is that of a weld between tool and plate, at the stated servo stiffness, to which it is proportional.
-ΔF is the force at a grasp minus that of a reference run with exact inverse kinematics at every step of the engine,
-largest over grasps and time. Three groups of records (key ``group``):
+All forces act in welds between tool and plate. They are proportional to the stated servo stiffness. ΔF is the force at
+a grasp minus the force in a reference run with exact inverse kinematics at every step of the engine; records contain
+its maximum over grasps and time. There are three groups of records (key ``group``):
 
-``replay``  commands of both controllers for N steps, played by a quintic time warp of the same q(τ);
-``loop``    the same ``simulate`` with the engine as the plant, closed on the measured state;
-``real``    the loop with what is not ideal, for 12 s: a lift of 3 s, then holding.
+``replay``  commands of both controllers for N steps, replayed with a quintic time warp of the same q(τ);
+``loop``    ``simulate`` with the engine as the plant and feedback of the measured state;
+``real``    the loop with disturbances for 12 s: a lift of 3 s, then a hold.
 """
 
 from __future__ import annotations
@@ -23,34 +23,43 @@ import common  # first: it limits BLAS to one thread
 import numpy as np
 import pinocchio as pin
 
-from coopqp.control.command import Controller, ControlStep, Status
-from coopqp.control.options import QPOptions
-from coopqp.control.pseudo_inverse import PseudoInverseController, PseudoInverseOptions
-from coopqp.control.qp import QPController
-from coopqp.control.supervision import SupervisionOptions
-from coopqp.forces.stress import StressModel, at_tools
-from coopqp.model.grasp import Grasp
+from coopqp import (
+    Array,
+    Controller,
+    ControlStep,
+    Disturbances,
+    Grasp,
+    PhysicsOptions,
+    PhysicsPlant,
+    PseudoInverseController,
+    PseudoInverseOptions,
+    QPController,
+    QPOptions,
+    Recording,
+    Status,
+    StressModel,
+    SupervisionOptions,
+    TimeLaw,
+    at_tools,
+    misplaced,
+    relative_positioning_error,
+    simulate,
+    tool_placements,
+)
 from coopqp.scenarios import Scenario, paper_lift
-from coopqp.simulation import metrics
-from coopqp.simulation.plants.disturbances import Disturbances, misplaced
-from coopqp.simulation.plants.physics import PhysicsOptions, PhysicsPlant
-from coopqp.simulation.plants.physics_options import Interpolation
-from coopqp.simulation.plants.replay import Motion, Replay, exact_motion, recorded_motion
-from coopqp.simulation.simulate import Recording, simulate
-from coopqp.spatial import Array
-from coopqp.task.path import TimeLaw
+from coopqp.simulation import Interpolation, Motion, Replay, exact_motion, recorded_motion
 
 PSEUDO_INVERSE, QP = "pseudo-inverse", "qp"
 ENGINE_STEP = 1e-3
-#: How long the loop goes on after the lift [s].
+#: Time that the loop continues after the lift [s].
 HOLD = 9.0
 #: Errors of 1 mm and 0.1°, and of 2 mm, along and about the same diagonal.
 DIAGONAL = np.ones(3) / np.sqrt(3.0)
 BASE_OFF = pin.SE3(pin.exp3(np.deg2rad(0.1) * DIAGONAL), 1e-3 * DIAGONAL)
 GRIP_OFF = pin.SE3(np.eye(3), 2e-3 * DIAGONAL)
-#: Force by servo deflection at which a robot could raise an alarm [N]; inertia alone reads 23 N in this lift.
+#: Force from servo deflection at which a robot could raise an alarm [N]; in this lift inertia alone gives 23 N.
 ALARM = 300.0
-#: Supervision that takes a measured spread of millimetres for what it is here: a cell that is not where it should be.
+#: Supervision that tolerates a measured spread of millimetres, here due to displaced bases and grips.
 TOLERANT = SupervisionOptions(slow_from=0.005, hold_from=0.01)
 
 
@@ -59,15 +68,15 @@ class Run:
     """One run in the engine.
 
     Attributes:
-        wrenches: on the object at each step, (T, N, 6), in the object frame.
-        recording: of the loop.
+        wrenches: wrenches on the object at each step in the object frame (T, N, 6) [N, N·m].
+        recording: recording of the loop.
     """
 
     wrenches: Array
     recording: Recording
 
     def added(self, reference: Run) -> Array:
-        """Wrenches at the grasps beyond the reference's, (T, N, 6), in the tools' axes."""
+        """Wrenches at the grasps minus the reference's (T, N, 6), in the tools' axes."""
         n = min(len(self.wrenches), len(reference.wrenches))
         grasp = self.recording.grasp
         return np.array([at_tools(w, grasp) for w in self.wrenches[:n] - reference.wrenches[:n]])
@@ -89,12 +98,12 @@ def watch(controller: Controller, plant: PhysicsPlant, scenario: Scenario, *, se
 
 
 def force(added: Array) -> Array:
-    """Largest force at any grasp, (T,) [N]."""
+    """Largest force at any grasp (T,) [N]."""
     return np.asarray(np.linalg.norm(added[:, :, :3], axis=2).max(axis=1))
 
 
 def controller(kind: str, scenario: Scenario, *, dt: float, grasp: Grasp | None = None, **options: Any) -> Controller:
-    """The controller of that name for a scenario."""
+    """Build a controller by name for a scenario."""
     held = scenario.grasp if grasp is None else grasp
     if kind == QP:
         return QPController(scenario.cell, held, scenario.path, dt=dt, options=QPOptions(**options))
@@ -105,7 +114,7 @@ def controller(kind: str, scenario: Scenario, *, dt: float, grasp: Grasp | None 
 
 
 class Replays:
-    """Joint motions of the lift, played by a quintic time warp, one command per step of the engine."""
+    """Joint motions of the lift, replayed with a quintic time warp, one command per step of the engine."""
 
     def __init__(self, scenario: Scenario, interpolation: Interpolation) -> None:
         self.scenario, self.interpolation = scenario, interpolation
@@ -114,7 +123,7 @@ class Replays:
         self.reference = self.play(exact_motion(s.cell, s.grasp, s.path, s.q_start))
 
     def play(self, motion: Motion) -> Run:
-        """One run."""
+        """Replay one motion."""
         s = self.scenario
         replay = Replay(s.cell, s.grasp, s.path, motion, dt=ENGINE_STEP, time_law=TimeLaw.QUINTIC)
         return watch(replay, self.plant, s)
@@ -128,9 +137,7 @@ class Replays:
         added = run.added(self.reference)
         total, pressed = force(added), added[::every]
         q = run.recording.q_command[1::every]
-        measure = np.array(
-            [1e3 * metrics.relative_positioning_error(T, s.grasp) for T in metrics.tool_placements(s.cell, q)]
-        )
+        measure = np.array([1e3 * relative_positioning_error(T, s.grasp) for T in tool_placements(s.cell, q)])
         model = StressModel(s.cell, s.grasp, stiffness=self.plant.stiffness)
         estimate = np.array([at_tools(w, s.grasp) for w in model.history(q)])
         error = force(estimate - pressed)
@@ -148,7 +155,7 @@ class Replays:
             "eps_p_mm": float(measure.max()),
             "delta_force_N": float(total.max()),
             "delta_torque_Nm": float(np.linalg.norm(added[:, :, 3:], axis=2).max()),
-            # Only within a baseline's run is force proportional to ε_p; elsewhere it is inertia that is left.
+            # Only in runs of the baseline is the force proportional to ε_p; in others only inertia remains.
             "force_per_mm": float(total[-1] / measure[-1]) if baseline else None,
             "correlation": float(np.corrcoef(total[::every], measure)[0, 1]) if baseline else None,
             "estimate_error": float(error.max() / total.max()) if baseline else None,
@@ -164,16 +171,16 @@ class Replays:
 
 @dataclass(frozen=True)
 class Case:
-    """What is not ideal.
+    """A disturbance.
 
     Attributes:
-        name: of the case.
-        base, grip: by arm, how far its base or its grip is off.
+        name: name of the case.
+        base, grip: placement errors of the bases and the grips, by arm.
         other: further disturbances.
-        latched: the grasp is latched from the measured configuration before the start; None: nothing to latch.
-        options: of the controller, other than the defaults.
-        tolerant: supervised with :data:`TOLERANT` thresholds instead of the defaults.
-        watched: the controller knows the servos' stiffness, and holds at its default force limit.
+        latched: True if the grasp is latched from the measured configuration before the start; None if not relevant.
+        options: options of the controller besides the defaults.
+        tolerant: use the thresholds :data:`TOLERANT` in place of the defaults.
+        watched: the controller knows the servos' stiffness and holds at its default force limit.
     """
 
     name: str
@@ -187,7 +194,7 @@ class Case:
 
 
 def geometry_cases(arm: str, name: str = "", offsets: dict[str, pin.SE3] | None = None) -> Iterator[Case]:
-    """One arm's base, or grip, off; latched and not."""
+    """Cases with an error of one arm's base or grip, with and without latching."""
     for latched in (True, False):
         for what, off in (offsets or {"base 1 mm + 0.1°": BASE_OFF, "grip 2 mm": GRIP_OFF}).items():
             base, grip = ({arm: off}, {}) if what.startswith("base") else ({}, {arm: off})
@@ -195,7 +202,7 @@ def geometry_cases(arm: str, name: str = "", offsets: dict[str, pin.SE3] | None 
 
 
 def direction_cases() -> Iterator[Case]:
-    """A base off in one direction at a time, for the range of forces."""
+    """Cases with a base error in one direction each, for the range of forces."""
     for arm in ("master", "slave_1", "slave_2"):
         offsets = {}
         for i, axis in enumerate("xyz"):
@@ -207,7 +214,7 @@ def direction_cases() -> Iterator[Case]:
 
 
 def signal_cases() -> Iterator[Case]:
-    """Encoders, timing and servos; the default supervision."""
+    """Cases with disturbed encoders, timing and servos, under the default supervision."""
     yield Case("none", {}, {}, {})
     for noise in (1e-4, 1e-3):
         yield Case(f"encoder noise {noise:g} rad", {}, {}, {"encoder_noise": noise})
@@ -223,7 +230,7 @@ def signal_cases() -> Iterator[Case]:
 
 
 class Jittered:
-    """A controller whose periods vary as the plant says."""
+    """A controller with the varying periods of the plant."""
 
     def __init__(self, inner: Controller, plant: PhysicsPlant) -> None:
         self.cell, self.grasp, self.path, self.dt = inner.cell, inner.grasp, inner.path, inner.dt
@@ -237,7 +244,7 @@ class Jittered:
 
 
 class Loop:
-    """The lift by a quintic law, closed on what the engine's encoders measure."""
+    """The quintic lift with feedback from the engine's encoders."""
 
     def __init__(self, scenario: Scenario, *, dt: float, hold: float) -> None:
         self.scenario, self.dt, self.hold = scenario, dt, hold
@@ -246,7 +253,7 @@ class Loop:
         self.reference = watch(exact, PhysicsPlant.of(s), s, settle=hold)
 
     def nominal(self, kind: str) -> common.Record:
-        """One controller, nothing wrong."""
+        """One controller without disturbances."""
         run = watch(controller(kind, self.scenario, dt=self.dt), PhysicsPlant.of(self.scenario), self.scenario)
         return {
             "group": "loop",
@@ -258,7 +265,7 @@ class Loop:
         }
 
     def case(self, case: Case) -> tuple[common.Record, Array]:
-        """The QP controller under one disturbance, and its force over time (T, 2) [s, N]."""
+        """The record of the QP controller under one disturbance, and its force over time (T, 2) [s, N]."""
         s = self.scenario
         disturbances = Disturbances(**case.other, base_offset=case.base)
         plant = PhysicsPlant.of(s, real_grasp=misplaced(s.cell, s.grasp, case.grip), disturbances=disturbances)
@@ -289,7 +296,7 @@ class Loop:
             "force_N": float(pressed.max()),
             "force_after_lift_N": float(after),
             "force_last_second_N": float(last),
-            # Winding up would show while nothing moves any more; a newton is left to noise.
+            # Wind-up would show during the hold; one newton is allowed for noise.
             "grows": bool(last > 1.01 * after + 1.0),
             "servo_reading_N": float(felt[:, 1].max()),
             "alarm_s": float(alarm[0, 0]) if len(alarm) else None,
@@ -301,7 +308,7 @@ class Loop:
         return record, np.column_stack([at, pressed])
 
     def _servo_reading(self, recording: Recording) -> Array:
-        """Largest force at a grasp by the servos' deflection, every 10 ms: rows (time [s], force [N])."""
+        """Largest force at a grasp from servo deflection, every 10 ms: rows (time [s], force [N])."""
         s = self.scenario
         model = StressModel(s.cell, s.grasp, stiffness=PhysicsOptions().servos(s.cell).stiffness)
         every = max(1, round(0.01 / self.dt))
@@ -310,7 +317,7 @@ class Loop:
         return np.column_stack([recording.time[list(rows)], np.max(size, axis=1)])
 
     def _pressed(self, run: Run, *, by_clock: bool) -> Array:
-        """ΔF over time; against the reference at the same clock where the steps are not the same or it was slowed."""
+        """ΔF over time. With ``by_clock`` the reference is taken at the same clock, for other steps or a slowed run."""
         reference = self.reference.recording.clock[1:]
         clock = run.recording.clock[1:]
         n = min(len(clock), len(reference))
@@ -324,7 +331,7 @@ class Loop:
 
 
 def figures(curves: dict[str, dict[str, Array]], real: dict[str, Array]) -> dict[str, bytes]:
-    """Force against ε_p, and force over time, as PNG; nothing without Matplotlib."""
+    """PNG of force over ε_p and of force over time; empty without Matplotlib."""
     try:
         from matplotlib.figure import Figure
     except ImportError:
@@ -368,12 +375,12 @@ def figures(curves: dict[str, dict[str, Array]], real: dict[str, Array]) -> dict
 # -- the run -----------------------------------------------------------------------------------------------------------
 
 
-#: Parts of the run; "directions" is of the group "real" and not in quick runs.
+#: Parts of the run. "directions" belongs to the group "real" and is not in quick runs.
 PARTS = ("replays", "loop", "real", "directions")
 
 
 def run(*, quick: bool, parts: Sequence[str] = PARTS) -> tuple[list[common.Record], dict[str, bytes]]:
-    """All records of some parts, and pictures."""
+    """Run some parts. Returns all records and the pictures."""
     records: list[common.Record] = []
     curves: dict[str, dict[str, Array]] = {}
     drawn: dict[str, Array] = {}

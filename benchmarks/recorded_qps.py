@@ -1,4 +1,4 @@
-"""QPs as controllers meet them: recorded in closed loops, in both forms, and written as a test set for qpbenchmark."""
+"""QPs of controllers, recorded in closed loops in both forms, and exported as a test set for qpbenchmark."""
 
 from __future__ import annotations
 
@@ -12,17 +12,13 @@ import common  # first: it limits BLAS to one thread
 import numpy as np
 import peer_cases
 
-from coopqp.control.forms import Pieces, StepTerms
-from coopqp.control.limits import VelocityBox
-from coopqp.control.options import QPOptions
-from coopqp.control.qp import QPController
-from coopqp.control.solvers import QpProblem
-from coopqp.output import write_files
+from coopqp import Array, QPController, QPOptions, QpProblem
+from coopqp.control import Pieces, StepTerms, VelocityBox
+from coopqp.files import write_files
 from coopqp.scenarios import Scenario, at_singularity, fast_lift
-from coopqp.spatial import Array
 
 FORMS = ("condensed", "full")
-#: What happens in each case.
+#: Description of each case.
 CASES = {
     "nominal": "arms round a ring, within all limits: no constraint is active",
     "saturated": "arms round a ring at 0.6 m/s, joints limited to 1 rad/s",
@@ -33,7 +29,7 @@ CASES = {
     "mismatch": "three arms, one of them 5 mm from its grasp at the start",
     "redundant": "arms of seven joints round a ring",
 }
-#: Longest search for the place where a case becomes difficult [steps].
+#: Largest number of steps to search for the difficult part of a case.
 _SEARCH = 1500
 
 
@@ -43,10 +39,10 @@ class RecordedQp:
 
     Attributes:
         problem: the QP.
-        base, B: joint velocities v = base + B x.
-        jacobians: of each arm, (6, nv) each, in the reference object frame.
+        base, B: map from the unknowns to joint velocities, v = base + B x.
+        jacobians: Jacobian of each arm in the reference object frame, (6, nv) each.
         dt: length of the step [s].
-        step: of the run.
+        step: number of the step in the run.
     """
 
     problem: QpProblem
@@ -57,12 +53,12 @@ class RecordedQp:
     step: int
 
     def velocity(self, x: Array) -> Array:
-        """Joint velocities of an answer [rad/s]."""
+        """Joint velocities of a solution [rad/s]."""
         v: Array = self.base + self.B @ x
         return v
 
     def chain_mm(self, dv: Array) -> float:
-        """How far velocities wrong by ``dv`` part the arms in this step [mm]: the largest distance to the first arm."""
+        """Largest distance to the first arm [mm] due to a velocity error ``dv`` in this step."""
         moved = self.jacobians @ dv * self.dt
         return float(1e3 * np.linalg.norm((moved - moved[0])[:, :3], axis=1).max())
 
@@ -82,7 +78,7 @@ class Recorded:
 
 
 def scenario_of(case: str, arms: int) -> Scenario:
-    """The task of a case; the number of arms is free in those round a ring."""
+    """The task of a case. Cases around a ring accept any number of arms."""
     if case in ("nominal", "saturated", "redundant"):
         path = "zigzag" if case == "saturated" else "nominal"
         return common.ring(arms=arms, joints=7 if case == "redundant" else 6, path=path)
@@ -96,9 +92,9 @@ def scenario_of(case: str, arms: int) -> Scenario:
 
 
 def record(case: str, arms: int, count: int) -> list[Recorded]:
-    """``count`` successive QPs of a closed loop that solves one at every step, in each form.
+    """``count`` successive QPs of a closed loop with a QP in every step, in each form.
 
-    Cases that begin harmlessly are recorded around the first step that is slowed.
+    Cases with an easy start are recorded around the first slowed step.
     """
     scenario = scenario_of(case, arms)
     first = _first_difficulty(scenario, count) if case in ("near_singular", "elbow") else 1
@@ -131,7 +127,7 @@ def record(case: str, arms: int, count: int) -> list[Recorded]:
 
 
 def copied(problem: QpProblem) -> QpProblem:
-    """The problem with memory of its own; the program's is filled anew at every step."""
+    """A copy of the problem: the program overwrites its arrays in every step."""
     return QpProblem(**{field.name: getattr(problem, field.name).copy() for field in fields(QpProblem)})
 
 
@@ -197,7 +193,7 @@ def as_npz(problem: QpProblem) -> bytes:
 
 
 def export(recorded: Sequence[Recorded], folder: Path, *, each: int = 3) -> list[Path]:
-    """Write ``each`` problems of every recording, spread over it, and the script that qpbenchmark runs."""
+    """Write ``each`` evenly spaced problems of every recording, and the script for qpbenchmark."""
     contents = {folder / "cooperative_arms.py": _TEST_SET.encode()}
     for one in recorded:
         picked = np.unique(np.linspace(0, len(one.qps) - 1, each).round().astype(int)) if one.qps else ()

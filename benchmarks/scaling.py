@@ -1,7 +1,7 @@
-"""One step against the number of arms, 1 to 64, and the joints of each; peers that are installed go along as far as 32.
+"""Time of one step over the number of arms (1 to 64) and the joints per arm; installed peers take part up to 32 arms.
 
-Each size is measured in rounds that alternate with coopqp on four such arms, so that sizes compare although the machine
-has slow phases. Every contestant runs in a process of its own. See benchmarks/README.md.
+Rounds of each size alternate with rounds of coopqp with four such arms: sizes are comparable in spite of slow phases of
+the machine. Every contestant runs in a separate process. See benchmarks/README.md.
 """
 
 from __future__ import annotations
@@ -17,22 +17,20 @@ import peer_cases
 from common import Record
 from contestants import CACHE, PACES, PINS, Contestant, NotAvailable, hand_over, pinned, ratio
 
-from coopqp import available_kernels
-
 #: The size that others are compared with.
 REFERENCE = 4
-#: Largest size for peers: their cost grows with the cube.
+#: Largest number of arms for peers: their cost grows with its cube.
 PEER_ARMS = 32
-#: One mode of each peer: the chain hard where it can be.
+#: One mode of each peer, with a hard chain if available.
 PEER_MODES = {"pink": "hard daqp", "mink": "hard daqp", "placo": "hard scaled", "oink": "soft"}
-#: Pinocchio's data hold four tensors of nv³ numbers; a controller needs about eight such data [bytes / nv³].
+#: Memory of a controller [bytes / nv³]: about eight Pinocchio data with four tensors of nv³ numbers each.
 _BYTES = 8 * 4 * 8
 KEYS = ("peer", "version", "mode", "arms", "joints", "pacing", "p50_us", "p99_us", "ratio_4", "steps", "note")
 
 
 @dataclass(frozen=True, kw_only=True)
 class Plan:
-    """Sizes, and rounds of so many steps each; a round ends after ``round_s`` seconds."""
+    """Sizes, rounds, and steps per round; a round ends after ``round_s`` seconds."""
 
     arms: tuple[int, ...] = (1, 2, 3, 4, 6, 8, 12, 16, 24, 32, 48, 64)
     peers: tuple[int, ...] = (3, 8, 16, 32)
@@ -46,7 +44,7 @@ QUICK = Plan(arms=(1, 2, 4, 8, 16), peers=(4, 16), rounds=4, steps=30, round_s=0
 
 
 def free_memory() -> float:
-    """Memory that can be had [bytes]; infinite where the system does not say."""
+    """Available memory [bytes]; infinite if the system does not report it."""
     meminfo = Path("/proc/meminfo")
     lines = meminfo.read_text().splitlines() if meminfo.is_file() else []
     found = [float(line.split()[1]) * 1024.0 for line in lines if line.startswith("MemAvailable")]
@@ -54,20 +52,20 @@ def free_memory() -> float:
 
 
 class Scaling:
-    """The run; ``records`` grow as it goes on."""
+    """The run; it adds to ``records``."""
 
     def __init__(self, plan: Plan, folder: Path, progress: common.Progress) -> None:
         self.plan, self.folder, self.progress = plan, folder, progress
         self.records: list[Record] = []
 
     def record(self, contestant: Contestant, **values: object) -> None:
-        """Add a record; keys that do not apply are None."""
+        """Add a record. Keys that do not apply are None."""
         record: Record = dict.fromkeys(KEYS)
         record.update(peer=contestant.name, version=contestant.version, **values)
         self.records.append(record)
 
     def joints(self, joints: int, own: Contestant, reference: Contestant, peers: Sequence[Contestant]) -> None:
-        """All sizes of arms with so many joints."""
+        """Measure all sizes of arms with this number of joints."""
         reference.load(hand_over(peer_cases.build("nominal", REFERENCE, joints), self.folder / f"reference_{joints}"))
         for arms in self.plan.arms:
             self.progress.label = f"{arms} arms of {joints} joints"
@@ -87,7 +85,7 @@ class Scaling:
             self.progress.advance()
 
     def _one(self, contestant: Contestant, file: Path, arms: int, joints: int, reference: Contestant) -> None:
-        """Every mode of one contestant on one size."""
+        """Measure every mode of one contestant on one size."""
         own = contestant.name == "coopqp"
         size = {"arms": arms, "joints": joints}
         try:
@@ -95,8 +93,7 @@ class Scaling:
         except NotAvailable as error:
             self.record(contestant, **size, note=str(error))
             return
-        kernels = [mode for mode in contestant.modes if mode in available_kernels()]
-        for mode in kernels if own else (PEER_MODES[contestant.name],):
+        for mode in contestant.modes if own else (PEER_MODES[contestant.name],):
             against = mode if own else reference.modes[0]
             for pacing, period in PACES.items():
                 rounds = max(2, self.plan.rounds // 2) if period else self.plan.rounds
@@ -120,7 +117,7 @@ class Scaling:
     def _rounds(
         self, contestant: Contestant, mode: str, reference: Contestant, against: str, rounds: int, period: float
     ) -> tuple[list[list[float]], list[list[float]]]:
-        """Times [µs] of each round of a contestant and of the reference, in turn."""
+        """Times [µs] of alternating rounds of a contestant and of the reference."""
         plan = self.plan
         times: tuple[list[list[float]], list[list[float]]] = ([], [])
         for _ in range(rounds):
@@ -135,7 +132,7 @@ class Scaling:
 
 
 def scale(peers: Sequence[str], plan: Plan, cache: Path) -> list[Record]:
-    """Run everything; peers that are not installed are in the records, with a note."""
+    """Run everything. Peers that are not installed get a record with a note."""
     progress = common.Progress(2 * len(plan.arms))
     with tempfile.TemporaryDirectory(prefix="scaling_") as temporary, contextlib.ExitStack() as stack:
         scaling = Scaling(plan, Path(temporary), progress)
@@ -155,7 +152,7 @@ def scale(peers: Sequence[str], plan: Plan, cache: Path) -> list[Record]:
 
 
 def plot(records: Sequence[Record]) -> dict[str, bytes]:
-    """Hot medians against the number of arms."""
+    """Plot the hot medians over the number of arms."""
     curves: dict[str, list[tuple[float, float]]] = {}
     for r in records:
         if r["pacing"] == "hot" and r["p50_us"]:

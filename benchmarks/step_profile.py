@@ -1,6 +1,7 @@
-"""Where the time of one step goes, how long its tail is, and how far it is from the least that it could cost.
+"""Time of the parts of one step, the tail of its distribution, and a lower bound of its cost.
 
-Three arms round a ring, each kernel in turn with a null spin of the same length. See benchmarks/README.md.
+The cell has three arms around a ring. Each kernel alternates with an empty loop ("null spin") of the same length. See
+benchmarks/README.md.
 """
 
 from __future__ import annotations
@@ -18,28 +19,26 @@ import pinocchio as pin
 from common import Record
 from recorded_qps import record as record_qps
 
-from coopqp.control.core import Outcome, available_kernels
-from coopqp.control.options import QPOptions
-from coopqp.control.qp import QPController
-from coopqp.control.solvers import make_solver
+from coopqp import QPController, QPOptions, available_kernels, make_solver
+from coopqp.control import Outcome
 from coopqp.scenarios import Scenario
 
 KEYS = ("what", "kernel", "case", "part", "clock", "p50_us", "p99_us", "p999_us", "max_us", "share", "ratio", "samples")
-#: Parts of a step in the order of the code; a fused kernel does the errors, the assembly and the tests of limits.
+#: Parts of a step in the order of the code. A fused kernel does the errors, the assembly and the checks of limits.
 PARTS = ("inputs", "kinematics", "errors", "assembly", "solve", "kernel", "report", "rest")
-#: Methods of the NumPy kernel, and what they count as; "solve" is the test of limits and the ray.
+#: Methods of the NumPy kernel, and their parts; "solve" is the check of limits and the ray.
 _NUMPY_PARTS = {
     **dict.fromkeys(("_errors", "_corrections"), "errors"),
     **dict.fromkeys(("_admissible", "_look_ahead", "_ray", "_at_limits"), "solve"),
     "step": "assembly",
 }
-#: The kernel "qp" is the step without shortcuts: a QP every time.
+#: The kernel "qp" is the step without shortcuts, with a QP every time.
 ALWAYS_QP = "qp"
 
 
 @dataclass(frozen=True, kw_only=True)
 class Plan:
-    """Steps of each tail, steps of each profile, and steps at a time before the next one's turn."""
+    """Numbers of steps per tail, per profile and per turn."""
 
     steps: int = 100_000
     profiled: int = 4000
@@ -54,7 +53,7 @@ QUICK = Plan(steps=5000, profiled=600, block=500)
 
 
 class Stopwatch:
-    """Time of every part, less that of the parts inside it; one row per step."""
+    """Time of every part without the parts inside it; one row per step."""
 
     def __init__(self) -> None:
         self.rows: list[dict[str, int]] = []
@@ -62,7 +61,7 @@ class Stopwatch:
         self._inside: list[int] = []
 
     def watch(self, owner: Any, name: str, part: str) -> None:
-        """From now on, calls of that method of that object count as the part."""
+        """Count calls of this method of this object as the part."""
         original = getattr(owner, name)
         clock, inside = time.perf_counter_ns, self._inside
 
@@ -80,13 +79,13 @@ class Stopwatch:
         vars(owner)[name] = timed
 
     def next_row(self) -> None:
-        """The step is over."""
+        """End the row of the present step."""
         self.rows.append(self._now.copy())
         self._now.clear()
 
 
 def controller_of(scenario: Scenario, kernel: str) -> QPController:
-    """A controller that runs this kernel, or a QP at every step."""
+    """A controller with this kernel, or with a QP at every step."""
     options = QPOptions(shortcut=False) if kernel == ALWAYS_QP else QPOptions(kernel=kernel)
     controller = QPController(scenario.cell, scenario.grasp, scenario.path, dt=scenario.dt, options=options)
     controller.reset(scenario.q_start)
@@ -123,7 +122,7 @@ def watched(controller: QPController) -> Stopwatch:
 
 
 def profile(scenario: Scenario, kernel: str, case: str, plan: Plan, progress: common.Progress) -> list[Record]:
-    """Medians of the parts of successive steps; those of resets do not count."""
+    """Medians of the parts of successive steps, without resets."""
     controller = controller_of(scenario, kernel)
     for _ in range(20):
         controller.step()
@@ -149,14 +148,14 @@ def profile(scenario: Scenario, kernel: str, case: str, plan: Plan, progress: co
 
 
 def tail(samples: Any) -> Record:
-    """Percentiles and the largest [µs]."""
+    """Percentiles and the largest sample [µs]."""
     values = np.asarray(samples)
     return {**common.percentiles(values, shares=(50.0, 99.0, 99.9)), "max_us": round(float(values.max()), 3)}
 
 
 # -- tails and the limit -----------------------------------------------------------------------------------------------
 
-#: Wall time and CPU time of the thread [ns]; the second leaves out what other processes took.
+#: Wall time and CPU time of the thread [ns]; the CPU time excludes other processes.
 Sample: TypeAlias = tuple[int, int]
 wall, cpu = time.perf_counter_ns, time.thread_time_ns
 
@@ -167,7 +166,7 @@ def median_us(samples: Sequence[Sample]) -> float:
 
 
 class Stepping:
-    """Blocks of steps of one controller, timed one by one; resets are not timed, the steps after them are."""
+    """Blocks of steps of one controller, each step with its time. Resets are not timed, the steps after them are."""
 
     def __init__(self, scenario: Scenario, kernel: str) -> None:
         self._scenario, self.controller = scenario, controller_of(scenario, kernel)
@@ -184,7 +183,7 @@ class Stepping:
 
 
 class Spin:
-    """A loop that does nothing for about as long as a step: the tail is the machine's."""
+    """An empty loop of about the length of a step. Its tail is due to the machine."""
 
     def __init__(self, length_us: float) -> None:
         self._turns = 1
@@ -202,13 +201,13 @@ class Spin:
 
 
 class Limit:
-    """What no step can do without: placements, Jacobians, and the kernel's errors, command and test of limits."""
+    """The necessary parts of any step: placements, Jacobians, and the kernel's errors, command and check of limits."""
 
     def __init__(self, scenario: Scenario, kernel: str) -> None:
         self._controller = controller_of(scenario, kernel)
         for _ in range(int(0.25 * scenario.path.duration / scenario.dt)):
             self._controller.step()
-        # What the next step starts from: it is repeated.
+        # The start of the next step, which is repeated.
         ws = self._controller._ws
         self._q, self._middle = np.array(self._controller._q), np.array(self._controller._midpoint)
         self._state = [(array, array.copy()) for array in (ws.positions, ws.v_prev, ws.predicted)]
@@ -230,12 +229,12 @@ class Limit:
             outcome = run(1.0, clock, span)
             samples.append((wall() - began, cpu() - spent))
             if outcome != Outcome.NOMINAL:
-                raise RuntimeError("the limit is that of a nominal step, and this one is none")
+                raise RuntimeError("the limit needs a nominal step, but this step is not nominal")
         return samples
 
 
 class LeastQp:
-    """Jacobians and the least kept QP: DAQP on the condensed form, without tests of data and answer."""
+    """Jacobians and a minimal persistent QP: DAQP on the condensed form, without checks of data and solution."""
 
     def __init__(self, scenario: Scenario) -> None:
         self._model, self._data = scenario.cell.model, scenario.cell.model.createData()
@@ -260,7 +259,7 @@ class LeastQp:
 
 
 def tails(scenario: Scenario, plan: Plan, progress: common.Progress) -> list[Record]:
-    """Steps of every kernel, spins as long as each, and the limits, in turn."""
+    """Steps of every kernel, spins of the same lengths, and the limits, in turn."""
     contestants: dict[tuple[str, str], Callable[[int], list[Sample]]] = {}
     for kernel in available_kernels():
         stepping = Stepping(scenario, kernel)
@@ -283,7 +282,7 @@ def tails(scenario: Scenario, plan: Plan, progress: common.Progress) -> list[Rec
             row = {"what": what, "kernel": kernel, "case": "nominal", "clock": clock, **tail(times)}
             row["ratio"] = round(row["p999_us"] / row["p50_us"], 2)
             records.append({**row, "samples": times.size})
-    # Ratios of blocks that ran one after the other: slow phases of the machine cancel.
+    # Ratios of successive blocks: slow phases of the machine cancel.
     medians = {name: np.median(samples[name].reshape(-1, plan.block, 2)[:, :, 0], axis=1) for name in names}
     for kernel in available_kernels():
         for other in (f"limit: kinematics + nominal test, {kernel}", "limit: Jacobians + least QP, "):

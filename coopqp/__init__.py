@@ -1,12 +1,36 @@
-"""QP-based cooperative control of several robot arms that hold one object."""
+"""QP-based cooperative control of several robot arms that hold one object.
 
-from coopqp.control.command import Controller, ControlStep, Status
+Each room of the package is one part of the flow:
+
+* ``model``: the arms, the cell, the grasp, the closed chain;
+* ``task``: the path of the object, the weights of the arms, the posture;
+* ``planning``: the look along the path ahead of the object's clock;
+* ``control``: one step, from the measured configuration to the command;
+* ``forces``: the wrenches between the arms and the object;
+* ``simulation``: plants, the loop, recordings and their assessment;
+* ``scenarios``: ready cells and tasks;
+* ``files``, ``look``, ``app``: files, pictures, the command ``coopqp``.
+
+A room imports only from itself, from the rooms before it, and from ``errors``, ``checks``, ``spatial``, ``output`` and
+``lazy``. Import public names from :mod:`coopqp`, ready cells and tasks from :mod:`coopqp.scenarios`.
+"""
+
+from typing import TYPE_CHECKING
+
+from coopqp.control.command import Controller, ControlStep, GivenUp, SolverReport, Status
 from coopqp.control.core import available_kernels
 from coopqp.control.forms import RankWeights
 from coopqp.control.options import QPOptions
-from coopqp.control.pseudo_inverse import PseudoInverseController, PseudoInverseOptions
 from coopqp.control.qp import QPController
-from coopqp.control.solvers import available_solvers
+from coopqp.control.solvers import (
+    QpProblem,
+    QpSolution,
+    QpSolver,
+    SolverSettings,
+    SolverStatus,
+    available_solvers,
+    make_solver,
+)
 from coopqp.control.supervision import SupervisionOptions
 from coopqp.errors import (
     CoopqpError,
@@ -16,7 +40,7 @@ from coopqp.errors import (
     UnknownNameError,
     UnreachableError,
 )
-from coopqp.forces.stress import StressModel
+from coopqp.lazy import lazy_names
 from coopqp.model.cell import Arm, JointLimits, RobotCell
 from coopqp.model.grasp import Grasp, plate_from_centroid, plate_from_points
 from coopqp.model.inverse_kinematics import inverse_kinematics
@@ -24,57 +48,187 @@ from coopqp.model.limits import BindingLimit, LimitKind
 from coopqp.model.state import CellState
 from coopqp.planning.preview import PreviewOptions
 from coopqp.simulation.plants.kinematic import KinematicPlant, Plant
-from coopqp.simulation.plants.physics import PhysicsOptions, PhysicsPlant
-from coopqp.simulation.simulate import Recording, simulate
+from coopqp.simulation.simulate import Recording, RecordingError, simulate
+from coopqp.spatial import Array, Placement, adjoint
 from coopqp.task.common_error import CommonError
 from coopqp.task.path import HoldPath, LinePath, ObjectPath, ServoPath, TimeLaw, WaypointPath
 from coopqp.task.posture import PostureOptions
+from coopqp.task.scenario import Scenario
+
+if TYPE_CHECKING:
+    from coopqp.control.independent import IndependentQPController, IndependentQPOptions
+    from coopqp.control.pseudo_inverse import PseudoInverseController, PseudoInverseOptions
+    from coopqp.control.solvers.daqp import DaqpSettings
+    from coopqp.control.solvers.generic import GenericSettings
+    from coopqp.control.solvers.osqp import OsqpSettings
+    from coopqp.control.solvers.proxqp import ProxqpSettings
+    from coopqp.files.cellfile import CellFileError, load_cell_file
+    from coopqp.files.export import write_bag, write_csv
+    from coopqp.forces.stress import InternalStress, StressModel, at_tools
+    from coopqp.look.report import write_report
+    from coopqp.look.viewer import LiveViewer, export_html
+    from coopqp.output import OutputError
+    from coopqp.scenarios.robots import robot_path
+    from coopqp.simulation.assessment import Finding, Readings, Tolerances, judge, read_run
+    from coopqp.simulation.metrics import (
+        chain_error,
+        limit_excess,
+        object_error,
+        path_error,
+        relative_orientation_error,
+        relative_positioning_error,
+        tool_placements,
+    )
+    from coopqp.simulation.monitor import Breach, Monitor, Monitored, MonitorTolerances, Verdict, Violation, check_run
+    from coopqp.simulation.plants.disturbances import Disturbances, misplaced
+    from coopqp.simulation.plants.disturbed import DisturbedPlant
+    from coopqp.simulation.plants.physics import PhysicsError, PhysicsPlant
+    from coopqp.simulation.plants.physics_options import PhysicsOptions
+    from coopqp.simulation.scene import SceneError, describe_object
+else:
+    __getattr__, __dir__ = lazy_names(
+        __name__,
+        {
+            "coopqp.control.independent": ("IndependentQPController", "IndependentQPOptions"),
+            "coopqp.control.pseudo_inverse": ("PseudoInverseController", "PseudoInverseOptions"),
+            "coopqp.control.solvers.daqp": ("DaqpSettings",),
+            "coopqp.control.solvers.generic": ("GenericSettings",),
+            "coopqp.control.solvers.osqp": ("OsqpSettings",),
+            "coopqp.control.solvers.proxqp": ("ProxqpSettings",),
+            "coopqp.files.cellfile": ("CellFileError", "load_cell_file"),
+            "coopqp.files.export": ("write_bag", "write_csv"),
+            "coopqp.forces.stress": ("InternalStress", "StressModel", "at_tools"),
+            "coopqp.look.report": ("write_report",),
+            "coopqp.look.viewer": ("LiveViewer", "export_html"),
+            "coopqp.output": ("OutputError",),
+            "coopqp.scenarios.robots": ("robot_path",),
+            "coopqp.simulation.assessment": ("Finding", "Readings", "Tolerances", "judge", "read_run"),
+            "coopqp.simulation.metrics": (
+                "chain_error",
+                "limit_excess",
+                "object_error",
+                "path_error",
+                "relative_orientation_error",
+                "relative_positioning_error",
+                "tool_placements",
+            ),
+            "coopqp.simulation.monitor": (
+                "Breach",
+                "Monitor",
+                "Monitored",
+                "MonitorTolerances",
+                "Verdict",
+                "Violation",
+                "check_run",
+            ),
+            "coopqp.simulation.plants.disturbances": ("Disturbances", "misplaced"),
+            "coopqp.simulation.plants.disturbed": ("DisturbedPlant",),
+            "coopqp.simulation.plants.physics": ("PhysicsError", "PhysicsPlant"),
+            "coopqp.simulation.plants.physics_options": ("PhysicsOptions",),
+            "coopqp.simulation.scene": ("SceneError", "describe_object"),
+        },
+    )
 
 __version__ = "0.1.0"
 
 __all__ = [
     "Arm",
+    "Array",
     "BindingLimit",
+    "Breach",
+    "CellFileError",
     "CellState",
     "CommonError",
     "ControlStep",
     "Controller",
     "CoopqpError",
+    "DaqpSettings",
+    "Disturbances",
+    "DisturbedPlant",
+    "Finding",
+    "GenericSettings",
+    "GivenUp",
     "Grasp",
     "HoldPath",
+    "IndependentQPController",
+    "IndependentQPOptions",
+    "InternalStress",
     "InvalidInputError",
     "JointLimits",
     "KinematicPlant",
     "LimitKind",
     "LinePath",
+    "LiveViewer",
     "MissingExtraError",
     "ModelError",
+    "Monitor",
+    "MonitorTolerances",
+    "Monitored",
     "ObjectPath",
+    "OsqpSettings",
+    "OutputError",
+    "PhysicsError",
     "PhysicsOptions",
     "PhysicsPlant",
+    "Placement",
     "Plant",
     "PostureOptions",
     "PreviewOptions",
+    "ProxqpSettings",
     "PseudoInverseController",
     "PseudoInverseOptions",
     "QPController",
     "QPOptions",
+    "QpProblem",
+    "QpSolution",
+    "QpSolver",
     "RankWeights",
+    "Readings",
     "Recording",
+    "RecordingError",
     "RobotCell",
+    "Scenario",
+    "SceneError",
     "ServoPath",
+    "SolverReport",
+    "SolverSettings",
+    "SolverStatus",
     "Status",
     "StressModel",
     "SupervisionOptions",
     "TimeLaw",
+    "Tolerances",
     "UnknownNameError",
     "UnreachableError",
+    "Verdict",
+    "Violation",
     "WaypointPath",
     "__version__",
+    "adjoint",
+    "at_tools",
     "available_kernels",
     "available_solvers",
+    "chain_error",
+    "check_run",
+    "describe_object",
+    "export_html",
     "inverse_kinematics",
+    "judge",
+    "limit_excess",
+    "load_cell_file",
+    "make_solver",
+    "misplaced",
+    "object_error",
+    "path_error",
     "plate_from_centroid",
     "plate_from_points",
+    "read_run",
+    "relative_orientation_error",
+    "relative_positioning_error",
+    "robot_path",
     "simulate",
+    "tool_placements",
+    "write_bag",
+    "write_csv",
+    "write_report",
 ]

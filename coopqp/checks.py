@@ -1,4 +1,4 @@
-"""Checks at the door: numbers, vectors and counts as the user gives them, or a named error."""
+"""Checks of arguments: numbers, vectors and counts. A bad value raises a named error."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from coopqp.errors import InvalidInputError, shown
 
 Array: TypeAlias = npt.NDArray[np.float64]
 
-#: What NumPy and Python raise for what are no numbers.
+#: Exceptions of NumPy and Python for values that are not numbers.
 NOT_NUMBERS = (TypeError, ValueError, OverflowError)
-#: Kinds of array that NumPy would make floats of, losing what they say: complex numbers, durations, dates.
+#: Array kinds that NumPy converts to float with a loss of information: complex numbers, durations, dates.
 _NO_FLOATS = "cmM"
 
 
 def as_vector(value: Any, size: int, where: str) -> Array:
-    """Return a finite float vector of shape (size,), a new array.
+    """Return a new finite float vector of shape (size,).
 
     Raises:
         InvalidInputError: wrong shape, not numbers, NaN or infinite entries.
@@ -49,7 +49,7 @@ def as_scalar(value: Any, where: str, *, low: float = 0.0, high: float = np.inf,
 
 
 def as_count(value: Any, where: str) -> int:
-    """Return a whole number of 1 or more."""
+    """Return an integer ≥ 1."""
     number = _as_float(value, where)
     if not (1.0 <= number < 2.0**53 and number == int(number)):
         raise InvalidInputError(f"{number:g} is no whole number of 1 or more", where, "Give 1, 2, 3, …")
@@ -57,7 +57,7 @@ def as_count(value: Any, where: str) -> int:
 
 
 def keep_scalars(options: object, *names: str, low: float = 0.0, high: float = np.inf, open_low: bool = True) -> None:
-    """Check fields of a frozen dataclass by :func:`as_scalar`, and keep the floats that they stand for."""
+    """Check fields of a frozen dataclass with :func:`as_scalar` and store the resulting floats in them."""
     for name in names:
         where = f"{type(options).__name__}: {name}"
         number = as_scalar(getattr(options, name), where, low=low, high=high, open_low=open_low)
@@ -74,10 +74,10 @@ def _as_float(value: Any, where: str) -> float:
 
 
 def as_floats(value: Any) -> Array:
-    """A new float array, of any shape.
+    """Return a new float array of any shape.
 
     Raises:
-        NOT_NUMBERS: the value is nothing of the kind.
+        NOT_NUMBERS: the value does not consist of real numbers.
     """
     raw = np.asarray(value)
     if raw.dtype.kind in _NO_FLOATS:
@@ -86,7 +86,7 @@ def as_floats(value: Any) -> Array:
 
 
 def read_only(array: Array) -> Array:
-    """Return a contiguous copy that cannot be written to."""
+    """Return a contiguous read-only copy."""
     copy = np.array(array, dtype=float, order="C")
     copy.flags.writeable = False
     return copy

@@ -1,4 +1,4 @@
-"""Errors: one root, each with what is wrong, where, and what to do about it."""
+"""Errors: one root class. Each message names the problem, its place and a remedy."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ class CoopqpError(Exception):
 
 
 class InvalidInputError(CoopqpError, ValueError):
-    """A value that cannot be used: what is wrong, where it was given, and the remedy."""
+    """An invalid value. The message names the problem, the place and the remedy."""
 
     def __init__(self, what: str, where: str, remedy: str) -> None:
         super().__init__(f"{where}: {what}. {remedy}")
@@ -23,7 +23,7 @@ class InvalidInputError(CoopqpError, ValueError):
 
 
 class UnknownNameError(CoopqpError, KeyError):
-    """A name that does not exist; the message gives the nearest one and all that do."""
+    """An unknown name. The message lists the valid names, the nearest one first."""
 
     def __init__(self, kind: str, name: str, available: Iterable[str], where: str = "") -> None:
         self.kind, self.name, self.available = kind, name, tuple(available)
@@ -42,15 +42,15 @@ class UnknownNameError(CoopqpError, KeyError):
 
 
 class ModelError(CoopqpError):
-    """A robot model that cannot be read or that no arm can be made from."""
+    """A robot model cannot be read, or no arm can be built from it."""
 
 
 class UnreachableError(CoopqpError):
-    """A pose that an arm cannot reach."""
+    """An arm cannot reach a pose."""
 
 
 class MissingExtraError(CoopqpError, ImportError):
-    """An optional dependency is not installed; the message names the extra."""
+    """An optional dependency is not installed. The message names the extra."""
 
     def __init__(self, extra: str, package: str) -> None:
         super().__init__(f"this needs the package '{package}': pip install 'coopqp[{extra}]'")
@@ -60,10 +60,21 @@ class MissingExtraError(CoopqpError, ImportError):
         return type(self), (self.extra, self.package)
 
 
+class MissingSolverError(MissingExtraError):
+    """A QP solver that coopqp knows and that is not installed; the message says what to install."""
+
+    def __init__(self, solver: str, remedy: str) -> None:
+        ImportError.__init__(self, f"the QP solver '{solver}' is not installed: {remedy}")
+        self.extra, self.package, self.remedy = "solvers", solver, remedy
+
+    def __reduce__(self) -> tuple[type[MissingSolverError], tuple[str, str]]:
+        return type(self), (self.package, self.remedy)
+
+
 def shown(value: Any) -> str:
-    """A value in a message: short, whatever it is."""
+    """``repr`` of a value for a message, at most 60 characters."""
     try:
         text = repr(value)
-    except ValueError:  # Python writes no integers of thousands of digits
+    except ValueError:  # Python refuses to print integers with thousands of digits
         text = type(value).__name__
     return text if len(text) <= 60 else f"{text[:57]}…"

@@ -1,4 +1,4 @@
-"""Files that are written whole or not at all."""
+"""Atomic writes: all files are written completely, or none is."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from coopqp.errors import CoopqpError
 
 
 class OutputError(CoopqpError):
-    """A file or folder that cannot be written."""
+    """A file or folder cannot be written."""
 
 
 def check_folder(folder: Path) -> None:
-    """Raise OutputError unless ``folder`` can be written to, or made; nothing is made yet."""
+    """Raise OutputError unless ``folder`` is writable or can be created. Creates nothing."""
     existing = folder
     while not existing.exists() and existing != existing.parent:
         existing = existing.parent
@@ -26,16 +26,17 @@ def check_folder(folder: Path) -> None:
 
 
 def check_file(file: Path) -> None:
-    """Raise OutputError unless ``file`` can be written, or made with its folder; nothing is made yet."""
+    """Raise OutputError unless ``file`` can be written, or created with its folder. Creates nothing."""
     if file.is_dir():
         raise OutputError(f"cannot write {file}: it is a folder. Give the name of a file.")
     check_folder(file.parent)
 
 
 def write_files(contents: Mapping[Path, bytes]) -> list[Path]:
-    """Write files, making their folders.
+    """Write files and create their folders.
 
-    Each is written beside its place and renamed once all are complete, so a failure leaves no part of any.
+    Each file is first written under a temporary name in its folder. When all are complete, they are renamed. A failure
+    leaves no partial file.
 
     Returns:
         The files, in the order given.

@@ -1,7 +1,7 @@
-"""Placements and twists: validation at the door, and the batched SE(3) logarithm of the control step.
+"""Placements and twists: validation of arguments, and the batched SE(3) logarithm of the control step.
 
 Twists and spatial displacements are ``[linear; angular]``, as in Pinocchio. A placement ``T_a_b`` is the pose
-of frame b in frame a; :class:`pinocchio.SE3` or a 4x4 homogeneous matrix is accepted wherever one is expected.
+of frame b in frame a. Functions accept a :class:`pinocchio.SE3` or a 4x4 homogeneous matrix.
 """
 
 from __future__ import annotations
@@ -18,15 +18,15 @@ from coopqp.errors import InvalidInputError
 
 Placement: TypeAlias = "pin.SE3 | Array"
 
-#: Largest entry of ``R Rᵀ − I`` (and of ``det R − 1``) that a rotation may have at the door.
+#: Largest accepted entry of ``|R Rᵀ − I|`` of a rotation argument.
 ROTATION_TOLERANCE = 1e-6
 
-_SERIES_RADIUS = 0.02  # rad; below it the series of log6_batch are exact to 2e-14
+_SERIES_RADIUS = 0.02  # [rad]; up to this angle the series of log6_batch have an error ≤ 2e-14
 _EYE3 = np.eye(3)
 
 
 def _levi_civita() -> Array:
-    """Constant (9, 3): the entries of a bᵀ, row by row → a × b; those of a rotation → axis · 2 sin θ, negative."""
+    """Constant matrix (9, 3): maps the entries of a bᵀ (row by row) to a × b, and of a rotation to −2 sin θ · axis."""
     M = np.zeros((3, 3, 3))
     for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
         M[i, j, k], M[j, i, k] = 1.0, -1.0
@@ -34,7 +34,7 @@ def _levi_civita() -> Array:
 
 
 _CROSS = _levi_civita()
-#: A rotation's entries → axis · sin θ, trace.
+#: Maps the entries of a rotation matrix to [axis · sin θ, trace].
 _AXIS_TRACE = np.column_stack([-0.5 * _CROSS, _EYE3.ravel()])
 
 
@@ -42,7 +42,7 @@ def as_placement(value: Placement, where: str) -> pin.SE3:
     """Return ``value`` as a new :class:`pinocchio.SE3`.
 
     Raises:
-        InvalidInputError: not an SE3 or 4x4 matrix, non-finite, or its rotation is not one.
+        InvalidInputError: not an SE3 or 4x4 matrix, an entry is not finite, or the 3x3 block is not a rotation.
     """
     if isinstance(value, pin.SE3):
         matrix = np.asarray(value.homogeneous, dtype=float)
@@ -80,7 +80,7 @@ def as_placement(value: Placement, where: str) -> pin.SE3:
 
 
 def as_placements(values: Sequence[Placement] | Array, where: str) -> tuple[pin.SE3, ...]:
-    """Validate a sequence of placements; ``where`` names the list, its index is added."""
+    """Validate a sequence of placements. Error messages append the index to ``where``."""
     try:
         items = tuple(values)
     except TypeError as error:
@@ -91,7 +91,7 @@ def as_placements(values: Sequence[Placement] | Array, where: str) -> tuple[pin.
 
 
 def adjoint(T: pin.SE3) -> Array:
-    """``Ad(T)``, shape (6, 6): carries a twist given in frame b into frame a, for ``T = T_a_b``."""
+    """``Ad(T)``, shape (6, 6). For ``T = T_a_b`` it maps a twist in frame b to frame a."""
     return np.asarray(T.action, dtype=float)
 
 
@@ -103,7 +103,7 @@ def skew(v: Array) -> Array:
 def log6_batch(R: Array, p: Array) -> Array:
     """``log`` of placements, shape (n, 6), from rotations (n, 3, 3) and translations (n, 3).
 
-    Angles below 0.02 rad by series (error ≤ 2e-14, see the tests), larger ones by :func:`pinocchio.log6`.
+    Uses series if all angles are below 0.02 rad (error ≤ 2e-14, tested), otherwise :func:`pinocchio.log6`.
     """
     out: Array = np.empty((len(R), 6))
     linear = R.reshape(len(R), 9) @ _AXIS_TRACE
@@ -127,7 +127,7 @@ def log6_batch(R: Array, p: Array) -> Array:
 
 
 def cross(a: Array, b: Array) -> Array:
-    """Row-wise cross product of (n, 3) arrays; several times cheaper than :func:`numpy.cross`."""
+    """Row-wise cross product of two (n, 3) arrays, several times faster than :func:`numpy.cross`."""
     products = a[:, :, None] * b[:, None, :]
     out: Array = products.reshape(len(a), 9) @ _CROSS
     return out

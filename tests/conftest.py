@@ -1,8 +1,8 @@
-"""Shared by the tests: Hypothesis profiles, the cells that take time to build, and seeded random data.
+"""Shared fixtures: Hypothesis profiles, cells that take time to build, and seeded random data.
 
-Profiles: ``ci`` (default, the same examples every time) and ``nightly`` (ten times as many, new ones every time),
-chosen by the variable HYPOTHESIS_PROFILE or by ``pytest --hypothesis-profile``. A module that needs more examples
-than the profile's default multiplies it, so that the nightly run grows alike.
+Profiles: ``ci`` (default, always the same examples) and ``nightly`` (ten times as many examples, new ones every time).
+The variable HYPOTHESIS_PROFILE or ``pytest --hypothesis-profile`` selects the profile. A module that needs more
+examples multiplies the profile's number, so the nightly run grows by the same factor.
 """
 
 from __future__ import annotations
@@ -18,11 +18,8 @@ import pinocchio as pin
 import pytest
 from hypothesis import HealthCheck, settings
 
-from coopqp.control.pseudo_inverse import PseudoInverseController, PseudoInverseOptions
-from coopqp.model.cell import Arm, RobotCell
+from coopqp import Arm, PseudoInverseController, PseudoInverseOptions, Recording, RobotCell, robot_path, simulate
 from coopqp.scenarios import Scenario, paper_lift
-from coopqp.scenarios.robots import robot_path
-from coopqp.simulation.simulate import Recording, simulate
 
 pytest_plugins = ["catalogue"]  # tests/reliability/catalogue.py, whose table ends every run
 
@@ -43,7 +40,7 @@ settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "ci"))
 
 @pytest.fixture
 def rng(request: pytest.FixtureRequest) -> np.random.Generator:
-    """Random numbers of the test's own, the same in every run."""
+    """Random numbers with a seed for each test, the same in every run."""
     return np.random.default_rng(zlib.crc32(request.node.nodeid.encode()))
 
 
@@ -81,7 +78,7 @@ def mixed_cell(make_cell: Callable[..., RobotCell]) -> RobotCell:
 
 @pytest.fixture(scope="session")
 def random_q() -> Callable[[RobotCell, np.random.Generator], Any]:
-    """``random_q(cell, rng)``: a configuration inside the limits (any angle where there is none)."""
+    """``random_q(cell, rng)``: a configuration inside the limits (any angle without limits)."""
 
     def draw(cell: RobotCell, rng: np.random.Generator) -> Any:
         low = np.where(np.isfinite(cell.limits.lower), cell.limits.lower, -np.pi)

@@ -1,6 +1,6 @@
-"""The figures of benchmarks/behaviour.py: the cooperative QP meets them, and the benchmark would see it if it did not.
+"""The targets of benchmarks/behaviour.py: the cooperative QP meets them, and the benchmark detects violations.
 
-Also the QP with independent arms, which is there to be compared with.
+Also tests the QP with independent arms, which serves as a comparison.
 """
 
 from __future__ import annotations
@@ -17,11 +17,23 @@ from typing import Any
 import numpy as np
 import pytest
 
-from coopqp.control.command import ControlStep, Status
-from coopqp.control.independent import IndependentQPController, IndependentQPOptions
-from coopqp.control.solvers import QpProblem, QpSolution, SolverStatus
-from coopqp.errors import InvalidInputError, UnknownNameError
-from coopqp.model.limits import BindingLimit, LimitKind
+from coopqp import (
+    BindingLimit,
+    ControlStep,
+    IndependentQPController,
+    IndependentQPOptions,
+    InvalidInputError,
+    LimitKind,
+    QpProblem,
+    QpSolution,
+    SolverStatus,
+    Status,
+    UnknownNameError,
+    chain_error,
+    limit_excess,
+    path_error,
+    tool_placements,
+)
 from coopqp.scenarios import (
     Scenario,
     at_limit,
@@ -32,11 +44,10 @@ from coopqp.scenarios import (
     mixed_cell,
     paper_lift,
 )
-from coopqp.simulation.metrics import chain_error, limit_excess, path_error, tool_placements
 
 NIGHTLY = os.environ.get("HYPOTHESIS_PROFILE") == "nightly"
 BENCHMARKS = Path(__file__).parents[1] / "benchmarks"
-#: What every flat record must have, whoever reads it.
+#: Keys and types of every flat record.
 CONTRACT = {
     "case", "controller", "solver", "chain_mm", "chain_deg", "path_mm", "path_deg", "failures", "finished", "rate_min",
     "limit_excess",
@@ -45,7 +56,7 @@ CONTRACT = {
 
 @pytest.fixture(scope="module")
 def behaviour() -> Iterator[Any]:
-    """The benchmark's module; those that it imports lie beside it."""
+    """The benchmark's module. The modules that it imports are in the same folder."""
     with pytest.MonkeyPatch.context() as patch:
         patch.syspath_prepend(str(BENCHMARKS))
         import behaviour
@@ -88,7 +99,7 @@ def test_it_enters_dwells_in_and_leaves_singularities(behaviour: Any, arm: int) 
 
 
 def test_it_comes_back_from_outside_a_limit(behaviour: Any) -> None:
-    """Some of the runs here; tests/reliability/test_outside.py has every joint."""
+    """Tests some runs; tests/reliability/test_outside.py tests every joint."""
     assert len(behaviour.keys_of("outside", quick=False)) == 72
     all_met(behaviour, "outside", behaviour.keys_of("outside", quick=not NIGHTLY))
 
@@ -104,7 +115,7 @@ def test_other_solvers_behave_the_same(behaviour: Any, solver: str) -> None:
 
 @pytest.mark.slow
 def test_the_others_show_what_it_is_for(behaviour: Any) -> None:
-    """The baseline breaks limits, independent arms tear the object, where the cooperative QP does neither."""
+    """The baseline breaks limits and independent arms pull the object apart. The cooperative QP does neither."""
     key = (np.inf, True)
     baseline = behaviour.run_one("fast", key, "pseudo_inverse", "none")
     alone = behaviour.run_one("fast", key, "independent", "daqp")
@@ -112,7 +123,7 @@ def test_the_others_show_what_it_is_for(behaviour: Any) -> None:
     assert baseline["chain_mm"] > 1.0
     assert alone["limit_excess"] == 0.0
     assert alone["chain_mm"] > 5.0
-    assert baseline["missed"] == alone["missed"] == ""  # targets are the cooperative QP's
+    assert baseline["missed"] == alone["missed"] == ""  # only the cooperative QP has targets
     at_a_limit = behaviour.run_one("limit", (0,), "independent", "daqp")
     assert at_a_limit["chain_mm"] > 5.0
     assert at_a_limit["limit_excess"] < 1e-9
@@ -127,7 +138,7 @@ def recorded(behaviour: Any, case: str, key: Any) -> tuple[Any, list[ControlStep
 
 
 def test_the_judge_sees_what_goes_wrong(behaviour: Any) -> None:
-    """Each defect put into a good run shows in its figure, and as a missed target."""
+    """Each defect added to a good run shows in its figure and as a missed target."""
     run, steps = recorded(behaviour, "fast", (np.inf, True))
     assert not behaviour.missed_targets(run, behaviour.judge(run, steps))
 
@@ -174,7 +185,7 @@ def test_the_judge_knows_the_right_joint(behaviour: Any) -> None:
     assert behaviour.judge(run, [*steps[:-1], replace(steps[-1], binding=(wrong,))])["named"] is False
     assert behaviour.judge(run, [*steps[:-1], replace(steps[-1], binding=())])["named"] is False
     assert behaviour.judge(run, [*steps[:-1], replace(steps[-1], status=Status.SLOWED)])["named"] is False
-    # The object goes as far as it can: the clock stops where the oracle finds the limit, to a step of the oracle.
+    # The object moves as far as possible: the clock stops at the oracle's limit, within a step of the oracle.
     assert steps[-1].clock_next == pytest.approx(run.expected[2], abs=2e-4)
 
 
@@ -195,7 +206,7 @@ def test_the_judge_of_joints_outside(behaviour: Any) -> None:
 def test_a_mismatch_must_not_grow(behaviour: Any) -> None:
     run, steps = recorded(behaviour, "mismatch", (np.inf,))
     record = behaviour.judge(run, steps)
-    assert record["chain_mm"] == pytest.approx(5.0, abs=0.01)  # what it starts with
+    assert record["chain_mm"] == pytest.approx(5.0, abs=0.01)  # the initial error
     assert record["chain_final_mm"] < 1e-3
     assert record["chain_rise_mm"] < 1e-4
     back_and_forth = [*steps[:40], *steps[:40]]
@@ -296,7 +307,7 @@ def test_solvers_of_independent_arms_agree() -> None:
 
 @pytest.mark.slow
 def test_damping_bounds_the_joints_at_a_singularity() -> None:
-    """Without limits: a stretched elbow with damping, and without."""
+    """A stretched elbow without limits: with and without damping."""
     task = at_singularity("elbow", 0)
     free = replace(task, cell=task.cell.with_limits(velocity=np.inf, lower=-np.inf, upper=np.inf))
     fastest = {d: max(np.abs(s.velocity).max() for s in alone(free, steps=900, damping=d)) for d in (0.0, 0.05)}

@@ -1,10 +1,12 @@
-"""benchmarks/: what the scripts share, the cell as peers get it, and runs with tiny counts on what is installed."""
+"""benchmarks/: shared functions, the cell exported for peers, and short runs with the installed peers."""
 
 from __future__ import annotations
 
 import io
 import json
 import sys
+import types
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -12,17 +14,17 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from coopqp import available_kernels
-from coopqp.simulation.metrics import tool_placements
+from coopqp import QPController, Status, available_kernels, tool_placements
 
 BENCHMARKS = Path(__file__).resolve().parent.parent / "benchmarks"
-sys.path.insert(0, str(BENCHMARKS))
+sys.path[:0] = [str(BENCHMARKS), str(BENCHMARKS / "peers")]
 
 import common  # noqa: E402
 import compare_peers  # noqa: E402
 import contestants  # noqa: E402
 import export_cell  # noqa: E402
 import peer_cases  # noqa: E402
+import protocol  # noqa: E402
 import scaling  # noqa: E402
 
 TINY = compare_peers.Plan(arms=(3,), rounds=2, steps=4, round_s=0.05, behave_s=0.05, all_modes=False)
@@ -116,7 +118,7 @@ class TestCases:
         case = peer_cases.build("mismatch")
         worth = compare_peers.judge(case, [case.scenario.q_start] * 2)
         assert worth["chain_mm"] == pytest.approx(5.0, abs=1e-6)
-        assert worth["path_mm"] < 1e-6  # the first arm is where it should be
+        assert worth["path_mm"] < 1e-6  # the first arm has no error
 
     def test_outside_is_10_mrad(self) -> None:
         case = peer_cases.build("outside")
@@ -128,13 +130,147 @@ class TestCases:
         with pytest.raises(ValueError, match="no case"):
             peer_cases.build("nothing")
 
+    @pytest.mark.parametrize("name", peer_cases.COST)
+    def test_cost(self, name: str) -> None:
+        """Readings are one sample late and noisy; servos are watched, and a QP is solved, where the case says so."""
+        case = peer_cases.build(name)
+        read = name in ("measured", "watched")
+        assert case.noise == (1e-4 if read else None)
+        assert case.options.shortcut is (name != "qp")
+        assert (case.options.supervision.stiffness is not None) is (name == "watched")
+        s = case.scenario
+        controller = QPController(s.cell, s.grasp, s.path, dt=s.dt, options=case.options)
+        controller.reset(s.q_start)
+        rng, before, command = np.random.default_rng(0), s.q_start, s.q_start
+        for _ in range(300):
+            step = controller.step(before + rng.uniform(-1e-4, 1e-4, s.cell.nq) if read else None)
+            before, command = command, step.q_next
+            assert step.status is (Status.SLOWED if name == "zigzag" else Status.TRACKING), step.explain()
+            assert (step.solver.name != "none") is (name == "qp")
+        assert (step.rate < 1.0) is (name == "zigzag")
+
+
+class TestProtocol:
+    """A loop as a runner closes it, on a motion that writes down what it gets."""
+
+    class Motion(protocol.Timed):
+        def __init__(self, task: Any, fails: tuple[int, ...] = ()) -> None:
+            self._task, self._fails, self.seen = task, fails, list[Any]()
+
+        def start(self) -> None:
+            self.seen.clear()
+
+        def step(self, i: int, reading: Any) -> Any:
+            self.seen.append(reading)
+            if i in self._fails:
+                raise ArithmeticError("no command")
+            return np.full(2, float(i + 1))
+
+    @staticmethod
+    def task(noise: float | None) -> Any:
+        rows = None if noise is None else np.random.default_rng(0).uniform(-noise, noise, (protocol.NOISE_ROWS, 2))
+        return types.SimpleNamespace(q_start=np.zeros(2), poses=np.zeros((5, 4, 4)), noise=rows)
+
+    def test_readings_are_one_sample_late_and_noisy(self) -> None:
+        task = self.task(1e-4)
+        motion = self.Motion(task)
+        session = protocol._Session(motion, task)
+        for _ in range(4):
+            assert session.advance()[1] == ""
+        late = [0.0, 0.0, 1.0, 2.0]  # command i is i, the start is 0
+        noise = [reading - was for reading, was in zip(motion.seen, late, strict=True)]
+        assert all(0.0 < np.abs(n).max() <= 1e-4 for n in noise)
+        assert len({tuple(n) for n in noise}) == 4
+        session.advance()  # the path ends: from the start again, where the servos stand
+        assert session.i == 0
+        session.advance()
+        assert np.abs(motion.seen[0]).max() <= 1e-4
+
+    def test_no_reading_where_the_loop_is_not_closed_on_it(self) -> None:
+        motion = self.Motion(self.task(None))
+        protocol._Session(motion, motion._task).advance()
+        assert motion.seen == [None]
+
+    def test_arms_hold_still_where_there_is_no_command(self) -> None:
+        motion = self.Motion(self.task(None), fails=(1,))
+        session = protocol._Session(motion, motion._task)
+        notes = [session.advance()[1] for _ in range(2)]
+        assert notes == ["", "ArithmeticError: no command"]
+        assert session.command.tolist() == [1.0, 1.0]
+
+
+class TestAgainstPlaco:
+    """coopqp's records, compared with a PlaCo whose times are known."""
+
+    @pytest.fixture
+    def records(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> list[dict[str, Any]]:
+        times = {("placo", "nominal"): 20.0, ("placo", "measured"): 40.0}
+
+        class Fake:
+            version, modes = "1", ("hard scaled",)
+
+            def __init__(self, name: str) -> None:
+                self.name, self._case = name, ""
+
+            @classmethod
+            def start(cls, name: str, cache: Path, *, install: bool) -> Fake:
+                return cls(name)
+
+            def load(self, file: Path) -> None:
+                self._case = json.loads(file.read_text())["case"]
+
+            def ask(self, *, do: str, timeout: float, **command: Any) -> dict[str, Any]:
+                assert self.name == "coopqp" or self._case in ("nominal", "measured", "zigzag")
+                us = times.get((self.name, self._case), 10.0)
+                q = [compare_peers.peer_cases.build("nominal").scenario.q_start.tolist()] * 2
+                return {"us": [us] * 98 + [2.0 * us] * 2, "q": q, "failures": 0, "note": "", "least": 1.0}
+
+            def stop(self) -> None:
+                pass
+
+        monkeypatch.setattr(compare_peers, "Contestant", Fake)
+        plan = replace(TINY, cases=peer_cases.COST)
+        return compare_peers.compare(["placo"], plan, tmp_path, install=False)
+
+    def test_measured_by_measured_others_by_nominal(self, records: list[dict[str, Any]]) -> None:
+        own = {(r["case"], r["pacing"]): r for r in records if r["peer"] == "coopqp"}
+        assert len(own) == 10
+        for (case, _), r in own.items():
+            assert r["placo_p50_us"] == (40.0 if case == "measured" else 20.0)
+            assert r["ratio_placo"] == r["p99_ratio_placo"] == (0.25 if case == "measured" else 0.5)
+        placo = [r for r in records if r["peer"] == "placo"]
+        assert {r["case"] for r in placo} == {"nominal", "measured", "zigzag"}
+        assert {r["ratio"] for r in placo if r["case"] == "nominal"} == {0.5}
+        assert all(r["ratio_placo"] is None for r in placo)
+
+    def test_targets_stand_beside_the_figures(
+        self, records: list[dict[str, Any]], monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        target = compare_peers.Target
+        targets = (
+            target("nominal", "hot", "ratio_placo", 0.6, mode="hard scaled"),
+            target("measured", "1 kHz", "p99_ratio_placo", 0.2, mode="hard scaled"),
+        )
+        monkeypatch.setattr(compare_peers, "TARGETS", targets)
+        text = compare_peers.against_placo(records)
+        assert "0.5 (≤ 0.6: met)" in text
+        assert "0.25 (≤ 0.2: missed)" in text
+
+    def test_every_target_is_a_figure_of_the_full_run(self) -> None:
+        for t in compare_peers.TARGETS:
+            assert t.case in peer_cases.COST
+            assert t.arms in compare_peers.FULL.arms
+            assert t.pacing in contestants.PACES
+            assert t.key in compare_peers.KEYS
+        assert compare_peers.FULL.rounds * compare_peers.FULL.steps >= 2000
+
 
 class TestJudge:
     def test_object_off_its_path(self, paper_case: peer_cases.Case) -> None:
         s = paper_case.scenario
         corners = [s.path.pose(float(c)) for c in np.linspace(0.0, s.path.duration, 50)]
         half = s.path.pose(0.5 * s.path.duration)
-        moved = half.translation + np.array([0.003, 0.0, 0.0])  # across the path, which goes straight up
+        moved = half.translation + np.array([0.003, 0.0, 0.0])  # perpendicular to the vertical path
         away, turned = compare_peers._off_path(
             np.array([moved]), [half.rotation @ pin.exp3(np.array([0, 0.02, 0]))], corners
         )
@@ -146,6 +282,7 @@ class TestJudge:
             contestants.ratio([[1, 1], [10, 10], []], [[2, 2], [20, 20], [3]]) == 0.5
         )  # the machine got ten times slower
         assert contestants.ratio([], [[1.0]]) is None
+        assert contestants.ratio([[1, 1, 3]], [[1, 1, 2]], share=100.0) == 1.5
 
 
 def fake_peer(folder: Path, monkeypatch: pytest.MonkeyPatch, program: str) -> contestants.Contestant:
@@ -195,10 +332,13 @@ def test_peers_that_are_not_installed_are_reported(tmp_path: Path) -> None:
         ("placo", "0.10.2", "not installed"),
     ]
     own = [r for r in records if r["peer"] == "coopqp"]
-    assert {r["case"] for r in own} == {"fast", "mismatch", "outside", "nominal", "zigzag"}
-    assert {r["pacing"] for r in own if r["case"] == "nominal"} == {"hot", "1 kHz"}
-    assert {r["mode"] for r in own} >= set(available_kernels())
+    cost = {"nominal", "measured", "watched", "qp", "zigzag"}
+    assert {r["case"] for r in own} == {"fast", "mismatch", "outside"} | cost
+    assert {(r["case"], r["pacing"], r["mode"]) for r in own if r["pacing"]} == {
+        (case, pacing, mode) for case in cost for pacing in ("hot", "1 kHz") for mode in available_kernels()
+    }
     for r in own:
+        assert r["ratio_placo"] is r["p99_ratio_placo"] is r["placo_p50_us"] is r["placo_p99_us"] is None
         assert r["failures"] == 0, r
         assert r["p50_us"] > 0.0
         if r["case"] not in ("mismatch",):
@@ -216,11 +356,14 @@ def test_quick_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pyte
     assert "coopqp kernel:" in capsys.readouterr().out
     records = json.loads(file.read_text())
     assert {r["peer"] for r in records} == {"coopqp", *contestants.PINS}  # run, or said why not
-    contract = {"peer", "version", "case", "arms", "p50_us", "ratio", "chain_mm", "path_mm", "failures"}
+    contract = {"peer", "version", "case", "arms", "mode", "pacing", "p50_us", "p99_us", "ratio", "ratio_placo"}
+    contract |= {"p99_ratio_placo", "chain_mm", "path_mm", "failures"}
     for r in records:
         assert contract <= set(r)
         assert r["note"] or r["p50_us"], r
-    assert (out / "peers.md").is_file()
+    text = (out / "peers.md").read_text()
+    assert "## coopqp ÷ PlaCo" in text
+    assert "(≤ 120: " in text or "plain" not in available_kernels()
     for r in records:  # a hard chain and hard limits leave no answer there, wherever a peer is installed
         if r["case"] == "outside" and r["mode"] and r["mode"].startswith("hard"):
             assert r["failures"] > 0

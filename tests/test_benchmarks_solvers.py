@@ -1,4 +1,4 @@
-"""benchmarks/: the recorded QPs, all solvers on them, the profile of a step; tiny counts."""
+"""benchmarks/: the recorded QPs, all solvers on them, the profile of a step; with small counts."""
 
 from __future__ import annotations
 
@@ -9,8 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from coopqp import available_kernels
-from coopqp.control.solvers import available_solvers, make_solver
+from coopqp import available_kernels, available_solvers, make_solver
 
 BENCHMARKS = Path(__file__).resolve().parent.parent / "benchmarks"
 sys.path.insert(0, str(BENCHMARKS))
@@ -67,7 +66,7 @@ class TestRecorded:
             (file,) = (tmp_path / "problems").glob(f"corner_3_{form}_0001.npz")
             with np.load(file) as stored:
                 data = {key: stored.get(key) for key in ("P", "q", "G", "h", "A", "b", "lb", "ub")}
-            # Where H is singular, in the full form, DAQP's proximal iterations may end early.
+            # In the full form H is singular, and DAQP's proximal iterations may end early.
             how = {"condensed": ("daqp", {"primal_tol": 1e-10}), "full": ("proxqp", {"eps_abs": 1e-11, "eps_rel": 0.0})}
             backend, settings = how[form]
             x = qpsolvers.solve_problem(qpsolvers.Problem(**data), backend, **settings).x

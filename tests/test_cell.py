@@ -1,4 +1,4 @@
-"""Arms and cells: kinematics, limits and names as given, the user's models untouched, bad models refused by name."""
+"""Arms and cells keep kinematics, limits and names, leave the user's models unchanged, and refuse bad models."""
 
 from __future__ import annotations
 
@@ -16,10 +16,18 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 import coopqp.model.arm
-from coopqp.errors import CoopqpError, InvalidInputError, ModelError, UnknownNameError
-from coopqp.model.cell import Arm, JointLimits, RobotCell
-from coopqp.model.state import CellState
-from coopqp.scenarios.robots import ROBOT_NAMES, robot_path
+from coopqp import (
+    Arm,
+    CellState,
+    CoopqpError,
+    InvalidInputError,
+    JointLimits,
+    ModelError,
+    RobotCell,
+    UnknownNameError,
+    robot_path,
+)
+from coopqp.scenarios import ROBOT_NAMES
 
 Array = NDArray[np.float64]
 
@@ -75,7 +83,7 @@ def rx90l(name: str = "arm", **options: Any) -> Arm:
 
 
 def tool_alone(arm: Arm, q: Array) -> pin.SE3:
-    """The tool in the arm's own base, from the arm's own model."""
+    """The tool in the arm's base frame, from the arm's own model."""
     data = arm.model.createData()
     pin.framesForwardKinematics(arm.model, data, q)
     return data.oMf[arm.model.getFrameId(arm.tool_frame)].copy()
@@ -98,7 +106,7 @@ def test_slices_names_and_sizes(mixed_cell: RobotCell) -> None:
         assert cell.joint_names[s] == tuple(f"{name}/{joint}" for joint in list(cell.arms[k].model.names)[1:])
         assert cell.index(name) == cell.index(k) == k
         assert {cell.arm_of_joint(j) for j in range(s.start, s.stop)} == {k}
-    for joint in cell.joint_names:  # order of joints, of velocities, and of the model are one
+    for joint in cell.joint_names:  # joints, velocities and the model have the same order
         assert cell.model.joints[cell.model.getJointId(joint)].idx_v == cell.joint_names.index(joint)
     assert list(np.flatnonzero(cell.continuous)) == [34]
     names = [frame.name for frame in cell.model.frames][1:]
@@ -171,7 +179,7 @@ def test_nothing_given_is_modified() -> None:
     CellState(cell, cell.configuration(np.full(cell.nv, 0.1)))
     assert prints() == before
     assert set(dir(model)) == attributes
-    assert [x.saveToString() for x in (arm.model, arm.visual, arm.collision)] == own  # nor are the arms
+    assert [x.saveToString() for x in (arm.model, arm.visual, arm.collision)] == own  # the arms are unchanged, too
     model.names[1] = "changed later"
     assert arm.model.names[1] == "joint_1"
 
@@ -238,7 +246,7 @@ def test_a_continuous_joint_has_no_end(mixed_cell: RobotCell, angle: float) -> N
 
 def test_a_configuration_off_the_circle_names_the_joint(mixed_cell: RobotCell) -> None:
     q = mixed_cell.configuration(np.zeros(mixed_cell.nv))
-    q[-2:] *= 1.0 + 1e-8  # rounding is put right
+    q[-2:] *= 1.0 + 1e-8  # rounding is corrected
     assert np.hypot(*mixed_cell.check_configuration(q, "here")[-2:]) == pytest.approx(1.0, abs=1e-15)
     for bad in ([0.0, 0.0], [1.1, 0.0], [1.0, 1.0]):
         q[-2:] = bad
@@ -435,7 +443,7 @@ def test_a_mimic_joint_is_refused_and_can_be_locked(two_joints: Callable[..., Pa
     assert "locked_joints={'elbow': 0.0}" in str(caught.value)
     with pytest.raises(ModelError, match="'elbow' mimics another"):
         Arm.from_urdf("a", file, tool_frame="tip", locked_joints={"shoulder": 0.0})
-    arm = Arm.from_urdf("a", file, tool_frame="tip", locked_joints={"elbow": 0.4})  # the remedy works
+    arm = Arm.from_urdf("a", file, tool_frame="tip", locked_joints={"elbow": 0.4})  # the remedy in the message works
     assert list(arm.model.names)[1:] == ["shoulder"]
     plain = Arm.from_urdf("a", two_joints(), tool_frame="tip")
     T, U = tool_alone(arm, np.array([0.7])), tool_alone(plain, np.array([0.7, 0.4]))
@@ -552,7 +560,7 @@ def test_mjcf_arm(mjcf: Path) -> None:
     cell = RobotCell([rx90l("u", geometry=False), arm.placed(pin.SE3(np.eye(3), np.array([0.0, 0.0, 1.0])))])
     q1, q2, q3 = q = np.array([0.3, 0.4, 0.15])
     T = CellState(cell, np.concatenate([np.zeros(6), q])).T_world_tool[1]
-    # Rz(q1) about (0.1, 0) of link1, which stands 0.3 above; then 0.3 further, Ry(q2), 0.3 + q3 along x.
+    # link1 is at height 0.3; Rz(q1) about (0.1, 0) in link1; then 0.3 along x, Ry(q2), 0.3 + q3 along x.
     reach = 0.3 + (0.3 + q3) * np.cos(q2)
     expected = [0.1 + reach * np.cos(q1), reach * np.sin(q1), 1.3 - (0.3 + q3) * np.sin(q2)]
     np.testing.assert_allclose(T.translation, expected, rtol=0, atol=1e-14)
@@ -564,11 +572,11 @@ def test_mjcf_has_no_velocity_limits(mjcf: Path) -> None:
 
 
 def test_a_link_may_have_the_name_of_its_joint(mjcf: Path) -> None:
-    """MJCF keeps names apart by kind: as a tool frame, 'link1' means the link."""
+    """In MJCF a link and a joint may share a name: as a tool frame, 'link1' means the link."""
     arm = Arm.from_mjcf("m", mjcf, tool_frame="link1", geometry=False)
     cell = RobotCell([arm, arm.placed(np.eye(4), name="n")])
     origin = CellState(cell, np.zeros(6)).T_world_tool[0].translation
-    np.testing.assert_allclose(origin, [0.0, 0.0, 0.3], rtol=0, atol=1e-15)  # the joint's frame lies at x = 0.1
+    np.testing.assert_allclose(origin, [0.0, 0.0, 0.3], rtol=0, atol=1e-15)  # the joint's frame is at x = 0.1
     assert len({frame.name for frame in cell.model.frames}) == cell.model.nframes
 
 
@@ -591,7 +599,7 @@ def test_a_damaged_description_is_refused_or_read(tmp_path: Path, noise: bytes, 
 
 
 def test_readings_at_rest_are_averaged_joint_by_joint(mixed_cell: RobotCell) -> None:
-    """Continuous joints on their circle, also across ±π; noise falls with the root of the number of readings."""
+    """Continuous joints are averaged on the circle, also across ±π. Noise falls with the root of the number."""
     rng = np.random.default_rng(3)
     x = rng.uniform(-0.5, 0.5, mixed_cell.nv)
     x[mixed_cell.continuous] = np.pi - 1e-4

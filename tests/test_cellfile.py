@@ -1,4 +1,4 @@
-"""Cell files: the paper's example as a file is the one in code, and every mistake is named with its place."""
+"""Cell files: the paper's example as a file equals the example in code, and every mistake is named with its place."""
 
 from __future__ import annotations
 
@@ -16,22 +16,29 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from ruamel.yaml import YAML
 
+from coopqp import (
+    CellFileError,
+    CoopqpError,
+    HoldPath,
+    IndependentQPOptions,
+    MissingExtraError,
+    PhysicsPlant,
+    PseudoInverseOptions,
+    QPOptions,
+    Recording,
+    RobotCell,
+    UnknownNameError,
+    judge,
+    load_cell_file,
+    read_run,
+    robot_path,
+)
 from coopqp.app.demo import run_method
-from coopqp.control.independent import IndependentQPOptions
-from coopqp.control.options import QPOptions
-from coopqp.control.pseudo_inverse import PseudoInverseOptions
-from coopqp.errors import CoopqpError, MissingExtraError, UnknownNameError
-from coopqp.files.cellfile import CELLS, example_path, json_schema, load_cell_file, schema_text
+from coopqp.files.cellfile import CELLS, example_path, json_schema, schema_text
 from coopqp.files.cellfile.build import CellRun
 from coopqp.files.cellfile.strict import attribute_docs
-from coopqp.files.cellfile.text import CellFileError, read_tables
-from coopqp.model.cell import RobotCell
+from coopqp.files.cellfile.text import read_tables
 from coopqp.scenarios import Scenario
-from coopqp.scenarios.robots import robot_path
-from coopqp.simulation.assessment import judge, read_run
-from coopqp.simulation.plants.physics import PhysicsPlant
-from coopqp.simulation.simulate import Recording
-from coopqp.task.path import HoldPath
 
 EXAMPLES = sorted((Path(__file__).parents[1] / "docs" / "examples" / "cells").glob("*.toml"))
 PAPER = example_path("paper_lift").read_text()
@@ -135,7 +142,7 @@ def test_a_latched_grasp_is_where_the_tools_are(load: Callable[[str], CellRun]) 
 
 
 def test_units_and_limits(load: Callable[[str], CellRun]) -> None:
-    """Degrees, radians, and metres where a joint slides."""
+    """Degrees, radians, and metres for prismatic joints."""
     arm = (
         'robot = "gantry7"\nlimits = { velocity_deg_per_s = 90, acceleration_rad_per_s2 = 5.0, '
         "upper_deg = [0.5, 90, 90, 150, 170, 100, 170] }"
@@ -143,7 +150,7 @@ def test_units_and_limits(load: Callable[[str], CellRun]) -> None:
     start = "inverse_kinematics = false\npositions_deg.a = [0.25, 0, 45, 90, 0, -45, 0]"
     run = load(one_arm(arm, start=start))
     limits = run.scenario.cell.limits
-    np.testing.assert_allclose(limits.velocity, [90.0, *[np.pi / 2] * 6])  # the first joint slides: 90 m/s
+    np.testing.assert_allclose(limits.velocity, [90.0, *[np.pi / 2] * 6])  # the first joint is prismatic: 90 m/s
     np.testing.assert_allclose(limits.acceleration, 5.0)
     np.testing.assert_allclose(limits.upper, [0.5, *np.deg2rad([90, 90, 150, 170, 100, 170])])
     np.testing.assert_allclose(run.scenario.q_start, [0.25, *np.deg2rad([0, 45, 90, 0, -45, 0])])
@@ -206,7 +213,7 @@ def test_paths(path: str, load: Callable[[str], CellRun]) -> None:
     assert made.duration == 2.0
     np.testing.assert_allclose(made.pose(2.0).translation, [0.5, 0.0, 0.6])
     np.testing.assert_allclose(made.pose(2.0).rotation, pin.utils.rotate("z", np.pi / 2), atol=1e-12)
-    assert np.abs(made.twist(0.0)).max() < 1e-12  # quintic unless told otherwise
+    assert np.abs(made.twist(0.0)).max() < 1e-12  # quintic by default
 
 
 def _controller(lines: str) -> str:
@@ -274,7 +281,7 @@ def test_the_physics_engine_as_the_plant(load: Callable[[str], CellRun]) -> None
     recording = run.run()
     assert recording.finished
     away = np.abs(recording.q - recording.q_command).max()
-    assert 1e-9 < away < 0.02  # servos give way a little
+    assert 1e-9 < away < 0.02  # servos yield a little
     with pytest.raises(CellFileError, match=r"plant: unknown key 'stifness'; did you mean 'stiffness'"):
         load(one_arm(path=LINE) + '[plant]\nkind = "physics"\nstifness = 3\n')
     with pytest.raises(CellFileError, match="plant: there is no 'real'; known: kinematic, physics"):
@@ -344,7 +351,7 @@ ROBOT, BASE, QP = 'robot = "rx90l"', "xyz_m = [3.60, 0.50, 0.0]", 'kind = "qp" #
         (QP, f"grasp_gian = 3\n{QP}", "controller: unknown key 'grasp_gian'; did you mean 'grasp_gain'?"),
         (QP, f"grasp_gain = -3\n{QP}", "grasp_gain: -3 is outside"),
         (QP, f'solver = "proxpq"\n{QP}', "no QP solver named 'proxpq'. Did you mean 'proxqp'?"),
-        (QP, f"solver_settings = {{ eps = 3 }}\n{QP}", "no setting named 'eps' in DaqpSettings"),
+        (QP, f"solver_settings = {{ eps = 3 }}\n{QP}", "no setting named 'eps' in "),
         (QP, f"preview = {{ cel = 3 }}\n{QP}", "controller.preview: unknown key 'cel'; did you mean 'cell'?"),
         (QP, f"preview = true\n{QP}", "controller.preview: give a table or false, not true"),
         (
@@ -394,7 +401,7 @@ def test_what_is_no_cell_file_is_refused(content: bytes, tmp_path: Path) -> None
 @settings(max_examples=max(1, settings().max_examples // 2))
 @given(data=st.data())
 def test_whatever_is_broken_in_a_file_ends_in_its_error(data: st.DataObject, tmp_path_factory: Any) -> None:
-    """Lines dropped, doubled and swapped, values replaced: a run or an error of the file, nothing else."""
+    """With lines dropped, doubled and swapped, and values replaced, the result is a run or a CellFileError."""
     lines = PAPER.splitlines()
     for _ in range(data.draw(st.integers(1, 3))):
         i = data.draw(st.integers(0, len(lines) - 1))
@@ -497,7 +504,7 @@ def test_the_schema_explains_every_key_of_the_examples() -> None:
 
 
 def test_every_key_has_a_meaning() -> None:
-    """In the JSON schema, which editors show."""
+    """Editors show the meanings in the JSON schema."""
     schema = json_schema()
     json.dumps(schema)
     for name, table in schema["$defs"].items():
@@ -517,7 +524,7 @@ def test_the_files_that_ship_are_listed() -> None:
 
 
 def test_reading_a_file_imports_and_runs_nothing_else(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    """Names in a file are looked up in tables: they never reach the import system."""
+    """Names in a file are looked up in tables and never reach the import system."""
     real, asked = builtins.__import__, []
 
     def spy(name: str, *arguments: Any, **options: Any) -> Any:

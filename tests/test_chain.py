@@ -1,4 +1,4 @@
-"""The chain: batched kinematics of the object as every arm carries it, against one arm at a time."""
+"""The chain: batched kinematics of the object poses of all arms, compared with one arm at a time."""
 
 from __future__ import annotations
 
@@ -13,13 +13,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from coopqp.model.cell import Arm, RobotCell
+from coopqp import Arm, CellState, Grasp, RobotCell, adjoint, robot_path
 from coopqp.model.chain import SINGULAR_FLOOR, Chain
-from coopqp.model.grasp import Grasp
-from coopqp.model.state import CellState
 from coopqp.scenarios import Scenario
-from coopqp.scenarios.robots import robot_path
-from coopqp.spatial import adjoint
 
 Array = NDArray[np.float64]
 FEW = settings(max_examples=settings().max_examples // 4)  # each example builds two cells
@@ -79,7 +75,7 @@ def test_an_answer_outlives_the_next_question(setting: tuple[Chain, Array], rand
 
 @pytest.mark.parametrize("size", [0.0, 1e-9, 1e-4, 0.01, 0.1, 1.0, 2.5])
 def test_errors_are_logs(setting: tuple[Chain, Array], size: float, rng: Any) -> None:
-    """For small errors (by series) and large ones (by Pinocchio), and for both at once."""
+    """Tests small errors (series), large errors (Pinocchio), and both together."""
     chain, q = setting
     O = [pose(rows) for rows in chain.carried(q)]
     for _ in range(10):
@@ -107,7 +103,7 @@ def test_a_latched_grasp_has_no_error(setting: tuple[Chain, Array], rng: Any) ->
 
 
 def test_jacobians_are_derivatives_of_what_is_carried(setting: tuple[Chain, Array], rng: Any) -> None:
-    """A_k = Ad(R⁻¹) J_k: central differences of O_k, whatever the grasp and wherever R is."""
+    """A_k = Ad(R⁻¹) J_k equals central differences of O_k for any grasp and any R."""
     chain, q = setting
     cell, h = chain.cell, 1e-5
     R = pin.SE3.Random()
@@ -137,13 +133,13 @@ def test_dense_is_the_arms_jacobians(setting: tuple[Chain, Array]) -> None:
 
 
 def scale_of(chain: Chain, k: int) -> Array:
-    """The unit of each joint of an arm: its speed."""
+    """The unit of each joint of an arm: its speed limit."""
     speed = chain.cell.limits.velocity[chain.cell.v_slices[k]]
     return np.where(np.isfinite(speed), speed, 1.0)
 
 
 def test_joint_velocities_are_a_right_inverse(setting: tuple[Chain, Array], rng: Any) -> None:
-    """J v = W for six and seven joints; for fewer, whatever part of W the arm can do."""
+    """J v = W for six and seven joints; for fewer joints, the part of W that the arm can do."""
     chain, q = setting
     chain.linearise(q)
     assert not chain.singular
@@ -158,7 +154,7 @@ def test_joint_velocities_are_a_right_inverse(setting: tuple[Chain, Array], rng:
                 close(made[k], J @ np.linalg.lstsq(J, W[k], rcond=None)[0], 1e-11)
                 continue
             close(made[k], W[k], 1e-11)
-            # Least Σ (v_j / speed_j)² of all joint velocities that make the twist.
+            # The least Σ (v_j / speed_j)² of all joint velocities with this twist.
             D = np.diag(scale_of(chain, k))
             expected = D @ np.linalg.lstsq(J @ D, W[k], rcond=None)[0]
             close(v[s], expected, 1e-10)
@@ -209,7 +205,7 @@ def test_null_motions_leave_the_object_at_rest(setting: tuple[Chain, Array], rng
     for s in chain.cell.v_slices:
         if s.stop - s.start <= 6:
             assert not part[s].any()
-    if redundant:  # on the span of the basis: nothing that moves no object is lost
+    if redundant:  # onto the span of the basis: no null-space motion is lost
         z = rng.normal(size=redundant)
         close(chain.null_part(basis @ z), basis @ z, 1e-11)
 
@@ -226,7 +222,7 @@ def test_null_motions_to_second_order(make_cell: Any, random_q: RandomQ, rng: An
 
 
 def test_admissible_twists(setting: tuple[Chain, Array], rng: Any) -> None:
-    """What arms of four and five joints can follow: every one of them, exactly, and nothing else."""
+    """The twists that all arms with four and five joints can follow, exactly these."""
     chain, q = setting
     chain.linearise(q)
     R = pin.SE3.Random()
@@ -241,14 +237,14 @@ def test_admissible_twists(setting: tuple[Chain, Array], rng: Any) -> None:
         A = adjoint(R.inverse()) @ CellState(chain.cell, q).jacobian(k, pin.WORLD)
         close(P, P.T, 1e-13)
         close(P @ P, P, 1e-13)
-        close(P @ A, A, 1e-12)  # its own twists
+        close(P @ A, A, 1e-12)  # twists that the arm can do
         assert np.linalg.matrix_rank(P, tol=1e-8) == A.shape[1]
         close(P @ Z, Z, 1e-7)
-        bases.append(np.linalg.svd(A)[0][:, A.shape[1] :])  # what it cannot do
+        bases.append(np.linalg.svd(A)[0][:, A.shape[1] :])  # twists that the arm cannot do
     if bases:
         forbidden = np.hstack(bases)
         assert d == 6 - np.linalg.matrix_rank(forbidden, tol=1e-6)
-    for _ in range(5):  # commanded, an admissible twist is what every arm makes
+    for _ in range(5):  # every arm follows a commanded admissible twist
         V = R.action @ (Z @ rng.normal(size=d)) if d else np.zeros(6)
         v = chain.joint_velocities(np.tile(V, (chain.n_arms, 1)), np.empty(chain.nv))
         close(chain.twists(v), np.tile(V, (chain.n_arms, 1)), 1e-6)
@@ -265,7 +261,7 @@ def test_four_joints_in_parallel_agree_on_their_twists(make_cell: Any, rng: Any)
 
 
 def test_a_singular_arm_admits_less(make_cell: Any) -> None:
-    """Stretched upwards, the five joints of arm5 make fewer than five twists: those, and no others."""
+    """Stretched upwards, arm5 can do fewer than five independent twists: exactly these are admissible."""
     cell = make_cell(["arm5"])
     chain = Chain(cell, Grasp((np.eye(4),)))
     chain.linearise(np.zeros(5))
@@ -278,7 +274,7 @@ def test_a_singular_arm_admits_less(make_cell: Any) -> None:
 
 
 def with_fingers(robot: str, tool: str, folder: Path) -> Path:
-    """The robot with two sliding fingers beyond its tool frame."""
+    """The robot with two prismatic fingers beyond its tool frame."""
     finger = (
         '<link name="finger_{0}"/>'
         '<joint name="slide_{0}" type="prismatic"><parent link="{1}"/><child link="finger_{0}"/>'
@@ -291,7 +287,7 @@ def with_fingers(robot: str, tool: str, folder: Path) -> Path:
 
 
 def test_fingers_carry_nothing(tmp_path: Path, rng: Any) -> None:
-    """Joints beyond the tool do not move the object, and are not moved for it."""
+    """Joints beyond the tool do not move the object and get no velocities."""
     file = with_fingers("rx90l", "flange", tmp_path)
     whole = RobotCell([Arm.from_urdf("a", file, tool_frame="flange", geometry=False)])
     lock = {"slide_1": 0.0, "slide_2": 0.0}
@@ -354,16 +350,16 @@ def test_at_a_singularity_the_inverse_stays_finite(make_cell: Any, robot: str, a
     v = chain.joint_velocities(W, np.empty(cell.nv))
     assert np.isfinite(v).all()
     assert np.abs(v).max() <= 20.0 * np.abs(W).max() / SINGULAR_FLOOR
-    # What the arm can do there, it does.
+    # The arm does the possible part.
     possible = U[:, ~weak] @ (U[:, ~weak].T @ W[0])
     close(J @ chain.joint_velocities(possible[None], np.empty(cell.nv)), possible, 1e-6)
-    chain.linearise(cell.configuration(0.4 + np.array(angles)))  # nothing of it is remembered
+    chain.linearise(cell.configuration(0.4 + np.array(angles)))  # must have no effect on the next call
     assert not chain.singular
 
 
 @given(st.floats(-12.0, -0.5))
 def test_towards_a_singularity_nothing_jumps(paper: Scenario, exponent: float) -> None:
-    """Where the plain inverse hands over to the floored one, both give the same velocities."""
+    """At the transition from the plain to the floored inverse, both give the same velocities."""
     q = paper.q_start.copy()
     q[4] = 10.0**exponent
     chain = Chain(paper.cell, paper.grasp)
@@ -381,7 +377,7 @@ def test_towards_a_singularity_nothing_jumps(paper: Scenario, exponent: float) -
 
 
 def commands(cell: RobotCell, grasp: Grasp, q: Array, R: pin.SE3, V: Array) -> Array:
-    """Joint velocities that carry the object at the twist V, given in its own frame R."""
+    """Joint velocities that move the object with the twist V, expressed in the object frame R."""
     chain = Chain(cell, grasp)
     chain.linearise(q)
     return chain.joint_velocities(np.tile(adjoint(R) @ V, (len(cell), 1)), np.empty(cell.nv))

@@ -1,4 +1,4 @@
-"""The command line: what it writes, what it prints, and how it fails."""
+"""The command line: its files, its output, and its errors."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from pathlib import Path
 
 import pytest
 
+from coopqp import OutputError
 from coopqp.app import cli, demo
-from coopqp.output import OutputError
 
 PICTURES = {"paper_lift.png", "figure5.png", "figure5_orientation.png", "joints.png"}
 
@@ -26,7 +26,7 @@ def coopqp(*arguments: str, **options: object) -> subprocess.CompletedProcess[st
 
 @pytest.fixture(scope="module")
 def finished(tmp_path_factory: pytest.TempPathFactory) -> tuple[subprocess.CompletedProcess[str], Path]:
-    """One whole run, in an empty folder."""
+    """One complete run in an empty folder."""
     folder = tmp_path_factory.mktemp("demo")
     options = {"cwd": folder, "env": {**os.environ, "FORCE_COLOR": "", "COLUMNS": "200"}}
     return coopqp("demo", "--steps", "12", "6", "--out", "pictures", "--json", "new/records.json", **options), folder
@@ -137,7 +137,7 @@ def test_bad_input_is_one_line_and_status_2(
 def test_a_folder_without_permission_is_status_2(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr("os.access", lambda path, mode: False)  # also holds for the superuser
+    monkeypatch.setattr("os.access", lambda path, mode: False)  # works for the superuser, too
     assert cli.main(["demo", "--out", str(tmp_path / "new")]) == 2
     assert f"no permission on {tmp_path}" in capsys.readouterr().err
 
@@ -200,7 +200,7 @@ def test_an_interrupt_is_status_130(
 @pytest.mark.slow
 @pytest.mark.skipif(sys.platform == "win32", reason="POSIX signals")
 def test_control_c_stops_a_run_without_a_traceback(tmp_path: Path) -> None:
-    # Started in the background, the tests may ignore Ctrl-C, and their children with them: the child takes it again.
+    # In the background, the tests and their children may ignore Ctrl-C: the child restores the default handler.
     program = (
         "import signal, sys; signal.signal(signal.SIGINT, signal.default_int_handler);"
         "from coopqp.app.cli import main; sys.exit(main())"

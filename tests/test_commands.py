@@ -1,4 +1,4 @@
-"""The commands about single runs: what they print and write, and that bad input ends in one line."""
+"""The commands for single runs: their output and files; bad input gives an error of one line."""
 
 from __future__ import annotations
 
@@ -18,11 +18,10 @@ from typing import Any
 import numpy as np
 import pytest
 
+from coopqp import OutputError, Recording
 from coopqp.app import cli, runs
 from coopqp.files.cellfile import example_path
 from coopqp.look import plots, viewer
-from coopqp.output import OutputError
-from coopqp.simulation.simulate import Recording
 
 SMALL = """
 name = "small {name}"
@@ -60,7 +59,7 @@ def recording_file(baseline: Callable[..., Recording], tmp_path_factory: pytest.
 
 @pytest.fixture(autouse=True)
 def _elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Commands write where they run."""
+    """Run in a temporary folder: commands write into the working directory."""
     monkeypatch.chdir(tmp_path)
 
 
@@ -94,7 +93,7 @@ def test_run_writes_what_is_asked(
     names = {"report.html", "timeline.png", "joints.png", "motion.png", "view.html", "run.csv", "bag"}
     assert {Path(f).name for f in written(capsys.readouterr().out)} == names
     assert {f.name for f in (tmp_path / "here").iterdir()} == names
-    assert cli.main(["run", str(file), "--bag", "--quiet"]) == 2  # the bag is there already: said before the run
+    assert cli.main(["run", str(file), "--bag", "--quiet"]) == 2  # the bag exists: an error before the run
     assert capsys.readouterr().err.count("\n") == 1
     assert cli.main(["run", str(file), "--out", "other", "--quiet"]) == 0
     assert capsys.readouterr() == ("", "")

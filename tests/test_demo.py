@@ -1,4 +1,4 @@
-"""The demo's figures: the paper's errors, those of its variants, and those of the QP with every solver."""
+"""The demo's figures: the errors of the paper's algorithm, of its variants, and of the QP with every solver."""
 
 from __future__ import annotations
 
@@ -13,9 +13,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from coopqp import InvalidInputError, MissingExtraError, UnknownNameError, available_solvers
 from coopqp.app.demo import METHODS, DemoRun, check_demo, records_json, run_demo, run_method
-from coopqp.control.solvers import available_solvers
-from coopqp.errors import InvalidInputError, MissingExtraError, UnknownNameError
 from coopqp.scenarios import Scenario, paper_lift
 from coopqp.simulation import metrics
 
@@ -25,7 +24,7 @@ STEPS = (40, 400, 1000)
 
 @pytest.fixture(scope="session")
 def run(paper: Scenario) -> Runner:
-    """``run(method, N, solver)``, each once for all tests."""
+    """``run(method, N, solver)``: each run is made once for all tests."""
 
     @functools.cache
     def go(method: str, steps: int, solver: str = "proxqp") -> DemoRun:
@@ -145,7 +144,7 @@ def test_an_unknown_method_is_refused(paper: Scenario) -> None:
 
 
 def test_wider_grasps_drift_more() -> None:
-    """The paper's "below 1 mm at 400 steps" holds for narrow grasps only; the README says so."""
+    """The paper's "below 1 mm at 400 steps" holds for narrow grasps only, as the README says."""
     wide = run_method(paper_lift(alpha=0.60, beta=0.60), "pseudo_inverse", 400)
     assert wide.eps_p_mm == pytest.approx(1.48, rel=0.01)
 
@@ -158,7 +157,7 @@ def test_the_table_of_the_readme_is_measured(run: Runner) -> None:
     for name, cells in rows:
         *errors, off = (float(cell) for cell in cells.split(" | "))
         runs = [run(name, n) for n in STEPS]
-        # Far below a micrometre the last digits are the solver's and the machine's.
+        # Far below a micrometre the last digits depend on the solver and the machine.
         rel = 1.0 if name == "qp" else 0.01
         assert errors == pytest.approx([r.eps_p_mm for r in runs], rel=rel)
         assert off == pytest.approx(runs[-1].object_error_mm, rel=rel, abs=1e-8)

@@ -1,4 +1,4 @@
-"""The pages in docs/ are true: every example runs and prints what its page shows; the pages build without warnings."""
+"""The pages in docs/ are true: every example prints the output on its page, and the pages build without warnings."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ PAGES = sorted(p for p in DOCS.rglob("*.md") if "_build" not in p.parts)
 #: An example that a page includes, and the output below it.
 SHOWN = re.compile(r"```\{literalinclude\} (\S+\.py)\n.*?^```\n(?:(?!```)[^\n]*\n)*?```text\n(.*?)^```$", re.M | re.S)
 NUMBER = re.compile(r"(?<![\w.])-?\d+(?:\.\d+)?(?:e[+-]?\d+)?")
-#: Below this a figure is rounding, and differs from machine to machine.
+#: Figures below this are rounding and differ between machines.
 ROUNDING = 1e-3
 TIMES = "µs"
 
 
 @pytest.fixture(scope="module")
 def outputs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
-    """What each example prints; run from another folder, as a user would."""
+    """The output of each example, run from another folder like a user's program."""
     folder = tmp_path_factory.mktemp("examples")
     environment = {**os.environ, "MPLBACKEND": "Agg", "PYTHONIOENCODING": "utf-8", "OMP_NUM_THREADS": "1"}
 
@@ -95,12 +95,12 @@ def test_the_second_tutorial_judges_its_run_well(outputs: dict[str, str]) -> Non
 
 def test_the_reference_has_every_public_name() -> None:
     text = (DOCS / "reference.md").read_text(encoding="utf-8")
-    named = set(re.findall(r"auto(?:class|function|exception):: coopqp\.(\w+)$", text, flags=re.M))
+    named = set(re.findall(r"(?:auto(?:class|function|exception)|py:data):: coopqp\.(\w+)$", text, flags=re.M))
     assert named == set(coopqp.__all__) - {"__version__"}
 
 
 def test_notation_and_code_agree() -> None:
-    """A_k v = Ad(R⁻¹) J_k v is the derivative of e_k, whatever the grasp."""
+    """A_k v = Ad(R⁻¹) J_k v is the derivative of e_k for any grasp."""
     import numpy as np
     import pinocchio as pin
 
@@ -117,17 +117,17 @@ def test_notation_and_code_agree() -> None:
 
 
 def test_defaults_in_the_text_are_those_of_the_code() -> None:
-    """Who changes one of these changes the pages too: howto/gains, howto/why-slow, derivations, tutorials 2 and 5,
+    """After a change of a default, also change the pages: howto/gains, howto/why-slow, derivations, tutorials 2 and 5,
     reliability."""
+    from coopqp import OsqpSettings
     from coopqp.control.limits import VelocityBox
     from coopqp.control.ranks import RESIDUE_TOLERANCE
-    from coopqp.control.solvers.osqp import OsqpSettings
 
     assert (RESIDUE_TOLERANCE, VelocityBox.RECOVERY_SHARE, OsqpSettings().max_iter) == (1e-5, 0.2, 4000)
     o = coopqp.QPOptions()
     s, w, p = o.supervision, o.weights, coopqp.PreviewOptions()
     assert (o.grasp_gain, o.path_gain, o.correction_speed, o.correction_spin) == (20.0, 20.0, 0.1, 0.4)
-    assert (o.measurement_time, o.solver, o.common_error.kind) == (0.02, "daqp", "master")
+    assert (o.measurement_time, o.solver, o.common_error.kind) == (0.02, "auto", "master")
     assert (o.blocked_rate, s.joint_jump, s.stall_samples) == (1e-3, 0.3, 4)
     assert (s.slow_from, s.hold_from, s.fault_from, s.dt_range) == (0.00025, 0.00075, 0.02, (0.1, 5.0))
     assert (w.chain, w.recovery, w.off_path, w.grasp, w.path, w.rate, w.comfort) == (1e8, 1e6, 1e4, 1, 1e-2, 1e-4, 1e-6)
@@ -156,7 +156,7 @@ def test_the_pages_build_without_warnings(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_view_needs_nothing_but_the_extra(monkeypatch: pytest.MonkeyPatch) -> None:
-    """``--view`` opens the viewer on the run; here it is closed at once."""
+    """``--view`` opens the viewer on the run; the test closes it at once."""
     pytest.importorskip("viser")
     from coopqp.look import viewer
 

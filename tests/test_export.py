@@ -1,4 +1,4 @@
-"""Exports read back by readers of others: every position exact, and nothing half-written."""
+"""Exports, read by other packages: every position is exact, and no file is partial."""
 
 from __future__ import annotations
 
@@ -14,14 +14,20 @@ from typing import Any
 import numpy as np
 import pytest
 
-from coopqp.errors import InvalidInputError, MissingExtraError
-from coopqp.files.export import csv_text, joint_table, knot_velocities, topic_name, write_bag, write_csv
-from coopqp.model.cell import RobotCell
-from coopqp.output import OutputError
+from coopqp import (
+    InvalidInputError,
+    MissingExtraError,
+    OutputError,
+    Recording,
+    RobotCell,
+    SceneError,
+    read_run,
+    write_bag,
+    write_csv,
+)
+from coopqp.files.export import csv_text, joint_table, knot_velocities, topic_name
 from coopqp.scenarios import Scenario
-from coopqp.simulation.assessment import read_run
-from coopqp.simulation.scene import SceneError, describe_cell
-from coopqp.simulation.simulate import Recording
+from coopqp.simulation.scene import describe_cell
 
 with warnings.catch_warnings():
     warnings.simplefilter("ignore", DeprecationWarning)
@@ -37,7 +43,7 @@ def run(baseline: Callable[..., Recording]) -> Recording:
 
 @pytest.fixture
 def mixed_run(make_cell: Callable[..., RobotCell]) -> tuple[RobotCell, Recording]:
-    """A sliding joint, and a continuous one that turns on past π."""
+    """A run with a prismatic joint, and a continuous joint that turns beyond π."""
     cell = make_cell(["gantry7", "arm6c"])
     T = 20
     x = np.linspace(0.0, 1.0, T + 1)[:, None] * np.full(cell.nv, 0.2)
@@ -154,7 +160,7 @@ def test_a_trajectory_is_the_command_of_an_arm(run: Recording, paper: Scenario, 
 
 
 def test_knot_velocities_follow_the_positions(run: Recording) -> None:
-    """A cubic through the points passes near the middle of each step's chord: no overshoot of a whole step."""
+    """A cubic through the points passes near the middle of each step's chord, without overshoot."""
     v, h = knot_velocities(run), np.diff(run.time)[:, None]
     middle = 0.5 * (run.q_command[:-1] + run.q_command[1:]) + h / 8.0 * (v[:-1] - v[1:])
     chord = 0.5 * (run.q_command[:-1] + run.q_command[1:])

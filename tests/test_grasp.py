@@ -1,4 +1,4 @@
-"""The grasp: what every arm thinks of the object, the paper's triangle, and both ways of Figure 2."""
+"""The grasp: the object pose of every arm, the paper's triangle, and both methods of Figure 2."""
 
 from __future__ import annotations
 
@@ -12,12 +12,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from coopqp.errors import InvalidInputError
-from coopqp.model.cell import RobotCell
-from coopqp.model.grasp import THETA, Grasp, plate_from_centroid, plate_from_points, triangle_frames
-from coopqp.model.state import CellState
+from coopqp import CellState, Grasp, InvalidInputError, RobotCell, adjoint, plate_from_centroid, plate_from_points
+from coopqp.model.grasp import THETA, triangle_frames
 from coopqp.scenarios import Scenario
-from coopqp.spatial import adjoint
 
 Array = NDArray[np.float64]
 RandomQ = Callable[[RobotCell, np.random.Generator], Array]
@@ -123,7 +120,7 @@ def test_increments_are_adjoints(X: list[pin.SE3], delta: list[float]) -> None:
 
 @given(poses, st.lists(st.floats(-0.5, 0.5), min_size=6, max_size=6))
 def test_increments_keep_the_grasp(T: pin.SE3, delta: list[float]) -> None:
-    """Tools moved by their Δ^k still agree on the object, moved by Δ: for finite Δ."""
+    """After finite motions Δ^k of the tools, all arms carry the object at the pose moved by Δ."""
     grasp = Grasp.triangle(0.6, 0.3)
     moved = T * pin.exp6(pin.Motion(np.array(delta)))
     for tool, target, d in zip(
@@ -152,7 +149,7 @@ def test_both_ways_of_figure_2_agree(T: pin.SE3, alpha: float, beta: float) -> N
     """The plate from its grasp points, and from its centroid and orientation."""
     A, B, C = (T.act(np.array(p)) for p in ([0.0, 0.0, 0.0], [-beta, 3 * alpha, 0.0], [beta, 3 * alpha, 0.0]))
     placed, a, b = plate_from_points(A, B, C)
-    close(placed, T, 1e-8)  # points far from the origin and near each other
+    close(placed, T, 1e-8)  # the points are far from the origin and close together
     assert (a, b) == pytest.approx((alpha, beta), rel=1e-9, abs=1e-12)
     centroid = pin.SE3(T.rotation, (A + B + C) / 3.0)
     close(plate_from_centroid(centroid, alpha), T, 1e-12)

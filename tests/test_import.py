@@ -1,4 +1,4 @@
-"""``import coopqp`` needs the core dependencies only: what an extra installs is imported where it is used."""
+"""``import coopqp`` needs only the core dependencies: packages of extras are imported on use."""
 
 from __future__ import annotations
 

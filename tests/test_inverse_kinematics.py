@@ -1,4 +1,4 @@
-"""Closed-chain inverse kinematics: every arm there, on the start's branch, or an error that names the arm."""
+"""Closed-chain inverse kinematics: every arm arrives on the start's branch, or an error names the arm."""
 
 from __future__ import annotations
 
@@ -12,11 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from coopqp.errors import InvalidInputError, UnreachableError
-from coopqp.model.cell import RobotCell
-from coopqp.model.grasp import Grasp
-from coopqp.model.inverse_kinematics import inverse_kinematics
-from coopqp.model.state import CellState
+from coopqp import CellState, Grasp, InvalidInputError, RobotCell, UnreachableError, inverse_kinematics
 from coopqp.scenarios import Scenario
 
 Array = NDArray[np.float64]
@@ -29,7 +25,7 @@ def worst_error(cell: RobotCell, grasp: Grasp, q: Array, T: pin.SE3) -> float:
 
 @given(st.integers(0, 2**32 - 1))
 def test_every_arm_arrives(paper: Scenario, seed: int) -> None:
-    """Poses around the lift, from starts that are off by up to 0.1 rad a joint."""
+    """Poses around the lift, from starts with errors of up to 0.1 rad per joint."""
     rng = np.random.default_rng(seed)
     T = paper.path.pose(rng.uniform(0.0, 3.0)) * pin.exp6(pin.Motion(0.05 * rng.uniform(-1, 1, 6)))
     q = inverse_kinematics(paper.cell, paper.grasp, T, paper.q_start + rng.uniform(-0.1, 0.1, 18))
@@ -45,7 +41,7 @@ def test_a_solution_stays_where_it_is(paper: Scenario) -> None:
 
 
 def test_all_kinds_of_arms_at_once(mixed_cell: RobotCell, random_q: RandomQ, rng: Any) -> None:
-    """Redundant arms and arms of four and five joints, where the pose is one that they can reach."""
+    """Redundant arms and arms with four and five joints, at poses that they can reach."""
     found = 0
     for _ in range(20):
         q, T = random_q(mixed_cell, rng), pin.SE3.Random()
@@ -78,7 +74,7 @@ def test_arms_do_not_depend_on_each_other(make_cell: Callable[..., RobotCell], r
 
 @pytest.mark.parametrize("arm", [0, 1, 2])
 def test_an_arm_out_of_reach_is_named(paper: Scenario, arm: int) -> None:
-    """Grasp points 20 m out for one arm only: the others arrive."""
+    """Only one arm has a grasp point 20 m away; the others arrive."""
     placements = list(paper.grasp.T_object_tool)
     placements[arm] = pin.SE3(np.eye(3), np.array([0.0, 0.0, 20.0])) * placements[arm]
     with pytest.raises(UnreachableError, match=f"arm '{paper.cell.arm_names[arm]}' does not reach") as caught:

@@ -1,4 +1,4 @@
-"""The fused step: NumPy, compiled and step by step are one controller; what a kernel computes, and what it refuses."""
+"""The fused step: the NumPy kernel, the compiled kernel and the unfused step give the same controller."""
 
 from __future__ import annotations
 
@@ -11,36 +11,36 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 import pytest
-
-from coopqp.control import core as kernels
-from coopqp.control.core import (
-    BorderArrays,
-    Outcome,
-    StepKernel,
-    Workspace,
-    available_kernels,
-    make_border,
-    make_kernel,
-)
 from coopqp.control.core.reference import bound
-from coopqp.control.forms import RankWeights, StepProgram, StepTerms
+
+from coopqp import (
+    Array,
+    CellState,
+    Grasp,
+    JointLimits,
+    LinePath,
+    ObjectPath,
+    QPController,
+    QPOptions,
+    RankWeights,
+    RobotCell,
+    ServoPath,
+    UnknownNameError,
+    WaypointPath,
+    available_kernels,
+)
+from coopqp.control import core as kernels
+from coopqp.control.core import BorderArrays, Outcome, StepKernel, Workspace, make_border, make_kernel
+from coopqp.control.forms import StepProgram, StepTerms
 from coopqp.control.limits import LIMIT_TOLERANCE, VelocityBox
-from coopqp.control.options import QPOptions
-from coopqp.control.qp import QPController
-from coopqp.errors import UnknownNameError
-from coopqp.model.cell import JointLimits, RobotCell
 from coopqp.model.chain import Chain
-from coopqp.model.grasp import Grasp
-from coopqp.model.state import CellState
 from coopqp.scenarios import Scenario, at_limit, dual_arm7, mixed_cell, paper_lift, ring
-from coopqp.spatial import Array
-from coopqp.task.path import LinePath, ObjectPath, ServoPath, WaypointPath
 
 pytestmark = pytest.mark.core
 
 #: Largest difference of a joint velocity in closed loop [rad/s or m/s].
 SAME = 1e-10
-#: The compiled one also with the arithmetic that it takes on processors without AVX2.
+#: The kernels, and the compiled kernel with its arithmetic for processors without AVX2.
 KERNELS = (*available_kernels(), *(["plain"] if "compiled" in available_kernels() else []))
 
 
@@ -61,7 +61,7 @@ def _plain_kernel(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def options_with(name: str, **options: Any) -> QPOptions:
     made = QPOptions(**options)
-    object.__setattr__(made, "kernel", name)  # "plain" is no name that they take
+    object.__setattr__(made, "kernel", name)  # the options do not accept "plain"
     return made
 
 
@@ -110,7 +110,7 @@ def controllers(
 
 
 def agree(loops: list[QPController], steps: int, inputs: Callable[[int, Array], dict[str, Any]] | None = None) -> float:
-    """Run the loops side by side; returns the lowest rate."""
+    """Run the loops side by side and compare their steps. Returns the lowest rate."""
     rng_state = [np.random.default_rng(5) for _ in loops]
     q = [c._q for c in loops]
     lowest = 1.0
@@ -163,7 +163,7 @@ def test_all_agree_with_bad_input_in_between(paper: Scenario) -> None:
 
 
 def test_all_agree_on_a_moving_target(paper: Scenario) -> None:
-    """A path whose poses are not known ahead, and is no line."""
+    """A path that is not known ahead and not a straight line."""
     start = paper.path.pose(0.0)
     loops = controllers(paper, 0.005, lambda: ServoPath(start))
     for i in range(4):
@@ -185,7 +185,7 @@ def test_all_agree_with_other_options(options: dict[str, Any], paper: Scenario) 
 
 @pytest.mark.parametrize("name", LIFTS)
 def test_the_kernels_qp_is_that_of_the_program(name: str) -> None:
-    """A QP at every step, filled in by the kernel and step by step."""
+    """Every step has a QP, built by the kernel and by the unfused step."""
     make, dt = LIFTS[name]
     task = make()
     loops = []
@@ -201,9 +201,9 @@ def test_the_kernels_qp_is_that_of_the_program(name: str) -> None:
 @pytest.mark.parametrize("make", [paper_lift, dual_arm7, mixed_cell])
 @pytest.mark.parametrize("acceleration", [np.inf, 20.0])
 def test_all_agree_while_joints_are_led_back(make: Callable[[], Scenario], acceleration: float) -> None:
-    """Three joints outside their limits, in both directions: QPs whose size changes on the way."""
+    """Three joints are outside their limits, in both directions: the size of the QP changes during the run."""
     task = make()
-    # Null-space motion costs 1e-12 of what leading back does, and so follows rounding a thousand times as much.
+    # The cost of null-space motion is 1e-12 of the cost of recovery: rounding changes it a thousand times more.
     same = SAME if task.cell.nv == 6 * len(task.cell) else 1e-8
     limits = task.cell.limits
     lower, upper = limits.lower.copy(), limits.upper.copy()
@@ -237,7 +237,7 @@ def test_a_kernel_that_is_not_there(paper: Scenario) -> None:
 
 
 def random_workspace(cell: RobotCell, grasp: Grasp, shares: Array, q: Array, rng: np.random.Generator) -> Workspace:
-    """Errors of any size, gains, flags, and velocities that may or may not fit the limits."""
+    """A workspace with errors of any size, gains, flags, and velocities inside or outside the limits."""
     chain = Chain(cell, grasp)
     ws = Workspace(chain, shares, VelocityBox(cell))
     chain.place(q)
@@ -259,13 +259,13 @@ def random_workspace(cell: RobotCell, grasp: Grasp, shares: Array, q: Array, rng
 def random_problem(
     paper: Scenario, rng: np.random.Generator
 ) -> tuple[Workspace, Callable[[], Workspace], Array, float]:
-    """A workspace, what makes another like it, the configuration, and the rate cap."""
+    """A workspace, a function that builds an equal one, the configuration, and the rate cap."""
     cell = paper.cell
     if rng.integers(2):
         cell = cell.with_limits(velocity=10.0 ** rng.uniform(-2, 1), acceleration=10.0 ** rng.uniform(-1, 2))
     q = paper.q_start + 10.0 ** rng.uniform(-9, -2) * rng.standard_normal(18)
     shares = np.zeros((3, 6))
-    shares[rng.integers(3, size=6), np.arange(6)] = 1.0  # each axis another arm's
+    shares[rng.integers(3, size=6), np.arange(6)] = 1.0  # each axis belongs to one random arm
     shares = [shares, np.full((3, 6), 1 / 3), np.eye(3)[0][:, None] * np.ones(6)][rng.integers(3)]
     predicted, seed = 1e-5 * rng.standard_normal((3, 6)), int(rng.integers(2**31))
 
@@ -279,7 +279,7 @@ def random_problem(
 
 @pytest.mark.slow
 def test_kernels_agree_call_by_call(paper: Scenario, rng: np.random.Generator) -> None:
-    """Outcome, velocity, and what the next step starts from; and what they are by definition."""
+    """Outcome, velocity and the start of the next step agree with each other and with their definitions."""
     seen = set()
     for _ in range(600):
         _, make, q, cap = random_problem(paper, rng)
@@ -295,7 +295,7 @@ def test_kernels_agree_call_by_call(paper: Scenario, rng: np.random.Generator) -
             expected = [pin.log6(pin.SE3(ws.R, ws.p).actInv(O)).vector for O in carried]
             np.testing.assert_allclose(ws.errors, expected, rtol=0.0, atol=1e-13)
             results.append((outcome, ws))
-            if outcome == Outcome.OPEN:  # the state is as it was
+            if outcome == Outcome.OPEN:  # the state is unchanged
                 for before, after in ((positions, ws.positions), (v_prev, ws.v_prev), (predicted, ws.predicted)):
                     np.testing.assert_array_equal(before, after)
                 continue
@@ -310,7 +310,7 @@ def test_kernels_agree_call_by_call(paper: Scenario, rng: np.random.Generator) -
                 j = int(ws.result[ws.JOINT])
                 side = box.upper if ws.result[ws.SIDE] > 0.0 else box.lower
                 assert ws.velocity[j] == pytest.approx(side[j], abs=1e-8)
-            # A v − σν is what corrects the errors
+            # A v − σν corrects the errors
             twists = ws.chain.twists(ws.velocity) @ np.linalg.inv(ws.action).T - rate * ws.along
             np.testing.assert_allclose(ws.predicted, ws.errors + h * twists, rtol=0.0, atol=1e-8)
             np.testing.assert_allclose(ws.positions, positions + h * ws.velocity, rtol=0.0, atol=1e-14)
@@ -336,7 +336,7 @@ def test_kernels_agree_call_by_call(paper: Scenario, rng: np.random.Generator) -
 @pytest.mark.parametrize("name", KERNELS)
 @pytest.mark.parametrize("make", [paper_lift, dual_arm7, mixed_cell, lambda: ring(arms=5)])
 def test_rows_are_those_of_the_program(name: str, make: Callable[[], Scenario], rng: np.random.Generator) -> None:
-    """Entry by entry, but for the basis of the null-spaces, of which only the span is given."""
+    """All entries are equal, except the bases of the null-spaces: only their spans are equal."""
     task = make()
     n, nv = len(task.cell), task.cell.nv
     counts = set()
@@ -382,7 +382,7 @@ def test_rows_are_those_of_the_program(name: str, make: Callable[[], Scenario], 
 
 @pytest.mark.parametrize("name", KERNELS)
 def test_where_the_object_is_seen(name: str, paper: Scenario, rng: np.random.Generator) -> None:
-    """Errors and their common part, against the path's pose or the one that is set."""
+    """Errors and the common error, relative to the path's pose or a given pose."""
     for _ in range(100):
         ws, _, q, _ = random_problem(paper, rng)
         kernel, clock = make_kernel(ws, name), float(rng.uniform(0.0, paper.path.duration))
@@ -458,7 +458,7 @@ def test_what_is_no_number_stays_open(
         with np.errstate(all="raise" if np.isnan(value) else "ignore"):
             outcome = Outcome(kernel.step(*numbers.values()))
             rows = kernel.rows(*numbers.values())
-        if not np.isfinite(value) and not (np.isinf(value) and field in ("clock", "span")):  # that is the path's end
+        if not np.isfinite(value) and not (np.isinf(value) and field in ("clock", "span")):  # path end
             assert outcome == Outcome.OPEN
             assert rows == -1
 
@@ -521,7 +521,7 @@ def random_border(rng: np.random.Generator, joints: int) -> BorderArrays:
 
 @pytest.mark.parametrize("name", KERNELS)
 def test_a_border_is_what_the_limits_leave(name: str, rng: np.random.Generator) -> None:
-    """z_cap and the decrease of the rate, by their definitions in docs/derivations.md."""
+    """z_cap and the decrease of the rate agree with their definitions in docs/derivations.md."""
     for _ in range(300):
         b, h = random_border(rng, int(rng.integers(1, 20))), 10.0 ** rng.uniform(-3, -1)
         make_border(b, name).evaluate(h)
@@ -552,5 +552,5 @@ def test_a_border_that_is_no_number_says_so(name: str, field: str, rng: np.rando
 
 @pytest.mark.skipif(shutil.which("cc") is None, reason="no compiler")
 def test_where_there_is_a_compiler_the_kernel_is_compiled() -> None:
-    """Without it the build falls back without a word, and nothing else here would try the compiled kernel."""
+    """Without a compiler the build silently falls back to NumPy; no other test detects a missing kernel."""
     assert KERNELS[0] == "compiled"

@@ -1,6 +1,6 @@
-"""The box of admissible joint velocities: never empty, stops in time, and says which limit it is.
+"""The box of admissible joint velocities: it is never empty, joints stop in time, and it names the binding limit.
 
-The oracle is the joints' motion itself, stepped here; each joint of a box stands alone, so one box holds many states.
+The tests simulate the joints' motion as an oracle. The joints of a box are independent, so one box holds many states.
 """
 
 from __future__ import annotations
@@ -14,9 +14,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
+from coopqp import BindingLimit, JointLimits, LimitKind, RobotCell
 from coopqp.control.limits import LIMIT_TOLERANCE, VelocityBox, rate_interval
-from coopqp.model.cell import JointLimits, RobotCell
-from coopqp.model.limits import BindingLimit, LimitKind
 
 Array = NDArray[np.float64]
 STEPS = [0.001, 0.002, 0.01]  # [s]
@@ -24,7 +23,7 @@ OVERSHOOT = 1e-6  # [rad]
 
 
 def box_of(lower: Any, upper: Any, velocity: Any, acceleration: Any) -> VelocityBox:
-    """A box of joints that belong to nothing."""
+    """A box of joints without a cell."""
     arrays = np.broadcast_arrays(*(np.asarray(x, dtype=float) for x in (lower, upper, velocity, acceleration)))
     limits = JointLimits(*(np.atleast_1d(a) for a in arrays))
     n = len(limits.lower)
@@ -33,7 +32,7 @@ def box_of(lower: Any, upper: Any, velocity: Any, acceleration: Any) -> Velocity
 
 
 def random_box(rng: np.random.Generator, n: int, *, unlimited: float = 0.2) -> VelocityBox:
-    """Limits over several orders of magnitude, a share of them missing."""
+    """Limits over several orders of magnitude; a share of them is missing."""
 
     def missing(values: Array, sign: float = 1.0) -> Array:
         return np.where(rng.uniform(size=n) < unlimited, sign * np.inf, values)
@@ -87,7 +86,7 @@ def test_the_box_is_never_empty(seed: int, dt: float) -> None:
 
 @given(st.integers(0, 2**32 - 1), st.sampled_from(STEPS))
 def test_at_rest_the_box_keeps_every_limit(seed: int, dt: float) -> None:
-    """From rest, anything in the box keeps velocity and position limits; standing still is always allowed."""
+    """From rest, every velocity in the box keeps the velocity and position limits. Zero is always in the box."""
     rng = np.random.default_rng(seed)
     box = random_box(rng, 500)
     limits, x = limits_of(box), random_positions(box, rng)
@@ -109,7 +108,7 @@ def test_at_rest_the_box_keeps_every_limit(seed: int, dt: float) -> None:
 
 @given(st.integers(0, 2**32 - 1), st.sampled_from(STEPS))
 def test_a_joint_has_its_own_box_whatever_the_others_have(seed: int, dt: float) -> None:
-    """Whether all joints, some or no other have acceleration limits."""
+    """The box of a joint is the same if all, some or no other joints have acceleration limits."""
     rng = np.random.default_rng(seed)
     n = 50
     v = rng.normal(size=n)
@@ -150,7 +149,7 @@ def test_without_acceleration_limits_the_last_step_ends_at_the_limit() -> None:
 
 
 def stoppable(box: VelocityBox, x: Array, rng: np.random.Generator, dt: float) -> Array:
-    """Random velocities that the joints can still stop from: v dt + v²/(2a) within the distance left on that side."""
+    """Random velocities from which the joints can stop: v dt + v²/(2a) ≤ the remaining distance."""
     limits = limits_of(box)
     a = limits.acceleration
     sides = []
@@ -165,9 +164,9 @@ def stoppable(box: VelocityBox, x: Array, rng: np.random.Generator, dt: float) -
 def test_full_braking_from_the_bound_ends_before_the_limit(
     distance: float, speed: float, acceleration: float, dt: float, share: float
 ) -> None:
-    """The bound is v dt + v²/(2a) ≤ d: brake as hard as allowed from it, and the joint stops in front of the limit."""
+    """With full braking from the bound v dt + v²/(2a) ≤ d the joint stops before the limit."""
     box = box_of([-1e3], [0.0], [speed], [acceleration])
-    box.update(np.array([-distance]), np.array([speed]), dt)  # the velocity does not matter to this bound
+    box.update(np.array([-distance]), np.array([speed]), dt)  # this bound does not depend on the velocity
     v = min(speed, -acceleration * dt + np.sqrt((acceleration * dt) ** 2 + 2.0 * acceleration * distance)) * share
     x = -distance + v * dt
     steps = int(np.ceil(v / (acceleration * dt))) + 1
@@ -185,7 +184,7 @@ def test_the_bound_is_tight(dt: float) -> None:
     v = np.asarray([box_of([-10.0], [0.0], [np.inf], [a])._stopping_speed(np.array([d]), dt)[0] for d in distance])
     np.testing.assert_allclose(v * dt + v * v / (2 * a), distance, rtol=1e-12)
     box.update(-distance, free, dt)
-    np.testing.assert_allclose(box.upper, free - a * dt)  # too fast to stop: brake as hard as allowed
+    np.testing.assert_allclose(box.upper, free - a * dt)  # too fast to stop: full braking
 
 
 def test_acceleration_wins_over_position_and_velocity() -> None:
@@ -202,7 +201,7 @@ def test_acceleration_wins_over_position_and_velocity() -> None:
 
 @given(st.integers(0, 2**32 - 1), st.sampled_from(STEPS), st.floats(1e-9, 0.5), st.booleans())
 def test_from_outside_no_further_out(seed: int, dt: float, away: float, accelerates: bool) -> None:
-    """From rest, whatever is chosen from the box: the distance never grows, and once inside the joint stays there."""
+    """From rest, for every choice in the box, the distance never grows, and a joint inside stays inside."""
     rng = np.random.default_rng(seed)
     n = 100
     side = rng.choice([-1.0, 1.0], n)
@@ -257,7 +256,7 @@ def test_recovery_leads_back_in(dt: float, acceleration: float, away: float) -> 
 
 
 def test_recovery_is_zero_elsewhere_even_without_limits() -> None:
-    """A joint without a limit beside one that is outside: nothing leads it anywhere."""
+    """A joint without limits gets no recovery velocity while another joint is outside."""
     box = box_of([-1.0, -np.inf, -np.inf, 0.0], [1.0, np.inf, 1.0, np.inf], 2.0, [10.0, 10.0, np.inf, np.inf])
     box.update(np.array([1.5, 0.0, 0.0, 0.0]), np.zeros(4), 0.01)
     assert box.recovery[0] < 0.0
@@ -274,7 +273,7 @@ def admits(rate: float, base: Array, along: Array, low: Array, high: Array, tole
 
 @given(st.integers(0, 2**32 - 1), st.floats(0.0, 2.0), st.booleans())
 def test_the_interval_of_rates_is_what_the_box_admits(seed: int, spread: float, unlimited: bool) -> None:
-    """Every rate in it keeps the box, none outside does, and where there is none, none of a thousand tries does."""
+    """Rates inside the interval keep the box, rates outside do not; for an empty interval none of a thousand does."""
     rng = np.random.default_rng(seed)
     n = 12
     base, along = spread * rng.normal(size=n), rng.normal(size=n) * rng.choice([0.0, 1e-13, 1.0, 1.0, 1.0], n)
@@ -295,13 +294,13 @@ def test_the_interval_of_rates_is_what_the_box_admits(seed: int, spread: float, 
     if np.isfinite(highest) and abs(along[j]) > 1e-6:
         assert not admits(highest + beyond, base, along, low, high, LIMIT_TOLERANCE)
         v = base[j] + highest * along[j]
-        assert v == pytest.approx(high[j] if along[j] > 0.0 else low[j], abs=1e-8)  # j is the joint that makes it
+        assert v == pytest.approx(high[j] if along[j] > 0.0 else low[j], abs=1e-8)  # the joint at its bound
     if np.isfinite(lowest):
         assert not admits(lowest - 1e-3 * (1.0 + abs(lowest)), base, along, low, high, LIMIT_TOLERANCE)
 
 
 def test_rates_at_standstill() -> None:
-    """Rounding of the box must not look like an empty interval, nor like a rate below zero."""
+    """Rounding of the box must not give an empty interval or a negative rate."""
     zero = np.zeros(2)
     along = np.array([1.0, -2.0])
     for error in (0.0, 1e-10, -1e-10):
@@ -326,7 +325,7 @@ def test_rates_at_standstill() -> None:
         (0.0, 0.0, 1.0, LimitKind.ACCELERATION),
         (0.0, 0.0, -1.0, LimitKind.ACCELERATION),
         (0.0, 1.0, -1.0, LimitKind.ACCELERATION),
-        (0.0, 3.0, 1.0, LimitKind.ACCELERATION),  # faster than allowed: it is the braking that binds
+        (0.0, 3.0, 1.0, LimitKind.ACCELERATION),  # too fast: the acceleration limit binds
         (1.0, 0.0, 1.0, LimitKind.POSITION),
         (-1.0, 0.0, -1.0, LimitKind.POSITION),
         (1.2, 0.0, 1.0, LimitKind.POSITION),
@@ -344,7 +343,7 @@ def test_kind_of_names_the_limit_that_binds(x: float, v: float, sign: float, kin
 
 @given(st.integers(0, 2**32 - 1), st.sampled_from(STEPS))
 def test_without_that_limit_the_bound_is_wider(seed: int, dt: float) -> None:
-    """Take the named limit away, and the bound moves."""
+    """Without the named limit, the bound is wider."""
     rng = np.random.default_rng(seed)
     lower, upper, speed, acceleration = -1.0, 1.0, rng.uniform(0.5, 3.0), rng.uniform(1.0, 50.0)
     box = box_of([lower], [upper], [speed], [acceleration])
@@ -353,7 +352,7 @@ def test_without_that_limit_the_bound_is_wider(seed: int, dt: float) -> None:
     box.update(x, v, dt)
     for sign in (1.0, -1.0):
         kind, bound = box.kind_of(0, sign, v, dt), sign * (box.upper if sign > 0 else box.lower)[0]
-        without = {  # the acceleration limit is needed for braking too: it cannot be taken away alone
+        without = {  # the acceleration limit also determines braking: do not remove it alone
             LimitKind.POSITION: box_of([-1e5], [1e5], [speed], [acceleration]),
             LimitKind.VELOCITY: box_of([lower], [upper], [1e5], [acceleration]),
         }

@@ -1,4 +1,4 @@
-"""The measures: from configurations alone, by the paper's definitions, and never perfect for a broken run."""
+"""The measures follow the paper's definitions, use configurations only, and are never perfect for a broken run."""
 
 from __future__ import annotations
 
@@ -12,12 +12,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from coopqp.errors import InvalidInputError
-from coopqp.model.cell import RobotCell
-from coopqp.model.grasp import Grasp
-from coopqp.model.state import CellState
-from coopqp.scenarios import Scenario
-from coopqp.simulation.metrics import (
+from coopqp import (
+    CellState,
+    Grasp,
+    InvalidInputError,
+    LinePath,
+    Recording,
+    RobotCell,
     chain_error,
     limit_excess,
     object_error,
@@ -26,8 +27,7 @@ from coopqp.simulation.metrics import (
     relative_positioning_error,
     tool_placements,
 )
-from coopqp.simulation.simulate import Recording
-from coopqp.task.path import LinePath
+from coopqp.scenarios import Scenario
 
 Array = NDArray[np.float64]
 
@@ -80,7 +80,7 @@ def test_the_world_does_not_matter(grasp: Grasp, T: pin.SE3, G: pin.SE3, seed: i
 
 @given(grasps, poses, st.integers(0, 2**32 - 1))
 def test_definitions(grasp: Grasp, T: pin.SE3, seed: int) -> None:
-    """ε_p sums |p_ji − d_ji|² over pairs in tool frame i; ε_o does so with angles; the chain compares the O_k."""
+    """ε_p sums |p_ji − d_ji|² over pairs in tool frame i; ε_o sums angles; the chain error compares the O_k."""
     tools, X = perturbed(grasp, T, seed), grasp.T_object_tool
     pairs = [(i, j) for i in range(len(X)) for j in range(i + 1, len(X))]
     e_p = sum(
@@ -118,7 +118,7 @@ def test_angles_keep_their_digits(angle: float) -> None:
 
 
 def test_a_rotation_about_a_grasp_is_invisible_to_eps_p_only() -> None:
-    """Why ε_p alone is no measure: the second arm turns its tool about the grasp point."""
+    """ε_p alone is insufficient: it does not see a tool that turns about its grasp point."""
     grasp = Grasp.triangle(0.6, 0.3)
     tools = list(grasp.tool_targets(pin.SE3(pin.exp3(np.array([0.3, -0.8, 0.5])), np.array([0.4, 0.9, -0.2]))))
     tools[2] = tools[2] * pin.SE3(pin.exp3(np.array([0.0, 0.0, 0.01])), np.zeros(3))

@@ -1,4 +1,4 @@
-"""Files are written whole or not at all."""
+"""Files are written completely or not at all."""
 
 from __future__ import annotations
 
@@ -6,7 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from coopqp.output import OutputError, check_file, check_folder, write_files
+from coopqp import OutputError
+from coopqp.output import check_file, check_folder, write_files
 
 
 def test_files_and_their_folders_are_written(tmp_path: Path) -> None:

@@ -1,6 +1,6 @@
-"""Every equation of the paper, (1) to (17), in the matrix form that the paper prints, on random data.
+"""Every equation of the paper, (1) to (17), in the printed matrix form, on random data.
 
-The matrices are written out here; coopqp has them as special cases of general transforms.
+The tests write the matrices out. In coopqp they are special cases of general transforms.
 """
 
 from __future__ import annotations
@@ -12,21 +12,23 @@ import pinocchio as pin
 import pytest
 from numpy.typing import NDArray
 
-from coopqp.model.cell import RobotCell
-from coopqp.model.grasp import THETA, Grasp, triangle_frames
-from coopqp.model.inverse_kinematics import inverse_kinematics
-from coopqp.model.state import CellState
-from coopqp.scenarios import Scenario
-from coopqp.scenarios.paper import BASE_DISTANCE_H, BASE_OFFSET_B, slave_base
-from coopqp.simulation.metrics import (
+from coopqp import (
+    CellState,
+    Grasp,
+    LinePath,
+    Recording,
+    RobotCell,
+    adjoint,
+    inverse_kinematics,
     object_error,
     relative_orientation_error,
     relative_positioning_error,
     tool_placements,
 )
-from coopqp.simulation.simulate import Recording
-from coopqp.spatial import adjoint
-from coopqp.task.path import LinePath, ScrewParameters
+from coopqp.model.grasp import THETA, triangle_frames
+from coopqp.scenarios import Scenario
+from coopqp.scenarios.paper import BASE_DISTANCE_H, BASE_OFFSET_B, slave_base
+from coopqp.task.path import ScrewParameters
 
 Array = NDArray[np.float64]
 EXACT = 1e-13
@@ -58,7 +60,7 @@ def S(b: float, h: float) -> Array:
 
 
 def M(tau: float, p: Array, r: Array, phi: float) -> Array:
-    """Eq. (7), entry by entry; s, c, v as below it."""
+    """Eq. (7), entry by entry, with s, c, v as in the paper."""
     s, c, v = np.sin(tau * phi), np.cos(tau * phi), 1.0 - np.cos(tau * phi)
     rx, ry, rz = r
     return np.array(
@@ -141,7 +143,7 @@ def test_eq_4_grasp_points_from_the_tools(
     for _ in range(30):
         state = CellState(paper.cell, random_q(paper.cell, rng))
         for T, O, K in zip(state.T_world_tool, paper.grasp.carried(state), (np.eye(4), K_B, K_C), strict=True):
-            close(T.homogeneous @ THETA, O.homogeneous @ K)  # the grasp point's frame, seen from both sides
+            close(T.homogeneous @ THETA, O.homogeneous @ K)  # both sides give the grasp point's frame
 
 
 def test_eq_6_frames_of_B_and_C(rng: np.random.Generator) -> None:
@@ -197,7 +199,7 @@ def test_eq_9_reaches_the_goal() -> None:
 
 
 def eq_10(G0: Array, G1: Array) -> tuple[Array, float, Array]:
-    """p, φ*, r of Eqs. (10a), (10b), (10c) as printed, r not normalised."""
+    """p, φ*, r of Eqs. (10a), (10b), (10c) as printed, without normalisation of r."""
     n0, o0, a0, p0 = G0[:3, 0], G0[:3, 1], G0[:3, 2], G0[:3, 3]
     n1, o1, a1, p1 = G1[:3, 0], G1[:3, 1], G1[:3, 2], G1[:3, 3]
     p = np.array([n0 @ (p1 - p0), o0 @ (p1 - p0), a0 @ (p1 - p0)])
@@ -212,9 +214,9 @@ def test_eq_10_displacement_angle_and_axis() -> None:
         p, phi, r = eq_10(G0, G1)
         screw = ScrewParameters.between(G0, G1)
         close(screw.p, p)
-        if 0.1 < phi < np.pi - 0.1:  # elsewhere arccos loses digits
+        if 0.1 < phi < np.pi - 0.1:  # near 0 and π arccos loses accuracy
             assert screw.angle == pytest.approx(phi, abs=1e-13)
-            # (10c) as printed has norm 2 sin φ*; M(t) needs it divided by that.
+            # (10c) as printed has the norm 2 sin φ*; M(t) needs the unit vector.
             assert np.linalg.norm(r) == pytest.approx(2.0 * np.sin(phi), abs=1e-13)
             close(screw.r, r / np.linalg.norm(r))
             if abs(2.0 * np.sin(phi) - 1.0) > 0.1:
@@ -222,7 +224,7 @@ def test_eq_10_displacement_angle_and_axis() -> None:
 
 
 def axis_angle(r: Array, angle: float) -> pin.SE3:
-    """A rotation by Rodrigues' formula, here so that the angle near π is what it says."""
+    """A rotation by Rodrigues' formula, accurate also for angles near π."""
     return pin.SE3(M(1.0, np.zeros(3), r, angle)[:3, :3], np.zeros(3))
 
 
@@ -414,7 +416,7 @@ def test_eq_17_body_increment_is_what_the_tool_does(
 @pytest.mark.parametrize("right", FRAMES)
 @pytest.mark.parametrize("jacobian", FRAMES)
 def test_eq_17_a_wrong_pair_leaves_the_path(paper: Scenario, jacobian: str, right: str) -> None:
-    """The lift with the Jacobian of one frame and the increment of another: only equal frames arrive."""
+    """The lift arrives only if the Jacobian and the increment refer to the same frame."""
     cell, grasp, path = paper.cell, paper.grasp, paper.path
     steps, q = 60, paper.q_start.copy()
     frame, carry = FRAMES[jacobian][0], FRAMES[right][1]
@@ -466,13 +468,13 @@ def test_errors_below_figure_5(rng: np.random.Generator) -> None:
 def test_the_literal_increment_is_a_screw_that_ends_elsewhere(
     steps: int, paper: Scenario, baseline: Callable[..., Recording]
 ) -> None:
-    """N equal body increments (p, φ* r)/N make exp((p, φ* r)), not M: 103 mm off, at any N, and ε_p cannot see it."""
+    """N equal body increments (p, φ* r)/N give exp((p, φ* r)) instead of M: 103 mm off for any N, unseen by ε_p."""
     screw = paper.path.screw
     gap = paper.path.start * pin.exp6(pin.Motion(np.concatenate([screw.p, screw.angle * screw.r])))
     assert 1e3 * np.linalg.norm(gap.translation - paper.path.goal.translation) == pytest.approx(103.0, rel=0.01)
     run = baseline(steps, increment="literal")
     tools = tool_placements(paper.cell, run.q[-1:])[0]
-    drift = 1000.0 / steps / 10.0  # of the joints' integration [mm]
+    drift = 1000.0 / steps / 10.0  # drift of the joint integration [mm]
     assert 1e3 * object_error(tools, paper.grasp, paper.path.goal)[0] == pytest.approx(103.0, abs=0.8 + drift)
     assert 1e3 * relative_positioning_error(tools, paper.grasp) < 400.0 / steps
 

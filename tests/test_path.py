@@ -1,4 +1,4 @@
-"""Object paths: poses, twists and increments that belong together, and the paper's screw as one of them."""
+"""Object paths: poses, twists and increments are consistent; the paper's screw is a special case."""
 
 from __future__ import annotations
 
@@ -12,18 +12,18 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from coopqp.errors import InvalidInputError, UnknownNameError
-from coopqp.spatial import adjoint
-from coopqp.task.path import (
+from coopqp import (
     HoldPath,
+    InvalidInputError,
     LinePath,
     ObjectPath,
-    ScrewParameters,
     ServoPath,
     TimeLaw,
+    UnknownNameError,
     WaypointPath,
-    as_time_law,
+    adjoint,
 )
+from coopqp.task.path import ScrewParameters, as_time_law
 
 Array = NDArray[np.float64]
 
@@ -163,7 +163,7 @@ def test_back_is_the_same_way(a: pin.SE3, b: pin.SE3, x: float) -> None:
 
 @given(lines, shares)
 def test_a_lines_spatial_motion(path: LinePath, x: float) -> None:
-    """In the world: straight, and about one fixed axis, both at the time law's pace."""
+    """In the world the motion is straight and about one fixed axis; the time law governs both."""
     u, slope = path.time_law.value_at(x), path.time_law.slope_at(x) / path.duration
     T = path.pose(x * path.duration)
     close(T.translation, path.start.translation + u * (path.goal.translation - path.start.translation), 1e-12)
@@ -240,7 +240,7 @@ def test_a_breakpoint_is_the_next_corner(path: WaypointPath, x: float) -> None:
 
 @given(poses, st.lists(st.tuples(poses, st.floats(0.01, 3.0)), min_size=1, max_size=4))
 def test_a_servo_path_never_jumps(start: pin.SE3, targets: list[tuple[pin.SE3, float]]) -> None:
-    """Whenever the target moves: the object goes on from where it is, at bounded speed and spin, and gets there."""
+    """When the target moves, the object continues from its pose at bounded speed and spin, and arrives."""
     path, clock = ServoPath(start, speed=0.5, spin=1.0), 0.0
     close(path.pose(0.0), start)
     assert not path.known_ahead

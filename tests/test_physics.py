@@ -1,4 +1,4 @@
-"""The physics plant against Pinocchio, against its own sensors, and the paper's lift in newtons."""
+"""The physics plant agrees with Pinocchio and its own sensors; the forces of the paper's lift in newtons."""
 
 from __future__ import annotations
 
@@ -12,32 +12,45 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from coopqp.control.command import Controller
-from coopqp.control.options import QPOptions
-from coopqp.control.pseudo_inverse import PseudoInverseController
-from coopqp.control.qp import QPController
-from coopqp.control.supervision import SupervisionOptions
-from coopqp.errors import CoopqpError, InvalidInputError, MissingExtraError, ModelError
-from coopqp.forces.stress import StressModel, at_tools
-from coopqp.model.cell import Arm, RobotCell
-from coopqp.model.grasp import Grasp
-from coopqp.model.state import CellState
+from coopqp import (
+    Arm,
+    Array,
+    CellState,
+    Controller,
+    CoopqpError,
+    Disturbances,
+    Grasp,
+    HoldPath,
+    InvalidInputError,
+    MissingExtraError,
+    ModelError,
+    ObjectPath,
+    PhysicsError,
+    PhysicsOptions,
+    PhysicsPlant,
+    PseudoInverseController,
+    QPController,
+    QPOptions,
+    Recording,
+    RobotCell,
+    StressModel,
+    SupervisionOptions,
+    WaypointPath,
+    at_tools,
+    misplaced,
+    simulate,
+)
 from coopqp.scenarios import Scenario, paper_lift
 from coopqp.simulation import metrics
-from coopqp.simulation.plants.disturbances import Disturbances, misplaced
-from coopqp.simulation.plants.physics import PhysicsError, PhysicsOptions, PhysicsPlant
 from coopqp.simulation.plants.replay import Motion, Replay, exact_motion, recorded_motion
-from coopqp.simulation.simulate import Recording, simulate
-from coopqp.spatial import Array
-from coopqp.task.path import HoldPath, ObjectPath, WaypointPath
 
 mujoco = pytest.importorskip("mujoco")
 
-#: A base that is 1 mm and 0.1° off, a grasp that is 2 mm off.
+#: A base with an error of 1 mm and 0.1°, a grasp with an error of 2 mm.
 BASE_OFF = pin.SE3(pin.exp3(np.deg2rad(0.1) * np.ones(3) / np.sqrt(3)), 1e-3 * np.ones(3) / np.sqrt(3))
 GRASP_OFF = pin.SE3(np.eye(3), 2e-3 * np.ones(3) / np.sqrt(3))
 SAME = pin.SE3.Identity()
-#: A measured spread of a millimetre is what a base off by that much looks like, so it must not stop the motion.
+#: A base error of a millimetre gives a measured spread of a millimetre, which must not stop the motion.
 TOLERANT = QPOptions(supervision=SupervisionOptions(slow_from=0.005, hold_from=0.01))
 
 MJCF = """<mujoco model="small">
@@ -60,7 +73,7 @@ MJCF = """<mujoco model="small">
 
 
 def plant_of(cell: RobotCell, q: Array, **options: Any) -> PhysicsPlant:
-    """A plant whose arms hold a small box where their tools are."""
+    """A plant with arms that hold a small box at their present tool placements."""
     T = CellState(cell, q).T_world_tool
     grasp = Grasp(tuple(T[0].actInv(X) for X in T))
     return PhysicsPlant(cell, grasp, object_size=(0.1, 0.2, 0.3), object_mass=3.0, options=PhysicsOptions(**options))
@@ -81,7 +94,7 @@ def engine_mass_matrix(plant: PhysicsPlant) -> Array:
 
 
 def assert_same_robots(cell: RobotCell, q: Array, rng: np.random.Generator) -> None:
-    """Kinematics, inertia and bias forces as Pinocchio has them."""
+    """Kinematics, inertia and bias forces agree with Pinocchio."""
     plant = plant_of(cell, q, armature=0.0, settle=0.0, hand_over=0.0)
     plant.reset(q)
     for T, expected in zip(plant.T_world_tool, CellState(cell, q).T_world_tool, strict=True):
@@ -154,7 +167,7 @@ def test_at_rest_the_arms_share_the_weight_and_press_nothing(paper: Scenario) ->
     forces = np.array([plant.T_world_object.rotation @ w[:3] for w in plant.wrenches()])
     np.testing.assert_allclose(forces, [[0, 0, weight / 2], [0, 0, weight / 4], [0, 0, weight / 4]], atol=1e-3)
     np.testing.assert_allclose(at_tools(plant.wrenches(), paper.grasp)[:, 3:], 0.0, atol=1e-3)  # no moment at a grasp
-    np.testing.assert_allclose(plant.servo_torques, 0.0, atol=1e-3)  # all of it is fed forward
+    np.testing.assert_allclose(plant.servo_torques, 0.0, atol=1e-3)  # feed-forward carries all of the weight
     without = PhysicsPlant.of(paper, options=PhysicsOptions(load_feed_forward=False, hand_over=0.0))
     sagged = without.reset(paper.q_start)
     assert 1e-4 < np.abs(sagged - paper.q_start).max() < 1e-2
@@ -166,7 +179,7 @@ def test_at_rest_the_arms_share_the_weight_and_press_nothing(paper: Scenario) ->
 def test_a_load_off_the_line_between_two_grasps_is_carried_too(
     make_cell: Callable[..., RobotCell], random_q: Callable[..., Array], rng: np.random.Generator, shares: Any
 ) -> None:
-    """Forces alone cannot balance it: the rest of the moment is shared as torque."""
+    """Forces alone cannot balance the load: the arms share the rest of the moment as torques."""
     cell = make_cell(["arm7", "rx90l"])
     q = random_q(cell, rng)
     plant = plant_of(cell, q, load_shares=shares)
@@ -183,7 +196,7 @@ def test_a_released_object_falls(paper: Scenario) -> None:
     simulate_steps(plant, paper, hold, 20, dt=0.01)
     fallen = start - plant.T_world_object.translation[2]
     assert fallen == pytest.approx(0.5 * 9.81 * 0.2**2, rel=0.02)
-    plant.reset(paper.q_start)  # and is held again
+    plant.reset(paper.q_start)  # the object is held again
     assert plant.T_world_object.translation[2] == pytest.approx(start, abs=1e-6)
     assert np.abs(plant.wrenches()).max() > 10.0
 
@@ -220,14 +233,14 @@ def test_weld_forces_are_what_force_torque_sensors_read(paper: Scenario, baselin
 @pytest.mark.slow
 @pytest.mark.parametrize("dt", [0.0075, 0.0031, 0.001, 0.0004])
 def test_any_step_ends_where_it_was_told(paper: Scenario, dt: float) -> None:
-    """A step need not be a multiple of the engine's, nor longer."""
+    """A step may have any length, also below the engine's step."""
     plant = PhysicsPlant.of(paper)
     motion = exact_motion(paper.cell, paper.grasp, paper.path, paper.q_start)
     replay = Replay(paper.cell, paper.grasp, paper.path, motion, dt=dt, time_law="quintic")
     run = simulate(replay, plant, q_start=paper.q_start, duration=0.3)
     assert plant.time == pytest.approx(run.time[-1])
     assert plant.mj_data.time == pytest.approx(1.5 + run.time[-1])  # settling, hand-over, the run
-    np.testing.assert_allclose(plant.positions, run.q_command[-1], atol=1e-4)  # the inertia of the start
+    np.testing.assert_allclose(plant.positions, run.q_command[-1], atol=1e-4)  # inertia at the start
 
 
 @pytest.mark.slow
@@ -267,7 +280,7 @@ class Run:
 
 @pytest.fixture(scope="module")
 def physics(paper: Scenario) -> Callable[[Motion], Run]:
-    """Play a motion of the lift in the engine, 1 ms a step, by a quintic time warp."""
+    """Replay a motion of the lift in the engine with steps of 1 ms and a quintic time warp."""
     plant = PhysicsPlant.of(paper)
 
     def play(motion: Motion) -> Run:
@@ -291,7 +304,7 @@ def reference(paper: Scenario, physics: Callable[[Motion], Run]) -> Run:
 def lifted(
     paper: Scenario, physics: Callable[[Motion], Run], baseline: Callable[..., Recording]
 ) -> dict[tuple[str, int], Run]:
-    """Both controllers' commands for N = 40 and 400, played in the engine."""
+    """The commands of both controllers for N = 40 and 400, replayed in the engine."""
     runs = {}
     for n in (40, 400):
         qp = QPController(paper.cell, paper.grasp, paper.path, dt=paper.path.duration / n)
@@ -301,7 +314,7 @@ def lifted(
 
 
 def added_force(run: Run, reference: Run) -> Array:
-    """ΔF: size of the force beyond the reference run's, (T, N) [N]."""
+    """ΔF: magnitude of the force difference to the reference run (T, N) [N]."""
     return np.asarray(np.linalg.norm((run.wrenches - reference.wrenches)[:, :, :3], axis=2))
 
 
@@ -354,7 +367,7 @@ def test_the_stress_estimate_is_the_engine_s(
 
 @pytest.mark.slow
 def test_the_same_loop_runs_on_either_plant(paper: Scenario) -> None:
-    """Closed on the measured state: the engine presses next to nothing, and the object ends where it should."""
+    """With feedback of the measured state, the internal forces are tiny and the object reaches its goal."""
     lift = paper_lift(time_law="quintic")
 
     def controller(kind: type) -> Controller:
@@ -394,7 +407,7 @@ def internal_force(plant: PhysicsPlant, scenario: Scenario) -> float:
 def closed_loop(
     path: ObjectPath, *, latched: bool, base: pin.SE3 = SAME, grip: pin.SE3 = SAME, dt: float = 0.005
 ) -> tuple[Array, Recording]:
-    """Internal force at every step [N], and the recording, where the first slave's base or grip is off."""
+    """Internal force at every step [N] and the recording, with an error of the first slave's base or grip."""
     lift = paper_lift()
     plant = PhysicsPlant.of(
         lift,

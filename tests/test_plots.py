@@ -1,4 +1,4 @@
-"""The pictures show what the recordings hold."""
+"""The pictures show the data of the recordings."""
 
 from __future__ import annotations
 
@@ -9,13 +9,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from coopqp.control.pseudo_inverse import PseudoInverseController, PseudoInverseOptions
-from coopqp.errors import InvalidInputError, MissingExtraError
+from coopqp import (
+    InvalidInputError,
+    MissingExtraError,
+    OutputError,
+    PseudoInverseController,
+    PseudoInverseOptions,
+    Recording,
+    RobotCell,
+    simulate,
+)
 from coopqp.look import plots
-from coopqp.model.cell import RobotCell
-from coopqp.output import OutputError
 from coopqp.scenarios import Scenario, paper_lift
-from coopqp.simulation.simulate import Recording, simulate
 
 
 @pytest.fixture(scope="module")
@@ -92,7 +97,7 @@ def test_figure_5_refuses_another_quantity(lift: Scenario, one: Recording) -> No
 def test_joints_are_drawn_in_shares_of_their_limits(lift: Scenario, one: Recording) -> None:
     figure = plots.joint_figure(lift.cell, one)
     assert len(figure.axes) == 6  # positions above speeds, three arms
-    limits, joint = lift.cell.limits, 4  # the one with limits that are not symmetric
+    limits, joint = lift.cell.limits, 4  # the joint with asymmetric limits
     line = figure.axes[0].lines[joint]
     middle = 0.5 * (limits.upper[joint] + limits.lower[joint])
     expected = (one.q_command[:, joint] - middle) / (0.5 * (limits.upper[joint] - limits.lower[joint]))
@@ -144,7 +149,7 @@ def test_bad_destinations_are_named(lift: Scenario, one: Recording, tmp_path: Pa
 
 
 def test_no_window_and_no_global_state(lift: Scenario, one: Recording, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "matplotlib.pyplot", None)  # importing it would fail
+    monkeypatch.setitem(sys.modules, "matplotlib.pyplot", None)  # an import would fail
     plots.figure_bytes(plots.error_figure(lift.cell, {"a": [one]}), dpi=40)
 
 

@@ -1,4 +1,4 @@
-"""What redundant arms do with their freedom: the wanted velocities, and that the object never notices."""
+"""Null-space motion of redundant arms: the wanted velocities; the motion never disturbs the object."""
 
 from __future__ import annotations
 
@@ -9,17 +9,23 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from coopqp.control.command import ControlStep
-from coopqp.control.options import QPOptions
-from coopqp.control.qp import QPController
-from coopqp.errors import InvalidInputError
-from coopqp.model.cell import RobotCell
-from coopqp.model.state import CellState
+from coopqp import (
+    Array,
+    CellState,
+    ControlStep,
+    HoldPath,
+    InvalidInputError,
+    PostureOptions,
+    QPController,
+    QPOptions,
+    RobotCell,
+    chain_error,
+    limit_excess,
+    path_error,
+    tool_placements,
+)
 from coopqp.scenarios import Scenario, dual_arm7, mixed_cell, paper_lift
-from coopqp.simulation.metrics import chain_error, limit_excess, path_error, tool_placements
-from coopqp.spatial import Array
-from coopqp.task.path import HoldPath
-from coopqp.task.posture import Posture, PostureOptions
+from coopqp.task.posture import Posture
 
 
 def posture_of(cell: RobotCell, q: Array, **options: Any) -> Posture:
@@ -78,7 +84,7 @@ def test_the_wish_is_bounded_by_a_share_of_every_speed(rng: np.random.Generator)
     posture = posture_of(task.cell, task.q_start, gain=100.0, speed_share=0.1)
     v = posture.velocity(task.q_start + rng.normal(size=14))
     assert np.abs(v / task.cell.limits.velocity).max() == pytest.approx(0.1)
-    free = task.cell.with_limits(velocity=np.inf)  # counts as 1 rad/s
+    free = task.cell.with_limits(velocity=np.inf)  # an infinite limit counts as 1 rad/s
     v = posture_of(free, task.q_start, gain=100.0).velocity(task.q_start + 1.0)
     assert np.abs(v).max() == pytest.approx(0.2)
 
@@ -142,7 +148,7 @@ WISHES = {
 @pytest.mark.parametrize("preview", [True, False])
 @pytest.mark.parametrize("make", [dual_arm7, mixed_cell])
 def test_null_space_motion_does_not_move_the_object(make: Any, preview: bool) -> None:
-    """Whatever the wish, chain and path hold; and the wishes do make a difference."""
+    """Chain and path hold for every posture goal, and the goals have an effect."""
     ends = {}
     for name, wish in WISHES.items():
         task = make(duration=1.5)
@@ -160,10 +166,10 @@ def test_null_space_motion_does_not_move_the_object(make: Any, preview: bool) ->
 @pytest.mark.parametrize("acceleration", [np.inf, 5.0])
 @pytest.mark.parametrize("preview", [True, False])
 def test_the_arms_go_to_their_posture_while_the_object_rests(preview: bool, acceleration: float) -> None:
-    """Elbows turn about the lines from shoulders to wrists; tools stay where they are."""
+    """Elbows turn about the lines from shoulders to wrists; the tools do not move."""
     task = dual_arm7()
     swung = task.q_start.copy()
-    swung[[0, 7]] += 0.5  # a target that the arms can approach only by turning their elbows
+    swung[[0, 7]] += 0.5  # the arms can approach this target only by turning their elbows
     cell = task.cell.with_limits(acceleration=acceleration)
     task = replace(task, cell=cell, path=HoldPath(task.path.pose(0.0), duration=3.0))
     steps = run(task, PostureOptions(gain=2.0, target=swung), **({} if preview else {"preview": None}))

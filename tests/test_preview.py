@@ -1,7 +1,8 @@
-"""The path ahead: its caps against path timing by brute force; stops at limits, corners, ends and singularities."""
+"""The preview: its caps agree with brute-force path timing; stops at limits, corners, ends and singularities."""
 
 from __future__ import annotations
 
+import itertools
 import os
 from dataclasses import replace
 from typing import Any
@@ -10,18 +11,29 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from coopqp.control.options import QPOptions
-from coopqp.control.qp import QPController
-from coopqp.errors import InvalidInputError
+from coopqp import (
+    Array,
+    HoldPath,
+    InvalidInputError,
+    LimitKind,
+    LinePath,
+    ObjectPath,
+    PostureOptions,
+    PreviewOptions,
+    QPController,
+    QPOptions,
+    ServoPath,
+    TimeLaw,
+    WaypointPath,
+    chain_error,
+    path_error,
+    tool_placements,
+)
 from coopqp.model.chain import Chain
 from coopqp.model.inverse_kinematics import newton
-from coopqp.model.limits import LimitKind
-from coopqp.planning.preview import PathPreview, PreviewOptions
+from coopqp.planning.preview import PathPreview
 from coopqp.scenarios import Scenario, at_limit, at_singularity, dual_arm7, mixed_cell, paper_lift
-from coopqp.simulation.metrics import chain_error, path_error, tool_placements
-from coopqp.spatial import Array
-from coopqp.task.path import HoldPath, LinePath, ObjectPath, ServoPath, TimeLaw, WaypointPath
-from coopqp.task.posture import Posture, PostureOptions
+from coopqp.task.posture import Posture
 
 NIGHTLY = os.environ.get("HYPOTHESIS_PROFILE") == "nightly"
 DIRECTIONS = 40 if NIGHTLY else 6
@@ -38,7 +50,7 @@ def preview_of(task: Scenario, *, dt: float = DT, **options: Any) -> PathPreview
 
 
 class Joints:
-    """q(τ) along a path by the chain's inverse kinematics, warm started."""
+    """q(τ) along a path by warm-started inverse kinematics of the chain."""
 
     def __init__(self, task: Scenario) -> None:
         self._task, self._chain, self._q = task, Chain(task.cell, task.grasp), task.q_start
@@ -54,9 +66,9 @@ class Joints:
 
 
 def driven(task: Scenario, *, longest: float) -> tuple[Array, Array, Any]:
-    """Clocks and rates of an object that follows the caps, and what bound at the end.
+    """Clocks and rates of an object that follows the caps, and the binding limit at the end.
 
-    The rate rises slowly: how fast it may rise is not the preview's business, but that of the step's own limits.
+    The rate rises slowly: the limits of a step bound the rise, not the preview.
     """
     preview = preview_of(task, rate_slope=1.0)
     clock, rate, binding = 0.0, 0.0, None
@@ -78,7 +90,7 @@ def driven(task: Scenario, *, longest: float) -> tuple[Array, Array, Any]:
 
 @pytest.mark.parametrize(("speed", "acceleration"), [(0.4, 3.0), (np.inf, 0.6), (0.25, 20.0)])
 def test_caps_are_those_of_path_timing_by_brute_force(speed: float, acceleration: float) -> None:
-    """S(τ) = min_b [z_b + 2 ∫ D] from a table of q(τ), its derivatives by differences, integrated backwards."""
+    """S(τ) = min_b [z_b + 2 ∫ D], integrated backwards from a table of q(τ) with derivatives by differences."""
     task = paper_lift(time_law=TimeLaw.QUINTIC, duration=1.5)
     task = replace(task, cell=task.cell.with_limits(velocity=speed, acceleration=acceleration))
     h = 0.002
@@ -94,15 +106,15 @@ def test_caps_are_those_of_path_timing_by_brute_force(speed: float, acceleration
     S = z.copy()
     for i in range(len(S) - 2, -1, -1):
         S[i] = min(z[i], S[i + 1] + 2.0 * h * min(D[i], D[i + 1]))
-    assert S.min() < 0.7  # it has something to do
+    assert S.min() < 0.7  # the limits matter
     preview = preview_of(task, cell=h, slope_step=0.01)
     clock, count = 0.0, 0
     while clock < 1.45:
         rate, binding = preview.cap(clock, 1e-9)
         assert rate**2 == pytest.approx(np.interp(clock, clocks, S), rel=0.04)
         assert (binding is None) == (rate == 1.0)
-        # The bounds are those at the borders of cells: look again just before one.
-        clock = min(c.clock for c in preview._cells if c.clock > clock + 0.01) - 1e-9
+        # The bounds are those at knots: look again just before one.
+        clock = min(c.clock for c in preview._knots if c.clock > clock + 0.01) - 1e-9
         count += 1
     assert count > 50
 
@@ -114,7 +126,7 @@ def test_an_easy_path_is_not_slowed() -> None:
 
 
 def test_the_horizon_rolls_along() -> None:
-    """As long as the object needs to stop, and no longer: cells ahead stay few."""
+    """As long as the object needs to stop, and no longer: knots ahead stay few."""
     for acceleration in (np.inf, 5.0):
         task = paper_lift(time_law=TimeLaw.QUINTIC)
         task = replace(task, cell=task.cell.with_limits(acceleration=acceleration))
@@ -122,10 +134,10 @@ def test_the_horizon_rolls_along() -> None:
         ahead = []
         for clock in np.arange(0.0, 2.5, DT):
             preview.cap(float(clock), DT)
-            ahead.append(preview._cells[-1].clock - clock)
+            ahead.append(preview._knots[-1].clock - clock)
         assert min(ahead) > 0.0
         assert max(ahead) < 1.2
-        assert len(preview._cells) < 1500
+        assert len(preview._knots) < 1500
 
 
 # -- stops -------------------------------------------------------------------------------------------------------------
@@ -152,6 +164,29 @@ def test_caps_lead_to_a_stop_exactly_at_the_limit(number: int) -> None:
     assert (np.abs(v) / limits.velocity).max() < 1.0
 
 
+@pytest.mark.parametrize("dt", [0.002, 0.06, 0.1, 0.15])
+def test_long_steps_lead_to_the_limit_too(dt: float) -> None:
+    """Where arriving too fast is not admissible, a lower rate is: the object does not stop short of the limit."""
+    task = at_limit()
+    preview, clock, rates = preview_of(task, dt=dt), 0.0, [1.0]
+    for _ in range(400):
+        rates.append(preview.cap(clock, dt)[0])
+        clock += rates[-1] * dt
+    assert rates[-1] < 1e-6
+    q, limits = Joints(task).at(clock), task.cell.limits
+    assert -1e-7 < np.minimum(q - limits.lower, limits.upper - q).min() < 1e-5
+    assert all(after > 0.0 for before, after in itertools.pairwise(rates) if before > 0.1)
+
+
+def test_curvature_may_take_all_of_the_acceleration() -> None:
+    task = paper_lift()
+    task = replace(task, cell=task.cell.with_limits(acceleration=1.0))
+    preview, clock = preview_of(task, curvature_share=1.0), 0.0
+    for _ in range(4000):
+        clock += preview.cap(clock, DT)[0] * DT
+    assert clock > 0.9 * task.path.duration
+
+
 def test_without_acceleration_limits_too() -> None:
     task = at_limit(acceleration=np.inf)
     clocks, rates, binding = driven(task, longest=6.0)
@@ -171,7 +206,7 @@ def test_a_singularity_ends_the_path_and_is_named(kind: Any, acceleration: float
     assert binding.kind in (LimitKind.SINGULARITY, LimitKind.REACH)
     assert binding.arm == "arm_2"
     assert binding.joint == ""
-    Joints(task).table(clocks)  # asserts that the arms still carry the object
+    Joints(task).table(clocks)  # asserts that the arms carry the object
 
 
 def test_a_path_that_starts_out_of_reach() -> None:
@@ -249,7 +284,7 @@ def test_the_reference_is_on_the_path() -> None:
 
 
 def test_what_the_preview_is_for() -> None:
-    """Under acceleration limits the object leaves its path at a corner without it; the chain holds either way."""
+    """Under acceleration limits and without preview, the object leaves its path at a corner. The chain holds."""
     task = paper_lift()
     cell, path = task.cell.with_limits(acceleration=5.0), zigzag(task.path.pose(0.0))
     off_path = {}
@@ -267,7 +302,7 @@ def test_what_the_preview_is_for() -> None:
 
 
 def test_at_a_velocity_limit_the_rate_does_not_chatter() -> None:
-    """Slowed by one joint's speed for most of the way, the rate changes direction where the path asks for it only."""
+    """One joint's speed slows most of the path. The rate changes direction only if the path requires it."""
     task = paper_lift()
     task = replace(task, cell=task.cell.with_limits(velocity=0.35, acceleration=5.0))
     controller = QPController(task.cell, task.grasp, task.path, dt=DT)

@@ -1,4 +1,4 @@
-"""The QP of a step: the condensed form against the full, the ray against both, and the form whose chain may part."""
+"""The QP of a step: the condensed form, the full form and the ray agree; the form with slack."""
 
 from __future__ import annotations
 
@@ -10,15 +10,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from coopqp.control.forms import Answer, Pieces, RankWeights, StepProgram, StepTerms
+from coopqp import Array, InvalidInputError, PreviewOptions, QPController, QPOptions, RankWeights, make_solver
+from coopqp.control.forms import Answer, Pieces, StepProgram, StepTerms
 from coopqp.control.limits import VelocityBox
-from coopqp.control.options import QPOptions
-from coopqp.control.qp import QPController
 from coopqp.control.ranks import StepAnswer, StepSolver
-from coopqp.control.solvers import make_solver
-from coopqp.errors import InvalidInputError
 from coopqp.model.chain import Chain
-from coopqp.planning.preview import PreviewOptions
 from coopqp.scenarios import (
     SCENARIOS,
     Scenario,
@@ -29,7 +25,6 @@ from coopqp.scenarios import (
     paper_lift,
     scara_pair,
 )
-from coopqp.spatial import Array
 
 #: Random boxes per recorded step.
 BOXES = 50 if os.environ.get("HYPOTHESIS_PROFILE") == "nightly" else 5
@@ -39,7 +34,7 @@ AGREEMENT = 1e-8
 
 @dataclass(eq=False)
 class Recorded:
-    """What a step asked its solver, with the chain as it was linearised then."""
+    """The problem of a step, with its linearised chain."""
 
     solver: StepSolver
     terms: StepTerms
@@ -78,7 +73,7 @@ class Recorded:
 def steps(
     task: Scenario, monkeypatch: pytest.MonkeyPatch, *, every: int = 5, dt: float = 0.02, **given: Any
 ) -> Iterator[Recorded]:
-    """Every so many steps of a run, at the moment at which its answer is computed."""
+    """Record every ``every``-th step of a run, before it is solved."""
     asked: list[Recorded] = []
     answer = StepSolver.answer
 
@@ -100,7 +95,7 @@ def steps(
 
 @dataclass(eq=False)
 class Box:
-    """A box of one's own: what the program reads of a VelocityBox."""
+    """A box with given bounds: the part of a VelocityBox that the program reads."""
 
     lower: Array
     upper: Array
@@ -109,7 +104,7 @@ class Box:
 
 
 def a_box(rng: np.random.Generator, recorded: Recorded, *, width: float, outside: int = 0) -> Box:
-    """A random box with room for some command that keeps the chain, though not for the nominal one."""
+    """A random box that contains a command that keeps the chain, but not the nominal command."""
     chain, terms, pieces = recorded.chain, recorded.terms, recorded.pieces
     program = recorded.program
     _, _, B = program.condensed(terms, pieces, recorded.box)
@@ -148,7 +143,7 @@ def test_both_forms_agree_on_every_scenario(name: str, limits: dict[str, float],
 
 @pytest.mark.slow
 def test_both_forms_agree_on_the_way_to_a_singular_elbow(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Velocities that hardly change what the full form costs."""
+    """Near the elbow, some velocities hardly change the cost of the full form."""
     task = at_singularity("elbow")
     weakest, compared = np.inf, 0
     nearer = PreviewOptions(singular_rate=5e-3)
@@ -171,7 +166,7 @@ def test_both_forms_agree_on_the_way_to_a_singular_elbow(monkeypatch: pytest.Mon
 def test_both_forms_agree_in_random_boxes(
     make: Any, outside: int, monkeypatch: pytest.MonkeyPatch, rng: np.random.Generator
 ) -> None:
-    """Boxes that leave the chain possible, and force the object off its path."""
+    """The chain is possible in these boxes, but the object must leave its path."""
     off_path = 0
     for recorded in steps(make(), monkeypatch, every=40):
         for _ in range(BOXES):
@@ -192,7 +187,7 @@ def test_another_solver_finds_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.parametrize("make", [paper_lift, dual_arm7, mixed_cell, scara_pair, five_joint_pair])
 def test_every_answer_keeps_the_chain(make: Any, monkeypatch: Any, rng: np.random.Generator) -> None:
-    """A_k v_k = σν + s + ρ_p c_p + ρ_g c_k + b_k for every arm, whatever was given up."""
+    """A_k v_k = σν + s + ρ_p c_p + ρ_g c_k + b_k for every arm, with any values of s, σ and ρ."""
     for recorded in steps(make(), monkeypatch, every=40):
         terms = recorded.terms
         terms.grasp_corrections = rng.normal(size=terms.grasp_corrections.shape) * 0.01
@@ -218,7 +213,7 @@ def test_pieces_add_up_to_the_command(monkeypatch: pytest.MonkeyPatch, rng: np.r
 
 
 def test_the_ray_is_what_the_weights_tend_to(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Strict ranks in closed form: the weighted QP comes nearer in proportion to rate cost over off-path cost."""
+    """The ray solves the strict ranks. The distance of the weighted QP is proportional to rate cost / off-path cost."""
     task = paper_lift(time_law="quintic")
     task = replace(task, cell=task.cell.with_limits(velocity=0.15))
     apart: dict[float, list[float]] = {1e-4: [], 1e-6: [], 1e-8: []}
@@ -255,7 +250,7 @@ def test_slack_changes_nothing_where_the_chain_can_be_kept(
 
 
 def test_slack_parts_the_arms_no_more_than_it_must(monkeypatch: pytest.MonkeyPatch) -> None:
-    """One arm is nailed down, a joint of another must move: the third has no part in it."""
+    """One arm is fixed and a joint of another arm must move: the third arm does not move."""
     recorded = next(steps(paper_lift(), monkeypatch))
     n = recorded.chain.nv
     lower, upper = np.full(n, -1.0), np.full(n, 1.0)
@@ -276,14 +271,14 @@ def test_slack_parts_the_arms_no_more_than_it_must(monkeypatch: pytest.MonkeyPat
 
 @pytest.mark.parametrize("make", [paper_lift, dual_arm7, mixed_cell, scara_pair])
 def test_slack_always_has_an_answer(make: Any, monkeypatch: pytest.MonkeyPatch, rng: np.random.Generator) -> None:
-    """In boxes that no closed chain fits into, with and without joints to lead back."""
+    """The form with slack is solvable in boxes without a closed chain, with and without joints outside their limits."""
     for recorded in steps(make(), monkeypatch, every=40):
         n = recorded.chain.nv
         for _ in range(BOXES):
             middle, width = rng.normal(size=n) * 0.3, 10.0 ** rng.uniform(-4.0, 0.0)
             flags = rng.uniform(size=n) < 0.2
             box = Box(middle - width, middle + width, flags, middle * flags)
-            answer = recorded.full(box, slack=True)  # asserts that there is one
+            answer = recorded.full(box, slack=True)  # asserts that it is solved
             assert np.maximum(answer.velocity - box.upper, box.lower - answer.velocity).max() < 1e-6
             assert answer.rate > -1e-9
             assert np.isfinite(recorded.program.parting(answer, recorded.terms))

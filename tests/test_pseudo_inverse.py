@@ -1,4 +1,4 @@
-"""The baseline: the paper's Steps 0 to 5 as published, its variants, and the figures of fixture F."""
+"""The baseline: the paper's Steps 0 to 5 as published, its variants, and its figures."""
 
 from __future__ import annotations
 
@@ -12,24 +12,29 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from coopqp.control.command import Status
-from coopqp.control.pseudo_inverse import PseudoInverseController, PseudoInverseOptions
-from coopqp.errors import InvalidInputError, UnknownNameError
-from coopqp.model.cell import RobotCell
-from coopqp.model.grasp import Grasp
-from coopqp.model.inverse_kinematics import inverse_kinematics
-from coopqp.model.state import CellState
-from coopqp.scenarios import Scenario
-from coopqp.scenarios.paper import BASE_DISTANCE_H, slave_base
-from coopqp.simulation.metrics import (
+from coopqp import (
+    CellState,
+    Grasp,
+    HoldPath,
+    InvalidInputError,
+    LinePath,
+    PseudoInverseController,
+    PseudoInverseOptions,
+    Recording,
+    RobotCell,
+    Status,
+    UnknownNameError,
+    WaypointPath,
+    inverse_kinematics,
     limit_excess,
     object_error,
     relative_orientation_error,
     relative_positioning_error,
+    simulate,
     tool_placements,
 )
-from coopqp.simulation.simulate import Recording, simulate
-from coopqp.task.path import HoldPath, LinePath, WaypointPath
+from coopqp.scenarios import Scenario
+from coopqp.scenarios.paper import BASE_DISTANCE_H, slave_base
 
 Array = NDArray[np.float64]
 Baseline = Callable[..., Recording]
@@ -110,7 +115,7 @@ def test_the_error_grows_along_the_way(paper: Scenario, baseline: Baseline) -> N
 
 
 def test_what_follows_the_path_arrives(paper: Scenario, baseline: Baseline) -> None:
-    """Absolute pose of A: open-loop drift only; the literal increment is a screw that ends elsewhere."""
+    """The absolute pose of A has only open-loop drift. The literal increment is a screw with another end pose."""
     final = {
         name: 1e3 * object_error(tool_placements(paper.cell, run.q[-1:])[0], paper.grasp, paper.path.goal)[0]
         for name, run in {
@@ -127,7 +132,7 @@ def test_what_follows_the_path_arrives(paper: Scenario, baseline: Baseline) -> N
 
 
 def test_wider_grasps_are_worse(paper: Scenario, baseline: Baseline) -> None:
-    """β = 0.6, 3α = 0.8 m, the slaves as much nearer as B and C are: ε_p < 1 mm at N = 400 is for narrow grasps."""
+    """With β = 0.6 and 3α = 0.8 m, ε_p exceeds 1 mm at N = 400: the paper's claim is for narrow grasps."""
     master = paper.cell.arms[0]
     slaves = [master.placed(slave_base(b, BASE_DISTANCE_H - 1.0), name=n) for b, n in ((0.5, "s1"), (-0.5, "s2"))]
     cell, grasp = RobotCell([master, *slaves]), Grasp.triangle(0.8 / 3.0, 0.6)
@@ -169,7 +174,7 @@ def test_inputs_are_not_touched_and_outputs_not_shared(paper: Scenario) -> None:
     kept = [x.copy() for x in (first.q, first.velocity, first.q_next)]
     assert np.array_equal(q, paper.q_start)
     q[:] = 99.0
-    made.step(np.full(18, np.nan))  # open loop: what is measured does not matter
+    made.step(np.full(18, np.nan))  # open loop: the measurement has no effect
     made.step("nonsense")
     for a, b in zip(kept, (first.q, first.velocity, first.q_next), strict=True):
         assert np.array_equal(a, b)
@@ -180,7 +185,7 @@ def test_two_controllers_share_nothing(paper: Scenario) -> None:
     alone = [controller(paper).step().q_next]
     a.step()
     assert np.array_equal(b.step().q_next, alone[0])
-    a.reset(paper.q_start)  # and a reset forgets everything
+    a.reset(paper.q_start)  # a reset forgets everything
     assert np.array_equal(a.step().q_next, alone[0])
 
 
@@ -208,7 +213,7 @@ def test_any_step_length_ends_at_the_end(paper: Scenario, steps: int, factor: fl
         assert count <= 2 * steps + 2
     assert step.clock_next == 3.0
     assert count == pytest.approx(steps / factor, abs=1.0)
-    rest = made.step()  # beyond it the object rests
+    rest = made.step()  # after the end the object rests
     assert not rest.velocity.any()
     assert rest.clock_next == 3.0
 
@@ -320,7 +325,7 @@ def test_damping_keeps_joint_speeds_down(paper: Scenario) -> None:
 
 
 def test_damping_fades_in(paper: Scenario) -> None:
-    """None above the threshold, λ_max at the singularity; in between the damped pseudo-inverse as written."""
+    """No damping above the threshold, λ_max at the singularity, and the documented damping in between."""
     for angle in (0.0, 0.02, 0.05, 0.5):
         made, q = near_singular(paper, angle, damping=0.1, damping_from=0.04)
         step = made.step()
@@ -409,7 +414,7 @@ def test_a_step_of_no_length_holds(paper: Scenario, dt: Any) -> None:
 
 
 def test_a_reset_out_of_reach_is_left_out(paper: Scenario) -> None:
-    """The object leaves the workspace: the baseline goes on, as the paper's does, and says why there is no reset."""
+    """The object leaves the workspace: the baseline continues without the reset and gives the reason."""
     path = LinePath.displaced(paper.path.start, translation=(0.0, 0.0, 3.0), duration=3.0, time_law="linear")
     made = PseudoInverseController(paper.cell, paper.grasp, path, dt=0.1, options=PseudoInverseOptions(reset_every=10))
     made.reset(paper.q_start)

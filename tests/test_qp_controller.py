@@ -1,4 +1,4 @@
-"""The cooperative QP controller: what it promises whatever the cell, the frame, the order of the arms or the units."""
+"""The cooperative QP controller: its promises for any cell, frame, order of arms and units."""
 
 from __future__ import annotations
 
@@ -13,18 +13,38 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from coopqp.control.command import ControlStep, Status
-from coopqp.control.forms import RankWeights
-from coopqp.control.independent import IndependentQPController
-from coopqp.control.options import QPOptions
-from coopqp.control.pseudo_inverse import PseudoInverseController
-from coopqp.control.qp import QPController
-from coopqp.errors import InvalidInputError, MissingExtraError, UnknownNameError
-from coopqp.model.cell import Arm, RobotCell
-from coopqp.model.grasp import Grasp
-from coopqp.model.inverse_kinematics import inverse_kinematics
-from coopqp.model.limits import LimitKind
-from coopqp.planning.preview import PreviewOptions
+from coopqp import (
+    Arm,
+    Array,
+    CommonError,
+    ControlStep,
+    Grasp,
+    HoldPath,
+    IndependentQPController,
+    InvalidInputError,
+    LimitKind,
+    LinePath,
+    MissingExtraError,
+    ObjectPath,
+    PostureOptions,
+    PreviewOptions,
+    PseudoInverseController,
+    QPController,
+    QPOptions,
+    RankWeights,
+    RobotCell,
+    Status,
+    TimeLaw,
+    UnknownNameError,
+    WaypointPath,
+    chain_error,
+    inverse_kinematics,
+    limit_excess,
+    object_error,
+    path_error,
+    relative_positioning_error,
+    tool_placements,
+)
 from coopqp.scenarios import (
     SCENARIOS,
     Scenario,
@@ -39,18 +59,6 @@ from coopqp.scenarios import (
     scara_pair,
 )
 from coopqp.scenarios.paper import three_rx90l
-from coopqp.simulation.metrics import (
-    chain_error,
-    limit_excess,
-    object_error,
-    path_error,
-    relative_positioning_error,
-    tool_placements,
-)
-from coopqp.spatial import Array
-from coopqp.task.common_error import CommonError
-from coopqp.task.path import HoldPath, LinePath, ObjectPath, TimeLaw, WaypointPath
-from coopqp.task.posture import PostureOptions
 
 NIGHTLY = os.environ.get("HYPOTHESIS_PROFILE") == "nightly"
 MM = 1e-3
@@ -63,7 +71,7 @@ def make(task: Scenario, *, dt: float | None = None, **options: Any) -> QPContro
 
 
 def go(controller: QPController, *, longest: int = 6000, dwell: int = 20) -> list[ControlStep]:
-    """Steps until the path is finished or the object has waited for a while."""
+    """Run until the path is finished or the object has stopped for ``dwell`` steps."""
     steps: list[ControlStep] = []
     waited = 0
     while len(steps) < longest and waited < dwell:
@@ -94,13 +102,13 @@ def excess(task: Scenario, steps: Sequence[ControlStep]) -> float:
 
 
 def acceleration_used(task: Scenario, steps: Sequence[ControlStep]) -> float:
-    """Largest share of an acceleration limit, from standstill on."""
+    """Largest used share of an acceleration limit, including the start from rest."""
     v = np.array([np.zeros(task.cell.nv), *(s.velocity for s in steps)])
     return float((np.abs(np.diff(v, axis=0)) / (steps[0].dt * task.cell.limits.acceleration)).max())
 
 
 def with_mismatch(task: Scenario, arm: int, shift: Sequence[float], turn: Sequence[float] = (0, 0, 0)) -> Scenario:
-    """The same start, with another idea of where an arm holds the object."""
+    """The same start, with another assumed grasp of an arm."""
     tools = list(task.grasp.T_object_tool)
     tools[arm] = pin.SE3(pin.exp3(np.array(turn, dtype=float)), np.array(shift, dtype=float)) * tools[arm]
     return replace(task, grasp=Grasp(tuple(tools)))
@@ -147,7 +155,7 @@ def reordered(task: Scenario, order: Sequence[int]) -> Scenario:
 
 @pytest.mark.parametrize("scenario", [fast_lift, at_limit, dual_arm7])
 def test_the_unit_of_time_does_not_matter(scenario: Callable[..., Scenario]) -> None:
-    """Everything ten times slower, limits and gains included: the same configurations, step by step."""
+    """With all speeds, limits and gains ten times slower, the configurations of the steps are the same."""
     task, slow = scenario(), 10.0
     path = task.path
     assert isinstance(path, LinePath)
@@ -183,7 +191,7 @@ def test_the_unit_of_time_does_not_matter(scenario: Callable[..., Scenario]) -> 
     ids=["six", "five", "mixed"],
 )
 def test_shortcut_form_and_solver_change_nothing_that_matters(scenario: Callable[..., Scenario], alike: float) -> None:
-    """Redundant arms may differ in how they use their freedom, the others and the object not."""
+    """The null-space motion of redundant arms may differ; the other arms and the object move alike."""
     task = scenario()
     task = replace(task, cell=task.cell.with_limits(velocity=np.minimum(task.cell.limits.velocity, 0.3)))
     reference = run(task, dt=0.01, longest=120)
@@ -205,7 +213,7 @@ def test_kernels_agree(kernel: str) -> None:
     try:
         controller = make(task, kernel=kernel)
     except MissingExtraError:
-        controller = make(task)  # a machine without a compiler has only one
+        controller = make(task)  # without a compiler there is only one
     for a, b in zip(go(controller, longest=300), run(task, longest=300, kernel="none"), strict=True):
         assert np.abs(a.velocity - b.velocity).max() < 1e-8
 
@@ -216,7 +224,7 @@ SHIFT, TURN = (0.002, -0.003, 0.001), (0.004, 0.002, -0.003)
 
 
 def views(task: Scenario, steps: Sequence[ControlStep], arm: int) -> tuple[float, float]:
-    """Largest distance [m] and angle [rad] of an arm's view of the object from the path."""
+    """Largest distance [m] and angle [rad] between an arm's object pose and the path."""
     errors = [
         object_error(T, task.grasp, task.path.pose(s.clock_next), arm)
         for T, s in zip(tool_placements(task.cell, [s.q_next for s in steps]), steps, strict=True)
@@ -226,7 +234,7 @@ def views(task: Scenario, steps: Sequence[ControlStep], arm: int) -> tuple[float
 
 @pytest.mark.parametrize("master", [0, 1, 2])
 def test_master_slave_the_object_is_where_the_master_carries_it(master: int) -> None:
-    """The slaves make up for all of a mismatch; the master's view never leaves the path."""
+    """The slaves correct all of a mismatch; the master's object pose never leaves the path."""
     task = with_mismatch(paper_lift(time_law=TimeLaw.QUINTIC), 1, SHIFT, TURN)
     if master == 1:  # the master itself starts off the path by its own mismatch: let the path start at its view
         task = replace(
@@ -249,24 +257,24 @@ def test_leaderless_all_arms_give_way_alike() -> None:
     steps = run(task, common_error=CommonError.leaderless(), path_gain=0.0)
     at_end = [views(task, steps[-1:], k)[0] for k in range(3)]
     assert np.ptp(at_end) < 1e-5 * MM
-    assert at_end[0] == pytest.approx(np.linalg.norm(SHIFT) / 3.0, rel=0.02)  # they meet in the middle of their views
+    assert at_end[0] == pytest.approx(np.linalg.norm(SHIFT) / 3.0, rel=0.02)  # they meet at the mean pose
     corrected = run(task, common_error=CommonError.leaderless())
     assert off_path(task, corrected)[-1] < 1e-5 * MM  # the path gain then leads the object back
 
 
 def test_driver_orients_and_master_positions() -> None:
-    """The paper's mode I: the object's position is the master's, its orientation the driver's."""
+    """The paper's mode I: the master determines the object's position, the driver its orientation."""
     task = with_mismatch(paper_lift(time_law=TimeLaw.QUINTIC), 0, (0, 0, 0), TURN)
     task = with_mismatch(task, 2, SHIFT)
     strategy = CommonError.driver(master="master", driver="slave_2")
     steps = run(task, common_error=strategy, path_gain=0.0)
     positions, angles = zip(*(views(task, steps, k) for k in range(3)), strict=True)
-    assert positions[0] < 0.05 * MM  # to second order in the mismatch
+    assert positions[0] < 0.05 * MM  # second order in the mismatch
     assert angles[2] < 1e-5
     assert angles[0] > 0.8 * np.linalg.norm(TURN)
     assert positions[2] > 0.8 * np.linalg.norm(SHIFT)
     assert chain_of(task, steps)[-1] < 1e-6 * MM
-    # Under a master alone the driver's orientation has no say: it turns to the master's.
+    # With only a master, the driver turns to the master's orientation.
     other = run(task, common_error=CommonError.master("master"), path_gain=0.0)
     assert views(task, other, 0)[1] == pytest.approx(np.linalg.norm(TURN), rel=0.02)
     assert views(task, other[-1:], 2)[1] == pytest.approx(np.linalg.norm(TURN), rel=0.02)
@@ -295,7 +303,7 @@ def test_weights_that_do_not_fit(weights: Any) -> None:
 
 
 def test_a_step_never_corrects_more_than_the_whole_error() -> None:
-    """K dt ≤ 1: with an absurd gain the mismatch is gone after one step, and stays so."""
+    """K dt ≤ 1: with an absurd gain the mismatch is zero after one step and stays zero."""
     task = paper_lift()
     task = replace(task, path=HoldPath(task.path.pose(0.0), duration=0.05))
     task = with_mismatch(task, 1, (5e-5, 0.0, 0.0))
@@ -346,7 +354,7 @@ def order_of_accuracy(iterations: int) -> Array:
 
 
 def test_a_second_linearisation_raises_the_order_of_accuracy() -> None:
-    """Halving the step divides the drift by 8 or more with one, by 14 or more with two (orders 3 and 4)."""
+    """Half the step divides the drift by ≥ 8 with one linearisation, by ≥ 14 with two (orders 3 and 4)."""
     one, two = order_of_accuracy(1), order_of_accuracy(2)
     assert np.all(one[:-1] / one[1:] > 7.0)
     assert np.all(two[:-1] / two[1:] > 13.0)
@@ -446,7 +454,7 @@ def test_a_path_that_passes_near_a_singularity_is_completed(miss: float, acceler
 
 @pytest.mark.slow
 def test_a_horizon_that_grows_too_slowly_only_slows_the_object() -> None:
-    """Few Newton steps a control step, where the preview needs many."""
+    """The preview may do only few Newton steps per control step, but needs many."""
     task = at_singularity("wrist", 1, miss=0.003, acceleration=5.0)
     for newton_steps in (1, 3):
         steps = run(task, preview=PreviewOptions(newton_steps=newton_steps))
@@ -462,7 +470,7 @@ def test_a_horizon_that_grows_too_slowly_only_slows_the_object() -> None:
 
 
 def test_a_deflected_arm_does_not_wind_up_the_command(rng: np.random.Generator) -> None:
-    """The object is gripped: one arm's servos give way by a constant angle, and no command can change that."""
+    """The servos of one arm have a constant deflection under the grip, which no command can change."""
     task = paper_lift()
     task = replace(task, path=HoldPath(task.path.pose(0.0), duration=10.0), dt=0.004)
     controller = make(task, common_error=CommonError.leaderless())
@@ -472,13 +480,13 @@ def test_a_deflected_arm_does_not_wind_up_the_command(rng: np.random.Generator) 
     for _ in range(2000):
         steps.append(controller.step(q + deflection))
         q = steps[-1].q_next
-    assert chain_of(task, steps).max() < 1e-4 * MM  # of the command: the arms are told one and the same object
-    assert np.abs(steps[-1].velocity).max() < 1e-6  # and it comes to rest
+    assert chain_of(task, steps).max() < 1e-4 * MM  # the commands of all arms agree on the object
+    assert np.abs(steps[-1].velocity).max() < 1e-6  # the command comes to rest
     assert np.abs(q - task.q_start).max() < 2e-3
 
 
 def test_the_object_goes_where_it_should_be_as_measured() -> None:
-    """A displacement common to all arms is seen in the measurement, and corrected."""
+    """A measured displacement that is common to all arms is corrected."""
     task = paper_lift()
     start = task.path.pose(0.0)
     task = replace(task, path=HoldPath(start, duration=10.0), dt=0.004)
@@ -540,7 +548,7 @@ def test_arms_with_few_joints_brake_together_ahead_of_a_limit(
     x = task.cell.positions(task.q_start)
     for _ in range(6):
         margin = rng.uniform(0.1, 0.4, task.cell.nv)
-        way = rng.normal(size=3) * (1.0, float(scenario is scara_pair), 1.0)  # the others have no base to turn
+        way = rng.normal(size=3) * (1.0, float(scenario is scara_pair), 1.0)  # only SCARA bases turn
         way /= np.linalg.norm(way)
         path = LinePath.displaced(task.path.pose(0.0), translation=way, duration=4.0, time_law="linear")
         limited = task.cell.with_limits(lower=x - margin, upper=x + margin, acceleration=5.0)
@@ -555,7 +563,7 @@ def test_arms_with_few_joints_brake_together_ahead_of_a_limit(
 
 
 def test_a_path_that_arms_with_few_joints_cannot_follow_is_not_previewed() -> None:
-    """It begins as they can; where it tilts, the object goes on without the tilt, and is not stopped."""
+    """The path begins without tilt. At the tilt, the object moves on without it and does not stop."""
     task = scara_pair()
     start = task.path.pose(0.0)
     shifted = pin.SE3(start.rotation, start.translation + np.array([0.05, 0.0, 0.02]))
@@ -569,7 +577,7 @@ def test_a_path_that_arms_with_few_joints_cannot_follow_is_not_previewed() -> No
 
 
 def test_what_arms_with_few_joints_cannot_do_is_left_out() -> None:
-    """A tilt that no SCARA can make stays away; the rest of the motion is made, and the chain holds."""
+    """The arms leave the impossible tilt out, do the rest of the motion, and keep the chain."""
     task = scara_pair(tilt=0.1)
     steps = run(task, dt=0.005)
     assert steps[-1].finished
@@ -611,7 +619,7 @@ def test_limits_may_be_missing_for_some_joints() -> None:
 
 
 def test_an_arm_may_have_joints_that_do_not_move_its_tool() -> None:
-    """A gripper's fingers, say: they stay still."""
+    """Such joints, e.g. the fingers of a gripper, do not move."""
     task = dual_arm7()
     arm = task.cell.arms[0]
     model = pin.Model(arm.model)
@@ -632,7 +640,7 @@ def test_an_arm_may_have_joints_that_do_not_move_its_tool() -> None:
 
 @pytest.mark.parametrize("acceleration", [np.inf, 5.0])
 def test_redundant_arms_come_back_from_outside(acceleration: float) -> None:
-    """Joints that redundancy could move alone, and that no solver may stumble over."""
+    """Redundancy could move these joints alone; every solver must handle it."""
     for j in (0, 2, 4, 6):
         task = dual_arm7()
         upper = task.cell.limits.upper.copy()
@@ -757,7 +765,7 @@ def test_a_grasp_for_another_number_of_arms() -> None:
 
 
 def test_every_scenario_runs() -> None:
-    """A first look at all of them: 60 coarse steps each, no failures, the chain closed."""
+    """A quick test of all scenarios: 60 coarse steps each without failures, with a closed chain."""
     for name, build in SCENARIOS.items():
         task = build()
         path: ObjectPath = task.path

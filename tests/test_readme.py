@@ -1,4 +1,4 @@
-"""What the README shows is true: its program runs, its commands exist, its pictures are there."""
+"""The README is true: its program runs, its commands exist, its pictures exist."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def test_the_program_runs(capsys: pytest.CaptureFixture[str]) -> None:
 
 def test_all_commands_are_known() -> None:
     assert [shlex.split(line)[0] for line in COMMANDS] == ["make", "make", "coopqp"]
-    assert set(blocks("[a-z]*")) == {*blocks("sh"), *blocks("python")}
+    assert set(blocks("[a-z]*")) == {*blocks("sh"), *blocks("python"), *blocks("text")}
 
 
 @pytest.mark.skipif(shutil.which("make") is None, reason="make is not installed")

@@ -1,4 +1,4 @@
-"""The software renderer: closed meshes of the right size, projection, and what hides what."""
+"""The software renderer: closed meshes of the right size, projection, and occlusion."""
 
 from __future__ import annotations
 
@@ -10,10 +10,8 @@ import pinocchio as pin
 import pytest
 from numpy.typing import NDArray
 
-from coopqp.errors import InvalidInputError
+from coopqp import Arm, InvalidInputError, RobotCell, robot_path
 from coopqp.look.render import Solid, View, box_solid, cell_solids, mesh_of, render
-from coopqp.model.cell import Arm, RobotCell
-from coopqp.scenarios.robots import robot_path
 
 Array = NDArray[np.float64]
 
@@ -28,7 +26,7 @@ VOLUMES: dict[str, tuple[Any, float]] = {
 
 
 def volume(vertices: Array, triangles: NDArray[np.intp]) -> float:
-    """Signed volume: positive, and the solid's own, only if the mesh is closed and faces outwards."""
+    """Signed volume. It equals the solid's volume only if the mesh is closed and faces outwards."""
     a, b, c = vertices[triangles].transpose(1, 0, 2)
     return float(np.einsum("fi,fi->", a, np.cross(b, c)) / 6.0)
 

@@ -1,4 +1,4 @@
-"""The report: what it says is what happened, it is one small file, and nothing in a recording can change its page."""
+"""The report is true, it is one small file, and no text in a recording can change its page."""
 
 from __future__ import annotations
 
@@ -13,23 +13,34 @@ from typing import Any
 import numpy as np
 import pytest
 
-from coopqp.control.command import Status
-from coopqp.control.qp import QPController
-from coopqp.errors import InvalidInputError, MissingExtraError
-from coopqp.look.report import report_html, write_report
+from coopqp import (
+    BindingLimit,
+    InvalidInputError,
+    LimitKind,
+    MissingExtraError,
+    OutputError,
+    QPController,
+    Recording,
+    RecordingError,
+    RobotCell,
+    SceneError,
+    Status,
+    Tolerances,
+    describe_object,
+    judge,
+    read_run,
+    simulate,
+    write_report,
+)
+from coopqp.look.report import report_html
 from coopqp.look.timeline import bound_limits, timeline_figure
-from coopqp.model.cell import RobotCell
-from coopqp.model.limits import BindingLimit, LimitKind
-from coopqp.output import OutputError
 from coopqp.scenarios import Scenario
-from coopqp.simulation.assessment import Tolerances, judge, read_run, run_figures, worst_status
-from coopqp.simulation.scene import SceneError, describe_object
-from coopqp.simulation.simulate import Recording, RecordingError, simulate
+from coopqp.simulation.assessment import run_figures, worst_status
 
 
 @pytest.fixture(scope="module")
 def slowed(paper: Scenario) -> Recording:
-    """The lift with joints so slow that they bind."""
+    """The lift with binding speed limits."""
     cell = paper.cell.with_limits(velocity=0.25)
     controller = QPController(cell, paper.grasp, paper.path, dt=paper.path.duration / 60)
     metadata = {
@@ -41,7 +52,7 @@ def slowed(paper: Scenario) -> Recording:
 
 
 def _bare(recording: Recording) -> Recording:
-    """The run of arms without shapes: its pictures take long."""
+    """The run without the arms' shapes, which take long to draw."""
     metadata = json.loads(json.dumps(recording.metadata))
     for arm in metadata["scene"]["arms"]:
         arm["shapes"] = []

@@ -1,4 +1,4 @@
-"""The robot descriptions: kinematics, limits, inertias and shapes against figures written out here."""
+"""The robot descriptions: kinematics, limits, inertias and shapes agree with the figures in this file."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ import pinocchio as pin
 import pytest
 from numpy.typing import NDArray
 
-from coopqp.errors import UnknownNameError
-from coopqp.scenarios.robots import ROBOT_NAMES, robot_path
+from coopqp import UnknownNameError, robot_path
+from coopqp.scenarios import ROBOT_NAMES
 
 Array = NDArray[np.float64]
 
@@ -36,7 +36,7 @@ def translation(axis: int, distance: float) -> Array:
 Rx, Ry, Rz = (functools.partial(rotation, axis) for axis in range(3))
 Tx, Ty, Tz = (functools.partial(translation, axis) for axis in range(3))
 
-# Pose of the end frame in the base frame, as the header of each file writes it.
+# Pose of the end frame in the base frame, as in the header of each file.
 CHAINS: dict[str, Callable[[Array], Array]] = {
     "rx90l": lambda q: (
         Tz(0.420) @ Rz(q[0]) @ Ry(q[1]) @ Tz(0.450) @ Ry(q[2]) @ Rz(q[3]) @ Tz(0.650) @ Ry(q[4])
@@ -93,7 +93,7 @@ def load(name: str) -> pin.Model:
 
 
 def load_floating(name: str) -> pin.Model:
-    """The model on a floating base: so its base link has an inertia too."""
+    """The model on a floating base, which keeps the inertia of the base link."""
     return pin.buildModelFromUrdf(str(robot_path(name)), pin.JointModelFreeFlyer())
 
 
@@ -108,7 +108,7 @@ def end_frame(name: str, model: pin.Model) -> int:
 
 
 def random_angles(model: pin.Model, rng: np.random.Generator) -> tuple[Array, Array]:
-    """One number a joint within the limits (any angle for a continuous joint), and Pinocchio's configuration."""
+    """One number per joint within the limits (any angle for continuous joints), and Pinocchio's configuration."""
     angles, q = np.empty(model.nv), np.empty(model.nq)
     for joint in model.joints[1:]:
         if joint.nq == joint.nv:
@@ -157,7 +157,7 @@ def solid_inertia(shape: coal.CollisionGeometry, density: float) -> pin.Inertia:
 
 
 def add_pairs(shapes: pin.GeometryModel, wanted: Callable[[int], bool]) -> None:
-    """Pair every two shapes whose links are `wanted` joints apart, the one nearer the base first."""
+    """Pair all shapes with a ``wanted`` number of joints between their links, the shape nearer the base first."""
     for i, first in enumerate(shapes.geometryObjects):
         for j, second in enumerate(shapes.geometryObjects):
             if wanted(second.parentJoint - first.parentJoint):

@@ -1,4 +1,4 @@
-"""The ready tasks: they start where they say, and lead where their docstrings say, by the arms' own kinematics."""
+"""The ready tasks start and lead as their docstrings say, according to the arms' kinematics."""
 
 from __future__ import annotations
 
@@ -13,10 +13,9 @@ import pinocchio as pin
 import pytest
 
 import coopqp.scenarios
-from coopqp.errors import InvalidInputError, MissingExtraError, UnknownNameError
+from coopqp import CellState, InvalidInputError, MissingExtraError, UnknownNameError, chain_error, tool_placements
 from coopqp.model.chain import Chain
 from coopqp.model.inverse_kinematics import newton
-from coopqp.model.state import CellState
 from coopqp.scenarios import (
     SCENARIOS,
     Scenario,
@@ -34,14 +33,13 @@ from coopqp.scenarios import (
     wide_grasp,
 )
 from coopqp.scenarios.robot_data import robot_data_path
-from coopqp.simulation.metrics import chain_error, tool_placements
 
-#: Those whose path the arms can follow to its end, at the speed it asks for.
+#: Scenarios with a path that the arms can follow to its end at full rate.
 EASY = [name for name in SCENARIOS if name not in ("fast_lift", "at_limit", "at_singularity")]
 
 
 def along(task: Scenario, samples: int = 40, *, beyond_limits: bool = True) -> Iterator[tuple[float, CellState]]:
-    """Clock and state along the path by closed-chain inverse kinematics, up to where an arm does not follow."""
+    """Clock and state along the path by closed-chain inverse kinematics, until an arm cannot follow."""
     q, chain = task.q_start, Chain(task.cell, task.grasp)
     for clock in np.linspace(0.0, task.path.duration, samples + 1):
         q_next, errors = newton(chain, task.path.pose(clock), q, tolerance=1e-10, max_iter=20)
@@ -60,7 +58,7 @@ def built() -> dict[str, Scenario]:
 
 
 def test_the_registry_has_every_function_of_the_package(built: dict[str, Scenario]) -> None:
-    functions = {n for n, f in vars(coopqp.scenarios).items() if inspect.isfunction(f) and n != "scenario"}
+    functions = {n for n, f in vars(coopqp.scenarios).items() if inspect.isfunction(f)} - {"scenario", "robot_path"}
     assert set(SCENARIOS) == functions
     assert all(task.name == name for name, task in built.items())
     assert scenario("ring").cell.nv == 48
@@ -220,7 +218,7 @@ def test_arms_with_few_joints_can_follow_their_path_and_little_else(
     make: Callable[..., Scenario], freedom: int
 ) -> None:
     def missing(task: Scenario) -> tuple[float, int]:
-        """Largest part of the path's twist that an arm cannot make, and how many motions all arms can."""
+        """Largest part of the path's twist that an arm cannot do, and the number of motions that all arms can do."""
         chain, worst, d = Chain(task.cell, task.grasp), 0.0, 6
         for clock, state in along(task, 20):
             chain.linearise(state.q)

@@ -1,4 +1,4 @@
-"""What a recording keeps of its cell: the same cell comes back, and a damaged one is refused by name."""
+"""The description of a cell in a recording: reading restores the cell, and damage gives a named error."""
 
 from __future__ import annotations
 
@@ -13,25 +13,24 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from coopqp.look.render import cell_solids
-from coopqp.model.cell import Arm, RobotCell
-from coopqp.scenarios.robots import ROBOT_NAMES, robot_path
-from coopqp.simulation.metrics import tool_placements
-from coopqp.simulation.scene import (
+from coopqp import (
+    Arm,
+    HoldPath,
+    Recording,
+    RobotCell,
     SceneError,
-    describe_cell,
+    ServoPath,
     describe_object,
-    describe_path,
-    read_cell,
-    read_object,
-    read_path,
+    robot_path,
+    tool_placements,
 )
-from coopqp.simulation.simulate import Recording
-from coopqp.task.path import HoldPath, ServoPath
+from coopqp.look.render import cell_solids
+from coopqp.scenarios import ROBOT_NAMES
+from coopqp.simulation.scene import describe_cell, describe_path, read_cell, read_object, read_path
 
 
 def _all_robots() -> RobotCell:
-    """Turning, sliding and continuous joints, on turned bases, with shapes."""
+    """Revolute, prismatic and continuous joints, on turned bases, with shapes."""
     pin.seed(11)
     arms = [
         Arm.from_urdf(
@@ -53,7 +52,7 @@ def everything() -> RobotCell:
 
 @pytest.fixture
 def metadata(everything: RobotCell) -> dict[str, Any]:
-    """The metadata of a recording, as they come from its file."""
+    """The metadata of a recording, after a round trip through JSON."""
     return json.loads(json.dumps({"scene": describe_cell(everything)}, allow_nan=False))
 
 

@@ -1,4 +1,4 @@
-"""The loop and its recording: what happened, saved whole or not at all, and nothing loaded that is not one."""
+"""The loop and its recording: the recording is true, saved atomically, and only valid files are loaded."""
 
 from __future__ import annotations
 
@@ -18,14 +18,21 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 import coopqp.simulation.simulate
-from coopqp.control.command import ControlStep, Status
-from coopqp.control.pseudo_inverse import PseudoInverseController, PseudoInverseOptions
-from coopqp.control.qp import QPController
-from coopqp.errors import CoopqpError, InvalidInputError
+from coopqp import (
+    ControlStep,
+    CoopqpError,
+    InvalidInputError,
+    KinematicPlant,
+    PseudoInverseController,
+    PseudoInverseOptions,
+    QPController,
+    Recording,
+    RecordingError,
+    ServoPath,
+    Status,
+    simulate,
+)
 from coopqp.scenarios import Scenario, at_limit
-from coopqp.simulation.plants import KinematicPlant
-from coopqp.simulation.simulate import Recording, RecordingError, simulate
-from coopqp.task.path import ServoPath
 
 Array = NDArray[np.float64]
 MANY = settings(max_examples=4 * settings().max_examples)
@@ -140,7 +147,7 @@ def test_a_path_without_an_end_needs_a_duration(paper: Scenario) -> None:
 
 def test_a_plant_in_between_is_what_is_measured(paper: Scenario) -> None:
     class Lagging:
-        """Joints that go half of the way."""
+        """Joints that move half of the commanded way."""
 
         def reset(self, q: Any) -> Array:
             self.q: Array = np.array(q)
@@ -223,7 +230,7 @@ class FullDiskError(OSError):
 def test_no_half_written_file(
     run: Recording, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, error: BaseException, earlier: bool
 ) -> None:
-    """What fails half-way leaves what was there before, and nothing else."""
+    """A failed write leaves only the earlier file."""
     file = tmp_path / "run.npz"
     if earlier:
         run.save(file)
@@ -259,7 +266,7 @@ def test_places_that_cannot_be_written(run: Recording, tmp_path: Path) -> None:
 
 
 def saved(run: Recording, tmp_path: Path, **changes: Any) -> Path:
-    """A recording's file, some of its entries replaced (or left out: None)."""
+    """The file of a recording with some entries replaced, or left out (None)."""
     arrays: dict[str, Any] = {name: getattr(run, name) for name in ARRAYS}
     arrays["text"] = np.array(json.dumps({"format": 1, "notes": [], "metadata": {}}))
     arrays.update(changes)
@@ -273,7 +280,7 @@ def test_a_plain_copy_loads(run: Recording, tmp_path: Path) -> None:
 
 
 class Bomb:
-    """Unpickling it would make a folder."""
+    """An object that creates a folder when it is unpickled."""
 
     def __init__(self, place: str) -> None:
         self.place = place
@@ -350,7 +357,7 @@ def test_what_does_not_fit_together(run: Recording, tmp_path: Path, changes: dic
 
 @pytest.fixture(scope="module")
 def small(run: Recording) -> bytes:
-    """A short recording's file: compressed, as it is saved."""
+    """The compressed file of a short recording."""
     steps, samples = ("velocity", "rate", "status"), ("time", "q", "q_command", "clock", "reference")
     cut = replace(run, **{n: getattr(run, n)[:3] for n in samples}, **{n: getattr(run, n)[:2] for n in steps})
     stream = io.BytesIO()

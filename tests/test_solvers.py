@@ -1,4 +1,4 @@
-"""The QP solvers against the conditions of optimality, one another, and data that no solver should see."""
+"""The QP solvers: optimality conditions, agreement with each other, and invalid data."""
 
 from __future__ import annotations
 
@@ -16,28 +16,31 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from coopqp.control.solvers import (
+from coopqp import (
+    DaqpSettings,
+    GenericSettings,
+    InvalidInputError,
+    MissingExtraError,
+    OsqpSettings,
+    ProxqpSettings,
     QpProblem,
     QpSolution,
     QpSolver,
     SolverSettings,
     SolverStatus,
+    UnknownNameError,
     available_solvers,
     make_solver,
 )
 from coopqp.control.solvers.base import Outcome, Workspace
-from coopqp.control.solvers.daqp import DaqpSettings
-from coopqp.control.solvers.generic import GenericSettings
-from coopqp.control.solvers.osqp import OsqpSettings
 from coopqp.control.solvers.polish import excluded_ball, finish, kkt_residual
-from coopqp.control.solvers.proxqp import ProxqpSettings
-from coopqp.errors import InvalidInputError, MissingExtraError, UnknownNameError
 
-KEPT = [name for name in ("proxqp", "osqp", "daqp") if name in available_solvers()]
-REBUILT = [f"qpsolvers:{name}" for name in KEPT] + [n for n in ("quadprog",) if n in available_solvers()]
+SEMIDEFINITE = [name for name in ("proxqp", "osqp", "daqp") if name in available_solvers()]
+KEPT = SEMIDEFINITE + [name for name in ("ldp",) if name in available_solvers()]
+REBUILT = [f"qpsolvers:{name}" for name in SEMIDEFINITE] + [n for n in ("quadprog",) if n in available_solvers()]
 EVERY = KEPT + REBUILT
-# In the one-sided form that qpsolvers takes, OSQP stops at its cap on some of these problems, and ProxQP, whose
-# accuracy of a certificate cannot be set there, calls some feasible ones infeasible.
+# In the one-sided form of qpsolvers, OSQP stops at its cap on some of these problems. ProxQP calls some feasible ones
+# infeasible, because qpsolvers cannot set the accuracy of its certificate.
 SURE = [name for name in EVERY if name not in ("qpsolvers:osqp", "qpsolvers:proxqp")]
 needs_daqp = pytest.mark.skipif("daqp" not in KEPT, reason="daqp is not installed")
 
@@ -47,7 +50,7 @@ needs_daqp = pytest.mark.skipif("daqp" not in KEPT, reason="daqp is not installe
 
 def qp(H: Any, g: Any, *, A: Any = None, b: Any = None, C: Any = None, l: Any = None, u: Any = None,
        lb: Any = None, ub: Any = None) -> QpProblem:  # fmt: skip
-    """A problem with what is not given left out."""
+    """A problem from the given parts; the other parts are empty."""
     n = len(g)
     given_ = {"H": H, "g": g, "A": A, "b": b, "C": C, "l": l, "u": u, "lb": lb, "ub": ub}
     none = {
@@ -63,7 +66,7 @@ def qp(H: Any, g: Any, *, A: Any = None, b: Any = None, C: Any = None, l: Any = 
 
 
 def condensed(seed: int, *, spread: float = 1.0) -> QpProblem:
-    """A least-distance problem: H = I, unit rows, three bounded unknowns, feasible, up to 10**spread across."""
+    """A feasible least-distance problem of size up to 10**spread: H = I, unit rows, three bounded unknowns."""
     rng = np.random.default_rng(seed)
     n, p = 9 + seed % 9, int(rng.choice([18, 48, 96, 200]))
     C = rng.normal(size=(p, n)) * 10 ** rng.uniform(-1.5, 1.5, size=n)
@@ -98,7 +101,7 @@ def arms(seed: int, n_arms: int) -> dict[str, Any]:
 
 
 def full(state: dict[str, Any], *, joint: float = 1e-8) -> QpProblem:
-    """Joint velocities, twist off the path, and three shares; six equalities an arm, everything bounded."""
+    """Unknowns: joint velocities, twist off the path, three shares. Six equalities per arm, everything bounded."""
     J = state["J"]
     n_arms = len(J)
     nv = 6 * n_arms
@@ -118,9 +121,9 @@ def full(state: dict[str, Any], *, joint: float = 1e-8) -> QpProblem:
 
 
 def cornered(seed: int, n_arms: int, joint: float, *, scaled: bool) -> QpProblem:
-    """The full form with joints held to narrow ranges off the path, as acceleration limits do: a vertex, nearly.
+    """The full form with narrow velocity ranges off the path, as under acceleration limits: nearly a vertex.
 
-    ``scaled`` gives the twist and the shares a unit cost, by their units.
+    ``scaled`` scales the twist and the shares to unit cost.
     """
     state = arms(seed, n_arms)
     rng = np.random.default_rng(seed)
@@ -138,7 +141,7 @@ def cornered(seed: int, n_arms: int, joint: float, *, scaled: bool) -> QpProblem
 
 
 def loop(problem_of: Callable[[int, float], QpProblem], steps: int = 60) -> Iterator[QpProblem]:
-    """Slowly changing data, its bounds tight, wide and gone in turn."""
+    """Slowly changing data with bounds that are in turn tight, wide and absent."""
     for k in range(steps):
         yield problem_of(k, (1.0, 50.0, np.inf)[(k // 10) % 3])
 
@@ -155,7 +158,7 @@ def condensed_loop(seed: int, steps: int = 60) -> Iterator[QpProblem]:
         extra = 0.0 if room == 1.0 else room
         return dataclasses.replace(base, C=C.copy(), l=base.l - extra, u=base.u + extra)
 
-    # The rows turn: only keep problems that stay feasible whatever the turn.
+    # The rows turn: keep only the feasible problems.
     return (p for p in loop(at, steps) if np.isinf(p.l).all() or make_solver(REFERENCE).solve(p).usable)
 
 
@@ -183,7 +186,7 @@ REFERENCE = "quadprog" if "quadprog" in EVERY else KEPT[-1]
 
 
 def assert_optimal(problem: QpProblem, solution: QpSolution, tol: float) -> None:
-    """KKT: feasible, stationary, multipliers of the right sign and only at bounds that are met."""
+    """KKT: feasible, stationary, multipliers of the right sign and only at active bounds."""
     assert solution.status is SolverStatus.SOLVED, solution.message
     x = solution.x
     assert x.shape == problem.g.shape
@@ -214,7 +217,7 @@ def test_condensed_optimal(name: str, seed: int) -> None:
 
 
 def test_condensed_covers_free_and_busy_optima() -> None:
-    """The problems above are the ones asked for: none active, and six and more."""
+    """The generated problems include optima without active constraints and with six or more."""
     active = []
     for seed in range(24):
         problem = condensed(seed)
@@ -225,7 +228,7 @@ def test_condensed_covers_free_and_busy_optima() -> None:
     assert max(active) >= 6
 
 
-@pytest.mark.parametrize("name", [n for n in EVERY if n != "quadprog"])
+@pytest.mark.parametrize("name", [n for n in EVERY if n not in ("quadprog", "ldp")])
 @pytest.mark.parametrize("n_arms", [3, 4, 8])
 def test_full_optimal(name: str, n_arms: int) -> None:
     for seed in range(3):
@@ -237,7 +240,7 @@ def test_full_optimal(name: str, n_arms: int) -> None:
 @pytest.mark.parametrize("n_arms", [3, 6])
 @pytest.mark.parametrize(("name", "scaled"), [("daqp", False), ("daqp", True), ("proxqp", False)])
 def test_full_with_many_limits_met(name: str, joint: float, n_arms: int, scaled: bool) -> None:
-    """Where OSQP reaches its cap, ProxQP sometimes, and DAQP without elimination of the equalities gives up."""
+    """On these problems OSQP reaches its cap, ProxQP sometimes, and DAQP fails without elimination of equalities."""
     if name not in KEPT:
         pytest.skip(f"{name} is not installed")
     solver = make_solver(name)
@@ -253,7 +256,7 @@ def test_full_with_many_limits_met(name: str, joint: float, n_arms: int, scaled:
 
 @pytest.mark.parametrize("name", SURE)
 def test_large_and_small_unknowns(name: str) -> None:
-    """Answers of the order of 1e3 next to some of 1e-3."""
+    """The solution has entries of the orders 1e3 and 1e-3."""
     for seed in range(40, 46):
         problem = condensed(seed, spread=3.0)
         assert_optimal(problem, make_solver(name).solve(problem), 1e-6)
@@ -261,7 +264,7 @@ def test_large_and_small_unknowns(name: str) -> None:
 
 @st.composite
 def convex(draw: st.DrawFn) -> QpProblem:
-    """Strictly convex, feasible; some rows fixed, some free, some bounds at infinity."""
+    """A strictly convex, feasible problem; some rows are fixed, some free, some bounds infinite."""
     rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
     n = draw(st.integers(1, 10))
     m, p = draw(st.integers(0, n // 2)), draw(st.integers(0, 20))
@@ -302,7 +305,7 @@ def test_agree_on_condensed(name: str) -> None:
 @pytest.mark.parametrize("name", ["proxqp", "osqp", "qpsolvers:daqp", "qpsolvers:proxqp", "qpsolvers:osqp"])
 @pytest.mark.parametrize("joint", [1e-8, 0.0])
 def test_agree_on_full(name: str, joint: float) -> None:
-    """Weights from 1e-4 to 1e4, and next to nothing or nothing at all on the joint velocities."""
+    """Weights from 1e-4 to 1e4, with a tiny or zero weight of the joint velocities."""
     for seed in range(6):
         problem = full(arms(seed, 3), joint=joint)
         apart = make_solver(name).solve(problem).x - make_solver("daqp").solve(problem).x
@@ -330,7 +333,7 @@ def test_closed_form(name: str) -> None:
 
 @pytest.mark.parametrize("name", EVERY)
 def test_residual_methods(name: str) -> None:
-    """The solution's own residuals are those of the definition, also for another problem than its own."""
+    """The residuals of a solution agree with the definition, also for another problem."""
     problem = condensed(3)
     solution = make_solver(name).solve(problem)
     assert max(solution.primal_residual(problem), solution.dual_residual(problem)) <= 1e-8
@@ -347,7 +350,7 @@ def test_residual_methods(name: str) -> None:
 
 @pytest.mark.parametrize("name", KEPT)
 def test_bounds_relax(name: str) -> None:
-    """Only bounds change, outwards: the old answer stays feasible and stationary, and is wrong."""
+    """Only the bounds relax: the old solution stays feasible and stationary, but is wrong."""
     solver = make_solver(name)
     c = np.array([2.0, -3.0, 0.5, 1.0])
     C = np.array([[1.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 1.0]])
@@ -369,7 +372,7 @@ def test_warm_equals_cold_condensed(name: str, seed: int) -> None:
 
 
 @needs_daqp
-@pytest.mark.parametrize("name", KEPT)
+@pytest.mark.parametrize("name", SEMIDEFINITE)
 @pytest.mark.parametrize("joint", [1e-8, 0.0])
 def test_warm_equals_cold_full(name: str, joint: float) -> None:
     warm = make_solver(name)
@@ -391,7 +394,7 @@ def test_repeatable_to_the_last_bit(name: str) -> None:
     assert run(solver) == first
 
 
-@pytest.mark.parametrize("name", KEPT)
+@pytest.mark.parametrize("name", SEMIDEFINITE)
 def test_sizes_change(name: str) -> None:
     solver = make_solver(name)
     for seed in (0, 1, 4, 0, 8):
@@ -403,7 +406,7 @@ def test_sizes_change(name: str) -> None:
 
 @pytest.mark.parametrize("name", EVERY)
 def test_no_rows(name: str) -> None:
-    """No equalities, no inequalities, no bounds, one unknown: each may be missing."""
+    """Problems without equalities, without inequalities, without bounds, and with one unknown."""
     solver = make_solver(name)
     for _ in range(2):
         free = solver.solve(qp([[2.0]], [-4.0]))
@@ -462,14 +465,14 @@ def test_infeasible(name: str, what: str) -> None:
             assert not solution.usable
             assert np.isnan(solution.x).all()
             assert solution.message
-            # qpsolvers does not hand on why DAQP failed; DAQP calls inconsistent equalities dependent ones.
+            # qpsolvers does not return DAQP's reason; DAQP calls inconsistent equalities dependent.
             if name != "qpsolvers:daqp" and not (name == "daqp" and what == "equalities"):
                 assert solution.status is SolverStatus.INFEASIBLE
 
 
-@pytest.mark.parametrize("name", KEPT)
+@pytest.mark.parametrize("name", SEMIDEFINITE)
 def test_hard_is_not_called_infeasible(name: str) -> None:
-    """A solver may give up on these; there is an answer to each."""
+    """A solver may fail on these problems, but each has a solution."""
     for seed in range(12):
         problem = cornered(seed, 6, 0.0, scaled=True)
         solution = make_solver(name).solve(problem)
@@ -507,7 +510,7 @@ _INVALID = """
 @pytest.mark.slow
 @pytest.mark.parametrize("name", EVERY)
 def test_data_that_hang_solvers(name: str) -> None:
-    """NaN, infinities and overflow in every array; in another process, since ProxQP never comes back from some."""
+    """NaN, infinities and overflow in every array. The test uses another process: ProxQP alone would hang."""
     run = subprocess.run(
         [sys.executable, "-c", textwrap.dedent(_INVALID), name],
         capture_output=True,
@@ -527,7 +530,7 @@ def test_data_that_hang_solvers(name: str) -> None:
             assert status == "INVALID", (field, bad, message)
             assert field in message.replace("is above", "").split("[")[0].split() or "bound" in message
             times.append(seconds)
-    # Refused before any solver, so in microseconds; the machine may pause once.
+    # The check before the solver takes microseconds; the machine may pause once.
     assert np.median(times) < 2e-3
     assert max(times) < 1.0
 
@@ -544,7 +547,7 @@ def test_crossed_bounds(name: str) -> None:
 
 @pytest.mark.parametrize("name", EVERY)
 def test_inputs_stay_as_they_are(name: str) -> None:
-    """Read-only arrays, transposed and strided views; none changed, none kept."""
+    """Read-only arrays, transposed and strided views are neither changed nor kept."""
     base = condensed(7)
     fields = {f.name: getattr(base, f.name) for f in dataclasses.fields(base)}
     views = {}
@@ -564,7 +567,7 @@ def test_inputs_stay_as_they_are(name: str) -> None:
 
 @pytest.mark.parametrize("name", EVERY)
 def test_caller_rewrites_its_arrays(name: str) -> None:
-    """One problem object over arrays that change: each answer is of the data at its solve, and stays."""
+    """One problem object over changing arrays: each solution belongs to the data at its solve and never changes."""
     one, other = condensed(4), condensed(13)
     assert one.g.size == other.g.size
     p = min(one.l.size, other.l.size)
@@ -590,7 +593,7 @@ _CAPPED: dict[str, Any] = {
 }
 
 
-@pytest.mark.parametrize("name", KEPT)
+@pytest.mark.parametrize("name", SEMIDEFINITE)
 def test_iteration_cap(name: str) -> None:
     solver = make_solver(name, _CAPPED[name])
     seen = set()
@@ -608,7 +611,7 @@ def test_iteration_cap(name: str) -> None:
 
 @pytest.mark.parametrize("name", ["proxqp", "osqp"])
 def test_polished_cap_is_exact_or_nothing(name: str) -> None:
-    """Polishing may rescue a capped solve; what it calls solved is optimal."""
+    """Polishing may complete a capped solve; a result with status SOLVED is optimal."""
     solver = make_solver(name, dataclasses.replace(_CAPPED[name], polish=True))
     for seed in range(24):
         problem = condensed(seed)
@@ -618,7 +621,7 @@ def test_polished_cap_is_exact_or_nothing(name: str) -> None:
 
 
 class _Scripted(QpSolver):
-    """Hands back what it is told to, as a backend with a defect would."""
+    """Returns given results, like a defective backend."""
 
     name = "scripted"
 
@@ -654,7 +657,7 @@ class _Scripted(QpSolver):
     ],
 )
 def test_answers_are_tested(answer: Any, says: str) -> None:
-    """A backend that says "solved" is not believed."""
+    """The solver checks a solution even if the backend reports "solved"."""
     solver = _Scripted(answer)
     box = {"lb": [-1.0, -1.0], "ub": [1.0, 1.0], "C": [[1.0, 1.0]], "l": [-1.5], "u": [1.5]}
     rows = {"A": [[1.0, -1.0]], "b": [0.0]} if says == "equality 0" else {}
@@ -678,7 +681,7 @@ def test_feasibility_tolerance() -> None:
 
 @pytest.mark.parametrize("name", KEPT)
 def test_wild_data_end_in_a_status(name: str) -> None:
-    """Magnitudes from 1e-18 to 1e18, H of any rank and sign: a status, no exception, no hang, no broken bound."""
+    """Magnitudes from 1e-18 to 1e18, H of any rank and sign: the result is a status without exception or hang."""
     solver = make_solver(name)
     for seed in range(150):
         rng = np.random.default_rng(seed)
@@ -721,7 +724,7 @@ def _loaded(problem: QpProblem) -> Workspace:
 
 
 def test_kkt_residual_sees_each_condition() -> None:
-    """min ½x² − 2x, x ≤ 1, 3x ≤ 6: x = 1, y = 1 on the bound. Each way to be wrong shows, and NaN shows."""
+    """min ½x² − 2x, x ≤ 1, 3x ≤ 6 has x = 1 and y = 1 on the bound. The residual shows every error and NaN."""
     problem = qp([[1.0]], [-2.0], C=[[3.0]], l=[-np.inf], u=[6.0], ub=[1.0])
     work = _loaded(problem)
 
@@ -730,9 +733,9 @@ def test_kkt_residual_sees_each_condition() -> None:
 
     assert residual(1.0, 1.0) == 0.0
     assert residual(1.1, 0.9) == pytest.approx(0.1)  # beyond the bound
-    assert residual(0.5, 1.5) == pytest.approx(0.5)  # pushes from a bound not met
+    assert residual(0.5, 1.5) == pytest.approx(0.5)  # multiplier at an inactive bound
     assert residual(1.0, 0.5) == pytest.approx(0.5 / 1.5)  # not stationary
-    assert residual(1.0, 0.7, 0.1) == pytest.approx(0.1)  # a row that pushes from afar
+    assert residual(1.0, 0.7, 0.1) == pytest.approx(0.1)  # multiplier at a distant row
     assert residual(2.0, -1e-3) >= 1.0
     assert np.isnan(residual(np.nan, 0.0))
     assert np.isnan(residual(1.0, np.nan))
@@ -761,9 +764,9 @@ def test_polishing_makes_rough_answers_exact(seed: int) -> None:
 
 
 @pytest.mark.parametrize("slope", [1e-2, 1e-3, 1e-4, 3e-5])
-@pytest.mark.parametrize("name", KEPT)
+@pytest.mark.parametrize("name", SEMIDEFINITE)
 def test_directions_of_little_curvature(name: str, slope: float) -> None:
-    """As near a singularity: v costs nothing itself, and what it makes in s and r hardly changes with v."""
+    """Like near a singularity: v has no cost, and s and r hardly depend on v."""
     v = np.array([0.3, -0.2])
     A = np.array([[1.0, 0.0, -1.0, 0.0], [0.0, slope, 0.0, -1.0]])
     problem = qp(np.diag([0.0, 0.0, 1.0, 1.0]), np.zeros(4), A=A, b=A[:, :2] @ v, lb=[-1.0] * 4, ub=[1.0] * 4)
@@ -776,12 +779,12 @@ def test_directions_of_little_curvature(name: str, slope: float) -> None:
 
 
 def test_proof_of_infeasibility() -> None:
-    """x ≥ 1 and x ≤ −1: y = (1, −1) excludes every x; so does no y where there is an answer."""
+    """For x ≥ 1 and x ≤ −1, y = (1, −1) excludes every x. For a feasible problem no y does."""
     bad = qp([[1.0]], [0.0], C=[[1.0], [1.0]], l=[1.0, -np.inf], u=[np.inf, -1.0])
     work = _loaded(bad)
     assert excluded_ball(bad, work, np.array([0.0, -1.0, 1.0])) == np.inf
     assert excluded_ball(bad, work, np.array([0.0, -1.0, 1.0 + 1e-6])) == pytest.approx(2e6, rel=1e-3)
-    assert excluded_ball(bad, work, np.array([1.0, 0.0, 0.0])) <= 0.0  # from a bound that is not there
+    assert excluded_ball(bad, work, np.array([1.0, 0.0, 0.0])) <= 0.0  # multiplier at a missing bound
     for seed in range(20):
         problem = condensed(seed)
         x = make_solver(REFERENCE).solve(problem).x

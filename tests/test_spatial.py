@@ -1,4 +1,4 @@
-"""The door (placements, vectors, numbers) and the logarithm: a named error or a correct round trip, nothing else."""
+"""Checks of arguments (placements, vectors, numbers) and the logarithm: a named error or a correct round trip."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from numpy.typing import NDArray
 
+from coopqp import InvalidInputError, adjoint
 from coopqp.checks import as_scalar, as_vector, read_only
-from coopqp.errors import InvalidInputError
-from coopqp.spatial import ROTATION_TOLERANCE, adjoint, as_placement, as_placements, cross, log6_batch, skew
+from coopqp.spatial import ROTATION_TOLERANCE, as_placement, as_placements, cross, log6_batch, skew
 
 Array = NDArray[np.float64]
 MANY = settings(max_examples=10 * settings().max_examples)
@@ -30,7 +30,7 @@ def placements(draw: st.DrawFn) -> pin.SE3:
     return pin.SE3(pin.exp3(draw(turns)), draw(vectors))
 
 
-#: Anything that somebody may hand over where numbers are expected.
+#: Values of many kinds in place of numbers.
 scalars_of_all_kinds = st.one_of(
     st.none(),
     st.booleans(),
@@ -51,11 +51,11 @@ arrays_of_all_kinds = st.one_of(
 anything = st.one_of(scalars_of_all_kinds, arrays_of_all_kinds, st.lists(scalars_of_all_kinds, max_size=6))
 
 
-# -- the door ------------------------------------------------------------------------------------------------------
+# -- checks of arguments -------------------------------------------------------------------------------------------
 
 
 def attempt(read: Callable[[Any], Any], value: Any) -> Any:
-    """What ``read`` makes of a value, or None where it refuses it properly."""
+    """The result of ``read`` for a value, or None if it raises the right error."""
     try:
         return read(value)
     except InvalidInputError as error:
@@ -256,7 +256,7 @@ def test_log_inverts_exp(log_angle: float, log_length: float, seed: int) -> None
 
 @pytest.mark.parametrize("angle", [0.0, 1e-160, 1e-12, 1e-8, 1e-4, 1e-3, 0.01, 0.0199, 0.02, 0.0201, 0.1, 1.0, 3.0])
 def test_series_and_library_agree(angle: float, rng: np.random.Generator) -> None:
-    """Below 0.02 rad by series, above by Pinocchio: one function on both sides."""
+    """The series (below 0.02 rad) and Pinocchio (above) agree."""
     for _ in range(50):
         xi = np.concatenate([rng.normal(size=3), angle * random_axis(rng)])
         R, p = exp(xi)
@@ -271,7 +271,7 @@ def test_a_batch_is_its_rows(rng: np.random.Generator) -> None:
 
 
 def test_half_a_turn_is_not_mistaken_for_none(rng: np.random.Generator) -> None:
-    """There the skew part of the rotation is as small as near the identity."""
+    """Near half a turn the skew part of a rotation is as small as near the identity."""
     for angle in (np.pi, np.pi - 1e-9, np.pi - 1e-3):
         xi = np.concatenate([rng.normal(size=3), angle * random_axis(rng)])
         got = log_of_exp(xi[None])[0]

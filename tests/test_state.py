@@ -10,11 +10,8 @@ import pinocchio as pin
 import pytest
 from numpy.typing import NDArray
 
-from coopqp.errors import InvalidInputError, UnknownNameError
-from coopqp.model.cell import RobotCell
-from coopqp.model.state import CellState
+from coopqp import CellState, InvalidInputError, RobotCell, UnknownNameError, adjoint
 from coopqp.scenarios import Scenario
-from coopqp.spatial import adjoint
 
 Array = NDArray[np.float64]
 RandomQ = Callable[[RobotCell, np.random.Generator], Array]
@@ -30,7 +27,7 @@ def test_tools_are_where_pinocchios_frames_are(mixed_cell: RobotCell, random_q: 
 
 
 def test_jacobians_are_derivatives(mixed_cell: RobotCell, random_q: RandomQ, rng: Any) -> None:
-    """Central differences of the tool's pose, in its own frame, joint by joint; other arms stay still."""
+    """Jacobians equal central differences of the tool's pose in its own frame; other arms do not move."""
     h = 1e-5
     for _ in range(2):
         q = random_q(mixed_cell, rng)

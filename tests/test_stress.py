@@ -1,4 +1,4 @@
-"""Internal stress: against a minimum of elastic energy found independently, and against statics."""
+"""Internal stress: it agrees with an independent minimum of elastic energy and with statics."""
 
 from __future__ import annotations
 
@@ -9,16 +9,11 @@ import pinocchio as pin
 import pytest
 
 import coopqp.forces.stress
+from coopqp import Array, CellState, Grasp, InvalidInputError, RobotCell, StressModel, at_tools
 from coopqp.control.stress_watch import StressWatch
-from coopqp.errors import InvalidInputError
-from coopqp.forces.stress import StressModel, at_tools
-from coopqp.model.cell import RobotCell
-from coopqp.model.grasp import Grasp
-from coopqp.model.state import CellState
 from coopqp.scenarios import Scenario
-from coopqp.spatial import Array
 
-#: Cells with 6, 7, and fewer joints an arm.
+#: Cells of arms with 6, 7, and fewer joints.
 ROBOTS = [("rx90l", "rx90l", "rx90l"), ("arm7", "rx90l"), ("arm7", "arm6c", "gantry7"), ("rx90l", "arm5", "scara4")]
 
 
@@ -29,14 +24,14 @@ def held(cell: RobotCell, q: Array) -> Grasp:
 
 
 def least_energy(model: StressModel, q: Array, R: pin.SE3) -> Array:
-    """Wrenches (N, 6) where ½ Σ δqᵀ Kp δq is least among the deflections that let all arms meet at one pose.
+    """Wrenches (N, 6) at the least ½ Σ δqᵀ Kp δq of all deflections with which the arms meet at one pose.
 
-    Unknowns: y = Kp^½ δq and the pose o; constraints e_k + A_k δq_k = o, whose multipliers are the wrenches.
+    The unknowns are y = Kp^½ δq and the pose o. The multipliers of e_k + A_k δq_k = o are the wrenches.
     """
     cell, state = model.cell, CellState(model.cell, q)
     n, nv = len(cell), cell.nv
     e = np.array([pin.log6(R.actInv(o)).vector for o in model.grasp.carried(state)])
-    A, root = np.zeros((6 * n, nv + 6)), np.sqrt(model.stiffness.mean())  # one size for all entries
+    A, root = np.zeros((6 * n, nv + 6)), np.sqrt(model.stiffness.mean())  # scales all entries to one magnitude
     for k, s in enumerate(cell.v_slices):
         columns = R.actInv(state.T_world_tool[k]).action @ state.jacobian(k)
         A[6 * k : 6 * k + 6, s] = columns * root / np.sqrt(model.stiffness[s])
@@ -96,13 +91,13 @@ def test_arms_with_few_joints_take_the_least_wrench_that_holds_the_balance(
     scale = np.abs(stress.wrenches).max()
     assert scale > 1.0
     np.testing.assert_allclose(stress.wrenches.sum(axis=0), 0.0, atol=1e-6 * scale)
-    # The deflections that the wrenches cause bring every arm to the same pose.
+    # The deflections due to the wrenches bring every arm to the same pose.
     state = CellState(cell, q)
     R = model.grasp.carried(state)[0]
     for k, s in enumerate(cell.v_slices):
         A = R.actInv(state.T_world_tool[k]).action @ state.jacobian(k)
         reached = stress.errors[k] - A @ (A.T @ stress.wrenches[k] / model.stiffness[s])
-        np.testing.assert_allclose(reached, stress.settled, atol=2e-5)  # the Jacobian is that of q, not of the command
+        np.testing.assert_allclose(reached, stress.settled, atol=2e-5)  # Jacobian at q instead of at the command
 
 
 def test_both_ways_to_solve_agree(paper: Scenario, monkeypatch: pytest.MonkeyPatch, rng: np.random.Generator) -> None:
@@ -153,10 +148,10 @@ def test_the_watch_reads_the_forces_that_bend_the_servos(
     random_q: Callable[..., Array],
     rng: np.random.Generator,
 ) -> None:
-    """At rest, and in motion with the measurements as late as it was told."""
+    """The watch is right at rest, and in motion with the given latency of measurements."""
     cell = make_cell(robots)
     q, v = random_q(cell, rng), rng.uniform(-0.5, 0.5, cell.nv)
-    while CellState(cell, q).sigma_min.min() < 0.1:  # there the servos feel little of a force
+    while CellState(cell, q).sigma_min.min() < 0.1:  # near a singularity the servos feel little of a force
         q = random_q(cell, rng)
     stiffness, grasp = rng.uniform(5e4, 1e5, cell.nv), held(cell, q)
     watch = StressWatch(cell, grasp, stiffness=stiffness, delay=0.005, filter_time=0.0)

@@ -1,4 +1,4 @@
-"""Supervision: what noise makes of the thresholds, whatever the length of a step."""
+"""Supervision: the effect of noise on the thresholds is independent of the length of a step."""
 
 from __future__ import annotations
 
@@ -8,12 +8,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from coopqp import QPController
+from coopqp import Array, InvalidInputError, QPController, SupervisionOptions
 from coopqp.control.stress_watch import StressWatch
-from coopqp.control.supervision import Supervision, SupervisionOptions, Watch
-from coopqp.errors import InvalidInputError
-from coopqp.scenarios import paper_lift
-from coopqp.spatial import Array
+from coopqp.control.supervision import Supervision, Watch
+from coopqp.scenarios import mixed_cell, paper_lift
 
 
 @pytest.mark.parametrize("steps", [40, 41, 400])
@@ -31,7 +29,7 @@ def test_the_noise_margin_stays_a_number_for_long_steps(steps: int) -> None:
 
 
 def test_an_arm_that_turns_round_late_has_not_stalled() -> None:
-    """Seen late, an arm whose joints reverse stands while its command moves already, and others follow theirs."""
+    """With latency, a reversing arm seems to stand while its command moves and the other arms follow."""
     lift = paper_lift()
     watch = Supervision(lift.cell, lift.grasp, SupervisionOptions())
     late, amplitude, still = 10, 0.05, np.zeros((3, 6))  # it turns with 2 rad/s²
@@ -48,7 +46,7 @@ def test_an_arm_that_turns_round_late_has_not_stalled() -> None:
 
 @pytest.mark.parametrize("speed", [0.06, 0.3, 1.0])
 def test_a_stall_is_known_once_it_opens_a_gap(speed: float) -> None:
-    """Within the samples that it takes, and those in which a joint gets 0.5 mrad from its command."""
+    """A stall is detected when a joint is 0.5 mrad from its command, plus the samples of the decision."""
     lift = paper_lift()
     watch = Supervision(lift.cell, lift.grasp, SupervisionOptions())
     still, stalls = np.zeros((3, 6)), 100
@@ -107,7 +105,7 @@ def test_arms_that_press_too_hard_are_held_until_they_press_half_as_hard() -> No
 
 
 def watch_of(**options: Any) -> Callable[[float, float], Watch]:
-    """A watch that is told where the object is along z [m], and how far slave_1 is seen off along x [m], each 1 ms."""
+    """A watch as a function of the object's z [m] and the measured error of slave_1 along x [m], called every 1 ms."""
     lift = paper_lift()
     watch = Supervision(lift.cell, lift.grasp, SupervisionOptions(stall_samples=None, **options))
 
@@ -119,9 +117,9 @@ def watch_of(**options: Any) -> Callable[[float, float], Watch]:
 
 
 def lifted(*, slope: float = 0.0, lag: float = 0.0, seconds: float = 2.25, **options: Any) -> tuple[Array, Array]:
-    """0.3 m by a quintic law, as slow as the watch asks: caps of the rate, and by how much slave_1 was off [m].
+    """A quintic lift by 0.3 m at the rate of the watch: the caps of the rate, and the error of slave_1 [m].
 
-    It is off by ``slope`` times the way and by ``lag`` times the speed.
+    The error is ``slope`` times the way plus ``lag`` times the speed.
     """
     see, clock, z, caps, offs = watch_of(**options), 0.0, 0.0, [], []
     off = 0.0
@@ -167,7 +165,7 @@ def test_at_rest_nothing_is_let_in() -> None:
 
 
 def test_a_jump_is_let_in_as_slowly_as_a_drift_may_be() -> None:
-    """At 0.25 m/s, where 5 mm/s is the most."""
+    """The allowance grows by at most 5 mm/s at 0.25 m/s."""
     see = watch_of()
     held = [see(0.25e-3 * i, 0.0 if i < 1000 else 1.5e-3).hold for i in range(1150)]
     assert not any(held[:1000])
@@ -175,7 +173,7 @@ def test_a_jump_is_let_in_as_slowly_as_a_drift_may_be() -> None:
 
 
 def test_a_turn_parts_the_arms_at_their_grasps() -> None:
-    """One arm that turns the object about its origin, where that stays, is seen by how far the grasps part."""
+    """If one arm turns the object about its origin, the distance between the grasps shows it."""
     lift = paper_lift()
     watch = Supervision(lift.cell, lift.grasp, SupervisionOptions(stall_samples=None, filter_time=0.0))
     q, away = lift.q_start, np.zeros((3, 6))
@@ -187,7 +185,7 @@ def test_a_turn_parts_the_arms_at_their_grasps() -> None:
 
 
 def test_lost_samples_part_nobody() -> None:
-    """An arm that is seen where it was, three samples in a row at 0.5 m/s, is not out of step; one that stays is."""
+    """With three lost samples in a row at 0.5 m/s an arm is not out of step; an arm that really stops is."""
     lift = paper_lift()
     watch = Supervision(lift.cell, lift.grasp, SupervisionOptions(stall_samples=None))
     told, seen_at = lift.q_start, lift.q_start
@@ -203,3 +201,96 @@ def test_lost_samples_part_nobody() -> None:
             assert seen.hold
             assert "slave_1" in seen.reason
             break
+
+
+def out_of_step_for(seconds: float, *, then: float, **options: Any) -> list[Watch]:
+    """What the watch says after an arm was off while all moved at 0.25 m/s, and at rest is where it should be."""
+    see, z = watch_of(**options), 0.0
+    for i in range(round(1e3 * seconds)):
+        z += 0.25e-3
+        see(z, min(2e-3, 4e-6 * i))
+    return [see(z, 0.0) for _ in range(round(1e3 * then))]
+
+
+@pytest.mark.parametrize("seconds", [0.5, 1.0, 2.0])
+def test_a_drift_that_is_gone_is_forgotten_at_rest(seconds: float) -> None:
+    """Else arms that are where they were told to be would be held for good."""
+    seen = out_of_step_for(seconds, then=2.0)
+    assert any(s.hold for s in seen[:50])
+    assert not any(s.hold for s in seen[500:])
+    assert seen[-1].rate_cap == 1.0
+
+
+@pytest.mark.parametrize("off", [0.022, 0.1, 0.29])
+@pytest.mark.parametrize("filter_time", [0.0, 0.002])
+def test_one_sample_holds_but_is_no_fault_and_two_are(off: float, filter_time: float) -> None:
+    for many in (1, 2, 3):
+        see = watch_of(noise_margin=0.0, filter_time=filter_time)
+        seen = [see(0.1 * i, 0.0) for i in range(10)]
+        seen += [see(1.0 + 1e-6 * i, off) for i in range(many)]
+        assert seen[-1].hold
+        enough = filter_time == 0.0 or off >= 0.1  # the filter, too, has to let it through
+        assert any(s.fault for s in seen) is (many >= 2 and enough)
+        after = [see(1.1 + 1e-6 * i, 0.0) for i in range(300)]
+        assert not any(s.fault for s in after)
+        assert after[-1].rate_cap == 1.0
+
+
+def test_a_sample_that_is_sent_again_is_no_second_one() -> None:
+    lift = paper_lift()
+    watch = Supervision(lift.cell, lift.grasp, SupervisionOptions(stall_samples=None, noise_margin=0.0))
+    q = lift.q_start
+    for i in range(10):
+        watch.watch(q + 1e-6 * i, q, np.zeros((3, 6)), 1e-3)
+    faults = []
+    for i in range(5):
+        away = np.zeros((3, 6))
+        away[1, 0] = 0.2
+        measured = q + 1e-6 * i
+        measured[6:12] = q[6:12] + 0.2
+        faults.append(watch.watch(measured, q, away, 1e-3).fault)
+    assert faults == [False, False, False, False, True]  # three lost, then it stands
+
+
+def turning(position: float) -> tuple[QPController, Array, Array, int]:
+    """A cell with a continuous joint at a position: its controller, configuration, joint positions, and that joint."""
+    task = mixed_cell()
+    joint = int(np.flatnonzero(task.cell.continuous)[0])
+    x = task.cell.positions(task.q_start)
+    x[joint] = position
+    return QPController(task.cell, task.grasp, task.path, dt=1e-3), task.cell.configuration(x), x, joint
+
+
+@pytest.mark.parametrize("position", [0.0, 0.25 * np.pi, 0.5 * np.pi, 3.1, -np.pi])
+@pytest.mark.parametrize("side", [-1.0, 1.0])
+def test_the_jump_of_a_continuous_joint_is_an_angle(position: float, side: float) -> None:
+    """Across half a turn as well; its cosine and sine alone change by less than the angle, or hardly at all."""
+    controller, q, x, joint = turning(position)
+    watch, cell = Supervision(controller.cell, controller.grasp, SupervisionOptions()), controller.cell
+    for jump, believed in ((0.299, True), (0.301, False), (0.4, False)):
+        off = x.copy()
+        off[joint] += side * jump
+        reason = watch.accept_measurement(cell.configuration(off), q)[1]
+        assert (not reason) is believed
+        assert (
+            believed or reason == f"joint {cell.joint_names[joint]} is measured {jump:.3g} rad (or m) from its command"
+        )
+
+
+def test_a_continuous_joint_stalls_at_the_same_angle_everywhere() -> None:
+    """Where its cosine hardly changes, where its sine hardly does, and across half a turn."""
+    when = []
+    for position in (0.0, 0.25 * np.pi, 0.5 * np.pi, np.pi - 2e-4):
+        controller, _, x, joint = turning(position)
+        cell = controller.cell
+        watch = Supervision(cell, controller.grasp, SupervisionOptions())
+        own = cell.v_slices[cell.arm_of_joint(joint)]
+        for i in range(200):
+            told = x + 0.95e-4 * i
+            told[own] = x[own]
+            found = told.copy()
+            told[joint] += 0.95e-4 * i
+            if watch.watch(cell.configuration(found), cell.configuration(told), np.zeros((4, 6)), 1e-3).hold:
+                break
+        when.append(i)
+    assert when == [6] * 4  # 0.5 mrad from its command

@@ -1,4 +1,4 @@
-"""Joint targets, encoders and replays, without an engine: interpolation, time warp, lags, stalls, noise, losses."""
+"""Joint targets, encoders and replays without an engine: interpolation, time warp, lags, stalls, noise, losses."""
 
 from __future__ import annotations
 
@@ -9,18 +9,24 @@ from typing import Any
 import numpy as np
 import pytest
 
-from coopqp.errors import CoopqpError, InvalidInputError, UnreachableError
-from coopqp.model.cell import RobotCell
-from coopqp.model.state import CellState
+from coopqp import (
+    Array,
+    CellState,
+    CoopqpError,
+    Disturbances,
+    InvalidInputError,
+    LinePath,
+    PhysicsOptions,
+    Recording,
+    RobotCell,
+    TimeLaw,
+    UnreachableError,
+    simulate,
+)
 from coopqp.scenarios import Scenario
-from coopqp.simulation.plants.disturbances import Disturbances
 from coopqp.simulation.plants.encoders import Encoders
-from coopqp.simulation.plants.physics_options import PhysicsOptions
 from coopqp.simulation.plants.replay import Replay, exact_motion, recorded_motion
 from coopqp.simulation.plants.targets import JointTargets
-from coopqp.simulation.simulate import Recording, simulate
-from coopqp.spatial import Array
-from coopqp.task.path import LinePath, TimeLaw
 
 
 def targets(cell: RobotCell, interpolation: Any = "cubic", lag: Any = (), stall: Any = ()) -> JointTargets:
@@ -30,7 +36,7 @@ def targets(cell: RobotCell, interpolation: Any = "cubic", lag: Any = (), stall:
 
 
 def drive(made: JointTargets, cell: RobotCell, motion: Callable[[float], float], dt: float, steps: int) -> list[Array]:
-    """Command every joint to ``motion`` and sample the targets ten times a step: rows (t, x, v) of the first joint."""
+    """Command every joint to ``motion``; sample the targets ten times per step: rows (t, x, v) of the first joint."""
     rows = []
     for i in range(steps):
         made.push(cell.configuration([motion((i + 1) * dt)] * cell.nv), dt)

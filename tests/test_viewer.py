@@ -1,4 +1,4 @@
-"""The 3D scene and its two shows: what stands where at a sample, what is marked, and what a page contains."""
+"""The 3D scene, live and as a page: poses and marks at a sample, and the contents of the page."""
 
 from __future__ import annotations
 
@@ -13,28 +13,36 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from coopqp.errors import InvalidInputError, MissingExtraError
+from coopqp import (
+    Arm,
+    InvalidInputError,
+    LiveViewer,
+    MissingExtraError,
+    OutputError,
+    Recording,
+    RobotCell,
+    SceneError,
+    describe_object,
+    export_html,
+    robot_path,
+    tool_placements,
+)
 from coopqp.look import viewer
 from coopqp.look.stage import ALERT, FIELD_OF_VIEW, READOUT_SHARE, Stage
-from coopqp.look.viewer import LiveViewer, export_html, readout
-from coopqp.model.cell import Arm, RobotCell
-from coopqp.output import OutputError
+from coopqp.look.viewer import readout
 from coopqp.scenarios import Scenario
-from coopqp.scenarios.robots import robot_path
-from coopqp.simulation.metrics import tool_placements
-from coopqp.simulation.scene import SceneError, describe_cell, describe_object
-from coopqp.simulation.simulate import Recording
+from coopqp.simulation.scene import describe_cell
 
 
 class Node:
-    """Stands for a node of viser's scene: it keeps what is set."""
+    """Replaces a node of viser's scene and stores its attributes."""
 
     def __init__(self, **options: Any) -> None:
         self.__dict__.update(options)
 
 
 class FakeScene:
-    """Stands for viser's scene: it keeps the nodes by name."""
+    """Replaces viser's scene and stores the nodes by name."""
 
     def __init__(self) -> None:
         self.nodes: dict[str, Node] = {}
@@ -52,7 +60,7 @@ class FakeScene:
 
 @pytest.fixture
 def run(baseline: Callable[..., Recording], paper: Scenario) -> Recording:
-    """A run in which slave 2's joint 3 is at its speed limit in steps 10 to 19."""
+    """A run with joint 3 of slave 2 at its speed limit in steps 10 to 19."""
     recording = baseline(40)
     extra = {
         "binding": [[10, [["slave_2", "joint_3", "velocity"]]], [20, []], [30, [["", "", "path end"]]]],
@@ -182,7 +190,7 @@ def test_arms_without_shapes_become_sticks(scene: FakeScene, run: Recording, pap
 
 
 def test_everything_is_in_view(scene: FakeScene, run: Recording, paper: Scenario) -> None:
-    """Bases, tools, object and readout, in the part of the picture that a window of 4:3 shows."""
+    """Bases, tools, object and readout are in the visible part of a 4:3 window."""
     stage = Stage(scene, run)
     eye, target = stage.camera()
     back = (eye - target) / np.linalg.norm(eye - target)
@@ -228,7 +236,7 @@ def test_the_page_is_one_file_that_names_the_run(
     assert "<script>alert(1)" not in text
     assert told[-1] == (75, 75)
     assert [p.name for p in page.parent.iterdir()] == ["run.html"]
-    assert capfd.readouterr() == ("", "")  # viser's banner stays away
+    assert capfd.readouterr() == ("", "")  # without viser's banner
 
 
 def test_a_page_that_cannot_be_written_is_refused_first(run: Recording, tmp_path: Path) -> None:
@@ -294,7 +302,7 @@ def test_text_in_markdown_stays_text() -> None:
 
 
 def test_other_robots_are_shown_too(scene: FakeScene, make_cell: Any) -> None:
-    """Turning, sliding and continuous joints; a scene read back from JSON."""
+    """Revolute, prismatic and continuous joints; a scene read back from JSON."""
     arm = Arm.from_urdf("a", robot_path("gantry7"), tool_frame="tool")
     cell = RobotCell([arm])
     q = cell.configuration(np.full(7, 0.1))

@@ -1,4 +1,9 @@
-"""What every runner does: read a task, then answer commands, one JSON line each. Standard library and NumPy only."""
+"""What every runner does: read a task, then answer commands, one JSON line each. Standard library and NumPy only.
+
+Timed is what a control loop does once a period, the same for coopqp and for its peers: take the reading where the case
+has one, compute the command, and have the vector of joint positions in hand that goes to the servos. The reading is
+made before, and the command is kept after, outside the timed part.
+"""
 
 from __future__ import annotations
 
@@ -16,6 +21,8 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 #: Untimed steps at the start of each round: the caches belonged to another contestant.
 WARM_UP = 20
+#: Different rows of noise; step ``i`` has row ``i`` modulo this.
+NOISE_ROWS = 997
 #: CPU time of the process, all threads [ns]: other processes on the machine do not count, except through caches.
 clock = time.process_time_ns
 
@@ -32,6 +39,7 @@ class Task:
         targets: the tools' targets (T, N, 4, 4).
         speed: velocity limits (nv,) [rad/s or m/s].
         dt: length of a step [s].
+        noise: of readings (NOISE_ROWS, nv) [rad or m]; None where the case has no readings.
         spec: the task as it was handed over.
     """
 
@@ -47,6 +55,10 @@ class Task:
         self.targets = self.poses[:, None] @ self.grasp[None]
         self.dt = float(spec["dt"])
         self.arms = len(self.tools)
+        self.noise: Array | None = None
+        if spec["noise"] is not None:
+            amplitude = float(spec["noise"])
+            self.noise = np.random.default_rng(0).uniform(-amplitude, amplitude, (NOISE_ROWS, len(self.joints)))
 
     def relative(self, k: int) -> Array:
         """Placement of tool ``k`` in the frame of tool 0 when the object is held."""
@@ -65,12 +77,27 @@ class Motion(Protocol):
         """Go back to the start of the task."""
         ...
 
-    def step(self, i: int) -> float:
-        """Targets of step ``i``, kinematics, solve, integrate; returns the share of the motion that was kept."""
+    def step(self, i: int, reading: Array | None) -> Array:
+        """One period: targets of step ``i``, kinematics, solve, integrate; this is what is timed.
+
+        Args:
+            i: number of the step.
+            reading: measured configuration (nv,), from which the step goes on; None to go on from the last command.
+
+        Returns:
+            The command (nv,); the next step may overwrite the array.
+
+        Raises:
+            Exception: there is none, the arms hold still.
+        """
         ...
 
-    def q(self) -> Array:
-        """Configuration in the task's order (nv,)."""
+    def failure(self) -> str:
+        """Empty, or why the last step's command only brakes."""
+        ...
+
+    def rate(self) -> float:
+        """Share of the motion that the last step kept."""
         ...
 
 
@@ -81,6 +108,12 @@ class Timed:
 
     def over(self, i: int) -> bool:
         return i >= len(self._task.poses)
+
+    def failure(self) -> str:
+        return ""
+
+    def rate(self) -> float:
+        return 1.0
 
 
 class Runner(Protocol):
@@ -112,26 +145,58 @@ def _own_cost() -> int:
 
 
 class _Session:
-    """A motion that is carried on from round to round."""
+    """A motion that is carried on from round to round, and the servos: they report the command before the last.
+
+    Attributes:
+        motion: what is stepped.
+        i: number of the next step.
+        command: the last one (nv,), or the start.
+    """
 
     clock_ns = _own_cost()
 
-    def __init__(self, motion: Motion) -> None:
-        self.motion, self.i = motion, 0
+    def __init__(self, motion: Motion, task: Task) -> None:
+        self.motion, self._task, self._turn = motion, task, 0
+        self._begin()
 
-    def advance(self) -> tuple[int, str]:
-        """One step; starts again at the path's end. Returns its CPU time [ns] and the failure, if any."""
-        if self.motion.over(self.i):
-            self.motion.start()
-            self.i = 0
-        note = ""
+    def _begin(self) -> None:
+        self.i, self.command, self._before = 0, self._task.q_start, self._task.q_start
+        self._read()
+
+    def start(self) -> None:
+        """Go back to the start of the task."""
+        self.motion.start()
+        self._begin()
+
+    def _read(self) -> None:
+        """Make the reading of the next step: one sample late, with noise."""
+        noise = self._task.noise
+        self._reading = None if noise is None else self._before + noise[self._turn % len(noise)]
+        self._turn += 1
+
+    def advance(self, *, again: bool = True) -> tuple[int, str]:
+        """One step; starts again at the path's end, if wanted. Returns its CPU time [ns] and the failure, if any.
+
+        The next step's reading is made here, after this step: between the pause of a paced loop and its step nothing
+        runs that would warm the caches.
+        """
+        i = self.i if again else min(self.i, len(self._task.poses) - 1)
+        motion, reading, note, command = self.motion, self._reading, "", None
         began = clock()
         try:
-            self.motion.step(self.i)
+            command = motion.step(i, reading)
         except Exception as error:
             note = _reason(error)
         took = clock() - began - self.clock_ns
         self.i += 1
+        self._before = self.command
+        if command is not None:
+            self.command = np.array(command)
+            note = motion.failure()[:160]
+        if again and motion.over(self.i):
+            self.start()
+        else:
+            self._read()
         return took, note
 
 
@@ -146,8 +211,9 @@ class _Server:
         self.task: Task | None = None
 
     def _session(self, mode: str) -> _Session:
+        assert self.task is not None
         if mode not in self.sessions:
-            self.sessions[mode] = _Session(self.runner.motion(mode))
+            self.sessions[mode] = _Session(self.runner.motion(mode), self.task)
         return self.sessions[mode]
 
     def load(self, file: str) -> dict[str, Any]:
@@ -168,30 +234,27 @@ class _Server:
         return {}
 
     def behave(self, mode: str, steps: int, budget: float) -> dict[str, Any]:
-        """Up to ``steps`` steps from the start: configurations, failures (a failed step holds still), times."""
-        assert self.task is not None
+        """Up to ``steps`` steps from the start: commands, failures (a failed step holds still), times."""
         session = self._session(mode)
-        motion, session.i = session.motion, 0
-        motion.start()
-        rows, times, failures, note, least = [motion.q().tolist()], [], 0, "", 1.0
+        session.start()
+        rows, times, failures, note, least = [session.command.tolist()], [], 0, "", 1.0
         end = time.perf_counter() + budget
         for i in range(steps):
-            began = clock()
-            try:
-                least = min(least, motion.step(min(i, len(self.task.poses) - 1)))
-            except Exception as error:
+            took, failed = session.advance(again=False)
+            times.append(took / 1e3)
+            if failed:
                 failures += 1
-                note = note or _reason(error)
-            times.append((clock() - began) / 1e3)
-            row = motion.q()
-            if not np.isfinite(row).all():
+                note = note or failed
+            else:
+                least = min(least, session.motion.rate())
+            if not np.isfinite(session.command).all():
                 failures += steps - i
                 note = note or "the configuration is not finite"
                 break
-            rows.append(row.tolist())
+            rows.append(session.command.tolist())
             if time.perf_counter() > end:
                 break
-        motion.start()
+        session.start()
         return {"q": rows, "us": times, "failures": failures, "note": note, "least": least}
 
     def time(self, mode: str, steps: int, period: float, budget: float) -> dict[str, Any]:
@@ -215,12 +278,20 @@ class _Server:
         return {"us": times, "failures": failures, "note": note}
 
 
+def _version(package: str) -> str:
+    """The installed version; "unknown" for a package that runs from its source tree."""
+    try:
+        return importlib.metadata.version(package)
+    except importlib.metadata.PackageNotFoundError:
+        return "unknown"
+
+
 def serve(runner: Runner) -> None:
     """Answer commands on stdin until it ends; what libraries print goes to stderr."""
     answers = os.fdopen(os.dup(1), "w")
     os.dup2(2, 1)
     server = _Server(runner)
-    hello = {"version": importlib.metadata.version(runner.package), "modes": list(runner.modes)}
+    hello = {"version": _version(runner.package), "modes": list(runner.modes)}
     print(json.dumps(hello), file=answers, flush=True)
     for line in sys.stdin:
         command = json.loads(line)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
@@ -12,53 +13,50 @@ import numpy as np
 import peer_cases
 from protocol import Array, Task, serve
 
-from coopqp import ControlStep, QPController, QPOptions, Status, available_kernels
-from coopqp.scenarios import Scenario
-
-#: Every step through the QP, without the shortcuts that settle most steps exactly.
-ALWAYS_QP = "always a QP"
-#: The solver, the same in every mode; the shortcut's steps need none.
-SOLVER = "daqp"
+from coopqp import ControlStep, QPController, Status, available_kernels
 
 _NO_COMMAND = (Status.HOLDING, Status.FAULT)
 
 
 class _Motion:
-    def __init__(self, scenario: Scenario, mode: str) -> None:
-        options = QPOptions(solver=SOLVER, shortcut=mode != ALWAYS_QP, kernel="auto" if mode == ALWAYS_QP else mode)
-        self._controller = QPController(scenario.cell, scenario.grasp, scenario.path, dt=scenario.dt, options=options)
-        self._q_start: Array = scenario.q_start
+    def __init__(self, case: peer_cases.Case, kernel: str) -> None:
+        s, options = case.scenario, replace(case.options, kernel=kernel)
+        self._controller = QPController(s.cell, s.grasp, s.path, dt=s.dt, options=options)
+        self._q_start: Array = s.q_start
         self.start()
 
     def start(self) -> None:
         self._controller.reset(self._q_start)
         self._step: ControlStep | None = None
+        self._failed = False
 
     def over(self, i: int) -> bool:
         return self._step is not None and self._step.finished
 
-    def step(self, i: int) -> float:
-        self._step = step = self._controller.step()
-        if step.status in _NO_COMMAND:
-            raise RuntimeError(step.explain())
-        return step.rate
+    def step(self, i: int, reading: Array | None) -> Array:
+        self._step = step = self._controller.step(reading)
+        self._failed = step.status in _NO_COMMAND
+        return step.q_next
 
-    def q(self) -> Array:
-        return self._q_start if self._step is None else np.array(self._step.q_next)
+    def failure(self) -> str:
+        return "" if self._step is None or not self._failed else self._step.explain()
+
+    def rate(self) -> float:
+        return 1.0 if self._step is None else self._step.rate
 
 
 class Coopqp:
     package = "coopqp"
-    modes: tuple[str, ...] = (*available_kernels(), ALWAYS_QP)
+    modes: tuple[str, ...] = available_kernels()
 
     def load(self, task: Task) -> None:
-        self._scenario = peer_cases.build(task.spec["case"], task.arms, task.spec["joints_each"]).scenario
+        self._case = peer_cases.build(task.spec["case"], task.arms, task.spec["joints_each"])
 
     def tools_at(self, q: Array) -> Array:
-        return np.array([T.homogeneous for T in export_cell.tools_at(self._scenario.cell, q)])
+        return np.array([T.homogeneous for T in export_cell.tools_at(self._case.scenario.cell, q)])
 
     def motion(self, mode: str) -> _Motion:
-        return _Motion(self._scenario, mode)
+        return _Motion(self._case, mode)
 
 
 if __name__ == "__main__":

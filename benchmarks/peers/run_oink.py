@@ -26,15 +26,13 @@ class _Motion(Timed):
     def start(self) -> None:
         self._q = self._task.q_start.copy()
 
-    def step(self, i: int) -> float:
+    def step(self, i: int, reading: Array | None) -> Array:
+        q = self._q if reading is None else reading
         for frame, target in zip(self._tasks, self._targets[i], strict=True):
             frame.setTargetFrameTransform(target)
-        self._oink.solveIk(self._q, self._tasks, self._limits, self._delta)
-        self._q = np.array(self._scene.integrate(self._q, self._delta))
-        return 1.0
-
-    def q(self) -> Array:
-        return self._q.copy()
+        self._oink.solveIk(q, self._tasks, self._limits, self._delta)
+        self._q = np.asarray(self._scene.integrate(q, self._delta))
+        return self._q
 
 
 class OinkRunner:

@@ -33,8 +33,10 @@ class _Motion(Timed):
     def start(self) -> None:
         self._configuration = pink.Configuration(self._model, self._model.createData(), self._task.q_start)
 
-    def step(self, i: int) -> float:
+    def step(self, i: int, reading: Array | None) -> Array:
         dt = self._task.dt
+        if reading is not None:
+            self._configuration.update(reading)
         for frame, target in zip(self._tasks, self._targets[i], strict=True):
             frame.set_target(target)
         v = pink.solve_ik(
@@ -48,11 +50,10 @@ class _Motion(Timed):
         )
         if not np.isfinite(v).all():
             raise ArithmeticError("the velocity is not finite")
-        self._configuration.integrate_inplace(v, dt)
-        return 1.0
-
-    def q(self) -> Array:
-        return np.array(self._configuration.q)
+        if reading is None:
+            self._configuration.integrate_inplace(v, dt)
+        command: Array = self._configuration.q if reading is None else self._configuration.integrate(v, dt)
+        return command
 
 
 class Pink:

@@ -33,21 +33,28 @@ class _Motion(Timed):
             for k, chain in enumerate(self._chain):
                 chain.configure(f"chain_{k}", "hard", 1.0, 1.0)
         self._scaled = mode == "hard scaled"
+        self._targets = [list(row[: len(self._tasks)]) for row in task.targets]
         self.start()
 
     def start(self) -> None:
         self._robot.reset()
         _put(self._robot, self._task, self._task.q_start)
 
-    def step(self, i: int) -> float:
-        for frame, target in zip(self._tasks, self._task.targets[i], strict=False):
+    def step(self, i: int, reading: Array | None) -> Array:
+        robot = self._robot
+        if reading is not None:  # at once: joint by joint takes ten times as long
+            robot.state.q[self._offset :] = reading
+            robot.update_kinematics()
+        for frame, target in zip(self._tasks, self._targets[i], strict=True):
             frame.T_world_frame = target
         self._solver.solve(True)
-        self._robot.update_kinematics()
-        return float(self._solver.scale) if self._scaled else 1.0
+        if reading is None:  # otherwise the next reading does it
+            robot.update_kinematics()
+        q: Array = robot.state.q
+        return q[self._offset :]
 
-    def q(self) -> Array:
-        return np.array(self._robot.state.q[self._offset :])
+    def rate(self) -> float:
+        return float(self._solver.scale) if self._scaled else 1.0
 
 
 def _robot(task: Task) -> Any:

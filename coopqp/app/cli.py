@@ -1,4 +1,4 @@
-"""The command ``coopqp``. Each subcommand is one function that adds its parser and one that runs it."""
+"""The command ``coopqp``. Each subcommand has one function that adds its parser and one that runs it."""
 
 from __future__ import annotations
 
@@ -22,18 +22,18 @@ OK, BAD_INPUT, INTERRUPTED = 0, 2, 130
 
 
 class UsageError(CoopqpError):
-    """A command line that cannot be understood."""
+    """The command line is invalid."""
 
 
 class _Parser(argparse.ArgumentParser):
-    """A parser whose errors are raised, so that they leave like every other error: in one line."""
+    """A parser that raises its errors. Like all other errors they are printed in one line."""
 
     def error(self, message: str) -> NoReturn:
         raise UsageError(f"{message} (see {self.prog} --help)")
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run the command line; return the exit status: 0, 2 after bad input, 130 when interrupted."""
+    """Run the command line. Returns the exit status: 0, 2 after bad input, 130 after an interrupt."""
     parser = _Parser(prog="coopqp", description="QP-based cooperative control of several arms that hold one object.")
     parser.add_argument("--version", action="version", version=f"coopqp {metadata.version('coopqp')}")
     commands = parser.add_subparsers(title="commands", dest="command", metavar="COMMAND", required=True)
@@ -50,7 +50,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         print("coopqp: interrupted", file=sys.stderr)
         return INTERRUPTED
-    except BrokenPipeError:  # the reader has left, as in `coopqp demo | head`
+    except BrokenPipeError:  # the reader has closed the pipe, as in `coopqp demo | head`
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return OK
     return status
@@ -104,7 +104,7 @@ _COMMANDS = (_add_demo, *COMMANDS)
 
 
 def _count(text: str) -> int:
-    """A whole number ≥ 1, for argparse."""
+    """Parse an integer ≥ 1 for argparse."""
     try:
         value = int(text)
     except ValueError:

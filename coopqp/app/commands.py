@@ -1,4 +1,4 @@
-"""Subcommands about single runs: ``coopqp run``, ``schema``, ``view``, ``report`` and ``export``."""
+"""Subcommands for single runs: ``coopqp run``, ``schema``, ``view``, ``report`` and ``export``."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ def _progress(report: Reporter, name: str) -> ProgressCallback:
 
 
 def _print_run(cell: RobotCell, recording: Recording) -> None:
-    """The figures as a table, and the verdict in lines."""
+    """Print the figures as a table and the verdict as lines."""
     from coopqp.simulation.assessment import judge, read_run, run_figures
 
     readings = read_run(cell, recording)

@@ -1,4 +1,4 @@
-"""The paper's lift by every method: what ``coopqp demo`` runs, measures and draws."""
+"""The command ``coopqp demo``: it runs, measures and draws the paper's lift with every method."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from coopqp.scenarios import Scenario
 from coopqp.simulation import metrics
 from coopqp.simulation.simulate import Recording, simulate
 
-#: Steps between the inverse-kinematics resets of ``pseudo_inverse_reset``.
+#: Number of steps between the inverse-kinematics resets of ``pseudo_inverse_reset``.
 RESET_EVERY = 10
 #: Numbers of steps of the paper's Figure 5.
 DEFAULT_STEPS = (40, 400, 1000)
@@ -34,7 +34,7 @@ _VARIANTS = {
     "pseudo_inverse_midpoint": PseudoInverseOptions(integration="midpoint"),
     "pseudo_inverse_reset": PseudoInverseOptions(reset_every=RESET_EVERY),
 }
-#: The methods, in the order in which they run.
+#: The methods, in the order of the demo.
 METHODS = (*_VARIANTS, "qp")
 
 #: Called as ``progress(method, steps, done)`` after every step of a run.
@@ -43,16 +43,16 @@ DemoProgress = Callable[[str, int, int], None]
 
 @dataclass(frozen=True, eq=False)
 class DemoRun:
-    """One method with one number of steps.
+    """A run of one method with one number of steps.
 
     Attributes:
         method: one of :data:`METHODS`.
         solver: name of the QP solver; "none" for the baseline.
         steps: N, the number of steps of an unslowed run.
         recording: the run.
-        solved: in how many of its steps the QP solver gave the answer.
-        eps_p_mm, eps_o_deg: ε_p and ε_o, largest over the run.
-        object_error_mm: distance of A from its target at the end of the run.
+        solved: number of steps that the QP solver solved.
+        eps_p_mm, eps_o_deg: largest ε_p [mm] and ε_o [deg] of the run.
+        object_error_mm: distance of A from its target at the end of the run [mm].
     """
 
     method: str
@@ -66,13 +66,13 @@ class DemoRun:
 
     @property
     def status(self) -> str:
-        """``"ok"`` when every step tracked and the object arrived, else the worst status."""
+        """``"ok"`` if every step tracked and the object arrived, otherwise the worst status."""
         statuses = set(self.recording.statuses)
         worst = max(statuses, key=lambda status: status.code)
         return "ok" if worst.code == 0 and self.recording.finished else worst.value
 
     def record(self) -> dict[str, Any]:
-        """The run in a flat record, ready for JSON; a figure that is not finite is None."""
+        """The run as a flat record for JSON. Figures that are not finite become None."""
         figures = {name: getattr(self, name) for name in ("eps_p_mm", "eps_o_deg", "object_error_mm")}
         return {
             "method": self.method,
@@ -84,12 +84,12 @@ class DemoRun:
 
 
 def check_demo(steps: Sequence[int], solver: str) -> tuple[int, ...]:
-    """Check the demo's settings before anything runs; return the numbers of steps, sorted, each once.
+    """Check the demo's settings before a run. Returns the numbers of steps, sorted and without repetition.
 
     Raises:
-        InvalidInputError: no number of steps, or one below 1.
+        InvalidInputError: no number of steps, or a number below 1.
         UnknownNameError: no such solver.
-        MissingExtraError: the solver's package, or Matplotlib, is not installed.
+        MissingExtraError: the solver's package or Matplotlib is not installed.
     """
     if not steps or any(isinstance(n, bool) or not isinstance(n, int) or n < 1 for n in steps):
         raise InvalidInputError(f"steps are {list(steps)}", "demo: steps", "Give whole numbers ≥ 1.")
@@ -101,7 +101,7 @@ def check_demo(steps: Sequence[int], solver: str) -> tuple[int, ...]:
 def run_method(
     scenario: Scenario, method: str, steps: int, *, solver: str = "proxqp", progress: DemoProgress | None = None
 ) -> DemoRun:
-    """Run one method on a scenario in ``steps`` steps, and measure it.
+    """Run one method on a scenario in ``steps`` steps and measure its errors.
 
     Raises:
         UnknownNameError: no such method or solver.
@@ -112,7 +112,7 @@ def run_method(
     dt = path.duration / steps
     controller: Controller
     if method == "qp":
-        # Without the shortcut, so that every step is a QP and the solver is what is measured.
+        # Without the shortcut every step is a QP: the demo measures the solver.
         options = QPOptions(solver=solver, shortcut=False)
         controller = QPController(cell, grasp, path, dt=dt, options=options)
     else:
@@ -150,7 +150,7 @@ def run_demo(
     solver: str = "proxqp",
     progress: DemoProgress | None = None,
 ) -> list[DemoRun]:
-    """Every method with every number of steps. Errors as :func:`check_demo`."""
+    """Run every method with every number of steps. Errors as in :func:`check_demo`."""
     counts = check_demo(steps, solver)
     return [run_method(scenario, m, n, solver=solver, progress=progress) for m in METHODS for n in counts]
 
@@ -161,7 +161,7 @@ def records_json(runs: Sequence[DemoRun]) -> bytes:
 
 
 def demo_pictures(scenario: Scenario, runs: Sequence[DemoRun]) -> dict[str, bytes]:
-    """The pictures, by file name: the lift, Figure 5, ε_o, and the joints of the QP's finest run."""
+    """The pictures by file name: the lift, Figure 5, ε_o, and the joints of the QP run with the most steps."""
     cell = scenario.cell
     curves = {
         label: [run.recording for run in runs if run.method == method]
@@ -182,10 +182,10 @@ def demo_pictures(scenario: Scenario, runs: Sequence[DemoRun]) -> dict[str, byte
 def write_demo(
     scenario: Scenario, runs: Sequence[DemoRun], folder: str | Path, *, json_file: str | Path | None = None
 ) -> list[Path]:
-    """Write the pictures into ``folder`` and the records to ``json_file``; all of it or nothing.
+    """Write the pictures into ``folder`` and the records to ``json_file``: all files, or none.
 
     Raises:
-        OutputError: a folder or file cannot be written.
+        OutputError: a folder or a file cannot be written.
     """
     contents = {Path(folder) / name: content for name, content in demo_pictures(scenario, runs).items()}
     if json_file is not None:

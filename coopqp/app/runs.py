@@ -1,4 +1,4 @@
-"""A run by name: from a recording, a cell file or a ready scenario; and what can be made of it."""
+"""Runs by name, from a recording, a cell file or a scenario; and the files made from a run."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from coopqp.output import OutputError, check_folder
 from coopqp.simulation.scene import describe_object, read_cell, read_object
 from coopqp.simulation.simulate import ProgressCallback, Recording, simulate
 
-#: What :func:`write_products` makes, and under which names.
+#: Products of :func:`write_products` and their file names.
 PRODUCTS = {
     "recording": ("recording.npz",),
     "report": ("report.html",),
@@ -22,20 +22,20 @@ PRODUCTS = {
 }
 
 
-#: How long a scenario goes on once the object cannot [s].
+#: Time until a scenario with a stopped object ends [s].
 PATIENCE = 1.0
 
 
 def obtain_run(name: str, *, progress: ProgressCallback | None = None) -> Recording:
-    """The recording in a ``.npz``, or a run of a cell file (``.toml``, ``.yaml``) or, under the QP, of a scenario.
+    """Load a recording (``.npz``), run a cell file (``.toml``, ``.yaml``), or run a scenario with the QP.
 
     Args:
         name: a file, or one of :data:`coopqp.scenarios.SCENARIOS`.
         progress: as in :func:`coopqp.simulation.simulate.simulate`.
 
     Raises:
-        UnknownNameError: neither a file nor a scenario.
-        RecordingError, CellFileError, CoopqpError: what is wrong with it.
+        UnknownNameError: the name is neither a file nor a scenario.
+        RecordingError, CellFileError, CoopqpError: the recording, the cell file or the run has an error.
     """
     from coopqp.files.cellfile import TOML_SUFFIX, YAML_SUFFIXES, load_cell_file
     from coopqp.scenarios import SCENARIOS
@@ -55,11 +55,11 @@ def obtain_run(name: str, *, progress: ProgressCallback | None = None) -> Record
 
 
 def check_products(folder: Path, products: Iterable[str]) -> None:
-    """Raise before a long run, instead of after it, what would keep its products from being written.
+    """Check before a long run that its products can be written.
 
     Raises:
         UnknownNameError: no such product.
-        OutputError: the folder cannot be written, or holds a bag already.
+        OutputError: the folder cannot be written, or it already contains a bag.
     """
     wanted = list(products)
     for product in wanted:
@@ -79,16 +79,17 @@ def write_products(
     *,
     tell: Callable[[str], None] | None = None,
 ) -> list[Path]:
-    """Write what was asked for into a folder; return the files, in the order of :data:`PRODUCTS`.
+    """Write products into a folder. Returns the files in the order of :data:`PRODUCTS`.
 
     Args:
         recording: the run.
-        folder: made if it is not there.
+        folder: output folder; created if missing.
         products: names of :data:`PRODUCTS`.
-        tell: called with what goes on.
+        tell: called with a text for each stage.
 
     Raises:
-        as :func:`check_products`, and MissingExtraError where a product needs an extra.
+        UnknownNameError, OutputError: as in :func:`check_products`.
+        MissingExtraError: a product needs an extra that is not installed.
     """
     wanted = set(products)
     check_products(folder, wanted)
@@ -160,7 +161,7 @@ def _bag(recording: Recording, folder: Path, say: Callable[[str], None]) -> list
 
 
 def safe_name(name: str) -> str:
-    """A name as a folder may be called: letters, digits, dots and dashes, no dot first."""
+    """A valid folder name from a name: letters, digits, dots, dashes and underscores, no dot first."""
     plain = "".join(c if c.isalnum() or c in "._-" else "_" for c in name).lstrip(".")
     if not plain:
         raise CoopqpError(f"'{name}' makes no name for a folder. Give one with --out.")

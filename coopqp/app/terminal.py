@@ -1,4 +1,4 @@
-"""What the command prints while it works: a bar on a terminal, plain lines elsewhere, nothing if quiet."""
+"""Progress output of the command: a bar on a terminal, plain lines elsewhere, nothing if quiet."""
 
 from __future__ import annotations
 
@@ -13,17 +13,17 @@ if TYPE_CHECKING:
 
 
 class Reporter:
-    """Told what goes on; this one says nothing."""
+    """Receives progress reports. This base class prints nothing."""
 
     def note(self, text: str) -> None:
-        """What goes on now."""
+        """Report the present stage."""
 
     def step(self, label: str, done: int, planned: int) -> None:
-        """So many steps of something are done; a slowed run takes more than planned."""
+        """Report ``done`` of ``planned`` steps of ``label``. A slowed run takes more steps than planned."""
 
 
 class _Lines(Reporter):
-    """One plain line on stderr for whatever begins."""
+    """Prints one plain line on stderr at the beginning of each stage."""
 
     def note(self, text: str) -> None:
         print(text, file=sys.stderr, flush=True)
@@ -34,7 +34,7 @@ class _Lines(Reporter):
 
 
 class _Bar(Reporter):
-    """A progress bar of rich."""
+    """Shows a progress bar of rich."""
 
     def __init__(self, bar: Progress, total: int | None) -> None:
         self._bar, self._task = bar, bar.add_task("", total=total)
@@ -47,7 +47,7 @@ class _Bar(Reporter):
         if self._total is None:
             self._total = planned
             self._bar.update(self._task, total=planned)
-        # A slowed run takes more steps than planned: they do not count.
+        # A slowed run takes more steps than planned. The bar does not count them.
         self._bar.update(self._task, advance=float(done <= planned), description=label)
 
 
@@ -56,8 +56,8 @@ def reporter(total: int | None = None, *, quiet: bool = False) -> Iterator[Repor
     """A progress bar on a terminal, plain lines elsewhere or without rich, nothing if quiet.
 
     Args:
-        total: steps in all; by default those that the first step says are planned.
-        quiet: say nothing.
+        total: total number of steps; by default ``planned`` of the first report.
+        quiet: print nothing.
     """
     if quiet or not sys.stderr.isatty():
         yield Reporter() if quiet else _Lines()
@@ -74,7 +74,7 @@ def reporter(total: int | None = None, *, quiet: bool = False) -> Iterator[Repor
 
 
 def styled(text: str, *codes: int, stream: TextIO | None = None) -> str:
-    """Text with ANSI codes where the stream (stdout) is a terminal that is not asked to be plain (NO_COLOR)."""
+    """Text with ANSI codes if the stream (default stdout) is a terminal and NO_COLOR is not set."""
     out = sys.stdout if stream is None else stream
     if not codes or not out.isatty() or "NO_COLOR" in os.environ:
         return text
@@ -86,7 +86,7 @@ BOLD, GREEN, RED = 1, 32, 31
 
 
 def print_table(lines: Sequence[Sequence[str]], *, numeric: Sequence[bool], head: bool = True) -> None:
-    """Print rows in columns, numbers to the right; the head in bold."""
+    """Print rows in columns, with numbers to the right and the head in bold."""
     widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
     for i, line in enumerate(lines):
         padded = (t.rjust(w) if n else t.ljust(w) for t, w, n in zip(line, widths, numeric, strict=True))

@@ -1,11 +1,10 @@
-"""What every controller is: ``reset(q)``, then ``step() → ControlStep`` once a period."""
+"""The interface of all controllers: ``reset(q)``, then ``step() → ControlStep`` in every period."""
 
 from __future__ import annotations
 
 import enum
-from dataclasses import dataclass, field
-from functools import cached_property
-from typing import Any, Protocol
+from dataclasses import dataclass
+from typing import Any, Protocol, final
 
 import numpy as np
 import pinocchio as pin
@@ -21,17 +20,17 @@ from coopqp.task.path import ObjectPath
 
 
 class Status(enum.Enum):
-    """What a step is worth. Every status but FAULT comes with a command that advances or brakes the motion."""
+    """Status of a step. With every status but FAULT, the command advances or brakes the motion."""
 
     TRACKING = "tracking"  #: the object follows its path at full rate
-    SLOWED = "slowed"  #: the object is on its path, slower (σ < 1)
-    BLOCKED = "blocked"  #: the object cannot go on: a limit, a singularity, out of reach (σ ≈ 0)
-    HOLDING = "holding"  #: bad input, no solution, a stale clock, arms out of step: braking together, then at rest
-    FAULT = "fault"  #: latched; at rest until ``reset`` is called with the measured configuration
+    SLOWED = "slowed"  #: the object follows its path at a lower rate (σ < 1)
+    BLOCKED = "blocked"  #: the object cannot move on (σ ≈ 0): a limit, a singularity, or out of reach
+    HOLDING = "holding"  #: bad input, no solution, a stale clock or arms out of step: all arms brake together and rest
+    FAULT = "fault"  #: latched: the arms rest until ``reset`` is called with the measured configuration
 
     @property
     def code(self) -> int:
-        """A number for recordings."""
+        """Number of the status in recordings."""
         return _STATUS_ORDER.index(self)
 
 
@@ -40,7 +39,7 @@ _STATUS_ORDER = list(Status)
 
 @dataclass(frozen=True, slots=True)
 class SolverReport:
-    """How the QP of a step went; ``name`` is "none" where the step was settled without one."""
+    """Result of the QP solver in a step; ``name`` is "none" if the step needed no QP."""
 
     name: str = "none"
     status: str = "not needed"
@@ -55,15 +54,15 @@ NO_SOLVE = SolverReport()
 
 @dataclass(frozen=True, slots=True)
 class GivenUp:
-    """What a higher rank forced the lower ones to give up, in the order of rank.
+    """The parts of each rank that higher ranks made impossible, in the order of rank.
 
     Attributes:
-        chain: speed by which the arms part despite everything (0 unless the limits are infeasible) [m/s].
-        grasp: share of the grasp correction given up, 1 − ρ_g.
-        off_path: twist of the object off its path, s, in the reference object frame (6,) [m/s, rad/s].
-        path: share of the path correction given up, 1 − ρ_p.
-        rate: share of the path rate given up, 1 − σ.
-        restricted: names of arms (fewer than six joints) that cannot follow every object motion.
+        chain: speed at which the arms part [m/s]; 0 unless the limits are infeasible.
+        grasp: lost share of the grasp correction, 1 − ρ_g.
+        off_path: object velocity off the path, the twist s in the reference object frame (6,) [m/s, rad/s].
+        path: lost share of the path correction, 1 − ρ_p.
+        rate: lost share of the path rate, 1 − σ.
+        restricted: names of arms with fewer than six joints that cannot follow every object motion.
     """
 
     chain: float = 0.0
@@ -77,16 +76,25 @@ class GivenUp:
 NOTHING = GivenUp()
 
 
-@dataclass(frozen=True, eq=False)
-class ControlStep:
-    """The command of one step, and the reason for it. Costly readings are computed when asked for.
+class StepReader(Protocol):
+    """Reads what a record does not say in words; one per controller."""
 
-    Its arrays are read-only; copy one to change it.
+    def read(self, record: bytes, name: str) -> Any:
+        """Value of the attribute ``name`` of :class:`ControlStep`."""
+        ...
+
+
+@final
+class ControlStep:
+    """The command of one step, and the reason for it.
+
+    A compiled controller hands out a record of numbers: an attribute is read from it when asked for. Arrays are
+    read-only; copy one to change it.
 
     Attributes:
         q: commanded configuration at the start of the step (nq,).
-        velocity: joint velocities (nv,) [rad/s or m/s], constant over the step.
-        q_next: commanded configuration at its end (nq,): send this to position servos.
+        velocity: commanded joint velocities (nv,) [rad/s or m/s], constant over the step.
+        q_next: commanded configuration at the end of the step (nq,); send it to position servos.
         dt: length of the step [s].
         clock, clock_next: the object's clock at both ends [s].
         rate: σ, share of the nominal path rate.
@@ -94,13 +102,15 @@ class ControlStep:
         binding: limits that the step runs against.
         given_up: what each rank gave up.
         solver: how the QP went.
-        build_time_s: time to compute the step without the solve [s].
+        build_time_s: time to compute the step without the solve [s]; 0 where it is not measured.
         finished: the object's clock has reached the end of its path.
     """
 
-    cell: RobotCell = field(repr=False)
-    grasp: Grasp = field(repr=False)
-    path: ObjectPath = field(repr=False)
+    __slots__ = ("_context", "_record", "_values", "rate", "status")
+
+    cell: RobotCell
+    grasp: Grasp
+    path: ObjectPath
     q: Array
     velocity: Array
     q_next: Array
@@ -109,45 +119,96 @@ class ControlStep:
     clock_next: float
     rate: float
     status: Status
-    reason: str = ""
-    binding: tuple[BindingLimit, ...] = ()
-    given_up: GivenUp = NOTHING
-    solver: SolverReport = NO_SOLVE
-    build_time_s: float = 0.0
+    reason: str
+    binding: tuple[BindingLimit, ...]
+    given_up: GivenUp
+    solver: SolverReport
+    build_time_s: float
 
-    def __post_init__(self) -> None:
-        for name in ("q", "velocity", "q_next"):
-            _set(self, name, read_only(getattr(self, name)))
+    def __init__(
+        self,
+        *,
+        cell: RobotCell,
+        grasp: Grasp,
+        path: ObjectPath,
+        q: Array,
+        velocity: Array,
+        q_next: Array,
+        dt: float,
+        clock: float,
+        clock_next: float,
+        rate: float,
+        status: Status,
+        reason: str = "",
+        binding: tuple[BindingLimit, ...] = (),
+        given_up: GivenUp = NOTHING,
+        solver: SolverReport = NO_SOLVE,
+        build_time_s: float = 0.0,
+    ) -> None:
+        values = dict(locals())
+        del values["self"]
+        values.update(q=read_only(q), velocity=read_only(velocity), q_next=read_only(q_next))
+        _put(self, values)
+
+    def __getattr__(self, name: str) -> Any:
+        # Only for what is not there yet: C leaves all but the record, the context, rate and status to be read.
+        if name == "_values":
+            empty: dict[str, Any] = {}
+            _set(self, "_values", empty)
+            return empty
+        values = self._values
+        if name not in values:
+            if name not in _FIELDS:
+                raise AttributeError(f"a ControlStep has no '{name}'")
+            values[name] = self._context.read(self._record, name)
+        return values[name]
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        raise AttributeError(f"a ControlStep is read-only: {name} stays; replaced({name}=…) makes another step")
+
+    def replaced(self, **changes: Any) -> ControlStep:
+        """The same step with other values."""
+        return ControlStep(**{**{name: getattr(self, name) for name in _FIELDS}, **changes})
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return _restored, ({name: getattr(self, name) for name in _FIELDS},)
+
+    def __repr__(self) -> str:
+        return f"ControlStep({self.status.name}, rate {self.rate:.4g}, clock {self.clock:.6g} s, {self.explain()!r})"
 
     @property
     def finished(self) -> bool:
-        """The object's clock has reached the end of its path."""
+        """True if the object's clock has reached the end of the path."""
         return self.clock_next >= self.path.duration
 
-    @cached_property
+    @property
     def state(self) -> CellState:
         """Kinematics at :attr:`q`."""
-        return CellState(self.cell, self.q)
+        values = self._values
+        if "state" not in values:
+            values["state"] = CellState(self.cell, self.q)
+        state: CellState = values["state"]
+        return state
 
-    @cached_property
+    @property
     def arm_increments(self) -> Array:
-        """Δ^k of Eq. (16) as commanded: displacement of each tool in its own frame over the step, (N, 6) [m, rad]."""
+        """Δ^k of Eq. (16) as commanded: displacement of each tool in its own frame during the step (N, 6) [m, rad]."""
         v = [self.velocity[s] for s in self.cell.v_slices]
         return np.array([self.state.jacobian(k) @ v[k] * self.dt for k in range(len(self.cell))])
 
-    @cached_property
+    @property
     def relative_errors(self) -> Array:
-        """Per pair of arms (0,1), (0,2), … (1,2) …: distance [mm] and angle [deg] between their views of the object."""
+        """Distance [mm] and angle [deg] between the object poses of each pair of arms (0,1), (0,2), … (1,2) …"""
         e = self.grasp.relative_errors(self.state)
         return np.column_stack([1e3 * np.linalg.norm(e[:, :3], axis=1), np.rad2deg(np.linalg.norm(e[:, 3:], axis=1))])
 
     @property
     def sigma_min(self) -> Array:
-        """Smallest singular value of each arm's tool Jacobian, (N,)."""
+        """Smallest singular value of each arm's tool Jacobian (N,)."""
         return self.state.sigma_min
 
     def explain(self) -> str:
-        """One sentence that a person can act on."""
+        """A sentence with the status, the binding limits, the reason and the lost parts of the ranks."""
         where = f" ({'; '.join(str(b) for b in self.binding)})" if self.binding else ""
         rate = f" at {100 * self.rate:.3g} % of its rate" if self.status is Status.SLOWED else ""
         what = {
@@ -178,21 +239,35 @@ class ControlStep:
         return "; ".join(parts) + "."
 
 
-def make_step(fields: dict[str, Any]) -> ControlStep:
-    """A ControlStep that keeps ``fields``, every one of them, without the cost of its constructor and of copies."""
-    step = _new(ControlStep)
-    _set(step, "__dict__", fields)
-    # The controller goes on from them: what a user adds to one must not move the arms.
-    fields["velocity"].setflags(False)
-    fields["q_next"].setflags(False)
+_set = object.__setattr__
+_FIELDS = tuple(ControlStep.__annotations__)
+
+
+def _put(step: ControlStep, values: dict[str, Any]) -> None:
+    _set(step, "_values", values)
+    _set(step, "rate", values["rate"])
+    _set(step, "status", values["status"])
+
+
+def _restored(values: dict[str, Any]) -> ControlStep:
+    return ControlStep(**values)
+
+
+def amend(step: ControlStep, **values: Any) -> None:
+    """Put words into a step that nobody has seen yet."""
+    step._values.update(values)
+
+
+def read_step(record: bytes, context: StepReader, status: Status, rate: float) -> ControlStep:
+    """The step of a record, as the compiled core makes it."""
+    step = object.__new__(ControlStep)
+    for name, value in (("_record", record), ("_context", context), ("status", status), ("rate", rate)):
+        _set(step, name, value)
     return step
 
 
-_new, _set = object.__new__, object.__setattr__
-
-
 class Controller(Protocol):
-    """The protocol that :func:`coopqp.simulation.simulate.simulate` drives."""
+    """The protocol of the controllers of :func:`coopqp.simulation.simulate.simulate`."""
 
     cell: RobotCell
     grasp: Grasp
@@ -200,29 +275,29 @@ class Controller(Protocol):
     dt: float
 
     def reset(self, q: Any) -> None:
-        """Start at a measured configuration (nq,), at rest, the object's clock at 0.
+        """Start at rest at a measured configuration (nq,), with the object's clock at 0.
 
         Raises:
-            InvalidInputError: wrong shape, NaN, or a configuration at which the arms do not hold the object.
+            InvalidInputError: wrong shape, NaN, or the arms do not hold the object at ``q``.
         """
         ...
 
     def step(self, q_measured: Any = None, *, dt: float | None = None) -> ControlStep:
-        """Compute the command of one period; never raises for run-time data."""
+        """Compute the command of one period. Run-time data never raise an error."""
         ...
 
 
-#: Largest chain error at reset, unless the user says otherwise [m, rad].
+#: Default of the largest accepted error of an arm at reset [m, rad].
 START_TOLERANCE_M, START_TOLERANCE_RAD = 0.02, np.deg2rad(3.0)
 
 
 def check_start(
     cell: RobotCell, grasp: Grasp, path: ObjectPath, q: Any, *, tolerance_m: float, tolerance_rad: float
 ) -> Array:
-    """Return ``q`` as a read-only array if the arms hold the object at the start of the path there.
+    """Check that the arms hold the object at the start of the path. Returns ``q`` (nq,) as a read-only array.
 
     Raises:
-        InvalidInputError: names the arm and how far it is from the grasp, and from the path's start.
+        InvalidInputError: an arm does not; the message names the arm and its distance from the path's start.
     """
     configuration = cell.check_configuration(q, "reset: q")
     start = path.pose(0.0)

@@ -22,7 +22,7 @@ _FLOOR, _SAMPLE = 5e-4, 1e-3
 _SMOOTHING = 0.1
 #: The filter runs as often [s], or at every step if that is longer.
 _PERIOD = 0.0045
-#: A drift changes by no more than this share of the arms' way, joints counted with a lever of 1 m.
+#: A drift grows by no more than this share of the arms' way, joints counted with a lever of 1 m; it may always shrink.
 _LARGEST_SLOPE = 0.02
 
 
@@ -53,7 +53,7 @@ class Drift:
         Args:
             apart: of each arm from the others.
             noise: root mean square of the noise in them [m].
-            commanded: configuration (nq,).
+            commanded: positions (nv,) [rad or m].
             dt: time since the last sample [s].
         """
         self._since += dt
@@ -67,7 +67,7 @@ class Drift:
         return apart - self._drift
 
     def _update(self, apart: Array, noise: float, speed: float, most: float, dt: float) -> None:
-        """One step of the filter; the drift changes by no more than ``most`` [m]."""
+        """One step of the filter; the drift grows by no more than ``most`` [m]."""
         new = dt / (_SMOOTHING + dt)
         self._apart += new * (apart - self._apart)
         self._speed += new * (speed - self._speed)
@@ -77,11 +77,14 @@ class Drift:
         scale = 1.0 / (hb + hc * s + (_FLOOR**2 + noise**2) * _SAMPLE / dt)
         surprise = self._apart - self._drift - s * self._lag
         change = scale * hb * surprise
-        largest = float(np.abs(change).max())
+        back = np.where(change * self._drift < 0.0, change, 0.0)
+        shrunk = np.copysign(np.minimum(np.abs(back), np.abs(self._drift)), back)  # no farther than to 0
+        growth = change - shrunk
+        largest = float(np.abs(growth).max())
         too_fast = largest > most
         if too_fast:
-            change *= most / largest
-        self._drift += change
+            growth *= most / largest
+        self._drift += shrunk + growth
         np.clip(self._drift, -self._largest, self._largest, out=self._drift)
         self._lag += scale * hc * surprise
         self._bb = max(self._bb - scale * hb * hb, 0.0)

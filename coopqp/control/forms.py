@@ -22,6 +22,7 @@ import numpy as np
 import numpy.typing as npt
 
 from coopqp.checks import keep_scalars
+from coopqp.control.constraints import Rows
 from coopqp.control.limits import VelocityBox
 from coopqp.control.solvers.base import QpProblem
 from coopqp.model.chain import Chain
@@ -36,6 +37,7 @@ class RankWeights:
         chain: of the arms parting [1/(m/s)²].
         off_path: of velocity off the path [1/(m/s)²].
         recovery: of a joint outside its limits not being led back [1/(rad/s)²].
+        clearance: of a row that gives way before the arms part, per unit of the row squared.
         grasp, path: of giving up all of the grasp or path correction.
         rate: of standing still (σ = 0).
         comfort: of null-space motion other than the wanted one, in units of the joints' speeds.
@@ -45,6 +47,7 @@ class RankWeights:
     chain: float = 1e8
     off_path: float = 1e4
     recovery: float = 1e6
+    clearance: float = 1e6
     grasp: float = 1.0
     path: float = 1e-2
     rate: float = 1e-4
@@ -105,44 +108,54 @@ class Pieces:
 
 
 class CondensedQp:
-    """The memory of a condensed QP: filled anew at every step, so what is to be kept has to be copied.
+    """The memory of a condensed QP of one size: filled anew at every step, so copy what is to be kept.
 
-    Attributes:
-        base, columns: joint velocities v = base + columns x, (nv,) and (nv, n).
-        norms: of the rows of ``columns`` (nv,), 1 where there is nothing.
-        problem: the QP, a row of unit norm per joint.
+    Unknowns: x, then one for every joint that is led back and one for every row that may give way.
+
+    Args:
+        rows: joints and further rows.
+        unknowns: of x.
+        outside: joints that are led back.
+        soft: rows that may give way.
     """
 
-    def __init__(self, joints: int, unknowns: int, outside: int = 0) -> None:
-        n = unknowns + outside
-        self.base, self.columns, self.norms = np.zeros(joints), np.zeros((joints, n)), np.ones(joints)
+    def __init__(self, rows: int, unknowns: int, outside: int = 0, soft: int = 0) -> None:
+        n = unknowns + outside + soft
+        self.sizes = rows, unknowns, outside, soft
         self.problem = QpProblem(
             H=np.eye(n),
             g=np.zeros(n),
             A=np.zeros((outside, n)),
             b=np.zeros(outside),
-            C=np.zeros((joints, n)),
-            l=np.zeros(joints),
-            u=np.zeros(joints),
+            C=np.zeros((rows, n)),
+            l=np.zeros(rows),
+            u=np.zeros(rows),
             lb=np.full(n, -np.inf),
             ub=np.full(n, np.inf),
         )
 
-    def take(self, other: CondensedQp) -> None:
-        """Copy all but the bounds of x from one with fewer unknowns, which are the first of this one's."""
-        mine, theirs, n = self.problem, other.problem, other.columns.shape[1]
-        self.base[:], self.norms[:] = other.base, other.norms
-        self.columns[:, :n], mine.C[:, :n] = other.columns, theirs.C
-        mine.l[:], mine.u[:] = theirs.l, theirs.u
+    def fill(self, base: Array, columns: Array, lower: Array, upper: Array, lead_back: LeadBack) -> QpProblem:
+        """Rows of unit norm for ``lower ≤ base + columns x ≤ upper``, and equalities of the joints that are led back.
 
-    def set_rows(self, lower: Array, upper: Array) -> None:
-        """The rows of unit norm that keep v in its box, from ``base`` and ``columns``."""
-        norms, problem = self.norms, self.problem
-        np.sqrt(np.einsum("ij,ij->i", self.columns, self.columns), out=norms)
+        ``v_j − recovery_j`` of such a joint is an unknown of its own: squared into the cost it would square the
+        conditioning.
+        """
+        problem, (_, unknowns, outside, soft) = self.problem, self.sizes
+        square = np.einsum("ij,ij->i", columns, columns)
+        if soft:
+            square[lead_back.soft] += lead_back.soft_unit**2
+        norms = np.sqrt(square)
         norms[norms < 1e-12] = 1.0
-        np.divide(self.columns, norms[:, None], out=problem.C)
-        np.divide(lower - self.base, norms, out=problem.l)
-        np.divide(upper - self.base, norms, out=problem.u)
+        problem.C[:, :unknowns] = columns / norms[:, None]
+        problem.l[:], problem.u[:] = (lower - base) / norms, (upper - base) / norms
+        if outside:
+            j = lead_back.outside
+            problem.A[:, :unknowns] = problem.C[j, :unknowns]
+            np.fill_diagonal(problem.A[:, unknowns : unknowns + outside], -lead_back.unit / norms[j])
+            problem.b[:] = (lead_back.recovery[j] - base[j]) / norms[j]
+        for i, row in enumerate(lead_back.soft[:soft]):
+            problem.C[row, unknowns + outside + i] = -lead_back.soft_unit / norms[row]
+        return problem
 
     def set_bounds(self, first: int, unit: Array, rate_cap: float) -> None:
         """Bounds of (cap − σ), (1 − ρ_g), (1 − ρ_p), from unknown ``first`` on, each divided by its ``unit``."""
@@ -150,15 +163,24 @@ class CondensedQp:
         lb[first : first + 3] = 0.0
         ub[first], ub[first + 1], ub[first + 2] = rate_cap / unit[0], 1.0 / unit[1], 1.0 / unit[2]
 
-    def lead_back(self, outside: npt.NDArray[np.intp], recovery: Array, unit: float) -> None:
-        """The equalities of the joints outside their limits: v_j − recovery_j is an unknown of its own.
 
-        Squared into the cost it would square the conditioning.
-        """
-        problem, norms, k = self.problem, self.norms[outside], outside.size
-        problem.A[:] = problem.C[outside]
-        np.fill_diagonal(problem.A[:, problem.A.shape[1] - k :], -unit / norms)
-        np.divide((recovery - self.base)[outside], norms, out=problem.b)
+@dataclass(frozen=True, eq=False)
+class LeadBack:
+    """What has an unknown of its own: joints outside their limits, and rows that may give way.
+
+    Attributes:
+        outside: indices of the joints.
+        recovery: velocities that lead them back (nv,).
+        unit: of their unknowns.
+        soft: indices of the rows.
+        soft_unit: of their unknowns.
+    """
+
+    outside: npt.NDArray[np.intp]
+    recovery: Array
+    unit: float
+    soft: npt.NDArray[np.intp]
+    soft_unit: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -179,7 +201,7 @@ class StepProgram:
     Attributes:
         metric: diagonal W (6,) that makes linear and angular parts of a twist comparable.
         units: of the unknowns of a condensed QP without deficient arms, (9 + redundancy,).
-        recovery_scale: unit of the unknowns of joints that are led back.
+        recovery_scale, relax_scale: units of the unknowns of joints that are led back, of rows that may give way.
     """
 
     def __init__(self, chain: Chain, weights: RankWeights) -> None:
@@ -191,6 +213,7 @@ class StepProgram:
         self._share_scale = 1.0 / np.sqrt(np.array([w.rate, w.grasp, w.path]))
         self._comfort_scale = 1.0 / np.sqrt(w.comfort)
         self.recovery_scale = 1.0 / float(np.sqrt(w.recovery))
+        self.relax_scale = 1.0 / float(np.sqrt(w.clearance))
         comfort = np.full(chain.redundancy, self._comfort_scale)
         self.units = np.concatenate([self._twist_scale, self._share_scale, comfort])
         self._qp: CondensedQp | None = None
@@ -219,34 +242,48 @@ class StepProgram:
 
     # -- condensed -----------------------------------------------------------------------------------------------
 
-    def condensed(self, terms: StepTerms, pieces: Pieces, box: VelocityBox) -> tuple[QpProblem, Array, Array]:
+    def condensed(
+        self, terms: StepTerms, pieces: Pieces, box: VelocityBox, further: Rows | None = None, *, relax: bool = False
+    ) -> tuple[QpProblem, Array, Array]:
         """The condensed form. Returns the problem and (base, B) with v = base + B x, valid until the next call.
 
-        x = [y (d), (cap − σ), (1 − ρ_g), (1 − ρ_p), z, r], each divided by its scale; r of the joints outside.
+        x = [y (d), (cap − σ), (1 − ρ_g), (1 − ρ_p), z, r], each divided by its scale; r of the joints outside and, with
+        ``relax``, of the further rows that may give way.
         """
         S = self._twist_basis(terms)
-        d, redundancy = S.shape[1], self.chain.redundancy
-        outside = np.flatnonzero(box.outside)
-        qp = self.memory(d + 3 + redundancy, outside.size)
-        base, B = qp.base, qp.columns
-        base[:] = pieces.command(terms.rate_cap)
+        d, redundancy, nv = S.shape[1], self.chain.redundancy, self.chain.nv
+        base, B = pieces.command(terms.rate_cap), np.zeros((nv, d + 3 + redundancy))
         B[:, :d] = self.chain.joint_columns(terms.to_world @ S)
         for column, piece in enumerate((pieces.along, pieces.grasp, pieces.path)):
             np.multiply(piece, -self._share_scale[column], out=B[:, d + column])
         if redundancy:
-            np.multiply(self.chain.null_basis(), self._comfort_scale, out=B[:, d + 3 : d + 3 + redundancy])
-        qp.set_rows(box.lower, box.upper)
-        qp.set_bounds(d, self._share_scale, terms.rate_cap)
-        if outside.size:
-            qp.lead_back(outside, box.recovery, self.recovery_scale)
-        return qp.problem, base, B
+            np.multiply(self.chain.null_basis(), self._comfort_scale, out=B[:, d + 3 :])
+        if further is not None and len(further):
+            base, B = np.concatenate([base, further.G @ base]), np.vstack([B, further.G @ B])
+        problem = self.fill(base, B, box, further, relax=relax)
+        self.set_bounds(d, terms.rate_cap)
+        return problem, base[:nv], B[:nv]
 
-    def memory(self, unknowns: int, outside: int) -> CondensedQp:
-        """The memory of the last QP if its size fits; sizes seldom change."""
-        n = unknowns + outside
-        if self._qp is None or self._qp.problem.sizes != (n, outside, self.chain.nv):
-            self._qp = CondensedQp(self.chain.nv, unknowns, outside)
-        return self._qp
+    def fill(
+        self, base: Array, B: Array, box: VelocityBox, further: Rows | None = None, *, relax: bool = False
+    ) -> QpProblem:
+        """The condensed QP of base and columns, of joints and further rows, but for the bounds of x."""
+        lower, upper = box.lower, box.upper
+        soft = np.zeros(0, dtype=np.intp)
+        if further is not None and len(further):
+            lower, upper = np.concatenate([lower, further.lower]), np.concatenate([upper, further.upper])
+            soft = self.chain.nv + np.flatnonzero(further.soft) if relax else soft
+        outside = np.flatnonzero(box.outside)
+        sizes = *B.shape, outside.size, soft.size
+        if self._qp is None or self._qp.sizes != sizes:  # sizes seldom change
+            self._qp = CondensedQp(*sizes)
+        lead_back = LeadBack(outside, box.recovery, self.recovery_scale, soft, self.relax_scale)
+        return self._qp.fill(base, B, lower, upper, lead_back)
+
+    def set_bounds(self, first: int, rate_cap: float) -> None:
+        """Bounds of the shares of the QP that was filled last, from unknown ``first`` on."""
+        if self._qp is not None:
+            self._qp.set_bounds(first, self._share_scale, rate_cap)
 
     def read_condensed(self, x: Array, terms: StepTerms, base: Array, B: Array) -> Answer:
         """The step that a solution of :meth:`condensed` stands for."""
@@ -257,7 +294,9 @@ class StepProgram:
 
     # -- full and slack ------------------------------------------------------------------------------------------
 
-    def full(self, terms: StepTerms, box: VelocityBox, *, slack: bool = False) -> QpProblem:
+    def full(
+        self, terms: StepTerms, box: VelocityBox, further: Rows | None = None, *, slack: bool = False
+    ) -> QpProblem:
         """The full form: x = [v (nv), y (d), (cap − σ), (1 − ρ_g), (1 − ρ_p)], the last scaled as in the condensed.
 
         With ``slack`` the chain may part: x goes on with t (6N), the twists by which the arms leave the common
@@ -270,7 +309,10 @@ class StepProgram:
         d = S.shape[1]
         own = nv + d + 3
         outside = np.flatnonzero(box.outside)
-        n = own + (6 * chain.n_arms if slack else 0) + outside.size
+        own_rows = further if further is not None and len(further) else None
+        soft = np.flatnonzero(own_rows.soft) if slack and own_rows is not None else np.zeros(0, dtype=np.intp)
+        last = own + (6 * chain.n_arms if slack else 0) + outside.size
+        n = last + soft.size
         to_reference = np.linalg.inv(terms.to_world)
         J = chain.dense()
         A = np.zeros((6 * chain.n_arms + outside.size, n))
@@ -295,9 +337,9 @@ class StepProgram:
         if slack:
             part = 1.0 / np.sqrt(self.weights.chain)
             scale_t = np.tile([part] * 3 + [part / self.weights.length] * 3, chain.n_arms)
-            A[range(6 * chain.n_arms), range(own, n - outside.size)] = scale_t
+            A[range(6 * chain.n_arms), range(own, last - outside.size)] = scale_t
         for i, j in enumerate(outside):
-            A[6 * chain.n_arms + i, [j, n - outside.size + i]] = 1.0, -1.0 / np.sqrt(self.weights.recovery)
+            A[6 * chain.n_arms + i, [j, last - outside.size + i]] = 1.0, -1.0 / np.sqrt(self.weights.recovery)
             b[6 * chain.n_arms + i] = box.recovery[j]
         if chain.redundancy:
             # Active-set solvers manage ten orders of magnitude between costs, not fourteen.
@@ -307,7 +349,12 @@ class StepProgram:
         lb[:nv], ub[:nv] = box.lower, box.upper
         lb[nv + d : own] = 0.0
         ub[nv + d : own] = np.array([cap, 1.0, 1.0]) / scale
-        return QpProblem(H=H, g=g, A=A, b=b, C=np.zeros((0, n)), l=np.zeros(0), u=np.zeros(0), lb=lb, ub=ub)
+        C, low, high = np.zeros((0, n)), np.zeros(0), np.zeros(0)
+        if own_rows is not None:
+            C, low, high = np.zeros((len(own_rows), n)), own_rows.lower, own_rows.upper
+            C[:, :nv] = own_rows.G
+            C[soft, range(last, n)] = -self.relax_scale
+        return QpProblem(H=H, g=g, A=A, b=b, C=C, l=low, u=high, lb=lb, ub=ub)
 
     def _add_comfort(self, H: Array, g: Array, terms: StepTerms, nv: int, d: int, comfort: float) -> None:
         """Cost of z: the null-space part of v, less the wanted one."""

@@ -1,7 +1,7 @@
-"""The QP with independent arms: each follows its own grasp as well as its own limits let it. For comparison.
+"""A QP for each arm alone, for comparison: each arm follows its own grasp within its own limits.
 
-This is what a soft task per arm does. Nothing couples the arms and the object's clock runs at its nominal rate, so
-where one arm falls behind, the object is torn.
+This corresponds to one soft task per arm. Nothing couples the arms, and the object's clock runs at its nominal rate. If
+one arm falls behind, the arms pull the object apart.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from coopqp.control.command import (
     check_start,
 )
 from coopqp.control.limits import VelocityBox
-from coopqp.control.solvers import QpProblem, QpSolution, make_solver
+from coopqp.control.solvers import QpProblem, QpSolution, QpSolver, make_solver
 from coopqp.errors import InvalidInputError
 from coopqp.model.cell import RobotCell
 from coopqp.model.chain import Chain
@@ -35,11 +35,11 @@ from coopqp.model.limits import BindingLimit
 from coopqp.spatial import Array, adjoint
 from coopqp.task.path import ObjectPath
 
-#: Cost that makes every problem strictly convex; small enough for an error of micrometres [m²].
+#: Cost that makes every problem strictly convex [m²]. It is small: the resulting error is in the range of micrometres.
 _REGULARISATION = 1e-8
-#: Weight of leading a joint back from outside its limits, against a tracking error of 1 m/s [(m/s)²/(rad/s)²].
+#: Weight of the return of a joint from outside its limits, relative to a tracking error of 1 m/s [(m/s)²/(rad/s)²].
 _RECOVERY = 1e4
-#: A solver's excess over a limit up to this is clipped; more is a failure [rad/s or m/s].
+#: Largest accepted excess of a solution over a limit [rad/s or m/s]; it is clipped. A larger one is a failure.
 _RESIDUE = 1e-5
 
 
@@ -48,16 +48,17 @@ class IndependentQPOptions:
     """Settings of the QP with independent arms.
 
     Attributes:
-        solver: name of the QP solver, see :func:`coopqp.control.solvers.available_solvers`; one is kept per arm.
-        solver_settings: settings object of that solver.
+        solver: name of the QP solver, see :func:`coopqp.control.solvers.available_solvers`, one is kept per arm;
+            ``"auto"`` for the :func:`~coopqp.control.solvers.default_solver`; or a solver, which serves all arms.
+        solver_settings: settings object of the solver of that name.
         gain: of every arm's error [1/s]; a step never corrects more than the whole error.
         correction_speed, correction_spin: bound of the correction [m/s, rad/s].
         length: characteristic length that weighs rotation against translation [m].
-        damping: λ_max of λ² = λ_max² (1 − (σ_min/σ_0)²) below ``damping_from`` [m].
-        damping_from: σ_0, smallest singular value of the tool's Jacobian below which damping sets in.
+        damping: λ_max [m] of the damping λ² = λ_max² (1 − (σ_min/σ_0)²) for σ_min < σ_0.
+        damping_from: σ_0, the smallest singular value of the tool Jacobian without damping.
     """
 
-    solver: str = "daqp"
+    solver: str | QpSolver = "auto"
     solver_settings: Any = None
     gain: float = 20.0
     correction_speed: float = 0.1
@@ -73,15 +74,17 @@ class IndependentQPOptions:
 
 @final
 class IndependentQPController:
-    """For each arm: ``min ‖A_k v_k − (ν + c_k)‖² + λ_k² ‖v_k‖²`` within its joint limits, and no coupling.
+    """Solves ``min ‖A_k v_k − (ν + c_k)‖² + λ_k² ‖v_k‖²`` within the joint limits for each arm, without coupling.
 
     Args:
-        cell, grasp, path: what moves, how it holds, and where to.
+        cell, grasp, path: the arms, their grasp and the path of the object.
         dt: nominal length of a step [s].
         options: settings.
 
     Raises:
-        InvalidInputError, UnknownNameError, MissingExtraError: bad settings, an unknown or missing solver.
+        InvalidInputError: bad settings.
+        UnknownNameError: no such solver.
+        MissingExtraError: the solver's package is not installed.
     """
 
     def __init__(
@@ -99,13 +102,14 @@ class IndependentQPController:
         o = self.options = options or IndependentQPOptions()
         self._chain, self._box = Chain(cell, grasp), VelocityBox(cell)
         self._solvers = [make_solver(o.solver, o.solver_settings) for _ in cell.arms]
+        self._shared = isinstance(o.solver, QpSolver)
         self._to_tool = [adjoint(X.inverse()) for X in grasp.T_object_tool]
         self._metric = np.array([1.0] * 3 + [o.length**2] * 3)
         self._q, self._v = pin.neutral(cell.model), np.zeros(cell.nv)
         self._clock, self._started = 0.0, False
 
     def reset(self, q: Any) -> None:
-        """Start at ``q`` (nq,), at rest, the object's clock at 0. Errors as :class:`Controller`."""
+        """Start at rest at ``q`` (nq,), with the object's clock at 0. Errors as in :class:`Controller`."""
         tolerances = {"tolerance_m": START_TOLERANCE_M, "tolerance_rad": START_TOLERANCE_RAD}
         self._q = check_start(self.cell, self.grasp, self.path, q, **tolerances)
         self._v = np.zeros(self.cell.nv)
@@ -114,9 +118,9 @@ class IndependentQPController:
             solver.reset()
 
     def step(self, q_measured: Any = None, *, dt: float | None = None) -> ControlStep:
-        """One step, from the commanded configuration: ``q_measured`` is not used.
+        """One step from the commanded configuration. ``q_measured`` is not used.
 
-        A ``dt`` that is no length of time, or an arm whose QP has no answer, makes that step brake.
+        With an invalid ``dt``, or if the QP of an arm fails, the step brakes.
         """
         if not self._started:
             raise InvalidInputError("step before reset", "IndependentQPController", "Call reset(q) first.")
@@ -134,6 +138,8 @@ class IndependentQPController:
         A, wanted = self._tasks(h, span)
         v, reports = np.zeros(self.cell.nv), []
         for k, s in enumerate(self.cell.v_slices):
+            if self._shared:
+                self._solvers[k].reset()
             solution = self._solvers[k].solve(self._problem(k, A[k], wanted[k]))
             reports.append(solution)
             if not self._believable(solution, s):
@@ -148,7 +154,7 @@ class IndependentQPController:
         return self._finish(h, v, clock, began, "", reports, parting)
 
     def _tasks(self, h: float, span: float) -> tuple[list[Array], Array]:
-        """A_k at the predicted middle of the step, and ν + c_k (N, 6); twists in the reference object frame."""
+        """A_k at the predicted midpoint of the step, and ν + c_k (N, 6). Twists are in the reference object frame."""
         o, chain, path = self.options, self._chain, self.path
         reference = path.pose(self._clock)
         errors = chain.errors(chain.carried(self._q), reference)
@@ -159,8 +165,10 @@ class IndependentQPController:
                 c /= excess
         if span > 0.0:
             wanted += path.increment(self._clock, span) * (span / h)
-        chain.evaluate(pin.integrate(self.cell.model, self._q, 0.5 * h * self._v))
-        J, to_reference = chain.dense(), adjoint(reference.inverse())
+        middle = pin.integrate(self.cell.model, self._q, 0.5 * h * self._v)
+        chain.evaluate(middle, about=reference.translation)
+        J, R = chain.dense(), reference.rotation
+        to_reference = np.kron(np.eye(2), R.T)
         return [to_reference @ J[6 * k : 6 * k + 6, s] for k, s in enumerate(self.cell.v_slices)], wanted
 
     def _problem(self, k: int, A: Array, wanted: Array) -> QpProblem:
@@ -178,7 +186,7 @@ class IndependentQPController:
         )
 
     def _believable(self, solution: QpSolution, s: slice) -> bool:
-        """There is an answer, finite, and inside the box but for the solver's residue."""
+        """True if the solution exists, is finite, and violates the box by no more than ``_RESIDUE``."""
         if not solution.usable:
             return False
         excess = np.maximum(solution.x - self._box.upper[s], self._box.lower[s] - solution.x)

@@ -1,101 +1,145 @@
-"""One step in plain steps: errors, terms, linearisation, answer. What the kernels fuse, and where they do not apply.
-
-The first step of a motion, steps with several linearisations, arms with fewer than six joints, and whatever a kernel
-leaves open come here.
-"""
+"""One linearised step, the definition of the core's: errors, corrections, linearisation, answer."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import final
 
 import numpy as np
 import pinocchio as pin
 
-from coopqp.control.core import Workspace
-from coopqp.control.core.reference import bound
+from coopqp.control.constraints import Rows
 from coopqp.control.forms import StepTerms
+from coopqp.control.limits import VelocityBox
 from coopqp.control.options import QPOptions
 from coopqp.control.ranks import StepAnswer, StepSolver
+from coopqp.model.chain import Chain
 from coopqp.spatial import Array, log6_batch
 
 #: Linearisations that the first step may have beyond the others.
-_EXTRA_AT_START = 3
-#: The first step's velocity has settled where its change times itself moves the joints by less than this [rad²].
-_SETTLED = 1e-13
+EXTRA_AT_START = 3
+#: The first step has settled when its change of velocity moves the joints by less than this [rad²].
+SETTLED = 1e-13
+
+
+@dataclass(eq=False)
+class StepInput:
+    """What one step starts from.
+
+    Attributes:
+        q, positions: commanded configuration (nq,), and one position per joint (nv,).
+        v, v_before: joint velocities of the last two steps (nv,).
+        h: length of the step [s].
+        cap: largest rate.
+        pose: reference pose R of the object.
+        along: ν, twist along the path (6,).
+        measured: the object's error for the path correction (6,); None for the commanded one.
+        predicted: errors foreseen for this step (N, 6); None if nothing was foreseen.
+        last_dt: length of the step that foresaw them [s].
+        null_along, null_offset: wishes of redundant arms per unit of rate, and besides (nv,).
+        further: further rows.
+        first: there is no motion yet to predict the step's midpoint with.
+    """
+
+    q: Array
+    positions: Array
+    v: Array
+    v_before: Array
+    h: float
+    cap: float
+    pose: pin.SE3
+    along: Array
+    measured: Array | None
+    predicted: Array | None
+    last_dt: float
+    null_along: Array
+    null_offset: Array
+    further: Rows
+    first: bool
+
+
+@dataclass(frozen=True, eq=False)
+class LinearisedAnswer:
+    """The answer of a step, and what the next one goes on from.
+
+    Attributes:
+        answer: the command and what was given up for it.
+        stand_in: velocity that stands in for that of the step before the first one (nv,).
+        predicted: errors foreseen for the next step (N, 6).
+        correction: off-path twist of the object by the path correction, and besides (6,).
+        terms: what the step wanted.
+        errors: e_k (N, 6).
+    """
+
+    answer: StepAnswer
+    stand_in: Array
+    predicted: Array
+    correction: Array
+    terms: StepTerms
+    errors: Array
 
 
 @final
 class LinearisedStep:
-    """Steps over a workspace whose inputs are set; leaves there what the next step starts from, as a kernel does."""
+    """Steps of one chain under one box and solver."""
 
-    def __init__(self, workspace: Workspace, solver: StepSolver, options: QPOptions) -> None:
-        self._ws, self._solver, self._options = workspace, solver, options
-        self._chain, self._box = workspace.chain, workspace.box
-        self._cell = workspace.chain.cell
+    def __init__(self, chain: Chain, box: VelocityBox, shares: Array, solver: StepSolver, options: QPOptions) -> None:
+        self._chain, self._box, self._shares = chain, box, shares
+        self._solver, self._options, self._cell = solver, options, chain.cell
 
-    def answer(
-        self, q: Array, v: Array, v_before: Array, h: float, cap: float, *, first: bool
-    ) -> tuple[StepAnswer, Array]:
-        """The best admissible command, and the velocity at the start of the step (nv,).
-
-        Args:
-            q, v, v_before: commanded configuration, and the velocities of the last two steps.
-            h: length of the step [s].
-            cap: largest rate.
-            first: there is no motion yet to predict the step's midpoint with: linearise again until it settles.
-        """
-        chain, ws = self._chain, self._ws
-        pose = pin.SE3(ws.R, ws.p)
-        O = chain.carried(q)
-        ws.errors[:] = chain.errors(O, pose)
-        terms = self._terms(cap, pose)
-        self._box.update(ws.positions, v, h)
-        guess = 2.0 * v - v_before
+    def answer(self, s: StepInput) -> LinearisedAnswer:
+        """The best admissible command."""
+        chain, h = self._chain, s.h
+        O = chain.carried(s.q)
+        errors = chain.errors(O, s.pose)
+        terms = self._terms(s, errors)
+        self._box.update(s.positions, s.v, h)
+        guess = 2.0 * s.v - s.v_before
         start = guess
-        for iteration in range(self._options.iterations + _EXTRA_AT_START):
-            chain.linearise(self._cell.moved(q, 0.5 * h * guess))
+        for iteration in range(self._options.iterations + EXTRA_AT_START):
+            chain.linearise(self._cell.moved(s.q, 0.5 * h * guess), about=s.pose.translation)
             if iteration:
-                terms.offsets = self._defect(q, O, guess, h, terms)
-            self._complete(terms, pose)
-            answer = self._solver.answer(terms, v, h)
-            answer.correction = terms.path_correction
+                terms.offsets = self._defect(s, O, guess, terms)
+            self._complete(s, terms)
+            answer = self._solver.answer(terms, s.v, h, s.further)
             if iteration == 0:
                 start = answer.velocity
-            settled = not first or _settled(answer.velocity, guess, h)
+            settled = not s.first or _settled(answer.velocity, guess, h)
             if iteration + 1 >= self._options.iterations and settled:
                 break
             guess = answer.velocity
-        s = ws.scalars
-        s[ws.HAS_PREDICTED], s[ws.LAST_DT] = answer.chain == 0.0 and not answer.braked, h
-        drift = answer.grasp_share * terms.grasp_corrections + terms.offsets
-        drift += answer.path_share * terms.path_correction + answer.off_path
-        ws.predicted[:] = ws.errors + h * drift
-        return answer, start
+        correction = answer.path_share * terms.path_correction + answer.off_path
+        predicted = errors + h * (answer.grasp_share * terms.grasp_corrections + terms.offsets + correction)
+        # The velocities at the start and the middle of the first step stand in for those of two steps.
+        stand_in = 2.0 * start - answer.velocity if s.first else s.v
+        return LinearisedAnswer(answer, stand_in, predicted, correction, terms, errors)
 
-    def _terms(self, cap: float, pose: pin.SE3) -> StepTerms:
-        ws, s = self._ws, self._ws.scalars
-        common = (ws.shares * ws.errors).sum(axis=0)
-        grasp = -s[ws.GRASP_GAIN] * (ws.errors - common)
-        path = -s[ws.PATH_GAIN] * (ws.measured if s[ws.HAS_MEASURED] else common)
-        bound(grasp, s[ws.SPEED], s[ws.SPIN])
-        bound(path[None, :], s[ws.SPEED], s[ws.SPIN])
+    def _terms(self, s: StepInput, errors: Array) -> StepTerms:
+        """Corrections, bounded by one common factor; a gain never takes away more than the whole error in a step."""
+        o = self._options
+        common = (self._shares * errors).sum(axis=0)
+        grasp = -min(o.grasp_gain, 1.0 / s.h) * (errors - common)
+        path = -min(o.path_gain, 1.0 / s.h) * (common if s.measured is None else s.measured)
+        R = s.pose.rotation
+        to_world = np.zeros((6, 6))
+        to_world[:3, :3] = to_world[3:, 3:] = R
         return StepTerms(
-            to_world=np.asarray(pose.action),
-            along=ws.along.copy(),
-            path_correction=path,
-            grasp_corrections=grasp,
-            offsets=(ws.predicted - ws.errors) / s[ws.LAST_DT] if s[ws.HAS_PREDICTED] else np.zeros_like(grasp),
-            rate_cap=cap,
+            to_world=to_world,
+            along=s.along.copy(),
+            path_correction=bounded(path[None, :], o.correction_speed, o.correction_spin)[0],
+            grasp_corrections=bounded(grasp, o.correction_speed, o.correction_spin),
+            offsets=np.zeros_like(grasp) if s.predicted is None else (s.predicted - errors) / s.last_dt,
+            rate_cap=s.cap,
         )
 
-    def _complete(self, terms: StepTerms, pose: pin.SE3) -> None:
+    def _complete(self, s: StepInput, terms: StepTerms) -> None:
         """What depends on the linearisation: null-space motion, and what arms with few joints allow."""
-        chain, ws = self._chain, self._ws
+        chain = self._chain
         if chain.redundancy:
-            terms.null_along = chain.null_part(ws.null_along)
-            terms.null_offset = chain.null_part(ws.null_offset)
+            terms.null_along = chain.null_part(s.null_along)
+            terms.null_offset = chain.null_part(s.null_offset)
         if chain.deficient:
-            Z, ranges = chain.admissible_twists(np.asarray(pose.inverse().action))
+            Z, ranges = chain.admissible_twists(terms.to_world.T)
             metric = np.array([1.0] * 3 + [self._options.weights.length**2] * 3)
             project = Z @ np.linalg.solve(Z.T @ (metric[:, None] * Z), Z.T * metric)
             terms.along, terms.path_correction = project @ terms.along, project @ terms.path_correction
@@ -104,15 +148,23 @@ class LinearisedStep:
                 terms.offsets[k] = P @ terms.offsets[k]
             terms.admissible, terms.ranges = Z, ranges
 
-    def _defect(self, q: Array, before: Array, v: Array, h: float, terms: StepTerms) -> Array:
+    def _defect(self, s: StepInput, before: Array, v: Array, terms: StepTerms) -> Array:
         """b_k = A_k v − log(step that v really makes)/dt, (N, 6) in the reference object frame."""
-        after = self._chain.carried(self._cell.moved(q, h * v))
-        R = after[:, :3].transpose(0, 2, 1) @ before[:, :3]  # spatial displacement O₁ O₀⁻¹
-        p = after[:, 3] - np.einsum("kij,kj->ki", R, before[:, 3])
-        made = log6_batch(R, p) / h
-        defect: Array = (self._chain.twists(v) - made) @ np.linalg.inv(terms.to_world).T
+        after = self._chain.carried(self._cell.moved(s.q, s.h * v))
+        R = after[:, :3].transpose(0, 2, 1) @ before[:, :3]  # displacement O₁ O₀⁻¹ about the reference origin
+        about = s.pose.translation
+        p = after[:, 3] - about - np.einsum("kij,kj->ki", R, before[:, 3] - about)
+        made = log6_batch(R, p) / s.h
+        defect: Array = (self._chain.twists(v) - made) @ terms.to_world
         return defect
 
 
+def bounded(twists: Array, speed: float, spin: float) -> Array:
+    """Twists (n, 6), shrunk by one common factor to a linear and an angular speed."""
+    linear, angular = (float(np.sqrt((part**2).sum(axis=1).max())) for part in (twists[:, :3], twists[:, 3:]))
+    excess = max(linear / speed, angular / spin)
+    return twists / excess if excess > 1.0 else twists
+
+
 def _settled(v: Array, guess: Array, h: float) -> bool:
-    return float(np.abs(v - guess).max()) * float(np.abs(v).max()) * h * h <= _SETTLED
+    return float(np.abs(v - guess).max()) * float(np.abs(v).max()) * h * h <= SETTLED

@@ -8,6 +8,7 @@ from typing import Any, Literal
 from coopqp.checks import as_count, keep_scalars
 from coopqp.control.command import START_TOLERANCE_M, START_TOLERANCE_RAD
 from coopqp.control.forms import RankWeights
+from coopqp.control.solvers import QpSolver
 from coopqp.control.supervision import SupervisionOptions
 from coopqp.errors import InvalidInputError, UnknownNameError
 from coopqp.planning.preview import PreviewOptions
@@ -20,25 +21,26 @@ class QPOptions:
     """Settings of the cooperative controller.
 
     Attributes:
-        solver: name of the QP solver, see :func:`coopqp.control.solvers.available_solvers`.
-        solver_settings: settings object of that solver.
+        solver: name of the QP solver, see :func:`coopqp.control.solvers.available_solvers`; ``"auto"`` for the
+            :func:`~coopqp.control.solvers.default_solver`; or a solver.
+        solver_settings: settings object of the solver of that name.
         grasp_gain, path_gain: K_g, K_p [1/s]; a step never corrects more than the whole error (K dt ≤ 1).
-        correction_speed, correction_spin: bound of each correction [m/s, rad/s].
-        measurement_time: time constant with which the measured error of the object is let in [s].
-        common_error: whose view of the object is the object's: the first arm's (master–slave) by default.
+        correction_speed, correction_spin: upper bound of each correction [m/s, rad/s].
+        measurement_time: time constant of the filter of the measured object error [s].
+        common_error: weights that define the object pose; the first arm defines it by default (master–slave).
         weights: costs of the ranks.
-        form: the QP that is solved, ``"condensed"`` or ``"full"``.
-        shortcut: settle a step without a QP where the nominal command or a rate on the path is admissible.
-        iterations: linearisations of a step; 2 where accuracy matters more than time.
-        preview: settings of the path preview; None to do without.
-        posture: what redundant arms do with their freedom.
-        supervision: thresholds for measured against commanded configurations.
-        kernel: ``"auto"`` for the fastest there is, or ``"numpy"``, ``"compiled"``, ``"none"`` (no fused step).
-        blocked_rate: below this rate the object counts as blocked.
+        form: form of the QP, ``"condensed"`` or ``"full"``.
+        shortcut: skip the QP if the nominal command or a lower rate on the path is admissible.
+        iterations: number of linearisations of a step; use 2 if accuracy matters more than time.
+        preview: settings of the path preview; None for no preview.
+        posture: goals of the null-space motion of redundant arms.
+        supervision: thresholds of the comparison of measured and commanded configurations.
+        kernel: ``"auto"`` for the compiled core if it is installed and knows the robot, ``"compiled"`` or ``"plain"``.
+        blocked_rate: rate σ below which the object counts as blocked.
         start_tolerance_m, start_tolerance_rad: accepted error of any arm at reset [m, rad].
     """
 
-    solver: str = "daqp"
+    solver: str | QpSolver = "auto"
     solver_settings: Any = None
     grasp_gain: float = 20.0
     path_gain: float = 20.0
@@ -70,14 +72,14 @@ class QPOptions:
                 )
         if self.form not in ("condensed", "full"):
             raise UnknownNameError("form", str(self.form), ("condensed", "full"), "QPOptions")
-        if self.kernel not in ("auto", "numpy", "compiled", "none"):
-            raise UnknownNameError("kernel", str(self.kernel), ("auto", "numpy", "compiled", "none"), "QPOptions")
+        if self.kernel not in ("auto", "compiled", "plain"):
+            raise UnknownNameError("kernel", str(self.kernel), ("auto", "compiled", "plain"), "QPOptions")
         object.__setattr__(self, "iterations", as_count(self.iterations, "QPOptions: iterations"))
         if self.iterations > 5:
             raise InvalidInputError(f"iterations is {self.iterations}", "QPOptions", "Give 1 to 5.")
 
 
-#: Options that are groups of options.
+#: Fields that are groups of options, with their types.
 _PARTS: dict[str, type] = {
     "common_error": CommonError,
     "weights": RankWeights,

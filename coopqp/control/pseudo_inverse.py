@@ -1,6 +1,6 @@
-"""The paper's algorithm, Steps 0–5: each increment of the object, carried into each arm and solved for its joints.
+"""The paper's algorithm, Steps 0–5: it transforms each object increment to each arm and solves for the arm's joints.
 
-It is open loop, knows no limits, and serves as the baseline.
+The algorithm is open loop and ignores limits. It is the baseline.
 """
 
 from __future__ import annotations
@@ -31,14 +31,14 @@ class PseudoInverseOptions:
     """Variants of the paper's algorithm.
 
     Attributes:
-        increment: how the total displacement is divided (Step 1). ``"rotated"``: δφ = r φ*/N and
+        increment: division of the total displacement (Step 1). ``"rotated"``: δφ = r φ*/N and
             δp_k = Rot(r, −τ_k φ*) p/N, which follows G(0)M(τ) to first order. ``"literal"``: the constant body
-            increment (p, φ* r)/N, a screw that ends elsewhere. ``"exact"``: log(M(τ)⁻¹ M(τ + dτ)), for any path.
-        integration: ``"euler"`` evaluates the Jacobian at the start of the step, ``"midpoint"`` half-way.
-        reset_every: every so many steps solve the inverse kinematics of the path's pose (the paper's future
-            work); None for never.
-        damping: damped pseudo-inverse: λ_max of λ² = λ_max² (1 − (σ_min/σ_0)²) below ``damping_from``.
-        damping_from: σ_0, the smallest singular value below which damping sets in.
+            increment (p, φ* r)/N, a screw with another end pose. ``"exact"``: log(M(τ)⁻¹ M(τ + dτ)), for any path.
+        integration: ``"euler"`` evaluates the Jacobian at the start of the step, ``"midpoint"`` in its middle.
+        reset_every: number of steps between resets by inverse kinematics of the path's pose (the paper's future
+            work); None for no resets.
+        damping: λ_max of the damped pseudo-inverse, λ² = λ_max² (1 − (σ_min/σ_0)²) for σ_min < σ_0.
+        damping_from: σ_0, the smallest singular value without damping.
     """
 
     increment: Increment = "rotated"
@@ -63,12 +63,12 @@ class PseudoInverseController:
     """Steps 0–5 of the paper for any number of arms; see :class:`PseudoInverseOptions` for its variants.
 
     Args:
-        cell, grasp, path: what moves, how it holds, and where to.
-        dt: length of a step [s]; the paper's N increments are ``dt = t_f / N``.
-        options: variants.
+        cell, grasp, path: the arms, their grasp and the path of the object.
+        dt: length of a step [s]; the paper's N increments correspond to ``dt = t_f / N``.
+        options: variants of the algorithm.
 
     Raises:
-        InvalidInputError: ``"rotated"`` or ``"literal"`` with a path that is not a :class:`LinePath`.
+        InvalidInputError: ``"rotated"`` or ``"literal"`` without a :class:`LinePath`.
     """
 
     def __init__(
@@ -94,7 +94,7 @@ class PseudoInverseController:
         self._clock, self._count, self._started = 0.0, 0, False
 
     def reset(self, q: Any) -> None:
-        """Step 0: start at ``q`` (nq,), the object's clock at 0. Errors as :class:`Controller`."""
+        """Step 0: start at ``q`` (nq,), with the object's clock at 0. Errors as in :class:`Controller`."""
         self._q = check_start(
             self.cell,
             self.grasp,
@@ -108,8 +108,8 @@ class PseudoInverseController:
     def step(self, q_measured: Any = None, *, dt: float | None = None) -> ControlStep:
         """Steps 3–5. The algorithm is open loop: ``q_measured`` is not used.
 
-        A ``dt`` that is no length of time makes the arms hold; a periodic reset that the arms cannot reach is left
-        out, and the reason says so.
+        With an invalid ``dt`` the arms hold. If the arms cannot reach the pose of a periodic reset, the reset is
+        skipped and ``reason`` reports it.
         """
         if not self._started:
             raise InvalidInputError("step before reset", "PseudoInverseController", "Call reset(q) first.")
@@ -157,12 +157,12 @@ class PseudoInverseController:
         )
 
     def _end_of_step(self, clock: float, share: float) -> float:
-        """Rounding of N · dt must not add a step: what is within 1e-9 of the end is the end."""
+        """Clock at the end of a step. Within 1e-9 of the end it is set to the end: rounding of N · dt adds no step."""
         end = clock + share
         return self.path.duration if self.path.duration - end < 1e-9 * self.path.duration else end
 
     def _object_increment(self, clock: float, share: float) -> Array:
-        """Δ of Eq. (13): the object's body-frame increment over ``share`` seconds (6,) [m, rad]."""
+        """Δ of Eq. (13): the object's body-frame increment during ``share`` seconds (6,) [m, rad]."""
         if share <= 0.0:
             return np.zeros(6)
         if self.options.increment == "exact" or not isinstance(self.path, LinePath):
@@ -175,7 +175,7 @@ class PseudoInverseController:
         return np.concatenate([p, turn]) * (u_end - u)
 
     def _joint_increment(self, q: Array, arm_increments: Array) -> Array:
-        """Step 4 for every arm: solve J δq = Δ^k, both in the tool's frame."""
+        """Step 4 for every arm: solve J δq = Δ^k in the tool frame."""
         state = CellState(self.cell, q)
         dq = np.empty(self.cell.nv)
         for k, s in enumerate(self.cell.v_slices):

@@ -1,4 +1,4 @@
-"""The ranked answer of one step: nominal, ray, QP, QP with slack, brake."""
+"""The ranked answer of one step: nominal, fastest rate on the path, QP, QP whose chain may part, brake."""
 
 from __future__ import annotations
 
@@ -8,13 +8,13 @@ from typing import final
 import numpy as np
 
 from coopqp.control.command import NO_SOLVE, SolverReport
-from coopqp.control.core import Workspace
-from coopqp.control.forms import Answer, CondensedQp, Pieces, StepProgram, StepTerms
+from coopqp.control.constraints import Rows
+from coopqp.control.forms import Answer, Pieces, StepProgram, StepTerms
 from coopqp.control.limits import LIMIT_TOLERANCE, VelocityBox, rate_interval
 from coopqp.control.options import QPOptions
-from coopqp.control.solvers import QpProblem, QpSolution, QpSolver, SolverStatus, make_solver
+from coopqp.control.solvers import QpProblem, QpSolution, QpSolver, SolverStatus, default_solver, make_solver
+from coopqp.errors import InvalidInputError
 from coopqp.model.chain import Chain
-from coopqp.model.limits import BindingLimit
 from coopqp.spatial import Array
 
 #: A solver's excess over a limit up to this is clipped; more is a failure [rad/s or m/s].
@@ -61,6 +61,27 @@ def _ask(solver: QpSolver, problem: QpProblem) -> QpSolution:
     return QpSolution(nothing, SolverStatus.FAILED, None, None, None, 0, 0.0, message)
 
 
+def _make_solvers(options: QPOptions) -> tuple[QpSolver, QpSolver]:
+    """For the QP of the chosen form, and for the slack form; the slack and the full form are semidefinite."""
+    choice, settings = options.solver, options.solver_settings
+    if choice == "auto" and settings is None:
+        choice = default_solver(strictly_convex=options.form == "condensed")
+    solver = make_solver(choice, settings)
+    if not solver.strictly_convex_only:
+        return solver, make_solver(choice, settings)
+    if options.form != "condensed":
+        raise InvalidInputError(
+            f"form '{options.form}' with solver '{solver.name}', which takes strictly convex QPs only",
+            "QPOptions",
+            "Take form 'condensed', or a solver such as 'daqp'.",
+        )
+    return solver, make_solver(default_solver(strictly_convex=False))
+
+
+#: A row of the box (a joint) or, from nv on, a further row; and the side on which it binds: 1 above, −1 below.
+Active = tuple[int, float]
+
+
 @dataclass(eq=False)
 class StepAnswer:
     """Joint velocities inside the box, and what was given up for them; see :class:`GivenUp`."""
@@ -71,12 +92,11 @@ class StepAnswer:
     path_share: float = 1.0
     off_path: Array = field(default_factory=lambda: _ZERO6)
     chain: float = 0.0
-    binding: tuple[BindingLimit, ...] = ()
+    active: tuple[Active, ...] = ()
     report: SolverReport = NO_SOLVE
     braked: bool = False
     exact: bool = False
     reason: str = ""
-    correction: Array = field(default_factory=lambda: _ZERO6)
 
 
 @final
@@ -86,23 +106,28 @@ class StepSolver:
     def __init__(self, chain: Chain, box: VelocityBox, options: QPOptions) -> None:
         self._chain, self._box, self._options = chain, box, options
         self.program = StepProgram(chain, options.weights)
-        self._solver = make_solver(options.solver, options.solver_settings)
-        self._slack_solver = make_solver(options.solver, options.solver_settings)
+        self._solver, self._slack_solver = _make_solvers(options)
+        self.name = self._solver.name
 
     def reset(self) -> None:
         """Forget warm starts."""
         self._solver.reset()
         self._slack_solver.reset()
 
-    def answer(self, terms: StepTerms, v_prev: Array, h: float) -> StepAnswer:
+    def answer(self, terms: StepTerms, v_prev: Array, h: float, further: Rows) -> StepAnswer:
         """The best admissible command; never fails."""
         box = self._box
-        pieces = self.program.pieces(terms)
-        if self._options.shortcut and not box.outside.any():
-            found = self._on_path(terms, pieces, v_prev, h)
+        inside = self._options.shortcut and not box.any_outside
+        if inside and not self._chain.singular:
+            found = self._nominal(terms, further)
             if found is not None:
                 return found
-        solved, report = self._solve(terms, pieces)
+        pieces = self.program.pieces(terms)
+        if inside:
+            found = self._on_path(terms, pieces, further)
+            if found is not None:
+                return found
+        solved, report = self._solve(terms, pieces, further)
         if solved is None:
             return self._brake(terms, v_prev, h, report)
         return StepAnswer(
@@ -112,103 +137,87 @@ class StepSolver:
             solved.path_share,
             solved.off_path,
             solved.chain,
-            self._active(solved.velocity, v_prev, h),
+            self._active(solved.velocity, further),
             report,
         )
 
-    def settle(self, ws: Workspace, outside: int, cap: float, v_prev: Array, h: float) -> StepAnswer | None:
-        """The answer of the condensed QP that a kernel has filled in; None if there is none to be believed.
+    def solve_filled(
+        self, base: Array, columns: Array, unit: Array, cap: float, further: Rows
+    ) -> tuple[Array | None, SolverReport]:
+        """x of the condensed QP that the core has filled in, in the core's units; None if it is not to be believed."""
+        problem = self.program.fill(base, columns, self._box, further)
+        self.program.set_bounds(6, cap)
+        solution = _ask(self._solver, problem)
+        if not solution.usable and further.soft.any():
+            problem = self.program.fill(base, columns, self._box, further, relax=True)
+            self.program.set_bounds(6, cap)
+            solution = _ask(self._solver, problem)
+        return (solution.x[: unit.size] if solution.usable else None), self._report(solution, self._solver)
 
-        Args:
-            ws: the kernel's workspace; the errors foreseen for the next step come out in it.
-            outside: joints outside their limits, as the kernel's ``rows`` counted them.
-            cap: largest rate.
-            v_prev, h: velocity of the previous step (nv,), length of this one [s].
-        """
-        qp, unit = self._filled(ws, outside, cap), ws.unit
-        solution = _ask(self._solver, qp.problem)
-        if not solution.usable:
+    def _nominal(self, terms: StepTerms, further: Rows) -> StepAnswer | None:
+        """Full corrections at the cap, if that is admissible."""
+        chain, box, cap = self._chain, self._box, terms.rate_cap
+        v = chain.joint_velocities(terms.twists(cap), np.zeros(chain.nv))
+        if terms.null_along is not None:
+            v += cap * terms.null_along
+        if terms.null_offset is not None:
+            v += terms.null_offset
+        clipped = np.clip(v, box.lower, box.upper)
+        if not np.abs(v - clipped).max() <= LIMIT_TOLERANCE or not _keeps(further, v, LIMIT_TOLERANCE):
             return None
-        x = solution.x[: unit.size]
-        found = np.dot(ws.columns, x)
-        found += ws.base
-        v = np.maximum(found, ws.lower)
-        np.minimum(v, ws.upper, out=v)
-        excess = np.abs(found - v)
-        if not excess[excess.argmax()] <= RESIDUE_TOLERANCE:
-            return None
-        x = x[:9] * unit[:9]
-        off_path = x[:6]
-        late, grasp_lost, path_lost = x[6:].tolist()
-        drift = off_path + (1.0 - path_lost) * ws.path + ws.offsets
-        drift += (1.0 - grasp_lost) * ws.grasp
-        drift *= h
-        np.add(ws.errors, drift, out=ws.predicted)
-        ws.scalars[ws.HAS_PREDICTED], ws.scalars[ws.LAST_DT] = 1.0, h
-        return StepAnswer(
-            v,
-            cap - late,
-            1.0 - grasp_lost,
-            1.0 - path_lost,
-            off_path,
-            0.0,
-            self._active(found, v_prev, h),
-            self._report(solution),
-            correction=ws.path,
-        )
+        return StepAnswer(clipped, cap, exact=True)
 
-    def _filled(self, ws: Workspace, outside: int, cap: float) -> CondensedQp:
-        """The kernel's QP with the bounds of its unknowns; with an unknown and an equality for every joint outside."""
-        qp = ws.qp
-        if outside:
-            qp = self.program.memory(ws.unit.size, outside)
-            qp.take(ws.qp)
-            qp.lead_back(ws.outside[:outside], ws.recovery, self.program.recovery_scale)
-        qp.set_bounds(6, ws.unit[6:9], cap)
-        return qp
-
-    def _on_path(self, terms: StepTerms, pieces: Pieces, v_prev: Array, h: float) -> StepAnswer | None:
+    def _on_path(self, terms: StepTerms, pieces: Pieces, further: Rows) -> StepAnswer | None:
         """Full corrections at the fastest admissible rate, up to the cap; None if no rate will do."""
         box, cap = self._box, terms.rate_cap
-        base = pieces.fixed + pieces.grasp + pieces.path
-        found = rate_interval(base, pieces.along, box.lower, box.upper)
+        base, along, lower, upper = pieces.fixed + pieces.grasp + pieces.path, pieces.along, box.lower, box.upper
+        if len(further):
+            base, along = np.concatenate([base, further.G @ base]), np.concatenate([along, further.G @ along])
+            lower, upper = np.concatenate([lower, further.lower]), np.concatenate([upper, further.upper])
+        found = rate_interval(base, along, lower, upper)
         if found is None:
             return None
-        low, high, j = found
+        low, high, row = found
         if not (high >= max(low, 0.0) and low <= 1.0):
             return None
         rate = max(cap, low)
-        binding: tuple[BindingLimit, ...] = ()
+        active: tuple[Active, ...] = ()
         if high < cap:
             rate = high
-            binding = (box.binding(j, 1.0 if pieces.along[j] > 0.0 else -1.0, v_prev, h),)
-        v = base + rate * pieces.along
+            active = ((row, 1.0 if along[row] > 0.0 else -1.0),)
+        v = (base + rate * along)[: box.lower.size]
         clipped = np.clip(v, box.lower, box.upper)
-        if not np.abs(v - clipped).max() <= 2.0 * LIMIT_TOLERANCE:
+        if not np.abs(v - clipped).max() <= 2.0 * LIMIT_TOLERANCE or not _keeps(further, v, 10.0 * LIMIT_TOLERANCE):
             return None
-        return StepAnswer(clipped, rate, binding=binding, exact=True)
+        return StepAnswer(clipped, rate, active=active, exact=True)
 
-    def _solve(self, terms: StepTerms, pieces: Pieces) -> tuple[Answer | None, SolverReport]:
+    def _solve(self, terms: StepTerms, pieces: Pieces, further: Rows) -> tuple[Answer | None, SolverReport]:
         """The QP of the chosen form; where its chain cannot be kept, the one that lets the chain part."""
         program, box = self.program, self._box
-        if self._options.form == "condensed":
-            problem, base, B = program.condensed(terms, pieces, box)
-            solution = _ask(self._solver, problem)
-            answer = program.read_condensed(solution.x, terms, base, B) if solution.usable else None
-        else:
-            problem = program.full(terms, box)
-            solution = _ask(self._solver, problem)
-            answer = program.read_full(solution.x, terms) if solution.usable else None
-        if answer is not None and self._believable(answer.velocity):
-            return answer, self._report(solution)
-        problem = program.full(terms, box, slack=True)
+        for relax in (False, True) if further.soft.any() else (False,):
+            if self._options.form == "condensed":
+                problem, base, B = program.condensed(terms, pieces, box, further, relax=relax)
+                solution = _ask(self._solver, problem)
+                answer = program.read_condensed(solution.x, terms, base, B) if solution.usable else None
+            elif not relax:
+                problem = program.full(terms, box, further)
+                solution = _ask(self._solver, problem)
+                answer = program.read_full(solution.x, terms) if solution.usable else None
+            if answer is not None and self._believable(answer.velocity):
+                return answer, self._report(solution, self._solver)
+        problem = program.full(terms, box, further, slack=True)
+        shared = self._slack_solver is self._solver
+        if shared:
+            self._solver.reset()
         relaxed = _ask(self._slack_solver, problem)
         if not relaxed.usable:
             # Without a cost of their own the joint velocities defeat some solvers near a singularity.
             joints = range(self._chain.nv)
             problem.H[joints, joints] += _CALM
             relaxed = _ask(self._slack_solver, problem)
-        report = self._report(relaxed)
+        if shared:
+            self._solver.reset()
+        report = self._report(relaxed, self._slack_solver)
         if not relaxed.usable:
             return None, report
         answer = program.read_full(relaxed.x, terms)
@@ -224,9 +233,10 @@ class StepSolver:
         excess = np.maximum(v - self._box.upper, self._box.lower - v)
         return bool(excess[excess.argmax()] <= RESIDUE_TOLERANCE)
 
-    def _report(self, solution: QpSolution) -> SolverReport:
+    @staticmethod
+    def _report(solution: QpSolution, solver: QpSolver) -> SolverReport:
         return SolverReport(
-            self._solver.name,
+            solver.name,
             solution.status.value,
             solution.iterations,
             solution.violation,
@@ -272,15 +282,27 @@ class StepSolver:
         reach = self._chain.cell.limits.acceleration[moving] * h / speed[moving]
         return float(1.0 - min(reach.min(), 1.0))
 
-    def _active(self, v: Array, v_prev: Array, h: float) -> tuple[BindingLimit, ...]:
-        """Names of the limits that a QP's answer stands at."""
+    def _active(self, v: Array, further: Rows) -> tuple[Active, ...]:
+        """The limits at which a QP's answer stands, and the rows that it had to break."""
         box = self._box
         above, below = v - box.upper, box.lower - v
+        if len(further):
+            Gv = further.G @ v
+            above = np.concatenate([above, Gv - further.upper])
+            below = np.concatenate([below, further.lower - Gv])
         room = np.maximum(above, below)
         if room[room.argmax()] < -_AT_LIMIT:
             return ()
+        broken = np.arange(room.size) >= v.size  # a further row that gave way
         return tuple(
-            box.binding(int(j), sign, v_prev, h)
+            (int(row), sign)
             for sign, excess in ((1.0, above), (-1.0, below))
-            for j in np.flatnonzero(np.abs(excess) <= _AT_LIMIT)
+            for row in np.flatnonzero((np.abs(excess) <= _AT_LIMIT) | (broken & (excess > 0.0)))
         )
+
+
+def _keeps(further: Rows, v: Array, tolerance: float) -> bool:
+    if not len(further):
+        return True
+    Gv = further.G @ v
+    return bool(((Gv <= further.upper + tolerance) & (Gv >= further.lower - tolerance)).all())

@@ -12,7 +12,7 @@ way: ``C_k Σ w`` is by how much its servos' target hangs behind.
 
 from __future__ import annotations
 
-from typing import final
+from typing import Any, final
 
 import numpy as np
 import pinocchio as pin
@@ -33,6 +33,10 @@ _STILL, _SETTLED = 1e-3, 0.2
 _UNBALANCED = 0.3
 #: Cosine between the way back that the total asks of an arm and its motion, from which on it is taken for the cause.
 _STRAIGHT_BACK = 0.95
+
+
+#: Attributes that never change.
+_FIXED = ("_cell", "_chain", "_softness", "_delay", "_filter_time")
 
 
 @final
@@ -64,6 +68,14 @@ class StressWatch:
         self._last: Array | None = None
         self._rest = 0.0
 
+    def memory(self) -> dict[str, Any]:
+        """What a copy of this watch goes on from."""
+        return {name: value for name, value in vars(self).items() if name not in _FIXED}
+
+    def restore(self, memory: dict[str, Any]) -> None:
+        """Go on from a copy of what :meth:`memory` returned."""
+        vars(self).update(memory)
+
     def read(self, measured: Array, commanded: Array, dt: float) -> None:
         """Take one sample: configurations at the same time (nq,), ``dt`` seconds after the last ones."""
         model, chain = self._cell.model, self._chain
@@ -72,11 +84,8 @@ class StressWatch:
         self._last = commanded
         off = pin.difference(model, measured, commanded) - self._delay * velocity
         self._deflection += (1.0 - keep) * (off - self._deflection)
-        O = chain.carried(measured)
-        chain.evaluate(measured)
-        at_object = np.asarray(pin.SE3(np.eye(3), O[0, 3].copy()).inverse().action)
-        C = at_object @ chain.compliances(self._softness) @ at_object.T
-        bent = chain.twists(self._deflection) @ at_object.T
+        chain.evaluate(measured, about=chain.carried(measured)[0, 3].copy())
+        C, bent = chain.compliances(self._softness), chain.twists(self._deflection)
         wrenches = np.linalg.solve(C + _STRUCTURE * np.eye(6), bent[:, :, None])[:, :, 0]
         self.forces = np.linalg.norm(wrenches[:, :3], axis=1)
         self.behind = -1
@@ -86,7 +95,7 @@ class StressWatch:
         self._rest += dt
         total = wrenches.sum(axis=0)
         if self._rest > _SETTLED and np.linalg.norm(total[:3]) > _UNBALANCED * self.forces.max():
-            back, way = C @ total, chain.twists(self._way) @ at_object.T * _SCALE
+            back, way = C @ total, chain.twists(self._way) * _SCALE
             size = np.linalg.norm(back * _SCALE, axis=1) * np.linalg.norm(way, axis=1)
             straight = np.einsum("ij,ij->i", back * _SCALE, way) / np.maximum(size, 1e-300)
             k = int(straight.argmax())

@@ -13,12 +13,14 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from coopqp.checks import NOT_NUMBERS, as_count, as_floats, as_scalar, as_vector, keep_scalars
 from coopqp.control.drift import Drift
 from coopqp.control.stress_watch import StressWatch
 from coopqp.errors import InvalidInputError
 from coopqp.model.cell import RobotCell
+from coopqp.model.chain import moving_columns
 from coopqp.model.grasp import Grasp
 from coopqp.spatial import Array, skew
 
@@ -36,7 +38,7 @@ class SupervisionOptions:
             the model has them: slowly, as much at rest as in motion. Beyond it, or with 0, a drift counts as well [m].
         noise_margin: so many root mean squares of the noise, as seen in the measurements, are added.
         recovery_time: a slowed object is let go again at such a pace that it takes this long from rest [s].
-        fault_from: distance at which the controller latches a fault [m].
+        fault_from: distance at which the controller latches a fault, in two samples in a row [m].
         stall_samples: an arm that in so many samples moves less than ``stall_share`` of its command, while another
             follows its own, has stalled (once a joint is 0.5 mrad or 0.5 mm from its command).
         stall_share: see ``stall_samples``.
@@ -112,6 +114,17 @@ class Watch:
     arm: int = -1
     reason: str = ""
 
+    @staticmethod
+    def holding(reason: str, *, fault: bool = False) -> Watch:
+        """The arms hold."""
+        return Watch(rate_cap=0.0, hold=True, fault=fault, reason=reason)
+
+    def lower(self, seen: Watch) -> None:
+        """Take what was seen besides, if it says more."""
+        if seen.rate_cap < self.rate_cap or seen.fault:
+            self.rate_cap, self.hold, self.fault = seen.rate_cap, seen.hold, seen.fault
+            self.arm, self.reason = seen.arm, seen.reason
+
 
 #: Samples that are kept at most, to see an arm stall in.
 _MOST_SAMPLES = 10_000
@@ -127,12 +140,21 @@ _CIRCLE_TOLERANCE = 0.05
 _LET_GO = 0.5
 #: Grasps closer to their centre than this count as so far away [m].
 _LEAST_REACH = 0.1
+#: A fault needs as many samples in a row.
+_FAULT_SAMPLES = 2
 #: An arm whose samples stay the same is taken to have lost them for so many in a row; then it stands.
 _MOST_LOST = 3
 #: Noise is averaged over this time [s].
 _NOISE_TIME = 0.2
 #: Fewer samples than this tell nothing of the noise.
 _FEW_SAMPLES = 4
+
+
+#: Attributes of a Supervision that never change.
+_FIXED = (
+    "_cell", "_options", "_stress", "_turning", "_from_others", "_starts", "_moving", "_at_grasps", "_numbers",
+    "_first_numbers",
+)  # fmt: skip
 
 
 class Supervision:
@@ -142,22 +164,28 @@ class Supervision:
         self._cell, self._options = cell, options
         self._stress = _stress_watch(cell, grasp, options)
         self._pressed = False
-        self._turning = cell.position_index[cell.continuous]
+        self._turning = np.flatnonzero(cell.continuous)
         n = len(cell)
         #: Takes what the arms do to how far each is from the mean of the others.
         self._from_others = (np.eye(n) - 1.0 / n) * (n / max(n - 1.0, 1.0))
-        self._moves = np.zeros((3, cell.nq))
-        self._at_grasps = _at_grasps(grasp)
+        columns = moving_columns(cell)
+        self._starts = np.cumsum([0, *(len(c) for c in columns[:-1])]).tolist()
+        #: The joints that move the tools, arm by arm.
+        self._moving = np.concatenate(columns)
+        self._moves = np.zeros((3, len(self._moving)))
+        self._at_grasps = grasp_lengths(grasp)
         self._deviation, self._away, self._step = (np.zeros((n, 6)) for _ in range(3))
         self._noise, self._samples, self._cap, self._arm = np.zeros(n), 0.0, 1.0, -1
         self._stalled = np.zeros(n, dtype=bool)
         self._widest = np.zeros(n)
-        self._starts = [q.start for q in cell.q_slices]
+        self._numbers, self._first_numbers = _numbers_of(cell, columns)
+        self._told: Array | None = None
         self._past: deque[tuple[Array, Array]] = deque(maxlen=1 + (options.stall_samples or 1))
         self._silence = 0.0
         self._drift = Drift(n, options.let_in)
         self._seen: Array | None = None
         self._lost = np.zeros(n, dtype=int)
+        self._far = 0
 
     def reset(self) -> None:
         """Forget."""
@@ -165,14 +193,27 @@ class Supervision:
         self._noise[:] = 0.0
         self._samples, self._cap, self._arm = 0.0, 1.0, -1
         self._stalled[:] = False
+        self._widest[:] = 0.0
         self._past.clear()
-        self._silence = 0.0
+        self._silence, self._told, self._far = 0.0, None, 0
         self._drift.reset()
         self._seen = None
         self._lost[:] = 0
         self._pressed = False
         if self._stress is not None:
             self._stress.reset()
+
+    def memory(self) -> dict[str, Any]:
+        """What a copy of this watch goes on from."""
+        own = {name: value for name, value in vars(self).items() if name not in _FIXED}
+        return own | {"stress": None if self._stress is None else self._stress.memory()}
+
+    def restore(self, memory: dict[str, Any]) -> None:
+        """Go on from a copy of what :meth:`memory` returned."""
+        stress = memory.pop("stress")
+        vars(self).update(memory)
+        if self._stress is not None:
+            self._stress.restore(stress)
 
     def accept_dt(self, dt: Any, nominal: float) -> str:
         """Empty, or why ``dt`` is not accepted."""
@@ -185,27 +226,39 @@ class Supervision:
 
     def accept_measurement(self, q: Any, q_command: Array) -> tuple[Array, str]:
         """The measured configuration as an array, and why it is not believed (empty if it is)."""
-        try:
-            measured = q if type(q) is np.ndarray and q.dtype == np.float64 else as_floats(q)
-        except NOT_NUMBERS:
-            return q_command, f"q_measured is {type(q).__name__}, not {self._cell.nq} numbers"
-        if measured.shape != (self._cell.nq,):
-            return q_command, f"q_measured must have shape ({self._cell.nq},), got {measured.shape}"
-        away = np.abs(measured - q_command)
-        worst = int(away.argmax())  # NaN wins
+        measured, trouble = as_configuration(self._cell, q)
+        if measured is None:
+            return q_command, trouble
+        away = measured - q_command
+        worst = int(np.abs(away).argmax())  # NaN wins
         if not np.isfinite(away[worst]):
             return q_command, f"q_measured[{worst}] is {measured[worst]}"
-        for i in self._turning:
+        for i in self._cell.position_index[self._turning]:
             radius = float(np.hypot(measured[i], measured[i + 1]))
             if abs(radius - 1.0) > _CIRCLE_TOLERANCE:
                 return q_command, f"q_measured[{i}] and [{i + 1}] are no cosine and sine (norm {radius:.3g})"
             if radius != 1.0:
                 measured = measured.copy() if measured is q else measured  # the caller's array stays as it is
                 measured[i : i + 2] /= radius
-        if away[worst] > self._options.joint_jump:
-            joint = self._cell.joint_names[int(np.searchsorted(self._cell.position_index, worst, side="right")) - 1]
-            return q_command, f"joint {joint} is measured {away[worst]:.3g} rad (or m) from its command"
+        if self._turning.size:
+            told = self._cell.positions(q_command)
+            away = self._positions(measured, told) - told
+            worst = int(np.abs(away).argmax())
+        if abs(away[worst]) > self._options.joint_jump:
+            joint = self._cell.joint_names[worst]
+            return q_command, f"joint {joint} is measured {abs(away[worst]):.3g} rad (or m) from its command"
         return measured, ""
+
+    def _positions(self, q: Array, near: Array | None) -> Array:
+        """One position per joint (nv,) [rad or m]; those of continuous joints within half a turn of ``near`` (nv,)."""
+        if not self._turning.size:
+            return q
+        x = self._cell.positions(q)
+        if near is None:
+            return x
+        turns = np.round((near[self._turning] - x[self._turning]) / (2.0 * np.pi))
+        x[self._turning] += 2.0 * np.pi * turns
+        return x
 
     def watch(self, measured: Array, commanded: Array, away: Array, dt: float) -> Watch:
         """Compare one sample.
@@ -216,35 +269,41 @@ class Supervision:
             dt: time since the last sample [s].
         """
         o, result = self._options, Watch()
+        told = self._told = self._positions(commanded, self._told)
+        found = self._positions(measured, told)
         if len(away) > 1 and o.slow_from is not None:
             away = away @ self._at_grasps
-            self._keep_where_lost(measured, away)
-            self._watch_distances(commanded, away, dt, result)
+            lost = self._keep_where_lost(measured, away)
+            self._watch_distances(told, away, lost, dt, result)
         if o.stall_samples is not None:
-            self._watch_stall(measured, commanded, dt, result)
+            self._watch_stall(found, told, dt, result)
         if self._stress is not None:
             self._watch_stress(self._stress, measured, commanded, dt, result)
         if o.recovery_time > 0.0:
             allowed = self._cap + dt / o.recovery_time
             if allowed < result.rate_cap:
-                result.rate_cap, result.arm = allowed, self._arm
-                result.reason = result.reason or f"arm {self._cell.arm_names[self._arm]} was out of step"
+                result.rate_cap = allowed
+                if not result.reason:
+                    result.arm, result.reason = self._arm, f"arm {self._cell.arm_names[self._arm]} was out of step"
             self._cap, self._arm = result.rate_cap, result.arm
         return result
 
-    def _keep_where_lost(self, measured: Array, away: Array) -> None:
-        """A sample of an arm that is that of before, to the last bit, says nothing: the distance is that of before."""
-        if self._seen is not None:
-            same = ~np.logical_or.reduceat(measured != self._seen, self._starts)
-            if same.any():
-                self._lost = np.where(same, self._lost + 1, 0)
-                lost = same & (self._lost <= _MOST_LOST)
-                away[lost] = self._away[lost]
-            else:
-                self._lost[:] = 0
-        self._seen = measured.copy()
+    def _keep_where_lost(self, measured: Array, away: Array) -> npt.NDArray[np.bool_]:
+        """An arm whose numbers are those of the sample before, to the last bit, has lost this one (N,).
 
-    def _watch_distances(self, commanded: Array, away: Array, dt: float, result: Watch) -> None:
+        Its distance stays as it was.
+        """
+        numbers = measured[self._numbers]
+        lost = np.zeros(len(away), dtype=bool)
+        if self._seen is not None:
+            same = ~np.logical_or.reduceat(numbers != self._seen, self._first_numbers)
+            self._lost = np.where(same, self._lost + 1, 0)
+            lost = same & (self._lost <= _MOST_LOST)
+            away[lost] = self._away[lost]
+        self._seen = numbers
+        return lost
+
+    def _watch_distances(self, told: Array, away: Array, lost: npt.NDArray[np.bool_], dt: float, result: Watch) -> None:
         """How far each arm, as far as it is not as commanded, is from the mean of the others."""
         o = self._options
         assert o.slow_from is not None
@@ -254,7 +313,8 @@ class Supervision:
         noise = share * self._noise_seen(away, dt)
         apart = out_of_step = self._from_others @ self._deviation
         if o.let_in > 0.0:
-            out_of_step = self._drift.without(apart, noise, commanded, dt)
+            out_of_step = self._drift.without(apart, noise, told, dt)
+        self._count_far(away, self._from_others @ away - (apart - out_of_step), lost)
         spread = np.einsum("ij,ij->i", out_of_step, out_of_step)
         worst = math.sqrt(spread.max()) - o.noise_margin * noise
         if worst <= o.slow_from or self._samples < _FEW_SAMPLES:
@@ -263,9 +323,19 @@ class Supervision:
         # Of arms equally far from the others, as two arms always are, the one that is not where it should be.
         own = np.where(spread >= 0.99 * spread.max(), np.einsum("ij,ij->i", self._deviation, self._deviation), -1.0)
         arm = result.arm = int(own.argmax())
-        result.hold, result.fault = worst >= o.hold_from, worst >= o.fault_from
+        result.hold = worst >= o.hold_from
+        result.fault = worst >= o.fault_from and self._far >= _FAULT_SAMPLES
         result.rate_cap = 0.0 if result.hold else (o.hold_from - worst) / (o.hold_from - o.slow_from)
         result.reason = f"arm {self._cell.arm_names[arm]} is {1e3 * spread[arm]:.2f} mm out of step with the others"
+
+    def _count_far(self, away: Array, unfiltered: Array, lost: npt.NDArray[np.bool_]) -> None:
+        """Count the samples in a row in which an arm is as far from the others as a fault needs.
+
+        A sample that the arm farthest from its command has lost says nothing.
+        """
+        if not lost[np.einsum("ij,ij->i", away, away).argmax()]:
+            far = np.einsum("ij,ij->i", unfiltered, unfiltered).max() >= self._options.fault_from**2
+            self._far = self._far + 1 if far else 0
 
     def _noise_seen(self, away: Array, dt: float) -> float:
         """The noise in unfiltered deviations [m, rms], from their second differences, which motion hardly has."""
@@ -278,10 +348,11 @@ class Supervision:
             self._noise += (np.einsum("ij,ij->i", bend, bend) - self._noise) / max(self._samples - 2.0, 1.0)
         return math.sqrt(self._noise.max() / 6.0)
 
-    def _watch_stall(self, measured: Array, commanded: Array, dt: float, result: Watch) -> None:
+    def _watch_stall(self, found: Array, told: Array, dt: float, result: Watch) -> None:
         """An arm that stands while another follows has stalled; where none follows, signals may just be late."""
         o, past = self._options, self._past
-        past.append((measured.copy(), commanded))
+        measured, commanded = found[self._moving], told[self._moving]
+        past.append((measured, commanded))
         before, moves = past[0], self._moves
         np.subtract(commanded, before[1], out=moves[0])
         np.subtract(measured, before[0], out=moves[1])
@@ -329,7 +400,27 @@ class Supervision:
             )
 
 
-def _at_grasps(grasp: Grasp) -> Array:
+def _numbers_of(cell: RobotCell, columns: list[npt.NDArray[np.intp]]) -> tuple[npt.NDArray[np.intp], list[int]]:
+    """Where in a configuration the numbers of the joints that move each arm's tool stand; where each arm's begin."""
+    numbers = []
+    for own in columns:
+        index = [[i, i + 1] if cell.continuous[j] else [i] for j, i in zip(own, cell.position_index[own], strict=True)]
+        numbers.append(np.concatenate(index).astype(np.intp))
+    return np.concatenate(numbers), np.cumsum([0, *(len(n) for n in numbers[:-1])]).tolist()
+
+
+def as_configuration(cell: RobotCell, q: Any) -> tuple[Array | None, str]:
+    """A measured configuration as an array (nq,), or None and what is wrong with its type or shape."""
+    try:
+        measured = q if type(q) is np.ndarray and q.dtype == np.float64 else as_floats(q)
+    except NOT_NUMBERS:
+        return None, f"q_measured is {type(q).__name__}, not {cell.nq} numbers"
+    if measured.shape != (cell.nq,):
+        return None, f"q_measured must have shape ({cell.nq},), got {measured.shape}"
+    return np.ascontiguousarray(measured), ""
+
+
+def grasp_lengths(grasp: Grasp) -> Array:
     """Takes displacements of the object (…, 6) [m, rad] to lengths at the grasps (…, 6) [m].
 
     The first three are the displacement of the grasps' centre, the others the turn times their largest distance from

@@ -1,4 +1,4 @@
-"""Recordings for other programs: a CSV table, and a ROS 2 bag (MCAP) of joint states and trajectories."""
+"""Exports of recordings: a CSV table, and a ROS 2 bag (MCAP) with joint states and trajectories."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _READINGS = ("eps_p_mm", "eps_o_deg", "chain_mm", "chain_deg", "object_mm", "obj
 
 
 def joint_table(cell: RobotCell, recording: Recording) -> tuple[Array, Array]:
-    """Measured and commanded joint positions, each (T+1, nv) [rad or m]; continuous joints in (−π, π]."""
+    """Measured and commanded joint positions, (T+1, nv) each [rad or m]; continuous joints in (−π, π]."""
     check_recording(cell, recording)
     return (
         np.array([cell.positions(q) for q in recording.q]),
@@ -35,18 +35,18 @@ def joint_table(cell: RobotCell, recording: Recording) -> tuple[Array, Array]:
 
 
 def csv_text(recording: Recording, *, cell: RobotCell | None = None) -> str:
-    """A run as CSV: a row per sample, every number with all its digits.
+    """A run as CSV: one row per sample, numbers with all digits.
 
     Columns: time and the object's clock; rate, status and binding limits of the step that starts at the sample (empty
-    at the last); measured position, commanded position and commanded velocity of every joint; the path's pose
+    in the last row); measured position, commanded position and commanded velocity of every joint; the path's pose
     (position, quaternion); the errors of :class:`coopqp.simulation.assessment.Readings`. Units are in the names.
 
     Args:
         recording: the run.
-        cell: its cell; by default read from the recording.
+        cell: cell of the run; by default read from the recording.
 
     Raises:
-        SceneError: no cell given, and the recording does not tell.
+        SceneError: no cell is given and the recording does not describe one.
     """
     cell = read_cell(recording.metadata, shapes=False) if cell is None else cell
     readings = read_run(cell, recording)
@@ -97,10 +97,11 @@ def _rows(cell: RobotCell, recording: Recording, readings: Readings) -> Iterator
 
 
 def write_csv(recording: Recording, path: str | Path, *, cell: RobotCell | None = None) -> Path:
-    """Write :func:`csv_text`, whole or not at all.
+    """Write :func:`csv_text` to a file, atomically.
 
     Raises:
-        OutputError: the file cannot be written. SceneError: as :func:`csv_text`.
+        OutputError: the file cannot be written.
+        SceneError: as in :func:`csv_text`.
     """
     file = Path(path)
     write_files({file: csv_text(recording, cell=cell).encode()})
@@ -108,9 +109,9 @@ def write_csv(recording: Recording, path: str | Path, *, cell: RobotCell | None 
 
 
 def knot_velocities(recording: Recording) -> Array:
-    """Velocity at each sample (T+1, nv) [rad/s or m/s]: the mean of the steps on both sides, 0 at both ends.
+    """Velocity at each sample (T+1, nv) [rad/s or m/s]: the mean of the steps before and after it, 0 at both ends.
 
-    What a trajectory controller wants that interpolates between points.
+    Trajectory controllers that interpolate between points need these velocities.
     """
     v = np.zeros((recording.n_steps + 1, recording.velocity.shape[1]))
     v[1:-1] = 0.5 * (recording.velocity[:-1] + recording.velocity[1:])
@@ -118,23 +119,23 @@ def knot_velocities(recording: Recording) -> Array:
 
 
 def write_bag(recording: Recording, folder: str | Path, *, cell: RobotCell | None = None, start: float = 0.0) -> Path:
-    """Write a ROS 2 bag in MCAP, whole or not at all.
+    """Write a ROS 2 bag in MCAP, atomically.
 
     Topics: ``/joint_states`` and ``/joint_commands`` (``sensor_msgs/JointState``, measured and commanded, with the
     velocities of :func:`knot_velocities`), ``/<arm>/joint_trajectory`` (``trajectory_msgs/JointTrajectory``, one
-    message with the whole command, stamped 0: "start now"; continuous joints without jumps) and ``/object_path``
-    (``geometry_msgs/PoseStamped``). Joints are named ``arm/joint``.
+    message with the whole command; the stamp 0 means "start now"; continuous joints without jumps) and ``/object_path``
+    (``geometry_msgs/PoseStamped``). Joints have the names ``arm/joint``.
 
     Args:
         recording: the run.
-        folder: the bag's folder; it must not exist yet.
-        cell: the run's cell; by default read from the recording.
+        folder: folder of the bag; it must not exist.
+        cell: cell of the run; by default read from the recording.
         start: time of the first sample [s since the epoch].
 
     Raises:
-        OutputError: the folder exists, or cannot be written.
+        OutputError: the folder exists or cannot be written.
         InvalidInputError: a negative start.
-        SceneError: no cell given, and the recording does not tell.
+        SceneError: no cell is given and the recording does not describe one.
         MissingExtraError: rosbags is not installed.
     """
     try:
@@ -170,7 +171,7 @@ def write_bag(recording: Recording, folder: str | Path, *, cell: RobotCell | Non
 
 
 def _rename_inside(folder: Path, name: str) -> None:
-    """Name the storage file in a bag after the bag, also where its metadata point to it."""
+    """Rename the storage file of a bag to the bag's name, also in the bag's metadata."""
     (storage,) = folder.glob("*.mcap")
     metadata = folder / "metadata.yaml"
     metadata.write_text(metadata.read_text().replace(storage.name, f"{name}.mcap"))
@@ -178,7 +179,7 @@ def _rename_inside(folder: Path, name: str) -> None:
 
 
 class _Messages:
-    """The messages of a bag, in the order of their times."""
+    """The messages of a bag, in the order of time."""
 
     def __init__(self, store: Any, cell: RobotCell, recording: Recording, start: float) -> None:
         self.store, self._cell, self._recording = store, cell, recording
@@ -187,7 +188,7 @@ class _Messages:
         self._measured, self._commanded = joint_table(cell, recording)
         self._velocities = knot_velocities(recording)
         turning = cell.continuous
-        self._trajectory = self._commanded.copy()  # a controller must not go back by a turn
+        self._trajectory = self._commanded.copy()  # without jumps of a full turn
         self._trajectory[:, turning] = np.unwrap(self._commanded[:, turning], axis=0)
 
     def all(self) -> Iterator[tuple[int, str, Any]]:
@@ -254,6 +255,6 @@ class _Messages:
 
 
 def topic_name(arm: str) -> str:
-    """An arm's name as ROS allows it in a topic: letters, digits and underscores, no digit first."""
+    """An arm's name as a valid ROS topic: letters, digits and underscores, no digit first."""
     plain = re.sub(r"\W", "_", arm, flags=re.ASCII)
     return f"_{plain}" if plain[:1].isdigit() else plain

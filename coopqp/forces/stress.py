@@ -1,14 +1,14 @@
-"""Internal stress without a sensor: what the arms press into the object, from joint positions and servo stiffness.
+"""Internal stress without a force sensor, from joint positions and servo stiffness.
 
-A commanded configuration that does not fit the grasp bends the servos, not the object. With the servo stiffness
-``Kp`` (diagonal, per joint) the object as arm k carries it gives way by ``C_k = A_k Kp⁻¹ A_kᵀ`` per unit of wrench,
-so the object settles at ``ō`` where the wrenches ``w_k = K_k (e_k − ō)``, ``K_k = C_k⁻¹``, cancel. This is what
-:meth:`StressModel.estimate` computes, from commands alone. It is a static model: while the stress changes, what the
-servos' velocity gain adds is left out. :meth:`StressModel.from_servos` reads the stress from the servo deflection
-instead, ``A_k⁻ᵀ Kp (q_cmd − q_meas)``, :meth:`StressModel.from_torques` from joint torques.
+A commanded configuration that does not fit the grasp deflects the servos; the object stays rigid. With the servo
+stiffness ``Kp`` (diagonal, per joint), arm k lets the object yield by ``C_k = A_k Kp⁻¹ A_kᵀ`` per unit of wrench. The
+object settles at ``ō``, where the wrenches ``w_k = K_k (e_k − ō)`` with ``K_k = C_k⁻¹`` cancel.
+:meth:`StressModel.estimate` computes them from the commands only. The model is static: it omits the forces of the
+servos' velocity gain while the stress changes. :meth:`StressModel.from_servos` reads the stress from the servo
+deflection, ``A_k⁻ᵀ Kp (q_cmd − q_meas)``, and :meth:`StressModel.from_torques` from joint torques.
 
-Wrenches are ``[force; torque]`` [N, N·m], what arm k does to the object, at the origin and in the axes of the object
-frame; :func:`at_tools` carries them to the tools. Units of the stiffness: N·m/rad (revolute), N/m (prismatic).
+Wrenches are ``[force; torque]`` [N, N·m] of arm k on the object, at the origin and in the axes of the object frame.
+:func:`at_tools` transforms them to the tools. Units of the stiffness: N·m/rad (revolute), N/m (prismatic).
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from coopqp.model.grasp import Grasp
 from coopqp.model.state import CellState
 from coopqp.spatial import Array, Placement, as_placement
 
-#: A compliance worse conditioned than this is not inverted: the arm is near a singularity, or has few joints.
+#: Largest condition number of an invertible compliance. Beyond it the arm is near a singularity or has few joints.
 _LARGEST_CONDITION = 1e10
 
 
@@ -35,10 +35,10 @@ class InternalStress:
     """An estimate of the wrenches that cancel within the object.
 
     Attributes:
-        wrenches: w_k, (N, 6) [N, N·m], of each arm on the object, in the object frame; they sum to zero.
-        errors: e_k, (N, 6) [m, rad]: where arm k would carry the object, from where the first arm would; in the
-            object frame. (Only differences count, so any common reference serves.)
-        settled: ō, (6,) [m, rad]: where the object settles between them, likewise.
+        wrenches: w_k, the wrench of each arm on the object in the object frame (N, 6) [N, N·m]; their sum is zero.
+        errors: e_k, the object pose of arm k relative to the object pose of the first arm, in the object frame (N, 6)
+            [m, rad]. Only differences matter: any common reference gives the same wrenches.
+        settled: ō, the settled object pose relative to the object pose of the first arm (6,) [m, rad].
     """
 
     wrenches: Array
@@ -47,7 +47,7 @@ class InternalStress:
 
     @property
     def forces(self) -> Array:
-        """Size of the force at each grasp, (N,) [N]."""
+        """Magnitude of the force at each grasp (N,) [N]."""
         return np.asarray(np.linalg.norm(self.wrenches[:, :3], axis=1))
 
     @property
@@ -58,15 +58,15 @@ class InternalStress:
 
 @final
 class StressModel:
-    """Elastic model of the closed chain: stiff object and links, compliant servos.
+    """Elastic model of the closed chain: rigid object and links, compliant servos.
 
     Args:
         cell: the arms.
-        grasp: where they hold the object.
+        grasp: the grasp.
         stiffness: Kp of the joint servos [N·m/rad or N/m], a scalar or one number per joint (nv,), > 0.
 
     Raises:
-        InvalidInputError: a bad stiffness, or a grasp of another number of arms.
+        InvalidInputError: a bad stiffness, or a grasp with another number of arms.
     """
 
     def __init__(self, cell: RobotCell, grasp: Grasp, *, stiffness: Any) -> None:
@@ -75,12 +75,11 @@ class StressModel:
         self.stiffness = _per_joint(stiffness, cell.nv, "StressModel: stiffness")
 
     def estimate(self, q_command: Any, *, T_world_object: Placement | None = None) -> InternalStress:
-        """Stress that a commanded configuration (nq,) builds up.
+        """Estimate the stress that a commanded configuration builds up.
 
         Args:
-            q_command: commanded configuration.
-            T_world_object: frame R that errors and wrenches are given in; where the first arm carries the object by
-                default.
+            q_command: commanded configuration (nq,).
+            T_world_object: frame R of the errors and wrenches; by default the object pose of the first arm.
 
         Raises:
             InvalidInputError: bad configuration or placement.
@@ -88,7 +87,7 @@ class StressModel:
         state = CellState(self.cell, q_command)
         O = self.grasp.carried(state)
         R = O[0] if T_world_object is None else as_placement(T_world_object, "StressModel: T_world_object")
-        to_R = R.actInv(O[0]).action  # errors from O₀, where they are small, then carried to R
+        to_R = R.actInv(O[0]).action  # errors relative to O₀ are small; then transform to R
         errors = np.array([to_R @ pin.log6(O[0].actInv(o)).vector for o in O])
         compliances = []
         for k, s in enumerate(self.cell.v_slices):
@@ -98,14 +97,14 @@ class StressModel:
         return InternalStress(wrenches, errors, settled)
 
     def history(self, q_commands: Any) -> Array:
-        """Wrenches (T, N, 6) along commanded configurations (T, nq); row by row as :meth:`estimate`."""
+        """Wrenches (T, N, 6) along commanded configurations (T, nq), each as in :meth:`estimate`."""
         rows = np.atleast_2d(np.asarray(q_commands, dtype=float))
         return np.array([self.estimate(q).wrenches for q in rows]).reshape(-1, len(self.cell), 6)
 
     def from_servos(self, q_command: Any, q_measured: Any) -> Array:
         """Wrenches (N, 6) of the arms on the object, from servo deflection; see :meth:`from_torques`.
 
-        At rest this is exact. In motion the servos' velocity term is left out: the reading lags by kd/kp.
+        At rest the result is exact. In motion it omits the velocity term of the servos and lags by kd/kp.
 
         Args:
             q_command, q_measured: configurations (nq,) at the same time.
@@ -115,15 +114,15 @@ class StressModel:
         return self.from_torques(measured, self.stiffness * pin.difference(self.cell.model, measured, command))
 
     def from_torques(self, q_measured: Any, torques: Any) -> Array:
-        """Wrenches (N, 6) of the arms on the object that joint torques hold up, in the first arm's object frame.
+        """Wrenches (N, 6) of the arms on the object, from joint torques, in the object frame of the first arm.
 
-        What is fed forward to the servos (gravity of the arms, a share of the load) is to be left out of the torques,
-        and then of the wrenches. An arm with fewer than six joints shows only what its joints feel; with more, the
-        answer is that of least squares.
+        Leave the feed-forward torques (gravity of the arms, shares of the load) out of ``torques``; the wrenches then
+        exclude them, too. An arm with fewer than six joints shows only the components that its joints feel. For an arm
+        with more joints the result is the least-squares solution.
 
         Args:
-            q_measured: configuration (nq,).
-            torques: of the joints (nv,) [N·m or N].
+            q_measured: measured configuration (nq,).
+            torques: joint torques or forces (nv,) [N·m or N].
         """
         state = CellState(self.cell, q_measured)
         torque = as_vector(torques, self.cell.nv, "StressModel.from_torques: torques")
@@ -136,13 +135,13 @@ class StressModel:
         )
 
     def _twist_map(self, state: CellState, k: int, R: pin.SE3) -> Array:
-        """A_k (6, n_k): joint velocities of arm k to the twist of the object it carries, in the frame R."""
+        """A_k (6, n_k): maps the joint velocities of arm k to the object twist in the frame R."""
         A: Array = R.actInv(state.T_world_tool[k]).action @ state.jacobian(k)
         return A
 
 
 def at_tools(wrenches: Any, grasp: Grasp) -> Array:
-    """Wrenches (N, 6) on the object, given in the object frame, at each tool's origin in the tool's own axes."""
+    """Transform wrenches (N, 6) on the object from the object frame to each tool's origin and axes."""
     w = np.asarray(wrenches, dtype=float)
     if w.shape != (len(grasp), 6):
         raise InvalidInputError(
@@ -158,8 +157,8 @@ def _equilibrium(C: Array, e: Array) -> tuple[Array, Array]:
         K = np.linalg.inv(C)
         settled = np.linalg.solve(K.sum(axis=0), np.einsum("kij,kj->i", K, e))
         return np.einsum("kij,kj->ki", K, e - settled), settled
-    # Some arm is rigid in a direction: solve C_k w_k + ō = e_k, Σ w_k = 0; the least wrench where it is undetermined.
-    unit = float(np.trace(C.sum(axis=0))) / (6 * n)  # so that all entries are of one size
+    # An arm is rigid in some direction: solve C_k w_k + ō = e_k, Σ w_k = 0, with the wrenches of least norm.
+    unit = float(np.trace(C.sum(axis=0))) / (6 * n)  # scales all entries to one magnitude
     M = np.zeros((6 * n + 6, 6 * n + 6))
     for k in range(n):
         rows = slice(6 * k, 6 * k + 6)

@@ -1,1 +1,1 @@
-"""Pictures: plots, renderer, viewer, report."""
+"""Visualisation: plots, timeline, renderer, viewer, report."""

@@ -1,7 +1,7 @@
-"""Pictures of runs: the paper's Figures 4 and 5, and the joints against their limits.
+"""Plots of runs: the paper's Figures 4 and 5, and the joints with their limits.
 
-Each function returns a Matplotlib figure that belongs to no window and no global state; :func:`save_figure` writes
-it. They need the extra ``plot``.
+Each function returns a Matplotlib figure without a window and without global state. :func:`save_figure` writes it. The
+functions need the extra ``plot``.
 """
 
 from __future__ import annotations
@@ -35,14 +35,14 @@ _COLOURS = (
     "#e69f00",
     "#56b4e9",
     "#7a5195",
-)  # told apart by the colour-blind
+)  # distinguishable for colour-blind readers
 _DASHES: tuple[Any, ...] = ("-", (0, (4, 1.5)), (0, (1, 1.2)), (0, (5, 1.5, 1, 1.5)))
 _INK, _FAINT = "#222222", "#8a8f98"
 _TITLE: dict[str, Any] = {"fontsize": 15, "fontweight": "bold"}
-#: Corners of the upper face of a box of :mod:`coopqp.look.render`, as a closed line.
+#: Corners of the upper face of a box in :mod:`coopqp.look.render`, as a closed line.
 _TOP_FACE = (1, 3, 7, 5, 1)
 _PLATE = (0.30, 0.52, 0.75)
-#: What an error below rounding is drawn as [mm or deg].
+#: Smallest drawn error [mm or deg]; smaller ones are rounding.
 _FLOOR = 1e-11
 
 
@@ -70,7 +70,7 @@ def relative_errors(cell: RobotCell, recording: Recording, quantity: Quantity) -
 
 
 def planned_steps(recording: Recording) -> int:
-    """N, the number of steps that the run takes unless the object is slowed."""
+    """N, the number of steps of the run without slowing."""
     return round(float(recording.metadata["duration"]) / float(recording.metadata["dt"]))
 
 
@@ -80,9 +80,9 @@ def error_figure(
     """The paper's Figure 5: the error between the arms over time, on a logarithmic axis.
 
     Args:
-        cell: of the runs.
-        runs: recordings by the name of their method. A method has one kind of line (the first is solid, the second
-            dashed), a number of steps has one colour.
+        cell: cell of the runs.
+        runs: recordings by the name of their method. Each method has its own line style (first solid, then dashed),
+            each number of steps its own colour.
         quantity: ``"position"`` for ε_p [mm], ``"orientation"`` for ε_o [deg].
 
     Raises:
@@ -125,7 +125,7 @@ def _error_legend(
     largest: Mapping[tuple[str, int], float],
     unit: str,
 ) -> None:
-    """Largest errors as a table above the picture, a row per method; beside it if there are many numbers of steps."""
+    """Add the largest errors as a table, one row per method: above the plot, or beside it for many step numbers."""
     from matplotlib.lines import Line2D
 
     entries: dict[tuple[str, int | None], tuple[Any, str]] = {}
@@ -136,7 +136,7 @@ def _error_legend(
             label = f"N = {n}: ≤ {_short(largest[method, n])}{unit}" if known else ""
             entries[method, n] = Line2D([], [], color=colours[n], ls=dashes if known else "none", lw=2.0), label
     columns: list[int | None] = [None, *steps]
-    if len(steps) <= 3:  # filled column by column
+    if len(steps) <= 3:  # Matplotlib fills the legend column by column
         cells = [entries[method, n] for n in columns for method in methods]
         place: dict[str, Any] = {
             "loc": "outside upper center",
@@ -155,14 +155,14 @@ def _error_legend(
 
 
 def joint_figure(cell: RobotCell, recording: Recording) -> Figure:
-    """Joints against their limits: positions (0 mid-range, ±1 the limits) and speeds (share of the limit), per arm."""
+    """Joint positions (0 mid-range, ±1 the limits) and joint speeds (share of the limit), one column per arm."""
     n_arms = len(cell)
     figure = _new_figure(max(10.0, 3.2 * n_arms), 5.2, layout="constrained")
     panels = figure.subplots(2, n_arms, sharex=True, sharey="row", squeeze=False)
     limits = cell.limits
     q = np.array([cell.positions(x) for x in recording.q_command])
     with np.errstate(invalid="ignore"):
-        position = (2.0 * q - limits.upper - limits.lower) / (limits.upper - limits.lower)  # NaN without limits
+        position = (2.0 * q - limits.upper - limits.lower) / (limits.upper - limits.lower)  # NaN without limit
         speed = 100.0 * recording.velocity / limits.velocity
     reach = 1.15 * max(5.0, float(np.nanmax(np.abs(speed), initial=0.0)))
     names = [name.split("/", 1)[1] for name in cell.joint_names]
@@ -210,18 +210,18 @@ def motion_figure(
 ) -> Figure:
     """The paper's Figure 4: the arms and the object at evenly spaced times of a run.
 
-    The object is drawn where the first arm carries it; its outline at the start is dashed.
+    The object is drawn at the pose of the first arm. Its outline at the start is dashed.
 
     Args:
         cell, recording: the run.
-        object_size: box that stands for the object [m].
+        object_size: side lengths of the box that represents the object [m].
         T_object_body: placement of the box's centre in the object frame.
-        frames, columns: number of pictures, and of pictures side by side.
+        frames, columns: number of pictures, and number of pictures side by side.
         azimuth, elevation: direction to the camera [deg].
         pixels: width of one picture [px].
 
     Raises:
-        InvalidInputError: no frame, or arms without shapes.
+        InvalidInputError: no picture, or arms without shapes.
     """
     if frames < 1 or columns < 1 or pixels < 1:
         raise InvalidInputError(
@@ -240,7 +240,7 @@ def motion_figure(
     height, width = pictures[0].shape[:2]
     columns = min(columns, frames)
     rows = -(-frames // columns)
-    gap = 0.006  # between pictures, share of the figure's width
+    gap = 0.006  # gap between pictures, as a share of the figure's width
     inches = 10.0
     cell_width = (1.0 - (columns - 1) * gap) / columns * inches
     cell_height = cell_width * height / width
@@ -269,12 +269,12 @@ def _name_arms(axes: Any, cell: RobotCell, q: Array, view: View, width: int, hei
     joints = view.pixels(np.array([data.oMi[j + 1].translation for j in range(cell.nv)]), width, height)
     for name, own in zip(cell.arm_names, cell.v_slices, strict=True):
         x, y, _ = min(joints[own], key=lambda point: float(point[1]))
-        side = "right" if x < 0.5 * width else "left"  # outwards, clear of the other arms
+        side = "right" if x < 0.5 * width else "left"  # outwards, away from the other arms
         axes.text(x, y - 0.1 * height, name.replace("_", " "), ha=side, va="bottom", fontsize=11, color=_INK)
 
 
 def figure_bytes(figure: Figure, *, kind: str = "png", dpi: int = 200) -> bytes:
-    """The figure as the bytes of a file: ``"png"``, ``"pdf"`` or ``"svg"``."""
+    """The figure as the bytes of a ``"png"``, ``"pdf"`` or ``"svg"`` file."""
     if kind not in ("png", "pdf", "svg"):
         raise InvalidInputError(f"'{kind}' is no kind of picture", "figure_bytes", "Use png, pdf or svg.")
     stream = io.BytesIO()
@@ -283,10 +283,10 @@ def figure_bytes(figure: Figure, *, kind: str = "png", dpi: int = 200) -> bytes:
 
 
 def save_figure(figure: Figure, path: str | Path, *, dpi: int = 200) -> Path:
-    """Write a figure as ``.png``, ``.pdf`` or ``.svg``, whole or not at all.
+    """Write a figure as ``.png``, ``.pdf`` or ``.svg``, atomically.
 
     Raises:
-        InvalidInputError: another ending.
+        InvalidInputError: another file ending.
         OutputError: the file cannot be written.
     """
     file = Path(path)
@@ -295,7 +295,7 @@ def save_figure(figure: Figure, path: str | Path, *, dpi: int = 200) -> Path:
 
 
 def _plain(axes: Any) -> None:
-    """Ticks and frame as the pictures want them."""
+    """Set a plain style of ticks and frame."""
     for side in ("top", "right"):
         axes.spines[side].set_visible(False)
     for side in ("left", "bottom"):
@@ -308,7 +308,7 @@ def _cycle(items: Sequence[Any], n: int) -> list[Any]:
 
 
 def _short(value: float) -> str:
-    """Three digits, with a power of ten where the number is small."""
+    """A number with three digits; a small one with two digits and a power of ten."""
     if value >= 1e-3:
         return f"{value:#.3g}"
     mantissa, exponent = f"{value:.1e}".split("e")

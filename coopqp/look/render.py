@@ -1,7 +1,7 @@
-"""Pictures of a cell: its visual shapes through a small software renderer, in NumPy alone.
+"""A small software renderer in NumPy for the visual shapes of a cell.
 
-Triangles, a perspective camera, a depth buffer, Lambert shading, shadows on the floor z = 0. No window, no graphics
-card, no global state: the same arrays give the same picture everywhere.
+It draws triangles with a perspective camera, a depth buffer, Lambert shading, and shadows on the floor z = 0. It needs
+no window, no graphics card and no global state: the same arrays give the same picture everywhere.
 """
 
 from __future__ import annotations
@@ -21,13 +21,13 @@ from coopqp.spatial import Array
 Indices = NDArray[np.intp]
 Picture = NDArray[np.float32]
 
-#: Sides of a drawn circle.
+#: Number of sides of a drawn circle.
 SEGMENTS = 36
-#: Drawn samples per pixel and direction: what smooths the edges.
+#: Samples per pixel in each direction; they smooth the edges.
 SAMPLES = 2
-#: Candidate samples that are tested at a time: bounds the memory.
+#: Number of candidate samples that are tested at once; bounds the memory.
 CHUNK = 1_500_000
-#: Distance of the camera, in diagonals of what is drawn: mild perspective.
+#: Distance of the camera in diagonals of the scene; gives a mild perspective.
 CAMERA_DISTANCE = 2.2
 
 _GRID_M = 0.5
@@ -39,9 +39,9 @@ class Solid:
     """A triangle mesh of one colour.
 
     Attributes:
-        vertices: in the world [m], shape (V, 3).
+        vertices: vertices in the world [m], shape (V, 3).
         triangles: indices of vertices, counter-clockwise seen from outside, shape (F, 3).
-        colour: red, green, blue in [0, 1].
+        colour: red, green and blue in [0, 1].
     """
 
     vertices: Array
@@ -54,9 +54,9 @@ class Camera:
     """A perspective camera that looks at ``target``.
 
     Attributes:
-        target: point it looks at [m], shape (3,).
+        target: point in the centre of the view [m], shape (3,).
         azimuth, elevation: direction from the target to the camera [deg]; azimuth from +x towards +y.
-        distance: from the target [m].
+        distance: distance from the target [m].
     """
 
     target: Array
@@ -80,11 +80,11 @@ class Camera:
 
     @property
     def eye(self) -> Array:
-        """Where the camera is [m]."""
+        """Position of the camera (3,) [m]."""
         return np.asarray(self.target) + self.distance * self._axes[2]
 
     def project(self, points: Array) -> Array:
-        """Image of points (n, 3): right and up in units of the focal length, and inverse depth [1/m], (n, 3)."""
+        """Project points (n, 3): right and up in units of the focal length, and inverse depth [1/m], (n, 3)."""
         right, up, back = self._axes
         offset = np.asarray(points) - self.eye
         inverse = 1.0 / np.maximum(-(offset @ back), 1e-3)
@@ -97,14 +97,14 @@ class Camera:
 
 
 def box(size: Array) -> tuple[Array, Indices]:
-    """A box about the origin with full side lengths [m]."""
+    """A box around the origin with the given side lengths [m]."""
     corners = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)]) * size
     quads = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
     return corners, np.array([t for a, b, c, d in quads for t in ((a, b, c), (a, c, d))])
 
 
 def revolved(radii: Array, heights: Array) -> tuple[Array, Indices]:
-    """A profile turned about z, closed at both ends: rings of ``radii`` at rising ``heights`` [m]."""
+    """A solid of revolution about z, closed at both ends, with ``radii`` at rising ``heights`` [m]."""
     angle = np.arange(SEGMENTS) * (2.0 * np.pi / SEGMENTS)
     circle = np.column_stack([np.cos(angle), np.sin(angle), np.zeros(SEGMENTS)])
     rings = [r * circle + (0.0, 0.0, z) for r, z in zip(radii, heights, strict=True)]
@@ -121,7 +121,7 @@ def revolved(radii: Array, heights: Array) -> tuple[Array, Indices]:
 
 
 def mesh_of(shape: Any) -> tuple[Array, Indices] | None:
-    """Vertices (V, 3) [m] and triangles (F, 3) of a coal shape; None for one that has no surface to draw."""
+    """Vertices (V, 3) [m] and triangles (F, 3) of a coal shape; None for a shape without a surface to draw."""
     kind = type(shape).__name__
     if kind == "Box":
         return box(2.0 * np.asarray(shape.halfSide, dtype=float))
@@ -147,7 +147,7 @@ def cell_solids(cell: RobotCell, configurations: Sequence[Array]) -> list[list[S
     """The visual shapes of all arms at each configuration (T, nq), in the world.
 
     Raises:
-        InvalidInputError: no arm has a shape that can be drawn.
+        InvalidInputError: no arm has a shape to draw.
     """
     visual = cell.visual_model()
     data, placements = cell.model.createData(), visual.createData()
@@ -169,17 +169,17 @@ def cell_solids(cell: RobotCell, configurations: Sequence[Array]) -> list[list[S
 
 
 def box_solid(size: tuple[float, float, float], T_world_box: pin.SE3, colour: tuple[float, float, float]) -> Solid:
-    """A box of full side lengths ``size`` [m] at a placement."""
+    """A box with side lengths ``size`` [m] at a placement."""
     vertices, triangles = box(np.array(size))
     return Solid(vertices @ T_world_box.rotation.T + T_world_box.translation, triangles, colour)
 
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """A camera and the part of its image that is drawn.
+    """A camera and the drawn part of its image.
 
     Attributes:
-        camera: where it looks from.
+        camera: the camera.
         left, right, bottom, top: edges of the picture, in units of the focal length.
     """
 
@@ -191,7 +191,7 @@ class View:
 
     @staticmethod
     def around(frames: Sequence[Sequence[Solid]], *, azimuth: float, elevation: float, margin: float = 0.03) -> View:
-        """The view that just contains every solid of every frame, from a direction [deg]; ``margin`` is a share."""
+        """The smallest view from a direction [deg] of all solids of all frames, with a ``margin`` (a share)."""
         cloud = np.vstack([solid.vertices for frame in frames for solid in frame])
         low, high = cloud.min(axis=0), cloud.max(axis=0)
         camera = Camera(0.5 * (low + high), azimuth, elevation, CAMERA_DISTANCE * float(np.linalg.norm(high - low)))
@@ -214,12 +214,12 @@ class View:
 
 
 def render(frames: Sequence[Sequence[Solid]], view: View, *, width: int) -> list[NDArray[np.uint8]]:
-    """Draw closed solids, and their shadows on a floor grid at z = 0, one picture per frame.
+    """Draw closed solids and their shadows on a floor grid at z = 0, one picture per frame.
 
     Args:
-        frames: what to draw; at least one solid each.
-        view: from where; its aspect gives the height.
-        width: of the picture [px].
+        frames: the solids of each picture, at least one.
+        view: the view; its aspect defines the height.
+        width: width of the picture [px].
 
     Returns:
         Pictures (height, width, 3), sRGB.
@@ -248,7 +248,7 @@ def _picture(solids: Sequence[Solid], view: View, floor: Picture, shade: Picture
     picture = np.where((shadow >= 0)[..., None], floor * shade, floor)
     hit = owner >= 0
     picture[hit] = _shaded(normals, colours, light)[owner[hit]]
-    solid_of = np.append(np.repeat(np.arange(len(solids)), counts), -1)[owner]  # -1 where nothing is
+    solid_of = np.append(np.repeat(np.arange(len(solids)), counts), -1)[owner]  # -1: nothing
     edge = np.zeros((rows, columns), dtype=bool)
     edge[:, 1:] |= solid_of[:, 1:] != solid_of[:, :-1]
     edge[1:] |= solid_of[1:] != solid_of[:-1]
@@ -258,9 +258,9 @@ def _picture(solids: Sequence[Solid], view: View, floor: Picture, shade: Picture
 
 
 def _draw(view: View, corners: Array, faces: Indices, owner: NDArray[np.int32]) -> None:
-    """Write into ``owner`` (rows, columns) which of the triangles ``faces`` is in front at each sample.
+    """Write into ``owner`` (rows, columns) the front triangle of ``faces`` at each sample.
 
-    ``corners`` (F, 3, 3) are in the world [m]. Inverse depth is linear in the picture, so it is what is compared.
+    ``corners`` (F, 3, 3) are in the world [m]. The depth test compares inverse depths, which are linear in the picture.
     """
     rows, columns = owner.shape
     image = view.pixels(corners[faces].reshape(-1, 3), columns, rows).reshape(-1, 3, 3).astype(np.float32)
@@ -274,7 +274,7 @@ def _draw(view: View, corners: Array, faces: Indices, owner: NDArray[np.int32]) 
     count = np.where(np.abs(area) > 1e-6, wide * high, 0)
     kept = np.flatnonzero(count)
     scale = 1.0 / np.where(area == 0.0, 1.0, area)
-    # Barycentric weights b, c and the inverse depth are linear: value at (x0, y0), slope along x, slope along y.
+    # Barycentric weights b, c and inverse depth are linear: value at (x0, y0), slope along x, slope along y.
     px, py = x0 + 0.5 - x[:, 0], y0 + 0.5 - y[:, 0]
     b, bx, by = (px * vy - py * vx) * scale, vy * scale, -vx * scale
     c, cx, cy = (py * ux - px * uy) * scale, -uy * scale, ux * scale
@@ -298,7 +298,7 @@ def _draw(view: View, corners: Array, faces: Indices, owner: NDArray[np.int32]) 
 
 
 def _shaded(normals: Array, colours: Array, light: Array) -> Array:
-    """Colour of each triangle (F, 3): a key light, a weak one from the other side, the sky, and a slight gloss."""
+    """Colour of each triangle (F, 3) under a key light, a weak opposite light and the sky, with a slight gloss."""
     key = np.maximum(normals @ light, 0.0)
     fill = np.maximum(normals @ (light * (-1.0, -1.0, 0.2)), 0.0)
     brightness = 0.46 + 0.52 * key + 0.12 * fill + 0.10 * normals[:, 2]
@@ -306,7 +306,7 @@ def _shaded(normals: Array, colours: Array, light: Array) -> Array:
 
 
 def _floor(view: View, shape: tuple[int, int]) -> tuple[Picture, Picture]:
-    """The floor, a grid of half a metre that fades into white, (*shape, 3), and the factor of a shadow on it."""
+    """The floor (*shape, 3), a grid of half a metre that fades into white, and the factor of a shadow on it."""
     camera = view.camera
     step = (view.right - view.left) / shape[1]
     x = view.left + (np.arange(shape[1], dtype=np.float32) + 0.5) * step
@@ -315,7 +315,7 @@ def _floor(view: View, shape: tuple[int, int]) -> tuple[Picture, Picture]:
     drop = np.minimum(ray[..., 2], -1e-6)
     reach = -camera.eye[2] / drop
     spot = [camera.eye[i] + reach * ray[..., i] for i in (0, 1)]
-    slant = np.sqrt(np.sqrt(1.0 + x**2 + y[:, None] ** 2) / -drop)  # lines across the view look thinner: widen them
+    slant = np.sqrt(np.sqrt(1.0 + x**2 + y[:, None] ** 2) / -drop)  # widen the lines across the view: they look thinner
     half = 0.45 * SAMPLES * step * reach * slant
     off_line = [np.abs((s / _GRID_M + 0.5) % 1.0 - 0.5) * _GRID_M for s in spot]
     line = np.minimum(off_line[0], off_line[1]) < half

@@ -1,4 +1,4 @@
-"""A run on one page that opens offline: verdict, figures, plots, settings, notes. Needs the extra ``plot``."""
+"""A report of a run on one offline page: verdict, figures, plots, settings, notes. Needs the extra ``plot``."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ from coopqp.simulation.simulate import Recording
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-#: A drawing larger than this becomes a picture [bytes].
+#: Largest SVG drawing [bytes]; a larger one becomes a PNG picture.
 MAX_SVG_BYTES = 400_000
-#: Most notes, limits and values that are listed.
+#: Largest numbers of listed notes, limits and settings.
 MAX_NOTES, MAX_LIMITS, MAX_SETTINGS = 1000, 40, 400
-#: Notes beyond these are folded away.
+#: Number of visible notes; further notes are folded.
 OPEN_NOTES = 15
 _HIDDEN = ("scene", "path", "binding", "object", "settings", "notes")
 
@@ -65,12 +65,12 @@ def report_html(
 
     Args:
         recording: the run.
-        cell: its cell; by default read from the recording.
-        tolerances: what the verdict counts as held.
-        progress: called with what goes on.
+        cell: cell of the run; by default read from the recording.
+        tolerances: accepted errors of the verdict.
+        progress: called with a text for each stage.
 
     Raises:
-        SceneError: no cell given, and the recording does not tell.
+        SceneError: no cell is given and the recording does not describe one.
         MissingExtraError: Matplotlib is not installed.
     """
     plots.require_matplotlib()
@@ -110,7 +110,7 @@ def write_report(
     tolerances: Tolerances | None = None,
     progress: Callable[[str], None] | None = None,
 ) -> Path:
-    """Write :func:`report_html`, whole or not at all; arguments and errors as there, and OutputError."""
+    """Write :func:`report_html` to a file, atomically. Same arguments and errors; also raises OutputError."""
     file = Path(path)
     check_file(file)
     text = report_html(recording, cell=cell, tolerances=tolerances, progress=progress)
@@ -210,7 +210,7 @@ def _notes(recording: Recording) -> str:
 
 
 def _picture(figure: Figure, description: str, *, kind: str = "svg", dpi: int = 110) -> str:
-    """A figure as an image inside the page: a drawing, or dots where the drawing would be large."""
+    """A figure as an image in the page: SVG, or PNG if the SVG is large."""
     data = plots.figure_bytes(figure, kind=kind, dpi=dpi)
     if kind == "svg" and len(data) > MAX_SVG_BYTES:
         kind, data = "png", plots.figure_bytes(figure, kind="png", dpi=dpi)

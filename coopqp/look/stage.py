@@ -1,6 +1,6 @@
-"""A run as a 3D scene of viser: what stands where at each sample, and what is marked.
+"""A run as a 3D scene of viser: the objects, their poses at each sample, and marks for binding limits.
 
-The scene knows nothing of windows, buttons or files: :mod:`coopqp.look.viewer` shows it, live or as a page.
+The scene has no windows, buttons or files. :mod:`coopqp.look.viewer` shows it, live or as a page.
 """
 
 from __future__ import annotations
@@ -22,19 +22,19 @@ from coopqp.spatial import Array
 
 Colour = tuple[int, int, int]
 
-#: Colour of whatever a limit binds.
+#: Colour of joints and arms with binding limits.
 ALERT: Colour = (214, 30, 30)
 _OBJECT: Colour = (76, 132, 191)
 _PATH: Colour = (0, 114, 178)
 _GOAL: Colour = (120, 126, 134)
 _STICK: Colour = (90, 98, 108)
-#: Points of the drawn path at most.
+#: Largest number of points of the drawn path.
 _PATH_POINTS = 200
-#: How far up the camera stands and from where, and its field of view [deg].
+#: Elevation, azimuth and field of view of the camera [deg].
 _ELEVATION, _AZIMUTH, FIELD_OF_VIEW = 24.0, 125.0, 38.0
-#: Share of the picture that is filled, and its width over its height, at least.
+#: Share of the picture that the scene fills, and the smallest ratio of width to height.
 _FILL, _ASPECT = 0.80, 1.4
-#: How high above everything the readout stands, as a share of the diagonal.
+#: Height of the readout above the scene, as a share of the diagonal.
 READOUT_SHARE = 0.13
 
 
@@ -43,11 +43,11 @@ class Stage:
 
     Attributes:
         recording: the run.
-        cell: read from the recording.
-        readings: its errors over time.
+        cell: cell of the run, read from the recording.
+        readings: errors of the run over time.
 
     Raises:
-        SceneError: the recording does not tell what its cell looks like, or a mesh file is gone.
+        SceneError: the recording does not describe its cell, or a mesh file is missing.
     """
 
     def __init__(self, scene: Any, recording: Recording, *, sticks: bool = False) -> None:
@@ -56,12 +56,12 @@ class Stage:
         self.readings: Readings = read_run(self.cell, recording)
         self._scene = scene
         self._data = self.cell.model.createData()
-        self._bindings = [*recording.bindings, *recording.bindings[-1:]]  # the last sample is the end of the last step
-        self._links: dict[int, Any] = {}  # frame of each joint that carries shapes
+        self._bindings = [*recording.bindings, *recording.bindings[-1:]]  # the last sample repeats the last step
+        self._links: dict[int, Any] = {}  # frame of each joint with shapes
         self._meshes: dict[int, list[tuple[Any, Colour]]] = defaultdict(list)  # by joint
         self._sticks: list[tuple[Any, list[int]]] = []
         self._names: list[Any] = []
-        self._shown: tuple[Any, ...] = ()  # limits that are marked
+        self._shown: tuple[Any, ...] = ()  # marked limits
         size, self._T_object_body = read_object(recording.metadata, recording.T_object_tool)
         self._first_grasp = recording.grasp.T_object_tool[0].inverse()
         self._path = read_path(recording.metadata) or self._followed()
@@ -74,14 +74,14 @@ class Stage:
         self.show(0)
 
     def _followed(self) -> list[pin.SE3]:
-        """The part of the path that the object has followed, for recordings that do not tell more."""
+        """The followed part of the path, for recordings without the whole path."""
         samples = np.unique(np.linspace(0, self.recording.n_steps, _PATH_POINTS).astype(int))
         return [pin.SE3(self.recording.reference[i]) for i in samples]
 
     # -- what stands there ---------------------------------------------------------------------------------------
 
     def _points(self, size: Array) -> Array:
-        """Bases, joints at the start, the middle and the end, and corners of the object on its path (n, 3) [m]."""
+        """Bases, joints (at the start, middle and end) and corners of the object along its path (n, 3) [m]."""
         corners = box(size)[0]
         points = []
         for i in {0, self.recording.n_steps // 2, self.recording.n_steps}:
@@ -94,12 +94,12 @@ class Stage:
         return np.array(points)
 
     def above(self, share: float) -> Array:
-        """The point above the middle, so much of the diagonal higher than everything (3,) [m]."""
+        """The point (3,) [m] above the middle of the scene, higher than the scene by a share of its diagonal."""
         x, y, _ = 0.5 * (self.low + self.high)
         return np.array([x, y, self.high[2] + share * float(np.linalg.norm(self.high - self.low))])
 
     def camera(self) -> tuple[Array, Array]:
-        """Where to look from and at, so that everything and a readout above it are in view [m]."""
+        """Camera position and target (3,) [m] that show the whole scene and the readout above it."""
         readout = self.above(READOUT_SHARE + 0.06)
         points = np.array([*self._cloud, readout])
         target = 0.5 * (points.min(axis=0) + points.max(axis=0))
@@ -108,7 +108,7 @@ class Stage:
         flat = np.array([np.cos(azimuth), np.sin(azimuth), 0.0])
         away = np.cos(elevation) * flat + np.array([0.0, 0.0, np.sin(elevation)])
         up = np.cross(away, right)
-        # A point is in the picture from a distance of what it is nearer by, and what its offset needs.
+        # Needed distance of the camera for a point: its depth towards the camera plus its offset / slope.
         slope = _FILL * np.tan(np.deg2rad(0.5 * FIELD_OF_VIEW))
         offsets = points - target
         needed = np.maximum(np.abs(offsets @ up), np.abs(offsets @ right) / _ASPECT) / slope
@@ -157,14 +157,14 @@ class Stage:
             self._names.append(label)
 
     def _name_place(self, joints: list[int]) -> Array:
-        """Above the arm's highest joint at the start [m]."""
+        """The point (3,) [m] above the arm's highest joint at the start."""
         pin.forwardKinematics(self.cell.model, self._data, self.recording.q[0])
         top = max((self._data.oMi[j].translation for j in joints), key=lambda p: float(p[2]))
         above = 0.045 * float(np.linalg.norm(self.high - self.low))
         return np.array([top[0], top[1], top[2] + above])
 
     def _add_mesh(self, joint: int, name: str, vertices: Array, triangles: Any, colour: Colour) -> None:
-        """A mesh in the frame of a joint; each triangle has corners of its own, for crisp edges."""
+        """Add a mesh in the frame of a joint. Each triangle has its own corners, for sharp edges."""
         if joint not in self._links:
             self._links[joint] = self._scene.add_frame(f"/links/{joint}", show_axes=False)
         mesh = self._scene.add_mesh_simple(
@@ -192,7 +192,7 @@ class Stage:
             )  # fmt: skip
 
     def _add_path(self, size: Array) -> None:
-        """Lines of the object frame's origin and of the grasps, and outlines of the object at both ends."""
+        """Add the lines of the object frame's origin and of the grasps, and outlines of the object at both ends."""
         poses = self._path
         points = [np.zeros(3), *(X.translation for X in self.recording.grasp.T_object_tool)]
         for k, point in enumerate(points):
@@ -219,7 +219,7 @@ class Stage:
     # -- a sample ------------------------------------------------------------------------------------------------
 
     def show(self, sample: int) -> None:
-        """Move everything to a sample (0 to T) of the run, and mark what a limit binds there."""
+        """Move the scene to a sample (0 to T) of the run, and mark the joints and arms with binding limits."""
         q = self.recording.q[sample]
         pin.forwardKinematics(self.cell.model, self._data, q)
         for joint, frame in self._links.items():
@@ -234,7 +234,7 @@ class Stage:
             self._shown = limits
 
     def _stick_points(self, joints: list[int]) -> Array:
-        """Ends of the sticks of an arm: from its base along the joints to the tool, (n, 2, 3)."""
+        """Ends of the sticks of an arm, from its base along the joints to the tool (n, 2, 3)."""
         arm = self.cell.arm_of_joint(joints[0] - 1)
         places = [self._data.oMi[j].translation for j in joints]
         parents = [int(self.cell.model.parents[j]) for j in joints]
@@ -245,13 +245,13 @@ class Stage:
         return np.array([*zip(before, places, strict=True), (last.translation, tool)], dtype=np.float32)
 
     def limits(self, sample: int) -> tuple[BindingLimit, ...]:
-        """The limits of joints and arms that bind in the step that starts at a sample."""
+        """The binding limits of joints and arms in the step that starts at a sample."""
         if not self._bindings:
             return ()
         return tuple(limit for limit in self._bindings[sample] if limit.arm in self.cell.arm_names)
 
     def _mark(self, limits: tuple[BindingLimit, ...]) -> None:
-        """Paint the arms whose limits bind, strongest the links of the joints, and say which under their names."""
+        """Colour the arms with binding limits (their joints strongest) and write the limits under their names."""
         for arm, own in enumerate(self.cell.v_slices):
             name = self.cell.arm_names[arm]
             bound = [limit for limit in limits if limit.arm == name]
@@ -279,7 +279,7 @@ def _short(limit: BindingLimit) -> str:
 
 
 def _blend(colour: Colour, share: float) -> Colour:
-    """``colour`` with a share of the alert colour."""
+    """``colour`` mixed with a share of the alert colour."""
     red, green, blue = (round((1.0 - share) * a + share * b) for a, b in zip(colour, ALERT, strict=True))
     return red, green, blue
 

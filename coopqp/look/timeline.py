@@ -1,4 +1,4 @@
-"""One picture of a whole run over time: errors, rate, and the limits that bound. Needs the extra ``plot``."""
+"""One figure of a whole run over time: errors, rate, and binding limits. Needs the extra ``plot``."""
 
 from __future__ import annotations
 
@@ -24,19 +24,19 @@ _ERRORS = (
     ("object_mm", "object against its path", "#009e73", (0, (1, 1.2))),
 )
 _BANDS = {Status.BLOCKED: "#f7dcc4", Status.HOLDING: "#f4c2c2", Status.FAULT: "#e58e8e"}
-#: Errors below this are drawn at it [mm].
+#: Smallest drawn error [mm].
 _FLOOR = 1e-8
-#: Limits that are drawn, those that bound longest.
+#: Largest number of drawn limits; the limits that bound longest are drawn.
 MAX_LIMITS = 14
 
 
 @dataclass(frozen=True)
 class Bound:
-    """A limit and when it bound.
+    """A limit and the times at which it bound.
 
     Attributes:
-        limit: which.
-        spans: from when to when [s].
+        limit: the limit.
+        spans: start and end of each time span [s].
     """
 
     limit: BindingLimit
@@ -44,12 +44,12 @@ class Bound:
 
     @property
     def seconds(self) -> float:
-        """How long in all [s]."""
+        """Total time [s]."""
         return sum(end - start for start, end in self.spans)
 
 
 def bound_limits(recording: Recording) -> list[Bound]:
-    """Every limit that bound, the one that bound longest first."""
+    """All limits that bound, in descending order of time."""
     spans: dict[BindingLimit, list[tuple[float, float]]] = {}
     began: dict[BindingLimit, float] = {}
     bindings: Sequence[tuple[BindingLimit, ...]] = [*recording.bindings, ()]
@@ -64,12 +64,12 @@ def bound_limits(recording: Recording) -> list[Bound]:
 
 
 def limit_name(limit: BindingLimit) -> str:
-    """``slave_1/joint_3 velocity``."""
+    """Name of a limit for the plot, e.g. ``slave_1/joint_3 velocity``."""
     return " ".join(part for part in ("/".join(p for p in (limit.arm, limit.joint) if p), limit.kind.value) if part)
 
 
 def timeline_figure(recording: Recording, readings: Readings) -> Figure:
-    """Errors [mm] on a logarithmic axis, the rate σ with the statuses behind it, and the limits that bound."""
+    """Errors [mm] on a logarithmic axis, the rate σ in front of the statuses, and the limits that bound."""
     require_matplotlib()
     from matplotlib.figure import Figure
 

@@ -1,7 +1,7 @@
-"""Runs in a browser, through viser: live, with play, pause and scrub, or as one page that opens offline.
+"""Runs in a browser through viser: live with play, pause and scrub, or as one offline page.
 
-Needs the extra ``viewer``. Nothing is sent anywhere: the live viewer listens on this machine alone unless told
-otherwise, and the page carries all that it shows.
+Needs the extra ``viewer``. Nothing is sent to other machines: by default the live viewer listens on this machine only,
+and the page contains all its data.
 """
 
 from __future__ import annotations
@@ -24,11 +24,11 @@ from coopqp.output import check_file, write_files
 from coopqp.simulation.assessment import worst_status
 from coopqp.simulation.simulate import Recording
 
-#: Pictures a second of the page, and at most in all.
+#: Pictures per second of the page, and their largest number.
 FRAMES_PER_SECOND, MAX_FRAMES = 25.0, 500
-#: How long the page rests at the end before it starts again [s].
+#: Pause of the page at the end, before it starts again [s].
 PAUSE_AT_END = 1.5
-#: Redraws a second of the live viewer.
+#: Redraws per second of the live viewer.
 LIVE_RATE = 30.0
 SPEEDS = ("0.1x", "0.25x", "0.5x", "1x", "2x", "5x", "10x")
 
@@ -52,7 +52,7 @@ def require_viser() -> Any:
     """The package viser.
 
     Raises:
-        MissingExtraError: it is not installed.
+        MissingExtraError: viser is not installed.
     """
     try:
         import viser
@@ -62,7 +62,7 @@ def require_viser() -> Any:
 
 
 def _serve(viser: Any, host: str, port: int) -> Any:
-    """A server of viser that keeps its banner to itself."""
+    """Start a server of viser without its printed banner."""
     with contextlib.redirect_stdout(io.StringIO()):
         return viser.ViserServer(host=host, port=port, verbose=False)
 
@@ -73,7 +73,7 @@ def _stop(server: Any) -> None:
 
 
 def title_of(recording: Recording) -> tuple[str, str]:
-    """What a run is called, and by which controller in how many steps it was made."""
+    """Title and subtitle of a run: its name; its controller and number of steps."""
     data = recording.metadata
     name = str(data.get("scenario") or data.get("name") or "A run").replace("_", " ")
     controller = str(data.get("controller", "an unknown controller"))
@@ -81,7 +81,7 @@ def title_of(recording: Recording) -> tuple[str, str]:
 
 
 def readout(stage: Stage, sample: int) -> str:
-    """Three lines: clock, rate and status; what binds; the errors at a sample."""
+    """Three lines for a sample: clock, rate and status; binding limits; errors."""
     run, errors = stage.recording, stage.readings
     step = min(sample, run.n_steps - 1)
     end = float(run.metadata.get("duration", run.clock[-1]))
@@ -97,7 +97,7 @@ def readout(stage: Stage, sample: int) -> str:
 
 
 def _length(mm: float) -> str:
-    """Millimetres, or micrometres where there are few of them."""
+    """A length in millimetres, or in micrometres if it is small."""
     if mm < 1e-6:
         return "< 0.001 µm"
     return f"{1e3 * mm:.2g} µm" if mm < 0.01 else f"{mm:.3g} mm"
@@ -122,16 +122,16 @@ def export_html(
     sticks: bool = False,
     progress: Callable[[int, int], None] | None = None,
 ) -> Path:
-    """Write a run as one page with play, pause, scrub and speed, which opens offline.
+    """Write a run as one offline page with play, pause, scrub and speed.
 
     Args:
         recording: the run.
-        file: the page.
+        file: path of the page.
         sticks: draw the arms as sticks instead of their shapes.
         progress: called as ``progress(pictures done, pictures)``.
 
     Raises:
-        SceneError: the recording does not tell what its cell looks like, or a mesh file is gone.
+        SceneError: the recording does not describe its cell, or a mesh file is missing.
         OutputError: the file cannot be written.
         MissingExtraError: viser is not installed.
     """
@@ -170,20 +170,20 @@ def export_html(
 
 
 class LiveViewer:
-    """A run in the browser, served from this machine, with play, pause, scrub, speed and readouts.
+    """A server on this machine that shows a run in the browser, with play, pause, scrub, speed and readouts.
 
     Args:
         recording: the run.
-        host: address to listen on; the default is reached from this machine alone.
-        port: 0 for any that is free.
+        host: address to listen on; only this machine can reach the default.
+        port: port to listen on; 0 for any free port.
         sticks: draw the arms as sticks instead of their shapes.
 
     Attributes:
-        url: where to point the browser.
+        url: address for the browser.
 
     Raises:
-        SceneError, MissingExtraError: as :func:`export_html`.
-        InvalidInputError: a port that is none, or that is taken.
+        SceneError, MissingExtraError: as in :func:`export_html`.
+        InvalidInputError: an invalid port, or a port in use.
     """
 
     def __init__(
@@ -227,7 +227,7 @@ class LiveViewer:
         self._playing = gui.add_checkbox("play", initial_value=True)
         self._speed = gui.add_dropdown("speed", SPEEDS, initial_value="1x")
         self._text = gui.add_markdown("")
-        self._clock, self._slider = 0.0, self._time.value  # the clock runs on through the pause at the end
+        self._clock, self._slider = 0.0, self._time.value  # the clock also counts the pause at the end
         self._show(0)
 
     def _show(self, sample: int) -> None:
@@ -237,7 +237,7 @@ class LiveViewer:
         self._shown = sample
 
     def update(self, elapsed: float) -> int:
-        """Advance by a time [s] if playing, or follow the slider if it was moved; return the sample that is shown."""
+        """Advance by a time [s] while playing, or follow a moved slider. Returns the shown sample."""
         run = self.stage.recording
         end = float(run.time[-1])
         seconds = as_scalar(elapsed, "LiveViewer.update: elapsed", open_low=False)
@@ -257,7 +257,7 @@ class LiveViewer:
         return sample
 
     def run(self) -> None:
-        """Serve until interrupted (Ctrl-C)."""
+        """Serve until an interrupt (Ctrl-C)."""
         last = time.monotonic()
         while True:
             time.sleep(1.0 / LIVE_RATE)
@@ -267,5 +267,5 @@ class LiveViewer:
 
 
 def _plain(text: str) -> str:
-    """Text in which Markdown finds nothing to format."""
+    """Text with escaped Markdown characters."""
     return "".join(f"\\{c}" if c in "\\`*_{}[]<>#|~" else c for c in text)

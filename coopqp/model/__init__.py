@@ -1,1 +1,1 @@
-"""What is there: arms, cell, grasp, closed chain."""
+"""The model: arms, cell, state, grasp, closed chain, inverse kinematics."""

@@ -1,6 +1,6 @@
-"""One arm: its model, its joint limits, the frame that grasps, and where its base stands.
+"""One arm: its model, its joint limits, its tool frame, and the placement of its base.
 
-Nothing that the user hands in is modified: models are copied.
+Models are copied. The user's objects are never modified.
 """
 
 from __future__ import annotations
@@ -20,28 +20,28 @@ from coopqp.checks import NOT_NUMBERS, as_floats, as_vector, read_only
 from coopqp.errors import InvalidInputError, ModelError, UnknownNameError
 from coopqp.spatial import Array, Placement, as_placement
 
-#: A position limit beyond this [rad or m] means "none" (parsers write the largest double there).
+#: A position limit beyond this [rad or m] means "no limit" (parsers write the largest double for it).
 UNLIMITED = 1e6
-#: Deepest nesting of elements that is read from MJCF; an arm of a hundred joints needs a little more than a hundred.
+#: Largest accepted nesting depth of MJCF elements. An arm with a hundred joints needs a little more than a hundred.
 MAX_NESTING = 500
-#: A velocity or acceleration limit below this [rad/s, rad/s², or in metres] is a mistake: the joint could not move.
+#: Smallest accepted velocity or acceleration limit [rad/s or m/s, rad/s² or m/s²]. Below it the joint could not move.
 SMALLEST_LIMIT = 1e-6
-#: A finite limit beyond this is a mistake, too, and would not survive being squared.
+#: Largest accepted finite limit. The square of a larger one loses its meaning in floating point.
 LARGEST_LIMIT = 1e9
-#: Largest robot description that is read [bytes].
+#: Largest accepted robot description [bytes].
 MAX_DESCRIPTION_BYTES = 20_000_000
-#: The fields of :class:`JointLimits`, in its order.
+#: Names of the fields of :class:`JointLimits`, in order.
 LIMIT_FIELDS = ("lower", "upper", "velocity", "acceleration")
 
 
 @dataclass(frozen=True, eq=False)
 class JointLimits:
-    """Limits of joints, one entry per velocity coordinate; ±inf where there is none.
+    """Limits of joints, one entry per velocity coordinate; ±inf means no limit.
 
     Attributes:
-        lower, upper: position [rad or m], shape (nv,).
-        velocity: largest speed [rad/s or m/s], shape (nv,), > 0.
-        acceleration: largest acceleration [rad/s² or m/s²], shape (nv,), > 0.
+        lower, upper: position limits [rad or m], shape (nv,).
+        velocity: largest speeds [rad/s or m/s], shape (nv,), > 0.
+        acceleration: largest accelerations [rad/s² or m/s²], shape (nv,), > 0.
     """
 
     lower: Array
@@ -84,7 +84,7 @@ class JointLimits:
                 )
 
     def replace(self, **changes: Any) -> JointLimits:
-        """A copy with some limits replaced; a scalar applies to every joint."""
+        """Return a copy with some limits replaced. A scalar applies to every joint."""
         n = len(self.lower)
         full = {}
         for key, value in changes.items():
@@ -96,18 +96,18 @@ class JointLimits:
 
 @dataclass(frozen=True, eq=False)
 class Arm:
-    """One arm: its model, the frame that grasps, and where its base stands.
+    """One arm: its model, its tool frame, and the placement of its base.
 
     Build it with :meth:`from_urdf`, :meth:`from_mjcf` or :meth:`from_model`.
 
     Attributes:
-        name: used as the prefix of its joints and frames in the cell.
-        model: the arm's own Pinocchio model, a copy, base at the origin.
+        name: name of the arm; prefix of its joints and frames in the cell.
+        model: Pinocchio model of the arm, a copy, with the base at the origin.
         tool_frame: name of the frame that is rigidly attached to the object.
-        T_world_base: placement of the base.
+        T_world_base: placement of the base in the world.
         limits: joint limits.
-        visual, collision: geometry, or None.
-        source: where the model came from, for messages and recordings.
+        visual, collision: geometry models, or None.
+        source: origin of the model (a file or a model name), for messages and recordings.
     """
 
     name: str
@@ -138,27 +138,27 @@ class Arm:
 
         Args:
             name: unique name in the cell.
-            path: the URDF.
+            path: path of the URDF file.
             tool_frame: link or frame that grasps the object.
             T_world_base: placement of the model's root in the world (identity by default).
-            package_dirs: where ``package://`` mesh paths are looked up.
-            geometry: also load visual and collision shapes.
-            locked_joints: joints to freeze, with their positions [rad or m], e.g. gripper fingers.
-            velocity_limits, acceleration_limits, lower_limits, upper_limits: override the model's; a scalar
-                or one number per remaining joint. URDF has no acceleration limits, so they are infinite
-                unless given here.
+            package_dirs: folders in which ``package://`` mesh paths are resolved.
+            geometry: also load the visual and collision shapes.
+            locked_joints: joints to lock, with their positions [rad or m], e.g. gripper fingers.
+            velocity_limits, acceleration_limits, lower_limits, upper_limits: replace the limits of the model; a scalar
+                or one number per remaining joint. URDF has no acceleration limits: they are infinite unless
+                given here.
 
         Raises:
-            ModelError: the file is missing, too large, not a robot, or has joints coopqp cannot drive.
+            ModelError: the file is missing, too large, not a robot, or has joints that coopqp cannot drive.
             UnknownNameError: no such tool frame or locked joint.
             InvalidInputError: bad limits or placement.
         """
         source = _description_file(path, name)
         try:
-            mimics = _mimic_joints(pin.buildModelFromUrdf(str(source), True))  # True: they show up as such
+            mimics = _mimic_joints(pin.buildModelFromUrdf(str(source), True))  # True: keep mimic joints
             model = pin.buildModelFromUrdf(str(source))
         except (ValueError, RuntimeError) as error:
-            raise ModelError(f"arm '{name}': {source} is not a URDF that can be read ({_cause(error)})") from error
+            raise ModelError(f"arm '{name}': {source} is not a readable URDF ({_cause(error)})") from error
         for joint in mimics:
             if joint not in (locked_joints or {}):
                 raise ModelError(
@@ -195,9 +195,9 @@ class Arm:
         lower_limits: Any = None,
         upper_limits: Any = None,
     ) -> Arm:
-        """Build an arm from an MJCF file; arguments and errors as :meth:`from_urdf`.
+        """Build an arm from an MJCF file. Arguments and errors as in :meth:`from_urdf`.
 
-        MJCF has no velocity limits: give ``velocity_limits``.
+        MJCF has no velocity limits, so ``velocity_limits`` must be given.
         """
         source = _description_file(path, name)
         _check_nesting(source, name)
@@ -208,7 +208,7 @@ class Arm:
                 shapes["visual"] = pin.buildGeomFromMJCF(model, str(source), pin.GeometryType.VISUAL)
                 shapes["collision"] = pin.buildGeomFromMJCF(model, str(source), pin.GeometryType.COLLISION)
         except (ValueError, RuntimeError) as error:
-            raise ModelError(f"arm '{name}': {source} is not an MJCF that can be read ({_cause(error)})") from error
+            raise ModelError(f"arm '{name}': {source} is not a readable MJCF ({_cause(error)})") from error
         return Arm._build(
             name, model, tool_frame, T_world_base, locked_joints, shapes, str(source),
             velocity_limits, acceleration_limits, lower_limits, upper_limits,
@@ -229,7 +229,7 @@ class Arm:
         lower_limits: Any = None,
         upper_limits: Any = None,
     ) -> Arm:
-        """Build an arm from a :class:`pinocchio.Model`, which is copied; see :meth:`from_urdf`."""
+        """Build an arm from a copy of a :class:`pinocchio.Model`; see :meth:`from_urdf`."""
         if not isinstance(model, pin.Model):
             raise InvalidInputError(
                 f"expected a pinocchio.Model, got {type(model).__name__}",
@@ -282,7 +282,7 @@ class Arm:
         return Arm(name, model, tool_frame, base, limits, shapes["visual"], shapes["collision"], source)
 
     def placed(self, T_world_base: Placement, *, name: str | None = None) -> Arm:
-        """The same arm at another base, under another name if given."""
+        """Return a copy with another base placement and, if given, another name."""
         return replace(
             self,
             name=self.name if name is None else name,
@@ -290,7 +290,7 @@ class Arm:
         )
 
     def with_limits(self, **changes: Any) -> Arm:
-        """The same arm with other limits; keywords of :class:`JointLimits`, scalars apply to every joint."""
+        """Return a copy with other limits (keywords of :class:`JointLimits`; a scalar applies to every joint)."""
         return replace(self, limits=self.limits.replace(**changes))
 
 
@@ -307,7 +307,7 @@ def _description_file(path: str | Path, arm: str) -> Path:
 
 
 def _check_nesting(file: Path, arm: str) -> None:
-    """Refuse what Pinocchio's reader of MJCF, which calls itself for every level, would not survive."""
+    """Raise ModelError if elements are nested too deep: Pinocchio's MJCF reader is recursive and would crash."""
     depth = 0
 
     def begin(tag: str, attributes: object) -> None:
@@ -321,11 +321,11 @@ def _check_nesting(file: Path, arm: str) -> None:
         depth -= 1
 
     def entity(*declaration: object) -> None:
-        raise ModelError(f"arm '{arm}': {file} declares XML entities, which MJCF does without. Write their text out.")
+        raise ModelError(f"arm '{arm}': {file} declares XML entities, which are not allowed. Write their text out.")
 
     parser = expat.ParserCreate()
     parser.StartElementHandler, parser.EndElementHandler, parser.EntityDeclHandler = begin, end, entity
-    # What is no XML is the reader's business, which says so.
+    # If the file is not XML, the MJCF reader reports it.
     with contextlib.suppress(expat.ExpatError):
         parser.Parse(file.read_bytes(), True)
 
@@ -339,7 +339,7 @@ def _lock(
             raise UnknownNameError("joint", joint, list(model.names)[1:], f"arm '{name}', locked_joints")
         j = model.joints[model.getJointId(joint)]
         if j.nq != 1 or j.nv != 1:
-            raise ModelError(f"arm '{name}': joint '{joint}' has nq = {j.nq}, nv = {j.nv}; only plain ones lock.")
+            raise ModelError(f"arm '{name}': joint '{joint}' has nq = {j.nq}, nv = {j.nv}; only nq = nv = 1 locks.")
         q[j.idx_q] = as_vector([position], 1, f"arm '{name}': locked_joints['{joint}']")[0]
     ids = [model.getJointId(joint) for joint in locked]
     keys = [key for key, shape in shapes.items() if shape is not None]
@@ -357,7 +357,7 @@ def _check_joints(name: str, model: pin.Model) -> None:
         if joint.nv > 1:
             raise ModelError(
                 f"arm '{name}': joint '{joint_name}' ({joint.shortname()}) has {joint.nv} degrees of freedom; an arm "
-                "stands on a fixed base and its joints have one each. Remove the floating base, set T_world_base."
+                "has a fixed base and one degree of freedom per joint. Remove the floating base, set T_world_base."
             )
     data = model.createData()
     pin.computeJointJacobians(model, data, pin.neutral(model))
@@ -365,13 +365,13 @@ def _check_joints(name: str, model: pin.Model) -> None:
         axis = np.asarray(pin.getJointJacobian(model, data, i, pin.LOCAL)).reshape(6, -1)[:, model.joints[i].idx_v]
         if not abs(max(np.linalg.norm(axis[:3]), np.linalg.norm(axis[3:])) - 1.0) < 1e-6:
             raise ModelError(
-                f"arm '{name}': joint '{names[i]}' has no axis, or stands nowhere ({axis.tolist()}). Give its axis and "
-                "origin as finite numbers, the axis not zero."
+                f"arm '{name}': joint '{names[i]}' has no valid axis or origin ({axis.tolist()}). Give both as "
+                "finite numbers, the axis not zero."
             )
 
 
 def _cause(error: Exception) -> str:
-    """What a parser says, without the place in its own source."""
+    """Message of a parser's error, without the file and line of the parser's source."""
     return str(error).rpartition("message:")[2].strip().rstrip(".")
 
 
@@ -380,7 +380,7 @@ def _mimic_joints(model: pin.Model) -> list[str]:
 
 
 def _separate_frames(model: pin.Model) -> None:
-    """Give every frame its own name: where a link shares its name with a joint (MJCF), the link keeps it."""
+    """Make frame names unique. If a link and a joint share a name (MJCF), the link keeps it."""
     taken: set[str] = set()
     for joint_frames in (False, True):
         for frame in model.frames:
@@ -391,7 +391,7 @@ def _separate_frames(model: pin.Model) -> None:
 
 
 def _one_per_joint(value: Any, n: int, where: str, remedy: str) -> Array:
-    """One number for all or (n,) numbers, as a new array."""
+    """Return a new array (n,) from one number for all or from n numbers."""
     try:
         return np.array(np.broadcast_to(as_floats(value), (n,)))
     except NOT_NUMBERS as error:
@@ -400,7 +400,7 @@ def _one_per_joint(value: Any, n: int, where: str, remedy: str) -> Array:
 
 def _model_limits(name: str, model: pin.Model, velocity: Any, acceleration: Any, lower: Any, upper: Any) -> JointLimits:
     n = model.nv
-    joints = list(model.joints)[1:]  # 0 is the universe
+    joints = list(model.joints)[1:]  # joint 0 is the universe
     continuous = np.array([j.nq != j.nv for j in joints])
     index = np.array([j.idx_q for j in joints])
     joint_names = [x for x in model.names if x != "universe"]
@@ -412,7 +412,7 @@ def _model_limits(name: str, model: pin.Model, velocity: Any, acceleration: Any,
 
     low = np.asarray(model.lowerPositionLimit)[index].copy()
     high = np.asarray(model.upperPositionLimit)[index].copy()
-    # A continuous joint's "limits" are ±1.01 on its cosine; huge numbers stand for none.
+    # A continuous joint has the limits ±1.01 on its cosine: it has none. Huge numbers also mean no limit.
     low[continuous | (low <= -UNLIMITED)] = -np.inf
     high[continuous | (high >= UNLIMITED)] = np.inf
     speed = np.asarray(model.upperVelocityLimit).copy()

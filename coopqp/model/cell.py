@@ -1,7 +1,7 @@
-"""The cell: several arms, each from its own model, assembled into one Pinocchio model.
+"""The robot cell: several arms in one Pinocchio model.
 
-Every arm's model is copied, its joints and frames are prefixed with the arm's name (``master/joint_1``), and the copy
-is placed at the arm's base.
+The model of each arm is copied and placed at the arm's base. The names of its joints and frames get the arm's name as a
+prefix (``master/joint_1``).
 """
 
 from __future__ import annotations
@@ -26,22 +26,22 @@ class RobotCell:
     """N arms in one Pinocchio model.
 
     Attributes:
-        model: all arms, joints in the order of the arms; do not modify it.
-        arms: the arms as given.
-        arm_names: their names.
+        model: Pinocchio model of all arms, with the joints in the order of the arms. Do not modify it.
+        arms: the arms, as given.
+        arm_names: names of the arms.
         nq, nv: sizes of a configuration and of a velocity of the whole cell.
         q_slices, v_slices: slice of each arm in a configuration and in a velocity.
-        joint_names: ``arm/joint``, one per velocity coordinate.
+        joint_names: name ``arm/joint`` of each velocity coordinate.
         limits: joint limits of the whole cell, shape (nv,) each.
-        tool_joints, tool_frames: index of the joint that carries each tool, and of each tool frame.
-        T_joint_tool: placement of each tool in its joint's frame.
-        position_index: where in a configuration the position of each velocity coordinate stands (nv,); for a
-            continuous joint, whose position is a point of the circle, that entry is its cosine.
-        continuous: which velocity coordinates belong to continuous joints (nv,).
-        euclidean: no joint is continuous, so that configurations add up.
+        tool_joints, tool_frames: indices of the joint that carries each tool and of each tool frame.
+        T_joint_tool: placement of each tool in the frame of its joint.
+        position_index: index in a configuration of the position of each velocity coordinate (nv,). A continuous joint
+            is stored as (cos, sin); the index is that of the cosine.
+        continuous: True for velocity coordinates of continuous joints (nv,).
+        euclidean: True if no joint is continuous; a displacement is then simply added to a configuration.
 
     Raises:
-        InvalidInputError: no arm, or two arms of one name.
+        InvalidInputError: no arm, or two arms with the same name.
     """
 
     def __init__(self, arms: Iterable[Arm]) -> None:
@@ -67,7 +67,7 @@ class RobotCell:
         self.tool_frames = tuple(int(f) for f in frames)
         self.tool_joints = tuple(int(self.model.frames[f].parentJoint) for f in frames)
         self.T_joint_tool = tuple(self.model.frames[f].placement.copy() for f in frames)
-        joints = list(self.model.joints)[1:]  # 0 is the universe
+        joints = list(self.model.joints)[1:]  # joint 0 is the universe
         self.position_index = np.array([j.idx_q for j in joints])
         self.continuous = np.array([j.nq != j.nv for j in joints])
         self.euclidean = not self.continuous.any()
@@ -80,7 +80,7 @@ class RobotCell:
         return f"RobotCell({parts})"
 
     def index(self, arm: str | int) -> int:
-        """Index of an arm given by name or index."""
+        """Index of an arm, from its name or index."""
         if isinstance(arm, str):
             if arm not in self.arm_names:
                 raise UnknownNameError("arm", arm, self.arm_names, "the cell")
@@ -90,11 +90,11 @@ class RobotCell:
         return arm
 
     def arm_of_joint(self, j: int) -> int:
-        """Index of the arm that velocity coordinate ``j`` belongs to."""
+        """Index of the arm of velocity coordinate ``j``."""
         return next(k for k, s in enumerate(self.v_slices) if s.start <= j < s.stop)
 
     def with_limits(self, **changes: Any) -> RobotCell:
-        """The same cell with other limits: keywords of :class:`JointLimits`, a scalar or shape (nv,)."""
+        """Return a copy with other limits (keywords of :class:`JointLimits`; a scalar or shape (nv,))."""
         limits = self.limits.replace(**changes)
         return RobotCell(
             replace(arm, limits=JointLimits(*(getattr(limits, f)[s] for f in LIMIT_FIELDS)))
@@ -102,17 +102,18 @@ class RobotCell:
         )
 
     def moved(self, q: Array, displacement: Array) -> Array:
-        """Configuration (nq,) after a displacement of the joints (nv,) [rad or m]."""
+        """Configuration (nq,) after a joint displacement (nv,) [rad or m]."""
         if self.euclidean:
             result: Array = q + displacement
             return result
         return np.asarray(pin.integrate(self.model, q, displacement))
 
     def check_configuration(self, q: Any, where: str) -> Array:
-        """Return ``q`` as a new finite (nq,) array whose continuous joints lie on the unit circle.
+        """Return ``q`` as a new finite array (nq,), with the (cos, sin) of continuous joints normalised.
 
         Raises:
-            InvalidInputError: wrong shape, NaN, infinite, or off the circle by more than 1e-6.
+            InvalidInputError: wrong shape, NaN or infinite entries, or the norm of a (cos, sin) is off 1 by more
+                than 1e-6.
         """
         vector = as_vector(q, self.nq, where)
         for j in np.flatnonzero(self.continuous):
@@ -140,7 +141,7 @@ class RobotCell:
         return q
 
     def positions(self, q: Array) -> Array:
-        """One position per joint (nv,) [rad or m] of a configuration (nq,); continuous joints in (−π, π]."""
+        """Joint positions (nv,) [rad or m] of a configuration (nq,); continuous joints in (−π, π]."""
         x: Array = q[self.position_index].copy()
         for j in np.flatnonzero(self.continuous):
             i = self.position_index[j]
@@ -148,10 +149,10 @@ class RobotCell:
         return x
 
     def average(self, configurations: Any) -> Array:
-        """Mean (nq,) of configurations (T, nq) that were measured at rest: to start from, without most of their noise.
+        """Mean (nq,) of configurations (T, nq) measured at rest. The mean has less noise: use it as a start.
 
         Raises:
-            InvalidInputError: none, or one that is no configuration.
+            InvalidInputError: no configuration, or an invalid one.
         """
         rows = [self.check_configuration(q, "RobotCell.average") for q in configurations]
         if not rows:
@@ -160,11 +161,11 @@ class RobotCell:
         return np.asarray(pin.integrate(self.model, rows[0], away))
 
     def visual_model(self) -> pin.GeometryModel:
-        """Visual shapes of all arms, for :attr:`model`; empty where an arm has none."""
+        """Visual shapes of all arms, for :attr:`model`; an arm without shapes adds none."""
         return _assemble(self.arms, "visual")[1]
 
     def collision_model(self) -> pin.GeometryModel:
-        """Collision shapes of all arms, for :attr:`model`; empty where an arm has none."""
+        """Collision shapes of all arms, for :attr:`model`; an arm without shapes adds none."""
         return _assemble(self.arms, "collision")[1]
 
 

@@ -4,8 +4,9 @@ One :class:`Chain` is a workspace over its own Pinocchio data. Placements and Ja
 Pinocchio's memory, and arms of equal joint count are handled in one batch, so a step costs no Python object per arm.
 
 Twists of the object are given in the *reference object frame* R: ``A_k v_k`` is the twist of the object as arm k
-carries it. With the world Jacobian ``J_k`` (spatial twist at the world's origin) simply ``A_k = Ad(R⁻¹) J_k``,
-whatever the grasp: the grasp only enters the poses. See docs/derivations.md.
+carries it. Jacobians ``J_k`` give twists at a point that moves with the object, in world axes: with the origin of R as
+that point ``A_k = blockdiag(Rᵀ, Rᵀ) J_k``, whatever the grasp: the grasp only enters the poses. No singular value
+depends on where the world's origin is. See docs/derivations.md.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ import pinocchio as pin
 
 from coopqp.model.cell import RobotCell
 from coopqp.model.grasp import Grasp
-from coopqp.spatial import Array, log6_batch
+from coopqp.spatial import Array, cross, log6_batch
 
 #: Singular values of A_k below this count as this in an inverse: limits and rate keep the command finite.
 SINGULAR_FLOOR = 1e-6
@@ -46,7 +47,7 @@ class Chain:
         moving_columns: per arm, the velocity coordinates that move its tool; only those count as its joints here.
         redundancy: joints beyond six, summed over the arms.
         deficient: indices of arms with fewer than six joints.
-        place, evaluate: update the joint placements, the world Jacobians of :meth:`live_views` at a configuration.
+        place: update the joint placements at a configuration.
     """
 
     def __init__(self, cell: RobotCell, grasp: Grasp) -> None:
@@ -60,14 +61,15 @@ class Chain:
             pin.computeJointJacobians(cell.model, data, q0)
         # Pinocchio's own functions: a call in between would cost as much as an arm.
         self.place: Callable[[Array], object] = partial(pin.forwardKinematics, cell.model, self._data)
-        self.evaluate: Callable[[Array], object] = partial(pin.computeJointJacobians, cell.model, self._jacobian_data)
         self._placements = _live_placements(cell.model, self._data)
         self.tool_joints = np.array(cell.tool_joints, dtype=np.int64) - 1
         # O_k = T_world_joint · Y_k with constant Y_k; the transpose suits Pinocchio's column-major memory.
         Y = [T * X.inverse() for T, X in zip(cell.T_joint_tool, grasp.T_object_tool, strict=True)]
         self.Y_transposed = np.array([y.homogeneous.T for y in Y])
-        self._JT = self._jacobian_data.J.T.reshape(-1, 6)  # (nv, 6), C-contiguous live view; of one joint, J is flat
-        self.moving_columns = _moving_columns(cell)
+        # (nv, 6), a live view about the world's origin, and the same about a point; of one joint, J is flat
+        self._world_JT = self._jacobian_data.J.T.reshape(-1, 6)
+        self._JT = np.zeros_like(self._world_JT)
+        self.moving_columns = moving_columns(cell)
         self._groups = _group_arms(cell, self.moving_columns)
         still = np.setdiff1d(np.arange(cell.nv), np.concatenate(self.moving_columns))
         self._still: npt.NDArray[np.intp] | None = still if still.size else None
@@ -96,22 +98,30 @@ class Chain:
 
     # -- Jacobians -----------------------------------------------------------------------------------------------
 
-    def live_views(self) -> tuple[Array, Array]:
-        """Pinocchio's memory: placements (joints, 4, 3) after :meth:`place`, Jᵀ (nv, 6) after :meth:`evaluate`."""
-        return self._placements, self._JT
+    def evaluate(self, q: Array, about: Array) -> None:
+        """Jacobians at ``q`` about a point ``about`` (3,) [m], in world axes."""
+        pin.computeJointJacobians(self._model, self._jacobian_data, q)
+        world = self._world_JT
+        self._JT[:, :3] = world[:, :3] + cross(world[:, 3:], np.broadcast_to(about, (len(world), 3)))
+        self._JT[:, 3:] = world[:, 3:]
 
-    def linearise(self, q: Array) -> None:
-        """Evaluate the world Jacobians at ``q`` and invert them."""
-        self.evaluate(q)
+    def linearise(self, q: Array, about: Array) -> None:
+        """Evaluate the Jacobians at ``q`` about a point and invert them."""
+        self.evaluate(q, about)
         self.invert()
 
     def invert(self) -> None:
-        """Invert the world Jacobians.
+        """Invert the Jacobians.
 
         After it :attr:`inverses` holds, per group, the transposed (weighted pseudo-)inverses (m, 6, joints).
         """
         self.singular = False
         self.inverses = [self._invert(g) for g in self._groups]
+
+    def rows(self) -> Array:
+        """Jᵀ (nv, 6) of the last :meth:`evaluate`, a live view."""
+        rows: Array = self._JT
+        return rows
 
     def jacobian_rows(self, g: _Group) -> Array:
         """Transposed world Jacobians of a group, (m, joints, 6)."""
@@ -266,12 +276,14 @@ class Chain:
     def smallest_singular_values(self, q: Array) -> Array:
         """σ_min of each tool Jacobian at ``q``, (N,), in the tool's frame (metres, radians)."""
         O = self.carried(q)
-        self.evaluate(q)
+        about = O[0, 3].copy()
+        self.evaluate(q, about)
         values = np.empty(self.n_arms)
         for g in self._groups:
             rows = self.jacobian_rows(g)
             for i, k in enumerate(g.arms):
-                to_tool = (pin.SE3(O[k, :3].T.copy(), O[k, 3].copy()) * self.grasp.T_object_tool[k]).inverse().action
+                carried = pin.SE3(O[k, :3].T.copy(), O[k, 3] - about)
+                to_tool = (carried * self.grasp.T_object_tool[k]).inverse().action
                 values[k] = np.linalg.svd(to_tool @ rows[i].T, compute_uv=False)[-1]
         return values
 
@@ -290,7 +302,7 @@ def _live_placements(model: pin.Model, data: pin.Data) -> Array:
     return view
 
 
-def _moving_columns(cell: RobotCell) -> list[npt.NDArray[np.intp]]:
+def moving_columns(cell: RobotCell) -> list[npt.NDArray[np.intp]]:
     """Per arm, the velocity coordinates that move its tool (a gripper's fingers do not)."""
     columns = []
     for joint in cell.tool_joints:

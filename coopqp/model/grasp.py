@@ -1,7 +1,7 @@
-"""The grasp: where each tool sits on the object, and what the arms think of the object's pose.
+"""The grasp: the placement of each tool on the object, and the object pose that follows from each arm.
 
-``X_k = T_object_tool_k`` is fixed. Arm k carries the object at ``O_k = T_world_tool_k X_k⁻¹``; in a perfect grasp
-all ``O_k`` are equal. The paper's triangle (Θ, K_B*, K_C*, Eqs. 4–6) is one special case.
+``X_k = T_object_tool_k`` is fixed. Arm k carries the object at ``O_k = T_world_tool_k X_k⁻¹``. In a perfect grasp
+all ``O_k`` are equal. The paper's triangle (Θ, K_B*, K_C*, Eqs. 4–6) is a special case.
 """
 
 from __future__ import annotations
@@ -19,12 +19,12 @@ from coopqp.model.cell import RobotCell
 from coopqp.model.state import CellState
 from coopqp.spatial import Array, Placement, adjoint, as_placement, as_placements
 
-#: Θ of Eq. (5): tool frame in the grasp-point frame of the paper; an involution.
+#: Θ of Eq. (5): the tool frame in the grasp-point frame of the paper. Θ is its own inverse.
 THETA = np.array([[-1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]])
 
 
 def triangle_frames(alpha: float, beta: float) -> tuple[Array, Array]:
-    """K_B* and K_C* of Eq. (6): frames of grasp points B and C in the frame of A; 4x4, lengths in metres."""
+    """K_B* and K_C* of Eq. (6): the frames of the grasp points B and C in the frame of A, 4x4 [m]."""
     K_B = np.diag([-1.0, -1.0, 1.0, 1.0])
     K_C = K_B.copy()
     K_B[:2, 3] = -beta, 3.0 * alpha
@@ -37,7 +37,7 @@ class Grasp:
     """Fixed placements of the tools on the object.
 
     Attributes:
-        T_object_tool: one placement per arm, in the order of the cell's arms.
+        T_object_tool: placement of each arm's tool in the object frame, in the order of the cell's arms.
     """
 
     T_object_tool: tuple[pin.SE3, ...]
@@ -53,9 +53,9 @@ class Grasp:
 
     @staticmethod
     def triangle(alpha: float, beta: float) -> Grasp:
-        """The paper's grasp: A, B, C at (0, 0), (−β, 3α), (β, 3α) of the plate; the object frame is that of A.
+        """The paper's grasp: A, B, C at (0, 0), (−β, 3α), (β, 3α) on the plate. The object frame is the frame of A.
 
-        The centroid is at (0, 2α). Lengths in metres. Source: Eqs. (4)–(6) and (15).
+        The centroid is at (0, 2α). Lengths are in metres. Source: Eqs. (4)–(6) and (15).
         """
         a = as_scalar(alpha, "Grasp.triangle: alpha")
         b = as_scalar(beta, "Grasp.triangle: beta")
@@ -72,17 +72,17 @@ class Grasp:
         tolerance_m: float = 0.005,
         tolerance_rad: float = np.deg2rad(1.0),
     ) -> Grasp:
-        """Latch the grasp where the tools are: the chain error is zero at ``q`` by definition.
+        """Latch the grasp at the present tool placements. The chain error at ``q`` is then zero.
 
         Args:
             cell: the cell.
             q: configuration at the moment of grasping (nq,).
-            T_world_object: pose of the object; by default where the first arm carries it under ``nominal``.
-            nominal: the intended grasp; a tool further than the tolerances from it is refused.
-            tolerance_m, tolerance_rad: accepted distance to ``nominal`` [m, rad].
+            T_world_object: pose of the object; by default the pose that follows from the first arm and ``nominal``.
+            nominal: the intended grasp; every tool must be within the tolerances of it.
+            tolerance_m, tolerance_rad: accepted deviation from ``nominal`` [m, rad].
 
         Raises:
-            InvalidInputError: bad ``q`` or pose, or a tool beyond the tolerances (names the arm).
+            InvalidInputError: bad ``q`` or pose, or a tool outside the tolerances (the message names the arm).
         """
         as_scalar(tolerance_m, "Grasp.from_configuration: tolerance_m", open_low=False)
         as_scalar(tolerance_rad, "Grasp.from_configuration: tolerance_rad", open_low=False)
@@ -120,38 +120,38 @@ class Grasp:
             )
 
     def carried(self, state: CellState) -> tuple[pin.SE3, ...]:
-        """``O_k``: where each arm carries the object, in the world."""
+        """``O_k``: the object pose in the world according to each arm."""
         return tuple(T * X.inverse() for T, X in zip(state.T_world_tool, self.T_object_tool, strict=True))
 
     def tool_targets(self, T_world_object: Placement) -> tuple[pin.SE3, ...]:
-        """Placement of each tool for an object pose (Eq. 12 for any number of arms)."""
+        """Placement of each tool in the world for an object pose (Eq. 12 for any number of arms)."""
         T = as_placement(T_world_object, "Grasp.tool_targets")
         return tuple(T * X for X in self.T_object_tool)
 
     def arm_increments(self, increment: Any) -> Array:
-        """Δ^k of Eq. (16), shape (N, 6): the object's body-frame increment carried into each tool frame.
+        """Δ^k of Eq. (16), shape (N, 6) [m, rad]: the object's body-frame increment in each tool frame.
 
-        ``Δ^k = Ad(X_k⁻¹) Δ``; with the paper's triangle these are the 18 component lists below Eq. (16).
+        ``Δ^k = Ad(X_k⁻¹) Δ``. For the paper's triangle these are the 18 component lists below Eq. (16).
         """
         delta = as_vector(increment, 6, "Grasp.arm_increments")
         return np.array([adjoint(X.inverse()) @ delta for X in self.T_object_tool])
 
     def relative_errors(self, state: CellState) -> Array:
-        """``log(O_i⁻¹ O_j)`` for every pair i < j, shape (pairs, 6) [m, rad]; zero in a perfect grasp."""
+        """``log(O_i⁻¹ O_j)`` of every pair i < j, shape (pairs, 6) [m, rad]. All are zero in a perfect grasp."""
         O = self.carried(state)
         n = len(O)
         return np.array([pin.log6(O[i].actInv(O[j])).vector for i in range(n) for j in range(i + 1, n)]).reshape(-1, 6)
 
 
 def plate_from_points(A: Sequence[float], B: Sequence[float], C: Sequence[float]) -> tuple[pin.SE3, float, float]:
-    """First way of the paper's Figure 2: the plate from its three grasp points in the world [m].
+    """First method of the paper's Figure 2: the plate from its three grasp points in the world [m].
 
     Returns:
-        (T_world_A, alpha, beta): frame of A, with C − B along x and the centre of BC along y, and the triangle's
-        parameters of Eq. (6).
+        (T_world_A, alpha, beta): the frame of A (x along C − B, y towards the centre of BC) and the parameters of the
+        triangle in Eq. (6) [m].
 
     Raises:
-        InvalidInputError: points that coincide, lie on a line, or are not an isosceles triangle with apex A.
+        InvalidInputError: the points coincide, lie on a line, or do not form an isosceles triangle with apex A.
     """
     where = "plate_from_points"
     a, b, c = (as_vector(x, 3, f"{where}: {n}") for x, n in ((A, "A"), (B, "B"), (C, "C")))
@@ -173,6 +173,6 @@ def plate_from_points(A: Sequence[float], B: Sequence[float], C: Sequence[float]
 
 
 def plate_from_centroid(T_world_centroid: Placement, alpha: float) -> pin.SE3:
-    """Second way of the paper's Figure 2: T_world_A from the centroid's placement (axes parallel to those of A)."""
+    """Second method of the paper's Figure 2: T_world_A from the placement of the centroid (same axes as A)."""
     T = as_placement(T_world_centroid, "plate_from_centroid")
     return T * pin.SE3(np.eye(3), np.array([0.0, -2.0 * as_scalar(alpha, "plate_from_centroid: alpha"), 0.0]))

@@ -1,7 +1,7 @@
 """Closed-chain inverse kinematics: the configuration at which every arm carries the object at one pose.
 
-Newton's method on ``log(O_k⁻¹ R)`` for all arms at once. Used to start a task, by the baseline's periodic reset
-and, with warm starts, by the path preview.
+Newton's method solves ``log(O_k⁻¹ R) = 0`` for all arms at once. The start of a task, the periodic reset of the
+baseline and the path preview (with warm starts) use it.
 """
 
 from __future__ import annotations
@@ -18,20 +18,20 @@ from coopqp.model.chain import Chain
 from coopqp.model.grasp import Grasp
 from coopqp.spatial import Array, Placement, as_placement
 
-#: Newton's step is shortened to this [rad or m] per joint.
+#: Largest Newton step of a joint [rad or m]; longer steps are scaled down.
 _LONGEST_STEP = 0.5
 
 
 def newton(chain: Chain, target: pin.SE3, q: Array, *, tolerance: float, max_iter: int) -> tuple[Array, Array]:
     """Iterate from ``q``; returns the last configuration and its errors (N, 6) with respect to ``target``."""
-    to_world = target.action
+    R, about = target.rotation, target.translation
     velocity = np.empty(chain.nv)
     errors = chain.errors(chain.carried(q), target)
     for _ in range(max_iter):
         if np.abs(errors).max() <= tolerance:
             break
-        chain.linearise(q)
-        step = chain.joint_velocities(-errors @ to_world.T, velocity)
+        chain.linearise(q, about)
+        step = chain.joint_velocities(np.hstack([-errors[:, :3] @ R.T, -errors[:, 3:] @ R.T]), velocity)
         largest = np.abs(step).max()
         if not np.isfinite(largest):
             break
@@ -51,19 +51,19 @@ def inverse_kinematics(
     tolerance: float = 1e-12,
     max_iter: int = 100,
 ) -> Array:
-    """Configuration (nq,) at which all arms carry the object at ``T_world_object``, near ``q_start``.
+    """Find a configuration (nq,) near ``q_start`` at which all arms carry the object at ``T_world_object``.
 
     Args:
         cell: the cell.
         grasp: the grasp.
-        T_world_object: the object's pose.
-        q_start: where to start from (nq,); decides the branch (elbow up or down …).
-        tolerance: largest error [m, rad]; what rounding leaves (below 1e-9) is accepted too.
-        max_iter: Newton iterations.
+        T_world_object: pose of the object.
+        q_start: start configuration (nq,); it decides the branch (elbow up or down …).
+        tolerance: largest accepted error [m, rad]; errors up to 1e-9 are always accepted.
+        max_iter: largest number of Newton iterations.
 
     Raises:
         InvalidInputError: bad pose or ``q_start``.
-        UnreachableError: an arm does not get there; names it and how far it stays away.
+        UnreachableError: an arm does not reach its grasp. The message names the arm and the remaining distance.
     """
     target = as_placement(T_world_object, "inverse_kinematics: T_world_object")
     q0 = cell.check_configuration(q_start, "inverse_kinematics: q_start")

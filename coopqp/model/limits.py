@@ -1,4 +1,4 @@
-"""What can bind a step: the limits, by name."""
+"""Names of the limits that can bind a step."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 
 class LimitKind(enum.Enum):
-    """Which limit of a joint binds."""
+    """Kind of a binding limit."""
 
     POSITION = "position"
     VELOCITY = "velocity"
@@ -16,24 +16,29 @@ class LimitKind(enum.Enum):
     REACH = "reach"
     PATH_END = "path end"
     OUT_OF_STEP = "out of step"
+    CONSTRAINT = "constraint"
 
 
 @dataclass(frozen=True, slots=True)
 class BindingLimit:
-    """A limit that the step runs against.
+    """A limit that binds in a step.
 
     Attributes:
-        arm: name of the arm; empty where the limit is the path's.
-        joint: name of the joint, without the arm's prefix; empty where the limit is the whole arm's.
-        kind: which limit.
+        arm: name of the arm; empty for a limit of the path.
+        joint: name of the joint without the arm's prefix; empty for a limit of the whole arm.
+        kind: kind of the limit.
+        name: name of the user's constraint; empty for other kinds.
     """
 
     arm: str
     joint: str
     kind: LimitKind
+    name: str = ""
 
     def __str__(self) -> str:
+        if self.kind is LimitKind.CONSTRAINT:
+            return f"constraint {self.name}"
         if not self.arm:
-            return self.kind.value  # the path's own
+            return str(self.kind.value)  # the path's own
         joint = f" joint {self.joint}" if self.joint else ""
         return f"arm {self.arm}{joint}: {self.kind.value}"

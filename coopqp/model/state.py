@@ -1,4 +1,4 @@
-"""Everything that depends on a configuration, computed once: holding a CellState means kinematics ran."""
+"""Kinematics of a cell at one configuration, computed once when a CellState is built."""
 
 from __future__ import annotations
 
@@ -21,10 +21,10 @@ class CellState:
         q: configuration, shape (nq,) [rad or m]; copied.
 
     Attributes:
-        T_world_tool: placement of each tool, tuple of :class:`pinocchio.SE3`.
+        T_world_tool: placement of each tool in the world, a tuple of :class:`pinocchio.SE3`.
 
     Raises:
-        InvalidInputError: wrong shape or non-finite entries.
+        InvalidInputError: wrong shape or entries that are not finite.
     """
 
     def __init__(self, cell: RobotCell, q: Any) -> None:
@@ -37,9 +37,9 @@ class CellState:
         )
 
     def jacobian(self, arm: str | int, frame: pin.ReferenceFrame = pin.LOCAL) -> Array:
-        """Jacobian of an arm's tool, shape (6, n): twist of the tool = J · joint velocities of that arm.
+        """Jacobian J of an arm's tool, shape (6, n): tool twist = J · joint velocities of the arm.
 
-        ``frame`` says where the twist is expressed: LOCAL (the tool frame), LOCAL_WORLD_ALIGNED, or WORLD.
+        ``frame`` selects the frame of the twist: LOCAL (the tool frame), LOCAL_WORLD_ALIGNED, or WORLD.
         """
         k = self.cell.index(arm)
         J = pin.getFrameJacobian(self.cell.model, self._data, self.cell.tool_frames[k], frame)
@@ -56,12 +56,12 @@ class CellState:
     def sigma_min(self) -> Array:
         """Smallest singular value of each arm's tool Jacobian, shape (N,).
 
-        With fewer than six joints the value is that of the motions the arm can do.
+        An arm with n < 6 joints has n singular values: the value refers to the motions that the arm can do.
         """
         return np.array([s[-1] for s in self.singular_values])
 
     @cached_property
     def limit_margins(self) -> Array:
-        """Distance of each joint to its nearer position limit, (nv,) [rad or m]; negative outside, inf if none."""
+        """Distance of each joint to its nearer position limit (nv,) [rad or m]; negative outside, inf without limit."""
         x, limits = self.cell.positions(self.q), self.cell.limits
         return np.minimum(x - limits.lower, limits.upper - x)

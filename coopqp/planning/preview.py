@@ -1,9 +1,9 @@
 """The path ahead of the object's clock: where limits and singularities bind, and how fast the object may go.
 
 Under acceleration limits no single step can keep both the chain and the path at a limit: all arms have to brake
-together, ahead of it. The preview runs the chain's own inverse kinematics ahead of the clock, cell by cell, and
+together, ahead of it. The preview runs the chain's own inverse kinematics ahead of the clock, knot by knot, and
 stores the joints' derivatives with respect to the clock, ``q′ = A⁻¹ν`` and ``q″``. With rate σ the joints move at
-``q′σ`` and accelerate at ``q′σ̇ + q″σ²``, so each cell bounds ``z = σ²`` and its decrease per clock second:
+``q′σ`` and accelerate at ``q′σ̇ + q″σ²``, so each knot bounds ``z = σ²`` and its decrease per clock second:
 
     z_cap = min(1, (η v_j / |q′_j|)², κ η a_j / |q″_j|),   D = min(0.9 σ̇_max, (η a_j − |q″_j| z_cap) / |q′_j|)
 
@@ -14,22 +14,22 @@ timing on a rolling horizon: as long as the object needs to stop, and no longer.
 from __future__ import annotations
 
 import math
+from bisect import bisect_right
 from collections import deque
-from collections.abc import Generator, Iterator
+from collections.abc import Callable, Generator, Iterator
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import pinocchio as pin
 
 from coopqp.checks import as_count, keep_scalars
-from coopqp.control.core import BorderArrays, NumpyKernel, Outcome, Workspace, make_border, make_kernel
-from coopqp.control.limits import VelocityBox
-from coopqp.model.cell import JointLimits
+from coopqp.model.cell import RobotCell
 from coopqp.model.chain import Chain
 from coopqp.model.inverse_kinematics import newton
 from coopqp.model.limits import BindingLimit, LimitKind
 from coopqp.spatial import Array
+from coopqp.task.guarded import GuardedPath
 from coopqp.task.path import ObjectPath
 from coopqp.task.posture import Posture
 
@@ -39,17 +39,17 @@ class PreviewOptions:
     """Settings of the preview.
 
     Attributes:
-        cell: longest cell [s of the clock].
-        joint_step: largest joint motion in a cell [rad or m].
-        slope_step: largest change of a joint's slope in a cell, as a share of the largest slope and of its speed.
-        shortest: cells are not halved below this [s].
+        cell: longest interval between knots [s of the clock].
+        joint_step: largest joint motion between knots [rad or m].
+        slope_step: largest change of a joint's slope between knots, as a share of the largest slope and of its speed.
+        shortest: intervals between knots are not halved below this [s].
         margin: η, share of velocity and acceleration limits that is planned with where acceleration is limited.
         curvature_share: κ, share of the acceleration that the path's curvature may take.
         rate_slope: σ̇_max, largest change of the rate [1/s], where acceleration is limited.
         singular_rate: a rate cap below this, while joint speeds still rise, ends the path there, unless they fall
             again before it is below 0.3 of this.
-        newton_steps: so many of the chain's Newton steps may be taken in one control step. Where that is too little to
-            see as far as the object needs to stop, it slows down.
+        newton_steps: the chain's Newton steps that one control step may take. Where these are too few to see as far as
+            the object needs to stop, it slows down.
     """
 
     cell: float = 0.02
@@ -72,20 +72,63 @@ class PreviewOptions:
         return self.rate_slope if accelerates else 1.0 / (_STEPS_TO_FULL_SPEED * dt)
 
 
-class _Cell(NamedTuple):
-    """The border of a cell: the chain at one clock."""
+@dataclass(frozen=True, eq=False)
+class PlanLimits:
+    """The limits that the path ahead is planned with.
+
+    Attributes:
+        speed, acceleration: of each joint (nv,).
+        jump: change of velocity that a joint can take within one step, at a corner or at the path's end (nv,).
+        slope_change: change of slope between knots that is always allowed (nv,).
+    """
+
+    speed: Array
+    acceleration: Array
+    jump: Array
+    slope_change: Array
+
+    @staticmethod
+    def of(cell: RobotCell, options: PreviewOptions, *, dt: float) -> PlanLimits:
+        """A share of the cell's limits.
+
+        A joint without acceleration limit may still not change its velocity so fast that a step's linearisation fails:
+        it is planned with a change of full speed in a number of steps, and without speed cap, which the step itself
+        finds. A jump of its velocity is the step's business.
+        """
+        limits, finite = cell.limits, np.isfinite(cell.limits.acceleration)
+        speed = np.where(np.isfinite(limits.velocity), limits.velocity, 1.0)
+        planned = options.margin * limits.acceleration
+        return PlanLimits(
+            np.where(finite, options.margin, 1.0) * limits.velocity,
+            np.where(finite, planned, speed / (_STEPS_TO_FULL_SPEED * dt)),
+            np.where(finite, planned, np.inf) * dt,
+            options.slope_step * speed,
+        )
+
+
+#: Of a knot at (clock, q, q′, q″): the largest σ², the largest decrease of σ per clock second, and the constraint that
+#: makes the former, by name. A negative σ² says that not even rest is admissible there.
+KnotBound = Callable[[float, Array, Array, Array], tuple[float, float, str]]
+
+
+class _PathLost(Exception):  # noqa: N818
+    """A user's path has no pose or no twist ahead."""
+
+
+class _Knot(NamedTuple):
+    """The chain at one clock."""
 
     clock: float
     q: Array
     slope: Array  # q′ (nv,)
+    curvature: Array  # q″ (nv,) since the knot before
     cap: float  # z_b: largest σ² here
-    squeeze: float  # what the limits alone would make of the cap
+    uncapped: float  # bound of σ² that speed and curvature would make, whether speed makes the cap or not
+    decrease: float  # D since the knot before
     cumulative: float  # C = 2 ∫ D up to here
-    decrease: float  # D in the cell that ends here
-    curvature: Array  # q″ in the cell that ends here
     binding: BindingLimit | None  # what makes the cap
     fastest: float  # largest |q′|
-    change: float  # largest change of a slope in the cell that ends here, less what is always allowed
+    change: float  # largest change of a slope since the knot before, less the change that is always allowed
     inside: bool  # all joints are inside their position limits
 
 
@@ -93,24 +136,30 @@ class _Cell(NamedTuple):
 _STEPS_TO_FULL_SPEED = 22
 #: A singularity is passed where the rate's cap stays above this share of the one that ends the path.
 _PASSABLE = 0.3
-#: Cells shorter than this are not halved for a change of slope [s].
-_FINE_CELL = 0.001
+#: The path's curvature leaves at least this share of the acceleration to change the rate with.
+_LEAST_LEFT = 1e-3
+#: Intervals shorter than this are not halved for a change of slope [s].
+_FINE_CELL = 1e-3
 #: Refinements of the rate near a bound.
 _BISECTIONS = 6
-#: The twist before a corner or the end is that so much earlier [s].
+#: The twist before a corner or the end is taken this much earlier [s].
 _JUST_BEFORE = 1e-10
-#: Of squares of rates, which are differences of sums.
+#: Rounding of squares of rates, which are differences of sums.
 _ROUNDING = 1e-12
-#: A cell is begun so many steps before it is needed.
+#: A knot is begun this many steps before it is needed.
 _STEPS_TO_GROW = 8
-_UNBOUND = _Cell(np.inf, np.zeros(0), np.zeros(0), 0.0, 0.0, 0.0, 0.0, np.zeros(0), None, 0.0, 0.0, True)
-_OPEN = _UNBOUND._replace(cap=np.inf)
-#: Newton steps that a reset may take, and cells that a way past a singularity may have.
-_NEWTON_STEPS_AT_START, _LONGEST_WAY = 1000, 300
+#: Newton steps that a reset may take, that its first knot may take, and that every other knot may take.
+_NEWTON_STEPS_AT_START, _STARTING_STEPS, _MOST_TRIES = 1000, 8, 4
+#: Knots that are kept at most, and knots of a way past a singularity.
+_MOST_KNOTS, _LONGEST_WAY = 1024, 300
 #: Arms with few joints can follow a path if no more than this is left where Newton's method ends [m, rad].
 _FOLLOWED = 1e-4
 #: Newton steps shorter than this are the last: the next would be of the square of it [rad or m].
 _CONVERGED = 1e-5
+_NOTHING = np.zeros(0)
+#: The end of the horizon stops the object, and nothing does.
+_HORIZON = _Knot(np.inf, _NOTHING, _NOTHING, _NOTHING, 0.0, 0.0, 0.0, 0.0, None, 0.0, 0.0, True)
+_OPEN = _HORIZON._replace(cap=np.inf)
 
 
 class PathPreview:
@@ -122,6 +171,7 @@ class PathPreview:
         posture: what redundant arms do with their freedom.
         dt: nominal length of a control step [s].
         options: settings.
+        bound: what further constraints leave of the rate at a knot.
 
     Attributes:
         ends: what makes the latest cap stops the object for good.
@@ -136,76 +186,73 @@ class PathPreview:
         *,
         dt: float,
         options: PreviewOptions | None = None,
-        kernel: str = "auto",
+        bound: KnotBound | None = None,
     ) -> None:
-        self._chain, self._path, self._posture, self._dt = chain, path, posture, dt
+        self._chain, self._path, self._posture, self._dt = chain, GuardedPath(path), posture, dt
+        self._duration = path.duration
         self.options = options or PreviewOptions()
         limits = chain.cell.limits
-        # The kernel's step with unit gains and without limits is one Newton step of the chain's inverse kinematics,
-        # and what a unit of rate contributes is q′.
         n = chain.nv
-        free = JointLimits(np.full(n, -np.inf), np.full(n, np.inf), np.full(n, np.inf), np.full(n, np.inf))
-        shares = np.full((chain.n_arms, 6), 1.0 / chain.n_arms)
-        ws = self._ws = Workspace(chain, shares, VelocityBox(chain.cell, free), wants_along=True)
-        ws.scalars[[ws.DT, ws.GRASP_GAIN, ws.PATH_GAIN, ws.LAST_DT]] = 1.0
-        ws.scalars[[ws.SPEED, ws.SPIN]] = np.inf
-        kernel = "numpy" if chain.deficient else "auto" if kernel == "none" else kernel
-        self._kernel = make_kernel(ws, kernel) or NumpyKernel(ws)
+        self._step, self._slope, self._errors = np.zeros(n), np.zeros(n), np.zeros((chain.n_arms, 6))
         self._low, self._high = limits.lower, limits.upper
-        finite = np.isfinite(limits.acceleration)
-        self.accelerates = bool(finite.any())
-        self._speed = np.where(finite, self.options.margin, 1.0) * limits.velocity
-        # A joint without acceleration limit may still not change its velocity so fast that a step's linearisation
-        # fails: it is planned with a change of full speed in a number of steps, and without speed cap, which the
-        # step itself finds. A jump of velocity (a corner, the path's end) is its own business.
-        speed = np.where(np.isfinite(limits.velocity), limits.velocity, 1.0)
-        self._cell = chain.cell
-        swift = speed / (_STEPS_TO_FULL_SPEED * dt)
-        self._acceleration = np.where(finite, self.options.margin * limits.acceleration, swift)
-        self._jump = np.where(finite, self.options.margin * limits.acceleration, np.inf) * dt
-        self._border = BorderArrays(
-            ws.along_velocity,
-            limits,
-            per_speed=1.0 / self._speed,
-            per_bend=1.0 / (self.options.curvature_share * self._acceleration),
-            acceleration=self._acceleration,
-            slope_change=self.options.slope_step * speed,
-            caps_speed=self.accelerates,  # else the step itself finds that cap
-        )
-        self._evaluate = make_border(self._border, self._kernel.name).evaluate
+        self._cell, self._bound, self._beyond = chain.cell, bound, ""
+        self.accelerates = bool(np.isfinite(limits.acceleration).any())
+        plan = self._plan = PlanLimits.of(chain.cell, self.options, dt=dt)
+        self._speed, self._acceleration = plan.speed, plan.acceleration
+        self._jump, self._slope_change = plan.jump, plan.slope_change
         self._slope_cap = self.options.slope(accelerates=self.accelerates, dt=dt)
         if self.accelerates:
             self._slope_cap *= 0.9
-        self._line: Array | None = None
-        self._cells: deque[_Cell] = deque()
-        self._bounds: deque[_Cell] = deque()  # candidates for min (z_b + C_b), increasing
+        self._begun, self._breakpoints = pin.neutral(chain.cell.model), list[float]()
+        self._knots: deque[_Knot] = deque()
+        self._way: list[_Knot] = []  # past a singularity, while it is looked for
+        self._bounds: deque[_Knot] = deque()  # candidates for min (z_b + C_b), increasing
         self._complete = self.ends = self.blind = False
         self._forget()
 
     def _forget(self) -> None:
-        """Nothing is known of when the next cell will be needed, and none is begun."""
+        """Nothing is known of when the next knot will be needed, and none is begun."""
         self._free_until, self._begin_at = -np.inf, np.inf
         self._growing: Iterator[None] | None = None
+        self._way.clear()
 
     def reset(self, q: Array, clock: float) -> None:
         """Start at a configuration on (or near) the path, and look ahead as far as the first step needs."""
-        self._cells.clear()
+        self._knots.clear()
         self._bounds.clear()
         self._complete = self.ends = self.blind = False
         self._forget()
+        self._begun, self._breakpoints = q, self._path.breakpoints()
         pose = self._path.pose(clock)
-        q, errors = newton(self._chain, pose, q, tolerance=1e-10, max_iter=8)
+        if pose is None:
+            return  # nothing is known ahead: the object rests, and the next step tries again
+        q, errors = newton(self._chain, pose, q, tolerance=1e-10, max_iter=_STARTING_STEPS)
         self.blind = self._beyond_few_joints(errors)
         if not np.abs(errors).max() < 1e-6 and not self.blind:
             arm = int(np.abs(errors).max(axis=1).argmax())
-            self._ws.along_velocity[:] = 0.0
-            blocked = self._cell_at(clock, q, None)
-            self._push(blocked._replace(cap=0.0, binding=self._arm_limit(arm, LimitKind.REACH)))
-            self._complete = True
+            self._slope[:] = 0.0
+            self._block(self._knot_at(clock, q, None), arm, LimitKind.REACH)
             return
-        self._newton_step(clock, q, after=True)
-        self._push(self._cell_at(clock, q, None))
+        if not self._newton_step(clock, q, before=0.0):
+            self._slope[:] = 0.0
+        self._push(self._knot_at(clock, q, None))
         self._extend(clock, self._dt, _NEWTON_STEPS_AT_START)
+
+    def memory(self) -> Any:
+        """What a copy of this preview goes on from. Growth that is under way is finished first."""
+        growing = self._growing
+        while self._growing is growing and growing is not None and self._work_ahead():
+            pass
+        return (
+            list(self._knots), list(self._bounds), self._complete, self.ends, self.blind, self._free_until,
+            self._begin_at, self._beyond,
+        )  # fmt: skip
+
+    def restore(self, memory: Any) -> None:
+        """Go on from what :meth:`memory` returned."""
+        knots, bounds, self._complete, self.ends, self.blind, self._free_until, self._begin_at, self._beyond = memory
+        self._knots, self._bounds, self._growing = deque(knots), deque(bounds), None
+        self._way.clear()
 
     # -- reading -------------------------------------------------------------------------------------------------
 
@@ -213,6 +260,10 @@ class PathPreview:
         """Largest admissible rate σ at ``clock`` for a step of ``dt``, and what ahead makes it less than 1."""
         if self.blind:
             return 1.0, None
+        if not self._knots:
+            self.reset(self._begun, clock)
+            if not self._knots:
+                return 0.0, None
         if clock < self._free_until and dt <= self._dt:
             if clock >= self._begin_at:
                 self._work_ahead()
@@ -220,11 +271,11 @@ class PathPreview:
         self._extend(clock, dt, self.options.newton_steps)
         if not self._complete and not self._reaches(clock + _STEPS_TO_GROW * dt, dt):
             self._work_ahead()
-        here = self._cells[0]
+        here = self._knots[0]
         self.ends = False
         while self._bounds and self._bounds[0].clock <= clock and (len(self._bounds) > 1 or self._bounds[0].cap > 0.0):
             self._bounds.popleft()
-        ahead = self._cells[1] if len(self._cells) > 1 else here
+        ahead = self._knots[1] if len(self._knots) > 1 else here
         D = ahead.decrease
         C = here.cumulative + 2.0 * D * (clock - here.clock)
         square, bound = self._square(C)
@@ -239,63 +290,69 @@ class PathPreview:
         if between < square:
             square, bound = between, here if here.cap < ahead.cap else ahead
             fall = max(here.cap - ahead.cap, 0.0) / (ahead.clock - here.clock) if ahead.clock > here.clock else 0.0
-        self.ends = bound.cap == 0.0 and bound is not _UNBOUND
+        self.ends = bound.cap == 0.0 and bound is not _HORIZON
         # S falls while the object goes: σ² = S − fall σ dt while it goes on as it begins, or what there is on arrival.
         half = 0.5 * fall * dt
         root = math.sqrt(half * half + square)
         rate = min(square / (half + root) if root > 0.0 else 0.0, 1.0)
         fast = min(math.sqrt(square), 1.0)
         fast = min(fast, math.sqrt(self._square_at(clock + fast * dt)))
-        for candidate in (max(rate, fast), min(rate, fast)):
-            if self._admits(candidate, clock + candidate * dt):
-                return candidate, bound.binding
-        low, high = 0.0, min(rate, fast)
-        for _ in range(_BISECTIONS):
+        return self._admissible_rate(clock, dt, rate, fast), bound.binding
+
+    def _admissible_rate(self, clock: float, dt: float, rate: float, fast: float) -> float:
+        """The largest admissible rate near two candidates."""
+        low, high = min(rate, fast), max(rate, fast)
+        if self._admits(high, clock + high * dt):
+            return high
+        if not self._admits(low, clock + low * dt):
+            low, high = 0.0, low
+        # Near a stop the lower candidate may be 0 where much more is admissible.
+        for _ in range(_BISECTIONS if low < high else 0):
             middle = 0.5 * (low + high)
             if self._admits(middle, clock + middle * dt):
                 low = middle
             else:
                 high = middle
-        return low, bound.binding
+        return low
 
-    def _square(self, cumulative: float) -> tuple[float, _Cell]:
-        """S where C has a value: the least of z_b + C_b ahead, less C, and the cell that makes it."""
-        last = self._cells[-1]
+    def _square(self, cumulative: float) -> tuple[float, _Knot]:
+        """S where C has a value: the least of z_b + C_b ahead, less C, and the knot that makes it."""
+        last = self._knots[-1]
         bound = self._bounds[0] if self._bounds else _OPEN
         square = bound.cap + bound.cumulative - cumulative
         if not self._complete and last.cumulative - cumulative < square:
-            return max(last.cumulative - cumulative, 0.0), _UNBOUND
+            return max(last.cumulative - cumulative, 0.0), _HORIZON
         return max(square, 0.0), bound
 
     def _enough_until(self) -> float:
         """Clock until which the known horizon lets the object go on at full rate."""
-        cells = self._cells
+        knots = self._knots
         if self._complete:
             return np.inf
-        enough = cells[-1].cumulative - 1.0 - 2.0 * self._slope_cap * self._dt
-        latest = cells[-1].clock - 2.0 * self._dt
-        # The last border up to which there is enough; a cell's own decrease counts for the one that begins there.
-        return next((c.clock for c in reversed(cells) if c.cumulative < enough and c.clock <= latest), -np.inf)
+        enough = knots[-1].cumulative - 1.0 - 2.0 * self._slope_cap * self._dt
+        latest = knots[-1].clock - 2.0 * self._dt
+        # The last knot up to which there is enough; a knot's decrease counts from the knot before it on.
+        return next((k.clock for k in reversed(knots) if k.cumulative < enough and k.clock <= latest), -np.inf)
 
-    def _cell_of(self, clock: float) -> int:
-        """Number of the border that the cell of ``clock`` begins with."""
-        cells = self._cells
+    def _knot_before(self, clock: float) -> int:
+        """Number of the last knot at or before ``clock``."""
+        knots = self._knots
         i = 0
-        while i + 1 < len(cells) and cells[i + 1].clock <= clock:
+        while i + 1 < len(knots) and knots[i + 1].clock <= clock:
             i += 1
         return i
 
     def _square_at(self, clock: float) -> float:
         """S at a clock ahead."""
-        cells, i = self._cells, self._cell_of(clock)
-        here = cells[i]
-        if i + 1 == len(cells):
+        knots, i = self._knots, self._knot_before(clock)
+        here = knots[i]
+        if i + 1 == len(knots):
             return max(here.cap, 0.0) if self._complete else 0.0
-        ahead = cells[i + 1]
+        ahead = knots[i + 1]
         C = here.cumulative + 2.0 * ahead.decrease * (clock - here.clock)
         square = _between(here, ahead, clock)
         if not self._complete:
-            square = min(square, cells[-1].cumulative - C)
+            square = min(square, knots[-1].cumulative - C)
         for bound in self._bounds:
             if bound.clock > clock:
                 square = min(square, bound.cap + bound.cumulative - C)
@@ -305,216 +362,254 @@ class PathPreview:
         """Whether the object may arrive at ``clock`` with ``rate``."""
         square = rate * rate
         return square <= self._square_at(clock) + _ROUNDING and all(
-            self._cells[m].cap + _ROUNDING >= square for m in range(1, self._cell_of(clock) + 1)
+            self._knots[m].cap + _ROUNDING >= square for m in range(1, self._knot_before(clock) + 1)
         )
 
     def reference(self, clock: float) -> tuple[Array, Array]:
         """Previewed configuration (nq,) and q′ (nv,) at ``clock``: what redundant arms follow."""
+        if not self._knots:
+            return self._begun, np.zeros_like(self._slope)
         self._leave_behind(clock)
-        here = self._cells[0]
-        ahead = self._cells[1] if len(self._cells) > 1 else here
+        here = self._knots[0]
+        ahead = self._knots[1] if len(self._knots) > 1 else here
         span = ahead.clock - here.clock
         share = min(max((clock - here.clock) / span, 0.0), 1.0) if span > 0.0 else 0.0
         model = self._cell.model
         slope = here.slope + share * (ahead.slope - here.slope)
-        # Quadratic from the nearer border: exact to second order, continuous to third.
+        # Quadratic from the knot before: exact to second order, continuous to third.
         q = pin.integrate(model, here.q, 0.5 * (here.slope + slope) * (share * span))
         return q, slope
 
     # -- building ------------------------------------------------------------------------------------------------
 
     def _extend(self, clock: float, dt: float, newton_steps: int) -> None:
-        """Grow the horizon until the object could brake from full rate within it, or until that is all for now."""
+        """Grow the horizon until the object could brake from full rate within it, or by that many Newton steps."""
         for _ in range(newton_steps):
             self._leave_behind(clock)
-            if self._complete or self.blind or self._reaches(clock, dt):
+            if self._complete or self.blind or self._reaches(clock, dt) or not self._work_ahead():
                 return
-            self._work_ahead()
 
     def _reaches(self, clock: float, dt: float) -> bool:
         """Whether the object could brake from full rate at ``clock`` within the horizon."""
-        cells = self._cells
-        ahead = cells[min(self._cell_of(clock) + 1, len(cells) - 1)]
+        knots = self._knots
+        ahead = knots[min(self._knot_before(clock) + 1, len(knots) - 1)]
         enough = 1.0 + 2.0 * self._slope_cap * dt  # what a step at full rate uses up is still there after it
-        return cells[-1].clock > clock + 2.0 * dt and cells[-1].cumulative - ahead.cumulative > enough
+        return knots[-1].clock > clock + 2.0 * dt and knots[-1].cumulative - ahead.cumulative > enough
 
-    def _work_ahead(self) -> None:
-        """A piece of the next cell, so that no single step has to make a whole one."""
-        if self._growing is None:
-            self._growing = self._grow(self._cells[-1])
+    def _work_ahead(self) -> bool:
+        """One Newton step, so that no single control step has to make a whole knot; False where growth has to wait."""
+        if len(self._knots) + len(self._way) + 2 > _MOST_KNOTS:
+            return False
         try:
+            if self._growing is None:
+                self._growing = self._grow(self._knots[-1])
+                next(self._growing)  # up to its first Newton step
             next(self._growing)
         except StopIteration:
             self._growing, self._begin_at = None, np.inf
+            self._way.clear()
+        except _PathLost:  # the horizon stops the object; the next step tries again
+            self._growing = None
+            self._way.clear()
+            return False
+        return True
 
     def _leave_behind(self, clock: float) -> None:
-        """Drop the cells that end before ``clock``."""
-        while len(self._cells) > 1 and self._cells[1].clock <= clock:
-            self._cells.popleft()
+        """Drop the knots that another follows before ``clock``."""
+        while len(self._knots) > 1 and self._knots[1].clock <= clock:
+            self._knots.popleft()
 
-    def _grow(self, last: _Cell) -> Iterator[None]:
-        """Add a cell; pauses after every Newton step."""
-        path = self._path
-        if path.duration - last.clock <= 1e-12:
+    def _grow(self, last: _Knot) -> Iterator[None]:
+        """Add a knot; pauses before every Newton step."""
+        if self._duration - last.clock <= 1e-12:
             self._finish(last)
             return
-        cell = yield from self._next(last)
+        knot = yield from self._next(last)
         if self.blind:
             return
-        if cell is None:
+        if knot is None and self._beyond:
+            self._push(last._replace(cap=0.0, binding=BindingLimit("", "", LimitKind.CONSTRAINT, self._beyond)))
+            return
+        if knot is None:
             self._block(last, self._singular_arm(last), LimitKind.REACH)
             return
-        crossing = None if cell.inside else self._limit_crossing(last, cell)
+        crossing = None if knot.inside else self._limit_crossing(last, knot)
         if crossing is not None:
             self._push(crossing)
-            self._complete = True
             return
-        if cell.squeeze < self.options.singular_rate**2 and cell.fastest > last.fastest:
-            way = yield from self._past(cell)
+        way = [knot]
+        if knot.uncapped < self.options.singular_rate**2 and knot.fastest > last.fastest:
+            way = yield from self._past(knot)
             if not way:
-                self._block(cell, self._singular_arm(cell), LimitKind.SINGULARITY)
+                self._block(knot, self._singular_arm(knot), LimitKind.SINGULARITY)
                 return
-            for between in way[:-1]:
-                self._push(between)
-            cell = way[-1]
-        breakpoint_ = path.next_breakpoint(last.clock)
-        if abs(cell.clock - breakpoint_) < 1e-9 and breakpoint_ < path.duration:
-            cell = self._corner(cell)
-        self._push(cell)
+        breakpoint_ = self._next_breakpoint(last.clock)
+        if abs(way[-1].clock - breakpoint_) < 1e-9 and breakpoint_ < self._duration:
+            way[-1] = self._corner(way[-1])
+        for knot in way:
+            self._push(knot)
 
-    def _next(self, last: _Cell) -> Generator[None, None, _Cell | None]:
-        """The border after ``last``, as far on as the chain can be followed in one go; None where it cannot."""
-        path, options = self._path, self.options
-        h = min(options.cell, path.duration - last.clock)
+    def _next(self, last: _Knot) -> Generator[None, None, _Knot | None]:
+        """The knot after ``last``, as far on as the chain can be followed in one go; None where it cannot."""
+        options = self.options
+        h = min(options.cell, self._duration - last.clock)
         if last.fastest > 0.0:
             h = min(h, options.joint_step / last.fastest)
-        breakpoint_ = path.next_breakpoint(last.clock)
+        breakpoint_ = self._next_breakpoint(last.clock)
         if last.clock + h > breakpoint_ - 1e-9:
             h = breakpoint_ - last.clock
         while True:
-            cell = yield from self._try(last, h)
+            knot = yield from self._try(last, h)
             h *= 0.5
-            if cell is not None or h < options.shortest or self.blind:
-                return cell
+            if knot is not None or h < options.shortest or self.blind:
+                return knot
 
-    def _past(self, cell: _Cell) -> Generator[None, None, list[_Cell]]:
-        """The borders from ``cell``, near a singularity, to where the joints slow down; none if there is no way."""
+    def _past(self, knot: _Knot) -> Generator[None, None, list[_Knot]]:
+        """The knots from ``knot``, near a singularity, to where the joints slow down; none if there is no way."""
         least = (_PASSABLE * self.options.singular_rate) ** 2
-        end = self._path.next_breakpoint(cell.clock) - 1e-9
-        way = [cell]
-        while len(way) < _LONGEST_WAY:
+        end = self._next_breakpoint(knot.clock) - 1e-9
+        way = self._way
+        way.append(knot)
+        while len(way) < _LONGEST_WAY and way[-1].clock < end:
             ahead = yield from self._next(way[-1])
-            if ahead is None or not ahead.inside or ahead.squeeze < least or ahead.clock > end:
+            if ahead is None or not ahead.inside or ahead.uncapped < least or ahead.clock > end:
                 return []
             way.append(ahead)
             if ahead.fastest < way[-2].fastest:
-                return way
+                return list(way)
         return []
 
-    def _try(self, last: _Cell, h: float) -> Generator[None, None, _Cell | None]:
+    def _next_breakpoint(self, clock: float) -> float:
+        """First clock after ``clock`` at which the twist jumps, the end at the latest [s]."""
+        i = bisect_right(self._breakpoints, clock + 1e-9)
+        return self._breakpoints[i] if i < len(self._breakpoints) else self._duration
+
+    def _try(self, last: _Knot, h: float) -> Generator[None, None, _Knot | None]:
         """The chain at ``last.clock + h``, or None if Newton's method or the joints' slopes do not follow."""
-        clock = last.clock + h
-        ws, options = self._ws, self.options
-        ahead = last.curvature * (0.5 * h)
-        ahead += last.slope
-        ahead *= h
-        q = self._cell.moved(last.q, ahead)
-        largest = np.inf
-        for _ in range(4):
+        clock, options = last.clock + h, self.options
+        q = self._cell.moved(last.q, (last.curvature * (0.5 * h) + last.slope) * h)
+        for _ in range(_MOST_TRIES):
+            yield
             if not self._newton_step(clock, q):
                 return None
-            yield
-            np.abs(ws.velocity, out=ahead)
-            largest = ahead.item(ahead.argmax())
+            largest = float(np.abs(self._step).max())
             if not largest < options.joint_step:
                 return None
-            q = self._cell.moved(q, ws.velocity)
+            q = self._cell.moved(q, self._step)
             if largest < _CONVERGED:
                 break
-        if not largest < _CONVERGED:
+        else:
             return None
-        if self._beyond_few_joints(ws.errors):
+        if self._beyond_few_joints(self._errors):
             self.blind = True
             return None
-        cell = self._cell_at(clock, q, last)
-        if h > options.shortest and not h * cell.fastest <= 1.5 * options.joint_step:
+        knot = self._knot_at(clock, q, last)
+        if not knot.cap > 0.0:
+            return None  # numbers overflow
+        if h > options.shortest and not h * knot.fastest <= 1.5 * options.joint_step:
             return None
-        if h > _FINE_CELL and not cell.change <= options.slope_step * cell.fastest:
+        if h > _FINE_CELL and not knot.change <= options.slope_step * knot.fastest:
             return None
-        return cell
+        return self._constrained(knot, last)
+
+    def _constrained(self, knot: _Knot, last: _Knot) -> _Knot | None:
+        """A knot under the further constraints; None where it is beyond them."""
+        self._beyond = ""
+        if self._bound is None:
+            return knot
+        cap, decrease, name = self._bound(knot.clock, knot.q, knot.slope, knot.curvature)
+        if cap < 0.0:
+            self._beyond = name
+            return None
+        if cap < knot.cap:
+            knot = knot._replace(cap=cap, binding=BindingLimit("", "", LimitKind.CONSTRAINT, name))
+        decrease = min(decrease, knot.decrease)
+        cumulative = last.cumulative + 2.0 * decrease * (knot.clock - last.clock)
+        return knot._replace(decrease=decrease, cumulative=cumulative)
 
     def _beyond_few_joints(self, errors: Array) -> bool:
         """Whether errors (N, 6) are left that arms with few joints cannot make up for."""
         few = errors[list(self._chain.deficient)]
         return few.size > 0 and not np.abs(few).max() < _FOLLOWED
 
-    def _newton_step(self, clock: float, q: Array, *, after: bool = False) -> bool:
-        """Newton's step to the pose at ``clock`` into ``velocity``, q′ into ``along_velocity``; False if singular.
+    def _newton_step(self, clock: float, q: Array, *, before: float = _JUST_BEFORE) -> bool:
+        """Newton's step from ``q`` to the pose at ``clock``, and q′ there; False if singular.
 
-        Where the twist jumps, q′ is that before, or after.
+        q′ is that for the twist a moment ``before`` the clock [s], which tells the sides of a jump apart.
         """
-        ws, chain, path = self._ws, self._chain, self._path
-        chain.place(q)
-        chain.evaluate(q)
-        before = max(min(clock, path.duration) - (0.0 if after else _JUST_BEFORE), 0.0)
-        line = path.line_at(before, 0.0) if self._kernel.follows_lines else None
-        if line is None:
-            ws.set_pose(path.pose(clock))
-            ws.along[:] = path.twist(before)
-            ws.scalars[ws.ON_LINE] = 0.0
-        else:
-            if line is not self._line:
-                ws.line[:] = self._line = line
-            ws.scalars[ws.ON_LINE] = 1.0
-        if ws.redundant:
-            ws.null_along[:] = self._posture.velocity(q)
-        ws.scalars[ws.HAS_PREDICTED] = 0.0  # nothing of the step before counts
-        return self._kernel.step(0.0, before, -1.0) == Outcome.NOMINAL
+        chain, path = self._chain, self._path
+        pose, twist = path.pose(clock), path.twist(max(min(clock, self._duration) - before, 0.0))
+        if pose is None or twist is None:
+            raise _PathLost
+        errors = self._errors = chain.errors(chain.carried(q), pose)
+        if not np.abs(errors).max() < np.inf:
+            return False
+        chain.linearise(q, about=pose.translation)
+        to_world = np.kron(np.eye(2), pose.rotation)
+        along = to_world @ twist
+        step, slope = self._step, self._slope
+        chain.joint_velocities(-errors @ to_world.T, step)
+        chain.joint_velocities(np.broadcast_to(along, (chain.n_arms, 6)), slope)
+        if chain.redundancy:
+            slope += chain.null_part(self._posture.velocity(q))
+        return bool(step @ step + slope @ slope < np.inf)
 
-    def _cell_at(self, clock: float, q: Array, last: _Cell | None) -> _Cell:
-        """Bounds at a configuration on the path, from the slopes there (in the workspace) and at the cell before."""
-        border, slope = self._border, self._ws.along_velocity.copy()
-        border.before[:] = slope if last is None else last.slope
-        border.positions[:] = q if self._cell.euclidean else self._cell.positions(q)
-        span = 1.0 if last is None else clock - last.clock
-        self._evaluate(span)
-        fastest, change, by_speed, j_speed, by_bend, j_bend, cap, tightest, inside = border.result.tolist()
-        squeeze = 1.0 / max(by_speed * by_speed, by_bend, 1.0)
+    def _knot_at(self, clock: float, q: Array, last: _Knot | None) -> _Knot:
+        """Bounds at a configuration on the path, from the slopes there (of the last Newton step) and those before."""
+        slope = self._slope.copy()
+        before, span = (slope, 1.0) if last is None else (last.slope, clock - last.clock)
+        speed, curvature = np.maximum(np.abs(slope), np.abs(before)), (slope - before) / span
+        bend = np.abs(curvature)
+        # How often each joint's limit is used up at full rate: z may be 1 over the square, or over the curvature's.
+        use_speed, use_bend = speed / self._speed, bend / (self.options.curvature_share * self._acceleration)
+        j_speed, j_bend = int(use_speed.argmax()), int(use_bend.argmax())
+        by_speed, by_bend = float(use_speed[j_speed]) ** 2, float(use_bend[j_bend])
+        # Without acceleration limits the step itself finds the cap by speed.
+        cap = 1.0 / max(by_speed if self.accelerates else 0.0, by_bend, 1.0)
         binding = None
-        if cap < 1.0:
-            if border.caps_speed and by_speed * by_speed >= by_bend:
-                binding = self._joint_limit(int(j_speed), LimitKind.VELOCITY)
-            else:
-                binding = self._joint_limit(int(j_bend), LimitKind.ACCELERATION)
+        if cap < 1.0 and self.accelerates and by_speed >= by_bend:
+            binding = self._joint_limit(j_speed, LimitKind.VELOCITY)
+        elif cap < 1.0:
+            binding = self._joint_limit(j_bend, LimitKind.ACCELERATION)
+        left = np.maximum(self._acceleration - bend * cap, _LEAST_LEFT * self._acceleration)
+        tightest = float((speed / left).max())
         decrease = min(self._slope_cap, 1.0 / tightest) if tightest > 0.0 else self._slope_cap
-        cumulative = 0.0 if last is None else last.cumulative + 2.0 * decrease * span
-        curvature = border.curvature.copy()
-        return _Cell(
-            clock, q, slope, cap, squeeze, cumulative, decrease, curvature, binding, fastest, change, inside != 0.0
+        x = self._cell.positions(q)
+        return _Knot(
+            clock=clock,
+            q=q,
+            slope=slope,
+            curvature=curvature,
+            cap=cap,
+            uncapped=1.0 / max(by_speed, by_bend, 1.0),
+            decrease=decrease,
+            cumulative=0.0 if last is None else last.cumulative + 2.0 * decrease * span,
+            binding=binding,
+            fastest=float(np.abs(slope).max()),
+            change=float((bend * span - self._slope_change).max()),
+            inside=bool(((x <= self._high) & (x >= self._low)).all()),
         )
 
-    def _finish(self, last: _Cell) -> None:
+    def _finish(self, last: _Knot) -> None:
         """The end of the path: where it ends moving, the joints have one step to stop in."""
         if self.accelerates:
             end = self._jump_cap(np.zeros_like(last.slope), last.slope)
             if end < last.cap:
-                arm, _, joint = "", "", ""
-                self._push(last._replace(cap=end, binding=BindingLimit(arm, joint, LimitKind.PATH_END)))
+                self._push(last._replace(cap=end, binding=BindingLimit("", "", LimitKind.PATH_END)))
         self._complete = True
 
-    def _corner(self, cell: _Cell) -> _Cell:
-        """A cell where the twist jumps: slopes after it, and the rate at which the joints can take the jump."""
-        after_clock = cell.clock + 1e-9
-        self._newton_step(after_clock, cell.q)
-        after = self._ws.along_velocity.copy()
-        cap, binding = cell.cap, cell.binding
+    def _corner(self, knot: _Knot) -> _Knot:
+        """A knot where the twist jumps: slopes after it, and the rate at which the joints can take the jump."""
+        moves = self._newton_step(knot.clock + 1e-9, knot.q)
+        after = self._slope.copy() if moves else np.zeros_like(knot.slope)
+        cap, binding = knot.cap, knot.binding
         if self.accelerates:
-            jump = self._jump_cap(after, cell.slope)
+            jump = self._jump_cap(after, knot.slope)
             if jump < cap:
-                j = int((np.abs(after - cell.slope) / self._jump).argmax())
+                j = int((np.abs(after - knot.slope) / self._jump).argmax())
                 cap, binding = jump, self._joint_limit(j, LimitKind.ACCELERATION)
         fastest = float(np.abs(after).max())
-        return cell._replace(slope=after, cap=cap, binding=binding, curvature=np.zeros_like(after), fastest=fastest)
+        return knot._replace(slope=after, cap=cap, binding=binding, curvature=np.zeros_like(after), fastest=fastest)
 
     def _jump_cap(self, after: Array, before: Array) -> float:
         """Largest σ² at which every joint can change its slope within one step."""
@@ -524,9 +619,9 @@ class PathPreview:
             return np.inf
         return float((self._jump[moving] / jump[moving]).min() ** 2)
 
-    def _limit_crossing(self, last: _Cell, cell: _Cell) -> _Cell | None:
-        """Where the first joint meets a position limit between two borders, as a cell at which the object rests."""
-        x, ahead = (c.q if self._cell.euclidean else self._cell.positions(c.q) for c in (last, cell))
+    def _limit_crossing(self, last: _Knot, knot: _Knot) -> _Knot | None:
+        """Where the first joint meets a position limit between two knots, as a knot at which the object rests."""
+        x, ahead = self._cell.positions(last.q), self._cell.positions(knot.q)
         # A joint outside may come back in; only going further out is the end.
         over = (ahead > np.maximum(self._high, x)) & (ahead > self._high)
         under = (ahead < np.minimum(self._low, x)) & (ahead < self._low)
@@ -537,23 +632,23 @@ class PathPreview:
         shares = np.clip((limit - x[crossed]) / (ahead[crossed] - x[crossed]), 0.0, 1.0)
         first = int(shares.argmin())
         j = int(crossed[first])
-        at = self._cell_where(last, cell, j, float(limit[first]))
+        at = self._knot_where(last, knot, j, float(limit[first]))
         return at._replace(cap=0.0, binding=self._joint_limit(j, LimitKind.POSITION))
 
-    def _cell_where(self, last: _Cell, beyond: _Cell, j: int, position: float) -> _Cell:
-        """The cell at which joint ``j`` is at ``position``, between two borders: regula falsi on the chain itself."""
+    def _knot_where(self, last: _Knot, beyond: _Knot, j: int, position: float) -> _Knot:
+        """The knot at which joint ``j`` is at ``position``, between two knots: regula falsi on the chain itself."""
         positions = self._cell.positions
         start, end = last.clock, beyond.clock
-        miss_start, miss_end = (positions(c.q)[j] - position for c in (last, beyond))
+        miss_start, miss_end = (positions(k.q)[j] - position for k in (last, beyond))
         if miss_start * miss_end >= 0.0:
             return last  # it is there already
         best = beyond
         for _ in range(8):
             clock = start - miss_start * (end - start) / (miss_end - miss_start)
-            cell = _whole(self._try(last, clock - last.clock)) if clock - last.clock > 1e-9 else last
-            if cell is None:
+            knot = _whole(self._try(last, clock - last.clock)) if clock - last.clock > 1e-9 else last
+            if knot is None:
                 break
-            best, miss = cell, float(positions(cell.q)[j] - position)
+            best, miss = knot, float(positions(knot.q)[j] - position)
             if abs(miss) < 1e-9:
                 break
             if miss * miss_end > 0.0:
@@ -562,12 +657,12 @@ class PathPreview:
                 start, miss_start = clock, miss
         return best
 
-    def _block(self, cell: _Cell, arm: int, kind: LimitKind) -> None:
-        self._push(cell._replace(cap=0.0, binding=self._arm_limit(arm, kind)))
-        self._complete = True
+    def _block(self, knot: _Knot, arm: int, kind: LimitKind) -> None:
+        """The object stops at ``knot``."""
+        self._push(knot._replace(cap=0.0, binding=self._arm_limit(arm, kind)))
 
-    def _singular_arm(self, cell: _Cell) -> int:
-        share = np.abs(cell.slope) / np.where(np.isfinite(self._speed), self._speed, 1.0)
+    def _singular_arm(self, knot: _Knot) -> int:
+        share = np.abs(knot.slope) / np.where(np.isfinite(self._speed), self._speed, 1.0)
         return self._cell.arm_of_joint(int(share.argmax()))
 
     def _joint_limit(self, j: int, kind: LimitKind) -> BindingLimit:
@@ -577,27 +672,29 @@ class PathPreview:
     def _arm_limit(self, arm: int, kind: LimitKind) -> BindingLimit:
         return BindingLimit(self._cell.arm_names[arm], "", kind)
 
-    def _push(self, cell: _Cell) -> None:
-        self._cells.append(cell)
-        if cell.cap >= 1.0:
+    def _push(self, knot: _Knot) -> None:
+        self._knots.append(knot)
+        if knot.cap == 0.0:
+            self._complete = True  # nothing comes after a stop
+        if knot.cap >= 1.0:
             return  # no bound: the rate is never above 1
-        key = cell.cap + cell.cumulative
+        key = knot.cap + knot.cumulative
         while self._bounds and self._bounds[-1].cap + self._bounds[-1].cumulative >= key:
             self._bounds.pop()
-        self._bounds.append(cell)
+        self._bounds.append(knot)
 
 
-def _between(here: _Cell, ahead: _Cell, clock: float) -> float:
-    """z_cap between two borders. Without it the rate would rise within each cell, and fall again to its end."""
+def _between(here: _Knot, ahead: _Knot, clock: float) -> float:
+    """z_cap between two knots. Without it the rate would rise after each knot, and fall again before the next."""
     span = ahead.clock - here.clock
     return ahead.cap + (here.cap - ahead.cap) * (ahead.clock - clock) / span if span > 0.0 else here.cap
 
 
-def _whole(pieces: Generator[None, None, _Cell | None]) -> _Cell | None:
+def _whole(pieces: Generator[None, None, _Knot | None]) -> _Knot | None:
     """The result of work that pauses, without the pauses."""
     while True:
         try:
             next(pieces)
         except StopIteration as done:
-            cell: _Cell | None = done.value
-            return cell
+            knot: _Knot | None = done.value
+            return knot

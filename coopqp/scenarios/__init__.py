@@ -1,4 +1,4 @@
-"""Ready cells and tasks, one function each; :data:`SCENARIOS` has them by name."""
+"""Ready cells and tasks, one function each. :data:`SCENARIOS` maps their names to the functions."""
 
 from __future__ import annotations
 
@@ -8,10 +8,12 @@ from coopqp.errors import UnknownNameError
 from coopqp.scenarios.cells import dual_arm7, five_joint_pair, mixed_cell, ring, scara_pair
 from coopqp.scenarios.paper import fast_lift, paper_lift, wide_grasp
 from coopqp.scenarios.robot_data import panda_bar, ur5_table
+from coopqp.scenarios.robots import ROBOT_NAMES, robot_path
 from coopqp.scenarios.troubles import at_limit, at_singularity
 from coopqp.task.scenario import Scenario
 
 __all__ = [
+    "ROBOT_NAMES",
     "SCENARIOS",
     "Scenario",
     "at_limit",
@@ -23,13 +25,14 @@ __all__ = [
     "panda_bar",
     "paper_lift",
     "ring",
+    "robot_path",
     "scara_pair",
     "scenario",
     "ur5_table",
     "wide_grasp",
 ]
 
-#: Every scenario by name, built with its defaults when called. Some need the extra ``robots``.
+#: The function of every scenario, by name. A call without arguments uses the defaults. Some need the extra ``robots``.
 SCENARIOS: dict[str, Callable[[], Scenario]] = {
     "paper_lift": paper_lift,
     "wide_grasp": wide_grasp,
@@ -51,7 +54,7 @@ def scenario(name: str) -> Scenario:
 
     Raises:
         UnknownNameError: no such scenario.
-        MissingExtraError: its robots are in a package that is not installed.
+        MissingExtraError: the package of its robots is not installed.
     """
     if name not in SCENARIOS:
         raise UnknownNameError("scenario", name, SCENARIOS)

@@ -16,7 +16,7 @@ from coopqp.scenarios.stations import DOWN, FORWARD, Station, put_together
 from coopqp.task.path import LinePath, TimeLaw, WaypointPath
 from coopqp.task.scenario import Scenario
 
-#: Postures in which the arms hold [deg or m]; arm7 comes from above, the others from the side.
+#: Postures at the start [deg or m]. arm7 holds from above, the other arms from the side.
 _ARM7_NEAR = (0.0, 14.0, 0.0, 105.0, 0.0, 31.0, 0.0)
 _ARM7_TOOL = pin.utils.rotate("y", np.deg2rad(150.0))
 _RX90L_NEAR = (0.0, 38.0, 102.0, 0.0, -50.0, 0.0)
@@ -26,12 +26,12 @@ _GANTRY7_NEAR = (0.0, 0.0, 45.0, 97.0, 0.0, -52.0, 0.0)
 
 @functools.cache
 def _robot(robot: str) -> Arm:
-    """A robot that comes with coopqp, read once, its base at the origin."""
+    """A robot that comes with coopqp, with its base at the origin. It is read only once."""
     return Arm.from_urdf(robot, robot_path(robot), tool_frame="flange" if robot == "rx90l" else "tool")
 
 
 def named_robot(robot: str, name: str) -> Arm:
-    """A robot that comes with coopqp under a name of its own, its base at the origin."""
+    """A robot that comes with coopqp, with the given name and its base at the origin."""
     return _robot(robot).placed(pin.SE3.Identity(), name=name)
 
 
@@ -46,13 +46,13 @@ def dual_arm7(
     duration: float = 3.0,
     time_law: TimeLaw | str = TimeLaw.QUINTIC,
 ) -> Scenario:
-    """A bar of 1.2 kg by two seven-joint arms that face each other; needs no other package.
+    """Two seven-joint arms that face each other move a bar of 1.2 kg. Needs no other package.
 
     Args:
-        translation: of the bar [m].
-        rotation: of the bar, a rotation vector in world axes [rad].
-        duration: of the path [s].
-        time_law: along the path.
+        translation: translation of the bar [m].
+        rotation: rotation of the bar, a rotation vector in world axes [rad].
+        duration: duration of the path [s].
+        time_law: time law of the path.
     """
     path = LinePath.displaced(
         _at(0.0, 0.0, 0.25), translation=translation, rotation=rotation, duration=duration, time_law=time_law
@@ -73,9 +73,9 @@ def dual_arm7(
 
 
 def mixed_cell(*, duration: float = 3.0, time_law: TimeLaw | str = TimeLaw.QUINTIC) -> Scenario:
-    """A plate by four different arms: six joints (one of them continuous), seven, and six on a rail.
+    """Four different arms move a plate: six joints (one of them continuous), seven, and six on a rail.
 
-    The configuration has one number more than the velocity, for the continuous joint.
+    Because of the continuous joint, the configuration has one number more than the velocity.
     """
     path = LinePath.displaced(
         _at(0.0, 0.0, 0.35),
@@ -129,18 +129,19 @@ def ring(
     duration: float = 3.0,
     time_law: TimeLaw | str = TimeLaw.QUINTIC,
 ) -> Scenario:
-    """Arms at equal distances round a ring, which grows with their number; the scalable cell of the benchmarks.
+    """Arms at equal distances around a ring, whose size grows with their number. The benchmarks scale this cell.
 
-    The ring rises and tilts so far that no grasp moves by more than about 0.3 m.
+    The ring rises and tilts. No grasp moves by more than about 0.3 m.
 
     Args:
-        arms: 2 to 64.
+        arms: number of arms, 2 to 64.
         robot: ``"rx90l"`` (six joints) or ``"arm7"`` (seven).
-        duration: of the path [s].
-        time_law: along the path.
+        duration: duration of the path [s].
+        time_law: time law of the path.
 
     Raises:
-        InvalidInputError, UnknownNameError: another number of arms, or another robot.
+        InvalidInputError: another number of arms.
+        UnknownNameError: another robot.
     """
     if isinstance(arms, bool) or not isinstance(arms, (int, np.integer)) or not 2 <= arms <= 64:
         raise InvalidInputError(f"arms is {arms!r}", "ring", "Give a whole number from 2 to 64.")
@@ -175,12 +176,12 @@ def ring(
 
 
 def scara_pair(*, tilt: float = 0.0, duration: float = 3.0, time_law: TimeLaw | str = TimeLaw.QUINTIC) -> Scenario:
-    """A bar by two four-joint arms, which keep it level: they shift, lift and turn it, and can do no more.
+    """Two four-joint arms move a bar. They can shift, lift and turn it, but always keep it level.
 
     Args:
-        tilt: rotation asked for that no such arm can follow, about the bar's axis [rad].
-        duration: of the path [s].
-        time_law: along the path.
+        tilt: rotation of the path about the bar's axis [rad]; these arms cannot follow it.
+        duration: duration of the path [s].
+        time_law: time law of the path.
     """
     path = LinePath.displaced(
         _at(0.0, 0.0, 0.12),
@@ -205,9 +206,9 @@ def scara_pair(*, tilt: float = 0.0, duration: float = 3.0, time_law: TimeLaw | 
 
 
 def five_joint_pair(*, duration: float = 4.0, time_law: TimeLaw | str = TimeLaw.QUINTIC) -> Scenario:
-    """A bar by two five-joint arms in one vertical plane: lifted and pitched in it, then rolled about its own axis.
+    """Two five-joint arms in one vertical plane lift and pitch a bar in the plane, then roll it about its own axis.
 
-    Together the arms can do these motions and no others. The path has two segments.
+    Together the arms can do only these motions. The path has two segments.
     """
     start = _at(0.0, 0.0, 0.25)
     lifted = pin.SE3(pin.exp3(np.array([0.0, 0.20, 0.0])), np.array([0.04, 0.0, 0.35]))

@@ -1,6 +1,6 @@
 """The paper's example: three Stäubli RX-90L arms lift a plate by 30 cm and turn it by 40°.
 
-The paper gives neither base distances nor the grasp triangle nor the start; these values satisfy its claims. The
+The paper does not give the base distances, the grasp triangle and the start. The values here satisfy its claims. The
 rotation is −40° about the master's x axis through A.
 """
 
@@ -32,12 +32,12 @@ _NEAR_START_DEG = (
 
 
 def slave_base(b: float, h: float = BASE_DISTANCE_H) -> pin.SE3:
-    """S_i of Eq. (3): a slave's base in the master's, turned by π about z; its own inverse."""
+    """S_i of Eq. (3): a slave's base in the master's base, turned by π about z. S_i is its own inverse."""
     return pin.SE3(np.diag([-1.0, -1.0, 1.0]), np.array([h, b, 0.0]))
 
 
 def three_rx90l(*, h: float = BASE_DISTANCE_H, b: float = BASE_OFFSET_B) -> RobotCell:
-    """Master at the origin, slaves opposite at x = h, y = ±b (Figure 1) [m]."""
+    """The master at the origin, the slaves opposite at x = h, y = ±b (Figure 1) [m]."""
     master = Arm.from_urdf("master", robot_path("rx90l"), tool_frame="flange")
     return RobotCell(
         [
@@ -62,8 +62,8 @@ def paper_lift(
     Args:
         alpha, beta: the grasp triangle of Eq. (6) [m].
         h, b: distances of the bases, Eq. (3) [m].
-        time_law: along the path.
-        duration: of the path [s]; a step is a 400th of it.
+        time_law: time law of the path.
+        duration: duration of the path [s]; a step is a 400th of it.
     """
     cell = three_rx90l(h=h, b=b)
     grasp = Grasp.triangle(alpha, beta)
@@ -77,7 +77,7 @@ def paper_lift(
     )
     near = cell.configuration(np.deg2rad(np.concatenate(_NEAR_START_DEG)))
     q_start = inverse_kinematics(cell, grasp, start, near)
-    # The plate's length lies along y of A, its edge at A; 1.80 x 0.80 m with the default grasp.
+    # The length of the plate is along y of A, an edge is at A; 1.80 x 0.80 m with the default grasp.
     T_object_body = pin.SE3(np.eye(3), np.array([0.0, 1.5 * alpha, 0.0]))
     return Scenario(
         name="paper_lift",
@@ -92,7 +92,7 @@ def paper_lift(
 
 
 def wide_grasp(*, time_law: TimeLaw | str = TimeLaw.LINEAR, duration: float = DURATION) -> Scenario:
-    """The paper's lift with a wide grasp (β = 0.6 m, 3α = 0.8 m), the slaves as much nearer as B and C are.
+    """The paper's lift with a wide grasp (β = 0.6 m, 3α = 0.8 m). The slaves stand nearer by as much as B and C.
 
     The baseline drifts by 1.5 mm at N = 400, against 0.9 mm with the narrow grasp.
     """
@@ -102,11 +102,11 @@ def wide_grasp(*, time_law: TimeLaw | str = TimeLaw.LINEAR, duration: float = DU
 
 
 def fast_lift(*, joint_speed: float = 1.0, duration: float = 0.5) -> Scenario:
-    """The paper's lift at 0.6 m/s with every joint limited to 1 rad/s: faster than the arms can be.
+    """The paper's lift at 0.6 m/s with joint speeds limited to 1 rad/s. The arms cannot follow at full rate.
 
     Args:
-        joint_speed: limit of every joint [rad/s].
-        duration: of the path at full rate [s].
+        joint_speed: speed limit of every joint [rad/s].
+        duration: duration of the path at full rate [s].
     """
     lift = paper_lift(duration=duration)
     return replace(lift, name="fast_lift", cell=lift.cell.with_limits(velocity=joint_speed), dt=0.002)

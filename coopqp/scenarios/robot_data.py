@@ -1,4 +1,4 @@
-"""Cells of well-known robots, from the package ``example-robot-data`` (extra ``robots``), loaded by path."""
+"""Cells of well-known robots from the package ``example-robot-data`` (extra ``robots``), loaded by path."""
 
 from __future__ import annotations
 
@@ -22,10 +22,10 @@ _FINGERS = {"panda_finger_joint1": 0.02, "panda_finger_joint2": 0.02}
 
 
 def robot_data_path(name: str) -> Path:
-    """Path of a file of ``example-robot-data`` whose name in the package ends so, e.g. ``"urdf/panda.urdf"``.
+    """Path of a file of ``example-robot-data``, from the end of its name in the package, e.g. ``"urdf/panda.urdf"``.
 
     Raises:
-        MissingExtraError: the package is not installed, or has no such file.
+        MissingExtraError: the package is not installed or has no such file.
     """
     try:
         files = metadata.distribution(_PACKAGE).files or []
@@ -44,12 +44,12 @@ def _arm(urdf: str, *, tool_frame: str, geometry: bool, **options: Any) -> Arm:
 
 
 def panda_bar(*, geometry: bool = False, duration: float = 3.0, time_law: TimeLaw | str = TimeLaw.QUINTIC) -> Scenario:
-    """A bar of 1 m and 3 kg by two seven-joint pandas, their fingers locked, with their acceleration limits.
+    """Two seven-joint pandas with locked fingers and their acceleration limits move a bar of 1 m and 3 kg.
 
     Args:
-        geometry: load the meshes too (about one second).
-        duration: of the path [s].
-        time_law: along the path.
+        geometry: also load the meshes (about one second).
+        duration: duration of the path [s].
+        time_law: time law of the path.
 
     Raises:
         MissingExtraError: ``example-robot-data`` is not installed.
@@ -84,12 +84,12 @@ def panda_bar(*, geometry: bool = False, duration: float = 3.0, time_law: TimeLa
 
 
 def ur5_table(*, geometry: bool = False, duration: float = 3.0, time_law: TimeLaw | str = TimeLaw.QUINTIC) -> Scenario:
-    """A table top of 1.2 x 0.8 m and 12 kg by four UR5 that stand along its long sides.
+    """Four UR5 along the long sides of a table top of 1.2 x 0.8 m and 12 kg move it.
 
     Args:
-        geometry: load the meshes too (about one second).
-        duration: of the path [s].
-        time_law: along the path.
+        geometry: also load the meshes (about one second).
+        duration: duration of the path [s].
+        time_law: time law of the path.
 
     Raises:
         MissingExtraError: ``example-robot-data`` is not installed.

@@ -1,4 +1,4 @@
-"""Arms that stand around an object, put together into a scenario."""
+"""Scenarios of arms that stand around an object."""
 
 from __future__ import annotations
 
@@ -15,26 +15,26 @@ from coopqp.spatial import Array
 from coopqp.task.path import ObjectPath
 from coopqp.task.scenario import Scenario
 
-#: Orientation in its base of a tool that points forward, along the base's x axis: a turn by 90° about y.
+#: Tool orientation in the base frame: the tool points forward along x (a turn by 90° about y).
 FORWARD = np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]])
-#: The same with the tool's x axis sideways, along the base's y axis.
+#: Tool orientation in the base frame: the tool points forward along x, its own x axis sideways along y.
 FORWARD_SIDEWAYS = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
-#: Orientation in its base of a tool that points down.
+#: Tool orientation in the base frame: the tool points down.
 DOWN = np.diag([1.0, -1.0, -1.0])
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Station:
-    """Where one arm stands and holds: upright, on the side of the object that it faces.
+    """The place of one arm: an upright base that faces the object, and a grasp point.
 
     Attributes:
-        arm: the arm, under its name in the cell.
-        point: where it holds, in the object frame at the start [m].
-        yaw: direction in which it looks, about the world's z axis [deg].
-        reach: horizontal distance from the base's axis to the point [m].
-        height: of the tool above the base [m].
-        tool: orientation of the tool in the base's frame, a rotation (3, 3).
-        near: joint positions near the start, (n,) [deg or m]; the exact ones are computed.
+        arm: the arm, with its name in the cell.
+        point: grasp point in the object frame at the start [m].
+        yaw: direction that the arm faces, about the world's z axis [deg].
+        reach: horizontal distance from the base's axis to the grasp point [m].
+        height: height of the tool above the base [m].
+        tool: orientation of the tool in the base frame, a rotation matrix (3, 3).
+        near: joint positions near the start (n,) [deg or m]; inverse kinematics makes them exact.
     """
 
     arm: Arm
@@ -46,7 +46,7 @@ class Station:
     tool: Array = field(default_factory=lambda: FORWARD)
 
     def placed(self, T_world_object: pin.SE3) -> tuple[Arm, pin.SE3]:
-        """The arm on its base, and T_object_tool."""
+        """The arm at its base placement, and T_object_tool."""
         turn = pin.utils.rotate("z", float(np.deg2rad(self.yaw)))
         hold = T_world_object.act(np.array(self.point))
         base = hold - turn @ np.array([self.reach, 0.0, self.height])
@@ -55,7 +55,7 @@ class Station:
 
     @property
     def near_positions(self) -> Array:
-        """:attr:`near` in radians, prismatic joints in metres."""
+        """:attr:`near` in radians; prismatic joints in metres."""
         prismatic = np.array(["P" in joint.shortname()[len("JointModel") :][:1] for joint in self.arm.model.joints][1:])
         x = np.array(self.near, dtype=float)
         return np.where(prismatic, x, np.deg2rad(x))
@@ -70,7 +70,7 @@ def put_together(
     object_size: tuple[float, float, float],
     object_mass: float,
 ) -> Scenario:
-    """A scenario whose arms stand around the object at the start of ``path``."""
+    """Build a scenario of arms that stand around the object at the start of ``path``."""
     start = path.pose(0.0)
     arms, tools = zip(*(station.placed(start) for station in stations), strict=True)
     cell, grasp = RobotCell(arms), Grasp(tools)

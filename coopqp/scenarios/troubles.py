@@ -1,4 +1,4 @@
-"""Tasks that cannot be finished: a path that meets a position limit, one that leads an arm into a singularity."""
+"""Tasks that cannot be finished: one path meets a position limit, another leads an arm into a singularity."""
 
 from __future__ import annotations
 
@@ -30,14 +30,14 @@ def at_limit(
     speed: float = 0.25,
     acceleration: float = 5.0,
 ) -> Scenario:
-    """The paper's three arms with their joints fenced in around the start, and a path of 1 m that leads out.
+    """The paper's three arms with narrow position limits around the start, and a path of 1 m beyond these limits.
 
     Args:
-        direction: of the path in the world; its length does not matter.
-        rotation: of the plate along the path, a rotation vector in world axes [rad].
-        margin: how far each joint may move from its start, one number or (nv,) [rad].
-        speed: of the object [m/s].
-        acceleration: limit of every joint [rad/s²]; inf for none.
+        direction: direction of the path in the world, of any length.
+        rotation: rotation of the plate along the path, a rotation vector in world axes [rad].
+        margin: distance from the start to the position limits, one number or (nv,) [rad].
+        speed: speed of the object [m/s].
+        acceleration: acceleration limit of every joint [rad/s²]; inf for no limit.
     """
     lift = paper_lift()
     way = as_vector(direction, 3, "at_limit: direction")
@@ -68,18 +68,18 @@ def at_singularity(
     speed: float = 0.25,
     acceleration: float = np.inf,
 ) -> Scenario:
-    """Three RX-90L round a plate, and a path that leads one of them into a singularity and on.
+    """Three RX-90L around a plate, and a path that leads one of them through a singularity.
 
-    The path goes straight through a pose at which the arm's wrist or elbow is stretched, and a third further, or out
-    of its reach. A stretched elbow and the end of the reach stop the object; a path exactly through the pole of a
-    wrist can go on, one that misses it by little must slow down while the wrist turns round.
+    The path passes straight through a pose with a stretched wrist or elbow and continues for a third of its length, or
+    it leaves the reach of the arm. A stretched elbow and the end of the reach stop the object. A path exactly through
+    the pole of a wrist can continue. A path that narrowly misses the pole must slow down while the wrist turns.
 
     Args:
         kind: ``"wrist"``, ``"elbow"`` or ``"reach"``.
         arm: index of the arm, 0 to 2.
-        miss: how far the path passes from the wrist's pole, as an angle of joint 5 [rad]; 0 is straight through it.
-        speed: of the object, where 1 rad counts as 0.3 m [m/s].
-        acceleration: limit of every joint [rad/s²]; inf for none.
+        miss: distance of the path from the wrist's pole, as an angle of joint 5 [rad]; 0 passes through the pole.
+        speed: speed of the object [m/s]; a turn of 1 rad counts as 0.3 m.
+        acceleration: acceleration limit of every joint [rad/s²]; inf for no limit.
 
     Raises:
         UnknownNameError: no such kind or arm.
@@ -121,7 +121,7 @@ def at_singularity(
 
 
 def _singular_goal(rest: Scenario, kind: str, arm: int, start: pin.SE3, miss: float) -> pin.SE3:
-    """Pose of the object at which the arm is singular, or one out of its reach."""
+    """Object pose at which the arm is singular, or a pose out of its reach."""
     if kind == "reach":
         away = rest.cell.arms[arm].T_world_base.rotation[:, 0]
         return pin.SE3(start.rotation, start.translation + 0.40 * away)
@@ -134,6 +134,6 @@ def _singular_goal(rest: Scenario, kind: str, arm: int, start: pin.SE3, miss: fl
     else:
         joints[4] = -miss
         if miss:
-            joints[[3, 5]] += 0.5 * np.pi, -0.5 * np.pi  # by then the wrist has turned by a quarter: it passes sideways
+            joints[[3, 5]] += 0.5 * np.pi, -0.5 * np.pi  # a quarter turn of the wrist: it passes sideways
     carried: pin.SE3 = CellState(rest.cell, q).T_world_tool[arm] * rest.grasp.T_object_tool[arm].inverse()
     return carried

@@ -1,7 +1,7 @@
-"""What a run amounts to: its errors over time, and a verdict on limits, grasp, path and end.
+"""Assessment of a run: its errors over time, and a verdict on limits, grasp, path and end.
 
-Computed from the recording alone. What the arms do to each other is judged by the *commanded* configurations (once the
-object is gripped, the measured ones hide it in servo deflection), where the object is by the *measured* ones.
+All values come from the recording only. The errors between the arms use the *commanded* configurations: once the object
+is gripped, servo deflection hides these errors in the measured ones. The object pose uses the *measured* ones.
 """
 
 from __future__ import annotations
@@ -21,19 +21,19 @@ from coopqp.simulation import metrics
 from coopqp.simulation.simulate import Recording
 from coopqp.spatial import Array
 
-#: Excess over a position limit [rad or m], and over a speed or acceleration limit [share], that is rounding.
+#: Excess over a position limit [rad or m] and over a speed or acceleration limit [share] that counts as rounding.
 POSITION_ROUNDING, RATE_ROUNDING = 1e-6, 1e-6
 
 
 @dataclass(frozen=True, eq=False)
 class Readings:
-    """Errors at every sample of a run, shape (T+1,) unless told otherwise.
+    """Errors at every sample of a run, shape (T+1,) unless stated otherwise.
 
     Attributes:
-        eps_p_mm, eps_o_deg: the paper's ε_p and ε_o.
-        chain_mm, chain_deg: largest distance and angle between any two arms' views of the object.
-        object_mm, object_deg: largest distance and angle of any arm's view of the object from its path.
-        sigma_min: smallest singular value of each arm's Jacobian, (T+1, N).
+        eps_p_mm, eps_o_deg: the paper's ε_p [mm] and ε_o [deg].
+        chain_mm, chain_deg: largest distance [mm] and angle [deg] between the object poses of any two arms.
+        object_mm, object_deg: largest distance [mm] and angle [deg] between any arm's object pose and the path.
+        sigma_min: smallest singular value of each arm's tool Jacobian, (T+1, N).
     """
 
     eps_p_mm: Array
@@ -47,11 +47,11 @@ class Readings:
 
 @dataclass(frozen=True)
 class Tolerances:
-    """What still counts as held.
+    """Accepted errors of a run.
 
     Attributes:
-        chain_mm, chain_deg: of the arms' views of the object against each other.
-        object_mm, object_deg: of the object against its path.
+        chain_mm, chain_deg: distance [mm] and angle [deg] between the object poses of any two arms.
+        object_mm, object_deg: distance [mm] and angle [deg] between the object and its path.
     """
 
     chain_mm: float = 0.1
@@ -69,9 +69,9 @@ class Finding:
     """One line of a verdict.
 
     Attributes:
-        question: what was asked.
-        holds: the answer.
-        answer: the answer in figures.
+        question: the question.
+        holds: the answer, True for yes.
+        answer: the answer with its figures.
     """
 
     question: str
@@ -80,7 +80,7 @@ class Finding:
 
 
 def check_recording(cell: RobotCell, recording: Recording) -> None:
-    """Raise InvalidInputError unless the recording is one of this cell."""
+    """Raise InvalidInputError unless the recording fits the cell."""
     q, v, n = recording.q.shape[1], recording.velocity.shape[1], len(recording.T_object_tool)
     if (q, v, n) != (cell.nq, cell.nv, len(cell)):
         raise InvalidInputError(
@@ -92,10 +92,10 @@ def check_recording(cell: RobotCell, recording: Recording) -> None:
 
 
 def read_run(cell: RobotCell, recording: Recording) -> Readings:
-    """The errors of a run at every sample.
+    """Compute the errors of a run at every sample.
 
     Raises:
-        InvalidInputError: a recording of another cell.
+        InvalidInputError: the recording is from another cell.
     """
     check_recording(cell, recording)
     grasp = recording.grasp
@@ -122,18 +122,18 @@ def read_run(cell: RobotCell, recording: Recording) -> Readings:
 
 
 def _sigma_min(cell: RobotCell, q: Array) -> Array:
-    """(N,); NaN where the configuration is none."""
+    """Smallest singular value of each arm's tool Jacobian (N,); NaN if the configuration is invalid."""
     return CellState(cell, q).sigma_min if np.isfinite(q).all() else np.full(len(cell), np.nan)
 
 
 def worst_status(recording: Recording) -> str:
-    """``"ok"`` when every step tracked and the object arrived, else the worst status of the run."""
+    """``"ok"`` if every step tracked and the object arrived, otherwise the worst status of the run."""
     worst = max(recording.statuses, key=lambda status: status.code, default=Status.TRACKING)
     return "ok" if worst is Status.TRACKING and recording.finished else worst.value
 
 
 def run_figures(cell: RobotCell, recording: Recording, readings: Readings) -> dict[str, str]:
-    """The figures of a run by name, each with its unit."""
+    """The key figures of a run by name, with their units."""
     sigma = readings.sigma_min
     arm = int(np.unravel_index(int(np.nanargmin(sigma)), sigma.shape)[1]) if np.isfinite(sigma).any() else 0
     return {
@@ -160,12 +160,12 @@ def _number(value: float) -> str:
 def judge(
     cell: RobotCell, recording: Recording, readings: Readings, *, tolerances: Tolerances | None = None
 ) -> tuple[Finding, ...]:
-    """The verdict on a run: finished? limits? grasp? path?
+    """The verdict on a run: the end, the limits, the grasp and the path.
 
     Args:
         cell, recording: the run.
-        readings: of :func:`read_run`.
-        tolerances: what still counts as held.
+        readings: result of :func:`read_run`.
+        tolerances: accepted errors.
     """
     t = tolerances or Tolerances()
     return (
@@ -198,7 +198,7 @@ def _finished(recording: Recording) -> Finding:
 
 def _positions(cell: RobotCell, recording: Recording) -> Finding:
     q = np.array([cell.positions(x) for x in recording.q_command])
-    room = np.minimum(q - cell.limits.lower, cell.limits.upper - q)  # inf where there is no limit
+    room = np.minimum(q - cell.limits.lower, cell.limits.upper - q)  # inf without limit
     closest = room.min(axis=0)
     j = int(closest.argmin())
     margin = float(closest[j])
@@ -238,10 +238,10 @@ def _held(question: str, mm: Array, deg: Array, largest_mm: float, largest_deg: 
 
 
 def _amount(cell: RobotCell, j: int, value: float) -> str:
-    """A joint position with its unit: degrees, or millimetres where the joint slides."""
+    """A joint position with its unit: degrees, or millimetres for a prismatic joint."""
     return f"{1e3 * value:.4g} mm" if slides(cell)[j] else f"{np.rad2deg(value):.4g}°"
 
 
 def slides(cell: RobotCell) -> list[bool]:
-    """Which joints slide (metres) instead of turning (radians), one per velocity coordinate."""
+    """True for each velocity coordinate of a prismatic joint [m], False for a revolute one [rad]."""
     return [joint.shortname().startswith("JointModelP") for joint in list(cell.model.joints)[1:]]

@@ -1,4 +1,4 @@
-"""Measures of a run, computed from configurations alone: independent of the controllers they judge."""
+"""Error measures of a run, computed from configurations only, independently of the controllers."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from coopqp.task.path import ObjectPath
 
 
 def tool_placements(cell: RobotCell, configurations: Any) -> list[list[pin.SE3]]:
-    """T_world_tool of every arm at every configuration (T, nq): by frame, straight from Pinocchio."""
+    """T_world_tool of every arm at every configuration (T, nq), directly from Pinocchio's frames."""
     data = cell.model.createData()
     out = []
     for q in _table(configurations, cell.nq, "configurations"):
@@ -26,7 +26,7 @@ def tool_placements(cell: RobotCell, configurations: Any) -> list[list[pin.SE3]]
 
 
 def _table(rows: Any, width: int, what: str) -> Array:
-    """Rows of ``width`` numbers; NaN may be among them."""
+    """Return rows of ``width`` numbers as an array. NaN is allowed."""
     try:
         table = np.array(rows, dtype=float)
     except (TypeError, ValueError) as error:
@@ -56,7 +56,7 @@ def _angle(R: Array) -> float:
 def relative_positioning_error(tools: Sequence[pin.SE3], grasp: Grasp) -> float:
     """ε_p of the paper [m]: root of the sum over pairs (j, i), j after i, of |p_ji − d_ji|² in tool frame i.
 
-    The references d_ji follow from the grasp: for the paper's triangle they are [β, 0, 3α], [−β, 0, 3α], [2β, 0, 0].
+    The references d_ji follow from the grasp. For the paper's triangle they are [β, 0, 3α], [−β, 0, 3α], [2β, 0, 0].
     """
     _check_arms(tools, grasp)
     X = grasp.T_object_tool
@@ -70,7 +70,7 @@ def relative_positioning_error(tools: Sequence[pin.SE3], grasp: Grasp) -> float:
 
 
 def relative_orientation_error(tools: Sequence[pin.SE3], grasp: Grasp) -> float:
-    """ε_o [rad]: as ε_p, with the angle between the relative orientations and those of the grasp."""
+    """ε_o [rad]: like ε_p, with the angles between the relative tool orientations and those of the grasp."""
     _check_arms(tools, grasp)
     X = grasp.T_object_tool
     total = 0.0
@@ -83,12 +83,12 @@ def relative_orientation_error(tools: Sequence[pin.SE3], grasp: Grasp) -> float:
 
 
 def _largest(values: Iterable[Any]) -> float:
-    """The largest value, 0 of none; NaN if any is, so that a broken run never looks perfect."""
+    """The largest value; 0 without values. NaN if any value is NaN, so that a broken run never looks perfect."""
     return float(np.max([0.0, *values]))
 
 
 def chain_error(tools: Sequence[pin.SE3], grasp: Grasp) -> tuple[float, float]:
-    """Largest distance [m] and angle [rad] between any two arms' views of the object."""
+    """Largest distance [m] and angle [rad] between the object poses of any two arms."""
     _check_arms(tools, grasp)
     O = [T * X.inverse() for T, X in zip(tools, grasp.T_object_tool, strict=True)]
     pairs = [(O[i], O[j]) for i in range(len(O)) for j in range(i + 1, len(O))]
@@ -99,25 +99,25 @@ def chain_error(tools: Sequence[pin.SE3], grasp: Grasp) -> tuple[float, float]:
 
 
 def object_error(tools: Sequence[pin.SE3], grasp: Grasp, pose: pin.SE3, arm: int = 0) -> tuple[float, float]:
-    """Distance [m] and angle [rad] between the object as ``arm`` carries it and a pose; for the paper, of A."""
+    """Distance [m] and angle [rad] between the object pose of ``arm`` and ``pose``. For the paper this is frame A."""
     _check_arms(tools, grasp)
     O = tools[arm] * grasp.T_object_tool[arm].inverse()
     return float(np.linalg.norm(O.translation - pose.translation)), _angle(O.rotation.T @ pose.rotation)
 
 
 def path_error(tools: Sequence[pin.SE3], grasp: Grasp, path: ObjectPath, clock: float) -> tuple[float, float]:
-    """Largest distance [m] and angle [rad] of any arm's view of the object from the path's pose at ``clock``."""
+    """Largest distance [m] and angle [rad] between any arm's object pose and the path's pose at ``clock``."""
     pose = path.pose(clock)
     errors = [object_error(tools, grasp, pose, k) for k in range(len(tools))]
     return _largest(e[0] for e in errors), _largest(e[1] for e in errors)
 
 
 def limit_excess(cell: RobotCell, configurations: Any, velocities: Any) -> float:
-    """Largest excess over any position [rad or m] or velocity limit [rad/s or m/s]; 0 if all are kept.
+    """Largest excess over any position [rad or m] or velocity limit [rad/s or m/s]; 0 if all limits are kept.
 
     Args:
-        cell: whose limits.
-        configurations, velocities: rows (nq,) and (nv,), possibly none.
+        cell: cell with the limits.
+        configurations, velocities: rows (nq,) and rows (nv,); both may be empty.
     """
     limits = cell.limits
     x = np.array([cell.positions(q) for q in _table(configurations, cell.nq, "configurations")])

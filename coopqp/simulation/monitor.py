@@ -1,8 +1,8 @@
-"""An oracle: were limits, chain, path and promises kept? For a recording, or live beside a control loop.
+"""An independent monitor: checks that commands keep the limits, the chain, the path and the controller's promises.
 
-It judges commands, not intentions, and shares no code with what it judges: kinematics come straight from Pinocchio's
-frames, limits from the cell, and nothing from the controllers, their limits, chain or preview. Use it in tests of a
-controller of your own, after a run (:func:`check`), or while one goes on (:class:`Monitor`, :class:`Monitored`).
+The monitor judges the commands only and shares no code with the controllers: kinematics come directly from Pinocchio's
+frames and limits from the cell. Use it to test your own controller, after a run (:func:`check_run`) or during one
+(:class:`Monitor`, :class:`Monitored`).
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ Flags: TypeAlias = npt.NDArray[np.bool_]
 
 
 class Breach(enum.Enum):
-    """What a command can get wrong."""
+    """Kind of a violation."""
 
     FORM = "wrong shape or type"
     NOT_FINITE = "not finite"
@@ -48,23 +48,23 @@ class Breach(enum.Enum):
     MUTATED = "data were modified"
 
 
-#: Braking together along a curved path may take longer than the slowest joint alone would, by this factor.
+#: Accepted braking time of all arms together along a curved path, as a multiple of the slowest joint's braking time.
 _BRAKING_SLACK = 1.1
-#: Pairs of placements compared at once, so that many arms and steps do not fill the memory.
+#: Number of pairs of placements that are compared at once; bounds the memory.
 _LARGEST_TABLE = 200_000
 
 
 @dataclass(frozen=True, slots=True)
 class Violation:
-    """One breach.
+    """One violation.
 
     Attributes:
-        breach: what.
+        breach: kind of the violation.
         step: number of the step since the monitor's reset.
-        time: at its end, since the reset [s].
-        arm, joint: whose; empty where it concerns all.
-        amount: how much beyond what is allowed [rad, m, rad/s, m/s; a share of the limit for accelerations].
-        detail: in words.
+        time: time at the end of the step since the reset [s].
+        arm, joint: names of the arm and the joint; empty if the violation concerns all.
+        amount: excess over the allowed value [rad, m, rad/s, m/s; a share of the limit for accelerations].
+        detail: explanation in words.
     """
 
     breach: Breach
@@ -83,15 +83,15 @@ class Violation:
 
 @dataclass(frozen=True, kw_only=True)
 class MonitorTolerances:
-    """What still counts as kept; None leaves a check out.
+    """Accepted deviations. None switches a check of the chain or the path off.
 
     Attributes:
-        position: excess over a position limit [rad or m]. From outside, no further out than before.
+        position: excess over a position limit [rad or m]; for a joint that is already outside, the further excess.
         velocity: excess over a velocity limit [rad/s or m/s].
-        acceleration: excess over an acceleration limit, as a share of it.
-        consistency: between commands that should be equal [rad or m; s for clocks].
-        chain_m, chain_rad: between any two arms' views of the object, as commanded.
-        path_m, path_rad: between any arm's view of the object, as commanded, and the path at the object's clock.
+        acceleration: excess over an acceleration limit, as a share of the limit.
+        consistency: difference of commands that must be equal [rad or m; s for clocks].
+        chain_m, chain_rad: difference of the commanded object poses of any two arms [m, rad].
+        path_m, path_rad: difference of any arm's commanded object pose and the path at the object's clock [m, rad].
     """
 
     position: float = 1e-9
@@ -111,12 +111,12 @@ class MonitorTolerances:
 
 @dataclass(frozen=True, kw_only=True)
 class Worst:
-    """The largest figures seen, kept or not; negative excesses are room to spare.
+    """The largest values of a run, inside or outside the tolerances. A negative excess is the distance to the limit.
 
     Attributes:
-        position, velocity: excess over a limit [rad or m, rad/s or m/s]; −inf where nothing is limited.
-        acceleration: excess over a limit, as a share of it.
-        chain_m, chain_rad, path_m, path_rad: as :class:`MonitorTolerances`.
+        position, velocity: excess over a limit [rad or m, rad/s or m/s]; −inf without limits.
+        acceleration: excess over a limit, as a share of the limit.
+        chain_m, chain_rad, path_m, path_rad: as in :class:`MonitorTolerances`.
     """
 
     position: float = -np.inf
@@ -130,13 +130,13 @@ class Worst:
 
 @dataclass(frozen=True)
 class Verdict:
-    """What a monitor found.
+    """The result of a monitor.
 
     Attributes:
-        steps: steps judged.
-        violations: the first of them, at most the number that the monitor keeps.
-        counts: how many of each breach there were in all.
-        worst: the largest figures.
+        steps: number of judged steps.
+        violations: the first violations, at most ``keep`` of :class:`Monitor`.
+        counts: total number of violations of each kind.
+        worst: the largest values.
     """
 
     steps: int
@@ -146,7 +146,7 @@ class Verdict:
 
     @property
     def ok(self) -> bool:
-        """Nothing was violated, and there was something to judge."""
+        """True if at least one step was judged and nothing was violated."""
         return self.steps > 0 and not self.counts
 
     def __str__(self) -> str:
@@ -163,7 +163,7 @@ class Verdict:
 
 @dataclass(frozen=True, eq=False)
 class _Block:
-    """Consecutive steps as arrays, T of them."""
+    """T consecutive steps as arrays."""
 
     q: Array  # (T, nq)
     q_next: Array  # (T, nq)
@@ -173,22 +173,22 @@ class _Block:
     clock_next: Array  # (T,)
     rate: Array  # (T,)
     holding: Flags  # (T,)
-    same_path: Flags  # (T,): the clock goes on from the step before
-    reference: Array  # (T, 4, 4) of the object at clock_next
+    same_path: Flags  # (T,): the clock continues from the step before
+    reference: Array  # (T, 4, 4): pose of the path at clock_next
     duration: Array  # (T,)
 
 
 @final
 class Monitor:
-    """Judges the commands of one controller, step by step or many at once.
+    """Judges the commands of one controller, step by step or many steps at once.
 
     Args:
-        cell: whose limits and kinematics; where the true limits are others than the controller knows, give those.
-        grasp: where the tools should be on the object.
-        path: where the object should go; by default the path that each step names.
-        tolerances: what still counts as kept.
-        keep: number of violations kept in full; all are counted.
-        kinematics: judge the chain and the path too; without them a step costs half as much.
+        cell: cell with the true limits and kinematics, even if the controller assumes others.
+        grasp: intended placements of the tools on the object.
+        path: path of the object; by default the path in each step.
+        tolerances: accepted deviations.
+        keep: number of violations stored with details; all are counted.
+        kinematics: also judge the chain and the path; this doubles the cost of a step.
     """
 
     def __init__(
@@ -224,7 +224,7 @@ class Monitor:
         self.reset()
 
     def reset(self) -> None:
-        """Forget everything; the next step is one from rest."""
+        """Forget everything. The next step starts from rest."""
         self._steps, self._time = 0, 0.0
         self._violations: list[Violation] = []
         self._counts: Counter[Breach] = Counter()
@@ -232,7 +232,7 @@ class Monitor:
         self.restart()
 
     def restart(self) -> None:
-        """The next step is one from rest, anywhere; findings so far stay."""
+        """Let the next step start from rest at any configuration. Earlier violations are kept."""
         self._last_q: Array | None = None
         self._last_v = np.zeros(self.cell.nv)
         self._last_clock, self._held = 0.0, 0.0
@@ -241,11 +241,11 @@ class Monitor:
     # -- judging -----------------------------------------------------------------------------------------------------
 
     def observe(self, step: ControlStep) -> tuple[Violation, ...]:
-        """Judge one step; returns what is wrong with it."""
+        """Judge one step; return its violations."""
         return self.observe_all([step])
 
     def observe_all(self, steps: Sequence[ControlStep]) -> tuple[Violation, ...]:
-        """Judge consecutive steps at once, which costs less; returns what is wrong, as far as it is kept in full."""
+        """Judge consecutive steps at once, at a lower cost per step; return their stored violations (see ``keep``)."""
         before = len(self._violations)
         sound: list[ControlStep] = []
         for step in steps:
@@ -260,11 +260,11 @@ class Monitor:
         return tuple(self._violations[before:])
 
     def report(self, breach: Breach, *, arm: str = "", amount: float = 0.0, detail: str = "") -> None:
-        """Add a finding of one's own to the verdict."""
+        """Add a violation found by the caller to the verdict."""
         self._add(Violation(breach, max(self._steps - 1, 0), self._time, arm, "", amount, detail))
 
     def verdict(self) -> Verdict:
-        """What was found so far."""
+        """The verdict so far."""
         limits = self.cell.limits
         for name, kept in (("lower", self._lower), ("upper", self._upper), ("velocity", self._speed)):
             if not np.array_equal(getattr(limits, name), kept):
@@ -277,7 +277,7 @@ class Monitor:
             self._violations.append(violation)
 
     def _well_formed(self, step: ControlStep, ahead: int) -> bool:
-        """Shapes, types and finiteness: what has to hold before there is anything to compute with."""
+        """Check shapes, types and finiteness, before the values of a step are used."""
         faults = []
         number, now = self._steps + ahead, self._time
         for name, size in (("q", self.cell.nq), ("q_next", self.cell.nq), ("velocity", self.cell.nv)):
@@ -301,7 +301,7 @@ class Monitor:
         return not faults
 
     def _lose(self) -> None:
-        """What a broken step leaves behind is not known: nothing is compared with it."""
+        """Forget the last step: after a malformed step the next one is not compared with it."""
         self._last_q, self._last_path = None, None
         self._last_v, self._held = np.full(self.cell.nv, np.nan), 0.0
 
@@ -329,7 +329,7 @@ class Monitor:
         self._judge(block)
 
     def judge_recording(self, recording: Recording) -> Verdict:
-        """Judge a run; see :func:`check`."""
+        """Judge a run; see :func:`check_run`."""
         r, stopped = recording, (Status.HOLDING.code, Status.FAULT.code)
         sound = np.isfinite(r.q_command).all(axis=1) & np.isfinite(r.clock) & np.isfinite(r.time)
         sound = sound[:-1] & sound[1:] & np.isfinite(r.velocity).all(axis=1) & np.isfinite(r.rate)
@@ -378,7 +378,7 @@ class Monitor:
         self._last_clock = float(block.clock_next[-1])
 
     def _positions(self, q: Array) -> Array:
-        """One position per joint (T, nv); continuous joints in (−π, π]."""
+        """Joint positions (T, nv); continuous joints in (−π, π]."""
         x: Array = q[:, self._at]
         for j in self._turning:
             x[:, j] = np.arctan2(q[:, self._at[j] + 1], q[:, self._at[j]])
@@ -387,7 +387,7 @@ class Monitor:
     def _judge_positions(self, x: Array, x_next: Array, ends: Array) -> None:
         excess = np.maximum(x_next - self._upper, self._lower - x_next)
         before = np.maximum(x - self._upper, self._lower - x)
-        outward = excess - np.maximum(before, 0.0)  # from outside, no further out
+        outward = excess - np.maximum(before, 0.0)  # an outside joint must not move further out
         self._note(position=float(outward.max()))
         self._joints(Breach.POSITION, outward, self.tolerances.position, ends)
 
@@ -426,7 +426,7 @@ class Monitor:
         self._all(Breach.RATE, np.maximum(-rate, rate - 1.0) - slack, ends, "σ in [0, 1]")
         self._all(Breach.RATE, np.where(block.dt > 0.0, -1.0, 1.0), ends, "dt > 0")
         self._all(Breach.CLOCK, -advance - slack, ends, "runs backwards")
-        # The last step may be a part of one.
+        # The last step may advance the clock by less than σ dt.
         ended = block.clock_next >= block.duration
         miss = np.where(ended, advance - rate * block.dt, np.abs(advance - rate * block.dt))
         self._all(Breach.CLOCK, miss - slack * (1.0 + block.clock_next), ends, "does not advance by σ dt")
@@ -434,7 +434,7 @@ class Monitor:
         self._all(Breach.CLOCK, np.where(block.same_path, np.abs(block.clock - before), 0.0) - slack, ends, "jumps")
 
     def _judge_holding(self, block: _Block, v_before: Array, ends: Array) -> None:
-        """Whoever holds comes to rest on the path, in the time that the slowest joint needs to brake."""
+        """A holding controller must come to rest within the braking time of the slowest joint."""
         if not block.holding.any():
             self._held = 0.0
             return
@@ -452,7 +452,7 @@ class Monitor:
 
     def _judge_object(self, block: _Block, ends: Array) -> None:
         t = self.tolerances
-        chain = self._pairs - len(self.cell)  # the first of the pairs are arm and arm, the others arm and reference
+        chain = self._pairs - len(self.cell)  # first the pairs of two arms, then those of arm and reference
         distance, angle = self._apart(block)
         for breach, values, allowed, unit in (
             (Breach.CHAIN, distance[:, :chain], t.chain_m, "m"),
@@ -460,7 +460,7 @@ class Monitor:
             (Breach.PATH, distance[:, chain:], t.path_m, "m"),
             (Breach.PATH, angle[:, chain:], t.path_rad, "rad"),
         ):
-            if values.size == 0:  # one arm is no chain
+            if values.size == 0:  # a single arm forms no chain
                 continue
             largest = float(values.max())
             self._note(**{f"{'chain' if breach is Breach.CHAIN else 'path'}_{unit}": largest})
@@ -474,7 +474,7 @@ class Monitor:
                 self._add(Violation(breach, self._steps + int(i), float(ends[i]), arm, "", amount, f"[{unit}]"))
 
     def _apart(self, block: _Block) -> tuple[Array, Array]:
-        """Distances [m] and angles [rad] (T, pairs) between the arms' views of the object, and from the reference."""
+        """Distances [m] and angles [rad] (T, pairs) between the arms' object poses, and from each to the reference."""
         steps, n = len(block.dt), len(self.cell)
         distance, angle = np.empty((steps, self._pairs)), np.empty((steps, self._pairs))
         T = np.empty((steps, n + 1, 4, 4))
@@ -485,13 +485,13 @@ class Monitor:
             part = T[start : start + rows]
             D = part[:, self._first] - part[:, self._second]
             np.sqrt(np.einsum("tpi,tpi->tp", D[..., :3, 3], D[..., :3, 3]), out=distance[start : start + rows])
-            # |A − B| = 2√2 sin(θ/2), which keeps its digits near 0
+            # ‖A − B‖ = 2√2 sin(θ/2) is accurate near 0
             half = np.sqrt(np.einsum("tpij,tpij->tp", D[..., :3, :3], D[..., :3, :3]) / 8.0)
             angle[start : start + rows] = 2.0 * np.arcsin(np.minimum(half, 1.0))
         return distance, angle
 
     def _carried(self, q: Array) -> Array:
-        """The object as each arm carries it, placements (T, N, 4, 4)."""
+        """Object pose according to each arm, placements (T, N, 4, 4)."""
         cell, data = self.cell, self._data
         frames = cell.tool_frames
         T = np.empty((len(q), len(frames), 4, 4))
@@ -512,7 +512,7 @@ class Monitor:
             self._worst = Worst(**known)
 
     def _joints(self, breach: Breach, amounts: Array, allowed: float, ends: Array, detail: str = "") -> None:
-        """Findings per joint, from amounts (T, nv)."""
+        """Add a violation for every joint with an amount (T, nv) above ``allowed``."""
         if amounts.max() <= allowed:
             return
         for i, j in np.argwhere(~(amounts <= allowed)):
@@ -520,18 +520,18 @@ class Monitor:
             self._add(Violation(breach, self._steps + int(i), float(ends[i]), arm, joint, float(amounts[i, j]), detail))
 
     def _all(self, breach: Breach, amounts: Array, ends: Array, detail: str) -> None:
-        """Findings that concern all arms, from amounts (T,) that should not be above 0."""
+        """Add a violation of all arms for every amount (T,) above 0."""
         for i in np.flatnonzero(~(amounts <= 0.0)):
             self._add(Violation(breach, self._steps + int(i), float(ends[i]), amount=float(amounts[i]), detail=detail))
 
 
 @final
 class Monitored:
-    """A controller with a monitor beside it: every step is judged, and so is what happens to the data handed in.
+    """A controller with a monitor. The monitor judges every step, and detects changes of the caller's arrays.
 
     Args:
-        controller: the one that is judged; use its other methods directly.
-        monitor: by default one for the controller's own cell and grasp.
+        controller: the judged controller; use its other methods directly.
+        monitor: the monitor; by default a new one for the controller's cell and grasp.
     """
 
     def __init__(self, controller: Controller, monitor: Monitor | None = None) -> None:
@@ -547,7 +547,7 @@ class Monitored:
         return self.controller.path
 
     def reset(self, q: Any) -> None:
-        """Reset the controller; the monitor's findings stay."""
+        """Reset the controller. The monitor keeps its violations."""
         kept = _copy(q)
         self.controller.reset(q)
         self._unchanged(q, kept, "q of reset")
@@ -555,7 +555,7 @@ class Monitored:
         self._last = None
 
     def step(self, q_measured: Any = None, *, dt: float | None = None) -> ControlStep:
-        """The controller's step."""
+        """Compute and judge the controller's step."""
         kept = _copy(q_measured)
         step = self.controller.step(q_measured, dt=dt)
         self._unchanged(q_measured, kept, "q_measured")
@@ -568,7 +568,7 @@ class Monitored:
         return step
 
     def verdict(self) -> Verdict:
-        """What was found so far."""
+        """The verdict so far."""
         return self.monitor.verdict()
 
     def _unchanged(self, now: Any, before: Any, what: str) -> None:
@@ -580,13 +580,13 @@ def _copy(value: Any) -> Any:
     return value.copy() if isinstance(value, np.ndarray) else value
 
 
-def check(recording: Recording, cell: RobotCell, *, tolerances: MonitorTolerances | None = None) -> Verdict:
+def check_run(recording: Recording, cell: RobotCell, *, tolerances: MonitorTolerances | None = None) -> Verdict:
     """Judge a recorded run by its commands.
 
     Args:
-        recording: the run; it starts at rest.
-        cell: whose limits and kinematics.
-        tolerances: what still counts as kept.
+        recording: the run, which starts at rest.
+        cell: cell with the true limits and kinematics.
+        tolerances: accepted deviations.
 
     Raises:
         InvalidInputError: a recording of another cell.
@@ -596,7 +596,7 @@ def check(recording: Recording, cell: RobotCell, *, tolerances: MonitorTolerance
         raise InvalidInputError(
             f"a recording with nq = {r.q_command.shape[1]}, nv = {r.velocity.shape[1]} and {len(r.T_object_tool)} "
             f"arms for a cell with nq = {cell.nq}, nv = {cell.nv} and {len(cell)} arms",
-            "monitor.check",
+            "check_run",
             "Give the cell that the run was made with.",
         )
     monitor = Monitor(cell, r.grasp, tolerances=tolerances)

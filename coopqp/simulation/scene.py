@@ -1,8 +1,8 @@
-"""What a recording keeps of its cell: enough to measure and to show the run again, on another machine too.
+"""The description of a cell in a recording. With it a run can be measured and shown again, also on another machine.
 
 A scene is plain JSON: the joints of every arm and their limits, the tools, the bases, the visual shapes, and the box
-that stands for the object. Shapes are kept by their dimensions; a mesh that came from a file is kept by the file's
-name, so that file must be there to be shown.
+that represents the object. Shapes are stored by their dimensions. A mesh from a file is stored by the file's name: the
+file must exist when the run is shown.
 """
 
 from __future__ import annotations
@@ -25,19 +25,19 @@ from coopqp.model.cell import Arm, RobotCell
 from coopqp.spatial import Array, Placement, as_placement
 from coopqp.task.path import ObjectPath
 
-#: Version of the layout below.
+#: Version of the format.
 FORMAT = 1
-#: Bounds of what is read: arms, joints and shapes of an arm; size of a mesh file and of an embedded mesh [bytes].
+#: Largest accepted numbers of arms, of joints and shapes of an arm; largest mesh file and embedded mesh [bytes].
 MAX_ARMS, MAX_JOINTS, MAX_SHAPES = 256, 256, 4096
 MAX_MESH_BYTES = 100_000_000
-#: Poses of a path that are kept, and that are read at most.
+#: Number of stored poses of a path, and the largest number accepted when reading.
 PATH_POSES, MAX_PATH_POSES = 101, 10_000
 
 _PLAIN_JOINTS = {f"JointModel{kind}{axis}" for kind in ("R", "P", "RUB") for axis in "XYZ"}
 _AXIS_JOINTS = {f"JointModel{kind}Unaligned" for kind in ("Revolute", "Prismatic", "RevoluteUnbounded")}
 _SCREW_JOINTS = {f"JointModelH{axis}" for axis in "XYZ"}
 _MESH_ENDINGS = {".stl", ".dae", ".obj", ".ply", ".glb", ".gltf", ".off", ".3ds"}
-#: Attributes that give a shape's size, by the name of its class in coal.
+#: Attributes with the dimensions of a shape, by the name of its class in coal.
 _SIZES = {
     "Box": ("halfSide",),
     "Sphere": ("radius",),
@@ -50,22 +50,22 @@ _GREY = [0.6, 0.6, 0.6, 1.0]
 
 
 class SceneError(CoopqpError):
-    """A recording does not tell, or not any more, what its cell looked like."""
+    """A recording does not describe its cell, or a file of the description is missing."""
 
 
 # -- writing ------------------------------------------------------------------------------------------------------
 
 
 def describe_cell(cell: RobotCell) -> dict[str, Any]:
-    """The cell as plain JSON; :func:`read_cell` makes a cell of it again.
+    """The cell as plain JSON; :func:`read_cell` is the inverse.
 
-    Placements are 4x4 matrices, lengths in metres, angles in radians; a limit that does not exist is null.
+    Placements are 4x4 matrices, lengths are in metres, angles in radians. A missing limit is null.
     """
     return {"format": FORMAT, "arms": [_describe_arm(arm) for arm in cell.arms]}
 
 
 def describe_object(size: Any, T_object_body: Placement) -> dict[str, Any]:
-    """The box that stands for the object, as plain JSON, for the entry ``object`` of a recording's metadata.
+    """The box that represents the object, as plain JSON for the entry ``object`` of a recording's metadata.
 
     Args:
         size: side lengths [m], shape (3,).
@@ -76,7 +76,7 @@ def describe_object(size: Any, T_object_body: Placement) -> dict[str, Any]:
 
 
 def describe_path(path: ObjectPath) -> list[list[float]] | None:
-    """Poses along the whole path, also where the object never comes: rows x, y, z [m], qx, qy, qz, qw.
+    """Poses along the whole path, even beyond the end of the run: rows x, y, z [m], qx, qy, qz, qw.
 
     None for a path that is not known ahead.
     """
@@ -119,7 +119,7 @@ def _describe_arm(arm: Arm) -> dict[str, Any]:
 
 
 def _axis(joint: Any) -> list[float]:
-    """The axis of a turning or sliding joint in its own frame, from its motion subspace (6,)."""
+    """The axis of a revolute or prismatic joint in its own frame, from its motion subspace (6,)."""
     data = joint.createData()
     joint.calc(data, np.array([1.0, 0.0])[: joint.nq])
     subspace = np.asarray(data.S, dtype=float).reshape(6)
@@ -165,11 +165,11 @@ def read_cell(metadata: Mapping[str, Any], *, shapes: bool = True) -> RobotCell:
     """The cell of a recording, from the entry ``scene`` of its metadata.
 
     Args:
-        metadata: of the recording.
+        metadata: metadata of the recording.
         shapes: also read the visual shapes; without them no mesh file is needed.
 
     Raises:
-        SceneError: there is no scene, it is damaged, or a mesh file is gone.
+        SceneError: the scene is missing or damaged, or a mesh file is missing.
     """
     scene = metadata.get("scene")
     if not isinstance(scene, Mapping):
@@ -188,13 +188,13 @@ def read_cell(metadata: Mapping[str, Any], *, shapes: bool = True) -> RobotCell:
 
 
 def read_object(metadata: Mapping[str, Any], T_object_tool: Array) -> tuple[Array, pin.SE3]:
-    """The box that stands for the object of a recording: side lengths (3,) [m] and ``T_object_body``.
+    """The box that represents the object of a recording: side lengths (3,) [m] and ``T_object_body``.
 
-    Where the recording does not tell, a box around the grasps.
+    By default this is a box around the grasps.
 
     Args:
-        metadata: of the recording.
-        T_object_tool: its grasp (N, 4, 4).
+        metadata: metadata of the recording.
+        T_object_tool: grasp of the recording (N, 4, 4).
 
     Raises:
         SceneError: the entry is damaged.
@@ -215,7 +215,7 @@ def read_object(metadata: Mapping[str, Any], T_object_tool: Array) -> tuple[Arra
 
 
 def read_path(metadata: Mapping[str, Any]) -> list[pin.SE3] | None:
-    """Poses along the whole path of a recording; None where it does not tell.
+    """Poses along the whole path of a recording; None if the recording has none.
 
     Raises:
         SceneError: the entry is damaged.
@@ -277,7 +277,7 @@ def _joint_model(joint: Mapping[str, Any], arm: str) -> Any:
 
 
 def _unbounded(axis: Array) -> Any:
-    """A continuous joint about any axis: Pinocchio's Python interface makes one from a description only."""
+    """A continuous joint about any axis. Pinocchio's Python interface can only build it from a description."""
     xyz = " ".join(repr(float(x)) for x in axis)
     joint = '<joint name="j" type="continuous"><parent link="a"/><child link="b"/><axis xyz="{}"/></joint>'
     return pin.buildModelFromXML(f'<robot name="r"><link name="a"/><link name="b"/>{joint.format(xyz)}</robot>').joints[
@@ -308,7 +308,7 @@ def _read_shapes(entry: Mapping[str, Any], model: pin.Model) -> pin.GeometryMode
         joint = _index(shape["joint"], model.njoints)
         placement = as_placement(shape["placement"], f"shape '{shape['name']}'")
         added = pin.GeometryObject(str(shape["name"]), joint, placement, geometry)
-        added.parentFrame = model.getFrameId(model.names[joint])  # Pinocchio reads past its frames without one
+        added.parentFrame = model.getFrameId(model.names[joint])  # otherwise Pinocchio reads past its frames
         added.meshColor = np.clip(as_vector(shape.get("color", _GREY), 4, "color"), 0.0, 1.0)
         if shape["kind"] == "mesh":
             added.meshPath, added.meshScale = str(shape["file"]), as_vector(shape["scale"], 3, "scale")
@@ -317,7 +317,7 @@ def _read_shapes(entry: Mapping[str, Any], model: pin.Model) -> pin.GeometryMode
 
 
 def _read_geometry(shape: Mapping[str, Any], arm: str) -> Any:
-    """The shape as a coal geometry; None for a kind that cannot be drawn (a plane, a height field)."""
+    """The shape as a coal geometry; None for kinds that cannot be drawn (planes, height fields)."""
     import coal
 
     kind = shape["kind"]

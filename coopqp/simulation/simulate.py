@@ -1,4 +1,4 @@
-"""The loop: a controller commands, a plant moves, a Recording keeps what happened."""
+"""The control loop: a controller commands, a plant moves, a Recording stores the run."""
 
 from __future__ import annotations
 
@@ -24,34 +24,33 @@ from coopqp.simulation.plants.kinematic import KinematicPlant, Plant
 from coopqp.simulation.scene import describe_cell, describe_path
 from coopqp.spatial import Array
 
-#: Largest recording that is loaded [bytes, unpacked].
+#: Largest accepted recording [bytes, unpacked].
 MAX_RECORDING_BYTES = 2_000_000_000
-#: Called with (done, total) steps while a run goes on.
+#: Called during a run with the numbers of steps (done, total).
 ProgressCallback = Callable[[int, int], None]
 
 
 class RecordingError(CoopqpError):
-    """A file that is not a recording, or cannot be read or written."""
+    """A file is not a recording, or it cannot be read or written."""
 
 
 @dataclass(frozen=True, eq=False)
 class Recording:
-    """A run, as arrays. With T steps there are T + 1 samples of the configuration and T of the rest.
+    """A run as arrays. T steps have T + 1 samples of the configuration.
 
     Attributes:
-        time: at each sample [s], (T+1,).
+        time: time of each sample [s], (T+1,).
         q: measured configuration (T+1, nq).
         q_command: commanded configuration (T+1, nq).
         velocity: commanded joint velocities (T, nv).
         clock: the object's clock at each sample [s], (T+1,).
         rate: σ (T,).
-        status: :attr:`Status.code` (T,).
+        status: :attr:`Status.code` of each step (T,).
         reference: the path's pose at each sample, 4x4 matrices (T+1, 4, 4).
         T_object_tool: the grasp, (N, 4, 4).
-        notes: one entry per change of status or binding limits: ``"step: explanation"``.
-        metadata: who made it: controller, solver, names of arms and joints; what the cell looks like and where the
-            path leads (``scene``, ``path``: :mod:`coopqp.simulation.scene`); which limits bound when (``binding``); and
-            what the caller added.
+        notes: one entry ``"step: explanation"`` per change of status or binding limits.
+        metadata: controller, solver, names of arms and joints; description of the cell and the path (``scene``,
+            ``path``: :mod:`coopqp.simulation.scene`); binding limits over time (``binding``); entries of the caller.
     """
 
     time: Array
@@ -68,7 +67,7 @@ class Recording:
 
     @property
     def n_steps(self) -> int:
-        """T."""
+        """T, the number of steps."""
         return len(self.rate)
 
     @property
@@ -84,7 +83,7 @@ class Recording:
 
     @property
     def bindings(self) -> list[tuple[BindingLimit, ...]]:
-        """The limits that each step ran against; none where the recording does not tell.
+        """The binding limits of each step; empty if the recording does not contain them.
 
         Raises:
             RecordingError: the entry ``binding`` of the metadata is damaged.
@@ -101,11 +100,11 @@ class Recording:
 
     @property
     def finished(self) -> bool:
-        """The object's clock reached the end of its path."""
+        """True if the object's clock reached the end of its path."""
         return bool(self.metadata.get("finished", False))
 
     def save(self, path: str | Path) -> Path:
-        """Write a ``.npz``, whole or not at all.
+        """Write a ``.npz`` file, atomically.
 
         Raises:
             RecordingError: the folder does not exist or cannot be written.
@@ -128,10 +127,10 @@ class Recording:
 
     @staticmethod
     def load(path: str | Path) -> Recording:
-        """Read a ``.npz`` written by :meth:`save`; no code in it is executed.
+        """Read a ``.npz`` file of :meth:`save`. No code in it is executed.
 
         Raises:
-            RecordingError: missing, too large, not a recording, or inconsistent.
+            RecordingError: the file is missing, too large, not a recording, or inconsistent.
         """
         file = Path(path)
         try:
@@ -150,7 +149,7 @@ class Recording:
 
     def _check(self, file: Path) -> None:
         steps, samples = self.rate.size, self.rate.size + 1
-        expected: dict[str, tuple[int | None, ...]] = {  # None: any
+        expected: dict[str, tuple[int | None, ...]] = {  # None: any size
             "rate": (steps,),
             "status": (steps,),
             "velocity": (steps, None),
@@ -170,7 +169,7 @@ class Recording:
             raise RecordingError(f"{file}: 'status' has unknown codes; it was changed or comes from a newer coopqp.")
 
 
-#: What reading a damaged file can raise, besides what is wrong with its values.
+#: Exceptions that reading a damaged file can raise.
 _UNREADABLE = (
     OSError,
     zipfile.BadZipFile,
@@ -201,18 +200,18 @@ def simulate(
     """Run a controller on a plant until the object reaches the end of its path.
 
     Args:
-        controller: reset at the plant's measured configuration.
-        plant: an ideal :class:`KinematicPlant` by default.
-        q_start: configuration to start at (nq,).
-        duration: longest run [s]; by default ten times the path's duration, since a slowed object takes longer.
-        settle: how long to go on after the end is reached [s].
-        patience: give up once the object has been blocked, held or stopped for so long [s]; by default never.
+        controller: the controller; it is reset at the plant's measured configuration.
+        plant: the plant; by default an ideal :class:`KinematicPlant`.
+        q_start: start configuration (nq,).
+        duration: longest run [s]; by default ten times the path's duration, because a slowed object takes longer.
+        settle: time that the run continues after the end of the path [s].
+        patience: the run ends when the object was blocked, held or stopped for this time [s]; by default it does not.
         progress: called as ``progress(steps done, steps of an unslowed run)``.
         observe: called with every :class:`ControlStep`.
-        metadata: stored with the recording; must be JSON.
+        metadata: entries stored in the recording; must be JSON.
 
     Raises:
-        InvalidInputError: bad ``q_start`` or durations, or a start where the arms do not hold the object.
+        InvalidInputError: bad ``q_start`` or durations, or the arms do not hold the object at the start.
     """
     cell: RobotCell = controller.cell
     plant = KinematicPlant(cell) if plant is None else plant
@@ -298,7 +297,7 @@ def _record(
 
 
 def _binding_changes(steps: list[ControlStep]) -> list[list[Any]]:
-    """``[step, [[arm, joint, kind], …]]`` for every step whose binding limits are not those of the step before."""
+    """``[step, [[arm, joint, kind], …]]`` for every step with other binding limits than the step before."""
     changes: list[list[Any]] = []
     last: tuple[BindingLimit, ...] = ()
     for i, step in enumerate(steps):

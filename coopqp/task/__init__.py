@@ -1,1 +1,1 @@
-"""What the object should do: paths, whose error counts, posture."""
+"""The task: object paths, the common error, the posture of redundant arms."""

@@ -1,4 +1,4 @@
-"""Whose view of the object is the object's: the weights of the common error ``ē = Σ_k W_k e_k``."""
+"""The weights W_k of the common error ``ē = Σ_k W_k e_k``: they define the object pose from the views of the arms."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from coopqp.spatial import Array
 @final
 @dataclass(frozen=True, eq=False)
 class CommonError:
-    """Diagonal weights of the arms' errors, per axis of the object frame; they sum to 1 on every axis.
+    """Diagonal weights of the arms' errors, per axis of the object frame. They sum to 1 on every axis.
 
     Build it with :meth:`master`, :meth:`leaderless`, :meth:`driver` or :meth:`per_axis`.
     """
@@ -27,12 +27,12 @@ class CommonError:
 
     @staticmethod
     def master(arm: str | int = 0) -> CommonError:
-        """Master–slave: the object is where the master carries it, the others follow (the paper's mode II)."""
+        """Master–slave: the master defines the object pose, the other arms follow (the paper's mode II)."""
         return CommonError("master", (arm,))
 
     @staticmethod
     def leaderless() -> CommonError:
-        """All arms count the same."""
+        """All arms have the same weight."""
         return CommonError("leaderless")
 
     @staticmethod
@@ -49,7 +49,8 @@ class CommonError:
         """The weights for a cell, shape (N, 6).
 
         Raises:
-            UnknownNameError: no such arm. InvalidInputError: weights that do not fit.
+            UnknownNameError: no such arm.
+            InvalidInputError: wrong shape, a negative weight, or sums other than 1.
         """
         n = len(cell)
         W = np.zeros((n, 6))

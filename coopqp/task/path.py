@@ -1,7 +1,7 @@
-"""Object paths: from the object's own clock [s] to its pose and twist.
+"""Object paths: functions from the object's clock [s] to its pose and twist.
 
-The clock τ runs from 0 to the path's duration; before and after, the object rests at the ends. A controller that
-slows the object advances the clock slower than real time, so a path never runs away.
+The clock τ runs from 0 to the duration of the path. Before and after, the object rests at the ends. When a controller
+slows the object, the clock advances slower than real time: the path never runs ahead of the object.
 """
 
 from __future__ import annotations
@@ -17,15 +17,15 @@ from typing import Any, final
 import numpy as np
 import pinocchio as pin
 
-from coopqp.checks import as_scalar, as_vector, read_only
+from coopqp.checks import as_scalar, as_vector
 from coopqp.errors import InvalidInputError, UnknownNameError
 from coopqp.spatial import Array, Placement, as_placement, as_placements
 
 
 class TimeLaw(enum.Enum):
-    """How far along a segment the object is: share of the way u(x) for the share of the time x, both in [0, 1]."""
+    """Progress along a segment: share u(x) of the way as a function of the share x of the time, both in [0, 1]."""
 
-    LINEAR = "linear"  #: u = x, the paper's τ = t/t_f; starts and stops with a jump of velocity
+    LINEAR = "linear"  #: u = x, the paper's τ = t/t_f; the velocity jumps at the start and at the end
     QUINTIC = "quintic"  #: u = 10x³ − 15x⁴ + 6x⁵; velocity and acceleration are zero at both ends
 
     def value_at(self, x: float) -> float:
@@ -59,30 +59,31 @@ class ObjectPath(abc.ABC):
     """A path of the object: pose and twist as functions of the object's clock τ [s]."""
 
     duration: float  #: [s]
-    known_ahead: bool = True  #: whether poses ahead of the clock may be asked for (the preview does)
+    known_ahead: bool = True  #: True if poses ahead of the clock are known (the preview needs them)
 
     @abc.abstractmethod
     def pose(self, clock: float) -> pin.SE3:
-        """T_world_object at ``clock`` [s], constant before 0 and after :attr:`duration`."""
+        """T_world_object at ``clock`` [s]. It is constant before 0 and after :attr:`duration`."""
 
     @abc.abstractmethod
     def twist(self, clock: float) -> Array:
         """Twist of the object in its own frame, shape (6,) [m/s, rad/s]: ``dT/dτ = T · [twist]``."""
 
     def next_breakpoint(self, clock: float) -> float:
-        """First clock after ``clock`` at which the twist jumps, the end at the latest [s]."""
+        """First clock [s] after ``clock`` at which the twist jumps, at the latest the end."""
         return self.duration
 
-    def line_at(self, clock: float, span: float) -> Array | None:
-        """The straight segment that holds [clock, clock + span] as numbers (21,), None if there is none.
+    def packed(self) -> Array | None:
+        """The path as numbers, None where only :meth:`pose` knows it: what a compiled core evaluates itself.
 
-        ``[R(0) row by row (9), p(0) (3), φ* r (3), displacement in the world (3), start [s], duration [s], time law]``
-        with time law 0 for linear and 1 for quintic: what a compiled kernel evaluates itself.
+        ``[duration, number of breakpoints, number of segments, breakpoints …, segments …]``; a segment has 21 numbers:
+        ``R(0)`` row by row (9), p(0) (3), φ* r (3), displacement in the world (3), start [s], duration [s], time law
+        (0 linear, 1 quintic).
         """
         return None
 
     def increment(self, clock: float, dt: float) -> Array:
-        """``log(T(τ)⁻¹ T(τ + dt)) / dt``, shape (6,): the constant twist that makes exactly one step.
+        """``log(T(τ)⁻¹ T(τ + dt)) / dt``, shape (6,): the constant twist whose step of ``dt`` [s] is exact.
 
         Raises:
             InvalidInputError: ``dt`` is 0, NaN or infinite.
@@ -94,7 +95,7 @@ class ObjectPath(abc.ABC):
 
 @dataclass(frozen=True, eq=False)
 class ScrewParameters:
-    """p, r, φ* of Eq. (10): how the object gets from its initial to its final placement.
+    """p, r, φ* of Eq. (10): the motion from the initial to the final placement.
 
     Attributes:
         p: displacement in the initial frame [m], shape (3,).
@@ -108,9 +109,9 @@ class ScrewParameters:
 
     @staticmethod
     def between(start: Placement, goal: Placement) -> ScrewParameters:
-        """Eq. (10) with its two repairs: r is normalised (10c has norm 2 sin φ*) and φ* comes from atan2.
+        """Eq. (10) with two corrections: r is normalised (10c has norm 2 sin φ*) and φ* comes from atan2.
 
-        At φ* = π the vector of (10c) vanishes: r is the rotation's eigenvector for eigenvalue 1 (its sign is free).
+        At φ* = π the vector of (10c) vanishes. Then r is an eigenvector of the rotation for eigenvalue 1 (either sign).
         """
         T0, T1 = as_placement(start, "ScrewParameters: start"), as_placement(goal, "ScrewParameters: goal")
         R = T0.rotation.T @ T1.rotation
@@ -118,7 +119,7 @@ class ScrewParameters:
         sin2, cos = float(np.linalg.norm(w)), 0.5 * (float(np.trace(R)) - 1.0)
         angle = float(np.arctan2(0.5 * sin2, cos))
         if cos < 0.0:
-            # Towards φ* = π the skew part loses its digits; the symmetric part does not.
+            # Near φ* = π the skew part loses accuracy, the symmetric part does not.
             _, vectors = np.linalg.eigh(0.5 * (R + R.T))
             r = vectors[:, 2]
             r = -r if w @ r < 0.0 else r
@@ -133,11 +134,11 @@ class ScrewParameters:
 class LinePath(ObjectPath):
     """The paper's motion, Eqs. (7)–(9): the origin moves on a straight line while the object turns about a fixed axis.
 
-    ``T(τ) = T(0) M(τ)``, ``M = [Rot(r, u φ*), u p]``, u the time law.
+    ``T(τ) = T(0) M(τ)`` with ``M = [Rot(r, u φ*), u p]`` and the time law u.
 
     Args:
         start, goal: placements of the object in the world.
-        duration: t_f [s].
+        duration: t_f, the duration [s].
         time_law: ``"linear"`` (the paper's) or ``"quintic"``.
     """
 
@@ -152,8 +153,8 @@ class LinePath(ObjectPath):
         self._line = self._R0 @ self.screw.p
         self._rotation_vector = self.screw.angle * self.screw.r
         law = 0.0 if self.time_law is TimeLaw.LINEAR else 1.0
-        self._packed = read_only(
-            np.concatenate([self._R0.ravel(), self._p0, self._rotation_vector, self._line, [0.0, self.duration, law]])
+        self._segment = np.concatenate(
+            [self._R0.ravel(), self._p0, self._rotation_vector, self._line, [0.0, self.duration, law]]
         )
 
     @staticmethod
@@ -165,16 +166,22 @@ class LinePath(ObjectPath):
         duration: float,
         time_law: TimeLaw | str = TimeLaw.QUINTIC,
     ) -> LinePath:
-        """Path from ``start`` by a translation [m] and a rotation vector [rad], about the origin, in world axes."""
+        """Path from ``start`` by a translation [m] and a rotation vector [rad] about the origin, in world axes."""
         T = as_placement(start, "LinePath.displaced: start")
         shift = as_vector(translation, 3, "LinePath.displaced: translation")
         turn = as_vector(rotation, 3, "LinePath.displaced: rotation")
         goal = pin.SE3(pin.exp3(turn) @ T.rotation, T.translation + shift)
         return LinePath(T, goal, duration=duration, time_law=time_law)
 
-    def line_at(self, clock: float, span: float) -> Array | None:
-        """The path itself."""
-        return self._packed
+    def segment(self, start: float = 0.0) -> Array:
+        """The numbers of :meth:`packed` for this line, begun at ``start`` [s] (21,)."""
+        numbers = self._segment.copy()
+        numbers[18] = start
+        return numbers
+
+    def packed(self) -> Array:
+        """One segment."""
+        return np.concatenate([[self.duration, 0.0, 1.0], self._segment])
 
     def pose(self, clock: float) -> pin.SE3:
         """T_world_object at ``clock`` [s], Eq. (8)."""
@@ -182,7 +189,7 @@ class LinePath(ObjectPath):
         return pin.SE3(self._R0.dot(pin.exp3(u * self._rotation_vector)), self._p0 + u * self._line)
 
     def twist(self, clock: float) -> Array:
-        """Body twist [m/s, rad/s]: the axis is fixed in the body too, so the angular part is ``r φ* u′``."""
+        """Body twist [m/s, rad/s]. The axis is also fixed in the body, so the angular part is ``r φ* u′``."""
         x = clock / self.duration
         rate = self.time_law.slope_at(x) / self.duration
         u = self.time_law.value_at(x)
@@ -194,12 +201,12 @@ class LinePath(ObjectPath):
 class WaypointPath(ObjectPath):
     """Straight segments through placements, one time law per segment.
 
-    With ``"quintic"`` the object rests at every waypoint; with ``"linear"`` it turns corners with a jump of velocity.
+    With ``"quintic"`` the object rests at every waypoint. With ``"linear"`` its velocity jumps at every waypoint.
 
     Args:
         placements: at least two placements of the object in the world.
-        durations: time of each segment [s], one fewer than placements.
-        time_law: of every segment.
+        durations: duration of each segment [s], one fewer than placements.
+        time_law: time law of every segment.
     """
 
     def __init__(
@@ -225,17 +232,10 @@ class WaypointPath(ObjectPath):
         self._starts = [0.0, *np.cumsum(times)[:-1].tolist()]
         self.duration = float(np.sum(times))
 
-        self._packed = []
-        for segment, start in zip(self.segments, self._starts, strict=True):
-            packed = np.array(segment.line_at(0.0, 0.0))
-            packed[18] = start
-            self._packed.append(read_only(packed))
-
-    def line_at(self, clock: float, span: float) -> Array | None:
-        """The segment at ``clock``, if ``span`` stays in it."""
-        i = min(max(bisect_right(self._starts, clock) - 1, 0), len(self.segments) - 1)
-        last = i + 1 == len(self._starts)
-        return self._packed[i] if last or clock + span <= self._starts[i + 1] else None
+    def packed(self) -> Array:
+        """A segment for each pair of waypoints; the twist jumps between them."""
+        inner, segments = self._starts[1:], [s.segment(t) for s, t in zip(self.segments, self._starts, strict=True)]
+        return np.concatenate([[self.duration, len(inner), len(segments)], inner, *segments])
 
     def _segment(self, clock: float) -> tuple[LinePath, float]:
         i = min(max(bisect_right(self._starts, clock) - 1, 0), len(self.segments) - 1)
@@ -265,8 +265,13 @@ class HoldPath(ObjectPath):
         self._pose = as_placement(T_world_object, "HoldPath")
         self.duration = as_scalar(duration, "HoldPath: duration")
 
+    def packed(self) -> Array:
+        """A segment that stays where it begins."""
+        still = LinePath(self._pose, self._pose, duration=self.duration)
+        return still.packed()
+
     def pose(self, clock: float) -> pin.SE3:
-        """The pose."""
+        """The constant pose."""
         return self._pose
 
     def twist(self, clock: float) -> Array:
@@ -276,17 +281,17 @@ class HoldPath(ObjectPath):
 
 @final
 class ServoPath(ObjectPath):
-    """Follows a target that the user moves at run time, on straight lines at bounded speed.
+    """A path to a target that the user moves at run time, on straight lines at bounded speed.
 
-    What comes after the target is not known. Where targets are far apart, look ahead: the object then brakes ahead of
-    limits, singularities and the target itself, as on any path. Without it there is no preview: limits and a named
-    reason are promised, and under acceleration limits not the chain.
+    The path beyond the target is unknown. With ``look_ahead`` the object brakes before limits, singularities and the
+    target, as on any path. Without it there is no preview: the limits hold and a stop has a named reason, but under
+    acceleration limits the chain may part.
 
     Args:
-        T_world_object: pose to start at.
-        speed, spin: of the object on its way to the target [m/s, rad/s].
-        look_ahead: preview the line to each target. It costs a fraction of a millisecond whenever the target moves,
-            and the object is always able to stop at the target: not for targets that are streamed.
+        T_world_object: start pose.
+        speed, spin: speed and angular speed of the object towards the target [m/s, rad/s].
+        look_ahead: preview the line to each target. This costs a fraction of a millisecond when the target moves, and
+            the object can always stop at the target. Leave it off for streamed targets.
     """
 
     def __init__(
@@ -299,27 +304,32 @@ class ServoPath(ObjectPath):
         self._line, self._since = LinePath(pose, pose, duration=1.0, time_law=TimeLaw.LINEAR), 0.0
 
     def restart(self, T_world_object: Placement) -> None:
-        """Rest at ``T_world_object`` at clock 0, the target there too.
+        """Rest at ``T_world_object`` at clock 0. The target is the same pose.
 
         Raises:
-            InvalidInputError: not a pose; nothing changes.
+            InvalidInputError: not a pose. The path is then unchanged.
         """
         pose = as_placement(T_world_object, "ServoPath.restart")
         self._line, self._since = LinePath(pose, pose, duration=1.0, time_law=TimeLaw.LINEAR), 0.0
 
     def set_target(self, T_world_object: Placement, *, clock: float) -> None:
-        """Go to ``T_world_object`` from where the object is at ``clock``.
+        """Move to ``T_world_object`` from the object's pose at ``clock``.
 
         Raises:
-            InvalidInputError: not a pose; the old target stays.
+            InvalidInputError: not a pose. The target is then unchanged.
         """
         goal, here = as_placement(T_world_object, "ServoPath.set_target"), self.pose(clock)
         way = ScrewParameters.between(here, goal)
         duration = max(float(np.linalg.norm(way.p)) / self._speed, way.angle / self._spin, 1e-6)
         self._line, self._since = LinePath(here, goal, duration=duration, time_law=TimeLaw.LINEAR), clock
 
+    def packed(self) -> Array:
+        """The line to the present target; the object rests at its end."""
+        end = self._since + self._line.duration
+        return np.concatenate([[self.duration, 1.0, 1.0, end], self._line.segment(self._since)])
+
     def next_breakpoint(self, clock: float) -> float:
-        """Where the line ends [s]."""
+        """Clock at the end of the line [s]."""
         end = self._since + self._line.duration
         return end if clock < end - 1e-9 else self.duration
 

@@ -1,4 +1,4 @@
-"""What redundant arms do with the freedom that the object leaves them: posture, centring, manipulability."""
+"""Null-space motion of redundant arms: posture, centring, manipulability."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from coopqp.spatial import Array
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PostureOptions:
-    """Weights of the null-space goals; all act in the null-space of the chain and never disturb it.
+    """Weights of the null-space goals. All goals act in the null-space of the chain and never disturb it.
 
     Attributes:
-        gain: towards ``target`` [1/s].
-        target: configuration to stay near (nq,); None for the one at reset.
-        centring: gain away from position limits, towards their middle [1/s].
+        gain: gain towards ``target`` [1/s].
+        target: preferred configuration (nq,); None for the configuration at reset.
+        centring: gain towards the middle between the position limits [1/s].
         manipulability: gain along the gradient of √det(J Jᵀ) [rad²/s]; costs a finite difference per joint.
-        speed_share: the wanted null-space velocity is kept below this share of every joint's speed.
+        speed_share: upper bound of the wanted null-space velocity, as a share of every joint's speed limit.
     """
 
     gain: float = 1.0
@@ -38,7 +38,7 @@ class PostureOptions:
 
 @final
 class Posture:
-    """Wanted joint velocities of a cell's redundant arms (zero for the others)."""
+    """Wanted joint velocities of the redundant arms of a cell; zero for the other arms."""
 
     def __init__(self, cell: RobotCell, options: PostureOptions) -> None:
         self._cell, self._options = cell, options
@@ -50,19 +50,19 @@ class Posture:
         self._cap = options.speed_share * np.where(np.isfinite(limits.velocity), limits.velocity, 1.0)
         self._data = cell.model.createData() if options.manipulability else None
         target = options.target
-        self._target = None if target is None else cell.check_configuration(target, "PostureOptions: target")
+        self.target = None if target is None else cell.check_configuration(target, "PostureOptions: target")
 
     def reset(self, q: Array) -> None:
         """Take ``q`` as the target, unless one was given."""
         if self._options.target is None:
-            self._target = q
+            self.target = q
 
     def velocity(self, q: Array) -> Array:
-        """Wanted joint velocities (nv,) at ``q``; the caller projects them on the null-space."""
+        """Wanted joint velocities (nv,) at ``q``. The caller projects them on the null-space."""
         o, cell = self._options, self._cell
         v = np.zeros(cell.nv)
-        if self._target is not None and o.gain:
-            v += o.gain * pin.difference(cell.model, q, self._target)
+        if self.target is not None and o.gain:
+            v += o.gain * pin.difference(cell.model, q, self.target)
         if o.centring:
             v[self._bounded] += o.centring * (self._middle - cell.positions(q)[self._bounded])
         if o.manipulability:
@@ -81,7 +81,7 @@ class Posture:
         return np.array(values)
 
     def _manipulability_gradient(self, q: Array, h: float = 1e-5) -> Array:
-        """d√det(J Jᵀ)/dq of each joint's own arm, by central differences."""
+        """Gradient (nv,) of each arm's √det(J Jᵀ) with respect to its joints, by central differences."""
         cell = self._cell
         gradient = np.zeros(cell.nv)
         for k, s in enumerate(cell.v_slices):

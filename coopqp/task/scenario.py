@@ -1,4 +1,4 @@
-"""What a ready task consists of, and how one is put together from arms that stand around an object."""
+"""The parts of a ready task."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ from coopqp.task.path import ObjectPath
 
 @dataclass(frozen=True, eq=False)
 class Scenario:
-    """A cell, what it holds, where to, and where it starts.
+    """A ready task: a cell, a grasp, a path, a start and an object.
 
     Attributes:
-        name: of the scenario.
-        cell, grasp, path: the task.
+        name: name of the scenario.
+        cell, grasp, path: the arms, their grasp and the path of the object.
         q_start: configuration (nq,) at which the arms hold the object at the start of the path.
-        dt: length of a step [s] that suits it.
-        object_size: box that stands for the object in pictures and in the physics engine [m].
-        T_object_body: placement of that box's centre in the object frame.
-        object_mass: [kg].
+        dt: suitable length of a step [s].
+        object_size: side lengths of the box that represents the object in pictures and in the physics engine [m].
+        T_object_body: placement of the box's centre in the object frame.
+        object_mass: mass of the object [kg].
     """
 
     name: str

@@ -2,9 +2,8 @@
 
 import sys
 
-from coopqp import PseudoInverseController, QPController, simulate
+from coopqp import PseudoInverseController, QPController, relative_positioning_error, simulate, tool_placements
 from coopqp.scenarios import paper_lift
-from coopqp.simulation.metrics import relative_positioning_error, tool_placements
 
 lift = paper_lift()  # three RX-90L, the plate they hold, its path of 3 s, and where they start
 
@@ -25,7 +24,7 @@ for N in (40, 400, 1000):
     print(f"N = {N}: {errors}")
 
 if "--view" in sys.argv:
-    from coopqp.look.viewer import LiveViewer
+    from coopqp import LiveViewer
 
     with LiveViewer(runs["QP"]) as viewer:
         print("Open", viewer.url)

@@ -5,9 +5,18 @@ import sys
 import numpy as np
 import pinocchio as pin
 
-from coopqp import Arm, Grasp, LinePath, QPController, RobotCell, inverse_kinematics, simulate
-from coopqp.scenarios.robots import robot_path
-from coopqp.simulation.assessment import judge, read_run
+from coopqp import (
+    Arm,
+    Grasp,
+    LinePath,
+    QPController,
+    RobotCell,
+    inverse_kinematics,
+    judge,
+    read_run,
+    robot_path,
+    simulate,
+)
 
 my_arm = robot_path("arm7")  # a URDF that comes with coopqp; put the path of yours here: "my_arm.urdf"
 
@@ -43,7 +52,7 @@ for finding in judge(cell, recording, read_run(cell, recording)):
     print("yes" if finding.holds else "NO ", finding.question, finding.answer)
 
 if "--view" in sys.argv:
-    from coopqp.look.viewer import LiveViewer
+    from coopqp import LiveViewer
 
     with LiveViewer(recording) as viewer:
         print("Open", viewer.url)

@@ -4,9 +4,8 @@ import sys
 
 import numpy as np
 
-from coopqp import HoldPath, PostureOptions, QPController, QPOptions, simulate
+from coopqp import HoldPath, PostureOptions, QPController, QPOptions, read_run, simulate
 from coopqp.scenarios import dual_arm7
-from coopqp.simulation.assessment import read_run
 
 bar = dual_arm7()  # two arms of seven joints, a bar of 0.6 m
 elbows_out = bar.q_start + np.tile([0, 0, 0.5, 0, 0, 0, 0], 2)  # a posture to be near [rad]; the bar decides the rest
@@ -27,7 +26,7 @@ for name, (path, posture) in tasks.items():
     )
 
 if "--view" in sys.argv:
-    from coopqp.look.viewer import LiveViewer
+    from coopqp import LiveViewer
 
     with LiveViewer(recording) as viewer:
         print("Open", viewer.url)

@@ -6,10 +6,8 @@ from pathlib import Path
 import matplotlib.pyplot as plt
 import numpy as np
 
-from coopqp import QPController, simulate
-from coopqp.control.independent import IndependentQPController
+from coopqp import IndependentQPController, QPController, read_run, simulate
 from coopqp.scenarios import at_limit
-from coopqp.simulation.assessment import read_run
 
 # The paper's cell, every joint fenced in to ±0.25 rad, at most 5 rad/s²; the path of 1 m leads out of the fence.
 task = at_limit()
@@ -41,7 +39,7 @@ if "--out" in sys.argv:
     figure.savefig(Path(sys.argv[sys.argv.index("--out") + 1]) / "at_a_limit.png", dpi=80)
 
 if "--view" in sys.argv:
-    from coopqp.look.viewer import LiveViewer
+    from coopqp import LiveViewer
 
     with LiveViewer(recording) as viewer:
         print("Open", viewer.url)

@@ -3,9 +3,8 @@
 import numpy as np
 import pinocchio as pin
 
-from coopqp import QPController, ServoPath
+from coopqp import QPController, ServoPath, chain_error, object_error, tool_placements
 from coopqp.scenarios import paper_lift
-from coopqp.simulation.metrics import chain_error, object_error, tool_placements
 
 lift = paper_lift()
 start = lift.path.pose(0.0)

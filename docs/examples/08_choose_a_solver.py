@@ -2,9 +2,8 @@
 
 import numpy as np
 
-from coopqp import QPController, QPOptions, simulate
+from coopqp import QPController, QPOptions, read_run, simulate
 from coopqp.scenarios import fast_lift
-from coopqp.simulation.assessment import read_run
 
 task = fast_lift()  # 0.6 m/s asked for, joints limited to 1 rad/s: nearly every step is at a limit
 for solver in ("daqp", "proxqp", "osqp"):

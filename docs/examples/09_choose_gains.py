@@ -3,9 +3,8 @@
 import numpy as np
 import pinocchio as pin
 
-from coopqp import HoldPath, QPController, QPOptions
+from coopqp import Disturbances, DisturbedPlant, HoldPath, QPController, QPOptions, misplaced
 from coopqp.scenarios import paper_lift
-from coopqp.simulation.plants.disturbed import Disturbances, DisturbedPlant, misplaced
 
 lift = paper_lift()
 hold = HoldPath(lift.path.pose(0.0), duration=0.5)

@@ -4,8 +4,7 @@ import tempfile
 from importlib.util import find_spec
 from pathlib import Path
 
-from coopqp import QPController, Recording, simulate
-from coopqp.files.export import write_bag, write_csv
+from coopqp import QPController, Recording, simulate, write_bag, write_csv
 from coopqp.scenarios import paper_lift
 
 lift = paper_lift()

@@ -2,9 +2,17 @@
 
 import numpy as np
 
-from coopqp import PseudoInverseController, PseudoInverseOptions, QPController, QPOptions, WaypointPath, simulate
+from coopqp import (
+    PseudoInverseController,
+    PseudoInverseOptions,
+    QPController,
+    QPOptions,
+    WaypointPath,
+    relative_positioning_error,
+    simulate,
+    tool_placements,
+)
 from coopqp.scenarios import paper_lift
-from coopqp.simulation.metrics import relative_positioning_error, tool_placements
 
 lift = paper_lift()
 down, up = lift.path.pose(0.0), lift.path.pose(lift.path.duration)

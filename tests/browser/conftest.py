@@ -1,7 +1,7 @@
-"""Headless Chromium, driven over its DevTools protocol: enough to open a page, look at it and click.
+"""Headless Chromium over its DevTools protocol: opens a page, takes screenshots and clicks.
 
-Chromium is not installed by the tests; `make browser` does that. Without it they are skipped, which the report says, or
-fail where COOPQP_BROWSER_TESTS is set.
+The tests do not install Chromium; `make browser` does. Without Chromium they are skipped with a message, or fail if
+COOPQP_BROWSER_TESTS is set.
 """
 
 from __future__ import annotations
@@ -46,16 +46,16 @@ Picture = NDArray[np.int16]
 
 
 def find_browser() -> str | None:
-    """The program of a Chromium that is installed, or None."""
+    """Path of an installed Chromium, or None."""
     return next((path for name in NAMES if (path := shutil.which(name))), None)
 
 
 class Page:
-    """One page in a browser of its own.
+    """One page in a separate browser.
 
     Attributes:
-        errors: what the page printed to its console as errors, and exceptions that nothing caught.
-        requests: every address the page asked for.
+        errors: errors on the page's console, and uncaught exceptions.
+        requests: every requested address.
     """
 
     def __init__(self, program: str, profile: Path, *, width: int = 1280, height: int = 800) -> None:
@@ -105,7 +105,7 @@ class Page:
             self._process.wait()
 
     def call(self, method: str, **parameters: Any) -> dict[str, Any]:
-        """Send a DevTools command and return its answer; events on the way are noted."""
+        """Send a DevTools command and return its answer. Events before the answer are recorded."""
         self._count += 1
         self._socket.send(json.dumps({"id": self._count, "method": method, "params": parameters}))
         while True:
@@ -129,7 +129,7 @@ class Page:
             self.requests.append(detail["request"]["url"])
 
     def open(self, url: str) -> None:
-        """Go to an address."""
+        """Open an address."""
         self.call("Page.navigate", url=url)
 
     def evaluate(self, expression: str) -> Any:
@@ -149,14 +149,14 @@ class Page:
         return value
 
     def screenshot(self, file: Path | None = None) -> Picture:
-        """What the page shows, (height, width, 3); also written to ``file``."""
+        """A screenshot (height, width, 3); also written to ``file``."""
         png = base64.b64decode(self.call("Page.captureScreenshot", format="png")["data"])
         if file is not None:
             file.write_bytes(png)
         return np.asarray(Image.open(io.BytesIO(png)).convert("RGB"), dtype=np.int16)
 
     def settled(self, *, timeout: float = 60.0) -> Picture:
-        """The page once two pictures in a row, half a second apart, are the same."""
+        """A screenshot after two equal ones in a row, half a second apart."""
         last = [self.screenshot()]
 
         def still() -> bool:
@@ -169,12 +169,12 @@ class Page:
         return last[0]
 
     def press(self, x: float, y: float) -> None:
-        """Click at a place of the page [px]."""
+        """Click at a position of the page [px]."""
         for kind in ("mousePressed", "mouseReleased"):
             self.call("Input.dispatchMouseEvent", type=kind, x=x, y=y, button="left", clickCount=1)
 
     def box(self, selector: str) -> dict[str, float]:
-        """Left, top, width and height of the first element that a selector finds [px]."""
+        """Left, top, width and height [px] of the first element of a selector."""
         found: dict[str, float] = self.evaluate(
             f"(() => {{ const r = document.querySelector({json.dumps(selector)}).getBoundingClientRect();"
             " return {left: r.left, top: r.top, width: r.width, height: r.height}; })()"
@@ -189,7 +189,7 @@ class Page:
 
 @pytest.fixture
 def page(tmp_path: Path) -> Iterator[Page]:
-    """A blank page in a browser of its own."""
+    """A blank page in a separate browser."""
     program = find_browser()
     if program is None:
         reason = f"no browser ({', '.join(NAMES)}) on the path; 'make browser' installs one"

@@ -1,4 +1,4 @@
-"""The report in Chromium: it opens offline, every picture is drawn, and it asks for nothing."""
+"""The report in Chromium: it opens offline, draws every picture, and sends no requests."""
 
 from __future__ import annotations
 
@@ -6,8 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from coopqp.look.report import write_report
-from coopqp.simulation.simulate import Recording
+from coopqp import Recording, write_report
 
 
 def test_the_report_opens_offline(page: Any, baseline: Callable[..., Recording], tmp_path: Path) -> None:
@@ -17,6 +16,6 @@ def test_the_report_opens_offline(page: Any, baseline: Callable[..., Recording],
     page.wait_until(lambda: page.evaluate("document.readyState == 'complete' && document.images.length == 3"))
     sizes = page.evaluate("Promise.all([...document.images].map(i => i.decode().then(() => i.naturalWidth)))")
     assert min(sizes) > 300
-    assert page.evaluate("document.documentElement.scrollWidth <= window.innerWidth")  # nothing sticks out
+    assert page.evaluate("document.documentElement.scrollWidth <= window.innerWidth")  # no horizontal overflow
     assert page.errors == []
     assert [url for url in page.requests if not url.startswith("data:")] == [file.as_uri()]

@@ -8,8 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from coopqp.look.viewer import LiveViewer, export_html
-from coopqp.simulation.simulate import Recording
+from coopqp import LiveViewer, Recording, export_html
 
 TRACK = "[class*=Slider-track]"
 
@@ -33,7 +32,7 @@ def test_the_page_plays_offline(page: Any, baseline: Callable[..., Recording], t
     page.open(file.as_uri())
     page.wait_until(lambda: page.evaluate(f"!!document.querySelector('{TRACK}')"))
     page.wait_until(lambda: coloured(page.screenshot()) > 0.02)
-    page.pause()  # only now: what is paused before its first message stays empty
+    page.pause()  # not earlier: a page paused before its first message stays empty
     track = page.box(TRACK)
 
     def at(share: float) -> Any:

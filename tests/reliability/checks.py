@@ -1,7 +1,7 @@
-"""The checks behind the rows of the catalogue: each drives controllers that ``make`` builds, and returns figures.
+"""The checks behind the rows of the catalogue: each runs controllers from ``make`` and returns figures.
 
-A check takes the maker of the controllers as an argument, so that test_broken_controllers.py can put controllers that
-do something wrong through the very same checks as the others do with those that should do everything right.
+The maker of the controllers is an argument. So test_broken_controllers.py can apply the same checks to broken
+controllers as the other tests apply to sound ones.
 """
 
 from __future__ import annotations
@@ -15,28 +15,41 @@ import numpy as np
 import numpy.typing as npt
 import pinocchio as pin
 
-from coopqp.control.command import Controller, ControlStep, Status
+from coopqp import (
+    CellState,
+    Controller,
+    ControlStep,
+    HoldPath,
+    JointLimits,
+    LinePath,
+    Monitor,
+    MonitorTolerances,
+    ObjectPath,
+    QPController,
+    QPOptions,
+    QpProblem,
+    QpSolution,
+    QpSolver,
+    ServoPath,
+    SolverStatus,
+    Status,
+    UnreachableError,
+    Verdict,
+    WaypointPath,
+    inverse_kinematics,
+)
 from coopqp.control.limits import VelocityBox
-from coopqp.control.options import QPOptions
-from coopqp.control.qp import QPController
-from coopqp.control.solvers import QpProblem, QpSolution, QpSolver, SolverStatus
-from coopqp.errors import UnreachableError
-from coopqp.model.cell import JointLimits
-from coopqp.model.inverse_kinematics import inverse_kinematics
-from coopqp.model.state import CellState
 from coopqp.scenarios import Scenario, at_limit
-from coopqp.simulation.monitor import Monitor, MonitorTolerances, Verdict
-from coopqp.task.path import HoldPath, LinePath, ObjectPath, ServoPath, WaypointPath
 
 Array: TypeAlias = npt.NDArray[np.float64]
 #: ``make(task, **options)`` builds a controller for a scenario.
 Maker: TypeAlias = Callable[..., Any]
-#: Tolerances of a verdict whose chain and path are only measured.
+#: Tolerances of a verdict without checks of chain and path, which are only measured.
 WIDE: dict[str, Any] = {"chain_m": None, "chain_rad": None, "path_m": None, "path_rad": None}
 
 
 def cooperative(task: Scenario, **options: Any) -> QPController:
-    """What is under test."""
+    """The controller under test."""
     return QPController(task.cell, task.grasp, task.path, dt=task.dt, options=QPOptions(**options))
 
 
@@ -46,7 +59,7 @@ def limited(task: Scenario, **limits: Any) -> Scenario:
 
 
 def drive(controller: Controller, q: Any, steps: int, *, rest: int | None = None) -> list[ControlStep]:
-    """Reset at ``q`` and step, at most so often, to the end of the path; or until blocked for ``rest`` steps."""
+    """Reset at ``q`` and do at most ``steps`` steps, to the end of the path or until blocked for ``rest`` steps."""
     controller.reset(q)
     done: list[ControlStep] = []
     waited = 0
@@ -59,7 +72,7 @@ def drive(controller: Controller, q: Any, steps: int, *, rest: int | None = None
 
 
 def judged(task: Scenario, steps: Iterable[ControlStep], **tolerances: Any) -> Verdict:
-    """The oracle's verdict on a run from rest."""
+    """The monitor's verdict on a run from rest."""
     monitor = Monitor(task.cell, task.grasp, tolerances=MonitorTolerances(**tolerances))
     monitor.observe_all(list(steps))
     return monitor.verdict()
@@ -67,7 +80,7 @@ def judged(task: Scenario, steps: Iterable[ControlStep], **tolerances: Any) -> V
 
 # -- A4: stopping distance ---------------------------------------------------------------------------------------------
 
-#: How a joint is driven towards its limit: as fast as the box allows, anywhere in the box, or from side to side of it.
+#: Motions of a joint towards its limit: at the outer bound of the box, at random in the box, or from bound to bound.
 DRIVES = ("outward", "random", "bang")
 
 
@@ -78,23 +91,23 @@ class Stopping:
     overshoot: float
     velocity: float
     acceleration: float
-    unused: float  # largest share of its way to the limit that a joint leaves unused
+    unused: float  # largest unused share of a joint's way to the limit
 
 
 def box_stops(rng: np.random.Generator, dt: float, n: int, how: str, box_of: Any = VelocityBox) -> Stopping:
-    """``n`` joints at random distances from a limit, half of them as fast towards it as they can still stop from."""
+    """``n`` joints at random distances from a limit; half of them at the largest speed from which they can stop."""
     acceleration = 10.0 ** rng.uniform(-0.5, 2.5, n)
     braking_steps = 10.0 ** rng.uniform(-1.5, 2.0, n)
     v = acceleration * dt * braking_steps
     distance = v * dt + 0.5 * v * v / acceleration
     distance *= 1.0 + np.where(rng.uniform(size=n) < 0.5, 0.0, rng.uniform(0.0, 0.2, n))
     speed = np.where(rng.uniform(size=n) < 0.5, np.inf, v * rng.uniform(1.0, 2.0, n))
-    up = rng.uniform(size=n) < 0.5  # the side that the limit is on
+    up = rng.uniform(size=n) < 0.5  # side of the limit
     low, high = np.where(up, -1e3, 0.0), np.where(up, 0.0, 1e3)
     cell: Any = _Joints(JointLimits(low, high, speed, acceleration), n)
     box, x, v = box_of(cell), np.where(up, -distance, distance), np.where(up, v, -v)
     overshoot = velocity = used = 0.0
-    for _ in range(130):  # the slowest have stopped by then
+    for _ in range(130):  # then the slowest have stopped
         box.update(x, v, dt)
         share = {"outward": up * 1.0, "random": rng.uniform(size=n), "bang": rng.integers(0, 2, n) * 1.0}[how]
         v_next = box.lower + share * (box.upper - box.lower)
@@ -107,7 +120,7 @@ def box_stops(rng: np.random.Generator, dt: float, n: int, how: str, box_of: Any
 
 @dataclass(frozen=True)
 class _Joints:
-    """What a box asks of a cell, for joints that belong to nothing."""
+    """The parts of a cell that a box uses, for joints without a cell."""
 
     limits: JointLimits
     nv: int
@@ -118,9 +131,9 @@ class _Joints:
 
 
 def controller_overshoot(make: Maker, rng: np.random.Generator, dt: float, runs: int) -> tuple[float, int, int]:
-    """Three arms run into their joint limits: along a path, after a moving target, or while they are made to hold.
+    """Three arms run into their joint limits: along a path, after a moving target, or during a forced hold.
 
-    Returns the largest overshoot [rad], the number of steps, and in how many of them a joint stood at its limit.
+    Returns the largest overshoot [rad], the number of steps, and the number of steps with a joint at its limit.
     """
     worst, steps, touching = -np.inf, 0, 0
     for run in range(runs):
@@ -155,14 +168,14 @@ def controller_overshoot(make: Maker, rng: np.random.Generator, dt: float, runs:
 
 # -- A5: a solver that fails -------------------------------------------------------------------------------------------
 
-#: Joints slower than this are at rest [rad/s]; what is left is the correction of errors of micrometres.
+#: Joints slower than this are at rest [rad/s]; the remaining motion corrects errors of micrometres.
 REST = 1e-4
-#: Status of a step that gave its solver up.
+#: Statuses of a step after a solver failure.
 STOPPED = (Status.HOLDING, Status.FAULT)
 
 
 class FaultySolver:
-    """A solver that does what it should until ``broken``, then what ``fault(solver, problem)`` does."""
+    """A solver that works until ``broken``, then returns ``fault(solver, problem)``."""
 
     def __init__(self, solver: QpSolver, fault: Callable[[QpSolver, QpProblem], Any]) -> None:
         self.solver, self.fault, self.name = solver, fault, solver.name
@@ -186,7 +199,7 @@ def _raising(error: type[Exception]) -> Callable[[QpSolver, QpProblem], Any]:
 
 
 def _answering(value: Any, status: SolverStatus = SolverStatus.SOLVED) -> Callable[[QpSolver, QpProblem], Any]:
-    """An answer full of ``value``."""
+    """A fault that returns a solution full of ``value``."""
 
     def fault(solver: QpSolver, problem: QpProblem) -> QpSolution:
         return replace(solver.solve(problem), x=np.full(problem.g.size, value), status=status)
@@ -194,7 +207,7 @@ def _answering(value: Any, status: SolverStatus = SolverStatus.SOLVED) -> Callab
     return fault
 
 
-#: What a solver may do wrong. 2.1e9 is what one of them fills its memory with.
+#: Faults of a solver. One real solver fills its memory with 2.1e9.
 FAULTS: dict[str, Callable[[QpSolver, QpProblem], Any]] = {
     **{f"raises {e.__name__}": _raising(e) for e in (RuntimeError, ValueError, ZeroDivisionError, MemoryError)},
     **{f"raises {e.__name__}": _raising(e) for e in (KeyError, TypeError, OSError, AssertionError, AttributeError)},
@@ -213,16 +226,16 @@ FAULTS: dict[str, Callable[[QpSolver, QpProblem], Any]] = {
 
 @dataclass(frozen=True)
 class Failure:
-    """What came of a solver that failed.
+    """The result of a solver failure.
 
     Attributes:
-        held: the very step in which it failed says so.
-        hits: how often it was asked and failed.
-        stopping: time until all joints rest, as a share of what the slowest needs by itself and two steps; NaN where
+        held: True if the step of the failure already reports it.
+        hits: number of failed calls.
+        stopping: time until all joints rest, relative to the time of the slowest joint alone plus two steps; NaN if
             the solver recovered.
-        chain_mm: growth of the chain error.
-        recovery: steps until the status is another one after the solver has recovered.
-        broken: other promises broken: limits, continuity, clock.
+        chain_mm: growth of the chain error [mm].
+        recovery: number of steps until the status changes after the solver's recovery.
+        broken: number of other broken promises: limits, continuity, clock.
     """
 
     held: bool
@@ -242,7 +255,7 @@ def solver_fails(
     for_ever: bool,
     goal: Any = None,
 ) -> Failure:
-    """Let the solvers of a controller that solves a QP in every step fail after ``at`` steps."""
+    """Run a controller with a QP in every step, whose solvers fail after ``at`` steps."""
     controller = make(task, shortcut=False)
     controller.reset(task.q_start)
     if goal is not None:
@@ -278,7 +291,7 @@ def solver_fails(
 
 # -- A1: any command ---------------------------------------------------------------------------------------------------
 
-#: Steps that are judged at once.
+#: Number of steps that are judged at once.
 BLOCK = 1000
 
 
@@ -287,9 +300,9 @@ class Commands:
     """Random steps.
 
     Attributes:
-        steps: judged.
-        violations: by kind: form, finiteness, limits, continuity, clock, data modified; and what was raised.
-        statuses: how often each was seen.
+        steps: number of judged steps.
+        violations: number by kind: form, finiteness, limits, continuity, clock, modified data; and exceptions.
+        statuses: number of steps with each status.
     """
 
     steps: int = 0
@@ -300,10 +313,10 @@ class Commands:
 def rough_steps(
     make: Maker, task: Scenario, rng: np.random.Generator, steps: int, *, measured: float, stretch: int = BLOCK
 ) -> Commands:
-    """Drive one controller with whatever may come, and judge every command.
+    """Run one controller with random events, and judge every command.
 
-    New paths and targets (too fast, unreachable) at any moment, lengths of steps that vary or are none, resets; and in
-    a share ``measured`` of the time measured configurations with noise, jumps, NaN. Something else comes after at most
+    The events are new paths and targets (too fast, unreachable), varying and invalid lengths of steps, resets; and in a
+    share ``measured`` of the time measured configurations with noise, jumps, NaN. The next event follows after at most
     ``stretch`` steps.
     """
     result, monitor = Commands(), Monitor(task.cell, task.grasp, tolerances=MonitorTolerances(**WIDE), kinematics=False)
@@ -362,16 +375,16 @@ def rough_steps(
 
 
 def _bytes(step: ControlStep) -> tuple[bytes, ...]:
-    """What a command holds, to the last bit."""
+    """The contents of a command, bit for bit."""
     return tuple(np.asarray(array).tobytes() for array in (step.q, step.velocity, step.q_next))
 
 
-#: Lengths of a step that are none.
+#: Invalid and extreme lengths of a step.
 _LENGTHS = np.array([0.0, -1.0, np.nan, np.inf, 1e-12, 1e9])
 
 
 def _measured(task: Scenario, q: Array, rng: np.random.Generator, noise: float, wild: bool) -> Array:
-    """The commanded configuration as an encoder may report it."""
+    """The commanded configuration with errors of an encoder."""
     moved = rng.uniform(-noise, noise, task.cell.nv)
     if wild and rng.uniform() < 0.2:
         moved[rng.integers(task.cell.nv)] += rng.choice([0.01, 0.2, -1.0])
@@ -401,7 +414,7 @@ def random_path(rng: np.random.Generator, start: pin.SE3) -> ObjectPath:
 def _interfere(
     controller: Any, task: Scenario, q: Array, rng: np.random.Generator, judge: Callable[[], None], monitor: Monitor
 ) -> None:
-    """A new path, a new target, a reset where the arms are; and after a fault always a reset."""
+    """Set a new path or target, or reset at the present configuration; after a fault always reset."""
     here = task.grasp.carried(CellState(task.cell, q))[0]
     faulty = bool(getattr(controller, "_fault", ""))
     if not faulty and isinstance(controller.path, ServoPath) and rng.uniform() < 0.7:
@@ -423,11 +436,11 @@ class Saturated:
     """A run at the limits.
 
     Attributes:
-        excess: largest over a position [rad or m], velocity [rad/s or m/s] and acceleration limit (a share), at
+        excess: largest excess over a position [rad or m], velocity [rad/s or m/s] and acceleration limit (a share), at
             least 0.
-        steps, touching, qps: steps judged; with a joint at a speed or acceleration limit, or within 0.1 mrad of the end
-            of its range; settled by a QP.
-        broken: promises broken, of any kind.
+        steps, touching, qps: numbers of judged steps, of steps with a joint at a speed or acceleration limit or within
+            0.1 mrad of the end of its range, and of steps with a QP.
+        broken: number of broken promises of any kind.
     """
 
     excess: Array
@@ -438,7 +451,7 @@ class Saturated:
 
 
 def saturated(controller: Any, task: Scenario, start: int, steps: int, goal: Any = None) -> Saturated:
-    """Judge a run, and count from ``start`` on how often it is at a limit."""
+    """Judge a run; count the steps at a limit from step ``start``."""
     controller.reset(task.q_start)
     if goal is not None:
         controller.retarget(goal)
@@ -464,16 +477,16 @@ def saturated(controller: Any, task: Scenario, start: int, steps: int, goal: Any
 
 @dataclass(frozen=True)
 class Return:
-    """How joints came back inside.
+    """The return of joints to their limits.
 
     Attributes:
-        outward: largest velocity that leads further out of a joint that is outside [rad/s], at least 0.
-        growth: largest growth of a distance from a limit from one step to the next [rad], at least 0.
-        ratio: time until all are inside, in multiples of what the slowest would need alone; inf if they are not.
-        chain_mm: largest chain error.
-        failures: steps that hold.
-        broken: other promises broken: limits, continuity, clock.
-        steps: of the run.
+        outward: largest outward velocity of a joint outside [rad/s], at least 0.
+        growth: largest growth of the distance from a limit in one step [rad], at least 0.
+        ratio: time until all joints are inside, relative to the time of the slowest joint alone; inf if they stay out.
+        chain_mm: largest chain error [mm].
+        failures: number of holding steps.
+        broken: number of other broken promises: limits, continuity, clock.
+        steps: number of steps of the run.
     """
 
     outward: float
@@ -486,7 +499,7 @@ class Return:
 
 
 def fenced_out(task: Scenario, depths: dict[int, float], **limits: Any) -> Scenario:
-    """Move position limits so that the joints start outside by these distances: above where positive [rad]."""
+    """Move position limits so that the joints start outside by these distances [rad]; positive means above."""
     upper, lower = np.array(task.cell.limits.upper), np.array(task.cell.limits.lower)
     for j, depth in depths.items():
         x = task.cell.positions(task.q_start)[j]
@@ -498,14 +511,14 @@ def fenced_out(task: Scenario, depths: dict[int, float], **limits: Any) -> Scena
 
 
 def alone_inside(depth: float, speed: float, acceleration: float) -> float:
-    """Time that a joint by itself needs for ``depth`` from rest, at the speed at which joints are led back [s]."""
+    """Time [s] of a single joint for ``depth`` from rest at the recovery speed."""
     if 0.5 * speed * speed / acceleration < depth:
         return depth / speed + 0.5 * speed / acceleration
     return float(np.sqrt(2.0 * depth / acceleration))
 
 
 def ideal_return(task: Scenario, depths: dict[int, float], motion: dict[int, float] | None = None) -> float:
-    """Time for joints that start outside to get in, each as fast as alone; and for others to go their ways [s]."""
+    """Time [s] for joints outside to return, each as fast as alone, and for other joints to move by ``motion``."""
     speed, acceleration = (
         np.asarray(x, dtype=float) for x in (task.cell.limits.velocity, task.cell.limits.acceleration)
     )
@@ -518,7 +531,7 @@ def ideal_return(task: Scenario, depths: dict[int, float], motion: dict[int, flo
 def from_outside(
     make: Maker, task: Scenario, depths: dict[int, float], ideal: float | None = None, **options: Any
 ) -> Return:
-    """Run a task whose joints start outside by these distances, until 0.1 s after they should be back."""
+    """Run a task with joints outside by these distances, until 0.1 s after their latest return."""
     limits, cell, dt = task.cell.limits, task.cell, task.dt
     ideal = ideal_return(task, depths) if ideal is None else ideal
     controller = make(task, **options)
@@ -545,14 +558,14 @@ def from_outside(
 def shifted_together(
     rng: np.random.Generator, task: Scenario, size: float, joints: int
 ) -> tuple[dict[int, float], dict[int, float]]:
-    """Distances at which joints of several arms start outside, such that one motion of the object leads all back.
+    """Distances of joints of several arms outside their limits, with one object motion that leads all of them back.
 
     Args:
-        size: the largest distance, about [rad].
-        joints: how many, of as many arms as there are.
+        size: approximate largest distance [rad].
+        joints: number of joints, spread over the arms.
 
     Returns:
-        The distances, and by how much that motion moves the other joints.
+        The distances, and the displacement of the other joints by the object motion.
     """
     cell, start = task.cell, task.path.pose(0.0)
     chosen: list[int] = []
@@ -572,27 +585,27 @@ def shifted_together(
         else:
             if np.abs(motion[chosen]).max() <= 1.5 * size:
                 break
-    # Above its limit is a joint that the motion leads down.
+    # A joint that the motion moves down starts above its limit.
     depths = {j: -float(motion[j]) for j in chosen if abs(motion[j]) > 1e-4}
     return depths, {j: float(d) for j, d in enumerate(motion) if j not in depths}
 
 
 # -- A9: one joint saturates -------------------------------------------------------------------------------------------
 
-#: A share of the object's speed is judged where it is faster than this, 1 rad counting as 0.3 m [m/s].
+#: Smallest object speed at which shares of the speed are judged [m/s]; 1 rad counts as 0.3 m.
 MOVING = 1e-3
 _WEIGHTS = np.array([1.0, 1.0, 1.0, 0.3, 0.3, 0.3])
 
 
 @dataclass(frozen=True)
 class Sharing:
-    """How the arms share the slowing down while one joint is at its limit.
+    """The slowing of all arms while one joint is at its limit.
 
     Attributes:
         spread: largest difference between the arms' rates along the path.
-        angle: largest angle between the object's motion, as any arm carries it, and the path [deg].
-        steps: with a joint at its limit.
-        chain_mm: largest chain error of the run.
+        angle: largest angle between the path and the object motion of any arm [deg].
+        steps: number of steps with a joint at its limit.
+        chain_mm: largest chain error of the run [mm].
     """
 
     spread: float
@@ -602,13 +615,13 @@ class Sharing:
 
 
 def needed_speeds(task: Scenario) -> Array:
-    """Largest speed of each joint along the path, unlimited (nv,) [rad/s]."""
+    """Largest speed of each joint along the path without limits (nv,) [rad/s]."""
     free = limited(task, velocity=100.0)
     return np.asarray(np.abs([s.velocity for s in drive(cooperative(free), task.q_start, 5000)]).max(axis=0))
 
 
 def slows_together(make: Maker, task: Scenario, share: float, *, joint: int | None = None, **options: Any) -> Sharing:
-    """Cut speed limits to a share of what the path needs: of one joint, or of all so that the fastest is cut so far."""
+    """Set speed limits to a share of the needed speed: of one joint, or of all (a share for the fastest joint)."""
     peak = needed_speeds(task)
     speed = np.array(task.cell.limits.velocity)
     if joint is None:
@@ -634,9 +647,9 @@ def slows_together(make: Maker, task: Scenario, share: float, *, joint: int | No
 
 
 def arm_rates(task: Scenario, step: ControlStep) -> tuple[Array, Array]:
-    """Each arm's rate along the path, and the angle between its motion of the object and the path [rad], both (N,).
+    """Each arm's rate along the path (N,), and the angle between its object motion and the path (N,) [rad].
 
-    From Pinocchio's frame Jacobians in the middle of the step.
+    The values come from Pinocchio's frame Jacobians at the midpoint of the step.
     """
     cell, path = task.cell, step.path
     data = cell.model.createData()

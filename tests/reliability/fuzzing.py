@@ -1,4 +1,4 @@
-"""What the fuzz tests share: odd arrays, poses and numbers, and what counts as a proper answer to them."""
+"""Shared parts of the fuzz tests: odd arrays, poses and numbers, and the accepted results for them."""
 
 from __future__ import annotations
 
@@ -11,28 +11,28 @@ import pinocchio as pin
 from hypothesis import settings
 from hypothesis import strategies as st
 
-from coopqp.errors import CoopqpError, InvalidInputError
+from coopqp import CoopqpError, InvalidInputError
 
-#: At least 2000 examples of each property in CI; more where a property has many doors.
+#: At least 2000 examples of each property in CI, more for a property of many functions.
 MANY = settings(max_examples=10 * settings().max_examples)
 MORE = settings(max_examples=12 * settings().max_examples)
 
 
 class Tried:
-    """How many examples of a property really ran, and how many of them were accepted."""
+    """Number of examples that ran for a property, and number of accepted ones."""
 
     def __init__(self) -> None:
         self.number = self.accepted = 0
 
     def row(self, catalogue: Any, test: str, wanted: settings = MANY) -> None:
-        """The property held in all of them (or it would have raised); enough of them must have been tried."""
+        """Add a line to the catalogue. All examples passed; this checks that enough of them ran."""
         note = f"{self.accepted:,} accepted and right, the others refused by a named error" if self.accepted else ""
-        assert self.number >= 0.95 * wanted.max_examples, self.number  # a few are drawn twice
+        assert self.number >= 0.95 * wanted.max_examples, self.number  # Hypothesis draws a few examples twice
         catalogue.row("C", test, cases=self.number, measured=0, target=0, unit="failures", note=note)
 
 
 def answer(build: Callable[[], Any]) -> Any:
-    """What ``build`` returns, or None where it refuses by a named error that helps; anything else passes through."""
+    """The result of ``build``, or None after a named error with a remedy; other exceptions propagate."""
     try:
         return build()
     except CoopqpError as error:
@@ -53,7 +53,7 @@ def is_refused(build: Callable[[], Any]) -> bool:
 
 ordinary = st.floats(-3.0, 3.0)
 odd = st.sampled_from([np.nan, np.inf, -np.inf, 1e300, -1e300, 5e-324, 2.2e-308, -0.0, 1e-12, 1e19])
-#: Anything that may be handed over for one number.
+#: Values of many kinds in place of a number.
 numbers = st.one_of(
     st.floats(),
     odd,
@@ -85,7 +85,7 @@ def _frozen(a: Any) -> Any:
     return a
 
 
-#: The same numbers in other clothes, all of which are to be understood.
+#: Other types with the same numbers; all must be accepted.
 CLOTHES: dict[str, Callable[[Any], Any]] = {
     "as it is": lambda a: a,
     "list": lambda a: a.tolist(),
@@ -98,7 +98,7 @@ CLOTHES: dict[str, Callable[[Any], Any]] = {
     "float128": lambda a: a.astype(np.longdouble),
     "buffer": lambda a: memoryview(np.ascontiguousarray(a)) if a.ndim else a,
 }
-#: Clothes that change the numbers: what is understood is what they say.
+#: Types that change the numbers; the changed numbers must be used.
 LOSSY: dict[str, Callable[[Any], Any]] = {
     "float32": lambda a: a.astype(np.float32),
     "float16": lambda a: a.astype(np.float16),
@@ -106,7 +106,7 @@ LOSSY: dict[str, Callable[[Any], Any]] = {
     "bool": lambda a: a > 0.0,
     "text": lambda a: a.astype(str),
 }
-#: What is nothing of the kind.
+#: Values that are not arrays of numbers.
 NONSENSE: dict[str, Callable[[Any], Any]] = {
     "complex": lambda a: a + 1j,
     "complex list": lambda a: (a + 1j).tolist(),
@@ -137,9 +137,9 @@ FORMS: dict[str, Callable[[Any], Any]] = {
 
 @st.composite
 def arrays_like(draw: st.DrawFn, usual: Any) -> tuple[Any, Any]:
-    """An odd value in place of the array ``usual``, and the numbers that it stands for (None where it stands for none).
+    """An odd value in place of the array ``usual``, and the numbers in it (None if it has none).
 
-    At most two entries are odd numbers; half of the time the others are as usual, else anywhere in (−3, 3).
+    At most two entries are odd numbers. In half of the examples the others are unchanged, otherwise in (−3, 3).
     """
     a = np.array(usual, dtype=float)
     if draw(st.booleans()):
@@ -184,7 +184,7 @@ def _with(M: Any, i: int, value: float) -> Any:
 
 @st.composite
 def poses_like(draw: st.DrawFn) -> tuple[Any, pin.SE3 | None]:
-    """An odd value for a placement, and the placement that it is (None where it is none)."""
+    """An odd value for a placement, and the placement in it (None if it is invalid)."""
     turn = np.array(draw(st.lists(ordinary, min_size=3, max_size=3)))
     shift = np.array(draw(st.lists(ordinary, min_size=3, max_size=3)))
     T = pin.SE3(pin.exp3(turn), shift)

@@ -1,4 +1,4 @@
-"""Write the catalogue as measured into docs/reliability.md: ``python tests/reliability/table.py FILE [PAGE]``."""
+"""Write the measured catalogue into docs/reliability.md: ``python tests/reliability/table.py FILE [PAGE]``."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""NaN and infinities in what a step is given, for every solver: it holds at once, and goes on when they are gone."""
+"""NaN and infinities in the input of a step, for every solver: the controller holds at once and recovers afterwards."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ from typing import Any
 
 import pytest
 
-from coopqp.control.solvers import available_solvers
+from coopqp import available_solvers
 
 PROGRAM = Path(__file__).with_name("programs") / "bad_numbers.py"
-#: A solver that takes longer than this with all of its cases hangs [s]; they take about 10.
+#: Time after which a solver counts as hanging [s]; all cases of a solver normally take about 10.
 HARD_TIMEOUT = 180.0
 
 

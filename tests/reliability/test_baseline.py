@@ -1,4 +1,4 @@
-"""A10: the pseudo-inverse of the paper on the same oracle: what it is that the others keep."""
+"""A10: the paper's pseudo-inverse, judged by the same monitor, breaks the promises that the QP keeps."""
 
 from __future__ import annotations
 
@@ -9,9 +9,8 @@ from typing import Any
 import pytest
 from checks import cooperative, drive, judged, limited
 
-from coopqp.control.pseudo_inverse import PseudoInverseController
+from coopqp import Breach, PseudoInverseController
 from coopqp.scenarios import Scenario, at_limit, at_singularity, fast_lift, paper_lift
-from coopqp.simulation.monitor import Breach
 
 TASKS: dict[str, tuple[Callable[[], Scenario], set[Breach]]] = {
     "the paper's lift": (paper_lift, {Breach.CHAIN}),

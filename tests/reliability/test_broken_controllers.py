@@ -1,7 +1,7 @@
-"""H: controllers that do something wrong, put through the checks of the rows: every one has to be caught.
+"""H: the checks of the catalogue applied to broken controllers. The checks must catch every one of them.
 
-A check that passes what is broken proves nothing. Each defect is one that a controller may really have: a limit that it
-knows wrongly, a brake that is none, a failed solve taken for an answer, memory handed out and written to again.
+A check that accepts broken controllers proves nothing. All defects are realistic: a wrong limit, a brake without
+effect, a failed solve used as a solution, shared memory that is overwritten.
 """
 
 from __future__ import annotations
@@ -30,22 +30,28 @@ from checks import (
     solver_fails,
 )
 
+from coopqp import (
+    Breach,
+    ControlStep,
+    IndependentQPController,
+    Monitor,
+    Monitored,
+    PseudoInverseController,
+    PseudoInverseOptions,
+    ServoPath,
+    Status,
+)
 from coopqp.control import ranks as answers
-from coopqp.control.command import ControlStep, Status
-from coopqp.control.independent import IndependentQPController
 from coopqp.control.limits import VelocityBox
-from coopqp.control.pseudo_inverse import PseudoInverseController, PseudoInverseOptions
 from coopqp.control.ranks import StepAnswer, StepSolver
 from coopqp.control.supervision import Supervision
 from coopqp.scenarios import Scenario, at_limit, at_singularity, fast_lift, mixed_cell, paper_lift
-from coopqp.simulation.monitor import Breach, Monitor, Monitored
-from coopqp.task.path import ServoPath
 
 Spoil = Callable[[ControlStep, int], ControlStep]
 
 
 class Spoiled:
-    """A sound controller whose commands are spoiled on the way out."""
+    """A sound controller with spoiled commands."""
 
     def __init__(self, controller: Any, spoil: Spoil) -> None:
         self._inner, self._spoil, self._count = controller, spoil, 0
@@ -95,14 +101,14 @@ def with_believed(**factors: float) -> Callable[..., Any]:
 
 
 def as_it_is(step: ControlStep, **changes: Any) -> ControlStep:
-    """A step with other fields, past the constructor, which would make sound arrays of them."""
+    """A step with changed fields. It bypasses the constructor, which would correct the arrays."""
     other = object.__new__(ControlStep)
     object.__setattr__(other, "__dict__", {**vars(step), **changes})
     return other
 
 
 def changed(step: ControlStep, name: str, j: int, by: float) -> ControlStep:
-    """One number of the command is another."""
+    """A step with one changed number."""
     value = np.array(getattr(step, name))
     value[j] = by if np.isnan(by) else value[j] + by
     return replace(step, **{name: value})
@@ -133,7 +139,7 @@ COMMANDS: dict[str, Spoil] = {
 
 
 class OwnMemory:
-    """Hands out the same array in every step."""
+    """Returns the same array in every step."""
 
     def __init__(self) -> None:
         self.memory: dict[int, Any] = {}
@@ -145,7 +151,7 @@ class OwnMemory:
 
 
 class Scribbler(Spoiled):
-    """Writes into the configuration that it is given."""
+    """Writes into its input configuration."""
 
     def step(self, q_measured: Any = None, *, dt: float | None = None) -> ControlStep:
         step = super().step(q_measured, dt=dt)
@@ -155,7 +161,7 @@ class Scribbler(Spoiled):
 
 
 class Raising(Spoiled):
-    """Takes every dt for a number that it can work with."""
+    """Uses every dt without a check."""
 
     def step(self, q_measured: Any = None, *, dt: float | None = None) -> ControlStep:
         if dt is not None and not 0.0 < dt < 1.0:
@@ -177,7 +183,7 @@ def kind(wrapper: Any) -> Callable[..., Any]:
 
 
 def exceeds(make: Callable[..., Any], limit: int) -> bool:
-    """The check of A2 finds an excess over its target: of position, velocity or acceleration."""
+    """True if the check of A2 finds an excess of position, velocity or acceleration over its target."""
     task, goal = (fast_lift(), None) if limit == 1 else (limited(fast_lift(), acceleration=5.0), None)
     if limit == 0:
         task = at_limit(margin=0.1, acceleration=np.inf)
@@ -194,14 +200,14 @@ def returns_wrongly(make: Callable[..., Any]) -> bool:
 
 
 class NoBrakingDistance(VelocityBox):
-    """Knows where the limit is, but not that stopping takes a way."""
+    """Knows the limit, but ignores the braking distance."""
 
     def _stopping_speed(self, distance: Any, dt: float) -> Any:
         return distance / dt
 
 
 class ContinuousBraking(VelocityBox):
-    """v²/(2a), without the way of the step that is decided now."""
+    """Uses v²/(2a), without the distance of the present step."""
 
     def _stopping_speed(self, distance: Any, dt: float) -> Any:
         return np.sqrt(2.0 * self._acceleration * np.maximum(distance, 0.0))
@@ -215,12 +221,12 @@ def overshoots(box: Any) -> bool:
 
 
 def fails_badly(fault: str = "answers NaN") -> bool:
-    """The check of A5 finds something, once or for ever."""
+    """True if the check of A5 finds a defect, for a temporary or a permanent fault."""
     task = limited(fast_lift(), acceleration=5.0)
     for for_ever in (False, True):
         try:
             f = solver_fails(cooperative, task, FAULTS[fault], at=120, for_ever=for_ever)
-        except RuntimeError:  # the double's: no step may raise
+        except RuntimeError:  # raised by the test double: no step may raise
             return True
         if not f.held or f.stopping > 1.1 or f.chain_mm > 0.1 or f.broken or f.recovery > 1:
             return True
@@ -228,7 +234,7 @@ def fails_badly(fault: str = "answers NaN") -> bool:
 
 
 def braking(velocity: Callable[[StepSolver, Any, float], Any], *, told: bool = True) -> Callable[..., StepAnswer]:
-    """A brake that commands something else."""
+    """A brake with another command."""
 
     def brake(self: StepSolver, terms: Any, v_prev: Any, h: float, report: Any) -> StepAnswer:
         return StepAnswer(velocity(self, v_prev, h), 0.0, 0.0, 0.0, report=report, braked=told, reason="braking")
@@ -253,7 +259,7 @@ BRAKES: dict[str, Callable[..., StepAnswer]] = {
 
 
 class Feedback(Spoiled):
-    """Commands on from what is measured, whatever that is."""
+    """Continues from the measured configuration without a check."""
 
     def step(self, q_measured: Any = None, *, dt: float | None = None) -> ControlStep:
         step = super().step(q_measured, dt=dt)
@@ -261,7 +267,7 @@ class Feedback(Spoiled):
 
 
 def after_nan(controller: Any) -> tuple[set[Breach], int]:
-    """One measured configuration is NaN: what the oracle finds, and how many steps hold."""
+    """Violations and number of holding steps after one measured configuration with NaN."""
     watched = Monitored(controller, Monitor(controller.cell, controller.grasp))
     watched.reset(lift().q_start)
     q, held = lift().q_start, 0
@@ -273,7 +279,7 @@ def after_nan(controller: Any) -> tuple[set[Breach], int]:
 
 
 def stays_blocked(make: Callable[..., Any]) -> bool:
-    """After a target out of reach, one within: the joints should move within 10 steps."""
+    """True if the joints do not move within 10 steps when a reachable target follows an unreachable one."""
     task = lift()
     start = task.path.pose(0.0)
     controller = make(replace(task, path=ServoPath(start)))
@@ -288,7 +294,7 @@ def stays_blocked(make: Callable[..., Any]) -> bool:
 
 
 def never_again() -> Spoil:
-    """Once blocked, at rest for good."""
+    """After the first blocked step, the command rests for ever."""
     rest: list[ControlStep] = []
 
     def spoil(step: ControlStep, i: int) -> ControlStep:
@@ -301,7 +307,7 @@ def never_again() -> Spoil:
 
 
 def tears(make: Callable[[Scenario], Any]) -> bool:
-    """The oracle sees the arms part on the way into a stretched elbow."""
+    """True if the monitor sees the arms part on the way to a stretched elbow."""
     task = at_singularity("elbow", 1, acceleration=np.inf)
     counts = judged(task, drive(make(task), task.q_start, 1200, rest=20), path_m=None, path_rad=None).counts
     return Breach.CHAIN in counts
@@ -320,21 +326,21 @@ def alone(task: Scenario) -> IndependentQPController:
 
 
 def unequal(spoil: Spoil) -> bool:
-    """The check of A9 finds that arms do not slow alike, or that the object leaves its direction."""
+    """True if the check of A9 finds arms with different rates, or an object off its direction."""
     task = replace(paper_lift(duration=2.0), dt=0.002)
     found = slows_together(spoiled(spoil), task, 0.5, joint=13)
     return found.steps > 0 and (found.spread > 1e-6 or found.angle > 1.0)
 
 
 def one_arm_faster(step: ControlStep, i: int) -> ControlStep:
-    """The second arm does not know that the others are slowed."""
+    """The second arm moves at full rate while the others are slowed."""
     v = step.velocity.copy()
     v[step.cell.v_slices[2]] *= 1.0 + 2e-6
     return replace(step, velocity=v)
 
 
 def aside(step: ControlStep, i: int) -> ControlStep:
-    """All arms carry the object sideways a little, by 2 % of its speed."""
+    """All arms move the object sideways by 2 % of its speed."""
     cell, data, v = step.cell, step.cell.model.createData(), step.velocity.copy()
     pin.computeJointJacobians(cell.model, data, step.q)
     pin.updateFramePlacements(cell.model, data)
@@ -352,7 +358,7 @@ def baseline_breaks() -> bool:
 
 
 def off_the_path() -> bool:
-    """The clock says that the object is further than it is."""
+    """The clock is ahead of the object."""
     task = lift()
     steps = [replace(s, clock_next=s.clock_next + 0.1) for s in drive(cooperative(task), task.q_start, 200)]
     return Breach.PATH in judged(task, steps).counts
@@ -365,7 +371,7 @@ def goes_on_while_holding() -> bool:
 
 
 def differs_between_runs() -> bool:
-    """A controller that draws random numbers: two runs are compared as in row E."""
+    """True if two runs of a controller with random numbers differ, as in row E."""
 
     def run() -> list[Any]:
         rng = np.random.default_rng()
@@ -377,14 +383,14 @@ def differs_between_runs() -> bool:
 
 @dataclass(frozen=True)
 class Broken:
-    """A defect: the row that it belongs to, and whether the check of that row catches it."""
+    """A defect: its row in the catalogue, and a function that is True if the check of this row catches it."""
 
     row: str
     caught: Callable[[], bool]
 
 
 def under(owner: Any, name: str, value: Any, caught: Callable[[], bool]) -> Callable[[], bool]:
-    """The check with a part of the controller replaced."""
+    """The check with a replaced part of the controller."""
 
     def check() -> bool:
         with patched(owner, name, value):
@@ -394,14 +400,14 @@ def under(owner: Any, name: str, value: Any, caught: Callable[[], bool]) -> Call
 
 
 def outward(self: VelocityBox, positions: Any, v_prev: Any, dt: float) -> None:
-    """The way back in has the wrong sign, and the box allows it."""
+    """The recovery has the wrong sign, and the box allows it."""
     _update(self, positions, v_prev, dt)
     self.recovery *= -1.0
     self.upper[self.outside] = np.maximum(self.upper, np.maximum(self.recovery, 0.0))[self.outside]
 
 
 def no_way_back(self: VelocityBox, positions: Any, v_prev: Any, dt: float) -> None:
-    """A joint outside just stays there."""
+    """A joint outside stays there."""
     _update(self, positions, v_prev, dt)
     self.recovery[:] = 0.0
 
@@ -472,7 +478,7 @@ def test_every_broken_controller_is_caught(catalogue: Any) -> None:
 
 
 def test_nan_is_stopped_twice() -> None:
-    """Even a supervision that believes everything lets no NaN through: the QP has no answer, and the arms brake."""
+    """Even if the supervision accepts NaN, no NaN is commanded: the QP fails and the arms brake."""
 
     def believe(self: Supervision, q: Any, q_command: Any) -> tuple[Any, str]:
         return np.asarray(q, dtype=float), ""
@@ -485,7 +491,7 @@ def test_nan_is_stopped_twice() -> None:
 
 
 def test_the_sound_one_is_not(catalogue: Any) -> None:
-    """The same checks let the real controller pass, so that being caught means something."""
+    """The real controller passes the same checks."""
     checks: dict[str, Callable[[], bool]] = {
         "A1": lambda: rough(cooperative, measured=0.3),
         "A2": lambda: any(exceeds(cooperative, limit) for limit in range(3)),

@@ -1,4 +1,4 @@
-"""A1: whatever comes in, a command that may be sent comes out, and nothing that was handed in or out is modified."""
+"""A1: for any input the command is safe to send, and no input or output array is modified."""
 
 from __future__ import annotations
 
@@ -11,8 +11,7 @@ import numpy as np
 import pytest
 from checks import cooperative, limited, rough_steps
 
-from coopqp.control.command import Status
-from coopqp.control.core import available_kernels
+from coopqp import Status, available_kernels
 from coopqp.scenarios import Scenario, dual_arm7, five_joint_pair, mixed_cell, paper_lift, ring, scara_pair
 
 #: Tests that the steps are spread over, so that several processes can share them.
@@ -20,7 +19,7 @@ PARTS = 5
 
 
 def rough_task(task: Scenario, rng: np.random.Generator) -> Scenario:
-    """The scenario with another length of the step and other limits; sometimes it starts outside of some."""
+    """The scenario with another step length and other limits; sometimes joints start outside."""
     limits, x = task.cell.limits, task.cell.positions(task.q_start)
     lower, upper = np.array(limits.lower), np.array(limits.upper)
     if rng.uniform() < 0.3:

@@ -15,18 +15,14 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from coopqp.control.options import QPOptions
-from coopqp.control.qp import QPController
-from coopqp.model.cell import RobotCell
-from coopqp.model.grasp import Grasp
+from coopqp import CommonError, Grasp, QPController, QPOptions, RobotCell
 from coopqp.scenarios import Scenario, at_limit, dual_arm7, fast_lift, mixed_cell, ring, scara_pair
-from coopqp.task.common_error import CommonError
 
 PROGRAM = Path(__file__).with_name("programs") / "repeat.py"
 
 
 def ran(solver: str, steps: int, file: Path, seed: int) -> tuple[int, str]:
-    """Steps and hash of a process of its own, whose strings hash otherwise."""
+    """Number of steps and hash from a separate process with another hash seed of strings."""
     environment = {**os.environ, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "PYTHONHASHSEED": str(seed)}
     done = subprocess.run(
         [sys.executable, str(PROGRAM), solver, str(steps), str(file)],
@@ -49,7 +45,7 @@ def test_another_process_commands_the_same(
     runs = [ran(solver, count(steps), tmp_path / f"{seed}.npy", seed) for seed in (1, 2)]
     assert runs[0][0] == runs[1][0] == count(steps)
     a, b = (np.load(tmp_path / f"{seed}.npy") for seed in (1, 2))
-    assert len(a) > steps // 100  # a QP was solved in many of them
+    assert len(a) > steps // 100  # many steps solved a QP
     if target == 0.0:
         catalogue.row(
             "E",
@@ -85,14 +81,14 @@ def reordered(task: Scenario, order: Sequence[int]) -> Scenario:
 
 
 def with_mismatch(task: Scenario) -> Scenario:
-    """One arm holds the object a millimetre from where it is thought to: something to correct."""
+    """One arm holds the object with an error of a millimetre, which the controller corrects."""
     tools = list(task.grasp.T_object_tool)
     tools[1] = pin.SE3(np.eye(3), np.array([0.0, 0.001, 0.0])) * tools[1]
     return replace(task, grasp=Grasp(tuple(tools)))
 
 
 def commands(task: Scenario, names: Sequence[str], options: QPOptions, steps: int) -> Any:
-    """Joint velocities (steps, nv), the arms in the order of ``names``."""
+    """Joint velocities (steps, nv), with the arms in the order of ``names``."""
     controller = QPController(task.cell, task.grasp, task.path, dt=0.005, options=options)
     controller.reset(task.q_start)
     columns = np.concatenate([np.arange(task.cell.nv)[task.cell.v_slices[task.cell.index(n)]] for n in names])

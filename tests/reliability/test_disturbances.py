@@ -1,7 +1,7 @@
-"""Row B, in mm: what is not ideal, and how far it parts the arms. Nothing but their commands holds them together here.
+"""Row B, in mm: the chain errors due to disturbances. Only the commands hold the arms together here.
 
-Every figure is the chain error of the plant's *true* configuration, at every sample, with the default supervision,
-at 1 kHz and a peak speed of the object of 0.25 m/s. Row B in newtons is in ``test_disturbances_physics.py``.
+Every figure is the largest chain error of the plant's *true* configuration over all samples, with the default
+supervision, at 1 kHz and an object peak speed of 0.25 m/s. Row B in newtons is in ``test_disturbances_physics.py``.
 """
 
 from __future__ import annotations
@@ -14,34 +14,41 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from coopqp.control.command import ControlStep, Status
-from coopqp.control.qp import QPController
-from coopqp.errors import InvalidInputError
-from coopqp.model.grasp import Grasp
-from coopqp.model.inverse_kinematics import inverse_kinematics
-from coopqp.model.limits import LimitKind
+from coopqp import (
+    Array,
+    ControlStep,
+    Disturbances,
+    DisturbedPlant,
+    Grasp,
+    InvalidInputError,
+    LimitKind,
+    LinePath,
+    ObjectPath,
+    QPController,
+    Status,
+    TimeLaw,
+    WaypointPath,
+    inverse_kinematics,
+    misplaced,
+)
 from coopqp.scenarios import Scenario, dual_arm7, mixed_cell, paper_lift
-from coopqp.simulation.plants.disturbances import misplaced
-from coopqp.simulation.plants.disturbed import Disturbances, DisturbedPlant
-from coopqp.spatial import Array
-from coopqp.task.path import LinePath, ObjectPath, TimeLaw, WaypointPath
 
 DT = 1e-3
 SPEED = 0.25
-#: Readings at rest that a start is averaged from: 0.1 s.
+#: Number of readings at rest for the averaged start: 0.1 s.
 READINGS = 100
-#: A base that is 1 mm and 0.1° off, along and about one axis.
+#: A base error of 1 mm and 0.1°, along and about one axis.
 AXIS = np.ones(3) / np.sqrt(3.0)
 BASE_OFF = pin.SE3(pin.exp3(np.deg2rad(0.1) * AXIS), 1e-3 * AXIS)
 
 
 def peak_speed(path: ObjectPath) -> float:
-    """Of the object's frame [m/s]."""
+    """Peak speed of the object frame [m/s]."""
     return max(float(np.linalg.norm(path.twist(t)[:3])) for t in np.linspace(0.0, path.duration, 201))
 
 
 def at_speed(make: Callable[..., Scenario]) -> Scenario:
-    """The scenario in such a time that the object's fastest is :data:`SPEED`."""
+    """The scenario with a duration that gives the peak speed :data:`SPEED`."""
     slow = make(time_law=TimeLaw.QUINTIC, duration=3.0)
     task = make(time_law=TimeLaw.QUINTIC, duration=3.0 * peak_speed(slow.path) / SPEED)
     assert peak_speed(task.path) == pytest.approx(SPEED, rel=1e-6)
@@ -50,13 +57,13 @@ def at_speed(make: Callable[..., Scenario]) -> Scenario:
 
 @pytest.fixture(scope="module")
 def tasks() -> list[Scenario]:
-    """Three arms of six joints, two of seven, and a mixture of robots."""
+    """Three arms with six joints, two arms with seven joints, and a mixture of robots."""
     return [at_speed(make) for make in (paper_lift, dual_arm7, mixed_cell)]
 
 
 @dataclass(frozen=True)
 class Run:
-    """One run: chain error of the true configuration at every sample [mm], the same at the grasps, and the steps."""
+    """One run: chain error of the true configuration at every sample [mm], the same at the grasps, the steps."""
 
     chain: Array
     grasps: Array
@@ -72,12 +79,12 @@ class Run:
 
     @property
     def smooth(self) -> bool:
-        """Finished, and never held."""
+        """True if the run finished and never held."""
         return self.steps[-1].finished and not any(s.status in (Status.HOLDING, Status.FAULT) for s in self.steps)
 
 
 class Grips:
-    """How far the arms' views of the object part at the grasps, from where they are now."""
+    """Distances at the grasps between the object poses of the arms, relative to the present ones."""
 
     def __init__(self, plant: DisturbedPlant, grasp: Grasp) -> None:
         self._plant = plant
@@ -86,7 +93,7 @@ class Grips:
         self._to_object = [T.inverse() * tools[0] * grasp.T_object_tool[0].inverse() for T in tools]
 
     def apart(self) -> float:
-        """Largest distance between any two arms' views of any grasp [m]."""
+        """Largest distance between the positions of any grasp according to any two arms [m]."""
         O = [T * X for T, X in zip(self._plant.true_tools(), self._to_object, strict=True)]
         seen = np.array([o.rotation @ self._points + o.translation[:, None] for o in O])
         return float(np.linalg.norm(seen[:, None] - seen[None], axis=2).max())
@@ -101,7 +108,7 @@ def drive(
     readings: int = READINGS,
     longest: float | None = None,
 ) -> Run:
-    """Start from an average of readings at rest, then one loop with everything that is not ideal."""
+    """Start from an average of readings at rest, then run one loop with all disturbances."""
     held = task.grasp if grasp is None else grasp
     plant = DisturbedPlant(task.cell, held, disturbances, command_latency=command_latency)
     controller = QPController(task.cell, held, task.path, dt=DT)
@@ -143,7 +150,7 @@ def test_encoder_noise(tasks: list[Scenario], catalogue: Any, count: Any, noise:
 @pytest.mark.slow
 @pytest.mark.parametrize(("latency", "target"), [(0.002, 0.2), (0.005, 0.4), (0.010, 0.8)])
 def test_late_measurements(tasks: list[Scenario], catalogue: Any, latency: float, target: float) -> None:
-    """Of all arms, with commands that are executed as late."""
+    """All measurements and all commands have the latency."""
     runs = []
     for task in tasks:
         late = dict.fromkeys(task.cell.arm_names, latency)
@@ -186,11 +193,11 @@ def test_periods_that_vary(tasks: list[Scenario], catalogue: Any, count: Any) ->
 
 @pytest.mark.slow
 def test_a_base_that_is_off_for_ten_minutes(catalogue: Any, count: Any) -> None:
-    """Lifted by 0.3 m and lowered again and again: what the base's error makes of it, and no more with time."""
+    """The object is lifted by 0.3 m and lowered for ten minutes. The error due to the base does not grow with time."""
     lift, minutes = paper_lift(), count(10)
     low = lift.path.pose(0.0)
     high = pin.SE3(low.rotation, low.translation + np.array([0.0, 0.0, 0.3]))
-    half = 0.3 * 1.875 / SPEED  # a quintic law's peak is 1.875 times its mean
+    half = 0.3 * 1.875 / SPEED  # the peak of a quintic law is 1.875 times its mean
     turns = round(60.0 * minutes / half)
     path = WaypointPath(
         [high if i % 2 else low for i in range(turns + 1)], durations=[half] * turns, time_law=TimeLaw.QUINTIC
@@ -202,9 +209,9 @@ def test_a_base_that_is_off_for_ten_minutes(catalogue: Any, count: Any) -> None:
     step = controller.step()
     while not step.finished:
         plant.apply(step)
-        if tick % 25 == 0:  # 1 in 25: the motion between takes 2 s
+        if tick % 25 == 0:  # every 25th sample is enough
             chain.append(1e3 * plant.chain_error()[0])
-        step = controller.step()  # the encoders see nothing of a base that is off
+        step = controller.step()  # the encoders do not see a base error
         assert step.status is Status.TRACKING
         tick += 1
     assert tick >= 59_900 * minutes
@@ -218,7 +225,7 @@ def test_a_base_that_is_off_for_ten_minutes(catalogue: Any, count: Any) -> None:
 
 @pytest.mark.slow
 def test_a_base_that_is_off_and_a_turn(tasks: list[Scenario], catalogue: Any, count: Any) -> None:
-    """Turning the object costs what geometry says, which no encoder tells: the control adds nothing to it."""
+    """A turn of the object causes a geometric error that encoders cannot see. The control adds nothing to it."""
     added, whole, cases = 0.0, 0.0, 0
     for task in tasks:
         ideal = drive(task)
@@ -247,14 +254,14 @@ def test_a_base_that_is_off_and_a_turn(tasks: list[Scenario], catalogue: Any, co
 
 
 def offset(rng: np.random.Generator, distance: float, angle: float) -> pin.SE3:
-    """A placement off by so much, in a random direction."""
+    """A placement error of this distance [m] and angle [rad] in a random direction."""
     axes = rng.normal(size=(2, 3))
     axes /= np.linalg.norm(axes, axis=1)[:, None]
     return pin.exp6(np.concatenate([distance * axes[0], angle * axes[1]]))
 
 
 def test_a_grasp_that_is_off(tasks: list[Scenario], catalogue: Any, count: Any) -> None:
-    """By 2 mm, latched when the grips close; the object then lies where the first arm holds it."""
+    """The grasp error is 2 mm and latched when the grips close; the first arm then defines the object pose."""
     rng, runs = np.random.default_rng(1), []
     for task in tasks:
         for arm in task.cell.arm_names[1 : 1 + count(1)]:
@@ -270,7 +277,7 @@ def test_a_grasp_that_is_off(tasks: list[Scenario], catalogue: Any, count: Any) 
 
 def test_a_grasp_too_far_off_is_refused(tasks: list[Scenario], catalogue: Any, count: Any) -> None:
     rng, wrong, cases = np.random.default_rng(2), 0, 0
-    for task in (tasks[0], tasks[1]):  # arms of six joints and more get anywhere
+    for task in (tasks[0], tasks[1]):  # arms with at least six joints
         for _ in range(count(50)):
             arm = str(rng.choice(task.cell.arm_names[1:]))
             far = bool(rng.integers(2))
@@ -313,7 +320,7 @@ def test_an_arm_that_lags(tasks: list[Scenario], catalogue: Any, count: Any) -> 
 
 @pytest.mark.slow
 def test_an_arm_that_lags_while_the_object_only_turns(tasks: list[Scenario], catalogue: Any) -> None:
-    """About the object's origin, where nothing moves: what parts is the grasps."""
+    """The object turns about its origin, which does not move: only the grasps part."""
     lift, cases, worst = tasks[0], 0, 0.0
     for axis in np.eye(3)[:2]:
         path = LinePath.displaced(
@@ -338,7 +345,7 @@ def test_an_arm_whose_commands_come_late(tasks: list[Scenario], catalogue: Any) 
 @pytest.mark.slow
 @pytest.mark.parametrize("noise", [0.0, 1e-4], ids=["quiet", "noisy"])
 def test_an_arm_that_stalls(tasks: list[Scenario], catalogue: Any, noise: float) -> None:
-    """At the fastest, where the arms part by 0.25 mm a sample, and (quiet) at 30 % of the path's time."""
+    """The arm stalls at the highest speed (0.25 mm per sample) and, without noise, at 30 % of the path's time."""
     latest, worst, cases = 0, 0.0, 0
     for task in tasks:
         for k, arm in enumerate(task.cell.arm_names):
@@ -346,12 +353,12 @@ def test_an_arm_that_stalls(tasks: list[Scenario], catalogue: Any, noise: float)
                 when = DT * round(share * task.path.duration / DT)
                 stall = Disturbances(stall={arm: when}, encoder_noise=noise, seed=k)
                 run = drive(task, stall, longest=when + 0.3)
-                first = round(when / DT)  # this step's command is the first that is not followed
+                first = round(when / DT)  # first command that is not executed
                 held = next(i for i, s in enumerate(run.steps) if s.status is Status.HOLDING)
                 step = run.steps[held]
                 assert step.binding[0].arm == arm
                 assert arm in step.reason
-                latest = max(latest, held - first)  # samples that could show it when it was decided
+                latest = max(latest, held - first)  # samples since the stall at the decision
                 worst, cases = max(worst, run.grasps_mm), cases + 1
                 after = run.steps[held:]
                 assert all(s.status is Status.HOLDING for s in after)
@@ -359,3 +366,60 @@ def test_an_arm_that_stalls(tasks: list[Scenario], catalogue: Any, noise: float)
     kind = f"an arm that stalls{', encoder noise ±0.0001 rad' if noise else ''}"
     catalogue.row("B", f"{kind}: samples until it is known", cases=cases, measured=latest, target=5)
     catalogue.row("B", f"{kind}: apart at the grasps", cases=cases, measured=worst, target=3.0, unit="mm")
+
+
+def test_an_arm_that_stands_and_goes_on(tasks: list[Scenario], catalogue: Any, count: Any) -> None:
+    """Measured where they are told to be from then on, the arms go on too; a fault, once they were far apart, stays."""
+    rng, longest, faults, cases = np.random.default_rng(4), 0, 0, count(12)
+    accelerations = ((None, 20.0), (5.0, 20.0), (12.0, 12.0))  # rad/s² (m/s²): with limits, braking goes on for a while
+    for i in range(cases):
+        task = tasks[i % 3]
+        limit = accelerations[i % 3][i // 3 % 2]
+        cell = task.cell if limit is None else task.cell.with_limits(acceleration=limit)
+        controller = QPController(cell, task.grasp, task.path, dt=DT)
+        controller.reset(task.q_start)
+        arm = cell.q_slices[int(rng.integers(len(cell)))]
+        begin = round(float(rng.uniform(0.3, 0.7)) * task.path.duration / DT)
+        end = begin + round(float(rng.uniform(0.1, 1.0 if i % 2 else 2.0)) / DT)
+        q, held = task.q_start, 0
+        for tick in range(end + 10_000):
+            step = controller.step(q)
+            held = held + 1 if step.status is Status.HOLDING and tick > end else 0
+            longest = max(longest, held)
+            if step.finished or step.status is Status.FAULT or held > 2000:
+                break
+            stands = q[arm] if begin <= tick < end else None
+            q = step.q_next.copy()
+            if stands is not None:
+                q[arm] = stands
+        faults += step.status is Status.FAULT
+        assert step.finished or step.status is Status.FAULT or held
+    assert faults < cases / 2
+    name = "an arm that stands for 0.1 to 2 s and goes on: held after it"
+    note = f"{faults} of them were 20 mm apart before they had braked: a fault"
+    catalogue.row("I4", name, cases=cases, measured=longest * DT, target=1.0, unit="s", note=note)
+
+
+def test_one_corrupted_sample(tasks: list[Scenario], catalogue: Any, count: Any) -> None:
+    """One joint of one sample is off, from 10 µrad to half a turn; nothing else is."""
+    rng, wrong, longest, cases = np.random.default_rng(9), 0, 0, count(30)
+    for i in range(cases):
+        task = tasks[i % 3]
+        cell = task.cell
+        controller = QPController(cell, task.grasp, task.path, dt=DT)
+        controller.reset(task.q_start)
+        size = float(rng.uniform(0.1, 0.299) if i // 3 % 2 else 10.0 ** rng.uniform(-5.0, 0.5))
+        off = np.zeros(cell.nv)
+        off[rng.integers(cell.nv)] = rng.choice([-1.0, 1.0]) * size
+        when = int(rng.integers(1, round(0.9 * task.path.duration / DT)))
+        q, statuses = task.q_start, []
+        while len(statuses) < 10_000:
+            step = controller.step(q)
+            statuses.append(step.status)
+            if step.finished or step.status is Status.FAULT:
+                break
+            q = cell.moved(step.q_next, off if len(statuses) == when else np.zeros(cell.nv))
+        wrong += not step.finished
+        longest = max(longest, statuses.count(Status.HOLDING))
+    name, note = "one corrupted sample: a fault, or no end", f"held for {longest} steps at most"
+    catalogue.row("I9", name, cases=cases, measured=wrong, target=0, note=note)

@@ -1,7 +1,7 @@
-"""Row B in newtons: the paper's lift on MuJoCo, gripped, at 1 kHz; how hard the arms press beyond the plate's weight.
+"""Row B in newtons: the paper's lift on MuJoCo with a rigid grip at 1 kHz; grasp forces beyond the plate's weight.
 
-In a rigid grip the measured chain error says nothing: what does not fit bends the servos. Forces are those of the
-welds at the servo stiffness of :mod:`coopqp.simulation.plants.physics_options`, to which they are proportional.
+In a rigid grip the measured chain error shows nothing: a misfit deflects the servos. The forces come from the welds.
+They are proportional to the servo stiffness of :mod:`coopqp.simulation.plants.physics_options`.
 """
 
 from __future__ import annotations
@@ -13,22 +13,26 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from coopqp.control.command import ControlStep, Status
-from coopqp.control.options import QPOptions
-from coopqp.control.qp import QPController
-from coopqp.control.supervision import SupervisionOptions
-from coopqp.forces.stress import StressModel
-from coopqp.model.grasp import Grasp
+from coopqp import (
+    Array,
+    ControlStep,
+    Disturbances,
+    Grasp,
+    PhysicsPlant,
+    QPController,
+    QPOptions,
+    Status,
+    StressModel,
+    SupervisionOptions,
+    misplaced,
+)
 from coopqp.scenarios import Scenario, paper_lift
-from coopqp.simulation.plants.disturbances import Disturbances, misplaced
-from coopqp.simulation.plants.physics import PhysicsPlant
-from coopqp.spatial import Array
 
 pytest.importorskip("mujoco")
 
 DT = 1e-3
 AXIS = np.ones(3) / np.sqrt(3.0)
-#: 1 mm and 0.1° along and about one axis; 2 mm.
+#: Errors of 1 mm and 0.1° along and about one axis, and of 2 mm.
 BASE_OFF = pin.SE3(pin.exp3(np.deg2rad(0.1) * AXIS), 1e-3 * AXIS)
 GRIP_OFF = pin.SE3(np.eye(3), 2e-3 * AXIS)
 #: Force at which the stress watch holds [N].
@@ -37,7 +41,7 @@ LIMIT = 300.0
 
 @pytest.fixture(scope="module")
 def lift() -> Scenario:
-    """Accelerations are limited, so that holding brakes instead of stopping dead."""
+    """The lift with acceleration limits, so that holding brakes instead of stopping at once."""
     task = paper_lift(time_law="quintic")
     return replace(task, cell=task.cell.with_limits(acceleration=10.0))
 
@@ -65,7 +69,7 @@ def drive(
     servo_delay: float = 0.0,
     longest: float = 12.0,
 ) -> Run:
-    """One lift, the grasp latched where the grips closed; with the stress watch if ``watched``."""
+    """One lift with the grasp latched at the closed grips; with the stress watch if ``watched``."""
     plant = PhysicsPlant.of(
         lift, real_grasp=misplaced(lift.cell, lift.grasp, grip or {}), disturbances=disturbances or Disturbances()
     )
@@ -124,7 +128,7 @@ def test_a_grasp_that_is_off(lift: Scenario, catalogue: Any) -> None:
 
 @pytest.mark.slow
 def test_a_base_that_is_off(lift: Scenario, catalogue: Any) -> None:
-    """Lifted and turned, the arms drift apart by up to 3 mm, as they are seen: what the cell is like, not a fault."""
+    """During the lift the measured poses of the arms drift apart by up to 3 mm: a property of the cell, not a fault."""
     force, stopped, cases, longest = 0.0, 0, 0, 0.0
     for arm in lift.cell.arm_names:
         run = drive(lift, Disturbances(base_offset={arm: BASE_OFF}))
@@ -139,12 +143,12 @@ def test_a_base_that_is_off(lift: Scenario, catalogue: Any) -> None:
 
 @pytest.mark.slow
 def test_a_stalled_arm_that_is_dragged_along(lift: Scenario, catalogue: Any, count: Any) -> None:
-    """Neither distances nor joints show it: the others pull it along. The servos' deflection does."""
+    """The other arms drag the stalled arm along: distances and joints do not show it, servo deflection does."""
     blind = drive(lift, Disturbances(stall={"slave_1": 1.2}), longest=2.2)
     assert all(s.status in (Status.TRACKING, Status.SLOWED) for s in blind.steps[:1900])
     assert blind.force.max() > 10_000.0
     late, force, rest, named, runs = 0, 0.0, 0.0, 0, []
-    times = [1.5, *np.linspace(0.5, 2.3, count(1))]  # the first at the highest speed
+    times = [1.5, *np.linspace(0.5, 2.3, count(1))]  # the first is at the highest speed
     for arm in lift.cell.arm_names:
         for when in times:
             run = drive(lift, Disturbances(stall={arm: float(when)}), watched=True, longest=float(when) + 0.6)

@@ -1,4 +1,4 @@
-"""Odd arrays, poses, numbers and times at every door: a named error or a correct round trip, nothing else."""
+"""Odd arrays, poses, numbers and times as arguments: a named error or a correct round trip."""
 
 from __future__ import annotations
 
@@ -15,15 +15,25 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from coopqp import (
+    Breach,
     CellState,
     CommonError,
+    DaqpSettings,
+    Disturbances,
     Grasp,
     HoldPath,
+    IndependentQPController,
+    IndependentQPOptions,
     JointLimits,
     KinematicPlant,
     LinePath,
+    Monitor,
+    MonitorTolerances,
+    OsqpSettings,
+    PhysicsOptions,
     PostureOptions,
     PreviewOptions,
+    ProxqpSettings,
     PseudoInverseController,
     PseudoInverseOptions,
     QPController,
@@ -38,14 +48,7 @@ from coopqp import (
     plate_from_centroid,
     plate_from_points,
 )
-from coopqp.control.independent import IndependentQPController, IndependentQPOptions
-from coopqp.control.solvers.daqp import DaqpSettings
-from coopqp.control.solvers.osqp import OsqpSettings
-from coopqp.control.solvers.proxqp import ProxqpSettings
 from coopqp.scenarios import mixed_cell, paper_lift
-from coopqp.simulation.monitor import Breach, Monitor, MonitorTolerances
-from coopqp.simulation.plants.disturbances import Disturbances
-from coopqp.simulation.plants.physics_options import PhysicsOptions
 from coopqp.task.path import ScrewParameters
 
 pytestmark = pytest.mark.filterwarnings("ignore::RuntimeWarning")
@@ -63,8 +66,8 @@ def same(given: Any, meant: Any) -> bool:
 
 # -- arrays ------------------------------------------------------------------------------------------------------------
 
-#: (a usual value, what is done with the array, what must come out of it): these doors accept exactly what is an array
-#: of finite numbers of that shape.
+#: (a usual value, a function of the array, a check of its result). These functions accept exactly the arrays of finite
+#: numbers with this shape.
 VECTORS: dict[str, tuple[Any, Callable[[Any], Any], Callable[[Any, Any], bool]]] = {
     "CellState": (LIFT.q_start, lambda x: CellState(LIFT.cell, x), lambda r, m: same(r.q, m)),
     "check_configuration": (LIFT.q_start, lambda x: LIFT.cell.check_configuration(x, "here"), same),
@@ -120,7 +123,7 @@ def test_arrays_of_finite_numbers_and_nothing_else(catalogue: Any) -> None:
 
 
 def rows(x: Any, n: int) -> list[Any]:
-    """The value's rows, or the value itself in place of each of them."""
+    """The rows of the value, or the value itself in place of each row."""
     return [x[i] for i in range(n)] if has_rows(x, n) else [x] * n
 
 
@@ -128,7 +131,7 @@ def has_rows(x: Any, n: int) -> bool:
     return isinstance(x, (np.ndarray, list, tuple)) and np.ndim(x) > 0 and len(x) == n
 
 
-#: Doors that ask for more than finite numbers: whatever they accept must be right.
+#: Functions that need more than finite numbers. The result of everything they accept must be right.
 PICKY: dict[str, tuple[Any, Callable[[Any], Any], Callable[[Any, Any], bool]]] = {
     "displaced, rotation": (
         [0.1, 0.2, 0.3],
@@ -181,7 +184,7 @@ PICKY: dict[str, tuple[Any, Callable[[Any], Any], Callable[[Any, Any], bool]]] =
 }
 
 
-#: One number stands for all joints here.
+#: Functions that also accept one number for all joints.
 SCALARS_TOO = ("with_limits, velocity", "with_limits, lower")
 
 
@@ -196,7 +199,7 @@ def test_what_is_accepted_is_right(catalogue: Any) -> None:
         usual, build, right = PICKY[door]
         worn, meant = data.draw(arrays_like(usual))
         if np.ndim(usual) > 1 and not (meant is not None and has_rows(worn, len(usual))):
-            return  # what has no rows, or other ones, says nothing of a table
+            return  # without rows the value tests nothing here
         result = answer(lambda: (build(worn),))
         if result is not None:
             tried.accepted += 1
@@ -219,12 +222,12 @@ def _servo(T: Any) -> Any:
     try:
         controller.retarget(T)
     except ValueError:
-        assert controller.path._line is kept  # the old target stays
+        assert controller.path._line is kept  # the target is unchanged
         raise
     return controller.path._line.goal
 
 
-#: What is made of a pose, and a placement that has to be the one given.
+#: Functions of a pose that return a placement equal to the given pose.
 POSES: dict[str, Callable[[Any], Any]] = {
     "LinePath, start": lambda T: LinePath(T, START, duration=1.0).start,
     "LinePath, goal": lambda T: LinePath(START, T, duration=1.0).goal,
@@ -269,7 +272,7 @@ def test_poses_and_nothing_else(catalogue: Any) -> None:
 
 @pytest.mark.slow
 def test_a_pose_to_be_reached(catalogue: Any) -> None:
-    """inverse_kinematics: a pose it is not, one out of reach, or one that is reached."""
+    """inverse_kinematics refuses an invalid pose, reports an unreachable one, and reaches any other."""
     tried = Tried()
 
     @MANY
@@ -277,7 +280,7 @@ def test_a_pose_to_be_reached(catalogue: Any) -> None:
     def holds(value: tuple[Any, pin.SE3 | None], share: float) -> None:
         tried.number += 1
         worn, T = value
-        if T is not None:  # near enough to be reached sometimes
+        if T is not None:  # sometimes near enough to be reachable
             worn = T = START * pin.exp6(share * pin.log6(T).vector / (1.0 + np.linalg.norm(pin.log6(T).vector)))
         q = answer(lambda: inverse_kinematics(LIFT.cell, LIFT.grasp, worn, LIFT.q_start, max_iter=8))
         if q is not None:
@@ -316,14 +319,14 @@ def numbers_of(options: Any) -> list[str]:
 
 
 def sound(value: Any) -> bool:
-    """A finite number, or something else that is as it should be; deep inside sequences too."""
+    """True for a finite number or a valid other value, also inside sequences."""
     if isinstance(value, tuple):
         return all(map(sound, value))
     return type(value) is not float or bool(np.isfinite(value))
 
 
 def test_options_of_any_value(catalogue: Any) -> None:
-    """Each number of each options class: refused by name, or kept as the number it is."""
+    """Each number of each options class is refused by name or stored unchanged."""
     tried = Tried()
     every = [(options, name) for options in OPTIONS for name in numbers_of(options)]
 
@@ -338,7 +341,7 @@ def test_options_of_any_value(catalogue: Any) -> None:
         tried.accepted += 1
         kept = getattr(made, name)
         if value is None:
-            assert kept is None  # does without
+            assert kept is None  # None switches the option off
         elif isinstance(kept, tuple):
             assert all(type(x) is float and np.isfinite(x) for x in kept)
         else:
@@ -352,7 +355,7 @@ def test_options_of_any_value(catalogue: Any) -> None:
 
 @pytest.mark.slow
 def test_accepted_options_never_make_a_step_fail(catalogue: Any) -> None:
-    """Whatever the options, a step returns a command within the limits (or the controller is not built)."""
+    """With any options a step returns a command within the limits, or the constructor refuses them."""
     tried = Tried()
     tasks = [replace(LIFT, cell=LIFT.cell.with_limits(acceleration=a), dt=0.01) for a in (np.inf, 5.0)]
     kinds = (QPOptions, SupervisionOptions, PreviewOptions, PostureOptions, RankWeights)
@@ -481,7 +484,7 @@ MAKERS: dict[str, Any] = {
 @pytest.mark.slow
 @pytest.mark.parametrize("kinds", [["QP"], ["QP, turning joints", "independent", "pseudo-inverse"]], ids=len)
 def test_a_step_answers_to_anything(kinds: list[str], catalogue: Any) -> None:
-    """Whatever is measured and however long the step: a command within the limits, never an exception."""
+    """For any measurement and any step length the command is within the limits, without an exception."""
     tried = Tried()
     made: dict[tuple[str, bool], Any] = {}
     for kind in kinds:
@@ -511,7 +514,7 @@ def test_a_step_answers_to_anything(kinds: list[str], catalogue: Any) -> None:
             tried.accepted += step.status not in (Status.HOLDING, Status.FAULT)
         monitor.observe(controller.step())
         breaches = set(monitor.verdict().counts)
-        if not kind.startswith("QP"):  # the others, which are there to be compared with, promise less
+        if not kind.startswith("QP"):  # the controllers for comparison promise less
             breaches -= {Breach.VELOCITY, Breach.POSITION, Breach.ACCELERATION}
         assert not breaches, monitor.verdict()
 
@@ -521,7 +524,7 @@ def test_a_step_answers_to_anything(kinds: list[str], catalogue: Any) -> None:
 
 @pytest.mark.slow
 def test_a_refused_value_changes_nothing(catalogue: Any) -> None:
-    """After a refused reset or target a controller goes on as if nothing had been asked."""
+    """A refused reset or target has no effect on a controller."""
     tried = Tried()
 
     def fresh() -> QPController:

@@ -1,4 +1,4 @@
-"""Odd robot models: an arm that is what its description says, or a named error; then cells and controllers of them."""
+"""Odd robot models give an arm that agrees with its description or a named error; then cells and controllers."""
 
 from __future__ import annotations
 
@@ -13,8 +13,7 @@ from fuzzing import MANY, Tried, answer
 from hypothesis import given
 from hypothesis import strategies as st
 
-from coopqp import Arm, CellState, Grasp, LinePath, QPController, RobotCell
-from coopqp.simulation.monitor import Monitor, MonitorTolerances
+from coopqp import Arm, CellState, Grasp, LinePath, Monitor, MonitorTolerances, QPController, RobotCell
 
 pytestmark = pytest.mark.filterwarnings("ignore::RuntimeWarning")
 LIMITS_ONLY = MonitorTolerances(chain_m=None, chain_rad=None, path_m=None, path_rad=None)
@@ -37,7 +36,7 @@ class Joint:
 
 @dataclass(frozen=True)
 class Description:
-    """A URDF, and whether nothing is wrong with it."""
+    """A URDF, and True if it is valid."""
 
     text: str
     joints: tuple[Joint, ...]
@@ -47,10 +46,10 @@ class Description:
 
 @st.composite
 def descriptions(draw: st.DrawFn) -> Description:
-    """A chain of joints; in half of the cases one of them, or a name, is odd."""
+    """A chain of joints. In half of the cases one joint or a name is odd."""
     n = draw(st.integers(1, 8))
     rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
-    odd = draw(st.integers(0, 2 * n))  # which joint is odd
+    odd = draw(st.integers(0, 2 * n))  # index of the odd joint
     joints = []
     for i in range(n):
         kind, axis = str(rng.choice(["revolute"] * 5 + ["continuous", "prismatic"])), str(rng.choice(AXES))
@@ -83,7 +82,7 @@ def descriptions(draw: st.DrawFn) -> Description:
 
 
 def tool_by_hand(joints: tuple[Joint, ...], x: Any) -> pin.SE3:
-    """The last link's placement, from the description's numbers alone; ``x`` has one position per moving joint."""
+    """Placement of the last link from the description's numbers; ``x`` has one position per moving joint."""
     T, positions = pin.SE3.Identity(), iter(x)
     for j in joints:
         T = T * pin.SE3(pin.rpy.rpyToMatrix(np.array(j.rpy)), np.array(j.xyz))
@@ -96,14 +95,14 @@ def tool_by_hand(joints: tuple[Joint, ...], x: Any) -> pin.SE3:
 
 
 def drawn(cell: RobotCell, rng: np.random.Generator, inside: float = 0.9) -> Any:
-    """Positions (nv,) well inside the limits, between −2 and 2 where there are none."""
+    """Positions (nv,) well inside the limits; between −2 and 2 without limits."""
     low, high = np.maximum(cell.limits.lower, -2.0), np.minimum(cell.limits.upper, 2.0)
     middle, half = 0.5 * (low + high), 0.5 * (high - low)
     return middle + inside * rng.uniform(-half, half)
 
 
 def check_cell(arm: Arm, arms: int, rng: np.random.Generator) -> None:
-    """A cell of so many of the arm: its parts are where the arms say, and a controller keeps its limits."""
+    """A cell of ``arms`` copies: its placements agree with the arm, and a controller keeps its limits."""
     placed = [
         arm.placed(pin.SE3(pin.exp3(rng.normal(size=3)), rng.normal(size=3)), name=f"arm {k}") for k in range(arms)
     ]
@@ -185,7 +184,7 @@ OTHERS = {
 
 @st.composite
 def models(draw: st.DrawFn) -> tuple[pin.Model, dict[str, Any], bool]:
-    """A model, limits to go with it, and whether nothing is wrong with it."""
+    """A model, limits for it, and True if both are valid."""
     n = draw(st.integers(0, 7))
     rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
     model, plain, at = pin.Model(), n > 0, 0
@@ -209,7 +208,7 @@ def models(draw: st.DrawFn) -> tuple[pin.Model, dict[str, Any], bool]:
         )
         try:
             at = model.addJoint(at, joint, T, name, ones, ones, low, high)
-        except (ValueError, RuntimeError):  # Pinocchio's own test of names
+        except (ValueError, RuntimeError):  # Pinocchio's check of names
             plain = False
             break
     if at:

@@ -1,7 +1,7 @@
-"""Row F, its part that no clock decides: steps leave nothing behind for the garbage collector.
+"""Row F, the part without timing: steps create no work for the garbage collector.
 
-What a step makes is freed by counting references, so the collector, where it runs at all, finds the youngest objects
-only and nothing to free, whatever else is alive. Times are measured by ``benchmarks/latency.py``.
+Reference counting frees the objects of a step. The collector, if it runs, visits only the youngest objects and frees
+nothing, independently of other objects. ``benchmarks/latency.py`` measures times.
 """
 
 from __future__ import annotations
@@ -14,10 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from coopqp.control.core import available_kernels
-from coopqp.control.options import QPOptions
-from coopqp.control.qp import QPController
-from coopqp.control.supervision import SupervisionOptions
+from coopqp import QPController, QPOptions, SupervisionOptions, available_kernels
 from coopqp.scenarios import Scenario, fast_lift, paper_lift
 
 
@@ -33,7 +30,7 @@ def broken(q: Any) -> Any:
     return q * np.nan
 
 
-#: Scenario, options, and what is measured of a commanded configuration.
+#: Scenario, options, and the measured configuration as a function of the commanded one.
 CASES: dict[str, tuple[Callable[[], Scenario], dict[str, Any], Callable[[Any], Any]]] = {
     "nominal": (paper_lift, {}, no_feed),
     "measured": (paper_lift, {}, noisy),
@@ -46,7 +43,7 @@ CASES: dict[str, tuple[Callable[[], Scenario], dict[str, Any], Callable[[Any], A
 
 @pytest.fixture
 def collections() -> Iterator[list[tuple[int, int]]]:
-    """Of each collection that runs, with the collector on: its generation, and how many objects it freed."""
+    """Generation and number of freed objects of each collection, with the collector on."""
     ran: list[tuple[int, int]] = []
 
     def watch(phase: str, info: dict[str, int]) -> None:

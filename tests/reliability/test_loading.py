@@ -1,4 +1,4 @@
-"""Files from strangers: nothing in them is executed, sizes are bounded, errors named; and files that a kill cuts."""
+"""Untrusted files: nothing in them is executed, sizes are bounded, errors are named; and files cut by a kill."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def mjcf(head: str = "", name: str = "joint", inside: str = "") -> str:
 
 
 def laughs(levels: int = 14) -> str:
-    """Entities of entities: 10 to the power of the levels, if somebody expands them."""
+    """Nested entities that expand to 10**levels copies."""
     lines = [f'<!ENTITY e{i + 1} "{f"&e{i};" * 10}">' for i in range(levels)]
     return f'<!DOCTYPE r [<!ENTITY e0 "ha">{"".join(lines)}]>'
 
@@ -85,7 +85,7 @@ def descriptions(secret: Path) -> dict[str, str]:
 
 
 class Trap:
-    """Unpickling it would make a folder."""
+    """An object that creates a folder when it is unpickled."""
 
     def __init__(self, place: Path) -> None:
         self.place = str(place)
@@ -122,7 +122,7 @@ def recordings(run: Recording, trap: Path, tmp_path: Path) -> dict[str, bytes]:
     for claimed in (1_900_000_000, 2_100_000_000, 16):
         content = bytearray(with_(q=zeros))
         at = content.rfind(b"PK\x01\x02", 0, content.rfind(b"q.npy"))
-        content[at + 24 : at + 28] = struct.pack("<I", claimed)  # the size that this entry claims to have
+        content[at + 24 : at + 28] = struct.pack("<I", claimed)  # the claimed size of this entry
         lying[f"claims_{claimed}.npz"] = bytes(content)
     deep = io.BytesIO()
     np.save(deep, np.array("[" * 100_000))

@@ -1,4 +1,4 @@
-"""A3: joints that start outside their limits come back in, and the object is not torn on the way."""
+"""A3: joints that start outside their limits return, and the arms keep the object meanwhile."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from checks import Return, cooperative, fenced_out, from_outside, ideal_return, shifted_together
 
-from coopqp.control.solvers import available_solvers
+from coopqp import available_solvers
 from coopqp.scenarios import Scenario, dual_arm7, mixed_cell, paper_lift
 
 DEPTHS = (0.001, 0.01, 0.05, 0.2)  # [rad]
@@ -24,7 +24,7 @@ def _lift() -> Scenario:
 
 
 def rows(catalogue: Any, what: str, found: list[Return], *, capped: int = 0, contradict: bool = False) -> None:
-    """The figures of the row, worst of all runs; ``capped`` steps held because a solver ran into its cap."""
+    """Add the worst figures of all runs to the row; ``capped`` steps held because a solver hit its cap."""
     steps = sum(r.steps for r in found)
     violations = sum(r.failures + r.broken + (r.outward > 1e-9) + (r.growth > 1e-12) for r in found) - capped
     name = f"{what}: outward velocity, growing distance, other limits, failures"
@@ -76,7 +76,7 @@ def test_joints_of_several_arms_come_back_at_once(
 def test_with_every_solver(
     lift: Scenario, count: Callable[[int], int], catalogue: Any, rng: np.random.Generator
 ) -> None:
-    """OSQP now and then runs into its cap on the iterations: then the arms hold."""
+    """OSQP sometimes hits its iteration cap; then the arms hold."""
     others = [solver for solver in available_solvers() if solver != "daqp"]
     found = {solver: together(lift, rng, count(4), solver=solver) for solver in others}
     capped = sum(r.failures for r in found.get("osqp", []))
@@ -87,14 +87,14 @@ def test_with_every_solver(
 def test_joints_whose_ways_back_contradict_each_other(
     lift: Scenario, count: Callable[[int], int], catalogue: Any, rng: np.random.Generator
 ) -> None:
-    """Several arms can be outside in such a way that no motion of the object helps all: then none goes further out."""
+    """If no object motion leads all joints of several arms back, no joint moves further out."""
     found = []
     for i in range(count(10)):
         joints = rng.choice(lift.cell.nv, int(rng.integers(3, 7)), replace=False)
         depths = {int(j): float(rng.choice([-1.0, 1.0]) * 10.0 ** rng.uniform(-3.0, -0.7)) for j in joints}
         task = fenced_out(lift, depths, acceleration=5.0 if i % 2 else np.inf, **LIMITED)
         found.append(from_outside(cooperative, task, depths))
-    # The worst that was found for the chain.
+    # The worst known case for the chain.
     four = replace(mixed_cell(time_law="quintic"), dt=0.002)
     depths = {7: 0.002, 16: 0.0129, 23: 0.0179, 19: -0.0244, 5: -0.0099, 1: 0.1099}
     found.append(from_outside(cooperative, fenced_out(four, depths, acceleration=5.0, **LIMITED), depths))

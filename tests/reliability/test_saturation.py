@@ -1,4 +1,4 @@
-"""A2 and A9: at the limits, whatever the solver: none is exceeded, and all arms slow down together."""
+"""A2 and A9: at the limits, with every solver, no limit is exceeded and all arms slow down together."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from checks import Sharing, cooperative, fenced_out, limited, needed_speeds, saturated, slows_together
 
-from coopqp.control.solvers import available_solvers
+from coopqp import LinePath, ServoPath, available_solvers
 from coopqp.scenarios import (
     Scenario,
     at_limit,
@@ -23,7 +23,6 @@ from coopqp.scenarios import (
     paper_lift,
     ring,
 )
-from coopqp.task.path import LinePath, ServoPath
 
 
 def at_limit_without_preview() -> tuple[Scenario, Any]:
@@ -31,7 +30,7 @@ def at_limit_without_preview() -> tuple[Scenario, Any]:
 
 
 def moving_target(acceleration: float) -> tuple[Scenario, Any]:
-    """Three arms after a target beyond their joint limits."""
+    """Three arms that follow a target beyond their joint limits."""
     task = at_limit(margin=0.1, acceleration=acceleration)
     start, goal = task.path.pose(0.0), task.path.pose(task.path.duration)
     return replace(task, path=ServoPath(start, speed=0.4, spin=1.0)), goal
@@ -42,7 +41,7 @@ def outside() -> tuple[Scenario, Any]:
     return fenced_out(task, {1: 0.05, 9: -0.05}, velocity=1.0, acceleration=5.0), None
 
 
-#: What saturates: the task, a target if it has one, and the controller's options.
+#: Saturating tasks: the task, its target or None, and the controller's options.
 SATURATING: dict[str, tuple[Callable[[], tuple[Scenario, Any]], dict[str, Any]]] = {
     "speed": (lambda: (fast_lift(), None), {}),
     "speed and acceleration": (lambda: (limited(fast_lift(), acceleration=5.0), None), {}),
@@ -88,7 +87,7 @@ def test_limits_hold_after_clipping(count: Callable[[int], int], catalogue: Any)
 
 @pytest.mark.slow
 def test_one_joint_saturates(count: Callable[[int], int], catalogue: Any) -> None:
-    """Each joint of three arms in turn at half the speed that the path asks of it, where it asks for any."""
+    """Each joint of three arms in turn is limited to half the speed that the path needs."""
     found = []
     for i, law in enumerate(("linear", "quintic")):
         task = replace(paper_lift(duration=2.0, time_law=law), dt=0.001)
@@ -112,7 +111,7 @@ def sharing(catalogue: Any, what: str, found: list[Sharing], note: str = "") -> 
 def test_random_paths_too_fast(
     acceleration: float, count: Callable[[int], int], catalogue: Any, rng: np.random.Generator
 ) -> None:
-    """With one linearisation a jump of joint velocities leaves more, in that step: its chain error is judged."""
+    """With one linearisation, a jump of joint velocities leaves a larger chain error in its step, which is judged."""
     found: list[Sharing] = []
     single: list[Sharing] = []
     for i in range(count(4)):

@@ -1,4 +1,4 @@
-"""Into a singularity, a while there, and out again: every arm, with and without acceleration limits."""
+"""Into a singularity, a wait there, and out again: every arm, with and without acceleration limits."""
 
 from __future__ import annotations
 
@@ -10,19 +10,14 @@ import numpy as np
 import pytest
 from hypothesis import settings
 
-from coopqp.control.command import Status
-from coopqp.control.options import QPOptions
-from coopqp.control.qp import QPController
-from coopqp.model.limits import LimitKind
+from coopqp import LimitKind, LinePath, Monitor, MonitorTolerances, QPController, QPOptions, Status, Verdict
 from coopqp.scenarios import Scenario, at_singularity, five_joint_pair, scara_pair
-from coopqp.simulation.monitor import Monitor, MonitorTolerances, Verdict
-from coopqp.task.path import LinePath
 
 pytestmark = pytest.mark.slow
 
-#: How long the object is kept waiting where it is blocked [steps].
+#: Number of steps that a blocked object waits.
 DWELL = 100
-#: Longest way there and longest way back [s].
+#: Longest time there, and longest time back [s].
 LONGEST = 6.0
 NIGHTLY = settings.get_current_profile_name() == "nightly"
 NOTHING_ELSE = MonitorTolerances(chain_m=None, chain_rad=None, path_m=None, path_rad=None)
@@ -30,14 +25,14 @@ NOTHING_ELSE = MonitorTolerances(chain_m=None, chain_rad=None, path_m=None, path
 
 @dataclass(frozen=True)
 class Excursion:
-    """What became of one way there and back.
+    """The result of one way there and back.
 
     Attributes:
-        verdict: the oracle's, by the limits.
-        jump: largest change of σ from one step to the next (the last step of a path may be a part of one).
-        blocked: the object had to wait.
-        back: it came back.
-        pole: it was blocked by a singularity on its way back.
+        verdict: the monitor's verdict on the limits.
+        jump: largest change of σ between two steps, except for the shortened last step of a path.
+        blocked: True if the object had to wait.
+        back: True if the object came back.
+        pole: True if a singularity blocked the object on its way back.
     """
 
     verdict: Verdict
@@ -78,7 +73,7 @@ def excursion(task: Scenario, **options: Any) -> Excursion:
 
 
 def six_joints() -> Iterator[tuple[Scenario, float]]:
-    """Tasks, each with how far it misses the pole [rad]; every night each arm with and without accelerations."""
+    """Tasks with their distance from the pole [rad]; nightly each arm with and without acceleration limits."""
     for i, acceleration in enumerate((np.inf, 5.0)):
         for k, kind in enumerate(("wrist", "elbow", "reach")):
             for arm in range(3):
@@ -89,7 +84,7 @@ def six_joints() -> Iterator[tuple[Scenario, float]]:
 
 
 def few_joints() -> Iterator[Scenario]:
-    """Pairs of arms of four and five joints that are led to the end of one arm's reach, or both arms'."""
+    """Pairs of arms with four and five joints that are led to the end of the reach of one arm or both."""
     ways = {
         scara_pair: [(0.3, 0.0, 0.0), (-0.3, 0.0, 0.0), (0.0, 0.6, 0.0), (-0.15, -0.3, 0.0)],
         five_joint_pair: [(0.3, 0.0, 0.0), (-0.3, 0.0, 0.0), (0.0, 0.0, 0.5)],
@@ -156,7 +151,7 @@ def test_what_is_only_near_is_passed(previewed: Any, catalogue: Any) -> None:
 
 
 def test_the_object_comes_out_again(previewed: Any, catalogue: Any) -> None:
-    """But for a pole passed within a milliradian, which may count as blocked on the way back, too."""
+    """The object comes back. Only near a pole (within a milliradian) may the way back also be blocked."""
     stuck = [task for task, miss, e in previewed if not e.back and not (0.0 < miss <= 1e-3 and e.pole)]
     catalogue.row(
         "A8", "singularities, arms of six joints: not out again", cases=len(previewed), measured=len(stuck), target=0

@@ -1,4 +1,4 @@
-"""A million steps in one process: memory, open files and objects stay, and placements stay rotations."""
+"""A million steps in one process: memory, open files and objects do not grow, and rotations stay valid."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ import pytest
 
 PROGRAM = Path(__file__).with_name("programs") / "soak.py"
 ROUND = 100_000
-#: Rounds before anything is compared: first uses import modules, fill caches and grow the heap.
+#: Rounds before the comparison: they import modules, fill caches and grow the heap.
 WARM_UP = 2
 MIB = 2**20
 

@@ -1,4 +1,4 @@
-"""A5: a solver that fails, in any way, once or for ever: all arms brake together in the same step."""
+"""A5: if a solver fails in any way, temporarily or permanently, all arms brake together in the same step."""
 
 from __future__ import annotations
 
@@ -10,17 +10,12 @@ import numpy as np
 import pytest
 from checks import FAULTS, REST, Failure, FaultySolver, cooperative, judged, limited, solver_fails
 
-from coopqp.control.command import Status
-from coopqp.control.solvers import SolverStatus, make_solver
-from coopqp.control.solvers.daqp import DaqpSettings
-from coopqp.control.solvers.osqp import OsqpSettings
-from coopqp.control.solvers.proxqp import ProxqpSettings
+from coopqp import DaqpSettings, OsqpSettings, ProxqpSettings, ServoPath, SolverStatus, Status, make_solver
 from coopqp.scenarios import Scenario, dual_arm7, fast_lift, five_joint_pair, mixed_cell, paper_lift, scara_pair
-from coopqp.task.path import ServoPath
 
 
 def moving_target() -> tuple[Scenario, Any]:
-    """Three arms on their way to a target, with nothing known ahead."""
+    """Three arms on their way to a target, without look-ahead."""
     task = limited(paper_lift(), velocity=1.0, acceleration=5.0)
     start, goal = task.path.pose(0.0), task.path.pose(task.path.duration)
     return replace(task, path=ServoPath(start, speed=0.5, spin=1.0), dt=0.002), goal
@@ -48,7 +43,7 @@ TASKS: dict[str, Callable[[], tuple[Scenario, Any]]] = {
 
 @pytest.fixture(scope="module")
 def failures(count: Callable[[int], int]) -> list[tuple[bool, Failure]]:
-    """Every fault on one task each, and one fault on all tasks, at several moments; once and for ever."""
+    """Every fault on one task, and one fault on all tasks, at several times; temporary and permanent."""
     rng = np.random.default_rng(5)
     names, found = list(TASKS), []
     for _ in range(count(1)):
@@ -126,7 +121,7 @@ def test_it_goes_on_when_the_solver_does(failures: list[tuple[bool, Failure]], c
 
 
 def test_only_one_form_fails() -> None:
-    """Where the first QP fails and the one that lets the chain part does not, nothing is lost."""
+    """If the first QP fails and the QP with slack succeeds, the motion continues normally."""
     task = limited(fast_lift(), acceleration=5.0)
     controller = cooperative(task, shortcut=False)
     controller.reset(task.q_start)
@@ -149,9 +144,9 @@ def test_only_one_form_fails() -> None:
     ],
 )
 def test_the_real_iteration_limit(solver: str, settings: Any) -> None:
-    """A solver that may take one iteration finds nothing at a limit: the arms brake, rest, and the reason says why.
+    """With a cap of one iteration the solver fails at a limit: the arms brake and rest, and ``reason`` reports it.
 
-    Without the preview, so that the limits are the QP's to find.
+    There is no preview, so the QP meets the limits.
     """
     task = limited(fast_lift(), acceleration=5.0)
     controller = cooperative(task, shortcut=False, preview=None)

@@ -1,4 +1,4 @@
-"""Solvers against each other, on QPs recorded in closed loops and on random ones; optimality by the test's own sums."""
+"""Solvers agree with each other on recorded and random QPs; the tests compute optimality themselves."""
 
 from __future__ import annotations
 
@@ -9,22 +9,19 @@ from typing import Any
 import numpy as np
 import pytest
 
-from coopqp.control.command import Status
-from coopqp.control.options import QPOptions
-from coopqp.control.qp import QPController
-from coopqp.control.solvers import QpProblem, QpSolution, SolverStatus, available_solvers, make_solver
+from coopqp import QPController, QPOptions, QpProblem, QpSolution, SolverStatus, Status, available_solvers, make_solver
 from coopqp.scenarios import fast_lift
 
 BENCHMARKS = Path(__file__).parents[2] / "benchmarks"
 #: How far joint velocities may be apart [rad/s], and answers from optimal.
-TARGET = {"daqp": 1e-8, "quadprog": 1e-8, "proxqp": 1e-6, "osqp": 1e-3}
+TARGET = {"ldp": 1e-8, "daqp": 1e-8, "quadprog": 1e-8, "proxqp": 1e-6, "osqp": 1e-3}
 SOLVERS = [name for name in TARGET if name in available_solvers()]
 REFERENCE = "quadprog" if "quadprog" in SOLVERS else "daqp"
 CASES = ("corner", "near_singular", "elbow", "outside", "mismatch", "redundant", "saturated")
 
 
 def kkt_residual(problem: QpProblem, solution: QpSolution) -> float:
-    """The largest of: a constraint broken, a slope left over (by the multipliers' size), a multiplier off its bound."""
+    """The largest violation of a constraint, relative gradient, or multiplier at an inactive bound."""
     x = solution.x
     assert solution.y_eq is not None
     assert solution.y_rows is not None
@@ -54,9 +51,9 @@ class Tally:
     def compare(
         self, problem: QpProblem, solvers: dict[str, Any], velocity: Callable[[Any], Any], right: Any = None
     ) -> Any:
-        """Solve with each; where some find an answer and others do not, keep what those said.
+        """Solve with each solver. If some succeed and others fail, record the statuses of the others.
 
-        Velocities are compared with ``right``, or with those of the reference solver, whose answer is returned.
+        Velocities are compared with ``right`` or the velocities of the reference solver, whose solution is returned.
         """
         self.cases += 1
         found = {name: solver.solve(problem) for name, solver in solvers.items()}
@@ -94,7 +91,7 @@ class Tally:
 
 @pytest.fixture(name="recorded", scope="module")
 def _recorded() -> Iterator[Any]:
-    """The benchmark's module; those that it imports lie beside it."""
+    """The benchmark's module. The modules that it imports are in the same folder."""
     with pytest.MonkeyPatch.context() as patch:
         patch.syspath_prepend(str(BENCHMARKS))
         import recorded_qps
@@ -106,7 +103,7 @@ def test_on_recorded_problems(recorded: Any, count: Callable[[int], int], catalo
     tally, full = Tally(), Tally()
     for case in CASES:
         solvers = {name: make_solver(name) for name in SOLVERS}  # kept along a recording, as in a loop
-        dense = {name: make_solver(name) for name in SOLVERS if name != "quadprog"}  # that wants H positive definite
+        dense = {name: make_solver(name) for name in SOLVERS if name not in ("ldp", "quadprog")}  # H is singular
         for small, whole in zip(*(form.qps for form in recorded.record(case, 3, count(25))), strict=True):
             best = tally.compare(small.problem, solvers, small.velocity)
             full.compare(whole.problem, dense, whole.velocity, None if best is None else small.velocity(best))
@@ -118,14 +115,14 @@ def test_on_recorded_problems(recorded: Any, count: Callable[[int], int], catalo
 
 
 def random_problem(rng: np.random.Generator) -> QpProblem:
-    """A least-distance problem like those of a step: unit rows, three shares with bounds, a point inside."""
+    """A feasible least-distance problem like in a step: unit rows, three bounded shares."""
     n, p = int(rng.integers(9, 13)), int(rng.choice([12, 18, 24, 48]))
     C = rng.normal(size=(p, n))
     C /= np.linalg.norm(C, axis=1)[:, None]
     inside = rng.normal(size=n) * 10.0 ** rng.uniform(-3, 0.5, size=n)
     inside[6:9] = 10.0 ** rng.uniform(-3, 0, size=3)
     v = C @ inside
-    cuts = rng.random(p) < rng.uniform(0.0, 0.4)  # these may cut the origin off
+    cuts = rng.random(p) < rng.uniform(0.0, 0.4)  # these rows may exclude the origin
     wide = np.where(cuts, 0.0, 2.0 * np.abs(v) + 1.0)
     lb, ub = np.full(n, -np.inf), np.full(n, np.inf)
     lb[6:9], ub[6:9] = 0.0, inside[6:9] + 10.0 ** rng.uniform(-3, 0, size=3)
@@ -135,7 +132,7 @@ def random_problem(rng: np.random.Generator) -> QpProblem:
 
 
 def hardly_feasible(rng: np.random.Generator) -> QpProblem:
-    """One row twice, with bounds that leave a gap of 10⁻¹² … 10⁻³ between them, or overlap by as much."""
+    """One row twice, with bounds that overlap by 10⁻¹² … 10⁻³ or leave such a gap."""
     problem = random_problem(rng)
     margin = float(rng.choice([-1.0, 1.0])) * 10.0 ** rng.uniform(-12.0, -3.0)
     i = int(rng.integers(len(problem.l)))
@@ -160,7 +157,7 @@ def test_on_random_problems(rng: np.random.Generator, count: Callable[[int], int
 def test_on_problems_at_the_border_of_feasibility(
     rng: np.random.Generator, count: Callable[[int], int], catalogue: Any
 ) -> None:
-    """Here solvers may well disagree on whether there is an answer; none may give a wrong one."""
+    """Solvers may disagree on feasibility here, but none may return a wrong solution."""
     tally = Tally()
     solvers = {name: make_solver(name) for name in SOLVERS}
     for _ in range(count(500)):
@@ -178,7 +175,7 @@ def test_on_problems_at_the_border_of_feasibility(
 
 
 class Says:
-    """A solver that says what another one has said."""
+    """A solver that returns the recorded result of another solver."""
 
     name = "says"
 
@@ -195,7 +192,7 @@ class Says:
 
 
 def assert_holding(tally: Tally, catalogue: Any, what: str) -> None:
-    """Whatever a solver says where others find an answer: a controller that is told so holds."""
+    """A controller holds with every recorded result of a solver that failed while others succeeded."""
     task, not_held = fast_lift(), 0
     said = {(name, s.status, s.message): s for name, s in tally.disagreements}
     for solution in said.values():

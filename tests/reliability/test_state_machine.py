@@ -1,7 +1,7 @@
-"""Anything in any order: steps good and bad, resets, new grasps, other limits, new targets, the loss of an arm.
+"""Random sequences of good and bad steps, resets, new grasps, other limits, new targets, and the loss of an arm.
 
-Whatever came before, every command is finite, continues the last one and keeps the limits, the status says what it is
-worth, and while the object is tracked the arms stay in step. The oracle of coopqp.simulation.monitor judges.
+After any sequence every command is finite, continues the last one and keeps the limits; the status is right, and while
+the object is tracked the arms stay in step. The monitor of coopqp.simulation.monitor judges.
 """
 
 from __future__ import annotations
@@ -16,17 +16,27 @@ from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, precondition, rule, run_state_machine_as_test
 
-from coopqp import CellState, Grasp, LinePath, QPController, QPOptions, RobotCell, ServoPath, Status
-from coopqp.control.command import ControlStep
-from coopqp.errors import CoopqpError
+from coopqp import (
+    CellState,
+    ControlStep,
+    CoopqpError,
+    Grasp,
+    LinePath,
+    Monitor,
+    MonitorTolerances,
+    QPController,
+    QPOptions,
+    RobotCell,
+    ServoPath,
+    Status,
+)
 from coopqp.scenarios import Scenario, dual_arm7, fast_lift, mixed_cell
-from coopqp.simulation.monitor import Monitor, MonitorTolerances
 
 pytestmark = pytest.mark.filterwarnings("ignore::RuntimeWarning")
 TASKS = (fast_lift(), dual_arm7(), mixed_cell())
-#: Machines that are run in CI; each takes up to so many steps.
+#: Number of machines in CI, and largest number of rules of each.
 MACHINES, RULES = 400, 12
-#: Distance up to which the arms count as in step while the object is tracked at full rate [m].
+#: Largest chain error of arms in step while the object is tracked at full rate [m].
 IN_STEP = 1e-4
 
 numbers = st.floats(-1.0, 1.0)
@@ -34,7 +44,7 @@ triples = st.lists(numbers, min_size=3, max_size=3).map(np.array)
 
 
 class AnyOrder(RuleBasedStateMachine):
-    """One controller at a time, and the oracle that sees everything it commands."""
+    """One controller at a time, and the monitor of all its commands."""
 
     machines: ClassVar[int] = 0
     steps: ClassVar[int] = 0
@@ -53,7 +63,7 @@ class AnyOrder(RuleBasedStateMachine):
         self._new_controller(self.path)
 
     def _new_controller(self, path: Any) -> None:
-        """A controller for the present cell and grasp, started where the arms are, at rest."""
+        """Start a controller for the present cell and grasp at the present configuration, at rest."""
         controller = QPController(self.cell, self.grasp, path, dt=0.005, options=self.options)
         controller.reset(self.q)
         self.controller, self.path = controller, path
@@ -113,7 +123,7 @@ class AnyOrder(RuleBasedStateMachine):
 
     @rule(shift=triples, turn=triples, size=st.sampled_from([0.0, 0.02, 0.2, 2.0]))
     def go_elsewhere(self, shift: Any, turn: Any, size: float) -> None:
-        """A new target, or a new path from where the object is on its path now."""
+        """Set a new target, or a new path from the present pose on the path."""
         goal = self.object * pin.SE3(pin.exp3(size * turn), size * shift)
         if isinstance(self.path, ServoPath):
             self.controller.retarget(goal)
@@ -129,27 +139,27 @@ class AnyOrder(RuleBasedStateMachine):
 
     @rule()
     def reset(self) -> None:
-        """At the measured configuration, which need not be at the start of the path."""
+        """Reset at the measured configuration, which may differ from the start of the path."""
         if answer(lambda: (self.controller.reset(self.q),)) is None:
             self._new_controller(ServoPath(self.object))
         self.monitor.restart()
 
     @rule()
     def grasp_again(self) -> None:
-        """The grasp latched anew where the tools are."""
+        """Latch the grasp again at the present tool placements."""
         self.grasp = Grasp.from_configuration(self.cell, self.q, self.object)
         self._new_controller(ServoPath(self.object))
 
     @rule(offset=triples)
     def grasp_badly(self, offset: Any) -> None:
-        """A little beside what the arms really hold: the chain has an error to be corrected."""
+        """Assume a slightly wrong grasp: the controller corrects the chain error."""
         tools = list(self.grasp.T_object_tool)
         tools[-1] = pin.SE3(np.eye(3), 0.002 * offset) * tools[-1]
         grasp = Grasp(tuple(tools))
         before, self.grasp = self.grasp, grasp
         try:
             self._new_controller(ServoPath(self.object))
-        except CoopqpError:  # too far off by now
+        except CoopqpError:  # the error is now too large
             self.grasp = before
 
     @rule(
@@ -158,7 +168,7 @@ class AnyOrder(RuleBasedStateMachine):
         room=st.floats(-0.02, 0.5),
     )
     def change_limits(self, acceleration: float, speed: float, room: float) -> None:
-        """Other limits, sometimes with joints outside."""
+        """Set other limits, sometimes with joints outside."""
         x = self.cell.positions(self.q)
         bounded = np.isfinite(self.cell.limits.upper)
         upper = np.where(bounded, x + room, np.inf)
@@ -169,7 +179,7 @@ class AnyOrder(RuleBasedStateMachine):
     @precondition(lambda self: len(self.cell) > 1)
     @rule(which=st.integers(0, 3))
     def lose_an_arm(self, which: int) -> None:
-        """A controller for the arms that remain."""
+        """Start a controller for the remaining arms."""
         k = which % len(self.cell)
         keep = [i for i in range(len(self.cell)) if i != k]
         q = np.concatenate([self.q[self.cell.q_slices[i]] for i in keep])

@@ -1,4 +1,4 @@
-"""A4: from any state from which it can, a joint stops inside its limit."""
+"""A4: a joint stops inside its limit from every state from which it can."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def test_any_choice_from_the_box_stops_inside(
     )
     assert max(s.velocity for s in found.values()) <= 1e-12
     assert max(s.acceleration for s in found.values()) <= 1e-9
-    # The box is not too careful either: joints that are driven outward do arrive.
+    # The box is not too narrow: joints that move outward arrive at the limit.
     assert found["outward"].unused < 0.05
 
 

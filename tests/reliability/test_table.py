@@ -1,4 +1,4 @@
-"""The table of the catalogue: a missed target fails, and the page shows what was measured."""
+"""The table of the catalogue: a missed target fails, and the page shows the measured figures."""
 
 from __future__ import annotations
 

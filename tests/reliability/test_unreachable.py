@@ -1,4 +1,4 @@
-"""An unreachable target, then one that can be reached: blocked as soon as the object stands, and off again at once."""
+"""An unreachable target, then a reachable one: the object is blocked when it stops, and moves again at once."""
 
 from __future__ import annotations
 
@@ -10,24 +10,20 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from coopqp.control.command import Status
-from coopqp.control.options import QPOptions
-from coopqp.control.qp import QPController
+from coopqp import Monitor, MonitorTolerances, QPController, QPOptions, ServoPath, Status
 from coopqp.scenarios import Scenario, dual_arm7, mixed_cell, paper_lift
-from coopqp.simulation.monitor import Monitor, MonitorTolerances
-from coopqp.task.path import ServoPath
 
 pytestmark = pytest.mark.slow
 
-#: Below this share of the path's rate the object counts as standing.
+#: Rate σ below which the object counts as stopped.
 STANDS = 0.01
-#: A run ends when the object has been blocked for so many steps.
+#: A run ends after this number of blocked steps.
 DWELL = 100
 LONGEST = 6000
 
 
 class Chase:
-    """A controller that is led to targets, and the oracle that judges it by its limits."""
+    """A controller that follows targets, and the monitor of its limits."""
 
     def __init__(self, scenario: Scenario, *, look_ahead: bool) -> None:
         self.start = scenario.path.pose(0.0)
@@ -43,19 +39,19 @@ class Chase:
         return step
 
     def until_blocked(self) -> int:
-        """Go on until the object is blocked for good; how long it stood without being said to [steps]."""
+        """Run until the object stays blocked. Returns the number of steps that it stopped without status BLOCKED."""
         standing = longest = blocked = 0
         for _ in range(LONGEST):
             step = self.step()
             standing = standing + 1 if step.rate < STANDS and step.status is not Status.BLOCKED else 0
             longest = max(longest, standing)
-            blocked += step.status is Status.BLOCKED and step.rate < QPOptions().blocked_rate  # it has come to rest
+            blocked += step.status is Status.BLOCKED and step.rate < QPOptions().blocked_rate  # the object rests
             if blocked >= DWELL:
                 return longest
         return LONGEST
 
     def until_off(self) -> int:
-        """Steps until the object goes along its path again."""
+        """Number of steps until the object moves along its path again."""
         for n in range(1, LONGEST):
             step = self.step()
             if step.status is not Status.BLOCKED and step.rate > 1e-3 and np.abs(step.velocity).max() > 1e-3:
@@ -63,7 +59,7 @@ class Chase:
         return LONGEST
 
     def arrives(self) -> bool:
-        """Whether the object comes back to where it started."""
+        """True if the object returns to its start."""
         for _ in range(LONGEST):
             step = self.step()
             carried = step.grasp.carried(step.state)[0]
@@ -73,16 +69,16 @@ class Chase:
 
 
 def away(rng: np.random.Generator, start: pin.SE3) -> pin.SE3:
-    """A pose two metres away, farther than any of the arms reach."""
+    """A pose two metres away, out of reach of all arms."""
     direction = rng.normal(size=3)
     turn = pin.exp3(0.3 * rng.normal(size=3))
     return pin.SE3(start.rotation @ turn, start.translation + 2.0 * direction / np.linalg.norm(direction))
 
 
 def chases(acceleration: float, number: int) -> Iterator[Chase]:
-    """Chases of unreachable targets by three cells, before their first step; under acceleration limits looking ahead.
+    """Chases of unreachable targets by three cells, before their first step; with look-ahead under acceleration limits.
 
-    Without looking ahead nothing brakes the arms ahead of a singularity, and elbows swing through it.
+    Without look-ahead nothing brakes the arms before a singularity, and elbows swing through it.
     """
     rng = np.random.default_rng(77)
     for make in (paper_lift, dual_arm7, mixed_cell):
@@ -96,8 +92,8 @@ def chases(acceleration: float, number: int) -> Iterator[Chase]:
 
 @pytest.fixture(name="found", scope="module", params=[np.inf, 5.0], ids=["no acceleration limits", "5 rad/s²"])
 def _found(request: pytest.FixtureRequest, count: Callable[[int], int]) -> tuple[bool, list[int], list[int], int]:
-    """Whether accelerations are limited; of each chase the steps to blocked, and until the object is off again; and
-    how many did not come back, where accelerations are limited.
+    """True if accelerations are limited; for each chase the numbers of steps until blocked and until moving again; the
+    number of objects that did not return under acceleration limits.
     """
     to_blocked, to_off, lost = [], [], 0
     for chase in chases(request.param, count(6)):

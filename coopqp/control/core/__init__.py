@@ -1,51 +1,51 @@
-"""The fused step: compiled where a compiler was there when the package was built, NumPy elsewhere."""
+"""The compiled core of a step, and the choice between it and the plain definition."""
 
 from __future__ import annotations
 
-from coopqp.control.core.border import Border, BorderArrays, NumpyBorder
-from coopqp.control.core.reference import NumpyKernel
-from coopqp.control.core.workspace import Outcome, StepKernel, Workspace
+from typing import TYPE_CHECKING
+
+from coopqp.control.constraints import Constraints
+from coopqp.control.core.memory import NotForTheCoreError
+from coopqp.control.options import QPOptions
+from coopqp.control.plain import PlainLoop
 from coopqp.errors import UnknownNameError
+from coopqp.model.cell import RobotCell
+from coopqp.model.grasp import Grasp
+
+if TYPE_CHECKING:
+    from coopqp.control.core.compiled import CompiledLoop
 
 try:
-    from coopqp.control.core.compiled import CompiledBorder, CompiledKernel
+    from coopqp.control.core import _native  # noqa: F401
 except ImportError:  # built without a compiler
-    _KERNELS: dict[str, type[StepKernel]] = {"numpy": NumpyKernel}
-    _BORDERS: dict[str, type[Border]] = {"numpy": NumpyBorder}
+    _KERNELS: tuple[str, ...] = ("plain",)
 else:
-    _KERNELS = {"compiled": CompiledKernel, "numpy": NumpyKernel}
-    _BORDERS = {"compiled": CompiledBorder, "numpy": NumpyBorder}
-
-__all__ = [
-    "BorderArrays",
-    "NumpyKernel",
-    "Outcome",
-    "StepKernel",
-    "Workspace",
-    "available_kernels",
-    "make_border",
-    "make_kernel",
-]
+    _KERNELS = ("compiled", "plain")
 
 
 def available_kernels() -> tuple[str, ...]:
-    """Names of the kernels that this installation has, the fastest first."""
-    return tuple(_KERNELS)
+    """Names of what runs a step in this installation, the fastest first."""
+    return _KERNELS
 
 
-def make_kernel(workspace: Workspace, name: str = "auto") -> StepKernel | None:
-    """The kernel of that name; ``"auto"`` for the fastest, ``"none"`` for None.
+def make_loop(
+    cell: RobotCell, grasp: Grasp, *, dt: float, options: QPOptions, constraints: Constraints
+) -> CompiledLoop | PlainLoop:
+    """The loop that ``options.kernel`` names; the plain one where the core does not know the robot.
 
     Raises:
         UnknownNameError: this installation has no such kernel.
     """
-    if name == "none":
-        return None
-    if name != "auto" and name not in _KERNELS:
-        raise UnknownNameError("kernel", name, _KERNELS)
-    return _KERNELS[available_kernels()[0] if name == "auto" else name](workspace)
+    if options.kernel != "auto" and options.kernel not in _KERNELS:
+        raise UnknownNameError("kernel", options.kernel, _KERNELS)
+    if "compiled" in _KERNELS and options.kernel != "plain":
+        from coopqp.control.core.compiled import CompiledLoop
+
+        try:
+            return CompiledLoop(cell, grasp, dt=dt, options=options, constraints=constraints)
+        except NotForTheCoreError:
+            pass
+    return PlainLoop(cell, grasp, dt=dt, options=options, constraints=constraints)
 
 
-def make_border(arrays: BorderArrays, name: str) -> Border:
-    """The border of the kernel of that name."""
-    return _BORDERS[name](arrays)
+__all__ = ["NotForTheCoreError", "available_kernels", "make_loop"]

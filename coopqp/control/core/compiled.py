@@ -1,57 +1,309 @@
-"""The fused step in C, over the same workspace as the NumPy one."""
+"""The compiled loop: the plain loop's three calls over memory that Python and C share.
+
+Python goes on from the same memory where the core leaves a step open: where the arms have to part or to brake, and
+where another solver than the core's own is asked for.
+"""
 
 from __future__ import annotations
 
+import math
 from typing import Any, final
 
+import numpy as np
+import pinocchio as pin
+
 import coopqp.control.core._native as native
-from coopqp.control.core.border import BorderArrays
-from coopqp.control.core.workspace import Workspace
+from coopqp.control.command import ControlStep, SolverReport, amend
+from coopqp.control.constraints import Constraints, ConstraintTrouble, Knot, no_rows
+from coopqp.control.core import layout
+from coopqp.control.core.memory import MOST_ROWS, Memory, NotForTheCoreError, build_memory, same_kinematics
+from coopqp.control.limits import VelocityBox
+from coopqp.control.linearised import LinearisedAnswer, LinearisedStep, StepInput
+from coopqp.control.options import QPOptions
+from coopqp.control.ranks import StepSolver
+from coopqp.control.reading import STATUSES, RecordReader
+from coopqp.control.supervision import as_configuration, grasp_lengths
+from coopqp.model.cell import RobotCell
+from coopqp.model.chain import Chain
+from coopqp.model.grasp import Grasp
+from coopqp.model.state import CellState
+from coopqp.spatial import Array
+from coopqp.task.guarded import GuardedPath
+from coopqp.task.path import ObjectPath
 
-#: Order of the buffers, as the enumeration in arithmetic.h.
-_BUFFERS = (
-    "placements", "jacobian_T", "Y_transposed", "tool_joints", "starts", "sizes", "scale", "shares", "low", "high",
-    "speed", "acceleration", "lower", "upper", "R", "p", "along", "path", "measured", "positions", "v_prev",
-    "null_along", "null_offset", "scalars", "result", "errors", "grasp", "offsets", "predicted", "velocity",
-    "along_velocity", "midpoint", "line", "per_acceleration", "unit", "base", "columns", "rows", "norms", "row_lower",
-    "row_upper", "recovery", "outside", "common",
-)  # fmt: skip
-
-
-#: The same of a border.
-_BORDER_BUFFERS = (
-    "slope", "before", "positions", "low", "high", "per_speed", "per_bend", "acceleration", "slope_change", "curvature",
-    "result",
-)  # fmt: skip
-
-
-def _buffers(owner: Any, names: tuple[str, ...]) -> tuple[tuple[Any, ...], tuple[tuple[int, int], ...]]:
-    """The arrays, to keep their memory alive, and their addresses and lengths."""
-    arrays = tuple(getattr(owner, name) for name in names)
-    for name, array in zip(names, arrays, strict=True):
-        if not (array.flags.c_contiguous and array.dtype.itemsize == 8):
-            raise ValueError(f"'{name}' is not a contiguous array of 8-byte items")
-    return arrays, tuple((array.ctypes.data, array.nbytes) for array in arrays)
+_P = {name: i for i, name in enumerate(layout.PROPOSAL)}
+_LOOP = {name: i for i, name in enumerate(layout.LOOP)}
+_KNOT = {name: i for i, name in enumerate(layout.KNOT)}
+_QP, _FILLED, _OPEN = (layout.OUTCOMES.index(name) for name in ("QP", "FILLED", "OPEN"))
 
 
 @final
-class CompiledKernel:
-    """See :class:`StepKernel`; ``plain`` for the arithmetic that any processor can do."""
+class CompiledLoop:
+    """See :class:`coopqp.control.plain.PlainLoop`.
 
-    name = "compiled"
-    follows_lines = True
+    Args:
+        cell, grasp, dt, options, constraints: as of the plain loop.
+        arithmetic: ``"plain"`` for the one that any processor can do.
 
-    def __init__(self, workspace: Workspace, *, plain: bool = False) -> None:
-        self._arrays, addresses = _buffers(workspace, _BUFFERS)
-        self._workspace = workspace  # and Pinocchio's memory
-        kernel = native.Kernel(addresses, plain)
-        self.step, self.observe, self.rows = kernel.step, kernel.observe, kernel.rows
+    Raises:
+        NotForTheCoreError: the cell or the options ask for something that the core does not do.
+    """
+
+    kernel = "compiled"
+
+    def __init__(
+        self,
+        cell: RobotCell,
+        grasp: Grasp,
+        *,
+        dt: float,
+        options: QPOptions,
+        constraints: Constraints,
+        arithmetic: str = "auto",
+    ) -> None:
+        if options.iterations != 1 or options.form != "condensed":
+            raise NotForTheCoreError("the core linearises once and solves the condensed form")
+        self.cell, self.grasp, self.dt, self.options = cell, grasp, dt, options
+        self.constraints = constraints
+        chain, box = Chain(cell, grasp), VelocityBox(cell)
+        shares = options.common_error.shares(cell)
+        self.solver = StepSolver(chain, box, options)
+        self._box, self._definition = box, LinearisedStep(chain, box, shares, self.solver, options)
+        unit = self.solver.program.units
+        self._memory = build_memory(chain, box, shares, unit, grasp_lengths(grasp), options, dt)
+        at = self.at = self._memory.at
+        at["options"][layout.OPTIONS.index("OWN_SOLVER")] = self.solver.name == "ldp"
+        self._core = _make_core(self._memory, arithmetic)
+        if not same_kinematics(chain, self._core.linearise):
+            raise NotForTheCoreError("the core's kinematics of this robot are not Pinocchio's")
+        self._pose_out = np.zeros(12)
+        self._no_rows = no_rows(cell.nv)
+        self._nan = np.full(cell.nq, math.nan)
+        self._further = self._no_rows
+        if constraints:
+            self._core.bind_knots(self._bound_knot)
+        self.step = self._core.step
+        #: What is wrong with an input, where it takes more than numbers to say so.
+        self.trouble = ""
+
+    # -- starting --------------------------------------------------------------------------------------------------
+
+    def follow(self, path: ObjectPath) -> None:
+        """Take a path; it begins with :meth:`start_path`."""
+        self.path = path
+        self._guarded = GuardedPath(path)
+        self._reader = RecordReader(
+            self.cell, self.grasp, path, solver=self.solver.name, constraints=self.constraints.names,
+            force_limit=self.options.supervision.force_limit,
+        )  # fmt: skip
+        self._core.make_steps(ControlStep, self._reader, STATUSES)
+        self.take_path()
+
+    def take_path(self) -> None:
+        """Hand the path's numbers to the core: again where a target has moved."""
+        path, numbers = self.path, self.path.packed()
+        looks_ahead = self.options.preview is not None and path.known_ahead
+        own = None if numbers is not None else self._ask_path
+        if numbers is None:
+            breakpoints = self._guarded.breakpoints()
+            numbers = np.array([path.duration, len(breakpoints), 0.0, *breakpoints])
+        self._core.set_path(numbers, own, self._pose_out, float(path.duration), looks_ahead)
+
+    def start(self, q: Array) -> None:
+        """At rest at ``q``; forgets everything."""
+        self.solver.reset()
+        x = self.cell.positions(q)
+        self._core.start(x)
+        target = self.options.posture.target
+        self.at["posture_target"][:] = x if target is None else self.cell.positions(np.asarray(target, dtype=float))
+
+    def start_path(self, clock: float = 0.0, rate: float | None = None) -> None:
+        """Along the path from ``clock`` on."""
+        self._core.start_path(clock, (0.0 if self._box.accelerates else 1.0) if rate is None else rate)
+
+    def look_ahead_again(self) -> None:
+        """The path ahead has changed."""
+        loop = self.at["loop"]
+        kept = loop.copy()
+        self.take_path()
+        self._core.start_path(kept[_LOOP["CLOCK"]], kept[_LOOP["RATE"]])
+        loop[:] = kept
+
+    def memory(self) -> Any:
+        """All that a copy of this loop needs beside its arguments and its path."""
+        return self._memory.blocks["state"].copy()
+
+    def restore(self, memory: Any) -> None:
+        """Go on from what :meth:`memory` returned."""
+        self._memory.blocks["state"][:] = memory
+
+    @property
+    def clock(self) -> float:
+        """The object's clock [s]."""
+        return self.at["loop"].item(_LOOP["CLOCK"])
+
+    @property
+    def q(self) -> Array:
+        """Commanded configuration (nq,)."""
+        return self.cell.configuration(self.at["positions"])
+
+    # -- what the core asks ----------------------------------------------------------------------------------------
+
+    def _ask_path(self, clock: float, twist: int) -> bool:
+        if twist:
+            found = self._guarded.twist(clock)
+            if found is not None:
+                self._pose_out[:6] = found
+            return found is not None
+        pose = self._guarded.pose(clock)
+        if pose is None:
+            self.trouble = self._guarded.problem
+            return False
+        self._pose_out[:9], self._pose_out[9:] = pose.rotation.ravel(), pose.translation
+        return True
+
+    def _bound_knot(self, slot: int) -> bool:
+        """Lower the cap and the decrease of a new knot to what the constraints leave; False where it is beyond them."""
+        at, nv, n = self.at, self.cell.nv, len(layout.KNOT)
+        numbers, vectors = at["knots"][n * slot : n * slot + n], slice(nv * slot, nv * slot + nv)
+        q = self.cell.configuration(at["knot_positions"][vectors])
+        slope, curvature = (at[f"knot_{name}"][vectors].copy() for name in ("slope", "curvature"))
+        preview = self.options.preview
+        share = 1.0 if preview is None else preview.curvature_share
+        knot = Knot(numbers.item(_KNOT["K_CLOCK"]), CellState(self.cell, q), slope, curvature)
+        cap, decrease, which = self.constraints.bound_or_stop(knot, self.dt, share)
+        if cap < 0.0:
+            numbers[_KNOT["K_JOINT"]] = which
+            return False
+        if cap < numbers[_KNOT["K_CAP"]]:
+            numbers[_KNOT["K_CAP"]] = cap
+            numbers[_KNOT["K_KIND"]], numbers[_KNOT["K_ARM"]] = layout.KINDS.index("CONSTRAINT"), -1
+            numbers[_KNOT["K_JOINT"]] = which
+        numbers[_KNOT["K_DECREASE"]] = min(numbers[_KNOT["K_DECREASE"]], decrease)
+        return True
+
+    # -- the step, where Python takes part ---------------------------------------------------------------------------
+
+    def careful_step(self, q_measured: Any, dt: Any) -> ControlStep:
+        """A step whose input may be anything, whose path may fail, or that has further rows."""
+        self.trouble, measured = "", None
+        if q_measured is not None:
+            measured = self._as_measured(q_measured)
+        self._core.observe(measured, dt)
+        outcome = self._core.propose(self._put_rows(), False)
+        return self.finish(outcome)
+
+    def finish(self, outcome: int | None = None) -> ControlStep:
+        """Answer what the core left open, and commit."""
+        p = self.at["proposal"]
+        outcome = int(p[_P["OUTCOME"]]) if outcome is None else outcome
+        report, reason = None, self.trouble
+        if outcome == _FILLED:
+            outcome, report = self._solve()
+        if outcome == _OPEN:
+            report, open_reason = self._by_definition()
+            reason = reason or open_reason
+        step: ControlStep = self._core.commit()
+        if report is not None or reason:
+            amend(step, **({} if report is None else {"solver": report}), **({"reason": reason} if reason else {}))
+        return step
+
+    def _as_measured(self, q: Any) -> Array:
+        if type(q) is np.ndarray and q.dtype == np.float64 and q.shape == (self.cell.nq,) and q.flags.c_contiguous:
+            return q
+        measured, self.trouble = as_configuration(self.cell, q)
+        return self._nan if measured is None else measured
+
+    def _put_rows(self) -> int:
+        """Ask the constraints; their rows in the core's memory. What cannot be asked holds."""
+        self._further = self._no_rows
+        if not self.constraints.velocity:
+            return 0
+        at, p = self.at, self.at["proposal"]
+        try:
+            rows = self.constraints.rows(CellState(self.cell, self.q), p.item(_P["DT"]))
+            if len(rows) > MOST_ROWS:
+                raise ConstraintTrouble(f"{len(rows)} further rows, at most {MOST_ROWS} fit")
+        except ConstraintTrouble as trouble:
+            self.trouble = self.trouble or str(trouble)
+            p[_P["WATCH_CAP"]], p[_P["HOLD"]] = 0.0, 1.0
+            return 0
+        m = len(rows)
+        at["further"][: m * self.cell.nv] = rows.G.ravel()
+        at["further_lower"][:m], at["further_upper"][:m], at["further_soft"][:m] = rows.lower, rows.upper, rows.soft
+        at["further_owner"][:m] = rows.owner
+        self._further = rows
+        return m
+
+    def _solve(self) -> tuple[int, SolverReport]:
+        """The condensed QP that the core has filled in, by a solver of the user's choice."""
+        at, p = self.at, self.at["proposal"]
+        rows, unknowns = self.cell.nv + len(self._further), self._memory.sizes["unknowns"]
+        self._show_box()
+        base, columns = at["base"][:rows], at["columns"][: rows * unknowns].reshape(rows, unknowns)
+        x, report = self.solver.solve_filled(base, columns, at["unit"], p.item(_P["CAP"]), self._further)
+        if x is None:
+            return _OPEN, report
+        at["x"][:unknowns] = x
+        return (_QP if self._core.read(p.item(_P["CAP"])) else _OPEN), report
+
+    def _show_box(self) -> None:
+        """The core's box in the definition's."""
+        box, at = self._box, self.at
+        box.lower[:], box.upper[:], box.recovery[:] = at["lower"], at["upper"], at["recovery"]
+        box.outside[:] = at["outside"] != 0.0
+        box.any_outside = bool(box.outside.any())
+
+    def _by_definition(self) -> tuple[SolverReport, str]:
+        """The plain answer of this step, put where the core commits from."""
+        at, p, loop = self.at, self.at["proposal"], self.at["loop"]
+        given = self._given()
+        found = self._definition.answer(given)
+        self._put_answer(found)
+        p[_P["OUTCOME"]] = _QP
+        at["errors"][:], at["grasp"][:] = found.errors.ravel(), found.terms.grasp_corrections.ravel()
+        at["offsets"][:], at["path"][:] = found.terms.offsets.ravel(), found.terms.path_correction
+        at["stand_in"][:] = found.stand_in if loop[_LOOP["FIRST"]] else at["velocity"]
+        return found.answer.report, found.answer.reason
+
+    def _given(self) -> StepInput:
+        at, p, loop, n = self.at, self.at["proposal"], self.at["loop"], len(self.cell)
+        predicted = at["predicted"].reshape(n, 6).copy() if loop[_LOOP["HAS_PREDICTED"]] else None
+        return StepInput(
+            q=self.q,
+            positions=at["positions"].copy(),
+            v=at["velocity"].copy(),
+            v_before=at["before"].copy(),
+            h=p.item(_P["DT"]),
+            cap=p.item(_P["CAP"]),
+            pose=pin.SE3(at["R"].reshape(3, 3).copy(), at["p"].copy()),
+            along=at["along"].copy(),
+            measured=at["measured"].copy() if p[_P["HAS_MEASURED"]] else None,
+            predicted=predicted,
+            last_dt=loop.item(_LOOP["LAST_DT"]),
+            null_along=at["null_along"].copy(),
+            null_offset=at["null_offset"].copy(),
+            further=self._further,
+            first=bool(loop[_LOOP["FIRST"]]),
+        )
+
+    def _put_answer(self, found: LinearisedAnswer) -> None:
+        at, p, answer = self.at, self.at["proposal"], found.answer
+        at["command"][:], at["off_path"][:] = answer.velocity, answer.off_path
+        at["lower"][:], at["upper"][:] = self._box.lower, self._box.upper
+        values = {
+            "NEW_RATE": answer.rate, "GRASP_SHARE": answer.grasp_share, "PATH_SHARE": answer.path_share,
+            "PARTING": answer.chain, "BRAKED": answer.braked, "BINDING_ROW": -1.0, "BINDINGS": len(answer.active),
+            "ITERATIONS": answer.report.iterations,
+        }  # fmt: skip
+        for name, value in values.items():
+            p[_P[name]] = value
+        for i, (row, side) in enumerate(answer.active):
+            at["bindings"][2 * i : 2 * i + 2] = row, side
 
 
-@final
-class CompiledBorder:
-    """See :class:`Border`; ``plain`` as for the kernel."""
-
-    def __init__(self, arrays: BorderArrays, *, plain: bool = False) -> None:
-        self._arrays, addresses = _buffers(arrays, _BORDER_BUFFERS)
-        self.evaluate = native.Border(addresses, arrays.caps_speed, plain).evaluate
+def _make_core(memory: Memory, arithmetic: str) -> Any:
+    blocks = tuple((b.ctypes.data, b.nbytes) for b in memory.blocks.values())
+    s = memory.sizes
+    sizes = s["n"], s["nv"], s["nq"], s["unknowns"], s["past"], s["rows"]
+    return native.Core(blocks, tuple(memory.places), sizes, arithmetic == "plain")

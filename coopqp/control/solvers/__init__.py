@@ -1,17 +1,19 @@
-"""QP solvers behind one interface: kept between solves, guarded before and after each.
+"""QP solvers behind one interface. Every problem is checked before, and every answer after the solve.
 
-``proxqp``, ``osqp`` and ``daqp`` are kept: memory, factorisation and warm start survive from one solve to the next.
+``ldp`` is the compiled core's own, for strictly convex QPs. ``proxqp``, ``osqp`` and ``daqp`` are kept: memory,
+factorisation and warm start survive from one solve to the next.
 Any other backend that qpsolvers finds installed works by its name, built anew at every solve; ``qpsolvers:proxqp``
 forces that route for a backend that could be kept.
 """
 
 from __future__ import annotations
 
+from importlib.metadata import metadata
 from importlib.util import find_spec
 from typing import Any
 
 from coopqp.control.solvers.base import QpProblem, QpSolution, QpSolver, SolverSettings, SolverStatus
-from coopqp.errors import MissingExtraError, UnknownNameError
+from coopqp.errors import InvalidInputError, MissingExtraError, MissingSolverError, UnknownNameError, shown
 
 __all__ = [
     "QpProblem",
@@ -20,57 +22,91 @@ __all__ = [
     "SolverSettings",
     "SolverStatus",
     "available_solvers",
+    "default_solver",
     "make_solver",
 ]
 
-#: Kept backends: the name, and the package it needs.
-_KEPT = {"proxqp": "proxsuite", "osqp": "osqp", "daqp": "daqp"}
+#: Kept solvers: the name, and the module that it needs.
+_KEPT = {"proxqp": "proxsuite", "osqp": "osqp", "daqp": "daqp", "ldp": "coopqp.control.core._native"}
 _GENERIC = "qpsolvers:"
 
 
 def available_solvers() -> tuple[str, ...]:
-    """Names of the installed solvers: the kept ones first, then the other backends of qpsolvers."""
+    """Names of the installed solvers: first the persistent ones, then the other backends of qpsolvers."""
     kept = tuple(name for name, package in _KEPT.items() if find_spec(package) is not None)
     return kept + tuple(name for name in _backends() if name not in _KEPT)
 
 
-def make_solver(name: str, settings: Any = None) -> QpSolver:
-    """A new solver.
+def default_solver(*, strictly_convex: bool = True) -> str:
+    """The solver that ``"auto"`` stands for: the compiled core's own, or DAQP where that is missing.
 
     Args:
-        name: one of :func:`available_solvers`, or ``qpsolvers:<backend>`` for a backend built anew at every solve.
-        settings: ``ProxqpSettings``, ``OsqpSettings``, ``DaqpSettings``, or ``GenericSettings`` for the others, from
-            the backend's module; None for the defaults.
+        strictly_convex: H is positive definite; the core's own solver needs that.
+    """
+    return "ldp" if strictly_convex and find_spec(_KEPT["ldp"]) is not None else "daqp"
+
+
+def make_solver(name: str | QpSolver, settings: Any = None) -> QpSolver:
+    """A new solver, or the one given.
+
+    Args:
+        name: one of :func:`available_solvers`, ``qpsolvers:<backend>`` for a backend built anew at every solve, or
+            ``"auto"`` for :func:`default_solver`. A solver is returned as it is.
+        settings: ``LdpSettings``, ``ProxqpSettings``, ``OsqpSettings``, ``DaqpSettings``, or ``GenericSettings`` for
+            the others, from the solver's module; None for the defaults.
 
     Raises:
         UnknownNameError: no such solver.
-        MissingExtraError: a kept solver whose package is not installed.
-        InvalidInputError: settings of another backend.
+        MissingExtraError: a known solver that is not installed.
+        InvalidInputError: settings of another solver, settings beside a solver, or a solver of the wrong type.
     """
+    if isinstance(name, QpSolver):
+        if settings is not None:
+            raise InvalidInputError(
+                f"settings beside a {type(name).__name__}", "make_solver", "Give them to the solver when you build it."
+            )
+        return name
+    if not isinstance(name, str):
+        raise InvalidInputError(
+            f"{shown(name)} is a {type(name).__name__}", "make_solver", "Give a solver's name or a QpSolver."
+        )
+    if name == "auto":
+        name = default_solver()
     if name in _KEPT:
-        if find_spec(_KEPT[name]) is None:
-            raise MissingExtraError("solvers", _KEPT[name])
-        if name == "proxqp":
-            from coopqp.control.solvers.proxqp import ProxqpSolver
-
-            return ProxqpSolver(settings)
-        if name == "osqp":
-            from coopqp.control.solvers.osqp import OsqpSolver
-
-            return OsqpSolver(settings)
-        from coopqp.control.solvers.daqp import DaqpSolver
-
-        return DaqpSolver(settings)
+        return _make_kept(name, settings)
     backend = name.removeprefix(_GENERIC)
     if backend not in _backends():
+        extra = backend.partition("_")[0]
+        if extra in (metadata("qpsolvers").get_all("Provides-Extra") or ()):
+            raise MissingSolverError(name, f"pip install 'qpsolvers[{extra}]'")
         raise UnknownNameError("QP solver", name, available_solvers())
     from coopqp.control.solvers.generic import GenericSolver
 
     return GenericSolver(backend, settings)
 
 
+def _make_kept(name: str, settings: Any) -> QpSolver:
+    if name == "ldp":
+        from coopqp.control.solvers.ldp import LdpSolver
+
+        return LdpSolver(settings)
+    if find_spec(_KEPT[name]) is None:
+        raise MissingExtraError("solvers", _KEPT[name])
+    if name == "proxqp":
+        from coopqp.control.solvers.proxqp import ProxqpSolver
+
+        return ProxqpSolver(settings)
+    if name == "osqp":
+        from coopqp.control.solvers.osqp import OsqpSolver
+
+        return OsqpSolver(settings)
+    from coopqp.control.solvers.daqp import DaqpSolver
+
+    return DaqpSolver(settings)
+
+
 def _backends() -> tuple[str, ...]:
-    """Backends that qpsolvers finds installed."""
+    """Installed backends of qpsolvers."""
     import qpsolvers
 
     return tuple(sorted(qpsolvers.available_solvers))

@@ -1,4 +1,4 @@
-"""What every QP solver is: a problem goes in, a solution with a status comes out, and run-time data never raises."""
+"""The interface of QP solvers: a solver maps a problem to a solution with a status. Run-time data raise no errors."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from coopqp.errors import InvalidInputError, shown
 
 Array: TypeAlias = NDArray[np.float64]
 
-#: Numbers from here on count as infinite: as a bound they mean "none", in a matrix or vector they are refused.
+#: Smallest number that counts as infinite. As a bound it means "no bound"; in a matrix or vector it is invalid.
 INFINITE = 1e20
 
 _FIELDS = ("H", "g", "A", "b", "C", "l", "u", "lb", "ub")
@@ -24,28 +24,28 @@ _FLOAT = np.dtype(np.float64)
 
 
 class SolverStatus(enum.Enum):
-    """What became of one solve. Only ``SOLVED`` comes with an answer."""
+    """Result of a solve. Only ``SOLVED`` has a solution."""
 
-    SOLVED = "solved"  #: an answer that meets every constraint to the tolerance of the settings
-    INFEASIBLE = "infeasible"  #: the solver reports that no x meets the constraints
-    MAX_ITERATIONS = "iteration cap reached"  #: or a time limit, or an accuracy short of the one asked for
-    INVALID = "invalid data"  #: NaN, infinite or crossed: refused before the solver saw it
-    FAILED = "failed"  #: anything else; also an answer that is not finite or breaks a constraint
+    SOLVED = "solved"  #: the solution satisfies every constraint within the tolerance of the settings
+    INFEASIBLE = "infeasible"  #: the solver reports that no x satisfies the constraints
+    MAX_ITERATIONS = "iteration cap reached"  #: also for a time limit or insufficient accuracy
+    INVALID = "invalid data"  #: NaN or infinite entries, or crossed bounds; the solver was not called
+    FAILED = "failed"  #: any other failure; also a solution that is not finite or violates a constraint
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class QpProblem:
     """Minimise ½ xᵀ H x + gᵀ x subject to A x = b, l ≤ C x ≤ u, lb ≤ x ≤ ub.
 
-    The arrays may be the caller's preallocated views, rewritten before every solve: no solver keeps or modifies them.
-    Shapes and types are tested when built, the values by the solver before every solve.
+    The arrays may be preallocated views that the caller rewrites before every solve: no solver keeps or modifies them.
+    The constructor checks shapes and types, the solver checks the values before every solve.
 
     Attributes:
-        H: cost (n, n), symmetric positive semidefinite; only :meth:`check` tests that.
+        H: quadratic cost (n, n), symmetric positive semidefinite; only :meth:`check` tests this.
         g: linear cost (n,).
         A, b: equality rows (m, n) and their right-hand side (m,); m may be 0.
-        C, l, u: inequality rows (p, n) and their bounds (p,); p may be 0, bounds may be ±inf.
-        lb, ub: bounds of x (n,), may be ±inf.
+        C, l, u: inequality rows (p, n) and their bounds (p,); p may be 0, and bounds may be ±inf.
+        lb, ub: bounds of x (n,); they may be ±inf.
     """
 
     H: Array
@@ -85,11 +85,11 @@ class QpProblem:
 
     @property
     def sizes(self) -> tuple[int, int, int]:
-        """Numbers of unknowns, equality rows and inequality rows (n, m, p)."""
+        """Numbers (n, m, p) of unknowns, equality rows and inequality rows."""
         return self.g.size, self.b.size, self.l.size
 
     def check(self) -> None:
-        """Test what no solver tests at every solve: that the problem is convex.
+        """Check that the problem is convex. Solvers do not check this.
 
         Raises:
             InvalidInputError: H is not symmetric, or not positive semidefinite, by more than rounding.
@@ -109,17 +109,17 @@ class QpProblem:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class QpSolution:
-    """What a solve found. The arrays are the solution's own.
+    """The result of a solve. It owns its arrays.
 
     Attributes:
-        x: the answer (n,); NaN unless :attr:`usable`.
-        status: what became of the solve.
-        y_eq, y_rows, y_box: multipliers (m,), (p,), (n,) with H x + g + Aᵀ y_eq + Cᵀ y_rows + y_box = 0: positive
-            where an upper bound pushes, negative at a lower one. None if the backend reports none or has no answer.
-        iterations: the backend's count, over all its attempts.
-        solve_time_s: wall time of the whole call, the tests before and after included [s].
-        message: why there is no answer, or what was special; empty in the normal case.
-        violation: largest violation of a constraint by x, as :meth:`primal_residual`; NaN unless usable.
+        x: the solution (n,); NaN unless :attr:`usable`.
+        status: status of the solve.
+        y_eq, y_rows, y_box: multipliers (m,), (p,), (n,) with H x + g + Aᵀ y_eq + Cᵀ y_rows + y_box = 0; positive at
+            an active upper bound, negative at an active lower bound. None if the backend reports none or fails.
+        iterations: iterations of the backend, over all attempts.
+        solve_time_s: wall time of the whole call including all checks [s].
+        message: reason of a failure, or a remark; normally empty.
+        violation: largest violation of a constraint by x, as in :meth:`primal_residual`; NaN unless usable.
     """
 
     x: Array
@@ -134,11 +134,11 @@ class QpSolution:
 
     @property
     def usable(self) -> bool:
-        """There is an answer, and it meets every constraint."""
+        """True if the solution exists and satisfies every constraint."""
         return self.status is SolverStatus.SOLVED
 
     def primal_residual(self, problem: QpProblem) -> float:
-        """Largest violation of a constraint of ``problem`` by x; 0 where all hold. NaN unless usable."""
+        """Largest violation of a constraint of ``problem`` by x; 0 if all hold, NaN unless usable."""
         Cx = problem.C @ self.x
         return _largest(
             np.abs(problem.A @ self.x - problem.b),
@@ -156,9 +156,9 @@ class QpSolution:
         return _largest(np.abs(gradient + problem.A.T @ self.y_eq + problem.C.T @ self.y_rows + self.y_box))
 
     def complementarity(self, problem: QpProblem) -> float:
-        """Largest min(|y|, distance to the bound that y pushes from); NaN without multipliers.
+        """Largest min(|y|, distance to the active bound of y); NaN without multipliers.
 
-        The residual that shows a stale answer: after bounds relax, the old x and y still have no other.
+        Only this residual detects a stale solution: after bounds relax, the old x and y have no other residual.
         """
         if self.y_rows is None or self.y_box is None:
             return float("nan")
@@ -174,8 +174,8 @@ class SolverSettings:
     """Settings of every backend.
 
     Attributes:
-        feasibility_tol: an answer that breaks a constraint by more than this becomes ``FAILED``, in the constraint's
-            own units.
+        feasibility_tol: largest accepted violation of a constraint, in the constraint's units; a larger violation
+            gives the status ``FAILED``.
     """
 
     feasibility_tol: float = 1e-6
@@ -185,7 +185,7 @@ class SolverSettings:
 
 
 def require_positive(settings: object, *names: str) -> None:
-    """Raise unless the settings of these names are finite numbers above zero."""
+    """Raise InvalidInputError unless the named settings are finite numbers > 0."""
     for name in names:
         value = getattr(settings, name)
         if isinstance(value, bool) or not isinstance(value, (int, float)) or not 0.0 < value <= sys.float_info.max:
@@ -193,7 +193,7 @@ def require_positive(settings: object, *names: str) -> None:
 
 
 def require_count(settings: object, *names: str) -> None:
-    """Raise unless the settings of these names are whole numbers above zero."""
+    """Raise InvalidInputError unless the named settings are integers > 0."""
     for name in names:
         value = getattr(settings, name)
         if isinstance(value, bool) or not isinstance(value, int) or not 1 <= value < 2**31:
@@ -203,13 +203,13 @@ def require_count(settings: object, *names: str) -> None:
 
 
 class Workspace:
-    """Bounds and row values of one size of problem, stacked in the order [box (n); rows (p); equalities (m)].
+    """Bounds and row values for problems of one size, stacked in the order [box (n); rows (p); equalities (m)].
 
     Attributes:
-        sizes: (n, m, p).
-        lower, upper: all bounds (n + p + m,), none beyond ± the backend's infinity.
-        values: x, C x and A x (n + p + m,) of the last answer tested.
-        above, below: how far those are above their upper and below their lower bounds.
+        sizes: the sizes (n, m, p).
+        lower, upper: all bounds (n + p + m,), clipped to ± the backend's infinity.
+        values: x, C x and A x (n + p + m,) of the last tested solution.
+        above, below: excess of the values over their upper bounds and below their lower bounds (n + p + m,).
     """
 
     __slots__ = (
@@ -237,12 +237,12 @@ class Workspace:
         self._worst = (0.0, 0)
 
     def load(self, problem: QpProblem, infinity: float) -> bool:
-        """Copy the bounds; False if anything in the problem is NaN, infinite where it may not be, or crossed."""
+        """Copy the bounds. False if an entry is NaN, a matrix or vector is infinite, or bounds are crossed."""
         n, m, p = self.sizes
         self._judged = None
         (lb, l, lower_b), (ub, u, upper_b), _ = self._sections
         if infinity != self._ends[0]:
-            far = np.full(max(n, p), infinity)  # a number is slower than an array
+            far = np.full(max(n, p), infinity)  # np.minimum is faster with an array than with a number
             self._ends = infinity, far, -far
         _, far, far_below = self._ends
         np.minimum(problem.ub, far[:n], out=ub)
@@ -251,7 +251,7 @@ class Workspace:
         np.maximum(problem.l, far_below[:p], out=l)
         if m:
             lower_b[:] = upper_b[:] = problem.b
-        # NaN fails every comparison, whichever operand it is in; so do lower bounds of +inf and upper ones of -inf.
+        # NaN in either operand fails the comparison; so do lower bounds of +inf and upper bounds of -inf.
         np.less_equal(self.lower, self.upper, out=self._ordered)
         limit = INFINITE * INFINITE
         return bool(
@@ -265,8 +265,8 @@ class Workspace:
     def violation(self, problem: QpProblem, x: Array) -> tuple[float, int]:
         """Largest excess of x, C x, A x over a bound (NaN if x is not finite), and the index of that entry.
 
-        Leaves in ``above`` and ``below`` how far each entry is above its upper and below its lower bound. The answer
-        for the same array x is remembered until the next problem is loaded.
+        Also updates ``values``, ``above`` and ``below``. The result for the same array x is cached until the next
+        problem is loaded.
         """
         if x is self._judged:
             return self._worst
@@ -283,7 +283,7 @@ class Workspace:
         return self._worst
 
     def name(self, index: int) -> str:
-        """Name of an entry of the stack, for messages."""
+        """Name of an entry of the stacked vectors, for messages."""
         n, _, p = self.sizes
         if index < n:
             return f"bound of x[{index}]"
@@ -292,7 +292,7 @@ class Workspace:
 
 @dataclass(slots=True)
 class Outcome:
-    """What a backend hands back: x (n,) and multipliers in the order of :class:`Workspace`, memory of their own."""
+    """Result of a backend: x (n,) and multipliers in the order of :class:`Workspace`, in their own memory."""
 
     status: SolverStatus
     x: Array | None = None
@@ -303,27 +303,29 @@ class Outcome:
 
 
 class QpSolver(abc.ABC):
-    """A solver that is kept between solves. One instance serves one sequence of problems, in one thread.
+    """A QP solver. One instance solves one sequence of problems in one thread.
 
-    Every answer depends on the problem alone up to the backend's accuracy; to the last bit it may depend on the
-    problems before, through the warm start.
+    Up to the accuracy of the backend, a solution depends on its problem only. Through the warm start, its last bits may
+    depend on earlier problems.
 
     Attributes:
-        name: the name that :func:`coopqp.control.solvers.make_solver` knows it by.
-        settings: the backend's settings.
+        name: name for :func:`coopqp.control.solvers.make_solver`.
+        settings: settings of the backend.
     """
 
     name: str
     settings: SolverSettings
+    #: It takes QPs with a positive definite H only.
+    strictly_convex_only: bool = False
 
-    #: What the backend takes as an infinite bound.
+    #: Infinite bound of the backend.
     _infinity: float = INFINITE
-    #: What the backend is known to raise on bad data.
+    #: Exceptions of the backend for bad data.
     _raises: tuple[type[Exception], ...] = (ValueError, RuntimeError, ArithmeticError)
     _workspace: Workspace | None = None
 
     def solve(self, problem: QpProblem) -> QpSolution:
-        """Solve one problem. Every failure is a status; nothing is raised for the values of the data."""
+        """Solve one problem. Every failure is a status; the values of the data never raise an error."""
         began = time.perf_counter()
         work = self._workspace
         if work is None or work.sizes != problem.sizes:
@@ -350,7 +352,7 @@ class QpSolver(abc.ABC):
         )
 
     def reset(self) -> None:
-        """Forget the warm start and the set-up: the next solve is as the first."""
+        """Forget the warm start and the set-up. The next solve is like the first."""
         self._workspace = None
         self._forget()
 
@@ -373,13 +375,13 @@ class QpSolver(abc.ABC):
                 if outcome.y is not None and not np.vdot(outcome.y, outcome.y) < np.inf:
                     outcome.y, outcome.message = None, "multipliers are not finite"
         if outcome.status is not SolverStatus.SOLVED:
-            # What a failed solve left behind is no start for the next one.
+            # The state of a failed solve is no warm start.
             self._forget()
         return outcome
 
     @abc.abstractmethod
     def _solve(self, problem: QpProblem, work: Workspace) -> Outcome:
-        """Solve tested data. May raise what :attr:`_raises` names."""
+        """Solve checked data. May raise the exceptions in :attr:`_raises`."""
 
     @abc.abstractmethod
     def _forget(self) -> None:
@@ -387,7 +389,7 @@ class QpSolver(abc.ABC):
 
 
 def settings_of(settings: Any, wanted: type[Any], name: str) -> Any:
-    """The settings given, or the defaults; raises if they are another backend's."""
+    """Return the given settings or the defaults. Raises InvalidInputError for settings of another backend."""
     if settings is None:
         return wanted()
     if not isinstance(settings, wanted):
@@ -398,12 +400,12 @@ def settings_of(settings: Any, wanted: type[Any], name: str) -> Any:
 
 
 def _largest(*parts: Array) -> float:
-    """Largest entry of all arrays, at least 0; NaN if there is one."""
+    """Largest entry of all arrays, at least 0; NaN if any entry is NaN."""
     return float(np.max([0.0, *(part.max() for part in parts if part.size)]))
 
 
 def _blame(problem: QpProblem) -> str:
-    """Which array made the data invalid. Only called when one did, so it need not be fast."""
+    """Name the invalid array. This runs only for invalid data, so it need not be fast."""
     for name in ("H", "g", "A", "b", "C"):
         array = getattr(problem, name)
         if not np.isfinite(array).all():

@@ -1,4 +1,4 @@
-"""DAQP, kept: a dual active-set method, exact and quick where few constraints are active."""
+"""DAQP, persistent: a dual active-set method, exact, and fast with few active constraints."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from coopqp.errors import MissingExtraError
 # Marks of a constraint in DAQP's ``sense``.
 _ACTIVE_UPPER, _ACTIVE_LOWER, _EQUALITY = 1, 3, 5
 
-# DAQP's exit flags. 4 is an optimum that exceeds primal_tol somewhere: our own test of the answer decides.
+# DAQP's exit flags. 4 is an optimum that violates primal_tol: the check of the solution decides.
 _STATUS = {
     1: SolverStatus.SOLVED,
     4: SolverStatus.SOLVED,
@@ -47,12 +47,12 @@ _REASON = {
 }
 
 
-#: A polished answer this far from optimal is not worth a message.
+#: Largest optimality error of a polished solution without a message.
 _ACCURACY = 1e-8
 
 
 def _is_singular(H: Array) -> bool:
-    """Whether H is positive definite no more than rounding allows to tell."""
+    """True if H is singular up to rounding."""
     try:
         diagonal = np.linalg.cholesky(H).diagonal()
     except np.linalg.LinAlgError:
@@ -62,16 +62,16 @@ def _is_singular(H: Array) -> bool:
 
 @dataclass(frozen=True, kw_only=True)
 class DaqpSettings(SolverSettings):
-    """Settings of DAQP; those not named here keep DAQP's defaults.
+    """Settings of DAQP; all others keep DAQP's defaults.
 
     Attributes:
-        primal_tol: violation of a constraint that counts as none, in the constraint's own units. It also decides
-            whether a constraint becomes active, so it bounds the error of x; DAQP's own default is 1e-6.
-        dual_tol: wrong sign of a multiplier that counts as none.
-        eta_prox: accuracy of the proximal iterations that DAQP takes where H is singular.
-        iter_limit: cap on the changes of the active set in one attempt.
-        polish: where H is singular, solve the equations of the active set. DAQP takes proximal iterations there, which
-            stop early along directions of little curvature.
+        primal_tol: violation of a constraint that counts as zero, in the constraint's units. It also decides whether a
+            constraint becomes active, so it bounds the error of x. DAQP's default is 1e-6.
+        dual_tol: multiplier of the wrong sign that counts as zero.
+        eta_prox: accuracy of DAQP's proximal iterations for a singular H.
+        iter_limit: largest number of changes of the active set in one attempt.
+        polish: for a singular H, solve the equations of the active set. DAQP's proximal iterations stop early in
+            directions of small curvature.
     """
 
     primal_tol: float = 1e-10
@@ -87,10 +87,10 @@ class DaqpSettings(SolverSettings):
 
 
 class DaqpSolver(QpSolver):
-    """DAQP with its memory and active set kept. Bit for bit repeatable.
+    """DAQP with persistent memory and active set. Repeatable bit for bit.
 
-    A failure after a warm start is solved once more from scratch before it is reported: a stale active set can make
-    DAQP call a feasible problem infeasible.
+    After a failed warm start the solver tries once more from scratch: with a stale active set DAQP can call a feasible
+    problem infeasible.
     """
 
     name = "daqp"
@@ -114,7 +114,7 @@ class DaqpSolver(QpSolver):
             flag = self._model.update(
                 H=self._H,
                 f=self._g,
-                A=self._rows if self._rows.size else None,  # DAQP looks at the first entry
+                A=self._rows if self._rows.size else None,  # DAQP reads the first entry
                 bupper=work.upper,
                 blower=work.lower,
                 sense=self._warm_sense(work),
@@ -142,7 +142,7 @@ class DaqpSolver(QpSolver):
         return outcome
 
     def _start(self, problem: QpProblem, work: Workspace) -> None:
-        """A new model, and buffers of our own: DAQP keeps pointers to what it is given."""
+        """Build a new model and private buffers: DAQP keeps pointers to its input."""
         n, m, p = work.sizes
         self._model = self._module.Model()
         self._model.settings = {
@@ -150,7 +150,7 @@ class DaqpSolver(QpSolver):
             "dual_tol": self.settings.dual_tol,
             "iter_limit": self.settings.iter_limit,
             "eta_prox": self.settings.eta_prox,
-            # Eliminate the equalities also after a warm start: without it H = 0 on some unknowns costs six digits.
+            # Also eliminate the equalities after a warm start: otherwise H = 0 on some unknowns costs six digits.
             "eq_reduction": 1,
         }
         self._H, self._g, self._rows = np.full((n, n), np.nan), np.empty(n), np.empty((p + m, n))
@@ -169,9 +169,9 @@ class DaqpSolver(QpSolver):
         self._rows[p:] = problem.A
 
     def _warm_sense(self, work: Workspace) -> NDArray[np.intc]:
-        """The active set of the last answer, less the bounds that are no more.
+        """The active set of the last solution without bounds that became infinite.
 
-        DAQP would keep its own, and step to a bound at infinity.
+        DAQP's own active set would keep them and step to infinity.
         """
         n, _, p = work.sizes
         sense = self._sense

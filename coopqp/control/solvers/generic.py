@@ -1,4 +1,4 @@
-"""Any backend of qpsolvers, by its name: built anew at every solve, so for comparisons and second opinions."""
+"""Any backend of qpsolvers, by its name. It is rebuilt for every solve; use it for comparisons."""
 
 from __future__ import annotations
 
@@ -25,8 +25,8 @@ from coopqp.control.solvers.base import (
 from coopqp.control.solvers.polish import finish
 from coopqp.errors import InvalidInputError
 
-# Default options of the backends whose own defaults break constraints by more than a command may. This route gives no
-# access to ProxQP's cap on inner iterations, nor to its accuracy of a certificate of infeasibility.
+# Default options for backends with defaults that are too inaccurate for commands. Through qpsolvers, ProxQP's cap on
+# inner iterations and its accuracy of an infeasibility certificate cannot be set.
 _TIGHT: Mapping[str, Mapping[str, Any]] = {
     "daqp": {"primal_tol": 1e-10, "iter_limit": 1000},
     "osqp": {"eps_abs": 1e-7, "eps_rel": 1e-7, "max_iter": 4000, "adaptive_rho_interval": 50},
@@ -45,10 +45,9 @@ class GenericSettings(SolverSettings):
     """Settings of a backend of qpsolvers.
 
     Attributes:
-        accuracy: an answer farther than this from optimal (:func:`~coopqp.control.solvers.polish.kkt_residual`) says so
-            in its message.
-        polish: solve the equations of the active set where the backend left more than rounding.
-        options: keyword arguments for the backend, in place of ours where we have any, else of its own defaults.
+        accuracy: largest optimality error (:func:`~coopqp.control.solvers.polish.kkt_residual`) without a message.
+        polish: solve the equations of the active set if the solution is not exact up to rounding.
+        options: keyword arguments for the backend; they replace the defaults of this module or of the backend.
     """
 
     accuracy: float = 1e-8
@@ -66,10 +65,10 @@ class GenericSettings(SolverSettings):
 
 
 class GenericSolver(QpSolver):
-    """``qpsolvers.solve_problem`` with one backend. Nothing is kept: every solve builds the backend's solver anew.
+    """``qpsolvers.solve_problem`` with one backend. Every solve builds a new solver of the backend.
 
-    Rows and bounds become one-sided inequalities, less those at infinity; those whose two bounds coincide become
-    equalities. Backends that take no dense matrices are given ``scipy.sparse.csc_matrix``.
+    Rows and bounds become one-sided inequalities, without infinite ones. Rows with equal bounds become equalities.
+    Backends without support for dense matrices get ``scipy.sparse.csc_matrix``.
     """
 
     def __init__(self, backend: str, settings: GenericSettings | None = None) -> None:
@@ -80,7 +79,7 @@ class GenericSolver(QpSolver):
         self.settings: GenericSettings = settings_of(settings, GenericSettings, self.name)
         self._backend = backend
         self._module = qpsolvers
-        # TypeError: an option that the backend does not know. AssertionError: osqp's tests of its input.
+        # TypeError: an option unknown to the backend. AssertionError: osqp's checks of its input.
         self._raises = (*QpSolver._raises, QPError, TypeError, AssertionError)
         if backend == "osqp":
             from osqp import OSQPException
@@ -109,7 +108,7 @@ class GenericSolver(QpSolver):
             b if b.size else None,
         )
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # some backends tell their status this way; ours is the message
+            warnings.simplefilter("ignore")  # some backends report their status as a warning; the message replaces it
             solution = self._module.solve_problem(stated, self._backend, **self._options)
         info = solution.extras.get("info") if isinstance(solution.extras, dict) else None
         iterations = getattr(info, "iter", 0)
@@ -133,7 +132,7 @@ class GenericSolver(QpSolver):
         return outcome
 
     def _matrix(self, dense: Array) -> Any:
-        """A copy of the matrix (backends may write into what they get), sparse where the backend wants that."""
+        """A copy of the matrix (backends may overwrite their input), sparse if the backend needs it."""
         if self._backend in self._module.dense_solvers:
             return np.array(dense, order="C")
         from scipy import sparse
@@ -142,7 +141,7 @@ class GenericSolver(QpSolver):
 
     def _status(self, reason: str) -> SolverStatus:
         text = reason.lower().replace("_", " ")
-        # qpsolvers hands on no status of quadprog, which has one way not to find a solution.
+        # qpsolvers returns no status of quadprog. Infeasibility is quadprog's only failure.
         if self._backend == "quadprog":
             return SolverStatus.INFEASIBLE
         if "dual" not in text and "inaccurate" not in text and "infeasible" in text:

@@ -1,4 +1,4 @@
-"""OSQP, kept: an operator-splitting method for sparse problems, finished by a polishing step."""
+"""OSQP, persistent: an operator-splitting method for sparse problems, with a final polishing step."""
 
 from __future__ import annotations
 
@@ -24,18 +24,18 @@ from coopqp.control.solvers.polish import finish
 
 @dataclass(frozen=True, kw_only=True)
 class OsqpSettings(SolverSettings):
-    """Settings of OSQP; those not named here keep OSQP's defaults.
+    """Settings of OSQP; all others keep OSQP's defaults.
 
     Attributes:
-        eps_abs, eps_rel: bounds on the residuals before polishing.
-        eps_infeasible: accuracy of a certificate of infeasibility.
-        max_iter: cap on the iterations of one attempt.
-        check_termination: iterations between two tests of the residuals.
-        adaptive_rho_interval: iterations between two updates of the penalty; fixed, so that runs repeat bit for bit.
-        accuracy: an answer farther than this from optimal (:func:`~coopqp.control.solvers.polish.kkt_residual`) says so
-            in its message.
-        polish: solve the equations of the active set, so that answers are exact to rounding. OSQP alone takes
-            thousands of iterations to get near that.
+        eps_abs, eps_rel: largest absolute and relative residuals before polishing.
+        eps_infeasible: accuracy of an infeasibility certificate.
+        max_iter: largest number of iterations of one attempt.
+        check_termination: number of iterations between two tests of the residuals.
+        adaptive_rho_interval: number of iterations between two updates of the penalty; fixed, for runs that repeat bit
+            for bit.
+        accuracy: largest optimality error (:func:`~coopqp.control.solvers.polish.kkt_residual`) without a message.
+        polish: solve the equations of the active set for solutions that are exact up to rounding. OSQP alone needs
+            thousands of iterations for a similar accuracy.
     """
 
     eps_abs: float = 1e-7
@@ -54,9 +54,10 @@ class OsqpSettings(SolverSettings):
 
 
 class OsqpSolver(QpSolver):
-    """``osqp.OSQP``, updated between solves and started from its previous result. Bit for bit repeatable.
+    """``osqp.OSQP``, updated between solves and warm started. Repeatable bit for bit.
 
-    Kept are the places of the entries that have not been zero; a problem with others is set up anew, for all of them.
+    The solver keeps the pattern of nonzero entries. For a problem with other nonzero entries it extends the pattern and
+    sets OSQP up again.
     """
 
     name = "osqp"
@@ -85,7 +86,7 @@ class OsqpSolver(QpSolver):
         return outcome
 
     def _start(self, problem: QpProblem, work: Workspace) -> None:
-        """Set up for the entries that are not zero, and those that were not in the problems before."""
+        """Set up OSQP for the nonzero entries of this problem and of earlier ones."""
         from scipy import sparse
 
         n, m, p = work.sizes
@@ -96,7 +97,7 @@ class OsqpSolver(QpSolver):
         if self._entries is not None:
             in_P, in_A = in_P | self._entries[0], in_A | self._entries[1]
         self._entries = in_P, in_A
-        # By columns: both masks have a row for each of them.
+        # Column by column: a row of each mask is a column of its matrix.
         self._upper, self._places = np.flatnonzero(in_P), np.flatnonzero(in_A)
         self._P, self._A = np.empty(self._upper.size), np.empty(self._places.size)
         if not self._load(problem):
@@ -121,21 +122,21 @@ class OsqpSolver(QpSolver):
             max_iter=own.max_iter,
             check_termination=own.check_termination,
             adaptive_rho_interval=own.adaptive_rho_interval,
-            # OSQP's own polishing prints to the terminal, verbose or not, whenever no constraint is active.
+            # OSQP's own polishing prints to the terminal if no constraint is active, even with verbose=False.
             polishing=False,
         )
 
     def _stack(self, problem: QpProblem) -> None:
-        """The rows [I; C; A], without the zeros of I, by columns."""
+        """Stack the rows [I; C; A] by columns, without the zeros of I."""
         p = problem.l.size
         if p:
             self._stacked[:, 1 : 1 + p] = problem.C.T
         self._stacked[:, 1 + p :] = problem.A.T
 
     def _load(self, problem: QpProblem) -> bool:
-        """Copy the entries of H and the rows into OSQP's order; False if there are others than these."""
+        """Copy the entries of H and the rows into OSQP's order. False if an entry outside the pattern is not zero."""
         self._stack(problem)
-        # The transpose of H is H.
+        # H is symmetric.
         np.take(problem.H.reshape(-1), self._upper, out=self._P)
         np.take(self._stacked.reshape(-1), self._places, out=self._A)
         stored = 2 * np.count_nonzero(self._P) - np.count_nonzero(problem.H.diagonal())

@@ -1,4 +1,4 @@
-"""From an approximate answer to an exact one: solve the equations of the constraints that the multipliers point at."""
+"""Polishing of an approximate solution: the multipliers select the active constraints, whose equations are solved."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ from numpy.typing import NDArray
 
 from coopqp.control.solvers.base import INFINITE, Array, Outcome, QpProblem, SolverStatus, Workspace
 
-#: Residuals up to these are rounding: nothing is left to polish.
+#: Largest absolute and relative residuals that count as rounding; polishing stops there.
 _EXACT, _EXACT_RELATIVE = 1e-13, 1e-10
-#: Multipliers up to this are none.
+#: Largest multiplier that counts as zero.
 _NO_MULTIPLIER = 1e-8
-#: Active sets tried; more than a few mean that the answer was not near.
+#: Largest number of tried active sets. If a few do not suffice, the solution was not near the optimum.
 _ROUNDS = 8
-#: Unknowns of this size are no answer to anything: a proof up to here is one of infeasibility.
-_REACH = 1e5
+#: Largest max |x| that a proof of infeasibility has to cover.
+REACH = 1e5
 #: Regularisation of the equations, taken out again by refinement: a handful of times where H is nearly singular on
 #: what the active constraints leave free, as near a singularity.
 _DELTA = 1e-10
@@ -27,12 +27,12 @@ _CONVERGED = 1e-15
 
 @dataclass(slots=True)
 class Residual:
-    """How far an answer is from optimal.
+    """Optimality error of a solution.
 
     Attributes:
         absolute: the :func:`kkt_residual`.
-        relative: the same with what depends on the multipliers in units of the largest of them. An answer whose
-            multipliers all but vanish is near an optimum in the absolute sense, and may be far from it.
+        relative: the same residual, but with all terms of the multipliers divided by the largest multiplier. If all
+            multipliers are tiny, the absolute residual is small even far from the optimum.
     """
 
     absolute: float
@@ -40,23 +40,23 @@ class Residual:
 
     @property
     def exact(self) -> bool:
-        """Nothing but rounding is left."""
+        """True if only rounding is left."""
         return self.absolute <= _EXACT and self.relative <= _EXACT_RELATIVE
 
     def __lt__(self, other: Residual) -> bool:
-        """Nearer to optimal; what is below rounding in the absolute sense counts as that."""
+        """Compare optimality; absolute residuals below rounding count as equal."""
         mine, theirs = max(self.absolute, _EXACT), max(other.absolute, _EXACT)
         return mine < theirs or (mine == theirs and self.relative < other.relative)
 
 
 def finish(problem: QpProblem, work: Workspace, outcome: Outcome, accuracy: float, *, polished: bool) -> float:
-    """Judge what a solver reached and, if asked to, polish it in place.
+    """Judge the result of a solver and, if ``polished``, polish it in place.
 
-    A residual within the accuracy makes the outcome ``SOLVED`` whatever the solver thought of it: it is measured. And
-    multipliers that grew without end in a solve that hit its cap often prove that there is no answer.
+    If the measured residual is within the accuracy, the status becomes ``SOLVED``, whatever the solver reported. If a
+    solve hit its cap with multipliers that grow without bound, these often prove that no solution exists.
 
     Returns:
-        The :func:`kkt_residual` of the outcome; infinite if it holds no numbers.
+        The :func:`kkt_residual` of the outcome; infinite without finite numbers.
     """
     if outcome.x is None or outcome.y is None:
         return np.inf
@@ -71,30 +71,30 @@ def finish(problem: QpProblem, work: Workspace, outcome: Outcome, accuracy: floa
         residual = _polish(problem, work, outcome, residual)
     if residual.absolute <= accuracy:
         outcome.status, outcome.message = SolverStatus.SOLVED, ""
-    elif outcome.status is SolverStatus.MAX_ITERATIONS and excluded_ball(problem, work, raw) > _REACH:
+    elif outcome.status is SolverStatus.MAX_ITERATIONS and excluded_ball(problem, work, raw) > REACH:
         outcome.status = SolverStatus.INFEASIBLE
-        outcome.message = f"infeasible: the multipliers prove that no x up to {_REACH:.0e} meets the constraints"
+        outcome.message = f"infeasible: the multipliers prove that no x up to {REACH:.0e} meets the constraints"
     elif outcome.status is SolverStatus.SOLVED:
         outcome.message = f"optimal to {residual.absolute:.1e} only"
     return residual.absolute
 
 
 def kkt_residual(problem: QpProblem, work: Workspace, x: Array, y: Array) -> float:
-    """How far x (n,) and y (n + p + m,), stacked as in the workspace, are from optimal: 0 at an optimum.
+    """Optimality error of x (n,) and y (n + p + m,), stacked as in the workspace; 0 at an optimum.
 
-    The largest of: a violated constraint, min(|y|, distance to the bound that y pushes from), and the gradient of the
-    Lagrangian, the last over 1 + the largest |y|. NaN where x or y is. Leaves x, C x, A x in the workspace.
+    This is the largest violation of a constraint, min(|y|, distance to the active bound of y), or entry of the
+    Lagrangian's gradient divided by 1 + max|y|. NaN if x or y contain NaN. Writes x, C x, A x into the workspace.
     """
     return measure(problem, work, x, y).absolute
 
 
 def measure(problem: QpProblem, work: Workspace, x: Array, y: Array) -> Residual:
-    """As :func:`kkt_residual`, in both senses."""
+    """The absolute and the relative :func:`kkt_residual`."""
     n, m, p = work.sizes
     violation, _ = work.violation(problem, x)
     bounded = n + p
     size = np.abs(y)
-    # x[x.argmax()] is x.max(), NaN and all, at a quarter of the cost.
+    # x[x.argmax()] equals x.max(), also for NaN, at a quarter of the cost.
     largest, widest = size.item(size.argmax()), 0.0
     slope = np.dot(problem.H, x)
     slope += problem.g
@@ -118,10 +118,10 @@ def measure(problem: QpProblem, work: Workspace, x: Array, y: Array) -> Residual
 
 
 def excluded_ball(problem: QpProblem, work: Workspace, y: Array) -> float:
-    """Size of the unknowns, max |x|, below which y (n + p + m,) proves that no x meets the constraints.
+    """Radius r such that y (n + p + m,) proves: no x with max|x| < r satisfies the constraints.
 
-    Every feasible x has yᵀ G x ≤ s, with G the stacked rows and s the sum of y times the bound on its side; so if
-    s < 0, then max |x| ≥ −s / Σ|Gᵀ y|. Zero or less proves nothing.
+    Every feasible x satisfies yᵀ G x ≤ s, with the stacked rows G and the sum s of y times the bound on its side. So if
+    s < 0, then max|x| ≥ −s / Σ|Gᵀ y|. A result ≤ 0 proves nothing.
     """
     n, _, p = work.sizes
     y = np.where((y > 0.0) & (work.upper >= INFINITE) | (y < 0.0) & (work.lower <= -INFINITE), 0.0, y)
@@ -131,9 +131,9 @@ def excluded_ball(problem: QpProblem, work: Workspace, y: Array) -> float:
 
 
 def _polish(problem: QpProblem, work: Workspace, outcome: Outcome, residual: Residual) -> Residual:
-    """Steps of a primal-dual active-set method from x and y of the outcome; keeps the best, returns its residual.
+    """Do steps of a primal-dual active-set method from x and y of the outcome. Keeps the best; returns its residual.
 
-    Expects x, C x, A x of the outcome in the workspace, where :func:`measure` leaves them.
+    The workspace must contain x, C x, A x of the outcome, as after :func:`measure`.
     """
     assert outcome.x is not None
     assert outcome.y is not None
@@ -142,7 +142,7 @@ def _polish(problem: QpProblem, work: Workspace, outcome: Outcome, residual: Res
     fixed = work.lower == work.upper
     previous = b""
     for _ in range(_ROUNDS):
-        # Active where the multiplier outweighs the distance to its bound.
+        # A constraint is active if its multiplier exceeds the distance to its bound.
         at_upper = work.above + y > 0.0
         at_upper |= fixed
         at_lower = work.below - y > 0.0
@@ -171,7 +171,7 @@ def _polish(problem: QpProblem, work: Workspace, outcome: Outcome, residual: Res
 def _equations(
     problem: QpProblem, work: Workspace, active: NDArray[np.intp], at_upper: NDArray[np.bool_]
 ) -> tuple[Array, Array] | None:
-    """The minimum with the active constraints at their bounds, and their multipliers; None if it is not finite."""
+    """The minimum with the active constraints at their bounds, and the multipliers; None if it is not finite."""
     n, _, p = work.sizes
     k = active.size
     first, second = np.searchsorted(active, (n, n + p)).tolist()
@@ -192,13 +192,13 @@ def _equations(
     diagonal[:n] += _DELTA
     diagonal[n:] -= _DELTA
     factors = eigenpy.PartialPivLU(shifted)
-    solution: Array = factors.solve(right).reshape(n + k)  # eigenpy makes a matrix of a single number
+    solution: Array = factors.solve(right).reshape(n + k)  # eigenpy returns a matrix for a single number
     last, size = np.inf, float(np.vdot(solution, solution))
     for _ in range(_REFINEMENTS):
         correction = factors.solve(right - np.dot(exact, solution)).reshape(n + k)
         length = float(np.vdot(correction, correction))
         if not length < 0.25 * last:
-            break  # as near as rounding allows; or not finite
+            break  # limited by rounding, or not finite
         solution += correction
         if length <= _CONVERGED**2 * size:
             break

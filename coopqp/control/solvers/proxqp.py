@@ -1,4 +1,4 @@
-"""ProxQP, kept: a proximal augmented Lagrangian method for dense problems."""
+"""ProxQP, persistent: a proximal augmented Lagrangian method for dense problems."""
 
 from __future__ import annotations
 
@@ -25,20 +25,22 @@ _ATTEMPTS = ("warm", "cold", "fixed penalties")
 
 @dataclass(frozen=True, kw_only=True)
 class ProxqpSettings(SolverSettings):
-    """Settings of ProxQP; those not named here keep ProxQP's defaults.
+    """Settings of ProxQP; all others keep ProxQP's defaults.
 
     Attributes:
-        eps_abs: bound on the primal and the dual residual, and on the duality gap if that is checked.
-        eps_infeasible: accuracy of ProxQP's certificate of infeasibility. Its own 1e-4, and even 1e-9, call feasible
-            problems with nearly parallel rows infeasible; most that are, the multipliers prove at the cap.
-        max_iter, max_iter_in: caps on the outer iterations and on the inner ones of each outer one. ProxQP holds
-            the interpreter lock while it iterates, so that nothing else could stop it.
-        max_iter_warm, max_iter_in_warm: the same after a warm start, where long runs do not end well.
-        check_duality_gap: without it a kept ProxQP returns the last answer again when bounds only relax.
-        accuracy: an answer farther than this from optimal (:func:`~coopqp.control.solvers.polish.kkt_residual`) is
-            polished, then solved again from scratch. The duality gap alone lets an error of √eps_abs pass.
-        polish: solve the equations of the active set, so that answers are exact to rounding.
-        update_preconditioner: scale the problem anew at every solve; costs more than it gains unless rows change
+        eps_abs: largest primal and dual residual, and largest duality gap if it is checked.
+        eps_infeasible: accuracy of ProxQP's infeasibility certificate. With ProxQP's default 1e-4, and even with 1e-9,
+            feasible problems with nearly parallel rows are called infeasible. For most infeasible problems the
+            multipliers at the iteration cap prove it.
+        max_iter, max_iter_in: largest numbers of outer iterations and of inner iterations per outer one. ProxQP holds
+            the interpreter lock during its iterations, so nothing else could stop it.
+        max_iter_warm, max_iter_in_warm: the same numbers after a warm start; long warm-started runs rarely succeed.
+        check_duality_gap: also check the duality gap. Without this check a persistent ProxQP repeats its last solution
+            when bounds only relax.
+        accuracy: largest accepted optimality error (:func:`~coopqp.control.solvers.polish.kkt_residual`). A worse
+            solution is polished, then solved again from scratch. The duality gap alone accepts an error of √eps_abs.
+        polish: solve the equations of the active set for solutions that are exact up to rounding.
+        update_preconditioner: scale the problem again at every solve. This costs more than it gains unless rows change
             their magnitudes.
     """
 
@@ -60,10 +62,10 @@ class ProxqpSettings(SolverSettings):
 
 
 class ProxqpSolver(QpSolver):
-    """``proxsuite.proxqp.dense.QP``, updated between solves and started from its previous result.
+    """``proxsuite.proxqp.dense.QP``, updated between solves and warm started.
 
-    Up to three attempts are made: warm, from scratch, and from scratch with a fixed penalty schedule in place of the
-    adaptive one, which solves most of what the adaptive one cannot. Not repeatable to the last bit (1e-13).
+    The solver makes up to three attempts: warm, from scratch, and from scratch with a fixed penalty schedule. The fixed
+    schedule solves most problems that the adaptive one cannot. Results repeat up to 1e-13, not bit for bit.
     """
 
     name = "proxqp"
@@ -91,7 +93,7 @@ class ProxqpSolver(QpSolver):
             if residual < least if solved else best.status not in (SolverStatus.SOLVED, SolverStatus.INFEASIBLE):
                 best, least = outcome, residual if solved else np.inf
             if outcome.status is SolverStatus.INFEASIBLE:
-                # One proof of ours settles it; ProxQP's word is taken when given twice.
+                # One proof by multipliers is enough; ProxQP has to report infeasibility twice.
                 infeasible += 1 if outcome.y is None else 2
             if residual <= self.settings.accuracy or infeasible >= 2:
                 break
@@ -109,8 +111,8 @@ class ProxqpSolver(QpSolver):
             self._qp.update(*data, update_preconditioner=own.update_preconditioner)
             return
         dense = self._module.dense
-        # ProxQP would choose the other factorisation where rows outnumber unknowns, and takes three times as many
-        # iterations with it.
+        # With more rows than unknowns ProxQP would choose the other factorisation, which takes three times as many
+        # iterations.
         self._qp = dense.QP(n, m, p, True, dense_backend=dense.DenseBackend.PrimalDualLDLT)
         theirs = self._qp.settings
         theirs.initial_guess = self._module.WARM_START_WITH_PREVIOUS_RESULT
@@ -125,7 +127,7 @@ class ProxqpSolver(QpSolver):
     def _read(self, work: Workspace) -> Outcome:
         proxqp, results = self._module, self._qp.results
         status, iterations = results.info.status, int(results.info.iter)
-        # ProxQP's own memory would change with the next solve; its z is [rows; box].
+        # Copy: the next solve changes ProxQP's memory. Its z is [rows; box].
         n, _, p = work.sizes
         z = results.z
         x, y = np.array(results.x), np.concatenate([z[p : p + n], z[:p], results.y])

@@ -1,6 +1,6 @@
-"""A cell and its task in a TOML or YAML file, instead of in code: :func:`load_cell_file`, then :meth:`CellRun.run`.
+"""Cell files: a cell and its task in TOML or YAML. Use :func:`load_cell_file`, then :meth:`CellRun.run`.
 
-Reading executes nothing: every name in a file is looked up in a fixed table. Needs the extra ``files``.
+Reading a file executes nothing: every name in it is looked up in a fixed table. Needs the extra ``files``.
 """
 
 from __future__ import annotations
@@ -9,17 +9,21 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from coopqp.errors import MissingExtraError
+from coopqp.errors import CoopqpError, MissingExtraError
 
 if TYPE_CHECKING:
     from coopqp.files.cellfile.build import CellRun
 
-__all__ = ["CELLS", "example_path", "json_schema", "load_cell_file", "schema_text"]
+__all__ = ["CELLS", "CellFileError", "example_path", "json_schema", "load_cell_file", "schema_text"]
 
 #: Endings of cell files in TOML, and in YAML.
 TOML_SUFFIX, YAML_SUFFIXES = ".toml", (".yaml", ".yml")
-#: Cell files that come with coopqp, by the stem of their name.
+#: Stems of the cell files that come with coopqp.
 CELLS = ("paper_lift",)
+
+
+class CellFileError(CoopqpError):
+    """A cell file is missing, is neither TOML nor YAML, or breaks the schema."""
 
 
 def example_path(name: str) -> Path:
@@ -39,8 +43,8 @@ def load_cell_file(path: str | Path) -> CellRun:
     """Read a cell file and build its cell, task and controller settings.
 
     Raises:
-        CellFileError: the file is missing, too large, neither TOML nor YAML, or breaks the schema; or what it asks for
-            cannot be built: a missing model, a pose out of reach, … It says what and where.
+        CellFileError: the file is missing, too large, neither TOML nor YAML, or breaks the schema; or the cell cannot
+            be built (a missing model, a pose out of reach, …). The message names the problem and its place.
         MissingExtraError: the extra ``files`` is not installed.
     """
     _require_readers()
@@ -50,7 +54,7 @@ def load_cell_file(path: str | Path) -> CellRun:
 
 
 def schema_text() -> str:
-    """Every key of a cell file with its type, unit, default and meaning, to be read."""
+    """Every key of a cell file with its type, unit, default and meaning, as readable text."""
     _require_readers()
     from coopqp.files.cellfile.describe import describe_schema
 

@@ -1,4 +1,4 @@
-"""From the text of a cell file to the objects of a run."""
+"""Building the objects of a run from a cell file."""
 
 from __future__ import annotations
 
@@ -17,11 +17,13 @@ from coopqp.control.independent import IndependentQPController, IndependentQPOpt
 from coopqp.control.options import QPOptions
 from coopqp.control.pseudo_inverse import PseudoInverseController, PseudoInverseOptions
 from coopqp.control.qp import QPController
+from coopqp.control.solvers import default_solver
 from coopqp.errors import CoopqpError, InvalidInputError, MissingExtraError, UnknownNameError
+from coopqp.files.cellfile import CellFileError
 from coopqp.files.cellfile.explain import explain
 from coopqp.files.cellfile.schema import MAX_STEPS, ArmTable, CellFile, CommonErrorTable, PlacementTable, StartTable
 from coopqp.files.cellfile.strict import build_options
-from coopqp.files.cellfile.text import CellFileError, read_tables
+from coopqp.files.cellfile.text import read_tables
 from coopqp.model.cell import Arm, RobotCell
 from coopqp.model.grasp import Grasp
 from coopqp.model.inverse_kinematics import inverse_kinematics
@@ -44,7 +46,7 @@ _CONTROLLERS: dict[str, tuple[Any, Any]] = {
     "pseudo_inverse": (PseudoInverseController, PseudoInverseOptions),
     "independent": (IndependentQPController, IndependentQPOptions),
 }
-_SOLVER_SETTINGS = {"proxqp": "ProxqpSettings", "osqp": "OsqpSettings", "daqp": "DaqpSettings"}
+_SOLVER_SETTINGS = {"proxqp": "ProxqpSettings", "osqp": "OsqpSettings", "daqp": "DaqpSettings", "ldp": "LdpSettings"}
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,12 +54,12 @@ class CellRun:
     """A run that a cell file describes.
 
     Attributes:
-        scenario: the cell, grasp, path, start and object.
+        scenario: cell, grasp, path, start and object.
         controller_kind: ``"qp"``, ``"pseudo_inverse"`` or ``"independent"``.
-        options: settings of the controller, its options dataclass.
-        settle: how long to go on after the end [s].
+        options: options dataclass of the controller.
+        settle: time that the run continues after the end of the path [s].
         longest: longest run [s], or None.
-        settings: the file, as plain data; the ``output`` of its tables says what to write.
+        settings: contents of the file as plain data; its table ``output`` selects the files to write.
     """
 
     scenario: Scenario
@@ -106,10 +108,10 @@ class CellRun:
 
 
 def read(file: Path) -> CellFile:
-    """Read and check a cell file; nothing is built yet.
+    """Read and check a cell file. Builds nothing.
 
     Raises:
-        CellFileError: as :func:`read_tables`, or against the schema.
+        CellFileError: as in :func:`read_tables`, or the file breaks the schema.
     """
     data = read_tables(file)
     try:
@@ -119,7 +121,7 @@ def read(file: Path) -> CellFile:
 
 
 def load(file: Path) -> CellRun:
-    """Read a cell file, build what it describes, and try its controller; every error names the file."""
+    """Read a cell file, build its objects, and test its controller. Every error names the file."""
     settings = read(file)
     try:
         run = build(settings, file.parent)
@@ -133,7 +135,7 @@ def load(file: Path) -> CellRun:
 
 
 def build(file: CellFile, folder: Path) -> CellRun:
-    """Build what a cell file describes; its paths are relative to ``folder``. Errors name the arm or table."""
+    """Build the objects of a cell file. Its paths are relative to ``folder``. Errors name the arm or table."""
     cell = RobotCell([_arm(arm, folder) for arm in file.arms])
     path, q_near = _path(file), _start(file.start, cell)
     if file.grasp.kind == "latched":
@@ -164,7 +166,7 @@ def build(file: CellFile, folder: Path) -> CellRun:
 
 
 class _BuildError(CoopqpError):
-    """What a file asks for and nobody can build; :func:`load` adds the file's name."""
+    """A cell file describes something that cannot be built. :func:`load` adds the name of the file."""
 
 
 def _placement(table: PlacementTable) -> pin.SE3:
@@ -173,12 +175,12 @@ def _placement(table: PlacementTable) -> pin.SE3:
     angles = np.deg2rad(table.rpy_deg) if table.rpy_deg is not None else np.array(table.rpy_rad or (0.0, 0.0, 0.0))
     R = pin.rpy.rpyToMatrix(angles)
     whole = np.round(R)
-    R = np.where(np.abs(R - whole) < 4e-16, whole, R)  # quarter turns are exact
+    R = np.where(np.abs(R - whole) < 4e-16, whole, R)  # make quarter turns exact
     return pin.SE3(R, np.array(table.xyz_m or (0.0, 0.0, 0.0)))
 
 
 def _in_radians(given: Any, sliding: Sequence[bool], where: str, *, degrees: bool) -> Array:
-    """Joint values (n,) in radians, of joints that slide in metres, from one number or n."""
+    """Joint values (n,) in radians (prismatic joints in metres), from one number or n numbers."""
     n = len(sliding)
     values = np.array(given, dtype=float)
     if values.ndim and values.shape != (n,):
@@ -216,7 +218,7 @@ def _arm(table: ArmTable, folder: Path) -> Arm:
 
 
 def _by_arm(given: Mapping[str, Any], cell: RobotCell, where: str) -> list[Any]:
-    """The values of a table by arm, in the order of the arms; every arm must be there."""
+    """The values of a table with one key per arm, in the order of the arms. Every arm must have a key."""
     for name in given:
         if name not in cell.arm_names:
             raise UnknownNameError("arm", name, cell.arm_names, where)
@@ -272,7 +274,10 @@ def _options(kind: str, table: Any) -> Any:
     replaced: dict[str, Any] = {}
     if getattr(table, "solver_settings", None) is not None:
         default = _CONTROLLERS[kind][1]().solver
-        replaced["solver_settings"] = _solver_settings(table.solver or default, table.solver_settings)
+        chosen = table.solver or default
+        replaced["solver_settings"] = _solver_settings(
+            default_solver() if chosen == "auto" else chosen, table.solver_settings
+        )
     if isinstance(getattr(table, "common_error", None), CommonErrorTable):
         replaced["common_error"] = _common_error(table.common_error)
     return build_options(_CONTROLLERS[kind][1], table, **replaced)

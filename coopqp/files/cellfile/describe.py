@@ -1,4 +1,4 @@
-"""The schema of a cell file as a text that people read."""
+"""The schema of a cell file as readable text."""
 
 from __future__ import annotations
 
@@ -21,16 +21,16 @@ _WORDS = {float: "number", int: "whole number", bool: "true or false", str: "tex
 def describe_schema() -> str:
     """Every key with its type, unit, default and meaning."""
     lines = [
-        "A coopqp cell file: TOML, or YAML with the same keys. Those with * must be given. Units are in the names:",
-        "_m metres, _deg degrees, _rad radians, _s seconds, _kg kilograms. A joint that slides is given in metres",
-        "(m/s, m/s²) under either angle unit. Paths are relative to the file.",
+        "A coopqp cell file: TOML, or YAML with the same keys. Keys with * are required. Units are in the names:",
+        "_m metres, _deg degrees, _rad radians, _s seconds, _kg kilograms. Prismatic joints use metres (m/s, m/s²)",
+        "under the keys of either angle unit. Paths are relative to the file.",
     ]
     lines += _table("", CellFile)
     return "\n".join(lines) + "\n"
 
 
 def _table(path: str, table: type[BaseModel], kind: str = "") -> Iterator[str]:
-    """The keys of a table, then the tables in it."""
+    """The lines of a table's keys, then of the tables inside it."""
     head = f"[{path}]" if path and not path.endswith("]]") else path
     yield ""
     title = f"{head}{f'  kind = {kind!r}' if kind else ''}".replace("'", '"')
@@ -47,7 +47,7 @@ def _table(path: str, table: type[BaseModel], kind: str = "") -> Iterator[str]:
             inner.append((f"[[{place}]]" if repeated and not path else place, member, tag))
         yield from _key(key, field)
     for place, member, tag in inner:
-        if member.__name__ != "PlacementTable" or place == "arms.base":  # the same everywhere: once
+        if member.__name__ != "PlacementTable" or place == "arms.base":  # print the placement table only once
             yield from _table(place, member, tag)
 
 
@@ -76,7 +76,7 @@ def _tag(table: type[BaseModel]) -> str:
 
 
 def _plain(kind: Any) -> Any:
-    """A type without its constraints and without None or false in its place."""
+    """A type without constraints, and without None or false as alternatives."""
     if typing.get_origin(kind) is typing.Annotated:
         return _plain(typing.get_args(kind)[0])
     if typing.get_origin(kind) in (Union, types.UnionType):
@@ -87,7 +87,7 @@ def _plain(kind: Any) -> Any:
 
 
 def _tables(kind: Any) -> list[type[BaseModel]]:
-    """The tables in a type."""
+    """The table classes in a type."""
     if isinstance(kind, type) and issubclass(kind, BaseModel):
         return [kind]
     return [table for member in typing.get_args(kind) for table in _tables(member)]

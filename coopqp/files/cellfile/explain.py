@@ -1,4 +1,4 @@
-"""What is wrong with a cell file, and where, in words."""
+"""Error messages of a cell file: each names a problem and its place."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ from typing import Any
 
 from pydantic import ValidationError
 
-#: Most problems that one message lists.
+#: Largest number of problems in one message.
 MAX_PROBLEMS = 5
-#: Unions of the schema: the tag that pydantic puts into a place is none of the file's keys.
+#: Unions of the schema. Pydantic adds their tag to a place; the tag is not a key of the file.
 _UNIONS = ("grasp", "path", "controller", "plant")
 _KINDS = {
     "float_type": "a number",
@@ -29,11 +29,11 @@ _OWN = ("unknown_key", "cell_file")
 
 
 def explain(error: ValidationError) -> str:
-    """The problems, each with its place; at most :data:`MAX_PROBLEMS` of them."""
+    """The problems with their places, at most :data:`MAX_PROBLEMS`."""
     by_place: dict[str, list[Any]] = {}
     for problem in error.errors(include_url=False):
         by_place.setdefault(_place(problem["loc"]), []).append(problem)
-    # A value that fits no member of a union makes a problem for each of them.
+    # For a union, pydantic reports one problem per member.
     texts = [f"{place}: {_words(problems)}" for place, problems in by_place.items()]
     more = len(texts) - MAX_PROBLEMS
     return "; ".join(texts[:MAX_PROBLEMS]) + (f"; and {more} more" if more > 0 else "") + "."
@@ -81,7 +81,7 @@ def _expects_false(problem: Any) -> bool:
 
 
 def _place(location: Sequence[int | str]) -> str:
-    """``arms[0].base.xyz_m`` from pydantic's location, whose names of types are left out."""
+    """Convert pydantic's location to ``arms[0].base.xyz_m``, without the names of types."""
     parts = list(location)
     if len(parts) > 1 and parts[0] in _UNIONS:
         del parts[1]

@@ -1,6 +1,6 @@
 """The keys of a cell file. Units are in the names: ``_m`` metres, ``_deg`` degrees, ``_rad`` radians, ``_s`` seconds.
 
-A joint that slides is given in metres (and m/s, m/s²) under the keys of either angle unit.
+Prismatic joints use metres (m/s, m/s²) under the keys of either angle unit.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from coopqp.files.cellfile.strict import MAX_LIST, Numbers, Table, Vector3, tabl
 from coopqp.scenarios.robots import ROBOT_NAMES
 from coopqp.simulation.plants.physics_options import PhysicsOptions
 
-#: Most arms, steps and waypoints of a run.
+#: Largest accepted numbers of arms, steps and waypoints of a run.
 MAX_ARMS, MAX_STEPS, MAX_WAYPOINTS = 128, 1_000_000, 1_000
 
 Name = Annotated[str, Len(1, 100)]
@@ -34,7 +34,7 @@ def _problem(text: str) -> PydanticCustomError:
 
 
 def exactly_one(table: Table, *keys: str) -> str:
-    """The one of ``keys`` that is given; an error unless it is one."""
+    """Return the given one of ``keys``; an error if none or several are given."""
     given = [key for key in keys if getattr(table, key) is not None]
     if len(given) != 1:
         raise _problem(f"give one of {', '.join(keys)}" + (f", not {' and '.join(given)}" if given else ""))
@@ -42,7 +42,7 @@ def exactly_one(table: Table, *keys: str) -> str:
 
 
 def at_most_one(table: Table, *keys: str) -> None:
-    """An error if more than one of ``keys`` is given."""
+    """Raise an error if more than one of ``keys`` is given."""
     given = [key for key in keys if getattr(table, key) is not None]
     if len(given) > 1:
         raise _problem(f"give {' or '.join(given)}, not both")
@@ -55,7 +55,7 @@ class PlacementTable(Table):
     rpy_deg: Vector3 | None = Field(default=None, description="turns about the fixed x, y and z axes, in this order")
     rpy_rad: Vector3 | None = Field(default=None, description="the same in radians")
     matrix: Annotated[list[Annotated[list[float], Len(4, 4)]], Len(4, 4)] | None = Field(
-        default=None, description="rows of the homogeneous matrix, in metres, instead of all else"
+        default=None, description="rows of the homogeneous matrix [m], in place of the other keys"
     )
 
     @model_validator(mode="after")
@@ -66,7 +66,7 @@ class PlacementTable(Table):
 
 
 class LimitsTable(Table):
-    """Limits that replace those of the model: one number for all joints, or one per joint; ``inf`` for none."""
+    """Limits in place of the model's: one number for all joints, or one per joint; ``inf`` means no limit."""
 
     lower_deg: PerJoint | None = Field(default=None, description="lowest position")
     upper_deg: PerJoint | None = Field(default=None, description="highest position")
@@ -85,18 +85,22 @@ class LimitsTable(Table):
 
 
 class ArmTable(Table):
-    """One arm: its model, the frame that holds the object, where its base stands, its limits."""
+    """One arm: its model, its tool frame, the placement of its base, its limits."""
 
     name: Name = Field(description="unique name, without '/'")
     robot: Literal[ROBOT_NAMES] | None = Field(default=None, description="a robot that comes with coopqp")  # type: ignore[valid-type]
     urdf: Name | None = Field(default=None, description="URDF file, relative to this file")
     mjcf: Name | None = Field(default=None, description="MJCF file, relative to this file")
     tool_frame: Name | None = Field(
-        default=None, description="link or frame that holds the object; a robot has its own"
+        default=None, description="link or frame that holds the object; optional with robot"
     )
-    base: PlacementTable = Field(default_factory=PlacementTable, description="where the root of the model stands")
-    package_dirs: Annotated[list[Name], Len(0, 20)] = Field(default=[], description="where package:// paths begin")
-    locked_joints_deg: dict[Name, float] = Field(default={}, description="joints to freeze, and where")
+    base: PlacementTable = Field(
+        default_factory=PlacementTable, description="placement of the model's root in the world"
+    )
+    package_dirs: Annotated[list[Name], Len(0, 20)] = Field(
+        default=[], description="folders that resolve package:// paths"
+    )
+    locked_joints_deg: dict[Name, float] = Field(default={}, description="joints to lock, with their positions")
     locked_joints_rad: dict[Name, float] = Field(default={}, description="the same in radians")
     limits: LimitsTable = Field(default_factory=LimitsTable, description="limits in place of the model's")
 
@@ -108,7 +112,7 @@ class ArmTable(Table):
 
 
 class TriangleGrasp(Table):
-    """The paper's grasp: tools at A (0, 0), B (−β, 3α), C (β, 3α) of a plate, whose frame is that of A."""
+    """The paper's grasp: tools at A (0, 0), B (−β, 3α), C (β, 3α); the object frame is the frame of A."""
 
     kind: Literal["triangle"]
     alpha_m: Annotated[float, Gt(0.0)] = Field(description="α: a third of the triangle's height")
@@ -116,20 +120,20 @@ class TriangleGrasp(Table):
 
 
 class ToolsGrasp(Table):
-    """Where each tool sits on the object."""
+    """Placement of each tool on the object."""
 
     kind: Literal["tools"]
     tools: dict[Name, PlacementTable] = Field(description="placement of each arm's tool in the object frame, by arm")
 
 
 class LatchedGrasp(Table):
-    """The grasp is wherever the tools are at the start; the path's first pose says where the object is."""
+    """The grasp follows from the tools at the start and the first pose of the path."""
 
     kind: Literal["latched"]
 
 
 class DisplacementTable(Table):
-    """From the start: a translation, and a rotation about the object frame's origin, in world axes."""
+    """Displacement from the start: a translation, and a rotation about the object frame's origin, in world axes."""
 
     translation_m: Vector3 = Field(default=[0.0, 0.0, 0.0], description="translation")
     rotation_vector_deg: Vector3 = Field(default=[0.0, 0.0, 0.0], description="axis times angle")
@@ -144,9 +148,9 @@ class LineTable(Table):
     kind: Literal["line"]
     start: PlacementTable = Field(description="pose of the object frame in the world at the start")
     goal: PlacementTable | None = Field(default=None, description="pose at the end; or give displacement")
-    displacement: DisplacementTable | None = Field(default=None, description="the way instead of the end")
-    duration_s: Seconds = Field(description="time it takes at full rate")
-    time_law: TimeLawName = Field(default="quintic", description="quintic: rest to rest; linear: with jumps")
+    displacement: DisplacementTable | None = Field(default=None, description="displacement in place of goal")
+    duration_s: Seconds = Field(description="duration at full rate")
+    time_law: TimeLawName = Field(default="quintic", description="quintic: rest to rest; linear: velocity jumps")
 
     @model_validator(mode="after")
     def _one_end(self) -> LineTable:
@@ -155,12 +159,14 @@ class LineTable(Table):
 
 
 class WaypointsTable(Table):
-    """Lines through several poses."""
+    """Straight lines through several poses."""
 
     kind: Literal["waypoints"]
     poses: Annotated[list[PlacementTable], Len(2, MAX_WAYPOINTS)] = Field(description="poses of the object frame")
-    durations_s: Annotated[list[Seconds], Len(1, MAX_WAYPOINTS)] = Field(description="one per segment, at full rate")
-    time_law: TimeLawName = Field(default="quintic", description="of every segment")
+    durations_s: Annotated[list[Seconds], Len(1, MAX_WAYPOINTS)] = Field(
+        description="duration of each segment at full rate"
+    )
+    time_law: TimeLawName = Field(default="quintic", description="time law of every segment")
 
     @model_validator(mode="after")
     def _fits(self) -> WaypointsTable:
@@ -172,21 +178,21 @@ class WaypointsTable(Table):
 
 
 class HoldTable(Table):
-    """The object rests."""
+    """The object rests at one pose."""
 
     kind: Literal["hold"]
     pose: PlacementTable = Field(description="pose of the object frame in the world")
-    duration_s: Seconds = Field(description="how long")
+    duration_s: Seconds = Field(description="duration")
 
 
 class StartTable(Table):
-    """Where the arms start."""
+    """Start configuration of the arms."""
 
     positions_deg: Degrees | None = Field(default=None, description="position of every joint, by arm")
     positions_rad: Degrees | None = Field(default=None, description="the same in radians")
     inverse_kinematics: bool = Field(
         default=True,
-        description="put the tools exactly where the grasp and the first pose want them",
+        description="correct the positions so that the tools fit the grasp and the first pose exactly",
     )
 
     @model_validator(mode="after")
@@ -196,21 +202,23 @@ class StartTable(Table):
 
 
 class ObjectTable(Table):
-    """The box that stands for the object in pictures and in the physics engine."""
+    """The box that represents the object in pictures and in the physics engine."""
 
-    size_m: Sides = Field(default=[0.1, 0.1, 0.1], description="its sides")
-    centre: PlacementTable = Field(default_factory=PlacementTable, description="its centre in the object frame")
-    mass_kg: Annotated[float, Gt(0.0)] = Field(default=20.0, description="its mass")
+    size_m: Sides = Field(default=[0.1, 0.1, 0.1], description="side lengths of the box")
+    centre: PlacementTable = Field(default_factory=PlacementTable, description="centre of the box in the object frame")
+    mass_kg: Annotated[float, Gt(0.0)] = Field(default=20.0, description="mass of the object")
 
 
 class CommonErrorTable(Table):
-    """Whose view of the object is the object's."""
+    """Weights that define the object pose from the views of the arms."""
 
     kind: Literal["master", "leaderless", "driver", "per_axis"] = Field(description="see coopqp.task.common_error")
-    master: Name | None = Field(default=None, description="arm; with kinds master and driver")
-    driver: Name | None = Field(default=None, description="arm that orients the object; with kind driver")
+    master: Name | None = Field(
+        default=None, description="arm that defines the object pose (kind master) or its position (kind driver)"
+    )
+    driver: Name | None = Field(default=None, description="arm that orients the object (kind driver)")
     weights: Annotated[list[Annotated[list[float], Len(6, 6)]], Len(1, MAX_ARMS)] | None = Field(
-        default=None, description="rows [x, y, z, rx, ry, rz], one per arm; with kind per_axis"
+        default=None, description="one row [x, y, z, rx, ry, rz] per arm (kind per_axis)"
     )
 
     @model_validator(mode="after")
@@ -241,7 +249,7 @@ IndependentTable = table_of(
 
 
 class KinematicTable(Table):
-    """Joints that go exactly where they are told."""
+    """Joints that follow their commands exactly."""
 
     kind: Literal["kinematic"]
 
@@ -254,7 +262,7 @@ PhysicsTable = table_of(
 )
 
 if TYPE_CHECKING:
-    ControllerTable = Any  # made at run time, from the options dataclasses
+    ControllerTable = Any  # built at run time from the options dataclasses
     PlantTable = Any
 else:
     ControllerTable = Annotated[QPTable | PseudoInverseTable | IndependentTable, Field(discriminator="kind")]
@@ -262,42 +270,50 @@ else:
 
 
 class OutputTable(Table):
-    """What a run leaves behind, in one folder."""
+    """Files that a run writes into one folder."""
 
-    folder: Name | None = Field(default=None, description="folder, relative to where the command runs (out/NAME)")
-    recording: bool = Field(default=True, description="recording.npz, to be shown, reported and exported later")
+    folder: Name | None = Field(
+        default=None, description="folder, relative to the working directory (default out/NAME)"
+    )
+    recording: bool = Field(default=True, description="recording.npz: input for view, report and export")
     report: bool = Field(default=False, description="report.html: figures, plots, settings and verdict")
-    plots: bool = Field(default=False, description="error.png, joints.png, motion.png")
+    plots: bool = Field(default=False, description="timeline.png, joints.png, motion.png")
     page: bool = Field(default=False, description="view.html: the run in 3D, opens offline")
-    csv: bool = Field(default=False, description="run.csv")
+    csv: bool = Field(default=False, description="run.csv: one row per sample")
     bag: bool = Field(default=False, description="bag/: a ROS 2 bag (MCAP)")
 
 
 class CellFile(Table):
-    """A cell, what it holds, where to, and how."""
+    """A cell, its grasp, its path, and the controller, plant and output of a run."""
 
-    name: Name = Field(description="what the run is called")
+    name: Name = Field(description="name of the run")
     arms: Annotated[list[ArmTable], Len(1, MAX_ARMS)] = Field(description="one table per arm; the first is the master")
     grasp: Annotated[TriangleGrasp | ToolsGrasp | LatchedGrasp, Field(discriminator="kind")] = Field(
-        description="how the arms hold the object"
+        description="placements of the tools on the object"
     )
     path: Annotated[LineTable | WaypointsTable | HoldTable, Field(discriminator="kind")] = Field(
-        description="where the object goes"
+        description="path of the object"
     )
-    start: StartTable = Field(description="where the arms start")
-    object: ObjectTable = Field(default_factory=ObjectTable, description="what they hold")
+    start: StartTable = Field(description="start configuration of the arms")
+    object: ObjectTable = Field(default_factory=ObjectTable, description="the object")
     controller: ControllerTable = Field(
-        default_factory=lambda: QPTable.model_validate({"kind": "qp"}), description="who computes the commands"
+        default_factory=lambda: QPTable.model_validate({"kind": "qp"}),
+        description="the controller: qp (default), pseudo_inverse or independent",
     )
     plant: PlantTable = Field(
-        default_factory=lambda: KinematicTable(kind="kinematic"), description="what moves (physics: extra mujoco)"
+        default_factory=lambda: KinematicTable(kind="kinematic"),
+        description="the plant: kinematic (default) or physics (extra mujoco)",
     )
-    dt_s: Seconds | None = Field(default=None, description="length of a step (0.002); or give steps")
-    steps: Annotated[int, Ge(1), Le(MAX_STEPS)] | None = Field(default=None, description="steps of an unslowed run")
-    settle_s: Annotated[float, Ge(0.0), Le(1e5)] = Field(default=0.0, description="how long to go on after the end")
-    patience_s: Seconds = Field(default=1.0, description="how long to go on once the object cannot")
-    longest_s: Seconds | None = Field(default=None, description="longest run (ten times the path's duration)")
-    output: OutputTable = Field(default_factory=OutputTable, description="what the run leaves behind")
+    dt_s: Seconds | None = Field(default=None, description="length of a step (default 0.002); or give steps")
+    steps: Annotated[int, Ge(1), Le(MAX_STEPS)] | None = Field(
+        default=None, description="number of steps of an unslowed run"
+    )
+    settle_s: Annotated[float, Ge(0.0), Le(1e5)] = Field(
+        default=0.0, description="time that the run continues after the end"
+    )
+    patience_s: Seconds = Field(default=1.0, description="time until a run with a stopped object ends")
+    longest_s: Seconds | None = Field(default=None, description="longest run (default: ten times the path's duration)")
+    output: OutputTable = Field(default_factory=OutputTable, description="files that the run writes")
 
     @model_validator(mode="after")
     def _fits(self) -> CellFile:

@@ -1,4 +1,4 @@
-"""Tables whose keys and types are checked, and tables made from the options dataclasses."""
+"""Tables with checked keys and types, and tables built from the options dataclasses."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from annotated_types import Len
 from pydantic import BaseModel, ConfigDict, Field, create_model, model_validator
 from pydantic_core import PydanticCustomError
 
-#: Longest list of numbers that is read.
+#: Largest accepted length of a list of numbers.
 MAX_LIST = 10_000
 
 
 class Table(BaseModel):
-    """A table of a cell file: unknown keys and wrong types are errors, nothing is converted."""
+    """A table of a cell file. Unknown keys and wrong types are errors; nothing is converted."""
 
     model_config = ConfigDict(extra="forbid", strict=True, frozen=True, allow_inf_nan=False)
 
@@ -50,15 +50,15 @@ def table_of(
     replaced: Mapping[str, Any] | None = None,
     first: Mapping[str, tuple[Any, Any]] | None = None,
 ) -> type[Table]:
-    """A table with the fields of an options dataclass, their types, defaults and documentation.
+    """Build a table with the fields of an options dataclass: their types, defaults and documentation.
 
-    A field that may be None takes ``false`` for it; one whose type no file can give is left out.
+    In a file ``false`` stands for None. Fields of types that a file cannot express are left out.
 
     Args:
         options: the dataclass.
-        name: of the table's class.
-        replaced: types of fields that are to be given otherwise.
-        first: fields to put before them, as (type, default).
+        name: name of the table's class.
+        replaced: types that replace the types of fields.
+        first: additional fields before the others, as (type, default).
     """
     hints = typing.get_type_hints(options)
     meanings = attribute_docs(options)
@@ -71,7 +71,7 @@ def table_of(
 
 
 def build_options(options: type, values: BaseModel, **replaced: Any) -> Any:
-    """The options dataclass from a table of :func:`table_of`: what the table leaves out keeps its default."""
+    """Build the options dataclass from a table of :func:`table_of`. Missing keys keep their defaults."""
     hints = typing.get_type_hints(options)
     arguments: dict[str, Any] = {}
     for item in dataclasses.fields(options):
@@ -106,7 +106,7 @@ def attribute_docs(documented: type) -> dict[str, str]:
 
 
 def _as_text(text: str) -> str:
-    """A docstring's line without its markup; what a program calls None is false in a file."""
+    """A line of a docstring without its markup, with false in place of None."""
     plain = re.sub(r":\w+:`~?\.?([^`]*)`", r"\1", text).replace('``"', '"').replace('"``', '"').replace("``", "'")
     return re.sub(r"\bNone\b", "false", plain).rstrip(".")
 
@@ -119,7 +119,7 @@ def _meaning(text: str, item: dataclasses.Field[Any]) -> str:
 
 
 def shown_default(value: Any) -> str:
-    """A default as a file gives it."""
+    """A default value in the notation of a file."""
     if isinstance(value, bool):
         return str(value).lower()
     if isinstance(value, float):
@@ -128,7 +128,7 @@ def shown_default(value: Any) -> str:
 
 
 def _nested(hint: Any) -> type | None:
-    """The dataclass in a type hint, if there is one."""
+    """The dataclass in a type hint, or None."""
     for kind in (hint, *typing.get_args(hint)):
         if isinstance(kind, type) and dataclasses.is_dataclass(kind):
             return kind
@@ -136,7 +136,7 @@ def _nested(hint: Any) -> type | None:
 
 
 def _file_type(hint: Any, name: str) -> Any:
-    """What a file may give for a type hint; None if nothing."""
+    """The type of a file's value for a type hint; None if a file cannot express it."""
     if hint in (float, int, bool, str):
         return hint
     origin, arguments = typing.get_origin(hint), typing.get_args(hint)

@@ -1,4 +1,4 @@
-"""From the text of a cell file to plain tables: TOML, or YAML by the name of the file. Nothing of it is executed."""
+"""Parsing of a cell file into plain tables. The file name selects TOML or YAML. Nothing is executed."""
 
 from __future__ import annotations
 
@@ -11,29 +11,24 @@ from ruamel.yaml import YAML
 from ruamel.yaml.error import MarkedYAMLError, YAMLError
 from ruamel.yaml.events import AliasEvent, CollectionEndEvent, CollectionStartEvent
 
-from coopqp.errors import CoopqpError
-from coopqp.files.cellfile import YAML_SUFFIXES
+from coopqp.files.cellfile import YAML_SUFFIXES, CellFileError
 
 if sys.version_info >= (3, 11):
     import tomllib
 else:
     import tomli as tomllib
 
-#: Larger files are not read [bytes]; YAML takes its reader fifteen times as long.
+#: Largest accepted file [bytes]. YAML has a smaller limit: its reader takes fifteen times as long.
 MAX_FILE_BYTES, MAX_YAML_BYTES = 1_000_000, 100_000
-#: Deeper YAML is not read.
+#: Largest accepted nesting depth of YAML.
 _MAX_DEPTH = 50
 
 
-class CellFileError(CoopqpError):
-    """A cell file that is missing, is neither TOML nor YAML, or breaks the schema."""
-
-
 def read_tables(file: Path) -> Any:
-    """What a file says, as it stands there; YAML where its name ends so.
+    """Parse a file into plain data; a YAML suffix selects YAML, any other TOML.
 
     Raises:
-        CellFileError: missing, too large, neither TOML nor YAML, or YAML with aliases.
+        CellFileError: the file is missing, too large, neither TOML nor YAML, or YAML with aliases.
     """
     is_yaml = file.suffix in YAML_SUFFIXES
     limit = MAX_YAML_BYTES if is_yaml else MAX_FILE_BYTES
@@ -48,12 +43,12 @@ def read_tables(file: Path) -> Any:
     except MarkedYAMLError as error:
         line = f", line {error.problem_mark.line + 1}" if error.problem_mark else ""
         raise CellFileError(f"{file}{line} is not YAML: {error.problem}.") from error
-    except (ValueError, RecursionError, YAMLError) as error:  # bad encoding and integers of too many digits, too
+    except (ValueError, RecursionError, YAMLError) as error:  # also bad encoding, too many digits
         raise CellFileError(f"{file} is not {'YAML' if is_yaml else 'TOML'}: {error}.") from error
 
 
 def _read_yaml(text: str) -> Any:
-    """YAML 1.2, every key once; an alias is refused, as few of them can stand for more than memory holds."""
+    """Parse YAML 1.2 with unique keys. Aliases are refused: a few nested ones can expand beyond the memory."""
     reader, depth = YAML(typ="safe", pure=True), 0
     for event in reader.parse(io.StringIO(text)):
         if isinstance(event, AliasEvent):

@@ -1,4 +1,4 @@
-"""Plants: what a controller's commands move."""
+"""Plants: the simulated or replayed arms that execute a controller's commands."""
 
 from coopqp.simulation.plants.kinematic import KinematicPlant, Plant
 

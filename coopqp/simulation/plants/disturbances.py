@@ -1,4 +1,4 @@
-"""What goes wrong on purpose, for every plant that can do it."""
+"""Disturbances that plants can simulate."""
 
 from __future__ import annotations
 
@@ -16,18 +16,18 @@ from coopqp.spatial import Placement, as_placement
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Disturbances:
-    """What is not ideal. Arms are given by name.
+    """Deviations of a plant from the ideal one. Arms are given by name.
 
     Attributes:
-        encoder_noise: measured joints are off by up to ± this, evenly distributed [rad or m].
-        latency: age of a measurement when it arrives [s].
-        drop_share: share of the samples that do not arrive; the one before is seen again.
-        drops_by_arm: every arm loses samples of its own, instead of all arms together.
-        dt_jitter: periods vary by up to ± this share, for loops that ask the plant for them.
-        base_offset: where an arm really stands, in its nominal base frame.
-        lag: time constant with which an arm's joints follow their commands [s].
-        stall: time from which an arm does not move any more [s].
-        seed: of the random numbers.
+        encoder_noise: amplitude of the uniform noise of measured joint positions [rad or m].
+        latency: age of a measurement at its arrival [s].
+        drop_share: share of lost samples; the last sample is then repeated.
+        drops_by_arm: True if every arm loses its own samples, False if all arms lose the same ones.
+        dt_jitter: amplitude of the variation of periods, as a share; for loops that take the period from the plant.
+        base_offset: real placement of an arm's base in its nominal base frame, by arm.
+        lag: time constant of the joints' response to commands [s], by arm.
+        stall: time at which an arm stops moving [s], by arm.
+        seed: seed of the random numbers.
     """
 
     encoder_noise: float = 0.0
@@ -53,15 +53,16 @@ class Disturbances:
 
 
 def misplaced(cell: RobotCell, grasp: Grasp, offsets: Mapping[str, Placement]) -> Grasp:
-    """The grasp of arms that hold beside their points: ``T_object_tool`` of each named arm times its offset.
+    """A misplaced grasp: ``T_object_tool`` of each named arm times its offset.
 
     Args:
-        cell: for the names of the arms.
+        cell: cell with the names of the arms.
         grasp: the intended grasp.
-        offsets: how far beside, in the tool's frame.
+        offsets: placement error in the tool's frame, by arm.
 
     Raises:
-        UnknownNameError: no such arm. InvalidInputError: an offset that is no placement.
+        UnknownNameError: no such arm.
+        InvalidInputError: an offset is not a placement.
     """
     grasp.check_arms(cell)
     tools = list(grasp.T_object_tool)

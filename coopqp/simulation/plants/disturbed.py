@@ -1,8 +1,8 @@
-"""A kinematic plant that is not ideal: noisy, late and lost signals, arms that lag, stall or stand elsewhere.
+"""A kinematic plant with disturbances: noisy, late and lost signals; arms that lag, stall or have displaced bases.
 
-The *true* configuration and the *measured* one are kept apart, and nothing but the commands holds the arms together:
-:meth:`DisturbedPlant.chain_error` is what a grip would have to take up. (A rigid grip forces the arms together and
-turns the same error into stress; that is the physics plant's business, which takes the same :class:`Disturbances`.)
+The plant distinguishes the *true* configuration from the *measured* one. Only the commands hold the arms together:
+:meth:`DisturbedPlant.chain_error` is the error that a grip would have to absorb. (A rigid grip holds the arms together
+and turns this error into stress. The physics plant simulates it with the same :class:`Disturbances`.)
 """
 
 from __future__ import annotations
@@ -28,22 +28,22 @@ __all__ = ["Disturbances", "DisturbedPlant", "misplaced"]
 
 @final
 class DisturbedPlant:
-    """Joints that follow their commands as far as :class:`Disturbances` let them.
+    """Joints that follow their commands under :class:`Disturbances`.
 
-    The grip closes at reset, wherever the tools then really are on the object.
+    The grip closes at reset, at the true placements of the tools.
 
     Args:
         cell: the cell as the controller knows it.
-        grasp: the intended grasp, which says where the object's frame is.
-        disturbances: what is not ideal.
-        command_latency: by arm, how much later its commands are executed [s].
+        grasp: the intended grasp; it defines the object frame.
+        disturbances: deviations from the ideal plant.
+        command_latency: delay of the commands [s], by arm.
 
     Attributes:
         q: true configuration (nq,).
-        time: since the reset [s].
+        time: time since the reset [s].
 
     Raises:
-        UnknownNameError: a disturbance of an arm that is not in the cell.
+        UnknownNameError: a disturbance names an arm that is not in the cell.
     """
 
     def __init__(
@@ -72,7 +72,7 @@ class DisturbedPlant:
         self.reset(pin.neutral(cell.model))
 
     def reset(self, q: Any) -> Array:
-        """Put the cell at ``q`` (nq,), at rest, and close the grip; returns the measured configuration."""
+        """Put the cell at rest at ``q`` (nq,) and close the grip. Returns the measured configuration (nq,)."""
         self.q = read_only(self.cell.check_configuration(q, "DisturbedPlant.reset"))
         self.time = 0.0
         self._commands: deque[tuple[float, Array]] = deque([(0.0, self.q)])
@@ -83,11 +83,11 @@ class DisturbedPlant:
         return self._encoders.reset(self.q)
 
     def measure(self) -> Array:
-        """Another reading (nq,) where the joints are: at rest, :meth:`RobotCell.average` some before a start."""
+        """Measure the configuration (nq,) again. At rest, :meth:`RobotCell.average` of readings reduces the noise."""
         return self._encoders.read(self.q, 0.0)
 
     def apply(self, step: ControlStep) -> Array:
-        """Execute a command for its ``dt``; returns the measured configuration (nq,) at its end."""
+        """Execute a command for its ``dt``. Returns the measured configuration (nq,) at the end."""
         model, dt = self.cell.model, step.dt
         self._commands.append((self.time + dt, step.q_next))
         target = self._target(self.time + dt)
@@ -96,7 +96,7 @@ class DisturbedPlant:
             pace = pin.difference(model, self._last_target, target)
             after = np.zeros(self.cell.nv)
             for k, tau in self._lag.items():
-                s = self.cell.v_slices[k]  # ẋ = (target − x) / τ against a target that moves evenly
+                s = self.cell.v_slices[k]  # ẋ = (target − x) / τ with a linear target
                 keep = np.exp(-dt / tau)
                 after[s] = keep * behind[s] - (1.0 - keep) * tau / dt * pace[s]
             for k, time in self._stall.items():
@@ -111,20 +111,20 @@ class DisturbedPlant:
         return self._encoders.read(self.q, dt)
 
     def period(self, nominal: float) -> float:
-        """Length of the next step [s], for a loop that hands it to the controller."""
+        """Length of the next step [s] with jitter; the loop passes it to the controller."""
         return self._encoders.period(nominal)
 
     def true_tools(self) -> list[pin.SE3]:
-        """T_world_tool of every arm where it really is."""
+        """True T_world_tool of every arm."""
         pin.framesForwardKinematics(self.cell.model, self._data, self.q)
         return [E * self._data.oMf[f] for E, f in zip(self._displaced, self.cell.tool_frames, strict=True)]
 
     def chain_error(self) -> tuple[float, float]:
-        """Largest distance [m] and angle [rad] between where any two arms really carry the object."""
+        """Largest distance [m] and angle [rad] between the true object poses of any two arms."""
         return chain_error(self.true_tools(), self._grip)
 
     def _target(self, now: float) -> Array:
-        """What the drives are told at ``now``: the newest command, of late arms an older one."""
+        """Target of the drives at ``now``: the newest command; an older one for arms with command latency."""
         target = self._commands[-1][1]
         if self._late:
             target = target.copy()
@@ -139,7 +139,7 @@ class DisturbedPlant:
         return target
 
     def _at(self, time: float) -> Array:
-        """The commanded configuration at a time, between commands on the way from one to the next."""
+        """The commanded configuration at a time, interpolated between commands."""
         before = self._commands[0]
         if time <= before[0]:
             return before[1]

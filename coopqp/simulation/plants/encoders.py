@@ -1,4 +1,4 @@
-"""What encoders say: the joints' positions with noise, late, and now and then not at all."""
+"""Encoders: joint positions with noise, latency and losses."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ class Encoders:
         self.reset(pin.neutral(cell.model))
 
     def reset(self, q: Array) -> Array:
-        """Start at rest at ``q`` (nq,), time 0, with the random numbers from their seed; returns what is measured."""
+        """Start at rest at ``q`` (nq,), at time 0, with reseeded random numbers. Returns the measured configuration."""
         self._rng = np.random.default_rng(self._disturbances.seed)
         self._time = 0.0
         self._history: deque[tuple[float, Array]] = deque([(0.0, q)])
@@ -30,7 +30,7 @@ class Encoders:
         return self._seen
 
     def read(self, q: Array, dt: float) -> Array:
-        """What is measured (nq,) ``dt`` seconds after the last reading, when the joints are at ``q``."""
+        """Measured configuration (nq,), ``dt`` seconds after the last reading, with the joints at ``q`` (nq,)."""
         d = self._disturbances
         self._time += dt
         self._history.append((self._time, q))

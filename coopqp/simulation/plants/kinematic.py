@@ -1,4 +1,4 @@
-"""The ideal plant, with the imperfections of a real one as options."""
+"""The plant protocol, and the ideal plant."""
 
 from __future__ import annotations
 
@@ -10,31 +10,31 @@ from coopqp.spatial import Array
 
 
 class Plant(Protocol):
-    """What :func:`coopqp.simulation.simulate.simulate` moves."""
+    """The protocol of the plants of :func:`coopqp.simulation.simulate.simulate`."""
 
     def reset(self, q: Any) -> Array:
-        """Put the cell at ``q`` (nq,), at rest; return the measured configuration."""
+        """Put the cell at rest at ``q`` (nq,). Returns the measured configuration (nq,)."""
         ...
 
     def apply(self, step: ControlStep) -> Array:
-        """Execute a command for its ``dt``; return the measured configuration (nq,) at its end."""
+        """Execute a command for its ``dt``. Returns the measured configuration (nq,) at the end."""
         ...
 
 
 @final
 class KinematicPlant:
-    """Joints that go exactly where they are told."""
+    """Joints that follow their commands exactly."""
 
     def __init__(self, cell: RobotCell) -> None:
         self.cell = cell
         self.q: Array = cell.configuration([0.0] * cell.nv)
 
     def reset(self, q: Any) -> Array:
-        """Put the cell at ``q``."""
+        """Put the cell at ``q`` (nq,)."""
         self.q = self.cell.check_configuration(q, "KinematicPlant.reset")
         return self.q
 
     def apply(self, step: ControlStep) -> Array:
-        """The joints reach ``step.q_next``."""
+        """Move the joints to ``step.q_next``."""
         self.q = step.q_next
         return self.q

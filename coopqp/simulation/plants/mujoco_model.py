@@ -1,8 +1,8 @@
 """A cell and its object as a MuJoCo model, built from the arms' own Pinocchio models.
 
-Nothing is read from files a second time, so URDF, MJCF and hand-made models are treated alike: joint placements, axes
-and inertias are copied, primitive visual shapes are drawn (meshes are not). Nothing collides, joints have no stops and
-drives have no largest torque: what is limited is the controller's business.
+No file is read a second time, so URDF, MJCF and hand-made models are treated alike. Joint placements, axes and inertias
+are copied; primitive visual shapes are drawn, meshes are not. There are no collisions, no joint stops and no torque
+limits: the controller has to respect the limits.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from coopqp.simulation.plants.physics_options import PhysicsOptions, Servos, joi
 from coopqp.spatial import Array
 
 OBJECT = "object"
-#: Masses and inertias of links below these count as these [kg, kg·m²]: the engine needs them positive.
+#: Smallest mass and inertia of a link [kg, kg·m²]; smaller ones are raised, because the engine needs positive values.
 _LEAST_MASS, _LEAST_INERTIA = 1e-6, 1e-9
 
 
@@ -28,7 +28,7 @@ def require_mujoco() -> Any:
     """The mujoco module.
 
     Raises:
-        MissingExtraError: it is not installed.
+        MissingExtraError: mujoco is not installed.
     """
     try:
         import mujoco
@@ -43,7 +43,7 @@ def tool_site(arm: str) -> str:
 
 
 def grip_site(arm: str) -> str:
-    """Name of the site on the object that an arm's tool is welded to."""
+    """Name of the site on the object at the weld of an arm's tool."""
     return f"{arm}:grip"
 
 
@@ -58,10 +58,10 @@ def build_spec(
     options: PhysicsOptions,
     base_offset: Mapping[str, pin.SE3],
 ) -> Any:
-    """The ``mujoco.MjSpec``: arms at their (real) bases, the object as a free box, welds from tools to grip sites.
+    """Build the ``mujoco.MjSpec``: arms at their real bases, the object as a free box, welds from tools to grip sites.
 
-    The object's body frame is the object frame, so that the generalized force of its free joint is the wrench there.
-    Joints are named as the cell's; each is driven by a position servo of the same name.
+    The body frame of the object is the object frame: the generalized force of its free joint is the wrench there.
+    Joints have the names of the cell. Each has a position servo of the same name.
     """
     mujoco = require_mujoco()
     spec = mujoco.MjSpec()
@@ -90,16 +90,16 @@ def build_spec(
     _add_geom(box, mujoco.mjtGeom.mjGEOM_BOX, 0.5 * object_size, T_object_body, (0.30, 0.52, 0.75, 1.0))
 
     for arm, rows, X in zip(cell.arms, cell.v_slices, grasp.T_object_tool, strict=True):
-        box.add_site(name=grip_site(arm.name), pos=X.translation, quat=quaternion(X.rotation))  # moved at reset
+        box.add_site(name=grip_site(arm.name), pos=X.translation, quat=quaternion(X.rotation))  # reset moves it
         _add_arm(mujoco, spec, arm, servos, rows, options, base_offset)
     return spec
 
 
 def compile_spec(spec: Any) -> Any:
-    """The ``mujoco.MjModel``.
+    """Compile the ``mujoco.MjModel``.
 
     Raises:
-        ModelError: the engine refuses it (says why).
+        ModelError: the engine refuses the model; the message gives the reason.
     """
     try:
         return spec.compile()
@@ -145,7 +145,7 @@ def _add_arm(
             _add_shape(mujoco, bodies[item.parentJoint], item)
     frame = model.frames[model.getFrameId(arm.tool_frame)]
     site = tool_site(arm.name)
-    tool = _add_body(bodies[frame.parentJoint], site, frame.placement)  # of no mass: for the force and torque sensors
+    tool = _add_body(bodies[frame.parentJoint], site, frame.placement)  # massless, carries the sensors
     tool.gravcomp = 1.0
     tool.add_site(name=site)
     weld = spec.add_equality(name=site, type=mujoco.mjtEq.mjEQ_WELD, objtype=mujoco.mjtObj.mjOBJ_SITE)
@@ -156,12 +156,12 @@ def _add_arm(
 
 
 def _axis(arm: Arm, i: int, twist: Array) -> tuple[Array, bool]:
-    """Axis of joint ``i`` in its own frame, and whether it slides."""
+    """Axis of joint ``i`` in its own frame, and True if the joint is prismatic."""
     slides, turns = np.linalg.norm(twist[:3]) > 1e-12, np.linalg.norm(twist[3:]) > 1e-12
     if slides and turns:
         raise ModelError(
-            f"arm '{arm.name}': joint '{arm.model.names[i]}' turns and slides at once, which the physics plant has no "
-            "joint for. Model it as a revolute or a prismatic joint."
+            f"arm '{arm.name}': joint '{arm.model.names[i]}' turns and slides at once; the physics plant has no such "
+            "joint. Model it as a revolute or a prismatic joint."
         )
     return (twist[:3] if slides else twist[3:]), bool(slides)
 
@@ -188,7 +188,7 @@ def _add_geom(body: Any, kind: Any, size: Any, T: pin.SE3, rgba: tuple[float, ..
 
 
 def _add_shape(mujoco: Any, body: Any, item: pin.GeometryObject) -> None:
-    """Draw a primitive shape; others are left out."""
+    """Add a primitive visual shape. Other shapes are left out."""
     shape, kind, size = item.geometry, None, []
     name = type(shape).__name__
     if name == "Box":
@@ -206,7 +206,7 @@ def _add_shape(mujoco: Any, body: Any, item: pin.GeometryObject) -> None:
 
 
 def quaternion(R: Array) -> Array:
-    """(w, x, y, z) of a rotation matrix, MuJoCo's order."""
+    """Quaternion (w, x, y, z) of a rotation matrix, in MuJoCo's order."""
     x, y, z, w = pin.Quaternion(np.ascontiguousarray(R)).normalized().coeffs()
     return np.array([w, x, y, z])
 

@@ -1,7 +1,7 @@
-"""The physics plant: the cell in MuJoCo, driven by position servos, the object a body with mass welded to the tools.
+"""The physics plant: the cell in MuJoCo with position servos. The object is a body with mass, welded to the tools.
 
-The object is rigid and so are links and welds (nearly): a command that does not fit the grasp bends the servos and
-presses the object, and the forces at the grasps can be read. They scale with the servos' stiffness, so quote it.
+The object and the links are rigid, the welds nearly so. A command that does not fit the grasp deflects the servos and
+stresses the object. The plant reads the forces at the grasps. They scale with the stiffness of the servos, so quote it.
 """
 
 from __future__ import annotations
@@ -42,36 +42,36 @@ __all__ = ["PhysicsError", "PhysicsOptions", "PhysicsPlant"]
 
 
 class PhysicsError(CoopqpError):
-    """The engine diverged: positions are no longer finite."""
+    """The engine diverged: its positions are not finite."""
 
 
 @final
 class PhysicsPlant:
     """A cell and the object it holds, in MuJoCo. Needs the extra ``mujoco``.
 
-    A command is executed in ``ceil(dt / timestep)`` equal steps of the engine, so it always ends exactly when the
-    next one begins, whatever its ``dt``; one that is shorter than the time step makes the engine's step shorter.
+    The engine executes a command of any ``dt`` in ``ceil(dt / timestep)`` equal steps, so a command ends exactly when
+    the next one begins. A ``dt`` below the time step shortens the engine's step.
 
     Args:
         cell: the arms as the controller knows them.
-        grasp: how they hold the object, likewise.
-        object_size: full side lengths of the box [m].
-        object_mass: [kg].
+        grasp: the grasp as the controller knows it.
+        object_size: side lengths of the box [m].
+        object_mass: mass of the object [kg].
         T_object_body: placement of the box's centre in the object frame (identity by default).
-        real_grasp: where the tools really are on the object, if not where ``grasp`` says
+        real_grasp: real placements of the tools on the object, if they differ from ``grasp``
             (:func:`coopqp.simulation.plants.disturbances.misplaced`).
-        options: servos and engine.
-        disturbances: as for :class:`coopqp.simulation.plants.disturbed.DisturbedPlant`; the servos' targets
-            lag or stall, the bases are where the engine has them.
+        options: settings of the servos and the engine.
+        disturbances: as in :class:`coopqp.simulation.plants.disturbed.DisturbedPlant`; lag and stall act on the
+            targets of the servos, base offsets on the bases in the engine.
 
     Attributes:
         stiffness: kp of the servos (nv,) [N·m/rad or N/m].
-        time: since the last reset, settling excluded [s].
-        mj_model, mj_data: MuJoCo's own, for viewers and readings that are not offered here.
+        time: time since the last reset without settling [s].
+        mj_model, mj_data: MuJoCo's objects, for viewers and other readings.
 
     Raises:
         MissingExtraError: mujoco is not installed.
-        ModelError: an arm that the engine has no model for.
+        ModelError: the engine cannot represent an arm.
         InvalidInputError, UnknownNameError: bad settings.
     """
 
@@ -140,7 +140,7 @@ class PhysicsPlant:
         options: PhysicsOptions | None = None,
         disturbances: Disturbances | None = None,
     ) -> PhysicsPlant:
-        """The plant of a scenario: its cell, grasp and object."""
+        """Build the plant of a scenario from its cell, grasp and object."""
         return PhysicsPlant(
             scenario.cell,
             scenario.grasp,
@@ -155,12 +155,12 @@ class PhysicsPlant:
     # -- the plant -----------------------------------------------------------------------------------------------
 
     def reset(self, q: Any) -> Array:
-        """Command ``q`` (nq,), close the grips and settle for ``options.settle``; return the measured configuration.
+        """Command ``q`` (nq,), close the grips and settle for ``options.settle``. Returns the measured configuration.
 
-        With grip points that do not fit (offsets, ``grips="grasp"``) the arms are pulled to them against their
-        servos, and the measured configuration shows it: :meth:`coopqp.Grasp.from_configuration` latches on that.
-        Within ``options.hand_over`` the servos are then led to the measured configuration, where a controller
-        starts. What is returned is free of noise: of arms at rest, it averages out.
+        If the grip points do not fit (offsets, ``grips="grasp"``), the welds pull the arms to them against the servos.
+        The measured configuration contains this deflection; :meth:`coopqp.Grasp.from_configuration` can latch it.
+        Within ``options.hand_over`` the servo targets then move to the measured configuration, the start of a
+        controller. The returned configuration (nq,) has no noise: at rest, noise averages out.
         """
         start = self.cell.check_configuration(q, "PhysicsPlant.reset")
         m, d = self.mj_model, self.mj_data
@@ -180,14 +180,14 @@ class PhysicsPlant:
         self._torque = self._load_torque(measured)
         n, way = round(self.options.hand_over / h), pin.difference(self.cell.model, start, measured)
         for i in range(2 * n):
-            u = TimeLaw.QUINTIC.value_at((i + 1) / n)  # there in half the steps, at rest in the other half
+            u = TimeLaw.QUINTIC.value_at((i + 1) / n)  # half the steps to move, half to rest
             self._command(x + u * way, still, torque + u * (self._torque - torque))
             self._mujoco.mj_step(m, d)
         self._targets.reset(measured if n else start)
         return measured
 
     def apply(self, step: ControlStep) -> Array:
-        """Drive the joints to ``step.q_next`` in ``step.dt``; return the measured configuration (nq,) at its end."""
+        """Drive the joints to ``step.q_next`` in ``step.dt``. Returns the measured configuration (nq,) at the end."""
         dt = as_scalar(step.dt, "PhysicsPlant.apply: step.dt")
         q_next = self.cell.check_configuration(step.q_next, "PhysicsPlant.apply: step.q_next")
         m, d, targets = self.mj_model, self.mj_data, self._targets
@@ -200,25 +200,26 @@ class PhysicsPlant:
             self._command(x, v, before + (i / n) * (after - before))
             self._mujoco.mj_step(m, d)
         self.time = targets.end
-        self._command(*targets.at(self.time), after)  # so that what is read now belongs to now
+        self._command(*targets.at(self.time), after)  # readings then refer to the present time
         self._torque = after
         return self._encoders.read(self._configuration(), dt)
 
     def period(self, nominal: float) -> float:
-        """Length of the next step [s] with the disturbances' jitter, for a loop that hands it to the controller."""
+        """Length of the next step [s] with jitter; the loop passes it to the controller."""
         return self._encoders.period(nominal)
 
     def release(self) -> None:
-        """Open all grips until the next reset: the object falls."""
+        """Open all grips until the next reset. The object falls."""
         self.mj_data.eq_active[self._welds] = 0
         self._fresh = False
 
     # -- readings ------------------------------------------------------------------------------------------------
 
     def wrenches(self) -> Array:
-        """What each arm does to the object now, (N, 6) [N, N·m]: at the object frame's origin, in its axes.
+        """Wrench of each arm on the object (N, 6) [N, N·m], at the origin and in the axes of the object frame.
 
-        Read from the weld constraints; zero of an open grip. See :func:`coopqp.forces.stress.at_tools`.
+        The values come from the weld constraints; they are zero for an open grip. See
+        :func:`coopqp.forces.stress.at_tools`.
         """
         m, d = self.mj_model, self.mj_data
         self._refresh()
@@ -228,14 +229,15 @@ class PhysicsPlant:
         out = np.zeros((len(self.cell), 6))
         for k, weld in enumerate(self._welds):
             rows = equality & (d.efc_id == weld)
-            generalized = J[rows].T @ d.efc_force[rows]  # force in the world's axes, torque in the body's
+            generalized = J[rows].T @ d.efc_force[rows]  # force in world axes, torque in body axes
             out[k, :3], out[k, 3:] = R.T @ generalized[:3], generalized[3:]
         return out
 
     def sensed_wrenches(self) -> Array:
-        """The same, from force and torque sensors at the tools: at each tool's origin, in its axes, (N, 6).
+        """Wrench of each arm on the object from the tools' force and torque sensors (N, 6) [N, N·m].
 
-        Before version 4 the engine's torque sensors misread welds under load; the forces are right.
+        Each wrench is at the origin and in the axes of the tool. Before version 4 the engine's torque sensors misread
+        welds under load; the forces are right.
         """
         self._refresh()
         d = self.mj_data
@@ -243,35 +245,35 @@ class PhysicsPlant:
 
     @property
     def servo_torques(self) -> Array:
-        """What the servos do now, (nv,) [N·m or N]; what is fed forward (gravity, load) comes on top."""
+        """Torques or forces of the servos (nv,) [N·m or N], without the feed-forward of gravity and load."""
         self._refresh()
         return np.array(self.mj_data.actuator_force[self._actuators])
 
     @property
     def T_world_object(self) -> pin.SE3:
-        """Where the object really is."""
+        """Real pose of the object."""
         self._refresh()
         return placement(self.mj_data.xpos[self._object], self.mj_data.xmat[self._object])
 
     @property
     def T_world_tool(self) -> tuple[pin.SE3, ...]:
-        """Where the tools really are."""
+        """Real placements of the tools."""
         self._refresh()
         return tuple(self._site(s) for s in self._tool_sites)
 
     @property
     def positions(self) -> Array:
-        """Where the joints really are, without noise (nv,) [rad or m]; continuous ones counted on beyond ±π."""
+        """Real joint positions without noise (nv,) [rad or m]; continuous joints count beyond ±π."""
         return np.array(self.mj_data.qpos[self._q_at])
 
     def xml(self) -> str:
-        """The model as MJCF text, as it was built (grips are placed at reset)."""
+        """The model as MJCF text, as built (reset places the grips)."""
         return str(self._spec.to_xml())
 
     # -- inside --------------------------------------------------------------------------------------------------
 
     def _index(self) -> None:
-        """Where things stand in MuJoCo's arrays."""
+        """Look up the indices in MuJoCo's arrays."""
         m, names = self.mj_model, self.cell.arm_names
         joints = [m.joint(name) for name in self.cell.joint_names]
         self._q_at = np.array([j.qposadr[0] for j in joints])
@@ -287,7 +289,7 @@ class PhysicsPlant:
         self._object_dofs = slice(free.dofadr[0], free.dofadr[0] + 6)
 
     def _grip(self, tools: list[pin.SE3]) -> None:
-        """Put the object where the first arm carries it, and the grip points where the welds shall hold."""
+        """Place the object according to the first arm, and the grip points according to ``options.grips``."""
         m, d, real = self.mj_model, self.mj_data, list(self._real_grasp.T_object_tool)
         O = tools[0] * real[0].inverse()
         if self.options.grips == "where they are":
@@ -295,12 +297,12 @@ class PhysicsPlant:
         d.qpos[self._object_q] = [*O.translation, *quaternion(O.rotation)]
         for s, X in zip(self._grip_sites, real, strict=True):
             m.site_pos[s], m.site_quat[s] = X.translation, quaternion(X.rotation)
-            m.site_sameframe[s] = self._mujoco.mjtSameFrame.mjSAMEFRAME_NONE  # or its place may be ignored
+            m.site_sameframe[s] = self._mujoco.mjtSameFrame.mjSAMEFRAME_NONE  # or MuJoCo may ignore the new place
 
     def _load_wrenches(self) -> Array:
-        """Force and torque at each grasp that carry the object's weight: (N, 6), force in the world's axes.
+        """Each arm's share in carrying the object's weight, (N, 6): force in world axes [N], then lever [m].
 
-        The torque is the lever (3,) in the object's axes that, times the weight, the shares leave unbalanced.
+        The lever is in object axes. Lever × weight is the arm's part of the moment that the forces leave unbalanced.
         """
         options, n = self.options, len(self.cell)
         points = np.array([X.translation for X in self.grasp.T_object_tool])
@@ -321,7 +323,7 @@ class PhysicsPlant:
         return np.array([np.concatenate([share * weight, lever / n]) for share in shares])
 
     def _load_torque(self, q: Array) -> Array:
-        """Feed-forward Jᵀf of the object's weight at ``q``, (nv,), with the cell and grasp that the model knows."""
+        """Feed-forward Jᵀf of the object's weight at ``q`` (nv,), with the nominal cell and grasp."""
         out = np.zeros(self.cell.nv)
         if not self.options.load_feed_forward:
             return out
@@ -340,7 +342,7 @@ class PhysicsPlant:
         self._fresh = False
 
     def _configuration(self) -> Array:
-        """Where the joints really are (nq,)."""
+        """Real configuration (nq,)."""
         x = self.positions
         if not np.isfinite(x).all():
             raise PhysicsError(
@@ -353,7 +355,7 @@ class PhysicsPlant:
         return placement(self.mj_data.site_xpos[site], self.mj_data.site_xmat[site])
 
     def _refresh(self) -> None:
-        """Evaluate the engine at the present state and command, without changing what it does next."""
+        """Evaluate the engine at the present state and command, without an effect on its next steps."""
         if self._fresh:
             return
         start = self.mj_data.qacc_warmstart.copy()

@@ -16,7 +16,7 @@ from coopqp.spatial import Array
 Interpolation = Literal["linear", "cubic"]
 GripPoints = Literal["grasp", "where they are"]
 
-#: Servos of a large six-joint arm, base to wrist: an assumption, since no maker publishes them. Forces scale with kp.
+#: Servos of a large six-joint arm, from base to wrist. They are assumed: no maker publishes them. Forces scale with kp.
 STIFFNESS = (1e5, 1e5, 5e4, 1e4, 1e4, 5e3)  # kp [N·m/rad]
 DAMPING = (3160.0, 3160.0, 1265.0, 167.0, 167.0, 71.0)  # kd [N·m·s/rad]
 ARMATURE = (5.0, 5.0, 3.0, 0.5, 0.5, 0.2)  # [kg·m²]
@@ -26,29 +26,30 @@ PRISMATIC_SERVO = (1e6, 2e4, 20.0)
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PhysicsOptions:
-    """How the servos and the engine are set.
+    """Settings of the servos and the engine.
 
     Attributes:
-        timestep: longest step of the engine [s]. A command of ``dt`` is executed in ``ceil(dt / timestep)`` equal
-            steps, so commands need not be a multiple of it, nor longer than it.
-        settle: time that a reset holds the start, for the welds and servos to come to rest [s].
-        hand_over: time in which the servos are then led to the measured configuration, and the same time to come to
-            rest there [s]: a controller starts there, and a jump of its first command would be a blow. 0: not at all.
+        timestep: longest step of the engine [s]; a command of ``dt`` takes ``ceil(dt / timestep)`` equal steps, so
+            ``dt`` may have any length.
+        settle: time that a reset holds the start, until welds and servos are at rest [s].
+        hand_over: time in which the servo targets then move to the measured configuration, and again the time to come
+            to rest there [s]; a controller starts there without a jump of its first command. 0 switches it off.
         stiffness: kp of the joint servos [N·m/rad or N/m]; a scalar, one per joint (nv,), or None for the defaults.
-        damping: kd [N·m·s/rad or N·s/m], likewise.
-        armature: inertia of the drives at the joints [kg·m² or kg], likewise.
-        interpolation: of the joint targets at the engine's rate, within a command. ``"cubic"`` has a continuous
-            velocity; it is causal, so a velocity jump overshoots by up to half of it within one command.
-        velocity_feed_forward: servos get the target's velocity too; without it they lag by kd/kp times it.
-        gravity_compensation: the drives carry the arms' own weight.
-        load_feed_forward: the drives carry the object's weight, Jᵀf with each arm's share.
-        load_shares: share of the object's weight per arm (N,), summing to 1; by default the least ones whose
-            moments balance.
-        gravity: [m/s²].
-        grips: where the welds hold: ``"grasp"`` at the placements of the grasp (the object has its own grip points);
-            ``"where they are"`` at the placements that the tools have at reset (the object gives no way).
-        weld_solref, weld_solimp: the engine's weld parameters. Its defaults stretch by 0.36 mm under these loads.
-        tolerance, iterations: of the engine's Newton solver.
+        damping: kd of the joint servos [N·m·s/rad or N·s/m], in the same forms.
+        armature: inertia of the drives at the joints [kg·m² or kg], in the same forms.
+        interpolation: interpolation of the joint targets within a command. ``"cubic"`` has a continuous velocity; it
+            is causal, so after a velocity jump it overshoots by up to half the jump within one command.
+        velocity_feed_forward: servos also get the velocity of the target; otherwise they lag by kd/kp times it.
+        gravity_compensation: the drives carry the weight of the arms.
+        load_feed_forward: the drives carry the weight of the object, Jᵀf with the share of each arm.
+        load_shares: share of the object's weight per arm (N,) with sum 1; by default the shares of least norm that
+            balance the moments.
+        gravity: acceleration of gravity in world axes [m/s²].
+        grips: placements of the welds: ``"grasp"`` uses the placements of the grasp (the object has its own grip
+            points); ``"where they are"`` uses the placements of the tools at reset.
+        weld_solref, weld_solimp: weld parameters of the engine. The engine's defaults stretch by 0.36 mm under these
+            loads.
+        tolerance, iterations: tolerance and largest number of iterations of the engine's Newton solver.
     """
 
     timestep: float = 1e-3
@@ -86,7 +87,7 @@ class PhysicsOptions:
         """The servos of a cell's joints.
 
         Raises:
-            InvalidInputError: wrong shape, or a number that is not positive (0 is a valid armature).
+            InvalidInputError: wrong shape, or a number is not positive (an armature may be 0).
         """
         default = np.concatenate([_default_servos(arm.model) for arm in cell.arms], axis=1)
         given = (self.stiffness, self.damping, self.armature)
@@ -101,7 +102,7 @@ class PhysicsOptions:
 
 @dataclass(frozen=True, eq=False)
 class Servos:
-    """kp, kd and armature, (nv,) each; units as in :class:`PhysicsOptions`."""
+    """kp, kd and armature of the servos, (nv,) each; units as in :class:`PhysicsOptions`."""
 
     stiffness: Array
     damping: Array
@@ -109,7 +110,7 @@ class Servos:
 
 
 def joint_axes(model: pin.Model) -> Array:
-    """Unit twist of each joint of an arm in its own frame, (nv, 6): [axis; 0] if it slides, [0; axis] if it turns."""
+    """Unit twist of each joint in its own frame (nv, 6): [axis; 0] if prismatic, [0; axis] if revolute."""
     data = model.createData()
     pin.computeJointJacobians(model, data, pin.neutral(model))
     out = np.empty((model.nv, 6))
@@ -120,7 +121,7 @@ def joint_axes(model: pin.Model) -> Array:
 
 
 def _default_servos(model: pin.Model) -> Array:
-    """kp, kd, armature (3, nv) of an arm: the six-joint table, stretched along the chain for other counts."""
+    """kp, kd, armature (3, nv) of an arm, interpolated along the arm from the six-joint table."""
     n = model.nv
     place = np.linspace(0.0, 5.0, n) if n > 1 else np.zeros(1)
     below = np.minimum(place.astype(int), 4)

@@ -1,4 +1,4 @@
-"""Play a known joint motion on a plant: a recording at another rate or time law, or the exact inverse kinematics."""
+"""Replay of a known joint motion: a recording with another step or time law, or the exact inverse kinematics."""
 
 from __future__ import annotations
 
@@ -23,21 +23,21 @@ from coopqp.task.path import ObjectPath, TimeLaw, as_time_law
 if TYPE_CHECKING:
     from coopqp.simulation.simulate import Recording
 
-#: From the object's clock [s] to a configuration (nq,).
+#: Function from the object's clock [s] to a configuration (nq,).
 Motion = Callable[[float], Array]
 
 
 @final
 class Replay:
-    """A :class:`~coopqp.control.command.Controller` that commands a motion q(τ) known ahead, open loop.
+    """A :class:`~coopqp.control.command.Controller` that commands a known motion q(τ), open loop.
 
-    With ``time_law="quintic"`` the clock τ is warped: the same configurations are passed, starting and ending at rest.
+    ``time_law="quintic"`` warps the clock τ: the configurations are the same, the start and the end are at rest.
 
     Args:
-        cell, grasp, path: of the motion; the path's duration is that of the replay.
-        motion: configuration (nq,) at a clock τ in [0, duration].
+        cell, grasp, path: cell, grasp and path of the motion; the path defines the duration.
+        motion: function from a clock τ in [0, duration] to a configuration (nq,).
         dt: length of a step [s].
-        time_law: clock over time: ``"linear"`` is as recorded.
+        time_law: time law of the clock; ``"linear"`` keeps the original timing.
     """
 
     def __init__(
@@ -57,12 +57,12 @@ class Replay:
         self._time, self._q = 0.0, np.asarray(motion(0.0), dtype=float)
 
     def reset(self, q: Any) -> None:
-        """Start over; the motion starts where it starts, wherever ``q`` (nq,) is."""
+        """Start again at the start of the motion. ``q`` (nq,) is only checked."""
         self.cell.check_configuration(q, "Replay.reset")
         self._time, self._q = 0.0, np.asarray(self._motion(0.0), dtype=float)
 
     def step(self, q_measured: Any = None, *, dt: float | None = None) -> ControlStep:
-        """The next piece of the motion; ``q_measured`` is not used."""
+        """Command the next step of the motion. ``q_measured`` is not used."""
         h = self.dt if dt is None else as_scalar(dt, "Replay.step: dt")
         before = self._clock(self._time)
         self._time += h
@@ -89,15 +89,15 @@ class Replay:
 
 
 def recorded_motion(cell: RobotCell, recording: Recording, *, interpolation: Interpolation = "cubic") -> Motion:
-    """q(τ) of a recording's commands over the object's clock.
+    """q(τ) from the commands of a recording over the object's clock.
 
-    ``"cubic"`` is the piecewise cubic through the commands, slopes by central differences (continuous velocity).
+    ``"cubic"`` is the piecewise cubic through the commands with slopes by central differences (continuous velocity).
 
     Raises:
-        InvalidInputError: the clock does not advance, so that q is no function of it.
+        InvalidInputError: the clock never advances, so q is not a function of it.
     """
     clock = np.asarray(recording.clock)
-    moves = np.concatenate([[True], np.diff(clock) > 0.0])  # what was commanded at rest is left out
+    moves = np.concatenate([[True], np.diff(clock) > 0.0])  # leave commands at rest out
     knots, q = clock[moves], np.asarray(recording.q_command)[moves]
     if len(knots) < 2:
         raise InvalidInputError("the clock never advances", "recorded_motion", "Give a recording that moves.")
@@ -124,9 +124,9 @@ def recorded_motion(cell: RobotCell, recording: Recording, *, interpolation: Int
 
 
 def exact_motion(cell: RobotCell, grasp: Grasp, path: ObjectPath, q_start: Any) -> Motion:
-    """q(τ) by inverse kinematics of the path's pose at every τ asked for, each from the last answer.
+    """q(τ) by inverse kinematics of the path's pose at τ, starting from the last result.
 
-    The motion raises UnreachableError where an arm does not reach its grasp.
+    The motion raises UnreachableError if an arm does not reach its grasp.
     """
     start = cell.check_configuration(q_start, "exact_motion: q_start")
     chain, last = Chain(cell, grasp), start
@@ -136,7 +136,7 @@ def exact_motion(cell: RobotCell, grasp: Grasp, path: ObjectPath, q_start: Any) 
         pose = path.pose(tau)
         q, errors = newton(chain, pose, start if tau <= 0.0 else last, tolerance=1e-12, max_iter=20)
         if not np.abs(errors).max() <= 1e-9:
-            q = inverse_kinematics(cell, grasp, pose, last)  # tries longer, and says which arm does not reach
+            q = inverse_kinematics(cell, grasp, pose, last)  # more iterations, and an error that names the arm
         last = q
         return q
 

@@ -1,4 +1,4 @@
-"""Joint targets as the servos receive them: interpolated between commands, lagging or stalled where asked."""
+"""Joint targets of the servos: interpolated between commands, with lag or stall on request."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from coopqp.model.cell import RobotCell
 from coopqp.simulation.plants.physics_options import Interpolation
 from coopqp.spatial import Array
 
-#: Times closer than this are the same [s].
+#: Largest difference of equal times [s].
 _SAME_TIME = 1e-12
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class _Segment:
-    """One command: from a position and velocity at ``start`` to those at ``end`` (a cubic, or a line)."""
+    """One command: a cubic (or a line) from position and velocity at ``start`` to position and velocity at ``end``."""
 
     start: float
     end: float
@@ -30,7 +30,7 @@ class _Segment:
     straight: bool
 
     def at(self, t: float) -> tuple[Array, Array]:
-        """Position and velocity at ``t``; the last position at rest after the end."""
+        """Position and velocity at ``t``. After the end: the last position, at rest."""
         h = self.end - self.start
         if t > self.end + 1e-6 * h:
             return self.x1, np.zeros_like(self.x1)
@@ -46,12 +46,12 @@ class _Segment:
 
 @final
 class JointTargets:
-    """Positions and velocities (nv,) over time, from commands that arrive one by one.
+    """Target positions and velocities (nv,) over time, from commands that arrive one by one.
 
-    Positions are one per joint [rad or m], those of continuous joints counted on beyond ±π.
+    There is one position per joint [rad or m]. Positions of continuous joints count beyond ±π.
 
-    A cubic segment takes over the velocity that the last one ended with and ends with the velocity that the mean
-    velocities of both extrapolate to: smooth commands are met to third order, without knowing the next one.
+    A cubic segment starts with the end velocity of the last segment. Its end velocity is extrapolated from the mean
+    velocities of both segments: smooth commands are interpolated to third order, without the next command.
     """
 
     def __init__(
@@ -63,7 +63,7 @@ class JointTargets:
         self.reset(pin.neutral(cell.model))
 
     def reset(self, q: Array) -> None:
-        """Rest at the configuration ``q`` (nq,), time 0."""
+        """Rest at the configuration ``q`` (nq,) at time 0."""
         self._q = np.array(q)
         x = self._cell.positions(self._q)
         zero = np.zeros_like(x)
@@ -74,13 +74,13 @@ class JointTargets:
 
     @property
     def end(self) -> float:
-        """Time at which the last command ends [s]."""
+        """End time of the last command [s]."""
         return self._segment.end
 
     def push(self, q_next: Array, dt: float) -> None:
-        """The next command: be at ``q_next`` (nq,) in ``dt`` seconds."""
+        """Add a command: reach ``q_next`` (nq,) in ``dt`` seconds."""
         last = self._segment
-        # From where the last target ended: also where a controller starts elsewhere (at the measured configuration).
+        # Start at the last target, even if the controller starts at another (the measured) configuration.
         way = pin.difference(self._cell.model, self._q, q_next)
         mean = way / dt
         slope = (mean - self._mean) / (0.5 * (dt + self._span))
@@ -90,7 +90,7 @@ class JointTargets:
         self._mean, self._span, self._q = mean, dt, np.array(q_next)
 
     def at(self, t: float) -> tuple[Array, Array]:
-        """Targets at ``t`` [s] within the last command, never before a time asked for: position, velocity (nv,)."""
+        """Position and velocity (nv,) at ``t`` [s] within the last command. ``t`` must not decrease between calls."""
         x, v = self._segment.at(t)
         if self._lag or self._stall:
             x, v = x.copy(), v.copy()

@@ -1,8 +1,8 @@
-"""Steps of one solver's controllers on numbers that are none; prints what became of them as JSON.
+"""Steps of one solver's controllers on invalid numbers; prints the results as JSON.
 
-``python bad_numbers.py SOLVER``: a process of its own, so that whoever starts it can end it if a solver hangs.
+``python bad_numbers.py SOLVER`` runs in a separate process, which the caller can end if a solver hangs.
 
-Every case is tried three times. A step that is bad is followed by a sound one, which has to go on.
+Every case is tried three times. A sound step follows each bad step and has to continue the motion.
 """
 
 from __future__ import annotations
@@ -18,18 +18,25 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from coopqp import InvalidInputError, QPController, QPOptions, Status
-from coopqp.control.solvers import QpProblem
+from coopqp import (
+    InvalidInputError,
+    Monitor,
+    MonitorTolerances,
+    ObjectPath,
+    QPController,
+    QPOptions,
+    QpProblem,
+    ServoPath,
+    Status,
+)
 from coopqp.scenarios import Scenario, dual_arm7, fast_lift, scara_pair
-from coopqp.simulation.monitor import Monitor, MonitorTolerances
-from coopqp.task.path import ObjectPath, ServoPath
 
 BAD = {"NaN": np.nan, "+inf": np.inf, "-inf": -np.inf}
-#: Finite numbers that solvers have been seen to take very long on, or to fail at.
+#: Finite numbers at which solvers have been slow or have failed.
 WILD = {"1e300": 1e300, "-1e300": -1e300, "1e25": 1e25, "1e15": 1e15, "1e-310": 1e-310}
-#: "No bound" is written as these.
+#: Entries that mean "no bound".
 ABSENT = {("u", "+inf"), ("ub", "+inf"), ("l", "-inf"), ("lb", "-inf")}
-#: Where the forms that have no rows of one kind have the same data.
+#: Arrays that replace arrays without rows in a form.
 ELSEWHERE = {"A": "C", "b": "u", "C": "A", "l": "lb", "u": "ub"}
 #: Arrays without entries.
 EMPTY = {"condensed": ("A", "b"), "full": ("C", "l", "u")}
@@ -38,19 +45,19 @@ TRIES = 3
 
 @dataclass
 class Tally:
-    """What became of the cases."""
+    """The results of the cases."""
 
     cases: int = 0
     not_holding: list[str] = field(default_factory=list)
     not_going_on: list[str] = field(default_factory=list)
     raised: list[str] = field(default_factory=list)
     violations: list[str] = field(default_factory=list)
-    cpu_ms: list[float] = field(default_factory=list)  # of each case, the middle one of its tries
+    cpu_ms: list[float] = field(default_factory=list)  # median of the tries of each case
     longest_ms: float = 0.0
 
 
 class Poisoned:
-    """A controller whose QPs can be given one bad entry, in all of the forms that one step may try."""
+    """A controller with one bad entry in all QPs that a step may solve."""
 
     def __init__(self, scenario: Scenario, options: QPOptions, *, limits_only: bool = False) -> None:
         self.controller = QPController(scenario.cell, scenario.grasp, scenario.path, dt=scenario.dt, options=options)
@@ -65,7 +72,7 @@ class Poisoned:
         vars(program)["full"] = lambda *a, **k: self._poison(full(*a, **k))
 
     def judge(self, path: ObjectPath | None = None) -> None:
-        """A new judge, of the steps from here on."""
+        """Start a new monitor for the following steps."""
         self.monitor = Monitor(self.controller.cell, self.controller.grasp, path, tolerances=self._tolerances)
 
     def _poison(self, problem: QpProblem) -> QpProblem:
@@ -88,7 +95,7 @@ class Poisoned:
 
 
 class SwitchedPath(ObjectPath):
-    """A path of the user's own, whose poses can be spoilt; nothing ahead of the clock is known."""
+    """A user-defined path with poses that can be spoiled; it is not known ahead."""
 
     known_ahead = False
 
@@ -106,13 +113,13 @@ class SwitchedPath(ObjectPath):
 def tried(
     tally: Tally, name: str, bad: Callable[[], tuple[Any, float]], sound: Callable[[], Any], *, holds: bool = True
 ) -> None:
-    """One case: bad steps, each followed by a sound one."""
+    """Run one case: bad steps, each followed by a sound one."""
     tally.cases += 1
     took = []
     for _ in range(TRIES):
         try:
             step, seconds = bad()
-        except Exception as error:  # whatever it is, it is what must not be
+        except Exception as error:  # any exception is a failure
             tally.raised.append(f"{name}: {error!r}")
             return
         took.append(1e3 * seconds)
@@ -126,18 +133,19 @@ def tried(
 
 
 def qp_cases(solver: str, numbers: dict[str, float], tally: Tally, *, holds: bool) -> None:
-    """One entry of each array of each form of the QP."""
+    """Spoil one entry of each array of each form of the QP."""
     rng = np.random.default_rng(6)
+    forms = ("condensed",) if solver == "ldp" else ("condensed", "full")  # the full form is not strictly convex
     for scenario in (fast_lift(), dual_arm7()):
-        for form in ("condensed", "full"):
+        for form in forms:
             options = QPOptions(solver=solver, form=form, shortcut=False, kernel="none")  # type: ignore[arg-type]
             for name in ("H", "g", "A", "b", "C", "l", "u", "lb", "ub"):
                 if name in EMPTY[form]:
                     continue
-                # From absurd data a solver finds an absurd optimum; what holds even then are the limits.
+                # Absurd data give an absurd optimum; the limits hold even then.
                 one = Poisoned(scenario, options, limits_only=not holds)
                 for _ in range(4):
-                    one.step()  # past the first steps, which set up and warm up
+                    one.step()  # first steps for set-up and warm start
                 for label, value in numbers.items():
                     for where in rng.random(2):
                         entry = (name, float(where), value)
@@ -152,7 +160,7 @@ def qp_cases(solver: str, numbers: dict[str, float], tally: Tally, *, holds: boo
 
 
 def input_cases(solver: str, tally: Tally) -> None:
-    """Each entry of q, and dt."""
+    """Spoil each entry of q, and dt."""
     for scenario in (fast_lift(), dual_arm7()):
         for acceleration in (np.inf, 5.0):
             task = replace(scenario, cell=scenario.cell.with_limits(acceleration=acceleration))
@@ -169,7 +177,7 @@ def input_cases(solver: str, tally: Tally) -> None:
 
 
 def target_cases(solver: str, tally: Tally) -> None:
-    """A bad target is refused and the old one stays; a path whose poses go bad is not followed."""
+    """A bad target is refused and the old one stays; a path with bad poses is not followed."""
     scenario = fast_lift()
     start = scenario.path.pose(0.0)
     servo = replace(scenario, path=ServoPath(start))
@@ -195,7 +203,7 @@ def target_cases(solver: str, tally: Tally) -> None:
             scenario = make()
             path = SwitchedPath(scenario.path)
             one = Poisoned(replace(scenario, path=path), QPOptions(solver=solver, kernel=kernel))
-            one.judge(scenario.path)  # by the path's own poses, not by spoilt ones
+            one.judge(scenario.path)  # judged with the unspoiled poses
             for _ in range(4):
                 one.step()
             for label, value in BAD.items():
@@ -215,7 +223,7 @@ def main(solver: str) -> None:
     input_cases(solver, bad)
     target_cases(solver, bad)
     qp_cases(solver, WILD, wild, holds=False)
-    print()  # OSQP prints errors of its own
+    print()  # OSQP prints its own errors before this line
     print(json.dumps({"bad": vars(bad), "wild": vars(wild)}))
 
 

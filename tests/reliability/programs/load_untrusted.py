@@ -1,6 +1,6 @@
-"""Read files that mean no good, in a process whose memory and time are bounded; prints what became of each as JSON.
+"""Read malicious files in a process with bounded memory and time; prints the result of each file as JSON.
 
-``python load_untrusted.py FOLDER``: every file in it by its suffix.
+``python load_untrusted.py FOLDER`` reads every file in the folder according to its suffix.
 """
 
 from __future__ import annotations
@@ -11,8 +11,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from coopqp import Arm, CoopqpError, Recording
-from coopqp.files.cellfile import load_cell_file
+from coopqp import Arm, CoopqpError, Recording, load_cell_file
 
 
 def read(file: Path) -> Any:
@@ -37,7 +36,7 @@ def main(folder: Path) -> None:
             found[file.name] = ["read", text]
         except CoopqpError as error:
             found[file.name] = [type(error).__name__, str(error)]
-        except Exception as error:  # what must not be
+        except Exception as error:  # any other exception is a failure
             found[file.name] = ["OTHER", repr(error)]
     grown = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - at_start
     print()

@@ -1,6 +1,6 @@
-"""The commands of many steps as one hash: ``python repeat.py SOLVER STEPS FILE``.
+"""Hash the commands of many steps: ``python repeat.py SOLVER STEPS FILE``.
 
-Prints the SHA-256 over all commands, and writes the joint velocities of the steps that solved a QP to FILE (.npy).
+Prints the SHA-256 over all commands, and writes the joint velocities of the steps with a QP to FILE (.npy).
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ def to_and_fro(task: Scenario, steps: int, options: QPOptions, noise: float = 0.
 
 
 def once(task: Scenario, steps: int, options: QPOptions) -> Iterator[Any]:
-    """From the start again as soon as the object can go no further."""
+    """Run the task again from the start whenever the object cannot move on."""
     controller = QPController(task.cell, task.grasp, task.path, dt=task.dt, options=options)
     controller.reset(task.q_start)
     waited = 0
@@ -50,7 +50,7 @@ def once(task: Scenario, steps: int, options: QPOptions) -> Iterator[Any]:
 
 
 def chase(task: Scenario, steps: int, options: QPOptions) -> Iterator[Any]:
-    """After a target that moves every 50 steps."""
+    """Follow a target that moves every 50 steps."""
     start = task.path.pose(0.0)
     rng = np.random.default_rng(12)
     controller = QPController(task.cell, task.grasp, ServoPath(start), dt=0.002, options=options)
@@ -63,7 +63,7 @@ def chase(task: Scenario, steps: int, options: QPOptions) -> Iterator[Any]:
 
 
 def all_steps(solver: str, n: int) -> Iterator[Any]:
-    """About ``n`` steps: most as they come, some with a QP each."""
+    """About ``n`` steps: most with default options, some with a QP in every step."""
     usual, solving = QPOptions(solver=solver), QPOptions(solver=solver, shortcut=False, kernel="none")
     limited = at_limit()
     yield from to_and_fro(paper_lift(), int(0.5 * n), usual)

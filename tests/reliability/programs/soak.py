@@ -1,7 +1,7 @@
-"""Many steps of several controllers in one process; prints what the process holds after each round as JSON.
+"""Many steps of several controllers in one process; prints the resources of the process after each round as JSON.
 
-``python soak.py ROUNDS``: a round is 100 000 steps: mostly along paths, back and forth, and a share of everything else
-that a step may meet: measurements, QPs at every step, bad numbers, resets, targets that move.
+``python soak.py ROUNDS``: a round has 100 000 steps, mostly back and forth along paths. Some steps have measurements,
+QPs in every step, bad numbers, resets, or moving targets.
 """
 
 from __future__ import annotations
@@ -20,12 +20,12 @@ import pinocchio as pin
 from coopqp import LinePath, QPController, QPOptions, ServoPath
 from coopqp.scenarios import Scenario, at_limit, dual_arm7, mixed_cell, paper_lift
 
-#: Placements are looked at in one of so many steps.
+#: Number of steps between two checks of placements.
 EVERY = 997
 
 
 class Shuttle:
-    """A controller whose object goes to and fro."""
+    """A controller that moves its object back and forth."""
 
     def __init__(self, task: Scenario, **options: Any) -> None:
         path = task.path
@@ -50,14 +50,14 @@ class Shuttle:
                 self.look(step)
 
     def restart(self) -> None:
-        """At the start of the first way again."""
+        """Start again at the start of the first way."""
         if self.ways[0] is not self.task.path:
             self.ways = self.ways[::-1]
         self.controller.follow(self.ways[0])
         self.controller.reset(self.task.q_start)
 
     def look(self, step: Any) -> None:
-        """How far the reported placements are from rotations, and continuous joints from the unit circle."""
+        """Measure the deviation of placements from rotations, and of continuous joints from the unit circle."""
         cell = step.cell
         for T in (*step.state.T_world_tool, *step.grasp.carried(step.state), step.path.pose(step.clock_next)):
             self.defect = max(self.defect, float(np.abs(T.rotation @ T.rotation.T - np.eye(3)).max()))
@@ -67,7 +67,7 @@ class Shuttle:
 
 
 def round_of(shuttles: list[Shuttle], limit: Scenario, servo: QPController, rng: np.random.Generator) -> None:
-    """100 000 steps."""
+    """Run 100 000 steps."""
     nominal, redundant, mixed, solving = shuttles
     nominal.go(70_000)
     redundant.go(15_000)
@@ -81,7 +81,7 @@ def round_of(shuttles: list[Shuttle], limit: Scenario, servo: QPController, rng:
     for _ in range(500):
         nominal.controller.step(bad)
         nominal.controller.step(dt=np.inf)
-    for _ in range(5):  # into a limit, and a new controller each time
+    for _ in range(5):  # into a limit, with a new controller each time
         blocked = QPController(limit.cell, limit.grasp, limit.path, dt=0.002)
         blocked.reset(limit.q_start)
         for _ in range(100):
@@ -94,7 +94,7 @@ def round_of(shuttles: list[Shuttle], limit: Scenario, servo: QPController, rng:
 
 
 def held() -> dict[str, int]:
-    """What the process holds: memory that is resident [bytes], open files, objects that Python keeps track of."""
+    """Resources of the process: resident memory [bytes], open files, objects tracked by Python."""
     gc.collect()
     pages = int(Path("/proc/self/statm").read_text().split()[1])
     return {

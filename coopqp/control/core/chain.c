@@ -1,0 +1,224 @@
+/* The closed chain: errors, corrections, and joint velocities from twists of the object. */
+
+#include "functions.h"
+
+/* -- errors and corrections ------------------------------------------------------------------------------------------ */
+
+static int errors_at(const Core *c, const double *carried, const double *R, const double *p, double *errors) {
+    for (int k = 0; k < c->arms; k++) {
+        const double *O = carried + 12 * k;
+        double E[9], away[3] = {O[9] - p[0], O[10] - p[1], O[11] - p[2]}, e[3];
+        multiply3_back(R, O, E);
+        rotate_back(R, away, e);
+        if (!log6(E, e, errors + 6 * k)) return 0;
+    }
+    return 1;
+}
+
+static void common_error(const Core *c, const double *errors, double *common) {
+    memset(common, 0, 6 * sizeof(double));
+    for (int k = 0; k < c->arms; k++)
+        for (int i = 0; i < 6; i++) common[i] += c->shares[6 * k + i] * errors[6 * k + i];
+}
+
+/* Shrink n corrections by one common factor to the bounds of speed and spin. */
+static void bound(const Core *c, double *twists, int n) {
+    double linear = 0.0, angular = 0.0;
+    for (int k = 0; k < n; k++) {
+        linear = fmax(linear, dot3(twists + 6 * k, twists + 6 * k));
+        angular = fmax(angular, dot3(twists + 6 * k + 3, twists + 6 * k + 3));
+    }
+    const double excess =
+        fmax(sqrt(linear) / c->options[CORRECTION_SPEED], sqrt(angular) / c->options[CORRECTION_SPIN]);
+    for (int i = 0; excess > 1.0 && i < 6 * n; i++) twists[i] /= excess;
+}
+
+/* c_k, c_p, and b_k: what the last linearisation left out. Gains take away no more than the whole error in a step. */
+static void corrections(Core *c, double h) {
+    const double grasp_gain = fmin(c->options[GRASP_GAIN], 1.0 / h), path_gain = fmin(c->options[PATH_GAIN], 1.0 / h);
+    const double *seen = c->proposal[HAS_MEASURED] != 0.0 ? c->measured : c->common;
+    const int predicted = c->loop[HAS_PREDICTED] != 0.0;
+    common_error(c, c->errors, c->common);
+    for (int k = 0; k < c->arms; k++)
+        for (int i = 0; i < 6; i++) {
+            double e = c->errors[6 * k + i];
+            c->grasp[6 * k + i] = -grasp_gain * (e - c->common[i]);
+            c->offsets[6 * k + i] = predicted ? (c->predicted[6 * k + i] - e) / c->loop[LAST_DT] : 0.0;
+        }
+    for (int i = 0; i < 6; i++) c->path[i] = -path_gain * seen[i];
+    bound(c, c->grasp, c->arms);
+    bound(c, c->path, 1);
+}
+
+/* -- linear algebra: one small system, two right-hand sides ---------------------------------------------------------- */
+
+/* Two numbers side by side, as GCC and Clang know them; other compilers leave it to the plain step. */
+typedef double pair __attribute__((vector_size(16)));
+/* Rows of [A | b₀ b₁]: entry (i, j) is rows[i][j / 2][j % 2]. */
+typedef pair Rows[6][4];
+#define UNROLL _Pragma("GCC unroll 6")
+
+/* Solve by elimination with partial pivoting; the answers take the right-hand sides' place. 0 if singular. */
+static int solve6(Rows A) {
+    double scale = 0.0, inverse[6];
+    for (int i = 0; i < 6; i++)
+        for (int j = 0; j < 6; j++) {
+            double size = fabs(A[i][j / 2][j % 2]);
+            scale = size > scale ? size : scale;
+        }
+    UNROLL for (int k = 0; k < 6; k++) {
+        int first = k / 2, pivot = k;
+        double largest = fabs(A[k][first][k % 2]);
+        UNROLL for (int i = k + 1; i < 6; i++) {
+            double size = fabs(A[i][first][k % 2]);
+            pivot = size > largest ? i : pivot;
+            largest = size > largest ? size : largest;
+        }
+        if (!(largest > SMALLEST_PIVOT * scale)) return 0;
+        if (pivot != k)
+            for (int j = first; j < 4; j++) {
+                pair other = A[pivot][j];
+                A[pivot][j] = A[k][j];
+                A[k][j] = other;
+            }
+        inverse[k] = 1.0 / A[k][first][k % 2];
+        UNROLL for (int i = k + 1; i < 6; i++) {
+            double f = A[i][first][k % 2] * inverse[k];
+            for (int j = first; j < 4; j++) A[i][j] -= (pair){f, f} * A[k][j];
+        }
+    }
+    UNROLL for (int k = 5; k >= 0; k--) {
+        pair x = A[k][3];
+        UNROLL for (int j = k + 1; j < 6; j++) {
+            double f = A[k][j / 2][j % 2];
+            x -= (pair){f, f} * A[j][3];
+        }
+        A[k][3] = x * (pair){inverse[k], inverse[k]};
+    }
+    return 1;
+}
+
+/* Of one arm with n ≥ 6 joints: velocities v0, v1 for the world twists w0, w1, near the null-space wishes u0, u1 of a
+ * redundant arm: v = u + A⁺(w − J u), A⁺ the right inverse of least Σ (v/scale)². */
+static int arm_velocities(const double *JT, const double *scale, int n, const double *w0, const double *w1,
+                          const double *u0, const double *u1, double *v0, double *v1) {
+    Rows A;
+    if (n == 6) {
+        for (int i = 0; i < 6; i++) {
+            for (int j = 0; j < 3; j++) A[i][j] = (pair){JT[12 * j + i], JT[12 * j + 6 + i]};
+            A[i][3] = (pair){w0[i], w1[i]};
+        }
+        if (!solve6(A)) return 0;
+        for (int j = 0; j < 6; j++) v0[j] = A[j][3][0], v1[j] = A[j][3][1];
+        return 1;
+    }
+    for (int i = 0; i < 6; i++) {
+        double first = w0[i], second = w1[i];
+        for (int k = 0; k <= i; k++) {
+            double sum = 0.0;
+            for (int j = 0; j < n; j++) sum += JT[6 * j + i] * JT[6 * j + k] * scale[j] * scale[j];
+            A[i][k / 2][k % 2] = A[k][i / 2][i % 2] = sum;
+        }
+        for (int j = 0; j < n; j++) first -= JT[6 * j + i] * u0[j], second -= JT[6 * j + i] * u1[j];
+        A[i][3] = (pair){first, second};
+    }
+    if (!solve6(A)) return 0;
+    for (int j = 0; j < n; j++) {
+        double first = 0.0, second = 0.0;
+        for (int i = 0; i < 6; i++) first += JT[6 * j + i] * A[i][3][0], second += JT[6 * j + i] * A[i][3][1];
+        v0[j] = u0[j] + scale[j] * scale[j] * first;
+        v1[j] = u1[j] + scale[j] * scale[j] * second;
+    }
+    return 1;
+}
+
+/* The same for all arms: w0 (6 arms) has a twist per arm, w1 (6) is common to all; u0 and u1 (joints) may be NULL. */
+static int two_velocities(const Core *c, const double *jacobian, const double *w0, const double *w1, const double *u0,
+                          const double *u1, double *v0, double *v1) {
+    static const double still[MOST_JOINTS];
+    for (int k = 0; k < c->arms; k++) {
+        const int n = (int)c->arm_size[k], j = (int)c->arm_start[k];
+        if (!arm_velocities(jacobian + 6 * j, c->scale + j, n, w0 + 6 * k, w1, u0 ? u0 + j : still, u1 ? u1 + j : still,
+                            v0 + j, v1 + j))
+            return 0;
+    }
+    return 1;
+}
+
+/* A twist of the reference object frame in world axes. */
+static void to_world(const double *R, const double *twist, double *out) {
+    rotate(R, twist, out);
+    rotate(R, twist + 3, out + 3);
+}
+
+/* v = u + A⁺(σ ν + c_p + c_k + b_k − J u): the command at full corrections and rate `cap`, and what a unit of rate adds. */
+static int nominal_command(Core *c, double cap) {
+    double *w = c->scratch, along[6], common[6];
+    const double *u0 = NULL, *u1 = NULL;
+    for (int i = 0; i < 6; i++) common[i] = cap * c->along[i] + c->path[i];
+    for (int k = 0; k < c->arms; k++) {
+        double twist[6];
+        for (int i = 0; i < 6; i++) twist[i] = common[i] + c->grasp[6 * k + i] + c->offsets[6 * k + i];
+        to_world(c->R, twist, w + 6 * k);
+    }
+    to_world(c->R, c->along, along);
+    if (c->redundant) {
+        double *wish = w + 6 * c->arms;
+        for (int j = 0; j < c->joints; j++) wish[j] = cap * c->null_along[j] + c->null_offset[j];
+        u0 = wish, u1 = c->null_along;
+    }
+    return two_velocities(c, c->jacobian, w, along, u0, u1, c->command, c->along_velocity);
+}
+
+/* -- what redundant arms wish for ------------------------------------------------------------------------------------ */
+
+/* √det(J Jᵀ) of one arm */
+static double manipulability(const Core *c, int k, const double *positions, double *jacobian) {
+    static const double about[3];
+    const int n = (int)c->arm_size[k];
+    follow_arm(c, k, positions, about, NULL, jacobian);
+    const double *JT = jacobian + 6 * (int)c->arm_start[k];
+    double G[36], det = 1.0;
+    for (int i = 0; i < 6; i++)
+        for (int m = 0; m < 6; m++) {
+            G[6 * i + m] = 0.0;
+            for (int j = 0; j < n; j++) G[6 * i + m] += JT[6 * j + i] * JT[6 * j + m];
+        }
+    for (int i = 0; i < 6; i++) { /* Gᴸᵀ: no pivots, for it is positive semidefinite */
+        det *= G[7 * i];
+        if (!(G[7 * i] > 0.0)) return 0.0;
+        for (int m = i + 1; m < 6; m++) {
+            double f = G[6 * m + i] / G[7 * i];
+            for (int j = i; j < 6; j++) G[6 * m + j] -= f * G[6 * i + j];
+        }
+    }
+    return sqrt(det);
+}
+
+static double wrapped(const Core *c, int j, double angle) {
+    return c->continuous[j] != 0.0 ? remainder(angle, 2.0 * 3.14159265358979323846) : angle;
+}
+
+static void posture_velocity(Core *c, const double *positions, double *v) {
+    const double *o = c->options, step = 1e-5;
+    double excess = 1.0;
+    for (int k = 0; k < c->arms; k++) {
+        const int start = (int)c->arm_start[k], end = start + (int)c->arm_size[k];
+        for (int j = start; j < end; j++) {
+            v[j] = 0.0;
+            if (end - start <= 6) continue;
+            v[j] = o[POSTURE_GAIN] * wrapped(c, j, c->posture_target[j] - positions[j]);
+            if (c->posture_bounded[j] != 0.0) v[j] += o[CENTRING] * (c->posture_middle[j] - positions[j]);
+            if (o[MANIPULABILITY] > 0.0) {
+                double *moved = c->posture_work, *jacobian = moved + c->joints;
+                memcpy(moved, positions, sizeof(double) * (size_t)c->joints);
+                moved[j] += step;
+                double up = manipulability(c, k, moved, jacobian);
+                moved[j] = positions[j] - step;
+                v[j] += o[MANIPULABILITY] * (up - manipulability(c, k, moved, jacobian)) / (2.0 * step);
+            }
+            excess = fmax(excess, fabs(v[j]) / c->posture_cap[j]);
+        }
+    }
+    for (int j = 0; excess > 1.0 && j < c->joints; j++) v[j] /= excess;
+}

@@ -1,0 +1,58 @@
+/* The compiled step: what its files share. No Python here.
+ *
+ * The memory is that of layout.py, in three blocks that Python owns: fields are members of Core. Vectors of joints have
+ * one number per joint [rad or m]; rotations are row major; twists are [linear; angular].
+ *
+ *   spatial.h     rotations, logarithm, exponential          kinematics.c  where the arms carry the object, Jacobians
+ *   paths.c       pose and twist of the object's path        chain.c       errors, corrections, joint velocities
+ *   limits.c      admissible velocities, rates               program.c     the condensed QP and its answer
+ *   ldp.c         least-distance programs                    watch.c       supervision, drift, forces
+ *   preview.c     the path ahead of the clock                step.c        observe, propose, commit
+ */
+
+#ifndef COOPQP_CORE_H
+#define COOPQP_CORE_H
+
+#include <math.h>
+#include <stddef.h>
+#include <string.h>
+
+#include "layout.h"
+
+/* Unknowns of the condensed QP but for null-space motions: off-path twist, rate, shares of both corrections. */
+#define TWIST_AND_SHARES 9
+
+typedef struct Core Core;
+struct Core {
+    FIELDS
+    int arms, joints, nq, unknowns, rows, past; /* rows: further rows that fit; past: samples in `history` */
+    int redundant, accelerates, looks_ahead;
+    int further_rows; /* of this step */
+    /* The path: duration, number of breakpoints, number of segments, breakpoints, segments of 21 numbers in the order of
+     * their starts. A path without segments is known to own_path. */
+    const double *path_numbers;
+    double duration;
+    /* Calls of what is not known here; 0 if they fail. `out` takes R (9) and p (3), or with `twist` six numbers. */
+    int (*own_path)(Core *c, double clock, int twist, double *out);
+    /* May lower cap and decrease of a new knot; NULL where nobody does. `slot` is its place in the ring. */
+    int (*bound_knot)(Core *c, int slot);
+};
+
+/* What the core can do, once for any processor and once for a newer one; see step.c and kinematics.c. */
+typedef struct {
+    void (*start)(Core *c, const double *positions);
+    void (*start_path)(Core *c, double clock, double rate);
+    void (*observe)(Core *c, const double *q, const double *dt);
+    int (*propose)(Core *c);
+    int (*answer)(Core *c);
+    int (*commit)(Core *c);
+    int (*read)(Core *c, double cap);
+    void (*carry)(const Core *c, const double *positions, double *carried);
+    void (*linearise)(const Core *c, const double *positions, const double *about, double *carried, double *jacobian);
+    int (*least_distance)(int n, int m, const double *A, const double *low, const double *high, const double *lb,
+                          const double *ub, double reach, double *x, double *y, double *work);
+} Arithmetic;
+
+extern const Arithmetic arithmetic_plain, arithmetic_avx2;
+
+#endif

@@ -1,0 +1,68 @@
+/* What the files of the core call of each other. They are one unit, so that the compiler sees all of it. */
+
+#ifndef COOPQP_FUNCTIONS_H
+#define COOPQP_FUNCTIONS_H
+
+#include "core.h"
+#include "spatial.h"
+
+/* -- kinematics.c ---------------------------------------------------------------------------------------------------- */
+
+/* O_k: the object as each arm carries it, R (9) then p (3), 12 numbers per arm. */
+static void carry(const Core *c, const double *positions, double *carried);
+/* The same and Jᵀ (joints, 6): twist of the object as carried, at the point `about`, in world axes. */
+static void carry_and_linearise(const Core *c, const double *positions, const double *about, double *carried,
+                                double *jacobian);
+
+/* -- paths.c --------------------------------------------------------------------------------------------------------- */
+
+static int path_pose(Core *c, double clock, double *R, double *p);
+static int path_twist(Core *c, double clock, double *twist);
+/* log(T(τ)⁻¹ T(τ + span)) / span; `R`, `p` is T(τ). */
+static int path_increment(Core *c, double clock, double span, const double *R, const double *p, double *twist);
+/* First clock after this one at which the twist jumps; the end of the path at the latest. */
+static double next_breakpoint(const Core *c, double clock);
+
+/* -- chain.c --------------------------------------------------------------------------------------------------------- */
+
+/* e_k = log(R⁻¹ O_k), 6 per arm; 0 near half a turn or for numbers that are not finite. */
+static int errors_at(const Core *c, const double *carried, const double *R, const double *p, double *errors);
+/* ē = Σ W_k e_k */
+static void common_error(const Core *c, const double *errors, double *common);
+/* Joint velocities v0, v1 for world twists about the point of the Jacobian: w0 has one per arm, w1 is common to all; near
+ * the null-space wishes u0, u1 (NULL for none). 0 if an arm is singular. */
+static int two_velocities(const Core *c, const double *jacobian, const double *w0, const double *w1, const double *u0,
+                          const double *u1, double *v0, double *v1);
+
+/* -- watch.c --------------------------------------------------------------------------------------------------------- */
+
+/* Compare a sample with the command; lowers WATCH_CAP and sets HOLD, FAULTS, REASON… of the proposal.
+ * `positions` are measured, near the commanded ones; `q` is the configuration as measured; `away` (6 arms) is log of the
+ * object as measured from as commanded, per arm. */
+static void watch_sample(Core *c, const double *positions, const double *q, const double *away, double dt);
+static void watch_reset(Core *c);
+
+/* -- preview.c ------------------------------------------------------------------------------------------------------- */
+
+/* Start at the commanded positions, on or near the path, and look ahead as far as a step needs. */
+static void preview_reset(Core *c, double clock);
+/* Largest admissible rate at `clock` for a step of dt. CAP_KIND, CAP_ARM, CAP_JOINT of the proposal say what makes it. */
+static double preview_cap(Core *c, double clock, double dt);
+/* Previewed positions and slopes at `clock`. */
+static void preview_reference(Core *c, double clock, double *positions, double *slope);
+
+/* -- posture (chain.c) ----------------------------------------------------------------------------------------------- */
+
+/* Velocities that redundant arms wish for at these positions. */
+static void posture_velocity(Core *c, const double *positions, double *v);
+
+/* -- ldp.c ----------------------------------------------------------------------------------------------------------- */
+
+/* Least ‖x‖² subject to  low ≤ A x ≤ high  and  lb ≤ x ≤ ub; bounds may be infinite, equal ones make an equality.
+ * Rows of A (m, n) should have unit norm. Returns the iterations (≥ 0) and in y (m + n) the multipliers of rows and
+ * bounds, positive at an upper one; −1 if no ‖x‖ ≤ reach is feasible: y then proves it; −2 if it gave up, bounds are
+ * crossed or numbers are not finite. `work` has room for 2 n (n + 3) numbers. */
+static int least_distance(int n, int m, const double *A, const double *low, const double *high, const double *lb,
+                          const double *ub, double reach, double *x, double *y, double *work);
+
+#endif

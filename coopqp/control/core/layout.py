@@ -1,0 +1,250 @@
+"""The core's memory and constants, listed once: for the definition in Python, and as a C header.
+
+Every field is an array of float64 in one of three blocks: ``CONFIG`` never changes, ``STATE`` is all that one step
+hands to the next (a copy of it is a copy of the controller), ``WORK`` is scratch. Sizes are written in the symbols of
+:func:`sizes`. Run as a program this file prints the header; it needs the standard library only.
+"""
+
+from __future__ import annotations
+
+#: Numbers that the definition and the core share.
+CONSTANTS: dict[str, float] = {
+    # limits
+    "LIMIT_TOLERANCE": 1e-9,  # velocities within this of a limit are admissible, and clipped [rad/s or m/s]
+    "STILL_SLOPE": 1e-12,  # per unit of rate, a joint slower than this stands still [rad/s or m/s]
+    "RECOVERY_SHARE": 0.2,  # share of a joint's speed at which it is led back from outside its limits
+    "INSIDE": 1e-5,  # how far inside its limit such a joint is led [rad or m]
+    "AT_LIMIT": 1e-7,  # a velocity this close to its limit stands at it [rad/s or m/s]
+    "RESIDUE_TOLERANCE": 1e-5,  # a solver's excess over a limit up to this is clipped; more is a failure [rad/s]
+    # chain
+    "LARGE_INVERSE": 1e4,  # entries of an inverse beyond this need a look at the singular values
+    "SMALLEST_PIVOT": 1e-9,  # smallest pivot over the largest entry
+    "LONGEST_STEP": 0.5,  # Newton's step is shortened to this [rad or m]
+    # rate
+    "BRAKING_SHARE": 0.8,  # share of the accelerations that braking together is planned with
+    "LEAST_PACE": 1e-3,  # the increment along the path is the mean over this share of a step at least
+    "NEGLIGIBLE": 1e-10,  # square of an off-path twist that needs no braking distance [m²/s², rad²/s²]
+    "SETTLED": 1e-13,  # the first step has settled when its change of velocity moves the joints by less [rad²]
+    "RATE_ROUNDING": 1e-12,  # a rate that rises by less stands still: a QP's zero has the solver's rounding
+    "ARRIVING": 10.0,  # an object that comes to a stop for good counts as blocked from this many times the rate on
+    "LARGEST_X": 1e5,  # an infeasibility has to cover unknowns of the QP up to this, in their units
+    "EXTRA_AT_START": 3,  # linearisations of the first step beyond the others
+    # preview
+    "STEPS_TO_FULL_SPEED": 22,  # steps in which a joint without acceleration limit is planned to reach full speed
+    "PASSABLE": 0.3,  # a singularity is passed where the rate's cap stays above this share of singular_rate
+    "LEAST_LEFT": 1e-3,  # the path's curvature leaves at least this share of the acceleration for the rate
+    "FINE_CELL": 1e-3,  # intervals shorter than this are not halved for a change of slope [s]
+    "BISECTIONS": 6,  # refinements of the rate near a bound
+    "JUST_BEFORE": 1e-10,  # the twist before a corner is taken this much earlier [s]
+    "PREVIEW_ROUNDING": 1e-12,  # rounding of squares of rates, which are differences of sums
+    "STEPS_TO_GROW": 8,  # a knot is begun this many steps before it is needed
+    "NEWTON_STEPS_AT_START": 1000,  # Newton steps that a reset may take
+    "LONGEST_WAY": 300,  # knots of a way past a singularity
+    "MOST_TRIES": 4,  # Newton steps that a knot may take
+    "STARTING_STEPS": 8,  # Newton steps that the first knot may take
+    "CONVERGED": 1e-5,  # Newton steps shorter than this are the last [rad or m]
+    # supervision
+    "STILL_COMMAND": 1e-5,  # commanded motion of an arm below this says nothing of a stall [rad or m]
+    "FOLLOWS": 0.5,  # an arm that moves by more than this share of its command follows it
+    "CAUGHT_UP": 5e-4,  # a stalled arm this close to its command has caught up [rad or m]
+    "CAUGHT_UP_SHARE": 0.3,  # so has one at this share of the largest gap
+    "CIRCLE_TOLERANCE": 0.05,  # how far (cos, sin) of a continuous joint may be from the unit circle
+    "LET_GO": 0.5,  # a force that held the object lets it go below this share of its limit
+    "FAULT_SAMPLES": 2,  # a fault needs as many samples in a row
+    "MOST_LOST": 3,  # samples in a row that an arm may repeat before it counts as standing
+    "NOISE_TIME": 0.2,  # noise is averaged over this time [s]
+    "FEW_SAMPLES": 4,  # fewer samples tell nothing of the noise
+    # drift of the arms from each other
+    "WANDER": 1e-3,  # how far a drift wanders within a second [m]
+    "LAG": 0.02,  # lag that an arm may have [s]
+    "LEAST_LAG": 1e-4,  # how well the lag is known at best [s]
+    "DRIFT_FLOOR": 5e-4,  # how well distances are known without noise [m]
+    "DRIFT_SAMPLE": 1e-3,  # per this time [s]
+    "SMOOTHING": 0.1,  # distances and speed are smoothed alike [s]
+    "DRIFT_PERIOD": 0.0045,  # the filter runs this often, or at every step if that is longer [s]
+    "LARGEST_SLOPE": 0.02,  # a drift grows by no more than this share of the arms' way
+    # forces from the servos
+    "STRUCTURE": 2e-9,  # compliance of what servos do not model [m/N]; 1 rad counts as 1 m
+    "TURN_LENGTH": 0.3,  # 1 rad of turning counts as this many metres where directions are compared
+    "AT_REST": 1e-3,  # commanded joint velocities below this are rest [rad/s or m/s]
+    "SERVOS_SETTLED": 0.2,  # after this long at rest servos have settled [s]
+    "UNBALANCED": 0.3,  # share of the largest wrench from which on wrenches do not cancel
+    "STRAIGHT_BACK": 0.95,  # cosine from which on an arm's way back is taken for the cause
+}
+
+#: Knots that the look-ahead keeps, and joints that an arm may have, at most.
+MOST_KNOTS, MOST_JOINTS = 1024, 16
+#: Numbers of a straight segment: R(0), p(0), rotation vector, displacement, start, duration, time law.
+SEGMENT = 21
+
+OPTIONS = (
+    "NOMINAL_DT", "GRASP_GAIN", "PATH_GAIN", "CORRECTION_SPEED", "CORRECTION_SPIN", "MEASUREMENT_TIME", "SHORTCUT",
+    "OWN_SOLVER",
+    "ACCELERATES", "RECOVERY_UNIT", "RELAX_UNIT", "RISE", "BLOCKED_RATE",
+    "POSTURE_GAIN", "CENTRING", "MANIPULABILITY", "POSTURE_SHARE",
+    "LOOKS_AHEAD", "CAPS_SPEED", "CELL", "JOINT_STEP", "SLOPE_STEP", "SHORTEST", "CURVATURE_SHARE", "SLOPE_CAP",
+    "SINGULAR_RATE", "NEWTON_STEPS",
+    "SLOW_FROM", "HOLD_FROM", "LET_IN", "NOISE_MARGIN", "RECOVERY_TIME", "FAULT_FROM", "STALL_SAMPLES", "STALL_SHARE",
+    "SILENT_TIME", "FILTER_TIME", "DT_LOW", "DT_HIGH", "JOINT_JUMP", "WATCHES_FORCE", "FORCE_LIMIT", "SERVO_DELAY",
+)  # fmt: skip
+
+#: Scalars of the state: the loop, the watch, the drift filter, the forces, the look-ahead.
+LOOP = (
+    "CLOCK", "RATE", "LAST_DT", "HAS_PREDICTED", "FIRST", "DRIFTED", "CORRECTING", "FAULT", "FAULT_ARM", "FAULT_A",
+    "FAULT_B", "PATH_LOST",
+)  # fmt: skip
+WATCH = (
+    "SAMPLES", "WATCH_RATE", "WATCH_ARM", "SILENCE", "PRESSED", "HAS_SEEN", "PAST_COUNT", "PAST_HEAD", "FAR_SAMPLES",
+    "DRIFT_SPEED", "DRIFT_SINCE", "DRIFT_STARTED", "VAR_DRIFT", "COVARIANCE", "VAR_LAG",
+    "REST", "HAS_COMMANDED", "BEHIND", "GAP", "PULL",
+)  # fmt: skip
+AHEAD = (
+    "HEAD", "COUNT", "BOUND_HEAD", "BOUND_COUNT", "COMPLETE", "ENDS", "FREE_UNTIL", "BEGIN_AT",
+    "GROWING", "TRY_SPAN", "ITERATION", "WAY", "BEYOND",
+)  # fmt: skip
+#: Numbers of a knot beside its vectors.
+KNOT = (
+    "K_CLOCK", "K_CAP", "K_UNCAPPED", "K_CUMULATIVE", "K_DECREASE", "K_FASTEST", "K_CHANGE", "K_INSIDE",
+    "K_KIND", "K_ARM", "K_JOINT",
+)  # fmt: skip
+#: What a step proposes. REASON comes with an arm (or an index) and two numbers.
+PROPOSAL = (
+    "DT", "CAP", "SPAN", "HAS_MEASURED", "CAP_KIND", "CAP_ARM", "CAP_JOINT", "WATCH_CAP", "HOLD", "FAULTS",
+    "REASON", "REASON_ARM", "REASON_A", "REASON_B", "OUTCOME", "NEW_RATE", "BINDING_ROW", "BINDING_SIDE",
+    "GRASP_SHARE", "PATH_SHARE", "PARTING", "BRAKED", "ITERATIONS", "OUTSIDE", "RELAXED", "PLACED", "LATE", "KEEP",
+    "BINDINGS",
+)  # fmt: skip
+#: What a step hands out, before its vectors q, velocity, q_next, off_path, and four numbers per binding limit: kind,
+#: arm, joint, constraint, each −1 where there is none.
+RECORD = (
+    "R_DT", "R_CLOCK", "R_CLOCK_NEXT", "R_RATE", "R_STATUS", "R_REASON", "R_REASON_ARM", "R_REASON_A", "R_REASON_B",
+    "R_GRASP_SHARE", "R_PATH_SHARE", "R_PARTING", "R_OUTCOME", "R_ITERATIONS", "R_BINDINGS",
+)  # fmt: skip
+#: Members of Status, in the order of their codes.
+STATUSES = ("TRACKING", "SLOWED", "BLOCKED", "HOLDING", "FAULTED")
+
+#: FILLED: base and columns are there for another solver. OPEN: the plain definition has to find the answer.
+OUTCOMES = ("NOMINAL", "RAY", "QP", "FILLED", "OPEN")
+#: Members of LimitKind, in the order of their codes; 0 is none.
+KINDS = (
+    "NONE", "POSITION", "VELOCITY", "ACCELERATION", "SINGULARITY", "REACH", "PATH_END", "OUT_OF_STEP", "CONSTRAINT",
+)  # fmt: skip
+REASONS = (
+    "NO_REASON", "BAD_DT", "NOT_FINITE", "OFF_CIRCLE", "JUMPED", "OUT_OF_STEP_BY", "WAS_OUT_OF_STEP", "STALLED",
+    "ALL_STALLED", "FORCE", "HANGS_BEHIND", "PATH_FAILED",
+)  # fmt: skip
+
+#: The fields of each block: name and size.
+CONFIG = (
+    ("arm_start", "n"), ("arm_size", "n"),
+    ("link_R", "9 * nv"), ("link_p", "3 * nv"), ("prismatic", "nv"), ("continuous", "nv"), ("q_index", "nv"),
+    ("object_R", "9 * n"), ("object_p", "3 * n"),
+    ("scale", "nv"), ("shares", "6 * n"), ("low", "nv"), ("high", "nv"), ("speed", "nv"), ("acceleration", "nv"),
+    ("unit", "unknowns"), ("at_grasps", "36"), ("softness", "nv"),
+    ("posture_cap", "nv"), ("posture_bounded", "nv"), ("posture_middle", "nv"),
+    ("plan_speed", "nv"), ("plan_acceleration", "nv"), ("plan_jump", "nv"), ("slope_change", "nv"),
+    ("options", str(len(OPTIONS))),
+)  # fmt: skip
+STATE = (
+    ("loop", str(len(LOOP))), ("positions", "nv"), ("velocity", "nv"), ("before", "nv"), ("predicted", "6 * n"),
+    ("drift", "6"), ("correcting", "6"), ("posture_target", "nv"),
+    ("watch", str(len(WATCH))), ("deviation", "6 * n"), ("away", "6 * n"), ("away_step", "6 * n"), ("noise", "n"),
+    ("stalled", "n"), ("widest", "n"), ("lost", "n"), ("seen", "nq"), ("history", "2 * nv * past"),
+    ("slow_drift", "6 * n"), ("lag", "6 * n"), ("apart", "6 * n"), ("drift_last", "nv"),
+    ("deflection", "nv"), ("way", "nv"), ("commanded", "nv"), ("forces", "n"),
+    ("ahead", str(len(AHEAD))),
+    ("knots", f"{len(KNOT)} * knots"), ("knot_positions", "nv * knots"), ("knot_slope", "nv * knots"),
+    ("knot_curvature", "nv * knots"), ("bounds", "knots"),
+)  # fmt: skip
+WORK = (
+    ("proposal", str(len(PROPOSAL))),
+    ("q", "nq"), ("q_next", "nq"), ("carried", "12 * n"), ("jacobian", "6 * nv"), ("R", "9"), ("p", "3"),
+    ("along", "6"), ("path", "6"), ("measured", "6"), ("measured_positions", "nv"), ("measured_carried", "12 * n"),
+    ("measured_away", "6 * n"), ("posture_work", "7 * nv"), ("common", "6"), ("errors", "6 * n"), ("grasp", "6 * n"),
+    ("offsets", "6 * n"), ("null_along", "nv"), ("null_offset", "nv"), ("command", "nv"), ("stand_in", "nv"),
+    ("guess", "nv"), ("first_guess", "nv"), ("along_velocity", "nv"), ("off_path", "6"), ("lower", "nv"),
+    ("upper", "nv"), ("recovery", "nv"), ("outside", "nv"), ("further", "nv * rows"), ("further_lower", "rows"),
+    ("further_upper", "rows"), ("further_soft", "rows"), ("further_owner", "rows"), ("base", "nv + rows"),
+    ("columns", "(nv + rows) * unknowns"), ("x", "unknowns + nv + rows"), ("bindings", "4 * (nv + rows)"),
+    ("record", f"{len(RECORD)} + 2 * nq + nv + 6 + 4 * (nv + rows)"), ("sketch", "24 * n + 9 * nv"),
+    ("scratch", "scratch"),
+)  # fmt: skip
+
+BLOCKS = (("CONFIG", CONFIG), ("STATE", STATE), ("WORK", WORK))
+
+
+def sizes(*, n: int, nv: int, nq: int, unknowns: int, past: int, rows: int) -> dict[str, int]:
+    """The symbols that sizes of fields are written in.
+
+    Args:
+        n, nv, nq: arms, joints, numbers of a configuration.
+        unknowns: of the condensed QP without what is led back or relaxed.
+        past: samples in which a stall is looked for.
+        rows: further rows that a step may have.
+    """
+    x, m = unknowns + nv + rows, 2 * nv + rows  # unknowns and rows of the largest QP
+    scratch = x * m + 3 * (m + x) + 2 * x * (x + 3) + 64 * n + 8 * nv
+    return {
+        "n": n, "nv": nv, "nq": nq, "unknowns": unknowns, "past": past, "rows": rows, "knots": MOST_KNOTS,
+        "scratch": scratch,
+    }  # fmt: skip
+
+
+def offsets(block: tuple[tuple[str, str], ...], symbols: dict[str, int]) -> dict[str, tuple[int, int]]:
+    """Where each field of a block begins and ends."""
+    places, end = {}, 0
+    for name, size in block:
+        begin = end
+        end += _value(size, symbols)
+        places[name] = (begin, end)
+    return places
+
+
+def _value(size: str, symbols: dict[str, int]) -> int:
+    """Value of a sum of products of symbols, numbers and bracketed sums, such as ``6 + 4 * (nv + rows)``."""
+    words = size.replace("(", "( ").replace(")", " )").split()
+
+    def product() -> int:
+        total = 1
+        while True:
+            word = words.pop(0)
+            total *= summed() if word == "(" else symbols[word] if word in symbols else int(word)
+            if not words or words[0] != "*":
+                return total
+            words.pop(0)
+
+    def summed() -> int:
+        total = product()
+        while words and words.pop(0) == "+":
+            total += product()
+        return total
+
+    return summed()
+
+
+def header() -> str:
+    """The same as a C header."""
+    lines = ["/* Generated by layout.py. */", "#ifndef COOPQP_LAYOUT_H", "#define COOPQP_LAYOUT_H", ""]
+    lines += [f"#define {name} {value!r}" for name, value in CONSTANTS.items()]
+    lines += [
+        f"#define MOST_KNOTS {MOST_KNOTS}",
+        f"#define MOST_JOINTS {MOST_JOINTS}",
+        f"#define SEGMENT {SEGMENT}",
+        "",
+    ]
+    for count, names in _LISTS.items():
+        lines.append("enum { " + ", ".join((*names, f"N_{count}")) + " };")
+    lines += ["", "/* Every field of the three blocks, in their order, as members of a struct. */", "#define FIELDS \\"]
+    lines += [f"    double *{name}; /* {size} */ \\" for _, block in BLOCKS for name, size in block]
+    lines += [""]
+    lines += [f"#define {name}_FIELDS {len(block)}" for name, block in BLOCKS]
+    return "\n".join([*lines, "", "#endif", ""])
+
+
+_LISTS = {
+    "OPTIONS": OPTIONS, "LOOP": LOOP, "WATCH": WATCH, "AHEAD": AHEAD, "KNOT": KNOT, "PROPOSAL": PROPOSAL,
+    "OUTCOMES": OUTCOMES, "KINDS": KINDS, "REASONS": REASONS, "RECORD": RECORD, "STATUSES": STATUSES,
+}  # fmt: skip
+
+if __name__ == "__main__":
+    print(header(), end="")

@@ -1,0 +1,199 @@
+"""The memory of one compiled loop: three blocks of numbers, and views of their fields by name."""
+
+from __future__ import annotations
+
+from typing import final
+
+import numpy as np
+import pinocchio as pin
+
+from coopqp.control.core import layout
+from coopqp.control.limits import VelocityBox
+from coopqp.control.options import QPOptions
+from coopqp.errors import CoopqpError
+from coopqp.model.cell import RobotCell
+from coopqp.model.chain import Chain
+from coopqp.planning.preview import PlanLimits
+from coopqp.spatial import Array
+
+#: Further rows that a step may have.
+MOST_ROWS = 64
+
+
+class NotForTheCoreError(CoopqpError):
+    """The cell has something that the core does not know; the plain loop runs it."""
+
+
+@final
+class Memory:
+    """Blocks ``config``, ``state`` and ``work``; ``at[name]`` is the view of a field.
+
+    Attributes:
+        sizes: symbols of the layout.
+        places: where each field begins and ends in its block, in the layout's order.
+    """
+
+    def __init__(self, *, n: int, nv: int, nq: int, unknowns: int, past: int) -> None:
+        self.sizes = layout.sizes(n=n, nv=nv, nq=nq, unknowns=unknowns, past=past, rows=MOST_ROWS)
+        self.at: dict[str, Array] = {}
+        self.places: list[tuple[int, int]] = []
+        self.blocks: dict[str, Array] = {}
+        for block, fields in layout.BLOCKS:
+            places = layout.offsets(fields, self.sizes)
+            memory = self.blocks[block] = np.zeros(max(end for _, end in places.values()))
+            self.places += places.values()
+            self.at.update({name: memory[begin:end] for name, (begin, end) in places.items()})
+
+
+def build_memory(
+    chain: Chain, box: VelocityBox, shares: Array, unit: Array, at_grasps: Array, options: QPOptions, dt: float
+) -> Memory:
+    """The memory of a loop, its constants filled in.
+
+    Raises:
+        NotForTheCoreError: a joint type, or an order of joints, that the core does not know.
+    """
+    cell = chain.cell
+    starts, counts = _arms(chain)
+    memory = Memory(
+        n=len(cell),
+        nv=cell.nv,
+        nq=cell.nq,
+        unknowns=unit.size,
+        past=1 + (options.supervision.stall_samples or 1),
+    )
+    at, limits = memory.at, cell.limits
+    at["arm_start"][:], at["arm_size"][:] = starts, counts
+    _put_links(chain, at)
+    at["continuous"][:], at["q_index"][:] = cell.continuous, cell.position_index
+    at["scale"][:], at["shares"][:], at["unit"][:] = chain.scale, shares.ravel(), unit
+    at["low"][:], at["high"][:] = limits.lower, limits.upper
+    at["speed"][:], at["acceleration"][:] = limits.velocity, limits.acceleration
+    at["at_grasps"][:] = at_grasps.ravel()
+    stiffness = options.supervision.stiffness
+    at["softness"][:] = 0.0 if stiffness is None else 1.0 / np.asarray(stiffness, dtype=float)
+    posture = options.posture
+    bounded = np.isfinite(limits.lower) & np.isfinite(limits.upper)
+    at["posture_cap"][:] = posture.speed_share * np.where(np.isfinite(limits.velocity), limits.velocity, 1.0)
+    at["posture_bounded"][:] = bounded
+    at["posture_middle"][bounded] = 0.5 * (limits.lower[bounded] + limits.upper[bounded])
+    _put_plan(chain, at, options, dt)
+    _put_options(at["options"], box, options, dt)
+    return memory
+
+
+def _arms(chain: Chain) -> tuple[list[int], list[int]]:
+    columns = chain.moving_columns
+    if any(len(c) < 6 for c in columns):
+        raise NotForTheCoreError("an arm has fewer than six joints")
+    if any(len(c) > layout.MOST_JOINTS for c in columns):
+        raise NotForTheCoreError(f"an arm has more than {layout.MOST_JOINTS} joints")
+    if any((np.diff(c) != 1).any() for c in columns):
+        raise NotForTheCoreError("the joints of an arm do not follow each other")
+    return [int(c[0]) for c in columns], [len(c) for c in columns]
+
+
+def _put_links(chain: Chain, at: dict[str, Array]) -> None:
+    """Placement of each joint in the one before, both with the z axis along the joint's axis."""
+    cell, model = chain.cell, chain.cell.model
+    link_R, link_p = at["link_R"].reshape(-1, 9), at["link_p"].reshape(-1, 3)
+    link_R[:] = np.eye(3).ravel()
+    for k, columns in enumerate(chain.moving_columns):
+        parent, aligned = 0, np.eye(3)
+        for j in columns:
+            joint = model.joints[int(j) + 1]
+            if joint.idx_v != j or joint.nv != 1 or model.parents[int(j) + 1] != parent:
+                raise NotForTheCoreError(f"joint {cell.joint_names[j]} does not follow the one before")
+            axis, slides = _axis(cell, int(j) + 1)
+            placement = model.jointPlacements[int(j) + 1]
+            turned = _z_to(axis)
+            link_R[j] = (aligned.T @ placement.rotation @ turned).ravel()
+            link_p[j] = aligned.T @ placement.translation
+            at["prismatic"][j] = slides
+            parent, aligned = int(j) + 1, turned
+        if cell.tool_joints[k] != parent:
+            raise NotForTheCoreError(f"the tool of arm {cell.arm_names[k]} is not on its last joint")
+        Y = cell.T_joint_tool[k] * chain.grasp.T_object_tool[k].inverse()
+        at["object_R"].reshape(-1, 9)[k] = (aligned.T @ Y.rotation).ravel()
+        at["object_p"].reshape(-1, 3)[k] = aligned.T @ Y.translation
+
+
+def _axis(cell: RobotCell, joint: int) -> tuple[Array, bool]:
+    """The joint's axis in its own frame, and whether it slides along it."""
+    q = pin.neutral(cell.model)
+    own = pin.computeJointJacobian(cell.model, cell.model.createData(), q, joint)[
+        :, int(cell.model.joints[joint].idx_v)
+    ]
+    linear, angular = own[:3], own[3:]
+    if abs(np.linalg.norm(angular) - 1.0) < 1e-9 and np.abs(linear).max() < 1e-9:
+        return angular, False
+    if abs(np.linalg.norm(linear) - 1.0) < 1e-9 and np.abs(angular).max() < 1e-9:
+        return linear, True
+    raise NotForTheCoreError(f"joint {cell.model.names[joint]} neither turns about an axis nor slides along one")
+
+
+def _z_to(axis: Array) -> Array:
+    """A rotation that takes z to ``axis``."""
+    z = axis / np.linalg.norm(axis)
+    x = np.cross(np.eye(3)[int(np.abs(z).argmin())], z)
+    x /= np.linalg.norm(x)
+    return np.column_stack([x, np.cross(z, x), z])
+
+
+def _put_plan(chain: Chain, at: dict[str, Array], options: QPOptions, dt: float) -> None:
+    if options.preview is None:
+        return
+    plan = PlanLimits.of(chain.cell, options.preview, dt=dt)
+    at["plan_speed"][:], at["plan_acceleration"][:] = plan.speed, plan.acceleration
+    at["plan_jump"][:], at["slope_change"][:] = plan.jump, plan.slope_change
+
+
+def _put_options(numbers: Array, box: VelocityBox, o: QPOptions, dt: float) -> None:
+    s, p, w = o.supervision, o.preview, o.weights
+    low, high = s.dt_range
+    values: dict[str, float] = {
+        "NOMINAL_DT": dt, "GRASP_GAIN": o.grasp_gain, "PATH_GAIN": o.path_gain,
+        "CORRECTION_SPEED": o.correction_speed, "CORRECTION_SPIN": o.correction_spin,
+        "MEASUREMENT_TIME": o.measurement_time, "SHORTCUT": o.shortcut, "ACCELERATES": box.accelerates,
+        "RECOVERY_UNIT": w.recovery**-0.5, "RELAX_UNIT": w.clearance**-0.5, "BLOCKED_RATE": o.blocked_rate,
+        "POSTURE_GAIN": o.posture.gain, "CENTRING": o.posture.centring, "MANIPULABILITY": o.posture.manipulability,
+        "SLOW_FROM": -1.0 if s.slow_from is None else s.slow_from, "HOLD_FROM": s.hold_from, "LET_IN": s.let_in,
+        "NOISE_MARGIN": s.noise_margin, "RECOVERY_TIME": s.recovery_time, "FAULT_FROM": s.fault_from,
+        "STALL_SAMPLES": s.stall_samples or 0, "STALL_SHARE": s.stall_share, "SILENT_TIME": s.silent_time,
+        "FILTER_TIME": s.filter_time, "DT_LOW": low, "DT_HIGH": high, "JOINT_JUMP": s.joint_jump,
+        "WATCHES_FORCE": s.stiffness is not None, "FORCE_LIMIT": s.force_limit, "SERVO_DELAY": s.servo_delay,
+    }  # fmt: skip
+    if p is not None:
+        slope = p.slope(accelerates=box.accelerates, dt=dt)
+        values |= {
+            "RISE": slope, "LOOKS_AHEAD": 1.0, "CAPS_SPEED": box.accelerates, "CELL": p.cell,
+            "JOINT_STEP": p.joint_step,
+            "SLOPE_STEP": p.slope_step, "SHORTEST": p.shortest, "CURVATURE_SHARE": p.curvature_share,
+            "SLOPE_CAP": 0.9 * slope if box.accelerates else slope, "SINGULAR_RATE": p.singular_rate,
+            "NEWTON_STEPS": p.newton_steps,
+        }  # fmt: skip
+    for name, value in values.items():
+        numbers[layout.OPTIONS.index(name)] = value
+
+
+def same_kinematics(chain: Chain, linearise: object, *, samples: int = 3, tolerance: float = 1e-9) -> bool:
+    """Whether the core's kinematics are Pinocchio's, at seeded random configurations of this very robot."""
+    rng, cell = np.random.default_rng(0), chain.cell
+    carried, jacobian = np.zeros(12 * len(cell)), np.zeros(6 * cell.nv)
+    moving = np.concatenate(chain.moving_columns)
+    reach = 1.0
+    for _ in range(samples):
+        x = rng.uniform(-2.0, 2.0, cell.nv)
+        q = cell.configuration(x)
+        O = chain.carried(q)
+        about = O[0, 3].copy()
+        linearise(x, about, carried, jacobian)  # type: ignore[operator]
+        chain.evaluate(q, about)
+        mine = carried.reshape(-1, 12)
+        reach = max(reach, float(np.abs(O[:, 3]).max()))
+        away = np.abs(mine[:, :9].reshape(-1, 3, 3).transpose(0, 2, 1) - O[:, :3]).max()
+        away = max(away, np.abs(mine[:, 9:] - O[:, 3]).max() / reach)
+        away = max(away, np.abs(jacobian.reshape(-1, 6)[moving] - chain.rows()[moving]).max() / reach)
+        if not away < tolerance:
+            return False
+    return True

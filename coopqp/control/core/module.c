@@ -1,0 +1,438 @@
+/* The core as a Python module. A Core works on three blocks of memory that Python owns: it is told their addresses and
+ * lengths and where each field begins (compiled.py keeps them alive). Arrays come in through the buffer protocol. */
+
+#define PY_SSIZE_T_CLEAN
+#include <Python.h>
+#include <stdint.h>
+
+#include "core.h"
+
+#define FIELDS_IN_ALL (CONFIG_FIELDS + STATE_FIELDS + WORK_FIELDS)
+
+/* The best arithmetic that this processor can do. */
+static const Arithmetic *best(void) {
+#ifdef HAS_AVX2_ARITHMETIC
+    if (__builtin_cpu_supports("avx2") && __builtin_cpu_supports("fma")) return &arithmetic_avx2;
+#endif
+    return &arithmetic_plain;
+}
+
+typedef struct {
+    PyObject_HEAD
+    Core core;
+    const Arithmetic *can; /* NULL before it is built */
+    double *own_pose;      /* where own_path leaves its numbers, 12 */
+    PyObject *own_path, *bound_knot;               /* callables; NULL for none */
+    PyObject *path_buffer, *pose_buffer;           /* arrays whose memory is in use */
+    PyObject *step_type, *context, *statuses;      /* what a step is made of */
+} CoreObject;
+
+static CoreObject *owner_of(Core *c) { return (CoreObject *)(void *)((char *)c - offsetof(CoreObject, core)); }
+
+/* -- memory ---------------------------------------------------------------------------------------------------------- */
+
+/* The numbers of a contiguous float64 buffer; NULL and an exception if it is something else or has another length. */
+static double *numbers(PyObject *object, Py_ssize_t count, int writable, Py_buffer *view) {
+    if (PyObject_GetBuffer(object, view, PyBUF_FORMAT | PyBUF_C_CONTIGUOUS | (writable ? PyBUF_WRITABLE : 0)) < 0)
+        return NULL;
+    if (view->itemsize == 8 && view->format && view->format[0] == 'd' && !view->format[1] &&
+        (count < 0 || view->len == 8 * count))
+        return view->buf;
+    PyBuffer_Release(view);
+    PyErr_SetString(PyExc_ValueError, "expected a contiguous array of float64 of the right length");
+    return NULL;
+}
+
+/* A field that begins `begin` numbers into a block of `length` bytes, with room for `count` numbers. */
+static int place_fields(CoreObject *self, PyObject *blocks, PyObject *places) {
+    static const int fields[3] = {CONFIG_FIELDS, STATE_FIELDS, WORK_FIELDS};
+    double **field = (double **)(void *)&self->core; /* FIELDS stand first */
+    if (PyTuple_Size(blocks) != 3 || PyTuple_Size(places) != FIELDS_IN_ALL) return 0;
+    for (int block = 0, i = 0; block < 3; block++) {
+        unsigned long long address;
+        Py_ssize_t length;
+        if (!PyArg_ParseTuple(PyTuple_GetItem(blocks, block), "Kn", &address, &length)) return 0;
+        for (int n = 0; n < fields[block]; n++, i++) {
+            Py_ssize_t begin, end;
+            if (!PyArg_ParseTuple(PyTuple_GetItem(places, i), "nn", &begin, &end)) return 0;
+            if (begin < 0 || end < begin || end > length / 8) return 0;
+            field[i] = (double *)(uintptr_t)address + begin;
+        }
+    }
+    return 1;
+}
+
+/* Whether the arms' joints lie inside the vectors, and there are as many unknowns as they make. */
+static int consistent(Core *c) {
+    int unknowns = TWIST_AND_SHARES;
+    for (int k = 0; k < c->arms; k++) {
+        const double start = c->arm_start[k], size = c->arm_size[k];
+        if (!(start >= 0 && size >= 6 && size <= MOST_JOINTS && start + size <= c->joints)) return 0;
+        unknowns += (int)size - 6;
+    }
+    for (int j = 0; j < c->joints; j++) {
+        const double at = c->q_index[j], width = c->continuous[j] != 0.0 ? 2 : 1;
+        if (!(at >= 0 && at + width <= c->nq)) return 0;
+        c->accelerates = c->accelerates || isfinite(c->acceleration[j]);
+    }
+    c->redundant = unknowns > TWIST_AND_SHARES;
+    return unknowns == c->unknowns;
+}
+
+static int core_init(PyObject *object, PyObject *args, PyObject *kwargs) {
+    CoreObject *self = (CoreObject *)object;
+    Core *c = &self->core;
+    PyObject *blocks, *places;
+    int plain = 0;
+    (void)kwargs;
+    if (self->can) {
+        PyErr_SetString(PyExc_ValueError, "a Core is built once");
+        return -1;
+    }
+    if (!PyArg_ParseTuple(args, "O!O!(iiiiii)|p", &PyTuple_Type, &blocks, &PyTuple_Type, &places, &c->arms, &c->joints,
+                          &c->nq, &c->unknowns, &c->past, &c->rows, &plain))
+        return -1;
+    if (c->arms < 1 || c->joints < 6 || c->nq < c->joints || c->past < 1 || c->rows < 0 ||
+        !place_fields(self, blocks, places) || !consistent(c)) {
+        if (!PyErr_Occurred()) PyErr_SetString(PyExc_ValueError, "the memory does not fit together");
+        return -1;
+    }
+    static const double nowhere[3] = {1.0, 0.0, 0.0};
+    c->duration = 1.0, c->path_numbers = nowhere;
+    self->can = plain ? &arithmetic_plain : best();
+    return 0;
+}
+
+static void core_dealloc(PyObject *object) {
+    CoreObject *self = (CoreObject *)object;
+    PyTypeObject *type = Py_TYPE(object);
+    Py_XDECREF(self->own_path);
+    Py_XDECREF(self->bound_knot);
+    Py_XDECREF(self->path_buffer);
+    Py_XDECREF(self->pose_buffer);
+    Py_XDECREF(self->step_type);
+    Py_XDECREF(self->context);
+    Py_XDECREF(self->statuses);
+    freefunc release = (freefunc)PyType_GetSlot(type, Py_tp_free);
+    release(object);
+    Py_DECREF(type);
+}
+
+static CoreObject *built(PyObject *object) {
+    CoreObject *self = (CoreObject *)object;
+    if (self->can) return self;
+    PyErr_SetString(PyExc_RuntimeError, "this Core was not built");
+    return NULL;
+}
+
+/* -- what is not known here ------------------------------------------------------------------------------------------ */
+
+/* Call a Python function that says whether it succeeded; what it raises counts as failure. */
+static int ask(PyObject *function, PyObject *arguments) {
+    PyObject *found = arguments ? PyObject_CallObject(function, arguments) : NULL;
+    Py_XDECREF(arguments);
+    const int good = found && PyObject_IsTrue(found) == 1;
+    Py_XDECREF(found);
+    if (PyErr_Occurred()) PyErr_WriteUnraisable(function);
+    return good;
+}
+
+static int ask_path(Core *c, double clock, int twist, double *out) {
+    CoreObject *self = owner_of(c);
+    if (!self->own_path || !ask(self->own_path, Py_BuildValue("(di)", clock, twist))) return 0;
+    memcpy(out, self->own_pose, (size_t)(twist ? 6 : 12) * sizeof(double));
+    return 1;
+}
+
+static int ask_knot(Core *c, int slot) {
+    CoreObject *self = owner_of(c);
+    return ask(self->bound_knot, Py_BuildValue("(i)", slot));
+}
+
+/* set_path(numbers, own, pose, duration, looks_ahead): own(clock, twist) leaves what it knows in pose. */
+static PyObject *core_set_path(PyObject *object, PyObject *args) {
+    CoreObject *self = built(object);
+    PyObject *path, *own, *pose;
+    double duration, *found, *where = NULL;
+    int looks_ahead;
+    Py_buffer view;
+    if (!self || !PyArg_ParseTuple(args, "OOOdp", &path, &own, &pose, &duration, &looks_ahead)) return NULL;
+    if (!(found = numbers(path, -1, 0, &view))) return NULL;
+    const Py_ssize_t count = view.len / 8;
+    PyBuffer_Release(&view); /* the arrays stay where they are while they are held here */
+    const int asks = own != Py_None;
+    if (!(count >= 3 && found[1] >= 0 && found[1] < 1e6 && found[2] >= (asks ? 0 : 1) && found[2] < 1e6 &&
+          count >= 3 + (Py_ssize_t)found[1] + SEGMENT * (Py_ssize_t)found[2])) {
+        PyErr_SetString(PyExc_ValueError, "the numbers are no path");
+        return NULL;
+    }
+    if (asks) {
+        if (!(where = numbers(pose, 12, 1, &view))) return NULL;
+        PyBuffer_Release(&view);
+    }
+    Py_INCREF(path);
+    Py_INCREF(own);
+    Py_INCREF(pose);
+    Py_XDECREF(self->path_buffer);
+    Py_XDECREF(self->own_path);
+    Py_XDECREF(self->pose_buffer);
+    self->path_buffer = path, self->own_path = own, self->pose_buffer = pose, self->own_pose = where;
+    self->core.own_path = asks ? ask_path : NULL;
+    self->core.path_numbers = found;
+    self->core.duration = duration, self->core.looks_ahead = looks_ahead;
+    Py_RETURN_NONE;
+}
+
+static PyObject *core_bind_knots(PyObject *object, PyObject *function) {
+    CoreObject *self = built(object);
+    if (!self) return NULL;
+    PyObject *old = self->bound_knot;
+    self->bound_knot = function == Py_None ? NULL : function;
+    Py_XINCREF(self->bound_knot);
+    Py_XDECREF(old);
+    self->core.bound_knot = self->bound_knot ? ask_knot : NULL;
+    Py_RETURN_NONE;
+}
+
+static PyObject *core_make_steps(PyObject *object, PyObject *args) {
+    CoreObject *self = built(object);
+    PyObject *type, *context, *statuses;
+    if (!self || !PyArg_ParseTuple(args, "O!OO!", &PyType_Type, &type, &context, &PyTuple_Type, &statuses)) return NULL;
+    if (PyTuple_Size(statuses) < N_STATUSES) {
+        PyErr_SetString(PyExc_ValueError, "a status is missing");
+        return NULL;
+    }
+    Py_INCREF(type);
+    Py_INCREF(context);
+    Py_INCREF(statuses);
+    Py_XDECREF(self->step_type);
+    Py_XDECREF(self->context);
+    Py_XDECREF(self->statuses);
+    self->step_type = type, self->context = context, self->statuses = statuses;
+    Py_RETURN_NONE;
+}
+
+/* -- steps ----------------------------------------------------------------------------------------------------------- */
+
+/* observe(q, dt) of what Python hands over; 0 and an exception if q is no array of the right size. */
+static int take(CoreObject *self, PyObject *q, PyObject *dt) {
+    Py_buffer view;
+    double length = 0.0, *measured = NULL;
+    const double *given = NULL;
+    if (dt && dt != Py_None) {
+        length = PyFloat_AsDouble(dt);
+        if (PyErr_Occurred()) PyErr_Clear(), length = NAN; /* refused, with its reason */
+        given = &length;
+    }
+    if (q && q != Py_None && !(measured = numbers(q, self->core.nq, 0, &view))) return 0;
+    self->can->observe(&self->core, measured, given);
+    if (measured) PyBuffer_Release(&view);
+    return 1;
+}
+
+/* Numbers of the record as bytes. */
+static PyObject *record_of(const Core *c) {
+    const Py_ssize_t count = N_RECORD + 2 * c->nq + c->joints + 6 + 4 * (Py_ssize_t)c->record[R_BINDINGS];
+    return PyBytes_FromStringAndSize((const char *)c->record, 8 * count);
+}
+
+/* Names of what a step is born with. */
+static PyObject *record_name, *context_name, *status_name, *rate_name;
+
+/* A step is read-only: its own attributes are set past its class. */
+static int set_and_drop(PyObject *object, PyObject *name, PyObject *value) {
+    const int good = value && PyObject_GenericSetAttr(object, name, value) == 0;
+    Py_XDECREF(value);
+    return good;
+}
+
+/* A ControlStep from the record. */
+static PyObject *make_step(CoreObject *self, int status) {
+    if (!self->step_type) return record_of(&self->core);
+    PyObject *step = PyType_GenericAlloc((PyTypeObject *)self->step_type, 0);
+    if (!step) return NULL;
+    PyObject *known = PyTuple_GetItem(self->statuses, status);
+    if (set_and_drop(step, record_name, record_of(&self->core)) &&
+        PyObject_GenericSetAttr(step, context_name, self->context) == 0 &&
+        PyObject_GenericSetAttr(step, status_name, known) == 0 &&
+        set_and_drop(step, rate_name, PyFloat_FromDouble(self->core.record[R_RATE])))
+        return step;
+    Py_DECREF(step);
+    return NULL;
+}
+
+static PyObject *core_step(PyObject *object, PyObject *const *args, Py_ssize_t n) {
+    CoreObject *self = built(object);
+    if (!self || !take(self, n > 0 ? args[0] : NULL, n > 1 ? args[1] : NULL)) return NULL;
+    if (self->can->propose(&self->core) >= FILLED) Py_RETURN_NONE;
+    return make_step(self, self->can->commit(&self->core));
+}
+
+static PyObject *core_observe(PyObject *object, PyObject *const *args, Py_ssize_t n) {
+    CoreObject *self = built(object);
+    if (!self || !take(self, n > 0 ? args[0] : NULL, n > 1 ? args[1] : NULL)) return NULL;
+    Py_RETURN_NONE;
+}
+
+static PyObject *core_propose(PyObject *object, PyObject *const *args, Py_ssize_t n) {
+    CoreObject *self = built(object);
+    if (!self) return NULL;
+    const long rows = n > 0 ? PyLong_AsLong(args[0]) : 0, again = n > 1 ? PyObject_IsTrue(args[1]) : 0;
+    if (PyErr_Occurred()) return NULL;
+    if (rows < 0 || rows > self->core.rows) {
+        PyErr_SetString(PyExc_ValueError, "there is no room for so many rows");
+        return NULL;
+    }
+    self->core.further_rows = (int)rows;
+    return PyLong_FromLong(again ? self->can->answer(&self->core) : self->can->propose(&self->core));
+}
+
+static PyObject *core_read(PyObject *object, PyObject *cap) {
+    CoreObject *self = built(object);
+    const double rate = self ? PyFloat_AsDouble(cap) : 0.0;
+    if (!self || PyErr_Occurred()) return NULL;
+    return PyBool_FromLong(self->can->read(&self->core, rate));
+}
+
+static PyObject *core_commit(PyObject *object, PyObject *unused) {
+    CoreObject *self = built(object);
+    (void)unused;
+    return self ? make_step(self, self->can->commit(&self->core)) : NULL;
+}
+
+/* Steps without Python in between, to time the core alone; stops where a step is open. Returns how many were done. */
+static PyObject *core_advance(PyObject *object, PyObject *args) {
+    CoreObject *self = built(object);
+    PyObject *q = NULL;
+    Py_ssize_t steps, done = 0;
+    Py_buffer view;
+    double *measured = NULL;
+    if (!self || !PyArg_ParseTuple(args, "n|O", &steps, &q)) return NULL;
+    if (q && q != Py_None && !(measured = numbers(q, self->core.nq, 0, &view))) return NULL;
+    for (; done < steps; done++) {
+        self->can->observe(&self->core, measured, NULL);
+        if (self->can->propose(&self->core) >= FILLED) break;
+        self->can->commit(&self->core);
+    }
+    if (measured) PyBuffer_Release(&view);
+    return PyLong_FromSsize_t(done);
+}
+
+static PyObject *core_start(PyObject *object, PyObject *positions) {
+    CoreObject *self = built(object);
+    Py_buffer view;
+    double *x = self ? numbers(positions, self->core.joints, 0, &view) : NULL;
+    if (!x) return NULL;
+    self->can->start(&self->core, x);
+    PyBuffer_Release(&view);
+    Py_RETURN_NONE;
+}
+
+static PyObject *core_start_path(PyObject *object, PyObject *args) {
+    CoreObject *self = built(object);
+    double clock, rate;
+    if (!self || !PyArg_ParseTuple(args, "dd", &clock, &rate)) return NULL;
+    self->can->start_path(&self->core, clock, rate);
+    Py_RETURN_NONE;
+}
+
+/* linearise(positions, about, carried, jacobian): kinematics into the caller's arrays. */
+static PyObject *core_linearise(PyObject *object, PyObject *args) {
+    CoreObject *self = built(object);
+    PyObject *arrays[4];
+    Py_buffer views[4];
+    double *x[4];
+    if (!self || !PyArg_ParseTuple(args, "OOOO", arrays, arrays + 1, arrays + 2, arrays + 3)) return NULL;
+    const Py_ssize_t counts[4] = {self->core.joints, 3, 12 * self->core.arms, 6 * self->core.joints};
+    for (int i = 0; i < 4; i++)
+        if (!(x[i] = numbers(arrays[i], counts[i], i > 1, views + i))) {
+            while (i--) PyBuffer_Release(views + i);
+            return NULL;
+        }
+    self->can->linearise(&self->core, x[0], x[1], x[2], x[3]);
+    for (int i = 0; i < 4; i++) PyBuffer_Release(views + i);
+    Py_RETURN_NONE;
+}
+
+/* -- least-distance programs by themselves --------------------------------------------------------------------------- */
+
+#define LDP_BUFFERS 8
+
+static PyObject *module_least_distance(PyObject *self, PyObject *args) {
+    PyObject *buffers;
+    double reach, *at[LDP_BUFFERS];
+    Py_ssize_t length[LDP_BUFFERS];
+    (void)self;
+    if (!PyArg_ParseTuple(args, "O!d", &PyTuple_Type, &buffers, &reach)) return NULL;
+    if (PyTuple_Size(buffers) != LDP_BUFFERS) {
+        PyErr_Format(PyExc_ValueError, "expected %d buffers", LDP_BUFFERS);
+        return NULL;
+    }
+    for (int i = 0; i < LDP_BUFFERS; i++) {
+        unsigned long long address;
+        if (!PyArg_ParseTuple(PyTuple_GetItem(buffers, i), "Kn", &address, &length[i])) return NULL;
+        at[i] = (double *)(uintptr_t)address;
+    }
+    const Py_ssize_t m = length[1] / 8, n = length[5] / 8;
+    const Py_ssize_t wanted[] = {8 * m * n, 8 * m, 8 * m, 8 * n, 8 * n, 8 * n, 8 * (m + n), 16 * n * (n + 3)};
+    int fits = n > 0 && n <= 10000 && m >= 0 && m <= 1000000;
+    for (int i = 0; i < LDP_BUFFERS; i++) fits = fits && length[i] == wanted[i];
+    if (!fits) {
+        PyErr_SetString(PyExc_ValueError, "the buffers do not fit together");
+        return NULL;
+    }
+    return PyLong_FromLong(
+        best()->least_distance((int)n, (int)m, at[0], at[1], at[2], at[3], at[4], reach, at[5], at[6], at[7]));
+}
+
+/* -- module ---------------------------------------------------------------------------------------------------------- */
+
+#define FAST(f) ((PyCFunction)(void (*)(void))(f))
+
+static PyMethodDef core_methods[] = {
+    {"step", FAST(core_step), METH_FASTCALL, "step(q, dt): observe, propose, commit; None if the answer is open."},
+    {"observe", FAST(core_observe), METH_FASTCALL, "observe(q, dt): take one sample."},
+    {"propose", FAST(core_propose), METH_FASTCALL,
+     "propose(rows, again): find the command with this many further rows; returns an outcome."},
+    {"read", core_read, METH_O, "read(cap): take the solution x of the condensed QP; False if it breaks limits."},
+    {"commit", core_commit, METH_NOARGS, "commit(): move the state; returns the step."},
+    {"advance", core_advance, METH_VARARGS, "advance(steps, q): steps without Python in between."},
+    {"start", core_start, METH_O, "start(positions): at rest there."},
+    {"start_path", core_start_path, METH_VARARGS, "start_path(clock, rate): along the path from there."},
+    {"set_path", core_set_path, METH_VARARGS, "set_path(numbers, function, pose, duration, looks_ahead)."},
+    {"bind_knots", core_bind_knots, METH_O, "bind_knots(function): called with the place of every new knot."},
+    {"make_steps", core_make_steps, METH_VARARGS, "make_steps(type, context, statuses): what step() returns."},
+    {"linearise", core_linearise, METH_VARARGS, "linearise(positions, about, carried, jacobian)."},
+    {NULL, NULL, 0, NULL},
+};
+
+static PyType_Slot core_slots[] = {
+    {Py_tp_doc, "Core(blocks, places, sizes, plain=False): the compiled step over memory that Python owns."},
+    {Py_tp_init, core_init},
+    {Py_tp_dealloc, core_dealloc},
+    {Py_tp_methods, core_methods},
+    {Py_tp_new, PyType_GenericNew},
+    {0, NULL},
+};
+
+static PyType_Spec core_spec = {"coopqp.control.core._native.Core", sizeof(CoreObject), 0, Py_TPFLAGS_DEFAULT, core_slots};
+
+static PyMethodDef module_methods[] = {
+    {"least_distance", module_least_distance, METH_VARARGS,
+     "least_distance(((address, bytes), ...), reach): of A, low, high, lb, ub, x, y, work; see functions.h."},
+    {NULL, NULL, 0, NULL},
+};
+
+static struct PyModuleDef module = {
+    PyModuleDef_HEAD_INIT, "_native", "The compiled step.", -1, module_methods, NULL, NULL, NULL, NULL,
+};
+
+PyMODINIT_FUNC PyInit__native(void) {
+    PyObject *m = PyModule_Create(&module), *type = m ? PyType_FromSpec(&core_spec) : NULL;
+    record_name = PyUnicode_InternFromString("_record"), context_name = PyUnicode_InternFromString("_context");
+    status_name = PyUnicode_InternFromString("status"), rate_name = PyUnicode_InternFromString("rate");
+    if (type && record_name && context_name && status_name && rate_name && PyModule_AddObject(m, "Core", type) == 0) return m;
+    Py_XDECREF(type);
+    Py_XDECREF(m);
+    return NULL;
+}

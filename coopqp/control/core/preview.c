@@ -1,0 +1,668 @@
+/* The path ahead of the object's clock: where limits and singularities bind, and how fast the object may go. The
+ * definition, with the formulae, is PathPreview in coopqp/planning/preview.py.
+ *
+ * Knots lie in a ring, numbered from the one at or before the clock; `place` is where in the ring. COUNT of them are
+ * known. Behind these lie tentative ones: WAY knots of a way past a singularity, then the knot that is being tried. So
+ * all that a pause has to keep is in the state, and a copy of the state goes on as the original would. */
+
+#include "functions.h"
+
+/* What one Newton step makes of the knot that is tried. */
+typedef enum { PENDING, REJECTED, FOUND, PATH_LOST_AHEAD } Trial;
+
+/* In place of a ring place: what bounds the rate is the end of what is known, or nothing. */
+enum { HORIZON = -1, NO_BOUND = -2 };
+
+/* -- memory -------------------------------------------------------------------------------------------------------- */
+
+typedef struct {
+    double *carried, *errors, *w, *jacobian, *step, *wish, *after;
+} Sketch;
+
+static Sketch sketch_of(const Core *c) {
+    const int n = c->arms, nv = c->joints;
+    double *carried = c->sketch, *errors = carried + 12 * n, *w = errors + 6 * n, *jacobian = w + 6 * n;
+    double *step = jacobian + 6 * nv;
+    return (Sketch){carried, errors, w, jacobian, step, step + nv, step + 2 * nv};
+}
+
+static int count_ahead(const Core *c, int what) { return (int)c->ahead[what]; }
+
+static int place_of(const Core *c, int i) { return (count_ahead(c, HEAD) + i) % MOST_KNOTS; }
+
+static double *knot_in(const Core *c, int place) { return c->knots + (size_t)place * N_KNOT; }
+
+static double *knot(const Core *c, int i) { return knot_in(c, place_of(c, i)); }
+
+/* Vectors of knot i: knot_positions, knot_slope or knot_curvature. */
+static double *vector_of(const Core *c, double *vectors, int i) {
+    return vectors + (size_t)place_of(c, i) * (size_t)c->joints;
+}
+
+static void copy_knot(Core *c, int from, int to) {
+    const size_t bytes = sizeof(double) * (size_t)c->joints;
+    if (from == to) return;
+    memcpy(knot(c, to), knot(c, from), sizeof(double) * N_KNOT);
+    memcpy(vector_of(c, c->knot_positions, to), vector_of(c, c->knot_positions, from), bytes);
+    memcpy(vector_of(c, c->knot_slope, to), vector_of(c, c->knot_slope, from), bytes);
+    memcpy(vector_of(c, c->knot_curvature, to), vector_of(c, c->knot_curvature, from), bytes);
+}
+
+/* K_KIND, K_ARM, K_JOINT of a knot, or CAP_KIND, CAP_ARM, CAP_JOINT. */
+static void name_cause(double *cause, int kind, int arm, int joint) {
+    cause[0] = kind;
+    cause[1] = arm;
+    cause[2] = joint;
+}
+
+static int arm_of(const Core *c, int joint) {
+    int k = 0;
+    while (k + 1 < c->arms && c->arm_start[k + 1] <= joint) k++;
+    return k;
+}
+
+static double largest_size(const double *x, int n) {
+    double largest = 0.0;
+    for (int j = 0; j < n; j++) largest = fmax(largest, fabs(x[j]));
+    return largest;
+}
+
+/* -- candidates for the least z_b + C_b: a queue of places, their sums increasing ---------------------------------- */
+
+static double *bound_slot(const Core *c, int i) { return c->bounds + (count_ahead(c, BOUND_HEAD) + i) % MOST_KNOTS; }
+
+static double *bound_at(const Core *c, int i) { return knot_in(c, (int)*bound_slot(c, i)); }
+
+static void drop_first_bound(Core *c) {
+    c->ahead[BOUND_HEAD] = (count_ahead(c, BOUND_HEAD) + 1) % MOST_KNOTS;
+    c->ahead[BOUND_COUNT] -= 1.0;
+}
+
+/* Bounds that the clock has passed; the last stop stays. */
+static void drop_bounds(Core *c, double clock) {
+    const double *count = c->ahead + BOUND_COUNT;
+    while (*count > 0.0 && bound_at(c, 0)[K_CLOCK] <= clock && (*count > 1.0 || bound_at(c, 0)[K_CAP] > 0.0))
+        drop_first_bound(c);
+}
+
+static void add_bound(Core *c, int place) {
+    const double *k = knot_in(c, place);
+    const double key = k[K_CAP] + k[K_CUMULATIVE];
+    int count = count_ahead(c, BOUND_COUNT);
+    while (count > 0 && bound_at(c, count - 1)[K_CAP] + bound_at(c, count - 1)[K_CUMULATIVE] >= key) count--;
+    *bound_slot(c, count) = place;
+    c->ahead[BOUND_COUNT] = count + 1;
+}
+
+/* -- the chain at one clock ---------------------------------------------------------------------------------------- */
+
+/* w_k = −R e_k */
+static void twists_back(const Core *c, const double *R, const double *errors, double *w) {
+    for (int i = 0; i < 2 * c->arms; i++) {
+        const double e[3] = {-errors[3 * i], -errors[3 * i + 1], -errors[3 * i + 2]};
+        rotate(R, e, w + 3 * i);
+    }
+}
+
+/* Newton's step from `positions` to the pose at `clock`, and q′ there; where the twist jumps, that before it. */
+static Trial newton_step(Core *c, double clock, double before, const double *positions, double *step, double *slope) {
+    const Sketch s = sketch_of(c);
+    double R[9], p[3], twist[6], along[6], size = 0.0;
+    if (!path_pose(c, clock, R, p) || !path_twist(c, fmax(fmin(clock, c->duration) - before, 0.0), twist))
+        return PATH_LOST_AHEAD;
+    carry_and_linearise(c, positions, p, s.carried, s.jacobian);
+    if (!errors_at(c, s.carried, R, p, s.errors)) return REJECTED;
+    twists_back(c, R, s.errors, s.w);
+    rotate(R, twist, along);
+    rotate(R, twist + 3, along + 3);
+    if (c->redundant) posture_velocity(c, positions, s.wish);
+    if (!two_velocities(c, s.jacobian, s.w, along, NULL, c->redundant ? s.wish : NULL, step, slope)) return REJECTED;
+    for (int j = 0; j < c->joints; j++) size += step[j] * step[j] + slope[j] * slope[j];
+    return size < INFINITY ? FOUND : REJECTED;
+}
+
+/* Bounds of knot i from its positions and slope, and the slope of the knot before (−1 for none); 0 if they overflow. */
+static int bound_by_limits(Core *c, int before, int i, double clock, double span) {
+    const double *slope = vector_of(c, c->knot_slope, i), *x = vector_of(c, c->knot_positions, i), *o = c->options;
+    const double *then = before < 0 ? slope : vector_of(c, c->knot_slope, before);
+    double *k = knot(c, i), *curvature = vector_of(c, c->knot_curvature, i);
+    double fastest = 0.0, change = -INFINITY, by_speed = 0.0, by_bend = 0.0, tightest = 0.0;
+    int j_speed = 0, j_bend = 0, inside = 1;
+    for (int j = 0; j < c->joints; j++) {
+        curvature[j] = (slope[j] - then[j]) / span;
+        const double bend = fabs(curvature[j]), speed = fmax(fabs(slope[j]), fabs(then[j]));
+        /* How often the joint's limit is used up at full rate: z may be 1 over the square, or over the curvature's. */
+        const double use_speed = speed * (1.0 / c->plan_speed[j]);
+        const double use_bend = bend * (1.0 / (o[CURVATURE_SHARE] * c->plan_acceleration[j]));
+        fastest = fmax(fastest, fabs(slope[j]));
+        change = fmax(change, bend * span - c->slope_change[j]);
+        if (use_speed > by_speed) by_speed = use_speed, j_speed = j;
+        if (use_bend > by_bend) by_bend = use_bend, j_bend = j;
+        inside &= x[j] <= c->high[j] && x[j] >= c->low[j];
+    }
+    const double square = by_speed * by_speed, capped = o[CAPS_SPEED] != 0.0 ? square : 0.0;
+    const double cap = 1.0 / fmax(fmax(capped, by_bend), 1.0);
+    for (int j = 0; j < c->joints; j++) {
+        const double speed = fmax(fabs(slope[j]), fabs(then[j]));
+        const double acceleration = c->plan_acceleration[j], left = acceleration - fabs(curvature[j]) * cap;
+        tightest = fmax(tightest, speed / fmax(left, LEAST_LEFT * acceleration));
+    }
+    k[K_CLOCK] = clock;
+    k[K_CAP] = cap;
+    k[K_UNCAPPED] = 1.0 / fmax(fmax(square, by_bend), 1.0);
+    k[K_DECREASE] = tightest > 0.0 ? fmin(o[SLOPE_CAP], 1.0 / tightest) : o[SLOPE_CAP];
+    k[K_FASTEST] = fastest;
+    k[K_CHANGE] = change;
+    k[K_INSIDE] = inside;
+    name_cause(k + K_KIND, NONE, -1, -1);
+    if (cap < 1.0) {
+        const int by = o[CAPS_SPEED] != 0.0 && square >= by_bend, j = by ? j_speed : j_bend;
+        name_cause(k + K_KIND, by ? VELOCITY : ACCELERATION, arm_of(c, j), j);
+    }
+    return cap > 0.0 && isfinite(k[K_DECREASE]);
+}
+
+/* Put a knot under the further constraints; 0 if it is beyond one, whose number is then kept. */
+static int constrain(Core *c, int made) {
+    double *k = knot(c, made);
+    c->ahead[BEYOND] = 0.0;
+    if (c->bound_knot && !c->bound_knot(c, place_of(c, made))) c->ahead[BEYOND] = 1.0 + k[K_JOINT];
+    if (!(k[K_CAP] > 0.0)) k[K_CAP] = 0.0; /* nor a NaN */
+    if (!(k[K_DECREASE] > 0.0)) k[K_DECREASE] = 0.0;
+    return c->ahead[BEYOND] == 0.0;
+}
+
+/* One Newton step at knot `made`, `span` after knot `last`; rejected if the arms or their slopes do not follow. */
+static Trial try_knot(Core *c, int last, int made, double span, int iteration) {
+    const double *from = knot(c, last), *o = c->options, clock = from[K_CLOCK] + span;
+    double *x = vector_of(c, c->knot_positions, made), *step = sketch_of(c).step;
+    if (iteration == 0) {
+        const double *x0 = vector_of(c, c->knot_positions, last), *slope = vector_of(c, c->knot_slope, last);
+        const double *curvature = vector_of(c, c->knot_curvature, last);
+        for (int j = 0; j < c->joints; j++) x[j] = x0[j] + (curvature[j] * (0.5 * span) + slope[j]) * span;
+    }
+    const Trial found = newton_step(c, clock, JUST_BEFORE, x, step, vector_of(c, c->knot_slope, made));
+    if (found != FOUND) return found;
+    const double largest = largest_size(step, c->joints);
+    if (!(largest < o[JOINT_STEP])) return REJECTED;
+    for (int j = 0; j < c->joints; j++) x[j] += step[j];
+    if (!(largest < CONVERGED)) return iteration + 1 < MOST_TRIES ? PENDING : REJECTED;
+    if (!bound_by_limits(c, last, made, clock, span)) return REJECTED;
+    const double *k = knot(c, made);
+    if (span > o[SHORTEST] && !(span * k[K_FASTEST] <= 1.5 * o[JOINT_STEP])) return REJECTED;
+    if (span > FINE_CELL && !(k[K_CHANGE] <= o[SLOPE_STEP] * k[K_FASTEST])) return REJECTED;
+    return constrain(c, made) ? FOUND : REJECTED;
+}
+
+/* -- adding knots -------------------------------------------------------------------------------------------------- */
+
+/* The first tentative knot becomes the last known one. */
+static void push_knot(Core *c) {
+    const int count = count_ahead(c, COUNT), place = place_of(c, count);
+    double *k = knot_in(c, place);
+    k[K_CUMULATIVE] = 0.0;
+    if (count > 0) {
+        const double *last = knot(c, count - 1);
+        k[K_CUMULATIVE] = last[K_CUMULATIVE] + 2.0 * k[K_DECREASE] * (k[K_CLOCK] - last[K_CLOCK]);
+    }
+    c->ahead[COUNT] = count + 1;
+    if (k[K_CAP] == 0.0) c->ahead[COMPLETE] = 1.0; /* nothing comes after a stop */
+    if (k[K_CAP] < 1.0) add_bound(c, place);       /* the rate is never above 1 */
+}
+
+/* Growth has come to a pause between two knots. */
+static void rest_growth(Core *c) {
+    c->ahead[GROWING] = c->ahead[WAY] = 0.0;
+    c->ahead[BEGIN_AT] = INFINITY;
+}
+
+static int singular_arm(const Core *c, int i) {
+    const double *slope = vector_of(c, c->knot_slope, i);
+    double largest = -1.0;
+    int fastest = 0;
+    for (int j = 0; j < c->joints; j++) {
+        const double share = fabs(slope[j]) / (isfinite(c->plan_speed[j]) ? c->plan_speed[j] : 1.0);
+        if (share > largest) largest = share, fastest = j;
+    }
+    return arm_of(c, fastest);
+}
+
+/* The object stops at knot i. */
+static void block_at(Core *c, int i, int arm, int joint, int kind) {
+    const int count = count_ahead(c, COUNT);
+    copy_knot(c, i, count);
+    knot(c, count)[K_CAP] = 0.0;
+    name_cause(knot(c, count) + K_KIND, kind, arm, joint);
+    push_knot(c);
+    rest_growth(c);
+}
+
+/* Largest σ² at which every joint can change its slope within one step; the joint that makes it. */
+static double jump_cap(const Core *c, const double *after, const double *before, int *joint) {
+    double least = INFINITY;
+    *joint = 0;
+    for (int j = 0; j < c->joints; j++) {
+        const double jump = fabs((after ? after[j] : 0.0) - before[j]);
+        if (!(jump > 1e-9) || !(c->plan_jump[j] / jump < least)) continue;
+        least = c->plan_jump[j] / jump;
+        *joint = j;
+    }
+    return least * least;
+}
+
+/* The end of the path: where it ends moving, the joints have one step to stop in. */
+static void finish_path(Core *c) {
+    const int last = count_ahead(c, COUNT) - 1;
+    int joint;
+    if (c->accelerates) {
+        const double cap = jump_cap(c, NULL, vector_of(c, c->knot_slope, last), &joint);
+        if (cap < knot(c, last)[K_CAP]) {
+            copy_knot(c, last, last + 1);
+            knot(c, last + 1)[K_CAP] = cap;
+            name_cause(knot(c, last + 1) + K_KIND, PATH_END, -1, -1);
+            push_knot(c);
+        }
+    }
+    c->ahead[COMPLETE] = 1.0;
+    rest_growth(c);
+}
+
+/* Where the twist jumps at knot i: slopes after it, and the rate at which the joints can take the jump. */
+static int turn_corner(Core *c, int i) {
+    const Sketch s = sketch_of(c);
+    double *k = knot(c, i), *slope = vector_of(c, c->knot_slope, i);
+    const double clock = k[K_CLOCK] + 1e-9, *x = vector_of(c, c->knot_positions, i);
+    const Trial found = newton_step(c, clock, JUST_BEFORE, x, s.step, s.after);
+    if (found == PATH_LOST_AHEAD) return 0;
+    if (found != FOUND) memset(s.after, 0, sizeof(double) * (size_t)c->joints);
+    if (c->accelerates) {
+        int joint;
+        const double cap = jump_cap(c, s.after, slope, &joint);
+        if (cap < k[K_CAP]) {
+            k[K_CAP] = cap;
+            name_cause(k + K_KIND, ACCELERATION, arm_of(c, joint), joint);
+        }
+    }
+    memcpy(slope, s.after, sizeof(double) * (size_t)c->joints);
+    memset(vector_of(c, c->knot_curvature, i), 0, sizeof(double) * (size_t)c->joints);
+    k[K_FASTEST] = largest_size(slope, c->joints);
+    return 1;
+}
+
+/* -- position limits ----------------------------------------------------------------------------------------------- */
+
+/* Leave at knot `made` the chain where joint j is at `position`, between knots `last` and `made`: regula falsi. */
+static void close_in(Core *c, int last, int made, int j, double position) {
+    double start = knot(c, last)[K_CLOCK], end = knot(c, made)[K_CLOCK];
+    double miss_start = vector_of(c, c->knot_positions, last)[j] - position;
+    double miss_end = vector_of(c, c->knot_positions, made)[j] - position;
+    if (miss_start * miss_end >= 0.0) copy_knot(c, last, made); /* it is there already */
+    for (int i = 0; i < 8 && miss_start * miss_end < 0.0; i++) {
+        const double clock = start - miss_start * (end - start) / (miss_end - miss_start);
+        const double span = clock - knot(c, last)[K_CLOCK];
+        Trial found = PENDING;
+        for (int n = 0; found == PENDING && span > 1e-9; n++) found = try_knot(c, last, made + 1, span, n);
+        if (found == REJECTED || found == PATH_LOST_AHEAD) return;
+        copy_knot(c, found == FOUND ? made + 1 : last, made);
+        const double miss = vector_of(c, c->knot_positions, made)[j] - position;
+        if (!(fabs(miss) >= 1e-9)) return;
+        if (miss * miss_end > 0.0)
+            end = clock, miss_end = miss;
+        else
+            start = clock, miss_start = miss;
+    }
+}
+
+/* Stop where the first joint meets a position limit between knots `last` and `made`; 0 if none does. A joint outside
+ * may come back in: only going further out is the end. */
+static int stop_at_limit(Core *c, int last, int made) {
+    const double *x = vector_of(c, c->knot_positions, last), *ahead = vector_of(c, c->knot_positions, made);
+    double first = INFINITY, position = 0.0;
+    int joint = -1;
+    for (int j = 0; j < c->joints; j++) {
+        const int over = ahead[j] > fmax(c->high[j], x[j]), under = ahead[j] < fmin(c->low[j], x[j]);
+        if (!over && !under) continue;
+        const double limit = over ? c->high[j] : c->low[j];
+        const double share = clamp((limit - x[j]) / (ahead[j] - x[j]), 0.0, 1.0);
+        if (share < first) first = share, joint = j, position = limit;
+    }
+    if (joint < 0) return 0;
+    close_in(c, last, made, joint, position);
+    block_at(c, made, arm_of(c, joint), joint, POSITION);
+    return 1;
+}
+
+/* -- growth, one Newton step at a time ----------------------------------------------------------------------------- */
+
+/* Begin the knot after the last known or tentative one, as far on as the chain may be followed in one go. */
+static void aim_ahead(Core *c) {
+    const double *last = knot(c, count_ahead(c, COUNT) + count_ahead(c, WAY) - 1), *o = c->options;
+    const double edge = next_breakpoint(c, last[K_CLOCK]);
+    double span = fmin(o[CELL], c->duration - last[K_CLOCK]);
+    if (last[K_FASTEST] > 0.0) span = fmin(span, o[JOINT_STEP] / last[K_FASTEST]);
+    if (last[K_CLOCK] + span > edge - 1e-9) span = edge - last[K_CLOCK];
+    c->ahead[TRY_SPAN] = span;
+    c->ahead[ITERATION] = 0.0;
+    c->ahead[GROWING] = 1.0;
+}
+
+/* The chain cannot be followed past the last known knot, or past the singularity that the way leads to. */
+static void end_growth(Core *c) {
+    const int count = count_ahead(c, COUNT), way = count_ahead(c, WAY) > 0, at = way ? count : count - 1;
+    if (!way && c->ahead[BEYOND] > 0.0)
+        block_at(c, at, -1, (int)c->ahead[BEYOND] - 1, CONSTRAINT);
+    else
+        block_at(c, at, singular_arm(c, at), -1, way ? SINGULARITY : REACH);
+}
+
+static void reject_trial(Core *c) {
+    c->ahead[TRY_SPAN] *= 0.5;
+    c->ahead[ITERATION] = 0.0;
+    if (!(c->ahead[TRY_SPAN] >= c->options[SHORTEST])) end_growth(c);
+}
+
+/* Whether the knot that was tried ends in a singularity, unless there is a way past it. */
+static int nears_singularity(const Core *c, int made) {
+    const double *k = knot(c, made), rate = c->options[SINGULAR_RATE];
+    return k[K_UNCAPPED] < rate * rate && k[K_FASTEST] > knot(c, made - 1)[K_FASTEST];
+}
+
+/* Take the knot that was tried into the way past a singularity. 1 where the joints slow down; 0 where the way goes on,
+ * or there is none and growth is over. */
+static int go_past(Core *c, int made) {
+    const int count = count_ahead(c, COUNT);
+    const double rate = PASSABLE * c->options[SINGULAR_RATE], end = next_breakpoint(c, knot(c, count)[K_CLOCK]) - 1e-9;
+    const double *k = knot(c, made);
+    const int first = made == count;
+    if (!first && (k[K_INSIDE] == 0.0 || k[K_UNCAPPED] < rate * rate || k[K_CLOCK] > end)) {
+        end_growth(c);
+        return 0;
+    }
+    c->ahead[WAY] += 1.0;
+    if (!first && k[K_FASTEST] < knot(c, made - 1)[K_FASTEST]) return 1;
+    if (c->ahead[WAY] >= LONGEST_WAY || k[K_CLOCK] >= end)
+        end_growth(c);
+    else
+        aim_ahead(c);
+    return 0;
+}
+
+/* Knots up to the one that was tried are known; 0 if the path failed. */
+static int accept_trial(Core *c) {
+    const int last = count_ahead(c, COUNT) - 1, made = last + 1 + count_ahead(c, WAY);
+    if (made == last + 1 && knot(c, made)[K_INSIDE] == 0.0 && stop_at_limit(c, last, made)) return 1;
+    if ((made > last + 1 || nears_singularity(c, made)) && !go_past(c, made)) return 1;
+    const double edge = next_breakpoint(c, knot(c, last)[K_CLOCK]);
+    const int corner = fabs(knot(c, made)[K_CLOCK] - edge) < 1e-9 && edge < c->duration;
+    const int found = !corner || turn_corner(c, made);
+    for (int i = last; found && i < made; i++) push_knot(c);
+    rest_growth(c);
+    return found;
+}
+
+/* One Newton step, so that no single control step has to make a whole knot; 0 where growth has to wait. */
+static int work_ahead(Core *c) {
+    const int count = count_ahead(c, COUNT), made = count + count_ahead(c, WAY);
+    if (made + 2 > MOST_KNOTS) return 0; /* close_in needs a knot beside the one that is tried */
+    if (c->ahead[GROWING] == 0.0) {
+        if (!(c->duration - knot(c, count - 1)[K_CLOCK] > 1e-12)) {
+            finish_path(c);
+            return 1;
+        }
+        aim_ahead(c);
+    }
+    switch (try_knot(c, made - 1, made, c->ahead[TRY_SPAN], (int)c->ahead[ITERATION])) {
+    case PENDING: c->ahead[ITERATION] += 1.0; return 1;
+    case REJECTED: reject_trial(c); return 1;
+    case FOUND: return accept_trial(c);
+    case PATH_LOST_AHEAD: break;
+    }
+    rest_growth(c);
+    return 0;
+}
+
+/* -- the horizon --------------------------------------------------------------------------------------------------- */
+
+/* Drop knots that another follows before `clock`, and the bounds that they were. */
+static void leave_behind(Core *c, double clock) {
+    while (c->ahead[COUNT] > 1.0 && knot(c, 1)[K_CLOCK] <= clock) {
+        if (c->ahead[BOUND_COUNT] > 0.0 && (int)*bound_slot(c, 0) == place_of(c, 0)) drop_first_bound(c);
+        c->ahead[HEAD] = place_of(c, 1);
+        c->ahead[COUNT] -= 1.0;
+    }
+}
+
+/* Number of the last knot at or before `clock`. */
+static int knot_before(const Core *c, double clock) {
+    int i = 0;
+    while (i + 1 < count_ahead(c, COUNT) && knot(c, i + 1)[K_CLOCK] <= clock) i++;
+    return i;
+}
+
+/* Whether the object could brake from full rate at `clock` within the horizon. */
+static int reaches(const Core *c, double clock, double dt) {
+    const int count = count_ahead(c, COUNT), i = knot_before(c, clock) + 1;
+    const double *last = knot(c, count - 1), *ahead = knot(c, i < count ? i : count - 1);
+    /* What a step at full rate uses up is still there after it. */
+    const double enough = 1.0 + 2.0 * c->options[SLOPE_CAP] * dt;
+    return last[K_CLOCK] > clock + 2.0 * dt && last[K_CUMULATIVE] - ahead[K_CUMULATIVE] > enough;
+}
+
+/* Grow the horizon until it reaches far enough, or by that many Newton steps. */
+static void extend_horizon(Core *c, double clock, double dt, int newton_steps) {
+    for (int i = 0; i < newton_steps; i++) {
+        leave_behind(c, clock);
+        if (c->ahead[COMPLETE] != 0.0 || reaches(c, clock, dt) || !work_ahead(c)) return;
+    }
+}
+
+/* Clock until which the known horizon lets the object go on at full rate. */
+static double enough_until(const Core *c) {
+    if (c->ahead[COMPLETE] != 0.0) return INFINITY;
+    const double dt = c->options[NOMINAL_DT], *last = knot(c, count_ahead(c, COUNT) - 1);
+    const double latest = last[K_CLOCK] - 2.0 * dt;
+    const double enough = last[K_CUMULATIVE] - 1.0 - 2.0 * c->options[SLOPE_CAP] * dt;
+    /* The last knot up to which there is enough; a knot's decrease counts from the knot before it on. */
+    int i = count_ahead(c, COUNT) - 1;
+    while (i >= 0 && !(knot(c, i)[K_CUMULATIVE] < enough && knot(c, i)[K_CLOCK] <= latest)) i--;
+    return i < 0 ? -INFINITY : knot(c, i)[K_CLOCK];
+}
+
+/* -- the cap ------------------------------------------------------------------------------------------------------- */
+
+/* z_cap between two knots. Without it the rate would rise after each knot, and fall again before the next. */
+static double cap_between(const double *here, const double *ahead, double clock) {
+    const double span = ahead[K_CLOCK] - here[K_CLOCK];
+    if (!(span > 0.0)) return here[K_CAP];
+    return ahead[K_CAP] + (here[K_CAP] - ahead[K_CAP]) * (ahead[K_CLOCK] - clock) / span;
+}
+
+/* S where C has this value: the least of z_b + C_b ahead, less C, and the place of what makes it. */
+static double least_square(const Core *c, double cumulative, int *place) {
+    const double *last = knot(c, count_ahead(c, COUNT) - 1);
+    double square = INFINITY;
+    *place = NO_BOUND;
+    if (c->ahead[BOUND_COUNT] > 0.0) {
+        *place = (int)*bound_slot(c, 0);
+        square = bound_at(c, 0)[K_CAP] + bound_at(c, 0)[K_CUMULATIVE] - cumulative;
+    }
+    if (c->ahead[COMPLETE] == 0.0 && last[K_CUMULATIVE] - cumulative < square) {
+        *place = HORIZON;
+        square = last[K_CUMULATIVE] - cumulative;
+    }
+    return fmax(square, 0.0);
+}
+
+/* S at a clock ahead. */
+static double square_at(const Core *c, double clock) {
+    const int i = knot_before(c, clock), count = count_ahead(c, COUNT), complete = c->ahead[COMPLETE] != 0.0;
+    const double *here = knot(c, i), *last = knot(c, count - 1);
+    if (i + 1 == count) return complete ? fmax(here[K_CAP], 0.0) : 0.0;
+    const double *ahead = knot(c, i + 1);
+    const double cumulative = here[K_CUMULATIVE] + 2.0 * ahead[K_DECREASE] * (clock - here[K_CLOCK]);
+    double square = cap_between(here, ahead, clock);
+    if (!complete) square = fmin(square, last[K_CUMULATIVE] - cumulative);
+    for (int b = 0; b < count_ahead(c, BOUND_COUNT); b++)
+        if (bound_at(c, b)[K_CLOCK] > clock)
+            square = fmin(square, bound_at(c, b)[K_CAP] + bound_at(c, b)[K_CUMULATIVE] - cumulative);
+    return fmax(square, 0.0);
+}
+
+/* Whether the object may go on with `rate` for dt. */
+static int may_go(const Core *c, double clock, double dt, double rate) {
+    const double then = clock + rate * dt, square = rate * rate;
+    const int end = knot_before(c, then);
+    for (int i = 1; i <= end; i++)
+        if (!(knot(c, i)[K_CAP] + PREVIEW_ROUNDING >= square)) return 0;
+    return square <= square_at(c, then) + PREVIEW_ROUNDING;
+}
+
+/* The largest admissible rate near two candidates. Near a stop the lower one may be 0 where much more is admissible. */
+static double admissible_rate(const Core *c, double clock, double dt, double rate, double fast) {
+    double low = fmin(rate, fast), high = fmax(rate, fast);
+    if (may_go(c, clock, dt, high)) return high;
+    if (!may_go(c, clock, dt, low)) {
+        high = low;
+        low = 0.0;
+    }
+    for (int i = 0; i < BISECTIONS && low < high; i++) {
+        const double middle = 0.5 * (low + high);
+        if (may_go(c, clock, dt, middle))
+            low = middle;
+        else
+            high = middle;
+    }
+    return low;
+}
+
+/* Nothing binds: until when is that so without another look? */
+static void run_free(Core *c) {
+    double *a = c->ahead;
+    if (a[BOUND_COUNT] > 0.0) return;
+    a[FREE_UNTIL] = enough_until(c);
+    a[BEGIN_AT] = a[FREE_UNTIL] < INFINITY ? a[FREE_UNTIL] - STEPS_TO_GROW * c->options[NOMINAL_DT] : INFINITY;
+}
+
+/* The cap of a step, from a horizon that is grown for it, and the place of what makes it. */
+static double cap_on_horizon(Core *c, double clock, double dt, int *place) {
+    const double *here = knot(c, 0), *ahead = knot(c, c->ahead[COUNT] > 1.0 ? 1 : 0);
+    const double decrease = ahead[K_DECREASE];
+    double square = least_square(c, here[K_CUMULATIVE] + 2.0 * decrease * (clock - here[K_CLOCK]), place);
+    double fall = 2.0 * decrease; /* of S, per clock second */
+    const double between = cap_between(here, ahead, clock);
+    if (between >= 1.0 && square >= 1.0 + 2.0 * decrease * dt) { /* −D dt + √((D dt)² + S) ≥ 1 */
+        *place = NO_BOUND;
+        run_free(c);
+        return 1.0;
+    }
+    if (between < square) {
+        const double span = ahead[K_CLOCK] - here[K_CLOCK];
+        square = between;
+        *place = place_of(c, here[K_CAP] < ahead[K_CAP] || c->ahead[COUNT] < 2.0 ? 0 : 1);
+        fall = span > 0.0 ? fmax(here[K_CAP] - ahead[K_CAP], 0.0) / span : 0.0;
+    }
+    c->ahead[ENDS] = *place >= 0 && knot_in(c, *place)[K_CAP] == 0.0;
+    /* S falls while the object goes: σ² = S − fall σ dt while it goes on as it begins, or what there is on arrival. */
+    const double half = 0.5 * fall * dt, root = sqrt(half * half + square);
+    const double rate = root > 0.0 ? fmin(square / (half + root), 1.0) : 0.0;
+    const double fast = fmin(sqrt(square), 1.0);
+    return admissible_rate(c, clock, dt, rate, fmin(fast, sqrt(square_at(c, clock + fast * dt))));
+}
+
+/* -- what core.h promises ------------------------------------------------------------------------------------------ */
+
+/* Newton's method from x to a pose; the arm that does not get there, or −1. */
+static int reach_pose(Core *c, const double *R, const double *p, double *x) {
+    static const double still[6];
+    const Sketch s = sketch_of(c);
+    double largest = INFINITY;
+    int arm = 0;
+    for (int i = 0; i <= STARTING_STEPS; i++) {
+        carry_and_linearise(c, x, p, s.carried, s.jacobian);
+        for (int k = 0; k < c->arms; k++) s.errors[6 * k] = NAN;
+        const int known = errors_at(c, s.carried, R, p, s.errors);
+        largest = -1.0;
+        for (int k = c->arms - 1; k >= 0; k--) {
+            const double size = known || isfinite(s.errors[6 * k]) ? largest_size(s.errors + 6 * k, 6) : INFINITY;
+            if (size >= largest) largest = size, arm = k;
+        }
+        if (!known) break;
+        if (largest <= 1e-10 || i == STARTING_STEPS) break;
+        twists_back(c, R, s.errors, s.w);
+        if (!two_velocities(c, s.jacobian, s.w, still, NULL, NULL, s.step, s.after)) break;
+        const double length = largest_size(s.step, c->joints);
+        const double share = length > LONGEST_STEP ? LONGEST_STEP / length : 1.0;
+        for (int j = 0; j < c->joints; j++) x[j] += share * s.step[j];
+    }
+    return largest < 1e-6 ? -1 : arm;
+}
+
+/* The first knot, at the commanded positions; none if the path fails. */
+static void start_knots(Core *c, double clock) {
+    double R[9], p[3], *x = vector_of(c, c->knot_positions, 0), *slope = vector_of(c, c->knot_slope, 0);
+    const size_t bytes = sizeof(double) * (size_t)c->joints;
+    if (!path_pose(c, clock, R, p)) return;
+    memcpy(x, c->positions, bytes);
+    const int arm = reach_pose(c, R, p, x);
+    memset(slope, 0, bytes);
+    if (arm < 0) {
+        const Trial found = newton_step(c, clock, 0.0, x, sketch_of(c).step, slope);
+        if (found == PATH_LOST_AHEAD) return;
+        if (found != FOUND) memset(slope, 0, bytes);
+    }
+    bound_by_limits(c, -1, 0, clock, 1.0);
+    if (arm >= 0)
+        block_at(c, 0, arm, -1, REACH);
+    else
+        push_knot(c);
+}
+
+static void preview_reset(Core *c, double clock) {
+    memset(c->ahead, 0, sizeof(double) * N_AHEAD);
+    c->ahead[FREE_UNTIL] = -INFINITY;
+    c->ahead[BEGIN_AT] = INFINITY;
+    start_knots(c, clock);
+    if (c->ahead[COUNT] > 0.0) extend_horizon(c, clock, c->options[NOMINAL_DT], NEWTON_STEPS_AT_START);
+}
+
+static double preview_cap(Core *c, double clock, double dt) {
+    double *a = c->ahead;
+    int place = NO_BOUND;
+    name_cause(c->proposal + CAP_KIND, NONE, -1, -1);
+    if (!(isfinite(clock) && isfinite(dt))) return 0.0;
+    if (a[COUNT] == 0.0) start_knots(c, clock); /* the path failed where it began */
+    if (a[COUNT] == 0.0) return 0.0;
+    if (clock < a[FREE_UNTIL] && dt <= c->options[NOMINAL_DT]) {
+        if (clock >= a[BEGIN_AT]) work_ahead(c);
+        return 1.0;
+    }
+    extend_horizon(c, clock, dt, (int)c->options[NEWTON_STEPS]);
+    if (a[COMPLETE] == 0.0 && !reaches(c, clock + STEPS_TO_GROW * dt, dt)) work_ahead(c);
+    a[ENDS] = 0.0;
+    drop_bounds(c, clock);
+    const double cap = cap_on_horizon(c, clock, dt, &place);
+    if (place >= 0) {
+        const double *k = knot_in(c, place);
+        for (int i = 0; i < 3; i++) c->proposal[CAP_KIND + i] = k[K_KIND + i];
+    }
+    return cap > 0.0 ? cap : 0.0;
+}
+
+static void preview_reference(Core *c, double clock, double *positions, double *slope) {
+    if (c->ahead[COUNT] == 0.0) {
+        memcpy(positions, c->positions, sizeof(double) * (size_t)c->joints);
+        memset(slope, 0, sizeof(double) * (size_t)c->joints);
+        return;
+    }
+    leave_behind(c, clock);
+    const int ahead = c->ahead[COUNT] > 1.0 ? 1 : 0;
+    const double *x = vector_of(c, c->knot_positions, 0), *first = vector_of(c, c->knot_slope, 0);
+    const double *second = vector_of(c, c->knot_slope, ahead);
+    const double span = knot(c, ahead)[K_CLOCK] - knot(c, 0)[K_CLOCK];
+    const double share = span > 0.0 ? clamp((clock - knot(c, 0)[K_CLOCK]) / span, 0.0, 1.0) : 0.0;
+    /* Quadratic from the knot before: exact to second order, continuous to third. */
+    for (int j = 0; j < c->joints; j++) {
+        slope[j] = first[j] + share * (second[j] - first[j]);
+        positions[j] = x[j] + 0.5 * (first[j] + slope[j]) * (share * span);
+    }
+}

@@ -1,0 +1,414 @@
+/* One step: observe what is measured, propose a command, commit it. See docs/derivations.md and the plain definition. */
+
+#include "functions.h"
+
+static void refuse(Core *c, int reason, int index, double a) {
+    double *p = c->proposal;
+    p[WATCH_CAP] = 0.0, p[HOLD] = 1.0;
+    p[REASON] = reason, p[REASON_ARM] = index, p[REASON_A] = a, p[REASON_B] = 0.0;
+}
+
+/* -- observe --------------------------------------------------------------------------------------------------------- */
+
+/* Positions (near the commanded ones) of a measured configuration; 0 if it is not believed. */
+static int believe(Core *c, const double *q, double *positions) {
+    double worst = 0.0;
+    int joint = 0;
+    for (int i = 0; i < c->nq; i++)
+        if (!isfinite(q[i])) {
+            refuse(c, NOT_FINITE, i, q[i]);
+            return 0;
+        }
+    for (int j = 0; j < c->joints; j++) {
+        const double *at = q + (int)c->q_index[j], x = c->positions[j];
+        positions[j] = at[0];
+        if (c->continuous[j] != 0.0) {
+            const double radius = sqrt(at[0] * at[0] + at[1] * at[1]);
+            if (!(fabs(radius - 1.0) <= CIRCLE_TOLERANCE)) {
+                refuse(c, OFF_CIRCLE, (int)c->q_index[j], radius);
+                return 0;
+            }
+            positions[j] = x + wrapped(c, j, atan2(at[1], at[0]) - x);
+        }
+        if (fabs(positions[j] - x) > worst) worst = fabs(positions[j] - x), joint = j;
+    }
+    if (worst > c->options[JOINT_JUMP]) {
+        refuse(c, JUMPED, joint, worst);
+        return 0;
+    }
+    return 1;
+}
+
+/* Where the arms hold the object, by their shares in the common error: the reference pose where the path has none. */
+static void hold_here(Core *c) {
+    double E[9], away[3], e[3], mean[6] = {0}, R[9], p[3];
+    const double *first = c->carried;
+    for (int k = 0; k < c->arms; k++) {
+        const double *O = c->carried + 12 * k;
+        double twist[6];
+        multiply3_back(first, O, E);
+        for (int i = 0; i < 3; i++) away[i] = O[9 + i] - first[9 + i];
+        rotate_back(first, away, e);
+        if (!log6(E, e, twist)) memset(twist, 0, sizeof twist);
+        for (int i = 0; i < 6; i++) mean[i] += c->shares[6 * k + i] * twist[i];
+    }
+    exp6(mean, R, p);
+    multiply3(first, R, c->R);
+    rotate(first, p, c->p);
+    for (int i = 0; i < 3; i++) c->p[i] += first[9 + i];
+}
+
+/* The object's error for the path correction: the commanded one and, let in slowly, what is measured besides. While the
+ * arms hold it is 0: the measured error of an arm that does not move would lead the others away without end. */
+static int let_in(Core *c, const double *positions, const double *q) {
+    double *p = c->proposal, commanded[6];
+    const double h = p[DT];
+    if (!positions && !(c->loop[DRIFTED] != 0.0 && p[HOLD] == 0.0)) {
+        memset(c->measured, 0, 6 * sizeof(double));
+        return p[HOLD] != 0.0;
+    }
+    if (!errors_at(c, c->carried, c->R, c->p, c->errors)) return 0;
+    common_error(c, c->errors, commanded);
+    if (positions) {
+        double *carried = c->measured_carried, *away = c->measured_away, found[6];
+        carry(c, positions, carried);
+        if (!errors_at(c, carried, c->R, c->p, away)) return 0;
+        common_error(c, away, found);
+        for (int i = 0; i < 6 * c->arms; i++) away[i] -= c->errors[i];
+        watch_sample(c, positions, q, away, h);
+        const double new = h / (h + c->options[MEASUREMENT_TIME]);
+        for (int i = 0; i < 6; i++) c->drift[i] += new * (found[i] - commanded[i] - c->drift[i]);
+        c->loop[DRIFTED] = 1.0;
+    }
+    const double share = p[HOLD] != 0.0 ? 0.0 : p[WATCH_CAP];
+    for (int i = 0; i < 6; i++) c->measured[i] = share * (commanded[i] + c->drift[i]);
+    return 1;
+}
+
+/* Take one sample: q as measured (NULL where commands are followed exactly), the step's length (NaN: nominal). */
+static void observe(Core *c, const double *q, const double *dt) {
+    double *p = c->proposal, *positions = c->measured_positions;
+    const double nominal = c->options[NOMINAL_DT];
+    memset(p, 0, N_PROPOSAL * sizeof(double));
+    p[DT] = nominal, p[WATCH_CAP] = 1.0, p[REASON_ARM] = p[BINDING_ROW] = p[CAP_ARM] = p[CAP_JOINT] = -1.0;
+    if (dt) {
+        if (*dt >= c->options[DT_LOW] * nominal && *dt <= c->options[DT_HIGH] * nominal)
+            p[DT] = *dt;
+        else
+            refuse(c, BAD_DT, -1, *dt);
+    }
+    if (q && !believe(c, q, positions)) q = NULL;
+    carry(c, c->positions, c->carried);
+    c->loop[PATH_LOST] = 0.0;
+    double ahead[12];
+    if (!path_pose(c, c->loop[CLOCK], c->R, c->p) ||
+        (c->path_numbers[2] == 0.0 && !path_pose(c, c->loop[CLOCK] + p[DT], ahead, ahead + 9))) {
+        c->loop[PATH_LOST] = 1.0;
+        q = NULL;
+        hold_here(c);
+        refuse(c, PATH_FAILED, -1, c->loop[CLOCK]);
+    }
+    if (c->loop[FAULT] != 0.0) {
+        refuse(c, (int)c->loop[FAULT], (int)c->loop[FAULT_ARM], c->loop[FAULT_A]);
+        p[REASON_B] = c->loop[FAULT_B], p[FAULTS] = 1.0;
+    }
+    p[HAS_MEASURED] = let_in(c, q ? positions : NULL, q);
+}
+
+/* -- propose --------------------------------------------------------------------------------------------------------- */
+
+static void cap_rate(Core *c, double cap, int kind, int arm) {
+    double *p = c->proposal;
+    if (!(cap < p[CAP])) return;
+    p[CAP] = cap, p[CAP_KIND] = kind, p[CAP_ARM] = arm, p[CAP_JOINT] = -1.0;
+}
+
+/* The fastest rate that the path ahead, the supervision and the last rate allow, and what makes it so. */
+static void find_cap(Core *c) {
+    double *p = c->proposal;
+    const double h = p[DT], rate = c->loop[RATE], rise = c->options[RISE];
+    p[CAP] = 1.0, p[LATE] = 0.0, p[KEEP] = 1.0;
+    if (c->looks_ahead) p[CAP] = preview_cap(c, c->loop[CLOCK], h);
+    if (c->accelerates && (!c->looks_ahead || c->loop[CORRECTING] != 0.0)) {
+        p[KEEP] = brake_share(c, h);
+        p[LATE] = p[KEEP] < 1.0;
+        if (p[LATE] != 0.0 && !c->looks_ahead && p[KEEP] * rate < p[CAP]) p[CAP] = p[KEEP] * rate;
+    }
+    const int by_arm = p[REASON] >= OUT_OF_STEP_BY && p[REASON_ARM] >= 0.0; /* else it is an index, or nothing */
+    cap_rate(c, p[WATCH_CAP], by_arm ? OUT_OF_STEP : NONE, by_arm ? (int)p[REASON_ARM] : -1);
+    if (rise > 0.0 && rate < 1.0) cap_rate(c, rate + rise * h, NONE, -1);
+}
+
+/* Limit the error that the path correction sees, so that the correction is `keep` of the last one. */
+static void brake_correction(Core *c, double keep) {
+    if (c->proposal[HAS_MEASURED] == 0.0 && errors_at(c, c->carried, c->R, c->p, c->errors))
+        common_error(c, c->errors, c->measured);
+    for (int part = 0; part < 6; part += 3) {
+        const double now = c->options[PATH_GAIN] * sqrt(dot3(c->measured + part, c->measured + part));
+        const double last = sqrt(dot3(c->correcting + part, c->correcting + part));
+        const double allowed = c->loop[CORRECTING] != 0.0 ? keep * last : 0.0;
+        for (int i = part; now > allowed && i < part + 3; i++) c->measured[i] *= allowed / now;
+    }
+    c->proposal[HAS_MEASURED] = 1.0;
+}
+
+/* Joint velocities wished for in the null-space: along the preview, or by the posture's rule. */
+static void wish(Core *c) {
+    if (c->looks_ahead) {
+        preview_reference(c, c->loop[CLOCK], c->null_offset, c->null_along);
+        for (int j = 0; j < c->joints; j++)
+            c->null_offset[j] = c->options[POSTURE_GAIN] * (c->null_offset[j] - c->positions[j]);
+    } else {
+        memset(c->null_along, 0, sizeof(double) * (size_t)c->joints);
+        posture_velocity(c, c->positions, c->null_offset);
+    }
+    if (c->proposal[HOLD] != 0.0) memset(c->null_offset, 0, sizeof(double) * (size_t)c->joints);
+}
+
+/* What the linearisation at positions on the way leaves out: b_k = A_k v − log(O(q + h v) O(q)⁻¹) / h. */
+static int defect(Core *c, const double *v, double h) {
+    double *ahead = c->scratch, *after = ahead + c->joints;
+    for (int j = 0; j < c->joints; j++) ahead[j] = c->positions[j] + h * v[j];
+    carry(c, ahead, after);
+    for (int k = 0; k < c->arms; k++) {
+        const double *O = c->carried + 12 * k, *O1 = after + 12 * k;
+        const int start = (int)c->arm_start[k], end = start + (int)c->arm_size[k];
+        double D[9], before[3], moved[3], made[6], off[6];
+        for (int i = 0; i < 3; i++) /* D = R₁ Rᵀ */
+            for (int m = 0; m < 3; m++) D[3 * i + m] = dot3(O1 + 3 * i, O + 3 * m);
+        for (int i = 0; i < 3; i++) before[i] = O[9 + i] - c->p[i];
+        rotate(D, before, moved);
+        for (int i = 0; i < 3; i++) moved[i] = O1[9 + i] - c->p[i] - moved[i];
+        if (!log6(D, moved, made)) return 0;
+        for (int i = 0; i < 6; i++) {
+            off[i] = -made[i] / h;
+            for (int j = start; j < end; j++) off[i] += c->jacobian[6 * j + i] * v[j];
+        }
+        rotate_back(c->R, off, c->offsets + 6 * k);
+        rotate_back(c->R, off + 3, c->offsets + 6 * k + 3);
+    }
+    return 1;
+}
+
+static int settle_qp(Core *c, double cap) {
+    double *p = c->proposal;
+    box(c, p[DT]);
+    const int outside = lead_back(c, p[DT]);
+    p[OUTSIDE] = outside;
+    if (outside < 0 || !condense(c, cap)) return OPEN;
+    if (c->options[OWN_SOLVER] == 0.0) return FILLED;
+    int soft = 0;
+    for (int r = 0; r < c->further_rows; r++) soft |= c->further_soft[r] != 0.0;
+    int iterations = solve_condensed(c, cap, 0);
+    p[RELAXED] = 0.0;
+    if (iterations < 0 && soft) iterations = solve_condensed(c, cap, 1), p[RELAXED] = 1.0;
+    p[ITERATIONS] = iterations;
+    return iterations >= 0 && read_answer(c, cap) ? QP : OPEN;
+}
+
+/* The ranked answer at one linearisation: nominal, else the fastest rate on the path, else the QP. */
+static int settle(Core *c, double cap) {
+    double *p = c->proposal;
+    const double h = p[DT];
+    p[NEW_RATE] = cap, p[BINDING_ROW] = -1.0, p[BINDINGS] = 0.0;
+    p[GRASP_SHARE] = p[PATH_SHARE] = 1.0, p[PARTING] = 0.0, p[BRAKED] = 0.0;
+    memset(c->off_path, 0, 6 * sizeof(double));
+    if (c->options[SHORTCUT] != 0.0 && nominal_command(c, cap)) {
+        if (well_inside(c, h) && further_admissible(c, LIMIT_TOLERANCE)) return NOMINAL;
+        if (box(c, h)) {
+            if (admissible(c) && further_admissible(c, LIMIT_TOLERANCE)) {
+                clip(c, INFINITY);
+                return NOMINAL;
+            }
+            if (ray(c, cap)) return RAY;
+            p[NEW_RATE] = cap, p[BINDING_ROW] = -1.0;
+        }
+    }
+    return settle_qp(c, cap);
+}
+
+/* The first step of a motion has no velocity to predict its midpoint with: linearise again until it settles. */
+static int settle_first(Core *c, double cap) {
+    double *guess = c->guess, *start = c->first_guess, *middle = c->scratch;
+    const double h = c->proposal[DT];
+    const size_t size = sizeof(double) * (size_t)c->joints;
+    int outcome = OPEN;
+    for (int j = 0; j < c->joints; j++) guess[j] = 2.0 * c->velocity[j] - c->before[j];
+    for (int iteration = 0; iteration <= (int)EXTRA_AT_START; iteration++) {
+        double change = 0.0, fastest = 0.0;
+        for (int j = 0; j < c->joints; j++) middle[j] = c->positions[j] + 0.5 * h * guess[j];
+        carry_and_linearise(c, middle, c->p, NULL, c->jacobian);
+        if (iteration && !defect(c, guess, h)) return OPEN;
+        outcome = settle(c, cap);
+        if (outcome == OPEN || outcome == FILLED) return outcome;
+        for (int j = 0; j < c->joints; j++) {
+            change = fmax(change, fabs(c->command[j] - guess[j]));
+            fastest = fmax(fastest, fabs(c->command[j]));
+        }
+        if (!iteration) memcpy(start, c->command, size);
+        if (change * fastest * h * h <= SETTLED) break;
+        memcpy(guess, c->command, size);
+    }
+    /* The velocities at the start and the middle of this step stand in for those of two steps. */
+    for (int j = 0; j < c->joints; j++) c->stand_in[j] = 2.0 * start[j] - c->command[j];
+    return outcome;
+}
+
+/* The ranked answer under the cap and the further rows; returns an outcome. */
+static int answer(Core *c) {
+    double *p = c->proposal, *middle = c->scratch;
+    int outcome = OPEN;
+    if (c->loop[FIRST] != 0.0) {
+        outcome = settle_first(c, p[CAP]);
+    } else {
+        for (int j = 0; j < c->joints; j++)
+            middle[j] = c->positions[j] + 0.5 * p[DT] * (2.0 * c->velocity[j] - c->before[j]);
+        carry_and_linearise(c, middle, c->p, NULL, c->jacobian);
+        outcome = settle(c, p[CAP]);
+    }
+    return (int)(p[OUTCOME] = outcome);
+}
+
+/* Find the command; returns an outcome. Nothing of the state changes but the preview, which grows. */
+static int propose(Core *c) {
+    double *p = c->proposal;
+    const double h = p[DT], clock = c->loop[CLOCK], rest = c->duration - clock;
+    p[CAP_KIND] = NONE;
+    find_cap(c);
+    if (p[LATE] != 0.0) brake_correction(c, p[KEEP]);
+    if (rest < h * p[CAP]) p[CAP] = rest / h; /* the last step ends at the end */
+    const double pace = fmax(fmin(p[CAP], c->loop[RATE]), LEAST_PACE);
+    p[SPAN] = fmin(h * pace, rest);
+    if (c->loop[PATH_LOST] != 0.0 || !path_increment(c, clock, p[SPAN], c->R, c->p, c->along))
+        memset(c->along, 0, 6 * sizeof(double));
+    if (c->redundant) wish(c);
+    if (!errors_at(c, c->carried, c->R, c->p, c->errors)) return (int)(p[OUTCOME] = OPEN);
+    corrections(c, h);
+    return answer(c);
+}
+
+/* -- commit ---------------------------------------------------------------------------------------------------------- */
+
+/* Entries of the record: what binds the step. Returns whether a position, an acceleration limit is among them. */
+static void write_bindings(Core *c, double *entries, int *position, int *acceleration) {
+    const double *p = c->proposal;
+    const int most = c->joints + c->rows;
+    int count = 0;
+    const int rows = p[OUTCOME] == RAY && p[BINDING_ROW] >= 0.0 ? 1 : (int)p[BINDINGS];
+    for (int i = 0; i < rows && count < most; i++, count++) {
+        const int single = p[OUTCOME] == RAY, row = (int)(single ? p[BINDING_ROW] : c->bindings[2 * i]);
+        const double side = single ? p[BINDING_SIDE] : c->bindings[2 * i + 1];
+        const int joint = row < c->joints;
+        entries[4 * count] = joint ? kind_of(c, row, side, p[DT]) : CONSTRAINT;
+        entries[4 * count + 1] = -1.0;
+        entries[4 * count + 2] = joint ? row : -1.0;
+        entries[4 * count + 3] = joint ? -1.0 : c->further_owner[row - c->joints];
+    }
+    if (!count && p[CAP_KIND] != NONE) {
+        const int own = p[CAP_KIND] == CONSTRAINT;
+        const double cap[4] = {p[CAP_KIND], p[CAP_ARM], own ? -1.0 : p[CAP_JOINT], own ? p[CAP_JOINT] : -1.0};
+        memcpy(entries, cap, sizeof cap);
+        count = 1;
+    }
+    *position = *acceleration = 0;
+    for (int i = 0; i < count; i++) {
+        *position |= entries[4 * i] == POSITION;
+        *acceleration |= entries[4 * i] == ACCELERATION;
+    }
+    c->record[R_BINDINGS] = count;
+}
+
+static int slow_status(const Core *c, double rate, int position, int acceleration) {
+    const int rising = rate > c->loop[RATE] + RATE_ROUNDING, outside = any_outside(c);
+    const int ends = position || (c->looks_ahead && c->ahead[ENDS] != 0.0);
+    const int arriving = ends && !rising && !outside;
+    if (rate >= c->options[BLOCKED_RATE] * (arriving ? ARRIVING : 1.0)) return SLOWED;
+    /* From rest the accelerations alone keep the rate small; it grows then, or a joint is on its way back in. */
+    return acceleration && (rising || outside) ? SLOWED : BLOCKED;
+}
+
+/* What the next step starts from. */
+static void move_on(Core *c, double rate, double clock_next) {
+    const double *p = c->proposal, h = p[DT];
+    const int by_qp = p[OUTCOME] == QP;
+    double twist[6], square = 0.0;
+    for (int i = 0; i < 6; i++) {
+        twist[i] = p[PATH_SHARE] * c->path[i] + c->off_path[i];
+        square += twist[i] * twist[i];
+    }
+    for (int k = 0; k < c->arms; k++)
+        for (int i = 0; i < 6; i++)
+            c->predicted[6 * k + i] =
+                c->errors[6 * k + i] + h * (p[GRASP_SHARE] * c->grasp[6 * k + i] + c->offsets[6 * k + i] + twist[i]);
+    if (by_qp || c->accelerates) {
+        c->loop[CORRECTING] = square > NEGLIGIBLE;
+        memcpy(c->correcting, twist, sizeof twist);
+    }
+    const double *before = c->loop[FIRST] != 0.0 ? c->stand_in : c->velocity;
+    memmove(c->before, before, sizeof(double) * (size_t)c->joints);
+    memcpy(c->velocity, c->command, sizeof(double) * (size_t)c->joints);
+    for (int j = 0; j < c->joints; j++) c->positions[j] += h * c->command[j];
+    c->loop[HAS_PREDICTED] = p[PARTING] == 0.0 && p[BRAKED] == 0.0;
+    c->loop[LAST_DT] = h, c->loop[CLOCK] = clock_next, c->loop[RATE] = rate, c->loop[FIRST] = 0.0;
+}
+
+static void write_configuration(const Core *c, double *q) {
+    for (int j = 0; j < c->joints; j++) {
+        double *at = q + (int)c->q_index[j];
+        at[0] = c->positions[j];
+        if (c->continuous[j] != 0.0) at[0] = cos(c->positions[j]), at[1] = sin(c->positions[j]);
+    }
+}
+
+/* Move the state by the proposed command, and write the record. Returns the status. */
+static int commit(Core *c) {
+    double *p = c->proposal, *r = c->record;
+    double *q = r + N_RECORD, *velocity = q + c->nq, *q_next = velocity + c->joints, *off_path = q_next + c->nq;
+    const double h = p[DT], clock = c->loop[CLOCK], rate = clamp(p[NEW_RATE], 0.0, 1.0);
+    /* what the last step needs is the full rate */
+    const double share = rate >= 1.0 || (rate * h >= c->duration - clock && p[HOLD] == 0.0) ? 1.0 : rate;
+    double clock_next = clock + rate * h;
+    if (c->duration - clock_next < 1e-9 * c->duration) clock_next = c->duration;
+    int position, acceleration, status = TRACKING;
+    write_bindings(c, off_path + 6, &position, &acceleration);
+    if (share <= 1.0 - 1e-6) status = slow_status(c, share, position, acceleration);
+    if (p[HOLD] != 0.0 || p[BRAKED] != 0.0) status = HOLDING;
+    if (p[HOLD] != 0.0 && p[FAULTS] != 0.0) {
+        status = FAULTED;
+        if (c->loop[FAULT] == 0.0)
+            c->loop[FAULT] = p[REASON], c->loop[FAULT_ARM] = p[REASON_ARM], c->loop[FAULT_A] = p[REASON_A],
+            c->loop[FAULT_B] = p[REASON_B];
+    }
+    if (status == TRACKING && p[OUTCOME] != QP) r[R_BINDINGS] = 0.0;
+    r[R_DT] = h, r[R_CLOCK] = clock, r[R_CLOCK_NEXT] = clock_next, r[R_RATE] = share, r[R_STATUS] = status;
+    r[R_REASON] = p[REASON], r[R_REASON_ARM] = p[REASON_ARM], r[R_REASON_A] = p[REASON_A], r[R_REASON_B] = p[REASON_B];
+    r[R_GRASP_SHARE] = p[GRASP_SHARE], r[R_PATH_SHARE] = p[PATH_SHARE], r[R_PARTING] = p[PARTING];
+    r[R_OUTCOME] = p[OUTCOME], r[R_ITERATIONS] = p[ITERATIONS];
+    memcpy(off_path, c->off_path, 6 * sizeof(double));
+    memcpy(velocity, c->command, sizeof(double) * (size_t)c->joints);
+    write_configuration(c, q);
+    move_on(c, rate, clock_next);
+    write_configuration(c, q_next);
+    return status;
+}
+
+/* -- starting -------------------------------------------------------------------------------------------------------- */
+
+/* Along a path from its start, or from `clock` on. */
+static void start_path(Core *c, double clock, double rate) {
+    c->loop[CLOCK] = clock, c->loop[FIRST] = 1.0, c->loop[HAS_PREDICTED] = 0.0, c->loop[RATE] = rate;
+    if (c->looks_ahead) preview_reset(c, clock);
+}
+
+/* At rest at `positions`. */
+static void start(Core *c, const double *positions) {
+    const size_t size = sizeof(double) * (size_t)c->joints;
+    memset(c->loop, 0, N_LOOP * sizeof(double));
+    memmove(c->positions, positions, size);
+    memset(c->velocity, 0, size);
+    memset(c->before, 0, size);
+    memset(c->drift, 0, 6 * sizeof(double));
+    memset(c->correcting, 0, 6 * sizeof(double));
+    c->loop[LAST_DT] = c->options[NOMINAL_DT];
+    watch_reset(c);
+}

@@ -1,0 +1,20 @@
+/* The core as one unit: compiled for any processor and, where ARITHMETIC names another table, once more for a newer one. */
+
+#include "functions.h"
+
+#include "kinematics.c"
+#include "paths.c"
+#include "chain.c"
+#include "limits.c"
+#include "ldp.c"
+#include "program.c"
+#include "watch.c"
+#include "preview.c"
+#include "step.c"
+
+#ifndef ARITHMETIC
+#define ARITHMETIC arithmetic_plain
+#endif
+
+const Arithmetic ARITHMETIC = {start, start_path, observe, propose,             answer,
+                               commit, read_answer, carry, carry_and_linearise, least_distance};

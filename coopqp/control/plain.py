@@ -1,0 +1,444 @@
+"""The plain loop: the definition of a step in NumPy, written to be read. It runs where the core does not apply.
+
+``observe`` advances what is filtered, once a sample; ``propose`` finds the command; ``commit`` moves the state. A veto
+proposes again, with more rows or a lower cap on the rate.
+"""
+
+from __future__ import annotations
+
+import copy
+import time
+from dataclasses import dataclass, field
+from typing import Any, final
+
+import numpy as np
+import pinocchio as pin
+
+from coopqp.control.command import NO_SOLVE, NOTHING, ControlStep, GivenUp, Status
+from coopqp.control.constraints import Constraints, ConstraintTrouble, Knot, no_rows
+from coopqp.control.limits import VelocityBox
+from coopqp.control.linearised import LinearisedAnswer, LinearisedStep, StepInput
+from coopqp.control.options import QPOptions
+from coopqp.control.ranks import StepSolver
+from coopqp.control.supervision import Supervision, Watch
+from coopqp.model.cell import RobotCell
+from coopqp.model.chain import Chain
+from coopqp.model.grasp import Grasp
+from coopqp.model.limits import BindingLimit, LimitKind
+from coopqp.model.state import CellState
+from coopqp.planning.preview import PathPreview
+from coopqp.spatial import Array
+from coopqp.task.guarded import GuardedPath
+from coopqp.task.path import ObjectPath
+from coopqp.task.posture import Posture
+
+#: Share of the accelerations that braking together ahead of a limit is planned with, where there is no preview.
+BRAKING_SHARE = 0.8
+#: Where the object all but stands, the increment along the path is the mean over this share of a step.
+LEAST_PACE = 1e-3
+#: An object that comes to a stop for good counts as blocked from this many times the rate on.
+ARRIVING = 10.0
+#: A rate that rises by less stands still: a QP's zero has the solver's rounding.
+RATE_ROUNDING = 1e-12
+#: Square of an off-path twist that needs no braking distance [m²/s², rad²/s²].
+NEGLIGIBLE = 1e-10
+
+
+@dataclass(eq=False)
+class LoopState:
+    """What one step hands to the next.
+
+    Attributes:
+        q, v, v_before: commanded configuration (nq,), and the velocities of the last two steps (nv,).
+        predicted: errors foreseen for the next step (N, 6), or None.
+        drift: the object's error as measured less as commanded, let in slowly (6,); None before the first measurement.
+        correcting: off-path twist of the last step (6,), or None where it was negligible.
+        clock: the object's clock [s].
+        rate: σ of the last step.
+        last_dt: its length [s].
+        first: no step was made yet on this path.
+        fault: why the controller is in fault; empty if it is not.
+    """
+
+    q: Array
+    v: Array
+    v_before: Array
+    predicted: Array | None = None
+    drift: Array | None = None
+    correcting: Array | None = None
+    clock: float = 0.0
+    rate: float = 1.0
+    last_dt: float = 0.0
+    first: bool = True
+    fault: str = ""
+
+
+@dataclass(eq=False)
+class Observed:
+    """One sample: the step's length, what the watch says, and the object's measured error (6,) (None: as commanded)."""
+
+    h: float
+    pose: pin.SE3
+    watch: Watch = field(default_factory=Watch)
+    measured: Array | None = None
+    lost: bool = False
+
+
+@dataclass(eq=False)
+class Proposal:
+    """A command that is not committed: the step's input, its answer, and what caps the rate."""
+
+    observed: Observed
+    given: StepInput
+    found: LinearisedAnswer
+    binding: tuple[BindingLimit, ...]
+
+
+@final
+class PlainLoop:
+    """See the module's description.
+
+    Args:
+        cell, grasp: what moves, and how it holds.
+        dt: nominal length of a step [s].
+        options: settings.
+        constraints: further constraints.
+    """
+
+    kernel = "plain"
+
+    def __init__(
+        self, cell: RobotCell, grasp: Grasp, *, dt: float, options: QPOptions, constraints: Constraints
+    ) -> None:
+        self.cell, self.grasp, self.dt, self.options = cell, grasp, dt, options
+        self.constraints = constraints
+        self._chain, self._box = Chain(cell, grasp), VelocityBox(cell)
+        self._shares = options.common_error.shares(cell)
+        self.solver = StepSolver(self._chain, self._box, options)
+        self._step = LinearisedStep(self._chain, self._box, self._shares, self.solver, options)
+        self._posture = Posture(cell, options.posture)
+        self._supervision = Supervision(cell, grasp, options.supervision)
+        self._rise = (
+            None if options.preview is None else options.preview.slope(accelerates=self._box.accelerates, dt=dt)
+        )
+        self._restricted = tuple(cell.arm_names[k] for k in self._chain.deficient)
+        self._redundant = self._chain.redundancy > 0
+        self._no_rows = no_rows(cell.nv)
+        self._preview: PathPreview | None = None
+        self.state = LoopState(pin.neutral(cell.model), np.zeros(cell.nv), np.zeros(cell.nv))
+
+    # -- starting --------------------------------------------------------------------------------------------------
+
+    def follow(self, path: ObjectPath) -> None:
+        """Take a path; it begins with :meth:`start_path`."""
+        self.path = path
+        self._guarded = GuardedPath(path)
+        self._preview = None
+        if self.options.preview is not None and path.known_ahead:
+            bound = self._bound_knot if self.constraints else None
+            preview = PathPreview(
+                Chain(self.cell, self.grasp), path, self._posture, dt=self.dt, options=self.options.preview, bound=bound
+            )
+            self._preview = preview
+
+    def start(self, q: Array) -> None:
+        """At rest at ``q``; forgets everything."""
+        self.solver.reset()
+        self._supervision.reset()
+        self._posture.reset(q)
+        self.state = LoopState(q, np.zeros(self.cell.nv), np.zeros(self.cell.nv), last_dt=self.dt)
+
+    def start_path(self, clock: float = 0.0, rate: float | None = None) -> None:
+        """Along the path from ``clock`` on."""
+        s = self.state
+        s.clock, s.first, s.predicted = clock, True, None
+        s.rate = (0.0 if self._box.accelerates else 1.0) if rate is None else rate
+        self.look_ahead_again()
+
+    def look_ahead_again(self) -> None:
+        """The path ahead has changed."""
+        if self._preview is not None:
+            self._preview.reset(self.state.q, self.state.clock)
+
+    def memory(self) -> Any:
+        """All that a copy of this loop needs beside its arguments and its path."""
+        preview = None if self._preview is None else self._preview.memory()
+        target = self._posture.target
+        return copy.deepcopy((self.state, self._supervision.memory(), preview, target))
+
+    def restore(self, memory: Any) -> None:
+        """Go on from what :meth:`memory` returned."""
+        self.state, supervision, preview, target = copy.deepcopy(memory)
+        self._supervision.restore(supervision)
+        self._posture.target = target
+        if self._preview is not None and preview is not None:
+            self._preview.restore(preview)
+
+    @property
+    def clock(self) -> float:
+        """The object's clock [s]."""
+        return self.state.clock
+
+    @property
+    def q(self) -> Array:
+        """Commanded configuration (nq,)."""
+        return self.state.q
+
+    # -- observe ---------------------------------------------------------------------------------------------------
+
+    def observe(self, q_measured: Any, dt: Any) -> Observed:
+        """Take one sample: accept or refuse the inputs, and advance the filters."""
+        s, supervision = self.state, self._supervision
+        seen = Observed(self.dt, self._pose(s.clock))
+        if dt is not None:
+            trouble = supervision.accept_dt(dt, self.dt)
+            if trouble:
+                seen.watch = Watch.holding(trouble)
+            else:
+                seen.h = float(dt)
+        measured = None
+        if q_measured is not None:
+            measured, trouble = supervision.accept_measurement(q_measured, s.q)
+            if trouble:
+                measured, seen.watch = None, Watch.holding(trouble)
+        trouble = self._guarded.trouble(s.clock, s.clock + seen.h)
+        if trouble:
+            measured, seen.watch, seen.lost = None, Watch.holding(trouble), True
+            seen.pose = held_at(self.grasp, self._shares, CellState(self.cell, s.q))
+        if s.fault:
+            seen.watch = Watch.holding(s.fault, fault=True)
+        seen.measured = self._let_in(seen, measured)
+        return seen
+
+    def _pose(self, clock: float) -> pin.SE3:
+        pose = self._guarded.pose(clock)
+        return held_at(self.grasp, self._shares, CellState(self.cell, self.state.q)) if pose is None else pose
+
+    def _let_in(self, seen: Observed, measured: Array | None) -> Array | None:
+        """The object's error for the path correction; None if the commanded one will do.
+
+        It is the commanded error and, let in slowly, what is measured besides. The less the arms are in step the less
+        of it is corrected, and while they hold nothing: the measured error of an arm that does not move would lead
+        the others away from it without end.
+        """
+        s, watch = self.state, seen.watch
+        if measured is not None:
+            found, errors = self._object_at(measured, seen.pose)
+            commanded, told = self._object_at(s.q, seen.pose)
+            watch.lower(self._supervision.watch(measured, s.q, errors - told, seen.h))
+            drift = np.zeros(6) if s.drift is None else s.drift
+            s.drift = drift + seen.h / (seen.h + self.options.measurement_time) * (found - commanded - drift)
+        elif s.drift is not None and not watch.hold:
+            commanded, _ = self._object_at(s.q, seen.pose)
+        else:
+            return np.zeros(6) if watch.hold else None
+        error: Array = (0.0 if watch.hold else watch.rate_cap) * (commanded + s.drift)
+        return error
+
+    def _object_at(self, q: Array, pose: pin.SE3) -> tuple[Array, Array]:
+        """The object's error at a configuration (6,), and that of the object as each arm carries it (N, 6) [m, rad]."""
+        errors = self._chain.errors(self._chain.carried(q), pose)
+        return (self._shares * errors).sum(axis=0), errors
+
+    # -- propose ---------------------------------------------------------------------------------------------------
+
+    def propose(self, seen: Observed) -> Proposal:
+        """Find the command."""
+        s, h = self.state, seen.h
+        further = self._no_rows
+        if self.constraints.velocity:
+            try:
+                further = self.constraints.rows(CellState(self.cell, s.q), h)
+            except ConstraintTrouble as trouble:
+                seen.watch.lower(Watch.holding(str(trouble)))
+        cap, binding, late = self._rate_cap(seen)
+        measured = seen.measured
+        if late < 1.0:
+            measured = self._brake_correction(late, seen)
+        rest = self.path.duration - s.clock
+        if rest < h * cap:
+            cap = rest / h  # the last step ends at the end
+        span = min(h * max(min(cap, s.rate), LEAST_PACE), rest)
+        along = np.zeros(6)
+        if span > 1e-12 and not seen.lost:
+            ahead = self._guarded.pose(s.clock + span)
+            if ahead is not None:
+                along = np.asarray(pin.log6(seen.pose.actInv(ahead)).vector) / span
+        null_along, null_offset = self._wishes(seen.watch.hold)
+        given = StepInput(
+            s.q, self.cell.positions(s.q), s.v, s.v_before, h, cap, seen.pose, along, measured, s.predicted, s.last_dt,
+            null_along, null_offset, further, s.first,
+        )  # fmt: skip
+        return Proposal(seen, given, self._step.answer(given), binding)
+
+    def _rate_cap(self, seen: Observed) -> tuple[float, tuple[BindingLimit, ...], float]:
+        """The fastest rate that what is ahead, the supervision and the last rate allow, what makes it so, and the share
+        of their speed that joints keep if they have to brake now."""
+        s, watch, h = self.state, seen.watch, seen.h
+        cap, keep = 1.0, 1.0
+        binding: tuple[BindingLimit, ...] = ()
+        preview = self._preview
+        if preview is not None:
+            cap, ahead = preview.cap(s.clock, h)
+            if ahead is not None:
+                binding = (ahead,)
+        blind = preview is None or preview.blind
+        if self._box.accelerates and (blind or s.correcting is not None):
+            keep = self._brake_share(h)
+            if keep < 1.0 and blind:
+                cap = min(cap, keep * s.rate)
+        if watch.rate_cap < cap:
+            cap = watch.rate_cap
+            out_of_step = BindingLimit(self.cell.arm_names[watch.arm], "", LimitKind.OUT_OF_STEP)
+            binding = () if watch.arm < 0 else (out_of_step,)
+        if s.rate < 1.0 and self._rise is not None and s.rate + self._rise * h < cap:
+            cap, binding = s.rate + self._rise * h, ()
+        return cap, binding, keep
+
+    def _brake_share(self, h: float) -> float:
+        """1 if all joints, braking together after this step, stop inside their limits; else the share of their speed
+        that they keep if they do so now.
+
+        A joint's own braking distance is not enough: the others may be slower to stop, and they hold one object.
+        """
+        v, limits = self.state.v, self._box.limits
+        speed = np.abs(v)
+        longest = float((speed / limits.acceleration).max())  # of the times that the joints need to stop
+        if longest <= 0.0:
+            return 1.0
+        planned = longest / BRAKING_SHARE
+        x = self.cell.positions(self.state.q)
+        room = np.where(v > 0.0, limits.upper - x, x - limits.lower)
+        late = (speed * (h + 0.5 * planned) > room) & (room >= 0.0)
+        if not late.any():
+            return 1.0
+        left = float((room[late] / speed[late]).min())
+        return max(0.0, 1.0 - h / min(max(2.0 * (left - h), longest), planned))
+
+    def _brake_correction(self, keep: float, seen: Observed) -> Array:
+        """The error that the path correction sees, limited so that the correction is ``keep`` of the last one."""
+        s = self.state
+        error = self._object_at(s.q, seen.pose)[0] if seen.measured is None else seen.measured.copy()
+        for part in (slice(0, 3), slice(3, 6)):
+            now = self.options.path_gain * float(np.linalg.norm(error[part]))
+            allowed = 0.0 if s.correcting is None else keep * float(np.linalg.norm(s.correcting[part]))
+            if now > allowed:
+                error[part] *= allowed / now
+        return error
+
+    def _wishes(self, hold: bool) -> tuple[Array, Array]:
+        """Joint velocities wished for in the null-space, per unit of rate and besides."""
+        s, nothing = self.state, np.zeros(self.cell.nv)
+        if not self._redundant:
+            return nothing, nothing
+        if self._preview is not None and not self._preview.blind:
+            q_ahead, slope = self._preview.reference(s.clock)
+            offset = self.options.posture.gain * pin.difference(self.cell.model, s.q, q_ahead)
+        else:
+            slope, offset = nothing, self._posture.velocity(s.q)
+        return slope, nothing if hold else offset
+
+    def _bound_knot(self, clock: float, q: Array, slope: Array, curvature: Array) -> tuple[float, float, str]:
+        """What further constraints leave of the rate at a knot; nothing of it if they cannot say."""
+        options = self.options.preview
+        cap, decrease, which = self.constraints.bound_or_stop(
+            Knot(clock, CellState(self.cell, q), slope, curvature),
+            self.dt,
+            1.0 if options is None else options.curvature_share,
+        )
+        return cap, decrease, self.constraints.names[which] if which >= 0 else ""
+
+    # -- commit ----------------------------------------------------------------------------------------------------
+
+    def commit(self, proposal: Proposal, began: float) -> ControlStep:
+        """Move the state by the proposed command."""
+        s, seen, found = self.state, proposal.observed, proposal.found
+        answer, watch, h, duration = found.answer, seen.watch, seen.h, self.path.duration
+        v, q, clock = answer.velocity, s.q, s.clock
+        q_next = self.cell.moved(q, h * v)
+        binding = self.names(answer.active, h) or proposal.binding
+        rate = min(max(answer.rate, 0.0), 1.0)
+        # what the last step needs is the full rate
+        share = 1.0 if rate >= 1.0 or (rate * h >= duration - clock and not watch.hold) else rate
+        clock_next = clock + rate * h
+        if duration - clock_next < 1e-9 * duration:
+            clock_next = duration
+        status, by_qp = Status.TRACKING, answer.report is not NO_SOLVE
+        if share <= 1.0 - 1e-6:
+            status = self._slow_status(share, binding)
+        if watch.hold or answer.braked:
+            status = Status.HOLDING
+        if watch.hold and watch.fault:
+            status, s.fault = Status.FAULT, s.fault or watch.reason
+        step = ControlStep(
+            cell=self.cell,
+            grasp=self.grasp,
+            path=self.path,
+            q=q,
+            velocity=v,
+            q_next=q_next,
+            dt=h,
+            clock=clock,
+            clock_next=clock_next,
+            rate=share,
+            status=status,
+            reason=watch.reason or answer.reason,
+            binding=() if status is Status.TRACKING and not by_qp else binding,
+            given_up=self._given_up(found, share),
+            solver=answer.report,
+            build_time_s=time.perf_counter() - began - answer.report.time_s,
+        )
+        if by_qp or self._box.accelerates:
+            c = found.correction
+            s.correcting = c if c @ c > NEGLIGIBLE else None
+        s.predicted = found.predicted if answer.chain == 0.0 and not answer.braked else None
+        s.v_before, s.v, s.q = found.stand_in, v, step.q_next
+        s.clock, s.rate, s.last_dt, s.first = clock_next, rate, h, False
+        return step
+
+    def names(self, active: tuple[tuple[int, float], ...], h: float) -> tuple[BindingLimit, ...]:
+        """Rows of a step, by name."""
+        box, nv = self._box, self.cell.nv
+        return tuple(
+            box.binding(row, side, self.state.v, h) if row < nv else self._constraint_name(row - nv)
+            for row, side in active
+        )
+
+    def _constraint_name(self, row: int) -> BindingLimit:
+        rows = self.constraints.rows(CellState(self.cell, self.state.q), self.dt)
+        return BindingLimit("", "", LimitKind.CONSTRAINT, self.constraints.names[int(rows.owner[row])])
+
+    def _slow_status(self, rate: float, binding: tuple[BindingLimit, ...]) -> Status:
+        rising = rate > self.state.rate + RATE_ROUNDING
+        ends = any(b.kind is LimitKind.POSITION for b in binding) or (self._preview is not None and self._preview.ends)
+        arriving = ends and not rising and not self._outside()
+        if rate >= self.options.blocked_rate * (ARRIVING if arriving else 1.0):
+            return Status.SLOWED
+        # From rest the accelerations alone keep the rate small; it grows then, or a joint is on its way back in.
+        accelerating = any(b.kind is LimitKind.ACCELERATION for b in binding)
+        return Status.SLOWED if accelerating and (rising or self._outside()) else Status.BLOCKED
+
+    def _outside(self) -> bool:
+        """Whether a joint is outside its position limits."""
+        x, limits = self.cell.positions(self.state.q), self._box.limits
+        return bool(((x > limits.upper) | (x < limits.lower)).any())
+
+    def _given_up(self, found: LinearisedAnswer, rate: float) -> GivenUp:
+        answer = found.answer
+        if rate == 1.0 and answer.exact and not self._restricted:
+            return NOTHING
+        return GivenUp(
+            chain=answer.chain,
+            grasp=1.0 - answer.grasp_share,
+            off_path=tuple(answer.off_path.tolist()),
+            path=1.0 - answer.path_share,
+            rate=1.0 - rate,
+            restricted=self._restricted,
+        )
+
+
+def held_at(grasp: Grasp, shares: Array, state: CellState) -> pin.SE3:
+    """Where the arms hold the object: by their shares in the common error, from the first one's view."""
+    O = grasp.carried(state)
+    errors = np.array([pin.log6(O[0].actInv(other)).vector for other in O])
+    return O[0] * pin.exp6((shares * errors).sum(axis=0))

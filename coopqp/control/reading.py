@@ -1,0 +1,129 @@
+"""From a record of numbers to words: statuses, limits by name, reasons as sentences."""
+
+from __future__ import annotations
+
+from typing import Any, final
+
+import numpy as np
+
+from coopqp.control.command import NO_SOLVE, NOTHING, GivenUp, SolverReport, Status
+from coopqp.control.core import layout
+from coopqp.model.cell import RobotCell
+from coopqp.model.grasp import Grasp
+from coopqp.model.limits import BindingLimit, LimitKind
+from coopqp.spatial import Array
+from coopqp.task.path import ObjectPath
+
+_R = {name: i for i, name in enumerate(layout.RECORD)}
+_SCALARS = {"dt": "R_DT", "clock": "R_CLOCK", "clock_next": "R_CLOCK_NEXT"}
+_KINDS = {code: LimitKind[name] for code, name in enumerate(layout.KINDS) if name != "NONE"}
+_REASONS = {name: code for code, name in enumerate(layout.REASONS)}
+STATUSES = tuple(Status[name.replace("FAULTED", "FAULT")] for name in layout.STATUSES)
+
+
+@final
+class RecordReader:
+    """Reads the records of one controller on one path; see :class:`coopqp.control.command.StepReader`.
+
+    Args:
+        cell, grasp, path: of the controller.
+        solver: name of the solver that a QP step used.
+        constraints: names of the further constraints.
+        force_limit: of the supervision [N].
+    """
+
+    def __init__(
+        self,
+        cell: RobotCell,
+        grasp: Grasp,
+        path: ObjectPath,
+        *,
+        solver: str,
+        constraints: tuple[str, ...],
+        force_limit: float,
+    ) -> None:
+        self.cell, self.grasp, self.path = cell, grasp, path
+        self._solver, self._constraints, self._force_limit = solver, constraints, force_limit
+        self._q = len(layout.RECORD)
+        self._v = self._q + cell.nq
+        self._q_next = self._v + cell.nv
+        self._off_path = self._q_next + cell.nq
+
+    def read(self, record: bytes, name: str) -> Any:
+        """Value of the attribute ``name`` of a step."""
+        if name == "q_next":
+            return np.frombuffer(record, np.float64, self.cell.nq, 8 * self._q_next)
+        if name == "velocity":
+            return np.frombuffer(record, np.float64, self.cell.nv, 8 * self._v)
+        if name == "q":
+            return np.frombuffer(record, np.float64, self.cell.nq, 8 * self._q)
+        if name in ("cell", "grasp", "path"):
+            return getattr(self, name)
+        if name == "build_time_s":
+            return 0.0
+        numbers = np.frombuffer(record)
+        if name in _SCALARS:
+            return numbers.item(_R[_SCALARS[name]])
+        return getattr(self, f"_read_{name}")(numbers)
+
+    def _read_reason(self, r: Array) -> str:
+        return reason(
+            self.cell, self._force_limit, int(r[_R["R_REASON"]]), *r[_R["R_REASON_ARM"] : _R["R_REASON_B"] + 1].tolist()
+        )
+
+    def _read_binding(self, r: Array) -> tuple[BindingLimit, ...]:
+        begin = self._off_path + 6
+        entries = r[begin : begin + 4 * int(r[_R["R_BINDINGS"]])].reshape(-1, 4)
+        return tuple(self.limit(*(int(x) for x in entry)) for entry in entries)
+
+    def limit(self, kind: int, arm: int, joint: int, constraint: int) -> BindingLimit:
+        """A limit by name."""
+        if constraint >= 0:
+            return BindingLimit("", "", LimitKind.CONSTRAINT, self._constraints[constraint])
+        if joint >= 0:
+            name, _, own = self.cell.joint_names[joint].partition("/")
+            return BindingLimit(name, own, _KINDS[kind])
+        return BindingLimit(self.cell.arm_names[arm] if arm >= 0 else "", "", _KINDS[kind])
+
+    def _read_given_up(self, r: Array) -> GivenUp:
+        off_path = tuple(r[self._off_path : self._off_path + 6].tolist())
+        lost = [1.0 - r.item(_R[name]) for name in ("R_GRASP_SHARE", "R_PATH_SHARE", "R_RATE")]
+        parting = r.item(_R["R_PARTING"])
+        if not (any(lost) or any(off_path) or parting):
+            return NOTHING
+        return GivenUp(chain=parting, grasp=lost[0], off_path=off_path, path=lost[1], rate=lost[2])
+
+    def _read_solver(self, r: Array) -> SolverReport:
+        if r[_R["R_OUTCOME"]] != layout.OUTCOMES.index("QP"):
+            return NO_SOLVE
+        return SolverReport(self._solver, "solved", int(r[_R["R_ITERATIONS"]]))
+
+
+def reason(cell: RobotCell, force_limit: float, code: int, index: float, a: float, b: float) -> str:
+    """The sentence of a reason of :data:`layout.REASONS`."""
+    i, names = int(index), cell.arm_names
+    if code == _REASONS["NO_REASON"]:
+        return ""
+    if code == _REASONS["BAD_DT"]:
+        return f"dt is not accepted: {a:g} s is outside the range of the supervision"
+    if code == _REASONS["NOT_FINITE"]:
+        return f"q_measured[{i}] is {a}"
+    if code == _REASONS["OFF_CIRCLE"]:
+        return f"q_measured[{i}] and [{i + 1}] are no cosine and sine (norm {a:.3g})"
+    if code == _REASONS["JUMPED"]:
+        return f"joint {cell.joint_names[i]} is measured {a:.3g} rad (or m) from its command"
+    if code == _REASONS["ALL_STALLED"]:
+        return "no arm is seen to follow its command (all have stopped, or measurements are stale)"
+    if code == _REASONS["PATH_FAILED"]:
+        return f"the path has no pose at its clock {a:.6g} s"
+    arm = names[i]
+    if code == _REASONS["OUT_OF_STEP_BY"]:
+        return f"arm {arm} is {1e3 * a:.2f} mm out of step with the others"
+    if code == _REASONS["WAS_OUT_OF_STEP"]:
+        return f"arm {arm} was out of step"
+    if code == _REASONS["STALLED"]:
+        return f"arm {arm} does not follow its command (stalled)"
+    if code == _REASONS["FORCE"]:
+        return f"{a:.0f} N at the grasp of arm {arm} by its servos (limit {force_limit:g} N)"
+    behind = f"it hangs {1e3 * a:.2g} mm behind, and the others pull it with {b:.0f} N"
+    return f"arm {arm} does not follow its command: {behind}"
