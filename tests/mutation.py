@@ -43,6 +43,7 @@ MODULES: dict[str, tuple[str, ...]] = {
     "coopqp/control/forms.py": ("program", "kernel", "qp_controller", "posture"),
     "coopqp/control/ranks.py": ("program", "kernel", "qp_controller", "posture"),
     "coopqp/control/linearised.py": ("program", "kernel", "qp_controller", "preview"),
+    "coopqp/control/plain.py": ("qp_controller", "kernel", "supervision", "posture", "reliability/stopping"),
     "coopqp/control/supervision.py": ("supervision", "stress", "qp_controller", "kernel", "reliability/disturbances"),
     "coopqp/control/drift.py": ("supervision", "qp_controller", "pseudo_inverse", "reliability/disturbances"),
     "coopqp/model/grasp.py": ("grasp", "targets", "chain", "paper_equations", "state", "cell"),
@@ -200,7 +201,7 @@ class Copy:
             shutil.copy(file, folder / "coopqp/control/core")
         path = [str(folder / "tests" / "elsewhere"), str(folder)]
         self._environment = {
-            **os.environ, "PYTHONPATH": os.pathsep.join(path), "HYPOTHESIS_PROFILE": "ci",
+            **os.environ, "PYTHONPATH": os.pathsep.join(path), "HYPOTHESIS_PROFILE": "mutation",
             "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1",
         }  # fmt: skip
         where = subprocess.run(
