@@ -7,6 +7,10 @@
 
 #include "core.h"
 
+#ifdef __GNUC__
+#pragma GCC diagnostic ignored "-Wpedantic" /* Python keeps functions in void pointers */
+#endif
+
 #define FIELDS_IN_ALL (CONFIG_FIELDS + STATE_FIELDS + WORK_FIELDS)
 
 /* The best arithmetic that this processor can do. */
