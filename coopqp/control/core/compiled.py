@@ -304,7 +304,7 @@ class CompiledLoop:
 
 
 def _make_core(memory: Memory, arithmetic: str) -> Any:
-    blocks = tuple((b.ctypes.data, b.nbytes) for b in memory.blocks.values())
+    blocks = tuple(memory.blocks.values())
     s = memory.sizes
     sizes = s["n"], s["nv"], s["nq"], s["unknowns"], s["past"], s["rows"]
     return native.Core(blocks, tuple(memory.places), sizes, arithmetic == "plain")
