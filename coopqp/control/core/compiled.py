@@ -198,6 +198,8 @@ class CompiledLoop:
         p = self.at["proposal"]
         outcome = int(p[_P["OUTCOME"]]) if outcome is None else outcome
         report, reason = None, self.trouble
+        if outcome == _FILLED and self.at["loop"][_LOOP["FIRST"]]:  # it is linearised more than once
+            outcome = _OPEN
         if outcome == _FILLED:
             outcome, report = self._solve()
         if outcome == _OPEN:
@@ -245,7 +247,8 @@ class CompiledLoop:
         if x is None:
             return _OPEN, report
         at["x"][:unknowns] = x
-        return (_QP if self._core.read(p.item(_P["CAP"])) else _OPEN), report
+        p[_P["OUTCOME"]] = _QP if self._core.read(p.item(_P["CAP"])) else _OPEN
+        return int(p[_P["OUTCOME"]]), report
 
     def _show_box(self) -> None:
         """The core's box in the definition's."""
