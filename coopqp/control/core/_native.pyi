@@ -9,7 +9,7 @@ GAP: int
 class Core:
     def __init__(
         self,
-        blocks: tuple[tuple[int, int], ...],
+        blocks: tuple[Array, ...],
         places: tuple[tuple[int, int], ...],
         sizes: tuple[int, int, int, int, int, int],
         plain: bool = False,

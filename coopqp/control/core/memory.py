@@ -10,7 +10,6 @@ import pinocchio as pin
 from coopqp.control.core import layout
 from coopqp.control.limits import VelocityBox
 from coopqp.control.options import QPOptions
-from coopqp.errors import CoopqpError
 from coopqp.model.cell import RobotCell
 from coopqp.model.chain import Chain
 from coopqp.planning.preview import PlanLimits
@@ -20,8 +19,8 @@ from coopqp.spatial import Array
 MOST_ROWS = 64
 
 
-class NotForTheCoreError(CoopqpError):
-    """The cell has something that the core does not know; the plain loop runs it."""
+class NotForTheCore(Exception):  # noqa: N818
+    """The cell has something that the core does not know; the plain loop runs it. No user sees it."""
 
 
 @final
@@ -59,7 +58,7 @@ def build_memory(
     """The memory of a loop, its constants filled in.
 
     Raises:
-        NotForTheCoreError: a joint type, or an order of joints, that the core does not know.
+        NotForTheCore: a joint type, or an order of joints, that the core does not know.
     """
     cell = chain.cell
     starts, counts = _arms(chain)
@@ -74,6 +73,7 @@ def build_memory(
     at, limits = memory.at, cell.limits
     at["arm_start"][:], at["arm_size"][:] = starts, counts
     _put_links(chain, at)
+    at["near_cos"][:] = 1.0  # of position 0
     at["continuous"][:], at["q_index"][:] = cell.continuous, cell.position_index
     at["scale"][:], at["shares"][:], at["unit"][:] = chain.scale, shares.ravel(), unit
     at["low"][:], at["high"][:] = limits.lower, limits.upper
@@ -94,11 +94,11 @@ def build_memory(
 def _arms(chain: Chain) -> tuple[list[int], list[int]]:
     columns = chain.moving_columns
     if any(len(c) < 6 for c in columns):
-        raise NotForTheCoreError("an arm has fewer than six joints")
+        raise NotForTheCore("an arm has fewer than six joints")
     if any(len(c) > layout.MOST_JOINTS for c in columns):
-        raise NotForTheCoreError(f"an arm has more than {layout.MOST_JOINTS} joints")
+        raise NotForTheCore(f"an arm has more than {layout.MOST_JOINTS} joints")
     if any((np.diff(c) != 1).any() for c in columns):
-        raise NotForTheCoreError("the joints of an arm do not follow each other")
+        raise NotForTheCore("the joints of an arm do not follow each other")
     return [int(c[0]) for c in columns], [len(c) for c in columns]
 
 
@@ -112,7 +112,7 @@ def _put_links(chain: Chain, at: dict[str, Array]) -> None:
         for j in columns:
             joint = model.joints[int(j) + 1]
             if joint.idx_v != j or joint.nv != 1 or model.parents[int(j) + 1] != parent:
-                raise NotForTheCoreError(f"joint {cell.joint_names[j]} does not follow the one before")
+                raise NotForTheCore(f"joint {cell.joint_names[j]} does not follow the one before")
             axis, slides = _axis(cell, int(j) + 1)
             placement = model.jointPlacements[int(j) + 1]
             turned = _z_to(axis)
@@ -121,7 +121,7 @@ def _put_links(chain: Chain, at: dict[str, Array]) -> None:
             at["prismatic"][j] = slides
             parent, aligned = int(j) + 1, turned
         if cell.tool_joints[k] != parent:
-            raise NotForTheCoreError(f"the tool of arm {cell.arm_names[k]} is not on its last joint")
+            raise NotForTheCore(f"the tool of arm {cell.arm_names[k]} is not on its last joint")
         Y = cell.T_joint_tool[k] * chain.grasp.T_object_tool[k].inverse()
         at["object_R"].reshape(-1, 9)[k] = (aligned.T @ Y.rotation).ravel()
         at["object_p"].reshape(-1, 3)[k] = aligned.T @ Y.translation
@@ -138,7 +138,7 @@ def _axis(cell: RobotCell, joint: int) -> tuple[Array, bool]:
         return angular, False
     if abs(np.linalg.norm(linear) - 1.0) < 1e-9 and np.abs(angular).max() < 1e-9:
         return linear, True
-    raise NotForTheCoreError(f"joint {cell.model.names[joint]} neither turns about an axis nor slides along one")
+    raise NotForTheCore(f"joint {cell.model.names[joint]} neither turns about an axis nor slides along one")
 
 
 def _z_to(axis: Array) -> Array:

@@ -98,6 +98,7 @@ static void observe(Core *c, const double *q, const double *dt) {
             refuse(c, BAD_DT, -1, *dt);
     }
     if (q && !believe(c, q, positions)) q = NULL;
+    stay_near(c, c->positions);
     carry(c, c->positions, c->carried);
     c->loop[PATH_LOST] = 0.0;
     double ahead[12];
@@ -240,7 +241,7 @@ static int settle_first(Core *c, double cap) {
         carry_and_linearise(c, middle, c->p, NULL, c->jacobian);
         if (iteration && !defect(c, guess, h)) return OPEN;
         outcome = settle(c, cap);
-        if (outcome == OPEN || outcome == FILLED) return outcome;
+        if (outcome == OPEN || outcome == FILLED) return OPEN; /* the definition iterates with any solver */
         for (int j = 0; j < c->joints; j++) {
             change = fmax(change, fabs(c->command[j] - guess[j]));
             fastest = fmax(fastest, fabs(c->command[j]));
