@@ -35,6 +35,7 @@ from coopqp.control.solvers.polish import REACH, kkt_residual
 from coopqp.scenarios import fast_lift
 
 native = pytest.importorskip("coopqp.control.core._native", reason="the core is not compiled")
+pytestmark = pytest.mark.core
 BENCHMARKS = Path(__file__).parents[1] / "benchmarks"
 OTHERS = [name for name in ("daqp", "quadprog") if name in available_solvers()]
 SEEDS = st.integers(0, 2**32 - 1)

@@ -36,6 +36,8 @@ from coopqp.planning.preview import PathPreview
 from coopqp.scenarios import Scenario, at_limit, at_singularity, dual_arm7, mixed_cell, paper_lift
 from coopqp.task.posture import Posture
 
+pytestmark = pytest.mark.core
+
 NIGHTLY = os.environ.get("HYPOTHESIS_PROFILE") == "nightly"
 DIRECTIONS = 40 if NIGHTLY else 6
 DT = 0.002

@@ -60,6 +60,8 @@ from coopqp.scenarios import (
 )
 from coopqp.scenarios.paper import three_rx90l
 
+pytestmark = pytest.mark.core
+
 NIGHTLY = os.environ.get("HYPOTHESIS_PROFILE") == "nightly"
 MM = 1e-3
 

@@ -21,6 +21,8 @@ from coopqp.control.stress_watch import StressWatch
 from coopqp.control.supervision import Supervision, Watch
 from coopqp.scenarios import mixed_cell, paper_lift
 
+pytestmark = pytest.mark.core
+
 
 @pytest.mark.parametrize("steps", [40, 41, 100, 400])
 def test_the_noise_margin_stays_a_number_for_long_steps(steps: int) -> None:
