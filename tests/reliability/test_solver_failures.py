@@ -83,6 +83,7 @@ def test_it_holds_within_the_same_step(failures: list[tuple[bool, Failure]], cat
     )
 
 
+@pytest.mark.slow
 def test_it_comes_to_rest(failures: list[tuple[bool, Failure]], catalogue: Any) -> None:
     stopping = [f.stopping for for_ever, f in failures if for_ever]
     catalogue.row(
@@ -96,6 +97,7 @@ def test_it_comes_to_rest(failures: list[tuple[bool, Failure]], catalogue: Any) 
     assert np.median(stopping) <= 1.0
 
 
+@pytest.mark.slow
 def test_the_arms_stay_together(failures: list[tuple[bool, Failure]], catalogue: Any) -> None:
     catalogue.row(
         "A5",
@@ -107,6 +109,7 @@ def test_the_arms_stay_together(failures: list[tuple[bool, Failure]], catalogue:
     )
 
 
+@pytest.mark.slow
 def test_limits_are_kept_and_the_clock_is_right(failures: list[tuple[bool, Failure]], catalogue: Any) -> None:
     catalogue.row(
         "A5",
@@ -117,6 +120,7 @@ def test_limits_are_kept_and_the_clock_is_right(failures: list[tuple[bool, Failu
     )
 
 
+@pytest.mark.slow
 def test_it_goes_on_when_the_solver_does(failures: list[tuple[bool, Failure]], catalogue: Any) -> None:
     catalogue.row(
         "A5",

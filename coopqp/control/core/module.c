@@ -6,9 +6,13 @@
 #include <stdint.h>
 
 #include "core.h"
+#include "guards.h"
 
-#ifdef __GNUC__
-#pragma GCC diagnostic ignored "-Wpedantic" /* Python keeps functions in void pointers */
+/* CPython passes functions as void *, which ISO C forbids and every platform with dynamic libraries allows. */
+#if defined(__GNUC__)
+#define POINTER(type, address) (__extension__(type)(address))
+#else
+#define POINTER(type, address) ((type)(address))
 #endif
 
 #define FIELDS_IN_ALL (CONFIG_FIELDS + STATE_FIELDS + WORK_FIELDS)
@@ -30,9 +34,16 @@ typedef struct {
     PyObject *own_path, *bound_knot;               /* callables; NULL for none */
     PyObject *path_buffer, *pose_buffer;           /* arrays whose memory is in use */
     PyObject *step_type, *context, *statuses;      /* what a step is made of */
+#ifdef GUARDED
+    Guards guards;
+#endif
 } CoreObject;
 
 static CoreObject *owner_of(Core *c) { return (CoreObject *)(void *)((char *)c - offsetof(CoreObject, core)); }
+
+#ifdef GUARDED
+static Guards *guards_of(const Core *c) { return &owner_of((Core *)(uintptr_t)c)->guards; }
+#endif
 
 /* -- memory ---------------------------------------------------------------------------------------------------------- */
 
@@ -60,8 +71,11 @@ static int place_fields(CoreObject *self, PyObject *blocks, PyObject *places) {
         for (int n = 0; n < fields[block]; n++, i++) {
             Py_ssize_t begin, end;
             if (!PyArg_ParseTuple(PyTuple_GetItem(places, i), "nn", &begin, &end)) return 0;
-            if (begin < 0 || end < begin || end > length) return 0;
+            if (begin < 0 || end < begin || end + GAP > length) return 0;
             field[i] = begins + begin;
+#ifdef GUARDED
+            self->guards.end[i] = begins + end;
+#endif
         }
     }
     return 1;
@@ -104,7 +118,7 @@ static int core_init(PyObject *object, PyObject *args, PyObject *kwargs) {
     }
     static const double nowhere[3] = {1.0, 0.0, 0.0};
     c->duration = 1.0, c->path_numbers = nowhere;
-    self->can = plain ? &arithmetic_plain : best();
+    self->can = guarded(c, plain ? &arithmetic_plain : best());
     return 0;
 }
 
@@ -143,7 +157,7 @@ static void core_dealloc(PyObject *object) {
     Py_CLEAR(self->pose_buffer);
     for (int block = 0; block < 3; block++)
         if (self->memory[block].obj) PyBuffer_Release(self->memory + block);
-    freefunc release = (freefunc)PyType_GetSlot(type, Py_tp_free);
+    freefunc release = POINTER(freefunc, PyType_GetSlot(type, Py_tp_free));
     release(object);
     Py_DECREF(type);
 }
@@ -169,14 +183,19 @@ static int ask(PyObject *function, PyObject *arguments) {
 
 static int ask_path(Core *c, double clock, int twist, double *out) {
     CoreObject *self = owner_of(c);
-    if (!self->own_path || !ask(self->own_path, Py_BuildValue("(di)", clock, twist))) return 0;
+    guard(c, 0);
+    const int good = self->own_path && ask(self->own_path, Py_BuildValue("(di)", clock, twist));
+    guard(c, 1);
+    if (!good) return 0;
     memcpy(out, self->own_pose, (size_t)(twist ? 6 : 12) * sizeof(double));
     return 1;
 }
 
 static int ask_knot(Core *c, int slot) {
-    CoreObject *self = owner_of(c);
-    return ask(self->bound_knot, Py_BuildValue("(i)", slot));
+    guard(c, 0);
+    const int good = ask(owner_of(c)->bound_knot, Py_BuildValue("(i)", slot));
+    guard(c, 1);
+    return good;
 }
 
 /* set_path(numbers, own, pose, duration, looks_ahead): own(clock, twist) leaves what it knows in pose. */
@@ -438,12 +457,12 @@ static PyMethodDef core_methods[] = {
 
 static PyType_Slot core_slots[] = {
     {Py_tp_doc, "Core(blocks, places, sizes, plain=False): the compiled step over memory that Python owns."},
-    {Py_tp_init, core_init},
-    {Py_tp_dealloc, core_dealloc},
-    {Py_tp_traverse, core_traverse},
-    {Py_tp_clear, core_clear},
+    {Py_tp_init, POINTER(void *, core_init)},
+    {Py_tp_dealloc, POINTER(void *, core_dealloc)},
+    {Py_tp_traverse, POINTER(void *, core_traverse)},
+    {Py_tp_clear, POINTER(void *, core_clear)},
     {Py_tp_methods, core_methods},
-    {Py_tp_new, PyType_GenericNew},
+    {Py_tp_new, POINTER(void *, PyType_GenericNew)},
     {0, NULL},
 };
 
@@ -464,7 +483,9 @@ PyMODINIT_FUNC PyInit__native(void) {
     PyObject *m = PyModule_Create(&module), *type = m ? PyType_FromSpec(&core_spec) : NULL;
     record_name = PyUnicode_InternFromString("_record"), context_name = PyUnicode_InternFromString("_context");
     status_name = PyUnicode_InternFromString("status"), rate_name = PyUnicode_InternFromString("rate");
-    if (type && record_name && context_name && status_name && rate_name && PyModule_AddObject(m, "Core", type) == 0) return m;
+    if (type && record_name && context_name && status_name && rate_name && PyModule_AddObject(m, "Core", type) == 0 &&
+        PyModule_AddIntConstant(m, "GAP", GAP) == 0)
+        return m;
     Py_XDECREF(type);
     Py_XDECREF(m);
     return NULL;
