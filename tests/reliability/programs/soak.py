@@ -111,7 +111,8 @@ def main(rounds: int) -> None:
         Shuttle(lift),
         Shuttle(dual_arm7()),
         Shuttle(mixed_cell()),
-        Shuttle(lift, shortcut=False, kernel="none"),
+        Shuttle(lift, shortcut=False, solver="daqp"),
+        Shuttle(lift, shortcut=False, kernel="plain"),
     ]
     servo_task = replace(lift, path=ServoPath(lift.path.pose(0.0)))
     servo = QPController(lift.cell, lift.grasp, servo_task.path, dt=0.001)
