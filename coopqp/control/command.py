@@ -77,7 +77,15 @@ NOTHING = GivenUp()
 
 
 class StepReader(Protocol):
-    """Reads what a record does not say in words; one per controller."""
+    """Reads what a record does not say in words; one per controller and path.
+
+    Attributes:
+        nq: numbers of a configuration.
+        q_next_at: where the commanded configuration begins in a record [bytes].
+    """
+
+    nq: int
+    q_next_at: int
 
     def read(self, record: bytes, name: str) -> Any:
         """Value of the attribute ``name`` of :class:`ControlStep`."""
@@ -113,7 +121,6 @@ class ControlStep:
     path: ObjectPath
     q: Array
     velocity: Array
-    q_next: Array
     dt: float
     clock: float
     clock_next: float
@@ -124,6 +131,15 @@ class ControlStep:
     given_up: GivenUp
     solver: SolverReport
     build_time_s: float
+
+    @property
+    def q_next(self) -> Array:
+        """Commanded configuration at the end of the step (nq,)."""
+        context = self._context
+        if context is None:
+            value: Array = self._values["q_next"]
+            return value
+        return _from_buffer(self._record, _FLOAT, context.nq, context.q_next_at)
 
     def __init__(
         self,
@@ -147,7 +163,9 @@ class ControlStep:
     ) -> None:
         values = dict(locals())
         del values["self"]
-        values.update(q=read_only(q), velocity=read_only(velocity), q_next=read_only(q_next))
+        for name in ("q", "velocity", "q_next"):
+            if values[name].flags.writeable:
+                values[name] = read_only(values[name])
         _put(self, values)
 
     def __getattr__(self, name: str) -> Any:
@@ -240,11 +258,13 @@ class ControlStep:
 
 
 _set = object.__setattr__
-_FIELDS = tuple(ControlStep.__annotations__)
+_from_buffer, _FLOAT = np.frombuffer, np.dtype(np.float64)
+_FIELDS = (*ControlStep.__annotations__, "q_next")
 
 
 def _put(step: ControlStep, values: dict[str, Any]) -> None:
     _set(step, "_values", values)
+    _set(step, "_context", None)
     _set(step, "rate", values["rate"])
     _set(step, "status", values["status"])
 

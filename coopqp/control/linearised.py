@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import final
 
@@ -58,7 +59,7 @@ class StepInput:
     first: bool
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(eq=False)
 class LinearisedAnswer:
     """The answer of a step, and what the next one goes on from.
 
@@ -117,19 +118,18 @@ class LinearisedStep:
     def _terms(self, s: StepInput, errors: Array) -> StepTerms:
         """Corrections, bounded by one common factor; a gain never takes away more than the whole error in a step."""
         o = self._options
-        common = (self._shares * errors).sum(axis=0)
+        common = np.einsum("ki,ki->i", self._shares, errors)
         grasp = -min(o.grasp_gain, 1.0 / s.h) * (errors - common)
         path = -min(o.path_gain, 1.0 / s.h) * (common if s.measured is None else s.measured)
-        R = s.pose.rotation
         to_world = np.zeros((6, 6))
-        to_world[:3, :3] = to_world[3:, 3:] = R
+        to_world[:3, :3] = to_world[3:, 3:] = s.pose.rotation
         return StepTerms(
-            to_world=to_world,
-            along=s.along.copy(),
-            path_correction=bounded(path[None, :], o.correction_speed, o.correction_spin)[0],
-            grasp_corrections=bounded(grasp, o.correction_speed, o.correction_spin),
-            offsets=np.zeros_like(grasp) if s.predicted is None else (s.predicted - errors) / s.last_dt,
-            rate_cap=s.cap,
+            to_world,
+            s.along.copy(),
+            bounded(path[None, :], o.correction_speed, o.correction_spin)[0],
+            bounded(grasp, o.correction_speed, o.correction_spin),
+            np.zeros_like(grasp) if s.predicted is None else (s.predicted - errors) / s.last_dt,
+            s.cap,
         )
 
     def _complete(self, s: StepInput, terms: StepTerms) -> None:
@@ -161,8 +161,10 @@ class LinearisedStep:
 
 def bounded(twists: Array, speed: float, spin: float) -> Array:
     """Twists (n, 6), shrunk by one common factor to a linear and an angular speed."""
-    linear, angular = (float(np.sqrt((part**2).sum(axis=1).max())) for part in (twists[:, :3], twists[:, 3:]))
-    excess = max(linear / speed, angular / spin)
+    if np.vdot(twists, twists) <= min(speed, spin) ** 2:
+        return twists
+    square = twists * twists
+    excess = math.sqrt(max(square[:, :3].sum(axis=1).max() / speed**2, square[:, 3:].sum(axis=1).max() / spin**2))
     return twists / excess if excess > 1.0 else twists
 
 

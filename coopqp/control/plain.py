@@ -133,6 +133,7 @@ class PlainLoop:
         """Take a path; it begins with :meth:`start_path`."""
         self.path = path
         self._guarded = GuardedPath(path)
+        self._ahead: tuple[float, pin.SE3] | None = None
         self._preview = None
         if self.options.preview is not None and path.known_ahead:
             bound = self._bound_knot if self.constraints else None
@@ -157,6 +158,7 @@ class PlainLoop:
 
     def look_ahead_again(self) -> None:
         """The path ahead has changed."""
+        self._ahead = None
         if self._preview is not None:
             self._preview.reset(self.state.q, self.state.clock)
 
@@ -210,8 +212,15 @@ class PlainLoop:
         seen.measured = self._let_in(seen, measured)
         return seen
 
+    def _pose_ahead(self, clock: float) -> pin.SE3 | None:
+        """The path's pose at a clock, kept: most often it is the next step's reference."""
+        if self._ahead is None or self._ahead[0] != clock:
+            pose = self._guarded.pose(clock)
+            self._ahead = None if pose is None else (clock, pose)
+        return None if self._ahead is None else self._ahead[1]
+
     def _pose(self, clock: float) -> pin.SE3:
-        pose = self._guarded.pose(clock)
+        pose = self._pose_ahead(clock)
         return held_at(self.grasp, self._shares, CellState(self.cell, self.state.q)) if pose is None else pose
 
     def _let_in(self, seen: Observed, measured: Array | None) -> Array | None:
@@ -261,7 +270,7 @@ class PlainLoop:
         span = min(h * max(min(cap, s.rate), LEAST_PACE), rest)
         along = np.zeros(6)
         if span > 1e-12 and not seen.lost:
-            ahead = self._guarded.pose(s.clock + span)
+            ahead = self._pose_ahead(s.clock + span)
             if ahead is not None:
                 along = np.asarray(pin.log6(seen.pose.actInv(ahead)).vector) / span
         null_along, null_offset = self._wishes(seen.watch.hold)
@@ -370,6 +379,8 @@ class PlainLoop:
             status = Status.HOLDING
         if watch.hold and watch.fault:
             status, s.fault = Status.FAULT, s.fault or watch.reason
+        for array in (v, q_next):
+            array.flags.writeable = False  # the loop goes on from them
         step = ControlStep(
             cell=self.cell,
             grasp=self.grasp,

@@ -78,7 +78,7 @@ class QPController:
         self._loop.follow(path)
         #: The core's own step, where nothing needs Python.
         self._fast: Callable[[Any, Any], ControlStep | None] | None = None
-        if not isinstance(self._loop, PlainLoop) and is_known(path) and not self.constraints:
+        if self._started and not isinstance(self._loop, PlainLoop) and is_known(path) and not self.constraints:
             self._fast = self._loop.step
 
     # -- starting --------------------------------------------------------------------------------------------------
@@ -97,10 +97,10 @@ class QPController:
         )
         if isinstance(self.path, ServoPath) and again:
             self.path.restart(path.pose(0.0))
+        self._started = True
         self._loop.start(start)
         self._take(self.path)
         self._loop.start_path()
-        self._started = True
 
     def _held_at(self, q: Any) -> pin.SE3:
         """Where the arms hold the object at ``q``: by their shares in the common error, from the first one's view."""
@@ -148,9 +148,10 @@ class QPController:
         Raises:
             InvalidInputError: before the first :meth:`reset`. Never for run-time data: those lead to a status.
         """
-        if self._fast is not None and self._started:
+        fast = self._fast
+        if fast is not None:
             try:
-                step = self._fast(q_measured, dt)
+                step = fast(q_measured, dt)
             except (ValueError, TypeError, BufferError):  # q_measured is no plain array
                 return self._slow(q_measured, dt)
             return self._finish() if step is None else step
@@ -179,8 +180,9 @@ class QPController:
         started, memory = state.pop("started"), state.pop("memory")
         self.__init__(**state)
         if started:
-            self._loop.restore(memory)
             self._started = True
+            self._take(self.path)
+            self._loop.restore(memory)
 
     def __copy__(self) -> QPController:
         state = self.__getstate__()

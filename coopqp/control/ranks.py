@@ -162,7 +162,7 @@ class StepSolver:
             v += cap * terms.null_along
         if terms.null_offset is not None:
             v += terms.null_offset
-        clipped = np.clip(v, box.lower, box.upper)
+        clipped = np.minimum(np.maximum(v, box.lower), box.upper)  # np.clip costs three times as much
         if not np.abs(v - clipped).max() <= LIMIT_TOLERANCE or not _keeps(further, v, LIMIT_TOLERANCE):
             return None
         return StepAnswer(clipped, cap, exact=True)

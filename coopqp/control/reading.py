@@ -48,11 +48,10 @@ class RecordReader:
         self._v = self._q + cell.nq
         self._q_next = self._v + cell.nv
         self._off_path = self._q_next + cell.nq
+        self.nq, self.q_next_at = cell.nq, 8 * self._q_next
 
     def read(self, record: bytes, name: str) -> Any:
         """Value of the attribute ``name`` of a step."""
-        if name == "q_next":
-            return np.frombuffer(record, np.float64, self.cell.nq, 8 * self._q_next)
         if name == "velocity":
             return np.frombuffer(record, np.float64, self.cell.nv, 8 * self._v)
         if name == "q":

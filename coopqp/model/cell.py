@@ -142,7 +142,9 @@ class RobotCell:
 
     def positions(self, q: Array) -> Array:
         """Joint positions (nv,) [rad or m] of a configuration (nq,); continuous joints in (−π, π]."""
-        x: Array = q[self.position_index].copy()
+        x: Array = q[self.position_index]
+        if self.euclidean:
+            return x
         for j in np.flatnonzero(self.continuous):
             i = self.position_index[j]
             x[j] = np.arctan2(q[i + 1], q[i])

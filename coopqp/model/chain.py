@@ -21,12 +21,30 @@ import pinocchio as pin
 
 from coopqp.model.cell import RobotCell
 from coopqp.model.grasp import Grasp
-from coopqp.spatial import Array, cross, log6_batch
+from coopqp.spatial import Array, log6_batch
 
 #: Singular values of A_k below this count as this in an inverse: limits and rate keep the command finite.
 SINGULAR_FLOOR = 1e-6
 #: Entries of an inverse beyond this send it to the singular value decomposition.
 _LARGE_INVERSE = 1e4
+
+
+#: Below this the logarithm of an error is its linear part, to rounding [m, rad].
+_TINY = 1e-8
+
+
+def _linear_log() -> Array:
+    """Constant (12, 13): a placement's rows [Rᵀ; p] → [e, −e, −trace R], e = [p, vee(R − Rᵀ)/2]."""
+    M = np.zeros((12, 13))
+    M[9, 0] = M[10, 1] = M[11, 2] = 1.0
+    for axis, (i, j) in enumerate(((1, 2), (2, 0), (0, 1))):
+        M[3 * i + j, 3 + axis], M[3 * j + i, 3 + axis] = 0.5, -0.5  # entry 3 i + j holds R[j, i]
+    M[:, 6:12] = -M[:, :6]
+    M[[0, 4, 8], 12] = -1.0
+    return M
+
+
+_LINEAR_LOG = _linear_log()
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,7 +86,7 @@ class Chain:
         self.Y_transposed = np.array([y.homogeneous.T for y in Y])
         # (nv, 6), a live view about the world's origin, and the same about a point; of one joint, J is flat
         self._world_JT = self._jacobian_data.J.T.reshape(-1, 6)
-        self._JT = np.zeros_like(self._world_JT)
+        self._JT, self._shift = np.zeros_like(self._world_JT), np.eye(6)
         self.moving_columns = moving_columns(cell)
         self._groups = _group_arms(cell, self.moving_columns)
         still = np.setdiff1d(np.arange(cell.nv), np.concatenate(self.moving_columns))
@@ -94,6 +112,9 @@ class Chain:
         R = reference.rotation
         D = O @ R  # rows transposed: (O_Rᵀ) R = (Rᵀ O_R)ᵀ
         D[:, 3, :] -= reference.translation @ R
+        linear: Array = D.reshape(-1, 12) @ _LINEAR_LOG
+        if linear.max() <= _TINY:  # so are all errors, and none is half a turn
+            return linear[:, :6]
         return log6_batch(D[:, :3, :].transpose(0, 2, 1), D[:, 3, :])
 
     # -- Jacobians -----------------------------------------------------------------------------------------------
@@ -102,8 +123,11 @@ class Chain:
         """Jacobians at ``q`` about a point ``about`` (3,) [m], in world axes."""
         pin.computeJointJacobians(self._model, self._jacobian_data, q)
         world = self._world_JT
-        self._JT[:, :3] = world[:, :3] + cross(world[:, 3:], np.broadcast_to(about, (len(world), 3)))
-        self._JT[:, 3:] = world[:, 3:]
+        x, y, z = about.tolist()
+        # [about]×: ω × about is added to the linear part
+        self._shift[3, 1], self._shift[3, 2], self._shift[4, 2] = -z, y, -x
+        self._shift[4, 0], self._shift[5, 0], self._shift[5, 1] = z, -y, x
+        np.matmul(world, self._shift, out=self._JT)
 
     def linearise(self, q: Array, about: Array) -> None:
         """Evaluate the Jacobians at ``q`` about a point and invert them."""

@@ -6,7 +6,7 @@ from coopqp.spatial import Array
 class Core:
     def __init__(
         self,
-        blocks: tuple[tuple[int, int], ...],
+        blocks: tuple[Array, ...],
         places: tuple[tuple[int, int], ...],
         sizes: tuple[int, int, int, int, int, int],
         plain: bool = False,

@@ -30,6 +30,7 @@ from coopqp.model.state import CellState
 from coopqp.spatial import Array
 from coopqp.task.guarded import GuardedPath
 from coopqp.task.path import ObjectPath
+from coopqp.task.posture import Posture
 
 _P = {name: i for i, name in enumerate(layout.PROPOSAL)}
 _LOOP = {name: i for i, name in enumerate(layout.LOOP)}
@@ -76,6 +77,7 @@ class CompiledLoop:
         self._core = _make_core(self._memory, arithmetic)
         if not same_kinematics(chain, self._core.linearise):
             raise NotForTheCore("the core's kinematics of this robot are not Pinocchio's")
+        self._target = Posture(cell, options.posture).target
         self._pose_out = np.zeros(12)
         self._no_rows = no_rows(cell.nv)
         self._nan = np.full(cell.nq, math.nan)
@@ -114,8 +116,7 @@ class CompiledLoop:
         self.solver.reset()
         x = self.cell.positions(q)
         self._core.start(x)
-        target = self.options.posture.target
-        self.at["posture_target"][:] = x if target is None else self.cell.positions(np.asarray(target, dtype=float))
+        self.at["posture_target"][:] = x if self._target is None else self.cell.positions(self._target)
 
     def start_path(self, clock: float = 0.0, rate: float | None = None) -> None:
         """Along the path from ``clock`` on."""
@@ -304,7 +305,7 @@ class CompiledLoop:
 
 
 def _make_core(memory: Memory, arithmetic: str) -> Any:
-    blocks = tuple((b.ctypes.data, b.nbytes) for b in memory.blocks.values())
+    blocks = tuple(memory.blocks.values())
     s = memory.sizes
     sizes = s["n"], s["nv"], s["nq"], s["unknowns"], s["past"], s["rows"]
     return native.Core(blocks, tuple(memory.places), sizes, arithmetic == "plain")

@@ -8,6 +8,8 @@
 
 /* -- kinematics.c ---------------------------------------------------------------------------------------------------- */
 
+/* Positions close to these are cheap from now on. */
+static void stay_near(Core *c, const double *positions);
 /* O_k: the object as each arm carries it, R (9) then p (3), 12 numbers per arm. */
 static void carry(const Core *c, const double *positions, double *carried);
 /* The same and Jᵀ (joints, 6): twist of the object as carried, at the point `about`, in world axes. */

@@ -2,6 +2,27 @@
 
 #include "functions.h"
 
+/* Sine and cosine of a joint's position: from those of a position close by, to rounding, or from scratch. */
+static inline void turn(const Core *c, int j, double x, double *s, double *co) {
+    const double d = x - c->near_x[j], d2 = d * d;
+    if (!(d2 < 2.5e-3)) {
+        *s = sin(x), *co = cos(x);
+        return;
+    }
+    const double sd = d * (1.0 - d2 * (1.0 / 6 - d2 * (1.0 / 120 - d2 / 5040)));
+    const double cd = 1.0 - d2 * (0.5 - d2 * (1.0 / 24 - d2 * (1.0 / 720 - d2 / 40320)));
+    *s = c->near_sin[j] * cd + c->near_cos[j] * sd;
+    *co = c->near_cos[j] * cd - c->near_sin[j] * sd;
+}
+
+/* The positions that others are close to. */
+static void stay_near(Core *c, const double *positions) {
+    for (int j = 0; j < c->joints; j++) {
+        c->near_x[j] = positions[j];
+        c->near_sin[j] = sin(positions[j]), c->near_cos[j] = cos(positions[j]);
+    }
+}
+
 /* From the frame of the joint before to that of joint j at position x. */
 static void advance(const Core *c, int j, double x, double *R, double *p) {
     const double *link = c->link_p + 3 * j;
@@ -13,7 +34,8 @@ static void advance(const Core *c, int j, double x, double *R, double *p) {
         memcpy(R, M, sizeof M);
         return;
     }
-    const double s = sin(x), co = cos(x);
+    double s, co;
+    turn(c, j, x, &s, &co);
     for (int i = 0; i < 3; i++) {
         R[3 * i] = co * M[3 * i] + s * M[3 * i + 1];
         R[3 * i + 1] = co * M[3 * i + 1] - s * M[3 * i];

@@ -64,6 +64,7 @@ def build_memory(
     at, limits = memory.at, cell.limits
     at["arm_start"][:], at["arm_size"][:] = starts, counts
     _put_links(chain, at)
+    at["near_cos"][:] = 1.0  # of position 0
     at["continuous"][:], at["q_index"][:] = cell.continuous, cell.position_index
     at["scale"][:], at["shares"][:], at["unit"][:] = chain.scale, shares.ravel(), unit
     at["low"][:], at["high"][:] = limits.lower, limits.upper

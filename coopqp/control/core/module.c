@@ -1,11 +1,15 @@
-/* The core as a Python module. A Core works on three blocks of memory that Python owns: it is told their addresses and
- * lengths and where each field begins (compiled.py keeps them alive). Arrays come in through the buffer protocol. */
+/* The core as a Python module. A Core works on three blocks of memory that it shares with Python: arrays whose buffers it
+ * holds as long as it lives, and it is told where each field begins. */
 
 #define PY_SSIZE_T_CLEAN
 #include <Python.h>
 #include <stdint.h>
 
 #include "core.h"
+
+#ifdef __GNUC__
+#pragma GCC diagnostic ignored "-Wpedantic" /* Python keeps functions in void pointers */
+#endif
 
 #define FIELDS_IN_ALL (CONFIG_FIELDS + STATE_FIELDS + WORK_FIELDS)
 
@@ -21,6 +25,7 @@ typedef struct {
     PyObject_HEAD
     Core core;
     const Arithmetic *can; /* NULL before it is built */
+    Py_buffer memory[3];   /* the blocks; released with the Core */
     double *own_pose;      /* where own_path leaves its numbers, 12 */
     PyObject *own_path, *bound_knot;               /* callables; NULL for none */
     PyObject *path_buffer, *pose_buffer;           /* arrays whose memory is in use */
@@ -43,20 +48,20 @@ static double *numbers(PyObject *object, Py_ssize_t count, int writable, Py_buff
     return NULL;
 }
 
-/* A field that begins `begin` numbers into a block of `length` bytes, with room for `count` numbers. */
+/* Hold the blocks and find every field in them; 0 if they do not fit. */
 static int place_fields(CoreObject *self, PyObject *blocks, PyObject *places) {
     static const int fields[3] = {CONFIG_FIELDS, STATE_FIELDS, WORK_FIELDS};
     double **field = (double **)(void *)&self->core; /* FIELDS stand first */
     if (PyTuple_Size(blocks) != 3 || PyTuple_Size(places) != FIELDS_IN_ALL) return 0;
     for (int block = 0, i = 0; block < 3; block++) {
-        unsigned long long address;
-        Py_ssize_t length;
-        if (!PyArg_ParseTuple(PyTuple_GetItem(blocks, block), "Kn", &address, &length)) return 0;
+        double *begins = numbers(PyTuple_GetItem(blocks, block), -1, 1, self->memory + block);
+        if (!begins) return 0;
+        const Py_ssize_t length = self->memory[block].len / 8;
         for (int n = 0; n < fields[block]; n++, i++) {
             Py_ssize_t begin, end;
             if (!PyArg_ParseTuple(PyTuple_GetItem(places, i), "nn", &begin, &end)) return 0;
-            if (begin < 0 || end < begin || end > length / 8) return 0;
-            field[i] = (double *)(uintptr_t)address + begin;
+            if (begin < 0 || end < begin || end > length) return 0;
+            field[i] = begins + begin;
         }
     }
     return 1;
@@ -85,7 +90,7 @@ static int core_init(PyObject *object, PyObject *args, PyObject *kwargs) {
     PyObject *blocks, *places;
     int plain = 0;
     (void)kwargs;
-    if (self->can) {
+    if (self->can || self->memory[0].obj) {
         PyErr_SetString(PyExc_ValueError, "a Core is built once");
         return -1;
     }
@@ -103,16 +108,41 @@ static int core_init(PyObject *object, PyObject *args, PyObject *kwargs) {
     return 0;
 }
 
+/* Functions of the loop that owns the Core make a cycle, which the collector has to see. */
+static int core_traverse(PyObject *object, visitproc visit, void *arg) {
+    CoreObject *self = (CoreObject *)object;
+    Py_VISIT(Py_TYPE(object));
+    Py_VISIT(self->own_path);
+    Py_VISIT(self->bound_knot);
+    Py_VISIT(self->path_buffer);
+    Py_VISIT(self->pose_buffer);
+    Py_VISIT(self->step_type);
+    Py_VISIT(self->context);
+    Py_VISIT(self->statuses);
+    return 0;
+}
+
+static int core_clear(PyObject *object) {
+    CoreObject *self = (CoreObject *)object;
+    self->core.own_path = NULL;
+    self->core.bound_knot = NULL;
+    Py_CLEAR(self->own_path);
+    Py_CLEAR(self->bound_knot);
+    Py_CLEAR(self->step_type);
+    Py_CLEAR(self->context);
+    Py_CLEAR(self->statuses);
+    return 0;
+}
+
 static void core_dealloc(PyObject *object) {
     CoreObject *self = (CoreObject *)object;
     PyTypeObject *type = Py_TYPE(object);
-    Py_XDECREF(self->own_path);
-    Py_XDECREF(self->bound_knot);
-    Py_XDECREF(self->path_buffer);
-    Py_XDECREF(self->pose_buffer);
-    Py_XDECREF(self->step_type);
-    Py_XDECREF(self->context);
-    Py_XDECREF(self->statuses);
+    PyObject_GC_UnTrack(object);
+    core_clear(object);
+    Py_CLEAR(self->path_buffer);
+    Py_CLEAR(self->pose_buffer);
+    for (int block = 0; block < 3; block++)
+        if (self->memory[block].obj) PyBuffer_Release(self->memory + block);
     freefunc release = (freefunc)PyType_GetSlot(type, Py_tp_free);
     release(object);
     Py_DECREF(type);
@@ -410,12 +440,15 @@ static PyType_Slot core_slots[] = {
     {Py_tp_doc, "Core(blocks, places, sizes, plain=False): the compiled step over memory that Python owns."},
     {Py_tp_init, core_init},
     {Py_tp_dealloc, core_dealloc},
+    {Py_tp_traverse, core_traverse},
+    {Py_tp_clear, core_clear},
     {Py_tp_methods, core_methods},
     {Py_tp_new, PyType_GenericNew},
     {0, NULL},
 };
 
-static PyType_Spec core_spec = {"coopqp.control.core._native.Core", sizeof(CoreObject), 0, Py_TPFLAGS_DEFAULT, core_slots};
+static PyType_Spec core_spec = {"coopqp.control.core._native.Core", sizeof(CoreObject), 0,
+                               Py_TPFLAGS_DEFAULT | Py_TPFLAGS_HAVE_GC, core_slots};
 
 static PyMethodDef module_methods[] = {
     {"least_distance", module_least_distance, METH_VARARGS,

@@ -98,6 +98,7 @@ static void observe(Core *c, const double *q, const double *dt) {
             refuse(c, BAD_DT, -1, *dt);
     }
     if (q && !believe(c, q, positions)) q = NULL;
+    stay_near(c, c->positions);
     carry(c, c->positions, c->carried);
     c->loop[PATH_LOST] = 0.0;
     double ahead[12];

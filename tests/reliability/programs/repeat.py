@@ -74,8 +74,8 @@ def all_steps(solver: str, n: int) -> Iterator[Any]:
     yield from once(limited, int(0.1 * n), usual)
     yield from once(at_singularity("elbow"), int(0.05 * n), usual)
     yield from chase(limited, int(0.02 * n), usual)
-    yield from once(fast_lift(), int(0.01 * n), solving)
-    yield from once(dual_arm7(), int(0.01 * n), solving)
+    yield from once(fast_lift(), int(0.005 * n), solving)
+    yield from once(dual_arm7(), int(0.005 * n), solving)
     yield from once(fast_lift(), int(0.005 * n), plain)
     yield from once(dual_arm7(), int(0.005 * n), plain)
 

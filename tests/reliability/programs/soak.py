@@ -68,14 +68,15 @@ class Shuttle:
 
 def round_of(shuttles: list[Shuttle], limit: Scenario, servo: QPController, rng: np.random.Generator) -> None:
     """Run 100 000 steps."""
-    nominal, redundant, mixed, solving = shuttles
-    nominal.go(70_000)
+    nominal, redundant, mixed, solving, plain = shuttles
+    nominal.go(69_700)
     redundant.go(15_000)
     mixed.go(11_000)
     mixed.go(500, noise=1e-5, rng=rng)
     nominal.go(1_000, noise=1e-5, rng=rng)
     nominal.restart()
     solving.go(500)
+    plain.go(300)
     bad = nominal.task.q_start.copy()
     bad[0] = np.nan
     for _ in range(500):
