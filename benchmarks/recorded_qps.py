@@ -14,13 +14,8 @@ import numpy as np
 import peer_cases
 
 from coopqp import Array, QPController, QPOptions, QpProblem, QpSolver, make_solver
-from coopqp.control.constraints import Constraints
-from coopqp.control.forms import StepProgram
-from coopqp.control.limits import VelocityBox
-from coopqp.control.plain import PlainLoop, Proposal
-from coopqp.control.solvers.base import Outcome, Workspace
+from coopqp.control import Chain, Constraints, Outcome, PlainLoop, Proposal, StepProgram, VelocityBox, Workspace
 from coopqp.files import write_files
-from coopqp.model.chain import Chain
 from coopqp.scenarios import Scenario, at_singularity, fast_lift
 
 FORMS = ("condensed", "full")

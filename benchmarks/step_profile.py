@@ -22,13 +22,7 @@ import peer_cases
 from common import Record
 
 from coopqp import Array, ControlStep, QPController, QpSolver, available_kernels
-from coopqp.control.forms import StepProgram
-from coopqp.control.limits import VelocityBox
-from coopqp.control.linearised import LinearisedStep
-from coopqp.control.plain import PlainLoop
-from coopqp.control.ranks import StepSolver
-from coopqp.model.chain import Chain
-from coopqp.planning.preview import PathPreview
+from coopqp.control import Chain, LinearisedStep, PathPreview, PlainLoop, StepProgram, StepSolver, VelocityBox
 
 KEYS = ("what", "case", "arms", "step_us", "core_us", "ratio", "met", "part", "p50_us", "share", "samples")
 #: Target: a step from Python in multiples of the core alone.

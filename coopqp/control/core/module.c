@@ -8,8 +8,11 @@
 #include "core.h"
 #include "guards.h"
 
-#ifdef __GNUC__
-#pragma GCC diagnostic ignored "-Wpedantic" /* Python keeps functions in void pointers */
+/* CPython passes functions as void *, which ISO C forbids and every platform with dynamic libraries allows. */
+#if defined(__GNUC__)
+#define POINTER(type, address) (__extension__(type)(address))
+#else
+#define POINTER(type, address) ((type)(address))
 #endif
 
 #define FIELDS_IN_ALL (CONFIG_FIELDS + STATE_FIELDS + WORK_FIELDS)
@@ -154,7 +157,7 @@ static void core_dealloc(PyObject *object) {
     Py_CLEAR(self->pose_buffer);
     for (int block = 0; block < 3; block++)
         if (self->memory[block].obj) PyBuffer_Release(self->memory + block);
-    freefunc release = (freefunc)PyType_GetSlot(type, Py_tp_free);
+    freefunc release = POINTER(freefunc, PyType_GetSlot(type, Py_tp_free));
     release(object);
     Py_DECREF(type);
 }
@@ -454,12 +457,12 @@ static PyMethodDef core_methods[] = {
 
 static PyType_Slot core_slots[] = {
     {Py_tp_doc, "Core(blocks, places, sizes, plain=False): the compiled step over memory that Python owns."},
-    {Py_tp_init, core_init},
-    {Py_tp_dealloc, core_dealloc},
-    {Py_tp_traverse, core_traverse},
-    {Py_tp_clear, core_clear},
+    {Py_tp_init, POINTER(void *, core_init)},
+    {Py_tp_dealloc, POINTER(void *, core_dealloc)},
+    {Py_tp_traverse, POINTER(void *, core_traverse)},
+    {Py_tp_clear, POINTER(void *, core_clear)},
     {Py_tp_methods, core_methods},
-    {Py_tp_new, PyType_GenericNew},
+    {Py_tp_new, POINTER(void *, PyType_GenericNew)},
     {0, NULL},
 };
 
