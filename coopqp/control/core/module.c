@@ -70,7 +70,8 @@ static int place_fields(CoreObject *self, PyObject *blocks, PyObject *places) {
         const Py_ssize_t length = self->memory[block].len / 8;
         for (int n = 0; n < fields[block]; n++, i++) {
             Py_ssize_t begin, end;
-            if (!PyArg_ParseTuple(PyTuple_GetItem(places, i), "nn", &begin, &end)) return 0;
+            PyObject *place = PyTuple_GetItem(places, i);
+            if (!PyTuple_Check(place) || !PyArg_ParseTuple(place, "nn", &begin, &end)) return 0;
             if (begin < 0 || end < begin || end + GAP > length) return 0;
             field[i] = begins + begin;
 #ifdef GUARDED
