@@ -96,7 +96,7 @@ class CompiledLoop:
         self._guarded = GuardedPath(path)
         self._reader = RecordReader(
             self.cell, self.grasp, path, solver=self.solver.name, constraints=self.constraints.names,
-            force_limit=self.options.supervision.force_limit,
+            dt=self.dt, supervision=self.options.supervision,
         )  # fmt: skip
         self._core.make_steps(ControlStep, self._reader, STATUSES)
         self.take_path()
