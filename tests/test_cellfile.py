@@ -85,6 +85,7 @@ def test_the_papers_file_is_the_papers_scenario(paper: Scenario) -> None:
 NO_SHORTCUT = 'shortcut = false\nsolver = "daqp"'
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("kind", "eps_p_mm"), [("pseudo_inverse", 0.871), ("qp", None)])
 def test_the_papers_file_gives_the_figures_of_the_code(
     kind: str, eps_p_mm: float | None, load: Callable[[str], CellRun], paper: Scenario

@@ -3,6 +3,9 @@ from typing import Any
 
 from coopqp.spatial import Array
 
+#: Unused numbers after each field: 0 but in a module built with the address sanitizer.
+GAP: int
+
 class Core:
     def __init__(
         self,

@@ -71,7 +71,7 @@ class CompiledLoop:
         self.solver = StepSolver(chain, box, options)
         self._box, self._definition = box, LinearisedStep(chain, box, shares, self.solver, options)
         unit = self.solver.program.units
-        self._memory = build_memory(chain, box, shares, unit, grasp_lengths(grasp), options, dt)
+        self._memory = build_memory(chain, box, shares, unit, grasp_lengths(grasp), options, dt, gap=native.GAP)
         at = self.at = self._memory.at
         at["options"][layout.OPTIONS.index("OWN_SOLVER")] = self.solver.name == "ldp"
         self._core = _make_core(self._memory, arithmetic)

@@ -190,13 +190,13 @@ def sizes(*, n: int, nv: int, nq: int, unknowns: int, past: int, rows: int) -> d
     }  # fmt: skip
 
 
-def offsets(block: tuple[tuple[str, str], ...], symbols: dict[str, int]) -> dict[str, tuple[int, int]]:
-    """Where each field of a block begins and ends."""
-    places, end = {}, 0
+def offsets(block: tuple[tuple[str, str], ...], symbols: dict[str, int], *, gap: int = 0) -> dict[str, tuple[int, int]]:
+    """Where each field of a block begins and ends, with a gap of unused numbers after each."""
+    places, begin = {}, 0
     for name, size in block:
-        begin = end
-        end += _value(size, symbols)
+        end = begin + _value(size, symbols)
         places[name] = (begin, end)
+        begin = end + gap
     return places
 
 

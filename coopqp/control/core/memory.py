@@ -25,27 +25,35 @@ class NotForTheCore(Exception):  # noqa: N818
 
 @final
 class Memory:
-    """Blocks ``config``, ``state`` and ``work``; ``at[name]`` is the view of a field.
+    """Blocks ``config``, ``state`` and ``work``; ``at[name]`` is the view of a field, ``gap`` numbers before the next.
 
     Attributes:
         sizes: symbols of the layout.
         places: where each field begins and ends in its block, in the layout's order.
     """
 
-    def __init__(self, *, n: int, nv: int, nq: int, unknowns: int, past: int) -> None:
+    def __init__(self, *, n: int, nv: int, nq: int, unknowns: int, past: int, gap: int = 0) -> None:
         self.sizes = layout.sizes(n=n, nv=nv, nq=nq, unknowns=unknowns, past=past, rows=MOST_ROWS)
         self.at: dict[str, Array] = {}
         self.places: list[tuple[int, int]] = []
         self.blocks: dict[str, Array] = {}
         for block, fields in layout.BLOCKS:
-            places = layout.offsets(fields, self.sizes)
-            memory = self.blocks[block] = np.zeros(max(end for _, end in places.values()))
+            places = layout.offsets(fields, self.sizes, gap=gap)
+            memory = self.blocks[block] = np.zeros(max(end for _, end in places.values()) + gap)
             self.places += places.values()
             self.at.update({name: memory[begin:end] for name, (begin, end) in places.items()})
 
 
 def build_memory(
-    chain: Chain, box: VelocityBox, shares: Array, unit: Array, at_grasps: Array, options: QPOptions, dt: float
+    chain: Chain,
+    box: VelocityBox,
+    shares: Array,
+    unit: Array,
+    at_grasps: Array,
+    options: QPOptions,
+    dt: float,
+    *,
+    gap: int,
 ) -> Memory:
     """The memory of a loop, its constants filled in.
 
@@ -60,6 +68,7 @@ def build_memory(
         nq=cell.nq,
         unknowns=unit.size,
         past=1 + (options.supervision.stall_samples or 1),
+        gap=gap,
     )
     at, limits = memory.at, cell.limits
     at["arm_start"][:], at["arm_size"][:] = starts, counts

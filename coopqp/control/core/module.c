@@ -6,9 +6,13 @@
 #include <stdint.h>
 
 #include "core.h"
+#include "guards.h"
 
-#ifdef __GNUC__
-#pragma GCC diagnostic ignored "-Wpedantic" /* Python keeps functions in void pointers */
+/* CPython passes functions as void *, which ISO C forbids and every platform with dynamic libraries allows. */
+#if defined(__GNUC__)
+#define POINTER(type, address) (__extension__(type)(address))
+#else
+#define POINTER(type, address) ((type)(address))
 #endif
 
 #define FIELDS_IN_ALL (CONFIG_FIELDS + STATE_FIELDS + WORK_FIELDS)
@@ -30,9 +34,17 @@ typedef struct {
     PyObject *own_path, *bound_knot;               /* callables; NULL for none */
     PyObject *path_buffer, *pose_buffer;           /* arrays whose memory is in use */
     PyObject *step_type, *context, *statuses;      /* what a step is made of */
+    PyObject *interrupt[3];                        /* type, value and traceback, until the call ends; or NULL */
+#ifdef GUARDED
+    Guards guards;
+#endif
 } CoreObject;
 
 static CoreObject *owner_of(Core *c) { return (CoreObject *)(void *)((char *)c - offsetof(CoreObject, core)); }
+
+#ifdef GUARDED
+static Guards *guards_of(const Core *c) { return &owner_of((Core *)(uintptr_t)c)->guards; }
+#endif
 
 /* -- memory ---------------------------------------------------------------------------------------------------------- */
 
@@ -61,8 +73,11 @@ static int place_fields(CoreObject *self, PyObject *blocks, PyObject *places) {
             Py_ssize_t begin, end;
             PyObject *place = PyTuple_GetItem(places, i);
             if (!PyTuple_Check(place) || !PyArg_ParseTuple(place, "nn", &begin, &end)) return 0;
-            if (begin < 0 || end < begin || end > length) return 0;
+            if (begin < 0 || end < begin || end + GAP > length) return 0;
             field[i] = begins + begin;
+#ifdef GUARDED
+            self->guards.end[i] = begins + end;
+#endif
         }
     }
     return 1;
@@ -105,7 +120,7 @@ static int core_init(PyObject *object, PyObject *args, PyObject *kwargs) {
     }
     static const double nowhere[3] = {1.0, 0.0, 0.0};
     c->duration = 1.0, c->path_numbers = nowhere;
-    self->can = plain ? &arithmetic_plain : best();
+    self->can = guarded(c, plain ? &arithmetic_plain : best());
     return 0;
 }
 
@@ -144,7 +159,7 @@ static void core_dealloc(PyObject *object) {
     Py_CLEAR(self->pose_buffer);
     for (int block = 0; block < 3; block++)
         if (self->memory[block].obj) PyBuffer_Release(self->memory + block);
-    freefunc release = (freefunc)PyType_GetSlot(type, Py_tp_free);
+    freefunc release = POINTER(freefunc, PyType_GetSlot(type, Py_tp_free));
     release(object);
     Py_DECREF(type);
 }
@@ -158,26 +173,45 @@ static CoreObject *built(PyObject *object) {
 
 /* -- what is not known here ------------------------------------------------------------------------------------------ */
 
-/* Call a Python function that says whether it succeeded; what it raises counts as failure. */
-static int ask(PyObject *function, PyObject *arguments) {
-    PyObject *found = arguments ? PyObject_CallObject(function, arguments) : NULL;
+/* Call a Python function that says whether it succeeded; an exception counts as failure. After an interrupt nothing more
+ * is asked, and the call that the core is in raises it. */
+static int ask(CoreObject *self, PyObject *function, PyObject *arguments) {
+    PyObject *found = arguments && !self->interrupt[0] ? PyObject_CallObject(function, arguments) : NULL;
     Py_XDECREF(arguments);
     const int good = found && PyObject_IsTrue(found) == 1;
     Py_XDECREF(found);
-    if (PyErr_Occurred()) PyErr_WriteUnraisable(function);
+    if (PyErr_Occurred()) {
+        if (PyErr_ExceptionMatches(PyExc_Exception))
+            PyErr_WriteUnraisable(function);
+        else
+            PyErr_Fetch(self->interrupt, self->interrupt + 1, self->interrupt + 2);
+    }
     return good;
+}
+
+/* Whether a call has to end with an interrupt, which is raised. */
+static int interrupted(CoreObject *self) {
+    if (!self->interrupt[0]) return 0;
+    PyErr_Restore(self->interrupt[0], self->interrupt[1], self->interrupt[2]);
+    self->interrupt[0] = self->interrupt[1] = self->interrupt[2] = NULL;
+    return 1;
 }
 
 static int ask_path(Core *c, double clock, int twist, double *out) {
     CoreObject *self = owner_of(c);
-    if (!self->own_path || !ask(self->own_path, Py_BuildValue("(di)", clock, twist))) return 0;
+    guard(c, 0);
+    const int good = self->own_path && ask(self, self->own_path, Py_BuildValue("(di)", clock, twist));
+    guard(c, 1);
+    if (!good) return 0;
     memcpy(out, self->own_pose, (size_t)(twist ? 6 : 12) * sizeof(double));
     return 1;
 }
 
 static int ask_knot(Core *c, int slot) {
-    CoreObject *self = owner_of(c);
-    return ask(self->bound_knot, Py_BuildValue("(i)", slot));
+    guard(c, 0);
+    const int good = ask(owner_of(c), owner_of(c)->bound_knot, Py_BuildValue("(i)", slot));
+    guard(c, 1);
+    return good;
 }
 
 /* set_path(numbers, own, pose, duration, looks_ahead): own(clock, twist) leaves what it knows in pose. */
@@ -245,7 +279,7 @@ static PyObject *core_make_steps(PyObject *object, PyObject *args) {
 
 /* -- steps ----------------------------------------------------------------------------------------------------------- */
 
-/* observe(q, dt) of what Python hands over; 0 and an exception if q is no array of the right size. */
+/* observe(q, dt) of what Python hands over; 0 and an exception if q is no array of the right size, or interrupted. */
 static int take(CoreObject *self, PyObject *q, PyObject *dt) {
     Py_buffer view;
     double length = 0.0, *measured = NULL;
@@ -258,7 +292,7 @@ static int take(CoreObject *self, PyObject *q, PyObject *dt) {
     if (q && q != Py_None && !(measured = numbers(q, self->core.nq, 0, &view))) return 0;
     self->can->observe(&self->core, measured, given);
     if (measured) PyBuffer_Release(&view);
-    return 1;
+    return !interrupted(self);
 }
 
 /* Numbers of the record as bytes. */
@@ -295,7 +329,9 @@ static PyObject *make_step(CoreObject *self, int status) {
 static PyObject *core_step(PyObject *object, PyObject *const *args, Py_ssize_t n) {
     CoreObject *self = built(object);
     if (!self || !take(self, n > 0 ? args[0] : NULL, n > 1 ? args[1] : NULL)) return NULL;
-    if (self->can->propose(&self->core) >= FILLED) Py_RETURN_NONE;
+    const int outcome = self->can->propose(&self->core);
+    if (interrupted(self)) return NULL;
+    if (outcome >= FILLED) Py_RETURN_NONE;
     return make_step(self, self->can->commit(&self->core));
 }
 
@@ -315,7 +351,8 @@ static PyObject *core_propose(PyObject *object, PyObject *const *args, Py_ssize_
         return NULL;
     }
     self->core.further_rows = (int)rows;
-    return PyLong_FromLong(again ? self->can->answer(&self->core) : self->can->propose(&self->core));
+    const int outcome = again ? self->can->answer(&self->core) : self->can->propose(&self->core);
+    return interrupted(self) ? NULL : PyLong_FromLong(outcome);
 }
 
 static PyObject *core_read(PyObject *object, PyObject *cap) {
@@ -342,11 +379,11 @@ static PyObject *core_advance(PyObject *object, PyObject *args) {
     if (q && q != Py_None && !(measured = numbers(q, self->core.nq, 0, &view))) return NULL;
     for (; done < steps; done++) {
         self->can->observe(&self->core, measured, NULL);
-        if (self->can->propose(&self->core) >= FILLED) break;
+        if (self->can->propose(&self->core) >= FILLED || self->interrupt[0]) break;
         self->can->commit(&self->core);
     }
     if (measured) PyBuffer_Release(&view);
-    return PyLong_FromSsize_t(done);
+    return interrupted(self) ? NULL : PyLong_FromSsize_t(done);
 }
 
 static PyObject *core_start(PyObject *object, PyObject *positions) {
@@ -364,6 +401,7 @@ static PyObject *core_start_path(PyObject *object, PyObject *args) {
     double clock, rate;
     if (!self || !PyArg_ParseTuple(args, "dd", &clock, &rate)) return NULL;
     self->can->start_path(&self->core, clock, rate);
+    if (interrupted(self)) return NULL;
     Py_RETURN_NONE;
 }
 
@@ -439,12 +477,12 @@ static PyMethodDef core_methods[] = {
 
 static PyType_Slot core_slots[] = {
     {Py_tp_doc, "Core(blocks, places, sizes, plain=False): the compiled step over memory that Python owns."},
-    {Py_tp_init, core_init},
-    {Py_tp_dealloc, core_dealloc},
-    {Py_tp_traverse, core_traverse},
-    {Py_tp_clear, core_clear},
+    {Py_tp_init, POINTER(void *, core_init)},
+    {Py_tp_dealloc, POINTER(void *, core_dealloc)},
+    {Py_tp_traverse, POINTER(void *, core_traverse)},
+    {Py_tp_clear, POINTER(void *, core_clear)},
     {Py_tp_methods, core_methods},
-    {Py_tp_new, PyType_GenericNew},
+    {Py_tp_new, POINTER(void *, PyType_GenericNew)},
     {0, NULL},
 };
 
@@ -465,7 +503,9 @@ PyMODINIT_FUNC PyInit__native(void) {
     PyObject *m = PyModule_Create(&module), *type = m ? PyType_FromSpec(&core_spec) : NULL;
     record_name = PyUnicode_InternFromString("_record"), context_name = PyUnicode_InternFromString("_context");
     status_name = PyUnicode_InternFromString("status"), rate_name = PyUnicode_InternFromString("rate");
-    if (type && record_name && context_name && status_name && rate_name && PyModule_AddObject(m, "Core", type) == 0) return m;
+    if (type && record_name && context_name && status_name && rate_name && PyModule_AddObject(m, "Core", type) == 0 &&
+        PyModule_AddIntConstant(m, "GAP", GAP) == 0)
+        return m;
     Py_XDECREF(type);
     Py_XDECREF(m);
     return NULL;

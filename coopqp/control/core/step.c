@@ -398,6 +398,7 @@ static int commit(Core *c) {
 /* Along a path from its start, or from `clock` on. */
 static void start_path(Core *c, double clock, double rate) {
     c->loop[CLOCK] = clock, c->loop[FIRST] = 1.0, c->loop[HAS_PREDICTED] = 0.0, c->loop[RATE] = rate;
+    stay_near(c, c->positions); /* so that a restart repeats to the last bit */
     if (c->looks_ahead) preview_reset(c, clock);
 }
 
