@@ -13,6 +13,7 @@ from checks import FAULTS, REST, Failure, FaultySolver, cooperative, judged, lim
 
 from coopqp import (
     DaqpSettings,
+    ObjectPath,
     OsqpSettings,
     ProxqpSettings,
     ServoPath,
@@ -189,3 +190,46 @@ def test_an_interrupt_is_not_swallowed(kernel: str) -> None:
                 controller.step()
         else:
             assert controller.step().status is not Status.HOLDING
+
+
+class Interrupted(ObjectPath):
+    """A user's path, and somebody who presses Ctrl-C while it is asked."""
+
+    def __init__(self, path: ObjectPath) -> None:
+        self._path, self.duration, self.calls_left = path, path.duration, -1
+
+    def _count(self) -> None:
+        self.calls_left -= 1
+        if self.calls_left == 0:
+            raise KeyboardInterrupt
+
+    def pose(self, clock: float) -> Any:
+        self._count()
+        return self._path.pose(clock)
+
+    def twist(self, clock: float) -> Any:
+        self._count()
+        return self._path.twist(clock)
+
+
+@pytest.mark.parametrize("kernel", available_kernels())
+def test_an_interrupt_of_a_path_is_not_swallowed(kernel: str) -> None:
+    """Whoever catches it can go on: neither the motion nor what is known ahead is broken."""
+    task = replace(limited(paper_lift(time_law="quintic"), acceleration=5.0), dt=0.01)
+    for calls in (1, 2, 3, 8, 30, 70):
+        path = Interrupted(task.path)
+        controller = cooperative(replace(task, path=path), kernel=kernel)
+        controller.reset(task.q_start)
+        steps = [controller.step() for _ in range(3)]
+        path.calls_left, interrupts = calls, 0
+        while not steps[-1].finished and len(steps) < 600:
+            try:
+                steps.append(controller.step())
+            except KeyboardInterrupt:
+                interrupts += 1
+        assert interrupts == 1
+        assert steps[-1].finished
+        assert judged(task, steps).ok
+    path.calls_left = 1
+    with pytest.raises(KeyboardInterrupt):
+        controller.reset(task.q_start)

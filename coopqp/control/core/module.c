@@ -34,6 +34,7 @@ typedef struct {
     PyObject *own_path, *bound_knot;               /* callables; NULL for none */
     PyObject *path_buffer, *pose_buffer;           /* arrays whose memory is in use */
     PyObject *step_type, *context, *statuses;      /* what a step is made of */
+    PyObject *interrupt[3];                        /* type, value and traceback, until the call ends; or NULL */
 #ifdef GUARDED
     Guards guards;
 #endif
@@ -172,20 +173,34 @@ static CoreObject *built(PyObject *object) {
 
 /* -- what is not known here ------------------------------------------------------------------------------------------ */
 
-/* Call a Python function that says whether it succeeded; what it raises counts as failure. */
-static int ask(PyObject *function, PyObject *arguments) {
-    PyObject *found = arguments ? PyObject_CallObject(function, arguments) : NULL;
+/* Call a Python function that says whether it succeeded; an exception counts as failure. After an interrupt nothing more
+ * is asked, and the call that the core is in raises it. */
+static int ask(CoreObject *self, PyObject *function, PyObject *arguments) {
+    PyObject *found = arguments && !self->interrupt[0] ? PyObject_CallObject(function, arguments) : NULL;
     Py_XDECREF(arguments);
     const int good = found && PyObject_IsTrue(found) == 1;
     Py_XDECREF(found);
-    if (PyErr_Occurred()) PyErr_WriteUnraisable(function);
+    if (PyErr_Occurred()) {
+        if (PyErr_ExceptionMatches(PyExc_Exception))
+            PyErr_WriteUnraisable(function);
+        else
+            PyErr_Fetch(self->interrupt, self->interrupt + 1, self->interrupt + 2);
+    }
     return good;
+}
+
+/* Whether a call has to end with an interrupt, which is raised. */
+static int interrupted(CoreObject *self) {
+    if (!self->interrupt[0]) return 0;
+    PyErr_Restore(self->interrupt[0], self->interrupt[1], self->interrupt[2]);
+    self->interrupt[0] = self->interrupt[1] = self->interrupt[2] = NULL;
+    return 1;
 }
 
 static int ask_path(Core *c, double clock, int twist, double *out) {
     CoreObject *self = owner_of(c);
     guard(c, 0);
-    const int good = self->own_path && ask(self->own_path, Py_BuildValue("(di)", clock, twist));
+    const int good = self->own_path && ask(self, self->own_path, Py_BuildValue("(di)", clock, twist));
     guard(c, 1);
     if (!good) return 0;
     memcpy(out, self->own_pose, (size_t)(twist ? 6 : 12) * sizeof(double));
@@ -194,7 +209,7 @@ static int ask_path(Core *c, double clock, int twist, double *out) {
 
 static int ask_knot(Core *c, int slot) {
     guard(c, 0);
-    const int good = ask(owner_of(c)->bound_knot, Py_BuildValue("(i)", slot));
+    const int good = ask(owner_of(c), owner_of(c)->bound_knot, Py_BuildValue("(i)", slot));
     guard(c, 1);
     return good;
 }
@@ -264,7 +279,7 @@ static PyObject *core_make_steps(PyObject *object, PyObject *args) {
 
 /* -- steps ----------------------------------------------------------------------------------------------------------- */
 
-/* observe(q, dt) of what Python hands over; 0 and an exception if q is no array of the right size. */
+/* observe(q, dt) of what Python hands over; 0 and an exception if q is no array of the right size, or interrupted. */
 static int take(CoreObject *self, PyObject *q, PyObject *dt) {
     Py_buffer view;
     double length = 0.0, *measured = NULL;
@@ -277,7 +292,7 @@ static int take(CoreObject *self, PyObject *q, PyObject *dt) {
     if (q && q != Py_None && !(measured = numbers(q, self->core.nq, 0, &view))) return 0;
     self->can->observe(&self->core, measured, given);
     if (measured) PyBuffer_Release(&view);
-    return 1;
+    return !interrupted(self);
 }
 
 /* Numbers of the record as bytes. */
@@ -314,7 +329,9 @@ static PyObject *make_step(CoreObject *self, int status) {
 static PyObject *core_step(PyObject *object, PyObject *const *args, Py_ssize_t n) {
     CoreObject *self = built(object);
     if (!self || !take(self, n > 0 ? args[0] : NULL, n > 1 ? args[1] : NULL)) return NULL;
-    if (self->can->propose(&self->core) >= FILLED) Py_RETURN_NONE;
+    const int outcome = self->can->propose(&self->core);
+    if (interrupted(self)) return NULL;
+    if (outcome >= FILLED) Py_RETURN_NONE;
     return make_step(self, self->can->commit(&self->core));
 }
 
@@ -334,7 +351,8 @@ static PyObject *core_propose(PyObject *object, PyObject *const *args, Py_ssize_
         return NULL;
     }
     self->core.further_rows = (int)rows;
-    return PyLong_FromLong(again ? self->can->answer(&self->core) : self->can->propose(&self->core));
+    const int outcome = again ? self->can->answer(&self->core) : self->can->propose(&self->core);
+    return interrupted(self) ? NULL : PyLong_FromLong(outcome);
 }
 
 static PyObject *core_read(PyObject *object, PyObject *cap) {
@@ -361,11 +379,11 @@ static PyObject *core_advance(PyObject *object, PyObject *args) {
     if (q && q != Py_None && !(measured = numbers(q, self->core.nq, 0, &view))) return NULL;
     for (; done < steps; done++) {
         self->can->observe(&self->core, measured, NULL);
-        if (self->can->propose(&self->core) >= FILLED) break;
+        if (self->can->propose(&self->core) >= FILLED || self->interrupt[0]) break;
         self->can->commit(&self->core);
     }
     if (measured) PyBuffer_Release(&view);
-    return PyLong_FromSsize_t(done);
+    return interrupted(self) ? NULL : PyLong_FromSsize_t(done);
 }
 
 static PyObject *core_start(PyObject *object, PyObject *positions) {
@@ -383,6 +401,7 @@ static PyObject *core_start_path(PyObject *object, PyObject *args) {
     double clock, rate;
     if (!self || !PyArg_ParseTuple(args, "dd", &clock, &rate)) return NULL;
     self->can->start_path(&self->core, clock, rate);
+    if (interrupted(self)) return NULL;
     Py_RETURN_NONE;
 }
 
