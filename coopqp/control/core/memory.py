@@ -26,7 +26,7 @@ class NotForTheCoreError(CoopqpError):
 
 @final
 class Memory:
-    """Blocks ``config``, ``state`` and ``work``; ``at[name]`` is the view of a field.
+    """Blocks ``CONFIG``, ``STATE`` and ``WORK``; ``at[name]`` is the view of a field.
 
     Attributes:
         sizes: symbols of the layout.
