@@ -34,7 +34,8 @@ from coopqp.task.path import HoldPath, ObjectPath, ServoPath
 class QPController:
     """Cooperative QP controller for any number of arms that hold one object.
 
-    A copy (``copy.copy``, ``copy.deepcopy``, pickle) goes on bit for bit where the original stands.
+    A copy (``copy.copy``, ``copy.deepcopy``, pickle) goes on bit for bit where the original stands, with another solver
+    than the default one up to the solver's accuracy. ``copy.copy`` shares a path and constraints of the user's own.
 
     Args:
         cell, grasp, path: what moves, how it holds, and where to.
@@ -63,6 +64,17 @@ class QPController:
     ) -> None:
         grasp.check_arms(cell)
         GuardedPath(path).check("QPController: path")
+        self._build(cell, grasp, path, dt, options, constraints)
+
+    def _build(
+        self,
+        cell: RobotCell,
+        grasp: Grasp,
+        path: ObjectPath,
+        dt: float,
+        options: QPOptions | None,
+        constraints: Sequence[Any],
+    ) -> None:
         self.cell, self.grasp, self.path = cell, grasp, path
         self.dt = as_scalar(dt, "QPController: dt")
         self.options = options or QPOptions()
@@ -172,14 +184,20 @@ class QPController:
     # -- copies ----------------------------------------------------------------------------------------------------
 
     def __getstate__(self) -> dict[str, Any]:
-        names = ("cell", "grasp", "path", "dt", "options", "constraints")
+        names = ("cell", "grasp", "path", "dt", "options", "constraints", "kernel")
         state = {name: getattr(self, name) for name in names}
-        return state | {"started": self._started, "memory": self._loop.memory() if self._started else None}
+        return state | {"memory": self._loop.memory() if self._started else None}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        started, memory = state.pop("started"), state.pop("memory")
-        self.__init__(**state)
-        if started:
+        kernel, memory = state.pop("kernel"), state.pop("memory")
+        self._build(**state)  # the path may fail for a while: that is no reason not to be copied
+        if self.kernel != kernel:
+            raise InvalidInputError(
+                f"the copied controller ran the {kernel} kernel, this one runs the {self.kernel} one",
+                "QPController",
+                "Build both with the same QPOptions(kernel=…).",
+            )
+        if memory is not None:
             self._started = True
             self._take(self.path)
             self._loop.restore(memory)
@@ -188,9 +206,16 @@ class QPController:
         state = self.__getstate__()
         if isinstance(self.path, ServoPath):  # its target moves
             state["path"] = copy.deepcopy(self.path)
+        return self._copied(state)
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> QPController:
+        state = self.__getstate__()
+        for name in ("path", "constraints"):
+            state[name] = copy.deepcopy(state[name], memo)
+        return self._copied(state)
+
+    @staticmethod
+    def _copied(state: dict[str, Any]) -> QPController:
         other = object.__new__(QPController)
         other.__setstate__(state)
         return other
-
-    def __deepcopy__(self, memo: dict[int, Any]) -> QPController:
-        return self.__copy__()

@@ -207,8 +207,7 @@ class StepSolver:
                 return answer, self._report(solution, self._solver)
         problem = program.full(terms, box, further, slack=True)
         shared = self._slack_solver is self._solver
-        if shared:
-            self._solver.reset()
+        self._slack_solver.reset()  # what it found long ago is no start, and a copy of the controller has not seen it
         relaxed = _ask(self._slack_solver, problem)
         if not relaxed.usable:
             # Without a cost of their own the joint velocities defeat some solvers near a singularity.

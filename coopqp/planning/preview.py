@@ -214,6 +214,7 @@ class PathPreview:
         """Nothing is known of when the next knot will be needed, and none is begun."""
         self._free_until, self._begin_at = -np.inf, np.inf
         self._growing: Iterator[None] | None = None
+        self._grown = 0  # Newton steps of the growth that is under way
         self._way.clear()
 
     def reset(self, q: Array, clock: float) -> None:
@@ -239,20 +240,23 @@ class PathPreview:
         self._extend(clock, self._dt, _NEWTON_STEPS_AT_START)
 
     def memory(self) -> Any:
-        """What a copy of this preview goes on from. Growth that is under way is finished first."""
-        growing = self._growing
-        while self._growing is growing and growing is not None and self._work_ahead():
-            pass
+        """What a copy of this preview goes on from."""
         return (
             list(self._knots), list(self._bounds), self._complete, self.ends, self.blind, self._free_until,
-            self._begin_at, self._beyond,
+            self._begin_at, self._beyond, self._begun, list(self._breakpoints),
+            0 if self._growing is None else self._grown,
         )  # fmt: skip
 
     def restore(self, memory: Any) -> None:
-        """Go on from what :meth:`memory` returned."""
-        knots, bounds, self._complete, self.ends, self.blind, self._free_until, self._begin_at, self._beyond = memory
+        """Go on from what :meth:`memory` returned; growth that was under way is done again up to there."""
+        knots, bounds, self._complete, self.ends, self.blind, self._free_until, self._begin_at, *rest = memory
+        self._beyond, self._begun, self._breakpoints, grown = rest
         self._knots, self._bounds, self._growing = deque(knots), deque(bounds), None
         self._way.clear()
+        begin_at = self._begin_at
+        for _ in range(grown):
+            self._work_ahead()
+        self._begin_at = begin_at
 
     # -- reading -------------------------------------------------------------------------------------------------
 
@@ -402,8 +406,9 @@ class PathPreview:
             return False
         try:
             if self._growing is None:
-                self._growing = self._grow(self._knots[-1])
+                self._growing, self._grown = self._grow(self._knots[-1]), 0
                 next(self._growing)  # up to its first Newton step
+            self._grown += 1
             next(self._growing)
         except StopIteration:
             self._growing, self._begin_at = None, np.inf

@@ -35,14 +35,11 @@ class GuardedPath:
     def __init__(self, path: ObjectPath) -> None:
         self.path, self._own = path, not is_known(path)
         self.problem = ""
-        self._last: tuple[float, pin.SE3] | None = None
 
     def pose(self, clock: float) -> pin.SE3 | None:
         """T_world_object at ``clock`` [s]; None if the path fails, :attr:`problem` says how."""
         if not self._own:
             return self.path.pose(clock)
-        if self._last is not None and self._last[0] == clock:
-            return self._last[1]
         self.problem = ""
         try:
             pose = as_placement(self.path.pose(clock), "pose")
@@ -52,7 +49,6 @@ class GuardedPath:
             self.problem = f"the path raised {type(error).__name__} at its clock {clock:.6g} s: {str(error)[:200]}"
         else:
             if np.abs(pose.translation).max() < FARTHEST:
-                self._last = (clock, pose)
                 return pose
             self.problem = f"the path's pose at its clock {clock:.6g} s is {np.abs(pose.translation).max():.3g} m away"
         return None

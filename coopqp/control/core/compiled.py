@@ -23,6 +23,7 @@ from coopqp.control.options import QPOptions
 from coopqp.control.ranks import StepSolver
 from coopqp.control.reading import STATUSES, RecordReader
 from coopqp.control.supervision import as_configuration, grasp_lengths
+from coopqp.errors import InvalidInputError
 from coopqp.model.cell import RobotCell
 from coopqp.model.chain import Chain
 from coopqp.model.grasp import Grasp
@@ -132,11 +133,18 @@ class CompiledLoop:
 
     def memory(self) -> Any:
         """All that a copy of this loop needs beside its arguments and its path."""
-        return self._memory.blocks["state"].copy()
+        return self._memory.blocks["STATE"].copy()
 
     def restore(self, memory: Any) -> None:
-        """Go on from what :meth:`memory` returned."""
-        self._memory.blocks["state"][:] = memory
+        """Go on from what :meth:`memory` returned.
+
+        Raises:
+            InvalidInputError: it comes from another version.
+        """
+        state = self._memory.blocks["STATE"]
+        if memory.shape != state.shape:
+            raise InvalidInputError("its memory is of another version", "QPController", "Build and reset a new one.")
+        state[:] = memory
 
     @property
     def clock(self) -> float:

@@ -25,7 +25,7 @@ class NotForTheCore(Exception):  # noqa: N818
 
 @final
 class Memory:
-    """Blocks ``config``, ``state`` and ``work``; ``at[name]`` is the view of a field, ``gap`` numbers before the next.
+    """Blocks ``CONFIG``, ``STATE`` and ``WORK``; ``at[name]`` is the view of a field, ``gap`` numbers before the next.
 
     Attributes:
         sizes: symbols of the layout.
