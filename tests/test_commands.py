@@ -18,10 +18,21 @@ from typing import Any
 import numpy as np
 import pytest
 
-from coopqp import OutputError, Recording
+from coopqp import (
+    OutputError,
+    Recording,
+    RecordingError,
+    Tolerances,
+    judge,
+    load_cell_file,
+    read_run,
+    simulate,
+)
 from coopqp.app import cli, runs
-from coopqp.files.cellfile import example_path
+from coopqp.files.cellfile import CELLS, example_path
 from coopqp.look import plots, viewer
+from coopqp.simulation.assessment import why
+from coopqp.simulation.scene import read_cell
 
 SMALL = """
 name = "small {name}"
@@ -103,10 +114,106 @@ def test_run_writes_what_is_asked(
 def test_the_papers_file_prints_the_papers_figure(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     text = example_path("paper_lift").read_text().replace('kind = "qp"', 'kind = "pseudo_inverse"')
     (tmp_path / "paper.toml").write_text(text.replace("report = true", ""))
-    assert cli.main(["run", "paper.toml", "--out", "paper"]) == 0
-    printed = capsys.readouterr().out
-    assert "largest ε_p              0.871 mm" in printed
-    assert "NO   Do the arms agree" in printed
+    assert cli.main(["run", "paper.toml", "--out", "paper"]) == 4
+    printed = capsys.readouterr()
+    assert "largest ε_p              0.871 mm" in printed.out
+    assert "NO   Do the arms agree" in printed.out
+    last = printed.err.splitlines()[-2]
+    assert re.fullmatch(
+        r"coopqp: failed: Do the arms agree on where the object is\? No: arms \w+ and \w+, beyond the tolerance since "
+        r"\d\.\d{3} s\.",
+        last,
+    )
+
+
+# -- the exit status -----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", CELLS)
+@pytest.mark.slow
+def test_the_cell_files_that_come_with_coopqp_hold(name: str, capsys: pytest.CaptureFixture[str]) -> None:
+    text = example_path(name).read_text(encoding="utf-8").replace("report = true", "")
+    Path("cell.toml").write_text(text, encoding="utf-8")
+    assert cli.main(["run", "cell.toml", "--quiet"]) == 0
+    assert capsys.readouterr() == ("", "")
+
+
+#: Changes of the small cell, and the last line of its run: why, where (arm, joint, limit) and since when.
+FAILURES = {
+    "blocked at a joint limit": (
+        ("translation_m = [0, 0, 0.02]", "translation_m = [0, 0, 0.2]"),
+        (
+            'robot = "arm7"',
+            'robot = "arm7"\nlimits = { upper_deg = [2, 25, 2, 124, 2, -53, 2] }',
+        ),
+        r"Did the object arrive\? No: blocked since \d\.\d{3} s by arm a joint joint_\d: position.*",
+    ),
+    "too slow for the longest time": (
+        ("duration_s = 0.6", "duration_s = 0.6\ntime_law = 'linear'"),
+        ('robot = "arm7"', 'robot = "arm7"\nlimits = { velocity_deg_per_s = 0.1 }'),
+        r"Did the object arrive\? No: slowed since 0\.000 s by arm a joint joint_\d: velocity.*",
+    ),
+}
+
+
+@pytest.mark.parametrize("case", sorted(FAILURES))
+def test_a_run_that_fails_says_why_where_and_since_when(case: str, capsys: pytest.CaptureFixture[str]) -> None:
+    *changes, message = FAILURES[case]
+    text = SMALL.format(name="fails", more="")
+    for old, new in changes:
+        assert old in text
+        text = text.replace(old, new)
+    Path("fails.toml").write_text(text, encoding="utf-8")
+    for extra in ([], ["--quiet"]):
+        assert cli.main(["run", "fails.toml", "--out", f"out{len(extra)}", *extra]) == 4
+        last = capsys.readouterr().err.splitlines()[-1]
+        assert re.fullmatch(f"coopqp: failed: {message}", last), last
+    recording = Recording.load("out0/recording.npz")  # the report says the same
+    cell = read_cell(recording.metadata)
+    assert last == f"coopqp: failed: {why(judge(cell, recording, read_run(cell, recording)))[-1]}"
+
+
+def test_the_file_sets_the_tolerances(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The verdict of the command, and later that of the report, use the tolerances of the file."""
+    text = SMALL.format(name="strict", more="[verdict]\nobject_mm = 1e-15")
+    Path("strict.toml").write_text(text, encoding="utf-8")
+    assert cli.main(["run", "strict.toml", "--out", "strict"]) == 4
+    printed = capsys.readouterr()
+    assert "(asked: 1e-15 mm, 0.5°)" in printed.out
+    assert "the object at arm a, beyond the tolerance since 0." in printed.err
+    recording = Recording.load("strict/recording.npz")
+    assert Tolerances.of(recording) == Tolerances(object_mm=1e-15)
+    recording.metadata["settings"]["verdict"] = {"object_mm": "no"}
+    with pytest.raises(RecordingError, match="'verdict' in the recording's settings is damaged"):
+        Tolerances.of(recording)
+
+
+def test_blocked_runs_end_after_the_same_while_in_files_and_programs() -> None:
+    """A stopped object ends a run after one second, unless another time is given."""
+    old, new = FAILURES["blocked at a joint limit"][:2]
+    text = SMALL.format(name="waits", more="").replace(*old).replace(*new)
+    Path("waits.toml").write_text(text, encoding="utf-8")
+    task = load_cell_file("waits.toml")
+    ends = [task.run(), simulate(task.controller(), q_start=task.scenario.q_start)]
+    stood = [run.time[-1] - run.time[np.flatnonzero(run.status < 2)[-1] + 1] for run in ends]
+    assert stood == pytest.approx([1.0, 1.0], abs=task.scenario.dt)
+
+
+def test_ctrl_c_during_the_imports_is_an_interrupt(cell_file: Path) -> None:
+    """Whichever import is interrupted, the status is 130 and nothing else is printed."""
+    code = (
+        "import sys\n"
+        "class Interrupt:\n"
+        "    def find_spec(self, name, path=None, target=None):\n"
+        "        if name == {module!r}: raise KeyboardInterrupt\n"
+        "sys.meta_path.insert(0, Interrupt())\n"
+        "from coopqp.app.cli import main\n"
+        "sys.exit(main(['run', {cell!r}]))"
+    )
+    for module in ("numpy", "pinocchio", "coopqp.simulation.assessment", "pydantic"):
+        program = code.format(module=module, cell=str(cell_file))
+        done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False)
+        assert (done.returncode, done.stdout, done.stderr) == (130, "", "coopqp: interrupted\n"), module
 
 
 def test_a_terminal_gets_colours_and_a_bar(
@@ -135,6 +242,8 @@ def test_schema_is_printed_for_people_and_programs(tmp_path: Path, capsys: pytes
     assert json.loads(capsys.readouterr().out)["title"] == "CellFile"
     assert cli.main(["schema", "--example"]) == 0
     assert capsys.readouterr().out == example_path("paper_lift").read_text()
+    assert cli.main(["schema", "--example", "paper_baseline"]) == 0
+    assert capsys.readouterr().out == example_path("paper_baseline").read_text()
 
 
 # -- view, report, export ------------------------------------------------------------------------------------------

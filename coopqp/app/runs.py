@@ -22,10 +22,6 @@ PRODUCTS = {
 }
 
 
-#: Time until a scenario with a stopped object ends [s].
-PATIENCE = 1.0
-
-
 def obtain_run(name: str, *, progress: ProgressCallback | None = None) -> Recording:
     """Load a recording (``.npz``), run a cell file (``.toml``, ``.yaml``), or run a scenario with the QP.
 
@@ -51,7 +47,7 @@ def obtain_run(name: str, *, progress: ProgressCallback | None = None) -> Record
     controller = QPController(scenario.cell, scenario.grasp, scenario.path, dt=scenario.dt)
     box = describe_object(scenario.object_size, scenario.T_object_body)
     metadata = {"scenario": scenario.name, "method": "qp", "object": box}
-    return simulate(controller, q_start=scenario.q_start, patience=PATIENCE, progress=progress, metadata=metadata)
+    return simulate(controller, q_start=scenario.q_start, progress=progress, metadata=metadata)
 
 
 def check_products(folder: Path, products: Iterable[str]) -> None:

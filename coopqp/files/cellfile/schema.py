@@ -16,7 +16,9 @@ from coopqp.control.options import QPOptions
 from coopqp.control.pseudo_inverse import PseudoInverseOptions
 from coopqp.files.cellfile.strict import MAX_LIST, Numbers, Table, Vector3, table_of
 from coopqp.scenarios.robots import ROBOT_NAMES
+from coopqp.simulation.assessment import Tolerances
 from coopqp.simulation.plants.physics_options import PhysicsOptions
+from coopqp.simulation.simulate import PATIENCE
 
 #: Largest accepted numbers of arms, steps and waypoints of a run.
 MAX_ARMS, MAX_STEPS, MAX_WAYPOINTS = 128, 1_000_000, 1_000
@@ -261,10 +263,15 @@ PhysicsTable = table_of(
     first={"kind": (Literal["physics"], ...)},
 )
 
+#: Largest accepted errors: the run fails beyond them.
+_VerdictTable = table_of(Tolerances, "VerdictTable")
+
 if TYPE_CHECKING:
     ControllerTable = Any  # built at run time from the options dataclasses
     PlantTable = Any
+    VerdictTable = Any
 else:
+    VerdictTable = _VerdictTable
     ControllerTable = Annotated[QPTable | PseudoInverseTable | IndependentTable, Field(discriminator="kind")]
     PlantTable = Annotated[KinematicTable | PhysicsTable, Field(discriminator="kind")]
 
@@ -311,8 +318,11 @@ class CellFile(Table):
     settle_s: Annotated[float, Ge(0.0), Le(1e5)] = Field(
         default=0.0, description="time that the run continues after the end"
     )
-    patience_s: Seconds = Field(default=1.0, description="time until a run with a stopped object ends")
+    patience_s: Seconds = Field(default=PATIENCE, description="time until a run with a stopped object ends")
     longest_s: Seconds | None = Field(default=None, description="longest run (default: ten times the path's duration)")
+    verdict: VerdictTable = Field(
+        default_factory=_VerdictTable, description="accepted errors; `coopqp run` ends with status 4 beyond them"
+    )
     output: OutputTable = Field(default_factory=OutputTable, description="files that the run writes")
 
     @model_validator(mode="after")
