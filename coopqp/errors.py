@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import unicodedata
 from collections.abc import Iterable
 from typing import Any
 
@@ -78,3 +79,25 @@ def shown(value: Any) -> str:
     except ValueError:  # Python refuses to print integers with thousands of digits
         text = type(value).__name__
     return text if len(text) <= 60 else f"{text[:57]}…"
+
+
+def has_controls(text: str) -> bool:
+    """True if a text has characters that control a terminal or the order of writing, or that no file can hold."""
+    return any(_is_control(c) for c in text)
+
+
+def printable(text: str) -> str:
+    r"""A text whose control characters are written as escapes, as ``\x1b``."""
+    return "".join(c.encode("unicode_escape").decode() if _is_control(c) else c for c in text)
+
+
+def _is_control(character: str) -> bool:
+    return (
+        (not character.isascii() and unicodedata.category(character) in _CONTROLS)
+        or character < " "
+        or character == "\x7f"
+    )
+
+
+#: Categories of Unicode: control, format (also the direction of writing), surrogates, line and paragraph separators.
+_CONTROLS = ("Cc", "Cf", "Cs", "Zl", "Zp")

@@ -19,7 +19,6 @@ import numpy as np
 import pytest
 
 from coopqp import (
-    OutputError,
     Recording,
     RecordingError,
     Tolerances,
@@ -104,8 +103,6 @@ def test_run_writes_what_is_asked(
     names = {"report.html", "timeline.png", "joints.png", "motion.png", "view.html", "run.csv", "bag"}
     assert {Path(f).name for f in written(capsys.readouterr().out)} == names
     assert {f.name for f in (tmp_path / "here").iterdir()} == names
-    assert cli.main(["run", str(file), "--bag", "--quiet"]) == 2  # the bag exists: an error before the run
-    assert capsys.readouterr().err.count("\n") == 1
     assert cli.main(["run", str(file), "--out", "other", "--quiet"]) == 0
     assert capsys.readouterr() == ("", "")
     assert [f.name for f in (tmp_path / "other").iterdir()] == ["run.csv"]
@@ -386,10 +383,91 @@ def test_a_recording_without_a_scene_says_so(recording_file: Path, capsys: pytes
 
 def test_products_that_do_not_exist_are_named(tmp_path: Path) -> None:
     with pytest.raises(KeyError, match="Did you mean 'report'"):
-        runs.check_products(tmp_path, ["reprot"])
-    (tmp_path / "bag").mkdir()
-    with pytest.raises(OutputError, match="it exists"):
-        runs.check_products(tmp_path, ["bag"])
+        runs.output_folder("run", None, ["reprot"], out=None, force=False)
+
+
+def test_nothing_is_overwritten_unless_it_is_asked_for(cell_file: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Runs go into fresh numbered folders; a folder of --out that is used needs --force, and so does a recording."""
+    for folder in ("out/small_run", "out/small_run-2", "out/small_run-3"):
+        assert cli.main(["run", str(cell_file)]) == 0
+        assert written(capsys.readouterr().out) == [f"{folder}/recording.npz"]
+    assert cli.main(["run", str(cell_file), "--out", "out/small_run"]) == 2
+    assert "out/small_run/recording.npz exists. Replace it with --force" in capsys.readouterr().err
+    assert cli.main(["run", str(cell_file), "--force"]) == 0
+    assert written(capsys.readouterr().out) == ["out/small_run/recording.npz"]
+    assert len(list(Path("out").iterdir())) == 3
+    assert cli.main(["run", str(cell_file), "--out", "b", "--bag", "--quiet"]) == 0
+    assert cli.main(["run", str(cell_file), "--out", "b", "--bag", "--quiet", "--force"]) == 0
+    (Path("b") / "bag" / "mine.txt").write_text("not a file of a bag")
+    assert cli.main(["run", str(cell_file), "--out", "b", "--bag", "--quiet", "--force"]) == 2
+    assert "is no bag of coopqp and was not replaced" in capsys.readouterr().err
+    export = ["export", "out/small_run/recording.npz", "--quiet", "--npz", "again.npz"]
+    assert [cli.main(export), cli.main(export), cli.main([*export, "--force"])] == [0, 2, 0]
+
+
+@pytest.mark.parametrize("folder", ["/tmp/x", "../x", "a/../../x", "C:/x", "~/x", "$HOME/x", "a\\\\..\\\\x"])
+def test_a_file_writes_below_the_working_directory_only(folder: str, capsys: pytest.CaptureFixture[str]) -> None:
+    Path("away.toml").write_text(SMALL.format(name="away", more=f'[output]\nfolder = "{folder}"'))
+    assert cli.main(["run", "away.toml"]) == 2
+    assert "output.folder: give a folder below the working directory" in capsys.readouterr().err
+
+
+def test_an_interrupt_leaves_no_partial_file_and_no_empty_folder(
+    cell_file: Path, recording_file: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Whichever file is being written."""
+    before = set(Path().rglob("*"))
+    commands = {
+        "coopqp.output._write": ["run", str(cell_file), "--out", "a/b", "--csv"],
+        "coopqp.simulation.simulate.np.savez_compressed": ["run", str(cell_file), "--out", "a/b"],
+        "coopqp.files.export._rename_inside": ["export", str(recording_file), "--bag", "c/d/bag"],
+        "pathlib.Path.replace": ["export", str(recording_file), "--csv", "c/d/run.csv"],
+    }
+    for place, command in commands.items():
+        with monkeypatch.context() as patched:
+            patched.setattr(place, _interrupt)
+            assert cli.main(command) == 130, command
+        assert set(Path().rglob("*")) == before, command
+
+
+def _interrupt(*_: object, **__: object) -> None:
+    raise KeyboardInterrupt
+
+
+@pytest.mark.parametrize("text", ["\x1b[2Jred", "a\u202eb", "a\x07", "two\nlines"])
+def test_control_characters_reach_no_terminal(
+    text: str, recording_file: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """Neither from a cell file nor from the recording of a stranger."""
+    escaped = json.dumps(text)[1:-1].replace("\x07", "\\u0007")
+    Path("odd.toml").write_text(SMALL.format(name=escaped, more=""), encoding="utf-8")
+    assert cli.main(["run", "odd.toml"]) == 2
+    printed = capfd.readouterr().err
+    assert "name: " in printed
+    assert "has control characters" in printed
+    for name in ("robot", "urdf"):
+        Path("odd.toml").write_text(SMALL.format(name="x", more="").replace('robot = "arm7"', f'{name} = "{escaped}"'))
+        assert cli.main(["run", "odd.toml"]) == 2
+        printed += capfd.readouterr().err
+    recording = Recording.load(recording_file)
+    recording.metadata["scenario"] = text
+    recording.metadata["scene"]["arms"][0]["joints"][0]["name"] = text
+    recording.save("odd.npz")
+    cli.main(["view", text])
+    cli.main(["export", "odd.npz", "--csv", "-"])
+    printed += "".join(capfd.readouterr())
+    assert text not in printed
+    assert not set(printed) & {"\x1b", "\u202e", "\x07"}
+
+
+def test_no_cell_of_a_table_is_a_formula(tmp_path: Path) -> None:
+    text = SMALL.format(name="x", more="").replace('"a"', '"=cmd()"').replace("deg.a", 'deg."=cmd()"')
+    Path("cell.toml").write_text(text)
+    assert cli.main(["run", "cell.toml", "--csv", "--quiet"]) == 0
+    rows = list(csv.reader(Path("out/small_x/run.csv").read_text().splitlines()))
+    assert "'=cmd()/joint_1.position_rad" in rows[0]
+    for cell in (cell for row in rows for cell in row):
+        assert re.fullmatch(r"-?\d.*", cell) or not cell.startswith(("=", "+", "-", "@", "\t", "\r")), cell
 
 
 @pytest.mark.parametrize(("name", "folder"), [("paper lift", "paper_lift"), ("../../etc", "_.._etc"), ("a/b", "a_b")])

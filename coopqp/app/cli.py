@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, NoReturn
 
 from coopqp.app.commands import COMMANDS
 from coopqp.app.terminal import print_table, reporter
-from coopqp.errors import CoopqpError
+from coopqp.errors import CoopqpError, printable
 
 if TYPE_CHECKING:
     from coopqp.app.demo import DemoRun
@@ -58,7 +58,7 @@ def _main(argv: Sequence[str] | None) -> int:
         status = run(arguments)
         sys.stdout.flush()
     except CoopqpError as error:
-        print("coopqp: error:", " ".join(str(error).split()), file=sys.stderr)
+        print("coopqp: error:", printable(" ".join(str(error).split())), file=sys.stderr)
         return BAD_INPUT
     except BrokenPipeError:  # the reader has closed the pipe, as in `coopqp demo | head`
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from coopqp.app.terminal import BOLD, GREEN, RED, Reporter, print_table, reporter, styled
-from coopqp.errors import CoopqpError
+from coopqp.errors import CoopqpError, printable
 
 if TYPE_CHECKING:
     from coopqp.simulation.assessment import Finding
@@ -36,7 +36,8 @@ def _add_run(commands: Any) -> None:
         "kept for cells that cannot hold their object. With status 4 the last lines say why, where and since when.",
     )
     parser.add_argument("cell", type=Path, metavar="CELL", help="the cell file, TOML or YAML")
-    parser.add_argument("--out", type=Path, metavar="DIR", help="folder of what is written (out/NAME)")
+    parser.add_argument("--out", type=Path, metavar="DIR", help="folder of what is written: any folder (out/NAME)")
+    parser.add_argument("--force", action="store_true", help="overwrite an earlier run in the folder")
     for product, text in (
         ("report", "the report (HTML)"),
         ("plots", "the pictures (PNG)"),
@@ -58,11 +59,10 @@ def _run_run(arguments: argparse.Namespace) -> int:
     task = load_cell_file(arguments.cell)
     output = task.settings.output
     products = [name for name in runs.PRODUCTS if getattr(output, name) or getattr(arguments, name, False)]
-    folder = arguments.out or Path(output.folder or Path("out") / runs.safe_name(task.scenario.name))
-    runs.check_products(folder, products)
+    folder = runs.output_folder(task.scenario.name, output.folder, products, out=arguments.out, force=arguments.force)
     with reporter(quiet=arguments.quiet) as report:
         recording = task.run(progress=_progress(report, task.scenario.name))
-        files = runs.write_products(recording, folder, products, tell=report.note)
+        files = runs.write_products(recording, folder, products, tell=report.note, force=arguments.force)
     cell = task.scenario.cell
     readings = read_run(cell, recording)
     findings = judge(cell, recording, readings)
@@ -73,7 +73,7 @@ def _run_run(arguments: argparse.Namespace) -> int:
     causes = why(findings)
     if causes:
         sys.stdout.flush()
-        print(*(f"coopqp: failed: {line}" for line in causes), sep="\n", file=sys.stderr, flush=True)
+        print(*(f"coopqp: failed: {printable(line)}" for line in causes), sep="\n", file=sys.stderr, flush=True)
     if arguments.view:
         _serve(recording, quiet=arguments.quiet)
     return _FAILED if causes else _OK
@@ -89,12 +89,12 @@ def _print_run(figures: Mapping[str, str], findings: Sequence[Finding]) -> None:
     print()
     for finding in findings:
         mark = styled("yes", GREEN) if finding.holds else styled("NO ", BOLD, RED)
-        print(f"{mark}  {finding.question} {finding.answer}")
+        print(f"{mark}  {finding.question} {printable(finding.answer)}")
 
 
 def _print_written(files: list[Path]) -> None:
     if files:
-        print("written:", *files, sep="\n  ")
+        print("written:", *(printable(str(file)) for file in files), sep="\n  ")
 
 
 # -- coopqp schema -------------------------------------------------------------------------------------------------
@@ -105,6 +105,7 @@ def _add_schema(commands: Any) -> None:
         "schema", help="print every key of a cell file", description="Print every key of a cell file."
     )
     parser.add_argument("--json", action="store_true", help="print the JSON Schema, for editors")
+    parser.add_argument("--robots", action="store_true", help="print the robots that `robot` can name")
     parser.add_argument(
         "--example",
         nargs="?",
@@ -118,7 +119,11 @@ def _add_schema(commands: Any) -> None:
 def _run_schema(arguments: argparse.Namespace) -> int:
     from coopqp.files import cellfile
 
-    if arguments.example:
+    if arguments.robots:
+        from coopqp.scenarios import robot_table
+
+        print(robot_table(), end="")
+    elif arguments.example:
         print(cellfile.example_path(arguments.example).read_text(encoding="utf-8"), end="")
     elif arguments.json:
         print(json.dumps(cellfile.json_schema(), indent=1, ensure_ascii=False))
@@ -253,13 +258,15 @@ def _add_export(commands: Any) -> None:
     parser.add_argument("--csv", type=Path, metavar="FILE", help="a table, one row per sample; - for stdout")
     parser.add_argument("--bag", type=Path, metavar="DIR", help="a bag of joint states and trajectories; a new folder")
     parser.add_argument("--npz", type=Path, metavar="FILE", help="a recording, to be shown and reported later")
+    parser.add_argument("--force", action="store_true", help="overwrite an existing recording")
     parser.add_argument("--quiet", action="store_true", help="print errors only")
     parser.set_defaults(run=_run_export)
 
 
 def _run_export(arguments: argparse.Namespace) -> int:
+    from coopqp.app.runs import save_recording
     from coopqp.files.export import csv_text, write_bag, write_csv
-    from coopqp.output import check_file
+    from coopqp.output import OutputError, check_file
 
     to_stdout = arguments.csv == Path("-")
     if arguments.csv is None and arguments.bag is None and arguments.npz is None:
@@ -267,11 +274,12 @@ def _run_export(arguments: argparse.Namespace) -> int:
     for file in (None if to_stdout else arguments.csv, arguments.npz):
         if file is not None:
             check_file(file)
+    if arguments.npz is not None and arguments.npz.exists() and not arguments.force:
+        raise OutputError(f"{arguments.npz} exists. Replace it with --force, or give another name.")
     recording = _obtain(arguments.what, quiet=arguments.quiet)
     files = []
     if arguments.npz is not None:
-        arguments.npz.parent.mkdir(parents=True, exist_ok=True)
-        files.append(recording.save(arguments.npz))
+        files.append(save_recording(recording, arguments.npz))
     if to_stdout:
         sys.stdout.write(csv_text(recording))
     elif arguments.csv is not None:

@@ -101,3 +101,18 @@ def _place(location: Sequence[int | str]) -> str:
 def _shown(value: Any) -> str:
     text = str(value).lower() if isinstance(value, bool) else repr(value)
     return text if len(text) <= 60 else f"{text[:57]}…"
+
+
+#: Words of programs, and what they are in a file.
+_WORDS: tuple[tuple[str, str], ...] = (
+    (r"'([^']*)': (-?[\d.]+)(?=[,}])", r'"\1" = \2'),
+    (r"locked_joints=\{(.*?)\}", r"locked_joints_rad = { \1 }"),
+    (r"or geometry=False to do without", "or geometry = false to do without"),
+)
+
+
+def in_words_of_the_file(text: str) -> str:
+    """A message of the library with the keys of a file in place of arguments and classes."""
+    for pattern, words in _WORDS:
+        text = re.sub(pattern, words, text)
+    return text

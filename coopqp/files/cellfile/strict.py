@@ -10,7 +10,7 @@ import typing
 from collections.abc import Mapping
 from typing import Annotated, Any, Literal, Union
 
-from annotated_types import Len
+from annotated_types import Ge, Le, Len
 from pydantic import BaseModel, ConfigDict, Field, create_model, model_validator
 from pydantic_core import PydanticCustomError
 
@@ -39,8 +39,10 @@ class Table(BaseModel):
         return data
 
 
-Vector3 = Annotated[list[float], Len(3, 3)]
-Numbers = Annotated[list[float], Len(1, MAX_LIST)]
+#: Largest accepted number of an option.
+MAX_NUMBER = 1e12
+Number = Annotated[float, Ge(-MAX_NUMBER), Le(MAX_NUMBER)]
+Numbers = Annotated[list[Number], Len(1, MAX_LIST)]
 
 
 def table_of(
@@ -137,7 +139,9 @@ def _nested(hint: Any) -> type | None:
 
 def _file_type(hint: Any, name: str) -> Any:
     """The type of a file's value for a type hint; None if a file cannot express it."""
-    if hint in (float, int, bool, str):
+    if hint is float:
+        return Number
+    if hint in (int, bool, str):
         return hint
     origin, arguments = typing.get_origin(hint), typing.get_args(hint)
     if origin is Literal:
@@ -145,7 +149,7 @@ def _file_type(hint: Any, name: str) -> Any:
     if origin is tuple and arguments == (float, ...):
         return Numbers
     if origin is tuple and set(arguments) == {float}:
-        return Annotated[list[float], Len(len(arguments), len(arguments))]
+        return Annotated[list[Number], Len(len(arguments), len(arguments))]
     if origin in (Union, types.UnionType) and type(None) in arguments:
         inner = [_file_type(kind, name) for kind in arguments if kind is not type(None)]
         return None if len(inner) != 1 or inner[0] is None else inner[0] | Literal[False]
