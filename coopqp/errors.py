@@ -78,7 +78,15 @@ def shown(value: Any) -> str:
         text = repr(value)
     except ValueError:  # Python refuses to print integers with thousands of digits
         text = type(value).__name__
-    return text if len(text) <= 60 else f"{text[:57]}…"
+    return shortened(text)
+
+
+def shortened(text: str) -> str:
+    """At most 60 characters of a text; a quoted one keeps its quote at the end."""
+    return text if len(text) <= 60 else f"{text[:57]}…{text[0] if text[0] in _QUOTES else ''}"
+
+
+_QUOTES = "'\""
 
 
 def has_controls(text: str) -> bool:

@@ -416,7 +416,7 @@ ROBOT, BASE, QP = 'robot = "rx90l"', "xyz_m = [3.60, 0.50, 0.0]", 'kind = "qp" #
             f"{ROBOT}\nlimits = {{ velocity_deg_per_s = [1, 2] }}",
             "velocity_deg_per_s has 2 numbers for 6 joints",
         ),
-        (ROBOT, f"{ROBOT}\nlimits = {{ velocity_deg_per_s = -2 }}", "arm 'master': JointLimits: joint 0: velocity"),
+        (ROBOT, f"{ROBOT}\nlimits = {{ velocity_deg_per_s = -2 }}", "arm 'master': limits: joint 0: velocity"),
         (
             ROBOT,
             f'{ROBOT}\nlimits = {{ velocity_deg_per_s = "a" }}',

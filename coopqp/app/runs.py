@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 
 from coopqp.control.qp import QPController
-from coopqp.errors import CoopqpError, UnknownNameError
+from coopqp.errors import UnknownNameError
 from coopqp.output import OutputError, check_folder, folder_of
 from coopqp.simulation.scene import describe_object, read_cell, read_object
 from coopqp.simulation.simulate import ProgressCallback, Recording, simulate
@@ -203,5 +203,5 @@ def safe_name(name: str) -> str:
     """A valid folder name from a name: letters, digits, dots, dashes and underscores, no dot first."""
     plain = "".join(c if c.isalnum() or c in "._-" else "_" for c in name).lstrip(".")
     if not plain:
-        raise CoopqpError(f"'{name}' makes no name for a folder. Give one with --out.")
+        raise OutputError(f"'{name}' makes no name for a folder. Give one with --out.")
     return plain
