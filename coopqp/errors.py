@@ -28,10 +28,11 @@ class UnknownNameError(CoopqpError, KeyError):
 
     def __init__(self, kind: str, name: str, available: Iterable[str], where: str = "") -> None:
         self.kind, self.name, self.available = kind, name, tuple(available)
+        said = shortened(f"'{printable(name)}'")
         near = difflib.get_close_matches(name, self.available, n=1)
         hint = f" Did you mean '{near[0]}'?" if near else ""
         at = f" in {where}" if where else ""
-        self.message = f"no {kind} named '{name}'{at}.{hint} Available: {', '.join(self.available) or 'none'}."
+        self.message = f"no {kind} named {said}{at}.{hint} Available: {', '.join(self.available) or 'none'}."
         self._where = where
         super().__init__(self.message)
 

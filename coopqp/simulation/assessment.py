@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from coopqp.checks import keep_scalars
+from coopqp.checks import as_options, keep_scalars
 from coopqp.control.command import Status
 from coopqp.errors import InvalidInputError
 from coopqp.model.cell import RobotCell
@@ -181,7 +181,11 @@ def _number(value: float) -> str:
 
 
 def judge(
-    cell: RobotCell, recording: Recording, readings: Readings, *, tolerances: Tolerances | None = None
+    cell: RobotCell,
+    recording: Recording,
+    readings: Readings,
+    *,
+    tolerances: Tolerances | Mapping[str, Any] | None = None,
 ) -> tuple[Finding, ...]:
     """The verdict on a run: the end, the limits, the grasp and the path.
 
@@ -190,7 +194,7 @@ def judge(
         readings: result of :func:`read_run`.
         tolerances: accepted errors; by default :meth:`Tolerances.of` the recording.
     """
-    t = tolerances or Tolerances.of(recording)
+    t = Tolerances.of(recording) if tolerances is None else as_options(Tolerances, tolerances, "judge: tolerances")
     return (
         _finished(recording),
         _positions(cell, recording),

@@ -216,6 +216,11 @@ def simulate(
     Raises:
         InvalidInputError: bad ``q_start`` or durations, or the arms do not hold the object at the start.
     """
+    for thing, methods, name in ((controller, ("reset", "step"), "controller"), (plant, ("reset", "apply"), "plant")):
+        if thing is not None and not all(callable(getattr(thing, method, None)) for method in methods):
+            raise InvalidInputError(
+                f"a {type(thing).__name__}", f"simulate: {name}", f"Give an object with {' and '.join(methods)}."
+            )
     cell: RobotCell = controller.cell
     plant = KinematicPlant(cell) if plant is None else plant
     endless = not np.isfinite(controller.path.duration)

@@ -87,6 +87,13 @@ NONSENSE: tuple[Any, ...] = (
     np.eye(4).tolist(),
     {"a": [1e9] * 5},
 )
+#: Values of a size that the schema accepts somewhere: these reach the models, the kinematics and the controller.
+PLAUSIBLE: tuple[Any, ...] = (
+    1e-6, 1e-3, 0.01, 0.5, 1.0, 2, 3, 20.0, 90.0, 1e3, 1e4, 1e6, -0.5, -90.0, True, False, "a", "tool", "link_3",
+    "auto", "daqp", "full", "midpoint", [0.1] * 3, [0.5] * 5, [-1e4] * 3, [90.0] * 5, [1e6] * 5, [1e-3] * 2,
+    {"joint_2": 0.3}, {"joint_5": 90.0, "joint_4": 1e6}, {"a": [0.0, 10.0, 115.0, -35.0, 0.0]}, {"a": [1e6] * 5},
+    {"xyz_m": [0.5, 0.1, 0.3], "rpy_deg": [10.0, 20.0, 30.0]}, [{}, {"rpy_deg": [0.0, 0.0, 180.0]}], [0.5, 2.0],
+)  # fmt: skip
 #: Words of Python that a user of files must not be told.
 PYTHON = re.compile(
     r"coopqp\.|np\.|numpy|pinocchio|\bpin\b|\w+Options|JointLimits|RankWeights|LinePath|WaypointPath|HoldPath|Arm\.|"
@@ -115,13 +122,15 @@ def _tables(kind: Any) -> Iterator[type[BaseModel]]:
 def put(data: Any, path: tuple[str, ...], value: Any) -> None:
     """Put a value at a path; lists are entered at their first entry, tables by arm at the arm's."""
     for key in path[:-1]:
-        inner = data.get(key) if isinstance(data, dict) else None
+        inner = data.get(key)
         if isinstance(inner, list) and inner and isinstance(inner[0], dict):
             inner = inner[0]
         elif not isinstance(inner, dict):
             inner = data[key] = {}
         if path[-1] in ("xyz_m", "rpy_deg", "rpy_rad", "matrix") and key == "tools":
             inner = inner.setdefault("a", {})
+        if not isinstance(inner, dict):  # earlier nonsense
+            return
         data = inner
     data[path[-1]] = value
 
@@ -159,7 +168,8 @@ def files(rng: np.random.Generator, part: int, number: int) -> Iterator[tuple[di
             if path[0] == name or rng.uniform() < 0.2:
                 choice = wanted or variants
                 data[name] = copy.deepcopy(choice[int(rng.integers(len(choice)))])
-        put(data, path, copy.deepcopy(NONSENSE[(7 * (i % len(places)) + turn) % len(NONSENSE)]))
+        values = PLAUSIBLE if rng.uniform() < 0.3 else NONSENSE
+        put(data, path, copy.deepcopy(values[(7 * (i % len(places)) + turn) % len(values)]))
         for _ in range(int(rng.integers(0, 3)) if rng.uniform() < 0.3 else 0):
             other = places[int(rng.integers(len(places)))]
             put(data, other, copy.deepcopy(NONSENSE[int(rng.integers(len(NONSENSE)))]))

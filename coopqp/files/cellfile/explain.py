@@ -9,7 +9,7 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from coopqp.errors import shortened, shown
+from coopqp.errors import printable, shortened, shown
 
 #: Largest number of problems in one message.
 MAX_PROBLEMS = 5
@@ -151,4 +151,4 @@ def in_words_of_the_file(text: str) -> str:
     """A message of the library with the keys of a file in place of arguments and classes."""
     for pattern, words in _WORDS:
         text = re.sub(pattern, words, text)
-    return text
+    return printable(text)

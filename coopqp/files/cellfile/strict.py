@@ -11,7 +11,7 @@ from collections.abc import Mapping
 from typing import Annotated, Any, Literal, Union
 
 from annotated_types import Ge, Le, Len
-from pydantic import BaseModel, ConfigDict, Field, create_model, model_validator
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, create_model, model_validator
 from pydantic_core import PydanticCustomError
 
 #: Largest accepted length of a list of numbers.
@@ -39,9 +39,17 @@ class Table(BaseModel):
         return data
 
 
-#: Largest accepted number of an option.
-MAX_NUMBER = 1e12
-Number = Annotated[float, Ge(-MAX_NUMBER), Le(MAX_NUMBER)]
+#: Largest accepted number of an option, and the smallest one that is not 0; longest text.
+MAX_NUMBER, MIN_NUMBER, MAX_TEXT = 1e12, 1e-30, 100
+
+
+def _not_tiny(value: float) -> float:
+    if 0.0 < abs(value) < MIN_NUMBER:
+        raise PydanticCustomError("cell_file", "{text}", {"text": f"must be 0 or at least {MIN_NUMBER:g}, not {value}"})
+    return value
+
+
+Number = Annotated[float, Ge(-MAX_NUMBER), Le(MAX_NUMBER), AfterValidator(_not_tiny)]
 Numbers = Annotated[list[Number], Len(1, MAX_LIST)]
 
 
@@ -141,7 +149,9 @@ def _file_type(hint: Any, name: str) -> Any:
     """The type of a file's value for a type hint; None if a file cannot express it."""
     if hint is float:
         return Number
-    if hint in (int, bool, str):
+    if hint is str:
+        return Annotated[str, Len(1, MAX_TEXT)]
+    if hint in (int, bool):
         return hint
     origin, arguments = typing.get_origin(hint), typing.get_args(hint)
     if origin is Literal:
