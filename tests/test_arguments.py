@@ -66,7 +66,7 @@ def test_options_may_be_a_dictionary() -> None:
     alone = IndependentQPController(CELL, GRASP, PATH, dt=0.01, options={"gain": 10})
     assert alone.options == IndependentQPOptions(gain=10.0)
     assert Monitor(CELL, GRASP, tolerances={"chain_m": 1.0}).tolerances.chain_m == 1.0
-    assert DisturbedPlant(CELL, GRASP, {"noise": 1e-4}).disturbances.noise == 1e-4
+    assert DisturbedPlant(CELL, GRASP, {"encoder_noise": 1e-4}).disturbances.encoder_noise == 1e-4
     recording = simulate(controller(), q_start=LIFT.q_start, duration=0.02)
     readings = read_run(CELL, recording)
     assert not judge(CELL, recording, readings, tolerances={"object_mm": 1e-12})[-1].holds
