@@ -17,59 +17,52 @@ A room imports only from itself, from the rooms before it, and from ``errors``, 
 
 from typing import TYPE_CHECKING
 
-from coopqp.control.command import Controller, ControlStep, GivenUp, SolverReport, Status
-from coopqp.control.core import available_kernels
-from coopqp.control.forms import RankWeights
-from coopqp.control.options import QPOptions
-from coopqp.control.qp import QPController
-from coopqp.control.solvers import (
-    QpProblem,
-    QpSolution,
-    QpSolver,
-    SolverSettings,
-    SolverStatus,
-    available_solvers,
-    make_solver,
-)
-from coopqp.control.supervision import SupervisionOptions
-from coopqp.errors import (
-    CoopqpError,
-    InvalidInputError,
-    MissingExtraError,
-    MissingSolverError,
-    ModelError,
-    UnknownNameError,
-    UnreachableError,
-)
 from coopqp.lazy import lazy_names
-from coopqp.model.cell import Arm, JointLimits, RobotCell
-from coopqp.model.grasp import Grasp, plate_from_centroid, plate_from_points
-from coopqp.model.inverse_kinematics import inverse_kinematics
-from coopqp.model.limits import BindingLimit, LimitKind
-from coopqp.model.state import CellState
-from coopqp.planning.preview import PreviewOptions
-from coopqp.simulation.plants.kinematic import KinematicPlant, Plant
-from coopqp.simulation.simulate import Recording, RecordingError, simulate
-from coopqp.spatial import Array, Placement, adjoint
-from coopqp.task.common_error import CommonError
-from coopqp.task.path import HoldPath, LinePath, ObjectPath, ServoPath, TimeLaw, WaypointPath
-from coopqp.task.posture import PostureOptions
-from coopqp.task.scenario import Scenario
 
 if TYPE_CHECKING:
+    from coopqp.control.command import Controller, ControlStep, GivenUp, SolverReport, Status
+    from coopqp.control.core import available_kernels
+    from coopqp.control.forms import RankWeights
     from coopqp.control.independent import IndependentQPController, IndependentQPOptions
+    from coopqp.control.options import QPOptions
     from coopqp.control.pseudo_inverse import PseudoInverseController, PseudoInverseOptions
+    from coopqp.control.qp import QPController
+    from coopqp.control.solvers import (
+        QpProblem,
+        QpSolution,
+        QpSolver,
+        SolverSettings,
+        SolverStatus,
+        available_solvers,
+        make_solver,
+    )
     from coopqp.control.solvers.daqp import DaqpSettings
     from coopqp.control.solvers.generic import GenericSettings
     from coopqp.control.solvers.ldp import LdpSettings
     from coopqp.control.solvers.osqp import OsqpSettings
     from coopqp.control.solvers.proxqp import ProxqpSettings
+    from coopqp.control.supervision import SupervisionOptions
+    from coopqp.errors import (
+        CoopqpError,
+        InvalidInputError,
+        MissingExtraError,
+        MissingSolverError,
+        ModelError,
+        UnknownNameError,
+        UnreachableError,
+    )
     from coopqp.files.cellfile import CellFileError, load_cell_file
     from coopqp.files.export import write_bag, write_csv
     from coopqp.forces.stress import InternalStress, StressModel, at_tools
     from coopqp.look.report import write_report
     from coopqp.look.viewer import LiveViewer, export_html
+    from coopqp.model.cell import Arm, JointLimits, RobotCell
+    from coopqp.model.grasp import Grasp, plate_from_centroid, plate_from_points
+    from coopqp.model.inverse_kinematics import inverse_kinematics
+    from coopqp.model.limits import BindingLimit, LimitKind
+    from coopqp.model.state import CellState
     from coopqp.output import OutputError
+    from coopqp.planning.preview import PreviewOptions
     from coopqp.scenarios.robots import robot_path
     from coopqp.simulation.assessment import Finding, Readings, Tolerances, judge, read_run
     from coopqp.simulation.metrics import (
@@ -84,13 +77,92 @@ if TYPE_CHECKING:
     from coopqp.simulation.monitor import Breach, Monitor, Monitored, MonitorTolerances, Verdict, Violation, check_run
     from coopqp.simulation.plants.disturbances import Disturbances, misplaced
     from coopqp.simulation.plants.disturbed import DisturbedPlant
+    from coopqp.simulation.plants.kinematic import KinematicPlant, Plant
     from coopqp.simulation.plants.physics import PhysicsError, PhysicsPlant
     from coopqp.simulation.plants.physics_options import PhysicsOptions
     from coopqp.simulation.scene import SceneError, describe_object
+    from coopqp.simulation.simulate import Recording, RecordingError, simulate
+    from coopqp.spatial import Array, Placement, adjoint
+    from coopqp.task.common_error import CommonError
+    from coopqp.task.path import HoldPath, LinePath, ObjectPath, ServoPath, TimeLaw, WaypointPath
+    from coopqp.task.posture import PostureOptions
+    from coopqp.task.scenario import Scenario
 else:
     __getattr__, __dir__ = lazy_names(
         __name__,
         {
+            "coopqp.control.command": (
+                "Controller",
+                "ControlStep",
+                "GivenUp",
+                "SolverReport",
+                "Status",
+            ),
+            "coopqp.control.core": ("available_kernels",),
+            "coopqp.control.forms": ("RankWeights",),
+            "coopqp.control.options": ("QPOptions",),
+            "coopqp.control.qp": ("QPController",),
+            "coopqp.control.solvers": (
+                "QpProblem",
+                "QpSolution",
+                "QpSolver",
+                "SolverSettings",
+                "SolverStatus",
+                "available_solvers",
+                "make_solver",
+            ),
+            "coopqp.control.supervision": ("SupervisionOptions",),
+            "coopqp.errors": (
+                "CoopqpError",
+                "InvalidInputError",
+                "MissingExtraError",
+                "MissingSolverError",
+                "ModelError",
+                "UnknownNameError",
+                "UnreachableError",
+            ),
+            "coopqp.model.cell": (
+                "Arm",
+                "JointLimits",
+                "RobotCell",
+            ),
+            "coopqp.model.grasp": (
+                "Grasp",
+                "plate_from_centroid",
+                "plate_from_points",
+            ),
+            "coopqp.model.inverse_kinematics": ("inverse_kinematics",),
+            "coopqp.model.limits": (
+                "BindingLimit",
+                "LimitKind",
+            ),
+            "coopqp.model.state": ("CellState",),
+            "coopqp.planning.preview": ("PreviewOptions",),
+            "coopqp.simulation.plants.kinematic": (
+                "KinematicPlant",
+                "Plant",
+            ),
+            "coopqp.simulation.simulate": (
+                "Recording",
+                "RecordingError",
+                "simulate",
+            ),
+            "coopqp.spatial": (
+                "Array",
+                "Placement",
+                "adjoint",
+            ),
+            "coopqp.task.common_error": ("CommonError",),
+            "coopqp.task.path": (
+                "HoldPath",
+                "LinePath",
+                "ObjectPath",
+                "ServoPath",
+                "TimeLaw",
+                "WaypointPath",
+            ),
+            "coopqp.task.posture": ("PostureOptions",),
+            "coopqp.task.scenario": ("Scenario",),
             "coopqp.control.independent": ("IndependentQPController", "IndependentQPOptions"),
             "coopqp.control.pseudo_inverse": ("PseudoInverseController", "PseudoInverseOptions"),
             "coopqp.control.solvers.daqp": ("DaqpSettings",),

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Any, TypeAlias
+from collections.abc import Mapping
+from dataclasses import fields
+from typing import Any, TypeAlias, TypeVar
 
 import numpy as np
 import numpy.typing as npt
 
-from coopqp.errors import InvalidInputError, shown
+from coopqp.errors import InvalidInputError, UnknownNameError, shown
 
 Array: TypeAlias = npt.NDArray[np.float64]
 
@@ -62,6 +64,41 @@ def keep_scalars(options: object, *names: str, low: float = 0.0, high: float = n
         where = f"{type(options).__name__}: {name}"
         number = as_scalar(getattr(options, name), where, low=low, high=high, open_low=open_low)
         object.__setattr__(options, name, number)
+
+
+_Options = TypeVar("_Options")
+
+
+def as_options(kind: type[_Options], value: Any, where: str) -> _Options:
+    """Options from an object, a dictionary of its fields, or None for the defaults.
+
+    Args:
+        kind: a dataclass of options.
+        value: what the caller gave.
+        where: the argument, for messages.
+
+    Raises:
+        InvalidInputError: neither of them, or a bad value in a dictionary.
+        UnknownNameError: a dictionary has a key that is no field.
+    """
+    if value is None:
+        return kind()
+    if isinstance(value, kind):
+        return value
+    if not isinstance(value, Mapping):
+        what = "the class itself" if value is kind else f"a {type(value).__name__}"
+        raise InvalidInputError(what, where, f"Give {kind.__name__}(…), a dictionary of its fields, or nothing.")
+    known = [field.name for field in fields(kind)]  # type: ignore[arg-type]
+    for name in value:
+        if name not in known:
+            raise UnknownNameError("option", str(name), known, where)
+    return kind(**value)
+
+
+def require(value: Any, kind: type | tuple[type, ...], where: str, remedy: str) -> None:
+    """Raise InvalidInputError unless ``value`` is an instance of ``kind``."""
+    if not isinstance(value, kind):
+        raise InvalidInputError(f"a {type(value).__name__}", where, remedy)
 
 
 def _as_float(value: Any, where: str) -> float:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import unicodedata
 from collections.abc import Iterable
 from typing import Any
 
@@ -27,10 +28,11 @@ class UnknownNameError(CoopqpError, KeyError):
 
     def __init__(self, kind: str, name: str, available: Iterable[str], where: str = "") -> None:
         self.kind, self.name, self.available = kind, name, tuple(available)
+        said = shortened(f"'{printable(name)}'")
         near = difflib.get_close_matches(name, self.available, n=1)
         hint = f" Did you mean '{near[0]}'?" if near else ""
         at = f" in {where}" if where else ""
-        self.message = f"no {kind} named '{name}'{at}.{hint} Available: {', '.join(self.available) or 'none'}."
+        self.message = f"no {kind} named {said}{at}.{hint} Available: {', '.join(self.available) or 'none'}."
         self._where = where
         super().__init__(self.message)
 
@@ -77,4 +79,34 @@ def shown(value: Any) -> str:
         text = repr(value)
     except ValueError:  # Python refuses to print integers with thousands of digits
         text = type(value).__name__
-    return text if len(text) <= 60 else f"{text[:57]}…"
+    return shortened(text)
+
+
+def shortened(text: str) -> str:
+    """At most 60 characters of a text; a quoted one keeps its quote at the end."""
+    return text if len(text) <= 60 else f"{text[:57]}…{text[0] if text[0] in _QUOTES else ''}"
+
+
+_QUOTES = "'\""
+
+
+def has_controls(text: str) -> bool:
+    """True if a text has characters that control a terminal or the order of writing, or that no file can hold."""
+    return any(_is_control(c) for c in text)
+
+
+def printable(text: str) -> str:
+    r"""A text whose control characters are written as escapes, as ``\x1b``."""
+    return "".join(c.encode("unicode_escape").decode() if _is_control(c) else c for c in text)
+
+
+def _is_control(character: str) -> bool:
+    return (
+        (not character.isascii() and unicodedata.category(character) in _CONTROLS)
+        or character < " "
+        or character == "\x7f"
+    )
+
+
+#: Categories of Unicode: control, format (also the direction of writing), surrogates, line and paragraph separators.
+_CONTROLS = ("Cc", "Cf", "Cs", "Zl", "Zp")

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import secrets
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 
 from coopqp.errors import CoopqpError
@@ -32,6 +33,32 @@ def check_file(file: Path) -> None:
     check_folder(file.parent)
 
 
+@contextlib.contextmanager
+def folder_of(file: Path) -> Iterator[None]:
+    """Make the folder of a file for as long as it is written. A failure or an interrupt leaves no empty folder.
+
+    Raises:
+        OutputError: a folder cannot be made.
+    """
+    made: list[Path] = []
+    folder = file.parent
+    missing = [folder, *folder.parents]
+    missing = [place for place in missing if not place.exists()]
+    try:
+        for place in reversed(missing):
+            made.append(place)
+            place.mkdir(exist_ok=True)
+        yield
+    except FileExistsError as error:
+        raise OutputError(f"cannot make {folder}: {error.strerror}. Give another folder.") from error
+    except OSError as error:
+        raise OutputError(f"cannot write {error.filename or file}: {error.strerror}. Check the folder.") from error
+    finally:
+        for place in reversed(made):
+            with contextlib.suppress(OSError):  # it is not empty: something was written
+                place.rmdir()
+
+
 def write_files(contents: Mapping[Path, bytes]) -> list[Path]:
     """Write files and create their folders.
 
@@ -45,10 +72,16 @@ def write_files(contents: Mapping[Path, bytes]) -> list[Path]:
         OutputError: a folder or a file cannot be written.
     """
     staged: list[tuple[Path, Path]] = []
+    with contextlib.ExitStack() as folders:
+        _write(contents, staged, folders)
+    return list(contents)
+
+
+def _write(contents: Mapping[Path, bytes], staged: list[tuple[Path, Path]], folders: contextlib.ExitStack) -> None:
     try:
         for file, content in contents.items():
             check_file(file)
-            file.parent.mkdir(parents=True, exist_ok=True)
+            folders.enter_context(folder_of(file))
             temporary = file.with_name(f".{file.name}.{secrets.token_hex(4)}.tmp")
             staged.append((temporary, file))
             with temporary.open("xb") as stream:
@@ -60,4 +93,3 @@ def write_files(contents: Mapping[Path, bytes]) -> list[Path]:
     finally:
         for temporary, _ in staged:
             temporary.unlink(missing_ok=True)
-    return list(contents)

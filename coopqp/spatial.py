@@ -90,8 +90,10 @@ def as_placements(values: Sequence[Placement] | Array, where: str) -> tuple[pin.
     return tuple(as_placement(value, f"{where}[{i}]") for i, value in enumerate(items))
 
 
-def adjoint(T: pin.SE3) -> Array:
+def adjoint(T: Placement) -> Array:
     """``Ad(T)``, shape (6, 6). For ``T = T_a_b`` it maps a twist in frame b to frame a."""
+    if not isinstance(T, pin.SE3):
+        T = as_placement(T, "adjoint")
     return np.asarray(T.action, dtype=float)
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import builtins
 import contextlib
 import json
+import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -38,7 +39,7 @@ from coopqp.files.cellfile import CELLS, example_path, json_schema, schema_text
 from coopqp.files.cellfile.build import CellRun
 from coopqp.files.cellfile.strict import attribute_docs
 from coopqp.files.cellfile.text import read_tables
-from coopqp.scenarios import Scenario
+from coopqp.scenarios import ROBOTS, Scenario, robot_file
 
 EXAMPLES = sorted((Path(__file__).parents[1] / "docs" / "examples" / "cells").glob("*.toml"))
 PAPER = example_path("paper_lift").read_text()
@@ -129,6 +130,13 @@ kind = "latched"
 """
 
 
+def require_robots() -> None:
+    try:
+        robot_file("panda")
+    except MissingExtraError as error:
+        pytest.skip(str(error))
+
+
 def one_arm(
     arm: str = 'robot = "arm7"',
     path: str = 'kind = "hold"\npose = {}\nduration_s = 1.0',
@@ -200,6 +208,103 @@ def test_models_from_files_beside_the_cell_file(load: Callable[[str], CellRun], 
     (tmp_path / "mine.xml").write_text(mjcf)
     run = load(one_arm('mjcf = "mine.xml"\ntool_frame = "b"', start="positions_deg.a = [30]"))
     assert run.scenario.cell.joint_names == ("a/j",)
+
+
+def test_every_form_of_a_path_leads_to_the_model(
+    load: Callable[[str], CellRun], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Relative to the file, absolute, from home, with variables, in a package; however long."""
+    deep = tmp_path.joinpath("mine", *["a long name of a folder " * 3] * 20)
+    deep.mkdir(parents=True)
+    (deep / "arm.urdf").write_bytes(robot_path("arm7").read_bytes())
+    (tmp_path / "mine" / "arm.urdf").write_bytes(robot_path("arm7").read_bytes())
+    monkeypatch.setenv("HOME", str(tmp_path))
+    monkeypatch.setenv("MODELS", str(tmp_path / "mine"))
+    inner = deep.relative_to(tmp_path)
+    for path in (
+        f"{inner}/arm.urdf",
+        f"{deep}/arm.urdf",
+        f"~/{inner}/arm.urdf",
+        "$MODELS/arm.urdf",
+        "${MODELS}/arm.urdf",
+        "package://mine/arm.urdf",
+    ):
+        assert load(one_arm(f'urdf = "{path}"\ntool_frame = "tool"')).scenario.cell.nv == 7, path
+    elsewhere = tmp_path.parent / f"{tmp_path.name} elsewhere" / "theirs"
+    elsewhere.mkdir(parents=True)
+    (elsewhere / "arm.urdf").write_bytes(robot_path("arm7").read_bytes())
+    given = f'package_dirs = ["{elsewhere.parent}"]'
+    load(one_arm(f'urdf = "package://theirs/arm.urdf"\ntool_frame = "tool"\n{given}'))
+    for path, message in {
+        "package://theirs/arm.urdf": "urdf: there is no package 'theirs'. Give the folder above it in package_dirs",
+        "$NO_SUCH/arm.urdf": "urdf: the environment variable $NO_SUCH is not set",
+        "~nobody_of_that_name/arm.urdf": "urdf: '~nobody_of_that_name' has no home folder",
+        "package:///arm.urdf": "there is no package ''",
+    }.items():
+        with pytest.raises(CellFileError, match=re.escape(message)):
+            load(one_arm(f'urdf = "{path}"\ntool_frame = "tool"'))
+
+
+def test_meshes_are_found_without_help(load: Callable[[str], CellRun], tmp_path: Path) -> None:
+    """In the package that the URDF lies in."""
+    package = tmp_path / "src" / "my_arm_description"
+    (package / "urdf").mkdir(parents=True)
+    (package / "meshes").mkdir()
+    corners = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\n"
+    (package / "meshes" / "part.obj").write_text(f"{corners}f 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n")
+    mesh = '<visual><geometry><mesh filename="package://my_arm_description/meshes/part.obj"/></geometry></visual>'
+    limit = '<limit lower="-1" upper="1" velocity="1" effort="1"/>'
+    (package / "urdf" / "my.urdf").write_text(
+        f'<robot name="r"><link name="base">{mesh}</link><link name="tip"/><joint name="j" type="revolute">'
+        f'<parent link="base"/><child link="tip"/><axis xyz="0 0 1"/>{limit}</joint></robot>'
+    )
+    arm = 'urdf = "src/my_arm_description/urdf/my.urdf"\ntool_frame = "tip"'
+    visual = load(one_arm(arm, start="positions_deg.a = [3]")).scenario.cell.arms[0].visual
+    assert [Path(shape.meshPath).name for shape in visual.geometryObjects] == ["part.obj"]
+    (package / "meshes" / "part.obj").unlink()
+    with pytest.raises(CellFileError, match=r"Give package_dirs, or geometry = false"):
+        load(one_arm(arm, start="positions_deg.a = [3]"))
+    run = load(one_arm(f"{arm}\ngeometry = false", start="positions_deg.a = [3]"))
+    assert run.scenario.cell.arms[0].visual is None
+
+
+def test_a_xacro_is_named_with_the_remedy(load: Callable[[str], CellRun], tmp_path: Path) -> None:
+    (tmp_path / "arm.urdf.xacro").write_text('<robot name="r" xmlns:xacro="x"/>')
+    (tmp_path / "arm.urdf").write_text('<robot name="r"><xacro:include filename="a"/></robot>')
+    for name in ("arm.urdf.xacro", "arm.urdf"):
+        with pytest.raises(CellFileError, match=rf"is a xacro.*Expand it .*xacro {name} > arm\.urdf"):
+            load(one_arm(f'urdf = "{name}"\ntool_frame = "tip"'))
+
+
+def test_a_finger_is_locked_in_metres(load: Callable[[str], CellRun]) -> None:
+    """Prismatic joints are in metres under the keys of either unit; unlocked fingers are refused by name."""
+    require_robots()
+    file = robot_file("panda")
+    arm = f'urdf = "{file}"\ntool_frame = "panda_hand_tcp"\ngeometry = false'
+    start = "positions_deg.a = [0, -10, 0, -135, 0, 125, 45]"
+    remedy = ""
+    for message in ("joint 'panda_finger_joint2' mimics another", "joint 'panda_finger_joint1' does not move the tool"):
+        with pytest.raises(CellFileError, match=message) as caught:
+            load(one_arm(f"{arm}\n{remedy}", start=start))
+        found = re.search(r"locked_joints_rad = \{.*\}", str(caught.value))
+        assert found is not None
+        remedy = found[0]
+    load(one_arm(f"{arm}\n{remedy}", start=start))  # the remedy in the messages works
+    places = []
+    for unit in ("deg", "rad"):
+        lock = f"locked_joints_{unit} = {{ panda_finger_joint1 = 0.03, panda_finger_joint2 = 0.03 }}"
+        model = load(one_arm(f"{arm}\n{lock}", start=start)).scenario.cell.arms[0].model
+        places.append(model.frames[model.getFrameId("panda_leftfinger")].placement.translation)
+    np.testing.assert_array_equal(*places)
+
+
+def test_a_robot_may_be_named(load: Callable[[str], CellRun]) -> None:
+    require_robots()
+    arm = 'robot = "panda"\ngeometry = false\nbase = { xyz_m = [0, 0, 1] }'
+    cell = load(one_arm(arm, start="positions_deg.a = [0, -10, 0, -135, 0, 125, 45]")).scenario.cell
+    assert (cell.nv, cell.arms[0].tool_frame) == (7, "panda_hand_tcp")
+    np.testing.assert_array_equal(cell.limits.acceleration, ROBOTS["panda"].acceleration)
+    np.testing.assert_array_equal(cell.arms[0].T_world_base.translation, [0, 0, 1])
 
 
 LINE = """kind = "line"
@@ -316,7 +421,7 @@ ROBOT, BASE, QP = 'robot = "rx90l"', "xyz_m = [3.60, 0.50, 0.0]", 'kind = "qp" #
             f"{ROBOT}\nlimits = {{ velocity_deg_per_s = [1, 2] }}",
             "velocity_deg_per_s has 2 numbers for 6 joints",
         ),
-        (ROBOT, f"{ROBOT}\nlimits = {{ velocity_deg_per_s = -2 }}", "arm 'master': JointLimits: joint 0: velocity"),
+        (ROBOT, f"{ROBOT}\nlimits = {{ velocity_deg_per_s = -2 }}", "arm 'master': limits: joint 0: velocity"),
         (
             ROBOT,
             f'{ROBOT}\nlimits = {{ velocity_deg_per_s = "a" }}',
@@ -338,16 +443,17 @@ ROBOT, BASE, QP = 'robot = "rx90l"', "xyz_m = [3.60, 0.50, 0.0]", 'kind = "qp" #
         ('kind = "triangle"', 'kind = "triangel"', "grasp: there is no 'triangel'; did you mean 'triangle'?"),
         ('kind = "triangle"', "", "grasp: kind is missing"),
         ("alpha_m = 0.60", "alpha = 0.60", "grasp: unknown key 'alpha'; did you mean 'alpha_m'?"),
-        ("alpha_m = 0.60", "alpha_m = -1", "grasp.alpha_m: must be greater than 0, not -1"),
+        ("alpha_m = 0.60", "alpha_m = -1", "grasp.alpha_m: must be greater than or equal to 0.0001, not -1"),
         ("alpha_m = 0.60", 'alpha_m = "0.6"', "grasp.alpha_m: give a number, not '0.6'"),
         ("alpha_m = 0.60", "", "grasp.alpha_m: is missing"),
-        ("duration_s = 3.0", "duration_s = 0", "path.duration_s: must be greater than 0, not 0"),
+        ("duration_s = 3.0", "duration_s = 0", "path.duration_s: must be greater than or equal to 0.000001, not 0"),
         ("displacement", "goal = {}\ndisplacement", "path: give one of goal, displacement, not goal and displacement"),
         ('"linear"', '"cubic"', "path.time_law: there is no 'cubic'; known: quintic, linear"),
         ("steps = 400", "steps = 400\ndt_s = 0.1", "give dt_s or steps, not both"),
         ("steps = 400", "steps = 400.5", "steps: give a whole number, not 400.5"),
         ("steps = 400", "steps = 100000000", "steps: must be less than or equal to 1000000"),
-        ("steps = 400", "dt_s = 1e-9", "in steps of 1e-09 s is too long"),
+        ("steps = 400", "dt_s = 1e-9", "dt_s: must be greater than or equal to 0.000001, not 1e-09"),
+        ("steps = 400", "dt_s = 2e-6", "in steps of 2e-06 s is too long"),
         ("positions_deg.slave_2", "positions_deg.slave_3", "no arm named 'slave_3' in start.positions_deg"),
         ("positions_deg.slave_2", "#", "start.positions_deg: arm 'slave_2' is missing"),
         ("[-13.8, 67.4", "[67.4", "start.positions_deg.slave_2 has 5 numbers for 6 joints"),
@@ -370,6 +476,11 @@ ROBOT, BASE, QP = 'robot = "rx90l"', "xyz_m = [3.60, 0.50, 0.0]", 'kind = "qp" #
         ("[0.90, 0.0, 0.10]", "[0.90, 0.0, 3.10]", "arm 'master' does not reach its grasp"),
         ("[grasp]", "[grasp", "is not TOML"),
         ('name = "paper_lift"', "name = 3", "name: give text, not 3"),
+        ("mass_kg = 20.0", "mass_kg = 1e300", "object.mass_kg: must be less than or equal to 1000000, not 1e+300"),
+        ("[0.80, 1.80, 0.04]", "[0.80, 1.80, 1e-300]", "object.size_m[2]: must be greater than or equal to 0.0001"),
+        (BASE, "xyz_m = [3.60, 0.50, 1e308]", "arms[1].base.xyz_m[2]: must be less than or equal to 10000"),
+        ("[0.90, 0.0, 0.10]", "[0.90, -1e308, 0.10]", "path.start.xyz_m[1]: must be greater than or equal to -10000"),
+        (QP, f"grasp_gain = 1e300\n{QP}", "controller.grasp_gain: must be less than or equal to 1000000000000"),
     ],
 )
 def test_a_mistake_is_named_with_its_place(

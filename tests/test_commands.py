@@ -18,10 +18,20 @@ from typing import Any
 import numpy as np
 import pytest
 
-from coopqp import OutputError, Recording
+from coopqp import (
+    Recording,
+    RecordingError,
+    Tolerances,
+    judge,
+    load_cell_file,
+    read_run,
+    simulate,
+)
 from coopqp.app import cli, runs
-from coopqp.files.cellfile import example_path
+from coopqp.files.cellfile import CELLS, example_path
 from coopqp.look import plots, viewer
+from coopqp.simulation.assessment import why
+from coopqp.simulation.scene import read_cell
 
 SMALL = """
 name = "small {name}"
@@ -93,8 +103,6 @@ def test_run_writes_what_is_asked(
     names = {"report.html", "timeline.png", "joints.png", "motion.png", "view.html", "run.csv", "bag"}
     assert {Path(f).name for f in written(capsys.readouterr().out)} == names
     assert {f.name for f in (tmp_path / "here").iterdir()} == names
-    assert cli.main(["run", str(file), "--bag", "--quiet"]) == 2  # the bag exists: an error before the run
-    assert capsys.readouterr().err.count("\n") == 1
     assert cli.main(["run", str(file), "--out", "other", "--quiet"]) == 0
     assert capsys.readouterr() == ("", "")
     assert [f.name for f in (tmp_path / "other").iterdir()] == ["run.csv"]
@@ -103,10 +111,106 @@ def test_run_writes_what_is_asked(
 def test_the_papers_file_prints_the_papers_figure(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     text = example_path("paper_lift").read_text().replace('kind = "qp"', 'kind = "pseudo_inverse"')
     (tmp_path / "paper.toml").write_text(text.replace("report = true", ""))
-    assert cli.main(["run", "paper.toml", "--out", "paper"]) == 0
-    printed = capsys.readouterr().out
-    assert "largest ε_p              0.871 mm" in printed
-    assert "NO   Do the arms agree" in printed
+    assert cli.main(["run", "paper.toml", "--out", "paper"]) == 4
+    printed = capsys.readouterr()
+    assert "largest ε_p              0.871 mm" in printed.out
+    assert "NO   Do the arms agree" in printed.out
+    last = printed.err.splitlines()[-2]
+    assert re.fullmatch(
+        r"coopqp: failed: Do the arms agree on where the object is\? No: arms \w+ and \w+, beyond the tolerance since "
+        r"\d\.\d{3} s\.",
+        last,
+    )
+
+
+# -- the exit status -----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", CELLS)
+@pytest.mark.slow
+def test_the_cell_files_that_come_with_coopqp_hold(name: str, capsys: pytest.CaptureFixture[str]) -> None:
+    text = example_path(name).read_text(encoding="utf-8").replace("report = true", "")
+    Path("cell.toml").write_text(text, encoding="utf-8")
+    assert cli.main(["run", "cell.toml", "--quiet"]) == 0
+    assert capsys.readouterr() == ("", "")
+
+
+#: Changes of the small cell, and the last line of its run: why, where (arm, joint, limit) and since when.
+FAILURES = {
+    "blocked at a joint limit": (
+        ("translation_m = [0, 0, 0.02]", "translation_m = [0, 0, 0.2]"),
+        (
+            'robot = "arm7"',
+            'robot = "arm7"\nlimits = { upper_deg = [2, 25, 2, 124, 2, -53, 2] }',
+        ),
+        r"Did the object arrive\? No: blocked since \d\.\d{3} s by arm a joint joint_\d: position.*",
+    ),
+    "too slow for the longest time": (
+        ("duration_s = 0.6", "duration_s = 0.6\ntime_law = 'linear'"),
+        ('robot = "arm7"', 'robot = "arm7"\nlimits = { velocity_deg_per_s = 0.1 }'),
+        r"Did the object arrive\? No: slowed since 0\.000 s by arm a joint joint_\d: velocity.*",
+    ),
+}
+
+
+@pytest.mark.parametrize("case", sorted(FAILURES))
+def test_a_run_that_fails_says_why_where_and_since_when(case: str, capsys: pytest.CaptureFixture[str]) -> None:
+    *changes, message = FAILURES[case]
+    text = SMALL.format(name="fails", more="")
+    for old, new in changes:
+        assert old in text
+        text = text.replace(old, new)
+    Path("fails.toml").write_text(text, encoding="utf-8")
+    for extra in ([], ["--quiet"]):
+        assert cli.main(["run", "fails.toml", "--out", f"out{len(extra)}", *extra]) == 4
+        last = capsys.readouterr().err.splitlines()[-1]
+        assert re.fullmatch(f"coopqp: failed: {message}", last), last
+    recording = Recording.load("out0/recording.npz")  # the report says the same
+    cell = read_cell(recording.metadata)
+    assert last == f"coopqp: failed: {why(judge(cell, recording, read_run(cell, recording)))[-1]}"
+
+
+def test_the_file_sets_the_tolerances(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The verdict of the command, and later that of the report, use the tolerances of the file."""
+    text = SMALL.format(name="strict", more="[verdict]\nobject_mm = 1e-15")
+    Path("strict.toml").write_text(text, encoding="utf-8")
+    assert cli.main(["run", "strict.toml", "--out", "strict"]) == 4
+    printed = capsys.readouterr()
+    assert "(asked: 1e-15 mm, 0.5°)" in printed.out
+    assert "the object at arm a, beyond the tolerance since 0." in printed.err
+    recording = Recording.load("strict/recording.npz")
+    assert Tolerances.of(recording) == Tolerances(object_mm=1e-15)
+    recording.metadata["settings"]["verdict"] = {"object_mm": "no"}
+    with pytest.raises(RecordingError, match="'verdict' in the recording's settings is damaged"):
+        Tolerances.of(recording)
+
+
+def test_blocked_runs_end_after_the_same_while_in_files_and_programs() -> None:
+    """A stopped object ends a run after one second, unless another time is given."""
+    old, new = FAILURES["blocked at a joint limit"][:2]
+    text = SMALL.format(name="waits", more="").replace(*old).replace(*new)
+    Path("waits.toml").write_text(text, encoding="utf-8")
+    task = load_cell_file("waits.toml")
+    ends = [task.run(), simulate(task.controller(), q_start=task.scenario.q_start)]
+    stood = [run.time[-1] - run.time[np.flatnonzero(run.status < 2)[-1] + 1] for run in ends]
+    assert stood == pytest.approx([1.0, 1.0], abs=task.scenario.dt)
+
+
+def test_ctrl_c_during_the_imports_is_an_interrupt(cell_file: Path) -> None:
+    """Whichever import is interrupted, the status is 130 and nothing else is printed."""
+    code = (
+        "import sys\n"
+        "class Interrupt:\n"
+        "    def find_spec(self, name, path=None, target=None):\n"
+        "        if name == {module!r}: raise KeyboardInterrupt\n"
+        "sys.meta_path.insert(0, Interrupt())\n"
+        "from coopqp.app.cli import main\n"
+        "sys.exit(main(['run', {cell!r}]))"
+    )
+    for module in ("numpy", "pinocchio", "coopqp.simulation.assessment", "pydantic"):
+        program = code.format(module=module, cell=str(cell_file))
+        done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False)
+        assert (done.returncode, done.stdout, done.stderr) == (130, "", "coopqp: interrupted\n"), module
 
 
 def test_a_terminal_gets_colours_and_a_bar(
@@ -135,6 +239,8 @@ def test_schema_is_printed_for_people_and_programs(tmp_path: Path, capsys: pytes
     assert json.loads(capsys.readouterr().out)["title"] == "CellFile"
     assert cli.main(["schema", "--example"]) == 0
     assert capsys.readouterr().out == example_path("paper_lift").read_text()
+    assert cli.main(["schema", "--example", "paper_baseline"]) == 0
+    assert capsys.readouterr().out == example_path("paper_baseline").read_text()
 
 
 # -- view, report, export ------------------------------------------------------------------------------------------
@@ -277,10 +383,91 @@ def test_a_recording_without_a_scene_says_so(recording_file: Path, capsys: pytes
 
 def test_products_that_do_not_exist_are_named(tmp_path: Path) -> None:
     with pytest.raises(KeyError, match="Did you mean 'report'"):
-        runs.check_products(tmp_path, ["reprot"])
-    (tmp_path / "bag").mkdir()
-    with pytest.raises(OutputError, match="it exists"):
-        runs.check_products(tmp_path, ["bag"])
+        runs.output_folder("run", None, ["reprot"], out=None, force=False)
+
+
+def test_nothing_is_overwritten_unless_it_is_asked_for(cell_file: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Runs go into fresh numbered folders; a folder of --out that is used needs --force, and so does a recording."""
+    for folder in ("out/small_run", "out/small_run-2", "out/small_run-3"):
+        assert cli.main(["run", str(cell_file)]) == 0
+        assert written(capsys.readouterr().out) == [f"{folder}/recording.npz"]
+    assert cli.main(["run", str(cell_file), "--out", "out/small_run"]) == 2
+    assert "out/small_run/recording.npz exists. Replace it with --force" in capsys.readouterr().err
+    assert cli.main(["run", str(cell_file), "--force"]) == 0
+    assert written(capsys.readouterr().out) == ["out/small_run/recording.npz"]
+    assert len(list(Path("out").iterdir())) == 3
+    assert cli.main(["run", str(cell_file), "--out", "b", "--bag", "--quiet"]) == 0
+    assert cli.main(["run", str(cell_file), "--out", "b", "--bag", "--quiet", "--force"]) == 0
+    (Path("b") / "bag" / "mine.txt").write_text("not a file of a bag")
+    assert cli.main(["run", str(cell_file), "--out", "b", "--bag", "--quiet", "--force"]) == 2
+    assert "is no bag of coopqp and was not replaced" in capsys.readouterr().err
+    export = ["export", "out/small_run/recording.npz", "--quiet", "--npz", "again.npz"]
+    assert [cli.main(export), cli.main(export), cli.main([*export, "--force"])] == [0, 2, 0]
+
+
+@pytest.mark.parametrize("folder", ["/tmp/x", "../x", "a/../../x", "C:/x", "~/x", "$HOME/x", "a\\\\..\\\\x"])
+def test_a_file_writes_below_the_working_directory_only(folder: str, capsys: pytest.CaptureFixture[str]) -> None:
+    Path("away.toml").write_text(SMALL.format(name="away", more=f'[output]\nfolder = "{folder}"'))
+    assert cli.main(["run", "away.toml"]) == 2
+    assert "output.folder: give a folder below the working directory" in capsys.readouterr().err
+
+
+def test_an_interrupt_leaves_no_partial_file_and_no_empty_folder(
+    cell_file: Path, recording_file: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Whichever file is being written."""
+    before = set(Path().rglob("*"))
+    commands = {
+        "coopqp.output._write": ["run", str(cell_file), "--out", "a/b", "--csv"],
+        "coopqp.simulation.simulate.np.savez_compressed": ["run", str(cell_file), "--out", "a/b"],
+        "coopqp.files.export._rename_inside": ["export", str(recording_file), "--bag", "c/d/bag"],
+        "pathlib.Path.replace": ["export", str(recording_file), "--csv", "c/d/run.csv"],
+    }
+    for place, command in commands.items():
+        with monkeypatch.context() as patched:
+            patched.setattr(place, _interrupt)
+            assert cli.main(command) == 130, command
+        assert set(Path().rglob("*")) == before, command
+
+
+def _interrupt(*_: object, **__: object) -> None:
+    raise KeyboardInterrupt
+
+
+@pytest.mark.parametrize("text", ["\x1b[2Jred", "a\u202eb", "a\x07", "two\nlines"])
+def test_control_characters_reach_no_terminal(
+    text: str, recording_file: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """Neither from a cell file nor from the recording of a stranger."""
+    escaped = json.dumps(text)[1:-1].replace("\x07", "\\u0007")
+    Path("odd.toml").write_text(SMALL.format(name=escaped, more=""), encoding="utf-8")
+    assert cli.main(["run", "odd.toml"]) == 2
+    printed = capfd.readouterr().err
+    assert "name: " in printed
+    assert "has control characters" in printed
+    for name in ("robot", "urdf"):
+        Path("odd.toml").write_text(SMALL.format(name="x", more="").replace('robot = "arm7"', f'{name} = "{escaped}"'))
+        assert cli.main(["run", "odd.toml"]) == 2
+        printed += capfd.readouterr().err
+    recording = Recording.load(recording_file)
+    recording.metadata["scenario"] = text
+    recording.metadata["scene"]["arms"][0]["joints"][0]["name"] = text
+    recording.save("odd.npz")
+    cli.main(["view", text])
+    cli.main(["export", "odd.npz", "--csv", "-"])
+    printed += "".join(capfd.readouterr())
+    assert text not in printed
+    assert not set(printed) & {"\x1b", "\u202e", "\x07"}
+
+
+def test_no_cell_of_a_table_is_a_formula(tmp_path: Path) -> None:
+    text = SMALL.format(name="x", more="").replace('"a"', '"=cmd()"').replace("deg.a", 'deg."=cmd()"')
+    Path("cell.toml").write_text(text)
+    assert cli.main(["run", "cell.toml", "--csv", "--quiet"]) == 0
+    rows = list(csv.reader(Path("out/small_x/run.csv").read_text().splitlines()))
+    assert "'=cmd()/joint_1.position_rad" in rows[0]
+    for cell in (cell for row in rows for cell in row):
+        assert re.fullmatch(r"-?\d.*", cell) or not cell.startswith(("=", "+", "-", "@", "\t", "\r")), cell
 
 
 @pytest.mark.parametrize(("name", "folder"), [("paper lift", "paper_lift"), ("../../etc", "_.._etc"), ("a/b", "a_b")])

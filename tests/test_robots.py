@@ -13,8 +13,9 @@ import pinocchio as pin
 import pytest
 from numpy.typing import NDArray
 
-from coopqp import UnknownNameError, robot_path
-from coopqp.scenarios import ROBOT_NAMES
+from coopqp import CoopqpError, MissingExtraError, UnknownNameError, robot_path
+from coopqp.scenarios import ROBOT_NAMES, ROBOTS, robot_arm, robot_file, robot_table
+from coopqp.scenarios.arms import robot_data_path
 
 Array = NDArray[np.float64]
 
@@ -399,3 +400,84 @@ def test_rx90l_does_not_hit_itself(q: Array) -> None:
     shapes = load_shapes("rx90l", model, pin.GeometryType.COLLISION)
     add_pairs(shapes, lambda steps: steps > 1)
     assert not pin.computeCollisions(model, model.createData(), shapes, shapes.createData(), q, False)
+
+
+# -- robots by name ------------------------------------------------------------------------------------------------
+
+
+def _installed() -> bool:
+    try:
+        return robot_data_path("urdf/panda.urdf").is_file()
+    except MissingExtraError:
+        return False
+
+
+needs_robots = pytest.mark.skipif(not _installed(), reason="needs the extra robots")
+
+
+def test_the_robots_of_coopqp_have_names() -> None:
+    assert {name for name, robot in ROBOTS.items() if not robot.extra} == set(ROBOT_NAMES)
+
+
+@pytest.mark.parametrize("name", ROBOTS)
+def test_a_robot_is_what_its_entry_says(name: str) -> None:
+    """Joints, tool frame and limits; the fingers are locked; every program gets its own placement and limits."""
+    robot = ROBOTS[name]
+    if robot.extra and not _installed():
+        pytest.skip("needs the extra robots")
+    base = pin.SE3(np.eye(3), np.array([1.0, 2.0, 3.0]))
+    arm = robot_arm(name, name="mine", geometry=False, T_world_base=base.homogeneous, velocity=0.5)
+    assert (arm.name, arm.model.nv, arm.tool_frame) == ("mine", robot.joints, robot.tool_frame)
+    np.testing.assert_array_equal(arm.T_world_base.homogeneous, base.homogeneous)
+    np.testing.assert_array_equal(arm.limits.velocity, 0.5)
+    assert (robot_arm(name, geometry=False).limits.velocity != 0.5).all()
+    np.testing.assert_array_equal(arm.limits.acceleration, robot.acceleration or np.inf)
+    assert robot_file(name).is_file()
+    line = next(line for line in robot_table().splitlines() if line.split()[0].rstrip("*") == name)
+    assert all(word in line for word in (str(robot.joints), robot.licence, robot.source))
+
+
+@needs_robots
+def test_every_single_arm_of_the_package_has_a_name() -> None:
+    """An arm is a chain of four joints or more that ends in one tool or in a gripper, and nothing else."""
+    folder = next(path for path in robot_data_path("urdf/panda.urdf").parents if path.name == "robots")
+    named = {str(robot_file(name)) for name, robot in ROBOTS.items() if robot.extra}
+    arms = set()
+    others = {"panda_collision", "hextilt_flying_arm_5"}  # the same arm with other shapes; an arm that flies
+    for file in folder.rglob("*.urdf"):
+        if 'robot name=""' in file.read_text() or not ET.parse(file).getroot().get("name"):
+            continue
+        model = pin.buildModelFromUrdf(str(file))
+        longest = max((list(support)[1:] for support in model.supports), key=len)
+        fingers = [i for i in range(1, model.njoints) if i not in longest]
+        hand = all(model.parents[i] in longest[-2:] or model.parents[i] in fingers for i in fingers)
+        if len(longest) >= 4 and len(fingers) <= 6 and hand and model.nv <= 13 and file.stem not in others:
+            arms.add(str(file))
+    assert arms == named
+
+
+@needs_robots
+def test_a_robot_has_its_meshes() -> None:
+    arm = robot_arm("xarm7")
+    assert len(arm.visual.geometryObjects) == 8
+    assert all(Path(shape.meshPath).is_file() for shape in arm.visual.geometryObjects)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"robot": "rx90"}, "Did you mean 'rx90l'"),
+        ({"robot": 3}, "no robot named '3'"),
+        ({"robot": "arm7", "tool_frame": "tol"}, "Did you mean 'tool'"),
+        ({"robot": "arm7", "locked_joints": {"joint_9": 0.0}}, "no joint named 'joint_9'"),
+        ({"robot": "arm7", "locked_joints": {"joint_1": [1]}}, "joint_1"),
+        ({"robot": "arm7", "locked_joints": 3}, "locked_joints is a int"),
+        ({"robot": "arm7", "speed": 3}, "no limit named 'speed'"),
+        ({"robot": "arm7", "name": "a/b"}, "'a/b' is not a name"),
+        ({"robot": "arm7", "name": "a\x1b[2J"}, "has control characters"),
+        ({"robot": "arm7", "T_world_base": 3}, "T_world_base"),
+    ],
+)
+def test_a_wrong_request_is_named(arguments: dict[str, object], message: str) -> None:
+    with pytest.raises(CoopqpError, match=message):
+        robot_arm(**arguments)  # type: ignore[arg-type]

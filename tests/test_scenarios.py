@@ -40,7 +40,7 @@ from coopqp.scenarios import (
     ur5_table,
     wide_grasp,
 )
-from coopqp.scenarios.robot_data import robot_data_path
+from coopqp.scenarios.arms import robot_data_path
 
 #: Scenarios with a path that the arms can follow to its end at full rate.
 EASY = [name for name in SCENARIOS if name not in ("fast_lift", "at_limit", "at_singularity")]

@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import builtins
+import contextlib
+import http.client
 import json
 from collections.abc import Callable, Iterator
 from dataclasses import replace
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -268,6 +271,48 @@ def live(run: Recording) -> Iterator[LiveViewer]:
 
 def test_it_listens_on_this_machine_alone(live: LiveViewer) -> None:
     assert live.url.startswith("http://127.0.0.1:")
+
+
+def _answer(live: LiveViewer, **headers: str) -> int:
+    """Status of a request for the page, with other headers than a browser's."""
+    address = live.url.removeprefix("http://")
+    connection = http.client.HTTPConnection(address, timeout=10)
+    connection.putrequest("GET", "/", skip_host=True)
+    for name, value in {"Host": address, **headers}.items():
+        connection.putheader(name, value)
+    connection.endheaders()
+    with contextlib.closing(connection):
+        return connection.getresponse().status
+
+
+def test_foreign_pages_get_nothing(live: LiveViewer) -> None:
+    """Pages of other addresses, and names that others point to this machine: neither the page nor the run."""
+    port = live.url.rpartition(":")[2]
+    assert _answer(live) == 200
+    assert _answer(live, Host=f"localhost:{port}", Origin=f"http://localhost:{port}") == 200
+    foreign = (
+        "http://evil.example",
+        f"http://evil.example:{port}",
+        "null",
+        "http://127.0.0.1:1",
+        "file://",
+        "http://[",
+    )
+    assert {_answer(live, Origin=origin) for origin in foreign} == {403}
+    hosts = (f"evil.example:{port}", "127.0.0.1:1", "127.0.0.1", "", f"127.0.0.1.evil.example:{port}", f"[:{port}")
+    assert {_answer(live, Host=host) for host in hosts} == {403}
+
+
+def test_the_run_is_sent_to_its_own_page_only(live: LiveViewer) -> None:
+    from websockets.exceptions import InvalidStatus
+    from websockets.sync import client
+
+    address = live.url.replace("http://", "ws://")
+    with client.connect(address, origin=live.url, subprotocols=[f"viser-v{version('viser')}"]) as own:
+        assert own.recv(timeout=10)
+    for origin in ("http://evil.example", "null"):
+        with pytest.raises(InvalidStatus, match="403"):
+            client.connect(address, origin=origin)
 
 
 def test_it_plays_and_starts_again_after_a_rest(live: LiveViewer) -> None:

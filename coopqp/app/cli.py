@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, NoReturn
 
 from coopqp.app.commands import COMMANDS
 from coopqp.app.terminal import print_table, reporter
-from coopqp.errors import CoopqpError
+from coopqp.errors import CoopqpError, printable
 
 if TYPE_CHECKING:
     from coopqp.app.demo import DemoRun
@@ -33,7 +33,20 @@ class _Parser(argparse.ArgumentParser):
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run the command line. Returns the exit status: 0, 2 after bad input, 130 after an interrupt."""
+    """Run the command line.
+
+    Returns:
+        0 if all is well; 2 after bad input; 4 after a run that did not finish or whose verdict has a check that does
+        not hold; 130 after an interrupt. 3 is kept for a cell that cannot hold its object.
+    """
+    try:
+        return _main(argv)
+    except KeyboardInterrupt:
+        print("coopqp: interrupted", file=sys.stderr)
+        return INTERRUPTED
+
+
+def _main(argv: Sequence[str] | None) -> int:
     parser = _Parser(prog="coopqp", description="QP-based cooperative control of several arms that hold one object.")
     parser.add_argument("--version", action="version", version=f"coopqp {metadata.version('coopqp')}")
     commands = parser.add_subparsers(title="commands", dest="command", metavar="COMMAND", required=True)
@@ -45,11 +58,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         status = run(arguments)
         sys.stdout.flush()
     except CoopqpError as error:
-        print("coopqp: error:", " ".join(str(error).split()), file=sys.stderr)
+        print("coopqp: error:", printable(" ".join(str(error).split())), file=sys.stderr)
         return BAD_INPUT
-    except KeyboardInterrupt:
-        print("coopqp: interrupted", file=sys.stderr)
-        return INTERRUPTED
     except BrokenPipeError:  # the reader has closed the pipe, as in `coopqp demo | head`
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return OK

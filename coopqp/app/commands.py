@@ -7,17 +7,19 @@ import contextlib
 import json
 import sys
 import webbrowser
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from coopqp.app.terminal import BOLD, GREEN, RED, Reporter, print_table, reporter, styled
-from coopqp.errors import CoopqpError
+from coopqp.errors import CoopqpError, printable
 
 if TYPE_CHECKING:
-    from coopqp.model.cell import RobotCell
+    from coopqp.simulation.assessment import Finding
     from coopqp.simulation.simulate import ProgressCallback, Recording
 
-_OK = 0
+_OK, _FAILED = 0, 4
 _RUN_HELP = "a recording (.npz), a cell file (.toml, .yaml) or the name of a scenario"
 
 
@@ -29,10 +31,13 @@ def _add_run(commands: Any) -> None:
         "run",
         help="run a cell file (TOML or YAML)",
         description="Run what a cell file describes, print its figures and verdict, and write what it asks for.",
-        epilog="`coopqp schema` prints every key of a cell file.",
+        epilog="`coopqp schema` prints every key of a cell file. Exit status: 0 if the run finished and every check of "
+        "its verdict holds (tolerances: table [verdict] of the file), 4 if not; 2 for bad input, 130 for Ctrl-C; 3 is "
+        "kept for cells that cannot hold their object. With status 4 the last lines say why, where and since when.",
     )
     parser.add_argument("cell", type=Path, metavar="CELL", help="the cell file, TOML or YAML")
-    parser.add_argument("--out", type=Path, metavar="DIR", help="folder of what is written (out/NAME)")
+    parser.add_argument("--out", type=Path, metavar="DIR", help="folder of what is written: any folder (out/NAME)")
+    parser.add_argument("--force", action="store_true", help="overwrite an earlier run in the folder")
     for product, text in (
         ("report", "the report (HTML)"),
         ("plots", "the pictures (PNG)"),
@@ -49,43 +54,47 @@ def _add_run(commands: Any) -> None:
 def _run_run(arguments: argparse.Namespace) -> int:
     from coopqp.app import runs
     from coopqp.files.cellfile import load_cell_file
+    from coopqp.simulation.assessment import judge, read_run, run_figures, why
 
     task = load_cell_file(arguments.cell)
     output = task.settings.output
     products = [name for name in runs.PRODUCTS if getattr(output, name) or getattr(arguments, name, False)]
-    folder = arguments.out or Path(output.folder or Path("out") / runs.safe_name(task.scenario.name))
-    runs.check_products(folder, products)
+    folder = runs.output_folder(task.scenario.name, output.folder, products, out=arguments.out, force=arguments.force)
     with reporter(quiet=arguments.quiet) as report:
         recording = task.run(progress=_progress(report, task.scenario.name))
-        files = runs.write_products(recording, folder, products, tell=report.note)
+        files = runs.write_products(recording, folder, products, tell=report.note, force=arguments.force)
+    cell = task.scenario.cell
+    readings = read_run(cell, recording)
+    findings = judge(cell, recording, readings)
     if not arguments.quiet:
-        _print_run(task.scenario.cell, recording)
+        _print_run(run_figures(cell, recording, readings), findings)
         print()
         _print_written(files)
+    causes = why(findings)
+    if causes:
+        sys.stdout.flush()
+        print(*(f"coopqp: failed: {printable(line)}" for line in causes), sep="\n", file=sys.stderr, flush=True)
     if arguments.view:
         _serve(recording, quiet=arguments.quiet)
-    return _OK
+    return _FAILED if causes else _OK
 
 
 def _progress(report: Reporter, name: str) -> ProgressCallback:
     return lambda done, planned: report.step(name, done, planned)
 
 
-def _print_run(cell: RobotCell, recording: Recording) -> None:
+def _print_run(figures: Mapping[str, str], findings: Sequence[Finding]) -> None:
     """Print the figures as a table and the verdict as lines."""
-    from coopqp.simulation.assessment import judge, read_run, run_figures
-
-    readings = read_run(cell, recording)
-    print_table(list(run_figures(cell, recording, readings).items()), numeric=(False, False), head=False)
+    print_table(list(figures.items()), numeric=(False, False), head=False)
     print()
-    for finding in judge(cell, recording, readings):
+    for finding in findings:
         mark = styled("yes", GREEN) if finding.holds else styled("NO ", BOLD, RED)
-        print(f"{mark}  {finding.question} {finding.answer}")
+        print(f"{mark}  {finding.question} {printable(finding.answer)}")
 
 
 def _print_written(files: list[Path]) -> None:
     if files:
-        print("written:", *files, sep="\n  ")
+        print("written:", *(printable(str(file)) for file in files), sep="\n  ")
 
 
 # -- coopqp schema -------------------------------------------------------------------------------------------------
@@ -96,15 +105,26 @@ def _add_schema(commands: Any) -> None:
         "schema", help="print every key of a cell file", description="Print every key of a cell file."
     )
     parser.add_argument("--json", action="store_true", help="print the JSON Schema, for editors")
-    parser.add_argument("--example", action="store_true", help="print the paper's example as a cell file")
+    parser.add_argument("--robots", action="store_true", help="print the robots that `robot` can name")
+    parser.add_argument(
+        "--example",
+        nargs="?",
+        const="paper_lift",
+        metavar="NAME",
+        help="print a cell file that comes with coopqp: paper_lift (default) or paper_baseline",
+    )
     parser.set_defaults(run=_run_schema)
 
 
 def _run_schema(arguments: argparse.Namespace) -> int:
     from coopqp.files import cellfile
 
-    if arguments.example:
-        print(cellfile.example_path("paper_lift").read_text(), end="")
+    if arguments.robots:
+        from coopqp.scenarios import robot_table
+
+        print(robot_table(), end="")
+    elif arguments.example:
+        print(cellfile.example_path(arguments.example).read_text(encoding="utf-8"), end="")
     elif arguments.json:
         print(json.dumps(cellfile.json_schema(), indent=1, ensure_ascii=False))
     else:
@@ -199,6 +219,7 @@ def _add_report(commands: Any) -> None:
         ("object-deg", "DEG", "the object against its path (0.5)"),
     ):
         parser.add_argument(f"--{name}", type=float, metavar=unit, help=f"largest error that is held: {text}")
+    parser.epilog = "Without these options the tolerances of the run's cell file hold."
     parser.add_argument("--quiet", action="store_true", help="print errors only")
     parser.set_defaults(run=_run_report)
 
@@ -209,13 +230,15 @@ def _run_report(arguments: argparse.Namespace) -> int:
     from coopqp.simulation.assessment import Tolerances
 
     asked = {name: getattr(arguments, name) for name in ("chain_mm", "chain_deg", "object_mm", "object_deg")}
-    tolerances = Tolerances(**{name: value for name, value in asked.items() if value is not None})
+    asked = {name: value for name, value in asked.items() if value is not None}
+    Tolerances(**asked)  # bad ones are refused before the run
     source = Path(arguments.what)
     name = f"{source.stem}_report.html"
     page = arguments.out or (source.with_name(name) if source.suffix == ".npz" else Path(name))
     check_file(page)
     recording = _obtain(arguments.what, quiet=arguments.quiet)
     with reporter(quiet=arguments.quiet) as report:
+        tolerances = replace(Tolerances.of(recording), **asked)
         write_report(recording, page, tolerances=tolerances, progress=report.note)
     if not arguments.quiet:
         _print_written([page])
@@ -235,13 +258,15 @@ def _add_export(commands: Any) -> None:
     parser.add_argument("--csv", type=Path, metavar="FILE", help="a table, one row per sample; - for stdout")
     parser.add_argument("--bag", type=Path, metavar="DIR", help="a bag of joint states and trajectories; a new folder")
     parser.add_argument("--npz", type=Path, metavar="FILE", help="a recording, to be shown and reported later")
+    parser.add_argument("--force", action="store_true", help="overwrite an existing recording")
     parser.add_argument("--quiet", action="store_true", help="print errors only")
     parser.set_defaults(run=_run_export)
 
 
 def _run_export(arguments: argparse.Namespace) -> int:
+    from coopqp.app.runs import save_recording
     from coopqp.files.export import csv_text, write_bag, write_csv
-    from coopqp.output import check_file
+    from coopqp.output import OutputError, check_file
 
     to_stdout = arguments.csv == Path("-")
     if arguments.csv is None and arguments.bag is None and arguments.npz is None:
@@ -249,11 +274,12 @@ def _run_export(arguments: argparse.Namespace) -> int:
     for file in (None if to_stdout else arguments.csv, arguments.npz):
         if file is not None:
             check_file(file)
+    if arguments.npz is not None and arguments.npz.exists() and not arguments.force:
+        raise OutputError(f"{arguments.npz} exists. Replace it with --force, or give another name.")
     recording = _obtain(arguments.what, quiet=arguments.quiet)
     files = []
     if arguments.npz is not None:
-        arguments.npz.parent.mkdir(parents=True, exist_ok=True)
-        files.append(recording.save(arguments.npz))
+        files.append(save_recording(recording, arguments.npz))
     if to_stdout:
         sys.stdout.write(csv_text(recording))
     elif arguments.csv is not None:

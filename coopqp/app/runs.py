@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Callable, Iterable
 from pathlib import Path
 
 from coopqp.control.qp import QPController
-from coopqp.errors import CoopqpError, UnknownNameError
-from coopqp.output import OutputError, check_folder
+from coopqp.errors import UnknownNameError
+from coopqp.output import OutputError, check_folder, folder_of
 from coopqp.simulation.scene import describe_object, read_cell, read_object
 from coopqp.simulation.simulate import ProgressCallback, Recording, simulate
 
@@ -20,10 +21,6 @@ PRODUCTS = {
     "csv": ("run.csv",),
     "bag": ("bag",),
 }
-
-
-#: Time until a scenario with a stopped object ends [s].
-PATIENCE = 1.0
 
 
 def obtain_run(name: str, *, progress: ProgressCallback | None = None) -> Recording:
@@ -51,25 +48,44 @@ def obtain_run(name: str, *, progress: ProgressCallback | None = None) -> Record
     controller = QPController(scenario.cell, scenario.grasp, scenario.path, dt=scenario.dt)
     box = describe_object(scenario.object_size, scenario.T_object_body)
     metadata = {"scenario": scenario.name, "method": "qp", "object": box}
-    return simulate(controller, q_start=scenario.q_start, patience=PATIENCE, progress=progress, metadata=metadata)
+    return simulate(controller, q_start=scenario.q_start, progress=progress, metadata=metadata)
 
 
-def check_products(folder: Path, products: Iterable[str]) -> None:
-    """Check before a long run that its products can be written.
+def output_folder(name: str, asked: str | None, products: Iterable[str], *, out: Path | None, force: bool) -> Path:
+    """The folder of a run. Nothing in it is overwritten, unless ``force``.
+
+    Args:
+        name: name of the run.
+        asked: folder that the cell file asks for, below the working directory.
+        products: names of :data:`PRODUCTS`.
+        out: folder of the option ``--out``: any folder.
+        force: overwrite what is there.
 
     Raises:
         UnknownNameError: no such product.
-        OutputError: the folder cannot be written, or it already contains a bag.
+        OutputError: the folder cannot be written, or ``out`` already has one of the products.
     """
     wanted = list(products)
     for product in wanted:
         if product not in PRODUCTS:
             raise UnknownNameError("product", product, PRODUCTS)
+    files = [file for product in wanted for file in PRODUCTS[product]]
+    folder = out or Path(asked or Path("out") / safe_name(name))
+    used = _first_used(folder, files)
+    if used is not None and not force:
+        if out is not None:
+            raise OutputError(f"{used} exists. Replace it with --force, or give another folder.")
+        number = 2
+        while _first_used(folder.with_name(f"{folder.name}-{number}"), files):
+            number += 1
+        folder = folder.with_name(f"{folder.name}-{number}")
     if wanted:
         check_folder(folder)
-    bag = folder / PRODUCTS["bag"][0]
-    if "bag" in wanted and bag.exists():
-        raise OutputError(f"cannot write the bag {bag}: it exists. Remove it, or give another folder.")
+    return folder
+
+
+def _first_used(folder: Path, files: Iterable[str]) -> Path | None:
+    return next((folder / file for file in files if (folder / file).exists()), None)
 
 
 def write_products(
@@ -78,6 +94,7 @@ def write_products(
     products: Iterable[str],
     *,
     tell: Callable[[str], None] | None = None,
+    force: bool = False,
 ) -> list[Path]:
     """Write products into a folder. Returns the files in the order of :data:`PRODUCTS`.
 
@@ -86,13 +103,16 @@ def write_products(
         folder: output folder; created if missing.
         products: names of :data:`PRODUCTS`.
         tell: called with a text for each stage.
+        force: overwrite what is there; by default it is an error.
 
     Raises:
-        UnknownNameError, OutputError: as in :func:`check_products`.
+        UnknownNameError, OutputError: as in :func:`output_folder`.
         MissingExtraError: a product needs an extra that is not installed.
     """
     wanted = set(products)
-    check_products(folder, wanted)
+    output_folder("", None, wanted, out=folder, force=force)
+    if force and "bag" in wanted:
+        _remove_bag(folder / PRODUCTS["bag"][0])
     say = tell or (lambda _: None)
     makers: dict[str, Callable[[Recording, Path, Callable[[str], None]], list[Path]]] = {
         "recording": lambda run, into, _: [_save(run, into)],
@@ -105,12 +125,31 @@ def write_products(
     return [file for name in PRODUCTS if name in wanted for file in makers[name](recording, folder, say)]
 
 
-def _save(recording: Recording, folder: Path) -> Path:
+def _remove_bag(bag: Path) -> None:
+    """Remove a bag, and nothing that is none.
+
+    Raises:
+        OutputError: the folder is no bag, or it cannot be removed.
+    """
+    if not bag.exists():
+        return
+    inside = {file.name for file in bag.iterdir()} if bag.is_dir() else {""}
+    if bag.is_symlink() or not inside <= {"metadata.yaml", f"{bag.name}.mcap"}:
+        raise OutputError(f"{bag} is no bag of coopqp and was not replaced. Give another folder.")
     try:
-        folder.mkdir(parents=True, exist_ok=True)
+        shutil.rmtree(bag)
     except OSError as error:
-        raise OutputError(f"cannot make {folder}: {error.strerror}. Give another folder.") from error
-    return recording.save(folder / PRODUCTS["recording"][0])
+        raise OutputError(f"cannot replace {bag}: {error.strerror}. Give another folder.") from error
+
+
+def _save(recording: Recording, folder: Path) -> Path:
+    return save_recording(recording, folder / PRODUCTS["recording"][0])
+
+
+def save_recording(recording: Recording, file: Path) -> Path:
+    """Write a recording, and its folder."""
+    with folder_of(file):
+        return recording.save(file)
 
 
 def _report(recording: Recording, folder: Path, say: Callable[[str], None]) -> list[Path]:
@@ -164,5 +203,5 @@ def safe_name(name: str) -> str:
     """A valid folder name from a name: letters, digits, dots, dashes and underscores, no dot first."""
     plain = "".join(c if c.isalnum() or c in "._-" else "_" for c in name).lstrip(".")
     if not plain:
-        raise CoopqpError(f"'{name}' makes no name for a folder. Give one with --out.")
+        raise OutputError(f"'{name}' makes no name for a folder. Give one with --out.")
     return plain

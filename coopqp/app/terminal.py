@@ -8,6 +8,8 @@ import sys
 from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, TextIO
 
+from coopqp.errors import printable
+
 if TYPE_CHECKING:
     from rich.progress import Progress
 
@@ -26,11 +28,16 @@ class _Lines(Reporter):
     """Prints one plain line on stderr at the beginning of each stage."""
 
     def note(self, text: str) -> None:
-        print(text, file=sys.stderr, flush=True)
+        print(printable(text), file=sys.stderr, flush=True)
 
     def step(self, label: str, done: int, planned: int) -> None:
         if done == 1:
             self.note(f"running {label}")
+
+
+def _unstyled(text: str) -> str:
+    """Text without control characters; rich reads ``[bold]`` as markup."""
+    return printable(text).replace("[", "\\[")
 
 
 class _Bar(Reporter):
@@ -41,14 +48,14 @@ class _Bar(Reporter):
         self._total = total
 
     def note(self, text: str) -> None:
-        self._bar.update(self._task, description=text)
+        self._bar.update(self._task, description=_unstyled(text))
 
     def step(self, label: str, done: int, planned: int) -> None:
         if self._total is None:
             self._total = planned
             self._bar.update(self._task, total=planned)
         # A slowed run takes more steps than planned. The bar does not count them.
-        self._bar.update(self._task, advance=float(done <= planned), description=label)
+        self._bar.update(self._task, advance=float(done <= planned), description=_unstyled(label))
 
 
 @contextlib.contextmanager
@@ -87,6 +94,7 @@ BOLD, GREEN, RED = 1, 32, 31
 
 def print_table(lines: Sequence[Sequence[str]], *, numeric: Sequence[bool], head: bool = True) -> None:
     """Print rows in columns, with numbers to the right and the head in bold."""
+    lines = [[printable(text) for text in line] for line in lines]
     widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
     for i, line in enumerate(lines):
         padded = (t.rjust(w) if n else t.ljust(w) for t, w, n in zip(line, widths, numeric, strict=True))

@@ -122,6 +122,18 @@ class ConstraintTrouble(Exception):  # noqa: N818
     """A constraint raised, or returned something else than rows; the step holds."""
 
 
+def listed(constraints: Any) -> tuple[Any, ...]:
+    """The constraints as a tuple.
+
+    Raises:
+        InvalidInputError: they are no sequence.
+    """
+    try:
+        return tuple(constraints)
+    except TypeError as error:
+        raise InvalidInputError(f"a {type(constraints).__name__}", "constraints", "Give a list of them.") from error
+
+
 @final
 class Constraints:
     """The further constraints of one controller, in their order.
@@ -139,7 +151,7 @@ class Constraints:
         self.velocity: list[tuple[int, VelocityConstraint]] = []
         self.rate: list[tuple[int, RateBound]] = []
         names = []
-        for i, item in enumerate(constraints):
+        for i, item in enumerate(listed(constraints)):
             where = f"constraints[{i}]"
             if not isinstance(getattr(item, "name", None), str):
                 raise InvalidInputError("it has no name", where, "Give it an attribute name (a string).")

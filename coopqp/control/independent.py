@@ -8,13 +8,14 @@ from __future__ import annotations
 
 import math
 import time
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, final
 
 import numpy as np
 import pinocchio as pin
 
-from coopqp.checks import as_scalar, keep_scalars
+from coopqp.checks import as_options, as_scalar, keep_scalars, require
 from coopqp.control.command import (
     NO_SOLVE,
     START_TOLERANCE_M,
@@ -79,7 +80,7 @@ class IndependentQPController:
     Args:
         cell, grasp, path: the arms, their grasp and the path of the object.
         dt: nominal length of a step [s].
-        options: settings.
+        options: settings, or a dictionary of them.
 
     Raises:
         InvalidInputError: bad settings.
@@ -94,12 +95,13 @@ class IndependentQPController:
         path: ObjectPath,
         *,
         dt: float,
-        options: IndependentQPOptions | None = None,
+        options: IndependentQPOptions | Mapping[str, Any] | None = None,
     ) -> None:
+        require(grasp, Grasp, "IndependentQPController: grasp", "Give a Grasp of the placements.")
         grasp.check_arms(cell)
         self.cell, self.grasp, self.path = cell, grasp, path
         self.dt = as_scalar(dt, "IndependentQPController: dt")
-        o = self.options = options or IndependentQPOptions()
+        o = self.options = as_options(IndependentQPOptions, options, "IndependentQPController: options")
         self._chain, self._box = Chain(cell, grasp), VelocityBox(cell)
         self._solvers = [make_solver(o.solver, o.solver_settings) for _ in cell.arms]
         self._shared = isinstance(o.solver, QpSolver)

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
-from coopqp.checks import as_count, keep_scalars
+from coopqp.checks import as_count, as_options, keep_scalars
 from coopqp.control.command import START_TOLERANCE_M, START_TOLERANCE_RAD
 from coopqp.control.forms import RankWeights
 from coopqp.control.solvers import QpSolver
@@ -66,9 +67,12 @@ class QPOptions:
         keep_scalars(self, "start_tolerance_m", "start_tolerance_rad")
         for name, kind in _PARTS.items():
             part = getattr(self, name)
+            if isinstance(part, Mapping) and kind is not CommonError:
+                part = as_options(kind, part, f"QPOptions: {name}")
+                object.__setattr__(self, name, part)
             if not isinstance(part, kind) and not (name == "preview" and part is None):
                 raise InvalidInputError(
-                    f"{name} is a {type(part).__name__}", "QPOptions", f"Give {kind.__name__}(…), or nothing."
+                    f"{name} is a {type(part).__name__}", "QPOptions", f"Give a {kind.__name__}, or nothing."
                 )
         if self.form not in ("condensed", "full"):
             raise UnknownNameError("form", str(self.form), ("condensed", "full"), "QPOptions")

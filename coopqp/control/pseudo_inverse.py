@@ -6,13 +6,14 @@ The algorithm is open loop and ignores limits. It is the baseline.
 from __future__ import annotations
 
 import time
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Literal, final
 
 import numpy as np
 import pinocchio as pin
 
-from coopqp.checks import as_count, as_scalar, keep_scalars
+from coopqp.checks import as_count, as_options, as_scalar, keep_scalars, require
 from coopqp.control.command import START_TOLERANCE_M, START_TOLERANCE_RAD, ControlStep, Status, check_start
 from coopqp.errors import InvalidInputError, UnknownNameError, UnreachableError
 from coopqp.model.cell import RobotCell
@@ -78,12 +79,13 @@ class PseudoInverseController:
         path: ObjectPath,
         *,
         dt: float,
-        options: PseudoInverseOptions | None = None,
+        options: PseudoInverseOptions | Mapping[str, Any] | None = None,
     ) -> None:
+        require(grasp, Grasp, "PseudoInverseController: grasp", "Give a Grasp of the placements.")
         grasp.check_arms(cell)
         self.cell, self.grasp, self.path = cell, grasp, path
         self.dt = as_scalar(dt, "PseudoInverseController: dt")
-        self.options = options or PseudoInverseOptions()
+        self.options = as_options(PseudoInverseOptions, options, "PseudoInverseController: options")
         if self.options.increment != "exact" and not isinstance(path, LinePath):
             raise InvalidInputError(
                 f"the paper's '{self.options.increment}' increment needs a LinePath, got {type(path).__name__}",

@@ -10,14 +10,14 @@ from __future__ import annotations
 
 import copy
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, final
 
 import pinocchio as pin
 
-from coopqp.checks import as_scalar
+from coopqp.checks import as_options, as_scalar, require
 from coopqp.control.command import ControlStep, check_start
-from coopqp.control.constraints import Constraints
+from coopqp.control.constraints import Constraints, listed
 from coopqp.control.core import make_loop
 from coopqp.control.options import QPOptions
 from coopqp.control.plain import PlainLoop, held_at
@@ -40,7 +40,7 @@ class QPController:
     Args:
         cell, grasp, path: what moves, how it holds, and where to.
         dt: nominal length of a step [s].
-        options: settings.
+        options: settings, or a dictionary of them.
         constraints: further constraints, see :class:`coopqp.VelocityConstraint` and :class:`coopqp.RateBound`.
 
     Attributes:
@@ -59,9 +59,10 @@ class QPController:
         path: ObjectPath,
         *,
         dt: float,
-        options: QPOptions | None = None,
+        options: QPOptions | Mapping[str, Any] | None = None,
         constraints: Sequence[Any] = (),
     ) -> None:
+        require(grasp, Grasp, "QPController: grasp", "Give a Grasp of the placements.")
         grasp.check_arms(cell)
         GuardedPath(path).check("QPController: path")
         self._build(cell, grasp, path, dt, options, constraints)
@@ -77,8 +78,8 @@ class QPController:
     ) -> None:
         self.cell, self.grasp, self.path = cell, grasp, path
         self.dt = as_scalar(dt, "QPController: dt")
-        self.options = options or QPOptions()
-        self.constraints = tuple(constraints)
+        self.options = as_options(QPOptions, options, "QPController: options")
+        self.constraints = listed(constraints)
         checked = Constraints(cell, self.constraints)
         self._loop = make_loop(cell, grasp, dt=self.dt, options=self.options, constraints=checked)
         self.kernel, self.solver = self._loop.kernel, self._loop.solver.name

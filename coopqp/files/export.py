@@ -14,9 +14,9 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from coopqp.errors import InvalidInputError, MissingExtraError
+from coopqp.errors import InvalidInputError, MissingExtraError, printable
 from coopqp.model.cell import RobotCell
-from coopqp.output import OutputError, check_folder, write_files
+from coopqp.output import OutputError, check_folder, folder_of, write_files
 from coopqp.simulation.assessment import Readings, check_recording, read_run, slides
 from coopqp.simulation.scene import read_cell
 from coopqp.simulation.simulate import Recording
@@ -52,9 +52,17 @@ def csv_text(recording: Recording, *, cell: RobotCell | None = None) -> str:
     readings = read_run(cell, recording)
     stream = io.StringIO()
     writer = csv.writer(stream, lineterminator="\n")
-    writer.writerow(_header(cell))
-    writer.writerows(_rows(cell, recording, readings))
+    writer.writerow(map(_cell, _header(cell)))
+    writer.writerows(map(_cell, row) for row in _rows(cell, recording, readings))
     return stream.getvalue()
+
+
+def _cell(value: Any) -> Any:
+    """A cell of the table: texts without control characters, and none that a spreadsheet takes for a formula."""
+    if not isinstance(value, str):
+        return value
+    text = printable(value)
+    return f"'{text}" if text.startswith(("=", "+", "-", "@")) else text
 
 
 def _header(cell: RobotCell) -> list[str]:
@@ -152,21 +160,21 @@ def write_bag(recording: Recording, folder: str | Path, *, cell: RobotCell | Non
     check_folder(target.parent)
     messages = _Messages(get_typestore(Stores.ROS2_JAZZY), cell, recording, start)
     temporary = target.with_name(f".{target.name}.{secrets.token_hex(4)}.tmp")
-    try:
-        target.parent.mkdir(parents=True, exist_ok=True)
-        with Writer(temporary, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
-            connections: dict[str, Any] = {}
-            for nanoseconds, topic, message in messages.all():
-                if topic not in connections:
-                    connections[topic] = writer.add_connection(topic, message.__msgtype__, typestore=messages.store)
-                data = messages.store.serialize_cdr(message, message.__msgtype__)
-                writer.write(connections[topic], nanoseconds, data)
-        _rename_inside(temporary, target.name)
-        temporary.rename(target)
-    except OSError as error:
-        raise OutputError(f"cannot write the bag {target}: {error.strerror}. Check the folder.") from error
-    finally:
-        shutil.rmtree(temporary, ignore_errors=True)
+    with folder_of(target):
+        try:
+            with Writer(temporary, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+                connections: dict[str, Any] = {}
+                for nanoseconds, topic, message in messages.all():
+                    if topic not in connections:
+                        connections[topic] = writer.add_connection(topic, message.__msgtype__, typestore=messages.store)
+                    data = messages.store.serialize_cdr(message, message.__msgtype__)
+                    writer.write(connections[topic], nanoseconds, data)
+            _rename_inside(temporary, target.name)
+            temporary.rename(target)
+        except OSError as error:
+            raise OutputError(f"cannot write the bag {target}: {error.strerror}. Check the folder.") from error
+        finally:
+            shutil.rmtree(temporary, ignore_errors=True)
     return target
 
 

@@ -13,7 +13,7 @@ from coopqp.look import plots
 from coopqp.look.timeline import bound_limits, limit_name, timeline_figure
 from coopqp.model.cell import RobotCell
 from coopqp.output import check_file, write_files
-from coopqp.simulation.assessment import Finding, Readings, Tolerances, judge, read_run, run_figures
+from coopqp.simulation.assessment import Finding, Readings, Tolerances, judge, read_run, run_figures, why
 from coopqp.simulation.scene import read_cell, read_object
 from coopqp.simulation.simulate import Recording
 
@@ -49,6 +49,7 @@ dd { margin: 0; font-size: 1.25rem; font-weight: 600; } img { width: 100%; heigh
 ol { padding-left: 0; list-style: none; margin: 0; }
 ol li { border-bottom: 1px solid #eef0f3; padding: .18rem 0; font-size: .92em; }
 ol li b { font-weight: 600; font-variant-numeric: tabular-nums; display: inline-block; min-width: 6.5em; }
+ol.why { margin-top: .8rem; } ol.why li { border: 0; color: #7f1d1d; font-weight: 600; }
 summary { cursor: pointer; padding: .4rem 0; } footer { margin-top: 2.5rem; color: #7a818b; font-size: .85em; }
 @media print { h2 { break-after: avoid; } img, table, dl { break-inside: avoid; } }
 """
@@ -66,7 +67,7 @@ def report_html(
     Args:
         recording: the run.
         cell: cell of the run; by default read from the recording.
-        tolerances: accepted errors of the verdict.
+        tolerances: accepted errors of the verdict; by default those of the recording's cell file.
         progress: called with a text for each stage.
 
     Raises:
@@ -134,7 +135,10 @@ def _verdict(findings: Sequence[Finding]) -> str:
         f"<td>{_text(f.question)}</td><td>{_text(f.answer)}</td></tr>"
         for f in findings
     )
-    return f"<p class='verdict {'bad' if failed else 'good'}'>{word}</p><table>{rows}</table>"
+    causes = "".join(f"<li>{_text(line)}</li>" for line in why(findings))
+    return f"<p class='verdict {'bad' if failed else 'good'}'>{word}</p><table>{rows}</table>" + (
+        f"<ol class=why>{causes}</ol>" if causes else ""
+    )
 
 
 def _figures(cell: RobotCell, recording: Recording, readings: Readings) -> str:

@@ -1,7 +1,7 @@
 """Runs in a browser through viser: live with play, pause and scrub, or as one offline page.
 
 Needs the extra ``viewer``. Nothing is sent to other machines: by default the live viewer listens on this machine only,
-and the page contains all its data.
+it refuses requests of foreign pages, and the page contains all its data.
 """
 
 from __future__ import annotations
@@ -18,7 +18,8 @@ import numpy as np
 
 from coopqp.checks import as_scalar
 from coopqp.control.command import Status
-from coopqp.errors import InvalidInputError, MissingExtraError
+from coopqp.errors import CoopqpError, InvalidInputError, MissingExtraError
+from coopqp.look.guarded import guarded_servers
 from coopqp.look.stage import FIELD_OF_VIEW, READOUT_SHARE, Stage
 from coopqp.output import check_file, write_files
 from coopqp.simulation.assessment import worst_status
@@ -62,9 +63,15 @@ def require_viser() -> Any:
 
 
 def _serve(viser: Any, host: str, port: int) -> Any:
-    """Start a server of viser without its printed banner."""
-    with contextlib.redirect_stdout(io.StringIO()):
-        return viser.ViserServer(host=host, port=port, verbose=False)
+    """Start a server of viser without its printed banner. It refuses requests of foreign pages."""
+    server = None
+    try:
+        with guarded_servers(host), contextlib.redirect_stdout(io.StringIO()):
+            server = viser.ViserServer(host=host, port=port, verbose=False)
+    except CoopqpError:
+        _stop(server)
+        raise
+    return server
 
 
 def _stop(server: Any) -> None:

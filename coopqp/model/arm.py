@@ -5,31 +5,26 @@ Models are copied. The user's objects are never modified.
 
 from __future__ import annotations
 
-import contextlib
 import difflib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
-from xml.parsers import expat
 
 import numpy as np
 import pinocchio as pin
 
 from coopqp.checks import NOT_NUMBERS, as_floats, as_vector, read_only
-from coopqp.errors import InvalidInputError, ModelError, UnknownNameError
+from coopqp.errors import InvalidInputError, ModelError, UnknownNameError, has_controls, shown
+from coopqp.model.description import check_nesting, check_urdf, description_file, mesh_folders
 from coopqp.spatial import Array, Placement, as_placement
 
 #: A position limit beyond this [rad or m] means "no limit" (parsers write the largest double for it).
 UNLIMITED = 1e6
-#: Largest accepted nesting depth of MJCF elements. An arm with a hundred joints needs a little more than a hundred.
-MAX_NESTING = 500
 #: Smallest accepted velocity or acceleration limit [rad/s or m/s, rad/s² or m/s²]. Below it the joint could not move.
 SMALLEST_LIMIT = 1e-6
 #: Largest accepted finite limit. The square of a larger one loses its meaning in floating point.
 LARGEST_LIMIT = 1e9
-#: Largest accepted robot description [bytes].
-MAX_DESCRIPTION_BYTES = 20_000_000
 #: Names of the fields of :class:`JointLimits`, in order.
 LIMIT_FIELDS = ("lower", "upper", "velocity", "acceleration")
 
@@ -141,7 +136,8 @@ class Arm:
             path: path of the URDF file.
             tool_frame: link or frame that grasps the object.
             T_world_base: placement of the model's root in the world (identity by default).
-            package_dirs: folders in which ``package://`` mesh paths are resolved.
+            package_dirs: folders in which ``package://`` mesh paths are resolved, before those that are found: the
+                folders above the file, ``ROS_PACKAGE_PATH`` and ``AMENT_PREFIX_PATH``.
             geometry: also load the visual and collision shapes.
             locked_joints: joints to lock, with their positions [rad or m], e.g. gripper fingers.
             velocity_limits, acceleration_limits, lower_limits, upper_limits: replace the limits of the model; a scalar
@@ -153,7 +149,8 @@ class Arm:
             UnknownNameError: no such tool frame or locked joint.
             InvalidInputError: bad limits or placement.
         """
-        source = _description_file(path, name)
+        source = description_file(path, name)
+        text = check_urdf(source, name)
         try:
             mimics = _mimic_joints(pin.buildModelFromUrdf(str(source), True))  # True: keep mimic joints
             model = pin.buildModelFromUrdf(str(source))
@@ -167,7 +164,7 @@ class Arm:
         shapes: dict[str, pin.GeometryModel | None] = {"visual": None, "collision": None}
         if geometry:
             kinds = {"visual": pin.GeometryType.VISUAL, "collision": pin.GeometryType.COLLISION}
-            dirs = [str(d) for d in package_dirs]
+            dirs = mesh_folders(text, source, package_dirs)
             for key, kind in kinds.items():
                 try:
                     shapes[key] = pin.buildGeomFromUrdf(model, str(source), kind, package_dirs=dirs)
@@ -199,8 +196,8 @@ class Arm:
 
         MJCF has no velocity limits, so ``velocity_limits`` must be given.
         """
-        source = _description_file(path, name)
-        _check_nesting(source, name)
+        source = description_file(path, name)
+        check_nesting(source, name)
         try:
             model = pin.buildModelFromMJCF(str(source))
             shapes: dict[str, pin.GeometryModel | None] = {"visual": None, "collision": None}
@@ -259,8 +256,7 @@ class Arm:
         lower: Any,
         upper: Any,
     ) -> Arm:
-        if not isinstance(name, str) or not name or "/" in name:
-            raise InvalidInputError(f"'{name}' is not a name", "Arm.name", "Give a non-empty name without '/'.")
+        _check_name(name)
         base = pin.SE3.Identity() if T_world_base is None else as_placement(T_world_base, f"arm '{name}': T_world_base")
         mimics = _mimic_joints(model)
         if mimics:
@@ -268,6 +264,7 @@ class Arm:
                 f"arm '{name}': joint '{mimics[0]}' mimics another. Replace it in the model, or read its URDF with "
                 "Arm.from_urdf, which can lock it."
             )
+        _separate_frames(model)
         if locked_joints:
             model, shapes = _lock(name, model, shapes, locked_joints)
         _check_joints(name, model)
@@ -278,11 +275,21 @@ class Arm:
             raise UnknownNameError("frame", str(tool_frame), near, f"arm '{name}' ({source})")
         if model.frames[model.getFrameId(tool_frame)].parentJoint == 0:
             raise ModelError(f"arm '{name}': no joint moves the tool frame '{tool_frame}' ({source}).")
+        moving = set(model.supports[model.frames[model.getFrameId(tool_frame)].parentJoint])
+        idle = [joint for i, joint in enumerate(model.names) if i and i not in moving]
+        if idle:
+            together = {**(locked_joints or {}), **dict.fromkeys(idle, 0.0)}
+            locked = ", ".join(f"'{joint}': {float(position)}" for joint, position in together.items())
+            raise ModelError(
+                f"arm '{name}': joint '{idle[0]}' does not move the tool frame '{tool_frame}' (a gripper's finger?). "
+                f"Lock it: locked_joints={{{locked}}}."
+            )
         limits = _model_limits(name, model, velocity, acceleration, lower, upper)
         return Arm(name, model, tool_frame, base, limits, shapes["visual"], shapes["collision"], source)
 
     def placed(self, T_world_base: Placement, *, name: str | None = None) -> Arm:
         """Return a copy with another base placement and, if given, another name."""
+        _check_name(self.name if name is None else name)
         return replace(
             self,
             name=self.name if name is None else name,
@@ -294,40 +301,11 @@ class Arm:
         return replace(self, limits=self.limits.replace(**changes))
 
 
-def _description_file(path: str | Path, arm: str) -> Path:
-    try:
-        file = Path(path)
-    except TypeError as error:
-        raise ModelError(f"arm '{arm}': {path!r} is not a path. Give the file's name.") from error
-    if not file.is_file():
-        raise ModelError(f"arm '{arm}': there is no file {file}. Check the path (it is relative to {Path.cwd()}).")
-    if file.stat().st_size > MAX_DESCRIPTION_BYTES:
-        raise ModelError(f"arm '{arm}': {file} is larger than {MAX_DESCRIPTION_BYTES} bytes and was not read.")
-    return file
-
-
-def _check_nesting(file: Path, arm: str) -> None:
-    """Raise ModelError if elements are nested too deep: Pinocchio's MJCF reader is recursive and would crash."""
-    depth = 0
-
-    def begin(tag: str, attributes: object) -> None:
-        nonlocal depth
-        depth += 1
-        if depth > MAX_NESTING:
-            raise ModelError(f"arm '{arm}': the elements of {file} are nested more than {MAX_NESTING} deep.")
-
-    def end(tag: str) -> None:
-        nonlocal depth
-        depth -= 1
-
-    def entity(*declaration: object) -> None:
-        raise ModelError(f"arm '{arm}': {file} declares XML entities, which are not allowed. Write their text out.")
-
-    parser = expat.ParserCreate()
-    parser.StartElementHandler, parser.EndElementHandler, parser.EntityDeclHandler = begin, end, entity
-    # If the file is not XML, the MJCF reader reports it.
-    with contextlib.suppress(expat.ExpatError):
-        parser.Parse(file.read_bytes(), True)
+def _check_name(name: Any) -> None:
+    if not isinstance(name, str) or not name or "/" in name:
+        raise InvalidInputError(f"{shown(name)} is not a name", "Arm.name", "Give a non-empty name without '/'.")
+    if has_controls(name):
+        raise InvalidInputError(f"{shown(name)} has control characters", "Arm.name", "Give plain text.")
 
 
 def _lock(
@@ -342,6 +320,10 @@ def _lock(
             raise ModelError(f"arm '{name}': joint '{joint}' has nq = {j.nq}, nv = {j.nv}; only nq = nv = 1 locks.")
         q[j.idx_q] = as_vector([position], 1, f"arm '{name}': locked_joints['{joint}']")[0]
     ids = [model.getJointId(joint) for joint in locked]
+    bodies = {frame.name for frame in model.frames if frame.type == pin.FrameType.BODY}
+    for i in ids:
+        if model.names[i] in bodies:  # a locked joint becomes a frame, whose name must be its own
+            model.names[i] += " (joint)"
     keys = [key for key, shape in shapes.items() if shape is not None]
     reduced, geometries = pin.buildReducedModel(model, [shapes[k] for k in keys], ids, q)
     return reduced, {**dict.fromkeys(shapes), **dict(zip(keys, geometries, strict=True))}
@@ -353,6 +335,9 @@ def _check_joints(name: str, model: pin.Model) -> None:
     names = list(model.names)
     if len(set(names)) != len(names):
         raise ModelError(f"arm '{name}': joint names are not unique: {names}.")
+    odd = [joint for joint in names if has_controls(joint)]
+    if odd:
+        raise ModelError(f"arm '{name}': the joint name {odd[0]!r} has control characters. Rename it in the model.")
     for joint, joint_name in list(zip(model.joints, names, strict=True))[1:]:
         if joint.nv > 1:
             raise ModelError(
@@ -372,7 +357,7 @@ def _check_joints(name: str, model: pin.Model) -> None:
 
 def _cause(error: Exception) -> str:
     """Message of a parser's error, without the file and line of the parser's source."""
-    return str(error).rpartition("message:")[2].strip().rstrip(".")
+    return " ".join(str(error).rpartition("message:")[2].split()).rstrip(".")
 
 
 def _mimic_joints(model: pin.Model) -> list[str]:

@@ -45,7 +45,10 @@ class RobotCell:
     """
 
     def __init__(self, arms: Iterable[Arm]) -> None:
-        self.arms = tuple(arms)
+        try:
+            self.arms = tuple(arms)
+        except TypeError as error:
+            raise InvalidInputError(f"a {type(arms).__name__}", "RobotCell", "Give a list of Arm.") from error
         if not self.arms:
             raise InvalidInputError("a cell needs at least one arm", "RobotCell", "Give a list of Arm.")
         for arm in self.arms:

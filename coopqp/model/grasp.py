@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from coopqp.checks import as_scalar, as_vector
+from coopqp.checks import as_scalar, as_vector, require
 from coopqp.errors import InvalidInputError
 from coopqp.model.cell import RobotCell
 from coopqp.model.state import CellState
@@ -114,6 +114,7 @@ class Grasp:
 
     def check_arms(self, cell: RobotCell) -> None:
         """Raise InvalidInputError unless there is one placement per arm of ``cell``."""
+        require(cell, RobotCell, "cell", "Give a RobotCell.")
         if len(self) != len(cell):
             raise InvalidInputError(
                 f"{len(self)} placements for {len(cell)} arms", "Grasp", "Give one T_object_tool per arm."

@@ -2,45 +2,13 @@
 
 from __future__ import annotations
 
-from importlib import metadata
-from pathlib import Path
-from typing import Any
-
 import numpy as np
 import pinocchio as pin
 
-from coopqp.errors import MissingExtraError
-from coopqp.model.cell import Arm
+from coopqp.scenarios.arms import robot_arm
 from coopqp.scenarios.stations import DOWN, FORWARD_SIDEWAYS, Station, put_together
 from coopqp.task.path import LinePath, TimeLaw
 from coopqp.task.scenario import Scenario
-
-_PACKAGE = "example-robot-data"
-#: Franka's published joint acceleration limits [rad/s²].
-PANDA_ACCELERATION = (15.0, 7.5, 10.0, 12.5, 15.0, 20.0, 20.0)
-_FINGERS = {"panda_finger_joint1": 0.02, "panda_finger_joint2": 0.02}
-
-
-def robot_data_path(name: str) -> Path:
-    """Path of a file of ``example-robot-data``, from the end of its name in the package, e.g. ``"urdf/panda.urdf"``.
-
-    Raises:
-        MissingExtraError: the package is not installed or has no such file.
-    """
-    try:
-        files = metadata.distribution(_PACKAGE).files or []
-    except metadata.PackageNotFoundError as error:
-        raise MissingExtraError("robots", _PACKAGE) from error
-    for file in files:
-        if str(file).endswith(name):
-            return Path(str(file.locate())).resolve()
-    raise MissingExtraError("robots", f"{_PACKAGE} with a file {name}")
-
-
-def _arm(urdf: str, *, tool_frame: str, geometry: bool, **options: Any) -> Arm:
-    path = robot_data_path(urdf)
-    share = next(folder for folder in path.parents if folder.name == "share")  # package://example-robot-data/…
-    return Arm.from_urdf("arm", path, tool_frame=tool_frame, package_dirs=[share], geometry=geometry, **options)
 
 
 def panda_bar(*, geometry: bool = False, duration: float = 3.0, time_law: TimeLaw | str = TimeLaw.QUINTIC) -> Scenario:
@@ -54,13 +22,7 @@ def panda_bar(*, geometry: bool = False, duration: float = 3.0, time_law: TimeLa
     Raises:
         MissingExtraError: ``example-robot-data`` is not installed.
     """
-    panda = _arm(
-        "urdf/panda.urdf",
-        tool_frame="panda_hand_tcp",
-        geometry=geometry,
-        locked_joints=_FINGERS,
-        acceleration_limits=PANDA_ACCELERATION,
-    )
+    panda = robot_arm("panda", geometry=geometry)
     path = LinePath.displaced(
         pin.SE3(np.eye(3), np.array([0.0, 0.0, 0.30])),
         translation=(0.06, 0.10, 0.20),
@@ -94,7 +56,7 @@ def ur5_table(*, geometry: bool = False, duration: float = 3.0, time_law: TimeLa
     Raises:
         MissingExtraError: ``example-robot-data`` is not installed.
     """
-    ur5 = _arm("urdf/ur5_robot.urdf", tool_frame="tool0", geometry=geometry)
+    ur5 = robot_arm("ur5", geometry=geometry)
     path = LinePath.displaced(
         pin.SE3(np.eye(3), np.array([0.0, 0.0, 0.30])),
         translation=(0.08, 0.05, 0.15),

@@ -7,22 +7,26 @@ is gripped, servo deflection hides these errors in the measured ones. The object
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, fields
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
 
-from coopqp.checks import keep_scalars
+from coopqp.checks import as_options, keep_scalars
 from coopqp.control.command import Status
 from coopqp.errors import InvalidInputError
 from coopqp.model.cell import RobotCell
 from coopqp.model.state import CellState
 from coopqp.simulation import metrics
-from coopqp.simulation.simulate import Recording
+from coopqp.simulation.simulate import Recording, RecordingError
 from coopqp.spatial import Array
 
 #: Excess over a position limit [rad or m] and over a speed or acceleration limit [share] that counts as rounding.
 POSITION_ROUNDING, RATE_ROUNDING = 1e-6, 1e-6
+#: Largest number of limits in a cause.
+MAX_BLAMED = 3
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,6 +67,23 @@ class Tolerances:
         for name in self.__dataclass_fields__:
             keep_scalars(self, name)
 
+    @staticmethod
+    def of(recording: Recording) -> Tolerances:
+        """The tolerances that a recording was made with (table ``verdict`` of a cell file); else the defaults.
+
+        Raises:
+            RecordingError: the entry ``verdict`` of the settings is damaged.
+        """
+        settings = recording.metadata.get("settings")
+        given = settings.get("verdict") if isinstance(settings, Mapping) else None
+        if given is None:
+            return Tolerances()
+        known = {field.name for field in fields(Tolerances)}
+        try:
+            return Tolerances(**{name: value for name, value in dict(given).items() if name in known})
+        except (TypeError, ValueError) as error:
+            raise RecordingError(f"'verdict' in the recording's settings is damaged ({error}).") from error
+
 
 @dataclass(frozen=True)
 class Finding:
@@ -72,11 +93,13 @@ class Finding:
         question: the question.
         holds: the answer, True for yes.
         answer: the answer with its figures.
+        cause: if the answer is no: why, where (arm, joint, limit) and since when [s]; else empty.
     """
 
     question: str
     holds: bool
     answer: str
+    cause: str = ""
 
 
 def check_recording(cell: RobotCell, recording: Recording) -> None:
@@ -158,25 +181,42 @@ def _number(value: float) -> str:
 
 
 def judge(
-    cell: RobotCell, recording: Recording, readings: Readings, *, tolerances: Tolerances | None = None
+    cell: RobotCell,
+    recording: Recording,
+    readings: Readings,
+    *,
+    tolerances: Tolerances | Mapping[str, Any] | None = None,
 ) -> tuple[Finding, ...]:
     """The verdict on a run: the end, the limits, the grasp and the path.
 
     Args:
         cell, recording: the run.
         readings: result of :func:`read_run`.
-        tolerances: accepted errors.
+        tolerances: accepted errors; by default :meth:`Tolerances.of` the recording.
     """
-    t = tolerances or Tolerances()
+    t = Tolerances.of(recording) if tolerances is None else as_options(Tolerances, tolerances, "judge: tolerances")
     return (
         _finished(recording),
         _positions(cell, recording),
         _rates(cell, recording),
         _held(
-            "Do the arms agree on where the object is?", readings.chain_mm, readings.chain_deg, t.chain_mm, t.chain_deg
+            "Do the arms agree on where the object is?",
+            recording,
+            (readings.chain_mm, readings.chain_deg),
+            (t.chain_mm, t.chain_deg),
+            lambda i: _parted(cell, recording, i),
         ),
-        _held("Is the object on its path?", readings.object_mm, readings.object_deg, t.object_mm, t.object_deg),
+        _held(
+            "Is the object on its path?",
+            recording,
+            (readings.object_mm, readings.object_deg),
+            (t.object_mm, t.object_deg),
+            lambda i: _strayed(cell, recording, i),
+        ),
     )
+
+
+_STOPPED = (Status.BLOCKED, Status.HOLDING, Status.FAULT)
 
 
 def _finished(recording: Recording) -> Finding:
@@ -193,21 +233,62 @@ def _finished(recording: Recording) -> Finding:
         text = f"the object's clock stands at {recording.clock[-1]:.4g} s after {took}"
     if stopped:
         text += f", {stopped} steps stopped by a failure"
-    return Finding(question, (recording.finished or endless) and not stopped, text)
+    arrived = recording.finished or endless
+    cause = "" if arrived and not stopped else _why_not(recording, arrived=arrived)
+    return Finding(question, arrived and not stopped, text, cause)
+
+
+def _why_not(recording: Recording, *, arrived: bool) -> str:
+    """Why a run did not finish, or what failed in it: the status, its limits or its reason, and since when."""
+    statuses = recording.statuses
+    if not statuses:
+        return "no step was made"
+    if arrived:  # it went on after a failure
+        first = next(i for i, s in enumerate(statuses) if s in (Status.HOLDING, Status.FAULT))
+        return f"{statuses[first].value} from {_at(recording, first)} on{_blame(recording, first, first + 1)}"
+    kinds = _STOPPED if statuses[-1] in _STOPPED else (statuses[-1],)
+    first = len(statuses)
+    while first and statuses[first - 1] in kinds:
+        first -= 1
+    if statuses[-1] is Status.TRACKING:
+        return f"the run ended before the path did, at {recording.time[-1]:.3f} s"
+    return f"{statuses[-1].value} since {_at(recording, first)}{_blame(recording, first, len(statuses))}"
+
+
+def _at(recording: Recording, sample: int) -> str:
+    return f"{float(recording.time[sample]):.3f} s"
+
+
+def _blame(recording: Recording, first: int, last: int) -> str:
+    """The limits that bound in the steps [first, last), longest first; else the note of the run for them."""
+    seconds: dict[Any, float] = {}
+    for i, limits in enumerate(recording.bindings[first:last], start=first):
+        for limit in limits:
+            seconds[limit] = seconds.get(limit, 0.0) + float(recording.time[i + 1] - recording.time[i])
+    if seconds:
+        worst = sorted(seconds, key=lambda limit: (-seconds[limit], str(limit)))
+        return " by " + ", ".join(map(str, worst[:MAX_BLAMED]))
+    notes = [note.partition(": ") for note in recording.notes]
+    said = [text for step, _, text in notes if step.isdigit() and first <= int(step) < last]
+    return f": {said[-1].rstrip('.')}" if said else ""
 
 
 def _positions(cell: RobotCell, recording: Recording) -> Finding:
+    question = "Are the joints inside their positions?"
     q = np.array([cell.positions(x) for x in recording.q_command])
     room = np.minimum(q - cell.limits.lower, cell.limits.upper - q)  # inf without limit
     closest = room.min(axis=0)
     j = int(closest.argmin())
     margin = float(closest[j])
     if not np.isfinite(margin):
-        return Finding("Are the joints inside their positions?", bool(np.isfinite(q).all()), "no joint has a limit")
-    unit = _amount(cell, j, abs(margin))
+        good = bool(np.isfinite(q).all())
+        cause = "" if good else f"not finite since {_at(recording, _first(~np.isfinite(q).all(axis=1)))}"
+        return Finding(question, good, "no joint has a limit", cause)
+    unit, name = _amount(cell, j, abs(margin)), cell.joint_names[j]
     if margin < -POSITION_ROUNDING:
-        return Finding("Are the joints inside their positions?", False, f"{cell.joint_names[j]} is {unit} outside")
-    return Finding("Are the joints inside their positions?", True, f"closest: {cell.joint_names[j]}, {unit} inside")
+        since = _at(recording, _first(room[:, j] < -POSITION_ROUNDING))
+        return Finding(question, False, f"{name} is {unit} outside", f"{_joint(cell, j)}: position, since {since}")
+    return Finding(question, True, f"closest: {name}, {unit} inside")
 
 
 def _rates(cell: RobotCell, recording: Recording) -> Finding:
@@ -216,25 +297,80 @@ def _rates(cell: RobotCell, recording: Recording) -> Finding:
     dt = np.diff(recording.time)[:, None]
     before = np.vstack([np.zeros(cell.nv), recording.velocity[:-1]])
     acceleration = np.abs(recording.velocity - before) / dt / cell.limits.acceleration
-    parts, holds = [], True
-    for name, share, limit in (
-        ("speed", speed, cell.limits.velocity),
-        ("acceleration", acceleration, cell.limits.acceleration),
+    parts, causes = [], []
+    for name, kind, share, limit in (
+        ("speed", "velocity", speed, cell.limits.velocity),
+        ("acceleration", "acceleration", acceleration, cell.limits.acceleration),
     ):
         if not np.isfinite(limit).any():
             parts.append(f"no limit of {name}")
             continue
         largest = share.max(axis=0, initial=0.0)
         j = int(largest.argmax())
-        holds = holds and bool(largest[j] <= 1.0 + RATE_ROUNDING)
         parts.append(f"{name} ≤ {100.0 * largest[j]:.4g} % of the limit ({cell.joint_names[j]})")
-    return Finding(question, holds, "; ".join(parts))
+        if not largest[j] <= 1.0 + RATE_ROUNDING:
+            since = _at(recording, _first(~(share[:, j] <= 1.0 + RATE_ROUNDING)))
+            causes.append(f"{_joint(cell, j)}: {kind}, since {since}")
+    return Finding(question, not causes, "; ".join(parts), "; ".join(causes))
 
 
-def _held(question: str, mm: Array, deg: Array, largest_mm: float, largest_deg: float) -> Finding:
-    a, b = float(np.max(mm)), float(np.max(deg))
-    text = f"within {a:.3g} mm and {b:.3g}° (asked: {largest_mm:g} mm, {largest_deg:g}°)"
-    return Finding(question, a <= largest_mm and b <= largest_deg, text)
+def _held(
+    question: str,
+    recording: Recording,
+    errors: tuple[Array, Array],
+    largest: tuple[float, float],
+    where: Callable[[int], str],
+) -> Finding:
+    a, b = (float(np.max(error)) for error in errors)
+    text = f"within {a:.3g} mm and {b:.3g}° (asked: {largest[0]:g} mm, {largest[1]:g}°)"
+    bad = ~((errors[0] <= largest[0]) & (errors[1] <= largest[1]))
+    if not bad.any():
+        return Finding(question, True, text)
+    first = _first(bad)
+    return Finding(question, False, text, f"{where(first)}, beyond the tolerance since {_at(recording, first)}")
+
+
+def _first(bad: Any) -> int:
+    """Index of the first True."""
+    return int(np.flatnonzero(bad)[0])
+
+
+def _joint(cell: RobotCell, j: int) -> str:
+    arm, _, joint = cell.joint_names[j].partition("/")
+    return f"arm {arm} joint {joint}"
+
+
+def _parted(cell: RobotCell, recording: Recording, sample: int) -> str:
+    """The two arms that are farthest from each other at a sample."""
+    carried = _carried(cell, recording, recording.q_command[sample])
+    pairs = [(i, j) for i in range(len(carried)) for j in range(i + 1, len(carried))]
+    i, j = max(pairs, key=lambda p: _distance(carried[p[0]], carried[p[1]]), default=(0, 0))
+    return f"arms {cell.arm_names[i]} and {cell.arm_names[j]}"
+
+
+def _strayed(cell: RobotCell, recording: Recording, sample: int) -> str:
+    """The arm whose object pose is farthest from the path at a sample."""
+    carried = _carried(cell, recording, recording.q[sample])
+    pose = pin.SE3(recording.reference[sample])
+    k = max(range(len(carried)), key=lambda k: _distance(pose, carried[k]))
+    return f"the object at arm {cell.arm_names[k]}"
+
+
+def _carried(cell: RobotCell, recording: Recording, q: Array) -> Sequence[pin.SE3]:
+    """The object pose of every arm."""
+    tools = metrics.tool_placements(cell, q[None])[0]
+    return [T * X.inverse() for T, X in zip(tools, recording.grasp.T_object_tool, strict=True)]
+
+
+def _distance(a: pin.SE3, b: pin.SE3) -> float:
+    """Length of the displacement between two poses, metres and radians added; inf if it is not finite."""
+    size = float(np.linalg.norm(pin.log6(a.actInv(b)).vector))
+    return size if math.isfinite(size) else math.inf
+
+
+def why(findings: Sequence[Finding]) -> list[str]:
+    """One line for every check that does not hold: the question, why, where and since when."""
+    return [f"{finding.question} No: {finding.cause or finding.answer}." for finding in findings if not finding.holds]
 
 
 def _amount(cell: RobotCell, j: int, value: float) -> str:

@@ -19,7 +19,7 @@ import numpy as np
 import numpy.typing as npt
 import pinocchio as pin
 
-from coopqp.checks import keep_scalars
+from coopqp.checks import as_options, keep_scalars
 from coopqp.control.command import Controller, ControlStep, Status
 from coopqp.errors import InvalidInputError
 from coopqp.model.cell import RobotCell
@@ -197,13 +197,13 @@ class Monitor:
         grasp: Grasp,
         path: ObjectPath | None = None,
         *,
-        tolerances: MonitorTolerances | None = None,
+        tolerances: MonitorTolerances | Mapping[str, Any] | None = None,
         keep: int = 50,
         kinematics: bool = True,
     ) -> None:
         grasp.check_arms(cell)
         self.cell, self.grasp, self.path = cell, grasp, path
-        self.tolerances = tolerances or MonitorTolerances()
+        self.tolerances = as_options(MonitorTolerances, tolerances, "Monitor: tolerances")
         self._keep, self._kinematics = keep, kinematics
         self._data = cell.model.createData()
         self._inverse_grasp = np.array([X.inverse().homogeneous for X in grasp.T_object_tool])

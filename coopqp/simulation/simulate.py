@@ -26,6 +26,8 @@ from coopqp.spatial import Array
 
 #: Largest accepted recording [bytes, unpacked].
 MAX_RECORDING_BYTES = 2_000_000_000
+#: Time until a run with a stopped object ends, by default [s].
+PATIENCE = 1.0
 #: Called during a run with the numbers of steps (done, total).
 ProgressCallback = Callable[[int, int], None]
 
@@ -91,7 +93,8 @@ class Recording:
         changes = self.metadata.get("binding", [])
         try:
             named = {
-                int(step): tuple(BindingLimit(a, j, LimitKind(k)) for a, j, k in limits) for step, limits in changes
+                int(step): tuple(BindingLimit(a, j, LimitKind(k), *name) for a, j, k, *name in limits)
+                for step, limits in changes
             }
         except (TypeError, ValueError) as error:
             raise RecordingError(f"'binding' in the recording's metadata is damaged ({error}).") from error
@@ -192,7 +195,7 @@ def simulate(
     q_start: Any,
     duration: float | None = None,
     settle: float = 0.0,
-    patience: float | None = None,
+    patience: float | None = PATIENCE,
     progress: ProgressCallback | None = None,
     observe: Callable[[ControlStep], None] | None = None,
     metadata: dict[str, Any] | None = None,
@@ -205,7 +208,7 @@ def simulate(
         q_start: start configuration (nq,).
         duration: longest run [s]; by default ten times the path's duration, because a slowed object takes longer.
         settle: time that the run continues after the end of the path [s].
-        patience: the run ends when the object was blocked, held or stopped for this time [s]; by default it does not.
+        patience: the run ends when the object was blocked, held or stopped for this time [s]; None for never.
         progress: called as ``progress(steps done, steps of an unslowed run)``.
         observe: called with every :class:`ControlStep`.
         metadata: entries stored in the recording; must be JSON.
@@ -213,6 +216,11 @@ def simulate(
     Raises:
         InvalidInputError: bad ``q_start`` or durations, or the arms do not hold the object at the start.
     """
+    for thing, methods, name in ((controller, ("reset", "step"), "controller"), (plant, ("reset", "apply"), "plant")):
+        if thing is not None and not all(callable(getattr(thing, method, None)) for method in methods):
+            raise InvalidInputError(
+                f"a {type(thing).__name__}", f"simulate: {name}", f"Give an object with {' and '.join(methods)}."
+            )
     cell: RobotCell = controller.cell
     plant = KinematicPlant(cell) if plant is None else plant
     endless = not np.isfinite(controller.path.duration)
@@ -297,11 +305,14 @@ def _record(
 
 
 def _binding_changes(steps: list[ControlStep]) -> list[list[Any]]:
-    """``[step, [[arm, joint, kind], …]]`` for every step with other binding limits than the step before."""
+    """``[step, [[arm, joint, kind], …]]`` for every step with other binding limits than the step before.
+
+    A limit of a user's constraint has its name as a fourth entry.
+    """
     changes: list[list[Any]] = []
     last: tuple[BindingLimit, ...] = ()
     for i, step in enumerate(steps):
         if step.binding != last:
-            changes.append([i, [[b.arm, b.joint, b.kind.value] for b in step.binding]])
+            changes.append([i, [[b.arm, b.joint, b.kind.value, *([b.name] if b.name else [])] for b in step.binding]])
             last = step.binding
     return changes

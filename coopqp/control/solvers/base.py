@@ -6,12 +6,14 @@ import abc
 import enum
 import sys
 import time
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
+from coopqp.checks import as_options
 from coopqp.errors import InvalidInputError, shown
 
 Array: TypeAlias = NDArray[np.float64]
@@ -390,8 +392,8 @@ class QpSolver(abc.ABC):
 
 def settings_of(settings: Any, wanted: type[Any], name: str) -> Any:
     """Return the given settings or the defaults. Raises InvalidInputError for settings of another backend."""
-    if settings is None:
-        return wanted()
+    if settings is None or isinstance(settings, Mapping):
+        return as_options(wanted, settings, f"solver '{name}': settings")
     if not isinstance(settings, wanted):
         raise InvalidInputError(
             f"settings are {type(settings).__name__}", f"solver '{name}'", f"Give {wanted.__name__} or nothing."

@@ -19,7 +19,7 @@ __all__ = ["CELLS", "CellFileError", "example_path", "json_schema", "load_cell_f
 #: Endings of cell files in TOML, and in YAML.
 TOML_SUFFIX, YAML_SUFFIXES = ".toml", (".yaml", ".yml")
 #: Stems of the cell files that come with coopqp.
-CELLS = ("paper_lift",)
+CELLS = ("paper_lift", "paper_baseline")
 
 
 class CellFileError(CoopqpError):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import importlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -20,14 +20,16 @@ from coopqp.control.qp import QPController
 from coopqp.control.solvers import default_solver
 from coopqp.errors import CoopqpError, InvalidInputError, MissingExtraError, UnknownNameError
 from coopqp.files.cellfile import CellFileError
-from coopqp.files.cellfile.explain import explain
+from coopqp.files.cellfile.explain import explain, in_words_of_the_file
+from coopqp.files.cellfile.paths import resolve
 from coopqp.files.cellfile.schema import MAX_STEPS, ArmTable, CellFile, CommonErrorTable, PlacementTable, StartTable
 from coopqp.files.cellfile.strict import build_options
 from coopqp.files.cellfile.text import read_tables
 from coopqp.model.cell import Arm, RobotCell
+from coopqp.model.description import check_nesting, check_urdf, description_file
 from coopqp.model.grasp import Grasp
 from coopqp.model.inverse_kinematics import inverse_kinematics
-from coopqp.scenarios.robots import robot_path
+from coopqp.scenarios.arms import robot_arm, robot_file
 from coopqp.simulation.assessment import slides
 from coopqp.simulation.plants.kinematic import KinematicPlant, Plant
 from coopqp.simulation.plants.physics import PhysicsPlant
@@ -130,7 +132,7 @@ def load(file: Path) -> CellRun:
     except (CellFileError, MissingExtraError):
         raise
     except CoopqpError as error:
-        raise CellFileError(f"{file}: {error}") from error
+        raise CellFileError(f"{file}: {in_words_of_the_file(str(error))}") from error
     return run
 
 
@@ -190,19 +192,28 @@ def _in_radians(given: Any, sliding: Sequence[bool], where: str, *, degrees: boo
 
 
 def _arm(table: ArmTable, folder: Path) -> Arm:
-    common: dict[str, Any] = {"T_world_base": _placement(table.base)}
-    locked = {**{k: float(np.deg2rad(v)) for k, v in table.locked_joints_deg.items()}, **table.locked_joints_rad}
-    common["locked_joints"] = locked or None
+    base, where = _placement(table.base), f"arm '{table.name}'"
+    dirs = [resolve(d, folder, f"{where}: package_dirs") for d in table.package_dirs]
     if table.robot is not None:
-        frame = table.tool_frame or ("flange" if table.robot == "rx90l" else "tool")
-        arm = Arm.from_urdf(table.name, robot_path(table.robot), tool_frame=frame, **common)
-    elif table.urdf is not None:
-        dirs = [folder / d for d in table.package_dirs]
-        arm = Arm.from_urdf(
-            table.name, folder / table.urdf, tool_frame=str(table.tool_frame), package_dirs=dirs, **common
+        locked = _locked(table, lambda: _urdf(robot_file(str(table.robot)), table.name))
+        arm = robot_arm(
+            table.robot,
+            name=table.name,
+            T_world_base=base,
+            tool_frame=table.tool_frame,
+            geometry=table.geometry,
+            locked_joints=locked,
         )
     else:
-        arm = Arm.from_mjcf(table.name, folder / str(table.mjcf), tool_frame=str(table.tool_frame), **common)
+        common: dict[str, Any] = {"T_world_base": base, "tool_frame": table.tool_frame, "geometry": table.geometry}
+        if table.urdf is not None:
+            file = resolve(table.urdf, folder, f"{where}: urdf", package_dirs=dirs)
+            locked = _locked(table, lambda: _urdf(file, table.name))
+            arm = Arm.from_urdf(table.name, file, package_dirs=dirs, locked_joints=locked, **common)
+        else:
+            file = resolve(str(table.mjcf), folder, f"{where}: mjcf", package_dirs=dirs)
+            locked = _locked(table, lambda: _mjcf(file, table.name))
+            arm = Arm.from_mjcf(table.name, file, locked_joints=locked, **common)
     sliding = slides(RobotCell([arm]))
     changes: dict[str, Array] = {}
     for name, per in (("lower", ""), ("upper", ""), ("velocity", "_per_s"), ("acceleration", "_per_s2")):
@@ -215,6 +226,33 @@ def _arm(table: ArmTable, folder: Path) -> Arm:
         return arm.with_limits(**changes) if changes else arm
     except InvalidInputError as error:
         raise _BuildError(f"arm '{table.name}': {error}") from error
+
+
+def _urdf(file: Path, arm: str) -> pin.Model:
+    check_urdf(description_file(file, arm), arm)
+    return pin.buildModelFromUrdf(str(file))
+
+
+def _mjcf(file: Path, arm: str) -> pin.Model:
+    check_nesting(description_file(file, arm), arm)
+    return pin.buildModelFromMJCF(str(file))
+
+
+def _locked(table: ArmTable, model: Callable[[], pin.Model]) -> dict[str, float] | None:
+    """Positions of the locked joints [rad or m]; prismatic joints are in metres under the keys of either unit."""
+    locked = dict(table.locked_joints_rad)
+    if table.locked_joints_deg:
+        try:
+            whole = model()
+        except (ValueError, RuntimeError):  # the reader of the arm says what is wrong
+            return {**locked, **table.locked_joints_deg}
+        for name, value in table.locked_joints_deg.items():
+            if name in locked:
+                raise _BuildError(f"arm '{table.name}': '{name}' is in locked_joints_deg and in locked_joints_rad.")
+            known = whole.existJointName(name)
+            slide = known and whole.joints[whole.getJointId(name)].shortname().startswith("JointModelP")
+            locked[name] = value if slide else float(np.deg2rad(value))
+    return locked or None
 
 
 def _by_arm(given: Mapping[str, Any], cell: RobotCell, where: str) -> list[Any]:

@@ -15,6 +15,8 @@ from coopqp.files.cellfile.schema import CellFile
 from coopqp.files.cellfile.strict import shown_default
 
 _WIDTH = 118
+#: Largest number of listed names.
+MAX_MEMBERS = 8
 _WORDS = {float: "number", int: "whole number", bool: "true or false", str: "text"}
 
 
@@ -22,8 +24,8 @@ def describe_schema() -> str:
     """Every key with its type, unit, default and meaning."""
     lines = [
         "A coopqp cell file: TOML, or YAML with the same keys. Keys with * are required. Units are in the names:",
-        "_m metres, _deg degrees, _rad radians, _s seconds, _kg kilograms. Prismatic joints use metres (m/s, m/s²)",
-        "under the keys of either angle unit. Paths are relative to the file.",
+        "_m metres, _mm millimetres, _deg degrees, _rad radians, _s seconds, _kg kilograms. Prismatic joints use",
+        "metres (m/s, m/s²) under the keys of either angle unit. Paths are relative to the file.",
     ]
     lines += _table("", CellFile)
     return "\n".join(lines) + "\n"
@@ -99,7 +101,7 @@ def _word(kind: Any) -> str:
     plain = _plain(kind)
     origin, members = typing.get_origin(plain), typing.get_args(plain)
     if origin is Literal:
-        text = " | ".join(f'"{member}"' for member in members)
+        text = " | ".join(f'"{member}"' for member in members) if len(members) <= MAX_MEMBERS else "name"
     elif origin is list:
         inner = _word(members[0])
         text = f"list of {inner}s" if inner != "list of numbers" else "rows of numbers"

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import difflib
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 from pydantic import ValidationError
+
+from coopqp.errors import printable, shortened, shown
 
 #: Largest number of problems in one message.
 MAX_PROBLEMS = 5
@@ -24,7 +26,7 @@ _KINDS = {
     "model_type": "a table",
     "model_attributes_type": "a table",
 }
-_TYPES = ("float", "int", "bool", "str")
+_TYPES = tuple(f"{form}{kind}" for form in ("", "constrained-") for kind in ("float", "int", "bool", "str"))
 _OWN = ("unknown_key", "cell_file")
 
 
@@ -33,7 +35,10 @@ def explain(error: ValidationError) -> str:
     by_place: dict[str, list[Any]] = {}
     for problem in error.errors(include_url=False):
         by_place.setdefault(_place(problem["loc"]), []).append(problem)
-    # For a union, pydantic reports one problem per member.
+    # For a union, pydantic reports one problem per member: also that a table with a mistake is not "false".
+    for place in [place for place, problems in by_place.items() if all(map(_expects_false, problems))]:
+        if any(other.startswith((f"{place}.", f"{place}[")) for other in by_place):
+            del by_place[place]
     texts = [f"{place}: {_words(problems)}" for place, problems in by_place.items()]
     more = len(texts) - MAX_PROBLEMS
     return "; ".join(texts[:MAX_PROBLEMS]) + (f"; and {more} more" if more > 0 else "") + "."
@@ -48,7 +53,9 @@ def _words(problems: Sequence[Any]) -> str:
     if wanted:
         off = ["false"] if any(_expects_false(p) for p in problems) else []
         return f"give {' or '.join(dict.fromkeys([*wanted, *off]))}, not {_shown(first['input'])}"
-    return _single(next((p for p in problems if not _expects_false(p)), first))
+    if all(map(_expects_false, problems)):
+        return f"give false, not {_shown(first['input'])}"
+    return _single(next(p for p in problems if not _expects_false(p)))
 
 
 def _single(problem: Any) -> str:
@@ -89,15 +96,59 @@ def _place(location: Sequence[int | str]) -> str:
     for part in parts:
         if isinstance(part, int):
             place += f"[{part}]"
-        elif (
-            re.fullmatch(r"[A-Za-z0-9_ -]+", part)
-            and part not in ("float", "int", "bool", "str")
-            and "Table" not in part
-        ):
+        elif re.fullmatch(r"[A-Za-z0-9_ -]+", part) and part not in _TYPES and "Table" not in part:
             place += f".{part}" if place else part
     return place or "the file"
 
 
 def _shown(value: Any) -> str:
-    text = str(value).lower() if isinstance(value, bool) else repr(value)
-    return text if len(text) <= 60 else f"{text[:57]}…"
+    """A value in the notation of a file, at most 60 characters."""
+    return shortened(_notation(value))
+
+
+def _notation(value: Any, depth: int = 0) -> str:
+    if isinstance(value, bool):
+        return str(value).lower()
+    if value is None:
+        return "null"
+    if isinstance(value, (list, dict)) and depth > 3:
+        return "…"
+    if isinstance(value, list):
+        return f"[{', '.join(_notation(entry, depth + 1) for entry in value[:60])}]"
+    if isinstance(value, dict):
+        entries = list(value.items())[:60]
+        return "{" + ", ".join(f"{key} = {_notation(entry, depth + 1)}" for key, entry in entries) + "}"
+    return shown(value)
+
+
+#: Words of programs, and what they are in a file.
+_WORDS: tuple[tuple[str, str | Callable[[re.Match[str]], str]], ...] = (
+    (r"'([^']*)': (-?[\d.]+)(?=[,}])", r'"\1" = \2'),
+    (r"locked_joints=\{(.*?)\}", r"locked_joints_rad = { \1 }"),
+    (r"locked_joints\['([^']*)'\]", r"locked_joints '\1'"),
+    (r"geometry=False", "geometry = false"),
+    (r"Give velocity_limits \[[^]]*\] and acceleration_limits", "Give them in limits"),
+    (r"lower_limits and upper_limits", "lower_deg and upper_deg in limits"),
+    (r"\b(velocity|acceleration|lower|upper)_limits\b", r"limits.\1"),
+    (r"Remove the floating base, set T_world_base", "Remove the floating base, set base"),
+    (r"or read its URDF with Arm\.from_urdf, which can lock it", "or give its urdf, whose joint can be locked"),
+    (r"T_world_base", "base"),
+    (r"\bArm\.name\b", "arms: name"),
+    (r"\bJointLimits\b", "limits"),
+    (r"\bRobotCell\b", "arms"),
+    (r"\b(QP|PseudoInverse|IndependentQP)Options\b", "controller"),
+    (r"\b(Supervision|Preview|Posture)Options\b", lambda found: f"controller.{found[1].lower()}"),
+    (r"\bRankWeights\b", "controller.weights"),
+    (r"\bPhysicsOptions\b", "plant"),
+    (r"\b(Ldp|Daqp|Osqp|Proxqp|Generic|Solver)Settings\b", "controller.solver_settings"),
+    (r"\bCommonError(\.\w+)?\b", "controller.common_error"),
+    (r"\b(Line|Waypoint|Hold)Path(\.\w+)?\b", "path"),
+    (r"\bGrasp\.triangle\b", "grasp"),
+)
+
+
+def in_words_of_the_file(text: str) -> str:
+    """A message of the library with the keys of a file in place of arguments and classes."""
+    for pattern, words in _WORDS:
+        text = re.sub(pattern, words, text)
+    return printable(text)

@@ -7,30 +7,50 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from annotated_types import Ge, Gt, Le, Len
-from pydantic import Field, model_validator
+from annotated_types import Ge, Le, Len
+from pydantic import AfterValidator, Field, model_validator
 from pydantic_core import PydanticCustomError
 
 from coopqp.control.independent import IndependentQPOptions
 from coopqp.control.options import QPOptions
 from coopqp.control.pseudo_inverse import PseudoInverseOptions
-from coopqp.files.cellfile.strict import MAX_LIST, Numbers, Table, Vector3, table_of
-from coopqp.scenarios.robots import ROBOT_NAMES
+from coopqp.errors import has_controls, printable, shown
+from coopqp.files.cellfile.paths import check_inside
+from coopqp.files.cellfile.strict import MAX_LIST, Number, Numbers, Table, table_of
+from coopqp.scenarios.arms import ROBOTS
+from coopqp.simulation.assessment import Tolerances
 from coopqp.simulation.plants.physics_options import PhysicsOptions
+from coopqp.simulation.simulate import PATIENCE
 
 #: Largest accepted numbers of arms, steps and waypoints of a run.
 MAX_ARMS, MAX_STEPS, MAX_WAYPOINTS = 128, 1_000_000, 1_000
 
-Name = Annotated[str, Len(1, 100)]
-Seconds = Annotated[float, Gt(0.0), Le(1e5)]
-Unbounded = Annotated[float, Field(allow_inf_nan=True)]
-Sides = Annotated[list[Annotated[float, Gt(0.0)]], Len(3, 3)]
-PerJoint = Unbounded | Annotated[list[Unbounded], Len(1, 100)]
-Degrees = Annotated[dict[Name, Numbers], Len(1, MAX_ARMS)]
+#: Largest accepted length of a position [m], of an angle [deg or rad], and of a path in characters.
+MAX_METRES, MAX_ANGLE, MAX_PATH = 1e4, 1e6, 4096
 
 
 def _problem(text: str) -> PydanticCustomError:
     return PydanticCustomError("cell_file", "{text}", {"text": text})
+
+
+def _plain(text: str) -> str:
+    if has_controls(text):
+        raise _problem(f"{printable(shown(text))} has control characters; give plain text")
+    return text
+
+
+Name = Annotated[str, Len(1, 100), AfterValidator(_plain)]
+FilePath = Annotated[str, Len(1, MAX_PATH), AfterValidator(_plain)]
+Seconds = Annotated[float, Ge(1e-6), Le(1e5)]
+Metres = Annotated[float, Ge(1e-4), Le(1e3)]
+Angle = Annotated[float, Ge(-MAX_ANGLE), Le(MAX_ANGLE)]
+Position = Annotated[list[Annotated[float, Ge(-MAX_METRES), Le(MAX_METRES)]], Len(3, 3)]
+Angles = Annotated[list[Angle], Len(3, 3)]
+Positions = Annotated[list[Angle], Len(1, MAX_LIST)]
+Unbounded = Annotated[float, Field(allow_inf_nan=True)]
+Sides = Annotated[list[Metres], Len(3, 3)]
+PerJoint = Unbounded | Annotated[list[Unbounded], Len(1, 100)]
+Degrees = Annotated[dict[Name, Positions], Len(1, MAX_ARMS)]
 
 
 def exactly_one(table: Table, *keys: str) -> str:
@@ -51,12 +71,12 @@ def at_most_one(table: Table, *keys: str) -> None:
 class PlacementTable(Table):
     """A placement: a position with an orientation, or a 4x4 matrix."""
 
-    xyz_m: Vector3 | None = Field(default=None, description="position (default 0, 0, 0)")
-    rpy_deg: Vector3 | None = Field(default=None, description="turns about the fixed x, y and z axes, in this order")
-    rpy_rad: Vector3 | None = Field(default=None, description="the same in radians")
-    matrix: Annotated[list[Annotated[list[float], Len(4, 4)]], Len(4, 4)] | None = Field(
-        default=None, description="rows of the homogeneous matrix [m], in place of the other keys"
-    )
+    xyz_m: Position | None = Field(default=None, description="position (default 0, 0, 0)")
+    rpy_deg: Angles | None = Field(default=None, description="turns about the fixed x, y and z axes, in this order")
+    rpy_rad: Angles | None = Field(default=None, description="the same in radians")
+    matrix: (
+        Annotated[list[Annotated[list[Annotated[float, Ge(-MAX_METRES), Le(MAX_METRES)]], Len(4, 4)]], Len(4, 4)] | None
+    ) = Field(default=None, description="rows of the homogeneous matrix [m], in place of the other keys")
 
     @model_validator(mode="after")
     def _one_form(self) -> PlacementTable:
@@ -88,20 +108,23 @@ class ArmTable(Table):
     """One arm: its model, its tool frame, the placement of its base, its limits."""
 
     name: Name = Field(description="unique name, without '/'")
-    robot: Literal[ROBOT_NAMES] | None = Field(default=None, description="a robot that comes with coopqp")  # type: ignore[valid-type]
-    urdf: Name | None = Field(default=None, description="URDF file, relative to this file")
-    mjcf: Name | None = Field(default=None, description="MJCF file, relative to this file")
+    robot: Literal[tuple(ROBOTS)] | None = Field(default=None, description="name of a robot: `coopqp schema --robots`")  # type: ignore[valid-type]
+    urdf: FilePath | None = Field(
+        default=None, description="URDF file: relative to this file, with ~ and $VARIABLES, or package://NAME/…"
+    )
+    mjcf: FilePath | None = Field(default=None, description="MJCF file, in the same forms")
+    geometry: bool = Field(default=True, description="read the shapes, for pictures")
     tool_frame: Name | None = Field(
         default=None, description="link or frame that holds the object; optional with robot"
     )
     base: PlacementTable = Field(
         default_factory=PlacementTable, description="placement of the model's root in the world"
     )
-    package_dirs: Annotated[list[Name], Len(0, 20)] = Field(
-        default=[], description="folders that resolve package:// paths"
+    package_dirs: Annotated[list[FilePath], Len(0, 20)] = Field(
+        default=[], description="folders that resolve package://, besides those above the URDF and those of ROS"
     )
-    locked_joints_deg: dict[Name, float] = Field(default={}, description="joints to lock, with their positions")
-    locked_joints_rad: dict[Name, float] = Field(default={}, description="the same in radians")
+    locked_joints_deg: dict[Name, Angle] = Field(default={}, description="joints to lock, with their positions")
+    locked_joints_rad: dict[Name, Angle] = Field(default={}, description="the same in radians")
     limits: LimitsTable = Field(default_factory=LimitsTable, description="limits in place of the model's")
 
     @model_validator(mode="after")
@@ -115,8 +138,8 @@ class TriangleGrasp(Table):
     """The paper's grasp: tools at A (0, 0), B (−β, 3α), C (β, 3α); the object frame is the frame of A."""
 
     kind: Literal["triangle"]
-    alpha_m: Annotated[float, Gt(0.0)] = Field(description="α: a third of the triangle's height")
-    beta_m: Annotated[float, Gt(0.0)] = Field(description="β: half its base")
+    alpha_m: Metres = Field(description="α: a third of the triangle's height")
+    beta_m: Metres = Field(description="β: half its base")
 
 
 class ToolsGrasp(Table):
@@ -135,8 +158,8 @@ class LatchedGrasp(Table):
 class DisplacementTable(Table):
     """Displacement from the start: a translation, and a rotation about the object frame's origin, in world axes."""
 
-    translation_m: Vector3 = Field(default=[0.0, 0.0, 0.0], description="translation")
-    rotation_vector_deg: Vector3 = Field(default=[0.0, 0.0, 0.0], description="axis times angle")
+    translation_m: Position = Field(default=[0.0, 0.0, 0.0], description="translation")
+    rotation_vector_deg: Angles = Field(default=[0.0, 0.0, 0.0], description="axis times angle")
 
 
 TimeLawName = Literal["quintic", "linear"]
@@ -206,7 +229,7 @@ class ObjectTable(Table):
 
     size_m: Sides = Field(default=[0.1, 0.1, 0.1], description="side lengths of the box")
     centre: PlacementTable = Field(default_factory=PlacementTable, description="centre of the box in the object frame")
-    mass_kg: Annotated[float, Gt(0.0)] = Field(default=20.0, description="mass of the object")
+    mass_kg: Annotated[float, Ge(1e-6), Le(1e6)] = Field(default=20.0, description="mass of the object")
 
 
 class CommonErrorTable(Table):
@@ -231,7 +254,7 @@ class CommonErrorTable(Table):
         return self
 
 
-_Settings = Annotated[dict[Name, float | int | bool | str], Len(0, 50)]
+_Settings = Annotated[dict[Name, Number | int | bool | str], Len(0, 50)]
 _SOLVER = {"solver": Name, "solver_settings": _Settings}
 
 QPTable = table_of(
@@ -257,23 +280,35 @@ class KinematicTable(Table):
 PhysicsTable = table_of(
     PhysicsOptions,
     "PhysicsTable",
-    replaced=dict.fromkeys(("stiffness", "damping", "armature"), float | Numbers | Literal[False]),
+    replaced=dict.fromkeys(("stiffness", "damping", "armature"), Number | Numbers | Literal[False]),
     first={"kind": (Literal["physics"], ...)},
 )
+
+#: Largest accepted errors: the run fails beyond them.
+_VerdictTable = table_of(Tolerances, "VerdictTable")
 
 if TYPE_CHECKING:
     ControllerTable = Any  # built at run time from the options dataclasses
     PlantTable = Any
+    VerdictTable = Any
 else:
+    VerdictTable = _VerdictTable
     ControllerTable = Annotated[QPTable | PseudoInverseTable | IndependentTable, Field(discriminator="kind")]
     PlantTable = Annotated[KinematicTable | PhysicsTable, Field(discriminator="kind")]
+
+
+def _inside(text: str) -> str:
+    wrong = check_inside(text)
+    if wrong:
+        raise _problem(f"{wrong}, not {shown(text)}")
+    return text
 
 
 class OutputTable(Table):
     """Files that a run writes into one folder."""
 
-    folder: Name | None = Field(
-        default=None, description="folder, relative to the working directory (default out/NAME)"
+    folder: Annotated[FilePath, AfterValidator(_inside)] | None = Field(
+        default=None, description="folder below the working directory (default out/NAME); a used one gets a number"
     )
     recording: bool = Field(default=True, description="recording.npz: input for view, report and export")
     report: bool = Field(default=False, description="report.html: figures, plots, settings and verdict")
@@ -311,8 +346,11 @@ class CellFile(Table):
     settle_s: Annotated[float, Ge(0.0), Le(1e5)] = Field(
         default=0.0, description="time that the run continues after the end"
     )
-    patience_s: Seconds = Field(default=1.0, description="time until a run with a stopped object ends")
+    patience_s: Seconds = Field(default=PATIENCE, description="time until a run with a stopped object ends")
     longest_s: Seconds | None = Field(default=None, description="longest run (default: ten times the path's duration)")
+    verdict: VerdictTable = Field(
+        default_factory=_VerdictTable, description="accepted errors; `coopqp run` ends with status 4 beyond them"
+    )
     output: OutputTable = Field(default_factory=OutputTable, description="files that the run writes")
 
     @model_validator(mode="after")

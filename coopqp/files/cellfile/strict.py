@@ -10,8 +10,8 @@ import typing
 from collections.abc import Mapping
 from typing import Annotated, Any, Literal, Union
 
-from annotated_types import Len
-from pydantic import BaseModel, ConfigDict, Field, create_model, model_validator
+from annotated_types import Ge, Le, Len
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, create_model, model_validator
 from pydantic_core import PydanticCustomError
 
 #: Largest accepted length of a list of numbers.
@@ -39,8 +39,18 @@ class Table(BaseModel):
         return data
 
 
-Vector3 = Annotated[list[float], Len(3, 3)]
-Numbers = Annotated[list[float], Len(1, MAX_LIST)]
+#: Largest accepted number of an option, and the smallest one that is not 0; longest text.
+MAX_NUMBER, MIN_NUMBER, MAX_TEXT = 1e12, 1e-30, 100
+
+
+def _not_tiny(value: float) -> float:
+    if 0.0 < abs(value) < MIN_NUMBER:
+        raise PydanticCustomError("cell_file", "{text}", {"text": f"must be 0 or at least {MIN_NUMBER:g}, not {value}"})
+    return value
+
+
+Number = Annotated[float, Ge(-MAX_NUMBER), Le(MAX_NUMBER), AfterValidator(_not_tiny)]
+Numbers = Annotated[list[Number], Len(1, MAX_LIST)]
 
 
 def table_of(
@@ -137,7 +147,11 @@ def _nested(hint: Any) -> type | None:
 
 def _file_type(hint: Any, name: str) -> Any:
     """The type of a file's value for a type hint; None if a file cannot express it."""
-    if hint in (float, int, bool, str):
+    if hint is float:
+        return Number
+    if hint is str:
+        return Annotated[str, Len(1, MAX_TEXT)]
+    if hint in (int, bool):
         return hint
     origin, arguments = typing.get_origin(hint), typing.get_args(hint)
     if origin is Literal:
@@ -145,7 +159,7 @@ def _file_type(hint: Any, name: str) -> Any:
     if origin is tuple and arguments == (float, ...):
         return Numbers
     if origin is tuple and set(arguments) == {float}:
-        return Annotated[list[float], Len(len(arguments), len(arguments))]
+        return Annotated[list[Number], Len(len(arguments), len(arguments))]
     if origin in (Union, types.UnionType) and type(None) in arguments:
         inner = [_file_type(kind, name) for kind in arguments if kind is not type(None)]
         return None if len(inner) != 1 or inner[0] is None else inner[0] | Literal[False]

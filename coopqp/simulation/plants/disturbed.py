@@ -14,7 +14,7 @@ from typing import Any, final
 import numpy as np
 import pinocchio as pin
 
-from coopqp.checks import as_scalar, read_only
+from coopqp.checks import as_options, as_scalar, read_only
 from coopqp.control.command import ControlStep
 from coopqp.model.cell import RobotCell
 from coopqp.model.grasp import Grasp
@@ -50,12 +50,16 @@ class DisturbedPlant:
         self,
         cell: RobotCell,
         grasp: Grasp,
-        disturbances: Disturbances | None = None,
+        disturbances: Disturbances | Mapping[str, Any] | None = None,
         *,
         command_latency: Mapping[str, float] | None = None,
     ) -> None:
         grasp.check_arms(cell)
-        self.cell, self.grasp, self.disturbances = cell, grasp, disturbances or Disturbances()
+        self.cell, self.grasp, self.disturbances = (
+            cell,
+            grasp,
+            as_options(Disturbances, disturbances, "DisturbedPlant: disturbances"),
+        )
         d, late = self.disturbances, command_latency or {}
         self._lag = {cell.index(arm): tau for arm, tau in d.lag.items() if tau > 0.0}
         self._stall = {cell.index(arm): time for arm, time in d.stall.items()}

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any, Protocol, final
 
+from coopqp.checks import require
 from coopqp.control.command import ControlStep
 from coopqp.model.cell import RobotCell
 from coopqp.spatial import Array
@@ -26,6 +27,7 @@ class KinematicPlant:
     """Joints that follow their commands exactly."""
 
     def __init__(self, cell: RobotCell) -> None:
+        require(cell, RobotCell, "KinematicPlant: cell", "Give a RobotCell.")
         self.cell = cell
         self.q: Array = cell.configuration([0.0] * cell.nv)
 

@@ -7,12 +7,13 @@ stresses the object. The plant reads the forces at the grasps. They scale with t
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, final
 
 import numpy as np
 import pinocchio as pin
 
-from coopqp.checks import as_scalar, as_vector
+from coopqp.checks import as_options, as_scalar, as_vector, require
 from coopqp.control.command import ControlStep
 from coopqp.errors import CoopqpError, InvalidInputError
 from coopqp.model.cell import RobotCell
@@ -84,15 +85,16 @@ class PhysicsPlant:
         object_mass: float,
         T_object_body: Placement | None = None,
         real_grasp: Grasp | None = None,
-        options: PhysicsOptions | None = None,
+        options: PhysicsOptions | Mapping[str, Any] | None = None,
         disturbances: Disturbances | None = None,
     ) -> None:
         mujoco = require_mujoco()
+        require(grasp, Grasp, "PhysicsPlant: grasp", "Give a Grasp of the placements.")
         grasp.check_arms(cell)
         self._mujoco = mujoco
         self.cell, self.grasp = cell, grasp
-        self.options = options or PhysicsOptions()
-        self.disturbances = disturbances or Disturbances()
+        self.options = as_options(PhysicsOptions, options, "PhysicsPlant: options")
+        self.disturbances = as_options(Disturbances, disturbances, "PhysicsPlant: disturbances")
         self._real_grasp = grasp if real_grasp is None else real_grasp
         self._real_grasp.check_arms(cell)
         size = as_vector(object_size, 3, "PhysicsPlant: object_size")
@@ -137,7 +139,7 @@ class PhysicsPlant:
         scenario: Scenario,
         *,
         real_grasp: Grasp | None = None,
-        options: PhysicsOptions | None = None,
+        options: PhysicsOptions | Mapping[str, Any] | None = None,
         disturbances: Disturbances | None = None,
     ) -> PhysicsPlant:
         """Build the plant of a scenario from its cell, grasp and object."""

@@ -1,0 +1,123 @@
+"""Robot description files: what they must be before a parser reads them, and where their meshes are."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import re
+from collections.abc import Sequence
+from pathlib import Path
+from xml.parsers import expat
+
+from coopqp.errors import ModelError
+
+#: Largest accepted robot description [bytes].
+MAX_DESCRIPTION_BYTES = 20_000_000
+#: Largest accepted nesting depth of elements. An arm with a hundred joints needs a little more than a hundred.
+MAX_NESTING = 500
+#: Largest number of folders above a description that are searched for its meshes.
+MAX_FOLDERS_ABOVE = 6
+
+
+def description_file(path: str | Path, arm: str) -> Path:
+    """The file of a robot description.
+
+    Raises:
+        ModelError: it is missing or too large.
+    """
+    try:
+        file = Path(path)
+        found = file.is_file()
+    except TypeError as error:
+        raise ModelError(f"arm '{arm}': {path!r} is not a path. Give the file's name.") from error
+    except (ValueError, OSError) as error:  # a null character, a name too long for the system
+        raise ModelError(f"arm '{arm}': {str(path)[:60]!r}… is no path of a file ({error}).") from error
+    if not found:
+        raise ModelError(f"arm '{arm}': there is no file {file}. Check the path (it is relative to {Path.cwd()}).")
+    if file.stat().st_size > MAX_DESCRIPTION_BYTES:
+        raise ModelError(f"arm '{arm}': {file} is larger than {MAX_DESCRIPTION_BYTES} bytes and was not read.")
+    return file
+
+
+def check_urdf(file: Path, arm: str) -> str:
+    """Check that a file is XML with the root ``robot`` and no xacro. Returns its text.
+
+    Raises:
+        ModelError: it is not; for a xacro the message has the command that expands it.
+    """
+    data = file.read_bytes()
+    text = data.decode("utf-8", errors="replace")
+    opened: list[str] = []
+
+    def begin(tag: str, attributes: dict[str, str]) -> None:
+        if tag.startswith("xacro:") or file.suffix == ".xacro":
+            plain = file.name.removesuffix(".xacro").removesuffix(".urdf") + ".urdf"
+            raise ModelError(
+                f"arm '{arm}': {file} is a xacro, not yet a URDF. Expand it (pip install xacro): "
+                f"xacro {file.name} > {plain}"
+            )
+        if not opened and (tag != "robot" or not attributes.get("name")):
+            raise ModelError(
+                f"arm '{arm}': {file} is not a readable URDF (its root is no <robot name=…>). Check the path."
+            )
+        opened.append(tag)
+
+    parser = expat.ParserCreate()
+    parser.StartElementHandler = begin
+    try:
+        parser.Parse(data, True)
+    except (expat.ExpatError, LookupError, ValueError) as error:  # also an encoding that Python does not know
+        raise ModelError(f"arm '{arm}': {file} is not a readable URDF ({error}). Check the path.") from error
+    return text
+
+
+def check_nesting(file: Path, arm: str) -> None:
+    """Raise ModelError if elements are nested too deep: Pinocchio's MJCF reader is recursive and would crash."""
+    depth = 0
+
+    def begin(tag: str, attributes: object) -> None:
+        nonlocal depth
+        depth += 1
+        if depth > MAX_NESTING:
+            raise ModelError(f"arm '{arm}': the elements of {file} are nested more than {MAX_NESTING} deep.")
+
+    def end(tag: str) -> None:
+        nonlocal depth
+        depth -= 1
+
+    def entity(*declaration: object) -> None:
+        raise ModelError(f"arm '{arm}': {file} declares XML entities, which are not allowed. Write their text out.")
+
+    parser = expat.ParserCreate()
+    parser.StartElementHandler, parser.EndElementHandler, parser.EntityDeclHandler = begin, end, entity
+    # If the file is not XML, the MJCF reader reports it.
+    with contextlib.suppress(expat.ExpatError, LookupError, ValueError):
+        parser.Parse(file.read_bytes(), True)
+
+
+def mesh_folders(text: str, file: Path, given: Sequence[str | Path]) -> list[str]:
+    """Folders that resolve the ``package://`` paths of a description: those given, then those found.
+
+    A package is looked for in the folders above the description, in ``ROS_PACKAGE_PATH`` and below
+    ``AMENT_PREFIX_PATH``.
+    """
+    folders = [str(folder) for folder in given]
+    for package in dict.fromkeys(re.findall(r"package://([^/\"'<>\s]+)/", text)):
+        found = find_package(package, file.parent, given)
+        if found is not None:
+            folders.append(str(found.parent))
+    return list(dict.fromkeys(folders))
+
+
+def find_package(name: str, near: Path, given: Sequence[str | Path] = ()) -> Path | None:
+    """Folder of a ROS package of this name, or None."""
+    above = near.resolve()
+    places = [Path(folder) for folder in given]
+    places += [above, *list(above.parents)[:MAX_FOLDERS_ABOVE]]
+    places += [Path(p) for p in os.environ.get("ROS_PACKAGE_PATH", "").split(os.pathsep) if p]
+    places += [Path(p) / "share" for p in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep) if p]
+    for place in places:
+        for folder in (place / name, place):
+            if folder.name == name and folder.is_dir():
+                return folder
+    return None

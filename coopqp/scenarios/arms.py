@@ -1,0 +1,233 @@
+"""Arms by name: those that come with coopqp, and every single arm of ``example-robot-data`` (extra ``robots``)."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Mapping
+from dataclasses import dataclass
+from importlib import metadata
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+import pinocchio as pin
+
+from coopqp.errors import InvalidInputError, MissingExtraError, UnknownNameError
+from coopqp.model.cell import Arm
+from coopqp.scenarios.robots import robot_path
+from coopqp.spatial import Placement
+
+_PACKAGE = "example-robot-data"
+#: Franka's published joint acceleration limits [rad/s²].
+PANDA_ACCELERATION = (15.0, 7.5, 10.0, 12.5, 15.0, 20.0, 20.0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Robot:
+    """An arm that has a name.
+
+    Attributes:
+        joints: number of moving joints.
+        tool_frame: the frame that holds the object, unless another is given.
+        licence: licence of the description.
+        source: who made the robot, and where the description comes from.
+        file: end of the file's name in ``example-robot-data``; empty for a robot that comes with coopqp.
+        locked: joints that do not move the tool, with their positions [rad or m].
+        acceleration: published acceleration limits [rad/s²]; empty for none.
+    """
+
+    joints: int
+    tool_frame: str
+    licence: str
+    source: str
+    file: str = ""
+    locked: tuple[tuple[str, float], ...] = ()
+    acceleration: tuple[float, ...] = ()
+
+    @property
+    def extra(self) -> str:
+        """The extra that installs the robot; empty if it comes with coopqp."""
+        return "robots" if self.file else ""
+
+
+def _made_up(joints: int) -> Robot:
+    return Robot(joints=joints, tool_frame="tool", licence="Apache-2.0", source="made up, coopqp")
+
+
+def _universal(file: str) -> Robot:
+    source = "Universal Robots, github.com/ros-industrial/universal_robot"
+    return Robot(joints=6, tool_frame="tool0", licence="BSD", source=source, file=f"ur_description/urdf/{file}.urdf")
+
+
+#: Every arm that has a name.
+ROBOTS: Mapping[str, Robot] = MappingProxyType(
+    {
+        "arm5": _made_up(5),
+        "arm6c": _made_up(6),
+        "arm7": _made_up(7),
+        "gantry7": _made_up(7),
+        "rx90l": Robot(joints=6, tool_frame="flange", licence="Apache-2.0", source="Stäubli RX-90L, coopqp"),
+        "scara4": _made_up(4),
+        "panda": Robot(
+            joints=7,
+            tool_frame="panda_hand_tcp",
+            licence="Apache-2.0",
+            source="Franka Emika, github.com/frankaemika/franka_ros",
+            file="panda_description/urdf/panda.urdf",
+            locked=(("panda_finger_joint1", 0.02), ("panda_finger_joint2", 0.02)),
+            acceleration=PANDA_ACCELERATION,
+        ),
+        "ur3": _universal("ur3_robot"),
+        "ur3_gripper": _universal("ur3_gripper"),
+        "ur3_limited": _universal("ur3_joint_limited_robot"),
+        "ur5": _universal("ur5_robot"),
+        "ur5_gripper": _universal("ur5_gripper"),
+        "ur5_limited": _universal("ur5_joint_limited_robot"),
+        "ur10": _universal("ur10_robot"),
+        "ur10_limited": _universal("ur10_joint_limited_robot"),
+        "kinova": Robot(
+            joints=6,
+            tool_frame="j2s6s200_end_effector",
+            licence="BSD",
+            source="Kinova Jaco 2, github.com/Kinovarobotics/kinova-ros",
+            file="kinova_description/robots/kinova.urdf",
+        ),
+        "so100": Robot(
+            joints=5,
+            tool_frame="gripper",
+            licence="Apache-2.0",
+            source="The Robot Studio, github.com/TheRobotStudio/SO-ARM100",
+            file="so_arm_description/urdf/so100.urdf",
+            locked=(("gripper", 0.0),),
+        ),
+        "so101": Robot(
+            joints=5,
+            tool_frame="gripper_frame_link",
+            licence="Apache-2.0",
+            source="The Robot Studio, github.com/TheRobotStudio/SO-ARM100",
+            file="so_arm_description/urdf/so101.urdf",
+            locked=(("gripper", 0.0),),
+        ),
+        "talos_left_arm": Robot(
+            joints=6,
+            tool_frame="wrist_left_ft_tool_link",
+            licence="Apache-2.0",
+            source="PAL Robotics, github.com/pal-robotics/talos_robot",
+            file="talos_data/robots/talos_left_arm.urdf",
+            locked=(("gripper_left_joint", 0.0),),
+        ),
+        "xarm7": Robot(
+            joints=7,
+            tool_frame="link_eef",
+            licence="BSD-3-Clause",
+            source="UFACTORY, github.com/xArm-Developer/xarm_ros2",
+            file="xarm_description/urdf/xarm7.urdf",
+        ),
+        "z1": Robot(
+            joints=6,
+            tool_frame="gripperStator",
+            licence="MPL-2.0",
+            source="Unitree, github.com/unitreerobotics/unitree_ros",
+            file="z1_description/urdf/z1.urdf",
+            locked=(("jointGripper", 0.0),),
+        ),
+    }
+)
+
+
+def robot_data_path(name: str) -> Path:
+    """Path of a file of ``example-robot-data``, from the end of its name in the package, e.g. ``"urdf/panda.urdf"``.
+
+    Raises:
+        MissingExtraError: the package is not installed or has no such file.
+    """
+    for path in _data_files():
+        if path.endswith(name):
+            return Path(path)
+    raise MissingExtraError("robots", f"{_PACKAGE} with a file {name}")
+
+
+@functools.cache
+def _data_files() -> tuple[str, ...]:
+    """Files of ``example-robot-data``. A failure is not kept: the package may be installed while a program runs."""
+    try:
+        files = metadata.distribution(_PACKAGE).files or []
+    except metadata.PackageNotFoundError as error:
+        raise MissingExtraError("robots", _PACKAGE) from error
+    return tuple(str(Path(str(file.locate())).resolve()) for file in files if str(file).endswith((".urdf", ".srdf")))
+
+
+def robot_file(robot: str) -> Path:
+    """Path of the URDF of a robot of :data:`ROBOTS`. Errors as :func:`robot_arm`."""
+    if not isinstance(robot, str) or robot not in ROBOTS:
+        raise UnknownNameError("robot", str(robot), ROBOTS)
+    made = ROBOTS[robot]
+    return robot_data_path(made.file) if made.file else robot_path(robot)
+
+
+def robot_arm(
+    robot: str,
+    *,
+    name: str | None = None,
+    T_world_base: Placement | None = None,
+    tool_frame: str | None = None,
+    geometry: bool = True,
+    locked_joints: Mapping[str, float] | None = None,
+    **limits: Any,
+) -> Arm:
+    """An arm of :data:`ROBOTS`, with its meshes, its fingers locked and its published acceleration limits.
+
+    Args:
+        robot: name of the robot.
+        name: name of the arm in its cell; by default that of the robot.
+        T_world_base: placement of its base in the world (identity by default).
+        tool_frame: the frame that holds the object; by default the robot's.
+        geometry: also load the shapes.
+        locked_joints: further joints to lock, with their positions [rad or m].
+        limits: ``velocity``, ``acceleration``, ``lower`` or ``upper``, as in :meth:`Arm.with_limits`.
+
+    Raises:
+        UnknownNameError: no such robot, frame, joint or limit.
+        MissingExtraError: the robot needs the extra ``robots``.
+        InvalidInputError, ModelError: as in :meth:`Arm.from_urdf`.
+    """
+    if not isinstance(robot, str) or robot not in ROBOTS:
+        raise UnknownNameError("robot", str(robot), ROBOTS)
+    if locked_joints is not None and not isinstance(locked_joints, Mapping):
+        raise InvalidInputError(
+            f"locked_joints is a {type(locked_joints).__name__}", "robot_arm", "Give a dictionary of joints."
+        )
+    made = ROBOTS[robot]
+    locked = {**dict(made.locked), **(locked_joints or {})}
+    try:
+        arm = _read(robot, tool_frame or made.tool_frame, bool(geometry), tuple(sorted(locked.items())))
+    except TypeError:  # a position that is no key of a cache; the reader names it
+        arm = _read.__wrapped__(robot, tool_frame or made.tool_frame, bool(geometry), tuple(locked.items()))
+    placed = arm.placed(pin.SE3.Identity() if T_world_base is None else T_world_base, name=name)
+    return placed.with_limits(**limits) if limits else placed
+
+
+@functools.lru_cache(maxsize=32)
+def _read(robot: str, tool_frame: str, geometry: bool, locked: tuple[tuple[str, float], ...]) -> Arm:
+    """An arm at the origin. It is read only once."""
+    made = ROBOTS[robot]
+    return Arm.from_urdf(
+        robot,
+        robot_file(robot),
+        tool_frame=tool_frame,
+        geometry=geometry,
+        locked_joints=dict(locked) or None,
+        acceleration_limits=made.acceleration if made.acceleration and len(made.locked) == len(locked) else None,
+    )
+
+
+def robot_table() -> str:
+    """The robots as text: name, joints, tool frame, licence and source; those of the extra ``robots`` are marked."""
+    rows = [("robot", "joints", "tool frame", "licence", "source")]
+    rows += [
+        (name + ("*" if made.extra else ""), str(made.joints), made.tool_frame, made.licence, made.source)
+        for name, made in ROBOTS.items()
+    ]
+    widths = [max(len(row[i]) for row in rows) for i in range(5)]
+    lines = ["  ".join(text.ljust(width) for text, width in zip(row, widths, strict=True)).rstrip() for row in rows]
+    return "\n".join([*lines, "", "* needs the extra robots: pip install 'coopqp[robots]'"]) + "\n"
