@@ -37,6 +37,7 @@ from coopqp.errors import (
     InvalidInputError,
     MissingExtraError,
     ModelError,
+    NoStartError,
     UnknownNameError,
     UnreachableError,
 )
@@ -164,6 +165,7 @@ __all__ = [
     "Monitor",
     "MonitorTolerances",
     "Monitored",
+    "NoStartError",
     "ObjectPath",
     "OsqpSettings",
     "OutputError",

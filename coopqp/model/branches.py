@@ -56,7 +56,13 @@ class Branches:
 
 
 def find_branches(
-    kinematics: ArmKinematics, T_world_tool: Placement, *, effort: int = 1, near: Any = None, seed: int = 0
+    kinematics: ArmKinematics,
+    T_world_tool: Placement,
+    *,
+    effort: int = 1,
+    near: Any = None,
+    seed: int = 0,
+    quick: bool = False,
 ) -> Branches:
     """Search all branches at a tool pose with random seeds until none that is new turns up.
 
@@ -66,6 +72,7 @@ def find_branches(
         effort: multiplies the numbers of seeds.
         near: further seeds (S, n) [rad or m], tried first.
         seed: of the random numbers.
+        quick: a first look, with few seeds: branches may be missing.
     """
     effort = as_count(effort, "find_branches: effort")
     search = _Search(kinematics, T_world_tool)
@@ -73,12 +80,13 @@ def find_branches(
     if near is not None:
         search.try_seeds(np.asarray(near, dtype=float))
     if kinematics.n > 6:
-        search.try_seeds(kinematics.seeds(_REDUNDANT_SEEDS * effort, rng))
+        search.try_seeds(kinematics.seeds(_ROUND if quick else _REDUNDANT_SEEDS * effort, rng))
         return search.result(_MOST_REDUNDANT * effort)
-    for rounds in range(1, _MOST_ROUNDS * effort + 1):
+    for rounds in range(1, 2 if quick else _MOST_ROUNDS + 1):
         new = search.try_seeds(kinematics.seeds(_ROUND * effort, rng))
         new += search.try_neighbours()
-        if new == 0 and rounds > 1 and (not search.hits or min(search.hits) >= _ENOUGH_HITS):
+        enough = min(search.hits) >= _ENOUGH_HITS if search.hits else rounds >= _ENOUGH_HITS
+        if new == 0 and rounds > 1 and enough:
             break
     return search.result(None)
 
