@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import itertools
 import pickle
 import sys
@@ -14,6 +15,7 @@ import pytest
 
 from coopqp import (
     Arm,
+    CellFileError,
     CellState,
     Grasp,
     HoldPath,
@@ -21,10 +23,14 @@ from coopqp import (
     LinePath,
     NoStartError,
     QPController,
+    QPOptions,
     RobotCell,
     UnknownNameError,
     UnreachableError,
     WaypointPath,
+    available_kernels,
+    load_cell_file,
+    robot_path,
     simulate,
 )
 from coopqp.model.batch import ArmKinematics
@@ -159,8 +165,6 @@ def test_turns_are_chosen_for_the_whole_path() -> None:
 
 
 def _rx90l() -> Path:
-    from coopqp import robot_path
-
     return Path(robot_path("rx90l"))
 
 
@@ -186,8 +190,8 @@ def test_a_start_outside_is_named_with_joint_amount_and_a_remedy() -> None:
     )
     assert caught.value.arms == ("right",)
     assert isinstance(caught.value, UnreachableError)
-    copy = pickle.loads(pickle.dumps(caught.value))
-    assert (copy.arms, str(copy)) == (caught.value.arms, str(caught.value))
+    same = pickle.loads(pickle.dumps(caught.value))
+    assert (same.arms, str(same)) == (caught.value.arms, str(caught.value))
 
 
 def test_a_free_roll_is_the_remedy() -> None:
@@ -266,3 +270,85 @@ def test_samples_contain_ends_and_breakpoints_and_are_close_to_each_other(paper:
             assert np.linalg.norm(pin.log3(a[:3, :3].T @ b[:3, :3])) <= 0.0501
     for clock, pose in zip(samples.clocks, samples.poses, strict=True):
         np.testing.assert_array_equal(pose.homogeneous, path.pose(clock).homogeneous)
+
+
+# -- in use ----------------------------------------------------------------------------------------------------------
+
+
+def test_simulate_finds_a_start(paper: Scenario) -> None:
+    run = simulate(QPController(paper.cell, paper.grasp, paper.path, dt=0.02))
+    np.testing.assert_array_equal(run.q[0], find_start(paper.cell, paper.grasp, paper.path).q)
+    assert run.finished
+    far = HoldPath(pin.SE3(np.eye(3), np.array([9.0, 0.0, 0.0])))
+    with pytest.raises(NoStartError, match="arm master does not reach"):
+        simulate(QPController(paper.cell, paper.grasp, far, dt=0.02), duration=1.0)
+
+
+@pytest.mark.parametrize("kernel", available_kernels())
+def test_a_start_outside_limits_is_said_until_the_arm_is_inside(paper: Scenario, kernel: Any) -> None:
+    """The limit of one joint is 1° on the inner side of its start, or 20°."""
+    for degrees, comes_inside in ((1.0, True), (20.0, False)):
+        upper = paper.cell.limits.upper.copy()
+        upper[8] = paper.q_start[8] - np.deg2rad(degrees)
+        cell = paper.cell.with_limits(upper=upper)
+        options = QPOptions(kernel=kernel)
+        controller = QPController(cell, paper.grasp, HoldPath(paper.path.start), dt=0.01, options=options)
+        controller.reset(paper.q_start)
+        first = controller.step()
+        said = f"arm slave_1 started outside its limits: joint_3 is {degrees:.1f}° outside"
+        assert said in first.reason
+        assert said in first.explain()
+        twin = copy.deepcopy(controller)
+        steps = [controller.step() for _ in range(200)]
+        for step in steps:
+            outside = cell.positions(step.q)[8] - upper[8] > 1e-9
+            assert ("outside its limits: joint_3" in step.reason) == outside
+        again = [twin.step() for _ in range(200)]
+        assert [s.reason for s in again] == [s.reason for s in steps]
+        np.testing.assert_array_equal([s.q_next for s in again], [s.q_next for s in steps])
+        inside = "outside" not in steps[-1].reason
+        assert inside or not comes_inside
+
+
+def test_a_start_inside_limits_is_not_spoken_of(paper: Scenario) -> None:
+    controller = QPController(paper.cell, paper.grasp, paper.path, dt=0.01)
+    controller.reset(paper.q_start)
+    assert all(controller.step().reason == "" for _ in range(5))
+
+
+CELL_FILE = """
+name = "one"
+{start}
+[[arms]]
+name = "a"
+robot = "rx90l"
+[grasp]
+kind = "{grasp}"
+{tools}
+[path]
+kind = "hold"
+pose = {{ xyz_m = [{x}, 0.1, 0.6], rpy_deg = [0, 120, 0] }}
+duration_s = 1.0
+"""
+
+
+def cell_file(folder: Path, *, start: str = "", grasp: str = "tools", x: float = 0.7) -> Path:
+    file = folder / "one.toml"
+    tools = "tools.a = {}" if grasp == "tools" else ""
+    file.write_text(CELL_FILE.format(start=start, grasp=grasp, tools=tools, x=x), encoding="utf-8")
+    return file
+
+
+@pytest.mark.parametrize("start", ["", 'start = "auto"'])
+def test_a_cell_file_without_a_start_has_one_found(tmp_path: Path, start: str) -> None:
+    task = load_cell_file(cell_file(tmp_path, start=start)).scenario
+    np.testing.assert_array_equal(task.q_start, find_start(task.cell, task.grasp, task.path).q)
+
+
+def test_a_cell_file_without_a_start_says_what_is_wrong(tmp_path: Path) -> None:
+    with pytest.raises(CellFileError, match=r"one\.toml: a latched grasp .*: give start\.positions_deg or"):
+        load_cell_file(cell_file(tmp_path, grasp="latched"))
+    with pytest.raises(CellFileError, match=r"one\.toml: arm a does not reach its grasp .*; move its base"):
+        load_cell_file(cell_file(tmp_path, x=5.0))
+    with pytest.raises(CellFileError, match=r'start: give a table or "auto", not "home"'):
+        load_cell_file(cell_file(tmp_path, start='start = "home"'))
