@@ -49,20 +49,21 @@ core: $(VENV)/.installed
 	$(BIN)/cmake --build build/strict --clean-first
 
 # The tests marked core in a copy of the package whose core stops at the first wrong access to memory and the first
-# undefined operation. The first command shows that it is this core that the tests get.
+# undefined operation. The lines before them make sure that it is this core that the tests get.
 sanitize: export PYTHONPATH := $(CURDIR)/tests/elsewhere:$(CURDIR)/$(SANITIZED)/tree
 sanitize: export ASAN_OPTIONS := detect_leaks=0
 sanitize: export UBSAN_OPTIONS := print_stacktrace=1
 sanitize: $(VENV)/.installed
-	rm -rf $(SANITIZED)/tree
 	$(BIN)/cmake -S . -B $(SANITIZED) -DCMAKE_BUILD_TYPE=RelWithDebInfo -DCOOPQP_SANITIZE=ON \
 	  -DPython_EXECUTABLE=$(CURDIR)/$(BIN)/python
 	$(BIN)/cmake --build $(SANITIZED)
-	mkdir -p $(SANITIZED)/tree && cp -r coopqp $(SANITIZED)/tree
+	rm -rf $(SANITIZED)/tree && mkdir $(SANITIZED)/tree && cp -r coopqp $(SANITIZED)/tree
+	rm -f $(SANITIZED)/tree/coopqp/control/core/_native*.so
 	$(BIN)/cmake --install $(SANITIZED) --prefix $(SANITIZED)/tree
+	grep -q __asan_init $(SANITIZED)/tree/coopqp/control/core/_native*.so
 	export LD_PRELOAD="$$(cc -print-file-name=libasan.so) $$(cc -print-file-name=libstdc++.so.6)" PYTHONMALLOC=malloc; \
 	(cd $(SANITIZED) && $(CURDIR)/$(BIN)/python -c \
-	  'from coopqp.control.core import _native as n; print(n.__file__); assert "$(SANITIZED)/tree" in n.__file__') && \
+	  'from coopqp.control.core import _native as n; assert "$(SANITIZED)/tree" in n.__file__, n.__file__') && \
 	$(PYTEST) -m core --capture sys -p no:cacheprovider
 
 # Would a test fail if the code said something else? Hours; MUTANTS=20 for a look.

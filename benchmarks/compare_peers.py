@@ -8,7 +8,7 @@ Peers: the reading into their state where there is one, targets (ready made), ki
 command as an array. Readings are made, and commands kept, outside the timed part. Records of cost have
 
 ``case``, ``arms``, ``mode``, ``pacing``   see :mod:`peer_cases`; coopqp's modes are its kernels; "hot" or "1 kHz";
-``ratio``, ``ratio_numpy``          coopqp / this record, its fastest kernel and its plain one, where both do the case;
+``ratio``, ``ratio_plain``          coopqp / this record, its fastest kernel and its plain one, where both do the case;
 ``ratio_placo``, ``p99_ratio_placo``  coopqp's record / PlaCo's mode ``hard scaled`` in the same rounds, with the same
                                     pacing: of ``measured`` in that case, of ``nominal`` in all others;
 ``placo_p50_us``, ``placo_p99_us``    of that PlaCo in those rounds.
@@ -46,7 +46,7 @@ QUICK_MODES = {
 }
 #: Keys of every record.
 KEYS = (
-    "peer", "version", "case", "arms", "mode", "pacing", "p50_us", "p99_us", "ratio", "ratio_numpy", "ratio_placo",
+    "peer", "version", "case", "arms", "mode", "pacing", "p50_us", "p99_us", "ratio", "ratio_plain", "ratio_placo",
     "p99_ratio_placo", "placo_p50_us", "placo_p99_us", "chain_mm", "chain_end_mm", "path_mm", "path_deg", "failures",
     "steps", "finished", "rate_min", "limit_excess", "note",
 )  # fmt: skip
@@ -297,7 +297,7 @@ class Comparison:
                 values["note"] = values["note"] or entry.note
                 values["steps"] = sum(len(times) for times in entry.rounds)
                 # coopqp's first mode is its fastest kernel, the last one its plain one.
-                values["ratio"], values["ratio_numpy"] = (
+                values["ratio"], values["ratio_plain"] = (
                     ratio(own[k].rounds, entry.rounds) if own else None for k in (0, -1)
                 )
                 if entry in own and reference is not None:
@@ -373,7 +373,7 @@ def report(records: Sequence[Record]) -> str:
         title = "## Behaviour: three arms, joints limited to 1 rad/s"
         parts.append(f"{title}\n\n" + common.markdown_table(behaviour, columns))
     timing = (
-        "peer", "mode", "p50_us", "p99_us", "ratio", "ratio_numpy", "ratio_placo", "p99_ratio_placo", "failures",
+        "peer", "mode", "p50_us", "p99_us", "ratio", "ratio_plain", "ratio_placo", "p99_ratio_placo", "failures",
         "chain_mm", "path_mm",
     )  # fmt: skip
     for case in peer_cases.COST:

@@ -43,10 +43,12 @@ KEYS = (
     "without_answer",
     "message",
 )
-#: Persistent backends; backends with approximate solutions, which run with and without polishing.
-KEPT, APPROXIMATE = ("daqp", "proxqp", "osqp"), ("proxqp", "osqp")
+#: Persistent solvers, and those among them that qpsolvers does not know.
+KEPT, ONLY_KEPT = ("ldp", "daqp", "proxqp", "osqp"), ("ldp",)
+#: Backends with approximate solutions, which run with and without polishing.
+APPROXIMATE = ("proxqp", "osqp")
 #: Backends with solutions that are exact up to rounding. Their best solution is the reference.
-ACTIVE_SET = ("daqp", "qpsolvers:daqp", "quadprog")
+ACTIVE_SET = ("ldp", "daqp", "qpsolvers:daqp", "quadprog")
 #: Accuracy and feasibility of raw solutions, so loose that they are not solved again.
 _RAW_ACCURACY, _RAW_FEASIBILITY = 1e-3, 1e-5
 
@@ -112,7 +114,8 @@ def ways() -> list[Way]:
         for polish in polishes:
             if solver in KEPT:
                 found += [Way(solver=solver, mode="kept", start=start, polish=polish) for start in ("warm", "cold")]
-            found.append(Way(solver=solver, mode="rebuilt", start="cold", polish=polish))
+            if solver not in ONLY_KEPT:
+                found.append(Way(solver=solver, mode="rebuilt", start="cold", polish=polish))
     return found
 
 
@@ -236,7 +239,7 @@ def kept_ratios(records: Sequence[Record]) -> list[Record]:
     times = {(r["solver"], r["polish"], r["case"], r["arms"], r["form"], r["mode"], r["start"]): r for r in records}
     found = []
     for (solver, polish, case, arms, form, mode, start), r in times.items():
-        if (mode, start) == ("kept", "warm"):
+        if (mode, start) == ("kept", "warm") and solver not in ONLY_KEPT:
             other = times[solver, polish, case, arms, form, "rebuilt", "cold"]
             found.append(
                 {

@@ -25,7 +25,7 @@ from __future__ import annotations
 
 import gc
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import partial
@@ -35,7 +35,6 @@ import common  # first: it limits BLAS to one thread
 import numpy as np
 from common import Record
 from peer_cases import NOISE, READ, options_of
-from step_profile import Spin, tail
 
 from coopqp import Array, ControlStep, QPController, Status, available_kernels
 from coopqp.scenarios import Scenario, at_singularity
@@ -140,10 +139,29 @@ class Loop:
         self._before = self._command = self._task.q_start
 
 
-def null_spin(length_us: float) -> Callable[[int], list[float]]:
-    """Blocks of an empty loop of about the length of a step; CPU time [µs]."""
-    spin = Spin(length_us)
-    return lambda size: [1e-3 * spent for _, spent in spin.block(WARM_UP + size)[WARM_UP:]]
+class Spin:
+    """An empty loop of about the length of a step. Its tail is due to the machine."""
+
+    def __init__(self, length_us: float) -> None:
+        self._turns = 1
+        while np.median(self.block(200)) < length_us:
+            self._turns += max(1, self._turns // 16)
+
+    def block(self, size: int) -> list[float]:
+        """CPU time of ``size`` loops [µs]."""
+        turns, samples = range(self._turns), []
+        for _ in range(WARM_UP + size):
+            began = cpu()
+            for _ in turns:
+                pass
+            samples.append(1e-3 * (cpu() - began))
+        return samples[WARM_UP:]
+
+
+def tail(samples: Any) -> Record:
+    """Percentiles and the largest sample [µs]."""
+    values = np.asarray(samples)
+    return {**common.percentiles(values, shares=(50.0, 99.0, 99.9)), "max_us": round(float(values.max()), 3)}
 
 
 def tails(plan: Plan, cases: Sequence[str], progress: common.Progress) -> tuple[list[Record], dict[str, Array]]:
@@ -154,7 +172,7 @@ def tails(plan: Plan, cases: Sequence[str], progress: common.Progress) -> tuple[
             loop = Loop(case, kernel)
             length = float(np.median(loop.block(min(plan.block, 400))))
             rounds[case, kernel] = loop.block
-            rounds[f"null spin: {case}", kernel] = null_spin(length)
+            rounds[f"null spin: {case}", kernel] = Spin(length).block
 
     def one_round(block: Any) -> Iterable[float]:
         samples: list[float] = block(plan.block)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import time
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
@@ -12,8 +13,8 @@ import common  # first: it limits BLAS to one thread
 import numpy as np
 import peer_cases
 
-from coopqp import Array, QPController, QPOptions, QpProblem
-from coopqp.control import Pieces, StepTerms, VelocityBox
+from coopqp import Array, QPController, QPOptions, QpProblem, QpSolver, make_solver
+from coopqp.control import Chain, Constraints, Outcome, PlainLoop, Proposal, StepProgram, VelocityBox, Workspace
 from coopqp.files import write_files
 from coopqp.scenarios import Scenario, at_singularity, fast_lift
 
@@ -39,7 +40,7 @@ class RecordedQp:
 
     Attributes:
         problem: the QP.
-        base, B: map from the unknowns to joint velocities, v = base + B x.
+        base, B: map from the first unknowns to joint velocities, v = base + B x; the others are of joints led back.
         jacobians: Jacobian of each arm in the reference object frame, (6, nv) each.
         dt: length of the step [s].
         step: number of the step in the run.
@@ -54,7 +55,7 @@ class RecordedQp:
 
     def velocity(self, x: Array) -> Array:
         """Joint velocities of a solution [rad/s]."""
-        v: Array = self.base + self.B @ x
+        v: Array = self.base + self.B @ x[: self.B.shape[1]]
         return v
 
     def chain_mm(self, dv: Array) -> float:
@@ -91,37 +92,77 @@ def scenario_of(case: str, arms: int) -> Scenario:
     return peer_cases.build(case).scenario
 
 
+class Recorder(QpSolver):
+    """DAQP that keeps a copy of every problem.
+
+    Attributes:
+        asked: the problems since the list was last emptied.
+    """
+
+    name = "recorder"
+
+    def __init__(self) -> None:
+        self._solver = make_solver("daqp")
+        self.settings = self._solver.settings
+        self.asked: list[QpProblem] = []
+
+    def _solve(self, problem: QpProblem, work: Workspace) -> Outcome:
+        self.asked.append(copied(problem))
+        found = self._solver.solve(problem)
+        return Outcome(found.status, found.x, None, found.iterations, found.message)
+
+    def _forget(self) -> None:
+        self._solver.reset()
+
+
+class FormsOfStep:
+    """What the two forms of a step's QP mean, from the step's own input."""
+
+    def __init__(self, scenario: Scenario, options: QPOptions) -> None:
+        self._cell, self._dt = scenario.cell, scenario.dt
+        self._chain, self._box = Chain(scenario.cell, scenario.grasp), VelocityBox(scenario.cell)
+        self._program = StepProgram(self._chain, options.weights)
+
+    def of(self, proposal: Proposal, condensed: QpProblem, step: int) -> dict[str, RecordedQp]:
+        """The QP that the step solved, and the full form beside it."""
+        chain, box, given, terms = self._chain, self._box, proposal.given, proposal.found.terms
+        middle = self._cell.moved(given.q, 0.5 * given.h * (2.0 * given.v - given.v_before))
+        chain.linearise(middle, about=given.pose.translation)
+        box.update(given.positions, given.v, given.h)
+        _, base, B = self._program.condensed(terms, self._program.pieces(terms), box)
+        J = np.linalg.inv(terms.to_world) @ chain.dense().reshape(chain.n_arms, 6, chain.nv)
+        full = self._program.full(terms, box)
+        still, only_v = np.zeros(chain.nv), np.eye(chain.nv, full.g.size)
+        return {
+            "condensed": RecordedQp(condensed, base, B, J, self._dt, step),
+            "full": RecordedQp(full, still, only_v, J, self._dt, step),
+        }
+
+
 def record(case: str, arms: int, count: int) -> list[Recorded]:
     """``count`` successive QPs of a closed loop with a QP in every step, in each form.
 
-    Cases with an easy start are recorded around the first slowed step.
+    The loop is the plain definition of a step, and its solver records. Cases with an easy start are recorded around
+    the first slowed step.
     """
     scenario = scenario_of(case, arms)
     first = _first_difficulty(scenario, count) if case in ("near_singular", "elbow") else 1
-    options = QPOptions(shortcut=False, kernel="none")
-    controller = QPController(scenario.cell, scenario.grasp, scenario.path, dt=scenario.dt, options=options)
-    program, chain = controller._solver.program, controller._chain
+    recorder = Recorder()
+    options = QPOptions(shortcut=False, solver=recorder, kernel="plain")
+    none = Constraints(scenario.cell, ())
+    loop = PlainLoop(scenario.cell, scenario.grasp, dt=scenario.dt, options=options, constraints=none)
+    loop.follow(scenario.path)
+    loop.start(scenario.q_start)
+    loop.start_path()
+    forms = FormsOfStep(scenario, options)
     found: dict[str, list[RecordedQp]] = {form: [] for form in FORMS}
-    condensed, number, wanted = program.condensed, 0, False
-
-    def listen(terms: StepTerms, pieces: Pieces, box: VelocityBox) -> tuple[QpProblem, Array, Array]:
-        problem, base, B = condensed(terms, pieces, box)
-        if wanted:
-            J = np.linalg.inv(terms.to_world) @ chain.dense().reshape(chain.n_arms, 6, chain.nv)
-            full = program.full(terms, box)
-            only_v = np.eye(chain.nv, full.g.size)
-            for form, qp, start, columns in (
-                ("condensed", copied(problem), base.copy(), B.copy()),
-                ("full", full, np.zeros(chain.nv), only_v),
-            ):
-                found[form].append(RecordedQp(qp, start, columns, J, scenario.dt, number))
-        return problem, base, B
-
-    vars(program)["condensed"] = listen
-    controller.reset(scenario.q_start)
-    for number in range(first + count):  # listen() reads it
-        wanted = number >= first
-        if controller.step().finished:
+    for number in range(first + count):
+        recorder.asked.clear()
+        proposal = loop.propose(loop.observe(None, None))
+        if number >= first:  # the first step linearises more than once
+            for form, qp in forms.of(proposal, recorder.asked[0], number).items():
+                found[form].append(qp)
+        if loop.commit(proposal, time.perf_counter()).finished:
             break
     return [Recorded(case, arms, form, found[form]) for form in FORMS]
 

@@ -36,6 +36,7 @@ from coopqp.errors import (
     CoopqpError,
     InvalidInputError,
     MissingExtraError,
+    MissingSolverError,
     ModelError,
     NoStartError,
     UnknownNameError,
@@ -61,6 +62,7 @@ if TYPE_CHECKING:
     from coopqp.control.pseudo_inverse import PseudoInverseController, PseudoInverseOptions
     from coopqp.control.solvers.daqp import DaqpSettings
     from coopqp.control.solvers.generic import GenericSettings
+    from coopqp.control.solvers.ldp import LdpSettings
     from coopqp.control.solvers.osqp import OsqpSettings
     from coopqp.control.solvers.proxqp import ProxqpSettings
     from coopqp.files.cellfile import CellFileError, load_cell_file
@@ -94,6 +96,7 @@ else:
             "coopqp.control.pseudo_inverse": ("PseudoInverseController", "PseudoInverseOptions"),
             "coopqp.control.solvers.daqp": ("DaqpSettings",),
             "coopqp.control.solvers.generic": ("GenericSettings",),
+            "coopqp.control.solvers.ldp": ("LdpSettings",),
             "coopqp.control.solvers.osqp": ("OsqpSettings",),
             "coopqp.control.solvers.proxqp": ("ProxqpSettings",),
             "coopqp.files.cellfile": ("CellFileError", "load_cell_file"),
@@ -157,10 +160,12 @@ __all__ = [
     "InvalidInputError",
     "JointLimits",
     "KinematicPlant",
+    "LdpSettings",
     "LimitKind",
     "LinePath",
     "LiveViewer",
     "MissingExtraError",
+    "MissingSolverError",
     "ModelError",
     "Monitor",
     "MonitorTolerances",

@@ -1,6 +1,7 @@
 """Shared fixtures: Hypothesis profiles, cells that take time to build, and seeded random data.
 
-Profiles: ``ci`` (default, always the same examples) and ``nightly`` (ten times as many examples, new ones every time).
+Profiles: ``ci`` (default, always the same examples), ``check`` (a fifth of the examples), ``nightly`` (ten times as
+many examples, new ones every time) and ``mutation`` (as ``ci``, but a failure is not made smaller: that takes long).
 The variable HYPOTHESIS_PROFILE or ``pytest --hypothesis-profile`` selects the profile. A module that needs more
 examples multiplies the profile's number, so the nightly run grows by the same factor.
 """
@@ -16,7 +17,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 import pytest
-from hypothesis import HealthCheck, settings
+from hypothesis import HealthCheck, Phase, settings
 
 from coopqp import Arm, PseudoInverseController, PseudoInverseOptions, Recording, RobotCell, robot_path, simulate
 from coopqp.scenarios import Scenario, paper_lift
@@ -35,6 +36,7 @@ settings.register_profile(
     "nightly", parent=settings.get_profile("ci"), max_examples=2000, derandomize=False, print_blob=True
 )
 settings.register_profile("check", parent=settings.get_profile("ci"), max_examples=40)
+settings.register_profile("mutation", parent=settings.get_profile("ci"), phases=[Phase.explicit, Phase.generate])
 settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "ci"))
 
 

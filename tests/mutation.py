@@ -39,16 +39,17 @@ ROOT = Path(__file__).resolve().parents[1]
 
 #: What is mutated, and the tests of each module: those first that are quick and kill many.
 MODULES: dict[str, tuple[str, ...]] = {
-    "coopqp/control/limits.py": ("limits", "program", "kernel", "qp_controller", "reliability/stopping"),
-    "coopqp/control/forms.py": ("program", "kernel", "qp_controller", "posture"),
-    "coopqp/control/ranks.py": ("program", "kernel", "qp_controller", "posture"),
-    "coopqp/control/linearised.py": ("program", "kernel", "qp_controller", "preview"),
-    "coopqp/control/supervision.py": ("supervision", "stress", "qp_controller", "kernel", "reliability/disturbances"),
+    "coopqp/control/limits.py": ("limits", "program", "qp_controller", "reliability/stopping"),
+    "coopqp/control/forms.py": ("program", "qp_controller", "posture"),
+    "coopqp/control/ranks.py": ("program", "qp_controller", "posture"),
+    "coopqp/control/linearised.py": ("program", "qp_controller", "preview"),
+    "coopqp/control/plain.py": ("qp_controller", "supervision", "posture", "reliability/stopping"),
+    "coopqp/control/supervision.py": ("supervision", "stress", "qp_controller", "reliability/disturbances"),
     "coopqp/control/drift.py": ("supervision", "qp_controller", "pseudo_inverse", "reliability/disturbances"),
     "coopqp/model/grasp.py": ("grasp", "targets", "chain", "paper_equations", "state", "cell"),
-    "coopqp/model/chain.py": ("chain", "posture", "program", "kernel", "inverse_kinematics", "qp_controller"),
-    "coopqp/task/path.py": ("path", "targets", "kernel", "preview", "scenarios", "simulation"),
-    "coopqp/planning/preview.py": ("preview", "kernel", "qp_controller", "scenarios", "reliability/saturation"),
+    "coopqp/model/chain.py": ("chain", "posture", "program", "inverse_kinematics", "qp_controller"),
+    "coopqp/task/path.py": ("path", "targets", "preview", "scenarios", "simulation"),
+    "coopqp/planning/preview.py": ("preview", "qp_controller", "scenarios", "reliability/saturation"),
 }
 #: Tests of whole runs, for mutants that the module's own let live.
 EVERYWHERE = (
@@ -184,6 +185,11 @@ def chosen(modules: list[str], number: int, seed: int) -> list[Mutant]:
     return mutants
 
 
+def test_file(name: str) -> str:
+    """The file that the tables call by a short name."""
+    return "tests/" + re.sub(r"(\w+)$", r"test_\1.py", name)
+
+
 class Copy:
     """A copy of the tree, in which one mutant after the other is tested."""
 
@@ -200,7 +206,7 @@ class Copy:
             shutil.copy(file, folder / "coopqp/control/core")
         path = [str(folder / "tests" / "elsewhere"), str(folder)]
         self._environment = {
-            **os.environ, "PYTHONPATH": os.pathsep.join(path), "HYPOTHESIS_PROFILE": "ci",
+            **os.environ, "PYTHONPATH": os.pathsep.join(path), "HYPOTHESIS_PROFILE": "mutation",
             "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1",
         }  # fmt: skip
         where = subprocess.run(
@@ -211,8 +217,7 @@ class Copy:
 
     def killer(self, files: tuple[str, ...], *options: str, limit: float) -> str:
         """The test that failed, or "" if none did."""
-        tests = [f"tests/{name}.py" for name in (re.sub(r"(\w+)$", r"test_\1", f) for f in files)]
-        tests = [name for name in tests if (self.folder / name).exists()]
+        tests = [test_file(name) for name in files]
         command = [sys.executable, "-m", "pytest", "-x", "-p", "no:cacheprovider", *options, *tests]
         try:
             done = subprocess.run(
@@ -284,7 +289,10 @@ def main() -> int:
     parser.add_argument("--json", type=Path, help="write each mutant and what came of it to this file")
     parser.add_argument("--list", action="store_true", help="print the mutants, and test none")
     args = parser.parse_args()
-    modules = [m for m in args.only or MODULES if (ROOT / m).exists()]
+    modules = args.only or list(MODULES)
+    named = [*MODULES, *(test_file(name) for names in (*MODULES.values(), EVERYWHERE) for name in names)]
+    if lost := [name for name in named if not (ROOT / name).exists()]:
+        parser.error(f"the tables of {Path(__file__).name} name what is not there: {', '.join(sorted(set(lost)))}")
     mutants, tested = chosen(modules, args.number, args.seed), []
     if args.list:
         for m in mutants:

@@ -143,7 +143,7 @@ def test_the_judge_sees_what_goes_wrong(behaviour: Any) -> None:
     assert not behaviour.missed_targets(run, behaviour.judge(run, steps))
 
     def broken(number: int, **changes: Any) -> Any:
-        bad = [*steps[:number], replace(steps[number], **changes), *steps[number + 1 :]]
+        bad = [*steps[:number], steps[number].replaced(**changes), *steps[number + 1 :]]
         record = behaviour.judge(run, bad)
         return record, " ".join(behaviour.missed_targets(run, record))
 
@@ -182,9 +182,9 @@ def test_the_judge_knows_the_right_joint(behaviour: Any) -> None:
     run, steps = recorded(behaviour, "limit", (0,))
     assert behaviour.judge(run, steps)["named"] is True
     wrong = BindingLimit("slave_2", "joint_6", LimitKind.POSITION)
-    assert behaviour.judge(run, [*steps[:-1], replace(steps[-1], binding=(wrong,))])["named"] is False
-    assert behaviour.judge(run, [*steps[:-1], replace(steps[-1], binding=())])["named"] is False
-    assert behaviour.judge(run, [*steps[:-1], replace(steps[-1], status=Status.SLOWED)])["named"] is False
+    assert behaviour.judge(run, [*steps[:-1], steps[-1].replaced(binding=(wrong,))])["named"] is False
+    assert behaviour.judge(run, [*steps[:-1], steps[-1].replaced(binding=())])["named"] is False
+    assert behaviour.judge(run, [*steps[:-1], steps[-1].replaced(status=Status.SLOWED)])["named"] is False
     # The object moves as far as possible: the clock stops at the oracle's limit, within a step of the oracle.
     assert steps[-1].clock_next == pytest.approx(run.expected[2], abs=2e-4)
 
@@ -196,9 +196,9 @@ def test_the_judge_of_joints_outside(behaviour: Any) -> None:
     assert record["limit_excess"] == 0.0
     q = steps[1].q_next.copy()
     q[1] += 0.01
-    bad = [steps[0], replace(steps[1], q_next=q), *steps[2:]]
+    bad = [steps[0], steps[1].replaced(q_next=q), *steps[2:]]
     assert behaviour.judge(run, bad)["limit_excess"] > 0.005  # it moved further out
-    never = behaviour.judge(run, [replace(s, q_next=steps[0].q) for s in steps])
+    never = behaviour.judge(run, [s.replaced(q_next=steps[0].q) for s in steps])
     assert never["recovery_ratio"] == np.inf
     assert "recovery_ratio" in " ".join(behaviour.missed_targets(run, never))
 

@@ -81,11 +81,16 @@ def test_the_papers_file_is_the_papers_scenario(paper: Scenario) -> None:
     assert (ours.dt, ours.object_mass, ours.name) == (theirs.dt, theirs.object_mass, theirs.name)
 
 
+#: As the demo runs the QP.
+NO_SHORTCUT = 'shortcut = false\nsolver = "daqp"'
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize(("kind", "eps_p_mm"), [("pseudo_inverse", 0.871), ("qp", None)])
 def test_the_papers_file_gives_the_figures_of_the_code(
     kind: str, eps_p_mm: float | None, load: Callable[[str], CellRun], paper: Scenario
 ) -> None:
-    run = load(edited('kind = "qp" #', f'kind = "{kind}"\n{"shortcut = false" if kind == "qp" else ""} #'))
+    run = load(edited('kind = "qp" #', f'kind = "{kind}"\n{NO_SHORTCUT if kind == "qp" else ""} #'))
     recording = run.run()
     figure = float(read_run(run.scenario.cell, recording).eps_p_mm.max())
     assert figure == run_method(paper, kind, 400, solver="daqp").eps_p_mm

@@ -219,6 +219,7 @@ def test_control_c_stops_a_run_without_a_traceback(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.slow
 def test_a_reader_that_leaves_is_no_error(tmp_path: Path) -> None:
     program = (
         "import sys; from coopqp.app import cli, demo; demo.demo_pictures = lambda *_: {};"

@@ -100,7 +100,7 @@ def test_the_reference_has_every_public_name() -> None:
 
 
 def test_notation_and_code_agree() -> None:
-    """A_k v = Ad(R⁻¹) J_k v is the derivative of e_k for any grasp."""
+    """A_k v = blockdiag(Rᵀ, Rᵀ) J_k v, J_k about R's origin, is the derivative of e_k for any grasp."""
     import numpy as np
     import pinocchio as pin
 
@@ -110,8 +110,8 @@ def test_notation_and_code_agree() -> None:
     lift = paper_lift()
     chain, rng, h = Chain(lift.cell, lift.grasp), np.random.default_rng(1), 1e-6
     q, v, R = lift.q_start, rng.standard_normal(lift.cell.nv), lift.path.pose(0.0)
-    chain.linearise(q)
-    A_v = chain.twists(v) @ np.linalg.inv(R.action).T
+    chain.linearise(q, about=R.translation)
+    A_v = (chain.twists(v).reshape(-1, 2, 3) @ R.rotation).reshape(-1, 6)
     ends = [chain.errors(chain.carried(pin.integrate(lift.cell.model, q, s * h * v)), R) for s in (-1.0, 1.0)]
     np.testing.assert_allclose((ends[1] - ends[0]) / (2.0 * h), A_v, atol=1e-7)
 

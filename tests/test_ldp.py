@@ -12,23 +12,30 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from coopqp import InvalidInputError, QPController, QPOptions, UnknownNameError
-from coopqp.control.independent import IndependentQPController, IndependentQPOptions
-from coopqp.control.solvers import (
+from coopqp import (
+    DaqpSettings,
+    IndependentQPController,
+    IndependentQPOptions,
+    InvalidInputError,
+    MissingExtraError,
+    MissingSolverError,
+    QPController,
+    QPOptions,
     QpProblem,
     QpSolution,
     SolverStatus,
+    UnknownNameError,
     available_solvers,
-    default_solver,
     make_solver,
 )
+from coopqp.control.solvers import default_solver
 from coopqp.control.solvers.base import INFINITE, Workspace
-from coopqp.control.solvers.daqp import DaqpSettings, DaqpSolver
+from coopqp.control.solvers.daqp import DaqpSolver
 from coopqp.control.solvers.polish import REACH, kkt_residual
-from coopqp.errors import MissingExtraError, MissingSolverError
 from coopqp.scenarios import fast_lift
 
 native = pytest.importorskip("coopqp.control.core._native", reason="the core is not compiled")
+pytestmark = pytest.mark.core
 BENCHMARKS = Path(__file__).parents[1] / "benchmarks"
 OTHERS = [name for name in ("daqp", "quadprog") if name in available_solvers()]
 SEEDS = st.integers(0, 2**32 - 1)

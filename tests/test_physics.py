@@ -345,6 +345,7 @@ def test_within_a_baseline_run_force_follows_the_paper_s_measure(
     assert 1e-3 * force[-1] / measure[-1] == pytest.approx(215.0, rel=0.02)  # N/mm
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("steps", [40, 400])
 def test_the_stress_estimate_is_the_engine_s(
     paper: Scenario, lifted: dict[tuple[str, int], Run], reference: Run, steps: int

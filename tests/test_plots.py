@@ -129,6 +129,7 @@ def test_the_lift_refuses_no_frames(lift: Scenario, one: Recording) -> None:
         plots.motion_figure(lift.cell, one, object_size=lift.object_size, T_object_body=lift.T_object_body, frames=0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("kind", "start"), [("png", b"\x89PNG"), ("pdf", b"%PDF"), ("svg", b"<?xml")])
 def test_figures_are_saved_by_their_ending(
     lift: Scenario, one: Recording, tmp_path: Path, kind: str, start: bytes

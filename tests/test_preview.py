@@ -25,6 +25,7 @@ from coopqp import (
     ServoPath,
     TimeLaw,
     WaypointPath,
+    available_kernels,
     chain_error,
     path_error,
     tool_placements,
@@ -34,6 +35,8 @@ from coopqp.model.inverse_kinematics import newton
 from coopqp.planning.preview import PathPreview
 from coopqp.scenarios import Scenario, at_limit, at_singularity, dual_arm7, mixed_cell, paper_lift
 from coopqp.task.posture import Posture
+
+pytestmark = pytest.mark.core
 
 NIGHTLY = os.environ.get("HYPOTHESIS_PROFILE") == "nightly"
 DIRECTIONS = 40 if NIGHTLY else 6
@@ -275,8 +278,9 @@ def test_the_reference_is_on_the_path() -> None:
             q, slope = preview.reference(float(clock))
             errors = chain.errors(chain.carried(q), task.path.pose(float(clock)))
             assert np.abs(errors).max() < 1e-6
-            chain.linearise(q)
-            made = chain.twists(slope) @ np.linalg.inv(task.path.pose(float(clock)).action).T
+            pose = task.path.pose(float(clock))
+            chain.linearise(q, about=pose.translation)
+            made = (chain.twists(slope).reshape(-1, 2, 3) @ pose.rotation).reshape(-1, 6)
             assert np.abs(made - task.path.twist(float(clock))).max() < 1e-3
 
 
@@ -334,13 +338,45 @@ def test_the_object_keeps_its_path_at_corners(acceleration: float) -> None:
         assert path_error(tools, task.grasp, path, s.clock_next)[0] < 3e-6
 
 
-def test_paths_that_are_not_known_ahead_have_no_preview() -> None:
+class Looked:
+    """A bound on the rate that bounds nothing, and keeps the clocks that it is asked for."""
+
+    name = "looked"
+
+    def __init__(self) -> None:
+        self.clocks: list[float] = []
+
+    def lines(self, knot: Any) -> tuple[Array, Array, Array]:
+        self.clocks.append(knot.clock)
+        return np.zeros(0), np.zeros(0), np.zeros(0)
+
+
+@pytest.mark.parametrize("kernel", available_kernels())
+def test_paths_that_are_not_known_ahead_have_no_preview(kernel: str) -> None:
     task = paper_lift()
-    path: ObjectPath = ServoPath(task.path.pose(0.0))
-    assert QPController(task.cell, task.grasp, path, dt=DT)._preview is None
-    path = ServoPath(task.path.pose(0.0), look_ahead=True)
-    assert QPController(task.cell, task.grasp, path, dt=DT)._preview is not None
-    assert QPController(task.cell, task.grasp, task.path, dt=DT)._preview is not None
+    start = task.path.pose(0.0)
+    paths: list[tuple[ObjectPath, bool]] = [
+        (ServoPath(start), False),
+        (ServoPath(start, look_ahead=True), True),
+        (task.path, True),
+    ]
+    for path, known in paths:
+        looked = Looked()
+        controller = QPController(
+            task.cell, task.grasp, path, dt=DT, options=QPOptions(kernel=kernel), constraints=[looked]
+        )
+        controller.reset(task.q_start)
+        steps = [controller.step() for _ in range(20)]
+        assert bool(looked.clocks) is known
+        if known:
+            assert max(looked.clocks) > steps[-1].clock_next + 20 * DT
+    controller = QPController(
+        task.cell, task.grasp, task.path, dt=DT, options=QPOptions(kernel=kernel, preview=None), constraints=[looked]
+    )
+    looked.clocks.clear()
+    controller.reset(task.q_start)
+    controller.step()
+    assert not looked.clocks
 
 
 @pytest.mark.parametrize(

@@ -11,6 +11,8 @@ import numpy as np
 import pytest
 
 from coopqp import Array, InvalidInputError, PreviewOptions, QPController, QPOptions, RankWeights, make_solver
+from coopqp.control.command import NO_SOLVE
+from coopqp.control.constraints import no_rows
 from coopqp.control.forms import Answer, Pieces, StepProgram, StepTerms
 from coopqp.control.limits import VelocityBox
 from coopqp.control.ranks import StepAnswer, StepSolver
@@ -36,26 +38,22 @@ AGREEMENT = 1e-8
 class Recorded:
     """The problem of a step, with its linearised chain."""
 
-    solver: StepSolver
+    program: StepProgram
     terms: StepTerms
-    v_prev: Array
-    dt: float
-
-    @property
-    def program(self) -> StepProgram:
-        return self.solver.program
+    box: VelocityBox
 
     @property
     def chain(self) -> Chain:
-        return self.solver.program.chain
-
-    @property
-    def box(self) -> VelocityBox:
-        return self.solver._box
+        return self.program.chain
 
     @property
     def pieces(self) -> Pieces:
         return self.program.pieces(self.terms)
+
+    def ranked(self) -> StepAnswer:
+        """The ranked answer: nominal, else the fastest rate on the path, else the QP."""
+        solver = StepSolver(self.chain, self.box, QPOptions())
+        return solver.answer(self.terms, np.zeros(self.chain.nv), 0.02, no_rows(self.chain.nv))
 
     def condensed(self, box: Any = None, weights: RankWeights | None = None) -> Answer:
         program = self.program if weights is None else StepProgram(self.chain, weights)
@@ -75,18 +73,20 @@ def steps(
 ) -> Iterator[Recorded]:
     """Record every ``every``-th step of a run, before it is solved."""
     asked: list[Recorded] = []
-    answer = StepSolver.answer
+    condensed = StepProgram.condensed
 
-    def spy(self: StepSolver, terms: StepTerms, v_prev: Array, h: float) -> StepAnswer:
-        asked[:] = [Recorded(self, terms, v_prev.copy(), h)]
-        return answer(self, terms, v_prev, h)
+    def spy(self: StepProgram, terms: StepTerms, pieces: Pieces, box: VelocityBox, *others: Any, **named: Any) -> Any:
+        asked[:] = [Recorded(self, terms, box)]
+        return condensed(self, terms, pieces, box, *others, **named)
 
-    monkeypatch.setattr(StepSolver, "answer", spy)
-    options = QPOptions(shortcut=False, kernel="none", **given)
+    options = QPOptions(shortcut=False, kernel="plain", **given)
     controller = QPController(task.cell, task.grasp, task.path, dt=dt, options=options)
     controller.reset(task.q_start)
     for number in range(10_000):
-        step = controller.step()
+        asked.clear()
+        with monkeypatch.context() as patch:  # whoever asks for the recorded problem is not spied on
+            patch.setattr(StepProgram, "condensed", spy)
+            step = controller.step()
         if number % every == 0:
             yield asked[0]
         if step.finished or number * dt > 2.0 * task.path.duration:
@@ -219,8 +219,9 @@ def test_the_ray_is_what_the_weights_tend_to(monkeypatch: pytest.MonkeyPatch) ->
     apart: dict[float, list[float]] = {1e-4: [], 1e-6: [], 1e-8: []}
     used = 0
     for recorded in steps(task, monkeypatch, every=3):
-        on_path = recorded.solver._on_path(recorded.terms, recorded.pieces, recorded.v_prev, recorded.dt)
-        assert on_path is not None
+        on_path = recorded.ranked()
+        assert on_path.exact
+        assert on_path.report is NO_SOLVE
         if on_path.rate > 0.999 * recorded.terms.rate_cap:
             continue
         used += 1
@@ -229,7 +230,7 @@ def test_the_ray_is_what_the_weights_tend_to(monkeypatch: pytest.MonkeyPatch) ->
             distances.append(np.abs(solved.velocity - on_path.velocity).max())
         default = recorded.condensed()
         assert np.abs(default.velocity - on_path.velocity).max() < 5e-6
-        assert on_path.binding
+        assert on_path.active
     assert used > 10
     worst = {ratio: max(d) for ratio, d in apart.items()}
     assert worst[1e-6] < 2e-2 * worst[1e-4]

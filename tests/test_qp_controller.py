@@ -24,7 +24,6 @@ from coopqp import (
     InvalidInputError,
     LimitKind,
     LinePath,
-    MissingExtraError,
     ObjectPath,
     PostureOptions,
     PreviewOptions,
@@ -37,6 +36,7 @@ from coopqp import (
     TimeLaw,
     UnknownNameError,
     WaypointPath,
+    available_kernels,
     chain_error,
     inverse_kinematics,
     limit_excess,
@@ -59,6 +59,8 @@ from coopqp.scenarios import (
     scara_pair,
 )
 from coopqp.scenarios.paper import three_rx90l
+
+pytestmark = pytest.mark.core
 
 NIGHTLY = os.environ.get("HYPOTHESIS_PROFILE") == "nightly"
 MM = 1e-3
@@ -196,7 +198,7 @@ def test_shortcut_form_and_solver_change_nothing_that_matters(scenario: Callable
     task = replace(task, cell=task.cell.with_limits(velocity=np.minimum(task.cell.limits.velocity, 0.3)))
     reference = run(task, dt=0.01, longest=120)
     bound = np.concatenate([np.arange(s.start, s.stop) for s in task.cell.v_slices if s.stop - s.start <= 6])
-    ways: list[dict[str, Any]] = [{"shortcut": False}, {"shortcut": False, "form": "full"}, {"kernel": "none"}]
+    ways: list[dict[str, Any]] = [{"shortcut": False}, {"shortcut": False, "form": "full"}, {"kernel": "plain"}]
     ways += [{"shortcut": False, "solver": name} for name in ("proxqp", "osqp")]
     for way in ways:
         steps = run(task, dt=0.01, longest=120, **way)
@@ -207,15 +209,18 @@ def test_shortcut_form_and_solver_change_nothing_that_matters(scenario: Callable
         assert excess(task, steps) == 0.0, way
 
 
-@pytest.mark.parametrize("kernel", ["numpy", "compiled"])
+@pytest.mark.parametrize("kernel", available_kernels())
 def test_kernels_agree(kernel: str) -> None:
     task = fast_lift()
-    try:
-        controller = make(task, kernel=kernel)
-    except MissingExtraError:
-        controller = make(task)  # without a compiler there is only one
-    for a, b in zip(go(controller, longest=300), run(task, longest=300, kernel="none"), strict=True):
+    controller = make(task, kernel=kernel)
+    assert controller.kernel == kernel
+    for a, b in zip(go(controller, longest=300), run(task, longest=300, kernel="plain"), strict=True):
         assert np.abs(a.velocity - b.velocity).max() < 1e-8
+
+
+def test_a_kernel_that_is_not_there() -> None:
+    with pytest.raises(UnknownNameError, match=r"no kernel named 'fpga' .* Available: auto, compiled, plain\."):
+        QPOptions(kernel="fpga")
 
 
 # -- whose view of the object counts -----------------------------------------------------------------------------------
@@ -776,7 +781,7 @@ def test_every_scenario_runs() -> None:
 
 
 CONTROLLERS: list[Callable[..., Any]] = [
-    *(partial(QPController, options=QPOptions(kernel=kernel)) for kernel in ("auto", "numpy", "none")),
+    *(partial(QPController, options=QPOptions(kernel=kernel)) for kernel in ("auto", "plain")),
     PseudoInverseController,
     IndependentQPController,
 ]

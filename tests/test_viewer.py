@@ -222,6 +222,7 @@ def test_a_recording_of_another_cell_is_refused(scene: FakeScene, run: Recording
 # -- the page ------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_the_page_is_one_file_that_names_the_run(
     run: Recording, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:

@@ -290,7 +290,8 @@ class StepProgram:
         S = self._twist_basis(terms)
         d = S.shape[1]
         late, grasp, path = (x[d : d + 3] * self._share_scale).tolist()
-        return Answer(base + B @ x, terms.rate_cap - late, 1.0 - grasp, 1.0 - path, S @ x[:d])
+        own = x[: B.shape[1]]  # after these come the unknowns of joints that are led back, of rows that give way
+        return Answer(base + B @ own, terms.rate_cap - late, 1.0 - grasp, 1.0 - path, S @ x[:d])
 
     # -- full and slack ------------------------------------------------------------------------------------------
 

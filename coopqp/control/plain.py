@@ -57,7 +57,7 @@ class LoopState:
         rate: σ of the last step.
         last_dt: its length [s].
         first: no step was made yet on this path.
-        fault: why the controller is in fault; empty if it is not.
+        fault, fault_arm: why the controller is in fault, and by which arm; empty, and −1, if it is not.
     """
 
     q: Array
@@ -71,6 +71,7 @@ class LoopState:
     last_dt: float = 0.0
     first: bool = True
     fault: str = ""
+    fault_arm: int = -1
 
 
 @dataclass(eq=False)
@@ -208,7 +209,7 @@ class PlainLoop:
             measured, seen.watch, seen.lost = None, Watch.holding(trouble), True
             seen.pose = held_at(self.grasp, self._shares, CellState(self.cell, s.q))
         if s.fault:
-            seen.watch = Watch.holding(s.fault, fault=True)
+            seen.watch = Watch(0.0, hold=True, fault=True, arm=s.fault_arm, reason=s.fault)
         seen.measured = self._let_in(seen, measured)
         return seen
 
@@ -300,7 +301,7 @@ class PlainLoop:
             cap = watch.rate_cap
             out_of_step = BindingLimit(self.cell.arm_names[watch.arm], "", LimitKind.OUT_OF_STEP)
             binding = () if watch.arm < 0 else (out_of_step,)
-        if s.rate < 1.0 and self._rise is not None and s.rate + self._rise * h < cap:
+        if s.rate < 1.0 and self._rise is not None and s.rate + self._rise * h < cap - RATE_ROUNDING:
             cap, binding = s.rate + self._rise * h, ()
         return cap, binding, keep
 
@@ -367,18 +368,18 @@ class PlainLoop:
         q_next = self.cell.moved(q, h * v)
         binding = self.names(answer.active, h) or proposal.binding
         rate = min(max(answer.rate, 0.0), 1.0)
-        # what the last step needs is the full rate
-        share = 1.0 if rate >= 1.0 or (rate * h >= duration - clock and not watch.hold) else rate
         clock_next = clock + rate * h
         if duration - clock_next < 1e-9 * duration:
             clock_next = duration
+        # what the last step needs is the full rate
+        share = 1.0 if rate >= 1.0 or (clock_next >= duration and not watch.hold) else rate
         status, by_qp = Status.TRACKING, answer.report is not NO_SOLVE
         if share <= 1.0 - 1e-6:
             status = self._slow_status(share, binding)
         if watch.hold or answer.braked:
             status = Status.HOLDING
         if watch.hold and watch.fault:
-            status, s.fault = Status.FAULT, s.fault or watch.reason
+            status, s.fault, s.fault_arm = Status.FAULT, watch.reason, watch.arm
         for array in (v, q_next):
             array.flags.writeable = False  # the loop goes on from them
         step = ControlStep(

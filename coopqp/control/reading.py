@@ -8,6 +8,7 @@ import numpy as np
 
 from coopqp.control.command import NO_SOLVE, NOTHING, GivenUp, SolverReport, Status
 from coopqp.control.core import layout
+from coopqp.control.supervision import SupervisionOptions, refused_dt
 from coopqp.model.cell import RobotCell
 from coopqp.model.grasp import Grasp
 from coopqp.model.limits import BindingLimit, LimitKind
@@ -29,7 +30,8 @@ class RecordReader:
         cell, grasp, path: of the controller.
         solver: name of the solver that a QP step used.
         constraints: names of the further constraints.
-        force_limit: of the supervision [N].
+        dt: nominal length of a step [s].
+        supervision: its thresholds.
     """
 
     def __init__(
@@ -40,10 +42,12 @@ class RecordReader:
         *,
         solver: str,
         constraints: tuple[str, ...],
-        force_limit: float,
+        dt: float,
+        supervision: SupervisionOptions,
     ) -> None:
         self.cell, self.grasp, self.path = cell, grasp, path
-        self._solver, self._constraints, self._force_limit = solver, constraints, force_limit
+        self._solver, self._constraints = solver, constraints
+        self._force_limit, self._dt_range = supervision.force_limit, [share * dt for share in supervision.dt_range]
         self._q = len(layout.RECORD)
         self._v = self._q + cell.nq
         self._q_next = self._v + cell.nv
@@ -66,9 +70,10 @@ class RecordReader:
         return getattr(self, f"_read_{name}")(numbers)
 
     def _read_reason(self, r: Array) -> str:
-        return reason(
-            self.cell, self._force_limit, int(r[_R["R_REASON"]]), *r[_R["R_REASON_ARM"] : _R["R_REASON_B"] + 1].tolist()
-        )
+        code, given = int(r[_R["R_REASON"]]), r[_R["R_REASON_ARM"] : _R["R_REASON_B"] + 1].tolist()
+        if code == _REASONS["BAD_DT"]:
+            return refused_dt(given[1], *self._dt_range)
+        return reason(self.cell, self._force_limit, code, *given)
 
     def _read_binding(self, r: Array) -> tuple[BindingLimit, ...]:
         begin = self._off_path + 6
@@ -103,8 +108,6 @@ def reason(cell: RobotCell, force_limit: float, code: int, index: float, a: floa
     i, names = int(index), cell.arm_names
     if code == _REASONS["NO_REASON"]:
         return ""
-    if code == _REASONS["BAD_DT"]:
-        return f"dt is not accepted: {a:g} s is outside the range of the supervision"
     if code == _REASONS["NOT_FINITE"]:
         return f"q_measured[{i}] is {a}"
     if code == _REASONS["OFF_CIRCLE"]:

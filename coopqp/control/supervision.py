@@ -120,10 +120,25 @@ class Watch:
         return Watch(rate_cap=0.0, hold=True, fault=fault, reason=reason)
 
     def lower(self, seen: Watch) -> None:
-        """Take what was seen besides, if it says more."""
+        """Take what was seen besides, if it says more; a fault stays as it is."""
+        if self.fault:
+            return
         if seen.rate_cap < self.rate_cap or seen.fault:
             self.rate_cap, self.hold, self.fault = seen.rate_cap, seen.hold, seen.fault
             self.arm, self.reason = seen.arm, seen.reason
+
+
+def as_number(value: Any) -> float:
+    """A float; NaN for what is none."""
+    try:
+        return float(value)
+    except NOT_NUMBERS:
+        return math.nan
+
+
+def refused_dt(dt: float, low: float, high: float) -> str:
+    """Why a length of a step is not accepted [s]."""
+    return f"dt is not accepted: {dt:g} s is outside [{low:g}, {high:g}] s"
 
 
 #: Samples that are kept at most, to see an arm stall in.
@@ -140,6 +155,8 @@ _CIRCLE_TOLERANCE = 0.05
 _LET_GO = 0.5
 #: Grasps closer to their centre than this count as so far away [m].
 _LEAST_REACH = 0.1
+#: Arms whose distances from their commands differ by less count as equally far [m].
+_EQUALLY_FAR = 1e-6
 #: A fault needs as many samples in a row.
 _FAULT_SAMPLES = 2
 #: An arm whose samples stay the same is taken to have lost them for so many in a row; then it stands.
@@ -217,11 +234,11 @@ class Supervision:
 
     def accept_dt(self, dt: Any, nominal: float) -> str:
         """Empty, or why ``dt`` is not accepted."""
-        low, high = self._options.dt_range
+        low, high = (share * nominal for share in self._options.dt_range)
         try:
-            as_scalar(dt, "dt", low=low * nominal, high=high * nominal, open_low=False)
-        except InvalidInputError as error:
-            return f"dt is not accepted: {error.what}"
+            as_scalar(dt, "dt", low=low, high=high, open_low=False)
+        except InvalidInputError:
+            return refused_dt(as_number(dt), low, high)
         return ""
 
     def accept_measurement(self, q: Any, q_command: Array) -> tuple[Array, str]:
@@ -321,8 +338,9 @@ class Supervision:
             return
         spread = np.sqrt(spread)
         # Of arms equally far from the others, as two arms always are, the one that is not where it should be.
-        own = np.where(spread >= 0.99 * spread.max(), np.einsum("ij,ij->i", self._deviation, self._deviation), -1.0)
-        arm = result.arm = int(own.argmax())
+        own = np.where(spread >= 0.99 * spread.max(), np.linalg.norm(self._deviation, axis=1), -1.0)
+        candidates = own > own.max() - _EQUALLY_FAR  # of these the one that was named last, or the first
+        arm = result.arm = self._arm if self._arm >= 0 and candidates[self._arm] else int(candidates.argmax())
         result.hold = worst >= o.hold_from
         result.fault = worst >= o.fault_from and self._far >= _FAULT_SAMPLES
         result.rate_cap = 0.0 if result.hold else (o.hold_from - worst) / (o.hold_from - o.slow_from)

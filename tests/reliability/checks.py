@@ -37,6 +37,7 @@ from coopqp import (
     Verdict,
     WaypointPath,
     inverse_kinematics,
+    make_solver,
 )
 from coopqp.control.limits import VelocityBox
 from coopqp.scenarios import Scenario, at_limit
@@ -174,15 +175,25 @@ REST = 1e-4
 STOPPED = (Status.HOLDING, Status.FAULT)
 
 
-class FaultySolver:
-    """A solver that works until ``broken``, then returns ``fault(solver, problem)``."""
+class FaultySolver(QpSolver):
+    """A solver that works until ``broken``, then returns ``fault(solver, problem)``.
 
-    def __init__(self, solver: QpSolver, fault: Callable[[QpSolver, QpProblem], Any]) -> None:
-        self.solver, self.fault, self.name = solver, fault, solver.name
+    With ``strictly_convex_only`` it is asked for the condensed form alone: another one then lets the chain part.
+    """
+
+    def __init__(
+        self, solver: str, fault: Callable[[QpSolver, QpProblem], Any], *, strictly_convex_only: bool = False
+    ) -> None:
+        self.solver, self.fault = make_solver(solver), fault
+        self.name, self.settings = self.solver.name, self.solver.settings
+        self.strictly_convex_only = strictly_convex_only
         self.broken, self.hits = False, 0
 
-    def reset(self) -> None:
+    def _forget(self) -> None:
         self.solver.reset()
+
+    def _solve(self, problem: QpProblem, work: Any) -> Any:
+        raise NotImplementedError("solve() asks the other solver")
 
     def solve(self, problem: QpProblem) -> Any:
         if not self.broken:
@@ -230,7 +241,7 @@ class Failure:
 
     Attributes:
         held: True if the step of the failure already reports it.
-        hits: number of failed calls.
+        hits: number of steps with a failed call.
         stopping: time until all joints rest, relative to the time of the slowest joint alone plus two steps; NaN if
             the solver recovered.
         chain_mm: growth of the chain error [mm].
@@ -255,37 +266,33 @@ def solver_fails(
     for_ever: bool,
     goal: Any = None,
 ) -> Failure:
-    """Run a controller with a QP in every step, whose solvers fail after ``at`` steps."""
-    controller = make(task, shortcut=False)
+    """Run a controller with a QP in every step, whose solver fails after ``at`` steps in every form of the QP."""
+    double = FaultySolver("daqp", fault)
+    controller = make(task, shortcut=False, solver=double)
     controller.reset(task.q_start)
     if goal is not None:
         controller.retarget(goal)
-    answers = controller._solver
-    doubles = [FaultySolver(solver, fault) for solver in (answers._solver, answers._slack_solver)]
-    answers._solver, answers._slack_solver = doubles
     steps = [controller.step() for _ in range(at)]
     before = judged(task, steps, **WIDE)
     v, dt, limits = steps[-1].velocity, task.dt, task.cell.limits
     alone = float(np.max(np.abs(v) / limits.acceleration))
-    for double in doubles:
-        double.broken = True
+    double.broken = True
     steps.append(controller.step())
-    held = steps[-1].status in STOPPED
+    held, hits = steps[-1].status in STOPPED, int(double.hits > 0)
     stopping, recovery = np.nan, 0.0
     if for_ever:
         longest = int(3.0 * alone / dt) + 10
         while np.abs(steps[-1].velocity).max() > REST and len(steps) < at + longest:
+            before_it = double.hits
             steps.append(controller.step())
-            held = held and steps[-1].status in STOPPED
+            held, hits = held and steps[-1].status in STOPPED, hits + (double.hits > before_it)
         stopped = bool(np.abs(steps[-1].velocity).max() <= REST)
         stopping = (len(steps) - 1 - at) * dt / (alone + 2.0 * dt) if stopped else np.inf
-    for double in doubles:
-        double.broken = False
+    double.broken = False
     after = [controller.step() for _ in range(30)]
     recovery = next((i + 1.0 for i, s in enumerate(after) if s.status not in STOPPED), np.inf)
     verdict = judged(task, [*steps, *after], **WIDE)
     growth = 1e3 * (verdict.worst.chain_m - before.worst.chain_m)
-    hits = min(double.hits for double in doubles)
     return Failure(held, hits, stopping, growth, recovery, sum(verdict.counts.values()))
 
 
@@ -341,7 +348,7 @@ def rough_steps(
     controller.reset(q)
     while result.steps + len(block) < steps:
         mode = rng.choice(["plain", "dt", "measured"], p=[0.8 * (1.0 - measured), 0.2 * (1.0 - measured), measured])
-        noise, wild = 10.0 ** rng.uniform(-6.0, -3.0), rng.uniform() < 0.3
+        noise, wild, faulty = 10.0 ** rng.uniform(-6.0, -3.0), rng.uniform() < 0.3, False
         for _ in range(min(int(rng.integers(1, stretch)), BLOCK - len(block))):
             argument, dt = None, None
             if mode == "dt":
@@ -358,13 +365,14 @@ def rough_steps(
             block.append(step)
             if np.shape(step.q_next) == q.shape:
                 q = np.asarray(step.q_next)
-            if step.status is Status.FAULT:
+            faulty = step.status is Status.FAULT
+            if faulty:
                 break
         if len(block) == BLOCK:
             judge()
         if not np.isfinite(q).all():
             q = np.array(task.q_start)
-        _interfere(controller, task, q, rng, judge, monitor)
+        _interfere(controller, task, q, rng, judge, monitor, faulty=faulty)
     judge()
     verdict = monitor.verdict()
     result.violations.update({breach.name: n for breach, n in verdict.counts.items()})
@@ -412,11 +420,17 @@ def random_path(rng: np.random.Generator, start: pin.SE3) -> ObjectPath:
 
 
 def _interfere(
-    controller: Any, task: Scenario, q: Array, rng: np.random.Generator, judge: Callable[[], None], monitor: Monitor
+    controller: Any,
+    task: Scenario,
+    q: Array,
+    rng: np.random.Generator,
+    judge: Callable[[], None],
+    monitor: Monitor,
+    *,
+    faulty: bool,
 ) -> None:
     """Set a new path or target, or reset at the present configuration; after a fault always reset."""
     here = task.grasp.carried(CellState(task.cell, q))[0]
-    faulty = bool(getattr(controller, "_fault", ""))
     if not faulty and isinstance(controller.path, ServoPath) and rng.uniform() < 0.7:
         controller.retarget(here * pin.exp6(10.0 ** rng.uniform(-3.0, 0.0) * rng.normal(size=6)))
     elif not faulty and rng.uniform() < 0.7:

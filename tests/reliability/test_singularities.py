@@ -13,6 +13,8 @@ from hypothesis import settings
 from coopqp import LimitKind, LinePath, Monitor, MonitorTolerances, QPController, QPOptions, Status, Verdict
 from coopqp.scenarios import Scenario, at_singularity, five_joint_pair, scara_pair
 
+pytestmark = pytest.mark.slow
+
 #: Number of steps that a blocked object waits.
 DWELL = 100
 #: Longest time there, and longest time back [s].
@@ -109,7 +111,6 @@ def accelerates(task: Scenario) -> bool:
     return bool(np.isfinite(task.cell.limits.acceleration).any())
 
 
-@pytest.mark.slow
 def test_limits_are_kept(previewed: Any, few: Any, catalogue: Any) -> None:
     met = [e for _, miss, e in previewed if miss == 0.0]
     for found in (met, [e for _, e in few]):
@@ -126,7 +127,6 @@ def test_limits_are_kept(previewed: Any, few: Any, catalogue: Any) -> None:
         )
 
 
-@pytest.mark.slow
 def test_the_chain_on_previewed_paths(previewed: Any, few: Any, catalogue: Any) -> None:
     for arms, found in (("six", [e for _, _, e in previewed]), ("four and five", [e for _, e in few])):
         catalogue.row(
@@ -158,7 +158,6 @@ def test_the_object_comes_out_again(previewed: Any, catalogue: Any) -> None:
     )
 
 
-@pytest.mark.slow
 def test_arms_with_few_joints_come_out_again(few: Any, catalogue: Any) -> None:
     stuck = [task for task, e in few if not e.back]
     catalogue.row(
@@ -170,7 +169,6 @@ def test_arms_with_few_joints_come_out_again(few: Any, catalogue: Any) -> None:
     )
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("limited", [True, False])
 def test_the_rate_changes_smoothly(limited: bool, previewed: Any, few: Any, catalogue: Any) -> None:
     found = [e for task, *_, e in (*previewed, *few) if accelerates(task) is limited]

@@ -4,13 +4,23 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
 import pytest
 from checks import FAULTS, REST, Failure, FaultySolver, cooperative, judged, limited, solver_fails
 
-from coopqp import DaqpSettings, OsqpSettings, ProxqpSettings, ServoPath, SolverStatus, Status, make_solver
+from coopqp import (
+    DaqpSettings,
+    OsqpSettings,
+    ProxqpSettings,
+    ServoPath,
+    SolverStatus,
+    Status,
+    available_kernels,
+    make_solver,
+)
 from coopqp.scenarios import Scenario, dual_arm7, fast_lift, five_joint_pair, mixed_cell, paper_lift, scara_pair
 
 
@@ -55,7 +65,8 @@ def failures(count: Callable[[int], int]) -> list[tuple[bool, Failure]]:
             task, goal = TASKS[name]()
             for for_ever in (False, True):
                 moment = at + int(rng.integers(20))
-                failure = solver_fails(cooperative, task, FAULTS[fault], at=moment, for_ever=for_ever, goal=goal)
+                make = partial(cooperative, kernel=str(rng.choice(available_kernels())))
+                failure = solver_fails(make, task, FAULTS[fault], at=moment, for_ever=for_ever, goal=goal)
                 found.append((for_ever, failure))
     return found
 
@@ -72,6 +83,7 @@ def test_it_holds_within_the_same_step(failures: list[tuple[bool, Failure]], cat
     )
 
 
+@pytest.mark.slow
 def test_it_comes_to_rest(failures: list[tuple[bool, Failure]], catalogue: Any) -> None:
     stopping = [f.stopping for for_ever, f in failures if for_ever]
     catalogue.row(
@@ -85,6 +97,7 @@ def test_it_comes_to_rest(failures: list[tuple[bool, Failure]], catalogue: Any) 
     assert np.median(stopping) <= 1.0
 
 
+@pytest.mark.slow
 def test_the_arms_stay_together(failures: list[tuple[bool, Failure]], catalogue: Any) -> None:
     catalogue.row(
         "A5",
@@ -96,6 +109,7 @@ def test_the_arms_stay_together(failures: list[tuple[bool, Failure]], catalogue:
     )
 
 
+@pytest.mark.slow
 def test_limits_are_kept_and_the_clock_is_right(failures: list[tuple[bool, Failure]], catalogue: Any) -> None:
     catalogue.row(
         "A5",
@@ -106,6 +120,7 @@ def test_limits_are_kept_and_the_clock_is_right(failures: list[tuple[bool, Failu
     )
 
 
+@pytest.mark.slow
 def test_it_goes_on_when_the_solver_does(failures: list[tuple[bool, Failure]], catalogue: Any) -> None:
     catalogue.row(
         "A5",
@@ -116,13 +131,13 @@ def test_it_goes_on_when_the_solver_does(failures: list[tuple[bool, Failure]], c
     )
 
 
-def test_only_one_form_fails() -> None:
+@pytest.mark.parametrize("kernel", available_kernels())
+def test_only_one_form_fails(kernel: str) -> None:
     """If the first QP fails and the QP with slack succeeds, the motion continues normally."""
     task = limited(fast_lift(), acceleration=5.0)
-    controller = cooperative(task, shortcut=False)
+    double = FaultySolver("daqp", FAULTS["answers NaN"], strictly_convex_only=True)
+    controller = cooperative(task, shortcut=False, solver=double, kernel=kernel)
     controller.reset(task.q_start)
-    double = FaultySolver(controller._solver._solver, FAULTS["answers NaN"])
-    controller._solver._solver = double  # type: ignore[assignment]
     double.broken = True
     steps = [controller.step() for _ in range(100)]
     assert double.hits >= 100
@@ -145,11 +160,12 @@ def test_the_real_iteration_limit(solver: str, settings: Any) -> None:
     There is no preview, so the QP meets the limits.
     """
     task = limited(fast_lift(), acceleration=5.0)
-    controller = cooperative(task, shortcut=False, preview=None)
+    starved = make_solver(solver, settings)
+    double = FaultySolver(solver, lambda _, problem: starved.solve(problem))
+    controller = cooperative(task, shortcut=False, preview=None, solver=double)
     controller.reset(task.q_start)
     steps = [controller.step() for _ in range(100)]
-    starved = make_solver(solver, settings), make_solver(solver, settings)
-    controller._solver._solver, controller._solver._slack_solver = starved
+    double.broken = True
     steps += [controller.step() for _ in range(200)]
     assert all(s.status is Status.HOLDING for s in steps[100:])
     assert all(SolverStatus.MAX_ITERATIONS.value in s.reason for s in steps[100:])
@@ -157,15 +173,19 @@ def test_the_real_iteration_limit(solver: str, settings: Any) -> None:
     assert judged(task, steps).ok
 
 
-def test_an_interrupt_is_not_swallowed() -> None:
+@pytest.mark.parametrize("kernel", available_kernels())
+def test_an_interrupt_is_not_swallowed(kernel: str) -> None:
     def interrupted(*_: Any) -> Any:
         raise KeyboardInterrupt
 
     task = fast_lift()
-    controller = cooperative(task, shortcut=False)
+    double = FaultySolver("daqp", interrupted)
+    controller = cooperative(task, shortcut=False, solver=double, kernel=kernel)
     controller.reset(task.q_start)
-    double = FaultySolver(controller._solver._solver, interrupted)
-    controller._solver._solver = double  # type: ignore[assignment]
-    double.broken = True
-    with pytest.raises(KeyboardInterrupt):
-        controller.step()
+    for broken in (True, False, True):  # the first step, and a later one
+        double.broken = broken
+        if broken:
+            with pytest.raises(KeyboardInterrupt):
+                controller.step()
+        else:
+            assert controller.step().status is not Status.HOLDING

@@ -2,14 +2,24 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from checks import FaultySolver, cooperative
 
-from coopqp import QPController, QPOptions, QpProblem, QpSolution, SolverStatus, Status, available_solvers, make_solver
+from coopqp import (
+    QpProblem,
+    QpSolution,
+    SolverStatus,
+    Status,
+    available_kernels,
+    available_solvers,
+    make_solver,
+)
 from coopqp.scenarios import fast_lift
 
 BENCHMARKS = Path(__file__).parents[2] / "benchmarks"
@@ -174,34 +184,27 @@ def test_on_problems_at_the_border_of_feasibility(
     assert_holding(tally, catalogue, "QPs at the border of feasibility")
 
 
-class Says:
-    """A solver that returns the recorded result of another solver."""
+def says(solution: QpSolution) -> Callable[[Any, QpProblem], QpSolution]:
+    """A fault: the recorded result of another solver."""
 
-    name = "says"
-
-    def __init__(self, solution: QpSolution) -> None:
-        self._solution = solution
-
-    def solve(self, problem: QpProblem) -> QpSolution:
-        s = self._solution
-        nothing = np.full(problem.g.size, np.nan)
+    def said(_: Any, problem: QpProblem) -> QpSolution:
+        s, nothing = solution, np.full(problem.g.size, np.nan)
         return QpSolution(nothing, s.status, None, None, None, s.iterations, s.solve_time_s, s.message)
 
-    def reset(self) -> None:
-        pass
+    return said
 
 
 def assert_holding(tally: Tally, catalogue: Any, what: str) -> None:
     """A controller holds with every recorded result of a solver that failed while others succeeded."""
     task, not_held = fast_lift(), 0
     said = {(name, s.status, s.message): s for name, s in tally.disagreements}
-    for solution in said.values():
+    for solution, kernel in itertools.product(said.values(), available_kernels()):
         assert solution.status is not SolverStatus.SOLVED
-        options = QPOptions(shortcut=False, kernel="none")
-        controller = QPController(task.cell, task.grasp, task.path, dt=task.dt, options=options)
+        double = FaultySolver("daqp", says(solution))
+        controller = cooperative(task, shortcut=False, kernel=kernel, solver=double)
         controller.reset(task.q_start)
         controller.step()
-        controller._solver._solver = controller._solver._slack_solver = Says(solution)  # type: ignore[assignment]
+        double.broken = True
         step = controller.step()
         not_held += step.status is not Status.HOLDING
     catalogue.row(

@@ -66,7 +66,7 @@ class AnyOrder(RuleBasedStateMachine):
         """Start a controller for the present cell and grasp at the present configuration, at rest."""
         controller = QPController(self.cell, self.grasp, path, dt=0.005, options=self.options)
         controller.reset(self.q)
-        self.controller, self.path = controller, path
+        self.controller, self.path, self.clock = controller, path, 0.0
         self.monitor = Monitor(
             self.cell,
             self.grasp,
@@ -83,7 +83,7 @@ class AnyOrder(RuleBasedStateMachine):
         assert step.explain()
         assert (step.reason != "") or step.status not in (Status.HOLDING, Status.FAULT)
         assert step.given_up.chain >= 0.0
-        self.q, self.last = step.q_next, step
+        self.q, self.clock = step.q_next, step.clock_next
         O = self.grasp.carried(CellState(self.cell, step.q_next))
         self.object = O[0]
         known = not isinstance(self.path, ServoPath)
@@ -128,8 +128,8 @@ class AnyOrder(RuleBasedStateMachine):
         if isinstance(self.path, ServoPath):
             self.controller.retarget(goal)
         else:
-            here = self.path.pose(self.controller._clock)
-            self.path = LinePath(here, goal, duration=1.0)
+            here = self.path.pose(self.clock)
+            self.path, self.clock = LinePath(here, goal, duration=1.0), 0.0
             self.controller.follow(self.path)
 
     @rule(bad=st.sampled_from([2.0 * np.eye(4), np.diag([1.0, 1.0, -1.0, 1.0]), np.full((4, 4), np.nan), None, 3.0]))
@@ -142,6 +142,7 @@ class AnyOrder(RuleBasedStateMachine):
         """Reset at the measured configuration, which may differ from the start of the path."""
         if answer(lambda: (self.controller.reset(self.q),)) is None:
             self._new_controller(ServoPath(self.object))
+        self.clock = 0.0
         self.monitor.restart()
 
     @rule()

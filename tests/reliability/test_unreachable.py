@@ -13,6 +13,8 @@ import pytest
 from coopqp import Monitor, MonitorTolerances, QPController, QPOptions, ServoPath, Status
 from coopqp.scenarios import Scenario, dual_arm7, mixed_cell, paper_lift
 
+pytestmark = pytest.mark.slow
+
 #: Rate σ below which the object counts as stopped.
 STANDS = 0.01
 #: A run ends after this number of blocked steps.
@@ -103,7 +105,6 @@ def _found(request: pytest.FixtureRequest, count: Callable[[int], int]) -> tuple
     return bool(np.isfinite(request.param)), to_blocked, to_off, lost
 
 
-@pytest.mark.slow
 def test_a_standing_object_is_reported_blocked(found: tuple[bool, list[int], list[int], int], catalogue: Any) -> None:
     limited, to_blocked, _, _ = found
     catalogue.row(

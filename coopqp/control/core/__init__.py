@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from coopqp.control.constraints import Constraints
-from coopqp.control.core.memory import NotForTheCoreError
+from coopqp.control.core.memory import NotForTheCore
 from coopqp.control.options import QPOptions
 from coopqp.control.plain import PlainLoop
 from coopqp.errors import UnknownNameError
@@ -43,9 +43,9 @@ def make_loop(
 
         try:
             return CompiledLoop(cell, grasp, dt=dt, options=options, constraints=constraints)
-        except NotForTheCoreError:
+        except NotForTheCore:
             pass
     return PlainLoop(cell, grasp, dt=dt, options=options, constraints=constraints)
 
 
-__all__ = ["NotForTheCoreError", "available_kernels", "make_loop"]
+__all__ = ["NotForTheCore", "available_kernels", "make_loop"]

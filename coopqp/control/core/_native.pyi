@@ -3,10 +3,13 @@ from typing import Any
 
 from coopqp.spatial import Array
 
+#: Unused numbers after each field: 0 but in a module built with the address sanitizer.
+GAP: int
+
 class Core:
     def __init__(
         self,
-        blocks: tuple[tuple[int, int], ...],
+        blocks: tuple[Array, ...],
         places: tuple[tuple[int, int], ...],
         sizes: tuple[int, int, int, int, int, int],
         plain: bool = False,

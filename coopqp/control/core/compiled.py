@@ -16,7 +16,7 @@ import coopqp.control.core._native as native
 from coopqp.control.command import ControlStep, SolverReport, amend
 from coopqp.control.constraints import Constraints, ConstraintTrouble, Knot, no_rows
 from coopqp.control.core import layout
-from coopqp.control.core.memory import MOST_ROWS, Memory, NotForTheCoreError, build_memory, same_kinematics
+from coopqp.control.core.memory import MOST_ROWS, Memory, NotForTheCore, build_memory, same_kinematics
 from coopqp.control.limits import VelocityBox
 from coopqp.control.linearised import LinearisedAnswer, LinearisedStep, StepInput
 from coopqp.control.options import QPOptions
@@ -30,6 +30,7 @@ from coopqp.model.state import CellState
 from coopqp.spatial import Array
 from coopqp.task.guarded import GuardedPath
 from coopqp.task.path import ObjectPath
+from coopqp.task.posture import Posture
 
 _P = {name: i for i, name in enumerate(layout.PROPOSAL)}
 _LOOP = {name: i for i, name in enumerate(layout.LOOP)}
@@ -46,7 +47,7 @@ class CompiledLoop:
         arithmetic: ``"plain"`` for the one that any processor can do.
 
     Raises:
-        NotForTheCoreError: the cell or the options ask for something that the core does not do.
+        NotForTheCore: the cell or the options ask for something that the core does not do.
     """
 
     kernel = "compiled"
@@ -62,7 +63,7 @@ class CompiledLoop:
         arithmetic: str = "auto",
     ) -> None:
         if options.iterations != 1 or options.form != "condensed":
-            raise NotForTheCoreError("the core linearises once and solves the condensed form")
+            raise NotForTheCore("the core linearises once and solves the condensed form")
         self.cell, self.grasp, self.dt, self.options = cell, grasp, dt, options
         self.constraints = constraints
         chain, box = Chain(cell, grasp), VelocityBox(cell)
@@ -70,12 +71,13 @@ class CompiledLoop:
         self.solver = StepSolver(chain, box, options)
         self._box, self._definition = box, LinearisedStep(chain, box, shares, self.solver, options)
         unit = self.solver.program.units
-        self._memory = build_memory(chain, box, shares, unit, grasp_lengths(grasp), options, dt)
+        self._memory = build_memory(chain, box, shares, unit, grasp_lengths(grasp), options, dt, gap=native.GAP)
         at = self.at = self._memory.at
         at["options"][layout.OPTIONS.index("OWN_SOLVER")] = self.solver.name == "ldp"
         self._core = _make_core(self._memory, arithmetic)
         if not same_kinematics(chain, self._core.linearise):
-            raise NotForTheCoreError("the core's kinematics of this robot are not Pinocchio's")
+            raise NotForTheCore("the core's kinematics of this robot are not Pinocchio's")
+        self._target = Posture(cell, options.posture).target
         self._pose_out = np.zeros(12)
         self._no_rows = no_rows(cell.nv)
         self._nan = np.full(cell.nq, math.nan)
@@ -94,7 +96,7 @@ class CompiledLoop:
         self._guarded = GuardedPath(path)
         self._reader = RecordReader(
             self.cell, self.grasp, path, solver=self.solver.name, constraints=self.constraints.names,
-            force_limit=self.options.supervision.force_limit,
+            dt=self.dt, supervision=self.options.supervision,
         )  # fmt: skip
         self._core.make_steps(ControlStep, self._reader, STATUSES)
         self.take_path()
@@ -114,8 +116,7 @@ class CompiledLoop:
         self.solver.reset()
         x = self.cell.positions(q)
         self._core.start(x)
-        target = self.options.posture.target
-        self.at["posture_target"][:] = x if target is None else self.cell.positions(np.asarray(target, dtype=float))
+        self.at["posture_target"][:] = x if self._target is None else self.cell.positions(self._target)
 
     def start_path(self, clock: float = 0.0, rate: float | None = None) -> None:
         """Along the path from ``clock`` on."""
@@ -131,11 +132,11 @@ class CompiledLoop:
 
     def memory(self) -> Any:
         """All that a copy of this loop needs beside its arguments and its path."""
-        return self._memory.blocks["state"].copy()
+        return self._memory.blocks["STATE"].copy()
 
     def restore(self, memory: Any) -> None:
         """Go on from what :meth:`memory` returned."""
-        self._memory.blocks["state"][:] = memory
+        self._memory.blocks["STATE"][:] = memory
 
     @property
     def clock(self) -> float:
@@ -245,7 +246,8 @@ class CompiledLoop:
         if x is None:
             return _OPEN, report
         at["x"][:unknowns] = x
-        return (_QP if self._core.read(p.item(_P["CAP"])) else _OPEN), report
+        p[_P["OUTCOME"]] = _QP if self._core.read(p.item(_P["CAP"])) else _OPEN
+        return int(p[_P["OUTCOME"]]), report
 
     def _show_box(self) -> None:
         """The core's box in the definition's."""
@@ -303,7 +305,7 @@ class CompiledLoop:
 
 
 def _make_core(memory: Memory, arithmetic: str) -> Any:
-    blocks = tuple((b.ctypes.data, b.nbytes) for b in memory.blocks.values())
+    blocks = tuple(memory.blocks.values())
     s = memory.sizes
     sizes = s["n"], s["nv"], s["nq"], s["unknowns"], s["past"], s["rows"]
     return native.Core(blocks, tuple(memory.places), sizes, arithmetic == "plain")

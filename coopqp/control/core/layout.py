@@ -50,6 +50,7 @@ CONSTANTS: dict[str, float] = {
     "CAUGHT_UP_SHARE": 0.3,  # so has one at this share of the largest gap
     "CIRCLE_TOLERANCE": 0.05,  # how far (cos, sin) of a continuous joint may be from the unit circle
     "LET_GO": 0.5,  # a force that held the object lets it go below this share of its limit
+    "EQUALLY_FAR": 1e-6,  # arms this little apart in their distances count as equally far from their commands [m]
     "FAULT_SAMPLES": 2,  # a fault needs as many samples in a row
     "MOST_LOST": 3,  # samples in a row that an arm may repeat before it counts as standing
     "NOISE_TIME": 0.2,  # noise is averaged over this time [s]
@@ -190,13 +191,13 @@ def sizes(*, n: int, nv: int, nq: int, unknowns: int, past: int, rows: int) -> d
     }  # fmt: skip
 
 
-def offsets(block: tuple[tuple[str, str], ...], symbols: dict[str, int]) -> dict[str, tuple[int, int]]:
-    """Where each field of a block begins and ends."""
-    places, end = {}, 0
+def offsets(block: tuple[tuple[str, str], ...], symbols: dict[str, int], *, gap: int = 0) -> dict[str, tuple[int, int]]:
+    """Where each field of a block begins and ends, with a gap of unused numbers after each."""
+    places, begin = {}, 0
     for name, size in block:
-        begin = end
-        end += _value(size, symbols)
+        end = begin + _value(size, symbols)
         places[name] = (begin, end)
+        begin = end + gap
     return places
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from coopqp.control.core import layout
 from coopqp.control.limits import VelocityBox
 from coopqp.control.options import QPOptions
-from coopqp.errors import CoopqpError, ModelError
+from coopqp.errors import ModelError
 from coopqp.model.chain import Chain
 from coopqp.model.links import joint_links
 from coopqp.planning.preview import PlanLimits
@@ -19,38 +19,46 @@ from coopqp.spatial import Array
 MOST_ROWS = 64
 
 
-class NotForTheCoreError(CoopqpError):
-    """The cell has something that the core does not know; the plain loop runs it."""
+class NotForTheCore(Exception):  # noqa: N818
+    """The cell has something that the core does not know; the plain loop runs it. No user sees it."""
 
 
 @final
 class Memory:
-    """Blocks ``config``, ``state`` and ``work``; ``at[name]`` is the view of a field.
+    """Blocks ``config``, ``state`` and ``work``; ``at[name]`` is the view of a field, ``gap`` numbers before the next.
 
     Attributes:
         sizes: symbols of the layout.
         places: where each field begins and ends in its block, in the layout's order.
     """
 
-    def __init__(self, *, n: int, nv: int, nq: int, unknowns: int, past: int) -> None:
+    def __init__(self, *, n: int, nv: int, nq: int, unknowns: int, past: int, gap: int = 0) -> None:
         self.sizes = layout.sizes(n=n, nv=nv, nq=nq, unknowns=unknowns, past=past, rows=MOST_ROWS)
         self.at: dict[str, Array] = {}
         self.places: list[tuple[int, int]] = []
         self.blocks: dict[str, Array] = {}
         for block, fields in layout.BLOCKS:
-            places = layout.offsets(fields, self.sizes)
-            memory = self.blocks[block] = np.zeros(max(end for _, end in places.values()))
+            places = layout.offsets(fields, self.sizes, gap=gap)
+            memory = self.blocks[block] = np.zeros(max(end for _, end in places.values()) + gap)
             self.places += places.values()
             self.at.update({name: memory[begin:end] for name, (begin, end) in places.items()})
 
 
 def build_memory(
-    chain: Chain, box: VelocityBox, shares: Array, unit: Array, at_grasps: Array, options: QPOptions, dt: float
+    chain: Chain,
+    box: VelocityBox,
+    shares: Array,
+    unit: Array,
+    at_grasps: Array,
+    options: QPOptions,
+    dt: float,
+    *,
+    gap: int,
 ) -> Memory:
     """The memory of a loop, its constants filled in.
 
     Raises:
-        NotForTheCoreError: a joint type, or an order of joints, that the core does not know.
+        NotForTheCore: a joint type, or an order of joints, that the core does not know.
     """
     cell = chain.cell
     starts, counts = _arms(chain)
@@ -60,6 +68,7 @@ def build_memory(
         nq=cell.nq,
         unknowns=unit.size,
         past=1 + (options.supervision.stall_samples or 1),
+        gap=gap,
     )
     at, limits = memory.at, cell.limits
     at["arm_start"][:], at["arm_size"][:] = starts, counts
@@ -85,11 +94,11 @@ def build_memory(
 def _arms(chain: Chain) -> tuple[list[int], list[int]]:
     columns = chain.moving_columns
     if any(len(c) < 6 for c in columns):
-        raise NotForTheCoreError("an arm has fewer than six joints")
+        raise NotForTheCore("an arm has fewer than six joints")
     if any(len(c) > layout.MOST_JOINTS for c in columns):
-        raise NotForTheCoreError(f"an arm has more than {layout.MOST_JOINTS} joints")
+        raise NotForTheCore(f"an arm has more than {layout.MOST_JOINTS} joints")
     if any((np.diff(c) != 1).any() for c in columns):
-        raise NotForTheCoreError("the joints of an arm do not follow each other")
+        raise NotForTheCore("the joints of an arm do not follow each other")
     return [int(c[0]) for c in columns], [len(c) for c in columns]
 
 
@@ -101,13 +110,13 @@ def _put_links(chain: Chain, at: dict[str, Array]) -> None:
     for k, columns in enumerate(chain.moving_columns):
         joints = [int(j) + 1 for j in columns]
         if any(cell.model.joints[j].idx_v != j - 1 for j in joints):
-            raise NotForTheCoreError(f"the joints of arm {cell.arm_names[k]} are in another order")
+            raise NotForTheCore(f"the joints of arm {cell.arm_names[k]} are in another order")
         if cell.tool_joints[k] != joints[-1]:
-            raise NotForTheCoreError(f"the tool of arm {cell.arm_names[k]} is not on its last joint")
+            raise NotForTheCore(f"the tool of arm {cell.arm_names[k]} is not on its last joint")
         try:
             R, link_p[columns], at["prismatic"][columns], aligned = joint_links(cell.model, joints)
         except ModelError as error:
-            raise NotForTheCoreError(str(error)) from error
+            raise NotForTheCore(str(error)) from error
         link_R[columns] = R.reshape(-1, 9)
         Y = cell.T_joint_tool[k] * chain.grasp.T_object_tool[k].inverse()
         at["object_R"].reshape(-1, 9)[k] = (aligned.T @ Y.rotation).ravel()

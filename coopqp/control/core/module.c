@@ -1,14 +1,18 @@
-/* The core as a Python module. A Core works on three blocks of memory that Python owns: it is told their addresses and
- * lengths and where each field begins (compiled.py keeps them alive). Arrays come in through the buffer protocol. */
+/* The core as a Python module. A Core works on three blocks of memory that it shares with Python: arrays whose buffers it
+ * holds as long as it lives, and it is told where each field begins. */
 
 #define PY_SSIZE_T_CLEAN
 #include <Python.h>
 #include <stdint.h>
 
 #include "core.h"
+#include "guards.h"
 
-#ifdef __GNUC__
-#pragma GCC diagnostic ignored "-Wpedantic" /* Python keeps functions in void pointers */
+/* CPython passes functions as void *, which ISO C forbids and every platform with dynamic libraries allows. */
+#if defined(__GNUC__)
+#define POINTER(type, address) (__extension__(type)(address))
+#else
+#define POINTER(type, address) ((type)(address))
 #endif
 
 #define FIELDS_IN_ALL (CONFIG_FIELDS + STATE_FIELDS + WORK_FIELDS)
@@ -25,13 +29,21 @@ typedef struct {
     PyObject_HEAD
     Core core;
     const Arithmetic *can; /* NULL before it is built */
+    Py_buffer memory[3];   /* the blocks; released with the Core */
     double *own_pose;      /* where own_path leaves its numbers, 12 */
     PyObject *own_path, *bound_knot;               /* callables; NULL for none */
     PyObject *path_buffer, *pose_buffer;           /* arrays whose memory is in use */
     PyObject *step_type, *context, *statuses;      /* what a step is made of */
+#ifdef GUARDED
+    Guards guards;
+#endif
 } CoreObject;
 
 static CoreObject *owner_of(Core *c) { return (CoreObject *)(void *)((char *)c - offsetof(CoreObject, core)); }
+
+#ifdef GUARDED
+static Guards *guards_of(const Core *c) { return &owner_of((Core *)(uintptr_t)c)->guards; }
+#endif
 
 /* -- memory ---------------------------------------------------------------------------------------------------------- */
 
@@ -47,20 +59,24 @@ static double *numbers(PyObject *object, Py_ssize_t count, int writable, Py_buff
     return NULL;
 }
 
-/* A field that begins `begin` numbers into a block of `length` bytes, with room for `count` numbers. */
+/* Hold the blocks and find every field in them; 0 if they do not fit. */
 static int place_fields(CoreObject *self, PyObject *blocks, PyObject *places) {
     static const int fields[3] = {CONFIG_FIELDS, STATE_FIELDS, WORK_FIELDS};
     double **field = (double **)(void *)&self->core; /* FIELDS stand first */
     if (PyTuple_Size(blocks) != 3 || PyTuple_Size(places) != FIELDS_IN_ALL) return 0;
     for (int block = 0, i = 0; block < 3; block++) {
-        unsigned long long address;
-        Py_ssize_t length;
-        if (!PyArg_ParseTuple(PyTuple_GetItem(blocks, block), "Kn", &address, &length)) return 0;
+        double *begins = numbers(PyTuple_GetItem(blocks, block), -1, 1, self->memory + block);
+        if (!begins) return 0;
+        const Py_ssize_t length = self->memory[block].len / 8;
         for (int n = 0; n < fields[block]; n++, i++) {
             Py_ssize_t begin, end;
-            if (!PyArg_ParseTuple(PyTuple_GetItem(places, i), "nn", &begin, &end)) return 0;
-            if (begin < 0 || end < begin || end > length / 8) return 0;
-            field[i] = (double *)(uintptr_t)address + begin;
+            PyObject *place = PyTuple_GetItem(places, i);
+            if (!PyTuple_Check(place) || !PyArg_ParseTuple(place, "nn", &begin, &end)) return 0;
+            if (begin < 0 || end < begin || end + GAP > length) return 0;
+            field[i] = begins + begin;
+#ifdef GUARDED
+            self->guards.end[i] = begins + end;
+#endif
         }
     }
     return 1;
@@ -89,7 +105,7 @@ static int core_init(PyObject *object, PyObject *args, PyObject *kwargs) {
     PyObject *blocks, *places;
     int plain = 0;
     (void)kwargs;
-    if (self->can) {
+    if (self->can || self->memory[0].obj) {
         PyErr_SetString(PyExc_ValueError, "a Core is built once");
         return -1;
     }
@@ -103,21 +119,46 @@ static int core_init(PyObject *object, PyObject *args, PyObject *kwargs) {
     }
     static const double nowhere[3] = {1.0, 0.0, 0.0};
     c->duration = 1.0, c->path_numbers = nowhere;
-    self->can = plain ? &arithmetic_plain : best();
+    self->can = guarded(c, plain ? &arithmetic_plain : best());
+    return 0;
+}
+
+/* Functions of the loop that owns the Core make a cycle, which the collector has to see. */
+static int core_traverse(PyObject *object, visitproc visit, void *arg) {
+    CoreObject *self = (CoreObject *)object;
+    Py_VISIT(Py_TYPE(object));
+    Py_VISIT(self->own_path);
+    Py_VISIT(self->bound_knot);
+    Py_VISIT(self->path_buffer);
+    Py_VISIT(self->pose_buffer);
+    Py_VISIT(self->step_type);
+    Py_VISIT(self->context);
+    Py_VISIT(self->statuses);
+    return 0;
+}
+
+static int core_clear(PyObject *object) {
+    CoreObject *self = (CoreObject *)object;
+    self->core.own_path = NULL;
+    self->core.bound_knot = NULL;
+    Py_CLEAR(self->own_path);
+    Py_CLEAR(self->bound_knot);
+    Py_CLEAR(self->step_type);
+    Py_CLEAR(self->context);
+    Py_CLEAR(self->statuses);
     return 0;
 }
 
 static void core_dealloc(PyObject *object) {
     CoreObject *self = (CoreObject *)object;
     PyTypeObject *type = Py_TYPE(object);
-    Py_XDECREF(self->own_path);
-    Py_XDECREF(self->bound_knot);
-    Py_XDECREF(self->path_buffer);
-    Py_XDECREF(self->pose_buffer);
-    Py_XDECREF(self->step_type);
-    Py_XDECREF(self->context);
-    Py_XDECREF(self->statuses);
-    freefunc release = (freefunc)PyType_GetSlot(type, Py_tp_free);
+    PyObject_GC_UnTrack(object);
+    core_clear(object);
+    Py_CLEAR(self->path_buffer);
+    Py_CLEAR(self->pose_buffer);
+    for (int block = 0; block < 3; block++)
+        if (self->memory[block].obj) PyBuffer_Release(self->memory + block);
+    freefunc release = POINTER(freefunc, PyType_GetSlot(type, Py_tp_free));
     release(object);
     Py_DECREF(type);
 }
@@ -143,14 +184,19 @@ static int ask(PyObject *function, PyObject *arguments) {
 
 static int ask_path(Core *c, double clock, int twist, double *out) {
     CoreObject *self = owner_of(c);
-    if (!self->own_path || !ask(self->own_path, Py_BuildValue("(di)", clock, twist))) return 0;
+    guard(c, 0);
+    const int good = self->own_path && ask(self->own_path, Py_BuildValue("(di)", clock, twist));
+    guard(c, 1);
+    if (!good) return 0;
     memcpy(out, self->own_pose, (size_t)(twist ? 6 : 12) * sizeof(double));
     return 1;
 }
 
 static int ask_knot(Core *c, int slot) {
-    CoreObject *self = owner_of(c);
-    return ask(self->bound_knot, Py_BuildValue("(i)", slot));
+    guard(c, 0);
+    const int good = ask(owner_of(c)->bound_knot, Py_BuildValue("(i)", slot));
+    guard(c, 1);
+    return good;
 }
 
 /* set_path(numbers, own, pose, duration, looks_ahead): own(clock, twist) leaves what it knows in pose. */
@@ -412,14 +458,17 @@ static PyMethodDef core_methods[] = {
 
 static PyType_Slot core_slots[] = {
     {Py_tp_doc, "Core(blocks, places, sizes, plain=False): the compiled step over memory that Python owns."},
-    {Py_tp_init, core_init},
-    {Py_tp_dealloc, core_dealloc},
+    {Py_tp_init, POINTER(void *, core_init)},
+    {Py_tp_dealloc, POINTER(void *, core_dealloc)},
+    {Py_tp_traverse, POINTER(void *, core_traverse)},
+    {Py_tp_clear, POINTER(void *, core_clear)},
     {Py_tp_methods, core_methods},
-    {Py_tp_new, PyType_GenericNew},
+    {Py_tp_new, POINTER(void *, PyType_GenericNew)},
     {0, NULL},
 };
 
-static PyType_Spec core_spec = {"coopqp.control.core._native.Core", sizeof(CoreObject), 0, Py_TPFLAGS_DEFAULT, core_slots};
+static PyType_Spec core_spec = {"coopqp.control.core._native.Core", sizeof(CoreObject), 0,
+                               Py_TPFLAGS_DEFAULT | Py_TPFLAGS_HAVE_GC, core_slots};
 
 static PyMethodDef module_methods[] = {
     {"least_distance", module_least_distance, METH_VARARGS,
@@ -435,7 +484,9 @@ PyMODINIT_FUNC PyInit__native(void) {
     PyObject *m = PyModule_Create(&module), *type = m ? PyType_FromSpec(&core_spec) : NULL;
     record_name = PyUnicode_InternFromString("_record"), context_name = PyUnicode_InternFromString("_context");
     status_name = PyUnicode_InternFromString("status"), rate_name = PyUnicode_InternFromString("rate");
-    if (type && record_name && context_name && status_name && rate_name && PyModule_AddObject(m, "Core", type) == 0) return m;
+    if (type && record_name && context_name && status_name && rate_name && PyModule_AddObject(m, "Core", type) == 0 &&
+        PyModule_AddIntConstant(m, "GAP", GAP) == 0)
+        return m;
     Py_XDECREF(type);
     Py_XDECREF(m);
     return NULL;

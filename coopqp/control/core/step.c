@@ -137,7 +137,7 @@ static void find_cap(Core *c) {
     }
     const int by_arm = p[REASON] >= OUT_OF_STEP_BY && p[REASON_ARM] >= 0.0; /* else it is an index, or nothing */
     cap_rate(c, p[WATCH_CAP], by_arm ? OUT_OF_STEP : NONE, by_arm ? (int)p[REASON_ARM] : -1);
-    if (rise > 0.0 && rate < 1.0) cap_rate(c, rate + rise * h, NONE, -1);
+    if (rise > 0.0 && rate < 1.0 && rate + rise * h < p[CAP] - RATE_ROUNDING) cap_rate(c, rate + rise * h, NONE, -1);
 }
 
 /* Limit the error that the path correction sees, so that the correction is `keep` of the last one. */
@@ -241,7 +241,7 @@ static int settle_first(Core *c, double cap) {
         carry_and_linearise(c, middle, c->p, NULL, c->jacobian);
         if (iteration && !defect(c, guess, h)) return OPEN;
         outcome = settle(c, cap);
-        if (outcome == OPEN || outcome == FILLED) return outcome;
+        if (outcome == OPEN || outcome == FILLED) return OPEN; /* the definition iterates with any solver */
         for (int j = 0; j < c->joints; j++) {
             change = fmax(change, fabs(c->command[j] - guess[j]));
             fastest = fmax(fastest, fabs(c->command[j]));
@@ -366,10 +366,10 @@ static int commit(Core *c) {
     double *p = c->proposal, *r = c->record;
     double *q = r + N_RECORD, *velocity = q + c->nq, *q_next = velocity + c->joints, *off_path = q_next + c->nq;
     const double h = p[DT], clock = c->loop[CLOCK], rate = clamp(p[NEW_RATE], 0.0, 1.0);
-    /* what the last step needs is the full rate */
-    const double share = rate >= 1.0 || (rate * h >= c->duration - clock && p[HOLD] == 0.0) ? 1.0 : rate;
     double clock_next = clock + rate * h;
     if (c->duration - clock_next < 1e-9 * c->duration) clock_next = c->duration;
+    /* what the last step needs is the full rate */
+    const double share = rate >= 1.0 || (clock_next >= c->duration && p[HOLD] == 0.0) ? 1.0 : rate;
     int position, acceleration, status = TRACKING;
     write_bindings(c, off_path + 6, &position, &acceleration);
     if (share <= 1.0 - 1e-6) status = slow_status(c, share, position, acceleration);
@@ -398,6 +398,7 @@ static int commit(Core *c) {
 /* Along a path from its start, or from `clock` on. */
 static void start_path(Core *c, double clock, double rate) {
     c->loop[CLOCK] = clock, c->loop[FIRST] = 1.0, c->loop[HAS_PREDICTED] = 0.0, c->loop[RATE] = rate;
+    stay_near(c, c->positions); /* so that a restart repeats to the last bit */
     if (c->looks_ahead) preview_reset(c, clock);
 }
 

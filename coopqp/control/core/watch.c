@@ -174,15 +174,24 @@ static void count_far(Core *c, const double *away, const double *apart, const do
     c->watch[FAR_SAMPLES] = far ? c->watch[FAR_SAMPLES] + 1.0 : 0.0;
 }
 
-/* Of arms equally far from the others, as two arms always are, the one that is not where it should be. */
+static double own_distance(const Core *c, int k) { return sqrt(square6(c->deviation + 6 * k)); }
+
+static int as_far(const double *out_of_step, int k, double largest) {
+    return sqrt(square6(out_of_step + 6 * k)) >= 0.99 * largest;
+}
+
+/* Of arms equally far from the others, as two arms always are, the one that is not where it should be; of several, the
+ * one that was named last, or the first. */
 static int most_out_of_step(const Core *c, const double *out_of_step, double largest) {
-    int arm = 0;
+    const int last = (int)c->watch[WATCH_ARM];
     double most = -1.0;
-    for (int k = 0; k < c->arms; k++) {
-        double own = square6(c->deviation + 6 * k);
-        if (sqrt(square6(out_of_step + 6 * k)) >= 0.99 * largest && own > most) most = own, arm = k;
-    }
-    return arm;
+    int arm = -1;
+    for (int k = 0; k < c->arms; k++)
+        if (as_far(out_of_step, k, largest)) most = fmax(most, own_distance(c, k));
+    for (int k = c->arms - 1; k >= 0; k--)
+        if (as_far(out_of_step, k, largest) && own_distance(c, k) > most - EQUALLY_FAR && (arm < 0 || arm != last))
+            arm = k;
+    return arm < 0 ? 0 : arm;
 }
 
 /* How far each arm, as far as it is not as commanded, is from the mean of the others. */
@@ -468,7 +477,7 @@ static void watch_sample(Core *c, const double *positions, const double *q, cons
         if (o[WATCHES_FORCE] != 0.0) watch_forces(c, positions, dt, &seen);
         if (o[RECOVERY_TIME] > 0.0) recover(c, dt, &seen);
     }
-    if (!(seen.cap < out[WATCH_CAP] || seen.fault)) return;
+    if (out[FAULTS] != 0.0 || !(seen.cap < out[WATCH_CAP] || seen.fault)) return; /* a fault stays as it is */
     out[WATCH_CAP] = seen.cap;
     out[HOLD] = seen.hold, out[FAULTS] = seen.fault;
     out[REASON] = seen.reason, out[REASON_ARM] = seen.arm;

@@ -26,8 +26,12 @@ from coopqp import (
     QPController,
     QPOptions,
     QpProblem,
+    QpSolution,
+    QpSolver,
     ServoPath,
+    SolverSettings,
     Status,
+    make_solver,
 )
 from coopqp.scenarios import Scenario, dual_arm7, fast_lift, scara_pair
 
@@ -56,8 +60,41 @@ class Tally:
     longest_ms: float = 0.0
 
 
+class Poison(QpSolver):
+    """A solver whose problems have one bad entry: in every form of the QP that a step may solve."""
+
+    name, settings = "poison", SolverSettings()
+
+    def __init__(self, solver: str) -> None:
+        chosen = make_solver(solver)
+        others = "daqp" if chosen.strictly_convex_only else solver
+        self._for_convex, self._for_others = chosen, make_solver(others)
+        self.entry: tuple[str, float, float] | None = None
+
+    def _forget(self) -> None:
+        self._for_convex.reset()
+        self._for_others.reset()
+
+    def _solve(self, problem: QpProblem, work: Any) -> Any:
+        raise NotImplementedError("solve() asks the other solver")
+
+    def solve(self, problem: QpProblem) -> QpSolution:
+        solver = self._for_convex if np.diag(problem.H).all() else self._for_others
+        return solver.solve(self._poison(problem))
+
+    def _poison(self, problem: QpProblem) -> QpProblem:
+        if self.entry is None:
+            return problem
+        name, where, value = self.entry
+        if not getattr(problem, name).size:
+            name = ELSEWHERE[name]
+        array = getattr(problem, name).copy()
+        array.flat[int(where * array.size)] = value
+        return replace(problem, **{name: array})
+
+
 class Poisoned:
-    """A controller with one bad entry in all QPs that a step may solve."""
+    """A controller with one bad entry in all QPs that a step may solve, if it has the solver for it."""
 
     def __init__(self, scenario: Scenario, options: QPOptions, *, limits_only: bool = False) -> None:
         self.controller = QPController(scenario.cell, scenario.grasp, scenario.path, dt=scenario.dt, options=options)
@@ -65,28 +102,15 @@ class Poisoned:
         chain = {"chain_m": None, "chain_rad": None} if limits_only else {}
         self._tolerances = MonitorTolerances(path_m=None, path_rad=None, **chain)
         self.judge()
-        self._entry: tuple[str, float, float] | None = None
-        program = self.controller._solver.program
-        condensed, full = program.condensed, program.full
-        vars(program)["condensed"] = lambda *a: (self._poison(condensed(*a)[0]), *condensed(*a)[1:])
-        vars(program)["full"] = lambda *a, **k: self._poison(full(*a, **k))
+        self._poison = options.solver if isinstance(options.solver, Poison) else None
 
     def judge(self, path: ObjectPath | None = None) -> None:
         """Start a new monitor for the following steps."""
         self.monitor = Monitor(self.controller.cell, self.controller.grasp, path, tolerances=self._tolerances)
 
-    def _poison(self, problem: QpProblem) -> QpProblem:
-        if self._entry is None:
-            return problem
-        name, where, value = self._entry
-        if not getattr(problem, name).size:
-            name = ELSEWHERE[name]
-        array = getattr(problem, name).copy()
-        array.flat[int(where * array.size)] = value
-        return replace(problem, **{name: array})
-
     def step(self, entry: tuple[str, float, float] | None = None, q: Any = None, dt: Any = None) -> Any:
-        self._entry = entry
+        if self._poison is not None:
+            self._poison.entry = entry
         began = time.thread_time()
         step = self.controller.step(q, dt=dt)
         self.took = time.thread_time() - began
@@ -136,9 +160,10 @@ def qp_cases(solver: str, numbers: dict[str, float], tally: Tally, *, holds: boo
     """Spoil one entry of each array of each form of the QP."""
     rng = np.random.default_rng(6)
     forms = ("condensed",) if solver == "ldp" else ("condensed", "full")  # the full form is not strictly convex
-    for scenario in (fast_lift(), dual_arm7()):
-        for form in forms:
-            options = QPOptions(solver=solver, form=form, shortcut=False, kernel="none")  # type: ignore[arg-type]
+    # The core fills the condensed QP by itself; one scenario suffices for the plain definition's.
+    for scenario, kernel in ((fast_lift(), "auto"), (dual_arm7(), "auto"), (fast_lift(), "plain")):
+        for form in forms if kernel == "auto" else ("condensed",):
+            options = QPOptions(solver=Poison(solver), form=form, shortcut=False, kernel=kernel)
             for name in ("H", "g", "A", "b", "C", "l", "u", "lb", "ub"):
                 if name in EMPTY[form]:
                     continue
@@ -151,7 +176,7 @@ def qp_cases(solver: str, numbers: dict[str, float], tally: Tally, *, holds: boo
                         entry = (name, float(where), value)
                         tried(
                             tally,
-                            f"{scenario.name} {form} {name} {label}",
+                            f"{scenario.name} {form} {kernel} {name} {label}",
                             lambda one=one, entry=entry: (one.step(entry), one.took),
                             one.step,
                             holds=holds and (name, label) not in ABSENT,
@@ -199,7 +224,7 @@ def target_cases(solver: str, tally: Tally) -> None:
                 tally.not_going_on.append(f"target {label} [{i}]")
     tally.violations += map(str, one.monitor.verdict().violations)
     for make in (fast_lift, dual_arm7, scara_pair):
-        for kernel in ("auto", "numpy", "none"):
+        for kernel in ("auto", "plain"):
             scenario = make()
             path = SwitchedPath(scenario.path)
             one = Poisoned(replace(scenario, path=path), QPOptions(solver=solver, kernel=kernel))

@@ -64,7 +64,8 @@ def chase(task: Scenario, steps: int, options: QPOptions) -> Iterator[Any]:
 
 def all_steps(solver: str, n: int) -> Iterator[Any]:
     """About ``n`` steps: most with default options, some with a QP in every step."""
-    usual, solving = QPOptions(solver=solver), QPOptions(solver=solver, shortcut=False, kernel="none")
+    usual, solving = QPOptions(solver=solver), QPOptions(solver=solver, shortcut=False)
+    plain = QPOptions(solver=solver, shortcut=False, kernel="plain")
     limited = at_limit()
     yield from to_and_fro(paper_lift(), int(0.5 * n), usual)
     yield from to_and_fro(dual_arm7(), int(0.2 * n), usual)
@@ -73,8 +74,10 @@ def all_steps(solver: str, n: int) -> Iterator[Any]:
     yield from once(limited, int(0.1 * n), usual)
     yield from once(at_singularity("elbow"), int(0.05 * n), usual)
     yield from chase(limited, int(0.02 * n), usual)
-    yield from once(fast_lift(), int(0.01 * n), solving)
-    yield from once(dual_arm7(), int(0.01 * n), solving)
+    yield from once(fast_lift(), int(0.005 * n), solving)
+    yield from once(dual_arm7(), int(0.005 * n), solving)
+    yield from once(fast_lift(), int(0.005 * n), plain)
+    yield from once(dual_arm7(), int(0.005 * n), plain)
 
 
 def main(solver: str, n: int, file: str) -> None:

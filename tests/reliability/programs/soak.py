@@ -68,14 +68,15 @@ class Shuttle:
 
 def round_of(shuttles: list[Shuttle], limit: Scenario, servo: QPController, rng: np.random.Generator) -> None:
     """Run 100 000 steps."""
-    nominal, redundant, mixed, solving = shuttles
-    nominal.go(70_000)
+    nominal, redundant, mixed, solving, plain = shuttles
+    nominal.go(69_700)
     redundant.go(15_000)
     mixed.go(11_000)
     mixed.go(500, noise=1e-5, rng=rng)
     nominal.go(1_000, noise=1e-5, rng=rng)
     nominal.restart()
     solving.go(500)
+    plain.go(300)
     bad = nominal.task.q_start.copy()
     bad[0] = np.nan
     for _ in range(500):
@@ -111,7 +112,8 @@ def main(rounds: int) -> None:
         Shuttle(lift),
         Shuttle(dual_arm7()),
         Shuttle(mixed_cell()),
-        Shuttle(lift, shortcut=False, kernel="none"),
+        Shuttle(lift, shortcut=False, solver="daqp"),
+        Shuttle(lift, shortcut=False, kernel="plain"),
     ]
     servo_task = replace(lift, path=ServoPath(lift.path.pose(0.0)))
     servo = QPController(lift.cell, lift.grasp, servo_task.path, dt=0.001)

@@ -1,0 +1,613 @@
+"""The compiled core and the plain definition are one controller: the same steps, with any input, on any path."""
+
+from __future__ import annotations
+
+import dataclasses
+import importlib
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from coopqp import (
+    Arm,
+    Array,
+    CellState,
+    ControlStep,
+    Grasp,
+    LinePath,
+    ObjectPath,
+    PostureOptions,
+    PreviewOptions,
+    QPController,
+    QPOptions,
+    RobotCell,
+    ServoPath,
+    Status,
+    SupervisionOptions,
+    WaypointPath,
+    available_kernels,
+    robot_path,
+)
+from coopqp.control.core import layout
+from coopqp.scenarios import (
+    SCENARIOS,
+    Scenario,
+    at_limit,
+    at_singularity,
+    dual_arm7,
+    five_joint_pair,
+    mixed_cell,
+    paper_lift,
+    ring,
+    scenario,
+)
+
+pytestmark = pytest.mark.skipif("compiled" not in available_kernels(), reason="there is no compiled core here")
+
+#: Largest difference of joint velocities [rad/s or m/s].
+SAME = 1e-9
+#: The same after many holds under acceleration limits: each of them hands the rounding of the last on, magnified.
+DISTURBED = 5e-8
+#: What one sample of a run feeds to a step: the measured configuration (nq,) or None, and dt.
+Inputs = Callable[[int, list[Array]], tuple[Any, Any]]
+
+
+def pair(task: Scenario, *, path: Callable[[], ObjectPath] | None = None, dt: float = 0.0, **options: Any) -> Pair:
+    """The compiled controller and the plain one, at the start of the scenario."""
+    made = []
+    for kernel in ("compiled", "plain"):
+        given = QPOptions(kernel=kernel, **options)
+        follow = task.path if path is None else path()
+        made.append(QPController(task.cell, task.grasp, follow, dt=dt or task.dt, options=given))
+    if made[0].kernel == "plain":
+        pytest.skip("the core leaves this robot to the plain definition")
+    for controller in made:
+        controller.reset(task.q_start)
+    return Pair(*made)
+
+
+@dataclasses.dataclass
+class Pair:
+    """Two controllers that have to agree."""
+
+    compiled: QPController
+    plain: QPController
+    same: float = SAME
+    told: list[Array] = dataclasses.field(default_factory=list)
+    seen: set[Status] = dataclasses.field(default_factory=set)
+    lowest: float = 1.0
+
+    def step(self, q: Any = None, dt: Any = None) -> ControlStep:
+        """One step of both, compared."""
+        a, b = self.compiled.step(q, dt=dt), self.plain.step(q, dt=dt)
+        where = f"step {len(self.told)}: {a.explain()} / {b.explain()}"
+        np.testing.assert_allclose(a.velocity, b.velocity, rtol=0.0, atol=self.same, err_msg=where)
+        np.testing.assert_allclose(a.q_next, b.q_next, rtol=0.0, atol=self.same, err_msg=where)
+        assert abs(a.rate - b.rate) <= 100.0 * self.same, where
+        assert abs(a.clock_next - b.clock_next) <= 100.0 * self.same, where
+        assert (a.status, a.binding, a.reason, a.dt) == (b.status, b.binding, b.reason, b.dt), where
+        np.testing.assert_allclose(a.given_up.off_path, b.given_up.off_path, rtol=0.0, atol=self.same, err_msg=where)
+        self.told.append(b.q_next)
+        self.seen.add(b.status)
+        self.lowest = min(self.lowest, b.rate)
+        return b
+
+    def run(self, steps: int, inputs: Inputs | None = None) -> Pair:
+        """Steps until the path ends, or so many."""
+        for i in range(steps):
+            q, dt = (None, None) if inputs is None else inputs(i, self.told)
+            if self.step(q, dt).finished:
+                break
+        return self
+
+    def both(self, call: Callable[[QPController], None]) -> None:
+        call(self.compiled)
+        call(self.plain)
+
+
+def limited(make: Callable[[], Scenario], acceleration: float) -> Scenario:
+    task = make()
+    return dataclasses.replace(task, cell=task.cell.with_limits(acceleration=acceleration))
+
+
+def coarse(task: Scenario) -> float:
+    """A step with which 250 steps cover the scenario's path [s]."""
+    return float(np.clip(task.path.duration / 200.0, task.dt, 0.01))
+
+
+# -- the inputs of a run ---------------------------------------------------------------------------------------------
+
+
+def noisy(cell: RobotCell, *, size: float = 1e-4, late: int = 1) -> Inputs:
+    """Measured with noise, some samples late."""
+    rng = np.random.default_rng(0)
+
+    def give(i: int, told: list[Array]) -> tuple[Any, Any]:
+        if len(told) <= late:
+            return None, None
+        return pin.integrate(cell.model, told[-1 - late], rng.uniform(-size, size, cell.nv)), None
+
+    return give
+
+
+def lagging(cell: RobotCell, samples: int = 3) -> Inputs:
+    """The last arm is some samples behind the others."""
+
+    def give(i: int, told: list[Array]) -> tuple[Any, Any]:
+        if len(told) <= samples:
+            return None, None
+        q, last = told[-1].copy(), cell.q_slices[-1]
+        q[last] = told[-1 - samples][last]
+        return q, None
+
+    return give
+
+
+def stalling(cell: RobotCell, when: int = 60, until: int = 10**9) -> Inputs:
+    """The first arm stands from one sample on, until another."""
+    kept: list[Array] = []
+
+    def give(i: int, told: list[Array]) -> tuple[Any, Any]:
+        if not told:
+            return None, None
+        q, first = told[-1].copy(), cell.q_slices[0]
+        if when <= i < until:
+            kept.append(q[first].copy())
+            q[first] = kept[0]
+        return q, None
+
+    return give
+
+
+def dropping(cell: RobotCell) -> Inputs:
+    """Samples are lost: all of them for a few steps, or those of one arm."""
+    rng, kept = np.random.default_rng(3), []
+
+    def give(i: int, told: list[Array]) -> tuple[Any, Any]:
+        if not told or rng.uniform() < 0.2:
+            return None, None
+        q = pin.integrate(cell.model, told[-1], rng.uniform(-1e-5, 1e-5, cell.nv))
+        if kept and rng.uniform() < 0.3:
+            arm = cell.q_slices[int(rng.integers(len(cell)))]
+            q[arm] = kept[-1][arm]
+        kept.append(q)
+        return q, None
+
+    return give
+
+
+def corrupted(cell: RobotCell) -> Inputs:
+    """Some samples are no numbers, no configurations, or far off."""
+    rng = np.random.default_rng(4)
+
+    def give(i: int, told: list[Array]) -> tuple[Any, Any]:
+        if not told:
+            return None, None
+        q = told[-1].copy()
+        far = q + 1.0 + np.arange(cell.nq)
+        bad = [np.full(cell.nq, np.nan), "nonsense", q[:3], far, [*q[:-1], np.inf], q.astype(complex)]
+        if i % 9 == 8:
+            return bad[i // 9 % 6], None
+        if i % 9 == 4:
+            q[int(rng.integers(cell.nq))] += 10.0 ** rng.uniform(-5.0, 0.0)
+        return (q.tolist() if i % 9 == 1 else q), None
+
+    return give
+
+
+def uneven(cell: RobotCell, nominal: float) -> Inputs:
+    """Steps of varying length, some of them out of range."""
+    rng = np.random.default_rng(5)
+
+    def give(i: int, told: list[Array]) -> tuple[Any, Any]:
+        bad = {10: np.nan, 11: -1.0, 12: 0.0, 13: 1e9, 30: "soon", 31: np.inf, 32: 6.0 * nominal, 33: 0.05 * nominal}
+        dt = bad.get(i % 60, nominal * float(rng.uniform(0.2, 3.0)))
+        return (None if i % 3 else told[-1] if told else None), dt
+
+    return give
+
+
+#: Straight up, two arms would meet the same limit at once, and rounding would choose the one that is named.
+ASKEW = at_limit(direction=(0.1, 0.05, 1.0))
+MODES: dict[str, tuple[dict[str, Any], Callable[[Scenario, float], Inputs | None]]] = {
+    "nominal": ({}, lambda t, dt: None),
+    "measured late, with noise": ({}, lambda t, dt: noisy(t.cell)),
+    "one arm lags": ({}, lambda t, dt: lagging(t.cell)),
+    "an arm stalls": ({}, lambda t, dt: stalling(t.cell)),
+    "an arm stalls for a while": ({}, lambda t, dt: stalling(t.cell, until=90)),
+    "forces watched": (
+        {"supervision": SupervisionOptions(stiffness=2e4, servo_delay=0.01)},
+        lambda t, dt: noisy(t.cell, size=2e-4),
+    ),
+    "forces watched, an arm stalls": (
+        {"supervision": SupervisionOptions(stiffness=2e4, slow_from=None, stall_samples=None)},
+        lambda t, dt: stalling(t.cell),
+    ),
+    "always a QP": ({"shortcut": False}, lambda t, dt: None),
+    "always a QP, measured": ({"shortcut": False}, lambda t, dt: noisy(t.cell)),
+    "samples lost": ({}, lambda t, dt: dropping(t.cell)),
+    "samples corrupted": ({}, lambda t, dt: corrupted(t.cell)),
+    "uneven steps": ({}, lambda t, dt: uneven(t.cell, dt)),
+    "no preview": ({"preview": None}, lambda t, dt: None),
+    "short-sighted": ({"preview": PreviewOptions(newton_steps=2)}, lambda t, dt: None),
+    "no watch of distances": (
+        {"supervision": SupervisionOptions(slow_from=None, recovery_time=0.0)}, lambda t, dt: stalling(t.cell)
+    ),
+    "no drift let in": ({"supervision": SupervisionOptions(let_in=0.0)}, lambda t, dt: lagging(t.cell)),
+    "corrections at their bound": ({"correction_speed": 1e-7, "correction_spin": 1e-7}, lambda t, dt: None),
+    "large gains": ({"grasp_gain": 500.0, "path_gain": 0.0}, lambda t, dt: noisy(t.cell)),
+    "middle of the joints": (
+        {"posture": PostureOptions(gain=0.5, centring=0.3, manipulability=0.1)}, lambda t, dt: None
+    ),
+}  # fmt: skip
+
+
+def run_in(mode: str, task: Scenario, steps: int = 250, same: float = SAME) -> Pair:
+    options, inputs = MODES[mode]
+    dt = coarse(task)
+    run = pair(task, dt=dt, **options)
+    run.same = same
+    return run.run(steps, inputs(task, dt))
+
+
+@pytest.mark.core
+@pytest.mark.parametrize("mode", MODES)
+def test_both_agree_with_any_input(mode: str) -> None:
+    for make in (paper_lift, mixed_cell):
+        run_in(mode, make(), 120)
+    if "stalls" in mode or "bound" in mode:
+        return
+    assert run_in(mode, ASKEW, 150).seen >= {Status.SLOWED}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("mode", MODES)
+@pytest.mark.parametrize("name", SCENARIOS)
+def test_both_agree_on_every_scenario(name: str, mode: str) -> None:
+    task, steps = (ASKEW, 150) if name == "at_limit" else (scenario(name), 250)
+    run_in(mode, task, steps)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("acceleration", [5.0, 10.0])
+@pytest.mark.parametrize("mode", MODES)
+@pytest.mark.parametrize("make", [paper_lift, dual_arm7, mixed_cell], ids=lambda make: make.__name__)
+def test_both_agree_under_acceleration_limits(make: Callable[[], Scenario], mode: str, acceleration: float) -> None:
+    run_in(mode, limited(make, acceleration), 150 if "corrupted" in mode else 250, same=DISTURBED)
+
+
+@pytest.mark.core
+@pytest.mark.parametrize("acceleration", [5.0, 10.0])
+def test_both_agree_under_acceleration_limits_in_short(acceleration: float) -> None:
+    for mode in ("nominal", "measured late, with noise", "an arm stalls for a while", "always a QP"):
+        run_in(mode, limited(mixed_cell, acceleration), 100)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["wrist", "elbow", "reach"])
+@pytest.mark.parametrize("acceleration", [np.inf, 10.0])
+def test_both_agree_at_singularities(kind: Any, acceleration: float) -> None:
+    task = at_singularity(kind, 1, acceleration=acceleration)
+    run = pair(task, dt=0.005)
+    run.same = DISTURBED  # joints turn fast there
+    assert run.run(600).lowest < 0.1 or kind == "wrist"
+    near = pair(at_singularity("wrist", 2, miss=0.01, acceleration=acceleration), dt=0.005)
+    near.same = DISTURBED
+    near.run(600)
+
+
+# -- cells -----------------------------------------------------------------------------------------------------------
+
+
+def held(cell: RobotCell, q: Array) -> Scenario:
+    """The arms hold one object where they happen to be."""
+    tools = CellState(cell, q).T_world_tool
+    path = LinePath.displaced(tools[0], translation=(0.01, -0.02, 0.015), rotation=(0.03, 0.02, -0.05), duration=2.0)
+    return Scenario("held", cell, Grasp(tuple(tools[0].actInv(X) for X in tools)), path, q, 0.01)
+
+
+ROBOTS = [
+    ("rx90l",), ("arm7",), ("arm6c",), ("gantry7",), ("arm6c", "gantry7", "rx90l"), ("arm6c", "arm6c"),
+    ("arm7", "arm7", "arm7"), ("gantry7", "arm7", "arm6c", "rx90l"),
+]  # fmt: skip
+
+
+@pytest.mark.core
+@pytest.mark.parametrize("robots", ROBOTS, ids="-".join)
+def test_both_agree_on_any_joints(
+    robots: tuple[str, ...], make_cell: Callable[..., RobotCell], random_q: Callable[..., Array]
+) -> None:
+    cell = make_cell(robots)
+    task = held(cell, random_q(cell, np.random.default_rng(3)))
+    for mode in ("nominal", "measured late, with noise", "always a QP"):
+        run_in(mode, task, 80)
+
+
+def eight_joints() -> RobotCell:
+    """Two arms of eight joints: seven, and a rail or a turntable below them."""
+    arms = []
+    for k, below in enumerate((pin.JointModelPY(), pin.JointModelRZ())):
+        own = Arm.from_urdf("arm7", robot_path("arm7"), tool_frame="tool", geometry=False)
+        model = pin.Model()
+        place = pin.SE3(np.eye(3), np.array([0.0, 1.1 * k, 0.0]))
+        joint = model.addJoint(
+            0, below, place, "below", np.array([50.0]), np.array([1.0]), np.full(1, -2.0), np.full(1, 2.0)
+        )
+        frame = model.addFrame(pin.Frame("platform", joint, 0, pin.SE3.Identity(), pin.FrameType.OP_FRAME))
+        whole = pin.appendModel(model, own.model, frame, pin.SE3.Identity())
+        arms.append(Arm.from_model(f"{k}", whole, tool_frame="tool"))
+    return RobotCell(arms)
+
+
+@pytest.mark.core
+def test_both_agree_on_eight_joints(random_q: Callable[..., Array]) -> None:
+    cell = eight_joints()
+    assert cell.nv == 16
+    for mode in ("nominal", "measured late, with noise", "always a QP", "middle of the joints"):
+        run_in(mode, held(cell, random_q(cell, np.random.default_rng(6))), 80)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("robot", ["rx90l", "arm7"])
+@pytest.mark.parametrize("arms", [2, 5, 12, 16])
+def test_both_agree_with_many_arms(arms: int, robot: Any) -> None:
+    for mode in ("nominal", "one arm lags", "always a QP", "an arm stalls"):
+        run_in(mode, ring(arms=arms, robot=robot), 120)
+
+
+def halfway(task: Scenario) -> Scenario:
+    """The second half of a scenario's path. Its start has no symmetry, which rounding could break either way."""
+    controller = QPController(task.cell, task.grasp, task.path, dt=0.01)
+    controller.reset(task.q_start)
+    step = controller.step()
+    while step.clock_next < 0.5 * task.path.duration:
+        step = controller.step()
+    here, goal = task.path.pose(step.clock_next), task.path.pose(task.path.duration)
+    path = LinePath(here, goal, duration=0.5 * task.path.duration)
+    return dataclasses.replace(task, path=path, q_start=step.q_next)
+
+
+# -- starts ----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.core
+@pytest.mark.parametrize("make", [paper_lift, dual_arm7, mixed_cell], ids=lambda make: make.__name__)
+@pytest.mark.parametrize("acceleration", [np.inf, 20.0])
+def test_both_agree_while_joints_are_led_back(make: Callable[[], Scenario], acceleration: float) -> None:
+    """Three joints are outside their limits, in both directions: the size of the QP changes during the run."""
+    task = halfway(make())
+    limits, q = task.cell.limits, task.cell.positions(task.q_start)
+    lower, upper = limits.lower.copy(), limits.upper.copy()
+    lower[1], upper[4], upper[8] = q[1] + 2e-3, q[4] - 1e-3, q[8] - 5e-3
+    speed = np.minimum(limits.velocity, 1.0)
+    cell = task.cell.with_limits(lower=lower, upper=upper, velocity=speed, acceleration=acceleration)
+    run = pair(dataclasses.replace(task, cell=cell), dt=0.005)
+    if cell.nv > 6 * len(cell):
+        run.same = 1e-8  # null-space motion costs 1e-12 of what recovery does: rounding changes it more
+    run.run(60)
+    x = cell.positions(run.told[0])
+    assert ((x < lower) | (x > upper)).any()
+
+
+@pytest.mark.core
+@pytest.mark.parametrize("off", [1e-4, 1e-3])
+@pytest.mark.parametrize("acceleration", [np.inf, 10.0])
+def test_both_agree_from_a_start_off_the_grasp(off: float, acceleration: float) -> None:
+    for make in (paper_lift, mixed_cell):
+        task = limited(make, acceleration)
+        away = off * np.random.default_rng(4).standard_normal(task.cell.nv)
+        pair(dataclasses.replace(task, q_start=task.cell.moved(task.q_start, away)), dt=0.005).run(150)
+
+
+# -- paths -----------------------------------------------------------------------------------------------------------
+
+
+def zigzag(task: Scenario, law: str) -> WaypointPath:
+    low, middle, high = (pin.SE3(task.path.pose(s * task.path.duration)) for s in (0.0, 0.5, 1.0))
+    middle.translation = middle.translation + np.array([0.02, 0.01, 0.0])
+    return WaypointPath([low, middle, high, middle], durations=[1.0, 0.7, 0.8], time_law=law)
+
+
+@pytest.mark.core
+@pytest.mark.parametrize("law", ["linear", "quintic"])
+@pytest.mark.parametrize("acceleration", [np.inf, 5.0])
+def test_both_agree_on_waypoints(law: str, acceleration: float) -> None:
+    task = limited(paper_lift, acceleration)
+    run = pair(task, path=lambda: zigzag(task, law), dt=0.01)
+    assert run.run(1000).plain.step().finished
+
+
+class Own(ObjectPath):
+    """A user's path, which nothing but its poses is known of; with corners."""
+
+    def __init__(self, inner: ObjectPath) -> None:
+        self._inner, self.duration = inner, inner.duration
+
+    def pose(self, clock: float) -> pin.SE3:
+        return self._inner.pose(clock)
+
+    def twist(self, clock: float) -> Array:
+        return self._inner.twist(clock)
+
+    def next_breakpoint(self, clock: float) -> float:
+        return self._inner.next_breakpoint(clock)
+
+
+@pytest.mark.core
+@pytest.mark.parametrize("acceleration", [np.inf, 5.0])
+def test_both_agree_on_a_users_path_with_corners(acceleration: float) -> None:
+    for make in (paper_lift, mixed_cell):
+        task = limited(make, acceleration)
+        run = pair(task, path=lambda task=task: Own(zigzag(task, "linear")), dt=0.01)
+        assert run.run(1000, noisy(task.cell, size=1e-5)).plain.step().finished
+
+
+@pytest.mark.core
+def test_a_users_path_is_followed_like_the_librarys_own() -> None:
+    task = limited(paper_lift, 5.0)
+    own = pair(task, path=lambda: Own(zigzag(task, "linear")), dt=0.01)
+    known = pair(task, path=lambda: zigzag(task, "linear"), dt=0.01)
+    for _ in range(300):
+        np.testing.assert_allclose(own.step().velocity, known.step().velocity, rtol=0.0, atol=1e-7)
+
+
+@pytest.mark.core
+@pytest.mark.parametrize("look_ahead", [False, True])
+@pytest.mark.parametrize("acceleration", [np.inf, 10.0])
+def test_both_agree_on_moving_targets(look_ahead: bool, acceleration: float) -> None:
+    for make in (paper_lift, dual_arm7):
+        task = limited(make, acceleration)
+        start, rng = task.path.pose(0.0), np.random.default_rng(8)
+        run = pair(task, path=lambda start=start: ServoPath(start, look_ahead=look_ahead), dt=0.005)
+        for i in range(8):
+            far = 0.6 if i == 4 else 0.05  # once out of reach
+            target = pin.SE3(
+                start.rotation @ pin.exp3(0.2 * rng.standard_normal(3)),
+                start.translation + far * rng.standard_normal(3),
+            )
+            run.both(lambda c, T=target: c.retarget(T))
+            run.run(25 if i % 2 else 60, noisy(task.cell, size=1e-5) if i % 3 else None)
+        assert run.seen >= {Status.TRACKING, Status.SLOWED} or not np.isfinite(acceleration)
+
+
+@pytest.mark.core
+def test_both_agree_when_another_path_is_followed_in_motion() -> None:
+    for acceleration in (np.inf, 10.0):
+        task = limited(mixed_cell, acceleration)
+        run = pair(task, dt=0.005).run(150)
+        for goal in (task.path.pose(0.0), task.path.pose(2.0), task.path.pose(0.5)):
+            here = run.plain.path.pose(run.plain.step().clock_next)
+            run.compiled.step()
+            run.both(lambda c, a=here, b=goal: c.follow(LinePath(a, b, duration=1.0, time_law="linear")))
+            run.run(90, noisy(task.cell, size=1e-5))
+
+
+@pytest.mark.core
+def test_both_agree_after_a_fault_and_a_reset() -> None:
+    task = limited(paper_lift, 20.0)
+    options = {"supervision": SupervisionOptions(joint_jump=2.0, stall_samples=None)}
+    run = pair(task, dt=0.005, **options).run(60)
+    arm = task.cell.q_slices[1]
+    for _ in range(20):
+        q = run.told[-1].copy()
+        q[arm] += 0.1
+        run.step(q)
+    assert run.seen >= {Status.FAULT}
+    run.run(40)
+    assert run.step().status is Status.FAULT
+    run.both(lambda c: c.follow(LinePath(task.path.pose(0.0), task.path.pose(1.0), duration=2.0)))
+    run.both(lambda c: c.reset(task.q_start))
+    run.seen.clear()
+    run.run(120, noisy(task.cell))
+    assert Status.FAULT not in run.seen
+
+
+# -- what the core leaves to Python ----------------------------------------------------------------------------------
+
+
+@pytest.mark.core
+@pytest.mark.parametrize("solver", ["ldp", "daqp", "proxqp"])
+def test_both_agree_with_any_solver(solver: str) -> None:
+    loose = 1e-6 if solver == "proxqp" else SAME
+    for acceleration in (np.inf, 5.0):
+        task = limited(at_limit, acceleration)
+        a, b = (
+            QPController(
+                task.cell, task.grasp, task.path, dt=0.005, options=QPOptions(kernel=k, shortcut=False, solver=solver)
+            )
+            for k in ("compiled", "plain")
+        )
+        a.reset(task.q_start)
+        b.reset(task.q_start)
+        for _ in range(120):
+            one, other = a.step(), b.step()
+            np.testing.assert_allclose(one.velocity, other.velocity, rtol=0.0, atol=loose)
+            assert one.status is other.status
+
+
+@pytest.mark.core
+def test_both_agree_where_the_chain_has_to_part() -> None:
+    """A joint that may hardly move, and one that comes back from outside: no answer keeps the chain."""
+    task = paper_lift()
+    limits, q = task.cell.limits, task.cell.positions(task.q_start)
+    upper, speed = limits.upper.copy(), limits.velocity.copy()
+    upper[2] = q[2] - 0.02
+    speed[12:] = 1e-3
+    cell = task.cell.with_limits(upper=upper, velocity=speed)
+    run = pair(dataclasses.replace(task, cell=cell), dt=0.005)
+    parted = max(run.step().given_up.chain for _ in range(60))
+    assert parted >= 0.0
+
+
+@pytest.mark.core
+def test_arms_with_few_joints_run_by_the_plain_definition() -> None:
+    task = five_joint_pair()
+    controller = QPController(task.cell, task.grasp, task.path, dt=0.01, options=QPOptions(kernel="compiled"))
+    assert controller.kernel == "plain"
+
+
+# -- constants -------------------------------------------------------------------------------------------------------
+
+#: Where the definition keeps a constant of the core: module, and attributes or ``Class.attribute``.
+IN_PYTHON: dict[str, dict[str, str]] = {
+    "control.limits": {
+        "LIMIT_TOLERANCE": "LIMIT_TOLERANCE", "STILL_SLOPE": "_STILL", "RECOVERY_SHARE": "VelocityBox.RECOVERY_SHARE",
+        "INSIDE": "VelocityBox.INSIDE",
+    },
+    "control.ranks": {"AT_LIMIT": "_AT_LIMIT", "RESIDUE_TOLERANCE": "RESIDUE_TOLERANCE"},
+    "control.solvers.polish": {"LARGEST_X": "REACH"},
+    "model.chain": {"LARGE_INVERSE": "_LARGE_INVERSE"},
+    "model.inverse_kinematics": {"LONGEST_STEP": "_LONGEST_STEP"},
+    "control.linearised": {"SETTLED": "SETTLED", "EXTRA_AT_START": "EXTRA_AT_START"},
+    "control.plain": {
+        name: name for name in ("BRAKING_SHARE", "LEAST_PACE", "NEGLIGIBLE", "RATE_ROUNDING", "ARRIVING")
+    },
+    "planning.preview": {
+        name: f"_{name}"
+        for name in (
+            "STEPS_TO_FULL_SPEED", "PASSABLE", "LEAST_LEFT", "FINE_CELL", "BISECTIONS", "JUST_BEFORE", "STEPS_TO_GROW",
+            "NEWTON_STEPS_AT_START", "LONGEST_WAY", "MOST_TRIES", "STARTING_STEPS", "CONVERGED", "MOST_KNOTS",
+        )
+    } | {"PREVIEW_ROUNDING": "_ROUNDING"},
+    "control.supervision": {
+        name: f"_{name}"
+        for name in (
+            "FOLLOWS", "CAUGHT_UP", "CAUGHT_UP_SHARE", "CIRCLE_TOLERANCE", "EQUALLY_FAR", "LET_GO", "FAULT_SAMPLES",
+            "MOST_LOST", "NOISE_TIME", "FEW_SAMPLES",
+        )
+    } | {"STILL_COMMAND": "_STILL"},
+    "control.drift": {
+        "WANDER": "_WANDER", "LAG": "_LAG", "LEAST_LAG": "_LEAST_LAG", "DRIFT_FLOOR": "_FLOOR",
+        "DRIFT_SAMPLE": "_SAMPLE", "SMOOTHING": "_SMOOTHING", "DRIFT_PERIOD": "_PERIOD",
+        "LARGEST_SLOPE": "_LARGEST_SLOPE",
+    },
+    "control.stress_watch": {
+        "STRUCTURE": "_STRUCTURE", "AT_REST": "_STILL", "SERVOS_SETTLED": "_SETTLED", "UNBALANCED": "_UNBALANCED",
+        "STRAIGHT_BACK": "_STRAIGHT_BACK",
+    },
+}  # fmt: skip
+#: Constants that only the core has; the first is of its own test for singular arms.
+ONLY_IN_C = {"SMALLEST_PIVOT"}
+
+
+def constants() -> Iterator[tuple[str, str, str]]:
+    for module, names in IN_PYTHON.items():
+        yield from ((module, name, attribute) for name, attribute in names.items())
+
+
+@pytest.mark.parametrize(("module", "name", "attribute"), [*constants()], ids=str)
+def test_the_core_and_the_definition_have_the_same_constants(module: str, name: str, attribute: str) -> None:
+    thing: Any = importlib.import_module(f"coopqp.{module}")
+    for part in attribute.split("."):
+        thing = getattr(thing, part)
+    assert thing == {**layout.CONSTANTS, "MOST_KNOTS": layout.MOST_KNOTS}[name]
+
+
+def test_every_constant_of_the_core_is_known_to_the_definition() -> None:
+    stress = importlib.import_module("coopqp.control.stress_watch")
+    assert stress._SCALE.tolist() == [1.0] * 3 + [layout.CONSTANTS["TURN_LENGTH"]] * 3
+    known = {name for _, name, _ in constants()} | ONLY_IN_C | {"TURN_LENGTH"}
+    assert known - {"MOST_KNOTS"} == set(layout.CONSTANTS)
