@@ -48,6 +48,7 @@ if TYPE_CHECKING:
         MissingExtraError,
         MissingSolverError,
         ModelError,
+        NoStartError,
         UnknownNameError,
         UnreachableError,
     )
@@ -118,6 +119,7 @@ else:
                 "MissingExtraError",
                 "MissingSolverError",
                 "ModelError",
+                "NoStartError",
                 "UnknownNameError",
                 "UnreachableError",
             ),
@@ -241,6 +243,7 @@ __all__ = [
     "Monitor",
     "MonitorTolerances",
     "Monitored",
+    "NoStartError",
     "ObjectPath",
     "OsqpSettings",
     "OutputError",

@@ -51,6 +51,17 @@ class UnreachableError(CoopqpError):
     """An arm cannot reach a pose."""
 
 
+class NoStartError(UnreachableError):
+    """Arms have no start from which they follow a path. The message names arm, joint, amount and remedy."""
+
+    def __init__(self, arms: tuple[str, ...], message: str) -> None:
+        super().__init__(message)
+        self.arms, self.message = arms, message
+
+    def __reduce__(self) -> tuple[type[NoStartError], tuple[tuple[str, ...], str]]:
+        return type(self), (self.arms, self.message)
+
+
 class MissingExtraError(CoopqpError, ImportError):
     """An optional dependency is not installed. The message names the extra."""
 

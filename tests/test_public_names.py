@@ -57,7 +57,7 @@ PROGRAMS = programs()
 
 
 @pytest.mark.parametrize(
-    "package", ["coopqp", "coopqp.control", "coopqp.simulation", "coopqp.files", "coopqp.scenarios"]
+    "package", ["coopqp", "coopqp.control", "coopqp.simulation", "coopqp.files", "coopqp.scenarios", "coopqp.planning"]
 )
 def test_names_are_sorted_and_importable(package: str) -> None:
     module = importlib.import_module(package)

@@ -11,6 +11,7 @@ import pinocchio as pin
 
 from coopqp.checks import read_only
 from coopqp.errors import InvalidInputError
+from coopqp.model.branches import AT_LIMIT, amount
 from coopqp.model.cell import RobotCell
 from coopqp.model.grasp import Grasp
 from coopqp.model.limits import BindingLimit
@@ -286,6 +287,18 @@ def read_step(record: bytes, context: StepReader, status: Status, rate: float) -
     return step
 
 
+def outside_limits(cell: RobotCell, q: Array) -> str:
+    """The arm and the joint that is furthest outside its position limits, in words; empty if all are inside."""
+    x, limits = cell.positions(q), cell.limits
+    excess = np.maximum(limits.lower - x, x - limits.upper)
+    j = int(excess.argmax())
+    if not excess[j] > AT_LIMIT:
+        return ""
+    arm, _, joint = cell.joint_names[j].partition("/")
+    slides = "P" in cell.model.joints[j + 1].shortname()[len("JointModel") :][:1]
+    return f"arm {arm} started outside its limits: {joint} is {amount(float(excess[j]), slides=slides)} outside"
+
+
 class Controller(Protocol):
     """The protocol of the controllers of :func:`coopqp.simulation.simulate.simulate`."""
 
@@ -329,6 +342,6 @@ def check_start(
                 f"arm '{name}' holds the object {1e3 * d:.1f} mm and {np.rad2deg(a):.2f}° from the start of its path "
                 f"(tolerance {1e3 * tolerance_m:g} mm, {np.rad2deg(tolerance_rad):.3g}°)",
                 "reset: q",
-                "Start where the arms meet the grasp (coopqp.model.inverse_kinematics), or widen the start tolerance.",
+                "Start where the arms meet the grasp (coopqp.planning.find_start), or widen the start tolerance.",
             )
     return read_only(configuration)

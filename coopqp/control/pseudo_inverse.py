@@ -132,7 +132,7 @@ class PseudoInverseController:
         every, reason = self.options.reset_every, ""
         if every is not None and self._count % every == 0:
             try:
-                q_next = inverse_kinematics(self.cell, self.grasp, self.path.pose(clock_next), q_next)
+                q_next = inverse_kinematics(self.cell, self.grasp, self.path.pose(clock_next), q_next, limits=False)
             except UnreachableError as error:
                 reason = f"no periodic reset: {error}".rstrip(".")
         step = self._result(q_next, clock_next, h, began, Status.TRACKING, reason)

@@ -16,7 +16,7 @@ from typing import Any, final
 import pinocchio as pin
 
 from coopqp.checks import as_options, as_scalar, require
-from coopqp.control.command import ControlStep, check_start
+from coopqp.control.command import ControlStep, amend, check_start, outside_limits
 from coopqp.control.constraints import Constraints, listed
 from coopqp.control.core import make_loop
 from coopqp.control.options import QPOptions
@@ -73,7 +73,7 @@ class QPController:
         grasp: Grasp,
         path: ObjectPath,
         dt: float,
-        options: QPOptions | None,
+        options: QPOptions | Mapping[str, Any] | None,
         constraints: Sequence[Any],
     ) -> None:
         self.cell, self.grasp, self.path = cell, grasp, path
@@ -83,15 +83,25 @@ class QPController:
         checked = Constraints(cell, self.constraints)
         self._loop = make_loop(cell, grasp, dt=self.dt, options=self.options, constraints=checked)
         self.kernel, self.solver = self._loop.kernel, self._loop.solver.name
-        self._started = False
+        self._started = self._outside = False
         self._take(path)
 
     def _take(self, path: ObjectPath) -> None:
         self.path = path
         self._loop.follow(path)
+        self._find_fast_step()
+
+    def _find_fast_step(self) -> None:
+        path = self.path
         #: The core's own step, where nothing needs Python.
         self._fast: Callable[[Any, Any], ControlStep | None] | None = None
-        if self._started and not isinstance(self._loop, PlainLoop) and is_known(path) and not self.constraints:
+        if (
+            self._started
+            and not self._outside
+            and not isinstance(self._loop, PlainLoop)
+            and is_known(path)
+            and not self.constraints
+        ):
             self._fast = self._loop.step
 
     # -- starting --------------------------------------------------------------------------------------------------
@@ -110,7 +120,7 @@ class QPController:
         )
         if isinstance(self.path, ServoPath) and again:
             self.path.restart(path.pose(0.0))
-        self._started = True
+        self._started, self._outside = True, bool(outside_limits(self.cell, start))
         self._loop.start(start)
         self._take(self.path)
         self._loop.start_path()
@@ -179,18 +189,27 @@ class QPController:
     def _slow(self, q_measured: Any, dt: Any) -> ControlStep:
         if isinstance(self._loop, PlainLoop):
             began = time.perf_counter()
-            return self._loop.commit(self._loop.propose(self._loop.observe(q_measured, dt)), began)
-        return self._loop.careful_step(q_measured, dt)
+            step = self._loop.commit(self._loop.propose(self._loop.observe(q_measured, dt)), began)
+        else:
+            step = self._loop.careful_step(q_measured, dt)
+        if self._outside:  # it started there: say so until it is inside
+            where = outside_limits(self.cell, step.q)
+            if where:
+                amend(step, reason="; ".join(filter(None, (step.reason, where))))
+            else:
+                self._outside = False
+                self._find_fast_step()
+        return step
 
     # -- copies ----------------------------------------------------------------------------------------------------
 
     def __getstate__(self) -> dict[str, Any]:
         names = ("cell", "grasp", "path", "dt", "options", "constraints", "kernel")
         state = {name: getattr(self, name) for name in names}
-        return state | {"memory": self._loop.memory() if self._started else None}
+        return state | {"outside": self._outside, "memory": self._loop.memory() if self._started else None}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        kernel, memory = state.pop("kernel"), state.pop("memory")
+        kernel, outside, memory = state.pop("kernel"), state.pop("outside"), state.pop("memory")
         self._build(**state)  # the path may fail for a while: that is no reason not to be copied
         if self.kernel != kernel:
             raise InvalidInputError(
@@ -199,7 +218,7 @@ class QPController:
                 "Build both with the same QPOptions(kernel=…).",
             )
         if memory is not None:
-            self._started = True
+            self._started, self._outside = True, outside
             self._take(self.path)
             self._loop.restore(memory)
 

@@ -13,7 +13,9 @@ import pinocchio as pin
 
 from coopqp.checks import as_scalar
 from coopqp.errors import UnreachableError
-from coopqp.model.cell import RobotCell
+from coopqp.model.batch import ArmKinematics
+from coopqp.model.branches import AT_LIMIT, all_turns, amount, find_branches
+from coopqp.model.cell import Arm, RobotCell
 from coopqp.model.chain import Chain
 from coopqp.model.grasp import Grasp
 from coopqp.spatial import Array, Placement, as_placement
@@ -50,6 +52,7 @@ def inverse_kinematics(
     *,
     tolerance: float = 1e-12,
     max_iter: int = 100,
+    limits: bool = True,
 ) -> Array:
     """Find a configuration (nq,) near ``q_start`` at which all arms carry the object at ``T_world_object``.
 
@@ -60,15 +63,31 @@ def inverse_kinematics(
         q_start: start configuration (nq,); it decides the branch (elbow up or down …).
         tolerance: largest accepted error [m, rad]; errors up to 1e-9 are always accepted.
         max_iter: largest number of Newton iterations.
+        limits: an arm that ends outside its position limits takes the nearest branch inside them. False ignores them.
 
     Raises:
         InvalidInputError: bad pose or ``q_start``.
-        UnreachableError: an arm does not reach its grasp. The message names the arm and the remaining distance.
+        UnreachableError: an arm does not reach its grasp, or only outside its limits. The message names the arm and
+            the remaining distance, or the joint and how far it would be outside.
     """
     target = as_placement(T_world_object, "inverse_kinematics: T_world_object")
     q0 = cell.check_configuration(q_start, "inverse_kinematics: q_start")
     tolerance = as_scalar(tolerance, "inverse_kinematics: tolerance", open_low=False)
-    q, errors = newton(Chain(cell, grasp), target, q0, tolerance=tolerance, max_iter=max_iter)
+    chain = Chain(cell, grasp)
+    q, errors = newton(chain, target, q0, tolerance=tolerance, max_iter=max_iter)
+    _check_reached(cell, errors, tolerance, max_iter)
+    if limits:
+        x = cell.positions(q)
+        moved = [k for k in range(len(cell)) if _is_outside(cell, x, chain.moving_columns[k])]
+        for k in moved:
+            x[chain.moving_columns[k]] = _inside_limits(cell.arms[k], target * grasp.T_object_tool[k], x, q0, cell, k)
+        if moved:
+            q, errors = newton(chain, target, cell.configuration(x), tolerance=tolerance, max_iter=max_iter)
+            _check_reached(cell, errors, tolerance, max_iter)
+    return q
+
+
+def _check_reached(cell: RobotCell, errors: Array, tolerance: float, max_iter: int) -> None:
     worst = int(np.abs(errors).max(axis=1).argmax())
     if not np.abs(errors[worst]).max() <= max(tolerance, 1e-9):
         d, a = np.linalg.norm(errors[worst, :3]), np.linalg.norm(errors[worst, 3:])
@@ -76,4 +95,27 @@ def inverse_kinematics(
             f"arm '{cell.arm_names[worst]}' does not reach its grasp: {1e3 * d:.1f} mm and {np.rad2deg(a):.2f}° remain "
             f"after {max_iter} iterations. Move its base or the object, or start from another q_start."
         )
-    return q
+
+
+def _is_outside(cell: RobotCell, x: Array, columns: Any) -> bool:
+    low, high = cell.limits.lower[columns], cell.limits.upper[columns]
+    return bool(((x[columns] < low - AT_LIMIT) | (x[columns] > high + AT_LIMIT)).any())
+
+
+def _inside_limits(arm: Arm, T_world_tool: pin.SE3, x: Array, q0: Array, cell: RobotCell, k: int) -> Array:
+    """The branch of an arm inside its limits that is nearest to the start, (n,)."""
+    kinematics = ArmKinematics(arm)
+    columns = cell.v_slices[k].start + kinematics.columns
+    start = cell.positions(q0)[columns]
+    branches = find_branches(kinematics, T_world_tool, near=x[None, columns])
+    inside = [q for b in branches.q[branches.inside] for q in all_turns(kinematics, b)]
+    if inside:
+        return min(inside, key=lambda q: float(np.abs(q - start).max()))
+    # Of all branches, the one that is least outside.
+    margins = branches.margins if len(branches) else kinematics.margins(x[None, columns])
+    j = int(margins[0].argmin())
+    raise UnreachableError(
+        f"arm '{arm.name}' reaches its grasp only outside its limits: {kinematics.joints[j]} would be "
+        f"{amount(-margins[0, j], slides=bool(kinematics.slides[j]))} outside (the least of {len(branches)} branches "
+        f"from {branches.seeds} seeds). Roll its tool, move its base or the object, or give limits=False."
+    )

@@ -20,6 +20,7 @@ from coopqp.model.cell import RobotCell
 from coopqp.model.grasp import Grasp
 from coopqp.model.limits import BindingLimit, LimitKind
 from coopqp.output import OutputError, write_files
+from coopqp.planning.starts import find_start
 from coopqp.simulation.plants.kinematic import KinematicPlant, Plant
 from coopqp.simulation.scene import describe_cell, describe_path
 from coopqp.spatial import Array
@@ -192,7 +193,7 @@ def simulate(
     controller: Controller,
     plant: Plant | None = None,
     *,
-    q_start: Any,
+    q_start: Any = None,
     duration: float | None = None,
     settle: float = 0.0,
     patience: float | None = PATIENCE,
@@ -205,7 +206,7 @@ def simulate(
     Args:
         controller: the controller; it is reset at the plant's measured configuration.
         plant: the plant; by default an ideal :class:`KinematicPlant`.
-        q_start: start configuration (nq,).
+        q_start: start configuration (nq,); by default :func:`coopqp.planning.find_start` finds one.
         duration: longest run [s]; by default ten times the path's duration, because a slowed object takes longer.
         settle: time that the run continues after the end of the path [s].
         patience: the run ends when the object was blocked, held or stopped for this time [s]; None for never.
@@ -215,6 +216,7 @@ def simulate(
 
     Raises:
         InvalidInputError: bad ``q_start`` or durations, or the arms do not hold the object at the start.
+        NoStartError: no ``q_start`` is given and there is none.
     """
     for thing, methods, name in ((controller, ("reset", "step"), "controller"), (plant, ("reset", "apply"), "plant")):
         if thing is not None and not all(callable(getattr(thing, method, None)) for method in methods):
@@ -235,6 +237,8 @@ def simulate(
         raise InvalidInputError(f"not JSON ({error})", "simulate: metadata", "Give plain values.") from error
     if metadata is not None and not isinstance(metadata, dict):
         raise InvalidInputError(f"a {type(metadata).__name__}", "simulate: metadata", "Give a dictionary.")
+    if q_start is None:
+        q_start = find_start(cell, controller.grasp, controller.path).q
     measured = plant.reset(q_start)
     controller.reset(measured)
     steps: list[ControlStep] = []

@@ -5,13 +5,13 @@ from __future__ import annotations
 from typing import final
 
 import numpy as np
-import pinocchio as pin
 
 from coopqp.control.core import layout
 from coopqp.control.limits import VelocityBox
 from coopqp.control.options import QPOptions
-from coopqp.model.cell import RobotCell
+from coopqp.errors import ModelError
 from coopqp.model.chain import Chain
+from coopqp.model.links import joint_links
 from coopqp.planning.preview import PlanLimits
 from coopqp.spatial import Array
 
@@ -104,49 +104,23 @@ def _arms(chain: Chain) -> tuple[list[int], list[int]]:
 
 def _put_links(chain: Chain, at: dict[str, Array]) -> None:
     """Placement of each joint in the one before, both with the z axis along the joint's axis."""
-    cell, model = chain.cell, chain.cell.model
+    cell = chain.cell
     link_R, link_p = at["link_R"].reshape(-1, 9), at["link_p"].reshape(-1, 3)
     link_R[:] = np.eye(3).ravel()
     for k, columns in enumerate(chain.moving_columns):
-        parent, aligned = 0, np.eye(3)
-        for j in columns:
-            joint = model.joints[int(j) + 1]
-            if joint.idx_v != j or joint.nv != 1 or model.parents[int(j) + 1] != parent:
-                raise NotForTheCore(f"joint {cell.joint_names[j]} does not follow the one before")
-            axis, slides = _axis(cell, int(j) + 1)
-            placement = model.jointPlacements[int(j) + 1]
-            turned = _z_to(axis)
-            link_R[j] = (aligned.T @ placement.rotation @ turned).ravel()
-            link_p[j] = aligned.T @ placement.translation
-            at["prismatic"][j] = slides
-            parent, aligned = int(j) + 1, turned
-        if cell.tool_joints[k] != parent:
+        joints = [int(j) + 1 for j in columns]
+        if any(cell.model.joints[j].idx_v != j - 1 for j in joints):
+            raise NotForTheCore(f"the joints of arm {cell.arm_names[k]} are in another order")
+        if cell.tool_joints[k] != joints[-1]:
             raise NotForTheCore(f"the tool of arm {cell.arm_names[k]} is not on its last joint")
+        try:
+            R, link_p[columns], at["prismatic"][columns], aligned = joint_links(cell.model, joints)
+        except ModelError as error:
+            raise NotForTheCore(str(error)) from error
+        link_R[columns] = R.reshape(-1, 9)
         Y = cell.T_joint_tool[k] * chain.grasp.T_object_tool[k].inverse()
         at["object_R"].reshape(-1, 9)[k] = (aligned.T @ Y.rotation).ravel()
         at["object_p"].reshape(-1, 3)[k] = aligned.T @ Y.translation
-
-
-def _axis(cell: RobotCell, joint: int) -> tuple[Array, bool]:
-    """The joint's axis in its own frame, and whether it slides along it."""
-    q = pin.neutral(cell.model)
-    own = pin.computeJointJacobian(cell.model, cell.model.createData(), q, joint)[
-        :, int(cell.model.joints[joint].idx_v)
-    ]
-    linear, angular = own[:3], own[3:]
-    if abs(np.linalg.norm(angular) - 1.0) < 1e-9 and np.abs(linear).max() < 1e-9:
-        return angular, False
-    if abs(np.linalg.norm(linear) - 1.0) < 1e-9 and np.abs(angular).max() < 1e-9:
-        return linear, True
-    raise NotForTheCore(f"joint {cell.model.names[joint]} neither turns about an axis nor slides along one")
-
-
-def _z_to(axis: Array) -> Array:
-    """A rotation that takes z to ``axis``."""
-    z = axis / np.linalg.norm(axis)
-    x = np.cross(np.eye(3)[int(np.abs(z).argmin())], z)
-    x /= np.linalg.norm(x)
-    return np.column_stack([x, np.cross(z, x), z])
 
 
 def _put_plan(chain: Chain, at: dict[str, Array], options: QPOptions, dt: float) -> None:

@@ -29,6 +29,7 @@ from coopqp.model.cell import Arm, RobotCell
 from coopqp.model.description import check_nesting, check_urdf, description_file
 from coopqp.model.grasp import Grasp
 from coopqp.model.inverse_kinematics import inverse_kinematics
+from coopqp.planning.starts import find_start
 from coopqp.scenarios.arms import robot_arm, robot_file
 from coopqp.simulation.assessment import slides
 from coopqp.simulation.plants.kinematic import KinematicPlant, Plant
@@ -139,11 +140,20 @@ def load(file: Path) -> CellRun:
 def build(file: CellFile, folder: Path) -> CellRun:
     """Build the objects of a cell file. Its paths are relative to ``folder``. Errors name the arm or table."""
     cell = RobotCell([_arm(arm, folder) for arm in file.arms])
-    path, q_near = _path(file), _start(file.start, cell)
-    if file.grasp.kind == "latched":
+    path = _path(file)
+    if file.start.is_auto:
+        if file.grasp.kind == "latched":
+            raise _BuildError(
+                "a latched grasp is that of the start, so a start cannot be found: give start.positions_deg or "
+                "start.positions_rad, or another kind of grasp."
+            )
+        grasp = _grasp(file, cell)
+        q_start = find_start(cell, grasp, path).q
+    elif file.grasp.kind == "latched":
+        q_near = _start(file.start, cell)
         grasp, q_start = Grasp.from_configuration(cell, q_near, path.pose(0.0)), q_near
     else:
-        grasp = _grasp(file, cell)
+        q_near, grasp = _start(file.start, cell), _grasp(file, cell)
         q_start = inverse_kinematics(cell, grasp, path.pose(0.0), q_near) if file.start.inverse_kinematics else q_near
     dt = path.duration / file.steps if file.steps is not None else file.dt_s or DEFAULT_DT
     longest = file.longest_s if file.longest_s is not None else 10.0 * path.duration

@@ -209,7 +209,7 @@ class HoldTable(Table):
 
 
 class StartTable(Table):
-    """Start configuration of the arms."""
+    """Start configuration of the arms; "auto", or a table without positions: coopqp finds it."""
 
     positions_deg: Degrees | None = Field(default=None, description="position of every joint, by arm")
     positions_rad: Degrees | None = Field(default=None, description="the same in radians")
@@ -218,10 +218,24 @@ class StartTable(Table):
         description="correct the positions so that the tools fit the grasp and the first pose exactly",
     )
 
+    @model_validator(mode="before")
+    @classmethod
+    def _auto(cls, data: Any) -> Any:
+        if isinstance(data, str):
+            if data != "auto":
+                raise _problem(f'give a table or "auto", not "{data[:40]}"')
+            return {}
+        return data
+
     @model_validator(mode="after")
     def _one_unit(self) -> StartTable:
-        exactly_one(self, "positions_deg", "positions_rad")
+        at_most_one(self, "positions_deg", "positions_rad")
         return self
+
+    @property
+    def is_auto(self) -> bool:
+        """No positions are given: a start has to be found."""
+        return self.positions_deg is None and self.positions_rad is None
 
 
 class ObjectTable(Table):
@@ -329,7 +343,10 @@ class CellFile(Table):
     path: Annotated[LineTable | WaypointsTable | HoldTable, Field(discriminator="kind")] = Field(
         description="path of the object"
     )
-    start: StartTable = Field(description="start configuration of the arms")
+    start: StartTable = Field(
+        default_factory=StartTable,
+        description='start configuration of the arms; "auto" (default): coopqp finds one that follows the path',
+    )
     object: ObjectTable = Field(default_factory=ObjectTable, description="the object")
     controller: ControllerTable = Field(
         default_factory=lambda: QPTable.model_validate({"kind": "qp"}),

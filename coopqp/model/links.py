@@ -1,0 +1,54 @@
+"""The joints of one arm as a product of frames whose z axes are the joints' axes."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import pinocchio as pin
+
+from coopqp.errors import ModelError
+from coopqp.spatial import Array
+
+
+def joint_links(model: pin.Model, joints: Sequence[int]) -> tuple[Array, Array, Array, Array]:
+    """Links of joints (indices in ``model``) that follow each other, the first one on the base.
+
+    Returns:
+        (R, p, slides, aligned): rotation (n, 3, 3) and origin (n, 3) [m] of each joint in the one before, both with the
+        z axis along the joint's axis; 1 for joints that slide (n,); rotation (3, 3) from the last joint's own frame.
+
+    Raises:
+        ModelError: a joint does not follow the one before, or neither turns about an axis nor slides along one.
+    """
+    R, p, slides = np.empty((len(joints), 3, 3)), np.empty((len(joints), 3)), np.zeros(len(joints))
+    parent, aligned = 0, np.eye(3)
+    for i, j in enumerate(joints):
+        if model.joints[j].nv != 1 or model.parents[j] != parent:
+            raise ModelError(f"joint {model.names[j]} does not follow the one before")
+        axis, slides[i] = _axis(model, j)
+        placement, turned = model.jointPlacements[j], _z_to(axis)
+        R[i], p[i] = aligned.T @ placement.rotation @ turned, aligned.T @ placement.translation
+        parent, aligned = j, turned
+    return R, p, slides, aligned
+
+
+def _axis(model: pin.Model, joint: int) -> tuple[Array, bool]:
+    """The joint's axis in its own frame, and whether it slides along it."""
+    own = pin.computeJointJacobian(model, model.createData(), pin.neutral(model), joint)[
+        :, int(model.joints[joint].idx_v)
+    ]
+    linear, angular = own[:3], own[3:]
+    if abs(np.linalg.norm(angular) - 1.0) < 1e-9 and np.abs(linear).max() < 1e-9:
+        return angular, False
+    if abs(np.linalg.norm(linear) - 1.0) < 1e-9 and np.abs(angular).max() < 1e-9:
+        return linear, True
+    raise ModelError(f"joint {model.names[joint]} neither turns about an axis nor slides along one")
+
+
+def _z_to(axis: Array) -> Array:
+    """A rotation that takes z to ``axis``."""
+    z = axis / np.linalg.norm(axis)
+    x = np.cross(np.eye(3)[int(np.abs(z).argmin())], z)
+    x /= np.linalg.norm(x)
+    return np.column_stack([x, np.cross(z, x), z])

@@ -1,0 +1,221 @@
+"""A start for every arm: the branch, the whole turns and the roll of the tool that stay inside limits along a path.
+
+With the object's path given, each arm follows its own tool's path, so each arm is searched by itself.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+
+from coopqp.checks import as_count, as_floats, as_scalar
+from coopqp.errors import InvalidInputError, NoStartError
+from coopqp.model.batch import ArmKinematics
+from coopqp.model.cell import RobotCell
+from coopqp.model.chain import Chain
+from coopqp.model.grasp import Grasp
+from coopqp.model.inverse_kinematics import newton
+from coopqp.planning.arm_starts import ArmOnPath, BranchAlongPath, arm_on_path, trouble
+from coopqp.planning.samples import PathSamples, sample_path
+from coopqp.spatial import Array
+from coopqp.task.path import ObjectPath
+
+#: Rolls of the tool that are tried for a remedy [deg], the most usual first.
+_ROLLS = ((180.0,), (90.0, -90.0), (45.0, -45.0, 135.0, -135.0), tuple(np.arange(-165.0, 180.0, 30.0)))
+_MOST_ALTERNATIVES = 8
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ArmStart:
+    """The start of one arm.
+
+    Attributes:
+        arm: its name.
+        joints: names of the joints that move its tool, n of them.
+        chosen: the branch at which it starts.
+        branches: all branches at the start of the path, the best first; those of redundant arms are samples.
+    """
+
+    arm: str
+    joints: tuple[str, ...]
+    chosen: BranchAlongPath
+    branches: tuple[BranchAlongPath, ...]
+
+    @property
+    def tightest_joint(self) -> str:
+        """The joint with the least margin along the path."""
+        return self.joints[self.chosen.tightest]
+
+    @property
+    def margin(self) -> float:
+        """Margin of that joint [rad or m]."""
+        return float(self.chosen.margins.min())
+
+    @property
+    def clock(self) -> float:
+        """Clock at which it is so close to its limit [s]."""
+        return float(self.chosen.clocks[self.chosen.tightest])
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Start:
+    """A configuration from which all arms follow a path inside their limits.
+
+    Attributes:
+        q: the configuration (nq,).
+        grasp: the grasp, tools rolled where that was allowed.
+        arms: what was found for each arm.
+        clocks: clocks of the samples (K,) [s].
+        margins: least margin of each joint along the path (nv,) [rad or m]; inf without limits.
+        sigma_min: smallest singular value of each arm's tool Jacobian along the path (K, N).
+        alternatives: other starts with the same grasp, one arm changed in each, the best first.
+    """
+
+    q: Array
+    grasp: Grasp
+    arms: tuple[ArmStart, ...]
+    clocks: Array
+    margins: Array
+    sigma_min: Array
+    alternatives: tuple[Array, ...]
+
+    def explain(self) -> str:
+        """A line per arm: the tightest joint with its margin, σ_min, and the number of branches."""
+        lines = []
+        for a in self.arms:
+            feasible = sum(b.feasible for b in a.branches)
+            roll = f", tool rolled by {np.rad2deg(a.chosen.roll):.0f}°" if a.chosen.roll else ""
+            lines.append(
+                f"arm {a.arm}: {feasible} of {len(a.branches)} branches follow the path{roll}; least margin "
+                f"{a.margin:.3f} at {a.tightest_joint} ({a.clock:.2f} s), σ_min {a.chosen.sigma_min.min():.3f}"
+            )
+        return "\n".join(lines)
+
+
+def find_start(
+    cell: RobotCell,
+    grasp: Grasp,
+    path: ObjectPath,
+    *,
+    free_roll: Mapping[str, Sequence[float]] | None = None,
+    q_near: Any = None,
+    effort: int = 1,
+) -> Start:
+    """Find a start configuration from which every arm follows the whole path inside its limits.
+
+    All branches of each arm at the start of the path are found and walked along the path; the one with the largest
+    margins and singular values is taken. A path without an end, or not known ahead, is judged by its start alone.
+
+    Args:
+        cell, grasp, path: the arms, how they hold, and where to.
+        free_roll: angles [rad] by which an arm's tool may be turned about its own z axis, by the arm's name; 0 is
+            always allowed. The grasp in the answer has the turned tools.
+        q_near: further seed (nq,); positions of joints that do not move a tool are taken from it.
+        effort: multiplies the number of seeds.
+
+    Raises:
+        NoStartError: an arm has none. The message names the arm, the joint, by how much, and a remedy.
+        InvalidInputError: bad arguments.
+        UnknownNameError: no such arm.
+    """
+    grasp.check_arms(cell)
+    effort = as_count(effort, "find_start: effort")
+    rolls = _checked_rolls(cell, free_roll or {})
+    samples = sample_path(path, grasp)
+    near = None if q_near is None else cell.positions(cell.check_configuration(q_near, "find_start: q_near"))
+    found: list[tuple[ArmOnPath, BranchAlongPath]] = []
+    troubles: list[tuple[str, str]] = []
+    for k, arm in enumerate(cell.arms):
+        kinematics = ArmKinematics(arm)
+        seeds = np.empty((0, kinematics.n)) if near is None else near[None, cell.v_slices[k]][:, kinematics.columns]
+        tries = [
+            arm_on_path(kinematics, samples, grasp.T_object_tool[k], roll=roll, effort=effort, near=seeds)
+            for roll in rolls[k]
+        ]
+        best = max(tries, key=lambda t: t.feasible[0].score if t.feasible else -np.inf)
+        if best.feasible:
+            found.append((best, best.feasible[0]))
+        else:
+            remedy = _remedy(kinematics, samples, grasp.T_object_tool[k], rolls[k])
+            troubles.append((arm.name, f"{trouble(tries[0])}; {remedy}"))
+    if troubles:
+        raise NoStartError(tuple(name for name, _ in troubles), ". ".join(text for _, text in troubles) + ".")
+    return _put_together(cell, grasp, samples, found, near)
+
+
+def _put_together(
+    cell: RobotCell,
+    grasp: Grasp,
+    samples: PathSamples,
+    found: list[tuple[ArmOnPath, BranchAlongPath]],
+    near: Array | None,
+) -> Start:
+    """The answer for the whole cell."""
+    x = np.clip(np.zeros(cell.nv), cell.limits.lower, cell.limits.upper) if near is None else near.copy()
+    columns = [s.start + arm.kinematics.columns for s, (arm, _) in zip(cell.v_slices, found, strict=True)]
+    margins = np.minimum(x - cell.limits.lower, cell.limits.upper - x)
+    tools = []
+    for own, X, (_, row) in zip(columns, grasp.T_object_tool, found, strict=True):
+        x[own], margins[own] = row.q, row.margins
+        tools.append(X * pin.SE3(pin.exp3(np.array([0.0, 0.0, row.roll])), np.zeros(3)))
+    rolled = Grasp(tuple(tools))
+    chain = Chain(cell, rolled)
+
+    def exact(positions: Array) -> Array:
+        return newton(chain, samples.poses[0], cell.configuration(positions), tolerance=1e-13, max_iter=3)[0]
+
+    others = [(row.score, k, row) for k, (arm, best) in enumerate(found) for row in arm.feasible if row is not best]
+    others.sort(key=lambda other: -other[0])
+    alternatives = []
+    for _, k, row in others[:_MOST_ALTERNATIVES]:
+        changed = x.copy()
+        changed[columns[k]] = row.q
+        alternatives.append(exact(changed))
+    return Start(
+        q=exact(x),
+        grasp=rolled if any(row.roll for _, row in found) else grasp,
+        arms=tuple(
+            ArmStart(arm=name, joints=arm.kinematics.joints, chosen=row, branches=arm.branches)
+            for name, (arm, row) in zip(cell.arm_names, found, strict=True)
+        ),
+        clocks=samples.clocks,
+        margins=margins,
+        sigma_min=np.column_stack([row.sigma_min for _, row in found]),
+        alternatives=tuple(alternatives),
+    )
+
+
+def _checked_rolls(cell: RobotCell, free_roll: Mapping[str, Sequence[float]]) -> list[tuple[float, ...]]:
+    """Rolls of each arm's tool [rad], 0 first."""
+    rolls: list[tuple[float, ...]] = [(0.0,)] * len(cell)
+    for name, angles in free_roll.items():
+        where = f"find_start: free_roll['{name}']"
+        try:
+            numbers = np.atleast_1d(as_floats(angles))
+        except (TypeError, ValueError) as error:
+            raise InvalidInputError("not a list of angles", where, "Give angles [rad].") from error
+        checked = [as_scalar(a, where, low=-2.0 * np.pi, high=2.0 * np.pi, open_low=False) for a in numbers.ravel()]
+        rolls[cell.index(name)] = (0.0, *(a for a in checked if a))
+    return rolls
+
+
+def _remedy(kinematics: ArmKinematics, samples: PathSamples, X: pin.SE3, tried: tuple[float, ...]) -> str:
+    """What helps an arm without a start."""
+    nowhere = np.empty((0, kinematics.n))
+
+    def look(roll: float) -> ArmOnPath:
+        return arm_on_path(kinematics, samples, X, roll=roll, near=nowhere, quick=True)
+
+    for angles in _ROLLS:
+        tries = [
+            (on_path.feasible[0].score, angle)
+            for angle in angles
+            if np.deg2rad(angle) not in tried and (on_path := look(float(np.deg2rad(angle)))).feasible
+        ]
+        if tries:
+            return f"roll its tool by {max(tries)[1]:.0f}°"
+    return "move its base or the path, or hold the object elsewhere"
