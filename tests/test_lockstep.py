@@ -50,7 +50,7 @@ pytestmark = pytest.mark.skipif("compiled" not in available_kernels(), reason="t
 #: Largest difference of joint velocities [rad/s or m/s].
 SAME = 1e-9
 #: Rounding of positions in one step [rad or m]: the shorter the step, the more of it in a velocity.
-ROUNDING = 1e-12
+ROUNDING = 5e-12
 #: The same after many holds under acceleration limits: each of them hands the rounding of the last on, magnified.
 DISTURBED = 5e-8
 #: What one sample of a run feeds to a step: the measured configuration (nq,) or None, and dt.
