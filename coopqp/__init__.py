@@ -42,6 +42,7 @@ if TYPE_CHECKING:
     from coopqp.control.solvers.proxqp import ProxqpSettings
     from coopqp.control.supervision import SupervisionOptions
     from coopqp.errors import (
+        BusyError,
         CoopqpError,
         InvalidInputError,
         MissingExtraError,
@@ -111,6 +112,7 @@ else:
             ),
             "coopqp.control.supervision": ("SupervisionOptions",),
             "coopqp.errors": (
+                "BusyError",
                 "CoopqpError",
                 "InvalidInputError",
                 "MissingExtraError",
@@ -207,6 +209,7 @@ __all__ = [
     "Array",
     "BindingLimit",
     "Breach",
+    "BusyError",
     "CellFileError",
     "CellState",
     "CommonError",
