@@ -43,6 +43,7 @@ if TYPE_CHECKING:
     from coopqp.control.solvers.proxqp import ProxqpSettings
     from coopqp.control.supervision import SupervisionOptions
     from coopqp.errors import (
+        BusyError,
         CoopqpError,
         InvalidInputError,
         MissingExtraError,
@@ -114,6 +115,7 @@ else:
             ),
             "coopqp.control.supervision": ("SupervisionOptions",),
             "coopqp.errors": (
+                "BusyError",
                 "CoopqpError",
                 "InvalidInputError",
                 "MissingExtraError",
@@ -213,6 +215,7 @@ __all__ = [
     "Array",
     "BindingLimit",
     "Breach",
+    "BusyError",
     "CellFileError",
     "CellState",
     "CommonError",

@@ -47,6 +47,15 @@ class ModelError(CoopqpError):
     """A robot model cannot be read, or no arm can be built from it."""
 
 
+class BusyError(CoopqpError, RuntimeError):
+    """A controller was called while another thread computes its step: a misuse of the program. Nothing was changed."""
+
+    def __init__(
+        self, message: str = "another thread computes a step of this controller. Give each thread its own."
+    ) -> None:
+        super().__init__(message)
+
+
 class UnreachableError(CoopqpError):
     """An arm cannot reach a pose."""
 

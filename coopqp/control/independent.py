@@ -28,6 +28,7 @@ from coopqp.control.command import (
 )
 from coopqp.control.limits import VelocityBox
 from coopqp.control.solvers import QpProblem, QpSolution, QpSolver, make_solver
+from coopqp.control.turn import Turn, alone
 from coopqp.errors import InvalidInputError
 from coopqp.model.cell import RobotCell
 from coopqp.model.chain import Chain
@@ -99,6 +100,7 @@ class IndependentQPController:
     ) -> None:
         require(grasp, Grasp, "IndependentQPController: grasp", "Give a Grasp of the placements.")
         grasp.check_arms(cell)
+        self._turn = Turn()
         self.cell, self.grasp, self.path = cell, grasp, path
         self.dt = as_scalar(dt, "IndependentQPController: dt")
         o = self.options = as_options(IndependentQPOptions, options, "IndependentQPController: options")
@@ -110,6 +112,7 @@ class IndependentQPController:
         self._q, self._v = pin.neutral(cell.model), np.zeros(cell.nv)
         self._clock, self._started = 0.0, False
 
+    @alone
     def reset(self, q: Any) -> None:
         """Start at rest at ``q`` (nq,), with the object's clock at 0. Errors as in :class:`Controller`."""
         tolerances = {"tolerance_m": START_TOLERANCE_M, "tolerance_rad": START_TOLERANCE_RAD}
@@ -119,6 +122,7 @@ class IndependentQPController:
         for solver in self._solvers:
             solver.reset()
 
+    @alone
     def step(self, q_measured: Any = None, *, dt: float | None = None) -> ControlStep:
         """One step from the commanded configuration. ``q_measured`` is not used.
 

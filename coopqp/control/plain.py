@@ -21,6 +21,7 @@ from coopqp.control.linearised import LinearisedAnswer, LinearisedStep, StepInpu
 from coopqp.control.options import QPOptions
 from coopqp.control.ranks import StepSolver
 from coopqp.control.supervision import Supervision, Watch
+from coopqp.control.turn import Turn
 from coopqp.model.cell import RobotCell
 from coopqp.model.chain import Chain
 from coopqp.model.grasp import Grasp
@@ -112,6 +113,8 @@ class PlainLoop:
         self, cell: RobotCell, grasp: Grasp, *, dt: float, options: QPOptions, constraints: Constraints
     ) -> None:
         self.cell, self.grasp, self.dt, self.options = cell, grasp, dt, options
+        turn = Turn()
+        self.hold, self.release = turn.hold, turn.release
         self.constraints = constraints
         self._chain, self._box = Chain(cell, grasp), VelocityBox(cell)
         self._shares = options.common_error.shares(cell)

@@ -15,6 +15,7 @@ import pinocchio as pin
 
 from coopqp.checks import as_count, as_options, as_scalar, keep_scalars, require
 from coopqp.control.command import START_TOLERANCE_M, START_TOLERANCE_RAD, ControlStep, Status, check_start
+from coopqp.control.turn import Turn, alone
 from coopqp.errors import InvalidInputError, UnknownNameError, UnreachableError
 from coopqp.model.cell import RobotCell
 from coopqp.model.grasp import Grasp
@@ -83,6 +84,7 @@ class PseudoInverseController:
     ) -> None:
         require(grasp, Grasp, "PseudoInverseController: grasp", "Give a Grasp of the placements.")
         grasp.check_arms(cell)
+        self._turn = Turn()
         self.cell, self.grasp, self.path = cell, grasp, path
         self.dt = as_scalar(dt, "PseudoInverseController: dt")
         self.options = as_options(PseudoInverseOptions, options, "PseudoInverseController: options")
@@ -95,6 +97,7 @@ class PseudoInverseController:
         self._q = pin.neutral(cell.model)
         self._clock, self._count, self._started = 0.0, 0, False
 
+    @alone
     def reset(self, q: Any) -> None:
         """Step 0: start at ``q`` (nq,), with the object's clock at 0. Errors as in :class:`Controller`."""
         self._q = check_start(
@@ -107,6 +110,7 @@ class PseudoInverseController:
         )
         self._clock, self._count, self._started = 0.0, 0, True
 
+    @alone
     def step(self, q_measured: Any = None, *, dt: float | None = None) -> ControlStep:
         """Steps 3–5. The algorithm is open loop: ``q_measured`` is not used.
 

@@ -21,6 +21,7 @@ from coopqp.control.constraints import Constraints, listed
 from coopqp.control.core import make_loop
 from coopqp.control.options import QPOptions
 from coopqp.control.plain import PlainLoop, held_at
+from coopqp.control.turn import alone
 from coopqp.errors import InvalidInputError
 from coopqp.model.cell import RobotCell
 from coopqp.model.grasp import Grasp
@@ -86,6 +87,10 @@ class QPController:
         self._started = self._outside = False
         self._take(path)
 
+    @property
+    def _turn(self) -> Any:
+        return self._loop
+
     def _take(self, path: ObjectPath) -> None:
         self.path = path
         self._loop.follow(path)
@@ -106,6 +111,7 @@ class QPController:
 
     # -- starting --------------------------------------------------------------------------------------------------
 
+    @alone
     def reset(self, q: Any) -> None:
         """Start at ``q`` (nq,), at rest, the object's clock at 0; ends a fault. Errors as :class:`Controller`.
 
@@ -129,6 +135,7 @@ class QPController:
         """Where the arms hold the object at ``q``: by their shares in the common error, from the first one's view."""
         return held_at(self.grasp, self.options.common_error.shares(self.cell), CellState(self.cell, q))
 
+    @alone
     def follow(self, path: ObjectPath) -> None:
         """Go on from the present command along another path, its clock at 0; the motion is not interrupted.
 
@@ -142,6 +149,7 @@ class QPController:
         if self._started:
             self._loop.start_path()
 
+    @alone
     def retarget(self, T_world_object: Placement) -> None:
         """Move the target of a :class:`ServoPath`.
 
@@ -170,6 +178,7 @@ class QPController:
 
         Raises:
             InvalidInputError: before the first :meth:`reset`. Never for run-time data: those lead to a status.
+            BusyError: another thread is in a call of this controller; nothing was changed.
         """
         fast = self._fast
         if fast is not None:
@@ -182,10 +191,12 @@ class QPController:
             raise InvalidInputError("step before reset", "QPController", "Call reset(q) first.")
         return self._slow(q_measured, dt)
 
+    @alone
     def _finish(self) -> ControlStep:
         assert not isinstance(self._loop, PlainLoop)  # only the core leaves a step open
         return self._loop.finish()
 
+    @alone
     def _slow(self, q_measured: Any, dt: Any) -> ControlStep:
         if isinstance(self._loop, PlainLoop):
             began = time.perf_counter()
@@ -203,6 +214,7 @@ class QPController:
 
     # -- copies ----------------------------------------------------------------------------------------------------
 
+    @alone
     def __getstate__(self) -> dict[str, Any]:
         names = ("cell", "grasp", "path", "dt", "options", "constraints", "kernel")
         state = {name: getattr(self, name) for name in names}

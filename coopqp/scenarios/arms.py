@@ -141,20 +141,14 @@ def robot_data_path(name: str) -> Path:
     Raises:
         MissingExtraError: the package is not installed or has no such file.
     """
-    for path in _data_files():
-        if path.endswith(name):
-            return Path(path)
-    raise MissingExtraError("robots", f"{_PACKAGE} with a file {name}")
-
-
-@functools.cache
-def _data_files() -> tuple[str, ...]:
-    """Files of ``example-robot-data``. A failure is not kept: the package may be installed while a program runs."""
     try:
         files = metadata.distribution(_PACKAGE).files or []
     except metadata.PackageNotFoundError as error:
         raise MissingExtraError("robots", _PACKAGE) from error
-    return tuple(str(Path(str(file.locate())).resolve()) for file in files if str(file).endswith((".urdf", ".srdf")))
+    for file in files:
+        if str(file).endswith(name):
+            return Path(str(file.locate())).resolve()
+    raise MissingExtraError("robots", f"{_PACKAGE} with a file {name}")
 
 
 def robot_file(robot: str) -> Path:
@@ -199,21 +193,22 @@ def robot_arm(
         )
     made = ROBOTS[robot]
     locked = {**dict(made.locked), **(locked_joints or {})}
+    frame, file = tool_frame or made.tool_frame, robot_file(robot)
     try:
-        arm = _read(robot, tool_frame or made.tool_frame, bool(geometry), tuple(sorted(locked.items())))
+        arm = _read(robot, file, frame, bool(geometry), tuple(sorted(locked.items())))
     except TypeError:  # a position that is no key of a cache; the reader names it
-        arm = _read.__wrapped__(robot, tool_frame or made.tool_frame, bool(geometry), tuple(locked.items()))
+        arm = _read.__wrapped__(robot, file, frame, bool(geometry), tuple(locked.items()))
     placed = arm.placed(pin.SE3.Identity() if T_world_base is None else T_world_base, name=name)
     return placed.with_limits(**limits) if limits else placed
 
 
 @functools.lru_cache(maxsize=32)
-def _read(robot: str, tool_frame: str, geometry: bool, locked: tuple[tuple[str, float], ...]) -> Arm:
+def _read(robot: str, file: Path, tool_frame: str, geometry: bool, locked: tuple[tuple[str, float], ...]) -> Arm:
     """An arm at the origin. It is read only once."""
     made = ROBOTS[robot]
     return Arm.from_urdf(
         robot,
-        robot_file(robot),
+        file,
         tool_frame=tool_frame,
         geometry=geometry,
         locked_joints=dict(locked) or None,

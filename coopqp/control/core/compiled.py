@@ -86,6 +86,7 @@ class CompiledLoop:
         if constraints:
             self._core.bind_knots(self._bound_knot)
         self.step = self._core.step
+        self.hold, self.release = self._core.hold, self._core.release
         #: What is wrong with an input, where it takes more than numbers to say so.
         self.trouble = ""
 

@@ -34,6 +34,7 @@ typedef struct {
     PyObject *own_path, *bound_knot;               /* callables; NULL for none */
     PyObject *path_buffer, *pose_buffer;           /* arrays whose memory is in use */
     PyObject *step_type, *context, *statuses;      /* what a step is made of */
+    unsigned long busy;                            /* the thread that computes a step; 0 for none */
     PyObject *interrupt[3];                        /* type, value and traceback, until the call ends; or NULL */
 #ifdef GUARDED
     Guards guards;
@@ -326,13 +327,46 @@ static PyObject *make_step(CoreObject *self, int status) {
     return NULL;
 }
 
+/* One thread at a time; the one that already works here may enter again. Other threads get a BusyError. */
+static int enter(CoreObject *self) {
+    const unsigned long me = PyThread_get_thread_ident();
+    if (self->busy && self->busy != me) {
+        PyObject *errors = PyImport_ImportModule("coopqp.errors");
+        PyObject *kind = errors ? PyObject_GetAttrString(errors, "BusyError") : NULL;
+        if (kind) PyErr_SetNone(kind);
+        Py_XDECREF(kind);
+        Py_XDECREF(errors);
+        return 0;
+    }
+    self->busy = me;
+    return 1;
+}
+
+static PyObject *core_hold(PyObject *object, PyObject *unused) {
+    (void)unused;
+    if (!enter((CoreObject *)object)) return NULL;
+    Py_RETURN_NONE;
+}
+
+static PyObject *core_release(PyObject *object, PyObject *unused) {
+    (void)unused;
+    ((CoreObject *)object)->busy = 0;
+    Py_RETURN_NONE;
+}
+
 static PyObject *core_step(PyObject *object, PyObject *const *args, Py_ssize_t n) {
     CoreObject *self = built(object);
-    if (!self || !take(self, n > 0 ? args[0] : NULL, n > 1 ? args[1] : NULL)) return NULL;
-    const int outcome = self->can->propose(&self->core);
-    if (interrupted(self)) return NULL;
-    if (outcome >= FILLED) Py_RETURN_NONE;
-    return make_step(self, self->can->commit(&self->core));
+    if (!self || !enter(self)) return NULL;
+    PyObject *step = NULL;
+    if (take(self, n > 0 ? args[0] : NULL, n > 1 ? args[1] : NULL)) {
+        const int outcome = self->can->propose(&self->core);
+        if (!interrupted(self)) {
+            if (outcome >= FILLED) Py_RETURN_NONE; /* it is released when the step is done */
+            step = make_step(self, self->can->commit(&self->core));
+        }
+    }
+    self->busy = 0;
+    return step;
 }
 
 static PyObject *core_observe(PyObject *object, PyObject *const *args, Py_ssize_t n) {
@@ -460,6 +494,8 @@ static PyObject *module_least_distance(PyObject *self, PyObject *args) {
 
 static PyMethodDef core_methods[] = {
     {"step", FAST(core_step), METH_FASTCALL, "step(q, dt): observe, propose, commit; None if the answer is open."},
+    {"hold", core_hold, METH_NOARGS, "hold(): this thread works here; BusyError if another one does."},
+    {"release", core_release, METH_NOARGS, "release(): nobody works here."},
     {"observe", FAST(core_observe), METH_FASTCALL, "observe(q, dt): take one sample."},
     {"propose", FAST(core_propose), METH_FASTCALL,
      "propose(rows, again): find the command with this many further rows; returns an outcome."},

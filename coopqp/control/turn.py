@@ -1,0 +1,63 @@
+"""One thread at a time: a controller that another thread works in refuses the call before anything is touched."""
+
+from __future__ import annotations
+
+import functools
+import threading
+from collections.abc import Callable
+from typing import Any, Concatenate, ParamSpec, Protocol, TypeVar, cast
+
+from coopqp.errors import BusyError
+
+_P = ParamSpec("_P")
+_R = TypeVar("_R")
+
+
+class Turn:
+    """Who works in a controller. The thread that already does may enter again."""
+
+    def __init__(self) -> None:
+        self._lock, self._owner = threading.Lock(), 0
+
+    def hold(self) -> None:
+        """Begin to work.
+
+        Raises:
+            BusyError: another thread has not ended.
+        """
+        me = threading.get_ident()
+        if not self._lock.acquire(blocking=False) and self._owner != me:
+            raise BusyError
+        self._owner = me
+
+    def release(self) -> None:
+        """End."""
+        self._owner = 0
+        if self._lock.locked():
+            self._lock.release()
+
+    def __reduce__(self) -> tuple[type[Turn], tuple[()]]:
+        return Turn, ()
+
+
+class _Turns(Protocol):
+    @property
+    def _turn(self) -> Any: ...
+
+
+_Self = TypeVar("_Self", bound=_Turns)
+
+
+def alone(method: Callable[Concatenate[_Self, _P], _R]) -> Callable[Concatenate[_Self, _P], _R]:
+    """A method of an object with a ``_turn`` that raises BusyError while another thread works in the object."""
+
+    @functools.wraps(method)
+    def guarded(self: _Self, *arguments: _P.args, **options: _P.kwargs) -> _R:
+        turn = self._turn
+        turn.hold()
+        try:
+            return method(self, *arguments, **options)
+        finally:
+            turn.release()
+
+    return cast(Callable[Concatenate[_Self, _P], _R], guarded)

@@ -1,0 +1,162 @@
+"""One controller in two threads: the second call raises a named error, and the first one's step is what it would be."""
+
+from __future__ import annotations
+
+import copy
+import pickle
+import threading
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from coopqp import (
+    BusyError,
+    CoopqpError,
+    IndependentQPController,
+    ObjectPath,
+    PseudoInverseController,
+    QPController,
+    available_kernels,
+    make_solver,
+)
+from coopqp.scenarios import Scenario
+
+CONTROLLERS: dict[str, tuple[type, dict[str, Any]]] = {
+    **{f"qp, {kernel}": (QPController, {"kernel": kernel}) for kernel in available_kernels()},
+    **{
+        f"qp, {kernel}, a QP of DAQP at every step": (
+            QPController,
+            {"kernel": kernel, "shortcut": False, "solver": "daqp"},
+        )
+        for kernel in available_kernels()
+    },
+    "pseudo-inverse": (PseudoInverseController, {"increment": "exact"}),
+    "independent": (IndependentQPController, {}),
+}
+
+
+class Meeting(ObjectPath):
+    """A path whose pose, once, lets another thread call the controller and waits until it has."""
+
+    meet: Callable[[], None] | None
+
+    def __init__(self, path: Any) -> None:
+        self._path, self.meet = path, None
+
+    @property
+    def duration(self) -> float:
+        return float(self._path.duration)
+
+    def pose(self, clock: float) -> pin.SE3:
+        if self.meet is not None:
+            meet, self.meet = self.meet, None
+            other = threading.Thread(target=meet)
+            other.start()
+            other.join(timeout=30)
+        return self._path.pose(clock)
+
+    def twist(self, clock: float) -> Any:
+        return self._path.twist(clock)
+
+
+@pytest.mark.parametrize("name", sorted(CONTROLLERS))
+def test_the_second_thread_is_refused_before_anything_is_touched(name: str, paper: Scenario) -> None:
+    kind, options = CONTROLLERS[name]
+    errors: list[Exception | None] = []
+
+    def run(disturbed: bool) -> list[Any]:
+        path = Meeting(paper.path)
+        made: Any = kind(paper.cell, paper.grasp, path, dt=0.0075, options=options)
+        made.reset(paper.q_start)
+        calls: list[Callable[[], Any]] = [made.step, lambda: made.reset(paper.q_start)]
+        if kind is QPController:
+            calls += [lambda: made.follow(paper.path), lambda: copy.copy(made), lambda: made.retarget(np.eye(4))]
+
+        def intrude() -> None:
+            for call in calls:
+                try:
+                    call()
+                    errors.append(None)
+                except Exception as error:
+                    errors.append(error)
+
+        steps = []
+        for i in range(6):
+            path.meet = intrude if disturbed and i == 3 else None
+            steps.append(made.step().q_next)
+        return steps
+
+    alone = run(disturbed=False)
+    assert not errors
+    np.testing.assert_array_equal(run(disturbed=True), alone)
+    assert errors
+    assert {type(error) for error in errors} == {BusyError}
+
+
+@pytest.mark.parametrize("kernel", available_kernels())
+def test_a_step_that_waits_for_its_solver_is_not_disturbed(kernel: str, paper: Scenario) -> None:
+    """The path is known, so that nothing but the solver is Python."""
+
+    class Meets(type(make_solver("daqp"))):  # type: ignore[misc]
+        meet: Callable[[], None] | None = None
+
+        def solve(self, problem: Any) -> Any:
+            if self.meet is not None:
+                meet, self.meet = self.meet, None
+                other = threading.Thread(target=meet)
+                other.start()
+                other.join(timeout=30)
+            return super().solve(problem)
+
+    def run(disturbed: bool) -> tuple[list[Any], list[type]]:
+        solver, errors = Meets(), []
+        options = {"kernel": kernel, "solver": solver, "shortcut": False}
+        made = QPController(paper.cell, paper.grasp, paper.path, dt=0.0075, options=options)
+        made.reset(paper.q_start)
+
+        def intrude() -> None:
+            for call in (made.step, lambda: made.reset(paper.q_start)):
+                try:
+                    call()
+                except Exception as error:
+                    errors.append(type(error))
+
+        steps = []
+        for i in range(6):
+            solver.meet = intrude if disturbed and i == 3 else None
+            steps.append(made.step().q_next)
+        return steps, errors
+
+    alone, errors = run(disturbed=False)
+    assert not errors
+    steps, errors = run(disturbed=True)
+    np.testing.assert_array_equal(steps, alone)
+    assert errors == [BusyError, BusyError]
+
+
+@pytest.mark.parametrize("name", sorted(CONTROLLERS))
+def test_threads_may_take_turns(name: str, paper: Scenario) -> None:
+    """One after the other, also after an error in the middle of a step."""
+    kind, options = CONTROLLERS[name]
+    made: Any = kind(paper.cell, paper.grasp, paper.path, dt=0.0075, options=options)
+    made.reset(paper.q_start)
+    made.step()
+    found: list[Any] = []
+    other = threading.Thread(target=lambda: found.append(made.step(np.full(3, np.nan))))
+    other.start()
+    other.join(timeout=30)
+    assert len(found) == 1
+    made.step()
+    with pytest.raises(CoopqpError):
+        made.reset(np.zeros(3))
+    again = threading.Thread(target=lambda: found.append(made.step()))
+    again.start()
+    again.join(timeout=30)
+    assert len(found) == 2
+
+
+def test_the_error_travels() -> None:
+    assert "Give each thread its own" in str(pickle.loads(pickle.dumps(BusyError())))
