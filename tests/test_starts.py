@@ -38,7 +38,7 @@ from coopqp.planning import find_start
 from coopqp.planning.samples import sample_path
 from coopqp.scenarios import Scenario, dual_arm7, mixed_cell, scara_pair
 
-sys.path.append(str(Path(__file__).parent))
+sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
 from user_cells import CELLS, build
 
 TASKS = {"mixed_cell": mixed_cell, "dual_arm7": dual_arm7, "scara_pair": scara_pair}

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from coopqp.errors import UnknownNameError
 from coopqp.scenarios.cells import dual_arm7, five_joint_pair, mixed_cell, ring, scara_pair
 from coopqp.scenarios.paper import fast_lift, paper_lift, wide_grasp
-from coopqp.scenarios.robot_data import panda_bar, ur5_table
+from coopqp.scenarios.robot_data import panda_bar, robot_data_path, ur5_table
 from coopqp.scenarios.robots import ROBOT_NAMES, robot_path
 from coopqp.scenarios.troubles import at_limit, at_singularity
 from coopqp.task.scenario import Scenario
@@ -25,6 +25,7 @@ __all__ = [
     "panda_bar",
     "paper_lift",
     "ring",
+    "robot_data_path",
     "robot_path",
     "scara_pair",
     "scenario",
