@@ -94,6 +94,7 @@ def check(cell: RobotCell, path: Any, start: Any) -> None:
         assert np.abs(other - start.q).max() > 1e-6
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", [pytest.param(name, id=name.replace(", ", "+").replace(" ", "_")) for name in CELLS])
 def test_a_start_is_found_wherever_a_far_larger_search_finds_one(name: str, rng: Any) -> None:
     """The cell as a user would build it, and with its arms moved and its tools rolled at random."""
