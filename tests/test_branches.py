@@ -55,6 +55,7 @@ def test_the_closed_form_is_right(rng: Any) -> None:
         np.testing.assert_allclose(kinematics.tool_poses(np.array(solutions)), np.tile(T, (8, 1, 1)), atol=1e-12)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kernel", batch_kernels())
 def test_all_branches_of_the_rx90l_and_no_other_solution(kernel: Any, rng: Any) -> None:
     kinematics = ArmKinematics(rx90l(), kernel=kernel)

@@ -22,7 +22,13 @@ PUBLIC = ("coopqp", *(f"coopqp.{room}" for room in ROOMS if room != "app"))
 #: Packages with names that are imported on first use.
 LAZY = ("coopqp", "coopqp.control", "coopqp.simulation", "coopqp.files")
 #: Scripts that measure the parts of a step.
-INSIDE = ("benchmarks/peer", "benchmarks/compare_peers.py", "benchmarks/recorded_qps.py", "benchmarks/step_profile.py")
+INSIDE = (
+    "benchmarks/peer",
+    "benchmarks/compare_peers.py",
+    "benchmarks/planning.py",
+    "benchmarks/recorded_qps.py",
+    "benchmarks/step_profile.py",
+)
 EXTRAS = ("matplotlib", "rich", "mujoco", "viser", "example_robot_data", "rosbags", "pydantic", "ruamel", "quadprog")
 
 

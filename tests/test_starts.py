@@ -38,7 +38,7 @@ from coopqp.planning import find_start
 from coopqp.planning.samples import sample_path
 from coopqp.scenarios import Scenario, dual_arm7, mixed_cell, scara_pair
 
-sys.path.append(str(Path(__file__).parent))
+sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
 from user_cells import CELLS, build
 
 TASKS = {"mixed_cell": mixed_cell, "dual_arm7": dual_arm7, "scara_pair": scara_pair}
@@ -94,6 +94,7 @@ def check(cell: RobotCell, path: Any, start: Any) -> None:
         assert np.abs(other - start.q).max() > 1e-6
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", [pytest.param(name, id=name.replace(", ", "+").replace(" ", "_")) for name in CELLS])
 def test_a_start_is_found_wherever_a_far_larger_search_finds_one(name: str, rng: Any) -> None:
     """The cell as a user would build it, and with its arms moved and its tools rolled at random."""

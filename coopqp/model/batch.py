@@ -18,7 +18,7 @@ from coopqp.errors import InvalidInputError, ModelError, UnknownNameError
 from coopqp.model import batch_plain
 from coopqp.model.cell import Arm
 from coopqp.model.links import joint_links
-from coopqp.spatial import Array, Placement, as_placement, as_placements
+from coopqp.spatial import Array, Placement, as_placement, as_placements, cross
 
 try:
     from coopqp.model import _batch as _compiled
@@ -253,11 +253,17 @@ def pose_matrices(poses: Placement | Sequence[Placement] | Array, where: str) ->
         InvalidInputError: a placement is not valid; the message gives its index.
     """
     if isinstance(poses, np.ndarray) and poses.ndim == 3 and poses.shape[1:] == (4, 4) and poses.dtype == np.float64:
-        R = poses[:, :3, :3]
+        x, y, z = (poses[:, i, :3] for i in range(3))
         with np.errstate(all="ignore"):
-            off = np.abs(R @ R.transpose(0, 2, 1) - np.eye(3)).max(axis=(1, 2), initial=0.0)
-            good = (off < 1e-9) & (np.linalg.det(R) > 0.0) & np.isfinite(poses).all(axis=(1, 2))
-        if (good & (poses[:, 3] == [0.0, 0.0, 0.0, 1.0]).all(axis=1)).all():
+            # A right-handed rotation: two unit rows at right angles, and their cross product.
+            defects = (
+                np.einsum("ij,ij->i", x, x) - 1.0,
+                np.einsum("ij,ij->i", y, y) - 1.0,
+                np.einsum("ij,ij->i", x, y),
+                *(z - cross(x, y)).T,
+            )
+            good = all(bool((np.abs(d) < 1e-9).all()) for d in defects) and bool(np.isfinite(poses[:, :3, 3]).all())
+        if good and bool((poses[:, 3] == [0.0, 0.0, 0.0, 1.0]).all()):
             return poses
     if hasattr(poses, "homogeneous") or (isinstance(poses, np.ndarray) and poses.ndim == 2):
         return np.asarray(as_placement(poses, where).homogeneous)[None]

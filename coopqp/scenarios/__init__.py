@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from coopqp.errors import UnknownNameError
-from coopqp.scenarios.arms import ROBOTS, robot_arm, robot_file, robot_table
+from coopqp.scenarios.arms import ROBOTS, robot_arm, robot_data_path, robot_file, robot_table
 from coopqp.scenarios.cells import dual_arm7, five_joint_pair, mixed_cell, ring, scara_pair
 from coopqp.scenarios.paper import fast_lift, paper_lift, wide_grasp
 from coopqp.scenarios.robot_data import panda_bar, ur5_table
@@ -28,6 +28,7 @@ __all__ = [
     "paper_lift",
     "ring",
     "robot_arm",
+    "robot_data_path",
     "robot_file",
     "robot_path",
     "robot_table",

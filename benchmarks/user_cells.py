@@ -10,7 +10,7 @@ import numpy as np
 import pinocchio as pin
 
 from coopqp import Arm, Grasp, LinePath, RobotCell, robot_path
-from coopqp.scenarios.robot_data import robot_data_path
+from coopqp.scenarios import robot_data_path
 
 DOWN = np.diag([1.0, -1.0, -1.0])
 FORWARD = np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]])
