@@ -66,7 +66,8 @@ def built() -> dict[str, Scenario]:
 
 
 def test_the_registry_has_every_function_of_the_package(built: dict[str, Scenario]) -> None:
-    functions = {n for n, f in vars(coopqp.scenarios).items() if inspect.isfunction(f)} - {"scenario", "robot_path"}
+    helpers = {"scenario", "robot_path", "robot_data_path"}
+    functions = {n for n, f in vars(coopqp.scenarios).items() if inspect.isfunction(f)} - helpers
     assert set(SCENARIOS) == functions
     assert all(task.name == name for name, task in built.items())
     assert scenario("ring").cell.nv == 48
