@@ -152,7 +152,7 @@ static void singular_values(const Arm *a, const double *q, double *values) {
     for (int i = 0; i < count; i++)
         for (int j = 0; j < length; j++) X[length * i + j] = n < 6 ? jacobian[6 * i + j] : jacobian[6 * j + i];
     double squares[6], largest = 1.0; /* cosine between two vectors; the values' errors are of the square of the last one */
-    for (int sweep = 0; largest > 1e-8 && sweep < 30; sweep++) {
+    for (int sweep = 0; largest > 1e-7 && sweep < 30; sweep++) {
         largest = 0.0;
         for (int i = 0; i < count; i++) {
             squares[i] = 0.0;
