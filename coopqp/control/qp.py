@@ -79,8 +79,8 @@ class QPController:
         self.dt = as_scalar(dt, "QPController: dt")
         self.options = options or QPOptions()
         self.constraints = tuple(constraints)
-        checked = Constraints(cell, self.constraints)
-        self._loop = make_loop(cell, grasp, dt=self.dt, options=self.options, constraints=checked)
+        self._checked = Constraints(cell, self.constraints)
+        self._loop = make_loop(cell, grasp, dt=self.dt, options=self.options, constraints=self._checked)
         self.kernel, self.solver = self._loop.kernel, self._loop.solver.name
         self._started = False
         self._take(path)
@@ -109,6 +109,7 @@ class QPController:
         )
         if isinstance(self.path, ServoPath) and again:
             self.path.restart(path.pose(0.0))
+        self._checked.check(start, self.dt)
         self._loop.start(start)
         self._take(self.path)
         self._loop.start_path()

@@ -7,6 +7,7 @@ from typing import final
 import numpy as np
 import pinocchio as pin
 
+from coopqp.control.constraints import MOST_ROWS
 from coopqp.control.core import layout
 from coopqp.control.limits import VelocityBox
 from coopqp.control.options import QPOptions
@@ -15,9 +16,6 @@ from coopqp.model.cell import RobotCell
 from coopqp.model.chain import Chain
 from coopqp.planning.preview import PlanLimits
 from coopqp.spatial import Array
-
-#: Further rows that a step may have.
-MOST_ROWS = 64
 
 
 class NotForTheCoreError(CoopqpError):
