@@ -93,6 +93,16 @@ class MissingSolverError(MissingExtraError):
         return type(self), (self.package, self.remedy)
 
 
+def said(error: BaseException) -> str:
+    """Type and message of an error that a user's code raised, for a message of at most 200 characters."""
+    try:
+        text = str(error)
+    except Exception:  # whatever its own __str__ raises
+        text = ""
+    name = type(error).__name__
+    return f"{name}: {text}"[:200] if text else name
+
+
 def shown(value: Any) -> str:
     """``repr`` of a value for a message, at most 60 characters."""
     try:

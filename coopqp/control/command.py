@@ -17,6 +17,7 @@ from coopqp.model.grasp import Grasp
 from coopqp.model.limits import BindingLimit
 from coopqp.model.state import CellState
 from coopqp.spatial import Array
+from coopqp.task.guarded import GuardedPath
 from coopqp.task.path import ObjectPath
 
 
@@ -333,7 +334,10 @@ def check_start(
         InvalidInputError: an arm does not; the message names the arm and its distance from the path's start.
     """
     configuration = cell.check_configuration(q, "reset: q")
-    start = path.pose(0.0)
+    guarded = GuardedPath(path)
+    start = guarded.pose(0.0)
+    if start is None:
+        raise InvalidInputError(guarded.problem, "reset", "A path needs a pose at its start.")
     for name, O in zip(cell.arm_names, grasp.carried(CellState(cell, configuration)), strict=True):
         error = pin.log6(start.actInv(O)).vector
         d, a = float(np.linalg.norm(error[:3])), float(np.linalg.norm(error[3:]))

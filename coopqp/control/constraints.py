@@ -7,17 +7,21 @@ on the path, the QP. A line ``a z + b σ̇ ≤ c`` with z = σ² bounds the rate
 from __future__ import annotations
 
 import enum
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol, final, runtime_checkable
+from functools import partial
+from typing import Any, NamedTuple, Protocol, final, runtime_checkable
 
 import numpy as np
 
-from coopqp.checks import NOT_NUMBERS, as_floats
-from coopqp.errors import InvalidInputError
+from coopqp.checks import as_floats
+from coopqp.errors import InvalidInputError, said, shown
 from coopqp.model.cell import RobotCell
 from coopqp.model.state import CellState
 from coopqp.spatial import Array
+
+#: Further rows that a step may have.
+MOST_ROWS = 64
 
 
 class Rank(enum.IntEnum):
@@ -74,7 +78,10 @@ class Knot:
 
 @runtime_checkable
 class RateBound(Protocol):
-    """Lines that the object's rate has to keep at every knot of the look-ahead.
+    """Lines that the object's rate σ, and its change σ̇, have to keep at every knot of the look-ahead.
+
+    They hold on paths that are looked ahead on, and while the object follows its path: a hold brakes as hard as the
+    joints' own limits allow.
 
     Attributes:
         name: how ``ControlStep.binding`` calls it.
@@ -110,6 +117,21 @@ class Rows:
 
     def __len__(self) -> int:
         return len(self.lower)
+
+
+class Bound(NamedTuple):
+    """What constraints leave of the rate at a knot.
+
+    Attributes:
+        cap: largest z = σ²; negative where not even rest is admissible.
+        decrease, rise: largest changes of σ [1/s], downwards and upwards.
+        which: index of the constraint that makes the cap; −1 if none does.
+    """
+
+    cap: float
+    decrease: float
+    rise: float
+    which: int
 
 
 def no_rows(nv: int) -> Rows:
@@ -150,16 +172,18 @@ class Constraints:
         self.cell = cell
         self.velocity: list[tuple[int, VelocityConstraint]] = []
         self.rate: list[tuple[int, RateBound]] = []
-        names = []
+        names: list[str] = []
         for i, item in enumerate(listed(constraints)):
             where = f"constraints[{i}]"
-            if not isinstance(getattr(item, "name", None), str):
-                raise InvalidInputError("it has no name", where, "Give it an attribute name (a string).")
+            name = getattr(item, "name", None)
+            if not isinstance(name, str) or not name or name in names:
+                raise InvalidInputError(
+                    f"its name is {shown(name)}", where, "Give it an attribute name: a string of its own, not empty."
+                )
             if callable(getattr(item, "rows", None)):
-                if getattr(item, "rank", None) not in (Rank.LIMITS, Rank.CLEARANCE):
-                    raise InvalidInputError(
-                        f"its rank is {getattr(item, 'rank', None)!r}", where, "Give Rank.LIMITS or Rank.CLEARANCE."
-                    )
+                rank = getattr(item, "rank", None)
+                if rank not in (Rank.LIMITS, Rank.CLEARANCE):
+                    raise InvalidInputError(f"its rank is {shown(rank)}", where, "Give Rank.LIMITS or Rank.CLEARANCE.")
                 self.velocity.append((i, item))
             elif callable(getattr(item, "lines", None)):
                 self.rate.append((i, item))
@@ -169,12 +193,26 @@ class Constraints:
                     where,
                     "See the how-to on constraints.",
                 )
-            names.append(item.name)
+            names.append(name)
         self.names = tuple(names)
+        self._soft = {i: item.rank == Rank.CLEARANCE for i, item in self.velocity}
         self._nothing = no_rows(cell.nv)
 
     def __bool__(self) -> bool:
         return bool(self.names)
+
+    def check(self, q: Array, dt: float) -> None:
+        """Ask every constraint at a configuration (nq,), before anything moves.
+
+        Raises:
+            InvalidInputError: one raises, or returns something else than rows or lines.
+        """
+        state, still = CellState(self.cell, q), np.zeros(self.cell.nv)
+        try:
+            self.rows(state, dt)
+            self._lines(Knot(0.0, state, still, still))
+        except ConstraintTrouble as trouble:
+            raise InvalidInputError(str(trouble), "reset", "See the how-to on constraints.") from trouble
 
     def rows(self, state: CellState, dt: float) -> Rows:
         """All rows at a state.
@@ -184,28 +222,43 @@ class Constraints:
         """
         if not self.velocity:
             return self._nothing
-        parts = []
+        nv, parts = self.cell.nv, []
         for i, constraint in self.velocity:
-            G, lower, upper = self._asked(constraint.name, lambda c=constraint: c.rows(state, dt))
-            G = G.reshape(-1, self.cell.nv) if G.size else np.zeros((0, self.cell.nv))
-            lower, upper = np.atleast_1d(lower), np.atleast_1d(upper)
-            fits = len(G) == len(lower) == len(upper) and np.isfinite(G).all() and (lower <= upper).all()
-            if not fits:
+            name = self.names[i]
+            G, lower, upper = _asked(name, partial(constraint.rows, state, dt))
+            G, lower, upper = np.atleast_2d(G), np.atleast_1d(lower), np.atleast_1d(upper)
+            if not G.size and not lower.size:
+                G = G.reshape(0, nv)
+            m = len(G)
+            fits = G.shape == (m, nv) and lower.shape == upper.shape == (m,)
+            if not fits or not (np.abs(G) < _LARGEST).all() or not (lower <= upper).all():
                 raise ConstraintTrouble(
-                    f"{constraint.name}: G {G.shape}, lower {lower.shape} and upper {upper.shape} are no rows "
-                    f"for {self.cell.nv} joints (finite G, lower ≤ upper)"
+                    f"constraint {name}: G {G.shape}, lower {lower.shape} and upper {upper.shape} are no rows "
+                    f"for {nv} joints (finite G, lower ≤ upper)"
                 )
-            parts.append((G, lower, upper, np.full(len(G), constraint.rank is Rank.CLEARANCE), np.full(len(G), i)))
-        return Rows(*(np.concatenate(column) for column in zip(*parts, strict=True)))
+            parts.append((G, lower, upper, np.full(m, self._soft[i]), np.full(m, i)))
+        found = Rows(*(np.concatenate(column) for column in zip(*parts, strict=True)))
+        if len(found) > MOST_ROWS:
+            raise ConstraintTrouble(f"the constraints have {len(found)} rows, at most {MOST_ROWS} are possible")
+        return found
 
-    def bound(self, knot: Knot, dt: float, curvature_share: float) -> tuple[float, float, int]:
+    def _lines(self, knot: Knot) -> list[tuple[Array, Array, Array, int]]:
+        """a, b, c of every rate bound, and its number."""
+        found = []
+        for i, bound in self.rate:
+            a, b, c = (np.atleast_1d(x) for x in _asked(self.names[i], partial(bound.lines, knot)))
+            if not (a.shape == b.shape == c.shape == (a.size,) and np.isfinite([a, b, c]).all()):
+                raise ConstraintTrouble(f"constraint {self.names[i]}: a, b and c are not finite vectors of one length")
+            found.append((a, b, c, i))
+        return found
+
+    def bound(self, knot: Knot, dt: float, curvature_share: float) -> Bound:
         """What the constraints leave of the rate at a knot.
 
-        Returns:
-            The largest z = σ², the largest decrease of σ per clock second at it, and the index of the constraint that
-            makes z (−1 if none does). z is negative where not even rest is admissible.
+        Raises:
+            ConstraintTrouble: as of :meth:`rows`.
         """
-        cap, decrease, which = np.inf, np.inf, -1
+        cap, decrease, rise, which = np.inf, np.inf, np.inf, -1
         rows = self.rows(knot.state, dt)
         if len(rows):
             along = rows.G @ knot.slope
@@ -215,36 +268,33 @@ class Constraints:
             worst = int(rate.argmin())
             if rate[worst] < 1.0:
                 cap, which = float(rate[worst] * abs(rate[worst])), int(rows.owner[worst])
-        for i, bound in self.rate:
-            a, b, c = (np.atleast_1d(x) for x in self._asked(bound.name, lambda r=bound: r.lines(knot)))
-            if not (a.shape == b.shape == c.shape and np.isfinite([a, b, c]).all()):
-                raise ConstraintTrouble(f"rate bound {bound.name}: a, b and c are not finite arrays of one length")
-            rising = a > 0.0
-            if rising.any():
-                z = (np.where(c < 0.0, 1.0, curvature_share) * c)[rising] / a[rising]
-                if z.min() < cap:
+        for a, b, c, i in self._lines(knot):
+            # A line that bounds σ̇ as well leaves a share of itself for it.
+            room = np.where((b == 0.0) | (c < 0.0), c, curvature_share * c)
+            with np.errstate(divide="ignore", over="ignore"):
+                z = np.where(c < 0.0, -1.0, np.where(a > 0.0, room / np.where(a > 0.0, a, 1.0), np.inf))
+                if z.size and z.min() < min(cap, 1.0):
                     cap, which = float(z.min()), i
-            braking = b < 0.0  # σ̇ = −D: b σ̇ = |b| D
-            if braking.any():
-                left = c[braking] - a[braking] * min(max(cap, 0.0), 1.0)
-                decrease = min(decrease, float((left / -b[braking]).min()))
-        return cap, max(decrease, 0.0), which
-
-    def bound_or_stop(self, knot: Knot, dt: float, curvature_share: float) -> tuple[float, float, int]:
-        """The same; the object stops at a knot where a constraint raises or returns nonsense."""
-        try:
-            return self.bound(knot, dt, curvature_share)
-        except ConstraintTrouble:
-            return 0.0, 0.0, 0
-
-    def _asked(self, name: str, call: Any) -> tuple[Array, Array, Array]:
-        try:
-            first, second, third = call()
-            return as_floats(first), as_floats(second), as_floats(third)
-        except NOT_NUMBERS as error:
-            raise ConstraintTrouble(f"constraint {name}: {error}") from error
-        except (ArithmeticError, AttributeError, LookupError, RuntimeError, NotImplementedError) as error:
-            raise ConstraintTrouble(f"constraint {name} raised {type(error).__name__}: {error}") from error
+                left = c - np.maximum(a, 0.0) * min(max(cap, 0.0), 1.0)
+                decrease = min([decrease, *(left[b < 0.0] / -b[b < 0.0]).tolist()])
+                rise = min([rise, *(left[b > 0.0] / b[b > 0.0]).tolist()])
+        return Bound(cap, max(decrease, 0.0), max(rise, 0.0), which)
 
 
+def _asked(name: str, call: Callable[[], Any]) -> tuple[Array, Array, Array]:
+    """The three arrays that a user's constraint returns.
+
+    Raises:
+        ConstraintTrouble: it raised, or returned something else.
+    """
+    try:
+        first, second, third = call()
+        return as_floats(first), as_floats(second), as_floats(third)
+    except Exception as error:
+        raise ConstraintTrouble(f"constraint {name} raised {said(error)}") from error
+
+
+#: Per unit of rate, a row that changes by less does not bound the rate.
 _STILL = 1e-12
+#: Entries of rows this large are nonsense.
+_LARGEST = 1e9

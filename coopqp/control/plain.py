@@ -15,7 +15,7 @@ import numpy as np
 import pinocchio as pin
 
 from coopqp.control.command import NO_SOLVE, NOTHING, ControlStep, GivenUp, Status
-from coopqp.control.constraints import Constraints, ConstraintTrouble, Knot, no_rows
+from coopqp.control.constraints import Constraints, ConstraintTrouble, Knot, Rows, no_rows
 from coopqp.control.limits import VelocityBox
 from coopqp.control.linearised import LinearisedAnswer, LinearisedStep, StepInput
 from coopqp.control.options import QPOptions
@@ -27,7 +27,7 @@ from coopqp.model.chain import Chain
 from coopqp.model.grasp import Grasp
 from coopqp.model.limits import BindingLimit, LimitKind
 from coopqp.model.state import CellState
-from coopqp.planning.preview import PathPreview
+from coopqp.planning.preview import KnotRoom, LookAheadTrouble, PathPreview
 from coopqp.spatial import Array
 from coopqp.task.guarded import GuardedPath
 from coopqp.task.path import ObjectPath
@@ -139,7 +139,7 @@ class PlainLoop:
         self._guarded = GuardedPath(path)
         self._ahead: tuple[float, pin.SE3] | None = None
         self._preview = None
-        if self.options.preview is not None and path.known_ahead:
+        if self.options.preview is not None and self._guarded.known_ahead:
             bound = self._bound_knot if self.constraints else None
             preview = PathPreview(
                 Chain(self.cell, self.grasp), path, self._posture, dt=self.dt, options=self.options.preview, bound=bound
@@ -207,9 +207,10 @@ class PlainLoop:
             measured, trouble = supervision.accept_measurement(q_measured, s.q)
             if trouble:
                 measured, seen.watch = None, Watch.holding(trouble)
-        trouble = self._guarded.trouble(s.clock, s.clock + seen.h)
+        trouble = self._guarded.trouble(s.clock, seen.h)
         if trouble:
             measured, seen.watch, seen.lost = None, Watch.holding(trouble), True
+            s.predicted = None  # from another reference
             seen.pose = held_at(self.grasp, self._shares, CellState(self.cell, s.q))
         if s.fault:
             seen.watch = Watch(0.0, hold=True, fault=True, arm=s.fault_arm, reason=s.fault)
@@ -268,14 +269,17 @@ class PlainLoop:
         measured = seen.measured
         if late < 1.0:
             measured = self._brake_correction(late, seen)
-        rest = self.path.duration - s.clock
+        rest = self._guarded.duration - s.clock
         if rest < h * cap:
             cap = rest / h  # the last step ends at the end
         span = min(h * max(min(cap, s.rate), LEAST_PACE), rest)
         along = np.zeros(6)
         if span > 1e-12 and not seen.lost:
             ahead = self._pose_ahead(s.clock + span)
-            if ahead is not None:
+            if ahead is None:
+                seen.watch.lower(Watch.holding(self._guarded.problem))
+                cap = 0.0
+            else:
                 along = np.asarray(pin.log6(seen.pose.actInv(ahead)).vector) / span
         null_along, null_offset = self._wishes(seen.watch.hold)
         given = StepInput(
@@ -293,6 +297,8 @@ class PlainLoop:
         preview = self._preview
         if preview is not None:
             cap, ahead = preview.cap(s.clock, h)
+            if preview.trouble:
+                watch.lower(Watch.holding(preview.trouble))
             if ahead is not None:
                 binding = (ahead,)
         blind = preview is None or preview.blind
@@ -304,8 +310,10 @@ class PlainLoop:
             cap = watch.rate_cap
             out_of_step = BindingLimit(self.cell.arm_names[watch.arm], "", LimitKind.OUT_OF_STEP)
             binding = () if watch.arm < 0 else (out_of_step,)
-        if s.rate < 1.0 and self._rise is not None and s.rate + self._rise * h < cap - RATE_ROUNDING:
-            cap, binding = s.rate + self._rise * h, ()
+        if s.rate < 1.0 and self._rise is not None:
+            rise = s.rate + min(self._rise, np.inf if preview is None else preview.rise(s.clock)) * h
+            if rise < cap - RATE_ROUNDING:
+                cap, binding = rise, ()
         return cap, binding, keep
 
     def _brake_share(self, h: float) -> float:
@@ -351,25 +359,28 @@ class PlainLoop:
             slope, offset = nothing, self._posture.velocity(s.q)
         return slope, nothing if hold else offset
 
-    def _bound_knot(self, clock: float, q: Array, slope: Array, curvature: Array) -> tuple[float, float, str]:
-        """What further constraints leave of the rate at a knot; nothing of it if they cannot say."""
+    def _bound_knot(self, clock: float, q: Array, slope: Array, curvature: Array) -> KnotRoom:
+        """What further constraints leave of the rate at a knot."""
         options = self.options.preview
-        cap, decrease, which = self.constraints.bound_or_stop(
-            Knot(clock, CellState(self.cell, q), slope, curvature),
-            self.dt,
-            1.0 if options is None else options.curvature_share,
-        )
-        return cap, decrease, self.constraints.names[which] if which >= 0 else ""
+        knot, share = Knot(clock, CellState(self.cell, q), slope, curvature), 1.0
+        if options is not None:
+            share = options.curvature_share
+        try:
+            found = self.constraints.bound(knot, self.dt, share)
+        except ConstraintTrouble as trouble:
+            raise LookAheadTrouble(str(trouble)) from trouble
+        name = self.constraints.names[found.which] if found.which >= 0 else ""
+        return KnotRoom(found.cap, found.decrease, found.rise, name)
 
     # -- commit ----------------------------------------------------------------------------------------------------
 
     def commit(self, proposal: Proposal, began: float) -> ControlStep:
         """Move the state by the proposed command."""
         s, seen, found = self.state, proposal.observed, proposal.found
-        answer, watch, h, duration = found.answer, seen.watch, seen.h, self.path.duration
+        answer, watch, h, duration = found.answer, seen.watch, seen.h, self._guarded.duration
         v, q, clock = answer.velocity, s.q, s.clock
         q_next = self.cell.moved(q, h * v)
-        binding = self.names(answer.active, h) or proposal.binding
+        binding = self.names(answer.active, h, proposal.given.further) or proposal.binding
         rate = min(max(answer.rate, 0.0), 1.0)
         clock_next = clock + rate * h
         if duration - clock_next < 1e-9 * duration:
@@ -406,22 +417,20 @@ class PlainLoop:
         if by_qp or self._box.accelerates:
             c = found.correction
             s.correcting = c if c @ c > NEGLIGIBLE else None
-        s.predicted = found.predicted if answer.chain == 0.0 and not answer.braked else None
+        s.predicted = found.predicted if answer.chain == 0.0 and not answer.braked and not seen.lost else None
         s.v_before, s.v, s.q = found.stand_in, v, step.q_next
         s.clock, s.rate, s.last_dt, s.first = clock_next, rate, h, False
         return step
 
-    def names(self, active: tuple[tuple[int, float], ...], h: float) -> tuple[BindingLimit, ...]:
+    def names(self, active: tuple[tuple[int, float], ...], h: float, further: Rows) -> tuple[BindingLimit, ...]:
         """Rows of a step, by name."""
-        box, nv = self._box, self.cell.nv
+        box, nv, names = self._box, self.cell.nv, self.constraints.names
         return tuple(
-            box.binding(row, side, self.state.v, h) if row < nv else self._constraint_name(row - nv)
+            box.binding(row, side, self.state.v, h)
+            if row < nv
+            else BindingLimit("", "", LimitKind.CONSTRAINT, names[int(further.owner[row - nv])])
             for row, side in active
         )
-
-    def _constraint_name(self, row: int) -> BindingLimit:
-        rows = self.constraints.rows(CellState(self.cell, self.state.q), self.dt)
-        return BindingLimit("", "", LimitKind.CONSTRAINT, self.constraints.names[int(rows.owner[row])])
 
     def _slow_status(self, rate: float, binding: tuple[BindingLimit, ...]) -> Status:
         rising = rate > self.state.rate + RATE_ROUNDING

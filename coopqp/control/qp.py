@@ -81,8 +81,8 @@ class QPController:
         self.dt = as_scalar(dt, "QPController: dt")
         self.options = as_options(QPOptions, options, "QPController: options")
         self.constraints = listed(constraints)
-        checked = Constraints(cell, self.constraints)
-        self._loop = make_loop(cell, grasp, dt=self.dt, options=self.options, constraints=checked)
+        self._checked = Constraints(cell, self.constraints)
+        self._loop = make_loop(cell, grasp, dt=self.dt, options=self.options, constraints=self._checked)
         self.kernel, self.solver = self._loop.kernel, self._loop.solver.name
         self._started = self._outside = False
         self._take(path)
@@ -124,6 +124,7 @@ class QPController:
         start = check_start(
             self.cell, self.grasp, path, q, tolerance_m=o.start_tolerance_m, tolerance_rad=o.start_tolerance_rad
         )
+        self._checked.check(start, self.dt)
         if isinstance(self.path, ServoPath) and again:
             self.path.restart(path.pose(0.0))
         self._started, self._outside = True, bool(outside_limits(self.cell, start))

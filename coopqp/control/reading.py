@@ -13,6 +13,7 @@ from coopqp.model.cell import RobotCell
 from coopqp.model.grasp import Grasp
 from coopqp.model.limits import BindingLimit, LimitKind
 from coopqp.spatial import Array
+from coopqp.task.guarded import jump
 from coopqp.task.path import ObjectPath
 
 _R = {name: i for i, name in enumerate(layout.RECORD)}
@@ -118,6 +119,12 @@ def reason(cell: RobotCell, force_limit: float, code: int, index: float, a: floa
         return "no arm is seen to follow its command (all have stopped, or measurements are stale)"
     if code == _REASONS["PATH_FAILED"]:
         return f"the path has no pose at its clock {a:.6g} s"
+    if code == _REASONS["PATH_JUMPS"]:
+        return jump(b, a)
+    if code == _REASONS["LOOK_AHEAD_FAILED"]:
+        return f"what is ahead of the path's clock {a:.6g} s cannot be asked"
+    if code == _REASONS["CONSTRAINT_FAILED"]:
+        return "a constraint cannot be asked"
     arm = names[i]
     if code == _REASONS["OUT_OF_STEP_BY"]:
         return f"arm {arm} is {1e3 * a:.2f} mm out of step with the others"

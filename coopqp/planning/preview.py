@@ -106,13 +106,27 @@ class PlanLimits:
         )
 
 
-#: Of a knot at (clock, q, q′, q″): the largest σ², the largest decrease of σ per clock second, and the constraint that
-#: makes the former, by name. A negative σ² says that not even rest is admissible there.
-KnotBound = Callable[[float, Array, Array, Array], tuple[float, float, str]]
+class KnotRoom(NamedTuple):
+    """What further constraints leave at a knot.
+
+    Attributes:
+        cap: largest σ²; negative where not even rest is admissible.
+        decrease, rise: largest changes of σ [1/s].
+        name: of the constraint that makes the cap.
+    """
+
+    cap: float
+    decrease: float
+    rise: float
+    name: str
 
 
-class _PathLost(Exception):  # noqa: N818
-    """A user's path has no pose or no twist ahead."""
+#: What further constraints leave at the knot at (clock, q, q′, q″). It may raise :class:`LookAheadTrouble`.
+KnotBound = Callable[[float, Array, Array, Array], KnotRoom]
+
+
+class LookAheadTrouble(Exception):  # noqa: N818
+    """A user's path, or a further constraint, cannot say what is ahead. Growth waits; the next step asks again."""
 
 
 class _Knot(NamedTuple):
@@ -130,6 +144,7 @@ class _Knot(NamedTuple):
     fastest: float  # largest |q′|
     change: float  # largest change of a slope since the knot before, less the change that is always allowed
     inside: bool  # all joints are inside their position limits
+    rise: float = np.inf  # largest rise of σ by further constraints [1/s]
 
 
 #: A joint without acceleration limit is planned to reach full speed in this many steps, and so is the rate.
@@ -176,6 +191,7 @@ class PathPreview:
     Attributes:
         ends: what makes the latest cap stops the object for good.
         blind: arms with fewer than six joints cannot follow the path; nothing is known ahead.
+        trouble: why the latest look ahead failed; empty if it did not.
     """
 
     def __init__(
@@ -189,7 +205,7 @@ class PathPreview:
         bound: KnotBound | None = None,
     ) -> None:
         self._chain, self._path, self._posture, self._dt = chain, GuardedPath(path), posture, dt
-        self._duration = path.duration
+        self._duration = self._path.duration
         self.options = options or PreviewOptions()
         limits = chain.cell.limits
         n = chain.nv
@@ -208,6 +224,7 @@ class PathPreview:
         self._way: list[_Knot] = []  # past a singularity, while it is looked for
         self._bounds: deque[_Knot] = deque()  # candidates for min (z_b + C_b), increasing
         self._complete = self.ends = self.blind = False
+        self.trouble = self._trouble = ""
         self._forget()
 
     def _forget(self) -> None:
@@ -224,9 +241,18 @@ class PathPreview:
         self._complete = self.ends = self.blind = False
         self._forget()
         self._begun, self._breakpoints = q, self._path.breakpoints()
+        try:
+            self._start(q, clock)
+        except LookAheadTrouble as trouble:  # nothing is known ahead: the object rests, and the next step tries again
+            self.trouble = str(trouble)
+            return
+        self._extend(clock, self._dt, _NEWTON_STEPS_AT_START)
+
+    def _start(self, q: Array, clock: float) -> None:
+        """The first knot."""
         pose = self._path.pose(clock)
         if pose is None:
-            return  # nothing is known ahead: the object rests, and the next step tries again
+            raise LookAheadTrouble(self._path.problem)
         q, errors = newton(self._chain, pose, q, tolerance=1e-10, max_iter=_STARTING_STEPS)
         self.blind = self._beyond_few_joints(errors)
         if not np.abs(errors).max() < 1e-6 and not self.blind:
@@ -237,7 +263,6 @@ class PathPreview:
         if not self._newton_step(clock, q, before=0.0):
             self._slope[:] = 0.0
         self._push(self._knot_at(clock, q, None))
-        self._extend(clock, self._dt, _NEWTON_STEPS_AT_START)
 
     def memory(self) -> Any:
         """What a copy of this preview goes on from."""
@@ -262,6 +287,7 @@ class PathPreview:
 
     def cap(self, clock: float, dt: float) -> tuple[float, BindingLimit | None]:
         """Largest admissible rate σ at ``clock`` for a step of ``dt``, and what ahead makes it less than 1."""
+        self.trouble = ""
         if self.blind:
             return 1.0, None
         if not self._knots:
@@ -390,7 +416,10 @@ class PathPreview:
         """Grow the horizon until the object could brake from full rate within it, or by that many Newton steps."""
         for _ in range(newton_steps):
             self._leave_behind(clock)
-            if self._complete or self.blind or self._reaches(clock, dt) or not self._work_ahead():
+            if self._complete or self.blind or self._reaches(clock, dt):
+                return
+            if not self._work_ahead():
+                self.trouble = self._trouble
                 return
 
     def _reaches(self, clock: float, dt: float) -> bool:
@@ -402,6 +431,7 @@ class PathPreview:
 
     def _work_ahead(self) -> bool:
         """One Newton step, so that no single control step has to make a whole knot; False where growth has to wait."""
+        self._trouble = ""
         if len(self._knots) + len(self._way) + 2 > _MOST_KNOTS:
             return False
         try:
@@ -413,8 +443,9 @@ class PathPreview:
         except StopIteration:
             self._growing, self._begin_at = None, np.inf
             self._way.clear()
-        except _PathLost:  # the horizon stops the object; the next step tries again
-            self._growing = None
+        except LookAheadTrouble as trouble:  # the next step tries again
+            self._trouble = str(trouble)
+            self._growing, self._begin_at = None, np.inf
             self._way.clear()
             return False
         return True
@@ -522,15 +553,22 @@ class PathPreview:
         self._beyond = ""
         if self._bound is None:
             return knot
-        cap, decrease, name = self._bound(knot.clock, knot.q, knot.slope, knot.curvature)
-        if cap < 0.0:
-            self._beyond = name
+        room = self._bound(knot.clock, knot.q, knot.slope, knot.curvature)
+        if room.cap < 0.0:
+            self._beyond = room.name
             return None
-        if cap < knot.cap:
-            knot = knot._replace(cap=cap, binding=BindingLimit("", "", LimitKind.CONSTRAINT, name))
-        decrease = min(decrease, knot.decrease)
+        if room.cap < knot.cap:
+            knot = knot._replace(cap=room.cap, binding=BindingLimit("", "", LimitKind.CONSTRAINT, room.name))
+        decrease = min(room.decrease, knot.decrease)
         cumulative = last.cumulative + 2.0 * decrease * (knot.clock - last.clock)
-        return knot._replace(decrease=decrease, cumulative=cumulative)
+        return knot._replace(decrease=decrease, cumulative=cumulative, rise=room.rise)
+
+    def rise(self, clock: float) -> float:
+        """Largest rise of σ near a clock by further constraints [1/s]."""
+        if not self._knots:
+            return np.inf
+        i = self._knot_before(clock)
+        return min(self._knots[i].rise, self._knots[min(i + 1, len(self._knots) - 1)].rise)
 
     def _beyond_few_joints(self, errors: Array) -> bool:
         """Whether errors (N, 6) are left that arms with few joints cannot make up for."""
@@ -543,9 +581,10 @@ class PathPreview:
         q′ is that for the twist a moment ``before`` the clock [s], which tells the sides of a jump apart.
         """
         chain, path = self._chain, self._path
-        pose, twist = path.pose(clock), path.twist(max(min(clock, self._duration) - before, 0.0))
+        pose = path.pose(clock)
+        twist = None if pose is None else path.twist(max(min(clock, self._duration) - before, 0.0))
         if pose is None or twist is None:
-            raise _PathLost
+            raise LookAheadTrouble(path.problem)
         errors = self._errors = chain.errors(chain.carried(q), pose)
         if not np.abs(errors).max() < np.inf:
             return False

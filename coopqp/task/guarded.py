@@ -2,39 +2,61 @@
 
 from __future__ import annotations
 
+import math
 from typing import final
 
 import numpy as np
 import pinocchio as pin
 
-from coopqp.checks import NOT_NUMBERS, as_vector
-from coopqp.errors import CoopqpError, InvalidInputError
+from coopqp.checks import as_vector
+from coopqp.errors import InvalidInputError, said
 from coopqp.spatial import Array, as_placement
 from coopqp.task.path import HoldPath, LinePath, ObjectPath, ServoPath, WaypointPath
 
 #: Entries this large make a pose invalid [m].
 FARTHEST = 1e9
+#: Entries this large make a twist invalid [m/s, rad/s].
+FASTEST = 1e9
+#: A path that moves faster jumps [m/s]; 1 rad counts as this many metres.
+FASTEST_PATH, TURN_LENGTH = 20.0, 0.3
 #: Breakpoints that are asked for, at most.
 _MOST_BREAKPOINTS = 10_000
-#: What a user's code may raise.
-_RAISED = (
-    ArithmeticError, AssertionError, AttributeError, BufferError, LookupError, MemoryError, OSError, RuntimeError,
-    SystemError, *NOT_NUMBERS, CoopqpError,
-)  # fmt: skip
+#: Of a path without end, so much is asked before anything moves [s].
+_LOOKED_AT = 1.0
+#: Clocks at which a path is asked, and the share of the distance between them over which its poses are compared.
+_PROBES, _SPAN_SHARE = 9, 1e-2
+#: A twist may differ from the poses' change by this share of both, and by this much besides [m/s, rad/s].
+_TWIST_SHARE, _TWIST_TOLERANCE = 0.1, 1e-3
 
 
 def is_known(path: ObjectPath) -> bool:
     """Whether the path is one of the library's own, which neither raise nor return nonsense."""
-    return isinstance(path, (LinePath, WaypointPath, HoldPath, ServoPath))
+    return type(path) in (LinePath, WaypointPath, HoldPath, ServoPath)
+
+
+def jump(far: float, clock: float) -> str:
+    """That a path jumps, and how far [m], and where [s]."""
+    return f"the path jumps by {far:.3g} m at its clock {clock:.6g} s (a turn of 1 rad counts as {TURN_LENGTH:g} m)"
 
 
 @final
 class GuardedPath:
-    """Poses and twists of a path; of a user's own path checked, with what is wrong in :attr:`problem`."""
+    """Poses and twists of a path; of a user's own path checked, with what is wrong in :attr:`problem`.
+
+    Attributes:
+        duration: the path's duration when it was taken [s]; 0 if it has none.
+        known_ahead: whether poses ahead of the clock are known.
+        problem: what was wrong with the last pose or twist; empty if nothing was.
+    """
 
     def __init__(self, path: ObjectPath) -> None:
         self.path, self._own = path, not is_known(path)
         self.problem = ""
+        self.duration, self.known_ahead = 0.0, False
+        try:
+            self.duration, self.known_ahead = float(path.duration), bool(path.known_ahead)
+        except Exception as error:
+            self.problem = f"the path's duration, or known_ahead, cannot be read: {said(error)}"
 
     def pose(self, clock: float) -> pin.SE3 | None:
         """T_world_object at ``clock`` [s]; None if the path fails, :attr:`problem` says how."""
@@ -42,11 +64,17 @@ class GuardedPath:
             return self.path.pose(clock)
         self.problem = ""
         try:
-            pose = as_placement(self.path.pose(clock), "pose")
+            pose = self.path.pose(clock)
+            if not isinstance(pose, pin.SE3):
+                self.problem = (
+                    f"the path's pose at its clock {clock:.6g} s is a {type(pose).__name__}, no pinocchio.SE3"
+                )
+                return None
+            pose = as_placement(pose, "pose")
         except InvalidInputError as error:
             self.problem = f"the path's pose at its clock {clock:.6g} s is no placement: {error.what}"
-        except _RAISED as error:
-            self.problem = f"the path raised {type(error).__name__} at its clock {clock:.6g} s: {str(error)[:200]}"
+        except Exception as error:
+            self.problem = f"the path raised {said(error)} at its clock {clock:.6g} s"
         else:
             if np.abs(pose.translation).max() < FARTHEST:
                 return pose
@@ -57,12 +85,17 @@ class GuardedPath:
         """Body twist at ``clock`` [m/s, rad/s]; None if the path fails."""
         if not self._own:
             return self.path.twist(clock)
+        self.problem = ""
         try:
-            return as_vector(self.path.twist(clock), 6, "twist")
+            twist = as_vector(self.path.twist(clock), 6, "twist")
         except InvalidInputError as error:
             self.problem = f"the path's twist at its clock {clock:.6g} s is no twist: {error.what}"
-        except _RAISED as error:
-            self.problem = f"the path raised {type(error).__name__} at its clock {clock:.6g} s: {str(error)[:200]}"
+        except Exception as error:
+            self.problem = f"the path raised {said(error)} at its clock {clock:.6g} s"
+        else:
+            if np.abs(twist).max() < FASTEST:
+                return twist
+            self.problem = f"the path's twist at its clock {clock:.6g} s is {np.abs(twist).max():.3g}"
         return None
 
     def breakpoints(self) -> list[float]:
@@ -72,22 +105,26 @@ class GuardedPath:
         while len(found) < _MOST_BREAKPOINTS:
             try:
                 ahead = float(self.path.next_breakpoint(clock))
-            except _RAISED:
+            except Exception:
                 break
-            if not clock < ahead < self.path.duration:
+            if not clock < ahead < self.duration:
                 break
             found.append(ahead)
             clock = ahead
         return found
 
-    def trouble(self, *clocks: float) -> str:
-        """Empty, or what is wrong with the path's poses at these clocks."""
+    def trouble(self, clock: float, h: float) -> str:
+        """Empty, or what is wrong with the path's poses at ``clock`` and ``h`` later [s]."""
         if not self._own:
             return ""
-        for clock in clocks:
-            if self.pose(clock) is None:
-                return self.problem
-        return ""
+        here = self.pose(clock)
+        ahead = None if here is None else self.pose(clock + h)
+        if here is None or ahead is None:
+            return self.problem
+        cosine = 0.5 * (float((here.rotation * ahead.rotation).sum()) - 1.0)
+        far = float(np.linalg.norm(ahead.translation - here.translation))
+        far += TURN_LENGTH * math.acos(min(max(cosine, -1.0), 1.0))
+        return jump(far, clock) if far > FASTEST_PATH * h else ""
 
     def check(self, where: str) -> None:
         """Ask a user's path along its duration, before anything moves.
@@ -95,19 +132,42 @@ class GuardedPath:
         Raises:
             InvalidInputError: it raises, or returns something else than poses and the twists that belong to them.
         """
-        path = self.path
-        if not isinstance(path, ObjectPath):
-            raise InvalidInputError(f"the path is a {type(path).__name__}", where, "Give an ObjectPath.")
+        if not isinstance(self.path, ObjectPath):
+            raise InvalidInputError(f"the path is a {type(self.path).__name__}", where, "Give an ObjectPath.")
         if not self._own:
             return
-        duration = getattr(path, "duration", None)
-        if not isinstance(duration, (int, float)) or not duration > 0.0:
-            raise InvalidInputError(f"the path's duration is {duration!r}", where, "Give seconds > 0.")
-        span = min(float(duration), 1.0)
-        for share in (0.0, 0.25, 0.5, 0.75, 1.0) if path.known_ahead else (0.0,):
-            clock = share * span
-            pose, twist = self.pose(clock), self.twist(clock)
-            if pose is None or twist is None:
+        if self.problem or not self.duration > 0.0:
+            what = self.problem or f"the path's duration is {self.duration:g} s"
+            raise InvalidInputError(what, where, "Give it a duration > 0 [s], as a number.")
+        span = self.duration if math.isfinite(self.duration) else _LOOKED_AT
+        clocks = np.linspace(0.0, span, _PROBES).tolist() if self.known_ahead else [0.0]
+        for clock in clocks:
+            if self.pose(clock) is None or self.twist(clock) is None:
                 raise InvalidInputError(
-                    self.problem, where, "pose(clock) gives T_world_object, twist(clock) six numbers."
+                    self.problem, where, "pose(clock) returns T_world_object, twist(clock) six numbers."
                 )
+        if self.known_ahead:
+            self._check_twists(clocks, where)
+
+    def _check_twists(self, clocks: list[float], where: str) -> None:
+        """Twists against the change of poses. A path may jump here and there: most of its twists have to be right."""
+        h = _SPAN_SHARE * (clocks[1] - clocks[0])
+        moving, wrong, example = 0, 0, ""
+        for clock in clocks[:-1]:
+            first, middle, last = self.pose(clock), self.twist(clock + 0.5 * h), self.pose(clock + h)
+            if first is None or middle is None or last is None:
+                raise InvalidInputError(self.problem, where, "Give poses and twists at any clock.")
+            change = np.asarray(pin.log6(first.actInv(last)).vector) / h
+            off = [np.linalg.norm((middle - change)[part]) for part in (slice(0, 3), slice(3, 6))]
+            size = [np.linalg.norm(middle[p]) + np.linalg.norm(change[p]) for p in (slice(0, 3), slice(3, 6))]
+            moving += int(max(size) > _TWIST_TOLERANCE)
+            if any(o > 0.5 * _TWIST_SHARE * s + _TWIST_TOLERANCE for o, s in zip(off, size, strict=True)):
+                wrong += 1
+                told, found = (np.array2string(x, precision=3, suppress_small=True) for x in (middle, change))
+                example = (
+                    f"at its clock {clock + 0.5 * h:.4g} s the path's twist is {told}, but its poses change by {found}"
+                )
+        if wrong > 1 and 2 * wrong > moving:
+            raise InvalidInputError(
+                f"{example} a second", where, "twist(clock) is in the object's own frame: dT/dτ = T · [twist]."
+            )

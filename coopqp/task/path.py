@@ -74,7 +74,7 @@ class ObjectPath(abc.ABC):
         return self.duration
 
     def packed(self) -> Array | None:
-        """The path as numbers, None where only :meth:`pose` knows it: what a compiled core evaluates itself.
+        """The path as numbers, for the library's own paths; None where only :meth:`pose` knows it.
 
         ``[duration, number of breakpoints, number of segments, breakpoints …, segments …]``; a segment has 21 numbers:
         ``R(0)`` row by row (9), p(0) (3), φ* r (3), displacement in the world (3), start [s], duration [s], time law

@@ -16,7 +16,7 @@ import coopqp.control.core._native as native
 from coopqp.control.command import ControlStep, SolverReport, amend
 from coopqp.control.constraints import Constraints, ConstraintTrouble, Knot, no_rows
 from coopqp.control.core import layout
-from coopqp.control.core.memory import MOST_ROWS, Memory, NotForTheCore, build_memory, same_kinematics
+from coopqp.control.core.memory import Memory, NotForTheCore, build_memory, same_kinematics
 from coopqp.control.limits import VelocityBox
 from coopqp.control.linearised import LinearisedAnswer, LinearisedStep, StepInput
 from coopqp.control.options import QPOptions
@@ -29,13 +29,16 @@ from coopqp.model.chain import Chain
 from coopqp.model.grasp import Grasp
 from coopqp.model.state import CellState
 from coopqp.spatial import Array
-from coopqp.task.guarded import GuardedPath
+from coopqp.task.guarded import GuardedPath, is_known
 from coopqp.task.path import ObjectPath
 from coopqp.task.posture import Posture
 
 _P = {name: i for i, name in enumerate(layout.PROPOSAL)}
 _LOOP = {name: i for i, name in enumerate(layout.LOOP)}
 _KNOT = {name: i for i, name in enumerate(layout.KNOT)}
+_NOT_FINITE, _PATH_FAILED, _LOOK_AHEAD_FAILED, _CONSTRAINT_FAILED = (
+    layout.REASONS.index(name) for name in ("NOT_FINITE", "PATH_FAILED", "LOOK_AHEAD_FAILED", "CONSTRAINT_FAILED")
+)
 _QP, _FILLED, _OPEN = (layout.OUTCOMES.index(name) for name in ("QP", "FILLED", "OPEN"))
 
 
@@ -87,8 +90,8 @@ class CompiledLoop:
             self._core.bind_knots(self._bound_knot)
         self.step = self._core.step
         self.hold, self.release = self._core.hold, self._core.release
-        #: What is wrong with an input, where it takes more than numbers to say so.
-        self.trouble = ""
+        #: What is wrong in this step, by its reason, where it takes more than numbers to say so.
+        self._said: dict[int, str] = {}
 
     # -- starting --------------------------------------------------------------------------------------------------
 
@@ -105,13 +108,13 @@ class CompiledLoop:
 
     def take_path(self) -> None:
         """Hand the path's numbers to the core: again where a target has moved."""
-        path, numbers = self.path, self.path.packed()
+        path, duration = self._guarded, self._guarded.duration
         looks_ahead = self.options.preview is not None and path.known_ahead
-        own = None if numbers is not None else self._ask_path
+        numbers, own = self.path.packed() if is_known(self.path) else None, None
         if numbers is None:
-            breakpoints = self._guarded.breakpoints()
-            numbers = np.array([path.duration, len(breakpoints), 0.0, *breakpoints])
-        self._core.set_path(numbers, own, self._pose_out, float(path.duration), looks_ahead)
+            breakpoints, own = path.breakpoints(), self._ask_path
+            numbers = np.array([duration, len(breakpoints), 0.0, *breakpoints])
+        self._core.set_path(numbers, own, self._pose_out, duration, looks_ahead)
 
     def start(self, q: Array) -> None:
         """At rest at ``q``; forgets everything."""
@@ -162,18 +165,27 @@ class CompiledLoop:
     def _ask_path(self, clock: float, twist: int) -> bool:
         if twist:
             found = self._guarded.twist(clock)
-            if found is not None:
-                self._pose_out[:6] = found
-            return found is not None
+            if found is None:
+                return self._cannot_say(self._guarded.problem)
+            self._pose_out[:6] = found
+            return True
         pose = self._guarded.pose(clock)
         if pose is None:
-            self.trouble = self._guarded.problem
-            return False
+            return self._cannot_say(self._guarded.problem)
         self._pose_out[:9], self._pose_out[9:] = pose.rotation.ravel(), pose.translation
         return True
 
+    def _cannot_say(self, why: str) -> bool:
+        """Keep why the path, or what is ahead of it, cannot be asked; the first failure of a step is its reason."""
+        for code in (_PATH_FAILED, _LOOK_AHEAD_FAILED):
+            self._said.setdefault(code, why)
+        return False
+
     def _bound_knot(self, slot: int) -> bool:
-        """Lower the cap and the decrease of a new knot to what the constraints leave; False where it is beyond them."""
+        """Lower the cap and the decrease of a new knot to what the constraints leave; False where it is beyond them.
+
+        A constraint that cannot say leaves a cap that is no number.
+        """
         at, nv, n = self.at, self.cell.nv, len(layout.KNOT)
         numbers, vectors = at["knots"][n * slot : n * slot + n], slice(nv * slot, nv * slot + nv)
         q = self.cell.configuration(at["knot_positions"][vectors])
@@ -181,24 +193,28 @@ class CompiledLoop:
         preview = self.options.preview
         share = 1.0 if preview is None else preview.curvature_share
         knot = Knot(numbers.item(_KNOT["K_CLOCK"]), CellState(self.cell, q), slope, curvature)
-        cap, decrease, which = self.constraints.bound_or_stop(knot, self.dt, share)
-        if cap < 0.0:
-            numbers[_KNOT["K_JOINT"]] = which
+        try:
+            found = self.constraints.bound(knot, self.dt, share)
+        except ConstraintTrouble as trouble:
+            numbers[_KNOT["K_CAP"]] = math.nan
+            return self._cannot_say(str(trouble))
+        if found.cap < 0.0:
+            numbers[_KNOT["K_JOINT"]] = found.which
             return False
-        if cap < numbers[_KNOT["K_CAP"]]:
-            numbers[_KNOT["K_CAP"]] = cap
+        if found.cap < numbers[_KNOT["K_CAP"]]:
+            numbers[_KNOT["K_CAP"]] = found.cap
             numbers[_KNOT["K_KIND"]], numbers[_KNOT["K_ARM"]] = layout.KINDS.index("CONSTRAINT"), -1
-            numbers[_KNOT["K_JOINT"]] = which
-        numbers[_KNOT["K_DECREASE"]] = min(numbers[_KNOT["K_DECREASE"]], decrease)
+            numbers[_KNOT["K_JOINT"]] = found.which
+        numbers[_KNOT["K_DECREASE"]] = min(numbers[_KNOT["K_DECREASE"]], found.decrease)
+        numbers[_KNOT["K_RISE"]] = found.rise
         return True
 
     # -- the step, where Python takes part ---------------------------------------------------------------------------
 
     def careful_step(self, q_measured: Any, dt: Any) -> ControlStep:
         """A step whose input may be anything, whose path may fail, or that has further rows."""
-        self.trouble, measured = "", None
-        if q_measured is not None:
-            measured = self._as_measured(q_measured)
+        self._said.clear()
+        measured = None if q_measured is None else self._as_measured(q_measured)
         self._core.observe(measured, dt)
         outcome = self._core.propose(self._put_rows(), False)
         return self.finish(outcome)
@@ -207,12 +223,13 @@ class CompiledLoop:
         """Answer what the core left open, and commit."""
         p = self.at["proposal"]
         outcome = int(p[_P["OUTCOME"]]) if outcome is None else outcome
-        report, reason = None, self.trouble
+        report, reason = None, self._said.get(int(p[_P["REASON"]]), "")
+        self._said.clear()
         if outcome == _FILLED:
             outcome, report = self._solve()
         if outcome == _OPEN:
             report, open_reason = self._by_definition()
-            reason = reason or open_reason
+            reason = reason or ("" if p[_P["REASON"]] else open_reason)
         step: ControlStep = self._core.commit()
         if report is not None or reason:
             amend(step, **({} if report is None else {"solver": report}), **({"reason": reason} if reason else {}))
@@ -221,8 +238,11 @@ class CompiledLoop:
     def _as_measured(self, q: Any) -> Array:
         if type(q) is np.ndarray and q.dtype == np.float64 and q.shape == (self.cell.nq,) and q.flags.c_contiguous:
             return q
-        measured, self.trouble = as_configuration(self.cell, q)
-        return self._nan if measured is None else measured
+        measured, trouble = as_configuration(self.cell, q)
+        if measured is None:
+            self._said[_NOT_FINITE] = trouble
+            return self._nan
+        return measured
 
     def _put_rows(self) -> int:
         """Ask the constraints; their rows in the core's memory. What cannot be asked holds."""
@@ -232,11 +252,11 @@ class CompiledLoop:
         at, p = self.at, self.at["proposal"]
         try:
             rows = self.constraints.rows(CellState(self.cell, self.q), p.item(_P["DT"]))
-            if len(rows) > MOST_ROWS:
-                raise ConstraintTrouble(f"{len(rows)} further rows, at most {MOST_ROWS} fit")
         except ConstraintTrouble as trouble:
-            self.trouble = self.trouble or str(trouble)
-            p[_P["WATCH_CAP"]], p[_P["HOLD"]] = 0.0, 1.0
+            if p[_P["WATCH_CAP"]] > 0.0:
+                self._said[_CONSTRAINT_FAILED] = str(trouble)
+                p[_P["WATCH_CAP"]], p[_P["HOLD"]] = 0.0, 1.0
+                p[_P["REASON"]], p[_P["REASON_ARM"]] = _CONSTRAINT_FAILED, -1.0
             return 0
         m = len(rows)
         at["further"][: m * self.cell.nv] = rows.G.ravel()

@@ -50,6 +50,8 @@ static void watch_reset(Core *c);
 static void preview_reset(Core *c, double clock);
 /* Largest admissible rate at `clock` for a step of dt. CAP_KIND, CAP_ARM, CAP_JOINT of the proposal say what makes it. */
 static double preview_cap(Core *c, double clock, double dt);
+/* Largest rise of the rate near `clock` by further constraints [1/s]. */
+static double preview_rise(const Core *c, double clock);
 /* Previewed positions and slopes at `clock`. */
 static void preview_reference(Core *c, double clock, double *positions, double *slope);
 
@@ -57,6 +59,11 @@ static void preview_reference(Core *c, double clock, double *positions, double *
 
 /* Velocities that redundant arms wish for at these positions. */
 static void posture_velocity(Core *c, const double *positions, double *v);
+
+/* -- step.c ---------------------------------------------------------------------------------------------------------- */
+
+/* The arms hold in this step: for a reason, with an arm (or an index) and a number. */
+static void refuse(Core *c, int reason, int index, double a);
 
 /* -- ldp.c ----------------------------------------------------------------------------------------------------------- */
 

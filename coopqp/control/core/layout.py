@@ -22,6 +22,7 @@ CONSTANTS: dict[str, float] = {
     "LONGEST_STEP": 0.5,  # Newton's step is shortened to this [rad or m]
     # rate
     "BRAKING_SHARE": 0.8,  # share of the accelerations that braking together is planned with
+    "FASTEST_PATH": 20.0,  # a path that moves faster jumps [m/s]; 1 rad counts as TURN_LENGTH
     "LEAST_PACE": 1e-3,  # the increment along the path is the mean over this share of a step at least
     "NEGLIGIBLE": 1e-10,  # square of an off-path twist that needs no braking distance [m²/s², rad²/s²]
     "SETTLED": 1e-13,  # the first step has settled when its change of velocity moves the joints by less [rad²]
@@ -106,7 +107,7 @@ AHEAD = (
 #: Numbers of a knot beside its vectors.
 KNOT = (
     "K_CLOCK", "K_CAP", "K_UNCAPPED", "K_CUMULATIVE", "K_DECREASE", "K_FASTEST", "K_CHANGE", "K_INSIDE",
-    "K_KIND", "K_ARM", "K_JOINT",
+    "K_RISE", "K_KIND", "K_ARM", "K_JOINT",
 )  # fmt: skip
 #: What a step proposes. REASON comes with an arm (or an index) and two numbers.
 PROPOSAL = (
@@ -132,7 +133,8 @@ KINDS = (
 )  # fmt: skip
 REASONS = (
     "NO_REASON", "BAD_DT", "NOT_FINITE", "OFF_CIRCLE", "JUMPED", "OUT_OF_STEP_BY", "WAS_OUT_OF_STEP", "STALLED",
-    "ALL_STALLED", "FORCE", "HANGS_BEHIND", "PATH_FAILED",
+    "ALL_STALLED", "FORCE", "HANGS_BEHIND", "PATH_FAILED", "PATH_JUMPS", "LOOK_AHEAD_FAILED",
+    "CONSTRAINT_FAILED",
 )  # fmt: skip
 
 #: The fields of each block: name and size.

@@ -6,6 +6,7 @@ from typing import final
 
 import numpy as np
 
+from coopqp.control.constraints import MOST_ROWS
 from coopqp.control.core import layout
 from coopqp.control.limits import VelocityBox
 from coopqp.control.options import QPOptions
@@ -14,9 +15,6 @@ from coopqp.model.chain import Chain
 from coopqp.model.links import joint_links
 from coopqp.planning.preview import PlanLimits
 from coopqp.spatial import Array
-
-#: Further rows that a step may have.
-MOST_ROWS = 64
 
 
 class NotForTheCore(Exception):  # noqa: N818

@@ -7,8 +7,8 @@
 
 #include "functions.h"
 
-/* What one Newton step makes of the knot that is tried. */
-typedef enum { PENDING, REJECTED, FOUND, PATH_LOST_AHEAD } Trial;
+/* What one Newton step makes of the knot that is tried. CANNOT_SAY: a user's path, or a further constraint, fails. */
+typedef enum { PENDING, REJECTED, FOUND, CANNOT_SAY } Trial;
 
 /* In place of a ring place: what bounds the rate is the end of what is known, or nothing. */
 enum { HORIZON = -1, NO_BOUND = -2 };
@@ -109,7 +109,7 @@ static Trial newton_step(Core *c, double clock, double before, const double *pos
     const Sketch s = sketch_of(c);
     double R[9], p[3], twist[6], along[6], size = 0.0;
     if (!path_pose(c, clock, R, p) || !path_twist(c, fmax(fmin(clock, c->duration) - before, 0.0), twist))
-        return PATH_LOST_AHEAD;
+        return CANNOT_SAY;
     carry_and_linearise(c, positions, p, s.carried, s.jacobian);
     if (!errors_at(c, s.carried, R, p, s.errors)) return REJECTED;
     twists_back(c, R, s.errors, s.w);
@@ -154,6 +154,7 @@ static int bound_by_limits(Core *c, int before, int i, double clock, double span
     k[K_FASTEST] = fastest;
     k[K_CHANGE] = change;
     k[K_INSIDE] = inside;
+    k[K_RISE] = INFINITY;
     name_cause(k + K_KIND, NONE, -1, -1);
     if (cap < 1.0) {
         const int by = o[CAPS_SPEED] != 0.0 && square >= by_bend, j = by ? j_speed : j_bend;
@@ -162,14 +163,17 @@ static int bound_by_limits(Core *c, int before, int i, double clock, double span
     return cap > 0.0 && isfinite(k[K_DECREASE]);
 }
 
-/* Put a knot under the further constraints; 0 if it is beyond one, whose number is then kept. */
-static int constrain(Core *c, int made) {
+/* Put a knot under the further constraints; rejected if it is beyond one, whose number is then kept. */
+static Trial constrain(Core *c, int made) {
     double *k = knot(c, made);
     c->ahead[BEYOND] = 0.0;
-    if (c->bound_knot && !c->bound_knot(c, place_of(c, made))) c->ahead[BEYOND] = 1.0 + k[K_JOINT];
-    if (!(k[K_CAP] > 0.0)) k[K_CAP] = 0.0; /* nor a NaN */
+    if (c->bound_knot && !c->bound_knot(c, place_of(c, made))) {
+        if (isnan(k[K_CAP])) return CANNOT_SAY;
+        c->ahead[BEYOND] = 1.0 + k[K_JOINT];
+    }
+    if (!(k[K_CAP] > 0.0)) k[K_CAP] = 0.0;
     if (!(k[K_DECREASE] > 0.0)) k[K_DECREASE] = 0.0;
-    return c->ahead[BEYOND] == 0.0;
+    return c->ahead[BEYOND] == 0.0 ? FOUND : REJECTED;
 }
 
 /* One Newton step at knot `made`, `span` after knot `last`; rejected if the arms or their slopes do not follow. */
@@ -191,7 +195,7 @@ static Trial try_knot(Core *c, int last, int made, double span, int iteration) {
     const double *k = knot(c, made);
     if (span > o[SHORTEST] && !(span * k[K_FASTEST] <= 1.5 * o[JOINT_STEP])) return REJECTED;
     if (span > FINE_CELL && !(k[K_CHANGE] <= o[SLOPE_STEP] * k[K_FASTEST])) return REJECTED;
-    return constrain(c, made) ? FOUND : REJECTED;
+    return constrain(c, made);
 }
 
 /* -- adding knots -------------------------------------------------------------------------------------------------- */
@@ -273,7 +277,7 @@ static int turn_corner(Core *c, int i) {
     double *k = knot(c, i), *slope = vector_of(c, c->knot_slope, i);
     const double clock = k[K_CLOCK] + 1e-9, *x = vector_of(c, c->knot_positions, i);
     const Trial found = newton_step(c, clock, JUST_BEFORE, x, s.step, s.after);
-    if (found == PATH_LOST_AHEAD) return 0;
+    if (found == CANNOT_SAY) return 0;
     if (found != FOUND) memset(s.after, 0, sizeof(double) * (size_t)c->joints);
     if (c->accelerates) {
         int joint;
@@ -292,7 +296,7 @@ static int turn_corner(Core *c, int i) {
 /* -- position limits ----------------------------------------------------------------------------------------------- */
 
 /* Leave at knot `made` the chain where joint j is at `position`, between knots `last` and `made`: regula falsi. */
-static void close_in(Core *c, int last, int made, int j, double position) {
+static Trial close_in(Core *c, int last, int made, int j, double position) {
     double start = knot(c, last)[K_CLOCK], end = knot(c, made)[K_CLOCK];
     double miss_start = vector_of(c, c->knot_positions, last)[j] - position;
     double miss_end = vector_of(c, c->knot_positions, made)[j] - position;
@@ -302,20 +306,22 @@ static void close_in(Core *c, int last, int made, int j, double position) {
         const double span = clock - knot(c, last)[K_CLOCK];
         Trial found = PENDING;
         for (int n = 0; found == PENDING && span > 1e-9; n++) found = try_knot(c, last, made + 1, span, n);
-        if (found == REJECTED || found == PATH_LOST_AHEAD) return;
+        if (found == CANNOT_SAY) return CANNOT_SAY;
+        if (found == REJECTED) return FOUND;
         copy_knot(c, found == FOUND ? made + 1 : last, made);
         const double miss = vector_of(c, c->knot_positions, made)[j] - position;
-        if (!(fabs(miss) >= 1e-9)) return;
+        if (!(fabs(miss) >= 1e-9)) return FOUND;
         if (miss * miss_end > 0.0)
             end = clock, miss_end = miss;
         else
             start = clock, miss_start = miss;
     }
+    return FOUND;
 }
 
-/* Stop where the first joint meets a position limit between knots `last` and `made`; 0 if none does. A joint outside
- * may come back in: only going further out is the end. */
-static int stop_at_limit(Core *c, int last, int made) {
+/* Stop where the first joint meets a position limit between knots `last` and `made`; rejected if none does. A joint
+ * outside may come back in: only going further out is the end. */
+static Trial stop_at_limit(Core *c, int last, int made) {
     const double *x = vector_of(c, c->knot_positions, last), *ahead = vector_of(c, c->knot_positions, made);
     double first = INFINITY, position = 0.0;
     int joint = -1;
@@ -326,10 +332,10 @@ static int stop_at_limit(Core *c, int last, int made) {
         const double share = clamp((limit - x[j]) / (ahead[j] - x[j]), 0.0, 1.0);
         if (share < first) first = share, joint = j, position = limit;
     }
-    if (joint < 0) return 0;
-    close_in(c, last, made, joint, position);
+    if (joint < 0) return REJECTED;
+    if (close_in(c, last, made, joint, position) == CANNOT_SAY) return CANNOT_SAY;
     block_at(c, made, arm_of(c, joint), joint, POSITION);
-    return 1;
+    return FOUND;
 }
 
 /* -- growth, one Newton step at a time ----------------------------------------------------------------------------- */
@@ -387,10 +393,13 @@ static int go_past(Core *c, int made) {
     return 0;
 }
 
-/* Knots up to the one that was tried are known; 0 if the path failed. */
+/* Knots up to the one that was tried are known; 0 if the path, or a constraint, fails. */
 static int accept_trial(Core *c) {
     const int last = count_ahead(c, COUNT) - 1, made = last + 1 + count_ahead(c, WAY);
-    if (made == last + 1 && knot(c, made)[K_INSIDE] == 0.0 && stop_at_limit(c, last, made)) return 1;
+    if (made == last + 1 && knot(c, made)[K_INSIDE] == 0.0) {
+        const Trial stop = stop_at_limit(c, last, made);
+        if (stop != REJECTED) return stop == FOUND;
+    }
     if ((made > last + 1 || nears_singularity(c, made)) && !go_past(c, made)) return 1;
     const double edge = next_breakpoint(c, knot(c, last)[K_CLOCK]);
     const int corner = fabs(knot(c, made)[K_CLOCK] - edge) < 1e-9 && edge < c->duration;
@@ -400,7 +409,8 @@ static int accept_trial(Core *c) {
     return found;
 }
 
-/* One Newton step, so that no single control step has to make a whole knot; 0 where growth has to wait. */
+/* One Newton step, so that no single control step has to make a whole knot; 0 where growth has to wait, −1 where it cannot
+ * be said what is ahead. */
 static int work_ahead(Core *c) {
     const int count = count_ahead(c, COUNT), made = count + count_ahead(c, WAY);
     if (made + 2 > MOST_KNOTS) return 0; /* close_in needs a knot beside the one that is tried */
@@ -414,11 +424,13 @@ static int work_ahead(Core *c) {
     switch (try_knot(c, made - 1, made, c->ahead[TRY_SPAN], (int)c->ahead[ITERATION])) {
     case PENDING: c->ahead[ITERATION] += 1.0; return 1;
     case REJECTED: reject_trial(c); return 1;
-    case FOUND: return accept_trial(c);
-    case PATH_LOST_AHEAD: break;
+    case FOUND:
+        if (accept_trial(c)) return 1;
+        break;
+    case CANNOT_SAY: break;
     }
     rest_growth(c);
-    return 0;
+    return -1;
 }
 
 /* -- the horizon --------------------------------------------------------------------------------------------------- */
@@ -448,11 +460,19 @@ static int reaches(const Core *c, double clock, double dt) {
     return last[K_CLOCK] > clock + 2.0 * dt && last[K_CUMULATIVE] - ahead[K_CUMULATIVE] > enough;
 }
 
+/* The arms hold where it cannot be said what is ahead, until it can. */
+static void hold_blind(Core *c) {
+    if (c->proposal[WATCH_CAP] > 0.0) refuse(c, LOOK_AHEAD_FAILED, -1, c->loop[CLOCK]);
+}
+
 /* Grow the horizon until it reaches far enough, or by that many Newton steps. */
 static void extend_horizon(Core *c, double clock, double dt, int newton_steps) {
     for (int i = 0; i < newton_steps; i++) {
         leave_behind(c, clock);
-        if (c->ahead[COMPLETE] != 0.0 || reaches(c, clock, dt) || !work_ahead(c)) return;
+        if (c->ahead[COMPLETE] != 0.0 || reaches(c, clock, dt)) return;
+        const int grown = work_ahead(c);
+        if (grown < 0) hold_blind(c);
+        if (grown <= 0) return;
     }
 }
 
@@ -607,7 +627,7 @@ static void start_knots(Core *c, double clock) {
     memset(slope, 0, bytes);
     if (arm < 0) {
         const Trial found = newton_step(c, clock, 0.0, x, sketch_of(c).step, slope);
-        if (found == PATH_LOST_AHEAD) return;
+        if (found == CANNOT_SAY) return;
         if (found != FOUND) memset(slope, 0, bytes);
     }
     bound_by_limits(c, -1, 0, clock, 1.0);
@@ -631,7 +651,10 @@ static double preview_cap(Core *c, double clock, double dt) {
     name_cause(c->proposal + CAP_KIND, NONE, -1, -1);
     if (!(isfinite(clock) && isfinite(dt))) return 0.0;
     if (a[COUNT] == 0.0) start_knots(c, clock); /* the path failed where it began */
-    if (a[COUNT] == 0.0) return 0.0;
+    if (a[COUNT] == 0.0) {
+        hold_blind(c);
+        return 0.0;
+    }
     if (clock < a[FREE_UNTIL] && dt <= c->options[NOMINAL_DT]) {
         if (clock >= a[BEGIN_AT]) work_ahead(c);
         return 1.0;
@@ -646,6 +669,13 @@ static double preview_cap(Core *c, double clock, double dt) {
         for (int i = 0; i < 3; i++) c->proposal[CAP_KIND + i] = k[K_KIND + i];
     }
     return cap > 0.0 ? cap : 0.0;
+}
+
+static double preview_rise(const Core *c, double clock) {
+    const int count = count_ahead(c, COUNT);
+    if (!count) return INFINITY;
+    const int i = knot_before(c, clock);
+    return fmin(knot(c, i)[K_RISE], knot(c, i + 1 < count ? i + 1 : i)[K_RISE]);
 }
 
 static void preview_reference(Core *c, double clock, double *positions, double *slope) {

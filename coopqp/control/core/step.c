@@ -85,6 +85,18 @@ static int let_in(Core *c, const double *positions, const double *q) {
     return 1;
 }
 
+/* The reference pose and, on a user's own path, how far it is to the one after a step; 0 if the path fails. */
+static int ask_for_path(Core *c, double h, double *far) {
+    double R[9], p[3], trace = 0.0, square = 0.0;
+    if (!path_pose(c, c->loop[CLOCK], c->R, c->p)) return 0;
+    if (c->path_numbers[2] != 0.0) return 1;
+    if (!path_pose(c, c->loop[CLOCK] + h, R, p)) return 0;
+    for (int i = 0; i < 9; i++) trace += c->R[i] * R[i];
+    for (int i = 0; i < 3; i++) square += (p[i] - c->p[i]) * (p[i] - c->p[i]);
+    *far = sqrt(square) + TURN_LENGTH * acos(clamp(0.5 * (trace - 1.0), -1.0, 1.0));
+    return 1;
+}
+
 /* Take one sample: q as measured (NULL where commands are followed exactly), the step's length (NaN: nominal). */
 static void observe(Core *c, const double *q, const double *dt) {
     double *p = c->proposal, *positions = c->measured_positions;
@@ -101,13 +113,15 @@ static void observe(Core *c, const double *q, const double *dt) {
     stay_near(c, c->positions);
     carry(c, c->positions, c->carried);
     c->loop[PATH_LOST] = 0.0;
-    double ahead[12];
-    if (!path_pose(c, c->loop[CLOCK], c->R, c->p) ||
-        (c->path_numbers[2] == 0.0 && !path_pose(c, c->loop[CLOCK] + p[DT], ahead, ahead + 9))) {
+    double far = 0.0;
+    const int known = ask_for_path(c, p[DT], &far);
+    if (!known || far > FASTEST_PATH * p[DT]) {
         c->loop[PATH_LOST] = 1.0;
+        c->loop[HAS_PREDICTED] = 0.0; /* that was from another reference */
         q = NULL;
         hold_here(c);
-        refuse(c, PATH_FAILED, -1, c->loop[CLOCK]);
+        refuse(c, known ? PATH_JUMPS : PATH_FAILED, -1, c->loop[CLOCK]);
+        p[REASON_B] = far;
     }
     if (c->loop[FAULT] != 0.0) {
         refuse(c, (int)c->loop[FAULT], (int)c->loop[FAULT_ARM], c->loop[FAULT_A]);
@@ -127,7 +141,7 @@ static void cap_rate(Core *c, double cap, int kind, int arm) {
 /* The fastest rate that the path ahead, the supervision and the last rate allow, and what makes it so. */
 static void find_cap(Core *c) {
     double *p = c->proposal;
-    const double h = p[DT], rate = c->loop[RATE], rise = c->options[RISE];
+    const double h = p[DT], rate = c->loop[RATE];
     p[CAP] = 1.0, p[LATE] = 0.0, p[KEEP] = 1.0;
     if (c->looks_ahead) p[CAP] = preview_cap(c, c->loop[CLOCK], h);
     if (c->accelerates && (!c->looks_ahead || c->loop[CORRECTING] != 0.0)) {
@@ -137,7 +151,10 @@ static void find_cap(Core *c) {
     }
     const int by_arm = p[REASON] >= OUT_OF_STEP_BY && p[REASON_ARM] >= 0.0; /* else it is an index, or nothing */
     cap_rate(c, p[WATCH_CAP], by_arm ? OUT_OF_STEP : NONE, by_arm ? (int)p[REASON_ARM] : -1);
-    if (rise > 0.0 && rate < 1.0 && rate + rise * h < p[CAP] - RATE_ROUNDING) cap_rate(c, rate + rise * h, NONE, -1);
+    if (rate < 1.0 && c->options[LOOKS_AHEAD] != 0.0) {
+        const double rise = fmin(c->options[RISE], c->looks_ahead ? preview_rise(c, c->loop[CLOCK]) : INFINITY);
+        if (rate + rise * h < p[CAP] - RATE_ROUNDING) cap_rate(c, rate + rise * h, NONE, -1);
+    }
 }
 
 /* Limit the error that the path correction sees, so that the correction is `keep` of the last one. */
@@ -280,8 +297,11 @@ static int propose(Core *c) {
     if (rest < h * p[CAP]) p[CAP] = rest / h; /* the last step ends at the end */
     const double pace = fmax(fmin(p[CAP], c->loop[RATE]), LEAST_PACE);
     p[SPAN] = fmin(h * pace, rest);
-    if (c->loop[PATH_LOST] != 0.0 || !path_increment(c, clock, p[SPAN], c->R, c->p, c->along))
+    if (c->loop[PATH_LOST] != 0.0 || !path_increment(c, clock, p[SPAN], c->R, c->p, c->along)) {
         memset(c->along, 0, 6 * sizeof(double));
+        if (p[WATCH_CAP] > 0.0) refuse(c, PATH_FAILED, -1, clock);
+        p[CAP] = 0.0;
+    }
     if (c->redundant) wish(c);
     if (!errors_at(c, c->carried, c->R, c->p, c->errors)) return (int)(p[OUTCOME] = OPEN);
     corrections(c, h);
@@ -349,7 +369,7 @@ static void move_on(Core *c, double rate, double clock_next) {
     memmove(c->before, before, sizeof(double) * (size_t)c->joints);
     memcpy(c->velocity, c->command, sizeof(double) * (size_t)c->joints);
     for (int j = 0; j < c->joints; j++) c->positions[j] += h * c->command[j];
-    c->loop[HAS_PREDICTED] = p[PARTING] == 0.0 && p[BRAKED] == 0.0;
+    c->loop[HAS_PREDICTED] = p[PARTING] == 0.0 && p[BRAKED] == 0.0 && c->loop[PATH_LOST] == 0.0;
     c->loop[LAST_DT] = h, c->loop[CLOCK] = clock_next, c->loop[RATE] = rate, c->loop[FIRST] = 0.0;
 }
 

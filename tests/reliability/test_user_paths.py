@@ -1,0 +1,355 @@
+"""Row I7: paths of a user's own. A wrong one is refused when it is built; what it does later leads to a status."""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from coopqp import (
+    Array,
+    ControlStep,
+    InvalidInputError,
+    LimitKind,
+    LinePath,
+    ObjectPath,
+    QPController,
+    QPOptions,
+    Status,
+    available_kernels,
+)
+from coopqp.scenarios import Scenario, dual_arm7, mixed_cell, paper_lift
+
+DT = 0.005
+KERNELS = available_kernels()
+
+
+class Own(ObjectPath):
+    """A path that does what its owner tells it, from a clock on."""
+
+    def __init__(self, task: Scenario, *, known_ahead: bool = True) -> None:
+        self.inner = task.path
+        self.duration = task.path.duration
+        self.known_ahead = known_ahead
+        self.spoil: Callable[[float], Any] | None = None
+        self.spoil_twist: Callable[[float], Any] | None = None
+        self.since = 0.0
+
+    def pose(self, clock: float) -> Any:
+        if self.spoil is not None and clock >= self.since:
+            return self.spoil(clock)
+        return self.inner.pose(clock)
+
+    def twist(self, clock: float) -> Any:
+        if self.spoil_twist is not None and clock >= self.since:
+            return self.spoil_twist(clock)
+        return self.inner.twist(clock)
+
+
+class OwnError(Exception):
+    """An error that nothing but its owner knows."""
+
+
+class Mute(Exception):  # noqa: N818
+    def __str__(self) -> str:
+        raise RuntimeError("no words")
+
+
+def raising(error: BaseException) -> Callable[[float], Any]:
+    def spoil(clock: float) -> Any:
+        raise error
+
+    return spoil
+
+
+def broken(start: pin.SE3) -> dict[str, Callable[[float], Any]]:
+    """What a path may do instead of returning a pose."""
+    shear = start.homogeneous.copy()
+    shear[0, 1] += 0.1
+    nan = pin.SE3(start)
+    nan.translation = np.array([np.nan, 0.0, 0.0])
+    skewed = pin.SE3(start)
+    skewed.rotation = 2.0 * np.eye(3)
+    far = pin.SE3(start.rotation, np.array([1e12, 0.0, 0.0]))
+    return {
+        "raises": raising(RuntimeError("no data")),
+        "raises its own": raising(OwnError("no data")),
+        "raises without words": raising(Mute()),
+        "divides by zero": lambda clock: 1.0 / 0.0,
+        "runs out": lambda clock: [start][7],
+        "None": lambda clock: None,
+        "4x4": lambda clock: start.homogeneous,
+        "a sheared matrix": lambda clock: shear,
+        "NaN": lambda clock: nan,
+        "not a rotation": lambda clock: skewed,
+        "far away": lambda clock: far,
+        "a word": lambda clock: "up",
+        "three numbers": lambda clock: np.zeros(3),
+    }
+
+
+def broken_twists() -> dict[str, Callable[[float], Any]]:
+    return {
+        "twist raises": raising(OwnError("no data")),
+        "twist is None": lambda clock: None,
+        "twist is NaN": lambda clock: np.full(6, np.nan),
+        "twist of three": lambda clock: np.zeros(3),
+        "twist of 1e300": lambda clock: np.full(6, 1e300),
+        "twist is a word": lambda clock: "up",
+    }
+
+
+def spoiled(path: Own, name: str) -> Own:
+    start = path.inner.pose(0.0)
+    path.spoil, path.spoil_twist = broken(start).get(name), broken_twists().get(name)
+    assert path.spoil or path.spoil_twist
+    return path
+
+
+WAYS = [*broken(pin.SE3.Identity()), *broken_twists()]
+
+
+def built(task: Scenario, path: ObjectPath, kernel: str = "auto", **options: Any) -> QPController:
+    return QPController(task.cell, task.grasp, path, dt=DT, options=QPOptions(kernel=kernel, **options))
+
+
+def limited(task: Scenario, acceleration: float) -> Scenario:
+    return dataclasses.replace(task, cell=task.cell.with_limits(acceleration=acceleration))
+
+
+# -- when it is built --------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", WAYS)
+def test_a_broken_path_is_refused_when_it_is_built(name: str) -> None:
+    task = paper_lift()
+    for since in (0.0, 0.6 * task.path.duration):
+        path = spoiled(Own(task), name)
+        path.since = since
+        with pytest.raises(InvalidInputError, match=r"QPController: path: .*path"):
+            built(task, path)
+
+
+@pytest.mark.parametrize("duration", [0.0, -1.0, np.nan, "long", None])
+def test_a_path_without_a_duration_is_refused(duration: Any) -> None:
+    task = paper_lift()
+    path = Own(task)
+    path.duration = duration
+    with pytest.raises(InvalidInputError, match="duration"):
+        built(task, path)
+
+
+def test_a_duration_may_be_any_number() -> None:
+    task = paper_lift()
+    for duration in (np.float32(2.0), 2, np.int64(2), np.float64(2.0)):
+        path = Own(task)
+        path.duration = duration
+        built(task, path)
+
+
+def test_a_path_whose_duration_raises_is_refused() -> None:
+    class Strange(Own):
+        duration = property(raising(OwnError("who knows")), lambda self, value: None)  # type: ignore[assignment, arg-type]
+
+    with pytest.raises(InvalidInputError, match="OwnError: who knows"):
+        built(paper_lift(), Strange(paper_lift()))
+
+
+def wrong_twists(path: ObjectPath) -> dict[str, Callable[[float], Array]]:
+    """Twists that one gets wrong."""
+    duration = path.duration
+
+    def in_the_world(clock: float) -> Array:
+        R = path.pose(clock).rotation
+        return np.concatenate([R @ path.twist(clock)[:3], R @ path.twist(clock)[3:]])
+
+    def swapped(clock: float) -> Array:
+        return np.roll(path.twist(clock), 3)
+
+    return {
+        "in the world's axes": in_the_world,
+        "angular part first": swapped,
+        "backwards": lambda clock: -path.twist(clock),
+        "per share of the duration": lambda clock: duration * path.twist(clock),
+        "in millimetres": lambda clock: np.concatenate([1e3 * path.twist(clock)[:3], path.twist(clock)[3:]]),
+        "in degrees": lambda clock: np.concatenate([path.twist(clock)[:3], np.rad2deg(path.twist(clock)[3:])]),
+        "at rest": lambda clock: np.zeros(6),
+        "without turning": lambda clock: np.concatenate([path.twist(clock)[:3], np.zeros(3)]),
+    }
+
+
+@pytest.mark.parametrize("name", wrong_twists(paper_lift().path))
+def test_twists_that_are_not_those_of_the_poses_are_refused(name: str) -> None:
+    for make in (paper_lift, dual_arm7, mixed_cell):
+        task = make()
+        start = pin.SE3(pin.exp3(np.array([0.3, 0.4, 1.5])) @ task.path.pose(0.0).rotation, np.zeros(3))
+        inner = LinePath.displaced(start, translation=(0.1, 0.2, 0.3), rotation=(0.4, -0.2, 0.3), duration=2.5)
+        path = Own(dataclasses.replace(task, path=inner))
+        path.spoil_twist = wrong_twists(inner)[name]
+        with pytest.raises(InvalidInputError, match="its poses change by"):
+            built(task, path)
+
+
+def test_right_twists_are_accepted() -> None:
+    """Also of paths that turn fast, stand still, have corners or noise, or jump here and there."""
+    rng = np.random.default_rng(0)
+    for make in (paper_lift, dual_arm7, mixed_cell):
+        task = make()
+        for law in ("linear", "quintic"):
+            for turn in (0.0, 0.5, 3.0):
+                for duration in (0.2, 3.0, 600.0):
+                    line = LinePath.displaced(
+                        task.path.pose(0.0), translation=0.3 * rng.standard_normal(3),
+                        rotation=turn * rng.uniform(-1.0, 1.0, 3), duration=duration, time_law=law,
+                    )  # fmt: skip
+                    built(task, Own(dataclasses.replace(task, path=line)))
+        jumping = Own(task)
+        jumping.since = 0.5 * task.path.duration
+        jumping.spoil = lambda clock, task=task: task.path.pose(clock) * pin.SE3(np.eye(3), np.array([0.0, 0.0, 0.05]))
+        built(task, jumping)
+
+
+def test_follow_refuses_a_broken_path_and_the_old_one_goes_on() -> None:
+    for kernel in KERNELS:
+        for name in (*WAYS, "no path"):
+            task = limited(mixed_cell(), 10.0)
+            controller, other = built(task, task.path, kernel), built(task, task.path, kernel)
+            for c in (controller, other):
+                c.reset(task.q_start)
+                for _ in range(40):
+                    c.step()
+            with pytest.raises(InvalidInputError, match="follow"):
+                controller.follow(None if name == "no path" else spoiled(Own(task), name))  # type: ignore[arg-type]
+            for _ in range(20):
+                assert np.array_equal(controller.step().velocity, other.step().velocity), name
+
+
+def test_reset_on_a_path_that_fails_by_then_is_a_named_error() -> None:
+    task = paper_lift()
+    path = Own(task)
+    controller = built(task, path)
+    spoiled(path, "raises its own")
+    with pytest.raises(InvalidInputError, match="OwnError: no data"):
+        controller.reset(task.q_start)
+    path.spoil = None
+    controller.reset(task.q_start)
+    assert controller.step().status is not Status.HOLDING
+
+
+# -- in motion ---------------------------------------------------------------------------------------------------------
+
+
+def judged(task: Scenario, step: ControlStep, before: ControlStep) -> bool:
+    """The command is finite and within its limits, and every stop has a name."""
+    limits, v = task.cell.limits, step.velocity
+    x = task.cell.positions(step.q_next)
+    good = bool(np.isfinite(step.q_next).all() and np.isfinite(v).all() and (np.abs(v) <= limits.velocity + 1e-9).all())
+    good &= bool((np.abs(v - before.velocity) <= limits.acceleration * step.dt * (1.0 + 1e-6) + 1e-9).all())
+    good &= bool(((x <= limits.upper + 1e-9) & (x >= limits.lower - 1e-9)).all())
+    named = step.status not in (Status.HOLDING, Status.BLOCKED, Status.FAULT) or bool(step.reason or step.binding)
+    return good and named
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kernel", KERNELS)
+@pytest.mark.parametrize("known_ahead", [True, False])
+def test_a_path_that_breaks_in_motion_holds_and_goes_on(kernel: str, known_ahead: bool, catalogue: Any) -> None:
+    """It breaks at once, or from a clock ahead on, and is mended after the arms have come to rest."""
+    wrong, cases, longest, chain = 0, 0, 0, 0.0
+    for make, acceleration in ((paper_lift, np.inf), (paper_lift, 10.0), (mixed_cell, 10.0)):
+        task = limited(make(), acceleration)
+        for name, ahead in itertools.product(WAYS, (0.0, 0.15)):
+            path = Own(task, known_ahead=known_ahead)
+            controller = built(task, path, kernel)
+            controller.reset(task.q_start)
+            before = controller.step()
+            for _ in range(60):
+                before = controller.step()
+            spoiled(path, name)
+            path.since = before.clock_next + ahead
+            held = False
+            for _ in range(120):
+                step = controller.step()
+                wrong += not judged(task, step, before)
+                held |= step.status is Status.HOLDING and "path" in step.reason
+                chain = max(chain, float(task.grasp.relative_errors(step.state)[:, :3].max()))
+                before = step
+            if path.spoil_twist is None or known_ahead:  # else nobody asks for the twist
+                wrong += not held or before.status is not Status.HOLDING
+                wrong += float(np.abs(before.velocity).max()) > 1e-6
+            path.spoil = path.spoil_twist = None
+            count = 0
+            while step.status is not Status.TRACKING and count < 3000:
+                step = controller.step()
+                wrong += not judged(task, step, before)
+                before, count = step, count + 1
+            longest, cases = max(longest, count), cases + 1
+            wrong += step.status is not Status.TRACKING
+    assert chain < 1e-5
+    ahead = "known ahead" if known_ahead else "not known ahead"
+    name = f"a user's path, {ahead}, breaks in motion and is mended, {kernel}: an exception, no reason, no end"
+    note = f"at full rate again within {longest} steps; arms apart by {1e3 * chain:.2g} mm at most"
+    catalogue.row("I7", name, cases=cases, measured=wrong, target=0, note=note)
+
+
+@pytest.mark.parametrize("kernel", KERNELS)
+def test_a_path_that_fails_now_and_then(kernel: str, catalogue: Any, count: Any) -> None:
+    """Every hundredth to third question has no answer."""
+    rng, wrong, cases, held = np.random.default_rng(1), 0, 0, 0
+    for i in range(count(12)):
+        task = limited((paper_lift, mixed_cell, dual_arm7)[i % 3](), (np.inf, 10.0)[i // 3 % 2])
+        path = Own(task, known_ahead=i % 5 != 0)
+        controller = built(task, path, kernel)
+        controller.reset(task.q_start)
+        before = controller.step()
+        often = float(rng.choice([0.01, 0.1, 0.3]))
+
+        def spoil(clock: float, path: Own = path, often: float = often) -> Any:
+            if rng.uniform() < often:
+                raise OwnError("now and then")
+            return path.inner.pose(clock)
+
+        path.spoil = spoil
+        for _ in range(150):
+            step = controller.step()
+            wrong += not judged(task, step, before)
+            held += step.status is Status.HOLDING
+            before, cases = step, cases + 1
+    name = f"a user's path fails now and then, {kernel}: an exception, a limit, no reason"
+    catalogue.row("I7", name, cases=cases, measured=wrong, target=0, note=f"{held} steps held")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kernel", KERNELS)
+def test_a_path_that_jumps_stops_by_name_or_is_caught_up_with(kernel: str, catalogue: Any) -> None:
+    wrong, cases, chain = 0, 0, 0.0
+    for make in (paper_lift, mixed_cell):
+        for acceleration in (np.inf, 10.0):
+            for size in (1e-4, 1e-3, 0.01, 0.1, 1.0, 100.0):
+                task = limited(make(), acceleration)
+                path = Own(task)
+                path.since = 0.5 * task.path.duration
+                jump = pin.SE3(pin.exp3(np.full(3, 0.3 * min(size, 1.0))), np.array([size, 0.0, 0.0]))
+                path.spoil = lambda clock, task=task, jump=jump: jump * task.path.pose(clock)
+                controller = built(task, path, kernel)
+                controller.reset(task.q_start)
+                before = controller.step()
+                for _ in range(700):
+                    step = controller.step()
+                    wrong += not judged(task, step, before)
+                    chain = max(chain, float(task.grasp.relative_errors(step.state)[:, :3].max()))
+                    before = step
+                    if step.finished:
+                        break
+                cases += 1
+                named = any(b.kind is LimitKind.REACH for b in before.binding) or "jumps" in before.reason
+                wrong += not (before.finished if size <= 1e-3 else named)
+    assert chain < 1e-5
+    name = f"a user's path that jumps by 0.1 mm to 100 m, {kernel}: an exception, a limit, no name"
+    note = f"arms apart by {1e3 * chain:.2g} mm at most"
+    catalogue.row("I7", name, cases=cases, measured=wrong, target=0, note=note)
