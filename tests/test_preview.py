@@ -367,7 +367,7 @@ def test_paths_that_are_not_known_ahead_have_no_preview(kernel: str) -> None:
         )
         controller.reset(task.q_start)
         steps = [controller.step() for _ in range(20)]
-        assert bool(looked.clocks) is known
+        assert any(clock > 0.0 for clock in looked.clocks) is known
         if known:
             assert max(looked.clocks) > steps[-1].clock_next + 20 * DT
     controller = QPController(

@@ -275,15 +275,6 @@ class Arm:
             raise UnknownNameError("frame", str(tool_frame), near, f"arm '{name}' ({source})")
         if model.frames[model.getFrameId(tool_frame)].parentJoint == 0:
             raise ModelError(f"arm '{name}': no joint moves the tool frame '{tool_frame}' ({source}).")
-        moving = set(model.supports[model.frames[model.getFrameId(tool_frame)].parentJoint])
-        idle = [joint for i, joint in enumerate(model.names) if i and i not in moving]
-        if idle:
-            together = {**(locked_joints or {}), **dict.fromkeys(idle, 0.0)}
-            locked = ", ".join(f"'{joint}': {float(position)}" for joint, position in together.items())
-            raise ModelError(
-                f"arm '{name}': joint '{idle[0]}' does not move the tool frame '{tool_frame}' (a gripper's finger?). "
-                f"Lock it: locked_joints={{{locked}}}."
-            )
         limits = _model_limits(name, model, velocity, acceleration, lower, upper)
         return Arm(name, model, tool_frame, base, limits, shapes["visual"], shapes["collision"], source)
 
