@@ -448,6 +448,43 @@ def test_both_agree_on_a_users_path_with_corners(acceleration: float) -> None:
         assert run.run(1000, noisy(task.cell, size=1e-5)).plain.step().finished
 
 
+class Failing(Own):
+    """It fails, or jumps, from a clock on, while its owner says so."""
+
+    since, jump = np.inf, 0.0
+
+    def pose(self, clock: float) -> pin.SE3:
+        if clock < self.since:
+            return super().pose(clock)
+        if not self.jump:
+            raise LookupError("no data")
+        return pin.SE3(np.eye(3), np.full(3, self.jump)) * super().pose(clock)
+
+
+@pytest.mark.core
+@pytest.mark.parametrize("jump", [0.0, 1e-3, 1.0])
+@pytest.mark.parametrize("acceleration", [np.inf, 10.0])
+def test_both_agree_while_a_users_path_fails(acceleration: float, jump: float) -> None:
+    task = limited(mixed_cell, acceleration)
+    for known_ahead in (True, False):
+        for ahead in (0.0, 0.1):
+            # No multiple of a step is where a knot is: rounding would decide whether it is behind already.
+            run = pair(task, path=lambda: Failing(task.path), dt=0.0047)
+            for controller in (run.compiled, run.plain):
+                controller.path.known_ahead = known_ahead
+                controller.follow(controller.path)
+            clock = run.run(77).plain.step().clock_next + ahead
+            run.compiled.step()
+            for path in (run.compiled.path, run.plain.path):
+                assert isinstance(path, Failing)
+                path.since, path.jump = clock, jump
+            run.run(60, noisy(task.cell, size=1e-5))
+            assert Status.HOLDING in run.seen or 0.0 < jump < 1.0
+            for path in (run.compiled.path, run.plain.path):
+                path.since = np.inf
+            run.run(60)
+
+
 @pytest.mark.core
 def test_a_users_path_is_followed_like_the_librarys_own() -> None:
     task = limited(paper_lift, 5.0)

@@ -7,6 +7,7 @@ proposes again, with more rows or a lower cap on the rate.
 from __future__ import annotations
 
 import copy
+import math
 import time
 from dataclasses import dataclass, field
 from typing import Any, final
@@ -58,6 +59,8 @@ class LoopState:
         rate: σ of the last step.
         last_dt: its length [s].
         first: no step was made yet on this path.
+        lost: the path failed in the last step.
+        away: distance of the object as the first arm holds it from a user's own path [m]; infinite at its start.
         fault, fault_arm: why the controller is in fault, and by which arm; empty, and −1, if it is not.
     """
 
@@ -71,6 +74,8 @@ class LoopState:
     rate: float = 1.0
     last_dt: float = 0.0
     first: bool = True
+    lost: bool = False
+    away: float = math.inf
     fault: str = ""
     fault_arm: int = -1
 
@@ -156,7 +161,7 @@ class PlainLoop:
     def start_path(self, clock: float = 0.0, rate: float | None = None) -> None:
         """Along the path from ``clock`` on."""
         s = self.state
-        s.clock, s.first, s.predicted = clock, True, None
+        s.clock, s.first, s.predicted, s.away = clock, True, None, math.inf
         s.rate = (0.0 if self._box.accelerates else 1.0) if rate is None else rate
         self.look_ahead_again()
 
@@ -207,7 +212,9 @@ class PlainLoop:
             measured, trouble = supervision.accept_measurement(q_measured, s.q)
             if trouble:
                 measured, seen.watch = None, Watch.holding(trouble)
-        trouble = self._guarded.trouble(s.clock, seen.h)
+        held = self._chain.carried(s.q)[0]
+        held = pin.SE3(held[:3].T.copy(), held[3].copy())
+        trouble, s.away = self._guarded.trouble(s.clock, seen.h, held, s.away)
         if trouble:
             measured, seen.watch, seen.lost = None, Watch.holding(trouble), True
             s.predicted = None  # from another reference
@@ -295,6 +302,9 @@ class PlainLoop:
         cap, keep = 1.0, 1.0
         binding: tuple[BindingLimit, ...] = ()
         preview = self._preview
+        if s.lost and not seen.lost:
+            self.look_ahead_again()  # nobody knows what was seen ahead while the path failed
+        s.lost = seen.lost
         if preview is not None:
             cap, ahead = preview.cap(s.clock, h)
             if preview.trouble:

@@ -34,6 +34,12 @@ def is_known(path: ObjectPath) -> bool:
     return type(path) in (LinePath, WaypointPath, HoldPath, ServoPath)
 
 
+def _distance(a: pin.SE3, b: pin.SE3) -> float:
+    """Distance of two poses [m], turns included."""
+    cosine = 0.5 * (float((a.rotation * b.rotation).sum()) - 1.0)
+    return float(np.linalg.norm(b.translation - a.translation)) + TURN_LENGTH * math.acos(min(max(cosine, -1.0), 1.0))
+
+
 def jump(far: float, clock: float) -> str:
     """That a path jumps, and how far [m], and where [s]."""
     return f"the path jumps by {far:.3g} m at its clock {clock:.6g} s (a turn of 1 rad counts as {TURN_LENGTH:g} m)"
@@ -113,18 +119,23 @@ class GuardedPath:
             clock = ahead
         return found
 
-    def trouble(self, clock: float, h: float) -> str:
-        """Empty, or what is wrong with the path's poses at ``clock`` and ``h`` later [s]."""
+    def trouble(self, clock: float, h: float, held: pin.SE3, away: float) -> tuple[str, float]:
+        """What is wrong with the path's poses at ``clock`` and ``h`` later [s], if anything; and the new ``away``.
+
+        Args:
+            clock, h: the object's clock, and the length of the step [s].
+            held: the object's pose as it is held.
+            away: its distance from the path in the last step [m]; infinite where the path begins.
+        """
         if not self._own:
-            return ""
+            return "", away
         here = self.pose(clock)
         ahead = None if here is None else self.pose(clock + h)
         if here is None or ahead is None:
-            return self.problem
-        cosine = 0.5 * (float((here.rotation * ahead.rotation).sum()) - 1.0)
-        far = float(np.linalg.norm(ahead.translation - here.translation))
-        far += TURN_LENGTH * math.acos(min(max(cosine, -1.0), 1.0))
-        return jump(far, clock) if far > FASTEST_PATH * h else ""
+            return self.problem, away
+        now = _distance(here, held)
+        far = max(_distance(here, ahead), now - away)
+        return ("", now) if far <= FASTEST_PATH * h else (jump(far, clock), away)
 
     def check(self, where: str) -> None:
         """Ask a user's path along its duration, before anything moves.

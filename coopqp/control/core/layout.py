@@ -93,7 +93,7 @@ OPTIONS = (
 #: Scalars of the state: the loop, the watch, the drift filter, the forces, the look-ahead.
 LOOP = (
     "CLOCK", "RATE", "LAST_DT", "HAS_PREDICTED", "FIRST", "DRIFTED", "CORRECTING", "FAULT", "FAULT_ARM", "FAULT_A",
-    "FAULT_B", "PATH_LOST",
+    "FAULT_B", "PATH_LOST", "AWAY",
 )  # fmt: skip
 WATCH = (
     "SAMPLES", "WATCH_RATE", "WATCH_ARM", "SILENCE", "PRESSED", "HAS_SEEN", "PAST_COUNT", "PAST_HEAD", "FAR_SAMPLES",

@@ -85,15 +85,23 @@ static int let_in(Core *c, const double *positions, const double *q) {
     return 1;
 }
 
-/* The reference pose and, on a user's own path, how far it is to the one after a step; 0 if the path fails. */
+/* Distance of two poses [m]; 1 rad counts as TURN_LENGTH. */
+static double distance(const double *R0, const double *p0, const double *R1, const double *p1) {
+    double trace = 0.0, square = 0.0;
+    for (int i = 0; i < 9; i++) trace += R0[i] * R1[i];
+    for (int i = 0; i < 3; i++) square += (p1[i] - p0[i]) * (p1[i] - p0[i]);
+    return sqrt(square) + TURN_LENGTH * acos(clamp(0.5 * (trace - 1.0), -1.0, 1.0));
+}
+
+/* The reference pose; of a user's own path also how far it jumps, in this step or since the last. 0 if the path fails. */
 static int ask_for_path(Core *c, double h, double *far) {
-    double R[9], p[3], trace = 0.0, square = 0.0;
+    double R[9], p[3], *away = c->loop + AWAY;
     if (!path_pose(c, c->loop[CLOCK], c->R, c->p)) return 0;
     if (c->path_numbers[2] != 0.0) return 1;
     if (!path_pose(c, c->loop[CLOCK] + h, R, p)) return 0;
-    for (int i = 0; i < 9; i++) trace += c->R[i] * R[i];
-    for (int i = 0; i < 3; i++) square += (p[i] - c->p[i]) * (p[i] - c->p[i]);
-    *far = sqrt(square) + TURN_LENGTH * acos(clamp(0.5 * (trace - 1.0), -1.0, 1.0));
+    const double now = distance(c->R, c->p, c->carried, c->carried + 9); /* of the object as the first arm carries it */
+    *far = fmax(distance(c->R, c->p, R, p), now - *away);
+    if (*far <= FASTEST_PATH * h) *away = now;
     return 1;
 }
 
@@ -112,7 +120,8 @@ static void observe(Core *c, const double *q, const double *dt) {
     if (q && !believe(c, q, positions)) q = NULL;
     stay_near(c, c->positions);
     carry(c, c->positions, c->carried);
-    c->loop[PATH_LOST] = 0.0;
+    const int was_lost = c->loop[PATH_LOST] == 1.0;
+    c->loop[PATH_LOST] = was_lost ? 2.0 : 0.0; /* 2: found again */
     double far = 0.0;
     const int known = ask_for_path(c, p[DT], &far);
     if (!known || far > FASTEST_PATH * p[DT]) {
@@ -143,6 +152,10 @@ static void find_cap(Core *c) {
     double *p = c->proposal;
     const double h = p[DT], rate = c->loop[RATE];
     p[CAP] = 1.0, p[LATE] = 0.0, p[KEEP] = 1.0;
+    if (c->loop[PATH_LOST] == 2.0) {
+        c->loop[PATH_LOST] = 0.0;
+        if (c->looks_ahead) preview_reset(c, c->loop[CLOCK]); /* nobody knows what was seen ahead while it failed */
+    }
     if (c->looks_ahead) p[CAP] = preview_cap(c, c->loop[CLOCK], h);
     if (c->accelerates && (!c->looks_ahead || c->loop[CORRECTING] != 0.0)) {
         p[KEEP] = brake_share(c, h);
@@ -419,6 +432,7 @@ static int commit(Core *c) {
 static void start_path(Core *c, double clock, double rate) {
     c->loop[CLOCK] = clock, c->loop[FIRST] = 1.0, c->loop[HAS_PREDICTED] = 0.0, c->loop[RATE] = rate;
     stay_near(c, c->positions); /* so that a restart repeats to the last bit */
+    c->loop[AWAY] = INFINITY;
     if (c->looks_ahead) preview_reset(c, clock);
 }
 
