@@ -21,6 +21,7 @@ from coopqp.lazy import lazy_names
 
 if TYPE_CHECKING:
     from coopqp.control.command import Controller, ControlStep, GivenUp, SolverReport, Status
+    from coopqp.control.constraints import Knot, Rank, RateBound, VelocityConstraint
     from coopqp.control.core import available_kernels
     from coopqp.control.forms import RankWeights
     from coopqp.control.independent import IndependentQPController, IndependentQPOptions
@@ -100,6 +101,7 @@ else:
                 "SolverReport",
                 "Status",
             ),
+            "coopqp.control.constraints": ("Knot", "RateBound", "Rank", "VelocityConstraint"),
             "coopqp.control.core": ("available_kernels",),
             "coopqp.control.forms": ("RankWeights",),
             "coopqp.control.options": ("QPOptions",),
@@ -236,6 +238,7 @@ __all__ = [
     "InvalidInputError",
     "JointLimits",
     "KinematicPlant",
+    "Knot",
     "LdpSettings",
     "LimitKind",
     "LinePath",
@@ -265,7 +268,9 @@ __all__ = [
     "QpProblem",
     "QpSolution",
     "QpSolver",
+    "Rank",
     "RankWeights",
+    "RateBound",
     "Readings",
     "Recording",
     "RecordingError",
@@ -283,6 +288,7 @@ __all__ = [
     "Tolerances",
     "UnknownNameError",
     "UnreachableError",
+    "VelocityConstraint",
     "Verdict",
     "Violation",
     "WaypointPath",

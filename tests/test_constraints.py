@@ -1,0 +1,225 @@
+"""Constraints of a user's own: rows and lines hold, the object brakes ahead of them, and what goes wrong has a name."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from coopqp import (
+    Array,
+    CellState,
+    ControlStep,
+    Grasp,
+    InvalidInputError,
+    Knot,
+    LimitKind,
+    QPController,
+    QPOptions,
+    Rank,
+    Status,
+    available_kernels,
+    chain_error,
+    tool_placements,
+)
+from coopqp.scenarios import Scenario, paper_lift
+
+pytestmark = pytest.mark.parametrize("kernel", available_kernels())
+ACCELERATIONS = pytest.mark.parametrize("acceleration", [np.inf, 5.0])
+
+
+class Box:
+    """Keeps the object's origin, as the first arm holds it, below a height of the world."""
+
+    def __init__(self, grasp: Grasp, top: float, rank: Rank = Rank.LIMITS) -> None:
+        self.name, self.rank, self.X, self.top = "ceiling", rank, grasp.T_object_tool[0].inverse(), top
+
+    def rows(self, state: CellState, dt: float) -> tuple[Array, Array, Array]:
+        p = (state.T_world_tool[0] * self.X).translation
+        J = state.jacobian(0, pin.WORLD)
+        G = np.zeros((1, state.cell.nv))
+        G[0, state.cell.v_slices[0]] = (J[:3] - pin.skew(p) @ J[3:])[2]
+        return G, np.array([-np.inf]), np.array([(self.top - p[2]) / dt])
+
+
+def elbow(state: CellState, frame: str = "slave_1/joint_4") -> Array:
+    """Jacobian of an elbow in world axes (3, nv)."""
+    model = state.cell.model
+    data = model.createData()
+    return np.asarray(
+        pin.computeFrameJacobian(model, data, state.q, model.getFrameId(frame), pin.LOCAL_WORLD_ALIGNED)[:3]
+    )
+
+
+class ElbowSpeed:
+    """Keeps each component of an elbow's velocity below a bound [m/s]."""
+
+    name, rank = "elbow", Rank.LIMITS
+
+    def __init__(self, most: float) -> None:
+        self.most = most
+
+    def rows(self, state: CellState, dt: float) -> tuple[Array, Array, Array]:
+        return elbow(state), np.full(3, -self.most), np.full(3, self.most)
+
+
+class Speed:
+    """Keeps joint 2 of the master slower than a speed: (q′σ)² ≤ most²."""
+
+    name = "slow joint"
+
+    def __init__(self, most: float) -> None:
+        self.most = most
+
+    def lines(self, knot: Knot) -> tuple[Array, Array, Array]:
+        return knot.slope[1:2] ** 2, np.zeros(1), np.array([self.most**2])
+
+
+class Rows:
+    """Rows on the first joint that a test chooses."""
+
+    def __init__(self, lower: Any, upper: Any, rank: Rank = Rank.LIMITS) -> None:
+        self.name, self.rank, self.lower, self.upper = "rows", rank, lower, upper
+        self.broken: Any = None
+
+    def rows(self, state: CellState, dt: float) -> Any:
+        if isinstance(self.broken, Exception):
+            raise self.broken
+        if self.broken is not None:
+            return self.broken
+        G = np.zeros((len(self.lower), state.cell.nv))
+        G[:, 0] = 1.0
+        return G, np.array(self.lower), np.array(self.upper)
+
+
+def made(lift: Scenario, kernel: str, *constraints: Any, acceleration: float = np.inf, **options: Any) -> QPController:
+    cell = lift.cell.with_limits(acceleration=acceleration) if np.isfinite(acceleration) else lift.cell
+    controller = QPController(
+        cell, lift.grasp, lift.path, dt=0.002, options=QPOptions(kernel=kernel, **options), constraints=constraints
+    )
+    controller.reset(lift.q_start)
+    return controller
+
+
+def worth(controller: QPController, step: ControlStep) -> tuple[float, float]:
+    """How far the arms are apart [m], and the largest error of the object from its path [m, rad]."""
+    lift = controller
+    apart, _ = chain_error(tool_placements(lift.cell, [step.q_next])[0], lift.grasp)
+    O = lift.grasp.carried(CellState(lift.cell, step.q_next))[0]
+    return apart, float(np.abs(pin.log6(lift.path.pose(step.clock_next).actInv(O)).vector).max())
+
+
+@ACCELERATIONS
+def test_the_object_brakes_ahead_of_a_wall_and_stays_on_its_path(kernel: str, acceleration: float) -> None:
+    lift = paper_lift(duration=1.5)
+    top = lift.path.pose(0.0).translation[2] + 0.2
+    controller = made(lift, kernel, Box(lift.grasp, top), acceleration=acceleration)
+    for _ in range(900):
+        step = controller.step()
+        apart, off = worth(controller, step)
+        height = lift.grasp.carried(CellState(lift.cell, step.q_next))[0].translation[2]
+        assert height <= top + 1e-9
+        assert apart <= 1e-6
+        assert off <= 1e-6
+    assert step.status is Status.BLOCKED
+    assert height >= top - 1e-4
+    assert [(b.kind, b.name) for b in step.binding] == [(LimitKind.CONSTRAINT, "ceiling")]
+    assert "constraint ceiling" in step.explain()
+
+
+@ACCELERATIONS
+def test_a_slow_elbow_slows_the_object_on_its_path(kernel: str, acceleration: float) -> None:
+    lift = paper_lift(duration=1.5)
+    controller = made(lift, kernel, ElbowSpeed(0.03), acceleration=acceleration)
+    named, lowest = False, 1.0
+    for _ in range(3000):
+        step = controller.step()
+        assert np.abs(elbow(CellState(lift.cell, step.q)) @ step.velocity).max() <= 0.03 + 1e-8
+        apart, off = worth(controller, step)
+        assert apart <= 1e-6
+        assert off <= 1e-6
+        named = named or any(b.name == "elbow" for b in step.binding)
+        lowest = min(lowest, step.rate) if step.clock > 0.2 else lowest
+        if step.finished:
+            break
+    assert step.finished
+    assert named
+    assert lowest < 0.9
+
+
+def test_a_rate_bound_holds_along_the_whole_path(kernel: str) -> None:
+    lift = paper_lift(duration=1.5)
+    controller = made(lift, kernel, Speed(0.2), acceleration=5.0)
+    fastest, named = 0.0, False
+    for _ in range(4000):
+        step = controller.step()
+        fastest = max(fastest, abs(float(step.velocity[1])))
+        named = named or any(b.name == "slow joint" for b in step.binding)
+        if step.finished:
+            break
+    assert step.finished
+    assert named
+    assert 0.18 <= fastest <= 0.2 * 1.01  # linear between knots
+
+
+def test_rows_of_the_rank_clearance_give_way_before_the_arms_part(kernel: str) -> None:
+    lift = paper_lift(duration=1.5)
+    contradiction = Rows([-np.inf, 0.1], [-0.1, np.inf], Rank.CLEARANCE)
+    controller = made(lift, kernel, contradiction)
+    for _ in range(100):
+        step = controller.step()
+        assert step.given_up.chain == 0.0
+        assert step.status is not Status.HOLDING
+        assert worth(controller, step)[0] <= 1e-6
+    assert any(b.name == "rows" for b in step.binding)
+
+
+def test_rows_of_the_rank_limits_are_never_broken_by_more_than_rounding(kernel: str) -> None:
+    lift = paper_lift(duration=1.5)
+    controller = made(lift, kernel, Rows([-0.02], [0.02]), preview=None)
+    for _ in range(300):
+        assert abs(float(controller.step().velocity[0])) <= 0.02 + 1e-8
+
+
+@pytest.mark.parametrize("solver", ["ldp", "daqp"])
+@pytest.mark.parametrize("shortcut", [True, False])
+def test_rows_hold_with_any_solver_and_without_the_shortcut(kernel: str, solver: str, shortcut: bool) -> None:
+    lift = paper_lift(duration=1.5)
+    controller = made(lift, kernel, ElbowSpeed(0.03), solver=solver, shortcut=shortcut)
+    for _ in range(150):
+        step = controller.step()
+        assert np.abs(elbow(CellState(lift.cell, step.q)) @ step.velocity).max() <= 0.03 + 1e-7
+        assert worth(controller, step)[0] <= 1e-6
+
+
+@pytest.mark.parametrize(
+    "broken", [ValueError("no"), None, (1, 2, 3), (np.full((1, 18), np.nan), np.zeros(1), np.zeros(1)), "rows"]
+)
+def test_a_constraint_that_fails_holds_by_name_until_it_answers_again(kernel: str, broken: Any) -> None:
+    lift = paper_lift(duration=1.5)
+    constraint = Rows([-9.0], [9.0])
+    controller = made(lift, kernel, constraint, acceleration=10.0)
+    for _ in range(100):
+        controller.step()
+    constraint.broken = broken if broken is not None else (np.zeros((1, 3)), np.zeros(1), np.zeros(1))
+    held = [controller.step() for _ in range(60)]
+    assert all(step.status is Status.HOLDING and "rows" in step.reason for step in held)
+    assert np.abs(held[-1].velocity).max() <= 1e-5
+    assert worth(controller, held[-1])[0] <= 1e-6
+    constraint.broken = None
+    after = [controller.step() for _ in range(100)]
+    assert after[-1].status in (Status.SLOWED, Status.TRACKING)
+
+
+def test_what_is_no_constraint_is_refused_by_name(kernel: str) -> None:
+    lift = paper_lift(duration=1.5)
+    bad = Rows([-1.0], [1.0])
+    bad.rank = Rank.PATH
+    for item in (object(), bad):
+        with pytest.raises(InvalidInputError, match=r"constraints\[0\]"):
+            made(lift, kernel, item)
+    bad = Rows([1.0], [-1.0])
+    with pytest.raises(InvalidInputError, match="rows"):
+        made(lift, kernel, bad)
