@@ -117,5 +117,5 @@ def _inside_limits(arm: Arm, T_world_tool: pin.SE3, x: Array, q0: Array, cell: R
     raise UnreachableError(
         f"arm '{arm.name}' reaches its grasp only outside its limits: {kinematics.joints[j]} would be "
         f"{amount(-margins[0, j], slides=bool(kinematics.slides[j]))} outside (the least of {len(branches)} branches "
-        f"from {branches.seeds} seeds). Roll its tool, move its base or the object, or give limits=False."
+        f"from {branches.seeds} seeds). Roll its tool, or move its base or the object."
     )

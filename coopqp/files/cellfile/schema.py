@@ -223,7 +223,7 @@ class StartTable(Table):
     def _auto(cls, data: Any) -> Any:
         if isinstance(data, str):
             if data != "auto":
-                raise _problem(f'give a table or "auto", not "{data[:40]}"')
+                raise _problem('give a table or "auto"')
             return {}
         return data
 
