@@ -30,7 +30,7 @@ from coopqp.model.limits import BindingLimit, LimitKind
 from coopqp.model.state import CellState
 from coopqp.planning.preview import KnotRoom, LookAheadTrouble, PathPreview
 from coopqp.spatial import Array
-from coopqp.task.guarded import GuardedPath
+from coopqp.task.guarded import GuardedPath, is_known
 from coopqp.task.path import ObjectPath
 from coopqp.task.posture import Posture
 
@@ -226,7 +226,7 @@ class PlainLoop:
 
     def _pose_ahead(self, clock: float) -> pin.SE3 | None:
         """The path's pose at a clock, kept: most often it is the next step's reference."""
-        if self._ahead is None or self._ahead[0] != clock:
+        if self._ahead is None or self._ahead[0] != clock or not is_known(self.path):
             pose = self._guarded.pose(clock)
             self._ahead = None if pose is None else (clock, pose)
         return None if self._ahead is None else self._ahead[1]
