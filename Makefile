@@ -30,12 +30,12 @@ check: lint
 # Before every commit: all tests. Eight minutes on two cores.
 test: $(VENV)/.installed
 	@mkdir -p out
-	$(PYTEST) --reliability-json out/reliability.json
+	$(PYTEST) --reliability-json=out/reliability.json
 
 # The catalogue of docs/reliability.md with ten times the cases, random ones each time; hours.
 test-nightly: $(VENV)/.installed
 	@mkdir -p out
-	HYPOTHESIS_PROFILE=nightly $(PYTEST) tests/reliability --timeout 36000 --reliability-json out/reliability.json
+	HYPOTHESIS_PROFILE=nightly $(PYTEST) tests/reliability --timeout 36000 --reliability-json=out/reliability.json
 
 lint: $(VENV)/.installed
 	$(BIN)/ruff check .
