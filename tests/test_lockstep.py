@@ -630,8 +630,8 @@ IN_PYTHON: dict[str, dict[str, str]] = {
         "STRAIGHT_BACK": "_STRAIGHT_BACK",
     },
 }  # fmt: skip
-#: Constants that only the core has; the first is of its own test for singular arms.
-ONLY_IN_C = {"SMALLEST_PIVOT"}
+#: Constants of the core's own test for singular arms.
+ONLY_IN_C = {"SMALLEST_PIVOT", "LONG_LEVER"}
 
 
 def constants() -> Iterator[tuple[str, str, str]]:

@@ -13,7 +13,7 @@ from coopqp.control.forms import Answer, Pieces, StepProgram, StepTerms
 from coopqp.control.limits import LIMIT_TOLERANCE, VelocityBox, rate_interval
 from coopqp.control.options import QPOptions
 from coopqp.control.solvers import QpProblem, QpSolution, QpSolver, SolverStatus, default_solver, make_solver
-from coopqp.errors import InvalidInputError
+from coopqp.errors import InvalidInputError, said
 from coopqp.model.chain import Chain
 from coopqp.spatial import Array
 
@@ -30,22 +30,6 @@ _ZERO6 = np.zeros(6)
 _ZERO6.flags.writeable = False
 
 
-#: What a broken solver may raise; :class:`QpSolver` itself turns what its backend is known to raise into a status.
-_BROKEN = (
-    ArithmeticError,
-    AssertionError,
-    AttributeError,
-    BufferError,
-    LookupError,
-    MemoryError,
-    OSError,
-    RuntimeError,
-    SystemError,
-    TypeError,
-    ValueError,
-)
-
-
 def _ask(solver: QpSolver, problem: QpProblem) -> QpSolution:
     """Solve, whatever the solver does: what raises, or answers with anything but n finite numbers, has failed."""
     try:
@@ -55,8 +39,8 @@ def _ask(solver: QpSolver, problem: QpProblem) -> QpSolution:
         ):
             return solution
         message = "the answer is not as many finite numbers as there are unknowns"
-    except _BROKEN as error:
-        message = f"it raised {type(error).__name__}: {str(error)[:200]}"
+    except Exception as error:
+        message = f"it raised {said(error)}"
     nothing = np.full(problem.g.size, np.nan)
     return QpSolution(nothing, SolverStatus.FAILED, None, None, None, 0, 0.0, message)
 

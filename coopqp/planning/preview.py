@@ -211,7 +211,7 @@ class PathPreview:
         n = chain.nv
         self._step, self._slope, self._errors = np.zeros(n), np.zeros(n), np.zeros((chain.n_arms, 6))
         self._low, self._high = limits.lower, limits.upper
-        self._cell, self._bound, self._beyond = chain.cell, bound, ""
+        self._cell, self._bound = chain.cell, bound
         self.accelerates = bool(np.isfinite(limits.acceleration).any())
         plan = self._plan = PlanLimits.of(chain.cell, self.options, dt=dt)
         self._speed, self._acceleration = plan.speed, plan.acceleration
@@ -230,6 +230,7 @@ class PathPreview:
     def _forget(self) -> None:
         """Nothing is known of when the next knot will be needed, and none is begun."""
         self._free_until, self._begin_at = -np.inf, np.inf
+        self._beyond, self._beyond_at = "", np.inf  # a constraint that allows no rate, and the clock
         self._growing: Iterator[None] | None = None
         self._grown = 0  # Newton steps of the growth that is under way
         self._way.clear()
@@ -268,14 +269,14 @@ class PathPreview:
         """What a copy of this preview goes on from."""
         return (
             list(self._knots), list(self._bounds), self._complete, self.ends, self.blind, self._free_until,
-            self._begin_at, self._beyond, self._begun, list(self._breakpoints),
+            self._begin_at, self._beyond, self._beyond_at, self._begun, list(self._breakpoints),
             0 if self._growing is None else self._grown,
         )  # fmt: skip
 
     def restore(self, memory: Any) -> None:
         """Go on from what :meth:`memory` returned; growth that was under way is done again up to there."""
         knots, bounds, self._complete, self.ends, self.blind, self._free_until, self._begin_at, *rest = memory
-        self._beyond, self._begun, self._breakpoints, grown = rest
+        self._beyond, self._beyond_at, self._begun, self._breakpoints, grown = rest
         self._knots, self._bounds, self._growing = deque(knots), deque(bounds), None
         self._way.clear()
         begin_at = self._begin_at
@@ -463,7 +464,7 @@ class PathPreview:
         knot = yield from self._next(last)
         if self.blind:
             return
-        if knot is None and self._beyond:
+        if knot is None and self._half_way(last) < 2.0 * self.options.shortest:
             self._push(last._replace(cap=0.0, binding=BindingLimit("", "", LimitKind.CONSTRAINT, self._beyond)))
             return
         if knot is None:
@@ -494,11 +495,19 @@ class PathPreview:
         breakpoint_ = self._next_breakpoint(last.clock)
         if last.clock + h > breakpoint_ - 1e-9:
             h = breakpoint_ - last.clock
+        half_way = self._half_way(last)
+        if half_way < options.shortest:
+            return None
+        h = min(h, half_way)
         while True:
             knot = yield from self._try(last, h)
             h *= 0.5
             if knot is not None or h < options.shortest or self.blind:
                 return knot
+
+    def _half_way(self, last: _Knot) -> float:
+        """Half of what is left between a knot and where a constraint allows no rate [s]."""
+        return 0.5 * (self._beyond_at - last.clock)
 
     def _past(self, knot: _Knot) -> Generator[None, None, list[_Knot]]:
         """The knots from ``knot``, near a singularity, to where the joints slow down; none if there is no way."""
@@ -549,13 +558,12 @@ class PathPreview:
         return self._constrained(knot, last)
 
     def _constrained(self, knot: _Knot, last: _Knot) -> _Knot | None:
-        """A knot under the further constraints; None where it is beyond them."""
-        self._beyond = ""
+        """A knot under the further constraints; None where they allow no rate."""
         if self._bound is None:
             return knot
         room = self._bound(knot.clock, knot.q, knot.slope, knot.curvature)
-        if room.cap < 0.0:
-            self._beyond = room.name
+        if not room.cap > 0.0:
+            self._beyond, self._beyond_at = room.name, knot.clock
             return None
         if room.cap < knot.cap:
             knot = knot._replace(cap=room.cap, binding=BindingLimit("", "", LimitKind.CONSTRAINT, room.name))

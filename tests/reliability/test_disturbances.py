@@ -368,6 +368,39 @@ def test_an_arm_that_stalls(tasks: list[Scenario], catalogue: Any, noise: float)
     catalogue.row("B", f"{kind}: apart at the grasps", cases=cases, measured=worst, target=3.0, unit="mm")
 
 
+@pytest.mark.slow
+def test_an_arm_that_stalls_under_acceleration_limits(catalogue: Any, count: Any) -> None:
+    """The others part from it while it is not known (5 dt at speed v), and while they brake together (v T/2)."""
+    rng, worst, farthest, cases = np.random.default_rng(7), 0.0, 0.0, count(24)
+    for i in range(cases):
+        make = (paper_lift, dual_arm7, mixed_cell)[i % 3]
+        slow = make(time_law=TimeLaw.QUINTIC, duration=3.0)
+        task = make(time_law=TimeLaw.QUINTIC, duration=3.0 * peak_speed(slow.path) / float(rng.uniform(0.1, 0.6)))
+        cell = task.cell.with_limits(acceleration=float(rng.uniform(5.0, 20.0)))
+        task = replace(task, cell=cell)
+        first = round(float(rng.uniform(0.25, 0.6)) * task.path.duration / DT)  # command that is not executed
+        stall = Disturbances(stall={str(rng.choice(cell.arm_names)): first * DT})
+        run = drive(task, stall, readings=1, longest=first * DT + 1.0)
+        held = next(k for k, s in enumerate(run.steps) if s.status in (Status.HOLDING, Status.FAULT))
+        assert 0 < held - first <= 5
+        assert np.abs(run.steps[-1].velocity).max() < 1e-6
+        before = run.steps[held - 1]
+        to_stop = float((np.abs(before.velocity) / cell.limits.acceleration).max())
+        poses = [task.grasp.carried(s.state)[0] for s in run.steps[first : first + 2]]
+        points = [X.translation for X in task.grasp.T_object_tool]
+        speed = max(float(np.linalg.norm(poses[1].act(p) - poses[0].act(p))) for p in points) / DT
+        expected = 1e3 * speed * (0.5 * to_stop + 5.0 * DT)
+        worst, farthest = max(worst, run.grasps_mm / expected), max(farthest, run.grasps_mm)
+    catalogue.row(
+        "I5",
+        "an arm that stalls, 5 to 20 rad/s², 0.1 to 0.6 m/s: apart at the grasps, of v T/2 + 5 dt v",
+        cases=cases,
+        measured=worst,
+        target=1.05,
+        note=f"v: speed of the grasps, T: max |q̇|/a of the joints; {farthest:.0f} mm at most",
+    )
+
+
 def test_an_arm_that_stands_and_goes_on(tasks: list[Scenario], catalogue: Any, count: Any) -> None:
     """Measured where they are told to be from then on, the arms go on too; a fault, once they were far apart, stays."""
     rng, longest, faults, cases = np.random.default_rng(4), 0, 0, count(12)

@@ -132,14 +132,58 @@ static int arm_velocities(const double *JT, const double *scale, int n, const do
     return 1;
 }
 
+static void cross3(const double *a, const double *b, double *out) {
+    for (int i = 0; i < 3; i++) out[i] = a[(i + 1) % 3] * b[(i + 2) % 3] - a[(i + 2) % 3] * b[(i + 1) % 3];
+}
+
+/* From the Jacobian's point to the point nearest to the axes of the arm's turning joints: (Σ 1 − a aᵀ) way = Σ a × v.
+ * Returns whether it is far. */
+static int far_from_axes(const double *JT, int n, double *way) {
+    double S[3][3] = {{0}}, C[3][3], feet[3] = {0}, foot[3];
+    for (int j = 0; j < n; j++) {
+        const double *v = JT + 6 * j, *a = v + 3;
+        if (dot3(a, a) < 0.5) continue; /* it slides */
+        cross3(a, v, foot);
+        for (int i = 0; i < 3; i++) {
+            feet[i] += foot[i];
+            for (int m = 0; m < 3; m++) S[i][m] += (i == m) - a[i] * a[m];
+        }
+    }
+    for (int i = 0; i < 3; i++) cross3(S[(i + 1) % 3], S[(i + 2) % 3], C[i]); /* rows of the adjugate, S is symmetric */
+    const double det = dot3(S[0], C[0]);
+    if (!(det > 1e-9)) return 0;
+    for (int i = 0; i < 3; i++) way[i] = dot3(C[i], feet) / det;
+    return dot3(way, way) > LONG_LEVER * LONG_LEVER;
+}
+
+/* A twist at another point. */
+static void twist_at(const double *w, const double *way, double *out) {
+    cross3(w + 3, way, out);
+    for (int i = 0; i < 3; i++) out[i] += w[i], out[3 + i] = w[3 + i];
+}
+
+/* The same where the Jacobian's point is far from the arm: about a point of the arm, so that its lever does not count as
+ * a singularity. 0 where it is near. */
+static int far_velocities(const double *JT, const double *scale, int n, const double *w0, const double *w1,
+                          const double *u0, const double *u1, double *v0, double *v1) {
+    double way[3], near[6 * MOST_JOINTS], first[6], second[6];
+    if (!far_from_axes(JT, n, way)) return 0;
+    for (int j = 0; j < n; j++) twist_at(JT + 6 * j, way, near + 6 * j);
+    twist_at(w0, way, first);
+    twist_at(w1, way, second);
+    return arm_velocities(near, scale, n, first, second, u0, u1, v0, v1);
+}
+
 /* The same for all arms: w0 (6 arms) has a twist per arm, w1 (6) is common to all; u0 and u1 (joints) may be NULL. */
 static int two_velocities(const Core *c, const double *jacobian, const double *w0, const double *w1, const double *u0,
                           const double *u1, double *v0, double *v1) {
     static const double still[MOST_JOINTS];
     for (int k = 0; k < c->arms; k++) {
         const int n = (int)c->arm_size[k], j = (int)c->arm_start[k];
-        if (!arm_velocities(jacobian + 6 * j, c->scale + j, n, w0 + 6 * k, w1, u0 ? u0 + j : still, u1 ? u1 + j : still,
-                            v0 + j, v1 + j))
+        const double *JT = jacobian + 6 * j, *scale = c->scale + j, *own = w0 + 6 * k;
+        const double *wish0 = u0 ? u0 + j : still, *wish1 = u1 ? u1 + j : still;
+        if (!arm_velocities(JT, scale, n, own, w1, wish0, wish1, v0 + j, v1 + j) &&
+            !far_velocities(JT, scale, n, own, w1, wish0, wish1, v0 + j, v1 + j))
             return 0;
     }
     return 1;

@@ -182,7 +182,7 @@ class CompiledLoop:
         return False
 
     def _bound_knot(self, slot: int) -> bool:
-        """Lower the cap and the decrease of a new knot to what the constraints leave; False where it is beyond them.
+        """Lower the cap and the decrease of a new knot to what the constraints leave; False where they leave none.
 
         A constraint that cannot say leaves a cap that is no number.
         """
@@ -198,7 +198,7 @@ class CompiledLoop:
         except ConstraintTrouble as trouble:
             numbers[_KNOT["K_CAP"]] = math.nan
             return self._cannot_say(str(trouble))
-        if found.cap < 0.0:
+        if not found.cap > 0.0:
             numbers[_KNOT["K_JOINT"]] = found.which
             return False
         if found.cap < numbers[_KNOT["K_CAP"]]:

@@ -19,6 +19,7 @@ CONSTANTS: dict[str, float] = {
     # chain
     "LARGE_INVERSE": 1e4,  # entries of an inverse beyond this need a look at the singular values
     "SMALLEST_PIVOT": 1e-9,  # smallest pivot over the largest entry
+    "LONG_LEVER": 3.0,  # an arm further from the object's origin is inverted about a point of its own [m]
     "LONGEST_STEP": 0.5,  # Newton's step is shortened to this [rad or m]
     # rate
     "BRAKING_SHARE": 0.8,  # share of the accelerations that braking together is planned with
@@ -102,7 +103,7 @@ WATCH = (
 )  # fmt: skip
 AHEAD = (
     "HEAD", "COUNT", "BOUND_HEAD", "BOUND_COUNT", "COMPLETE", "ENDS", "FREE_UNTIL", "BEGIN_AT",
-    "GROWING", "TRY_SPAN", "ITERATION", "WAY", "BEYOND",
+    "GROWING", "TRY_SPAN", "ITERATION", "WAY", "BEYOND", "BEYOND_AT",
 )  # fmt: skip
 #: Numbers of a knot beside its vectors.
 KNOT = (

@@ -163,17 +163,19 @@ static int bound_by_limits(Core *c, int before, int i, double clock, double span
     return cap > 0.0 && isfinite(k[K_DECREASE]);
 }
 
-/* Put a knot under the further constraints; rejected if it is beyond one, whose number is then kept. */
+/* Put a knot under the further constraints; rejected if one allows no rate there: its number and the clock are kept. */
 static Trial constrain(Core *c, int made) {
     double *k = knot(c, made);
-    c->ahead[BEYOND] = 0.0;
-    if (c->bound_knot && !c->bound_knot(c, place_of(c, made))) {
-        if (isnan(k[K_CAP])) return CANNOT_SAY;
-        c->ahead[BEYOND] = 1.0 + k[K_JOINT];
-    }
-    if (!(k[K_CAP] > 0.0)) k[K_CAP] = 0.0;
-    if (!(k[K_DECREASE] > 0.0)) k[K_DECREASE] = 0.0;
-    return c->ahead[BEYOND] == 0.0 ? FOUND : REJECTED;
+    if (!c->bound_knot || c->bound_knot(c, place_of(c, made))) return FOUND;
+    if (isnan(k[K_CAP])) return CANNOT_SAY;
+    c->ahead[BEYOND] = 1.0 + k[K_JOINT];
+    c->ahead[BEYOND_AT] = k[K_CLOCK];
+    return REJECTED;
+}
+
+/* Half of what is left between a knot and where a constraint allows no rate, infinite where none is known. */
+static double half_way(const Core *c, const double *last) {
+    return c->ahead[BEYOND] > 0.0 ? 0.5 * (c->ahead[BEYOND_AT] - last[K_CLOCK]) : INFINITY;
 }
 
 /* One Newton step at knot `made`, `span` after knot `last`; rejected if the arms or their slopes do not follow. */
@@ -347,7 +349,7 @@ static void aim_ahead(Core *c) {
     double span = fmin(o[CELL], c->duration - last[K_CLOCK]);
     if (last[K_FASTEST] > 0.0) span = fmin(span, o[JOINT_STEP] / last[K_FASTEST]);
     if (last[K_CLOCK] + span > edge - 1e-9) span = edge - last[K_CLOCK];
-    c->ahead[TRY_SPAN] = span;
+    c->ahead[TRY_SPAN] = fmin(span, half_way(c, last));
     c->ahead[ITERATION] = 0.0;
     c->ahead[GROWING] = 1.0;
 }
@@ -355,7 +357,7 @@ static void aim_ahead(Core *c) {
 /* The chain cannot be followed past the last known knot, or past the singularity that the way leads to. */
 static void end_growth(Core *c) {
     const int count = count_ahead(c, COUNT), way = count_ahead(c, WAY) > 0, at = way ? count : count - 1;
-    if (!way && c->ahead[BEYOND] > 0.0)
+    if (!way && half_way(c, knot(c, at)) < 2.0 * c->options[SHORTEST])
         block_at(c, at, -1, (int)c->ahead[BEYOND] - 1, CONSTRAINT);
     else
         block_at(c, at, singular_arm(c, at), -1, way ? SINGULARITY : REACH);
@@ -420,6 +422,10 @@ static int work_ahead(Core *c) {
             return 1;
         }
         aim_ahead(c);
+    }
+    if (half_way(c, knot(c, made - 1)) < c->options[SHORTEST]) {
+        end_growth(c);
+        return 1;
     }
     switch (try_knot(c, made - 1, made, c->ahead[TRY_SPAN], (int)c->ahead[ITERATION])) {
     case PENDING: c->ahead[ITERATION] += 1.0; return 1;
