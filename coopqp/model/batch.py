@@ -101,6 +101,7 @@ class ArmKinematics:
         lower, upper: position limits (n,) [rad or m], ±inf without.
         bounded: True for joints with both limits (n,).
         middle: middle between the limits, 0 without (n,) [rad or m].
+        scale: unit of each joint, its largest speed [rad/s or m/s], 1 without (n,).
         turns: True for joints that tell whole turns apart: they revolve and are not continuous (n,).
 
     Raises:
@@ -129,7 +130,8 @@ class ArmKinematics:
         self.bounded = np.isfinite(self.lower) & np.isfinite(self.upper)
         self.middle = np.where(self.bounded, 0.5 * (self.lower.clip(-1e9) + self.upper.clip(None, 1e9)), 0.0)
         speed = arm.limits.velocity[self.columns]
-        weights = np.where(np.isfinite(speed), speed, 1.0) if len(chain) > 6 else np.ones(len(chain))
+        self.scale = np.where(np.isfinite(speed), speed, 1.0)
+        weights = self.scale if len(chain) > 6 else np.ones(len(chain))
         rows = np.column_stack([R.reshape(-1, 9), p, slides, weights / weights.max()])
         tool = np.concatenate([(aligned.T @ frame.placement.rotation).ravel(), aligned.T @ frame.placement.translation])
         self._numbers = np.concatenate([rows.ravel(), tool])

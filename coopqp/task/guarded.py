@@ -11,14 +11,15 @@ import pinocchio as pin
 from coopqp.checks import as_vector
 from coopqp.errors import InvalidInputError, said
 from coopqp.spatial import Array, as_placement
+from coopqp.task.geometry import TURN_LENGTH
 from coopqp.task.path import HoldPath, LinePath, ObjectPath, ServoPath, WaypointPath
 
 #: Entries this large make a pose invalid [m].
 FARTHEST = 1e9
 #: Entries this large make a twist invalid [m/s, rad/s].
 FASTEST = 1e9
-#: A path that moves faster jumps [m/s]; 1 rad counts as this many metres.
-FASTEST_PATH, TURN_LENGTH = 20.0, 0.3
+#: A path that moves faster jumps [m/s].
+FASTEST_PATH = 20.0
 #: Breakpoints that are asked for, at most.
 _MOST_BREAKPOINTS = 10_000
 #: Of a path without end, so much is asked before anything moves [s].

@@ -1,0 +1,256 @@
+"""Knots of all arms along a path: joint positions with exact first and second derivatives, before the motion.
+
+With the object's path given each arm follows its own tool's path, ``J(q) q′ = V(s)``, so
+
+    q′ = J⁺ V,   q″ = J⁺ (V′ − J′ q′)      (six joints: J⁺ = J⁻¹)
+
+with ``J′ = Σ_i q′_i ∂_i J``. The derivative of a serial arm's Jacobian is a Lie bracket of its columns: joint i turns
+all that comes after it, ``∂_i (v_j, ω_j) = (ω_i × v_j, ω_i × ω_j)`` for i ≤ j, and moves the tool's point under the
+joints before it, ``∂_i v_j = ω_j × v_i`` for i > j. Sums over i become running sums over the arm.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from coopqp.errors import UnreachableError
+from coopqp.model.batch import ArmKinematics
+from coopqp.model.cell import RobotCell
+from coopqp.model.grasp import Grasp
+from coopqp.spatial import Array
+from coopqp.task.geometry import PathGeometry
+
+#: A knot is reached within this [m, rad]; then Newton's method goes on to rounding.
+_REACHED, _EXACT = 1e-9, 1e-14
+#: Knots of the first look, before they are spread.
+_FIRST_LOOK = 80
+#: Share of the knots that is spread evenly over s, whatever the joints do.
+_EVEN = 0.3
+#: A batch solution this far from where it was expected is on another branch [rad or m].
+_FAR = 0.05
+#: Passes of a redundant arm's way, and the change that ends them [rad or m].
+_PASSES, _SETTLED = 60, 1e-11
+
+
+@dataclass(frozen=True, eq=False)
+class ArmKnots:
+    """One arm along a geometry.
+
+    Attributes:
+        q, slope, curvature: positions and derivatives with respect to s at each knot (K, n), in the order of the joints
+            of :class:`ArmKinematics`; continuous joints go on over whole turns.
+        reached: index of the last knot that is reached without passing a singularity; what follows has no meaning.
+    """
+
+    q: Array
+    slope: Array
+    curvature: Array
+    reached: int
+
+
+@dataclass(frozen=True, eq=False)
+class Knots:
+    """All arms along one smooth geometry.
+
+    Attributes:
+        s: the knots (K,) [m], increasing.
+        q: joint positions (K, nv) [rad or m].
+        slope, curvature: q′ and q″ with respect to s (K, nv).
+    """
+
+    s: Array
+    q: Array
+    slope: Array
+    curvature: Array
+
+
+def arm_knots(kinematics: ArmKinematics, grasp: Grasp, k: int, geometry: PathGeometry, s: Array, q0: Array) -> ArmKnots:
+    """Follow the tool of arm ``k`` along a smooth geometry from ``q0`` (n,), which need only be near its start.
+
+    A redundant arm moves as :class:`coopqp.model.chain.Chain` has it: least ``Σ (q′_j / v_j)²`` with the joints'
+    largest speeds v, and no posture.
+    """
+    T, V, dV = tool_motion(geometry, grasp, k, s)
+    first = kinematics.solve(T[:1], q0[None], tolerance=_EXACT, steps=20)
+    if not first.residual[0] <= _REACHED:
+        return ArmKnots(np.tile(q0, (len(s), 1)), np.zeros((len(s), len(q0))), np.zeros((len(s), len(q0))), -1)
+    walk = kinematics.walk(T, first.q, tolerance=_REACHED)
+    reached = int(walk.reached[0])
+    q = walk.q[0]
+    q[: reached + 1] = kinematics.solve(T[: reached + 1], q[: reached + 1], tolerance=_EXACT, steps=2).q
+    return _derived(kinematics, T, V, dV, s, q, reached)
+
+
+def spread_knots(
+    kinematics: ArmKinematics, grasp: Grasp, k: int, geometry: PathGeometry, s: Array, coarse_s: Array, coarse: ArmKnots
+) -> ArmKnots:
+    """The same at other knots, from knots that are known: all at once, without the walk."""
+    T, V, dV = tool_motion(geometry, grasp, k, s)
+    guess = hermite(coarse_s, coarse.q, coarse.slope, s)
+    found = kinematics.solve(T, guess, tolerance=_EXACT, steps=6)
+    if not found.residual.max() <= _REACHED or np.abs(found.q - guess).max() > _FAR:
+        return arm_knots(kinematics, grasp, k, geometry, s, coarse.q[0])
+    return _derived(kinematics, T, V, dV, s, found.q, len(s) - 1)
+
+
+def tool_motion(geometry: PathGeometry, grasp: Grasp, k: int, s: Array) -> tuple[Array, Array, Array]:
+    """T_world_tool (K, 4, 4), the twist of the tool's point per unit of s in world axes (K, 6), and its derivative."""
+    X = grasp.T_object_tool[k]
+    R, p = geometry.poses(s)
+    V, dV = geometry.twists(s)
+    r = R @ X.translation
+    T = np.zeros((len(s), 4, 4))
+    T[:, :3, :3], T[:, :3, 3], T[:, 3, 3] = R @ X.rotation, p + r, 1.0
+    omega, d_omega = V[:, 3:], dV[:, 3:]
+    whirl = np.cross(omega, r)
+    V, dV = V.copy(), dV.copy()
+    V[:, :3] += whirl
+    dV[:, :3] += np.cross(d_omega, r) + np.cross(omega, whirl)
+    return T, V, dV
+
+
+def jacobian_slopes(J: Array, q_slope: Array) -> Array:
+    """``J′ = Σ_i q′_i ∂_i J`` (K, 6, n) of serial arms, from J (K, 6, n) and q′ (K, n)."""
+    v, w = J[:, :3].transpose(0, 2, 1), J[:, 3:].transpose(0, 2, 1)  # (K, n, 3)
+    turned = np.cumsum(w * q_slope[:, :, None], axis=1)  # by the joints up to j
+    moved = v * q_slope[:, :, None]
+    beyond = moved[:, ::-1].cumsum(axis=1)[:, ::-1] - moved  # by the joints after j
+    out = np.empty_like(J)
+    out[:, :3] = (np.cross(turned, v) + np.cross(w, beyond)).transpose(0, 2, 1)
+    out[:, 3:] = np.cross(turned, w).transpose(0, 2, 1)
+    return out
+
+
+def derivatives(kinematics: ArmKinematics, q: Array, V: Array, dV: Array) -> tuple[Array, Array]:
+    """q′ and q″ (K, n) at joint positions q (K, n) for tool twists V and V′ (K, 6) per unit of s.
+
+    Six joints: ``J q″ = V′ − J′ q′``. More: ``q′ = W Jᵀ y`` with ``J W Jᵀ y = V`` and the squares W of the joints'
+    speeds, so ``q″ = W (J′ᵀ y + Jᵀ y′)`` with ``J W Jᵀ y′ = V′ − J′ q′ − J W J′ᵀ y``. Fewer: least squares.
+    """
+    J = kinematics.jacobians(q)
+    n = J.shape[2]
+    with np.errstate(all="ignore"):
+        if n == 6:
+            slope = _solve(J, V)
+            return slope, _solve(J, dV - _times(jacobian_slopes(J, slope), slope))
+        if n < 6:
+            inverse: Array = np.asarray(np.linalg.pinv(J), dtype=np.float64)
+            slope = _times(inverse, V)
+            return slope, _times(inverse, dV - _times(jacobian_slopes(J, slope), slope))
+        W = kinematics.scale**2
+        JW = J * W
+        G = JW @ J.transpose(0, 2, 1)
+        y = _solve(G, V)
+        slope = _times(JW.transpose(0, 2, 1), y)
+        dJ = jacobian_slopes(J, slope)
+        turn = W * _times(dJ.transpose(0, 2, 1), y)
+        dy = _solve(G, dV - _times(dJ, slope) - _times(J, turn))
+        return slope, turn + _times(JW.transpose(0, 2, 1), dy)
+
+
+def hermite(s: Array, q: Array, slope: Array, at: Array) -> Array:
+    """Cubic interpolation (M, n) of rows (K, n) with slopes at s (K,): a guess between knots, never a path."""
+    i = np.clip(np.searchsorted(s, at, side="right") - 1, 0, len(s) - 2)
+    h = (s[i + 1] - s[i])[:, None]
+    x = (at[:, None] - s[i][:, None]) / h
+    a, b = q[i], q[i + 1]
+    da, db = h * slope[i], h * slope[i + 1]
+    out: Array = a + x * (da + x * (3.0 * (b - a) - 2.0 * da - db + x * (da + db - 2.0 * (b - a))))
+    return out
+
+
+def follow(cell: RobotCell, grasp: Grasp, geometry: PathGeometry, x0: Array, *, count: int) -> Knots:
+    """Knots of all arms along one smooth geometry, from joint positions ``x0`` (nv,) near its start.
+
+    The knots are spread evenly over the joints' motion, not over time: of the arms the one counts that moves most, in
+    the unit of its speeds.
+
+    Args:
+        cell, grasp: the arms, and how they hold.
+        geometry: without corners.
+        x0: joint positions (nv,) [rad or m].
+        count: number of knots; ends of pieces are added.
+
+    Raises:
+        UnreachableError: an arm does not follow; the message names it, and where its way ends.
+    """
+    arms = [ArmKinematics(arm) for arm in cell.arms]
+    columns = [own.start + arm.columns for own, arm in zip(cell.v_slices, arms, strict=True)]
+    # The first look has knots where the pieces have them, too.
+    coarse_s = _merged(np.linspace(0.0, geometry.length, _FIRST_LOOK), geometry.marks)
+    coarse = []
+    for k, (arm, own) in enumerate(zip(arms, columns, strict=True)):
+        found = arm_knots(arm, grasp, k, geometry, coarse_s, x0[own])
+        if found.reached < len(coarse_s) - 1:
+            share = max(found.reached, 0) / (len(coarse_s) - 1)
+            where = "its start" if found.reached < 0 else f"{100.0 * share:.0f} % of its way"
+            raise UnreachableError(
+                f"arm '{cell.arm_names[k]}' follows the path only to {where}, where its reach ends or it is singular. "
+                "Start from another branch (coopqp.planning.find_start), or move the path or the arm's base."
+            )
+        coarse.append(found)
+    s = spread(coarse_s, coarse, [arm.scale for arm in arms], geometry.marks, count)
+    x = np.tile(x0, (len(s), 1))
+    slope, curvature = np.zeros_like(x), np.zeros_like(x)
+    for k, (arm, own) in enumerate(zip(arms, columns, strict=True)):
+        found = spread_knots(arm, grasp, k, geometry, s, coarse_s, coarse[k])
+        x[:, own], slope[:, own], curvature[:, own] = found.q, found.slope, found.curvature
+    return Knots(s, x, slope, curvature)
+
+
+def spread(s: Array, arms: list[ArmKnots], scales: list[Array], marks: Array, count: int) -> Array:
+    """``count`` knots spread over the joints' motion, with the marks among them."""
+    motion = np.max([np.abs(a.slope / v).max(axis=1) for a, v in zip(arms, scales, strict=True)], axis=0)
+    step = np.diff(s)
+    part = 0.5 * (motion[1:] + motion[:-1]) * step
+    done = np.concatenate([[0.0], np.cumsum((1.0 - _EVEN) * part / part.sum() + _EVEN * step / s[-1])])
+    return _merged(np.interp(np.linspace(0.0, 1.0, count), done / done[-1], s), marks)
+
+
+def _merged(s: Array, marks: Array) -> Array:
+    """s with the marks in it; knots that all but coincide with a mark give way."""
+    close = np.abs(s[:, None] - marks).min(axis=1) < 0.1 * np.diff(s).min()
+    return np.sort(np.concatenate([s[~close], marks]))
+
+
+def _derived(kinematics: ArmKinematics, T: Array, V: Array, dV: Array, s: Array, q: Array, reached: int) -> ArmKnots:
+    if kinematics.n > 6 and reached == len(s) - 1:
+        q = _least_motion(kinematics, T, V, dV, s, q)
+    slope, curvature = derivatives(kinematics, q, V, dV)
+    good = np.isfinite(slope).all(axis=1) & np.isfinite(curvature).all(axis=1)
+    if not good.all():
+        reached = min(reached, int(np.flatnonzero(~good)[0]) - 1)
+    return ArmKnots(q, slope, curvature, reached)
+
+
+def _least_motion(kinematics: ArmKinematics, T: Array, V: Array, dV: Array, s: Array, q: Array) -> Array:
+    """The way ``dq/ds = J⁺V`` of a redundant arm by Picard's iteration over all knots at once, led back to the poses.
+
+    ``∫ f = h (f_0 + f_1)/2 + h² (f_0′ − f_1′)/12`` between knots is exact to the fifth power of h.
+    """
+    h = np.diff(s)[:, None]
+    for _ in range(_PASSES):
+        f, df = derivatives(kinematics, q, V, dV)
+        way = np.cumsum(0.5 * h * (f[1:] + f[:-1]) + h * h / 12.0 * (df[:-1] - df[1:]), axis=0)
+        ahead = np.vstack([q[:1], q[0] + way])
+        ahead = kinematics.solve(T, ahead, tolerance=_EXACT, steps=6).q
+        if not np.isfinite(ahead).all():
+            return q
+        change, q = float(np.abs(ahead - q).max()), ahead
+        if change < _SETTLED:
+            break
+    return q
+
+
+def _solve(A: Array, b: Array) -> Array:
+    try:
+        return np.asarray(np.linalg.solve(A, b[:, :, None])[:, :, 0], dtype=np.float64)
+    except np.linalg.LinAlgError:
+        return np.full((len(A), A.shape[2]), np.nan)
+
+
+def _times(A: Array, b: Array) -> Array:
+    out: Array = (A @ b[:, :, None])[:, :, 0]
+    return out
