@@ -51,6 +51,7 @@ if TYPE_CHECKING:
         MissingSolverError,
         ModelError,
         NoStartError,
+        UndecidedError,
         UnknownNameError,
         UnreachableError,
     )
@@ -124,6 +125,7 @@ else:
                 "MissingSolverError",
                 "ModelError",
                 "NoStartError",
+                "UndecidedError",
                 "UnknownNameError",
                 "UnreachableError",
             ),
@@ -286,6 +288,7 @@ __all__ = [
     "SupervisionOptions",
     "TimeLaw",
     "Tolerances",
+    "UndecidedError",
     "UnknownNameError",
     "UnreachableError",
     "VelocityConstraint",

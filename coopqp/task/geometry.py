@@ -18,7 +18,8 @@ from typing import final
 import numpy as np
 import pinocchio as pin
 
-from coopqp.spatial import Array, cross, skew
+from coopqp.errors import InvalidInputError
+from coopqp.spatial import Array, as_placement, cross, skew
 
 #: A turn of 1 rad counts as this many metres.
 TURN_LENGTH = 0.3
@@ -40,6 +41,10 @@ class Piece(abc.ABC):
     @abc.abstractmethod
     def twists(self, s: Array) -> tuple[Array, Array]:
         """Twists (K, 6) per unit of s, and their derivatives (K, 6)."""
+
+    @abc.abstractmethod
+    def numbers(self) -> Array:
+        """The piece as numbers, from which :func:`piece_of` makes it again, bit for bit."""
 
 
 def motion_length(displacement: Array, angle: float) -> float:
@@ -85,6 +90,10 @@ class Straight(Piece):
         """See :class:`Piece`. The axis is fixed in the world, too: the twist is constant."""
         V = np.concatenate([self.way, self.R @ self.turn]) / self.length
         return np.tile(V, (len(s), 1)), np.zeros((len(s), 6))
+
+    def numbers(self) -> Array:
+        """R row by row, p, turn, way, length: 19 numbers."""
+        return np.concatenate([self.R.ravel(), self.p, self.turn, self.way, [self.length]])
 
     def part(self, start: float, end: float) -> Straight:
         """The piece from ``start`` to ``end`` [m]."""
@@ -147,6 +156,28 @@ class Blend(Piece):
         bend = cross(np.tile(w0, (len(s), 1)), w1)
         dV = np.hstack([ddb * (e1 - e0), (ddb * (w1 - w0) + da * db * bend) @ self.R.T]) / (half * half)
         return V, dV
+
+    def numbers(self) -> Array:
+        """R row by row, p, both turns, both ways, length: 25 numbers."""
+        return np.concatenate([self.R.ravel(), self.p, self.turns.ravel(), self.ways.ravel(), [self.length]])
+
+
+def piece_of(numbers: Array) -> Straight | Blend:
+    """The piece whose :meth:`Piece.numbers` are given.
+
+    Raises:
+        InvalidInputError: they are not those of a piece.
+    """
+    where = "piece of a geometry"
+    x = np.asarray(numbers, dtype=float)
+    if x.shape not in ((19,), (25,)) or not np.isfinite(x).all() or not x[-1] > 0.0:
+        raise InvalidInputError("not 19 or 25 finite numbers with a length > 0", where, "Give those of numbers().")
+    T = np.eye(4)
+    T[:3, :3], T[:3, 3] = x[:9].reshape(3, 3), x[9:12]
+    as_placement(T, where)
+    if x.size == 19:
+        return Straight(x[:9].reshape(3, 3), x[9:12], x[12:15], x[15:18], float(x[-1]))
+    return Blend(x[:9].reshape(3, 3), x[9:12], x[12:18].reshape(2, 3), x[18:24].reshape(2, 3), float(x[-1]))
 
 
 @final

@@ -13,6 +13,7 @@ from coopqp.errors import InvalidInputError, said
 from coopqp.spatial import Array, as_placement
 from coopqp.task.geometry import TURN_LENGTH
 from coopqp.task.path import HoldPath, LinePath, ObjectPath, ServoPath, WaypointPath
+from coopqp.task.timed import TimedPath
 
 #: Entries this large make a pose invalid [m].
 FARTHEST = 1e9
@@ -32,7 +33,7 @@ _TWIST_SHARE, _TWIST_TOLERANCE = 0.1, 1e-3
 
 def is_known(path: ObjectPath) -> bool:
     """Whether the path is one of the library's own, which neither raise nor return nonsense."""
-    return type(path) in (LinePath, WaypointPath, HoldPath, ServoPath)
+    return type(path) in (LinePath, WaypointPath, HoldPath, ServoPath, TimedPath)
 
 
 def _distance(a: pin.SE3, b: pin.SE3) -> float:

@@ -72,6 +72,9 @@ class ObjectPath(abc.ABC):
 
     duration: float  #: [s]
     known_ahead: bool = True  #: True if poses ahead of the clock are known (the preview needs them)
+    #: Share of the joints' limits that the path was planned with; None if it was not planned. A controller lets a
+    #: planned path use that share, and moves redundant arms by least motion, as they were planned, without posture.
+    planned_share: float | None = None
 
     @abc.abstractmethod
     def pose(self, clock: float) -> pin.SE3:
