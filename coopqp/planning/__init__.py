@@ -5,6 +5,7 @@ Import names for users from here.
 
 from coopqp.planning.arm_starts import BranchAlongPath
 from coopqp.planning.payload import Payload
+from coopqp.planning.plan import Plan, plan
 from coopqp.planning.starts import ArmStart, Start, find_start
 from coopqp.planning.timing import time_path
 from coopqp.task.geometry import PathGeometry
@@ -15,9 +16,11 @@ __all__ = [
     "BranchAlongPath",
     "PathGeometry",
     "Payload",
+    "Plan",
     "SpeedProfile",
     "Start",
     "TimedPath",
     "find_start",
+    "plan",
     "time_path",
 ]
