@@ -8,7 +8,7 @@ import pytest
 
 from coopqp import HoldPath, LinePath, Scenario, WaypointPath
 from coopqp.model.batch import ArmKinematics
-from coopqp.planning.knots import arm_knots, follow
+from coopqp.planning.knots import Motion, arm_knots, follow
 from coopqp.scenarios import dual_arm7, mixed_cell, paper_lift
 from coopqp.task.geometry import PathGeometry, blended
 
@@ -109,7 +109,7 @@ def test_derivatives_of_the_joints_are_exact(build: object) -> None:
     for k, arm in enumerate(cell.arms):
         kinematics = ArmKinematics(arm)
         own = cell.v_slices[k].start + kinematics.columns
-        found = arm_knots(kinematics, grasp, k, geometry, fine, x0[own])
+        found = arm_knots(kinematics, grasp.T_object_tool[k], Motion.of(geometry, fine), x0[own])
         assert found.reached == len(fine) - 1
         q, slope, curvature = (x[here][:, own] for x in (knots.q, knots.slope, knots.curvature))
         np.testing.assert_allclose(found.q[at], q, atol=1e-8)

@@ -50,7 +50,7 @@ def profile_figure(path: TimedPath) -> Figure:
             kinds.add(limit.kind)
         colour = _OTHERS if limit is None else colours.get((limit.arm, limit.joint), _OTHERS)
         hatch = "" if limit is None else _HATCHES.get(limit.kind, "")
-        axes.fill_between(clocks[part], speeds[part], color=colour, hatch=hatch, edgecolor="white", linewidth=0.2)
+        axes.fill_between(clocks[part], speeds[part], facecolor=colour, hatch=hatch, edgecolor="white", linewidth=0.2)
         begin = i
     axes.plot(clocks, speeds, color=_INK, linewidth=1.2)
     axes.set_xlim(0.0, path.duration)

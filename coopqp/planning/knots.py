@@ -14,6 +14,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import pinocchio as pin
 
 from coopqp.errors import UnreachableError
 from coopqp.model.batch import ArmKinematics
@@ -66,60 +67,74 @@ class Knots:
     curvature: Array
 
 
-def arm_knots(kinematics: ArmKinematics, grasp: Grasp, k: int, geometry: PathGeometry, s: Array, q0: Array) -> ArmKnots:
-    """Follow the tool of arm ``k`` along a smooth geometry from ``q0`` (n,), which need only be near its start.
+@dataclass(frozen=True, eq=False)
+class Motion:
+    """The object along a geometry: s (K,), rotations (K, 3, 3), origins (K, 3), twists and their derivatives (K, 6)."""
+
+    s: Array
+    R: Array
+    p: Array
+    V: Array
+    slope: Array
+
+    @staticmethod
+    def of(geometry: PathGeometry, s: Array) -> Motion:
+        """At s (K,) [m]."""
+        return Motion(s, *geometry.poses(s), *geometry.twists(s))
+
+    def tool(self, X: pin.SE3) -> tuple[Array, Array, Array]:
+        """T_world_tool (K, 4, 4) with T_object_tool ``X``; the twist of the tool's point in world axes and its slope.
+
+        With r from the object's origin to the tool: ``v + ω × r``, and ``v′ + ω′ × r + ω × (ω × r)``.
+        """
+        r = self.R @ X.translation
+        T = np.zeros((len(self.s), 4, 4))
+        T[:, :3, :3], T[:, :3, 3], T[:, 3, 3] = self.R @ X.rotation, self.p + r, 1.0
+        V, dV = self.V.copy(), self.slope.copy()
+        whirl = _cross(V[:, 3:], r)
+        V[:, :3] += whirl
+        dV[:, :3] += _cross(dV[:, 3:], r) + _cross(V[:, 3:], whirl)
+        return T, V, dV
+
+
+def arm_knots(kinematics: ArmKinematics, T_object_tool: pin.SE3, motion: Motion, q0: Array) -> ArmKnots:
+    """Follow an arm's tool along a motion without corners, from ``q0`` (n,), which need only be near its start.
 
     A redundant arm moves as :class:`coopqp.model.chain.Chain` has it: least ``Σ (q′_j / v_j)²`` with the joints'
     largest speeds v, and no posture.
     """
-    T, V, dV = tool_motion(geometry, grasp, k, s)
-    first = kinematics.solve(T[:1], q0[None], tolerance=_EXACT, steps=20)
-    if not first.residual[0] <= _REACHED:
-        return ArmKnots(np.tile(q0, (len(s), 1)), np.zeros((len(s), len(q0))), np.zeros((len(s), len(q0))), -1)
-    walk = kinematics.walk(T, first.q, tolerance=_REACHED)
-    reached = int(walk.reached[0])
-    q = walk.q[0]
-    q[: reached + 1] = kinematics.solve(T[: reached + 1], q[: reached + 1], tolerance=_EXACT, steps=2).q
-    return _derived(kinematics, T, V, dV, s, q, reached)
+    T, V, dV = motion.tool(T_object_tool)
+    first, residual = kinematics.newton(T[:1], q0[None], tolerance=_EXACT, steps=20)
+    if not residual[0] <= _REACHED:
+        nothing = np.zeros((len(T), len(q0)))
+        return ArmKnots(nothing + q0, nothing, nothing, -1)
+    ways, last = kinematics.ways(T, first, tolerance=_REACHED)
+    q, reached = ways[0], int(last[0])
+    q[: reached + 1] = kinematics.newton(T[: reached + 1], q[: reached + 1], tolerance=_EXACT, steps=2)[0]
+    return _derived(kinematics, T, V, dV, motion.s, q, reached)
 
 
 def spread_knots(
-    kinematics: ArmKinematics, grasp: Grasp, k: int, geometry: PathGeometry, s: Array, coarse_s: Array, coarse: ArmKnots
+    kinematics: ArmKinematics, T_object_tool: pin.SE3, motion: Motion, coarse_s: Array, coarse: ArmKnots
 ) -> ArmKnots:
     """The same at other knots, from knots that are known: all at once, without the walk."""
-    T, V, dV = tool_motion(geometry, grasp, k, s)
-    guess = hermite(coarse_s, coarse.q, coarse.slope, s)
-    found = kinematics.solve(T, guess, tolerance=_EXACT, steps=6)
-    if not found.residual.max() <= _REACHED or np.abs(found.q - guess).max() > _FAR:
-        return arm_knots(kinematics, grasp, k, geometry, s, coarse.q[0])
-    return _derived(kinematics, T, V, dV, s, found.q, len(s) - 1)
+    T, V, dV = motion.tool(T_object_tool)
+    guess = hermite(coarse_s, coarse.q, coarse.slope, motion.s)
+    q, residual = kinematics.newton(T, guess, tolerance=_EXACT, steps=6)
+    if not residual.max() <= _REACHED or np.abs(q - guess).max() > _FAR:
+        return arm_knots(kinematics, T_object_tool, motion, coarse.q[0])
+    return _derived(kinematics, T, V, dV, motion.s, q, len(T) - 1)
 
 
-def tool_motion(geometry: PathGeometry, grasp: Grasp, k: int, s: Array) -> tuple[Array, Array, Array]:
-    """T_world_tool (K, 4, 4), the twist of the tool's point per unit of s in world axes (K, 6), and its derivative."""
-    X = grasp.T_object_tool[k]
-    R, p = geometry.poses(s)
-    V, dV = geometry.twists(s)
-    r = R @ X.translation
-    T = np.zeros((len(s), 4, 4))
-    T[:, :3, :3], T[:, :3, 3], T[:, 3, 3] = R @ X.rotation, p + r, 1.0
-    omega, d_omega = V[:, 3:], dV[:, 3:]
-    whirl = np.cross(omega, r)
-    V, dV = V.copy(), dV.copy()
-    V[:, :3] += whirl
-    dV[:, :3] += np.cross(d_omega, r) + np.cross(omega, whirl)
-    return T, V, dV
-
-
-def jacobian_slopes(J: Array, q_slope: Array) -> Array:
-    """``J′ = Σ_i q′_i ∂_i J`` (K, 6, n) of serial arms, from J (K, 6, n) and q′ (K, n)."""
-    v, w = J[:, :3].transpose(0, 2, 1), J[:, 3:].transpose(0, 2, 1)  # (K, n, 3)
-    turned = np.cumsum(w * q_slope[:, :, None], axis=1)  # by the joints up to j
-    moved = v * q_slope[:, :, None]
-    beyond = moved[:, ::-1].cumsum(axis=1)[:, ::-1] - moved  # by the joints after j
+def jacobian_slopes(J: Array, slope: Array) -> Array:
+    """``J′ = Σ_i q′_i ∂_i J`` of serial arms, transposed (K, n, 6), from Jᵀ (K, n, 6) and q′ (K, n)."""
+    v, w = J[:, :, :3], J[:, :, 3:]
+    moved = J * slope[:, :, None]
+    turned = moved[:, :, 3:].cumsum(axis=1)  # by the joints up to j
+    beyond = moved[:, ::-1, :3].cumsum(axis=1)[:, ::-1] - moved[:, :, :3]  # by the joints after j
     out = np.empty_like(J)
-    out[:, :3] = (np.cross(turned, v) + np.cross(w, beyond)).transpose(0, 2, 1)
-    out[:, 3:] = np.cross(turned, w).transpose(0, 2, 1)
+    out[:, :, :3] = _cross(turned, v) + _cross(w, beyond)
+    out[:, :, 3:] = _cross(turned, w)
     return out
 
 
@@ -129,25 +144,22 @@ def derivatives(kinematics: ArmKinematics, q: Array, V: Array, dV: Array) -> tup
     Six joints: ``J q″ = V′ − J′ q′``. More: ``q′ = W Jᵀ y`` with ``J W Jᵀ y = V`` and the squares W of the joints'
     speeds, so ``q″ = W (J′ᵀ y + Jᵀ y′)`` with ``J W Jᵀ y′ = V′ − J′ q′ − J W J′ᵀ y``. Fewer: least squares.
     """
-    J = kinematics.jacobians(q)
-    n = J.shape[2]
+    J = kinematics.jacobians(q).transpose(0, 2, 1)  # Jᵀ (K, n, 6), as it lies in memory
+    n = J.shape[1]
     with np.errstate(all="ignore"):
-        if n == 6:
-            slope = _solve(J, V)
-            return slope, _solve(J, dV - _times(jacobian_slopes(J, slope), slope))
-        if n < 6:
-            inverse: Array = np.asarray(np.linalg.pinv(J), dtype=np.float64)
-            slope = _times(inverse, V)
-            return slope, _times(inverse, dV - _times(jacobian_slopes(J, slope), slope))
+        if n <= 6:
+            inverse = _inverse(J) if n == 6 else np.asarray(np.linalg.pinv(J), dtype=np.float64)
+            slope = _rows(V, inverse)
+            return slope, _rows(dV - _rows(slope, jacobian_slopes(J, slope)), inverse)
         W = kinematics.scale**2
-        JW = J * W
-        G = JW @ J.transpose(0, 2, 1)
-        y = _solve(G, V)
-        slope = _times(JW.transpose(0, 2, 1), y)
+        JW = J * W[:, None]
+        gram = _inverse(J.transpose(0, 2, 1) @ JW)
+        y = _rows(V, gram)
+        slope = _times(JW, y)
         dJ = jacobian_slopes(J, slope)
-        turn = W * _times(dJ.transpose(0, 2, 1), y)
-        dy = _solve(G, dV - _times(dJ, slope) - _times(J, turn))
-        return slope, turn + _times(JW.transpose(0, 2, 1), dy)
+        turn = W * _times(dJ, y)
+        dy = _rows(dV - _rows(slope, dJ) - _rows(turn, J), gram)
+        return slope, turn + _times(JW, dy)
 
 
 def hermite(s: Array, q: Array, slope: Array, at: Array) -> Array:
@@ -178,26 +190,25 @@ def follow(cell: RobotCell, grasp: Grasp, geometry: PathGeometry, x0: Array, *, 
     """
     arms = [ArmKinematics(arm) for arm in cell.arms]
     columns = [own.start + arm.columns for own, arm in zip(cell.v_slices, arms, strict=True)]
-    # The first look has knots where the pieces have them, too.
-    coarse_s = _merged(np.linspace(0.0, geometry.length, _FIRST_LOOK), geometry.marks)
+    first = Motion.of(geometry, _merged(np.linspace(0.0, geometry.length, _FIRST_LOOK), geometry.marks))
     coarse = []
-    for k, (arm, own) in enumerate(zip(arms, columns, strict=True)):
-        found = arm_knots(arm, grasp, k, geometry, coarse_s, x0[own])
-        if found.reached < len(coarse_s) - 1:
-            share = max(found.reached, 0) / (len(coarse_s) - 1)
+    for name, arm, X, own in zip(cell.arm_names, arms, grasp.T_object_tool, columns, strict=True):
+        found = arm_knots(arm, X, first, x0[own])
+        if found.reached < len(first.s) - 1:
+            share = first.s[max(found.reached, 0)] / geometry.length
             where = "its start" if found.reached < 0 else f"{100.0 * share:.0f} % of its way"
             raise UnreachableError(
-                f"arm '{cell.arm_names[k]}' follows the path only to {where}, where its reach ends or it is singular. "
+                f"arm '{name}' follows the path only to {where}, where its reach ends or it is singular. "
                 "Start from another branch (coopqp.planning.find_start), or move the path or the arm's base."
             )
         coarse.append(found)
-    s = spread(coarse_s, coarse, [arm.scale for arm in arms], geometry.marks, count)
-    x = np.tile(x0, (len(s), 1))
+    motion = Motion.of(geometry, spread(first.s, coarse, [arm.scale for arm in arms], geometry.marks, count))
+    x = np.tile(x0, (len(motion.s), 1))
     slope, curvature = np.zeros_like(x), np.zeros_like(x)
-    for k, (arm, own) in enumerate(zip(arms, columns, strict=True)):
-        found = spread_knots(arm, grasp, k, geometry, s, coarse_s, coarse[k])
+    for arm, X, own, known in zip(arms, grasp.T_object_tool, columns, coarse, strict=True):
+        found = spread_knots(arm, X, motion, first.s, known)
         x[:, own], slope[:, own], curvature[:, own] = found.q, found.slope, found.curvature
-    return Knots(s, x, slope, curvature)
+    return Knots(motion.s, x, slope, curvature)
 
 
 def spread(s: Array, arms: list[ArmKnots], scales: list[Array], marks: Array, count: int) -> Array:
@@ -235,7 +246,7 @@ def _least_motion(kinematics: ArmKinematics, T: Array, V: Array, dV: Array, s: A
         f, df = derivatives(kinematics, q, V, dV)
         way = np.cumsum(0.5 * h * (f[1:] + f[:-1]) + h * h / 12.0 * (df[:-1] - df[1:]), axis=0)
         ahead = np.vstack([q[:1], q[0] + way])
-        ahead = kinematics.solve(T, ahead, tolerance=_EXACT, steps=6).q
+        ahead = kinematics.newton(T, ahead, tolerance=_EXACT, steps=6)[0]
         if not np.isfinite(ahead).all():
             return q
         change, q = float(np.abs(ahead - q).max()), ahead
@@ -244,13 +255,27 @@ def _least_motion(kinematics: ArmKinematics, T: Array, V: Array, dV: Array, s: A
     return q
 
 
-def _solve(A: Array, b: Array) -> Array:
+def _inverse(A: Array) -> Array:
     try:
-        return np.asarray(np.linalg.solve(A, b[:, :, None])[:, :, 0], dtype=np.float64)
+        return np.asarray(np.linalg.inv(A), dtype=np.float64)
     except np.linalg.LinAlgError:
-        return np.full((len(A), A.shape[2]), np.nan)
+        return np.full(A.shape, np.nan)
 
 
 def _times(A: Array, b: Array) -> Array:
     out: Array = (A @ b[:, :, None])[:, :, 0]
+    return out
+
+
+def _rows(b: Array, A: Array) -> Array:
+    """``bᵀ A`` for rows b (K, m) and matrices (K, m, n)."""
+    out: Array = (b[:, None, :] @ A)[:, 0, :]
+    return out
+
+
+def _cross(a: Array, b: Array) -> Array:
+    """Cross products along the last axis, several times faster than :func:`numpy.cross`."""
+    out: Array = np.empty(np.broadcast_shapes(a.shape, b.shape))
+    for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
+        np.subtract(a[..., j] * b[..., k], a[..., k] * b[..., j], out=out[..., i])
     return out
