@@ -36,7 +36,7 @@ def add_plan(commands: Any) -> None:
     parser.add_argument("cell", type=Path, metavar="CELL", help="the cell file, TOML or YAML")
     parser.add_argument("--out", type=Path, metavar="DIR", required=True, help="folder of plan.toml and speed.png")
     parser.add_argument("--force", action="store_true", help="overwrite an earlier plan in the folder")
-    parser.add_argument("--share", type=float, default=None, metavar="S", help="share of the limits to use (0.99)")
+    parser.add_argument("--share", type=float, default=None, metavar="S", help="share of the limits to use (0.98)")
     parser.add_argument(
         "--blend-mm", type=float, default=0.0, metavar="MM", help="round corners off within this distance (0: rest)"
     )

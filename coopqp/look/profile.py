@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from coopqp.look.plots import require_matplotlib
+from coopqp.look.plots import require_matplotlib, save_figure
 from coopqp.model.limits import LimitKind
 from coopqp.task.timed import TimedPath
 
@@ -15,8 +16,10 @@ if TYPE_CHECKING:
 
 #: Colours of the joints that bind longest (Okabe and Ito); the others are grey.
 _COLOURS = ("#0072b2", "#e69f00", "#009e73", "#d55e00", "#cc79a7", "#56b4e9", "#f0e442", "#7f5539")
+_LEAST_SHARE = 0.01  # of the duration; joints that bind for less are among the others
 _OTHERS, _INK = "#b8bcc4", "#222222"
-_HATCHES = {LimitKind.VELOCITY: "", LimitKind.ACCELERATION: "////", LimitKind.TORQUE: "xxxx", LimitKind.JERK: "...."}
+#: Hatches of the kinds of limits, from the one that binds longest on.
+_HATCHES = ("", "////", "xxxx", "....")
 
 
 def profile_figure(path: TimedPath) -> Figure:
@@ -33,23 +36,24 @@ def profile_figure(path: TimedPath) -> Figure:
     clocks, speeds = profile.clocks, np.sqrt(profile.squares)
     spans = np.diff(clocks)
     times: dict[tuple[str, str], float] = {}
+    kinds: dict[LimitKind, float] = {}
     for limit, span in zip(profile.binding, spans.tolist(), strict=True):
         if limit is not None:
             times[limit.arm, limit.joint] = times.get((limit.arm, limit.joint), 0.0) + span
+            kinds[limit.kind] = kinds.get(limit.kind, 0.0) + span
+    hatches = dict(zip(sorted(kinds, key=lambda kind: -kinds[kind]), _HATCHES, strict=False))
     ranked = sorted(times, key=lambda joint: -times[joint])
-    colours = dict(zip(ranked, _COLOURS, strict=False))
+    long = [joint for joint in ranked if times[joint] >= _LEAST_SHARE * path.duration]
+    colours = dict(zip(long, _COLOURS, strict=False))
     figure = Figure(figsize=(8.0, 4.2), layout="constrained")
     axes = figure.subplots()
-    kinds: set[LimitKind] = set()
     begin = 0
     for i in range(1, len(spans) + 1):
         if i < len(spans) and profile.binding[i] == profile.binding[begin]:
             continue
         limit, part = profile.binding[begin], slice(begin, i + 1)
-        if limit is not None:
-            kinds.add(limit.kind)
         colour = _OTHERS if limit is None else colours.get((limit.arm, limit.joint), _OTHERS)
-        hatch = "" if limit is None else _HATCHES.get(limit.kind, "")
+        hatch = "" if limit is None else hatches[limit.kind]
         axes.fill_between(clocks[part], speeds[part], facecolor=colour, hatch=hatch, edgecolor="white", linewidth=0.2)
         begin = i
     axes.plot(clocks, speeds, color=_INK, linewidth=1.2)
@@ -63,13 +67,24 @@ def profile_figure(path: TimedPath) -> Figure:
     ]
     rest = sum(times[joint] for joint in ranked[len(colours) :])
     if rest > 0.0:
-        handles.append(Patch(facecolor=_OTHERS, label=f"{len(ranked) - len(colours)} other joints ({rest:.2f} s)"))
+        count = len(ranked) - len(colours)
+        handles.append(Patch(facecolor=_OTHERS, label=f"{count} other joint{'s' * (count > 1)} ({rest:.2f} s)"))
     handles += [
-        Patch(facecolor="white", edgecolor=_INK, hatch=_HATCHES.get(kind, ""), label=f"by its {kind.value} limit")
-        for kind in LimitKind
-        if kind in kinds
+        Patch(facecolor="white", edgecolor=_INK, hatch=hatch, label=f"by its {kind.value} limit")
+        for kind, hatch in hatches.items()
     ]
     axes.legend(handles=handles, loc="upper left", bbox_to_anchor=(1.01, 1.0), frameon=False, fontsize=9)
     for side in ("top", "right"):
         axes.spines[side].set_visible(False)
     return figure
+
+
+def write_speed_profile(path: TimedPath, file: str | Path, *, dpi: int = 200) -> Path:
+    """Draw :func:`profile_figure` into a ``.png``, ``.pdf`` or ``.svg`` file.
+
+    Raises:
+        InvalidInputError: another kind of file.
+        OutputError: it cannot be written.
+        MissingExtraError: matplotlib is missing.
+    """
+    return save_figure(profile_figure(path), file, dpi=dpi)

@@ -9,7 +9,7 @@ from coopqp.planning.plan import Plan, plan
 from coopqp.planning.starts import ArmStart, Start, find_start
 from coopqp.planning.timing import time_path
 from coopqp.task.geometry import PathGeometry
-from coopqp.task.timed import SpeedProfile, TimedPath
+from coopqp.task.timed import SpeedProfile
 
 __all__ = [
     "ArmStart",
@@ -19,7 +19,6 @@ __all__ = [
     "Plan",
     "SpeedProfile",
     "Start",
-    "TimedPath",
     "find_start",
     "plan",
     "time_path",

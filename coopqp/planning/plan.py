@@ -21,6 +21,9 @@ from coopqp.task.geometry import TURN_LENGTH, PathGeometry, Straight, blended
 from coopqp.task.path import LinePath, ObjectPath
 from coopqp.task.timed import SpeedProfile, TimedPath
 
+#: Limits that bind for less than this share of the duration are not told.
+_WORTH_SAYING = 0.01
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Plan:
@@ -48,13 +51,12 @@ class Plan:
         return dict(sorted(times.items(), key=lambda item: -item[1]))
 
     def explain(self) -> str:
-        """The duration, and what binds for how long, a line each."""
+        """The duration, and what binds for how long, a line each; limits that bind for less than 1 % are left out."""
         total = self.path.duration
         lines = [f"{total:.3f} s from rest to rest"]
-        lines += [
-            f"{name} binds for {span:.3f} s ({100.0 * span / total:.0f} %)"
-            for name, span in self.binding_times().items()
-        ]
+        for name, span in self.binding_times().items():
+            if span >= _WORTH_SAYING * total:
+                lines.append(f"{name} binds for {span:.3f} s ({100.0 * span / total:.0f} %)")
         return "\n".join(lines)
 
 

@@ -25,7 +25,9 @@ from coopqp.task.path import ObjectPath
 from coopqp.task.timed import SpeedProfile, TimedPath
 
 #: Share of the limits that a path is planned with; the rest is for a controller's corrections.
-SHARE = 0.99
+SHARE = 0.98
+#: Limits that are used by this share of the most used one are used alike.
+_EQUAL = 0.99
 #: Knots of a path, and of a stretch between corners at least.
 KNOTS, LEAST_KNOTS = 400, 60
 
@@ -128,7 +130,10 @@ def limits_along(
 
 
 def binding_limits(cell: RobotCell, limited: Limited, squares: Array) -> tuple[list[BindingLimit | None], Array]:
-    """The limit that is used most between knots, and how much of it, of the share that is planned with (K − 1,)."""
+    """The limit that is used most between knots, and how much of it, of the share that is planned with (K − 1,).
+
+    Of limits that are used alike the one counts that bound before.
+    """
     knots = limited.knots
     slope = 0.5 * np.diff(squares) / np.diff(knots.s)
     speeds = np.abs(knots.slope) * np.sqrt(squares)[:, None] / limited.speed
@@ -145,11 +150,15 @@ def binding_limits(cell: RobotCell, limited: Limited, squares: Array) -> tuple[l
             kinds += [kind] * len(lines.owner)
             owners += lines.owner.tolist()
     use = np.hstack(uses)
+    most = use.max(axis=1)
     names: list[BindingLimit | None] = []
-    for i in use.argmax(axis=1):
-        arm, _, joint = cell.joint_names[owners[i]].partition("/")
-        names.append(BindingLimit(arm, joint, kinds[i]))
-    return names, use.max(axis=1)
+    last = -1
+    for row, top in zip(use, most, strict=True):
+        if last < 0 or row[last] < _EQUAL * top:
+            last = int(row.argmax())
+        arm, _, joint = cell.joint_names[owners[last]].partition("/")
+        names.append(BindingLimit(arm, joint, kinds[last]))
+    return names, most
 
 
 def _check_limits(cell: RobotCell, where: str) -> None:

@@ -213,7 +213,7 @@ class TimedTable(Table):
 
     kind: Literal["timed"]
     pieces: Annotated[list[Annotated[list[float], Len(19, 25)]], Len(1, 2 * MAX_WAYPOINTS)] = Field(
-        description="numbers of each piece of the geometry: coopqp.planning.TimedPath.record"
+        description="numbers of each piece of the geometry: coopqp.TimedPath.record"
     )
     s_m: Annotated[list[float], Len(2, MAX_LIST)] = Field(description="knots: the object's motion from the start")
     squares: Annotated[list[float], Len(2, MAX_LIST)] = Field(description="square of the speed at each knot [m²/s²]")
