@@ -193,5 +193,5 @@ def test_steps_of_the_file_become_its_length_of_a_step(tmp_path: Path) -> None:
     text = "\n".join(["steps = 400" if line == "dt_s = 0.005" else line for line in BAR.read_text().splitlines()])
     file = tmp_path / "cell.toml"
     file.write_text(text, encoding="utf-8")
-    assert main(["plan", str(file), "--out", str(tmp_path / "plan"), "--torques", "--quiet"]) == 0
+    assert main(["plan", str(file), "--out", str(tmp_path / "plan"), "--torques", "--jerk", "3000", "--quiet"]) == 0
     assert load_cell_file(tmp_path / "plan" / "plan.toml").scenario.dt == load_cell_file(file).scenario.dt

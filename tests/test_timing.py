@@ -27,8 +27,9 @@ from coopqp import (
     available_kernels,
 )
 from coopqp.planning import PathGeometry, Payload, SpeedProfile, time_path
-from coopqp.planning.knots import follow
-from coopqp.planning.parametrise import Limited, fastest
+from coopqp.planning.jerk import jerk_limited
+from coopqp.planning.knots import Knots, follow
+from coopqp.planning.parametrise import Limited, Lines, fastest
 from coopqp.planning.payload import torque_lines
 from coopqp.planning.timing import limits_along
 from coopqp.scenarios import dual_arm7, mixed_cell, paper_lift, ring
@@ -161,6 +162,49 @@ def test_no_limit_is_broken_between_knots(build: Any) -> None:
         assert (np.abs(fine.slope[i] * speed) / cell.limits.velocity).max() <= 0.98 + 1e-4
         acceleration = fine.slope[i] * slope + fine.curvature[i] * speed**2
         assert (np.abs(acceleration) / cell.limits.acceleration).max() <= 0.98 + 1e-4
+
+
+def one_joint(length: float, *, v: float, a: float, count: int = 150) -> Limited:
+    """A joint that moves as the object does."""
+    x = np.linspace(0.0, 1.0, count)
+    s = length * x**3 * (10.0 + x * (6.0 * x - 15.0))
+    one = np.ones((count, 1))
+    knots = Knots(s, s[:, None], one, 0.0 * one)
+    return Limited(knots, np.array([v]), Lines(one, 0.0 * one, 0.0 * one, np.array([a]), np.array([0])))
+
+
+@pytest.mark.parametrize(
+    ("v", "a", "jerk", "expected"),
+    [
+        (1e3, 1e3, 32.0, 1.0),  # by jerk alone: T = ∛(32 L/J)
+        (1.0, 4.0, 40.0, 1.0 + 1.0 / 4.0 + 4.0 / 40.0),  # by all three: L/v + v/a + a/J
+        (1.0, 4.0, 1e9, 1.0 + 1.0 / 4.0),
+    ],
+)
+def test_jerk_limits_give_the_times_of_textbooks(v: float, a: float, jerk: float, expected: float) -> None:
+    along = one_joint(1.0, v=v, a=a)
+    squares = jerk_limited(along, fastest(along), np.array([jerk]))
+    assert duration(along.knots.s, squares) == pytest.approx(expected, rel=2e-4)
+
+
+@pytest.mark.slow
+def test_joints_keep_their_jerk_limits_in_a_controller() -> None:
+    scenario, jerk, dt = limited(ring(arms=2)), 50.0, 0.002
+    path = plan_of(scenario, jerk=jerk)
+    assert path.duration > 1.1 * plan_of(scenario).duration
+    assert LimitKind.JERK in {b.kind for b in path.profile.binding if b}
+    assert path.profile.use is not None
+    assert np.quantile(path.profile.use, 0.1) > 0.9
+    steps, chain, _ = run(scenario, path, dt=dt)
+    assert {s.status for s in steps} == {Status.TRACKING}
+    assert chain < UM
+    v = np.array([np.zeros(scenario.cell.nv), *(s.velocity for s in steps), np.zeros(scenario.cell.nv)])
+    w = 10  # s̈ is constant between knots: over 20 ms these steps are averaged
+    a = (v[w:] - v[:-w]) / (w * dt)
+    assert np.abs(a[w:] - a[:-w]).max() / (w * dt) <= jerk
+    for bad in (0.0, [1.0, 2.0], "fast"):
+        with pytest.raises(InvalidInputError, match="jerk"):
+            plan_of(scenario, jerk=bad)
 
 
 def test_the_profile_names_what_binds() -> None:

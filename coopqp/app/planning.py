@@ -44,6 +44,7 @@ def add_plan(commands: Any) -> None:
     parser.add_argument(
         "--torques", action="store_true", help="keep the torques within the models' limits, with the file's object"
     )
+    parser.add_argument("--jerk", type=float, metavar="DEG", help="largest jerk of the joints [°/s³]; takes seconds")
     parser.add_argument("--quiet", action="store_true", help="print errors only")
     parser.set_defaults(run=run_plan)
 
@@ -112,8 +113,16 @@ def _plan(run: CellRun, arguments: argparse.Namespace, share: float) -> Plan:
         blend=1e-3 * arguments.blend_mm,
         blend_angle=angle,
         payload=_payload(run) if arguments.torques else None,
+        jerk=None if arguments.jerk is None else _jerks(run, arguments.jerk),
         share=share,
     )
+
+
+def _jerks(run: CellRun, degrees: float) -> list[float]:
+    """Jerk limits of the joints [rad/s³]; for sliding joints the number is in m/s³, as in a cell file."""
+    from coopqp.simulation.assessment import slides
+
+    return [degrees if slide else math.radians(degrees) for slide in slides(run.scenario.cell)]
 
 
 def _payload(run: CellRun) -> Any:

@@ -173,7 +173,9 @@ def hermite(s: Array, q: Array, slope: Array, at: Array) -> Array:
     return out
 
 
-def follow(cell: RobotCell, grasp: Grasp, geometry: PathGeometry, x0: Array, *, count: int) -> Knots:
+def follow(
+    cell: RobotCell, grasp: Grasp, geometry: PathGeometry, x0: Array, *, count: int, gather: bool = False
+) -> Knots:
     """Knots of all arms along one smooth geometry, from joint positions ``x0`` (nv,) near its start.
 
     The knots are spread evenly over the joints' motion, not over time: of the arms the one counts that moves most, in
@@ -184,6 +186,7 @@ def follow(cell: RobotCell, grasp: Grasp, geometry: PathGeometry, x0: Array, *, 
         geometry: without corners.
         x0: joint positions (nv,) [rad or m].
         count: number of knots; ends of pieces are added.
+        gather: more of them near both ends, as a motion with bounded jerk needs.
 
     Raises:
         UnreachableError: an arm does not follow; the message names it, and where its way ends.
@@ -202,7 +205,7 @@ def follow(cell: RobotCell, grasp: Grasp, geometry: PathGeometry, x0: Array, *, 
                 "Start from another branch (coopqp.planning.find_start), or move the path or the arm's base."
             )
         coarse.append(found)
-    motion = Motion.of(geometry, spread(first.s, coarse, [arm.scale for arm in arms], geometry.marks, count))
+    motion = Motion.of(geometry, spread(first.s, coarse, [arm.scale for arm in arms], geometry.marks, count, gather))
     x = np.tile(x0, (len(motion.s), 1))
     slope, curvature = np.zeros_like(x), np.zeros_like(x)
     for arm, X, own, known in zip(arms, grasp.T_object_tool, columns, coarse, strict=True):
@@ -211,13 +214,18 @@ def follow(cell: RobotCell, grasp: Grasp, geometry: PathGeometry, x0: Array, *, 
     return Knots(motion.s, x, slope, curvature)
 
 
-def spread(s: Array, arms: list[ArmKnots], scales: list[Array], marks: Array, count: int) -> Array:
+def spread(
+    s: Array, arms: list[ArmKnots], scales: list[Array], marks: Array, count: int, gather: bool = False
+) -> Array:
     """``count`` knots spread over the joints' motion, with the marks among them."""
     motion = np.max([np.abs(a.slope / v).max(axis=1) for a, v in zip(arms, scales, strict=True)], axis=0)
     step = np.diff(s)
     part = 0.5 * (motion[1:] + motion[:-1]) * step
     done = np.concatenate([[0.0], np.cumsum((1.0 - _EVEN) * part / part.sum() + _EVEN * step / s[-1])])
-    return _merged(np.interp(np.linspace(0.0, 1.0, count), done / done[-1], s), marks)
+    share = np.linspace(0.0, 1.0, count)
+    if gather:  # s grows as t³ from rest
+        share = share**3 * (10.0 + share * (6.0 * share - 15.0))
+    return _merged(np.interp(share, done / done[-1], s), marks)
 
 
 def _merged(s: Array, marks: Array) -> Array:

@@ -15,7 +15,7 @@ from coopqp.model.cell import RobotCell
 from coopqp.model.grasp import Grasp
 from coopqp.planning.payload import Payload
 from coopqp.planning.starts import Start, find_start
-from coopqp.planning.timing import KNOTS, SHARE, geometry_of, time_path
+from coopqp.planning.timing import SHARE, geometry_of, time_path
 from coopqp.spatial import Array, Placement, as_placements
 from coopqp.task.geometry import TURN_LENGTH, PathGeometry, Straight, blended
 from coopqp.task.path import LinePath, ObjectPath
@@ -70,8 +70,9 @@ def plan(
     blend_angle: float | None = None,
     free_roll: Mapping[str, Sequence[float]] | None = None,
     payload: Payload | None = None,
+    jerk: Any = None,
     share: float = SHARE,
-    knots: int = KNOTS,
+    knots: int | None = None,
 ) -> Plan:
     """Find a start, and the fastest way along a path from rest to rest.
 
@@ -82,7 +83,7 @@ def plan(
         blend: corners are rounded off: the object stays within this distance of them [m]. 0: it rests at each corner.
         blend_angle: and within this angle [rad]; by default ``blend`` over 0.3 m.
         free_roll: as of :func:`find_start`.
-        payload, share, knots: as of :func:`time_path`.
+        payload, jerk, share, knots: as of :func:`time_path`.
 
     Raises:
         NoStartError: an arm has no start from which it follows the path.
@@ -104,7 +105,7 @@ def plan(
         start = find_start(cell, grasp, some_timing(geometry), free_roll=free_roll)
         q_start, grasp = start.q, start.grasp
     q = cell.check_configuration(q_start, f"{where}: q_start")
-    timed = time_path(cell, grasp, geometry, q_start=q, payload=payload, share=share, knots=knots)
+    timed = time_path(cell, grasp, geometry, q_start=q, payload=payload, jerk=jerk, share=share, knots=knots)
     return Plan(q_start=q, grasp=grasp, path=timed, start=start)
 
 

@@ -10,12 +10,13 @@ from typing import Any
 
 import numpy as np
 
-from coopqp.checks import as_count, as_scalar, require
+from coopqp.checks import NOT_NUMBERS, as_count, as_floats, as_scalar, require
 from coopqp.errors import InvalidInputError, UnreachableError
 from coopqp.model.branches import AT_LIMIT, amount
 from coopqp.model.cell import RobotCell
 from coopqp.model.grasp import Grasp
 from coopqp.model.limits import BindingLimit, LimitKind
+from coopqp.planning.jerk import jerk_limited, jerk_use
 from coopqp.planning.knots import Knots, follow
 from coopqp.planning.parametrise import Limited, Lines, fastest, require_toppra
 from coopqp.planning.payload import Payload, torque_lines
@@ -30,6 +31,7 @@ SHARE = 0.98
 _EQUAL = 0.99
 #: Knots of a path, and of a stretch between corners at least.
 KNOTS, LEAST_KNOTS = 400, 60
+JERK_KNOTS = 150
 
 
 def time_path(
@@ -39,8 +41,9 @@ def time_path(
     *,
     q_start: Any,
     payload: Payload | None = None,
+    jerk: Any = None,
     share: float = SHARE,
-    knots: int = KNOTS,
+    knots: int | None = None,
 ) -> TimedPath:
     """The fastest way along a path, from rest to rest, under the joints' velocity and acceleration limits.
 
@@ -53,8 +56,10 @@ def time_path(
         path: where to; one that knows its geometry.
         q_start: configuration (nq,) near the start of the path; it decides the branches.
         payload: with it the joints' torques stay within their limits, too.
+        jerk: largest jerk of the joints, one number or one per joint (nv,) [rad/s³ or m/s³]. The profile then comes
+            from linear programs in a row, see :mod:`coopqp.planning.jerk`; this takes seconds.
         share: share of the limits that is used, in (0, 1].
-        knots: number of knots.
+        knots: number of knots; 400 by default, 150 with ``jerk``.
 
     Returns:
         The path; its profile names the limit that binds between knots.
@@ -69,7 +74,8 @@ def time_path(
     grasp.check_arms(cell)
     where = "time_path"
     share = as_scalar(share, f"{where}: share", high=1.0)
-    count = as_count(knots, f"{where}: knots")
+    count = as_count(knots if knots is not None else KNOTS if jerk is None else JERK_KNOTS, f"{where}: knots")
+    jerks = None if jerk is None else _as_jerks(jerk, cell.nv, where)
     x = cell.positions(cell.check_configuration(q_start, f"{where}: q_start"))
     geometry = geometry_of(path, where)
     if payload is not None:
@@ -79,12 +85,14 @@ def time_path(
     mark = 0.0
     for stretch in geometry.stretches():
         own = max(LEAST_KNOTS, round(count * stretch.length / geometry.length))
-        found = follow(cell, grasp, stretch, x, count=own)
+        found = follow(cell, grasp, stretch, x, count=own, gather=jerks is not None)
         _check_positions(cell, path, found, mark)
         limited = limits_along(cell, grasp, found, payload=payload, share=share)
         _check_weight(cell, limited, mark)
         z = fastest(limited)
-        names, shares = binding_limits(cell, limited, z)
+        if jerks is not None:
+            z = jerk_limited(limited, z, share * jerks)
+        names, shares = binding_limits(cell, limited, z, None if jerks is None else share * jerks)
         s.append(mark + found.s[1:])
         squares.append(z[1:])
         binding += names
@@ -92,6 +100,17 @@ def time_path(
         mark, x = mark + stretch.length, found.q[-1]
     profile = SpeedProfile(np.concatenate(s), np.concatenate(squares), tuple(binding), np.concatenate(use))
     return TimedPath(geometry, profile, planned_share=share)
+
+
+def _as_jerks(jerk: Any, nv: int, where: str) -> Array:
+    """Limits of the jerk (nv,)."""
+    try:
+        given = as_floats(jerk)
+    except NOT_NUMBERS as error:
+        raise InvalidInputError("jerk is no number", where, "Give one, or one per joint [rad/s³ or m/s³].") from error
+    if given.shape not in ((), (nv,)) or not (given > 0.0).all():
+        raise InvalidInputError("jerk has a bad shape or entries ≤ 0", where, f"Give one number, or {nv}.")
+    return np.broadcast_to(given, (nv,)).astype(float)
 
 
 def geometry_of(path: ObjectPath | PathGeometry, where: str) -> PathGeometry:
@@ -129,7 +148,9 @@ def limits_along(
     return Limited(knots, share * limits.velocity, acceleration, torque)
 
 
-def binding_limits(cell: RobotCell, limited: Limited, squares: Array) -> tuple[list[BindingLimit | None], Array]:
+def binding_limits(
+    cell: RobotCell, limited: Limited, squares: Array, jerk: Array | None = None
+) -> tuple[list[BindingLimit | None], Array]:
     """The limit that is used most between knots, and how much of it, of the share that is planned with (K − 1,).
 
     Of limits that are used alike the one counts that bound before.
@@ -149,6 +170,10 @@ def binding_limits(cell: RobotCell, limited: Limited, squares: Array) -> tuple[l
             uses.append(np.maximum(*ends))
             kinds += [kind] * len(lines.owner)
             owners += lines.owner.tolist()
+    if jerk is not None:
+        uses.append(jerk_use(limited, squares, jerk))
+        kinds += [LimitKind.JERK] * cell.nv
+        owners += range(cell.nv)
     use = np.hstack(uses)
     most = use.max(axis=1)
     names: list[BindingLimit | None] = []
