@@ -12,6 +12,7 @@ joints before it, ``∂_i v_j = ω_j × v_i`` for i > j. Sums over i become runn
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import final
 
 import numpy as np
 import pinocchio as pin
@@ -27,6 +28,8 @@ from coopqp.task.geometry import PathGeometry
 _REACHED, _EXACT = 1e-9, 1e-14
 #: Knots of the first look, before they are spread.
 _FIRST_LOOK = 80
+#: Knots within each piece, at the first look and then, where there are several pieces.
+_LOOKS, _LEAST_IN_A_PIECE = 5, 11
 #: Share of the knots that is spread evenly over s, whatever the joints do.
 _EVEN = 0.3
 #: A batch solution this far from where it was expected is on another branch [rad or m].
@@ -173,65 +176,85 @@ def hermite(s: Array, q: Array, slope: Array, at: Array) -> Array:
     return out
 
 
-def follow(
-    cell: RobotCell, grasp: Grasp, geometry: PathGeometry, x0: Array, *, count: int, gather: bool = False
-) -> Knots:
-    """Knots of all arms along one smooth geometry, from joint positions ``x0`` (nv,) near its start.
-
-    The knots are spread evenly over the joints' motion, not over time: of the arms the one counts that moves most, in
-    the unit of its speeds.
+@final
+class Following:
+    """All arms followed along one geometry without corners: first at a few knots, then at any others.
 
     Args:
         cell, grasp: the arms, and how they hold.
         geometry: without corners.
-        x0: joint positions (nv,) [rad or m].
-        count: number of knots; ends of pieces are added.
-        gather: more of them near both ends, as a motion with bounded jerk needs.
+        x0: joint positions (nv,) near its start [rad or m].
 
     Raises:
         UnreachableError: an arm does not follow; the message names it, and where its way ends.
     """
-    arms = [ArmKinematics(arm) for arm in cell.arms]
-    columns = [own.start + arm.columns for own, arm in zip(cell.v_slices, arms, strict=True)]
-    first = Motion.of(geometry, _merged(np.linspace(0.0, geometry.length, _FIRST_LOOK), geometry.marks))
-    coarse = []
-    for name, arm, X, own in zip(cell.arm_names, arms, grasp.T_object_tool, columns, strict=True):
-        found = arm_knots(arm, X, first, x0[own])
-        if found.reached < len(first.s) - 1:
-            share = first.s[max(found.reached, 0)] / geometry.length
-            where = "its start" if found.reached < 0 else f"{100.0 * share:.0f} % of its way"
-            raise UnreachableError(
-                f"arm '{name}' follows the path only to {where}, where its reach ends or it is singular. "
-                "Start from another branch (coopqp.planning.find_start), or move the path or the arm's base."
-            )
-        coarse.append(found)
-    motion = Motion.of(geometry, spread(first.s, coarse, [arm.scale for arm in arms], geometry.marks, count, gather))
-    x = np.tile(x0, (len(motion.s), 1))
-    slope, curvature = np.zeros_like(x), np.zeros_like(x)
-    for arm, X, own, known in zip(arms, grasp.T_object_tool, columns, coarse, strict=True):
-        found = spread_knots(arm, X, motion, first.s, known)
-        x[:, own], slope[:, own], curvature[:, own] = found.q, found.slope, found.curvature
-    return Knots(motion.s, x, slope, curvature)
+
+    def __init__(self, cell: RobotCell, grasp: Grasp, geometry: PathGeometry, x0: Array) -> None:
+        self._cell, self._grasp, self._geometry, self._x0 = cell, grasp, geometry, x0
+        self._arms = [ArmKinematics(arm) for arm in cell.arms]
+        self._columns = [own.start + arm.columns for own, arm in zip(cell.v_slices, self._arms, strict=True)]
+        self._first = Motion.of(geometry, merged(np.linspace(0.0, geometry.length, _FIRST_LOOK), self._within(_LOOKS)))
+        self._coarse: list[ArmKnots] = []
+        for name, arm, X, own in zip(cell.arm_names, self._arms, grasp.T_object_tool, self._columns, strict=True):
+            found = arm_knots(arm, X, self._first, x0[own])
+            if found.reached < len(self._first.s) - 1:
+                share = self._first.s[max(found.reached, 0)] / geometry.length
+                where = "its start" if found.reached < 0 else f"{100.0 * share:.0f} % of its way"
+                raise UnreachableError(
+                    f"arm '{name}' follows the path only to {where}, where its reach ends or it is singular. "
+                    "Start from another branch (coopqp.planning.find_start), or move the path or the arm's base."
+                )
+            self._coarse.append(found)
+
+    def spread(self, count: int, *, gather: bool = False) -> Array:
+        """s of ``count`` knots, spread evenly over the joints' motion, not over time; those of the pieces are added.
+
+        Of the arms the one counts that moves most, in the unit of its speeds.
+
+        Args:
+            count: number of knots.
+            gather: more of them near both ends, as a motion with bounded jerk needs.
+        """
+        s = self._first.s
+        uses = [np.abs(a.slope / arm.scale).max(axis=1) for a, arm in zip(self._coarse, self._arms, strict=True)]
+        motion, step = np.max(uses, axis=0), np.diff(s)
+        part = 0.5 * (motion[1:] + motion[:-1]) * step
+        done = np.concatenate([[0.0], np.cumsum((1.0 - _EVEN) * part / part.sum() + _EVEN * step / s[-1])])
+        share = np.linspace(0.0, 1.0, count)
+        if gather:  # s grows as t³ from rest
+            share = share**3 * (10.0 + share * (6.0 * share - 15.0))
+        return merged(np.interp(share, done / done[-1], s), self._within(_LEAST_IN_A_PIECE))
+
+    def at(self, s: Array) -> Knots:
+        """Knots at s (K,) [m], increasing from 0 to the end."""
+        motion = Motion.of(self._geometry, s)
+        x = np.tile(self._x0, (len(s), 1))
+        slope, curvature = np.zeros_like(x), np.zeros_like(x)
+        for arm, X, own, known in zip(self._arms, self._grasp.T_object_tool, self._columns, self._coarse, strict=True):
+            found = spread_knots(arm, X, motion, self._first.s, known)
+            x[:, own], slope[:, own], curvature[:, own] = found.q, found.slope, found.curvature
+        return Knots(s, x, slope, curvature)
+
+    def _within(self, count: int) -> Array:
+        """The marks, and so many knots within each of several pieces."""
+        marks = self._geometry.marks
+        if len(marks) == 2:
+            return marks
+        share = np.arange(count + 1) / (count + 1.0)
+        inner = marks[:-1, None] + share * np.diff(marks)[:, None]
+        return np.append(inner.ravel(), marks[-1])
 
 
-def spread(
-    s: Array, arms: list[ArmKnots], scales: list[Array], marks: Array, count: int, gather: bool = False
-) -> Array:
-    """``count`` knots spread over the joints' motion, with the marks among them."""
-    motion = np.max([np.abs(a.slope / v).max(axis=1) for a, v in zip(arms, scales, strict=True)], axis=0)
-    step = np.diff(s)
-    part = 0.5 * (motion[1:] + motion[:-1]) * step
-    done = np.concatenate([[0.0], np.cumsum((1.0 - _EVEN) * part / part.sum() + _EVEN * step / s[-1])])
-    share = np.linspace(0.0, 1.0, count)
-    if gather:  # s grows as t³ from rest
-        share = share**3 * (10.0 + share * (6.0 * share - 15.0))
-    return _merged(np.interp(share, done / done[-1], s), marks)
+def follow(cell: RobotCell, grasp: Grasp, geometry: PathGeometry, x0: Array, *, count: int) -> Knots:
+    """Knots of all arms along one geometry without corners, see :class:`Following`."""
+    following = Following(cell, grasp, geometry, x0)
+    return following.at(following.spread(count))
 
 
-def _merged(s: Array, marks: Array) -> Array:
-    """s with the marks in it; knots that all but coincide with a mark give way."""
-    close = np.abs(s[:, None] - marks).min(axis=1) < 0.1 * np.diff(s).min()
-    return np.sort(np.concatenate([s[~close], marks]))
+def merged(s: Array, others: Array) -> Array:
+    """s with other knots in it; knots that all but coincide with one of them give way."""
+    close = np.abs(s[:, None] - others).min(axis=1) < 0.1 * np.diff(s).min()
+    return np.sort(np.concatenate([s[~close], others]))
 
 
 def _derived(kinematics: ArmKinematics, T: Array, V: Array, dV: Array, s: Array, q: Array, reached: int) -> ArmKnots:

@@ -17,7 +17,7 @@ from coopqp.model.cell import RobotCell
 from coopqp.model.grasp import Grasp
 from coopqp.model.limits import BindingLimit, LimitKind
 from coopqp.planning.jerk import jerk_limited, jerk_use
-from coopqp.planning.knots import Knots, follow
+from coopqp.planning.knots import Following, Knots
 from coopqp.planning.parametrise import Limited, Lines, fastest, require_toppra
 from coopqp.planning.payload import Payload, torque_lines
 from coopqp.spatial import Array
@@ -29,6 +29,8 @@ from coopqp.task.timed import SpeedProfile, TimedPath
 SHARE = 0.98
 #: Limits that are used by this share of the most used one are used alike.
 _EQUAL = 0.99
+#: Between knots limits may be exceeded by this share; where it is more, knots are added, in so many rounds at most.
+_EXCESS, _ROUNDS = 2e-3, 6
 #: Knots of a path, and of a stretch between corners at least.
 KNOTS, LEAST_KNOTS = 400, 60
 JERK_KNOTS = 150
@@ -85,11 +87,18 @@ def time_path(
     mark = 0.0
     for stretch in geometry.stretches():
         own = max(LEAST_KNOTS, round(count * stretch.length / geometry.length))
-        found = follow(cell, grasp, stretch, x, count=own, gather=jerks is not None)
-        _check_positions(cell, path, found, mark)
-        limited = limits_along(cell, grasp, found, payload=payload, share=share)
-        _check_weight(cell, limited, mark)
-        z = fastest(limited)
+        following = Following(cell, grasp, stretch, x)
+        own_s = following.spread(own, gather=jerks is not None)
+        for _ in range(_ROUNDS):
+            found = following.at(own_s)
+            _check_positions(cell, path, found, mark)
+            limited = limits_along(cell, grasp, found, payload=payload, share=share)
+            _check_weight(cell, limited, mark)
+            z = fastest(limited)
+            over = use_between(limited, z) > 1.0 + _EXCESS
+            if not over.any():
+                break
+            own_s = np.sort(np.concatenate([own_s, (own_s[:-1] + 0.5 * np.diff(own_s))[over]]))
         if jerks is not None:
             z = jerk_limited(limited, z, share * jerks)
         names, shares = binding_limits(cell, limited, z, None if jerks is None else share * jerks)
@@ -130,6 +139,25 @@ def geometry_of(path: ObjectPath | PathGeometry, where: str) -> PathGeometry:
             "Give a path of lines: it has to move, and to end.",
         )
     return geometry
+
+
+def use_between(limited: Limited, squares: Array) -> Array:
+    """Share of the speeds and accelerations that is used between knots, by cubic interpolation of q′ (K − 1,)."""
+    knots = limited.knots
+    h = np.diff(knots.s)[:, None]
+    slope = 0.5 * np.diff(squares)[:, None] / h
+    a, b, da, db = knots.slope[:-1], knots.slope[1:], h * knots.curvature[:-1], h * knots.curvature[1:]
+    square, cube = 3.0 * (b - a) - 2.0 * da - db, da + db - 2.0 * (b - a)
+    lines = limited.acceleration
+    most = np.zeros(len(h))
+    for x in (0.25, 0.5, 0.75):
+        z = squares[:-1, None] + 2.0 * x * h * slope
+        q1 = a + x * (da + x * (square + x * cube))
+        q2 = (da + x * (2.0 * square + 3.0 * x * cube)) / h
+        acceleration = np.abs(q1 * slope + q2 * z)[:, lines.owner] / lines.bound
+        speed = np.abs(q1) * np.sqrt(z) / limited.speed
+        most = np.maximum(most, np.maximum(speed.max(axis=1), acceleration.max(axis=1, initial=0.0)))
+    return most
 
 
 def limits_along(
