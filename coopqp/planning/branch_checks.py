@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import enum
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
 import pinocchio as pin
 
 from coopqp.model.batch import ArmKinematics
-from coopqp.model.branches import AT_LIMIT, amount
+from coopqp.model.branches import AT_LIMIT, amount, find_branches
+from coopqp.planning.arm_starts import away_from_limits
 from coopqp.planning.certificate import LEAST_SIGMA, exactness, prove
 from coopqp.planning.samples import PathSamples
 from coopqp.planning.segments import Indices, Segments
@@ -20,6 +21,11 @@ from coopqp.spatial import Array
 _DISTANCE, _ANGLE, _PIECES = 0.03, 0.1, 4
 #: A branch that ends goes on if there is a solution beyond within this of every joint [rad or m].
 _BEYOND = 0.6
+#: A redundant arm that comes closer to a limit than this is led away from it by steps of these lengths [rad or m].
+#: Longest step of its joints between knots [rad or m].
+_LED, _LEADS, _STRIDE = 0.35, (0.06, 0.03, 0.015), 0.5
+#: Poses at which a redundant arm is asked for a configuration inside its limits.
+_ASKED = 8
 
 
 class PathVerdict(enum.Enum):
@@ -124,7 +130,59 @@ def check_branches(kinematics: ArmKinematics, path: ToolPath, starts: Array) -> 
     exact = exactness(path.poses)
     first = kinematics.solve(path.poses[:1], starts, tolerance=exact, steps=8).q
     walks = kinematics.walk(path.poses, first, tolerance=exact)
-    return [_check(kinematics, path, walks.q[m, : int(walks.reached[m]) + 1]) for m in range(len(starts))]
+    ways = [walks.q[m, : int(walks.reached[m]) + 1] for m in range(len(starts))]
+    if kinematics.n > 6:
+        ways = [_inside(kinematics, path, way, exact) for way in ways]
+    return [_check(kinematics, path, way) for way in ways]
+
+
+def not_disproved(kinematics: ArmKinematics, path: ToolPath, branches: list[BranchCheck]) -> list[BranchCheck]:
+    """Of a redundant arm, branches that leave the limits or end are undecided: another motion of the elbow may not.
+
+    They stay infeasible if they start outside, or if the arm has no configuration inside its limits at some pose.
+    """
+    lost = [b for b in branches if b.verdict is PathVerdict.INFEASIBLE]
+    started = [b for b in lost if kinematics.margins(b.q[0]).min() >= -AT_LIMIT]
+    if kinematics.n <= 6 or not started or path.end == 0.0:
+        return branches
+    ahead = np.flatnonzero(path.clocks > max(b.until for b in started))
+    for k in ahead[np.unique(np.linspace(0, len(ahead) - 1, _ASKED).astype(int))] if len(ahead) else []:
+        if not find_branches(kinematics, pin.SE3(path.poses[k])).inside.any():
+            why = f"; at {path.clocks[k]:.2f} s no configuration inside its limits reaches the pose"
+            return [replace(b, why=b.why + why) if b in started else b for b in branches]
+    return [
+        replace(
+            b,
+            verdict=PathVerdict.UNDECIDED,
+            why=f"{b.why}; another motion of its elbow was not found, but is not excluded",
+            undecided=np.array([[b.until, path.end]]),
+        )
+        if b in started
+        else b
+        for b in branches
+    ]
+
+
+def _inside(kinematics: ArmKinematics, path: ToolPath, way: Array, exact: float) -> Array:
+    """The way of a redundant arm (K, n); one that keeps away from the limits if this one leaves them or ends."""
+    if len(way) == len(path.poses) and kinematics.margins(way).min() >= -AT_LIMIT:
+        return way
+    if kinematics.margins(way[0]).min() < -AT_LIMIT:
+        return way
+    q = [way[0]]
+    for T in path.poses[1:]:
+        answer = kinematics.solve(T[None], q[-1][None], tolerance=exact, steps=12, longest=_STRIDE)
+        if answer.residual[0] > exact or np.abs(answer.q[0] - q[-1]).max() > _STRIDE:
+            break
+        x = answer.q
+        for length in _LEADS:
+            if kinematics.margins(x).min() < _LED:
+                x = away_from_limits(kinematics, T, x, length)
+        exactly = kinematics.solve(T[None], x, tolerance=exact, steps=6).q[0]
+        q.append(exactly)
+        if kinematics.margins(exactly).min() < -AT_LIMIT:
+            break
+    return np.array(q) if len(q) >= len(way) or len(q) == len(path.poses) else way
 
 
 def _check(kinematics: ArmKinematics, path: ToolPath, q: Array) -> BranchCheck:

@@ -21,7 +21,15 @@ from coopqp.model.cell import RobotCell
 from coopqp.model.chain import Chain
 from coopqp.model.grasp import Grasp
 from coopqp.planning.arm_starts import ArmOnPath, BranchAlongPath, arm_on_path, trouble
-from coopqp.planning.branch_checks import BranchCheck, PathVerdict, ToolPath, check_branches, tool_path, worst
+from coopqp.planning.branch_checks import (
+    BranchCheck,
+    PathVerdict,
+    ToolPath,
+    check_branches,
+    not_disproved,
+    tool_path,
+    worst,
+)
 from coopqp.planning.samples import PathSamples, sample_path
 from coopqp.planning.segments import segments_of
 from coopqp.planning.starts import exact_start
@@ -232,8 +240,10 @@ def _every_branch(kinematics: ArmKinematics, samples: PathSamples, X: pin.SE3, t
     found = arm_on_path(kinematics, samples, X, near=np.empty((0, kinematics.n)), effort=effort)
     rows: Sequence[BranchAlongPath] = found.branches
     if kinematics.n > 6:
-        rows = sorted(rows, key=lambda row: (not row.feasible, not row.complete, -row.score))[:_MOST_REDUNDANT]
+        rows = sorted(rows, key=lambda row: (not row.feasible, -row.reached, -row.score))[:_MOST_REDUNDANT]
     branches = check_branches(kinematics, tool, np.array([row.q for row in rows]).reshape(-1, kinematics.n))
+    if not any(branch.verdict is PathVerdict.CERTIFIED for branch in branches):
+        branches = not_disproved(kinematics, tool, branches)
     ranks = list(PathVerdict)
     branches.sort(key=lambda branch: ranks.index(branch.verdict))  # within a verdict they keep their order
     chosen = branches[0] if branches else None
@@ -253,7 +263,7 @@ def _given_branch(kinematics: ArmKinematics, tool: ToolPath, positions: Array) -
             "check_path: q_start",
             "Give a start that holds the object there (inverse_kinematics), or none.",
         )
-    branches = check_branches(kinematics, tool, exact.q)
+    branches = not_disproved(kinematics, tool, check_branches(kinematics, tool, exact.q))
     return _arm_check(kinematics, branches[0], branches, None)
 
 
