@@ -136,7 +136,7 @@ def judged(robots: tuple[str, ...], enough: int, rng: Any, samples: int = 1001) 
 
 
 def test_certified_branches_hold_at_dense_samples(rng: Any) -> None:
-    count = judged(("rx90l", "ur5"), 16, rng, samples=301)
+    count = judged(("rx90l", "ur5"), 10, rng, samples=201)
     assert count["loosest"] <= LOOSE
     assert count["undecided"] == 0
 
@@ -151,6 +151,7 @@ def test_five_hundred_certified_branches_hold_at_a_thousand_samples(rng: Any) ->
 # -- redundant arms ----------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("robot", ["arm7", "gantry7"])
 def test_the_motion_of_a_redundant_arm_that_is_proved_is_one_that_it_can_make(robot: str, rng: Any) -> None:
     """Between the samples of the answer the arm follows by short steps, inside its limits and with σ_min."""
@@ -227,6 +228,7 @@ def test_a_wrist_that_is_passed_closely_is_never_certified(miss: float) -> None:
     assert any(i.start <= worst <= i.end or abs(worst - i.start) < 2e-3 for i in check.intervals)
 
 
+@pytest.mark.slow
 def test_a_wrist_that_is_passed_at_some_distance_is_certified() -> None:
     for miss in (0.3, 0.1, 0.03):
         task = at_singularity(miss=miss)
@@ -444,6 +446,7 @@ def test_a_roll_of_the_tool_is_found() -> None:
         assert dense_check(remedy.check)
 
 
+@pytest.mark.slow
 def test_a_shift_of_the_path_and_of_a_base_are_found(paper: Scenario) -> None:
     """The path leads the first arm out of its reach."""
     arm = paper.cell.arms[0]
