@@ -16,6 +16,9 @@ from coopqp.spatial import Array
 from coopqp.task.path import ObjectPath
 
 _NUMBERS = 21
+_X = np.arange(1, 12) / 12.0
+#: Shares of a quintic segment at clocks that are spread evenly.
+_SLOW = _X**3 * (10.0 - 15.0 * _X + 6.0 * _X**2)
 
 Indices = npt.NDArray[np.intp]
 
@@ -69,7 +72,9 @@ class Segments:
         return out
 
     def knots(self, T_object_tool: pin.SE3, *, distance: float, angle: float, pieces: int) -> tuple[Indices, Array]:
-        """Segments and shares of knots between which a tool moves by little; the ends of segments are among them.
+        """Segments and shares of knots between which a tool moves by little, and not much time goes by.
+
+        The ends of segments are among them.
 
         Args:
             T_object_tool: placement of the tool on the object.
@@ -81,8 +86,12 @@ class Segments:
         counts = np.maximum(np.ceil(np.maximum(moved / distance, turned / angle)), pieces).astype(int)
         segment, share = [0], [0.0]
         for s, count in enumerate(counts.tolist()):
-            segment += [s] * count
-            share += (np.arange(1, count + 1) / count).tolist()
+            knots = np.arange(1, count + 1) / count
+            if self.quintic[s]:  # the object stays long near both ends
+                slow = _SLOW[np.minimum(_SLOW, 1.0 - _SLOW) * count < 1.0]
+                knots = np.union1d(knots, slow)
+            segment += [s] * len(knots)
+            share += knots.tolist()
         return np.array(segment, dtype=np.intp), np.array(share)
 
 
