@@ -1,4 +1,4 @@
-"""What stands before the motion: batch kinematics against one kept chain's Newton, and starts of whole cells.
+"""What stands before the motion: batch kinematics, starts of whole cells, and the check of a path.
 
 The cases take turns in one run: trust the ratios. See benchmarks/README.md.
 """
@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+import check_cases
 import common  # first: it limits BLAS to one thread
 import numpy as np
 import pinocchio as pin
@@ -23,7 +24,7 @@ from coopqp.model.inverse_kinematics import newton
 from coopqp.planning import find_start
 from coopqp.scenarios import paper_lift, ring
 
-KEYS = ("case", "method", "arms", "time_s", "ratio", "per_s", "found", "note")
+KEYS = ("case", "method", "arms", "time_s", "ratio", "per_s", "found", "verdict", "note")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -119,9 +120,11 @@ def main(argv: Sequence[str] | None = None) -> int:
     plan = QUICK if args.quick else FULL
     description = common.describe("planning", {"poses": plan.poses, "rounds": plan.rounds})
     print(common.header(description), flush=True)
-    total = plan.rounds * (1 + len(batch_kernels())) + len(user_cells.CELLS) + len(plan.rings)
+    total = plan.rounds * (1 + len(batch_kernels())) + len(user_cells.CELLS) + 2 * len(plan.rings) + 3
     progress = common.Progress(total)
     records = [*batch(plan, progress), *starts(plan, progress)]
+    checked = check_cases.checks(plan.rings, plan.rounds, progress)
+    records += [{**dict.fromkeys(KEYS), **record} for record in checked]
     progress.close()
     text = "## Before the motion\n\n" + common.markdown_table(records, KEYS) + "\n"
     print("\n" + text)
