@@ -190,6 +190,7 @@ def _check(kinematics: ArmKinematics, path: ToolPath, q: Array) -> BranchCheck:
     clocks, complete = path.clocks[: len(q)], len(q) == len(path.clocks)
     nothing = np.empty((0, 2))
     certified, undecided, bounds, sigma_bound = nothing, nothing, None, 0.0
+    sure = np.ones(len(q), dtype=bool)
     provable = path.segments is not None and kinematics.n >= 6 and len(q) > 1
     if provable and kinematics.margins(q).min() >= -AT_LIMIT:
         assert path.segments is not None
@@ -197,9 +198,10 @@ def _check(kinematics: ArmKinematics, path: ToolPath, q: Array) -> BranchCheck:
         shares = np.concatenate([found.low, found.high, 0.5 * (found.low + found.high)])
         low, high, middle = np.split(path.segments.clocks(np.tile(found.segment, 3), shares), 3)
         certified, undecided = (_merged(low[k], high[k]) for k in (found.proved, ~found.proved))
-        clocks, q = np.concatenate([clocks, middle]), np.concatenate([q, found.q])
+        clocks = np.concatenate([clocks, middle[found.between]])
         order = np.argsort(clocks, kind="stable")
-        clocks, q = clocks[order], q[order]
+        clocks, q = clocks[order], np.concatenate([q, found.q[found.between]])[order]
+        sure = np.concatenate([sure, found.on_branch[found.between]])[order]
         if found.proved.all() and complete:
             bounds, sigma_bound = found.margins, float(found.sigma_min.min())
     margins = kinematics.margins(q)
@@ -208,9 +210,9 @@ def _check(kinematics: ArmKinematics, path: ToolPath, q: Array) -> BranchCheck:
     if bounds is not None:
         least = np.minimum(bounds.min(axis=0), least)
     verdict, why, until = PathVerdict.CERTIFIED, "", float(clocks[-1])
-    if margins.min(initial=np.inf) < -AT_LIMIT:
+    if margins[sure].min(initial=np.inf) < -AT_LIMIT:
         verdict, certified, undecided = PathVerdict.INFEASIBLE, nothing, nothing
-        why, until = _exit(kinematics, clocks, margins)
+        why, until = _exit(kinematics, clocks[sure], margins[sure])
     elif not complete:
         verdict, why, undecided = _ended(kinematics, path, q[-1], until, undecided)
     elif len(undecided):
@@ -271,9 +273,12 @@ def _doubt(undecided: Array, least: Array, sigma: Array, kinematics: ArmKinemati
     a, b = undecided[0]
     more = f" and on {len(undecided) - 1} more intervals" if len(undecided) > 1 else ""
     j = int(least.argmin())
-    reason = f"it is nearly singular there (σ_min {sigma.min():.1g})"
-    if sigma.min() >= 2.0 * LEAST_SIGMA and least[j] < np.deg2rad(1.0):
+    if sigma.min() < 10.0 * LEAST_SIGMA:
+        reason = f"it is nearly singular there (σ_min {sigma.min():.1g})"
+    elif least[j] < np.deg2rad(1.0):
         reason = f"{kinematics.joints[j]} is close to its limit there"
+    else:
+        reason = "its joints turn too fast there for the proof"
     return f"is not decided on {a:.4g}–{b:.4g} s{more}: {reason}"
 
 

@@ -41,7 +41,8 @@ class Tubes:
 
     Attributes:
         q: joint positions in the middle (M, n) [rad or m].
-        good: the tube holds (M,).
+        between: they reach their pose, and lie between the ends or not far from it (M,).
+        good: the tube holds, so they are on the branch of the ends (M,).
         sway: the joints leave the straight line between an end and the middle by at most this (M, n) [rad or m]; 0
             for joints that move one way only, whose extremes are at the ends.
         sigma_min: lower bound of the tool Jacobian's smallest singular value (M,).
@@ -49,6 +50,7 @@ class Tubes:
     """
 
     q: Array
+    between: Flags
     good: Flags
     sway: Array
     sigma_min: Array
@@ -118,7 +120,9 @@ def tubes(
     drift = half * np.linalg.norm(_cross(segments.twists[segment][:, 3:], arm), axis=1)
     size = np.sqrt(E.sum(axis=1).max(axis=1) * E.sum(axis=2).max(axis=1))  # ‖E‖₂ ≤ √(‖E‖₁ ‖E‖∞)
     bound = sigma * np.maximum(1.0 - size, 0.0) * np.maximum(1.0 - drift, 0.0)
-    return Tubes(q, good, sway, np.where(good, bound, 0.0), sigma)
+    away = np.abs(q - 0.5 * (qa + qb)).max(axis=1)
+    between = solved & (away <= np.abs(qb - qa).max(axis=1) + _INSIDE)
+    return Tubes(q, between, good, sway, np.where(good, bound, 0.0), sigma)
 
 
 def exactness(poses: Array) -> float:
@@ -242,6 +246,7 @@ class Proof:
         margins: lower bound of each joint's margin in each interval (I, n) [rad or m]; of those proved.
         sigma_min: lower bound of σ_min in each interval (I,); 0 where nothing is proved.
         q: joint positions in the middle of each interval (I, n) [rad or m].
+        between, on_branch: True where they are between the ends, and proved to be on their branch (I,).
         outside: segment and share at which a joint is outside its limits; None if none was found.
     """
 
@@ -252,6 +257,8 @@ class Proof:
     margins: Array
     sigma_min: Array
     q: Array
+    between: Flags
+    on_branch: Flags
     outside: tuple[int, float] | None
 
 
@@ -295,7 +302,7 @@ def prove(
         hopeless |= outside is not None
         split = (~inside | loose) & ~hopeless
         done = ~split
-        kept = s, low, high, inside, margins, tube.sigma_min, tube.q
+        kept = s, low, high, inside, margins, tube.sigma_min, tube.q, tube.between, tube.good
         parts.append(tuple(values[done] for values in kept))
         if not split.any():
             break
@@ -305,5 +312,5 @@ def prove(
         s = np.concatenate([s[split], s[split]])
     every = [np.concatenate(values) for values in zip(*parts, strict=True)]
     order = np.lexsort((every[1], every[0]))
-    segment, low, high, proved, margins, sigma, middle = (values[order] for values in every)
-    return Proof(segment, low, high, proved, margins, sigma, middle, outside)
+    segment, low, high, proved, margins, sigma, q_middle, between, on_branch = (values[order] for values in every)
+    return Proof(segment, low, high, proved, margins, sigma, q_middle, between, on_branch, outside)
