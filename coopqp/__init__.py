@@ -4,7 +4,7 @@ Each room of the package is one part of the flow:
 
 * ``model``: the arms, the cell, the grasp, the closed chain;
 * ``task``: the path of the object, the weights of the arms, the posture;
-* ``planning``: the look along the path ahead of the object's clock;
+* ``planning``: before the motion starts and the check of a path; in motion the look ahead of the object's clock;
 * ``control``: one step, from the measured configuration to the command;
 * ``forces``: the wrenches between the arms and the object;
 * ``simulation``: plants, the loop, recordings and their assessment;

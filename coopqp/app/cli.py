@@ -10,6 +10,7 @@ from importlib import metadata
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
+from coopqp.app import check
 from coopqp.app.commands import COMMANDS
 from coopqp.app.terminal import print_table, reporter
 from coopqp.errors import CoopqpError, printable
@@ -36,8 +37,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line.
 
     Returns:
-        0 if all is well; 2 after bad input; 4 after a run that did not finish or whose verdict has a check that does
-        not hold; 130 after an interrupt. 3 is kept for a cell that cannot hold its object.
+        0 if all is well; 2 after bad input; 3 if the arms cannot follow the path that is checked; 4 after a run that
+        did not finish or whose verdict has a check that does not hold, and after a check that is not decided; 130 after
+        an interrupt.
     """
     try:
         return _main(argv)
@@ -110,7 +112,7 @@ def _run_demo(arguments: argparse.Namespace) -> int:
     return OK
 
 
-_COMMANDS = (_add_demo, *COMMANDS)
+_COMMANDS = (_add_demo, *COMMANDS, *check.COMMANDS)
 
 
 def _count(text: str) -> int:

@@ -159,21 +159,33 @@ def _self_motions(
     """Configurations of a redundant arm: those found, and the same led away from the limits along the self-motion."""
     q = found.q[: most // 2]
     relaxed = q.copy()
-    half = np.where(kinematics.bounded, 0.5 * (kinematics.upper - kinematics.lower), np.inf)
     for length in np.geomspace(_FIRST_STEP, _LAST_STEP, _RELAXATIONS):
-        J = kinematics.jacobians(relaxed)
-        g = -(((relaxed - kinematics.middle) / half) ** 5) / half
-        G = J @ J.transpose(0, 2, 1) + 1e-9 * np.eye(6)
-        g -= (J.transpose(0, 2, 1) @ np.linalg.solve(G, J @ g[:, :, None]))[:, :, 0]
-        largest = np.abs(g).max(axis=1, keepdims=True)
-        step = np.where(largest > 1e-12, length * g / np.maximum(largest, 1e-12), 0.0)
-        answer = kinematics.solve(T, relaxed + step, steps=6)
-        better = answer.reached & (answer.margins.min(axis=1) > kinematics.margins(relaxed).min(axis=1))
-        relaxed[better] = answer.q[better]
+        relaxed = away_from_limits(kinematics, T, relaxed, length)
     both, hits = np.vstack([q, relaxed]), np.tile(found.hits[: len(q)], 2)
     # Many are led to the same end.
     kept = np.sort(np.unique(np.round(both / _SAME), axis=0, return_index=True)[1])
     return both[kept], hits[kept]
+
+
+def away_from_limits(kinematics: ArmKinematics, T: Array, q: Array, length: float) -> Array:
+    """Configurations of a redundant arm (M, n) a step further from the limits, at the same tool pose (4, 4).
+
+    Args:
+        kinematics: the arm.
+        T: T_world_tool.
+        q: joint positions (M, n) [rad or m] that reach it.
+        length: largest motion of a joint [rad or m].
+    """
+    half = np.where(kinematics.bounded, 0.5 * (kinematics.upper - kinematics.lower), np.inf)
+    J = kinematics.jacobians(q)
+    g = -(((q - kinematics.middle) / half) ** 5) / half
+    G = J @ J.transpose(0, 2, 1) + 1e-9 * np.eye(6)
+    g -= (J.transpose(0, 2, 1) @ np.linalg.solve(G, J @ g[:, :, None]))[:, :, 0]
+    largest = np.abs(g).max(axis=1, keepdims=True)
+    step = np.where(largest > 1e-12, length * g / np.maximum(largest, 1e-12), 0.0)
+    answer = kinematics.solve(T, q + step, steps=6)
+    better = answer.reached & (answer.margins.min(axis=1) > kinematics.margins(q).min(axis=1))
+    return np.where(better[:, None], answer.q, q)
 
 
 def trouble(arm: ArmOnPath) -> str:

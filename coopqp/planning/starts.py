@@ -164,19 +164,15 @@ def _put_together(
         tools.append(X * pin.SE3(pin.exp3(np.array([0.0, 0.0, row.roll])), np.zeros(3)))
     rolled = Grasp(tuple(tools))
     chain = Chain(cell, rolled)
-
-    def exact(positions: Array) -> Array:
-        return newton(chain, samples.poses[0], cell.configuration(positions), tolerance=1e-13, max_iter=3)[0]
-
     others = [(row.score, k, row) for k, (arm, best) in enumerate(found) for row in arm.feasible if row is not best]
     others.sort(key=lambda other: -other[0])
     alternatives = []
     for _, k, row in others[:_MOST_ALTERNATIVES]:
         changed = x.copy()
         changed[columns[k]] = row.q
-        alternatives.append(exact(changed))
+        alternatives.append(exact_start(chain, samples.poses[0], changed))
     return Start(
-        q=exact(x),
+        q=exact_start(chain, samples.poses[0], x),
         grasp=rolled if any(row.roll for _, row in found) else grasp,
         arms=tuple(
             ArmStart(arm=name, joints=arm.kinematics.joints, chosen=row, branches=arm.branches)
@@ -187,6 +183,11 @@ def _put_together(
         sigma_min=np.column_stack([row.sigma_min for _, row in found]),
         alternatives=tuple(alternatives),
     )
+
+
+def exact_start(chain: Chain, T_world_object: pin.SE3, positions: Array) -> Array:
+    """The configuration (nq,) at joint positions (nv,), with the last errors of the grasps removed."""
+    return newton(chain, T_world_object, chain.cell.configuration(positions), tolerance=1e-13, max_iter=3)[0]
 
 
 def _checked_rolls(cell: RobotCell, free_roll: Mapping[str, Sequence[float]]) -> list[tuple[float, ...]]:

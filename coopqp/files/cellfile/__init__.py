@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING, Any
 from coopqp.errors import CoopqpError, MissingExtraError
 
 if TYPE_CHECKING:
-    from coopqp.files.cellfile.build import CellRun
+    from coopqp.files.cellfile.build import CellRun, CellTask
 
-__all__ = ["CELLS", "CellFileError", "example_path", "json_schema", "load_cell_file", "schema_text"]
+__all__ = ["CELLS", "CellFileError", "example_path", "json_schema", "load_cell_file", "load_cell_task", "schema_text"]
 
 #: Endings of cell files in TOML, and in YAML.
 TOML_SUFFIX, YAML_SUFFIXES = ".toml", (".yaml", ".yml")
@@ -51,6 +51,18 @@ def load_cell_file(path: str | Path) -> CellRun:
     from coopqp.files.cellfile.build import load
 
     return load(Path(path))
+
+
+def load_cell_task(path: str | Path) -> CellTask:
+    """Read a cell file and build its cell, grasp and path. No start is searched.
+
+    Raises:
+        CellFileError, MissingExtraError: as :func:`load_cell_file`.
+    """
+    _require_readers()
+    from coopqp.files.cellfile.build import load_task
+
+    return load_task(Path(path))
 
 
 def schema_text() -> str:

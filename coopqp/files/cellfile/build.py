@@ -54,6 +54,35 @@ _SOLVER_SETTINGS = {"proxqp": "ProxqpSettings", "osqp": "OsqpSettings", "daqp": 
 
 
 @dataclass(frozen=True, eq=False)
+class CellTask:
+    """What a cell file asks of the arms, before a start is found.
+
+    Attributes:
+        name: name of the task.
+        cell, grasp, path: the arms, how they hold, and where to.
+        q_start: the start of the file (nq,), or None if it is to be found.
+        start_is_near: inverse kinematics leads from it to the start.
+    """
+
+    name: str
+    cell: RobotCell
+    grasp: Grasp
+    path: ObjectPath
+    q_start: Array | None
+    start_is_near: bool
+
+    def exact_start(self) -> Array | None:
+        """The configuration (nq,) at which the arms hold the object.
+
+        Raises:
+            UnreachableError: inverse kinematics does not lead to one.
+        """
+        if self.q_start is None or not self.start_is_near:
+            return self.q_start
+        return inverse_kinematics(self.cell, self.grasp, self.path.pose(0.0), self.q_start)
+
+
+@dataclass(frozen=True, eq=False)
 class CellRun:
     """A run that a cell file describes.
 
@@ -138,8 +167,19 @@ def load(file: Path) -> CellRun:
     return run
 
 
-def build(file: CellFile, folder: Path) -> CellRun:
-    """Build the objects of a cell file. Its paths are relative to ``folder``. Errors name the arm or table."""
+def load_task(file: Path) -> CellTask:
+    """Read what a cell file asks of the arms. A start that is to be found is None. Every error names the file."""
+    settings = read(file)
+    try:
+        return _task(settings, file.parent)
+    except (CellFileError, MissingExtraError):
+        raise
+    except CoopqpError as error:
+        raise CellFileError(f"{file}: {in_words_of_the_file(str(error))}") from error
+
+
+def _task(file: CellFile, folder: Path) -> CellTask:
+    """The arms, their grasp, the path, and the start; errors name the arm or table."""
     cell = RobotCell([_arm(arm, folder) for arm in file.arms])
     path = _path(file)
     if file.start.is_auto:
@@ -148,14 +188,21 @@ def build(file: CellFile, folder: Path) -> CellRun:
                 "a latched grasp is that of the start, so a start cannot be found: give start.positions_deg or "
                 "start.positions_rad, or another kind of grasp."
             )
-        grasp = _grasp(file, cell)
-        q_start = find_start(cell, grasp, path).q
-    elif file.grasp.kind == "latched":
-        q_near = _start(file.start, cell)
-        grasp, q_start = Grasp.from_configuration(cell, q_near, path.pose(0.0)), q_near
-    else:
-        q_near, grasp = _start(file.start, cell), _grasp(file, cell)
-        q_start = inverse_kinematics(cell, grasp, path.pose(0.0), q_near) if file.start.inverse_kinematics else q_near
+        return CellTask(file.name, cell, _grasp(file, cell), path, None, start_is_near=False)
+    q_start = _start(file.start, cell)
+    if file.grasp.kind == "latched":
+        grasp = Grasp.from_configuration(cell, q_start, path.pose(0.0))
+        return CellTask(file.name, cell, grasp, path, q_start, start_is_near=False)
+    near = bool(file.start.inverse_kinematics)
+    return CellTask(file.name, cell, _grasp(file, cell), path, q_start, start_is_near=near)
+
+
+def build(file: CellFile, folder: Path) -> CellRun:
+    """Build the objects of a cell file. Its paths are relative to ``folder``. Errors name the arm or table."""
+    task = _task(file, folder)
+    cell, grasp, path = task.cell, task.grasp, task.path
+    given = task.exact_start()
+    q_start = find_start(cell, grasp, path).q if given is None else given
     dt = path.duration / file.steps if file.steps is not None else file.dt_s or DEFAULT_DT
     longest = file.longest_s if file.longest_s is not None else 10.0 * path.duration
     if (longest + file.settle_s) / dt > 10.0 * MAX_STEPS:

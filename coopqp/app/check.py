@@ -1,0 +1,137 @@
+"""The subcommand ``coopqp check``: can the arms follow the path, before anything moves?"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from coopqp.app.terminal import print_table, reporter
+from coopqp.errors import UnknownNameError, UnreachableError, printable
+
+if TYPE_CHECKING:
+    from coopqp.model.cell import RobotCell
+    from coopqp.model.grasp import Grasp
+    from coopqp.planning import PathCheck
+    from coopqp.spatial import Array
+    from coopqp.task.path import ObjectPath
+
+#: Exit statuses.
+_FOLLOWS, _CANNOT, _UNDECIDED = 0, 3, 4
+#: File of the picture.
+_PICTURE = "check.png"
+
+
+def _add_check(commands: Any) -> None:
+    parser = commands.add_parser(
+        "check",
+        help="can the arms follow the path of a cell? A proof before the motion",
+        description="Judge whether the arms can follow the path inside their position limits and away from "
+        "singularities, from the start of the cell or from any start. Nothing moves.",
+        epilog="Exit status: 0 if the arms follow the path (certified: proved at every point; or sampled: at samples, "
+        "where there is no proof), 3 if an arm cannot or has no start, 4 if some interval is not decided, 2 for bad "
+        "input.",
+    )
+    parser.add_argument("cell", metavar="CELL", help="a cell file (.toml, .yaml) or the name of a scenario")
+    parser.add_argument("--remedies", action="store_true", help="search what helps: branch, roll, path, base")
+    parser.add_argument("--any-start", action="store_true", help="judge every branch, not only the start of the cell")
+    parser.add_argument("--branches", action="store_true", help="also print the table of branches of each arm")
+    parser.add_argument("--json", type=Path, metavar="FILE", help="also write the answer as JSON")
+    parser.add_argument(
+        "--out", type=Path, metavar="DIR", help=f"also draw margins and σ_min along the path: DIR/{_PICTURE}"
+    )
+    parser.add_argument("--force", action="store_true", help="overwrite what is there")
+    parser.add_argument("--quiet", action="store_true", help="print errors only")
+    parser.set_defaults(run=_run_check)
+
+
+def _run_check(arguments: argparse.Namespace) -> int:
+    from coopqp.planning import PathVerdict, check_path
+    from coopqp.planning.remedies import with_remedies
+
+    picture = None if arguments.out is None else arguments.out / _PICTURE
+    _check_outputs(arguments.json, picture, force=arguments.force)
+    with reporter(quiet=arguments.quiet) as report:
+        cell, grasp, path, q_start, note = _task(arguments.cell)
+        if note:
+            report.note(note)
+        report.note("looking at the arms along the path")
+        check = check_path(cell, grasp, path, q_start=None if arguments.any_start else q_start)
+        if arguments.remedies and not check.feasible:
+            report.note("looking for remedies")
+            check = with_remedies(check)
+        files = _write(check, arguments.json, picture)
+    if not arguments.quiet:
+        _print(check, branches=arguments.branches)
+        if files:
+            print("\nwritten:", *(printable(str(file)) for file in files), sep="\n  ")
+    if check.feasible:
+        return _FOLLOWS
+    sys.stdout.flush()
+    if not arguments.quiet:
+        return _CANNOT if check.verdict is PathVerdict.INFEASIBLE else _UNDECIDED
+    first = check.explain().splitlines()[0]
+    print(f"coopqp: {printable(first)}", file=sys.stderr, flush=True)
+    return _CANNOT if check.verdict is PathVerdict.INFEASIBLE else _UNDECIDED
+
+
+def _task(name: str) -> tuple[RobotCell, Grasp, ObjectPath, Array | None, str]:
+    """Cell, grasp, path and start of a cell file or of a scenario, and what is to be said of the start."""
+    from coopqp.files.cellfile import TOML_SUFFIX, YAML_SUFFIXES, load_cell_task
+    from coopqp.scenarios import SCENARIOS
+
+    if Path(name).suffix in (TOML_SUFFIX, *YAML_SUFFIXES):
+        task = load_cell_task(name)
+        try:
+            return task.cell, task.grasp, task.path, task.exact_start(), ""
+        except UnreachableError as error:
+            return task.cell, task.grasp, task.path, None, f"from the start of the file {error} Any start is judged."
+    if name not in SCENARIOS:
+        raise UnknownNameError("cell file (.toml, .yaml) or scenario", name, SCENARIOS)
+    scenario = SCENARIOS[name]()
+    return scenario.cell, scenario.grasp, scenario.path, scenario.q_start, ""
+
+
+def _check_outputs(record: Path | None, picture: Path | None, *, force: bool) -> None:
+    """Refuse what cannot be written, before any work is done."""
+    from coopqp.output import OutputError, check_file
+
+    if picture is not None:
+        from coopqp.look.plots import require_matplotlib
+
+        require_matplotlib()
+    for file in (record, picture):
+        if file is not None:
+            check_file(file)
+            if file.exists() and not force:
+                raise OutputError(f"{file} exists. Replace it with --force, or give another name.")
+
+
+def _write(check: PathCheck, record: Path | None, picture: Path | None) -> list[Path]:
+    from coopqp.output import write_files
+
+    contents: dict[Path, bytes] = {}
+    if record is not None:
+        contents[record] = (json.dumps(check.record(), indent=1, ensure_ascii=False) + "\n").encode()
+    if picture is not None:
+        from coopqp.look.check_plots import check_figure
+        from coopqp.look.plots import figure_bytes
+
+        contents[picture] = figure_bytes(check_figure(check), dpi=110)
+    return write_files(contents) if contents else []
+
+
+def _print(check: PathCheck, *, branches: bool) -> None:
+    print(printable(check.verdict.value.upper()))
+    for line in check.explain().splitlines():
+        print(printable(line))
+    if branches:
+        for arm in check.arms:
+            print(f"\narm {printable(arm.arm)}; * is judged")
+            rows = arm.table()
+            print_table(rows, numeric=[False, False, False, True, False])
+
+
+COMMANDS = (_add_check,)

@@ -1,0 +1,251 @@
+"""What helps arms that cannot follow a path: another branch, a roll of the tool, a shift of the path or of a base.
+
+Moving the path by D is moving each base by −D, seen from the arm. So one map, of the places at which an arm can follow
+the path, serves both. Every remedy is checked before it is said.
+"""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import dataclass, replace
+from typing import Any, Literal, final
+
+import numpy as np
+import pinocchio as pin
+
+from coopqp.model.batch import ArmKinematics
+from coopqp.model.cell import RobotCell
+from coopqp.model.grasp import Grasp
+from coopqp.planning.arm_starts import arm_on_path
+from coopqp.planning.branch_checks import PathVerdict
+from coopqp.planning.check import PathCheck, check_path
+from coopqp.planning.samples import PathSamples, sample_path
+from coopqp.spatial import Array
+from coopqp.task.path import HoldPath, LinePath, ObjectPath, WaypointPath
+
+#: Rolls of the tool [deg], in the order in which they are tried.
+_ROLLS = (180.0, 90.0, -90.0, 45.0, -45.0, 135.0, -135.0, *np.arange(-165.0, 180.0, 30.0).tolist())
+#: Distances of the path or of a base [m], the least first, and how many of the places found are checked.
+_DISTANCES, _CHECKED = (0.05, 0.1, 0.2, 0.3, 0.5), 4
+_DIRECTIONS = np.array([d for d in itertools.product((0, 1, -1), repeat=3) if any(d)], dtype=float)
+
+Kind = Literal["branch", "roll", "shift", "base"]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Remedy:
+    """A change with which the arms follow the path; checked.
+
+    Attributes:
+        kind: ``"branch"`` (another start), ``"roll"`` (of tools about their z axes), ``"shift"`` (of the path) or
+            ``"base"`` (of bases).
+        text: what to do.
+        check: the check of the changed task: its ``cell``, ``grasp``, ``path`` and ``q_start`` hold the remedy.
+        shift: displacement of the path, or of each base (N, 3), in the world [m]; None for other kinds.
+        roll: roll of each tool (N,) [rad]; None for other kinds.
+    """
+
+    kind: Kind
+    text: str
+    check: PathCheck
+    shift: Array | None = None
+    roll: Array | None = None
+
+    def __str__(self) -> str:
+        return f"{self.text} ({self.check.verdict.value})"
+
+    def record(self) -> dict[str, Any]:
+        """The remedy as plain data for JSON."""
+        return {
+            "kind": self.kind,
+            "text": self.text,
+            "verdict": self.check.verdict.value,
+            "shift_m": None if self.shift is None else self.shift.tolist(),
+            "roll_rad": None if self.roll is None else self.roll.tolist(),
+            "q_start": None if self.check.q_start is None else self.check.q_start.tolist(),
+        }
+
+
+def find_remedies(check: PathCheck) -> tuple[Remedy, ...]:
+    """Remedies for a path that is INFEASIBLE or UNDECIDED, the simplest first; none for other verdicts.
+
+    Each kind is tried for the arms in trouble, and one of each kind is returned: the least change that was found. Its
+    check says CERTIFIED or SAMPLED.
+
+    Args:
+        check: the answer of :func:`check_path`.
+    """
+    if check.feasible:
+        return ()
+    base = check
+    if check.given:
+        base = check_path(check.cell, check.grasp, check.path)
+        if base.feasible:
+            arms = _listed([arm.arm for arm in check.arms if not _follows(arm.verdict)])
+            return (Remedy(kind="branch", text=f"start {arms} in another branch", check=base),)
+    search = _Search(base)
+    found = (search.roll(), search.shift(), search.bases())
+    return tuple(remedy for remedy in found if remedy is not None)
+
+
+def _follows(verdict: PathVerdict) -> bool:
+    return verdict in (PathVerdict.CERTIFIED, PathVerdict.SAMPLED)
+
+
+def _listed(names: list[str]) -> str:
+    arms = [f"arm {name}" for name in names]
+    return arms[0] if len(arms) == 1 else f"{', '.join(arms[:-1])} and {arms[-1]}"
+
+
+@final
+class _Search:
+    """Remedies of one task whose arms have no start."""
+
+    def __init__(self, check: PathCheck) -> None:
+        self.check = check
+        self.samples = sample_path(check.path, check.grasp)
+        self.arms = [ArmKinematics(arm) for arm in check.cell.arms]
+        self.bad = [k for k, arm in enumerate(check.arms) if not _follows(arm.verdict)]
+        self._scores: dict[tuple[int, tuple[float, ...], float], float] = {}
+
+    # -- a first look --------------------------------------------------------------------------------------------
+
+    def score(self, k: int, shift: Array, roll: float = 0.0) -> float:
+        """Score of an arm on the path moved by ``shift`` in the world [m], its tool rolled; −inf if it fails."""
+        key = k, tuple(shift.tolist()), roll
+        if key not in self._scores:
+            moved = PathSamples(
+                self.samples.clocks, tuple(pin.SE3(T.rotation, T.translation + shift) for T in self.samples.poses)
+            )
+            found = arm_on_path(
+                self.arms[k], moved, self.check.grasp.T_object_tool[k], roll=roll, quick=True,
+                near=np.empty((0, self.arms[k].n)),
+            )  # fmt: skip
+            self._scores[key] = found.feasible[0].score if found.feasible else -np.inf
+        return self._scores[key]
+
+    def _confirmed(self, cell: RobotCell, grasp: Grasp, path: ObjectPath) -> PathCheck | None:
+        answer = check_path(cell, grasp, path)
+        return answer if answer.feasible else None
+
+    # -- kinds ---------------------------------------------------------------------------------------------------
+
+    def roll(self) -> Remedy | None:
+        """Roll the tool of each arm in trouble."""
+        c, still = self.check, np.zeros(3)
+        options: list[list[float]] = []
+        for k in self.bad:
+            good = [angle for angle in _ROLLS if self.score(k, still, float(np.deg2rad(angle))) > -np.inf]
+            if not good:
+                return None
+            options.append(good)
+        for choice in itertools.islice(_together(options), _CHECKED):
+            angles = np.zeros(len(c.cell))
+            angles[self.bad] = np.deg2rad(choice)
+            tools = [
+                X * pin.SE3(pin.exp3(np.array([0.0, 0.0, a])), np.zeros(3))
+                for X, a in zip(c.grasp.T_object_tool, angles, strict=True)
+            ]
+            answer = self._confirmed(c.cell, Grasp(tuple(tools)), c.path)
+            if answer is not None:
+                said = [f"of arm {c.cell.arm_names[k]} by {a:.0f}°" for k, a in zip(self.bad, choice, strict=True)]
+                return Remedy(kind="roll", text=f"roll the tool {' and '.join(said)}", check=answer, roll=angles)
+        return None
+
+    def shift(self) -> Remedy | None:
+        """Move the whole path."""
+        c, tried = self.check, 0
+        order = [*self.bad, *(k for k in range(len(c.cell)) if k not in self.bad)]
+        for distance in _DISTANCES:
+            places = [distance * d / np.linalg.norm(d) for d in _DIRECTIONS]
+            good = [D for D in places if all(self.score(k, D) > -np.inf for k in order)]
+            good.sort(key=lambda D: -min(self.score(k, D) for k in order))
+            for D in good:
+                moved = shifted(c.path, D)
+                answer = self._confirmed(c.cell, c.grasp, moved)
+                if answer is not None:
+                    return Remedy(kind="shift", text=f"move the path by {_metres(D)} m", check=answer, shift=D)
+                tried += 1
+                if tried >= _CHECKED:
+                    return None
+        return None
+
+    def bases(self) -> Remedy | None:
+        """Move the base of each arm in trouble: by −D where the path moved by D is followed."""
+        c = self.check
+        options: list[list[Array]] = []
+        for k in self.bad:
+            good: list[Array] = []
+            for distance in _DISTANCES:
+                places = [distance * d / np.linalg.norm(d) for d in _DIRECTIONS]
+                scored = [(self.score(k, D), i) for i, D in enumerate(places)]
+                good += [-places[i] for score, i in sorted(scored, reverse=True) if score > -np.inf]
+                if len(good) >= _CHECKED:
+                    break
+            if not good:
+                return None
+            options.append(good)
+        for choice in itertools.islice(_together(options), _CHECKED):
+            shift, arms = np.zeros((len(c.cell), 3)), list(c.cell.arms)
+            for k, D in zip(self.bad, choice, strict=True):
+                base = arms[k].T_world_base
+                shift[k], arms[k] = D, arms[k].placed(pin.SE3(base.rotation, base.translation + D))
+            answer = self._confirmed(RobotCell(arms), c.grasp, c.path)
+            if answer is not None:
+                said = [f"of arm {c.cell.arm_names[k]} by {_metres(shift[k])} m" for k in self.bad]
+                return Remedy(kind="base", text=f"move the base {' and '.join(said)}", check=answer, shift=shift)
+        return None
+
+
+def _together(options: list[list[Any]]) -> Any:
+    """One option of each list: the first of all, then the second of all, …"""
+    for i in range(max(map(len, options))):
+        yield [choices[min(i, len(choices) - 1)] for choices in options]
+
+
+def _metres(D: Array) -> str:
+    return f"({', '.join(f'{x + 0.0:.3g}' for x in np.round(D, 3))})"
+
+
+def shifted(path: ObjectPath, shift: Array) -> ObjectPath:
+    """A path moved by ``shift`` (3,) in the world [m]; the library's own paths stay what they are."""
+
+    def moved(T: pin.SE3) -> pin.SE3:
+        return pin.SE3(T.rotation, T.translation + shift)
+
+    if type(path) is LinePath:
+        return LinePath(moved(path.start), moved(path.goal), duration=path.duration, time_law=path.time_law)
+    if type(path) is WaypointPath:
+        poses = [moved(segment.start) for segment in path.segments] + [moved(path.segments[-1].goal)]
+        durations = [segment.duration for segment in path.segments]
+        return WaypointPath(poses, durations=durations, time_law=path.segments[0].time_law)
+    if type(path) is HoldPath:
+        return HoldPath(moved(path.pose(0.0)), duration=path.duration)
+    return _ShiftedPath(path, shift)
+
+
+@final
+class _ShiftedPath(ObjectPath):
+    """A user's path, moved."""
+
+    def __init__(self, path: ObjectPath, shift: Array) -> None:
+        self._path, self._shift = path, shift
+        self.duration, self.known_ahead = path.duration, path.known_ahead
+
+    def pose(self, clock: float) -> pin.SE3:
+        """T_world_object at ``clock`` [s]."""
+        T = self._path.pose(clock)
+        return pin.SE3(T.rotation, T.translation + self._shift)
+
+    def twist(self, clock: float) -> Array:
+        """Body twist at ``clock`` [m/s, rad/s]."""
+        return self._path.twist(clock)
+
+    def next_breakpoint(self, clock: float) -> float:
+        """As the path."""
+        return self._path.next_breakpoint(clock)
+
+
+def with_remedies(check: PathCheck) -> PathCheck:
+    """The same answer with its remedies."""
+    return replace(check, remedies=find_remedies(check))
