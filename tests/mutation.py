@@ -6,6 +6,9 @@ of the tree, with the tests of the mutated module, those that end soonest first.
 the slow tests of its module and then :data:`EVERYWHERE`.
 
 A mutant that survives lacks a test, or is equivalent: then :data:`EQUIVALENT` says why.
+
+A mutant that makes the tests run for ever is killed by its share of processor time, which another program's work does
+not use up; waiting is no kill. ``--resume`` goes on where a file of results ends: new tests meet the old survivors.
 """
 
 from __future__ import annotations
@@ -13,11 +16,14 @@ from __future__ import annotations
 import argparse
 import difflib
 import json
+import math
 import os
 import queue
 import random
 import re
+import resource
 import shutil
+import signal
 import subprocess
 import sys
 import tempfile
@@ -39,17 +45,17 @@ ROOT = Path(__file__).resolve().parents[1]
 
 #: What is mutated, and the tests of each module: those first that are quick and kill many.
 MODULES: dict[str, tuple[str, ...]] = {
-    "coopqp/control/limits.py": ("limits", "program", "qp_controller", "reliability/stopping"),
-    "coopqp/control/forms.py": ("program", "qp_controller", "posture"),
-    "coopqp/control/ranks.py": ("program", "qp_controller", "posture"),
-    "coopqp/control/linearised.py": ("program", "qp_controller", "preview"),
-    "coopqp/control/plain.py": ("qp_controller", "supervision", "posture", "reliability/stopping"),
-    "coopqp/control/supervision.py": ("supervision", "stress", "qp_controller", "reliability/disturbances"),
-    "coopqp/control/drift.py": ("supervision", "qp_controller", "pseudo_inverse", "reliability/disturbances"),
-    "coopqp/model/grasp.py": ("grasp", "targets", "chain", "paper_equations", "state", "cell"),
-    "coopqp/model/chain.py": ("chain", "posture", "program", "inverse_kinematics", "qp_controller"),
-    "coopqp/task/path.py": ("path", "targets", "preview", "scenarios", "simulation"),
-    "coopqp/planning/preview.py": ("preview", "qp_controller", "scenarios", "reliability/saturation"),
+    "coopqp/model/grasp.py": ("grasp", "paper_equations", "targets", "state", "cell", "chain"),
+    "coopqp/model/chain.py": ("chain", "posture", "program", "lockstep", "inverse_kinematics", "qp_controller"),
+    "coopqp/task/path.py": ("path", "targets", "core", "simulation", "preview", "scenarios"),
+    "coopqp/control/limits.py": ("limits", "lockstep", "program", "qp_controller", "reliability/stopping"),
+    "coopqp/control/forms.py": ("program", "core", "posture", "lockstep", "qp_controller"),
+    "coopqp/control/ranks.py": ("core", "lockstep", "program", "constraint_rows", "qp_controller", "posture"),
+    "coopqp/control/linearised.py": ("lockstep", "qp_controller", "program"),
+    "coopqp/control/drift.py": ("lockstep", "supervision", "qp_controller", "reliability/disturbances"),
+    "coopqp/control/plain.py": ("lockstep", "qp_controller", "supervision", "posture", "reliability/stopping"),
+    "coopqp/control/supervision.py": ("lockstep", "supervision", "stress", "qp_controller", "reliability/disturbances"),
+    "coopqp/planning/preview.py": ("preview", "qp_controller", "lockstep", "scenarios", "reliability/saturation"),
 }
 #: Tests of whole runs, for mutants that the module's own let live.
 EVERYWHERE = (
@@ -141,6 +147,18 @@ class Mutant:
     killer: str = ""
     seconds: float = 0.0
 
+    def write(self, source: str) -> str:
+        """The text of the module with this change, which is noted."""
+        mutated: str | None = mutate_code(source, OPERATORS[self.operator], self.occurrence)
+        assert mutated is not None, self
+        assert mutated != source, self
+        lines = list(difflib.unified_diff(source.splitlines(), mutated.splitlines(), lineterm="", n=2))[2:]
+        self.diff = "\n".join(lines)
+        self.before, self.after = (
+            " ".join(line[1:].strip() for line in lines if line.startswith(sign)) for sign in "-+"
+        )
+        return mutated
+
     @property
     def why_equivalent(self) -> str | None:
         return EQUIVALENT.get((self.module, self.before, self.after))
@@ -173,15 +191,22 @@ def sites(source: str) -> dict[Any, list[tuple[str, int]]]:
 
 
 def chosen(modules: list[str], number: int, seed: int) -> list[Mutant]:
-    """Mutants at ``number`` places of the modules, one a place; any place as likely as any other."""
-    rng = random.Random(seed)
+    """Mutants at ``number`` places of the modules, one a place; any place of a module as likely as any other.
+
+    Each module has its share. What is chosen in one does not depend on the text of the others, and a smaller number
+    chooses the first ones of a larger.
+    """
     places = {module: sites((ROOT / module).read_text(encoding="utf-8")) for module in modules}
-    every = [(module, start) for module in modules for start in sorted(places[module])]
-    print(f"{len(every)} places in {len(modules)} modules", flush=True)
+    every = sum(map(len, places.values()))
+    print(f"{every} places in {len(modules)} modules", flush=True)
     mutants = []
-    for module, start in rng.sample(every, min(number, len(every))):
-        operator, occurrence = rng.choice(places[module][start])
-        mutants.append(Mutant(module, operator, occurrence, start[0]))
+    for module, found in places.items():
+        rng = random.Random(f"{seed} {module}")
+        order = sorted(found)
+        rng.shuffle(order)
+        chosen_here = [(start, rng.choice(found[start])) for start in order]
+        for start, (operator, occurrence) in chosen_here[: math.ceil(number * len(order) / every)]:
+            mutants.append(Mutant(module, operator, occurrence, start[0]))
     return mutants
 
 
@@ -215,42 +240,38 @@ class Copy:
         )  # fmt: skip
         assert Path(where.stdout.strip()).is_relative_to(folder), where.stdout
 
-    def killer(self, files: tuple[str, ...], *options: str, limit: float) -> str:
-        """The test that failed, or "" if none did."""
+    def killer(self, files: tuple[str, ...], *options: str, limit: int) -> str:
+        """The test that failed, or "" if none did; each process of the tests has ``limit`` seconds of a processor."""
         tests = [test_file(name) for name in files]
-        command = [sys.executable, "-m", "pytest", "-x", "-p", "no:cacheprovider", *options, *tests]
-        try:
-            done = subprocess.run(
-                command, cwd=self.folder, env=self._environment, capture_output=True, text=True, timeout=limit
-            )
-        except subprocess.TimeoutExpired:
-            return "timeout"
-        if done.returncode in (0, 5):  # 5: no test of that kind
+        command = [sys.executable, "-m", "pytest", "-x", "-p", "no:cacheprovider", "--timeout", "0", *options, *tests]
+        pipe = subprocess.PIPE
+        with subprocess.Popen(
+            command, cwd=self.folder, env=self._environment, stdout=pipe, stderr=pipe, text=True
+        ) as tested:
+            resource.prlimit(tested.pid, resource.RLIMIT_CPU, (limit, limit + 5))
+            said, _ = tested.communicate()
+        if tested.returncode in (0, 5):  # 5: no test of that kind
             return ""
-        found = re.search(r"^(?:FAILED|ERROR) (\S+)", done.stdout, re.MULTILINE)
-        return found.group(1) if found else f"status {done.returncode}"
+        if tested.returncode == -signal.SIGXCPU:
+            return "runs for ever"
+        found = re.search(r"^(?:FAILED|ERROR) (\S+)", said, re.MULTILINE)
+        return found.group(1) if found else f"status {tested.returncode}"
 
-    def stages(self, files: tuple[str, ...]) -> Iterator[str]:
-        yield self.killer(files, "-m", "not slow", "--timeout", "60", limit=600.0)
-        yield self.killer(files, "-m", "slow", "--timeout", "300", limit=1800.0)
-        yield self.killer(EVERYWHERE, "--timeout", "600", limit=3600.0)
+    def stages(self, files: tuple[str, ...], quick: bool) -> Iterator[str]:
+        yield self.killer(files, "-m", "not slow", limit=150)
+        if not quick:
+            yield self.killer(files, "-m", "slow", limit=1200)
+            yield self.killer(EVERYWHERE, limit=2400)
 
-    def test(self, mutant: Mutant) -> Mutant:
+    def test(self, mutant: Mutant, quick: bool) -> Mutant:
         """Write the mutant, run the tests, put the module back."""
         file, started = self.folder / mutant.module, time.monotonic()
         source = file.read_text(encoding="utf-8")
-        mutated = mutate_code(source, OPERATORS[mutant.operator], mutant.occurrence)
-        assert mutated is not None, mutant
-        assert mutated != source, mutant
-        lines = list(difflib.unified_diff(source.splitlines(), mutated.splitlines(), lineterm="", n=2))[2:]
-        mutant.diff = "\n".join(lines)
-        mutant.before, mutant.after = (
-            " ".join(line[1:].strip() for line in lines if line.startswith(sign)) for sign in "-+"
-        )
+        mutated = mutant.write(source)
         try:
             file.write_text(mutated, encoding="utf-8")
             self._forget(file)
-            mutant.killer = next((killer for killer in self.stages(MODULES[mutant.module]) if killer), "")
+            mutant.killer = next(filter(None, self.stages(MODULES[mutant.module], quick)), "")
         finally:
             file.write_text(source, encoding="utf-8")
             self._forget(file)
@@ -286,7 +307,9 @@ def main() -> int:
     parser.add_argument("--only", nargs="+", choices=MODULES, metavar="MODULE", help="modules (default all)")
     parser.add_argument("--least", type=float, default=0.9, help="share to be killed (default 0.9)")
     parser.add_argument("--processes", type=int, default=2, help="mutants at a time (default 2)")
+    parser.add_argument("--quick", action="store_true", help="quick tests only")
     parser.add_argument("--json", type=Path, help="write each mutant and what came of it to this file")
+    parser.add_argument("--resume", action="store_true", help="leave out what the file of --json says was killed")
     parser.add_argument("--list", action="store_true", help="print the mutants, and test none")
     args = parser.parse_args()
     modules = args.only or list(MODULES)
@@ -298,6 +321,17 @@ def main() -> int:
         for m in mutants:
             print(f"{m.module}:{m.line} {m.operator} {m.occurrence}")
         return 0
+    if args.resume:
+        if not args.json:
+            parser.error("--resume goes on with the file of --json: name it")
+        kept = [Mutant(**m) for m in json.loads(args.json.read_text(encoding="utf-8"))] if args.json.exists() else []
+        killed = {(m.module, m.operator, m.diff): m for m in kept if m.outcome == "killed"}
+        for m in mutants:
+            m.write((ROOT / m.module).read_text(encoding="utf-8"))
+        tested = [killed[m.module, m.operator, m.diff] for m in mutants if (m.module, m.operator, m.diff) in killed]
+        mutants = [m for m in mutants if (m.module, m.operator, m.diff) not in killed]
+        print(f"{len(tested)} were killed before, {len(mutants)} are left", flush=True)
+    all_of_them = len(tested) + len(mutants)
     with tempfile.TemporaryDirectory() as folder, ThreadPoolExecutor(args.processes) as pool:
         copies: queue.SimpleQueue[Copy] = queue.SimpleQueue()
         for i in range(args.processes):
@@ -306,13 +340,14 @@ def main() -> int:
         def run(mutant: Mutant) -> Mutant:
             copy = copies.get()
             try:
-                return copy.test(mutant)
+                return copy.test(mutant, args.quick)
             finally:
                 copies.put(copy)
 
         sound = copies.get()
         files = tuple(dict.fromkeys(f for m in modules for f in MODULES[m]))
-        if killer := sound.killer(files, "-n", str(args.processes), limit=3600.0):
+        kinds = ["-m", "not slow"] if args.quick else []
+        if killer := sound.killer(files, "-n", str(args.processes), *kinds, limit=3600):
             print(f"without any mutation {killer} fails")
             return 2
         copies.put(sound)
@@ -320,7 +355,7 @@ def main() -> int:
             m = done.result()
             tested.append(m)
             print(
-                f"{len(tested):4}/{len(mutants)} {m.seconds:5.0f} s {m.outcome:10} {m.module}:{m.line} {m.operator} "
+                f"{len(tested):4}/{all_of_them} {m.seconds:5.0f} s {m.outcome:10} {m.module}:{m.line} {m.operator} "
                 f"{m.killer}",
                 flush=True,
             )
