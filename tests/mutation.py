@@ -46,10 +46,10 @@ ROOT = Path(__file__).resolve().parents[1]
 #: What is mutated, and the tests of each module: those first that are quick and kill many.
 MODULES: dict[str, tuple[str, ...]] = {
     "coopqp/model/grasp.py": ("grasp", "paper_equations", "targets", "state", "cell", "chain"),
-    "coopqp/model/chain.py": ("chain", "posture", "program", "lockstep", "inverse_kinematics", "qp_controller"),
+    "coopqp/model/chain.py": ("chain", "lockstep", "posture", "program", "inverse_kinematics", "qp_controller"),
     "coopqp/task/path.py": ("path", "targets", "core", "simulation", "preview", "scenarios"),
     "coopqp/control/limits.py": ("limits", "lockstep", "program", "qp_controller", "reliability/stopping"),
-    "coopqp/control/forms.py": ("program", "core", "posture", "lockstep", "qp_controller"),
+    "coopqp/control/forms.py": ("program", "lockstep", "core", "posture", "qp_controller"),
     "coopqp/control/ranks.py": ("core", "lockstep", "program", "constraint_rows", "qp_controller", "posture"),
     "coopqp/control/linearised.py": ("lockstep", "qp_controller", "program"),
     "coopqp/control/drift.py": ("lockstep", "supervision", "qp_controller", "reliability/disturbances"),
@@ -257,21 +257,21 @@ class Copy:
         found = re.search(r"^(?:FAILED|ERROR) (\S+)", said, re.MULTILINE)
         return found.group(1) if found else f"status {tested.returncode}"
 
-    def stages(self, files: tuple[str, ...], quick: bool) -> Iterator[str]:
+    def stages(self, files: tuple[str, ...], *, quick: bool) -> Iterator[str]:
         yield self.killer(files, "-m", "not slow", limit=150)
         if not quick:
             yield self.killer(files, "-m", "slow", limit=1200)
             yield self.killer(EVERYWHERE, limit=2400)
 
-    def test(self, mutant: Mutant, quick: bool) -> Mutant:
-        """Write the mutant, run the tests, put the module back."""
+    def test(self, mutant: Mutant, files: tuple[str, ...], *, quick: bool) -> Mutant:
+        """Write the mutant, run the tests of these files, put the module back."""
         file, started = self.folder / mutant.module, time.monotonic()
         source = file.read_text(encoding="utf-8")
         mutated = mutant.write(source)
         try:
             file.write_text(mutated, encoding="utf-8")
             self._forget(file)
-            mutant.killer = next(filter(None, self.stages(MODULES[mutant.module], quick)), "")
+            mutant.killer = next(filter(None, self.stages(files, quick=quick)), "")
         finally:
             file.write_text(source, encoding="utf-8")
             self._forget(file)
@@ -308,11 +308,13 @@ def main() -> int:
     parser.add_argument("--least", type=float, default=0.9, help="share to be killed (default 0.9)")
     parser.add_argument("--processes", type=int, default=2, help="mutants at a time (default 2)")
     parser.add_argument("--quick", action="store_true", help="quick tests only")
+    parser.add_argument("--files", type=int, metavar="N", help="of the tests of each module the first N files only")
     parser.add_argument("--json", type=Path, help="write each mutant and what came of it to this file")
     parser.add_argument("--resume", action="store_true", help="leave out what the file of --json says was killed")
     parser.add_argument("--list", action="store_true", help="print the mutants, and test none")
     args = parser.parse_args()
     modules = args.only or list(MODULES)
+    tests = {module: MODULES[module][: args.files] for module in modules}
     named = [*MODULES, *(test_file(name) for names in (*MODULES.values(), EVERYWHERE) for name in names)]
     if lost := [name for name in named if not (ROOT / name).exists()]:
         parser.error(f"the tables of {Path(__file__).name} name what is not there: {', '.join(sorted(set(lost)))}")
@@ -340,12 +342,12 @@ def main() -> int:
         def run(mutant: Mutant) -> Mutant:
             copy = copies.get()
             try:
-                return copy.test(mutant, args.quick)
+                return copy.test(mutant, tests[mutant.module], quick=args.quick)
             finally:
                 copies.put(copy)
 
         sound = copies.get()
-        files = tuple(dict.fromkeys(f for m in modules for f in MODULES[m]))
+        files = tuple(dict.fromkeys(f for names in tests.values() for f in names))
         kinds = ["-m", "not slow"] if args.quick else []
         if killer := sound.killer(files, "-n", str(args.processes), *kinds, limit=3600):
             print(f"without any mutation {killer} fails")
