@@ -193,20 +193,21 @@ def sites(source: str) -> dict[Any, list[tuple[str, int]]]:
 def chosen(modules: list[str], number: int, seed: int) -> list[Mutant]:
     """Mutants at ``number`` places of the modules, one a place; any place of a module as likely as any other.
 
-    Each module has its share. What is chosen in one does not depend on the text of the others, and a smaller number
-    chooses the first ones of a larger.
+    Each module has its share. What is chosen stays chosen when other lines change, and a smaller number chooses the
+    first ones of a larger.
     """
-    places = {module: sites((ROOT / module).read_text(encoding="utf-8")) for module in modules}
+    sources = {module: (ROOT / module).read_text(encoding="utf-8") for module in modules}
+    places = {module: sites(source) for module, source in sources.items()}
     every = sum(map(len, places.values()))
     print(f"{every} places in {len(modules)} modules", flush=True)
     mutants = []
     for module, found in places.items():
-        rng = random.Random(f"{seed} {module}")
-        order = sorted(found)
-        rng.shuffle(order)
-        chosen_here = [(start, rng.choice(found[start])) for start in order]
-        for start, (operator, occurrence) in chosen_here[: math.ceil(number * len(order) / every)]:
-            mutants.append(Mutant(module, operator, occurrence, start[0]))
+        lines, drawn = sources[module].splitlines(), []
+        for start, ways in found.items():
+            rng = random.Random(f"{seed} {module} {start[1]} {lines[start[0] - 1]}")
+            drawn.append((rng.random(), start[0], rng.choice(ways)))
+        for _, line, (operator, occurrence) in sorted(drawn)[: math.ceil(number * len(drawn) / every)]:
+            mutants.append(Mutant(module, operator, occurrence, line))
     return mutants
 
 

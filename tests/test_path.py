@@ -302,6 +302,16 @@ def test_a_servo_path_jumps_once_at_the_target(start: pin.SE3, target: pin.SE3, 
     close(path.pose(end), target, 1e-9)
 
 
+@given(poses, poses, poses)
+def test_a_servo_path_begun_again_is_a_new_one_that_rests(a: pin.SE3, b: pin.SE3, c: pin.SE3) -> None:
+    path, new = moving(a, b, 3.0), ServoPath(c)
+    path.restart(c)
+    numbers = new.packed()
+    close(path.packed(), numbers, 0.0)
+    assert numbers[3 + 1 + 18] == 0.0  # the line begins at clock 0
+    close(unpacked(numbers, 1e3), c, 1e-15)
+
+
 @pytest.mark.parametrize("bad", [None, 2.0 * np.eye(4), np.full((4, 4), np.nan), "there"])
 def test_a_bad_target_leaves_the_old_one(bad: Any) -> None:
     path, target = ServoPath(np.eye(4)), pin.SE3(np.eye(3), np.ones(3))
