@@ -54,7 +54,7 @@ MODULES: dict[str, tuple[str, ...]] = {
     "coopqp/control/linearised.py": ("lockstep", "qp_controller", "program"),
     "coopqp/control/drift.py": ("lockstep", "supervision", "qp_controller", "reliability/disturbances"),
     "coopqp/control/plain.py": ("lockstep", "qp_controller", "supervision", "posture", "reliability/stopping"),
-    "coopqp/control/supervision.py": ("lockstep", "supervision", "stress", "qp_controller", "reliability/disturbances"),
+    "coopqp/control/supervision.py": ("supervision", "lockstep", "stress", "qp_controller", "reliability/disturbances"),
     "coopqp/planning/preview.py": ("preview", "qp_controller", "lockstep", "scenarios", "reliability/saturation"),
 }
 #: Tests of whole runs, for mutants that the module's own let live.
@@ -68,7 +68,37 @@ EVERYWHERE = (
     "reliability/commands",
 )
 #: Mutants that change nothing: module, line, mutated line (stripped), and why no test can see it.
-EQUIVALENT: dict[tuple[str, str, str], str] = {}
+EQUIVALENT: dict[tuple[str, str, str], str] = {
+    (module, before, after): why
+    for module, changes in {
+        "coopqp/model/chain.py": {
+            (
+                "out[g.columns] = (W[g.arms, None, :] @ inverse)[:, 0, :]",
+                "out[g.columns] = (W[g.arms, None, :] @ inverse)[:, -1, :]",
+            ): "this axis has one entry",
+            (
+                "return self._least_squares(g) if g.joints < 6 else self._redundant(g)",
+                "return self._least_squares(g) if g.joints <= 6 else self._redundant(g)",
+            ): "six joints have an inverse of their own, above",
+            (
+                "M = np.zeros((12, 13))",
+                "M = np.zeros((12, 14))",
+            ): "a column of zeros more: the largest of e and −e is 0 or more anyway",
+            ("continue", "break"): "the groups are sorted by their joints",
+        },
+        "coopqp/control/limits.py": {
+            (
+                "a, d = np.where(finite, self._acceleration, 1.0), np.where(finite, distance, 1.0)",
+                "a, d = np.where(finite, self._acceleration, 1.0), np.where(finite, distance, 2.0)",
+            ): "what stands where nothing is finite is not used",
+            (
+                "if lowest > _FAR or highest < -_FAR:",
+                "if lowest > _FAR or highest <= -_FAR:",
+            ): "a rate of exactly −1e100",
+        },
+    }.items()
+    for (before, after), why in changes.items()
+}
 
 _COSMIC = [
     *(f"ReplaceBinaryOperator_{pair}" for pair in (
@@ -311,7 +341,11 @@ def main() -> int:
     parser.add_argument("--quick", action="store_true", help="quick tests only")
     parser.add_argument("--files", type=int, metavar="N", help="of the tests of each module the first N files only")
     parser.add_argument("--json", type=Path, help="write each mutant and what came of it to this file")
-    parser.add_argument("--resume", action="store_true", help="leave out what the file of --json says was killed")
+    parser.add_argument(
+        "--resume",
+        action="store_true",
+        help="leave out what the file of --json says was killed or survived as equivalent",
+    )
     parser.add_argument("--list", action="store_true", help="print the mutants, and test none")
     args = parser.parse_args()
     modules = args.only or list(MODULES)
@@ -328,12 +362,14 @@ def main() -> int:
         if not args.json:
             parser.error("--resume goes on with the file of --json: name it")
         kept = [Mutant(**m) for m in json.loads(args.json.read_text(encoding="utf-8"))] if args.json.exists() else []
-        killed = {(m.module, m.operator, m.diff): m for m in kept if m.outcome == "killed"}
         for m in mutants:
             m.write((ROOT / m.module).read_text(encoding="utf-8"))
-        tested = [killed[m.module, m.operator, m.diff] for m in mutants if (m.module, m.operator, m.diff) in killed]
-        mutants = [m for m in mutants if (m.module, m.operator, m.diff) not in killed]
-        print(f"{len(tested)} were killed before, {len(mutants)} are left", flush=True)
+        known = {(m.module, m.operator, m.diff): m for m in kept if m.outcome == "killed" or m.why_equivalent}
+        tested = [known[m.module, m.operator, m.diff] for m in mutants if (m.module, m.operator, m.diff) in known]
+        mutants = [m for m in mutants if (m.module, m.operator, m.diff) not in known]
+        for m in tested:
+            m.outcome = "equivalent" if m.why_equivalent else m.outcome
+        print(f"{len(tested)} were killed before or are equivalent, {len(mutants)} are left", flush=True)
     all_of_them = len(tested) + len(mutants)
     with tempfile.TemporaryDirectory() as folder, ThreadPoolExecutor(args.processes) as pool:
         copies: queue.SimpleQueue[Copy] = queue.SimpleQueue()
