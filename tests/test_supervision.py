@@ -113,6 +113,33 @@ def test_bad_stiffness_and_limits_are_named(options: dict[str, Any]) -> None:
         SupervisionOptions(**options)
 
 
+NOT_POSITIVE = (0.0, -1.0, np.nan, np.inf, None, "far", [1.0])
+NEGATIVE = NOT_POSITIVE[1:]
+
+
+@pytest.mark.parametrize(
+    ("option", "bad", "good"),
+    [
+        *((name, NOT_POSITIVE, (1.0, 1e-9)) for name in ("fault_from", "silent_time", "joint_jump", "force_limit")),
+        ("hold_from", NOT_POSITIVE, (0.00025, 1.0)),
+        ("slow_from", (*NOT_POSITIVE[:4], 0.0008), (None, 1e-9, 0.00075)),
+        *(
+            (name, NEGATIVE, (0.0, 1.0))
+            for name in ("servo_delay", "filter_time", "noise_margin", "recovery_time", "let_in")
+        ),
+        ("stall_share", (*NOT_POSITIVE, 1.1), (1e-9, 1.0)),
+        ("stall_samples", (0, -1, 1.5, "four", 10_001), (None, 1, 10_000)),
+        ("dt_range", (0.5, (0.5,), (0.0, 5.0), (1.1, 5.0), (0.1, 0.9), (0.1, np.inf), None), ((1.0, 1.0), (0.1, 9.0))),
+    ],
+)  # fmt: skip
+def test_an_option_out_of_range_is_named(option: str, bad: tuple[Any, ...], good: tuple[Any, ...]) -> None:
+    for value in bad:
+        with pytest.raises(InvalidInputError, match=f"SupervisionOptions: {option}"):
+            SupervisionOptions(**{option: value})
+    for value in good:
+        assert getattr(SupervisionOptions(**{option: value}), option) == value
+
+
 def test_stiffness_is_one_number_or_one_per_joint() -> None:
     lift = paper_lift()
     for stiffness in (1e5, np.full(18, 1e5), [1e5] * 18):
