@@ -236,6 +236,10 @@ def annotations(module: Any) -> list[tuple[Any, Any]]:
     return [(node.start_pos, node.end_pos) for node in found]
 
 
+#: Where a star multiplies nothing.
+_STARRED = ("parameters", "typedargslist", "param", "argument", "arglist", "star_expr")
+
+
 def sites(source: str) -> dict[Any, list[tuple[str, int]]]:
     """The mutants of a module by the place that they change: operator and its occurrence."""
     module = get_ast(source)
@@ -245,7 +249,8 @@ def sites(source: str) -> dict[Any, list[tuple[str, int]]]:
         for node in ast_nodes(module):
             for start, end in operator.mutation_positions(node):
                 huge = node.type == "number" and abs(eval(node.value)) >= 2.0**53  # one more is the same
-                if not huge and not any(a <= start and end <= b for a, b in types):
+                starred = node.type == "operator" and node.parent.type in _STARRED
+                if not huge and not starred and not any(a <= start and end <= b for a, b in types):
                     found[start].append((name, occurrence))
                 occurrence += 1
     return dict(found)
