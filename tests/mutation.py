@@ -100,9 +100,10 @@ EQUIVALENT: dict[tuple[str, str, str], str] = {
                 "still = np.abs(along) <= _STILL",
             ): "a speed of exactly 1e-12",
         },
-        "coopqp/control/forms.py": {
-            ("@dataclass(eq=False)", "@dataclass(eq=True)"): "nobody compares them",
-        },
+        **dict.fromkeys(
+            (f"coopqp/control/{name}.py" for name in ("forms", "ranks", "linearised", "plain")),
+            {("@dataclass(eq=False)", "@dataclass(eq=True)"): "nobody compares them"},
+        ),
         "coopqp/control/supervision.py": {
             ("if o.let_in > 0.0:", "if o.let_in > -1.0:"): "with 0 no drift is let in, only later",
             (
