@@ -167,11 +167,13 @@ def test_the_rows_of_the_condensed_form_have_unit_norm(
     recorded = next(steps(mixed_cell(), monkeypatch))
     nv = recorded.chain.nv
     soft = np.array([True, False, True])
-    rows = Rows(rng.normal(size=(3, nv)), np.full(3, -1.0), np.full(3, 2.0), soft, np.arange(3))
+    G = rng.normal(size=(3, nv)) * np.array([[1.0], [1.0], [0.0]])  # the last has but its own unknown
+    rows = Rows(G, np.full(3, -1.0), np.full(3, 2.0), soft, np.arange(3))
     for relax in (False, True):
         problem, base, B = recorded.program.condensed(recorded.terms, recorded.pieces, recorded.box, rows, relax=relax)
         assert problem.C.shape == (nv + 3, B.shape[1] + (2 if relax else 0))
-        np.testing.assert_allclose(np.linalg.norm(problem.C, axis=1), 1.0, rtol=1e-12)
+        norms = np.ones(nv + 3) if relax else np.append(np.ones(nv + 2), 0.0)
+        np.testing.assert_allclose(np.linalg.norm(problem.C, axis=1), norms, rtol=1e-12)
         x = rng.normal(size=problem.C.shape[1])
         v, given = base + B @ x[: B.shape[1]], np.zeros(3)
         given[soft] = x[B.shape[1] :] * 1e-3 if relax else 0.0  # clearance 1e6: one unit costs 1
