@@ -21,7 +21,6 @@ import os
 import queue
 import random
 import re
-import resource
 import shutil
 import signal
 import subprocess
@@ -285,6 +284,28 @@ def test_file(name: str) -> str:
     return "tests/" + re.sub(r"(\w+)$", r"test_\1.py", name)
 
 
+#: Runs pytest as often as it is told to, each time in a child that finds all but this package imported.
+_TESTER = """
+import json, os, resource, sys
+import hypothesis.strategies, numpy, pinocchio, pytest
+
+for line in sys.stdin:
+    job = json.loads(line)
+    child = os.fork()
+    if not child:
+        resource.setrlimit(resource.RLIMIT_CPU, (job["limit"], job["limit"] + 5))
+        said = os.open(job["said"], os.O_WRONLY | os.O_CREAT | os.O_TRUNC)
+        os.dup2(said, 1), os.dup2(said, 2)
+        status = 3
+        try:
+            status = int(pytest.main(job["arguments"]))
+        finally:
+            sys.stdout.flush()
+            os._exit(status)
+    print(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]), flush=True)
+"""
+
+
 class Copy:
     """A copy of the tree, in which one mutant after the other is tested."""
 
@@ -309,23 +330,26 @@ class Copy:
             env=self._environment, cwd=folder, capture_output=True, text=True, check=True,
         )  # fmt: skip
         assert Path(where.stdout.strip()).is_relative_to(folder), where.stdout
+        self._tester = subprocess.Popen(
+            [sys.executable, "-c", _TESTER],
+            env=self._environment, cwd=folder, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True,
+        )  # fmt: skip
 
     def killer(self, files: tuple[str, ...], *options: str, limit: int) -> str:
         """The test that failed, or "" if none did; each process of the tests has ``limit`` seconds of a processor."""
         tests = [test_file(name) for name in files]
-        command = [sys.executable, "-m", "pytest", "-x", "-p", "no:cacheprovider", "--timeout", "0", *options, *tests]
-        pipe = subprocess.PIPE
-        with subprocess.Popen(
-            command, cwd=self.folder, env=self._environment, stdout=pipe, stderr=pipe, text=True
-        ) as tested:
-            resource.prlimit(tested.pid, resource.RLIMIT_CPU, (limit, limit + 5))
-            said, _ = tested.communicate()
-        if tested.returncode in (0, 5):  # 5: no test of that kind
+        said = self.folder / "said.txt"
+        job = {"arguments": ["-x", "-p", "no:cacheprovider", "--timeout", "0", *options, *tests], "limit": limit}
+        assert self._tester.stdin is not None
+        assert self._tester.stdout is not None
+        print(json.dumps({**job, "said": str(said)}), file=self._tester.stdin, flush=True)
+        status = int(self._tester.stdout.readline())
+        if status in (0, 5):  # 5: no test of that kind
             return ""
-        if tested.returncode == -signal.SIGXCPU:
+        if status == -signal.SIGXCPU:
             return "runs for ever"
-        found = re.search(r"^(?:FAILED|ERROR) (\S+)", said, re.MULTILINE)
-        return found.group(1) if found else f"status {tested.returncode}"
+        found = re.search(r"^(?:FAILED|ERROR) (\S+)", said.read_text(encoding="utf-8"), re.MULTILINE)
+        return found.group(1) if found else f"status {status}"
 
     def stages(self, files: tuple[str, ...], *, quick: bool) -> Iterator[str]:
         yield self.killer(files, "-m", "not slow", limit=150)
