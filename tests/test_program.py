@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import os
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -357,6 +358,15 @@ def test_off_path_motion_is_one_that_all_arms_can_follow(
         assert Z.shape[1] == 4
         s = recorded.condensed(a_box(rng, recorded, width=0.01)).off_path
         assert np.abs(s - Z @ (Z.T @ s)).max() < 1e-9
+
+
+def test_ratios_of_at_least_100_keep_the_ranks_apart() -> None:
+    w = RankWeights()
+    for upper, lower in itertools.pairwise((w.chain, w.recovery, w.off_path, w.grasp, w.path, w.rate, w.comfort)):
+        assert upper >= 99.9 * lower
+    assert w.clearance == w.recovery
+    assert w.comfort >= 1e-14 * w.chain  # solvers manage no more
+    assert 0.1 <= w.length <= 1.0
 
 
 @pytest.mark.parametrize("name", RankWeights.__dataclass_fields__)
