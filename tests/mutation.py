@@ -6,6 +6,9 @@ of the tree, with the tests of the mutated module, those that end soonest first.
 the slow tests of its module and then :data:`EVERYWHERE`.
 
 A mutant that survives lacks a test, or is equivalent: then :data:`EQUIVALENT` says why.
+
+A mutant that makes the tests run for ever is killed by its share of processor time, which another program's work does
+not use up; waiting is no kill. ``--resume`` goes on where a file of results ends: new tests meet the old survivors.
 """
 
 from __future__ import annotations
@@ -13,11 +16,13 @@ from __future__ import annotations
 import argparse
 import difflib
 import json
+import math
 import os
 import queue
 import random
 import re
 import shutil
+import signal
 import subprocess
 import sys
 import tempfile
@@ -39,17 +44,17 @@ ROOT = Path(__file__).resolve().parents[1]
 
 #: What is mutated, and the tests of each module: those first that are quick and kill many.
 MODULES: dict[str, tuple[str, ...]] = {
-    "coopqp/control/limits.py": ("limits", "program", "qp_controller", "reliability/stopping"),
-    "coopqp/control/forms.py": ("program", "qp_controller", "posture"),
-    "coopqp/control/ranks.py": ("program", "qp_controller", "posture"),
-    "coopqp/control/linearised.py": ("program", "qp_controller", "preview"),
-    "coopqp/control/plain.py": ("qp_controller", "supervision", "posture", "reliability/stopping"),
-    "coopqp/control/supervision.py": ("supervision", "stress", "qp_controller", "reliability/disturbances"),
-    "coopqp/control/drift.py": ("supervision", "qp_controller", "pseudo_inverse", "reliability/disturbances"),
-    "coopqp/model/grasp.py": ("grasp", "targets", "chain", "paper_equations", "state", "cell"),
-    "coopqp/model/chain.py": ("chain", "posture", "program", "inverse_kinematics", "qp_controller"),
-    "coopqp/task/path.py": ("path", "targets", "preview", "scenarios", "simulation"),
-    "coopqp/planning/preview.py": ("preview", "qp_controller", "scenarios", "reliability/saturation"),
+    "coopqp/model/grasp.py": ("grasp", "paper_equations", "targets", "state", "cell", "chain"),
+    "coopqp/model/chain.py": ("chain", "lockstep", "posture", "program", "inverse_kinematics", "qp_controller"),
+    "coopqp/task/path.py": ("path", "targets", "core", "simulation", "preview", "scenarios"),
+    "coopqp/control/limits.py": ("limits", "lockstep", "program", "qp_controller", "reliability/stopping"),
+    "coopqp/control/forms.py": ("program", "lockstep", "core", "posture", "public_names", "qp_controller"),
+    "coopqp/control/ranks.py": ("core", "lockstep", "program", "constraint_rows", "qp_controller", "posture"),
+    "coopqp/control/linearised.py": ("lockstep", "qp_controller", "program"),
+    "coopqp/control/drift.py": ("lockstep", "supervision", "qp_controller", "reliability/disturbances"),
+    "coopqp/control/plain.py": ("lockstep", "qp_controller", "supervision", "posture", "reliability/stopping"),
+    "coopqp/control/supervision.py": ("supervision", "lockstep", "stress", "qp_controller", "reliability/disturbances"),
+    "coopqp/planning/preview.py": ("preview", "qp_controller", "lockstep", "scenarios", "reliability/saturation"),
 }
 #: Tests of whole runs, for mutants that the module's own let live.
 EVERYWHERE = (
@@ -61,8 +66,71 @@ EVERYWHERE = (
     "reliability/singularities",
     "reliability/commands",
 )
+#: Stands for whichever module.
+ANY = ""
 #: Mutants that change nothing: module, line, mutated line (stripped), and why no test can see it.
-EQUIVALENT: dict[tuple[str, str, str], str] = {}
+EQUIVALENT: dict[tuple[str, str, str], str] = {
+    (module, before, after): why
+    for module, changes in {
+        "coopqp/model/chain.py": {
+            (
+                "out[g.columns] = (W[g.arms, None, :] @ inverse)[:, 0, :]",
+                "out[g.columns] = (W[g.arms, None, :] @ inverse)[:, -1, :]",
+            ): "this axis has one entry",
+            (
+                "return self._least_squares(g) if g.joints < 6 else self._redundant(g)",
+                "return self._least_squares(g) if g.joints <= 6 else self._redundant(g)",
+            ): "six joints have an inverse of their own, above",
+            (
+                "M = np.zeros((12, 13))",
+                "M = np.zeros((12, 14))",
+            ): "a column of zeros more: the largest of e and −e is 0 or more anyway",
+            ("continue", "break"): "the groups are sorted by their joints",
+        },
+        "coopqp/control/limits.py": {
+            (
+                "a, d = np.where(finite, self._acceleration, 1.0), np.where(finite, distance, 1.0)",
+                "a, d = np.where(finite, self._acceleration, 1.0), np.where(finite, distance, 2.0)",
+            ): "what stands where nothing is finite is not used",
+            (
+                "if lowest > _FAR or highest < -_FAR:",
+                "if lowest > _FAR or highest <= -_FAR:",
+            ): "a rate of exactly −1e100",
+            (
+                "still = np.abs(along) < _STILL",
+                "still = np.abs(along) <= _STILL",
+            ): "a speed of exactly 1e-12",
+        },
+        ANY: {
+            ("@dataclass(eq=False)", "@dataclass(eq=True)"): "nobody compares these, and none of them is a key",
+        },
+        "coopqp/control/supervision.py": {
+            ("if o.let_in > 0.0:", "if o.let_in > -1.0:"): "with 0 no drift is let in, only later",
+            (
+                "self._noise, self._samples, self._cap, self._arm = np.zeros(n), 0.0, 1.0, -1",
+                "self._noise, self._samples, self._cap, self._arm = np.zeros(n), 0.0, 1.0, - 2",
+            ): "any number below 0 is no arm",
+            (
+                "self._widest[:] = 0.0",
+                "self._widest[:] = 1.0",
+            ): "it is set to 0 when an arm stalls, and not read before",
+            ("if radius != 1.0:", "if radius != 2.0:"): "a division by 1",
+            (
+                "self._past: deque[tuple[Array, Array]] = deque(maxlen=1 + (options.stall_samples or 1))",
+                "self._past: deque[tuple[Array, Array]] = deque(maxlen=1 + (options.stall_samples or 2))",
+            ): "without stall_samples nobody looks at the past",
+            (
+                "if abs(away[worst]) > self._options.joint_jump:",
+                "if abs(away[worst]) >= self._options.joint_jump:",
+            ): "a jump of exactly the limit",
+            (
+                "self._pressed = force >= (_LET_GO * limit if self._pressed else limit)",
+                "self._pressed = force > (_LET_GO * limit if self._pressed else limit)",
+            ): "a force of exactly the limit",
+        },
+    }.items()
+    for (before, after), why in changes.items()
+}
 
 _COSMIC = [
     *(f"ReplaceBinaryOperator_{pair}" for pair in (
@@ -141,9 +209,22 @@ class Mutant:
     killer: str = ""
     seconds: float = 0.0
 
+    def write(self, source: str) -> str:
+        """The text of the module with this change, which is noted."""
+        mutated: str | None = mutate_code(source, OPERATORS[self.operator], self.occurrence)
+        assert mutated is not None, self
+        assert mutated != source, self
+        lines = list(difflib.unified_diff(source.splitlines(), mutated.splitlines(), lineterm="", n=2))[2:]
+        self.diff = "\n".join(lines)
+        self.before, self.after = (
+            " ".join(line[1:].strip() for line in lines if line.startswith(sign)) for sign in "-+"
+        )
+        return mutated
+
     @property
     def why_equivalent(self) -> str | None:
-        return EQUIVALENT.get((self.module, self.before, self.after))
+        found = ((module, self.before, self.after) for module in (self.module, ANY))
+        return next((EQUIVALENT[key] for key in found if key in EQUIVALENT), None)
 
 
 def annotations(module: Any) -> list[tuple[Any, Any]]:
@@ -157,6 +238,10 @@ def annotations(module: Any) -> list[tuple[Any, Any]]:
     return [(node.start_pos, node.end_pos) for node in found]
 
 
+#: Where a star multiplies nothing.
+_STARRED = ("parameters", "typedargslist", "param", "argument", "arglist", "star_expr")
+
+
 def sites(source: str) -> dict[Any, list[tuple[str, int]]]:
     """The mutants of a module by the place that they change: operator and its occurrence."""
     module = get_ast(source)
@@ -166,28 +251,59 @@ def sites(source: str) -> dict[Any, list[tuple[str, int]]]:
         for node in ast_nodes(module):
             for start, end in operator.mutation_positions(node):
                 huge = node.type == "number" and abs(eval(node.value)) >= 2.0**53  # one more is the same
-                if not huge and not any(a <= start and end <= b for a, b in types):
+                starred = node.type == "operator" and node.parent.type in _STARRED
+                if not huge and not starred and not any(a <= start and end <= b for a, b in types):
                     found[start].append((name, occurrence))
                 occurrence += 1
     return dict(found)
 
 
 def chosen(modules: list[str], number: int, seed: int) -> list[Mutant]:
-    """Mutants at ``number`` places of the modules, one a place; any place as likely as any other."""
-    rng = random.Random(seed)
-    places = {module: sites((ROOT / module).read_text(encoding="utf-8")) for module in modules}
-    every = [(module, start) for module in modules for start in sorted(places[module])]
-    print(f"{len(every)} places in {len(modules)} modules", flush=True)
+    """Mutants at ``number`` places of the modules, one a place; any place of a module as likely as any other.
+
+    Each module has its share. What is chosen stays chosen when other lines change, and a smaller number chooses the
+    first ones of a larger.
+    """
+    sources = {module: (ROOT / module).read_text(encoding="utf-8") for module in modules}
+    places = {module: sites(source) for module, source in sources.items()}
+    every = sum(map(len, places.values()))
+    print(f"{every} places in {len(modules)} modules", flush=True)
     mutants = []
-    for module, start in rng.sample(every, min(number, len(every))):
-        operator, occurrence = rng.choice(places[module][start])
-        mutants.append(Mutant(module, operator, occurrence, start[0]))
+    for module, found in places.items():
+        lines, drawn = sources[module].splitlines(), []
+        for start, ways in found.items():
+            rng = random.Random(f"{seed} {module} {start[1]} {lines[start[0] - 1]}")
+            drawn.append((rng.random(), start[0], rng.choice(ways)))
+        for _, line, (operator, occurrence) in sorted(drawn)[: math.ceil(number * len(drawn) / every)]:
+            mutants.append(Mutant(module, operator, occurrence, line))
     return mutants
 
 
 def test_file(name: str) -> str:
     """The file that the tables call by a short name."""
     return "tests/" + re.sub(r"(\w+)$", r"test_\1.py", name)
+
+
+#: Runs pytest as often as it is told to, each time in a child that finds all but this package imported.
+_TESTER = """
+import json, os, resource, sys
+import hypothesis.strategies, numpy, pinocchio, pytest
+
+for line in sys.stdin:
+    job = json.loads(line)
+    child = os.fork()
+    if not child:
+        resource.setrlimit(resource.RLIMIT_CPU, (job["limit"], job["limit"] + 5))
+        said = os.open(job["said"], os.O_WRONLY | os.O_CREAT | os.O_TRUNC)
+        os.dup2(said, 1), os.dup2(said, 2)
+        status = 3
+        try:
+            status = int(pytest.main(job["arguments"]))
+        finally:
+            sys.stdout.flush()
+            os._exit(status)
+    print(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]), flush=True)
+"""
 
 
 class Copy:
@@ -214,43 +330,42 @@ class Copy:
             env=self._environment, cwd=folder, capture_output=True, text=True, check=True,
         )  # fmt: skip
         assert Path(where.stdout.strip()).is_relative_to(folder), where.stdout
+        self._tester = subprocess.Popen(
+            [sys.executable, "-c", _TESTER],
+            env=self._environment, cwd=folder, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True,
+        )  # fmt: skip
 
-    def killer(self, files: tuple[str, ...], *options: str, limit: float) -> str:
-        """The test that failed, or "" if none did."""
+    def killer(self, files: tuple[str, ...], *options: str, limit: int) -> str:
+        """The test that failed, or "" if none did; each process of the tests has ``limit`` seconds of a processor."""
         tests = [test_file(name) for name in files]
-        command = [sys.executable, "-m", "pytest", "-x", "-p", "no:cacheprovider", *options, *tests]
-        try:
-            done = subprocess.run(
-                command, cwd=self.folder, env=self._environment, capture_output=True, text=True, timeout=limit
-            )
-        except subprocess.TimeoutExpired:
-            return "timeout"
-        if done.returncode in (0, 5):  # 5: no test of that kind
+        said = self.folder / "said.txt"
+        job = {"arguments": ["-x", "-p", "no:cacheprovider", "--timeout", "0", *options, *tests], "limit": limit}
+        assert self._tester.stdin is not None
+        assert self._tester.stdout is not None
+        print(json.dumps({**job, "said": str(said)}), file=self._tester.stdin, flush=True)
+        status = int(self._tester.stdout.readline())
+        if status in (0, 5):  # 5: no test of that kind
             return ""
-        found = re.search(r"^(?:FAILED|ERROR) (\S+)", done.stdout, re.MULTILINE)
-        return found.group(1) if found else f"status {done.returncode}"
+        if status == -signal.SIGXCPU:
+            return "runs for ever"
+        found = re.search(r"^(?:FAILED|ERROR) (\S+)", said.read_text(encoding="utf-8"), re.MULTILINE)
+        return found.group(1) if found else f"status {status}"
 
-    def stages(self, files: tuple[str, ...]) -> Iterator[str]:
-        yield self.killer(files, "-m", "not slow", "--timeout", "60", limit=600.0)
-        yield self.killer(files, "-m", "slow", "--timeout", "300", limit=1800.0)
-        yield self.killer(EVERYWHERE, "--timeout", "600", limit=3600.0)
+    def stages(self, files: tuple[str, ...], *, quick: bool) -> Iterator[str]:
+        yield self.killer(files, "-m", "not slow", limit=150)
+        if not quick:
+            yield self.killer(files, "-m", "slow", limit=1200)
+            yield self.killer(EVERYWHERE, limit=2400)
 
-    def test(self, mutant: Mutant) -> Mutant:
-        """Write the mutant, run the tests, put the module back."""
+    def test(self, mutant: Mutant, files: tuple[str, ...], *, quick: bool) -> Mutant:
+        """Write the mutant, run the tests of these files, put the module back."""
         file, started = self.folder / mutant.module, time.monotonic()
         source = file.read_text(encoding="utf-8")
-        mutated = mutate_code(source, OPERATORS[mutant.operator], mutant.occurrence)
-        assert mutated is not None, mutant
-        assert mutated != source, mutant
-        lines = list(difflib.unified_diff(source.splitlines(), mutated.splitlines(), lineterm="", n=2))[2:]
-        mutant.diff = "\n".join(lines)
-        mutant.before, mutant.after = (
-            " ".join(line[1:].strip() for line in lines if line.startswith(sign)) for sign in "-+"
-        )
+        mutated = mutant.write(source)
         try:
             file.write_text(mutated, encoding="utf-8")
             self._forget(file)
-            mutant.killer = next((killer for killer in self.stages(MODULES[mutant.module]) if killer), "")
+            mutant.killer = next(filter(None, self.stages(files, quick=quick)), "")
         finally:
             file.write_text(source, encoding="utf-8")
             self._forget(file)
@@ -286,10 +401,18 @@ def main() -> int:
     parser.add_argument("--only", nargs="+", choices=MODULES, metavar="MODULE", help="modules (default all)")
     parser.add_argument("--least", type=float, default=0.9, help="share to be killed (default 0.9)")
     parser.add_argument("--processes", type=int, default=2, help="mutants at a time (default 2)")
+    parser.add_argument("--quick", action="store_true", help="quick tests only")
+    parser.add_argument("--files", type=int, metavar="N", help="of the tests of each module the first N files only")
     parser.add_argument("--json", type=Path, help="write each mutant and what came of it to this file")
+    parser.add_argument(
+        "--resume",
+        action="store_true",
+        help="leave out what the file of --json says was killed or survived as equivalent",
+    )
     parser.add_argument("--list", action="store_true", help="print the mutants, and test none")
     args = parser.parse_args()
     modules = args.only or list(MODULES)
+    tests = {module: MODULES[module][: args.files] for module in modules}
     named = [*MODULES, *(test_file(name) for names in (*MODULES.values(), EVERYWHERE) for name in names)]
     if lost := [name for name in named if not (ROOT / name).exists()]:
         parser.error(f"the tables of {Path(__file__).name} name what is not there: {', '.join(sorted(set(lost)))}")
@@ -298,6 +421,19 @@ def main() -> int:
         for m in mutants:
             print(f"{m.module}:{m.line} {m.operator} {m.occurrence}")
         return 0
+    if args.resume:
+        if not args.json:
+            parser.error("--resume goes on with the file of --json: name it")
+        kept = [Mutant(**m) for m in json.loads(args.json.read_text(encoding="utf-8"))] if args.json.exists() else []
+        for m in mutants:
+            m.write((ROOT / m.module).read_text(encoding="utf-8"))
+        known = {(m.module, m.operator, m.diff): m for m in kept if m.outcome == "killed" or m.why_equivalent}
+        tested = [known[m.module, m.operator, m.diff] for m in mutants if (m.module, m.operator, m.diff) in known]
+        mutants = [m for m in mutants if (m.module, m.operator, m.diff) not in known]
+        for m in tested:
+            m.outcome = "equivalent" if m.why_equivalent else m.outcome
+        print(f"{len(tested)} were killed before or are equivalent, {len(mutants)} are left", flush=True)
+    all_of_them = len(tested) + len(mutants)
     with tempfile.TemporaryDirectory() as folder, ThreadPoolExecutor(args.processes) as pool:
         copies: queue.SimpleQueue[Copy] = queue.SimpleQueue()
         for i in range(args.processes):
@@ -306,13 +442,14 @@ def main() -> int:
         def run(mutant: Mutant) -> Mutant:
             copy = copies.get()
             try:
-                return copy.test(mutant)
+                return copy.test(mutant, tests[mutant.module], quick=args.quick)
             finally:
                 copies.put(copy)
 
         sound = copies.get()
-        files = tuple(dict.fromkeys(f for m in modules for f in MODULES[m]))
-        if killer := sound.killer(files, "-n", str(args.processes), limit=3600.0):
+        files = tuple(dict.fromkeys(f for names in tests.values() for f in names))
+        kinds = ["-m", "not slow"] if args.quick else []
+        if killer := sound.killer(files, "-n", str(args.processes), *kinds, limit=3600):
             print(f"without any mutation {killer} fails")
             return 2
         copies.put(sound)
@@ -320,7 +457,7 @@ def main() -> int:
             m = done.result()
             tested.append(m)
             print(
-                f"{len(tested):4}/{len(mutants)} {m.seconds:5.0f} s {m.outcome:10} {m.module}:{m.line} {m.operator} "
+                f"{len(tested):4}/{all_of_them} {m.seconds:5.0f} s {m.outcome:10} {m.module}:{m.line} {m.operator} "
                 f"{m.killer}",
                 flush=True,
             )

@@ -540,8 +540,8 @@ YAML_REFUSED = {
     "a: 1\n---\nb: 2": "another document",
     "x: " + "9" * 6000: "not YAML: Exceeds the limit",
     "? [1]\n: 2": "unknown key",
-    "": "",
-    "- 1": "",
+    "": "the file: give a table, not null",
+    "- 1": r"the file: give a table, not \[1\]",
 }
 
 

@@ -118,6 +118,20 @@ def test_a_latched_grasp_has_no_error(setting: tuple[Chain, Array], rng: Any) ->
     close(errors, np.tile(errors[0], (latched.n_arms, 1)), 1e-14)
 
 
+def test_tiny_errors_are_logs_and_half_a_turn_is_none(setting: tuple[Chain, Array], rng: Any) -> None:
+    chain, q = setting
+    R = pin.SE3.Random()
+    latched = Chain(chain.cell, Grasp.from_configuration(chain.cell, q, R))
+    O = latched.carried(q)
+    for axis in np.vstack([np.eye(6), -np.eye(6)]):
+        xi = 5e-9 * axis + 1e-9 * rng.uniform(-1, 1, 6)
+        close(latched.errors(O, R * pin.exp6(pin.Motion(xi))), np.tile(-xi, (latched.n_arms, 1)), 1e-14)
+    for axis in np.eye(3):
+        turned_round = R * pin.SE3(np.diag(2.0 * axis - 1.0), np.zeros(3))
+        for e in latched.errors(O, turned_round):
+            close(np.abs(e), np.concatenate([np.zeros(3), np.pi * axis]), 1e-7)
+
+
 # -- Jacobians ---------------------------------------------------------------------------------------------------------
 
 
@@ -379,7 +393,10 @@ def test_at_a_singularity_the_inverse_stays_finite(make_cell: Any, robot: str, a
 
 @given(st.floats(-12.0, -0.5))
 def test_towards_a_singularity_nothing_jumps(paper: Scenario, exponent: float) -> None:
-    """At the transition from the plain to the floored inverse, both give the same velocities."""
+    """At the transition from the plain to the floored inverse, both give the same velocities.
+
+    A chain is near a singularity when a unit twist may ask 1e4 of a joint.
+    """
     q = paper.q_start.copy()
     q[4] = 10.0**exponent
     chain = Chain(paper.cell, paper.grasp)
@@ -388,6 +405,8 @@ def test_towards_a_singularity_nothing_jumps(paper: Scenario, exponent: float) -
     W = np.tile([0.1, 0.2, 0.3, 0.1, -0.2, 0.3], (3, 1))
     v = chain.joint_velocities(W, np.empty(18))[:6]
     s = np.linalg.svd(J, compute_uv=False)
+    largest = float(np.abs(np.linalg.pinv(J, rcond=0.0)).max())
+    assert chain.singular == (largest >= 1e4) or abs(largest - 1e4) < 1.0
     if s[-1] > 2.0 * SINGULAR_FLOOR:
         close(v, np.linalg.solve(J, W[0]), 1e-13 / s[-1] ** 2)
     assert np.abs(v).max() <= 1.0 / max(s[-1], SINGULAR_FLOOR)

@@ -235,6 +235,38 @@ def test_a_breakpoint_is_the_next_corner(path: WaypointPath, x: float) -> None:
     assert path.next_breakpoint(path.duration) == path.duration
 
 
+# -- the same as numbers -----------------------------------------------------------------------------------------------
+
+
+def moving(start: pin.SE3, target: pin.SE3, clock: float) -> ServoPath:
+    path = ServoPath(start)
+    path.set_target(target, clock=clock)
+    return path
+
+
+def unpacked(numbers: Array, clock: float) -> pin.SE3:
+    """The pose that the numbers of ``ObjectPath.packed`` stand for."""
+    first = 3 + int(numbers[1])
+    segments = numbers[first:].reshape(int(numbers[2]), 21)
+    segment = next((s for s in segments[::-1] if s[18] <= clock), segments[0])
+    share = min(max((clock - segment[18]) / segment[19], 0.0), 1.0)
+    u = [share, share**3 * (10.0 - 15.0 * share + 6.0 * share**2)][int(segment[20])]
+    R, turn, way = segment[:9].reshape(3, 3), segment[12:15], segment[15:18]
+    return pin.SE3(R @ pin.exp3(u * turn), segment[9:12] + u * way)
+
+
+@given(st.one_of(paths, st.builds(moving, poses, poses, st.floats(0.0, 20.0))), shares)
+def test_the_numbers_of_a_path_say_what_the_path_says(path: ObjectPath, x: float) -> None:
+    numbers, corners = path.packed(), [path.next_breakpoint(0.0)]
+    assert numbers is not None
+    while corners[-1] < path.duration:
+        corners.append(path.next_breakpoint(corners[-1]))
+    close(numbers[3 : 3 + int(numbers[1])], np.array(corners[:-1]))
+    assert numbers[0] == path.duration == corners[-1]
+    for clock in (x * min(path.duration, 50.0), *corners[:-1], -1.0, 1e3):
+        close(unpacked(numbers, clock), path.pose(clock), 1e-12)
+
+
 # -- targets that move -------------------------------------------------------------------------------------------------
 
 
@@ -255,6 +287,29 @@ def test_a_servo_path_never_jumps(start: pin.SE3, targets: list[tuple[pin.SE3, f
         clock += wait
     close(path.pose(clock + 100.0), targets[-1][0], 1e-12)
     close(path.twist(clock + 100.0), np.zeros(6), 0.0)
+
+
+@given(poses, poses, st.floats(0.0, 50.0), shares)
+def test_a_servo_path_jumps_once_at_the_target(start: pin.SE3, target: pin.SE3, clock: float, x: float) -> None:
+    path = ServoPath(start, speed=0.5, spin=1.0)
+    path.set_target(target, clock=clock)
+    end = path.next_breakpoint(clock)
+    way = ScrewParameters.between(start, target)
+    assert end - clock == pytest.approx(max(np.linalg.norm(way.p) / 0.5, way.angle, 1e-6), rel=1e-6)
+    assert path.next_breakpoint(clock + x * max(end - clock - 1e-6, 0.0)) == end
+    for passed in (end - 1e-12, end, end + 1.0):  # a corner that rounding has not quite reached is passed
+        assert path.next_breakpoint(passed) == path.duration == np.inf
+    close(path.pose(end), target, 1e-9)
+
+
+@given(poses, poses, poses)
+def test_a_servo_path_begun_again_is_a_new_one_that_rests(a: pin.SE3, b: pin.SE3, c: pin.SE3) -> None:
+    path, new = moving(a, b, 3.0), ServoPath(c)
+    path.restart(c)
+    numbers = new.packed()
+    close(path.packed(), numbers, 0.0)
+    assert numbers[3 + 1 + 18] == 0.0  # the line begins at clock 0
+    close(unpacked(numbers, 1e3), c, 1e-15)
 
 
 @pytest.mark.parametrize("bad", [None, 2.0 * np.eye(4), np.full((4, 4), np.nan), "there"])

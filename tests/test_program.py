@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import os
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -12,7 +13,7 @@ import pytest
 
 from coopqp import Array, InvalidInputError, PreviewOptions, QPController, QPOptions, RankWeights, make_solver
 from coopqp.control.command import NO_SOLVE
-from coopqp.control.constraints import no_rows
+from coopqp.control.constraints import Rows, no_rows
 from coopqp.control.forms import Answer, Pieces, StepProgram, StepTerms
 from coopqp.control.limits import VelocityBox
 from coopqp.control.ranks import StepAnswer, StepSolver
@@ -125,6 +126,65 @@ def a_box(rng: np.random.Generator, recorded: Recorded, *, width: float, outside
 
 
 # -- condensed against full --------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("make", [paper_lift, dual_arm7, mixed_cell])
+def test_every_condensed_command_keeps_the_chain_of_the_full_form(
+    make: Any, monkeypatch: pytest.MonkeyPatch, rng: np.random.Generator
+) -> None:
+    """Whatever the unknowns: A x = b of the full form, for corrections and offsets of any size and each arm's own."""
+    recorded = next(steps(make(), monkeypatch))
+    chain, program = recorded.chain, recorded.program
+    for _ in range(5):
+        terms = replace(
+            recorded.terms,
+            path_correction=rng.normal(size=6),
+            grasp_corrections=rng.normal(size=(chain.n_arms, 6)),
+            offsets=rng.normal(size=(chain.n_arms, 6)),
+            rate_cap=rng.uniform(0.3, 1.0),
+        )
+        condensed, base, B = program.condensed(terms, program.pieces(terms), recorded.box)
+        x = rng.normal(size=B.shape[1])
+        problem = program.full(terms, recorded.box)
+        both = np.concatenate([base + B @ x, x[:9]])
+        np.testing.assert_allclose(problem.A @ both, problem.b, rtol=0.0, atol=1e-9)
+        shares = chain.nv + 6
+        np.testing.assert_allclose(problem.ub[shares : shares + 3], condensed.ub[6:9])  # σ ≥ 0, ρ_g ≥ 0, ρ_p ≥ 0
+        assert not problem.lb[shares : shares + 3].any()
+        one, other = (
+            program.read_condensed(x, terms, base, B),
+            program.read_full(both, terms),
+        )
+        np.testing.assert_allclose(one.velocity, other.velocity)
+        np.testing.assert_allclose(one.off_path, other.off_path)
+        assert (one.rate, one.grasp_share, one.path_share) == (other.rate, other.grasp_share, other.path_share)
+        assert program.parting(one, terms) < 1e-9
+
+
+def test_the_rows_of_the_condensed_form_have_unit_norm(
+    monkeypatch: pytest.MonkeyPatch, rng: np.random.Generator
+) -> None:
+    """Those of joints, of further rows, and of rows that may give way, with their own unknown."""
+    recorded = next(steps(mixed_cell(), monkeypatch))
+    nv = recorded.chain.nv
+    soft = np.array([True, False, True])
+    G = rng.normal(size=(3, nv)) * np.array([[1.0], [1.0], [0.0]])  # the last has but its own unknown
+    rows = Rows(G, np.full(3, -1.0), np.full(3, 2.0), soft, np.arange(3))
+    for relax in (False, True):
+        problem, base, B = recorded.program.condensed(recorded.terms, recorded.pieces, recorded.box, rows, relax=relax)
+        assert problem.C.shape == (nv + 3, B.shape[1] + (2 if relax else 0))
+        norms = np.ones(nv + 3) if relax else np.append(np.ones(nv + 2), 0.0)
+        np.testing.assert_allclose(np.linalg.norm(problem.C, axis=1), norms, rtol=1e-12)
+        x = rng.normal(size=problem.C.shape[1])
+        v, given = base + B @ x[: B.shape[1]], np.zeros(3)
+        given[soft] = x[B.shape[1] :] * 1e-3 if relax else 0.0  # clearance 1e6: one unit costs 1
+        made = np.concatenate([v, rows.G @ v - given])
+        lower, upper = (
+            np.concatenate([recorded.box.lower, rows.lower]),
+            np.concatenate([recorded.box.upper, rows.upper]),
+        )
+        room = problem.u - problem.C @ x
+        np.testing.assert_allclose(room * (upper - lower), (upper - made) * (problem.u - problem.l), rtol=1e-9)
 
 
 @pytest.mark.parametrize("limits", [{}, {"velocity": 0.2}, {"acceleration": 2.0}], ids=["own", "slow", "accelerating"])
@@ -298,6 +358,15 @@ def test_off_path_motion_is_one_that_all_arms_can_follow(
         assert Z.shape[1] == 4
         s = recorded.condensed(a_box(rng, recorded, width=0.01)).off_path
         assert np.abs(s - Z @ (Z.T @ s)).max() < 1e-9
+
+
+def test_ratios_of_at_least_100_keep_the_ranks_apart() -> None:
+    w = RankWeights()
+    for upper, lower in itertools.pairwise((w.chain, w.recovery, w.off_path, w.grasp, w.path, w.rate, w.comfort)):
+        assert upper >= 99.9 * lower
+    assert w.clearance == w.recovery
+    assert w.comfort >= 1e-14 * w.chain  # solvers manage no more
+    assert 0.1 <= w.length <= 1.0
 
 
 @pytest.mark.parametrize("name", RankWeights.__dataclass_fields__)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import dataclasses
 import importlib
 import inspect
 import re
@@ -159,3 +160,19 @@ def test_importing_coopqp_leaves_files_pictures_and_engines_alone() -> None:
     rooms = {name.split(".")[1] for name in done.stdout.split()}
     assert rooms.isdisjoint({"files", "look", "app"})
     assert "coopqp.simulation.plants.physics" not in done.stdout.split()
+
+
+def test_options_are_frozen_and_given_by_name() -> None:
+    """Settings, weights and tolerances of a user cannot be changed under a controller, nor mixed up by their order."""
+    found = 0
+    for name in coopqp.__all__:
+        options = getattr(coopqp, name)
+        if not dataclasses.is_dataclass(options) or not name.endswith(("Options", "Settings", "Weights")):
+            continue
+        found += 1
+        made = options()
+        for field in dataclasses.fields(options):
+            assert field.kw_only, f"{name}.{field.name}"
+            with pytest.raises(dataclasses.FrozenInstanceError):
+                setattr(made, field.name, getattr(made, field.name))
+    assert found >= 10

@@ -113,6 +113,33 @@ def test_bad_stiffness_and_limits_are_named(options: dict[str, Any]) -> None:
         SupervisionOptions(**options)
 
 
+NOT_POSITIVE = (0.0, -1.0, np.nan, np.inf, None, "far", [1.0])
+NEGATIVE = NOT_POSITIVE[1:]
+
+
+@pytest.mark.parametrize(
+    ("option", "bad", "good"),
+    [
+        *((name, NOT_POSITIVE, (1.0, 1e-9)) for name in ("fault_from", "silent_time", "joint_jump", "force_limit")),
+        ("hold_from", NOT_POSITIVE, (0.00025, 1.0)),
+        ("slow_from", (*NOT_POSITIVE[:4], 0.0008), (None, 1e-9, 0.00075)),
+        *(
+            (name, NEGATIVE, (0.0, 1.0))
+            for name in ("servo_delay", "filter_time", "noise_margin", "recovery_time", "let_in")
+        ),
+        ("stall_share", (*NOT_POSITIVE, 1.1), (1e-9, 1.0)),
+        ("stall_samples", (0, -1, 1.5, "four", 10_001), (None, 1, 10_000)),
+        ("dt_range", (0.5, (0.5,), (0.0, 5.0), (1.1, 5.0), (0.1, 0.9), (0.1, np.inf), None), ((1.0, 1.0), (0.1, 9.0))),
+    ],
+)  # fmt: skip
+def test_an_option_out_of_range_is_named(option: str, bad: tuple[Any, ...], good: tuple[Any, ...]) -> None:
+    for value in bad:
+        with pytest.raises(InvalidInputError, match=f"SupervisionOptions: {option}"):
+            SupervisionOptions(**{option: value})
+    for value in good:
+        assert getattr(SupervisionOptions(**{option: value}), option) == value
+
+
 def test_stiffness_is_one_number_or_one_per_joint() -> None:
     lift = paper_lift()
     for stiffness in (1e5, np.full(18, 1e5), [1e5] * 18):
@@ -286,6 +313,166 @@ def test_a_sample_that_is_sent_again_is_no_second_one() -> None:
         measured[6:12] = q[6:12] + 0.2
         faults.append(watch.watch(measured, q, away, 1e-3).fault)
     assert faults == [False, False, False, False, True]  # three lost, then it stands
+
+
+@pytest.mark.parametrize("arm", [0, 1, 2])
+def test_the_arm_that_is_off_is_named(arm: int) -> None:
+    lift = paper_lift()
+    watch = Supervision(lift.cell, lift.grasp, SupervisionOptions(stall_samples=None))
+    away = np.zeros((3, 6))
+    away[arm, 1] = 1e-3
+    for i in range(20):
+        seen = watch.watch(lift.q_start + 1e-9 * i, lift.q_start, away, 1e-3)
+    assert seen.hold
+    assert seen.arm == arm
+    assert lift.cell.arm_names[arm] in seen.reason
+
+
+def test_steady_motion_is_no_noise() -> None:
+    """The margin for noise makes no difference to an arm that leaves the others at one speed."""
+    strict, margin = watch_of(noise_margin=0.0), watch_of(noise_margin=100.0)
+    caps = np.array([[see(1e-9 * i, 1e-4 + 2e-6 * i).rate_cap for see in (strict, margin)] for i in range(500)])
+    assert caps[0, 0] == 1.0
+    assert caps[-1, 0] == 0.0
+    np.testing.assert_allclose(caps[:, 0], caps[:, 1], atol=1e-9)
+
+
+def test_two_far_samples_are_a_fault_from_the_start_and_with_lost_ones_between() -> None:
+    lift = paper_lift()
+    watch = Supervision(lift.cell, lift.grasp, SupervisionOptions(stall_samples=None, noise_margin=0.0))
+    away = np.outer([0.0, 0.2, 0.0], np.eye(6)[0])
+    faults = [watch.watch(lift.q_start + off, lift.q_start, away.copy(), 1e-3).fault for off in (0.2, 0.2, 0.2, 0.21)]
+    assert faults == [False, False, False, True]
+
+
+@pytest.mark.parametrize("off", [0.4e-3, 2e-3])
+def test_a_slowed_object_is_let_go_at_a_pace(off: float) -> None:
+    """A tenth of a second from rest, with the name of the arm that was off."""
+    see = watch_of(noise_margin=0.0)
+    slowed = [see(1e-9 * i, off) for i in range(100)]
+    assert all("slave_1 is " in s.reason for s in slowed[20:])
+    after = [see(1e-7 + 1e-9 * i, 0.0) for i in range(150)]
+    caps = np.array([s.rate_cap for s in (slowed[-1], *after)])
+    assert (np.diff(caps) <= 0.01 + 1e-12).all()
+    rising = [s for s in after if s.rate_cap < 1.0 and not s.hold and "is" not in s.reason.split()]
+    assert len(rising) >= 20
+    assert {(s.arm, s.reason) for s in rising} == {(1, "arm slave_1 was out of step")}
+    assert after[-1] == Watch()
+
+
+@pytest.mark.parametrize("moving_again", [70, 35])
+def test_silence_of_all_arms_is_told_after_a_while(moving_again: int) -> None:
+    """Where no arm follows, the arms hold after 30 ms and the samples of a decision. Motion of all counts anew."""
+    lift = paper_lift()
+    watch = Supervision(lift.cell, lift.grasp, SupervisionOptions())
+    command, measured, held = lift.q_start, lift.q_start, []
+    for i in range(70):
+        command = command + 1e-3
+        if i < 10 or moving_again <= i < moving_again + 10:
+            measured = command
+        if watch.watch(measured, command, np.zeros((3, 6)), 1e-3).hold:
+            held.append(i)
+    if moving_again < 70:  # silent for 25 ms, twice
+        assert not held
+    else:
+        assert 10 + 30 <= held[0] <= 10 + 36
+
+
+@pytest.mark.parametrize("widest", [0.8e-3, 1e-3, 5e-3, 0.02])
+def test_a_stalled_arm_that_catches_up_is_let_go(widest: float) -> None:
+    """From 0.5 mrad, or from 0.3 times its largest gap, if that is more."""
+    lift = paper_lift()
+    watch = Supervision(lift.cell, lift.grasp, SupervisionOptions(recovery_time=0.0))
+    still, command = np.zeros((3, 6)), lift.q_start.copy()
+    for _ in range(20):
+        command = command + widest / 20.0
+        measured = command.copy()
+        measured[12:] = lift.q_start[12:]
+        seen = watch.watch(measured, command, still, 1e-3)
+    assert seen.hold
+    assert seen.arm == 2
+    enough = max(5e-4, 0.3 * widest)
+    for gap, held in ((widest, True), (0.5 * (widest + enough), True), (1.01 * enough, True), (0.99 * enough, False)):
+        measured = command.copy()
+        measured[12:] -= gap
+        assert watch.watch(measured, command, still, 1e-3).hold is held, gap
+
+
+def troubled(watch: Supervision, off: float) -> list[Watch]:
+    """One arm leaves the others, presses and then stalls, and comes back."""
+    lift, seen, rng = paper_lift(), [], np.random.default_rng(5)
+    for i in range(120):
+        command = lift.q_start + 4e-4 * i
+        measured = command + rng.uniform(-1e-6, 1e-6, 18)
+        measured[6:12] -= 2e-3 * off * (i > 20)
+        if 40 <= i < 80:
+            measured[12:] = lift.q_start[12:] + 0.016
+        away = rng.normal(size=(3, 6)) * 1e-6
+        away[1, 0] -= off * 1e-3 * min(max(i - 10, 0) / 20.0, max(60 - i, 0) / 20.0, 1.0)
+        seen.append(watch.watch(measured, command, away, 1e-3))
+    return seen
+
+
+@pytest.mark.parametrize("stiffness", [None, 2e4])
+@pytest.mark.parametrize("steps", [0, 30, 55, 120])
+def test_what_was_seen_before_a_reset_is_forgotten(steps: int, stiffness: float | None) -> None:
+    lift = paper_lift()
+    options = SupervisionOptions(stiffness=stiffness, force_limit=50.0)
+    watch, new = (Supervision(lift.cell, lift.grasp, options) for _ in range(2))
+    rng = np.random.default_rng(6)
+    for i in range(steps):
+        command = lift.q_start - 1e-3 * i
+        measured = command + rng.uniform(-1e-4, 1e-4, 18)
+        measured[:6] = lift.q_start[:6]
+        watch.watch(measured, command, rng.normal(size=(3, 6)) * 0.03, 1e-3)
+    watch.reset()
+    assert troubled(watch, 1.0) == (expected := troubled(new, 1.0))
+    assert not expected[0].hold
+    assert {s.hold for s in expected} == {True, False}
+    for words in ("stalled", "out of step") if stiffness is None else (" N ",):
+        assert any(words in s.reason for s in expected)
+
+
+def test_after_a_reset_a_gap_is_no_stall() -> None:
+    lift = paper_lift()
+    watch = Supervision(lift.cell, lift.grasp, SupervisionOptions())
+    watch.reset()
+    assert watch.watch(lift.q_start - 1e-3, lift.q_start, np.zeros((3, 6)), 1e-3) == Watch()
+
+
+def test_the_lowest_cap_counts_and_of_equal_ones_the_first() -> None:
+    watch = Watch()
+    for cap, arm in ((1.0, 3), (0.5, 0), (0.5, 1), (0.7, 2)):
+        watch.lower(Watch(rate_cap=cap, arm=arm, reason=f"{arm}"))
+    assert watch == Watch(rate_cap=0.5, arm=0, reason="0")
+    watch.lower(Watch.holding("held"))
+    assert watch == Watch(rate_cap=0.0, hold=True, reason="held")
+    watch.lower(Watch.holding("held again"))
+    assert watch.reason == "held"
+    watch.lower(Watch.holding("over", fault=True))
+    watch.lower(Watch.holding("another", fault=True))
+    assert watch == Watch(rate_cap=0.0, hold=True, fault=True, reason="over")
+
+
+def test_a_cosine_and_sine_are_brought_to_the_circle() -> None:
+    controller, q, _, joint = turning(0.7)
+    cell = controller.cell
+    watch = Supervision(cell, controller.grasp, SupervisionOptions())
+    i = int(cell.position_index[joint])
+    for radius in (0.96, 1.0, 1.04):
+        found = q.copy()
+        found[i : i + 2] *= radius
+        given = found.copy()
+        measured, trouble = watch.accept_measurement(given, q)
+        assert not trouble
+        np.testing.assert_allclose(measured, q, rtol=0.0, atol=1e-15)
+        assert np.array_equal(given, found)  # the caller's array stays as it is
+    for radius in (0.94, 1.06):
+        found = q.copy()
+        found[i : i + 2] *= radius
+        measured, trouble = watch.accept_measurement(found, q)
+        assert measured is q
+        assert f"q_measured[{i}] and [{i + 1}] are no cosine and sine" in trouble
 
 
 def turning(position: float) -> tuple[QPController, Array, Array, int]:

@@ -87,6 +87,8 @@ class Grasp:
         as_scalar(tolerance_m, "Grasp.from_configuration: tolerance_m", open_low=False)
         as_scalar(tolerance_rad, "Grasp.from_configuration: tolerance_rad", open_low=False)
         state = CellState(cell, q)
+        if nominal is not None:
+            nominal.check_arms(cell)
         if T_world_object is None:
             if nominal is None:
                 raise InvalidInputError(
@@ -94,12 +96,10 @@ class Grasp:
                     "Grasp.from_configuration",
                     "Give T_world_object, or nominal.",
                 )
-            nominal.check_arms(cell)
             T_world_object = state.T_world_tool[0] * nominal.T_object_tool[0].inverse()
         T_object_world = as_placement(T_world_object, "Grasp.from_configuration: T_world_object").inverse()
         latched = Grasp(tuple(T_object_world * T for T in state.T_world_tool))
         if nominal is not None:
-            nominal.check_arms(cell)
             for name, X, X_nominal in zip(cell.arm_names, latched.T_object_tool, nominal.T_object_tool, strict=True):
                 offset = pin.log6(X_nominal.inverse() * X).vector
                 d, a = float(np.linalg.norm(offset[:3])), float(np.linalg.norm(offset[3:]))

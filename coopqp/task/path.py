@@ -196,7 +196,7 @@ class LinePath(ObjectPath):
         goal = pin.SE3(pin.exp3(turn) @ T.rotation, T.translation + shift)
         return LinePath(T, goal, duration=duration, time_law=time_law)
 
-    def segment(self, start: float = 0.0) -> Array:
+    def segment(self, start: float) -> Array:
         """The numbers of :meth:`packed` for this line, begun at ``start`` [s] (21,)."""
         numbers = self._segment.copy()
         numbers[18] = start
