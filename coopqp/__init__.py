@@ -51,6 +51,7 @@ if TYPE_CHECKING:
         MissingSolverError,
         ModelError,
         NoStartError,
+        StartWarning,
         UnknownNameError,
         UnreachableError,
     )
@@ -124,6 +125,7 @@ else:
                 "MissingSolverError",
                 "ModelError",
                 "NoStartError",
+                "StartWarning",
                 "UnknownNameError",
                 "UnreachableError",
             ),
@@ -281,6 +283,7 @@ __all__ = [
     "SolverReport",
     "SolverSettings",
     "SolverStatus",
+    "StartWarning",
     "Status",
     "StressModel",
     "SupervisionOptions",
