@@ -332,9 +332,10 @@ class PlainLoop:
                 binding = (ahead,)
         blind = preview is None or preview.blind
         if self._box.accelerates and (blind or s.correcting is not None):
-            keep = self._brake_share(h)
-            if keep < 1.0 and blind:
-                cap = min(cap, keep * s.rate)
+            keep, late = self._brake_share(h)
+            if keep < 1.0 and blind and keep * s.rate < cap:
+                arm, _, joint = self.cell.joint_names[late].partition("/")
+                cap, binding = keep * s.rate, (BindingLimit(arm, joint, LimitKind.POSITION),)
         if watch.rate_cap < cap:
             cap = watch.rate_cap
             out_of_step = BindingLimit(self.cell.arm_names[watch.arm], "", LimitKind.OUT_OF_STEP)
@@ -362,9 +363,9 @@ class PlainLoop:
             fall = preview.brake(s.clock, h, s.rate)
         return max(share, s.rate - fall * h)
 
-    def _brake_share(self, h: float) -> float:
+    def _brake_share(self, h: float) -> tuple[float, int]:
         """1 if all joints, braking together after this step, stop inside their limits; else the share of their speed
-        that they keep if they do so now.
+        that they keep if they do so now, and the joint that needs it.
 
         A joint's own braking distance is not enough: the others may be slower to stop, and they hold one object.
         """
@@ -372,15 +373,17 @@ class PlainLoop:
         speed = np.abs(v)
         longest = float((speed / limits.acceleration).max())  # of the times that the joints need to stop
         if longest <= 0.0:
-            return 1.0
+            return 1.0, -1
         planned = longest / BRAKING_SHARE
         x = self.cell.positions(self.state.q)
         room = np.where(v > 0.0, limits.upper - x, x - limits.lower)
         late = (speed * (h + 0.5 * planned) > room) & (room >= 0.0)
         if not late.any():
-            return 1.0
-        left = float((room[late] / speed[late]).min())
-        return max(0.0, 1.0 - h / min(max(2.0 * (left - h), longest), planned))
+            return 1.0, -1
+        times = np.full(room.shape, np.inf)
+        times[late] = room[late] / speed[late]
+        joint = int(times.argmin())
+        return max(0.0, 1.0 - h / min(max(2.0 * (float(times[joint]) - h), longest), planned)), joint
 
     def _brake_correction(self, keep: float, seen: Observed) -> Array:
         """The error that the path correction sees, limited so that the correction is ``keep`` of the last one."""
@@ -491,8 +494,9 @@ class PlainLoop:
         arriving = ends and not rising and not self._outside()
         if rate >= self.options.blocked_rate * (ARRIVING if arriving else 1.0):
             return Status.SLOWED
-        # From rest the accelerations alone keep the rate small; it grows then, or a joint is on its way back in.
-        accelerating = any(b.kind is LimitKind.ACCELERATION for b in binding)
+        # From rest the accelerations, or nothing but its own rise, keep the rate small; it grows then, or a joint is on
+        # its way back in.
+        accelerating = not binding or any(b.kind is LimitKind.ACCELERATION for b in binding)
         return Status.SLOWED if accelerating and (rising or self._outside()) else Status.BLOCKED
 
     def _off_path(self, found: LinearisedAnswer) -> str:
@@ -503,6 +507,7 @@ class PlainLoop:
         distance, angle = float(np.linalg.norm(error[:3])), float(np.linalg.norm(error[3:]))
         if not (distance > o.off_path_distance or angle > o.off_path_angle):
             return ""
+        distance = float(np.linalg.norm(pin.exp6(error).translation))  # at most as long as that of the twist
         return off_path(distance * (distance > o.off_path_distance), angle * (angle > o.off_path_angle))
 
     def _outside(self) -> bool:

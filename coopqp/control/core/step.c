@@ -196,9 +196,13 @@ static void find_cap(Core *c) {
     }
     if (c->looks_ahead) p[CAP] = preview_cap(c, c->loop[CLOCK], h);
     if (c->accelerates && (!c->looks_ahead || c->loop[CORRECTING] != 0.0)) {
-        p[KEEP] = brake_share(c, h);
+        int joint = -1;
+        p[KEEP] = brake_share(c, h, &joint);
         p[LATE] = p[KEEP] < 1.0;
-        if (p[LATE] != 0.0 && !c->looks_ahead && p[KEEP] * rate < p[CAP]) p[CAP] = p[KEEP] * rate;
+        if (p[LATE] != 0.0 && !c->looks_ahead && p[KEEP] * rate < p[CAP]) {
+            cap_rate(c, p[KEEP] * rate, POSITION, arm_of(c, joint));
+            p[CAP_JOINT] = joint;
+        }
     }
     const int by_arm = p[REASON] >= OUT_OF_STEP_BY && p[REASON_ARM] >= 0.0; /* else it is an index, or nothing */
     cap_rate(c, p[WATCH_CAP], by_arm ? OUT_OF_STEP : NONE, by_arm ? (int)p[REASON_ARM] : -1);
@@ -398,8 +402,9 @@ static int slow_status(const Core *c, double rate, int position, int acceleratio
     const int ends = position || (c->looks_ahead && c->ahead[ENDS] != 0.0);
     const int arriving = ends && !rising && !outside;
     if (rate >= c->options[BLOCKED_RATE] * (arriving ? ARRIVING : 1.0)) return SLOWED;
-    /* From rest the accelerations alone keep the rate small; it grows then, or a joint is on its way back in. */
-    return acceleration && (rising || outside) ? SLOWED : BLOCKED;
+    /* From rest the accelerations, or nothing but its own rise, keep the rate small; it grows then, or a joint is on its
+     * way back in. */
+    return (acceleration || c->record[R_BINDINGS] == 0.0) && (rising || outside) ? SLOWED : BLOCKED;
 }
 
 /* How far the object is off its path [m], [rad], as far as measurements tell; 0 where that is within what may be. */
@@ -408,6 +413,11 @@ static int off_its_path(const Core *c, double *distance, double *angle) {
     common_error(c, c->errors, e);
     for (int i = 0; i < 6 && c->loop[DRIFTED] != 0.0; i++) e[i] += c->drift[i];
     *distance = sqrt(dot3(e, e)), *angle = sqrt(dot3(e + 3, e + 3));
+    if (*distance > c->options[OFF_PATH_DISTANCE] || *angle > c->options[OFF_PATH_ANGLE]) {
+        double R[9], shift[3]; /* at most as long as that of the twist */
+        exp6(e, R, shift);
+        *distance = sqrt(dot3(shift, shift));
+    }
     if (!(*distance > c->options[OFF_PATH_DISTANCE])) *distance = 0.0;
     if (!(*angle > c->options[OFF_PATH_ANGLE])) *angle = 0.0;
     return *distance > 0.0 || *angle > 0.0;
