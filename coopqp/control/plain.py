@@ -43,6 +43,8 @@ LEAST_PACE = 1e-3
 ARRIVING = 10.0
 #: A rate that rises by less stands still: a QP's zero has the solver's rounding.
 RATE_ROUNDING = 1e-12
+#: What the override holds back.
+_OVERRIDE = BindingLimit("", "", LimitKind.OVERRIDE)
 #: Square of an off-path twist that needs no braking distance [m²/s², rad²/s²].
 NEGLIGIBLE = 1e-10
 
@@ -346,7 +348,7 @@ class PlainLoop:
                 cap, binding = rise, ()
         reined = self._reined(h)
         if reined < cap:
-            cap, binding = reined, (BindingLimit("", "", LimitKind.OVERRIDE),)
+            cap, binding = reined, (_OVERRIDE,)
         return cap, binding, keep
 
     def _reined(self, h: float) -> float:
@@ -447,6 +449,8 @@ class PlainLoop:
             status = Status.HOLDING
         elif away:
             status, reason = Status.OFF_PATH, "; ".join(filter(None, (away, reason)))
+        elif status is Status.PAUSED:
+            binding = (_OVERRIDE,)  # whatever else would stop it
         if watch.hold and watch.fault:
             status, s.fault, s.fault_arm = Status.FAULT, watch.reason, watch.arm
         for array in (v, q_next):

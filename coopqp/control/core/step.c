@@ -412,14 +412,13 @@ static int off_its_path(const Core *c, double *distance, double *angle) {
     double e[6];
     common_error(c, c->errors, e);
     for (int i = 0; i < 6 && c->loop[DRIFTED] != 0.0; i++) e[i] += c->drift[i];
-    *distance = sqrt(dot3(e, e)), *angle = sqrt(dot3(e + 3, e + 3));
-    if (*distance > c->options[OFF_PATH_DISTANCE] || *angle > c->options[OFF_PATH_ANGLE]) {
-        double R[9], shift[3]; /* at most as long as that of the twist */
-        exp6(e, R, shift);
-        *distance = sqrt(dot3(shift, shift));
-    }
-    if (!(*distance > c->options[OFF_PATH_DISTANCE])) *distance = 0.0;
-    if (!(*angle > c->options[OFF_PATH_ANGLE])) *angle = 0.0;
+    const double far = c->options[OFF_PATH_DISTANCE], wide = c->options[OFF_PATH_ANGLE];
+    double R[9], shift[3]; /* at most as long as that of the twist */
+    if (!(dot3(e, e) > far * far) && !(dot3(e + 3, e + 3) > wide * wide)) return 0;
+    exp6(e, R, shift);
+    *distance = sqrt(dot3(shift, shift)), *angle = sqrt(dot3(e + 3, e + 3));
+    if (!(*distance > far)) *distance = 0.0;
+    if (!(*angle > wide)) *angle = 0.0;
     return *distance > 0.0 || *angle > 0.0;
 }
 
@@ -474,6 +473,11 @@ static int commit(Core *c) {
         status = HOLDING;
     else if (off_its_path(c, r + R_AWAY, r + R_TURNED))
         status = OFF_PATH;
+    else if (status == PAUSED) { /* whatever else would stop it */
+        static const double by_override[4] = {OVERRIDE, -1.0, -1.0, -1.0};
+        memcpy(off_path + 6, by_override, sizeof by_override);
+        r[R_BINDINGS] = 1.0;
+    }
     if (p[HOLD] != 0.0 && p[FAULTS] != 0.0) {
         status = FAULTED;
         if (c->loop[FAULT] == 0.0)
