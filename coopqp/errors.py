@@ -47,6 +47,10 @@ class ModelError(CoopqpError):
     """A robot model cannot be read, or no arm can be built from it."""
 
 
+class StartWarning(UserWarning):
+    """A controller starts where it may, but something is odd: joints outside limits, arms off the grasp or the path."""
+
+
 class BusyError(CoopqpError, RuntimeError):
     """A controller was called while another thread computes its step: a misuse of the program. Nothing was changed."""
 

@@ -568,7 +568,7 @@ def test_arms_with_few_joints_brake_together_ahead_of_a_limit(
 
 
 def test_a_path_that_arms_with_few_joints_cannot_follow_is_not_previewed() -> None:
-    """The path begins without tilt. At the tilt, the object moves on without it and does not stop."""
+    """The path begins without tilt. At the tilt, the object moves on without it, off its path."""
     task = scara_pair()
     start = task.path.pose(0.0)
     shifted = pin.SE3(start.rotation, start.translation + np.array([0.05, 0.0, 0.02]))
@@ -578,7 +578,9 @@ def test_a_path_that_arms_with_few_joints_cannot_follow_is_not_previewed() -> No
     steps = run(task, dt=0.002)
     assert steps[-1].finished
     assert chain_of(task, steps).max() < 1e-3 * MM
-    assert {s.status for s in steps} == {Status.TRACKING}
+    assert {s.status for s in steps} == {Status.SLOWED, Status.TRACKING, Status.OFF_PATH}
+    assert steps[-1].status is Status.OFF_PATH
+    assert "17.19° off its path" in steps[-1].reason  # 0.3 rad
 
 
 def test_what_arms_with_few_joints_cannot_do_is_left_out() -> None:

@@ -74,6 +74,7 @@ def test_the_second_thread_is_refused_before_anything_is_touched(name: str, pape
         calls: list[Callable[[], Any]] = [made.step, lambda: made.reset(paper.q_start)]
         if kind is QPController:
             calls += [lambda: made.follow(paper.path), lambda: copy.copy(made), lambda: made.retarget(np.eye(4))]
+            calls += [made.pause, made.resume, lambda: made.set_override(0.5)]
 
         def intrude() -> None:
             for call in calls:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import os
 import sys
+import warnings
 from collections.abc import Callable, Sequence
 from importlib import metadata
 from pathlib import Path
@@ -42,10 +43,17 @@ def main(argv: Sequence[str] | None = None) -> int:
         an interrupt.
     """
     try:
-        return _main(argv)
+        with warnings.catch_warnings():
+            warnings.showwarning = _show_warning
+            return _main(argv)
     except KeyboardInterrupt:
         print("coopqp: interrupted", file=sys.stderr)
         return INTERRUPTED
+
+
+def _show_warning(message: Any, category: type[Warning], *where: Any, **more: Any) -> None:
+    """One line, as errors are printed; where in the code a warning came from is no news to a user."""
+    print("coopqp: warning:", printable(" ".join(str(message).split())), file=sys.stderr)
 
 
 def _main(argv: Sequence[str] | None) -> int:

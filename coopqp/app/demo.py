@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from coopqp.control.command import NO_SOLVE, Controller, ControlStep
+from coopqp.control.command import NO_SOLVE, Controller, ControlStep, Status
 from coopqp.control.options import QPOptions
 from coopqp.control.pseudo_inverse import PseudoInverseController, PseudoInverseOptions
 from coopqp.control.qp import QPController
@@ -68,8 +68,8 @@ class DemoRun:
     def status(self) -> str:
         """``"ok"`` if every step tracked and the object arrived, otherwise the worst status."""
         statuses = set(self.recording.statuses)
-        worst = max(statuses, key=lambda status: status.code)
-        return "ok" if worst.code == 0 and self.recording.finished else worst.value
+        worst = max(statuses, key=lambda status: status.precedence)
+        return "ok" if worst is Status.TRACKING and self.recording.finished else worst.value
 
     def record(self) -> dict[str, Any]:
         """The run as a flat record for JSON. Figures that are not finite become None."""

@@ -29,14 +29,24 @@ class Status(enum.Enum):
     BLOCKED = "blocked"  #: the object cannot move on (σ ≈ 0): a limit, a singularity, or out of reach
     HOLDING = "holding"  #: bad input, no solution, a stale clock or arms out of step: all arms brake together and rest
     FAULT = "fault"  #: latched: the arms rest until ``reset`` is called with the measured configuration
+    PAUSED = "paused"  #: the object rests on its path because its operator paused it, or set the override to 0
+    OFF_PATH = "off path"  #: the object is further from its path than ``off_path_distance`` or ``off_path_angle``
 
     @property
     def code(self) -> int:
         """Number of the status in recordings."""
         return _STATUS_ORDER.index(self)
 
+    @property
+    def precedence(self) -> int:
+        """Of several statuses that apply the one with the highest precedence is said; 0 for TRACKING."""
+        return _PRECEDENCE.index(self)
+
 
 _STATUS_ORDER = list(Status)
+_PRECEDENCE = (
+    Status.TRACKING, Status.SLOWED, Status.BLOCKED, Status.PAUSED, Status.OFF_PATH, Status.HOLDING, Status.FAULT,
+)  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True)
@@ -237,10 +247,14 @@ class ControlStep:
             Status.BLOCKED: "The object cannot go on",
             Status.HOLDING: "All arms brake together and hold",
             Status.FAULT: "Stopped until reset() is called with the measured configuration",
+            Status.PAUSED: "Paused: the object rests on its path",
+            Status.OFF_PATH: "The object is off its path",
         }[self.status]
-        parts = [what + where]
-        if self.reason:
-            parts.append(self.reason)
+        reasons = [self.reason] if self.reason else []
+        if self.status is Status.OFF_PATH and reasons:  # its reason begins with the distance
+            distance, _, rest = self.reason.partition("; ")
+            what, reasons = distance[:1].upper() + distance[1:], [rest] if rest else []
+        parts = [what + where, *reasons]
         g = self.given_up
         lost = []
         if g.chain > 0.0:
@@ -288,6 +302,13 @@ def read_step(record: bytes, context: StepReader, status: Status, rate: float) -
     return step
 
 
+def off_path(distance: float, angle: float) -> str:
+    """That the object is off its path by a distance [m] or an angle [rad], in words; what is 0 is not said."""
+    parts = [f"{1e3 * distance:.1f} mm"] if distance > 0.0 else []
+    parts += [f"{np.rad2deg(angle):.2f}°"] if angle > 0.0 else []
+    return f"the object is {' and '.join(parts)} off its path"
+
+
 def outside_limits(cell: RobotCell, q: Array) -> str:
     """The arm and the joint that is furthest outside its position limits, in words; empty if all are inside."""
     x, limits = cell.positions(q), cell.limits
@@ -326,24 +347,32 @@ START_TOLERANCE_M, START_TOLERANCE_RAD = 0.02, np.deg2rad(3.0)
 
 
 def check_start(
-    cell: RobotCell, grasp: Grasp, path: ObjectPath, q: Any, *, tolerance_m: float, tolerance_rad: float
+    cell: RobotCell,
+    grasp: Grasp,
+    path: ObjectPath,
+    q: Any,
+    *,
+    tolerance_m: float,
+    tolerance_rad: float,
+    clock: float = 0.0,
 ) -> Array:
-    """Check that the arms hold the object at the start of the path. Returns ``q`` (nq,) as a read-only array.
+    """Check that the arms hold the object where the path is at ``clock`` [s]. Returns ``q`` (nq,) as a read-only array.
 
     Raises:
-        InvalidInputError: an arm does not; the message names the arm and its distance from the path's start.
+        InvalidInputError: an arm does not; the message names the arm and its distance from the path.
     """
     configuration = cell.check_configuration(q, "reset: q")
     guarded = GuardedPath(path)
-    start = guarded.pose(0.0)
+    start = guarded.pose(clock)
     if start is None:
-        raise InvalidInputError(guarded.problem, "reset", "A path needs a pose at its start.")
+        raise InvalidInputError(guarded.problem, "reset", "A path needs a pose where it starts.")
+    where = f"its path at {clock:g} s" if clock > 0.0 else "the start of its path"
     for name, O in zip(cell.arm_names, grasp.carried(CellState(cell, configuration)), strict=True):
         error = pin.log6(start.actInv(O)).vector
         d, a = float(np.linalg.norm(error[:3])), float(np.linalg.norm(error[3:]))
         if d > tolerance_m or a > tolerance_rad:
             raise InvalidInputError(
-                f"arm '{name}' holds the object {1e3 * d:.1f} mm and {np.rad2deg(a):.2f}° from the start of its path "
+                f"arm '{name}' holds the object {1e3 * d:.1f} mm and {np.rad2deg(a):.2f}° from {where} "
                 f"(tolerance {1e3 * tolerance_m:g} mm, {np.rad2deg(tolerance_rad):.3g}°)",
                 "reset: q",
                 "Start where the arms meet the grasp (coopqp.inverse_kinematics, coopqp.planning.find_start), or widen "

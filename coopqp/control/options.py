@@ -6,6 +6,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
+import numpy as np
+
 from coopqp.checks import as_count, as_options, keep_scalars
 from coopqp.control.command import START_TOLERANCE_M, START_TOLERANCE_RAD
 from coopqp.control.forms import RankWeights
@@ -39,6 +41,8 @@ class QPOptions:
         supervision: thresholds of the comparison of measured and commanded configurations.
         kernel: ``"auto"`` for the compiled core if it is installed and knows the robot, ``"compiled"`` or ``"plain"``.
         blocked_rate: rate σ below which the object counts as blocked.
+        off_path_distance, off_path_angle: distance of the object from its path beyond which its status says so
+            [m, rad].
         start_tolerance_m, start_tolerance_rad: accepted error of any arm at reset [m, rad].
     """
 
@@ -59,12 +63,15 @@ class QPOptions:
     supervision: SupervisionOptions = field(default_factory=SupervisionOptions)
     kernel: str = "auto"
     blocked_rate: float = 1e-3
+    off_path_distance: float = 1e-3
+    off_path_angle: float = np.deg2rad(0.1)
     start_tolerance_m: float = START_TOLERANCE_M
     start_tolerance_rad: float = START_TOLERANCE_RAD
 
     def __post_init__(self) -> None:
         keep_scalars(self, "grasp_gain", "path_gain", "measurement_time", open_low=False)
         keep_scalars(self, "correction_speed", "correction_spin", "blocked_rate")
+        keep_scalars(self, "off_path_distance", "off_path_angle")
         keep_scalars(self, "start_tolerance_m", "start_tolerance_rad")
         for name, kind in _PARTS.items():
             part = getattr(self, name)

@@ -15,12 +15,13 @@ from typing import Any, final
 import numpy as np
 import pinocchio as pin
 
-from coopqp.control.command import NO_SOLVE, NOTHING, ControlStep, GivenUp, Status
+from coopqp.control.command import NO_SOLVE, NOTHING, ControlStep, GivenUp, Status, off_path
 from coopqp.control.constraints import Constraints, ConstraintTrouble, Knot, Rows, no_rows
 from coopqp.control.limits import VelocityBox
 from coopqp.control.linearised import LinearisedAnswer, LinearisedStep, StepInput
 from coopqp.control.options import QPOptions
 from coopqp.control.ranks import StepSolver
+from coopqp.control.reins import Reins, blind_brake
 from coopqp.control.supervision import Supervision, Watch
 from coopqp.control.turn import Turn
 from coopqp.model.cell import RobotCell
@@ -28,7 +29,7 @@ from coopqp.model.chain import Chain
 from coopqp.model.grasp import Grasp
 from coopqp.model.limits import BindingLimit, LimitKind
 from coopqp.model.state import CellState
-from coopqp.planning.preview import KnotRoom, LookAheadTrouble, PathPreview
+from coopqp.planning.preview import KnotRoom, LookAheadTrouble, PathPreview, PreviewOptions
 from coopqp.spatial import Array
 from coopqp.task.guarded import GuardedPath, is_known
 from coopqp.task.path import ObjectPath
@@ -42,6 +43,8 @@ LEAST_PACE = 1e-3
 ARRIVING = 10.0
 #: A rate that rises by less stands still: a QP's zero has the solver's rounding.
 RATE_ROUNDING = 1e-12
+#: What the override holds back.
+_OVERRIDE = BindingLimit("", "", LimitKind.OVERRIDE)
 #: Square of an off-path twist that needs no braking distance [m²/s², rad²/s²].
 NEGLIGIBLE = 1e-10
 
@@ -62,6 +65,7 @@ class LoopState:
         lost: the path failed in the last step.
         away: distance of the object as the first arm holds it from a user's own path [m]; infinite at its start.
         fault, fault_arm: why the controller is in fault, and by which arm; empty, and −1, if it is not.
+        reins: what the operator asks for.
     """
 
     q: Array
@@ -78,6 +82,7 @@ class LoopState:
     away: float = math.inf
     fault: str = ""
     fault_arm: int = -1
+    reins: Reins = field(default_factory=Reins)
 
 
 @dataclass(eq=False)
@@ -130,6 +135,7 @@ class PlainLoop:
         self._rise = (
             None if options.preview is None else options.preview.slope(accelerates=self._box.accelerates, dt=dt)
         )
+        self._slope = (options.preview or PreviewOptions()).slope(accelerates=self._box.accelerates, dt=dt)
         self._restricted = tuple(cell.arm_names[k] for k in self._chain.deficient)
         self._redundant = self._chain.redundancy > 0
         self._no_rows = no_rows(cell.nv)
@@ -162,13 +168,14 @@ class PlainLoop:
         self.solver.reset()
         self._supervision.reset()
         self._posture.reset(q)
-        self.state = LoopState(q, np.zeros(self.cell.nv), np.zeros(self.cell.nv), last_dt=self.dt)
+        reins = self.state.reins.started(self.options.blocked_rate)
+        self.state = LoopState(q, np.zeros(self.cell.nv), np.zeros(self.cell.nv), last_dt=self.dt, reins=reins)
 
     def start_path(self, clock: float = 0.0, rate: float | None = None) -> None:
         """Along the path from ``clock`` on."""
         s = self.state
         s.clock, s.first, s.predicted, s.away = clock, True, None, math.inf
-        s.rate = (0.0 if self._box.accelerates else 1.0) if rate is None else rate
+        s.rate = (0.0 if self._box.accelerates else s.reins.share) if rate is None else rate
         self.look_ahead_again()
 
     def look_ahead_again(self) -> None:
@@ -191,6 +198,15 @@ class PlainLoop:
         if self._preview is not None and preview is not None:
             self._preview.restore(preview)
 
+    def set_reins(self, override: float, *, paused: bool) -> None:
+        """What the operator asks for, from the next step on."""
+        self.state.reins.override, self.state.reins.paused = override, paused
+
+    @property
+    def reins(self) -> tuple[float, bool]:
+        """Override, and whether the object is paused."""
+        return self.state.reins.override, self.state.reins.paused
+
     @property
     def clock(self) -> float:
         """The object's clock [s]."""
@@ -200,6 +216,11 @@ class PlainLoop:
     def q(self) -> Array:
         """Commanded configuration (nq,)."""
         return self.state.q
+
+    @property
+    def rate(self) -> float:
+        """σ of the last step."""
+        return self.state.rate
 
     # -- observe ---------------------------------------------------------------------------------------------------
 
@@ -319,9 +340,10 @@ class PlainLoop:
                 binding = (ahead,)
         blind = preview is None or preview.blind
         if self._box.accelerates and (blind or s.correcting is not None):
-            keep = self._brake_share(h)
-            if keep < 1.0 and blind:
-                cap = min(cap, keep * s.rate)
+            keep, late = self._brake_share(h)
+            if keep < 1.0 and blind and keep * s.rate < cap:
+                arm, _, joint = self.cell.joint_names[late].partition("/")
+                cap, binding = keep * s.rate, (BindingLimit(arm, joint, LimitKind.POSITION),)
         if watch.rate_cap < cap:
             cap = watch.rate_cap
             out_of_step = BindingLimit(self.cell.arm_names[watch.arm], "", LimitKind.OUT_OF_STEP)
@@ -330,11 +352,28 @@ class PlainLoop:
             rise = s.rate + min(self._rise, np.inf if preview is None else preview.rise(s.clock)) * h
             if rise < cap - RATE_ROUNDING:
                 cap, binding = rise, ()
+        reined = self._reined(h)
+        if reined < cap:
+            cap, binding = reined, (_OVERRIDE,)
         return cap, binding, keep
 
-    def _brake_share(self, h: float) -> float:
+    def _reined(self, h: float) -> float:
+        """The largest rate by the override, reached as fast as the joints can follow."""
+        s, reins, preview = self.state, self.state.reins, self._preview
+        share = reins.share
+        if share >= s.rate or not s.v.any():
+            return share
+        if not self._box.accelerates:
+            fall = self._slope
+        elif preview is None or preview.blind or not preview.knows:
+            fall = blind_brake(s.v, BRAKING_SHARE * self._box.limits.acceleration, s.rate)
+        else:
+            fall = preview.brake(s.clock, h, s.rate)
+        return max(share, s.rate - fall * h)
+
+    def _brake_share(self, h: float) -> tuple[float, int]:
         """1 if all joints, braking together after this step, stop inside their limits; else the share of their speed
-        that they keep if they do so now.
+        that they keep if they do so now, and the joint that needs it.
 
         A joint's own braking distance is not enough: the others may be slower to stop, and they hold one object.
         """
@@ -342,15 +381,17 @@ class PlainLoop:
         speed = np.abs(v)
         longest = float((speed / limits.acceleration).max())  # of the times that the joints need to stop
         if longest <= 0.0:
-            return 1.0
+            return 1.0, -1
         planned = longest / BRAKING_SHARE
         x = self.cell.positions(self.state.q)
         room = np.where(v > 0.0, limits.upper - x, x - limits.lower)
         late = (speed * (h + 0.5 * planned) > room) & (room >= 0.0)
         if not late.any():
-            return 1.0
-        left = float((room[late] / speed[late]).min())
-        return max(0.0, 1.0 - h / min(max(2.0 * (left - h), longest), planned))
+            return 1.0, -1
+        times = np.full(room.shape, np.inf)
+        times[late] = room[late] / speed[late]
+        joint = int(times.argmin())
+        return max(0.0, 1.0 - h / min(max(2.0 * (float(times[joint]) - h), longest), planned)), joint
 
     def _brake_correction(self, keep: float, seen: Observed) -> Array:
         """The error that the path correction sees, limited so that the correction is ``keep`` of the last one."""
@@ -373,7 +414,7 @@ class PlainLoop:
             offset = self._on_path.posture.gain * pin.difference(self.cell.model, s.q, q_ahead)
         else:
             slope, offset = nothing, self._posture.velocity(s.q)
-        return slope, nothing if hold else offset
+        return slope, nothing if hold else s.reins.ease * offset
 
     def _bound_knot(self, clock: float, q: Array, slope: Array, curvature: Array) -> KnotRoom:
         """What further constraints leave of the rate at a knot."""
@@ -406,8 +447,16 @@ class PlainLoop:
         status, by_qp = Status.TRACKING, answer.report is not NO_SOLVE
         if share <= 1.0 - 1e-6:
             status = self._slow_status(share, binding)
+        if s.reins.share < self.options.blocked_rate and share < self.options.blocked_rate:
+            status = Status.PAUSED
+        away = self._off_path(found)
+        reason = watch.reason or answer.reason
         if watch.hold or answer.braked:
             status = Status.HOLDING
+        elif away:
+            status, reason = Status.OFF_PATH, "; ".join(filter(None, (away, reason)))
+        elif status is Status.PAUSED:
+            binding = (_OVERRIDE,)  # whatever else would stop it
         if watch.hold and watch.fault:
             status, s.fault, s.fault_arm = Status.FAULT, watch.reason, watch.arm
         for array in (v, q_next):
@@ -424,7 +473,7 @@ class PlainLoop:
             clock_next=clock_next,
             rate=share,
             status=status,
-            reason=watch.reason or answer.reason,
+            reason=reason,
             binding=() if status is Status.TRACKING and not by_qp else binding,
             given_up=self._given_up(found, share),
             solver=answer.report,
@@ -436,6 +485,7 @@ class PlainLoop:
         s.predicted = found.predicted if answer.chain == 0.0 and not answer.braked and not seen.lost else None
         s.v_before, s.v, s.q = found.stand_in, v, step.q_next
         s.clock, s.rate, s.last_dt, s.first = clock_next, rate, h, False
+        s.reins.advance(self.options.blocked_rate, self._slope * h)
         return step
 
     def names(self, active: tuple[tuple[int, float], ...], h: float, further: Rows) -> tuple[BindingLimit, ...]:
@@ -454,9 +504,21 @@ class PlainLoop:
         arriving = ends and not rising and not self._outside()
         if rate >= self.options.blocked_rate * (ARRIVING if arriving else 1.0):
             return Status.SLOWED
-        # From rest the accelerations alone keep the rate small; it grows then, or a joint is on its way back in.
-        accelerating = any(b.kind is LimitKind.ACCELERATION for b in binding)
+        # From rest the accelerations, or nothing but its own rise, keep the rate small; it grows then, or a joint is on
+        # its way back in.
+        accelerating = not binding or any(b.kind is LimitKind.ACCELERATION for b in binding)
         return Status.SLOWED if accelerating and (rising or self._outside()) else Status.BLOCKED
+
+    def _off_path(self, found: LinearisedAnswer) -> str:
+        """How far the object is off its path, in words, as far as measurements tell; empty if it is on it."""
+        o, error = self.options, np.einsum("ki,ki->i", self._shares, found.errors)
+        if self.state.drift is not None:
+            error = error + self.state.drift
+        distance, angle = float(np.linalg.norm(error[:3])), float(np.linalg.norm(error[3:]))
+        if not (distance > o.off_path_distance or angle > o.off_path_angle):
+            return ""
+        distance = float(np.linalg.norm(pin.exp6(error).translation))  # at most as long as that of the twist
+        return off_path(distance * (distance > o.off_path_distance), angle * (angle > o.off_path_angle))
 
     def _outside(self) -> bool:
         """Whether a joint is outside its position limits."""

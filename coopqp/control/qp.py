@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import copy
 import time
+import warnings
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, final
 
@@ -17,17 +18,18 @@ import numpy as np
 import pinocchio as pin
 
 from coopqp.checks import as_options, as_scalar, require
-from coopqp.control.command import ControlStep, amend, check_start, outside_limits
+from coopqp.control.command import ControlStep, Status, amend, check_start
 from coopqp.control.constraints import Constraints, listed
 from coopqp.control.core import make_loop
 from coopqp.control.options import QPOptions
 from coopqp.control.plain import PlainLoop, held_at
+from coopqp.control.starting import odd_start, rate_into
 from coopqp.control.turn import alone
-from coopqp.errors import InvalidInputError
+from coopqp.errors import InvalidInputError, StartWarning
 from coopqp.model.cell import RobotCell
 from coopqp.model.grasp import Grasp
 from coopqp.model.state import CellState
-from coopqp.spatial import Placement
+from coopqp.spatial import Array, Placement
 from coopqp.task.guarded import GuardedPath, is_known
 from coopqp.task.path import HoldPath, ObjectPath, ServoPath
 
@@ -113,48 +115,119 @@ class QPController:
     # -- starting --------------------------------------------------------------------------------------------------
 
     @alone
-    def reset(self, q: Any) -> None:
-        """Start at ``q`` (nq,), at rest, the object's clock at 0; ends a fault. Errors as :class:`Controller`.
+    def reset(self, q: Any, *, clock: float = 0.0) -> None:
+        """Start at ``q`` (nq,), at rest, at the object's ``clock`` [s]; ends a fault, but no pause and no override.
 
         A later reset with a :class:`ServoPath` starts where the arms hold the object, and rests there until the next
-        target. With any other path the arms have to be at its start: :meth:`follow` one that starts where they are.
+        target. With any other path the arms have to be where it is at ``clock``: give the clock of the last step to go
+        on in mid-path, or :meth:`follow` a path that starts where they are. Errors as :class:`Controller`.
+
+        Warns:
+            StartWarning: a joint is outside its limits, an arm off its grasp, or the object off its path. The steps say
+                so until it is mended.
         """
         o = self.options
+        clock = _on(self.path, clock, "reset: clock")
         again = self._started and isinstance(self.path, ServoPath)
         path = HoldPath(self._held_at(q)) if again else self.path
         start = check_start(
-            self.cell, self.grasp, path, q, tolerance_m=o.start_tolerance_m, tolerance_rad=o.start_tolerance_rad
+            self.cell,
+            self.grasp,
+            path,
+            q,
+            tolerance_m=o.start_tolerance_m,
+            tolerance_rad=o.start_tolerance_rad,
+            clock=clock,
         )
         self._checked.check(start, self.dt)
         if isinstance(self.path, ServoPath) and again:
             self.path.restart(path.pose(0.0))
-        self._started, self._outside = True, bool(outside_limits(self.cell, start))
+        odd = self._odd(start, GuardedPath(path).pose(clock))
+        self._started, self._outside = True, bool(odd)
         self._loop.start(start)
         self._take(self.path)
-        self._loop.start_path(rate=self._first_rate())
+        self._loop.start_path(clock, self._first_rate(clock))
+        if odd:
+            warnings.warn("; ".join(odd), StartWarning, stacklevel=3)
 
-    def _first_rate(self) -> float | None:
-        """The rate that a path begins with: full where the object rests at its start; None for the loop's own."""
-        twist = GuardedPath(self.path).twist(0.0)
-        return 1.0 if twist is not None and not np.any(twist) else None
+    def _first_rate(self, clock: float) -> float | None:
+        """The rate that a path begins with: full where the object rests there; None for the loop's own."""
+        twist = GuardedPath(self.path).twist(clock)
+        if twist is None or np.any(twist):
+            return None
+        return 0.0 if self.paused else self.override
+
+    def _odd(self, q: Array, pose: pin.SE3 | None) -> tuple[str, ...]:
+        return odd_start(self.cell, self.grasp, self.options.common_error.shares(self.cell), pose, q)
 
     def _held_at(self, q: Any) -> pin.SE3:
         """Where the arms hold the object at ``q``: by their shares in the common error, from the first one's view."""
         return held_at(self.grasp, self.options.common_error.shares(self.cell), CellState(self.cell, q))
 
     @alone
-    def follow(self, path: ObjectPath) -> None:
-        """Go on from the present command along another path, its clock at 0; the motion is not interrupted.
+    def follow(self, path: ObjectPath, *, clock: float = 0.0) -> None:
+        """Go on from the present command along another path, from ``clock`` [s] on; the motion is not interrupted.
 
-        The path should start where the object is; what is missing is made up for by the path correction.
+        The rate goes on as the one that comes closest to the object's present motion. The path should be where the
+        object is. What is missing is made up for by the path correction while the clock runs, and the status is
+        OFF_PATH until then; :meth:`pause` first to have the clock wait for the object.
 
         Raises:
-            InvalidInputError: the path is none; the old one goes on.
+            InvalidInputError: the path is none, or the clock is not on it; the old one goes on.
         """
         GuardedPath(path).check("follow")
+        clock = _on(path, clock, "follow: clock")
+        rate = self._rate_into(path, clock) if self._started else None
         self._take(path)
         if self._started:
-            self._loop.start_path(rate=self._first_rate())
+            self._loop.start_path(clock, self._first_rate(clock) if rate is None else rate)
+
+    def _rate_into(self, path: ObjectPath, clock: float) -> float | None:
+        """The rate to go on with; None for that of a start."""
+        loop = self._loop
+        if not np.isfinite(self.cell.limits.acceleration).any():
+            return max(loop.rate, 0.0 if self.paused else self.override)
+        now, ahead = GuardedPath(self.path).twist(loop.clock), GuardedPath(path).twist(clock)
+        if now is None or ahead is None:
+            return None
+        return rate_into(loop.rate, now, ahead, length=self.options.weights.length)
+
+    # -- the reins -------------------------------------------------------------------------------------------------
+
+    @alone
+    def set_override(self, share: float) -> None:
+        """The largest rate σ from now on: 1 for the path's own speed, 0 for rest.
+
+        The object slows down as fast as the joints can follow, on its path. A reset or another path changes nothing.
+
+        Raises:
+            InvalidInputError: not a number from 0 to 1; the old override stays.
+        """
+        share = as_scalar(share, "set_override: share", open_low=False, high=1.0)
+        self._loop.set_reins(share, paused=self.paused)
+
+    @alone
+    def pause(self) -> None:
+        """Bring the object to rest on its path, until :meth:`resume`; a reset or another path changes nothing.
+
+        At rest the status is PAUSED. Errors are still corrected; the arms' null-space motion stops.
+        """
+        self._loop.set_reins(self.override, paused=True)
+
+    @alone
+    def resume(self) -> None:
+        """Go on after :meth:`pause`, up to the override."""
+        self._loop.set_reins(self.override, paused=False)
+
+    @property
+    def override(self) -> float:
+        """The largest rate σ that is asked for, while the object is not paused."""
+        return self._loop.reins[0]
+
+    @property
+    def paused(self) -> bool:
+        """Whether the object is asked to rest; once it does the status of a step is PAUSED."""
+        return self._loop.reins[1]
 
     @alone
     def retarget(self, T_world_object: Placement) -> None:
@@ -210,10 +283,11 @@ class QPController:
             step = self._loop.commit(self._loop.propose(self._loop.observe(q_measured, dt)), began)
         else:
             step = self._loop.careful_step(q_measured, dt)
-        if self._outside:  # it started there: say so until it is inside
-            where = outside_limits(self.cell, step.q)
-            if where:
-                amend(step, reason="; ".join(filter(None, (step.reason, where))))
+        if self._outside:  # it started there: say so until it is mended
+            off_path = step.status is Status.OFF_PATH or step.status in (Status.HOLDING, Status.FAULT)
+            odd = self._odd(step.q, None if off_path else GuardedPath(self.path).pose(step.clock))
+            if odd or off_path:
+                amend(step, reason="; ".join(filter(None, (step.reason, *odd))))
             else:
                 self._outside = False
                 self._find_fast_step()
@@ -225,10 +299,10 @@ class QPController:
     def __getstate__(self) -> dict[str, Any]:
         names = ("cell", "grasp", "path", "dt", "options", "constraints", "kernel")
         state = {name: getattr(self, name) for name in names}
-        return state | {"outside": self._outside, "memory": self._loop.memory() if self._started else None}
+        return state | {"started": self._started, "outside": self._outside, "memory": self._loop.memory()}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        kernel, outside, memory = state.pop("kernel"), state.pop("outside"), state.pop("memory")
+        kernel, started, outside, memory = (state.pop(name) for name in ("kernel", "started", "outside", "memory"))
         self._build(**state)  # the path may fail for a while: that is no reason not to be copied
         if self.kernel != kernel:
             raise InvalidInputError(
@@ -236,10 +310,9 @@ class QPController:
                 "QPController",
                 "Build both with the same QPOptions(kernel=…).",
             )
-        if memory is not None:
-            self._started, self._outside = True, outside
-            self._take(self.path)
-            self._loop.restore(memory)
+        self._started, self._outside = started, outside
+        self._take(self.path)
+        self._loop.restore(memory)
 
     def __copy__(self) -> QPController:
         state = self.__getstate__()
@@ -258,3 +331,8 @@ class QPController:
         other = object.__new__(QPController)
         other.__setstate__(state)
         return other
+
+
+def _on(path: ObjectPath, clock: Any, where: str) -> float:
+    """A clock on a path [s]."""
+    return as_scalar(clock, where, open_low=False, high=GuardedPath(path).duration)

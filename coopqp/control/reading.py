@@ -6,7 +6,7 @@ from typing import Any, final
 
 import numpy as np
 
-from coopqp.control.command import NO_SOLVE, NOTHING, GivenUp, SolverReport, Status
+from coopqp.control.command import NO_SOLVE, NOTHING, GivenUp, SolverReport, Status, off_path
 from coopqp.control.core import layout
 from coopqp.control.supervision import SupervisionOptions, refused_dt
 from coopqp.model.cell import RobotCell
@@ -71,6 +71,12 @@ class RecordReader:
         return getattr(self, f"_read_{name}")(numbers)
 
     def _read_reason(self, r: Array) -> str:
+        distance, angle = r.item(_R["R_AWAY"]), r.item(_R["R_TURNED"])
+        if distance > 0.0 or angle > 0.0:
+            return "; ".join(filter(None, (off_path(distance, angle), self._read_code(r))))
+        return self._read_code(r)
+
+    def _read_code(self, r: Array) -> str:
         code, given = int(r[_R["R_REASON"]]), r[_R["R_REASON_ARM"] : _R["R_REASON_B"] + 1].tolist()
         if code == _REASONS["BAD_DT"]:
             return refused_dt(given[1], *self._dt_range)

@@ -23,7 +23,13 @@ _ERRORS = (
     ("chain_mm", "arms against each other", "#d55e00", (0, (4, 1.5))),
     ("object_mm", "object against its path", "#009e73", (0, (1, 1.2))),
 )
-_BANDS = {Status.BLOCKED: "#f7dcc4", Status.HOLDING: "#f4c2c2", Status.FAULT: "#e58e8e"}
+_BANDS = {
+    Status.PAUSED: "#dbe4f3",
+    Status.BLOCKED: "#f7dcc4",
+    Status.OFF_PATH: "#e9d3f0",
+    Status.HOLDING: "#f4c2c2",
+    Status.FAULT: "#e58e8e",
+}
 #: Smallest drawn error [mm].
 _FLOOR = 1e-8
 #: Largest number of drawn limits; the limits that bound longest are drawn.

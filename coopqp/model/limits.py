@@ -17,6 +17,8 @@ class LimitKind(enum.Enum):
     PATH_END = "path end"
     OUT_OF_STEP = "out of step"
     CONSTRAINT = "constraint"
+    OVERRIDE = "override"
+    PATH_JUMP = "path jump"
     TORQUE = "torque"
     JERK = "jerk"
 

@@ -29,7 +29,7 @@ from coopqp.model.chain import Chain
 from coopqp.model.inverse_kinematics import newton
 from coopqp.model.limits import BindingLimit, LimitKind
 from coopqp.spatial import Array
-from coopqp.task.guarded import GuardedPath
+from coopqp.task.guarded import FASTEST_PATH, GuardedPath, pose_distance
 from coopqp.task.path import ObjectPath
 from coopqp.task.posture import Posture
 
@@ -265,6 +265,11 @@ class PathPreview:
             self._slope[:] = 0.0
         self._push(self._knot_at(clock, q, None))
 
+    @property
+    def knows(self) -> bool:
+        """Whether anything is known ahead."""
+        return len(self._knots) > 0
+
     def memory(self) -> Any:
         """What a copy of this preview goes on from."""
         return (
@@ -396,6 +401,30 @@ class PathPreview:
             self._knots[m].cap + _ROUNDING >= square for m in range(1, self._knot_before(clock) + 1)
         )
 
+    def brake(self, clock: float, dt: float, rate: float) -> float:
+        """D, the fastest fall of σ from ``rate`` with which the joints still follow the path [1/s]; it may be negative.
+
+        Between two steps of rates σ and σ − x a joint's velocity changes by ``q″ (σ − x/2)² dt − q′ x``. With
+        ``c = q″ sign q′`` its limit is kept up to ``x = dt (η a + c σ²) / (|q′| + max(c, 0) σ dt)``, by the tangent at
+        x = 0.
+        A corner takes the whole acceleration: the rate stays while it is passed.
+        """
+        if self._next_breakpoint(clock - rate * dt) <= min(clock + rate * dt, self._duration - 1e-9):
+            return 0.0
+        D = np.inf
+        for slope, curvature in self._nearest(clock):
+            speed, bend = np.abs(slope), curvature * np.sign(slope)
+            moving = speed > 0.0
+            fall = (self._acceleration + bend * rate**2) / (speed + np.maximum(bend, 0.0) * (rate * dt) + ~moving)
+            D = min(D, float(fall[moving].min(initial=np.inf)))
+        return D
+
+    def _nearest(self, clock: float) -> Iterator[tuple[Array, Array]]:
+        """q′ and q″ (nv,) at the two knots around a clock."""
+        i = self._knot_before(clock)
+        for k in range(i, min(i + 2, len(self._knots))):
+            yield self._knots[k].slope, self._knots[k].curvature
+
     def reference(self, clock: float) -> tuple[Array, Array]:
         """Previewed configuration (nq,) and q′ (nv,) at ``clock``: what redundant arms follow."""
         if not self._knots:
@@ -468,7 +497,7 @@ class PathPreview:
             self._push(last._replace(cap=0.0, binding=BindingLimit("", "", LimitKind.CONSTRAINT, self._beyond)))
             return
         if knot is None:
-            self._block(last, self._singular_arm(last), LimitKind.REACH)
+            self._push(last._replace(cap=0.0, binding=self._why_no_further(last)))
             return
         crossing = None if knot.inside else self._limit_crossing(last, knot)
         if crossing is not None:
@@ -712,6 +741,16 @@ class PathPreview:
     def _block(self, knot: _Knot, arm: int, kind: LimitKind) -> None:
         """The object stops at ``knot``."""
         self._push(knot._replace(cap=0.0, binding=self._arm_limit(arm, kind)))
+
+    def _why_no_further(self, last: _Knot) -> BindingLimit:
+        """Why the chain cannot be followed past a knot: a user's path jumps there, or an arm's reach ends."""
+        ahead = min(last.clock + 2.0 * self.options.shortest, self._duration)
+        here, there = self._path.pose(last.clock), self._path.pose(ahead)
+        if here is None or there is None:
+            raise LookAheadTrouble(self._path.problem)
+        if pose_distance(here, there) > FASTEST_PATH * (ahead - last.clock):
+            return BindingLimit("", "", LimitKind.PATH_JUMP)
+        return self._arm_limit(self._singular_arm(last), LimitKind.REACH)
 
     def _singular_arm(self, knot: _Knot) -> int:
         share = np.abs(knot.slope) / np.where(np.isfinite(self._speed), self._speed, 1.0)

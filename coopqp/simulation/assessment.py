@@ -151,7 +151,7 @@ def _sigma_min(cell: RobotCell, q: Array) -> Array:
 
 def worst_status(recording: Recording) -> str:
     """``"ok"`` if every step tracked and the object arrived, otherwise the worst status of the run."""
-    worst = max(recording.statuses, key=lambda status: status.code, default=Status.TRACKING)
+    worst = max(recording.statuses, key=lambda status: status.precedence, default=Status.TRACKING)
     return "ok" if worst is Status.TRACKING and recording.finished else worst.value
 
 
@@ -233,9 +233,15 @@ def _finished(recording: Recording) -> Finding:
         text = f"the object's clock stands at {recording.clock[-1]:.4g} s after {took}"
     if stopped:
         text += f", {stopped} steps stopped by a failure"
+    text += _counted(recording, Status.PAUSED, "paused") + _counted(recording, Status.OFF_PATH, "off the path")
     arrived = recording.finished or endless
     cause = "" if arrived and not stopped else _why_not(recording, arrived=arrived)
     return Finding(question, arrived and not stopped, text, cause)
+
+
+def _counted(recording: Recording, status: Status, what: str) -> str:
+    steps = sum(s is status for s in recording.statuses)
+    return f", {steps} {what}" if steps else ""
 
 
 def _why_not(recording: Recording, *, arrived: bool) -> str:

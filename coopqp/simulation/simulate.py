@@ -21,6 +21,7 @@ from coopqp.model.grasp import Grasp
 from coopqp.model.limits import BindingLimit, LimitKind
 from coopqp.output import OutputError, write_files
 from coopqp.planning.starts import find_start
+from coopqp.simulation.notes import Notes
 from coopqp.simulation.plants.kinematic import KinematicPlant, Plant
 from coopqp.simulation.scene import describe_cell, describe_path
 from coopqp.spatial import Array
@@ -29,6 +30,8 @@ from coopqp.spatial import Array
 MAX_RECORDING_BYTES = 2_000_000_000
 #: Time until a run with a stopped object ends, by default [s].
 PATIENCE = 1.0
+#: An object off its path stands at a rate below this.
+_AT_REST = 1e-3
 #: Called during a run with the numbers of steps (done, total).
 ProgressCallback = Callable[[int, int], None]
 
@@ -51,7 +54,8 @@ class Recording:
         status: :attr:`Status.code` of each step (T,).
         reference: the path's pose at each sample, 4x4 matrices (T+1, 4, 4).
         T_object_tool: the grasp, (N, 4, 4).
-        notes: one entry ``"step: explanation"`` per change of status or binding limits.
+        notes: one entry ``"step: explanation"`` per change of status or binding limits; one for many
+            changes to and fro.
         metadata: controller, solver, names of arms and joints; description of the cell and the path (``scene``,
             ``path``: :mod:`coopqp.simulation.scene`); binding limits over time (``binding``); entries of the caller.
     """
@@ -209,7 +213,8 @@ def simulate(
         q_start: start configuration (nq,); by default :func:`coopqp.planning.find_start` finds one.
         duration: longest run [s]; by default ten times the path's duration, because a slowed object takes longer.
         settle: time that the run continues after the end of the path [s].
-        patience: the run ends when the object was blocked, held or stopped for this time [s]; None for never.
+        patience: the run ends when the object was blocked, held, stopped or at rest off its path for this time [s];
+            None for never. A pause does not count.
         progress: called as ``progress(steps done, steps of an unslowed run)``.
         observe: called with every :class:`ControlStep`.
         metadata: entries stored in the recording; must be JSON.
@@ -243,20 +248,16 @@ def simulate(
     controller.reset(measured)
     steps: list[ControlStep] = []
     q_measured = [measured]
-    notes: list[str] = []
+    notes = Notes()
     nominal = max(1, round((longest if endless else controller.path.duration + after) / controller.dt))
     elapsed, rest, still = 0.0, 0.0, 0.0
-    last_note: tuple[Any, ...] = (Status.TRACKING, ())
     while elapsed < longest - 1e-9 * longest:
         step = controller.step(measured)
         measured = plant.apply(step)
         steps.append(step)
         q_measured.append(measured)
         elapsed += step.dt
-        note = (step.status, step.binding)
-        if note != last_note:
-            notes.append(f"{len(steps) - 1}: {step.explain()}")
-            last_note = note
+        notes.take(step)
         if observe is not None:
             observe(step)
         if progress is not None:
@@ -265,17 +266,24 @@ def simulate(
             if rest >= after - 1e-12:
                 break
             rest += step.dt
-        still = 0.0 if step.status in (Status.TRACKING, Status.SLOWED) else still + step.dt
+        still = still + step.dt if _stands(step) else 0.0
         if still >= enough:
             break
-    return _record(controller, steps, q_measured, notes, metadata or {})
+    return _record(controller, steps, q_measured, notes.lines(), metadata or {})
+
+
+def _stands(step: ControlStep) -> bool:
+    """Whether the object waits for something that its operator did not ask for."""
+    if step.status is Status.OFF_PATH:
+        return step.rate < _AT_REST
+    return step.status in (Status.BLOCKED, Status.HOLDING, Status.FAULT)
 
 
 def _record(
     controller: Controller,
     steps: list[ControlStep],
     q_measured: list[Array],
-    notes: list[str],
+    notes: tuple[str, ...],
     metadata: dict[str, Any],
 ) -> Recording:
     cell = controller.cell
@@ -290,7 +298,7 @@ def _record(
         status=np.array([float(s.status.code) for s in steps]),
         reference=np.array([controller.path.pose(c).homogeneous for c in clock]),
         T_object_tool=np.array([X.homogeneous for X in controller.grasp.T_object_tool]),
-        notes=tuple(notes),
+        notes=notes,
         metadata={
             "controller": type(controller).__name__,
             "dt": controller.dt,

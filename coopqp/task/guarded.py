@@ -36,7 +36,7 @@ def is_known(path: ObjectPath) -> bool:
     return type(path) in (LinePath, WaypointPath, HoldPath, ServoPath, TimedPath)
 
 
-def _distance(a: pin.SE3, b: pin.SE3) -> float:
+def pose_distance(a: pin.SE3, b: pin.SE3) -> float:
     """Distance of two poses [m], turns included."""
     cosine = 0.5 * (float((a.rotation * b.rotation).sum()) - 1.0)
     return float(np.linalg.norm(b.translation - a.translation)) + TURN_LENGTH * math.acos(min(max(cosine, -1.0), 1.0))
@@ -135,8 +135,8 @@ class GuardedPath:
         ahead = None if here is None else self.pose(clock + h)
         if here is None or ahead is None:
             return self.problem, away
-        now = _distance(here, held)
-        far = max(_distance(here, ahead), now - away)
+        now = pose_distance(here, held)
+        far = max(pose_distance(here, ahead), now - away)
         return ("", now) if far <= FASTEST_PATH * h else (jump(far, clock), away)
 
     def check(self, where: str) -> None:

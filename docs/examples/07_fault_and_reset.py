@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from coopqp import CellState, LinePath, QPController, Status
+from coopqp import QPController, Status
 from coopqp.scenarios import paper_lift
 
 lift = paper_lift(time_law="quintic")
@@ -18,10 +18,7 @@ for tick in range(5000):
     if step.status is Status.FAULT and tick > 600:  # it stays latched until reset
         faults += 1
         print(f"{tick * 0.002:.2f} s: {step.status.value}, the object is on its path up to {step.clock:.2f} s")
-        here = lift.grasp.carried(CellState(lift.cell, q))[0]  # where the first arm carries the object
-        rest = LinePath(here, lift.path.pose(lift.path.duration), duration=2.0)
-        controller.follow(rest)  # a path from there,
-        controller.reset(q)  # and a start at the measured configuration: refused if the arms are apart by 20 mm
+        controller.reset(q, clock=step.clock)  # from the measured configuration: refused if an arm is 20 mm off
     if step.finished:
         break
 print(f"{faults} fault, then finished: {step.finished} after {tick * 0.002:.2f} s; {step.explain()}")

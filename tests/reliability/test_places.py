@@ -46,13 +46,15 @@ def apart(task: Scenario, distance: float) -> Scenario:
     return dataclasses.replace(task, cell=RobotCell(arms), grasp=Grasp(tuple(tools)), path=path)
 
 
-def run(task: Scenario, kernel: str, noise: float = 0.0, **options: Any) -> list[ControlStep]:
+def run(task: Scenario, kernel: str, noise: float = 0.0, override: bool = False, **options: Any) -> list[ControlStep]:
     made = QPOptions(kernel=kernel, **options)
     controller = QPController(task.cell, task.grasp, task.path, dt=DT, options=made)
     assert controller.kernel == kernel  # wherever it stands
     controller.reset(task.q_start)
     rng, q, steps = np.random.default_rng(1), None, []
-    for _ in range(STEPS):
+    for i in range(STEPS):
+        if override and i % 10 == 0:
+            controller.set_override(float(rng.choice([0.0, 0.3, 0.6, 1.0])))
         steps.append(controller.step(q))
         if noise:
             q = task.cell.moved(steps[-1].q_next, rng.uniform(-noise, noise, task.cell.nv))
@@ -79,7 +81,7 @@ def test_the_worlds_origin_is_somewhere_else(kernel: str, catalogue: Any, count:
         for acceleration in (np.inf, 10.0):
             task = make()
             task = dataclasses.replace(task, cell=task.cell.with_limits(acceleration=acceleration))
-            for how in ({}, {"noise": 1e-4}, {"shortcut": False}):
+            for how in ({}, {"noise": 1e-4}, {"shortcut": False}, {"override": True}):
                 here = run(task, kernel, **how)
                 for distance in largest:
                     for _ in range(count(1)):

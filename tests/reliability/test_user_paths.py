@@ -347,7 +347,7 @@ def test_a_path_that_jumps_stops_by_name_or_is_caught_up_with(kernel: str, catal
                     if step.finished:
                         break
                 cases += 1
-                named = any(b.kind is LimitKind.REACH for b in before.binding) or "jumps" in before.reason
+                named = any(b.kind is LimitKind.PATH_JUMP for b in before.binding) or "jumps" in before.reason
                 wrong += not (before.finished if size <= 1e-3 else named)
                 if "jumps" in before.reason:
                     path.spoil, count = None, 0

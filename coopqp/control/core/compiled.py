@@ -13,7 +13,7 @@ import numpy as np
 import pinocchio as pin
 
 import coopqp.control.core._native as native
-from coopqp.control.command import ControlStep, SolverReport, amend
+from coopqp.control.command import ControlStep, SolverReport, Status, amend
 from coopqp.control.constraints import Constraints, ConstraintTrouble, Knot, no_rows
 from coopqp.control.core import layout
 from coopqp.control.core.memory import Memory, NotForTheCore, build_memory, put_options, same_kinematics
@@ -78,6 +78,7 @@ class CompiledLoop:
         self._memory = build_memory(chain, box, shares, unit, grasp_lengths(grasp), options, dt, gap=native.GAP)
         at = self.at = self._memory.at
         at["options"][layout.OPTIONS.index("OWN_SOLVER")] = self.solver.name == "ldp"
+        at["loop"][_LOOP["OVERRIDDEN"]] = at["loop"][_LOOP["EASE"]] = 1.0
         self._core = _make_core(self._memory, arithmetic)
         if not same_kinematics(chain, self._core.linearise):
             raise NotForTheCore("the core's kinematics of this robot are not Pinocchio's")
@@ -126,7 +127,22 @@ class CompiledLoop:
 
     def start_path(self, clock: float = 0.0, rate: float | None = None) -> None:
         """Along the path from ``clock`` on."""
-        self._core.start_path(clock, (0.0 if self._box.accelerates else 1.0) if rate is None else rate)
+        self._core.start_path(clock, self._starting_rate() if rate is None else rate)
+
+    def _starting_rate(self) -> float:
+        override, paused = self.reins
+        return 0.0 if self._box.accelerates or paused else override
+
+    def set_reins(self, override: float, *, paused: bool) -> None:
+        """What the operator asks for, from the next step on."""
+        loop = self.at["loop"]
+        loop[_LOOP["OVERRIDDEN"]], loop[_LOOP["PAUSE"]] = override, paused
+
+    @property
+    def reins(self) -> tuple[float, bool]:
+        """Override, and whether the object is paused."""
+        loop = self.at["loop"]
+        return loop.item(_LOOP["OVERRIDDEN"]), bool(loop[_LOOP["PAUSE"]])
 
     def look_ahead_again(self) -> None:
         """The path ahead has changed."""
@@ -160,6 +176,11 @@ class CompiledLoop:
     def q(self) -> Array:
         """Commanded configuration (nq,)."""
         return self.cell.configuration(self.at["positions"])
+
+    @property
+    def rate(self) -> float:
+        """σ of the last step."""
+        return self.at["loop"].item(_LOOP["RATE"])
 
     # -- what the core asks ----------------------------------------------------------------------------------------
 
@@ -233,6 +254,8 @@ class CompiledLoop:
             reason = reason or ("" if p[_P["REASON"]] else open_reason)
         step: ControlStep = self._core.commit()
         if report is not None or reason:
+            if reason and step.status is Status.OFF_PATH:  # how far it is off comes first
+                reason = f"{step.reason.partition('; ')[0]}; {reason}"
             amend(step, **({} if report is None else {"solver": report}), **({"reason": reason} if reason else {}))
         return step
 

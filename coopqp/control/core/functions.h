@@ -52,6 +52,8 @@ static void preview_reset(Core *c, double clock);
 static double preview_cap(Core *c, double clock, double dt);
 /* Largest rise of the rate near `clock` by further constraints [1/s]. */
 static double preview_rise(const Core *c, double clock);
+/* D, the fastest fall of the rate near `clock` with which the joints still follow the path [1/s]; it may be negative. */
+static double preview_brake(const Core *c, double clock, double dt, double rate);
 /* Previewed positions and slopes at `clock`. */
 static void preview_reference(Core *c, double clock, double *positions, double *slope);
 
@@ -62,6 +64,8 @@ static void posture_velocity(Core *c, const double *positions, double *v);
 
 /* -- step.c ---------------------------------------------------------------------------------------------------------- */
 
+/* Distance of two poses [m]; 1 rad counts as TURN_LENGTH. */
+static double pose_distance(const double *R0, const double *p0, const double *R1, const double *p1);
 /* The arms hold in this step: for a reason, with an arm (or an index) and a number. */
 static void refuse(Core *c, int reason, int index, double a);
 

@@ -83,7 +83,8 @@ SEGMENT = 21
 OPTIONS = (
     "NOMINAL_DT", "GRASP_GAIN", "PATH_GAIN", "CORRECTION_SPEED", "CORRECTION_SPIN", "MEASUREMENT_TIME", "SHORTCUT",
     "OWN_SOLVER",
-    "ACCELERATES", "RECOVERY_UNIT", "RELAX_UNIT", "RISE", "BLOCKED_RATE",
+    "ACCELERATES", "RECOVERY_UNIT", "RELAX_UNIT", "RISE", "BLOCKED_RATE", "REIN_SLOPE", "OFF_PATH_DISTANCE",
+    "OFF_PATH_ANGLE",
     "POSTURE_GAIN", "CENTRING", "MANIPULABILITY", "POSTURE_SHARE",
     "LOOKS_AHEAD", "CAPS_SPEED", "CELL", "JOINT_STEP", "SLOPE_STEP", "SHORTEST", "CURVATURE_SHARE", "SLOPE_CAP",
     "SINGULAR_RATE", "NEWTON_STEPS",
@@ -94,7 +95,7 @@ OPTIONS = (
 #: Scalars of the state: the loop, the watch, the drift filter, the forces, the look-ahead.
 LOOP = (
     "CLOCK", "RATE", "LAST_DT", "HAS_PREDICTED", "FIRST", "DRIFTED", "CORRECTING", "FAULT", "FAULT_ARM", "FAULT_A",
-    "FAULT_B", "PATH_LOST", "AWAY",
+    "FAULT_B", "PATH_LOST", "AWAY", "OVERRIDDEN", "PAUSE", "EASE",
 )  # fmt: skip
 WATCH = (
     "SAMPLES", "WATCH_RATE", "WATCH_ARM", "SILENCE", "PRESSED", "HAS_SEEN", "PAST_COUNT", "PAST_HEAD", "FAR_SAMPLES",
@@ -121,16 +122,17 @@ PROPOSAL = (
 #: arm, joint, constraint, each −1 where there is none.
 RECORD = (
     "R_DT", "R_CLOCK", "R_CLOCK_NEXT", "R_RATE", "R_STATUS", "R_REASON", "R_REASON_ARM", "R_REASON_A", "R_REASON_B",
-    "R_GRASP_SHARE", "R_PATH_SHARE", "R_PARTING", "R_OUTCOME", "R_ITERATIONS", "R_BINDINGS",
+    "R_GRASP_SHARE", "R_PATH_SHARE", "R_PARTING", "R_OUTCOME", "R_ITERATIONS", "R_BINDINGS", "R_AWAY", "R_TURNED",
 )  # fmt: skip
 #: Members of Status, in the order of their codes.
-STATUSES = ("TRACKING", "SLOWED", "BLOCKED", "HOLDING", "FAULTED")
+STATUSES = ("TRACKING", "SLOWED", "BLOCKED", "HOLDING", "FAULTED", "PAUSED", "OFF_PATH")
 
 #: FILLED: base and columns are there for another solver. OPEN: the plain definition has to find the answer.
 OUTCOMES = ("NOMINAL", "RAY", "QP", "FILLED", "OPEN")
 #: Members of LimitKind, in the order of their codes; 0 is none.
 KINDS = (
     "NONE", "POSITION", "VELOCITY", "ACCELERATION", "SINGULARITY", "REACH", "PATH_END", "OUT_OF_STEP", "CONSTRAINT",
+    "OVERRIDE", "PATH_JUMP",
 )  # fmt: skip
 REASONS = (
     "NO_REASON", "BAD_DT", "NOT_FINITE", "OFF_CIRCLE", "JUMPED", "OUT_OF_STEP_BY", "WAS_OUT_OF_STEP", "STALLED",

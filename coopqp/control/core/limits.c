@@ -155,7 +155,7 @@ static int kind_of(const Core *c, int j, double side, double h) {
 
 /* 1 if all joints, braking together after this step, stop inside their limits; else the share of their speed that they
  * keep if they brake now. A joint's own distance is not enough: the others may be slower, and they hold one object. */
-static double brake_share(const Core *c, double h) {
+static double brake_share(const Core *c, double h, int *joint) {
     double longest = 0.0, left = INFINITY;
     for (int j = 0; j < c->joints; j++) longest = fmax(longest, fabs(c->velocity[j]) / c->acceleration[j]);
     if (longest <= 0.0) return 1.0;
@@ -163,7 +163,8 @@ static double brake_share(const Core *c, double h) {
     for (int j = 0; j < c->joints; j++) {
         const double v = c->velocity[j], speed = fabs(v), x = c->positions[j];
         const double room = v > 0.0 ? c->high[j] - x : x - c->low[j];
-        if (speed * (h + 0.5 * planned) > room && room >= 0.0) left = fmin(left, room / speed);
+        if (speed * (h + 0.5 * planned) > room && room >= 0.0 && room / speed < left)
+            left = room / speed, *joint = j;
     }
     if (left == INFINITY) return 1.0;
     return fmax(0.0, 1.0 - h / fmin(fmax(2.0 * (left - h), longest), planned));

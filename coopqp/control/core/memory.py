@@ -13,7 +13,7 @@ from coopqp.control.options import QPOptions
 from coopqp.errors import ModelError
 from coopqp.model.chain import Chain
 from coopqp.model.links import joint_links
-from coopqp.planning.preview import PlanLimits
+from coopqp.planning.preview import PlanLimits, PreviewOptions
 from coopqp.spatial import Array
 
 
@@ -142,6 +142,8 @@ def _put_options(numbers: Array, box: VelocityBox, o: QPOptions, dt: float) -> N
         "CORRECTION_SPEED": o.correction_speed, "CORRECTION_SPIN": o.correction_spin,
         "MEASUREMENT_TIME": o.measurement_time, "SHORTCUT": o.shortcut, "ACCELERATES": box.accelerates,
         "RECOVERY_UNIT": w.recovery**-0.5, "RELAX_UNIT": w.clearance**-0.5, "BLOCKED_RATE": o.blocked_rate,
+        "REIN_SLOPE": (p or PreviewOptions()).slope(accelerates=box.accelerates, dt=dt),
+        "OFF_PATH_DISTANCE": o.off_path_distance, "OFF_PATH_ANGLE": o.off_path_angle,
         "POSTURE_GAIN": o.posture.gain, "CENTRING": o.posture.centring, "MANIPULABILITY": o.posture.manipulability,
         "SLOW_FROM": -1.0 if s.slow_from is None else s.slow_from, "HOLD_FROM": s.hold_from, "LET_IN": s.let_in,
         "NOISE_MARGIN": s.noise_margin, "RECOVERY_TIME": s.recovery_time, "FAULT_FROM": s.fault_from,

@@ -354,11 +354,21 @@ static void aim_ahead(Core *c) {
     c->ahead[GROWING] = 1.0;
 }
 
+/* Whether a user's path jumps right after a clock; 0 where it cannot be asked. */
+static int jumps_after(Core *c, double clock) {
+    double R0[9], p0[3], R1[9], p1[3];
+    const double ahead = fmin(clock + 2.0 * c->options[SHORTEST], c->duration);
+    if (!path_pose(c, clock, R0, p0) || !path_pose(c, ahead, R1, p1)) return 0;
+    return pose_distance(R0, p0, R1, p1) > FASTEST_PATH * (ahead - clock);
+}
+
 /* The chain cannot be followed past the last known knot, or past the singularity that the way leads to. */
 static void end_growth(Core *c) {
     const int count = count_ahead(c, COUNT), way = count_ahead(c, WAY) > 0, at = way ? count : count - 1;
     if (!way && half_way(c, knot(c, at)) < 2.0 * c->options[SHORTEST])
         block_at(c, at, -1, (int)c->ahead[BEYOND] - 1, CONSTRAINT);
+    else if (!way && jumps_after(c, knot(c, at)[K_CLOCK]))
+        block_at(c, at, -1, -1, PATH_JUMP);
     else
         block_at(c, at, singular_arm(c, at), -1, way ? SINGULARITY : REACH);
 }
@@ -682,6 +692,26 @@ static double preview_rise(const Core *c, double clock) {
     if (!count) return INFINITY;
     const int i = knot_before(c, clock);
     return fmin(knot(c, i)[K_RISE], knot(c, i + 1 < count ? i + 1 : i)[K_RISE]);
+}
+
+/* D at knot i: from (η a + c σ²) / (|q′| + max(c, 0) σ dt) with c = q″ sign q′ of every joint that moves. */
+static double brake_at_knot(const Core *c, int i, double dt, double rate) {
+    const double *slope = vector_of(c, c->knot_slope, i), *curvature = vector_of(c, c->knot_curvature, i);
+    double least = INFINITY;
+    for (int j = 0; j < c->joints; j++) {
+        const double speed = fabs(slope[j]), bend = slope[j] < 0.0 ? -curvature[j] : curvature[j];
+        if (!(speed > 0.0)) continue;
+        least = fmin(least, (c->plan_acceleration[j] + bend * rate * rate) / (speed + fmax(bend, 0.0) * rate * dt));
+    }
+    return least;
+}
+
+static double preview_brake(const Core *c, double clock, double dt, double rate) {
+    /* A corner takes the whole acceleration: the rate stays while it is passed. */
+    if (next_breakpoint(c, clock - rate * dt) <= fmin(clock + rate * dt, c->duration - 1e-9)) return 0.0;
+    const int i = knot_before(c, clock);
+    const double here = brake_at_knot(c, i, dt, rate);
+    return i + 1 < count_ahead(c, COUNT) ? fmin(here, brake_at_knot(c, i + 1, dt, rate)) : here;
 }
 
 static void preview_reference(Core *c, double clock, double *positions, double *slope) {

@@ -85,8 +85,7 @@ static int let_in(Core *c, const double *positions, const double *q) {
     return 1;
 }
 
-/* Distance of two poses [m]; 1 rad counts as TURN_LENGTH. */
-static double distance(const double *R0, const double *p0, const double *R1, const double *p1) {
+static double pose_distance(const double *R0, const double *p0, const double *R1, const double *p1) {
     double trace = 0.0, square = 0.0;
     for (int i = 0; i < 9; i++) trace += R0[i] * R1[i];
     for (int i = 0; i < 3; i++) square += (p1[i] - p0[i]) * (p1[i] - p0[i]);
@@ -99,8 +98,8 @@ static int ask_for_path(Core *c, double h, double *far) {
     if (!path_pose(c, c->loop[CLOCK], c->R, c->p)) return 0;
     if (c->path_numbers[2] != 0.0) return 1;
     if (!path_pose(c, c->loop[CLOCK] + h, R, p)) return 0;
-    const double now = distance(c->R, c->p, c->carried, c->carried + 9); /* of the object as the first arm carries it */
-    *far = fmax(distance(c->R, c->p, R, p), now - *away);
+    const double now = pose_distance(c->R, c->p, c->carried, c->carried + 9); /* of the object as the first arm carries it */
+    *far = fmax(pose_distance(c->R, c->p, R, p), now - *away);
     if (*far <= FASTEST_PATH * h) *away = now;
     return 1;
 }
@@ -147,6 +146,45 @@ static void cap_rate(Core *c, double cap, int kind, int arm) {
     p[CAP] = cap, p[CAP_KIND] = kind, p[CAP_ARM] = arm, p[CAP_JOINT] = -1.0;
 }
 
+/* The largest rate that the operator asks for. */
+static double rate_asked(const Core *c) { return c->loop[PAUSE] != 0.0 ? 0.0 : c->loop[OVERRIDDEN]; }
+
+/* The fastest fall of the rate where nothing is known ahead [1/s]: all joints brake together, on a straight path. */
+static double blind_brake(const Core *c) {
+    double tightest = 0.0;
+    for (int j = 0; j < c->joints; j++)
+        tightest = fmax(tightest, fabs(c->velocity[j]) / (BRAKING_SHARE * c->acceleration[j]));
+    return tightest > 0.0 ? c->loop[RATE] / tightest : INFINITY;
+}
+
+static int moves(const Core *c) {
+    for (int j = 0; j < c->joints; j++)
+        if (c->velocity[j] != 0.0) return 1;
+    return 0;
+}
+
+/* The largest rate by the override, reached as fast as the joints can follow. */
+static double reined_rate(const Core *c, double h) {
+    const double share = rate_asked(c), rate = c->loop[RATE];
+    double fall = c->options[REIN_SLOPE];
+    if (share >= rate || !moves(c)) return share;
+    if (c->accelerates && c->looks_ahead && c->ahead[COUNT] > 0.0)
+        fall = preview_brake(c, c->loop[CLOCK], h, rate);
+    else if (c->accelerates)
+        fall = blind_brake(c);
+    return fmax(share, rate - fall * h);
+}
+
+/* The null-space motion stops while the object is paused, and goes on after it. */
+static void ease_wishes(Core *c, double h) {
+    double *ease = c->loop + EASE;
+    const double change = c->options[REIN_SLOPE] * h;
+    if (rate_asked(c) < c->options[BLOCKED_RATE])
+        *ease = fmax(*ease - change, 0.0);
+    else if (*ease < 1.0)
+        *ease = fmin(*ease + change, 1.0);
+}
+
 /* The fastest rate that the path ahead, the supervision and the last rate allow, and what makes it so. */
 static void find_cap(Core *c) {
     double *p = c->proposal;
@@ -158,9 +196,13 @@ static void find_cap(Core *c) {
     }
     if (c->looks_ahead) p[CAP] = preview_cap(c, c->loop[CLOCK], h);
     if (c->accelerates && (!c->looks_ahead || c->loop[CORRECTING] != 0.0)) {
-        p[KEEP] = brake_share(c, h);
+        int joint = -1;
+        p[KEEP] = brake_share(c, h, &joint);
         p[LATE] = p[KEEP] < 1.0;
-        if (p[LATE] != 0.0 && !c->looks_ahead && p[KEEP] * rate < p[CAP]) p[CAP] = p[KEEP] * rate;
+        if (p[LATE] != 0.0 && !c->looks_ahead && p[KEEP] * rate < p[CAP]) {
+            cap_rate(c, p[KEEP] * rate, POSITION, arm_of(c, joint));
+            p[CAP_JOINT] = joint;
+        }
     }
     const int by_arm = p[REASON] >= OUT_OF_STEP_BY && p[REASON_ARM] >= 0.0; /* else it is an index, or nothing */
     cap_rate(c, p[WATCH_CAP], by_arm ? OUT_OF_STEP : NONE, by_arm ? (int)p[REASON_ARM] : -1);
@@ -168,6 +210,7 @@ static void find_cap(Core *c) {
         const double rise = fmin(c->options[RISE], c->looks_ahead ? preview_rise(c, c->loop[CLOCK]) : INFINITY);
         if (rate + rise * h < p[CAP] - RATE_ROUNDING) cap_rate(c, rate + rise * h, NONE, -1);
     }
+    cap_rate(c, reined_rate(c, h), OVERRIDE, -1);
 }
 
 /* Limit the error that the path correction sees, so that the correction is `keep` of the last one. */
@@ -193,6 +236,8 @@ static void wish(Core *c) {
         memset(c->null_along, 0, sizeof(double) * (size_t)c->joints);
         posture_velocity(c, c->positions, c->null_offset);
     }
+    if (c->loop[EASE] < 1.0)
+        for (int j = 0; j < c->joints; j++) c->null_offset[j] *= c->loop[EASE];
     if (c->proposal[HOLD] != 0.0) memset(c->null_offset, 0, sizeof(double) * (size_t)c->joints);
 }
 
@@ -357,8 +402,24 @@ static int slow_status(const Core *c, double rate, int position, int acceleratio
     const int ends = position || (c->looks_ahead && c->ahead[ENDS] != 0.0);
     const int arriving = ends && !rising && !outside;
     if (rate >= c->options[BLOCKED_RATE] * (arriving ? ARRIVING : 1.0)) return SLOWED;
-    /* From rest the accelerations alone keep the rate small; it grows then, or a joint is on its way back in. */
-    return acceleration && (rising || outside) ? SLOWED : BLOCKED;
+    /* From rest the accelerations, or nothing but its own rise, keep the rate small; it grows then, or a joint is on its
+     * way back in. */
+    return (acceleration || c->record[R_BINDINGS] == 0.0) && (rising || outside) ? SLOWED : BLOCKED;
+}
+
+/* How far the object is off its path [m], [rad], as far as measurements tell; 0 where that is within what may be. */
+static int off_its_path(const Core *c, double *distance, double *angle) {
+    double e[6];
+    common_error(c, c->errors, e);
+    for (int i = 0; i < 6 && c->loop[DRIFTED] != 0.0; i++) e[i] += c->drift[i];
+    const double far = c->options[OFF_PATH_DISTANCE], wide = c->options[OFF_PATH_ANGLE];
+    double R[9], shift[3]; /* at most as long as that of the twist */
+    if (!(dot3(e, e) > far * far) && !(dot3(e + 3, e + 3) > wide * wide)) return 0;
+    exp6(e, R, shift);
+    *distance = sqrt(dot3(shift, shift)), *angle = sqrt(dot3(e + 3, e + 3));
+    if (!(*distance > far)) *distance = 0.0;
+    if (!(*angle > wide)) *angle = 0.0;
+    return *distance > 0.0 || *angle > 0.0;
 }
 
 /* What the next step starts from. */
@@ -406,7 +467,17 @@ static int commit(Core *c) {
     int position, acceleration, status = TRACKING;
     write_bindings(c, off_path + 6, &position, &acceleration);
     if (share <= 1.0 - 1e-6) status = slow_status(c, share, position, acceleration);
-    if (p[HOLD] != 0.0 || p[BRAKED] != 0.0) status = HOLDING;
+    if (rate_asked(c) < c->options[BLOCKED_RATE] && share < c->options[BLOCKED_RATE]) status = PAUSED;
+    r[R_AWAY] = r[R_TURNED] = 0.0;
+    if (p[HOLD] != 0.0 || p[BRAKED] != 0.0)
+        status = HOLDING;
+    else if (off_its_path(c, r + R_AWAY, r + R_TURNED))
+        status = OFF_PATH;
+    else if (status == PAUSED) { /* whatever else would stop it */
+        static const double by_override[4] = {OVERRIDE, -1.0, -1.0, -1.0};
+        memcpy(off_path + 6, by_override, sizeof by_override);
+        r[R_BINDINGS] = 1.0;
+    }
     if (p[HOLD] != 0.0 && p[FAULTS] != 0.0) {
         status = FAULTED;
         if (c->loop[FAULT] == 0.0)
@@ -422,6 +493,7 @@ static int commit(Core *c) {
     memcpy(velocity, c->command, sizeof(double) * (size_t)c->joints);
     write_configuration(c, q);
     move_on(c, rate, clock_next);
+    ease_wishes(c, h);
     write_configuration(c, q_next);
     return status;
 }
@@ -439,7 +511,10 @@ static void start_path(Core *c, double clock, double rate) {
 /* At rest at `positions`. */
 static void start(Core *c, const double *positions) {
     const size_t size = sizeof(double) * (size_t)c->joints;
+    const double override = c->loop[OVERRIDDEN], pause = c->loop[PAUSE]; /* a start ends neither */
     memset(c->loop, 0, N_LOOP * sizeof(double));
+    c->loop[OVERRIDDEN] = override, c->loop[PAUSE] = pause;
+    c->loop[EASE] = rate_asked(c) < c->options[BLOCKED_RATE] ? 0.0 : 1.0;
     memmove(c->positions, positions, size);
     memset(c->velocity, 0, size);
     memset(c->before, 0, size);

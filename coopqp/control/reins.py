@@ -1,0 +1,56 @@
+"""The reins: the share of the path's rate that an operator allows, and a pause.
+
+The object gets there as fast as the joints can follow: each step may lower the rate σ by D dt at most, with D from the
+knots ahead (:meth:`coopqp.planning.preview.PathPreview.brake`) or, where nothing is known ahead, from the joints'
+present velocities.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from coopqp.spatial import Array
+
+
+@dataclass(eq=False)
+class Reins:
+    """What the operator asks for, and how far the null-space motion has followed.
+
+    Attributes:
+        override: largest rate.
+        paused: the object is asked to rest until it is resumed.
+        ease: share of the null-space motion that redundant arms do besides the path; it stops while paused.
+    """
+
+    override: float = 1.0
+    paused: bool = False
+    ease: float = 1.0
+
+    @property
+    def share(self) -> float:
+        """The largest rate that is asked for."""
+        return 0.0 if self.paused else self.override
+
+    def started(self, blocked_rate: float) -> Reins:
+        """The same at rest: a start ends neither a pause nor an override."""
+        return Reins(self.override, self.paused, 0.0 if self.share < blocked_rate else 1.0)
+
+    def advance(self, blocked_rate: float, change: float) -> None:
+        """Let the null-space motion go on, or stop it, by so much in a step."""
+        if self.share < blocked_rate:
+            self.ease = max(self.ease - change, 0.0)
+        elif self.ease < 1.0:
+            self.ease = min(self.ease + change, 1.0)
+
+
+def blind_brake(velocity: Array, acceleration: Array, rate: float) -> float:
+    """The fastest fall of the rate where nothing is known ahead [1/s]: all joints brake together, on a straight path.
+
+    Args:
+        velocity, acceleration: of the joints, the second as far as it may be used (nv,).
+        rate: σ of the last step.
+    """
+    tightest = float((np.abs(velocity) / acceleration).max())
+    return rate / tightest if tightest > 0.0 else np.inf

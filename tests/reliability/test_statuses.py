@@ -1,0 +1,245 @@
+"""Rows I3, I7 (lengths of a step) and I8: a status is true, every stop has a name, and an odd start is said."""
+
+from __future__ import annotations
+
+import dataclasses
+import re
+import warnings
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from coopqp import (
+    Array,
+    CellState,
+    ControlStep,
+    InvalidInputError,
+    LinePath,
+    PreviewOptions,
+    QPController,
+    QPOptions,
+    ServoPath,
+    StartWarning,
+    Status,
+    available_kernels,
+    object_error,
+    tool_placements,
+)
+from coopqp.scenarios import Scenario, at_limit, at_singularity, dual_arm7, five_joint_pair, mixed_cell, paper_lift
+
+KERNELS = available_kernels()
+#: What a status may not be beyond these distances [m, rad]; rounding decides within the last.
+FAR, ROUNDING = (1e-3, np.deg2rad(0.1)), 1e-9
+STOPPED = (Status.BLOCKED, Status.HOLDING, Status.FAULT)
+
+
+def fast_lift() -> Scenario:
+    task = paper_lift()
+    assert isinstance(task.path, LinePath)
+    return dataclasses.replace(task, path=LinePath(task.path.start, task.path.goal, duration=0.6))
+
+
+MAKES: tuple[Callable[[], Scenario], ...] = (
+    paper_lift, fast_lift, mixed_cell, dual_arm7, lambda: at_limit(direction=(0.1, 0.05, 1.0)), at_singularity,
+    lambda: at_singularity("elbow"), lambda: at_singularity("reach"),
+)  # fmt: skip
+
+
+def limited(task: Scenario, acceleration: float) -> Scenario:
+    return dataclasses.replace(task, cell=task.cell.with_limits(acceleration=acceleration))
+
+
+def off_path(task: Scenario, step: ControlStep) -> tuple[float, float]:
+    """Of the object as the first arm is told to hold it, straight from Pinocchio [m, rad]."""
+    return object_error(tool_placements(task.cell, [step.q])[0], task.grasp, step.path.pose(step.clock))
+
+
+def untrue(task: Scenario, step: ControlStep) -> bool:
+    """The object is far off its path and that is not said, or the other way round, or another distance is said."""
+    if step.status in (Status.HOLDING, Status.FAULT):
+        return False
+    d, a = off_path(task, step)
+    if any(abs(size - far) < ROUNDING for size, far in zip((d, a), FAR, strict=True)):
+        return False
+    said = step.status is Status.OFF_PATH
+    if said != (d > FAR[0] or a > FAR[1]):
+        return True
+    found = re.match(r"The object is (?:([\d.]+) mm)?(?: and )?(?:([\d.]+)°)? off its path", step.explain())
+    if not said or found is None:
+        return said
+    mm, degrees = (None if x is None else float(x) for x in found.groups())
+    right = (mm is None) == (d <= FAR[0]) and (degrees is None) == (a <= FAR[1])
+    right &= mm is None or abs(mm - 1e3 * d) <= 0.06
+    right &= degrees is None or abs(degrees - np.rad2deg(a)) <= 0.006
+    return not right
+
+
+def nameless(step: ControlStep) -> bool:
+    return step.status in STOPPED and not (step.binding or step.reason)
+
+
+def outside(task: Scenario, step: ControlStep, before: Array) -> bool:
+    """The command is not finite, or breaks a limit of speed or acceleration."""
+    v, limits = step.velocity, task.cell.limits
+    good = bool(np.isfinite(step.q_next).all() and (np.abs(v) <= limits.velocity + 1e-9).all())
+    return not (good and (np.abs(v - before) <= limits.acceleration * step.dt * (1.0 + 1e-6) + 1e-9).all())
+
+
+def turned(T: pin.SE3, rng: np.random.Generator, far: float) -> pin.SE3:
+    return pin.SE3(T.rotation @ pin.exp3(0.3 * rng.standard_normal(3)), T.translation + far * rng.standard_normal(3))
+
+
+@dataclasses.dataclass
+class Tally:
+    steps: int = 0
+    untrue: int = 0
+    nameless: int = 0
+    outside: int = 0
+    seen: set[Status] = dataclasses.field(default_factory=set)
+
+
+def wild(seed: int, kernel: str, tally: Tally, *, jitter: bool) -> None:
+    """A run in which path, target, override and the length of a step change at random."""
+    rng = np.random.default_rng(seed)
+    task = limited(MAKES[seed % len(MAKES)](), float(rng.choice([np.inf, 5.0, 20.0])))
+    dt = float(10.0 ** rng.uniform(-4.0, -1.0)) if jitter else 0.004
+    options: dict[str, Any] = {"shortcut": bool(rng.uniform() < 0.8)}
+    if rng.uniform() < 0.4:
+        options["preview"] = None if rng.uniform() < 0.5 else PreviewOptions(newton_steps=int(rng.integers(1, 4)))
+    kind, start = ("path", "servo", "looking ahead", "other paths")[int(rng.integers(4))], task.path.pose(0.0)
+    if kind in ("servo", "looking ahead"):
+        task = dataclasses.replace(task, path=ServoPath(start, look_ahead=kind == "looking ahead"))
+    controller = QPController(task.cell, task.grasp, task.path, dt=dt, options=QPOptions(kernel=kernel, **options))
+    controller.reset(task.q_start)
+    step, before = None, np.zeros(task.cell.nv)
+    for i in range(100):
+        if i % 30 == 10 and isinstance(controller.path, ServoPath):
+            controller.retarget(turned(start, rng, 10.0 ** rng.uniform(-2.0, 0.5)))
+        if i % 30 == 10 and kind == "other paths" and step is not None:
+            T = controller.path.pose(step.clock_next)
+            here = turned(T, rng, 0.0) if rng.uniform() < 0.3 else T
+            controller.follow(LinePath(here, turned(here, rng, 0.2), duration=1.0))
+        if rng.uniform() < 0.05:
+            controller.set_override(float(rng.uniform()))
+        if rng.uniform() < 0.05:
+            (controller.pause if rng.uniform() < 0.3 else controller.resume)()
+        length = dt * float(rng.uniform(0.1, 4.9)) if jitter and rng.uniform() < 0.3 else None
+        step = controller.step(dt=length)
+        tally.steps, tally.seen = tally.steps + 1, tally.seen | {step.status}
+        tally.nameless += nameless(step)
+        tally.outside += outside(task, step, before)
+        tally.untrue += untrue(task, step)
+        before = step.velocity
+        if step.finished:
+            break
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kernel", KERNELS)
+def test_no_step_says_what_is_not_so(kernel: str, catalogue: Any, count: Any) -> None:
+    tally = Tally()
+    for seed in range(count(60)):
+        wild(seed, kernel, tally, jitter=False)
+    assert tally.seen >= {Status.TRACKING, Status.SLOWED, Status.BLOCKED, Status.PAUSED, Status.OFF_PATH}
+    name = f"paths, targets and overrides at random, {kernel}"
+    catalogue.row(
+        "I3", f"{name}: status or distance not true", cases=tally.steps, measured=tally.untrue, target=0,
+        note="beyond 1 mm or 0.1° OFF_PATH with the distance, within never",
+    )  # fmt: skip
+    catalogue.row(
+        "I3", f"{name}: BLOCKED or HOLDING without a name", cases=tally.steps, measured=tally.nameless, target=0
+    )
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kernel", KERNELS)
+def test_any_length_of_a_step_has_a_name_for_every_stop(kernel: str, catalogue: Any, count: Any) -> None:
+    tally = Tally()
+    for seed in range(count(60)):
+        wild(1000 + seed, kernel, tally, jitter=True)
+    wrong = tally.nameless + tally.outside + tally.untrue
+    name = f"dt of 0.1 to 100 ms, a third of the steps of 0.1 to 4.9 dt, {kernel}: a limit, a false status, no name"
+    catalogue.row("I7", name, cases=tally.steps, measured=wrong, target=0)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kernel", KERNELS)
+def test_a_previewed_object_is_never_said_to_be_off_its_path(kernel: str, catalogue: Any) -> None:
+    steps = alarms = 0
+    for make in (paper_lift, mixed_cell, dual_arm7, five_joint_pair, MAKES[4]):
+        for acceleration in (np.inf, 10.0, 5.0):
+            task = limited(make(), acceleration)
+            if make is five_joint_pair and kernel == "compiled":
+                continue  # the core leaves it to the definition
+            controller = QPController(task.cell, task.grasp, task.path, dt=0.003, options=QPOptions(kernel=kernel))
+            controller.reset(task.q_start)
+            for _ in range(1000):
+                step = controller.step()
+                steps, alarms = steps + 1, alarms + (step.status is Status.OFF_PATH)
+    what = f"previewed runs, {kernel}: OFF_PATH said in vain"
+    catalogue.row("I3", what, cases=steps, measured=alarms, target=0)
+
+
+# -- I8 ----------------------------------------------------------------------------------------------------------------
+
+
+def said_at_reset(controller: QPController, q: Array) -> str:
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        controller.reset(q)
+    return "; ".join(str(w.message) for w in caught if issubclass(w.category, StartWarning))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kernel", KERNELS)
+def test_a_start_off_the_grasp_or_the_path_is_said(kernel: str, catalogue: Any, count: Any) -> None:
+    """By 0.1 mm to the tolerance; the words end when the arms are where they should be."""
+    rng, silent, cases, wrong = np.random.default_rng(3), 0, 0, 0
+    while cases < count(30):
+        task = limited(MAKES[cases % 4](), float(rng.choice([np.inf, 10.0])))
+        controller = QPController(task.cell, task.grasp, task.path, dt=0.005, options=QPOptions(kernel=kernel))
+        q = task.cell.moved(task.q_start, 10.0 ** rng.uniform(-4.0, -2.0) * rng.standard_normal(task.cell.nv))
+        O = task.grasp.carried(CellState(task.cell, q))
+        start = task.path.pose(0.0)
+        parted = max(float(np.linalg.norm(T.translation - O[0].translation)) for T in O)
+        away = float(np.linalg.norm(O[0].translation - start.translation))
+        try:
+            words = said_at_reset(controller, q)
+        except InvalidInputError:
+            continue  # beyond the tolerance
+        cases += 1
+        reason = controller.step().reason
+        for kind, size in (("off its grasp", parted), ("off its path", away)):
+            if size >= 1e-4:
+                silent += (kind not in words) + (kind not in reason)
+        for _ in range(300):
+            step = controller.step()
+        wrong += step.reason != "" or step.status not in (Status.TRACKING, Status.SLOWED)
+    name = f"starts off the grasp or the path by 0.1 mm to 20 mm, {kernel}"
+    catalogue.row(
+        "I8", f"{name}: not said", cases=cases, measured=silent, target=0, note="at reset and in the first step"
+    )
+    catalogue.row("I8", f"{name}: said for ever", cases=cases, measured=wrong, target=0)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kernel", KERNELS)
+def test_a_start_outside_limits_is_said(kernel: str, catalogue: Any, count: Any) -> None:
+    rng, silent, cases = np.random.default_rng(4), 0, 0
+    for i in range(count(30)):
+        task = MAKES[i % 4]()
+        x, limits = task.cell.positions(task.q_start), task.cell.limits
+        lower, upper = limits.lower.copy(), limits.upper.copy()
+        j, by = int(rng.integers(task.cell.nv)), float(10.0 ** rng.uniform(-4.0, -1.0))
+        lower[j], upper[j] = (x[j] - 1.0, x[j] - by) if i % 2 else (x[j] + by, x[j] + 1.0)
+        task = dataclasses.replace(task, cell=task.cell.with_limits(lower=lower, upper=upper))
+        controller = QPController(task.cell, task.grasp, task.path, dt=0.005, options=QPOptions(kernel=kernel))
+        arm, _, joint = task.cell.joint_names[j].partition("/")
+        words = f"arm {arm} started outside its limits: {joint}"
+        silent += (words not in said_at_reset(controller, task.q_start)) + (words not in controller.step().explain())
+        cases += 1
+    name = f"starts 0.1 to 100 mrad outside a joint's limit, {kernel}: arm and joint not said"
+    catalogue.row("I8", name, cases=cases, measured=silent, target=0, note="at reset and in the first step")

@@ -1,0 +1,282 @@
+"""The reins: override, pause and resume at any step, on the path, within the limits, in both kernels."""
+
+from __future__ import annotations
+
+import copy
+import dataclasses
+import pickle
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+
+from coopqp import (
+    BindingLimit,
+    ControlStep,
+    InvalidInputError,
+    LimitKind,
+    LinePath,
+    QPController,
+    QPOptions,
+    ServoPath,
+    Status,
+    WaypointPath,
+    available_kernels,
+)
+from coopqp.scenarios import Scenario, dual_arm7, mixed_cell, paper_lift, ring
+
+KERNELS = available_kernels()
+#: Largest error of chain and path, from the commanded configuration [m].
+EXACT = 0.5e-6
+#: What a step calls the override.
+OVERRIDE = BindingLimit("", "", LimitKind.OVERRIDE)
+#: What an operator does at a step.
+Hand = Callable[[QPController, int], None]
+
+
+def limited(task: Scenario, acceleration: float) -> Scenario:
+    return dataclasses.replace(task, cell=task.cell.with_limits(acceleration=acceleration))
+
+
+def fast_lift(seconds: float = 0.6, law: str = "quintic") -> Scenario:
+    """The paper's lift, so fast that accelerations bind all the way."""
+    task = paper_lift()
+    assert isinstance(task.path, LinePath)
+    path = LinePath(task.path.start, task.path.goal, duration=seconds, time_law=law)
+    return dataclasses.replace(task, path=path)
+
+
+def built(task: Scenario, kernel: str = "auto", dt: float = 0.002, **options: Any) -> QPController:
+    made = QPController(task.cell, task.grasp, task.path, dt=dt, options=QPOptions(kernel=kernel, **options))
+    made.reset(task.q_start)
+    return made
+
+
+def random_hand(seed: int) -> Hand:
+    """A new override at every step, and now and then a pause for a while."""
+    rng = np.random.default_rng(seed)
+
+    def act(controller: QPController, i: int) -> None:
+        controller.set_override(float(rng.uniform()) if rng.uniform() < 0.9 else 0.0)
+        if i % 120 == 60:
+            controller.pause()
+        if i % 120 == 100:
+            controller.resume()
+
+    return act
+
+
+def drive(controller: QPController, hand: Hand, steps: int = 5000) -> list[ControlStep]:
+    found: list[ControlStep] = []
+    while len(found) < steps and not (found and found[-1].finished):
+        hand(controller, len(found))
+        found.append(controller.step())
+    return found
+
+
+def errors_of(task: Scenario, steps: list[ControlStep]) -> tuple[float, float]:
+    """Largest distances between arms, and between any arm's object and the path, as commanded [m]."""
+    chain = path = 0.0
+    for step in steps:
+        O = [T.translation for T in task.grasp.carried(step.state)]
+        chain = max(chain, max(float(np.linalg.norm(a - b)) for a in O for b in O))
+        reference = step.path.pose(step.clock).translation
+        path = max(path, max(float(np.linalg.norm(a - reference)) for a in O))
+    return chain, path
+
+
+def excess_of(task: Scenario, steps: list[ControlStep]) -> float:
+    """Largest share of an acceleration limit, less 1."""
+    v = np.array([np.zeros(task.cell.nv), *(s.velocity for s in steps)])
+    dt = np.array([s.dt for s in steps])[:, None]
+    return float((np.abs(np.diff(v, axis=0)) / dt / task.cell.limits.acceleration).max()) - 1.0
+
+
+CELLS: dict[str, Callable[[], Scenario]] = {
+    "paper": fast_lift,
+    "mixed": mixed_cell,
+    "two of seven joints": dual_arm7,
+}
+
+
+@pytest.mark.core
+@pytest.mark.parametrize("kernel", KERNELS)
+@pytest.mark.parametrize("name", CELLS)
+def test_a_random_override_keeps_chain_path_and_limits(name: str, kernel: str) -> None:
+    task = limited(CELLS[name](), 5.0)
+    steps = drive(built(task, kernel), random_hand(0), 400)
+    chain, path = errors_of(task, steps)
+    assert chain < EXACT
+    assert path < EXACT
+    assert excess_of(task, steps) < 1e-6
+    assert {s.status for s in steps} >= {Status.PAUSED, Status.SLOWED}
+    assert {s.status for s in steps} <= {Status.PAUSED, Status.SLOWED, Status.TRACKING}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("robot", ["rx90l", "arm7"])
+@pytest.mark.parametrize("arms", [2, 4, 8])
+def test_a_random_override_keeps_chain_path_and_limits_of_many_arms(arms: int, robot: Any) -> None:
+    task = limited(ring(arms=arms, robot=robot), 5.0)
+    for seed in range(2):
+        steps = drive(built(task, dt=0.004), random_hand(seed), 4000 // arms)
+        chain, path = errors_of(task, steps)
+        assert chain < EXACT
+        assert path < EXACT
+        assert excess_of(task, steps) < 1e-6
+
+
+def test_corners_are_passed_under_any_override() -> None:
+    """Where the twist jumps the joints have nothing left to brake with."""
+    task = limited(paper_lift(), 5.0)
+    T = [task.path.pose(s * task.path.duration) for s in (0.0, 0.3, 0.1, 0.5)]
+    task = dataclasses.replace(task, path=WaypointPath(T, durations=[0.6, 0.6, 0.9], time_law="linear"))
+    for seed in range(3):
+        steps = drive(built(task), random_hand(seed), 9000)
+        chain, path = errors_of(task, steps)
+        assert steps[-1].finished
+        assert excess_of(task, steps) < 1e-6
+        assert chain < EXACT
+        assert path < 2e-6
+
+
+@pytest.mark.parametrize("kernel", KERNELS)
+def test_a_stop_takes_hardly_longer_than_the_hardest_one(kernel: str) -> None:
+    """The hardest stop brakes one joint with all it has, all the way along the path."""
+    for when in (120, 250, 400):
+        task = limited(fast_lift(), 5.0)
+        controller = built(task, kernel)
+        for _ in range(when):
+            step = controller.step()
+        hardest = braking_time(task, step)
+        controller.pause()
+        count = 0
+        while step.status is not Status.PAUSED:
+            step, count = controller.step(), count + 1
+        assert 2e-3 * (count - 1) <= 1.3 * hardest
+
+
+def braking_time(task: Scenario, step: ControlStep) -> float:
+    """Of an object that stops along its path as fast as the accelerations allow, from a step on [s].
+
+    q(τ) by inverse kinematics is q′ and q″ by differences; σ̇ is the least that keeps every joint's limit.
+    """
+    from coopqp import inverse_kinematics
+
+    clock, rate, time, h, dt = step.clock_next, step.rate, 0.0, 1e-4, 1e-3
+    cell, q = task.cell, step.q_next
+    while rate > 0.0:
+        there = [inverse_kinematics(cell, task.grasp, task.path.pose(clock + s * h), q) for s in (-1.0, 0.0, 1.0)]
+        x = [cell.positions(p) for p in there]
+        q, slope, bend = there[1], (x[2] - x[0]) / (2 * h), (x[2] - 2 * x[1] + x[0]) / h**2
+        moves = np.abs(slope) > 1e-9
+        fall = (cell.limits.acceleration + bend * np.sign(slope) * rate**2)[moves] / np.abs(slope[moves])
+        rate_next = rate - float(fall.min()) * dt
+        clock += 0.5 * (rate + max(rate_next, 0.0)) * dt
+        time += dt if rate_next > 0.0 else dt * rate / (rate - rate_next)
+        rate = rate_next
+    return time
+
+
+@pytest.mark.core
+@pytest.mark.skipif(len(KERNELS) < 2, reason="there is no compiled core here")
+@pytest.mark.parametrize("acceleration", [np.inf, 5.0])
+@pytest.mark.parametrize("name", CELLS)
+def test_both_kernels_agree_under_any_override(name: str, acceleration: float) -> None:
+    task = limited(CELLS[name](), acceleration)
+    for options in ({}, {"preview": None}):
+        a, b = built(task, "compiled", 0.005, **options), built(task, "plain", 0.005, **options)
+        one, other = random_hand(3), random_hand(3)
+        for i in range(150):
+            if i % 10 == 0 or i % 120 in (60, 100):
+                one(a, i), other(b, i)
+            x, y = a.step(), b.step()
+            np.testing.assert_allclose(x.velocity, y.velocity, rtol=0.0, atol=1e-8)
+            assert (x.status, x.binding, x.reason) == (y.status, y.binding, y.reason)
+            assert (a.override, a.paused) == (b.override, b.paused)
+
+
+@pytest.mark.core
+@pytest.mark.parametrize("kernel", KERNELS)
+@pytest.mark.parametrize("way", [copy.copy, copy.deepcopy, lambda c: pickle.loads(pickle.dumps(c))])
+def test_a_copy_keeps_the_reins(way: Callable[[QPController], QPController], kernel: str) -> None:
+    task = limited(dual_arm7(), 5.0)
+    controller = built(task, kernel)
+    controller.set_override(0.6)
+    drive(controller, lambda c, i: None, 60)
+    controller.pause()
+    drive(controller, lambda c, i: None, 20)  # it brakes
+    other = way(controller)
+    assert (other.override, other.paused) == (0.6, True)
+    for i in range(120):
+        if i == 60:
+            controller.resume(), other.resume()
+        a, b = controller.step(), other.step()
+        assert np.array_equal(a.velocity, b.velocity)
+        assert (a.rate, a.status) == (b.rate, b.status)
+
+
+@pytest.mark.parametrize("kernel", KERNELS)
+def test_the_reins_hold_before_and_after_a_reset_and_a_new_path(kernel: str) -> None:
+    for acceleration in (np.inf, 5.0):
+        task = limited(paper_lift(), acceleration)
+        controller = QPController(task.cell, task.grasp, task.path, dt=0.002, options=QPOptions(kernel=kernel))
+        controller.pause()
+        controller.set_override(0.5)
+        assert copy.copy(controller).paused
+        controller.reset(task.q_start)
+        assert {controller.step().status for _ in range(20)} == {Status.PAUSED}
+        controller.follow(task.path)
+        assert {controller.step().status for _ in range(20)} == {Status.PAUSED}
+        controller.reset(task.q_start)
+        assert controller.step().status is Status.PAUSED
+        controller.resume()
+        steps = drive(controller, lambda c, i: None, 100)
+        assert steps[-1].rate == 0.5
+        assert steps[-1].binding == (OVERRIDE,)
+        assert "override" in steps[-1].explain()
+
+
+def test_a_pause_stops_the_null_space_too_and_ends_smoothly() -> None:
+    task = limited(dual_arm7(), 5.0)
+    for options in ({}, {"preview": None}):
+        controller = built(task, **options)
+        steps = drive(controller, lambda c, i: None, 300)
+        controller.pause()
+        steps += drive(controller, lambda c, i: None, 300)
+        assert steps[-1].status is Status.PAUSED
+        assert float(np.abs(steps[-1].velocity).max()) < 1e-9
+        controller.resume()
+        steps += drive(controller, lambda c, i: None, 300)
+        assert steps[-1].status is Status.TRACKING
+        assert excess_of(task, steps) < 1e-6
+
+
+def test_a_servo_target_can_be_paused() -> None:
+    """Nothing is known ahead: joints brake together from their present speed."""
+    for acceleration in (np.inf, 5.0):
+        task = limited(paper_lift(), acceleration)
+        start, goal = task.path.pose(0.0), task.path.pose(task.path.duration)
+        task = dataclasses.replace(task, path=ServoPath(start, speed=0.1))
+        controller = built(task)
+        controller.retarget(goal)
+        steps = drive(controller, lambda c, i: None, 200)
+        controller.pause()
+        steps += drive(controller, lambda c, i: None, 300)
+        assert steps[-1].status is Status.PAUSED
+        assert float(np.abs(steps[-1].velocity).max()) < 1e-6
+        stopped = steps[-1].clock
+        controller.resume()
+        steps = drive(controller, lambda c, i: None, 300)
+        assert steps[-1].status is Status.TRACKING
+        assert steps[-1].clock > stopped
+
+
+@pytest.mark.parametrize("bad", [-0.1, 1.1, np.nan, np.inf, "half", None, [0.5]])
+def test_a_bad_share_is_a_named_error_and_changes_nothing(bad: Any) -> None:
+    controller = built(paper_lift())
+    controller.set_override(0.7)
+    with pytest.raises(InvalidInputError, match="set_override"):
+        controller.set_override(bad)
+    assert controller.override == 0.7
