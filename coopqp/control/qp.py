@@ -13,12 +13,14 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, final
 
+import numpy as np
 import pinocchio as pin
 
 from coopqp.checks import as_options, as_scalar, require
 from coopqp.control.command import ControlStep, amend, check_start, outside_limits
 from coopqp.control.constraints import Constraints, listed
 from coopqp.control.core import make_loop
+from coopqp.control.effort import Effort
 from coopqp.control.options import QPOptions
 from coopqp.control.plain import PlainLoop, held_at
 from coopqp.control.turn import alone
@@ -26,9 +28,13 @@ from coopqp.errors import InvalidInputError
 from coopqp.model.cell import RobotCell
 from coopqp.model.grasp import Grasp
 from coopqp.model.state import CellState
-from coopqp.spatial import Placement
+from coopqp.spatial import Placement, as_placement
 from coopqp.task.guarded import GuardedPath, is_known
-from coopqp.task.path import HoldPath, ObjectPath, ServoPath
+from coopqp.task.path import HoldPath, ObjectPath
+from coopqp.task.servo import AT_REST, ServoPath
+
+#: A rate from here on is full, but for rounding.
+_FULL = 1.0 - 1e-9
 
 
 @final
@@ -84,7 +90,10 @@ class QPController:
         self._checked = Constraints(cell, self.constraints)
         self._loop = make_loop(cell, grasp, dt=self.dt, options=self.options, constraints=self._checked)
         self.kernel, self.solver = self._loop.kernel, self._loop.solver.name
+        self._effort = Effort(cell, grasp, self.options.preview, dt=self.dt)
         self._started = self._outside = False
+        #: The target that the object goes over to as soon as it can.
+        self._wanted: pin.SE3 | None = None
         self._take(path)
 
     @property
@@ -105,6 +114,7 @@ class QPController:
             and not self._outside
             and not isinstance(self._loop, PlainLoop)
             and is_known(path)
+            and self._wanted is None
             and not self.constraints
         ):
             self._fast = self._loop.step
@@ -127,7 +137,7 @@ class QPController:
         self._checked.check(start, self.dt)
         if isinstance(self.path, ServoPath) and again:
             self.path.restart(path.pose(0.0))
-        self._started, self._outside = True, bool(outside_limits(self.cell, start))
+        self._started, self._outside, self._wanted = True, bool(outside_limits(self.cell, start)), None
         self._loop.start(start)
         self._take(self.path)
         self._loop.start_path()
@@ -146,6 +156,7 @@ class QPController:
             InvalidInputError: the path is none; the old one goes on.
         """
         GuardedPath(path).check("follow")
+        self._wanted = None
         self._take(path)
         if self._started:
             self._loop.start_path()
@@ -154,6 +165,10 @@ class QPController:
     def retarget(self, T_world_object: Placement) -> None:
         """Move the target of a :class:`ServoPath`.
 
+        The object goes over from its present motion, without a jump of its velocity, as fast as the joints can. Where
+        that takes it out of what the look-ahead allows, it brakes on its present way and goes over as soon as it may,
+        at rest at the latest. The last target wins.
+
         Raises:
             InvalidInputError: the path is no ServoPath, or the pose is not one; the old target stays.
         """
@@ -161,8 +176,29 @@ class QPController:
             raise InvalidInputError(
                 f"the path is a {type(self.path).__name__}", "retarget", "Build the controller with a ServoPath."
             )
-        self.path.set_target(T_world_object, clock=self._loop.clock)
-        self._loop.look_ahead_again()
+        self._wanted = as_placement(T_world_object, "retarget")
+        self._go_over()
+        self._find_fast_step()
+
+    def _go_over(self) -> None:
+        """Take the way to the wanted target if its first step has the full rate, or where the object rests."""
+        loop, path, goal = self._loop, self.path, self._wanted
+        assert isinstance(path, ServoPath)
+        assert goal is not None
+        if not self._started:
+            path.set_target(goal, clock=0.0)
+            self._wanted = None
+            return
+        clock, rate, way, memory = loop.clock, loop.rate, path.state(), loop.memory()
+        rests = not np.abs(rate * path.twist(clock)).max() > AT_REST
+        path.set_target(goal, clock=clock, rate=rate, effort=self._effort.at(loop.q, path.pose(clock)))
+        loop.look_ahead_again(rate=0.0 if rests else 1.0)
+        if rests or loop.rate_of_a_step() >= _FULL:
+            self._wanted = None
+        else:  # not yet: brake on the present way
+            path.restore(way)
+            loop.take_path()
+            loop.restore(memory)
 
     # -- the step --------------------------------------------------------------------------------------------------
 
@@ -199,6 +235,9 @@ class QPController:
 
     @alone
     def _slow(self, q_measured: Any, dt: Any) -> ControlStep:
+        if self._wanted is not None:
+            self._go_over()
+            self._find_fast_step()
         if isinstance(self._loop, PlainLoop):
             began = time.perf_counter()
             step = self._loop.commit(self._loop.propose(self._loop.observe(q_measured, dt)), began)
@@ -219,10 +258,12 @@ class QPController:
     def __getstate__(self) -> dict[str, Any]:
         names = ("cell", "grasp", "path", "dt", "options", "constraints", "kernel")
         state = {name: getattr(self, name) for name in names}
-        return state | {"outside": self._outside, "memory": self._loop.memory() if self._started else None}
+        wanted = None if self._wanted is None else self._wanted.copy()
+        memory = self._loop.memory() if self._started else None
+        return state | {"outside": self._outside, "wanted": wanted, "memory": memory}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        kernel, outside, memory = state.pop("kernel"), state.pop("outside"), state.pop("memory")
+        kernel, outside, wanted, memory = (state.pop(name) for name in ("kernel", "outside", "wanted", "memory"))
         self._build(**state)  # the path may fail for a while: that is no reason not to be copied
         if self.kernel != kernel:
             raise InvalidInputError(
@@ -231,7 +272,7 @@ class QPController:
                 "Build both with the same QPOptions(kernel=…).",
             )
         if memory is not None:
-            self._started, self._outside = True, outside
+            self._started, self._outside, self._wanted = True, outside, wanted
             self._take(self.path)
             self._loop.restore(memory)
 

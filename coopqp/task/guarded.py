@@ -11,7 +11,8 @@ import pinocchio as pin
 from coopqp.checks import as_vector
 from coopqp.errors import InvalidInputError, said
 from coopqp.spatial import Array, as_placement
-from coopqp.task.path import HoldPath, LinePath, ObjectPath, ServoPath, WaypointPath
+from coopqp.task.path import HoldPath, LinePath, ObjectPath, WaypointPath
+from coopqp.task.servo import ServoPath
 
 #: Entries this large make a pose invalid [m].
 FARTHEST = 1e9
