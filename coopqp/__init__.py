@@ -90,9 +90,10 @@ if TYPE_CHECKING:
     from coopqp.simulation.simulate import Recording, RecordingError, simulate
     from coopqp.spatial import Array, Placement, adjoint
     from coopqp.task.common_error import CommonError
-    from coopqp.task.path import HoldPath, LinePath, ObjectPath, ServoPath, TimeLaw, WaypointPath
+    from coopqp.task.path import HoldPath, LinePath, ObjectPath, TimeLaw, WaypointPath
     from coopqp.task.posture import PostureOptions
     from coopqp.task.scenario import Scenario
+    from coopqp.task.servo import ServoPath
     from coopqp.task.timed import TimedPath
 else:
     __getattr__, __dir__ = lazy_names(
@@ -169,12 +170,12 @@ else:
                 "HoldPath",
                 "LinePath",
                 "ObjectPath",
-                "ServoPath",
                 "TimeLaw",
                 "WaypointPath",
             ),
             "coopqp.task.posture": ("PostureOptions",),
             "coopqp.task.scenario": ("Scenario",),
+            "coopqp.task.servo": ("ServoPath",),
             "coopqp.task.timed": ("TimedPath",),
             "coopqp.control.independent": ("IndependentQPController", "IndependentQPOptions"),
             "coopqp.control.pseudo_inverse": ("PseudoInverseController", "PseudoInverseOptions"),

@@ -199,7 +199,7 @@ def test_the_object_stops_at_any_wall(acceleration: float) -> None:
 
 
 @pytest.mark.parametrize("kernel", KERNELS)
-def test_a_wall_binds_by_name_without_a_look_ahead(kernel: str) -> None:
+def test_a_wall_binds_by_name_on_the_way_to_a_target(kernel: str) -> None:
     task = paper_lift()
     start = task.path.pose(0.0)
     servo = dataclasses.replace(task, path=ServoPath(start, speed=0.1))

@@ -178,11 +178,22 @@ class PlainLoop:
         s.rate = (0.0 if self._box.accelerates else s.reins.share) if rate is None else rate
         self.look_ahead_again()
 
-    def look_ahead_again(self) -> None:
-        """The path ahead has changed."""
+    def take_path(self) -> None:
+        """The path is another one than it was."""
         self._ahead = None
+
+    def look_ahead_again(self, rate: float | None = None) -> None:
+        """The path ahead has changed; the object moves along it at a rate."""
+        self.take_path()
+        if rate is not None:
+            self.state.rate = rate
         if self._preview is not None:
             self._preview.reset(self.state.q, self.state.clock)
+
+    def rate_of_a_step(self) -> float:
+        """σ of a step from here; nothing is committed, and samples in it count for nothing."""
+        found = self.propose(self.observe(None, None)).found.answer
+        return 0.0 if found.braked else found.rate
 
     def memory(self) -> Any:
         """All that a copy of this loop needs beside its arguments and its path."""
@@ -211,6 +222,11 @@ class PlainLoop:
     def clock(self) -> float:
         """The object's clock [s]."""
         return self.state.clock
+
+    @property
+    def rate(self) -> float:
+        """σ of the last step."""
+        return self.state.rate
 
     @property
     def q(self) -> Array:

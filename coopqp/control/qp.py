@@ -21,6 +21,7 @@ from coopqp.checks import as_options, as_scalar, require
 from coopqp.control.command import ControlStep, Status, amend, check_start
 from coopqp.control.constraints import Constraints, listed
 from coopqp.control.core import make_loop
+from coopqp.control.effort import Effort
 from coopqp.control.options import QPOptions
 from coopqp.control.plain import PlainLoop, held_at
 from coopqp.control.starting import odd_start, rate_into
@@ -29,9 +30,13 @@ from coopqp.errors import InvalidInputError, StartWarning
 from coopqp.model.cell import RobotCell
 from coopqp.model.grasp import Grasp
 from coopqp.model.state import CellState
-from coopqp.spatial import Array, Placement
+from coopqp.spatial import Array, Placement, as_placement
 from coopqp.task.guarded import GuardedPath, is_known
-from coopqp.task.path import HoldPath, ObjectPath, ServoPath
+from coopqp.task.path import HoldPath, ObjectPath
+from coopqp.task.servo import AT_REST, ServoPath
+
+#: Rounding of a rate.
+_ROUNDING = 1e-9
 
 
 @final
@@ -87,7 +92,11 @@ class QPController:
         self._checked = Constraints(cell, self.constraints)
         self._loop = make_loop(cell, grasp, dt=self.dt, options=self.options, constraints=self._checked)
         self.kernel, self.solver = self._loop.kernel, self._loop.solver.name
+        self._effort = Effort(cell, grasp, self.options.preview, dt=self.dt)
         self._started = self._outside = False
+        #: The target that the object goes over to as soon as it can; it brakes until then. The override asked for.
+        self._wanted: pin.SE3 | None = None
+        self._asked = 1.0
         self._take(path)
 
     @property
@@ -108,6 +117,7 @@ class QPController:
             and not self._outside
             and not isinstance(self._loop, PlainLoop)
             and is_known(path)
+            and self._wanted is None
             and not self.constraints
         ):
             self._fast = self._loop.step
@@ -143,7 +153,8 @@ class QPController:
         if isinstance(self.path, ServoPath) and again:
             self.path.restart(path.pose(0.0))
         odd = self._odd(start, GuardedPath(path).pose(clock))
-        self._started, self._outside = True, bool(odd)
+        self._started, self._outside, self._wanted = True, bool(odd), None
+        self._loop.set_reins(self._asked, paused=self.paused)
         self._loop.start(start)
         self._take(self.path)
         self._loop.start_path(clock, self._first_rate(clock))
@@ -178,6 +189,8 @@ class QPController:
         GuardedPath(path).check("follow")
         clock = _on(path, clock, "follow: clock")
         rate = self._rate_into(path, clock) if self._started else None
+        self._wanted = None
+        self._loop.set_reins(self._asked, paused=self.paused)
         self._take(path)
         if self._started:
             self._loop.start_path(clock, self._first_rate(clock) if rate is None else rate)
@@ -204,6 +217,7 @@ class QPController:
             InvalidInputError: not a number from 0 to 1; the old override stays.
         """
         share = as_scalar(share, "set_override: share", open_low=False, high=1.0)
+        self._asked = share
         self._loop.set_reins(share, paused=self.paused)
 
     @alone
@@ -222,7 +236,7 @@ class QPController:
     @property
     def override(self) -> float:
         """The largest rate σ that is asked for, while the object is not paused."""
-        return self._loop.reins[0]
+        return self._asked
 
     @property
     def paused(self) -> bool:
@@ -233,6 +247,10 @@ class QPController:
     def retarget(self, T_world_object: Placement) -> None:
         """Move the target of a :class:`ServoPath`.
 
+        The object goes over from its present motion, without a jump of its velocity, as fast as the joints can. Where
+        that takes it out of what the look-ahead allows, it brakes on its present way and goes over as soon as it may,
+        at rest at the latest. The last target wins.
+
         Raises:
             InvalidInputError: the path is no ServoPath, or the pose is not one; the old target stays.
         """
@@ -240,8 +258,32 @@ class QPController:
             raise InvalidInputError(
                 f"the path is a {type(self.path).__name__}", "retarget", "Build the controller with a ServoPath."
             )
-        self.path.set_target(T_world_object, clock=self._loop.clock)
-        self._loop.look_ahead_again()
+        self._wanted = as_placement(T_world_object, "retarget")
+        self._go_over()
+        self._find_fast_step()
+
+    def _go_over(self) -> None:
+        """Take the way to the wanted target if its first step has the full rate, or where the object rests."""
+        loop, path, goal, paused = self._loop, self.path, self._wanted, self.paused
+        assert isinstance(path, ServoPath)
+        assert goal is not None
+        clock, full = loop.clock, 0.0 if paused else self._asked
+        rests = not self._started or not np.abs(loop.rate * path.twist(clock)).max() > AT_REST
+        loop.set_reins(self._asked, paused=paused)
+        if rests or full > 0.0:
+            way, memory = path.state(), loop.memory()
+            rate = 0.0 if rests else loop.rate / full
+            effort = self._effort.at(loop.q, path.pose(clock)) if self._started else None
+            path.set_target(goal, clock=clock, rate=rate, effort=effort)
+            if self._started:
+                loop.look_ahead_again(rate=0.0 if rests else full)
+            if rests or loop.rate_of_a_step() >= full - _ROUNDING:
+                self._wanted = None
+                return
+            path.restore(way)
+            loop.take_path()
+            loop.restore(memory)
+        loop.set_reins(0.0, paused=paused)  # not yet: brake on the present way
 
     # -- the step --------------------------------------------------------------------------------------------------
 
@@ -278,6 +320,9 @@ class QPController:
 
     @alone
     def _slow(self, q_measured: Any, dt: Any) -> ControlStep:
+        if self._wanted is not None:
+            self._go_over()
+            self._find_fast_step()
         if isinstance(self._loop, PlainLoop):
             began = time.perf_counter()
             step = self._loop.commit(self._loop.propose(self._loop.observe(q_measured, dt)), began)
@@ -299,10 +344,13 @@ class QPController:
     def __getstate__(self) -> dict[str, Any]:
         names = ("cell", "grasp", "path", "dt", "options", "constraints", "kernel")
         state = {name: getattr(self, name) for name in names}
-        return state | {"started": self._started, "outside": self._outside, "memory": self._loop.memory()}
+        wanted = None if self._wanted is None else self._wanted.copy()
+        own = {"started": self._started, "outside": self._outside, "wanted": wanted, "asked": self._asked}
+        return state | own | {"memory": self._loop.memory()}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        kernel, started, outside, memory = (state.pop(name) for name in ("kernel", "started", "outside", "memory"))
+        names = ("kernel", "started", "outside", "wanted", "asked", "memory")
+        kernel, started, outside, wanted, asked, memory = (state.pop(name) for name in names)
         self._build(**state)  # the path may fail for a while: that is no reason not to be copied
         if self.kernel != kernel:
             raise InvalidInputError(
@@ -310,7 +358,7 @@ class QPController:
                 "QPController",
                 "Build both with the same QPOptions(kernel=…).",
             )
-        self._started, self._outside = started, outside
+        self._started, self._outside, self._wanted, self._asked = started, outside, wanted, asked
         self._take(self.path)
         self._loop.restore(memory)
 

@@ -155,6 +155,8 @@ _PASSABLE = 0.3
 _LEAST_LEFT = 1e-3
 #: Intervals shorter than this are not halved for a change of slope [s].
 _FINE_CELL = 1e-3
+#: A slope that changes by more than this share within a short interval is of another branch.
+_OTHER_BRANCH = 0.5
 #: Refinements of the rate near a bound.
 _BISECTIONS = 6
 #: The twist before a corner or the end is taken this much earlier [s].
@@ -507,7 +509,9 @@ class PathPreview:
         if knot.uncapped < self.options.singular_rate**2 and knot.fastest > last.fastest:
             way = yield from self._past(knot)
             if not way:
-                self._block(knot, self._singular_arm(knot), LimitKind.SINGULARITY)
+                # Where it is as bad already, the object stays: else it would creep on with every new path.
+                stop = last if last.uncapped < self.options.singular_rate**2 else knot
+                self._block(stop, self._singular_arm(knot), LimitKind.SINGULARITY)
                 return
         breakpoint_ = self._next_breakpoint(last.clock)
         if abs(way[-1].clock - breakpoint_) < 1e-9 and breakpoint_ < self._duration:
@@ -582,7 +586,8 @@ class PathPreview:
             return None  # numbers overflow
         if h > options.shortest and not h * knot.fastest <= 1.5 * options.joint_step:
             return None
-        if h > _FINE_CELL and not knot.change <= options.slope_step * knot.fastest:
+        most = options.slope_step if h > _FINE_CELL else _OTHER_BRANCH
+        if h > options.shortest and not knot.change <= most * knot.fastest:
             return None
         return self._constrained(knot, last)
 

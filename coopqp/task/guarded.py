@@ -12,7 +12,8 @@ from coopqp.checks import as_vector
 from coopqp.errors import InvalidInputError, said
 from coopqp.spatial import Array, as_placement
 from coopqp.task.geometry import TURN_LENGTH
-from coopqp.task.path import HoldPath, LinePath, ObjectPath, ServoPath, WaypointPath
+from coopqp.task.path import HoldPath, LinePath, ObjectPath, WaypointPath
+from coopqp.task.servo import ServoPath
 from coopqp.task.timed import TimedPath
 
 #: Entries this large make a pose invalid [m].

@@ -91,9 +91,9 @@ class ObjectPath(abc.ABC):
     def packed(self) -> Array | None:
         """The path as numbers, for the library's own paths; None where only :meth:`pose` knows it.
 
-        ``[duration, number of breakpoints, number of segments, breakpoints …, segments …]``; a segment has 21 numbers:
+        ``[duration, number of breakpoints, number of segments, breakpoints …, segments …]``; a segment has 29 numbers:
         ``R(0)`` row by row (9), p(0) (3), φ* r (3), displacement in the world (3), start [s], duration [s], time law
-        (0 linear, 1 quintic).
+        (0 linear, 1 quintic, 2 ramps), and of ramps the motion that dies away (6) and the times of both ramps (2) [s].
         """
         return None
 
@@ -177,7 +177,7 @@ class LinePath(ObjectPath):
         self._rotation_vector = self.screw.angle * self.screw.r
         law = 0.0 if self.time_law is TimeLaw.LINEAR else 1.0
         self._segment = np.concatenate(
-            [self._R0.ravel(), self._p0, self._rotation_vector, self._line, [0.0, self.duration, law]]
+            [self._R0.ravel(), self._p0, self._rotation_vector, self._line, [0.0, self.duration, law], np.zeros(8)]
         )
 
     @staticmethod
@@ -197,7 +197,7 @@ class LinePath(ObjectPath):
         return LinePath(T, goal, duration=duration, time_law=time_law)
 
     def segment(self, start: float) -> Array:
-        """The numbers of :meth:`packed` for this line, begun at ``start`` [s] (21,)."""
+        """The numbers of :meth:`packed` for this line, begun at ``start`` [s] (29,)."""
         numbers = self._segment.copy()
         numbers[18] = start
         return numbers
@@ -331,66 +331,3 @@ class HoldPath(ObjectPath):
     def twist(self, clock: float) -> Array:
         """Zero."""
         return np.zeros(6)
-
-
-@final
-class ServoPath(ObjectPath):
-    """A path to a target that the user moves at run time, on straight lines at bounded speed.
-
-    The path beyond the target is unknown. With ``look_ahead`` the object brakes before limits, singularities and the
-    target, as on any path. Without it there is no preview: the limits hold and a stop has a named reason, but under
-    acceleration limits the chain may part.
-
-    Args:
-        T_world_object: start pose.
-        speed, spin: speed and angular speed of the object towards the target [m/s, rad/s].
-        look_ahead: preview the line to each target. This costs a fraction of a millisecond when the target moves, and
-            the object can always stop at the target. Leave it off for streamed targets.
-    """
-
-    def __init__(
-        self, T_world_object: Placement, *, speed: float = 0.25, spin: float = 0.5, look_ahead: bool = False
-    ) -> None:
-        self.duration = np.inf
-        self.known_ahead = bool(look_ahead)
-        self._speed, self._spin = as_scalar(speed, "ServoPath: speed"), as_scalar(spin, "ServoPath: spin")
-        pose = as_placement(T_world_object, "ServoPath")
-        self._line, self._since = LinePath(pose, pose, duration=1.0, time_law=TimeLaw.LINEAR), 0.0
-
-    def restart(self, T_world_object: Placement) -> None:
-        """Rest at ``T_world_object`` at clock 0. The target is the same pose.
-
-        Raises:
-            InvalidInputError: not a pose. The path is then unchanged.
-        """
-        pose = as_placement(T_world_object, "ServoPath.restart")
-        self._line, self._since = LinePath(pose, pose, duration=1.0, time_law=TimeLaw.LINEAR), 0.0
-
-    def set_target(self, T_world_object: Placement, *, clock: float) -> None:
-        """Move to ``T_world_object`` from the object's pose at ``clock``.
-
-        Raises:
-            InvalidInputError: not a pose. The target is then unchanged.
-        """
-        goal, here = as_placement(T_world_object, "ServoPath.set_target"), self.pose(clock)
-        way = ScrewParameters.between(here, goal)
-        duration = max(float(np.linalg.norm(way.p)) / self._speed, way.angle / self._spin, 1e-6)
-        self._line, self._since = LinePath(here, goal, duration=duration, time_law=TimeLaw.LINEAR), clock
-
-    def packed(self) -> Array:
-        """The line to the present target; the object rests at its end."""
-        end = self._since + self._line.duration
-        return np.concatenate([[self.duration, 1.0, 1.0, end], self._line.segment(self._since)])
-
-    def next_breakpoint(self, clock: float) -> float:
-        """Clock at the end of the line [s]."""
-        end = self._since + self._line.duration
-        return end if clock < end - 1e-9 else self.duration
-
-    def pose(self, clock: float) -> pin.SE3:
-        """T_world_object at ``clock`` [s]."""
-        return self._line.pose(clock - self._since)
-
-    def twist(self, clock: float) -> Array:
-        """Body twist at ``clock`` [m/s, rad/s]."""
-        return self._line.twist(clock - self._since)

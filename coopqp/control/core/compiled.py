@@ -144,13 +144,22 @@ class CompiledLoop:
         loop = self.at["loop"]
         return loop.item(_LOOP["OVERRIDDEN"]), bool(loop[_LOOP["PAUSE"]])
 
-    def look_ahead_again(self) -> None:
-        """The path ahead has changed."""
+    def look_ahead_again(self, rate: float | None = None) -> None:
+        """The path ahead has changed; the object moves along it at a rate."""
         loop = self.at["loop"]
         kept = loop.copy()
+        if rate is not None:
+            kept[_LOOP["RATE"]] = rate
         self.take_path()
         self._core.start_path(kept[_LOOP["CLOCK"]], kept[_LOOP["RATE"]])
         loop[:] = kept
+
+    def rate_of_a_step(self) -> float:
+        """σ of a step from here; nothing is committed, and samples in it count for nothing."""
+        self._core.observe(None, None)
+        outcome = self._core.propose(self._put_rows(), False)
+        self._said.clear()
+        return self.at["proposal"].item(_P["NEW_RATE"]) if outcome < _FILLED else 0.0
 
     def memory(self) -> Any:
         """All that a copy of this loop needs beside its arguments and its path."""
@@ -171,6 +180,11 @@ class CompiledLoop:
     def clock(self) -> float:
         """The object's clock [s]."""
         return self.at["loop"].item(_LOOP["CLOCK"])
+
+    @property
+    def rate(self) -> float:
+        """σ of the last step."""
+        return self.at["loop"].item(_LOOP["RATE"])
 
     @property
     def q(self) -> Array:

@@ -36,6 +36,7 @@ CONSTANTS: dict[str, float] = {
     "PASSABLE": 0.3,  # a singularity is passed where the rate's cap stays above this share of singular_rate
     "LEAST_LEFT": 1e-3,  # the path's curvature leaves at least this share of the acceleration for the rate
     "FINE_CELL": 1e-3,  # intervals shorter than this are not halved for a change of slope [s]
+    "OTHER_BRANCH": 0.5,  # a slope that changes by more than this share within a fine interval is of another branch
     "BISECTIONS": 6,  # refinements of the rate near a bound
     "JUST_BEFORE": 1e-10,  # the twist before a corner is taken this much earlier [s]
     "PREVIEW_ROUNDING": 1e-12,  # rounding of squares of rates, which are differences of sums
@@ -77,8 +78,8 @@ CONSTANTS: dict[str, float] = {
 
 #: Knots that the look-ahead keeps, and joints that an arm may have, at most.
 MOST_KNOTS, MOST_JOINTS = 1024, 16
-#: Numbers of a straight segment: R(0), p(0), rotation vector, displacement, start, duration, time law.
-SEGMENT = 21
+#: Numbers of a segment, see ObjectPath.packed.
+SEGMENT = 29
 
 OPTIONS = (
     "NOMINAL_DT", "GRASP_GAIN", "PATH_GAIN", "CORRECTION_SPEED", "CORRECTION_SPIN", "MEASUREMENT_TIME", "SHORTCUT",

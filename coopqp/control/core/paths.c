@@ -1,21 +1,51 @@
-/* Pose and twist of the object's path: straight segments of 21 numbers
- *   R(0) 0–8, p(0) 9–11, rotation vector 12–14, displacement 15–17, start 18, duration 19, time law 20 (1: quintic)
- * as LinePath, WaypointPath, HoldPath and ServoPath pack them, or a path that only its owner knows. */
+/* Pose and twist of the object's path: segments of 29 numbers
+ *   R(0) 0–8, p(0) 9–11, rotation vector 12–14, displacement 15–17, start 18, duration 19, time law 20 (0 linear,
+ *   1 quintic, 2 ramps), velocity 21–23 and angular velocity 24–26 that die away, times of both ramps 27–28
+ * as the library's own paths pack them, or a path that only its owner knows. */
 
 #include "functions.h"
 
-/* u(x): TimeLaw.value_at */
-static double time_law(double x, double quintic) {
-    if (x <= 0.0) return 0.0;
-    if (x >= 1.0) return 1.0;
-    double u = quintic != 0.0 ? x * x * x * (10.0 + x * (6.0 * x - 15.0)) : x;
-    return u > 1.0 ? 1.0 : u; /* by rounding; a NaN stays one */
+/* How far along a segment: u of its straight way, b of the motion that dies away, and their changes a second. */
+typedef struct {
+    double u, rate, b, fading;
+} Place;
+
+/* TimeLaw.value_at and slope_at */
+static Place on_law(double x, double quintic, double duration) {
+    Place at = {0};
+    if (x >= 0.0 && x < 1.0) at.rate = (quintic != 0.0 ? 30.0 * x * x * (1.0 - x) * (1.0 - x) : 1.0) / duration;
+    if (x <= 0.0) return at;
+    at.u = quintic != 0.0 ? x * x * x * (10.0 + x * (6.0 * x - 15.0)) : x;
+    if (x >= 1.0 || at.u > 1.0) at.u = 1.0; /* by rounding; a NaN stays one */
+    return at;
 }
 
-/* u′(x): TimeLaw.slope_at */
-static double time_law_slope(double x, double quintic) {
-    if (x < 0.0 || x >= 1.0) return 0.0;
-    return quintic != 0.0 ? 30.0 * x * x * (1.0 - x) * (1.0 - x) : 1.0;
+/* _Way._shares */
+static Place on_ramps(double t, double T, double B, double E) {
+    const double peak = 1.0 / (T - 0.5 * (B + E)), left = T - t;
+    Place at = {0};
+    if (t >= T) {
+        at.u = 1.0, at.b = 0.5 * B;
+        return at;
+    }
+    if (t < 0.0) return at;
+    at.b = t < B ? t - 0.5 * t * t / B : 0.5 * B;
+    at.fading = t < B ? 1.0 - t / B : 0.0;
+    if (left < E)
+        at.u = 1.0 - 0.5 * peak * left * left / E, at.rate = peak * left / E;
+    else if (t < B)
+        at.u = 0.5 * peak * t * t / B, at.rate = peak * t / B;
+    else
+        at.u = peak * (t - 0.5 * B), at.rate = peak;
+    return at;
+}
+
+static int has_ramps(const double *segment) { return segment[20] == 2.0; }
+
+static Place place_on(const double *segment, double clock) {
+    const double t = clock - segment[18];
+    if (has_ramps(segment)) return on_ramps(t, segment[19], segment[27], segment[28]);
+    return on_law(t / segment[19], segment[20], segment[19]);
 }
 
 static int count_of(const Core *c, int what) { return (int)c->path_numbers[what]; }
@@ -36,21 +66,31 @@ static double next_breakpoint(const Core *c, double clock) {
     return c->duration;
 }
 
-static void pose_on(const double *segment, double u, double *R, double *p) {
-    double w[3], E[9];
+static void pose_on(const double *segment, Place at, double *R, double *p) {
+    double w[3], E[9], before[9];
     for (int i = 0; i < 3; i++) {
-        w[i] = u * segment[12 + i];
-        p[i] = segment[9 + i] + u * segment[15 + i];
+        w[i] = at.u * segment[12 + i];
+        p[i] = segment[9 + i] + at.u * segment[15 + i];
     }
     exp3(w, E);
-    multiply3(segment, E, R);
+    if (!has_ramps(segment)) {
+        multiply3(segment, E, R);
+        return;
+    }
+    multiply3(segment, E, before);
+    for (int i = 0; i < 3; i++) {
+        w[i] = at.b * segment[24 + i];
+        p[i] += at.b * segment[21 + i];
+    }
+    exp3(w, E);
+    multiply3(E, before, R);
 }
 
 static int path_pose(Core *c, double clock, double *R, double *p) {
     if (count_of(c, 2)) {
         double end;
         const double *segment = segment_at(c, clock, &end);
-        pose_on(segment, time_law((clock - segment[18]) / segment[19], segment[20]), R, p);
+        pose_on(segment, place_on(segment, clock), R, p);
         return 1;
     }
     double pose[12];
@@ -62,15 +102,17 @@ static int path_pose(Core *c, double clock, double *R, double *p) {
 
 static int path_twist(Core *c, double clock, double *twist) {
     if (!count_of(c, 2)) return c->own_path && c->own_path(c, clock, 1, twist);
-    double end, R[9], p[3];
+    double end, R[9], p[3], velocity[3], fading[3] = {0};
     const double *segment = segment_at(c, clock, &end);
-    const double x = (clock - segment[18]) / segment[19], rate = time_law_slope(x, segment[20]) / segment[19];
-    pose_on(segment, time_law(x, segment[20]), R, p);
-    rotate_back(R, segment + 15, twist);
-    for (int i = 0; i < 3; i++) {
-        twist[i] *= rate;
-        twist[3 + i] = rate * segment[12 + i];
+    const Place at = place_on(segment, clock);
+    pose_on(segment, at, R, p);
+    for (int i = 0; i < 3; i++) velocity[i] = at.rate * segment[15 + i];
+    if (has_ramps(segment)) {
+        for (int i = 0; i < 3; i++) velocity[i] += at.fading * segment[21 + i];
+        rotate_back(R, segment + 24, fading);
     }
+    rotate_back(R, velocity, twist);
+    for (int i = 0; i < 3; i++) twist[3 + i] = at.fading * fading[i] + at.rate * segment[12 + i];
     return 1;
 }
 
@@ -79,9 +121,8 @@ static int path_increment(Core *c, double clock, double span, const double *R, c
     if (!(span > 1e-12)) return 1;
     double end;
     const double *segment = count_of(c, 2) ? segment_at(c, clock, &end) : NULL;
-    if (segment && clock + span <= end) { /* log of one screw is known */
-        const double x = (clock - segment[18]) / segment[19];
-        const double gain = time_law(x + span / segment[19], segment[20]) - time_law(x, segment[20]);
+    if (segment && clock + span <= end && !has_ramps(segment)) { /* log of one screw is known */
+        const double gain = place_on(segment, clock + span).u - place_on(segment, clock).u;
         double step[3], omega[3];
         rotate_back(R, segment + 15, step);
         for (int i = 0; i < 3; i++) {

@@ -196,7 +196,8 @@ static Trial try_knot(Core *c, int last, int made, double span, int iteration) {
     if (!bound_by_limits(c, last, made, clock, span)) return REJECTED;
     const double *k = knot(c, made);
     if (span > o[SHORTEST] && !(span * k[K_FASTEST] <= 1.5 * o[JOINT_STEP])) return REJECTED;
-    if (span > FINE_CELL && !(k[K_CHANGE] <= o[SLOPE_STEP] * k[K_FASTEST])) return REJECTED;
+    const double most = span > FINE_CELL ? o[SLOPE_STEP] : OTHER_BRANCH;
+    if (span > o[SHORTEST] && !(k[K_CHANGE] <= most * k[K_FASTEST])) return REJECTED;
     return constrain(c, made);
 }
 
@@ -365,12 +366,19 @@ static int jumps_after(Core *c, double clock) {
 /* The chain cannot be followed past the last known knot, or past the singularity that the way leads to. */
 static void end_growth(Core *c) {
     const int count = count_ahead(c, COUNT), way = count_ahead(c, WAY) > 0, at = way ? count : count - 1;
-    if (!way && half_way(c, knot(c, at)) < 2.0 * c->options[SHORTEST])
+    const double rate = c->options[SINGULAR_RATE];
+    if (!way && half_way(c, knot(c, at)) < 2.0 * c->options[SHORTEST]) {
         block_at(c, at, -1, (int)c->ahead[BEYOND] - 1, CONSTRAINT);
-    else if (!way && jumps_after(c, knot(c, at)[K_CLOCK]))
+        return;
+    }
+    if (!way && jumps_after(c, knot(c, at)[K_CLOCK])) {
         block_at(c, at, -1, -1, PATH_JUMP);
-    else
-        block_at(c, at, singular_arm(c, at), -1, way ? SINGULARITY : REACH);
+        return;
+    }
+    const int arm = singular_arm(c, at);
+    /* Where it is as bad already, the object stays: else it would creep on with every new path. */
+    const int stays = way && knot(c, count - 1)[K_UNCAPPED] < rate * rate;
+    block_at(c, stays ? count - 1 : at, arm, -1, way ? SINGULARITY : REACH);
 }
 
 static void reject_trial(Core *c) {

@@ -1,0 +1,41 @@
+"""How long the joints take for a change of the object's motion."""
+
+from __future__ import annotations
+
+from typing import final
+
+import numpy as np
+import pinocchio as pin
+
+from coopqp.model.cell import RobotCell
+from coopqp.model.chain import Chain
+from coopqp.model.grasp import Grasp
+from coopqp.planning.preview import PlanLimits, PreviewOptions
+from coopqp.spatial import Array
+
+#: Share of the accelerations that a change of the motion is planned with; the rest is for the curvature of the way.
+_SHARE = 0.4
+
+
+@final
+class Effort:
+    """Times in which the joints change the object's motion.
+
+    Args:
+        cell, grasp: what moves, and how it holds.
+        options: of the preview.
+        dt: nominal length of a step [s].
+    """
+
+    def __init__(self, cell: RobotCell, grasp: Grasp, options: PreviewOptions | None, *, dt: float) -> None:
+        self._cell, self._grasp = cell, grasp
+        self._chain: Chain | None = None
+        plan = PlanLimits.of(cell, options or PreviewOptions(), dt=dt)
+        self._acceleration = _SHARE * plan.acceleration
+
+    def at(self, q: Array, T_world_object: pin.SE3) -> Array:
+        """Seconds that each joint takes for a change by one unit (nv, 6) [s per m/s, s per rad/s], in world axes."""
+        chain = self._chain = self._chain or Chain(self._cell, self._grasp)
+        chain.linearise(q, about=T_world_object.translation)
+        times: Array = chain.joint_columns(np.eye(6)) / self._acceleration[:, None]
+        return times
