@@ -233,11 +233,6 @@ class PlainLoop:
         """Commanded configuration (nq,)."""
         return self.state.q
 
-    @property
-    def rate(self) -> float:
-        """σ of the last step."""
-        return self.state.rate
-
     # -- observe ---------------------------------------------------------------------------------------------------
 
     def observe(self, q_measured: Any, dt: Any) -> Observed:

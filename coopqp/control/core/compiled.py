@@ -191,11 +191,6 @@ class CompiledLoop:
         """Commanded configuration (nq,)."""
         return self.cell.configuration(self.at["positions"])
 
-    @property
-    def rate(self) -> float:
-        """σ of the last step."""
-        return self.at["loop"].item(_LOOP["RATE"])
-
     # -- what the core asks ----------------------------------------------------------------------------------------
 
     def _ask_path(self, clock: float, twist: int) -> bool:
