@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pickle
 from dataclasses import replace
 from typing import Any
 
@@ -380,6 +381,39 @@ def test_a_path_of_ones_own_takes_as_long_as_one_that_knows_its_geometry(time_la
     assert chain < UM
     with pytest.raises(InvalidInputError, match="cannot be written"):
         found.record()
+
+
+def test_a_path_of_ones_own_may_say_what_it_was_planned_with() -> None:
+    """Without the share the look-ahead keeps its own margins, and slows the same path down."""
+    scenario = limited(ring(arms=2))
+    planned = plan_of(scenario)
+    own, unsaid = OwnPath(planned), OwnPath(planned)
+    own.planned_share = planned.planned_share
+    assert {s.status for s in run(scenario, own, dt=0.01)[0]} == {Status.TRACKING}
+    assert Status.SLOWED in {s.status for s in run(scenario, unsaid, dt=0.01)[0]}
+    for bad in (2.0, 0.0, "much"):
+        own.planned_share = bad  # type: ignore[assignment]
+        with pytest.raises(InvalidInputError, match="planned_share"):
+            QPController(scenario.cell, scenario.grasp, own, dt=0.01)
+
+
+@pytest.mark.parametrize("kernel", available_kernels())
+def test_the_settings_of_a_planned_path_end_with_it(kernel: str) -> None:
+    scenario = limited(dual_arm7())
+    options = QPOptions(kernel=kernel, posture={"gain": 1.0})  # type: ignore[arg-type]
+    fresh = QPController(scenario.cell, scenario.grasp, scenario.path, dt=0.01, options=options)
+    used = QPController(scenario.cell, scenario.grasp, plan_of(scenario), dt=0.01, options=options)
+    used.reset(scenario.q_start)
+    used.follow(scenario.path)
+    for controller in (fresh, used):
+        controller.reset(scenario.q_start)
+    for _ in range(60):
+        a, b = fresh.step(), used.step()
+        np.testing.assert_array_equal(a.q_next, b.q_next)
+    copied = pickle.loads(pickle.dumps(used))
+    used.follow(plan_of(scenario))
+    copied.follow(plan_of(scenario))
+    np.testing.assert_array_equal(used.step().q_next, copied.step().q_next)
 
 
 # -- errors ----------------------------------------------------------------------------------------------------------
