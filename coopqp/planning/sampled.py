@@ -6,7 +6,6 @@ import itertools
 from typing import Any, final
 
 import numpy as np
-from scipy.interpolate import CubicSpline, PchipInterpolator
 
 from coopqp.errors import InvalidInputError
 from coopqp.spatial import Array
@@ -50,6 +49,8 @@ class ClockPiece(Piece):
     """
 
     def __init__(self, path: GuardedPath, start: float, end: float) -> None:
+        from scipy.interpolate import CubicSpline, PchipInterpolator
+
         self._path, self._start, self._end = path, start, end
         clocks = np.linspace(start, end, _MEASURED)
         V = self._world_twists(clocks)
