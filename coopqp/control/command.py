@@ -14,7 +14,7 @@ from coopqp.errors import InvalidInputError
 from coopqp.model.branches import AT_LIMIT, amount
 from coopqp.model.cell import RobotCell
 from coopqp.model.grasp import Grasp
-from coopqp.model.limits import BindingLimit
+from coopqp.model.limits import BindingLimit, LimitKind
 from coopqp.model.state import CellState
 from coopqp.spatial import Array
 from coopqp.task.guarded import GuardedPath
@@ -292,6 +292,15 @@ def _restored(values: dict[str, Any]) -> ControlStep:
 def amend(step: ControlStep, **values: Any) -> None:
     """Put words into a step that nobody has seen yet."""
     step._values.update(values)
+
+
+def brakes_for_target(step: ControlStep) -> None:
+    """Say that a target that moves slows the object down in this step, and no operator."""
+    if step.status in (Status.SLOWED, Status.PAUSED):
+        _set(step, "status", Status.SLOWED)
+        binding = tuple(b for b in step.binding if b.kind is not LimitKind.OVERRIDE)
+        reason = "; ".join(filter(None, (step.reason, "the object brakes before it goes over to its new target")))
+        amend(step, binding=binding, reason=reason)
 
 
 def read_step(record: bytes, context: StepReader, status: Status, rate: float) -> ControlStep:

@@ -18,7 +18,7 @@ import numpy as np
 import pinocchio as pin
 
 from coopqp.checks import as_options, as_scalar, require
-from coopqp.control.command import ControlStep, Status, amend, check_start
+from coopqp.control.command import ControlStep, Status, amend, brakes_for_target, check_start
 from coopqp.control.constraints import Constraints, listed
 from coopqp.control.core import make_loop
 from coopqp.control.effort import Effort
@@ -263,26 +263,32 @@ class QPController:
         self._find_fast_step()
 
     def _go_over(self) -> None:
-        """Take the way to the wanted target if its first step has the full rate, or where the object rests."""
+        """Take the way to the wanted target if the rate of its first step need not fall, or where the object rests.
+
+        The way begins at the full rate, or at the present one: then its twist is as much larger.
+        """
         loop, path, goal, paused = self._loop, self.path, self._wanted, self.paused
         assert isinstance(path, ServoPath)
         assert goal is not None
-        clock, full = loop.clock, 0.0 if paused else self._asked
-        rests = not self._started or not np.abs(loop.rate * path.twist(clock)).max() > AT_REST
+        if not self._started:
+            path.set_target(goal, clock=0.0, rate=0.0)
+            self._wanted = None
+            return
         loop.set_reins(self._asked, paused=paused)
-        if rests or full > 0.0:
-            way, memory = path.state(), loop.memory()
-            rate = 0.0 if rests else loop.rate / full
-            effort = self._effort.at(loop.q, path.pose(clock)) if self._started else None
-            path.set_target(goal, clock=clock, rate=rate, effort=effort)
-            if self._started:
-                loop.look_ahead_again(rate=0.0 if rests else full)
-            if rests or loop.rate_of_a_step() >= full - _ROUNDING:
-                self._wanted = None
-                return
-            path.restore(way)
-            loop.take_path()
-            loop.restore(memory)
+        clock, now, way, memory = loop.clock, loop.rate, path.state(), loop.memory()
+        effort = self._effort.at(loop.q, path.pose(clock))
+        rests = not np.abs(now * path.twist(clock)).max() > AT_REST
+        full = 0.0 if paused else self._asked
+        for rate in (0.0,) if rests else (full, min(now, full)):
+            if rests or rate > 0.0:
+                path.set_target(goal, clock=clock, rate=0.0 if rests else now / rate, effort=effort)
+                loop.look_ahead_again(rate=rate)
+                if rests or loop.rate_of_a_step() >= rate - _ROUNDING:
+                    self._wanted = None
+                    return
+                path.restore(way)
+                loop.take_path()
+                loop.restore(memory)
         loop.set_reins(0.0, paused=paused)  # not yet: brake on the present way
 
     # -- the step --------------------------------------------------------------------------------------------------
@@ -328,6 +334,8 @@ class QPController:
             step = self._loop.commit(self._loop.propose(self._loop.observe(q_measured, dt)), began)
         else:
             step = self._loop.careful_step(q_measured, dt)
+        if self._wanted is not None and not self.paused:
+            brakes_for_target(step)
         if self._outside:  # it started there: say so until it is mended
             off_path = step.status is Status.OFF_PATH or step.status in (Status.HOLDING, Status.FAULT)
             odd = self._odd(step.q, None if off_path else GuardedPath(self.path).pose(step.clock))
