@@ -353,6 +353,18 @@ def test_both_agree_on_eight_joints(random_q: Callable[..., Array]) -> None:
         run_in(mode, held(cell, random_q(cell, np.random.default_rng(6))), 80)
 
 
+@pytest.mark.core
+@pytest.mark.parametrize("joint", [4, 6, 9])
+def test_both_agree_while_redundant_arms_avoid_limits(joint: int) -> None:
+    task = dual_arm7(duration=1.0)
+    limits, x = task.cell.limits, task.q_start
+    lower, upper = limits.lower.copy(), limits.upper.copy()
+    lower[joint], upper[joint] = x[joint] - 0.05, x[joint] + 0.05
+    for acceleration in (5.0, np.inf):
+        cell = task.cell.with_limits(lower=lower, upper=upper, acceleration=acceleration)
+        run_in("nominal", dataclasses.replace(task, cell=cell), 400)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("robot", ["rx90l", "arm7"])
 @pytest.mark.parametrize("arms", [2, 5, 12, 16])
@@ -618,10 +630,13 @@ IN_PYTHON: dict[str, dict[str, str]] = {
     "planning.preview": {
         name: f"_{name}"
         for name in (
-            "STEPS_TO_FULL_SPEED", "PASSABLE", "LEAST_LEFT", "FINE_CELL", "BISECTIONS", "JUST_BEFORE", "STEPS_TO_GROW",
-            "NEWTON_STEPS_AT_START", "LONGEST_WAY", "MOST_TRIES", "STARTING_STEPS", "CONVERGED", "MOST_KNOTS",
+            "STEPS_TO_FULL_SPEED", "PASSABLE", "FINE_CELL", "BISECTIONS", "JUST_BEFORE", "STEPS_TO_GROW", "BEND_CHANGE",
+            "KNOTS_PER_PASS", "LEAST_RATE", "NEWTON_STEPS_AT_START", "LONGEST_WAY", "MOST_TRIES", "STARTING_STEPS",
+            "CONVERGED", "MOST_KNOTS",
         )
-    } | {"PREVIEW_ROUNDING": "_ROUNDING"},
+    },
+    "planning.redundancy": {name: name for name in ("LIMIT_MARGIN", "TURNING_WAY", "LEADS")},
+    "planning.sharing": {name: name for name in ("DOUBT", "STILL_SLOPE", "MOST_PIVOTS", "CROSSED")},
     "control.supervision": {
         name: f"_{name}"
         for name in (

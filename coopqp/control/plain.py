@@ -317,7 +317,10 @@ class PlainLoop:
         rest = self._guarded.duration - s.clock
         if rest < h * cap:
             cap = rest / h  # the last step ends at the end
-        span = min(h * max(min(cap, s.rate), LEAST_PACE), rest)
+        pace = min(cap, s.rate)
+        if self._preview is not None and self._preview.reaches_corner(s.clock, h * cap):
+            pace = cap  # the mean along the path has to see the corner
+        span = min(h * max(pace, LEAST_PACE), rest)
         along = np.zeros(6)
         if span > 1e-12 and not seen.lost:
             ahead = self._pose_ahead(s.clock + span)

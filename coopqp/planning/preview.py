@@ -3,12 +3,10 @@
 Under acceleration limits no single step can keep both the chain and the path at a limit: all arms have to brake
 together, ahead of it. The preview runs the chain's own inverse kinematics ahead of the clock, knot by knot, and
 stores the joints' derivatives with respect to the clock, ``q′ = A⁻¹ν`` and ``q″``. With rate σ the joints move at
-``q′σ`` and accelerate at ``q′σ̇ + q″σ²``, so each knot bounds ``z = σ²`` and its decrease per clock second:
-
-    z_cap = min(1, (η v_j / |q′_j|)², κ η a_j / |q″_j|),   D = min(0.9 σ̇_max, (η a_j − |q″_j| z_cap) / |q′_j|)
-
-and the rate at clock τ may be what still brakes to every bound ahead, ``S(τ) = min_b [z_b + 2∫_τ^b D]``. It is path
-timing on a rolling horizon: as long as the object needs to stop, and no longer.
+``q′σ`` and accelerate at ``q′σ̇ + q″σ²``. Speeds bound ``z = σ²`` at each knot. A backward pass over the knots finds K,
+the largest z from which the object can go on within the accelerations (see :mod:`coopqp.planning.sharing`), down to a
+stop at the end of what is known. The rate of a step keeps ``σ² ≤ K`` in its middle and at its end. It is path timing on
+a rolling horizon: as long as the object needs to stop, and no longer.
 """
 
 from __future__ import annotations
@@ -28,6 +26,8 @@ from coopqp.model.cell import RobotCell
 from coopqp.model.chain import Chain
 from coopqp.model.inverse_kinematics import newton
 from coopqp.model.limits import BindingLimit, LimitKind
+from coopqp.planning.redundancy import LimitAvoidance
+from coopqp.planning.sharing import Interval, Share, largest_alone, largest_square
 from coopqp.spatial import Array
 from coopqp.task.guarded import FASTEST_PATH, GuardedPath, pose_distance
 from coopqp.task.path import ObjectPath
@@ -44,7 +44,7 @@ class PreviewOptions:
         slope_step: largest change of a joint's slope between knots, as a share of the largest slope and of its speed.
         shortest: intervals between knots are not halved below this [s].
         margin: η, share of velocity and acceleration limits that is planned with where acceleration is limited.
-        curvature_share: κ, share of the acceleration that the path's curvature may take.
+        curvature_share: κ, share of a further constraint that bounds z and σ̇ at once, for z.
         rate_slope: σ̇_max, largest change of the rate [1/s], where acceleration is limited.
         singular_rate: a rate cap below this, while joint speeds still rise, ends the path there, unless they fall
             again before it is below 0.3 of this.
@@ -135,34 +135,38 @@ class _Knot(NamedTuple):
     clock: float
     q: Array
     slope: Array  # q′ (nv,)
-    curvature: Array  # q″ (nv,) since the knot before
-    cap: float  # z_b: largest σ² here
+    curvature: Array  # mean of q″ (nv,) since the knot before
+    span: float  # since the knot before [s]; 0 where there is none, or the knot is the same one again
+    cap: float  # largest σ² here, whatever is ahead
     uncapped: float  # bound of σ² that speed and curvature would make, whether speed makes the cap or not
-    decrease: float  # D since the knot before
-    cumulative: float  # C = 2 ∫ D up to here
     binding: BindingLimit | None  # what makes the cap
     fastest: float  # largest |q′|
     change: float  # largest change of a slope since the knot before, less the change that is always allowed
     inside: bool  # all joints are inside their position limits
-    rise: float = np.inf  # largest rise of σ by further constraints [1/s]
+    corner: bool = False  # q′ jumps here
+    fall: float = np.inf  # largest fall of σ by further constraints [1/s]
+    rise: float = np.inf  # largest rise of σ by them [1/s]
+    square: float = 0.0  # K: largest σ² here from which the object can go on
+    cause: BindingLimit | None = None  # what makes K
+    stops: bool = False  # it stops the object for good
 
 
 #: A joint without acceleration limit is planned to reach full speed in this many steps, and so is the rate.
 _STEPS_TO_FULL_SPEED = 22
 #: A singularity is passed where the rate's cap stays above this share of the one that ends the path.
 _PASSABLE = 0.3
-#: The path's curvature leaves at least this share of the acceleration to change the rate with.
-_LEAST_LEFT = 1e-3
 #: Intervals shorter than this are not halved for a change of slope [s].
 _FINE_CELL = 1e-3
 #: A slope that changes by more than this share within a short interval is of another branch.
 _OTHER_BRANCH = 0.5
-#: Refinements of the rate near a bound.
-_BISECTIONS = 6
+#: Intervals are halved where q″ changes by more than this share of the accelerations.
+_BEND_CHANGE = 0.3
+#: The backward pass runs once for so many knots.
+_KNOTS_PER_PASS = 4
+#: Halvings of the interval that the largest rate is in, and the smallest rate that is not 0.
+_BISECTIONS, _LEAST_RATE = 44, 1e-9
 #: The twist before a corner or the end is taken this much earlier [s].
 _JUST_BEFORE = 1e-10
-#: Rounding of squares of rates, which are differences of sums.
-_ROUNDING = 1e-12
 #: A knot is begun this many steps before it is needed.
 _STEPS_TO_GROW = 8
 #: Newton steps that a reset may take, that its first knot may take, and that every other knot may take.
@@ -173,10 +177,6 @@ _MOST_KNOTS, _LONGEST_WAY = 1024, 300
 _FOLLOWED = 1e-4
 #: Newton steps shorter than this are the last: the next would be of the square of it [rad or m].
 _CONVERGED = 1e-5
-_NOTHING = np.zeros(0)
-#: The end of the horizon stops the object, and nothing does.
-_HORIZON = _Knot(np.inf, _NOTHING, _NOTHING, _NOTHING, 0.0, 0.0, 0.0, 0.0, None, 0.0, 0.0, True)
-_OPEN = _HORIZON._replace(cap=np.inf)
 
 
 class PathPreview:
@@ -213,7 +213,7 @@ class PathPreview:
         n = chain.nv
         self._step, self._slope, self._errors = np.zeros(n), np.zeros(n), np.zeros((chain.n_arms, 6))
         self._low, self._high = limits.lower, limits.upper
-        self._cell, self._bound = chain.cell, bound
+        self._cell, self._bound, self._avoidance = chain.cell, bound, LimitAvoidance(chain)
         self.accelerates = bool(np.isfinite(limits.acceleration).any())
         plan = self._plan = PlanLimits.of(chain.cell, self.options, dt=dt)
         self._speed, self._acceleration = plan.speed, plan.acceleration
@@ -224,7 +224,8 @@ class PathPreview:
         self._begun, self._breakpoints = pin.neutral(chain.cell.model), list[float]()
         self._knots: deque[_Knot] = deque()
         self._way: list[_Knot] = []  # past a singularity, while it is looked for
-        self._bounds: deque[_Knot] = deque()  # candidates for min (z_b + C_b), increasing
+        self._known = 0  # first knots whose K is known for good
+        self._fresh = 0  # knots since the last backward pass
         self._complete = self.ends = self.blind = False
         self.trouble = self._trouble = ""
         self._forget()
@@ -240,7 +241,7 @@ class PathPreview:
     def reset(self, q: Array, clock: float) -> None:
         """Start at a configuration on (or near) the path, and look ahead as far as the first step needs."""
         self._knots.clear()
-        self._bounds.clear()
+        self._known = self._fresh = 0
         self._complete = self.ends = self.blind = False
         self._forget()
         self._begun, self._breakpoints = q, self._path.breakpoints()
@@ -275,16 +276,16 @@ class PathPreview:
     def memory(self) -> Any:
         """What a copy of this preview goes on from."""
         return (
-            list(self._knots), list(self._bounds), self._complete, self.ends, self.blind, self._free_until,
+            list(self._knots), self._known, self._fresh, self._complete, self.ends, self.blind, self._free_until,
             self._begin_at, self._beyond, self._beyond_at, self._begun, list(self._breakpoints),
             0 if self._growing is None else self._grown,
         )  # fmt: skip
 
     def restore(self, memory: Any) -> None:
         """Go on from what :meth:`memory` returned; growth that was under way is done again up to there."""
-        knots, bounds, self._complete, self.ends, self.blind, self._free_until, self._begin_at, *rest = memory
-        self._beyond, self._beyond_at, self._begun, self._breakpoints, grown = rest
-        self._knots, self._bounds, self._growing = deque(knots), deque(bounds), None
+        knots, self._known, self._fresh, self._complete, self.ends, self.blind, *rest = memory
+        self._free_until, self._begin_at, self._beyond, self._beyond_at, self._begun, self._breakpoints, grown = rest
+        self._knots, self._growing = deque(knots), None
         self._way.clear()
         begin_at = self._begin_at
         for _ in range(grown):
@@ -309,68 +310,61 @@ class PathPreview:
         self._extend(clock, dt, self.options.newton_steps)
         if not self._complete and not self._reaches(clock + _STEPS_TO_GROW * dt, dt):
             self._work_ahead()
-        here = self._knots[0]
         self.ends = False
-        while self._bounds and self._bounds[0].clock <= clock and (len(self._bounds) > 1 or self._bounds[0].cap > 0.0):
-            self._bounds.popleft()
-        ahead = self._knots[1] if len(self._knots) > 1 else here
-        D = ahead.decrease
-        C = here.cumulative + 2.0 * D * (clock - here.clock)
-        square, bound = self._square(C)
-        between = _between(here, ahead, clock)
-        step = D * dt
-        if between >= 1.0 and square >= 1.0 + 2.0 * step:  # −D dt + √((D dt)² + S) ≥ 1
-            if not self._bounds:
-                self._free_until = self._enough_until()
-                self._begin_at = self._free_until - _STEPS_TO_GROW * self._dt if self._free_until < np.inf else np.inf
+        least, _ = self._least(clock, 1.0, dt)
+        if least >= 1.0:
+            self._free_until = self._free(dt)
+            self._begin_at = self._free_until - _STEPS_TO_GROW * self._dt if self._free_until < np.inf else np.inf
             return 1.0, None
-        fall = 2.0 * D  # of S, per clock second
-        if between < square:
-            square, bound = between, here if here.cap < ahead.cap else ahead
-            fall = max(here.cap - ahead.cap, 0.0) / (ahead.clock - here.clock) if ahead.clock > here.clock else 0.0
-        self.ends = bound.cap == 0.0 and bound is not _HORIZON
-        # S falls while the object goes: σ² = S − fall σ dt while it goes on as it begins, or what there is on arrival.
-        half = 0.5 * fall * dt
-        root = math.sqrt(half * half + square)
-        rate = min(square / (half + root) if root > 0.0 else 0.0, 1.0)
-        fast = min(math.sqrt(square), 1.0)
-        fast = min(fast, math.sqrt(self._square_at(clock + fast * dt)))
-        return self._admissible_rate(clock, dt, rate, fast), bound.binding
+        rate = self._largest_rate(clock, dt, math.sqrt(least))
+        _, cause = self._least(clock, rate, dt)
+        self.ends = cause.stops
+        return rate, cause.cause
 
-    def _admissible_rate(self, clock: float, dt: float, rate: float, fast: float) -> float:
-        """The largest admissible rate near two candidates."""
-        low, high = min(rate, fast), max(rate, fast)
-        if self._admits(high, clock + high * dt):
-            return high
-        if not self._admits(low, clock + low * dt):
-            low, high = 0.0, low
-        # Near a stop the lower candidate may be 0 where much more is admissible.
-        for _ in range(_BISECTIONS if low < high else 0):
-            middle = 0.5 * (low + high)
-            if self._admits(middle, clock + middle * dt):
-                low = middle
+    def _largest_rate(self, clock: float, dt: float, guess: float) -> float:
+        """The largest rate below 1 that K admits for a step; 0 is always admissible."""
+        low, high, rate = 0.0, 1.0, guess
+        for _ in range(_BISECTIONS + 1):
+            if rate * rate <= self._least(clock, rate, dt)[0]:
+                low = rate
             else:
-                high = middle
-        return low
+                high = rate
+            rate = 0.5 * (low + high)
+        return low if low >= _LEAST_RATE else 0.0
 
-    def _square(self, cumulative: float) -> tuple[float, _Knot]:
-        """S where C has a value: the least of z_b + C_b ahead, less C, and the knot that makes it."""
-        last = self._knots[-1]
-        bound = self._bounds[0] if self._bounds else _OPEN
-        square = bound.cap + bound.cumulative - cumulative
-        if not self._complete and last.cumulative - cumulative < square:
-            return max(last.cumulative - cumulative, 0.0), _HORIZON
-        return max(square, 0.0), bound
-
-    def _enough_until(self) -> float:
-        """Clock until which the known horizon lets the object go on at full rate."""
+    def _least(self, clock: float, rate: float, dt: float) -> tuple[float, _Knot]:
+        """The least K of a step: in its middle, at its end, and at the knots on its way; and the knot that makes it."""
         knots = self._knots
-        if self._complete:
-            return np.inf
-        enough = knots[-1].cumulative - 1.0 - 2.0 * self._slope_cap * self._dt
-        latest = knots[-1].clock - 2.0 * self._dt
-        # The last knot up to which there is enough; a knot's decrease counts from the knot before it on.
-        return next((k.clock for k in reversed(knots) if k.cumulative < enough and k.clock <= latest), -np.inf)
+        i = self._knot_before(clock)
+        middle, end = clock + 0.5 * rate * dt, clock + rate * dt
+        least, cause = np.inf, knots[i]
+        for at in (middle, end):
+            while i + 1 < len(knots) and knots[i + 1].clock <= at:
+                i += 1
+                if knots[i].square < least:
+                    least, cause = knots[i].square, knots[i]
+            square, made_by = self._square_after(i, at)
+            if square < least:
+                least, cause = square, made_by
+        return least, cause
+
+    def _square_after(self, i: int, clock: float) -> tuple[float, _Knot]:
+        """K between knot ``i`` and the next one, and the knot that makes it."""
+        here = self._knots[i]
+        if i + 1 == len(self._knots):
+            return here.square, here
+        ahead = self._knots[i + 1]
+        share = (clock - here.clock) / (ahead.clock - here.clock)
+        return here.square + share * (ahead.square - here.square), ahead if ahead.square < here.square else here
+
+    def _free(self, dt: float) -> float:
+        """Clock until which the known horizon lets the object go on at full rate."""
+        clock = -np.inf
+        for knot in self._knots:
+            if knot.square < 1.0:
+                return clock - 2.0 * max(dt, self._dt)
+            clock = knot.clock
+        return np.inf if self._complete else clock - 2.0 * max(dt, self._dt)
 
     def _knot_before(self, clock: float) -> int:
         """Number of the last knot at or before ``clock``."""
@@ -379,29 +373,6 @@ class PathPreview:
         while i + 1 < len(knots) and knots[i + 1].clock <= clock:
             i += 1
         return i
-
-    def _square_at(self, clock: float) -> float:
-        """S at a clock ahead."""
-        knots, i = self._knots, self._knot_before(clock)
-        here = knots[i]
-        if i + 1 == len(knots):
-            return max(here.cap, 0.0) if self._complete else 0.0
-        ahead = knots[i + 1]
-        C = here.cumulative + 2.0 * ahead.decrease * (clock - here.clock)
-        square = _between(here, ahead, clock)
-        if not self._complete:
-            square = min(square, knots[-1].cumulative - C)
-        for bound in self._bounds:
-            if bound.clock > clock:
-                square = min(square, bound.cap + bound.cumulative - C)
-        return max(square, 0.0)
-
-    def _admits(self, rate: float, clock: float) -> bool:
-        """Whether the object may arrive at ``clock`` with ``rate``."""
-        square = rate * rate
-        return square <= self._square_at(clock) + _ROUNDING and all(
-            self._knots[m].cap + _ROUNDING >= square for m in range(1, self._knot_before(clock) + 1)
-        )
 
     def brake(self, clock: float, dt: float, rate: float) -> float:
         """D, the fastest fall of σ from ``rate`` with which the joints still follow the path [1/s]; it may be negative.
@@ -445,7 +416,7 @@ class PathPreview:
     # -- building ------------------------------------------------------------------------------------------------
 
     def _extend(self, clock: float, dt: float, newton_steps: int) -> None:
-        """Grow the horizon until the object could brake from full rate within it, or by that many Newton steps."""
+        """Grow the horizon until K is known for good where a step goes, or by that many Newton steps."""
         for _ in range(newton_steps):
             self._leave_behind(clock)
             if self._complete or self.blind or self._reaches(clock, dt):
@@ -455,11 +426,8 @@ class PathPreview:
                 return
 
     def _reaches(self, clock: float, dt: float) -> bool:
-        """Whether the object could brake from full rate at ``clock`` within the horizon."""
-        knots = self._knots
-        ahead = knots[min(self._knot_before(clock) + 1, len(knots) - 1)]
-        enough = 1.0 + 2.0 * self._slope_cap * dt  # what a step at full rate uses up is still there after it
-        return knots[-1].clock > clock + 2.0 * dt and knots[-1].cumulative - ahead.cumulative > enough
+        """Whether K is known for good where a step from ``clock`` on goes: the horizon's end does not make it."""
+        return self._known > 0 and self._knots[self._known - 1].clock > clock + 2.0 * dt
 
     def _work_ahead(self) -> bool:
         """One Newton step, so that no single control step has to make a whole knot; False where growth has to wait."""
@@ -486,6 +454,7 @@ class PathPreview:
         """Drop the knots that another follows before ``clock``."""
         while len(self._knots) > 1 and self._knots[1].clock <= clock:
             self._knots.popleft()
+            self._known = max(self._known - 1, 0)
 
     def _grow(self, last: _Knot) -> Iterator[None]:
         """Add a knot; pauses before every Newton step."""
@@ -496,10 +465,12 @@ class PathPreview:
         if self.blind:
             return
         if knot is None and self._half_way(last) < 2.0 * self.options.shortest:
-            self._push(last._replace(cap=0.0, binding=BindingLimit("", "", LimitKind.CONSTRAINT, self._beyond)))
+            self._push(
+                last._replace(cap=0.0, span=0.0, binding=BindingLimit("", "", LimitKind.CONSTRAINT, self._beyond))
+            )
             return
         if knot is None:
-            self._push(last._replace(cap=0.0, binding=self._why_no_further(last)))
+            self._push(last._replace(cap=0.0, span=0.0, binding=self._why_no_further(last)))
             return
         crossing = None if knot.inside else self._limit_crossing(last, knot)
         if crossing is not None:
@@ -510,7 +481,7 @@ class PathPreview:
             way = yield from self._past(knot)
             if not way:
                 # Where it is as bad already, the object stays: else it would creep on with every new path.
-                stop = last if last.uncapped < self.options.singular_rate**2 else knot
+                stop = last._replace(span=0.0) if last.uncapped < self.options.singular_rate**2 else knot
                 self._block(stop, self._singular_arm(knot), LimitKind.SINGULARITY)
                 return
         breakpoint_ = self._next_breakpoint(last.clock)
@@ -565,7 +536,8 @@ class PathPreview:
     def _try(self, last: _Knot, h: float) -> Generator[None, None, _Knot | None]:
         """The chain at ``last.clock + h``, or None if Newton's method or the joints' slopes do not follow."""
         clock, options = last.clock + h, self.options
-        q = self._cell.moved(last.q, (last.curvature * (0.5 * h) + last.slope) * h)
+        bend = 0.0 * last.curvature if last.corner else last.curvature
+        q = self._cell.moved(last.q, (bend * (0.5 * h) + last.slope) * h)
         for _ in range(_MOST_TRIES):
             yield
             if not self._newton_step(clock, q):
@@ -586,12 +558,24 @@ class PathPreview:
             return None  # numbers overflow
         if h > options.shortest and not h * knot.fastest <= 1.5 * options.joint_step:
             return None
-        most = options.slope_step if h > _FINE_CELL else _OTHER_BRANCH
-        if h > options.shortest and not knot.change <= most * knot.fastest:
+        fine = h <= _FINE_CELL
+        if h > options.shortest and not knot.change <= (_OTHER_BRANCH if fine else options.slope_step) * knot.fastest:
             return None
-        return self._constrained(knot, last)
+        if not fine and not self._bends_slowly(knot, last):
+            return None
+        return self._constrained(knot)
 
-    def _constrained(self, knot: _Knot, last: _Knot) -> _Knot | None:
+    def _bends_slowly(self, knot: _Knot, last: _Knot) -> bool:
+        """Whether q″ has changed by a small share of the accelerations since the interval before."""
+        if last.span == 0.0 or last.corner:
+            return True
+        change = float((np.abs(knot.curvature - last.curvature) / self._acceleration).max())
+        if change <= _BEND_CHANGE:
+            return True  # at any rate
+        z = largest_alone(knot.slope, knot.curvature, self._acceleration, self._slope_cap, knot.cap)
+        return change * z <= _BEND_CHANGE
+
+    def _constrained(self, knot: _Knot) -> _Knot | None:
         """A knot under the further constraints; None where they allow no rate."""
         if self._bound is None:
             return knot
@@ -601,9 +585,11 @@ class PathPreview:
             return None
         if room.cap < knot.cap:
             knot = knot._replace(cap=room.cap, binding=BindingLimit("", "", LimitKind.CONSTRAINT, room.name))
-        decrease = min(room.decrease, knot.decrease)
-        cumulative = last.cumulative + 2.0 * decrease * (knot.clock - last.clock)
-        return knot._replace(decrease=decrease, cumulative=cumulative, rise=room.rise)
+        return knot._replace(fall=room.decrease, rise=room.rise)
+
+    def reaches_corner(self, clock: float, way: float) -> bool:
+        """Whether the twist jumps within ``way`` [s] of the clock, or the path ends."""
+        return self._next_breakpoint(clock) <= clock + way
 
     def rise(self, clock: float) -> float:
         """Largest rise of σ near a clock by further constraints [1/s]."""
@@ -638,38 +624,31 @@ class PathPreview:
         chain.joint_velocities(np.broadcast_to(along, (chain.n_arms, 6)), slope)
         if chain.redundancy:
             slope += chain.null_part(self._posture.velocity(q))
+            self._avoidance.lead_away(self._cell.positions(q), slope)
         return bool(step @ step + slope @ slope < np.inf)
 
     def _knot_at(self, clock: float, q: Array, last: _Knot | None) -> _Knot:
         """Bounds at a configuration on the path, from the slopes there (of the last Newton step) and those before."""
         slope = self._slope.copy()
         before, span = (slope, 1.0) if last is None else (last.slope, clock - last.clock)
-        speed, curvature = np.maximum(np.abs(slope), np.abs(before)), (slope - before) / span
+        speed, curvature = np.abs(slope), (slope - before) / span
         bend = np.abs(curvature)
         # How often each joint's limit is used up at full rate: z may be 1 over the square, or over the curvature's.
         use_speed, use_bend = speed / self._speed, bend / (self.options.curvature_share * self._acceleration)
-        j_speed, j_bend = int(use_speed.argmax()), int(use_bend.argmax())
-        by_speed, by_bend = float(use_speed[j_speed]) ** 2, float(use_bend[j_bend])
+        j_speed = int(use_speed.argmax())
+        by_speed, by_bend = float(use_speed[j_speed]) ** 2, float(use_bend.max())
         # Without acceleration limits the step itself finds the cap by speed.
-        cap = 1.0 / max(by_speed if self.accelerates else 0.0, by_bend, 1.0)
-        binding = None
-        if cap < 1.0 and self.accelerates and by_speed >= by_bend:
-            binding = self._joint_limit(j_speed, LimitKind.VELOCITY)
-        elif cap < 1.0:
-            binding = self._joint_limit(j_bend, LimitKind.ACCELERATION)
-        left = np.maximum(self._acceleration - bend * cap, _LEAST_LEFT * self._acceleration)
-        tightest = float((speed / left).max())
-        decrease = min(self._slope_cap, 1.0 / tightest) if tightest > 0.0 else self._slope_cap
+        cap = 1.0 / max(by_speed if self.accelerates else 0.0, 1.0)
+        binding = self._joint_limit(j_speed, LimitKind.VELOCITY) if cap < 1.0 else None
         x = self._cell.positions(q)
         return _Knot(
             clock=clock,
             q=q,
             slope=slope,
             curvature=curvature,
+            span=0.0 if last is None else span,
             cap=cap,
             uncapped=1.0 / max(by_speed, by_bend, 1.0),
-            decrease=decrease,
-            cumulative=0.0 if last is None else last.cumulative + 2.0 * decrease * span,
             binding=binding,
             fastest=float(np.abs(slope).max()),
             change=float((bend * span - self._slope_change).max()),
@@ -681,8 +660,9 @@ class PathPreview:
         if self.accelerates:
             end = self._jump_cap(np.zeros_like(last.slope), last.slope)
             if end < last.cap:
-                self._push(last._replace(cap=end, binding=BindingLimit("", "", LimitKind.PATH_END)))
+                self._push(last._replace(cap=end, span=0.0, binding=BindingLimit("", "", LimitKind.PATH_END)))
         self._complete = True
+        self._look_back()
 
     def _corner(self, knot: _Knot) -> _Knot:
         """A knot where the twist jumps: slopes after it, and the rate at which the joints can take the jump."""
@@ -690,12 +670,16 @@ class PathPreview:
         after = self._slope.copy() if moves else np.zeros_like(knot.slope)
         cap, binding = knot.cap, knot.binding
         if self.accelerates:
+            use_speed = np.abs(after) / self._speed
+            by_speed = 1.0 / max(float(use_speed.max()) ** 2, 1.0)
+            if by_speed < cap:
+                cap, binding = by_speed, self._joint_limit(int(use_speed.argmax()), LimitKind.VELOCITY)
             jump = self._jump_cap(after, knot.slope)
             if jump < cap:
                 j = int((np.abs(after - knot.slope) / self._jump).argmax())
                 cap, binding = jump, self._joint_limit(j, LimitKind.ACCELERATION)
         fastest = float(np.abs(after).max())
-        return knot._replace(slope=after, cap=cap, binding=binding, curvature=np.zeros_like(after), fastest=fastest)
+        return knot._replace(slope=after, cap=cap, binding=binding, corner=True, fastest=fastest)
 
     def _jump_cap(self, after: Array, before: Array) -> float:
         """Largest σ² at which every joint can change its slope within one step."""
@@ -719,7 +703,7 @@ class PathPreview:
         first = int(shares.argmin())
         j = int(crossed[first])
         at = self._knot_where(last, knot, j, float(limit[first]))
-        return at._replace(cap=0.0, binding=self._joint_limit(j, LimitKind.POSITION))
+        return at._replace(cap=0.0, span=at.clock - last.clock, binding=self._joint_limit(j, LimitKind.POSITION))
 
     def _knot_where(self, last: _Knot, beyond: _Knot, j: int, position: float) -> _Knot:
         """The knot at which joint ``j`` is at ``position``, between two knots: regula falsi on the chain itself."""
@@ -770,20 +754,68 @@ class PathPreview:
 
     def _push(self, knot: _Knot) -> None:
         self._knots.append(knot)
+        self._fresh += 1
         if knot.cap == 0.0:
             self._complete = True  # nothing comes after a stop
-        if knot.cap >= 1.0:
-            return  # no bound: the rate is never above 1
-        key = knot.cap + knot.cumulative
-        while self._bounds and self._bounds[-1].cap + self._bounds[-1].cumulative >= key:
-            self._bounds.pop()
-        self._bounds.append(knot)
+        if self._complete or self._fresh >= _KNOTS_PER_PASS:
+            self._look_back()
 
+    # -- sharing the accelerations -------------------------------------------------------------------------------
 
-def _between(here: _Knot, ahead: _Knot, clock: float) -> float:
-    """z_cap between two knots. Without it the rate would rise after each knot, and fall again before the next."""
-    span = ahead.clock - here.clock
-    return ahead.cap + (here.cap - ahead.cap) * (ahead.clock - clock) / span if span > 0.0 else here.cap
+    def _look_back(self) -> None:
+        """Find K from the last knot back to the first one whose K is known for good.
+
+        Where more knots may come the object rests at the last knot but one: q″ is not known at the last.
+        """
+        self._fresh = 0
+        knots = self._knots
+        end = len(knots) - (1 if self._complete else 2)
+        if end < 0:
+            return
+        last, settled = knots[end], 0
+        if self._complete:
+            knots[end] = last._replace(square=last.cap, cause=last.binding, stops=last.cap == 0.0)
+            settled = len(knots)
+        for i in range(end - 1, self._known - 1, -1):
+            here, ahead = knots[i], knots[i + 1]
+            share = self._share(i)
+            for_good = not share.ahead
+            if for_good and not settled:
+                settled = i + 1
+            if share.ahead and (ahead.square < 1.0 or share.joint < 0):
+                cause, stops = ahead.cause, ahead.stops
+            elif share.joint >= 0:
+                cause, stops = self._joint_limit(share.joint, LimitKind.ACCELERATION), False
+            else:
+                cause, stops = here.binding, here.cap == 0.0
+            knots[i] = here._replace(square=share.square, cause=cause, stops=stops)
+        self._known = max(settled, self._known)
+
+    def _share(self, i: int) -> Share:
+        """K at knot ``i`` from that at the next one."""
+        here, ahead = self._knots[i], self._knots[i + 1]
+        if ahead.span == 0.0:  # the same knot again
+            by_ahead = ahead.square < here.cap
+            return Share(min(ahead.square, here.cap), by_ahead, -1)
+        chord, span = ahead.curvature, ahead.span
+        bend = bend_ahead = chord
+        if here.span > 0.0 and not here.corner:
+            bend = (here.curvature * span + chord * here.span) / (here.span + span)
+        if i + 2 < len(self._knots) and not ahead.corner:
+            beyond = self._knots[i + 2]
+            if beyond.span > 0.0:
+                bend_ahead = (chord * beyond.span + beyond.curvature * span) / (span + beyond.span)
+        interval = Interval(
+            span,
+            here.slope,
+            here.slope + chord * span,
+            chord,
+            bend,
+            bend_ahead,
+            min(self._slope_cap, here.fall, ahead.fall),
+            min(self._slope_cap, here.rise, ahead.rise),
+        )
+        return largest_square(interval, self._acceleration, here.cap, ahead.square)
 
 
 def _whole(pieces: Generator[None, None, _Knot | None]) -> _Knot | None:

@@ -236,8 +236,7 @@ class CompiledLoop:
             numbers[_KNOT["K_CAP"]] = found.cap
             numbers[_KNOT["K_KIND"]], numbers[_KNOT["K_ARM"]] = layout.KINDS.index("CONSTRAINT"), -1
             numbers[_KNOT["K_JOINT"]] = found.which
-        numbers[_KNOT["K_DECREASE"]] = min(numbers[_KNOT["K_DECREASE"]], found.decrease)
-        numbers[_KNOT["K_RISE"]] = found.rise
+        numbers[_KNOT["K_FALL"]], numbers[_KNOT["K_RISE"]] = found.decrease, found.rise
         return True
 
     # -- the step, where Python takes part ---------------------------------------------------------------------------

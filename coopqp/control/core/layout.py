@@ -34,12 +34,19 @@ CONSTANTS: dict[str, float] = {
     # preview
     "STEPS_TO_FULL_SPEED": 22,  # steps in which a joint without acceleration limit is planned to reach full speed
     "PASSABLE": 0.3,  # a singularity is passed where the rate's cap stays above this share of singular_rate
-    "LEAST_LEFT": 1e-3,  # the path's curvature leaves at least this share of the acceleration for the rate
     "FINE_CELL": 1e-3,  # intervals shorter than this are not halved for a change of slope [s]
     "OTHER_BRANCH": 0.5,  # a slope that changes by more than this share within a fine interval is of another branch
-    "BISECTIONS": 6,  # refinements of the rate near a bound
+    "BEND_CHANGE": 0.3,  # intervals are halved where q″ changes by more than this share of the accelerations
+    "DOUBT": 0.3,  # share of the differences of q″ that stands for what the path does between knots
+    "CROSSED": 1e-13,  # the lower bound of σ̇ is above the upper one by more than rounding
+    "MOST_PIVOTS": 50,  # Newton steps of one program of two variables
+    "KNOTS_PER_PASS": 4,  # the backward pass runs once for so many knots
+    "LIMIT_MARGIN": 0.003,  # self-motion keeps joints this far inside their limits [rad or m]
+    "TURNING_WAY": 0.02,  # within this way before they turn away [rad or m]
+    "LEADS": 1e-4,  # a joint that its arm's self-motion moves by a smaller share cannot be led away
+    "BISECTIONS": 44,  # halvings of the interval that the largest rate is in
+    "LEAST_RATE": 1e-9,  # a smaller rate is 0
     "JUST_BEFORE": 1e-10,  # the twist before a corner is taken this much earlier [s]
-    "PREVIEW_ROUNDING": 1e-12,  # rounding of squares of rates, which are differences of sums
     "STEPS_TO_GROW": 8,  # a knot is begun this many steps before it is needed
     "NEWTON_STEPS_AT_START": 1000,  # Newton steps that a reset may take
     "LONGEST_WAY": 300,  # knots of a way past a singularity
@@ -104,13 +111,13 @@ WATCH = (
     "REST", "HAS_COMMANDED", "BEHIND", "GAP", "PULL",
 )  # fmt: skip
 AHEAD = (
-    "HEAD", "COUNT", "BOUND_HEAD", "BOUND_COUNT", "COMPLETE", "ENDS", "FREE_UNTIL", "BEGIN_AT",
+    "HEAD", "COUNT", "KNOWN", "FRESH", "COMPLETE", "ENDS", "FREE_UNTIL", "BEGIN_AT",
     "GROWING", "TRY_SPAN", "ITERATION", "WAY", "BEYOND", "BEYOND_AT",
 )  # fmt: skip
 #: Numbers of a knot beside its vectors.
 KNOT = (
-    "K_CLOCK", "K_CAP", "K_UNCAPPED", "K_CUMULATIVE", "K_DECREASE", "K_FASTEST", "K_CHANGE", "K_INSIDE",
-    "K_RISE", "K_KIND", "K_ARM", "K_JOINT",
+    "K_CLOCK", "K_SPAN", "K_CAP", "K_UNCAPPED", "K_FASTEST", "K_CHANGE", "K_INSIDE", "K_CORNER", "K_FALL", "K_RISE",
+    "K_KIND", "K_ARM", "K_JOINT", "K_SQUARE", "K_CAUSE_KIND", "K_CAUSE_ARM", "K_CAUSE_JOINT", "K_STOPS",
 )  # fmt: skip
 #: What a step proposes. REASON comes with an arm (or an index) and two numbers.
 PROPOSAL = (
@@ -161,7 +168,7 @@ STATE = (
     ("deflection", "nv"), ("way", "nv"), ("commanded", "nv"), ("forces", "n"),
     ("ahead", str(len(AHEAD))),
     ("knots", f"{len(KNOT)} * knots"), ("knot_positions", "nv * knots"), ("knot_slope", "nv * knots"),
-    ("knot_curvature", "nv * knots"), ("bounds", "knots"),
+    ("knot_curvature", "nv * knots"),
 )  # fmt: skip
 WORK = (
     ("proposal", str(len(PROPOSAL))), ("near_x", "nv"), ("near_sin", "nv"), ("near_cos", "nv"), ("carried", "12 * n"),
@@ -174,6 +181,7 @@ WORK = (
     ("further_upper", "rows"), ("further_soft", "rows"), ("further_owner", "rows"), ("base", "nv + rows"),
     ("columns", "(nv + rows) * unknowns"), ("x", "unknowns + nv + rows"), ("bindings", "4 * (nv + rows)"),
     ("record", f"{len(RECORD)} + 2 * nq + nv + 6 + 4 * (nv + rows)"), ("sketch", "24 * n + 9 * nv"),
+    ("lines", "3 * (8 * nv + 4)"),
     ("scratch", "scratch"),
 )  # fmt: skip
 

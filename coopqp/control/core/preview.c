@@ -10,9 +10,6 @@
 /* What one Newton step makes of the knot that is tried. CANNOT_SAY: a user's path, or a further constraint, fails. */
 typedef enum { PENDING, REJECTED, FOUND, CANNOT_SAY } Trial;
 
-/* In place of a ring place: what bounds the rate is the end of what is known, or nothing. */
-enum { HORIZON = -1, NO_BOUND = -2 };
-
 /* -- memory -------------------------------------------------------------------------------------------------------- */
 
 typedef struct {
@@ -67,31 +64,152 @@ static double largest_size(const double *x, int n) {
     return largest;
 }
 
-/* -- candidates for the least z_b + C_b: a queue of places, their sums increasing ---------------------------------- */
+/* -- sharing the accelerations: coopqp/planning/sharing.py defines it ----------------------------------------------- */
 
-static double *bound_slot(const Core *c, int i) { return c->bounds + (count_ahead(c, BOUND_HEAD) + i) % MOST_KNOTS; }
+/* Lines α u + β z ≤ γ, as bounds (γ − β z)/α of u: upper ones from the front of the tables, lower ones from their back. */
+typedef struct {
+    double *share, *slope, *row;
+    int ups, downs, room, still;
+    double square;
+} Lines;
 
-static double *bound_at(const Core *c, int i) { return knot_in(c, (int)*bound_slot(c, i)); }
-
-static void drop_first_bound(Core *c) {
-    c->ahead[BOUND_HEAD] = (count_ahead(c, BOUND_HEAD) + 1) % MOST_KNOTS;
-    c->ahead[BOUND_COUNT] -= 1.0;
+static void add_line(Lines *l, double alpha, double beta, double gamma, int row) {
+    if (fabs(alpha) <= STILL_SLOPE) { /* a bound of z alone */
+        if (beta > 0.0 && gamma / beta < l->square) l->square = gamma / beta, l->still = row;
+        return;
+    }
+    const int at = alpha > 0.0 ? l->ups++ : l->room - ++l->downs;
+    l->share[at] = gamma / alpha;
+    l->slope[at] = beta / alpha;
+    l->row[at] = row;
 }
 
-/* Bounds that the clock has passed; the last stop stays. */
-static void drop_bounds(Core *c, double clock) {
-    const double *count = c->ahead + BOUND_COUNT;
-    while (*count > 0.0 && bound_at(c, 0)[K_CLOCK] <= clock && (*count > 1.0 || bound_at(c, 0)[K_CAP] > 0.0))
-        drop_first_bound(c);
+static Lines lines_of(const Core *c, double cap) {
+    const int room = 8 * c->joints + 4;
+    return (Lines){c->lines, c->lines + room, c->lines + 2 * room, 0, 0, room, -1, cap};
 }
 
-static void add_bound(Core *c, int place) {
-    const double *k = knot_in(c, place);
-    const double key = k[K_CAP] + k[K_CUMULATIVE];
-    int count = count_ahead(c, BOUND_COUNT);
-    while (count > 0 && bound_at(c, count - 1)[K_CAP] + bound_at(c, count - 1)[K_CUMULATIVE] >= key) count--;
-    *bound_slot(c, count) = place;
-    c->ahead[BOUND_COUNT] = count + 1;
+/* Largest z that some u allows: where the largest lower bound of u meets the least upper one, by Newton's method from
+ * above. Rows of the pair that makes it; −1 if none does. */
+static double largest_z(const Lines *l, int *high_row, int *low_row) {
+    double z = l->square;
+    *high_row = l->still, *low_row = -1;
+    for (int pivot = 0; pivot < MOST_PIVOTS; pivot++) {
+        int i = 0, j = l->room - l->downs;
+        double high = INFINITY, low = -INFINITY;
+        for (int k = 0; k < l->ups; k++) {
+            const double bound = l->share[k] - l->slope[k] * z;
+            if (bound < high) high = bound, i = k;
+        }
+        for (int k = l->room - 1; k >= l->room - l->downs; k--) {
+            const double bound = l->share[k] - l->slope[k] * z;
+            if (bound > low) low = bound, j = k;
+        }
+        const double over = low - high;
+        if (!(over > CROSSED * (1.0 + fabs(low))) || z <= 0.0) break;
+        z = fmax(z - over / (l->slope[i] - l->slope[j]), 0.0);
+        *high_row = (int)l->row[i], *low_row = (int)l->row[j];
+    }
+    return z;
+}
+
+/* Largest z ≤ cap that some |u| ≤ SLOPE_CAP allows at knot i alone. */
+static double largest_alone(const Core *c, int i) {
+    const double *slope = vector_of(c, c->knot_slope, i), *bend = vector_of(c, c->knot_curvature, i);
+    Lines l = lines_of(c, knot(c, i)[K_CAP]);
+    int high, low;
+    for (int j = 0; j < c->joints; j++) add_line(&l, slope[j], bend[j], c->plan_acceleration[j], j);
+    for (int j = 0; j < c->joints; j++) add_line(&l, -slope[j], -bend[j], c->plan_acceleration[j], j);
+    add_line(&l, 1.0, 0.0, c->options[SLOPE_CAP], c->joints);
+    add_line(&l, -1.0, 0.0, c->options[SLOPE_CAP], c->joints);
+    return largest_z(&l, &high, &low);
+}
+
+/* Whether q″ has changed by a small share of the accelerations between the intervals before two knots. */
+static int bends_slowly(const Core *c, int last, int made) {
+    const double *k = knot(c, last);
+    if (k[K_SPAN] == 0.0 || k[K_CORNER] != 0.0) return 1;
+    const double *bend = vector_of(c, c->knot_curvature, made), *before = vector_of(c, c->knot_curvature, last);
+    double change = 0.0;
+    for (int j = 0; j < c->joints; j++) change = fmax(change, fabs(bend[j] - before[j]) / c->plan_acceleration[j]);
+    return change <= BEND_CHANGE || change * largest_alone(c, made) <= BEND_CHANGE;
+}
+
+/* Largest z at knot i from which that at the next knot can be in [0, K there]. */
+static double largest_square(const Core *c, int i, int *high_row, int *low_row) {
+    const double *here = knot(c, i), *ahead = knot(c, i + 1);
+    const double *slope = vector_of(c, c->knot_slope, i), *chord = vector_of(c, c->knot_curvature, i + 1);
+    const double *before = vector_of(c, c->knot_curvature, i), *after = chord, *a = c->plan_acceleration;
+    const double span = ahead[K_SPAN], two = 2.0 * span, most = c->options[SLOPE_CAP];
+    double span_before = 0.0, span_after = 0.0;
+    Lines l = lines_of(c, here[K_CAP]);
+    if (here[K_SPAN] > 0.0 && here[K_CORNER] == 0.0) span_before = here[K_SPAN];
+    if (i + 2 < count_ahead(c, COUNT) && ahead[K_CORNER] == 0.0) {
+        after = vector_of(c, c->knot_curvature, i + 2);
+        span_after = knot(c, i + 2)[K_SPAN];
+    }
+    for (int j = 0; j < c->joints; j++) {
+        const double C = chord[j], arrival = slope[j] + C * span;
+        const double b = span_before > 0.0 ? (before[j] * span + C * span_before) / (span_before + span) : C;
+        const double d = span_after > 0.0 ? (C * span_after + after[j] * span) / (span + span_after) : C;
+        const double doubt = DOUBT * (fabs(b - C) + fabs(d - C));
+        add_line(&l, slope[j], doubt + b, a[j], j);
+        add_line(&l, -slope[j], doubt - b, a[j], j);
+        add_line(&l, slope[j], doubt + C, a[j], j);
+        add_line(&l, -slope[j], doubt - C, a[j], j);
+        add_line(&l, two * (doubt + d) + arrival, doubt + d, a[j], j);
+        add_line(&l, two * (doubt - d) - arrival, doubt - d, a[j], j);
+        add_line(&l, two * (doubt + C) + arrival, doubt + C, a[j], j);
+        add_line(&l, two * (doubt - C) - arrival, doubt - C, a[j], j);
+    }
+    add_line(&l, 1.0, 0.0, fmin(most, fmin(here[K_RISE], ahead[K_RISE])), c->joints);
+    add_line(&l, -1.0, 0.0, fmin(most, fmin(here[K_FALL], ahead[K_FALL])), c->joints);
+    add_line(&l, -two, -1.0, 0.0, c->joints);
+    add_line(&l, two, 1.0, ahead[K_SQUARE], c->joints + 1);
+    return largest_z(&l, high_row, low_row);
+}
+
+/* K at knot i from that at the next one, and what makes it; 1 if that is K ahead. */
+static int share_at(Core *c, int i) {
+    double *here = knot(c, i);
+    const double *ahead = knot(c, i + 1);
+    int high = -1, low = -1, by_ahead, joint = -1;
+    if (ahead[K_SPAN] == 0.0) { /* the same knot again */
+        by_ahead = ahead[K_SQUARE] < here[K_CAP];
+        here[K_SQUARE] = fmin(ahead[K_SQUARE], here[K_CAP]);
+    } else {
+        here[K_SQUARE] = largest_square(c, i, &high, &low);
+        by_ahead = high == c->joints + 1;
+        if (high >= 0 && high < c->joints)
+            joint = high;
+        else if (low >= 0 && low < c->joints)
+            joint = low;
+    }
+    if (by_ahead && (ahead[K_SQUARE] < 1.0 || joint < 0))
+        memcpy(here + K_CAUSE_KIND, ahead + K_CAUSE_KIND, 4 * sizeof(double));
+    else if (joint >= 0)
+        name_cause(here + K_CAUSE_KIND, ACCELERATION, arm_of(c, joint), joint), here[K_STOPS] = 0.0;
+    else
+        memcpy(here + K_CAUSE_KIND, here + K_KIND, 3 * sizeof(double)), here[K_STOPS] = here[K_CAP] == 0.0;
+    return by_ahead;
+}
+
+/* Find K from the last knot back to the first one whose K is known for good. Where more knots may come the object rests
+ * at the last knot but one: q″ is not known at the last. */
+static void look_back(Core *c) {
+    const int count = count_ahead(c, COUNT), complete = c->ahead[COMPLETE] != 0.0, end = count - (complete ? 1 : 2);
+    int settled = complete ? count : 0;
+    c->ahead[FRESH] = 0.0;
+    if (end < 0) return;
+    if (complete) {
+        double *last = knot(c, end);
+        last[K_SQUARE] = last[K_CAP];
+        memcpy(last + K_CAUSE_KIND, last + K_KIND, 3 * sizeof(double));
+        last[K_STOPS] = last[K_CAP] == 0.0;
+    }
+    for (int i = end - 1; i >= count_ahead(c, KNOWN); i--)
+        if (!share_at(c, i) && !settled) settled = i + 1;
+    c->ahead[KNOWN] = fmax(c->ahead[KNOWN], settled);
 }
 
 /* -- the chain at one clock ---------------------------------------------------------------------------------------- */
@@ -102,6 +220,50 @@ static void twists_back(const Core *c, const double *R, const double *errors, do
         const double e[3] = {-errors[3 * i], -errors[3 * i + 1], -errors[3 * i + 2]};
         rotate(R, e, w + 3 * i);
     }
+}
+
+/* Self-motion of arm k that moves its joint `j`, (n,); 0 if the arm is singular. */
+static int self_motion(const Core *c, int k, const double *jacobian, int j, double *way) {
+    static const double still[MOST_JOINTS];
+    const int start = (int)c->arm_start[k], n = (int)c->arm_size[k];
+    double push[MOST_JOINTS] = {0}, other[MOST_JOINTS];
+    const double *JT = jacobian + 6 * start, *scale = c->scale + start;
+    push[j] = 1.0;
+    return arm_velocities(JT, scale, n, still, still, push, still, way, other) ||
+           far_velocities(JT, scale, n, still, still, push, still, way, other);
+}
+
+/* Lead the joints of redundant arm k away from their limits by its self-motion: coopqp/planning/redundancy.py. */
+static void lead_away(const Core *c, int k, const double *jacobian, const double *positions, double *slope) {
+    const int start = (int)c->arm_start[k], n = (int)c->arm_size[k];
+    double up[MOST_JOINTS], down[MOST_JOINTS], beyond[MOST_JOINTS], way[MOST_JOINTS], largest = 0.0;
+    for (int j = 0; j < n; j++) largest = fmax(largest, fabs(slope[start + j]) / c->scale[start + j]);
+    largest /= TURNING_WAY;
+    if (!(largest > 0.0)) return;
+    for (int j = 0; j < n; j++) {
+        const double x = positions[start + j], scale = c->scale[start + j], own = slope[start + j];
+        up[j] = largest * scale * (c->high[start + j] - LIMIT_MARGIN - x);
+        down[j] = largest * scale * (c->low[start + j] + LIMIT_MARGIN - x);
+        beyond[j] = fmax(own - up[j], down[j] - own) / scale;
+    }
+    int worst = 0, found = 0;
+    for (int tries = 0; tries < n && !found; tries++) {
+        worst = 0;
+        for (int j = 1; j < n; j++)
+            if (beyond[j] > beyond[worst]) worst = j;
+        if (!(beyond[worst] > 0.0)) return;
+        found = self_motion(c, k, jacobian, worst, way) && way[worst] > LEADS;
+        beyond[worst] = -INFINITY;
+    }
+    if (!found) return;
+    double low = -INFINITY, high = INFINITY;
+    for (int j = 0; j < n; j++) {
+        if (!(fabs(way[j]) > LEADS * way[worst])) continue;
+        const double own = slope[start + j], a = (down[j] - own) / way[j], b = (up[j] - own) / way[j];
+        low = fmax(low, fmin(a, b)), high = fmin(high, fmax(a, b));
+    }
+    const double z = low > high ? 0.5 * (low + high) : fmin(fmax(0.0, low), high);
+    for (int j = 0; j < n; j++) slope[start + j] += z * way[j];
 }
 
 /* Newton's step from `positions` to the pose at `clock`, and q′ there; where the twist jumps, that before it. */
@@ -117,6 +279,8 @@ static Trial newton_step(Core *c, double clock, double before, const double *pos
     rotate(R, twist + 3, along + 3);
     if (c->redundant) posture_velocity(c, positions, s.wish);
     if (!two_velocities(c, s.jacobian, s.w, along, NULL, c->redundant ? s.wish : NULL, step, slope)) return REJECTED;
+    for (int k = 0; c->redundant && k < c->arms; k++)
+        if (c->arm_size[k] > 6.0) lead_away(c, k, s.jacobian, positions, slope);
     for (int j = 0; j < c->joints; j++) size += step[j] * step[j] + slope[j] * slope[j];
     return size < INFINITY ? FOUND : REJECTED;
 }
@@ -126,41 +290,35 @@ static int bound_by_limits(Core *c, int before, int i, double clock, double span
     const double *slope = vector_of(c, c->knot_slope, i), *x = vector_of(c, c->knot_positions, i), *o = c->options;
     const double *then = before < 0 ? slope : vector_of(c, c->knot_slope, before);
     double *k = knot(c, i), *curvature = vector_of(c, c->knot_curvature, i);
-    double fastest = 0.0, change = -INFINITY, by_speed = 0.0, by_bend = 0.0, tightest = 0.0;
-    int j_speed = 0, j_bend = 0, inside = 1;
+    double fastest = 0.0, change = -INFINITY, by_speed = 0.0, by_bend = 0.0;
+    int j_speed = 0, inside = 1;
     for (int j = 0; j < c->joints; j++) {
         curvature[j] = (slope[j] - then[j]) / span;
-        const double bend = fabs(curvature[j]), speed = fmax(fabs(slope[j]), fabs(then[j]));
+        const double bend = fabs(curvature[j]), speed = fabs(slope[j]);
         /* How often the joint's limit is used up at full rate: z may be 1 over the square, or over the curvature's. */
         const double use_speed = speed * (1.0 / c->plan_speed[j]);
         const double use_bend = bend * (1.0 / (o[CURVATURE_SHARE] * c->plan_acceleration[j]));
         fastest = fmax(fastest, fabs(slope[j]));
         change = fmax(change, bend * span - c->slope_change[j]);
         if (use_speed > by_speed) by_speed = use_speed, j_speed = j;
-        if (use_bend > by_bend) by_bend = use_bend, j_bend = j;
+        by_bend = fmax(by_bend, use_bend);
         inside &= x[j] <= c->high[j] && x[j] >= c->low[j];
     }
     const double square = by_speed * by_speed, capped = o[CAPS_SPEED] != 0.0 ? square : 0.0;
-    const double cap = 1.0 / fmax(fmax(capped, by_bend), 1.0);
-    for (int j = 0; j < c->joints; j++) {
-        const double speed = fmax(fabs(slope[j]), fabs(then[j]));
-        const double acceleration = c->plan_acceleration[j], left = acceleration - fabs(curvature[j]) * cap;
-        tightest = fmax(tightest, speed / fmax(left, LEAST_LEFT * acceleration));
-    }
+    const double cap = 1.0 / fmax(capped, 1.0);
+    memset(k, 0, sizeof(double) * N_KNOT);
     k[K_CLOCK] = clock;
+    k[K_SPAN] = before < 0 ? 0.0 : span;
     k[K_CAP] = cap;
     k[K_UNCAPPED] = 1.0 / fmax(fmax(square, by_bend), 1.0);
-    k[K_DECREASE] = tightest > 0.0 ? fmin(o[SLOPE_CAP], 1.0 / tightest) : o[SLOPE_CAP];
     k[K_FASTEST] = fastest;
     k[K_CHANGE] = change;
     k[K_INSIDE] = inside;
-    k[K_RISE] = INFINITY;
+    k[K_FALL] = k[K_RISE] = INFINITY;
     name_cause(k + K_KIND, NONE, -1, -1);
-    if (cap < 1.0) {
-        const int by = o[CAPS_SPEED] != 0.0 && square >= by_bend, j = by ? j_speed : j_bend;
-        name_cause(k + K_KIND, by ? VELOCITY : ACCELERATION, arm_of(c, j), j);
-    }
-    return cap > 0.0 && isfinite(k[K_DECREASE]);
+    name_cause(k + K_CAUSE_KIND, NONE, -1, -1);
+    if (cap < 1.0) name_cause(k + K_KIND, VELOCITY, arm_of(c, j_speed), j_speed);
+    return cap > 0.0;
 }
 
 /* Put a knot under the further constraints; rejected if one allows no rate there: its number and the clock are kept. */
@@ -185,7 +343,8 @@ static Trial try_knot(Core *c, int last, int made, double span, int iteration) {
     if (iteration == 0) {
         const double *x0 = vector_of(c, c->knot_positions, last), *slope = vector_of(c, c->knot_slope, last);
         const double *curvature = vector_of(c, c->knot_curvature, last);
-        for (int j = 0; j < c->joints; j++) x[j] = x0[j] + (curvature[j] * (0.5 * span) + slope[j]) * span;
+        const double bends = from[K_CORNER] == 0.0 ? 0.5 * span : 0.0;
+        for (int j = 0; j < c->joints; j++) x[j] = x0[j] + (curvature[j] * bends + slope[j]) * span;
     }
     const Trial found = newton_step(c, clock, JUST_BEFORE, x, step, vector_of(c, c->knot_slope, made));
     if (found != FOUND) return found;
@@ -198,6 +357,7 @@ static Trial try_knot(Core *c, int last, int made, double span, int iteration) {
     if (span > o[SHORTEST] && !(span * k[K_FASTEST] <= 1.5 * o[JOINT_STEP])) return REJECTED;
     const double most = span > FINE_CELL ? o[SLOPE_STEP] : OTHER_BRANCH;
     if (span > o[SHORTEST] && !(k[K_CHANGE] <= most * k[K_FASTEST])) return REJECTED;
+    if (span > FINE_CELL && !bends_slowly(c, last, made)) return REJECTED;
     return constrain(c, made);
 }
 
@@ -205,16 +365,11 @@ static Trial try_knot(Core *c, int last, int made, double span, int iteration) {
 
 /* The first tentative knot becomes the last known one. */
 static void push_knot(Core *c) {
-    const int count = count_ahead(c, COUNT), place = place_of(c, count);
-    double *k = knot_in(c, place);
-    k[K_CUMULATIVE] = 0.0;
-    if (count > 0) {
-        const double *last = knot(c, count - 1);
-        k[K_CUMULATIVE] = last[K_CUMULATIVE] + 2.0 * k[K_DECREASE] * (k[K_CLOCK] - last[K_CLOCK]);
-    }
+    const int count = count_ahead(c, COUNT);
     c->ahead[COUNT] = count + 1;
-    if (k[K_CAP] == 0.0) c->ahead[COMPLETE] = 1.0; /* nothing comes after a stop */
-    if (k[K_CAP] < 1.0) add_bound(c, place);       /* the rate is never above 1 */
+    c->ahead[FRESH] += 1.0;
+    if (knot(c, count)[K_CAP] == 0.0) c->ahead[COMPLETE] = 1.0; /* nothing comes after a stop */
+    if (c->ahead[COMPLETE] != 0.0 || c->ahead[FRESH] >= KNOTS_PER_PASS) look_back(c);
 }
 
 /* Growth has come to a pause between two knots. */
@@ -238,6 +393,7 @@ static int singular_arm(const Core *c, int i) {
 static void block_at(Core *c, int i, int arm, int joint, int kind) {
     const int count = count_ahead(c, COUNT);
     copy_knot(c, i, count);
+    if (i < count) knot(c, count)[K_SPAN] = 0.0; /* the same knot again */
     knot(c, count)[K_CAP] = 0.0;
     name_cause(knot(c, count) + K_KIND, kind, arm, joint);
     push_knot(c);
@@ -266,11 +422,13 @@ static void finish_path(Core *c) {
         if (cap < knot(c, last)[K_CAP]) {
             copy_knot(c, last, last + 1);
             knot(c, last + 1)[K_CAP] = cap;
+            knot(c, last + 1)[K_SPAN] = 0.0;
             name_cause(knot(c, last + 1) + K_KIND, PATH_END, -1, -1);
             push_knot(c);
         }
     }
     c->ahead[COMPLETE] = 1.0;
+    look_back(c);
     rest_growth(c);
 }
 
@@ -283,7 +441,16 @@ static int turn_corner(Core *c, int i) {
     if (found == CANNOT_SAY) return 0;
     if (found != FOUND) memset(s.after, 0, sizeof(double) * (size_t)c->joints);
     if (c->accelerates) {
-        int joint;
+        int joint = 0;
+        double fastest = 0.0;
+        for (int j = 0; j < c->joints; j++) {
+            const double use = fabs(s.after[j]) * (1.0 / c->plan_speed[j]);
+            if (use > fastest) fastest = use, joint = j;
+        }
+        if (1.0 / fmax(fastest * fastest, 1.0) < k[K_CAP]) {
+            k[K_CAP] = 1.0 / fmax(fastest * fastest, 1.0);
+            name_cause(k + K_KIND, VELOCITY, arm_of(c, joint), joint);
+        }
         const double cap = jump_cap(c, s.after, slope, &joint);
         if (cap < k[K_CAP]) {
             k[K_CAP] = cap;
@@ -291,7 +458,7 @@ static int turn_corner(Core *c, int i) {
         }
     }
     memcpy(slope, s.after, sizeof(double) * (size_t)c->joints);
-    memset(vector_of(c, c->knot_curvature, i), 0, sizeof(double) * (size_t)c->joints);
+    k[K_CORNER] = 1.0;
     k[K_FASTEST] = largest_size(slope, c->joints);
     return 1;
 }
@@ -337,6 +504,7 @@ static Trial stop_at_limit(Core *c, int last, int made) {
     }
     if (joint < 0) return REJECTED;
     if (close_in(c, last, made, joint, position) == CANNOT_SAY) return CANNOT_SAY;
+    knot(c, made)[K_SPAN] = knot(c, made)[K_CLOCK] - knot(c, last)[K_CLOCK];
     block_at(c, made, arm_of(c, joint), joint, POSITION);
     return FOUND;
 }
@@ -459,12 +627,12 @@ static int work_ahead(Core *c) {
 
 /* -- the horizon --------------------------------------------------------------------------------------------------- */
 
-/* Drop knots that another follows before `clock`, and the bounds that they were. */
+/* Drop knots that another follows before `clock`. */
 static void leave_behind(Core *c, double clock) {
     while (c->ahead[COUNT] > 1.0 && knot(c, 1)[K_CLOCK] <= clock) {
-        if (c->ahead[BOUND_COUNT] > 0.0 && (int)*bound_slot(c, 0) == place_of(c, 0)) drop_first_bound(c);
         c->ahead[HEAD] = place_of(c, 1);
         c->ahead[COUNT] -= 1.0;
+        c->ahead[KNOWN] = fmax(c->ahead[KNOWN] - 1.0, 0.0);
     }
 }
 
@@ -475,13 +643,10 @@ static int knot_before(const Core *c, double clock) {
     return i;
 }
 
-/* Whether the object could brake from full rate at `clock` within the horizon. */
+/* Whether K is known for good where a step from `clock` on goes: the end of the horizon does not make it. */
 static int reaches(const Core *c, double clock, double dt) {
-    const int count = count_ahead(c, COUNT), i = knot_before(c, clock) + 1;
-    const double *last = knot(c, count - 1), *ahead = knot(c, i < count ? i : count - 1);
-    /* What a step at full rate uses up is still there after it. */
-    const double enough = 1.0 + 2.0 * c->options[SLOPE_CAP] * dt;
-    return last[K_CLOCK] > clock + 2.0 * dt && last[K_CUMULATIVE] - ahead[K_CUMULATIVE] > enough;
+    const int settled = count_ahead(c, KNOWN);
+    return settled > 0 && knot(c, settled - 1)[K_CLOCK] > clock + 2.0 * dt;
 }
 
 /* The arms hold where it cannot be said what is ahead, until it can. */
@@ -501,116 +666,72 @@ static void extend_horizon(Core *c, double clock, double dt, int newton_steps) {
 }
 
 /* Clock until which the known horizon lets the object go on at full rate. */
-static double enough_until(const Core *c) {
-    if (c->ahead[COMPLETE] != 0.0) return INFINITY;
-    const double dt = c->options[NOMINAL_DT], *last = knot(c, count_ahead(c, COUNT) - 1);
-    const double latest = last[K_CLOCK] - 2.0 * dt;
-    const double enough = last[K_CUMULATIVE] - 1.0 - 2.0 * c->options[SLOPE_CAP] * dt;
-    /* The last knot up to which there is enough; a knot's decrease counts from the knot before it on. */
-    int i = count_ahead(c, COUNT) - 1;
-    while (i >= 0 && !(knot(c, i)[K_CUMULATIVE] < enough && knot(c, i)[K_CLOCK] <= latest)) i--;
-    return i < 0 ? -INFINITY : knot(c, i)[K_CLOCK];
+static double known_free(const Core *c, double dt) {
+    const double margin = 2.0 * fmax(dt, c->options[NOMINAL_DT]);
+    double clock = -INFINITY;
+    for (int i = 0; i < count_ahead(c, COUNT); i++) {
+        if (!(knot(c, i)[K_SQUARE] >= 1.0)) return clock - margin;
+        clock = knot(c, i)[K_CLOCK];
+    }
+    return c->ahead[COMPLETE] != 0.0 ? INFINITY : clock - margin;
 }
 
 /* -- the cap ------------------------------------------------------------------------------------------------------- */
 
-/* z_cap between two knots. Without it the rate would rise after each knot, and fall again before the next. */
-static double cap_between(const double *here, const double *ahead, double clock) {
-    const double span = ahead[K_CLOCK] - here[K_CLOCK];
-    if (!(span > 0.0)) return here[K_CAP];
-    return ahead[K_CAP] + (here[K_CAP] - ahead[K_CAP]) * (ahead[K_CLOCK] - clock) / span;
+/* K between knot i and the next one, and which of them makes it. */
+static double square_after(const Core *c, int i, double clock, int *made_by) {
+    const double *here = knot(c, i);
+    *made_by = i;
+    if (i + 1 == count_ahead(c, COUNT)) return here[K_SQUARE];
+    const double *ahead = knot(c, i + 1), share = (clock - here[K_CLOCK]) / (ahead[K_CLOCK] - here[K_CLOCK]);
+    if (ahead[K_SQUARE] < here[K_SQUARE]) *made_by = i + 1;
+    return here[K_SQUARE] + share * (ahead[K_SQUARE] - here[K_SQUARE]);
 }
 
-/* S where C has this value: the least of z_b + C_b ahead, less C, and the place of what makes it. */
-static double least_square(const Core *c, double cumulative, int *place) {
-    const double *last = knot(c, count_ahead(c, COUNT) - 1);
-    double square = INFINITY;
-    *place = NO_BOUND;
-    if (c->ahead[BOUND_COUNT] > 0.0) {
-        *place = (int)*bound_slot(c, 0);
-        square = bound_at(c, 0)[K_CAP] + bound_at(c, 0)[K_CUMULATIVE] - cumulative;
+/* The least K of a step: in its middle, at its end, and at the knots on its way; and the knot that makes it. */
+static double least_square(const Core *c, double clock, double rate, double dt, int *cause) {
+    const double way[2] = {clock + 0.5 * rate * dt, clock + rate * dt};
+    const int count = count_ahead(c, COUNT);
+    double least = INFINITY;
+    int i = knot_before(c, clock), made_by;
+    *cause = i;
+    for (int part = 0; part < 2; part++) {
+        while (i + 1 < count && knot(c, i + 1)[K_CLOCK] <= way[part])
+            if (knot(c, ++i)[K_SQUARE] < least) least = knot(c, i)[K_SQUARE], *cause = i;
+        const double square = square_after(c, i, way[part], &made_by);
+        if (square < least) least = square, *cause = made_by;
     }
-    if (c->ahead[COMPLETE] == 0.0 && last[K_CUMULATIVE] - cumulative < square) {
-        *place = HORIZON;
-        square = last[K_CUMULATIVE] - cumulative;
-    }
-    return fmax(square, 0.0);
+    return least;
 }
 
-/* S at a clock ahead. */
-static double square_at(const Core *c, double clock) {
-    const int i = knot_before(c, clock), count = count_ahead(c, COUNT), complete = c->ahead[COMPLETE] != 0.0;
-    const double *here = knot(c, i), *last = knot(c, count - 1);
-    if (i + 1 == count) return complete ? fmax(here[K_CAP], 0.0) : 0.0;
-    const double *ahead = knot(c, i + 1);
-    const double cumulative = here[K_CUMULATIVE] + 2.0 * ahead[K_DECREASE] * (clock - here[K_CLOCK]);
-    double square = cap_between(here, ahead, clock);
-    if (!complete) square = fmin(square, last[K_CUMULATIVE] - cumulative);
-    for (int b = 0; b < count_ahead(c, BOUND_COUNT); b++)
-        if (bound_at(c, b)[K_CLOCK] > clock)
-            square = fmin(square, bound_at(c, b)[K_CAP] + bound_at(c, b)[K_CUMULATIVE] - cumulative);
-    return fmax(square, 0.0);
-}
-
-/* Whether the object may go on with `rate` for dt. */
-static int may_go(const Core *c, double clock, double dt, double rate) {
-    const double then = clock + rate * dt, square = rate * rate;
-    const int end = knot_before(c, then);
-    for (int i = 1; i <= end; i++)
-        if (!(knot(c, i)[K_CAP] + PREVIEW_ROUNDING >= square)) return 0;
-    return square <= square_at(c, then) + PREVIEW_ROUNDING;
-}
-
-/* The largest admissible rate near two candidates. Near a stop the lower one may be 0 where much more is admissible. */
-static double admissible_rate(const Core *c, double clock, double dt, double rate, double fast) {
-    double low = fmin(rate, fast), high = fmax(rate, fast);
-    if (may_go(c, clock, dt, high)) return high;
-    if (!may_go(c, clock, dt, low)) {
-        high = low;
-        low = 0.0;
-    }
-    for (int i = 0; i < BISECTIONS && low < high; i++) {
-        const double middle = 0.5 * (low + high);
-        if (may_go(c, clock, dt, middle))
-            low = middle;
+/* The largest rate below 1 that K admits for a step; 0 is always admissible. */
+static double largest_rate(const Core *c, double clock, double dt, double guess) {
+    double low = 0.0, high = 1.0, rate = guess;
+    int cause;
+    for (int i = 0; i <= BISECTIONS; i++) {
+        if (rate * rate <= least_square(c, clock, rate, dt, &cause))
+            low = rate;
         else
-            high = middle;
+            high = rate;
+        rate = 0.5 * (low + high);
     }
-    return low;
+    return low >= LEAST_RATE ? low : 0.0;
 }
 
-/* Nothing binds: until when is that so without another look? */
-static void run_free(Core *c) {
+/* The cap of a step, from a horizon that is grown for it, and the knot that makes it; −1 if none does. */
+static double cap_on_horizon(Core *c, double clock, double dt, int *cause) {
     double *a = c->ahead;
-    if (a[BOUND_COUNT] > 0.0) return;
-    a[FREE_UNTIL] = enough_until(c);
-    a[BEGIN_AT] = a[FREE_UNTIL] < INFINITY ? a[FREE_UNTIL] - STEPS_TO_GROW * c->options[NOMINAL_DT] : INFINITY;
-}
-
-/* The cap of a step, from a horizon that is grown for it, and the place of what makes it. */
-static double cap_on_horizon(Core *c, double clock, double dt, int *place) {
-    const double *here = knot(c, 0), *ahead = knot(c, c->ahead[COUNT] > 1.0 ? 1 : 0);
-    const double decrease = ahead[K_DECREASE];
-    double square = least_square(c, here[K_CUMULATIVE] + 2.0 * decrease * (clock - here[K_CLOCK]), place);
-    double fall = 2.0 * decrease; /* of S, per clock second */
-    const double between = cap_between(here, ahead, clock);
-    if (between >= 1.0 && square >= 1.0 + 2.0 * decrease * dt) { /* −D dt + √((D dt)² + S) ≥ 1 */
-        *place = NO_BOUND;
-        run_free(c);
+    const double least = least_square(c, clock, 1.0, dt, cause);
+    if (least >= 1.0) {
+        a[FREE_UNTIL] = known_free(c, dt);
+        a[BEGIN_AT] = a[FREE_UNTIL] < INFINITY ? a[FREE_UNTIL] - STEPS_TO_GROW * c->options[NOMINAL_DT] : INFINITY;
+        *cause = -1;
         return 1.0;
     }
-    if (between < square) {
-        const double span = ahead[K_CLOCK] - here[K_CLOCK];
-        square = between;
-        *place = place_of(c, here[K_CAP] < ahead[K_CAP] || c->ahead[COUNT] < 2.0 ? 0 : 1);
-        fall = span > 0.0 ? fmax(here[K_CAP] - ahead[K_CAP], 0.0) / span : 0.0;
-    }
-    c->ahead[ENDS] = *place >= 0 && knot_in(c, *place)[K_CAP] == 0.0;
-    /* S falls while the object goes: σ² = S − fall σ dt while it goes on as it begins, or what there is on arrival. */
-    const double half = 0.5 * fall * dt, root = sqrt(half * half + square);
-    const double rate = root > 0.0 ? fmin(square / (half + root), 1.0) : 0.0;
-    const double fast = fmin(sqrt(square), 1.0);
-    return admissible_rate(c, clock, dt, rate, fmin(fast, sqrt(square_at(c, clock + fast * dt))));
+    const double rate = largest_rate(c, clock, dt, sqrt(least));
+    least_square(c, clock, rate, dt, cause);
+    a[ENDS] = knot(c, *cause)[K_STOPS];
+    return rate;
 }
 
 /* -- what core.h promises ------------------------------------------------------------------------------------------ */
@@ -671,7 +792,7 @@ static void preview_reset(Core *c, double clock) {
 
 static double preview_cap(Core *c, double clock, double dt) {
     double *a = c->ahead;
-    int place = NO_BOUND;
+    int cause = -1;
     name_cause(c->proposal + CAP_KIND, NONE, -1, -1);
     if (!(isfinite(clock) && isfinite(dt))) return 0.0;
     if (a[COUNT] == 0.0) start_knots(c, clock); /* the path failed where it began */
@@ -686,12 +807,8 @@ static double preview_cap(Core *c, double clock, double dt) {
     extend_horizon(c, clock, dt, (int)c->options[NEWTON_STEPS]);
     if (a[COMPLETE] == 0.0 && !reaches(c, clock + STEPS_TO_GROW * dt, dt)) work_ahead(c);
     a[ENDS] = 0.0;
-    drop_bounds(c, clock);
-    const double cap = cap_on_horizon(c, clock, dt, &place);
-    if (place >= 0) {
-        const double *k = knot_in(c, place);
-        for (int i = 0; i < 3; i++) c->proposal[CAP_KIND + i] = k[K_KIND + i];
-    }
+    const double cap = cap_on_horizon(c, clock, dt, &cause);
+    for (int i = 0; cause >= 0 && i < 3; i++) c->proposal[CAP_KIND + i] = knot(c, cause)[K_CAUSE_KIND + i];
     return cap > 0.0 ? cap : 0.0;
 }
 

@@ -353,8 +353,10 @@ static int propose(Core *c) {
     find_cap(c);
     if (p[LATE] != 0.0) brake_correction(c, p[KEEP]);
     if (rest < h * p[CAP]) p[CAP] = rest / h; /* the last step ends at the end */
-    const double pace = fmax(fmin(p[CAP], c->loop[RATE]), LEAST_PACE);
-    p[SPAN] = fmin(h * pace, rest);
+    /* The mean along the path has to see a corner that the step may reach. */
+    const int corner = c->looks_ahead && next_breakpoint(c, clock) <= clock + h * p[CAP];
+    const double pace = corner ? p[CAP] : fmin(p[CAP], c->loop[RATE]);
+    p[SPAN] = fmin(h * fmax(pace, LEAST_PACE), rest);
     if (c->loop[PATH_LOST] != 0.0 || !path_increment(c, clock, p[SPAN], c->R, c->p, c->along)) {
         memset(c->along, 0, 6 * sizeof(double));
         if (p[WATCH_CAP] > 0.0) refuse(c, PATH_FAILED, -1, clock);

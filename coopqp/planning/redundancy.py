@@ -1,0 +1,65 @@
+"""What redundant arms do with their freedom where a joint nears its position limit."""
+
+from __future__ import annotations
+
+from typing import final
+
+import numpy as np
+import numpy.typing as npt
+
+from coopqp.model.chain import Chain
+from coopqp.spatial import Array
+
+#: Joints are kept this far inside their limits, and turn away from them within this way before [rad or m].
+LIMIT_MARGIN, TURNING_WAY = 0.003, 0.02
+#: A joint that its arm's self-motion moves by less than this share of it cannot be led away.
+LEADS = 1e-4
+
+
+@final
+class LimitAvoidance:
+    """Self-motion that keeps the joints of redundant arms off their limits on a path.
+
+    Near a limit at distance d the slope of a joint towards it is at most ``S (d − m) / w``, with the margin m, the way
+    w, and the arm's largest slope S in units of the joints' speeds. The least self-motion that keeps these bounds is
+    taken. If none does, it is the middle between the bounds that contradict each other. An arm with more than one joint
+    beyond six uses the self-motion that moves the joint that is worst off.
+
+    Args:
+        chain: evaluated and inverted where it is asked.
+    """
+
+    def __init__(self, chain: Chain) -> None:
+        self._chain = chain
+        limits = chain.cell.limits
+        self._low, self._high = limits.lower + LIMIT_MARGIN, limits.upper - LIMIT_MARGIN
+        self._arms: list[npt.NDArray[np.intp]] = [c for c in chain.moving_columns if len(c) > 6]
+
+    def lead_away(self, positions: Array, slope: Array) -> None:
+        """Change the slopes (nv,) of the redundant arms in place at positions (nv,), where a joint nears a limit."""
+        for columns in self._arms:
+            self._lead_arm(columns, positions[columns], slope)
+
+    def _lead_arm(self, columns: npt.NDArray[np.intp], x: Array, slope: Array) -> None:
+        scale = self._chain.scale[columns]
+        largest = float((np.abs(slope[columns]) / scale).max()) / TURNING_WAY
+        if not largest > 0.0:
+            return
+        up, down = largest * scale * (self._high[columns] - x), largest * scale * (self._low[columns] - x)
+        own = slope[columns]
+        beyond = np.maximum(own - up, down - own) / scale
+        for worst in np.argsort(-beyond, kind="stable").tolist():
+            if not beyond[worst] > 0.0:
+                return
+            push = np.zeros_like(slope)
+            push[columns[worst]] = 1.0
+            way = self._chain.null_part(push)[columns]
+            if way[worst] > LEADS:
+                break
+        else:
+            return
+        moves = np.abs(way) > LEADS * way[worst]
+        a, b = (down[moves] - own[moves]) / way[moves], (up[moves] - own[moves]) / way[moves]
+        low, high = float(np.minimum(a, b).max()), float(np.maximum(a, b).min())
+        z = 0.5 * (low + high) if low > high else min(max(0.0, low), high)
+        slope[columns] = own + z * way

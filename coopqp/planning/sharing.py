@@ -1,0 +1,114 @@
+"""How fast the object may be at a knot: linear programs of two variables, z = σ² and u = σ̇.
+
+Between two knots the joints move at ``q′σ`` and accelerate at ``q′u + q″z``; z changes by 2u per second of clock. From
+a knot with z the object has to be able to reach the next one with at most K there, within the accelerations. What is
+not known of q″ between the knots counts as a share e of them. The largest such z is K here: a backward pass, as of
+TOPP-RA [Pham & Pham, 2018], over the known horizon.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from coopqp.spatial import Array
+
+#: Share of the differences of q″ that stands for what the path does between knots.
+DOUBT = 0.3
+#: A bound of u counts from this slope on [rad/s or m/s, per unit of rate].
+STILL_SLOPE = 1e-12
+#: Newton steps of one program. Each takes another pair of lines.
+MOST_PIVOTS = 50
+#: The lower bound of u is above the upper one by more than rounding.
+CROSSED = 1e-13
+
+
+class Interval(NamedTuple):
+    """Two knots in a row.
+
+    Attributes:
+        span: between them [s].
+        slope, arrival: q′ after the first knot and before the second (nv,).
+        chord: mean of q″ (nv,).
+        bend, bend_ahead: q″ at the first and at the second knot (nv,).
+        fall, rise: largest changes of the rate downwards and upwards [1/s].
+    """
+
+    span: float
+    slope: Array
+    arrival: Array
+    chord: Array
+    bend: Array
+    bend_ahead: Array
+    fall: float
+    rise: float
+
+
+class Share(NamedTuple):
+    """Largest z, and what makes it.
+
+    Attributes:
+        square: z.
+        ahead: K at the next knot makes it.
+        joint: whose acceleration makes it, or helps to; −1 if none does.
+    """
+
+    square: float
+    ahead: bool
+    joint: int
+
+
+def largest_square(interval: Interval, acceleration: Array, cap: float, ahead: float) -> Share:
+    """Largest z ≤ ``cap`` at the first knot from which z at the second one can be in [0, ``ahead``].
+
+    The lines are ``α u + β z ≤ γ``. The largest lower bound of u is convex in z, the least upper one concave; where
+    they cross Newton's method finds from above, one pair of lines after the other.
+    """
+    span, slope, arrival, chord, bend, bend_ahead, fall, rise = interval
+    two = 2.0 * span
+    doubt = DOUBT * (np.abs(bend - chord) + np.abs(bend_ahead - chord))
+    alpha, beta = [], []
+    for q2 in (bend, chord):
+        alpha += [slope, -slope]
+        beta += [doubt + q2, doubt - q2]
+    for q2 in (bend_ahead, chord):
+        alpha += [two * (doubt + q2) + arrival, two * (doubt - q2) - arrival]
+        beta += [doubt + q2, doubt - q2]
+    further = np.array([[1.0, 0.0, rise], [-1.0, 0.0, fall], [-two, -1.0, 0.0], [two, 1.0, ahead]])
+    a = np.concatenate([np.stack(alpha, axis=1).ravel(), further[:, 0]])
+    b = np.concatenate([np.stack(beta, axis=1).ravel(), further[:, 1]])
+    c = np.concatenate([np.repeat(acceleration, 8), further[:, 2]])
+    return _largest(a, b, c, cap, each=8)
+
+
+def largest_alone(slope: Array, bend: Array, acceleration: Array, most: float, cap: float) -> float:
+    """Largest z ≤ ``cap`` that some |u| ≤ ``most`` allows at one knot."""
+    a = np.concatenate([slope, -slope, [1.0, -1.0]])  # whose line it is does not matter here
+    b = np.concatenate([bend, -bend, [0.0, 0.0]])
+    c = np.concatenate([acceleration, acceleration, [most, most]])
+    return _largest(a, b, c, cap, each=2).square
+
+
+def _largest(a: Array, b: Array, c: Array, cap: float, *, each: int) -> Share:
+    """The same for lines ``a u + b z ≤ c``: ``each`` of them per joint, then four others, the last one of K ahead."""
+    square, which, by_ahead = cap, -1, False
+    still = np.flatnonzero((np.abs(a) <= STILL_SLOPE) & (b > 0.0))
+    if still.size:
+        z = c[still] / b[still]
+        if z.min() < square:
+            square, which = float(z.min()), int(still[z.argmin()]) // each
+    up, down = np.flatnonzero(a > STILL_SLOPE), np.flatnonzero(a < -STILL_SLOPE)
+    high_c, high_b, low_c, low_b = c[up] / a[up], b[up] / a[up], c[down] / a[down], b[down] / a[down]
+    for _ in range(MOST_PIVOTS):
+        high, low = high_c - high_b * square, low_c - low_b * square
+        i, j = int(high.argmin()), int(low.argmax())
+        over = float(low[j] - high[i])
+        if over <= CROSSED * (1.0 + abs(float(low[j]))) or square <= 0.0:
+            break
+        square = max(square - over / float(high_b[i] - low_b[j]), 0.0)
+        rows = (int(up[i]), int(down[j]))
+        by_ahead = rows[0] == len(a) - 1
+        named = [row // each for row in rows if row < len(a) - 4]
+        which = named[0] if named else -1
+    return Share(square, by_ahead, which)

@@ -1,0 +1,67 @@
+"""How fast the object may be at a knot: the largest z of a program of two variables, against another solver."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.optimize import linprog
+
+from coopqp.planning.sharing import DOUBT, Interval, largest_alone, largest_square
+
+pytestmark = pytest.mark.core
+
+
+def random_interval(rng: Any, joints: int) -> tuple[Interval, Any]:
+    span = float(10.0 ** rng.uniform(-4.0, -1.5))
+    slope = rng.normal(size=joints) * rng.choice([0.0, 1e-6, 0.3, 1.0], joints)
+    chord = rng.normal(size=joints) * 10.0 ** rng.uniform(-2.0, 2.0)
+    bend, bend_ahead = (chord * rng.normal(1.0, 0.2, joints) for _ in range(2))
+    fall, rise = rng.choice([9.0, 0.5], 2)
+    return Interval(span, slope, slope + chord * span, chord, bend, bend_ahead, fall, rise), rng.uniform(
+        1.0, 9.0, joints
+    )
+
+
+def lines(interval: Interval, a: Any, ahead: float) -> tuple[Any, Any]:
+    """The same program as rows of (z, u), straight from the module's description."""
+    span, slope, arrival, chord, bend, bend_ahead, fall, rise = interval
+    e = DOUBT * (np.abs(bend - chord) + np.abs(bend_ahead - chord))
+    rows, most = [], []
+    for B in (bend, chord):
+        for sign in (1.0, -1.0):  # ±(q′ u + B z) + e z ≤ a
+            rows += [*np.stack([sign * B + e, sign * slope], axis=1)]
+            most += [*a]
+    for B in (bend_ahead, chord):
+        for sign in (1.0, -1.0):  # the same at the second knot, where z is z + 2 h u
+            rows += [*np.stack([sign * B + e, sign * (arrival + 2 * span * B) + 2 * span * e], axis=1)]
+            most += [*a]
+    rows += [[0.0, 1.0], [0.0, -1.0], [1.0, 2 * span], [-1.0, -2 * span]]
+    return np.array(rows), np.array([*most, rise, fall, ahead, 0.0])
+
+
+@pytest.mark.parametrize("seed", range(60))
+def test_the_largest_square_is_that_of_a_linear_program(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    interval, a = random_interval(rng, int(rng.integers(1, 12)))
+    cap, ahead = float(rng.uniform(0.01, 1.0)), float(rng.choice([0.0, 0.01, 0.3, 1.0]))
+    rows, most = lines(interval, a, ahead)
+    found = linprog([-1.0, 0.0], rows, most, bounds=[(0.0, cap), (None, None)], method="highs")
+    assert found.success
+    share = largest_square(interval, a, cap, ahead)
+    assert share.square == pytest.approx(float(found.x[0]), rel=1e-6, abs=1e-7)
+    if share.square < cap:
+        assert share.ahead or share.joint >= 0
+    if not share.ahead:  # then more room at the next knot changes nothing
+        assert largest_square(interval, a, cap, ahead + 1.0).square == pytest.approx(share.square, rel=1e-9)
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_the_largest_square_of_one_knot(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    n = int(rng.integers(1, 12))
+    slope, bend, a = rng.normal(size=n), rng.normal(size=n) * 10.0, rng.uniform(1.0, 9.0, n)
+    rows = np.array([[s * bend[j], s * slope[j]] for j in range(n) for s in (1.0, -1.0)])
+    found = linprog([-1.0, 0.0], rows, np.repeat(a, 2), bounds=[(0.0, 1.0), (-9.0, 9.0)], method="highs")
+    assert largest_alone(slope, bend, a, 9.0, 1.0) == pytest.approx(float(found.x[0]), rel=1e-6)
