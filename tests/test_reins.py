@@ -144,7 +144,7 @@ def test_corners_are_passed_under_any_override() -> None:
 @pytest.mark.parametrize("kernel", KERNELS)
 def test_a_stop_takes_hardly_longer_than_the_hardest_one(kernel: str) -> None:
     """The hardest stop brakes one joint with all it has, all the way along the path."""
-    for when in (120, 250, 400):
+    for when in (45, 120, 250):
         task = limited(fast_lift(), 5.0)
         controller = built(task, kernel)
         for _ in range(when):
@@ -154,7 +154,7 @@ def test_a_stop_takes_hardly_longer_than_the_hardest_one(kernel: str) -> None:
         count = 0
         while step.status is not Status.PAUSED:
             step, count = controller.step(), count + 1
-        assert 2e-3 * (count - 1) <= 1.3 * hardest
+        assert 2e-3 * (count - 1) <= 1.1 * hardest
 
 
 def braking_time(task: Scenario, step: ControlStep) -> float:
