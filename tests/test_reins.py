@@ -39,12 +39,15 @@ def limited(task: Scenario, acceleration: float) -> Scenario:
     return dataclasses.replace(task, cell=task.cell.with_limits(acceleration=acceleration))
 
 
-def fast_lift(seconds: float = 0.6, law: str = "quintic") -> Scenario:
-    """The paper's lift, so fast that accelerations bind all the way."""
-    task = paper_lift()
+def hurried(task: Scenario, seconds: float) -> Scenario:
+    """The same line, so fast that accelerations bind all the way."""
     assert isinstance(task.path, LinePath)
-    path = LinePath(task.path.start, task.path.goal, duration=seconds, time_law=law)
+    path = LinePath(task.path.start, task.path.goal, duration=seconds, time_law="quintic")
     return dataclasses.replace(task, path=path)
+
+
+def fast_lift() -> Scenario:
+    return hurried(paper_lift(), 0.6)
 
 
 def built(task: Scenario, kernel: str = "auto", dt: float = 0.002, **options: Any) -> QPController:
@@ -118,9 +121,9 @@ def test_a_random_override_keeps_chain_path_and_limits(name: str, kernel: str) -
 @pytest.mark.parametrize("robot", ["rx90l", "arm7"])
 @pytest.mark.parametrize("arms", [2, 4, 8])
 def test_a_random_override_keeps_chain_path_and_limits_of_many_arms(arms: int, robot: Any) -> None:
-    task = limited(ring(arms=arms, robot=robot), 5.0)
+    task = limited(hurried(ring(arms=arms, robot=robot), 0.4), 5.0)
     for seed in range(2):
-        steps = drive(built(task, dt=0.004), random_hand(seed), 4000 // arms)
+        steps = drive(built(task), random_hand(seed), 2000 // arms)
         chain, path = errors_of(task, steps)
         assert chain < EXACT
         assert path < EXACT
@@ -144,7 +147,7 @@ def test_corners_are_passed_under_any_override() -> None:
 @pytest.mark.parametrize("kernel", KERNELS)
 def test_a_stop_takes_hardly_longer_than_the_hardest_one(kernel: str) -> None:
     """The hardest stop brakes one joint with all it has, all the way along the path."""
-    for when in (120, 250, 400):
+    for when in (45, 120, 250):
         task = limited(fast_lift(), 5.0)
         controller = built(task, kernel)
         for _ in range(when):
@@ -154,7 +157,7 @@ def test_a_stop_takes_hardly_longer_than_the_hardest_one(kernel: str) -> None:
         count = 0
         while step.status is not Status.PAUSED:
             step, count = controller.step(), count + 1
-        assert 2e-3 * (count - 1) <= 1.3 * hardest
+        assert 2e-3 * (count - 1) <= 1.1 * hardest
 
 
 def braking_time(task: Scenario, step: ControlStep) -> float:

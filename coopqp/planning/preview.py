@@ -384,19 +384,30 @@ class PathPreview:
         """
         if self._next_breakpoint(clock - rate * dt) <= min(clock + rate * dt, self._duration - 1e-9):
             return 0.0
-        D = np.inf
-        for slope, curvature in self._nearest(clock):
-            speed, bend = np.abs(slope), curvature * np.sign(slope)
-            moving = speed > 0.0
-            fall = (self._acceleration + bend * rate**2) / (speed + np.maximum(bend, 0.0) * (rate * dt) + ~moving)
-            D = min(D, float(fall[moving].min(initial=np.inf)))
-        return D
+        slope, curvature = self._joints_at(clock)
+        speed, bend = np.abs(slope), curvature * np.sign(slope)
+        moving = speed > 0.0
+        fall = (self._acceleration + bend * rate**2) / (speed + np.maximum(bend, 0.0) * (rate * dt) + ~moving)
+        return float(fall[moving].min(initial=np.inf))
 
-    def _nearest(self, clock: float) -> Iterator[tuple[Array, Array]]:
-        """q′ and q″ (nv,) at the two knots around a clock."""
-        i = self._knot_before(clock)
-        for k in range(i, min(i + 2, len(self._knots))):
-            yield self._knots[k].slope, self._knots[k].curvature
+    def _joints_at(self, clock: float) -> tuple[Array, Array]:
+        """q′ and q″ (nv,) at a clock, from the knots around it.
+
+        q′ is linear between two knots. A knot keeps the mean of q″ since the one before, which belongs to the middle:
+        from middle to middle it is linear. Where the slopes of a corner lie between, this side's knot counts alone.
+        """
+        knots, i = self._knots, self._knot_before(clock)
+        here = knots[i]
+        if i + 1 >= len(knots) or not knots[i + 1].clock > here.clock:
+            return here.slope, here.curvature
+        ahead, after = knots[i + 1], knots[min(i + 2, len(knots) - 1)]
+        if not ahead.curvature.any():
+            return here.slope, here.curvature
+        share = (clock - here.clock) / (ahead.clock - here.clock)
+        other = (here if share < 0.5 else after).curvature
+        towards = abs(share - 0.5) if other.any() else 0.0
+        curvature = ahead.curvature + towards * (other - ahead.curvature)
+        return here.slope + share * (ahead.slope - here.slope), curvature
 
     def reference(self, clock: float) -> tuple[Array, Array]:
         """Previewed configuration (nq,) and q′ (nv,) at ``clock``: what redundant arms follow."""

@@ -322,9 +322,9 @@ def rough_steps(
 ) -> Commands:
     """Run one controller with random events, and judge every command.
 
-    The events are new paths and targets (too fast, unreachable), varying and invalid lengths of steps, resets; and in a
-    share ``measured`` of the time measured configurations with noise, jumps, NaN. The next event follows after at most
-    ``stretch`` steps.
+    The events are new paths and targets (too fast, unreachable), varying and invalid lengths of steps, resets,
+    overrides, pauses; and in a share ``measured`` of the time measured configurations with noise, jumps, NaN. The next
+    event follows after at most ``stretch`` steps.
     """
     result, monitor = Commands(), Monitor(task.cell, task.grasp, tolerances=MonitorTolerances(**WIDE), kinematics=False)
     limits = [np.array(getattr(task.cell.limits, name)) for name in ("lower", "upper", "velocity", "acceleration")]
@@ -344,10 +344,11 @@ def rough_steps(
             done.clear()
 
     q = np.array(task.q_start)
-    controller = make(task)
+    controller, hand = make(task), np.random.default_rng(steps)
     controller.reset(q)
     while result.steps + len(block) < steps:
         mode = rng.choice(["plain", "dt", "measured"], p=[0.8 * (1.0 - measured), 0.2 * (1.0 - measured), measured])
+        _take_the_reins(controller, hand)
         noise, wild, faulty = 10.0 ** rng.uniform(-6.0, -3.0), rng.uniform() < 0.3, False
         for _ in range(min(int(rng.integers(1, stretch)), BLOCK - len(block))):
             argument, dt = None, None
@@ -380,6 +381,18 @@ def rough_steps(
         result.violations["mutated"] += not np.array_equal(getattr(task.cell.limits, name), before)
     result.violations += Counter()  # drops zeros
     return result
+
+
+def _take_the_reins(controller: Any, rng: np.random.Generator) -> None:
+    """Sometimes another override, a short pause, or the end of one."""
+    if not hasattr(controller, "set_override"):  # broken on purpose, by a wrapper
+        return
+    if rng.uniform() < 0.2:
+        controller.set_override(float(rng.choice([1.0, 0.6, 0.2, 0.0], p=[0.7, 0.1, 0.1, 0.1])))
+    if rng.uniform() < 0.05:
+        controller.pause()
+    elif rng.uniform() < 0.7:
+        controller.resume()
 
 
 def _bytes(step: ControlStep) -> tuple[bytes, ...]:

@@ -819,24 +819,44 @@ static double preview_rise(const Core *c, double clock) {
     return fmin(knot(c, i)[K_RISE], knot(c, i + 1 < count ? i + 1 : i)[K_RISE]);
 }
 
-/* D at knot i: from (η a + c σ²) / (|q′| + max(c, 0) σ dt) with c = q″ sign q′ of every joint that moves. */
-static double brake_at_knot(const Core *c, int i, double dt, double rate) {
-    const double *slope = vector_of(c, c->knot_slope, i), *curvature = vector_of(c, c->knot_curvature, i);
-    double least = INFINITY;
+static int any_of(const double *x, int n) {
+    for (int j = 0; j < n; j++)
+        if (x[j] != 0.0) return 1;
+    return 0;
+}
+
+/* q′ and q″ at a clock, from the knots around it: q′ is linear between two knots, q″ between the middles of intervals.
+ * Where the slopes of a corner lie between, the knot on this side counts alone. */
+static void joints_at(const Core *c, double clock, double *slope, double *curvature) {
+    const int i = knot_before(c, clock), last = count_ahead(c, COUNT) - 1, n = c->joints;
+    const size_t bytes = sizeof(double) * (size_t)n;
+    const double *here = vector_of(c, c->knot_slope, i), *before = vector_of(c, c->knot_curvature, i);
+    memcpy(slope, here, bytes);
+    memcpy(curvature, before, bytes);
+    if (i == last || !(knot(c, i + 1)[K_CLOCK] > knot(c, i)[K_CLOCK])) return;
+    const double *there = vector_of(c, c->knot_slope, i + 1), *own = vector_of(c, c->knot_curvature, i + 1);
+    if (!any_of(own, n)) return;
+    const double share = (clock - knot(c, i)[K_CLOCK]) / (knot(c, i + 1)[K_CLOCK] - knot(c, i)[K_CLOCK]);
+    const double *other = share < 0.5 ? before : vector_of(c, c->knot_curvature, i + 2 > last ? last : i + 2);
+    const double towards = any_of(other, n) ? fabs(share - 0.5) : 0.0;
+    for (int j = 0; j < n; j++) {
+        slope[j] = here[j] + share * (there[j] - here[j]);
+        curvature[j] = own[j] + towards * (other[j] - own[j]);
+    }
+}
+
+/* D: from (η a + c σ²) / (|q′| + max(c, 0) σ dt) with c = q″ sign q′ of every joint that moves. */
+static double preview_brake(const Core *c, double clock, double dt, double rate) {
+    double *slope = c->scratch, *curvature = slope + c->joints, least = INFINITY;
+    /* A corner takes the whole acceleration: the rate stays while it is passed. */
+    if (next_breakpoint(c, clock - rate * dt) <= fmin(clock + rate * dt, c->duration - 1e-9)) return 0.0;
+    joints_at(c, clock, slope, curvature);
     for (int j = 0; j < c->joints; j++) {
         const double speed = fabs(slope[j]), bend = slope[j] < 0.0 ? -curvature[j] : curvature[j];
         if (!(speed > 0.0)) continue;
         least = fmin(least, (c->plan_acceleration[j] + bend * rate * rate) / (speed + fmax(bend, 0.0) * rate * dt));
     }
     return least;
-}
-
-static double preview_brake(const Core *c, double clock, double dt, double rate) {
-    /* A corner takes the whole acceleration: the rate stays while it is passed. */
-    if (next_breakpoint(c, clock - rate * dt) <= fmin(clock + rate * dt, c->duration - 1e-9)) return 0.0;
-    const int i = knot_before(c, clock);
-    const double here = brake_at_knot(c, i, dt, rate);
-    return i + 1 < count_ahead(c, COUNT) ? fmin(here, brake_at_knot(c, i + 1, dt, rate)) : here;
 }
 
 static void preview_reference(Core *c, double clock, double *positions, double *slope) {
