@@ -49,7 +49,7 @@ MODULES: dict[str, tuple[str, ...]] = {
     "coopqp/task/path.py": ("path", "targets", "core", "simulation", "preview", "scenarios"),
     "coopqp/control/limits.py": ("limits", "lockstep", "program", "qp_controller", "reliability/stopping"),
     "coopqp/control/forms.py": ("program", "lockstep", "core", "posture", "public_names", "qp_controller"),
-    "coopqp/control/ranks.py": ("core", "lockstep", "program", "constraint_rows", "qp_controller", "posture"),
+    "coopqp/control/ranks.py": ("lockstep", "core", "program", "constraint_rows", "qp_controller", "posture"),
     "coopqp/control/linearised.py": ("lockstep", "qp_controller", "program"),
     "coopqp/control/drift.py": ("lockstep", "supervision", "qp_controller", "reliability/disturbances"),
     "coopqp/control/plain.py": ("lockstep", "qp_controller", "supervision", "posture", "reliability/stopping"),
