@@ -116,6 +116,16 @@ EQUIVALENT: dict[tuple[str, str, str], str] = {
                 "s.rate = (0.0 if self._box.accelerates else 1.0) if rate is None else rate",
                 "s.rate = (0.0 if self._box.accelerates else 2.0) if rate is None else rate",
             ): "every use of it is cut off at 1",
+            (
+                "if rate == 1.0 and answer.exact and not self._restricted:",
+                "if rate == 2.0 and answer.exact and not self._restricted:",
+            ): "the same record, built anew",
+        },
+        "coopqp/control/ranks.py": {
+            (
+                "if not (high >= max(low, 0.0) and low <= 1.0):",
+                "if not (high >= max(low, 0.0) and low < 1.0):",
+            ): "a least rate of exactly 1",
         },
         "coopqp/model/grasp.py": {
             (
