@@ -49,10 +49,17 @@ MODULES: dict[str, tuple[str, ...]] = {
     "coopqp/task/path.py": ("path", "targets", "core", "simulation", "preview", "scenarios"),
     "coopqp/control/limits.py": ("limits", "lockstep", "program", "qp_controller", "reliability/stopping"),
     "coopqp/control/forms.py": ("program", "lockstep", "core", "posture", "public_names", "qp_controller"),
-    "coopqp/control/ranks.py": ("core", "lockstep", "program", "constraint_rows", "qp_controller", "posture"),
+    "coopqp/control/ranks.py": ("lockstep", "core", "program", "constraint_rows", "qp_controller", "posture"),
     "coopqp/control/linearised.py": ("lockstep", "qp_controller", "program"),
     "coopqp/control/drift.py": ("lockstep", "supervision", "qp_controller", "reliability/disturbances"),
-    "coopqp/control/plain.py": ("lockstep", "qp_controller", "supervision", "posture", "reliability/stopping"),
+    "coopqp/control/plain.py": (
+        "lockstep",
+        "qp_controller",
+        "copies",
+        "constraint_rows",
+        "supervision",
+        "reliability/stopping",
+    ),
     "coopqp/control/supervision.py": ("supervision", "lockstep", "stress", "qp_controller", "reliability/disturbances"),
     "coopqp/planning/preview.py": ("preview", "qp_controller", "lockstep", "scenarios", "reliability/saturation"),
 }
@@ -103,6 +110,28 @@ EQUIVALENT: dict[tuple[str, str, str], str] = {
         },
         ANY: {
             ("@dataclass(eq=False)", "@dataclass(eq=True)"): "nobody compares these, and none of them is a key",
+        },
+        "coopqp/control/plain.py": {
+            (
+                "s.rate = (0.0 if self._box.accelerates else 1.0) if rate is None else rate",
+                "s.rate = (0.0 if self._box.accelerates else 2.0) if rate is None else rate",
+            ): "every use of it is cut off at 1",
+            (
+                "if rate == 1.0 and answer.exact and not self._restricted:",
+                "if rate == 2.0 and answer.exact and not self._restricted:",
+            ): "the same record, built anew",
+        },
+        "coopqp/control/ranks.py": {
+            (
+                "if not (high >= max(low, 0.0) and low <= 1.0):",
+                "if not (high >= max(low, 0.0) and low < 1.0):",
+            ): "a least rate of exactly 1",
+        },
+        "coopqp/model/grasp.py": {
+            (
+                "if d > tolerance_m or a > tolerance_rad:",
+                "if d >= tolerance_m or a > tolerance_rad:",
+            ): "a distance of exactly the tolerance",
         },
         "coopqp/control/supervision.py": {
             ("if o.let_in > 0.0:", "if o.let_in > -1.0:"): "with 0 no drift is let in, only later",

@@ -11,7 +11,18 @@ from typing import Any
 import numpy as np
 import pytest
 
-from coopqp import Array, InvalidInputError, PreviewOptions, QPController, QPOptions, RankWeights, make_solver
+from coopqp import (
+    Array,
+    InvalidInputError,
+    PreviewOptions,
+    QPController,
+    QPOptions,
+    QpSolver,
+    RankWeights,
+    SolverSettings,
+    available_kernels,
+    make_solver,
+)
 from coopqp.control.command import NO_SOLVE
 from coopqp.control.constraints import Rows, no_rows
 from coopqp.control.forms import Answer, Pieces, StepProgram, StepTerms
@@ -358,6 +369,36 @@ def test_off_path_motion_is_one_that_all_arms_can_follow(
         assert Z.shape[1] == 4
         s = recorded.condensed(a_box(rng, recorded, width=0.01)).off_path
         assert np.abs(s - Z @ (Z.T @ s)).max() < 1e-9
+
+
+class Raising(QpSolver):
+    """Raises, whatever it is asked."""
+
+    name = "raising"
+    settings = SolverSettings()
+
+    def solve(self, problem: Any) -> Any:
+        raise RuntimeError("no licence")
+
+    def _solve(self, problem: Any, work: Any) -> Any:
+        raise NotImplementedError
+
+    def _forget(self) -> None:
+        pass
+
+
+@pytest.mark.parametrize("kernel", available_kernels())
+def test_what_a_solver_raises_is_reported(kernel: Any) -> None:
+    task = paper_lift()
+    options = QPOptions(kernel=kernel, solver=Raising(), shortcut=False)
+    controller = QPController(task.cell, task.grasp, task.path, dt=0.01, options=options)
+    controller.reset(task.q_start)
+    step = controller.step()
+    report = step.solver
+    assert (report.name, report.status, report.iterations, report.time_s) == ("raising", "failed", 0, 0.0)
+    assert "no licence" in report.message
+    assert "no licence" in step.reason
+    assert np.abs(step.velocity).max() < 1e-9  # the arms stay at rest, but for the rounding of the grasp
 
 
 def test_ratios_of_at_least_100_keep_the_ranks_apart() -> None:
