@@ -1,4 +1,4 @@
-"""What stands before the motion: batch kinematics, starts of whole cells, and the check of a path.
+"""What stands before the motion: batch kinematics, starts, checks, and the fastest timing of random paths.
 
 The cases take turns in one run: trust the ratios. See benchmarks/README.md.
 """
@@ -17,28 +17,44 @@ import pinocchio as pin
 import user_cells
 from common import Record
 
-from coopqp import NoStartError
+from coopqp import (
+    Array,
+    Grasp,
+    LinePath,
+    NoStartError,
+    ObjectPath,
+    QPController,
+    RobotCell,
+    Status,
+    read_run,
+    simulate,
+)
 from coopqp.model.batch import ArmKinematics, batch_kernels
 from coopqp.model.chain import Chain
 from coopqp.model.inverse_kinematics import newton
-from coopqp.planning import find_start
+from coopqp.planning import find_start, time_path
 from coopqp.scenarios import paper_lift, ring
 
-KEYS = ("case", "method", "arms", "time_s", "ratio", "per_s", "found", "verdict", "note")
+KEYS = (
+    "case", "method", "arms", "time_s", "ratio", "tracking_share", "chain_mm", "path_mm", "plan_ms", "verdict",
+)  # fmt: skip
+#: Length of a step [s], and the share of the shortest time that a reactive run's path asks for.
+DT, ASKED = 0.002, 0.75
 
 
 @dataclass(frozen=True, kw_only=True)
 class Plan:
-    """Poses of a batch, poses that the kept chain solves in a round, rounds, sizes of rings."""
+    """Poses of a batch, poses that the kept chain solves in a round, rounds, sizes of rings, random paths."""
 
     poses: int = 2000
     alone: int = 200
     rounds: int = 8
     rings: tuple[int, ...] = (8, 32)
+    paths: int = 24
 
 
 FULL = Plan()
-QUICK = Plan(poses=1000, alone=100, rounds=4, rings=(8,))
+QUICK = Plan(poses=1000, alone=100, rounds=4, rings=(8,), paths=4)
 
 
 def batch(plan: Plan, progress: common.Progress) -> list[Record]:
@@ -76,11 +92,10 @@ def batch(plan: Plan, progress: common.Progress) -> list[Record]:
     contestants = {"kept chain": kept, **{kernel: of(kernel) for kernel in batch_kernels()}}
     samples = common.interleaved(contestants, rounds=plan.rounds, progress=progress)
     base = samples["kept chain"]
-    note = "object poses of three arms; the batch also has σ_min and margins"
     return [
         record(
             "batch", name, 3, float(np.median(times)), ratio=float(np.median(base / times)),
-            per_s=1.0 / float(np.median(times)), found=missed[name] == 0, note=note,
+            verdict="all reached" if missed[name] == 0 else f"{missed[name]} missed",
         )
         for name, times in samples.items()
     ]  # fmt: skip
@@ -96,15 +111,108 @@ def starts(plan: Plan, progress: common.Progress) -> list[Record]:
     for name, (cell, grasp, path) in tasks.items():
         progress.label = name
         progress.show()
-        times, found, note = [], True, name
+        times, verdict = [], "found"
         for _ in range(min(3, plan.rounds)):
             began = time.perf_counter()
             try:
                 find_start(cell, grasp, path)
             except NoStartError as error:
-                found, note = False, f"{name}: {error}"
+                verdict = f"no start: {error}"
             times.append(time.perf_counter() - began)
-        records.append(record("starts", "find_start", len(cell), float(np.median(times)), found=found, note=note))
+        seconds = float(np.median(times))
+        records.append(
+            record(f"start: {name}", "find_start", len(cell), seconds, plan_ms=1e3 * seconds, verdict=verdict)
+        )
+        progress.advance()
+    return records
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Task:
+    """A random straight path of a ring of arms, with random acceleration limits."""
+
+    name: str
+    cell: RobotCell
+    grasp: Grasp
+    path: LinePath
+    q_start: Array
+
+
+def random_task(seed: int) -> Task:
+    """2 to 8 arms of six or seven joints; a path that has a start."""
+    rng = np.random.default_rng(seed)
+    while True:
+        arms, robot = int(rng.integers(2, 9)), rng.choice(["rx90l", "rx90l", "arm7"])
+        task = ring(arms=arms, robot=robot)
+        cell = task.cell.with_limits(acceleration=rng.uniform(2.0, 12.0))
+        way = rng.uniform(-1.0, 1.0, 3) * [0.15, 0.15, 0.12]
+        turn = rng.uniform(-1.0, 1.0, 3) * 0.25 / max(0.5, arms / 8.0)
+        path = LinePath.displaced(task.path.pose(0.0), translation=way, rotation=turn, duration=1.0)
+        try:
+            found = find_start(cell, task.grasp, path)
+        except NoStartError:
+            continue
+        return Task(name=f"{robot} {seed}", cell=cell, grasp=task.grasp, path=path, q_start=found.q)
+
+
+def timings(plan: Plan, progress: common.Progress) -> list[Record]:
+    """Planned and reactive runs of random paths against the shortest time at the full limits."""
+    records = []
+    for seed in range(plan.paths):
+        task = random_task(seed)
+        progress.label = f"path {task.name}"
+        progress.show()
+        shortest = time_path(task.cell, task.grasp, task.path, q_start=task.q_start, share=1.0, knots=800).duration
+        began = time.perf_counter()
+        planned = time_path(task.cell, task.grasp, task.path, q_start=task.q_start)
+        plan_ms = 1e3 * (time.perf_counter() - began)
+        paths: dict[str, ObjectPath] = {"planned": planned}
+        for law in ("linear", "quintic"):
+            start, goal = task.path.start, task.path.goal
+            paths[f"reactive {law}"] = LinePath(start, goal, duration=ASKED * shortest, time_law=law)
+        for method, path in paths.items():
+            options = {"plan_ms": plan_ms} if method == "planned" else {}
+            records.append(tracked(task, method, path, shortest, **options))
+        progress.advance()
+    return records
+
+
+def tracked(task: Task, method: str, path: ObjectPath, shortest: float, **values: object) -> Record:
+    """One run: its time against the shortest, the share of its steps that are TRACKING, its errors."""
+    controller = QPController(task.cell, task.grasp, path, dt=DT)
+    run = simulate(controller, q_start=task.q_start, duration=20.0 * shortest)
+    errors = read_run(task.cell, run)
+    seconds = DT * len(run.status)
+    done = bool(run.clock[-1] >= path.duration)
+    return record(
+        f"path: {task.name}", method, len(task.cell), seconds,
+        ratio=seconds / shortest,
+        tracking_share=float(np.mean([status == Status.TRACKING for status in run.statuses])),
+        chain_mm=float(errors.chain_mm.max()),
+        path_mm=float(errors.object_mm.max()),
+        verdict="finished" if done else "not finished",
+        **values,
+    )  # fmt: skip
+
+
+def many_arms(plan: Plan, progress: common.Progress) -> list[Record]:
+    """Time that time_path takes on rings."""
+    records = []
+    for arms in plan.rings:
+        task = ring(arms=arms)
+        cell = task.cell.with_limits(acceleration=5.0)
+        progress.label = f"timing of {arms} arms"
+        progress.show()
+        times, path = [], None
+        for _ in range(plan.rounds + 1):
+            began = time.perf_counter()
+            path = time_path(cell, task.grasp, task.path, q_start=task.q_start)
+            times.append(time.perf_counter() - began)
+        assert path is not None
+        spent = 1e3 * min(times[1:])  # the first imports toppra; others share the machine
+        records.append(
+            record(f"timing: ring of {arms}", "planned", arms, path.duration, plan_ms=spent, verdict="planned")
+        )
         progress.advance()
     return records
 
@@ -120,11 +228,12 @@ def main(argv: Sequence[str] | None = None) -> int:
     plan = QUICK if args.quick else FULL
     description = common.describe("planning", {"poses": plan.poses, "rounds": plan.rounds})
     print(common.header(description), flush=True)
-    total = plan.rounds * (1 + len(batch_kernels())) + len(user_cells.CELLS) + 2 * len(plan.rings) + 3
+    total = plan.rounds * (1 + len(batch_kernels())) + len(user_cells.CELLS) + 3 * len(plan.rings) + plan.paths + 3
     progress = common.Progress(total)
     records = [*batch(plan, progress), *starts(plan, progress)]
     checked = check_cases.checks(plan.rings, plan.rounds, progress)
     records += [{**dict.fromkeys(KEYS), **record} for record in checked]
+    records += [*timings(plan, progress), *many_arms(plan, progress)]
     progress.close()
     text = "## Before the motion\n\n" + common.markdown_table(records, KEYS) + "\n"
     print("\n" + text)

@@ -51,12 +51,14 @@ if TYPE_CHECKING:
         MissingSolverError,
         ModelError,
         NoStartError,
+        UndecidedError,
         UnknownNameError,
         UnreachableError,
     )
     from coopqp.files.cellfile import CellFileError, load_cell_file
     from coopqp.files.export import write_bag, write_csv
     from coopqp.forces.stress import InternalStress, StressModel, at_tools
+    from coopqp.look.profile import write_speed_profile
     from coopqp.look.report import write_report
     from coopqp.look.viewer import LiveViewer, export_html
     from coopqp.model.cell import Arm, JointLimits, RobotCell
@@ -90,6 +92,7 @@ if TYPE_CHECKING:
     from coopqp.task.path import HoldPath, LinePath, ObjectPath, ServoPath, TimeLaw, WaypointPath
     from coopqp.task.posture import PostureOptions
     from coopqp.task.scenario import Scenario
+    from coopqp.task.timed import TimedPath
 else:
     __getattr__, __dir__ = lazy_names(
         __name__,
@@ -124,6 +127,7 @@ else:
                 "MissingSolverError",
                 "ModelError",
                 "NoStartError",
+                "UndecidedError",
                 "UnknownNameError",
                 "UnreachableError",
             ),
@@ -169,6 +173,7 @@ else:
             ),
             "coopqp.task.posture": ("PostureOptions",),
             "coopqp.task.scenario": ("Scenario",),
+            "coopqp.task.timed": ("TimedPath",),
             "coopqp.control.independent": ("IndependentQPController", "IndependentQPOptions"),
             "coopqp.control.pseudo_inverse": ("PseudoInverseController", "PseudoInverseOptions"),
             "coopqp.control.solvers.daqp": ("DaqpSettings",),
@@ -179,6 +184,7 @@ else:
             "coopqp.files.cellfile": ("CellFileError", "load_cell_file"),
             "coopqp.files.export": ("write_bag", "write_csv"),
             "coopqp.forces.stress": ("InternalStress", "StressModel", "at_tools"),
+            "coopqp.look.profile": ("write_speed_profile",),
             "coopqp.look.report": ("write_report",),
             "coopqp.look.viewer": ("LiveViewer", "export_html"),
             "coopqp.output": ("OutputError",),
@@ -285,7 +291,9 @@ __all__ = [
     "StressModel",
     "SupervisionOptions",
     "TimeLaw",
+    "TimedPath",
     "Tolerances",
+    "UndecidedError",
     "UnknownNameError",
     "UnreachableError",
     "VelocityConstraint",
@@ -320,4 +328,5 @@ __all__ = [
     "write_bag",
     "write_csv",
     "write_report",
+    "write_speed_profile",
 ]

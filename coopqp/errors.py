@@ -71,6 +71,10 @@ class NoStartError(UnreachableError):
         return type(self), (self.arms, self.message)
 
 
+class UndecidedError(CoopqpError):
+    """A computation failed in numbers: nothing is known of what was asked."""
+
+
 class MissingExtraError(CoopqpError, ImportError):
     """An optional dependency is not installed. The message names the extra."""
 

@@ -12,6 +12,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from coopqp.app.planning import add_plan
 from coopqp.app.terminal import BOLD, GREEN, RED, Reporter, print_table, reporter, styled
 from coopqp.errors import CoopqpError, printable
 
@@ -291,4 +292,4 @@ def _run_export(arguments: argparse.Namespace) -> int:
     return _OK
 
 
-COMMANDS = (_add_run, _add_schema, _add_view, _add_report, _add_export)
+COMMANDS = (_add_run, add_plan, _add_schema, _add_view, _add_report, _add_export)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
 from coopqp.checks import as_count, as_options, keep_scalars
@@ -14,6 +14,7 @@ from coopqp.control.supervision import SupervisionOptions
 from coopqp.errors import InvalidInputError, UnknownNameError
 from coopqp.planning.preview import PreviewOptions
 from coopqp.task.common_error import CommonError
+from coopqp.task.path import ObjectPath
 from coopqp.task.posture import PostureOptions
 
 
@@ -81,6 +82,21 @@ class QPOptions:
         object.__setattr__(self, "iterations", as_count(self.iterations, "QPOptions: iterations"))
         if self.iterations > 5:
             raise InvalidInputError(f"iterations is {self.iterations}", "QPOptions", "Give 1 to 5.")
+
+    def on(self, path: ObjectPath) -> QPOptions:
+        """These options on a path: one that was planned may use the share of the limits that it was planned with.
+
+        Half of what its share leaves is for corrections. Redundant arms then move by least motion, as they were
+        planned, without posture.
+        """
+        share = path.planned_share
+        if share is None:
+            return self
+        preview = self.preview
+        if preview is not None:
+            margin = max(preview.margin, 0.5 * (1.0 + share))
+            preview = replace(preview, margin=margin, curvature_share=1.0)
+        return replace(self, preview=preview, posture=PostureOptions(gain=0.0))
 
 
 #: Fields that are groups of options, with their types.

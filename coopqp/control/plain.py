@@ -117,7 +117,7 @@ class PlainLoop:
     def __init__(
         self, cell: RobotCell, grasp: Grasp, *, dt: float, options: QPOptions, constraints: Constraints
     ) -> None:
-        self.cell, self.grasp, self.dt, self.options = cell, grasp, dt, options
+        self.cell, self.grasp, self.dt, self.options, self._on_path = cell, grasp, dt, options, options
         turn = Turn()
         self.hold, self.release = turn.hold, turn.release
         self.constraints = constraints
@@ -140,14 +140,20 @@ class PlainLoop:
 
     def follow(self, path: ObjectPath) -> None:
         """Take a path; it begins with :meth:`start_path`."""
-        self.path = path
+        self.path, self._on_path = path, self.options.on(path)
+        self._posture.take(self._on_path.posture)
         self._guarded = GuardedPath(path)
         self._ahead: tuple[float, pin.SE3] | None = None
         self._preview = None
         if self.options.preview is not None and self._guarded.known_ahead:
             bound = self._bound_knot if self.constraints else None
             preview = PathPreview(
-                Chain(self.cell, self.grasp), path, self._posture, dt=self.dt, options=self.options.preview, bound=bound
+                Chain(self.cell, self.grasp),
+                path,
+                self._posture,
+                dt=self.dt,
+                options=self._on_path.preview,
+                bound=bound,
             )
             self._preview = preview
 
@@ -364,7 +370,7 @@ class PlainLoop:
             return nothing, nothing
         if self._preview is not None and not self._preview.blind:
             q_ahead, slope = self._preview.reference(s.clock)
-            offset = self.options.posture.gain * pin.difference(self.cell.model, s.q, q_ahead)
+            offset = self._on_path.posture.gain * pin.difference(self.cell.model, s.q, q_ahead)
         else:
             slope, offset = nothing, self._posture.velocity(s.q)
         return slope, nothing if hold else offset

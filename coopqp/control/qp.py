@@ -13,6 +13,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, final
 
+import numpy as np
 import pinocchio as pin
 
 from coopqp.checks import as_options, as_scalar, require
@@ -130,7 +131,12 @@ class QPController:
         self._started, self._outside = True, bool(outside_limits(self.cell, start))
         self._loop.start(start)
         self._take(self.path)
-        self._loop.start_path()
+        self._loop.start_path(rate=self._first_rate())
+
+    def _first_rate(self) -> float | None:
+        """The rate that a path begins with: full where the object rests at its start; None for the loop's own."""
+        twist = GuardedPath(self.path).twist(0.0)
+        return 1.0 if twist is not None and not np.any(twist) else None
 
     def _held_at(self, q: Any) -> pin.SE3:
         """Where the arms hold the object at ``q``: by their shares in the common error, from the first one's view."""
@@ -148,7 +154,7 @@ class QPController:
         GuardedPath(path).check("follow")
         self._take(path)
         if self._started:
-            self._loop.start_path()
+            self._loop.start_path(rate=self._first_rate())
 
     @alone
     def retarget(self, T_world_object: Placement) -> None:

@@ -101,6 +101,7 @@ class ArmKinematics:
         lower, upper: position limits (n,) [rad or m], ±inf without.
         bounded: True for joints with both limits (n,).
         middle: middle between the limits, 0 without (n,) [rad or m].
+        scale: unit of each joint, its largest speed [rad/s or m/s], 1 without (n,).
         turns: True for joints that tell whole turns apart: they revolve and are not continuous (n,).
 
     Raises:
@@ -129,7 +130,8 @@ class ArmKinematics:
         self.bounded = np.isfinite(self.lower) & np.isfinite(self.upper)
         self.middle = np.where(self.bounded, 0.5 * (self.lower.clip(-1e9) + self.upper.clip(None, 1e9)), 0.0)
         speed = arm.limits.velocity[self.columns]
-        weights = np.where(np.isfinite(speed), speed, 1.0) if len(chain) > 6 else np.ones(len(chain))
+        self.scale = np.where(np.isfinite(speed), speed, 1.0)
+        weights = self.scale if len(chain) > 6 else np.ones(len(chain))
         rows = np.column_stack([R.reshape(-1, 9), p, slides, weights / weights.max()])
         tool = np.concatenate([(aligned.T @ frame.placement.rotation).ravel(), aligned.T @ frame.placement.translation])
         self._numbers = np.concatenate([rows.ravel(), tool])
@@ -183,25 +185,37 @@ class ArmKinematics:
             steps: largest number of steps.
             longest: longest step of a joint [rad or m].
         """
+        q, residual = self.newton(poses, q_start, tolerance=tolerance, steps=steps, longest=longest)
+        return BatchSolutions(q, residual, self.singular_values(q)[:, -1], self.margins(q))
+
+    def newton(
+        self, poses: Any, q_start: Any, *, tolerance: float = REACHED, steps: int = _STEPS, longest: float = _LONGEST
+    ) -> tuple[Array, Array]:
+        """Positions (M, n) and residuals (M,) of :meth:`solve`, without singular values."""
         q = self._positions(q_start)
         numbers = self._poses(poses, len(q))
         residual = np.empty(len(q))
         self.kernel.solve(self._numbers, numbers, q, residual, tolerance, steps, longest, _DAMPING)
-        return BatchSolutions(q, residual, self.singular_values(q)[:, -1], self.margins(q))
+        return q, residual
 
     def walk(self, poses: Any, q_start: Any, *, tolerance: float = REACHED) -> Walks:
         """From each start (M, n), which reaches the first of K poses (K, 4, 4), along all of them.
 
         A redundant arm takes the shortest way, in the unit of each joint's largest speed.
         """
+        q, reached = self.ways(poses, q_start, tolerance=tolerance)
+        sigma = self.singular_values(q.reshape(-1, self.n))[:, -1].reshape(len(q), -1)
+        return Walks(q, reached, sigma)
+
+    def ways(self, poses: Any, q_start: Any, *, tolerance: float = REACHED) -> tuple[Array, npt.NDArray[np.intp]]:
+        """Positions (M, K, n) and last poses (M,) of :meth:`walk`, without singular values."""
         starts = self._positions(q_start)
         numbers = self._poses(poses, None)
         q = np.empty((len(starts), len(numbers), self.n))
         q[:, 0] = starts
         reached = np.zeros(len(starts))
         self.kernel.walk(self._numbers, numbers, q, reached, tolerance, _WALKING_STEP, _HALVINGS)
-        sigma = self.singular_values(q.reshape(-1, self.n))[:, -1].reshape(len(starts), -1)
-        return Walks(q, reached.astype(np.intp), sigma)
+        return q, reached.astype(np.intp)
 
     def nearest_turns(self, q: Array) -> Array:
         """The same angles (…, n) at the turn where each joint is furthest inside its limits, else least outside."""

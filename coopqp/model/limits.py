@@ -17,6 +17,8 @@ class LimitKind(enum.Enum):
     PATH_END = "path end"
     OUT_OF_STEP = "out of step"
     CONSTRAINT = "constraint"
+    TORQUE = "torque"
+    JERK = "jerk"
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,7 +8,7 @@ import numpy as np
 import pinocchio as pin
 
 from coopqp.errors import ModelError
-from coopqp.spatial import Array
+from coopqp.spatial import Array, skew
 
 
 def joint_links(model: pin.Model, joints: Sequence[int]) -> tuple[Array, Array, Array, Array]:
@@ -23,21 +23,20 @@ def joint_links(model: pin.Model, joints: Sequence[int]) -> tuple[Array, Array, 
     """
     R, p, slides = np.empty((len(joints), 3, 3)), np.empty((len(joints), 3)), np.zeros(len(joints))
     parent, aligned = 0, np.eye(3)
+    data, neutral = model.createData(), pin.neutral(model)
     for i, j in enumerate(joints):
         if model.joints[j].nv != 1 or model.parents[j] != parent:
             raise ModelError(f"joint {model.names[j]} does not follow the one before")
-        axis, slides[i] = _axis(model, j)
+        axis, slides[i] = _axis(model, j, pin.computeJointJacobian(model, data, neutral, j))
         placement, turned = model.jointPlacements[j], _z_to(axis)
         R[i], p[i] = aligned.T @ placement.rotation @ turned, aligned.T @ placement.translation
         parent, aligned = j, turned
     return R, p, slides, aligned
 
 
-def _axis(model: pin.Model, joint: int) -> tuple[Array, bool]:
-    """The joint's axis in its own frame, and whether it slides along it."""
-    own = pin.computeJointJacobian(model, model.createData(), pin.neutral(model), joint)[
-        :, int(model.joints[joint].idx_v)
-    ]
+def _axis(model: pin.Model, joint: int, jacobian: Array) -> tuple[Array, bool]:
+    """The joint's axis in its own frame, and whether it slides along it, from the joint's Jacobian in its frame."""
+    own = jacobian[:, int(model.joints[joint].idx_v)]
     linear, angular = own[:3], own[3:]
     if abs(np.linalg.norm(angular) - 1.0) < 1e-9 and np.abs(linear).max() < 1e-9:
         return angular, False
@@ -49,6 +48,6 @@ def _axis(model: pin.Model, joint: int) -> tuple[Array, bool]:
 def _z_to(axis: Array) -> Array:
     """A rotation that takes z to ``axis``."""
     z = axis / np.linalg.norm(axis)
-    x = np.cross(np.eye(3)[int(np.abs(z).argmin())], z)
+    x = skew(np.eye(3)[int(np.abs(z).argmin())]) @ z
     x /= np.linalg.norm(x)
-    return np.column_stack([x, np.cross(z, x), z])
+    return np.column_stack([x, skew(z) @ x, z])

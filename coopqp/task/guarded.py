@@ -11,14 +11,16 @@ import pinocchio as pin
 from coopqp.checks import as_vector
 from coopqp.errors import InvalidInputError, said
 from coopqp.spatial import Array, as_placement
+from coopqp.task.geometry import TURN_LENGTH
 from coopqp.task.path import HoldPath, LinePath, ObjectPath, ServoPath, WaypointPath
+from coopqp.task.timed import TimedPath
 
 #: Entries this large make a pose invalid [m].
 FARTHEST = 1e9
 #: Entries this large make a twist invalid [m/s, rad/s].
 FASTEST = 1e9
-#: A path that moves faster jumps [m/s]; 1 rad counts as this many metres.
-FASTEST_PATH, TURN_LENGTH = 20.0, 0.3
+#: A path that moves faster jumps [m/s].
+FASTEST_PATH = 20.0
 #: Breakpoints that are asked for, at most.
 _MOST_BREAKPOINTS = 10_000
 #: Of a path without end, so much is asked before anything moves [s].
@@ -31,7 +33,7 @@ _TWIST_SHARE, _TWIST_TOLERANCE = 0.1, 1e-3
 
 def is_known(path: ObjectPath) -> bool:
     """Whether the path is one of the library's own, which neither raise nor return nonsense."""
-    return type(path) in (LinePath, WaypointPath, HoldPath, ServoPath)
+    return type(path) in (LinePath, WaypointPath, HoldPath, ServoPath, TimedPath)
 
 
 def _distance(a: pin.SE3, b: pin.SE3) -> float:

@@ -20,6 +20,7 @@ import pinocchio as pin
 from coopqp.checks import as_scalar, as_vector
 from coopqp.errors import InvalidInputError, UnknownNameError
 from coopqp.spatial import Array, Placement, as_placement, as_placements
+from coopqp.task.geometry import PathGeometry, Straight, motion_length
 
 
 class TimeLaw(enum.Enum):
@@ -44,6 +45,17 @@ class TimeLaw(enum.Enum):
             return 0.0
         return 1.0 if self is TimeLaw.LINEAR else 30.0 * x * x * (1.0 - x) * (1.0 - x)
 
+    def inverse(self, u: Array) -> Array:
+        """x at shares u of the way (K,), by bisection."""
+        low, high = np.zeros_like(u), np.ones_like(u)
+        if self is TimeLaw.LINEAR:
+            return np.clip(u, low, high)
+        for _ in range(52):
+            x = 0.5 * (low + high)
+            over = x * x * x * (10.0 + x * (6.0 * x - 15.0)) > u
+            low, high = np.where(over, low, x), np.where(over, x, high)
+        return np.where(u >= 1.0, 1.0, 0.5 * (low + high))
+
 
 def as_time_law(value: TimeLaw | str) -> TimeLaw:
     """A TimeLaw from its name."""
@@ -60,6 +72,9 @@ class ObjectPath(abc.ABC):
 
     duration: float  #: [s]
     known_ahead: bool = True  #: True if poses ahead of the clock are known (the preview needs them)
+    #: Share of the joints' limits that the path was planned with; None if it was not planned. A controller lets a
+    #: planned path use that share, and moves redundant arms by least motion, as they were planned, without posture.
+    planned_share: float | None = None
 
     @abc.abstractmethod
     def pose(self, clock: float) -> pin.SE3:
@@ -81,6 +96,14 @@ class ObjectPath(abc.ABC):
         (0 linear, 1 quintic).
         """
         return None
+
+    def geometry(self) -> PathGeometry | None:
+        """Where the path goes, without when; None where only :meth:`pose` knows it, or the object stays."""
+        return None
+
+    def clocks(self, s: Array) -> Array:
+        """Clocks [s] at which the path is at s (K,) [m] of its :meth:`geometry`."""
+        raise NotImplementedError(f"{type(self).__name__} has no geometry")
 
     def increment(self, clock: float, dt: float) -> Array:
         """``log(T(τ)⁻¹ T(τ + dt)) / dt``, shape (6,): the constant twist whose step of ``dt`` [s] is exact.
@@ -179,6 +202,21 @@ class LinePath(ObjectPath):
         numbers[18] = start
         return numbers
 
+    def straight(self) -> Straight | None:
+        """The line without its time law; None if it stays."""
+        length = motion_length(self._line, self.screw.angle)
+        return Straight(self._R0, self._p0, self._rotation_vector, self._line, length) if length > 0.0 else None
+
+    def geometry(self) -> PathGeometry | None:
+        """One straight piece."""
+        line = self.straight()
+        return None if line is None else PathGeometry((line,))
+
+    def clocks(self, s: Array) -> Array:
+        """See :meth:`ObjectPath.clocks`."""
+        line = self.straight()
+        return self.duration * self.time_law.inverse(s / line.length) if line else super().clocks(s)
+
     def packed(self) -> Array:
         """One segment."""
         return np.concatenate([[self.duration, 0.0, 1.0], self._segment])
@@ -231,6 +269,22 @@ class WaypointPath(ObjectPath):
         )
         self._starts = [0.0, *np.cumsum(times)[:-1].tolist()]
         self.duration = float(np.sum(times))
+
+    def geometry(self) -> PathGeometry | None:
+        """A straight piece for each pair of waypoints that differ."""
+        lines = [line for segment in self.segments if (line := segment.straight())]
+        return PathGeometry(tuple(lines)) if lines else None
+
+    def clocks(self, s: Array) -> Array:
+        """See :meth:`ObjectPath.clocks`."""
+        found, mark = np.full(len(s), self.duration), 0.0
+        for segment, start in zip(self.segments, self._starts, strict=True):
+            line = segment.straight()
+            if line is not None:
+                here = (s >= mark) & (s <= mark + line.length)
+                found[here] = start + segment.clocks(s[here] - mark)
+                mark += line.length
+        return found
 
     def packed(self) -> Array:
         """A segment for each pair of waypoints; the twist jumps between them."""

@@ -41,20 +41,26 @@ class Posture:
     """Wanted joint velocities of the redundant arms of a cell; zero for the other arms."""
 
     def __init__(self, cell: RobotCell, options: PostureOptions) -> None:
-        self._cell, self._options = cell, options
+        self._cell = cell
         self._redundant = np.concatenate([np.full(s.stop - s.start, s.stop - s.start > 6) for s in cell.v_slices])
         limits = cell.limits
         bounded = np.isfinite(limits.lower) & np.isfinite(limits.upper) & self._redundant
         self._bounded = np.flatnonzero(bounded)
         self._middle = 0.5 * (limits.lower[bounded] + limits.upper[bounded])
-        self._cap = options.speed_share * np.where(np.isfinite(limits.velocity), limits.velocity, 1.0)
-        self._data = cell.model.createData() if options.manipulability else None
+        self._speeds = np.where(np.isfinite(limits.velocity), limits.velocity, 1.0)
         target = options.target
         self.target = None if target is None else cell.check_configuration(target, "PostureOptions: target")
+        self._given = target is not None
+        self.take(options)
+
+    def take(self, options: PostureOptions) -> None:
+        """Take other weights; the target stays."""
+        self._options, self._cap = options, options.speed_share * self._speeds
+        self._data = self._cell.model.createData() if options.manipulability else None
 
     def reset(self, q: Array) -> None:
         """Take ``q`` as the target, unless one was given."""
-        if self._options.target is None:
+        if not self._given:
             self.target = q
 
     def velocity(self, q: Array) -> Array:

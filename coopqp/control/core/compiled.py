@@ -16,7 +16,7 @@ import coopqp.control.core._native as native
 from coopqp.control.command import ControlStep, SolverReport, amend
 from coopqp.control.constraints import Constraints, ConstraintTrouble, Knot, no_rows
 from coopqp.control.core import layout
-from coopqp.control.core.memory import Memory, NotForTheCore, build_memory, same_kinematics
+from coopqp.control.core.memory import Memory, NotForTheCore, build_memory, put_options, same_kinematics
 from coopqp.control.limits import VelocityBox
 from coopqp.control.linearised import LinearisedAnswer, LinearisedStep, StepInput
 from coopqp.control.options import QPOptions
@@ -73,7 +73,7 @@ class CompiledLoop:
         chain, box = Chain(cell, grasp), VelocityBox(cell)
         shares = options.common_error.shares(cell)
         self.solver = StepSolver(chain, box, options)
-        self._box, self._definition = box, LinearisedStep(chain, box, shares, self.solver, options)
+        self._chain, self._box, self._definition = chain, box, LinearisedStep(chain, box, shares, self.solver, options)
         unit = self.solver.program.units
         self._memory = build_memory(chain, box, shares, unit, grasp_lengths(grasp), options, dt, gap=native.GAP)
         at = self.at = self._memory.at
@@ -99,6 +99,7 @@ class CompiledLoop:
         """Take a path; it begins with :meth:`start_path`."""
         self.path = path
         self._guarded = GuardedPath(path)
+        put_options(self._memory, self._chain, self._box, self.options.on(path), self.dt)
         self._reader = RecordReader(
             self.cell, self.grasp, path, solver=self.solver.name, constraints=self.constraints.names,
             dt=self.dt, supervision=self.options.supervision,

@@ -84,9 +84,14 @@ def build_memory(
     at["posture_cap"][:] = posture.speed_share * np.where(np.isfinite(limits.velocity), limits.velocity, 1.0)
     at["posture_bounded"][:] = bounded
     at["posture_middle"][bounded] = 0.5 * (limits.lower[bounded] + limits.upper[bounded])
-    _put_plan(chain, at, options, dt)
-    _put_options(at["options"], box, options, dt)
+    put_options(memory, chain, box, options, dt)
     return memory
+
+
+def put_options(memory: Memory, chain: Chain, box: VelocityBox, options: QPOptions, dt: float) -> None:
+    """Put the settings of a path into the memory; what belongs to the solver stays."""
+    _put_plan(chain, memory.at, options, dt)
+    _put_options(memory.at["options"], box, options, dt)
 
 
 def _arms(chain: Chain) -> tuple[list[int], list[int]]:

@@ -41,6 +41,7 @@ from coopqp.spatial import Array, as_placement
 from coopqp.task.common_error import CommonError
 from coopqp.task.path import HoldPath, LinePath, ObjectPath, WaypointPath
 from coopqp.task.scenario import Scenario
+from coopqp.task.timed import TimedPath
 
 DEFAULT_DT = 0.002
 
@@ -347,6 +348,9 @@ def _grasp(file: CellFile, cell: RobotCell) -> Grasp:
 
 def _path(file: CellFile) -> ObjectPath:
     path = file.path
+    if path.kind == "timed":
+        names = {"pieces": path.pieces, "s": path.s_m, "squares": path.squares, "planned_share": path.planned_share}
+        return TimedPath.of_record(names)
     if path.kind == "hold":
         return HoldPath(_placement(path.pose), duration=path.duration_s)
     if path.kind == "waypoints":

@@ -208,6 +208,20 @@ class HoldTable(Table):
     duration_s: Seconds = Field(description="duration")
 
 
+class TimedTable(Table):
+    """A path with its speed profile, as `coopqp plan` writes it."""
+
+    kind: Literal["timed"]
+    pieces: Annotated[list[Annotated[list[float], Len(19, 25)]], Len(1, 2 * MAX_WAYPOINTS)] = Field(
+        description="numbers of each piece of the geometry: coopqp.TimedPath.record"
+    )
+    s_m: Annotated[list[float], Len(2, MAX_LIST)] = Field(description="knots: the object's motion from the start")
+    squares: Annotated[list[float], Len(2, MAX_LIST)] = Field(description="square of the speed at each knot [m²/s²]")
+    planned_share: Annotated[float, Ge(1e-6), Le(1.0)] | None = Field(
+        default=None, description="share of the joints' limits that it was planned with"
+    )
+
+
 class StartTable(Table):
     """Start configuration of the arms; "auto", or a table without positions: coopqp finds it."""
 
@@ -340,7 +354,7 @@ class CellFile(Table):
     grasp: Annotated[TriangleGrasp | ToolsGrasp | LatchedGrasp, Field(discriminator="kind")] = Field(
         description="placements of the tools on the object"
     )
-    path: Annotated[LineTable | WaypointsTable | HoldTable, Field(discriminator="kind")] = Field(
+    path: Annotated[LineTable | WaypointsTable | HoldTable | TimedTable, Field(discriminator="kind")] = Field(
         description="path of the object"
     )
     start: StartTable = Field(

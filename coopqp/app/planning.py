@@ -1,0 +1,156 @@
+"""The subcommand ``coopqp plan``: a start and the fastest way, as a cell file that ``coopqp run`` takes."""
+
+from __future__ import annotations
+
+import argparse
+import math
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from coopqp.app.terminal import print_table, reporter
+from coopqp.errors import CoopqpError, UndecidedError, UnreachableError, printable
+
+if TYPE_CHECKING:
+    from coopqp.files.cellfile.build import CellRun
+    from coopqp.planning import Plan
+
+_OK, _INFEASIBLE, _UNDECIDED = 0, 3, 4
+#: What is written into the folder.
+_FILES = ("plan.toml", "speed.png")
+#: Limits that are printed.
+_MOST_LIMITS = 8
+
+
+def add_plan(commands: Any) -> None:
+    """Add the parser of ``coopqp plan``."""
+    parser = commands.add_parser(
+        "plan",
+        help="plan the fastest way along the path of a cell file",
+        description="Find a start and the fastest way along the path of a cell file under the joints' velocity and "
+        "acceleration limits, from rest to rest. Write it as a cell file that `coopqp run` takes as it is, and draw "
+        "the speed profile.",
+        epilog="Exit status: 0 with a plan; 2 for bad input; 3 where an arm has no start or cannot follow the path; "
+        "4 where the computation fails in numbers. The time law of the file's path counts for nothing.",
+    )
+    parser.add_argument("cell", type=Path, metavar="CELL", help="the cell file, TOML or YAML")
+    parser.add_argument("--out", type=Path, metavar="DIR", required=True, help="folder of plan.toml and speed.png")
+    parser.add_argument("--force", action="store_true", help="overwrite an earlier plan in the folder")
+    parser.add_argument("--share", type=float, default=None, metavar="S", help="share of the limits to use (0.98)")
+    parser.add_argument(
+        "--blend-mm", type=float, default=0.0, metavar="MM", help="round corners off within this distance (0: rest)"
+    )
+    parser.add_argument("--blend-deg", type=float, metavar="DEG", help="and within this angle (--blend-mm over 0.3 m)")
+    parser.add_argument(
+        "--torques", action="store_true", help="keep the torques within the models' limits, with the file's object"
+    )
+    parser.add_argument("--jerk", type=float, metavar="DEG", help="largest jerk of the joints [°/s³]; takes seconds")
+    parser.add_argument("--quiet", action="store_true", help="print errors only")
+    parser.set_defaults(run=run_plan)
+
+
+def run_plan(arguments: argparse.Namespace) -> int:
+    """Run ``coopqp plan``. Nothing is written unless there is a plan."""
+    try:
+        return _run(arguments)
+    except UndecidedError as error:
+        return _say(error, _UNDECIDED)
+    except UnreachableError as error:
+        return _say(error, _INFEASIBLE)
+    except CoopqpError as error:
+        if isinstance(error.__cause__, UnreachableError):  # with the name of the file
+            return _say(error, _INFEASIBLE)
+        raise
+
+
+def _say(error: CoopqpError, status: int) -> int:
+    print("coopqp: no plan:", printable(" ".join(str(error).split())), file=sys.stderr)
+    return status
+
+
+def _run(arguments: argparse.Namespace) -> int:
+    from coopqp.files.cellfile import load_cell_file
+    from coopqp.files.cellfile.planned import planned_text
+    from coopqp.look.plots import figure_bytes, require_matplotlib
+    from coopqp.look.profile import profile_figure
+    from coopqp.output import OutputError, check_folder, write_files
+    from coopqp.planning.parametrise import require_toppra
+    from coopqp.planning.timing import SHARE
+
+    require_toppra()
+    require_matplotlib()
+    folder: Path = arguments.out
+    used = next((folder / name for name in _FILES if (folder / name).exists()), None)
+    if used is not None and not arguments.force:
+        raise OutputError(f"{used} exists. Replace it with --force, or give another folder.")
+    check_folder(folder)
+    with reporter(quiet=arguments.quiet) as report:
+        report.note("finding a start")
+        run = load_cell_file(arguments.cell)
+        report.note("planning")
+        made = _plan(run, arguments, SHARE if arguments.share is None else arguments.share)
+        optimum = _plan(run, arguments, 1.0).path.duration
+        report.note("drawing the speed profile")
+        picture = figure_bytes(profile_figure(made.path))
+        text = planned_text(run, made, folder=arguments.cell.parent, into=folder)
+        files = write_files({folder / "plan.toml": text.encode(), folder / "speed.png": picture})
+    if not arguments.quiet:
+        _print(made, optimum, run.scenario.path.duration)
+        print("\nwritten:", *(printable(str(file)) for file in files), sep="\n  ")
+    return _OK
+
+
+def _plan(run: CellRun, arguments: argparse.Namespace, share: float) -> Plan:
+    from coopqp.planning import plan
+
+    task = run.scenario
+    angle = None if arguments.blend_deg is None else math.radians(arguments.blend_deg)
+    return plan(
+        task.cell,
+        task.grasp,
+        task.path,
+        q_start=task.q_start,
+        blend=1e-3 * arguments.blend_mm,
+        blend_angle=angle,
+        payload=_payload(run) if arguments.torques else None,
+        jerk=None if arguments.jerk is None else _jerks(run, arguments.jerk),
+        share=share,
+    )
+
+
+def _jerks(run: CellRun, degrees: float) -> list[float]:
+    """Jerk limits of the joints [rad/s³]; for sliding joints the number is in m/s³, as in a cell file."""
+    from coopqp.simulation.assessment import slides
+
+    return [degrees if slide else math.radians(degrees) for slide in slides(run.scenario.cell)]
+
+
+def _payload(run: CellRun) -> Any:
+    """The file's object as a homogeneous box."""
+    import numpy as np
+
+    from coopqp.planning import Payload
+
+    task = run.scenario
+    squares = np.array(task.object_size) ** 2
+    inertia = np.diag(task.object_mass / 12.0 * (squares.sum() - squares))
+    R = task.T_object_body.rotation
+    return Payload(mass=task.object_mass, centre=task.T_object_body.translation, inertia=R @ inertia @ R.T)
+
+
+def _print(made: Plan, optimum: float, given: float) -> None:
+    total = made.path.duration
+    rows = [
+        ("time", f"{total:.3f} s"),
+        ("shortest at the full limits", f"{optimum:.3f} s ({total / optimum:.3f} × as long)"),
+        ("time of the file's path", f"{given:.3f} s ({100.0 * total / given:.0f} %)"),
+    ]
+    times = made.binding_times()
+    rows += [
+        (f"binds: {name}", f"{span:.3f} s ({100.0 * span / total:.0f} %)")
+        for name, span in list(times.items())[:_MOST_LIMITS]
+    ]
+    if len(times) > _MOST_LIMITS:
+        rest = sum(list(times.values())[_MOST_LIMITS:])
+        rows.append((f"binds: {len(times) - _MOST_LIMITS} others", f"{rest:.3f} s ({100.0 * rest / total:.0f} %)"))
+    print_table([(printable(a), b) for a, b in rows], numeric=(False, False), head=False)

@@ -1,0 +1,312 @@
+"""Knots of all arms along a path: joint positions with exact first and second derivatives, before the motion.
+
+With the object's path given each arm follows its own tool's path, ``J(q) q′ = V(s)``, so
+
+    q′ = J⁺ V,   q″ = J⁺ (V′ − J′ q′)      (six joints: J⁺ = J⁻¹)
+
+with ``J′ = Σ_i q′_i ∂_i J``. The derivative of a serial arm's Jacobian is a Lie bracket of its columns: joint i turns
+all that comes after it, ``∂_i (v_j, ω_j) = (ω_i × v_j, ω_i × ω_j)`` for i ≤ j, and moves the tool's point under the
+joints before it, ``∂_i v_j = ω_j × v_i`` for i > j. Sums over i become running sums over the arm.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import final
+
+import numpy as np
+import pinocchio as pin
+
+from coopqp.errors import UnreachableError
+from coopqp.model.batch import ArmKinematics
+from coopqp.model.cell import RobotCell
+from coopqp.model.grasp import Grasp
+from coopqp.spatial import Array
+from coopqp.task.geometry import PathGeometry
+
+#: A knot is reached within this [m, rad]; then Newton's method goes on to rounding.
+_REACHED, _EXACT = 1e-9, 1e-14
+#: Knots of the first look, before they are spread.
+_FIRST_LOOK = 80
+#: Knots within each piece, at the first look and then, where there are several pieces.
+_LOOKS, _LEAST_IN_A_PIECE = 5, 11
+#: Share of the knots that is spread evenly over s, whatever the joints do.
+_EVEN = 0.3
+#: A batch solution this far from where it was expected is on another branch [rad or m].
+_FAR = 0.05
+#: Passes of a redundant arm's way, and the change that ends them [rad or m].
+_PASSES, _SETTLED = 60, 1e-11
+
+
+@dataclass(frozen=True, eq=False)
+class ArmKnots:
+    """One arm along a geometry.
+
+    Attributes:
+        q, slope, curvature: positions and derivatives with respect to s at each knot (K, n), in the order of the joints
+            of :class:`ArmKinematics`; continuous joints go on over whole turns.
+        reached: index of the last knot that is reached without passing a singularity; what follows has no meaning.
+    """
+
+    q: Array
+    slope: Array
+    curvature: Array
+    reached: int
+
+
+@dataclass(frozen=True, eq=False)
+class Knots:
+    """All arms along one smooth geometry.
+
+    Attributes:
+        s: the knots (K,) [m], increasing.
+        q: joint positions (K, nv) [rad or m].
+        slope, curvature: q′ and q″ with respect to s (K, nv).
+    """
+
+    s: Array
+    q: Array
+    slope: Array
+    curvature: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Motion:
+    """The object along a geometry: s (K,), rotations (K, 3, 3), origins (K, 3), twists and their derivatives (K, 6)."""
+
+    s: Array
+    R: Array
+    p: Array
+    V: Array
+    slope: Array
+
+    @staticmethod
+    def of(geometry: PathGeometry, s: Array) -> Motion:
+        """At s (K,) [m]."""
+        return Motion(s, *geometry.poses(s), *geometry.twists(s))
+
+    def tool(self, X: pin.SE3) -> tuple[Array, Array, Array]:
+        """T_world_tool (K, 4, 4) with T_object_tool ``X``; the twist of the tool's point in world axes and its slope.
+
+        With r from the object's origin to the tool: ``v + ω × r``, and ``v′ + ω′ × r + ω × (ω × r)``.
+        """
+        r = self.R @ X.translation
+        T = np.zeros((len(self.s), 4, 4))
+        T[:, :3, :3], T[:, :3, 3], T[:, 3, 3] = self.R @ X.rotation, self.p + r, 1.0
+        V, dV = self.V.copy(), self.slope.copy()
+        whirl = _cross(V[:, 3:], r)
+        V[:, :3] += whirl
+        dV[:, :3] += _cross(dV[:, 3:], r) + _cross(V[:, 3:], whirl)
+        return T, V, dV
+
+
+def arm_knots(kinematics: ArmKinematics, T_object_tool: pin.SE3, motion: Motion, q0: Array) -> ArmKnots:
+    """Follow an arm's tool along a motion without corners, from ``q0`` (n,), which need only be near its start.
+
+    A redundant arm moves as :class:`coopqp.model.chain.Chain` has it: least ``Σ (q′_j / v_j)²`` with the joints'
+    largest speeds v, and no posture.
+    """
+    T, V, dV = motion.tool(T_object_tool)
+    first, residual = kinematics.newton(T[:1], q0[None], tolerance=_EXACT, steps=20)
+    if not residual[0] <= _REACHED:
+        nothing = np.zeros((len(T), len(q0)))
+        return ArmKnots(nothing + q0, nothing, nothing, -1)
+    ways, last = kinematics.ways(T, first, tolerance=_REACHED)
+    q, reached = ways[0], int(last[0])
+    q[: reached + 1] = kinematics.newton(T[: reached + 1], q[: reached + 1], tolerance=_EXACT, steps=2)[0]
+    return _derived(kinematics, T, V, dV, motion.s, q, reached)
+
+
+def spread_knots(
+    kinematics: ArmKinematics, T_object_tool: pin.SE3, motion: Motion, coarse_s: Array, coarse: ArmKnots
+) -> ArmKnots:
+    """The same at other knots, from knots that are known: all at once, without the walk."""
+    T, V, dV = motion.tool(T_object_tool)
+    guess = hermite(coarse_s, coarse.q, coarse.slope, motion.s)
+    q, residual = kinematics.newton(T, guess, tolerance=_EXACT, steps=6)
+    if not residual.max() <= _REACHED or np.abs(q - guess).max() > _FAR:
+        return arm_knots(kinematics, T_object_tool, motion, coarse.q[0])
+    return _derived(kinematics, T, V, dV, motion.s, q, len(T) - 1)
+
+
+def jacobian_slopes(J: Array, slope: Array) -> Array:
+    """``J′ = Σ_i q′_i ∂_i J`` of serial arms, transposed (K, n, 6), from Jᵀ (K, n, 6) and q′ (K, n)."""
+    v, w = J[:, :, :3], J[:, :, 3:]
+    moved = J * slope[:, :, None]
+    turned = moved[:, :, 3:].cumsum(axis=1)  # by the joints up to j
+    beyond = moved[:, ::-1, :3].cumsum(axis=1)[:, ::-1] - moved[:, :, :3]  # by the joints after j
+    out = np.empty_like(J)
+    out[:, :, :3] = _cross(turned, v) + _cross(w, beyond)
+    out[:, :, 3:] = _cross(turned, w)
+    return out
+
+
+def derivatives(kinematics: ArmKinematics, q: Array, V: Array, dV: Array) -> tuple[Array, Array]:
+    """q′ and q″ (K, n) at joint positions q (K, n) for tool twists V and V′ (K, 6) per unit of s.
+
+    Six joints: ``J q″ = V′ − J′ q′``. More: ``q′ = W Jᵀ y`` with ``J W Jᵀ y = V`` and the squares W of the joints'
+    speeds, so ``q″ = W (J′ᵀ y + Jᵀ y′)`` with ``J W Jᵀ y′ = V′ − J′ q′ − J W J′ᵀ y``. Fewer: least squares.
+    """
+    J = kinematics.jacobians(q).transpose(0, 2, 1)  # Jᵀ (K, n, 6), as it lies in memory
+    n = J.shape[1]
+    with np.errstate(all="ignore"):
+        if n <= 6:
+            inverse = _inverse(J) if n == 6 else np.asarray(np.linalg.pinv(J), dtype=np.float64)
+            slope = _rows(V, inverse)
+            return slope, _rows(dV - _rows(slope, jacobian_slopes(J, slope)), inverse)
+        W = kinematics.scale**2
+        JW = J * W[:, None]
+        gram = _inverse(J.transpose(0, 2, 1) @ JW)
+        y = _rows(V, gram)
+        slope = _times(JW, y)
+        dJ = jacobian_slopes(J, slope)
+        turn = W * _times(dJ, y)
+        dy = _rows(dV - _rows(slope, dJ) - _rows(turn, J), gram)
+        return slope, turn + _times(JW, dy)
+
+
+def hermite(s: Array, q: Array, slope: Array, at: Array) -> Array:
+    """Cubic interpolation (M, n) of rows (K, n) with slopes at s (K,): a guess between knots, never a path."""
+    i = np.clip(np.searchsorted(s, at, side="right") - 1, 0, len(s) - 2)
+    h = (s[i + 1] - s[i])[:, None]
+    x = (at[:, None] - s[i][:, None]) / h
+    a, b = q[i], q[i + 1]
+    da, db = h * slope[i], h * slope[i + 1]
+    out: Array = a + x * (da + x * (3.0 * (b - a) - 2.0 * da - db + x * (da + db - 2.0 * (b - a))))
+    return out
+
+
+@final
+class Following:
+    """All arms followed along one geometry without corners: first at a few knots, then at any others.
+
+    Args:
+        cell, grasp: the arms, and how they hold.
+        geometry: without corners.
+        x0: joint positions (nv,) near its start [rad or m].
+
+    Raises:
+        UnreachableError: an arm does not follow; the message names it, and where its way ends.
+    """
+
+    def __init__(self, cell: RobotCell, grasp: Grasp, geometry: PathGeometry, x0: Array) -> None:
+        self._cell, self._grasp, self._geometry, self._x0 = cell, grasp, geometry, x0
+        self._arms = [ArmKinematics(arm) for arm in cell.arms]
+        self._columns = [own.start + arm.columns for own, arm in zip(cell.v_slices, self._arms, strict=True)]
+        self._first = Motion.of(geometry, merged(np.linspace(0.0, geometry.length, _FIRST_LOOK), self._within(_LOOKS)))
+        self._coarse: list[ArmKnots] = []
+        for name, arm, X, own in zip(cell.arm_names, self._arms, grasp.T_object_tool, self._columns, strict=True):
+            found = arm_knots(arm, X, self._first, x0[own])
+            if found.reached < len(self._first.s) - 1:
+                share = self._first.s[max(found.reached, 0)] / geometry.length
+                where = "its start" if found.reached < 0 else f"{100.0 * share:.0f} % of its way"
+                raise UnreachableError(
+                    f"arm '{name}' follows the path only to {where}, where its reach ends or it is singular. "
+                    "Start from another branch (coopqp.planning.find_start), or move the path or the arm's base."
+                )
+            self._coarse.append(found)
+
+    def spread(self, count: int, *, gather: bool = False) -> Array:
+        """s of ``count`` knots, spread evenly over the joints' motion, not over time; those of the pieces are added.
+
+        Of the arms the one counts that moves most, in the unit of its speeds.
+
+        Args:
+            count: number of knots.
+            gather: more of them near both ends, as a motion with bounded jerk needs.
+        """
+        s = self._first.s
+        uses = [np.abs(a.slope / arm.scale).max(axis=1) for a, arm in zip(self._coarse, self._arms, strict=True)]
+        motion, step = np.max(uses, axis=0), np.diff(s)
+        part = 0.5 * (motion[1:] + motion[:-1]) * step
+        done = np.concatenate([[0.0], np.cumsum((1.0 - _EVEN) * part / part.sum() + _EVEN * step / s[-1])])
+        share = np.linspace(0.0, 1.0, count)
+        if gather:  # s grows as t³ from rest
+            share = share**3 * (10.0 + share * (6.0 * share - 15.0))
+        return merged(np.interp(share, done / done[-1], s), self._within(_LEAST_IN_A_PIECE))
+
+    def at(self, s: Array) -> Knots:
+        """Knots at s (K,) [m], increasing from 0 to the end."""
+        motion = Motion.of(self._geometry, s)
+        x = np.tile(self._x0, (len(s), 1))
+        slope, curvature = np.zeros_like(x), np.zeros_like(x)
+        for arm, X, own, known in zip(self._arms, self._grasp.T_object_tool, self._columns, self._coarse, strict=True):
+            found = spread_knots(arm, X, motion, self._first.s, known)
+            x[:, own], slope[:, own], curvature[:, own] = found.q, found.slope, found.curvature
+        return Knots(s, x, slope, curvature)
+
+    def _within(self, count: int) -> Array:
+        """The marks, and so many knots within each of several pieces."""
+        marks = self._geometry.marks
+        if len(marks) == 2:
+            return marks
+        share = np.arange(count + 1) / (count + 1.0)
+        inner = marks[:-1, None] + share * np.diff(marks)[:, None]
+        return np.append(inner.ravel(), marks[-1])
+
+
+def follow(cell: RobotCell, grasp: Grasp, geometry: PathGeometry, x0: Array, *, count: int) -> Knots:
+    """Knots of all arms along one geometry without corners, see :class:`Following`."""
+    following = Following(cell, grasp, geometry, x0)
+    return following.at(following.spread(count))
+
+
+def merged(s: Array, others: Array) -> Array:
+    """s with other knots in it; knots that all but coincide with one of them give way."""
+    close = np.abs(s[:, None] - others).min(axis=1) < 0.1 * np.diff(s).min()
+    return np.sort(np.concatenate([s[~close], others]))
+
+
+def _derived(kinematics: ArmKinematics, T: Array, V: Array, dV: Array, s: Array, q: Array, reached: int) -> ArmKnots:
+    if kinematics.n > 6 and reached == len(s) - 1:
+        q = _least_motion(kinematics, T, V, dV, s, q)
+    slope, curvature = derivatives(kinematics, q, V, dV)
+    good = np.isfinite(slope).all(axis=1) & np.isfinite(curvature).all(axis=1)
+    if not good.all():
+        reached = min(reached, int(np.flatnonzero(~good)[0]) - 1)
+    return ArmKnots(q, slope, curvature, reached)
+
+
+def _least_motion(kinematics: ArmKinematics, T: Array, V: Array, dV: Array, s: Array, q: Array) -> Array:
+    """The way ``dq/ds = J⁺V`` of a redundant arm by Picard's iteration over all knots at once, led back to the poses.
+
+    ``∫ f = h (f_0 + f_1)/2 + h² (f_0′ − f_1′)/12`` between knots is exact to the fifth power of h.
+    """
+    h = np.diff(s)[:, None]
+    for _ in range(_PASSES):
+        f, df = derivatives(kinematics, q, V, dV)
+        way = np.cumsum(0.5 * h * (f[1:] + f[:-1]) + h * h / 12.0 * (df[:-1] - df[1:]), axis=0)
+        ahead = np.vstack([q[:1], q[0] + way])
+        ahead = kinematics.newton(T, ahead, tolerance=_EXACT, steps=6)[0]
+        if not np.isfinite(ahead).all():
+            return q
+        change, q = float(np.abs(ahead - q).max()), ahead
+        if change < _SETTLED:
+            break
+    return q
+
+
+def _inverse(A: Array) -> Array:
+    try:
+        return np.asarray(np.linalg.inv(A), dtype=np.float64)
+    except np.linalg.LinAlgError:
+        return np.full(A.shape, np.nan)
+
+
+def _times(A: Array, b: Array) -> Array:
+    out: Array = (A @ b[:, :, None])[:, :, 0]
+    return out
+
+
+def _rows(b: Array, A: Array) -> Array:
+    """``bᵀ A`` for rows b (K, m) and matrices (K, m, n)."""
+    out: Array = (b[:, None, :] @ A)[:, 0, :]
+    return out
+
+
+def _cross(a: Array, b: Array) -> Array:
+    """Cross products along the last axis, several times faster than :func:`numpy.cross`."""
+    out: Array = np.empty(np.broadcast_shapes(a.shape, b.shape))
+    for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
+        np.subtract(a[..., j] * b[..., k], a[..., k] * b[..., j], out=out[..., i])
+    return out

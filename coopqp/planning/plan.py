@@ -1,0 +1,130 @@
+"""A plan: a start, and the fastest way along a path or through waypoints."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from coopqp.checks import as_scalar
+from coopqp.errors import InvalidInputError
+from coopqp.model.cell import RobotCell
+from coopqp.model.grasp import Grasp
+from coopqp.planning.payload import Payload
+from coopqp.planning.starts import Start, find_start
+from coopqp.planning.timing import SHARE, geometry_of, time_path
+from coopqp.spatial import Array, Placement, as_placements
+from coopqp.task.geometry import TURN_LENGTH, PathGeometry, Straight, blended
+from coopqp.task.path import LinePath, ObjectPath
+from coopqp.task.timed import SpeedProfile, TimedPath
+
+#: Limits that bind for less than this share of the duration are not told.
+_WORTH_SAYING = 0.01
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Plan:
+    """A start and a timed path from it.
+
+    Attributes:
+        q_start: configuration at the start (nq,).
+        grasp: the grasp; tools rolled where that was allowed.
+        path: the path, for a controller or a simulation.
+        start: what was found for each arm; None where ``q_start`` was given.
+    """
+
+    q_start: Array
+    grasp: Grasp
+    path: TimedPath
+    start: Start | None
+
+    def binding_times(self) -> dict[str, float]:
+        """How long each limit binds [s], the longest first; keys are ``arm left joint joint_2: acceleration``."""
+        times: dict[str, float] = {}
+        profile = self.path.profile
+        for limit, span in zip(profile.binding, np.diff(profile.clocks).tolist(), strict=True):
+            if limit is not None:
+                times[str(limit)] = times.get(str(limit), 0.0) + span
+        return dict(sorted(times.items(), key=lambda item: -item[1]))
+
+    def explain(self) -> str:
+        """The duration, and what binds for how long, a line each; limits that bind for less than 1 % are left out."""
+        total = self.path.duration
+        lines = [f"{total:.3f} s from rest to rest"]
+        for name, span in self.binding_times().items():
+            if span >= _WORTH_SAYING * total:
+                lines.append(f"{name} binds for {span:.3f} s ({100.0 * span / total:.0f} %)")
+        return "\n".join(lines)
+
+
+def plan(
+    cell: RobotCell,
+    grasp: Grasp,
+    path: ObjectPath | PathGeometry | Sequence[Placement],
+    *,
+    q_start: Any = None,
+    blend: float = 0.0,
+    blend_angle: float | None = None,
+    free_roll: Mapping[str, Sequence[float]] | None = None,
+    payload: Payload | None = None,
+    jerk: Any = None,
+    share: float = SHARE,
+    knots: int | None = None,
+) -> Plan:
+    """Find a start, and the fastest way along a path from rest to rest.
+
+    Args:
+        cell, grasp: the arms, and how they hold the object.
+        path: a path, or placements of the object (waypoints) with straight lines between them.
+        q_start: start configuration (nq,); found by default.
+        blend: corners are rounded off: the object stays within this distance of them [m]. 0: it rests at each corner.
+        blend_angle: and within this angle [rad]; by default ``blend`` over 0.3 m.
+        free_roll: as of :func:`find_start`.
+        payload, jerk, share, knots: as of :func:`time_path`.
+
+    Raises:
+        NoStartError: an arm has no start from which it follows the path.
+        InvalidInputError, UnreachableError, UndecidedError, MissingExtraError: as of :func:`time_path`.
+    """
+    where = "plan"
+    blend = as_scalar(blend, f"{where}: blend", open_low=False)
+    angle = (
+        blend / TURN_LENGTH if blend_angle is None else as_scalar(blend_angle, f"{where}: blend_angle", open_low=False)
+    )
+    geometry = _through(path) if not isinstance(path, (ObjectPath, PathGeometry)) else geometry_of(path, where)
+    if blend > 0.0 or angle > 0.0:
+        lines = [piece for piece in geometry.pieces if isinstance(piece, Straight)]
+        if len(lines) < len(geometry.pieces):
+            raise InvalidInputError("the path is no chain of straight lines", where, "Give one, or no blend.")
+        geometry = blended(lines, distance=blend, angle=angle)
+    start = None
+    if q_start is None:
+        start = find_start(cell, grasp, some_timing(geometry), free_roll=free_roll)
+        q_start, grasp = start.q, start.grasp
+    q = cell.check_configuration(q_start, f"{where}: q_start")
+    timed = time_path(cell, grasp, geometry, q_start=q, payload=payload, jerk=jerk, share=share, knots=knots)
+    return Plan(q_start=q, grasp=grasp, path=timed, start=start)
+
+
+def some_timing(geometry: PathGeometry) -> TimedPath:
+    """A path along a geometry in some time: at most at 1 m/s, from rest to rest between its corners."""
+    s, squares = [0.0], [0.0]
+    for stretch in geometry.stretches():
+        s += [s[-1] + 0.5 * stretch.length, s[-1] + stretch.length]
+        squares += [1.0, 0.0]
+    return TimedPath(geometry, SpeedProfile(np.array(s), np.array(squares)))
+
+
+def _through(placements: Sequence[Placement]) -> PathGeometry:
+    """Straight lines through placements; placements that are the same count once."""
+    poses = as_placements(placements, "plan: path")
+    if len(poses) < 2:
+        raise InvalidInputError(f"{len(poses)} placements", "plan: path", "Give at least two.")
+    lines = [LinePath(a, b, duration=1.0).straight() for a, b in itertools.pairwise(poses)]
+    pieces = tuple(line for line in lines if line is not None)
+    if not pieces:
+        raise InvalidInputError("all placements are the same", "plan: path", "Give at least two that differ.")
+    return PathGeometry(pieces)

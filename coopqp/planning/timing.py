@@ -1,0 +1,256 @@
+"""Timing before the motion: the fastest way along a path under the joints' limits, as a path of its own.
+
+With the object's path given the joints' ways are known (:mod:`coopqp.planning.knots`). What is left to choose is the
+speed ṡ along them. In ``z = ṡ²`` and s̈ all limits are lines: ``q̇ = q′ ṡ``, ``q̈ = q′ s̈ + q″ z``, ``τ = a s̈ + b z + c``.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from coopqp.checks import NOT_NUMBERS, as_count, as_floats, as_scalar, require
+from coopqp.errors import InvalidInputError, UnreachableError
+from coopqp.model.branches import AT_LIMIT, amount
+from coopqp.model.cell import RobotCell
+from coopqp.model.grasp import Grasp
+from coopqp.model.limits import BindingLimit, LimitKind
+from coopqp.planning.jerk import jerk_limited, jerk_use
+from coopqp.planning.knots import Following, Knots
+from coopqp.planning.parametrise import Limited, Lines, fastest, require_toppra
+from coopqp.planning.payload import Payload, torque_lines
+from coopqp.spatial import Array
+from coopqp.task.geometry import PathGeometry
+from coopqp.task.path import ObjectPath
+from coopqp.task.timed import SpeedProfile, TimedPath
+
+#: Share of the limits that a path is planned with; the rest is for a controller's corrections.
+SHARE = 0.98
+#: Limits that are used by this share of the most used one are used alike.
+_EQUAL = 0.99
+#: Between knots limits may be exceeded by this share; where it is more, knots are added, in so many rounds at most.
+_EXCESS, _ROUNDS = 2e-3, 6
+#: Knots of a path, and of a stretch between corners at least.
+KNOTS, LEAST_KNOTS = 400, 60
+JERK_KNOTS = 150
+
+
+def time_path(
+    cell: RobotCell,
+    grasp: Grasp,
+    path: ObjectPath | PathGeometry,
+    *,
+    q_start: Any,
+    payload: Payload | None = None,
+    jerk: Any = None,
+    share: float = SHARE,
+    knots: int | None = None,
+) -> TimedPath:
+    """The fastest way along a path, from rest to rest, under the joints' velocity and acceleration limits.
+
+    The time law of ``path`` counts for nothing, only where it goes. The object rests at its corners. Redundant arms
+    are planned with their least motion, ``Σ (q̇_j / v_j)²``; on a planned path a :class:`coopqp.QPController` moves
+    them so, too, without posture.
+
+    Args:
+        cell, grasp: the arms, and how they hold the object.
+        path: where to; one that knows its geometry.
+        q_start: configuration (nq,) near the start of the path; it decides the branches.
+        payload: with it the joints' torques stay within their limits, too.
+        jerk: largest jerk of the joints, one number or one per joint (nv,) [rad/s³ or m/s³]. The profile then comes
+            from linear programs in a row, see :mod:`coopqp.planning.jerk`; this takes seconds.
+        share: share of the limits that is used, in (0, 1].
+        knots: number of knots; 400 by default, 150 with ``jerk``.
+
+    Returns:
+        The path; its profile names the limit that binds between knots.
+
+    Raises:
+        InvalidInputError: bad arguments, a path without geometry, or joints without acceleration limits.
+        UnreachableError: an arm cannot follow the path, leaves its position limits, or cannot hold the payload.
+        UndecidedError: the parametrisation fails in numbers.
+        MissingExtraError: toppra is missing: install coopqp[planning].
+    """
+    require_toppra()
+    grasp.check_arms(cell)
+    where = "time_path"
+    share = as_scalar(share, f"{where}: share", high=1.0)
+    count = as_count(knots if knots is not None else KNOTS if jerk is None else JERK_KNOTS, f"{where}: knots")
+    jerks = None if jerk is None else _as_jerks(jerk, cell.nv, where)
+    x = cell.positions(cell.check_configuration(q_start, f"{where}: q_start"))
+    geometry = geometry_of(path, where)
+    if payload is not None:
+        require(payload, Payload, f"{where}: payload", "Give a Payload.")
+    _check_limits(cell, where)
+    s, squares, binding, use = [np.zeros(1)], [np.zeros(1)], list[BindingLimit | None](), list[Array]()
+    mark = 0.0
+    for stretch in geometry.stretches():
+        own = max(LEAST_KNOTS, round(count * stretch.length / geometry.length))
+        following = Following(cell, grasp, stretch, x)
+        own_s = following.spread(own, gather=jerks is not None)
+        for _ in range(_ROUNDS):
+            found = following.at(own_s)
+            _check_positions(cell, path, found, mark)
+            limited = limits_along(cell, grasp, found, payload=payload, share=share)
+            _check_weight(cell, limited, mark)
+            z = fastest(limited)
+            over = use_between(limited, z) > 1.0 + _EXCESS
+            if not over.any():
+                break
+            own_s = np.sort(np.concatenate([own_s, (own_s[:-1] + 0.5 * np.diff(own_s))[over]]))
+        if jerks is not None:
+            z = jerk_limited(limited, z, share * jerks)
+        names, shares = binding_limits(cell, limited, z, None if jerks is None else share * jerks)
+        s.append(mark + found.s[1:])
+        squares.append(z[1:])
+        binding += names
+        use.append(shares)
+        mark, x = mark + stretch.length, found.q[-1]
+    profile = SpeedProfile(np.concatenate(s), np.concatenate(squares), tuple(binding), np.concatenate(use))
+    return TimedPath(geometry, profile, planned_share=share)
+
+
+def _as_jerks(jerk: Any, nv: int, where: str) -> Array:
+    """Limits of the jerk (nv,)."""
+    try:
+        given = as_floats(jerk)
+    except NOT_NUMBERS as error:
+        raise InvalidInputError("jerk is no number", where, "Give one, or one per joint [rad/s³ or m/s³].") from error
+    if given.shape not in ((), (nv,)) or not (given > 0.0).all():
+        raise InvalidInputError("jerk has a bad shape or entries ≤ 0", where, f"Give one number, or {nv}.")
+    return np.broadcast_to(given, (nv,)).astype(float)
+
+
+def geometry_of(path: ObjectPath | PathGeometry, where: str) -> PathGeometry:
+    """The geometry of a path.
+
+    Raises:
+        InvalidInputError: it has none.
+    """
+    if isinstance(path, PathGeometry):
+        return path
+    require(path, ObjectPath, f"{where}: path", "Give an ObjectPath.")
+    geometry = path.geometry() if path.known_ahead and np.isfinite(path.duration) else None
+    if geometry is None:
+        raise InvalidInputError(
+            f"a {type(path).__name__} has no geometry to be timed",
+            where,
+            "Give a path of lines: it has to move, and to end.",
+        )
+    return geometry
+
+
+def use_between(limited: Limited, squares: Array) -> Array:
+    """Share of the speeds and accelerations that is used between knots, by cubic interpolation of q′ (K − 1,)."""
+    knots = limited.knots
+    h = np.diff(knots.s)[:, None]
+    slope = 0.5 * np.diff(squares)[:, None] / h
+    a, b, da, db = knots.slope[:-1], knots.slope[1:], h * knots.curvature[:-1], h * knots.curvature[1:]
+    square, cube = 3.0 * (b - a) - 2.0 * da - db, da + db - 2.0 * (b - a)
+    lines = limited.acceleration
+    most = np.zeros(len(h))
+    for x in (0.25, 0.5, 0.75):
+        z = squares[:-1, None] + 2.0 * x * h * slope
+        q1 = a + x * (da + x * (square + x * cube))
+        q2 = (da + x * (2.0 * square + 3.0 * x * cube)) / h
+        acceleration = np.abs(q1 * slope + q2 * z)[:, lines.owner] / lines.bound
+        speed = np.abs(q1) * np.sqrt(z) / limited.speed
+        most = np.maximum(most, np.maximum(speed.max(axis=1), acceleration.max(axis=1, initial=0.0)))
+    return most
+
+
+def limits_along(
+    cell: RobotCell, grasp: Grasp, knots: Knots, *, payload: Payload | None = None, share: float = SHARE
+) -> Limited:
+    """What bounds the speed along knots, as lines."""
+    limits = cell.limits
+    moving = np.abs(knots.slope).max(axis=0) > 0.0
+
+    def lines(a: Array, b: Array, c: Array, bound: Array) -> Lines:
+        own = np.flatnonzero(np.isfinite(bound) & moving)
+        return Lines(a[:, own], b[:, own], c[:, own], share * bound[own], own)
+
+    acceleration = lines(knots.slope, knots.curvature, np.zeros_like(knots.slope), limits.acceleration)
+    torque = None if payload is None else lines(*torque_lines(cell, grasp, payload, knots), payload.limits(cell))
+    return Limited(knots, share * limits.velocity, acceleration, torque)
+
+
+def binding_limits(
+    cell: RobotCell, limited: Limited, squares: Array, jerk: Array | None = None
+) -> tuple[list[BindingLimit | None], Array]:
+    """The limit that is used most between knots, and how much of it, of the share that is planned with (K − 1,).
+
+    Of limits that are used alike the one counts that bound before.
+    """
+    knots = limited.knots
+    slope = 0.5 * np.diff(squares) / np.diff(knots.s)
+    speeds = np.abs(knots.slope) * np.sqrt(squares)[:, None] / limited.speed
+    uses = [np.maximum(speeds[:-1], speeds[1:])]
+    kinds, owners = [LimitKind.VELOCITY] * cell.nv, list(range(cell.nv))
+    for kind, lines in ((LimitKind.ACCELERATION, limited.acceleration), (LimitKind.TORQUE, limited.torque)):
+        if lines is not None:
+            ends = [
+                np.abs(lines.a[part] * slope[:, None] + lines.b[part] * squares[part, None] + lines.c[part])
+                / lines.bound
+                for part in (slice(None, -1), slice(1, None))
+            ]
+            uses.append(np.maximum(*ends))
+            kinds += [kind] * len(lines.owner)
+            owners += lines.owner.tolist()
+    if jerk is not None:
+        uses.append(jerk_use(limited, squares, jerk))
+        kinds += [LimitKind.JERK] * cell.nv
+        owners += range(cell.nv)
+    use = np.hstack(uses)
+    most = use.max(axis=1)
+    names: list[BindingLimit | None] = []
+    last = -1
+    for row, top in zip(use, most, strict=True):
+        if last < 0 or row[last] < _EQUAL * top:
+            last = int(row.argmax())
+        arm, _, joint = cell.joint_names[owners[last]].partition("/")
+        names.append(BindingLimit(arm, joint, kinds[last]))
+    return names, most
+
+
+def _check_limits(cell: RobotCell, where: str) -> None:
+    free = np.flatnonzero(~np.isfinite(cell.limits.acceleration))
+    if free.size:
+        raise InvalidInputError(
+            f"joint {cell.joint_names[free[0]]} has no acceleration limit",
+            where,
+            "Give limits with cell.with_limits(acceleration=…), or in the cell file under [arms.limits].",
+        )
+
+
+def _check_positions(cell: RobotCell, path: ObjectPath | PathGeometry, knots: Knots, mark: float) -> None:
+    """Every joint stays inside its position limits at every knot."""
+    margins = np.minimum(knots.q - cell.limits.lower, cell.limits.upper - knots.q)
+    margins[:, cell.continuous] = np.inf
+    if margins.min() >= -AT_LIMIT:
+        return
+    j = int(margins.min(axis=0).argmin())
+    at = mark + knots.s[np.flatnonzero(margins[:, j] < -AT_LIMIT)[0]]
+    arm, _, joint = cell.joint_names[j].partition("/")
+    slides = cell.model.joints[j + 1].shortname().startswith("JointModelP")
+    when = f" ({path.clocks(np.array([at]))[0]:.2f} s of it)" if isinstance(path, ObjectPath) else ""
+    raise UnreachableError(
+        f"arm {arm} leaves its position limits {at:.3g} m along the path{when}: {joint} goes "
+        f"{amount(-float(margins[:, j].min()), slides=slides)} outside. Start from another branch "
+        "(coopqp.planning.find_start), or move the path or the arm's base."
+    )
+
+
+def _check_weight(cell: RobotCell, limited: Limited, mark: float) -> None:
+    """Every joint holds its share of the payload still at every knot: an object that has to stop may rest anywhere."""
+    lines = limited.torque
+    if lines is None or not (np.abs(lines.c) > lines.bound).any():
+        return
+    i, column = np.argwhere(np.abs(lines.c) > lines.bound)[0]
+    arm, _, joint = cell.joint_names[lines.owner[column]].partition("/")
+    needed, allowed, at = abs(lines.c[i, column]), lines.bound[column], mark + limited.knots.s[i]
+    raise UnreachableError(
+        f"arm {arm}: joint {joint} needs {needed:.3g} N·m (or N) to hold its share of the payload still {at:.3g} m "
+        f"along the path, and may take {allowed:.3g}. Take a lighter payload, or move the path."
+    )

@@ -1,0 +1,43 @@
+"""As fast as the joints allow.  python docs/examples/17_as_fast_as_possible.py [--out FOLDER]"""
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pinocchio as pin
+
+from coopqp import QPController, WaypointPath, read_run, simulate, write_speed_profile
+from coopqp.planning import plan
+from coopqp.scenarios import dual_arm7
+
+# Two arms move a bar up, then across. Every joint accelerates by at most 5 rad/s².
+task = dual_arm7()
+cell, grasp = task.cell.with_limits(acceleration=5.0), task.grasp
+start = task.path.pose(0.0)
+up = pin.SE3(start.rotation, start.translation + np.array([0.0, 0.05, 0.20]))
+across = pin.SE3(pin.rpy.rpyToMatrix(0.2, 0.0, 0.3), up.translation + np.array([0.05, 0.15, 0.0]))
+way = [start, up, across]
+
+
+def run(name, path, q_start):
+    recording = simulate(QPController(cell, grasp, path, dt=0.002), q_start=q_start)
+    slowed = np.count_nonzero(recording.rate < 1.0 - 1e-6)
+    chain = 1e3 * read_run(cell, recording).chain_mm.max()
+    print(f"{name}: {recording.time[-1]:.2f} s, {slowed} steps slowed, arms within {chain:.2f} µm of each other")
+
+
+# A controller that knows only what is ahead, on a path that asks for too much, brakes and speeds up by itself.
+reactive = WaypointPath(way, durations=[0.6, 0.6])
+run("reactive", reactive, task.q_start)
+
+# A plan knows the whole path: the fastest profile under all limits, from rest to rest, and to rest at the corner.
+planned = plan(cell, grasp, way, q_start=task.q_start)
+run("planned", planned.path, planned.q_start)
+
+# With the corner rounded off within 2 cm, the object goes on.
+rounded = plan(cell, grasp, way, q_start=task.q_start, blend=0.02)
+run("rounded", rounded.path, rounded.q_start)
+print(rounded.explain())
+
+if "--out" in sys.argv:
+    write_speed_profile(rounded.path, Path(sys.argv[sys.argv.index("--out") + 1]) / "speed_profile.png", dpi=90)

@@ -1,0 +1,118 @@
+"""Geometries of paths, and knots of the arms along them: exact derivatives, proved by differences."""
+
+from __future__ import annotations
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from coopqp import HoldPath, LinePath, Scenario, WaypointPath
+from coopqp.model.batch import ArmKinematics
+from coopqp.planning.knots import Motion, arm_knots, follow
+from coopqp.scenarios import dual_arm7, mixed_cell, paper_lift
+from coopqp.task.geometry import PathGeometry, blended
+
+RNG = np.random.default_rng
+
+
+def random_pose(rng: np.random.Generator, *, near: pin.SE3 | None = None, size: float = 1.0) -> pin.SE3:
+    step = pin.exp6(pin.Motion(size * rng.uniform(-1.0, 1.0, 6)))
+    return step if near is None else near * step
+
+
+def waypoints(seed: int, count: int = 4) -> WaypointPath:
+    rng = RNG(seed)
+    return WaypointPath([random_pose(rng) for _ in range(count)], durations=rng.uniform(0.5, 2.0, count - 1))
+
+
+def lines(path: WaypointPath) -> list:
+    return [line for segment in path.segments if (line := segment.straight())]
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_twists_are_the_change_of_poses(seed: int) -> None:
+    geometry = blended(lines(waypoints(seed)), distance=0.05, angle=0.1)
+    assert geometry.corners == ()
+    h = 1e-6
+    s = RNG(seed).uniform(10.0 * h, geometry.length - 10.0 * h, 40)
+    s = np.sort(s[np.abs(s[:, None] - geometry.marks).min(axis=1) > 2.0 * h])
+    V, dV = geometry.twists(s)
+    for i, at in enumerate(s):
+        before, after, here = geometry.pose(at - h), geometry.pose(at + h), geometry.pose(at)
+        change = (after.translation - before.translation) / (2.0 * h)
+        turn = here.rotation @ pin.log3(before.rotation.T @ after.rotation) / (2.0 * h)
+        np.testing.assert_allclose(V[i], np.concatenate([change, turn]), atol=1e-7)
+        np.testing.assert_allclose(dV[i], (geometry.twist(at + h) - geometry.twist(at - h)) / (2.0 * h), atol=1e-6)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_blends_join_smoothly_and_stay_within_their_tolerance(seed: int) -> None:
+    straight = lines(waypoints(seed))
+    distance, angle = RNG(seed).uniform(1e-3, 0.2, 2)
+    geometry = blended(straight, distance=distance, angle=angle)
+    assert len(geometry.pieces) > len(straight)
+    for before, after in zip(geometry.pieces[:-1], geometry.pieces[1:], strict=True):
+        end, start = np.array([before.length]), np.zeros(1)
+        for a, b in zip(
+            (*before.poses(end), *before.twists(end)), (*after.poses(start), *after.twists(start)), strict=True
+        ):
+            np.testing.assert_allclose(a, b, atol=1e-12)
+    R, p = geometry.poses(np.linspace(0.0, geometry.length, 400))
+    dense = PathGeometry(tuple(straight)).poses(np.linspace(0.0, sum(x.length for x in straight), 8000))
+    for rotation, origin in zip(R, p, strict=True):
+        away = np.linalg.norm(dense[1] - origin, axis=1)
+        turned = np.arccos(np.clip(0.5 * (np.einsum("ij,kij->k", rotation, dense[0]) - 1.0), -1.0, 1.0))
+        assert (np.maximum(away / distance, turned / angle)).min() <= 1.0 + 5e-3
+    corner_near = min(np.linalg.norm(p - x.p, axis=1).min() for x in straight[1:])
+    assert corner_near <= distance
+
+
+def test_the_geometry_of_a_path_goes_where_the_path_goes() -> None:
+    path = waypoints(1)
+    geometry = path.geometry()
+    assert geometry is not None
+    assert geometry.corners == (1, 2)
+    assert len(geometry.stretches()) == 3
+    s = np.linspace(0.0, geometry.length, 50)
+    for at, clock in zip(s, path.clocks(s), strict=True):
+        np.testing.assert_allclose(geometry.pose(at).homogeneous, path.pose(clock).homogeneous, atol=1e-12)
+    assert HoldPath(np.eye(4)).geometry() is None
+    assert LinePath(np.eye(4), np.eye(4), duration=1.0).geometry() is None
+
+
+def test_collinear_lines_have_no_corner() -> None:
+    a, step = random_pose(RNG(3)), np.array([0.1, 0.2, 0.3])
+    poses = [pin.SE3(a.rotation, a.translation + k * step) for k in (0.0, 1.0, 2.5)]
+    geometry = WaypointPath(poses, durations=[1.0, 1.0]).geometry()
+    assert geometry is not None
+    assert geometry.corners == ()
+
+
+@pytest.mark.parametrize("build", [paper_lift, dual_arm7, mixed_cell])
+def test_derivatives_of_the_joints_are_exact(build: object) -> None:
+    """Six joints, seven, a continuous one, a rail: positions at refined knots give q′, and q′ gives q″."""
+    scenario: Scenario = build()  # type: ignore[operator]
+    cell, grasp = scenario.cell, scenario.grasp
+    end = scenario.path.pose(scenario.path.duration)
+    turned = random_pose(RNG(0), near=end, size=0.03)
+    path = WaypointPath([scenario.path.pose(0.0), end, turned], durations=[1.0, 1.0])
+    geometry = blended(lines(path), distance=0.01, angle=0.05)
+    x0 = cell.positions(scenario.q_start)
+    knots = follow(cell, grasp, geometry, x0, count=40)
+    assert np.isin(geometry.marks, knots.s).all()
+    assert (np.diff(knots.s) > 0.0).all()
+    h = 2e-5 * geometry.length
+    inner = knots.s[np.abs(knots.s[:, None] - geometry.marks).min(axis=1) > 2.0 * h]
+    fine = np.unique(np.concatenate([knots.s, inner - h, inner + h]))
+    at = np.searchsorted(fine, inner)
+    here = np.searchsorted(knots.s, inner)
+    for k, arm in enumerate(cell.arms):
+        kinematics = ArmKinematics(arm)
+        own = cell.v_slices[k].start + kinematics.columns
+        found = arm_knots(kinematics, grasp.T_object_tool[k], Motion.of(geometry, fine), x0[own])
+        assert found.reached == len(fine) - 1
+        q, slope, curvature = (x[here][:, own] for x in (knots.q, knots.slope, knots.curvature))
+        np.testing.assert_allclose(found.q[at], q, atol=1e-8)
+        np.testing.assert_allclose((found.q[at + 1] - found.q[at - 1]) / (2.0 * h), slope, atol=1e-5)
+        bend = (found.slope[at + 1] - found.slope[at - 1]) / (2.0 * h)
+        np.testing.assert_allclose(bend, curvature, atol=2e-4 * np.abs(curvature).max())

@@ -1,0 +1,384 @@
+"""Timing before the motion: against an independent linear program, under every limit, and as a controller runs it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from coopqp import (
+    CellState,
+    HoldPath,
+    InvalidInputError,
+    LimitKind,
+    LinePath,
+    ObjectPath,
+    QPController,
+    QPOptions,
+    Scenario,
+    ServoPath,
+    Status,
+    TimedPath,
+    UnreachableError,
+    WaypointPath,
+    available_kernels,
+)
+from coopqp.planning import PathGeometry, Payload, SpeedProfile, time_path
+from coopqp.planning.jerk import jerk_limited
+from coopqp.planning.knots import Knots, follow
+from coopqp.planning.parametrise import Limited, Lines, fastest
+from coopqp.planning.payload import torque_lines
+from coopqp.planning.timing import limits_along
+from coopqp.scenarios import dual_arm7, mixed_cell, paper_lift, ring
+from coopqp.task.geometry import blended, piece_of
+
+pytest.importorskip("toppra")
+UM = 1e-6
+
+
+def limited(scenario: Scenario, acceleration: float = 5.0) -> Scenario:
+    return replace(scenario, cell=scenario.cell.with_limits(acceleration=acceleration))
+
+
+def plan_of(scenario: Scenario, **options: Any) -> TimedPath:
+    return time_path(scenario.cell, scenario.grasp, scenario.path, q_start=scenario.q_start, **options)
+
+
+# -- the optimum -----------------------------------------------------------------------------------------------------
+
+
+def optimum(along: Limited) -> np.ndarray:
+    """The largest ṡ² at every knot by one linear program over all of them, solved by HiGHS.
+
+    Feasible profiles are closed under the maximum of two, so the largest sum is the largest everywhere.
+    """
+    from scipy.optimize import linprog
+    from scipy.sparse import coo_matrix
+
+    s = along.knots.s
+    h, K = np.diff(s), len(s)
+    rows, columns, values, right, count = [], [], [], [], 0
+    for lines in (along.acceleration, along.torque):
+        if lines is None:
+            continue
+        m = len(lines.bound)
+        for i in range(K - 1):
+            for end in (i, i + 1):
+                own = np.zeros((2, m))  # coefficients of ṡ² at i and i + 1; s̈ = (z[i+1] − z[i]) / 2h
+                own[0], own[1] = -lines.a[end] / (2.0 * h[i]), lines.a[end] / (2.0 * h[i])
+                own[end - i] += lines.b[end]
+                for sign in (1.0, -1.0):
+                    for side in (0, 1):
+                        rows.append(np.arange(count, count + m))
+                        columns.append(np.full(m, i + side))
+                        values.append(sign * own[side] / lines.bound)
+                    right.append(1.0 - sign * lines.c[end] / lines.bound)
+                    count += m
+    A = coo_matrix((np.concatenate(values), (np.concatenate(rows), np.concatenate(columns))), shape=(count, K))
+    top = along.square_bound()
+    top[0] = top[-1] = 0.0
+    tight = {"primal_feasibility_tolerance": 1e-10, "dual_feasibility_tolerance": 1e-10}
+    found = linprog(
+        -np.ones(K), A_ub=A.tocsr(), b_ub=np.concatenate(right), bounds=list(zip(np.zeros(K), top, strict=True)),
+        method="highs", options=tight,
+    )  # fmt: skip
+    assert found.status == 0
+    return np.maximum(found.x, 0.0)
+
+
+def duration(s: np.ndarray, squares: np.ndarray) -> float:
+    return SpeedProfile(s, squares).duration
+
+
+def stretch_of(scenario: Scenario, count: int, payload: Payload | None = None) -> Limited:
+    geometry = scenario.path.geometry()
+    assert geometry is not None
+    cell, grasp = scenario.cell, scenario.grasp
+    knots = follow(cell, grasp, geometry, cell.positions(scenario.q_start), count=count)
+    return limits_along(cell, grasp, knots, payload=payload)
+
+
+@pytest.mark.parametrize("build", [dual_arm7, mixed_cell, paper_lift])
+@pytest.mark.parametrize("mass", [None, 4.0])
+def test_the_profile_is_that_of_a_linear_program(build: Any, mass: float | None) -> None:
+    scenario = limited(build(), 3.0)
+    # Arms without torque limits in their models get some, so that they bind.
+    torque = None if mass is None else Payload(mass=mass, torque=1e9)
+    if mass is not None:
+        c = stretch_of(scenario, 20, torque).torque
+        assert c is not None
+        torque = Payload(mass=mass, torque=1.15 * np.abs(c.c).max(axis=0).max())
+    along = stretch_of(scenario, 120, torque)
+    mine, best = fastest(along), optimum(along)
+    assert duration(along.knots.s, mine) == pytest.approx(duration(along.knots.s, best), rel=1e-6)
+
+
+def test_torques_are_those_of_inverse_dynamics_along_the_motion() -> None:
+    scenario = dual_arm7()
+    cell, grasp = scenario.cell, scenario.grasp
+    payload = Payload(mass=3.0, centre=(0.1, 0.0, 0.05), inertia=0.02 * np.eye(3))
+    along = stretch_of(scenario, 12, payload)
+    a, b, c = torque_lines(cell, grasp, payload, along.knots)
+    loaded = cell.model.copy()
+    half = pin.Inertia(1.5, np.array([0.1, 0.0, 0.05]), 0.01 * np.eye(3))
+    for joint, T, X in zip(cell.tool_joints, cell.T_joint_tool, grasp.T_object_tool, strict=True):
+        loaded.inertias[joint] = loaded.inertias[joint] + (T * X.inverse()).act(half)
+    data = loaded.createData()
+    speed, slope = 0.7, -0.4
+    knots = along.knots
+    for i in range(len(knots.s)):
+        v, acc = knots.slope[i] * speed, knots.slope[i] * slope + knots.curvature[i] * speed**2
+        expected = pin.rnea(loaded, data, cell.configuration(knots.q[i]), v, acc)
+        np.testing.assert_allclose(a[i] * slope + b[i] * speed**2 + c[i], expected, atol=1e-9)
+    # Both arms together hold the whole object against gravity.
+    empty = cell.model.createData()
+    q = cell.configuration(knots.q[0])
+    extra = c[0] - pin.rnea(cell.model, empty, q, np.zeros(cell.nv), np.zeros(cell.nv))
+    state = CellState(cell, q)
+    lift = np.zeros(cell.nv)
+    O = scenario.path.pose(0.0)
+    for k, own in enumerate(cell.v_slices):
+        point = O.act(np.array([0.1, 0.0, 0.05])) - state.T_world_tool[k].translation
+        J = state.jacobian(k, pin.LOCAL_WORLD_ALIGNED)
+        force = np.array([0.0, 0.0, 1.5 * 9.81])
+        lift[own] = J.T @ np.concatenate([force, np.cross(point, force)])
+    np.testing.assert_allclose(extra, lift, atol=1e-9)
+
+
+def rounded(scenario: Scenario, count: int, size: float) -> PathGeometry:
+    """Straight lines near the start of a scenario's path, their corners rounded off."""
+    rng, start = np.random.default_rng(3), scenario.path.pose(0.0)
+    way = [start]
+    for _ in range(count):
+        turn, step = rng.uniform(-0.15, 0.15, 3), rng.uniform(-0.08, 0.08, 3)
+        way.append(pin.SE3(start.rotation @ pin.exp3(turn), start.translation + step))
+    path = WaypointPath(way, durations=[1.0] * count)
+    return blended([s for x in path.segments if (s := x.straight())], distance=size, angle=size / 0.3)
+
+
+@pytest.mark.parametrize(
+    ("build", "knots", "corners", "excess"),
+    [(dual_arm7, 400, 0, 1e-4), (mixed_cell, 400, 0, 1e-4), (dual_arm7, 60, 4, 5e-3)],
+)
+def test_no_limit_is_broken_between_knots(build: Any, knots: int, corners: int, excess: float) -> None:
+    """Joint velocities and accelerations of the path on a grid of its own; sparse knots get company."""
+    scenario = limited(build(), 5.0)
+    cell = scenario.cell if not corners else scenario.cell.with_limits(velocity=0.3)
+    way = rounded(scenario, corners, 0.01) if corners else scenario.path
+    path = time_path(cell, scenario.grasp, way, q_start=scenario.q_start, knots=knots)
+    assert path.planned_share == 0.98
+    geometry = path.geometry()
+    fine = follow(cell, scenario.grasp, geometry, cell.positions(scenario.q_start), count=1500)
+    for i in range(1, len(fine.s) - 1):
+        _, speed, slope = path.at(path.clocks(fine.s[i : i + 1])[0])
+        assert np.abs(fine.slope[i] * speed).max() <= cell.limits.velocity.max()
+        assert (np.abs(fine.slope[i] * speed) / cell.limits.velocity).max() <= 0.98 + excess
+        acceleration = fine.slope[i] * slope + fine.curvature[i] * speed**2
+        assert (np.abs(acceleration) / cell.limits.acceleration).max() <= 0.98 + excess
+
+
+def one_joint(length: float, *, v: float, a: float, count: int = 150) -> Limited:
+    """A joint that moves as the object does."""
+    x = np.linspace(0.0, 1.0, count)
+    s = length * x**3 * (10.0 + x * (6.0 * x - 15.0))
+    one = np.ones((count, 1))
+    knots = Knots(s, s[:, None], one, 0.0 * one)
+    return Limited(knots, np.array([v]), Lines(one, 0.0 * one, 0.0 * one, np.array([a]), np.array([0])))
+
+
+@pytest.mark.parametrize(
+    ("v", "a", "jerk", "expected"),
+    [
+        (1e3, 1e3, 32.0, 1.0),  # by jerk alone: T = ∛(32 L/J)
+        (1.0, 4.0, 40.0, 1.0 + 1.0 / 4.0 + 4.0 / 40.0),  # by all three: L/v + v/a + a/J
+        (1.0, 4.0, 1e9, 1.0 + 1.0 / 4.0),
+    ],
+)
+def test_jerk_limits_give_the_times_of_textbooks(v: float, a: float, jerk: float, expected: float) -> None:
+    along = one_joint(1.0, v=v, a=a)
+    squares = jerk_limited(along, fastest(along), np.array([jerk]))
+    assert duration(along.knots.s, squares) == pytest.approx(expected, rel=2e-4)
+
+
+@pytest.mark.slow
+def test_joints_keep_their_jerk_limits_in_a_controller() -> None:
+    scenario, jerk, dt = limited(ring(arms=2)), 50.0, 0.002
+    path = plan_of(scenario, jerk=jerk)
+    assert path.duration > 1.1 * plan_of(scenario).duration
+    assert LimitKind.JERK in {b.kind for b in path.profile.binding if b}
+    assert path.profile.use is not None
+    assert np.quantile(path.profile.use, 0.1) > 0.9
+    steps, chain, _ = run(scenario, path, dt=dt)
+    assert {s.status for s in steps} == {Status.TRACKING}
+    assert chain < UM
+    v = np.array([np.zeros(scenario.cell.nv), *(s.velocity for s in steps), np.zeros(scenario.cell.nv)])
+    w = 10  # s̈ is constant between knots: over 20 ms these steps are averaged
+    a = (v[w:] - v[:-w]) / (w * dt)
+    assert np.abs(a[w:] - a[:-w]).max() / (w * dt) <= jerk
+    for bad in (0.0, [1.0, 2.0], "fast"):
+        with pytest.raises(InvalidInputError, match="jerk"):
+            plan_of(scenario, jerk=bad)
+
+
+def test_the_profile_names_what_binds() -> None:
+    scenario = limited(dual_arm7(), 5.0)
+    profile = plan_of(scenario).profile
+    assert len(profile.binding) == len(profile.s) - 1
+    assert {b.kind for b in profile.binding if b} <= {LimitKind.VELOCITY, LimitKind.ACCELERATION}
+    assert profile.use is not None
+    # Time-optimal: one limit is used up everywhere.
+    assert np.quantile(profile.use, 0.02) > 0.98
+    assert profile.use.max() <= 1.0 + 1e-6
+    slow = limited(replace(scenario, cell=scenario.cell.with_limits(velocity=0.2)), 50.0)
+    assert LimitKind.VELOCITY in {b.kind for b in plan_of(slow).profile.binding if b}
+
+
+# -- the path --------------------------------------------------------------------------------------------------------
+
+
+def test_poses_twists_and_clocks_belong_together() -> None:
+    path = plan_of(limited(dual_arm7()))
+    assert not path.twist(0.0).any()
+    assert not path.twist(path.duration).any()
+    h = 1e-6
+    for clock in np.random.default_rng(0).uniform(10 * h, path.duration - 10 * h, 40):
+        change = pin.log6(path.pose(clock - h).actInv(path.pose(clock + h))).vector / (2.0 * h)
+        np.testing.assert_allclose(path.twist(clock), change, atol=1e-5)
+        s, _, _ = path.at(clock)
+        assert path.clocks(np.array([s]))[0] == pytest.approx(clock, abs=1e-9)
+    np.testing.assert_array_equal(path.pose(-1.0).homogeneous, path.pose(0.0).homogeneous)
+    np.testing.assert_array_equal(path.pose(path.duration + 1.0).homogeneous, path.pose(path.duration).homogeneous)
+    with pytest.raises(InvalidInputError, match="NaN"):
+        path.pose(float("nan"))
+
+
+def test_a_path_is_made_again_from_its_numbers() -> None:
+    scenario = limited(dual_arm7())
+    end = scenario.path.pose(scenario.path.duration)
+    corner = WaypointPath([scenario.path.pose(0.0), end, scenario.path.pose(1.0)], durations=[1.0, 1.0])
+    geometry = blended([s for x in corner.segments if (s := x.straight())], distance=0.02, angle=0.1)
+    path = time_path(scenario.cell, scenario.grasp, geometry, q_start=scenario.q_start, knots=80)
+    record = path.record()
+    again = TimedPath.of_record(record)
+    assert again.record() == record
+    assert again.planned_share == path.planned_share
+    assert again.duration == path.duration
+    for clock in np.linspace(0.0, path.duration, 30):
+        np.testing.assert_array_equal(again.pose(clock).homogeneous, path.pose(clock).homogeneous)
+        np.testing.assert_array_equal(again.twist(clock), path.twist(clock))
+    for bad in ({}, {**record, "squares": [0.0]}, {**record, "pieces": [[1.0]]}, {**record, "s": "abc"}):
+        with pytest.raises(InvalidInputError):
+            TimedPath.of_record(bad)
+    with pytest.raises(InvalidInputError):
+        piece_of(np.zeros(19))
+
+
+@pytest.mark.parametrize(
+    ("s", "squares"),
+    [
+        ([0.0, 1.0], [0.0, 1.0]),
+        ([0.0, 1.0, 2.0], [0.0, -1.0, 0.0]),
+        ([0.0, 1.0], [0.0, 0.0]),
+        ([1.0, 2.0], [0.0, 0.0]),
+        ([0.0, 2.0, 1.0], [0.0, 1.0, 0.0]),
+        ([0.0, np.nan, 1.0], [0.0, 1.0, 0.0]),
+    ],
+)
+def test_bad_profiles_are_refused(s: list[float], squares: list[float]) -> None:
+    with pytest.raises(InvalidInputError):
+        SpeedProfile(np.array(s), np.array(squares))
+
+
+def test_a_path_rests_at_corners() -> None:
+    scenario = limited(dual_arm7())
+    poses = [scenario.path.pose(t) for t in (0.0, 3.0)]
+    poses.append(pin.SE3(poses[1].rotation, poses[1].translation + np.array([0.0, -0.05, 0.0])))
+    path = time_path(scenario.cell, scenario.grasp, WaypointPath(poses, durations=[1.0, 1.0]), q_start=scenario.q_start)
+    corner = path.geometry().marks[1]
+    clock = path.clocks(np.array([corner]))[0]
+    np.testing.assert_allclose(path.pose(clock).homogeneous, poses[1].homogeneous, atol=1e-9)
+    assert np.abs(path.twist(clock)).max() < 1e-6
+    squares = np.where(path.profile.s == corner, 0.01, path.profile.squares)
+    with pytest.raises(InvalidInputError, match="corner"):
+        TimedPath(path.geometry(), SpeedProfile(path.profile.s, squares))
+
+
+# -- in the controller -----------------------------------------------------------------------------------------------
+
+
+def run(scenario: Scenario, path: ObjectPath, *, dt: float, kernel: str = "auto") -> tuple[list[Any], float, float]:
+    """Steps to the end, and the largest chain and path errors [m]."""
+    controller = QPController(scenario.cell, scenario.grasp, path, dt=dt, options=QPOptions(kernel=kernel))  # type: ignore[arg-type]
+    controller.reset(scenario.q_start)
+    steps, chain, away = [], 0.0, 0.0
+    while not steps or not steps[-1].finished:
+        steps.append(controller.step())
+        state = CellState(scenario.cell, steps[-1].q_next)
+        chain = max(chain, np.abs(scenario.grasp.relative_errors(state)[:, :3]).max())
+        here = scenario.grasp.carried(state)[0].translation
+        away = max(away, float(np.linalg.norm(here - path.pose(steps[-1].clock_next).translation)))
+        assert len(steps) < 10_000
+    return steps, chain, away
+
+
+@pytest.mark.parametrize("build", [lambda: ring(arms=2), dual_arm7, mixed_cell])
+@pytest.mark.parametrize("kernel", available_kernels())
+def test_a_controller_tracks_it_at_full_rate_all_along(build: Any, kernel: str) -> None:
+    scenario = limited(build())
+    path = plan_of(scenario)
+    steps, chain, away = run(scenario, path, dt=0.004, kernel=kernel)
+    assert {s.status for s in steps} == {Status.TRACKING}
+    assert all(s.rate == 1.0 for s in steps)
+    assert chain < UM
+    assert away < UM
+    best = plan_of(scenario, share=1.0).duration
+    assert len(steps) * 0.004 <= 1.03 * best
+    assert not np.isnan(steps[-1].q_next).any()
+
+
+def test_the_own_time_law_of_a_path_counts_for_nothing() -> None:
+    scenario = limited(dual_arm7())
+    assert isinstance(scenario.path, LinePath)
+    other = LinePath(scenario.path.start, scenario.path.goal, duration=17.0, time_law="linear")
+    a, b = plan_of(scenario), plan_of(replace(scenario, path=other))
+    assert a.record() == b.record()
+
+
+# -- errors ----------------------------------------------------------------------------------------------------------
+
+
+def test_what_cannot_be_timed_is_named() -> None:
+    scenario = limited(dual_arm7())
+    pose = scenario.path.pose(0.0)
+    for path in (HoldPath(pose), ServoPath(pose)):
+        with pytest.raises(InvalidInputError, match="geometry"):
+            plan_of(replace(scenario, path=path))
+    with pytest.raises(InvalidInputError, match="no acceleration limit"):
+        plan_of(dual_arm7())
+    for options in ({"share": 0.0}, {"share": 1.1}, {"knots": 0}, {"payload": 3.0}):
+        with pytest.raises(InvalidInputError):
+            plan_of(scenario, **options)
+    far = pin.SE3(pose.rotation, pose.translation + np.array([0.0, 0.0, 3.0]))
+    with pytest.raises(UnreachableError, match=r"only to .* of its way"):
+        plan_of(replace(scenario, path=LinePath(pose, far, duration=1.0)))
+    tight = scenario.cell.with_limits(upper=scenario.cell.positions(scenario.q_start) + 0.02)
+    with pytest.raises(UnreachableError, match=r"leaves its position limits .* s of it\): .*° outside"):
+        plan_of(replace(scenario, cell=tight))
+    with pytest.raises(UnreachableError, match=r"joint .* needs .* to hold its share of the payload still"):
+        plan_of(scenario, payload=Payload(mass=1e4, torque=50.0))
+    for bad in ({"mass": -1.0}, {"mass": 1.0, "inertia": np.diag([1.0, 1.0, -1.0])}, {"mass": 1.0, "centre": [1.0]}):
+        with pytest.raises(InvalidInputError):
+            Payload(**bad)
+    with pytest.raises(InvalidInputError):
+        plan_of(scenario, payload=Payload(mass=1.0, torque=[1.0, 2.0]))
+
+
+def test_a_geometry_can_be_timed_as_well_as_a_path() -> None:
+    scenario = limited(dual_arm7())
+    geometry = scenario.path.geometry()
+    assert isinstance(geometry, PathGeometry)
+    path = time_path(scenario.cell, scenario.grasp, geometry, q_start=scenario.q_start)
+    assert path.duration == plan_of(scenario).duration
