@@ -42,6 +42,9 @@ def test_twists_are_the_change_of_poses(seed: int) -> None:
         change = (after.translation - before.translation) / (2.0 * h)
         turn = here.rotation @ pin.log3(before.rotation.T @ after.rotation) / (2.0 * h)
         np.testing.assert_allclose(V[i], np.concatenate([change, turn]), atol=1e-7)
+        R, p = geometry.poses(np.array([at]))
+        np.testing.assert_allclose(here.homogeneous[:3], np.hstack([R[0], p.T]), atol=1e-14)
+        np.testing.assert_allclose(V[i], geometry.twist(at), atol=1e-13)
         np.testing.assert_allclose(dV[i], (geometry.twist(at + h) - geometry.twist(at - h)) / (2.0 * h), atol=1e-6)
 
 

@@ -14,7 +14,6 @@ from coopqp.control.supervision import SupervisionOptions
 from coopqp.errors import InvalidInputError, UnknownNameError
 from coopqp.planning.preview import PreviewOptions
 from coopqp.task.common_error import CommonError
-from coopqp.task.path import ObjectPath
 from coopqp.task.posture import PostureOptions
 
 
@@ -83,13 +82,12 @@ class QPOptions:
         if self.iterations > 5:
             raise InvalidInputError(f"iterations is {self.iterations}", "QPOptions", "Give 1 to 5.")
 
-    def on(self, path: ObjectPath) -> QPOptions:
-        """These options on a path: one that was planned may use the share of the limits that it was planned with.
+    def on(self, share: float | None) -> QPOptions:
+        """These options on a path that was planned with a share of the limits; None if it was not planned.
 
         Half of what its share leaves is for corrections. Redundant arms then move by least motion, as they were
         planned, without posture.
         """
-        share = path.planned_share
         if share is None:
             return self
         preview = self.preview

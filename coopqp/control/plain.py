@@ -140,9 +140,9 @@ class PlainLoop:
 
     def follow(self, path: ObjectPath) -> None:
         """Take a path; it begins with :meth:`start_path`."""
-        self.path, self._on_path = path, self.options.on(path)
+        self.path, self._guarded = path, GuardedPath(path)
+        self._on_path = self.options.on(self._guarded.planned_share)
         self._posture.take(self._on_path.posture)
-        self._guarded = GuardedPath(path)
         self._ahead: tuple[float, pin.SE3] | None = None
         self._preview = None
         if self.options.preview is not None and self._guarded.known_ahead:

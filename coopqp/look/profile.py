@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 #: Colours of the joints that bind longest (Okabe and Ito); the others are grey.
 _COLOURS = ("#0072b2", "#e69f00", "#009e73", "#d55e00", "#cc79a7", "#56b4e9", "#f0e442", "#7f5539")
-_LEAST_SHARE = 0.01  # of the duration; joints that bind for less are among the others
+_LEAST_SHARE = 0.01  # of the duration: what binds for less is not in the legend by name
 _OTHERS, _INK = "#b8bcc4", "#222222"
 #: Hatches of the kinds of limits, from the one that binds longest on.
 _HATCHES = ("", "////", "xxxx", "....")
@@ -66,12 +66,13 @@ def profile_figure(path: TimedPath) -> Figure:
         Patch(facecolor=colours[joint], label=f"{joint[0]}: {joint[1]} ({times[joint]:.2f} s)") for joint in colours
     ]
     rest = sum(times[joint] for joint in ranked[len(colours) :])
-    if rest > 0.0:
+    if rest >= _LEAST_SHARE * path.duration:
         count = len(ranked) - len(colours)
         handles.append(Patch(facecolor=_OTHERS, label=f"{count} other joint{'s' * (count > 1)} ({rest:.2f} s)"))
     handles += [
         Patch(facecolor="white", edgecolor=_INK, hatch=hatch, label=f"by its {kind.value} limit")
         for kind, hatch in hatches.items()
+        if kinds[kind] >= _LEAST_SHARE * path.duration
     ]
     axes.legend(handles=handles, loc="upper left", bbox_to_anchor=(1.01, 1.0), frameon=False, fontsize=9)
     for side in ("top", "right"):

@@ -20,8 +20,10 @@ from coopqp.planning.jerk import jerk_limited, jerk_use
 from coopqp.planning.knots import Following, Knots
 from coopqp.planning.parametrise import Limited, Lines, fastest, require_toppra
 from coopqp.planning.payload import Payload, torque_lines
+from coopqp.planning.sampled import sampled_geometry
 from coopqp.spatial import Array
 from coopqp.task.geometry import PathGeometry
+from coopqp.task.guarded import is_known
 from coopqp.task.path import ObjectPath
 from coopqp.task.timed import SpeedProfile, TimedPath
 
@@ -55,7 +57,7 @@ def time_path(
 
     Args:
         cell, grasp: the arms, and how they hold the object.
-        path: where to; one that knows its geometry.
+        path: where to. Of a path of your own poses and twists are asked; derivatives of its twists are differences.
         q_start: configuration (nq,) near the start of the path; it decides the branches.
         payload: with it the joints' torques stay within their limits, too.
         jerk: largest jerk of the joints, one number or one per joint (nv,) [rad/s³ or m/s³]. The profile then comes
@@ -131,7 +133,9 @@ def geometry_of(path: ObjectPath | PathGeometry, where: str) -> PathGeometry:
     if isinstance(path, PathGeometry):
         return path
     require(path, ObjectPath, f"{where}: path", "Give an ObjectPath.")
-    geometry = path.geometry() if path.known_ahead and np.isfinite(path.duration) else None
+    geometry = None
+    if path.known_ahead and np.isfinite(path.duration):
+        geometry = path.geometry() if is_known(path) else path.geometry() or sampled_geometry(path)
     if geometry is None:
         raise InvalidInputError(
             f"a {type(path).__name__} has no geometry to be timed",
@@ -234,7 +238,7 @@ def _check_positions(cell: RobotCell, path: ObjectPath | PathGeometry, knots: Kn
     at = mark + knots.s[np.flatnonzero(margins[:, j] < -AT_LIMIT)[0]]
     arm, _, joint = cell.joint_names[j].partition("/")
     slides = cell.model.joints[j + 1].shortname().startswith("JointModelP")
-    when = f" ({path.clocks(np.array([at]))[0]:.2f} s of it)" if isinstance(path, ObjectPath) else ""
+    when = f" ({path.clocks(np.array([at]))[0]:.2f} s of it)" if isinstance(path, ObjectPath) and is_known(path) else ""
     raise UnreachableError(
         f"arm {arm} leaves its position limits {at:.3g} m along the path{when}: {joint} goes "
         f"{amount(-float(margins[:, j].min()), slides=slides)} outside. Start from another branch "

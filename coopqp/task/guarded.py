@@ -8,7 +8,7 @@ from typing import final
 import numpy as np
 import pinocchio as pin
 
-from coopqp.checks import as_vector
+from coopqp.checks import as_scalar, as_vector
 from coopqp.errors import InvalidInputError, said
 from coopqp.spatial import Array, as_placement
 from coopqp.task.geometry import TURN_LENGTH
@@ -54,6 +54,7 @@ class GuardedPath:
     Attributes:
         duration: the path's duration when it was taken [s]; 0 if it has none.
         known_ahead: whether poses ahead of the clock are known.
+        planned_share: share of the limits that the path was planned with; None if it was not.
         problem: what was wrong with the last pose or twist; empty if nothing was.
     """
 
@@ -61,10 +62,13 @@ class GuardedPath:
         self.path, self._own = path, not is_known(path)
         self.problem = ""
         self.duration, self.known_ahead = 0.0, False
+        self.planned_share: float | None = None
         try:
             self.duration, self.known_ahead = float(path.duration), bool(path.known_ahead)
+            share = path.planned_share
+            self.planned_share = None if share is None else as_scalar(share, "planned_share", high=1.0)
         except Exception as error:
-            self.problem = f"the path's duration, or known_ahead, cannot be read: {said(error)}"
+            self.problem = f"the path's duration, known_ahead or planned_share cannot be read: {said(error)}"
 
     def pose(self, clock: float) -> pin.SE3 | None:
         """T_world_object at ``clock`` [s]; None if the path fails, :attr:`problem` says how."""

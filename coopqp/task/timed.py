@@ -143,7 +143,8 @@ class TimedPath(ObjectPath):
         if speed == 0.0:
             return np.zeros(6)
         R, V = self._geometry.pose(s).rotation, self._geometry.twist(s)
-        return np.concatenate([R.T @ V[:3], R.T @ V[3:]]) * speed
+        out: Array = (V.reshape(2, 3) @ R).ravel() * speed
+        return out
 
     def record(self) -> dict[str, Any]:
         """The path as plain lists of numbers, from which :meth:`of_record` makes it again, bit for bit."""

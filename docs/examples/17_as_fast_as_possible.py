@@ -22,8 +22,8 @@ way = [start, up, across]
 def run(name, path, q_start):
     recording = simulate(QPController(cell, grasp, path, dt=0.002), q_start=q_start)
     slowed = np.count_nonzero(recording.rate < 1.0 - 1e-6)
-    chain = 1e3 * read_run(cell, recording).chain_mm.max()
-    print(f"{name}: {recording.time[-1]:.2f} s, {slowed} steps slowed, arms within {chain:.2f} µm of each other")
+    chain = read_run(cell, recording).chain_mm.max()
+    print(f"{name}: {recording.time[-1]:.2f} s, {slowed} steps slowed, arms within {chain:.0e} mm of each other")
 
 
 # A controller that knows only what is ahead, on a path that asks for too much, brakes and speeds up by itself.
@@ -37,7 +37,7 @@ run("planned", planned.path, planned.q_start)
 # With the corner rounded off within 2 cm, the object goes on.
 rounded = plan(cell, grasp, way, q_start=task.q_start, blend=0.02)
 run("rounded", rounded.path, rounded.q_start)
-print(rounded.explain())
+print("\n".join(rounded.explain().splitlines()[:2]))  # how long, and what binds longest
 
 if "--out" in sys.argv:
     write_speed_profile(rounded.path, Path(sys.argv[sys.argv.index("--out") + 1]) / "speed_profile.png", dpi=90)

@@ -99,7 +99,7 @@ class CompiledLoop:
         """Take a path; it begins with :meth:`start_path`."""
         self.path = path
         self._guarded = GuardedPath(path)
-        put_options(self._memory, self._chain, self._box, self.options.on(path), self.dt)
+        put_options(self._memory, self._chain, self._box, self.options.on(self._guarded.planned_share), self.dt)
         self._reader = RecordReader(
             self.cell, self.grasp, path, solver=self.solver.name, constraints=self.constraints.names,
             dt=self.dt, supervision=self.options.supervision,
