@@ -1,4 +1,4 @@
-"""What stands before the motion: batch kinematics, starts and checks of whole cells, and the fastest timing of paths.
+"""What stands before the motion: batch kinematics, starts, checks, and the fastest timing of random paths.
 
 The cases take turns in one run: trust the ratios. See benchmarks/README.md.
 """
@@ -228,11 +228,12 @@ def main(argv: Sequence[str] | None = None) -> int:
     plan = QUICK if args.quick else FULL
     description = common.describe("planning", {"poses": plan.poses, "rounds": plan.rounds})
     print(common.header(description), flush=True)
-    total = plan.rounds * (1 + len(batch_kernels())) + len(user_cells.CELLS) + 2 * len(plan.rings) + plan.paths + 3
-    total += len(plan.rings)
+    total = plan.rounds * (1 + len(batch_kernels())) + len(user_cells.CELLS) + 3 * len(plan.rings) + plan.paths + 3
     progress = common.Progress(total)
-    records = [*batch(plan, progress), *starts(plan, progress), *timings(plan, progress), *many_arms(plan, progress)]
-    records += [record(**found) for found in check_cases.checks(plan.rings, plan.rounds, progress)]
+    records = [*batch(plan, progress), *starts(plan, progress)]
+    checked = check_cases.checks(plan.rings, plan.rounds, progress)
+    records += [{**dict.fromkeys(KEYS), **record} for record in checked]
+    records += [*timings(plan, progress), *many_arms(plan, progress)]
     progress.close()
     text = "## Before the motion\n\n" + common.markdown_table(records, KEYS) + "\n"
     print("\n" + text)

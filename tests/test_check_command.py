@@ -115,5 +115,6 @@ def test_the_picture_shows_each_joint_and_what_is_proved() -> None:
     joints = check_figure(check_path(task.cell, task.grasp, task.path, q_start=task.q_start)).axes[0].lines
     assert len(joints) == 8
     task = at_limit()
-    lines = check_figure(check_path(task.cell, task.grasp, task.path, q_start=task.q_start)).axes[0].lines
-    assert min(float(np.min(line.get_ydata())) for line in lines) < -10.0
+    panel = check_figure(check_path(task.cell, task.grasp, task.path, q_start=task.q_start)).axes[0]
+    assert min(float(np.min(line.get_ydata())) for line in panel.lines) < -10.0
+    assert panel.get_ylim()[0] < 0.0

@@ -26,7 +26,7 @@ from coopqp import (
     robot_path,
     tool_placements,
 )
-from coopqp.planning import PathVerdict, check_path, find_remedies, find_start
+from coopqp.planning import PathVerdict, check_path, find_remedies, find_start, plan
 from coopqp.scenarios import Scenario, at_limit, at_singularity, mixed_cell, ring, robot_arm, scara_pair
 
 CERTIFIED, SAMPLED, UNDECIDED, INFEASIBLE = PathVerdict
@@ -310,7 +310,7 @@ def test_where_there_is_no_proof_samples_are_said(paper: Scenario) -> None:
     check = check_path(paper.cell, paper.grasp, Opaque(paper.path))
     assert check.verdict is SAMPLED
     assert check.feasible
-    assert "only the path itself knows its poses" in check.explain()
+    assert "the proof knows straight pieces only" in check.explain()
     task = scara_pair()
     check = check_path(task.cell, task.grasp, task.path, q_start=task.q_start)
     assert check.verdict is SAMPLED
@@ -320,6 +320,21 @@ def test_where_there_is_no_proof_samples_are_said(paper: Scenario) -> None:
     assert "judged at its start alone" in servo.explain()
     hold = check_path(paper.cell, paper.grasp, HoldPath(paper.path.start))
     assert hold.verdict is CERTIFIED
+
+
+def test_a_planned_path_is_certified_and_rounded_corners_are_sampled(paper: Scenario) -> None:
+    poses = [paper.path.pose(clock) for clock in (0.0, 1.5, 3.0)]
+    poses[1] = pin.SE3(poses[1].rotation, poses[1].translation + np.array([0.05, 0.0, 0.0]))
+    cell = paper.cell.with_limits(acceleration=5.0)
+    corner = WaypointPath(poses, durations=[1.0, 1.0])
+    planned = plan(cell, paper.grasp, corner, q_start=paper.q_start)
+    check = check_path(cell, paper.grasp, planned.path, q_start=planned.q_start)
+    assert check.verdict is CERTIFIED
+    for arm in check.arms:
+        assert arm.chosen is not None
+        np.testing.assert_allclose(arm.chosen.certified, [[0.0, planned.path.duration]], rtol=0, atol=1e-9)
+    rounded = plan(cell, paper.grasp, corner, q_start=paper.q_start, blend=0.005)
+    assert check_path(cell, paper.grasp, rounded.path, q_start=rounded.q_start).verdict is SAMPLED
 
 
 def test_a_limit_on_the_way_is_named_with_joint_clock_and_amount() -> None:

@@ -35,7 +35,7 @@ def outputs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
     environment = {**os.environ, "MPLBACKEND": "Agg", "PYTHONIOENCODING": "utf-8", "OMP_NUM_THREADS": "1"}
 
     def run(file: Path) -> str:
-        options = ["--out", str(folder)] if file.name.startswith(("04", "17")) else []
+        options = ["--out", str(folder)] if file.name.startswith(("04", "18")) else []
         done = subprocess.run(
             [sys.executable, str(file), *options],
             cwd=folder, env=environment, capture_output=True, text=True, encoding="utf-8", timeout=120, check=False,

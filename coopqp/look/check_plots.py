@@ -36,6 +36,8 @@ def check_figure(check: PathCheck) -> Figure:
         figure.text(0.5, 0.5, "No arm reaches its grasp at the start of the path.", ha="center", color=_INK)
         return figure
     panels = figure.subplots(2, len(shown), sharex=True, sharey="row", squeeze=False)
+    if len(shown) < len(check.arms):
+        figure.suptitle(f"the tightest {len(shown)} of {len(check.arms)} arms", fontsize=12, color=_INK)
     names: dict[str, Any] = {}
     for (top, bottom), k in zip(panels.T, shown, strict=True):
         arm = check.arms[k]
@@ -55,6 +57,7 @@ def check_figure(check: PathCheck) -> Figure:
         bottom.set_xlabel("clock of the path [s]", fontsize=11, color=_INK)
         for panel in (top, bottom):
             _plain(panel)
+    panels[0, 0].set_ylim(max(panels[0, 0].get_ylim()[0], -40.0), 105.0)
     panels[0, 0].set_xlim(0.0, max(_end(check, k) for k in shown))
     panels[0, 0].set_ylabel("margin [% of half range]", fontsize=11, color=_INK)
     panels[1, 0].set_ylabel("σ_min", fontsize=11, color=_INK)

@@ -190,19 +190,20 @@ def _check(kinematics: ArmKinematics, path: ToolPath, q: Array) -> BranchCheck:
     clocks, complete = path.clocks[: len(q)], len(q) == len(path.clocks)
     nothing = np.empty((0, 2))
     certified, undecided, bounds, sigma_bound = nothing, nothing, None, 0.0
-    sure = np.ones(len(q), dtype=bool)
-    provable = path.segments is not None and kinematics.n >= 6 and len(q) > 1
-    if provable and kinematics.margins(q).min() >= -AT_LIMIT:
-        assert path.segments is not None
-        found = prove(kinematics, path.segments, path.offset, path.segment[: len(q)], path.share[: len(q)], q)
+    sure, lost = np.ones(len(q), dtype=bool), np.empty(0)
+    outside = kinematics.margins(q).min(axis=1) < -AT_LIMIT
+    m = int(outside.argmax()) if outside.any() else len(q)  # knots until the first one outside
+    if path.segments is not None and kinematics.n >= 6 and m > 1:
+        found = prove(kinematics, path.segments, path.offset, path.segment[:m], path.share[:m], q[:m])
         shares = np.concatenate([found.low, found.high, 0.5 * (found.low + found.high)])
         low, high, middle = np.split(path.segments.clocks(np.tile(found.segment, 3), shares), 3)
         certified, undecided = (_merged(low[k], high[k]) for k in (found.proved, ~found.proved))
+        lost = low[~found.on_branch]  # from here on it may be another branch
         clocks = np.concatenate([clocks, middle[found.between]])
         order = np.argsort(clocks, kind="stable")
         clocks, q = clocks[order], np.concatenate([q, found.q[found.between]])[order]
         sure = np.concatenate([sure, found.on_branch[found.between]])[order]
-        if found.proved.all() and complete:
+        if found.proved.all() and complete and m == len(path.clocks):
             bounds, sigma_bound = found.margins, float(found.sigma_min.min())
     margins = kinematics.margins(q)
     values = kinematics.singular_values(q)
@@ -211,8 +212,15 @@ def _check(kinematics: ArmKinematics, path: ToolPath, q: Array) -> BranchCheck:
         least = np.minimum(bounds.min(axis=0), least)
     verdict, why, until = PathVerdict.CERTIFIED, "", float(clocks[-1])
     if margins[sure].min(initial=np.inf) < -AT_LIMIT:
-        verdict, certified, undecided = PathVerdict.INFEASIBLE, nothing, nothing
         why, until = _exit(kinematics, clocks[sure], margins[sure])
+        if (lost < until).any():
+            verdict, why = (
+                PathVerdict.UNDECIDED,
+                f"{_doubt(undecided, least, values[:, -1], kinematics)}; beyond it {why}",
+            )
+            undecided = _merged(*np.vstack([undecided, [[until, path.end]]]).T)
+        else:
+            verdict, undecided = PathVerdict.INFEASIBLE, nothing
     elif not complete:
         verdict, why, undecided = _ended(kinematics, path, q[-1], until, undecided)
     elif len(undecided):
@@ -289,7 +297,7 @@ def _not_proved(kinematics: ArmKinematics, path: ToolPath) -> str:
     if kinematics.n < 6:
         return f"is followed at samples: the proof needs six joints, and it has {kinematics.n}"
     if path.segments is None:
-        return "is followed at samples: between them only the path itself knows its poses"
+        return "is followed at samples: the proof knows straight pieces only, no rounded corners and no other paths"
     return "is followed at samples"
 
 

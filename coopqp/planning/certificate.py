@@ -299,7 +299,8 @@ def prove(
         weak = np.where(tube.good, tube.sigma_min, tube.sigma_middle) < LEAST_SIGMA
         hopeless = weak & (halving >= _SINGULAR_HALVINGS)
         hopeless |= (halving == _HALVINGS) | (looked_at > _MOST)
-        hopeless |= outside is not None
+        if outside is not None:  # what is left to know is whether the branch is still that of the start
+            hopeless |= tube.good
         split = (~inside | loose) & ~hopeless
         done = ~split
         kept = s, low, high, inside, margins, tube.sigma_min, tube.q, tube.between, tube.good

@@ -6,6 +6,7 @@ is proved in shares holds for every time law.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,6 +14,7 @@ import numpy.typing as npt
 import pinocchio as pin
 
 from coopqp.spatial import Array
+from coopqp.task.geometry import Straight
 from coopqp.task.path import ObjectPath
 
 _NUMBERS = 21
@@ -34,6 +36,8 @@ class Segments:
         way: displacement of the origin in the world (S, 3) [m].
         start, duration: first clock and duration of each (S,) [s].
         quintic: True where the time law is quintic, else linear (S,).
+        lengths, when: of a path with a speed profile of its own, the length of each segment (S,) [m] and its
+            ``clocks``; None for time laws.
     """
 
     R: Array
@@ -43,6 +47,8 @@ class Segments:
     start: Array
     duration: Array
     quintic: npt.NDArray[np.bool_]
+    lengths: Array | None = None
+    when: Callable[[Array], Array] | None = None
 
     def __len__(self) -> int:
         return len(self.start)
@@ -64,6 +70,9 @@ class Segments:
 
     def clocks(self, segment: Indices, share: Array) -> Array:
         """Clocks [s] at which the object is at shares (M,) of segments (M,)."""
+        if self.when is not None and self.lengths is not None:
+            starts = np.cumsum(self.lengths) - self.lengths
+            return self.when(starts[segment] + share * self.lengths[segment])
         from scipy.special import betaincinv
 
         # 10x³ − 15x⁴ + 6x⁵ is the regularised incomplete beta function of (3, 3).
@@ -96,12 +105,12 @@ class Segments:
 
 
 def segments_of(path: ObjectPath) -> Segments | None:
-    """The segments of a path; None where only its poses are known, or where it does not end."""
+    """The segments of a path; None where only its poses are known, its corners are rounded, or it does not end."""
     if not (np.isfinite(path.duration) and path.known_ahead):
         return None
     numbers = path.packed()
     if numbers is None:
-        return None
+        return _timed(path)
     breakpoints, count = int(numbers[1]), int(numbers[2])
     rows = np.asarray(numbers[3 + breakpoints :]).reshape(count, _NUMBERS)
     return Segments(
@@ -112,6 +121,29 @@ def segments_of(path: ObjectPath) -> Segments | None:
         start=rows[:, 18],
         duration=rows[:, 19],
         quintic=rows[:, 20] != 0.0,
+    )
+
+
+def _timed(path: ObjectPath) -> Segments | None:
+    """The segments of a path with a geometry; None where it has none, or rounded corners."""
+    geometry = path.geometry()
+    if geometry is None:
+        return None
+    lines = [piece for piece in geometry.pieces if isinstance(piece, Straight)]
+    if len(lines) < len(geometry.pieces):
+        return None
+    lengths = np.array([line.length for line in lines])
+    clocks = path.clocks(np.cumsum(np.concatenate([[0.0], lengths])))
+    return Segments(
+        R=np.array([line.R for line in lines]),
+        p=np.array([line.p for line in lines]),
+        turn=np.array([line.turn for line in lines]),
+        way=np.array([line.way for line in lines]),
+        start=clocks[:-1],
+        duration=np.diff(clocks),
+        quintic=np.ones(len(lines), dtype=bool),  # it rests at both ends, so knots are spread as for this law
+        lengths=lengths,
+        when=path.clocks,
     )
 
 

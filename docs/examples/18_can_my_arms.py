@@ -1,4 +1,4 @@
-"""Can my arms do it? A proof before the motion.  python docs/examples/17_can_my_arms.py [--out FOLDER]"""
+"""Can my arms do it? A proof before the motion.  python docs/examples/18_can_my_arms.py [--out FOLDER]"""
 
 import sys
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""As fast as the joints allow.  python docs/examples/19_as_fast_as_possible.py [--out FOLDER]"""
+"""As fast as the joints allow.  python docs/examples/20_as_fast_as_possible.py [--out FOLDER]"""
 
 import sys
 from pathlib import Path

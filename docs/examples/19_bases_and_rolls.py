@@ -1,4 +1,4 @@
-"""Where can a base stand, and how may a tool be turned?  python docs/examples/18_bases_and_rolls.py"""
+"""Where can a base stand, and how may a tool be turned?  python docs/examples/19_bases_and_rolls.py"""
 
 import numpy as np
 import pinocchio as pin
