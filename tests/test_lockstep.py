@@ -530,7 +530,7 @@ def test_both_agree_on_moving_targets(acceleration: float) -> None:
                 start.translation + far * rng.standard_normal(3),
             )
             run.both(lambda c, T=target: c.retarget(T))
-            run.run(25 if i % 2 else 60, noisy(task.cell, size=1e-5) if i % 3 else None)
+            run.run(25 if i % 3 else 60, noisy(task.cell, size=1e-5) if i % 3 else None)
         assert run.seen >= {Status.TRACKING, Status.SLOWED} or not np.isfinite(acceleration)
 
 
@@ -630,7 +630,7 @@ IN_PYTHON: dict[str, dict[str, str]] = {
     "planning.preview": {
         name: f"_{name}"
         for name in (
-            "STEPS_TO_FULL_SPEED", "PASSABLE", "FINE_CELL", "BISECTIONS", "JUST_BEFORE", "STEPS_TO_GROW", "BEND_CHANGE",
+            "STEPS_TO_FULL_SPEED", "PASSABLE", "FINE_CELL", "OTHER_BRANCH", "BISECTIONS", "JUST_BEFORE", "STEPS_TO_GROW", "BEND_CHANGE",
             "KNOTS_PER_PASS", "LEAST_RATE", "NEWTON_STEPS_AT_START", "LONGEST_WAY", "MOST_TRIES", "STARTING_STEPS",
             "CONVERGED", "MOST_KNOTS",
         )

@@ -26,6 +26,7 @@ LAZY = ("coopqp", "coopqp.control", "coopqp.simulation", "coopqp.files")
 INSIDE = (
     "benchmarks/peer",
     "benchmarks/compare_peers.py",
+    "benchmarks/look_ahead_cases.py",
     "benchmarks/planning.py",
     "benchmarks/recorded_qps.py",
     "benchmarks/step_profile.py",

@@ -17,7 +17,7 @@ from coopqp.spatial import Array
 from coopqp.task.geometry import Straight
 from coopqp.task.path import ObjectPath
 
-_NUMBERS = 21
+_NUMBERS = 29
 _X = np.arange(1, 12) / 12.0
 #: Shares of a quintic segment at clocks that are spread evenly.
 _SLOW = _X**3 * (10.0 - 15.0 * _X + 6.0 * _X**2)

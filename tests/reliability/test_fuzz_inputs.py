@@ -218,13 +218,13 @@ def test_what_is_accepted_is_right(catalogue: Any) -> None:
 def _servo(T: Any) -> Any:
     controller = QPController(LIFT.cell, LIFT.grasp, ServoPath(START), dt=0.01)
     controller.reset(LIFT.q_start)
-    kept = controller.path._line
+    kept = controller.path.target
     try:
         controller.retarget(T)
     except ValueError:
-        assert controller.path._line is kept  # the target is unchanged
+        assert controller.path.target is kept  # the target is unchanged
         raise
-    return controller.path._line.goal
+    return controller.path.target
 
 
 #: Functions of a pose that return a placement equal to the given pose.
