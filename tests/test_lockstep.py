@@ -636,7 +636,7 @@ IN_PYTHON: dict[str, dict[str, str]] = {
         )
     },
     "planning.redundancy": {name: name for name in ("LIMIT_MARGIN", "TURNING_WAY", "LEADS")},
-    "planning.sharing": {name: name for name in ("DOUBT", "STILL_SLOPE", "MOST_PIVOTS", "CROSSED")},
+    "planning.sharing": {name: name for name in ("STILL_SLOPE", "MOST_PIVOTS", "CROSSED")},
     "control.supervision": {
         name: f"_{name}"
         for name in (

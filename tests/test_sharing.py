@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 from scipy.optimize import linprog
 
-from coopqp.planning.sharing import DOUBT, Interval, largest_alone, largest_square
+from coopqp.planning.sharing import Interval, largest_alone, largest_square
 
 pytestmark = pytest.mark.core
+DOUBT = 0.3
 
 
 def random_interval(rng: Any, joints: int) -> tuple[Interval, Any]:
@@ -49,12 +50,14 @@ def test_the_largest_square_is_that_of_a_linear_program(seed: int) -> None:
     rows, most = lines(interval, a, ahead)
     found = linprog([-1.0, 0.0], rows, most, bounds=[(0.0, cap), (None, None)], method="highs")
     assert found.success
-    share = largest_square(interval, a, cap, ahead)
+    share = largest_square(interval, a, cap, ahead, doubt=DOUBT)
     assert share.square == pytest.approx(float(found.x[0]), rel=1e-6, abs=1e-7)
     if share.square < cap:
         assert share.ahead or share.joint >= 0
     if not share.ahead:  # then more room at the next knot changes nothing
-        assert largest_square(interval, a, cap, ahead + 1.0).square == pytest.approx(share.square, rel=1e-9)
+        assert largest_square(interval, a, cap, ahead + 1.0, doubt=DOUBT).square == pytest.approx(
+            share.square, rel=1e-9
+        )
 
 
 @pytest.mark.parametrize("seed", range(20))

@@ -100,7 +100,7 @@ class QPOptions:
         preview = self.preview
         if preview is not None:
             margin = max(preview.margin, 0.5 * (1.0 + share))
-            preview = replace(preview, margin=margin, curvature_share=1.0)
+            preview = replace(preview, margin=margin, curvature_share=1.0, doubt=0.0)
         return replace(self, preview=preview, posture=PostureOptions(gain=0.0))
 
 

@@ -45,6 +45,7 @@ class PreviewOptions:
         shortest: intervals between knots are not halved below this [s].
         margin: η, share of velocity and acceleration limits that is planned with where acceleration is limited.
         curvature_share: κ, share of a further constraint that bounds z and σ̇ at once, for z.
+        doubt: share of the differences of q″ at a knot that stands for what the path does between knots.
         rate_slope: σ̇_max, largest change of the rate [1/s], where acceleration is limited.
         singular_rate: a rate cap below this, while joint speeds still rise, ends the path there, unless they fall
             again before it is below 0.3 of this.
@@ -58,6 +59,7 @@ class PreviewOptions:
     shortest: float = 1e-6
     margin: float = 0.95
     curvature_share: float = 0.5
+    doubt: float = 0.3
     rate_slope: float = 10.0
     singular_rate: float = 1e-2
     newton_steps: int = 60
@@ -65,6 +67,7 @@ class PreviewOptions:
     def __post_init__(self) -> None:
         keep_scalars(self, "cell", "joint_step", "slope_step", "shortest", "rate_slope")
         keep_scalars(self, "margin", "curvature_share", "singular_rate", high=1.0)
+        keep_scalars(self, "doubt", open_low=False)
         object.__setattr__(self, "newton_steps", as_count(self.newton_steps, "PreviewOptions: newton_steps"))
 
     def slope(self, *, accelerates: bool, dt: float) -> float:
@@ -826,7 +829,7 @@ class PathPreview:
             min(self._slope_cap, here.fall, ahead.fall),
             min(self._slope_cap, here.rise, ahead.rise),
         )
-        return largest_square(interval, self._acceleration, here.cap, ahead.square)
+        return largest_square(interval, self._acceleration, here.cap, ahead.square, doubt=self.options.doubt)
 
 
 def _whole(pieces: Generator[None, None, _Knot | None]) -> _Knot | None:

@@ -14,8 +14,6 @@ import numpy as np
 
 from coopqp.spatial import Array
 
-#: Share of the differences of q″ that stands for what the path does between knots.
-DOUBT = 0.3
 #: A bound of u counts from this slope on [rad/s or m/s, per unit of rate].
 STILL_SLOPE = 1e-12
 #: Newton steps of one program. Each takes another pair of lines.
@@ -59,22 +57,23 @@ class Share(NamedTuple):
     joint: int
 
 
-def largest_square(interval: Interval, acceleration: Array, cap: float, ahead: float) -> Share:
+def largest_square(interval: Interval, acceleration: Array, cap: float, ahead: float, *, doubt: float) -> Share:
     """Largest z ≤ ``cap`` at the first knot from which z at the second one can be in [0, ``ahead``].
 
     The lines are ``α u + β z ≤ γ``. The largest lower bound of u is convex in z, the least upper one concave; where
-    they cross Newton's method finds from above, one pair of lines after the other.
+    they cross Newton's method finds from above, one pair of lines after the other. ``doubt`` is the share of the
+    differences of q″ that stands for what the path does between the knots.
     """
     span, slope, arrival, chord, bend, bend_ahead, fall, rise = interval
     two = 2.0 * span
-    doubt = DOUBT * (np.abs(bend - chord) + np.abs(bend_ahead - chord))
+    unknown = doubt * (np.abs(bend - chord) + np.abs(bend_ahead - chord))
     alpha, beta = [], []
     for q2 in (bend, chord):
         alpha += [slope, -slope]
-        beta += [doubt + q2, doubt - q2]
+        beta += [unknown + q2, unknown - q2]
     for q2 in (bend_ahead, chord):
-        alpha += [two * (doubt + q2) + arrival, two * (doubt - q2) - arrival]
-        beta += [doubt + q2, doubt - q2]
+        alpha += [two * (unknown + q2) + arrival, two * (unknown - q2) - arrival]
+        beta += [unknown + q2, unknown - q2]
     further = np.array([[1.0, 0.0, rise], [-1.0, 0.0, fall], [-two, -1.0, 0.0], [two, 1.0, ahead]])
     a = np.concatenate([np.stack(alpha, axis=1).ravel(), further[:, 0]])
     b = np.concatenate([np.stack(beta, axis=1).ravel(), further[:, 1]])

@@ -37,7 +37,6 @@ CONSTANTS: dict[str, float] = {
     "FINE_CELL": 1e-3,  # intervals shorter than this are not halved for a change of slope [s]
     "OTHER_BRANCH": 0.5,  # a slope that changes by more than this share within a fine interval is of another branch
     "BEND_CHANGE": 0.3,  # intervals are halved where q″ changes by more than this share of the accelerations
-    "DOUBT": 0.3,  # share of the differences of q″ that stands for what the path does between knots
     "CROSSED": 1e-13,  # the lower bound of σ̇ is above the upper one by more than rounding
     "MOST_PIVOTS": 50,  # Newton steps of one program of two variables
     "KNOTS_PER_PASS": 4,  # the backward pass runs once for so many knots
@@ -94,7 +93,7 @@ OPTIONS = (
     "ACCELERATES", "RECOVERY_UNIT", "RELAX_UNIT", "RISE", "BLOCKED_RATE", "REIN_SLOPE", "OFF_PATH_DISTANCE",
     "OFF_PATH_ANGLE",
     "POSTURE_GAIN", "CENTRING", "MANIPULABILITY", "POSTURE_SHARE",
-    "LOOKS_AHEAD", "CAPS_SPEED", "CELL", "JOINT_STEP", "SLOPE_STEP", "SHORTEST", "CURVATURE_SHARE", "SLOPE_CAP",
+    "LOOKS_AHEAD", "CAPS_SPEED", "CELL", "JOINT_STEP", "SLOPE_STEP", "SHORTEST", "CURVATURE_SHARE", "DOUBT", "SLOPE_CAP",
     "SINGULAR_RATE", "NEWTON_STEPS",
     "SLOW_FROM", "HOLD_FROM", "LET_IN", "NOISE_MARGIN", "RECOVERY_TIME", "FAULT_FROM", "STALL_SAMPLES", "STALL_SHARE",
     "SILENT_TIME", "FILTER_TIME", "DT_LOW", "DT_HIGH", "JOINT_JUMP", "WATCHES_FORCE", "FORCE_LIMIT", "SERVO_DELAY",

@@ -156,7 +156,7 @@ def _put_options(numbers: Array, box: VelocityBox, o: QPOptions, dt: float) -> N
         values |= {
             "RISE": slope, "LOOKS_AHEAD": 1.0, "CAPS_SPEED": box.accelerates, "CELL": p.cell,
             "JOINT_STEP": p.joint_step,
-            "SLOPE_STEP": p.slope_step, "SHORTEST": p.shortest, "CURVATURE_SHARE": p.curvature_share,
+            "SLOPE_STEP": p.slope_step, "SHORTEST": p.shortest, "CURVATURE_SHARE": p.curvature_share, "DOUBT": p.doubt,
             "SLOPE_CAP": 0.9 * slope if box.accelerates else slope, "SINGULAR_RATE": p.singular_rate,
             "NEWTON_STEPS": p.newton_steps,
         }  # fmt: skip

@@ -152,7 +152,7 @@ static double largest_square(const Core *c, int i, int *high_row, int *low_row) 
         const double C = chord[j], arrival = slope[j] + C * span;
         const double b = span_before > 0.0 ? (before[j] * span + C * span_before) / (span_before + span) : C;
         const double d = span_after > 0.0 ? (C * span_after + after[j] * span) / (span + span_after) : C;
-        const double doubt = DOUBT * (fabs(b - C) + fabs(d - C));
+        const double doubt = c->options[DOUBT] * (fabs(b - C) + fabs(d - C));
         add_line(&l, slope[j], doubt + b, a[j], j);
         add_line(&l, -slope[j], doubt - b, a[j], j);
         add_line(&l, slope[j], doubt + C, a[j], j);
