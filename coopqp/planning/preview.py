@@ -44,7 +44,8 @@ class PreviewOptions:
         slope_step: largest change of a joint's slope between knots, as a share of the largest slope and of its speed.
         shortest: intervals between knots are not halved below this [s].
         margin: η, share of velocity and acceleration limits that is planned with where acceleration is limited.
-        curvature_share: κ, share of a further constraint that bounds z and σ̇ at once, for z.
+        curvature_share: κ, share for z = σ² of a further constraint that bounds z and σ̇ at once; and of the planned
+            accelerations, where no acceleration is limited.
         rate_slope: σ̇_max, largest change of the rate [1/s], where acceleration is limited.
         singular_rate: a rate cap below this, while joint speeds still rise, ends the path there, unless they fall
             again before it is below 0.3 of this.
@@ -599,11 +600,17 @@ class PathPreview:
         bend = np.abs(curvature)
         # How often each joint's limit is used up at full rate: z may be 1 over the square, or over the curvature's.
         use_speed, use_bend = speed / self._speed, bend / (self.options.curvature_share * self._acceleration)
-        j_speed = int(use_speed.argmax())
-        by_speed, by_bend = float(use_speed[j_speed]) ** 2, float(use_bend.max())
-        # Without acceleration limits the step itself finds the cap by speed.
-        cap = 1.0 / max(by_speed if self.accelerates else 0.0, 1.0)
-        binding = self._joint_limit(j_speed, LimitKind.VELOCITY) if cap < 1.0 else None
+        j_speed, j_bend = int(use_speed.argmax()), int(use_bend.argmax())
+        by_speed, by_bend = float(use_speed[j_speed]) ** 2, float(use_bend[j_bend])
+        # Without acceleration limits the step itself finds the cap by speed; it changes slowly under that by curvature.
+        cap = 1.0 / max(by_speed if self.accelerates else by_bend, 1.0)
+        binding = None
+        if cap < 1.0:
+            binding = (
+                self._joint_limit(j_speed, LimitKind.VELOCITY)
+                if self.accelerates
+                else self._joint_limit(j_bend, LimitKind.ACCELERATION)
+            )
         x = self._cell.positions(q)
         return _Knot(
             clock=clock,
