@@ -44,7 +44,8 @@ class PreviewOptions:
         slope_step: largest change of a joint's slope between knots, as a share of the largest slope and of its speed.
         shortest: intervals between knots are not halved below this [s].
         margin: η, share of velocity and acceleration limits that is planned with where acceleration is limited.
-        curvature_share: κ, share of a further constraint that bounds z and σ̇ at once, for z.
+        curvature_share: κ, share for z = σ² of a further constraint that bounds z and σ̇ at once; and of the planned
+            accelerations, where no acceleration is limited.
         doubt: share of the differences of q″ at a knot that stands for what the path does between knots.
         rate_slope: σ̇_max, largest change of the rate [1/s], where acceleration is limited.
         singular_rate: a rate cap below this, while joint speeds still rise, ends the path there, unless they fall
@@ -397,20 +398,18 @@ class PathPreview:
         """q′ and q″ (nv,) at a clock, from the knots around it.
 
         q′ is linear between two knots. A knot keeps the mean of q″ since the one before, which belongs to the middle:
-        from middle to middle it is linear. Where the slopes of a corner lie between, this side's knot counts alone.
+        from middle to middle it is linear, but for corners.
         """
         knots, i = self._knots, self._knot_before(clock)
         here = knots[i]
         if i + 1 >= len(knots) or not knots[i + 1].clock > here.clock:
             return here.slope, here.curvature
         ahead, after = knots[i + 1], knots[min(i + 2, len(knots) - 1)]
-        if not ahead.curvature.any():
-            return here.slope, here.curvature
         share = (clock - here.clock) / (ahead.clock - here.clock)
-        other = (here if share < 0.5 else after).curvature
-        towards = abs(share - 0.5) if other.any() else 0.0
-        curvature = ahead.curvature + towards * (other - ahead.curvature)
-        return here.slope + share * (ahead.slope - here.slope), curvature
+        border, other = (here, here) if share < 0.5 else (ahead, after)
+        towards = 0.0 if border.corner or other.span == 0.0 else abs(share - 0.5)
+        curvature = ahead.curvature + towards * (other.curvature - ahead.curvature)
+        return here.slope + (clock - here.clock) * ahead.curvature, curvature
 
     def reference(self, clock: float) -> tuple[Array, Array]:
         """Previewed configuration (nq,) and q′ (nv,) at ``clock``: what redundant arms follow."""
@@ -649,11 +648,17 @@ class PathPreview:
         bend = np.abs(curvature)
         # How often each joint's limit is used up at full rate: z may be 1 over the square, or over the curvature's.
         use_speed, use_bend = speed / self._speed, bend / (self.options.curvature_share * self._acceleration)
-        j_speed = int(use_speed.argmax())
-        by_speed, by_bend = float(use_speed[j_speed]) ** 2, float(use_bend.max())
-        # Without acceleration limits the step itself finds the cap by speed.
-        cap = 1.0 / max(by_speed if self.accelerates else 0.0, 1.0)
-        binding = self._joint_limit(j_speed, LimitKind.VELOCITY) if cap < 1.0 else None
+        j_speed, j_bend = int(use_speed.argmax()), int(use_bend.argmax())
+        by_speed, by_bend = float(use_speed[j_speed]) ** 2, float(use_bend[j_bend])
+        # Without acceleration limits the step itself finds the cap by speed; it changes slowly under that by curvature.
+        cap = 1.0 / max(by_speed if self.accelerates else by_bend, 1.0)
+        binding = None
+        if cap < 1.0:
+            binding = (
+                self._joint_limit(j_speed, LimitKind.VELOCITY)
+                if self.accelerates
+                else self._joint_limit(j_bend, LimitKind.ACCELERATION)
+            )
         x = self._cell.positions(q)
         return _Knot(
             clock=clock,

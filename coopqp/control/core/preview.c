@@ -291,7 +291,7 @@ static int bound_by_limits(Core *c, int before, int i, double clock, double span
     const double *then = before < 0 ? slope : vector_of(c, c->knot_slope, before);
     double *k = knot(c, i), *curvature = vector_of(c, c->knot_curvature, i);
     double fastest = 0.0, change = -INFINITY, by_speed = 0.0, by_bend = 0.0;
-    int j_speed = 0, inside = 1;
+    int j_speed = 0, j_bend = 0, inside = 1;
     for (int j = 0; j < c->joints; j++) {
         curvature[j] = (slope[j] - then[j]) / span;
         const double bend = fabs(curvature[j]), speed = fabs(slope[j]);
@@ -301,11 +301,12 @@ static int bound_by_limits(Core *c, int before, int i, double clock, double span
         fastest = fmax(fastest, fabs(slope[j]));
         change = fmax(change, bend * span - c->slope_change[j]);
         if (use_speed > by_speed) by_speed = use_speed, j_speed = j;
-        by_bend = fmax(by_bend, use_bend);
+        if (use_bend > by_bend) by_bend = use_bend, j_bend = j;
         inside &= x[j] <= c->high[j] && x[j] >= c->low[j];
     }
-    const double square = by_speed * by_speed, capped = o[CAPS_SPEED] != 0.0 ? square : 0.0;
-    const double cap = 1.0 / fmax(capped, 1.0);
+    /* Without acceleration limits the step itself finds the cap by speed; it changes slowly under that by curvature. */
+    const int capped = o[CAPS_SPEED] != 0.0;
+    const double square = by_speed * by_speed, cap = 1.0 / fmax(capped ? square : by_bend, 1.0);
     memset(k, 0, sizeof(double) * N_KNOT);
     k[K_CLOCK] = clock;
     k[K_SPAN] = before < 0 ? 0.0 : span;
@@ -317,7 +318,8 @@ static int bound_by_limits(Core *c, int before, int i, double clock, double span
     k[K_FALL] = k[K_RISE] = INFINITY;
     name_cause(k + K_KIND, NONE, -1, -1);
     name_cause(k + K_CAUSE_KIND, NONE, -1, -1);
-    if (cap < 1.0) name_cause(k + K_KIND, VELOCITY, arm_of(c, j_speed), j_speed);
+    const int j = capped ? j_speed : j_bend;
+    if (cap < 1.0) name_cause(k + K_KIND, capped ? VELOCITY : ACCELERATION, arm_of(c, j), j);
     return cap > 0.0;
 }
 
@@ -819,12 +821,6 @@ static double preview_rise(const Core *c, double clock) {
     return fmin(knot(c, i)[K_RISE], knot(c, i + 1 < count ? i + 1 : i)[K_RISE]);
 }
 
-static int any_of(const double *x, int n) {
-    for (int j = 0; j < n; j++)
-        if (x[j] != 0.0) return 1;
-    return 0;
-}
-
 /* q′ and q″ at a clock, from the knots around it: q′ is linear between two knots, q″ between the middles of intervals.
  * Where the slopes of a corner lie between, the knot on this side counts alone. */
 static void joints_at(const Core *c, double clock, double *slope, double *curvature) {
@@ -834,13 +830,13 @@ static void joints_at(const Core *c, double clock, double *slope, double *curvat
     memcpy(slope, here, bytes);
     memcpy(curvature, before, bytes);
     if (i == last || !(knot(c, i + 1)[K_CLOCK] > knot(c, i)[K_CLOCK])) return;
-    const double *there = vector_of(c, c->knot_slope, i + 1), *own = vector_of(c, c->knot_curvature, i + 1);
-    if (!any_of(own, n)) return;
-    const double share = (clock - knot(c, i)[K_CLOCK]) / (knot(c, i + 1)[K_CLOCK] - knot(c, i)[K_CLOCK]);
-    const double *other = share < 0.5 ? before : vector_of(c, c->knot_curvature, i + 2 > last ? last : i + 2);
-    const double towards = any_of(other, n) ? fabs(share - 0.5) : 0.0;
+    const double since = clock - knot(c, i)[K_CLOCK], share = since / (knot(c, i + 1)[K_CLOCK] - knot(c, i)[K_CLOCK]);
+    const int border = share < 0.5 ? i : i + 1, beside = share < 0.5 ? i : i + 2 > last ? last : i + 2;
+    const double *own = vector_of(c, c->knot_curvature, i + 1), *other = vector_of(c, c->knot_curvature, beside);
+    const int alone = knot(c, border)[K_CORNER] != 0.0 || knot(c, beside)[K_SPAN] == 0.0;
+    const double towards = alone ? 0.0 : fabs(share - 0.5);
     for (int j = 0; j < n; j++) {
-        slope[j] = here[j] + share * (there[j] - here[j]);
+        slope[j] = here[j] + since * own[j];
         curvature[j] = own[j] + towards * (other[j] - own[j]);
     }
 }
