@@ -47,15 +47,3 @@ def test_near_limits_and_singularities_nothing_is_lost(pairs: Any) -> None:
         assert now["path_um"] < 2.0 * before["path_um"] + 1.0, now
         assert not now["qp"] or before["qp"], now
     assert count > 15
-
-
-@pytest.mark.slow
-def test_redundant_arms_use_their_freedom_at_limits(pairs: Any) -> None:
-    """Paths that are feasible by construction are finished; none that version 0.1 finished is lost, or much slower."""
-    these = [(now, before) for now, before in pairs if now["case"] == "redundant"]
-    assert len(these) > 30
-    assert sum(now["finished"] for now, _ in these) >= 0.97 * len(these)
-    assert sum(before["finished"] for _, before in these) < 0.85 * len(these)
-    assert all(now["finished"] >= before["finished"] for now, before in these)
-    assert ratios(pairs, "to_0_1", "redundant").max() < 1.2
-    assert max(now["chain_um"] for now, _ in these) < 1.0
