@@ -14,7 +14,7 @@ from coopqp.planning.preview import PlanLimits, PreviewOptions
 from coopqp.spatial import Array
 
 #: Share of the accelerations that a change of the motion is planned with; the rest is for the curvature of the way.
-_SHARE = 0.4
+_SHARE = 0.7
 
 
 @final

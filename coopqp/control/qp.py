@@ -289,7 +289,8 @@ class QPController:
                 path.restore(way)
                 loop.take_path()
                 loop.restore(memory)
-        loop.set_reins(0.0, paused=paused)  # not yet: brake on the present way
+        if np.isfinite(self.cell.limits.acceleration).any():
+            loop.set_reins(0.0, paused=paused)  # not yet: brake on the present way
 
     # -- the step --------------------------------------------------------------------------------------------------
 

@@ -605,11 +605,16 @@ class PathPreview:
         return self._next_breakpoint(clock) <= clock + way
 
     def rise(self, clock: float) -> float:
-        """Largest rise of σ near a clock by further constraints [1/s]."""
+        """Largest rise of σ near a clock by further constraints, and by joints that no step limits [1/s]."""
         if not self._knots:
             return np.inf
         i = self._knot_before(clock)
-        return min(self._knots[i].rise, self._knots[min(i + 1, len(self._knots) - 1)].rise)
+        here, ahead = self._knots[i], self._knots[min(i + 1, len(self._knots) - 1)]
+        rise = min(here.rise, ahead.rise)
+        if self.accelerates:
+            return rise
+        fastest = np.maximum(np.abs(here.slope), np.abs(ahead.slope)) / self._acceleration
+        return min(rise, 1.0 / max(float(fastest.max()), 1e-300))
 
     def _beyond_few_joints(self, errors: Array) -> bool:
         """Whether errors (N, 6) are left that arms with few joints cannot make up for."""

@@ -8,6 +8,7 @@ import numpy as np
 import pinocchio as pin
 
 from coopqp.checks import as_scalar, as_vector
+from coopqp.errors import InvalidInputError
 from coopqp.spatial import Array, Placement, as_placement
 from coopqp.task.path import ObjectPath
 
@@ -80,6 +81,8 @@ class _Way:
 
     def _shares(self, time: float) -> tuple[float, float, float, float]:
         """b, b′, u and u′ at a time since the start [s]."""
+        if time != time:
+            raise InvalidInputError("the clock is NaN", "ObjectPath", "Give a finite time [s].")
         T, B, E = self.duration, self.begin, self.end
         peak = 1.0 / (T - 0.5 * (B + E))
         if time >= T:

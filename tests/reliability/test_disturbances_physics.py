@@ -145,7 +145,7 @@ def test_a_base_that_is_off(lift: Scenario, catalogue: Any) -> None:
 def test_a_stalled_arm_that_is_dragged_along(lift: Scenario, catalogue: Any, count: Any) -> None:
     """The other arms drag the stalled arm along: distances and joints do not show it, servo deflection does."""
     blind = drive(lift, Disturbances(stall={"slave_1": 1.2}), longest=2.2)
-    assert all(s.status in (Status.TRACKING, Status.SLOWED) for s in blind.steps[:1900])
+    assert not any(s.status in (Status.HOLDING, Status.FAULT) for s in blind.steps[:1900])
     assert blind.force.max() > 10_000.0
     late, force, rest, named, runs = 0, 0.0, 0.0, 0, []
     times = [1.5, *np.linspace(0.5, 2.3, count(1))]  # the first is at the highest speed

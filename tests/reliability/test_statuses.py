@@ -109,9 +109,9 @@ def wild(seed: int, kernel: str, tally: Tally, *, jitter: bool) -> None:
     options: dict[str, Any] = {"shortcut": bool(rng.uniform() < 0.8)}
     if rng.uniform() < 0.4:
         options["preview"] = None if rng.uniform() < 0.5 else PreviewOptions(newton_steps=int(rng.integers(1, 4)))
-    kind, start = ("path", "servo", "looking ahead", "other paths")[int(rng.integers(4))], task.path.pose(0.0)
-    if kind in ("servo", "looking ahead"):
-        task = dataclasses.replace(task, path=ServoPath(start, look_ahead=kind == "looking ahead"))
+    kind, start = ("path", "servo", "other paths")[int(rng.integers(3))], task.path.pose(0.0)
+    if kind == "servo":
+        task = dataclasses.replace(task, path=ServoPath(start))
     controller = QPController(task.cell, task.grasp, task.path, dt=dt, options=QPOptions(kernel=kernel, **options))
     controller.reset(task.q_start)
     step, before = None, np.zeros(task.cell.nv)

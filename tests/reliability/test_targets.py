@@ -46,11 +46,15 @@ def target_at(kind: str, start: pin.SE3, rng: np.random.Generator) -> Callable[[
     """Where the target is at a time."""
     way = rng.normal(size=3)
     way /= np.linalg.norm(way)
-    turn, there = 0.2 * rng.normal(size=3), 0.3 * rng.normal(size=3)
+    side = np.cross(way, [1.0, 0.0, 0.0])
+    side /= np.linalg.norm(side)
+    turn, there, radius = 0.2 * rng.normal(size=3), 0.3 * rng.normal(size=3), 0.1
 
-    def near(t: float) -> pin.SE3:  # moves at 0.2 m/s, to and fro
-        triangle = 1.0 - abs((SPEED * t / 0.1 + 1.0) % 4.0 - 2.0)
-        return pin.SE3(start.rotation, start.translation + 0.1 * triangle * way)
+    def near(t: float) -> pin.SE3:  # round a circle at 0.2 m/s
+        angle = SPEED * t / radius
+        return pin.SE3(
+            start.rotation, start.translation + radius * (np.sin(angle) * way + (np.cos(angle) - 1.0) * side)
+        )
 
     def far(t: float) -> pin.SE3:  # out of reach, then elsewhere
         x = 2.0 * way * np.sin(t) if t < 0.6 * SECONDS else there

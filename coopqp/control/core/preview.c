@@ -817,8 +817,14 @@ static double preview_cap(Core *c, double clock, double dt) {
 static double preview_rise(const Core *c, double clock) {
     const int count = count_ahead(c, COUNT);
     if (!count) return INFINITY;
-    const int i = knot_before(c, clock);
-    return fmin(knot(c, i)[K_RISE], knot(c, i + 1 < count ? i + 1 : i)[K_RISE]);
+    const int i = knot_before(c, clock), ahead = i + 1 < count ? i + 1 : i;
+    const double rise = fmin(knot(c, i)[K_RISE], knot(c, ahead)[K_RISE]);
+    if (c->accelerates) return rise;
+    const double *slope = vector_of(c, c->knot_slope, i), *next = vector_of(c, c->knot_slope, ahead);
+    double fastest = 1e-300;
+    for (int j = 0; j < c->joints; j++)
+        fastest = fmax(fastest, fmax(fabs(slope[j]), fabs(next[j])) / c->plan_acceleration[j]);
+    return fmin(rise, 1.0 / fastest);
 }
 
 /* q′ and q″ at a clock, from the knots around it: q′ is linear between two knots, q″ between the middles of intervals.
