@@ -523,6 +523,7 @@ def test_both_agree_on_moving_targets(acceleration: float) -> None:
         task = limited(make, acceleration)
         start, rng = task.path.pose(0.0), np.random.default_rng(8)
         run = pair(task, path=lambda start=start: ServoPath(start), dt=0.005)
+        run.same = DISTURBED
         for i in range(8):
             far = 0.6 if i == 4 else 0.05  # once out of reach
             target = pin.SE3(

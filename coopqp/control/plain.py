@@ -363,9 +363,10 @@ class PlainLoop:
             out_of_step = BindingLimit(self.cell.arm_names[watch.arm], "", LimitKind.OUT_OF_STEP)
             binding = () if watch.arm < 0 else (out_of_step,)
         if s.rate < 1.0 and self._rise is not None:
-            rise = s.rate + min(self._rise, np.inf if preview is None else preview.rise(s.clock)) * h
+            most, joint = (np.inf, None) if preview is None else preview.rise(s.clock)
+            rise = s.rate + min(self._rise, most) * h
             if rise < cap - RATE_ROUNDING:
-                cap, binding = rise, ()
+                cap, binding = rise, () if joint is None or most > self._rise else (joint,)
         reined = self._reined(h)
         if reined < cap:
             cap, binding = reined, (_OVERRIDE,)
@@ -518,10 +519,11 @@ class PlainLoop:
         arriving = ends and not rising and not self._outside()
         if rate >= self.options.blocked_rate * (ARRIVING if arriving else 1.0):
             return Status.SLOWED
-        # From rest the accelerations, or nothing but its own rise, keep the rate small; it grows then, or a joint is on
-        # its way back in.
-        accelerating = not binding or any(b.kind is LimitKind.ACCELERATION for b in binding)
-        return Status.SLOWED if accelerating and (rising or self._outside()) else Status.BLOCKED
+        # Its own rise, or what is not yet seen ahead, keeps the rate small without a limit. From rest accelerations do;
+        # it grows then, or a joint is on its way back in.
+        accelerating = any(b.kind is LimitKind.ACCELERATION for b in binding)
+        slowed = not binding or (accelerating and (rising or self._outside()))
+        return Status.SLOWED if slowed else Status.BLOCKED
 
     def _off_path(self, found: LinearisedAnswer) -> str:
         """How far the object is off its path, in words, as far as measurements tell; empty if it is on it."""

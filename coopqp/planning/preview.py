@@ -604,17 +604,20 @@ class PathPreview:
         """Whether the twist jumps within ``way`` [s] of the clock, or the path ends."""
         return self._next_breakpoint(clock) <= clock + way
 
-    def rise(self, clock: float) -> float:
-        """Largest rise of σ near a clock by further constraints, and by joints that no step limits [1/s]."""
+    def rise(self, clock: float) -> tuple[float, BindingLimit | None]:
+        """Largest rise of σ near a clock by further constraints, and by joints that no step limits [1/s]; the joint."""
         if not self._knots:
-            return np.inf
+            return np.inf, None
         i = self._knot_before(clock)
         here, ahead = self._knots[i], self._knots[min(i + 1, len(self._knots) - 1)]
         rise = min(here.rise, ahead.rise)
         if self.accelerates:
-            return rise
-        fastest = np.maximum(np.abs(here.slope), np.abs(ahead.slope)) / self._acceleration
-        return min(rise, 1.0 / max(float(fastest.max()), 1e-300))
+            return rise, None
+        share = np.maximum(np.abs(here.slope), np.abs(ahead.slope)) / self._acceleration
+        j = int(share.argmax())
+        if share[j] == 0.0 or 1.0 / share[j] >= rise:
+            return rise, None
+        return 1.0 / float(share[j]), self._joint_limit(j, LimitKind.ACCELERATION)
 
     def _beyond_few_joints(self, errors: Array) -> bool:
         """Whether errors (N, 6) are left that arms with few joints cannot make up for."""

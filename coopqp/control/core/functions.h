@@ -51,7 +51,7 @@ static void preview_reset(Core *c, double clock);
 /* Largest admissible rate at `clock` for a step of dt. CAP_KIND, CAP_ARM, CAP_JOINT of the proposal say what makes it. */
 static double preview_cap(Core *c, double clock, double dt);
 /* Largest rise of the rate near `clock` by further constraints [1/s]. */
-static double preview_rise(const Core *c, double clock);
+static double preview_rise(const Core *c, double clock, int *joint);
 /* D, the fastest fall of the rate near `clock` with which the joints still follow the path [1/s]; it may be negative. */
 static double preview_brake(const Core *c, double clock, double dt, double rate);
 /* Previewed positions and slopes at `clock`. */

@@ -814,17 +814,24 @@ static double preview_cap(Core *c, double clock, double dt) {
     return cap > 0.0 ? cap : 0.0;
 }
 
-static double preview_rise(const Core *c, double clock) {
+/* Largest rise of σ near a clock by further constraints, and by joints that no step limits; the joint, or −1. */
+static double preview_rise(const Core *c, double clock, int *joint) {
     const int count = count_ahead(c, COUNT);
+    *joint = -1;
     if (!count) return INFINITY;
     const int i = knot_before(c, clock), ahead = i + 1 < count ? i + 1 : i;
     const double rise = fmin(knot(c, i)[K_RISE], knot(c, ahead)[K_RISE]);
     if (c->accelerates) return rise;
     const double *slope = vector_of(c, c->knot_slope, i), *next = vector_of(c, c->knot_slope, ahead);
-    double fastest = 1e-300;
-    for (int j = 0; j < c->joints; j++)
-        fastest = fmax(fastest, fmax(fabs(slope[j]), fabs(next[j])) / c->plan_acceleration[j]);
-    return fmin(rise, 1.0 / fastest);
+    double most = 0.0;
+    int tightest = 0;
+    for (int j = 0; j < c->joints; j++) {
+        const double share = fmax(fabs(slope[j]), fabs(next[j])) / c->plan_acceleration[j];
+        if (share > most) most = share, tightest = j;
+    }
+    if (!(most > 0.0 && 1.0 / most < rise)) return rise;
+    *joint = tightest;
+    return 1.0 / most;
 }
 
 /* q′ and q″ at a clock, from the knots around it: q′ is linear between two knots, q″ between the middles of intervals.

@@ -207,8 +207,14 @@ static void find_cap(Core *c) {
     const int by_arm = p[REASON] >= OUT_OF_STEP_BY && p[REASON_ARM] >= 0.0; /* else it is an index, or nothing */
     cap_rate(c, p[WATCH_CAP], by_arm ? OUT_OF_STEP : NONE, by_arm ? (int)p[REASON_ARM] : -1);
     if (rate < 1.0 && c->options[LOOKS_AHEAD] != 0.0) {
-        const double rise = fmin(c->options[RISE], c->looks_ahead ? preview_rise(c, c->loop[CLOCK]) : INFINITY);
-        if (rate + rise * h < p[CAP] - RATE_ROUNDING) cap_rate(c, rate + rise * h, NONE, -1);
+        int joint = -1;
+        const double most = c->looks_ahead ? preview_rise(c, c->loop[CLOCK], &joint) : INFINITY;
+        const double rise = fmin(c->options[RISE], most);
+        if (rate + rise * h < p[CAP] - RATE_ROUNDING) {
+            const int by_joint = joint >= 0 && !(most > c->options[RISE]);
+            cap_rate(c, rate + rise * h, by_joint ? ACCELERATION : NONE, -1);
+            if (by_joint) p[CAP_JOINT] = joint;
+        }
     }
     cap_rate(c, reined_rate(c, h), OVERRIDE, -1);
 }
@@ -404,9 +410,9 @@ static int slow_status(const Core *c, double rate, int position, int acceleratio
     const int ends = position || (c->looks_ahead && c->ahead[ENDS] != 0.0);
     const int arriving = ends && !rising && !outside;
     if (rate >= c->options[BLOCKED_RATE] * (arriving ? ARRIVING : 1.0)) return SLOWED;
-    /* From rest the accelerations, or nothing but its own rise, keep the rate small; it grows then, or a joint is on its
-     * way back in. */
-    return (acceleration || c->record[R_BINDINGS] == 0.0) && (rising || outside) ? SLOWED : BLOCKED;
+    /* Its own rise, or what is not yet seen ahead, keeps the rate small without a limit. From rest accelerations do; it
+     * grows then, or a joint is on its way back in. */
+    return c->record[R_BINDINGS] == 0.0 || (acceleration && (rising || outside)) ? SLOWED : BLOCKED;
 }
 
 /* How far the object is off its path [m], [rad], as far as measurements tell; 0 where that is within what may be. */
