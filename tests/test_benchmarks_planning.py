@@ -21,7 +21,7 @@ def test_every_case_is_recorded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
     assert all(set(r) == set(planning.KEYS) for r in records)
     assert {r["case"].partition(":")[0] for r in records} == {"batch", "start", "check", "path", "timing"}
     checks = {r["case"]: r["verdict"] for r in records if r["case"].startswith("check: ")}
-    assert checks["check: paper_lift"] == checks["check: ring of 2"] == "certified"
+    assert checks["check: paper_lift"] == checks["check: ring of 2"] == "CERTIFIED"
     others = [r for r in records if r["case"] not in checks]
     verdicts = {r["verdict"] for r in others}
     assert verdicts == {"all reached", "found", "finished", "planned"}, "every pose, every start, every end is reached"

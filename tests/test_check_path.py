@@ -488,8 +488,8 @@ def test_the_record_has_its_keys_and_is_plain() -> None:
     check = check_path(task.cell, task.grasp, task.path, q_start=task.q_start)
     record = json.loads(json.dumps(replace(check, remedies=find_remedies(check)).record(), allow_nan=False))
     assert list(record) == ["verdict", "intervals", "arms", "remedies", "q_start"]
-    assert record["verdict"] == "undecided"
+    assert record["verdict"] == "UNDECIDED"
     assert record["intervals"][0]["arm"] == "arm_1"
-    assert [arm["verdict"] for arm in record["arms"]] == ["undecided", "certified", "certified"]
+    assert [arm["verdict"] for arm in record["arms"]] == ["UNDECIDED", "CERTIFIED", "CERTIFIED"]
     assert record["remedies"][0]["kind"] == "branch"
     np.testing.assert_allclose(record["q_start"], task.q_start, rtol=0, atol=1e-12)

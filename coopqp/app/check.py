@@ -124,7 +124,7 @@ def _write(check: PathCheck, record: Path | None, picture: Path | None) -> list[
 
 
 def _print(check: PathCheck, *, branches: bool) -> None:
-    print(printable(check.verdict.value.upper()))
+    print(printable(check.verdict.value))
     for line in check.explain().splitlines():
         print(printable(line))
     if branches:

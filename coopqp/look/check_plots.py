@@ -53,7 +53,9 @@ def check_figure(check: PathCheck) -> Figure:
         bottom.axhline(LEAST_SIGMA, color=_RED, lw=1.4)
         _bands(top, branch)
         _bands(bottom, branch)
-        top.set_title(f"{arm.arm.replace('_', ' ')}: {arm.verdict.value}", fontsize=12, color=_INK, fontweight="bold")
+        top.set_title(
+            f"{arm.arm.replace('_', ' ')}: {arm.verdict.value.lower()}", fontsize=12, color=_INK, fontweight="bold"
+        )
         bottom.set_xlabel("clock of the path [s]", fontsize=11, color=_INK)
         for panel in (top, bottom):
             _plain(panel)

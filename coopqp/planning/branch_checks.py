@@ -31,10 +31,10 @@ _ASKED = 8
 class PathVerdict(enum.Enum):
     """Verdict of :func:`coopqp.planning.check_path`, the best first."""
 
-    CERTIFIED = "certified"  #: proved at every point of the path
-    SAMPLED = "sampled"  #: followed at samples; nothing is proved between them
-    UNDECIDED = "undecided"  #: not proved on some intervals
-    INFEASIBLE = "infeasible"  #: an arm cannot follow the path
+    CERTIFIED = "CERTIFIED"  #: proved at every point of the path
+    SAMPLED = "SAMPLED"  #: followed at samples; nothing is proved between them
+    UNDECIDED = "UNDECIDED"  #: not proved on some intervals
+    INFEASIBLE = "INFEASIBLE"  #: an arm cannot follow the path
 
 
 _WORSE = {verdict: i for i, verdict in enumerate(PathVerdict)}

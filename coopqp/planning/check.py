@@ -117,7 +117,7 @@ class ArmCheck:
         rows = [["branch", "verdict", "least margin", "σ_min", "because it"]]
         for i, b in enumerate(self.branches):
             mark = f"{i + 1}*" if b is self.chosen else f"{i + 1}"
-            rows.append([mark, b.verdict.value, self._margin(b), f"{b.sigma_min.min():.3g}", b.why])
+            rows.append([mark, b.verdict.value.lower(), self._margin(b), f"{b.sigma_min.min():.3g}", b.why])
         return rows
 
 
@@ -173,8 +173,8 @@ class PathCheck:
         return ", ".join(first) + (f" and {more} more" if more > 0 else "")
 
     def __repr__(self) -> str:
-        arms = ", ".join(f"{arm.arm}: {arm.verdict.value}" for arm in self.arms)
-        return f"PathCheck({self.verdict.value}; {arms})"
+        arms = ", ".join(f"{arm.arm}: {arm.verdict.value.lower()}" for arm in self.arms)
+        return f"PathCheck({self.verdict.value.lower()}; {arms})"
 
     def record(self) -> dict[str, Any]:
         """The answer as plain data for JSON: ``verdict``, ``intervals``, ``arms``, ``remedies``, ``q_start``."""

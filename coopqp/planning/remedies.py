@@ -52,7 +52,7 @@ class Remedy:
     roll: Array | None = None
 
     def __str__(self) -> str:
-        return f"{self.text} ({self.check.verdict.value})"
+        return f"{self.text} ({self.check.verdict.value.lower()})"
 
     def record(self) -> dict[str, Any]:
         """The remedy as plain data for JSON."""
