@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from coopqp import InvalidInputError, MissingExtraError, UnknownNameError, available_solvers
+from coopqp import InvalidInputError, MissingExtraError, QPController, UnknownNameError, available_solvers
 from coopqp.app.demo import METHODS, DemoRun, check_demo, records_json, run_demo, run_method
 from coopqp.scenarios import Scenario, paper_lift
 from coopqp.simulation import metrics
@@ -27,7 +27,7 @@ def run(paper: Scenario) -> Runner:
     """``run(method, N, solver)``: each run is made once for all tests."""
 
     @functools.cache
-    def go(method: str, steps: int, solver: str = "proxqp") -> DemoRun:
+    def go(method: str, steps: int, solver: str = "auto") -> DemoRun:
         return run_method(paper, method, steps, solver=solver)
 
     return go
@@ -93,7 +93,9 @@ def test_records_are_flat_and_keep_their_keys(run: Runner) -> None:
         "object_error_mm": runs[0].object_error_mm,
         "status": "ok",
     }
-    assert (records[1]["method"], records[1]["solver"]) == ("qp", "proxqp")
+    lift = paper_lift()
+    usual = QPController(lift.cell, lift.grasp, lift.path, dt=lift.dt).solver
+    assert (records[1]["method"], records[1]["solver"]) == ("qp", usual)
 
 
 def test_the_worst_status_is_reported(run: Runner) -> None:

@@ -88,7 +88,9 @@ def _add_demo(commands: Any) -> None:
     parser.add_argument(
         "--steps", nargs="+", type=_count, default=[40, 400, 1000], metavar="N", help="numbers of steps (40 400 1000)"
     )
-    parser.add_argument("--solver", default="proxqp", metavar="NAME", help="QP solver (proxqp)")
+    parser.add_argument(
+        "--solver", default="auto", metavar="NAME", help="QP solver (auto: the one that controllers use)"
+    )
     parser.add_argument("--out", type=Path, default=Path("out/demo"), metavar="DIR", help="folder (out/demo)")
     parser.add_argument("--json", type=Path, metavar="FILE", help="also write the figures of every run as JSON")
     parser.add_argument("--quiet", action="store_true", help="print errors only")

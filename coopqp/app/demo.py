@@ -15,7 +15,7 @@ from coopqp.control.command import NO_SOLVE, Controller, ControlStep, Status
 from coopqp.control.options import QPOptions
 from coopqp.control.pseudo_inverse import PseudoInverseController, PseudoInverseOptions
 from coopqp.control.qp import QPController
-from coopqp.control.solvers import make_solver
+from coopqp.control.solvers import default_solver, make_solver
 from coopqp.errors import InvalidInputError, UnknownNameError
 from coopqp.look import plots
 from coopqp.output import write_files
@@ -27,6 +27,8 @@ from coopqp.simulation.simulate import Recording, simulate
 RESET_EVERY = 10
 #: Numbers of steps of the paper's Figure 5.
 DEFAULT_STEPS = (40, 400, 1000)
+#: The solver that controllers use by default.
+AUTO = "auto"
 
 _VARIANTS = {
     "pseudo_inverse": PseudoInverseOptions(),
@@ -93,13 +95,14 @@ def check_demo(steps: Sequence[int], solver: str) -> tuple[int, ...]:
     """
     if not steps or any(isinstance(n, bool) or not isinstance(n, int) or n < 1 for n in steps):
         raise InvalidInputError(f"steps are {list(steps)}", "demo: steps", "Give whole numbers ≥ 1.")
-    make_solver(solver)
+    if solver != AUTO:
+        make_solver(solver)
     plots.require_matplotlib()
     return tuple(sorted(set(steps)))
 
 
 def run_method(
-    scenario: Scenario, method: str, steps: int, *, solver: str = "proxqp", progress: DemoProgress | None = None
+    scenario: Scenario, method: str, steps: int, *, solver: str = AUTO, progress: DemoProgress | None = None
 ) -> DemoRun:
     """Run one method on a scenario in ``steps`` steps and measure its errors.
 
@@ -113,6 +116,7 @@ def run_method(
     controller: Controller
     if method == "qp":
         # Without the shortcut every step is a QP: the demo measures the solver.
+        solver = default_solver() if solver == AUTO else solver
         options = QPOptions(solver=solver, shortcut=False)
         controller = QPController(cell, grasp, path, dt=dt, options=options)
     else:
@@ -147,7 +151,7 @@ def run_demo(
     scenario: Scenario,
     *,
     steps: Sequence[int] = DEFAULT_STEPS,
-    solver: str = "proxqp",
+    solver: str = AUTO,
     progress: DemoProgress | None = None,
 ) -> list[DemoRun]:
     """Run every method with every number of steps. Errors as in :func:`check_demo`."""

@@ -279,7 +279,7 @@ class QPController:
         effort = self._effort.at(loop.q, path.pose(clock))
         rests = not np.abs(now * path.twist(clock)).max() > AT_REST
         full = 0.0 if paused else self._asked
-        for rate in (0.0,) if rests else (full, min(now, full)):
+        for rate in (0.0,) if rests else dict.fromkeys((full, min(now, full))):
             if rests or rate > 0.0:
                 path.set_target(goal, clock=clock, rate=0.0 if rests else now / rate, effort=effort)
                 loop.look_ahead_again(rate=rate)
