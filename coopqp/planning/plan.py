@@ -102,7 +102,9 @@ def plan(
         geometry = blended(lines, distance=blend, angle=angle)
     start = None
     if q_start is None:
-        start = find_start(cell, grasp, some_timing(geometry), free_roll=free_roll)
+        # On a path of the user's the clocks of a message are the user's.
+        way = path if isinstance(path, ObjectPath) and blend == 0.0 else some_timing(geometry)
+        start = find_start(cell, grasp, way, free_roll=free_roll)
         q_start, grasp = start.q, start.grasp
     q = cell.check_configuration(q_start, f"{where}: q_start")
     timed = time_path(cell, grasp, geometry, q_start=q, payload=payload, jerk=jerk, share=share, knots=knots)
