@@ -63,10 +63,10 @@ def _new_figure(width: float, height: float, **options: Any) -> Figure:
 
 def relative_errors(cell: RobotCell, recording: Recording, quantity: Quantity) -> Array:
     """ε_p [mm] or ε_o [deg] of the commanded configurations at every sample, (T+1,)."""
-    tools, grasp = metrics.tool_placements(cell, recording.q_command), recording.grasp
+    tools, _ = metrics.tool_matrices(cell, recording.q_command)
     if quantity == "position":
-        return np.array([1e3 * metrics.relative_positioning_error(T, grasp) for T in tools])
-    return np.array([np.rad2deg(metrics.relative_orientation_error(T, grasp)) for T in tools])
+        return 1e3 * metrics.positioning_errors(tools, recording.grasp)
+    return np.asarray(np.rad2deg(metrics.orientation_errors(tools, recording.grasp)))
 
 
 def planned_steps(recording: Recording) -> int:
@@ -160,7 +160,7 @@ def joint_figure(cell: RobotCell, recording: Recording) -> Figure:
     figure = _new_figure(max(10.0, 3.2 * n_arms), 5.2, layout="constrained")
     panels = figure.subplots(2, n_arms, sharex=True, sharey="row", squeeze=False)
     limits = cell.limits
-    q = np.array([cell.positions(x) for x in recording.q_command])
+    q = cell.positions(recording.q_command)
     with np.errstate(invalid="ignore"):
         position = (2.0 * q - limits.upper - limits.lower) / (limits.upper - limits.lower)  # NaN without limit
         speed = 100.0 * recording.velocity / limits.velocity
