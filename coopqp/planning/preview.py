@@ -28,7 +28,7 @@ from coopqp.model.inverse_kinematics import newton
 from coopqp.model.limits import BindingLimit, LimitKind
 from coopqp.planning.redundancy import LimitAvoidance
 from coopqp.planning.sharing import Interval, Share, largest_alone, largest_square
-from coopqp.spatial import Array
+from coopqp.spatial import Array, for_twists
 from coopqp.task.guarded import FASTEST_PATH, GuardedPath, pose_distance
 from coopqp.task.path import ObjectPath
 from coopqp.task.posture import Posture
@@ -638,7 +638,7 @@ class PathPreview:
         if not np.abs(errors).max() < np.inf:
             return False
         chain.linearise(q, about=pose.translation)
-        to_world = np.kron(np.eye(2), pose.rotation)
+        to_world = for_twists(pose.rotation)
         along = to_world @ twist
         step, slope = self._step, self._slope
         chain.joint_velocities(-errors @ to_world.T, step)
