@@ -64,7 +64,7 @@ def test_singular_values_do_not_depend_on_what_else_is_asked(robot: str, rng: An
 
 @pytest.mark.parametrize(("robot", "kernel"), CASES)
 def test_derivatives_are_those_of_a_way_of_the_joints(robot: str, kernel: str, rng: Any) -> None:
-    """The tool follows the way q + s u: q′ moves it alike, and q″ is the change of q′; without freedom they are u, 0."""
+    """The tool follows the way q + s u: q′ moves it so, and q″ is the change of q′; without freedom they are u, 0."""
     kinematics, h = KINEMATICS[robot, kernel], 1e-6
     q, u = kinematics.seeds(20, rng), rng.uniform(-1.0, 1.0, (20, kinematics.n))
 

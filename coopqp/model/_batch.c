@@ -15,7 +15,7 @@
 typedef double Lanes[LANES];
 
 /* Sums of squares of the entries of vectors. */
-static void squares_of(const Lanes *x, int length, double *out) {
+static void squares_of(Lanes *x, int length, double *out) {
     for (int l = 0; l < LANES; l++) out[l] = 0.0;
     for (int j = 0; j < length; j++)
         for (int l = 0; l < LANES; l++) out[l] += x[j][l] * x[j][l];

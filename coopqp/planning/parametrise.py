@@ -44,7 +44,7 @@ class Lines:
 
     def take(self, which: Any) -> Lines:
         """Some of them."""
-        return Lines(*(x[:, which] for x in (self.a, self.b, self.c)), self.bound[which], self.owner[which])
+        return Lines(self.a[:, which], self.b[:, which], self.c[:, which], self.bound[which], self.owner[which])
 
 
 @dataclass(frozen=True, eq=False)
