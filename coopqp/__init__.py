@@ -86,8 +86,9 @@ if TYPE_CHECKING:
     from coopqp.simulation.plants.kinematic import KinematicPlant, Plant
     from coopqp.simulation.plants.physics import PhysicsError, PhysicsPlant
     from coopqp.simulation.plants.physics_options import PhysicsOptions
+    from coopqp.simulation.recording import Recording, RecordingError
     from coopqp.simulation.scene import SceneError, describe_object
-    from coopqp.simulation.simulate import Recording, RecordingError, simulate
+    from coopqp.simulation.simulate import simulate
     from coopqp.spatial import Array, Placement, adjoint
     from coopqp.task.common_error import CommonError
     from coopqp.task.path import HoldPath, LinePath, ObjectPath, TimeLaw, WaypointPath
@@ -155,11 +156,11 @@ else:
                 "KinematicPlant",
                 "Plant",
             ),
-            "coopqp.simulation.simulate": (
+            "coopqp.simulation.recording": (
                 "Recording",
                 "RecordingError",
-                "simulate",
             ),
+            "coopqp.simulation.simulate": ("simulate",),
             "coopqp.spatial": (
                 "Array",
                 "Placement",

@@ -18,7 +18,8 @@ from coopqp.errors import CoopqpError, printable
 
 if TYPE_CHECKING:
     from coopqp.simulation.assessment import Finding
-    from coopqp.simulation.simulate import ProgressCallback, Recording
+    from coopqp.simulation.recording import Recording
+    from coopqp.simulation.simulate import ProgressCallback
 
 _OK, _FAILED = 0, 4
 _RUN_HELP = "a recording (.npz), a cell file (.toml, .yaml) or the name of a scenario"

@@ -21,7 +21,8 @@ from coopqp.look import plots
 from coopqp.output import write_files
 from coopqp.scenarios import Scenario
 from coopqp.simulation import metrics
-from coopqp.simulation.simulate import Recording, simulate
+from coopqp.simulation.recording import Recording
+from coopqp.simulation.simulate import simulate
 
 #: Number of steps between the inverse-kinematics resets of ``pseudo_inverse_reset``.
 RESET_EVERY = 10

@@ -9,8 +9,9 @@ from pathlib import Path
 from coopqp.control.qp import QPController
 from coopqp.errors import UnknownNameError
 from coopqp.output import OutputError, check_folder, folder_of
-from coopqp.simulation.scene import describe_object, read_cell, read_object
-from coopqp.simulation.simulate import ProgressCallback, Recording, simulate
+from coopqp.simulation.recording import Recording
+from coopqp.simulation.scene import describe_object, read_object
+from coopqp.simulation.simulate import ProgressCallback, simulate
 
 #: Products of :func:`write_products` and their file names.
 PRODUCTS = {
@@ -165,7 +166,7 @@ def _plots(recording: Recording, folder: Path, say: Callable[[str], None]) -> li
     from coopqp.simulation.assessment import read_run
 
     say("drawing the pictures")
-    cell = read_cell(recording.metadata)
+    cell = recording.cell()
     size, body = read_object(recording.metadata, recording.T_object_tool)
     figures = {
         "timeline.png": timeline_figure(recording, read_run(cell, recording)),

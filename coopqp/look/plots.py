@@ -19,7 +19,7 @@ from coopqp.look.render import View, box_solid, cell_solids, render
 from coopqp.model.cell import RobotCell
 from coopqp.output import write_files
 from coopqp.simulation import metrics
-from coopqp.simulation.simulate import Recording
+from coopqp.simulation.recording import Recording
 from coopqp.spatial import Array
 
 if TYPE_CHECKING:
@@ -44,6 +44,8 @@ _TOP_FACE = (1, 3, 7, 5, 1)
 _PLATE = (0.30, 0.52, 0.75)
 #: Smallest drawn error [mm or deg]; smaller ones are rounding.
 _FLOOR = 1e-11
+#: Spans of time of a drawn curve, more than a page has pixels.
+_DRAWN_SPANS = 4000
 
 
 def require_matplotlib() -> None:
@@ -63,10 +65,30 @@ def _new_figure(width: float, height: float, **options: Any) -> Figure:
 
 def relative_errors(cell: RobotCell, recording: Recording, quantity: Quantity) -> Array:
     """ε_p [mm] or ε_o [deg] of the commanded configurations at every sample, (T+1,)."""
-    tools, grasp = metrics.tool_placements(cell, recording.q_command), recording.grasp
-    if quantity == "position":
-        return np.array([1e3 * metrics.relative_positioning_error(T, grasp) for T in tools])
-    return np.array([np.rad2deg(metrics.relative_orientation_error(T, grasp)) for T in tools])
+    grasp, errors = recording.grasp, []
+    for part in recording.parts(len(recording.time)):
+        tools = metrics.tool_placements(cell, recording.q_command[part])
+        if quantity == "position":
+            errors += [1e3 * metrics.relative_positioning_error(T, grasp) for T in tools]
+        else:
+            errors += [np.rad2deg(metrics.relative_orientation_error(T, grasp)) for T in tools]
+    return np.array(errors)
+
+
+def drawn(time: Array, values: Array) -> tuple[Array, Array]:
+    """A curve as it is drawn: of a long one the least and the largest value of each of :data:`_DRAWN_SPANS` spans.
+
+    Args:
+        time: (T,).
+        values: (T,) or (T, n).
+    """
+    spans = min(_DRAWN_SPANS, len(time) // 4)
+    if len(time) <= 4 * _DRAWN_SPANS:
+        return time, values
+    edges = np.linspace(0, len(time), spans + 1).astype(int)
+    lows, highs = (f.reduceat(values, edges[:-1], axis=0) for f in (np.fmin, np.fmax))
+    extremes = np.stack([lows, highs], axis=1).reshape(-1, *values.shape[1:])
+    return np.repeat(time[edges[:-1]], 2), extremes
 
 
 def planned_steps(recording: Recording) -> int:
@@ -106,7 +128,7 @@ def error_figure(
         for recording in runs[method]:
             error = np.maximum(relative_errors(cell, recording, quantity), _FLOOR)
             n = planned_steps(recording)
-            axes.semilogy(recording.time[1:], error[1:], color=colours[n], ls=dashes, lw=2.0)
+            axes.semilogy(*drawn(recording.time[1:], error[1:]), color=colours[n], ls=dashes, lw=2.0)
             largest[method, n] = float(error.max())
     axes.set_xlim(0.0, longest)
     axes.set_xlabel("time [s]", fontsize=12, color=_INK)

@@ -12,7 +12,7 @@ from coopqp.control.command import Status
 from coopqp.look.plots import require_matplotlib
 from coopqp.model.limits import BindingLimit
 from coopqp.simulation.assessment import Readings
-from coopqp.simulation.simulate import Recording
+from coopqp.simulation.recording import Recording
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
