@@ -28,8 +28,8 @@ def joint_table(cell: RobotCell, recording: Recording) -> tuple[Array, Array]:
     """Measured and commanded joint positions, (T+1, nv) each [rad or m]; continuous joints in (−π, π]."""
     check_recording(cell, recording)
     return (
-        np.array([cell.positions(q) for q in recording.q]),
-        np.array([cell.positions(q) for q in recording.q_command]),
+        cell.positions(recording.q),
+        cell.positions(recording.q_command),
     )
 
 

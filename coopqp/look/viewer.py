@@ -258,7 +258,7 @@ class LiveViewer:
         if shown != self._time.value:
             self._time.value = shown
         self._slider = self._time.value
-        sample = int(np.clip(np.searchsorted(run.time, shown - 1e-9), 0, run.n_steps))
+        sample = run.sample_at(shown + 1e-9)
         if sample != self._shown:
             self._show(sample)
         return sample

@@ -18,7 +18,6 @@ from coopqp.checks import as_options, keep_scalars
 from coopqp.control.command import Status
 from coopqp.errors import InvalidInputError
 from coopqp.model.cell import RobotCell
-from coopqp.model.state import CellState
 from coopqp.simulation import metrics
 from coopqp.simulation.recording import Recording, RecordingError
 from coopqp.spatial import Array
@@ -127,32 +126,46 @@ def read_run(cell: RobotCell, recording: Recording) -> Readings:
 
 def _read_part(cell: RobotCell, recording: Recording, part: slice) -> Readings:
     grasp = recording.grasp
-    q_command = recording.q_command[part]
-    commanded = metrics.tool_placements(cell, q_command)
-    measured = metrics.tool_placements(cell, recording.q[part])
-    chain = np.array([metrics.chain_error(T, grasp) for T in commanded])
-    poses = [pin.SE3(M) for M in recording.reference[part]]
-    arms = range(len(cell))
-    off = np.array(
-        [
-            np.max([metrics.object_error(T, grasp, pose, k) for k in arms], axis=0)
-            for T, pose in zip(measured, poses, strict=True)
-        ]
-    )
+    q, q_command = recording.q[part], recording.q_command[part]
+    commanded, J = metrics.tool_matrices(cell, q_command)
+    measured = commanded if np.array_equal(q, q_command) else metrics.tool_matrices(cell, q)[0]
+    chain_m, chain_rad = metrics.chain_errors(commanded, grasp)
+    object_m, object_rad = metrics.object_errors(measured, grasp, recording.reference[part])
     return Readings(
-        eps_p_mm=np.array([1e3 * metrics.relative_positioning_error(T, grasp) for T in commanded]),
-        eps_o_deg=np.array([np.rad2deg(metrics.relative_orientation_error(T, grasp)) for T in commanded]),
-        chain_mm=1e3 * chain[:, 0],
-        chain_deg=np.rad2deg(chain[:, 1]),
-        object_mm=1e3 * off[:, 0],
-        object_deg=np.rad2deg(off[:, 1]),
-        sigma_min=np.array([_sigma_min(cell, q) for q in q_command]),
+        eps_p_mm=1e3 * metrics.positioning_errors(commanded, grasp),
+        eps_o_deg=np.rad2deg(metrics.orientation_errors(commanded, grasp)),
+        chain_mm=1e3 * chain_m,
+        chain_deg=np.rad2deg(chain_rad),
+        object_mm=1e3 * object_m.max(axis=1),
+        object_deg=np.rad2deg(object_rad.max(axis=1)),
+        sigma_min=_sigma_min(cell, commanded, J),
     )
 
 
-def _sigma_min(cell: RobotCell, q: Array) -> Array:
-    """Smallest singular value of each arm's tool Jacobian (N,); NaN if the configuration is invalid."""
-    return CellState(cell, q).sigma_min if np.isfinite(q).all() else np.full(len(cell), np.nan)
+def _sigma_min(cell: RobotCell, tools: Array, J: Array) -> Array:
+    """Smallest singular value of each arm's tool Jacobian (T, N); NaN where a configuration is not finite."""
+    sigma = np.full(tools.shape[:2], np.nan)
+    good = np.isfinite(J).all(axis=(1, 2)) & np.isfinite(tools).all(axis=(1, 2, 3))
+    for k, own in enumerate(cell.v_slices):
+        of_tool = J[good, :, own]
+        of_tool[:, :3] += np.cross(of_tool[:, 3:], tools[good, k, :3, 3, None], axis=1)  # from the world's origin
+        sigma[good, k] = _smallest(of_tool)
+    return sigma
+
+
+def _smallest(J: Array) -> Array:
+    """Smallest singular value (M,) of matrices (M, 6, n), from the squares' eigenvalues unless they are too small.
+
+    An eigenvalue of a matrix of norm s² has an error of 1e-16 s² or so, and its root one of 1e-16 s²/σ: at σ = s/30
+    that is 3e-15 s.
+    """
+    transposed = np.swapaxes(J, -1, -2)
+    squares = np.linalg.eigvalsh(J @ transposed if J.shape[2] >= 6 else transposed @ J)
+    sigma: Array = np.sqrt(np.maximum(squares[:, 0], 0.0))
+    close = sigma < np.sqrt(squares[:, -1]) / 30.0
+    if close.any():
+        sigma[close] = np.linalg.svd(J[close], compute_uv=False)[:, -1]
+    return sigma
 
 
 def worst_status(recording: Recording) -> str:
@@ -317,7 +330,7 @@ def _first_in(parts: Iterable[slice], bad: Callable[[slice], Any]) -> int | None
 
 def _room(cell: RobotCell, recording: Recording, part: slice) -> Array:
     """Distance of the commanded joints from the nearer position limit (T, nv) [rad or m]; inf without limit."""
-    q = np.array([cell.positions(x) for x in recording.q_command[part]])
+    q = cell.positions(recording.q_command[part])
     room: Array = np.minimum(q - cell.limits.lower, cell.limits.upper - q)
     return room
 
