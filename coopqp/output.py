@@ -71,14 +71,17 @@ class Interrupts:
         else:
             self._waiting.append((number, frame))
 
+    def check(self) -> None:
+        """Let a Ctrl-C that waits have its effect now."""
+        if self._waiting and self._before is not None:
+            self._before(*self._waiting.pop())
+
     @contextlib.contextmanager
     def let_through(self) -> Iterator[None]:
         """The part that Ctrl-C may end."""
         self._open = True
         try:
-            if self._waiting and self._before is not None:
-                self._open = False
-                self._before(*self._waiting.pop())
+            self.check()
             yield
         finally:
             self._open = False

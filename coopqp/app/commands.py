@@ -148,6 +148,7 @@ def _add_view(commands: Any) -> None:
     parser.add_argument("--port", type=int, default=8080, metavar="N", help="port (8080; 0 for any that is free)")
     parser.add_argument("--no-open", action="store_true", help="do not open the browser")
     parser.add_argument("--sticks", action="store_true", help="draw the arms as sticks, without their shapes")
+    _add_meshes(parser)
     parser.add_argument("--quiet", action="store_true", help="print errors only")
     parser.set_defaults(run=_run_view)
 
@@ -159,7 +160,7 @@ def _run_view(arguments: argparse.Namespace) -> int:
     require_viser()
     if arguments.html is not None:
         check_file(arguments.html)
-    recording = _obtain(arguments.what, quiet=arguments.quiet)
+    recording = _obtain(arguments.what, quiet=arguments.quiet, meshes=arguments.meshes)
     if arguments.html is None:
         _serve(
             recording,
@@ -181,11 +182,23 @@ def _run_view(arguments: argparse.Namespace) -> int:
     return _OK
 
 
-def _obtain(what: str, *, quiet: bool) -> Recording:
+def _add_meshes(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--meshes", action="store_true", help="open the mesh files that a recording names (not a stranger's)"
+    )
+
+
+def _obtain(what: str, *, quiet: bool, meshes: bool | None) -> Recording:
+    """The run; ``meshes`` is None where no shapes are drawn."""
     from coopqp.app.runs import obtain_run
+    from coopqp.simulation.scene import named_meshes
 
     with reporter(quiet=quiet) as report:
-        return obtain_run(what, progress=_progress(report, what))
+        recording = obtain_run(what, progress=_progress(report, what), meshes=bool(meshes))
+        named = 0 if recording.meshes or meshes is None else len(named_meshes(recording.metadata))
+        if named:
+            report.note(f"{named} mesh files that the recording names stay closed; --meshes opens them")
+    return recording
 
 
 def _serve(
@@ -214,6 +227,7 @@ def _add_report(commands: Any) -> None:
     )
     parser.add_argument("what", metavar="RUN", help=_RUN_HELP)
     parser.add_argument("--out", type=Path, metavar="FILE", help="the page (NAME_report.html, beside a recording)")
+    _add_meshes(parser)
     for name, unit, text in (
         ("chain-mm", "MM", "the arms against each other (0.1)"),
         ("chain-deg", "DEG", "the arms against each other (0.1)"),
@@ -238,7 +252,7 @@ def _run_report(arguments: argparse.Namespace) -> int:
     name = f"{source.stem}_report.html"
     page = arguments.out or (source.with_name(name) if source.suffix == ".npz" else Path(name))
     check_file(page)
-    recording = _obtain(arguments.what, quiet=arguments.quiet)
+    recording = _obtain(arguments.what, quiet=arguments.quiet, meshes=arguments.meshes)
     with reporter(quiet=arguments.quiet) as report:
         tolerances = replace(Tolerances.of(recording), **asked)
         write_report(recording, page, tolerances=tolerances, progress=report.note)
@@ -278,7 +292,7 @@ def _run_export(arguments: argparse.Namespace) -> int:
             check_file(file)
     if arguments.npz is not None and arguments.npz.exists() and not arguments.force:
         raise OutputError(f"{arguments.npz} exists. Replace it with --force, or give another name.")
-    recording = _obtain(arguments.what, quiet=arguments.quiet)
+    recording = _obtain(arguments.what, quiet=arguments.quiet, meshes=None)
     files = []
     if arguments.npz is not None:
         files.append(save_recording(recording, arguments.npz))

@@ -24,12 +24,13 @@ PRODUCTS = {
 }
 
 
-def obtain_run(name: str, *, progress: ProgressCallback | None = None) -> Recording:
+def obtain_run(name: str, *, progress: ProgressCallback | None = None, meshes: bool = False) -> Recording:
     """Load a recording (``.npz``), run a cell file (``.toml``, ``.yaml``), or run a scenario with the QP.
 
     Args:
         name: a file, or one of :data:`coopqp.scenarios.SCENARIOS`.
         progress: as in :func:`coopqp.simulation.simulate.simulate`.
+        meshes: as in :meth:`Recording.load`.
 
     Raises:
         UnknownNameError: the name is neither a file nor a scenario.
@@ -42,7 +43,7 @@ def obtain_run(name: str, *, progress: ProgressCallback | None = None) -> Record
     if file.suffix in (TOML_SUFFIX, *YAML_SUFFIXES):
         return load_cell_file(file).run(progress=progress)
     if file.suffix == ".npz" or file.exists():
-        return Recording.load(file)
+        return Recording.load(file, meshes=meshes)
     if name not in SCENARIOS:
         raise UnknownNameError("recording (.npz), cell file (.toml, .yaml) or scenario", name, SCENARIOS)
     scenario = SCENARIOS[name]()

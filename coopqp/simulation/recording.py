@@ -17,7 +17,7 @@ from coopqp.errors import CoopqpError
 from coopqp.model.cell import RobotCell
 from coopqp.model.grasp import Grasp
 from coopqp.model.limits import BindingLimit, LimitKind
-from coopqp.output import OutputError, whole_file
+from coopqp.output import Interrupts, OutputError, whole_file
 from coopqp.simulation.rows import parts, read_archive, unpacked_bytes, write_archive
 from coopqp.simulation.scene import read_cell
 from coopqp.spatial import Array
@@ -143,8 +143,8 @@ class Recording:
         arrays = {"text": np.array(text), **{name: getattr(self, name) for name in _ARRAYS}}
         compress = sum(array.nbytes for array in arrays.values()) <= MAX_COMPRESSED_BYTES
         try:
-            with whole_file(file) as stream:
-                write_archive(stream, arrays, compress=compress)
+            with Interrupts() as interrupts, whole_file(file) as stream:
+                write_archive(stream, arrays, compress=compress, between=interrupts.check)
         except (OSError, OutputError) as error:
             raise RecordingError(f"cannot write {file}: {error}") from error
         return file

@@ -10,7 +10,7 @@ import mmap
 import struct
 import tempfile
 import zipfile
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import IO, Any, final
 
@@ -102,8 +102,13 @@ def parts(count: int, arrays: Iterable[npt.NDArray[Any]]) -> Iterator[slice]:
 # -- archives ------------------------------------------------------------------------------------------------------
 
 
-def write_archive(stream: IO[bytes], arrays: Mapping[str, npt.NDArray[Any]], *, compress: bool) -> None:
-    """Write arrays as a ``.npz`` archive, part by part. Numbers of an archive that is not compressed can be mapped."""
+def write_archive(
+    stream: IO[bytes], arrays: Mapping[str, npt.NDArray[Any]], *, compress: bool, between: Callable[[], None]
+) -> None:
+    """Write arrays as a ``.npz`` archive, part by part; ``between()`` is called between parts.
+
+    Numbers of an archive that is not compressed can be mapped.
+    """
     with zipfile.ZipFile(stream, "w", zipfile.ZIP_DEFLATED) as archive:
         for name, array in arrays.items():
             plain = not compress and array.dtype.kind == "f"
@@ -120,6 +125,7 @@ def write_archive(stream: IO[bytes], arrays: Mapping[str, npt.NDArray[Any]], *, 
                 head = {"descr": "<f8", "fortran_order": False, "shape": array.shape}
                 np.lib.format.write_array_header_1_0(member, head)
                 for part in parts(len(array), [array]):
+                    between()
                     member.write(np.ascontiguousarray(array[part], dtype="<f8").tobytes())
 
 
