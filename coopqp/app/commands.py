@@ -61,6 +61,10 @@ def _run_run(arguments: argparse.Namespace) -> int:
     task = load_cell_file(arguments.cell)
     output = task.settings.output
     products = [name for name in runs.PRODUCTS if getattr(output, name) or getattr(arguments, name, False)]
+    if arguments.view:
+        from coopqp.look.viewer import require_viser
+
+        require_viser()
     folder = runs.output_folder(task.scenario.name, output.folder, products, out=arguments.out, force=arguments.force)
     with reporter(quiet=arguments.quiet) as report:
         recording = task.run(progress=_progress(report, task.scenario.name))
@@ -241,10 +245,12 @@ def _add_report(commands: Any) -> None:
 
 
 def _run_report(arguments: argparse.Namespace) -> int:
+    from coopqp.look.plots import require_matplotlib
     from coopqp.look.report import write_report
     from coopqp.output import check_file
     from coopqp.simulation.assessment import Tolerances
 
+    require_matplotlib()
     asked = {name: getattr(arguments, name) for name in ("chain_mm", "chain_deg", "object_mm", "object_deg")}
     asked = {name: value for name, value in asked.items() if value is not None}
     Tolerances(**asked)  # bad ones are refused before the run
@@ -281,9 +287,11 @@ def _add_export(commands: Any) -> None:
 
 def _run_export(arguments: argparse.Namespace) -> int:
     from coopqp.app.runs import save_recording
-    from coopqp.files.export import csv_text, write_bag, write_csv
+    from coopqp.files.export import csv_text, require_rosbags, write_bag, write_csv
     from coopqp.output import OutputError, check_file
 
+    if arguments.bag is not None:
+        require_rosbags()
     to_stdout = arguments.csv == Path("-")
     if arguments.csv is None and arguments.bag is None and arguments.npz is None:
         raise CoopqpError("nothing to write: give --csv, --bag or --npz.")

@@ -24,6 +24,33 @@ PRODUCTS = {
 }
 
 
+def _require_viser() -> None:
+    from coopqp.look.viewer import require_viser
+
+    require_viser()
+
+
+def _require_rosbags() -> None:
+    from coopqp.files.export import require_rosbags
+
+    require_rosbags()
+
+
+def _require_matplotlib() -> None:
+    from coopqp.look.plots import require_matplotlib
+
+    require_matplotlib()
+
+
+#: What raises MissingExtraError for products that need an extra.
+_NEEDS: dict[str, Callable[[], None]] = {
+    "report": _require_matplotlib,
+    "plots": _require_matplotlib,
+    "page": _require_viser,
+    "bag": _require_rosbags,
+}
+
+
 def obtain_run(name: str, *, progress: ProgressCallback | None = None, meshes: bool = False) -> Recording:
     """Load a recording (``.npz``), run a cell file (``.toml``, ``.yaml``), or run a scenario with the QP.
 
@@ -65,12 +92,15 @@ def output_folder(name: str, asked: str | None, products: Iterable[str], *, out:
 
     Raises:
         UnknownNameError: no such product.
+        MissingExtraError: a product needs an extra that is not installed.
         OutputError: the folder cannot be written, or ``out`` already has one of the products.
     """
     wanted = list(products)
     for product in wanted:
         if product not in PRODUCTS:
             raise UnknownNameError("product", product, PRODUCTS)
+        if product in _NEEDS:
+            _NEEDS[product]()
     files = [file for product in wanted for file in PRODUCTS[product]]
     folder = out or Path(asked or Path("out") / safe_name(name))
     used = _first_used(folder, files)

@@ -125,6 +125,15 @@ def knot_velocities(recording: Recording) -> Array:
     return v
 
 
+def require_rosbags() -> None:
+    """Raise MissingExtraError unless rosbags can be imported."""
+    try:
+        import rosbags.rosbag2
+        import rosbags.typesys  # noqa: F401
+    except ImportError as error:
+        raise MissingExtraError("bags", "rosbags") from error
+
+
 def write_bag(recording: Recording, folder: str | Path, *, cell: RobotCell | None = None, start: float = 0.0) -> Path:
     """Write a ROS 2 bag in MCAP, atomically.
 
@@ -145,11 +154,10 @@ def write_bag(recording: Recording, folder: str | Path, *, cell: RobotCell | Non
         SceneError: no cell is given and the recording does not describe one.
         MissingExtraError: rosbags is not installed.
     """
-    try:
-        from rosbags.rosbag2 import StoragePlugin, Writer
-        from rosbags.typesys import Stores, get_typestore
-    except ImportError as error:
-        raise MissingExtraError("bags", "rosbags") from error
+    require_rosbags()
+    from rosbags.rosbag2 import StoragePlugin, Writer
+    from rosbags.typesys import Stores, get_typestore
+
     if not 0.0 <= start < 4e9:
         raise InvalidInputError(f"start is {start}", "write_bag", "Give seconds since the epoch, 0 for none.")
     cell = recording.cell(shapes=False) if cell is None else cell

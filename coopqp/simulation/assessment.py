@@ -120,8 +120,14 @@ def read_run(cell: RobotCell, recording: Recording) -> Readings:
         InvalidInputError: the recording is from another cell.
     """
     check_recording(cell, recording)
-    read = [_read_part(cell, recording, part) for part in recording.parts(len(recording.time))]
-    return Readings(**{f.name: np.concatenate([getattr(r, f.name) for r in read]) for f in fields(Readings)})
+    samples = len(recording.time)
+    errors: dict[str, Array] = {}
+    for part in recording.parts(samples):
+        read = _read_part(cell, recording, part)
+        for name in (field.name for field in fields(Readings)):
+            values = getattr(read, name)
+            errors.setdefault(name, np.empty((samples, *values.shape[1:])))[part] = values
+    return Readings(**errors)
 
 
 def _read_part(cell: RobotCell, recording: Recording, part: slice) -> Readings:
