@@ -645,6 +645,11 @@ IN_PYTHON: dict[str, dict[str, str]] = {
             "MOST_LOST", "NOISE_TIME", "FEW_SAMPLES",
         )
     } | {"STILL_COMMAND": "_STILL"},
+    "task.servo": {
+        "STILL_OBJECT": "AT_REST", "NOWHERE": "_NOWHERE", "SHORTEST_CHANGE": "_SHORTEST", "SPEEDS": "_SPEEDS",
+    },
+    "control.effort": {"CHANGE_SHARE": "_SHARE"},
+    "control.qp": {"RATE_TOLERANCE": "_ROUNDING"},
     "control.drift": {
         "WANDER": "_WANDER", "LAG": "_LAG", "LEAST_LAG": "_LEAST_LAG", "DRIFT_FLOOR": "_FLOOR",
         "DRIFT_SAMPLE": "_SAMPLE", "SMOOTHING": "_SMOOTHING", "DRIFT_PERIOD": "_PERIOD",
