@@ -129,6 +129,7 @@ def test_a_random_override_keeps_chain_path_and_limits_of_many_arms(arms: int, r
         assert excess_of(task, steps) < 1e-6
 
 
+@pytest.mark.slow
 def test_corners_are_passed_under_any_override() -> None:
     """Where the twist jumps the joints have nothing left to brake with."""
     task = limited(paper_lift(), 5.0)
@@ -143,6 +144,7 @@ def test_corners_are_passed_under_any_override() -> None:
         assert path < 2e-6
 
 
+@pytest.mark.slow
 def test_a_stop_takes_hardly_longer_than_the_hardest_one() -> None:
     """The hardest stop brakes one joint with all it has, all the way along the path."""
     for when in (45, 120, 250):
