@@ -140,3 +140,11 @@ def cross(a: Array, b: Array) -> Array:
     products = a[:, :, None] * b[:, None, :]
     out: Array = products.reshape(len(a), 9) @ _CROSS
     return out
+
+
+def cross_last(a: Array, b: Array) -> Array:
+    """Cross products along the last axis, of shapes that broadcast, several times faster than :func:`numpy.cross`."""
+    out: Array = np.empty(np.broadcast_shapes(a.shape, b.shape))
+    for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
+        np.subtract(a[..., j] * b[..., k], a[..., k] * b[..., j], out=out[..., i])
+    return out

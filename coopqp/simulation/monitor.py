@@ -25,7 +25,7 @@ from coopqp.control.command import Controller, ControlStep, Status
 from coopqp.errors import InvalidInputError
 from coopqp.model.cell import RobotCell
 from coopqp.model.grasp import Grasp
-from coopqp.simulation.simulate import Recording
+from coopqp.simulation.recording import Recording
 from coopqp.spatial import Array
 from coopqp.task.path import ObjectPath
 
@@ -357,35 +357,50 @@ class Monitor:
 
     def judge_recording(self, recording: Recording) -> Verdict:
         """Judge a run; see :func:`check_run`."""
-        r, stopped = recording, (Status.HOLDING.code, Status.FAULT.code)
-        sound = np.isfinite(r.q_command).all(axis=1) & np.isfinite(r.clock) & np.isfinite(r.time)
-        sound = sound[:-1] & sound[1:] & np.isfinite(r.velocity).all(axis=1) & np.isfinite(r.rate)
-        duration = float(r.metadata.get("duration") or np.inf)
-        for same, rows in itertools.groupby(range(r.n_steps), key=lambda i: bool(sound[i])):
-            i, *rest = rows
-            cut, ends = slice(i, i + len(rest) + 1), slice(i + 1, i + len(rest) + 2)
-            if not same:
-                for row in (i, *rest):
+        r = recording
+        last = -2  # the last sound step
+        for part in r.parts(r.n_steps):
+            sound = self._sound(r, part)
+            end = part.start
+            for good, run in itertools.groupby(sound.tolist()):
+                i, end = end, end + len(list(run))
+                if good:
+                    self._judge(self._block(r, i, end, goes_on=last == i - 1))
+                    last = end - 1
+                    continue
+                for row in range(i, end):
                     self._add(Violation(Breach.NOT_FINITE, row, float(r.time[row]), amount=np.nan))
-                self._steps += len(rest) + 1
+                self._steps += end - i
                 self._lose()
-                continue
-            self._judge(
-                _Block(
-                    q=r.q_command[cut],
-                    q_next=r.q_command[ends],
-                    velocity=r.velocity[cut],
-                    dt=np.diff(r.time[i : ends.stop]),
-                    clock=r.clock[cut],
-                    clock_next=r.clock[ends],
-                    rate=r.rate[cut],
-                    holding=np.isin(r.status[cut], stopped),
-                    same_path=np.arange(i, ends.stop - 1) > i,
-                    reference=r.reference[ends],
-                    duration=np.full(len(rest) + 1, duration),
-                )
-            )
         return self.verdict()
+
+    @staticmethod
+    def _sound(r: Recording, part: slice) -> Flags:
+        """Whether the numbers of steps are finite."""
+        samples = slice(part.start, part.stop + 1)
+        sound = np.isfinite(r.q_command[samples]).all(axis=1) & np.isfinite(r.clock[samples])
+        sound &= np.isfinite(r.time[samples])
+        steps: Flags = sound[:-1] & sound[1:] & np.isfinite(r.velocity[part]).all(axis=1) & np.isfinite(r.rate[part])
+        return steps
+
+    @staticmethod
+    def _block(r: Recording, start: int, end: int, *, goes_on: bool) -> _Block:
+        cut, ends = slice(start, end), slice(start + 1, end + 1)
+        same_path = np.full(end - start, True)
+        same_path[0] = goes_on
+        return _Block(
+            q=r.q_command[cut],
+            q_next=r.q_command[ends],
+            velocity=r.velocity[cut],
+            dt=np.diff(r.time[start : end + 1]),
+            clock=r.clock[cut],
+            clock_next=r.clock[ends],
+            rate=r.rate[cut],
+            holding=np.isin(r.status[cut], (Status.HOLDING.code, Status.FAULT.code)),
+            same_path=same_path,
+            reference=r.reference[ends],
+            duration=np.full(end - start, float(r.metadata.get("duration") or np.inf)),
+        )
 
     def _judge(self, block: _Block) -> None:
         steps = len(block.dt)
