@@ -70,6 +70,7 @@ def main() -> int:
     arguments = parser.parse_args()
     extras = {e for e in metadata.metadata("coopqp").get_all("Provides-Extra") or [] if e not in ("dev", "mutation")}
     given = extras if "all" in arguments.extras else set(arguments.extras)
+    given |= {"plot"} if "planning" in given else set()  # toppra brings Matplotlib
     assert given <= extras, (given, extras)
     warnings.simplefilter("ignore")
     import coopqp
