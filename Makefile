@@ -11,7 +11,7 @@ MUTANTS ?= 400
 PYTEST = OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/pytest -n $(WORKERS) --dist worksteal
 SANITIZED := build/sanitized
 
-.PHONY: demo check test test-nightly lint core sanitize mutation docs bench pictures browser clean
+.PHONY: demo check test test-nightly lint core sanitize mutation docs bench tables pictures browser clean
 
 $(VENV)/.installed: pyproject.toml CMakeLists.txt $(wildcard coopqp/control/core/*.[ch] coopqp/model/*.c)
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 10) and "coopqp needs Python >= 3.10: make PYTHON=python3.x ...")'
@@ -87,6 +87,14 @@ bench: $(VENV)/.installed
 # Every picture of the README and of docs, drawn anew by the programs that docs/pictures.py lists.
 pictures: $(VENV)/.installed
 	$(BIN)/python docs/pictures.py
+
+# The measured tables of the README, on a machine with nothing else to do. PlaCo is installed beside, if it can be.
+tables: $(VENV)/.installed
+	@mkdir -p $(BENCH_OUT)
+	$(BIN)/python benchmarks/behaviour.py --cases fast limit mismatch --json $(BENCH_OUT)/behaviour.json
+	$(BIN)/python benchmarks/compare_peers.py --peers placo --arms 3 8 16 --cases nominal measured watched qp zigzag \
+	  --json $(BENCH_OUT)/compare_peers.json
+	$(BIN)/python docs/tables.py $(BENCH_OUT)
 
 # Chromium, for the tests of what a browser shows; they are skipped without it.
 browser:

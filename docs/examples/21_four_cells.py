@@ -9,18 +9,16 @@ from coopqp.planning import check_path
 CELLS = Path(__file__).parent / "cells"
 runs = {}
 for name in ("two_ur10", "panda_and_ur5", "pandas_and_ur5s", "gantry_and_ur5"):
-    task = load_cell_file(
+    run = load_cell_file(
         CELLS / f"{name}.toml"
-    )  # finds a start, for there is none in the file
-    cell, grasp, path = task.scenario.cell, task.scenario.grasp, task.scenario.path
-    check = check_path(cell, grasp, path, q_start=task.scenario.q_start)
-    recording = task.run()
-    findings = judge(cell, recording, read_run(cell, recording))
-    well = all(finding.holds for finding in findings)
-    print(
-        f"{name}: {check.verdict.value}, finished {recording.finished}, all checks hold: {well}"
-    )
-    runs[name] = task.scenario, recording
+    )  # there is no start in the file: this finds one
+    task = run.scenario
+    check = check_path(task.cell, task.grasp, task.path, q_start=task.q_start)
+    recording = run.run()
+    findings = judge(task.cell, recording, read_run(task.cell, recording))
+    finished = f"{check.verdict.value}, finished {recording.finished}"
+    print(f"{name}: {finished}, all checks hold: {all(finding.holds for finding in findings)}")
+    runs[name] = task, recording
 
 if "--out" in sys.argv:
     import matplotlib.pyplot as plt
@@ -32,7 +30,8 @@ if "--out" in sys.argv:
         (scene,) = cell_solids(task.cell, recording.q[-1:])
         bar = task.path.pose(task.path.duration) * task.T_object_body
         scene.append(box_solid(task.object_size, bar, (0.30, 0.52, 0.75)))
-        view = View.around([scene], azimuth=35.0, elevation=25.0)
+        side = 35.0 if name == "gantry_and_ur5" else -60.0
+        view = View.around([scene], azimuth=side, elevation=25.0)
         panel.imshow(render([scene], view, width=450)[0])
         panel.set_title(name)
         panel.axis("off")
