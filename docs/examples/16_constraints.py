@@ -9,14 +9,8 @@ import pinocchio as pin
 from coopqp import QPController, Rank, adjoint, simulate
 from coopqp.scenarios import paper_lift
 
-AXES = [
-    [0, 1, 1.618],
-    [0, 1, -1.618],
-    [1, 1.618, 0],
-    [1, -1.618, 0],
-    [1.618, 0, 1],
-    [-1.618, 0, 1],
-]
+g = 1.618  # AXES: through the corners of an icosahedron
+AXES = np.array([[0, 1, g], [0, 1, -g], [1, g, 0], [1, -g, 0], [g, 0, 1], [-g, 0, 1]]) / 1.902
 
 
 def object_jacobian(grasp, state):
@@ -30,12 +24,8 @@ class Box:  # a VelocityConstraint
     name, rank = "box", Rank.LIMITS
 
     def __init__(self, grasp, low, high, braking=1.0):  # two corners [m], braking [m/s²]
-        self.grasp, self.low, self.high, self.a = (
-            grasp,
-            np.array(low),
-            np.array(high),
-            braking,
-        )
+        self.grasp, self.a = grasp, braking
+        self.low, self.high = np.array(low), np.array(high)
 
     def rows(self, state, dt):
         T = self.grasp.carried(state)[0]
@@ -53,13 +43,12 @@ class SlowPoint:  # a VelocityConstraint
         self.name, self.speed = f"speed of {frame}", speed
         self.model, self.data = cell.model, cell.model.createData()
         self.frame = cell.model.getFrameId(frame)
-        self.axes = np.array(AXES) / 1.902
 
     def rows(self, state, dt):
         axes = pin.LOCAL_WORLD_ALIGNED
         J = pin.computeFrameJacobian(self.model, self.data, state.q, self.frame, axes)
         bound = np.full(6, 0.7947 * self.speed)  # this polyhedron's corners are at the speed
-        return self.axes @ J[:3], -bound, bound
+        return AXES @ J[:3], -bound, bound
 
 
 class LittleEnergy:  # a RateBound
@@ -78,15 +67,12 @@ if __name__ == "__main__":
     cell = lift.cell.with_limits(acceleration=5.0)
     top = lift.path.pose(0.0).translation[2] + 0.2
     box = Box(lift.grasp, (-np.inf, -np.inf, -np.inf), (np.inf, np.inf, top))
-    slow, little = (
-        SlowPoint(cell, "slave_1/joint_3", 0.03),
-        LittleEnergy(lift.grasp, 9.0, 0.05),
-    )
+    slow = SlowPoint(cell, "slave_1/joint_3", 0.03)
+    little = LittleEnergy(lift.grasp, 9.0, 0.05)
     runs = {}
     for constraint in (box, slow, little):
-        controller = QPController(
-            cell, lift.grasp, lift.path, dt=0.005, constraints=[constraint]
-        )
+        own = {"constraints": [constraint]}
+        controller = QPController(cell, lift.grasp, lift.path, dt=0.005, **own)
         run = simulate(controller, q_start=lift.q_start, duration=6.0)
         notes = "\n  ".join(run.notes[-2:])
         print(f"{constraint.name}: after {run.time[-1]:.3g} s\n  {notes}")
