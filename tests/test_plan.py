@@ -157,7 +157,9 @@ def test_exit_statuses(tmp_path: Path, capsys: pytest.CaptureFixture[str], monke
     out = str(tmp_path / "plan")
     assert main(["plan", str(tmp_path / "none.toml"), "--out", out]) == 2
     assert main(["plan", str(bar_with(tmp_path, acceleration="")), "--out", out]) == 2
-    assert "acceleration limit" in capsys.readouterr().err
+    said = capsys.readouterr().err
+    assert "a plan needs acceleration limits: arms left, right have none. Add to [[arms]]" in said
+    assert "with_limits" not in said
     assert main(["plan", str(BAR), "--out", out, "--share", "2"]) == 2
     assert main(["plan", str(bar_with(tmp_path, height="[0.0, 0.10, 4.0]")), "--out", out]) == 3
     assert "coopqp: no plan: arm" in capsys.readouterr().err
