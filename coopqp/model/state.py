@@ -14,14 +14,14 @@ from coopqp.checks import read_only
 from coopqp.model.cell import RobotCell
 from coopqp.spatial import Array
 
-_workspaces = threading.local()
+_WORKSPACES = threading.local()
 
 
-def _workspace(cell: RobotCell) -> pin.Data:
+def workspace(cell: RobotCell) -> pin.Data:
     """Pinocchio's memory for a cell, one in each thread; to make it takes longer than to use it."""
-    if not hasattr(_workspaces, "of_cell"):
-        _workspaces.of_cell = weakref.WeakKeyDictionary()
-    made: weakref.WeakKeyDictionary[RobotCell, pin.Data] = _workspaces.of_cell
+    if not hasattr(_WORKSPACES, "of_cell"):
+        _WORKSPACES.of_cell = weakref.WeakKeyDictionary()
+    made: weakref.WeakKeyDictionary[RobotCell, pin.Data] = _WORKSPACES.of_cell
     if cell not in made:
         made[cell] = cell.model.createData()
     return made[cell]
@@ -44,7 +44,7 @@ class CellState:
     def __init__(self, cell: RobotCell, q: Any) -> None:
         self.cell = cell
         self.q = read_only(cell.check_configuration(q, "CellState"))
-        data = _workspace(cell)
+        data = workspace(cell)
         self._J = np.array(pin.computeJointJacobians(cell.model, data, self.q))  # twists at the world's origin
         self.T_world_tool = tuple(data.oMi[j] * X for j, X in zip(cell.tool_joints, cell.T_joint_tool, strict=True))
 
