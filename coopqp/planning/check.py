@@ -182,7 +182,7 @@ class PathCheck:
         return f"PathCheck({self.verdict.value.lower()}; {arms})"
 
     def record(self) -> dict[str, Any]:
-        """The answer as plain data for JSON: ``verdict``, ``intervals``, ``arms``, ``remedies``, ``no_remedy``, ``q_start``."""
+        """Plain data for JSON: ``verdict``, ``intervals``, ``arms``, ``remedies``, ``no_remedy``, ``q_start``."""
         return {
             "verdict": self.verdict.value,
             "intervals": [{"arm": i.arm, "start_s": i.start, "end_s": i.end} for i in self.intervals],
