@@ -27,6 +27,7 @@ from coopqp import (
     tool_placements,
 )
 from coopqp.planning import PathVerdict, check_path, find_remedies, find_start, plan
+from coopqp.planning.remedies import shifted, with_remedies
 from coopqp.scenarios import Scenario, at_limit, at_singularity, mixed_cell, ring, robot_arm, scara_pair
 
 CERTIFIED, SAMPLED, UNDECIDED, INFEASIBLE = PathVerdict
@@ -423,6 +424,19 @@ def dense_check(check: Any) -> bool:
     return True
 
 
+def test_what_was_tried_in_vain_is_said(paper: Scenario) -> None:
+    """A path far out of reach: each kind says why it is of no help, in words and in the record."""
+    far = shifted(paper.path, np.array([0.0, 0.0, 9.0]))
+    check = with_remedies(check_path(paper.cell, paper.grasp, far))
+    assert check.remedies == ()
+    first = paper.cell.arm_names[0]
+    said = [line for line in check.explain().splitlines() if line.startswith("no remedy by ")]
+    assert len(said) == 3
+    assert f"no remedy by moving the path: arm {first} follows it at none of 130 places up to 0.5 m away." in said
+    assert all(f"arm {first} follows" in line for line in said)
+    assert check.record()["no_remedy"] == list(check.no_remedy)
+
+
 def test_another_branch_is_the_remedy_for_a_start() -> None:
     task = at_singularity()
     check = check_path(task.cell, task.grasp, task.path, q_start=task.q_start)
@@ -478,16 +492,16 @@ def test_a_shift_of_the_path_and_of_a_base_are_found(paper: Scenario) -> None:
     np.testing.assert_allclose(moved, base.shift[0])
     assert all(dense_check(remedy.check) for remedy in remedies.values())
     opaque = check_path(cell, grasp, Opaque(far))
-    shifted = {remedy.kind: remedy for remedy in find_remedies(opaque)}["shift"]
-    assert shifted.check.verdict is SAMPLED
-    np.testing.assert_array_equal(shifted.shift, shift.shift)
+    sampled = {remedy.kind: remedy for remedy in find_remedies(opaque)}["shift"]
+    assert sampled.check.verdict is SAMPLED
+    np.testing.assert_array_equal(sampled.shift, shift.shift)
 
 
 def test_the_record_has_its_keys_and_is_plain() -> None:
     task = at_singularity()
     check = check_path(task.cell, task.grasp, task.path, q_start=task.q_start)
     record = json.loads(json.dumps(replace(check, remedies=find_remedies(check)).record(), allow_nan=False))
-    assert list(record) == ["verdict", "intervals", "arms", "remedies", "q_start"]
+    assert list(record) == ["verdict", "intervals", "arms", "remedies", "no_remedy", "q_start"]
     assert record["verdict"] == "UNDECIDED"
     assert record["intervals"][0]["arm"] == "arm_1"
     assert [arm["verdict"] for arm in record["arms"]] == ["UNDECIDED", "CERTIFIED", "CERTIFIED"]

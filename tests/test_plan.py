@@ -110,7 +110,7 @@ def test_the_speed_profile_is_drawn(tmp_path: Path) -> None:
     scenario, cell = task()
     path = plan(cell, scenario.grasp, scenario.path, q_start=scenario.q_start).path
     assert write_speed_profile(path, tmp_path / "speed.png", dpi=60).stat().st_size > 5000
-    bare = TimedPath.of_record(path.record())  # without the names of limits
+    bare = TimedPath.of_record({**path.record(), "binding": []})  # without the names of limits
     assert write_speed_profile(bare, tmp_path / "bare.svg").stat().st_size > 5000
 
 
@@ -144,6 +144,12 @@ def test_a_plan_is_a_cell_file_that_runs(tmp_path: Path, capsys: pytest.CaptureF
         given.scenario.cell, given.scenario.grasp, given.scenario.path, q_start=given.scenario.q_start, blend=0.01
     )
     assert task.scenario.path.record() == made.path.record()
+    assert task.scenario.path.profile.binding == made.path.profile.binding
+    sections = task.settings.path.binding
+    assert sections[0].from_s == 0.0
+    assert sections[-1].to_s == made.path.duration
+    assert {s.limit for s in sections} == {"velocity", "acceleration"}
+    assert "[[path.binding]]" in (out / "plan.toml").read_text(encoding="utf-8")
     np.testing.assert_array_equal(task.scenario.q_start, made.q_start)
     # Nothing is overwritten.
     assert main(["plan", str(BAR), "--out", str(out)]) == 2

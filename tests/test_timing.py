@@ -285,10 +285,17 @@ def test_a_path_is_made_again_from_its_numbers() -> None:
     assert again.record() == record
     assert again.planned_share == path.planned_share
     assert again.duration == path.duration
+    assert again.profile.binding == path.profile.binding
     for clock in np.linspace(0.0, path.duration, 30):
         np.testing.assert_array_equal(again.pose(clock).homogeneous, path.pose(clock).homogeneous)
         np.testing.assert_array_equal(again.twist(clock), path.twist(clock))
-    for bad in ({}, {**record, "squares": [0.0]}, {**record, "pieces": [[1.0]]}, {**record, "s": "abc"}):
+    for bad in (
+        {},
+        {**record, "squares": [0.0]},
+        {**record, "pieces": [[1.0]]},
+        {**record, "s": "abc"},
+        {**record, "binding": [{"from_s": 0.0, "to_s": 1.0, "arm": "a", "joint": "b", "limit": "none"}]},
+    ):
         with pytest.raises(InvalidInputError):
             TimedPath.of_record(bad)
     with pytest.raises(InvalidInputError):

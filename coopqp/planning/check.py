@@ -133,6 +133,7 @@ class PathCheck:
         cell, grasp, path: what was asked.
         given: True if the start was given.
         remedies: what helps, each checked; see :func:`find_remedies`.
+        no_remedy: kinds of remedies that were tried in vain, and what stood in the way.
     """
 
     verdict: PathVerdict
@@ -144,6 +145,7 @@ class PathCheck:
     path: ObjectPath
     given: bool = False
     remedies: tuple[Remedy, ...] = ()
+    no_remedy: tuple[str, ...] = ()
 
     @property
     def feasible(self) -> bool:
@@ -165,7 +167,10 @@ class PathCheck:
                 "For arms with more than six joints the proof holds for one motion of their elbows; a controller may "
                 "move them otherwise."
             )
-        return "\n".join([*lines, *(f"remedy: {remedy}." for remedy in self.remedies)])
+        lines += [f"remedy: {remedy}." for remedy in self.remedies]
+        if not self.remedies:
+            lines += [f"no remedy by {why}." for why in self.no_remedy]
+        return "\n".join(lines)
 
     def _undecided(self) -> str:
         first = [f"{i.start:.4g}–{i.end:.4g} s for arm {i.arm}" for i in self.intervals[:3]]
@@ -177,12 +182,13 @@ class PathCheck:
         return f"PathCheck({self.verdict.value.lower()}; {arms})"
 
     def record(self) -> dict[str, Any]:
-        """The answer as plain data for JSON: ``verdict``, ``intervals``, ``arms``, ``remedies``, ``q_start``."""
+        """Plain data for JSON: ``verdict``, ``intervals``, ``arms``, ``remedies``, ``no_remedy``, ``q_start``."""
         return {
             "verdict": self.verdict.value,
             "intervals": [{"arm": i.arm, "start_s": i.start, "end_s": i.end} for i in self.intervals],
             "arms": [_arm_record(arm) for arm in self.arms],
             "remedies": [remedy.record() for remedy in self.remedies],
+            "no_remedy": list(self.no_remedy),
             "q_start": None if self.q_start is None else self.q_start.tolist(),
         }
 

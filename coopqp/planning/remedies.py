@@ -7,6 +7,7 @@ the path, serves both. Every remedy is checked before it is said.
 from __future__ import annotations
 
 import itertools
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from typing import Any, Literal, final
 
@@ -66,26 +67,44 @@ class Remedy:
         }
 
 
-def find_remedies(check: PathCheck) -> tuple[Remedy, ...]:
+@final
+class Remedies(tuple[Remedy, ...]):
+    """Remedies, and what was tried in vain.
+
+    Attributes:
+        failed: for each kind that gave none what was tried, and what stood in the way.
+    """
+
+    failed: tuple[str, ...] = ()
+
+    @staticmethod
+    def of(tries: Iterable[Remedy | str]) -> Remedies:
+        """Remedies and failures apart, each in order."""
+        tries = tuple(tries)
+        found = Remedies(remedy for remedy in tries if isinstance(remedy, Remedy))
+        found.failed = tuple(failure for failure in tries if isinstance(failure, str))
+        return found
+
+
+def find_remedies(check: PathCheck) -> Remedies:
     """Remedies for a path that is INFEASIBLE or UNDECIDED, the simplest first; none for other verdicts.
 
     Each kind is tried for the arms in trouble, and one of each kind is returned: the least change that was found. Its
-    check says CERTIFIED or SAMPLED.
+    check says CERTIFIED or SAMPLED. ``failed`` of the answer says of the other kinds why they gave none.
 
     Args:
         check: the answer of :func:`check_path`.
     """
     if check.feasible:
-        return ()
+        return Remedies()
     base = check
     if check.given:
         base = check_path(check.cell, check.grasp, check.path)
         if base.feasible:
             arms = _listed([arm.arm for arm in check.arms if not _follows(arm.verdict)])
-            return (Remedy(kind="branch", text=f"start {arms} in another branch", check=base),)
+            return Remedies.of((Remedy(kind="branch", text=f"start {arms} in another branch", check=base),))
     search = _Search(base)
-    found = (search.roll(), search.shift(), search.bases())
-    return tuple(remedy for remedy in found if remedy is not None)
+    return Remedies.of((search.roll(), search.shift(), search.bases()))
 
 
 def _follows(verdict: PathVerdict) -> bool:
@@ -107,6 +126,7 @@ class _Search:
         self.arms = [ArmKinematics(arm) for arm in check.cell.arms]
         self.bad = [k for k, arm in enumerate(check.arms) if not _follows(arm.verdict)]
         self._scores: dict[tuple[int, tuple[float, ...], float], float] = {}
+        self._said = ""  # verdict of the last check
 
     # -- a first look --------------------------------------------------------------------------------------------
 
@@ -126,18 +146,19 @@ class _Search:
 
     def _confirmed(self, cell: RobotCell, grasp: Grasp, path: ObjectPath) -> PathCheck | None:
         answer = check_path(cell, grasp, path)
+        self._said = answer.verdict.value
         return answer if answer.feasible else None
 
     # -- kinds ---------------------------------------------------------------------------------------------------
 
-    def roll(self) -> Remedy | None:
-        """Roll the tool of each arm in trouble."""
+    def roll(self) -> Remedy | str:
+        """Roll the tool of each arm in trouble; or why this does not help."""
         c, still = self.check, np.zeros(3)
         options: list[list[float]] = []
         for k in self.bad:
             good = [angle for angle in _ROLLS if self.score(k, still, float(np.deg2rad(angle))) > -np.inf]
             if not good:
-                return None
+                return f"rolling tools: arm {c.cell.arm_names[k]} follows the path at none of {len(_ROLLS)} angles"
             options.append(good)
         for choice in itertools.islice(_together(options), _CHECKED):
             angles = np.zeros(len(c.cell))
@@ -150,10 +171,10 @@ class _Search:
             if answer is not None:
                 said = [f"of arm {c.cell.arm_names[k]} by {a:.0f}°" for k, a in zip(self.bad, choice, strict=True)]
                 return Remedy(kind="roll", text=f"roll the tool {' and '.join(said)}", check=answer, roll=angles)
-        return None
+        return f"rolling tools: {self._in_vain()}"
 
-    def shift(self) -> Remedy | None:
-        """Move the whole path."""
+    def shift(self) -> Remedy | str:
+        """Move the whole path; or why this does not help."""
         c, tried = self.check, 0
         order = [*self.bad, *(k for k in range(len(c.cell)) if k not in self.bad)]
         for distance in _DISTANCES:
@@ -167,11 +188,23 @@ class _Search:
                     return Remedy(kind="shift", text=f"move the path by {_metres(D)} m", check=answer, shift=D)
                 tried += 1
                 if tried >= _CHECKED:
-                    return None
-        return None
+                    return f"moving the path: {self._in_vain()}"
+        if tried:
+            return f"moving the path: {self._in_vain()}"
+        for k in self.bad:
+            if not any(self.score(k, D) > -np.inf for D in _places()):
+                return f"moving the path: {self._nowhere(k)}"
+        return f"moving the path: no place of {len(_places())} up to {_DISTANCES[-1]:g} m away suits all arms at once"
 
-    def bases(self) -> Remedy | None:
-        """Move the base of each arm in trouble: by −D where the path moved by D is followed."""
+    def _in_vain(self) -> str:
+        return f"a first look found some that all arms follow, but the check of the best says {self._said}"
+
+    def _nowhere(self, k: int) -> str:
+        name = self.check.cell.arm_names[k]
+        return f"arm {name} follows it at none of {len(_places())} places up to {_DISTANCES[-1]:g} m away"
+
+    def bases(self) -> Remedy | str:
+        """Move the base of each arm in trouble: by −D where the path moved by D is followed; or why this is no help."""
         c = self.check
         options: list[list[Array]] = []
         for k in self.bad:
@@ -183,7 +216,7 @@ class _Search:
                 if len(good) >= _CHECKED:
                     break
             if not good:
-                return None
+                return f"moving bases: {self._nowhere(k)}"
             options.append(good)
         for choice in itertools.islice(_together(options), _CHECKED):
             shift, arms = np.zeros((len(c.cell), 3)), list(c.cell.arms)
@@ -194,7 +227,12 @@ class _Search:
             if answer is not None:
                 said = [f"of arm {c.cell.arm_names[k]} by {_metres(shift[k])} m" for k in self.bad]
                 return Remedy(kind="base", text=f"move the base {' and '.join(said)}", check=answer, shift=shift)
-        return None
+        return f"moving bases: {self._in_vain()}"
+
+
+def _places() -> list[Array]:
+    """Displacements of the path that are tried [m]."""
+    return [distance * d / np.linalg.norm(d) for distance in _DISTANCES for d in _DIRECTIONS]
 
 
 def _together(options: list[list[Any]]) -> Any:
@@ -248,4 +286,5 @@ class _ShiftedPath(ObjectPath):
 
 def with_remedies(check: PathCheck) -> PathCheck:
     """The same answer with its remedies."""
-    return replace(check, remedies=find_remedies(check))
+    found = find_remedies(check)
+    return replace(check, remedies=tuple(found), no_remedy=found.failed)

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import itertools
 from bisect import bisect_right
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, final
@@ -13,7 +14,7 @@ import pinocchio as pin
 
 from coopqp.checks import as_scalar, read_only
 from coopqp.errors import InvalidInputError, said
-from coopqp.model.limits import BindingLimit
+from coopqp.model.limits import BindingLimit, LimitKind
 from coopqp.spatial import Array
 from coopqp.task.geometry import PathGeometry, piece_of
 from coopqp.task.path import ObjectPath
@@ -67,6 +68,26 @@ class SpeedProfile:
     def duration(self) -> float:
         """[s]."""
         return float(self.clocks[-1])
+
+    def sections(self) -> list[dict[str, Any]]:
+        """What binds when, as plain data: from when to when [s], and the arm, the joint and the limit."""
+        out: list[dict[str, Any]] = []
+        ends = self.clocks.tolist()
+        for limit, run in itertools.groupby(enumerate(self.binding), key=lambda item: item[1]):
+            own = [i for i, _ in run]
+            if limit is not None:
+                span = {"from_s": ends[own[0]], "to_s": ends[own[-1] + 1]}
+                out.append({**span, "arm": limit.arm, "joint": limit.joint, "limit": limit.kind.value})
+        return out
+
+    def bound_by(self, sections: Iterable[Mapping[str, Any]]) -> SpeedProfile:
+        """The same profile with the limits that :meth:`sections` described."""
+        binding: list[BindingLimit | None] = [None] * (len(self.s) - 1)
+        for section in sections:
+            i, j = (int(np.abs(self.clocks - section[key]).argmin()) for key in ("from_s", "to_s"))
+            limit = BindingLimit(str(section["arm"]), str(section["joint"]), LimitKind(section["limit"]))
+            binding[i:j] = [limit] * (j - i)
+        return SpeedProfile(self.s, self.squares, tuple(binding))
 
     @cached_property
     def slopes(self) -> Array:
@@ -153,6 +174,7 @@ class TimedPath(ObjectPath):
             "s": self.profile.s.tolist(),
             "squares": self.profile.squares.tolist(),
             "planned_share": self.planned_share,
+            "binding": self.profile.sections(),
         }
 
     @staticmethod
@@ -166,6 +188,7 @@ class TimedPath(ObjectPath):
             pieces = tuple(piece_of(np.asarray(piece, dtype=float)) for piece in record["pieces"])
             s, squares = (np.asarray(record[name], dtype=float) for name in ("s", "squares"))
             share = record["planned_share"]
+            profile = SpeedProfile(s, squares).bound_by(record.get("binding", ()))
         except InvalidInputError:
             raise
         except (KeyError, TypeError, ValueError) as error:
@@ -174,4 +197,4 @@ class TimedPath(ObjectPath):
             ) from error
         if not pieces:
             raise InvalidInputError("the record has no piece", "TimedPath", "Make it with TimedPath.record.")
-        return TimedPath(PathGeometry(pieces), SpeedProfile(s, squares), planned_share=share)
+        return TimedPath(PathGeometry(pieces), profile, planned_share=share)

@@ -359,6 +359,7 @@ def _path(file: CellFile) -> ObjectPath:
     path = file.path
     if path.kind == "timed":
         names = {"pieces": path.pieces, "s": path.s_m, "squares": path.squares, "planned_share": path.planned_share}
+        names["binding"] = [section.model_dump() for section in path.binding]
         return TimedPath.of_record(names)
     if path.kind == "hold":
         return HoldPath(_placement(path.pose), duration=path.duration_s)

@@ -39,6 +39,7 @@ def planned_text(run: CellRun, plan: Plan, *, folder: Path, into: Path) -> str:
         "pieces": record["pieces"],
         "s_m": record["s"],
         "squares": record["squares"],
+        "binding": record["binding"],
     }
     x = cell.positions(plan.q_start)
     positions = {name: x[own].tolist() for name, own in zip(cell.arm_names, cell.v_slices, strict=True)}

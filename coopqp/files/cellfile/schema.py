@@ -208,6 +208,16 @@ class HoldTable(Table):
     duration_s: Seconds = Field(description="duration")
 
 
+class BindingTable(Table):
+    """What limit a planned path uses up, from when to when."""
+
+    from_s: Annotated[float, Ge(0.0)] = Field(description="time along the path")
+    to_s: Annotated[float, Ge(0.0)] = Field(description="time along the path")
+    arm: str = Field(description="name of the arm")
+    joint: str = Field(description="name of the joint")
+    limit: Literal["velocity", "acceleration", "torque", "jerk"] = Field(description="kind of the limit")
+
+
 class TimedTable(Table):
     """A path with its speed profile, as `coopqp plan` writes it."""
 
@@ -219,6 +229,9 @@ class TimedTable(Table):
     squares: Annotated[list[float], Len(2, MAX_LIST)] = Field(description="square of the speed at each knot [m²/s²]")
     planned_share: Annotated[float, Ge(1e-6), Le(1.0)] | None = Field(
         default=None, description="share of the joints' limits that it was planned with"
+    )
+    binding: Annotated[list[BindingTable], Len(0, MAX_LIST)] = Field(
+        default_factory=list, description="what limit binds when; it changes nothing"
     )
 
 
