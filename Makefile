@@ -8,7 +8,8 @@ BENCH_OUT ?= out/bench
 WORKERS ?= auto
 MUTANTS ?= 400
 
-PYTEST = OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/pytest -n $(WORKERS) --dist worksteal
+# Compiled modules are kept, whatever the environment says: the tests start many processes.
+PYTEST = env -u PYTHONDONTWRITEBYTECODE OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/pytest -n $(WORKERS) --dist worksteal
 SANITIZED := build/sanitized
 
 .PHONY: demo check test test-nightly lint core sanitize mutation docs bench tables pictures browser clean \

@@ -26,7 +26,7 @@ from coopqp import (
     simulate,
     tool_placements,
 )
-from coopqp.look.render import Solid, View, box_solid, cell_solids, render
+from coopqp.look import Solid, View, box_solid, cell_solids, render
 from coopqp.scenarios import paper_lift
 
 #: Frames per second, width of each half [px], and how long the last frame stays [ms].

@@ -195,6 +195,7 @@ def test_blocked_runs_end_after_the_same_while_in_files_and_programs() -> None:
     assert stood == pytest.approx([1.0, 1.0], abs=task.scenario.dt)
 
 
+@pytest.mark.slow
 def test_ctrl_c_during_the_imports_is_an_interrupt(cell_file: Path) -> None:
     """Whichever import is interrupted, the status is 130 and nothing else is printed."""
     code = (

@@ -19,9 +19,8 @@ from pathlib import Path
 
 import pytest
 
-from coopqp import Tolerances
+from coopqp import Tolerances, load_cell_file
 from coopqp.app import cli, demo
-from coopqp.files.cellfile import load_cell_file
 from coopqp.look import plots
 from coopqp.scenarios import robot_file
 
