@@ -10,7 +10,7 @@ from coopqp.lazy import lazy_names
 if TYPE_CHECKING:
     from coopqp.look.plots import error_figure, joint_figure, motion_figure, save_figure
     from coopqp.look.profile import profile_figure, write_speed_profile
-    from coopqp.look.render import Solid, View, box_solid, cell_solids, render
+    from coopqp.look.renderer import Solid, View, box_solid, cell_solids, render
     from coopqp.look.report import write_report
     from coopqp.look.viewer import LiveViewer, export_html
 else:
@@ -19,7 +19,7 @@ else:
         {
             "coopqp.look.plots": ("error_figure", "joint_figure", "motion_figure", "save_figure"),
             "coopqp.look.profile": ("profile_figure", "write_speed_profile"),
-            "coopqp.look.render": ("Solid", "View", "box_solid", "cell_solids", "render"),
+            "coopqp.look.renderer": ("Solid", "View", "box_solid", "cell_solids", "render"),
             "coopqp.look.report": ("write_report",),
             "coopqp.look.viewer": ("LiveViewer", "export_html"),
         },

@@ -15,7 +15,7 @@ import numpy as np
 import pinocchio as pin
 
 from coopqp.errors import InvalidInputError, MissingExtraError
-from coopqp.look.render import View, box_solid, cell_solids, render
+from coopqp.look.renderer import View, box_solid, cell_solids, render
 from coopqp.model.cell import RobotCell
 from coopqp.output import write_files
 from coopqp.simulation import metrics
@@ -39,7 +39,7 @@ _COLOURS = (
 _DASHES: tuple[Any, ...] = ("-", (0, (4, 1.5)), (0, (1, 1.2)), (0, (5, 1.5, 1, 1.5)))
 _INK, _FAINT = "#222222", "#8a8f98"
 _TITLE: dict[str, Any] = {"fontsize": 15, "fontweight": "bold"}
-#: Corners of the upper face of a box in :mod:`coopqp.look.render`, as a closed line.
+#: Corners of the upper face of a box in :mod:`coopqp.look.renderer`, as a closed line.
 _TOP_FACE = (1, 3, 7, 5, 1)
 _PLATE = (0.30, 0.52, 0.75)
 #: Smallest drawn error [mm or deg]; smaller ones are rounding.

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from coopqp.look.render import box, mesh_of
+from coopqp.look.renderer import box, mesh_of
 from coopqp.model.cell import RobotCell
 from coopqp.model.limits import BindingLimit
 from coopqp.simulation import metrics
