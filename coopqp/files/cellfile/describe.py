@@ -88,9 +88,14 @@ def _plain(kind: Any) -> Any:
     return kind
 
 
+def _is_table(kind: Any) -> bool:
+    """Whether a type is the class of a table. Python 3.10 takes ``list[…]`` for a class, too."""
+    return typing.get_origin(kind) is None and isinstance(kind, type) and issubclass(kind, BaseModel)
+
+
 def _tables(kind: Any) -> list[type[BaseModel]]:
     """The table classes in a type."""
-    if isinstance(kind, type) and issubclass(kind, BaseModel):
+    if _is_table(kind):
         return [kind]
     return [table for member in typing.get_args(kind) for table in _tables(member)]
 
@@ -113,7 +118,7 @@ def _word(kind: Any) -> str:
     elif origin in (Union, types.UnionType):
         words = list(dict.fromkeys(_word(member) for member in members if member is not type(None)))
         text = " or ".join(words) if "table" not in words else "table"
-    elif isinstance(plain, type) and issubclass(plain, BaseModel):
+    elif _is_table(plain):
         text = "table"
     else:
         text = _WORDS.get(plain, str(plain))
