@@ -97,6 +97,13 @@ def adjoint(T: Placement) -> Array:
     return np.asarray(T.action, dtype=float)
 
 
+def for_twists(R: Array) -> Array:
+    """A rotation for twists: ``R`` (3, 3) in both diagonal blocks, shape (6, 6)."""
+    out = np.zeros((6, 6))
+    out[:3, :3] = out[3:, 3:] = R
+    return out
+
+
 def skew(v: Array) -> Array:
     """``[v]×``, shape (3, 3)."""
     return np.array([[0.0, -v[2], v[1]], [v[2], 0.0, -v[0]], [-v[1], v[0], 0.0]])
