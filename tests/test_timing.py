@@ -223,18 +223,22 @@ def test_jerk_limits_give_the_times_of_textbooks(v: float, a: float, jerk: float
 
 
 @pytest.mark.slow
-def test_joints_keep_their_jerk_limits_in_a_controller() -> None:
-    scenario, jerk, dt = limited(ring(arms=2)), 50.0, 0.002
+@pytest.mark.parametrize(
+    ("make", "jerk", "used"), [(lambda: ring(arms=2), 50.0, 0.95), (paper_lift, 5.0, 0.8), (dual_arm7, 50.0, 0.9)]
+)
+def test_joints_keep_their_jerk_limits_in_a_controller(make: Any, jerk: float, used: float) -> None:
+    scenario, dt = limited(make()), 0.002
     path = plan_of(scenario, jerk=jerk)
     assert path.duration > 1.1 * plan_of(scenario).duration
     assert LimitKind.JERK in {b.kind for b in path.profile.binding if b}
     assert path.profile.use is not None
-    assert np.quantile(path.profile.use, 0.1) > 0.9
+    assert np.quantile(path.profile.use, 0.1) > used
+    assert path.profile.use.max() <= 1.0 + 1e-6
     steps, chain, _ = run(scenario, path, dt=dt)
     assert {s.status for s in steps} == {Status.TRACKING}
     assert chain < UM
     v = np.array([np.zeros(scenario.cell.nv), *(s.velocity for s in steps), np.zeros(scenario.cell.nv)])
-    w = 10  # s̈ is constant between knots: over 20 ms these steps are averaged
+    w = 5  # 10 ms, as the limit is meant
     a = (v[w:] - v[:-w]) / (w * dt)
     assert np.abs(a[w:] - a[:-w]).max() / (w * dt) <= jerk
     for bad in (0.0, [1.0, 2.0], "fast"):

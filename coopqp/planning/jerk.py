@@ -8,7 +8,7 @@ With the times ``t_i`` between knots the jerk is bounded where
 
 ``t_i = 2 h_i / (√z_i + √z_{i+1})`` is convex: its tangent at a profile lies below it. With tangents in its place on the
 right the limits are lines, and each profile within them is within the limits themselves. So each program starts from an
-admissible profile and ends with one that takes no longer.
+admissible profile and ends with one that takes no longer. In the end accelerations are smoothed, :func:`smoothed`.
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ import numpy as np
 import numpy.typing as npt
 
 from coopqp.errors import UndecidedError
+from coopqp.planning.knots import hermite
 from coopqp.planning.parametrise import Limited, Lines
 from coopqp.spatial import Array
 
@@ -29,6 +30,10 @@ _PROGRAMS, _GAIN = 40, 2e-4
 _LOOKED_AT = 0.3
 #: Looks for broken rows in one program; then all are in it.
 _LOOKS = 4
+#: Knots of the smoothed profile: so many for one, or one in so many seconds, and at most.
+_FINER, _STEP, _MOST_KNOTS = 4, 0.0025, 4000
+#: Time over which accelerations are averaged where jerk is measured [s].
+_WINDOW = 0.01
 #: Rows may be broken by this share of their bounds.
 _TOLERANCE = 1e-7
 
@@ -75,13 +80,60 @@ def jerk_limited(limited: Limited, squares: Array, jerk: Array) -> Array:
     return z
 
 
+def smoothed(s: Array, squares: Array) -> tuple[Array, Array]:
+    """Knots and ṡ² of the same motion with the acceleration s̈ averaged over the longest time between knots.
+
+    Between knots s̈ is constant, so it steps there by what the jerk allows for the time between them. Its mean over
+    that time W has no steps: ``ṡ(t) = (s(t + W/2) − s(t − W/2)) / W``. The motion takes W longer. In the new profile s̈
+    steps, too, but after short times.
+    """
+    h, v = np.diff(s), np.sqrt(squares)
+    spans = 2.0 * h / (v[1:] + v[:-1])
+    clocks = np.concatenate([[0.0], np.cumsum(spans)])
+    slopes = 0.5 * np.diff(squares) / h
+    area = np.concatenate([[0.0], np.cumsum(spans * (s[:-1] + spans * (0.5 * v[:-1] + spans * slopes / 6.0)))])
+    width, end = float(spans.max()), float(clocks[-1])
+    count = int(min(max(_FINER * len(s), end / _STEP), _MOST_KNOTS))
+
+    def way(t: Array) -> tuple[Array, Array]:
+        """s and its integral, at rest before and after."""
+        i = np.clip(np.searchsorted(clocks, t, side="right") - 1, 0, len(spans) - 1)
+        dt = np.clip(t, 0.0, end) - clocks[i]
+        x = s[i] + dt * (v[i] + 0.5 * dt * slopes[i])
+        X = area[i] + dt * (s[i] + dt * (0.5 * v[i] + dt * slopes[i] / 6.0))
+        return x, X + s[-1] * np.clip(t - end, 0.0, None)
+
+    t = np.linspace(-0.5 * width, end + 0.5 * width, count)
+    (after, area_after), (before, area_before) = way(t + 0.5 * width), way(t - 0.5 * width)
+    x, speed = (area_after - area_before) / width, (after - before) / width
+    x[0], x[-1], speed[0], speed[-1] = 0.0, s[-1], 0.0, 0.0
+    kept = np.concatenate([[True], np.diff(x[:-1]) > 1e-9 * s[-1], [True]])
+    kept[:-1] &= x[:-1] < s[-1] * (1.0 - 1e-9)
+    return x[kept], speed[kept] ** 2
+
+
 def jerk_use(limited: Limited, squares: Array, jerk: Array) -> Array:
-    """Share of the jerk limits (nv,) that is used at either end of each interval, the larger (K − 1, nv)."""
-    knots = limited.knots
-    h = np.diff(knots.s)
-    changes = np.abs(_changes(_mean_accelerations(knots.slope, knots.curvature, h), squares))
-    use = changes / (jerk * _spans(h, squares)[:, None])
-    out: Array = np.maximum(use[1:], use[:-1])
+    """Share of the jerk limits (nv,) that is used between knots (K − 1, nv).
+
+    The jerk is the change from the mean acceleration of the 10 ms before the middle of an interval to that of the 10 ms
+    after it, over 10 ms.
+    """
+    knots, w = limited.knots, _WINDOW
+    s, v = knots.s, np.sqrt(squares)
+    spans = _times(np.diff(s), squares)
+    clocks = np.concatenate([[0.0], np.cumsum(spans)])
+    slopes = 0.5 * np.diff(squares) / np.diff(s)
+
+    def velocities(t: Array) -> Array:
+        i = np.clip(np.searchsorted(clocks, t, side="right") - 1, 0, len(spans) - 1)
+        dt = np.clip(t, 0.0, clocks[-1]) - clocks[i]
+        speed = np.where((t > 0.0) & (t < clocks[-1]), v[i] + slopes[i] * dt, 0.0)
+        at = s[i] + dt * (v[i] + 0.5 * dt * slopes[i])
+        return hermite(s, knots.slope, knots.curvature, at) * speed[:, None]
+
+    middle = clocks[:-1] + 0.5 * spans
+    change = velocities(middle + w) - 2.0 * velocities(middle) + velocities(middle - w)
+    out: Array = np.abs(change) / (w * w * jerk)
     return out
 
 

@@ -193,6 +193,10 @@ class Following:
             x[:, own], slope[:, own], curvature[:, own] = found.q, found.slope, found.curvature
         return Knots(s, x, slope, curvature)
 
+    def with_marks(self, s: Array) -> Array:
+        """s with the marks between pieces."""
+        return merged(s, self._geometry.marks)
+
     def _within(self, count: int) -> Array:
         """The marks, and so many knots within each of several pieces."""
         marks = self._geometry.marks

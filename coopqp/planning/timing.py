@@ -16,7 +16,7 @@ from coopqp.model.branches import AT_LIMIT, amount
 from coopqp.model.cell import RobotCell
 from coopqp.model.grasp import Grasp
 from coopqp.model.limits import BindingLimit, LimitKind
-from coopqp.planning.jerk import jerk_limited, jerk_use
+from coopqp.planning.jerk import jerk_limited, jerk_use, smoothed
 from coopqp.planning.knots import Following, Knots
 from coopqp.planning.parametrise import Limited, Lines, fastest, require_toppra
 from coopqp.planning.payload import Payload, torque_lines
@@ -60,8 +60,9 @@ def time_path(
         path: where to. Of a path of your own poses and twists are asked; derivatives of its twists are differences.
         q_start: configuration (nq,) near the start of the path; it decides the branches.
         payload: with it the joints' torques stay within their limits, too.
-        jerk: largest jerk of the joints, one number or one per joint (nv,) [rad/s³ or m/s³]. The profile then comes
-            from linear programs in a row, see :mod:`coopqp.planning.jerk`; this takes seconds.
+        jerk: largest jerk of the joints, one number or one per joint (nv,) [rad/s³ or m/s³]: the change between mean
+            accelerations of 10 ms, over 10 ms. The profile then comes from linear programs in a row, see
+            :mod:`coopqp.planning.jerk`; this takes a second.
         share: share of the limits that is used, in (0, 1].
         knots: number of knots; 400 by default, 150 with ``jerk``.
 
@@ -102,7 +103,11 @@ def time_path(
                 break
             own_s = np.sort(np.concatenate([own_s, (own_s[:-1] + 0.5 * np.diff(own_s))[over]]))
         if jerks is not None:
-            z = jerk_limited(limited, z, share * jerks)
+            own_s, z = smoothed(own_s, jerk_limited(limited, z, share * jerks))
+            found = following.at(following.with_marks(own_s))
+            z = np.interp(found.s, own_s, z)
+            limited = limits_along(cell, grasp, found, payload=payload, share=share)
+            z = kept_within(limited, z, share * jerks)
         names, shares = binding_limits(cell, limited, z, None if jerks is None else share * jerks)
         s.append(mark + found.s[1:])
         squares.append(z[1:])
@@ -187,26 +192,10 @@ def binding_limits(
 
     Of limits that are used alike the one counts that bound before.
     """
-    knots = limited.knots
-    slope = 0.5 * np.diff(squares) / np.diff(knots.s)
-    speeds = np.abs(knots.slope) * np.sqrt(squares)[:, None] / limited.speed
-    uses = [np.maximum(speeds[:-1], speeds[1:])]
-    kinds, owners = [LimitKind.VELOCITY] * cell.nv, list(range(cell.nv))
-    for kind, lines in ((LimitKind.ACCELERATION, limited.acceleration), (LimitKind.TORQUE, limited.torque)):
-        if lines is not None:
-            ends = [
-                np.abs(lines.a[part] * slope[:, None] + lines.b[part] * squares[part, None] + lines.c[part])
-                / lines.bound
-                for part in (slice(None, -1), slice(1, None))
-            ]
-            uses.append(np.maximum(*ends))
-            kinds += [kind] * len(lines.owner)
-            owners += lines.owner.tolist()
-    if jerk is not None:
-        uses.append(jerk_use(limited, squares, jerk))
-        kinds += [LimitKind.JERK] * cell.nv
-        owners += range(cell.nv)
-    use = np.hstack(uses)
+    uses = _uses(limited, squares, jerk)
+    kinds = [kind for kind, owner, _ in uses for _ in owner]
+    owners = [int(j) for _, owner, _ in uses for j in owner]
+    use = np.hstack([own for _, _, own in uses])
     most = use.max(axis=1)
     names: list[BindingLimit | None] = []
     last = -1
@@ -216,6 +205,41 @@ def binding_limits(
         arm, _, joint = cell.joint_names[owners[last]].partition("/")
         names.append(BindingLimit(arm, joint, kinds[last]))
     return names, most
+
+
+def _uses(limited: Limited, squares: Array, jerk: Array | None) -> list[tuple[LimitKind, Any, Array]]:
+    """Each kind of limits, the joints that have one (m,), and the share of it that is used between knots (K − 1, m)."""
+    knots = limited.knots
+    slope = 0.5 * np.diff(squares) / np.diff(knots.s)
+    speeds = np.abs(knots.slope) * np.sqrt(squares)[:, None] / limited.speed
+    joints = np.arange(knots.q.shape[1])
+    found: list[tuple[LimitKind, Any, Array]] = [(LimitKind.VELOCITY, joints, np.maximum(speeds[:-1], speeds[1:]))]
+    for kind, lines in ((LimitKind.ACCELERATION, limited.acceleration), (LimitKind.TORQUE, limited.torque)):
+        if lines is not None:
+            ends = [
+                np.abs(lines.a[part] * slope[:, None] + lines.b[part] * squares[part, None] + lines.c[part])
+                / lines.bound
+                for part in (slice(None, -1), slice(1, None))
+            ]
+            found.append((kind, lines.owner, np.maximum(*ends)))
+    if jerk is not None:
+        found.append((LimitKind.JERK, joints, jerk_use(limited, squares, jerk)))
+    return found
+
+
+#: What ṡ² is divided by where a limit is used too much: this power of the share that is used.
+_POWERS = {LimitKind.VELOCITY: 2.0, LimitKind.ACCELERATION: 1.0, LimitKind.TORQUE: 1.0, LimitKind.JERK: 2.0 / 3.0}
+
+
+def kept_within(limited: Limited, squares: Array, jerk: Array) -> Array:
+    """A profile (K,) as a whole slowed down until it uses no limit up."""
+    for _ in range(_ROUNDS):
+        uses = _uses(limited, squares, jerk)
+        excess = max(float(own.max(initial=0.0)) ** _POWERS[kind] for kind, _, own in uses)
+        if excess <= 1.0:
+            break
+        squares = squares / excess
+    return squares
 
 
 def _check_limits(cell: RobotCell, where: str) -> None:
