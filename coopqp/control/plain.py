@@ -29,7 +29,9 @@ from coopqp.model.chain import Chain
 from coopqp.model.grasp import Grasp
 from coopqp.model.limits import BindingLimit, LimitKind
 from coopqp.model.state import CellState
-from coopqp.planning.preview import KnotRoom, LookAheadTrouble, PathPreview, PreviewOptions
+from coopqp.planning.chain_ahead import KnotRoom, LookAheadTrouble
+from coopqp.planning.preview import PathPreview
+from coopqp.planning.preview_options import PreviewOptions
 from coopqp.spatial import Array
 from coopqp.task.guarded import GuardedPath, is_known
 from coopqp.task.path import ObjectPath

@@ -9,6 +9,11 @@
 #include "ldp.c"
 #include "program.c"
 #include "watch.c"
+#include "sharing.c"
+#include "horizon.c"
+#include "redundancy.c"
+#include "chain_ahead.c"
+#include "growth.c"
 #include "preview.c"
 #include "step.c"
 
