@@ -14,7 +14,7 @@ from coopqp.planning.horizon import Knot, joint_limit
 from coopqp.planning.preview_options import PlanLimits, PreviewOptions
 from coopqp.planning.redundancy import LimitAvoidance
 from coopqp.planning.sharing import largest_alone
-from coopqp.spatial import Array
+from coopqp.spatial import Array, for_twists
 from coopqp.task.guarded import GuardedPath
 from coopqp.task.posture import Posture
 
@@ -184,7 +184,7 @@ class ChainAhead:
         if not np.abs(errors).max() < np.inf:
             return False
         chain.linearise(q, about=pose.translation)
-        to_world = np.kron(np.eye(2), pose.rotation)
+        to_world = for_twists(pose.rotation)
         along = to_world @ twist
         step, slope = self._step, self._slope
         chain.joint_velocities(-errors @ to_world.T, step)
