@@ -69,7 +69,7 @@ if TYPE_CHECKING:
     from coopqp.model.limits import BindingLimit, LimitKind
     from coopqp.model.state import CellState
     from coopqp.output import OutputError
-    from coopqp.planning.preview import PreviewOptions
+    from coopqp.planning.preview_options import PreviewOptions
     from coopqp.scenarios.robots import robot_path
     from coopqp.simulation.assessment import Finding, Readings, Tolerances, judge, read_run
     from coopqp.simulation.metrics import (
@@ -153,7 +153,7 @@ else:
                 "LimitKind",
             ),
             "coopqp.model.state": ("CellState",),
-            "coopqp.planning.preview": ("PreviewOptions",),
+            "coopqp.planning.preview_options": ("PreviewOptions",),
             "coopqp.simulation.plants.kinematic": (
                 "KinematicPlant",
                 "Plant",
