@@ -11,7 +11,7 @@ MUTANTS ?= 400
 PYTEST = OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/pytest -n $(WORKERS) --dist worksteal
 SANITIZED := build/sanitized
 
-.PHONY: demo check test test-nightly lint core sanitize mutation docs bench browser clean
+.PHONY: demo check test test-nightly lint core sanitize mutation docs bench pictures browser clean
 
 $(VENV)/.installed: pyproject.toml CMakeLists.txt $(wildcard coopqp/control/core/*.[ch] coopqp/model/*.c)
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 10) and "coopqp needs Python >= 3.10: make PYTHON=python3.x ...")'
@@ -83,6 +83,10 @@ bench: $(VENV)/.installed
 	  name=$$(basename $$script .py); echo "== $$name"; \
 	  $(BIN)/python $$script $(QUICK) --json $(BENCH_OUT)/$$name.json --out $(BENCH_OUT)/$$name || failed="$$failed $$name"; \
 	done; test -z "$$failed" || { echo "failed:$$failed"; exit 1; }
+
+# Every picture of the README and of docs, drawn anew by the programs that docs/pictures.py lists.
+pictures: $(VENV)/.installed
+	$(BIN)/python docs/pictures.py
 
 # Chromium, for the tests of what a browser shows; they are skipped without it.
 browser:
