@@ -96,7 +96,7 @@ def _task(name: str) -> tuple[RobotCell, Grasp, ObjectPath, Array | None, str]:
 
 def _check_outputs(record: Path | None, picture: Path | None, *, force: bool) -> None:
     """Refuse what cannot be written, before any work is done."""
-    from coopqp.output import OutputError, check_file
+    from coopqp.output import check_new
 
     if picture is not None:
         from coopqp.look.plots import require_matplotlib
@@ -104,9 +104,7 @@ def _check_outputs(record: Path | None, picture: Path | None, *, force: bool) ->
         require_matplotlib()
     for file in (record, picture):
         if file is not None:
-            check_file(file)
-            if file.exists() and not force:
-                raise OutputError(f"{file} exists. Replace it with --force, or give another name.")
+            check_new(file, force=force)
 
 
 def _write(check: PathCheck, record: Path | None, picture: Path | None) -> list[Path]:

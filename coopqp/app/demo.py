@@ -27,6 +27,8 @@ from coopqp.simulation.simulate import Recording, simulate
 RESET_EVERY = 10
 #: Numbers of steps of the paper's Figure 5.
 DEFAULT_STEPS = (40, 400, 1000)
+#: The pictures of :func:`demo_pictures`.
+PICTURES = ("paper_lift.png", "figure5.png", "figure5_orientation.png", "joints.png")
 #: The solver that controllers use by default.
 AUTO = "auto"
 
@@ -172,15 +174,13 @@ def demo_pictures(scenario: Scenario, runs: Sequence[DemoRun]) -> dict[str, byte
         for method, label in (("pseudo_inverse", "pseudo-inverse"), ("qp", "QP"))
     }
     finest = max((run for run in runs if run.method == "qp"), key=lambda run: run.steps).recording
-    figures = {
-        "paper_lift.png": plots.motion_figure(
-            cell, finest, object_size=scenario.object_size, T_object_body=scenario.T_object_body
-        ),
-        "figure5.png": plots.error_figure(cell, curves),
-        "figure5_orientation.png": plots.error_figure(cell, curves, quantity="orientation"),
-        "joints.png": plots.joint_figure(cell, finest),
-    }
-    return {name: plots.figure_bytes(figure) for name, figure in figures.items()}
+    figures = (
+        plots.motion_figure(cell, finest, object_size=scenario.object_size, T_object_body=scenario.T_object_body),
+        plots.error_figure(cell, curves),
+        plots.error_figure(cell, curves, quantity="orientation"),
+        plots.joint_figure(cell, finest),
+    )
+    return {name: plots.figure_bytes(figure) for name, figure in zip(PICTURES, figures, strict=True)}
 
 
 def write_demo(

@@ -73,16 +73,14 @@ def _run(arguments: argparse.Namespace) -> int:
     from coopqp.files.cellfile.planned import planned_text
     from coopqp.look.plots import figure_bytes, require_matplotlib
     from coopqp.look.profile import profile_figure
-    from coopqp.output import OutputError, check_folder, write_files
+    from coopqp.output import check_folder, check_unused, write_files
     from coopqp.planning.parametrise import require_toppra
     from coopqp.planning.timing import SHARE
 
     require_toppra()
     require_matplotlib()
     folder: Path = arguments.out
-    used = next((folder / name for name in _FILES if (folder / name).exists()), None)
-    if used is not None and not arguments.force:
-        raise OutputError(f"{used} exists. Replace it with --force, or give another folder.")
+    check_unused((folder / name for name in _FILES), force=arguments.force)
     check_folder(folder)
     with reporter(quiet=arguments.quiet) as report:
         report.note("finding a start")

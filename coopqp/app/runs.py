@@ -8,7 +8,7 @@ from pathlib import Path
 
 from coopqp.control.qp import QPController
 from coopqp.errors import UnknownNameError
-from coopqp.output import OutputError, check_folder, folder_of
+from coopqp.output import OutputError, check_folder, check_unused, folder_of, numbered
 from coopqp.simulation.scene import describe_object, read_cell, read_object
 from coopqp.simulation.simulate import ProgressCallback, Recording, simulate
 
@@ -71,21 +71,13 @@ def output_folder(name: str, asked: str | None, products: Iterable[str], *, out:
             raise UnknownNameError("product", product, PRODUCTS)
     files = [file for product in wanted for file in PRODUCTS[product]]
     folder = out or Path(asked or Path("out") / safe_name(name))
-    used = _first_used(folder, files)
-    if used is not None and not force:
-        if out is not None:
-            raise OutputError(f"{used} exists. Replace it with --force, or give another folder.")
-        number = 2
-        while _first_used(folder.with_name(f"{folder.name}-{number}"), files):
-            number += 1
-        folder = folder.with_name(f"{folder.name}-{number}")
+    if out is not None:
+        check_unused((folder / file for file in files), force=force)
+    elif not force:
+        folder = numbered(folder, lambda place: any((place / file).exists() for file in files))
     if wanted:
         check_folder(folder)
     return folder
-
-
-def _first_used(folder: Path, files: Iterable[str]) -> Path | None:
-    return next((folder / file for file in files if (folder / file).exists()), None)
 
 
 def write_products(
