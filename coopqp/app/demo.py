@@ -18,6 +18,8 @@ from coopqp.control.qp import QPController
 from coopqp.control.solvers import default_solver, make_solver
 from coopqp.errors import InvalidInputError, UnknownNameError
 from coopqp.look import plots
+from coopqp.look.joints import joint_figure
+from coopqp.look.style import figure_bytes, require_matplotlib
 from coopqp.output import write_files
 from coopqp.scenarios import Scenario
 from coopqp.simulation import metrics
@@ -99,7 +101,7 @@ def check_demo(steps: Sequence[int], solver: str) -> tuple[int, ...]:
         raise InvalidInputError(f"steps are {list(steps)}", "demo: steps", "Give whole numbers ≥ 1.")
     if solver != AUTO:
         make_solver(solver)
-    plots.require_matplotlib()
+    require_matplotlib()
     return tuple(sorted(set(steps)))
 
 
@@ -178,9 +180,9 @@ def demo_pictures(scenario: Scenario, runs: Sequence[DemoRun]) -> dict[str, byte
         plots.motion_figure(cell, finest, object_size=scenario.object_size, T_object_body=scenario.T_object_body),
         plots.error_figure(cell, curves),
         plots.error_figure(cell, curves, quantity="orientation"),
-        plots.joint_figure(cell, finest),
+        joint_figure(cell, finest),
     )
-    return {name: plots.figure_bytes(figure) for name, figure in zip(PICTURES, figures, strict=True)}
+    return {name: figure_bytes(figure) for name, figure in zip(PICTURES, figures, strict=True)}
 
 
 def write_demo(

@@ -71,8 +71,8 @@ def _say(error: CoopqpError, status: int) -> int:
 def _run(arguments: argparse.Namespace) -> int:
     from coopqp.files.cellfile import load_cell_file
     from coopqp.files.cellfile.planned import planned_text
-    from coopqp.look.plots import figure_bytes, require_matplotlib
     from coopqp.look.profile import profile_figure
+    from coopqp.look.style import figure_bytes, require_matplotlib
     from coopqp.output import check_folder, check_unused, write_files
     from coopqp.planning.parametrise import require_toppra
     from coopqp.planning.timing import SHARE

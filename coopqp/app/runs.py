@@ -152,6 +152,8 @@ def _report(recording: Recording, folder: Path, say: Callable[[str], None]) -> l
 
 def _plots(recording: Recording, folder: Path, say: Callable[[str], None]) -> list[Path]:
     from coopqp.look import plots
+    from coopqp.look.joints import joint_figure
+    from coopqp.look.style import figure_bytes
     from coopqp.look.timeline import timeline_figure
     from coopqp.output import write_files
     from coopqp.simulation.assessment import read_run
@@ -161,13 +163,13 @@ def _plots(recording: Recording, folder: Path, say: Callable[[str], None]) -> li
     size, body = read_object(recording.metadata, recording.T_object_tool)
     figures = {
         "timeline.png": timeline_figure(recording, read_run(cell, recording)),
-        "joints.png": plots.joint_figure(cell, recording),
+        "joints.png": joint_figure(cell, recording),
     }
     if cell.visual_model().ngeoms:
         figures["motion.png"] = plots.motion_figure(
             cell, recording, object_size=(size[0], size[1], size[2]), T_object_body=body, pixels=600
         )
-    return write_files({folder / name: plots.figure_bytes(figure) for name, figure in figures.items()})
+    return write_files({folder / name: figure_bytes(figure) for name, figure in figures.items()})
 
 
 def _page(recording: Recording, folder: Path, say: Callable[[str], None]) -> list[Path]:

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from coopqp.look.render import box, mesh_of
+from coopqp.look.render import box, mesh_of, name_places
 from coopqp.model.cell import RobotCell
 from coopqp.model.limits import BindingLimit
 from coopqp.simulation import metrics
@@ -151,17 +151,9 @@ class Stage:
                     thickness_units="screen",
                 )
                 self._sticks.append((handle, own))
-            label = self._scene.add_label(
-                f"/names/{name}", _title(name), position=self._name_place(own), anchor="bottom-center"
-            )
+        for name, place in zip(self.cell.arm_names, name_places(self.cell, self.recording.q[0]), strict=True):
+            label = self._scene.add_label(f"/names/{name}", _title(name), position=place, anchor="bottom-center")
             self._names.append(label)
-
-    def _name_place(self, joints: list[int]) -> Array:
-        """The point (3,) [m] above the arm's highest joint at the start."""
-        pin.forwardKinematics(self.cell.model, self._data, self.recording.q[0])
-        top = max((self._data.oMi[j].translation for j in joints), key=lambda p: float(p[2]))
-        above = 0.045 * float(np.linalg.norm(self.high - self.low))
-        return np.array([top[0], top[1], top[2] + above])
 
     def _add_mesh(self, joint: int, name: str, vertices: Array, triangles: Any, colour: Colour) -> None:
         """Add a mesh in the frame of a joint. Each triangle has its own corners, for sharp edges."""
@@ -228,6 +220,8 @@ class Stage:
             handle.points = self._stick_points(joints)
         tool = metrics.tool_placements(self.cell, [q])[0][0]
         _place(self._object, tool * self._first_grasp)
+        for label, place in zip(self._names, name_places(self.cell, q), strict=True):
+            label.position = place
         limits = self.limits(sample)
         if limits != self._shown:
             self._mark(limits)

@@ -18,8 +18,10 @@ from coopqp.checks import as_options, keep_scalars
 from coopqp.control.command import Status
 from coopqp.errors import InvalidInputError
 from coopqp.model.cell import RobotCell
+from coopqp.model.limits import LimitKind
 from coopqp.model.state import CellState
 from coopqp.simulation import metrics
+from coopqp.simulation.metrics import said
 from coopqp.simulation.simulate import Recording, RecordingError
 from coopqp.spatial import Array
 
@@ -149,9 +151,38 @@ def _sigma_min(cell: RobotCell, q: Array) -> Array:
     return CellState(cell, q).sigma_min if np.isfinite(q).all() else np.full(len(cell), np.nan)
 
 
+def ramps(recording: Recording) -> tuple[int, int]:
+    """Numbers of steps with a lower rate in which the object only speeds up from rest, and brakes at its end.
+
+    They are the steps before the first, and after the last, at full rate, over which the rate rises, and falls, and in
+    which no limit binds but accelerations and the end of the path. They are part of every healthy run.
+    """
+    full = np.flatnonzero(recording.status == Status.TRACKING.code)
+    if not len(full):
+        return 0, 0
+    return (
+        _ramp(recording, range(full[0] - 1, -1, -1)),
+        _ramp(recording, range(full[-1] + 1, recording.n_steps)) if recording.finished else 0,
+    )
+
+
+def _ramp(recording: Recording, steps: range) -> int:
+    """The number of ``steps``, which lead away from full rate, if they are a ramp; else 0."""
+    healthy = (LimitKind.ACCELERATION, LimitKind.PATH_END)
+    bindings, rate = recording.bindings, recording.rate
+    slowed = all(recording.status[i] == Status.SLOWED.code for i in steps)
+    steady = bool((np.diff(rate[list(steps)]) <= metrics.ROUNDING).all())
+    return len(steps) if slowed and steady and all(b.kind in healthy for i in steps for b in bindings[i]) else 0
+
+
 def worst_status(recording: Recording) -> str:
-    """``"ok"`` if every step tracked and the object arrived, otherwise the worst status of the run."""
-    worst = max(recording.statuses, key=lambda status: status.precedence, default=Status.TRACKING)
+    """``"ok"`` if every step tracked and the object arrived, otherwise the worst status of the run.
+
+    Steps of :func:`ramps` count as tracking.
+    """
+    start, end = ramps(recording)
+    statuses = recording.statuses[start : recording.n_steps - end]
+    worst = max(statuses, key=lambda status: status.precedence, default=Status.TRACKING)
     return "ok" if worst is Status.TRACKING and recording.finished else worst.value
 
 
@@ -160,24 +191,17 @@ def run_figures(cell: RobotCell, recording: Recording, readings: Readings) -> di
     sigma = readings.sigma_min
     arm = int(np.unravel_index(int(np.nanargmin(sigma)), sigma.shape)[1]) if np.isfinite(sigma).any() else 0
     return {
-        "largest ε_p": f"{_number(readings.eps_p_mm.max())} mm",
-        "largest ε_o": f"{_number(readings.eps_o_deg.max())}°",
-        "arms against each other": f"{_number(readings.chain_mm.max())} mm",
-        "object off its path": f"{_number(readings.object_mm.max())} mm",
-        "object off at the end": f"{_number(readings.object_mm[-1])} mm",
+        "largest ε_p": said(readings.eps_p_mm.max(), " mm"),
+        "largest ε_o": said(readings.eps_o_deg.max(), "°"),
+        "arms against each other": said(readings.chain_mm.max(), " mm"),
+        "object off its path": said(readings.object_mm.max(), " mm"),
+        "object off at the end": said(readings.object_mm[-1], " mm"),
         "smallest rate σ": f"{100.0 * float(recording.rate.min(initial=1.0)):.3g} %",
-        "smallest singular value": f"{_number(sigma.min())} ({cell.arm_names[arm]})",
+        "smallest singular value": f"{said(sigma.min())} ({cell.arm_names[arm]})",
         "time": f"{float(recording.time[-1]):.4g} s",
         "steps": f"{recording.n_steps} of {1e3 * float(np.median(np.diff(recording.time))):.4g} ms",
         "worst status": worst_status(recording),
     }
-
-
-def _number(value: float) -> str:
-    value = float(value)
-    if not math.isfinite(value):
-        return "not finite"
-    return f"{value:.3g}" if value == 0.0 or abs(value) >= 1e-4 else f"{value:.1e}"
 
 
 def judge(
@@ -223,9 +247,12 @@ def _finished(recording: Recording) -> Finding:
     question = "Did the object arrive?"
     end = float(recording.metadata.get("duration", math.nan))
     took = f"{recording.time[-1]:.4g} s" + (f" for a path of {end:.4g} s" if math.isfinite(end) else "")
-    slowed = sum(s in (Status.SLOWED, Status.BLOCKED) for s in recording.statuses)
+    begun, ended = ramps(recording)
+    slowed = sum(s in (Status.SLOWED, Status.BLOCKED) for s in recording.statuses) - begun - ended
     stopped = sum(s in (Status.HOLDING, Status.FAULT) for s in recording.statuses)
     text = f"{took}, {slowed} of {recording.n_steps} steps slowed"
+    text += f", {begun} to speed up" if begun else ""
+    text += f", {ended} to brake at the end" if ended else ""
     endless = end == math.inf
     if endless:
         text += "; the path has no end"
@@ -328,12 +355,19 @@ def _held(
     where: Callable[[int], str],
 ) -> Finding:
     a, b = (float(np.max(error)) for error in errors)
-    text = f"within {a:.3g} mm and {b:.3g}° (asked: {largest[0]:g} mm, {largest[1]:g}°)"
+    text = f"{_within(a, ' mm', b, '°')} (asked: {largest[0]:g} mm, {largest[1]:g}°)"
     bad = ~((errors[0] <= largest[0]) & (errors[1] <= largest[1]))
     if not bad.any():
         return Finding(question, True, text)
     first = _first(bad)
     return Finding(question, False, text, f"{where(first)}, beyond the tolerance since {_at(recording, first)}")
+
+
+def _within(a: float, of_a: str, b: float, of_b: str) -> str:
+    one, other = said(a, of_a), said(b, of_b)
+    both = f"within {one}" if not one.startswith("below") else one
+    joined = not other.startswith("below") and both == one  # each has its own word
+    return f"{both} and {'within ' if joined else ''}{other}"
 
 
 def _first(bad: Any) -> int:

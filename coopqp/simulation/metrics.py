@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Sequence
 from typing import Any
 
@@ -13,6 +14,19 @@ from coopqp.model.cell import RobotCell
 from coopqp.model.grasp import Grasp
 from coopqp.spatial import Array
 from coopqp.task.path import ObjectPath
+
+#: Smaller errors [mm or deg] are rounding: texts say "below" instead of a number.
+ROUNDING = 1e-9
+
+
+def said(value: float, unit: str = "") -> str:
+    """An error in words: three digits and the unit; "below 1e-9" for rounding, two digits below 1e-4."""
+    value = float(value)
+    if not math.isfinite(value):
+        return "not finite"
+    if 0.0 < abs(value) < ROUNDING:
+        return f"below 1e-9{unit}"
+    return (f"{value:.3g}" if value == 0.0 or abs(value) >= 1e-4 else f"{value:.1e}") + unit
 
 
 def tool_placements(cell: RobotCell, configurations: Any) -> list[list[pin.SE3]]:
