@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import fields
-from typing import Any, TypeAlias, TypeVar
+from dataclasses import dataclass, fields
+from typing import Any, TypeAlias, TypeVar, get_type_hints
 
 import numpy as np
 import numpy.typing as npt
@@ -12,6 +12,37 @@ import numpy.typing as npt
 from coopqp.errors import InvalidInputError, UnknownNameError, shown
 
 Array: TypeAlias = npt.NDArray[np.float64]
+
+_Options = TypeVar("_Options")
+
+
+@dataclass(frozen=True)
+class Doc:
+    """The meaning of an option and its unit, as in ``Annotated[float, Doc("… [m]")]``: for docstrings and cell files.
+
+    Attributes:
+        documentation: the text, plain, without a full stop.
+    """
+
+    documentation: str
+
+
+def meanings(options: type) -> dict[str, str]:
+    """The texts of all :class:`Doc` of a class, by the name of the attribute."""
+    hints = get_type_hints(options, include_extras=True)
+    marks = {
+        name: [mark for mark in getattr(hint, "__metadata__", ()) if isinstance(mark, Doc)]
+        for name, hint in hints.items()
+    }
+    return {name: found[0].documentation for name, found in marks.items() if found}
+
+
+def documented(options: type[_Options]) -> type[_Options]:
+    """Complete the docstring of an options class by its attributes, for ``help()`` and the reference."""
+    lines = [f"        {name}: {text}." for name, text in meanings(options).items()]
+    options.__doc__ = "\n".join([(options.__doc__ or "").rstrip(), "", "    Attributes:", *lines, "    "])
+    return options
+
 
 #: Exceptions of NumPy and Python for values that are not numbers.
 NOT_NUMBERS = (TypeError, ValueError, OverflowError)
@@ -64,9 +95,6 @@ def keep_scalars(options: object, *names: str, low: float = 0.0, high: float = n
         where = f"{type(options).__name__}: {name}"
         number = as_scalar(getattr(options, name), where, low=low, high=high, open_low=open_low)
         object.__setattr__(options, name, number)
-
-
-_Options = TypeVar("_Options")
 
 
 def as_options(kind: type[_Options], value: Any, where: str) -> _Options:

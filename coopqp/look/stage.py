@@ -81,12 +81,13 @@ class Stage:
     # -- what stands there ---------------------------------------------------------------------------------------
 
     def _points(self, size: Array) -> Array:
-        """Bases, joints (at the start, middle and end) and corners of the object along its path (n, 3) [m]."""
+        """Points (n, 3) [m]: bases; joints and names at the start, middle and end; corners of the object."""
         corners = box(size)[0]
         points = []
         for i in {0, self.recording.n_steps // 2, self.recording.n_steps}:
             pin.forwardKinematics(self.cell.model, self._data, self.recording.q[i])
             points += [T.translation for T in list(self._data.oMi)[1:]]
+            points += list(name_places(self.cell, self.recording.q[i]))
         for pose in [*self._path[:: max(1, len(self._path) // 8)], self._path[-1]]:
             T = pose * self._T_object_body
             points += list(corners @ T.rotation.T + T.translation)

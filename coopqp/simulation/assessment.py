@@ -9,12 +9,12 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 import pinocchio as pin
 
-from coopqp.checks import as_options, keep_scalars
+from coopqp.checks import Doc, as_options, documented, keep_scalars
 from coopqp.control.command import Status
 from coopqp.errors import InvalidInputError
 from coopqp.model.cell import RobotCell
@@ -51,19 +51,15 @@ class Readings:
     sigma_min: Array
 
 
+@documented
 @dataclass(frozen=True)
 class Tolerances:
-    """Accepted errors of a run.
+    """Accepted errors of a run."""
 
-    Attributes:
-        chain_mm, chain_deg: distance [mm] and angle [deg] between the object poses of any two arms.
-        object_mm, object_deg: distance [mm] and angle [deg] between the object and its path.
-    """
-
-    chain_mm: float = 0.1
-    chain_deg: float = 0.1
-    object_mm: float = 1.0
-    object_deg: float = 0.5
+    chain_mm: Annotated[float, Doc("distance between the object poses of any two arms [mm]")] = 0.1
+    chain_deg: Annotated[float, Doc("angle between the object poses of any two arms [deg]")] = 0.1
+    object_mm: Annotated[float, Doc("distance between the object and its path [mm]")] = 1.0
+    object_deg: Annotated[float, Doc("angle between the object and its path [deg]")] = 0.5
 
     def __post_init__(self) -> None:
         for name in self.__dataclass_fields__:
