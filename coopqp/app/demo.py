@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from coopqp.control.command import NO_SOLVE, Controller, ControlStep, Status
+from coopqp.control.command import NO_SOLVE, Controller, ControlStep
 from coopqp.control.options import QPOptions
 from coopqp.control.pseudo_inverse import PseudoInverseController, PseudoInverseOptions
 from coopqp.control.qp import QPController
@@ -23,6 +23,7 @@ from coopqp.look.style import figure_bytes, require_matplotlib
 from coopqp.output import write_files
 from coopqp.scenarios import Scenario
 from coopqp.simulation import metrics
+from coopqp.simulation.assessment import worst_status
 from coopqp.simulation.simulate import Recording, simulate
 
 #: Number of steps between the inverse-kinematics resets of ``pseudo_inverse_reset``.
@@ -73,9 +74,7 @@ class DemoRun:
     @property
     def status(self) -> str:
         """``"ok"`` if every step tracked and the object arrived, otherwise the worst status."""
-        statuses = set(self.recording.statuses)
-        worst = max(statuses, key=lambda status: status.precedence)
-        return "ok" if worst is Status.TRACKING and self.recording.finished else worst.value
+        return worst_status(self.recording)
 
     def record(self) -> dict[str, Any]:
         """The run as a flat record for JSON. Figures that are not finite become None."""

@@ -11,6 +11,7 @@ import pinocchio as pin
 
 from coopqp.checks import read_only
 from coopqp.errors import InvalidInputError
+from coopqp.lazy import Shown
 from coopqp.model.branches import AT_LIMIT, amount
 from coopqp.model.cell import RobotCell
 from coopqp.model.grasp import Grasp
@@ -105,7 +106,7 @@ class StepReader(Protocol):
 
 
 @final
-class ControlStep:
+class ControlStep(Shown):
     """The command of one step, and the reason for it.
 
     A compiled controller hands out a record of numbers: an attribute is read from it when asked for. Arrays are

@@ -145,28 +145,30 @@ def mesh_of(shape: Any) -> tuple[Array, Indices] | None:
     return None
 
 
-def cell_solids(cell: RobotCell, configurations: Sequence[Array]) -> list[list[Solid]]:
-    """The visual shapes of all arms at each configuration (T, nq), in the world.
+def cell_solids(
+    cell: RobotCell, configurations: Sequence[Array], *, shapes: pin.GeometryModel | None = None
+) -> list[list[Solid]]:
+    """The shapes of all arms (by default the visual ones) at each configuration (T, nq), in the world.
 
     Raises:
         InvalidInputError: no arm has a shape to draw.
     """
-    visual = cell.visual_model()
+    visual = cell.visual_model() if shapes is None else shapes
     data, placements = cell.model.createData(), visual.createData()
-    shapes = []
+    meshes = []
     for k, item in enumerate(visual.geometryObjects):
         mesh = mesh_of(item.geometry)
         if mesh is not None:
             red, green, blue = (float(c) for c in np.asarray(item.meshColor)[:3])
-            shapes.append((k, *mesh, (red, green, blue)))
-    if not shapes:
+            meshes.append((k, *mesh, (red, green, blue)))
+    if not meshes:
         raise InvalidInputError("no arm has a shape to draw", "cell_solids", "Load the arms with geometry=True.")
     frames = []
     for q in configurations:
         pin.forwardKinematics(cell.model, data, np.asarray(q, dtype=float))
         pin.updateGeometryPlacements(cell.model, data, visual, placements)
         T = placements.oMg
-        frames.append([Solid(v @ T[k].rotation.T + T[k].translation, f, c) for k, v, f, c in shapes])
+        frames.append([Solid(v @ T[k].rotation.T + T[k].translation, f, c) for k, v, f, c in meshes])
     return frames
 
 

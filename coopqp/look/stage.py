@@ -92,7 +92,19 @@ class Stage:
             T = pose * self._T_object_body
             points += list(corners @ T.rotation.T + T.translation)
         points += [arm.T_world_base.translation for arm in self.cell.arms]
-        return np.array(points)
+        return np.array([*points, *self._corners()])
+
+    def _corners(self) -> list[Array]:
+        """Corners (3,) [m] of the boxes around all shapes at the start."""
+        pin.forwardKinematics(self.cell.model, self._data, self.recording.q[0])
+        found: list[Array] = []
+        for item in self.cell.visual_model().geometryObjects:
+            item.geometry.computeLocalAABB()
+            around = item.geometry.aabb_local
+            T = self._data.oMi[int(item.parentJoint)] * item.placement
+            cube = np.stack(np.meshgrid(*zip(around.min_, around.max_, strict=True)), axis=-1).reshape(-1, 3)
+            found += [corner for corner in cube @ T.rotation.T + T.translation if np.isfinite(corner).all()]
+        return found
 
     def above(self, share: float) -> Array:
         """The point (3,) [m] above the middle of the scene, higher than the scene by a share of its diagonal."""

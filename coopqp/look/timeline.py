@@ -22,7 +22,8 @@ _ERRORS = (
     ("chain_mm", "arms against each other", "#d55e00", (0, (4, 1.5))),
     ("object_mm", "object against its path", "#009e73", (0, (1, 1.2))),
 )
-_BANDS = {
+#: Colours behind the steps of each status.
+BANDS = {
     Status.PAUSED: "#dbe4f3",
     Status.BLOCKED: "#f7dcc4",
     Status.OFF_PATH: "#e9d3f0",
@@ -147,9 +148,9 @@ def _draw_rate(axes: Any, recording: Recording) -> None:
     named: set[Status] = set()
     for i, j in zip(starts, [*starts[1:], recording.n_steps], strict=True):
         now = status[codes[i]]
-        if now in _BANDS:
+        if now in BANDS:
             label = now.value if now not in named else None
-            axes.axvspan(recording.time[i], recording.time[j], color=_BANDS[now], lw=0, label=label)
+            axes.axvspan(recording.time[i], recording.time[j], color=BANDS[now], lw=0, label=label)
             named.add(now)
     axes.stairs(100.0 * recording.rate, recording.time, color=INK, lw=1.6, baseline=None)
     axes.set_ylim(-4.0, 108.0)

@@ -114,6 +114,9 @@ class Arm:
     collision: pin.GeometryModel | None = None
     source: str = ""
 
+    def __repr__(self) -> str:
+        return f"Arm({self.name}: {self.model.nv} joints, tool {self.tool_frame}, {shown(self.source)})"
+
     @staticmethod
     def from_urdf(
         name: str,

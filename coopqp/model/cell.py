@@ -16,13 +16,14 @@ import pinocchio as pin
 
 from coopqp.checks import as_vector
 from coopqp.errors import InvalidInputError, UnknownNameError
+from coopqp.lazy import Shown
 from coopqp.model.arm import LIMIT_FIELDS, Arm, JointLimits
 from coopqp.spatial import Array
 
 __all__ = ["Arm", "JointLimits", "RobotCell"]
 
 
-class RobotCell:
+class RobotCell(Shown):
     """N arms in one Pinocchio model.
 
     Attributes:

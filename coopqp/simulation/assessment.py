@@ -148,27 +148,20 @@ def _sigma_min(cell: RobotCell, q: Array) -> Array:
 
 
 def ramps(recording: Recording) -> tuple[int, int]:
-    """Numbers of steps with a lower rate in which the object only speeds up from rest, and brakes at its end.
+    """Numbers of steps with a lower rate in which the object only speeds up from rest, and only brakes for its end.
 
-    They are the steps before the first, and after the last, at full rate, over which the rate rises, and falls, and in
-    which no limit binds but accelerations and the end of the path. They are part of every healthy run.
+    They are part of every healthy run. The first are those before the first step at full rate, if the rate rises and no
+    limit binds but accelerations; the others are those in which no limit binds but the end of the path.
     """
+    slowed = recording.status == Status.SLOWED.code
+    bindings = recording.bindings or [()] * recording.n_steps
+    ends = [len(b) > 0 and all(limit.kind is LimitKind.PATH_END for limit in b) for b in bindings]
     full = np.flatnonzero(recording.status == Status.TRACKING.code)
-    if not len(full):
-        return 0, 0
-    return (
-        _ramp(recording, range(full[0] - 1, -1, -1)),
-        _ramp(recording, range(full[-1] + 1, recording.n_steps)) if recording.finished else 0,
-    )
-
-
-def _ramp(recording: Recording, steps: range) -> int:
-    """The number of ``steps``, which lead away from full rate, if they are a ramp; else 0."""
-    healthy = (LimitKind.ACCELERATION, LimitKind.PATH_END)
-    bindings, rate = recording.bindings, recording.rate
-    slowed = all(recording.status[i] == Status.SLOWED.code for i in steps)
-    steady = bool((np.diff(rate[list(steps)]) <= metrics.ROUNDING).all())
-    return len(steps) if slowed and steady and all(b.kind in healthy for i in steps for b in bindings[i]) else 0
+    first = int(full[0]) if len(full) else 0
+    rises = bool((np.diff(recording.rate[:first]) >= -metrics.ROUNDING).all())
+    free = all(limit.kind is LimitKind.ACCELERATION for b in bindings[:first] for limit in b)
+    begun = first if rises and free and bool(slowed[:first].all()) else 0
+    return begun, int(np.count_nonzero(slowed & ends)) if recording.finished else 0
 
 
 def worst_status(recording: Recording) -> str:
@@ -176,9 +169,10 @@ def worst_status(recording: Recording) -> str:
 
     Steps of :func:`ramps` count as tracking.
     """
-    start, end = ramps(recording)
-    statuses = recording.statuses[start : recording.n_steps - end]
+    statuses = recording.statuses
     worst = max(statuses, key=lambda status: status.precedence, default=Status.TRACKING)
+    if worst is Status.SLOWED and statuses.count(worst) == sum(ramps(recording)):
+        worst = Status.TRACKING
     return "ok" if worst is Status.TRACKING and recording.finished else worst.value
 
 

@@ -15,7 +15,8 @@ import numpy as np
 
 from coopqp.checks import as_scalar, read_only
 from coopqp.control.command import Controller, ControlStep, Status
-from coopqp.errors import CoopqpError, InvalidInputError
+from coopqp.errors import CoopqpError, InvalidInputError, printable
+from coopqp.lazy import Shown
 from coopqp.model.cell import RobotCell
 from coopqp.model.grasp import Grasp
 from coopqp.model.limits import BindingLimit, LimitKind
@@ -41,7 +42,7 @@ class RecordingError(CoopqpError):
 
 
 @dataclass(frozen=True, eq=False)
-class Recording:
+class Recording(Shown):
     """A run as arrays. T steps have T + 1 samples of the configuration.
 
     Attributes:
@@ -71,6 +72,13 @@ class Recording:
     T_object_tool: Array
     notes: tuple[str, ...]
     metadata: dict[str, Any]
+
+    def __repr__(self) -> str:
+        end = "finished" if self.finished else "not finished"
+        made = self.metadata.get("controller", "unknown controller")
+        span = float(self.time[-1]) if len(self.time) else 0.0
+        arms = f"{len(self.T_object_tool)} arm{'s' * (len(self.T_object_tool) != 1)}"
+        return f"Recording({printable(str(made))}, {arms}, {self.n_steps} steps, {span:.4g} s, {end})"
 
     @property
     def n_steps(self) -> int:
