@@ -12,6 +12,8 @@ import numpy.typing as npt
 from coopqp.errors import InvalidInputError, UnknownNameError, shown
 
 Array: TypeAlias = npt.NDArray[np.float64]
+#: What becomes an array: numbers in lists, tuples or arrays.
+ArrayLike: TypeAlias = npt.ArrayLike
 
 _Options = TypeVar("_Options")
 
@@ -131,6 +133,8 @@ def require(value: Any, kind: type | tuple[type, ...], where: str, remedy: str) 
 
 def _as_float(value: Any, where: str) -> float:
     try:
+        if isinstance(value, (bool, np.bool_, str, bytes)):  # float() would read them
+            raise TypeError
         if isinstance(value, (np.ndarray, np.generic)) and (value.ndim or value.dtype.kind in _NO_FLOATS):
             raise TypeError
         return float(value)

@@ -15,7 +15,7 @@ from typing import Annotated, Any, final
 import numpy as np
 import pinocchio as pin
 
-from coopqp.checks import Doc, as_options, as_scalar, documented, keep_scalars, require
+from coopqp.checks import ArrayLike, Doc, as_options, as_scalar, documented, keep_scalars, require
 from coopqp.control.command import (
     NO_SOLVE,
     START_TOLERANCE_M,
@@ -109,7 +109,7 @@ class IndependentQPController:
         self._clock, self._started = 0.0, False
 
     @alone
-    def reset(self, q: Any) -> None:
+    def reset(self, q: ArrayLike) -> None:
         """Start at rest at ``q`` (nq,), with the object's clock at 0. Errors as in :class:`Controller`."""
         tolerances = {"tolerance_m": START_TOLERANCE_M, "tolerance_rad": START_TOLERANCE_RAD}
         self._q = check_start(self.cell, self.grasp, self.path, q, **tolerances)
@@ -119,7 +119,7 @@ class IndependentQPController:
             solver.reset()
 
     @alone
-    def step(self, q_measured: Any = None, *, dt: float | None = None) -> ControlStep:
+    def step(self, q_measured: ArrayLike | None = None, *, dt: float | None = None) -> ControlStep:
         """One step from the commanded configuration. ``q_measured`` is not used.
 
         With an invalid ``dt``, or if the QP of an arm fails, the step brakes.

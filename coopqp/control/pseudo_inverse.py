@@ -13,7 +13,7 @@ from typing import Annotated, Any, Literal, final
 import numpy as np
 import pinocchio as pin
 
-from coopqp.checks import Doc, as_count, as_options, as_scalar, documented, keep_scalars, require
+from coopqp.checks import ArrayLike, Doc, as_count, as_options, as_scalar, documented, keep_scalars, require
 from coopqp.control.command import START_TOLERANCE_M, START_TOLERANCE_RAD, ControlStep, Status, check_start
 from coopqp.control.turn import Turn, alone
 from coopqp.errors import InvalidInputError, UnknownNameError, UnreachableError
@@ -105,7 +105,7 @@ class PseudoInverseController:
         self._clock, self._count, self._started = 0.0, 0, False
 
     @alone
-    def reset(self, q: Any) -> None:
+    def reset(self, q: ArrayLike) -> None:
         """Step 0: start at ``q`` (nq,), with the object's clock at 0. Errors as in :class:`Controller`."""
         self._q = check_start(
             self.cell,
@@ -118,7 +118,7 @@ class PseudoInverseController:
         self._clock, self._count, self._started = 0.0, 0, True
 
     @alone
-    def step(self, q_measured: Any = None, *, dt: float | None = None) -> ControlStep:
+    def step(self, q_measured: ArrayLike | None = None, *, dt: float | None = None) -> ControlStep:
         """Steps 3–5. The algorithm is open loop: ``q_measured`` is not used.
 
         With an invalid ``dt`` the arms hold. If the arms cannot reach the pose of a periodic reset, the reset is

@@ -9,6 +9,7 @@ from importlib import metadata
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from coopqp.checks import require
 from coopqp.look import plots
 from coopqp.look.joints import joint_figure
 from coopqp.look.style import figure_bytes, require_matplotlib
@@ -77,6 +78,7 @@ def report_html(
         MissingExtraError: Matplotlib is not installed.
     """
     require_matplotlib()
+    require(recording, Recording, "report: recording", "Give a Recording, as simulate() returns it.")
     tell = progress or (lambda _: None)
     tell("measuring the run")
     cell = read_cell(recording.metadata) if cell is None else cell

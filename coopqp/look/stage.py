@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
+from coopqp.checks import require
 from coopqp.look.render import box, mesh_of, name_places
 from coopqp.model.cell import RobotCell
 from coopqp.model.limits import BindingLimit
@@ -51,6 +52,7 @@ class Stage:
     """
 
     def __init__(self, scene: Any, recording: Recording, *, sticks: bool = False) -> None:
+        require(recording, Recording, "viewer: recording", "Give a Recording, as simulate() returns it.")
         self.recording = recording
         self.cell: RobotCell = read_cell(recording.metadata, shapes=not sticks)
         self.readings: Readings = read_run(self.cell, recording)

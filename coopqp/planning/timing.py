@@ -6,11 +6,9 @@ speed ṡ along them. In ``z = ṡ²`` and s̈ all limits are lines: ``q̇ = q�
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
-from coopqp.checks import NOT_NUMBERS, as_count, as_floats, as_scalar, require
+from coopqp.checks import NOT_NUMBERS, ArrayLike, as_count, as_floats, as_scalar, require
 from coopqp.errors import InvalidInputError, UnreachableError
 from coopqp.model.branches import AT_LIMIT, amount
 from coopqp.model.cell import RobotCell
@@ -43,9 +41,9 @@ def time_path(
     grasp: Grasp,
     path: ObjectPath | PathGeometry,
     *,
-    q_start: Any,
+    q_start: ArrayLike,
     payload: Payload | None = None,
-    jerk: Any = None,
+    jerk: ArrayLike | None = None,
     share: float = SHARE,
     knots: int | None = None,
 ) -> TimedPath:
@@ -113,7 +111,7 @@ def time_path(
     return TimedPath(geometry, profile, planned_share=share)
 
 
-def _as_jerks(jerk: Any, nv: int, where: str) -> Array:
+def _as_jerks(jerk: ArrayLike, nv: int, where: str) -> Array:
     """Limits of the jerk (nv,)."""
     try:
         given = as_floats(jerk)

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
+from coopqp.checks import ArrayLike
 from coopqp.errors import InvalidInputError
 from coopqp.model.cell import RobotCell
 from coopqp.model.grasp import Grasp
@@ -29,7 +30,7 @@ def said(value: float, unit: str = "") -> str:
     return (f"{value:.3g}" if value == 0.0 or abs(value) >= 1e-4 else f"{value:.1e}") + unit
 
 
-def tool_placements(cell: RobotCell, configurations: Any) -> list[list[pin.SE3]]:
+def tool_placements(cell: RobotCell, configurations: ArrayLike) -> list[list[pin.SE3]]:
     """T_world_tool of every arm at every configuration (T, nq), directly from Pinocchio's frames."""
     data = cell.model.createData()
     out = []
@@ -126,7 +127,7 @@ def path_error(tools: Sequence[pin.SE3], grasp: Grasp, path: ObjectPath, clock: 
     return _largest(e[0] for e in errors), _largest(e[1] for e in errors)
 
 
-def limit_excess(cell: RobotCell, configurations: Any, velocities: Any) -> float:
+def limit_excess(cell: RobotCell, configurations: ArrayLike, velocities: Any) -> float:
     """Largest excess over any position [rad or m] or velocity limit [rad/s or m/s]; 0 if all limits are kept.
 
     Args:
