@@ -40,7 +40,8 @@ def meanings(options: type) -> dict[str, str]:
 
 
 def documented(options: type[_Options]) -> type[_Options]:
-    """Complete the docstring of an options class by its attributes, for ``help()`` and the reference."""
+    """Complete a class of options for ``help()`` and the reference: its docstring, and plain types of its arguments."""
+    vars(options)["__init__"].__annotations__.update(get_type_hints(options))
     lines = [f"        {name}: {text}." for name, text in meanings(options).items()]
     options.__doc__ = "\n".join([(options.__doc__ or "").rstrip(), "", "    Attributes:", *lines, "    "])
     return options

@@ -27,6 +27,8 @@ if TYPE_CHECKING:
 Quantity = Literal["position", "orientation"]
 
 _TITLE: dict[str, Any] = {"fontsize": 13, "fontweight": "bold"}
+#: Lower edge of the axis of errors [mm or deg].
+_FLOOR = 1e-11
 #: Height of the times above the pictures [inches], and room for names in a picture, a share of its height.
 _BAND, _HEADROOM = 0.32, 0.06
 #: Corners of the upper face of a box in :mod:`coopqp.look.render`, as a closed line.
@@ -84,7 +86,7 @@ def error_figure(
             largest[method, n] = max(float(error.max()), largest.get((method, n), 0.0))
     axes.set_yscale("log")
     if axes.lines:
-        axes.set_ylim(bottom=max(axes.get_ylim()[0], metrics.ROUNDING))
+        axes.set_ylim(bottom=max(axes.get_ylim()[0], _FLOOR))
     else:
         axes.set_ylim(metrics.ROUNDING, 1.0)
     axes.set_xlim(0.0, longest)
