@@ -29,10 +29,29 @@ ROOT = Path(__file__).parents[1]
 #: The pictures that a program writes into the folder {out}. It runs in the root of the repository.
 PROGRAMS: Mapping[str, tuple[str, ...]] = {
     "coopqp demo --quiet --out {out}": ("docs/images/paper_lift.png", "docs/images/figure5.png"),
+    "python docs/movie.py --out {out}": ("docs/images/two_lifts.gif",),
     "python docs/screenshots.py viewer --out {out}": ("docs/images/viewer.png",),
+    "python docs/examples/01_paper_lift.py --out {out}": ("docs/tutorials/paper_drift.png",),
+    "python docs/examples/02_your_own_arms.py --out {out}": ("docs/tutorials/your_own_arms.png",),
+    "python docs/examples/03_redundant_arms.py --out {out}": ("docs/tutorials/elbows.png",),
     "python docs/examples/04_at_a_limit.py --out {out}": ("docs/tutorials/at_a_limit.png",),
+    "python docs/examples/05_real_loop.py --out {out}": ("docs/tutorials/real_loop.png",),
+    "python docs/examples/06_servo_path.py --out {out}": ("docs/tutorials/servo_path.png",),
+    "python docs/examples/07_fault_and_reset.py --out {out}": ("docs/tutorials/fault_and_reset.png",),
+    "python docs/examples/08_choose_a_solver.py --out {out}": ("docs/howto/solvers.png",),
+    "python docs/examples/09_choose_gains.py --out {out}": ("docs/howto/gains.png",),
+    "python docs/examples/10_why_slow.py --out {out}": ("docs/howto/why_slow.png",),
+    "python docs/examples/11_export.py --out {out}": ("docs/howto/export.png",),
+    "python docs/examples/12_cumulative_errors.py --out {out}": ("docs/images/cumulative_errors.png",),
+    "python docs/examples/13_physics.py --out {out}": ("docs/howto/physics.png",),
+    "python docs/examples/15_find_a_start.py --out {out}": ("docs/howto/branches.png",),
+    "python docs/examples/16_constraints.py --out {out}": ("docs/howto/constraints.png",),
+    "python docs/examples/17_reins.py --out {out}": ("docs/howto/reins.png",),
     "python docs/examples/18_can_my_arms.py --out {out}": ("docs/tutorials/can_my_arms.png",),
+    "python docs/examples/19_bases_and_rolls.py --out {out}": ("docs/howto/bases.png",),
     "python docs/examples/20_as_fast_as_possible.py --out {out}": ("docs/tutorials/speed_profile.png",),
+    "python docs/examples/21_four_cells.py --out {out}": ("docs/howto/four_cells.png",),
+    "python docs/examples/22_cell_file.py --out {out}": ("docs/howto/cell_file.png",),
 }
 #: Programs of this kind need Chromium (`make browser`).
 NEEDS_BROWSER = "docs/screenshots.py"
@@ -46,6 +65,20 @@ def draw(program: str, into: Path) -> list[Path]:
     Raises:
         RuntimeError: the program fails, or it does not write one of its pictures.
     """
+    run(program, into)
+    drawn = [into / Path(picture).name for picture in PROGRAMS[program]]
+    missing = [file.name for file in drawn if not file.is_file()]
+    if missing:
+        raise RuntimeError(f"{program} does not write {', '.join(missing)}")
+    return drawn
+
+
+def run(program: str, into: Path) -> str:
+    """Run a program with ``into`` for {out}. Returns what it prints.
+
+    Raises:
+        RuntimeError: the program fails.
+    """
     command = [word.format(out=into) for word in shlex.split(program)]
     if command[0] == "coopqp":
         command = ["python", "-c", "import sys; from coopqp.app.cli import main; sys.exit(main())", *command[1:]]
@@ -56,11 +89,7 @@ def draw(program: str, into: Path) -> list[Path]:
     )  # fmt: skip
     if done.returncode:
         raise RuntimeError(f"{program}: {done.stderr or done.stdout}")
-    drawn = [into / Path(picture).name for picture in PROGRAMS[program]]
-    missing = [file.name for file in drawn if not file.is_file()]
-    if missing:
-        raise RuntimeError(f"{program} does not write {', '.join(missing)}")
-    return drawn
+    return done.stdout
 
 
 def difference(one: Path, other: Path) -> float:
@@ -93,8 +122,17 @@ def _main(arguments: argparse.Namespace) -> int:
             worst = max(worst, share)
             print(f"{old.relative_to(ROOT)}: {100.0 * share:.2f} % of its pixels differ", flush=True)
             if not arguments.check and share > 0.0:
-                shutil.copyfile(new, old)
+                _keep(new, old)
     return 1 if arguments.check and worst > MOST_PIXELS else 0
+
+
+def _keep(new: Path, old: Path) -> None:
+    """Put a new picture in its place; a PNG with 256 colours, which makes it small."""
+    if new.suffix != ".png":
+        shutil.copyfile(new, old)
+        return
+    with Image.open(new) as picture:
+        picture.convert("RGB").quantize(256, dither=Image.Dither.NONE).save(old, optimize=True)
 
 
 def _pairs(programs: Iterable[str], drawn: Iterable[list[Path]]) -> Iterable[tuple[Path, Path]]:

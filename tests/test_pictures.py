@@ -33,8 +33,8 @@ def test_every_picture_of_the_pages_has_a_program_and_every_program_a_place_on_a
     assert set(listed) == shown() == {file for file in files if "_build" not in file}
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("program", PROGRAMS)
+@pytest.mark.slow  # the examples draw their pictures in test_docs, where their output is read too
+@pytest.mark.parametrize("program", [program for program in PROGRAMS if "docs/examples/" not in program])
 def test_a_program_draws_the_pictures_of_the_pages(program: str, tmp_path: Path) -> None:
     if NEEDS_BROWSER in program and find_browser() is None:
         pytest.skip("no browser; 'make browser' installs one")

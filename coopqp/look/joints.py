@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from coopqp.look.curves import drawn_rows
 from coopqp.look.style import (
     COLOURS,
     INK,
@@ -19,7 +20,7 @@ from coopqp.look.style import (
     plain,
 )
 from coopqp.model.cell import RobotCell
-from coopqp.simulation.simulate import Recording
+from coopqp.simulation.recording import Recording
 from coopqp.spatial import Array
 
 if TYPE_CHECKING:
@@ -37,10 +38,18 @@ def joint_figure(cell: RobotCell, recording: Recording) -> Figure:
     A cell of more than twelve arms shows those whose joints come closest to a limit.
     """
     limits = cell.limits
-    q = np.array([cell.positions(x) for x in recording.q_command])
-    with np.errstate(invalid="ignore"):
-        position = (2.0 * q - limits.upper - limits.lower) / (limits.upper - limits.lower)  # NaN without limit
-        speed = 100.0 * recording.velocity / limits.velocity
+
+    def positions(part: slice) -> Array:
+        q = cell.positions(recording.q_command[part])
+        with np.errstate(invalid="ignore"):
+            share: Array = (2.0 * q - limits.upper - limits.lower) / (limits.upper - limits.lower)
+        return share  # NaN without limit
+
+    times, position = drawn_rows(recording, len(recording.time), positions)
+    starts, speed = drawn_rows(
+        recording, recording.n_steps, lambda part: 100.0 * recording.velocity[part] / limits.velocity
+    )
+    starts, speed = np.append(starts, recording.time[-1]), np.concatenate([speed, speed[-1:]])
     shown = _tightest(cell, position, speed)
     columns = len(shown) if len(shown) <= 3 else 2 if len(shown) == 4 else 3
     blocks = -(-len(shown) // columns)
@@ -61,7 +70,7 @@ def joint_figure(cell: RobotCell, recording: Recording) -> Figure:
         block, column = divmod(place, columns)
         top, bottom, below = panels[3 * block : 3 * block + 3, column]
         joints = range(*cell.v_slices[k].indices(cell.nv))
-        lines = _draw(top, bottom, recording, position[:, joints], speed[:, joints])
+        lines = _draw(top, bottom, (times, position[:, joints]), (starts, speed[:, joints]))
         top.set_title(label(cell.arm_names[k], width=72 // (columns + 1)), fontsize=12, color=INK, fontweight="bold")
         _axes(top, bottom, end=float(recording.time[-1]), reach=reach, first=column == 0)
         add_legend(below, lines, names[k], fits[k], size=_SIZE)
@@ -94,14 +103,14 @@ def _names(cell: RobotCell, arm: int) -> list[str]:
     return [label(name if has else f"{name} (no limit)") for name, has in zip(names, bounded, strict=True)]
 
 
-def _draw(top: Any, bottom: Any, recording: Recording, position: Array, speed: Array) -> list[Any]:
+def _draw(top: Any, bottom: Any, positions: tuple[Array, Array], speeds: tuple[Array, Array]) -> list[Any]:
     """The curves of an arm; its lines of speed, which exist for every joint."""
+    (times, position), (starts, speed) = positions, speeds
     lines = []
     for i in range(position.shape[1]):
         colour, dashes = COLOURS[i % len(COLOURS)], "-" if i < len(COLOURS) else "--"
-        top.plot(recording.time, position[:, i], color=colour, ls=dashes, lw=1.7)
-        steps = np.append(speed[:, i], speed[-1:, i])
-        lines += bottom.step(recording.time, steps, where="post", color=colour, ls=dashes, lw=1.7)
+        top.plot(times, position[:, i], color=colour, ls=dashes, lw=1.7)
+        lines += bottom.step(starts, speed[:, i], where="post", color=colour, ls=dashes, lw=1.7)
     return lines
 
 

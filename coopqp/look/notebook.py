@@ -23,8 +23,8 @@ from coopqp.look.style import COLOURS, FAINT, INK
 from coopqp.look.timeline import BANDS, bound_limits, limit_name
 from coopqp.model.cell import RobotCell
 from coopqp.simulation.assessment import worst_status
+from coopqp.simulation.recording import Recording
 from coopqp.simulation.scene import read_object
-from coopqp.simulation.simulate import Recording
 from coopqp.spatial import Array
 from coopqp.task.scenario import Scenario
 

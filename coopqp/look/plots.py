@@ -14,11 +14,12 @@ import numpy as np
 import pinocchio as pin
 
 from coopqp.errors import InvalidInputError
+from coopqp.look.curves import drawn
 from coopqp.look.render import View, box_solid, cell_solids, name_places, render
 from coopqp.look.style import COLOURS, DASHES, GRID, INK, WIDTH, label, new_figure, plain, text_width
 from coopqp.model.cell import RobotCell
 from coopqp.simulation import metrics
-from coopqp.simulation.simulate import Recording
+from coopqp.simulation.recording import Recording
 from coopqp.spatial import Array
 
 if TYPE_CHECKING:
@@ -38,10 +39,15 @@ _PLATE = (0.30, 0.52, 0.75)
 
 def relative_errors(cell: RobotCell, recording: Recording, quantity: Quantity) -> Array:
     """ε_p [mm] or ε_o [deg] of the commanded configurations at every sample, (T+1,)."""
-    tools, grasp = metrics.tool_placements(cell, recording.q_command), recording.grasp
-    if quantity == "position":
-        return np.array([1e3 * metrics.relative_positioning_error(T, grasp) for T in tools])
-    return np.array([np.rad2deg(metrics.relative_orientation_error(T, grasp)) for T in tools])
+    grasp = recording.grasp
+    errors = []
+    for part in recording.parts(len(recording.time)):
+        tools, _ = metrics.tool_matrices(cell, recording.q_command[part])
+        if quantity == "position":
+            errors.append(1e3 * metrics.positioning_errors(tools, grasp))
+        else:
+            errors.append(np.rad2deg(metrics.orientation_errors(tools, grasp)))
+    return np.concatenate(errors)
 
 
 def planned_steps(recording: Recording) -> int:
@@ -82,7 +88,7 @@ def error_figure(
             error = relative_errors(cell, recording, quantity)
             n = planned_steps(recording)
             if error.max() >= metrics.ROUNDING:  # a smaller one is said, not drawn
-                axes.semilogy(recording.time[1:], error[1:], color=colours[n], ls=dashes, lw=2.0)
+                axes.plot(*drawn(recording.time[1:], error[1:]), color=colours[n], ls=dashes, lw=2.0)
             largest[method, n] = max(float(error.max()), largest.get((method, n), 0.0))
     axes.set_yscale("log")
     if axes.lines:

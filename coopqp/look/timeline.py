@@ -9,10 +9,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from coopqp.control.command import Status
+from coopqp.look.curves import drawn
 from coopqp.look.style import FAINT, GRID, INK, RED, WIDTH, label, new_figure
 from coopqp.model.limits import BindingLimit
 from coopqp.simulation.assessment import Readings, Tolerances
-from coopqp.simulation.simulate import Recording
+from coopqp.simulation.recording import Recording
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -116,7 +117,8 @@ def _draw_errors(axes: Any, recording: Recording, readings: Readings, tolerances
         small = bool((error < _FLOOR).all())
         quiet += small
         if not small:
-            axes.plot(recording.time, np.maximum(error, 0.1 * _FLOOR), color=colour, ls=dashes, lw=1.9)
+            times, errors = drawn(recording.time, np.maximum(error, 0.1 * _FLOOR))
+            axes.plot(times, errors, color=colour, ls=dashes, lw=1.9)
             largest = max(largest, float(np.nanmax(error, initial=0.0)))
         said = f"{text}: below 1e-6 mm" if small else text
         handles.append(Line2D([], [], color=colour, ls="none" if small else dashes, lw=1.9, label=said))
@@ -152,7 +154,8 @@ def _draw_rate(axes: Any, recording: Recording) -> None:
             label = now.value if now not in named else None
             axes.axvspan(recording.time[i], recording.time[j], color=BANDS[now], lw=0, label=label)
             named.add(now)
-    axes.stairs(100.0 * recording.rate, recording.time, color=INK, lw=1.6, baseline=None)
+    times, rates = drawn(recording.time[:-1], 100.0 * recording.rate)
+    axes.stairs(rates, np.append(times, recording.time[-1]), color=INK, lw=1.6, baseline=None)
     axes.set_ylim(-4.0, 108.0)
     axes.set_ylabel("rate σ [%]", fontsize=11, color=INK)
     axes.grid(True, axis="y", color=GRID, lw=0.8)

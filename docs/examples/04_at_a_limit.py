@@ -1,18 +1,21 @@
-"""A joint reaches its limit: all arms brake together.  python docs/examples/04_at_a_limit.py [--out FOLDER]"""
+"""A joint reaches its limit: all arms brake together.  python docs/examples/04_at_a_limit.py"""
 
 import sys
 from pathlib import Path
 
-import matplotlib.pyplot as plt
 import numpy as np
 
 from coopqp import IndependentQPController, QPController, read_run, simulate
 from coopqp.scenarios import at_limit
 
-# The paper's cell, every joint fenced in to ±0.25 rad, at most 5 rad/s²; the path of 1 m leads out of the fence.
+# The paper's cell, every joint fenced in to ±0.25 rad, at most 5 rad/s²; the path of 1 m
+# leads out of the fence.
 task = at_limit()
 runs, errors = {}, {}
-for name, kind in (("cooperative", QPController), ("independent arms", IndependentQPController)):
+for name, kind in (
+    ("cooperative", QPController),
+    ("independent arms", IndependentQPController),
+):
     controller = kind(task.cell, task.grasp, task.path, dt=task.dt)
     runs[name] = simulate(controller, q_start=task.q_start, duration=1.5)
     errors[name] = read_run(task.cell, runs[name])
@@ -21,10 +24,21 @@ for name, kind in (("cooperative", QPController), ("independent arms", Independe
 recording = runs["cooperative"]
 print(recording.notes[-1])  # which arm, which joint, which limit
 
+if "--view" in sys.argv:
+    from coopqp import LiveViewer
+
+    with LiveViewer(recording) as viewer:
+        print("Open", viewer.url)
+        viewer.run()
+
 if "--out" in sys.argv:
+    import matplotlib.pyplot as plt
+
     names, limits = task.cell.arm_names, task.cell.limits
     figure = plt.figure(figsize=(8, 7), layout="constrained")
-    panels = figure.subplot_mosaic([["rate"] * 3, list(names), ["parted"] * 3], height_ratios=[2, 3, 3])
+    panels = figure.subplot_mosaic(
+        [["rate"] * 3, list(names), ["parted"] * 3], height_ratios=[2, 3, 3]
+    )
     panels["rate"].plot(recording.time[1:], recording.rate)
     panels["rate"].set_ylabel("rate σ")
     position = (2 * recording.q - limits.upper - limits.lower) / (limits.upper - limits.lower)
@@ -35,7 +49,9 @@ if "--out" in sys.argv:
         panel.set_title(name.replace("_", " "), fontsize=10)
         panel.set_ylim(-1.1, 1.1)
     panels[names[0]].set_ylabel("joints (±1: their limits)")
-    figure.legend(*panel.get_legend_handles_labels(), loc="outside upper center", ncols=6, fontsize=9)
+    figure.legend(
+        *panel.get_legend_handles_labels(), loc="outside upper center", ncols=6, fontsize=9
+    )
     bottom = panels["parted"]
     for name, run in runs.items():
         bottom.semilogy(run.time, np.maximum(errors[name].chain_mm, 1e-10), label=name)
@@ -43,10 +59,3 @@ if "--out" in sys.argv:
     bottom.set_xlabel("time [s]")
     bottom.legend()
     figure.savefig(Path(sys.argv[sys.argv.index("--out") + 1]) / "at_a_limit.png", dpi=80)
-
-if "--view" in sys.argv:
-    from coopqp import LiveViewer
-
-    with LiveViewer(recording) as viewer:
-        print("Open", viewer.url)
-        viewer.run()
