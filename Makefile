@@ -23,7 +23,7 @@ $(VENV)/.installed: pyproject.toml CMakeLists.txt $(wildcard coopqp/control/core
 	touch $@
 
 demo: $(VENV)/.installed
-	$(BIN)/coopqp demo --out $(OUT)
+	$(BIN)/coopqp demo --force --out $(OUT)
 
 # After every edit: lint, types, and every test that is not marked slow, properties with a fifth of their examples.
 # Less than three minutes on two cores; pytest --durations 20 -m "not slow" shows what deserves the mark.

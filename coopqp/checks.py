@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import fields
-from typing import Any, TypeAlias, TypeVar
+from dataclasses import dataclass, fields
+from typing import Any, TypeAlias, TypeVar, get_type_hints
 
 import numpy as np
 import numpy.typing as npt
@@ -12,6 +12,40 @@ import numpy.typing as npt
 from coopqp.errors import InvalidInputError, UnknownNameError, shown
 
 Array: TypeAlias = npt.NDArray[np.float64]
+#: What becomes an array: numbers in lists, tuples or arrays.
+ArrayLike: TypeAlias = npt.ArrayLike
+
+_Options = TypeVar("_Options")
+
+
+@dataclass(frozen=True)
+class Doc:
+    """The meaning of an option and its unit, as in ``Annotated[float, Doc("… [m]")]``: for docstrings and cell files.
+
+    Attributes:
+        documentation: the text, plain, without a full stop.
+    """
+
+    documentation: str
+
+
+def meanings(options: type) -> dict[str, str]:
+    """The texts of all :class:`Doc` of a class, by the name of the attribute."""
+    hints = get_type_hints(options, include_extras=True)
+    marks = {
+        name: [mark for mark in getattr(hint, "__metadata__", ()) if isinstance(mark, Doc)]
+        for name, hint in hints.items()
+    }
+    return {name: found[0].documentation for name, found in marks.items() if found}
+
+
+def documented(options: type[_Options]) -> type[_Options]:
+    """Complete a class of options for ``help()`` and the reference: its docstring, and plain types of its arguments."""
+    vars(options)["__init__"].__annotations__.update(get_type_hints(options))
+    lines = [f"        {name}: {text}." for name, text in meanings(options).items()]
+    options.__doc__ = "\n".join([(options.__doc__ or "").rstrip(), "", "    Attributes:", *lines, "    "])
+    return options
+
 
 #: Exceptions of NumPy and Python for values that are not numbers.
 NOT_NUMBERS = (TypeError, ValueError, OverflowError)
@@ -66,9 +100,6 @@ def keep_scalars(options: object, *names: str, low: float = 0.0, high: float = n
         object.__setattr__(options, name, number)
 
 
-_Options = TypeVar("_Options")
-
-
 def as_options(kind: type[_Options], value: Any, where: str) -> _Options:
     """Options from an object, a dictionary of its fields, or None for the defaults.
 
@@ -103,6 +134,8 @@ def require(value: Any, kind: type | tuple[type, ...], where: str, remedy: str) 
 
 def _as_float(value: Any, where: str) -> float:
     try:
+        if isinstance(value, (bool, np.bool_, str, bytes)):  # float() would read them
+            raise TypeError
         if isinstance(value, (np.ndarray, np.generic)) and (value.ndim or value.dtype.kind in _NO_FLOATS):
             raise TypeError
         return float(value)

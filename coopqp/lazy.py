@@ -1,4 +1,7 @@
-"""Public names that are imported on first use, so that a package of many names stays fast to import (PEP 562)."""
+"""What is imported on first use only, so that a package of many names stays fast to import.
+
+Public names (PEP 562), and the pictures of objects in notebooks.
+"""
 
 from __future__ import annotations
 
@@ -30,3 +33,14 @@ def lazy_names(
         return sorted({*vars(sys.modules[package]), *module_of})
 
     return get, listed
+
+
+class Shown:
+    """An object with a picture in notebooks. :mod:`coopqp.look.notebook` makes it when a notebook asks for it."""
+
+    __slots__ = ()
+
+    def _repr_html_(self) -> str | None:
+        """HTML without links to anything else; None, for the plain text, if it cannot be made."""
+        page: str | None = import_module("coopqp.look.notebook").html_of(self)
+        return page

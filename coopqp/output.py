@@ -6,7 +6,7 @@ import contextlib
 import os
 import signal
 import threading
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
 from types import FrameType
 from typing import IO, final
@@ -34,6 +34,29 @@ def check_file(file: Path) -> None:
     if file.is_dir():
         raise OutputError(f"cannot write {file}: it is a folder. Give the name of a file.")
     check_folder(file.parent)
+
+
+def check_new(file: Path, *, force: bool = False) -> None:
+    """As :func:`check_file`; also raise OutputError if ``file`` exists, unless ``force``."""
+    check_file(file)
+    check_unused([file], force=force)
+
+
+def check_unused(files: Iterable[Path], *, force: bool = False) -> None:
+    """Raise OutputError if one of ``files`` exists, unless ``force``."""
+    used = next((file for file in files if file.exists()), None)
+    if used is not None and not force:
+        raise OutputError(f"{used} exists. Replace it with --force, or give another place.")
+
+
+def numbered(wanted: Path, is_used: Callable[[Path], bool], *, suffix: str = "") -> Path:
+    """``wanted``, or the first of ``NAME-2``, ``NAME-3``, … (before a ``suffix``) that is not used."""
+    place, number = wanted, 1
+    stem = wanted.name.removesuffix(suffix)
+    while is_used(place):
+        number += 1
+        place = wanted.with_name(f"{stem}-{number}{suffix}")
+    return place
 
 
 @final

@@ -27,7 +27,10 @@ html_static_path = ["static"]
 html_css_files = ["pages.css"]
 
 autodoc_member_order = "bysource"
-autodoc_typehints = "none"  # shapes and units are in the text
+autodoc_typehints = "signature"  # shapes and units are in the text
+autodoc_typehints_format = "short"
+autodoc_type_aliases = {name: name for name in ("Array", "ArrayLike", "Placement", "ProgressCallback")}
+autodoc_preserve_defaults = True
 autodoc_class_signature = "mixed"
 napoleon_use_ivar = True
 napoleon_attr_annotations = False
@@ -61,13 +64,18 @@ def _plain_bars(app, what, name, obj, options, lines):
 
 def _one_attribute_a_line(app, what, name, obj, options, lines):
     """``a, b: text`` in a list of attributes describes two of them; Sphinx would take ``a,`` for a type."""
-    several = re.compile(r"^(    )((?:\w+, )+\w+): (.*)$")
-    lines[:] = [
-        f"{found[1]}{attribute}: {found[3]}" if found else line
-        for line in lines
-        for found in [several.match(line)]
-        for attribute in (found[2].split(", ") if found else [""])
-    ]
+    entry, several = re.compile(r"^    \S"), re.compile(r"^    ((?:\w+, )+\w+): (.*)$")
+    out, i = [], 0
+    while i < len(lines):
+        found, end = several.match(lines[i]), i + 1
+        while found and end < len(lines) and lines[end].startswith("     ") and not entry.match(lines[end]):
+            end += 1  # the lines that go on belong to each of them
+        names = found[1].split(", ") if found else []
+        for name in names:
+            out += [f"    {name}: {found[2]}", *lines[i + 1 : end]]
+        out += [] if names else lines[i:end]
+        i = end
+    lines[:] = out
 
 
 def setup(app):

@@ -7,7 +7,7 @@ import tempfile
 from collections.abc import Callable
 from pathlib import Path
 
-from browser import NAMES, Page, find_browser
+from browser import NAMES, Page, Picture, find_browser
 from PIL import Image
 
 from coopqp import QPController, Recording, describe_object, export_html, simulate
@@ -25,6 +25,13 @@ def run_at_limit() -> Recording:
     return simulate(controller, q_start=task.q_start, duration=1.5, metadata=metadata)
 
 
+def _drawn(picture: Picture) -> bool:
+    """True if there is a scene in the middle of the page."""
+    height, width = picture.shape[:2]
+    middle = picture[height // 3 : -height // 5, width // 4 : -width // 4]
+    return bool(middle.std() > 5.0)
+
+
 def shoot_run(recording: Recording, picture: Path, *, share: float, width: int = 1100, height: int = 640) -> None:
     """A picture of the viewer's page, with the slider at a share of the run."""
     program = find_browser()
@@ -35,7 +42,9 @@ def shoot_run(recording: Recording, picture: Path, *, share: float, width: int =
         with Page(program, Path(folder) / "profile", width=width, height=height) as page:
             page.open(file.as_uri())
             page.wait_until(lambda: page.evaluate(f"!!document.querySelector('{TRACK}')"))
-            page.wait_until(lambda: (page.screenshot().std(axis=2) > 25).mean() > 0.02)  # the scene is drawn
+            page.wait_until(lambda: page.evaluate("!!document.querySelector('canvas')"))
+            page.wait_until(lambda: _drawn(page.screenshot()), timeout=90)
+            page.evaluate("document.querySelectorAll('[class*=Notification-root] button').forEach(b => b.click())")
             page.pause()
             track = page.box(TRACK)
             page.press(track["left"] + share * track["width"], track["top"] + 0.5 * track["height"])

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from coopqp import (
+    Arm,
     CoopqpError,
     DaqpSettings,
     DisturbedPlant,
@@ -35,11 +36,15 @@ from coopqp import (
     WaypointPath,
     adjoint,
     describe_object,
+    export_html,
     inverse_kinematics,
     judge,
+    load_cell_file,
     make_solver,
     read_run,
+    robot_path,
     simulate,
+    write_report,
 )
 from coopqp.scenarios import Scenario, paper_lift, robot_arm
 
@@ -51,6 +56,26 @@ MATRIX = LIFT.path.pose(0.0).homogeneous
 def controller(**changes: Any) -> QPController:
     parts = {"cell": CELL, "grasp": GRASP, "path": PATH, "dt": 0.0075, **changes}
     return QPController(parts.pop("cell"), parts.pop("grasp"), parts.pop("path"), **parts)
+
+
+@pytest.mark.parametrize(
+    ("call", "words"),
+    [
+        (lambda: controller(dt="0.01"), "dt: not a number"),
+        (lambda: controller(dt=True), "dt: not a number"),
+        (lambda: QPOptions(grasp_gain="20"), "grasp_gain: not a number"),  # type: ignore[arg-type]
+        (lambda: simulate(QPController), "the class QPController itself"),  # type: ignore[arg-type]
+        (lambda: simulate(None), "simulate: controller: a NoneType"),  # type: ignore[arg-type]
+        (lambda: robot_arm("arm7", locked_joints=["joint_1"]), "Give a dictionary"),  # type: ignore[arg-type]
+        (lambda: Arm.from_urdf("a", robot_path("arm7"), tool_frame="tool", locked_joints=["joint_1"]), "dictionary"),  # type: ignore[arg-type]
+        (lambda: write_report(None, "r.html"), "report: recording: a NoneType"),  # type: ignore[arg-type]
+        (lambda: export_html(3, "v.html"), "viewer: recording: a int"),  # type: ignore[arg-type]
+        (lambda: load_cell_file(3), "load_cell_file: path: a int"),  # type: ignore[arg-type]
+    ],
+)
+def test_what_is_none_of_it_is_refused_by_name(call: Callable[[], Any], words: str) -> None:
+    with pytest.raises(InvalidInputError, match=re.escape(words)):
+        call()
 
 
 def test_options_may_be_a_dictionary() -> None:

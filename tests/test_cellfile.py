@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import builtins
 import contextlib
+import dataclasses
 import json
 import re
 from collections.abc import Callable
@@ -23,11 +24,17 @@ from coopqp import (
     HoldPath,
     IndependentQPOptions,
     MissingExtraError,
+    PhysicsOptions,
     PhysicsPlant,
+    PostureOptions,
+    PreviewOptions,
     PseudoInverseOptions,
     QPOptions,
+    RankWeights,
     Recording,
     RobotCell,
+    SupervisionOptions,
+    Tolerances,
     UnknownNameError,
     judge,
     load_cell_file,
@@ -35,12 +42,14 @@ from coopqp import (
     robot_path,
 )
 from coopqp.app.demo import run_method
+from coopqp.checks import meanings
 from coopqp.files.cellfile import CELLS, example_path, json_schema, schema_text
 from coopqp.files.cellfile.build import CellRun
-from coopqp.files.cellfile.strict import attribute_docs
 from coopqp.files.cellfile.text import read_tables
 from coopqp.scenarios import ROBOTS, Scenario, robot_file
 
+#: Options of types that a file cannot hold.
+NOT_IN_FILES = {(PostureOptions, "target"), (SupervisionOptions, "stiffness")}
 EXAMPLES = sorted((Path(__file__).parents[1] / "docs" / "examples" / "cells").glob("*.toml"))
 PAPER = example_path("paper_lift").read_text()
 
@@ -631,10 +640,25 @@ def test_every_key_has_a_meaning() -> None:
             assert key == "kind" or value.get("description"), f"{name}.{key}"
 
 
-def test_options_are_documented() -> None:
-    for options in (QPOptions, PseudoInverseOptions, IndependentQPOptions):
-        documented = attribute_docs(options)
-        assert set(vars(options())) <= set(documented) | {"solver_settings"}, options
+def test_options_have_their_meaning_in_one_place_and_say_it_everywhere() -> None:
+    """``help()`` and the files take it from there; no docstring is read."""
+    text = " ".join(schema_text().split())
+    for options in (
+        QPOptions, PseudoInverseOptions, IndependentQPOptions, PhysicsOptions, Tolerances, RankWeights,
+        SupervisionOptions, PreviewOptions, PostureOptions,
+    ):  # fmt: skip
+        said = meanings(options)
+        assert set(said) == {field.name for field in dataclasses.fields(options)}, options
+        for name, meaning in said.items():
+            assert f"{name}: {meaning}." in str(options.__doc__)
+            assert "``" not in meaning
+            assert meaning.replace("None", "false") in text or (options, name) in NOT_IN_FILES, name
+
+
+def test_numbers_that_may_be_off_are_said_in_words() -> None:
+    text = schema_text()
+    assert '"False"' not in text
+    assert re.search(r"stiffness +number or list of numbers or false", text)
 
 
 def test_the_files_that_ship_are_listed() -> None:

@@ -106,11 +106,13 @@ def test_the_picture_shows_each_joint_and_what_is_proved() -> None:
     task = paper_lift()
     figure = check_figure(check_path(task.cell, task.grasp, task.path, q_start=task.q_start))
     axes = figure.axes
-    assert len(axes) == 6
+    assert len(axes) == 9
     for panel in axes[:3]:
         assert len(panel.lines) == 7  # six joints and the limit
         assert panel.get_title().endswith(": certified")
         assert panel.get_xlim() == (0.0, 3.0)
+    for below in axes[6:]:
+        assert [text.get_text() for text in below.get_legend().get_texts()] == [f"joint {j}" for j in range(1, 7)]
     task = dual_arm7()
     joints = check_figure(check_path(task.cell, task.grasp, task.path, q_start=task.q_start)).axes[0].lines
     assert len(joints) == 8

@@ -254,3 +254,18 @@ def test_an_error_of_several_lines_is_printed_in_one(
     monkeypatch.setattr(demo, "run_demo", broken)
     assert cli.main(["demo", "--out", str(tmp_path)]) == 2
     assert capsys.readouterr().err == "coopqp: error: first second\n"
+
+
+def test_ctrl_c_during_the_imports_ends_in_one_line() -> None:
+    code = """
+import sys
+class Interrupt:
+    def find_spec(self, name, path=None, target=None):
+        if name == "coopqp.app.cli":
+            raise KeyboardInterrupt
+sys.meta_path.insert(0, Interrupt())
+from coopqp.app.start import main
+sys.exit(main())
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=False)
+    assert (done.returncode, done.stderr, done.stdout) == (130, "coopqp: interrupted\n", "")

@@ -287,6 +287,33 @@ def test_report_lies_beside_the_recording(recording_file: Path, tmp_path: Path) 
     assert "(asked: 50 mm, 0.1°)" in (tmp_path / "r.html").read_text()
 
 
+def test_pages_and_tables_are_overwritten_with_force_only(
+    recording_file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What is named and exists is refused before any work; a report without a name gets a number."""
+    monkeypatch.setattr("coopqp.look.report.report_html", lambda *_, **__: "new")
+    what = str(tmp_path / "lift.npz")
+    Path(what).write_bytes(recording_file.read_bytes())
+    for name, command in {
+        "r.html": ["report", what, "--out", "r.html"],
+        "v.html": ["view", what, "--html", "v.html"],
+        "run.csv": ["export", what, "--csv", "run.csv"],
+        "demo/figure5.png": ["demo", "--steps", "2", "--out", "demo"],
+    }.items():
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).write_text("mine")
+        assert cli.main([*command, "--quiet"]) == 2
+        assert f"{name} exists. Replace it with --force" in capsys.readouterr().err
+        assert (tmp_path / name).read_text() == "mine"
+    for name in ("r.html", "v.html", "run.csv"):
+        kind = {"r.html": ["report", what, "--out"], "v.html": ["view", what, "--html"]}.get(name)
+        assert cli.main([*(kind or ["export", what, "--csv"]), name, "--quiet", "--force"]) == 0
+        assert (tmp_path / name).read_text() != "mine"
+    for _ in range(2):
+        assert cli.main(["report", what, "--quiet"]) == 0
+    assert {f.name for f in tmp_path.glob("lift_*")} == {"lift_report.html", "lift_report-2.html"}
+
+
 def test_export_writes_every_kind(recording_file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     what = str(recording_file)
     assert cli.main(["export", what, "--csv", "a/run.csv", "--bag", "bag", "--npz", "b/run.npz"]) == 0

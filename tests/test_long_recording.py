@@ -18,7 +18,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
 from coopqp import Monitor, QPController, Recording, RecordingError, judge, read_run, simulate
-from coopqp.look import plots
+from coopqp.look import curves
 from coopqp.scenarios import Scenario, at_limit
 from coopqp.simulation import recording as recordings
 from coopqp.simulation import rows
@@ -173,7 +173,7 @@ def judged(run: Recording, scenario: Scenario) -> set[Any]:
 )
 def test_a_drawn_curve_keeps_its_extremes(values: Any, spans: int) -> None:
     time = np.arange(float(len(values)))
-    times, curve = plots.drawn(time, values, spans=spans)
+    times, curve = curves.drawn(time, values, spans=spans)
     assert len(times) == len(curve) <= max(4 * spans, 2)
     np.testing.assert_array_equal(curve.max(axis=0), values.max(axis=0))
     np.testing.assert_array_equal(curve.min(axis=0), values.min(axis=0))

@@ -3,13 +3,19 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+import pinocchio as pin
 import pytest
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.text import Text
 
 from coopqp import (
+    Arm,
     InvalidInputError,
     MissingExtraError,
     OutputError,
@@ -19,7 +25,8 @@ from coopqp import (
     RobotCell,
     simulate,
 )
-from coopqp.look import plots
+from coopqp.look import plots, style
+from coopqp.look.joints import joint_figure
 from coopqp.scenarios import Scenario, paper_lift
 
 
@@ -84,6 +91,16 @@ def test_a_slowed_run_keeps_the_colour_of_its_number_of_steps(lift: Scenario, on
     assert curves[0].get_color() == curves[1].get_color()
 
 
+def test_figure_5_says_that_a_small_error_is_below_rounding_and_does_not_draw_it(
+    lift: Scenario, one: Recording
+) -> None:
+    resting = replace(one, q_command=np.tile(lift.q_start, (one.n_steps + 1, 1)))
+    figure = plots.error_figure(lift.cell, {"moving": [one], "resting": [resting]}, quantity="orientation")
+    assert len(figure.axes[0].lines) == 1
+    assert [text.get_text() for text in figure.legends[0].get_texts()][-1] == "N = 24: below 1e-9°"
+    assert cut(figure) == []
+
+
 def test_figure_5_without_a_run_is_refused(lift: Scenario) -> None:
     with pytest.raises(InvalidInputError, match="no recording"):
         plots.error_figure(lift.cell, {"a": []})
@@ -95,8 +112,8 @@ def test_figure_5_refuses_another_quantity(lift: Scenario, one: Recording) -> No
 
 
 def test_joints_are_drawn_in_shares_of_their_limits(lift: Scenario, one: Recording) -> None:
-    figure = plots.joint_figure(lift.cell, one)
-    assert len(figure.axes) == 6  # positions above speeds, three arms
+    figure = joint_figure(lift.cell, one)
+    assert len(figure.axes) == 9  # positions above speeds above the names, three arms
     limits, joint = lift.cell.limits, 4  # the joint with asymmetric limits
     line = figure.axes[0].lines[joint]
     middle = 0.5 * (limits.upper[joint] + limits.lower[joint])
@@ -106,9 +123,80 @@ def test_joints_are_drawn_in_shares_of_their_limits(lift: Scenario, one: Recordi
     np.testing.assert_allclose(speed[:-1], 100.0 * one.velocity[:, joint] / limits.velocity[joint])
 
 
+def cut(figure: Any) -> list[str]:
+    """Texts of a figure that are not wholly inside it."""
+    canvas = FigureCanvasAgg(figure)
+    canvas.draw()
+    edge = figure.bbox.padded(1.0)
+    hidden = {
+        t for axes in figure.axes if not axes.axison for axis in (axes.xaxis, axes.yaxis) for t in axis.findobj(Text)
+    }
+    texts = [t for t in figure.findobj(Text) if t.get_text() and t.get_visible() and t not in hidden]
+    texts = [t for t in texts if "mathdefault" not in t.get_text()]  # ticks, also those beyond the edge of the axes
+    boxes = [(t.get_text(), t.get_window_extent(canvas.get_renderer())) for t in texts]
+    return [text for text, box in boxes if box.width and not (edge.contains(*box.min) and edge.contains(*box.max))]
+
+
+def still(cell: RobotCell, *, steps: int = 4) -> Recording:
+    """A recording of arms that stay where they are."""
+    q = np.tile(cell.configuration(np.zeros(cell.nv)), (steps + 1, 1))
+    return Recording(
+        time=np.arange(steps + 1.0),
+        q=q,
+        q_command=q,
+        velocity=np.zeros((steps, cell.nv)),
+        clock=np.arange(steps + 1.0),
+        rate=np.ones(steps),
+        status=np.zeros(steps, dtype=int),
+        reference=np.tile(np.eye(4), (steps + 1, 1, 1)),
+        T_object_tool=np.tile(np.eye(4), (len(cell), 1, 1)),
+        notes=(),
+        metadata={"finished": True},
+    )
+
+
+def renamed(arm: Arm, name: str, joint: str) -> Arm:
+    """The arm with long names."""
+    model = pin.Model(arm.model)
+    for i in range(1, model.njoints):
+        model.names[i] = f"{joint}_{i}"
+    return Arm.from_model(name, model, tool_frame=arm.tool_frame, velocity_limits=1.0)
+
+
+@pytest.mark.parametrize("arms", [1, 2, 3, 4, 7])
+def test_every_arm_has_its_own_joints_by_name_and_no_name_is_cut(
+    mixed_cell: RobotCell, make_cell: Callable[..., RobotCell], arms: int
+) -> None:
+    robots = [*mixed_cell.arms, *make_cell(["rx90l"]).arms][:arms]
+    long = renamed(robots[0], "the_arm_at_the_far_end_of_the_line_" * 2, "a_joint_with_a_name_of_some_length_" * 2)
+    cell = RobotCell([*robots[1:], long])
+    figure = joint_figure(cell, still(cell))
+    legends = [legend for axes in figure.axes if (legend := axes.get_legend()) is not None]
+    shown = {
+        tuple(" ".join(text.get_text().split()).removesuffix(" (no limit)") for text in legend.get_texts())
+        for legend in legends
+    }
+    own = [[name.split("/", 1)[1] for name in cell.joint_names[s]] for s in cell.v_slices]
+    assert shown == {tuple(" ".join(name.replace("_", " ").split()) for name in names) for names in own}
+    assert cut(figure) == []
+    assert figure.get_figwidth() <= 10.0
+
+
+def test_many_arms_are_drawn_by_those_closest_to_a_limit(make_cell: Callable[..., RobotCell]) -> None:
+    cell = make_cell(["arm7"] * 20)
+    run = still(cell)
+    q = run.q_command.copy()
+    q[2, cell.position_index[cell.v_slices[13].start]] = 0.99 * cell.limits.upper[cell.v_slices[13].start]
+    figure = joint_figure(cell, replace(run, q_command=q))
+    titles = [axes.get_title() for axes in figure.axes if axes.get_title()]
+    assert len(titles) == 12
+    assert "13 arm7" in titles
+    assert cut(figure) == []
+
+
 def test_joints_without_limits_leave_a_gap(lift: Scenario, one: Recording) -> None:
     cell = RobotCell([arm.with_limits(lower=-np.inf, upper=np.inf, velocity=np.inf) for arm in lift.cell.arms])
-    plots.figure_bytes(plots.joint_figure(cell, one), dpi=40)
+    style.figure_bytes(joint_figure(cell, one), dpi=40)
 
 
 def test_the_lift_has_four_frames(lift: Scenario, one: Recording) -> None:
@@ -118,6 +206,7 @@ def test_the_lift_has_four_frames(lift: Scenario, one: Recording) -> None:
     labels = [axes.texts[-1 if i else 0].get_text() for i, axes in enumerate(figure.axes)]
     assert labels == ["t = 0.0 s", "t = 1.0 s", "t = 2.0 s", "t = 3.0 s"]
     assert {"master", "slave 1", "slave 2"} < {text.get_text() for text in figure.axes[0].texts}
+    assert cut(figure) == []
     first, last = (np.asarray(figure.axes[i].images[0].get_array()) for i in (0, 3))
     assert (first != last).mean() > 0.05
     blue = (last[..., 2].astype(int) - last[..., 0] > 60).mean()  # the plate, tilted towards the viewer
@@ -135,22 +224,22 @@ def test_figures_are_saved_by_their_ending(
     lift: Scenario, one: Recording, tmp_path: Path, kind: str, start: bytes
 ) -> None:
     figure = plots.error_figure(lift.cell, {"a": [one]})
-    file = plots.save_figure(figure, tmp_path / f"new/picture.{kind}", dpi=40)
+    file = style.save_figure(figure, tmp_path / f"new/picture.{kind}", dpi=40)
     assert file.read_bytes().startswith(start)
 
 
 def test_bad_destinations_are_named(lift: Scenario, one: Recording, tmp_path: Path) -> None:
     figure = plots.error_figure(lift.cell, {"a": [one]})
     with pytest.raises(InvalidInputError, match="no kind of picture"):
-        plots.save_figure(figure, tmp_path / "picture.xyz")
+        style.save_figure(figure, tmp_path / "picture.xyz")
     (tmp_path / "file").touch()
     with pytest.raises(OutputError, match="not a folder"):
-        plots.save_figure(figure, tmp_path / "file" / "picture.png", dpi=40)
+        style.save_figure(figure, tmp_path / "file" / "picture.png", dpi=40)
 
 
 def test_no_window_and_no_global_state(lift: Scenario, one: Recording, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "matplotlib.pyplot", None)  # an import would fail
-    plots.figure_bytes(plots.error_figure(lift.cell, {"a": [one]}), dpi=40)
+    style.figure_bytes(plots.error_figure(lift.cell, {"a": [one]}), dpi=40)
 
 
 def test_a_missing_matplotlib_is_named(lift: Scenario, one: Recording, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -160,5 +249,5 @@ def test_a_missing_matplotlib_is_named(lift: Scenario, one: Recording, monkeypat
 
 
 def test_saving_is_repeatable(lift: Scenario, one: Recording) -> None:
-    first, second = (plots.figure_bytes(plots.error_figure(lift.cell, {"a": [one]}), dpi=40) for _ in range(2))
+    first, second = (style.figure_bytes(plots.error_figure(lift.cell, {"a": [one]}), dpi=40) for _ in range(2))
     assert first == second

@@ -109,7 +109,7 @@ def test_errors_and_options_are_all_public() -> None:
 
 def test_types_in_signatures_of_public_functions_are_public() -> None:
     """What a public function takes or returns can be named by its user."""
-    known = {*coopqp.__all__, "Any", "None", "Path", "Sequence", "Mapping", "Callable", "Literal"}
+    known = {*coopqp.__all__, "Any", "ArrayLike", "None", "Path", "Sequence", "Mapping", "Callable", "Literal"}
     internal = {"CellRun", "ProgressCallback"}  # returned by load_cell_file, which needs an extra; a plain callable
     for name in coopqp.__all__:
         thing = getattr(coopqp, name)

@@ -195,7 +195,7 @@ def test_a_missing_matplotlib_names_the_extra(
     def missing() -> None:
         raise MissingExtraError("plot", "matplotlib")
 
-    monkeypatch.setattr("coopqp.look.plots.require_matplotlib", missing)
+    monkeypatch.setattr("coopqp.look.report.require_matplotlib", missing)
     with pytest.raises(MissingExtraError, match=r"coopqp\[plot\]"):
         report_html(baseline(40))
 
@@ -238,11 +238,51 @@ def test_the_timeline_shows_statuses_and_limits(slowed: Recording, paper: Scenar
     recording = replace(slowed, status=codes)
     figure = timeline_figure(recording, read_run(paper.cell, recording))
     errors, rate, limits = figure.axes
-    assert len(errors.lines) == 3
+    assert len(errors.lines) == 5  # three errors and two tolerances
+    assert [float(line.get_ydata()[0]) for line in errors.lines[3:]] == [0.1, 1.0]
     assert [text.get_text() for text in rate.get_legend().get_texts()] == ["blocked"]
     assert len(limits.collections) == len(bound_limits(recording))
     bare = replace(slowed, metadata={**slowed.metadata, "binding": []})
     assert len(timeline_figure(bare, read_run(paper.cell, bare)).axes) == 2
+
+
+def test_errors_of_rounding_are_said_and_their_tolerances_drawn(
+    baseline: Callable[..., Recording], paper: Scenario
+) -> None:
+    """Not three curves on one line at the lower edge."""
+    recording = baseline(40)
+    small = np.full(41, 3.9e-14)
+    readings = replace(read_run(paper.cell, recording), eps_p_mm=small, chain_mm=small, object_mm=small)
+    errors = timeline_figure(recording, readings, tolerances=Tolerances(chain_mm=0.2)).axes[0]
+    assert [float(line.get_ydata()[0]) for line in errors.lines] == [0.2, 1.0]
+    assert all("below 1e-6 mm" in text.get_text() for text in errors.get_legend().get_texts())
+    figures = run_figures(paper.cell, recording, replace(readings, eps_o_deg=small))
+    assert (figures["largest ε_p"], figures["largest ε_o"]) == ("below 1e-9 mm", "below 1e-9°")
+    quiet = replace(readings, chain_deg=small, object_deg=np.full(41, 0.1))
+    answers = [finding.answer for finding in judge(paper.cell, recording, quiet)]
+    assert answers[-2] == "below 1e-9 mm and below 1e-9° (asked: 0.1 mm, 0.1°)"
+    assert answers[-1] == "below 1e-9 mm and within 0.1° (asked: 1 mm, 0.5°)"
+
+
+def test_speeding_up_from_rest_and_braking_at_the_end_are_part_of_a_good_run(
+    paper: Scenario, baseline: Callable[..., Recording]
+) -> None:
+    """The status of such a run is ok; a rate that falls on the way is not."""
+    recording = baseline(40)
+    rate, status = recording.rate.copy(), recording.status.copy()
+    rate[:3], rate[-2:] = (0.2, 0.5, 0.8), (0.6, 0.1)
+    status[:3] = status[-2:] = Status.SLOWED.code
+    limits = [[0, [["slave_1", "joint_2", "acceleration"]]], [3, []], [38, [["", "", "path end"]]]]
+    healthy = replace(recording, rate=rate, status=status, metadata={**recording.metadata, "binding": limits})
+    assert worst_status(healthy) == "ok"
+    assert verdict(paper.cell, healthy)[0][1].endswith("0 of 40 steps slowed, 3 to speed up, 2 to brake at the end")
+    limits[0] = [0, [["slave_1", "joint_2", "velocity"]]]
+    assert worst_status(replace(healthy, metadata={**recording.metadata, "binding": limits})) == "slowed"
+    rate[1] = 0.1
+    assert worst_status(replace(healthy, rate=rate)) == "slowed"
+    middle = recording.status.copy()
+    middle[20] = Status.SLOWED.code
+    assert worst_status(replace(recording, status=middle)) == "slowed"
 
 
 # -- the verdict ---------------------------------------------------------------------------------------------------

@@ -98,6 +98,30 @@ def test_links_and_object_stand_where_the_run_says(scene: FakeScene, run: Record
         np.testing.assert_allclose(_pose(scene.nodes["/object"]).homogeneous, carried.homogeneous, atol=1e-9)
 
 
+def test_names_stay_above_their_arms(scene: FakeScene, run: Recording, paper: Scenario) -> None:
+    """At every sample the name is straight above the highest joint or tool, by less than half a metre."""
+    stage = Stage(scene, run)
+    data = paper.cell.model.createData()
+    for sample in (0, 20, 40):
+        stage.show(sample)
+        pin.framesForwardKinematics(paper.cell.model, data, run.q[sample])
+        for arm, own in enumerate(paper.cell.v_slices):
+            points = [data.oMi[j + 1].translation for j in range(own.start, own.stop)]
+            points.append(data.oMf[paper.cell.tool_frames[arm]].translation)
+            highest = max(points, key=lambda point: float(point[2]))
+            place = np.asarray(scene.nodes[f"/names/{paper.cell.arm_names[arm]}"].position)
+            np.testing.assert_allclose(place[:2], highest[:2], atol=1e-9)
+            assert 0.02 < place[2] - highest[2] < 0.5
+
+
+def test_long_lines_of_the_readout_are_broken(scene: FakeScene, run: Recording) -> None:
+    limits = [[arm, f"a_joint_with_a_long_name_{j}", "velocity"] for arm in ("slave_1", "slave_2") for j in range(4)]
+    stage = Stage(scene, replace(run, metadata={**run.metadata, "binding": [[0, limits]]}))
+    text = readout(stage, 0)
+    assert max(map(len, text.splitlines())) <= viewer.LINE
+    assert all(f"a_joint_with_a_long_name_{j}" in text for j in range(4))
+
+
 def test_every_shape_is_there(scene: FakeScene, run: Recording, paper: Scenario) -> None:
     Stage(scene, run)
     drawn = [name for name in scene.nodes if name.startswith("/links/") and name.count("/") == 3]
@@ -161,7 +185,7 @@ def test_the_goal_is_shown_even_if_it_was_not_reached(scene: FakeScene, run: Rec
 
 
 @pytest.mark.parametrize(
-    ("mm", "text"), [(8.7, "8.7 mm"), (0.0043, "4.3 µm"), (2e-9, "< 0.001 µm"), (float("nan"), "nan mm")]
+    ("mm", "text"), [(8.7, "8.7 mm"), (0.0043, "4.3 µm"), (2e-9, "below 0.001 µm"), (float("nan"), "nan mm")]
 )
 def test_lengths_are_told_in_a_fitting_unit(mm: float, text: str) -> None:
     assert viewer._length(mm) == text

@@ -96,17 +96,15 @@ def _task(name: str) -> tuple[RobotCell, Grasp, ObjectPath, Array | None, str]:
 
 def _check_outputs(record: Path | None, picture: Path | None, *, force: bool) -> None:
     """Refuse what cannot be written, before any work is done."""
-    from coopqp.output import OutputError, check_file
+    from coopqp.output import check_new
 
     if picture is not None:
-        from coopqp.look.plots import require_matplotlib
+        from coopqp.look.style import require_matplotlib
 
         require_matplotlib()
     for file in (record, picture):
         if file is not None:
-            check_file(file)
-            if file.exists() and not force:
-                raise OutputError(f"{file} exists. Replace it with --force, or give another name.")
+            check_new(file, force=force)
 
 
 def _write(check: PathCheck, record: Path | None, picture: Path | None) -> list[Path]:
@@ -117,7 +115,7 @@ def _write(check: PathCheck, record: Path | None, picture: Path | None) -> list[
         contents[record] = (json.dumps(check.record(), indent=1, ensure_ascii=False) + "\n").encode()
     if picture is not None:
         from coopqp.look.check_plots import check_figure
-        from coopqp.look.plots import figure_bytes
+        from coopqp.look.style import figure_bytes
 
         contents[picture] = figure_bytes(check_figure(check), dpi=110)
     return write_files(contents) if contents else []

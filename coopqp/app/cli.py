@@ -110,16 +110,17 @@ def _add_demo(commands: Any) -> None:
     parser.add_argument(
         "--solver", default="auto", metavar="NAME", help="QP solver (auto: the one that controllers use)"
     )
-    parser.add_argument("--out", type=Path, default=Path("out/demo"), metavar="DIR", help="folder (out/demo)")
+    parser.add_argument("--out", type=Path, metavar="DIR", help="folder (out/demo; a used one gets a number)")
     parser.add_argument("--json", type=Path, metavar="FILE", help="also write the figures of every run as JSON")
+    parser.add_argument("--force", action="store_true", help="overwrite what is there")
     parser.add_argument("--quiet", action="store_true", help="print errors only")
     parser.set_defaults(run=_run_demo)
 
 
 def _run_demo(arguments: argparse.Namespace) -> int:
     from coopqp.app import demo
-    from coopqp.look.plots import require_matplotlib
-    from coopqp.output import check_file, check_folder
+    from coopqp.look.style import require_matplotlib
+    from coopqp.output import check_folder, check_new, check_unused, numbered
     from coopqp.scenarios import paper_lift
 
     steps = demo.check_demo(arguments.steps, arguments.solver)
@@ -128,9 +129,13 @@ def _run_demo(arguments: argparse.Namespace) -> int:
         require_matplotlib()
     except MissingExtraError as error:
         missing = str(error)
-    check_folder(arguments.out)
+    folder = arguments.out or Path("out/demo")
+    if arguments.out is None and not arguments.force:
+        folder = numbered(folder, lambda place: any((place / name).exists() for name in demo.PICTURES))
+    check_unused((folder / name for name in demo.PICTURES), force=arguments.force)
+    check_folder(folder)
     if arguments.json is not None:
-        check_file(arguments.json)
+        check_new(arguments.json, force=arguments.force)
     total = len(demo.METHODS) * sum(steps)
     with reporter(total, quiet=arguments.quiet) as report:
         scenario = paper_lift()
@@ -141,7 +146,7 @@ def _run_demo(arguments: argparse.Namespace) -> int:
         runs = demo.run_demo(scenario, steps=steps, solver=arguments.solver, progress=progress)
         if not missing:
             report.note("drawing the pictures")
-        files = demo.write_demo(scenario, runs, None if missing else arguments.out, json_file=arguments.json)
+        files = demo.write_demo(scenario, runs, None if missing else folder, json_file=arguments.json)
     if not arguments.quiet:
         _print_table(runs)
         if files:

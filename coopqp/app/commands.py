@@ -149,6 +149,7 @@ def _add_view(commands: Any) -> None:
     )
     parser.add_argument("what", metavar="RUN", help=_RUN_HELP)
     parser.add_argument("--html", type=Path, metavar="FILE", help="write one page that opens offline, and end")
+    parser.add_argument("--force", action="store_true", help="overwrite an earlier page")
     parser.add_argument("--port", type=int, default=8080, metavar="N", help="port (8080; 0 for any that is free)")
     parser.add_argument("--no-open", action="store_true", help="do not open the browser")
     parser.add_argument("--sticks", action="store_true", help="draw the arms as sticks, without their shapes")
@@ -159,11 +160,11 @@ def _add_view(commands: Any) -> None:
 
 def _run_view(arguments: argparse.Namespace) -> int:
     from coopqp.look.viewer import export_html, require_viser
-    from coopqp.output import check_file
+    from coopqp.output import check_new
 
     require_viser()
     if arguments.html is not None:
-        check_file(arguments.html)
+        check_new(arguments.html, force=arguments.force)
     recording = _obtain(arguments.what, quiet=arguments.quiet, meshes=arguments.meshes)
     if arguments.html is None:
         _serve(
@@ -231,6 +232,7 @@ def _add_report(commands: Any) -> None:
     )
     parser.add_argument("what", metavar="RUN", help=_RUN_HELP)
     parser.add_argument("--out", type=Path, metavar="FILE", help="the page (NAME_report.html, beside a recording)")
+    parser.add_argument("--force", action="store_true", help="overwrite an earlier report")
     _add_meshes(parser)
     for name, unit, text in (
         ("chain-mm", "MM", "the arms against each other (0.1)"),
@@ -245,9 +247,9 @@ def _add_report(commands: Any) -> None:
 
 
 def _run_report(arguments: argparse.Namespace) -> int:
-    from coopqp.look.plots import require_matplotlib
     from coopqp.look.report import write_report
-    from coopqp.output import check_file
+    from coopqp.look.style import require_matplotlib
+    from coopqp.output import check_new, numbered
     from coopqp.simulation.assessment import Tolerances
 
     require_matplotlib()
@@ -257,7 +259,9 @@ def _run_report(arguments: argparse.Namespace) -> int:
     source = Path(arguments.what)
     name = f"{source.stem}_report.html"
     page = arguments.out or (source.with_name(name) if source.suffix == ".npz" else Path(name))
-    check_file(page)
+    if arguments.out is None and not arguments.force:
+        page = numbered(page, Path.exists, suffix=page.suffix)
+    check_new(page, force=arguments.force)
     recording = _obtain(arguments.what, quiet=arguments.quiet, meshes=arguments.meshes)
     with reporter(quiet=arguments.quiet) as report:
         tolerances = replace(Tolerances.of(recording), **asked)
@@ -280,7 +284,7 @@ def _add_export(commands: Any) -> None:
     parser.add_argument("--csv", type=Path, metavar="FILE", help="a table, one row per sample; - for stdout")
     parser.add_argument("--bag", type=Path, metavar="DIR", help="a bag of joint states and trajectories; a new folder")
     parser.add_argument("--npz", type=Path, metavar="FILE", help="a recording, to be shown and reported later")
-    parser.add_argument("--force", action="store_true", help="overwrite an existing recording")
+    parser.add_argument("--force", action="store_true", help="overwrite an existing table or recording")
     parser.add_argument("--quiet", action="store_true", help="print errors only")
     parser.set_defaults(run=_run_export)
 
@@ -288,7 +292,7 @@ def _add_export(commands: Any) -> None:
 def _run_export(arguments: argparse.Namespace) -> int:
     from coopqp.app.runs import save_recording
     from coopqp.files.export import csv_text, require_rosbags, write_bag, write_csv
-    from coopqp.output import OutputError, check_file
+    from coopqp.output import check_new
 
     if arguments.bag is not None:
         require_rosbags()
@@ -297,9 +301,7 @@ def _run_export(arguments: argparse.Namespace) -> int:
         raise CoopqpError("nothing to write: give --csv, --bag or --npz.")
     for file in (None if to_stdout else arguments.csv, arguments.npz):
         if file is not None:
-            check_file(file)
-    if arguments.npz is not None and arguments.npz.exists() and not arguments.force:
-        raise OutputError(f"{arguments.npz} exists. Replace it with --force, or give another name.")
+            check_new(file, force=arguments.force)
     recording = _obtain(arguments.what, quiet=arguments.quiet, meshes=None)
     files = []
     if arguments.npz is not None:

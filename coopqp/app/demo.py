@@ -11,16 +11,19 @@ from typing import Any
 
 import numpy as np
 
-from coopqp.control.command import NO_SOLVE, Controller, ControlStep, Status
+from coopqp.control.command import NO_SOLVE, Controller, ControlStep
 from coopqp.control.options import QPOptions
 from coopqp.control.pseudo_inverse import PseudoInverseController, PseudoInverseOptions
 from coopqp.control.qp import QPController
 from coopqp.control.solvers import default_solver, make_solver
 from coopqp.errors import InvalidInputError, UnknownNameError
 from coopqp.look import plots
+from coopqp.look.joints import joint_figure
+from coopqp.look.style import figure_bytes
 from coopqp.output import write_files
 from coopqp.scenarios import Scenario
 from coopqp.simulation import metrics
+from coopqp.simulation.assessment import worst_status
 from coopqp.simulation.recording import Recording
 from coopqp.simulation.simulate import simulate
 
@@ -28,6 +31,8 @@ from coopqp.simulation.simulate import simulate
 RESET_EVERY = 10
 #: Numbers of steps of the paper's Figure 5.
 DEFAULT_STEPS = (40, 400, 1000)
+#: The pictures of :func:`demo_pictures`.
+PICTURES = ("paper_lift.png", "figure5.png", "figure5_orientation.png", "joints.png")
 #: The solver that controllers use by default.
 AUTO = "auto"
 
@@ -70,9 +75,7 @@ class DemoRun:
     @property
     def status(self) -> str:
         """``"ok"`` if every step tracked and the object arrived, otherwise the worst status."""
-        statuses = set(self.recording.statuses)
-        worst = max(statuses, key=lambda status: status.precedence)
-        return "ok" if worst is Status.TRACKING and self.recording.finished else worst.value
+        return worst_status(self.recording)
 
     def record(self) -> dict[str, Any]:
         """The run as a flat record for JSON. Figures that are not finite become None."""
@@ -172,15 +175,13 @@ def demo_pictures(scenario: Scenario, runs: Sequence[DemoRun]) -> dict[str, byte
         for method, label in (("pseudo_inverse", "pseudo-inverse"), ("qp", "QP"))
     }
     finest = max((run for run in runs if run.method == "qp"), key=lambda run: run.steps).recording
-    figures = {
-        "paper_lift.png": plots.motion_figure(
-            cell, finest, object_size=scenario.object_size, T_object_body=scenario.T_object_body
-        ),
-        "figure5.png": plots.error_figure(cell, curves),
-        "figure5_orientation.png": plots.error_figure(cell, curves, quantity="orientation"),
-        "joints.png": plots.joint_figure(cell, finest),
-    }
-    return {name: plots.figure_bytes(figure) for name, figure in figures.items()}
+    figures = (
+        plots.motion_figure(cell, finest, object_size=scenario.object_size, T_object_body=scenario.T_object_body),
+        plots.error_figure(cell, curves),
+        plots.error_figure(cell, curves, quantity="orientation"),
+        joint_figure(cell, finest),
+    )
+    return {name: figure_bytes(figure) for name, figure in zip(PICTURES, figures, strict=True)}
 
 
 def write_demo(

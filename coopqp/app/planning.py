@@ -70,9 +70,9 @@ def _say(error: CoopqpError, status: int) -> int:
 
 def _run(arguments: argparse.Namespace) -> int:
     from coopqp.files.cellfile import load_cell_file, require_readers
-    from coopqp.look.plots import figure_bytes, require_matplotlib
     from coopqp.look.profile import profile_figure
-    from coopqp.output import OutputError, check_folder, write_files
+    from coopqp.look.style import figure_bytes, require_matplotlib
+    from coopqp.output import check_folder, check_unused, write_files
     from coopqp.planning.parametrise import require_toppra
     from coopqp.planning.timing import SHARE
 
@@ -82,9 +82,7 @@ def _run(arguments: argparse.Namespace) -> int:
     from coopqp.files.cellfile.planned import planned_text
 
     folder: Path = arguments.out
-    used = next((folder / name for name in _FILES if (folder / name).exists()), None)
-    if used is not None and not arguments.force:
-        raise OutputError(f"{used} exists. Replace it with --force, or give another folder.")
+    check_unused((folder / name for name in _FILES), force=arguments.force)
     check_folder(folder)
     with reporter(quiet=arguments.quiet) as report:
         report.note("finding a start")

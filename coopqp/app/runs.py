@@ -8,7 +8,7 @@ from pathlib import Path
 
 from coopqp.control.qp import QPController
 from coopqp.errors import UnknownNameError
-from coopqp.output import OutputError, check_folder, folder_of
+from coopqp.output import OutputError, check_folder, check_unused, folder_of, numbered
 from coopqp.simulation.recording import Recording
 from coopqp.simulation.scene import describe_object, read_object
 from coopqp.simulation.simulate import ProgressCallback, simulate
@@ -37,7 +37,7 @@ def _require_rosbags() -> None:
 
 
 def _require_matplotlib() -> None:
-    from coopqp.look.plots import require_matplotlib
+    from coopqp.look.style import require_matplotlib
 
     require_matplotlib()
 
@@ -103,21 +103,13 @@ def output_folder(name: str, asked: str | None, products: Iterable[str], *, out:
             _NEEDS[product]()
     files = [file for product in wanted for file in PRODUCTS[product]]
     folder = out or Path(asked or Path("out") / safe_name(name))
-    used = _first_used(folder, files)
-    if used is not None and not force:
-        if out is not None:
-            raise OutputError(f"{used} exists. Replace it with --force, or give another folder.")
-        number = 2
-        while _first_used(folder.with_name(f"{folder.name}-{number}"), files):
-            number += 1
-        folder = folder.with_name(f"{folder.name}-{number}")
+    if out is not None:
+        check_unused((folder / file for file in files), force=force)
+    elif not force:
+        folder = numbered(folder, lambda place: any((place / file).exists() for file in files))
     if wanted:
         check_folder(folder)
     return folder
-
-
-def _first_used(folder: Path, files: Iterable[str]) -> Path | None:
-    return next((folder / file for file in files if (folder / file).exists()), None)
 
 
 def write_products(
@@ -192,6 +184,8 @@ def _report(recording: Recording, folder: Path, say: Callable[[str], None]) -> l
 
 def _plots(recording: Recording, folder: Path, say: Callable[[str], None]) -> list[Path]:
     from coopqp.look import plots
+    from coopqp.look.joints import joint_figure
+    from coopqp.look.style import figure_bytes
     from coopqp.look.timeline import timeline_figure
     from coopqp.output import write_files
     from coopqp.simulation.assessment import read_run
@@ -201,13 +195,13 @@ def _plots(recording: Recording, folder: Path, say: Callable[[str], None]) -> li
     size, body = read_object(recording.metadata, recording.T_object_tool)
     figures = {
         "timeline.png": timeline_figure(recording, read_run(cell, recording)),
-        "joints.png": plots.joint_figure(cell, recording),
+        "joints.png": joint_figure(cell, recording),
     }
     if cell.visual_model().ngeoms:
         figures["motion.png"] = plots.motion_figure(
             cell, recording, object_size=(size[0], size[1], size[2]), T_object_body=body, pixels=600
         )
-    return write_files({folder / name: plots.figure_bytes(figure) for name, figure in figures.items()})
+    return write_files({folder / name: figure_bytes(figure) for name, figure in figures.items()})
 
 
 def _page(recording: Recording, folder: Path, say: Callable[[str], None]) -> list[Path]:

@@ -9,8 +9,9 @@ from typing import Any, Protocol, final
 import numpy as np
 import pinocchio as pin
 
-from coopqp.checks import read_only
+from coopqp.checks import ArrayLike, read_only
 from coopqp.errors import InvalidInputError
+from coopqp.lazy import Shown
 from coopqp.model.branches import AT_LIMIT, amount
 from coopqp.model.cell import RobotCell
 from coopqp.model.grasp import Grasp
@@ -105,7 +106,7 @@ class StepReader(Protocol):
 
 
 @final
-class ControlStep:
+class ControlStep(Shown):
     """The command of one step, and the reason for it.
 
     A compiled controller hands out a record of numbers: an attribute is read from it when asked for. Arrays are
@@ -338,7 +339,7 @@ class Controller(Protocol):
     path: ObjectPath
     dt: float
 
-    def reset(self, q: Any) -> None:
+    def reset(self, q: ArrayLike) -> None:
         """Start at rest at a measured configuration (nq,), with the object's clock at 0.
 
         Raises:
@@ -346,7 +347,7 @@ class Controller(Protocol):
         """
         ...
 
-    def step(self, q_measured: Any = None, *, dt: float | None = None) -> ControlStep:
+    def step(self, q_measured: ArrayLike | None = None, *, dt: float | None = None) -> ControlStep:
         """Compute the command of one period. Run-time data never raise an error."""
         ...
 
@@ -359,7 +360,7 @@ def check_start(
     cell: RobotCell,
     grasp: Grasp,
     path: ObjectPath,
-    q: Any,
+    q: ArrayLike,
     *,
     tolerance_m: float,
     tolerance_rad: float,

@@ -17,11 +17,12 @@ Costs, in the order of rank: chain 1e8, recovery 1e6, off-path 1e4, grasp correc
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import Annotated
 
 import numpy as np
 import numpy.typing as npt
 
-from coopqp.checks import keep_scalars
+from coopqp.checks import Doc, documented, keep_scalars
 from coopqp.control.constraints import Rows
 from coopqp.control.limits import VelocityBox
 from coopqp.control.solvers.base import QpProblem
@@ -29,30 +30,24 @@ from coopqp.model.chain import Chain
 from coopqp.spatial import Array
 
 
+@documented
 @dataclass(frozen=True, kw_only=True)
 class RankWeights:
-    """Costs of giving something up, per unit squared; ratios of at least 100 keep the ranks apart.
+    """Costs of giving something up, per unit squared; ratios of at least 100 keep the ranks apart."""
 
-    Attributes:
-        chain: of the arms parting [1/(m/s)²].
-        off_path: of velocity off the path [1/(m/s)²].
-        recovery: of a joint outside its limits not being led back [1/(rad/s)²].
-        clearance: of a row that gives way before the arms part, per unit of the row squared.
-        grasp, path: of giving up all of the grasp or path correction.
-        rate: of standing still (σ = 0).
-        comfort: of null-space motion other than the wanted one, in units of the joints' speeds.
-        length: characteristic length that weighs rotation against translation [m].
-    """
-
-    chain: float = 1e8
-    off_path: float = 1e4
-    recovery: float = 1e6
-    clearance: float = 1e6
-    grasp: float = 1.0
-    path: float = 1e-2
-    rate: float = 1e-4
-    comfort: float = 1e-6
-    length: float = 0.3
+    chain: Annotated[float, Doc("cost of the speed at which the arms part [1/(m/s)²]")] = 1e8
+    off_path: Annotated[float, Doc("cost of object velocity off the path [1/(m/s)²]")] = 1e4
+    recovery: Annotated[float, Doc("cost of a joint outside its limits that is not led back [1/(rad/s)²]")] = 1e6
+    clearance: Annotated[
+        float, Doc("cost of a row that gives way before the arms part, per unit of the row squared")
+    ] = 1e6
+    grasp: Annotated[float, Doc("cost of giving up all of the grasp correction")] = 1.0
+    path: Annotated[float, Doc("cost of giving up all of the path correction")] = 1e-2
+    rate: Annotated[float, Doc("cost of standing still (σ = 0)")] = 1e-4
+    comfort: Annotated[
+        float, Doc("cost of null-space motion other than the wanted one, in units of the joints' speeds")
+    ] = 1e-6
+    length: Annotated[float, Doc("characteristic length that weighs rotation against translation [m]")] = 0.3
 
     def __post_init__(self) -> None:
         keep_scalars(self, *self.__dataclass_fields__, low=1e-20, high=1e20)

@@ -10,12 +10,12 @@ import math
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, final
+from typing import Annotated, Any, final
 
 import numpy as np
 import pinocchio as pin
 
-from coopqp.checks import as_options, as_scalar, keep_scalars, require
+from coopqp.checks import ArrayLike, Doc, as_options, as_scalar, documented, keep_scalars, require
 from coopqp.control.command import (
     NO_SOLVE,
     START_TOLERANCE_M,
@@ -45,29 +45,25 @@ _RECOVERY = 1e4
 _RESIDUE = 1e-5
 
 
+@documented
 @dataclass(frozen=True, kw_only=True)
 class IndependentQPOptions:
-    """Settings of the QP with independent arms.
+    """Settings of the QP with independent arms."""
 
-    Attributes:
-        solver: name of the QP solver, see :func:`coopqp.control.solvers.available_solvers`, one is kept per arm;
-            ``"auto"`` for the :func:`~coopqp.control.solvers.default_solver`; or a solver, which serves all arms.
-        solver_settings: settings object of the solver of that name.
-        gain: of every arm's error [1/s]; a step never corrects more than the whole error.
-        correction_speed, correction_spin: bound of the correction [m/s, rad/s].
-        length: characteristic length that weighs rotation against translation [m].
-        damping: λ_max [m] of the damping λ² = λ_max² (1 − (σ_min/σ_0)²) for σ_min < σ_0.
-        damping_from: σ_0, the smallest singular value of the tool Jacobian without damping.
-    """
-
-    solver: str | QpSolver = "auto"
-    solver_settings: Any = None
-    gain: float = 20.0
-    correction_speed: float = 0.1
-    correction_spin: float = 0.4
-    length: float = 0.3
-    damping: float = 0.02
-    damping_from: float = 0.02
+    solver: Annotated[
+        str | QpSolver,
+        Doc(
+            "name of the QP solver, as for the controller qp; one is kept per arm. A program may also give a solver "
+            "object, which serves all arms"
+        ),
+    ] = "auto"
+    solver_settings: Annotated[Any, Doc("settings of the solver of that name")] = None
+    gain: Annotated[float, Doc("of every arm's error [1/s]; a step never corrects more than the whole error")] = 20.0
+    correction_speed: Annotated[float, Doc("largest speed of the correction [m/s]")] = 0.1
+    correction_spin: Annotated[float, Doc("largest angular speed of the correction [rad/s]")] = 0.4
+    length: Annotated[float, Doc("characteristic length that weighs rotation against translation [m]")] = 0.3
+    damping: Annotated[float, Doc("λ_max [m] of the damping λ² = λ_max² (1 − (σ_min/σ_0)²) for σ_min < σ_0")] = 0.02
+    damping_from: Annotated[float, Doc("σ_0, the smallest singular value of the tool Jacobian without damping")] = 0.02
 
     def __post_init__(self) -> None:
         keep_scalars(self, "correction_speed", "correction_spin", "length", "damping_from")
@@ -113,7 +109,7 @@ class IndependentQPController:
         self._clock, self._started = 0.0, False
 
     @alone
-    def reset(self, q: Any) -> None:
+    def reset(self, q: ArrayLike) -> None:
         """Start at rest at ``q`` (nq,), with the object's clock at 0. Errors as in :class:`Controller`."""
         tolerances = {"tolerance_m": START_TOLERANCE_M, "tolerance_rad": START_TOLERANCE_RAD}
         self._q = check_start(self.cell, self.grasp, self.path, q, **tolerances)
@@ -123,7 +119,7 @@ class IndependentQPController:
             solver.reset()
 
     @alone
-    def step(self, q_measured: Any = None, *, dt: float | None = None) -> ControlStep:
+    def step(self, q_measured: ArrayLike | None = None, *, dt: float | None = None) -> ControlStep:
         """One step from the commanded configuration. ``q_measured`` is not used.
 
         With an invalid ``dt``, or if the QP of an arm fails, the step brakes.

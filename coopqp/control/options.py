@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 
-from coopqp.checks import as_count, as_options, keep_scalars
+from coopqp.checks import Doc, as_count, as_options, documented, keep_scalars
 from coopqp.control.command import START_TOLERANCE_M, START_TOLERANCE_RAD
 from coopqp.control.forms import RankWeights
 from coopqp.control.solvers import QpSolver
@@ -19,53 +19,60 @@ from coopqp.task.common_error import CommonError
 from coopqp.task.posture import PostureOptions
 
 
+@documented
 @dataclass(frozen=True, kw_only=True)
 class QPOptions:
-    """Settings of the cooperative controller.
+    """Settings of the cooperative controller."""
 
-    Attributes:
-        solver: name of the QP solver, see :func:`coopqp.control.solvers.available_solvers`; ``"auto"`` for the
-            :func:`~coopqp.control.solvers.default_solver`; or a solver.
-        solver_settings: settings object of the solver of that name.
-        grasp_gain, path_gain: K_g, K_p [1/s]; a step never corrects more than the whole error (K dt ≤ 1).
-        correction_speed, correction_spin: upper bound of each correction [m/s, rad/s].
-        measurement_time: time constant of the filter of the measured object error [s].
-        common_error: weights that define the object pose; the first arm defines it by default (master–slave).
-        weights: costs of the ranks.
-        form: form of the QP, ``"condensed"`` or ``"full"``.
-        shortcut: skip the QP if the nominal command or a lower rate on the path is admissible.
-        iterations: number of linearisations of a step; use 2 if accuracy matters more than time.
-        preview: settings of the path preview; None for no preview.
-        posture: goals of the null-space motion of redundant arms.
-        supervision: thresholds of the comparison of measured and commanded configurations.
-        kernel: ``"auto"`` for the compiled core if it is installed and knows the robot, ``"compiled"`` or ``"plain"``.
-        blocked_rate: rate σ below which the object counts as blocked.
-        off_path_distance, off_path_angle: distance of the object from its path beyond which its status says so
-            [m, rad].
-        start_tolerance_m, start_tolerance_rad: accepted error of any arm at reset [m, rad].
-    """
-
-    solver: str | QpSolver = "auto"
-    solver_settings: Any = None
-    grasp_gain: float = 20.0
-    path_gain: float = 20.0
-    correction_speed: float = 0.1
-    correction_spin: float = 0.4
-    measurement_time: float = 0.02
-    common_error: CommonError = field(default_factory=CommonError.master)
-    weights: RankWeights = field(default_factory=RankWeights)
-    form: Literal["condensed", "full"] = "condensed"
-    shortcut: bool = True
-    iterations: int = 1
-    preview: PreviewOptions | None = field(default_factory=PreviewOptions)
-    posture: PostureOptions = field(default_factory=PostureOptions)
-    supervision: SupervisionOptions = field(default_factory=SupervisionOptions)
-    kernel: str = "auto"
-    blocked_rate: float = 1e-3
-    off_path_distance: float = 1e-3
-    off_path_angle: float = np.deg2rad(0.1)
-    start_tolerance_m: float = START_TOLERANCE_M
-    start_tolerance_rad: float = START_TOLERANCE_RAD
+    solver: Annotated[
+        str | QpSolver,
+        Doc(
+            'name of the QP solver: "auto" (the compiled ldp, or what replaces it where nothing is compiled), "ldp", '
+            '"daqp", "proxqp", "osqp" or another of qpsolvers; a program may also give a solver object'
+        ),
+    ] = "auto"
+    solver_settings: Annotated[Any, Doc("settings of the solver of that name")] = None
+    grasp_gain: Annotated[
+        float, Doc("gain K_g of the grasp correction [1/s]; a step never corrects more than the whole error (K dt ≤ 1)")
+    ] = 20.0
+    path_gain: Annotated[float, Doc("gain K_p of the path correction [1/s], in the same way")] = 20.0
+    correction_speed: Annotated[float, Doc("largest speed of each correction [m/s]")] = 0.1
+    correction_spin: Annotated[float, Doc("largest angular speed of each correction [rad/s]")] = 0.4
+    measurement_time: Annotated[float, Doc("time constant of the filter of the measured object error [s]")] = 0.02
+    common_error: Annotated[
+        CommonError, Doc("weights that define the object pose; the first arm defines it by default (master–slave)")
+    ] = field(default_factory=CommonError.master)
+    weights: Annotated[RankWeights, Doc("costs of the ranks")] = field(default_factory=RankWeights)
+    form: Annotated[Literal["condensed", "full"], Doc('form of the QP, "condensed" or "full"')] = "condensed"
+    shortcut: Annotated[bool, Doc("skip the QP if the nominal command or a lower rate on the path is admissible")] = (
+        True
+    )
+    iterations: Annotated[int, Doc("number of linearisations of a step; use 2 if accuracy matters more than time")] = 1
+    preview: Annotated[PreviewOptions | None, Doc("settings of the path preview; None for no preview")] = field(
+        default_factory=PreviewOptions
+    )
+    posture: Annotated[PostureOptions, Doc("goals of the null-space motion of redundant arms")] = field(
+        default_factory=PostureOptions
+    )
+    supervision: Annotated[
+        SupervisionOptions, Doc("thresholds of the comparison of measured and commanded configurations")
+    ] = field(default_factory=SupervisionOptions)
+    kernel: Annotated[
+        str, Doc('"auto" for the compiled core if it is installed and knows the robot, "compiled" or "plain"')
+    ] = "auto"
+    blocked_rate: Annotated[float, Doc("rate σ below which the object counts as blocked")] = 1e-3
+    off_path_distance: Annotated[
+        float, Doc("distance of the object from its path beyond which its status says so [m]")
+    ] = 1e-3
+    off_path_angle: Annotated[
+        float, Doc("angle between the object and its path beyond which its status says so [rad]")
+    ] = np.deg2rad(0.1)
+    start_tolerance_m: Annotated[float, Doc("accepted distance of any arm from the grasp at reset [m]")] = (
+        START_TOLERANCE_M
+    )
+    start_tolerance_rad: Annotated[float, Doc("accepted angle of any arm from the grasp at reset [rad]")] = (
+        START_TOLERANCE_RAD
+    )
 
     def __post_init__(self) -> None:
         keep_scalars(self, "grasp_gain", "path_gain", "measurement_time", open_low=False)

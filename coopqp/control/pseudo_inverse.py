@@ -8,12 +8,12 @@ from __future__ import annotations
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Literal, final
+from typing import Annotated, Any, Literal, final
 
 import numpy as np
 import pinocchio as pin
 
-from coopqp.checks import as_count, as_options, as_scalar, keep_scalars, require
+from coopqp.checks import ArrayLike, Doc, as_count, as_options, as_scalar, documented, keep_scalars, require
 from coopqp.control.command import START_TOLERANCE_M, START_TOLERANCE_RAD, ControlStep, Status, check_start
 from coopqp.control.turn import Turn, alone
 from coopqp.errors import InvalidInputError, UnknownNameError, UnreachableError
@@ -28,26 +28,33 @@ Increment = Literal["rotated", "literal", "exact"]
 Integration = Literal["euler", "midpoint"]
 
 
+@documented
 @dataclass(frozen=True, kw_only=True)
 class PseudoInverseOptions:
-    """Variants of the paper's algorithm.
+    """Variants of the paper's algorithm."""
 
-    Attributes:
-        increment: division of the total displacement (Step 1). ``"rotated"``: δφ = r φ*/N and
-            δp_k = Rot(r, −τ_k φ*) p/N, which follows G(0)M(τ) to first order. ``"literal"``: the constant body
-            increment (p, φ* r)/N, a screw with another end pose. ``"exact"``: log(M(τ)⁻¹ M(τ + dτ)), for any path.
-        integration: ``"euler"`` evaluates the Jacobian at the start of the step, ``"midpoint"`` in its middle.
-        reset_every: number of steps between resets by inverse kinematics of the path's pose (the paper's future
-            work); None for no resets.
-        damping: λ_max of the damped pseudo-inverse, λ² = λ_max² (1 − (σ_min/σ_0)²) for σ_min < σ_0.
-        damping_from: σ_0, the smallest singular value without damping.
-    """
-
-    increment: Increment = "rotated"
-    integration: Integration = "euler"
-    reset_every: int | None = None
-    damping: float = 0.0
-    damping_from: float = 0.05
+    increment: Annotated[
+        Increment,
+        Doc(
+            'division of the total displacement (Step 1). "rotated": δφ = r φ*/N and δp_k = Rot(r, −τ_k '
+            'φ*) p/N, which follows G(0)M(τ) to first order. "literal": the constant body increment (p, '
+            'φ* r)/N, a screw with another end pose. "exact": log(M(τ)⁻¹ M(τ + dτ)), for any path'
+        ),
+    ] = "rotated"
+    integration: Annotated[
+        Integration, Doc('"euler" evaluates the Jacobian at the start of the step, "midpoint" in its middle')
+    ] = "euler"
+    reset_every: Annotated[
+        int | None,
+        Doc(
+            "number of steps between resets by inverse kinematics of the path's pose (the paper's future "
+            "work); None for no resets"
+        ),
+    ] = None
+    damping: Annotated[
+        float, Doc("λ_max of the damped pseudo-inverse, λ² = λ_max² (1 − (σ_min/σ_0)²) for σ_min < σ_0")
+    ] = 0.0
+    damping_from: Annotated[float, Doc("σ_0, the smallest singular value without damping")] = 0.05
 
     def __post_init__(self) -> None:
         if self.increment not in ("rotated", "literal", "exact"):
@@ -98,7 +105,7 @@ class PseudoInverseController:
         self._clock, self._count, self._started = 0.0, 0, False
 
     @alone
-    def reset(self, q: Any) -> None:
+    def reset(self, q: ArrayLike) -> None:
         """Step 0: start at ``q`` (nq,), with the object's clock at 0. Errors as in :class:`Controller`."""
         self._q = check_start(
             self.cell,
@@ -111,7 +118,7 @@ class PseudoInverseController:
         self._clock, self._count, self._started = 0.0, 0, True
 
     @alone
-    def step(self, q_measured: Any = None, *, dt: float | None = None) -> ControlStep:
+    def step(self, q_measured: ArrayLike | None = None, *, dt: float | None = None) -> ControlStep:
         """Steps 3–5. The algorithm is open loop: ``q_measured`` is not used.
 
         With an invalid ``dt`` the arms hold. If the arms cannot reach the pose of a periodic reset, the reset is

@@ -17,7 +17,7 @@ from typing import Any, final
 import numpy as np
 import pinocchio as pin
 
-from coopqp.checks import as_options, as_scalar, require
+from coopqp.checks import ArrayLike, as_options, as_scalar, require
 from coopqp.control.command import ControlStep, Status, amend, brakes_for_target, check_start
 from coopqp.control.constraints import Constraints, listed
 from coopqp.control.core import make_loop
@@ -125,7 +125,7 @@ class QPController:
     # -- starting --------------------------------------------------------------------------------------------------
 
     @alone
-    def reset(self, q: Any, *, clock: float = 0.0) -> None:
+    def reset(self, q: ArrayLike, *, clock: float = 0.0) -> None:
         """Start at ``q`` (nq,), at rest, at the object's ``clock`` [s]; ends a fault, but no pause and no override.
 
         A later reset with a :class:`ServoPath` starts where the arms hold the object, and rests there until the next
@@ -171,7 +171,7 @@ class QPController:
     def _odd(self, q: Array, pose: pin.SE3 | None) -> tuple[str, ...]:
         return odd_start(self.cell, self.grasp, self.options.common_error.shares(self.cell), pose, q)
 
-    def _held_at(self, q: Any) -> pin.SE3:
+    def _held_at(self, q: ArrayLike) -> pin.SE3:
         """Where the arms hold the object at ``q``: by their shares in the common error, from the first one's view."""
         return held_at(self.grasp, self.options.common_error.shares(self.cell), CellState(self.cell, q))
 
@@ -301,7 +301,7 @@ class QPController:
 
     # -- the step --------------------------------------------------------------------------------------------------
 
-    def step(self, q_measured: Any = None, *, dt: float | None = None) -> ControlStep:
+    def step(self, q_measured: ArrayLike | None = None, *, dt: float | None = None) -> ControlStep:
         """Compute the command of one period.
 
         The chain error is taken from the *commanded* configuration and the object's error from the measured one:
@@ -333,7 +333,7 @@ class QPController:
         return self._loop.finish()
 
     @alone
-    def _slow(self, q_measured: Any, dt: Any) -> ControlStep:
+    def _slow(self, q_measured: ArrayLike | None, dt: Any) -> ControlStep:
         if self._wanted is not None:
             self._go_over()
             self._find_fast_step()

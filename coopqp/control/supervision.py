@@ -10,12 +10,12 @@ from __future__ import annotations
 import math
 from collections import deque
 from dataclasses import dataclass
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 import numpy.typing as npt
 
-from coopqp.checks import NOT_NUMBERS, as_count, as_floats, as_scalar, as_vector, keep_scalars
+from coopqp.checks import NOT_NUMBERS, Doc, as_count, as_floats, as_scalar, as_vector, documented, keep_scalars
 from coopqp.control.drift import Drift
 from coopqp.control.stress_watch import StressWatch
 from coopqp.errors import InvalidInputError
@@ -25,50 +25,75 @@ from coopqp.model.grasp import Grasp
 from coopqp.spatial import Array, skew
 
 
+@documented
 @dataclass(frozen=True, kw_only=True)
 class SupervisionOptions:
     """Thresholds of the supervision; None turns a part of it off.
 
     The defaults keep arms within a millimetre of each other when one of them lags by 10 ms at 0.25 m/s.
-
-    Attributes:
-        slow_from, hold_from: distance of an arm from the others at the grasps, as far as it is not as commanded, at
-            which the object begins to slow, and is held [m]. What noise alone would make of it is added.
-        let_in: arms may drift apart by so much while they move, as they are seen to where bases stand not quite where
-            the model has them: slowly, as much at rest as in motion. Beyond it, or with 0, a drift counts as well [m].
-        noise_margin: so many root mean squares of the noise, as seen in the measurements, are added.
-        recovery_time: a slowed object is let go again at such a pace that it takes this long from rest [s].
-        fault_from: distance at which the controller latches a fault, in two samples in a row [m].
-        stall_samples: an arm that in so many samples moves less than ``stall_share`` of its command, while another
-            follows its own, has stalled (once a joint is 0.5 mrad or 0.5 mm from its command).
-        stall_share: see ``stall_samples``.
-        silent_time: so long no arm may be seen to follow its command: all have stopped, or measurements are stale [s].
-        filter_time: time constant of the filter on the distances [s].
-        dt_range: accepted length of a step, as multiples of the nominal one.
-        joint_jump: a measured joint this far from its command is not believed [rad or m].
-        stiffness: Kp of the joint servos, one number or one per joint [N·m/rad or N/m]. With it the force at each
-            grasp is read from the servos' deflection, which shows what a rigid grip hides from the distances; None
-            does without.
-        force_limit: force at a grasp, by the servos, at which the object is held [N]; it goes on below half of it.
-            It has to be more than what noise, the share of the load and inertia make of it.
-        servo_delay: age of measurements against commands, and what servos lag by [s]: that much motion is no force.
     """
 
-    slow_from: float | None = 0.00025
-    hold_from: float = 0.00075
-    let_in: float = 0.003
-    noise_margin: float = 4.0
-    recovery_time: float = 0.1
-    fault_from: float = 0.02
-    stall_samples: int | None = 4
-    stall_share: float = 0.2
-    silent_time: float = 0.03
-    filter_time: float = 0.002
-    dt_range: tuple[float, float] = (0.1, 5.0)
-    joint_jump: float = 0.3
-    stiffness: float | tuple[float, ...] | None = None
-    force_limit: float = 300.0
-    servo_delay: float = 0.0
+    slow_from: Annotated[
+        float | None,
+        Doc(
+            "distance of an arm from the others at the grasps, beyond its commanded distance, at which "
+            "the object begins to slow [m]; the noise floor is added"
+        ),
+    ] = 0.00025
+    hold_from: Annotated[float, Doc("distance, measured in the same way, at which the object is held [m]")] = 0.00075
+    let_in: Annotated[
+        float,
+        Doc(
+            "slow drift of the arms apart that is tolerated, as misplaced bases cause it [m]; with 0 every drift counts"
+        ),
+    ] = 0.003
+    noise_margin: Annotated[
+        float, Doc("noise floor, in root mean squares of the noise that is seen in the measurements")
+    ] = 4.0
+    recovery_time: Annotated[float, Doc("time in which a slowed object is let go again from rest [s]")] = 0.1
+    fault_from: Annotated[
+        float, Doc("distance at which the controller latches a fault, in two samples in a row [m]")
+    ] = 0.02
+    stall_samples: Annotated[
+        int | None,
+        Doc(
+            "number of samples in which an arm moves less than stall_share of its command, while another "
+            "follows its own, until it has stalled (once a joint is 0.5 mrad or 0.5 mm from its command)"
+        ),
+    ] = 4
+    stall_share: Annotated[
+        float, Doc("share of its command below which an arm may have stalled: see stall_samples")
+    ] = 0.2
+    silent_time: Annotated[
+        float,
+        Doc("time in which no arm is seen to follow its command until all have stopped, or measurements are stale [s]"),
+    ] = 0.03
+    filter_time: Annotated[float, Doc("time constant of the filter on the distances [s]")] = 0.002
+    dt_range: Annotated[tuple[float, float], Doc("accepted length of a step, as multiples of the nominal one")] = (
+        0.1,
+        5.0,
+    )
+    joint_jump: Annotated[
+        float, Doc("distance of a measured joint from its command beyond which it is not believed [rad or m]")
+    ] = 0.3
+    stiffness: Annotated[
+        float | tuple[float, ...] | None,
+        Doc(
+            "Kp of the joint servos, one number or one per joint [N·m/rad or N/m]. With it the force at "
+            "each grasp is read from the servos' deflection, which shows what a rigid grip hides from the "
+            "distances; None does without"
+        ),
+    ] = None
+    force_limit: Annotated[
+        float,
+        Doc(
+            "force at a grasp, by the servos, at which the object is held [N]; it goes on below half of "
+            "it. It has to be more than what noise, the share of the load and inertia make of it"
+        ),
+    ] = 300.0
+    servo_delay: Annotated[
+        float, Doc("age of measurements against commands, and lag of the servos [s]: motion within it is no force")
+    ] = 0.0
 
     def __post_init__(self) -> None:
         keep_scalars(self, "hold_from", "fault_from", "silent_time", "joint_jump", "force_limit")

@@ -19,7 +19,7 @@ from typing import Any, final
 import numpy as np
 import pinocchio as pin
 
-from coopqp.checks import NOT_NUMBERS, as_floats, as_vector, read_only
+from coopqp.checks import NOT_NUMBERS, ArrayLike, as_floats, as_vector, read_only
 from coopqp.errors import InvalidInputError
 from coopqp.model.cell import RobotCell
 from coopqp.model.grasp import Grasp
@@ -74,7 +74,7 @@ class StressModel:
         self.cell, self.grasp = cell, grasp
         self.stiffness = _per_joint(stiffness, cell.nv, "StressModel: stiffness")
 
-    def estimate(self, q_command: Any, *, T_world_object: Placement | None = None) -> InternalStress:
+    def estimate(self, q_command: ArrayLike, *, T_world_object: Placement | None = None) -> InternalStress:
         """Estimate the stress that a commanded configuration builds up.
 
         Args:
@@ -96,12 +96,12 @@ class StressModel:
         wrenches, settled = _equilibrium(np.array(compliances), errors)
         return InternalStress(wrenches, errors, settled)
 
-    def history(self, q_commands: Any) -> Array:
+    def history(self, q_commands: ArrayLike) -> Array:
         """Wrenches (T, N, 6) along commanded configurations (T, nq), each as in :meth:`estimate`."""
         rows = np.atleast_2d(np.asarray(q_commands, dtype=float))
         return np.array([self.estimate(q).wrenches for q in rows]).reshape(-1, len(self.cell), 6)
 
-    def from_servos(self, q_command: Any, q_measured: Any) -> Array:
+    def from_servos(self, q_command: ArrayLike, q_measured: ArrayLike) -> Array:
         """Wrenches (N, 6) of the arms on the object, from servo deflection; see :meth:`from_torques`.
 
         At rest the result is exact. In motion it omits the velocity term of the servos and lags by kd/kp.
@@ -113,7 +113,7 @@ class StressModel:
         measured = self.cell.check_configuration(q_measured, "StressModel.from_servos: q_measured")
         return self.from_torques(measured, self.stiffness * pin.difference(self.cell.model, measured, command))
 
-    def from_torques(self, q_measured: Any, torques: Any) -> Array:
+    def from_torques(self, q_measured: ArrayLike, torques: ArrayLike) -> Array:
         """Wrenches (N, 6) of the arms on the object, from joint torques, in the object frame of the first arm.
 
         Leave the feed-forward torques (gravity of the arms, shares of the load) out of ``torques``; the wrenches then
@@ -140,7 +140,7 @@ class StressModel:
         return A
 
 
-def at_tools(wrenches: Any, grasp: Grasp) -> Array:
+def at_tools(wrenches: ArrayLike, grasp: Grasp) -> Array:
     """Transform wrenches (N, 6) on the object from the object frame to each tool's origin and axes."""
     w = np.asarray(wrenches, dtype=float)
     if w.shape != (len(grasp), 6):

@@ -8,19 +8,23 @@ from typing import TYPE_CHECKING
 from coopqp.lazy import lazy_names
 
 if TYPE_CHECKING:
-    from coopqp.look.plots import error_figure, joint_figure, motion_figure, save_figure
+    from coopqp.look.joints import joint_figure
+    from coopqp.look.plots import error_figure, motion_figure
     from coopqp.look.profile import profile_figure, write_speed_profile
     from coopqp.look.renderer import Solid, View, box_solid, cell_solids, render
     from coopqp.look.report import write_report
+    from coopqp.look.style import save_figure
     from coopqp.look.viewer import LiveViewer, export_html
 else:
     __getattr__, __dir__ = lazy_names(
         __name__,
         {
-            "coopqp.look.plots": ("error_figure", "joint_figure", "motion_figure", "save_figure"),
+            "coopqp.look.joints": ("joint_figure",),
+            "coopqp.look.plots": ("error_figure", "motion_figure"),
             "coopqp.look.profile": ("profile_figure", "write_speed_profile"),
             "coopqp.look.renderer": ("Solid", "View", "box_solid", "cell_solids", "render"),
             "coopqp.look.report": ("write_report",),
+            "coopqp.look.style": ("save_figure",),
             "coopqp.look.viewer": ("LiveViewer", "export_html"),
         },
     )

@@ -6,7 +6,18 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from coopqp.look.plots import _COLOURS, _INK, _new_figure, _plain
+from coopqp.look.style import (
+    COLOURS,
+    INK,
+    RED,
+    WIDTH,
+    add_legend,
+    label,
+    legend_columns,
+    legend_height,
+    new_figure,
+    plain,
+)
 from coopqp.model.batch import ArmKinematics
 from coopqp.planning.branch_checks import BranchCheck
 from coopqp.planning.certificate import LEAST_SIGMA
@@ -17,7 +28,8 @@ if TYPE_CHECKING:
 
 #: Largest number of arms in a picture: those with the least margins.
 _MOST_ARMS = 6
-_PROVED, _OPEN, _RED = "#dcefe1", "#f6d7b0", "#b00020"
+_SIZE = 9.5  # type of the legends [pt]
+_PROVED, _OPEN = "#dcefe1", "#f6d7b0"
 
 
 def check_figure(check: PathCheck) -> Figure:
@@ -31,40 +43,67 @@ def check_figure(check: PathCheck) -> Figure:
     """
     shown = [k for k, arm in enumerate(check.arms) if arm.chosen is not None]
     shown = sorted(sorted(shown, key=lambda k: _tightness(check, k))[:_MOST_ARMS])
-    figure = _new_figure(max(7.0, 3.6 * len(shown)), 5.6, layout="constrained")
+    columns = min(3, len(shown)) or 1
+    blocks = -(-len(shown) // columns)
+    width = WIDTH if columns > 1 else 7.0
+    kinematics = {k: ArmKinematics(check.cell.arms[k]) for k in shown}
+    names = {
+        k: [label(n) for n, b in zip(check.arms[k].joints, kinematics[k].bounded, strict=True) if b] for k in shown
+    }
+    fits = {k: legend_columns(names[k], (width - 1.0) / columns, size=_SIZE) for k in shown if names[k]}
+    legend = max((legend_height(names[k], fits[k], size=_SIZE) for k in fits), default=0.3)
+    some = len(shown) < len(check.arms)
+    figure = new_figure(width, max(blocks, 1) * (5.0 + legend) + 0.6, layout="constrained")
     if not shown:
-        figure.text(0.5, 0.5, "No arm reaches its grasp at the start of the path.", ha="center", color=_INK)
+        figure.text(0.5, 0.5, "No arm reaches its grasp at the start of the path.", ha="center", color=INK)
         return figure
-    panels = figure.subplots(2, len(shown), sharex=True, sharey="row", squeeze=False)
-    if len(shown) < len(check.arms):
-        figure.suptitle(f"the tightest {len(shown)} of {len(check.arms)} arms", fontsize=12, color=_INK)
-    names: dict[str, Any] = {}
-    for (top, bottom), k in zip(panels.T, shown, strict=True):
+    panels = figure.subplots(3 * blocks, columns, squeeze=False, height_ratios=[2.2, 1.8, legend] * blocks)
+    if some:
+        figure.suptitle(f"the tightest {len(shown)} of {len(check.arms)} arms", fontsize=12, color=INK)
+    lowest = 0.0
+    for place, k in enumerate(shown):
+        block, column = divmod(place, columns)
+        top, bottom, below = panels[3 * block : 3 * block + 3, column]
         arm = check.arms[k]
         branch = arm.chosen
         assert branch is not None
-        kinematics = ArmKinematics(check.cell.arms[k])
-        share = 100.0 * kinematics.margins(branch.q) / (0.5 * (kinematics.upper - kinematics.lower))
-        for j in np.flatnonzero(kinematics.bounded):
-            (line,) = top.plot(branch.clocks, share[:, j], color=_COLOURS[j % len(_COLOURS)], lw=1.8)
-            names.setdefault(f"joint {j + 1}", line)
-        top.axhline(0.0, color=_RED, lw=1.4)
-        bottom.semilogy(branch.clocks, np.maximum(branch.sigma_min, 1e-6), color=_INK, lw=1.8)
-        bottom.axhline(LEAST_SIGMA, color=_RED, lw=1.4)
-        _bands(top, branch)
-        _bands(bottom, branch)
+        own = kinematics[k]
+        share = 100.0 * own.margins(branch.q) / (0.5 * (own.upper - own.lower))
+        joints = np.flatnonzero(own.bounded)
+        lines = [
+            top.plot(branch.clocks, share[:, j], color=COLOURS[i % len(COLOURS)], lw=1.8)[0]
+            for i, j in enumerate(joints)
+        ]
+        lowest = min(lowest, float(share[:, joints].min(initial=0.0)))
+        top.axhline(0.0, color=RED, lw=1.4)
+        bottom.semilogy(branch.clocks, np.maximum(branch.sigma_min, 1e-6), color=INK, lw=1.8)
+        bottom.axhline(LEAST_SIGMA, color=RED, lw=1.4)
+        verdict = arm.verdict.value.lower()
         top.set_title(
-            f"{arm.arm.replace('_', ' ')}: {arm.verdict.value.lower()}", fontsize=12, color=_INK, fontweight="bold"
+            label(f"{arm.arm}: {verdict}", width=72 // (columns + 1)), fontsize=12, color=INK, fontweight="bold"
         )
-        bottom.set_xlabel("clock of the path [s]", fontsize=11, color=_INK)
+        bottom.set_xlabel("clock of the path [s]", fontsize=11, color=INK)
         for panel in (top, bottom):
-            _plain(panel)
-    panels[0, 0].set_ylim(max(panels[0, 0].get_ylim()[0], -40.0), 105.0)
-    panels[0, 0].set_xlim(0.0, max(_end(check, k) for k in shown))
-    panels[0, 0].set_ylabel("margin [% of half range]", fontsize=11, color=_INK)
-    panels[1, 0].set_ylabel("σ_min", fontsize=11, color=_INK)
+            _bands(panel, branch)
+            plain(panel)
+            panel.set_xlim(0.0, max(_end(check, k) for k in shown))
+        if names[k]:
+            add_legend(below, lines, names[k], fits[k], size=_SIZE)
+        below.set_axis_off()
+        if column == 0:
+            top.set_ylabel("margin [% of half range]", fontsize=11, color=INK)
+            bottom.set_ylabel("σ_min", fontsize=11, color=INK)
+    used = [(block, column) for block, column in (divmod(place, columns) for place in range(len(shown)))]
+    least, most = (f(panels[3 * b + 1, c].get_ylim()[i] for b, c in used) for i, f in enumerate((min, max)))
+    for b, c in used:
+        panels[3 * b, c].set_ylim(max(1.1 * lowest - 3.0, -40.0), 105.0)
+        panels[3 * b + 1, c].set_ylim(least, most)
+    for place in range(len(shown), blocks * columns):
+        b, c = divmod(place, columns)
+        for panel in panels[3 * b : 3 * b + 3, c]:
+            panel.set_axis_off()
     figure.align_ylabels(panels[:, 0])
-    _legend(figure, names)
+    _legend(figure)
     return figure
 
 
@@ -86,17 +125,16 @@ def _bands(axes: Any, branch: BranchCheck) -> None:
             axes.axvspan(a, b, color=colour, lw=0.0, zorder=0)
 
 
-def _legend(figure: Figure, names: dict[str, Any]) -> None:
+def _legend(figure: Figure) -> None:
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
 
     entries = {
-        **names,
-        "limit, least σ_min": Line2D([], [], color=_RED, lw=1.4),
+        "limit, and least σ_min": Line2D([], [], color=RED, lw=1.4),
         "proved": Patch(color=_PROVED),
         "not decided": Patch(color=_OPEN),
     }
     figure.legend(
         list(entries.values()), list(entries), loc="outside lower center", ncols=min(len(entries), 6), frameon=False,
-        fontsize=10.5, labelcolor=_INK,
+        fontsize=10.5, labelcolor=INK,
     )  # fmt: skip

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from coopqp.look.plots import require_matplotlib, save_figure
+from coopqp.look.style import INK, label, new_figure, save_figure
 from coopqp.model.limits import LimitKind
 from coopqp.task.timed import TimedPath
 
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 #: Colours of the joints that bind longest (Okabe and Ito); the others are grey.
 _COLOURS = ("#0072b2", "#e69f00", "#009e73", "#d55e00", "#cc79a7", "#56b4e9", "#f0e442", "#7f5539")
 _LEAST_SHARE = 0.01  # of the duration: what binds for less is not in the legend by name
-_OTHERS, _INK = "#b8bcc4", "#222222"
+_OTHERS = "#b8bcc4"
 #: Hatches of the kinds of limits, from the one that binds longest on.
 _HATCHES = ("", "////", "xxxx", "....")
 
@@ -28,8 +28,7 @@ def profile_figure(path: TimedPath) -> Figure:
     Raises:
         MissingExtraError: matplotlib is missing.
     """
-    require_matplotlib()
-    from matplotlib.figure import Figure
+    figure = new_figure(8.0, 4.2, layout="constrained")
     from matplotlib.patches import Patch
 
     profile = path.profile
@@ -45,7 +44,6 @@ def profile_figure(path: TimedPath) -> Figure:
     ranked = sorted(times, key=lambda joint: -times[joint])
     long = [joint for joint in ranked if times[joint] >= _LEAST_SHARE * path.duration]
     colours = dict(zip(long, _COLOURS, strict=False))
-    figure = Figure(figsize=(8.0, 4.2), layout="constrained")
     axes = figure.subplots()
     begin = 0
     for i in range(1, len(spans) + 1):
@@ -56,21 +54,22 @@ def profile_figure(path: TimedPath) -> Figure:
         hatch = "" if limit is None else hatches[limit.kind]
         axes.fill_between(clocks[part], speeds[part], facecolor=colour, hatch=hatch, edgecolor="white", linewidth=0.2)
         begin = i
-    axes.plot(clocks, speeds, color=_INK, linewidth=1.2)
+    axes.plot(clocks, speeds, color=INK, linewidth=1.2)
     axes.set_xlim(0.0, path.duration)
     axes.set_ylim(0.0, 1.08 * float(speeds.max()))
     axes.set_xlabel("time [s]")
     axes.set_ylabel("speed along the path [m/s]")
-    axes.set_title(f"{path.duration:.3f} s from rest to rest: the joint that sets the speed", loc="left", color=_INK)
+    axes.set_title(f"{path.duration:.3f} s from rest to rest: the joint that sets the speed", loc="left", color=INK)
     handles = [
-        Patch(facecolor=colours[joint], label=f"{joint[0]}: {joint[1]} ({times[joint]:.2f} s)") for joint in colours
+        Patch(facecolor=colours[joint], label=label(f"{joint[0]}: {joint[1]} ({times[joint]:.2f} s)"))
+        for joint in colours
     ]
     rest = sum(times[joint] for joint in ranked[len(colours) :])
     if rest >= _LEAST_SHARE * path.duration:
         count = len(ranked) - len(colours)
         handles.append(Patch(facecolor=_OTHERS, label=f"{count} other joint{'s' * (count > 1)} ({rest:.2f} s)"))
     handles += [
-        Patch(facecolor="white", edgecolor=_INK, hatch=hatch, label=f"by its {kind.value} limit")
+        Patch(facecolor="white", edgecolor=INK, hatch=hatch, label=f"by its {kind.value} limit")
         for kind, hatch in hatches.items()
         if kinds[kind] >= _LEAST_SHARE * path.duration
     ]

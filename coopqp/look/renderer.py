@@ -30,6 +30,8 @@ CHUNK = 1_500_000
 #: Distance of the camera in diagonals of the scene; gives a mild perspective.
 CAMERA_DISTANCE = 2.2
 
+#: Height of an arm's name above its highest joint, as a share of the size of the arm.
+_ABOVE = 0.16
 _GRID_M = 0.5
 _FLOOR, _LINE = np.array([0.955, 0.96, 0.965], dtype=np.float32), np.array([0.86, 0.875, 0.89], dtype=np.float32)
 
@@ -143,29 +145,44 @@ def mesh_of(shape: Any) -> tuple[Array, Indices] | None:
     return None
 
 
-def cell_solids(cell: RobotCell, configurations: Sequence[Array]) -> list[list[Solid]]:
-    """The visual shapes of all arms at each configuration (T, nq), in the world.
+def cell_solids(
+    cell: RobotCell, configurations: Sequence[Array], *, shapes: pin.GeometryModel | None = None
+) -> list[list[Solid]]:
+    """The shapes of all arms (by default the visual ones) at each configuration (T, nq), in the world.
 
     Raises:
         InvalidInputError: no arm has a shape to draw.
     """
-    visual = cell.visual_model()
+    visual = cell.visual_model() if shapes is None else shapes
     data, placements = cell.model.createData(), visual.createData()
-    shapes = []
+    meshes = []
     for k, item in enumerate(visual.geometryObjects):
         mesh = mesh_of(item.geometry)
         if mesh is not None:
             red, green, blue = (float(c) for c in np.asarray(item.meshColor)[:3])
-            shapes.append((k, *mesh, (red, green, blue)))
-    if not shapes:
+            meshes.append((k, *mesh, (red, green, blue)))
+    if not meshes:
         raise InvalidInputError("no arm has a shape to draw", "cell_solids", "Load the arms with geometry=True.")
     frames = []
     for q in configurations:
         pin.forwardKinematics(cell.model, data, np.asarray(q, dtype=float))
         pin.updateGeometryPlacements(cell.model, data, visual, placements)
         T = placements.oMg
-        frames.append([Solid(v @ T[k].rotation.T + T[k].translation, f, c) for k, v, f, c in shapes])
+        frames.append([Solid(v @ T[k].rotation.T + T[k].translation, f, c) for k, v, f, c in meshes])
     return frames
+
+
+def name_places(cell: RobotCell, q: Array) -> Array:
+    """Where the name of each arm stands (N, 3) [m]: above the highest of its joints and its tool."""
+    data = cell.model.createData()
+    pin.framesForwardKinematics(cell.model, data, np.asarray(q, dtype=float))
+    places = []
+    for k, own in enumerate(cell.v_slices):
+        joints = [data.oMi[j + 1].translation for j in range(own.start, own.stop)]
+        points = np.array([*joints, data.oMf[cell.tool_frames[k]].translation])
+        reach = float(np.linalg.norm(np.ptp([*points, cell.arms[k].T_world_base.translation], axis=0)))
+        places.append(points[points[:, 2].argmax()] + [0.0, 0.0, _ABOVE * reach])
+    return np.array(places)
 
 
 def box_solid(size: tuple[float, float, float], T_world_box: pin.SE3, colour: tuple[float, float, float]) -> Solid:

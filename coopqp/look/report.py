@@ -9,7 +9,10 @@ from importlib import metadata
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from coopqp.checks import require
 from coopqp.look import plots
+from coopqp.look.joints import joint_figure
+from coopqp.look.style import figure_bytes, require_matplotlib
 from coopqp.look.timeline import bound_limits, limit_name, timeline_figure
 from coopqp.model.cell import RobotCell
 from coopqp.output import check_file, write_files
@@ -74,7 +77,8 @@ def report_html(
         SceneError: no cell is given and the recording does not describe one.
         MissingExtraError: Matplotlib is not installed.
     """
-    plots.require_matplotlib()
+    require_matplotlib()
+    require(recording, Recording, "report: recording", "Give a Recording, as simulate() returns it.")
     tell = progress or (lambda _: None)
     tell("measuring the run")
     cell = recording.cell() if cell is None else cell
@@ -83,14 +87,16 @@ def report_html(
     title, made = _title(recording)
     figures = _figures(cell, recording, readings)
     tell("drawing the plots")
-    over_time = _picture(timeline_figure(recording, readings), "errors, rate and limits over time")
+    over_time = _picture(
+        timeline_figure(recording, readings, tolerances=tolerances), "errors, rate and limits over time"
+    )
     del readings  # of a long run they are large
     body = [
         f"<h1>{_text(title)}</h1><p class=sub>{_text(made)}</p>",
         _verdict(findings),
         _section("Figures", figures),
         _section("Over time", over_time),
-        _section("Joints against their limits", _picture(plots.joint_figure(cell, recording), "joints over time")),
+        _section("Joints against their limits", _picture(joint_figure(cell, recording), "joints over time")),
         _section("The motion", _motion(cell, recording)),
         _section("Limits that bound", _limits(recording)),
         _section("Settings", _settings(recording)),
@@ -220,9 +226,9 @@ def _notes(recording: Recording) -> str:
 
 def _picture(figure: Figure, description: str, *, kind: str = "svg", dpi: int = 110) -> str:
     """A figure as an image in the page: SVG, or PNG if the SVG is large."""
-    data = plots.figure_bytes(figure, kind=kind, dpi=dpi)
+    data = figure_bytes(figure, kind=kind, dpi=dpi)
     if kind == "svg" and len(data) > MAX_SVG_BYTES:
-        kind, data = "png", plots.figure_bytes(figure, kind="png", dpi=dpi)
+        kind, data = "png", figure_bytes(figure, kind="png", dpi=dpi)
     mime = "image/svg+xml" if kind == "svg" else "image/png"
     return f'<img alt="{_text(description)}" src="data:{mime};base64,{base64.b64encode(data).decode()}">'
 

@@ -11,7 +11,8 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from coopqp.look.renderer import box, mesh_of
+from coopqp.checks import require
+from coopqp.look.renderer import box, mesh_of, name_places
 from coopqp.model.cell import RobotCell
 from coopqp.model.limits import BindingLimit
 from coopqp.simulation import metrics
@@ -51,6 +52,7 @@ class Stage:
     """
 
     def __init__(self, scene: Any, recording: Recording, *, sticks: bool = False) -> None:
+        require(recording, Recording, "viewer: recording", "Give a Recording, as simulate() returns it.")
         self.recording = recording
         self.cell: RobotCell = recording.cell(shapes=not sticks)
         self.readings: Readings = read_run(self.cell, recording)
@@ -81,17 +83,30 @@ class Stage:
     # -- what stands there ---------------------------------------------------------------------------------------
 
     def _points(self, size: Array) -> Array:
-        """Bases, joints (at the start, middle and end) and corners of the object along its path (n, 3) [m]."""
+        """Points (n, 3) [m]: bases; joints and names at the start, middle and end; corners of the object."""
         corners = box(size)[0]
         points = []
         for i in {0, self.recording.n_steps // 2, self.recording.n_steps}:
             pin.forwardKinematics(self.cell.model, self._data, self.recording.q[i])
             points += [T.translation for T in list(self._data.oMi)[1:]]
+            points += list(name_places(self.cell, self.recording.q[i]))
         for pose in [*self._path[:: max(1, len(self._path) // 8)], self._path[-1]]:
             T = pose * self._T_object_body
             points += list(corners @ T.rotation.T + T.translation)
         points += [arm.T_world_base.translation for arm in self.cell.arms]
-        return np.array(points)
+        return np.array([*points, *self._corners()])
+
+    def _corners(self) -> list[Array]:
+        """Corners (3,) [m] of the boxes around all shapes at the start."""
+        pin.forwardKinematics(self.cell.model, self._data, self.recording.q[0])
+        found: list[Array] = []
+        for item in self.cell.visual_model().geometryObjects:
+            item.geometry.computeLocalAABB()
+            around = item.geometry.aabb_local
+            T = self._data.oMi[int(item.parentJoint)] * item.placement
+            cube = np.stack(np.meshgrid(*zip(around.min_, around.max_, strict=True)), axis=-1).reshape(-1, 3)
+            found += [corner for corner in cube @ T.rotation.T + T.translation if np.isfinite(corner).all()]
+        return found
 
     def above(self, share: float) -> Array:
         """The point (3,) [m] above the middle of the scene, higher than the scene by a share of its diagonal."""
@@ -151,17 +166,9 @@ class Stage:
                     thickness_units="screen",
                 )
                 self._sticks.append((handle, own))
-            label = self._scene.add_label(
-                f"/names/{name}", _title(name), position=self._name_place(own), anchor="bottom-center"
-            )
+        for name, place in zip(self.cell.arm_names, name_places(self.cell, self.recording.q[0]), strict=True):
+            label = self._scene.add_label(f"/names/{name}", _title(name), position=place, anchor="bottom-center")
             self._names.append(label)
-
-    def _name_place(self, joints: list[int]) -> Array:
-        """The point (3,) [m] above the arm's highest joint at the start."""
-        pin.forwardKinematics(self.cell.model, self._data, self.recording.q[0])
-        top = max((self._data.oMi[j].translation for j in joints), key=lambda p: float(p[2]))
-        above = 0.045 * float(np.linalg.norm(self.high - self.low))
-        return np.array([top[0], top[1], top[2] + above])
 
     def _add_mesh(self, joint: int, name: str, vertices: Array, triangles: Any, colour: Colour) -> None:
         """Add a mesh in the frame of a joint. Each triangle has its own corners, for sharp edges."""
@@ -228,6 +235,8 @@ class Stage:
             handle.points = self._stick_points(joints)
         tool = metrics.tool_placements(self.cell, [q])[0][0]
         _place(self._object, tool * self._first_grasp)
+        for label, place in zip(self._names, name_places(self.cell, q), strict=True):
+            label.position = place
         limits = self.limits(sample)
         if limits != self._shown:
             self._mark(limits)

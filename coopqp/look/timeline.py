@@ -9,29 +9,30 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from coopqp.control.command import Status
-from coopqp.look.plots import drawn, require_matplotlib
+from coopqp.look.curves import drawn
+from coopqp.look.style import FAINT, GRID, INK, RED, WIDTH, label, new_figure
 from coopqp.model.limits import BindingLimit
-from coopqp.simulation.assessment import Readings
+from coopqp.simulation.assessment import Readings, Tolerances
 from coopqp.simulation.recording import Recording
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-_INK, _FAINT, _ALERT = "#222222", "#8a8f98", "#b00020"
 _ERRORS = (
     ("eps_p_mm", r"$\varepsilon_p$, the paper's", "#0072b2", "-"),
     ("chain_mm", "arms against each other", "#d55e00", (0, (4, 1.5))),
     ("object_mm", "object against its path", "#009e73", (0, (1, 1.2))),
 )
-_BANDS = {
+#: Colours behind the steps of each status.
+BANDS = {
     Status.PAUSED: "#dbe4f3",
     Status.BLOCKED: "#f7dcc4",
     Status.OFF_PATH: "#e9d3f0",
     Status.HOLDING: "#f4c2c2",
     Status.FAULT: "#e58e8e",
 }
-#: Smallest drawn error [mm].
-_FLOOR = 1e-8
+#: Smallest drawn error [mm]: a nanometre. What is smaller all the time is said, not drawn.
+_FLOOR = 1e-6
 #: Largest number of drawn limits; the limits that bound longest are drawn.
 MAX_LIMITS = 14
 
@@ -74,38 +75,72 @@ def limit_name(limit: BindingLimit) -> str:
     return " ".join(part for part in ("/".join(p for p in (limit.arm, limit.joint) if p), limit.kind.value) if part)
 
 
-def timeline_figure(recording: Recording, readings: Readings) -> Figure:
-    """Errors [mm] on a logarithmic axis, the rate σ in front of the statuses, and the limits that bound."""
-    require_matplotlib()
-    from matplotlib.figure import Figure
+def timeline_figure(recording: Recording, readings: Readings, *, tolerances: Tolerances | None = None) -> Figure:
+    """Errors [mm] on a logarithmic axis, the rate σ in front of the statuses, and the limits that bound.
 
+    Args:
+        recording, readings: the run and its errors.
+        tolerances: accepted errors, drawn as lines; by default :meth:`Tolerances.of` the recording.
+
+    Raises:
+        MissingExtraError: Matplotlib is not installed.
+    """
     limits = bound_limits(recording)[:MAX_LIMITS]
-    rows = [3.0, 1.5] + ([0.25 + 0.22 * len(limits)] if limits else [])
-    figure = Figure(figsize=(10.0, 0.9 + sum(rows)), facecolor="white", layout="constrained")
+    names = [label(limit_name(bound.limit)) for bound in limits]
+    lines = sum(name.count("\n") + 1 for name in names)
+    rows = [3.0, 1.5] + ([0.25 + 0.22 * lines] if limits else [])
+    figure = new_figure(WIDTH, 0.9 + sum(rows), layout="constrained")
     panels = np.atleast_1d(figure.subplots(len(rows), 1, sharex=True, height_ratios=rows))
-    _draw_errors(panels[0], recording, readings)
+    _draw_errors(panels[0], recording, readings, tolerances or Tolerances.of(recording))
     _draw_rate(panels[1], recording)
     if limits:
-        _draw_limits(panels[2], limits)
+        _draw_limits(panels[2], limits, names)
     for panel in panels:
         for side in ("top", "right"):
             panel.spines[side].set_visible(False)
         for side in ("left", "bottom"):
-            panel.spines[side].set_color(_FAINT)
-        panel.tick_params(colors=_INK, labelsize=10, which="both")
+            panel.spines[side].set_color(FAINT)
+        panel.tick_params(colors=INK, labelsize=10, which="both")
     panels[-1].set_xlim(0.0, max(float(recording.time[-1]), 1e-9))
-    panels[-1].set_xlabel("time [s]", fontsize=11, color=_INK)
+    panels[-1].set_xlabel("time [s]", fontsize=11, color=INK)
     figure.align_ylabels(panels[:2])
     return figure
 
 
-def _draw_errors(axes: Any, recording: Recording, readings: Readings) -> None:
-    for name, label, colour, dashes in _ERRORS:
-        times, errors = drawn(recording.time, np.maximum(getattr(readings, name), _FLOOR))
-        axes.semilogy(times, errors, color=colour, ls=dashes, lw=1.9, label=label)
-    axes.set_ylabel("error [mm]", fontsize=11, color=_INK)
-    axes.grid(True, which="major", color="#e3e6ea", lw=0.8)
-    axes.legend(frameon=False, fontsize=10, labelcolor=_INK, ncols=3, loc="lower left", bbox_to_anchor=(0.0, 1.0))
+def _draw_errors(axes: Any, recording: Recording, readings: Readings, tolerances: Tolerances) -> None:
+    """The errors with their tolerances. An error below the floor all the time is an entry of the legend only."""
+    from matplotlib.lines import Line2D
+
+    handles, quiet, largest = [], 0, max(tolerances.chain_mm, tolerances.object_mm)
+    for name, text, colour, dashes in _ERRORS:
+        error = getattr(readings, name)
+        small = bool((error < _FLOOR).all())
+        quiet += small
+        if not small:
+            times, errors = drawn(recording.time, np.maximum(error, 0.1 * _FLOOR))
+            axes.plot(times, errors, color=colour, ls=dashes, lw=1.9)
+            largest = max(largest, float(np.nanmax(error, initial=0.0)))
+        said = f"{text}: below 1e-6 mm" if small else text
+        handles.append(Line2D([], [], color=colour, ls="none" if small else dashes, lw=1.9, label=said))
+    for name, text, colour in (("chain_mm", "arms", _ERRORS[1][2]), ("object_mm", "object", _ERRORS[2][2])):
+        asked = getattr(tolerances, name)
+        axes.axhline(asked, color=colour, lw=1.0, ls=(0, (8, 3)))
+        axes.annotate(
+            f"tolerance of the {text}: {asked:g} mm", (1.0, asked), (-2.0, 3.0), ha="right", va="bottom", color=colour,
+            xycoords=("axes fraction", "data"), textcoords="offset points", fontsize=9,
+        )  # fmt: skip
+    axes.set_yscale("log")
+    axes.set_ylim(_FLOOR, 8.0 * largest if np.isfinite(largest) else None)
+    if quiet == len(_ERRORS):
+        axes.text(
+            0.5, 0.4, "every error is below 1e-6 mm", transform=axes.transAxes, ha="center", fontsize=12, color=INK
+        )
+    axes.set_ylabel("error [mm]", fontsize=11, color=INK)
+    axes.grid(True, which="major", color=GRID, lw=0.8)
+    axes.legend(
+        handles=handles, frameon=False, fontsize=10, labelcolor=INK, ncols=2, loc="lower left",
+        bbox_to_anchor=(0.0, 1.0), columnspacing=2.0,
+    )  # fmt: skip
 
 
 def _draw_rate(axes: Any, recording: Recording) -> None:
@@ -115,22 +150,24 @@ def _draw_rate(axes: Any, recording: Recording) -> None:
     named: set[Status] = set()
     for i, j in zip(starts, [*starts[1:], recording.n_steps], strict=True):
         now = status[codes[i]]
-        if now in _BANDS:
+        if now in BANDS:
             label = now.value if now not in named else None
-            axes.axvspan(recording.time[i], recording.time[j], color=_BANDS[now], lw=0, label=label)
+            axes.axvspan(recording.time[i], recording.time[j], color=BANDS[now], lw=0, label=label)
             named.add(now)
     times, rates = drawn(recording.time[:-1], 100.0 * recording.rate)
-    axes.stairs(rates, np.append(times, recording.time[-1]), color=_INK, lw=1.6, baseline=None)
+    axes.stairs(rates, np.append(times, recording.time[-1]), color=INK, lw=1.6, baseline=None)
     axes.set_ylim(-4.0, 108.0)
-    axes.set_ylabel("rate σ [%]", fontsize=11, color=_INK)
-    axes.grid(True, axis="y", color="#e3e6ea", lw=0.8)
+    axes.set_ylabel("rate σ [%]", fontsize=11, color=INK)
+    axes.grid(True, axis="y", color=GRID, lw=0.8)
     if named:
-        axes.legend(frameon=False, fontsize=10, labelcolor=_INK, loc="center right")
+        axes.legend(
+            frameon=False, fontsize=10, labelcolor=INK, ncols=len(named), loc="lower right", bbox_to_anchor=(1.0, 1.0)
+        )
 
 
-def _draw_limits(axes: Any, limits: Sequence[Bound]) -> None:
+def _draw_limits(axes: Any, limits: Sequence[Bound], names: Sequence[str]) -> None:
     for row, bound in enumerate(limits):
-        axes.broken_barh([(a, b - a) for a, b in bound.spans], (row - 0.36, 0.72), color=_ALERT, lw=0)
-    axes.set_yticks(range(len(limits)), [limit_name(bound.limit) for bound in limits])
+        axes.broken_barh([(a, b - a) for a, b in bound.spans], (row - 0.36, 0.72), color=RED, lw=0)
+    axes.set_yticks(range(len(limits)), names)
     axes.set_ylim(len(limits) - 0.4, -0.6)
-    axes.set_title("limits that bound", fontsize=11, color=_INK, loc="left")
+    axes.set_title("limits that bound", fontsize=11, color=INK, loc="left")

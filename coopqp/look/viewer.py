@@ -9,6 +9,7 @@ from __future__ import annotations
 import contextlib
 import html
 import io
+import textwrap
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -27,6 +28,8 @@ from coopqp.simulation.recording import Recording
 
 #: Pictures per second of the page, and their largest number.
 FRAMES_PER_SECOND, MAX_FRAMES = 25.0, 500
+#: Longest line of the readout in characters; it fits a window of 800 pixels.
+LINE = 60
 #: Pause of the page at the end, before it starts again [s].
 PAUSE_AT_END = 1.5
 #: Redraws per second of the live viewer.
@@ -39,13 +42,15 @@ _CARD = """
   system-ui, sans-serif; color: #222; background: rgba(255, 255, 255, .88); border: 1px solid #dfe3e8;
   border-radius: 6px; pointer-events: none; }}
 #coopqp b {{ font-size: 15px; }}
+@media (max-width: 1000px) {{ #coopqp {{ font-size: 12px; padding: 5px 9px; max-width: 60vw; }}
+  #coopqp span {{ display: none; }} }}
 #coopqp i {{ display: inline-block; width: 1.1em; height: .62em; margin-right: .45em; border-radius: 2px; }}
 </style>
-<div id="coopqp"><b>{title}</b><br>{subtitle}<br>
+<div id="coopqp"><b>{title}</b><br>{subtitle}<span><br>
 <i style="background: #4c84bf"></i>the object (grey: its start and end)<br>
 <i style="background: #0072b2; height: .25em; vertical-align: .2em"></i>paths of its frame and of the grasps<br>
 <i style="background: #d61e1e"></i>an arm at a limit, named above it<br>
-Drag to turn, scroll to zoom; the space bar plays and pauses.</div>
+Drag to turn, scroll to zoom; the space bar plays and pauses.</span></div>
 """
 
 
@@ -88,30 +93,31 @@ def title_of(recording: Recording) -> tuple[str, str]:
 
 
 def readout(stage: Stage, sample: int) -> str:
-    """Three lines for a sample: clock, rate and status; binding limits; errors."""
+    """Lines for a sample: clock, rate and status; binding limits; errors. Long ones are broken, not cut."""
     run, errors = stage.recording, stage.readings
     step = min(sample, run.n_steps - 1)
     end = float(run.metadata.get("duration", run.clock[-1]))
     share = f"{100.0 * run.clock[sample] / end:.0f} % of the path · " if 0.0 < end < np.inf else ""
     limits = "; ".join(str(limit) for limit in stage.limits(sample)) or "no limit binds"
     status = list(Status)[int(run.status[step])].value
-    return (
-        f"t = {run.time[sample]:.2f} s · {share}{status}, σ = {100.0 * run.rate[step]:.3g} %\n"
-        f"{limits}\n"
+    lines = (
+        f"t = {run.time[sample]:.2f} s · {share}{status}, σ = {100.0 * run.rate[step]:.3g} %",
+        limits,
         f"ε_p {_length(errors.eps_p_mm[sample])} · chain error {_length(errors.chain_mm[sample])}, "
-        f"{_angle(errors.chain_deg[sample])}"
+        f"{_angle(errors.chain_deg[sample])}",
     )
+    return "\n".join(part for line in lines for part in textwrap.wrap(line, LINE, break_on_hyphens=False))
 
 
 def _length(mm: float) -> str:
     """A length in millimetres, or in micrometres if it is small."""
     if mm < 1e-6:
-        return "< 0.001 µm"
+        return "below 0.001 µm"
     return f"{1e3 * mm:.2g} µm" if mm < 0.01 else f"{mm:.3g} mm"
 
 
 def _angle(deg: float) -> str:
-    return "< 1e-6°" if deg < 1e-6 else f"{deg:.2g}°"
+    return "below 1e-6°" if deg < 1e-6 else f"{deg:.2g}°"
 
 
 def _frame_camera(server: Any, stage: Stage) -> None:

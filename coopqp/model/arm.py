@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from coopqp.checks import NOT_NUMBERS, as_floats, as_vector, read_only
+from coopqp.checks import NOT_NUMBERS, ArrayLike, as_floats, as_vector, read_only, require
 from coopqp.errors import InvalidInputError, ModelError, UnknownNameError, has_controls, shown
 from coopqp.model.description import check_nesting, check_urdf, description_file, mesh_folders
 from coopqp.spatial import Array, Placement, as_placement
@@ -78,7 +78,7 @@ class JointLimits:
                     "Give a positive limit (inf for none).",
                 )
 
-    def replace(self, **changes: Any) -> JointLimits:
+    def replace(self, **changes: ArrayLike) -> JointLimits:
         """Return a copy with some limits replaced. A scalar applies to every joint."""
         n = len(self.lower)
         full = {}
@@ -114,6 +114,9 @@ class Arm:
     collision: pin.GeometryModel | None = None
     source: str = ""
 
+    def __repr__(self) -> str:
+        return f"Arm({self.name}: {self.model.nv} joints, tool {self.tool_frame}, {shown(self.source)})"
+
     @staticmethod
     def from_urdf(
         name: str,
@@ -124,10 +127,10 @@ class Arm:
         package_dirs: Sequence[str | Path] = (),
         geometry: bool = True,
         locked_joints: Mapping[str, float] | None = None,
-        velocity_limits: Any = None,
-        acceleration_limits: Any = None,
-        lower_limits: Any = None,
-        upper_limits: Any = None,
+        velocity_limits: ArrayLike | None = None,
+        acceleration_limits: ArrayLike | None = None,
+        lower_limits: ArrayLike | None = None,
+        upper_limits: ArrayLike | None = None,
     ) -> Arm:
         """Build an arm from a URDF file.
 
@@ -149,6 +152,7 @@ class Arm:
             UnknownNameError: no such tool frame or locked joint.
             InvalidInputError: bad limits or placement.
         """
+        _check_locked(name, locked_joints)
         source = description_file(path, name)
         text = check_urdf(source, name)
         try:
@@ -187,10 +191,10 @@ class Arm:
         T_world_base: Placement | None = None,
         geometry: bool = True,
         locked_joints: Mapping[str, float] | None = None,
-        velocity_limits: Any = None,
-        acceleration_limits: Any = None,
-        lower_limits: Any = None,
-        upper_limits: Any = None,
+        velocity_limits: ArrayLike | None = None,
+        acceleration_limits: ArrayLike | None = None,
+        lower_limits: ArrayLike | None = None,
+        upper_limits: ArrayLike | None = None,
     ) -> Arm:
         """Build an arm from an MJCF file. Arguments and errors as in :meth:`from_urdf`.
 
@@ -221,10 +225,10 @@ class Arm:
         visual: pin.GeometryModel | None = None,
         collision: pin.GeometryModel | None = None,
         locked_joints: Mapping[str, float] | None = None,
-        velocity_limits: Any = None,
-        acceleration_limits: Any = None,
-        lower_limits: Any = None,
-        upper_limits: Any = None,
+        velocity_limits: ArrayLike | None = None,
+        acceleration_limits: ArrayLike | None = None,
+        lower_limits: ArrayLike | None = None,
+        upper_limits: ArrayLike | None = None,
     ) -> Arm:
         """Build an arm from a copy of a :class:`pinocchio.Model`; see :meth:`from_urdf`."""
         if not isinstance(model, pin.Model):
@@ -257,6 +261,7 @@ class Arm:
         upper: Any,
     ) -> Arm:
         _check_name(name)
+        _check_locked(name, locked_joints)
         base = pin.SE3.Identity() if T_world_base is None else as_placement(T_world_base, f"arm '{name}': T_world_base")
         mimics = _mimic_joints(model)
         if mimics:
@@ -287,7 +292,7 @@ class Arm:
             T_world_base=as_placement(T_world_base, f"arm '{name or self.name}': T_world_base"),
         )
 
-    def with_limits(self, **changes: Any) -> Arm:
+    def with_limits(self, **changes: ArrayLike) -> Arm:
         """Return a copy with other limits (keywords of :class:`JointLimits`; a scalar applies to every joint)."""
         return replace(self, limits=self.limits.replace(**changes))
 
@@ -297,6 +302,11 @@ def _check_name(name: Any) -> None:
         raise InvalidInputError(f"{shown(name)} is not a name", "Arm.name", "Give a non-empty name without '/'.")
     if has_controls(name):
         raise InvalidInputError(f"{shown(name)} has control characters", "Arm.name", "Give plain text.")
+
+
+def _check_locked(name: str, locked: Any) -> None:
+    if locked is not None:
+        require(locked, Mapping, f"arm '{name}': locked_joints", "Give a dictionary of joints and their positions.")
 
 
 def _lock(

@@ -13,7 +13,7 @@ from typing import Any, Literal, final
 import numpy as np
 import numpy.typing as npt
 
-from coopqp.checks import as_floats
+from coopqp.checks import ArrayLike, as_floats
 from coopqp.errors import InvalidInputError, ModelError, UnknownNameError
 from coopqp.model import batch_plain
 from coopqp.model.cell import Arm
@@ -143,7 +143,7 @@ class ArmKinematics:
 
     # -- forwards ------------------------------------------------------------------------------------------------
 
-    def tool_poses(self, q: Any) -> Array:
+    def tool_poses(self, q: ArrayLike) -> Array:
         """T_world_tool at joint positions (M, n), as matrices (M, 4, 4)."""
         x = self._positions(q)
         poses = np.empty((len(x), 12))
@@ -152,14 +152,14 @@ class ArmKinematics:
         T[:, :3, :3], T[:, :3, 3], T[:, 3, 3] = poses[:, :9].reshape(-1, 3, 3), poses[:, 9:], 1.0
         return T
 
-    def jacobians(self, q: Any) -> Array:
+    def jacobians(self, q: ArrayLike) -> Array:
         """Jacobians (M, 6, n) of the tool's point, [linear; angular] in world axes."""
         x = self._positions(q)
         J = np.empty((len(x), self.n, 6))
         self.kernel.place(self._numbers, x, np.empty(12 * len(x)), J)
         return J.transpose(0, 2, 1)
 
-    def derivatives(self, q: Any, twists: Array, slopes: Array) -> tuple[Array, Array]:
+    def derivatives(self, q: ArrayLike, twists: Array, slopes: Array) -> tuple[Array, Array]:
         """Derivatives q′ and q″ (M, n) of the joints along a way of the tool.
 
         A redundant arm takes the shortest way, in the unit of each joint's largest speed; one of fewer than six joints
@@ -176,7 +176,7 @@ class ArmKinematics:
         kernel.derivatives(self._numbers, x, V, dV, first, second)
         return first, second
 
-    def singular_values(self, q: Any) -> Array:
+    def singular_values(self, q: ArrayLike) -> Array:
         """Singular values of the tool's Jacobian, descending (M, min(6, n)), in metres and radians."""
         x = self._positions(q)
         values = np.empty((len(x), min(6, self.n)))
@@ -191,7 +191,13 @@ class ArmKinematics:
     # -- inverse -------------------------------------------------------------------------------------------------
 
     def solve(
-        self, poses: Any, q_start: Any, *, tolerance: float = REACHED, steps: int = _STEPS, longest: float = _LONGEST
+        self,
+        poses: ArrayLike,
+        q_start: ArrayLike,
+        *,
+        tolerance: float = REACHED,
+        steps: int = _STEPS,
+        longest: float = _LONGEST,
     ) -> BatchSolutions:
         """Damped Newton's method from each start to its pose. Limits play no part in it.
 
@@ -206,7 +212,13 @@ class ArmKinematics:
         return BatchSolutions(q, residual, self.singular_values(q)[:, -1], self.margins(q))
 
     def newton(
-        self, poses: Any, q_start: Any, *, tolerance: float = REACHED, steps: int = _STEPS, longest: float = _LONGEST
+        self,
+        poses: ArrayLike,
+        q_start: ArrayLike,
+        *,
+        tolerance: float = REACHED,
+        steps: int = _STEPS,
+        longest: float = _LONGEST,
     ) -> tuple[Array, Array]:
         """Positions (M, n) and residuals (M,) of :meth:`solve`, without singular values."""
         q = self._positions(q_start)
@@ -215,7 +227,7 @@ class ArmKinematics:
         self.kernel.solve(self._numbers, numbers, q, residual, tolerance, steps, longest, _DAMPING)
         return q, residual
 
-    def walk(self, poses: Any, q_start: Any, *, tolerance: float = REACHED) -> Walks:
+    def walk(self, poses: ArrayLike, q_start: ArrayLike, *, tolerance: float = REACHED) -> Walks:
         """From each start (M, n), which reaches the first of K poses (K, 4, 4), along all of them.
 
         A redundant arm takes the shortest way, in the unit of each joint's largest speed.
@@ -224,7 +236,9 @@ class ArmKinematics:
         sigma = self.singular_values(q.reshape(-1, self.n))[:, -1].reshape(len(q), -1)
         return Walks(q, reached, sigma)
 
-    def ways(self, poses: Any, q_start: Any, *, tolerance: float = REACHED) -> tuple[Array, npt.NDArray[np.intp]]:
+    def ways(
+        self, poses: ArrayLike, q_start: ArrayLike, *, tolerance: float = REACHED
+    ) -> tuple[Array, npt.NDArray[np.intp]]:
         """Positions (M, K, n) and last poses (M,) of :meth:`walk`, without singular values."""
         starts = self._positions(q_start)
         numbers = self._poses(poses, None)
@@ -256,7 +270,7 @@ class ArmKinematics:
 
     # -- arguments -----------------------------------------------------------------------------------------------
 
-    def _positions(self, q: Any) -> Array:
+    def _positions(self, q: ArrayLike) -> Array:
         x = as_floats(q)
         if x.ndim != 2 or x.shape[1] != self.n or not np.isfinite(x).all():
             raise InvalidInputError(

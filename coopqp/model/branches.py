@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import itertools
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from coopqp.checks import as_count
+from coopqp.checks import ArrayLike, as_count
 from coopqp.model.batch import REACHED, ArmKinematics
 from coopqp.spatial import Array, Placement
 
@@ -60,7 +59,7 @@ def find_branches(
     T_world_tool: Placement,
     *,
     effort: int = 1,
-    near: Any = None,
+    near: ArrayLike | None = None,
     seed: int = 0,
     quick: bool = False,
 ) -> Branches:

@@ -9,20 +9,20 @@ from __future__ import annotations
 import itertools
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pinocchio as pin
 
-from coopqp.checks import as_vector
+from coopqp.checks import ArrayLike, as_vector
 from coopqp.errors import InvalidInputError, UnknownNameError
+from coopqp.lazy import Shown
 from coopqp.model.arm import LIMIT_FIELDS, Arm, JointLimits
 from coopqp.spatial import Array
 
 __all__ = ["Arm", "JointLimits", "RobotCell"]
 
 
-class RobotCell:
+class RobotCell(Shown):
     """N arms in one Pinocchio model.
 
     Attributes:
@@ -96,7 +96,7 @@ class RobotCell:
         """Index of the arm of velocity coordinate ``j``."""
         return next(k for k, s in enumerate(self.v_slices) if s.start <= j < s.stop)
 
-    def with_limits(self, **changes: Any) -> RobotCell:
+    def with_limits(self, **changes: ArrayLike) -> RobotCell:
         """Return a copy with other limits (keywords of :class:`JointLimits`; a scalar or shape (nv,))."""
         limits = self.limits.replace(**changes)
         return RobotCell(
@@ -111,7 +111,7 @@ class RobotCell:
             return result
         return np.asarray(pin.integrate(self.model, q, displacement))
 
-    def check_configuration(self, q: Any, where: str) -> Array:
+    def check_configuration(self, q: ArrayLike, where: str) -> Array:
         """Return ``q`` as a new finite array (nq,), with the (cos, sin) of continuous joints normalised.
 
         Raises:
@@ -132,7 +132,7 @@ class RobotCell:
             vector[i : i + 2] /= radius
         return vector
 
-    def configuration(self, angles: Any) -> Array:
+    def configuration(self, angles: ArrayLike) -> Array:
         """Configuration (nq,) from one position per joint (nv,) [rad or m]; continuous joints become (cos, sin)."""
         x = as_vector(angles, self.nv, "RobotCell.configuration")
         q = np.empty(self.nq)
@@ -153,7 +153,7 @@ class RobotCell:
             x[..., j] = np.arctan2(q[..., i + 1], q[..., i])
         return x
 
-    def average(self, configurations: Any) -> Array:
+    def average(self, configurations: Iterable[ArrayLike]) -> Array:
         """Mean (nq,) of configurations (T, nq) measured at rest. The mean has less noise: use it as a start.
 
         Raises:

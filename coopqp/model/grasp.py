@@ -8,12 +8,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import pinocchio as pin
 
-from coopqp.checks import as_scalar, as_vector, require
+from coopqp.checks import ArrayLike, as_scalar, as_vector, require
 from coopqp.errors import InvalidInputError
 from coopqp.model.cell import RobotCell
 from coopqp.model.state import CellState
@@ -65,7 +64,7 @@ class Grasp:
     @staticmethod
     def from_configuration(
         cell: RobotCell,
-        q: Any,
+        q: ArrayLike,
         T_world_object: Placement | None = None,
         *,
         nominal: Grasp | None = None,
@@ -129,7 +128,7 @@ class Grasp:
         T = as_placement(T_world_object, "Grasp.tool_targets")
         return tuple(T * X for X in self.T_object_tool)
 
-    def arm_increments(self, increment: Any) -> Array:
+    def arm_increments(self, increment: ArrayLike) -> Array:
         """Δ^k of Eq. (16), shape (N, 6) [m, rad]: the object's body-frame increment in each tool frame.
 
         ``Δ^k = Ad(X_k⁻¹) Δ``. For the paper's triangle these are the 18 component lists below Eq. (16).

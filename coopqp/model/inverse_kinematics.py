@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from coopqp.checks import as_scalar
+from coopqp.checks import ArrayLike, as_scalar
 from coopqp.errors import UnreachableError
 from coopqp.model.batch import ArmKinematics
 from coopqp.model.branches import AT_LIMIT, all_turns, amount, find_branches
@@ -50,7 +50,7 @@ def inverse_kinematics(
     cell: RobotCell,
     grasp: Grasp,
     T_world_object: Placement,
-    q_start: Any,
+    q_start: ArrayLike,
     *,
     tolerance: float = 1e-12,
     max_iter: int = 100,

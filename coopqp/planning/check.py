@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pinocchio as pin
 
-from coopqp.checks import as_count
+from coopqp.checks import ArrayLike, as_count
 from coopqp.errors import InvalidInputError
 from coopqp.model.batch import ArmKinematics
 from coopqp.model.branches import amount
@@ -193,7 +193,9 @@ class PathCheck:
         }
 
 
-def check_path(cell: RobotCell, grasp: Grasp, path: ObjectPath, *, q_start: Any = None, effort: int = 1) -> PathCheck:
+def check_path(
+    cell: RobotCell, grasp: Grasp, path: ObjectPath, *, q_start: ArrayLike | None = None, effort: int = 1
+) -> PathCheck:
     """Can the arms follow a path inside their position limits and away from singularities?
 
     The library's own paths are proved between samples, too (:mod:`coopqp.planning.certificate`). Other paths, arms with

@@ -5,11 +5,10 @@ from __future__ import annotations
 import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
-from coopqp.checks import as_scalar
+from coopqp.checks import ArrayLike, as_scalar
 from coopqp.errors import InvalidInputError
 from coopqp.model.cell import RobotCell
 from coopqp.model.grasp import Grasp
@@ -65,12 +64,12 @@ def plan(
     grasp: Grasp,
     path: ObjectPath | PathGeometry | Sequence[Placement],
     *,
-    q_start: Any = None,
+    q_start: ArrayLike | None = None,
     blend: float = 0.0,
     blend_angle: float | None = None,
     free_roll: Mapping[str, Sequence[float]] | None = None,
     payload: Payload | None = None,
-    jerk: Any = None,
+    jerk: ArrayLike | None = None,
     share: float = SHARE,
     knots: int | None = None,
 ) -> Plan:

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 
-from coopqp.checks import as_count, keep_scalars
+from coopqp.checks import Doc, as_count, documented, keep_scalars
 from coopqp.model.cell import RobotCell
 from coopqp.spatial import Array
 
@@ -16,36 +17,45 @@ _STEPS_TO_FULL_SPEED = 22
 _SHARE_OF_SLOPE = 0.9
 
 
+@documented
 @dataclass(frozen=True, kw_only=True)
 class PreviewOptions:
-    """Settings of the preview.
+    """Settings of the preview."""
 
-    Attributes:
-        cell: longest interval between knots [s of the clock].
-        joint_step: largest joint motion between knots [rad or m].
-        slope_step: largest change of a joint's slope between knots, as a share of the largest slope and of its speed.
-        shortest: intervals between knots are not halved below this [s].
-        margin: η, share of velocity and acceleration limits that is planned with where acceleration is limited.
-        curvature_share: κ, share for z = σ² of a further constraint that bounds z and σ̇ at once; and of the planned
-            accelerations, where no acceleration is limited.
-        doubt: share of the differences of q″ at a knot that stands for what the path does between knots.
-        rate_slope: σ̇_max, largest change of the rate [1/s], where acceleration is limited.
-        singular_rate: a rate cap below this, while joint speeds still rise, ends the path there, unless they fall
-            again before it is below 0.3 of this.
-        newton_steps: the chain's Newton steps that one control step may take. Where these are too few to see as far as
-            the object needs to stop, it slows down.
-    """
-
-    cell: float = 0.02
-    joint_step: float = 0.02
-    slope_step: float = 0.1
-    shortest: float = 1e-6
-    margin: float = 0.95
-    curvature_share: float = 0.5
-    doubt: float = 0.3
-    rate_slope: float = 10.0
-    singular_rate: float = 1e-2
-    newton_steps: int = 40
+    cell: Annotated[float, Doc("longest interval between knots [s of the clock]")] = 0.02
+    joint_step: Annotated[float, Doc("largest joint motion between knots [rad or m]")] = 0.02
+    slope_step: Annotated[
+        float, Doc("largest change of a joint's slope between knots, as a share of the largest slope and of its speed")
+    ] = 0.1
+    shortest: Annotated[float, Doc("intervals between knots are not halved below this [s]")] = 1e-6
+    margin: Annotated[
+        float, Doc("η, share of velocity and acceleration limits that is planned with where acceleration is limited")
+    ] = 0.95
+    curvature_share: Annotated[
+        float,
+        Doc(
+            "κ, share for z = σ² of a further constraint that bounds z and σ̇ at once; and of the planned "
+            "accelerations, where no acceleration is limited"
+        ),
+    ] = 0.5
+    doubt: Annotated[
+        float, Doc("share of the differences of q″ at a knot that stands for what the path does between knots")
+    ] = 0.3
+    rate_slope: Annotated[float, Doc("σ̇_max, largest change of the rate [1/s], where acceleration is limited")] = 10.0
+    singular_rate: Annotated[
+        float,
+        Doc(
+            "a rate cap below this, while joint speeds still rise, ends the path there, unless they fall "
+            "again before it is below 0.3 of this"
+        ),
+    ] = 1e-2
+    newton_steps: Annotated[
+        int,
+        Doc(
+            "the chain's Newton steps that one control step may take. Where these are too few to see as "
+            "far as the object needs to stop, it slows down"
+        ),
+    ] = 40
 
     def __post_init__(self) -> None:
         keep_scalars(self, "cell", "joint_step", "slope_step", "shortest", "rate_slope")

@@ -7,12 +7,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import pinocchio as pin
 
-from coopqp.checks import as_count, as_floats, as_scalar
+from coopqp.checks import ArrayLike, as_count, as_floats, as_scalar
 from coopqp.errors import InvalidInputError, NoStartError
 from coopqp.model.batch import ArmKinematics
 from coopqp.model.cell import RobotCell
@@ -102,7 +101,7 @@ def find_start(
     path: ObjectPath,
     *,
     free_roll: Mapping[str, Sequence[float]] | None = None,
-    q_near: Any = None,
+    q_near: ArrayLike | None = None,
     effort: int = 1,
 ) -> Start:
     """Find a start configuration from which every arm follows the whole path inside its limits.

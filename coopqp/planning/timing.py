@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from coopqp.checks import NOT_NUMBERS, as_count, as_floats, as_scalar, require
+from coopqp.checks import NOT_NUMBERS, ArrayLike, as_count, as_floats, as_scalar, require
 from coopqp.errors import InvalidInputError, UnreachableError
 from coopqp.model.branches import AT_LIMIT, amount
 from coopqp.model.cell import RobotCell
@@ -43,9 +43,9 @@ def time_path(
     grasp: Grasp,
     path: ObjectPath | PathGeometry,
     *,
-    q_start: Any,
+    q_start: ArrayLike,
     payload: Payload | None = None,
-    jerk: Any = None,
+    jerk: ArrayLike | None = None,
     share: float = SHARE,
     knots: int | None = None,
 ) -> TimedPath:
@@ -118,7 +118,7 @@ def time_path(
     return TimedPath(geometry, profile, planned_share=share)
 
 
-def _as_jerks(jerk: Any, nv: int, where: str) -> Array:
+def _as_jerks(jerk: ArrayLike, nv: int, where: str) -> Array:
     """Limits of the jerk (nv,)."""
     try:
         given = as_floats(jerk)

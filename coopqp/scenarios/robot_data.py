@@ -11,11 +11,11 @@ from coopqp.task.path import LinePath, TimeLaw
 from coopqp.task.scenario import Scenario
 
 
-def panda_bar(*, geometry: bool = False, duration: float = 3.0, time_law: TimeLaw | str = TimeLaw.QUINTIC) -> Scenario:
+def panda_bar(*, geometry: bool = True, duration: float = 3.0, time_law: TimeLaw | str = TimeLaw.QUINTIC) -> Scenario:
     """Two seven-joint pandas with locked fingers and their acceleration limits move a bar of 1 m and 3 kg.
 
     Args:
-        geometry: also load the meshes (about one second).
+        geometry: also load the meshes (about half a second, once).
         duration: duration of the path [s].
         time_law: time law of the path.
 
@@ -45,11 +45,11 @@ def panda_bar(*, geometry: bool = False, duration: float = 3.0, time_law: TimeLa
     return put_together("panda_bar", stations, path, object_size=(1.00, 0.04, 0.04), object_mass=3.0)
 
 
-def ur5_table(*, geometry: bool = False, duration: float = 3.0, time_law: TimeLaw | str = TimeLaw.QUINTIC) -> Scenario:
+def ur5_table(*, geometry: bool = True, duration: float = 3.0, time_law: TimeLaw | str = TimeLaw.QUINTIC) -> Scenario:
     """Four UR5 along the long sides of a table top of 1.2 x 0.8 m and 12 kg move it.
 
     Args:
-        geometry: also load the meshes (about one second).
+        geometry: also load the meshes (about half a second, once).
         duration: duration of the path [s].
         time_law: time law of the path.
 

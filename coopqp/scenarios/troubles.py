@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 import pinocchio as pin
 
-from coopqp.checks import as_scalar, as_vector
+from coopqp.checks import Array, as_scalar, as_vector
 from coopqp.errors import InvalidInputError, UnknownNameError
 from coopqp.model.state import CellState
 from coopqp.scenarios.cells import named_robot
@@ -26,7 +26,7 @@ def at_limit(
     *,
     direction: Sequence[float] = (0.0, 0.0, 1.0),
     rotation: Sequence[float] = (0.0, 0.0, 0.0),
-    margin: Any = 0.25,
+    margin: float | Array = 0.25,
     speed: float = 0.25,
     acceleration: float = 5.0,
 ) -> Scenario:

@@ -9,16 +9,18 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 import pinocchio as pin
 
-from coopqp.checks import as_options, keep_scalars
+from coopqp.checks import Doc, as_options, documented, keep_scalars
 from coopqp.control.command import Status
 from coopqp.errors import InvalidInputError
 from coopqp.model.cell import RobotCell
+from coopqp.model.limits import LimitKind
 from coopqp.simulation import metrics
+from coopqp.simulation.metrics import said
 from coopqp.simulation.recording import Recording, RecordingError
 from coopqp.spatial import Array
 
@@ -48,19 +50,15 @@ class Readings:
     sigma_min: Array
 
 
+@documented
 @dataclass(frozen=True)
 class Tolerances:
-    """Accepted errors of a run.
+    """Accepted errors of a run."""
 
-    Attributes:
-        chain_mm, chain_deg: distance [mm] and angle [deg] between the object poses of any two arms.
-        object_mm, object_deg: distance [mm] and angle [deg] between the object and its path.
-    """
-
-    chain_mm: float = 0.1
-    chain_deg: float = 0.1
-    object_mm: float = 1.0
-    object_deg: float = 0.5
+    chain_mm: Annotated[float, Doc("distance between the object poses of any two arms [mm]")] = 0.1
+    chain_deg: Annotated[float, Doc("angle between the object poses of any two arms [deg]")] = 0.1
+    object_mm: Annotated[float, Doc("distance between the object and its path [mm]")] = 1.0
+    object_deg: Annotated[float, Doc("angle between the object and its path [deg]")] = 0.5
 
     def __post_init__(self) -> None:
         for name in self.__dataclass_fields__:
@@ -174,9 +172,34 @@ def _smallest(J: Array) -> Array:
     return sigma
 
 
+def ramps(recording: Recording) -> tuple[int, int]:
+    """Numbers of steps with a lower rate in which the object only speeds up from rest, and only brakes for its end.
+
+    They are part of every healthy run. The first are those before the first step at full rate, if the rate rises and no
+    limit binds but accelerations; the others are those in which no limit binds but the end of the path.
+    """
+    slowed = np.asarray(recording.status) == Status.SLOWED.code
+    if not slowed.any():
+        return 0, 0
+    bindings = recording.bindings or [()] * recording.n_steps
+    ends = [len(b) > 0 and all(limit.kind is LimitKind.PATH_END for limit in b) for b in bindings]
+    full = np.flatnonzero(recording.status == Status.TRACKING.code)
+    first = int(full[0]) if len(full) else 0
+    rises = bool((np.diff(recording.rate[:first]) >= -metrics.ROUNDING).all())
+    free = all(limit.kind is LimitKind.ACCELERATION for b in bindings[:first] for limit in b)
+    begun = first if rises and free and bool(slowed[:first].all()) else 0
+    return begun, int(np.count_nonzero(slowed & ends)) if recording.finished else 0
+
+
 def worst_status(recording: Recording) -> str:
-    """``"ok"`` if every step tracked and the object arrived, otherwise the worst status of the run."""
-    worst = max(recording.statuses, key=lambda status: status.precedence, default=Status.TRACKING)
+    """``"ok"`` if every step tracked and the object arrived, otherwise the worst status of the run.
+
+    Steps of :func:`ramps` count as tracking.
+    """
+    statuses = recording.statuses
+    worst = max(statuses, key=lambda status: status.precedence, default=Status.TRACKING)
+    if worst is Status.SLOWED and statuses.count(worst) == sum(ramps(recording)):
+        worst = Status.TRACKING
     return "ok" if worst is Status.TRACKING and recording.finished else worst.value
 
 
@@ -185,24 +208,17 @@ def run_figures(cell: RobotCell, recording: Recording, readings: Readings) -> di
     sigma = readings.sigma_min
     arm = int(np.unravel_index(int(np.nanargmin(sigma)), sigma.shape)[1]) if np.isfinite(sigma).any() else 0
     return {
-        "largest ε_p": f"{_number(readings.eps_p_mm.max())} mm",
-        "largest ε_o": f"{_number(readings.eps_o_deg.max())}°",
-        "arms against each other": f"{_number(readings.chain_mm.max())} mm",
-        "object off its path": f"{_number(readings.object_mm.max())} mm",
-        "object off at the end": f"{_number(readings.object_mm[-1])} mm",
+        "largest ε_p": said(readings.eps_p_mm.max(), " mm"),
+        "largest ε_o": said(readings.eps_o_deg.max(), "°"),
+        "arms against each other": said(readings.chain_mm.max(), " mm"),
+        "object off its path": said(readings.object_mm.max(), " mm"),
+        "object off at the end": said(readings.object_mm[-1], " mm"),
         "smallest rate σ": f"{100.0 * float(recording.rate.min(initial=1.0)):.3g} %",
-        "smallest singular value": f"{_number(sigma.min())} ({cell.arm_names[arm]})",
+        "smallest singular value": f"{said(sigma.min())} ({cell.arm_names[arm]})",
         "time": f"{float(recording.time[-1]):.4g} s",
         "steps": f"{recording.n_steps} of {1e3 * float(np.median(np.diff(recording.time))):.4g} ms",
         "worst status": worst_status(recording),
     }
-
-
-def _number(value: float) -> str:
-    value = float(value)
-    if not math.isfinite(value):
-        return "not finite"
-    return f"{value:.3g}" if value == 0.0 or abs(value) >= 1e-4 else f"{value:.1e}"
 
 
 def judge(
@@ -248,9 +264,12 @@ def _finished(recording: Recording) -> Finding:
     question = "Did the object arrive?"
     end = float(recording.metadata.get("duration", math.nan))
     took = f"{recording.time[-1]:.4g} s" + (f" for a path of {end:.4g} s" if math.isfinite(end) else "")
-    slowed = sum(s in (Status.SLOWED, Status.BLOCKED) for s in recording.statuses)
+    begun, ended = ramps(recording)
+    slowed = sum(s in (Status.SLOWED, Status.BLOCKED) for s in recording.statuses) - begun - ended
     stopped = sum(s in (Status.HOLDING, Status.FAULT) for s in recording.statuses)
     text = f"{took}, {slowed} of {recording.n_steps} steps slowed"
+    text += f", {begun} to speed up" if begun else ""
+    text += f", {ended} to brake at the end" if ended else ""
     endless = end == math.inf
     if endless:
         text += "; the path has no end"
@@ -389,12 +408,19 @@ def _held(
     where: Callable[[int], str],
 ) -> Finding:
     a, b = (float(np.max(error)) for error in errors)
-    text = f"within {a:.3g} mm and {b:.3g}° (asked: {largest[0]:g} mm, {largest[1]:g}°)"
+    text = f"{_within(a, ' mm', b, '°')} (asked: {largest[0]:g} mm, {largest[1]:g}°)"
     bad = ~((errors[0] <= largest[0]) & (errors[1] <= largest[1]))
     if not bad.any():
         return Finding(question, True, text)
     first = _first(bad)
     return Finding(question, False, text, f"{where(first)}, beyond the tolerance since {_at(recording, first)}")
+
+
+def _within(a: float, of_a: str, b: float, of_b: str) -> str:
+    one, other = said(a, of_a), said(b, of_b)
+    both = f"within {one}" if not one.startswith("below") else one
+    joined = not other.startswith("below") and both == one  # each has its own word
+    return f"{both} and {'within ' if joined else ''}{other}"
 
 
 def _first(bad: Any) -> int:

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import functools
+import math
 from collections.abc import Iterable, Sequence
 from typing import Any
 
 import numpy as np
 import pinocchio as pin
 
+from coopqp.checks import ArrayLike
 from coopqp.errors import InvalidInputError
 from coopqp.model.cell import RobotCell
 from coopqp.model.grasp import Grasp
@@ -16,8 +18,21 @@ from coopqp.model.state import workspace
 from coopqp.spatial import Array
 from coopqp.task.path import ObjectPath
 
+#: Smaller errors [mm or deg] are rounding: texts say "below" instead of a number.
+ROUNDING = 1e-9
 
-def tool_placements(cell: RobotCell, configurations: Any) -> list[list[pin.SE3]]:
+
+def said(value: float, unit: str = "") -> str:
+    """An error in words: three digits and the unit; "below 1e-9" for rounding, two digits below 1e-4."""
+    value = float(value)
+    if not math.isfinite(value):
+        return "not finite"
+    if 0.0 < abs(value) < ROUNDING:
+        return f"below 1e-9{unit}"
+    return (f"{value:.3g}" if value == 0.0 or abs(value) >= 1e-4 else f"{value:.1e}") + unit
+
+
+def tool_placements(cell: RobotCell, configurations: ArrayLike) -> list[list[pin.SE3]]:
     """T_world_tool of every arm at every configuration (T, nq), directly from Pinocchio's frames."""
     data = workspace(cell)
     out = []
@@ -183,7 +198,7 @@ def _largest(values: Iterable[Any]) -> float:
     return float(np.max([0.0, *values]))
 
 
-def limit_excess(cell: RobotCell, configurations: Any, velocities: Any) -> float:
+def limit_excess(cell: RobotCell, configurations: ArrayLike, velocities: Any) -> float:
     """Largest excess over any position [rad or m] or velocity limit [rad/s or m/s]; 0 if all limits are kept.
 
     Args:

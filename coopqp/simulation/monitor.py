@@ -20,7 +20,7 @@ import numpy as np
 import numpy.typing as npt
 import pinocchio as pin
 
-from coopqp.checks import as_options, keep_scalars
+from coopqp.checks import ArrayLike, as_options, keep_scalars
 from coopqp.control.command import Controller, ControlStep, Status
 from coopqp.errors import InvalidInputError
 from coopqp.model.cell import RobotCell
@@ -588,7 +588,7 @@ class Monitored:
         """The controller's path."""
         return self.controller.path
 
-    def reset(self, q: Any) -> None:
+    def reset(self, q: ArrayLike) -> None:
         """Reset the controller. The monitor keeps its violations."""
         kept = _copy(q)
         self.controller.reset(q)
@@ -596,7 +596,7 @@ class Monitored:
         self.monitor.restart()
         self._last = None
 
-    def step(self, q_measured: Any = None, *, dt: float | None = None) -> ControlStep:
+    def step(self, q_measured: ArrayLike | None = None, *, dt: float | None = None) -> ControlStep:
         """Compute and judge the controller's step."""
         kept = _copy(q_measured)
         step = self.controller.step(q_measured, dt=dt)

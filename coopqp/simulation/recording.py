@@ -13,7 +13,8 @@ from typing import Any
 import numpy as np
 
 from coopqp.control.command import Status
-from coopqp.errors import CoopqpError
+from coopqp.errors import CoopqpError, printable
+from coopqp.lazy import Shown
 from coopqp.model.cell import RobotCell
 from coopqp.model.grasp import Grasp
 from coopqp.model.limits import BindingLimit, LimitKind
@@ -33,7 +34,7 @@ class RecordingError(CoopqpError):
 
 
 @dataclass(frozen=True, eq=False)
-class Recording:
+class Recording(Shown):
     """A run as arrays. T steps have T + 1 samples of the configuration.
 
     Attributes:
@@ -66,6 +67,13 @@ class Recording:
     notes: tuple[str, ...]
     metadata: dict[str, Any]
     meshes: bool = True
+
+    def __repr__(self) -> str:
+        end = "finished" if self.finished else "not finished"
+        made = self.metadata.get("controller", "unknown controller")
+        span = float(self.time[-1]) if len(self.time) else 0.0
+        arms = f"{len(self.T_object_tool)} arm{'s' * (len(self.T_object_tool) != 1)}"
+        return f"Recording({printable(str(made))}, {arms}, {self.n_steps} steps, {span:.4g} s, {end})"
 
     @property
     def n_steps(self) -> int:

@@ -9,7 +9,7 @@ from typing import Any, final
 import numpy as np
 
 from coopqp import planning
-from coopqp.checks import as_scalar, read_only
+from coopqp.checks import ArrayLike, as_scalar, read_only
 from coopqp.control.command import Controller, ControlStep, Status
 from coopqp.errors import InvalidInputError
 from coopqp.model.cell import RobotCell
@@ -33,7 +33,7 @@ def simulate(
     controller: Controller,
     plant: Plant | None = None,
     *,
-    q_start: Any = None,
+    q_start: ArrayLike | None = None,
     duration: float | None = None,
     settle: float = 0.0,
     patience: float | None = PATIENCE,
@@ -63,10 +63,11 @@ def simulate(
         NoStartError: no ``q_start`` is given and there is none.
     """
     for thing, methods, name in ((controller, ("reset", "step"), "controller"), (plant, ("reset", "apply"), "plant")):
-        if thing is not None and not all(callable(getattr(thing, method, None)) for method in methods):
-            raise InvalidInputError(
-                f"a {type(thing).__name__}", f"simulate: {name}", f"Give an object with {' and '.join(methods)}."
-            )
+        if thing is None and name == "plant":
+            continue
+        if isinstance(thing, type) or not all(callable(getattr(thing, method, None)) for method in methods):
+            what = f"the class {thing.__name__} itself" if isinstance(thing, type) else f"a {type(thing).__name__}"
+            raise InvalidInputError(what, f"simulate: {name}", f"Give an object with {' and '.join(methods)}.")
     cell: RobotCell = controller.cell
     plant = KinematicPlant(cell) if plant is None else plant
     endless = not np.isfinite(controller.path.duration)

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, final
+from typing import final
 
 import numpy as np
 
-from coopqp.checks import NOT_NUMBERS, as_floats
+from coopqp.checks import NOT_NUMBERS, ArrayLike, as_floats
 from coopqp.errors import InvalidInputError
 from coopqp.model.cell import RobotCell
 from coopqp.spatial import Array
@@ -23,7 +23,7 @@ class CommonError:
 
     kind: str
     arms: tuple[str | int, ...] = ()
-    weights: Any = None
+    weights: ArrayLike | None = None
 
     @staticmethod
     def master(arm: str | int = 0) -> CommonError:
@@ -41,7 +41,7 @@ class CommonError:
         return CommonError("driver", (master, driver))
 
     @staticmethod
-    def per_axis(weights: Any) -> CommonError:
+    def per_axis(weights: ArrayLike) -> CommonError:
         """Any weights (N, 6) ≥ 0 that sum to 1 over the arms on every axis [x, y, z, rx, ry, rz]."""
         return CommonError("per_axis", (), weights)
 

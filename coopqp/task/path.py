@@ -12,12 +12,12 @@ import math
 from bisect import bisect_right
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, final
+from typing import final
 
 import numpy as np
 import pinocchio as pin
 
-from coopqp.checks import as_scalar, as_vector
+from coopqp.checks import ArrayLike, as_scalar, as_vector
 from coopqp.errors import InvalidInputError, UnknownNameError
 from coopqp.spatial import Array, Placement, as_placement, as_placements
 from coopqp.task.geometry import PathGeometry, Straight, motion_length
@@ -184,8 +184,8 @@ class LinePath(ObjectPath):
     def displaced(
         start: Placement,
         *,
-        translation: Any = (0.0, 0.0, 0.0),
-        rotation: Any = (0.0, 0.0, 0.0),
+        translation: ArrayLike = (0.0, 0.0, 0.0),
+        rotation: ArrayLike = (0.0, 0.0, 0.0),
         duration: float,
         time_law: TimeLaw | str = TimeLaw.QUINTIC,
     ) -> LinePath:

@@ -3,33 +3,30 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, final
+from typing import Annotated, Any, final
 
 import numpy as np
 import pinocchio as pin
 
-from coopqp.checks import keep_scalars
+from coopqp.checks import Doc, documented, keep_scalars
 from coopqp.model.cell import RobotCell
 from coopqp.spatial import Array
 
 
+@documented
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PostureOptions:
-    """Weights of the null-space goals. All goals act in the null-space of the chain and never disturb it.
+    """Weights of the null-space goals. All goals act in the null-space of the chain and never disturb it."""
 
-    Attributes:
-        gain: gain towards ``target`` [1/s].
-        target: preferred configuration (nq,); None for the configuration at reset.
-        centring: gain towards the middle between the position limits [1/s].
-        manipulability: gain along the gradient of √det(J Jᵀ) [rad²/s]; costs a finite difference per joint.
-        speed_share: upper bound of the wanted null-space velocity, as a share of every joint's speed limit.
-    """
-
-    gain: float = 1.0
-    target: Any = None
-    centring: float = 0.0
-    manipulability: float = 0.0
-    speed_share: float = 0.2
+    gain: Annotated[float, Doc("gain towards 'target' [1/s]")] = 1.0
+    target: Annotated[Any, Doc("preferred configuration (nq,); None for the configuration at reset")] = None
+    centring: Annotated[float, Doc("gain towards the middle between the position limits [1/s]")] = 0.0
+    manipulability: Annotated[
+        float, Doc("gain along the gradient of √det(J Jᵀ) [rad²/s]; costs a finite difference per joint")
+    ] = 0.0
+    speed_share: Annotated[
+        float, Doc("upper bound of the wanted null-space velocity, as a share of every joint's speed limit")
+    ] = 0.2
 
     def __post_init__(self) -> None:
         keep_scalars(self, "gain", "centring", "manipulability", open_low=False)

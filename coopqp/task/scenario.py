@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 import pinocchio as pin
 
+from coopqp.lazy import Shown
 from coopqp.model.cell import RobotCell
 from coopqp.model.grasp import Grasp
 from coopqp.spatial import Array
@@ -14,7 +15,7 @@ from coopqp.task.path import ObjectPath
 
 
 @dataclass(frozen=True, eq=False)
-class Scenario:
+class Scenario(Shown):
     """A ready task: a cell, a grasp, a path, a start and an object.
 
     Attributes:
@@ -36,3 +37,6 @@ class Scenario:
     object_size: tuple[float, float, float] = (0.1, 0.1, 0.1)
     T_object_body: pin.SE3 = field(default_factory=lambda: pin.SE3(np.eye(3), np.zeros(3)))
     object_mass: float = 20.0
+
+    def __repr__(self) -> str:
+        return f"Scenario({self.name}: {self.cell!r}, {self.path.duration:.4g} s in steps of {1e3 * self.dt:.4g} ms)"

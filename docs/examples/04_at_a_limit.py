@@ -34,16 +34,25 @@ if "--view" in sys.argv:
 if "--out" in sys.argv:
     import matplotlib.pyplot as plt
 
-    limits = task.cell.limits
-    figure, panels = plt.subplots(3, 1, sharex=True, figsize=(7, 7), layout="constrained")
-    top, middle, bottom = panels
-    top.plot(recording.time[1:], recording.rate)
-    top.set_ylabel("rate σ")
+    names, limits = task.cell.arm_names, task.cell.limits
+    figure = plt.figure(figsize=(8, 7), layout="constrained")
+    panels = figure.subplot_mosaic(
+        [["rate"] * 3, list(names), ["parted"] * 3], height_ratios=[2, 3, 3]
+    )
+    panels["rate"].plot(recording.time[1:], recording.rate)
+    panels["rate"].set_ylabel("rate σ")
     position = (2 * recording.q - limits.upper - limits.lower) / (limits.upper - limits.lower)
-    middle.plot(recording.time, position, lw=0.8)
-    middle.axhline(1, color="k", lw=0.8, ls="--")
-    middle.axhline(-1, color="k", lw=0.8, ls="--")
-    middle.set_ylabel("joints (±1: their limits)")
+    for name, joints in zip(names, task.cell.v_slices, strict=True):
+        panel, labels = panels[name], [f"joint {j + 1}" for j in range(6)]
+        panel.plot(recording.time, position[:, joints], lw=1.2, label=labels)
+        panel.hlines([-1, 1], 0, recording.time[-1], "k", "dashed", lw=0.8)
+        panel.set_title(name.replace("_", " "), fontsize=10)
+        panel.set_ylim(-1.1, 1.1)
+    panels[names[0]].set_ylabel("joints (±1: their limits)")
+    figure.legend(
+        *panel.get_legend_handles_labels(), loc="outside upper center", ncols=6, fontsize=9
+    )
+    bottom = panels["parted"]
     for name, run in runs.items():
         bottom.semilogy(run.time, np.maximum(errors[name].chain_mm, 1e-10), label=name)
     bottom.set_ylabel("the arms part by [mm]")

@@ -9,6 +9,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from coopqp.checks import require
 from coopqp.errors import CoopqpError, MissingExtraError
 
 if TYPE_CHECKING:
@@ -48,6 +49,7 @@ def load_cell_file(path: str | Path) -> CellRun:
         MissingExtraError: the extra ``files`` is not installed.
     """
     require_readers()
+    require(path, (str, Path), "load_cell_file: path", "Give the name of a file.")
     from coopqp.files.cellfile.build import load
 
     return load(Path(path))

@@ -407,4 +407,4 @@ def _common_error(table: CommonErrorTable) -> CommonError:
         return CommonError.master(str(table.master))
     if table.kind == "driver":
         return CommonError.driver(master=str(table.master), driver=str(table.driver))
-    return CommonError.leaderless() if table.kind == "leaderless" else CommonError.per_axis(table.weights)
+    return CommonError.leaderless() if table.kind == "leaderless" else CommonError.per_axis(table.weights or [])

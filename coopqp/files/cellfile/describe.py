@@ -116,7 +116,8 @@ def _word(kind: Any) -> str:
             "table of lists" if inner.startswith("list") else f"table of {'values' if ' or ' in inner else inner + 's'}"
         )
     elif origin in (Union, types.UnionType):
-        words = list(dict.fromkeys(_word(member) for member in members if member is not type(None)))
+        named = [member for member in members if member is not type(None) and member != Literal[False]]
+        words = list(dict.fromkeys(map(_word, named)))
         text = " or ".join(words) if "table" not in words else "table"
     elif _is_table(plain):
         text = "table"

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import difflib
-import re
 import types
 import typing
 from collections.abc import Mapping
@@ -13,6 +12,8 @@ from typing import Annotated, Any, Literal, Union
 from annotated_types import Ge, Le, Len
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, create_model, model_validator
 from pydantic_core import PydanticCustomError
+
+from coopqp.checks import meanings
 
 #: Largest accepted length of a list of numbers.
 MAX_LIST = 10_000
@@ -71,12 +72,12 @@ def table_of(
         first: additional fields before the others, as (type, default).
     """
     hints = typing.get_type_hints(options)
-    meanings = attribute_docs(options)
+    texts = meanings(options)
     fields: dict[str, Any] = dict(first or {})
     for item in dataclasses.fields(options):
         kind = (replaced or {}).get(item.name) or _file_type(hints[item.name], f"{name}_{item.name}")
         if kind is not None:
-            fields[item.name] = (kind | None, Field(None, description=_meaning(meanings.get(item.name, ""), item)))
+            fields[item.name] = (kind | None, Field(None, description=_meaning(texts[item.name], item)))
     return create_model(name, __base__=Table, __doc__=(options.__doc__ or "").split("\n", 1)[0], **fields)
 
 
@@ -98,30 +99,9 @@ def build_options(options: type, values: BaseModel, **replaced: Any) -> Any:
     return options(**arguments)
 
 
-def attribute_docs(documented: type) -> dict[str, str]:
-    """The meaning of each attribute, from the section ``Attributes:`` of a docstring."""
-    _, _, section = (documented.__doc__ or "").partition("Attributes:")
-    meanings: dict[str, str] = {}
-    names: list[str] = []
-    for line in section.splitlines():
-        head = re.match(r"\s{8}(\w+(?:, \w+)*): (.*)", line)
-        if head:
-            names = head[1].split(", ")
-            meanings.update(dict.fromkeys(names, head[2]))
-        elif line.startswith(" " * 12):
-            meanings.update({name: f"{meanings[name]} {line.strip()}" for name in names})
-        elif line.strip():
-            break
-    return {name: _as_text(text) for name, text in meanings.items()}
-
-
-def _as_text(text: str) -> str:
-    """A line of a docstring without its markup, with false in place of None."""
-    plain = re.sub(r":\w+:`~?\.?([^`]*)`", r"\1", text).replace('``"', '"').replace('"``', '"').replace("``", "'")
-    return re.sub(r"\bNone\b", "false", plain).rstrip(".")
-
-
 def _meaning(text: str, item: dataclasses.Field[Any]) -> str:
+    """The meaning of an option in a file, where false stands for None, with its default."""
+    text = text.replace("None", "false")
     default = item.default
     if default is None or default is dataclasses.MISSING:
         return text

@@ -14,7 +14,7 @@ from typing import Any, final
 import numpy as np
 import pinocchio as pin
 
-from coopqp.checks import as_options, as_scalar, read_only
+from coopqp.checks import ArrayLike, as_options, as_scalar, read_only
 from coopqp.control.command import ControlStep
 from coopqp.model.cell import RobotCell
 from coopqp.model.grasp import Grasp
@@ -75,7 +75,7 @@ class DisturbedPlant:
         self._encoders = Encoders(cell, d)
         self.reset(pin.neutral(cell.model))
 
-    def reset(self, q: Any) -> Array:
+    def reset(self, q: ArrayLike) -> Array:
         """Put the cell at rest at ``q`` (nq,) and close the grip. Returns the measured configuration (nq,)."""
         self.q = read_only(self.cell.check_configuration(q, "DisturbedPlant.reset"))
         self.time = 0.0

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Any, Protocol, final
+from typing import Protocol, final
 
-from coopqp.checks import require
+from coopqp.checks import ArrayLike, require
 from coopqp.control.command import ControlStep
 from coopqp.model.cell import RobotCell
 from coopqp.spatial import Array
@@ -13,7 +13,7 @@ from coopqp.spatial import Array
 class Plant(Protocol):
     """The protocol of the plants of :func:`coopqp.simulation.simulate.simulate`."""
 
-    def reset(self, q: Any) -> Array:
+    def reset(self, q: ArrayLike) -> Array:
         """Put the cell at rest at ``q`` (nq,). Returns the measured configuration (nq,)."""
         ...
 
@@ -31,7 +31,7 @@ class KinematicPlant:
         self.cell = cell
         self.q: Array = cell.configuration([0.0] * cell.nv)
 
-    def reset(self, q: Any) -> Array:
+    def reset(self, q: ArrayLike) -> Array:
         """Put the cell at ``q`` (nq,)."""
         self.q = self.cell.check_configuration(q, "KinematicPlant.reset")
         return self.q

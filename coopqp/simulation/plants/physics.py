@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, final
 import numpy as np
 import pinocchio as pin
 
-from coopqp.checks import as_options, as_scalar, as_vector, require
+from coopqp.checks import ArrayLike, as_options, as_scalar, as_vector, require
 from coopqp.control.command import ControlStep
 from coopqp.errors import CoopqpError, InvalidInputError
 from coopqp.model.cell import RobotCell
@@ -155,7 +155,7 @@ class PhysicsPlant:
 
     # -- the plant -----------------------------------------------------------------------------------------------
 
-    def reset(self, q: Any) -> Array:
+    def reset(self, q: ArrayLike) -> Array:
         """Command ``q`` (nq,), close the grips and settle for ``options.settle``. Returns the measured configuration.
 
         If the grip points do not fit (offsets, ``grips="grasp"``), the welds pull the arms to them against the servos.

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 import pinocchio as pin
 
-from coopqp.checks import NOT_NUMBERS, as_count, as_floats, as_vector, keep_scalars, read_only
+from coopqp.checks import NOT_NUMBERS, Doc, as_count, as_floats, as_vector, documented, keep_scalars, read_only
 from coopqp.errors import InvalidInputError, UnknownNameError
 from coopqp.model.cell import RobotCell
 from coopqp.spatial import Array
@@ -24,51 +24,78 @@ ARMATURE = (5.0, 5.0, 3.0, 0.5, 0.5, 0.2)  # [kg·m²]
 PRISMATIC_SERVO = (1e6, 2e4, 20.0)
 
 
+@documented
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PhysicsOptions:
-    """Settings of the servos and the engine.
+    """Settings of the servos and the engine."""
 
-    Attributes:
-        timestep: longest step of the engine [s]; a command of ``dt`` takes ``ceil(dt / timestep)`` equal steps, so
-            ``dt`` may have any length.
-        settle: time that a reset holds the start, until welds and servos are at rest [s].
-        hand_over: time in which the servo targets then move to the measured configuration, and again the time to come
-            to rest there [s]; a controller starts there without a jump of its first command. 0 switches it off.
-        stiffness: kp of the joint servos [N·m/rad or N/m]; a scalar, one per joint (nv,), or None for the defaults.
-        damping: kd of the joint servos [N·m·s/rad or N·s/m], in the same forms.
-        armature: inertia of the drives at the joints [kg·m² or kg], in the same forms.
-        interpolation: interpolation of the joint targets within a command. ``"cubic"`` has a continuous velocity; it
-            is causal, so after a velocity jump it overshoots by up to half the jump within one command.
-        velocity_feed_forward: servos also get the velocity of the target; otherwise they lag by kd/kp times it.
-        gravity_compensation: the drives carry the weight of the arms.
-        load_feed_forward: the drives carry the weight of the object, Jᵀf with the share of each arm.
-        load_shares: share of the object's weight per arm (N,) with sum 1; by default the shares of least norm that
-            balance the moments.
-        gravity: acceleration of gravity in world axes [m/s²].
-        grips: placements of the welds: ``"grasp"`` uses the placements of the grasp (the object has its own grip
-            points); ``"where they are"`` uses the placements of the tools at reset.
-        weld_solref, weld_solimp: weld parameters of the engine. The engine's defaults stretch by 0.36 mm under these
-            loads.
-        tolerance, iterations: tolerance and largest number of iterations of the engine's Newton solver.
-    """
-
-    timestep: float = 1e-3
-    settle: float = 1.0
-    hand_over: float = 0.25
-    stiffness: Any = None
-    damping: Any = None
-    armature: Any = None
-    interpolation: Interpolation = "cubic"
-    velocity_feed_forward: bool = True
-    gravity_compensation: bool = True
-    load_feed_forward: bool = True
-    load_shares: tuple[float, ...] | None = None
-    gravity: tuple[float, float, float] = (0.0, 0.0, -9.81)
-    grips: GripPoints = "grasp"
-    weld_solref: tuple[float, float] = (0.004, 1.0)
-    weld_solimp: tuple[float, float, float, float, float] = (0.9999, 0.9999, 0.001, 0.5, 2.0)
-    tolerance: float = 1e-12
-    iterations: int = 100
+    timestep: Annotated[
+        float,
+        Doc(
+            "longest step of the engine [s]; a command of 'dt' takes 'ceil(dt / timestep)' equal steps, "
+            "so 'dt' may have any length"
+        ),
+    ] = 1e-3
+    settle: Annotated[float, Doc("time that a reset holds the start, until welds and servos are at rest [s]")] = 1.0
+    hand_over: Annotated[
+        float,
+        Doc(
+            "time in which the servo targets then move to the measured configuration, and again the time "
+            "to come to rest there [s]; a controller starts there without a jump of its first command. 0 "
+            "switches it off"
+        ),
+    ] = 0.25
+    stiffness: Annotated[
+        Any, Doc("kp of the joint servos [N·m/rad or N/m]; one number, one per joint (nv,), or None for the defaults")
+    ] = None
+    damping: Annotated[Any, Doc("kd of the joint servos [N·m·s/rad or N·s/m], in the same forms")] = None
+    armature: Annotated[Any, Doc("inertia of the drives at the joints [kg·m² or kg], in the same forms")] = None
+    interpolation: Annotated[
+        Interpolation,
+        Doc(
+            'interpolation of the joint targets within a command. "cubic" has a continuous velocity; it '
+            "is causal, so after a velocity jump it overshoots by up to half the jump within one command"
+        ),
+    ] = "cubic"
+    velocity_feed_forward: Annotated[
+        bool, Doc("servos also get the velocity of the target; otherwise they lag by kd/kp times it")
+    ] = True
+    gravity_compensation: Annotated[bool, Doc("the drives carry the weight of the arms")] = True
+    load_feed_forward: Annotated[
+        bool, Doc("the drives carry the weight of the object, Jᵀf with the share of each arm")
+    ] = True
+    load_shares: Annotated[
+        tuple[float, ...] | None,
+        Doc(
+            "share of the object's weight per arm (N,) with sum 1; by default the shares of least norm "
+            "that balance the moments"
+        ),
+    ] = None
+    gravity: Annotated[tuple[float, float, float], Doc("acceleration of gravity in world axes [m/s²]")] = (
+        0.0,
+        0.0,
+        -9.81,
+    )
+    grips: Annotated[
+        GripPoints,
+        Doc(
+            'placements of the welds: "grasp" uses the placements of the grasp (the object has its own '
+            'grip points); "where they are" uses the placements of the tools at reset'
+        ),
+    ] = "grasp"
+    weld_solref: Annotated[
+        tuple[float, float],
+        Doc("parameter solref of the engine's welds; the engine's default stretches by 0.36 mm under these loads"),
+    ] = (0.004, 1.0)
+    weld_solimp: Annotated[tuple[float, float, float, float, float], Doc("parameter solimp of the engine's welds")] = (
+        0.9999,
+        0.9999,
+        0.001,
+        0.5,
+        2.0,
+    )
+    tolerance: Annotated[float, Doc("tolerance of the engine's Newton solver")] = 1e-12
+    iterations: Annotated[int, Doc("largest number of iterations of the engine's Newton solver")] = 100
 
     def __post_init__(self) -> None:
         where = "PhysicsOptions"

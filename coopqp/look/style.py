@@ -1,0 +1,121 @@
+"""What all figures share: colours, type, files, and legends that fit their place. Needs the extra ``plot``."""
+
+from __future__ import annotations
+
+import io
+import textwrap
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from coopqp.errors import InvalidInputError, MissingExtraError, printable
+from coopqp.output import write_files
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+COLOURS = (
+    "#0072b2",
+    "#d55e00",
+    "#009e73",
+    "#cc79a7",
+    "#e69f00",
+    "#56b4e9",
+    "#7a5195",
+)  # distinguishable for colour-blind readers
+DASHES: tuple[Any, ...] = ("-", (0, (4, 1.5)), (0, (1, 1.2)), (0, (5, 1.5, 1, 1.5)))
+INK, FAINT, GRID, RED = "#222222", "#8a8f98", "#e3e6ea", "#b00020"
+#: Largest width of a figure [inches]; wider ones are hard to read on a page.
+WIDTH = 10.0
+#: Longest line of a label in characters; longer labels are broken, none is cut.
+LABEL = 34
+_HANDLE, _PAD, _LINE = 24.0, 14.0, 1.45  # widths of a legend's handle and gap [pt], height of its lines [of the type]
+
+
+def require_matplotlib() -> None:
+    """Raise MissingExtraError unless Matplotlib can be imported."""
+    try:
+        import matplotlib.figure  # noqa: F401
+    except ImportError as error:
+        raise MissingExtraError("plot", "matplotlib") from error
+
+
+def new_figure(width: float, height: float, **options: Any) -> Figure:
+    """A white figure [inches] without a window.
+
+    Raises:
+        MissingExtraError: Matplotlib is not installed.
+    """
+    require_matplotlib()
+    from matplotlib.figure import Figure
+
+    return Figure(figsize=(width, height), facecolor="white", **options)
+
+
+def figure_bytes(figure: Figure, *, kind: str = "png", dpi: int = 200) -> bytes:
+    """The figure as the bytes of a ``"png"``, ``"pdf"`` or ``"svg"`` file."""
+    if kind not in ("png", "pdf", "svg"):
+        raise InvalidInputError(f"'{kind}' is no kind of picture", "figure_bytes", "Use png, pdf or svg.")
+    stream = io.BytesIO()
+    figure.savefig(stream, format=kind, dpi=dpi)
+    return stream.getvalue()
+
+
+def save_figure(figure: Figure, path: str | Path, *, dpi: int = 200) -> Path:
+    """Write a figure as ``.png``, ``.pdf`` or ``.svg``, atomically.
+
+    Raises:
+        InvalidInputError: another file ending.
+        OutputError: the file cannot be written.
+    """
+    file = Path(path)
+    write_files({file: figure_bytes(figure, kind=file.suffix[1:].lower(), dpi=dpi)})
+    return file
+
+
+def plain(axes: Axes) -> None:
+    """Set a plain style of ticks and frame."""
+    for side in ("top", "right"):
+        axes.spines[side].set_visible(False)
+    for side in ("left", "bottom"):
+        axes.spines[side].set_color(FAINT)
+    axes.tick_params(colors=INK, labelsize=10.5, which="both")
+
+
+def label(name: str, *, width: int = LABEL) -> str:
+    """A name as text of a figure: without underscores and markup, in lines of at most ``width`` characters."""
+    text = printable(name).replace("_", " ").replace("$", "\\$")
+    return "\n".join(textwrap.wrap(text, width, break_on_hyphens=False)) or text
+
+
+def text_width(text: str, *, size: float) -> float:
+    """Width [pt] of the longest line of a text of a size [pt]."""
+    from matplotlib.font_manager import FontProperties
+    from matplotlib.textpath import TextToPath
+
+    font, measure = FontProperties(size=size), TextToPath()
+    lines = text.replace("\\$", "S").splitlines() or [""]
+    return max(float(measure.get_text_width_height_descent(line, font, ismath=False)[0]) for line in lines)
+
+
+def legend_columns(labels: Sequence[str], width: float, *, size: float) -> int:
+    """Number of columns in which a legend of labels of a size [pt] fits into a width [inches]."""
+    widest = max(text_width(text, size=size) for text in labels)
+    return max(1, min(len(labels), int(72.0 * width / (widest + _HANDLE + _PAD))))
+
+
+def legend_height(labels: Sequence[str], columns: int, *, size: float) -> float:
+    """Height [inches] of a legend of labels of a size [pt] in columns."""
+    rows = -(-len(labels) // columns)
+    lines = max(text.count("\n") + 1 for text in labels)
+    return (rows * lines * _LINE * size + size) / 72.0
+
+
+def add_legend(axes: Axes, handles: Sequence[Any], labels: Sequence[str], columns: int, *, size: float) -> None:
+    """Fill axes of their own with a legend."""
+    axes.set_axis_off()
+    axes.legend(
+        handles, labels, loc="upper center", ncols=columns, frameon=False, fontsize=size, labelcolor=INK,
+        handlelength=1.5, handletextpad=0.5, columnspacing=1.0, borderaxespad=0.0, borderpad=0.0,
+    )  # fmt: skip
