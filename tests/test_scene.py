@@ -26,7 +26,7 @@ from coopqp import (
     robot_path,
     tool_placements,
 )
-from coopqp.look.render import cell_solids
+from coopqp.look.renderer import cell_solids
 from coopqp.scenarios import ROBOT_NAMES
 from coopqp.simulation.scene import (
     describe_cell,

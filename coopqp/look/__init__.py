@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from coopqp.look.joints import joint_figure
     from coopqp.look.plots import error_figure, motion_figure
     from coopqp.look.profile import profile_figure, write_speed_profile
-    from coopqp.look.render import Solid, View, box_solid, cell_solids, render
+    from coopqp.look.renderer import Solid, View, box_solid, cell_solids, render
     from coopqp.look.report import write_report
     from coopqp.look.style import save_figure
     from coopqp.look.viewer import LiveViewer, export_html
@@ -22,7 +22,7 @@ else:
             "coopqp.look.joints": ("joint_figure",),
             "coopqp.look.plots": ("error_figure", "motion_figure"),
             "coopqp.look.profile": ("profile_figure", "write_speed_profile"),
-            "coopqp.look.render": ("Solid", "View", "box_solid", "cell_solids", "render"),
+            "coopqp.look.renderer": ("Solid", "View", "box_solid", "cell_solids", "render"),
             "coopqp.look.report": ("write_report",),
             "coopqp.look.style": ("save_figure",),
             "coopqp.look.viewer": ("LiveViewer", "export_html"),

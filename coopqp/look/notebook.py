@@ -18,7 +18,7 @@ import numpy as np
 
 from coopqp.control.command import ControlStep, Status
 from coopqp.errors import printable
-from coopqp.look.render import View, box_solid, cell_solids, render
+from coopqp.look.renderer import View, box_solid, cell_solids, render
 from coopqp.look.style import COLOURS, FAINT, INK
 from coopqp.look.timeline import BANDS, bound_limits, limit_name
 from coopqp.model.cell import RobotCell

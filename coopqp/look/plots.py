@@ -15,7 +15,7 @@ import pinocchio as pin
 
 from coopqp.errors import InvalidInputError
 from coopqp.look.curves import drawn
-from coopqp.look.render import View, box_solid, cell_solids, name_places, render
+from coopqp.look.renderer import View, box_solid, cell_solids, name_places, render
 from coopqp.look.style import COLOURS, DASHES, GRID, INK, WIDTH, label, new_figure, plain, text_width
 from coopqp.model.cell import RobotCell
 from coopqp.simulation import metrics
@@ -32,7 +32,7 @@ _TITLE: dict[str, Any] = {"fontsize": 13, "fontweight": "bold"}
 _FLOOR = 1e-11
 #: Height of the times above the pictures [inches], and room for names in a picture, a share of its height.
 _BAND, _HEADROOM = 0.32, 0.06
-#: Corners of the upper face of a box in :mod:`coopqp.look.render`, as a closed line.
+#: Corners of the upper face of a box in :mod:`coopqp.look.renderer`, as a closed line.
 _TOP_FACE = (1, 3, 7, 5, 1)
 _PLATE = (0.30, 0.52, 0.75)
 

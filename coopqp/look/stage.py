@@ -12,7 +12,7 @@ import numpy as np
 import pinocchio as pin
 
 from coopqp.checks import require
-from coopqp.look.render import box, mesh_of, name_places
+from coopqp.look.renderer import box, mesh_of, name_places
 from coopqp.model.cell import RobotCell
 from coopqp.model.limits import BindingLimit
 from coopqp.simulation import metrics
