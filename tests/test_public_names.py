@@ -93,6 +93,16 @@ def test_every_imported_name_is_listed(package: str) -> None:
     assert imported | {"__version__"} == {*importlib.import_module(package).__all__, "__version__"}
 
 
+def test_no_public_name_is_that_of_a_module() -> None:
+    """An import of the module would put it in the place of the name."""
+    for package in (*LAZY, "coopqp.look"):
+        folder = ROOT / package.replace(".", "/")
+        modules = {file.stem for file in folder.glob("*.py")} | {
+            file.name for file in folder.iterdir() if file.is_dir()
+        }
+        assert modules.isdisjoint(importlib.import_module(package).__all__), package
+
+
 def test_errors_and_options_are_all_public() -> None:
     """A user can catch every error, set every option, and name the type of every option."""
     for file in sorted(PACKAGE.rglob("*.py")):
