@@ -650,7 +650,7 @@ static int accept_trial(Core *c) {
  * be said what is ahead. */
 static int work_ahead(Core *c) {
     const int count = count_ahead(c, COUNT), made = count + count_ahead(c, WAY);
-    if (made + 2 > MOST_KNOTS) return 0; /* close_in needs a knot beside the one that is tried */
+    if (made + 2 + count_ahead(c, KEPT) > MOST_KNOTS) return 0; /* close_in needs a knot beside the one that is tried */
     if (c->ahead[GROWING] == 0.0) {
         if (!(c->duration - knot(c, count - 1)[K_CLOCK] > 1e-12)) {
             finish_path(c);
@@ -846,13 +846,17 @@ static void start_knots(Core *c, double clock) {
         push_knot(c);
 }
 
-static void preview_reset(Core *c, double clock) {
+static void preview_try(Core *c, double clock, int kept) {
+    const int head = kept ? place_of(c, kept) : 0;
     memset(c->ahead, 0, sizeof(double) * N_AHEAD);
+    c->ahead[HEAD] = head, c->ahead[KEPT] = kept;
     c->ahead[FREE_UNTIL] = -INFINITY;
     c->ahead[BEGIN_AT] = INFINITY;
     start_knots(c, clock);
     if (c->ahead[COUNT] > 0.0) extend_horizon(c, clock, c->options[NOMINAL_DT], NEWTON_STEPS_AT_START);
 }
+
+static void preview_reset(Core *c, double clock) { preview_try(c, clock, 0); }
 
 static double preview_cap(Core *c, double clock, double dt) {
     double *a = c->ahead;
