@@ -116,17 +116,18 @@ class KnotRoom(NamedTuple):
     Attributes:
         cap: largest σ²; negative where not even rest is admissible.
         decrease, rise: largest changes of σ [1/s].
-        name: of the constraint that makes the cap.
+        binding: what makes the cap.
     """
 
     cap: float
     decrease: float
     rise: float
-    name: str
+    binding: BindingLimit | None
 
 
-#: What further constraints leave at the knot at (clock, q, q′, q″). It may raise :class:`LookAheadTrouble`.
-KnotBound = Callable[[float, Array, Array, Array], KnotRoom]
+#: What further constraints leave at the knot at (clock, q, q′, q″), so long after the knot before [s]. It may raise
+#: :class:`LookAheadTrouble`.
+KnotBound = Callable[[float, Array, Array, Array, float], KnotRoom]
 
 
 class LookAheadTrouble(Exception):  # noqa: N818
@@ -237,7 +238,8 @@ class PathPreview:
     def _forget(self) -> None:
         """Nothing is known of when the next knot will be needed, and none is begun."""
         self._free_until, self._begin_at = -np.inf, np.inf
-        self._beyond, self._beyond_at = "", np.inf  # a constraint that allows no rate, and the clock
+        self._beyond: BindingLimit | None = None  # a constraint that allows no rate,
+        self._beyond_at = np.inf  # and the clock
         self._growing: Iterator[None] | None = None
         self._grown = 0  # Newton steps of the growth that is under way
         self._way.clear()
@@ -478,9 +480,7 @@ class PathPreview:
         if self.blind:
             return
         if knot is None and self._half_way(last) < 2.0 * self.options.shortest:
-            self._push(
-                last._replace(cap=0.0, span=0.0, binding=BindingLimit("", "", LimitKind.CONSTRAINT, self._beyond))
-            )
+            self._push(last._replace(cap=0.0, span=0.0, binding=self._beyond))
             return
         if knot is None:
             self._push(last._replace(cap=0.0, span=0.0, binding=self._why_no_further(last)))
@@ -592,12 +592,12 @@ class PathPreview:
         """A knot under the further constraints; None where they allow no rate."""
         if self._bound is None:
             return knot
-        room = self._bound(knot.clock, knot.q, knot.slope, knot.curvature)
+        room = self._bound(knot.clock, knot.q, knot.slope, knot.curvature, knot.span)
         if not room.cap > 0.0:
-            self._beyond, self._beyond_at = room.name, knot.clock
+            self._beyond, self._beyond_at = room.binding, knot.clock
             return None
         if room.cap < knot.cap:
-            knot = knot._replace(cap=room.cap, binding=BindingLimit("", "", LimitKind.CONSTRAINT, room.name))
+            knot = knot._replace(cap=room.cap, binding=room.binding)
         return knot._replace(fall=room.decrease, rise=room.rise)
 
     def reaches_corner(self, clock: float, way: float) -> bool:

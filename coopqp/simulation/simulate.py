@@ -6,7 +6,7 @@ import io
 import json
 import zipfile
 import zlib
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -97,10 +97,7 @@ class Recording:
         """
         changes = self.metadata.get("binding", [])
         try:
-            named = {
-                int(step): tuple(BindingLimit(a, j, LimitKind(k), *name) for a, j, k, *name in limits)
-                for step, limits in changes
-            }
+            named = {int(step): tuple(_limit(*entries) for entries in limits) for step, limits in changes}
         except (TypeError, ValueError) as error:
             raise RecordingError(f"'binding' in the recording's metadata is damaged ({error}).") from error
         now: tuple[BindingLimit, ...] = ()
@@ -319,12 +316,22 @@ def _record(
 def _binding_changes(steps: list[ControlStep]) -> list[list[Any]]:
     """``[step, [[arm, joint, kind], …]]`` for every step with other binding limits than the step before.
 
-    A limit of a user's constraint has its name as a fourth entry.
+    A limit of a user's constraint has its name as a fourth entry, a collision the names of both bodies as a fifth.
     """
     changes: list[list[Any]] = []
     last: tuple[BindingLimit, ...] = ()
     for i, step in enumerate(steps):
         if step.binding != last:
-            changes.append([i, [[b.arm, b.joint, b.kind.value, *([b.name] if b.name else [])] for b in step.binding]])
+            changes.append([i, [_entries(limit) for limit in step.binding]])
             last = step.binding
     return changes
+
+
+def _entries(limit: BindingLimit) -> list[Any]:
+    more: list[Any] = [limit.name] if limit.name or limit.between else []
+    return [limit.arm, limit.joint, limit.kind.value, *more, *([list(limit.between)] if limit.between else [])]
+
+
+def _limit(arm: str, joint: str, kind: str, name: str = "", between: Sequence[str] = ()) -> BindingLimit:
+    pair = (str(between[0]), str(between[1])) if between else ()
+    return BindingLimit(arm, joint, LimitKind(kind), name, pair)

@@ -9,6 +9,7 @@ import pinocchio as pin
 
 from coopqp.model.cell import RobotCell
 from coopqp.model.grasp import Grasp
+from coopqp.model.shapes import Body
 from coopqp.spatial import Array
 from coopqp.task.path import ObjectPath
 
@@ -25,6 +26,7 @@ class Scenario:
         object_size: side lengths of the box that represents the object in pictures and in the physics engine [m].
         T_object_body: placement of the box's centre in the object frame.
         object_mass: mass of the object [kg].
+        obstacles: what stands around the arms.
     """
 
     name: str
@@ -36,3 +38,4 @@ class Scenario:
     object_size: tuple[float, float, float] = (0.1, 0.1, 0.1)
     T_object_body: pin.SE3 = field(default_factory=lambda: pin.SE3(np.eye(3), np.zeros(3)))
     object_mass: float = 20.0
+    obstacles: tuple[Body, ...] = ()

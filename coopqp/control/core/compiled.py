@@ -20,6 +20,7 @@ from coopqp.control.core.memory import Memory, NotForTheCore, build_memory, put_
 from coopqp.control.limits import VelocityBox
 from coopqp.control.linearised import LinearisedAnswer, LinearisedStep, StepInput
 from coopqp.control.options import QPOptions
+from coopqp.control.plain import MOST_TIGHTENINGS
 from coopqp.control.ranks import StepSolver
 from coopqp.control.reading import STATUSES, RecordReader
 from coopqp.control.supervision import as_configuration, grasp_lengths
@@ -102,7 +103,7 @@ class CompiledLoop:
         self._guarded = GuardedPath(path)
         put_options(self._memory, self._chain, self._box, self.options.on(self._guarded.planned_share), self.dt)
         self._reader = RecordReader(
-            self.cell, self.grasp, path, solver=self.solver.name, constraints=self.constraints.names,
+            self.cell, self.grasp, path, solver=self.solver.name, constraints=self.constraints,
             dt=self.dt, supervision=self.options.supervision,
         )  # fmt: skip
         self._core.make_steps(ControlStep, self._reader, STATUSES)
@@ -111,7 +112,7 @@ class CompiledLoop:
     def take_path(self) -> None:
         """Hand the path's numbers to the core: again where a target has moved."""
         path, duration = self._guarded, self._guarded.duration
-        looks_ahead = self.options.preview is not None and path.known_ahead
+        looks_ahead = self._looks_ahead = self.options.preview is not None and path.known_ahead
         numbers, own = self.path.packed() if is_known(self.path) else None, None
         if numbers is None:
             breakpoints, own = path.breakpoints(), self._ask_path
@@ -223,7 +224,8 @@ class CompiledLoop:
         slope, curvature = (at[f"knot_{name}"][vectors].copy() for name in ("slope", "curvature"))
         preview = self.options.preview
         share = 1.0 if preview is None else preview.curvature_share
-        knot = Knot(numbers.item(_KNOT["K_CLOCK"]), CellState(self.cell, q), slope, curvature)
+        span = numbers.item(_KNOT["K_SPAN"])
+        knot = Knot(numbers.item(_KNOT["K_CLOCK"]), CellState(self.cell, q), slope, curvature, span)
         try:
             found = self.constraints.bound(knot, self.dt, share)
         except ConstraintTrouble as trouble:
@@ -253,19 +255,38 @@ class CompiledLoop:
         """Answer what the core left open, and commit."""
         p = self.at["proposal"]
         outcome = int(p[_P["OUTCOME"]]) if outcome is None else outcome
-        report, reason = None, self._said.get(int(p[_P["REASON"]]), "")
+        reason = self._said.get(int(p[_P["REASON"]]), "")
         self._said.clear()
-        if outcome == _FILLED:
-            outcome, report = self._solve()
-        if outcome == _OPEN:
-            report, open_reason = self._by_definition()
-            reason = reason or ("" if p[_P["REASON"]] else open_reason)
+        report, open_reason = self._kept(outcome)
+        reason = reason or ("" if p[_P["REASON"]] else open_reason)
         step: ControlStep = self._core.commit()
         if report is not None or reason:
             if reason and step.status is Status.OFF_PATH:  # how far it is off comes first
                 reason = f"{step.reason.partition('; ')[0]}; {reason}"
             amend(step, **({} if report is None else {"solver": report}), **({"reason": reason} if reason else {}))
         return step
+
+    def _kept(self, outcome: int) -> tuple[SolverReport | None, str]:
+        """Answer what the core left open; again with tighter rows where the command breaks what they stand for."""
+        report, reason = self._answered(outcome)
+        for _ in range(MOST_TIGHTENINGS if len(self._further) else 0):
+            h, v = self.at["proposal"].item(_P["DT"]), self.at["command"]
+            rows = self.constraints.tightened(self._further, self.cell.moved(self.q, h * v), v, h)
+            if rows is None:
+                break
+            self._further = rows
+            self.at["further_lower"][: len(rows)] = rows.lower
+            report, reason = self._answered(self._core.propose(len(rows), True))
+        return report, reason
+
+    def _answered(self, outcome: int) -> tuple[SolverReport | None, str]:
+        """Answer what the core left open; how the solver went, and why the arms brake."""
+        report, reason = None, ""
+        if outcome == _FILLED:
+            outcome, report = self._solve()
+        if outcome == _OPEN:
+            report, reason = self._by_definition()
+        return report, reason
 
     def _as_measured(self, q: Any) -> Array:
         if type(q) is np.ndarray and q.dtype == np.float64 and q.shape == (self.cell.nq,) and q.flags.c_contiguous:
@@ -283,7 +304,7 @@ class CompiledLoop:
             return 0
         at, p = self.at, self.at["proposal"]
         try:
-            rows = self.constraints.rows(CellState(self.cell, self.q), p.item(_P["DT"]))
+            rows = self.constraints.rows(CellState(self.cell, self.q), p.item(_P["DT"]), blind=not self._looks_ahead)
         except ConstraintTrouble as trouble:
             if p[_P["WATCH_CAP"]] > 0.0:
                 self._said[_CONSTRAINT_FAILED] = str(trouble)
