@@ -9,6 +9,7 @@ from pathlib import Path
 from coopqp.control.qp import QPController
 from coopqp.errors import UnknownNameError
 from coopqp.output import OutputError, check_folder, folder_of
+from coopqp.simulation.closeness import default_scene, with_clearance
 from coopqp.simulation.scene import describe_object, read_cell, read_object
 from coopqp.simulation.simulate import ProgressCallback, Recording, simulate
 
@@ -48,7 +49,8 @@ def obtain_run(name: str, *, progress: ProgressCallback | None = None) -> Record
     controller = QPController(scenario.cell, scenario.grasp, scenario.path, dt=scenario.dt)
     box = describe_object(scenario.object_size, scenario.T_object_body)
     metadata = {"scenario": scenario.name, "method": "qp", "object": box}
-    return simulate(controller, q_start=scenario.q_start, progress=progress, metadata=metadata)
+    run = simulate(controller, q_start=scenario.q_start, progress=progress, metadata=metadata)
+    return with_clearance(run, default_scene(scenario), avoided=False)
 
 
 def output_folder(name: str, asked: str | None, products: Iterable[str], *, out: Path | None, force: bool) -> Path:
