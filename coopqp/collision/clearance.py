@@ -28,6 +28,8 @@ _ROUNDING = 1e-6
 _WATCH, _BLIND_WATCH = 0.1, 0.3
 #: Between knots a pair is asked until its bodies move by less than this from one sample to the next [m].
 _SAMPLE = 5e-4
+#: Room that the bend between two knots may take, where they are certified together [m].
+_BEND = 2e-3
 #: The joints' way between knots is no longer than this many times the straight one.
 _BENT = 1.02
 #: A distance that falls by less stands still [m].
@@ -75,10 +77,10 @@ class Clearance:
         self._distances, self._probe = Distances(self.scene), Distances(self.scene)
         self._step, self._ahead = (LowerBounds(self.scene, self._distances) for _ in range(2))
         self._margins, self._inside, self._reach = built.margins, built.inside, built.reach
-        self._widest = built.reach.max(axis=0) if len(built.reach) else np.zeros(cell.nv)
         self._speed = cell.limits.velocity
         self._fastest = built.reach @ np.where(np.isfinite(self._speed), self._speed, 0.0)
         self._fastest[(built.reach[:, ~np.isfinite(self._speed)] > 0.0).any(axis=1)] = np.inf
+        self._approach = np.inf
         self._shapes = {b.name: i for b, i in zip(self.scene.moving, built.moving, strict=True)}
 
     # -- state -----------------------------------------------------------------------------------------------------
@@ -96,16 +98,16 @@ class Clearance:
     @property
     def quiet(self) -> Quiet:
         """Where no row binds, from the last :meth:`rows_by_label` on."""
-        return self._quiet(self._step)
+        return self._quiet(self._step, 0.0, self._approach)
 
     @property
     def quiet_ahead(self) -> Quiet:
         """Where no knot is stopped, from the last :meth:`room` on."""
-        return self._quiet(self._ahead)
+        return self._quiet(self._ahead, _BEND, np.inf)
 
-    def _quiet(self, bounds: LowerBounds) -> Quiet:
-        slack = float(bounds.rooms.min()) if len(bounds.rooms) else np.inf
-        return Quiet(bounds.positions, self._widest, slack)
+    def _quiet(self, bounds: LowerBounds, spare: float, approach: float) -> Quiet:
+        reach, slack = bounds.certificate(spare)
+        return Quiet(bounds.positions, reach, -1.0 if self._shapes else slack, approach)
 
     def nearest(self, q: Array) -> NearPair | None:
         """The pair that is nearest to its margin at a configuration (nq,)."""
@@ -161,13 +163,13 @@ class Clearance:
         """Rows of the pairs that are near, and their labels."""
         bounds, nv = self._step, self.scene.cell.nv
         xi = min(self.approach, 1.0 / dt) if blind else 1.0 / dt
+        self._approach = self.approach if blind else np.inf
         bounds.follow(self.scene.cell.positions(q))
         self._distances.place(q)
         watch = np.minimum(self._fastest / xi, _BLIND_WATCH if blind else _WATCH)
         bounds.ask(np.flatnonzero(bounds.rooms < watch).tolist())
         near = np.flatnonzero(bounds.rooms < watch)
-        if len(bounds.rooms):
-            bounds.nearest()
+        bounds.sharpen()
         if not near.size:
             return LabelledRows(np.zeros((0, nv)), np.zeros(0), np.zeros(0), near)
         if near.size > _MOST_PAIRS:
@@ -223,8 +225,7 @@ class Clearance:
             return -1
         self._distances.place(knot.state.q)
         bounds.ask(np.flatnonzero(bounds.rooms < way).tolist())
-        if len(bounds.rooms):
-            bounds.nearest()
+        bounds.sharpen()
         for k in np.flatnonzero(bounds.rooms < way):
             if self._crosses(int(k), knot, float(way[k])):
                 return int(k)

@@ -18,6 +18,9 @@ if TYPE_CHECKING:
 _TOLERANCE = 1e-9
 _MOST_ITERATIONS = 1000
 
+#: Pairs that are asked at most to sharpen bounds, and a room that counts as none [m].
+_MOST_ASKED, _LEAST_ROOM = 20, 1e-9
+
 Indices = npt.NDArray[np.intp]
 
 
@@ -106,6 +109,7 @@ class LowerBounds:
     def __init__(self, scene: CollisionScene, distances: Distances) -> None:
         built = scene.built
         self._reach, self._margins, self._distances = built.reach, built.margins, distances
+        self._most = built.reach.sum(axis=1)
         self._continuous = scene.cell.continuous
         self.rooms = np.full(len(built.margins), -np.inf)  # at least this far from the margin (P,) [m]
         self.positions = np.zeros(scene.cell.nv)
@@ -129,12 +133,27 @@ class LowerBounds:
         for k in pairs:
             self.rooms[k] = self._distances.one(k) - self._margins[k]
 
-    def nearest(self) -> int:
-        """The pair that is nearest to its margin, asked."""
+    def sharpen(self) -> None:
+        """Ask for pairs until the one that may use up its room first, as far as is known, has been asked."""
         asked = set[int]()
-        while True:
-            k = int(self.rooms.argmin())
+        while len(asked) < _MOST_ASKED:
+            k = int((self._most / np.maximum(self.rooms, _LEAST_ROOM)).argmax())
             if k in asked:
-                return k
+                return
             self.ask([k])
             asked.add(k)
+
+    def certificate(self, spare: float = 0.0) -> tuple[Array, float]:
+        """Reach (nv,) and slack of a :class:`coopqp.control.constraints.Quiet` about :attr:`positions`.
+
+        A pair with room d and reach ρ keeps its margin where ``Σ ρ |δ| ≤ d``; all do where ``Σ max(ρ / d) |δ| ≤ 1``.
+
+        Args:
+            spare: room that is kept for something else [m].
+        """
+        rooms = self.rooms - spare
+        if not len(rooms):
+            return np.zeros(self._reach.shape[1]), 1.0
+        if not rooms.min() > 0.0:
+            return np.zeros(self._reach.shape[1]), -1.0
+        return (self._reach / rooms[:, None]).max(axis=0), 1.0

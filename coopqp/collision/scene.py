@@ -23,6 +23,8 @@ from coopqp.task.scenario import Scenario
 
 #: Distance that is kept by default [m].
 DEFAULT_MARGIN = 0.01
+#: Share that is added to bounds of motion for the rounding of distances.
+_MORE = 1e-5
 #: Stroke of a joint that slides and has no limits, as far as bounds of motion are concerned [m].
 _LONGEST_STROKE = 100.0
 
@@ -208,14 +210,13 @@ def _build(scene: CollisionScene) -> Built:
         geometry.addGeometryObject(shape)
     pairs = _pairs(scene, parts)
     chains = [_joints_to(model, part.joint) for part in parts]
-    reaches = [_reach(scene.cell, part, chain) for part, chain in zip(parts, chains, strict=True)]
     kinds, reach = np.zeros((len(pairs), scene.cell.nv)), np.zeros((len(pairs), scene.cell.nv))
     for row, (i, j) in enumerate(pairs):
         geometry.addCollisionPair(pin.CollisionPair(i, j))
-        for joint in set(chains[i]) ^ set(chains[j]):
-            v, second = int(model.joints[joint].idx_v), joint in chains[j]
-            kinds[row, v] = 1.0 if second else -1.0
-            reach[row, v] = reaches[j][joint] if second else reaches[i][joint]
+        for joint, way in _reaches(scene.cell, parts[i], chains[i], parts[j], chains[j]).items():
+            v = int(model.joints[joint].idx_v)
+            kinds[row, v] = 1.0 if joint in chains[j] else -1.0
+            reach[row, v] = way * (1.0 + _MORE)
     names = tuple(part.name for part in parts)
     labels = tuple((names[i], names[j]) for i, j in pairs)
     known = Names(names, scene.cell.arm_names)
@@ -263,20 +264,20 @@ def _links(scene: CollisionScene, notes: list[str]) -> list[_Part]:
 
 
 def _others(scene: CollisionScene, notes: list[str]) -> list[_Part]:
-    """The object, which the first arm's tool carries, and the surroundings."""
+    """The object, as each arm carries it, and the surroundings.
+
+    All arms carry the object to one place, up to the chain's error. With the links of an arm goes the object as that
+    arm carries it, with all else as the first one does: so a distance depends on as few joints as it can.
+    """
     cell = scene.cell
-    T_joint_object = cell.T_joint_tool[0] * scene.grasp.T_object_tool[0].inverse()
-    parts = [
-        _Part(
-            body.name,
-            cell.tool_joints[0],
-            cell.tool_frames[0],
-            T_joint_object * body.placement,
-            _geometry(body, notes),
-            object=True,
-        )
-        for body in scene.carried
-    ]
+    parts = []
+    for body in scene.carried:
+        geometry = _geometry(body, notes)
+        for joint, frame, T_joint_tool, X in zip(
+            cell.tool_joints, cell.tool_frames, cell.T_joint_tool, scene.grasp.T_object_tool, strict=True
+        ):
+            placement = T_joint_tool * X.inverse() * body.placement
+            parts.append(_Part(body.name, joint, frame, placement, geometry, object=True))
     for bodies, moving in ((scene.obstacles, False), (scene.moving, True)):
         parts += [_Part(b.name, 0, 0, b.placement, _geometry(b, notes), moving=moving) for b in bodies]
     return parts
@@ -313,6 +314,9 @@ def _pairs(scene: CollisionScene, parts: Sequence[_Part]) -> list[tuple[int, int
                 link = j if a.object else i
                 if a.object and b.object:
                     continue
+                carrier = arm_of[i] if a.object else arm_of[j]
+                if carrier != (arm_of[link] or cell.arm_names[0]):
+                    continue
                 if arm_of[link] and holds[arm_of[link]] - depth[link] < scene.rules.object_apart:
                     continue
             elif arm_of[i] and arm_of[i] == arm_of[j] and abs(depth[i] - depth[j]) < scene.rules.apart:
@@ -330,17 +334,52 @@ def _joints_to(model: pin.Model, joint: int) -> tuple[int, ...]:
     return tuple(reversed(chain))
 
 
-def _reach(cell: RobotCell, part: _Part, chain: Sequence[int]) -> dict[int, float]:
-    """Largest speed of any point of a part per unit speed of each joint of its chain, in any configuration."""
-    model, limits, found = cell.model, cell.limits, {}
-    T = part.T_joint_shape
-    radius = reach_of(part.geometry, T.rotation, T.translation)
-    for joint in reversed(chain):
-        slides = model.joints[joint].shortname().startswith("JointModelP")
-        v = int(model.joints[joint].idx_v)
-        found[joint] = 1.0 if slides else radius
-        if slides:
-            stroke = max(abs(float(limits.lower[v])), abs(float(limits.upper[v])))
-            radius += stroke if stroke < _LONGEST_STROKE else _LONGEST_STROKE
-        radius += float(np.linalg.norm(model.jointPlacements[joint].translation))
-    return found
+def _reaches(cell: RobotCell, a: _Part, chain_a: Sequence[int], b: _Part, chain_b: Sequence[int]) -> dict[int, float]:
+    """Bounds, in any configuration, of how fast each joint between two parts changes their distance.
+
+    A joint that turns moves the distance by no more than the lever of its nearest points, on either of both parts. Their
+    levers are at most what lies between the joint and the part: its own extent and the lengths of the links.
+    """
+    shared = len([None for x, y in zip(chain_a, chain_b, strict=False) if x == y])
+    up, down = list(reversed(chain_a[shared:])), list(chain_b[shared:])
+    joints = [*up, *down]
+    if not joints:
+        return {}
+    steps = [_length(cell, joint) for joint in up[:-1]]
+    if up and down:
+        tops = [cell.model.jointPlacements[joint].translation for joint in (up[-1], down[0])]
+        steps.append(float(np.linalg.norm(tops[0] - tops[1])) + _stroke(cell, up[-1]) + _stroke(cell, down[0]))
+    steps += [_length(cell, joint) for joint in down[1:]]
+    levers_a = np.cumsum([_extent(cell, a, joints[0], on=bool(up)), *steps])
+    levers_b = np.cumsum([_extent(cell, b, joints[-1], on=bool(down)), *reversed(steps)])[::-1]
+    return {
+        joint: 1.0 if _slides(cell, joint) else float(min(lever_a, lever_b))
+        for joint, lever_a, lever_b in zip(joints, levers_a, levers_b, strict=True)
+    }
+
+
+def _extent(cell: RobotCell, part: _Part, joint: int, *, on: bool) -> float:
+    """Largest distance of a part's points from the origin of a joint: its own one, or the first that it stands before."""
+    T, origin = part.T_joint_shape, np.zeros(3)
+    if not on:
+        origin = cell.model.jointPlacements[joint].translation
+    stroke = 0.0 if on else _stroke(cell, joint)
+    return reach_of(part.geometry, T.rotation, T.translation - origin) + stroke
+
+
+def _length(cell: RobotCell, joint: int) -> float:
+    """Largest distance of a joint's frame from that of the joint before [m]."""
+    return float(np.linalg.norm(cell.model.jointPlacements[joint].translation)) + _stroke(cell, joint)
+
+
+def _stroke(cell: RobotCell, joint: int) -> float:
+    """How far a joint that slides goes from its zero [m]."""
+    if not _slides(cell, joint):
+        return 0.0
+    v, limits = int(cell.model.joints[joint].idx_v), cell.limits
+    stroke = max(abs(float(limits.lower[v])), abs(float(limits.upper[v])))
+    return stroke if stroke < _LONGEST_STROKE else _LONGEST_STROKE
+
+
+def _slides(cell: RobotCell, joint: int) -> bool:
+    return bool(cell.model.joints[joint].shortname().startswith("JointModelP"))

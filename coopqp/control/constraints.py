@@ -117,11 +117,13 @@ class Quiet(NamedTuple):
         centre: joint positions (nv,).
         reach: (nv,), 0 or more.
         slack: negative where nothing is known.
+        approach: 1/s, at which the slack may be used up in a step; infinite for all of it.
     """
 
     centre: Array
     reach: Array
     slack: float
+    approach: float = np.inf
 
 
 @runtime_checkable
@@ -131,7 +133,8 @@ class CertifiedConstraint(VelocityConstraint, Protocol):
     Attributes:
         labels: what binds, one for each row that there may ever be.
         quiet: joint positions at whose neighbours no row binds: with the certificate of the last ``rows_by_label`` a
-            step of velocities v and length dt is admissible where ``Σ reach (|x − centre| + |v| dt) ≤ slack``.
+            step of velocities v and length dt is admissible where ``Σ reach |v| dt`` is at most a share of
+            ``slack − Σ reach |x − centre|``: min(approach dt, 1).
         quiet_ahead: the same for knots, and for what is between two of them.
     """
 
@@ -279,6 +282,12 @@ class Constraints:
 
     def __bool__(self) -> bool:
         return bool(self.names)
+
+    @property
+    def certified(self) -> CertifiedConstraint | None:
+        """The only constraint, if it says where it is quiet."""
+        only = len(self.names) == len(self._certified) == 1
+        return self._certified[0][1] if only else None
 
     def check(self, q: Array, dt: float) -> None:
         """Ask every constraint at a configuration (nq,), before anything moves.

@@ -88,13 +88,13 @@ def random_posts(seed: int, *, arms: int = 3, posts: int = 2) -> Scenario:
     start = base.path.pose(0.0)
     path = LinePath.displaced(
         start,
-        translation=rng.uniform(-0.12, 0.12, 3) + [0.0, 0.0, 0.06],
+        translation=rng.uniform(-0.12, 0.12, 3) + np.array([0.0, 0.0, 0.06]),
         rotation=rng.uniform(-0.15, 0.15, 3),
         duration=2.0,
     )
     found = []
     for i in range(posts):
-        place = start.translation + _around(rng, 0.6) + [0.0, 0.0, rng.uniform(-0.1, 0.5)]
+        place = start.translation + _around(rng, 0.6) + np.array([0.0, 0.0, rng.uniform(-0.1, 0.5)])
         turn = np.asarray(pin.exp3(rng.normal(size=3)))
         shape: Shape = (
             Capsule(rng.uniform(0.02, 0.05), rng.uniform(0.05, 0.4))

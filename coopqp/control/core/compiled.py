@@ -36,11 +36,12 @@ from coopqp.task.posture import Posture
 
 _P = {name: i for i, name in enumerate(layout.PROPOSAL)}
 _LOOP = {name: i for i, name in enumerate(layout.LOOP)}
+_QUIET = [_LOOP["QUIET_SLACK"], _LOOP["QUIET_APPROACH"]]
 _KNOT = {name: i for i, name in enumerate(layout.KNOT)}
 _NOT_FINITE, _PATH_FAILED, _LOOK_AHEAD_FAILED, _CONSTRAINT_FAILED = (
     layout.REASONS.index(name) for name in ("NOT_FINITE", "PATH_FAILED", "LOOK_AHEAD_FAILED", "CONSTRAINT_FAILED")
 )
-_QP, _FILLED, _OPEN = (layout.OUTCOMES.index(name) for name in ("QP", "FILLED", "OPEN"))
+_QP, _FILLED, _OPEN, _ASK = (layout.OUTCOMES.index(name) for name in ("QP", "FILLED", "OPEN", "ASK"))
 
 
 @final
@@ -79,6 +80,8 @@ class CompiledLoop:
         self._memory = build_memory(chain, box, shares, unit, grasp_lengths(grasp), options, dt, gap=native.GAP)
         at = self.at = self._memory.at
         at["options"][layout.OPTIONS.index("OWN_SOLVER")] = self.solver.name == "ldp"
+        self._certified = constraints.certified
+        at["options"][layout.OPTIONS.index("CERTIFIED")] = self._certified is not None
         at["loop"][_LOOP["OVERRIDDEN"]] = at["loop"][_LOOP["EASE"]] = 1.0
         self._core = _make_core(self._memory, arithmetic)
         if not same_kinematics(chain, self._core.linearise):
@@ -153,6 +156,7 @@ class CompiledLoop:
             kept[_LOOP["RATE"]] = rate
         self.take_path()
         self._core.start_path(kept[_LOOP["CLOCK"]], kept[_LOOP["RATE"]])
+        kept[_LOOP["QUIET_AHEAD"]] = loop[_LOOP["QUIET_AHEAD"]]
         loop[:] = kept
 
     def rate_of_a_step(self) -> float:
@@ -228,6 +232,10 @@ class CompiledLoop:
         knot = Knot(numbers.item(_KNOT["K_CLOCK"]), CellState(self.cell, q), slope, curvature, span)
         try:
             found = self.constraints.bound(knot, self.dt, share)
+            if self._certified is not None:
+                quiet = self._certified.quiet_ahead
+                at["quiet_ahead_centre"][:], at["quiet_ahead_reach"][:] = quiet.centre, quiet.reach
+                at["loop"][_LOOP["QUIET_AHEAD"]] = quiet.slack
         except ConstraintTrouble as trouble:
             numbers[_KNOT["K_CAP"]] = math.nan
             return self._cannot_say(str(trouble))
@@ -255,6 +263,9 @@ class CompiledLoop:
         """Answer what the core left open, and commit."""
         p = self.at["proposal"]
         outcome = int(p[_P["OUTCOME"]]) if outcome is None else outcome
+        if outcome == _ASK:
+            rows, held = self._put_rows(), _CONSTRAINT_FAILED in self._said
+            outcome = self._core.propose(rows, not held)
         reason = self._said.get(int(p[_P["REASON"]]), "")
         self._said.clear()
         report, open_reason = self._kept(outcome)
@@ -316,6 +327,9 @@ class CompiledLoop:
         at["further_lower"][:m], at["further_upper"][:m], at["further_soft"][:m] = rows.lower, rows.upper, rows.soft
         at["further_owner"][:m] = rows.owner
         self._further = rows
+        if self._certified is not None:
+            at["quiet_centre"][:], at["quiet_reach"][:], *slack = self._certified.quiet
+            at["loop"][_QUIET] = slack
         return m
 
     def _solve(self) -> tuple[int, SolverReport]:

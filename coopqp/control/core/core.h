@@ -8,6 +8,7 @@
  *   limits.c      admissible velocities, rates               program.c     the condensed QP and its answer
  *   ldp.c         least-distance programs                    watch.c       supervision, drift, forces
  *   preview.c     the path ahead of the clock                step.c        observe, propose, commit
+ *   quiet.c       where further constraints are quiet
  */
 
 #ifndef COOPQP_CORE_H
@@ -47,6 +48,7 @@ typedef struct {
     int (*answer)(Core *c);
     int (*commit)(Core *c);
     int (*read)(Core *c, double cap);
+    int (*quiet)(const Core *c);
     void (*carry)(const Core *c, const double *positions, double *carried);
     void (*linearise)(const Core *c, const double *positions, const double *about, double *carried, double *jacobian);
     int (*least_distance)(int n, int m, const double *A, const double *low, const double *high, const double *lb,

@@ -359,8 +359,13 @@ static PyObject *core_step(PyObject *object, PyObject *const *args, Py_ssize_t n
     if (!self || !enter(self)) return NULL;
     PyObject *step = NULL;
     if (take(self, n > 0 ? args[0] : NULL, n > 1 ? args[1] : NULL)) {
+        self->core.further_rows = 0;
         const int outcome = self->can->propose(&self->core);
         if (!interrupted(self)) {
+            if (self->core.options[CERTIFIED] != 0.0 && (outcome >= FILLED || !self->can->quiet(&self->core))) {
+                self->core.proposal[OUTCOME] = ASK;
+                Py_RETURN_NONE;
+            }
             if (outcome >= FILLED) Py_RETURN_NONE; /* it is released when the step is done */
             step = make_step(self, self->can->commit(&self->core));
         }
@@ -414,6 +419,7 @@ static PyObject *core_advance(PyObject *object, PyObject *args) {
     for (; done < steps; done++) {
         self->can->observe(&self->core, measured, NULL);
         if (self->can->propose(&self->core) >= FILLED || self->interrupt[0]) break;
+        if (self->core.options[CERTIFIED] != 0.0 && !self->can->quiet(&self->core)) break;
         self->can->commit(&self->core);
     }
     if (measured) PyBuffer_Release(&view);

@@ -326,7 +326,11 @@ static int bound_by_limits(Core *c, int before, int i, double clock, double span
 /* Put a knot under the further constraints; rejected if one allows no rate there: its number and the clock are kept. */
 static Trial constrain(Core *c, int made) {
     double *k = knot(c, made);
-    if (!c->bound_knot || c->bound_knot(c, place_of(c, made))) return FOUND;
+    if (!c->bound_knot) return FOUND;
+    const double *x = vector_of(c, c->knot_positions, made), *slope = vector_of(c, c->knot_slope, made);
+    if (c->options[CERTIFIED] != 0.0 && quiet_knot(c, x, slope, vector_of(c, c->knot_curvature, made), k[K_SPAN]))
+        return FOUND;
+    if (c->bound_knot(c, place_of(c, made))) return FOUND;
     if (isnan(k[K_CAP])) return CANNOT_SAY;
     c->ahead[BEYOND] = 1.0 + k[K_JOINT];
     c->ahead[BEYOND_AT] = k[K_CLOCK];

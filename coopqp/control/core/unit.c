@@ -9,6 +9,7 @@
 #include "ldp.c"
 #include "program.c"
 #include "watch.c"
+#include "quiet.c"
 #include "preview.c"
 #include "step.c"
 
@@ -16,5 +17,5 @@
 #define ARITHMETIC arithmetic_plain
 #endif
 
-const Arithmetic ARITHMETIC = {start, start_path, observe, propose,             answer,
-                               commit, read_answer, carry, carry_and_linearise, least_distance};
+const Arithmetic ARITHMETIC = {start,       start_path, observe, propose,             answer,        commit,
+                               read_answer, quiet_step, carry,   carry_and_linearise, least_distance};

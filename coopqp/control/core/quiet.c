@@ -1,0 +1,27 @@
+/* Where further constraints are known to be quiet: Quiet in coopqp/control/constraints.py. */
+
+#include "functions.h"
+
+/* Σ reach |x − centre| */
+static double way_from(const Core *c, const double *x, const double *centre, const double *reach) {
+    double way = 0.0;
+    for (int j = 0; j < c->joints; j++) way += reach[j] * fabs(x[j] - centre[j]);
+    return way;
+}
+
+/* No further row binds the command, without asking for them. */
+static int quiet_step(const Core *c) {
+    const double h = c->proposal[DT], share = fmin(c->loop[QUIET_APPROACH] * h, 1.0);
+    double run = 0.0;
+    for (int j = 0; j < c->joints; j++) run += c->quiet_reach[j] * fabs(c->command[j]);
+    return h * run < share * (c->loop[QUIET_SLACK] - way_from(c, c->positions, c->quiet_centre, c->quiet_reach));
+}
+
+/* No further constraint stops the object between the knot before and one at x, `span` after it. */
+static int quiet_knot(Core *c, const double *x, const double *slope, const double *curvature, double span) {
+    double *before = c->scratch;
+    const double slack = c->loop[QUIET_AHEAD];
+    for (int j = 0; j < c->joints; j++) before[j] = x[j] - (slope[j] - 0.5 * span * curvature[j]) * span;
+    return way_from(c, x, c->quiet_ahead_centre, c->quiet_ahead_reach) < slack &&
+           way_from(c, before, c->quiet_ahead_centre, c->quiet_ahead_reach) < slack;
+}
