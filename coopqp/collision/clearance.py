@@ -14,6 +14,7 @@ import pinocchio as pin
 
 from coopqp.checks import as_scalar, as_vector, require
 from coopqp.collision.distances import Distances, LowerBounds
+from coopqp.collision.evasion import Evasion
 from coopqp.collision.scene import CollisionScene
 from coopqp.control.constraints import MOST_ROWS, Knot, LabelledRows, Quiet, Rank
 from coopqp.errors import InvalidInputError, UnknownNameError
@@ -28,6 +29,8 @@ _ROUNDING = 1e-6
 _WATCH, _BLIND_WATCH = 0.1, 0.3
 #: Between knots a pair is asked until its bodies move by less than this from one sample to the next [m].
 _SAMPLE = 5e-4
+#: Pairs are looked at this far beyond the comfort, so that evasion begins gently [m].
+_EVADES_EARLY = 0.05
 #: Room that the bend between two knots may take, where they are certified together [m].
 _BEND = 2e-3
 #: The joints' way between knots is no longer than this many times the straight one.
@@ -56,6 +59,7 @@ class Clearance:
     Args:
         scene: what may touch what.
         approach: ξ where the path is not known ahead [1/s].
+        comfort: redundant arms keep this far from their margins where their self-motion can [m]; 0: they do not evade.
         name: how messages call it.
 
     Attributes:
@@ -64,10 +68,13 @@ class Clearance:
 
     rank = Rank.CLEARANCE
 
-    def __init__(self, scene: CollisionScene, *, approach: float = 5.0, name: str = "clearance") -> None:
+    def __init__(
+        self, scene: CollisionScene, *, approach: float = 5.0, comfort: float = 0.03, name: str = "clearance"
+    ) -> None:
         require(scene, CollisionScene, "Clearance: scene", "Give a CollisionScene.")
         self.scene, self.name = scene, name
         self.approach = as_scalar(approach, "Clearance: approach", high=1e3)
+        self.comfort = as_scalar(comfort, "Clearance: comfort", open_low=False, high=1.0)
         self.labels = tuple(BindingLimit("", "", LimitKind.COLLISION, between=label) for label in scene.built.labels)
         self._places: dict[str, _Place] = {}
         self._prepare()
@@ -78,6 +85,9 @@ class Clearance:
         self._step, self._ahead = (LowerBounds(self.scene, self._distances) for _ in range(2))
         self._margins, self._inside, self._reach = built.margins, built.inside, built.reach
         self._speed = cell.limits.velocity
+        self._evasion = Evasion(cell)
+        evades = bool(self._evasion) and self.comfort > 0.0
+        self._evading_from = self.comfort + _EVADES_EARLY if evades else 0.0
         self._fastest = built.reach @ np.where(np.isfinite(self._speed), self._speed, 0.0)
         self._fastest[(built.reach[:, ~np.isfinite(self._speed)] > 0.0).any(axis=1)] = np.inf
         self._approach = np.inf
@@ -86,7 +96,7 @@ class Clearance:
     # -- state -----------------------------------------------------------------------------------------------------
 
     def __getstate__(self) -> dict[str, Any]:
-        names = ("scene", "name", "approach", "labels", "_places")
+        names = ("scene", "name", "approach", "comfort", "labels", "_places")
         return {name: self.__dict__[name] for name in names}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
@@ -103,7 +113,7 @@ class Clearance:
     @property
     def quiet_ahead(self) -> Quiet:
         """Where no knot is stopped, from the last :meth:`room` on."""
-        return self._quiet(self._ahead, _BEND, np.inf)
+        return self._quiet(self._ahead, max(_BEND, self._evading_from), np.inf)
 
     def _quiet(self, bounds: LowerBounds, spare: float, approach: float) -> Quiet:
         reach, slack = bounds.certificate(spare)
@@ -221,15 +231,30 @@ class Clearance:
         bounds, positions = self._ahead, self.scene.cell.positions
         bounds.follow(positions(knot.state.q))
         way = _BENT * (self._reach @ np.abs(self._back(knot, knot.span)))
-        if not (bounds.rooms < way).any():
+        close = np.maximum(way, self._evading_from)
+        if not (bounds.rooms < close).any():
             return -1
         self._distances.place(knot.state.q)
-        bounds.ask(np.flatnonzero(bounds.rooms < way).tolist())
+        bounds.ask(np.flatnonzero(bounds.rooms < close).tolist())
         bounds.sharpen()
         for k in np.flatnonzero(bounds.rooms < way):
             if self._crosses(int(k), knot, float(way[k])):
                 return int(k)
         return -1
+
+    def evaded(self, q: Array, slope: Array) -> Array:
+        """Slopes with the self-motion of redundant arms that keeps ``ḋ ≥ −ξ (d − m − comfort)``."""
+        if not self._evading_from:
+            return slope
+        bounds = self._ahead
+        bounds.follow(self.scene.cell.positions(q))
+        self._distances.place(q)
+        bounds.ask(np.flatnonzero(bounds.rooms < self._evading_from).tolist())
+        near = np.flatnonzero(bounds.rooms < self._evading_from)
+        if not near.size:
+            return slope
+        lower = -self.approach * (bounds.rooms[near] - self.comfort)
+        return self._evasion.slope(q, slope, self._distances.gradient(near).rows, lower)
 
     def _crosses(self, k: int, knot: Knot, way: float) -> bool:
         """Whether pair ``k`` comes inside its margin, or closer inside it, between the knot before and this one."""

@@ -337,8 +337,8 @@ def _joints_to(model: pin.Model, joint: int) -> tuple[int, ...]:
 def _reaches(cell: RobotCell, a: _Part, chain_a: Sequence[int], b: _Part, chain_b: Sequence[int]) -> dict[int, float]:
     """Bounds, in any configuration, of how fast each joint between two parts changes their distance.
 
-    A joint that turns moves the distance by no more than the lever of its nearest points, on either of both parts. Their
-    levers are at most what lies between the joint and the part: its own extent and the lengths of the links.
+    A joint that turns moves the distance by no more than the lever of its nearest points, on either of both parts.
+    Their levers are at most what lies between the joint and the part: its own extent and the lengths of the links.
     """
     shared = len([None for x, y in zip(chain_a, chain_b, strict=False) if x == y])
     up, down = list(reversed(chain_a[shared:])), list(chain_b[shared:])
@@ -359,7 +359,7 @@ def _reaches(cell: RobotCell, a: _Part, chain_a: Sequence[int], b: _Part, chain_
 
 
 def _extent(cell: RobotCell, part: _Part, joint: int, *, on: bool) -> float:
-    """Largest distance of a part's points from the origin of a joint: its own one, or the first that it stands before."""
+    """Largest distance of a part's points from the origin of its own joint, or of the first one after it."""
     T, origin = part.T_joint_shape, np.zeros(3)
     if not on:
         origin = cell.model.jointPlacements[joint].translation

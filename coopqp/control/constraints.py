@@ -166,6 +166,10 @@ class CertifiedConstraint(VelocityConstraint, Protocol):
         """Number of the label that stops the object before a knot; −1 if none does."""
         ...
 
+    def evaded(self, q: Array, slope: Array) -> Array:
+        """Slopes q′ (nv,) at ``q`` (nq,) with the self-motion of redundant arms that keeps off what is ahead."""
+        ...
+
     def measured(self, limit: BindingLimit, q: Array) -> BindingLimit:
         """One of the labels with its distance at ``q`` (nq,)."""
         ...
@@ -282,6 +286,23 @@ class Constraints:
 
     def __bool__(self) -> bool:
         return bool(self.names)
+
+    @property
+    def evades(self) -> bool:
+        """Whether redundant arms may be asked to evade."""
+        return bool(self._certified)
+
+    def evaded(self, q: Array, slope: Array) -> Array:
+        """Slopes (nv,) at ``q`` (nq,) with the self-motion that certified constraints ask for.
+
+        Raises:
+            ConstraintTrouble: it is not finite.
+        """
+        for i, constraint in self._certified:
+            slope = constraint.evaded(q, slope)
+            if not np.isfinite(slope).all():
+                raise ConstraintTrouble(f"constraint {self.names[i]}: its self-motion is not finite")
+        return slope
 
     @property
     def certified(self) -> CertifiedConstraint | None:

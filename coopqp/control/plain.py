@@ -155,6 +155,7 @@ class PlainLoop:
         self._preview = None
         if self.options.preview is not None and self._guarded.known_ahead:
             bound = self._bound_knot if self.constraints else None
+            evade = self._evade if self.constraints.evades else None
             preview = PathPreview(
                 Chain(self.cell, self.grasp),
                 path,
@@ -162,6 +163,7 @@ class PlainLoop:
                 dt=self.dt,
                 options=self._on_path.preview,
                 bound=bound,
+                evade=evade,
             )
             self._preview = preview
 
@@ -462,6 +464,13 @@ class PlainLoop:
             raise LookAheadTrouble(str(trouble)) from trouble
         binding = self.constraints.labels[found.which] if found.which >= 0 else None
         return KnotRoom(found.cap, found.decrease, found.rise, binding)
+
+    def _evade(self, q: Array, slope: Array) -> Array:
+        """Slopes with the self-motion that further constraints ask for."""
+        try:
+            return self.constraints.evaded(q, slope)
+        except ConstraintTrouble as trouble:
+            raise LookAheadTrouble(str(trouble)) from trouble
 
     # -- commit ----------------------------------------------------------------------------------------------------
 

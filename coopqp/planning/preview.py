@@ -194,6 +194,7 @@ class PathPreview:
         dt: nominal length of a control step [s].
         options: settings.
         bound: what further constraints leave of the rate at a knot.
+        evade: slopes (nv,) at (q, q′) with the self-motion of redundant arms that keeps off what is ahead.
 
     Attributes:
         ends: what makes the latest cap stops the object for good.
@@ -210,6 +211,7 @@ class PathPreview:
         dt: float,
         options: PreviewOptions | None = None,
         bound: KnotBound | None = None,
+        evade: Callable[[Array, Array], Array] | None = None,
     ) -> None:
         self._chain, self._path, self._posture, self._dt = chain, GuardedPath(path), posture, dt
         self._duration = self._path.duration
@@ -219,6 +221,7 @@ class PathPreview:
         self._step, self._slope, self._errors = np.zeros(n), np.zeros(n), np.zeros((chain.n_arms, 6))
         self._low, self._high = limits.lower, limits.upper
         self._cell, self._bound, self._avoidance = chain.cell, bound, LimitAvoidance(chain)
+        self._evade = evade
         self.accelerates = bool(np.isfinite(limits.acceleration).any())
         plan = self._plan = PlanLimits.of(chain.cell, self.options, dt=dt)
         self._speed, self._acceleration = plan.speed, plan.acceleration
@@ -645,6 +648,8 @@ class PathPreview:
         chain.joint_velocities(np.broadcast_to(along, (chain.n_arms, 6)), slope)
         if chain.redundancy:
             slope += chain.null_part(self._posture.velocity(q))
+            if self._evade is not None:
+                slope[:] = self._evade(q, slope)
             self._avoidance.lead_away(self._cell.positions(q), slope)
         return bool(step @ step + slope @ slope < np.inf)
 

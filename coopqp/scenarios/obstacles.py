@@ -8,6 +8,7 @@ from typing import Literal
 import numpy as np
 import pinocchio as pin
 
+from coopqp.collision.scene import CollisionScene
 from coopqp.errors import UnknownNameError
 from coopqp.model.inverse_kinematics import inverse_kinematics
 from coopqp.model.shapes import Body, Box, Capsule, Shape, Sphere
@@ -56,7 +57,7 @@ def plate_and_table(*, tilt: float = 0.0, duration: float = 3.0) -> Scenario:
 
 
 def elbow_and_knob(*, duration: float = 3.0) -> Scenario:
-    """Two seven-joint arms move a bar past a knob at the side of an elbow, which would touch it: the elbow evades.
+    """Two seven-joint arms move a bar past a knob at the side of an elbow, which evades it.
 
     Args:
         duration: duration of the path [s].
@@ -67,7 +68,7 @@ def elbow_and_knob(*, duration: float = 3.0) -> Scenario:
 
 
 #: Centre of the knob of :func:`elbow_and_knob` [m].
-_KNOB = (-0.62, 0.13, 0.42)
+_KNOB = (-0.69, -0.118, 0.60)
 
 
 def random_posts(seed: int, *, arms: int = 3, posts: int = 2) -> Scenario:
@@ -81,7 +82,7 @@ def random_posts(seed: int, *, arms: int = 3, posts: int = 2) -> Scenario:
     Raises:
         UnknownNameError: another number of arms.
     """
-    cells = {2: dual_arm7, 3: lambda: ring(arms=3), 4: mixed_cell, 8: lambda: ring(arms=8)}
+    cells = {2: dual_arm7, 3: lambda: _open_ring(3), 4: mixed_cell, 8: lambda: _open_ring(8)}
     if arms not in cells:
         raise UnknownNameError("number of arms", str(arms), map(str, cells), "random_posts")
     rng, base = np.random.default_rng(seed), cells[arms]()
@@ -92,21 +93,35 @@ def random_posts(seed: int, *, arms: int = 3, posts: int = 2) -> Scenario:
         rotation=rng.uniform(-0.15, 0.15, 3),
         duration=2.0,
     )
-    found = []
-    for i in range(posts):
-        place = start.translation + _around(rng, 0.6) + np.array([0.0, 0.0, rng.uniform(-0.1, 0.5)])
-        turn = np.asarray(pin.exp3(rng.normal(size=3)))
-        shape: Shape = (
-            Capsule(rng.uniform(0.02, 0.05), rng.uniform(0.05, 0.4))
-            if rng.random() < 0.5
-            else Box(rng.uniform(0.03, 0.2, 3))
-        )
-        found.append(Body(f"post_{i + 1}", shape, pin.SE3(turn, place)))
+    found: list[Body] = []
+    while len(found) < posts:
+        post = _post(rng, start.translation, f"post_{len(found) + 1}")
+        scene = CollisionScene.of(base, obstacles=[post], margin=0.0)
+        near = min(pair.distance for pair in scene.distances(base.q_start) if post.name in (pair.first, pair.second))
+        if near > _CLEAR:
+            found.append(post)
     return replace(base, name=f"random_posts_{arms}_{seed}", path=path, obstacles=tuple(found))
 
 
-def _around(rng: np.random.Generator, radius: float) -> Array:
-    """A point of the level disc of a radius [m]."""
-    angle, distance = rng.uniform(0.0, 2.0 * np.pi), radius * np.sqrt(rng.random())
-    out: Array = np.array([np.cos(angle) * distance, np.sin(angle) * distance, 0.0])
-    return out
+#: Posts stand at least this far from all else at the start [m].
+_CLEAR = 0.02
+
+
+def _post(rng: np.random.Generator, about: Array, name: str) -> Body:
+    """A capsule or a box at a random place about a point [m]."""
+    angle, distance = rng.uniform(0.0, 2.0 * np.pi), 0.6 * np.sqrt(rng.random())
+    away = np.array([np.cos(angle) * distance, np.sin(angle) * distance, rng.uniform(-0.1, 0.5)])
+    turn = np.asarray(pin.exp3(rng.normal(size=3)))
+    shape: Shape = (
+        Capsule(rng.uniform(0.02, 0.05), rng.uniform(0.05, 0.4))
+        if rng.random() < 0.5
+        else Box(rng.uniform(0.03, 0.2, 3))
+    )
+    return Body(name, shape, pin.SE3(turn, about + away))
+
+
+def _open_ring(arms: int) -> Scenario:
+    """A ring whose object is a box inside it."""
+    made = ring(arms=arms)
+    width, depth, height = made.object_size
+    return replace(made, object_size=(0.6 * width, 0.6 * depth, height))

@@ -93,6 +93,8 @@ class CompiledLoop:
         self._further = self._no_rows
         if constraints:
             self._core.bind_knots(self._bound_knot)
+        if constraints.evades:
+            self._core.bind_evasion(self._evade)
         self.step = self._core.step
         self.hold, self.release = self._core.hold, self._core.release
         #: What is wrong in this step, by its reason, where it takes more than numbers to say so.
@@ -247,6 +249,16 @@ class CompiledLoop:
             numbers[_KNOT["K_KIND"]], numbers[_KNOT["K_ARM"]] = layout.KINDS.index("CONSTRAINT"), -1
             numbers[_KNOT["K_JOINT"]] = found.which
         numbers[_KNOT["K_FALL"]], numbers[_KNOT["K_RISE"]] = found.decrease, found.rise
+        return True
+
+    def _evade(self) -> bool:
+        """Self-motion at a knot that is tried; False if it cannot be asked."""
+        at = self.at
+        try:
+            slope = self.constraints.evaded(self.cell.configuration(at["evading_positions"]), at["evading_slope"])
+        except ConstraintTrouble as trouble:
+            return self._cannot_say(str(trouble))
+        at["evading_slope"][:] = slope
         return True
 
     # -- the step, where Python takes part ---------------------------------------------------------------------------

@@ -37,6 +37,8 @@ struct Core {
     int (*own_path)(Core *c, double clock, int twist, double *out);
     /* May lower cap and decrease of a new knot; NULL where nobody does. `slot` is its place in the ring. */
     int (*bound_knot)(Core *c, int slot);
+    /* May add self-motion to `evading_slope` at `evading_positions`; NULL where nobody does. 0 if it fails. */
+    int (*evade)(Core *c);
 };
 
 /* What the core can do, once for any processor and once for a newer one; see step.c and kinematics.c. */

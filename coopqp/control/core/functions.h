@@ -48,6 +48,8 @@ static void watch_reset(Core *c);
 
 /* No further row binds the command, without asking for them. */
 static int quiet_step(const Core *c);
+/* No further constraint asks for anything ahead at x. */
+static int quiet_ahead(const Core *c, const double *x);
 /* No further constraint stops the object between the knot before and one at x, `span` after it. */
 static int quiet_knot(Core *c, const double *x, const double *slope, const double *curvature, double span);
 

@@ -135,8 +135,8 @@ RECORD = (
 #: Members of Status, in the order of their codes.
 STATUSES = ("TRACKING", "SLOWED", "BLOCKED", "HOLDING", "FAULTED", "PAUSED", "OFF_PATH")
 
-#: FILLED: base and columns are there for another solver. OPEN: the plain definition has to find the answer. ASK: further
-#: rows may bind, and have not been asked.
+#: FILLED: base and columns are there for another solver. OPEN: the plain definition has to find the answer. ASK: rows
+#: may bind that have not been asked.
 OUTCOMES = ("NOMINAL", "RAY", "QP", "FILLED", "OPEN", "ASK")
 #: Members of LimitKind, in the order of their codes; 0 is none.
 KINDS = (
@@ -184,6 +184,7 @@ WORK = (
     ("columns", "(nv + rows) * unknowns"), ("x", "unknowns + nv + rows"), ("bindings", "4 * (nv + rows)"),
     ("record", f"{len(RECORD)} + 2 * nq + nv + 6 + 4 * (nv + rows)"), ("sketch", "24 * n + 9 * nv"),
     ("lines", "3 * (8 * nv + 4)"),
+    ("evading_positions", "nv"), ("evading_slope", "nv"),
     ("scratch", "scratch"),
 )  # fmt: skip
 

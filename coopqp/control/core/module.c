@@ -31,7 +31,7 @@ typedef struct {
     const Arithmetic *can; /* NULL before it is built */
     Py_buffer memory[3];   /* the blocks; released with the Core */
     double *own_pose;      /* where own_path leaves its numbers, 12 */
-    PyObject *own_path, *bound_knot;               /* callables; NULL for none */
+    PyObject *own_path, *bound_knot, *evasion;     /* callables; NULL for none */
     PyObject *path_buffer, *pose_buffer;           /* arrays whose memory is in use */
     PyObject *step_type, *context, *statuses;      /* what a step is made of */
     unsigned long busy;                            /* the thread that computes a step; 0 for none */
@@ -131,6 +131,7 @@ static int core_traverse(PyObject *object, visitproc visit, void *arg) {
     Py_VISIT(Py_TYPE(object));
     Py_VISIT(self->own_path);
     Py_VISIT(self->bound_knot);
+    Py_VISIT(self->evasion);
     Py_VISIT(self->path_buffer);
     Py_VISIT(self->pose_buffer);
     Py_VISIT(self->step_type);
@@ -143,8 +144,10 @@ static int core_clear(PyObject *object) {
     CoreObject *self = (CoreObject *)object;
     self->core.own_path = NULL;
     self->core.bound_knot = NULL;
+    self->core.evade = NULL;
     Py_CLEAR(self->own_path);
     Py_CLEAR(self->bound_knot);
+    Py_CLEAR(self->evasion);
     Py_CLEAR(self->step_type);
     Py_CLEAR(self->context);
     Py_CLEAR(self->statuses);
@@ -257,6 +260,24 @@ static PyObject *core_bind_knots(PyObject *object, PyObject *function) {
     Py_XINCREF(self->bound_knot);
     Py_XDECREF(old);
     self->core.bound_knot = self->bound_knot ? ask_knot : NULL;
+    Py_RETURN_NONE;
+}
+
+static int ask_evasion(Core *c) {
+    guard(c, 0);
+    const int good = ask(owner_of(c), owner_of(c)->evasion, PyTuple_New(0));
+    guard(c, 1);
+    return good;
+}
+
+static PyObject *core_bind_evasion(PyObject *object, PyObject *function) {
+    CoreObject *self = built(object);
+    if (!self) return NULL;
+    PyObject *old = self->evasion;
+    self->evasion = function == Py_None ? NULL : function;
+    Py_XINCREF(self->evasion);
+    Py_XDECREF(old);
+    self->core.evade = self->evasion ? ask_evasion : NULL;
     Py_RETURN_NONE;
 }
 
@@ -512,6 +533,7 @@ static PyMethodDef core_methods[] = {
     {"start_path", core_start_path, METH_VARARGS, "start_path(clock, rate): along the path from there."},
     {"set_path", core_set_path, METH_VARARGS, "set_path(numbers, function, pose, duration, looks_ahead)."},
     {"bind_knots", core_bind_knots, METH_O, "bind_knots(function): called with the place of every new knot."},
+    {"bind_evasion", core_bind_evasion, METH_O, "bind_evasion(function): may change evading_slope."},
     {"make_steps", core_make_steps, METH_VARARGS, "make_steps(type, context, statuses): what step() returns."},
     {"linearise", core_linearise, METH_VARARGS, "linearise(positions, about, carried, jacobian)."},
     {NULL, NULL, 0, NULL},

@@ -17,11 +17,14 @@ static int quiet_step(const Core *c) {
     return h * run < share * (c->loop[QUIET_SLACK] - way_from(c, c->positions, c->quiet_centre, c->quiet_reach));
 }
 
+/* No further constraint asks for anything ahead at x. */
+static int quiet_ahead(const Core *c, const double *x) {
+    return way_from(c, x, c->quiet_ahead_centre, c->quiet_ahead_reach) < c->loop[QUIET_AHEAD];
+}
+
 /* No further constraint stops the object between the knot before and one at x, `span` after it. */
 static int quiet_knot(Core *c, const double *x, const double *slope, const double *curvature, double span) {
     double *before = c->scratch;
-    const double slack = c->loop[QUIET_AHEAD];
     for (int j = 0; j < c->joints; j++) before[j] = x[j] - (slope[j] - 0.5 * span * curvature[j]) * span;
-    return way_from(c, x, c->quiet_ahead_centre, c->quiet_ahead_reach) < slack &&
-           way_from(c, before, c->quiet_ahead_centre, c->quiet_ahead_reach) < slack;
+    return quiet_ahead(c, x) && quiet_ahead(c, before);
 }
