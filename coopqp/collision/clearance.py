@@ -13,10 +13,10 @@ import numpy as np
 import pinocchio as pin
 
 from coopqp.checks import as_scalar, as_vector, require
-from coopqp.collision.distances import Distances, LowerBounds
+from coopqp.collision.distances import Distances, Gradient, LowerBounds
 from coopqp.collision.evasion import Evasion
 from coopqp.collision.scene import CollisionScene
-from coopqp.control.constraints import MOST_ROWS, Knot, LabelledRows, Quiet, Rank
+from coopqp.control.constraints import MOST_ROWS, ConstraintTrouble, Knot, LabelledRows, Quiet, Rank
 from coopqp.errors import InvalidInputError, UnknownNameError
 from coopqp.model.limits import BindingLimit, LimitKind
 from coopqp.model.shapes import NearPair
@@ -37,16 +37,19 @@ _BEND = 2e-3
 _BENT = 1.02
 #: A distance that falls by less stands still [m].
 _STANDS = 1e-9
+#: Speed at which a body that gives way is asked to retreat, at most [m/s].
+_FASTEST_RETREAT = 0.5
 #: Rows of one step at most; the nearest pairs.
 _MOST_PAIRS = MOST_ROWS // 2
 
 
 @dataclass(eq=False)
 class _Place:
-    """Where a moving body is, and how it moves."""
+    """Where a moving body is, how it moves, and how long ago that was told [s]."""
 
     T_world_body: pin.SE3
     twist: Array
+    age: float = 0.0
 
 
 @final
@@ -60,6 +63,9 @@ class Clearance:
         scene: what may touch what.
         approach: ξ where the path is not known ahead [1/s].
         comfort: redundant arms keep this far from their margins where their self-motion can [m]; 0: they do not evade.
+        give_way: what stands in the way of a moving body leaves the path for it; else it slows down and stops there.
+        stopping: time in which the arms come to rest where a moving body comes closer [s].
+        patience: a moving body whose place is not told for longer leads to HOLDING [s].
         name: how messages call it.
 
     Attributes:
@@ -69,14 +75,25 @@ class Clearance:
     rank = Rank.CLEARANCE
 
     def __init__(
-        self, scene: CollisionScene, *, approach: float = 5.0, comfort: float = 0.03, name: str = "clearance"
+        self,
+        scene: CollisionScene,
+        *,
+        approach: float = 5.0,
+        comfort: float = 0.03,
+        give_way: bool = False,
+        stopping: float = 0.4,
+        patience: float = 0.1,
+        name: str = "clearance",
     ) -> None:
         require(scene, CollisionScene, "Clearance: scene", "Give a CollisionScene.")
         self.scene, self.name = scene, name
         self.approach = as_scalar(approach, "Clearance: approach", high=1e3)
         self.comfort = as_scalar(comfort, "Clearance: comfort", open_low=False, high=1.0)
+        self.give_way = bool(give_way)
+        self.stopping = as_scalar(stopping, "Clearance: stopping", high=60.0)
+        self.patience = as_scalar(patience, "Clearance: patience", high=60.0)
         self.labels = tuple(BindingLimit("", "", LimitKind.COLLISION, between=label) for label in scene.built.labels)
-        self._places: dict[str, _Place] = {}
+        self._places = {b.name: _Place(as_placement(b.placement, b.name), np.zeros(6)) for b in scene.moving}
         self._prepare()
 
     def _prepare(self) -> None:
@@ -92,11 +109,14 @@ class Clearance:
         self._fastest[(built.reach[:, ~np.isfinite(self._speed)] > 0.0).any(axis=1)] = np.inf
         self._approach = np.inf
         self._shapes = {b.name: i for b, i in zip(self.scene.moving, built.moving, strict=True)}
+        second = np.array([int(pair.second) for pair in built.geometry.collisionPairs], dtype=int)
+        self._runs = np.isin(second, list(self._shapes.values()))
+        self._second = second
 
     # -- state -----------------------------------------------------------------------------------------------------
 
     def __getstate__(self) -> dict[str, Any]:
-        names = ("scene", "name", "approach", "comfort", "labels", "_places")
+        names = ("scene", "name", "approach", "comfort", "give_way", "stopping", "patience", "labels", "_places")
         return {name: self.__dict__[name] for name in names}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
@@ -176,7 +196,9 @@ class Clearance:
         self._approach = self.approach if blind else np.inf
         bounds.follow(self.scene.cell.positions(q))
         self._distances.place(q)
+        self._grow_old(dt)
         watch = np.minimum(self._fastest / xi, _BLIND_WATCH if blind else _WATCH)
+        watch[self._runs] = _BLIND_WATCH
         bounds.ask(np.flatnonzero(bounds.rooms < watch).tolist())
         near = np.flatnonzero(bounds.rooms < watch)
         bounds.sharpen()
@@ -187,9 +209,9 @@ class Clearance:
         gradient = self._distances.gradient(near)
         lower = -np.maximum(bounds.rooms[near], 0.0) * xi
         for name, place in self._places.items():
-            lower += self._running(near, self._shapes[name], place, gradient.normals, gradient.points)
+            self._run(near, self._shapes[name], place, gradient, lower, dt)
         fastest = np.abs(gradient.rows) @ np.where(np.isfinite(self._speed), self._speed, 1e9)
-        binds = fastest > -lower
+        binds = (fastest > -lower) | self._runs[near]
         near, G, lower = near[binds], gradient.rows[binds], lower[binds]
         return LabelledRows(G, lower, np.full(len(near), np.inf), near)
 
@@ -214,7 +236,7 @@ class Clearance:
         self._distances.place(q_next)
         room = np.array([self._distances.one(int(rows.which[i])) for i in close]) - self._margins[rows.which[close]]
         missing = least[close] - room
-        bent = missing > 0.1 * _STANDS
+        bent = (missing > 0.1 * _STANDS) & ~self._runs[rows.which[close]]
         if not bent.any():
             return None
         lower: Array = rows.lower.copy()
@@ -231,6 +253,7 @@ class Clearance:
         bounds, positions = self._ahead, self.scene.cell.positions
         bounds.follow(positions(knot.state.q))
         way = _BENT * (self._reach @ np.abs(self._back(knot, knot.span)))
+        bounds.rooms[self._runs] = np.inf  # where they will be nobody knows
         close = np.maximum(way, self._evading_from)
         if not (bounds.rooms < close).any():
             return -1
@@ -248,6 +271,7 @@ class Clearance:
             return slope
         bounds = self._ahead
         bounds.follow(self.scene.cell.positions(q))
+        bounds.rooms[self._runs] = np.inf
         self._distances.place(q)
         bounds.ask(np.flatnonzero(bounds.rooms < self._evading_from).tolist())
         near = np.flatnonzero(bounds.rooms < self._evading_from)
@@ -306,16 +330,38 @@ class Clearance:
         T = as_placement(T_world_body, f"Clearance.move '{name}'")
         self._places[name] = _Place(T, as_vector(twist, 6, f"Clearance.move '{name}': twist"))
         self._put(name, T)
-        self._step.forget()
-        self._ahead.forget()
 
     def _put(self, name: str, T_world_body: pin.SE3) -> None:
         for distances in (self._distances, self._probe):
             distances.put(self._shapes[name], T_world_body)
 
-    def _running(self, near: Any, shape: int, place: _Place, normals: Array, points: Array) -> Array:
-        """What a body's own motion adds to the lower bounds: the speed at which it comes closer (m,)."""
-        pairs = self.scene.built.geometry.collisionPairs
-        own = np.array([int(pairs[int(k)].second) == shape for k in near])
-        velocity = place.twist[:3] + np.cross(place.twist[3:], points - place.T_world_body.translation)
-        return np.where(own, -np.einsum("ij,ij->i", normals, velocity), 0.0)
+    def _grow_old(self, dt: float) -> None:
+        """Time goes on for moving bodies.
+
+        Raises:
+            ConstraintTrouble: nobody has told for too long where one is.
+        """
+        for name, place in self._places.items():
+            place.age += dt
+            if place.age > self.patience + dt:
+                raise ConstraintTrouble(
+                    f"constraint {self.name}: nobody has said for {self.patience:g} s where {name} is (move)"
+                )
+        self._step.rooms[self._runs] = -np.inf
+
+    def _run(self, near: Any, shape: int, place: _Place, gradient: Gradient, lower: Array, dt: float) -> None:
+        """Lower bounds of pairs with a moving body that comes closer at u = −n · v.
+
+        While the arms stop, in the time T and half of it at their present speed, the body goes on:
+        ``−ḋ (h + T/2) + u (h + T) ≤ d − m``. Where they give way they keep ``ḋ ≥ −ξ (d − m)``, its motion included.
+        """
+        own = self._second[near] == shape
+        if not own.any():
+            return
+        velocity = place.twist[:3] + np.cross(place.twist[3:], gradient.points[own] - place.T_world_body.translation)
+        closing = -np.einsum("ij,ij->i", gradient.normals[own], velocity)
+        room, T = self._step.rooms[near[own]], self.stopping
+        if self.give_way:
+            lower[own] = np.minimum(closing - self.approach * room, _FASTEST_RETREAT)
+        else:
+            lower[own] = np.minimum(-(room - np.maximum(closing, 0.0) * (dt + T)) / (dt + 0.5 * T), 0.0)
