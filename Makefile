@@ -11,9 +11,11 @@ MUTANTS ?= 400
 PYTEST = OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/pytest -n $(WORKERS) --dist worksteal
 SANITIZED := build/sanitized
 
-.PHONY: demo check test test-nightly lint core sanitize mutation docs bench browser clean
+.PHONY: demo check test test-nightly lint core sanitize mutation docs bench browser clean \
+  environments lowest newest no-compiler wheel extras import
 
-$(VENV)/.installed: pyproject.toml CMakeLists.txt $(wildcard coopqp/control/core/*.[ch] coopqp/model/*.c)
+# Without COOPQP_REQUIRE_KERNEL=1 a compiler that fails is no error: coopqp then warns when it runs.
+$(VENV)/.installed: pyproject.toml CMakeLists.txt $(wildcard coopqp/control/core/*.[ch] coopqp/model/*.[ch])
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 10) and "coopqp needs Python >= 3.10: make PYTHON=python3.x ...")'
 	$(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[dev]'
@@ -71,6 +73,21 @@ mutation: $(VENV)/.installed
 	@mkdir -p out
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[mutation]'
 	$(BIN)/python tests/mutation.py --number $(MUTANTS) --json out/mutation.json
+
+# Fresh environments below build/environments: the lowest and the newest versions with all tests, no compiler and the
+# wheel from the source distribution with those of make check, core only and each extra alone with tests/installed.py.
+# SOME=--some leaves slow tests out everywhere.
+environments: $(VENV)/.installed
+	$(BIN)/python .ci/environments.py $(SOME)
+
+lowest newest no-compiler: $(VENV)/.installed
+	$(BIN)/python .ci/environments.py $@ $(SOME)
+
+wheel: $(VENV)/.installed
+	$(BIN)/python .ci/environments.py from-sdist
+
+extras: $(VENV)/.installed
+	$(BIN)/python .ci/environments.py core extras
 
 docs: $(VENV)/.installed
 	$(BIN)/python -m sphinx -W --keep-going -q -b html docs out/docs

@@ -631,9 +631,9 @@ IN_PYTHON: dict[str, dict[str, str]] = {
     "planning.preview": {
         name: f"_{name}"
         for name in (
-            "STEPS_TO_FULL_SPEED", "PASSABLE", "FINE_CELL", "OTHER_BRANCH", "BISECTIONS", "JUST_BEFORE",
-            "STEPS_TO_GROW", "BEND_CHANGE", "KNOTS_PER_PASS", "LEAST_RATE", "NEWTON_STEPS_AT_START", "LONGEST_WAY",
-            "MOST_TRIES", "STARTING_STEPS", "CONVERGED", "MOST_KNOTS",
+            "STEPS_TO_FULL_SPEED", "PASSABLE", "GROWTH", "FINE_CELL", "OTHER_BRANCH", "MOST_GUESSES", "SHORT_OF",
+            "JUST_BEFORE", "STEPS_TO_GROW", "BEND_CHANGE", "KNOTS_PER_PASS", "LEAST_RATE", "NEWTON_STEPS_AT_START",
+            "LONGEST_WAY", "MOST_TRIES", "STARTING_STEPS", "CONVERGED", "MOST_KNOTS",
         )
     },
     "planning.redundancy": {name: name for name in ("LIMIT_MARGIN", "TURNING_WAY", "LEADS")},

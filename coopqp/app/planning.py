@@ -69,8 +69,7 @@ def _say(error: CoopqpError, status: int) -> int:
 
 
 def _run(arguments: argparse.Namespace) -> int:
-    from coopqp.files.cellfile import load_cell_file
-    from coopqp.files.cellfile.planned import planned_text
+    from coopqp.files.cellfile import load_cell_file, require_readers
     from coopqp.look.plots import figure_bytes, require_matplotlib
     from coopqp.look.profile import profile_figure
     from coopqp.output import OutputError, check_folder, write_files
@@ -79,6 +78,9 @@ def _run(arguments: argparse.Namespace) -> int:
 
     require_toppra()
     require_matplotlib()
+    require_readers()
+    from coopqp.files.cellfile.planned import planned_text
+
     folder: Path = arguments.out
     used = next((folder / name for name in _FILES if (folder / name).exists()), None)
     if used is not None and not arguments.force:

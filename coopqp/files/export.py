@@ -18,8 +18,7 @@ from coopqp.errors import InvalidInputError, MissingExtraError, printable
 from coopqp.model.cell import RobotCell
 from coopqp.output import OutputError, check_folder, folder_of, write_files
 from coopqp.simulation.assessment import Readings, check_recording, read_run, slides
-from coopqp.simulation.scene import read_cell
-from coopqp.simulation.simulate import Recording
+from coopqp.simulation.recording import Recording
 from coopqp.spatial import Array
 
 _READINGS = ("eps_p_mm", "eps_o_deg", "chain_mm", "chain_deg", "object_mm", "object_deg")
@@ -29,8 +28,8 @@ def joint_table(cell: RobotCell, recording: Recording) -> tuple[Array, Array]:
     """Measured and commanded joint positions, (T+1, nv) each [rad or m]; continuous joints in (−π, π]."""
     check_recording(cell, recording)
     return (
-        np.array([cell.positions(q) for q in recording.q]),
-        np.array([cell.positions(q) for q in recording.q_command]),
+        cell.positions(recording.q),
+        cell.positions(recording.q_command),
     )
 
 
@@ -48,7 +47,7 @@ def csv_text(recording: Recording, *, cell: RobotCell | None = None) -> str:
     Raises:
         SceneError: no cell is given and the recording does not describe one.
     """
-    cell = read_cell(recording.metadata, shapes=False) if cell is None else cell
+    cell = recording.cell(shapes=False) if cell is None else cell
     readings = read_run(cell, recording)
     stream = io.StringIO()
     writer = csv.writer(stream, lineterminator="\n")
@@ -126,6 +125,15 @@ def knot_velocities(recording: Recording) -> Array:
     return v
 
 
+def require_rosbags() -> None:
+    """Raise MissingExtraError unless rosbags can be imported."""
+    try:
+        import rosbags.rosbag2
+        import rosbags.typesys  # noqa: F401
+    except ImportError as error:
+        raise MissingExtraError("bags", "rosbags") from error
+
+
 def write_bag(recording: Recording, folder: str | Path, *, cell: RobotCell | None = None, start: float = 0.0) -> Path:
     """Write a ROS 2 bag in MCAP, atomically.
 
@@ -146,14 +154,13 @@ def write_bag(recording: Recording, folder: str | Path, *, cell: RobotCell | Non
         SceneError: no cell is given and the recording does not describe one.
         MissingExtraError: rosbags is not installed.
     """
-    try:
-        from rosbags.rosbag2 import StoragePlugin, Writer
-        from rosbags.typesys import Stores, get_typestore
-    except ImportError as error:
-        raise MissingExtraError("bags", "rosbags") from error
+    require_rosbags()
+    from rosbags.rosbag2 import StoragePlugin, Writer
+    from rosbags.typesys import Stores, get_typestore
+
     if not 0.0 <= start < 4e9:
         raise InvalidInputError(f"start is {start}", "write_bag", "Give seconds since the epoch, 0 for none.")
-    cell = read_cell(recording.metadata, shapes=False) if cell is None else cell
+    cell = recording.cell(shapes=False) if cell is None else cell
     target = Path(folder)
     if target.exists():
         raise OutputError(f"cannot write the bag {target}: it exists. Remove it, or give another folder.")

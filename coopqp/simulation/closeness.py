@@ -19,7 +19,7 @@ from coopqp.collision.scene import CollisionScene
 from coopqp.errors import InvalidInputError
 from coopqp.model.shapes import NearPair
 from coopqp.simulation.convex import Core, core_of, distance
-from coopqp.simulation.simulate import Recording
+from coopqp.simulation.recording import Recording
 from coopqp.spatial import Array
 from coopqp.task.scenario import Scenario
 

@@ -9,7 +9,7 @@ import pinocchio as pin
 
 from coopqp.checks import as_scalar, as_vector
 from coopqp.errors import InvalidInputError
-from coopqp.spatial import Array, Placement, as_placement
+from coopqp.spatial import Array, Placement, as_placement, for_twists
 from coopqp.task.path import ObjectPath
 
 #: Time in which the object reaches its full speed where nobody knows what the joints can do [s].
@@ -174,7 +174,7 @@ class ServoPath(ObjectPath):
         where = "ServoPath.set_target"
         goal, here = as_placement(T_world_object, where), self.pose(clock)
         rate = as_scalar(rate, f"{where}: rate", open_low=False)
-        turned = np.kron(np.eye(2), here.rotation)
+        turned = for_twists(here.rotation)
         if effort is not None:
             rows = np.shape(effort)[0] if np.ndim(effort) == 2 else 0
             effort = as_vector(np.ravel(effort), 6 * rows, f"{where}: effort").reshape(rows, 6)

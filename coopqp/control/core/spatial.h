@@ -13,6 +13,10 @@ static inline void cross(const double *a, const double *b, double *out) {
 
 static inline double dot3(const double *a, const double *b) { return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]; }
 
+/* One instruction each, where fmax and fmin are calls. A `y` that is no number counts for nothing. */
+static inline double maximum(double x, double y) { return y > x ? y : x; }
+static inline double minimum(double x, double y) { return y < x ? y : x; }
+
 static inline double clamp(double x, double low, double high) { return x < low ? low : (x > high ? high : x); }
 
 /* out = R x */

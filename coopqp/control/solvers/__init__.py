@@ -37,6 +37,10 @@ def available_solvers() -> tuple[str, ...]:
     return kept + tuple(name for name in _backends() if name not in _KEPT)
 
 
+#: Backends of qpsolvers that the extra ``solvers`` of coopqp installs.
+_OF_OUR_EXTRA = ("quadprog",)
+
+
 def default_solver(*, strictly_convex: bool = True) -> str:
     """The solver that ``"auto"`` stands for: the compiled core's own, or DAQP where that is missing.
 
@@ -76,6 +80,8 @@ def make_solver(name: str | QpSolver, settings: Any = None) -> QpSolver:
         return _make_kept(name, settings)
     backend = name.removeprefix(_GENERIC)
     if backend not in _backends():
+        if backend in _OF_OUR_EXTRA:
+            raise MissingExtraError("solvers", backend)
         extra = backend.partition("_")[0]
         if extra in (metadata("qpsolvers").get_all("Provides-Extra") or ()):
             raise MissingSolverError(name, f"pip install 'qpsolvers[{extra}]'")

@@ -40,8 +40,9 @@ from coopqp.simulation.closeness import default_scene, with_clearance
 from coopqp.simulation.plants.kinematic import KinematicPlant, Plant
 from coopqp.simulation.plants.physics import PhysicsPlant
 from coopqp.simulation.plants.physics_options import PhysicsOptions
+from coopqp.simulation.recording import Recording
 from coopqp.simulation.scene import describe_object
-from coopqp.simulation.simulate import ProgressCallback, Recording, simulate
+from coopqp.simulation.simulate import ProgressCallback, simulate
 from coopqp.spatial import Array, as_placement
 from coopqp.task.common_error import CommonError
 from coopqp.task.path import HoldPath, LinePath, ObjectPath, WaypointPath
