@@ -15,6 +15,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from coopqp import (
+    Closeness,
     InvalidInputError,
     LimitKind,
     Monitor,
@@ -43,7 +44,7 @@ from coopqp.collision import (
 from coopqp.collision.distances import Distances, LowerBounds
 from coopqp.control.constraints import MOST_ROWS
 from coopqp.scenarios import Scenario, dual_arm7, mixed_cell, paper_lift, plate_and_post, plate_and_table, random_posts
-from coopqp.simulation.closeness import Closeness, with_clearance
+from coopqp.simulation.closeness import with_clearance
 from coopqp.simulation.convex import core_of, distance
 
 MARGIN = 0.02

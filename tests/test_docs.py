@@ -35,7 +35,7 @@ def outputs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
     environment = {**os.environ, "MPLBACKEND": "Agg", "PYTHONIOENCODING": "utf-8", "OMP_NUM_THREADS": "1"}
 
     def run(file: Path) -> str:
-        options = ["--out", str(folder)] if file.name.startswith(("04", "18")) else []
+        options = ["--out", str(folder)] if file.name.startswith(("04", "18", "21")) else []
         done = subprocess.run(
             [sys.executable, str(file), *options],
             cwd=folder, env=environment, capture_output=True, text=True, encoding="utf-8", timeout=120, check=False,
@@ -45,7 +45,7 @@ def outputs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
 
     with ThreadPoolExecutor(4) as pool:
         printed = dict(zip((file.name for file in EXAMPLES), pool.map(run, EXAMPLES), strict=True))
-    for picture in ("at_a_limit.png", "can_my_arms.png"):
+    for picture in ("at_a_limit.png", "can_my_arms.png", "nothing_touches.png"):
         assert (folder / picture).stat().st_size > 10_000
     return printed
 

@@ -57,6 +57,10 @@ SCENARIOS: dict[str, Callable[[], Scenario]] = {
     "ring": ring,
     "scara_pair": scara_pair,
     "five_joint_pair": five_joint_pair,
+    "plate_and_post": plate_and_post,
+    "plate_and_table": plate_and_table,
+    "elbow_and_knob": elbow_and_knob,
+    "random_posts": random_posts,
 }
 
 

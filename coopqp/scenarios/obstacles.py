@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Literal
 
@@ -71,7 +72,7 @@ def elbow_and_knob(*, duration: float = 3.0) -> Scenario:
 _KNOB = (-0.69, -0.118, 0.60)
 
 
-def random_posts(seed: int, *, arms: int = 3, posts: int = 2) -> Scenario:
+def random_posts(seed: int = 0, *, arms: int = 2, posts: int = 2) -> Scenario:
     """A cell of 2 (seven joints), 3 (six), 4 (mixed) or 8 arms with posts at random places among them.
 
     Args:
@@ -82,7 +83,12 @@ def random_posts(seed: int, *, arms: int = 3, posts: int = 2) -> Scenario:
     Raises:
         UnknownNameError: another number of arms.
     """
-    cells = {2: dual_arm7, 3: lambda: _open_ring(3), 4: mixed_cell, 8: lambda: _open_ring(8)}
+    cells: dict[int, Callable[[], Scenario]] = {
+        2: dual_arm7,
+        3: lambda: _open_ring(3),
+        4: mixed_cell,
+        8: lambda: _open_ring(8),
+    }
     if arms not in cells:
         raise UnknownNameError("number of arms", str(arms), map(str, cells), "random_posts")
     rng, base = np.random.default_rng(seed), cells[arms]()
@@ -100,7 +106,7 @@ def random_posts(seed: int, *, arms: int = 3, posts: int = 2) -> Scenario:
         near = min(pair.distance for pair in scene.distances(base.q_start) if post.name in (pair.first, pair.second))
         if near > _CLEAR:
             found.append(post)
-    return replace(base, name=f"random_posts_{arms}_{seed}", path=path, obstacles=tuple(found))
+    return replace(base, name="random_posts", path=path, obstacles=tuple(found))
 
 
 #: Posts stand at least this far from all else at the start [m].
@@ -115,7 +121,7 @@ def _post(rng: np.random.Generator, about: Array, name: str) -> Body:
     shape: Shape = (
         Capsule(rng.uniform(0.02, 0.05), rng.uniform(0.05, 0.4))
         if rng.random() < 0.5
-        else Box(rng.uniform(0.03, 0.2, 3))
+        else Box(rng.uniform(0.03, 0.2, 3).tolist())
     )
     return Body(name, shape, pin.SE3(turn, about + away))
 

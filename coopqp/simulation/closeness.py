@@ -27,6 +27,8 @@ from coopqp.task.scenario import Scenario
 PARTS = 4
 #: A body's way between two samples is no longer than this many times what its placements say.
 _BENT = 1.05
+#: Of longer runs every second, third, … sample is looked at.
+MOST_JUDGED = 50_000
 #: Samples of the distances over a run.
 MOST_SAMPLES = 200
 #: The least distance of a run is found to within this [m].
@@ -280,7 +282,8 @@ def with_clearance(recording: Recording, scene: CollisionScene | None, *, avoide
     if scene is None:
         return recording
     closeness = Closeness(scene)
-    q, time = recording.q_command, recording.time
+    every = -(-len(recording.time) // MOST_JUDGED)
+    q, time = recording.q_command[::every], recording.time[::every]
     left_out = sorted(set() if avoided else closeness.overlapping(q[0]))
     found = closeness.closest(q, time, without_start=not avoided)
     if found is None:
