@@ -15,6 +15,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from coopqp import (
+    CellFileError,
+    CellState,
     Closeness,
     InvalidInputError,
     LimitKind,
@@ -26,6 +28,7 @@ from coopqp import (
     UnknownNameError,
     check_run,
     judge,
+    load_cell_file,
     read_run,
     simulate,
 )
@@ -42,8 +45,18 @@ from coopqp.collision import (
     Sphere,
 )
 from coopqp.collision.distances import Distances, LowerBounds
+from coopqp.collision.evasion import Evasion
 from coopqp.control.constraints import MOST_ROWS
-from coopqp.scenarios import Scenario, dual_arm7, mixed_cell, paper_lift, plate_and_post, plate_and_table, random_posts
+from coopqp.scenarios import (
+    Scenario,
+    dual_arm7,
+    elbow_and_knob,
+    mixed_cell,
+    paper_lift,
+    plate_and_post,
+    plate_and_table,
+    random_posts,
+)
 from coopqp.simulation.closeness import with_clearance
 from coopqp.simulation.convex import core_of, distance
 
@@ -77,11 +90,7 @@ class Unknown(ObjectPath):
     known_ahead = False
 
     def __init__(self, path: ObjectPath) -> None:
-        self._path = path
-
-    @property
-    def duration(self) -> float:
-        return self._path.duration
+        self._path, self.duration = path, path.duration
 
     def pose(self, clock: float) -> pin.SE3:
         return self._path.pose(clock)
@@ -387,14 +396,14 @@ def test_bad_scenes_are_refused_when_built(changes: dict[str, Any], error: type,
 
 def _stl(file: Path, triangles: int) -> Path:
     """A binary STL with a number of triangles."""
-    points = np.random.default_rng(0).normal(size=(triangles, 3, 3)).astype("<f4")
+    points = np.random.default_rng(0).random((triangles, 3, 3), dtype=np.float32)
     rows = np.zeros(triangles, dtype=[("n", "<f4", 3), ("v", "<f4", (3, 3)), ("a", "<u2")])
     rows["v"] = points
     file.write_bytes(b"\0" * 80 + np.uint32(triangles).tobytes() + rows.tobytes())
     return file
 
 
-@pytest.mark.parametrize(("triangles", "said"), [(0, "mesh"), (200_000, "triangles")])
+@pytest.mark.parametrize(("triangles", "said"), [(0, "mesh"), (1_000_000, "triangles")])
 def test_empty_and_huge_meshes_are_refused(tmp_path: Path, triangles: int, said: str) -> None:
     mesh = Mesh(_stl(tmp_path / "mesh.stl", triangles))
     with pytest.raises(InvalidInputError, match=said):
@@ -489,3 +498,159 @@ def test_random_posts_are_never_touched(arms: int) -> None:
         assert verdict.ok, (seed, verdict)
         assert max(step.given_up.chain for step in steps) == 0.0
     assert ran
+
+
+# -- elbows --------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("acceleration", [np.inf, 5.0])
+def test_an_elbow_evades_and_the_object_stays_on_its_path(acceleration: float) -> None:
+    scenario = elbow_and_knob()
+    recording, steps, scene = run(scenario, scene_of(scenario), acceleration=acceleration)
+    assert recording.finished
+    verdict = check_run(recording, scene.cell, scene=scene)
+    assert verdict.ok, verdict
+    assert max(verdict.worst.chain_m, verdict.worst.path_m) < 1e-6
+    change = np.diff([step.rate for step in steps])
+    change = change[np.abs(change) > 1e-6]
+    assert (np.diff(np.sign(change)) != 0).sum() <= 10
+    still = [step for step in steps if step.status is Status.BLOCKED]
+    assert not still
+    without = simulate(
+        QPController(scene.cell, scenario.grasp, scenario.path, dt=scenario.dt), q_start=scenario.q_start
+    )
+    assert not check_run(without, scene.cell, scene=scene).ok
+
+
+def test_without_comfort_an_elbow_stops_the_object_by_name() -> None:
+    scenario = elbow_and_knob()
+    clearance = Clearance(scene_of(scenario), comfort=0.0)
+    controller = QPController(scenario.cell, scenario.grasp, scenario.path, dt=scenario.dt, constraints=[clearance])
+    steps: list[Any] = []
+    recording = simulate(controller, q_start=scenario.q_start, patience=0.1, observe=steps.append)
+    assert not recording.finished
+    assert set(steps[-1].binding[0].between) == {"left/link_3", "knob"}
+
+
+@settings(deadline=None, max_examples=60)
+@given(seed=st.integers(0, 10**6))
+def test_evasion_is_the_least_self_motion_that_keeps_its_rows(seed: int) -> None:
+    rng, scenario = np.random.default_rng(seed), dual_arm7()
+    cell, evasion = scenario.cell, Evasion(scenario.cell)
+    q = cell.moved(scenario.q_start, rng.uniform(-0.2, 0.2, cell.nv))
+    N, slope = evasion.basis(q), rng.normal(size=cell.nv)
+    G, wanted = rng.normal(size=(2, cell.nv)), rng.normal(size=2)
+    lower = G @ (slope + N @ rng.normal(size=N.shape[1])) - np.abs(wanted)  # some self-motion keeps them
+    found = evasion.slope(q, slope, G, lower)
+    state = CellState(cell, q)
+    for k, own in enumerate(cell.v_slices):  # the tools do not feel it
+        assert np.abs(state.jacobian(k) @ (found - slope)[own]).max() < 1e-9
+    assert (G @ found >= lower - 1e-4).all()
+    z = np.linalg.lstsq(N, found - slope, rcond=None)[0]
+    for _ in range(20):  # no other one that keeps them is shorter
+        other = z + rng.normal(size=z.size) * rng.uniform(0.0, 1.0)
+        if (G @ (slope + N @ other) >= lower).all():
+            assert np.linalg.norm(z) <= np.linalg.norm(other) + 1e-3
+
+
+# -- bodies that move ------------------------------------------------------------------------------------------------
+
+
+def _cart(scenario: Scenario, *, give_way: bool, steps: int = 1100) -> tuple[list[float], list[Any], Clearance]:
+    """Distances to a cart that comes at 0.3 m/s, and the steps."""
+    dt, middle = 0.004, (scenario.path.pose(0.0) * scenario.T_object_body).translation
+
+    def place(t: float) -> pin.SE3:
+        return pin.SE3(np.eye(3), middle + np.array([0.0, -1.0 + 0.3 * t, 0.18]))
+
+    scene = scene_of(scenario, moving=[Body("cart", Box((0.2, 0.2, 0.2)), place(0.0))])
+    clearance = Clearance(scene, give_way=give_way)
+    controller = QPController(scenario.cell, scenario.grasp, scenario.path, dt=dt, constraints=[clearance])
+    controller.reset(scenario.q_start)
+    limit = next(limit for limit in clearance.labels if set(limit.between) == {"object", "cart"})
+    distances, taken = [], []
+    for i in range(steps):
+        clearance.move("cart", place(i * dt), (0.0, 0.3, 0.0, 0.0, 0.0, 0.0))
+        taken.append(controller.step())
+        distances.append(clearance.measured(limit, taken[-1].q).distance or 0.0)
+    return distances, taken, clearance
+
+
+def test_the_object_gives_way_to_a_body_that_moves(lift: Scenario) -> None:
+    distances, steps, _ = _cart(lift, give_way=True)
+    assert min(distances) >= MARGIN
+    assert any(step.status is Status.OFF_PATH for step in steps)
+    assert max(step.given_up.chain for step in steps) == 0.0
+
+
+def test_nothing_comes_closer_to_a_body_that_closes_in(lift: Scenario) -> None:
+    distances, steps, clearance = _cart(lift, give_way=False)
+    assert max(np.abs(step.given_up.off_path).max() for step in steps) < 1e-9  # it stays on its path
+    d = np.array(distances)
+    late = d[:-1] - MARGIN < 0.3 * 0.4  # the arms need that long to stop
+    assert late.sum() > 100
+    assert (-np.diff(d)[late] / 0.004).max() <= 0.3 + 1e-3  # the cart's own speed
+    assert clearance.quiet.slack < 0.0  # never certified
+
+
+def test_a_body_that_nobody_moves_holds_by_name(lift: Scenario) -> None:
+    scene = scene_of(lift, moving=[Body("cart", Sphere(0.1), pin.SE3(np.eye(3), np.array([5.0, 0.0, 0.0])))])
+    controller = QPController(lift.cell, lift.grasp, lift.path, dt=0.004, constraints=[Clearance(scene)])
+    controller.reset(lift.q_start)
+    for _ in range(40):
+        step = controller.step()
+    assert step.status is Status.HOLDING
+    assert "cart" in step.reason
+    with pytest.raises(UnknownNameError, match="van"):
+        Clearance(scene).move("van", np.eye(4))
+
+
+# -- cell files ------------------------------------------------------------------------------------------------------
+
+BAR = Path(__file__).parents[1] / "docs" / "examples" / "cells" / "bar.toml"
+TABLE = """
+[collision]
+margin_m = 0.02
+ignored = [["left", "right"]]
+margins = [{ between = ["object", "post"], margin_m = 0.03 }]
+
+[[collision.obstacles]]
+name = "post"
+shape = "capsule"
+radius_m = 0.03
+length_m = 0.1
+at = { xyz_m = [0.0, 0.1, 0.54] }
+"""
+
+
+def test_a_cell_file_says_what_to_keep_away_from(tmp_path: Path) -> None:
+    file = tmp_path / "bar.toml"
+    file.write_text(BAR.read_text(encoding="utf-8") + TABLE, encoding="utf-8")
+    task = load_cell_file(file)
+    recording = task.run()
+    entry = recording.metadata["clearance"]
+    assert entry["avoided"]
+    assert not recording.finished
+    assert entry["closest_m"] >= 0.02 - 1e-6
+    assert any("post" in limit.between for limits in recording.bindings for limit in limits)
+    file.write_text(BAR.read_text(encoding="utf-8"), encoding="utf-8")
+    free = load_cell_file(file).run()
+    assert not free.metadata["clearance"]["avoided"]
+    assert judge(task.scenario.cell, free, read_run(task.scenario.cell, free))[-1].holds
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ("radius_m = 0.03\n", "", "radius_m"),
+        ('shape = "capsule"', 'shape = "cone"', "shape"),
+        ("radius_m = 0.03", "radius_m = nan", "radius_m"),
+        ('["object", "post"]', '["object", "pots"]', "pots"),
+        ("margin_m = 0.02", "margin_m = -1", "margin_m"),
+    ],
+)
+def test_bad_tables_are_named(tmp_path: Path, old: str, new: str, said: str) -> None:
+    file = tmp_path / "bar.toml"
+    file.write_text(BAR.read_text(encoding="utf-8") + TABLE.replace(old, new), encoding="utf-8")
+    with pytest.raises(CellFileError, match=said):
+        load_cell_file(file)

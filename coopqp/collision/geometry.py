@@ -41,11 +41,24 @@ def _of_mesh(mesh: Mesh, where: str) -> tuple[Any, float]:
     file = Path(mesh.file)
     if file.stat().st_size > MOST_BYTES:
         raise InvalidInputError(f"{file} is larger than {MOST_BYTES} bytes", where, "Reduce the mesh.")
+    triangles = _stl_triangles(file)
+    if triangles > MOST_TRIANGLES:  # before it takes a minute to read it
+        raise InvalidInputError(f"{file} has {triangles} triangles", where, f"Reduce it to {MOST_TRIANGLES} or fewer.")
     try:
         read = coal.MeshLoader().load(str(file), np.array(mesh.scale))
     except (ValueError, RuntimeError) as error:
         raise InvalidInputError(f"{file} is no readable mesh ({error})", where, "Give an STL, DAE or OBJ.") from error
     return convex(read, f"{where}: {file}")
+
+
+def _stl_triangles(file: Path) -> int:
+    """What a binary STL says of its triangles; 0 for other files."""
+    if file.suffix.lower() != ".stl":
+        return 0
+    with file.open("rb") as opened:
+        head = opened.read(84)
+    count = int.from_bytes(head[80:84], "little")
+    return count if file.stat().st_size == 84 + 50 * count else 0
 
 
 def convex(geometry: Any, where: str) -> tuple[Any, float]:
