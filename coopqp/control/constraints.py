@@ -320,23 +320,25 @@ class Constraints:
         for _, constraint in self._certified:
             constraint.check(q)
         try:
-            self.rows(state, dt)
+            self.rows(q, dt)
             self._lines(Knot(0.0, state, still, still))
         except ConstraintTrouble as trouble:
             raise InvalidInputError(str(trouble), "reset", "See the how-to on constraints.") from trouble
 
-    def rows(self, state: CellState, dt: float, *, blind: bool = False) -> Rows:
-        """All rows at a state; ``blind`` where nothing brakes ahead of them.
+    def rows(self, q: Array, dt: float, *, blind: bool = False) -> Rows:
+        """All rows at a configuration (nq,); ``blind`` where nothing brakes ahead of them.
 
         Raises:
             ConstraintTrouble: a constraint raised, or its rows are not finite or have other shapes.
         """
         parts = []
         for i, constraint in self._certified:
-            own = constraint.rows_by_label(state.q, dt, blind=blind)
+            own = constraint.rows_by_label(q, dt, blind=blind)
             soft = np.full(len(own.which), self._soft[i])
             parts.append(Rows(own.G, own.lower, own.upper, soft, self._first[i] + own.which))
-        return self._joined([*parts, *self._uncertified_rows(state, dt)])
+        if self._uncertified:
+            parts += self._uncertified_rows(CellState(self.cell, q), dt)
+        return self._joined(parts)
 
     def _uncertified_rows(self, state: CellState, dt: float) -> list[Rows]:
         nv, parts = self.cell.nv, []

@@ -311,7 +311,7 @@ class PlainLoop:
         further = self._no_rows
         if self.constraints.velocity:
             try:
-                further = self.constraints.rows(CellState(self.cell, s.q), h, blind=self._blind)
+                further = self.constraints.rows(s.q, h, blind=self._blind)
             except ConstraintTrouble as trouble:
                 seen.watch.lower(Watch.holding(str(trouble)))
         cap, binding, late = self._rate_cap(seen)

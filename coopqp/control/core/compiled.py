@@ -327,7 +327,7 @@ class CompiledLoop:
             return 0
         at, p = self.at, self.at["proposal"]
         try:
-            rows = self.constraints.rows(CellState(self.cell, self.q), p.item(_P["DT"]), blind=not self._looks_ahead)
+            rows = self.constraints.rows(self.q, p.item(_P["DT"]), blind=not self._looks_ahead)
         except ConstraintTrouble as trouble:
             if p[_P["WATCH_CAP"]] > 0.0:
                 self._said[_CONSTRAINT_FAILED] = str(trouble)
