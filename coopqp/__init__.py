@@ -70,7 +70,7 @@ if TYPE_CHECKING:
     from coopqp.model.limits import BindingLimit, LimitKind
     from coopqp.model.state import CellState
     from coopqp.output import OutputError
-    from coopqp.planning.preview import PreviewOptions
+    from coopqp.planning.preview_options import PreviewOptions
     from coopqp.scenarios.robots import robot_path
     from coopqp.simulation.assessment import Finding, Readings, Tolerances, judge, read_run
     from coopqp.simulation.closeness import Closeness, Closest
@@ -155,7 +155,7 @@ else:
                 "LimitKind",
             ),
             "coopqp.model.state": ("CellState",),
-            "coopqp.planning.preview": ("PreviewOptions",),
+            "coopqp.planning.preview_options": ("PreviewOptions",),
             "coopqp.simulation.plants.kinematic": (
                 "KinematicPlant",
                 "Plant",

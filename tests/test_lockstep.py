@@ -628,12 +628,16 @@ IN_PYTHON: dict[str, dict[str, str]] = {
     "control.plain": {
         name: name for name in ("BRAKING_SHARE", "LEAST_PACE", "NEGLIGIBLE", "RATE_ROUNDING", "ARRIVING")
     },
-    "planning.preview": {
+    "planning.preview": {"STEPS_TO_GROW": "_STEPS_TO_GROW", "NEWTON_STEPS_AT_START": "_NEWTON_STEPS_AT_START"},
+    "planning.preview_options": {"STEPS_TO_FULL_SPEED": "_STEPS_TO_FULL_SPEED"},
+    "planning.growth": {name: f"_{name}" for name in ("PASSABLE", "GROWTH", "LONGEST_WAY", "MOST_KNOTS")},
+    "planning.horizon": {
+        name: f"_{name}" for name in ("KNOTS_PER_PASS", "MOST_GUESSES", "SHORT_OF", "LEAST_RATE")
+    },
+    "planning.chain_ahead": {
         name: f"_{name}"
         for name in (
-            "STEPS_TO_FULL_SPEED", "PASSABLE", "GROWTH", "FINE_CELL", "OTHER_BRANCH", "MOST_GUESSES", "SHORT_OF",
-            "JUST_BEFORE", "STEPS_TO_GROW", "BEND_CHANGE", "KNOTS_PER_PASS", "LEAST_RATE", "NEWTON_STEPS_AT_START",
-            "LONGEST_WAY", "MOST_TRIES", "STARTING_STEPS", "CONVERGED", "MOST_KNOTS",
+            "FINE_CELL", "OTHER_BRANCH", "BEND_CHANGE", "JUST_BEFORE", "STARTING_STEPS", "MOST_TRIES", "CONVERGED",
         )
     },
     "planning.redundancy": {name: name for name in ("LIMIT_MARGIN", "TURNING_WAY", "LEADS")},

@@ -10,7 +10,7 @@ import pinocchio as pin
 from coopqp.model.cell import RobotCell
 from coopqp.model.chain import Chain
 from coopqp.model.grasp import Grasp
-from coopqp.planning.preview import PlanLimits, PreviewOptions
+from coopqp.planning.preview_options import PlanLimits, PreviewOptions
 from coopqp.spatial import Array
 
 #: Share of the accelerations that a change of the motion is planned with; the rest is for the curvature of the way.

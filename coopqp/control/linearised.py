@@ -70,6 +70,7 @@ class LinearisedAnswer:
         correction: off-path twist of the object by the path correction, and besides (6,).
         terms: what the step wanted.
         errors: e_k (N, 6).
+        common: their mean, by the arms' shares (6,).
     """
 
     answer: StepAnswer
@@ -78,6 +79,7 @@ class LinearisedAnswer:
     correction: Array
     terms: StepTerms
     errors: Array
+    common: Array
 
 
 @final
@@ -93,7 +95,8 @@ class LinearisedStep:
         chain, h = self._chain, s.h
         O = chain.carried(s.q)
         errors = chain.errors(O, s.pose)
-        terms = self._terms(s, errors)
+        common: Array = np.add.reduce(self._shares * errors)
+        terms = self._terms(s, errors, common)
         self._box.update(s.positions, s.v, h)
         guess = 2.0 * s.v - s.v_before
         start = guess
@@ -113,12 +116,11 @@ class LinearisedStep:
         predicted = errors + h * (answer.grasp_share * terms.grasp_corrections + terms.offsets + correction)
         # The velocities at the start and the middle of the first step stand in for those of two steps.
         stand_in = 2.0 * start - answer.velocity if s.first else s.v
-        return LinearisedAnswer(answer, stand_in, predicted, correction, terms, errors)
+        return LinearisedAnswer(answer, stand_in, predicted, correction, terms, errors, common)
 
-    def _terms(self, s: StepInput, errors: Array) -> StepTerms:
+    def _terms(self, s: StepInput, errors: Array, common: Array) -> StepTerms:
         """Corrections, bounded by one common factor; a gain never takes away more than the whole error in a step."""
         o = self._options
-        common = np.einsum("ki,ki->i", self._shares, errors)
         grasp = -min(o.grasp_gain, 1.0 / s.h) * (errors - common)
         path = -min(o.path_gain, 1.0 / s.h) * (common if s.measured is None else s.measured)
         to_world = np.zeros((6, 6))

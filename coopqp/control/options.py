@@ -14,7 +14,7 @@ from coopqp.control.forms import RankWeights
 from coopqp.control.solvers import QpSolver
 from coopqp.control.supervision import SupervisionOptions
 from coopqp.errors import InvalidInputError, UnknownNameError
-from coopqp.planning.preview import PreviewOptions
+from coopqp.planning.preview_options import PreviewOptions
 from coopqp.task.common_error import CommonError
 from coopqp.task.posture import PostureOptions
 

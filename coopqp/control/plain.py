@@ -29,7 +29,9 @@ from coopqp.model.chain import Chain
 from coopqp.model.grasp import Grasp
 from coopqp.model.limits import BindingLimit, LimitKind
 from coopqp.model.state import CellState
-from coopqp.planning.preview import KnotRoom, LookAheadTrouble, PathPreview, PreviewOptions
+from coopqp.planning.chain_ahead import KnotRoom, LookAheadTrouble
+from coopqp.planning.preview import PathPreview
+from coopqp.planning.preview_options import PreviewOptions
 from coopqp.spatial import Array
 from coopqp.task.guarded import GuardedPath, is_known
 from coopqp.task.path import ObjectPath
@@ -254,9 +256,7 @@ class PlainLoop:
             measured, trouble = supervision.accept_measurement(q_measured, s.q)
             if trouble:
                 measured, seen.watch = None, Watch.holding(trouble)
-        held = self._chain.carried(s.q)[0]
-        held = pin.SE3(held[:3].T.copy(), held[3].copy())
-        trouble, s.away = self._guarded.trouble(s.clock, seen.h, held, s.away)
+        trouble, s.away = self._guarded.trouble(s.clock, seen.h, self._held, s.away)
         if trouble:
             measured, seen.watch, seen.lost = None, Watch.holding(trouble), True
             s.predicted = None  # from another reference
@@ -297,6 +297,11 @@ class PlainLoop:
             return np.zeros(6) if watch.hold else None
         error: Array = (0.0 if watch.hold else watch.rate_cap) * (commanded + s.drift)
         return error
+
+    def _held(self) -> pin.SE3:
+        """The object's pose as the first arm holds it."""
+        held = self._chain.carried(self.state.q)[0]
+        return pin.SE3(held[:3].T.copy(), held[3].copy())
 
     def _object_at(self, q: Array, pose: pin.SE3) -> tuple[Array, Array]:
         """The object's error at a configuration (6,), and that of the object as each arm carries it (N, 6) [m, rad]."""
@@ -555,10 +560,11 @@ class PlainLoop:
 
     def _off_path(self, found: LinearisedAnswer) -> str:
         """How far the object is off its path, in words, as far as measurements tell; empty if it is on it."""
-        o, error = self.options, np.einsum("ki,ki->i", self._shares, found.errors)
+        o, error = self.options, found.common
         if self.state.drift is not None:
             error = error + self.state.drift
-        distance, angle = float(np.linalg.norm(error[:3])), float(np.linalg.norm(error[3:]))
+        x, y, z, *turn = error.tolist()
+        distance, angle = math.hypot(x, y, z), math.hypot(*turn)
         if not (distance > o.off_path_distance or angle > o.off_path_angle):
             return ""
         distance = float(np.linalg.norm(pin.exp6(error).translation))  # at most as long as that of the twist

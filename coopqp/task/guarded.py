@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import final
 
 import numpy as np
@@ -126,12 +127,12 @@ class GuardedPath:
             clock = ahead
         return found
 
-    def trouble(self, clock: float, h: float, held: pin.SE3, away: float) -> tuple[str, float]:
+    def trouble(self, clock: float, h: float, held: Callable[[], pin.SE3], away: float) -> tuple[str, float]:
         """What is wrong with the path's poses at ``clock`` and ``h`` later [s], if anything; and the new ``away``.
 
         Args:
             clock, h: the object's clock, and the length of the step [s].
-            held: the object's pose as it is held.
+            held: says the object's pose as it is held; asked for a user's path alone.
             away: its distance from the path in the last step [m]; infinite where the path begins.
         """
         if not self._own:
@@ -140,7 +141,7 @@ class GuardedPath:
         ahead = None if here is None else self.pose(clock + h)
         if here is None or ahead is None:
             return self.problem, away
-        now = pose_distance(here, held)
+        now = pose_distance(here, held())
         far = max(pose_distance(here, ahead), now - away)
         return ("", now) if far <= FASTEST_PATH * h else (jump(far, clock), away)
 

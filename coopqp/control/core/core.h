@@ -7,8 +7,10 @@
  *   paths.c       pose and twist of the object's path        chain.c       errors, corrections, joint velocities
  *   limits.c      admissible velocities, rates               program.c     the condensed QP and its answer
  *   ldp.c         least-distance programs                    watch.c       supervision, drift, forces
- *   preview.c     the path ahead of the clock                step.c        observe, propose, commit
- *   quiet.c       where further constraints are quiet
+ *   preview.c     the path ahead of the clock, with          step.c        observe, propose, commit
+ *     horizon.c     knots, and the largest rate at each        growth.c      more of them, one Newton step at a time
+ *     sharing.c     programs of the accelerations              chain_ahead.c the chain at one clock
+ *     redundancy.c  what redundant arms do at limits       quiet.c       where further constraints are quiet
  */
 
 #ifndef COOPQP_CORE_H

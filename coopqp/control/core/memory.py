@@ -13,7 +13,7 @@ from coopqp.control.options import QPOptions
 from coopqp.errors import ModelError
 from coopqp.model.chain import Chain
 from coopqp.model.links import joint_links
-from coopqp.planning.preview import PlanLimits, PreviewOptions
+from coopqp.planning.preview_options import PlanLimits, PreviewOptions
 from coopqp.spatial import Array
 
 
@@ -132,6 +132,7 @@ def _put_plan(chain: Chain, at: dict[str, Array], options: QPOptions, dt: float)
     plan = PlanLimits.of(chain.cell, options.preview, dt=dt)
     at["plan_speed"][:], at["plan_acceleration"][:] = plan.speed, plan.acceleration
     at["plan_jump"][:], at["slope_change"][:] = plan.jump, plan.slope_change
+    at["options"][layout.OPTIONS.index("SLOPE_CAP")] = plan.slope_cap
 
 
 def _put_options(numbers: Array, box: VelocityBox, o: QPOptions, dt: float) -> None:
@@ -152,13 +153,11 @@ def _put_options(numbers: Array, box: VelocityBox, o: QPOptions, dt: float) -> N
         "WATCHES_FORCE": s.stiffness is not None, "FORCE_LIMIT": s.force_limit, "SERVO_DELAY": s.servo_delay,
     }  # fmt: skip
     if p is not None:
-        slope = p.slope(accelerates=box.accelerates, dt=dt)
         values |= {
-            "RISE": slope, "LOOKS_AHEAD": 1.0, "CAPS_SPEED": box.accelerates, "CELL": p.cell,
-            "JOINT_STEP": p.joint_step,
+            "RISE": p.slope(accelerates=box.accelerates, dt=dt), "LOOKS_AHEAD": 1.0, "CAPS_SPEED": box.accelerates,
+            "CELL": p.cell, "JOINT_STEP": p.joint_step,
             "SLOPE_STEP": p.slope_step, "SHORTEST": p.shortest, "CURVATURE_SHARE": p.curvature_share, "DOUBT": p.doubt,
-            "SLOPE_CAP": 0.9 * slope if box.accelerates else slope, "SINGULAR_RATE": p.singular_rate,
-            "NEWTON_STEPS": p.newton_steps,
+            "SINGULAR_RATE": p.singular_rate, "NEWTON_STEPS": p.newton_steps,
         }  # fmt: skip
     for name, value in values.items():
         numbers[layout.OPTIONS.index(name)] = value

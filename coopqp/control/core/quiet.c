@@ -11,7 +11,7 @@ static double way_from(const Core *c, const double *x, const double *centre, con
 
 /* No further row binds the command, without asking for them. */
 static int quiet_step(const Core *c) {
-    const double h = c->proposal[DT], share = fmin(c->loop[QUIET_APPROACH] * h, 1.0);
+    const double h = c->proposal[DT], share = minimum(c->loop[QUIET_APPROACH] * h, 1.0);
     double run = 0.0;
     for (int j = 0; j < c->joints; j++) run += c->quiet_reach[j] * fabs(c->command[j]);
     return h * run < share * (c->loop[QUIET_SLACK] - way_from(c, c->positions, c->quiet_centre, c->quiet_reach));

@@ -10,6 +10,11 @@
 #include "program.c"
 #include "watch.c"
 #include "quiet.c"
+#include "sharing.c"
+#include "horizon.c"
+#include "redundancy.c"
+#include "chain_ahead.c"
+#include "growth.c"
 #include "preview.c"
 #include "step.c"
 

@@ -1,0 +1,200 @@
+/* Growth of the horizon: knots as far on as the chain can be followed, one Newton step at a time. The definition is
+ * coopqp/planning/growth.py. */
+
+#include "ahead.h"
+
+/* Growth has come to a pause between two knots. */
+static void rest_growth(Core *c) {
+    c->ahead[GROWING] = c->ahead[WAY] = 0.0;
+    c->ahead[BEGIN_AT] = INFINITY;
+}
+
+/* Half of what is left between a knot and where a constraint allows no rate, infinite where none is known. */
+static double half_way(const Core *c, const double *last) {
+    return c->ahead[BEYOND] > 0.0 ? 0.5 * (c->ahead[BEYOND_AT] - last[K_CLOCK]) : INFINITY;
+}
+
+static int singular_arm(const Core *c, int i) {
+    const double *slope = vector_of(c, c->knot_slope, i);
+    double largest = -1.0;
+    int fastest = 0;
+    for (int j = 0; j < c->joints; j++) {
+        const double share = fabs(slope[j]) / (isfinite(c->plan_speed[j]) ? c->plan_speed[j] : 1.0);
+        if (share > largest) largest = share, fastest = j;
+    }
+    return arm_of(c, fastest);
+}
+
+/* The object stops at knot i. */
+static void block_at(Core *c, int i, int arm, int joint, int kind) {
+    const int count = count_ahead(c, COUNT);
+    copy_knot(c, i, count);
+    if (i < count) knot(c, count)[K_SPAN] = 0.0; /* the same knot again */
+    knot(c, count)[K_CAP] = 0.0;
+    name_cause(knot(c, count) + K_KIND, kind, arm, joint);
+    push_knot(c);
+    rest_growth(c);
+}
+
+static void finish_path(Core *c) {
+    if (end_moving(c)) push_knot(c);
+    finish_horizon(c);
+    rest_growth(c);
+}
+
+/* Leave at knot `made` the chain where joint j is at `position`, between knots `last` and `made`: regula falsi. */
+static Trial close_in(Core *c, int last, int made, int j, double position) {
+    double start = knot(c, last)[K_CLOCK], end = knot(c, made)[K_CLOCK];
+    double miss_start = vector_of(c, c->knot_positions, last)[j] - position;
+    double miss_end = vector_of(c, c->knot_positions, made)[j] - position;
+    if (miss_start * miss_end >= 0.0) copy_knot(c, last, made); /* it is there already */
+    for (int i = 0; i < 8 && miss_start * miss_end < 0.0; i++) {
+        const double clock = start - miss_start * (end - start) / (miss_end - miss_start);
+        const double span = clock - knot(c, last)[K_CLOCK];
+        Trial found = PENDING;
+        for (int n = 0; found == PENDING && span > 1e-9; n++) found = try_knot(c, last, made + 1, span, n);
+        if (found == CANNOT_SAY) return CANNOT_SAY;
+        if (found == REJECTED) return FOUND;
+        copy_knot(c, found == FOUND ? made + 1 : last, made);
+        const double miss = vector_of(c, c->knot_positions, made)[j] - position;
+        if (!(fabs(miss) >= 1e-9)) return FOUND;
+        if (miss * miss_end > 0.0)
+            end = clock, miss_end = miss;
+        else
+            start = clock, miss_start = miss;
+    }
+    return FOUND;
+}
+
+/* Stop where the first joint meets a position limit between knots `last` and `made`; rejected if none does. A joint
+ * outside may come back in: only going further out is the end. */
+static Trial stop_at_limit(Core *c, int last, int made) {
+    const double *x = vector_of(c, c->knot_positions, last), *ahead = vector_of(c, c->knot_positions, made);
+    double first = INFINITY, position = 0.0;
+    int joint = -1;
+    for (int j = 0; j < c->joints; j++) {
+        const int over = ahead[j] > maximum(c->high[j], x[j]), under = ahead[j] < minimum(c->low[j], x[j]);
+        if (!over && !under) continue;
+        const double limit = over ? c->high[j] : c->low[j];
+        const double share = clamp((limit - x[j]) / (ahead[j] - x[j]), 0.0, 1.0);
+        if (share < first) first = share, joint = j, position = limit;
+    }
+    if (joint < 0) return REJECTED;
+    if (close_in(c, last, made, joint, position) == CANNOT_SAY) return CANNOT_SAY;
+    knot(c, made)[K_SPAN] = knot(c, made)[K_CLOCK] - knot(c, last)[K_CLOCK];
+    block_at(c, made, arm_of(c, joint), joint, POSITION);
+    return FOUND;
+}
+
+/* Begin the knot after the last known or tentative one, as far on as the chain may be followed in one go. */
+static void aim_ahead(Core *c) {
+    const double *last = knot(c, count_ahead(c, COUNT) + count_ahead(c, WAY) - 1), *o = c->options;
+    const double edge = next_breakpoint(c, last[K_CLOCK]);
+    double span = minimum(o[CELL], c->duration - last[K_CLOCK]);
+    if (last[K_FASTEST] > 0.0) span = minimum(span, o[JOINT_STEP] / last[K_FASTEST]);
+    if (last[K_SPAN] > 0.0 && last[K_CORNER] == 0.0) span = minimum(span, GROWTH * last[K_SPAN]);
+    if (last[K_CLOCK] + span > edge - 1e-9) span = edge - last[K_CLOCK];
+    c->ahead[TRY_SPAN] = minimum(span, half_way(c, last));
+    c->ahead[ITERATION] = 0.0;
+    c->ahead[GROWING] = 1.0;
+}
+
+/* Whether a user's path jumps right after a clock; 0 where it cannot be asked. */
+static int jumps_after(Core *c, double clock) {
+    double R0[9], p0[3], R1[9], p1[3];
+    const double ahead = minimum(clock + 2.0 * c->options[SHORTEST], c->duration);
+    if (!path_pose(c, clock, R0, p0) || !path_pose(c, ahead, R1, p1)) return 0;
+    return pose_distance(R0, p0, R1, p1) > FASTEST_PATH * (ahead - clock);
+}
+
+/* The chain cannot be followed past the last known knot, or past the singularity that the way leads to. */
+static void end_growth(Core *c) {
+    const int count = count_ahead(c, COUNT), way = count_ahead(c, WAY) > 0, at = way ? count : count - 1;
+    const double rate = c->options[SINGULAR_RATE];
+    if (!way && half_way(c, knot(c, at)) < 2.0 * c->options[SHORTEST]) {
+        block_at(c, at, -1, (int)c->ahead[BEYOND] - 1, CONSTRAINT);
+        return;
+    }
+    if (!way && jumps_after(c, knot(c, at)[K_CLOCK])) {
+        block_at(c, at, -1, -1, PATH_JUMP);
+        return;
+    }
+    const int arm = singular_arm(c, at);
+    /* Where it is as bad already, the object stays: else it would creep on with every new path. */
+    const int stays = way && knot(c, count - 1)[K_UNCAPPED] < rate * rate;
+    block_at(c, stays ? count - 1 : at, arm, -1, way ? SINGULARITY : REACH);
+}
+
+static void reject_trial(Core *c) {
+    c->ahead[TRY_SPAN] *= 0.5;
+    c->ahead[ITERATION] = 0.0;
+    if (!(c->ahead[TRY_SPAN] >= c->options[SHORTEST])) end_growth(c);
+}
+
+/* Whether the knot that was tried ends in a singularity, unless there is a way past it. */
+static int nears_singularity(const Core *c, int made) {
+    const double *k = knot(c, made), rate = c->options[SINGULAR_RATE];
+    return k[K_UNCAPPED] < rate * rate && k[K_FASTEST] > knot(c, made - 1)[K_FASTEST];
+}
+
+/* Take the knot that was tried into the way past a singularity. 1 where the joints slow down; 0 where the way goes on,
+ * or there is none and growth is over. */
+static int go_past(Core *c, int made) {
+    const int count = count_ahead(c, COUNT);
+    const double rate = PASSABLE * c->options[SINGULAR_RATE], end = next_breakpoint(c, knot(c, count)[K_CLOCK]) - 1e-9;
+    const double *k = knot(c, made);
+    const int first = made == count;
+    if (!first && (k[K_INSIDE] == 0.0 || k[K_UNCAPPED] < rate * rate || k[K_CLOCK] > end)) {
+        end_growth(c);
+        return 0;
+    }
+    c->ahead[WAY] += 1.0;
+    if (!first && k[K_FASTEST] < knot(c, made - 1)[K_FASTEST]) return 1;
+    if (c->ahead[WAY] >= LONGEST_WAY || k[K_CLOCK] >= end)
+        end_growth(c);
+    else
+        aim_ahead(c);
+    return 0;
+}
+
+/* Knots up to the one that was tried are known; 0 if the path, or a constraint, fails. */
+static int accept_trial(Core *c) {
+    const int last = count_ahead(c, COUNT) - 1, made = last + 1 + count_ahead(c, WAY);
+    if (made == last + 1 && knot(c, made)[K_INSIDE] == 0.0) {
+        const Trial stop = stop_at_limit(c, last, made);
+        if (stop != REJECTED) return stop == FOUND;
+    }
+    if ((made > last + 1 || nears_singularity(c, made)) && !go_past(c, made)) return 1;
+    const double edge = next_breakpoint(c, knot(c, last)[K_CLOCK]);
+    const int corner = fabs(knot(c, made)[K_CLOCK] - edge) < 1e-9 && edge < c->duration;
+    const int found = !corner || turn_corner(c, made);
+    for (int i = last; found && i < made; i++) push_knot(c);
+    rest_growth(c);
+    return found;
+}
+
+static int work_ahead(Core *c) {
+    const int count = count_ahead(c, COUNT), made = count + count_ahead(c, WAY);
+    if (made + 2 > MOST_KNOTS) return 0; /* close_in needs a knot beside the one that is tried */
+    if (c->ahead[GROWING] == 0.0) {
+        if (!(c->duration - knot(c, count - 1)[K_CLOCK] > 1e-12)) {
+            finish_path(c);
+            return 1;
+        }
+        aim_ahead(c);
+    }
+    if (half_way(c, knot(c, made - 1)) < c->options[SHORTEST]) {
+        end_growth(c);
+        return 1;
+    }
+    switch (try_knot(c, made - 1, made, c->ahead[TRY_SPAN], (int)c->ahead[ITERATION])) {
+    case PENDING: c->ahead[ITERATION] += 1.0; return 1;
+    case REJECTED: reject_trial(c); return 1;
+    case FOUND:
+        if (accept_trial(c)) return 1;
+        break;
+    case CANNOT_SAY: break;
+    }
+    rest_growth(c);
+    return -1;
+}

@@ -1,0 +1,271 @@
+"""The chain ahead of the clock: inverse kinematics and bounds of the rate at one clock, as a knot."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Generator
+from typing import NamedTuple, final
+
+import numpy as np
+
+from coopqp.model.chain import Chain
+from coopqp.model.inverse_kinematics import newton
+from coopqp.model.limits import BindingLimit, LimitKind
+from coopqp.planning.horizon import Knot, joint_limit
+from coopqp.planning.preview_options import PlanLimits, PreviewOptions
+from coopqp.planning.redundancy import LimitAvoidance
+from coopqp.planning.sharing import largest_alone
+from coopqp.spatial import Array, for_twists
+from coopqp.task.guarded import GuardedPath
+from coopqp.task.posture import Posture
+
+#: Intervals shorter than this are not halved for a change of slope [s].
+_FINE_CELL = 1e-3
+#: A slope that changes by more than this share within a short interval is of another branch.
+_OTHER_BRANCH = 0.5
+#: Intervals are halved where q″ changes by more than this share of the accelerations.
+_BEND_CHANGE = 0.3
+#: The twist before a corner or the end is taken this much earlier [s].
+_JUST_BEFORE = 1e-10
+#: Newton steps that the first knot may take, and that every other knot may take.
+_STARTING_STEPS, _MOST_TRIES = 8, 4
+#: Arms with few joints can follow a path if no more than this is left where Newton's method ends [m, rad].
+_FOLLOWED = 1e-4
+#: Newton steps shorter than this are the last: the next would be of the square of it [rad or m].
+_CONVERGED = 1e-5
+
+
+class KnotRoom(NamedTuple):
+    """What further constraints leave at a knot.
+
+    Attributes:
+        cap: largest σ²; negative where not even rest is admissible.
+        decrease, rise: largest changes of σ [1/s].
+        binding: what makes the cap.
+    """
+
+    cap: float
+    decrease: float
+    rise: float
+    binding: BindingLimit | None
+
+
+#: What further constraints leave at the knot at (clock, q, q′, q″), so long after the knot before [s]. It may raise
+#: :class:`LookAheadTrouble`.
+KnotBound = Callable[[float, Array, Array, Array, float], KnotRoom]
+#: Slopes (nv,) at (q, q′) with the self-motion of redundant arms that keeps off what is ahead.
+Evade = Callable[[Array, Array], Array]
+
+
+class LookAheadTrouble(Exception):  # noqa: N818
+    """A user's path, or a further constraint, cannot say what is ahead. Growth waits; the next step asks again."""
+
+
+@final
+class ChainAhead:
+    """See the module's description.
+
+    Args:
+        chain: a workspace; what it held is overwritten.
+        path: the object's path.
+        posture: what redundant arms do with their freedom.
+        plan: the limits that are planned with.
+        options: settings.
+        bound: what further constraints leave of the rate at a knot.
+        evade: self-motion that keeps redundant arms off what is ahead.
+
+    Attributes:
+        blind: arms with fewer than six joints cannot follow the path; nothing is known ahead.
+        beyond, beyond_at: a constraint that allows no rate, and the clock; None and infinite where none is known.
+    """
+
+    def __init__(
+        self,
+        chain: Chain,
+        path: GuardedPath,
+        posture: Posture,
+        plan: PlanLimits,
+        options: PreviewOptions,
+        bound: KnotBound | None,
+        evade: Evade | None = None,
+    ) -> None:
+        self._chain, self._path, self._posture, self._bound, self._evade = chain, path, posture, bound, evade
+        self._duration, self._options, self._plan = path.duration, options, plan
+        self._cell, self._avoidance = chain.cell, LimitAvoidance(chain)
+        self._low, self._high = chain.cell.limits.lower, chain.cell.limits.upper
+        self._step, self._slope = np.zeros(chain.nv), np.zeros(chain.nv)
+        self._errors = np.zeros((chain.n_arms, 6))
+        self.forget()
+
+    def forget(self) -> None:
+        """Nothing is known yet."""
+        self.blind, self.beyond_at = False, np.inf
+        self.beyond: BindingLimit | None = None
+
+    def first(self, q: Array, clock: float) -> Knot:
+        """The knot at a clock, from a configuration near; the object rests there where the chain does not get there."""
+        pose = self._path.pose(clock)
+        if pose is None:
+            raise LookAheadTrouble(self._path.problem)
+        q, errors = newton(self._chain, pose, q, tolerance=1e-10, max_iter=_STARTING_STEPS)
+        self.blind = self._beyond_few_joints(errors)
+        if not np.abs(errors).max() < 1e-6 and not self.blind:
+            arm = int(np.abs(errors).max(axis=1).argmax())
+            self._slope[:] = 0.0
+            reach = BindingLimit(self._cell.arm_names[arm], "", LimitKind.REACH)
+            return self._knot_at(clock, q, None)._replace(cap=0.0, binding=reach)
+        if not self._newton_step(clock, q, before=0.0):
+            self._slope[:] = 0.0
+        return self._knot_at(clock, q, None)
+
+    def attempt(self, last: Knot, h: float) -> Generator[None, None, Knot | None]:
+        """The chain at ``last.clock + h``, or None if Newton's method or the joints' slopes do not follow."""
+        clock, options = last.clock + h, self._options
+        bend = 0.0 * last.curvature if last.corner else last.curvature
+        q = self._cell.moved(last.q, (bend * (0.5 * h) + last.slope) * h)
+        for _ in range(_MOST_TRIES):
+            yield
+            if not self._newton_step(clock, q):
+                return None
+            largest = float(np.abs(self._step).max())
+            if not largest < options.joint_step:
+                return None
+            q = self._cell.moved(q, self._step)
+            if largest < _CONVERGED:
+                break
+        else:
+            return None
+        if self._beyond_few_joints(self._errors):
+            self.blind = True
+            return None
+        knot = self._knot_at(clock, q, last)
+        if not knot.cap > 0.0:
+            return None  # numbers overflow
+        if h > options.shortest and not h * knot.fastest <= 1.5 * options.joint_step:
+            return None
+        fine = h <= _FINE_CELL
+        if h > options.shortest and not knot.change <= (_OTHER_BRANCH if fine else options.slope_step) * knot.fastest:
+            return None
+        if not fine and not self._bends_slowly(knot, last):
+            return None
+        return self._constrained(knot)
+
+    def _bends_slowly(self, knot: Knot, last: Knot) -> bool:
+        """Whether q″ has changed by a small share of the accelerations since the interval before."""
+        if last.span == 0.0 or last.corner:
+            return True
+        change = float((np.abs(knot.curvature - last.curvature) / self._plan.acceleration).max())
+        if change <= _BEND_CHANGE:
+            return True  # at any rate
+        z = largest_alone(knot.slope, knot.curvature, self._plan.acceleration, self._plan.slope_cap, knot.cap)
+        return change * z <= _BEND_CHANGE
+
+    def _constrained(self, knot: Knot) -> Knot | None:
+        """A knot under the further constraints; None where they allow no rate."""
+        if self._bound is None:
+            return knot
+        room = self._bound(knot.clock, knot.q, knot.slope, knot.curvature, knot.span)
+        if not room.cap > 0.0:
+            self.beyond, self.beyond_at = room.binding, knot.clock
+            return None
+        if room.cap < knot.cap:
+            knot = knot._replace(cap=room.cap, binding=room.binding)
+        return knot._replace(fall=room.decrease, rise=room.rise)
+
+    def _beyond_few_joints(self, errors: Array) -> bool:
+        """Whether errors (N, 6) are left that arms with few joints cannot make up for."""
+        few = errors[list(self._chain.deficient)]
+        return few.size > 0 and not np.abs(few).max() < _FOLLOWED
+
+    def _newton_step(self, clock: float, q: Array, *, before: float = _JUST_BEFORE) -> bool:
+        """Newton's step from ``q`` to the pose at ``clock``, and q′ there; False if singular.
+
+        q′ is that for the twist a moment ``before`` the clock [s], which tells the sides of a jump apart.
+        """
+        chain, path = self._chain, self._path
+        pose = path.pose(clock)
+        twist = None if pose is None else path.twist(max(min(clock, self._duration) - before, 0.0))
+        if pose is None or twist is None:
+            raise LookAheadTrouble(path.problem)
+        errors = self._errors = chain.errors(chain.carried(q), pose)
+        if not np.abs(errors).max() < np.inf:
+            return False
+        chain.linearise(q, about=pose.translation)
+        to_world = for_twists(pose.rotation)
+        along = to_world @ twist
+        step, slope = self._step, self._slope
+        chain.joint_velocities(-errors @ to_world.T, step)
+        chain.joint_velocities(np.broadcast_to(along, (chain.n_arms, 6)), slope)
+        if chain.redundancy:
+            slope += chain.null_part(self._posture.velocity(q))
+            if self._evade is not None:
+                slope[:] = self._evade(q, slope)
+            self._avoidance.lead_away(self._cell.positions(q), slope)
+        return bool(step @ step + slope @ slope < np.inf)
+
+    def _knot_at(self, clock: float, q: Array, last: Knot | None) -> Knot:
+        """Bounds at a configuration on the path, from the slopes there (of the last Newton step) and those before."""
+        slope = self._slope.copy()
+        before, span = (slope, 1.0) if last is None else (last.slope, clock - last.clock)
+        speed, curvature = np.abs(slope), (slope - before) / span
+        bend = np.abs(curvature)
+        # How often each joint's limit is used up at full rate: z may be 1 over the square, or over the curvature's.
+        use_speed, use_bend = speed / self._plan.speed, bend / (self._options.curvature_share * self._plan.acceleration)
+        j_speed, j_bend = int(use_speed.argmax()), int(use_bend.argmax())
+        by_speed, by_bend = float(use_speed[j_speed]) ** 2, float(use_bend[j_bend])
+        # Without acceleration limits the step itself finds the cap by speed; it changes slowly under that by curvature.
+        cap = 1.0 / max(by_speed if self._plan.accelerates else by_bend, 1.0)
+        binding = None
+        if cap < 1.0:
+            binding = (
+                joint_limit(self._cell, j_speed, LimitKind.VELOCITY)
+                if self._plan.accelerates
+                else joint_limit(self._cell, j_bend, LimitKind.ACCELERATION)
+            )
+        x = self._cell.positions(q)
+        return Knot(
+            clock=clock,
+            q=q,
+            slope=slope,
+            curvature=curvature,
+            span=0.0 if last is None else span,
+            cap=cap,
+            uncapped=1.0 / max(by_speed, by_bend, 1.0),
+            binding=binding,
+            fastest=float(np.abs(slope).max()),
+            change=float((bend * span - self._plan.slope_change).max()),
+            inside=bool(((x <= self._high) & (x >= self._low)).all()),
+        )
+
+    def corner(self, knot: Knot) -> Knot:
+        """A knot where the twist jumps: slopes after it, and the rate at which the joints can take the jump."""
+        moves = self._newton_step(knot.clock + 1e-9, knot.q)
+        after = self._slope.copy() if moves else np.zeros_like(knot.slope)
+        cap, binding = knot.cap, knot.binding
+        if self._plan.accelerates:
+            use_speed = np.abs(after) / self._plan.speed
+            by_speed = 1.0 / max(float(use_speed.max()) ** 2, 1.0)
+            if by_speed < cap:
+                cap, binding = by_speed, joint_limit(self._cell, int(use_speed.argmax()), LimitKind.VELOCITY)
+            jump = self._jump_cap(after, knot.slope)
+            if jump < cap:
+                j = int((np.abs(after - knot.slope) / self._plan.jump).argmax())
+                cap, binding = jump, joint_limit(self._cell, j, LimitKind.ACCELERATION)
+        fastest = float(np.abs(after).max())
+        return knot._replace(slope=after, cap=cap, binding=binding, corner=True, fastest=fastest)
+
+    def _jump_cap(self, after: Array, before: Array) -> float:
+        """Largest σ² at which every joint can change its slope within one step."""
+        jump = np.abs(after - before)
+        moving = jump > 1e-9
+        if not moving.any():
+            return np.inf
+        return float((self._plan.jump[moving] / jump[moving]).min() ** 2)
+
+    def at_end(self, knot: Knot) -> Knot | None:
+        """The same knot where the path ends moving: the joints have one step to stop in; None if that needs no more."""
+        if not self._plan.accelerates:
+            return None
+        cap = self._jump_cap(np.zeros_like(knot.slope), knot.slope)
+        if cap >= knot.cap:
+            return None
+        return knot._replace(cap=cap, span=0.0, binding=BindingLimit("", "", LimitKind.PATH_END))
