@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -70,23 +70,31 @@ def bound_limits(recording: Recording) -> list[Bound]:
 
 
 def limit_name(limit: BindingLimit) -> str:
-    """Name of a limit for the plot, e.g. ``slave_1/joint_3 velocity``."""
+    """Name of a limit for the plot, e.g. ``slave_1/joint_3 velocity``, ``object and post``."""
+    if limit.between:
+        return " and ".join(limit.between)
     return " ".join(part for part in ("/".join(p for p in (limit.arm, limit.joint) if p), limit.kind.value) if part)
 
 
 def timeline_figure(recording: Recording, readings: Readings) -> Figure:
-    """Errors [mm] on a logarithmic axis, the rate σ in front of the statuses, and the limits that bound."""
+    """Errors [mm] on a logarithmic axis, the rate σ in front of the statuses, distances, and the limits that bound.
+
+    Distances are drawn where the recording has them; see :func:`coopqp.simulation.closeness.with_clearance`.
+    """
     require_matplotlib()
     from matplotlib.figure import Figure
 
     limits = bound_limits(recording)[:MAX_LIMITS]
-    rows = [3.0, 1.5] + ([0.25 + 0.22 * len(limits)] if limits else [])
+    clearance = recording.metadata.get("clearance")
+    rows = [3.0, 1.5] + ([1.5] if clearance else []) + ([0.25 + 0.22 * len(limits)] if limits else [])
     figure = Figure(figsize=(10.0, 0.9 + sum(rows)), facecolor="white", layout="constrained")
     panels = np.atleast_1d(figure.subplots(len(rows), 1, sharex=True, height_ratios=rows))
     _draw_errors(panels[0], recording, readings)
     _draw_rate(panels[1], recording)
+    if clearance:
+        _draw_clearance(panels[2], clearance)
     if limits:
-        _draw_limits(panels[2], limits)
+        _draw_limits(panels[-1], limits)
     for panel in panels:
         for side in ("top", "right"):
             panel.spines[side].set_visible(False)
@@ -126,6 +134,20 @@ def _draw_rate(axes: Any, recording: Recording) -> None:
     axes.grid(True, axis="y", color="#e3e6ea", lw=0.8)
     if named:
         axes.legend(frameon=False, fontsize=10, labelcolor=_INK, loc="center right")
+
+
+def _draw_clearance(axes: Any, clearance: Mapping[str, Any]) -> None:
+    """Least distance of all bodies over time, the closest point, and the margin."""
+    distances = 1e3 * np.array(clearance["distances_m"], dtype=float)
+    axes.plot(clearance["times_s"], distances, color=_INK, lw=1.6)
+    label = f"closest: {' and '.join(clearance['between'])}"
+    axes.plot(clearance["time_s"], 1e3 * clearance["closest_m"], "o", color=_ALERT, ms=5, label=label)
+    if clearance["avoided"]:
+        axes.axhline(1e3 * clearance["margin_m"], color=_FAINT, ls="--", lw=1.2, label="margin")
+    axes.set_ylim(min(0.0, 1.1 * float(distances.min())), max(1.15 * float(distances.max()), 1.0))
+    axes.set_ylabel("distance [mm]", fontsize=11, color=_INK)
+    axes.grid(True, axis="y", color="#e3e6ea", lw=0.8)
+    axes.legend(frameon=False, fontsize=10, labelcolor=_INK, loc="best")
 
 
 def _draw_limits(axes: Any, limits: Sequence[Bound]) -> None:
