@@ -394,26 +394,38 @@ def test_bad_scenes_are_refused_when_built(changes: dict[str, Any], error: type,
         CollisionScene.of(plate_and_post(), **changes)
 
 
-def _stl(file: Path, triangles: int) -> Path:
-    """A binary STL with a number of triangles."""
-    points = np.random.default_rng(0).random((triangles, 3, 3), dtype=np.float32)
-    rows = np.zeros(triangles, dtype=[("n", "<f4", 3), ("v", "<f4", (3, 3)), ("a", "<u2")])
-    rows["v"] = points
-    file.write_bytes(b"\0" * 80 + np.uint32(triangles).tobytes() + rows.tobytes())
+def _stl(file: Path, corners: Any) -> Path:
+    """A binary STL of triangles (n, 3, 3)."""
+    rows = np.zeros(len(corners), dtype=[("n", "<f4", 3), ("v", "<f4", (3, 3)), ("a", "<u2")])
+    rows["v"] = corners
+    file.write_bytes(b"\0" * 80 + np.uint32(len(corners)).tobytes() + rows.tobytes())
     return file
+
+
+def _cubes(centres: Any) -> Any:
+    """Triangles of cubes with sides of 0.1 m, their normals outwards."""
+    faces = []
+    for axis in range(3):
+        for side in (-1.0, 1.0):
+            e, f = np.eye(3)[(axis + 1) % 3], np.eye(3)[(axis + 2) % 3]
+            middle = side * np.eye(3)[axis]
+            a, b, c, d = (middle + x * e + y * f for x, y in ((-1, -1), (1, -1), (1, 1), (-1, 1)))
+            faces += [[a, b, c], [a, c, d]] if side > 0.0 else [[a, c, b], [a, d, c]]
+    return np.concatenate([0.05 * np.array(faces) + centre for centre in np.asarray(centres, dtype=float)])
 
 
 @pytest.mark.parametrize(("triangles", "said"), [(0, "mesh"), (1_000_000, "triangles")])
 def test_empty_and_huge_meshes_are_refused(tmp_path: Path, triangles: int, said: str) -> None:
-    mesh = Mesh(_stl(tmp_path / "mesh.stl", triangles))
+    mesh = Mesh(_stl(tmp_path / "mesh.stl", np.random.default_rng(0).random((triangles, 3, 3), dtype=np.float32)))
     with pytest.raises(InvalidInputError, match=said):
         CollisionScene.of(plate_and_post(), obstacles=[Body("rock", mesh)])
 
 
 def test_a_hull_much_larger_than_its_mesh_is_named(tmp_path: Path) -> None:
-    mesh = Mesh(_stl(tmp_path / "mesh.stl", 50))
-    scene = CollisionScene.of(plate_and_post(), obstacles=[Body("rock", mesh)])
-    assert any("rock" in note for note in scene.notes) or scene.notes == ()
+    cube, pair = _cubes([[0, 0, 0]]), _cubes([[0, 0, 0], [0.4, 0, 0]])  # the hull of two is 2.5 times their volume
+    meshes = [Body(name, Mesh(_stl(tmp_path / f"{name}.stl", c))) for name, c in (("cube", cube), ("pair", pair))]
+    scene = CollisionScene.of(plate_and_post(), obstacles=meshes)
+    assert scene.notes == ("the hull of the mesh of pair has 2.5 times its volume",)
 
 
 # -- scenes --------------------------------------------------------------------------------------------------------
