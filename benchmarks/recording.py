@@ -25,10 +25,8 @@ import matplotlib.pyplot  # noqa: F401
 import numpy as np
 from common import Record
 
-from coopqp import QPController, Recording, WaypointPath, check_run, simulate
-from coopqp.look.report import write_report
+from coopqp import QPController, Recording, WaypointPath, check_run, judge, read_run, simulate, write_report
 from coopqp.scenarios import paper_lift
-from coopqp.simulation.assessment import judge, read_run
 
 KEYS = ("stage", "steps", "arms", "memory_MB", "target_MB", "cpu_s", "file_MB", "good")
 #: Target: resident memory of a stage above its start [MB], at any length of the run.

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import os
-import secrets
 import signal
 import threading
 from collections.abc import Callable, Iterator, Mapping
@@ -142,7 +141,7 @@ def whole_file(file: Path) -> Iterator[IO[bytes]]:
 
 def _temporary(file: Path) -> Path:
     """A name beside a file for what will become the file."""
-    return file.with_name(f".{file.name}.{secrets.token_hex(4)}.tmp")
+    return file.with_name(f".{file.name}.{os.urandom(4).hex()}.tmp")
 
 
 def write_files(contents: Mapping[Path, bytes]) -> list[Path]:

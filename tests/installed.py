@@ -34,7 +34,7 @@ COMMANDS: dict[str, tuple[list[str], set[str]]] = {
 #: Name: program, and the extras that it needs.
 PROGRAMS: dict[str, tuple[str, set[str]]] = {
     "an arm of example-robot-data": (
-        "from coopqp.scenarios import robot_arm; assert robot_arm('panda').nv >= 7",
+        "from coopqp.scenarios import robot_arm; assert robot_arm('panda').model.nv >= 7",
         {"robots"},
     ),
     "the solver quadprog": ("from coopqp import make_solver; make_solver('quadprog')", {"solvers"}),
@@ -70,6 +70,7 @@ def main() -> int:
     arguments = parser.parse_args()
     extras = {e for e in metadata.metadata("coopqp").get_all("Provides-Extra") or [] if e not in ("dev", "mutation")}
     given = extras if "all" in arguments.extras else set(arguments.extras)
+    given |= {"plot"} if "planning" in given else set()  # toppra brings Matplotlib
     assert given <= extras, (given, extras)
     warnings.simplefilter("ignore")
     import coopqp
@@ -82,7 +83,8 @@ def main() -> int:
     with tempfile.TemporaryDirectory() as folder:
         os.chdir(folder)
         example = done([program, "schema", "--example"]).stdout
-        Path("cell.toml").write_text(example.replace("report = true", ""), encoding="utf-8")
+        limited = example.replace('robot = "rx90l"', 'robot = "rx90l"\nlimits = { acceleration_deg_per_s2 = 600 }')
+        Path("cell.toml").write_text(limited.replace("report = true", ""), encoding="utf-8")
         for name, (command, needs) in COMMANDS.items():
             result = done([program, *command])
             wrong[name] = told(needs, given, result)

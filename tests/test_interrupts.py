@@ -12,9 +12,8 @@ from typing import Any
 import pytest
 
 import coopqp.output
-from coopqp import Recording
+from coopqp import Recording, write_bag, write_csv
 from coopqp.app.runs import write_products
-from coopqp.files.export import write_bag, write_csv
 from coopqp.output import Interrupts, whole_file, write_files
 from coopqp.simulation import recording, rows
 

@@ -17,12 +17,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
-from coopqp import Monitor, QPController, Recording, RecordingError, simulate
+from coopqp import Monitor, QPController, Recording, RecordingError, judge, read_run, simulate
 from coopqp.look import plots
 from coopqp.scenarios import Scenario, at_limit
 from coopqp.simulation import recording as recordings
 from coopqp.simulation import rows
-from coopqp.simulation.assessment import judge, read_run
 
 ARRAYS = ("time", "q", "q_command", "velocity", "clock", "rate", "status", "reference", "T_object_tool")
 

@@ -91,7 +91,9 @@ def driven(task: Scenario, *, longest: float) -> tuple[Array, Array, Any]:
 # -- the caps ----------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("speed", "acceleration"), [(0.4, 3.0), (np.inf, 0.6), (0.25, 20.0)])
+@pytest.mark.parametrize(
+    ("speed", "acceleration"), [(0.4, 3.0), pytest.param(np.inf, 0.6, marks=pytest.mark.slow), (0.25, 20.0)]
+)
 def test_caps_are_those_of_path_timing_by_brute_force(speed: float, acceleration: float) -> None:
     """K(τ): the largest z = σ² from which an admissible σ̇ leads to K a little later, backwards over a table of q(τ)."""
     task = paper_lift(time_law=TimeLaw.QUINTIC, duration=1.5)

@@ -23,7 +23,10 @@ ROOMS = (
 )  # fmt: skip
 PUBLIC = ("coopqp", *(f"coopqp.{room}" for room in ROOMS if room != "app"))
 #: Packages with names that are imported on first use.
-LAZY = ("coopqp", "coopqp.collision", "coopqp.control", "coopqp.simulation", "coopqp.files")
+LAZY = (
+    "coopqp", "coopqp.collision", "coopqp.control", "coopqp.simulation", "coopqp.files", "coopqp.look",
+    "coopqp.planning",
+)  # fmt: skip
 #: Scripts that measure the parts of a step.
 INSIDE = (
     "benchmarks/peer",

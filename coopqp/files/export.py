@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import csv
 import io
+import os
 import re
-import secrets
 import shutil
 from collections.abc import Iterator
 from pathlib import Path
@@ -166,7 +166,7 @@ def write_bag(recording: Recording, folder: str | Path, *, cell: RobotCell | Non
         raise OutputError(f"cannot write the bag {target}: it exists. Remove it, or give another folder.")
     check_folder(target.parent)
     messages = _Messages(get_typestore(Stores.ROS2_JAZZY), cell, recording, start)
-    temporary = target.with_name(f".{target.name}.{secrets.token_hex(4)}.tmp")
+    temporary = target.with_name(f".{target.name}.{os.urandom(4).hex()}.tmp")
     with folder_of(target):
         try:
             with Writer(temporary, version=9, storage_plugin=StoragePlugin.MCAP) as writer:

@@ -81,12 +81,15 @@ def report_html(
     readings = read_run(cell, recording)
     findings = judge(cell, recording, readings, tolerances=tolerances)
     title, made = _title(recording)
+    figures = _figures(cell, recording, readings)
     tell("drawing the plots")
+    over_time = _picture(timeline_figure(recording, readings), "errors, rate and limits over time")
+    del readings  # of a long run they are large
     body = [
         f"<h1>{_text(title)}</h1><p class=sub>{_text(made)}</p>",
         _verdict(findings),
-        _section("Figures", _figures(cell, recording, readings)),
-        _section("Over time", _picture(timeline_figure(recording, readings), "errors, rate and limits over time")),
+        _section("Figures", figures),
+        _section("Over time", over_time),
         _section("Joints against their limits", _picture(plots.joint_figure(cell, recording), "joints over time")),
         _section("The motion", _motion(cell, recording)),
         _section("Limits that bound", _limits(recording)),

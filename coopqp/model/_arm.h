@@ -65,24 +65,6 @@ static void place(const Arm *a, const double *q, double *T, double *jacobian) {
     }
 }
 
-/* Rotation vector of R, any angle up to half a turn: from the largest entry of its quaternion. */
-static void rotation_vector(const double *R, double *w) {
-    double x[4] = {1.0 + R[0] + R[4] + R[8], 1.0 + R[0] - R[4] - R[8], 1.0 - R[0] + R[4] - R[8], 1.0 - R[0] - R[4] + R[8]};
-    int k = 0;
-    for (int i = 1; i < 4; i++)
-        if (x[i] > x[k]) k = i;
-    const double a = R[7] - R[5], b = R[2] - R[6], c = R[3] - R[1];
-    const double d = R[3] + R[1], e = R[2] + R[6], f = R[7] + R[5];
-    double v[4];
-    if (k == 0) v[0] = x[0], v[1] = a, v[2] = b, v[3] = c;
-    else if (k == 1) v[0] = a, v[1] = x[1], v[2] = d, v[3] = e;
-    else if (k == 2) v[0] = b, v[1] = d, v[2] = x[2], v[3] = f;
-    else v[0] = c, v[1] = e, v[2] = f, v[3] = x[3];
-    const double norm = sqrt(dot3(v + 1, v + 1)), sign = v[0] < 0.0 ? -1.0 : 1.0;
-    const double ratio = norm > 0.0 ? 2.0 * atan2(norm, sign * v[0]) / norm : 0.0;
-    for (int i = 0; i < 3; i++) w[i] = sign * ratio * v[1 + i];
-}
-
 /* What leads from T to the target: displacement and rotation vector in world axes. Returns the largest entry. */
 static double error_of(const double *T, const double *target, double *e) {
     double D[9], largest = 0.0;

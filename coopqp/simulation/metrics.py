@@ -12,13 +12,14 @@ import pinocchio as pin
 from coopqp.errors import InvalidInputError
 from coopqp.model.cell import RobotCell
 from coopqp.model.grasp import Grasp
+from coopqp.model.state import workspace
 from coopqp.spatial import Array
 from coopqp.task.path import ObjectPath
 
 
 def tool_placements(cell: RobotCell, configurations: Any) -> list[list[pin.SE3]]:
     """T_world_tool of every arm at every configuration (T, nq), directly from Pinocchio's frames."""
-    data = cell.model.createData()
+    data = workspace(cell)
     out = []
     for q in _table(configurations, cell.nq, "configurations"):
         pin.framesForwardKinematics(cell.model, data, q)
@@ -62,7 +63,7 @@ def tool_matrices(cell: RobotCell, configurations: Array) -> tuple[Array, Array]
 
     A column of the Jacobian is the twist that a joint gives to all that it carries, in the world frame at its origin.
     """
-    data, joints = cell.model.createData(), cell.tool_joints
+    data, joints = workspace(cell), cell.tool_joints
     carriers = [data.oMi[j] for j in joints]  # they move along with the data
     T, J = np.empty((len(configurations), len(joints), 4, 4)), np.empty((len(configurations), 6, cell.nv))
     for i, q in enumerate(configurations):

@@ -8,11 +8,10 @@ from __future__ import annotations
 
 import mmap
 import struct
-import tempfile
 import zipfile
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
-from typing import IO, Any, final
+from typing import IO, Any, cast, final
 
 import numpy as np
 import numpy.typing as npt
@@ -56,7 +55,7 @@ class Rows:
     def _put(self) -> None:
         filled = self._block[: self._filled]
         if self._file is None and self._rows * self._block[0].nbytes > MOST_IN_MEMORY:
-            self._file = tempfile.TemporaryFile()  # noqa: SIM115 (it lives as long as its rows)
+            self._file = _file_without_name()
             for block in self._blocks:
                 self._file.write(block.tobytes())
             self._blocks.clear()
@@ -75,6 +74,12 @@ class Rows:
             return read_only(np.concatenate(self._blocks) if self._blocks else np.empty(shape))
         self._file.flush()
         return _mapped(self._file, 0, shape)
+
+
+def _file_without_name() -> IO[bytes]:
+    import tempfile  # late: it imports much
+
+    return cast(IO[bytes], tempfile.TemporaryFile())
 
 
 def _mapped(file: Any, offset: int, shape: tuple[int, ...]) -> Array:
@@ -167,7 +172,7 @@ def _read_entry(archive: zipfile.ZipFile, entry: zipfile.ZipInfo, file: Path) ->
             if place + _size(shape) > file.stat().st_size:
                 raise ValueError(f"'{entry.filename}' ends behind the file")
             return _mapped(file, place, shape)
-        copy = tempfile.TemporaryFile()  # noqa: SIM115 (it lives as long as the array)
+        copy = _file_without_name()
         while block := member.read(_COPIED):
             copy.write(np.frombuffer(block, dtype=kind).astype("<f8").tobytes())
         copy.flush()

@@ -8,12 +8,12 @@ from typing import Any, final
 
 import numpy as np
 
+from coopqp import planning
 from coopqp.checks import as_scalar, read_only
 from coopqp.control.command import Controller, ControlStep, Status
 from coopqp.errors import InvalidInputError
 from coopqp.model.cell import RobotCell
 from coopqp.model.limits import BindingLimit
-from coopqp.planning.starts import find_start
 from coopqp.simulation.notes import Notes
 from coopqp.simulation.plants.kinematic import KinematicPlant, Plant
 from coopqp.simulation.recording import Recording, entries_of
@@ -82,7 +82,7 @@ def simulate(
     if metadata is not None and not isinstance(metadata, dict):
         raise InvalidInputError(f"a {type(metadata).__name__}", "simulate: metadata", "Give a dictionary.")
     if q_start is None:
-        q_start = find_start(cell, controller.grasp, controller.path).q
+        q_start = planning.find_start(cell, controller.grasp, controller.path).q
     measured = plant.reset(q_start)
     controller.reset(measured)
     recorder = _Recorder(controller, measured)

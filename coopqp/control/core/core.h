@@ -10,7 +10,8 @@
  *   preview.c     the path ahead of the clock, with          step.c        observe, propose, commit
  *     horizon.c     knots, and the largest rate at each        growth.c      more of them, one Newton step at a time
  *     sharing.c     programs of the accelerations              chain_ahead.c the chain at one clock
- *     redundancy.c  what redundant arms do at limits       quiet.c       where further constraints are quiet
+ *     redundancy.c  what redundant arms do at limits       servo.c       new targets
+ *     quiet.c       where further constraints are quiet
  */
 
 #ifndef COOPQP_CORE_H
@@ -57,6 +58,9 @@ typedef struct {
     void (*linearise)(const Core *c, const double *positions, const double *about, double *carried, double *jacobian);
     int (*least_distance)(int n, int m, const double *A, const double *low, const double *high, const double *lb,
                           const double *ub, double reach, double *x, double *y, double *work);
+    /* Go over to the way to a new target if the rate of its first step need not fall, or where the object rests: 1, with
+     * the path in `numbers`; 0 if not yet; −1 if an arm is singular. `full` is the largest rate asked for. */
+    int (*go_over)(Core *c, const double *goal, double speed, double spin, double full, double *numbers);
 } Arithmetic;
 
 extern const Arithmetic arithmetic_plain, arithmetic_avx2;

@@ -175,7 +175,7 @@ static int accept_trial(Core *c) {
 
 static int work_ahead(Core *c) {
     const int count = count_ahead(c, COUNT), made = count + count_ahead(c, WAY);
-    if (made + 2 > MOST_KNOTS) return 0; /* close_in needs a knot beside the one that is tried */
+    if (made + 2 + count_ahead(c, KEPT) > MOST_KNOTS) return 0; /* close_in needs a knot beside the one that is tried */
     if (c->ahead[GROWING] == 0.0) {
         if (!(c->duration - knot(c, count - 1)[K_CLOCK] > 1e-12)) {
             finish_path(c);

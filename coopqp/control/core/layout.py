@@ -54,6 +54,13 @@ CONSTANTS: dict[str, float] = {
     "MOST_TRIES": 4,  # Newton steps that a knot may take
     "STARTING_STEPS": 8,  # Newton steps that the first knot may take
     "CONVERGED": 1e-5,  # Newton steps shorter than this are the last [rad or m]
+    # new targets
+    "STILL_OBJECT": 1e-6,  # an object this slow rests [m/s, rad/s]
+    "NOWHERE": 1e-9,  # shorter ways are none [s, at full speed]
+    "SHORTEST_CHANGE": 1e-4,  # the shortest time in which the motion changes [s]
+    "CHANGE_SHARE": 0.7,  # share of the accelerations that a change of the motion is planned with
+    "SPEEDS": 50,  # shares of the full speed that are compared
+    "RATE_TOLERANCE": 1e-9,  # a rate that falls by less does not fall
     # supervision
     "STILL_COMMAND": 1e-5,  # commanded motion of an arm below this says nothing of a stall [rad or m]
     "FOLLOWS": 0.5,  # an arm that moves by more than this share of its command follows it
@@ -114,7 +121,7 @@ WATCH = (
 )  # fmt: skip
 AHEAD = (
     "HEAD", "COUNT", "KNOWN", "FRESH", "COMPLETE", "ENDS", "FREE_UNTIL", "BEGIN_AT",
-    "GROWING", "TRY_SPAN", "ITERATION", "WAY", "BEYOND", "BEYOND_AT",
+    "GROWING", "TRY_SPAN", "ITERATION", "WAY", "BEYOND", "BEYOND_AT", "KEPT",
 )  # fmt: skip
 #: Numbers of a knot beside its vectors.
 KNOT = (

@@ -35,13 +35,17 @@ static double cap_on_horizon(Core *c, double clock, double dt, int *cause) {
     return rate;
 }
 
-static void preview_reset(Core *c, double clock) {
+static void preview_try(Core *c, double clock, int kept) {
+    const int head = kept ? place_of(c, kept) : 0;
     memset(c->ahead, 0, sizeof(double) * N_AHEAD);
+    c->ahead[HEAD] = head, c->ahead[KEPT] = kept;
     c->ahead[FREE_UNTIL] = -INFINITY;
     c->ahead[BEGIN_AT] = INFINITY;
     if (first_knot(c, clock)) push_knot(c);
     if (c->ahead[COUNT] > 0.0) extend_horizon(c, clock, c->options[NOMINAL_DT], NEWTON_STEPS_AT_START);
 }
+
+static void preview_reset(Core *c, double clock) { preview_try(c, clock, 0); }
 
 static double preview_cap(Core *c, double clock, double dt) {
     double *a = c->ahead;

@@ -17,10 +17,11 @@
 #include "growth.c"
 #include "preview.c"
 #include "step.c"
+#include "servo.c"
 
 #ifndef ARITHMETIC
 #define ARITHMETIC arithmetic_plain
 #endif
 
-const Arithmetic ARITHMETIC = {start,       start_path, observe, propose,             answer,        commit,
-                               read_answer, quiet_step, carry,   carry_and_linearise, least_distance};
+const Arithmetic ARITHMETIC = {start,       start_path, observe, propose,             answer,         commit,
+                               read_answer, quiet_step, carry,   carry_and_linearise, least_distance, go_over};

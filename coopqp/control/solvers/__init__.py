@@ -8,7 +8,6 @@ forces that route for a backend that could be kept.
 
 from __future__ import annotations
 
-from importlib.metadata import metadata
 from importlib.util import find_spec
 from typing import Any
 
@@ -83,6 +82,8 @@ def make_solver(name: str | QpSolver, settings: Any = None) -> QpSolver:
         if backend in _OF_OUR_EXTRA:
             raise MissingExtraError("solvers", backend)
         extra = backend.partition("_")[0]
+        from importlib.metadata import metadata  # late: it imports much
+
         if extra in (metadata("qpsolvers").get_all("Provides-Extra") or ()):
             raise MissingSolverError(name, f"pip install 'qpsolvers[{extra}]'")
         raise UnknownNameError("QP solver", name, available_solvers())

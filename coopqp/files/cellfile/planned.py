@@ -10,7 +10,7 @@ from typing import Any
 
 from coopqp.files.cellfile.build import DEFAULT_DT, CellRun
 from coopqp.files.cellfile.paths import resolve
-from coopqp.planning.plan import Plan
+from coopqp.planning.planner import Plan
 
 
 def planned_text(run: CellRun, plan: Plan, *, folder: Path, into: Path) -> str:

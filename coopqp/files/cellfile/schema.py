@@ -44,7 +44,7 @@ MAX_STEPS, MAX_WAYPOINTS = 1_000_000, 1_000
 
 
 class LimitsTable(Table):
-    """Limits in place of the model's: one number for all joints, or one per joint; ``inf`` means no limit."""
+    """Limits in place of the model's: one number for joints of one kind, or one per joint; ``inf`` means no limit."""
 
     lower_deg: PerJoint | None = Field(default=None, description="lowest position")
     upper_deg: PerJoint | None = Field(default=None, description="highest position")

@@ -333,7 +333,7 @@ class PhysicsPlant:
         R_object = tools[0].rotation @ self.grasp.T_object_tool[0].rotation.T
         weight = -self.object_mass * np.array(self.options.gravity)
         forces, points = self._load[:, :3], np.array([T.translation for T in tools])
-        # about the world's origin
+        # about the world's origin, like J
         moments = cross(self._load[:, 3:] @ R_object.T, weight[None]) + cross(points, forces)
         for k, s in enumerate(self.cell.v_slices):
             out[s] = forces[k] @ J[:3, s] + moments[k] @ J[3:, s]
