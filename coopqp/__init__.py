@@ -6,6 +6,7 @@ Each room of the package is one part of the flow:
 * ``task``: the path of the object, the weights of the arms, the posture;
 * ``planning``: before the motion starts and the check of a path; in motion the look ahead of the object's clock;
 * ``control``: one step, from the measured configuration to the command;
+* ``collision``: shapes, pairs and distances, and the constraint that keeps them;
 * ``forces``: the wrenches between the arms and the object;
 * ``simulation``: plants, the loop, recordings and their assessment;
 * ``scenarios``: ready cells and tasks;
@@ -72,6 +73,7 @@ if TYPE_CHECKING:
     from coopqp.planning.preview_options import PreviewOptions
     from coopqp.scenarios.robots import robot_path
     from coopqp.simulation.assessment import Finding, Readings, Tolerances, judge, read_run
+    from coopqp.simulation.closeness import Closeness, Closest
     from coopqp.simulation.metrics import (
         chain_error,
         limit_excess,
@@ -196,6 +198,7 @@ else:
             "coopqp.output": ("OutputError",),
             "coopqp.scenarios.robots": ("robot_path",),
             "coopqp.simulation.assessment": ("Finding", "Readings", "Tolerances", "judge", "read_run"),
+            "coopqp.simulation.closeness": ("Closeness", "Closest"),
             "coopqp.simulation.metrics": (
                 "chain_error",
                 "limit_excess",
@@ -232,6 +235,8 @@ __all__ = [
     "BusyError",
     "CellFileError",
     "CellState",
+    "Closeness",
+    "Closest",
     "CommonError",
     "ControlStep",
     "Controller",

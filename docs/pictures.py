@@ -52,6 +52,7 @@ PROGRAMS: Mapping[str, tuple[str, ...]] = {
     "python docs/examples/20_as_fast_as_possible.py --out {out}": ("docs/tutorials/speed_profile.png",),
     "python docs/examples/21_four_cells.py --out {out}": ("docs/howto/four_cells.png",),
     "python docs/examples/22_cell_file.py --out {out}": ("docs/howto/cell_file.png",),
+    "python docs/examples/23_nothing_touches.py --out {out}": ("docs/tutorials/nothing_touches.png",),
 }
 #: Programs of this kind need Chromium (`make browser`).
 NEEDS_BROWSER = "docs/screenshots.py"

@@ -51,7 +51,7 @@ compiled = pytest.importorskip("coopqp.control.core.compiled", reason="the core 
 
 #: The one that this processor runs, and the one that any can.
 ARITHMETICS = ("auto", "plain")
-NOMINAL, RAY, QP, FILLED, OPEN = range(len(layout.OUTCOMES))
+NOMINAL, RAY, QP, FILLED, OPEN, ASK = range(len(layout.OUTCOMES))
 SCENARIOS = [paper_lift, dual_arm7, mixed_cell, at_limit]
 
 

@@ -18,10 +18,15 @@ import coopqp
 
 ROOT = Path(__file__).parents[1]
 PACKAGE = ROOT / "coopqp"
-ROOMS = ("model", "task", "planning", "control", "forces", "simulation", "scenarios", "files", "look", "app")
+ROOMS = (
+    "model", "task", "planning", "control", "collision", "forces", "simulation", "scenarios", "files", "look", "app",
+)  # fmt: skip
 PUBLIC = ("coopqp", *(f"coopqp.{room}" for room in ROOMS if room != "app"))
 #: Packages with names that are imported on first use.
-LAZY = ("coopqp", "coopqp.control", "coopqp.simulation", "coopqp.files", "coopqp.look", "coopqp.planning")
+LAZY = (
+    "coopqp", "coopqp.collision", "coopqp.control", "coopqp.simulation", "coopqp.files", "coopqp.look",
+    "coopqp.planning",
+)  # fmt: skip
 #: Scripts that measure the parts of a step.
 INSIDE = (
     "benchmarks/peer",
@@ -119,7 +124,18 @@ def test_errors_and_options_are_all_public() -> None:
 
 def test_types_in_signatures_of_public_functions_are_public() -> None:
     """What a public function takes or returns can be named by its user."""
-    known = {*coopqp.__all__, "Any", "ArrayLike", "None", "Path", "Sequence", "Mapping", "Callable", "Literal"}
+    known = {
+        *coopqp.__all__,
+        *importlib.import_module("coopqp.collision").__all__,
+        "Any",
+        "ArrayLike",
+        "None",
+        "Path",
+        "Sequence",
+        "Mapping",
+        "Callable",
+        "Literal",
+    }
     internal = {"CellRun", "ProgressCallback"}  # returned by load_cell_file, which needs an extra; a plain callable
     for name in coopqp.__all__:
         thing = getattr(coopqp, name)

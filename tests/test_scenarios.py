@@ -43,7 +43,7 @@ from coopqp.scenarios import (
 from coopqp.scenarios.arms import robot_data_path
 
 #: Scenarios with a path that the arms can follow to its end at full rate.
-EASY = [name for name in SCENARIOS if name not in ("fast_lift", "at_limit", "at_singularity")]
+EASY = [name for name in SCENARIOS if name not in ("fast_lift", "at_limit", "at_singularity", "random_posts")]
 
 
 def along(task: Scenario, samples: int = 40, *, beyond_limits: bool = True) -> Iterator[tuple[float, CellState]]:

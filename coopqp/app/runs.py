@@ -6,9 +6,12 @@ import shutil
 from collections.abc import Callable, Iterable
 from pathlib import Path
 
+from coopqp.collision.clearance import Clearance
+from coopqp.collision.scene import CollisionScene
 from coopqp.control.qp import QPController
 from coopqp.errors import UnknownNameError
 from coopqp.output import OutputError, check_folder, check_unused, folder_of, numbered
+from coopqp.simulation.closeness import default_scene, with_clearance
 from coopqp.simulation.recording import Recording
 from coopqp.simulation.scene import describe_object, read_object
 from coopqp.simulation.simulate import ProgressCallback, simulate
@@ -74,10 +77,15 @@ def obtain_run(name: str, *, progress: ProgressCallback | None = None, meshes: b
     if name not in SCENARIOS:
         raise UnknownNameError("recording (.npz), cell file (.toml, .yaml) or scenario", name, SCENARIOS)
     scenario = SCENARIOS[name]()
-    controller = QPController(scenario.cell, scenario.grasp, scenario.path, dt=scenario.dt)
+    scene, constraints = default_scene(scenario), []
+    if scenario.obstacles:
+        scene = CollisionScene.of(scenario)
+        constraints = [Clearance(scene)]
+    controller = QPController(scenario.cell, scenario.grasp, scenario.path, dt=scenario.dt, constraints=constraints)
     box = describe_object(scenario.object_size, scenario.T_object_body)
     metadata = {"scenario": scenario.name, "method": "qp", "object": box}
-    return simulate(controller, q_start=scenario.q_start, progress=progress, metadata=metadata)
+    run = simulate(controller, q_start=scenario.q_start, progress=progress, metadata=metadata)
+    return with_clearance(run, scene, avoided=bool(constraints))
 
 
 def output_folder(name: str, asked: str | None, products: Iterable[str], *, out: Path | None, force: bool) -> Path:

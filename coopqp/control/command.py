@@ -16,6 +16,7 @@ from coopqp.model.branches import AT_LIMIT, amount
 from coopqp.model.cell import RobotCell
 from coopqp.model.grasp import Grasp
 from coopqp.model.limits import BindingLimit, LimitKind
+from coopqp.model.shapes import NearPair
 from coopqp.model.state import CellState
 from coopqp.spatial import Array
 from coopqp.task.guarded import GuardedPath
@@ -123,6 +124,8 @@ class ControlStep(Shown):
         binding: limits that the step runs against.
         given_up: what each rank gave up.
         solver: how the QP went.
+        clearance: the bodies nearest to their margin at :attr:`q`, and their distance; None without a
+            :class:`coopqp.collision.Clearance`. It is measured when it is asked for.
         build_time_s: time to compute the step without the solve [s]; 0 where it is not measured.
         finished: the object's clock has reached the end of its path.
     """
@@ -143,6 +146,7 @@ class ControlStep(Shown):
     binding: tuple[BindingLimit, ...]
     given_up: GivenUp
     solver: SolverReport
+    clearance: NearPair | None
     build_time_s: float
 
     @property
@@ -172,6 +176,7 @@ class ControlStep(Shown):
         binding: tuple[BindingLimit, ...] = (),
         given_up: GivenUp = NOTHING,
         solver: SolverReport = NO_SOLVE,
+        clearance: NearPair | None = None,
         build_time_s: float = 0.0,
     ) -> None:
         values = dict(locals())

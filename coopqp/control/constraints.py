@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import enum
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 from functools import partial
 from typing import Any, NamedTuple, Protocol, final, runtime_checkable
 
@@ -17,6 +17,8 @@ import numpy as np
 from coopqp.checks import as_floats
 from coopqp.errors import InvalidInputError, said, shown
 from coopqp.model.cell import RobotCell
+from coopqp.model.limits import BindingLimit, LimitKind
+from coopqp.model.shapes import NearPair
 from coopqp.model.state import CellState
 from coopqp.spatial import Array
 
@@ -67,13 +69,15 @@ class Knot:
         clock: the object's clock [s].
         state: kinematics there.
         slope: q′ (nv,) [rad or m per clock second].
-        curvature: q″ (nv,).
+        curvature: q″ (nv,), its mean since the knot before.
+        span: since the knot before [s]; 0 at the first one.
     """
 
     clock: float
     state: CellState
     slope: Array
     curvature: Array
+    span: float = 0.0
 
 
 @runtime_checkable
@@ -97,6 +101,84 @@ class RateBound(Protocol):
 Constraint = VelocityConstraint | RateBound
 
 
+class LabelledRows(NamedTuple):
+    """Rows ``lower ≤ G v ≤ upper`` of a :class:`CertifiedConstraint`, and the label of each (m,)."""
+
+    G: Array
+    lower: Array
+    upper: Array
+    which: Any
+
+
+class Quiet(NamedTuple):
+    """Where a constraint is known to be quiet: joint positions x with ``Σ reach |x − centre| ≤ slack``.
+
+    Attributes:
+        centre: joint positions (nv,).
+        reach: (nv,), 0 or more.
+        slack: negative where nothing is known.
+        approach: 1/s, at which the slack may be used up in a step; infinite for all of it.
+    """
+
+    centre: Array
+    reach: Array
+    slack: float
+    approach: float = np.inf
+
+
+@runtime_checkable
+class CertifiedConstraint(VelocityConstraint, Protocol):
+    """A velocity constraint with many rows of which few bind: it names each, and says where none does.
+
+    Attributes:
+        labels: what binds, one for each row that there may ever be.
+        quiet: joint positions at whose neighbours no row binds: with the certificate of the last ``rows_by_label`` a
+            step of velocities v and length dt is admissible where ``Σ reach |v| dt`` is at most a share of
+            ``slack − Σ reach |x − centre|``: min(approach dt, 1).
+        quiet_ahead: the same for knots, and for what is between two of them.
+    """
+
+    labels: tuple[BindingLimit, ...]
+
+    @property
+    def quiet(self) -> Quiet:
+        """See above."""
+        ...
+
+    @property
+    def quiet_ahead(self) -> Quiet:
+        """See above."""
+        ...
+
+    def check(self, q: Array) -> None:
+        """Raise InvalidInputError if no motion can start at ``q`` (nq,)."""
+        ...
+
+    def rows_by_label(self, q: Array, dt: float, *, blind: bool) -> LabelledRows:
+        """The rows at ``q`` (nq,); ``blind`` where nothing brakes ahead of them."""
+        ...
+
+    def tightened(self, rows: LabelledRows, q_next: Array, v: Array, dt: float) -> Array | None:
+        """Other lower bounds (m,) if ``q_next`` (nq,) breaks what rows stand for; else None."""
+        ...
+
+    def room(self, knot: Knot) -> int:
+        """Number of the label that stops the object before a knot; −1 if none does."""
+        ...
+
+    def evaded(self, q: Array, slope: Array) -> Array:
+        """Slopes q′ (nv,) at ``q`` (nq,) with the self-motion of redundant arms that keeps off what is ahead."""
+        ...
+
+    def measured(self, limit: BindingLimit, q: Array) -> BindingLimit:
+        """One of the labels with its distance at ``q`` (nq,)."""
+        ...
+
+    def nearest(self, q: Array) -> NearPair | None:
+        """What is nearest to binding at ``q`` (nq,)."""
+        ...
+
+
 @final
 @dataclass(frozen=True, eq=False)
 class Rows:
@@ -106,7 +188,7 @@ class Rows:
         G: (m, nv).
         lower, upper: (m,).
         soft: which rows may give way before the arms part (m,).
-        owner: index of the constraint that each row belongs to (m,).
+        owner: number of each row's name in :attr:`Constraints.labels` (m,).
     """
 
     G: Array
@@ -125,7 +207,7 @@ class Bound(NamedTuple):
     Attributes:
         cap: largest z = σ²; negative where not even rest is admissible.
         decrease, rise: largest changes of σ [1/s], downwards and upwards.
-        which: index of the constraint that makes the cap; −1 if none does.
+        which: number of the name in :attr:`Constraints.labels` that makes the cap; −1 if none does.
     """
 
     cap: float
@@ -195,11 +277,38 @@ class Constraints:
                 )
             names.append(name)
         self.names = tuple(names)
+        #: Names of all that may bind, and where those of each constraint begin.
+        self.labels, self._first = _labels(names, dict(self.velocity))
+        self._certified = [(i, c) for i, c in self.velocity if isinstance(c, CertifiedConstraint)]
+        self._uncertified = [(i, c) for i, c in self.velocity if not isinstance(c, CertifiedConstraint)]
         self._soft = {i: item.rank == Rank.CLEARANCE for i, item in self.velocity}
         self._nothing = no_rows(cell.nv)
 
     def __bool__(self) -> bool:
         return bool(self.names)
+
+    @property
+    def evades(self) -> bool:
+        """Whether redundant arms may be asked to evade."""
+        return bool(self._certified)
+
+    def evaded(self, q: Array, slope: Array) -> Array:
+        """Slopes (nv,) at ``q`` (nq,) with the self-motion that certified constraints ask for.
+
+        Raises:
+            ConstraintTrouble: it is not finite.
+        """
+        for i, constraint in self._certified:
+            slope = constraint.evaded(q, slope)
+            if not np.isfinite(slope).all():
+                raise ConstraintTrouble(f"constraint {self.names[i]}: its self-motion is not finite")
+        return slope
+
+    @property
+    def certified(self) -> CertifiedConstraint | None:
+        """The only constraint, if it says where it is quiet."""
+        only = len(self.names) == len(self._certified) == 1
+        return self._certified[0][1] if only else None
 
     def check(self, q: Array, dt: float) -> None:
         """Ask every constraint at a configuration (nq,), before anything moves.
@@ -208,22 +317,32 @@ class Constraints:
             InvalidInputError: one raises, or returns something else than rows or lines.
         """
         state, still = CellState(self.cell, q), np.zeros(self.cell.nv)
+        for _, constraint in self._certified:
+            constraint.check(q)
         try:
-            self.rows(state, dt)
+            self.rows(q, dt)
             self._lines(Knot(0.0, state, still, still))
         except ConstraintTrouble as trouble:
             raise InvalidInputError(str(trouble), "reset", "See the how-to on constraints.") from trouble
 
-    def rows(self, state: CellState, dt: float) -> Rows:
-        """All rows at a state.
+    def rows(self, q: Array, dt: float, *, blind: bool = False) -> Rows:
+        """All rows at a configuration (nq,); ``blind`` where nothing brakes ahead of them.
 
         Raises:
             ConstraintTrouble: a constraint raised, or its rows are not finite or have other shapes.
         """
-        if not self.velocity:
-            return self._nothing
+        parts = []
+        for i, constraint in self._certified:
+            own = constraint.rows_by_label(q, dt, blind=blind)
+            soft = np.full(len(own.which), self._soft[i])
+            parts.append(Rows(own.G, own.lower, own.upper, soft, self._first[i] + own.which))
+        if self._uncertified:
+            parts += self._uncertified_rows(CellState(self.cell, q), dt)
+        return self._joined(parts)
+
+    def _uncertified_rows(self, state: CellState, dt: float) -> list[Rows]:
         nv, parts = self.cell.nv, []
-        for i, constraint in self.velocity:
+        for i, constraint in self._uncertified:
             name = self.names[i]
             G, lower, upper = _asked(name, partial(constraint.rows, state, dt))
             G, lower, upper = np.atleast_2d(G), np.atleast_1d(lower), np.atleast_1d(upper)
@@ -236,10 +355,45 @@ class Constraints:
                     f"constraint {name}: G {G.shape}, lower {lower.shape} and upper {upper.shape} are no rows "
                     f"for {nv} joints (finite G, lower ≤ upper)"
                 )
-            parts.append((G, lower, upper, np.full(m, self._soft[i]), np.full(m, i)))
-        found = Rows(*(np.concatenate(column) for column in zip(*parts, strict=True)))
+            parts.append(Rows(G, lower, upper, np.full(m, self._soft[i]), np.full(m, self._first[i])))
+        return parts
+
+    def _joined(self, parts: list[Rows]) -> Rows:
+        if len(parts) < 2:
+            found = parts[0] if parts else self._nothing
+        else:
+            found = Rows(*(np.concatenate([getattr(part, f.name) for part in parts]) for f in fields(Rows)))
         if len(found) > MOST_ROWS:
             raise ConstraintTrouble(f"the constraints have {len(found)} rows, at most {MOST_ROWS} are possible")
+        return found
+
+    def measured(self, binding: tuple[BindingLimit, ...], q: Array) -> tuple[BindingLimit, ...]:
+        """Limits with the distances of their bodies at ``q`` (nq,)."""
+        if all(limit.kind is not LimitKind.COLLISION for limit in binding):
+            return binding
+        found = []
+        for limit in binding:
+            owner = next((c for _, c in self._certified if limit in c.labels), None)
+            found.append(limit if owner is None else owner.measured(limit, q))
+        return tuple(dict.fromkeys(found))
+
+    def nearest(self, q: Array) -> NearPair | None:
+        """The bodies that are nearest to their margin at ``q`` (nq,); None where nothing says so."""
+        found = [pair for _, c in self._certified if (pair := c.nearest(q)) is not None]
+        return min(found, key=lambda pair: pair.distance, default=None)
+
+    def tightened(self, rows: Rows, q_next: Array, v: Array, dt: float) -> Rows | None:
+        """Rows that make up for what a step's command breaks although it keeps its rows; None if it breaks nothing."""
+        found = None
+        for i, constraint in self._certified:
+            first = self._first[i]
+            own = (rows.owner >= first) & (rows.owner < first + len(constraint.labels))
+            given = LabelledRows(rows.G[own], rows.lower[own], rows.upper[own], rows.owner[own] - first)
+            lower = constraint.tightened(given, q_next, v, dt)
+            if lower is not None:
+                all_lower = rows.lower.copy()
+                all_lower[own] = lower
+                found = rows = replace(rows, lower=all_lower)
         return found
 
     def _lines(self, knot: Knot) -> list[tuple[Array, Array, Array, int]]:
@@ -259,7 +413,11 @@ class Constraints:
             ConstraintTrouble: as of :meth:`rows`.
         """
         cap, decrease, rise, which = np.inf, np.inf, np.inf, -1
-        rows = self.rows(knot.state, dt)
+        for i, constraint in self._certified:
+            label = constraint.room(knot)
+            if label >= 0:
+                return Bound(-1.0, np.inf, np.inf, self._first[i] + label)
+        rows = self._joined(self._uncertified_rows(knot.state, dt))
         if len(rows):
             along = rows.G @ knot.slope
             room = np.where(along > 0.0, rows.upper, -rows.lower)
@@ -274,11 +432,25 @@ class Constraints:
             with np.errstate(divide="ignore", over="ignore"):
                 z = np.where(c < 0.0, -1.0, np.where(a > 0.0, room / np.where(a > 0.0, a, 1.0), np.inf))
                 if z.size and z.min() < min(cap, 1.0):
-                    cap, which = float(z.min()), i
+                    cap, which = float(z.min()), self._first[i]
                 left = c - np.maximum(a, 0.0) * min(max(cap, 0.0), 1.0)
                 decrease = min([decrease, *(left[b < 0.0] / -b[b < 0.0]).tolist()])
                 rise = min([rise, *(left[b > 0.0] / b[b > 0.0]).tolist()])
         return Bound(cap, max(decrease, 0.0), max(rise, 0.0), which)
+
+
+def _labels(
+    names: Sequence[str], velocity: dict[int, VelocityConstraint]
+) -> tuple[tuple[BindingLimit, ...], list[int]]:
+    """The names of all that may bind, and where those of each constraint begin."""
+    labels: list[BindingLimit] = []
+    first = []
+    for i, name in enumerate(names):
+        first.append(len(labels))
+        item = velocity.get(i)
+        own = item.labels if isinstance(item, CertifiedConstraint) else ()
+        labels += own or [BindingLimit("", "", LimitKind.CONSTRAINT, name)]
+    return tuple(labels), first
 
 
 def _asked(name: str, call: Callable[[], Any]) -> tuple[Array, Array, Array]:

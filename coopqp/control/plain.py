@@ -45,6 +45,8 @@ LEAST_PACE = 1e-3
 ARRIVING = 10.0
 #: A rate that rises by less stands still: a QP's zero has the solver's rounding.
 RATE_ROUNDING = 1e-12
+#: Further answers of a step whose command breaks what its rows stand for.
+MOST_TIGHTENINGS = 3
 #: What the override holds back.
 _OVERRIDE = BindingLimit("", "", LimitKind.OVERRIDE)
 #: Square of an off-path twist that needs no braking distance [m²/s², rad²/s²].
@@ -155,6 +157,7 @@ class PlainLoop:
         self._preview = None
         if self.options.preview is not None and self._guarded.known_ahead:
             bound = self._bound_knot if self.constraints else None
+            evade = self._evade if self.constraints.evades else None
             preview = PathPreview(
                 Chain(self.cell, self.grasp),
                 path,
@@ -162,6 +165,7 @@ class PlainLoop:
                 dt=self.dt,
                 options=self._on_path.preview,
                 bound=bound,
+                evade=evade,
             )
             self._preview = preview
 
@@ -312,7 +316,7 @@ class PlainLoop:
         further = self._no_rows
         if self.constraints.velocity:
             try:
-                further = self.constraints.rows(CellState(self.cell, s.q), h)
+                further = self.constraints.rows(s.q, h, blind=self._blind)
             except ConstraintTrouble as trouble:
                 seen.watch.lower(Watch.holding(str(trouble)))
         cap, binding, late = self._rate_cap(seen)
@@ -339,7 +343,24 @@ class PlainLoop:
             s.q, self.cell.positions(s.q), s.v, s.v_before, h, cap, seen.pose, along, measured, s.predicted, s.last_dt,
             null_along, null_offset, further, s.first,
         )  # fmt: skip
-        return Proposal(seen, given, self._step.answer(given), binding)
+        return Proposal(seen, given, self._kept(given), binding)
+
+    @property
+    def _blind(self) -> bool:
+        """Whether nothing brakes ahead of further constraints."""
+        return self._preview is None or self._preview.blind
+
+    def _kept(self, given: StepInput) -> LinearisedAnswer:
+        """The answer; again with tighter rows where it breaks what they stand for."""
+        found = self._step.answer(given)
+        for _ in range(MOST_TIGHTENINGS):
+            v = found.answer.velocity
+            rows = self.constraints.tightened(given.further, self.cell.moved(given.q, given.h * v), v, given.h)
+            if rows is None:
+                break
+            given.further = rows
+            found = self._step.answer(given)
+        return found
 
     def _rate_cap(self, seen: Observed) -> tuple[float, tuple[BindingLimit, ...], float]:
         """The fastest rate that what is ahead, the supervision and the last rate allow, what makes it so, and the share
@@ -436,18 +457,25 @@ class PlainLoop:
             slope, offset = nothing, self._posture.velocity(s.q)
         return slope, nothing if hold else s.reins.ease * offset
 
-    def _bound_knot(self, clock: float, q: Array, slope: Array, curvature: Array) -> KnotRoom:
+    def _bound_knot(self, clock: float, q: Array, slope: Array, curvature: Array, span: float) -> KnotRoom:
         """What further constraints leave of the rate at a knot."""
         options = self.options.preview
-        knot, share = Knot(clock, CellState(self.cell, q), slope, curvature), 1.0
+        knot, share = Knot(clock, CellState(self.cell, q), slope, curvature, span), 1.0
         if options is not None:
             share = options.curvature_share
         try:
             found = self.constraints.bound(knot, self.dt, share)
         except ConstraintTrouble as trouble:
             raise LookAheadTrouble(str(trouble)) from trouble
-        name = self.constraints.names[found.which] if found.which >= 0 else ""
-        return KnotRoom(found.cap, found.decrease, found.rise, name)
+        binding = self.constraints.labels[found.which] if found.which >= 0 else None
+        return KnotRoom(found.cap, found.decrease, found.rise, binding)
+
+    def _evade(self, q: Array, slope: Array) -> Array:
+        """Slopes with the self-motion that further constraints ask for."""
+        try:
+            return self.constraints.evaded(q, slope)
+        except ConstraintTrouble as trouble:
+            raise LookAheadTrouble(str(trouble)) from trouble
 
     # -- commit ----------------------------------------------------------------------------------------------------
 
@@ -458,6 +486,7 @@ class PlainLoop:
         v, q, clock = answer.velocity, s.q, s.clock
         q_next = self.cell.moved(q, h * v)
         binding = self.names(answer.active, h, proposal.given.further) or proposal.binding
+        binding = self.constraints.measured(binding, q)
         rate = min(max(answer.rate, 0.0), 1.0)
         clock_next = clock + rate * h
         if duration - clock_next < 1e-9 * duration:
@@ -497,6 +526,7 @@ class PlainLoop:
             binding=() if status is Status.TRACKING and not by_qp else binding,
             given_up=self._given_up(found, share),
             solver=answer.report,
+            clearance=self.constraints.nearest(q),
             build_time_s=time.perf_counter() - began - answer.report.time_s,
         )
         if by_qp or self._box.accelerates:
@@ -510,11 +540,9 @@ class PlainLoop:
 
     def names(self, active: tuple[tuple[int, float], ...], h: float, further: Rows) -> tuple[BindingLimit, ...]:
         """Rows of a step, by name."""
-        box, nv, names = self._box, self.cell.nv, self.constraints.names
+        box, nv, labels = self._box, self.cell.nv, self.constraints.labels
         return tuple(
-            box.binding(row, side, self.state.v, h)
-            if row < nv
-            else BindingLimit("", "", LimitKind.CONSTRAINT, names[int(further.owner[row - nv])])
+            box.binding(row, side, self.state.v, h) if row < nv else labels[int(further.owner[row - nv])]
             for row, side in active
         )
 

@@ -118,7 +118,7 @@ class QPController:
             and not isinstance(self._loop, PlainLoop)
             and is_known(path)
             and self._wanted is None
-            and not self.constraints
+            and (not self.constraints or self._checked.certified is not None)
         ):
             self._fast = self._loop.step
 

@@ -8,11 +8,13 @@ from typing import Any, final
 import numpy as np
 
 from coopqp.control.command import NO_SOLVE, NOTHING, GivenUp, SolverReport, Status, off_path
+from coopqp.control.constraints import Constraints
 from coopqp.control.core import layout
 from coopqp.control.supervision import SupervisionOptions, refused_dt
 from coopqp.model.cell import RobotCell
 from coopqp.model.grasp import Grasp
 from coopqp.model.limits import BindingLimit, LimitKind
+from coopqp.model.shapes import NearPair
 from coopqp.spatial import Array
 from coopqp.task.guarded import jump
 from coopqp.task.path import ObjectPath
@@ -33,7 +35,7 @@ class RecordReader:
     Args:
         cell, grasp, path: of the controller.
         solver: name of the solver that a QP step used.
-        constraints: names of the further constraints.
+        constraints: the further constraints.
         dt: nominal length of a step [s].
         supervision: its thresholds.
     """
@@ -45,7 +47,7 @@ class RecordReader:
         path: ObjectPath,
         *,
         solver: str,
-        constraints: tuple[str, ...],
+        constraints: Constraints,
         dt: float,
         supervision: SupervisionOptions,
     ) -> None:
@@ -91,12 +93,19 @@ class RecordReader:
     def _read_binding(self, r: Array) -> tuple[BindingLimit, ...]:
         begin = self._off_path + 6
         entries = r[begin : begin + 4 * int(r[_R["R_BINDINGS"]])].reshape(-1, 4)
-        return tuple(self.limit(*(int(x) for x in entry)) for entry in entries)
+        binding = tuple(self.limit(*(int(x) for x in entry)) for entry in entries)
+        return self._constraints.measured(binding, self._q_of(r)) if self._constraints else binding
+
+    def _q_of(self, r: Array) -> Array:
+        return r[self._q : self._q + self.nq]
+
+    def _read_clearance(self, r: Array) -> NearPair | None:
+        return self._constraints.nearest(self._q_of(r))
 
     def limit(self, kind: int, arm: int, joint: int, constraint: int) -> BindingLimit:
         """A limit by name."""
         if constraint >= 0:
-            return BindingLimit("", "", LimitKind.CONSTRAINT, self._constraints[constraint])
+            return self._constraints.labels[constraint]
         if joint >= 0:
             name, _, own = self.cell.joint_names[joint].partition("/")
             return BindingLimit(name, own, _KINDS[kind])

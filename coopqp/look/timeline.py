@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -71,12 +71,16 @@ def bound_limits(recording: Recording) -> list[Bound]:
 
 
 def limit_name(limit: BindingLimit) -> str:
-    """Name of a limit for the plot, e.g. ``slave_1/joint_3 velocity``."""
+    """Name of a limit for the plot, e.g. ``slave_1/joint_3 velocity``, ``object and post``."""
+    if limit.between:
+        return " and ".join(limit.between)
     return " ".join(part for part in ("/".join(p for p in (limit.arm, limit.joint) if p), limit.kind.value) if part)
 
 
 def timeline_figure(recording: Recording, readings: Readings, *, tolerances: Tolerances | None = None) -> Figure:
-    """Errors [mm] on a logarithmic axis, the rate σ in front of the statuses, and the limits that bound.
+    """Errors [mm] on a logarithmic axis, the rate σ in front of the statuses, distances, and the limits that bound.
+
+    Distances are drawn where the recording has them; see :func:`coopqp.simulation.closeness.with_clearance`.
 
     Args:
         recording, readings: the run and its errors.
@@ -88,13 +92,16 @@ def timeline_figure(recording: Recording, readings: Readings, *, tolerances: Tol
     limits = bound_limits(recording)[:MAX_LIMITS]
     names = [label(limit_name(bound.limit)) for bound in limits]
     lines = sum(name.count("\n") + 1 for name in names)
-    rows = [3.0, 1.5] + ([0.25 + 0.22 * lines] if limits else [])
+    clearance = recording.metadata.get("clearance")
+    rows = [3.0, 1.5] + ([1.5] if clearance else []) + ([0.25 + 0.22 * lines] if limits else [])
     figure = new_figure(WIDTH, 0.9 + sum(rows), layout="constrained")
     panels = np.atleast_1d(figure.subplots(len(rows), 1, sharex=True, height_ratios=rows))
     _draw_errors(panels[0], recording, readings, tolerances or Tolerances.of(recording))
     _draw_rate(panels[1], recording)
+    if clearance:
+        _draw_clearance(panels[2], clearance)
     if limits:
-        _draw_limits(panels[2], limits, names)
+        _draw_limits(panels[-1], limits, names)
     for panel in panels:
         for side in ("top", "right"):
             panel.spines[side].set_visible(False)
@@ -163,6 +170,20 @@ def _draw_rate(axes: Any, recording: Recording) -> None:
         axes.legend(
             frameon=False, fontsize=10, labelcolor=INK, ncols=len(named), loc="lower right", bbox_to_anchor=(1.0, 1.0)
         )
+
+
+def _draw_clearance(axes: Any, clearance: Mapping[str, Any]) -> None:
+    """Least distance of all bodies over time, the closest point, and the margin."""
+    distances = 1e3 * np.array(clearance["distances_m"], dtype=float)
+    axes.plot(clearance["times_s"], distances, color=INK, lw=1.6)
+    label = f"closest: {' and '.join(clearance['between'])}"
+    axes.plot(clearance["time_s"], 1e3 * clearance["closest_m"], "o", color=RED, ms=5, label=label)
+    if clearance["avoided"]:
+        axes.axhline(1e3 * clearance["margin_m"], color=FAINT, ls="--", lw=1.2, label="margin")
+    axes.set_ylim(min(0.0, 1.1 * float(distances.min())), max(1.15 * float(distances.max()), 1.0))
+    axes.set_ylabel("distance [mm]", fontsize=11, color=INK)
+    axes.grid(True, axis="y", color=GRID, lw=0.8)
+    axes.legend(frameon=False, fontsize=10, labelcolor=INK, loc="best")
 
 
 def _draw_limits(axes: Any, limits: Sequence[Bound], names: Sequence[str]) -> None:

@@ -40,17 +40,20 @@ class KnotRoom(NamedTuple):
     Attributes:
         cap: largest σ²; negative where not even rest is admissible.
         decrease, rise: largest changes of σ [1/s].
-        name: of the constraint that makes the cap.
+        binding: what makes the cap.
     """
 
     cap: float
     decrease: float
     rise: float
-    name: str
+    binding: BindingLimit | None
 
 
-#: What further constraints leave at the knot at (clock, q, q′, q″). It may raise :class:`LookAheadTrouble`.
-KnotBound = Callable[[float, Array, Array, Array], KnotRoom]
+#: What further constraints leave at the knot at (clock, q, q′, q″), so long after the knot before [s]. It may raise
+#: :class:`LookAheadTrouble`.
+KnotBound = Callable[[float, Array, Array, Array, float], KnotRoom]
+#: Slopes (nv,) at (q, q′) with the self-motion of redundant arms that keeps off what is ahead.
+Evade = Callable[[Array, Array], Array]
 
 
 class LookAheadTrouble(Exception):  # noqa: N818
@@ -68,10 +71,11 @@ class ChainAhead:
         plan: the limits that are planned with.
         options: settings.
         bound: what further constraints leave of the rate at a knot.
+        evade: self-motion that keeps redundant arms off what is ahead.
 
     Attributes:
         blind: arms with fewer than six joints cannot follow the path; nothing is known ahead.
-        beyond, beyond_at: a constraint that allows no rate, and the clock; "" and infinite where none is known.
+        beyond, beyond_at: a constraint that allows no rate, and the clock; None and infinite where none is known.
     """
 
     def __init__(
@@ -82,8 +86,9 @@ class ChainAhead:
         plan: PlanLimits,
         options: PreviewOptions,
         bound: KnotBound | None,
+        evade: Evade | None = None,
     ) -> None:
-        self._chain, self._path, self._posture, self._bound = chain, path, posture, bound
+        self._chain, self._path, self._posture, self._bound, self._evade = chain, path, posture, bound, evade
         self._duration, self._options, self._plan = path.duration, options, plan
         self._cell, self._avoidance = chain.cell, LimitAvoidance(chain)
         self._low, self._high = chain.cell.limits.lower, chain.cell.limits.upper
@@ -93,7 +98,8 @@ class ChainAhead:
 
     def forget(self) -> None:
         """Nothing is known yet."""
-        self.blind, self.beyond, self.beyond_at = False, "", np.inf
+        self.blind, self.beyond_at = False, np.inf
+        self.beyond: BindingLimit | None = None
 
     def first(self, q: Array, clock: float) -> Knot:
         """The knot at a clock, from a configuration near; the object rests there where the chain does not get there."""
@@ -157,12 +163,12 @@ class ChainAhead:
         """A knot under the further constraints; None where they allow no rate."""
         if self._bound is None:
             return knot
-        room = self._bound(knot.clock, knot.q, knot.slope, knot.curvature)
+        room = self._bound(knot.clock, knot.q, knot.slope, knot.curvature, knot.span)
         if not room.cap > 0.0:
-            self.beyond, self.beyond_at = room.name, knot.clock
+            self.beyond, self.beyond_at = room.binding, knot.clock
             return None
         if room.cap < knot.cap:
-            knot = knot._replace(cap=room.cap, binding=BindingLimit("", "", LimitKind.CONSTRAINT, room.name))
+            knot = knot._replace(cap=room.cap, binding=room.binding)
         return knot._replace(fall=room.decrease, rise=room.rise)
 
     def _beyond_few_joints(self, errors: Array) -> bool:
@@ -191,6 +197,8 @@ class ChainAhead:
         chain.joint_velocities(np.broadcast_to(along, (chain.n_arms, 6)), slope)
         if chain.redundancy:
             slope += chain.null_part(self._posture.velocity(q))
+            if self._evade is not None:
+                slope[:] = self._evade(q, slope)
             self._avoidance.lead_away(self._cell.positions(q), slope)
         return bool(step @ step + slope @ slope < np.inf)
 

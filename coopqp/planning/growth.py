@@ -99,9 +99,7 @@ class Growth:
         if self._chain.blind:
             return
         if knot is None and self._half_way(last) < 2.0 * self._options.shortest:
-            self._horizon.push(
-                last._replace(cap=0.0, span=0.0, binding=BindingLimit("", "", LimitKind.CONSTRAINT, self._chain.beyond))
-            )
+            self._horizon.push(last._replace(cap=0.0, span=0.0, binding=self._chain.beyond))
             return
         if knot is None:
             self._horizon.push(last._replace(cap=0.0, span=0.0, binding=self._why_no_further(last)))

@@ -18,7 +18,7 @@ import pinocchio as pin
 
 from coopqp.model.chain import Chain
 from coopqp.model.limits import BindingLimit, LimitKind
-from coopqp.planning.chain_ahead import ChainAhead, KnotBound, LookAheadTrouble
+from coopqp.planning.chain_ahead import ChainAhead, Evade, KnotBound, LookAheadTrouble
 from coopqp.planning.growth import Growth
 from coopqp.planning.horizon import Horizon, joint_limit
 from coopqp.planning.preview_options import PlanLimits, PreviewOptions
@@ -44,6 +44,7 @@ class PathPreview:
         dt: nominal length of a control step [s].
         options: settings.
         bound: what further constraints leave of the rate at a knot.
+        evade: self-motion that keeps redundant arms off what is ahead.
 
     Attributes:
         horizon: the known knots.
@@ -60,13 +61,14 @@ class PathPreview:
         dt: float,
         options: PreviewOptions | None = None,
         bound: KnotBound | None = None,
+        evade: Evade | None = None,
     ) -> None:
         self._path, self._dt, self._cell = GuardedPath(path), dt, chain.cell
         self.options = options or PreviewOptions()
         plan = self._plan = PlanLimits.of(chain.cell, self.options, dt=dt)
         self.accelerates = plan.accelerates
         self.horizon = Horizon(chain.cell, plan.acceleration, plan.slope_cap, self.options.doubt)
-        self._chain = ChainAhead(chain, self._path, posture, plan, self.options, bound)
+        self._chain = ChainAhead(chain, self._path, posture, plan, self.options, bound, evade)
         self._growth = Growth(chain.cell, self._path, self._chain, self.horizon, plan, self.options)
         self._begun = pin.neutral(chain.cell.model)
         self._free_until = -np.inf  # clock until which the rate is known to be free

@@ -7,6 +7,7 @@ from collections.abc import Callable
 from coopqp.errors import UnknownNameError
 from coopqp.scenarios.arms import ROBOTS, robot_arm, robot_data_path, robot_file, robot_table
 from coopqp.scenarios.cells import dual_arm7, five_joint_pair, mixed_cell, ring, scara_pair
+from coopqp.scenarios.obstacles import elbow_and_knob, plate_and_post, plate_and_table, random_posts
 from coopqp.scenarios.paper import fast_lift, paper_lift, wide_grasp
 from coopqp.scenarios.robot_data import panda_bar, ur5_table
 from coopqp.scenarios.robots import ROBOT_NAMES, robot_path
@@ -21,11 +22,15 @@ __all__ = [
     "at_limit",
     "at_singularity",
     "dual_arm7",
+    "elbow_and_knob",
     "fast_lift",
     "five_joint_pair",
     "mixed_cell",
     "panda_bar",
     "paper_lift",
+    "plate_and_post",
+    "plate_and_table",
+    "random_posts",
     "ring",
     "robot_arm",
     "robot_data_path",
@@ -52,6 +57,10 @@ SCENARIOS: dict[str, Callable[[], Scenario]] = {
     "ring": ring,
     "scara_pair": scara_pair,
     "five_joint_pair": five_joint_pair,
+    "plate_and_post": plate_and_post,
+    "plate_and_table": plate_and_table,
+    "elbow_and_knob": elbow_and_knob,
+    "random_posts": random_posts,
 }
 
 

@@ -26,6 +26,8 @@ from coopqp.spatial import Array
 
 #: Excess over a position limit [rad or m] and over a speed or acceleration limit [share] that counts as rounding.
 POSITION_ROUNDING, RATE_ROUNDING = 1e-6, 1e-6
+#: Distances this much below their margin count as rounding [m].
+MARGIN_ROUNDING = 1e-6
 #: Largest number of limits in a cause.
 MAX_BLAMED = 3
 
@@ -228,7 +230,7 @@ def judge(
     *,
     tolerances: Tolerances | Mapping[str, Any] | None = None,
 ) -> tuple[Finding, ...]:
-    """The verdict on a run: the end, the limits, the grasp and the path.
+    """The verdict on a run: the end, the limits, the grasp, the path, and distances where the run has measured them.
 
     Args:
         cell, recording: the run.
@@ -254,6 +256,7 @@ def judge(
             (t.object_mm, t.object_deg),
             lambda i: _strayed(cell, recording, i),
         ),
+        *_apart(recording),
     )
 
 
@@ -281,6 +284,26 @@ def _finished(recording: Recording) -> Finding:
     arrived = recording.finished or endless
     cause = "" if arrived and not stopped else _why_not(recording, arrived=arrived)
     return Finding(question, arrived and not stopped, text, cause)
+
+
+def _apart(recording: Recording) -> tuple[Finding, ...]:
+    """What the recording says of distances; nothing if it says nothing."""
+    entry = recording.metadata.get("clearance")
+    if entry is None:
+        return ()
+    try:
+        closest, at = float(entry["closest_m"]), float(entry["time_s"])
+        names, left_out = " and ".join(entry["between"]), len(entry["left_out"])
+        margin = float(entry["margin_m"]) if entry["avoided"] else 0.0
+    except (KeyError, TypeError, ValueError) as error:
+        raise RecordingError(f"'clearance' in the recording's metadata is damaged ({error}).") from error
+    where = f"{names} at {at:.3g} s"
+    more = f" ({left_out} pairs that overlap at the start are left out)" if left_out else ""
+    touched = closest <= 0.0
+    text = f"{where} touched{more}" if touched else f"nothing touched: closest {1e3 * closest:.3g} mm, {where}{more}"
+    inside = closest < margin - MARGIN_ROUNDING
+    cause = where if touched else f"{where}, inside the margin of {1e3 * margin:.3g} mm"
+    return (Finding("Did all keep clear?", not touched and not inside, text, cause if touched or inside else ""),)
 
 
 def _counted(recording: Recording, status: Status, what: str) -> str:

@@ -21,10 +21,12 @@ import numpy.typing as npt
 import pinocchio as pin
 
 from coopqp.checks import ArrayLike, as_options, keep_scalars
+from coopqp.collision.scene import CollisionScene
 from coopqp.control.command import Controller, ControlStep, Status
 from coopqp.errors import InvalidInputError
 from coopqp.model.cell import RobotCell
 from coopqp.model.grasp import Grasp
+from coopqp.simulation.closeness import Closeness
 from coopqp.simulation.recording import Recording
 from coopqp.spatial import Array
 from coopqp.task.path import ObjectPath
@@ -46,11 +48,14 @@ class Breach(enum.Enum):
     HOLDING = "not at rest while holding"
     CHAIN = "arms out of step"
     PATH = "off the path"
+    CLEARANCE = "too close"
     MUTATED = "data were modified"
 
 
 #: Accepted braking time of all arms together along a curved path, as a multiple of the slowest joint's braking time.
 _BRAKING_SLACK = 1.1
+#: Tolerances that cannot be switched off.
+_REQUIRED = ("position", "velocity", "acceleration", "consistency", "clearance_m")
 #: Number of pairs of placements that are compared at once; bounds the memory.
 _LARGEST_TABLE = 200_000
 
@@ -93,6 +98,7 @@ class MonitorTolerances:
         consistency: difference of commands that must be equal [rad or m; s for clocks].
         chain_m, chain_rad: difference of the commanded object poses of any two arms [m, rad].
         path_m, path_rad: difference of any arm's commanded object pose and the path at the object's clock [m, rad].
+        clearance_m: how much closer bodies come than their margin [m].
     """
 
     position: float = 1e-9
@@ -103,10 +109,11 @@ class MonitorTolerances:
     chain_rad: float | None = 1e-3
     path_m: float | None = 1e-3
     path_rad: float | None = 1e-2
+    clearance_m: float = 1e-6
 
     def __post_init__(self) -> None:
         for name in self.__dataclass_fields__:
-            if getattr(self, name) is not None or name in ("position", "velocity", "acceleration", "consistency"):
+            if getattr(self, name) is not None or name in _REQUIRED:
                 keep_scalars(self, name, open_low=False)
 
 
@@ -117,7 +124,7 @@ class Worst:
     Attributes:
         position, velocity: excess over a limit [rad or m, rad/s or m/s]; −inf without limits.
         acceleration: excess over a limit, as a share of the limit.
-        chain_m, chain_rad, path_m, path_rad: as in :class:`MonitorTolerances`.
+        chain_m, chain_rad, path_m, path_rad, clearance_m: as in :class:`MonitorTolerances`.
     """
 
     position: float = -np.inf
@@ -127,6 +134,7 @@ class Worst:
     chain_rad: float = 0.0
     path_m: float = 0.0
     path_rad: float = 0.0
+    clearance_m: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -195,6 +203,7 @@ class Monitor:
         tolerances: accepted deviations.
         keep: number of violations stored with details; all are counted.
         kinematics: also judge the chain and the path; this doubles the cost of a step.
+        scene: also judge the distances of its bodies, in steps and between them, by another way than a controller's.
     """
 
     def __init__(
@@ -206,8 +215,10 @@ class Monitor:
         tolerances: MonitorTolerances | Mapping[str, Any] | None = None,
         keep: int = 50,
         kinematics: bool = True,
+        scene: CollisionScene | None = None,
     ) -> None:
         grasp.check_arms(cell)
+        self._closeness = None if scene is None else Closeness(scene)
         self.cell, self.grasp, self.path = cell, grasp, path
         self.tolerances = as_options(MonitorTolerances, tolerances, "Monitor: tolerances")
         self._keep, self._kinematics = keep, kinematics
@@ -414,6 +425,8 @@ class Monitor:
         self._judge_holding(block, v_before, ends)
         if self._kinematics:
             self._judge_object(block, ends)
+        if self._closeness is not None:
+            self._judge_clearance(self._closeness, block, ends)
         self._steps += steps
         self._time = float(ends[-1])
         self._last_q, self._last_v = block.q_next[-1].copy(), block.velocity[-1].copy()
@@ -514,6 +527,18 @@ class Monitor:
                 amount = float(values[i, worst[i]] - allowed)
                 arm = self.cell.arm_names[int(k)]
                 self._add(Violation(breach, self._steps + int(i), float(ends[i]), arm, "", amount, f"[{unit}]"))
+
+    def _judge_clearance(self, closeness: Closeness, block: _Block, ends: Array) -> None:
+        if self._last_q is None or not np.array_equal(self._last_q, block.q[0]):
+            closeness.start(block.q[0])
+        q, allowed = np.vstack([block.q[:1], block.q_next]), self.tolerances.clearance_m
+        for i, pair, missing in closeness.watch(q, tolerance=allowed):
+            self._note(clearance_m=missing)
+            self._add(
+                Violation(
+                    Breach.CLEARANCE, self._steps + i, float(ends[i]), amount=missing - allowed, detail=f"[m] {pair}"
+                )
+            )
 
     def _apart(self, block: _Block) -> tuple[Array, Array]:
         """Distances [m] and angles [rad] (T, pairs) between the arms' object poses, and from each to the reference."""
@@ -622,13 +647,20 @@ def _copy(value: Any) -> Any:
     return value.copy() if isinstance(value, np.ndarray) else value
 
 
-def check_run(recording: Recording, cell: RobotCell, *, tolerances: MonitorTolerances | None = None) -> Verdict:
+def check_run(
+    recording: Recording,
+    cell: RobotCell,
+    *,
+    tolerances: MonitorTolerances | None = None,
+    scene: CollisionScene | None = None,
+) -> Verdict:
     """Judge a recorded run by its commands.
 
     Args:
         recording: the run, which starts at rest.
         cell: cell with the true limits and kinematics.
         tolerances: accepted deviations.
+        scene: bodies whose distances are judged, too.
 
     Raises:
         InvalidInputError: a recording of another cell.
@@ -641,5 +673,5 @@ def check_run(recording: Recording, cell: RobotCell, *, tolerances: MonitorToler
             "check_run",
             "Give the cell that the run was made with.",
         )
-    monitor = Monitor(cell, r.grasp, tolerances=tolerances)
+    monitor = Monitor(cell, r.grasp, tolerances=tolerances, scene=scene)
     return monitor.judge_recording(r)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import zipfile
 import zlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -100,10 +100,7 @@ class Recording(Shown):
         """
         changes = self.metadata.get("binding", [])
         try:
-            named = {
-                int(step): tuple(BindingLimit(a, j, LimitKind(k), *name) for a, j, k, *name in limits)
-                for step, limits in changes
-            }
+            named = {int(step): tuple(_limit(*entries) for entries in limits) for step, limits in changes}
         except (TypeError, ValueError) as error:
             raise RecordingError(f"'binding' in the recording's metadata is damaged ({error}).") from error
         now: tuple[BindingLimit, ...] = ()
@@ -222,3 +219,14 @@ _UNREADABLE = (
     MemoryError,
 )
 _ARRAYS = ("time", "q", "q_command", "velocity", "clock", "rate", "status", "reference", "T_object_tool")
+
+
+def entries_of(limit: BindingLimit) -> list[Any]:
+    """A limit as plain values: arm, joint, kind, then the name of a constraint, the names of two bodies."""
+    more: list[Any] = [limit.name] if limit.name or limit.between else []
+    return [limit.arm, limit.joint, limit.kind.value, *more, *([list(limit.between)] if limit.between else [])]
+
+
+def _limit(arm: str, joint: str, kind: str, name: str = "", between: Sequence[str] = ()) -> BindingLimit:
+    pair = (str(between[0]), str(between[1])) if between else ()
+    return BindingLimit(arm, joint, LimitKind(kind), name, pair)

@@ -16,7 +16,7 @@ from coopqp.model.cell import RobotCell
 from coopqp.model.limits import BindingLimit
 from coopqp.simulation.notes import Notes
 from coopqp.simulation.plants.kinematic import KinematicPlant, Plant
-from coopqp.simulation.recording import Recording
+from coopqp.simulation.recording import Recording, entries_of
 from coopqp.simulation.rows import Rows
 from coopqp.simulation.scene import describe_cell, describe_path
 from coopqp.spatial import Array
@@ -145,8 +145,7 @@ class _Recorder:
         self._status.append(float(step.status.code))
         self._notes.take(step)
         if step.binding != self._last:
-            limits = [[b.arm, b.joint, b.kind.value, *([b.name] if b.name else [])] for b in step.binding]
-            self._binding.append([self.steps, limits])
+            self._binding.append([self.steps, [entries_of(limit) for limit in step.binding]])
             self._last = step.binding
         self._failures += step.status in (Status.HOLDING, Status.FAULT)
         self._finished = step.finished

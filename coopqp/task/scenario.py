@@ -10,6 +10,7 @@ import pinocchio as pin
 from coopqp.lazy import Shown
 from coopqp.model.cell import RobotCell
 from coopqp.model.grasp import Grasp
+from coopqp.model.shapes import Body
 from coopqp.spatial import Array
 from coopqp.task.path import ObjectPath
 
@@ -26,6 +27,7 @@ class Scenario(Shown):
         object_size: side lengths of the box that represents the object in pictures and in the physics engine [m].
         T_object_body: placement of the box's centre in the object frame.
         object_mass: mass of the object [kg].
+        obstacles: what stands around the arms.
     """
 
     name: str
@@ -37,6 +39,7 @@ class Scenario(Shown):
     object_size: tuple[float, float, float] = (0.1, 0.1, 0.1)
     T_object_body: pin.SE3 = field(default_factory=lambda: pin.SE3(np.eye(3), np.zeros(3)))
     object_mass: float = 20.0
+    obstacles: tuple[Body, ...] = ()
 
     def __repr__(self) -> str:
         return f"Scenario({self.name}: {self.cell!r}, {self.path.duration:.4g} s in steps of {1e3 * self.dt:.4g} ms)"

@@ -22,6 +22,17 @@ static void twists_back(const Core *c, const double *R, const double *errors, do
     }
 }
 
+/* Self-motion of redundant arms that keeps them off what they come close to; 0 if it cannot be asked. */
+static int evade(Core *c, const double *positions, double *slope) {
+    const size_t size = sizeof(double) * (size_t)c->joints;
+    if (!c->evade || (c->options[CERTIFIED] != 0.0 && quiet_ahead(c, positions))) return 1;
+    memcpy(c->evading_positions, positions, size);
+    memcpy(c->evading_slope, slope, size);
+    if (!c->evade(c)) return 0;
+    memcpy(slope, c->evading_slope, size);
+    return 1;
+}
+
 /* Newton's step from `positions` to the pose at `clock`, and q′ there; where the twist jumps, that before it. */
 static Trial newton_step(Core *c, double clock, double before, const double *positions, double *step, double *slope) {
     const Sketch s = sketch_of(c);
@@ -35,6 +46,7 @@ static Trial newton_step(Core *c, double clock, double before, const double *pos
     rotate(R, twist + 3, along + 3);
     if (c->redundant) posture_velocity(c, positions, s.wish);
     if (!two_velocities(c, s.jacobian, s.w, along, NULL, c->redundant ? s.wish : NULL, step, slope)) return REJECTED;
+    if (c->redundant && !evade(c, positions, slope)) return CANNOT_SAY;
     for (int k = 0; c->redundant && k < c->arms; k++)
         if (c->arm_size[k] > 6.0) lead_away(c, k, s.jacobian, positions, slope);
     for (int j = 0; j < c->joints; j++) size += step[j] * step[j] + slope[j] * slope[j];
@@ -82,7 +94,11 @@ static int bound_by_limits(Core *c, int before, int i, double clock, double span
 /* Put a knot under the further constraints; rejected if one allows no rate there: its number and the clock are kept. */
 static Trial constrain(Core *c, int made) {
     double *k = knot(c, made);
-    if (!c->bound_knot || c->bound_knot(c, place_of(c, made))) return FOUND;
+    if (!c->bound_knot) return FOUND;
+    const double *x = vector_of(c, c->knot_positions, made), *slope = vector_of(c, c->knot_slope, made);
+    if (c->options[CERTIFIED] != 0.0 && quiet_knot(c, x, slope, vector_of(c, c->knot_curvature, made), k[K_SPAN]))
+        return FOUND;
+    if (c->bound_knot(c, place_of(c, made))) return FOUND;
     if (isnan(k[K_CAP])) return CANNOT_SAY;
     c->ahead[BEYOND] = 1.0 + k[K_JOINT];
     c->ahead[BEYOND_AT] = k[K_CLOCK];

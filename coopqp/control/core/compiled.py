@@ -20,6 +20,7 @@ from coopqp.control.core.memory import Memory, NotForTheCore, build_memory, put_
 from coopqp.control.limits import VelocityBox
 from coopqp.control.linearised import LinearisedAnswer, LinearisedStep, StepInput
 from coopqp.control.options import QPOptions
+from coopqp.control.plain import MOST_TIGHTENINGS
 from coopqp.control.ranks import StepSolver
 from coopqp.control.reading import STATUSES, RecordReader
 from coopqp.control.supervision import as_configuration, grasp_lengths
@@ -36,11 +37,12 @@ from coopqp.task.servo import ServoPath
 
 _P = {name: i for i, name in enumerate(layout.PROPOSAL)}
 _LOOP = {name: i for i, name in enumerate(layout.LOOP)}
+_QUIET = [_LOOP["QUIET_SLACK"], _LOOP["QUIET_APPROACH"]]
 _KNOT = {name: i for i, name in enumerate(layout.KNOT)}
 _NOT_FINITE, _PATH_FAILED, _LOOK_AHEAD_FAILED, _CONSTRAINT_FAILED = (
     layout.REASONS.index(name) for name in ("NOT_FINITE", "PATH_FAILED", "LOOK_AHEAD_FAILED", "CONSTRAINT_FAILED")
 )
-_QP, _FILLED, _OPEN = (layout.OUTCOMES.index(name) for name in ("QP", "FILLED", "OPEN"))
+_QP, _FILLED, _OPEN, _ASK = (layout.OUTCOMES.index(name) for name in ("QP", "FILLED", "OPEN", "ASK"))
 
 
 @final
@@ -79,6 +81,8 @@ class CompiledLoop:
         self._memory = build_memory(chain, box, shares, unit, grasp_lengths(grasp), options, dt, gap=native.GAP)
         at = self.at = self._memory.at
         at["options"][layout.OPTIONS.index("OWN_SOLVER")] = self.solver.name == "ldp"
+        self._certified = constraints.certified
+        at["options"][layout.OPTIONS.index("CERTIFIED")] = self._certified is not None
         at["loop"][_LOOP["OVERRIDDEN"]] = at["loop"][_LOOP["EASE"]] = 1.0
         self._core = _make_core(self._memory, arithmetic)
         if not same_kinematics(chain, self._core.linearise):
@@ -90,6 +94,8 @@ class CompiledLoop:
         self._further = self._no_rows
         if constraints:
             self._core.bind_knots(self._bound_knot)
+        if constraints.evades:
+            self._core.bind_evasion(self._evade)
         self.step = self._core.step
         self.hold, self.release = self._core.hold, self._core.release
         #: What is wrong in this step, by its reason, where it takes more than numbers to say so.
@@ -103,7 +109,7 @@ class CompiledLoop:
         self._guarded = GuardedPath(path)
         put_options(self._memory, self._chain, self._box, self.options.on(self._guarded.planned_share), self.dt)
         self._reader = RecordReader(
-            self.cell, self.grasp, path, solver=self.solver.name, constraints=self.constraints.names,
+            self.cell, self.grasp, path, solver=self.solver.name, constraints=self.constraints,
             dt=self.dt, supervision=self.options.supervision,
         )  # fmt: skip
         self._core.make_steps(ControlStep, self._reader, STATUSES)
@@ -112,7 +118,7 @@ class CompiledLoop:
     def take_path(self) -> None:
         """Hand the path's numbers to the core: again where a target has moved."""
         path, duration = self._guarded, self._guarded.duration
-        looks_ahead = self.options.preview is not None and path.known_ahead
+        looks_ahead = self._looks_ahead = self.options.preview is not None and path.known_ahead
         numbers, own = self.path.packed() if is_known(self.path) else None, None
         if numbers is None:
             breakpoints, own = path.breakpoints(), self._ask_path
@@ -153,6 +159,7 @@ class CompiledLoop:
             kept[_LOOP["RATE"]] = rate
         self.take_path()
         self._core.start_path(kept[_LOOP["CLOCK"]], kept[_LOOP["RATE"]])
+        kept[_LOOP["QUIET_AHEAD"]] = loop[_LOOP["QUIET_AHEAD"]]
         loop[:] = kept
 
     def go_over(self, path: ServoPath, goal: pin.SE3, full: float) -> bool | None:
@@ -235,9 +242,14 @@ class CompiledLoop:
         slope, curvature = (at[f"knot_{name}"][vectors].copy() for name in ("slope", "curvature"))
         preview = self.options.preview
         share = 1.0 if preview is None else preview.curvature_share
-        knot = Knot(numbers.item(_KNOT["K_CLOCK"]), CellState(self.cell, q), slope, curvature)
+        span = numbers.item(_KNOT["K_SPAN"])
+        knot = Knot(numbers.item(_KNOT["K_CLOCK"]), CellState(self.cell, q), slope, curvature, span)
         try:
             found = self.constraints.bound(knot, self.dt, share)
+            if self._certified is not None:
+                quiet = self._certified.quiet_ahead
+                at["quiet_ahead_centre"][:], at["quiet_ahead_reach"][:] = quiet.centre, quiet.reach
+                at["loop"][_LOOP["QUIET_AHEAD"]] = quiet.slack
         except ConstraintTrouble as trouble:
             numbers[_KNOT["K_CAP"]] = math.nan
             return self._cannot_say(str(trouble))
@@ -249,6 +261,16 @@ class CompiledLoop:
             numbers[_KNOT["K_KIND"]], numbers[_KNOT["K_ARM"]] = layout.KINDS.index("CONSTRAINT"), -1
             numbers[_KNOT["K_JOINT"]] = found.which
         numbers[_KNOT["K_FALL"]], numbers[_KNOT["K_RISE"]] = found.decrease, found.rise
+        return True
+
+    def _evade(self) -> bool:
+        """Self-motion at a knot that is tried; False if it cannot be asked."""
+        at = self.at
+        try:
+            slope = self.constraints.evaded(self.cell.configuration(at["evading_positions"]), at["evading_slope"])
+        except ConstraintTrouble as trouble:
+            return self._cannot_say(str(trouble))
+        at["evading_slope"][:] = slope
         return True
 
     # -- the step, where Python takes part ---------------------------------------------------------------------------
@@ -265,19 +287,41 @@ class CompiledLoop:
         """Answer what the core left open, and commit."""
         p = self.at["proposal"]
         outcome = int(p[_P["OUTCOME"]]) if outcome is None else outcome
-        report, reason = None, self._said.get(int(p[_P["REASON"]]), "")
+        if outcome == _ASK:
+            rows, held = self._put_rows(), _CONSTRAINT_FAILED in self._said
+            outcome = self._core.propose(rows, not held)
+        reason = self._said.get(int(p[_P["REASON"]]), "")
         self._said.clear()
-        if outcome == _FILLED:
-            outcome, report = self._solve()
-        if outcome == _OPEN:
-            report, open_reason = self._by_definition()
-            reason = reason or ("" if p[_P["REASON"]] else open_reason)
+        report, open_reason = self._kept(outcome)
+        reason = reason or ("" if p[_P["REASON"]] else open_reason)
         step: ControlStep = self._core.commit()
         if report is not None or reason:
             if reason and step.status is Status.OFF_PATH:  # how far it is off comes first
                 reason = f"{step.reason.partition('; ')[0]}; {reason}"
             amend(step, **({} if report is None else {"solver": report}), **({"reason": reason} if reason else {}))
         return step
+
+    def _kept(self, outcome: int) -> tuple[SolverReport | None, str]:
+        """Answer what the core left open; again with tighter rows where the command breaks what they stand for."""
+        report, reason = self._answered(outcome)
+        for _ in range(MOST_TIGHTENINGS if len(self._further) else 0):
+            h, v = self.at["proposal"].item(_P["DT"]), self.at["command"]
+            rows = self.constraints.tightened(self._further, self.cell.moved(self.q, h * v), v, h)
+            if rows is None:
+                break
+            self._further = rows
+            self.at["further_lower"][: len(rows)] = rows.lower
+            report, reason = self._answered(self._core.propose(len(rows), True))
+        return report, reason
+
+    def _answered(self, outcome: int) -> tuple[SolverReport | None, str]:
+        """Answer what the core left open; how the solver went, and why the arms brake."""
+        report, reason = None, ""
+        if outcome == _FILLED:
+            outcome, report = self._solve()
+        if outcome == _OPEN:
+            report, reason = self._by_definition()
+        return report, reason
 
     def _as_measured(self, q: Any) -> Array:
         if type(q) is np.ndarray and q.dtype == np.float64 and q.shape == (self.cell.nq,) and q.flags.c_contiguous:
@@ -295,7 +339,7 @@ class CompiledLoop:
             return 0
         at, p = self.at, self.at["proposal"]
         try:
-            rows = self.constraints.rows(CellState(self.cell, self.q), p.item(_P["DT"]))
+            rows = self.constraints.rows(self.q, p.item(_P["DT"]), blind=not self._looks_ahead)
         except ConstraintTrouble as trouble:
             if p[_P["WATCH_CAP"]] > 0.0:
                 self._said[_CONSTRAINT_FAILED] = str(trouble)
@@ -307,6 +351,9 @@ class CompiledLoop:
         at["further_lower"][:m], at["further_upper"][:m], at["further_soft"][:m] = rows.lower, rows.upper, rows.soft
         at["further_owner"][:m] = rows.owner
         self._further = rows
+        if self._certified is not None:
+            at["quiet_centre"][:], at["quiet_reach"][:], *slack = self._certified.quiet
+            at["loop"][_QUIET] = slack
         return m
 
     def _solve(self) -> tuple[int, SolverReport]:

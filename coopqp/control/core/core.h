@@ -11,6 +11,7 @@
  *     horizon.c     knots, and the largest rate at each        growth.c      more of them, one Newton step at a time
  *     sharing.c     programs of the accelerations              chain_ahead.c the chain at one clock
  *     redundancy.c  what redundant arms do at limits       servo.c       new targets
+ *     quiet.c       where further constraints are quiet
  */
 
 #ifndef COOPQP_CORE_H
@@ -39,6 +40,8 @@ struct Core {
     int (*own_path)(Core *c, double clock, int twist, double *out);
     /* May lower cap and decrease of a new knot; NULL where nobody does. `slot` is its place in the ring. */
     int (*bound_knot)(Core *c, int slot);
+    /* May add self-motion to `evading_slope` at `evading_positions`; NULL where nobody does. 0 if it fails. */
+    int (*evade)(Core *c);
 };
 
 /* What the core can do, once for any processor and once for a newer one; see step.c and kinematics.c. */
@@ -50,6 +53,7 @@ typedef struct {
     int (*answer)(Core *c);
     int (*commit)(Core *c);
     int (*read)(Core *c, double cap);
+    int (*quiet)(const Core *c);
     void (*carry)(const Core *c, const double *positions, double *carried);
     void (*linearise)(const Core *c, const double *positions, const double *about, double *carried, double *jacobian);
     int (*least_distance)(int n, int m, const double *A, const double *low, const double *high, const double *lb,

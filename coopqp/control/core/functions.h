@@ -44,6 +44,15 @@ static int two_velocities(const Core *c, const double *jacobian, const double *w
 static void watch_sample(Core *c, const double *positions, const double *q, const double *away, double dt);
 static void watch_reset(Core *c);
 
+/* -- quiet.c --------------------------------------------------------------------------------------------------------- */
+
+/* No further row binds the command, without asking for them. */
+static int quiet_step(const Core *c);
+/* No further constraint asks for anything ahead at x. */
+static int quiet_ahead(const Core *c, const double *x);
+/* No further constraint stops the object between the knot before and one at x, `span` after it. */
+static int quiet_knot(Core *c, const double *x, const double *slope, const double *curvature, double span);
+
 /* -- preview.c ------------------------------------------------------------------------------------------------------- */
 
 /* Start at the commanded positions, on or near the path, and look ahead as far as a step needs. */

@@ -58,6 +58,10 @@ static int guarded_read(Core *c, double cap) {
     RUN(c, const int found = guards_of(c)->can->read(c, cap));
     return found;
 }
+static int guarded_quiet(const Core *c) {
+    RUN(c, const int found = guards_of(c)->can->quiet(c));
+    return found;
+}
 static void guarded_linearise(const Core *c, const double *positions, const double *about, double *carried,
                               double *jacobian) {
     RUN(c, guards_of(c)->can->linearise(c, positions, about, carried, jacobian));
@@ -75,7 +79,8 @@ static const Arithmetic *guarded(const Core *c, const Arithmetic *can) {
     calls = *can;
     calls.start = guarded_start, calls.start_path = guarded_start_path, calls.observe = guarded_observe;
     calls.propose = guarded_propose, calls.answer = guarded_answer, calls.commit = guarded_commit;
-    calls.read = guarded_read, calls.linearise = guarded_linearise, calls.go_over = guarded_go_over;
+    calls.read = guarded_read, calls.quiet = guarded_quiet;
+    calls.linearise = guarded_linearise, calls.go_over = guarded_go_over;
     return &calls;
 }
 #else

@@ -98,7 +98,7 @@ SEGMENT = 29
 
 OPTIONS = (
     "NOMINAL_DT", "GRASP_GAIN", "PATH_GAIN", "CORRECTION_SPEED", "CORRECTION_SPIN", "MEASUREMENT_TIME", "SHORTCUT",
-    "OWN_SOLVER",
+    "OWN_SOLVER", "CERTIFIED",
     "ACCELERATES", "RECOVERY_UNIT", "RELAX_UNIT", "RISE", "BLOCKED_RATE", "REIN_SLOPE", "OFF_PATH_DISTANCE",
     "OFF_PATH_ANGLE",
     "POSTURE_GAIN", "CENTRING", "MANIPULABILITY", "POSTURE_SHARE",
@@ -112,6 +112,7 @@ OPTIONS = (
 LOOP = (
     "CLOCK", "RATE", "LAST_DT", "HAS_PREDICTED", "FIRST", "DRIFTED", "CORRECTING", "FAULT", "FAULT_ARM", "FAULT_A",
     "FAULT_B", "PATH_LOST", "AWAY", "OVERRIDDEN", "PAUSE", "EASE",
+    "QUIET_SLACK", "QUIET_APPROACH", "QUIET_AHEAD",
 )  # fmt: skip
 WATCH = (
     "SAMPLES", "WATCH_RATE", "WATCH_ARM", "SILENCE", "PRESSED", "HAS_SEEN", "PAST_COUNT", "PAST_HEAD", "FAR_SAMPLES",
@@ -144,8 +145,9 @@ RECORD = (
 #: Members of Status, in the order of their codes.
 STATUSES = ("TRACKING", "SLOWED", "BLOCKED", "HOLDING", "FAULTED", "PAUSED", "OFF_PATH")
 
-#: FILLED: base and columns are there for another solver. OPEN: the plain definition has to find the answer.
-OUTCOMES = ("NOMINAL", "RAY", "QP", "FILLED", "OPEN")
+#: FILLED: base and columns are there for another solver. OPEN: the plain definition has to find the answer. ASK: rows
+#: may bind that have not been asked.
+OUTCOMES = ("NOMINAL", "RAY", "QP", "FILLED", "OPEN", "ASK")
 #: Members of LimitKind, in the order of their codes; 0 is none.
 KINDS = (
     "NONE", "POSITION", "VELOCITY", "ACCELERATION", "SINGULARITY", "REACH", "PATH_END", "OUT_OF_STEP", "CONSTRAINT",
@@ -171,6 +173,7 @@ CONFIG = (
 STATE = (
     ("loop", str(len(LOOP))), ("positions", "nv"), ("velocity", "nv"), ("before", "nv"), ("predicted", "6 * n"),
     ("drift", "6"), ("correcting", "6"), ("posture_target", "nv"),
+    ("quiet_centre", "nv"), ("quiet_reach", "nv"), ("quiet_ahead_centre", "nv"), ("quiet_ahead_reach", "nv"),
     ("watch", str(len(WATCH))), ("deviation", "6 * n"), ("away", "6 * n"), ("away_step", "6 * n"), ("noise", "n"),
     ("stalled", "n"), ("widest", "n"), ("lost", "n"), ("seen", "nq"), ("history", "2 * nv * past"),
     ("slow_drift", "6 * n"), ("lag", "6 * n"), ("apart", "6 * n"), ("drift_last", "nv"),
@@ -191,6 +194,7 @@ WORK = (
     ("columns", "(nv + rows) * unknowns"), ("x", "unknowns + nv + rows"), ("bindings", "4 * (nv + rows)"),
     ("record", f"{len(RECORD)} + 2 * nq + nv + 6 + 4 * (nv + rows)"), ("sketch", "24 * n + 9 * nv"),
     ("lines", "3 * (4 * nv + 4)"),
+    ("evading_positions", "nv"), ("evading_slope", "nv"),
     ("scratch", "scratch"),
 )  # fmt: skip
 

@@ -31,7 +31,7 @@ typedef struct {
     const Arithmetic *can; /* NULL before it is built */
     Py_buffer memory[3];   /* the blocks; released with the Core */
     double *own_pose;      /* where own_path leaves its numbers, 12 */
-    PyObject *own_path, *bound_knot;               /* callables; NULL for none */
+    PyObject *own_path, *bound_knot, *evasion;     /* callables; NULL for none */
     PyObject *path_buffer, *pose_buffer;           /* arrays whose memory is in use */
     PyObject *step_type, *context, *statuses;      /* what a step is made of */
     unsigned long busy;                            /* the thread that computes a step; 0 for none */
@@ -131,6 +131,7 @@ static int core_traverse(PyObject *object, visitproc visit, void *arg) {
     Py_VISIT(Py_TYPE(object));
     Py_VISIT(self->own_path);
     Py_VISIT(self->bound_knot);
+    Py_VISIT(self->evasion);
     Py_VISIT(self->path_buffer);
     Py_VISIT(self->pose_buffer);
     Py_VISIT(self->step_type);
@@ -143,8 +144,10 @@ static int core_clear(PyObject *object) {
     CoreObject *self = (CoreObject *)object;
     self->core.own_path = NULL;
     self->core.bound_knot = NULL;
+    self->core.evade = NULL;
     Py_CLEAR(self->own_path);
     Py_CLEAR(self->bound_knot);
+    Py_CLEAR(self->evasion);
     Py_CLEAR(self->step_type);
     Py_CLEAR(self->context);
     Py_CLEAR(self->statuses);
@@ -260,6 +263,24 @@ static PyObject *core_bind_knots(PyObject *object, PyObject *function) {
     Py_RETURN_NONE;
 }
 
+static int ask_evasion(Core *c) {
+    guard(c, 0);
+    const int good = ask(owner_of(c), owner_of(c)->evasion, PyTuple_New(0));
+    guard(c, 1);
+    return good;
+}
+
+static PyObject *core_bind_evasion(PyObject *object, PyObject *function) {
+    CoreObject *self = built(object);
+    if (!self) return NULL;
+    PyObject *old = self->evasion;
+    self->evasion = function == Py_None ? NULL : function;
+    Py_XINCREF(self->evasion);
+    Py_XDECREF(old);
+    self->core.evade = self->evasion ? ask_evasion : NULL;
+    Py_RETURN_NONE;
+}
+
 static PyObject *core_make_steps(PyObject *object, PyObject *args) {
     CoreObject *self = built(object);
     PyObject *type, *context, *statuses;
@@ -359,8 +380,13 @@ static PyObject *core_step(PyObject *object, PyObject *const *args, Py_ssize_t n
     if (!self || !enter(self)) return NULL;
     PyObject *step = NULL;
     if (take(self, n > 0 ? args[0] : NULL, n > 1 ? args[1] : NULL)) {
+        self->core.further_rows = 0;
         const int outcome = self->can->propose(&self->core);
         if (!interrupted(self)) {
+            if (self->core.options[CERTIFIED] != 0.0 && (outcome >= FILLED || !self->can->quiet(&self->core))) {
+                self->core.proposal[OUTCOME] = ASK;
+                Py_RETURN_NONE;
+            }
             if (outcome >= FILLED) Py_RETURN_NONE; /* it is released when the step is done */
             step = make_step(self, self->can->commit(&self->core));
         }
@@ -414,6 +440,7 @@ static PyObject *core_advance(PyObject *object, PyObject *args) {
     for (; done < steps; done++) {
         self->can->observe(&self->core, measured, NULL);
         if (self->can->propose(&self->core) >= FILLED || self->interrupt[0]) break;
+        if (self->core.options[CERTIFIED] != 0.0 && !self->can->quiet(&self->core)) break;
         self->can->commit(&self->core);
     }
     if (measured) PyBuffer_Release(&view);
@@ -532,6 +559,7 @@ static PyMethodDef core_methods[] = {
     {"set_path", core_set_path, METH_VARARGS, "set_path(numbers, function, pose, duration, looks_ahead)."},
     {"go_over", core_go_over, METH_VARARGS, "go_over(goal, numbers, speed, spin, full): to a new target."},
     {"bind_knots", core_bind_knots, METH_O, "bind_knots(function): called with the place of every new knot."},
+    {"bind_evasion", core_bind_evasion, METH_O, "bind_evasion(function): may change evading_slope."},
     {"make_steps", core_make_steps, METH_VARARGS, "make_steps(type, context, statuses): what step() returns."},
     {"linearise", core_linearise, METH_VARARGS, "linearise(positions, about, carried, jacobian)."},
     {NULL, NULL, 0, NULL},

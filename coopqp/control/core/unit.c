@@ -9,6 +9,7 @@
 #include "ldp.c"
 #include "program.c"
 #include "watch.c"
+#include "quiet.c"
 #include "sharing.c"
 #include "horizon.c"
 #include "redundancy.c"
@@ -22,5 +23,5 @@
 #define ARITHMETIC arithmetic_plain
 #endif
 
-const Arithmetic ARITHMETIC = {start, start_path, observe, propose,             answer,
-                               commit, read_answer, carry, carry_and_linearise, least_distance, go_over};
+const Arithmetic ARITHMETIC = {start,       start_path, observe, propose,             answer,         commit,
+                               read_answer, quiet_step, carry,   carry_and_linearise, least_distance, go_over};

@@ -12,6 +12,8 @@ import numpy as np
 import pinocchio as pin
 from pydantic import ValidationError
 
+from coopqp.collision.clearance import Clearance
+from coopqp.collision.scene import CollisionScene
 from coopqp.control.command import Controller
 from coopqp.control.independent import IndependentQPController, IndependentQPOptions
 from coopqp.control.options import QPOptions
@@ -20,9 +22,11 @@ from coopqp.control.qp import QPController
 from coopqp.control.solvers import default_solver
 from coopqp.errors import CoopqpError, InvalidInputError, MissingExtraError, UnknownNameError
 from coopqp.files.cellfile import CellFileError
+from coopqp.files.cellfile.basic import PlacementTable
+from coopqp.files.cellfile.bodies import build_scene, obstacles_of
 from coopqp.files.cellfile.explain import explain, in_words_of_the_file
 from coopqp.files.cellfile.paths import resolve
-from coopqp.files.cellfile.schema import MAX_STEPS, ArmTable, CellFile, CommonErrorTable, PlacementTable, StartTable
+from coopqp.files.cellfile.schema import MAX_STEPS, ArmTable, CellFile, CommonErrorTable, StartTable
 from coopqp.files.cellfile.strict import build_options
 from coopqp.files.cellfile.text import read_tables
 from coopqp.model.cell import Arm, RobotCell
@@ -32,6 +36,7 @@ from coopqp.model.inverse_kinematics import inverse_kinematics
 from coopqp.planning.starts import find_start
 from coopqp.scenarios.arms import robot_arm, robot_file
 from coopqp.simulation.assessment import slides
+from coopqp.simulation.closeness import default_scene, with_clearance
 from coopqp.simulation.plants.kinematic import KinematicPlant, Plant
 from coopqp.simulation.plants.physics import PhysicsPlant
 from coopqp.simulation.plants.physics_options import PhysicsOptions
@@ -94,6 +99,7 @@ class CellRun:
         settle: time that the run continues after the end of the path [s].
         longest: longest run [s], or None.
         settings: contents of the file as plain data; its table ``output`` selects the files to write.
+        scene: the bodies whose distances are kept, or judged; None if there are none.
     """
 
     scenario: Scenario
@@ -102,11 +108,20 @@ class CellRun:
     settle: float
     longest: float | None
     settings: CellFile
+    scene: CollisionScene | None = None
+
+    @property
+    def avoids(self) -> bool:
+        """Whether the controller keeps the margins of the scene."""
+        return self.settings.collision is not None and self.settings.collision.avoid
 
     def controller(self) -> Controller:
         """A new controller."""
         kind, s = _CONTROLLERS[self.controller_kind][0], self.scenario
-        made: Controller = kind(s.cell, s.grasp, s.path, dt=s.dt, options=self.options)
+        more: dict[str, Any] = {}
+        if self.avoids and self.scene is not None:
+            more["constraints"] = [Clearance(self.scene)]
+        made: Controller = kind(s.cell, s.grasp, s.path, dt=s.dt, options=self.options, **more)
         return made
 
     def plant(self) -> Plant:
@@ -124,7 +139,7 @@ class CellRun:
         """Run the controller on the plant."""
         s = self.scenario
         given = self.settings.model_dump(mode="json", exclude_none=True, exclude_unset=True)
-        return simulate(
+        recording = simulate(
             self.controller(),
             self.plant(),
             q_start=s.q_start,
@@ -139,6 +154,7 @@ class CellRun:
                 "settings": given,
             },
         )
+        return with_clearance(recording, self.scene, avoided=self.avoids)
 
 
 def read(file: Path) -> CellFile:
@@ -221,9 +237,13 @@ def build(file: CellFile, folder: Path) -> CellRun:
         object_size=(size[0], size[1], size[2]),
         T_object_body=_placement(file.object.centre),
         object_mass=file.object.mass_kg,
+        obstacles=() if file.collision is None else obstacles_of(file.collision, folder, _placement),
     )
+    scene = default_scene(scenario)
+    if file.collision is not None:
+        scene = build_scene(file.collision, scenario, folder, _placement)
     kind = str(file.controller.kind)
-    return CellRun(scenario, kind, _options(kind, file.controller), file.settle_s, file.longest_s, file)
+    return CellRun(scenario, kind, _options(kind, file.controller), file.settle_s, file.longest_s, file, scene)
 
 
 class _BuildError(CoopqpError):

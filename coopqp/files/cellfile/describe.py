@@ -109,7 +109,7 @@ def _word(kind: Any) -> str:
         text = " | ".join(f'"{member}"' for member in members) if len(members) <= MAX_MEMBERS else "name"
     elif origin is list:
         inner = _word(members[0])
-        text = f"list of {inner}s" if inner != "list of numbers" else "rows of numbers"
+        text = {"list of numbers": "rows of numbers", "list of texts": "list of pairs"}.get(inner, f"list of {inner}s")
     elif origin is dict:
         inner = _word(members[1])
         text = (

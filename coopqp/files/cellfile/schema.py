@@ -9,12 +9,29 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from annotated_types import Ge, Le, Len
 from pydantic import AfterValidator, Field, model_validator
-from pydantic_core import PydanticCustomError
 
 from coopqp.control.independent import IndependentQPOptions
 from coopqp.control.options import QPOptions
 from coopqp.control.pseudo_inverse import PseudoInverseOptions
-from coopqp.errors import has_controls, printable, shown
+from coopqp.errors import shown
+from coopqp.files.cellfile.basic import (
+    MAX_ARMS,
+    Angle,
+    Angles,
+    Degrees,
+    FilePath,
+    Metres,
+    Name,
+    PerJoint,
+    PlacementTable,
+    Position,
+    Seconds,
+    Sides,
+    at_most_one,
+    exactly_one,
+    problem,
+)
+from coopqp.files.cellfile.bodies import CollisionTable
 from coopqp.files.cellfile.paths import check_inside
 from coopqp.files.cellfile.strict import MAX_LIST, Number, Numbers, Table, table_of
 from coopqp.scenarios.arms import ROBOTS
@@ -22,67 +39,8 @@ from coopqp.simulation.assessment import Tolerances
 from coopqp.simulation.plants.physics_options import PhysicsOptions
 from coopqp.simulation.simulate import PATIENCE
 
-#: Largest accepted numbers of arms, steps and waypoints of a run.
-MAX_ARMS, MAX_STEPS, MAX_WAYPOINTS = 128, 1_000_000, 1_000
-
-#: Largest accepted length of a position [m], of an angle [deg or rad], and of a path in characters.
-MAX_METRES, MAX_ANGLE, MAX_PATH = 1e4, 1e6, 4096
-
-
-def _problem(text: str) -> PydanticCustomError:
-    return PydanticCustomError("cell_file", "{text}", {"text": text})
-
-
-def _plain(text: str) -> str:
-    if has_controls(text):
-        raise _problem(f"{printable(shown(text))} has control characters; give plain text")
-    return text
-
-
-Name = Annotated[str, Len(1, 100), AfterValidator(_plain)]
-FilePath = Annotated[str, Len(1, MAX_PATH), AfterValidator(_plain)]
-Seconds = Annotated[float, Ge(1e-6), Le(1e5)]
-Metres = Annotated[float, Ge(1e-4), Le(1e3)]
-Angle = Annotated[float, Ge(-MAX_ANGLE), Le(MAX_ANGLE)]
-Position = Annotated[list[Annotated[float, Ge(-MAX_METRES), Le(MAX_METRES)]], Len(3, 3)]
-Angles = Annotated[list[Angle], Len(3, 3)]
-Positions = Annotated[list[Angle], Len(1, MAX_LIST)]
-Unbounded = Annotated[float, Field(allow_inf_nan=True)]
-Sides = Annotated[list[Metres], Len(3, 3)]
-PerJoint = Unbounded | Annotated[list[Unbounded], Len(1, 100)]
-Degrees = Annotated[dict[Name, Positions], Len(1, MAX_ARMS)]
-
-
-def exactly_one(table: Table, *keys: str) -> str:
-    """Return the given one of ``keys``; an error if none or several are given."""
-    given = [key for key in keys if getattr(table, key) is not None]
-    if len(given) != 1:
-        raise _problem(f"give one of {', '.join(keys)}" + (f", not {' and '.join(given)}" if given else ""))
-    return given[0]
-
-
-def at_most_one(table: Table, *keys: str) -> None:
-    """Raise an error if more than one of ``keys`` is given."""
-    given = [key for key in keys if getattr(table, key) is not None]
-    if len(given) > 1:
-        raise _problem(f"give {' or '.join(given)}, not both")
-
-
-class PlacementTable(Table):
-    """A placement: a position with an orientation, or a 4x4 matrix."""
-
-    xyz_m: Position | None = Field(default=None, description="position (default 0, 0, 0)")
-    rpy_deg: Angles | None = Field(default=None, description="turns about the fixed x, y and z axes, in this order")
-    rpy_rad: Angles | None = Field(default=None, description="the same in radians")
-    matrix: (
-        Annotated[list[Annotated[list[Annotated[float, Ge(-MAX_METRES), Le(MAX_METRES)]], Len(4, 4)]], Len(4, 4)] | None
-    ) = Field(default=None, description="rows of the homogeneous matrix [m], in place of the other keys")
-
-    @model_validator(mode="after")
-    def _one_form(self) -> PlacementTable:
-        at_most_one(self, "rpy_deg", "rpy_rad", "matrix")
-        at_most_one(self, "xyz_m", "matrix")
-        return self
+#: Largest accepted numbers of steps and waypoints of a run.
+MAX_STEPS, MAX_WAYPOINTS = 1_000_000, 1_000
 
 
 class LimitsTable(Table):
@@ -130,7 +88,7 @@ class ArmTable(Table):
     @model_validator(mode="after")
     def _one_model(self) -> ArmTable:
         if exactly_one(self, "robot", "urdf", "mjcf") != "robot" and self.tool_frame is None:
-            raise _problem("tool_frame is missing: the link or frame that holds the object")
+            raise problem("tool_frame is missing: the link or frame that holds the object")
         return self
 
 
@@ -194,7 +152,7 @@ class WaypointsTable(Table):
     @model_validator(mode="after")
     def _fits(self) -> WaypointsTable:
         if len(self.durations_s) != len(self.poses) - 1:
-            raise _problem(
+            raise problem(
                 f"{len(self.poses)} poses need {len(self.poses) - 1} durations_s, not {len(self.durations_s)}"
             )
         return self
@@ -250,7 +208,7 @@ class StartTable(Table):
     def _auto(cls, data: Any) -> Any:
         if isinstance(data, str):
             if data != "auto":
-                raise _problem('give a table or "auto"')
+                raise problem('give a table or "auto"')
             return {}
         return data
 
@@ -291,7 +249,7 @@ class CommonErrorTable(Table):
         given = {key for key in ("master", "driver", "weights") if getattr(self, key) is not None}
         if given != needed[self.kind]:
             wants = " and ".join(sorted(needed[self.kind])) or "nothing else"
-            raise _problem(f"kind '{self.kind}' takes {wants}")
+            raise problem(f"kind '{self.kind}' takes {wants}")
         return self
 
 
@@ -341,7 +299,7 @@ else:
 def _inside(text: str) -> str:
     wrong = check_inside(text)
     if wrong:
-        raise _problem(f"{wrong}, not {shown(text)}")
+        raise problem(f"{wrong}, not {shown(text)}")
     return text
 
 
@@ -392,6 +350,9 @@ class CellFile(Table):
     )
     patience_s: Seconds = Field(default=PATIENCE, description="time until a run with a stopped object ends")
     longest_s: Seconds | None = Field(default=None, description="longest run (default: ten times the path's duration)")
+    collision: CollisionTable | None = Field(
+        default=None, description="what the arms and the object keep away from; without it a run is only judged"
+    )
     verdict: VerdictTable = Field(
         default_factory=_VerdictTable, description="accepted errors; `coopqp run` ends with status 4 beyond them"
     )
@@ -400,6 +361,8 @@ class CellFile(Table):
     @model_validator(mode="after")
     def _fits(self) -> CellFile:
         at_most_one(self, "dt_s", "steps")
+        if self.collision is not None and self.collision.avoid and self.controller.kind != "qp":
+            raise problem("collision.avoid: only the controller qp avoids; with avoid = false a run is judged")
         return self
 
 

@@ -1,0 +1,247 @@
+"""How far arms and object stay from all else, and what that costs a step. See benchmarks/README.md.
+
+Distances are judged by ``Closeness``, which shares no code with the controller's, at every step and between steps.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import common  # first: it limits BLAS to one thread
+import numpy as np
+import pinocchio as pin
+from common import Record
+
+from coopqp import Closeness, ControlStep, ObjectPath, QPController, check_run, simulate
+from coopqp.collision import Body, Box, Clearance, CollisionScene, Sphere
+from coopqp.scenarios import (
+    Scenario,
+    dual_arm7,
+    elbow_and_knob,
+    mixed_cell,
+    paper_lift,
+    plate_and_post,
+    plate_and_table,
+    random_posts,
+    ring,
+)
+
+KEYS = (
+    "case", "controller", "clearance_mm", "margin_mm", "chain_mm", "path_mm", "chain_slack", "finished", "status",
+    "pair", "reversals", "passes", "p50_us", "p99_us",
+)  # fmt: skip
+ACCELERATION = 5.0  # [rad/s²]
+MARGIN = 0.02  # [m]
+NEAR_MARGIN = 0.005  # of random posts and of the times of a step [m]
+
+
+@dataclass(frozen=True)
+class Plan:
+    """How much is run.
+
+    Attributes:
+        posts: random cells for each number of arms.
+        jumps: random jumps of the certified skip.
+        rounds: runs of the times of a step.
+    """
+
+    posts: int = 50
+    jumps: int = 1_000_000
+    rounds: int = 5
+
+
+QUICK = Plan(posts=2, jumps=5_000, rounds=1)
+FULL = Plan()
+
+
+class Unknown(ObjectPath):
+    """A path that is not known ahead."""
+
+    known_ahead = False
+
+    def __init__(self, path: ObjectPath) -> None:
+        self._path, self.duration = path, path.duration
+
+    def pose(self, clock: float) -> pin.SE3:
+        """Its pose."""
+        return self._path.pose(clock)
+
+    def twist(self, clock: float) -> Any:
+        """Its twist."""
+        return self._path.twist(clock)
+
+
+def inside_the_margin(side: float) -> Scenario:
+    """The paper's plate 8 mm from a lid above (the path leads towards it) or below it."""
+    lift = paper_lift(time_law="quintic")
+    middle = (lift.path.pose(0.0) * lift.T_object_body).translation
+    lid = Body("lid", Box((0.3, 0.3, 0.05)), pin.SE3(np.eye(3), middle + np.array([0.0, 0.0, side * 0.053])))
+    return replace(lift, obstacles=(lid,))
+
+
+def cases() -> Iterator[tuple[str, Scenario, dict[str, Any]]]:
+    """Name, task and what its scene says besides."""
+    yield "plate and post (capsule)", plate_and_post(), {}
+    yield "plate and post (box)", plate_and_post(post="box"), {}
+    yield "plate and table", plate_and_table(), {}
+    yield "plate and tilted table", plate_and_table(tilt=0.1), {}
+    blind = plate_and_post()
+    yield "plate and post, not known ahead", replace(blind, path=Unknown(blind.path)), {}
+    yield "elbow and knob", elbow_and_knob(), {}
+    yield "start inside, towards", inside_the_margin(1.0), {"inside": [("object", "lid")]}
+    yield "start inside, away", inside_the_margin(-1.0), {"inside": [("object", "lid")]}
+
+
+def reversals(rate: Any) -> int:
+    """How often the rate turns between rising and falling."""
+    change = np.diff(rate)
+    change = change[np.abs(change) > 1e-6]
+    return int((np.diff(np.sign(change)) != 0).sum())
+
+
+def measured(case: str, task: Scenario, scene: CollisionScene, *, avoids: bool, patience: float = 0.2) -> Record:
+    """What a run came to."""
+    cell = scene.cell
+    steps: list[ControlStep] = []
+    constraints = [Clearance(scene)] if avoids else []
+    controller = QPController(cell, task.grasp, task.path, dt=task.dt, constraints=constraints)
+    run = simulate(controller, q_start=task.q_start, patience=patience, observe=steps.append)
+    verdict, closest = check_run(run, cell, scene=scene), Closeness(scene).closest(run.q_command, run.time)
+    assert closest is not None
+    named = next((" and ".join(limit.between) for limit in steps[-1].binding if limit.between), "")
+    return {
+        "case": case, "controller": "clearance" if avoids else "without",
+        "clearance_mm": round(1e3 * closest.pair.distance, 6), "margin_mm": 1e3 * closest.margin,
+        "chain_mm": 1e3 * verdict.worst.chain_m, "path_mm": 1e3 * verdict.worst.path_m,
+        "chain_slack": max(step.given_up.chain for step in steps), "finished": run.finished,
+        "status": steps[-1].status.name, "pair": named or f"{closest.pair.first} and {closest.pair.second}",
+        "reversals": reversals(run.rate), "passes": None, "p50_us": None, "p99_us": None,
+    }  # fmt: skip
+
+
+def runs(plan: Plan, progress: common.Progress) -> Iterator[Record]:
+    """Every case with and without acceleration limits, then the random posts."""
+    for name, task, more in cases():
+        for acceleration in (np.inf, ACCELERATION):
+            cell = task.cell.with_limits(acceleration=acceleration)
+            scene = CollisionScene.of(task, cell=cell, margin=MARGIN, **more)
+            case = name if acceleration == np.inf else f"{name}, {ACCELERATION:g} rad/s²"
+            for avoids in (True, False):
+                yield measured(case, task, scene, avoids=avoids)
+            progress.advance(case)
+    for arms in (2, 3, 4, 8):
+        for seed in range(plan.posts):
+            task = random_posts(seed, arms=arms)
+            yield measured(
+                f"random posts, {arms} arms, {seed}", task, CollisionScene.of(task, margin=NEAR_MARGIN), avoids=True
+            )
+            progress.advance(f"random posts, {arms} arms")
+
+
+def skipped(plan: Plan) -> Record:
+    """Violations of the certified skip: distances after random jumps against what their bounds say."""
+    from coopqp.collision.distances import Distances
+
+    rng, worst, violations, asked = np.random.default_rng(0), 0.0, 0, 0
+    tasks = (paper_lift(), dual_arm7(), mixed_cell(), plate_and_post())
+    scenes = [CollisionScene.of(task, margin=0.0) for task in tasks]
+    while asked < plan.jumps:
+        for scene in scenes:
+            cell, distances, reach = scene.cell, Distances(scene), scene.built.reach
+            low, high = np.maximum(cell.limits.lower, -3.0), np.minimum(cell.limits.upper, 3.0)
+            x = rng.uniform(low, high)
+            step = np.clip(x + rng.normal(size=cell.nv) * 10.0 ** rng.uniform(-4.0, -0.5), low, high) - x
+            before, after = (distances.all(cell.configuration(at)) for at in (x, x + step))
+            apart = (before > 0.0) & (after > 0.0)
+            change, bound = np.abs(after - before)[apart], (reach @ np.abs(step))[apart]
+            asked += int(apart.sum())
+            violations += int((change > bound + 2e-8).sum())
+            moved = bound > 1e-6
+            worst = max(worst, float((change[moved] / bound[moved]).max(initial=0.0)))
+    return dict(
+        dict.fromkeys(KEYS), case=f"skip: {asked} jumps", controller="clearance",
+        status=f"{violations} violations, worst {worst:.3f} of the bound",
+    )  # fmt: skip
+
+
+def step_times(plan: Plan) -> Iterator[Record]:
+    """CPU time of a step without a scene and with one, far from everything and near, in turns."""
+    far = Body("far", Sphere(0.1), pin.SE3(np.eye(3), np.array([9.0, 0.0, 0.0])))
+    far_tasks = [
+        ("3 RX-90L", paper_lift(time_law="quintic")),
+        ("2 seven-joint arms", dual_arm7()),
+        ("4 mixed", mixed_cell()),
+    ]
+    for name, task in [*far_tasks, ("8 RX-90L", ring(arms=8))]:
+        ignored = [("object", arm) for arm in task.cell.arm_names] if name.startswith("8") else []
+        scene = CollisionScene.of(task, obstacles=[far], margin=NEAR_MARGIN, ignored=ignored)
+        yield from _timed(f"step, far: {name}", task, scene, plan)
+    for acceleration in (np.inf, ACCELERATION):
+        task = plate_and_post()
+        cell = task.cell.with_limits(acceleration=acceleration)
+        scene = CollisionScene.of(task, cell=cell, margin=MARGIN)
+        yield from _timed("step with rows: plate and post", task, scene, plan, near=True)
+
+
+def _timed(case: str, task: Scenario, scene: CollisionScene, plan: Plan, *, near: bool = False) -> Iterator[Record]:
+    """Times of all steps; of those that asked for rows where ``near``."""
+    clearance = Clearance(scene)
+    count, ask = [0], clearance.rows_by_label
+
+    def counted(*args: Any, **options: Any) -> Any:
+        count[0] += 1
+        return ask(*args, **options)
+
+    clearance.rows_by_label = counted  # type: ignore[method-assign]
+    contestants = {"without": [], "clearance": [clearance]}
+    times: dict[str, list[float]] = {name: [] for name in contestants}
+    for turn in range(plan.rounds):
+        for name, constraints in sorted(contestants.items(), reverse=bool(turn % 2)):
+            controller = QPController(scene.cell, task.grasp, task.path, dt=2e-3, constraints=constraints)
+            controller.reset(task.q_start)
+            count[0], steps = 0, 0
+            while True:
+                before, begin = count[0], time.thread_time_ns()
+                step = controller.step()
+                if not near or not constraints or count[0] > before:
+                    times[name].append(1e-3 * (time.thread_time_ns() - begin))
+                steps += 1
+                if step.finished or steps > 5000 or (step.rate == 0.0 and steps > 200):
+                    break
+            passes = f"{count[0]} of {steps}" if constraints else None
+    for name in contestants:
+        p = common.percentiles(times[name])
+        yield dict(
+            dict.fromkeys(KEYS), case=case, controller=name, passes=passes if name == "clearance" else None,
+            p50_us=p["p50_us"], p99_us=p["p99_us"],
+        )  # fmt: skip
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Command line."""
+    args = common.arguments(__doc__.partition("\n")[0] if __doc__ else "").parse_args(argv)
+    plan = QUICK if args.quick else FULL
+    progress = common.Progress(2 * sum(1 for _ in cases()) + 4 * plan.posts)
+    description = common.describe("collisions", {"posts": plan.posts, "jumps": plan.jumps, "rounds": plan.rounds})
+    print(common.header(description), flush=True)
+    records = [*runs(plan, progress), skipped(plan), *step_times(plan)]
+    progress.close()
+    posts = [r for r in records if r["case"].startswith("random posts")]
+    shown = [r for r in records if r not in posts]
+    touched = sum(r["clearance_mm"] < r["margin_mm"] - 1e-3 for r in posts)
+    slack, finished = sum(r["chain_slack"] > 0.0 for r in posts), sum(r["finished"] for r in posts)
+    text = f"## Collisions\n\n{common.markdown_table(shown, KEYS)}\n\n"
+    text += f"{len(posts)} random posts: {touched} inside the margin, {slack} with chain slack, {finished} finished, "
+    text += f"chain ≤ {max(r['chain_mm'] for r in posts):.1e} mm, path ≤ {max(r['path_mm'] for r in posts):.1e} mm\n"
+    print("\n" + text)
+    files = {"collisions.md": text.encode()} if args.out is not None else None
+    for file in common.save(records, description, json_file=args.json, out=args.out, files=files):
+        print(f"wrote {file}")
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

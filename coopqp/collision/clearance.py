@@ -1,0 +1,367 @@
+"""The constraint that keeps distances: rows in every step, a stop in the look-ahead, and a certificate for all others.
+
+A pair at distance d with margin m keeps ``ḋ ≥ −ξ (d − m)``. Where the look-ahead brakes in time, ξ = 1/dt: the margin
+is reached within one step, at the earliest. Where nothing is known ahead, ξ is small enough for the joints to brake.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any, final
+
+import numpy as np
+import pinocchio as pin
+
+from coopqp.checks import as_scalar, as_vector, require
+from coopqp.collision.distances import Distances, Gradient, LowerBounds
+from coopqp.collision.evasion import Evasion
+from coopqp.collision.scene import CollisionScene
+from coopqp.control.constraints import MOST_ROWS, ConstraintTrouble, Knot, LabelledRows, Quiet, Rank
+from coopqp.errors import InvalidInputError, UnknownNameError
+from coopqp.model.limits import BindingLimit, LimitKind
+from coopqp.model.shapes import NearPair
+from coopqp.model.state import CellState
+from coopqp.spatial import Array, Placement, as_placement
+
+#: A start this far inside a margin is outside it but for rounding [m].
+_ROUNDING = 1e-6
+#: Pairs are watched within this of their margin: in a step at most, and where nothing is known ahead [m].
+_WATCH, _BLIND_WATCH = 0.1, 0.3
+#: Between knots a pair is asked until its bodies move by less than this from one sample to the next [m].
+_SAMPLE = 5e-4
+#: Pairs are looked at this far beyond the comfort, so that evasion begins gently [m].
+_EVADES_EARLY = 0.05
+#: Room that the bend between two knots may take, where they are certified together [m].
+_BEND = 2e-3
+#: The joints' way between knots is no longer than this many times the straight one.
+_BENT = 1.02
+#: A distance that falls by less stands still [m].
+_STANDS = 1e-9
+#: Speed at which a body that gives way is asked to retreat, at most [m/s].
+_FASTEST_RETREAT = 0.5
+#: Rows of one step at most; the nearest pairs.
+_MOST_PAIRS = MOST_ROWS // 2
+
+
+@dataclass(eq=False)
+class _Place:
+    """Where a moving body is, how it moves, and how long ago that was told [s]."""
+
+    T_world_body: pin.SE3
+    twist: Array
+    age: float = 0.0
+
+
+@final
+class Clearance:
+    """Distances that a controller keeps: ``QPController(..., constraints=[Clearance(scene)])``.
+
+    It ranks below the chain and above the path: the object slows down and stops on its path, as far from the others as
+    the margins say. ``step.binding`` names both bodies.
+
+    Args:
+        scene: what may touch what.
+        approach: ξ where the path is not known ahead [1/s].
+        comfort: redundant arms keep this far from their margins where their self-motion can [m]; 0: they do not evade.
+        give_way: what stands in the way of a moving body leaves the path for it; else it slows down and stops there.
+        stopping: time in which the arms come to rest where a moving body comes closer [s].
+        patience: a moving body whose place is not told for longer leads to HOLDING [s].
+        name: how messages call it.
+
+    Attributes:
+        labels: a limit for each pair.
+    """
+
+    rank = Rank.CLEARANCE
+
+    def __init__(
+        self,
+        scene: CollisionScene,
+        *,
+        approach: float = 5.0,
+        comfort: float = 0.03,
+        give_way: bool = False,
+        stopping: float = 0.4,
+        patience: float = 0.1,
+        name: str = "clearance",
+    ) -> None:
+        require(scene, CollisionScene, "Clearance: scene", "Give a CollisionScene.")
+        self.scene, self.name = scene, name
+        self.approach = as_scalar(approach, "Clearance: approach", high=1e3)
+        self.comfort = as_scalar(comfort, "Clearance: comfort", open_low=False, high=1.0)
+        self.give_way = bool(give_way)
+        self.stopping = as_scalar(stopping, "Clearance: stopping", high=60.0)
+        self.patience = as_scalar(patience, "Clearance: patience", high=60.0)
+        self.labels = tuple(BindingLimit("", "", LimitKind.COLLISION, between=label) for label in scene.built.labels)
+        self._places = {b.name: _Place(as_placement(b.placement, b.name), np.zeros(6)) for b in scene.moving}
+        self._prepare()
+
+    def _prepare(self) -> None:
+        built, cell = self.scene.built, self.scene.cell
+        self._distances, self._probe = Distances(self.scene), Distances(self.scene)
+        self._step, self._ahead = (LowerBounds(self.scene, self._distances) for _ in range(2))
+        self._margins, self._inside, self._reach = built.margins, built.inside, built.reach
+        self._speed = cell.limits.velocity
+        self._evasion = Evasion(cell)
+        evades = bool(self._evasion) and self.comfort > 0.0
+        self._evading_from = self.comfort + _EVADES_EARLY if evades else 0.0
+        self._fastest = built.reach @ np.where(np.isfinite(self._speed), self._speed, 0.0)
+        self._fastest[(built.reach[:, ~np.isfinite(self._speed)] > 0.0).any(axis=1)] = np.inf
+        self._approach = np.inf
+        self._shapes = {b.name: i for b, i in zip(self.scene.moving, built.moving, strict=True)}
+        second = np.array([int(pair.second) for pair in built.geometry.collisionPairs], dtype=int)
+        self._runs = np.isin(second, list(self._shapes.values()))
+        self._second = second
+
+    # -- state -----------------------------------------------------------------------------------------------------
+
+    def __getstate__(self) -> dict[str, Any]:
+        names = ("scene", "name", "approach", "comfort", "give_way", "stopping", "patience", "labels", "_places")
+        return {name: self.__dict__[name] for name in names}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+        self._prepare()
+        for name, place in self._places.items():
+            self._put(name, place.T_world_body)
+
+    @property
+    def quiet(self) -> Quiet:
+        """Where no row binds, from the last :meth:`rows_by_label` on."""
+        return self._quiet(self._step, 0.0, self._approach)
+
+    @property
+    def quiet_ahead(self) -> Quiet:
+        """Where no knot is stopped, from the last :meth:`room` on."""
+        return self._quiet(self._ahead, max(_BEND, self._evading_from), np.inf)
+
+    def _quiet(self, bounds: LowerBounds, spare: float, approach: float) -> Quiet:
+        reach, slack = bounds.certificate(spare)
+        return Quiet(bounds.positions, reach, -1.0 if self._shapes else slack, approach)
+
+    def nearest(self, q: Array) -> NearPair | None:
+        """The pair that is nearest to its margin at a configuration (nq,)."""
+        if not self.labels:
+            return None
+        d = self._probe.all(q)
+        k = int((d - self._margins).argmin())
+        return self._pair(k, float(d[k]))
+
+    def _pair(self, k: int, distance: float) -> NearPair:
+        first, second = self.scene.built.labels[k]
+        return NearPair(first, second, distance)
+
+    def measured(self, limit: BindingLimit, q: Array) -> BindingLimit:
+        """One of the labels with the distance of its bodies at a configuration (nq,)."""
+        self._probe.place(q)
+        pairs = [k for k, label in enumerate(self.labels) if label.between == limit.between]
+        return replace(limit, distance=min(self._probe.one(k) for k in pairs))
+
+    # -- starting --------------------------------------------------------------------------------------------------
+
+    def check(self, q: Array) -> None:
+        """Refuse a start at which a pair is inside its margin.
+
+        Raises:
+            InvalidInputError: one is, and the scene does not say that it may start there.
+        """
+        d = self._distances.all(q)
+        near = np.flatnonzero((d < self._margins - _ROUNDING) & ~self._inside)
+        self._step.forget()
+        self._ahead.forget()
+        if not near.size:
+            return
+        k = int(near[(d - self._margins)[near].argmin()])
+        pair = self._pair(k, float(d[k]))
+        more = f", and {len({self.labels[i].between for i in near}) - 1} other pairs" if near.size > 1 else ""
+        raise InvalidInputError(
+            f"{pair.first} and {pair.second} are {1e3 * pair.distance:.1f} mm from each other, inside their margin of "
+            f"{1e3 * self._margins[k]:.4g} mm{more}",
+            "reset: q",
+            "Start elsewhere, lower the margin (margins), or allow the pair: inside=[…] where it may only part, "
+            "ignored=[…] where it may touch.",
+        )
+
+    # -- the step --------------------------------------------------------------------------------------------------
+
+    def rows(self, state: CellState, dt: float) -> tuple[Array, Array, Array]:
+        """Rows where the look-ahead brakes in time; see :class:`coopqp.VelocityConstraint`."""
+        found = self.rows_by_label(state.q, dt, blind=False)
+        return found.G, found.lower, found.upper
+
+    def rows_by_label(self, q: Array, dt: float, *, blind: bool) -> LabelledRows:
+        """Rows of the pairs that are near, and their labels."""
+        bounds, nv = self._step, self.scene.cell.nv
+        xi = min(self.approach, 1.0 / dt) if blind else 1.0 / dt
+        self._approach = self.approach if blind else np.inf
+        bounds.follow(self.scene.cell.positions(q))
+        self._distances.place(q)
+        self._grow_old(dt)
+        watch = np.minimum(self._fastest / xi, _BLIND_WATCH if blind else _WATCH)
+        watch[self._runs] = _BLIND_WATCH
+        bounds.ask(np.flatnonzero(bounds.rooms < watch).tolist())
+        near = np.flatnonzero(bounds.rooms < watch)
+        bounds.sharpen()
+        if not near.size:
+            return LabelledRows(np.zeros((0, nv)), np.zeros(0), np.zeros(0), near)
+        if near.size > _MOST_PAIRS:
+            near = np.sort(near[np.argpartition(bounds.rooms[near], _MOST_PAIRS)[:_MOST_PAIRS]])
+        gradient = self._distances.gradient(near)
+        lower = -np.maximum(bounds.rooms[near], 0.0) * xi
+        for name, place in self._places.items():
+            self._run(near, self._shapes[name], place, gradient, lower, dt)
+        fastest = np.abs(gradient.rows) @ np.where(np.isfinite(self._speed), self._speed, 1e9)
+        binds = (fastest > -lower) | self._runs[near]
+        near, G, lower = near[binds], gradient.rows[binds], lower[binds]
+        return LabelledRows(G, lower, np.full(len(near), np.inf), near)
+
+    def tightened(self, rows: LabelledRows, q_next: Array, v: Array, dt: float) -> Array | None:
+        """Lower bounds (m,) that make up for what rows are blind to, the bend of distances within a step.
+
+        Args:
+            rows: of this step.
+            q_next: where its command leads to (nq,).
+            v: the command (nv,).
+            dt: its length [s].
+
+        Returns:
+            None where all pairs keep their margin, or come no closer inside it.
+        """
+        if not len(rows.which):
+            return None
+        least = np.minimum(self._step.rooms[rows.which], 0.0)
+        close = np.flatnonzero(self._step.rooms[rows.which] + dt * (rows.G @ v) < least + _SAMPLE)
+        if not close.size:
+            return None
+        self._distances.place(q_next)
+        room = np.array([self._distances.one(int(rows.which[i])) for i in close]) - self._margins[rows.which[close]]
+        missing = least[close] - room
+        bent = (missing > 0.1 * _STANDS) & ~self._runs[rows.which[close]]
+        if not bent.any():
+            return None
+        lower: Array = rows.lower.copy()
+        lower[close[bent]] = np.maximum(lower[close[bent]], rows.G[close[bent]] @ v) + missing[bent] / dt
+        return lower
+
+    # -- the path ahead --------------------------------------------------------------------------------------------
+
+    def room(self, knot: Knot) -> int:
+        """Label of a pair that stops the object between the knot before and this one; −1 if none does.
+
+        It stops where the distance is below the margin while it falls.
+        """
+        bounds, positions = self._ahead, self.scene.cell.positions
+        bounds.follow(positions(knot.state.q))
+        way = _BENT * (self._reach @ np.abs(self._back(knot, knot.span)))
+        bounds.rooms[self._runs] = np.inf  # where they will be nobody knows
+        close = np.maximum(way, self._evading_from)
+        if not (bounds.rooms < close).any():
+            return -1
+        self._distances.place(knot.state.q)
+        bounds.ask(np.flatnonzero(bounds.rooms < close).tolist())
+        bounds.sharpen()
+        for k in np.flatnonzero(bounds.rooms < way):
+            if self._crosses(int(k), knot, float(way[k])):
+                return int(k)
+        return -1
+
+    def evaded(self, q: Array, slope: Array) -> Array:
+        """Slopes with the self-motion of redundant arms that keeps ``ḋ ≥ −ξ (d − m − comfort)``."""
+        if not self._evading_from:
+            return slope
+        bounds = self._ahead
+        bounds.follow(self.scene.cell.positions(q))
+        bounds.rooms[self._runs] = np.inf
+        self._distances.place(q)
+        bounds.ask(np.flatnonzero(bounds.rooms < self._evading_from).tolist())
+        near = np.flatnonzero(bounds.rooms < self._evading_from)
+        if not near.size:
+            return slope
+        lower = -self.approach * (bounds.rooms[near] - self.comfort)
+        return self._evasion.slope(q, slope, self._distances.gradient(near).rows, lower)
+
+    def _crosses(self, k: int, knot: Knot, way: float) -> bool:
+        """Whether pair ``k`` comes inside its margin, or closer inside it, between the knot before and this one."""
+        after, before = float(self._ahead.rooms[k]), self._room_at(k, knot, knot.span)
+        if knot.span == 0.0:  # the first knot
+            G = self._distances.gradient([k]).rows[0]
+            return after < -_ROUNDING and float(G @ knot.slope) < -_STANDS
+        least = min(before, 0.0) - _STANDS
+        if after < least:
+            return True
+        pieces = [(0.0, after, knot.span, before, way)]
+        while pieces:
+            late, d_late, early, d_early, length = pieces.pop()
+            if 0.5 * (d_late + d_early - length) >= least or length < _SAMPLE:
+                continue
+            middle = 0.5 * (late + early)
+            d = self._room_at(k, knot, middle)
+            if d < least:
+                return True
+            pieces += [(late, d_late, middle, d, 0.5 * length), (middle, d, early, d_early, 0.5 * length)]
+        return False
+
+    def _room_at(self, k: int, knot: Knot, back: float) -> float:
+        """How far pair ``k`` is from its margin at a clock before the knot [m]."""
+        self._distances.place(self.scene.cell.moved(knot.state.q, self._back(knot, back)))
+        return self._distances.one(k) - float(self._margins[k])
+
+    @staticmethod
+    def _back(knot: Knot, back: float) -> Array:
+        """The joints' way from the knot back to an earlier clock: q″ is constant between knots (nv,)."""
+        way: Array = (0.5 * back * knot.curvature - knot.slope) * back
+        return way
+
+    # -- bodies that move --------------------------------------------------------------------------------------------
+
+    def move(self, name: str, T_world_body: Placement, twist: Any = (0.0,) * 6) -> None:
+        """Tell where a moving body is now, before the next step.
+
+        Args:
+            name: of a body of ``scene.moving``.
+            T_world_body: placement of its shape in the world.
+            twist: its velocity: that of the placement's origin and of its turning, in world axes (6,) [m/s, rad/s].
+
+        Raises:
+            UnknownNameError, InvalidInputError: no such body, or no numbers.
+        """
+        if name not in self._shapes:
+            raise UnknownNameError("moving body", str(name), tuple(self._shapes), "Clearance.move")
+        T = as_placement(T_world_body, f"Clearance.move '{name}'")
+        self._places[name] = _Place(T, as_vector(twist, 6, f"Clearance.move '{name}': twist"))
+        self._put(name, T)
+
+    def _put(self, name: str, T_world_body: pin.SE3) -> None:
+        for distances in (self._distances, self._probe):
+            distances.put(self._shapes[name], T_world_body)
+
+    def _grow_old(self, dt: float) -> None:
+        """Time goes on for moving bodies.
+
+        Raises:
+            ConstraintTrouble: nobody has told for too long where one is.
+        """
+        for name, place in self._places.items():
+            place.age += dt
+            if place.age > self.patience + dt:
+                raise ConstraintTrouble(
+                    f"constraint {self.name}: nobody has said for {self.patience:g} s where {name} is (move)"
+                )
+        self._step.rooms[self._runs] = -np.inf
+
+    def _run(self, near: Any, shape: int, place: _Place, gradient: Gradient, lower: Array, dt: float) -> None:
+        """Lower bounds of pairs with a moving body that comes closer at u = −n · v.
+
+        While the arms stop, in the time T and half of it at their present speed, the body goes on:
+        ``−ḋ (h + T/2) + u (h + T) ≤ d − m``. Where they give way they keep ``ḋ ≥ −ξ (d − m)``, its motion included.
+        """
+        own = self._second[near] == shape
+        if not own.any():
+            return
+        velocity = place.twist[:3] + np.cross(place.twist[3:], gradient.points[own] - place.T_world_body.translation)
+        closing = -np.einsum("ij,ij->i", gradient.normals[own], velocity)
+        room, T = self._step.rooms[near[own]], self.stopping
+        if self.give_way:
+            lower[own] = np.minimum(closing - self.approach * room, _FASTEST_RETREAT)
+        else:
+            lower[own] = np.minimum(-(room - np.maximum(closing, 0.0) * (dt + T)) / (dt + 0.5 * T), 0.0)

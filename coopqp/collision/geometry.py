@@ -1,0 +1,138 @@
+"""Shapes as coal knows them, convex all of them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import coal
+import numpy as np
+
+from coopqp.errors import InvalidInputError
+from coopqp.model.shapes import MOST_TRIANGLES, Box, Capsule, Cylinder, Hull, Mesh, Shape, Sphere
+
+#: A hull with more than this many times its mesh's volume is named.
+LARGE_HULL = 1.5
+#: Largest accepted mesh file [bytes].
+MOST_BYTES = 100_000_000
+
+
+def geometry_of(shape: Shape, where: str) -> tuple[Any, float]:
+    """A convex coal geometry, and how many times the volume of its mesh it has (1 where it is no mesh).
+
+    Raises:
+        InvalidInputError: a mesh that cannot be read, is empty or too large.
+    """
+    if isinstance(shape, Box):
+        return coal.Box(*shape.size), 1.0
+    if isinstance(shape, Sphere):
+        return coal.Sphere(shape.radius), 1.0
+    if isinstance(shape, Cylinder):
+        return coal.Cylinder(shape.radius, shape.length), 1.0
+    if isinstance(shape, Capsule):
+        return coal.Capsule(shape.radius, shape.length), 1.0
+    if isinstance(shape, Hull):
+        return hull_of(shape.points, where), 1.0
+    return _of_mesh(shape, where)
+
+
+def _of_mesh(mesh: Mesh, where: str) -> tuple[Any, float]:
+    file = Path(mesh.file)
+    if file.stat().st_size > MOST_BYTES:
+        raise InvalidInputError(f"{file} is larger than {MOST_BYTES} bytes", where, "Reduce the mesh.")
+    triangles = _stl_triangles(file)
+    if triangles > MOST_TRIANGLES:  # before it takes a minute to read it
+        raise InvalidInputError(f"{file} has {triangles} triangles", where, f"Reduce it to {MOST_TRIANGLES} or fewer.")
+    try:
+        read = coal.MeshLoader().load(str(file), np.array(mesh.scale))
+    except (ValueError, RuntimeError) as error:
+        raise InvalidInputError(f"{file} is no readable mesh ({error})", where, "Give an STL, DAE or OBJ.") from error
+    return convex(read, f"{where}: {file}")
+
+
+def _stl_triangles(file: Path) -> int:
+    """What a binary STL says of its triangles; 0 for other files."""
+    if file.suffix.lower() != ".stl":
+        return 0
+    with file.open("rb") as opened:
+        head = opened.read(84)
+    count = int.from_bytes(head[80:84], "little")
+    return count if file.stat().st_size == 84 + 50 * count else 0
+
+
+def convex(geometry: Any, where: str) -> tuple[Any, float]:
+    """The convex hull of a geometry (itself if it is convex), and how many times its volume the hull has.
+
+    Raises:
+        InvalidInputError: an empty or too large mesh, or a geometry without end or volume.
+    """
+    kind = type(geometry).__name__
+    if kind in ("Box", "Sphere", "Cylinder", "Capsule", "Cone", "Ellipsoid"):
+        sizes = _sizes(geometry)
+        if not (np.isfinite(sizes).all() and (sizes > 0.0).all()):
+            raise InvalidInputError(f"a {kind} with sizes {sizes.tolist()}", where, "Give positive sizes in metres.")
+        return geometry, 1.0
+    if kind == "Convex":
+        return geometry, 1.0
+    if not kind.startswith("BVHModel"):
+        raise InvalidInputError(f"a {kind}", where, "Give a box, sphere, cylinder, capsule or mesh.")
+    if geometry.num_vertices < 4 or geometry.num_tris < 1:
+        raise InvalidInputError("an empty mesh", where, "Give a mesh of a body, or leave the shape out.")
+    if geometry.num_tris > MOST_TRIANGLES or geometry.num_vertices > MOST_TRIANGLES:
+        raise InvalidInputError(
+            f"a mesh of {geometry.num_tris} triangles", where, f"Reduce it to {MOST_TRIANGLES} or fewer."
+        )
+    points = np.asarray(geometry.vertices(), dtype=float)
+    hull, volume = hull_of(points, where), float(geometry.computeVolume())
+    return hull, float(hull.computeVolume()) / volume if volume > 0.0 else 1.0
+
+
+def hull_of(points: Any, where: str) -> Any:
+    """The convex hull of points (n, 3) as a coal geometry.
+
+    Raises:
+        InvalidInputError: points that are not finite, or lie in one plane.
+    """
+    corners = np.asarray(points, dtype=float)
+    if not np.isfinite(corners).all():
+        raise InvalidInputError("corners that are not finite", where, "Give finite numbers in metres.")
+    try:
+        return coal.Convex.convexHull(_vectors(corners), True, "Qt")
+    except (ValueError, RuntimeError) as error:
+        raise InvalidInputError("corners without a hull", where, "Give corners that are not in one plane.") from error
+
+
+def reach_of(geometry: Any, R: Any, p: Any) -> float:
+    """Largest distance of a point of a convex geometry, placed at (R, p), from the origin [m]."""
+    kind = type(geometry).__name__
+    if kind == "Convex":
+        corners = np.asarray(geometry.points(), dtype=float)
+        return float(np.linalg.norm(corners @ np.asarray(R).T + p, axis=1).max())
+    if kind == "Box":
+        half = np.asarray(geometry.halfSide)
+        signs = np.array(np.meshgrid([-1, 1], [-1, 1], [-1, 1])).reshape(3, -1).T
+        return float(np.linalg.norm((signs * half) @ np.asarray(R).T + p, axis=1).max())
+    if kind == "Sphere":
+        return float(np.linalg.norm(p) + geometry.radius)
+    if kind in ("Cylinder", "Capsule"):
+        axis = np.asarray(R)[:, 2] * geometry.halfLength
+        return float(max(np.linalg.norm(p + axis), np.linalg.norm(p - axis)) + geometry.radius)
+    geometry.computeLocalAABB()
+    return float(np.linalg.norm(np.asarray(R) @ geometry.aabb_center + p) + geometry.aabb_radius)
+
+
+def _sizes(geometry: Any) -> Any:
+    names = {
+        "Box": ("halfSide",),
+        "Sphere": ("radius",),
+        "Ellipsoid": ("radii",),
+    }.get(type(geometry).__name__, ("radius", "halfLength"))
+    return np.concatenate([np.atleast_1d(np.asarray(getattr(geometry, name), dtype=float)) for name in names])
+
+
+def _vectors(points: Sequence[Any] | Any) -> Any:
+    made = coal.StdVec_Vec3s()
+    for point in points:
+        made.append(np.asarray(point, dtype=float))
+    return made

@@ -1,0 +1,107 @@
+"""Which bodies may not come close to each other, and how close."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Collection, Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, final
+from xml.etree import ElementTree
+
+from coopqp.checks import as_count
+from coopqp.errors import InvalidInputError, UnknownNameError, shown
+from coopqp.model.description import MAX_DESCRIPTION_BYTES
+
+
+@final
+@dataclass(frozen=True, kw_only=True)
+class PairRules:
+    """Rules that leave pairs out: bodies that touch by design, or cannot meet.
+
+    Attributes:
+        apart: links of one arm count from so many joints between them on.
+        object_apart: the object and the links of an arm that holds it count from so many joints between them on; the
+            link that holds it is 0 joints away.
+    """
+
+    apart: int = 3
+    object_apart: int = 2
+
+    def __post_init__(self) -> None:
+        for name in ("apart", "object_apart"):
+            object.__setattr__(self, name, as_count(getattr(self, name), f"PairRules: {name}"))
+
+
+@final
+class Names:
+    """The names of the bodies of a scene, and what patterns stand for them: a body, all links of an arm, ``"*"``."""
+
+    def __init__(self, names: Collection[str], arms: Sequence[str]) -> None:
+        self.names, self._arms = tuple(dict.fromkeys(names)), arms
+
+    def matching(self, pattern: Any, where: str) -> frozenset[str]:
+        """The bodies that a pattern stands for.
+
+        Raises:
+            UnknownNameError: none.
+        """
+        if pattern == "*":
+            return frozenset(self.names)
+        if pattern in self.names:
+            return frozenset([pattern])
+        if pattern in self._arms:
+            return frozenset(name for name in self.names if name.startswith(f"{pattern}/"))
+        near = difflib.get_close_matches(str(pattern), [*self.names, *self._arms], n=12, cutoff=0.0)
+        raise UnknownNameError("body", shown(pattern).strip("'"), near, where)
+
+    def pairs(self, patterns: Iterable[Any], where: str) -> set[frozenset[str]]:
+        """All pairs of names that pairs of patterns stand for.
+
+        Raises:
+            InvalidInputError, UnknownNameError: an entry is no pair of known names.
+        """
+        found: set[frozenset[str]] = set()
+        for entry in patterns:
+            first, second = as_pair(entry, where)
+            others = self.matching(second, where)
+            found |= {frozenset((a, b)) for a in self.matching(first, where) for b in others}
+        return found
+
+
+def as_pair(entry: Any, where: str) -> tuple[str, str]:
+    """Two names.
+
+    Raises:
+        InvalidInputError: something else.
+    """
+    if isinstance(entry, (str, bytes)) or not hasattr(entry, "__len__") or len(entry) != 2:
+        raise InvalidInputError(f"{shown(entry)} is no pair of names", where, 'Give pairs such as ("object", "post").')
+    first, second = entry
+    return first, second
+
+
+def srdf_pairs(source: str | Path, where: str) -> list[tuple[str, str]]:
+    """Pairs of links that an SRDF switches off, as it names them. ``source`` is a file, or the text itself.
+
+    Raises:
+        InvalidInputError: no such file, or no SRDF.
+    """
+    text = str(source)
+    if "<" not in text:
+        file = Path(text)
+        if not file.is_file():
+            raise InvalidInputError(f"there is no file {file}", where, "Give the path of an SRDF, or its text.")
+        if file.stat().st_size > MAX_DESCRIPTION_BYTES:
+            raise InvalidInputError(f"{file} is too large", where, f"Give {MAX_DESCRIPTION_BYTES} bytes at most.")
+        text = file.read_text(encoding="utf-8", errors="replace")
+    if "<!ENTITY" in text:
+        raise InvalidInputError("an SRDF that declares XML entities", where, "Write their text out.")
+    try:
+        root = ElementTree.fromstring(text)
+    except ElementTree.ParseError as error:
+        raise InvalidInputError(f"no readable SRDF ({error})", where, "Give an SRDF.") from error
+    if root.tag != "robot":
+        raise InvalidInputError(f"its root is <{root.tag}>, not <robot>", where, "Give an SRDF.")
+    entries = [*root.iter("disable_collisions"), *root.iter("disable_collision")]
+    return [(e.attrib["link1"], e.attrib["link2"]) for e in entries if {"link1", "link2"} <= e.attrib.keys()]

@@ -1,0 +1,385 @@
+"""What may touch what: the arms' links, the object that they carry, and what stands or moves around them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import Any, final
+
+import numpy as np
+import pinocchio as pin
+
+from coopqp.checks import as_scalar, require
+from coopqp.collision.geometry import LARGE_HULL, convex, geometry_of, reach_of
+from coopqp.collision.pairs import Names, PairRules, as_pair, srdf_pairs
+from coopqp.errors import InvalidInputError, UnknownNameError, shown
+from coopqp.model.cell import RobotCell
+from coopqp.model.grasp import Grasp
+from coopqp.model.shapes import Body, Box, NearPair
+from coopqp.spatial import Array
+from coopqp.task.scenario import Scenario
+
+#: Distance that is kept by default [m].
+DEFAULT_MARGIN = 0.01
+#: Share that is added to bounds of motion for the rounding of distances.
+_MORE = 1e-5
+#: Stroke of a joint that slides and has no limits, as far as bounds of motion are concerned [m].
+_LONGEST_STROKE = 100.0
+
+
+@final
+@dataclass(frozen=True, kw_only=True, eq=False)
+class CollisionScene:
+    """The bodies of a cell and the distances that they keep. All shapes are convex; meshes count as their hulls.
+
+    Names: a link is ``arm/link``; other bodies are called as their ``Body`` says. Where two names are asked for, an
+    arm's name stands for all its links, and ``"*"`` for all bodies.
+
+    Attributes:
+        cell, grasp: the arms with their collision shapes, and how they hold.
+        carried: bodies of the object, placed in the object frame.
+        obstacles: bodies that stand in the world.
+        moving: bodies in the world whose place is told in motion (:meth:`Clearance.move`).
+        on_links: further bodies on links ``arm/link``, placed in the link's frame, e.g. a gripper's capsule.
+        without: links whose own shapes are left out, e.g. because ``on_links`` replaces them.
+        srdf: for arms by name an SRDF, a file or its text: pairs that it disables are left out.
+        rules: which pairs are left out because they touch by design.
+        margin: distance that is kept [m].
+        margins: other margins for pairs of names [m].
+        ignored: pairs of names that may touch.
+        inside: pairs of names that may start inside their margin; they come no closer then.
+
+    Raises:
+        InvalidInputError, UnknownNameError: a bad mesh, size, name or margin.
+    """
+
+    cell: RobotCell
+    grasp: Grasp
+    carried: Sequence[Body] = ()
+    obstacles: Sequence[Body] = ()
+    moving: Sequence[Body] = ()
+    on_links: Mapping[str, Sequence[Body]] = field(default_factory=dict)
+    without: Sequence[str] = ()
+    srdf: Mapping[str, str | Path] = field(default_factory=dict)
+    rules: PairRules = field(default_factory=PairRules)
+    margin: float = DEFAULT_MARGIN
+    margins: Mapping[tuple[str, str], float] = field(default_factory=dict)
+    ignored: Sequence[tuple[str, str]] = ()
+    inside: Sequence[tuple[str, str]] = ()
+
+    def __post_init__(self) -> None:
+        require(self.cell, RobotCell, "CollisionScene: cell", "Give a RobotCell.")
+        require(self.grasp, Grasp, "CollisionScene: grasp", "Give a Grasp.")
+        require(self.rules, PairRules, "CollisionScene: rules", "Give PairRules.")
+        self.grasp.check_arms(self.cell)
+        for name in ("carried", "obstacles", "moving"):
+            object.__setattr__(self, name, _bodies(getattr(self, name), f"CollisionScene: {name}"))
+        on_links = {str(link): _bodies(bodies, f"on_links '{link}'") for link, bodies in dict(self.on_links).items()}
+        object.__setattr__(self, "on_links", on_links)
+        object.__setattr__(self, "margin", as_scalar(self.margin, "CollisionScene: margin", open_low=False, high=10.0))
+        for name in ("without", "ignored", "inside"):
+            object.__setattr__(self, name, tuple(getattr(self, name)))
+        margins = {
+            as_pair(pair, "CollisionScene: margins"): as_scalar(
+                value, f"CollisionScene: margins {shown(pair)}", open_low=False, high=10.0
+            )
+            for pair, value in dict(self.margins).items()
+        }
+        object.__setattr__(self, "margins", margins)
+        _ = self.built  # everything that can be wrong is found now
+
+    @staticmethod
+    def of(scenario: Scenario, **changes: Any) -> CollisionScene:
+        """The scene of a scenario: its arms, its object's box named ``"object"``, its obstacles.
+
+        Args:
+            scenario: whose bodies they are.
+            changes: further arguments, or others in place of the scenario's.
+        """
+        given = {
+            "cell": scenario.cell,
+            "grasp": scenario.grasp,
+            "carried": [Body("object", Box(scenario.object_size), scenario.T_object_body)],
+            "obstacles": scenario.obstacles,
+        }
+        return CollisionScene(**{**given, **changes})
+
+    @cached_property
+    def built(self) -> Built:
+        """The bodies in Pinocchio's terms."""
+        return _build(self)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of all bodies."""
+        return tuple(dict.fromkeys(self.built.names))
+
+    @property
+    def pairs(self) -> tuple[tuple[str, str], ...]:
+        """Pairs of names that keep a distance, in a fixed order."""
+        return tuple(dict.fromkeys(self.built.labels))
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What a user should know: meshes whose hulls are much larger than they are."""
+        return self.built.notes
+
+    def distances(self, q: Any) -> tuple[NearPair, ...]:
+        """Distances of all pairs of names at a configuration (nq,), the nearest first [m]."""
+        from coopqp.collision.distances import Distances
+
+        found: dict[tuple[str, str], float] = {}
+        for label, d in zip(self.built.labels, Distances(self).all(self._checked(q)).tolist(), strict=True):
+            found[label] = min(d, found.get(label, np.inf))
+        return tuple(NearPair(*label, d) for label, d in sorted(found.items(), key=lambda item: item[1]))
+
+    def _checked(self, q: Any) -> Array:
+        return self.cell.check_configuration(q, "CollisionScene: q")
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {name: value for name, value in self.__dict__.items() if name != "built"}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+
+
+@dataclass(frozen=True, eq=False)
+class Built:
+    """A scene in arrays. P pairs of shapes.
+
+    Attributes:
+        geometry: all shapes with their pairs, for the cell's model.
+        names: of each shape's body.
+        labels: names of each pair's bodies.
+        kinds: +1, −1 or 0 for joints that move the second body of a pair only, the first only, or both or none (P, nv).
+        reach: largest motion of a pair's distance per unit of joint motion (P, nv) [m/rad or 1].
+        margins: of each pair (P,) [m].
+        inside: pairs that may start inside their margin (P,).
+        moving: number of the shapes of moving bodies.
+        notes: see :attr:`CollisionScene.notes`.
+    """
+
+    geometry: pin.GeometryModel
+    names: tuple[str, ...]
+    labels: tuple[tuple[str, str], ...]
+    kinds: Array
+    reach: Array
+    margins: Array
+    inside: Any
+    moving: tuple[int, ...]
+    notes: tuple[str, ...]
+
+
+def _bodies(bodies: Any, where: str) -> tuple[Body, ...]:
+    if isinstance(bodies, Body):
+        raise InvalidInputError("one Body", where, "Give a list of them.")
+    found = tuple(bodies)
+    for body in found:
+        require(body, Body, where, "Give a list of Body.")
+    return found
+
+
+@dataclass(frozen=True, eq=False)
+class _Part:
+    """A convex shape on a joint."""
+
+    name: str
+    joint: int
+    frame: int
+    T_joint_shape: pin.SE3
+    geometry: Any
+    object: bool = False
+    moving: bool = False
+
+
+def _build(scene: CollisionScene) -> Built:
+    notes: list[str] = []
+    parts = [*_links(scene, notes), *_others(scene, notes)]
+    if len(parts) < 2:
+        raise InvalidInputError(
+            "fewer than two shapes",
+            "CollisionScene",
+            "Read the arms with geometry=True, or give bodies (on_links, obstacles, carried).",
+        )
+    model, geometry = scene.cell.model, pin.GeometryModel()
+    for i, part in enumerate(parts):
+        shape = pin.GeometryObject(f"{i}: {part.name}", part.joint, part.T_joint_shape, part.geometry)
+        shape.parentFrame = part.frame
+        geometry.addGeometryObject(shape)
+    pairs = _pairs(scene, parts)
+    chains = [_joints_to(model, part.joint) for part in parts]
+    kinds, reach = np.zeros((len(pairs), scene.cell.nv)), np.zeros((len(pairs), scene.cell.nv))
+    for row, (i, j) in enumerate(pairs):
+        geometry.addCollisionPair(pin.CollisionPair(i, j))
+        for joint, way in _reaches(scene.cell, parts[i], chains[i], parts[j], chains[j]).items():
+            v = int(model.joints[joint].idx_v)
+            kinds[row, v] = 1.0 if joint in chains[j] else -1.0
+            reach[row, v] = way * (1.0 + _MORE)
+    names = tuple(part.name for part in parts)
+    labels = tuple((names[i], names[j]) for i, j in pairs)
+    known = Names(names, scene.cell.arm_names)
+    margins, inside = np.full(len(pairs), scene.margin), known.pairs(scene.inside, "CollisionScene: inside")
+    for pair, margin in scene.margins.items():
+        meant = known.pairs([pair], "CollisionScene: margins")
+        margins[[frozenset(label) in meant for label in labels]] = margin
+    return Built(
+        geometry,
+        names,
+        labels,
+        kinds,
+        reach,
+        margins,
+        np.array([frozenset(label) in inside for label in labels], dtype=bool),
+        tuple(i for i, part in enumerate(parts) if part.moving),
+        tuple(notes),
+    )
+
+
+def _links(scene: CollisionScene, notes: list[str]) -> list[_Part]:
+    """The arms' own shapes, and those that the user put on links."""
+    model, parts = scene.cell.model, []
+    shapes = list(scene.cell.collision_model().geometryObjects)
+    links = [model.frames[shape.parentFrame].name for shape in shapes]
+    known, without = Names(links, scene.cell.arm_names), set[str]()
+    for pattern in scene.without:
+        without |= known.matching(pattern, "CollisionScene: without")
+    for shape, link in zip(shapes, links, strict=True):
+        if link in without:
+            continue
+        geometry, large = convex(shape.geometry, link)
+        if large > LARGE_HULL:
+            notes.append(f"the hull of a mesh of {link} has {large:.1f} times its volume")
+        parts.append(_Part(link, shape.parentJoint, shape.parentFrame, shape.placement, geometry))
+    for link, bodies in scene.on_links.items():
+        if not model.existFrame(link):
+            raise UnknownNameError("link", link, sorted(set(links)), "CollisionScene: on_links")
+        frame = model.getFrameId(link)
+        for body in bodies:
+            geometry = _geometry(body, notes)
+            placement = model.frames[frame].placement * body.placement
+            parts.append(_Part(body.name, model.frames[frame].parentJoint, frame, placement, geometry))
+    return parts
+
+
+def _others(scene: CollisionScene, notes: list[str]) -> list[_Part]:
+    """The object, as each arm carries it, and the surroundings.
+
+    All arms carry the object to one place, up to the chain's error. With the links of an arm goes the object as that
+    arm carries it, with all else as the first one does: so a distance depends on as few joints as it can.
+    """
+    cell = scene.cell
+    parts = []
+    for body in scene.carried:
+        geometry = _geometry(body, notes)
+        for joint, frame, T_joint_tool, X in zip(
+            cell.tool_joints, cell.tool_frames, cell.T_joint_tool, scene.grasp.T_object_tool, strict=True
+        ):
+            placement = T_joint_tool * X.inverse() * body.placement
+            parts.append(_Part(body.name, joint, frame, placement, geometry, object=True))
+    for bodies, moving in ((scene.obstacles, False), (scene.moving, True)):
+        parts += [_Part(b.name, 0, 0, b.placement, _geometry(b, notes), moving=moving) for b in bodies]
+    return parts
+
+
+def _geometry(body: Body, notes: list[str]) -> Any:
+    geometry, large = geometry_of(body.shape, f"Body '{body.name}'")
+    if large > LARGE_HULL:
+        notes.append(f"the hull of the mesh of {body.name} has {large:.1f} times its volume")
+    return geometry
+
+
+def _pairs(scene: CollisionScene, parts: Sequence[_Part]) -> list[tuple[int, int]]:
+    """Numbers of the parts that keep a distance. What is on the world is one body, but for bodies that move."""
+    cell, model = scene.cell, scene.cell.model
+    known = Names([part.name for part in parts], cell.arm_names)
+    left_out = known.pairs(scene.ignored, "CollisionScene: ignored")
+    for arm, source in scene.srdf.items():
+        cell.index(arm)
+        names = srdf_pairs(source, f"CollisionScene: srdf of arm '{arm}'")
+        left_out |= {frozenset((f"{arm}/{a}", f"{arm}/{b}")) for a, b in names}
+    depth = [len(_joints_to(model, part.joint)) for part in parts]
+    arm_of = [model.frames[part.frame].name.partition("/")[0] if part.frame else "" for part in parts]
+    holds = {name: len(_joints_to(model, joint)) for name, joint in zip(cell.arm_names, cell.tool_joints, strict=True)}
+    found = []
+    for i, a in enumerate(parts):
+        for j in range(i + 1, len(parts)):
+            b = parts[j]
+            if (a.joint == b.joint and not (a.object ^ b.object)) or a.name == b.name:
+                continue
+            if frozenset((a.name, b.name)) in left_out:
+                continue
+            if a.object or b.object:
+                link = j if a.object else i
+                if a.object and b.object:
+                    continue
+                carrier = arm_of[i] if a.object else arm_of[j]
+                if carrier != (arm_of[link] or cell.arm_names[0]):
+                    continue
+                if arm_of[link] and holds[arm_of[link]] - depth[link] < scene.rules.object_apart:
+                    continue
+            elif arm_of[i] and arm_of[i] == arm_of[j] and abs(depth[i] - depth[j]) < scene.rules.apart:
+                continue
+            found.append((i, j))
+    return found
+
+
+def _joints_to(model: pin.Model, joint: int) -> tuple[int, ...]:
+    """The joints that carry what is on a joint, from the base on."""
+    chain = []
+    while joint > 0:
+        chain.append(joint)
+        joint = int(model.parents[joint])
+    return tuple(reversed(chain))
+
+
+def _reaches(cell: RobotCell, a: _Part, chain_a: Sequence[int], b: _Part, chain_b: Sequence[int]) -> dict[int, float]:
+    """Bounds, in any configuration, of how fast each joint between two parts changes their distance.
+
+    A joint that turns moves the distance by no more than the lever of its nearest points, on either of both parts.
+    Their levers are at most what lies between the joint and the part: its own extent and the lengths of the links.
+    """
+    shared = len([None for x, y in zip(chain_a, chain_b, strict=False) if x == y])
+    up, down = list(reversed(chain_a[shared:])), list(chain_b[shared:])
+    joints = [*up, *down]
+    if not joints:
+        return {}
+    steps = [_length(cell, joint) for joint in up[:-1]]
+    if up and down:
+        tops = [cell.model.jointPlacements[joint].translation for joint in (up[-1], down[0])]
+        steps.append(float(np.linalg.norm(tops[0] - tops[1])) + _stroke(cell, up[-1]) + _stroke(cell, down[0]))
+    steps += [_length(cell, joint) for joint in down[1:]]
+    levers_a = np.cumsum([_extent(cell, a, joints[0], on=bool(up)), *steps])
+    levers_b = np.cumsum([_extent(cell, b, joints[-1], on=bool(down)), *reversed(steps)])[::-1]
+    return {
+        joint: 1.0 if _slides(cell, joint) else float(min(lever_a, lever_b))
+        for joint, lever_a, lever_b in zip(joints, levers_a, levers_b, strict=True)
+    }
+
+
+def _extent(cell: RobotCell, part: _Part, joint: int, *, on: bool) -> float:
+    """Largest distance of a part's points from the origin of its own joint, or of the first one after it."""
+    T, origin = part.T_joint_shape, np.zeros(3)
+    if not on:
+        origin = cell.model.jointPlacements[joint].translation
+    stroke = 0.0 if on else _stroke(cell, joint)
+    return reach_of(part.geometry, T.rotation, T.translation - origin) + stroke
+
+
+def _length(cell: RobotCell, joint: int) -> float:
+    """Largest distance of a joint's frame from that of the joint before [m]."""
+    return float(np.linalg.norm(cell.model.jointPlacements[joint].translation)) + _stroke(cell, joint)
+
+
+def _stroke(cell: RobotCell, joint: int) -> float:
+    """How far a joint that slides goes from its zero [m]."""
+    if not _slides(cell, joint):
+        return 0.0
+    v, limits = int(cell.model.joints[joint].idx_v), cell.limits
+    stroke = max(abs(float(limits.lower[v])), abs(float(limits.upper[v])))
+    return stroke if stroke < _LONGEST_STROKE else _LONGEST_STROKE
+
+
+def _slides(cell: RobotCell, joint: int) -> bool:
+    return bool(cell.model.joints[joint].shortname().startswith("JointModelP"))

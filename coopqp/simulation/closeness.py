@@ -1,0 +1,303 @@
+"""How close bodies came in a run, judged from its commanded configurations alone, between its steps, too.
+
+The controllers' distances play no part in it: bodies are placed by Pinocchio's kinematics, distances come from
+:mod:`coopqp.simulation.convex`. What a body can have moved by between two samples tells how far a pair can have come,
+so few distances are asked.
+"""
+
+from __future__ import annotations
+
+import heapq
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple, final
+
+import numpy as np
+import pinocchio as pin
+
+from coopqp.collision.scene import CollisionScene
+from coopqp.errors import InvalidInputError
+from coopqp.model.shapes import NearPair
+from coopqp.simulation.convex import Core, core_of, distance
+from coopqp.simulation.recording import Recording
+from coopqp.spatial import Array
+from coopqp.task.scenario import Scenario
+
+#: A step is looked at in so many parts where bodies may have been closest.
+PARTS = 4
+#: A body's way between two samples is no longer than this many times what its placements say.
+_BENT = 1.05
+#: Of longer runs every second, third, … sample is looked at.
+MOST_JUDGED = 50_000
+#: Samples of the distances over a run.
+MOST_SAMPLES = 200
+#: The least distance of a run is found to within this [m].
+RESOLUTION = 1e-6
+
+
+@final
+@dataclass(frozen=True)
+class Closest:
+    """Where two bodies came closest.
+
+    Attributes:
+        pair: the bodies, and their distance [m].
+        time: when [s].
+        margin: what they are to keep [m].
+    """
+
+    pair: NearPair
+    time: float
+    margin: float
+
+    def __str__(self) -> str:
+        return f"{1e3 * self.pair.distance:.3g} mm, {self.pair.first} and {self.pair.second} at {self.time:.3g} s"
+
+
+class _Placed(NamedTuple):
+    R: Array  # (T, G, 3, 3)
+    p: Array  # (T, G, 3)
+    way: Array  # (T, G): largest motion of any of its points since the first sample [m]
+
+
+@final
+class Closeness:
+    """Judges one scene.
+
+    Args:
+        scene: whose pairs are judged, with their margins. Of bodies that move by themselves nothing is known here.
+    """
+
+    def __init__(self, scene: CollisionScene) -> None:
+        built, self._model = scene.built, scene.cell.model
+        shapes = list(built.geometry.geometryObjects)
+        self._joints = [int(shape.parentJoint) for shape in shapes]
+        self._T = [shape.placement.copy() for shape in shapes]
+        self._cores: list[Core] = [core_of(shape.geometry) for shape in shapes]
+        self._extent = np.array([core.extent for core in self._cores])
+        moving = set(built.moving)
+        ends = [(int(pair.first), int(pair.second)) for pair in built.geometry.collisionPairs]
+        self._pairs = [k for k, pair in enumerate(ends) if not moving & set(pair)]
+        self._ends, self._labels, self.margins, self._inside = ends, built.labels, built.margins, built.inside
+        self._data = self._model.createData()
+
+    def at(self, q: Array, pair: int) -> float:
+        """Distance of a pair of shapes at a configuration (nq,) [m]."""
+        pin.forwardKinematics(self._model, self._data, q)
+        i, j = self._ends[pair]
+        A, B = self._data.oMi[self._joints[i]] * self._T[i], self._data.oMi[self._joints[j]] * self._T[j]
+        a, b = self._cores[i], self._cores[j]
+        return distance(a, b, A.rotation, A.translation, B.rotation, B.translation)
+
+    def closest(self, q: Array, time: Array, *, to_margin: bool = False, without_start: bool = False) -> Closest | None:
+        """The least distance of a run; None without pairs.
+
+        Args:
+            q: commanded configurations (T, nq).
+            time: of each (T,) [s].
+            to_margin: the least distance less its margin instead.
+            without_start: leave out pairs of names that overlap at the first configuration.
+        """
+        placed = self._place(q)
+        least: tuple[float, int, float] | None = None
+        last = len(q) - 1
+        queue: list[tuple[float, int, int, int, float, float]] = []
+        left_out = self.overlapping(q[0]) if without_start else set()
+        for k in self._pairs:
+            if self._labels[k] in left_out:
+                continue
+            # Spheres about both bodies' origins are a first lower bound.
+            i, j = self._ends[k]
+            away = np.linalg.norm(placed.p[:, i] - placed.p[:, j], axis=1) - self._extent[i] - self._extent[j]
+            heapq.heappush(queue, (float(away.min()) - self._less(k, to_margin), k, -1, last, 0.0, 0.0))
+        while queue:
+            bound, k, first, end, d_first, d_end = heapq.heappop(queue)
+            if least is not None and bound >= least[0] - RESOLUTION:
+                break
+            less = self._less(k, to_margin)
+            found: list[tuple[float, float]] = []
+            if first < 0:
+                d_first, d_end = self._sampled(placed, k, 0), self._sampled(placed, k, last)
+                found = [(d_first, 0.0), (d_end, float(last))]
+                parts = [(0, last, d_first, d_end)]
+            elif end - first > 1:
+                middle = (first + end) // 2
+                d = self._sampled(placed, k, middle)
+                found = [(d, float(middle))]
+                parts = [(first, middle, d_first, d), (middle, end, d, d_end)]
+            else:
+                step = pin.difference(self._model, q[first], q[end])
+                for part in range(1, PARTS):
+                    share = part / PARTS
+                    found.append((self.at(pin.integrate(self._model, q[first], share * step), k), first + share))
+                parts = []
+            for d, where in found:
+                if least is None or d - less < least[0]:
+                    least = (d - less, k, where)
+            for a, b, d_a, d_b in parts:
+                if b > a:
+                    lower = 0.5 * (d_a + d_b - self._way(placed, k, a, b))
+                    heapq.heappush(queue, (min(lower, d_a, d_b) - less, k, a, b, d_a, d_b))
+        if least is None:
+            return None
+        value, k, where = least
+        first_name, second_name = self._labels[k]
+        at = float(np.interp(where, np.arange(len(time)), time))
+        return Closest(NearPair(first_name, second_name, value + self._less(k, to_margin)), at, float(self.margins[k]))
+
+    def overlapping(self, q: Array) -> set[tuple[str, str]]:
+        """Pairs of names that overlap at a configuration (nq,)."""
+        placed = self._place(q[None])
+        found = set()
+        for k in self._pairs:
+            i, j = self._ends[k]
+            reach = self._extent[i] + self._extent[j]
+            if np.linalg.norm(placed.p[0, i] - placed.p[0, j]) <= reach and self._sampled(placed, k, 0) <= 0.0:
+                found.add(self._labels[k])
+        return found
+
+    def start(self, q: Array) -> None:
+        """Begin to :meth:`watch` at a configuration (nq,)."""
+        placed = self._place(q[None])
+        self._least = self.margins.copy()
+        self._rooms = np.full(len(self._least), np.inf)
+        for k in self._pairs:
+            i, j = self._ends[k]
+            away = float(np.linalg.norm(placed.p[0, i] - placed.p[0, j])) - self._extent[i] - self._extent[j]
+            self._rooms[k] = away - self.margins[k]
+            if self._inside[k]:
+                self._least[k] = min(self.margins[k], self._sampled(placed, k, 0))
+
+    def watch(self, q: Array, *, tolerance: float) -> list[tuple[int, NearPair, float]]:
+        """Steps of a run in which pairs are closer than they may be, by more than a tolerance [m].
+
+        Pairs that may start inside their margin are to come no closer than they are at :meth:`start`.
+
+        Args:
+            q: commanded configurations (T + 1, nq); the first one ended the last call, or is that of the start.
+            tolerance: accepted [m].
+
+        Returns:
+            number of the step, the pair with its least distance in the step, what is missing [m].
+        """
+        placed, found = self._place(q), []
+        ends = np.array(self._ends)
+        for t in range(1, len(q)):
+            step = _BENT * (placed.way[t] - placed.way[t - 1])
+            way = step[ends[:, 0]] + step[ends[:, 1]]
+            self._rooms -= way
+            for k in np.flatnonzero(self._rooms < -tolerance):
+                required = float(self._least[k])
+                room = self._sampled(placed, int(k), t) - required
+                self._rooms[k] = room
+                if room - way[k] < -tolerance and way[k] > 0.0:
+                    turn = pin.difference(self._model, q[t - 1], q[t])
+                    between = (
+                        self.at(pin.integrate(self._model, q[t - 1], part / PARTS * turn), int(k))
+                        for part in range(1, PARTS)
+                    )
+                    room = min(room, min(between) - required)
+                if room < -tolerance:
+                    first, second = self._labels[k]
+                    found.append((t - 1, NearPair(first, second, room + required), -room))
+        return found
+
+    def judged(self, left_out: Iterable[tuple[str, str]]) -> list[int]:
+        """Pairs of shapes but for those of these names."""
+        names = set(left_out)
+        return [k for k in self._pairs if self._labels[k] not in names]
+
+    def over_time(self, q: Array, pairs: Any = None) -> Array:
+        """Least distance at each configuration (T,) [m], to within 0.1 mm from above."""
+        placed = self._place(q)
+        chosen = self._pairs if pairs is None else pairs
+        out = np.full(len(q), np.inf)
+        for k in chosen:
+            i, j = self._ends[k]
+            away = np.linalg.norm(placed.p[:, i] - placed.p[:, j], axis=1) - self._extent[i] - self._extent[j]
+            t = 0
+            while t < len(q):
+                if away[t] >= out[t] - 1e-4:
+                    t += 1
+                    continue
+                d = self._sampled(placed, k, t)
+                out[t] = min(out[t], d)
+                # Until the bodies can have come so close as the closest there, nothing is to be asked.
+                way = placed.way[t:, i] + placed.way[t:, j] - placed.way[t, i] - placed.way[t, j]
+                closer = np.flatnonzero(d - _BENT * way < out[t:] - 1e-4)
+                later = closer[closer > 0]
+                t = t + int(later[0]) if later.size else len(q)
+        return out
+
+    def _less(self, k: int, to_margin: bool) -> float:
+        return float(self.margins[k]) if to_margin else 0.0
+
+    def _way(self, placed: _Placed, k: int, first: int, end: int) -> float:
+        """Largest motion of the two bodies of a pair against each other between two samples [m]."""
+        i, j = self._ends[k]
+        return _BENT * float(placed.way[end, i] - placed.way[first, i] + placed.way[end, j] - placed.way[first, j])
+
+    def _sampled(self, placed: _Placed, k: int, t: int) -> float:
+        i, j = self._ends[k]
+        R, p = placed.R[t], placed.p[t]
+        return distance(self._cores[i], self._cores[j], R[i], p[i], R[j], p[j])
+
+    def _place(self, q: Array) -> _Placed:
+        """All bodies at configurations (T, nq)."""
+        joints = np.array(self._joints)
+        R, p = np.empty((len(q), self._model.njoints, 3, 3)), np.empty((len(q), self._model.njoints, 3))
+        for t, row in enumerate(q):
+            pin.forwardKinematics(self._model, self._data, row)
+            for joint in range(self._model.njoints):
+                T = self._data.oMi[joint]
+                R[t, joint], p[t, joint] = T.rotation, T.translation
+        shape_R, shape_p = np.array([T.rotation for T in self._T]), np.array([T.translation for T in self._T])
+        rotations = R[:, joints] @ shape_R
+        origins = (R[:, joints] @ shape_p[:, :, None])[..., 0] + p[:, joints]
+        way = np.zeros((len(q), len(joints)))
+        if len(q) > 1:
+            shift = np.linalg.norm(np.diff(origins, axis=0), axis=2)
+            # The chord of a turn: ‖R₁ − R₀‖ = 2√2 sin(θ/2); its arc θ is at most π/2 times 2 sin(θ/2).
+            turn = np.linalg.norm(np.diff(rotations, axis=0), axis=(2, 3)) / np.sqrt(2.0)
+            way[1:] = np.cumsum(shift + turn * self._extent, axis=0)
+        return _Placed(rotations, origins, way)
+
+
+def default_scene(scenario: Scenario) -> CollisionScene | None:
+    """The bodies of a scenario without margins, to judge runs by; None where its arms have no shapes."""
+    if all(arm.collision is None or not arm.collision.ngeoms for arm in scenario.cell.arms):
+        return None
+    try:
+        return CollisionScene.of(scenario, margin=0.0)
+    except InvalidInputError:  # a shape of the description that no distance is defined for
+        return None
+
+
+def with_clearance(recording: Recording, scene: CollisionScene | None, *, avoided: bool) -> Recording:
+    """The recording with an entry ``clearance`` in its metadata: where bodies came closest.
+
+    Entries: ``closest_m``, ``between``, ``time_s``, ``margin_m``, ``avoided``, ``left_out`` (pairs of names that
+    overlap at the start of a run without avoidance: no verdict on these), ``times_s`` and ``distances_m``.
+    """
+    if scene is None:
+        return recording
+    closeness = Closeness(scene)
+    every = -(-len(recording.time) // MOST_JUDGED)
+    q, time = recording.q_command[::every], recording.time[::every]
+    left_out = sorted(set() if avoided else closeness.overlapping(q[0]))
+    found = closeness.closest(q, time, without_start=not avoided)
+    if found is None:
+        return recording
+    rows = np.unique(np.linspace(0, len(q) - 1, MOST_SAMPLES).round().astype(int))
+    judged = closeness.judged(left_out)
+    entry = {
+        "closest_m": found.pair.distance,
+        "between": [found.pair.first, found.pair.second],
+        "time_s": found.time,
+        "margin_m": found.margin,
+        "avoided": avoided,
+        "left_out": [list(pair) for pair in left_out],
+        "times_s": time[rows].tolist(),
+        "distances_m": closeness.over_time(q[rows], judged).tolist(),
+    }
+    return replace(recording, metadata={**recording.metadata, "clearance": entry})

@@ -1,0 +1,668 @@
+"""Nothing touches: distances, rows, stops ahead and the judges of clearance, each by a way of its own."""
+
+from __future__ import annotations
+
+import copy
+import pickle
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from coopqp import (
+    CellFileError,
+    CellState,
+    Closeness,
+    InvalidInputError,
+    LimitKind,
+    Monitor,
+    ObjectPath,
+    QPController,
+    QPOptions,
+    Status,
+    UnknownNameError,
+    check_run,
+    judge,
+    load_cell_file,
+    read_run,
+    simulate,
+)
+from coopqp.collision import (
+    Body,
+    Box,
+    Capsule,
+    Clearance,
+    CollisionScene,
+    Cylinder,
+    Hull,
+    Mesh,
+    PairRules,
+    Sphere,
+)
+from coopqp.collision.distances import Distances, LowerBounds
+from coopqp.collision.evasion import Evasion
+from coopqp.control.constraints import MOST_ROWS
+from coopqp.scenarios import (
+    Scenario,
+    dual_arm7,
+    elbow_and_knob,
+    mixed_cell,
+    paper_lift,
+    plate_and_post,
+    plate_and_table,
+    random_posts,
+)
+from coopqp.simulation.closeness import with_clearance
+from coopqp.simulation.convex import core_of, distance
+
+MARGIN = 0.02
+KERNELS = ("compiled", "plain")
+
+
+def scene_of(scenario: Scenario, **changes: Any) -> CollisionScene:
+    return CollisionScene.of(scenario, **{"margin": MARGIN, **changes})
+
+
+def run(scenario: Scenario, scene: CollisionScene, *, kernel: str = "auto", acceleration: float = np.inf) -> Any:
+    cell = scene.cell.with_limits(acceleration=acceleration) if np.isfinite(acceleration) else scene.cell
+    scene = replace(scene, cell=cell)
+    controller = QPController(
+        cell,
+        scenario.grasp,
+        scenario.path,
+        dt=scenario.dt,
+        options=QPOptions(kernel=kernel),
+        constraints=[Clearance(scene)],
+    )
+    steps: list[Any] = []
+    recording = simulate(controller, q_start=scenario.q_start, patience=0.2, observe=steps.append)
+    return recording, steps, scene
+
+
+class Unknown(ObjectPath):
+    """A path that is not known ahead."""
+
+    known_ahead = False
+
+    def __init__(self, path: ObjectPath) -> None:
+        self._path, self.duration = path, path.duration
+
+    def pose(self, clock: float) -> pin.SE3:
+        return self._path.pose(clock)
+
+    def twist(self, clock: float) -> Any:
+        return self._path.twist(clock)
+
+
+@pytest.fixture(scope="module")
+def lift() -> Scenario:
+    return paper_lift(time_law="quintic")
+
+
+def lid(scenario: Scenario, gap: float) -> Body:
+    """A body above the plate."""
+    middle = (scenario.path.pose(0.0) * scenario.T_object_body).translation
+    return Body("lid", Box((0.3, 0.3, 0.05)), pin.SE3(np.eye(3), middle + np.array([0.0, 0.0, 0.045 + gap])))
+
+
+# -- distances -----------------------------------------------------------------------------------------------------
+
+
+def test_the_judges_distances_are_those_of_coal_by_another_way(lift: Scenario) -> None:
+    scene, rng = CollisionScene.of(plate_and_post(post="box"), margin=0.0), np.random.default_rng(1)
+    distances, judge_ = Distances(scene), Closeness(scene)
+    for _ in range(4):
+        q = lift.q_start + rng.uniform(-0.3, 0.3, lift.cell.nq)
+        d = distances.all(q)
+        for k in rng.permutation(len(d))[:60]:
+            if d[k] > 1e-6:
+                assert judge_.at(q, int(k)) == pytest.approx(d[k], abs=1e-8)
+
+
+@settings(deadline=None, max_examples=60)
+@given(seed=st.integers(0, 10**6))
+def test_distance_of_convex_bodies_keeps_its_bounds(seed: int) -> None:
+    # ‖a − b‖ of any two points is no less, and moving one body away along the axis adds what it adds
+    import coal
+
+    rng = np.random.default_rng(seed)
+    makers = (
+        lambda: coal.Box(*rng.uniform(0.02, 0.3, 3)),
+        lambda: coal.Sphere(rng.uniform(0.02, 0.2)),
+        lambda: coal.Capsule(rng.uniform(0.02, 0.2), rng.uniform(0.02, 0.4)),
+        lambda: coal.Cylinder(rng.uniform(0.02, 0.2), rng.uniform(0.02, 0.4)),
+    )
+    a, b = (core_of(makers[rng.integers(4)]()) for _ in range(2))
+    A, B = pin.exp6(rng.normal(size=6)), pin.exp6(rng.normal(size=6))
+    d = distance(a, b, A.rotation, A.translation, B.rotation, B.translation)
+    back = distance(b, a, B.rotation, B.translation, A.rotation, A.translation)
+    assert back == pytest.approx(d, abs=1e-9)
+    shift = rng.normal(size=3) * 0.1
+    moved = distance(a, b, A.rotation, A.translation, B.rotation, B.translation + shift)
+    assert abs(moved - d) <= np.linalg.norm(shift) + 1e-9
+    if d > 0.0:  # both moved alike changes nothing
+        G = pin.exp6(rng.normal(size=6))
+        GA, GB = G * A, G * B
+        assert distance(a, b, GA.rotation, GA.translation, GB.rotation, GB.translation) == pytest.approx(d, abs=1e-9)
+
+
+@pytest.mark.parametrize("scenario", [paper_lift(), dual_arm7(), mixed_cell()], ids=lambda s: s.name)
+def test_gradients_are_differences(scenario: Scenario) -> None:
+    scene, h = CollisionScene.of(scenario, margin=0.0), 1e-5
+    distances, cell = Distances(scene), scenario.cell
+    d = distances.all(scenario.q_start)
+    near = np.argsort(d)[:30]
+    near = near[d[near] > 1e-3]
+    G = distances.gradient(near).rows.copy()
+    smooth = 0
+    for j in range(cell.nv):
+        step = np.zeros(cell.nv)
+        step[j] = h
+        ahead, back = (distances.all(cell.moved(scenario.q_start, s))[near] for s in (step, -step))
+        one_side = np.abs((ahead - d[near]) - (d[near] - back)) > 1e-3 * h  # a corner of the distance
+        smooth += int((~one_side).sum())
+        assert np.abs(G[:, j] - (ahead - back) / (2 * h))[~one_side].max(initial=0.0) < 1e-3
+    assert smooth > 0.7 * cell.nv * len(near)
+
+
+@pytest.mark.parametrize("scenario", [paper_lift(), mixed_cell()], ids=lambda s: s.name)
+def test_no_motion_changes_a_distance_by_more_than_its_bound(scenario: Scenario) -> None:
+    scene = CollisionScene.of(scenario, margin=0.0)
+    distances, cell, rng = Distances(scene), scenario.cell, np.random.default_rng(3)
+    low, high = np.maximum(cell.limits.lower, -3.0), np.minimum(cell.limits.upper, 3.0)
+    for _ in range(40):
+        x = rng.uniform(low, high)
+        step = rng.normal(size=cell.nv) * 10.0 ** rng.uniform(-4.0, -0.5)
+        before, after = (distances.all(cell.configuration(at)) for at in (x, x + step))
+        apart = (before > 0.0) & (after > 0.0)  # how deep bodies overlap is another question
+        assert (np.abs(after - before) <= scene.built.reach @ np.abs(step) + 1e-7)[apart].all()
+
+
+def test_bounds_that_follow_the_joints_stay_below_the_distances(lift: Scenario) -> None:
+    scene, rng = CollisionScene.of(lift, margin=0.0), np.random.default_rng(5)
+    distances, other = Distances(scene), Distances(scene)
+    bounds = LowerBounds(scene, distances)
+    q = lift.q_start.copy()
+    for _ in range(30):
+        q = q + rng.normal(size=lift.cell.nq) * 0.01
+        bounds.follow(lift.cell.positions(q))
+        distances.place(q)
+        bounds.ask(np.flatnonzero(bounds.rooms < 0.02).tolist())
+        bounds.sharpen()
+        d = other.all(q)
+        assert (bounds.rooms <= d + 1e-8).all()
+        reach, slack = bounds.certificate()
+        for _ in range(5 if slack > 0.0 else 0):  # wherever the certificate reaches nothing touches
+            step = rng.normal(size=lift.cell.nv)
+            step *= 0.999 * slack / (reach @ np.abs(step))
+            assert other.all(lift.cell.moved(q, step)).min() >= -1e-8
+
+
+# -- on a known path -----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("acceleration", [np.inf, 5.0])
+@pytest.mark.parametrize(
+    "scenario",
+    [plate_and_post(), plate_and_post(post="box"), plate_and_table(), plate_and_table(tilt=0.1)],
+    ids=["capsule", "box", "table", "tilted"],
+)
+def test_the_object_stops_at_the_margin_on_its_path(scenario: Scenario, acceleration: float) -> None:
+    recording, steps, scene = run(scenario, scene_of(scenario), acceleration=acceleration)
+    last, body = steps[-1], scenario.obstacles[0].name
+    assert last.status is Status.BLOCKED
+    assert [limit.kind for limit in last.binding] == [LimitKind.COLLISION]
+    assert set(last.binding[0].between) == {"object", body}
+    assert last.binding[0].distance == pytest.approx(MARGIN, abs=1e-5)
+    assert f"object and {body}: 20.0 mm" in last.explain()
+    verdict = check_run(recording, scene.cell, scene=scene)  # chain and path, and distances by another way
+    assert verdict.ok, verdict
+    assert verdict.worst.chain_m < 1e-6
+    assert verdict.worst.path_m < 1e-6
+    assert max(step.given_up.chain for step in steps) == 0.0
+    rest = next(i for i, step in enumerate(steps) if step.rate < 1e-9)
+    blocked = next(i for i, step in enumerate(steps) if step.status is Status.BLOCKED)
+    assert blocked <= rest + 50
+    rates = np.array([step.rate for step in steps])
+    moves = np.diff(rates[np.argmax(rates > 0.5) :])
+    assert (np.diff(np.sign(moves[np.abs(moves) > 1e-6])) != 0).sum() <= 1  # it slows down once
+
+
+@pytest.mark.parametrize("acceleration", [np.inf, 5.0])
+def test_a_path_not_known_ahead_ends_at_the_margin_too(acceleration: float) -> None:
+    scenario = plate_and_post()
+    blind = replace(scenario, path=Unknown(scenario.path))
+    recording, steps, scene = run(blind, scene_of(blind), acceleration=acceleration)
+    verdict = check_run(recording, scene.cell, scene=scene)
+    assert verdict.ok, verdict
+    assert verdict.worst.path_m < 1e-6
+    assert set(steps[-1].binding[0].between) == {"object", "post"}
+
+
+def test_both_kernels_keep_the_same_distance() -> None:
+    scenario = plate_and_table(tilt=0.1)
+    runs = [run(scenario, scene_of(scenario), kernel=kernel, acceleration=5.0) for kernel in KERNELS]
+    first, second = (recording.q_command for recording, _, _ in runs)
+    assert first.shape == second.shape
+    assert np.abs(first - second).max() < 1e-9
+    for a, b in zip(runs[0][1], runs[1][1], strict=True):
+        assert (a.status, a.binding) == (b.status, b.binding)
+
+
+def test_far_from_everything_the_steps_are_those_without_a_scene(lift: Scenario) -> None:
+    far = replace(lift, obstacles=(Body("far", Sphere(0.1), pin.SE3(np.eye(3), np.array([9.0, 0.0, 0.0]))),))
+    recording, steps, _ = run(far, scene_of(far, margin=0.005))
+    plain = simulate(QPController(lift.cell, lift.grasp, lift.path, dt=lift.dt), q_start=lift.q_start)
+    assert recording.finished
+    assert np.array_equal(recording.q_command, plain.q_command)
+    assert {step.status for step in steps} == {Status.TRACKING}
+
+
+# -- starts inside the margin ----------------------------------------------------------------------------------------
+
+
+def test_a_start_inside_the_margin_is_refused_by_name(lift: Scenario) -> None:
+    near = replace(lift, obstacles=(lid(lift, 0.008),))
+    with pytest.raises(InvalidInputError, match=r"object and lid are 8\.0 mm .* margin of 20 mm"):
+        run(near, scene_of(near))
+
+
+@pytest.mark.parametrize("acceleration", [np.inf, 5.0])
+@pytest.mark.parametrize("side", [1.0, -1.0])
+def test_an_allowed_start_inside_the_margin_only_parts(lift: Scenario, side: float, acceleration: float) -> None:
+    gap = 0.008 if side > 0.0 else -0.098
+    near = replace(lift, obstacles=(lid(lift, gap),))
+    recording, steps, scene = run(near, scene_of(near, inside=[("object", "lid")]), acceleration=acceleration)
+    judge_ = Closeness(scene)
+    k = next(i for i, label in enumerate(scene.built.labels) if set(label) == {"object", "lid"})
+    d = np.array([judge_.at(q, k) for q in recording.q_command])
+    assert np.diff(d).min() >= -1e-9
+    assert recording.finished is (side < 0.0)
+    if side > 0.0:
+        assert steps[-1].status is Status.BLOCKED
+
+
+# -- the judges ----------------------------------------------------------------------------------------------------
+
+
+def test_the_monitor_finds_what_comes_too_close(lift: Scenario) -> None:
+    scenario = plate_and_post()
+    free = simulate(QPController(lift.cell, lift.grasp, scenario.path, dt=lift.dt), q_start=scenario.q_start)
+    verdict = check_run(free, scenario.cell, scene=scene_of(scenario))
+    assert [breach.name for breach in verdict.counts] == ["CLEARANCE"]
+    assert "object and post" in str(verdict)
+    monitor = Monitor(scenario.cell, scenario.grasp, scenario.path, scene=scene_of(scenario))
+    controller = QPController(lift.cell, lift.grasp, scenario.path, dt=lift.dt)
+    controller.reset(scenario.q_start)
+    while monitor.verdict().ok or not monitor.verdict().steps:
+        monitor.observe(controller.step())
+    assert monitor.verdict().violations[0].step == verdict.violations[0].step
+
+
+def test_between_two_steps_counts_too() -> None:
+    # two configurations that are clear, with a post between them
+    scenario = dual_arm7()
+    q0, q1 = scenario.q_start, scenario.q_start.copy()
+    q1[0] += 1.6
+    scene = CollisionScene(
+        cell=scenario.cell,
+        grasp=scenario.grasp,
+        margin=0.0,
+        obstacles=[Body("post", Sphere(0.01), pin.SE3(np.eye(3), _swept(scenario, q0, q1)))],
+    )
+    judge_ = Closeness(scene)
+    ends = [min(p.distance for p in scene.distances(q) if "post" in (p.first, p.second)) for q in (q0, q1)]
+    assert min(ends) > 0.005
+    judge_.start(q0)
+    assert any(pair.second == "post" for _, pair, _ in judge_.watch(np.array([q0, q1]), tolerance=1e-6))
+
+
+def _swept(scenario: Scenario, q0: Any, q1: Any) -> Any:
+    data, model = scenario.cell.model.createData(), scenario.cell.model
+    pin.forwardKinematics(model, data, 0.5 * (q0 + q1))
+    shape = next(s for s in scenario.cell.collision_model().geometryObjects if s.name.startswith("left/link_4"))
+    return (data.oMi[shape.parentJoint] * shape.placement).translation
+
+
+@pytest.mark.parametrize("avoided", [True, False])
+def test_the_verdict_says_where_it_was_closest(avoided: bool) -> None:
+    scenario = plate_and_post()
+    scene = scene_of(scenario)
+    constraints = [Clearance(scene)] if avoided else []
+    controller = QPController(scenario.cell, scenario.grasp, scenario.path, dt=scenario.dt, constraints=constraints)
+    recording = simulate(controller, q_start=scenario.q_start, patience=0.1)
+    recording = with_clearance(recording, scene, avoided=avoided)
+    found = judge(scenario.cell, recording, read_run(scenario.cell, recording))[-1]
+    assert found.holds is avoided
+    said = "nothing touched: closest 20 mm, object and post at" if avoided else "object and post at"
+    assert found.answer.startswith(said)
+    entry = recording.metadata["clearance"]
+    assert min(entry["distances_m"]) == pytest.approx(entry["closest_m"], abs=2e-3)
+
+
+# -- bad scenes ----------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("make", "said"),
+    [
+        (lambda: Box((0.1, np.nan, 0.1)), "NaN"),
+        (lambda: Box((0.1, 0.1)), "shape"),
+        (lambda: Sphere(0.0), "outside"),
+        (lambda: Sphere(1e9), "metres"),
+        (lambda: Capsule(np.nan, 0.1), "outside"),
+        (lambda: Cylinder(0.1, -1.0), "outside"),
+        (lambda: Hull(np.zeros((3, 3))), "points"),
+        (lambda: Hull(np.c_[np.random.default_rng(0).normal(size=(9, 2)), np.zeros(9)]), "plane"),
+        (lambda: Hull([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, np.inf]]), "finite"),
+        (lambda: Mesh("nowhere.stl"), "no file"),
+        (lambda: Body("", Sphere(0.1)), "name"),
+        (lambda: Body("post", "sphere"), "shape"),
+    ],
+)
+def test_bad_shapes_are_refused_when_built(make: Any, said: str) -> None:
+    with pytest.raises(InvalidInputError, match=said):
+        make()
+
+
+@pytest.mark.parametrize(
+    ("changes", "error", "said"),
+    [
+        ({"margin": np.nan}, InvalidInputError, "margin"),
+        ({"margin": -0.1}, InvalidInputError, "margin"),
+        ({"margins": {("object", "pots"): 0.1}}, UnknownNameError, "pots"),
+        ({"margins": {("object", "post"): -0.1}}, InvalidInputError, "margins"),
+        ({"ignored": [("object", "pots")]}, UnknownNameError, "pots"),
+        ({"ignored": ["object"]}, InvalidInputError, "no pair"),
+        ({"inside": [("object",)]}, InvalidInputError, "no pair"),
+        ({"without": ["master/elbow"]}, UnknownNameError, "elbow"),
+        ({"on_links": {"master/hand": [Body("hand", Sphere(0.1))]}}, UnknownNameError, "hand"),
+        ({"srdf": {"master": "nowhere.srdf"}}, InvalidInputError, "no file"),
+        ({"srdf": {"boss": "<robot name='r'/>"}}, UnknownNameError, "boss"),
+        ({"obstacles": Body("post", Sphere(0.1))}, InvalidInputError, "list"),
+        ({"obstacles": ["post"]}, InvalidInputError, "list"),
+        ({"rules": 3}, InvalidInputError, "PairRules"),
+    ],
+)
+def test_bad_scenes_are_refused_when_built(changes: dict[str, Any], error: type, said: str) -> None:
+    with pytest.raises(error, match=said):
+        CollisionScene.of(plate_and_post(), **changes)
+
+
+def _stl(file: Path, corners: Any) -> Path:
+    """A binary STL of triangles (n, 3, 3)."""
+    rows = np.zeros(len(corners), dtype=[("n", "<f4", 3), ("v", "<f4", (3, 3)), ("a", "<u2")])
+    rows["v"] = corners
+    file.write_bytes(b"\0" * 80 + np.uint32(len(corners)).tobytes() + rows.tobytes())
+    return file
+
+
+def _cubes(centres: Any) -> Any:
+    """Triangles of cubes with sides of 0.1 m, their normals outwards."""
+    faces = []
+    for axis in range(3):
+        for side in (-1.0, 1.0):
+            e, f = np.eye(3)[(axis + 1) % 3], np.eye(3)[(axis + 2) % 3]
+            middle = side * np.eye(3)[axis]
+            a, b, c, d = (middle + x * e + y * f for x, y in ((-1, -1), (1, -1), (1, 1), (-1, 1)))
+            faces += [[a, b, c], [a, c, d]] if side > 0.0 else [[a, c, b], [a, d, c]]
+    return np.concatenate([0.05 * np.array(faces) + centre for centre in np.asarray(centres, dtype=float)])
+
+
+@pytest.mark.parametrize(("triangles", "said"), [(0, "mesh"), (1_000_000, "triangles")])
+def test_empty_and_huge_meshes_are_refused(tmp_path: Path, triangles: int, said: str) -> None:
+    mesh = Mesh(_stl(tmp_path / "mesh.stl", np.random.default_rng(0).random((triangles, 3, 3), dtype=np.float32)))
+    with pytest.raises(InvalidInputError, match=said):
+        CollisionScene.of(plate_and_post(), obstacles=[Body("rock", mesh)])
+
+
+def test_a_hull_much_larger_than_its_mesh_is_named(tmp_path: Path) -> None:
+    cube, pair = _cubes([[0, 0, 0]]), _cubes([[0, 0, 0], [0.4, 0, 0]])  # the hull of two is 2.5 times their volume
+    meshes = [Body(name, Mesh(_stl(tmp_path / f"{name}.stl", c))) for name, c in (("cube", cube), ("pair", pair))]
+    scene = CollisionScene.of(plate_and_post(), obstacles=meshes)
+    assert scene.notes == ("the hull of the mesh of pair has 2.5 times its volume",)
+
+
+# -- scenes --------------------------------------------------------------------------------------------------------
+
+
+def test_pair_rules_leave_out_what_touches_by_design(lift: Scenario) -> None:
+    scene = CollisionScene.of(lift, margin=0.0)
+    assert ("master/shoulder_link", "master/forearm_link") in scene.pairs
+    assert ("master/upper_arm_link", "master/forearm_link") not in scene.pairs
+    assert not any({"object", "master/link_6"} == set(pair) for pair in scene.pairs)
+    assert any({"object", "slave_1/forearm_link"} == set(pair) for pair in scene.pairs)
+    assert min(pair.distance for pair in scene.distances(lift.q_start)) > 0.0
+    fewer = CollisionScene.of(lift, margin=0.0, rules=PairRules(apart=5), ignored=[("master", "slave_1")])
+    assert not any(a.startswith("master") and b.startswith("slave_1") for a, b in fewer.pairs)
+    assert len(fewer.pairs) < len(scene.pairs)
+
+
+def test_an_srdf_switches_pairs_off_per_arm(lift: Scenario) -> None:
+    text = '<robot name="r"><disable_collisions link1="shoulder_link" link2="forearm_link" reason="Never"/></robot>'
+    pairs = CollisionScene.of(lift, srdf={"master": text}).pairs
+    assert ("master/shoulder_link", "master/forearm_link") not in pairs
+    assert ("slave_1/shoulder_link", "slave_1/forearm_link") in pairs
+
+
+def test_margins_of_pairs_and_bodies_on_links(lift: Scenario) -> None:
+    scene = CollisionScene.of(
+        plate_and_post(),
+        margins={("object", "post"): 0.05, ("post", "slave_1"): 0.03},
+        on_links={"master/forearm_link": [Body("camera", Sphere(0.05))]},
+        without=["slave_2"],
+    )
+    margins = dict(zip(scene.built.labels, scene.built.margins.tolist(), strict=True))
+    assert margins["object", "post"] == 0.05
+    assert {m for (a, b), m in margins.items() if b == "post" and a.startswith("slave_1")} == {0.03}
+    assert "camera" in scene.names
+    assert not any(name.startswith("slave_2/") for name in scene.names)
+
+
+def test_copies_of_a_scene_and_its_constraint_are_the_same() -> None:
+    scenario = plate_and_post()
+    scene = scene_of(scenario)
+    for other in (copy.deepcopy(scene), pickle.loads(pickle.dumps(scene))):
+        assert other.pairs == scene.pairs
+        assert other.distances(scenario.q_start) == scene.distances(scenario.q_start)
+    controller = QPController(
+        scenario.cell, scenario.grasp, scenario.path, dt=scenario.dt, constraints=[Clearance(scene)]
+    )
+    controller.reset(scenario.q_start)
+    for _ in range(235):
+        controller.step()
+    others = [copy.copy(controller), copy.deepcopy(controller), pickle.loads(pickle.dumps(controller))]
+    for _ in range(15):
+        step = controller.step()
+        for other in others:
+            assert np.array_equal(other.step().q_next, step.q_next)
+
+
+def test_rows_are_few_and_name_both_bodies() -> None:
+    scenario = plate_and_post()
+    clearance = Clearance(scene_of(scenario))
+    rows = clearance.rows_by_label(scenario.q_start, 0.002, blind=False)
+    assert len(rows.which) <= MOST_ROWS
+    assert all(limit.kind is LimitKind.COLLISION for limit in clearance.labels)
+    assert (rows.lower <= 0.0).all()  # rest is admissible
+
+
+# -- random posts --------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("arms", [2, 3, 4])
+def test_random_posts_are_never_touched(arms: int) -> None:
+    ran = 0
+    for seed in range(4):
+        scenario = random_posts(seed, arms=arms)
+        scene = scene_of(scenario, margin=0.005)
+        if min(p.distance - MARGIN / 4 for p in scene.distances(scenario.q_start)) < 0.0:
+            continue
+        recording, steps, _ = run(scenario, scene)
+        ran += 1
+        verdict = check_run(recording, scene.cell, scene=scene)
+        assert verdict.ok, (seed, verdict)
+        assert max(step.given_up.chain for step in steps) == 0.0
+    assert ran
+
+
+# -- elbows --------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("acceleration", [np.inf, 5.0])
+def test_an_elbow_evades_and_the_object_stays_on_its_path(acceleration: float) -> None:
+    scenario = elbow_and_knob()
+    recording, steps, scene = run(scenario, scene_of(scenario), acceleration=acceleration)
+    assert recording.finished
+    verdict = check_run(recording, scene.cell, scene=scene)
+    assert verdict.ok, verdict
+    assert max(verdict.worst.chain_m, verdict.worst.path_m) < 1e-6
+    change = np.diff([step.rate for step in steps])
+    change = change[np.abs(change) > 1e-6]
+    assert (np.diff(np.sign(change)) != 0).sum() <= 10
+    still = [step for step in steps if step.status is Status.BLOCKED]
+    assert not still
+    without = simulate(
+        QPController(scene.cell, scenario.grasp, scenario.path, dt=scenario.dt), q_start=scenario.q_start
+    )
+    assert not check_run(without, scene.cell, scene=scene).ok
+
+
+def test_without_comfort_an_elbow_stops_the_object_by_name() -> None:
+    scenario = elbow_and_knob()
+    clearance = Clearance(scene_of(scenario), comfort=0.0)
+    controller = QPController(scenario.cell, scenario.grasp, scenario.path, dt=scenario.dt, constraints=[clearance])
+    steps: list[Any] = []
+    recording = simulate(controller, q_start=scenario.q_start, patience=0.1, observe=steps.append)
+    assert not recording.finished
+    assert set(steps[-1].binding[0].between) == {"left/link_3", "knob"}
+
+
+@settings(deadline=None, max_examples=60)
+@given(seed=st.integers(0, 10**6))
+def test_evasion_is_the_least_self_motion_that_keeps_its_rows(seed: int) -> None:
+    rng, scenario = np.random.default_rng(seed), dual_arm7()
+    cell, evasion = scenario.cell, Evasion(scenario.cell)
+    q = cell.moved(scenario.q_start, rng.uniform(-0.2, 0.2, cell.nv))
+    N, slope = evasion.basis(q), rng.normal(size=cell.nv)
+    G, wanted = rng.normal(size=(2, cell.nv)), rng.normal(size=2)
+    lower = G @ (slope + N @ rng.normal(size=N.shape[1])) - np.abs(wanted)  # some self-motion keeps them
+    found = evasion.slope(q, slope, G, lower)
+    state = CellState(cell, q)
+    for k, own in enumerate(cell.v_slices):  # the tools do not feel it
+        assert np.abs(state.jacobian(k) @ (found - slope)[own]).max() < 1e-9
+    assert (G @ found >= lower - 1e-4).all()
+    z = np.linalg.lstsq(N, found - slope, rcond=None)[0]
+    for _ in range(20):  # no other one that keeps them is shorter
+        other = z + rng.normal(size=z.size) * rng.uniform(0.0, 1.0)
+        if (G @ (slope + N @ other) >= lower).all():
+            assert np.linalg.norm(z) <= np.linalg.norm(other) + 1e-3
+
+
+# -- bodies that move ------------------------------------------------------------------------------------------------
+
+
+def _cart(scenario: Scenario, *, give_way: bool, steps: int = 1100) -> tuple[list[float], list[Any], Clearance]:
+    """Distances to a cart that comes at 0.3 m/s, and the steps."""
+    dt, middle = 0.004, (scenario.path.pose(0.0) * scenario.T_object_body).translation
+
+    def place(t: float) -> pin.SE3:
+        return pin.SE3(np.eye(3), middle + np.array([0.0, -1.0 + 0.3 * t, 0.18]))
+
+    scene = scene_of(scenario, moving=[Body("cart", Box((0.2, 0.2, 0.2)), place(0.0))])
+    clearance = Clearance(scene, give_way=give_way)
+    controller = QPController(scenario.cell, scenario.grasp, scenario.path, dt=dt, constraints=[clearance])
+    controller.reset(scenario.q_start)
+    limit = next(limit for limit in clearance.labels if set(limit.between) == {"object", "cart"})
+    distances, taken = [], []
+    for i in range(steps):
+        clearance.move("cart", place(i * dt), (0.0, 0.3, 0.0, 0.0, 0.0, 0.0))
+        taken.append(controller.step())
+        distances.append(clearance.measured(limit, taken[-1].q).distance or 0.0)
+    return distances, taken, clearance
+
+
+def test_the_object_gives_way_to_a_body_that_moves(lift: Scenario) -> None:
+    distances, steps, _ = _cart(lift, give_way=True)
+    assert min(distances) >= MARGIN
+    assert any(step.status is Status.OFF_PATH for step in steps)
+    assert max(step.given_up.chain for step in steps) == 0.0
+
+
+def test_nothing_comes_closer_to_a_body_that_closes_in(lift: Scenario) -> None:
+    distances, steps, clearance = _cart(lift, give_way=False)
+    assert max(np.abs(step.given_up.off_path).max() for step in steps) < 1e-9  # it stays on its path
+    d = np.array(distances)
+    late = d[:-1] - MARGIN < 0.3 * 0.4  # the arms need that long to stop
+    assert late.sum() > 100
+    assert (-np.diff(d)[late] / 0.004).max() <= 0.3 + 1e-3  # the cart's own speed
+    assert clearance.quiet.slack < 0.0  # never certified
+
+
+def test_a_body_that_nobody_moves_holds_by_name(lift: Scenario) -> None:
+    scene = scene_of(lift, moving=[Body("cart", Sphere(0.1), pin.SE3(np.eye(3), np.array([5.0, 0.0, 0.0])))])
+    controller = QPController(lift.cell, lift.grasp, lift.path, dt=0.004, constraints=[Clearance(scene)])
+    controller.reset(lift.q_start)
+    for _ in range(40):
+        step = controller.step()
+    assert step.status is Status.HOLDING
+    assert "cart" in step.reason
+    with pytest.raises(UnknownNameError, match="van"):
+        Clearance(scene).move("van", np.eye(4))
+
+
+# -- cell files ------------------------------------------------------------------------------------------------------
+
+BAR = Path(__file__).parents[1] / "docs" / "examples" / "cells" / "bar.toml"
+TABLE = """
+[collision]
+margin_m = 0.02
+ignored = [["left", "right"]]
+margins = [{ between = ["object", "post"], margin_m = 0.03 }]
+
+[[collision.obstacles]]
+name = "post"
+shape = "capsule"
+radius_m = 0.03
+length_m = 0.1
+at = { xyz_m = [0.0, 0.1, 0.54] }
+"""
+
+
+def test_a_cell_file_says_what_to_keep_away_from(tmp_path: Path) -> None:
+    file = tmp_path / "bar.toml"
+    file.write_text(BAR.read_text(encoding="utf-8") + TABLE, encoding="utf-8")
+    task = load_cell_file(file)
+    recording = task.run()
+    entry = recording.metadata["clearance"]
+    assert entry["avoided"]
+    assert not recording.finished
+    assert entry["closest_m"] >= 0.02 - 1e-6
+    assert any("post" in limit.between for limits in recording.bindings for limit in limits)
+    file.write_text(BAR.read_text(encoding="utf-8"), encoding="utf-8")
+    free = load_cell_file(file).run()
+    assert not free.metadata["clearance"]["avoided"]
+    assert judge(task.scenario.cell, free, read_run(task.scenario.cell, free))[-1].holds
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ("radius_m = 0.03\n", "", "radius_m"),
+        ('shape = "capsule"', 'shape = "cone"', "shape"),
+        ("radius_m = 0.03", "radius_m = nan", "radius_m"),
+        ('["object", "post"]', '["object", "pots"]', "pots"),
+        ("margin_m = 0.02", "margin_m = -1", "margin_m"),
+    ],
+)
+def test_bad_tables_are_named(tmp_path: Path, old: str, new: str, said: str) -> None:
+    file = tmp_path / "bar.toml"
+    file.write_text(BAR.read_text(encoding="utf-8") + TABLE.replace(old, new), encoding="utf-8")
+    with pytest.raises(CellFileError, match=said):
+        load_cell_file(file)
