@@ -37,7 +37,7 @@ def shoot_run(recording: Recording, picture: Path, *, share: float, width: int =
     program = find_browser()
     if program is None:
         raise SystemExit(f"no browser ({', '.join(NAMES)}); 'make browser' installs one")
-    with tempfile.TemporaryDirectory() as folder:
+    with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as folder:  # the browser ends later
         file = export_html(recording, Path(folder) / "run.html")
         with Page(program, Path(folder) / "profile", width=width, height=height) as page:
             page.open(file.as_uri())

@@ -42,7 +42,7 @@ _CARD = """
   system-ui, sans-serif; color: #222; background: rgba(255, 255, 255, .88); border: 1px solid #dfe3e8;
   border-radius: 6px; pointer-events: none; }}
 #coopqp b {{ font-size: 15px; }}
-@media (max-width: 1000px) {{ #coopqp {{ font-size: 12px; padding: 5px 9px; max-width: 60vw; }}
+@media (max-width: 1200px) {{ #coopqp {{ font-size: 12px; padding: 5px 9px; max-width: 60vw; }}
   #coopqp span {{ display: none; }} }}
 #coopqp i {{ display: inline-block; width: 1.1em; height: .62em; margin-right: .45em; border-radius: 2px; }}
 </style>
