@@ -30,6 +30,7 @@ LAZY = (
 #: Scripts that measure the parts of a step.
 INSIDE = (
     "benchmarks/peer",
+    "benchmarks/collisions.py",
     "benchmarks/compare_peers.py",
     "benchmarks/look_ahead_cases.py",
     "benchmarks/planning.py",
