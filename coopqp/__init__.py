@@ -59,6 +59,8 @@ if TYPE_CHECKING:
     from coopqp.files.cellfile import CellFileError, load_cell_file
     from coopqp.files.export import write_bag, write_csv
     from coopqp.forces.stress import InternalStress, StressModel, at_tools
+    from coopqp.forces.use import LoadUse
+    from coopqp.look.loads import write_load_use
     from coopqp.look.profile import write_speed_profile
     from coopqp.look.report import write_report
     from coopqp.look.viewer import LiveViewer, export_html
@@ -187,6 +189,8 @@ else:
             "coopqp.files.cellfile": ("CellFileError", "load_cell_file"),
             "coopqp.files.export": ("write_bag", "write_csv"),
             "coopqp.forces.stress": ("InternalStress", "StressModel", "at_tools"),
+            "coopqp.forces.use": ("LoadUse",),
+            "coopqp.look.loads": ("write_load_use",),
             "coopqp.look.profile": ("write_speed_profile",),
             "coopqp.look.report": ("write_report",),
             "coopqp.look.viewer": ("LiveViewer", "export_html"),
@@ -252,6 +256,7 @@ __all__ = [
     "LimitKind",
     "LinePath",
     "LiveViewer",
+    "LoadUse",
     "MissingExtraError",
     "MissingSolverError",
     "ModelError",
@@ -331,6 +336,7 @@ __all__ = [
     "tool_placements",
     "write_bag",
     "write_csv",
+    "write_load_use",
     "write_report",
     "write_speed_profile",
 ]

@@ -65,7 +65,16 @@ PROGRAMS = programs()
 
 
 @pytest.mark.parametrize(
-    "package", ["coopqp", "coopqp.control", "coopqp.simulation", "coopqp.files", "coopqp.scenarios", "coopqp.planning"]
+    "package",
+    [
+        "coopqp",
+        "coopqp.control",
+        "coopqp.simulation",
+        "coopqp.files",
+        "coopqp.scenarios",
+        "coopqp.planning",
+        "coopqp.forces",
+    ],
 )
 def test_names_are_sorted_and_importable(package: str) -> None:
     module = importlib.import_module(package)

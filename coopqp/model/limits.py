@@ -21,6 +21,14 @@ class LimitKind(enum.Enum):
     PATH_JUMP = "path jump"
     TORQUE = "torque"
     JERK = "jerk"
+    WRIST = "wrist wrench"
+    GRIP_FORCE = "force of the grip"
+    GRIP_TORQUE = "torque of the grip"
+    FRICTION = "friction"
+    TILT = "tilt on the pad"
+    SQUEEZE = "squeeze"
+    INTERNAL_FORCE = "internal force"
+    INTERNAL_TORQUE = "internal torque"
 
 
 @dataclass(frozen=True, slots=True)
