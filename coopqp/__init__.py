@@ -58,8 +58,10 @@ if TYPE_CHECKING:
     )
     from coopqp.files.cellfile import CellFileError, load_cell_file
     from coopqp.files.export import write_bag, write_csv
+    from coopqp.forces.calibration import Calibration, CalibrationError, CalibrationOptions, calibrate
     from coopqp.forces.stress import InternalStress, StressModel, at_tools
     from coopqp.forces.use import LoadUse
+    from coopqp.look.calibration import write_calibration
     from coopqp.look.loads import write_load_use
     from coopqp.look.profile import write_speed_profile
     from coopqp.look.report import write_report
@@ -73,6 +75,7 @@ if TYPE_CHECKING:
     from coopqp.planning.preview import PreviewOptions
     from coopqp.scenarios.robots import robot_path
     from coopqp.simulation.assessment import Finding, Readings, Tolerances, judge, read_run
+    from coopqp.simulation.calibrating import calibrate_runs
     from coopqp.simulation.metrics import (
         chain_error,
         limit_excess,
@@ -188,8 +191,10 @@ else:
             "coopqp.control.solvers.proxqp": ("ProxqpSettings",),
             "coopqp.files.cellfile": ("CellFileError", "load_cell_file"),
             "coopqp.files.export": ("write_bag", "write_csv"),
+            "coopqp.forces.calibration": ("Calibration", "CalibrationError", "CalibrationOptions", "calibrate"),
             "coopqp.forces.stress": ("InternalStress", "StressModel", "at_tools"),
             "coopqp.forces.use": ("LoadUse",),
+            "coopqp.look.calibration": ("write_calibration",),
             "coopqp.look.loads": ("write_load_use",),
             "coopqp.look.profile": ("write_speed_profile",),
             "coopqp.look.report": ("write_report",),
@@ -197,6 +202,7 @@ else:
             "coopqp.output": ("OutputError",),
             "coopqp.scenarios.robots": ("robot_path",),
             "coopqp.simulation.assessment": ("Finding", "Readings", "Tolerances", "judge", "read_run"),
+            "coopqp.simulation.calibrating": ("calibrate_runs",),
             "coopqp.simulation.metrics": (
                 "chain_error",
                 "limit_excess",
@@ -231,6 +237,9 @@ __all__ = [
     "BindingLimit",
     "Breach",
     "BusyError",
+    "Calibration",
+    "CalibrationError",
+    "CalibrationOptions",
     "CellFileError",
     "CellState",
     "CommonError",
@@ -314,6 +323,8 @@ __all__ = [
     "at_tools",
     "available_kernels",
     "available_solvers",
+    "calibrate",
+    "calibrate_runs",
     "chain_error",
     "check_run",
     "describe_object",
@@ -335,6 +346,7 @@ __all__ = [
     "simulate",
     "tool_placements",
     "write_bag",
+    "write_calibration",
     "write_csv",
     "write_load_use",
     "write_report",

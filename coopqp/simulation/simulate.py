@@ -57,7 +57,8 @@ class Recording:
         notes: one entry ``"step: explanation"`` per change of status or binding limits; one for many
             changes to and fro.
         metadata: controller, solver, names of arms and joints; description of the cell and the path (``scene``,
-            ``path``: :mod:`coopqp.simulation.scene`); binding limits over time (``binding``); entries of the caller.
+            ``path``: :mod:`coopqp.simulation.scene`); binding limits over time (``binding``); the plant, and whether
+            the arms held one object at the end (``gripped``); entries of the caller.
     """
 
     time: Array
@@ -269,7 +270,8 @@ def simulate(
         still = still + step.dt if _stands(step) else 0.0
         if still >= enough:
             break
-    return _record(controller, steps, q_measured, notes.lines(), metadata or {})
+    held = {"plant": type(plant).__name__, "gripped": getattr(plant, "gripped", None)}
+    return _record(controller, steps, q_measured, notes.lines(), {**held, **(metadata or {})})
 
 
 def _stands(step: ControlStep) -> bool:

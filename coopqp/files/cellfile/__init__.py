@@ -47,7 +47,7 @@ def load_cell_file(path: str | Path) -> CellRun:
             be built (a missing model, a pose out of reach, …). The message names the problem and its place.
         MissingExtraError: the extra ``files`` is not installed.
     """
-    _require_readers()
+    require_readers()
     from coopqp.files.cellfile.build import load
 
     return load(Path(path))
@@ -59,7 +59,7 @@ def load_cell_task(path: str | Path) -> CellTask:
     Raises:
         CellFileError, MissingExtraError: as :func:`load_cell_file`.
     """
-    _require_readers()
+    require_readers()
     from coopqp.files.cellfile.build import load_task
 
     return load_task(Path(path))
@@ -67,7 +67,7 @@ def load_cell_task(path: str | Path) -> CellTask:
 
 def schema_text() -> str:
     """Every key of a cell file with its type, unit, default and meaning, as readable text."""
-    _require_readers()
+    require_readers()
     from coopqp.files.cellfile.describe import describe_schema
 
     return describe_schema()
@@ -75,13 +75,14 @@ def schema_text() -> str:
 
 def json_schema() -> dict[str, Any]:
     """The JSON Schema of a cell file, for editors."""
-    _require_readers()
+    require_readers()
     from coopqp.files.cellfile.schema import CellFile
 
     return CellFile.model_json_schema()
 
 
-def _require_readers() -> None:
+def require_readers() -> None:
+    """Raise MissingExtraError unless cell files can be read."""
     for module, package in (("pydantic", "pydantic"), ("ruamel", "ruamel.yaml")):
         if find_spec(module) is None:
             raise MissingExtraError("files", package)

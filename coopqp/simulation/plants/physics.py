@@ -232,6 +232,11 @@ class PhysicsPlant:
         self.mj_data.eq_active[self._welds] = 0
         self._fresh = False
 
+    @property
+    def gripped(self) -> bool:
+        """True while every arm holds the object; recordings say it."""
+        return bool(self.mj_data.eq_active[self._welds].all())
+
     # -- readings ------------------------------------------------------------------------------------------------
 
     def wrenches(self) -> Array:
