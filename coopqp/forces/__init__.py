@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 from coopqp.lazy import lazy_names
 
 if TYPE_CHECKING:
+    from coopqp.forces.bound import LoadBound
     from coopqp.forces.calibration import ArmCorrection, undetermined_by
     from coopqp.forces.exciting import DeterminingMotion, determining_motion
     from coopqp.forces.grips import Grip
@@ -17,6 +18,7 @@ else:
     __getattr__, __dir__ = lazy_names(
         __name__,
         {
+            "coopqp.forces.bound": ("LoadBound",),
             "coopqp.forces.calibration": ("ArmCorrection", "undetermined_by"),
             "coopqp.forces.exciting": ("DeterminingMotion", "determining_motion"),
             "coopqp.forces.grips": ("Grip",),
@@ -29,6 +31,7 @@ __all__ = [
     "ArmCorrection",
     "DeterminingMotion",
     "Grip",
+    "LoadBound",
     "LoadShare",
     "SharedLoad",
     "determining_motion",

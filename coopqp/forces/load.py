@@ -172,7 +172,7 @@ class LoadShare:
         U, sizes, Vt = np.linalg.svd(self._map * self._scale)
         rank = int((sizes > 1e-9 * sizes[0]).sum())
         self._pinv = (Vt[:rank].T / sizes[:rank]) @ U[:, :rank].T
-        self._free = Vt[rank:].T
+        self.free = Vt[rank:].T
 
     def _grip_cones(self) -> tuple[list[Cone], list[BindingLimit]]:
         """Limits of grips and internal wrenches in (y, λ), without the part of f; and the names of all limits."""
@@ -268,11 +268,16 @@ class LoadShare:
         if v is None or dv is None:
             v, dv = self._joint_motion(state, V, a)
         torque = np.array(pin.rnea(cell.model, self._data, state.q, v, dv))
-        to_torque = np.zeros((cell.nv, len(self._scale)))
-        for k, (s, own) in enumerate(zip(cell.v_slices, self._own, strict=True)):
-            to_torque[s, own] = state.jacobian(k)[: own.stop - own.start].T
+        to_torque = self.to_torques(state)
         R = (state.T_world_tool[0] * self.grasp.T_object_tool[0].inverse()).rotation
         return _Motion(torque, to_torque, self.wrench(R, twist=V, acceleration=a))
+
+    def to_torques(self, state: CellState) -> Array:
+        """Map of the grips' components c to joint torques, Jᵀ (nv, nc)."""
+        out = np.zeros((self.cell.nv, len(self._scale)))
+        for k, (s, own) in enumerate(zip(self.cell.v_slices, self._own, strict=True)):
+            out[s, own] = state.jacobian(k)[: own.stop - own.start].T
+        return out
 
     # -- sharing -------------------------------------------------------------------------------------------------
 
@@ -309,8 +314,10 @@ class LoadShare:
             raise InvalidInputError("one of joint_velocity and joint_acceleration is missing", where, "Give both.")
         motion = self._motion(q, V, a, v, dv)
         unit = max(1.0, float(np.linalg.norm(motion.wrench)))
-        cones, moving = self._cones(motion, unit)
-        target = self._free.T @ (self._wanted(internal) / self._scale / unit)
+        moving = self.moving_part(motion.wrench) / unit
+        still = (motion.torque, np.zeros(len(moving)))
+        cones = Cones(self.cones(still, [(np.zeros(nv), unit * moving)], motion.to_torque, unit))
+        target = self.free.T @ (self._wanted(internal) / self._scale / unit)
         y, share = cones.nearest(target, 1.0), 1.0
         if y is None:
             found = cones.largest()
@@ -327,32 +334,53 @@ class LoadShare:
         parts = zip(self.grasp.T_object_tool, w, self._own, strict=True)
         return np.concatenate([(X.action.T @ row)[: own.stop - own.start] for X, row, own in parts])
 
-    def _cones(self, motion: _Motion, unit: float) -> tuple[Cones, Array]:
-        """All limits as cones in (y, λ), forces over ``unit``; and the moving part c₀ in the metric, over ``unit``."""
-        moving = self._pinv @ (motion.wrench / unit)
-        lost = self._map @ (self._scale * moving) - motion.wrench / unit
-        if np.abs(lost).max() > _ROUNDING:
+    def moving_part(self, wrench: Array) -> Array:
+        """c₀ of a wrench (6,), in the metric.
+
+        Raises:
+            UnreachableError: the grips cannot transmit it.
+        """
+        moving: Array = self._pinv @ wrench
+        lost = wrench - self._map @ (self._scale * moving)
+        if np.abs(lost).max() > _ROUNDING * max(1.0, float(np.abs(wrench).max())):
             raise UnreachableError(
-                f"the grips cannot transmit the wrench {np.round(motion.wrench, 3).tolist()} (object frame): "
-                f"{np.round(-unit * lost, 3).tolist()} is left. Give one arm a rigid grip."
+                f"the grips cannot transmit the wrench {np.round(wrench, 3).tolist()} (object frame): "
+                f"{np.round(lost, 3).tolist()} is left. Give one arm a rigid grip."
             )
-        whole = np.column_stack([self._free, moving])
-        inner = np.column_stack([self._free, np.zeros(len(moving))])
+        return moving
+
+    def cones(
+        self, constant: tuple[Array, Array], per: Sequence[tuple[Array, Array]], to_torque: Array, unit: float
+    ) -> list[Cone]:
+        """All limits as cones in (y, p), forces over ``unit``.
+
+        Args:
+            constant: torques of the arms (nv,), and c₀ of the wrench on the object in the metric, at p = 0.
+            per: the same per unit of each parameter in p.
+            to_torque: Jᵀ (nv, nc).
+            unit: [N].
+        """
+        at_zero = constant[1] / unit
+        whole = np.column_stack([self.free, *(moving / unit for _, moving in per)])
+        inner = np.column_stack([self.free, np.zeros((len(at_zero), len(per)))])
         cones = []
         for cone, name, k in zip(self._fixed, self._names, self._arm_of, strict=False):
             own = self._own[k]
-            part = inner if name.kind in (LimitKind.INTERNAL_FORCE, LimitKind.INTERNAL_TORQUE) else whole
-            cones.append(Cone(cone.E @ part[own], cone.e, cone.g @ part[own], cone.h / unit))
-        rows = (motion.to_torque * self._scale) @ whole
+            stress = name.kind in (LimitKind.INTERNAL_FORCE, LimitKind.INTERNAL_TORQUE)
+            part, first = (inner[own], np.zeros(len(cone.g))) if stress else (whole[own], at_zero[own])
+            cones.append(Cone(cone.E @ part, cone.E @ first, cone.g @ part, cone.h / unit + float(cone.g @ first)))
+        to_scaled = to_torque * self._scale
+        rows, first = to_scaled @ whole, to_scaled @ at_zero + constant[0] / unit
+        rows[:, len(rows[0]) - len(per) :] += np.column_stack([torque / unit for torque, _ in per])
         none = np.zeros(whole.shape[1])
         cones += [
-            Cone(rows[j : j + 1], motion.torque[j : j + 1] / unit, none, self.torque_limits[j] / unit)
+            Cone(rows[j : j + 1], first[j : j + 1], none, self.torque_limits[j] / unit)
             for j in np.flatnonzero(np.isfinite(self.torque_limits))
         ]
-        return Cones(cones), moving
+        return cones
 
     def _answer(self, motion: _Motion, unit: float, share: float, moving: Array, y: Array, use: Array) -> SharedLoad:
-        inner = unit * self._scale * (self._free @ y)
+        inner = unit * self._scale * (self.free @ y)
         c = unit * share * self._scale * moving + inner
         load_torques = motion.to_torque @ c
         n, joints = len(self.cell), np.flatnonzero(np.isfinite(self.torque_limits))
