@@ -32,8 +32,8 @@ _CORNER = 1e-7
 class LoadBound:
     """A rate bound (:class:`coopqp.RateBound`) that keeps the load within what the arms can share.
 
-    Give it to ``QPController(constraints=[…])`` or ``coopqp.planning.time_path(bounds=[…])``. Where the arms cannot even
-    hold the object at rest, the bound allows no rate.
+    Give it to ``QPController(constraints=[…])`` or ``coopqp.planning.time_path(bounds=[…])``. Where the arms cannot
+    even hold the object at rest, the bound allows no rate.
 
     Args:
         load: how the load is shared, and its limits.

@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 
 from coopqp import QPController, simulate, write_load_use
-from coopqp.forces import Grip, LoadShare, load_use
-from coopqp.planning import Payload
+from coopqp.forces import Grip, LoadBound, LoadShare, load_use
+from coopqp.planning import Payload, time_path
 from coopqp.scenarios import paper_lift
 
 # The paper's plate, three arms with the motors' torques of their model, and an object of 53 kg.
@@ -38,6 +38,13 @@ for cap in (200.0, 120.0):
         lift.q_start
     )
     print(f"cap {cap:.0f} N: the master presses with {shared.wrenches[0, 1]:.1f} N. {shared.explain()}")
+
+# What the arms can carry bounds the speed: the fastest lift, with joints that accelerate by 20 rad/s² at most.
+agile = cell.with_limits(acceleration=20.0)
+for mass in (20.0, 53.0):
+    load = LoadShare(agile, grasp, Payload(mass=mass, centre=centre), internal_force=50.0)
+    fastest = time_path(agile, grasp, lift.path, q_start=lift.q_start, bounds=[LoadBound(load)], knots=100)
+    print(f"{mass:.0f} kg: lifted in {fastest.duration:.2f} s")
 
 if "--out" in sys.argv:
     write_load_use(use, Path(sys.argv[sys.argv.index("--out") + 1]) / "load_use.png", dpi=90)
