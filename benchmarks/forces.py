@@ -26,6 +26,7 @@ from coopqp import (
     Array,
     CalibrationOptions,
     CellState,
+    ControlStep,
     Disturbances,
     Grasp,
     PhysicsPlant,
@@ -112,10 +113,12 @@ def feed_forward(quick: bool) -> Iterator[Record]:
     motion, off = exact_motion(task.cell, task.grasp, task.path, task.q_start), list[Array]()
     for shared in (None, load):
         plant, wrenches = PhysicsPlant.of(task, load=shared), list[Array]()
+
+        def read(_: ControlStep, plant: PhysicsPlant = plant, wrenches: list[Array] = wrenches) -> None:
+            wrenches.append(plant.wrenches())
+
         controller = Replay(task.cell, task.grasp, task.path, motion, dt=0.006 if quick else 0.002)
-        run = simulate(
-            controller, plant, q_start=task.q_start, observe=lambda _, p=plant, w=wrenches: w.append(p.wrenches())
-        )
+        run = simulate(controller, plant, q_start=task.q_start, observe=read)
         off.append(forces(np.array(wrenches), load_use(load, run.time, run.q_command).wrenches[1:]))
     yield record(
         "feed_forward", "20 kg in 1.2 s", "shared load", peak_N=float(off[1].max()), rest_N=float(off[1][-1]),
