@@ -8,12 +8,15 @@ BENCH_OUT ?= out/bench
 WORKERS ?= auto
 MUTANTS ?= 400
 
-PYTEST = OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/pytest -n $(WORKERS) --dist worksteal
+# Compiled modules are kept, whatever the environment says: the tests start many processes.
+PYTEST = env -u PYTHONDONTWRITEBYTECODE OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/pytest -n $(WORKERS) --dist worksteal
 SANITIZED := build/sanitized
 
-.PHONY: demo check test test-nightly lint core sanitize mutation docs bench browser clean
+.PHONY: demo check test test-nightly lint core sanitize mutation docs bench tables pictures browser clean \
+  environments lowest newest no-compiler wheel extras import
 
-$(VENV)/.installed: pyproject.toml CMakeLists.txt $(wildcard coopqp/control/core/*.[ch] coopqp/model/*.c)
+# Without COOPQP_REQUIRE_KERNEL=1 a compiler that fails is no error: coopqp then warns when it runs.
+$(VENV)/.installed: pyproject.toml CMakeLists.txt $(wildcard coopqp/control/core/*.[ch] coopqp/model/*.[ch])
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 10) and "coopqp needs Python >= 3.10: make PYTHON=python3.x ...")'
 	$(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[dev]'
@@ -72,6 +75,21 @@ mutation: $(VENV)/.installed
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[mutation]'
 	$(BIN)/python tests/mutation.py --number $(MUTANTS) --json out/mutation.json
 
+# Fresh environments below build/environments: the lowest and the newest versions with all tests, no compiler and the
+# wheel from the source distribution with those of make check, core only and each extra alone with tests/installed.py.
+# SOME=--some leaves slow tests out everywhere.
+environments: $(VENV)/.installed
+	$(BIN)/python .ci/environments.py $(SOME)
+
+lowest newest no-compiler: $(VENV)/.installed
+	$(BIN)/python .ci/environments.py $@ $(SOME)
+
+wheel: $(VENV)/.installed
+	$(BIN)/python .ci/environments.py from-sdist
+
+extras: $(VENV)/.installed
+	$(BIN)/python .ci/environments.py core extras
+
 docs: $(VENV)/.installed
 	$(BIN)/python -m sphinx -W --keep-going -q -b html docs out/docs
 	@echo "open out/docs/index.html"
@@ -83,6 +101,18 @@ bench: $(VENV)/.installed
 	  name=$$(basename $$script .py); echo "== $$name"; \
 	  $(BIN)/python $$script $(QUICK) --json $(BENCH_OUT)/$$name.json --out $(BENCH_OUT)/$$name || failed="$$failed $$name"; \
 	done; test -z "$$failed" || { echo "failed:$$failed"; exit 1; }
+
+# Every picture of the README and of docs, drawn anew by the programs that docs/pictures.py lists.
+pictures: $(VENV)/.installed
+	$(BIN)/python docs/pictures.py
+
+# The measured tables of the README, on a machine with nothing else to do. PlaCo is installed beside, if it can be.
+tables: $(VENV)/.installed
+	@mkdir -p $(BENCH_OUT)
+	$(BIN)/python benchmarks/behaviour.py --cases fast limit mismatch --json $(BENCH_OUT)/behaviour.json
+	$(BIN)/python benchmarks/compare_peers.py --peers placo --arms 3 8 16 --cases nominal measured watched qp zigzag \
+	  --json $(BENCH_OUT)/compare_peers.json
+	$(BIN)/python docs/tables.py $(BENCH_OUT)
 
 # Chromium, for the tests of what a browser shows; they are skipped without it.
 browser:

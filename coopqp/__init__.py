@@ -47,6 +47,7 @@ if TYPE_CHECKING:
         BusyError,
         CoopqpError,
         InvalidInputError,
+        KernelWarning,
         MissingExtraError,
         MissingSolverError,
         ModelError,
@@ -91,8 +92,9 @@ if TYPE_CHECKING:
     from coopqp.simulation.plants.kinematic import KinematicPlant, Plant
     from coopqp.simulation.plants.physics import PhysicsError, PhysicsPlant
     from coopqp.simulation.plants.physics_options import PhysicsOptions
+    from coopqp.simulation.recording import Recording, RecordingError
     from coopqp.simulation.scene import SceneError, describe_object
-    from coopqp.simulation.simulate import Recording, RecordingError, simulate
+    from coopqp.simulation.simulate import simulate
     from coopqp.spatial import Array, Placement, adjoint
     from coopqp.task.common_error import CommonError
     from coopqp.task.path import HoldPath, LinePath, ObjectPath, TimeLaw, WaypointPath
@@ -130,6 +132,7 @@ else:
                 "BusyError",
                 "CoopqpError",
                 "InvalidInputError",
+                "KernelWarning",
                 "MissingExtraError",
                 "MissingSolverError",
                 "ModelError",
@@ -160,11 +163,11 @@ else:
                 "KinematicPlant",
                 "Plant",
             ),
-            "coopqp.simulation.simulate": (
+            "coopqp.simulation.recording": (
                 "Recording",
                 "RecordingError",
-                "simulate",
             ),
+            "coopqp.simulation.simulate": ("simulate",),
             "coopqp.spatial": (
                 "Array",
                 "Placement",
@@ -259,6 +262,7 @@ __all__ = [
     "InternalStress",
     "InvalidInputError",
     "JointLimits",
+    "KernelWarning",
     "KinematicPlant",
     "Knot",
     "LdpSettings",

@@ -51,6 +51,10 @@ class StartWarning(UserWarning):
     """A controller starts where it may, but something is odd: joints outside limits, arms off the grasp or the path."""
 
 
+class KernelWarning(UserWarning):
+    """The compiled kernel is not there: steps take about a hundred times longer. Said once by each program."""
+
+
 class BusyError(CoopqpError, RuntimeError):
     """A controller was called while another thread computes its step: a misuse of the program. Nothing was changed."""
 

@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import contextlib
 import os
-import secrets
-from collections.abc import Iterator, Mapping
+import signal
+import threading
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
+from types import FrameType
+from typing import IO, final
 
 from coopqp.errors import CoopqpError
 
@@ -33,6 +36,56 @@ def check_file(file: Path) -> None:
     check_folder(file.parent)
 
 
+@final
+class Interrupts:
+    """A block in which Ctrl-C waits until its end, except in the part under :meth:`let_through`.
+
+    There the first Ctrl-C has its usual effect, and what it makes the program do is not interrupted again. In threads,
+    which no Ctrl-C interrupts, this does nothing.
+    """
+
+    def __init__(self) -> None:
+        self._before: Callable[[int, FrameType | None], object] | None = None
+        self._waiting: list[tuple[int, FrameType | None]] = []
+        self._open = False
+
+    def __enter__(self) -> Interrupts:
+        if threading.current_thread() is threading.main_thread():
+            before = signal.getsignal(signal.SIGINT)
+            if callable(before):  # else it is ignored, or set from outside of Python
+                self._before = before
+                signal.signal(signal.SIGINT, self._take)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self._before is not None:
+            signal.signal(signal.SIGINT, self._before)
+            if self._waiting:
+                self._before(*self._waiting[0])
+
+    def _take(self, number: int, frame: FrameType | None) -> None:
+        if self._open and self._before is not None:
+            self._open = False
+            self._before(number, frame)
+        else:
+            self._waiting.append((number, frame))
+
+    def check(self) -> None:
+        """Let a Ctrl-C that waits have its effect now."""
+        if self._waiting and self._before is not None:
+            self._before(*self._waiting.pop())
+
+    @contextlib.contextmanager
+    def let_through(self) -> Iterator[None]:
+        """The part that Ctrl-C may end."""
+        self._open = True
+        try:
+            self.check()
+            yield
+        finally:
+            self._open = False
+
+
 @contextlib.contextmanager
 def folder_of(file: Path) -> Iterator[None]:
     """Make the folder of a file for as long as it is written. A failure or an interrupt leaves no empty folder.
@@ -41,29 +94,61 @@ def folder_of(file: Path) -> Iterator[None]:
         OutputError: a folder cannot be made.
     """
     made: list[Path] = []
-    folder = file.parent
-    missing = [folder, *folder.parents]
-    missing = [place for place in missing if not place.exists()]
-    try:
-        for place in reversed(missing):
-            made.append(place)
-            place.mkdir(exist_ok=True)
-        yield
-    except FileExistsError as error:
-        raise OutputError(f"cannot make {folder}: {error.strerror}. Give another folder.") from error
-    except OSError as error:
-        raise OutputError(f"cannot write {error.filename or file}: {error.strerror}. Check the folder.") from error
-    finally:
-        for place in reversed(made):
-            with contextlib.suppress(OSError):  # it is not empty: something was written
-                place.rmdir()
+    with Interrupts() as interrupts:
+        try:
+            _make_folders(file.parent, made)
+            with interrupts.let_through():
+                yield
+        except FileExistsError as error:
+            raise OutputError(f"cannot make {file.parent}: {error.strerror}. Give another folder.") from error
+        except OSError as error:
+            raise OutputError(f"cannot write {error.filename or file}: {error.strerror}. Check the folder.") from error
+        finally:
+            _remove_empty(made)
+
+
+def _make_folders(folder: Path, made: list[Path]) -> None:
+    for place in reversed([place for place in (folder, *folder.parents) if not place.exists()]):
+        made.append(place)
+        place.mkdir(exist_ok=True)
+
+
+def _remove_empty(folders: list[Path]) -> None:
+    for place in reversed(folders):
+        with contextlib.suppress(OSError):  # it is not empty: something was written
+            place.rmdir()
+
+
+@contextlib.contextmanager
+def whole_file(file: Path) -> Iterator[IO[bytes]]:
+    """A stream to write a file of any size; its folder is made. A failure or an interrupt leaves what was there.
+
+    Raises:
+        OutputError: the file cannot be written.
+    """
+    check_file(file)
+    temporary = _temporary(file)
+    with Interrupts() as interrupts, folder_of(file):
+        try:
+            with temporary.open("xb") as stream, interrupts.let_through():
+                yield stream
+            temporary.replace(file)
+        except OSError as error:
+            raise OutputError(f"cannot write {error.filename or file}: {error.strerror}. Check the folder.") from error
+        finally:
+            temporary.unlink(missing_ok=True)
+
+
+def _temporary(file: Path) -> Path:
+    """A name beside a file for what will become the file."""
+    return file.with_name(f".{file.name}.{os.urandom(4).hex()}.tmp")
 
 
 def write_files(contents: Mapping[Path, bytes]) -> list[Path]:
     """Write files and create their folders.
 
     Each file is first written under a temporary name in its folder. When all are complete, they are renamed. A failure
-    leaves no partial file.
+    or an interrupt leaves no partial file. Ctrl-C waits until the files are written.
 
     Returns:
         The files, in the order given.
@@ -72,7 +157,7 @@ def write_files(contents: Mapping[Path, bytes]) -> list[Path]:
         OutputError: a folder or a file cannot be written.
     """
     staged: list[tuple[Path, Path]] = []
-    with contextlib.ExitStack() as folders:
+    with Interrupts(), contextlib.ExitStack() as folders:
         _write(contents, staged, folders)
     return list(contents)
 
@@ -82,7 +167,7 @@ def _write(contents: Mapping[Path, bytes], staged: list[tuple[Path, Path]], fold
         for file, content in contents.items():
             check_file(file)
             folders.enter_context(folder_of(file))
-            temporary = file.with_name(f".{file.name}.{secrets.token_hex(4)}.tmp")
+            temporary = _temporary(file)
             staged.append((temporary, file))
             with temporary.open("xb") as stream:
                 stream.write(content)

@@ -97,6 +97,13 @@ def adjoint(T: Placement) -> Array:
     return np.asarray(T.action, dtype=float)
 
 
+def for_twists(R: Array) -> Array:
+    """A rotation for twists: ``R`` (3, 3) in both diagonal blocks, shape (6, 6)."""
+    out = np.zeros((6, 6))
+    out[:3, :3] = out[3:, 3:] = R
+    return out
+
+
 def skew(v: Array) -> Array:
     """``[v]×``, shape (3, 3)."""
     return np.array([[0.0, -v[2], v[1]], [v[2], 0.0, -v[0]], [-v[1], v[0], 0.0]])
@@ -132,4 +139,12 @@ def cross(a: Array, b: Array) -> Array:
     """Row-wise cross product of two (n, 3) arrays, several times faster than :func:`numpy.cross`."""
     products = a[:, :, None] * b[:, None, :]
     out: Array = products.reshape(len(a), 9) @ _CROSS
+    return out
+
+
+def cross_last(a: Array, b: Array) -> Array:
+    """Cross products along the last axis, of shapes that broadcast, several times faster than :func:`numpy.cross`."""
+    out: Array = np.empty(np.broadcast_shapes(a.shape, b.shape))
+    for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
+        np.subtract(a[..., j] * b[..., k], a[..., k] * b[..., j], out=out[..., i])
     return out

@@ -9,13 +9,22 @@ author = "The coopqp authors"
 version = release = installed_version("coopqp")
 copyright = author
 
-extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon"]
-myst_enable_extensions = ["colon_fence", "deflist"]
+extensions = [
+    "myst_parser",
+    "sphinx.ext.autodoc",
+    "sphinx.ext.napoleon",
+    "sphinx.ext.mathjax",
+    "sphinx-mathjax-offline",  # puts MathJax beside the pages: they are read without a network
+]
+myst_enable_extensions = ["colon_fence", "deflist", "dollarmath"]
+mathjax3_config = {"tex": {"macros": {"dt": r"\mathrm{d}t", "Ad": r"\operatorname{Ad}"}}}
 myst_heading_anchors = 3
 exclude_patterns = ["examples/**", "_build"]
 
 html_theme = "furo"
 html_title = f"coopqp {release}"
+html_static_path = ["static"]
+html_css_files = ["pages.css"]
 
 autodoc_member_order = "bysource"
 autodoc_typehints = "none"  # shapes and units are in the text

@@ -52,6 +52,41 @@ def test_poses_jacobians_and_singular_values_are_those_of_pinocchio(robot: str, 
         np.testing.assert_allclose(s[i], np.linalg.svd(jacobian, compute_uv=False), rtol=1e-12, atol=1e-13)
 
 
+@pytest.mark.parametrize("robot", ROBOTS)
+def test_singular_values_do_not_depend_on_what_else_is_asked(robot: str, rng: Any) -> None:
+    for kernel in KERNELS:
+        kinematics = KINEMATICS[robot, kernel]
+        q = kinematics.seeds(21, rng)
+        q[7] = 0.0  # singular
+        alone = np.concatenate([kinematics.singular_values(x[None]) for x in q])
+        np.testing.assert_array_equal(kinematics.singular_values(q), alone)
+
+
+@pytest.mark.parametrize(("robot", "kernel"), CASES)
+def test_derivatives_are_those_of_a_way_of_the_joints(robot: str, kernel: str, rng: Any) -> None:
+    """The tool follows the way q + s u: q′ moves it so, and q″ is the change of q′; without freedom they are u, 0."""
+    kinematics, h = KINEMATICS[robot, kernel], 1e-6
+    q, u = kinematics.seeds(20, rng), rng.uniform(-1.0, 1.0, (20, kinematics.n))
+
+    def twists(s: float) -> Any:
+        return np.einsum("kij,kj->ki", kinematics.jacobians(q + s * u), u)
+
+    V, dV = twists(0.0), (twists(h) - twists(-h)) / (2.0 * h)
+    good = kinematics.singular_values(q)[:, -1] > 0.02
+    slope, curvature = (x[good] for x in kinematics.derivatives(q, V, dV))
+    np.testing.assert_allclose(
+        np.einsum("kij,kj->ki", kinematics.jacobians(q[good]), slope), V[good], rtol=0, atol=1e-11
+    )
+    if kinematics.n <= 6:
+        np.testing.assert_allclose(slope, u[good], rtol=0, atol=1e-10)
+        np.testing.assert_allclose(curvature, 0.0, atol=1e-6)
+        return
+    beside = [kinematics.derivatives(q[good] + s * slope, (V + s * dV)[good], dV[good])[0] for s in (h, -h)]
+    np.testing.assert_allclose(curvature, (beside[0] - beside[1]) / (2.0 * h), rtol=1e-5, atol=1e-5)
+    null = np.linalg.svd(kinematics.jacobians(q[good]))[2][:, -1]
+    np.testing.assert_allclose(np.einsum("kj,kj->k", slope / kinematics.scale**2, null), 0.0, atol=1e-9)
+
+
 @pytest.mark.parametrize(("robot", "kernel"), CASES)
 def test_every_nearby_pose_is_reached(robot: str, kernel: str, rng: Any) -> None:
     kinematics = KINEMATICS[robot, kernel]
@@ -102,6 +137,9 @@ def test_both_kernels_agree(robot: str, rng: Any) -> None:
         a, b = one.solve(T, start, steps=steps), other.solve(T, start, steps=steps)
         np.testing.assert_allclose(a.q, b.q, rtol=0, atol=1e-6)
         np.testing.assert_allclose(a.residual, b.residual, rtol=1e-6, atol=1e-9)
+    V, dV = rng.uniform(-1.0, 1.0, (2, 100, 6))
+    for mine, others in zip(one.derivatives(q, V, dV), other.derivatives(q, V, dV), strict=True):
+        np.testing.assert_allclose(mine, others, rtol=1e-6, atol=1e-6 * np.abs(others).max())
     way = one.tool_poses(q[0] + np.linspace(0.0, 0.4, 9)[:, None] * rng.uniform(-1.0, 1.0, one.n))
     starts = one.solve(way[:1], one.seeds(20, rng))
     starts_q = starts.q[starts.reached]

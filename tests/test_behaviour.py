@@ -98,6 +98,7 @@ def test_it_enters_dwells_in_and_leaves_singularities(behaviour: Any, arm: int) 
     all_met(behaviour, "singular", keys)
 
 
+@pytest.mark.slow
 def test_it_comes_back_from_outside_a_limit(behaviour: Any) -> None:
     """Tests some runs; tests/reliability/test_outside.py tests every joint."""
     assert len(behaviour.keys_of("outside", quick=False)) == 72

@@ -156,18 +156,27 @@ def test_a_latched_grasp_is_where_the_tools_are(load: Callable[[str], CellRun]) 
 def test_units_and_limits(load: Callable[[str], CellRun]) -> None:
     """Degrees, radians, and metres for prismatic joints."""
     arm = (
-        'robot = "gantry7"\nlimits = { velocity_deg_per_s = 90, acceleration_rad_per_s2 = 5.0, '
-        "upper_deg = [0.5, 90, 90, 150, 170, 100, 170] }"
+        'robot = "gantry7"\nlimits = { velocity_deg_per_s = [0.9, 90, 90, 90, 90, 90, 90], '
+        "acceleration_rad_per_s2 = [2.0, 5, 5, 5, 5, 5, 5], upper_deg = [0.5, 90, 90, 150, 170, 100, 170] }"
     )
     start = "inverse_kinematics = false\npositions_deg.a = [0.25, 0, 45, 90, 0, -45, 0]"
     run = load(one_arm(arm, start=start))
     limits = run.scenario.cell.limits
-    np.testing.assert_allclose(limits.velocity, [90.0, *[np.pi / 2] * 6])  # the first joint is prismatic: 90 m/s
-    np.testing.assert_allclose(limits.acceleration, 5.0)
+    np.testing.assert_allclose(limits.velocity, [0.9, *[np.pi / 2] * 6])  # the first joint is prismatic: 0.9 m/s
+    np.testing.assert_allclose(limits.acceleration, [2.0, *[5.0] * 6])
     np.testing.assert_allclose(limits.upper, [0.5, *np.deg2rad([90, 90, 150, 170, 100, 170])])
     np.testing.assert_allclose(run.scenario.q_start, [0.25, *np.deg2rad([0, 45, 90, 0, -45, 0])])
     radians = load(one_arm(arm, start="positions_rad.a = [0.25, 0, 0.5, 1.5, 0, -0.8, 0]"))
     np.testing.assert_allclose(radians.scenario.q_start, [0.25, 0, 0.5, 1.5, 0, -0.8, 0])
+
+
+@pytest.mark.parametrize("limit", ["velocity_deg_per_s = 90", "acceleration_rad_per_s2 = 5", "upper_deg = 90"])
+def test_one_number_is_no_limit_of_joints_that_turn_and_joints_that_slide(
+    limit: str, load: Callable[[str], CellRun]
+) -> None:
+    with pytest.raises(CellFileError, match=r"arm 'a': limits.* 'joint_1', which slides .* one number per joint: 7"):
+        load(one_arm(f'robot = "gantry7"\nlimits = {{ {limit} }}'))
+    load(one_arm('robot = "gantry7"\nlimits = { acceleration_deg_per_s2 = inf }'))
 
 
 def test_infinite_limits_lift_those_of_the_model(load: Callable[[str], CellRun], tmp_path: Path) -> None:

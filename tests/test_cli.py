@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 
-from coopqp import OutputError
+from coopqp import OutputError, __version__, available_kernels
 from coopqp.app import cli, demo
 
 PICTURES = {"paper_lift.png", "figure5.png", "figure5_orientation.png", "joints.png"}
@@ -68,7 +68,11 @@ def test_the_version_is_that_of_the_package(capsys: pytest.CaptureFixture[str]) 
     with pytest.raises(SystemExit) as exit_:
         cli.main(["--version"])
     assert exit_.value.code == 0
-    assert capsys.readouterr().out == f"coopqp {metadata.version('coopqp')}\n"
+    said = capsys.readouterr().out
+    assert said.splitlines()[0] == f"coopqp {metadata.version('coopqp')}" == f"coopqp {__version__}"
+    assert f"\nkernel {available_kernels()[0]}" in said
+    for package in ("pin", "numpy", "osqp"):
+        assert f"{package} {metadata.version(package)}" in said
 
 
 def test_a_terminal_gets_a_bar_and_colours(
@@ -92,7 +96,7 @@ def test_the_command_is_installed() -> None:
     command = shutil.which("coopqp", path=str(Path(sys.executable).parent))
     assert command is not None, "install the package: pip install --editable ."
     result = subprocess.run([command, "--version"], capture_output=True, text=True, check=True)
-    assert result.stdout == f"coopqp {metadata.version('coopqp')}\n"
+    assert result.stdout.startswith(f"coopqp {metadata.version('coopqp')}\n")
 
 
 @pytest.mark.parametrize(
@@ -142,12 +146,18 @@ def test_a_folder_without_permission_is_status_2(
     assert f"no permission on {tmp_path}" in capsys.readouterr().err
 
 
-def test_a_missing_matplotlib_is_status_2(
+def test_without_matplotlib_the_demo_prints_its_table_and_says_what_is_missing(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
-    assert cli.main(["demo", "--out", str(tmp_path / "new")]) == 2
-    assert "pip install 'coopqp[plot]'" in capsys.readouterr().err
+    records = tmp_path / "records.json"
+    assert cli.main(["demo", "--steps", "4", "--out", str(tmp_path / "new"), "--json", str(records)]) == 0
+    out, err = capsys.readouterr()
+    assert "pseudo_inverse_literal" in out
+    assert (
+        err.splitlines()[-1] == "coopqp: no pictures: this needs the package 'matplotlib': pip install 'coopqp[plot]'"
+    )
+    assert list(tmp_path.iterdir()) == [records]
 
 
 def test_a_failure_while_writing_leaves_nothing(

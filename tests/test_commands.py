@@ -7,7 +7,6 @@ import csv
 import json
 import logging
 import re
-import shlex
 import subprocess
 import sys
 from collections.abc import Callable
@@ -196,6 +195,7 @@ def test_blocked_runs_end_after_the_same_while_in_files_and_programs() -> None:
     assert stood == pytest.approx([1.0, 1.0], abs=task.scenario.dt)
 
 
+@pytest.mark.slow
 def test_ctrl_c_during_the_imports_is_an_interrupt(cell_file: Path) -> None:
     """Whichever import is interrupted, the status is 130 and nothing else is printed."""
     code = (
@@ -309,33 +309,6 @@ def test_runs_come_from_recordings_cell_files_and_scenarios(cell_file: Path, rec
     assert told == list(range(1, 401))
 
 
-# -- the how-tos ---------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("page", ["cell-file", "look"])
-def test_the_how_tos_run_as_they_stand(
-    page: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    draw = plots.render
-    monkeypatch.setattr(plots, "render", lambda scene, view, *, width: draw(scene, view, width=min(width, 60)))
-    text = (Path(__file__).parents[1] / "docs" / "howto" / f"{page}.md").read_text(encoding="utf-8")
-    ran = 0
-    for block in re.findall(r"^```sh\n(.*?)^```$", text, flags=re.M | re.S):
-        for line in block.splitlines():
-            command, _, redirect = line.partition(" > ")
-            program, *arguments = shlex.split(command)
-            assert program == "coopqp"
-            assert cli.main(arguments) == 0, line
-            if redirect:
-                Path(redirect).write_text(capsys.readouterr().out, encoding="utf-8")
-            ran += 1
-    for block in re.findall(r"^```python\n(.*?)^```$", text, flags=re.M | re.S):
-        exec(compile(block, page, "exec"), {"__name__": "__main__"})
-        ran += 1
-    assert ran == 4
-
-
 # -- bad input -----------------------------------------------------------------------------------------------------
 
 
@@ -418,8 +391,8 @@ def test_an_interrupt_leaves_no_partial_file_and_no_empty_folder(
     """Whichever file is being written."""
     before = set(Path().rglob("*"))
     commands = {
-        "coopqp.output._write": ["run", str(cell_file), "--out", "a/b", "--csv"],
-        "coopqp.simulation.simulate.np.savez_compressed": ["run", str(cell_file), "--out", "a/b"],
+        "coopqp.output._write": ["report", str(recording_file), "--out", "a/b/report.html"],
+        "coopqp.simulation.recording.write_archive": ["run", str(cell_file), "--out", "a/b"],
         "coopqp.files.export._rename_inside": ["export", str(recording_file), "--bag", "c/d/bag"],
         "pathlib.Path.replace": ["export", str(recording_file), "--csv", "c/d/run.csv"],
     }

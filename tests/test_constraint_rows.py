@@ -150,7 +150,7 @@ def test_the_protocols_are_public() -> None:
 # -- walls -------------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("kernel", KERNELS)
+@pytest.mark.parametrize("kernel", [pytest.param(k, marks=pytest.mark.slow) if k == "plain" else k for k in KERNELS])
 @pytest.mark.parametrize("acceleration", ACCELERATIONS)
 @pytest.mark.parametrize("make", [paper_lift, dual_arm7, mixed_cell], ids=lambda make: make.__name__)
 def test_the_object_stops_at_a_wall(make: Callable[..., Scenario], acceleration: float, kernel: str) -> None:

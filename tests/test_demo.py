@@ -5,7 +5,6 @@ from __future__ import annotations
 import functools
 import json
 import re
-import sys
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -13,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from coopqp import InvalidInputError, MissingExtraError, QPController, UnknownNameError, available_solvers
+from coopqp import InvalidInputError, QPController, UnknownNameError, available_solvers
 from coopqp.app.demo import METHODS, DemoRun, check_demo, records_json, run_demo, run_method
 from coopqp.scenarios import Scenario, paper_lift
 from coopqp.simulation import metrics
@@ -128,16 +127,13 @@ def test_all_methods_run_in_order_with_progress(paper: Scenario) -> None:
     ]
 
 
-def test_settings_are_checked_before_anything_runs(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_settings_are_checked_before_anything_runs() -> None:
     assert check_demo([400, 40, 400], "proxqp") == (40, 400)
     for steps in ([], [0], [40, -1], [1.5], [True]):
         with pytest.raises(InvalidInputError, match="whole numbers"):
             check_demo(steps, "proxqp")  # type: ignore[arg-type]
     with pytest.raises(UnknownNameError, match="Did you mean 'proxqp'"):
         check_demo([40], "proxpq")
-    monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
-    with pytest.raises(MissingExtraError, match="matplotlib"):
-        check_demo([40], "proxqp")
 
 
 def test_an_unknown_method_is_refused(paper: Scenario) -> None:

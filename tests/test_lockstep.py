@@ -485,7 +485,7 @@ class Failing(Own):
 
 @pytest.mark.core
 @pytest.mark.parametrize("jump", [0.0, 1e-3, 1.0])
-@pytest.mark.parametrize("acceleration", [np.inf, 10.0])
+@pytest.mark.parametrize("acceleration", [pytest.param(np.inf, marks=pytest.mark.slow), 10.0])
 def test_both_agree_while_a_users_path_fails(acceleration: float, jump: float) -> None:
     task = limited(mixed_cell, acceleration)
     for known_ahead in (True, False):
@@ -517,22 +517,23 @@ def test_a_users_path_is_followed_like_the_librarys_own() -> None:
 
 
 @pytest.mark.core
+@pytest.mark.slow
+@pytest.mark.parametrize("make", [paper_lift, dual_arm7], ids=lambda make: make.__name__)
 @pytest.mark.parametrize("acceleration", [np.inf, 10.0])
-def test_both_agree_on_moving_targets(acceleration: float) -> None:
-    for make in (paper_lift, dual_arm7):
-        task = limited(make, acceleration)
-        start, rng = task.path.pose(0.0), np.random.default_rng(8)
-        run = pair(task, path=lambda start=start: ServoPath(start), dt=0.005)
-        run.same = DISTURBED
-        for i in range(8):
-            far = 0.6 if i == 4 else 0.05  # once out of reach
-            target = pin.SE3(
-                start.rotation @ pin.exp3(0.2 * rng.standard_normal(3)),
-                start.translation + far * rng.standard_normal(3),
-            )
-            run.both(lambda c, T=target: c.retarget(T))
-            run.run(25 if i % 3 else 60, noisy(task.cell, size=1e-5) if i % 3 else None)
-        assert run.seen >= {Status.TRACKING, Status.SLOWED} or not np.isfinite(acceleration)
+def test_both_agree_on_moving_targets(acceleration: float, make: Callable[[], Scenario]) -> None:
+    task = limited(make, acceleration)
+    start, rng = task.path.pose(0.0), np.random.default_rng(8)
+    run = pair(task, path=lambda: ServoPath(start), dt=0.005)
+    run.same = DISTURBED
+    for i in range(8):
+        far = 0.6 if i == 4 else 0.05  # once out of reach
+        target = pin.SE3(
+            start.rotation @ pin.exp3(0.2 * rng.standard_normal(3)),
+            start.translation + far * rng.standard_normal(3),
+        )
+        run.both(lambda c, T=target: c.retarget(T))
+        run.run(25 if i % 3 else 60, noisy(task.cell, size=1e-5) if i % 3 else None)
+    assert run.seen >= {Status.TRACKING, Status.SLOWED} or not np.isfinite(acceleration)
 
 
 @pytest.mark.core
@@ -631,9 +632,9 @@ IN_PYTHON: dict[str, dict[str, str]] = {
     "planning.preview": {
         name: f"_{name}"
         for name in (
-            "STEPS_TO_FULL_SPEED", "PASSABLE", "FINE_CELL", "OTHER_BRANCH", "BISECTIONS", "JUST_BEFORE",
-            "STEPS_TO_GROW", "BEND_CHANGE", "KNOTS_PER_PASS", "LEAST_RATE", "NEWTON_STEPS_AT_START", "LONGEST_WAY",
-            "MOST_TRIES", "STARTING_STEPS", "CONVERGED", "MOST_KNOTS",
+            "STEPS_TO_FULL_SPEED", "PASSABLE", "GROWTH", "FINE_CELL", "OTHER_BRANCH", "MOST_GUESSES", "SHORT_OF",
+            "JUST_BEFORE", "STEPS_TO_GROW", "BEND_CHANGE", "KNOTS_PER_PASS", "LEAST_RATE", "NEWTON_STEPS_AT_START",
+            "LONGEST_WAY", "MOST_TRIES", "STARTING_STEPS", "CONVERGED", "MOST_KNOTS",
         )
     },
     "planning.redundancy": {name: name for name in ("LIMIT_MARGIN", "TURNING_WAY", "LEADS")},
@@ -645,6 +646,11 @@ IN_PYTHON: dict[str, dict[str, str]] = {
             "MOST_LOST", "NOISE_TIME", "FEW_SAMPLES",
         )
     } | {"STILL_COMMAND": "_STILL"},
+    "task.servo": {
+        "STILL_OBJECT": "AT_REST", "NOWHERE": "_NOWHERE", "SHORTEST_CHANGE": "_SHORTEST", "SPEEDS": "_SPEEDS",
+    },
+    "control.effort": {"CHANGE_SHARE": "_SHARE"},
+    "control.qp": {"RATE_TOLERANCE": "_ROUNDING"},
     "control.drift": {
         "WANDER": "_WANDER", "LAG": "_LAG", "LEAST_LAG": "_LEAST_LAG", "DRIFT_FLOOR": "_FLOOR",
         "DRIFT_SAMPLE": "_SAMPLE", "SMOOTHING": "_SMOOTHING", "DRIFT_PERIOD": "_PERIOD",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -23,6 +24,7 @@ from coopqp import (
     limit_excess,
     object_error,
     path_error,
+    read_run,
     relative_orientation_error,
     relative_positioning_error,
     tool_placements,
@@ -115,6 +117,65 @@ def test_angles_keep_their_digits(angle: float) -> None:
     tools = [pin.SE3.Identity(), turned]
     assert relative_orientation_error(tools, grasp) == pytest.approx(angle, rel=1e-9, abs=1e-15)
     assert chain_error(tools, grasp)[1] == pytest.approx(angle, rel=1e-9, abs=1e-15)
+
+
+def any_run(cell: RobotCell, rng: np.random.Generator, samples: int) -> Recording:
+    """A recording of commanded, measured and wanted poses that have nothing to do with each other."""
+    turns = rng.uniform(-np.pi, np.pi, (2, samples, cell.nv))
+    q, told = (np.array([cell.configuration(x) for x in rows]) for rows in turns)
+    steps = np.zeros(samples - 1)
+    return Recording(
+        time=np.arange(float(samples)), q=q, q_command=told, velocity=np.zeros((samples - 1, cell.nv)),
+        clock=np.arange(float(samples)), rate=steps, status=steps,
+        reference=np.array([pin.exp6(pin.Motion(rng.normal(size=6))).homogeneous for _ in range(samples)]),
+        T_object_tool=np.array([pin.exp6(pin.Motion(rng.normal(size=6))).homogeneous for _ in range(len(cell))]),
+        notes=(), metadata={},
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("as_commanded", [False, True])
+def test_errors_of_a_run_are_those_of_its_samples(mixed_cell: RobotCell, rng: Any, as_commanded: bool) -> None:
+    """Commanded ones between the arms, measured ones on the path; 4 to 7 joints, prismatic and continuous ones."""
+    run = any_run(mixed_cell, rng, 12)
+    run = replace(run, q=run.q_command) if as_commanded else run
+    found = read_run(mixed_cell, run)
+    commanded, measured = (tool_placements(mixed_cell, q) for q in (run.q_command, run.q))
+    for i, (told, seen) in enumerate(zip(commanded, measured, strict=True)):
+        between = measures(told, run.grasp)
+        off = np.array([object_error(seen, run.grasp, pin.SE3(run.reference[i]), k) for k in range(len(told))])
+        expected = [*between, *off.max(axis=0)]
+        got = [1e-3 * found.eps_p_mm[i], np.deg2rad(found.eps_o_deg[i]), 1e-3 * found.chain_mm[i],
+               np.deg2rad(found.chain_deg[i]), 1e-3 * found.object_mm[i], np.deg2rad(found.object_deg[i])]  # fmt: skip
+        np.testing.assert_allclose(got, expected, rtol=0, atol=1e-12)
+        np.testing.assert_allclose(
+            found.sigma_min[i], CellState(mixed_cell, run.q_command[i]).sigma_min, rtol=0, atol=1e-12
+        )
+
+
+@pytest.mark.parametrize("away", [0.0, 1e-15, 1e-9, 1e-5, 1e-3, 0.02, 0.05])
+def test_small_singular_values_keep_their_digits(
+    paper: Scenario, baseline: Callable[..., Recording], away: float
+) -> None:
+    """The wrist of the RX-90L is singular where its fifth joint is zero."""
+    run = baseline(40)
+    q = run.q_command.copy()
+    q[:, 4::6] = away
+    expected = np.array([CellState(paper.cell, row).sigma_min for row in q])
+    np.testing.assert_allclose(read_run(paper.cell, replace(run, q_command=q)).sigma_min, expected, rtol=0, atol=1e-14)
+
+
+def test_samples_that_are_not_numbers_have_errors_that_are_not(mixed_cell: RobotCell, rng: Any) -> None:
+    run = any_run(mixed_cell, rng, 6)
+    for bad in (np.nan, np.inf):
+        q, told = run.q.copy(), run.q_command.copy()
+        q[1, 0] = told[4, -1] = bad
+        found = read_run(mixed_cell, replace(run, q=q, q_command=told))
+        for name, sample in [("object_mm", 1), ("object_deg", 1), *((n, 4) for n in (
+            "eps_p_mm", "eps_o_deg", "chain_mm", "chain_deg", "sigma_min"
+        ))]:  # fmt: skip
+            values = getattr(found, name)
+            assert np.isnan(values[sample]).any(), name
+            assert np.isfinite(np.delete(values, sample, axis=0)).all(), name
 
 
 def test_a_rotation_about_a_grasp_is_invisible_to_eps_p_only() -> None:

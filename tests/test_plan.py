@@ -128,6 +128,7 @@ def bar_with(tmp_path: Path, **changes: str) -> Path:
     return file
 
 
+@pytest.mark.slow
 def test_a_plan_is_a_cell_file_that_runs(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "plan"
     assert main(["plan", str(BAR), "--out", str(out), "--blend-mm", "10"]) == 0
@@ -156,7 +157,9 @@ def test_exit_statuses(tmp_path: Path, capsys: pytest.CaptureFixture[str], monke
     out = str(tmp_path / "plan")
     assert main(["plan", str(tmp_path / "none.toml"), "--out", out]) == 2
     assert main(["plan", str(bar_with(tmp_path, acceleration="")), "--out", out]) == 2
-    assert "acceleration limit" in capsys.readouterr().err
+    said = capsys.readouterr().err
+    assert "a plan needs acceleration limits: arms left, right have none. Add to [[arms]]" in said
+    assert "with_limits" not in said
     assert main(["plan", str(BAR), "--out", out, "--share", "2"]) == 2
     assert main(["plan", str(bar_with(tmp_path, height="[0.0, 0.10, 4.0]")), "--out", out]) == 3
     assert "coopqp: no plan: arm" in capsys.readouterr().err
@@ -189,6 +192,7 @@ def test_paths_of_models_lead_from_the_new_folder(tmp_path: Path) -> None:
     assert "../../cell/robots/arm.urdf" in (out / "plan.toml").read_text(encoding="utf-8")
 
 
+@pytest.mark.slow
 def test_steps_of_the_file_become_its_length_of_a_step(tmp_path: Path) -> None:
     text = "\n".join(["steps = 400" if line == "dt_s = 0.005" else line for line in BAR.read_text().splitlines()])
     file = tmp_path / "cell.toml"

@@ -91,7 +91,9 @@ def driven(task: Scenario, *, longest: float) -> tuple[Array, Array, Any]:
 # -- the caps ----------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("speed", "acceleration"), [(0.4, 3.0), (np.inf, 0.6), (0.25, 20.0)])
+@pytest.mark.parametrize(
+    ("speed", "acceleration"), [(0.4, 3.0), pytest.param(np.inf, 0.6, marks=pytest.mark.slow), (0.25, 20.0)]
+)
 def test_caps_are_those_of_path_timing_by_brute_force(speed: float, acceleration: float) -> None:
     """K(τ): the largest z = σ² from which an admissible σ̇ leads to K a little later, backwards over a table of q(τ)."""
     task = paper_lift(time_law=TimeLaw.QUINTIC, duration=1.5)
@@ -145,6 +147,26 @@ def test_the_horizon_rolls_along() -> None:
         assert min(ahead) > 0.0
         assert max(ahead) < 1.2
         assert len(preview._knots) < 1500
+
+
+def test_many_passes_find_what_one_finds() -> None:
+    """A knot keeps how K follows from the one ahead. A pass over the same knots that knows nothing agrees."""
+    task = at_singularity("wrist", 0, acceleration=5.0, miss=2e-3)  # many small intervals
+    preview, anew, clock, compared = preview_of(task, newton_steps=5), preview_of(task), 1.2, 0
+    preview.reset(Joints(task).table(np.linspace(0.0, clock, 25))[-1], clock)
+    for _ in range(100):
+        clock += preview.cap(clock, DT)[0] * DT
+        anew._knots, anew._known, anew._complete = preview._knots.copy(), preview._known, preview._complete
+        for k in range(anew._known, len(anew._knots)):
+            anew._knots[k] = anew._knots[k]._replace(share=None)
+        before = [knot.square for knot in preview._knots]
+        for look in (preview, anew):
+            look._look_back()
+        found, expected = ([knot.square for knot in look._knots] for look in (preview, anew))
+        np.testing.assert_allclose(found, expected, rtol=1e-12, atol=1e-15)
+        assert (np.array(found) >= np.array(before) - 1e-15).all()  # K only rises
+        compared += len(found) - preview._known
+    assert compared > 1000
 
 
 # -- stops -------------------------------------------------------------------------------------------------------------

@@ -21,7 +21,15 @@ PACKAGE = ROOT / "coopqp"
 ROOMS = ("model", "task", "planning", "control", "forces", "simulation", "scenarios", "files", "look", "app")
 PUBLIC = ("coopqp", *(f"coopqp.{room}" for room in ROOMS if room != "app"))
 #: Packages with names that are imported on first use.
-LAZY = ("coopqp", "coopqp.control", "coopqp.simulation", "coopqp.files", "coopqp.forces")
+LAZY = (
+    "coopqp",
+    "coopqp.control",
+    "coopqp.forces",
+    "coopqp.simulation",
+    "coopqp.files",
+    "coopqp.look",
+    "coopqp.planning",
+)
 #: Scripts that measure the parts of a step.
 INSIDE = (
     "benchmarks/peer",

@@ -633,7 +633,7 @@ def test_an_arm_may_have_joints_that_do_not_move_its_tool() -> None:
     flange = model.frames[model.getFrameId("tool")]
     finger = model.addJoint(flange.parentJoint, pin.JointModelPX(), flange.placement, "finger")
     model.lowerPositionLimit[-1], model.upperPositionLimit[-1] = 0.0, 0.05
-    model.lowerVelocityLimit[-1], model.upperVelocityLimit[-1] = -0.1, 0.1
+    model.velocityLimit = np.append(model.velocityLimit[:-1], 0.1)
     assert finger == 8
     gripper = Arm.from_model("left", model, tool_frame="tool", T_world_base=arm.T_world_base)
     cell = RobotCell([gripper, task.cell.arms[1]])

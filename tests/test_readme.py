@@ -10,6 +10,7 @@ from pathlib import Path
 
 import matplotlib.image
 import pytest
+from PIL import Image
 
 from coopqp.app import cli, demo
 
@@ -58,7 +59,11 @@ def test_the_command_lines_run(line: str, tmp_path: Path, monkeypatch: pytest.Mo
 
 
 def test_the_pictures_are_there_and_wide_enough() -> None:
-    pictures = re.findall(r"!\[[^\]]+\]\(([^)]+)\)", README)
+    moving, *pictures = re.findall(r"!\[[^\]]+\]\(([^)]+)\)", README)
     assert len(pictures) == 2
     for name in pictures:
         assert matplotlib.image.imread(ROOT / name).shape[1] >= 1000
+    assert (ROOT / moving).stat().st_size <= 3_000_000
+    with Image.open(ROOT / moving) as film:
+        assert film.n_frames > 20
+        assert film.width >= 800

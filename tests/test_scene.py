@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import copy
 import json
+import os
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -26,7 +28,14 @@ from coopqp import (
 )
 from coopqp.look.render import cell_solids
 from coopqp.scenarios import ROBOT_NAMES
-from coopqp.simulation.scene import describe_cell, describe_path, read_cell, read_object, read_path
+from coopqp.simulation.scene import (
+    describe_cell,
+    describe_path,
+    named_meshes,
+    read_cell,
+    read_object,
+    read_path,
+)
 
 
 def _all_robots() -> RobotCell:
@@ -160,16 +169,35 @@ def test_a_mesh_is_read_from_its_file(tmp_path: Path) -> None:
     file = tmp_path / "link.obj"
     cell = _with_shape(_mesh(file, (1.0, 2.0, 3.0)), str(file))
     described = {"scene": describe_cell(cell)}
-    again = read_cell(described)
+    again = read_cell(described, meshes=True)
     q = [np.array([0.3])]
     np.testing.assert_allclose(cell_solids(again, q)[0][0].vertices, cell_solids(cell, q)[0][0].vertices)
     file.unlink()
     with pytest.raises(SceneError, match=r"arm 'arm': the mesh .*link\.obj is gone.*--sticks"):
-        read_cell(described)
-    read_cell(described, shapes=False)
+        read_cell(described, meshes=True)
+    read_cell(described, shapes=False, meshes=True)
     file.write_text("no mesh")
     with pytest.raises(SceneError, match=r"link\.obj cannot be read"):
-        read_cell(described)
+        read_cell(described, meshes=True)
+
+
+def test_a_recording_from_a_file_opens_no_mesh_unless_asked(tmp_path: Path, baseline: Callable[..., Recording]) -> None:
+    """A pipe in the place of the mesh: whoever opens it waits for ever. The run in memory names it too, but is ours."""
+    file = tmp_path / "link.obj"
+    cell = _with_shape(_mesh(file), str(file))
+    run = baseline(20)
+    mine = replace(run, metadata=dict(run.metadata, scene=describe_cell(cell)))
+    saved = mine.save(tmp_path / "run.npz")
+    file.unlink()
+    os.mkfifo(file)
+    strange = Recording.load(saved)
+    assert not strange.meshes
+    assert strange.cell().visual_model().ngeoms == 0
+    assert named_meshes(strange.metadata) == [str(file)]
+    file.unlink()
+    _mesh(file)
+    for trusted in (mine, Recording.load(saved, meshes=True), replace(strange, meshes=True)):
+        assert trusted.cell().visual_model().ngeoms == 1
 
 
 def test_a_mesh_without_a_file_is_kept_whole(tmp_path: Path) -> None:
@@ -268,7 +296,7 @@ def test_a_damaged_scene_is_refused_by_name(
     damaged = copy.deepcopy(metadata)
     damage(damaged)
     with pytest.raises(SceneError, match=message.replace("(", r"\(")):
-        read_cell(damaged)
+        read_cell(damaged, meshes=True)
 
 
 @pytest.mark.parametrize("entry", [[], {"size_m": [1, 2, 3]}, {"size_m": [0, 1, 1], "T_object_body": np.eye(4)}])

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.optimize import linprog
 
-from coopqp.planning.sharing import Interval, largest_alone, largest_square
+from coopqp.planning.sharing import Interval, Share, largest_alone, largest_square
 
 pytestmark = pytest.mark.core
 DOUBT = 0.3
@@ -68,3 +68,29 @@ def test_the_largest_square_of_one_knot(seed: int) -> None:
     rows = np.array([[s * bend[j], s * slope[j]] for j in range(n) for s in (1.0, -1.0)])
     found = linprog([-1.0, 0.0], rows, np.repeat(a, 2), bounds=[(0.0, 1.0), (-9.0, 9.0)], method="highs")
     assert largest_alone(slope, bend, a, 9.0, 1.0) == pytest.approx(float(found.x[0]), rel=1e-6)
+
+
+def largest(interval: Interval, a: Any, ahead: float) -> Share:
+    return largest_square(interval, a, 1.0, ahead, doubt=DOUBT)
+
+
+@pytest.mark.parametrize("seed", range(60))
+def test_the_largest_square_follows_the_one_ahead_along_a_line(seed: int) -> None:
+    """With the same slope up to the end of the piece, and beyond it with a smaller one."""
+    rng = np.random.default_rng(seed)
+    interval, a = random_interval(rng, int(rng.integers(1, 12)))
+    ahead = float(rng.choice([0.0, 0.01, 0.3]))
+    share = largest(interval, a, ahead)
+    if share.gain == 0.0:  # it never falls again: the backward pass ends here for good
+        assert share.until == np.inf
+        assert largest(interval, a, 2.0).square == pytest.approx(share.square, rel=1e-9)
+        return
+    assert share.gain > 0.0
+    end = min(share.until, 2.0)
+    assert end >= ahead
+    for further in np.linspace(ahead, end, 5):
+        expected = share.square + share.gain * (further - ahead)
+        assert largest(interval, a, float(further)).square == pytest.approx(expected, rel=1e-9, abs=1e-12)
+    if share.until < 2.0:
+        beyond = share.until + 0.1
+        assert largest(interval, a, beyond).square < share.square + share.gain * (beyond - ahead) - 1e-12

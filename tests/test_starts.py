@@ -66,14 +66,13 @@ def exhaustive(arm: Arm, X: pin.SE3, path: Any, rng: Any) -> bool:
         starts = kinematics.nearest_turns(starts)[inside][:1000]
     if not len(starts):
         return False
-    walks = kinematics.walk(poses, starts)
-    good = walks.complete & (walks.sigma_min.min(axis=1) >= 1e-3)
-    for way in walks.q[good]:
+    ways, reached = kinematics.ways(poses, starts)
+    for way in ways[reached == len(poses) - 1]:
         fits = []
         for j in range(kinematics.n):
             turned = [way[:, j] + 2.0 * np.pi * k * bool(kinematics.turns[j]) for k in range(-3, 4)]
             fits.append(any((t >= kinematics.lower[j]).all() and (t <= kinematics.upper[j]).all() for t in turned))
-        if all(fits):
+        if all(fits) and kinematics.singular_values(way).min() >= 1e-3:
             return True
     return False
 

@@ -30,7 +30,7 @@ from coopqp import (
 from coopqp.planning import PathGeometry, Payload, SpeedProfile, time_path
 from coopqp.planning.jerk import jerk_limited
 from coopqp.planning.knots import Knots, follow
-from coopqp.planning.parametrise import Limited, Lines, fastest
+from coopqp.planning.parametrise import Limited, Lines, fastest, outermost
 from coopqp.planning.payload import torque_lines
 from coopqp.planning.timing import limits_along
 from coopqp.scenarios import dual_arm7, mixed_cell, paper_lift, ring
@@ -46,6 +46,24 @@ def limited(scenario: Scenario, acceleration: float = 5.0) -> Scenario:
 
 def plan_of(scenario: Scenario, **options: Any) -> TimedPath:
     return time_path(scenario.cell, scenario.grasp, scenario.path, q_start=scenario.q_start, **options)
+
+
+# -- lines that never bind ---------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("m", [1, 4, 60])
+def test_lines_that_are_left_out_never_bind(m: int, rng: Any) -> None:
+    """What the others leave free is free of them: at the ends of rays from rest in all directions, at every knot."""
+    a, b = rng.normal(size=(2, 20, m)) * rng.uniform(0.01, 100.0, (2, 20, 1))
+    a[3], b[4], a[:, m // 2] = 0.0, 0.0, b[:, m // 2]
+    kept = outermost(a, b)
+    assert m < 20 or len(kept) < m
+    angle = rng.uniform(0.0, np.pi, 400)
+    x, y = np.cos(angle)[:, None], np.sin(angle)[:, None]
+    for i in range(20):
+        ray = x * a[i] / max(np.abs(a[i]).max(), 1e-9) + y * b[i] / max(np.abs(b[i]).max(), 1e-9)
+        reach = np.abs(ray)
+        np.testing.assert_allclose(reach[:, kept].max(axis=1), reach.max(axis=1), rtol=1e-9, atol=1e-9)
 
 
 # -- the optimum -----------------------------------------------------------------------------------------------------

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import os
+import platform
 import sys
 import warnings
 from collections.abc import Callable, Sequence
@@ -14,7 +15,7 @@ from typing import TYPE_CHECKING, Any, NoReturn
 from coopqp.app import calibrate, check
 from coopqp.app.commands import COMMANDS
 from coopqp.app.terminal import print_table, reporter
-from coopqp.errors import CoopqpError, printable
+from coopqp.errors import CoopqpError, MissingExtraError, printable
 
 if TYPE_CHECKING:
     from coopqp.app.demo import DemoRun
@@ -32,6 +33,24 @@ class _Parser(argparse.ArgumentParser):
 
     def error(self, message: str) -> NoReturn:
         raise UsageError(f"{message} (see {self.prog} --help)")
+
+
+class _Version(argparse.Action):
+    """Prints the kernel and the versions of what coopqp stands on."""
+
+    def __call__(self, parser: argparse.ArgumentParser, *_: Any, **__: Any) -> NoReturn:
+        from coopqp.control.core import kernel_text
+        from coopqp.control.solvers import default_solver
+
+        print(f"coopqp {metadata.version('coopqp')}")
+        print(f"kernel {kernel_text()}; solver {default_solver()}")
+        versions = {"python": platform.python_version(), **{name: metadata.version(name) for name in _SHOWN}}
+        print(", ".join(f"{name} {version}" for name, version in versions.items()))
+        parser.exit()
+
+
+#: Packages whose versions are shown.
+_SHOWN = ("pin", "numpy", "scipy", "qpsolvers", "daqp", "osqp", "proxsuite")
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -58,7 +77,7 @@ def _show_warning(message: Any, category: type[Warning], *where: Any, **more: An
 
 def _main(argv: Sequence[str] | None) -> int:
     parser = _Parser(prog="coopqp", description="QP-based cooperative control of several arms that hold one object.")
-    parser.add_argument("--version", action="version", version=f"coopqp {metadata.version('coopqp')}")
+    parser.add_argument("--version", action=_Version, nargs=0, help="print the versions and the kernel, and end")
     commands = parser.add_subparsers(title="commands", dest="command", metavar="COMMAND", required=True)
     for add in _COMMANDS:
         add(commands)
@@ -99,10 +118,16 @@ def _add_demo(commands: Any) -> None:
 
 def _run_demo(arguments: argparse.Namespace) -> int:
     from coopqp.app import demo
+    from coopqp.look.plots import require_matplotlib
     from coopqp.output import check_file, check_folder
     from coopqp.scenarios import paper_lift
 
     steps = demo.check_demo(arguments.steps, arguments.solver)
+    missing = ""
+    try:
+        require_matplotlib()
+    except MissingExtraError as error:
+        missing = str(error)
     check_folder(arguments.out)
     if arguments.json is not None:
         check_file(arguments.json)
@@ -114,11 +139,16 @@ def _run_demo(arguments: argparse.Namespace) -> int:
             report.step(f"{method}, N = {planned}", done, planned)
 
         runs = demo.run_demo(scenario, steps=steps, solver=arguments.solver, progress=progress)
-        report.note("drawing the pictures")
-        files = demo.write_demo(scenario, runs, arguments.out, json_file=arguments.json)
+        if not missing:
+            report.note("drawing the pictures")
+        files = demo.write_demo(scenario, runs, None if missing else arguments.out, json_file=arguments.json)
     if not arguments.quiet:
         _print_table(runs)
-        print("\nwritten:", *files, sep="\n  ")
+        if files:
+            print("\nwritten:", *files, sep="\n  ")
+    if missing:
+        sys.stdout.flush()
+        print(f"coopqp: no pictures: {missing}", file=sys.stderr)
     return OK
 
 

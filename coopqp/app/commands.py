@@ -18,7 +18,8 @@ from coopqp.errors import CoopqpError, printable
 
 if TYPE_CHECKING:
     from coopqp.simulation.assessment import Finding
-    from coopqp.simulation.simulate import ProgressCallback, Recording
+    from coopqp.simulation.recording import Recording
+    from coopqp.simulation.simulate import ProgressCallback
 
 _OK, _FAILED = 0, 4
 _RUN_HELP = "a recording (.npz), a cell file (.toml, .yaml) or the name of a scenario"
@@ -60,6 +61,10 @@ def _run_run(arguments: argparse.Namespace) -> int:
     task = load_cell_file(arguments.cell)
     output = task.settings.output
     products = [name for name in runs.PRODUCTS if getattr(output, name) or getattr(arguments, name, False)]
+    if arguments.view:
+        from coopqp.look.viewer import require_viser
+
+        require_viser()
     folder = runs.output_folder(task.scenario.name, output.folder, products, out=arguments.out, force=arguments.force)
     with reporter(quiet=arguments.quiet) as report:
         recording = task.run(progress=_progress(report, task.scenario.name))
@@ -147,6 +152,7 @@ def _add_view(commands: Any) -> None:
     parser.add_argument("--port", type=int, default=8080, metavar="N", help="port (8080; 0 for any that is free)")
     parser.add_argument("--no-open", action="store_true", help="do not open the browser")
     parser.add_argument("--sticks", action="store_true", help="draw the arms as sticks, without their shapes")
+    _add_meshes(parser)
     parser.add_argument("--quiet", action="store_true", help="print errors only")
     parser.set_defaults(run=_run_view)
 
@@ -158,7 +164,7 @@ def _run_view(arguments: argparse.Namespace) -> int:
     require_viser()
     if arguments.html is not None:
         check_file(arguments.html)
-    recording = _obtain(arguments.what, quiet=arguments.quiet)
+    recording = _obtain(arguments.what, quiet=arguments.quiet, meshes=arguments.meshes)
     if arguments.html is None:
         _serve(
             recording,
@@ -180,11 +186,23 @@ def _run_view(arguments: argparse.Namespace) -> int:
     return _OK
 
 
-def _obtain(what: str, *, quiet: bool) -> Recording:
+def _add_meshes(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--meshes", action="store_true", help="open the mesh files that a recording names (not a stranger's)"
+    )
+
+
+def _obtain(what: str, *, quiet: bool, meshes: bool | None) -> Recording:
+    """The run; ``meshes`` is None where no shapes are drawn."""
     from coopqp.app.runs import obtain_run
+    from coopqp.simulation.scene import named_meshes
 
     with reporter(quiet=quiet) as report:
-        return obtain_run(what, progress=_progress(report, what))
+        recording = obtain_run(what, progress=_progress(report, what), meshes=bool(meshes))
+        named = 0 if recording.meshes or meshes is None else len(named_meshes(recording.metadata))
+        if named:
+            report.note(f"{named} mesh files that the recording names stay closed; --meshes opens them")
+    return recording
 
 
 def _serve(
@@ -213,6 +231,7 @@ def _add_report(commands: Any) -> None:
     )
     parser.add_argument("what", metavar="RUN", help=_RUN_HELP)
     parser.add_argument("--out", type=Path, metavar="FILE", help="the page (NAME_report.html, beside a recording)")
+    _add_meshes(parser)
     for name, unit, text in (
         ("chain-mm", "MM", "the arms against each other (0.1)"),
         ("chain-deg", "DEG", "the arms against each other (0.1)"),
@@ -226,10 +245,12 @@ def _add_report(commands: Any) -> None:
 
 
 def _run_report(arguments: argparse.Namespace) -> int:
+    from coopqp.look.plots import require_matplotlib
     from coopqp.look.report import write_report
     from coopqp.output import check_file
     from coopqp.simulation.assessment import Tolerances
 
+    require_matplotlib()
     asked = {name: getattr(arguments, name) for name in ("chain_mm", "chain_deg", "object_mm", "object_deg")}
     asked = {name: value for name, value in asked.items() if value is not None}
     Tolerances(**asked)  # bad ones are refused before the run
@@ -237,7 +258,7 @@ def _run_report(arguments: argparse.Namespace) -> int:
     name = f"{source.stem}_report.html"
     page = arguments.out or (source.with_name(name) if source.suffix == ".npz" else Path(name))
     check_file(page)
-    recording = _obtain(arguments.what, quiet=arguments.quiet)
+    recording = _obtain(arguments.what, quiet=arguments.quiet, meshes=arguments.meshes)
     with reporter(quiet=arguments.quiet) as report:
         tolerances = replace(Tolerances.of(recording), **asked)
         write_report(recording, page, tolerances=tolerances, progress=report.note)
@@ -266,9 +287,11 @@ def _add_export(commands: Any) -> None:
 
 def _run_export(arguments: argparse.Namespace) -> int:
     from coopqp.app.runs import save_recording
-    from coopqp.files.export import csv_text, write_bag, write_csv
+    from coopqp.files.export import csv_text, require_rosbags, write_bag, write_csv
     from coopqp.output import OutputError, check_file
 
+    if arguments.bag is not None:
+        require_rosbags()
     to_stdout = arguments.csv == Path("-")
     if arguments.csv is None and arguments.bag is None and arguments.npz is None:
         raise CoopqpError("nothing to write: give --csv, --bag or --npz.")
@@ -277,7 +300,7 @@ def _run_export(arguments: argparse.Namespace) -> int:
             check_file(file)
     if arguments.npz is not None and arguments.npz.exists() and not arguments.force:
         raise OutputError(f"{arguments.npz} exists. Replace it with --force, or give another name.")
-    recording = _obtain(arguments.what, quiet=arguments.quiet)
+    recording = _obtain(arguments.what, quiet=arguments.quiet, meshes=None)
     files = []
     if arguments.npz is not None:
         files.append(save_recording(recording, arguments.npz))

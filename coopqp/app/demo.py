@@ -21,7 +21,8 @@ from coopqp.look import plots
 from coopqp.output import write_files
 from coopqp.scenarios import Scenario
 from coopqp.simulation import metrics
-from coopqp.simulation.simulate import Recording, simulate
+from coopqp.simulation.recording import Recording
+from coopqp.simulation.simulate import simulate
 
 #: Number of steps between the inverse-kinematics resets of ``pseudo_inverse_reset``.
 RESET_EVERY = 10
@@ -91,13 +92,12 @@ def check_demo(steps: Sequence[int], solver: str) -> tuple[int, ...]:
     Raises:
         InvalidInputError: no number of steps, or a number below 1.
         UnknownNameError: no such solver.
-        MissingExtraError: the solver's package or Matplotlib is not installed.
+        MissingExtraError: the solver's package is not installed.
     """
     if not steps or any(isinstance(n, bool) or not isinstance(n, int) or n < 1 for n in steps):
         raise InvalidInputError(f"steps are {list(steps)}", "demo: steps", "Give whole numbers ≥ 1.")
     if solver != AUTO:
         make_solver(solver)
-    plots.require_matplotlib()
     return tuple(sorted(set(steps)))
 
 
@@ -184,14 +184,17 @@ def demo_pictures(scenario: Scenario, runs: Sequence[DemoRun]) -> dict[str, byte
 
 
 def write_demo(
-    scenario: Scenario, runs: Sequence[DemoRun], folder: str | Path, *, json_file: str | Path | None = None
+    scenario: Scenario, runs: Sequence[DemoRun], folder: str | Path | None, *, json_file: str | Path | None = None
 ) -> list[Path]:
-    """Write the pictures into ``folder`` and the records to ``json_file``: all files, or none.
+    """Write the pictures into ``folder`` (None: no pictures) and the records to ``json_file``: all files, or none.
 
     Raises:
         OutputError: a folder or a file cannot be written.
+        MissingExtraError: pictures need Matplotlib, which is not installed.
     """
-    contents = {Path(folder) / name: content for name, content in demo_pictures(scenario, runs).items()}
+    contents: dict[Path, bytes] = {}
+    if folder is not None:
+        contents = {Path(folder) / name: content for name, content in demo_pictures(scenario, runs).items()}
     if json_file is not None:
         contents[Path(json_file)] = records_json(runs)
     return write_files(contents)

@@ -69,8 +69,7 @@ def _say(error: CoopqpError, status: int) -> int:
 
 
 def _run(arguments: argparse.Namespace) -> int:
-    from coopqp.files.cellfile import load_cell_file
-    from coopqp.files.cellfile.planned import planned_text
+    from coopqp.files.cellfile import load_cell_file, require_readers
     from coopqp.look.plots import figure_bytes, require_matplotlib
     from coopqp.look.profile import profile_figure
     from coopqp.output import OutputError, check_folder, write_files
@@ -79,6 +78,9 @@ def _run(arguments: argparse.Namespace) -> int:
 
     require_toppra()
     require_matplotlib()
+    require_readers()
+    from coopqp.files.cellfile.planned import planned_text
+
     folder: Path = arguments.out
     used = next((folder / name for name in _FILES if (folder / name).exists()), None)
     if used is not None and not arguments.force:
@@ -87,6 +89,7 @@ def _run(arguments: argparse.Namespace) -> int:
     with reporter(quiet=arguments.quiet) as report:
         report.note("finding a start")
         run = load_cell_file(arguments.cell)
+        _check_accelerations(run, arguments.cell)
         report.note("planning")
         made = _plan(run, arguments, SHARE if arguments.share is None else arguments.share)
         optimum = _plan(run, arguments, 1.0).path.duration
@@ -98,6 +101,23 @@ def _run(arguments: argparse.Namespace) -> int:
         _print(made, optimum, run.scenario.path.duration)
         print("\nwritten:", *(printable(str(file)) for file in files), sep="\n  ")
     return _OK
+
+
+def _check_accelerations(run: CellRun, file: Path) -> None:
+    """Every joint has an acceleration limit, or all arms without one are named in the words of the file."""
+    import numpy as np
+
+    from coopqp.files.cellfile import CellFileError
+
+    cell = run.scenario.cell
+    limited = np.isfinite(cell.limits.acceleration)
+    bare = [name for name, joints in zip(cell.arm_names, cell.v_slices, strict=True) if not limited[joints].all()]
+    if bare:
+        raise CellFileError(
+            f"{file}: a plan needs acceleration limits: {'arm' if len(bare) == 1 else 'arms'} {', '.join(bare)} "
+            f"{'has' if len(bare) == 1 else 'have'} none. Add to [[arms]] the limits of the robot, as in "
+            "limits = { acceleration_deg_per_s2 = 300 }."
+        )
 
 
 def _plan(run: CellRun, arguments: argparse.Namespace, share: float) -> Plan:

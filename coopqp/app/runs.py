@@ -9,8 +9,9 @@ from pathlib import Path
 from coopqp.control.qp import QPController
 from coopqp.errors import UnknownNameError
 from coopqp.output import OutputError, check_folder, folder_of
-from coopqp.simulation.scene import describe_object, read_cell, read_object
-from coopqp.simulation.simulate import ProgressCallback, Recording, simulate
+from coopqp.simulation.recording import Recording
+from coopqp.simulation.scene import describe_object, read_object
+from coopqp.simulation.simulate import ProgressCallback, simulate
 
 #: Products of :func:`write_products` and their file names.
 PRODUCTS = {
@@ -23,12 +24,40 @@ PRODUCTS = {
 }
 
 
-def obtain_run(name: str, *, progress: ProgressCallback | None = None) -> Recording:
+def _require_viser() -> None:
+    from coopqp.look.viewer import require_viser
+
+    require_viser()
+
+
+def _require_rosbags() -> None:
+    from coopqp.files.export import require_rosbags
+
+    require_rosbags()
+
+
+def _require_matplotlib() -> None:
+    from coopqp.look.plots import require_matplotlib
+
+    require_matplotlib()
+
+
+#: What raises MissingExtraError for products that need an extra.
+_NEEDS: dict[str, Callable[[], None]] = {
+    "report": _require_matplotlib,
+    "plots": _require_matplotlib,
+    "page": _require_viser,
+    "bag": _require_rosbags,
+}
+
+
+def obtain_run(name: str, *, progress: ProgressCallback | None = None, meshes: bool = False) -> Recording:
     """Load a recording (``.npz``), run a cell file (``.toml``, ``.yaml``), or run a scenario with the QP.
 
     Args:
         name: a file, or one of :data:`coopqp.scenarios.SCENARIOS`.
         progress: as in :func:`coopqp.simulation.simulate.simulate`.
+        meshes: as in :meth:`Recording.load`.
 
     Raises:
         UnknownNameError: the name is neither a file nor a scenario.
@@ -41,7 +70,7 @@ def obtain_run(name: str, *, progress: ProgressCallback | None = None) -> Record
     if file.suffix in (TOML_SUFFIX, *YAML_SUFFIXES):
         return load_cell_file(file).run(progress=progress)
     if file.suffix == ".npz" or file.exists():
-        return Recording.load(file)
+        return Recording.load(file, meshes=meshes)
     if name not in SCENARIOS:
         raise UnknownNameError("recording (.npz), cell file (.toml, .yaml) or scenario", name, SCENARIOS)
     scenario = SCENARIOS[name]()
@@ -63,12 +92,15 @@ def output_folder(name: str, asked: str | None, products: Iterable[str], *, out:
 
     Raises:
         UnknownNameError: no such product.
+        MissingExtraError: a product needs an extra that is not installed.
         OutputError: the folder cannot be written, or ``out`` already has one of the products.
     """
     wanted = list(products)
     for product in wanted:
         if product not in PRODUCTS:
             raise UnknownNameError("product", product, PRODUCTS)
+        if product in _NEEDS:
+            _NEEDS[product]()
     files = [file for product in wanted for file in PRODUCTS[product]]
     folder = out or Path(asked or Path("out") / safe_name(name))
     used = _first_used(folder, files)
@@ -165,7 +197,7 @@ def _plots(recording: Recording, folder: Path, say: Callable[[str], None]) -> li
     from coopqp.simulation.assessment import read_run
 
     say("drawing the pictures")
-    cell = read_cell(recording.metadata)
+    cell = recording.cell()
     size, body = read_object(recording.metadata, recording.T_object_tool)
     figures = {
         "timeline.png": timeline_figure(recording, read_run(cell, recording)),

@@ -34,7 +34,7 @@ from coopqp.model.cell import RobotCell
 from coopqp.model.chain import Chain
 from coopqp.model.grasp import Grasp
 from coopqp.model.limits import BindingLimit
-from coopqp.spatial import Array, adjoint
+from coopqp.spatial import Array, adjoint, for_twists
 from coopqp.task.path import ObjectPath
 
 #: Cost that makes every problem strictly convex [m²]. It is small: the resulting error is in the range of micrometres.
@@ -174,7 +174,7 @@ class IndependentQPController:
         middle = pin.integrate(self.cell.model, self._q, 0.5 * h * self._v)
         chain.evaluate(middle, about=reference.translation)
         J, R = chain.dense(), reference.rotation
-        to_reference = np.kron(np.eye(2), R.T)
+        to_reference = for_twists(R.T)
         return [to_reference @ J[6 * k : 6 * k + 6, s] for k, s in enumerate(self.cell.v_slices)], wanted
 
     def _problem(self, k: int, A: Array, wanted: Array) -> QpProblem:

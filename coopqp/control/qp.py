@@ -263,10 +263,7 @@ class QPController:
         self._find_fast_step()
 
     def _go_over(self) -> None:
-        """Take the way to the wanted target if the rate of its first step need not fall, or where the object rests.
-
-        The way begins at the full rate, or at the present one: then its twist is as much larger.
-        """
+        """Take the way to the wanted target as soon as it may be; until then brake on the present way."""
         loop, path, goal, paused = self._loop, self.path, self._wanted, self.paused
         assert isinstance(path, ServoPath)
         assert goal is not None
@@ -275,22 +272,32 @@ class QPController:
             self._wanted = None
             return
         loop.set_reins(self._asked, paused=paused)
+        full = 0.0 if paused else self._asked
+        taken = None if isinstance(loop, PlainLoop) else loop.go_over(path, goal, full)
+        if self._go_over_by_definition(path, goal, full) if taken is None else taken:
+            self._wanted = None
+        elif np.isfinite(self.cell.limits.acceleration).any():
+            loop.set_reins(0.0, paused=paused)
+
+    def _go_over_by_definition(self, path: ServoPath, goal: pin.SE3, full: float) -> bool:
+        """Take the way to a target if the rate of its first step need not fall, or where the object rests.
+
+        The way begins at the full rate, or at the present one: then its twist is as much larger.
+        """
+        loop = self._loop
         clock, now, way, memory = loop.clock, loop.rate, path.state(), loop.memory()
         effort = self._effort.at(loop.q, path.pose(clock))
         rests = not np.abs(now * path.twist(clock)).max() > AT_REST
-        full = 0.0 if paused else self._asked
         for rate in (0.0,) if rests else dict.fromkeys((full, min(now, full))):
             if rests or rate > 0.0:
                 path.set_target(goal, clock=clock, rate=0.0 if rests else now / rate, effort=effort)
                 loop.look_ahead_again(rate=rate)
                 if rests or loop.rate_of_a_step() >= rate - _ROUNDING:
-                    self._wanted = None
-                    return
+                    return True
                 path.restore(way)
                 loop.take_path()
                 loop.restore(memory)
-        if np.isfinite(self.cell.limits.acceleration).any():
-            loop.set_reins(0.0, paused=paused)  # not yet: brake on the present way
+        return False
 
     # -- the step --------------------------------------------------------------------------------------------------
 

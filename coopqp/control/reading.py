@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import struct
 from typing import Any, final
 
 import numpy as np
@@ -17,7 +18,9 @@ from coopqp.task.guarded import jump
 from coopqp.task.path import ObjectPath
 
 _R = {name: i for i, name in enumerate(layout.RECORD)}
-_SCALARS = {"dt": "R_DT", "clock": "R_CLOCK", "clock_next": "R_CLOCK_NEXT"}
+_NUMBER = struct.Struct("d")
+#: Where single numbers are [bytes].
+_SCALARS = {"dt": 8 * _R["R_DT"], "clock": 8 * _R["R_CLOCK"], "clock_next": 8 * _R["R_CLOCK_NEXT"]}
 _KINDS = {code: LimitKind[name] for code, name in enumerate(layout.KINDS) if name != "NONE"}
 _REASONS = {name: code for code, name in enumerate(layout.REASONS)}
 STATUSES = tuple(Status[name.replace("FAULTED", "FAULT")] for name in layout.STATUSES)
@@ -57,6 +60,9 @@ class RecordReader:
 
     def read(self, record: bytes, name: str) -> Any:
         """Value of the attribute ``name`` of a step."""
+        if name in _SCALARS:
+            number: float = _NUMBER.unpack_from(record, _SCALARS[name])[0]
+            return number
         if name == "velocity":
             return np.frombuffer(record, np.float64, self.cell.nv, 8 * self._v)
         if name == "q":
@@ -65,10 +71,7 @@ class RecordReader:
             return getattr(self, name)
         if name == "build_time_s":
             return 0.0
-        numbers = np.frombuffer(record)
-        if name in _SCALARS:
-            return numbers.item(_R[_SCALARS[name]])
-        return getattr(self, f"_read_{name}")(numbers)
+        return getattr(self, f"_read_{name}")(np.frombuffer(record))
 
     def _read_reason(self, r: Array) -> str:
         distance, angle = r.item(_R["R_AWAY"]), r.item(_R["R_TURNED"])
@@ -77,7 +80,10 @@ class RecordReader:
         return self._read_code(r)
 
     def _read_code(self, r: Array) -> str:
-        code, given = int(r[_R["R_REASON"]]), r[_R["R_REASON_ARM"] : _R["R_REASON_B"] + 1].tolist()
+        code = int(r.item(_R["R_REASON"]))
+        if code == _REASONS["NO_REASON"]:
+            return ""
+        given = r[_R["R_REASON_ARM"] : _R["R_REASON_B"] + 1].tolist()
         if code == _REASONS["BAD_DT"]:
             return refused_dt(given[1], *self._dt_range)
         return reason(self.cell, self._force_limit, code, *given)

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import csv
 import io
+import os
 import re
-import secrets
 import shutil
 from collections.abc import Iterator
 from pathlib import Path
@@ -19,8 +19,7 @@ from coopqp.forces.use import LoadUse
 from coopqp.model.cell import RobotCell
 from coopqp.output import OutputError, check_folder, folder_of, write_files
 from coopqp.simulation.assessment import Readings, check_recording, read_run, slides
-from coopqp.simulation.scene import read_cell
-from coopqp.simulation.simulate import Recording
+from coopqp.simulation.recording import Recording
 from coopqp.spatial import Array
 
 _READINGS = ("eps_p_mm", "eps_o_deg", "chain_mm", "chain_deg", "object_mm", "object_deg")
@@ -30,8 +29,8 @@ def joint_table(cell: RobotCell, recording: Recording) -> tuple[Array, Array]:
     """Measured and commanded joint positions, (T+1, nv) each [rad or m]; continuous joints in (−π, π]."""
     check_recording(cell, recording)
     return (
-        np.array([cell.positions(q) for q in recording.q]),
-        np.array([cell.positions(q) for q in recording.q_command]),
+        cell.positions(recording.q),
+        cell.positions(recording.q_command),
     )
 
 
@@ -52,7 +51,7 @@ def csv_text(recording: Recording, *, cell: RobotCell | None = None, load: LoadU
         SceneError: no cell is given and the recording does not describe one.
         InvalidInputError: a load of another run.
     """
-    cell = read_cell(recording.metadata, shapes=False) if cell is None else cell
+    cell = recording.cell(shapes=False) if cell is None else cell
     if load is not None and load.torques.shape != (recording.n_steps + 1, cell.nv):
         raise InvalidInputError(
             f"torques of shape {load.torques.shape} for {recording.n_steps + 1} samples of {cell.nv} joints",
@@ -144,6 +143,15 @@ def knot_velocities(recording: Recording) -> Array:
     return v
 
 
+def require_rosbags() -> None:
+    """Raise MissingExtraError unless rosbags can be imported."""
+    try:
+        import rosbags.rosbag2
+        import rosbags.typesys  # noqa: F401
+    except ImportError as error:
+        raise MissingExtraError("bags", "rosbags") from error
+
+
 def write_bag(recording: Recording, folder: str | Path, *, cell: RobotCell | None = None, start: float = 0.0) -> Path:
     """Write a ROS 2 bag in MCAP, atomically.
 
@@ -164,20 +172,19 @@ def write_bag(recording: Recording, folder: str | Path, *, cell: RobotCell | Non
         SceneError: no cell is given and the recording does not describe one.
         MissingExtraError: rosbags is not installed.
     """
-    try:
-        from rosbags.rosbag2 import StoragePlugin, Writer
-        from rosbags.typesys import Stores, get_typestore
-    except ImportError as error:
-        raise MissingExtraError("bags", "rosbags") from error
+    require_rosbags()
+    from rosbags.rosbag2 import StoragePlugin, Writer
+    from rosbags.typesys import Stores, get_typestore
+
     if not 0.0 <= start < 4e9:
         raise InvalidInputError(f"start is {start}", "write_bag", "Give seconds since the epoch, 0 for none.")
-    cell = read_cell(recording.metadata, shapes=False) if cell is None else cell
+    cell = recording.cell(shapes=False) if cell is None else cell
     target = Path(folder)
     if target.exists():
         raise OutputError(f"cannot write the bag {target}: it exists. Remove it, or give another folder.")
     check_folder(target.parent)
     messages = _Messages(get_typestore(Stores.ROS2_JAZZY), cell, recording, start)
-    temporary = target.with_name(f".{target.name}.{secrets.token_hex(4)}.tmp")
+    temporary = target.with_name(f".{target.name}.{os.urandom(4).hex()}.tmp")
     with folder_of(target):
         try:
             with Writer(temporary, version=9, storage_plugin=StoragePlugin.MCAP) as writer:

@@ -1,1 +1,51 @@
-"""Visualisation: plots, timeline, renderer, viewer, report."""
+"""Visualisation: plots, timeline, renderer, viewer, report.
+
+Import public names from here or from :mod:`coopqp`. Drawing needs ``coopqp[plot]``, the viewer ``coopqp[viewer]``.
+"""
+
+from typing import TYPE_CHECKING
+
+from coopqp.lazy import lazy_names
+
+if TYPE_CHECKING:
+    from coopqp.look.calibration import calibration_figure, write_calibration
+    from coopqp.look.loads import load_figure, write_load_use
+    from coopqp.look.plots import error_figure, joint_figure, motion_figure, save_figure
+    from coopqp.look.profile import profile_figure, write_speed_profile
+    from coopqp.look.render import Solid, View, box_solid, cell_solids, render
+    from coopqp.look.report import write_report
+    from coopqp.look.viewer import LiveViewer, export_html
+else:
+    __getattr__, __dir__ = lazy_names(
+        __name__,
+        {
+            "coopqp.look.calibration": ("calibration_figure", "write_calibration"),
+            "coopqp.look.loads": ("load_figure", "write_load_use"),
+            "coopqp.look.plots": ("error_figure", "joint_figure", "motion_figure", "save_figure"),
+            "coopqp.look.profile": ("profile_figure", "write_speed_profile"),
+            "coopqp.look.render": ("Solid", "View", "box_solid", "cell_solids", "render"),
+            "coopqp.look.report": ("write_report",),
+            "coopqp.look.viewer": ("LiveViewer", "export_html"),
+        },
+    )
+
+__all__ = [
+    "LiveViewer",
+    "Solid",
+    "View",
+    "box_solid",
+    "calibration_figure",
+    "cell_solids",
+    "error_figure",
+    "export_html",
+    "joint_figure",
+    "load_figure",
+    "motion_figure",
+    "profile_figure",
+    "render",
+    "save_figure",
+    "write_calibration",
+    "write_load_use",
+    "write_report",
+    "write_speed_profile",
+]

@@ -7,7 +7,7 @@ functions need the extra ``plot``.
 from __future__ import annotations
 
 import io
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -19,7 +19,7 @@ from coopqp.look.render import View, box_solid, cell_solids, render
 from coopqp.model.cell import RobotCell
 from coopqp.output import write_files
 from coopqp.simulation import metrics
-from coopqp.simulation.simulate import Recording
+from coopqp.simulation.recording import Recording
 from coopqp.spatial import Array
 
 if TYPE_CHECKING:
@@ -44,6 +44,8 @@ _TOP_FACE = (1, 3, 7, 5, 1)
 _PLATE = (0.30, 0.52, 0.75)
 #: Smallest drawn error [mm or deg]; smaller ones are rounding.
 _FLOOR = 1e-11
+#: Spans of time of a drawn curve, more than a page has pixels.
+DRAWN_SPANS = 4000
 
 
 def require_matplotlib() -> None:
@@ -63,10 +65,44 @@ def _new_figure(width: float, height: float, **options: Any) -> Figure:
 
 def relative_errors(cell: RobotCell, recording: Recording, quantity: Quantity) -> Array:
     """ε_p [mm] or ε_o [deg] of the commanded configurations at every sample, (T+1,)."""
-    tools, grasp = metrics.tool_placements(cell, recording.q_command), recording.grasp
-    if quantity == "position":
-        return np.array([1e3 * metrics.relative_positioning_error(T, grasp) for T in tools])
-    return np.array([np.rad2deg(metrics.relative_orientation_error(T, grasp)) for T in tools])
+    grasp = recording.grasp
+    errors = []
+    for part in recording.parts(len(recording.time)):
+        tools, _ = metrics.tool_matrices(cell, recording.q_command[part])
+        if quantity == "position":
+            errors.append(1e3 * metrics.positioning_errors(tools, grasp))
+        else:
+            errors.append(np.rad2deg(metrics.orientation_errors(tools, grasp)))
+    return np.concatenate(errors)
+
+
+def drawn(time: Array, values: Array, *, spans: int = DRAWN_SPANS) -> tuple[Array, Array]:
+    """Curves as they are drawn: of long ones the least and the largest value of each of many equal spans.
+
+    Args:
+        time: (T,) [s].
+        values: (T,), or (T, n) for n curves.
+        spans: number of spans, at least 1.
+    """
+    if len(time) <= 4 * spans:
+        return time, values
+    first = np.linspace(0, len(time), spans, endpoint=False).astype(int)
+    ends = np.stack([np.fmin.reduceat(values, first), np.fmax.reduceat(values, first)], axis=1)
+    return np.repeat(time[first], 2), ends.reshape(-1, *values.shape[1:])
+
+
+def drawn_rows(recording: Recording, count: int, rows: Callable[[slice], Array]) -> tuple[Array, Array]:
+    """Times and rows of ``count`` samples or steps as they are drawn, from ``rows(part)`` (T, n) of one part after the
+    other.
+    """
+    if count <= 4 * DRAWN_SPANS:
+        return recording.time[:count], rows(slice(0, count))
+    curves = [
+        drawn(recording.time[part], rows(part), spans=max(1, (part.stop - part.start) * DRAWN_SPANS // count))
+        for part in recording.parts(count)
+    ]
+    times, values = zip(*curves, strict=True)
+    return np.concatenate(times), np.concatenate(values)
 
 
 def planned_steps(recording: Recording) -> int:
@@ -106,7 +142,7 @@ def error_figure(
         for recording in runs[method]:
             error = np.maximum(relative_errors(cell, recording, quantity), _FLOOR)
             n = planned_steps(recording)
-            axes.semilogy(recording.time[1:], error[1:], color=colours[n], ls=dashes, lw=2.0)
+            axes.semilogy(*drawn(recording.time[1:], error[1:]), color=colours[n], ls=dashes, lw=2.0)
             largest[method, n] = float(error.max())
     axes.set_xlim(0.0, longest)
     axes.set_xlabel("time [s]", fontsize=12, color=_INK)
@@ -160,10 +196,18 @@ def joint_figure(cell: RobotCell, recording: Recording) -> Figure:
     figure = _new_figure(max(10.0, 3.2 * n_arms), 5.2, layout="constrained")
     panels = figure.subplots(2, n_arms, sharex=True, sharey="row", squeeze=False)
     limits = cell.limits
-    q = np.array([cell.positions(x) for x in recording.q_command])
-    with np.errstate(invalid="ignore"):
-        position = (2.0 * q - limits.upper - limits.lower) / (limits.upper - limits.lower)  # NaN without limit
-        speed = 100.0 * recording.velocity / limits.velocity
+
+    def positions(part: slice) -> Array:
+        q = cell.positions(recording.q_command[part])
+        with np.errstate(invalid="ignore"):
+            share: Array = (2.0 * q - limits.upper - limits.lower) / (limits.upper - limits.lower)
+        return share  # NaN without limit
+
+    times, position = drawn_rows(recording, len(recording.time), positions)
+    starts, speed = drawn_rows(
+        recording, recording.n_steps, lambda part: 100.0 * recording.velocity[part] / limits.velocity
+    )
+    starts, speed = np.append(starts, recording.time[-1]), np.concatenate([speed, speed[-1:]])
     reach = 1.15 * max(5.0, float(np.nanmax(np.abs(speed), initial=0.0)))
     names = [name.split("/", 1)[1] for name in cell.joint_names]
     longest = max(cell.v_slices, key=lambda s: s.stop - s.start)
@@ -171,8 +215,8 @@ def joint_figure(cell: RobotCell, recording: Recording) -> Figure:
         top, bottom = panels[:, k]
         for i, j in enumerate(range(joints.start, joints.stop)):
             colour = _COLOURS[i % len(_COLOURS)]
-            top.plot(recording.time, position[:, j], color=colour, lw=1.8)
-            bottom.step(recording.time, np.append(speed[:, j], speed[-1:, j]), where="post", color=colour, lw=1.8)
+            top.plot(times, position[:, j], color=colour, lw=1.8)
+            bottom.step(starts, speed[:, j], where="post", color=colour, lw=1.8)
         top.set_title(arm.replace("_", " "), fontsize=12, color=_INK, fontweight="bold")
         for panel, edge in ((top, 1.0), (bottom, 100.0)):
             for side in (-edge, edge):

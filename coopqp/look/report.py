@@ -14,8 +14,8 @@ from coopqp.look.timeline import bound_limits, limit_name, timeline_figure
 from coopqp.model.cell import RobotCell
 from coopqp.output import check_file, write_files
 from coopqp.simulation.assessment import Finding, Readings, Tolerances, judge, read_run, run_figures, why
-from coopqp.simulation.scene import read_cell, read_object
-from coopqp.simulation.simulate import Recording
+from coopqp.simulation.recording import Recording
+from coopqp.simulation.scene import named_meshes, read_object
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -77,16 +77,19 @@ def report_html(
     plots.require_matplotlib()
     tell = progress or (lambda _: None)
     tell("measuring the run")
-    cell = read_cell(recording.metadata) if cell is None else cell
+    cell = recording.cell() if cell is None else cell
     readings = read_run(cell, recording)
     findings = judge(cell, recording, readings, tolerances=tolerances)
     title, made = _title(recording)
+    figures = _figures(cell, recording, readings)
     tell("drawing the plots")
+    over_time = _picture(timeline_figure(recording, readings), "errors, rate and limits over time")
+    del readings  # of a long run they are large
     body = [
         f"<h1>{_text(title)}</h1><p class=sub>{_text(made)}</p>",
         _verdict(findings),
-        _section("Figures", _figures(cell, recording, readings)),
-        _section("Over time", _picture(timeline_figure(recording, readings), "errors, rate and limits over time")),
+        _section("Figures", figures),
+        _section("Over time", over_time),
         _section("Joints against their limits", _picture(plots.joint_figure(cell, recording), "joints over time")),
         _section("The motion", _motion(cell, recording)),
         _section("Limits that bound", _limits(recording)),
@@ -149,7 +152,9 @@ def _figures(cell: RobotCell, recording: Recording, readings: Readings) -> str:
 def _motion(cell: RobotCell, recording: Recording) -> str:
     visual = cell.visual_model()
     if not visual.ngeoms:
-        return "<p>The arms have no shapes to draw.</p>"
+        named = 0 if recording.meshes else len(named_meshes(recording.metadata))
+        closed = f" {named} mesh files that the recording names stayed closed; --meshes opens them." if named else ""
+        return f"<p>The arms have no shapes to draw.{closed}</p>"
     size, body = read_object(recording.metadata, recording.T_object_tool)
     figure = plots.motion_figure(
         cell, recording, object_size=(size[0], size[1], size[2]), T_object_body=body, pixels=500

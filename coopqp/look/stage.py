@@ -16,8 +16,8 @@ from coopqp.model.cell import RobotCell
 from coopqp.model.limits import BindingLimit
 from coopqp.simulation import metrics
 from coopqp.simulation.assessment import Readings, read_run
-from coopqp.simulation.scene import read_cell, read_object, read_path
-from coopqp.simulation.simulate import Recording
+from coopqp.simulation.recording import Recording
+from coopqp.simulation.scene import read_object, read_path
 from coopqp.spatial import Array
 
 Colour = tuple[int, int, int]
@@ -52,7 +52,7 @@ class Stage:
 
     def __init__(self, scene: Any, recording: Recording, *, sticks: bool = False) -> None:
         self.recording = recording
-        self.cell: RobotCell = read_cell(recording.metadata, shapes=not sticks)
+        self.cell: RobotCell = recording.cell(shapes=not sticks)
         self.readings: Readings = read_run(self.cell, recording)
         self._scene = scene
         self._data = self.cell.model.createData()

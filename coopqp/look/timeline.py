@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from coopqp.control.command import Status
-from coopqp.look.plots import require_matplotlib
+from coopqp.look.plots import drawn, require_matplotlib
 from coopqp.model.limits import BindingLimit
 from coopqp.simulation.assessment import Readings
-from coopqp.simulation.simulate import Recording
+from coopqp.simulation.recording import Recording
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -101,9 +101,8 @@ def timeline_figure(recording: Recording, readings: Readings) -> Figure:
 
 def _draw_errors(axes: Any, recording: Recording, readings: Readings) -> None:
     for name, label, colour, dashes in _ERRORS:
-        axes.semilogy(
-            recording.time, np.maximum(getattr(readings, name), _FLOOR), color=colour, ls=dashes, lw=1.9, label=label
-        )
+        times, errors = drawn(recording.time, np.maximum(getattr(readings, name), _FLOOR))
+        axes.semilogy(times, errors, color=colour, ls=dashes, lw=1.9, label=label)
     axes.set_ylabel("error [mm]", fontsize=11, color=_INK)
     axes.grid(True, which="major", color="#e3e6ea", lw=0.8)
     axes.legend(frameon=False, fontsize=10, labelcolor=_INK, ncols=3, loc="lower left", bbox_to_anchor=(0.0, 1.0))
@@ -120,7 +119,8 @@ def _draw_rate(axes: Any, recording: Recording) -> None:
             label = now.value if now not in named else None
             axes.axvspan(recording.time[i], recording.time[j], color=_BANDS[now], lw=0, label=label)
             named.add(now)
-    axes.stairs(100.0 * recording.rate, recording.time, color=_INK, lw=1.6, baseline=None)
+    times, rates = drawn(recording.time[:-1], 100.0 * recording.rate)
+    axes.stairs(rates, np.append(times, recording.time[-1]), color=_INK, lw=1.6, baseline=None)
     axes.set_ylim(-4.0, 108.0)
     axes.set_ylabel("rate σ [%]", fontsize=11, color=_INK)
     axes.grid(True, axis="y", color="#e3e6ea", lw=0.8)

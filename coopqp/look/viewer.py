@@ -23,7 +23,7 @@ from coopqp.look.guarded import guarded_servers
 from coopqp.look.stage import FIELD_OF_VIEW, READOUT_SHARE, Stage
 from coopqp.output import check_file, write_files
 from coopqp.simulation.assessment import worst_status
-from coopqp.simulation.simulate import Recording
+from coopqp.simulation.recording import Recording
 
 #: Pictures per second of the page, and their largest number.
 FRAMES_PER_SECOND, MAX_FRAMES = 25.0, 500
@@ -258,7 +258,7 @@ class LiveViewer:
         if shown != self._time.value:
             self._time.value = shown
         self._slider = self._time.value
-        sample = int(np.clip(np.searchsorted(run.time, shown - 1e-9), 0, run.n_steps))
+        sample = run.sample_at(shown + 1e-9)
         if sample != self._shown:
             self._show(sample)
         return sample

@@ -1,187 +1,97 @@
-/* Kinematics of one arm at many configurations: tool poses, Newton's method, walks along poses, singular values.
- *
- * An arm is 14 numbers per joint and 12 for its tool: rotation (9, row major) and origin (3) of the joint in the frame of
- * the one before, both with the z axis along the joint's axis; 1 if it slides; its weight. The tool is R (9), p (3) in
- * the last joint. Poses are R (9), p (3) in the world, Jacobians are transposed (joints, 6): [linear; angular] of the
- * tool's point in world axes. batch_plain.py says the same in NumPy. */
+/* Kinematics of one arm at many configurations, for Python: tool poses, Newton's method, walks along poses, singular
+ * values, derivatives along a way. See _arm.h for what the numbers are; batch_plain.py says the same in NumPy. */
 
 #define PY_SSIZE_T_CLEAN
 #include <Python.h>
-#include <string.h>
 
-#include "../control/core/spatial.h"
+#include "_arm.h"
 
-#define PER_JOINT 14
-#define MOST_JOINTS 64
-#define SLIDES 12
-#define WEIGHT 13
-#define LEAST_DAMPING 1e-15
-#ifdef __GNUC__
-#define UNROLL _Pragma("GCC unroll 6")
-#else
-#define UNROLL
-#endif
+#define LANES 8 /* configurations whose singular values are found at once */
+#define ACROSS 1e-14 /* square of a cosine between vectors at right angles */
 
-typedef struct {
-    int joints;
-    const double *numbers, *tool;
-} Arm;
+/* -- singular values ------------------------------------------------------------------------------------------------- */
 
-/* -- one configuration ----------------------------------------------------------------------------------------------- */
+/* A number of each of several configurations. Loops over them are for the processor's vectors. */
+typedef double Lanes[LANES];
 
-static void place(const Arm *a, const double *q, double *T, double *jacobian) {
-    double R[9] = {1, 0, 0, 0, 1, 0, 0, 0, 1}, p[3] = {0, 0, 0}, origins[3 * MOST_JOINTS];
-    for (int j = 0; j < a->joints; j++) {
-        const double *joint = a->numbers + PER_JOINT * j;
-        double M[9];
-        for (int i = 0; i < 3; i++) p[i] += dot3(R + 3 * i, joint + 9);
-        multiply3(R, joint, M);
-        if (joint[SLIDES] != 0.0) {
-            for (int i = 0; i < 3; i++) p[i] += q[j] * M[3 * i + 2];
-            memcpy(R, M, sizeof M);
-        } else {
-            const double s = sin(q[j]), c = cos(q[j]);
-            for (int i = 0; i < 3; i++) {
-                R[3 * i] = c * M[3 * i] + s * M[3 * i + 1];
-                R[3 * i + 1] = c * M[3 * i + 1] - s * M[3 * i];
-                R[3 * i + 2] = M[3 * i + 2];
-            }
+/* Sums of squares of the entries of vectors. */
+static void squares_of(Lanes *x, int length, double *out) {
+    for (int l = 0; l < LANES; l++) out[l] = 0.0;
+    for (int j = 0; j < length; j++)
+        for (int l = 0; l < LANES; l++) out[l] += x[j][l] * x[j][l];
+}
+
+/* Turn the vectors x and y into right angles where `going` is 1; keep the largest square of a cosine between two. */
+static void turn(Lanes *x, Lanes *y, int length, double *xx, double *yy, const double *going, double *largest) {
+    Lanes xy = {0.0}, c, s;
+    for (int j = 0; j < length; j++)
+        for (int l = 0; l < LANES; l++) xy[l] += x[j][l] * y[j][l];
+    for (int l = 0; l < LANES; l++) {
+        const double square = xy[l] * xy[l], size = xx[l] * yy[l], half = 0.5 * (yy[l] - xx[l]);
+        const double tangent = (half < 0.0 ? -xy[l] : xy[l]) / (fabs(half) + sqrt(square + half * half));
+        const int turns = going[l] != 0.0 && square > 1e-30 * size; /* if not, quotients are of no account */
+        const double t = turns ? tangent : 0.0, cosine = turns ? square / size : 0.0;
+        largest[l] = cosine > largest[l] ? cosine : largest[l];
+        c[l] = 1.0 / sqrt(1.0 + t * t), s[l] = c[l] * t;
+        xx[l] -= t * xy[l], yy[l] += t * xy[l];
+    }
+    for (int j = 0; j < length; j++)
+        for (int l = 0; l < LANES; l++) {
+            const double u = x[j][l], w = y[j][l];
+            x[j][l] = c[l] * u - s[l] * w, y[j][l] = s[l] * u + c[l] * w;
         }
-        if (jacobian)
-            for (int i = 0; i < 3; i++) jacobian[6 * j + 3 + i] = R[3 * i + 2], origins[3 * j + i] = p[i];
-    }
-    multiply3(R, a->tool, T);
-    for (int i = 0; i < 3; i++) T[9 + i] = p[i] + dot3(R + 3 * i, a->tool + 9);
-    for (int j = 0; jacobian && j < a->joints; j++) {
-        double *row = jacobian + 6 * j;
-        if (a->numbers[PER_JOINT * j + SLIDES] != 0.0) {
-            memcpy(row, row + 3, 3 * sizeof(double));
-            memset(row + 3, 0, 3 * sizeof(double));
-        } else {
-            const double arm[3] = {T[9] - origins[3 * j], T[10] - origins[3 * j + 1], T[11] - origins[3 * j + 2]};
-            cross(row + 3, arm, row);
-        }
-    }
 }
 
-/* Rotation vector of R, any angle up to half a turn: from the largest entry of its quaternion. */
-static void rotation_vector(const double *R, double *w) {
-    double x[4] = {1.0 + R[0] + R[4] + R[8], 1.0 + R[0] - R[4] - R[8], 1.0 - R[0] + R[4] - R[8], 1.0 - R[0] - R[4] + R[8]};
-    int k = 0;
-    for (int i = 1; i < 4; i++)
-        if (x[i] > x[k]) k = i;
-    const double a = R[7] - R[5], b = R[2] - R[6], c = R[3] - R[1];
-    const double d = R[3] + R[1], e = R[2] + R[6], f = R[7] + R[5];
-    double v[4];
-    if (k == 0) v[0] = x[0], v[1] = a, v[2] = b, v[3] = c;
-    else if (k == 1) v[0] = a, v[1] = x[1], v[2] = d, v[3] = e;
-    else if (k == 2) v[0] = b, v[1] = d, v[2] = x[2], v[3] = f;
-    else v[0] = c, v[1] = e, v[2] = f, v[3] = x[3];
-    const double norm = sqrt(dot3(v + 1, v + 1)), sign = v[0] < 0.0 ? -1.0 : 1.0;
-    const double ratio = norm > 0.0 ? 2.0 * atan2(norm, sign * v[0]) / norm : 0.0;
-    for (int i = 0; i < 3; i++) w[i] = sign * ratio * v[1 + i];
+/* Put a value into values in descending order, of which there are `count`; its place. */
+static int insert(double *values, int count, double value) {
+    int k = count;
+    for (; k > 0 && values[k - 1] < value; k--) values[k] = values[k - 1];
+    values[k] = value;
+    return k;
 }
 
-/* What leads from T to the target: displacement and rotation vector in world axes. Returns the largest entry. */
-static double error_of(const double *T, const double *target, double *e) {
-    double D[9], largest = 0.0;
-    for (int i = 0; i < 3; i++)
-        for (int j = 0; j < 3; j++) D[3 * i + j] = dot3(target + 3 * i, T + 3 * j);
-    rotation_vector(D, e + 3);
-    for (int i = 0; i < 3; i++) e[i] = target[9 + i] - T[9 + i];
-    for (int i = 0; i < 6; i++) largest = fmax(largest, fabs(e[i]));
-    return isfinite(e[0] + e[1] + e[2] + e[3] + e[4] + e[5]) ? largest : INFINITY;
-}
-
-/* v = W² J' (J W² J' + damping I)⁻¹ e; returns the largest step, infinite if there is none. */
-static double newton_step(const Arm *a, const double *jacobian, const double *e, double damping, double *v) {
-    double G[36], y[6], largest = 0.0, trace = 0.0;
-    memset(G, 0, sizeof G);
-    for (int j = 0; j < a->joints; j++) {
-        const double *row = jacobian + 6 * j, weight = a->numbers[PER_JOINT * j + WEIGHT], w2 = weight * weight;
-        UNROLL for (int i = 0; i < 6; i++) {
-            const double x = w2 * row[i];
-            UNROLL for (int m = 0; m < 6; m++) G[6 * i + m] += x * row[m];
-        }
-    }
-    UNROLL for (int i = 0; i < 6; i++) trace += G[7 * i];
-    damping += LEAST_DAMPING * trace;
-    UNROLL for (int i = 0; i < 6; i++) G[7 * i] += damping, y[i] = e[i];
-    UNROLL for (int k = 0; k < 6; k++) { /* Cholesky with the right-hand side; the diagonal holds inverses */
-        if (!(G[7 * k] > 0.0)) return INFINITY;
-        const double inverse = 1.0 / sqrt(G[7 * k]);
-        G[7 * k] = inverse, y[k] *= inverse;
-        UNROLL for (int i = k + 1; i < 6; i++) G[6 * k + i] *= inverse, y[i] -= G[6 * k + i] * y[k];
-        UNROLL for (int i = k + 1; i < 6; i++)
-            UNROLL for (int m = i; m < 6; m++) G[6 * i + m] -= G[6 * k + i] * G[6 * k + m];
-    }
-    UNROLL for (int i = 5; i >= 0; i--) {
-        UNROLL for (int k = i + 1; k < 6; k++) y[i] -= G[6 * i + k] * y[k];
-        y[i] *= G[7 * i];
-    }
-    for (int j = 0; j < a->joints; j++) {
-        const double *row = jacobian + 6 * j, weight = a->numbers[PER_JOINT * j + WEIGHT];
-        v[j] = weight * weight * (dot3(row, y) + dot3(row + 3, y + 3));
-        largest = fmax(largest, fabs(v[j]));
-    }
-    return isfinite(largest) ? largest : INFINITY;
-}
-
-/* Newton's method from q; returns the residual. */
-static double solve(const Arm *a, const double *target, double *q, double tolerance, int steps, double longest,
-                    double damping) {
-    double T[12], jacobian[6 * MOST_JOINTS], e[6], v[MOST_JOINTS];
-    for (int i = 0;; i++) {
-        place(a, q, T, jacobian);
-        const double residual = error_of(T, target, e);
-        if (residual <= tolerance || i >= steps || residual == INFINITY) return residual;
-        double square = 0.0;
-        for (int k = 0; k < 6; k++) square += e[k] * e[k];
-        const double largest = newton_step(a, jacobian, e, damping * square, v);
-        if (largest == INFINITY) return residual;
-        const double share = largest > longest ? longest / largest : 1.0;
-        for (int j = 0; j < a->joints; j++) q[j] += share * v[j];
-    }
-}
-
-/* Singular values of the tool's Jacobian, descending, by one-sided Jacobi rotations (accurate for small ones, too). */
-static void singular_values(const Arm *a, const double *q, double *values) {
-    double T[12], jacobian[6 * MOST_JOINTS], X[6 * MOST_JOINTS];
-    const int n = a->joints, count = n < 6 ? n : 6, length = n < 6 ? 6 : n;
+/* The rows of the tool's Jacobian, of an arm with fewer than six joints its columns, the longest first: this saves a
+ * sweep. Numbers of them, and their length. */
+static void longest_first(const Arm *a, const double *q, int lane, Lanes *vectors, int *count, int *length) {
+    double T[12], jacobian[6 * MOST_JOINTS], sizes[6];
+    const int n = a->joints, few = n < 6;
+    int order[6];
+    *count = few ? n : 6, *length = few ? 6 : n;
     place(a, q, T, jacobian);
-    for (int i = 0; i < count; i++)
-        for (int j = 0; j < length; j++) X[length * i + j] = n < 6 ? jacobian[6 * i + j] : jacobian[6 * j + i];
-    double squares[6], largest = 1.0; /* cosine between two vectors; the values' errors are of the square of the last one */
-    for (int sweep = 0; largest > 1e-7 && sweep < 30; sweep++) {
-        largest = 0.0;
-        for (int i = 0; i < count; i++) {
-            squares[i] = 0.0;
-            for (int j = 0; j < length; j++) squares[i] += X[length * i + j] * X[length * i + j];
+    for (int i = 0; i < *count; i++) {
+        double size = 0.0;
+        for (int j = 0; j < *length; j++) {
+            const double x = jacobian[few ? 6 * i + j : 6 * j + i];
+            size += x * x;
         }
+        const int k = insert(sizes, i, size);
+        memmove(order + k + 1, order + k, sizeof(int) * (size_t)(i - k));
+        order[k] = i;
+    }
+    for (int k = 0; k < *count; k++)
+        for (int i = order[k], j = 0; j < *length; j++)
+            vectors[*length * k + j][lane] = jacobian[few ? 6 * i + j : 6 * j + i];
+}
+
+/* Singular values of the tool's Jacobian at LANES configurations, descending, by one-sided Jacobi rotations, accurate for
+ * small ones, too. The values of one configuration do not depend on the others. */
+static void singular_values(const Arm *a, const double *const q[LANES], double *const values[LANES]) {
+    Lanes vectors[6 * MOST_JOINTS], squares[6], going, largest;
+    double most = 1.0; /* square of a cosine between two vectors; the values' errors are of the square of the last one */
+    int count = 0, length = 0;
+    for (int l = 0; l < LANES; l++) longest_first(a, q[l], l, vectors, &count, &length), largest[l] = 1.0;
+    for (int sweep = 0; most > ACROSS && sweep < 30; sweep++) {
+        for (int l = 0; l < LANES; l++) going[l] = largest[l] > ACROSS, largest[l] = 0.0;
+        for (int i = 0; i < count; i++) squares_of(vectors + length * i, length, squares[i]);
         for (int i = 0; i < count; i++)
-            for (int k = i + 1; k < count; k++) {
-                double *x = X + length * i, *y = X + length * k, xy = 0.0;
-                for (int j = 0; j < length; j++) xy += x[j] * y[j];
-                const double size = squares[i] * squares[k];
-                if (!(xy * xy > 1e-30 * size)) continue;
-                if (xy * xy > largest * largest * size) largest = fabs(xy) / sqrt(size);
-                const double half = 0.5 * (squares[k] - squares[i]);
-                const double t = (half < 0.0 ? -xy : xy) / (fabs(half) + sqrt(xy * xy + half * half));
-                const double c = 1.0 / sqrt(1.0 + t * t), s = c * t;
-                squares[i] -= t * xy, squares[k] += t * xy;
-                for (int j = 0; j < length; j++) {
-                    const double u = x[j];
-                    x[j] = c * u - s * y[j], y[j] = s * u + c * y[j];
-                }
-            }
+            for (int k = i + 1; k < count; k++)
+                turn(vectors + length * i, vectors + length * k, length, squares[i], squares[k], going, largest);
+        most = 0.0;
+        for (int l = 0; l < LANES; l++) most = fmax(most, largest[l]);
     }
-    for (int i = 0; i < count; i++) {
-        double square = 0.0;
-        for (int j = 0; j < length; j++) square += X[length * i + j] * X[length * i + j];
-        int k = i;
-        for (; k > 0 && values[k - 1] < sqrt(square); k--) values[k] = values[k - 1];
-        values[k] = sqrt(square);
-    }
+    for (int i = 0; i < count; i++) squares_of(vectors + length * i, length, squares[i]);
+    for (int l = 0; l < LANES; l++)
+        for (int i = 0; i < count; i++) insert(values[l], i, sqrt(squares[i][l]));
 }
 
 /* -- along poses ----------------------------------------------------------------------------------------------------- */
@@ -189,24 +99,10 @@ static void singular_values(const Arm *a, const double *q, double *values) {
 /* Whether det J of an arm of six joints is negative; 0 for other arms. */
 static int orientation(const Arm *a, const double *q) {
     double T[12], A[6 * MOST_JOINTS];
-    int negative = 0;
+    int order[6];
     if (a->joints != 6) return 0;
     place(a, q, T, A);
-    for (int k = 0; k < 6; k++) {
-        int pivot = k;
-        for (int i = k + 1; i < 6; i++)
-            if (fabs(A[6 * i + k]) > fabs(A[6 * pivot + k])) pivot = i;
-        for (int j = k; pivot != k && j < 6; j++) {
-            const double other = A[6 * pivot + j];
-            A[6 * pivot + j] = A[6 * k + j], A[6 * k + j] = other;
-        }
-        negative ^= (pivot != k) ^ (A[7 * k] < 0.0);
-        for (int i = k + 1; i < 6; i++) {
-            const double f = A[6 * i + k] / A[7 * k];
-            for (int j = k; j < 6; j++) A[6 * i + j] -= f * A[6 * k + j];
-        }
-    }
-    return negative;
+    return eliminate(A, order);
 }
 
 /* Halfway between two poses: along the line, about one axis. */
@@ -311,6 +207,27 @@ static PyObject *batch_solve(PyObject *self, PyObject *args) {
     Py_RETURN_NONE;
 }
 
+static PyObject *batch_derivatives(PyObject *self, PyObject *args) {
+    PyObject *objects[6];
+    Py_buffer views[6];
+    double *at[6];
+    Py_ssize_t n[6];
+    Arm a;
+    (void)self;
+    if (!PyArg_ParseTuple(args, "OOOOOO", objects, objects + 1, objects + 2, objects + 3, objects + 4, objects + 5))
+        return NULL;
+    if (!take(objects, 6, 2, views, at, n)) return NULL;
+    const Py_ssize_t count = n[2] / 6;
+    const int good = read_arm(at[0], n[0], &a) && a.joints >= 6 && n[2] == 6 * count && n[3] == n[2] &&
+                     n[1] == a.joints * count && n[4] == n[1] && n[5] == n[1];
+    Py_BEGIN_ALLOW_THREADS;
+    for (Py_ssize_t i = 0, j = 0; good && i < count; i++, j += a.joints)
+        derivatives(&a, at[1] + j, at[2] + 6 * i, at[3] + 6 * i, at[4] + j, at[5] + j);
+    Py_END_ALLOW_THREADS;
+    if (!release(views, 6, good)) return NULL;
+    Py_RETURN_NONE;
+}
+
 static PyObject *batch_singular_values(PyObject *self, PyObject *args) {
     PyObject *objects[3];
     Py_buffer views[3];
@@ -325,7 +242,16 @@ static PyObject *batch_singular_values(PyObject *self, PyObject *args) {
     const Py_ssize_t count = n[2] / width;
     good = good && n[2] == width * count && n[1] == a.joints * count;
     Py_BEGIN_ALLOW_THREADS;
-    for (Py_ssize_t i = 0; good && i < count; i++) singular_values(&a, at[1] + i * a.joints, at[2] + i * width);
+    for (Py_ssize_t i = 0; good && i < count; i += LANES) {
+        double spare[6 * LANES], *values[LANES];
+        const double *q[LANES];
+        for (int l = 0; l < LANES; l++) {
+            const int inside = i + l < count; /* lanes past the last configuration do it once more */
+            q[l] = at[1] + (inside ? i + l : count - 1) * a.joints;
+            values[l] = inside ? at[2] + (i + l) * width : spare + 6 * l;
+        }
+        singular_values(&a, q, values);
+    }
     Py_END_ALLOW_THREADS;
     if (!release(views, 3, good)) return NULL;
     Py_RETURN_NONE;
@@ -365,6 +291,7 @@ static PyObject *batch_walk(PyObject *self, PyObject *args) {
 static PyMethodDef methods[] = {
     {"place", batch_place, METH_VARARGS, "place(arm, q, poses, jacobians)"},
     {"solve", batch_solve, METH_VARARGS, "solve(arm, poses, q, residuals, tolerance, steps, longest, damping)"},
+    {"derivatives", batch_derivatives, METH_VARARGS, "derivatives(arm, q, twists, slopes of twists, slopes, curvatures)"},
     {"singular_values", batch_singular_values, METH_VARARGS, "singular_values(arm, q, values)"},
     {"walk", batch_walk, METH_VARARGS, "walk(arm, poses, q, reached, tolerance, longest, halvings)"},
     {NULL, NULL, 0, NULL},

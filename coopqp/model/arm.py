@@ -391,7 +391,7 @@ def _model_limits(name: str, model: pin.Model, velocity: Any, acceleration: Any,
     # A continuous joint has the limits ±1.01 on its cosine: it has none. Huge numbers also mean no limit.
     low[continuous | (low <= -UNLIMITED)] = -np.inf
     high[continuous | (high >= UNLIMITED)] = np.inf
-    speed = np.asarray(model.upperVelocityLimit).copy()
+    speed = np.array(model.velocityLimit)  # Pinocchio 4 has other names for it, too
     speed[speed >= UNLIMITED] = np.inf
     low, high = override(lower, low, "lower_limits"), override(upper, high, "upper_limits")
     speed = override(velocity, speed, "velocity_limits")

@@ -159,6 +159,23 @@ class ArmKinematics:
         self.kernel.place(self._numbers, x, np.empty(12 * len(x)), J)
         return J.transpose(0, 2, 1)
 
+    def derivatives(self, q: Any, twists: Array, slopes: Array) -> tuple[Array, Array]:
+        """Derivatives q′ and q″ (M, n) of the joints along a way of the tool.
+
+        A redundant arm takes the shortest way, in the unit of each joint's largest speed; one of fewer than six joints
+        the way that comes closest. Where the arm is singular entries are not finite, or large.
+
+        Args:
+            q: joint positions (M, n) [rad or m].
+            twists, slopes: twist of the tool's point in world axes per unit of the way (M, 6), and its derivative.
+        """
+        x = self._positions(q)
+        V, dV = (np.ascontiguousarray(np.broadcast_to(v, (len(x), 6)), dtype=float) for v in (twists, slopes))
+        first, second = np.empty_like(x), np.empty_like(x)
+        kernel = self.kernel if self.n >= 6 else batch_plain
+        kernel.derivatives(self._numbers, x, V, dV, first, second)
+        return first, second
+
     def singular_values(self, q: Any) -> Array:
         """Singular values of the tool's Jacobian, descending (M, min(6, n)), in metres and radians."""
         x = self._positions(q)
@@ -179,7 +196,7 @@ class ArmKinematics:
         """Damped Newton's method from each start to its pose. Limits play no part in it.
 
         Args:
-            poses: T_world_tool, (M, 4, 4), or one pose for all starts.
+            poses: T_world_tool, (M, 4, 4), or one pose for all starts. Rows of R (9), p (3), (M, 12), are not checked.
             q_start: starts (M, n) [rad or m].
             tolerance: largest accepted residual [m, rad].
             steps: largest number of steps.
@@ -252,12 +269,21 @@ class ArmKinematics:
     def _poses(self, poses: Any, count: int | None) -> Array:
         """Poses as rows of R (9), p (3)."""
         where = f"ArmKinematics of arm '{self.arm.name}': poses"
-        T = pose_matrices(poses, where)
-        if count is not None and len(T) == 1:
-            T = np.broadcast_to(T, (count, 4, 4))
-        if not len(T) or (count is not None and len(T) != count):
-            raise InvalidInputError(f"{len(T)} poses for {count} starts", where, "Give one pose per start, or one.")
-        return np.ascontiguousarray(np.concatenate([T[:, :3, :3].reshape(-1, 9), T[:, :3, 3]], axis=1))
+        rows = poses if _are_rows(poses) else pose_rows(pose_matrices(poses, where))
+        if count is not None and len(rows) == 1:
+            rows = np.broadcast_to(rows, (count, 12))
+        if not len(rows) or (count is not None and len(rows) != count):
+            raise InvalidInputError(f"{len(rows)} poses for {count} starts", where, "Give one pose per start, or one.")
+        return np.ascontiguousarray(rows)
+
+
+def _are_rows(poses: Any) -> bool:
+    return isinstance(poses, np.ndarray) and poses.ndim == 2 and poses.shape[1] == 12 and poses.dtype == np.float64
+
+
+def pose_rows(T: Array) -> Array:
+    """Poses (M, 4, 4) as rows of R (9), p (3): (M, 12)."""
+    return np.concatenate([T[:, :3, :3].reshape(-1, 9), T[:, :3, 3]], axis=1)
 
 
 def pose_matrices(poses: Placement | Sequence[Placement] | Array, where: str) -> Array:

@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from coopqp.spatial import Array, skew
+from coopqp.spatial import Array, cross_last, skew
 
 _PER_JOINT, _SLIDES, _WEIGHT = 14, 12, 13
 _LEAST_DAMPING = 1e-15
@@ -57,6 +57,54 @@ def singular_values(arm: Array, q: Array, values: Array, /) -> None:
     """Singular values of the tool's Jacobian, descending."""
     J = _place(arm, q)[1]
     values.reshape(len(J), -1)[:] = np.linalg.svd(J, compute_uv=False)
+
+
+def derivatives(arm: Array, q: Array, twists: Array, twist_slopes: Array, slopes: Array, curvatures: Array, /) -> None:
+    """Derivatives q′ and q″ of the joints of arms whose tools have twists V and V′ per unit of s.
+
+    The tool follows ``J(q) q′ = V(s)``, so
+
+        q′ = J⁺ V,   q″ = J⁺ (V′ − J′ q′)      (six joints: J⁺ = J⁻¹; fewer: least squares)
+
+    with ``J′ = Σ_i q′_i ∂_i J``. More joints: ``q′ = W² Jᵀ y`` with ``J W² Jᵀ y = V`` and the weights W, so
+    ``q″ = W² (J′ᵀ y + Jᵀ y′)`` with ``J W² Jᵀ y′ = V′ − J′ q′ − J W² J′ᵀ y``.
+    """
+    V, dV = twists.reshape(-1, 6), twist_slopes.reshape(-1, 6)
+    J = _place(arm, q)[1]  # Jᵀ (m, n, 6), as it lies in memory
+    n = J.shape[1]
+    with np.errstate(all="ignore"):
+        if n <= 6:
+            inverse = _inverse(J) if n == 6 else np.asarray(np.linalg.pinv(J), dtype=np.float64)
+            slope = _by_rows(V, inverse)
+            curvature = _by_rows(dV - _by_rows(slope, jacobian_slopes(J, slope)), inverse)
+        else:
+            W = arm[: _PER_JOINT * n].reshape(n, _PER_JOINT)[:, _WEIGHT] ** 2
+            JW = J * W[:, None]
+            gram = _inverse(J.transpose(0, 2, 1) @ JW)
+            y = _by_rows(V, gram)
+            slope = _by_columns(JW, y)
+            dJ = jacobian_slopes(J, slope)
+            turn = W * _by_columns(dJ, y)
+            dy = _by_rows(dV - _by_rows(slope, dJ) - _by_rows(turn, J), gram)
+            curvature = turn + _by_columns(JW, dy)
+    slopes.reshape(slope.shape)[:], curvatures.reshape(slope.shape)[:] = slope, curvature
+
+
+def jacobian_slopes(J: Array, slope: Array) -> Array:
+    """``J′ = Σ_i q′_i ∂_i J`` of serial arms, transposed (m, n, 6), from Jᵀ (m, n, 6) and q′ (m, n).
+
+    The derivative of a serial arm's Jacobian is a Lie bracket of its columns: joint i turns all that comes after it,
+    ``∂_i (v_j, ω_j) = (ω_i × v_j, ω_i × ω_j)`` for i ≤ j, and moves the tool's point under the joints before it,
+    ``∂_i v_j = ω_j × v_i`` for i > j. Sums over i become running sums over the arm.
+    """
+    v, w = J[:, :, :3], J[:, :, 3:]
+    moved = J * slope[:, :, None]
+    turned = moved[:, :, 3:].cumsum(axis=1)  # by the joints up to j
+    beyond = moved[:, ::-1, :3].cumsum(axis=1)[:, ::-1] - moved[:, :, :3]  # by the joints after j
+    out = np.empty_like(J)
+    out[:, :, :3] = cross_last(turned, v) + cross_last(w, beyond)
+    out[:, :, 3:] = cross_last(turned, w)
+    return out
 
 
 def walk(
@@ -144,6 +192,25 @@ def _place(arm: Array, q: Array) -> tuple[Array, Array]:
 def _times(R: Array, M: Array) -> Array:
     """R @ M as one product of matrices."""
     out: Array = (R.reshape(-1, 3) @ M).reshape(len(R), 3, *M.shape[1:])
+    return out
+
+
+def _inverse(A: Array) -> Array:
+    try:
+        return np.asarray(np.linalg.inv(A), dtype=np.float64)
+    except np.linalg.LinAlgError:
+        return np.full(A.shape, np.nan)
+
+
+def _by_columns(A: Array, b: Array) -> Array:
+    """``A b`` for matrices (m, k, l) and columns b (m, l)."""
+    out: Array = (A @ b[:, :, None])[:, :, 0]
+    return out
+
+
+def _by_rows(b: Array, A: Array) -> Array:
+    """``bᵀ A`` for rows b (m, k) and matrices (m, k, l)."""
+    out: Array = (b[:, None, :] @ A)[:, 0, :]
     return out
 
 

@@ -144,13 +144,13 @@ class RobotCell:
         return q
 
     def positions(self, q: Array) -> Array:
-        """Joint positions (nv,) [rad or m] of a configuration (nq,); continuous joints in (−π, π]."""
-        x: Array = q[self.position_index]
+        """Joint positions (…, nv) [rad or m] of configurations (…, nq); continuous joints in (−π, π]."""
+        x: Array = q.take(self.position_index, axis=-1)
         if self.euclidean:
             return x
         for j in np.flatnonzero(self.continuous):
             i = self.position_index[j]
-            x[j] = np.arctan2(q[i + 1], q[i])
+            x[..., j] = np.arctan2(q[..., i + 1], q[..., i])
         return x
 
     def average(self, configurations: Any) -> Array:

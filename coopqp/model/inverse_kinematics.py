@@ -6,6 +6,7 @@ baseline and the path preview (with warm starts) use it.
 
 from __future__ import annotations
 
+import threading
 from typing import Any
 
 import numpy as np
@@ -22,6 +23,7 @@ from coopqp.spatial import Array, Placement, as_placement
 
 #: Largest Newton step of a joint [rad or m]; longer steps are scaled down.
 _LONGEST_STEP = 0.5
+_LAST = threading.local()
 
 
 def newton(chain: Chain, target: pin.SE3, q: Array, *, tolerance: float, max_iter: int) -> tuple[Array, Array]:
@@ -73,7 +75,7 @@ def inverse_kinematics(
     target = as_placement(T_world_object, "inverse_kinematics: T_world_object")
     q0 = cell.check_configuration(q_start, "inverse_kinematics: q_start")
     tolerance = as_scalar(tolerance, "inverse_kinematics: tolerance", open_low=False)
-    chain = Chain(cell, grasp)
+    chain = _chain(cell, grasp)
     q, errors = newton(chain, target, q0, tolerance=tolerance, max_iter=max_iter)
     _check_reached(cell, errors, tolerance, max_iter)
     if limits:
@@ -85,6 +87,14 @@ def inverse_kinematics(
             q, errors = newton(chain, target, cell.configuration(x), tolerance=tolerance, max_iter=max_iter)
             _check_reached(cell, errors, tolerance, max_iter)
     return q
+
+
+def _chain(cell: RobotCell, grasp: Grasp) -> Chain:
+    """The chain of a cell and a grasp: this thread's last one if it fits. To make one takes longer than to use it."""
+    last: Chain | None = getattr(_LAST, "chain", None)
+    if last is None or last.cell is not cell or last.grasp is not grasp:
+        last = _LAST.chain = Chain(cell, grasp)
+    return last
 
 
 def _check_reached(cell: RobotCell, errors: Array, tolerance: float, max_iter: int) -> None:

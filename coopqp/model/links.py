@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import lru_cache
 
 import numpy as np
 import pinocchio as pin
 
+from coopqp.checks import read_only
 from coopqp.errors import ModelError
 from coopqp.spatial import Array, skew
 
@@ -28,7 +30,7 @@ def joint_links(model: pin.Model, joints: Sequence[int]) -> tuple[Array, Array, 
         if model.joints[j].nv != 1 or model.parents[j] != parent:
             raise ModelError(f"joint {model.names[j]} does not follow the one before")
         axis, slides[i] = _axis(model, j, pin.computeJointJacobian(model, data, neutral, j))
-        placement, turned = model.jointPlacements[j], _z_to(axis)
+        placement, turned = model.jointPlacements[j], _z_to(*axis.tolist())
         R[i], p[i] = aligned.T @ placement.rotation @ turned, aligned.T @ placement.translation
         parent, aligned = j, turned
     return R, p, slides, aligned
@@ -45,9 +47,10 @@ def _axis(model: pin.Model, joint: int, jacobian: Array) -> tuple[Array, bool]:
     raise ModelError(f"joint {model.names[joint]} neither turns about an axis nor slides along one")
 
 
-def _z_to(axis: Array) -> Array:
-    """A rotation that takes z to ``axis``."""
-    z = axis / np.linalg.norm(axis)
+@lru_cache(maxsize=256)
+def _z_to(*axis: float) -> Array:
+    """A rotation that takes z to an axis; most axes are those of a frame."""
+    z = np.array(axis) / np.linalg.norm(axis)
     x = skew(np.eye(3)[int(np.abs(z).argmin())]) @ z
     x /= np.linalg.norm(x)
-    return np.column_stack([x, skew(z) @ x, z])
+    return read_only(np.column_stack([x, skew(z) @ x, z]))

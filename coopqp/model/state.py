@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import threading
+import weakref
 from functools import cached_property
 from typing import Any
 
@@ -11,6 +13,18 @@ import pinocchio as pin
 from coopqp.checks import read_only
 from coopqp.model.cell import RobotCell
 from coopqp.spatial import Array
+
+_WORKSPACES = threading.local()
+
+
+def workspace(cell: RobotCell) -> pin.Data:
+    """Pinocchio's memory for a cell, one in each thread; to make it takes longer than to use it."""
+    if not hasattr(_WORKSPACES, "of_cell"):
+        _WORKSPACES.of_cell = weakref.WeakKeyDictionary()
+    made: weakref.WeakKeyDictionary[RobotCell, pin.Data] = _WORKSPACES.of_cell
+    if cell not in made:
+        made[cell] = cell.model.createData()
+    return made[cell]
 
 
 class CellState:
@@ -30,11 +44,9 @@ class CellState:
     def __init__(self, cell: RobotCell, q: Any) -> None:
         self.cell = cell
         self.q = read_only(cell.check_configuration(q, "CellState"))
-        self._data = cell.model.createData()
-        pin.computeJointJacobians(cell.model, self._data, self.q)
-        self.T_world_tool = tuple(
-            self._data.oMi[j] * X for j, X in zip(cell.tool_joints, cell.T_joint_tool, strict=True)
-        )
+        data = workspace(cell)
+        self._J = np.array(pin.computeJointJacobians(cell.model, data, self.q))  # twists at the world's origin
+        self.T_world_tool = tuple(data.oMi[j] * X for j, X in zip(cell.tool_joints, cell.T_joint_tool, strict=True))
 
     def jacobian(self, arm: str | int, frame: pin.ReferenceFrame = pin.LOCAL) -> Array:
         """Jacobian J of an arm's tool, shape (6, n): tool twist = J · joint velocities of the arm.
@@ -42,8 +54,11 @@ class CellState:
         ``frame`` selects the frame of the twist: LOCAL (the tool frame), LOCAL_WORLD_ALIGNED, or WORLD.
         """
         k = self.cell.index(arm)
-        J = pin.getFrameJacobian(self.cell.model, self._data, self.cell.tool_frames[k], frame)
-        return np.asarray(J)[:, self.cell.v_slices[k]]
+        J, T = self._J[:, self.cell.v_slices[k]], self.T_world_tool[k]
+        if frame == pin.WORLD:
+            return J.copy()
+        seen = T if frame == pin.LOCAL else pin.SE3(np.eye(3), T.translation)
+        return np.asarray(seen.actionInverse @ J)
 
     @cached_property
     def singular_values(self) -> tuple[Array, ...]:

@@ -3,16 +3,37 @@
 Import names for users from here.
 """
 
-from coopqp.planning.arm_starts import BranchAlongPath
-from coopqp.planning.branch_checks import BranchCheck, PathVerdict
-from coopqp.planning.check import ArmCheck, PathCheck, UndecidedInterval, check_path
-from coopqp.planning.payload import Payload
-from coopqp.planning.plan import Plan, plan
-from coopqp.planning.remedies import Remedy, find_remedies
-from coopqp.planning.starts import ArmStart, Start, find_start
-from coopqp.planning.timing import time_path
-from coopqp.task.geometry import PathGeometry
-from coopqp.task.timed import SpeedProfile
+from typing import TYPE_CHECKING
+
+from coopqp.lazy import lazy_names
+
+if TYPE_CHECKING:
+    from coopqp.planning.arm_starts import BranchAlongPath
+    from coopqp.planning.branch_checks import BranchCheck, PathVerdict
+    from coopqp.planning.check import ArmCheck, PathCheck, UndecidedInterval, check_path
+    from coopqp.planning.payload import Payload
+    from coopqp.planning.planner import Plan, plan
+    from coopqp.planning.remedies import Remedy, find_remedies
+    from coopqp.planning.starts import ArmStart, Start, find_start
+    from coopqp.planning.timing import time_path
+    from coopqp.task.geometry import PathGeometry
+    from coopqp.task.timed import SpeedProfile
+else:
+    __getattr__, __dir__ = lazy_names(
+        __name__,
+        {
+            "coopqp.planning.arm_starts": ("BranchAlongPath",),
+            "coopqp.planning.branch_checks": ("BranchCheck", "PathVerdict"),
+            "coopqp.planning.check": ("ArmCheck", "PathCheck", "UndecidedInterval", "check_path"),
+            "coopqp.planning.payload": ("Payload",),
+            "coopqp.planning.planner": ("Plan", "plan"),
+            "coopqp.planning.remedies": ("Remedy", "find_remedies"),
+            "coopqp.planning.starts": ("ArmStart", "Start", "find_start"),
+            "coopqp.planning.timing": ("time_path",),
+            "coopqp.task.geometry": ("PathGeometry",),
+            "coopqp.task.timed": ("SpeedProfile",),
+        },
+    )
 
 __all__ = [
     "ArmCheck",

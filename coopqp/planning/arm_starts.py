@@ -122,7 +122,9 @@ def arm_on_path(
         if len(group):
             walks = kinematics.walk(along, q[group])
             rows += [_row(kinematics, samples, walks, m, roll, int(hits[i])) for m, i in enumerate(group)]
-    rows.sort(key=lambda row: (not row.feasible, -row.score))
+    away = np.where(kinematics.bounded & kinematics.turns, 1.0, 0.0)
+    # Mirrored branches are as good but for rounding: of these the one nearer to the middle comes first.
+    rows.sort(key=lambda row: (not row.feasible, -row.score, round(float(away @ np.abs(row.q - kinematics.middle)), 6)))
     return ArmOnPath(kinematics, tuple(rows), found.closest)
 
 
@@ -149,7 +151,7 @@ def _row(
         margins=margins.min(axis=0),
         clocks=samples.clocks[margins.argmin(axis=0)],
         sigma_min=np.concatenate([sigma, np.zeros(len(samples.clocks) - len(sigma))]),
-        score=float(min(share / _GOOD_MARGIN, sigma.min() / _GOOD_SIGMA)),
+        score=round(float(min(share / _GOOD_MARGIN, sigma.min() / _GOOD_SIGMA)), 9),
     )
 
 

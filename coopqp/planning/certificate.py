@@ -23,7 +23,7 @@ import numpy.typing as npt
 from coopqp.model.batch import ArmKinematics
 from coopqp.model.branches import AT_LIMIT
 from coopqp.planning.segments import Indices, Segments
-from coopqp.spatial import Array
+from coopqp.spatial import Array, cross_last
 
 #: Rounds of the search for r, growth of r in each, and floor of |v| as a share of its largest entry.
 _ROUNDS, _GROWTH, _FLOOR = 6, 1.1, 1e-3
@@ -77,7 +77,7 @@ def tubes(
     arm = T_world_object[:, :3, :3] @ offset[:3, 3]  # from the object's origin to the tool
     J = kinematics.jacobians(q).transpose(0, 2, 1)  # (M, n, 6)
     A = J.copy()
-    A[:, :, :3] += _cross(arm[:, None], J[:, :, 3:])
+    A[:, :, :3] += cross_last(arm[:, None], J[:, :, 3:])
     system = np.concatenate([A.transpose(0, 2, 1), rows], axis=1)
     nu = np.concatenate([segments.twists[segment], (rows @ (qb - qa)[:, :, None])[:, :, 0] / (2.0 * half)[:, None]], 1)
     Y, regular = _inverses(system)
@@ -117,7 +117,7 @@ def tubes(
     sway = _sway(bend, D, G, E, r, speed + r, reach, total, linear, angular, half)
     sway[np.abs(v) >= r] = 0.0
     sigma = kinematics.singular_values(q)[:, -1]
-    drift = half * np.linalg.norm(_cross(segments.twists[segment][:, 3:], arm), axis=1)
+    drift = half * np.linalg.norm(cross_last(segments.twists[segment][:, 3:], arm), axis=1)
     size = np.sqrt(E.sum(axis=1).max(axis=1) * E.sum(axis=2).max(axis=1))  # ‖E‖₂ ≤ √(‖E‖₁ ‖E‖∞)
     bound = sigma * np.maximum(1.0 - size, 0.0) * np.maximum(1.0 - drift, 0.0)
     away = np.abs(q - 0.5 * (qa + qb)).max(axis=1)
@@ -151,13 +151,6 @@ def _middle(kinematics: ArmKinematics, poses: Array, qa: Array, qb: Array) -> tu
     return q, rows, solved
 
 
-def _cross(a: Array, b: Array) -> Array:
-    """Cross products along the last axis, faster than :func:`numpy.cross`."""
-    x, y, z = (a[..., i] for i in range(3))
-    u, v, w = (b[..., i] for i in range(3))
-    return np.stack([y * w - z * v, z * u - x * w, x * v - y * u], axis=-1)
-
-
 def _small_turns(R: Array, S: Array) -> Array:
     """Axis times the sine of the angle of ``R Sᵀ`` in world axes (M, 3): zero where both are the same."""
     D = R @ S.transpose(0, 2, 1)
@@ -182,8 +175,8 @@ def _derivatives(A: Array) -> Array:
     first, last = np.minimum.outer(np.arange(n), np.arange(n)), np.maximum.outer(np.arange(n), np.arange(n))
     linear, angular = A[:, :, :3], A[:, :, 3:]
     H = np.empty((len(A), n, n, 6))
-    H[:, :, :, :3] = _cross(angular[:, first], linear[:, last])
-    H[:, :, :, 3:] = _cross(angular[:, :, None], angular[:, None])
+    H[:, :, :, :3] = cross_last(angular[:, first], linear[:, last])
+    H[:, :, :, 3:] = cross_last(angular[:, :, None], angular[:, None])
     H[:, :, :, 3:] *= (np.arange(n)[:, None] < np.arange(n))[:, :, None]
     return H
 

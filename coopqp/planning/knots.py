@@ -1,12 +1,7 @@
 """Knots of all arms along a path: joint positions with exact first and second derivatives, before the motion.
 
-With the object's path given each arm follows its own tool's path, ``J(q) q′ = V(s)``, so
-
-    q′ = J⁺ V,   q″ = J⁺ (V′ − J′ q′)      (six joints: J⁺ = J⁻¹)
-
-with ``J′ = Σ_i q′_i ∂_i J``. The derivative of a serial arm's Jacobian is a Lie bracket of its columns: joint i turns
-all that comes after it, ``∂_i (v_j, ω_j) = (ω_i × v_j, ω_i × ω_j)`` for i ≤ j, and moves the tool's point under the
-joints before it, ``∂_i v_j = ω_j × v_i`` for i > j. Sums over i become running sums over the arm.
+With the object's path given each arm follows its own tool's path, ``J(q) q′ = V(s)``; the derivatives of its joints are
+those of :meth:`coopqp.model.batch.ArmKinematics.derivatives`.
 """
 
 from __future__ import annotations
@@ -21,7 +16,7 @@ from coopqp.errors import UnreachableError
 from coopqp.model.batch import ArmKinematics
 from coopqp.model.cell import RobotCell
 from coopqp.model.grasp import Grasp
-from coopqp.spatial import Array
+from coopqp.spatial import Array, cross_last
 from coopqp.task.geometry import PathGeometry
 
 #: A knot is reached within this [m, rad]; then Newton's method goes on to rounding.
@@ -86,17 +81,16 @@ class Motion:
         return Motion(s, *geometry.poses(s), *geometry.twists(s))
 
     def tool(self, X: pin.SE3) -> tuple[Array, Array, Array]:
-        """T_world_tool (K, 4, 4) with T_object_tool ``X``; the twist of the tool's point in world axes and its slope.
+        """T_world_tool as rows of R (9), p (3) with T_object_tool ``X``; the tool's twist in world axes and its slope.
 
         With r from the object's origin to the tool: ``v + ω × r``, and ``v′ + ω′ × r + ω × (ω × r)``.
         """
         r = self.R @ X.translation
-        T = np.zeros((len(self.s), 4, 4))
-        T[:, :3, :3], T[:, :3, 3], T[:, 3, 3] = self.R @ X.rotation, self.p + r, 1.0
+        T = np.concatenate([(self.R @ X.rotation).reshape(-1, 9), self.p + r], axis=1)
         V, dV = self.V.copy(), self.slope.copy()
-        whirl = _cross(V[:, 3:], r)
+        whirl = cross_last(V[:, 3:], r)
         V[:, :3] += whirl
-        dV[:, :3] += _cross(dV[:, 3:], r) + _cross(V[:, 3:], whirl)
+        dV[:, :3] += cross_last(dV[:, 3:], r) + cross_last(V[:, 3:], whirl)
         return T, V, dV
 
 
@@ -127,42 +121,6 @@ def spread_knots(
     if not residual.max() <= _REACHED or np.abs(q - guess).max() > _FAR:
         return arm_knots(kinematics, T_object_tool, motion, coarse.q[0])
     return _derived(kinematics, T, V, dV, motion.s, q, len(T) - 1)
-
-
-def jacobian_slopes(J: Array, slope: Array) -> Array:
-    """``J′ = Σ_i q′_i ∂_i J`` of serial arms, transposed (K, n, 6), from Jᵀ (K, n, 6) and q′ (K, n)."""
-    v, w = J[:, :, :3], J[:, :, 3:]
-    moved = J * slope[:, :, None]
-    turned = moved[:, :, 3:].cumsum(axis=1)  # by the joints up to j
-    beyond = moved[:, ::-1, :3].cumsum(axis=1)[:, ::-1] - moved[:, :, :3]  # by the joints after j
-    out = np.empty_like(J)
-    out[:, :, :3] = _cross(turned, v) + _cross(w, beyond)
-    out[:, :, 3:] = _cross(turned, w)
-    return out
-
-
-def derivatives(kinematics: ArmKinematics, q: Array, V: Array, dV: Array) -> tuple[Array, Array]:
-    """q′ and q″ (K, n) at joint positions q (K, n) for tool twists V and V′ (K, 6) per unit of s.
-
-    Six joints: ``J q″ = V′ − J′ q′``. More: ``q′ = W Jᵀ y`` with ``J W Jᵀ y = V`` and the squares W of the joints'
-    speeds, so ``q″ = W (J′ᵀ y + Jᵀ y′)`` with ``J W Jᵀ y′ = V′ − J′ q′ − J W J′ᵀ y``. Fewer: least squares.
-    """
-    J = kinematics.jacobians(q).transpose(0, 2, 1)  # Jᵀ (K, n, 6), as it lies in memory
-    n = J.shape[1]
-    with np.errstate(all="ignore"):
-        if n <= 6:
-            inverse = _inverse(J) if n == 6 else np.asarray(np.linalg.pinv(J), dtype=np.float64)
-            slope = _rows(V, inverse)
-            return slope, _rows(dV - _rows(slope, jacobian_slopes(J, slope)), inverse)
-        W = kinematics.scale**2
-        JW = J * W[:, None]
-        gram = _inverse(J.transpose(0, 2, 1) @ JW)
-        y = _rows(V, gram)
-        slope = _times(JW, y)
-        dJ = jacobian_slopes(J, slope)
-        turn = W * _times(dJ, y)
-        dy = _rows(dV - _rows(slope, dJ) - _rows(turn, J), gram)
-        return slope, turn + _times(JW, dy)
 
 
 def hermite(s: Array, q: Array, slope: Array, at: Array) -> Array:
@@ -260,7 +218,7 @@ def merged(s: Array, others: Array) -> Array:
 def _derived(kinematics: ArmKinematics, T: Array, V: Array, dV: Array, s: Array, q: Array, reached: int) -> ArmKnots:
     if kinematics.n > 6 and reached == len(s) - 1:
         q = _least_motion(kinematics, T, V, dV, s, q)
-    slope, curvature = derivatives(kinematics, q, V, dV)
+    slope, curvature = kinematics.derivatives(q, V, dV)
     good = np.isfinite(slope).all(axis=1) & np.isfinite(curvature).all(axis=1)
     if not good.all():
         reached = min(reached, int(np.flatnonzero(~good)[0]) - 1)
@@ -274,7 +232,7 @@ def _least_motion(kinematics: ArmKinematics, T: Array, V: Array, dV: Array, s: A
     """
     h = np.diff(s)[:, None]
     for _ in range(_PASSES):
-        f, df = derivatives(kinematics, q, V, dV)
+        f, df = kinematics.derivatives(q, V, dV)
         way = np.cumsum(0.5 * h * (f[1:] + f[:-1]) + h * h / 12.0 * (df[:-1] - df[1:]), axis=0)
         ahead = np.vstack([q[:1], q[0] + way])
         ahead = kinematics.newton(T, ahead, tolerance=_EXACT, steps=6)[0]
@@ -284,29 +242,3 @@ def _least_motion(kinematics: ArmKinematics, T: Array, V: Array, dV: Array, s: A
         if change < _SETTLED:
             break
     return q
-
-
-def _inverse(A: Array) -> Array:
-    try:
-        return np.asarray(np.linalg.inv(A), dtype=np.float64)
-    except np.linalg.LinAlgError:
-        return np.full(A.shape, np.nan)
-
-
-def _times(A: Array, b: Array) -> Array:
-    out: Array = (A @ b[:, :, None])[:, :, 0]
-    return out
-
-
-def _rows(b: Array, A: Array) -> Array:
-    """``bᵀ A`` for rows b (K, m) and matrices (K, m, n)."""
-    out: Array = (b[:, None, :] @ A)[:, 0, :]
-    return out
-
-
-def _cross(a: Array, b: Array) -> Array:
-    """Cross products along the last axis, several times faster than :func:`numpy.cross`."""
-    out: Array = np.empty(np.broadcast_shapes(a.shape, b.shape))
-    for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
-        np.subtract(a[..., j] * b[..., k], a[..., k] * b[..., j], out=out[..., i])
-    return out

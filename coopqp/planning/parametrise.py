@@ -7,8 +7,9 @@ hold at both ends of each interval (its scheme "interpolation"; collocation brea
 
 from __future__ import annotations
 
+import itertools
 import logging
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -19,8 +20,8 @@ from coopqp.spatial import Array
 
 #: s is scaled to one of these lengths for toppra, whose tolerances are absolute; the next is tried where one fails.
 _LENGTHS = (10.0, 1.0, 50.0)
-
-
+#: Directions in half a turn that the hull of the lines is looked at from, and the rounding of points on it.
+_DIRECTIONS, _ON_THE_HULL = 8, 1e-12
 #: Bound of ṡ² where no speed makes one, in toppra's s.
 _LARGEST = 1e6
 
@@ -40,6 +41,10 @@ class Lines:
     c: Array
     bound: Array
     owner: Any
+
+    def take(self, which: Any) -> Lines:
+        """Some of them."""
+        return Lines(self.a[:, which], self.b[:, which], self.c[:, which], self.bound[which], self.owner[which])
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,6 +72,30 @@ class Limited:
         return out
 
 
+def outermost(a: Array, b: Array) -> Any:
+    """Which of lines ``|a_j s̈ + b_j ṡ²| ≤ 1`` at K knots (K, m) may bind at some knot (m,): all others never do.
+
+    What lines leave free is the polar of the convex hull of the points ±(a_j, b_j): a point inside the hull bounds
+    nothing. The hull is taken from within, as a polygon of the points that are outermost in some directions.
+    """
+    x, y = (v / np.maximum(np.abs(v).max(axis=1, keepdims=True), 1e-300) for v in (a, b))
+    rows, corners = np.arange(len(x)), []
+    kept = np.zeros(x.shape[1], dtype=bool)
+    for angle in np.pi / _DIRECTIONS * np.arange(_DIRECTIONS):
+        reach = np.cos(angle) * x + np.sin(angle) * y
+        outer = np.abs(reach).argmax(axis=1)
+        kept[outer] = True
+        sign = np.sign(reach[rows, outer])
+        corners.append((sign * x[rows, outer], sign * y[rows, outer]))
+    corners.append((-corners[0][0], -corners[0][1]))
+    for here, after in itertools.pairwise(corners):
+        normal = after[1] - here[1], here[0] - after[0]
+        width = normal[0] * here[0] + normal[1] * here[1] + _ON_THE_HULL
+        beyond = np.abs(normal[0][:, None] * x + normal[1][:, None] * y) > width[:, None]
+        kept |= beyond.any(axis=0)
+    return np.flatnonzero(kept)
+
+
 def require_toppra() -> None:
     """Raises MissingExtraError unless toppra can be imported."""
     try:
@@ -82,6 +111,9 @@ def fastest(limited: Limited) -> Array:
         UndecidedError: toppra fails.
     """
     require_toppra()
+    lines = limited.acceleration
+    binding = lines.take(outermost(lines.a / lines.bound, lines.b / lines.bound)) if lines.owner.size else lines
+    limited = replace(limited, acceleration=binding)
     for length in _LENGTHS:
         speeds = _by_toppra(limited, length / limited.knots.s[-1])
         if speeds is not None and np.isfinite(speeds).all():

@@ -28,7 +28,7 @@ from coopqp.model.inverse_kinematics import newton
 from coopqp.model.limits import BindingLimit, LimitKind
 from coopqp.planning.redundancy import LimitAvoidance
 from coopqp.planning.sharing import Interval, Share, largest_alone, largest_square
-from coopqp.spatial import Array
+from coopqp.spatial import Array, for_twists
 from coopqp.task.guarded import FASTEST_PATH, GuardedPath, pose_distance
 from coopqp.task.path import ObjectPath
 from coopqp.task.posture import Posture
@@ -63,7 +63,7 @@ class PreviewOptions:
     doubt: float = 0.3
     rate_slope: float = 10.0
     singular_rate: float = 1e-2
-    newton_steps: int = 60
+    newton_steps: int = 40
 
     def __post_init__(self) -> None:
         keep_scalars(self, "cell", "joint_step", "slope_step", "shortest", "rate_slope")
@@ -153,12 +153,35 @@ class _Knot(NamedTuple):
     square: float = 0.0  # K: largest σ² here from which the object can go on
     cause: BindingLimit | None = None  # what makes K
     stops: bool = False  # it stops the object for good
+    share: Share | None = None  # how K follows from that at the next knot
+    since: float = 0.0  # K at the next knot that it was found from
+
+
+class _Least(NamedTuple):
+    """The least K of a step.
+
+    Attributes:
+        square: K.
+        slope: its slope over the step's rate.
+        cause: the knot that makes it.
+    """
+
+    square: float
+    slope: float
+    cause: _Knot
+
+    def met_by(self, rate: float) -> float:
+        """The rate σ with ``σ² = K + slope (σ − rate)``."""
+        half = 0.5 * self.slope
+        return half + math.sqrt(max(half * half + self.square - self.slope * rate, 0.0))
 
 
 #: A joint without acceleration limit is planned to reach full speed in this many steps, and so is the rate.
 _STEPS_TO_FULL_SPEED = 22
 #: A singularity is passed where the rate's cap stays above this share of the one that ends the path.
 _PASSABLE = 0.3
+#: An interval is longer than the one before by this factor at most.
+_GROWTH = 2.0
 #: Intervals shorter than this are not halved for a change of slope [s].
 _FINE_CELL = 1e-3
 #: A slope that changes by more than this share within a short interval is of another branch.
@@ -167,8 +190,8 @@ _OTHER_BRANCH = 0.5
 _BEND_CHANGE = 0.3
 #: The backward pass runs once for so many knots.
 _KNOTS_PER_PASS = 4
-#: Halvings of the interval that the largest rate is in, and the smallest rate that is not 0.
-_BISECTIONS, _LEAST_RATE = 44, 1e-9
+#: Guesses of the largest rate, the share by which they stay below a line's, and the smallest rate that is not 0.
+_MOST_GUESSES, _SHORT_OF, _LEAST_RATE = 44, 1e-14, 1e-9
 #: The twist before a corner or the end is taken this much earlier [s].
 _JUST_BEFORE = 1e-10
 #: A knot is begun this many steps before it is needed.
@@ -315,51 +338,58 @@ class PathPreview:
         if not self._complete and not self._reaches(clock + _STEPS_TO_GROW * dt, dt):
             self._work_ahead()
         self.ends = False
-        least, _ = self._least(clock, 1.0, dt)
-        if least >= 1.0:
+        least = self._least(clock, 1.0, dt)
+        if least.square >= 1.0:
             self._free_until = self._free(dt)
             self._begin_at = self._free_until - _STEPS_TO_GROW * self._dt if self._free_until < np.inf else np.inf
             return 1.0, None
-        rate = self._largest_rate(clock, dt, math.sqrt(least))
-        _, cause = self._least(clock, rate, dt)
+        rate, cause = self._largest_rate(clock, dt, least)
         self.ends = cause.stops
         return rate, cause.cause
 
-    def _largest_rate(self, clock: float, dt: float, guess: float) -> float:
-        """The largest rate below 1 that K admits for a step; 0 is always admissible."""
-        low, high, rate = 0.0, 1.0, guess
-        for _ in range(_BISECTIONS + 1):
-            if rate * rate <= self._least(clock, rate, dt)[0]:
-                low = rate
-            else:
-                high = rate
-            rate = 0.5 * (low + high)
-        return low if low >= _LEAST_RATE else 0.0
+    def _largest_rate(self, clock: float, dt: float, least: _Least) -> tuple[float, _Knot]:
+        """The largest rate below 1 that K admits for a step, and the knot that makes it; 0 is always admissible.
 
-    def _least(self, clock: float, rate: float, dt: float) -> tuple[float, _Knot]:
-        """The least K of a step: in its middle, at its end, and at the knots on its way; and the knot that makes it."""
+        ``least`` is that of rate 1. K is linear between knots: the next guess is where σ² meets the line that makes
+        it, or half way.
+        """
+        low, high, rate, cause = 0.0, 1.0, 1.0, least.cause
+        for _ in range(_MOST_GUESSES):
+            guess = (1.0 - _SHORT_OF) * least.met_by(rate)
+            rate = guess if low < guess < high else 0.5 * (low + high)
+            least = self._least(clock, rate, dt)
+            if rate * rate > least.square:
+                high = rate
+                continue
+            low, cause = rate, least.cause
+            if (1.0 - 2.0 * _SHORT_OF) * least.met_by(rate) <= rate:
+                break
+        return low if low >= _LEAST_RATE else 0.0, cause
+
+    def _least(self, clock: float, rate: float, dt: float) -> _Least:
+        """The least K of a step: in its middle, at its end, and at the knots on its way."""
         knots = self._knots
         i = self._knot_before(clock)
-        middle, end = clock + 0.5 * rate * dt, clock + rate * dt
-        least, cause = np.inf, knots[i]
-        for at in (middle, end):
+        least = _Least(np.inf, 0.0, knots[i])
+        for part in (0.5 * dt, dt):
+            at = clock + rate * part
             while i + 1 < len(knots) and knots[i + 1].clock <= at:
                 i += 1
-                if knots[i].square < least:
-                    least, cause = knots[i].square, knots[i]
-            square, made_by = self._square_after(i, at)
-            if square < least:
-                least, cause = square, made_by
-        return least, cause
+                if knots[i].square < least.square:
+                    least = _Least(knots[i].square, 0.0, knots[i])
+            square, slope, made_by = self._square_after(i, at)
+            if square < least.square:
+                least = _Least(square, slope * part, made_by)
+        return least
 
-    def _square_after(self, i: int, clock: float) -> tuple[float, _Knot]:
-        """K between knot ``i`` and the next one, and the knot that makes it."""
+    def _square_after(self, i: int, clock: float) -> tuple[float, float, _Knot]:
+        """K between knot ``i`` and the next one, its slope over the clock, and the knot that makes it."""
         here = self._knots[i]
         if i + 1 == len(self._knots):
-            return here.square, here
+            return here.square, 0.0, here
         ahead = self._knots[i + 1]
-        share = (clock - here.clock) / (ahead.clock - here.clock)
-        return here.square + share * (ahead.square - here.square), ahead if ahead.square < here.square else here
+        slope = (ahead.square - here.square) / (ahead.clock - here.clock)
+        return here.square + (clock - here.clock) * slope, slope, ahead if slope < 0.0 else here
 
     def _free(self, dt: float) -> float:
         """Clock until which the known horizon lets the object go on at full rate."""
@@ -509,6 +539,8 @@ class PathPreview:
         h = min(options.cell, self._duration - last.clock)
         if last.fastest > 0.0:
             h = min(h, options.joint_step / last.fastest)
+        if last.span > 0.0 and not last.corner:
+            h = min(h, _GROWTH * last.span)
         breakpoint_ = self._next_breakpoint(last.clock)
         if last.clock + h > breakpoint_ - 1e-9:
             h = breakpoint_ - last.clock
@@ -638,7 +670,7 @@ class PathPreview:
         if not np.abs(errors).max() < np.inf:
             return False
         chain.linearise(q, about=pose.translation)
-        to_world = np.kron(np.eye(2), pose.rotation)
+        to_world = for_twists(pose.rotation)
         along = to_world @ twist
         step, slope = self._step, self._slope
         chain.joint_velocities(-errors @ to_world.T, step)
@@ -792,7 +824,8 @@ class PathPreview:
     def _look_back(self) -> None:
         """Find K from the last knot back to the first one whose K is known for good.
 
-        Where more knots may come the object rests at the last knot but one: q″ is not known at the last.
+        Where more knots may come the object rests at the last knot but one: q″ is not known at the last. K only rises
+        from one pass to the next, and a knot keeps how its K follows from the one ahead.
         """
         self._fresh = 0
         knots = self._knots
@@ -805,7 +838,10 @@ class PathPreview:
             settled = len(knots)
         for i in range(end - 1, self._known - 1, -1):
             here, ahead = knots[i], knots[i + 1]
-            share = self._share(i)
+            share, since = here.share, here.since
+            if share is None or not since <= ahead.square <= share.until or ahead.square >= 1.0:
+                share, since = self._share(i), ahead.square
+            square = share.square + share.gain * (ahead.square - since)
             for_good = not share.ahead
             if for_good and not settled:
                 settled = i + 1
@@ -815,7 +851,7 @@ class PathPreview:
                 cause, stops = self._joint_limit(share.joint, LimitKind.ACCELERATION), False
             else:
                 cause, stops = here.binding, here.cap == 0.0
-            knots[i] = here._replace(square=share.square, cause=cause, stops=stops)
+            knots[i] = here._replace(square=square, cause=cause, stops=stops, share=share, since=since)
         self._known = max(settled, self._known)
 
     def _share(self, i: int) -> Share:
@@ -823,7 +859,7 @@ class PathPreview:
         here, ahead = self._knots[i], self._knots[i + 1]
         if ahead.span == 0.0:  # the same knot again
             by_ahead = ahead.square < here.cap
-            return Share(min(ahead.square, here.cap), by_ahead, -1)
+            return Share(min(ahead.square, here.cap), float(by_ahead), here.cap if by_ahead else np.inf, -1)
         chord, span = ahead.curvature, ahead.span
         bend = bend_ahead = chord
         if here.span > 0.0 and not here.corner:

@@ -44,17 +44,24 @@ class Interval(NamedTuple):
 
 
 class Share(NamedTuple):
-    """Largest z, and what makes it.
+    """Largest z, how it follows K at the next knot, and what makes it.
 
     Attributes:
         square: z.
-        ahead: K at the next knot makes it.
-        joint: whose acceleration makes it, or helps to; −1 if none does.
+        gain: slope of z over K at the next knot; 0 where K there does not make z.
+        until: K at the next knot up to which this is the slope.
+        joint: whose acceleration makes z, or helps to; −1 if none does.
     """
 
     square: float
-    ahead: bool
+    gain: float
+    until: float
     joint: int
+
+    @property
+    def ahead(self) -> bool:
+        """Whether K at the next knot makes z."""
+        return self.gain > 0.0
 
 
 def largest_square(interval: Interval, acceleration: Array, cap: float, ahead: float, *, doubt: float) -> Share:
@@ -63,22 +70,24 @@ def largest_square(interval: Interval, acceleration: Array, cap: float, ahead: f
     The lines are ``α u + β z ≤ γ``. The largest lower bound of u is convex in z, the least upper one concave; where
     they cross Newton's method finds from above, one pair of lines after the other. ``doubt`` is the share of the
     differences of q″ that stands for what the path does between the knots.
+
+    As a function of ``ahead`` the largest z is concave, rises, and is linear in pieces: while ``ahead`` makes it, it
+    moves along one lower bound of u, until that meets another line.
     """
     span, slope, arrival, chord, bend, bend_ahead, fall, rise = interval
     two = 2.0 * span
     unknown = doubt * (np.abs(bend - chord) + np.abs(bend_ahead - chord))
-    alpha, beta = [], []
-    for q2 in (bend, chord):
-        alpha += [slope, -slope]
-        beta += [unknown + q2, unknown - q2]
-    for q2 in (bend_ahead, chord):
-        alpha += [two * (unknown + q2) + arrival, two * (unknown - q2) - arrival]
-        beta += [unknown + q2, unknown - q2]
-    further = np.array([[1.0, 0.0, rise], [-1.0, 0.0, fall], [-two, -1.0, 0.0], [two, 1.0, ahead]])
-    a = np.concatenate([np.stack(alpha, axis=1).ravel(), further[:, 0]])
-    b = np.concatenate([np.stack(beta, axis=1).ravel(), further[:, 1]])
-    c = np.concatenate([np.repeat(acceleration, 8), further[:, 2]])
-    return _largest(a, b, c, cap, each=8)
+    # Of the bend and the chord the worse counts: z is not negative at either knot.
+    up, down = unknown + np.maximum(bend, chord), unknown - np.minimum(bend, chord)
+    up_ahead, down_ahead = unknown + np.maximum(bend_ahead, chord), unknown - np.minimum(bend_ahead, chord)
+    alpha = (slope, -slope, two * up_ahead + arrival, two * down_ahead - arrival)
+    return _largest(
+        np.concatenate([np.array(alpha).T.ravel(), [1.0, -1.0, -two, two]]),
+        np.concatenate([np.array((up, down, up_ahead, down_ahead)).T.ravel(), [0.0, 0.0, -1.0, 1.0]]),
+        np.concatenate([np.repeat(acceleration, 4), [rise, fall, 0.0, ahead]]),
+        cap,
+        each=4,
+    )
 
 
 def largest_alone(slope: Array, bend: Array, acceleration: Array, most: float, cap: float) -> float:
@@ -91,23 +100,33 @@ def largest_alone(slope: Array, bend: Array, acceleration: Array, most: float, c
 
 def _largest(a: Array, b: Array, c: Array, cap: float, *, each: int) -> Share:
     """The same for lines ``a u + b z ≤ c``: ``each`` of them per joint, then four others, the last one of K ahead."""
-    square, which, by_ahead = cap, -1, False
+    top, which, by_ahead = cap, -1, False
     still = np.flatnonzero((np.abs(a) <= STILL_SLOPE) & (b > 0.0))
     if still.size:
         z = c[still] / b[still]
-        if z.min() < square:
-            square, which = float(z.min()), int(still[z.argmin()]) // each
+        if z.min() < top:
+            top, which = float(z.min()), int(still[z.argmin()]) // each
     up, down = np.flatnonzero(a > STILL_SLOPE), np.flatnonzero(a < -STILL_SLOPE)
     high_c, high_b, low_c, low_b = c[up] / a[up], b[up] / a[up], c[down] / a[down], b[down] / a[down]
+    square, lower = top, 0
     for _ in range(MOST_PIVOTS):
         high, low = high_c - high_b * square, low_c - low_b * square
         i, j = int(high.argmin()), int(low.argmax())
         over = float(low[j] - high[i])
         if over <= CROSSED * (1.0 + abs(float(low[j]))) or square <= 0.0:
             break
-        square = max(square - over / float(high_b[i] - low_b[j]), 0.0)
+        square, lower = max(square - over / float(high_b[i] - low_b[j]), 0.0), j
         rows = (int(up[i]), int(down[j]))
         by_ahead = rows[0] == len(a) - 1
         named = [row // each for row in rows if row < len(a) - 4]
         which = named[0] if named else -1
-    return Share(square, by_ahead, which)
+    if not by_ahead:
+        return Share(square, 0.0, np.inf, which)
+    least_c, least_b = float(low_c[lower]), float(low_b[lower])  # u = least_c − least_b z on that lower bound
+    two = float(a[-1])
+    leaves = np.concatenate([high_b - least_b, least_b - low_b])
+    room = np.concatenate([high_c - least_c, least_c - low_c])
+    leaves[len(up) - 1] = 0.0  # the line of K ahead moves along
+    limits = leaves > 0.0
+    end = max(min(top, float((room[limits] / leaves[limits]).min(initial=np.inf))), square)
+    return Share(square, 1.0 / (1.0 - two * least_b), end + two * (least_c - least_b * end), which)

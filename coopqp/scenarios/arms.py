@@ -5,7 +5,6 @@ from __future__ import annotations
 import functools
 from collections.abc import Mapping
 from dataclasses import dataclass
-from importlib import metadata
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -141,6 +140,8 @@ def robot_data_path(name: str) -> Path:
     Raises:
         MissingExtraError: the package is not installed or has no such file.
     """
+    from importlib import metadata  # late: it imports much
+
     try:
         files = metadata.distribution(_PACKAGE).files or []
     except metadata.PackageNotFoundError as error:

@@ -7,7 +7,7 @@ is gripped, servo deflection hides these errors in the measured ones. The object
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields
 from typing import Any
 
@@ -18,9 +18,8 @@ from coopqp.checks import as_options, keep_scalars
 from coopqp.control.command import Status
 from coopqp.errors import InvalidInputError
 from coopqp.model.cell import RobotCell
-from coopqp.model.state import CellState
 from coopqp.simulation import metrics
-from coopqp.simulation.simulate import Recording, RecordingError
+from coopqp.simulation.recording import Recording, RecordingError
 from coopqp.spatial import Array
 
 #: Excess over a position limit [rad or m] and over a speed or acceleration limit [share] that counts as rounding.
@@ -121,32 +120,58 @@ def read_run(cell: RobotCell, recording: Recording) -> Readings:
         InvalidInputError: the recording is from another cell.
     """
     check_recording(cell, recording)
+    samples = len(recording.time)
+    errors: dict[str, Array] = {}
+    for part in recording.parts(samples):
+        read = _read_part(cell, recording, part)
+        for name in (field.name for field in fields(Readings)):
+            values = getattr(read, name)
+            errors.setdefault(name, np.empty((samples, *values.shape[1:])))[part] = values
+    return Readings(**errors)
+
+
+def _read_part(cell: RobotCell, recording: Recording, part: slice) -> Readings:
     grasp = recording.grasp
-    commanded = metrics.tool_placements(cell, recording.q_command)
-    measured = metrics.tool_placements(cell, recording.q)
-    chain = np.array([metrics.chain_error(T, grasp) for T in commanded])
-    poses = [pin.SE3(M) for M in recording.reference]
-    arms = range(len(cell))
-    off = np.array(
-        [
-            np.max([metrics.object_error(T, grasp, pose, k) for k in arms], axis=0)
-            for T, pose in zip(measured, poses, strict=True)
-        ]
-    )
+    q, q_command = recording.q[part], recording.q_command[part]
+    commanded, J = metrics.tool_matrices(cell, q_command)
+    measured = commanded if np.array_equal(q, q_command) else metrics.tool_matrices(cell, q)[0]
+    chain_m, chain_rad = metrics.chain_errors(commanded, grasp)
+    object_m, object_rad = metrics.object_errors(measured, grasp, recording.reference[part])
     return Readings(
-        eps_p_mm=np.array([1e3 * metrics.relative_positioning_error(T, grasp) for T in commanded]),
-        eps_o_deg=np.array([np.rad2deg(metrics.relative_orientation_error(T, grasp)) for T in commanded]),
-        chain_mm=1e3 * chain[:, 0],
-        chain_deg=np.rad2deg(chain[:, 1]),
-        object_mm=1e3 * off[:, 0],
-        object_deg=np.rad2deg(off[:, 1]),
-        sigma_min=np.array([_sigma_min(cell, q) for q in recording.q_command]),
+        eps_p_mm=1e3 * metrics.positioning_errors(commanded, grasp),
+        eps_o_deg=np.rad2deg(metrics.orientation_errors(commanded, grasp)),
+        chain_mm=1e3 * chain_m,
+        chain_deg=np.rad2deg(chain_rad),
+        object_mm=1e3 * object_m.max(axis=1),
+        object_deg=np.rad2deg(object_rad.max(axis=1)),
+        sigma_min=_sigma_min(cell, commanded, J),
     )
 
 
-def _sigma_min(cell: RobotCell, q: Array) -> Array:
-    """Smallest singular value of each arm's tool Jacobian (N,); NaN if the configuration is invalid."""
-    return CellState(cell, q).sigma_min if np.isfinite(q).all() else np.full(len(cell), np.nan)
+def _sigma_min(cell: RobotCell, tools: Array, J: Array) -> Array:
+    """Smallest singular value of each arm's tool Jacobian (T, N); NaN where a configuration is not finite."""
+    sigma = np.full(tools.shape[:2], np.nan)
+    good = np.isfinite(J).all(axis=(1, 2)) & np.isfinite(tools).all(axis=(1, 2, 3))
+    for k, own in enumerate(cell.v_slices):
+        of_tool = J[good, :, own]
+        of_tool[:, :3] += np.cross(of_tool[:, 3:], tools[good, k, :3, 3, None], axis=1)  # from the world's origin
+        sigma[good, k] = _smallest(of_tool)
+    return sigma
+
+
+def _smallest(J: Array) -> Array:
+    """Smallest singular value (M,) of matrices (M, 6, n), from the squares' eigenvalues unless they are too small.
+
+    An eigenvalue of a matrix of norm s² has an error of 1e-16 s² or so, and its root one of 1e-16 s²/σ: at σ = s/30
+    that is 3e-15 s.
+    """
+    transposed = np.swapaxes(J, -1, -2)
+    squares = np.linalg.eigvalsh(J @ transposed if J.shape[2] >= 6 else transposed @ J)
+    sigma: Array = np.sqrt(np.maximum(squares[:, 0], 0.0))
+    close = sigma < np.sqrt(squares[:, -1]) / 30.0
+    if close.any():
+        sigma[close] = np.linalg.svd(J[close], compute_uv=False)[:, -1]
+    return sigma
 
 
 def worst_status(recording: Recording) -> str:
@@ -281,43 +306,79 @@ def _blame(recording: Recording, first: int, last: int) -> str:
 
 def _positions(cell: RobotCell, recording: Recording) -> Finding:
     question = "Are the joints inside their positions?"
-    q = np.array([cell.positions(x) for x in recording.q_command])
-    room = np.minimum(q - cell.limits.lower, cell.limits.upper - q)  # inf without limit
-    closest = room.min(axis=0)
+    closest = np.min([_room(cell, recording, part).min(axis=0) for part in _samples(recording)], axis=0)
     j = int(closest.argmin())
     margin = float(closest[j])
     if not np.isfinite(margin):
-        good = bool(np.isfinite(q).all())
-        cause = "" if good else f"not finite since {_at(recording, _first(~np.isfinite(q).all(axis=1)))}"
-        return Finding(question, good, "no joint has a limit", cause)
+        wrong = _first_in(_samples(recording), lambda part: ~np.isfinite(recording.q_command[part]).all(axis=1))
+        cause = "" if wrong is None else f"not finite since {_at(recording, wrong)}"
+        return Finding(question, wrong is None, "no joint has a limit", cause)
     unit, name = _amount(cell, j, abs(margin)), cell.joint_names[j]
     if margin < -POSITION_ROUNDING:
-        since = _at(recording, _first(room[:, j] < -POSITION_ROUNDING))
+        outside = _first_in(_samples(recording), lambda part: _room(cell, recording, part)[:, j] < -POSITION_ROUNDING)
+        since = _at(recording, outside or 0)
         return Finding(question, False, f"{name} is {unit} outside", f"{_joint(cell, j)}: position, since {since}")
     return Finding(question, True, f"closest: {name}, {unit} inside")
 
 
+def _samples(recording: Recording) -> Iterator[slice]:
+    return recording.parts(len(recording.time))
+
+
+def _first_in(parts: Iterable[slice], bad: Callable[[slice], Any]) -> int | None:
+    """The first row for which ``bad(part)`` is True; None if there is none."""
+    for part in parts:
+        found = bad(part)
+        if found.any():
+            return int(part.start) + _first(found)
+    return None
+
+
+def _room(cell: RobotCell, recording: Recording, part: slice) -> Array:
+    """Distance of the commanded joints from the nearer position limit (T, nv) [rad or m]; inf without limit."""
+    q = cell.positions(recording.q_command[part])
+    room: Array = np.minimum(q - cell.limits.lower, cell.limits.upper - q)
+    return room
+
+
 def _rates(cell: RobotCell, recording: Recording) -> Finding:
     question = "Are the joints within speed and acceleration?"
-    speed = np.abs(recording.velocity) / cell.limits.velocity
-    dt = np.diff(recording.time)[:, None]
-    before = np.vstack([np.zeros(cell.nv), recording.velocity[:-1]])
-    acceleration = np.abs(recording.velocity - before) / dt / cell.limits.acceleration
-    parts, causes = [], []
+    texts, causes = [], []
     for name, kind, share, limit in (
-        ("speed", "velocity", speed, cell.limits.velocity),
-        ("acceleration", "acceleration", acceleration, cell.limits.acceleration),
+        ("speed", "velocity", _speed, cell.limits.velocity),
+        ("acceleration", "acceleration", _acceleration, cell.limits.acceleration),
     ):
         if not np.isfinite(limit).any():
-            parts.append(f"no limit of {name}")
+            texts.append(f"no limit of {name}")
             continue
-        largest = share.max(axis=0, initial=0.0)
+        steps = recording.n_steps
+        largest = np.max(
+            [share(cell, recording, part).max(axis=0) for part in recording.parts(steps)] or [np.zeros(cell.nv)], axis=0
+        )
         j = int(largest.argmax())
-        parts.append(f"{name} ≤ {100.0 * largest[j]:.4g} % of the limit ({cell.joint_names[j]})")
+        texts.append(f"{name} ≤ {100.0 * largest[j]:.4g} % of the limit ({cell.joint_names[j]})")
         if not largest[j] <= 1.0 + RATE_ROUNDING:
-            since = _at(recording, _first(~(share[:, j] <= 1.0 + RATE_ROUNDING)))
-            causes.append(f"{_joint(cell, j)}: {kind}, since {since}")
-    return Finding(question, not causes, "; ".join(parts), "; ".join(causes))
+            fast = _first_in(
+                recording.parts(steps),
+                lambda part: ~(share(cell, recording, part)[:, j] <= 1.0 + RATE_ROUNDING),  # noqa: B023
+            )
+            causes.append(f"{_joint(cell, j)}: {kind}, since {_at(recording, fast or 0)}")
+    return Finding(question, not causes, "; ".join(texts), "; ".join(causes))
+
+
+def _speed(cell: RobotCell, recording: Recording, part: slice) -> Array:
+    """Joint speeds of steps as shares of their limits (T, nv)."""
+    share: Array = np.abs(recording.velocity[part]) / cell.limits.velocity
+    return share
+
+
+def _acceleration(cell: RobotCell, recording: Recording, part: slice) -> Array:
+    """Accelerations of steps as shares of their limits (T, nv). A run starts at rest."""
+    v = recording.velocity[part]
+    before = np.vstack([recording.velocity[part.start - 1] if part.start else np.zeros(cell.nv), v[:-1]])
+    dt = np.diff(recording.time[part.start : part.stop + 1])[:, None]
+    share: Array = np.abs(v - before) / dt / cell.limits.acceleration
+    return share
 
 
 def _held(

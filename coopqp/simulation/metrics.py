@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Iterable, Sequence
 from typing import Any
 
@@ -11,13 +12,14 @@ import pinocchio as pin
 from coopqp.errors import InvalidInputError
 from coopqp.model.cell import RobotCell
 from coopqp.model.grasp import Grasp
+from coopqp.model.state import workspace
 from coopqp.spatial import Array
 from coopqp.task.path import ObjectPath
 
 
 def tool_placements(cell: RobotCell, configurations: Any) -> list[list[pin.SE3]]:
     """T_world_tool of every arm at every configuration (T, nq), directly from Pinocchio's frames."""
-    data = cell.model.createData()
+    data = workspace(cell)
     out = []
     for q in _table(configurations, cell.nq, "configurations"):
         pin.framesForwardKinematics(cell.model, data, q)
@@ -40,17 +42,109 @@ def _table(rows: Any, width: int, what: str) -> Array:
     return table
 
 
-def _check_arms(tools: Sequence[pin.SE3], grasp: Grasp) -> None:
+def _stacked(tools: Sequence[pin.SE3], grasp: Grasp) -> Array:
+    """The tools of one sample as matrices (N, 4, 4)."""
     if len(tools) != len(grasp):
         raise InvalidInputError(
             f"{len(tools)} tools and a grasp of {len(grasp)} arms", "metrics", "Give the tools of one sample, all arms."
         )
+    return _matrices(tools)
 
 
-def _angle(R: Array) -> float:
-    """Angle of a rotation [rad], accurate near 0 and π."""
-    w = np.array([R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]])
-    return float(np.arctan2(0.5 * np.linalg.norm(w), 0.5 * (np.trace(R) - 1.0)))
+def _matrices(placements: Sequence[pin.SE3]) -> Array:
+    return np.array([T.homogeneous for T in placements])
+
+
+# -- stacks of samples: T_world_tool (…, N, 4, 4) ----------------------------------------------------------------------
+
+
+def tool_matrices(cell: RobotCell, configurations: Array) -> tuple[Array, Array]:
+    """T_world_tool (T, N, 4, 4) at configurations (T, nq), and the joints' Jacobian (T, 6, nv).
+
+    A column of the Jacobian is the twist that a joint gives to all that it carries, in the world frame at its origin.
+    """
+    data, joints = workspace(cell), cell.tool_joints
+    carriers = [data.oMi[j] for j in joints]  # they move along with the data
+    T, J = np.empty((len(configurations), len(joints), 4, 4)), np.empty((len(configurations), 6, cell.nv))
+    for i, q in enumerate(configurations):
+        J[i] = pin.computeJointJacobians(cell.model, data, q)
+        for k, carrier in enumerate(carriers):
+            T[i, k] = carrier.homogeneous
+    return T @ _matrices(cell.T_joint_tool), J
+
+
+@functools.cache
+def _pairs(n: int) -> tuple[Any, Any]:
+    """Indices i < j of all pairs of n arms."""
+    return np.triu_indices(n, 1)
+
+
+def _angles(R: Array) -> Array:
+    """Angles (…) of rotations (…, 3, 3) [rad], accurate near 0 and π."""
+    x, y, z = R[..., 2, 1] - R[..., 1, 2], R[..., 0, 2] - R[..., 2, 0], R[..., 1, 0] - R[..., 0, 1]
+    trace = R[..., 0, 0] + R[..., 1, 1] + R[..., 2, 2]
+    out: Array = np.arctan2(0.5 * np.sqrt(x * x + y * y + z * z), 0.5 * (trace - 1.0))
+    return out
+
+
+def _apart(A: Array, B: Array) -> tuple[Array, Array]:
+    """Distances [m] and angles [rad] between placements (…, 4, 4)."""
+    R = np.swapaxes(A[..., :3, :3], -1, -2) @ B[..., :3, :3]
+    distance: Array = np.sqrt(((A[..., :3, 3] - B[..., :3, 3]) ** 2).sum(axis=-1))
+    return distance, _angles(R)
+
+
+def _positions(T: Array) -> Array:
+    """Positions (…, P, 3) of tool j in the frame of tool i < j, for all pairs."""
+    (i, j), p = _pairs(T.shape[-3]), T[..., :3, 3]
+    apart = p[..., j, :] - p[..., i, :]
+    out: Array = (apart[..., None, :] @ T[..., i, :3, :3])[..., 0, :]
+    return out
+
+
+def _rotations(T: Array) -> Array:
+    """Rotations (…, P, 3, 3) of tool j in the frame of tool i < j, for all pairs."""
+    (i, j), R = _pairs(T.shape[-3]), T[..., :3, :3]
+    return np.swapaxes(R[..., i, :, :], -1, -2) @ R[..., j, :, :]
+
+
+@np.errstate(invalid="ignore")  # infinite positions have no difference
+def positioning_errors(tools: Array, grasp: Grasp) -> Array:
+    """ε_p (…) [m], see :func:`relative_positioning_error`."""
+    off = _positions(tools) - _positions(_matrices(grasp.T_object_tool))
+    out: Array = np.sqrt((off * off).sum(axis=(-2, -1)))
+    return out
+
+
+@np.errstate(invalid="ignore")
+def orientation_errors(tools: Array, grasp: Grasp) -> Array:
+    """ε_o (…) [rad], see :func:`relative_orientation_error`."""
+    angles = _angles(np.swapaxes(_rotations(_matrices(grasp.T_object_tool)), -1, -2) @ _rotations(tools))
+    out: Array = np.sqrt((angles * angles).sum(axis=-1))
+    return out
+
+
+@np.errstate(invalid="ignore")
+def chain_errors(tools: Array, grasp: Grasp) -> tuple[Array, Array]:
+    """Largest distance [m] and angle [rad] (…) between the object poses of any two arms."""
+    (i, j), O = _pairs(len(grasp)), _carried(tools, grasp)
+    distance, angle = _apart(O[..., i, :, :], O[..., j, :, :])
+    return distance.max(axis=-1, initial=0.0), angle.max(axis=-1, initial=0.0)
+
+
+@np.errstate(invalid="ignore")
+def object_errors(tools: Array, grasp: Grasp, poses: Array) -> tuple[Array, Array]:
+    """Distances [m] and angles [rad] (…, N) between the object pose of each arm and ``poses`` (…, 4, 4)."""
+    return _apart(_carried(tools, grasp), poses[..., None, :, :])
+
+
+def _carried(tools: Array, grasp: Grasp) -> Array:
+    """Object pose according to each arm (…, N, 4, 4)."""
+    out: Array = tools @ _matrices([X.inverse() for X in grasp.T_object_tool])
+    return out
+
+
+# -- one sample --------------------------------------------------------------------------------------------------------
 
 
 def relative_positioning_error(tools: Sequence[pin.SE3], grasp: Grasp) -> float:
@@ -58,58 +152,35 @@ def relative_positioning_error(tools: Sequence[pin.SE3], grasp: Grasp) -> float:
 
     The references d_ji follow from the grasp. For the paper's triangle they are [β, 0, 3α], [−β, 0, 3α], [2β, 0, 0].
     """
-    _check_arms(tools, grasp)
-    X = grasp.T_object_tool
-    total = 0.0
-    for i in range(len(tools)):
-        for j in range(i + 1, len(tools)):
-            p = tools[i].actInv(tools[j]).translation
-            d = X[i].actInv(X[j]).translation
-            total += float((p - d) @ (p - d))
-    return float(np.sqrt(total))
+    return float(positioning_errors(_stacked(tools, grasp), grasp))
 
 
 def relative_orientation_error(tools: Sequence[pin.SE3], grasp: Grasp) -> float:
     """ε_o [rad]: like ε_p, with the angles between the relative tool orientations and those of the grasp."""
-    _check_arms(tools, grasp)
-    X = grasp.T_object_tool
-    total = 0.0
-    for i in range(len(tools)):
-        for j in range(i + 1, len(tools)):
-            R = tools[i].actInv(tools[j]).rotation
-            R_ref = X[i].actInv(X[j]).rotation
-            total += _angle(R_ref.T @ R) ** 2
-    return float(np.sqrt(total))
+    return float(orientation_errors(_stacked(tools, grasp), grasp))
+
+
+def chain_error(tools: Sequence[pin.SE3], grasp: Grasp) -> tuple[float, float]:
+    """Largest distance [m] and angle [rad] between the object poses of any two arms."""
+    distance, angle = chain_errors(_stacked(tools, grasp), grasp)
+    return float(distance), float(angle)
+
+
+def object_error(tools: Sequence[pin.SE3], grasp: Grasp, pose: pin.SE3, arm: int = 0) -> tuple[float, float]:
+    """Distance [m] and angle [rad] between the object pose of ``arm`` and ``pose``. For the paper this is frame A."""
+    distance, angle = object_errors(_stacked(tools, grasp), grasp, pose.homogeneous)
+    return float(distance[arm]), float(angle[arm])
+
+
+def path_error(tools: Sequence[pin.SE3], grasp: Grasp, path: ObjectPath, clock: float) -> tuple[float, float]:
+    """Largest distance [m] and angle [rad] between any arm's object pose and the path's pose at ``clock``."""
+    distance, angle = object_errors(_stacked(tools, grasp), grasp, path.pose(clock).homogeneous)
+    return float(distance.max()), float(angle.max())
 
 
 def _largest(values: Iterable[Any]) -> float:
     """The largest value; 0 without values. NaN if any value is NaN, so that a broken run never looks perfect."""
     return float(np.max([0.0, *values]))
-
-
-def chain_error(tools: Sequence[pin.SE3], grasp: Grasp) -> tuple[float, float]:
-    """Largest distance [m] and angle [rad] between the object poses of any two arms."""
-    _check_arms(tools, grasp)
-    O = [T * X.inverse() for T, X in zip(tools, grasp.T_object_tool, strict=True)]
-    pairs = [(O[i], O[j]) for i in range(len(O)) for j in range(i + 1, len(O))]
-    return (
-        _largest(np.linalg.norm(a.translation - b.translation) for a, b in pairs),
-        _largest(_angle(a.rotation.T @ b.rotation) for a, b in pairs),
-    )
-
-
-def object_error(tools: Sequence[pin.SE3], grasp: Grasp, pose: pin.SE3, arm: int = 0) -> tuple[float, float]:
-    """Distance [m] and angle [rad] between the object pose of ``arm`` and ``pose``. For the paper this is frame A."""
-    _check_arms(tools, grasp)
-    O = tools[arm] * grasp.T_object_tool[arm].inverse()
-    return float(np.linalg.norm(O.translation - pose.translation)), _angle(O.rotation.T @ pose.rotation)
-
-
-def path_error(tools: Sequence[pin.SE3], grasp: Grasp, path: ObjectPath, clock: float) -> tuple[float, float]:
-    """Largest distance [m] and angle [rad] between any arm's object pose and the path's pose at ``clock``."""
-    pose = path.pose(clock)
-    errors = [object_error(tools, grasp, pose, k) for k in range(len(tools))]
-    return _largest(e[0] for e in errors), _largest(e[1] for e in errors)
 
 
 def limit_excess(cell: RobotCell, configurations: Any, velocities: Any) -> float:
@@ -120,7 +191,7 @@ def limit_excess(cell: RobotCell, configurations: Any, velocities: Any) -> float
         configurations, velocities: rows (nq,) and rows (nv,); both may be empty.
     """
     limits = cell.limits
-    x = np.array([cell.positions(q) for q in _table(configurations, cell.nq, "configurations")])
+    x = cell.positions(_table(configurations, cell.nq, "configurations"))
     v = np.abs(_table(velocities, cell.nv, "velocities"))
     worst: list[Any] = []
     if len(x):

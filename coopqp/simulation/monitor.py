@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import enum
 import itertools
+import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -24,7 +25,7 @@ from coopqp.control.command import Controller, ControlStep, Status
 from coopqp.errors import InvalidInputError
 from coopqp.model.cell import RobotCell
 from coopqp.model.grasp import Grasp
-from coopqp.simulation.simulate import Recording
+from coopqp.simulation.recording import Recording
 from coopqp.spatial import Array
 from coopqp.task.path import ObjectPath
 
@@ -178,6 +179,11 @@ class _Block:
     duration: Array  # (T,)
 
 
+#: q, q_next, velocity, dt, clock, clock_next, rate, status and path of a step.
+_Row: TypeAlias = tuple[Array, Array, Array, float, float, float, float, Status, ObjectPath]
+_FLOAT = np.dtype(np.float64)
+
+
 @final
 class Monitor:
     """Judges the commands of one controller, step by step or many steps at once.
@@ -247,16 +253,17 @@ class Monitor:
     def observe_all(self, steps: Sequence[ControlStep]) -> tuple[Violation, ...]:
         """Judge consecutive steps at once, at a lower cost per step; return their stored violations (see ``keep``)."""
         before = len(self._violations)
-        sound: list[ControlStep] = []
+        sound: list[_Row] = []
         for step in steps:
-            if self._well_formed(step, len(sound)):
-                sound.append(step)
+            row = self._read(step, len(sound))
+            if row is not None:
+                sound.append(row)
             else:
-                self._judge_steps(sound)
+                self._judge_rows(sound)
                 self._steps += 1
                 self._lose()
                 sound = []
-        self._judge_steps(sound)
+        self._judge_rows(sound)
         return tuple(self._violations[before:])
 
     def report(self, breach: Breach, *, arm: str = "", amount: float = 0.0, detail: str = "") -> None:
@@ -276,10 +283,32 @@ class Monitor:
         if len(self._violations) < self._keep:
             self._violations.append(violation)
 
-    def _well_formed(self, step: ControlStep, ahead: int) -> bool:
-        """Check shapes, types and finiteness, before the values of a step are used."""
-        faults = []
-        number, now = self._steps + ahead, self._time
+    def _read(self, step: ControlStep, ahead: int) -> _Row | None:
+        """The values of a step; None, with violations, if shapes or types are wrong or a number is not finite."""
+        row: _Row = (
+            step.q, step.q_next, step.velocity, step.dt, step.clock, step.clock_next, step.rate, step.status, step.path
+        )  # fmt: skip
+        q, q_next, velocity, *numbers, status, _ = row
+        formed = (
+            type(q) is type(q_next) is type(velocity) is np.ndarray
+            and q.dtype is q_next.dtype is velocity.dtype is _FLOAT
+            and q.shape == q_next.shape == (self.cell.nq,)
+            and velocity.shape == (self.cell.nv,)
+            and all(type(number) is float for number in numbers)
+            and isinstance(status, Status)
+            and isinstance(step.reason, str)
+        )
+        # A finite sum has finite terms; few sums of finite terms are not finite, which a closer look tells.
+        if formed and math.isfinite(sum(numbers) + sum(q.tolist()) + sum(q_next.tolist()) + sum(velocity.tolist())):
+            return row
+        faults = self._faults(step, self._steps + ahead)
+        for fault in faults:
+            self._add(fault)
+        return None if faults else row
+
+    def _faults(self, step: ControlStep, number: int) -> list[Violation]:
+        """Wrong shapes and types of a step, and numbers that are not finite."""
+        faults, now = [], self._time
         for name, size in (("q", self.cell.nq), ("q_next", self.cell.nq), ("velocity", self.cell.nv)):
             value = getattr(step, name)
             if not isinstance(value, np.ndarray) or value.dtype != np.float64 or value.shape != (size,):
@@ -296,69 +325,82 @@ class Monitor:
                 faults.append(Violation(Breach.NOT_FINITE, number, now, amount=np.nan, detail=name))
         if not isinstance(step.status, Status) or not isinstance(step.reason, str):
             faults.append(Violation(Breach.FORM, number, now, detail="status or reason"))
-        for fault in faults:
-            self._add(fault)
-        return not faults
+        return faults
 
     def _lose(self) -> None:
         """Forget the last step: after a malformed step the next one is not compared with it."""
         self._last_q, self._last_path = None, None
         self._last_v, self._held = np.full(self.cell.nv, np.nan), 0.0
 
-    def _judge_steps(self, steps: Sequence[ControlStep]) -> None:
-        if not steps:
+    def _judge_rows(self, rows: Sequence[_Row]) -> None:
+        if not rows:
             return
-        paths = [step.path if self.path is None else self.path for step in steps]
-        before = [self._last_path, *paths[:-1]]
+        q, q_next, velocity, dt, clock, clock_next, rate, status, own = zip(*rows, strict=True)
+        paths = own if self.path is None else (self.path,) * len(rows)
+        before = (self._last_path, *paths[:-1])
         self._last_path = paths[-1]
+        poses = [p.pose(c).homogeneous for p, c in zip(paths, clock_next, strict=True)] if self._kinematics else []
         block = _Block(
-            q=np.array([s.q for s in steps]),
-            q_next=np.array([s.q_next for s in steps]),
-            velocity=np.array([s.velocity for s in steps]),
-            dt=np.array([s.dt for s in steps]),
-            clock=np.array([s.clock for s in steps]),
-            clock_next=np.array([s.clock_next for s in steps]),
-            rate=np.array([s.rate for s in steps]),
-            holding=np.array([s.status in (Status.HOLDING, Status.FAULT) for s in steps]),
+            q=np.array(q),
+            q_next=np.array(q_next),
+            velocity=np.array(velocity),
+            dt=np.array(dt),
+            clock=np.array(clock),
+            clock_next=np.array(clock_next),
+            rate=np.array(rate),
+            holding=np.array([s is Status.HOLDING or s is Status.FAULT for s in status]),
             same_path=np.array([a is b for a, b in zip(before, paths, strict=True)]),
-            reference=np.array(
-                [p.pose(s.clock_next).homogeneous for p, s in zip(paths, steps, strict=True) if self._kinematics]
-            ),
+            reference=np.array(poses),
             duration=np.array([p.duration for p in paths]),
         )
         self._judge(block)
 
     def judge_recording(self, recording: Recording) -> Verdict:
         """Judge a run; see :func:`check_run`."""
-        r, stopped = recording, (Status.HOLDING.code, Status.FAULT.code)
-        sound = np.isfinite(r.q_command).all(axis=1) & np.isfinite(r.clock) & np.isfinite(r.time)
-        sound = sound[:-1] & sound[1:] & np.isfinite(r.velocity).all(axis=1) & np.isfinite(r.rate)
-        duration = float(r.metadata.get("duration") or np.inf)
-        for same, rows in itertools.groupby(range(r.n_steps), key=lambda i: bool(sound[i])):
-            i, *rest = rows
-            cut, ends = slice(i, i + len(rest) + 1), slice(i + 1, i + len(rest) + 2)
-            if not same:
-                for row in (i, *rest):
+        r = recording
+        last = -2  # the last sound step
+        for part in r.parts(r.n_steps):
+            sound = self._sound(r, part)
+            end = part.start
+            for good, run in itertools.groupby(sound.tolist()):
+                i, end = end, end + len(list(run))
+                if good:
+                    self._judge(self._block(r, i, end, goes_on=last == i - 1))
+                    last = end - 1
+                    continue
+                for row in range(i, end):
                     self._add(Violation(Breach.NOT_FINITE, row, float(r.time[row]), amount=np.nan))
-                self._steps += len(rest) + 1
+                self._steps += end - i
                 self._lose()
-                continue
-            self._judge(
-                _Block(
-                    q=r.q_command[cut],
-                    q_next=r.q_command[ends],
-                    velocity=r.velocity[cut],
-                    dt=np.diff(r.time[i : ends.stop]),
-                    clock=r.clock[cut],
-                    clock_next=r.clock[ends],
-                    rate=r.rate[cut],
-                    holding=np.isin(r.status[cut], stopped),
-                    same_path=np.arange(i, ends.stop - 1) > i,
-                    reference=r.reference[ends],
-                    duration=np.full(len(rest) + 1, duration),
-                )
-            )
         return self.verdict()
+
+    @staticmethod
+    def _sound(r: Recording, part: slice) -> Flags:
+        """Whether the numbers of steps are finite."""
+        samples = slice(part.start, part.stop + 1)
+        sound = np.isfinite(r.q_command[samples]).all(axis=1) & np.isfinite(r.clock[samples])
+        sound &= np.isfinite(r.time[samples])
+        steps: Flags = sound[:-1] & sound[1:] & np.isfinite(r.velocity[part]).all(axis=1) & np.isfinite(r.rate[part])
+        return steps
+
+    @staticmethod
+    def _block(r: Recording, start: int, end: int, *, goes_on: bool) -> _Block:
+        cut, ends = slice(start, end), slice(start + 1, end + 1)
+        same_path = np.full(end - start, True)
+        same_path[0] = goes_on
+        return _Block(
+            q=r.q_command[cut],
+            q_next=r.q_command[ends],
+            velocity=r.velocity[cut],
+            dt=np.diff(r.time[start : end + 1]),
+            clock=r.clock[cut],
+            clock_next=r.clock[ends],
+            rate=r.rate[cut],
+            holding=np.isin(r.status[cut], (Status.HOLDING.code, Status.FAULT.code)),
+            same_path=same_path,
+            reference=r.reference[ends],
+            duration=np.full(end - start, float(r.metadata.get("duration") or np.inf)),
+        )
 
     def _judge(self, block: _Block) -> None:
         steps = len(block.dt)

@@ -2,7 +2,7 @@
 
 A scene is plain JSON: the joints of every arm and their limits, the tools, the bases, the visual shapes, and the box
 that represents the object. Shapes are stored by their dimensions. A mesh from a file is stored by the file's name: the
-file must exist when the run is shown.
+file must exist when the run is shown, and it is opened only if the reader asks for it.
 """
 
 from __future__ import annotations
@@ -161,12 +161,14 @@ def _packed(array: Any) -> str:
 # -- reading ------------------------------------------------------------------------------------------------------
 
 
-def read_cell(metadata: Mapping[str, Any], *, shapes: bool = True) -> RobotCell:
+def read_cell(metadata: Mapping[str, Any], *, shapes: bool = True, meshes: bool = False) -> RobotCell:
     """The cell of a recording, from the entry ``scene`` of its metadata.
 
     Args:
         metadata: metadata of the recording.
-        shapes: also read the visual shapes; without them no mesh file is needed.
+        shapes: also read the visual shapes.
+        meshes: open the mesh files that the scene names; without, their shapes are left out. A stranger's scene may
+            name any file of your disk.
 
     Raises:
         SceneError: the scene is missing or damaged, or a mesh file is missing.
@@ -180,7 +182,7 @@ def read_cell(metadata: Mapping[str, Any], *, shapes: bool = True) -> RobotCell:
         entries = scene["arms"]
         if not 1 <= len(entries) <= MAX_ARMS:
             raise SceneError(f"the recording's scene has {len(entries)} arms; 1 to {MAX_ARMS} are read.")
-        return RobotCell([_read_arm(entry, shapes) for entry in entries])
+        return RobotCell([_read_arm(entry, shapes, meshes) for entry in entries])
     except SceneError:
         raise
     except (CoopqpError, KeyError, TypeError, ValueError, IndexError, AttributeError, OverflowError) as error:
@@ -233,7 +235,16 @@ def read_path(metadata: Mapping[str, Any]) -> list[pin.SE3] | None:
     return [pin.XYZQUATToSE3(row) for row in table]
 
 
-def _read_arm(entry: Mapping[str, Any], with_shapes: bool) -> Arm:
+def named_meshes(metadata: Mapping[str, Any]) -> list[str]:
+    """The mesh files that a recording names; empty if it does not describe its cell."""
+    try:
+        arms = metadata["scene"]["arms"]
+        return sorted({str(s["file"]) for arm in arms for s in arm["shapes"] if s["kind"] == "mesh"})
+    except (KeyError, TypeError):
+        return []
+
+
+def _read_arm(entry: Mapping[str, Any], with_shapes: bool, meshes: bool) -> Arm:
     joints, limits, tool = entry["joints"], entry["limits"], entry["tool"]
     if not 1 <= len(joints) <= MAX_JOINTS:
         raise SceneError(
@@ -253,7 +264,7 @@ def _read_arm(entry: Mapping[str, Any], with_shapes: bool) -> Arm:
         model,
         tool_frame=str(tool["name"]),
         T_world_base=as_placement(entry["base"], "base"),
-        visual=_read_shapes(entry, model) if with_shapes else None,
+        visual=_read_shapes(entry, model, meshes) if with_shapes else None,
         lower_limits=_limits(limits["lower"], -np.inf, len(joints)),
         upper_limits=_limits(limits["upper"], np.inf, len(joints)),
         velocity_limits=_limits(limits["velocity"], np.inf, len(joints)),
@@ -297,11 +308,13 @@ def _index(value: Any, bound: int) -> int:
     return value
 
 
-def _read_shapes(entry: Mapping[str, Any], model: pin.Model) -> pin.GeometryModel:
+def _read_shapes(entry: Mapping[str, Any], model: pin.Model, meshes: bool) -> pin.GeometryModel:
     shapes = pin.GeometryModel()
     if len(entry["shapes"]) > MAX_SHAPES:
         raise SceneError(f"arm '{entry['name']}' of the recording has more than {MAX_SHAPES} shapes.")
     for shape in entry["shapes"]:
+        if shape["kind"] == "mesh" and not meshes:
+            continue
         geometry = _read_geometry(shape, str(entry["name"]))
         if geometry is None:
             continue

@@ -2,196 +2,31 @@
 
 from __future__ import annotations
 
-import io
 import json
-import zipfile
-import zlib
 from collections.abc import Callable
-from dataclasses import dataclass
-from pathlib import Path
-from typing import Any
+from typing import Any, final
 
 import numpy as np
 
+from coopqp import planning
 from coopqp.checks import as_scalar, read_only
 from coopqp.control.command import Controller, ControlStep, Status
-from coopqp.errors import CoopqpError, InvalidInputError
+from coopqp.errors import InvalidInputError
 from coopqp.model.cell import RobotCell
-from coopqp.model.grasp import Grasp
-from coopqp.model.limits import BindingLimit, LimitKind
-from coopqp.output import OutputError, write_files
-from coopqp.planning.starts import find_start
+from coopqp.model.limits import BindingLimit
 from coopqp.simulation.notes import Notes
 from coopqp.simulation.plants.kinematic import KinematicPlant, Plant
+from coopqp.simulation.recording import Recording
+from coopqp.simulation.rows import Rows
 from coopqp.simulation.scene import describe_cell, describe_path
 from coopqp.spatial import Array
 
-#: Largest accepted recording [bytes, unpacked].
-MAX_RECORDING_BYTES = 2_000_000_000
 #: Time until a run with a stopped object ends, by default [s].
 PATIENCE = 1.0
 #: An object off its path stands at a rate below this.
 _AT_REST = 1e-3
 #: Called during a run with the numbers of steps (done, total).
 ProgressCallback = Callable[[int, int], None]
-
-
-class RecordingError(CoopqpError):
-    """A file is not a recording, or it cannot be read or written."""
-
-
-@dataclass(frozen=True, eq=False)
-class Recording:
-    """A run as arrays. T steps have T + 1 samples of the configuration.
-
-    Attributes:
-        time: time of each sample [s], (T+1,).
-        q: measured configuration (T+1, nq).
-        q_command: commanded configuration (T+1, nq).
-        velocity: commanded joint velocities (T, nv).
-        clock: the object's clock at each sample [s], (T+1,).
-        rate: σ (T,).
-        status: :attr:`Status.code` of each step (T,).
-        reference: the path's pose at each sample, 4x4 matrices (T+1, 4, 4).
-        T_object_tool: the grasp, (N, 4, 4).
-        notes: one entry ``"step: explanation"`` per change of status or binding limits; one for many
-            changes to and fro.
-        metadata: controller, solver, names of arms and joints; description of the cell and the path (``scene``,
-            ``path``: :mod:`coopqp.simulation.scene`); binding limits over time (``binding``); the plant, and whether
-            the arms held one object at the end (``gripped``); entries of the caller.
-    """
-
-    time: Array
-    q: Array
-    q_command: Array
-    velocity: Array
-    clock: Array
-    rate: Array
-    status: Array
-    reference: Array
-    T_object_tool: Array
-    notes: tuple[str, ...]
-    metadata: dict[str, Any]
-
-    @property
-    def n_steps(self) -> int:
-        """T, the number of steps."""
-        return len(self.rate)
-
-    @property
-    def grasp(self) -> Grasp:
-        """The grasp of the run."""
-        return Grasp(tuple(self.T_object_tool))
-
-    @property
-    def statuses(self) -> list[Status]:
-        """Status of each step."""
-        order = list(Status)
-        return [order[int(code)] for code in self.status]
-
-    @property
-    def bindings(self) -> list[tuple[BindingLimit, ...]]:
-        """The binding limits of each step; empty if the recording does not contain them.
-
-        Raises:
-            RecordingError: the entry ``binding`` of the metadata is damaged.
-        """
-        changes = self.metadata.get("binding", [])
-        try:
-            named = {
-                int(step): tuple(BindingLimit(a, j, LimitKind(k), *name) for a, j, k, *name in limits)
-                for step, limits in changes
-            }
-        except (TypeError, ValueError) as error:
-            raise RecordingError(f"'binding' in the recording's metadata is damaged ({error}).") from error
-        now: tuple[BindingLimit, ...] = ()
-        return [now := named.get(step, now) for step in range(self.n_steps)]
-
-    @property
-    def finished(self) -> bool:
-        """True if the object's clock reached the end of its path."""
-        return bool(self.metadata.get("finished", False))
-
-    def save(self, path: str | Path) -> Path:
-        """Write a ``.npz`` file, atomically.
-
-        Raises:
-            RecordingError: the folder does not exist or cannot be written.
-        """
-        file = Path(path)
-        arrays = {name: getattr(self, name) for name in _ARRAYS}
-        try:
-            text = json.dumps({"format": 1, "notes": list(self.notes), "metadata": self.metadata})
-        except (TypeError, ValueError) as error:
-            raise RecordingError(f"cannot write {file}: the metadata are not JSON ({error}).") from error
-        if not file.parent.is_dir():
-            raise RecordingError(f"cannot write {file}: no such folder. Check that its folder exists.")
-        buffer = io.BytesIO()
-        try:
-            np.savez_compressed(buffer, text=np.array(text), **arrays)
-            write_files({file: buffer.getvalue()})
-        except (OSError, OutputError) as error:
-            raise RecordingError(f"cannot write {file}: {error}") from error
-        return file
-
-    @staticmethod
-    def load(path: str | Path) -> Recording:
-        """Read a ``.npz`` file of :meth:`save`. No code in it is executed.
-
-        Raises:
-            RecordingError: the file is missing, too large, not a recording, or inconsistent.
-        """
-        file = Path(path)
-        try:
-            with zipfile.ZipFile(file) as archive:
-                size = sum(info.file_size for info in archive.infolist())
-            if size > MAX_RECORDING_BYTES:
-                raise RecordingError(f"{file} unpacks to {size} bytes, more than {MAX_RECORDING_BYTES}; not read.")
-            with np.load(file, allow_pickle=False) as data:
-                text = json.loads(str(data["text"]))
-                arrays = {name: read_only(data[name]) for name in _ARRAYS}
-            recording = Recording(notes=tuple(map(str, text["notes"])), metadata=dict(text["metadata"]), **arrays)
-        except _UNREADABLE as error:
-            raise RecordingError(f"{file} is not a coopqp recording ({type(error).__name__}: {error}).") from error
-        recording._check(file)
-        return recording
-
-    def _check(self, file: Path) -> None:
-        steps, samples = self.rate.size, self.rate.size + 1
-        expected: dict[str, tuple[int | None, ...]] = {  # None: any size
-            "rate": (steps,),
-            "status": (steps,),
-            "velocity": (steps, None),
-            "time": (samples,),
-            "clock": (samples,),
-            "q": (samples, None),
-            "q_command": (samples, None),
-            "reference": (samples, 4, 4),
-            "T_object_tool": (None, 4, 4),
-        }
-        for name, shape in expected.items():
-            got = getattr(self, name).shape
-            if len(got) != len(shape) or any(n is not None and n != m for n, m in zip(shape, got, strict=True)):
-                want = ", ".join("any" if n is None else str(n) for n in shape)
-                raise RecordingError(f"{file}: '{name}' has shape {got}, not ({want}); it is cut or was changed.")
-        if not np.isin(self.status, np.arange(len(Status))).all():
-            raise RecordingError(f"{file}: 'status' has unknown codes; it was changed or comes from a newer coopqp.")
-
-
-#: Exceptions that reading a damaged file can raise.
-_UNREADABLE = (
-    OSError,
-    zipfile.BadZipFile,
-    zlib.error,
-    KeyError,
-    ValueError,
-    TypeError,
-    EOFError,
-    ArithmeticError,
-    RuntimeError,
-    MemoryError,
-)
-_ARRAYS = ("time", "q", "q_command", "velocity", "clock", "rate", "status", "reference", "T_object_tool")
 
 
 def simulate(
@@ -207,6 +42,9 @@ def simulate(
     metadata: dict[str, Any] | None = None,
 ) -> Recording:
     """Run a controller on a plant until the object reaches the end of its path.
+
+    A run may be longer than the memory: its arrays go on in files without a name in the folder for temporary files
+    (environment variable ``TMPDIR``), which end with the recording.
 
     Args:
         controller: the controller; it is reset at the plant's measured configuration.
@@ -244,25 +82,21 @@ def simulate(
     if metadata is not None and not isinstance(metadata, dict):
         raise InvalidInputError(f"a {type(metadata).__name__}", "simulate: metadata", "Give a dictionary.")
     if q_start is None:
-        q_start = find_start(cell, controller.grasp, controller.path).q
+        q_start = planning.find_start(cell, controller.grasp, controller.path).q
     measured = plant.reset(q_start)
     controller.reset(measured)
-    steps: list[ControlStep] = []
-    q_measured = [measured]
-    notes = Notes()
+    recorder = _Recorder(controller, measured)
     nominal = max(1, round((longest if endless else controller.path.duration + after) / controller.dt))
     elapsed, rest, still = 0.0, 0.0, 0.0
     while elapsed < longest - 1e-9 * longest:
         step = controller.step(measured)
         measured = plant.apply(step)
-        steps.append(step)
-        q_measured.append(measured)
         elapsed += step.dt
-        notes.take(step)
+        recorder.take(step, measured)
         if observe is not None:
             observe(step)
         if progress is not None:
-            progress(len(steps), nominal)
+            progress(recorder.steps, nominal)
         if step.finished:
             if rest >= after - 1e-12:
                 break
@@ -271,7 +105,7 @@ def simulate(
         if still >= enough:
             break
     held = {"plant": type(plant).__name__, "gripped": getattr(plant, "gripped", None)}
-    return _record(controller, steps, q_measured, notes.lines(), {**held, **(metadata or {})})
+    return recorder.recording({**held, **(metadata or {})})
 
 
 def _stands(step: ControlStep) -> bool:
@@ -281,52 +115,78 @@ def _stands(step: ControlStep) -> bool:
     return step.status in (Status.BLOCKED, Status.HOLDING, Status.FAULT)
 
 
-def _record(
-    controller: Controller,
-    steps: list[ControlStep],
-    q_measured: list[Array],
-    notes: tuple[str, ...],
-    metadata: dict[str, Any],
-) -> Recording:
-    cell = controller.cell
-    clock = np.array([steps[0].clock, *(s.clock_next for s in steps)])
-    return Recording(
-        time=np.concatenate([[0.0], np.cumsum([s.dt for s in steps])]),
-        q=np.array(q_measured),
-        q_command=np.array([steps[0].q, *(s.q_next for s in steps)]),
-        velocity=np.array([s.velocity for s in steps]),
-        clock=clock,
-        rate=np.array([s.rate for s in steps]),
-        status=np.array([float(s.status.code) for s in steps]),
-        reference=np.array([controller.path.pose(c).homogeneous for c in clock]),
-        T_object_tool=np.array([X.homogeneous for X in controller.grasp.T_object_tool]),
-        notes=notes,
-        metadata={
-            "controller": type(controller).__name__,
-            "dt": controller.dt,
-            "duration": controller.path.duration,
-            "arms": list(cell.arm_names),
-            "joints": list(cell.joint_names),
-            "sources": [arm.source for arm in cell.arms],
-            "scene": describe_cell(cell),
-            "path": describe_path(controller.path),
-            "binding": _binding_changes(steps),
-            "finished": steps[-1].finished,
-            "failures": sum(s.status in (Status.HOLDING, Status.FAULT) for s in steps),
-            **metadata,
-        },
-    )
+@final
+class _Recorder:
+    """Gathers the steps of a run."""
 
+    def __init__(self, controller: Controller, measured: Array) -> None:
+        cell = controller.cell
+        self._controller, self.steps = controller, 0
+        self._now, self._failures, self._finished = 0.0, 0, False
+        self._notes = Notes()
+        self._binding: list[list[Any]] = []
+        self._last: tuple[BindingLimit, ...] = ()
+        self._time, self._clock, self._rate, self._status = Rows(), Rows(), Rows(), Rows()
+        self._q, self._q_command, self._velocity = Rows(cell.nq), Rows(cell.nq), Rows(cell.nv)
+        self._reference = Rows(4, 4)
+        self._time.append(0.0)
+        self._q.append(measured)
 
-def _binding_changes(steps: list[ControlStep]) -> list[list[Any]]:
-    """``[step, [[arm, joint, kind], …]]`` for every step with other binding limits than the step before.
+    def take(self, step: ControlStep, measured: Array) -> None:
+        """One more step, and the configuration measured after it."""
+        if not self.steps:
+            self._sample(step.q, step.clock)
+        self._sample(step.q_next, step.clock_next)
+        self._now += step.dt
+        self._time.append(self._now)
+        self._q.append(measured)
+        self._velocity.append(step.velocity)
+        self._rate.append(step.rate)
+        self._status.append(float(step.status.code))
+        self._notes.take(step)
+        if step.binding != self._last:
+            limits = [[b.arm, b.joint, b.kind.value, *([b.name] if b.name else [])] for b in step.binding]
+            self._binding.append([self.steps, limits])
+            self._last = step.binding
+        self._failures += step.status in (Status.HOLDING, Status.FAULT)
+        self._finished = step.finished
+        self.steps += 1
 
-    A limit of a user's constraint has its name as a fourth entry.
-    """
-    changes: list[list[Any]] = []
-    last: tuple[BindingLimit, ...] = ()
-    for i, step in enumerate(steps):
-        if step.binding != last:
-            changes.append([i, [[b.arm, b.joint, b.kind.value, *([b.name] if b.name else [])] for b in step.binding]])
-            last = step.binding
-    return changes
+    def _sample(self, q_command: Array, clock: float) -> None:
+        self._q_command.append(q_command)
+        self._clock.append(clock)
+        self._reference.append(self._controller.path.pose(clock).homogeneous)
+
+    def recording(self, metadata: dict[str, Any]) -> Recording:
+        """The run so far.
+
+        The entry ``binding`` is ``[step, [[arm, joint, kind], …]]`` for every step with other binding limits than the
+        step before. A limit of a user's constraint has its name as a fourth entry.
+        """
+        controller, cell = self._controller, self._controller.cell
+        return Recording(
+            time=self._time.array(),
+            q=self._q.array(),
+            q_command=self._q_command.array(),
+            velocity=self._velocity.array(),
+            clock=self._clock.array(),
+            rate=self._rate.array(),
+            status=self._status.array(),
+            reference=self._reference.array(),
+            T_object_tool=read_only(np.array([X.homogeneous for X in controller.grasp.T_object_tool])),
+            notes=self._notes.lines(),
+            metadata={
+                "controller": type(controller).__name__,
+                "dt": controller.dt,
+                "duration": controller.path.duration,
+                "arms": list(cell.arm_names),
+                "joints": list(cell.joint_names),
+                "sources": [arm.source for arm in cell.arms],
+                "scene": describe_cell(cell),
+                "path": describe_path(controller.path),
+                "binding": self._binding,
+                "finished": self._finished,
+                "failures": self._failures,
+                **metadata,
+            },
+        )

@@ -9,7 +9,7 @@ import pinocchio as pin
 
 from coopqp.checks import as_scalar, as_vector
 from coopqp.errors import InvalidInputError
-from coopqp.spatial import Array, Placement, as_placement
+from coopqp.spatial import Array, Placement, as_placement, for_twists
 from coopqp.task.path import ObjectPath
 
 #: Time in which the object reaches its full speed where nobody knows what the joints can do [s].
@@ -19,7 +19,8 @@ _SHORTEST = 1e-4
 #: An object this slow rests [m/s, rad/s].
 AT_REST = 1e-6
 #: Shares of the full speed that are compared.
-_SPEEDS = np.linspace(0.02, 1.0, 50)
+_SPEEDS = 50
+_SHARES = np.arange(1, _SPEEDS + 1) / _SPEEDS
 #: Shorter ways are none [s, at full speed].
 _NOWHERE = 1e-9
 
@@ -59,14 +60,23 @@ class _Way:
         for _ in range(4):  # the way begins where the present motion has died away
             nominal, full = self._straight(speed, spin)
             after = effort @ full
-            changes = np.abs(np.outer(_SPEEDS, after) - before).max(axis=1)
-            fits = 0.5 * _SPEEDS * (changes + _SPEEDS * np.abs(after).max()) <= nominal
+            changes = np.abs(np.outer(_SHARES, after) - before).max(axis=1)
+            fits = 0.5 * _SHARES * (changes + _SHARES * np.abs(after).max()) <= nominal
             i = int(np.flatnonzero(fits).max(initial=0))
-            share, self.begin = float(_SPEEDS[i]), max(float(changes[i]), _SHORTEST)
+            share, self.begin = float(_SHARES[i]), max(float(changes[i]), _SHORTEST)
         nominal, full = self._straight(speed, spin)
         self.end = max(share * float(np.abs(effort @ full).max()), _SHORTEST)
         ramps = self.begin + self.end
         self.duration = max(nominal / share + 0.5 * ramps, ramps)
+
+    @staticmethod
+    def of_segment(numbers: Array, goal: pin.SE3) -> _Way:
+        """The way that :meth:`segment` describes."""
+        way: _Way = object.__new__(_Way)
+        way.start, way.goal = pin.SE3(numbers[:9].reshape(3, 3), numbers[9:12]), goal
+        way.turn, way.line, way.twist = numbers[12:15], numbers[15:18], numbers[21:27]
+        way.duration, way.begin, way.end = numbers.item(19), numbers.item(27), numbers.item(28)
+        return way
 
     def _straight(self, speed: float, spin: float) -> tuple[float, Array]:
         """Set the straight way from where the present motion ends; its time at full speed [s], and its twist then."""
@@ -127,12 +137,12 @@ class ServoPath(ObjectPath):
 
     Args:
         T_world_object: start pose.
-        speed, spin: speed and angular speed of the object on its way to the target [m/s, rad/s].
+        speed, spin: speed and angular speed of the object on its way to the target [m/s, rad/s]; attributes, too.
     """
 
     def __init__(self, T_world_object: Placement, *, speed: float = 0.25, spin: float = 0.5) -> None:
         self.duration = np.inf
-        self._speed, self._spin = as_scalar(speed, "ServoPath: speed"), as_scalar(spin, "ServoPath: spin")
+        self.speed, self.spin = as_scalar(speed, "ServoPath: speed"), as_scalar(spin, "ServoPath: spin")
         self._rest(as_placement(T_world_object, "ServoPath"))
 
     def _rest(self, pose: pin.SE3) -> None:
@@ -141,8 +151,8 @@ class ServoPath(ObjectPath):
 
     def _to(self, start: pin.SE3, twist: Array, goal: pin.SE3, effort: Array | None) -> _Way:
         if effort is None:
-            effort = _RAMP * np.diag([1.0 / self._speed] * 3 + [1.0 / self._spin] * 3)
-        return _Way(start, twist, goal, speed=self._speed, spin=self._spin, effort=effort)
+            effort = _RAMP * np.diag([1.0 / self.speed] * 3 + [1.0 / self.spin] * 3)
+        return _Way(start, twist, goal, speed=self.speed, spin=self.spin, effort=effort)
 
     @property
     def target(self) -> pin.SE3:
@@ -174,12 +184,16 @@ class ServoPath(ObjectPath):
         where = "ServoPath.set_target"
         goal, here = as_placement(T_world_object, where), self.pose(clock)
         rate = as_scalar(rate, f"{where}: rate", open_low=False)
-        turned = np.kron(np.eye(2), here.rotation)
+        turned = for_twists(here.rotation)
         if effort is not None:
             rows = np.shape(effort)[0] if np.ndim(effort) == 2 else 0
             effort = as_vector(np.ravel(effort), 6 * rows, f"{where}: effort").reshape(rows, 6)
         self._way = self._to(here, rate * turned @ self.twist(clock), goal, effort)
         self._since = clock
+
+    def take(self, goal: pin.SE3, segment: Array) -> None:
+        """Take a way to a goal as the numbers of a segment, see :meth:`ObjectPath.packed`."""
+        self._way, self._since = _Way.of_segment(segment, goal), segment.item(18)
 
     def packed(self) -> Array:
         """The way to the present target; the object rests at its end."""

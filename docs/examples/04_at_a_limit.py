@@ -1,18 +1,21 @@
-"""A joint reaches its limit: all arms brake together.  python docs/examples/04_at_a_limit.py [--out FOLDER]"""
+"""A joint reaches its limit: all arms brake together.  python docs/examples/04_at_a_limit.py"""
 
 import sys
 from pathlib import Path
 
-import matplotlib.pyplot as plt
 import numpy as np
 
 from coopqp import IndependentQPController, QPController, read_run, simulate
 from coopqp.scenarios import at_limit
 
-# The paper's cell, every joint fenced in to ±0.25 rad, at most 5 rad/s²; the path of 1 m leads out of the fence.
+# The paper's cell, every joint fenced in to ±0.25 rad, at most 5 rad/s²; the path of 1 m
+# leads out of the fence.
 task = at_limit()
 runs, errors = {}, {}
-for name, kind in (("cooperative", QPController), ("independent arms", IndependentQPController)):
+for name, kind in (
+    ("cooperative", QPController),
+    ("independent arms", IndependentQPController),
+):
     controller = kind(task.cell, task.grasp, task.path, dt=task.dt)
     runs[name] = simulate(controller, q_start=task.q_start, duration=1.5)
     errors[name] = read_run(task.cell, runs[name])
@@ -21,9 +24,19 @@ for name, kind in (("cooperative", QPController), ("independent arms", Independe
 recording = runs["cooperative"]
 print(recording.notes[-1])  # which arm, which joint, which limit
 
+if "--view" in sys.argv:
+    from coopqp import LiveViewer
+
+    with LiveViewer(recording) as viewer:
+        print("Open", viewer.url)
+        viewer.run()
+
 if "--out" in sys.argv:
+    import matplotlib.pyplot as plt
+
     limits = task.cell.limits
-    figure, (top, middle, bottom) = plt.subplots(3, 1, sharex=True, figsize=(7, 7), layout="constrained")
+    figure, panels = plt.subplots(3, 1, sharex=True, figsize=(7, 7), layout="constrained")
+    top, middle, bottom = panels
     top.plot(recording.time[1:], recording.rate)
     top.set_ylabel("rate σ")
     position = (2 * recording.q - limits.upper - limits.lower) / (limits.upper - limits.lower)
@@ -37,10 +50,3 @@ if "--out" in sys.argv:
     bottom.set_xlabel("time [s]")
     bottom.legend()
     figure.savefig(Path(sys.argv[sys.argv.index("--out") + 1]) / "at_a_limit.png", dpi=80)
-
-if "--view" in sys.argv:
-    from coopqp import LiveViewer
-
-    with LiveViewer(recording) as viewer:
-        print("Open", viewer.url)
-        viewer.run()

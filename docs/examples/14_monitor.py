@@ -1,12 +1,21 @@
-"""Judge a run by its commands alone, afterwards or while it goes on.  python docs/examples/14_monitor.py"""
+"""Judge a run by its commands alone, then or later.  python docs/examples/14_monitor.py"""
 
-from coopqp import Monitor, Monitored, MonitorTolerances, PseudoInverseController, QPController, check_run, simulate
+from coopqp import (
+    Monitor,
+    Monitored,
+    MonitorTolerances,
+    PseudoInverseController,
+    QPController,
+    check_run,
+    simulate,
+)
 from coopqp.scenarios import fast_lift
 
 task = fast_lift()  # faster than the joints can move
 
 # Afterwards: a recording.
-recording = simulate(PseudoInverseController(task.cell, task.grasp, task.path, dt=task.dt), q_start=task.q_start)
+controller = PseudoInverseController(task.cell, task.grasp, task.path, dt=task.dt)
+recording = simulate(controller, q_start=task.q_start)
 print("pseudo-inverse,", str(check_run(recording, task.cell)).splitlines()[0])
 
 # While it goes on: a monitor beside the controller, with tolerances of your own.

@@ -1,4 +1,7 @@
-"""Constraints of your own: walls, a slow elbow, little energy.  python docs/examples/16_constraints.py"""
+"""Constraints of your own: walls, a slow elbow.  python docs/examples/16_constraints.py"""
+
+import sys
+from pathlib import Path
 
 import numpy as np
 import pinocchio as pin
@@ -6,11 +9,12 @@ import pinocchio as pin
 from coopqp import QPController, Rank, adjoint, simulate
 from coopqp.scenarios import paper_lift
 
-AXES = np.array([[0, 1, 1.618], [0, 1, -1.618], [1, 1.618, 0], [1, -1.618, 0], [1.618, 0, 1], [-1.618, 0, 1]]) / 1.902
+g = 1.618  # AXES: through the corners of an icosahedron
+AXES = np.array([[0, 1, g], [0, 1, -g], [1, g, 0], [1, -g, 0], [g, 0, 1], [-g, 0, 1]]) / 1.902
 
 
 def object_jacobian(grasp, state):
-    """Twist of the object in its own frame per joint velocity, as the first arm carries it (6, nv)."""
+    """Twist of the object in its own frame, as the first arm carries it (6, nv)."""
     J = np.zeros((6, state.cell.nv))
     J[:, state.cell.v_slices[0]] = adjoint(grasp.T_object_tool[0]) @ state.jacobian(0)
     return J
@@ -19,8 +23,9 @@ def object_jacobian(grasp, state):
 class Box:  # a VelocityConstraint
     name, rank = "box", Rank.LIMITS
 
-    def __init__(self, grasp, low, high, deceleration=1.0):  # two corners [m], braking [m/s²]
-        self.grasp, self.low, self.high, self.a = grasp, np.array(low), np.array(high), deceleration
+    def __init__(self, grasp, low, high, braking=1.0):  # two corners [m], braking [m/s²]
+        self.grasp, self.a = grasp, braking
+        self.low, self.high = np.array(low), np.array(high)
 
     def rows(self, state, dt):
         T = self.grasp.carried(state)[0]
@@ -36,11 +41,13 @@ class SlowPoint:  # a VelocityConstraint
 
     def __init__(self, cell, frame, speed):  # a frame of the cell's model [m/s]
         self.name, self.speed = f"speed of {frame}", speed
-        self.model, self.data, self.frame = cell.model, cell.model.createData(), cell.model.getFrameId(frame)
+        self.model, self.data = cell.model, cell.model.createData()
+        self.frame = cell.model.getFrameId(frame)
 
     def rows(self, state, dt):
-        J = pin.computeFrameJacobian(self.model, self.data, state.q, self.frame, pin.LOCAL_WORLD_ALIGNED)
-        bound = np.full(6, 0.7947 * self.speed)  # the corners of this polyhedron are at the speed
+        axes = pin.LOCAL_WORLD_ALIGNED
+        J = pin.computeFrameJacobian(self.model, self.data, state.q, self.frame, axes)
+        bound = np.full(6, 0.7947 * self.speed)  # this polyhedron's corners are at the speed
         return AXES @ J[:3], -bound, bound
 
 
@@ -57,9 +64,27 @@ class LittleEnergy:  # a RateBound
 
 if __name__ == "__main__":
     lift = paper_lift(time_law="quintic")
-    cell, top = lift.cell.with_limits(acceleration=5.0), lift.path.pose(0.0).translation[2] + 0.2
+    cell = lift.cell.with_limits(acceleration=5.0)
+    top = lift.path.pose(0.0).translation[2] + 0.2
     box = Box(lift.grasp, (-np.inf, -np.inf, -np.inf), (np.inf, np.inf, top))
-    for constraint in (box, SlowPoint(cell, "slave_1/joint_3", 0.03), LittleEnergy(lift.grasp, 9.0, 0.05)):
-        controller = QPController(cell, lift.grasp, lift.path, dt=0.005, constraints=[constraint])
+    slow = SlowPoint(cell, "slave_1/joint_3", 0.03)
+    little = LittleEnergy(lift.grasp, 9.0, 0.05)
+    runs = {}
+    for constraint in (box, slow, little):
+        own = {"constraints": [constraint]}
+        controller = QPController(cell, lift.grasp, lift.path, dt=0.005, **own)
         run = simulate(controller, q_start=lift.q_start, duration=6.0)
-        print(f"{constraint.name}: after {run.time[-1]:.3g} s", *run.notes[-2:], sep="\n  ")
+        notes = "\n  ".join(run.notes[-2:])
+        print(f"{constraint.name}: after {run.time[-1]:.3g} s\n  {notes}")
+        runs[constraint.name] = run
+
+    if "--out" in sys.argv:
+        import matplotlib.pyplot as plt
+
+        figure, axes = plt.subplots(figsize=(8, 4), layout="constrained")
+        for name, run in runs.items():
+            axes.plot(run.clock[:-1], run.rate, label=name)
+        axes.set(xlabel="clock of the path [s]", ylabel="rate σ of the object")
+        axes.legend()
+        out = Path(sys.argv[sys.argv.index("--out") + 1])
+        figure.savefig(out / "constraints.png", dpi=80)

@@ -1,9 +1,8 @@
-"""Can my arms do it? A proof before the motion.  python docs/examples/18_can_my_arms.py [--out FOLDER]"""
+"""Can my arms do it? A proof before the motion.  python docs/examples/18_can_my_arms.py"""
 
 import sys
 from pathlib import Path
 
-import matplotlib.pyplot as plt
 import numpy as np
 import pinocchio as pin
 
@@ -15,10 +14,13 @@ DOWN = np.diag([1.0, -1.0, -1.0])
 arms = []
 for name, x, yaw in (("left", -1.25, 0.0), ("right", 1.25, np.pi)):
     base = pin.SE3(pin.utils.rotate("z", yaw), np.array([x, 0, 0]))
-    arms.append(Arm.from_urdf(name, robot_path("rx90l"), tool_frame="flange", T_world_base=base))
-grasp = Grasp((pin.SE3(DOWN, np.array([-0.5, 0, 0])), pin.SE3(DOWN, np.array([0.5, 0, 0]))))
+    rx90 = robot_path("rx90l")
+    arms.append(Arm.from_urdf(name, rx90, tool_frame="flange", T_world_base=base))
+grasp = Grasp(tuple(pin.SE3(DOWN, np.array([x, 0, 0])) for x in (-0.5, 0.5)))
 start = pin.SE3(np.eye(3), np.array([0.0, 0.0, 0.4]))
-path = LinePath.displaced(start, translation=(-0.1, 0.45, 0.3), rotation=(0.0, 0.0, 0.4), duration=3.0)
+path = LinePath.displaced(
+    start, translation=(-0.1, 0.45, 0.3), rotation=(0.0, 0.0, 0.4), duration=3.0
+)
 
 check = check_path(RobotCell(arms), grasp, path)
 print(check.explain())
@@ -32,8 +34,13 @@ controller = QPController(better.cell, better.grasp, better.path, dt=0.01)
 print("finished:", simulate(controller, q_start=better.q_start).finished)
 
 if "--out" in sys.argv:
-    figure, panels = plt.subplots(2, 2, sharex=True, sharey="row", figsize=(9, 6), layout="constrained")
-    for (top, bottom), answer, title in zip(panels.T, (check, better), ("as asked", "path moved"), strict=True):
+    import matplotlib.pyplot as plt
+
+    figure, panels = plt.subplots(
+        2, 2, sharex=True, sharey="row", figsize=(9, 6), layout="constrained"
+    )
+    answers = ((check, "as asked"), (better, "path moved"))
+    for (top, bottom), (answer, title) in zip(panels.T, answers, strict=True):
         arm, limits = answer.arms[1], answer.cell.arms[1].limits
         branch = arm.chosen
         margins = np.rad2deg(np.minimum(branch.q - limits.lower, limits.upper - branch.q))
@@ -48,5 +55,7 @@ if "--out" in sys.argv:
         bottom.set_xlabel("clock of the path [s]")
     panels[0, 0].set_ylabel("margins to the limits [deg]")
     panels[1, 0].set_ylabel("σ_min")
-    figure.legend(*panels[0, 1].get_legend_handles_labels(), loc="outside lower center", ncols=7)
+    figure.legend(
+        *panels[0, 1].get_legend_handles_labels(), loc="outside lower center", ncols=7
+    )
     figure.savefig(Path(sys.argv[sys.argv.index("--out") + 1]) / "can_my_arms.png", dpi=80)

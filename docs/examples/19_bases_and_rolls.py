@@ -1,4 +1,7 @@
-"""Where can a base stand, and how may a tool be turned?  python docs/examples/19_bases_and_rolls.py"""
+"""Where can bases stand, how may tools turn?  python docs/examples/19_bases_and_rolls.py"""
+
+import sys
+from pathlib import Path
 
 import numpy as np
 import pinocchio as pin
@@ -10,14 +13,17 @@ DOWN = np.diag([1.0, -1.0, -1.0])
 arms = []
 for name, x, yaw in (("left", -1.1, 0.0), ("right", 1.1, np.pi)):
     base = pin.SE3(pin.utils.rotate("z", yaw), np.array([x, 0, 0]))
-    arms.append(Arm.from_urdf(name, robot_path("rx90l"), tool_frame="flange", T_world_base=base))
+    rx90 = robot_path("rx90l")
+    arms.append(Arm.from_urdf(name, rx90, tool_frame="flange", T_world_base=base))
 # A cable lets joints 4 and 6 of the left arm turn by ±100° only.
 lower, upper = arms[0].limits.lower.copy(), arms[0].limits.upper.copy()
 lower[[3, 5]], upper[[3, 5]] = np.deg2rad([[-100], [100]])
 cell = RobotCell([arms[0].with_limits(lower=lower, upper=upper), arms[1]])
-grasp = Grasp((pin.SE3(DOWN, np.array([-0.4, 0, 0])), pin.SE3(DOWN, np.array([0.4, 0, 0]))))
+grasp = Grasp(tuple(pin.SE3(DOWN, np.array([x, 0, 0])) for x in (-0.4, 0.4)))
 start = pin.SE3(np.eye(3), np.array([0.0, 0.0, 0.5]))
-path = LinePath.displaced(start, translation=(0.0, 0.2, 0.2), rotation=(0.0, 0.0, 0.3), duration=3.0)
+path = LinePath.displaced(
+    start, translation=(0.0, 0.2, 0.2), rotation=(0.0, 0.0, 0.3), duration=3.0
+)
 
 # 1. What is wrong with the left arm: the table of its branches.
 check = check_path(cell, grasp, path)
@@ -31,11 +37,26 @@ for remedy in find_remedies(check):
 
 # 3. A map of your own: the largest margin of the right arm for places of its base, in cm.
 right, held = cell.arms[1], Grasp(grasp.T_object_tool[1:])
+margins = []
 for y in (-0.4, -0.2, 0.0, 0.2, 0.4):
     row = []
     for x in (-0.3, -0.2, -0.1, 0.0, 0.1, 0.2, 0.3):
         T = right.T_world_base * pin.SE3(np.eye(3), np.array([x, y, 0.0]))
         answer = check_path(RobotCell([right.placed(T)]), held, path)
         margin = answer.arms[0].chosen.margins.min() if answer.feasible else np.nan
-        row.append("  –" if np.isnan(margin) else f"{np.rad2deg(margin):3.0f}")
-    print(f"y = {100 * y:3.0f}:", *row)
+        row.append(np.rad2deg(margin))
+    print(f"y = {100 * y:3.0f}:", *("  –" if np.isnan(m) else f"{m:3.0f}" for m in row))
+    margins.append(row)
+
+if "--out" in sys.argv:
+    import matplotlib.pyplot as plt
+
+    figure, axes = plt.subplots(figsize=(7, 3.8), layout="constrained")
+    axes.set_facecolor("#dddddd")  # no branch follows the path
+    area = (-35, 35, -50, 50)
+    picture = axes.imshow(margins, origin="lower", extent=area, aspect="auto", vmin=0)
+    figure.colorbar(picture, label="least margin [deg]; grey: none")
+    axes.plot(0, 0, "r+", ms=12, label="as built")
+    axes.set(xlabel="base moved by x [cm]", ylabel="base moved by y [cm]")
+    axes.legend()
+    figure.savefig(Path(sys.argv[sys.argv.index("--out") + 1]) / "bases.png", dpi=80)

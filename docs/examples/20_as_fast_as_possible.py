@@ -1,4 +1,4 @@
-"""As fast as the joints allow.  python docs/examples/20_as_fast_as_possible.py [--out FOLDER]"""
+"""As fast as the joints allow.  python docs/examples/20_as_fast_as_possible.py"""
 
 import sys
 from pathlib import Path
@@ -15,22 +15,26 @@ task = dual_arm7()
 cell, grasp = task.cell.with_limits(acceleration=5.0), task.grasp
 start = task.path.pose(0.0)
 up = pin.SE3(start.rotation, start.translation + np.array([0.0, 0.05, 0.20]))
-across = pin.SE3(pin.rpy.rpyToMatrix(0.2, 0.0, 0.3), up.translation + np.array([0.05, 0.15, 0.0]))
+aside = up.translation + np.array([0.05, 0.15, 0.0])
+across = pin.SE3(pin.rpy.rpyToMatrix(0.2, 0.0, 0.3), aside)
 way = [start, up, across]
 
 
 def run(name, path, q_start):
-    recording = simulate(QPController(cell, grasp, path, dt=0.002), q_start=q_start)
-    slowed = np.count_nonzero(recording.rate < 1.0 - 1e-6)
-    chain = read_run(cell, recording).chain_mm.max()
-    print(f"{name}: {recording.time[-1]:.2f} s, {slowed} steps slowed, arms within {chain:.0e} mm of each other")
+    controller = QPController(cell, grasp, path, dt=0.002)
+    recording = simulate(controller, q_start=q_start)
+    slowed = f"{np.count_nonzero(recording.rate < 1.0 - 1e-6)} steps slowed"
+    chain = f"{read_run(cell, recording).chain_mm.max():.0e} mm"
+    print(f"{name}: {recording.time[-1]:.2f} s, {slowed}, arms within {chain} of each other")
 
 
-# A controller that knows only what is ahead, on a path that asks for too much, brakes and speeds up by itself.
+# A controller that knows only what is ahead brakes and speeds up by itself on a path that
+# asks for too much.
 reactive = WaypointPath(way, durations=[0.6, 0.6])
 run("reactive", reactive, task.q_start)
 
-# A plan knows the whole path: the fastest profile under all limits, from rest to rest, and to rest at the corner.
+# A plan knows the whole path: the fastest profile under all limits, from rest to rest, and
+# to rest at the corner.
 planned = plan(cell, grasp, way, q_start=task.q_start)
 run("planned", planned.path, planned.q_start)
 
@@ -40,4 +44,5 @@ run("rounded", rounded.path, rounded.q_start)
 print("\n".join(rounded.explain().splitlines()[:2]))  # how long, and what binds longest
 
 if "--out" in sys.argv:
-    write_speed_profile(rounded.path, Path(sys.argv[sys.argv.index("--out") + 1]) / "speed_profile.png", dpi=90)
+    out = Path(sys.argv[sys.argv.index("--out") + 1])
+    write_speed_profile(rounded.path, out / "speed_profile.png", dpi=90)

@@ -6,9 +6,12 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import pytest
+
 from coopqp import Recording, write_report
 
 
+@pytest.mark.slow
 def test_the_report_opens_offline(page: Any, baseline: Callable[..., Recording], tmp_path: Path) -> None:
     file = write_report(baseline(40), tmp_path / "report.html")
     assert file.stat().st_size < 5_000_000

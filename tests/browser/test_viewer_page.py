@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pytest
 
 from coopqp import LiveViewer, Recording, export_html
 
@@ -27,6 +28,7 @@ def text(page: Any) -> str:
     return str(page.evaluate("document.body ? document.body.innerText : ''"))
 
 
+@pytest.mark.slow
 def test_the_page_plays_offline(page: Any, baseline: Callable[..., Recording], tmp_path: Path) -> None:
     file = export_html(baseline(40), tmp_path / "run.html")
     page.open(file.as_uri())
@@ -49,6 +51,7 @@ def test_the_page_plays_offline(page: Any, baseline: Callable[..., Recording], t
     assert [url for url in page.requests if url.startswith("file:")] == [file.as_uri()]
 
 
+@pytest.mark.slow
 def test_the_live_viewer_is_shown(page: Any, baseline: Callable[..., Recording]) -> None:
     with LiveViewer(baseline(40), port=0, sticks=True) as viewer:
         page.open(viewer.url)

@@ -397,7 +397,7 @@ def _take_the_reins(controller: Any, rng: np.random.Generator) -> None:
 
 def _bytes(step: ControlStep) -> tuple[bytes, ...]:
     """The contents of a command, bit for bit."""
-    return tuple(np.asarray(array).tobytes() for array in (step.q, step.velocity, step.q_next))
+    return np.asarray(step.q).tobytes(), np.asarray(step.velocity).tobytes(), np.asarray(step.q_next).tobytes()
 
 
 #: Invalid and extreme lengths of a step.

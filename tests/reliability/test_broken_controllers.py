@@ -490,6 +490,7 @@ def test_nan_is_stopped_twice() -> None:
     assert held >= 1
 
 
+@pytest.mark.slow
 def test_the_sound_one_is_not(catalogue: Any) -> None:
     """The real controller passes the same checks."""
     checks: dict[str, Callable[[], bool]] = {

@@ -32,6 +32,7 @@ from coopqp import (
     misplaced,
 )
 from coopqp.scenarios import Scenario, dual_arm7, mixed_cell, paper_lift
+from coopqp.simulation.metrics import chain_errors
 
 DT = 1e-3
 SPEED = 0.25
@@ -83,20 +84,16 @@ class Run:
         return self.steps[-1].finished and not any(s.status in (Status.HOLDING, Status.FAULT) for s in self.steps)
 
 
-class Grips:
-    """Distances at the grasps between the object poses of the arms, relative to the present ones."""
+def apart(tools: Array, grasp: Grasp, grip: Grasp) -> Array:
+    """Largest distance between the positions of any grasp according to any two arms, at every sample (T,) [m].
 
-    def __init__(self, plant: DisturbedPlant, grasp: Grasp) -> None:
-        self._plant = plant
-        self._points = np.array([X.translation for X in grasp.T_object_tool]).T
-        tools = plant.true_tools()
-        self._to_object = [T.inverse() * tools[0] * grasp.T_object_tool[0].inverse() for T in tools]
-
-    def apart(self) -> float:
-        """Largest distance between the positions of any grasp according to any two arms [m]."""
-        O = [T * X for T, X in zip(self._plant.true_tools(), self._to_object, strict=True)]
-        seen = np.array([o.rotation @ self._points + o.translation[:, None] for o in O])
-        return float(np.linalg.norm(seen[:, None] - seen[None], axis=2).max())
+    ``tools`` (T, N, 4, 4) are held by ``grip``; ``grasp`` tells where the grasps are on the object.
+    """
+    O = tools @ np.array([X.inverse().homogeneous for X in grip.T_object_tool])
+    points = np.array([X.translation for X in grasp.T_object_tool]).T
+    seen = O[..., :3, :3] @ points + O[..., :3, 3:]
+    distances = np.linalg.norm(seen[:, :, None] - seen[:, None], axis=3)
+    return np.asarray(distances.max(axis=(1, 2, 3)))
 
 
 def drive(
@@ -115,15 +112,17 @@ def drive(
     rest = [plant.reset(task.q_start), *(plant.measure() for _ in range(readings - 1))]
     q = rest[-1]
     controller.reset(task.cell.average(rest))
-    grips = Grips(plant, held)
-    chain, grasps, steps = [plant.chain_error()[0]], [0.0], []
+    tools, steps = [plant.true_tools()], []
+    grip = Grasp(tuple(held.T_object_tool[0] * tools[0][0].inverse() * T for T in tools[0]))
     end = 10.0 * task.path.duration if longest is None else longest
     while plant.time < end and not (steps and steps[-1].finished):
         steps.append(controller.step(q, dt=plant.period(DT)))
         q = plant.apply(steps[-1])
-        chain.append(plant.chain_error()[0])
-        grasps.append(grips.apart())
-    return Run(1e3 * np.array(chain), 1e3 * np.array(grasps), steps)
+        tools.append(plant.true_tools())
+    placed = np.array([[T.homogeneous for T in sample] for sample in tools])
+    chain = chain_errors(placed, grip)[0]
+    assert abs(chain[-1] - plant.chain_error()[0]) < 1e-12
+    return Run(1e3 * chain, 1e3 * apart(placed, held, grip), steps)
 
 
 # -- signals -----------------------------------------------------------------------------------------------------------

@@ -99,7 +99,7 @@ def test_the_worlds_origin_is_somewhere_else(kernel: str, catalogue: Any, count:
     catalogue.row("I6", f"{name}: another status, or another cause", cases=cases, measured=other, target=0)
 
 
-@pytest.mark.parametrize("kernel", KERNELS)
+@pytest.mark.parametrize("kernel", [pytest.param(k, marks=pytest.mark.slow) if k == "plain" else k for k in KERNELS])
 def test_the_arms_are_far_from_each_other(kernel: str, catalogue: Any) -> None:
     worst, other, cases, parted = 0.0, 0, 0, 0.0
     for make in (paper_lift, dual_arm7, mixed_cell):

@@ -133,6 +133,24 @@ def test_it_goes_on_when_the_solver_does(failures: list[tuple[bool, Failure]], c
 
 
 @pytest.mark.parametrize("kernel", available_kernels())
+@pytest.mark.parametrize("fault", ["raises RuntimeError", "answers too few", "answers 2.1e9"])
+def test_a_step_without_an_answer_tells_what_it_gave_up(fault: str, kernel: str) -> None:
+    """No correction is done, the arms slow down along the path, and nothing is told of a solve that was none."""
+    task = limited(fast_lift(), acceleration=5.0)
+    double = FaultySolver("daqp", FAULTS[fault])
+    controller = cooperative(task, shortcut=False, solver=double, kernel=kernel)
+    controller.reset(task.q_start)
+    before = [controller.step() for _ in range(40)][-1]
+    double.broken = True
+    step = controller.step()
+    assert step.status is Status.HOLDING
+    assert step.given_up.grasp == step.given_up.path == 1.0
+    assert 0.0 < step.rate < before.rate
+    if fault != "answers 2.1e9":
+        assert (step.solver.status, step.solver.iterations, step.solver.time_s) == ("failed", 0, 0.0)
+
+
+@pytest.mark.parametrize("kernel", available_kernels())
 def test_only_one_form_fails(kernel: str) -> None:
     """If the first QP fails and the QP with slack succeeds, the motion continues normally."""
     task = limited(fast_lift(), acceleration=5.0)

@@ -109,6 +109,7 @@ def _recorded() -> Iterator[Any]:
         yield recorded_qps
 
 
+@pytest.mark.slow
 def test_on_recorded_problems(recorded: Any, count: Callable[[int], int], catalogue: Any) -> None:
     tally, full = Tally(), Tally()
     for case in CASES:
@@ -153,6 +154,7 @@ def hardly_feasible(rng: np.random.Generator) -> QpProblem:
     return QpProblem(problem.H, problem.g, problem.A, problem.b, C, l, u, problem.lb, problem.ub)
 
 
+@pytest.mark.slow
 def test_on_random_problems(rng: np.random.Generator, count: Callable[[int], int], catalogue: Any) -> None:
     tally = Tally()
     solvers = {name: make_solver(name) for name in SOLVERS}

@@ -50,6 +50,7 @@ def test_the_page_shows_what_was_measured(tmp_path: Path, table: Any, count: Cal
     assert count(7) in (7, 70)
 
 
+@pytest.mark.slow
 def test_lines_of_every_worker_arrive(tmp_path: Path) -> None:
     """Also the line of a test that misses its target, whichever process ran it."""
     (tmp_path / "test_lines.py").write_text(

@@ -214,6 +214,7 @@ def test_right_twists_are_accepted() -> None:
         built(task, jumping)
 
 
+@pytest.mark.slow
 def test_follow_refuses_a_broken_path_and_the_old_one_goes_on() -> None:
     for kernel in KERNELS:
         for name in (*WAYS, "no path"):
@@ -297,7 +298,7 @@ def test_a_path_that_breaks_in_motion_holds_and_goes_on(kernel: str, known_ahead
     catalogue.row("I7", name, cases=cases, measured=wrong, target=0, note=note)
 
 
-@pytest.mark.parametrize("kernel", KERNELS)
+@pytest.mark.parametrize("kernel", [pytest.param(k, marks=pytest.mark.slow) if k == "plain" else k for k in KERNELS])
 def test_a_path_that_fails_now_and_then(kernel: str, catalogue: Any, count: Any) -> None:
     """Every hundredth to third question has no answer."""
     rng, wrong, cases, held = np.random.default_rng(1), 0, 0, 0

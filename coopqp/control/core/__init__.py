@@ -2,30 +2,51 @@
 
 from __future__ import annotations
 
+import functools
+import warnings
 from typing import TYPE_CHECKING
 
 from coopqp.control.constraints import Constraints
 from coopqp.control.core.memory import NotForTheCore
 from coopqp.control.options import QPOptions
 from coopqp.control.plain import PlainLoop
-from coopqp.errors import UnknownNameError
+from coopqp.errors import KernelWarning, UnknownNameError
 from coopqp.model.cell import RobotCell
 from coopqp.model.grasp import Grasp
 
 if TYPE_CHECKING:
     from coopqp.control.core.compiled import CompiledLoop
 
+_MISSING = ""
 try:
     from coopqp.control.core import _native  # noqa: F401
-except ImportError:  # built without a compiler
-    _KERNELS: tuple[str, ...] = ("plain",)
-else:
-    _KERNELS = ("compiled", "plain")
+except ModuleNotFoundError:
+    _MISSING = "it was not built: there was no C compiler, or it failed"
+except ImportError as error:
+    _MISSING = f"it cannot be loaded ({error})"
+_KERNELS = ("plain",) if _MISSING else ("compiled", "plain")
 
 
 def available_kernels() -> tuple[str, ...]:
     """Names of what runs a step in this installation, the fastest first."""
     return _KERNELS
+
+
+def kernel_text() -> str:
+    """The kernel that steps run by default, and why it is not the compiled one."""
+    return _KERNELS[0] + (f" ({_MISSING})" if _MISSING else "")
+
+
+@functools.cache
+def _warn_once() -> None:
+    remedy = (
+        "Install a C compiler, then: COOPQP_REQUIRE_KERNEL=1 pip install --force-reinstall --no-binary coopqp coopqp"
+    )
+    warnings.warn(
+        f"coopqp runs without its compiled kernel, about a hundred times slower: {_MISSING}. {remedy}",
+        KernelWarning,
+        stacklevel=4,
+    )
 
 
 def make_loop(
@@ -35,6 +56,9 @@ def make_loop(
 
     Raises:
         UnknownNameError: this installation has no such kernel.
+
+    Warns:
+        KernelWarning: there is no compiled kernel, and none was asked for by name.
     """
     if options.kernel != "auto" and options.kernel not in _KERNELS:
         raise UnknownNameError("kernel", options.kernel, _KERNELS)
@@ -45,7 +69,9 @@ def make_loop(
             return CompiledLoop(cell, grasp, dt=dt, options=options, constraints=constraints)
         except NotForTheCore:
             pass
+    elif options.kernel == "auto":
+        _warn_once()
     return PlainLoop(cell, grasp, dt=dt, options=options, constraints=constraints)
 
 
-__all__ = ["NotForTheCore", "available_kernels", "make_loop"]
+__all__ = ["NotForTheCore", "available_kernels", "kernel_text", "make_loop"]

@@ -32,6 +32,7 @@ from coopqp.spatial import Array
 from coopqp.task.guarded import GuardedPath, is_known
 from coopqp.task.path import ObjectPath
 from coopqp.task.posture import Posture
+from coopqp.task.servo import ServoPath
 
 _P = {name: i for i, name in enumerate(layout.PROPOSAL)}
 _LOOP = {name: i for i, name in enumerate(layout.LOOP)}
@@ -153,6 +154,17 @@ class CompiledLoop:
         self.take_path()
         self._core.start_path(kept[_LOOP["CLOCK"]], kept[_LOOP["RATE"]])
         loop[:] = kept
+
+    def go_over(self, path: ServoPath, goal: pin.SE3, full: float) -> bool | None:
+        """Take the way to a new target as :class:`coopqp.QPController` does; None where the definition has to say."""
+        if self.constraints:
+            return None
+        numbers = np.empty(4 + layout.SEGMENT)
+        target = np.concatenate([goal.rotation.ravel(), goal.translation])
+        taken: int = self._core.go_over(target, numbers, path.speed, path.spin, full)
+        if taken > 0:
+            path.take(goal, numbers[4:])
+        return None if taken < 0 else taken > 0
 
     def rate_of_a_step(self) -> float:
         """σ of a step from here; nothing is committed, and samples in it count for nothing."""

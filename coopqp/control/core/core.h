@@ -8,6 +8,7 @@
  *   limits.c      admissible velocities, rates               program.c     the condensed QP and its answer
  *   ldp.c         least-distance programs                    watch.c       supervision, drift, forces
  *   preview.c     the path ahead of the clock                step.c        observe, propose, commit
+ *   servo.c       new targets
  */
 
 #ifndef COOPQP_CORE_H
@@ -51,6 +52,9 @@ typedef struct {
     void (*linearise)(const Core *c, const double *positions, const double *about, double *carried, double *jacobian);
     int (*least_distance)(int n, int m, const double *A, const double *low, const double *high, const double *lb,
                           const double *ub, double reach, double *x, double *y, double *work);
+    /* Go over to the way to a new target if the rate of its first step need not fall, or where the object rests: 1, with
+     * the path in `numbers`; 0 if not yet; −1 if an arm is singular. `full` is the largest rate asked for. */
+    int (*go_over)(Core *c, const double *goal, double speed, double spin, double full, double *numbers);
 } Arithmetic;
 
 extern const Arithmetic arithmetic_plain, arithmetic_avx2;

@@ -48,6 +48,8 @@ static void watch_reset(Core *c);
 
 /* Start at the commanded positions, on or near the path, and look ahead as far as a step needs. */
 static void preview_reset(Core *c, double clock);
+/* The same behind so many knots, which stay as they are in the ring: a copy of AHEAD goes on with them. */
+static void preview_try(Core *c, double clock, int kept);
 /* Largest admissible rate at `clock` for a step of dt. CAP_KIND, CAP_ARM, CAP_JOINT of the proposal say what makes it. */
 static double preview_cap(Core *c, double clock, double dt);
 /* Largest rise of the rate near `clock` by further constraints [1/s]. */

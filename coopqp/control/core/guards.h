@@ -63,6 +63,11 @@ static void guarded_linearise(const Core *c, const double *positions, const doub
     RUN(c, guards_of(c)->can->linearise(c, positions, about, carried, jacobian));
 }
 
+static int guarded_go_over(Core *c, const double *goal, double speed, double spin, double full, double *numbers) {
+    RUN(c, const int found = guards_of(c)->can->go_over(c, goal, speed, spin, full, numbers));
+    return found;
+}
+
 /* The same calls, guarded. */
 static const Arithmetic *guarded(const Core *c, const Arithmetic *can) {
     static Arithmetic calls;
@@ -70,7 +75,7 @@ static const Arithmetic *guarded(const Core *c, const Arithmetic *can) {
     calls = *can;
     calls.start = guarded_start, calls.start_path = guarded_start_path, calls.observe = guarded_observe;
     calls.propose = guarded_propose, calls.answer = guarded_answer, calls.commit = guarded_commit;
-    calls.read = guarded_read, calls.linearise = guarded_linearise;
+    calls.read = guarded_read, calls.linearise = guarded_linearise, calls.go_over = guarded_go_over;
     return &calls;
 }
 #else

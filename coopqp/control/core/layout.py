@@ -34,6 +34,7 @@ CONSTANTS: dict[str, float] = {
     # preview
     "STEPS_TO_FULL_SPEED": 22,  # steps in which a joint without acceleration limit is planned to reach full speed
     "PASSABLE": 0.3,  # a singularity is passed where the rate's cap stays above this share of singular_rate
+    "GROWTH": 2.0,  # an interval is longer than the one before by this factor at most
     "FINE_CELL": 1e-3,  # intervals shorter than this are not halved for a change of slope [s]
     "OTHER_BRANCH": 0.5,  # a slope that changes by more than this share within a fine interval is of another branch
     "BEND_CHANGE": 0.3,  # intervals are halved where q″ changes by more than this share of the accelerations
@@ -43,7 +44,8 @@ CONSTANTS: dict[str, float] = {
     "LIMIT_MARGIN": 0.003,  # self-motion keeps joints this far inside their limits [rad or m]
     "TURNING_WAY": 0.02,  # within this way before they turn away [rad or m]
     "LEADS": 1e-4,  # a joint that its arm's self-motion moves by a smaller share cannot be led away
-    "BISECTIONS": 44,  # halvings of the interval that the largest rate is in
+    "MOST_GUESSES": 44,  # guesses of the largest rate
+    "SHORT_OF": 1e-14,  # share by which they stay below a line's
     "LEAST_RATE": 1e-9,  # a smaller rate is 0
     "JUST_BEFORE": 1e-10,  # the twist before a corner is taken this much earlier [s]
     "STEPS_TO_GROW": 8,  # a knot is begun this many steps before it is needed
@@ -52,6 +54,13 @@ CONSTANTS: dict[str, float] = {
     "MOST_TRIES": 4,  # Newton steps that a knot may take
     "STARTING_STEPS": 8,  # Newton steps that the first knot may take
     "CONVERGED": 1e-5,  # Newton steps shorter than this are the last [rad or m]
+    # new targets
+    "STILL_OBJECT": 1e-6,  # an object this slow rests [m/s, rad/s]
+    "NOWHERE": 1e-9,  # shorter ways are none [s, at full speed]
+    "SHORTEST_CHANGE": 1e-4,  # the shortest time in which the motion changes [s]
+    "CHANGE_SHARE": 0.7,  # share of the accelerations that a change of the motion is planned with
+    "SPEEDS": 50,  # shares of the full speed that are compared
+    "RATE_TOLERANCE": 1e-9,  # a rate that falls by less does not fall
     # supervision
     "STILL_COMMAND": 1e-5,  # commanded motion of an arm below this says nothing of a stall [rad or m]
     "FOLLOWS": 0.5,  # an arm that moves by more than this share of its command follows it
@@ -111,12 +120,13 @@ WATCH = (
 )  # fmt: skip
 AHEAD = (
     "HEAD", "COUNT", "KNOWN", "FRESH", "COMPLETE", "ENDS", "FREE_UNTIL", "BEGIN_AT",
-    "GROWING", "TRY_SPAN", "ITERATION", "WAY", "BEYOND", "BEYOND_AT",
+    "GROWING", "TRY_SPAN", "ITERATION", "WAY", "BEYOND", "BEYOND_AT", "KEPT",
 )  # fmt: skip
 #: Numbers of a knot beside its vectors.
 KNOT = (
     "K_CLOCK", "K_SPAN", "K_CAP", "K_UNCAPPED", "K_FASTEST", "K_CHANGE", "K_INSIDE", "K_CORNER", "K_FALL", "K_RISE",
     "K_KIND", "K_ARM", "K_JOINT", "K_SQUARE", "K_CAUSE_KIND", "K_CAUSE_ARM", "K_CAUSE_JOINT", "K_STOPS",
+    "K_FOUND", "K_SINCE", "K_UNTIL", "K_GAIN",
 )  # fmt: skip
 #: What a step proposes. REASON comes with an arm (or an index) and two numbers.
 PROPOSAL = (
@@ -180,7 +190,7 @@ WORK = (
     ("further_upper", "rows"), ("further_soft", "rows"), ("further_owner", "rows"), ("base", "nv + rows"),
     ("columns", "(nv + rows) * unknowns"), ("x", "unknowns + nv + rows"), ("bindings", "4 * (nv + rows)"),
     ("record", f"{len(RECORD)} + 2 * nq + nv + 6 + 4 * (nv + rows)"), ("sketch", "24 * n + 9 * nv"),
-    ("lines", "3 * (8 * nv + 4)"),
+    ("lines", "3 * (4 * nv + 4)"),
     ("scratch", "scratch"),
 )  # fmt: skip
 

@@ -439,6 +439,31 @@ static PyObject *core_start_path(PyObject *object, PyObject *args) {
     Py_RETURN_NONE;
 }
 
+/* go_over(goal, numbers, speed, spin, full): 1 if the way in `numbers` is taken from now on; see core.h. */
+static PyObject *core_go_over(PyObject *object, PyObject *args) {
+    CoreObject *self = built(object);
+    PyObject *goal, *path;
+    double speed, spin, full, *at[2];
+    Py_buffer views[2];
+    if (!self || !PyArg_ParseTuple(args, "OOddd", &goal, &path, &speed, &spin, &full)) return NULL;
+    if (!(at[0] = numbers(goal, 12, 0, views))) return NULL;
+    if (!(at[1] = numbers(path, 4 + SEGMENT, 1, views + 1))) {
+        PyBuffer_Release(views);
+        return NULL;
+    }
+    const double *present = self->core.path_numbers;
+    const int found = self->can->go_over(&self->core, at[0], speed, spin, full, at[1]);
+    if (found > 0) { /* the array stays where it is while it is held here */
+        Py_INCREF(path);
+        Py_XDECREF(self->path_buffer);
+        self->path_buffer = path;
+    } else {
+        self->core.path_numbers = present;
+    }
+    for (int i = 0; i < 2; i++) PyBuffer_Release(views + i);
+    return interrupted(self) ? NULL : PyLong_FromLong(found);
+}
+
 /* linearise(positions, about, carried, jacobian): kinematics into the caller's arrays. */
 static PyObject *core_linearise(PyObject *object, PyObject *args) {
     CoreObject *self = built(object);
@@ -505,6 +530,7 @@ static PyMethodDef core_methods[] = {
     {"start", core_start, METH_O, "start(positions): at rest there."},
     {"start_path", core_start_path, METH_VARARGS, "start_path(clock, rate): along the path from there."},
     {"set_path", core_set_path, METH_VARARGS, "set_path(numbers, function, pose, duration, looks_ahead)."},
+    {"go_over", core_go_over, METH_VARARGS, "go_over(goal, numbers, speed, spin, full): to a new target."},
     {"bind_knots", core_bind_knots, METH_O, "bind_knots(function): called with the place of every new knot."},
     {"make_steps", core_make_steps, METH_VARARGS, "make_steps(type, context, statuses): what step() returns."},
     {"linearise", core_linearise, METH_VARARGS, "linearise(positions, about, carried, jacobian)."},

@@ -60,40 +60,62 @@ static int arm_of(const Core *c, int joint) {
 
 static double largest_size(const double *x, int n) {
     double largest = 0.0;
-    for (int j = 0; j < n; j++) largest = fmax(largest, fabs(x[j]));
+    for (int j = 0; j < n; j++) largest = maximum(largest, fabs(x[j]));
     return largest;
 }
 
 /* -- sharing the accelerations: coopqp/planning/sharing.py defines it ----------------------------------------------- */
 
-/* Lines α u + β z ≤ γ, as bounds (γ − β z)/α of u: upper ones from the front of the tables, lower ones from their back. */
+/* Lines α u + β z ≤ γ, as bounds (γ − β z)/α of u: upper ones from the front of the tables, lower ones from their back.
+ * `high` and `low` are the pair that makes z, −1 where none does; `still` is the row of a bound of z alone. */
 typedef struct {
     double *share, *slope, *row;
-    int ups, downs, room, still;
+    int ups, downs, room, still, high, low;
     double square;
 } Lines;
 
+/* A bound of z alone: β z ≤ γ. */
+static void add_still(Lines *l, double beta, double gamma, int row) {
+    if (beta > 0.0 && gamma < l->square * beta) l->square = gamma / beta, l->still = row;
+}
+
 static void add_line(Lines *l, double alpha, double beta, double gamma, int row) {
-    if (fabs(alpha) <= STILL_SLOPE) { /* a bound of z alone */
-        if (beta > 0.0 && gamma / beta < l->square) l->square = gamma / beta, l->still = row;
+    if (fabs(alpha) <= STILL_SLOPE) {
+        add_still(l, beta, gamma, row);
         return;
     }
     const int at = alpha > 0.0 ? l->ups++ : l->room - ++l->downs;
-    l->share[at] = gamma / alpha;
-    l->slope[at] = beta / alpha;
+    const double per = 1.0 / alpha;
+    l->share[at] = gamma * per;
+    l->slope[at] = beta * per;
     l->row[at] = row;
 }
 
+/* |α u + β z| + e z ≤ γ for both β: two lines, as z is not negative. */
+static void add_pair(Lines *l, double alpha, double beta, double other, double e, double gamma, int row) {
+    const double size = fabs(alpha), one = alpha < 0.0 ? -beta : beta, two = alpha < 0.0 ? -other : other;
+    if (size <= STILL_SLOPE) {
+        add_still(l, e + maximum(fabs(beta), fabs(other)), gamma, row);
+        return;
+    }
+    const double per = 1.0 / size;
+    const int up = l->ups++, down = l->room - ++l->downs;
+    l->share[up] = gamma * per;
+    l->slope[up] = (maximum(one, two) + e) * per;
+    l->share[down] = -gamma * per;
+    l->slope[down] = (minimum(one, two) - e) * per;
+    l->row[up] = l->row[down] = row;
+}
+
 static Lines lines_of(const Core *c, double cap) {
-    const int room = 8 * c->joints + 4;
-    return (Lines){c->lines, c->lines + room, c->lines + 2 * room, 0, 0, room, -1, cap};
+    const int room = 4 * c->joints + 4;
+    return (Lines){c->lines, c->lines + room, c->lines + 2 * room, 0, 0, room, -1, -1, -1, cap};
 }
 
 /* Largest z that some u allows: where the largest lower bound of u meets the least upper one, by Newton's method from
- * above. Rows of the pair that makes it; −1 if none does. */
-static double largest_z(const Lines *l, int *high_row, int *low_row) {
+ * above. */
+static double largest_z(Lines *l) {
     double z = l->square;
-    *high_row = l->still, *low_row = -1;
     for (int pivot = 0; pivot < MOST_PIVOTS; pivot++) {
         int i = 0, j = l->room - l->downs;
         double high = INFINITY, low = -INFINITY;
@@ -107,22 +129,34 @@ static double largest_z(const Lines *l, int *high_row, int *low_row) {
         }
         const double over = low - high;
         if (!(over > CROSSED * (1.0 + fabs(low))) || z <= 0.0) break;
-        z = fmax(z - over / (l->slope[i] - l->slope[j]), 0.0);
-        *high_row = (int)l->row[i], *low_row = (int)l->row[j];
+        z = maximum(z - over / (l->slope[i] - l->slope[j]), 0.0);
+        l->high = i, l->low = j;
     }
     return z;
+}
+
+/* The largest z up to which the lower bound that made `z` stays between the other lines, but for upper bound `moves`. */
+static double largest_along(const Lines *l, double z, int moves) {
+    const double share = l->share[l->low], slope = l->slope[l->low];
+    double most = l->square;
+    for (int k = 0; k < l->ups; k++) {
+        const double leaves = l->slope[k] - slope, room = l->share[k] - share;
+        if (k != moves && leaves > 0.0 && room < most * leaves) most = room / leaves;
+    }
+    for (int k = l->room - l->downs; k < l->room; k++) {
+        const double leaves = slope - l->slope[k], room = share - l->share[k];
+        if (leaves > 0.0 && room < most * leaves) most = room / leaves;
+    }
+    return maximum(most, z);
 }
 
 /* Largest z ≤ cap that some |u| ≤ SLOPE_CAP allows at knot i alone. */
 static double largest_alone(const Core *c, int i) {
     const double *slope = vector_of(c, c->knot_slope, i), *bend = vector_of(c, c->knot_curvature, i);
     Lines l = lines_of(c, knot(c, i)[K_CAP]);
-    int high, low;
-    for (int j = 0; j < c->joints; j++) add_line(&l, slope[j], bend[j], c->plan_acceleration[j], j);
-    for (int j = 0; j < c->joints; j++) add_line(&l, -slope[j], -bend[j], c->plan_acceleration[j], j);
-    add_line(&l, 1.0, 0.0, c->options[SLOPE_CAP], c->joints);
-    add_line(&l, -1.0, 0.0, c->options[SLOPE_CAP], c->joints);
-    return largest_z(&l, &high, &low);
+    for (int j = 0; j < c->joints; j++) add_pair(&l, slope[j], bend[j], bend[j], 0.0, c->plan_acceleration[j], j);
+    add_pair(&l, 1.0, 0.0, 0.0, 0.0, c->options[SLOPE_CAP], c->joints);
+    return largest_z(&l);
 }
 
 /* Whether q″ has changed by a small share of the accelerations between the intervals before two knots. */
@@ -131,13 +165,15 @@ static int bends_slowly(const Core *c, int last, int made) {
     if (k[K_SPAN] == 0.0 || k[K_CORNER] != 0.0) return 1;
     const double *bend = vector_of(c, c->knot_curvature, made), *before = vector_of(c, c->knot_curvature, last);
     double change = 0.0;
-    for (int j = 0; j < c->joints; j++) change = fmax(change, fabs(bend[j] - before[j]) / c->plan_acceleration[j]);
+    for (int j = 0; j < c->joints; j++) change = maximum(change, fabs(bend[j] - before[j]) / c->plan_acceleration[j]);
     return change <= BEND_CHANGE || change * largest_alone(c, made) <= BEND_CHANGE;
 }
 
-/* Largest z at knot i from which that at the next knot can be in [0, K there]. */
-static double largest_square(const Core *c, int i, int *high_row, int *low_row) {
-    const double *here = knot(c, i), *ahead = knot(c, i + 1);
+/* Largest z at knot i from which that at the next knot can be in [0, K there], and how it follows K there; the joint
+ * whose acceleration makes it, or helps to, or −1. */
+static int find_share(Core *c, int i) {
+    double *here = knot(c, i);
+    const double *ahead = knot(c, i + 1);
     const double *slope = vector_of(c, c->knot_slope, i), *chord = vector_of(c, c->knot_curvature, i + 1);
     const double *before = vector_of(c, c->knot_curvature, i), *after = chord, *a = c->plan_acceleration;
     const double span = ahead[K_SPAN], two = 2.0 * span, most = c->options[SLOPE_CAP];
@@ -153,39 +189,49 @@ static double largest_square(const Core *c, int i, int *high_row, int *low_row) 
         const double b = span_before > 0.0 ? (before[j] * span + C * span_before) / (span_before + span) : C;
         const double d = span_after > 0.0 ? (C * span_after + after[j] * span) / (span + span_after) : C;
         const double doubt = c->options[DOUBT] * (fabs(b - C) + fabs(d - C));
-        add_line(&l, slope[j], doubt + b, a[j], j);
-        add_line(&l, -slope[j], doubt - b, a[j], j);
-        add_line(&l, slope[j], doubt + C, a[j], j);
-        add_line(&l, -slope[j], doubt - C, a[j], j);
-        add_line(&l, two * (doubt + d) + arrival, doubt + d, a[j], j);
-        add_line(&l, two * (doubt - d) - arrival, doubt - d, a[j], j);
-        add_line(&l, two * (doubt + C) + arrival, doubt + C, a[j], j);
-        add_line(&l, two * (doubt - C) - arrival, doubt - C, a[j], j);
+        const double high = maximum(d, C), low = minimum(d, C);
+        add_pair(&l, slope[j], b, C, doubt, a[j], j);
+        add_line(&l, two * (doubt + high) + arrival, doubt + high, a[j], j);
+        add_line(&l, two * (doubt - low) - arrival, doubt - low, a[j], j);
     }
-    add_line(&l, 1.0, 0.0, fmin(most, fmin(here[K_RISE], ahead[K_RISE])), c->joints);
-    add_line(&l, -1.0, 0.0, fmin(most, fmin(here[K_FALL], ahead[K_FALL])), c->joints);
+    add_line(&l, 1.0, 0.0, minimum(most, minimum(here[K_RISE], ahead[K_RISE])), c->joints);
+    add_line(&l, -1.0, 0.0, minimum(most, minimum(here[K_FALL], ahead[K_FALL])), c->joints);
     add_line(&l, -two, -1.0, 0.0, c->joints);
     add_line(&l, two, 1.0, ahead[K_SQUARE], c->joints + 1);
-    return largest_z(&l, high_row, low_row);
+    const double z = largest_z(&l);
+    here[K_SQUARE] = z;
+    here[K_GAIN] = 0.0;
+    here[K_UNTIL] = INFINITY;
+    const int high = l.high < 0 ? l.still : (int)l.row[l.high], low = l.low < 0 ? -1 : (int)l.row[l.low];
+    if (high == c->joints + 1) {
+        const double share = l.share[l.low], falls = l.slope[l.low], end = largest_along(&l, z, l.high);
+        here[K_GAIN] = 1.0 / (1.0 - two * falls);
+        here[K_UNTIL] = end + two * (share - falls * end);
+    }
+    return high >= 0 && high < c->joints ? high : low >= 0 && low < c->joints ? low : -1;
 }
 
-/* K at knot i from that at the next one, and what makes it; 1 if that is K ahead. */
+/* K at knot i from that at the next one, and what makes it; 1 if that is K ahead. K only rises from one pass to the next,
+ * and follows K ahead along a line from K_SINCE, where it was K_FOUND, to K_UNTIL. */
 static int share_at(Core *c, int i) {
     double *here = knot(c, i);
-    const double *ahead = knot(c, i + 1);
-    int high = -1, low = -1, by_ahead, joint = -1;
-    if (ahead[K_SPAN] == 0.0) { /* the same knot again */
-        by_ahead = ahead[K_SQUARE] < here[K_CAP];
-        here[K_SQUARE] = fmin(ahead[K_SQUARE], here[K_CAP]);
+    const double *ahead = knot(c, i + 1), then = ahead[K_SQUARE];
+    int joint = -1;
+    if (here[K_SINCE] <= then && then <= here[K_UNTIL] && then < 1.0) {
+        here[K_SQUARE] = here[K_FOUND] + here[K_GAIN] * (then - here[K_SINCE]);
     } else {
-        here[K_SQUARE] = largest_square(c, i, &high, &low);
-        by_ahead = high == c->joints + 1;
-        if (high >= 0 && high < c->joints)
-            joint = high;
-        else if (low >= 0 && low < c->joints)
-            joint = low;
+        if (ahead[K_SPAN] == 0.0) { /* the same knot again */
+            here[K_SQUARE] = minimum(then, here[K_CAP]);
+            here[K_GAIN] = then < here[K_CAP];
+            here[K_UNTIL] = here[K_GAIN] != 0.0 ? here[K_CAP] : INFINITY;
+        } else {
+            joint = find_share(c, i);
+        }
+        here[K_FOUND] = here[K_SQUARE];
+        here[K_SINCE] = then;
     }
-    if (by_ahead && (ahead[K_SQUARE] < 1.0 || joint < 0))
+    const int by_ahead = here[K_GAIN] > 0.0;
+    if (by_ahead && (then < 1.0 || joint < 0))
         memcpy(here + K_CAUSE_KIND, ahead + K_CAUSE_KIND, 4 * sizeof(double));
     else if (joint >= 0)
         name_cause(here + K_CAUSE_KIND, ACCELERATION, arm_of(c, joint), joint), here[K_STOPS] = 0.0;
@@ -209,7 +255,7 @@ static void look_back(Core *c) {
     }
     for (int i = end - 1; i >= count_ahead(c, KNOWN); i--)
         if (!share_at(c, i) && !settled) settled = i + 1;
-    c->ahead[KNOWN] = fmax(c->ahead[KNOWN], settled);
+    c->ahead[KNOWN] = maximum(c->ahead[KNOWN], settled);
 }
 
 /* -- the chain at one clock ---------------------------------------------------------------------------------------- */
@@ -237,14 +283,14 @@ static int self_motion(const Core *c, int k, const double *jacobian, int j, doub
 static void lead_away(const Core *c, int k, const double *jacobian, const double *positions, double *slope) {
     const int start = (int)c->arm_start[k], n = (int)c->arm_size[k];
     double up[MOST_JOINTS], down[MOST_JOINTS], beyond[MOST_JOINTS], way[MOST_JOINTS], largest = 0.0;
-    for (int j = 0; j < n; j++) largest = fmax(largest, fabs(slope[start + j]) / c->scale[start + j]);
+    for (int j = 0; j < n; j++) largest = maximum(largest, fabs(slope[start + j]) / c->scale[start + j]);
     largest /= TURNING_WAY;
     if (!(largest > 0.0)) return;
     for (int j = 0; j < n; j++) {
         const double x = positions[start + j], scale = c->scale[start + j], own = slope[start + j];
         up[j] = largest * scale * (c->high[start + j] - LIMIT_MARGIN - x);
         down[j] = largest * scale * (c->low[start + j] + LIMIT_MARGIN - x);
-        beyond[j] = fmax(own - up[j], down[j] - own) / scale;
+        beyond[j] = maximum(own - up[j], down[j] - own) / scale;
     }
     int worst = 0, found = 0;
     for (int tries = 0; tries < n && !found; tries++) {
@@ -260,9 +306,9 @@ static void lead_away(const Core *c, int k, const double *jacobian, const double
     for (int j = 0; j < n; j++) {
         if (!(fabs(way[j]) > LEADS * way[worst])) continue;
         const double own = slope[start + j], a = (down[j] - own) / way[j], b = (up[j] - own) / way[j];
-        low = fmax(low, fmin(a, b)), high = fmin(high, fmax(a, b));
+        low = maximum(low, minimum(a, b)), high = minimum(high, maximum(a, b));
     }
-    const double z = low > high ? 0.5 * (low + high) : fmin(fmax(0.0, low), high);
+    const double z = low > high ? 0.5 * (low + high) : minimum(maximum(0.0, low), high);
     for (int j = 0; j < n; j++) slope[start + j] += z * way[j];
 }
 
@@ -270,7 +316,7 @@ static void lead_away(const Core *c, int k, const double *jacobian, const double
 static Trial newton_step(Core *c, double clock, double before, const double *positions, double *step, double *slope) {
     const Sketch s = sketch_of(c);
     double R[9], p[3], twist[6], along[6], size = 0.0;
-    if (!path_pose(c, clock, R, p) || !path_twist(c, fmax(fmin(clock, c->duration) - before, 0.0), twist))
+    if (!path_pose(c, clock, R, p) || !path_twist(c, maximum(minimum(clock, c->duration) - before, 0.0), twist))
         return CANNOT_SAY;
     carry_and_linearise(c, positions, p, s.carried, s.jacobian);
     if (!errors_at(c, s.carried, R, p, s.errors)) return REJECTED;
@@ -298,24 +344,24 @@ static int bound_by_limits(Core *c, int before, int i, double clock, double span
         /* How often the joint's limit is used up at full rate: z may be 1 over the square, or over the curvature's. */
         const double use_speed = speed * (1.0 / c->plan_speed[j]);
         const double use_bend = bend * (1.0 / (o[CURVATURE_SHARE] * c->plan_acceleration[j]));
-        fastest = fmax(fastest, fabs(slope[j]));
-        change = fmax(change, bend * span - c->slope_change[j]);
+        fastest = maximum(fastest, fabs(slope[j]));
+        change = maximum(change, bend * span - c->slope_change[j]);
         if (use_speed > by_speed) by_speed = use_speed, j_speed = j;
         if (use_bend > by_bend) by_bend = use_bend, j_bend = j;
         inside &= x[j] <= c->high[j] && x[j] >= c->low[j];
     }
     /* Without acceleration limits the step itself finds the cap by speed; it changes slowly under that by curvature. */
     const int capped = o[CAPS_SPEED] != 0.0;
-    const double square = by_speed * by_speed, cap = 1.0 / fmax(capped ? square : by_bend, 1.0);
+    const double square = by_speed * by_speed, cap = 1.0 / maximum(capped ? square : by_bend, 1.0);
     memset(k, 0, sizeof(double) * N_KNOT);
     k[K_CLOCK] = clock;
     k[K_SPAN] = before < 0 ? 0.0 : span;
     k[K_CAP] = cap;
-    k[K_UNCAPPED] = 1.0 / fmax(fmax(square, by_bend), 1.0);
+    k[K_UNCAPPED] = 1.0 / maximum(maximum(square, by_bend), 1.0);
     k[K_FASTEST] = fastest;
     k[K_CHANGE] = change;
     k[K_INSIDE] = inside;
-    k[K_FALL] = k[K_RISE] = INFINITY;
+    k[K_FALL] = k[K_RISE] = k[K_SINCE] = INFINITY;
     name_cause(k + K_KIND, NONE, -1, -1);
     name_cause(k + K_CAUSE_KIND, NONE, -1, -1);
     const int j = capped ? j_speed : j_bend;
@@ -449,8 +495,8 @@ static int turn_corner(Core *c, int i) {
             const double use = fabs(s.after[j]) * (1.0 / c->plan_speed[j]);
             if (use > fastest) fastest = use, joint = j;
         }
-        if (1.0 / fmax(fastest * fastest, 1.0) < k[K_CAP]) {
-            k[K_CAP] = 1.0 / fmax(fastest * fastest, 1.0);
+        if (1.0 / maximum(fastest * fastest, 1.0) < k[K_CAP]) {
+            k[K_CAP] = 1.0 / maximum(fastest * fastest, 1.0);
             name_cause(k + K_KIND, VELOCITY, arm_of(c, joint), joint);
         }
         const double cap = jump_cap(c, s.after, slope, &joint);
@@ -498,7 +544,7 @@ static Trial stop_at_limit(Core *c, int last, int made) {
     double first = INFINITY, position = 0.0;
     int joint = -1;
     for (int j = 0; j < c->joints; j++) {
-        const int over = ahead[j] > fmax(c->high[j], x[j]), under = ahead[j] < fmin(c->low[j], x[j]);
+        const int over = ahead[j] > maximum(c->high[j], x[j]), under = ahead[j] < minimum(c->low[j], x[j]);
         if (!over && !under) continue;
         const double limit = over ? c->high[j] : c->low[j];
         const double share = clamp((limit - x[j]) / (ahead[j] - x[j]), 0.0, 1.0);
@@ -517,10 +563,11 @@ static Trial stop_at_limit(Core *c, int last, int made) {
 static void aim_ahead(Core *c) {
     const double *last = knot(c, count_ahead(c, COUNT) + count_ahead(c, WAY) - 1), *o = c->options;
     const double edge = next_breakpoint(c, last[K_CLOCK]);
-    double span = fmin(o[CELL], c->duration - last[K_CLOCK]);
-    if (last[K_FASTEST] > 0.0) span = fmin(span, o[JOINT_STEP] / last[K_FASTEST]);
+    double span = minimum(o[CELL], c->duration - last[K_CLOCK]);
+    if (last[K_FASTEST] > 0.0) span = minimum(span, o[JOINT_STEP] / last[K_FASTEST]);
+    if (last[K_SPAN] > 0.0 && last[K_CORNER] == 0.0) span = minimum(span, GROWTH * last[K_SPAN]);
     if (last[K_CLOCK] + span > edge - 1e-9) span = edge - last[K_CLOCK];
-    c->ahead[TRY_SPAN] = fmin(span, half_way(c, last));
+    c->ahead[TRY_SPAN] = minimum(span, half_way(c, last));
     c->ahead[ITERATION] = 0.0;
     c->ahead[GROWING] = 1.0;
 }
@@ -528,7 +575,7 @@ static void aim_ahead(Core *c) {
 /* Whether a user's path jumps right after a clock; 0 where it cannot be asked. */
 static int jumps_after(Core *c, double clock) {
     double R0[9], p0[3], R1[9], p1[3];
-    const double ahead = fmin(clock + 2.0 * c->options[SHORTEST], c->duration);
+    const double ahead = minimum(clock + 2.0 * c->options[SHORTEST], c->duration);
     if (!path_pose(c, clock, R0, p0) || !path_pose(c, ahead, R1, p1)) return 0;
     return pose_distance(R0, p0, R1, p1) > FASTEST_PATH * (ahead - clock);
 }
@@ -603,7 +650,7 @@ static int accept_trial(Core *c) {
  * be said what is ahead. */
 static int work_ahead(Core *c) {
     const int count = count_ahead(c, COUNT), made = count + count_ahead(c, WAY);
-    if (made + 2 > MOST_KNOTS) return 0; /* close_in needs a knot beside the one that is tried */
+    if (made + 2 + count_ahead(c, KEPT) > MOST_KNOTS) return 0; /* close_in needs a knot beside the one that is tried */
     if (c->ahead[GROWING] == 0.0) {
         if (!(c->duration - knot(c, count - 1)[K_CLOCK] > 1e-12)) {
             finish_path(c);
@@ -634,7 +681,7 @@ static void leave_behind(Core *c, double clock) {
     while (c->ahead[COUNT] > 1.0 && knot(c, 1)[K_CLOCK] <= clock) {
         c->ahead[HEAD] = place_of(c, 1);
         c->ahead[COUNT] -= 1.0;
-        c->ahead[KNOWN] = fmax(c->ahead[KNOWN] - 1.0, 0.0);
+        c->ahead[KNOWN] = maximum(c->ahead[KNOWN] - 1.0, 0.0);
     }
 }
 
@@ -669,7 +716,7 @@ static void extend_horizon(Core *c, double clock, double dt, int newton_steps) {
 
 /* Clock until which the known horizon lets the object go on at full rate. */
 static double known_free(const Core *c, double dt) {
-    const double margin = 2.0 * fmax(dt, c->options[NOMINAL_DT]);
+    const double margin = 2.0 * maximum(dt, c->options[NOMINAL_DT]);
     double clock = -INFINITY;
     for (int i = 0; i < count_ahead(c, COUNT); i++) {
         if (!(knot(c, i)[K_SQUARE] >= 1.0)) return clock - margin;
@@ -680,42 +727,57 @@ static double known_free(const Core *c, double dt) {
 
 /* -- the cap ------------------------------------------------------------------------------------------------------- */
 
-/* K between knot i and the next one, and which of them makes it. */
-static double square_after(const Core *c, int i, double clock, int *made_by) {
+/* The least K of a step, its slope over the step's rate, and the knot that makes it. */
+typedef struct {
+    double square, slope;
+    int cause;
+} Least;
+
+/* K between knot i and the next one, its slope over the clock, and which of them makes it. */
+static Least square_after(const Core *c, int i, double clock) {
     const double *here = knot(c, i);
-    *made_by = i;
-    if (i + 1 == count_ahead(c, COUNT)) return here[K_SQUARE];
-    const double *ahead = knot(c, i + 1), share = (clock - here[K_CLOCK]) / (ahead[K_CLOCK] - here[K_CLOCK]);
-    if (ahead[K_SQUARE] < here[K_SQUARE]) *made_by = i + 1;
-    return here[K_SQUARE] + share * (ahead[K_SQUARE] - here[K_SQUARE]);
+    if (i + 1 == count_ahead(c, COUNT)) return (Least){here[K_SQUARE], 0.0, i};
+    const double *ahead = knot(c, i + 1), slope = (ahead[K_SQUARE] - here[K_SQUARE]) / (ahead[K_CLOCK] - here[K_CLOCK]);
+    return (Least){here[K_SQUARE] + (clock - here[K_CLOCK]) * slope, slope, slope < 0.0 ? i + 1 : i};
 }
 
-/* The least K of a step: in its middle, at its end, and at the knots on its way; and the knot that makes it. */
-static double least_square(const Core *c, double clock, double rate, double dt, int *cause) {
-    const double way[2] = {clock + 0.5 * rate * dt, clock + rate * dt};
+/* The least K of a step: in its middle, at its end, and at the knots on its way. */
+static Least least_square(const Core *c, double clock, double rate, double dt) {
+    const double parts[2] = {0.5 * dt, dt};
     const int count = count_ahead(c, COUNT);
-    double least = INFINITY;
-    int i = knot_before(c, clock), made_by;
-    *cause = i;
+    int i = knot_before(c, clock);
+    Least least = {INFINITY, 0.0, i};
     for (int part = 0; part < 2; part++) {
-        while (i + 1 < count && knot(c, i + 1)[K_CLOCK] <= way[part])
-            if (knot(c, ++i)[K_SQUARE] < least) least = knot(c, i)[K_SQUARE], *cause = i;
-        const double square = square_after(c, i, way[part], &made_by);
-        if (square < least) least = square, *cause = made_by;
+        const double at = clock + rate * parts[part];
+        while (i + 1 < count && knot(c, i + 1)[K_CLOCK] <= at)
+            if (knot(c, ++i)[K_SQUARE] < least.square) least = (Least){knot(c, i)[K_SQUARE], 0.0, i};
+        const Least there = square_after(c, i, at);
+        if (there.square < least.square) least = (Least){there.square, there.slope * parts[part], there.cause};
     }
     return least;
 }
 
-/* The largest rate below 1 that K admits for a step; 0 is always admissible. */
-static double largest_rate(const Core *c, double clock, double dt, double guess) {
-    double low = 0.0, high = 1.0, rate = guess;
-    int cause;
-    for (int i = 0; i <= BISECTIONS; i++) {
-        if (rate * rate <= least_square(c, clock, rate, dt, &cause))
-            low = rate;
-        else
+/* The rate σ with σ² = K + slope (σ − rate). */
+static double met_by(Least l, double rate) {
+    const double half = 0.5 * l.slope;
+    return half + sqrt(maximum(half * half + l.square - l.slope * rate, 0.0));
+}
+
+/* The largest rate below 1 that K admits for a step; 0 is always admissible. `least` is that of rate 1, then that of the
+ * rate. K is linear between knots: the next guess is where σ² meets the line that makes it, or half way. */
+static double largest_rate(const Core *c, double clock, double dt, Least *least) {
+    double low = 0.0, high = 1.0, rate = 1.0;
+    Least there = *least;
+    for (int i = 0; i < MOST_GUESSES; i++) {
+        const double guess = (1.0 - SHORT_OF) * met_by(there, rate);
+        rate = low < guess && guess < high ? guess : 0.5 * (low + high);
+        there = least_square(c, clock, rate, dt);
+        if (!(rate * rate <= there.square)) {
             high = rate;
-        rate = 0.5 * (low + high);
+            continue;
+        }
+        low = rate, *least = there;
+        if ((1.0 - 2.0 * SHORT_OF) * met_by(there, rate) <= rate) break;
     }
     return low >= LEAST_RATE ? low : 0.0;
 }
@@ -723,15 +785,15 @@ static double largest_rate(const Core *c, double clock, double dt, double guess)
 /* The cap of a step, from a horizon that is grown for it, and the knot that makes it; −1 if none does. */
 static double cap_on_horizon(Core *c, double clock, double dt, int *cause) {
     double *a = c->ahead;
-    const double least = least_square(c, clock, 1.0, dt, cause);
-    if (least >= 1.0) {
+    Least least = least_square(c, clock, 1.0, dt);
+    *cause = -1;
+    if (least.square >= 1.0) {
         a[FREE_UNTIL] = known_free(c, dt);
         a[BEGIN_AT] = a[FREE_UNTIL] < INFINITY ? a[FREE_UNTIL] - STEPS_TO_GROW * c->options[NOMINAL_DT] : INFINITY;
-        *cause = -1;
         return 1.0;
     }
-    const double rate = largest_rate(c, clock, dt, sqrt(least));
-    least_square(c, clock, rate, dt, cause);
+    const double rate = largest_rate(c, clock, dt, &least);
+    *cause = least.cause;
     a[ENDS] = knot(c, *cause)[K_STOPS];
     return rate;
 }
@@ -784,13 +846,17 @@ static void start_knots(Core *c, double clock) {
         push_knot(c);
 }
 
-static void preview_reset(Core *c, double clock) {
+static void preview_try(Core *c, double clock, int kept) {
+    const int head = kept ? place_of(c, kept) : 0;
     memset(c->ahead, 0, sizeof(double) * N_AHEAD);
+    c->ahead[HEAD] = head, c->ahead[KEPT] = kept;
     c->ahead[FREE_UNTIL] = -INFINITY;
     c->ahead[BEGIN_AT] = INFINITY;
     start_knots(c, clock);
     if (c->ahead[COUNT] > 0.0) extend_horizon(c, clock, c->options[NOMINAL_DT], NEWTON_STEPS_AT_START);
 }
+
+static void preview_reset(Core *c, double clock) { preview_try(c, clock, 0); }
 
 static double preview_cap(Core *c, double clock, double dt) {
     double *a = c->ahead;
@@ -820,13 +886,13 @@ static double preview_rise(const Core *c, double clock, int *joint) {
     *joint = -1;
     if (!count) return INFINITY;
     const int i = knot_before(c, clock), ahead = i + 1 < count ? i + 1 : i;
-    const double rise = fmin(knot(c, i)[K_RISE], knot(c, ahead)[K_RISE]);
+    const double rise = minimum(knot(c, i)[K_RISE], knot(c, ahead)[K_RISE]);
     if (c->accelerates) return rise;
     const double *slope = vector_of(c, c->knot_slope, i), *next = vector_of(c, c->knot_slope, ahead);
     double most = 0.0;
     int tightest = 0;
     for (int j = 0; j < c->joints; j++) {
-        const double share = fmax(fabs(slope[j]), fabs(next[j])) / c->plan_acceleration[j];
+        const double share = maximum(fabs(slope[j]), fabs(next[j])) / c->plan_acceleration[j];
         if (share > most) most = share, tightest = j;
     }
     if (!(most > 0.0 && 1.0 / most < rise)) return rise;
@@ -858,12 +924,12 @@ static void joints_at(const Core *c, double clock, double *slope, double *curvat
 static double preview_brake(const Core *c, double clock, double dt, double rate) {
     double *slope = c->scratch, *curvature = slope + c->joints, least = INFINITY;
     /* A corner takes the whole acceleration: the rate stays while it is passed. */
-    if (next_breakpoint(c, clock - rate * dt) <= fmin(clock + rate * dt, c->duration - 1e-9)) return 0.0;
+    if (next_breakpoint(c, clock - rate * dt) <= minimum(clock + rate * dt, c->duration - 1e-9)) return 0.0;
     joints_at(c, clock, slope, curvature);
     for (int j = 0; j < c->joints; j++) {
         const double speed = fabs(slope[j]), bend = slope[j] < 0.0 ? -curvature[j] : curvature[j];
         if (!(speed > 0.0)) continue;
-        least = fmin(least, (c->plan_acceleration[j] + bend * rate * rate) / (speed + fmax(bend, 0.0) * rate * dt));
+        least = minimum(least, (c->plan_acceleration[j] + bend * rate * rate) / (speed + maximum(bend, 0.0) * rate * dt));
     }
     return least;
 }

@@ -13,6 +13,10 @@ static inline void cross(const double *a, const double *b, double *out) {
 
 static inline double dot3(const double *a, const double *b) { return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]; }
 
+/* One instruction each, where fmax and fmin are calls. A `y` that is no number counts for nothing. */
+static inline double maximum(double x, double y) { return y > x ? y : x; }
+static inline double minimum(double x, double y) { return y < x ? y : x; }
+
 static inline double clamp(double x, double low, double high) { return x < low ? low : (x > high ? high : x); }
 
 /* out = R x */
@@ -52,6 +56,24 @@ static inline void exp3(const double *w, double *R) {
     R[1] -= a * w[2], R[3] += a * w[2];
     R[2] += a * w[1], R[6] -= a * w[1];
     R[5] -= a * w[0], R[7] += a * w[0];
+}
+
+/* Rotation vector of R, any angle up to half a turn: from the largest entry of its quaternion. */
+static inline void rotation_vector(const double *R, double *w) {
+    double x[4] = {1.0 + R[0] + R[4] + R[8], 1.0 + R[0] - R[4] - R[8], 1.0 - R[0] + R[4] - R[8], 1.0 - R[0] - R[4] + R[8]};
+    int k = 0;
+    for (int i = 1; i < 4; i++)
+        if (x[i] > x[k]) k = i;
+    const double a = R[7] - R[5], b = R[2] - R[6], c = R[3] - R[1];
+    const double d = R[3] + R[1], e = R[2] + R[6], f = R[7] + R[5];
+    double v[4];
+    if (k == 0) v[0] = x[0], v[1] = a, v[2] = b, v[3] = c;
+    else if (k == 1) v[0] = a, v[1] = x[1], v[2] = d, v[3] = e;
+    else if (k == 2) v[0] = b, v[1] = d, v[2] = x[2], v[3] = f;
+    else v[0] = c, v[1] = e, v[2] = f, v[3] = x[3];
+    const double norm = sqrt(dot3(v + 1, v + 1)), sign = v[0] < 0.0 ? -1.0 : 1.0;
+    const double ratio = norm > 0.0 ? 2.0 * atan2(norm, sign * v[0]) / norm : 0.0;
+    for (int i = 0; i < 3; i++) w[i] = sign * ratio * v[1 + i];
 }
 
 /* V⁻¹(ω) p = p − ½ ω×p + (1 − θ/2 cot(θ/2)) / θ² ω×(ω×p) */

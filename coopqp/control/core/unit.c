@@ -11,10 +11,11 @@
 #include "watch.c"
 #include "preview.c"
 #include "step.c"
+#include "servo.c"
 
 #ifndef ARITHMETIC
 #define ARITHMETIC arithmetic_plain
 #endif
 
 const Arithmetic ARITHMETIC = {start, start_path, observe, propose,             answer,
-                               commit, read_answer, carry, carry_and_linearise, least_distance};
+                               commit, read_answer, carry, carry_and_linearise, least_distance, go_over};

@@ -8,7 +8,6 @@ forces that route for a backend that could be kept.
 
 from __future__ import annotations
 
-from importlib.metadata import metadata
 from importlib.util import find_spec
 from typing import Any
 
@@ -35,6 +34,10 @@ def available_solvers() -> tuple[str, ...]:
     """Names of the installed solvers: first the persistent ones, then the other backends of qpsolvers."""
     kept = tuple(name for name, package in _KEPT.items() if find_spec(package) is not None)
     return kept + tuple(name for name in _backends() if name not in _KEPT)
+
+
+#: Backends of qpsolvers that the extra ``solvers`` of coopqp installs.
+_OF_OUR_EXTRA = ("quadprog",)
 
 
 def default_solver(*, strictly_convex: bool = True) -> str:
@@ -76,7 +79,11 @@ def make_solver(name: str | QpSolver, settings: Any = None) -> QpSolver:
         return _make_kept(name, settings)
     backend = name.removeprefix(_GENERIC)
     if backend not in _backends():
+        if backend in _OF_OUR_EXTRA:
+            raise MissingExtraError("solvers", backend)
         extra = backend.partition("_")[0]
+        from importlib.metadata import metadata  # late: it imports much
+
         if extra in (metadata("qpsolvers").get_all("Provides-Extra") or ()):
             raise MissingSolverError(name, f"pip install 'qpsolvers[{extra}]'")
         raise UnknownNameError("QP solver", name, available_solvers())

@@ -35,8 +35,9 @@ from coopqp.simulation.assessment import slides
 from coopqp.simulation.plants.kinematic import KinematicPlant, Plant
 from coopqp.simulation.plants.physics import PhysicsPlant
 from coopqp.simulation.plants.physics_options import PhysicsOptions
+from coopqp.simulation.recording import Recording
 from coopqp.simulation.scene import describe_object
-from coopqp.simulation.simulate import ProgressCallback, Recording, simulate
+from coopqp.simulation.simulate import ProgressCallback, simulate
 from coopqp.spatial import Array, as_placement
 from coopqp.task.common_error import CommonError
 from coopqp.task.path import HoldPath, LinePath, ObjectPath, WaypointPath
@@ -272,13 +273,21 @@ def _arm(table: ArmTable, folder: Path) -> Arm:
             file = resolve(str(table.mjcf), folder, f"{where}: mjcf", package_dirs=dirs)
             locked = _locked(table, lambda: _mjcf(file, table.name))
             arm = Arm.from_mjcf(table.name, file, locked_joints=locked, **common)
-    sliding = slides(RobotCell([arm]))
+    alone = RobotCell([arm])
+    sliding = slides(alone)
     changes: dict[str, Array] = {}
     for name, per in (("lower", ""), ("upper", ""), ("velocity", "_per_s"), ("acceleration", "_per_s2")):
         for unit in ("deg", "rad"):
             value = getattr(table.limits, f"{name}_{unit}{per}")
             if value is not None:
                 where = f"arm '{table.name}': limits.{name}_{unit}{per}"
+                if np.ndim(value) == 0 and np.isfinite(value) and len(set(sliding)) == 2:
+                    slide = alone.joint_names[sliding.index(True)].partition("/")[2]
+                    unit_m = f"m{per.replace('_per_', '/').replace('s2', 's²')}"
+                    raise _BuildError(
+                        f"{where}: one number would be for joints that turn and for '{slide}', which slides "
+                        f"[{unit_m}]. Give a list with one number per joint: {len(sliding)}."
+                    )
                 changes[name] = _in_radians(value, sliding, where, degrees=unit == "deg")
     try:
         return arm.with_limits(**changes) if changes else arm

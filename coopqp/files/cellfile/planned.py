@@ -7,7 +7,7 @@ from pathlib import Path
 from coopqp.files.cellfile.build import DEFAULT_DT, CellRun
 from coopqp.files.cellfile.paths import resolve
 from coopqp.files.cellfile.write import relative, toml_lines
-from coopqp.planning.plan import Plan
+from coopqp.planning.planner import Plan
 
 
 def planned_text(run: CellRun, plan: Plan, *, folder: Path, into: Path) -> str:

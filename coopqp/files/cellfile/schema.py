@@ -86,7 +86,7 @@ class PlacementTable(Table):
 
 
 class LimitsTable(Table):
-    """Limits in place of the model's: one number for all joints, or one per joint; ``inf`` means no limit."""
+    """Limits in place of the model's: one number for joints of one kind, or one per joint; ``inf`` means no limit."""
 
     lower_deg: PerJoint | None = Field(default=None, description="lowest position")
     upper_deg: PerJoint | None = Field(default=None, description="highest position")

@@ -19,7 +19,6 @@ from coopqp.errors import CoopqpError, InvalidInputError
 from coopqp.forces.load import LoadShare
 from coopqp.model.cell import RobotCell
 from coopqp.model.grasp import Grasp
-from coopqp.model.state import CellState
 from coopqp.simulation.plants.disturbances import Disturbances
 from coopqp.simulation.plants.encoders import Encoders
 from coopqp.simulation.plants.mujoco_model import (
@@ -34,7 +33,7 @@ from coopqp.simulation.plants.mujoco_model import (
 )
 from coopqp.simulation.plants.physics_options import PhysicsOptions
 from coopqp.simulation.plants.targets import JointTargets
-from coopqp.spatial import Array, Placement, as_placement
+from coopqp.spatial import Array, Placement, as_placement, cross
 from coopqp.task.path import TimeLaw
 
 if TYPE_CHECKING:
@@ -120,7 +119,7 @@ class PhysicsPlant:
         servos = self.options.servos(cell)
         self.stiffness, self._armature = servos.stiffness, servos.armature
         self._lead = servos.damping / servos.stiffness if self.options.velocity_feed_forward else np.zeros(cell.nv)
-        self._load = self._load_wrenches()
+        self._load, self._data = self._load_wrenches(), cell.model.createData()
         self._spec = build_spec(
             cell,
             grasp,
@@ -249,7 +248,7 @@ class PhysicsPlant:
         self._refresh()
         R = d.xmat[self._object].reshape(3, 3)
         J = d.efc_J.reshape(d.nefc, m.nv)[:, self._object_dofs]
-        equality = d.efc_type == self._mujoco.mjtConstraint.mjCNSTR_EQUALITY
+        equality = d.efc_type == int(self._mujoco.mjtConstraint.mjCNSTR_EQUALITY)
         out = np.zeros((len(self.cell), 6))
         for k, weld in enumerate(self._welds):
             rows = equality & (d.efc_id == weld)
@@ -360,15 +359,17 @@ class PhysicsPlant:
             twist, change = self.load.object_motion(q, v, dv)
             shared = self.load.share(q, twist=twist, acceleration=change, joint_velocity=v, joint_acceleration=dv)
             if self.options.gravity_compensation:
-                out = pin.computeGeneralizedGravity(self.cell.model, self.cell.model.createData(), q)
+                out = pin.computeGeneralizedGravity(self.cell.model, self._data, q)
             return shared.torques + self._armature * dv - out
-        state = CellState(self.cell, q)
+        J = np.asarray(pin.computeJointJacobians(self.cell.model, self._data, q))
+        tools = [self._data.oMi[j] * X for j, X in zip(self.cell.tool_joints, self.cell.T_joint_tool, strict=True)]
+        R_object = tools[0].rotation @ self.grasp.T_object_tool[0].rotation.T
         weight = -self.object_mass * np.array(self.options.gravity)
-        R_object = (state.T_world_tool[0] * self.grasp.T_object_tool[0].inverse()).rotation
+        forces, points = self._load[:, :3], np.array([T.translation for T in tools])
+        # about the world's origin, like J
+        moments = cross(self._load[:, 3:] @ R_object.T, weight[None]) + cross(points, forces)
         for k, s in enumerate(self.cell.v_slices):
-            moment = np.cross(R_object @ self._load[k, 3:], weight)
-            wrench = np.concatenate([self._load[k, :3], moment])
-            out[s] = state.jacobian(k, pin.LOCAL_WORLD_ALIGNED).T @ wrench
+            out[s] = forces[k] @ J[:3, s] + moments[k] @ J[3:, s]
         return out
 
     def _command(self, x: Array, v: Array, torque: Array) -> None:

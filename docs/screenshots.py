@@ -1,0 +1,55 @@
+"""Screenshots for the pages: what a browser shows of a run.  python docs/screenshots.py viewer --out FOLDER"""
+
+from __future__ import annotations
+
+import argparse
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+
+from browser import NAMES, Page, find_browser
+from PIL import Image
+
+from coopqp import QPController, Recording, describe_object, export_html, simulate
+from coopqp.scenarios import at_limit
+
+TRACK = "[class*=Slider-track]"
+
+
+def run_at_limit() -> Recording:
+    """Three arms that stop because a joint of one is at its limit."""
+    task = at_limit()
+    box = describe_object(task.object_size, task.T_object_body)
+    controller = QPController(task.cell, task.grasp, task.path, dt=task.dt)
+    metadata = {"scenario": task.name, "object": box}
+    return simulate(controller, q_start=task.q_start, duration=1.5, metadata=metadata)
+
+
+def shoot_run(recording: Recording, picture: Path, *, share: float, width: int = 1100, height: int = 640) -> None:
+    """A picture of the viewer's page, with the slider at a share of the run."""
+    program = find_browser()
+    if program is None:
+        raise SystemExit(f"no browser ({', '.join(NAMES)}); 'make browser' installs one")
+    with tempfile.TemporaryDirectory() as folder:
+        file = export_html(recording, Path(folder) / "run.html")
+        with Page(program, Path(folder) / "profile", width=width, height=height) as page:
+            page.open(file.as_uri())
+            page.wait_until(lambda: page.evaluate(f"!!document.querySelector('{TRACK}')"))
+            page.wait_until(lambda: (page.screenshot().std(axis=2) > 25).mean() > 0.02)  # the scene is drawn
+            page.pause()
+            track = page.box(TRACK)
+            page.press(track["left"] + share * track["width"], track["top"] + 0.5 * track["height"])
+            Image.fromarray(page.settled().astype("uint8")).quantize(200).save(picture, optimize=True)
+
+
+#: Pictures by the name of the command.
+PICTURES: dict[str, Callable[[Path], None]] = {
+    "viewer": lambda out: shoot_run(run_at_limit(), out / "viewer.png", share=0.6)
+}
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description="Screenshots for the pages.")
+    parser.add_argument("picture", choices=PICTURES)
+    parser.add_argument("--out", type=Path, required=True, metavar="FOLDER")
+    arguments = parser.parse_args()
+    PICTURES[arguments.picture](arguments.out)

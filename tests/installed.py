@@ -1,0 +1,108 @@
+"""What an installation can do with its extras, and what it says of those that are missing. Needs no other package.
+
+``python tests/installed.py [--kernel NAME] [EXTRA …]`` tries everything that needs an extra: it works if the extra was
+given; else the error names it, before any work is done. Without the extra ``plot`` the demo still prints its table.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import subprocess
+import sys
+import tempfile
+import warnings
+from importlib import metadata
+from pathlib import Path
+
+#: Name: command, and the extras that it needs. Commands run one after the other in one folder.
+COMMANDS: dict[str, tuple[list[str], set[str]]] = {
+    "versions": (["--version"], set()),
+    "the demo": (["demo", "--steps", "4", "--out", "demo"], set()),
+    "a table and a recording": (["export", "paper_lift", "--csv", "run.csv", "--npz", "run.npz"], set()),
+    "the check of a path": (["check", "paper_lift"], set()),
+    "an example": (["schema", "--example", "paper_baseline"], set()),
+    "robots": (["schema", "--robots"], set()),
+    "a cell file": (["run", "cell.toml", "--out", "cell"], {"files"}),
+    "the check of a cell file": (["check", "cell.toml"], {"files"}),
+    "a plan": (["plan", "cell.toml", "--out", "plan"], {"files", "planning", "plot"}),
+    "a report": (["report", "run.npz", "--out", "report.html"], {"plot"}),
+    "a page": (["view", "run.npz", "--html", "page.html"], {"viewer"}),
+    "a bag": (["export", "run.npz", "--bag", "bag"], {"bags"}),
+    "a bag of a run": (["export", "paper_lift", "--bag", "other_bag"], {"bags"}),
+}
+#: Name: program, and the extras that it needs.
+PROGRAMS: dict[str, tuple[str, set[str]]] = {
+    "an arm of example-robot-data": (
+        "from coopqp.scenarios import robot_arm; assert robot_arm('panda').model.nv >= 7",
+        {"robots"},
+    ),
+    "the solver quadprog": ("from coopqp import make_solver; make_solver('quadprog')", {"solvers"}),
+    "the physics": (
+        "from coopqp import PhysicsPlant; from coopqp.scenarios import paper_lift; l = paper_lift(); "
+        "PhysicsPlant(l.cell, l.grasp, object_size=l.object_size, object_mass=l.object_mass).reset(l.q_start)",
+        {"mujoco"},
+    ),
+    "the public names": ("import coopqp; [getattr(coopqp, name) for name in coopqp.__all__]", set()),
+}
+
+
+def done(command: list[str]) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(command, capture_output=True, text=True, timeout=600, check=False)
+
+
+def told(needs: set[str], given: set[str], result: subprocess.CompletedProcess[str]) -> str:
+    """What is wrong with a result; empty if nothing is."""
+    text = result.stdout + result.stderr
+    missing = needs - given
+    if not missing:
+        return "" if result.returncode == 0 else f"ended with {result.returncode}: {text[-1500:]}"
+    named = any(f"coopqp[{extra}]" in text for extra in missing)
+    if result.returncode == 0 or not named:
+        return f"does not name the missing {sorted(missing)}: {text[-1500:]}"
+    return "it ran before it was refused" if "running" in text else ""
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("extras", nargs="*", metavar="EXTRA")
+    parser.add_argument("--kernel", help="the kernel that steps have to run")
+    arguments = parser.parse_args()
+    extras = {e for e in metadata.metadata("coopqp").get_all("Provides-Extra") or [] if e not in ("dev", "mutation")}
+    given = extras if "all" in arguments.extras else set(arguments.extras)
+    given |= {"plot"} if "planning" in given else set()  # toppra brings Matplotlib
+    assert given <= extras, (given, extras)
+    warnings.simplefilter("ignore")
+    import coopqp
+
+    assert "site-packages" in coopqp.__file__, coopqp.__file__
+    wrong = {}
+    if arguments.kernel and coopqp.available_kernels()[0] != arguments.kernel:
+        wrong["the kernel"] = f"it is {coopqp.available_kernels()[0]}"
+    program = str(Path(sys.executable).with_name("coopqp"))
+    with tempfile.TemporaryDirectory() as folder:
+        os.chdir(folder)
+        example = done([program, "schema", "--example"]).stdout
+        limited = example.replace('robot = "rx90l"', 'robot = "rx90l"\nlimits = { acceleration_deg_per_s2 = 600 }')
+        Path("cell.toml").write_text(limited.replace("report = true", ""), encoding="utf-8")
+        for name, (command, needs) in COMMANDS.items():
+            result = done([program, *command])
+            wrong[name] = told(needs, given, result)
+            if name == "the demo" and not wrong[name]:
+                pictures = len(list(Path("demo").glob("*.png"))) if Path("demo").exists() else 0
+                told_so = "coopqp[plot]" in result.stderr
+                if "pseudo_inverse" not in result.stdout or (pictures > 0) == told_so or told_so == ("plot" in given):
+                    wrong[name] = f"{pictures} pictures, says {result.stderr!r}"
+                warned = "without its compiled kernel" in result.stderr
+                if arguments.kernel and warned != (arguments.kernel == "plain"):
+                    wrong[name] = f"of the kernel it says {result.stderr!r}"
+        for name, (program_text, needs) in PROGRAMS.items():
+            wrong[name] = told(needs, given, done([sys.executable, "-c", program_text]))
+        os.chdir("/")
+    for name, what in wrong.items():
+        print(f"{'NO ' if what else 'yes'}  {name}{': ' + what if what else ''}")
+    return int(any(wrong.values()))
+
+
+if __name__ == "__main__":
+    sys.exit(main())

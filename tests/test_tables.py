@@ -1,0 +1,46 @@
+"""The measured tables of the README come from records, and only from there."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+
+import pytest
+from tables import ROOT, TABLES, main, replaced
+
+BEHAVIOUR = [
+    {"case": case, "controller": controller, "chain_mm": chain, "chain_final_mm": 0.1 * chain, "path_mm": 0.5}
+    for case in ("fast", "limit", "mismatch")
+    for controller, chains in (("independent", (12.0, 345.0)), ("cooperative", (1e-4, 2e-4)))
+    for chain in chains
+]
+PEERS = [
+    {
+        "peer": "coopqp", "case": case, "arms": arms, "mode": "compiled", "pacing": pacing, "p50_us": 1.5 * arms,
+        "p99_us": 40.0, "placo_p50_us": 75.0, "ratio_placo": 0.02 * arms,
+    }
+    for case in ("nominal", "measured") for arms in (3, 8, 16) for pacing in ("hot", "1 kHz")
+]  # fmt: skip
+
+
+def test_tables_are_the_worst_of_their_records(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    shutil.copyfile(ROOT / "README.md", tmp_path / "README.md")
+    before = (tmp_path / "README.md").read_text(encoding="utf-8")
+    assert main([str(tmp_path), "--into", str(tmp_path)]) == 0  # no records: nothing changes
+    assert (tmp_path / "README.md").read_text(encoding="utf-8") == before
+    (tmp_path / "behaviour.json").write_text(json.dumps(BEHAVIOUR), encoding="utf-8")
+    (tmp_path / "compare_peers.json").write_text(json.dumps(PEERS), encoding="utf-8")
+    assert main([str(tmp_path), "--into", str(tmp_path)]) == 0
+    assert capsys.readouterr().out.count("written") == len(TABLES)
+    text = (tmp_path / "README.md").read_text(encoding="utf-8")
+    assert "| object at 0.6 m/s, joints limited to 1 rad/s | 345 | 0.0002 | 0.5 |" in text
+    assert "error at the end | 34 | 2e-05 |  |" in text
+    assert "| 16 | 24 | 40 | 75 | 0.32 |" in text
+    assert main([str(tmp_path), "--into", str(tmp_path)]) == 0  # once more: the same
+    assert (tmp_path / "README.md").read_text(encoding="utf-8") == text
+
+
+def test_a_table_without_its_marks_is_an_error() -> None:
+    with pytest.raises(ValueError, match="measured: period -->"):
+        replaced("no marks", "period", "table")
