@@ -50,7 +50,7 @@ def run_calibrate(arguments: argparse.Namespace) -> int:
     from coopqp.look.plots import figure_bytes, require_matplotlib
     from coopqp.output import OutputError, check_file, write_files
     from coopqp.simulation.calibrating import calibrate_runs
-    from coopqp.simulation.simulate import Recording
+    from coopqp.simulation.recording import Recording
 
     require_readers()
     if arguments.out.suffix != ".toml":

@@ -11,8 +11,8 @@ from coopqp.checks import require
 from coopqp.errors import InvalidInputError
 from coopqp.forces.calibration import Calibration, CalibrationError, CalibrationOptions, calibrate
 from coopqp.model.cell import RobotCell
+from coopqp.simulation.recording import Recording
 from coopqp.simulation.scene import describe_cell, read_cell
-from coopqp.simulation.simulate import Recording
 
 
 def calibrate_runs(
