@@ -60,7 +60,11 @@ if TYPE_CHECKING:
     )
     from coopqp.files.cellfile import CellFileError, load_cell_file
     from coopqp.files.export import write_bag, write_csv
+    from coopqp.forces.calibration import Calibration, CalibrationError, CalibrationOptions, calibrate
     from coopqp.forces.stress import InternalStress, StressModel, at_tools
+    from coopqp.forces.use import LoadUse
+    from coopqp.look.calibration import write_calibration
+    from coopqp.look.loads import write_load_use
     from coopqp.look.profile import write_speed_profile
     from coopqp.look.report import write_report
     from coopqp.look.viewer import LiveViewer, export_html
@@ -73,6 +77,7 @@ if TYPE_CHECKING:
     from coopqp.planning.preview_options import PreviewOptions
     from coopqp.scenarios.robots import robot_path
     from coopqp.simulation.assessment import Finding, Readings, Tolerances, judge, read_run
+    from coopqp.simulation.calibrating import calibrate_runs
     from coopqp.simulation.closeness import Closeness, Closest
     from coopqp.simulation.metrics import (
         chain_error,
@@ -191,13 +196,18 @@ else:
             "coopqp.control.solvers.proxqp": ("ProxqpSettings",),
             "coopqp.files.cellfile": ("CellFileError", "load_cell_file"),
             "coopqp.files.export": ("write_bag", "write_csv"),
+            "coopqp.forces.calibration": ("Calibration", "CalibrationError", "CalibrationOptions", "calibrate"),
             "coopqp.forces.stress": ("InternalStress", "StressModel", "at_tools"),
+            "coopqp.forces.use": ("LoadUse",),
+            "coopqp.look.calibration": ("write_calibration",),
+            "coopqp.look.loads": ("write_load_use",),
             "coopqp.look.profile": ("write_speed_profile",),
             "coopqp.look.report": ("write_report",),
             "coopqp.look.viewer": ("LiveViewer", "export_html"),
             "coopqp.output": ("OutputError",),
             "coopqp.scenarios.robots": ("robot_path",),
             "coopqp.simulation.assessment": ("Finding", "Readings", "Tolerances", "judge", "read_run"),
+            "coopqp.simulation.calibrating": ("calibrate_runs",),
             "coopqp.simulation.closeness": ("Closeness", "Closest"),
             "coopqp.simulation.metrics": (
                 "chain_error",
@@ -233,6 +243,9 @@ __all__ = [
     "BindingLimit",
     "Breach",
     "BusyError",
+    "Calibration",
+    "CalibrationError",
+    "CalibrationOptions",
     "CellFileError",
     "CellState",
     "Closeness",
@@ -261,6 +274,7 @@ __all__ = [
     "LimitKind",
     "LinePath",
     "LiveViewer",
+    "LoadUse",
     "MissingExtraError",
     "MissingSolverError",
     "ModelError",
@@ -318,6 +332,8 @@ __all__ = [
     "at_tools",
     "available_kernels",
     "available_solvers",
+    "calibrate",
+    "calibrate_runs",
     "chain_error",
     "check_run",
     "describe_object",
@@ -339,7 +355,9 @@ __all__ = [
     "simulate",
     "tool_placements",
     "write_bag",
+    "write_calibration",
     "write_csv",
+    "write_load_use",
     "write_report",
     "write_speed_profile",
 ]

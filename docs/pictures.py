@@ -53,6 +53,8 @@ PROGRAMS: Mapping[str, tuple[str, ...]] = {
     "python docs/examples/21_four_cells.py --out {out}": ("docs/howto/four_cells.png",),
     "python docs/examples/22_cell_file.py --out {out}": ("docs/howto/cell_file.png",),
     "python docs/examples/23_nothing_touches.py --out {out}": ("docs/tutorials/nothing_touches.png",),
+    "python docs/examples/24_share_the_load.py --out {out}": ("docs/howto/load_use.png",),
+    "python docs/examples/25_calibrate.py --out {out}": ("docs/howto/calibration.png",),
 }
 #: Programs of this kind need Chromium (`make browser`).
 NEEDS_BROWSER = "docs/screenshots.py"

@@ -222,3 +222,19 @@ def test_a_missing_rosbags_names_the_extra(run: Recording, tmp_path: Path, monke
 @pytest.mark.parametrize(("arm", "topic"), [("master", "master"), ("arm 1-b", "arm_1_b"), ("7th", "_7th"), ("é", "_")])
 def test_topics_have_names_that_ros_allows(arm: str, topic: str) -> None:
     assert topic_name(arm) == topic
+
+
+def test_the_table_has_the_torques_that_are_fed_forward(paper: Scenario, run: Recording, tmp_path: Path) -> None:
+    from coopqp.forces import LoadShare, load_use
+    from coopqp.planning import Payload
+
+    payload = Payload(mass=20.0, centre=paper.T_object_body.translation)
+    load = LoadShare(paper.cell, paper.grasp, payload, internal_force=50.0)
+    use = load_use(load, run.time, run.q_command)
+    rows = list(csv.DictReader(write_csv(run, tmp_path / "run.csv", load=use).read_text().splitlines()))
+    assert [float(row["master/joint_2.torque_N_m"]) for row in rows] == use.torques[:, 1].tolist()
+    assert [float(row["load_share"]) for row in rows] == use.share.tolist()
+    plain, more = (text.splitlines()[0] for text in (csv_text(run), csv_text(run, load=use)))
+    assert more.startswith(plain + ",")
+    with pytest.raises(InvalidInputError, match="load_use"):
+        csv_text(run, load=load_use(load, run.time[:5], run.q_command[:5]))

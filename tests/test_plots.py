@@ -251,3 +251,22 @@ def test_a_missing_matplotlib_is_named(lift: Scenario, one: Recording, monkeypat
 def test_saving_is_repeatable(lift: Scenario, one: Recording) -> None:
     first, second = (style.figure_bytes(plots.error_figure(lift.cell, {"a": [one]}), dpi=40) for _ in range(2))
     assert first == second
+
+
+def test_the_load_is_drawn_with_its_limits_and_where_it_is_too_heavy(lift: Scenario, tmp_path: Path) -> None:
+    from coopqp import write_load_use
+    from coopqp.forces import Grip, LoadShare, load_use
+    from coopqp.look.loads import load_figure
+    from coopqp.planning import Payload
+
+    q = [lift.q_start] * 3
+    for mass, grips, panels in ((20.0, None, 1), (90.0, [Grip(force=1e3)] * 3, 3)):
+        payload = Payload(mass=mass, centre=lift.T_object_body.translation)
+        use = load_use(LoadShare(lift.cell, lift.grasp, payload, internal_force=50.0, grips=grips), [0, 1, 2], q)
+        figure = load_figure(use)
+        assert len(figure.axes) == panels
+        joints = figure.axes[0].get_lines()[: len(lift.cell)]
+        for k, line in enumerate(joints):
+            np.testing.assert_allclose(line.get_ydata(), 100.0 * use.joint[:, lift.cell.v_slices[k]].max(axis=1))
+        assert ("Too heavy" in figure.axes[0].get_title(loc="left")) == (mass == 90.0)
+    assert write_load_use(use, tmp_path / "load.png", dpi=50).stat().st_size > 5_000

@@ -24,9 +24,15 @@ ROOMS = (
 PUBLIC = ("coopqp", *(f"coopqp.{room}" for room in ROOMS if room != "app"))
 #: Packages with names that are imported on first use.
 LAZY = (
-    "coopqp", "coopqp.collision", "coopqp.control", "coopqp.simulation", "coopqp.files", "coopqp.look",
+    "coopqp",
+    "coopqp.collision",
+    "coopqp.control",
+    "coopqp.forces",
+    "coopqp.simulation",
+    "coopqp.files",
+    "coopqp.look",
     "coopqp.planning",
-)  # fmt: skip
+)
 #: Scripts that measure the parts of a step.
 INSIDE = (
     "benchmarks/peer",
@@ -71,7 +77,16 @@ PROGRAMS = programs()
 
 
 @pytest.mark.parametrize(
-    "package", ["coopqp", "coopqp.control", "coopqp.simulation", "coopqp.files", "coopqp.scenarios", "coopqp.planning"]
+    "package",
+    [
+        "coopqp",
+        "coopqp.control",
+        "coopqp.simulation",
+        "coopqp.files",
+        "coopqp.scenarios",
+        "coopqp.planning",
+        "coopqp.forces",
+    ],
 )
 def test_names_are_sorted_and_importable(package: str) -> None:
     module = importlib.import_module(package)

@@ -12,7 +12,7 @@ from importlib import metadata
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
-from coopqp.app import check
+from coopqp.app import calibrate, check
 from coopqp.app.commands import COMMANDS
 from coopqp.app.terminal import print_table, reporter
 from coopqp.errors import CoopqpError, MissingExtraError, printable
@@ -157,7 +157,7 @@ def _run_demo(arguments: argparse.Namespace) -> int:
     return OK
 
 
-_COMMANDS = (_add_demo, *COMMANDS, *check.COMMANDS)
+_COMMANDS = (_add_demo, *COMMANDS, *check.COMMANDS, *calibrate.COMMANDS)
 
 
 def _count(text: str) -> int:

@@ -15,6 +15,7 @@ import numpy as np
 import pinocchio as pin
 
 from coopqp.errors import InvalidInputError, MissingExtraError, printable
+from coopqp.forces.use import LoadUse
 from coopqp.model.cell import RobotCell
 from coopqp.output import OutputError, check_folder, folder_of, write_files
 from coopqp.simulation.assessment import Readings, check_recording, read_run, slides
@@ -33,7 +34,7 @@ def joint_table(cell: RobotCell, recording: Recording) -> tuple[Array, Array]:
     )
 
 
-def csv_text(recording: Recording, *, cell: RobotCell | None = None) -> str:
+def csv_text(recording: Recording, *, cell: RobotCell | None = None, load: LoadUse | None = None) -> str:
     """A run as CSV: one row per sample, numbers with all digits.
 
     Columns: time and the object's clock; rate, status and binding limits of the step that starts at the sample (empty
@@ -43,16 +44,31 @@ def csv_text(recording: Recording, *, cell: RobotCell | None = None) -> str:
     Args:
         recording: the run.
         cell: cell of the run; by default read from the recording.
+        load: of :func:`coopqp.forces.load_use` for the run; adds the feed-forward torque of every joint, and the share
+            of the load that the arms carry.
 
     Raises:
         SceneError: no cell is given and the recording does not describe one.
+        InvalidInputError: a load of another run.
     """
     cell = recording.cell(shapes=False) if cell is None else cell
+    if load is not None and load.torques.shape != (recording.n_steps + 1, cell.nv):
+        raise InvalidInputError(
+            f"torques of shape {load.torques.shape} for {recording.n_steps + 1} samples of {cell.nv} joints",
+            "write_csv: load",
+            "Give load_use(…, recording.time, recording.q_command).",
+        )
     readings = read_run(cell, recording)
     stream = io.StringIO()
     writer = csv.writer(stream, lineterminator="\n")
-    writer.writerow(map(_cell, _header(cell)))
-    writer.writerows(map(_cell, row) for row in _rows(cell, recording, readings))
+    head, rows = _header(cell), _rows(cell, recording, readings)
+    if load is not None:
+        units = ["N" if slide else "N_m" for slide in slides(cell)]
+        head += [f"{name}.torque_{unit}" for name, unit in zip(cell.joint_names, units, strict=True)] + ["load_share"]
+        torques = np.column_stack([load.torques, load.share]).tolist()
+        rows = ([*row, *more] for row, more in zip(rows, torques, strict=True))
+    writer.writerow(map(_cell, head))
+    writer.writerows(map(_cell, row) for row in rows)
     return stream.getvalue()
 
 
@@ -103,15 +119,17 @@ def _rows(cell: RobotCell, recording: Recording, readings: Readings) -> Iterator
         ]
 
 
-def write_csv(recording: Recording, path: str | Path, *, cell: RobotCell | None = None) -> Path:
+def write_csv(
+    recording: Recording, path: str | Path, *, cell: RobotCell | None = None, load: LoadUse | None = None
+) -> Path:
     """Write :func:`csv_text` to a file, atomically.
 
     Raises:
         OutputError: the file cannot be written.
-        SceneError: as in :func:`csv_text`.
+        SceneError, InvalidInputError: as in :func:`csv_text`.
     """
     file = Path(path)
-    write_files({file: csv_text(recording, cell=cell).encode()})
+    write_files({file: csv_text(recording, cell=cell, load=load).encode()})
     return file
 
 

@@ -1,1 +1,40 @@
-"""Forces between the arms and the object."""
+"""Forces between the arms and the object: load sharing, internal stress, calibration from gripped runs.
+
+What most users need is in :mod:`coopqp`. The names here share a load, and plan the motion for a calibration.
+"""
+
+from typing import TYPE_CHECKING
+
+from coopqp.lazy import lazy_names
+
+if TYPE_CHECKING:
+    from coopqp.forces.bound import LoadBound
+    from coopqp.forces.calibration import ArmCorrection, undetermined_by
+    from coopqp.forces.exciting import DeterminingMotion, determining_motion
+    from coopqp.forces.grips import Grip
+    from coopqp.forces.load import LoadShare, SharedLoad
+    from coopqp.forces.use import load_use
+else:
+    __getattr__, __dir__ = lazy_names(
+        __name__,
+        {
+            "coopqp.forces.bound": ("LoadBound",),
+            "coopqp.forces.calibration": ("ArmCorrection", "undetermined_by"),
+            "coopqp.forces.exciting": ("DeterminingMotion", "determining_motion"),
+            "coopqp.forces.grips": ("Grip",),
+            "coopqp.forces.load": ("LoadShare", "SharedLoad"),
+            "coopqp.forces.use": ("load_use",),
+        },
+    )
+
+__all__ = [
+    "ArmCorrection",
+    "DeterminingMotion",
+    "Grip",
+    "LoadBound",
+    "LoadShare",
+    "SharedLoad",
+    "determining_motion",
+    "load_use",
+    "undetermined_by",
+]

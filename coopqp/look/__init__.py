@@ -8,7 +8,9 @@ from typing import TYPE_CHECKING
 from coopqp.lazy import lazy_names
 
 if TYPE_CHECKING:
+    from coopqp.look.calibration import calibration_figure, write_calibration
     from coopqp.look.joints import joint_figure
+    from coopqp.look.loads import load_figure, write_load_use
     from coopqp.look.plots import error_figure, motion_figure
     from coopqp.look.profile import profile_figure, write_speed_profile
     from coopqp.look.renderer import Solid, View, box_solid, cell_solids, render
@@ -21,6 +23,8 @@ else:
         {
             "coopqp.look.joints": ("joint_figure",),
             "coopqp.look.plots": ("error_figure", "motion_figure"),
+            "coopqp.look.calibration": ("calibration_figure", "write_calibration"),
+            "coopqp.look.loads": ("load_figure", "write_load_use"),
             "coopqp.look.profile": ("profile_figure", "write_speed_profile"),
             "coopqp.look.renderer": ("Solid", "View", "box_solid", "cell_solids", "render"),
             "coopqp.look.report": ("write_report",),
@@ -34,14 +38,18 @@ __all__ = [
     "Solid",
     "View",
     "box_solid",
+    "calibration_figure",
     "cell_solids",
     "error_figure",
     "export_html",
     "joint_figure",
+    "load_figure",
     "motion_figure",
     "profile_figure",
     "render",
     "save_figure",
+    "write_calibration",
+    "write_load_use",
     "write_report",
     "write_speed_profile",
 ]

@@ -22,6 +22,14 @@ class LimitKind(enum.Enum):
     TORQUE = "torque"
     JERK = "jerk"
     COLLISION = "collision"
+    WRIST = "wrist wrench"
+    GRIP_FORCE = "force of the grip"
+    GRIP_TORQUE = "torque of the grip"
+    FRICTION = "friction"
+    TILT = "tilt on the pad"
+    SQUEEZE = "squeeze"
+    INTERNAL_FORCE = "internal force"
+    INTERNAL_TORQUE = "internal torque"
 
 
 @dataclass(frozen=True, slots=True)

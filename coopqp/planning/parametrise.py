@@ -56,12 +56,14 @@ class Limited:
         speed: largest speeds of the joints (nv,), inf without.
         acceleration: limits of the joints with an acceleration limit.
         torque: limits of the joints with a torque limit; None without payload.
+        further: rate bounds, ``a s̈ + b ṡ² ≤ 1``: one side only; None without.
     """
 
     knots: Knots
     speed: Array
     acceleration: Lines
     torque: Lines | None = None
+    further: Lines | None = None
 
     def square_bound(self) -> Array:
         """Largest ṡ² by the joints' speeds (K,)."""
@@ -150,18 +152,22 @@ def _by_toppra(limited: Limited, scale: float) -> Array | None:
     class LineBound(constraint.LinearConstraint):  # type: ignore[misc]
         """Lines at both ends of each interval, in shares of their bounds: rows of one size."""
 
-        def __init__(self, lines: Lines) -> None:
+        def __init__(self, lines: Lines, *, one_sided: bool = False) -> None:
             super().__init__()
-            self.lines, self.identical = lines, True
+            self.lines, self.one_sided, self.identical = lines, one_sided, True
 
         def compute_constraint_params(self, path: Any, gridpoints: Any) -> Any:
             lines = self.lines
             a, b, c = (x / lines.bound for x in (lines.a / scale, lines.b / scale**2, lines.c))
             size = a.shape[1]
-            F, g = np.vstack([np.eye(size), -np.eye(size)]), np.ones(2 * size)
+            F, g = np.eye(size), np.ones(size)
+            if not self.one_sided:
+                F, g = np.vstack([F, -F]), np.ones(2 * size)
             return constraint.canlinear_colloc_to_interpolate(a, b, c, F, g, None, None, gridpoints, identical=True)
 
     bounds = [SpeedBound(), *(LineBound(x) for x in (limited.acceleration, limited.torque) if x is not None)]
+    if limited.further is not None:
+        bounds.append(LineBound(limited.further, one_sided=True))
     logging.getLogger("toppra").setLevel(logging.ERROR)  # what it warns of is told by the answer
     speeds = TOPPRA(bounds, KnotPath(), gridpoints=grid, solver_wrapper="seidel").compute_parameterization(0.0, 0.0)[1]
     return None if speeds is None else np.asarray(speeds, dtype=float) / scale

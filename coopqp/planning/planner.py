@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -69,6 +70,7 @@ def plan(
     blend_angle: float | None = None,
     free_roll: Mapping[str, Sequence[float]] | None = None,
     payload: Payload | None = None,
+    bounds: Sequence[Any] = (),
     jerk: ArrayLike | None = None,
     share: float = SHARE,
     knots: int | None = None,
@@ -82,7 +84,7 @@ def plan(
         blend: corners are rounded off: the object stays within this distance of them [m]. 0: it rests at each corner.
         blend_angle: and within this angle [rad]; by default ``blend`` over 0.3 m.
         free_roll: as of :func:`find_start`.
-        payload, jerk, share, knots: as of :func:`time_path`.
+        payload, bounds, jerk, share, knots: as of :func:`time_path`.
 
     Raises:
         NoStartError: an arm has no start from which it follows the path.
@@ -106,7 +108,9 @@ def plan(
         start = find_start(cell, grasp, way, free_roll=free_roll)
         q_start, grasp = start.q, start.grasp
     q = cell.check_configuration(q_start, f"{where}: q_start")
-    timed = time_path(cell, grasp, geometry, q_start=q, payload=payload, jerk=jerk, share=share, knots=knots)
+    timed = time_path(
+        cell, grasp, geometry, q_start=q, payload=payload, bounds=bounds, jerk=jerk, share=share, knots=knots
+    )
     return Plan(q_start=q, grasp=grasp, path=timed, start=start)
 
 

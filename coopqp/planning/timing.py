@@ -6,6 +6,8 @@ speed ṡ along them. In ``z = ṡ²`` and s̈ all limits are lines: ``q̇ = q�
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -16,6 +18,7 @@ from coopqp.model.branches import AT_LIMIT, amount
 from coopqp.model.cell import RobotCell
 from coopqp.model.grasp import Grasp
 from coopqp.model.limits import BindingLimit, LimitKind
+from coopqp.model.state import CellState
 from coopqp.planning.jerk import jerk_limited, jerk_use, smoothed
 from coopqp.planning.knots import Following, Knots
 from coopqp.planning.parametrise import Limited, Lines, fastest, require_toppra
@@ -33,6 +36,8 @@ SHARE = 0.98
 _EQUAL = 0.99
 #: Between knots limits may be exceeded by this share; where it is more, knots are added, in so many rounds at most.
 _EXCESS, _ROUNDS = 2e-3, 6
+#: Room of a rate bound at rest, as a share of its coefficients, that counts as rounding.
+_LEAST_ROOM = 1e-9
 #: Knots of a path, and of a stretch between corners at least.
 KNOTS, LEAST_KNOTS = 400, 60
 JERK_KNOTS = 150
@@ -45,6 +50,7 @@ def time_path(
     *,
     q_start: ArrayLike,
     payload: Payload | None = None,
+    bounds: Sequence[Any] = (),
     jerk: ArrayLike | None = None,
     share: float = SHARE,
     knots: int | None = None,
@@ -59,7 +65,9 @@ def time_path(
         cell, grasp: the arms, and how they hold the object.
         path: where to. Of a path of your own poses and twists are asked; derivatives of its twists are differences.
         q_start: configuration (nq,) near the start of the path; it decides the branches.
-        payload: with it the joints' torques stay within their limits, too.
+        payload: with it the joints' torques stay within their limits, too; each arm carries an equal part.
+        bounds: further rate bounds (:class:`coopqp.RateBound`), such as :class:`coopqp.forces.LoadBound`, which shares
+            the payload among the arms. Not with ``jerk``.
         jerk: largest jerk of the joints, one number or one per joint (nv,) [rad/s³ or m/s³]: the change between mean
             accelerations of 10 ms, over 10 ms. The profile then comes from linear programs in a row, see
             :mod:`coopqp.planning.jerk`; this takes a second.
@@ -83,6 +91,8 @@ def time_path(
     jerks = None if jerk is None else _as_jerks(jerk, cell.nv, where)
     x = cell.positions(cell.check_configuration(q_start, f"{where}: q_start"))
     geometry = geometry_of(path, where)
+    if jerk is not None and len(bounds):
+        raise InvalidInputError("rate bounds beside jerk limits", where, "Give one of them.")
     if payload is not None:
         require(payload, Payload, f"{where}: payload", "Give a Payload.")
     _check_limits(cell, where)
@@ -96,6 +106,7 @@ def time_path(
             found = following.at(own_s)
             _check_positions(cell, path, found, mark)
             limited = limits_along(cell, grasp, found, payload=payload, share=share)
+            limited = replace(limited, further=further_lines(cell, bounds, found, share, mark))
             _check_weight(cell, limited, mark)
             z = fastest(limited)
             over = use_between(limited, z) > 1.0 + _EXCESS
@@ -108,7 +119,7 @@ def time_path(
             z = np.interp(found.s, own_s, z)
             limited = limits_along(cell, grasp, found, payload=payload, share=share)
             z = kept_within(limited, z, share * jerks)
-        names, shares = binding_limits(cell, limited, z, None if jerks is None else share * jerks)
+        names, shares = binding_limits(cell, limited, z, None if jerks is None else share * jerks, bounds)
         s.append(mark + found.s[1:])
         squares.append(z[1:])
         binding += names
@@ -185,8 +196,59 @@ def limits_along(
     return Limited(knots, share * limits.velocity, acceleration, torque)
 
 
+def further_lines(
+    cell: RobotCell, bounds: Sequence[Any], knots: Knots, share: float, mark: float = 0.0
+) -> Lines | None:
+    """Rate bounds at knots as lines ``a s̈ + b ṡ² ≤ 1``, one row of each knot padded with zeros; None without bounds.
+
+    Raises:
+        UnreachableError: a bound does not allow the object to rest at a knot.
+        InvalidInputError: a bound returns something else than lines.
+    """
+    if not len(bounds):
+        return None
+    found: list[tuple[Array, Array, Array]] = []
+    for i, s in enumerate(knots.s):
+        state = CellState(cell, cell.configuration(knots.q[i]))
+        knot = _Knot(float(s), state, knots.slope[i], knots.curvature[i])
+        parts = []
+        for number, bound in enumerate(bounds):
+            a, b, c = (np.atleast_1d(np.asarray(x, dtype=float)) for x in bound.lines(knot))
+            if not (a.shape == b.shape == c.shape == (a.size,) and np.isfinite([a, b, c]).all()):
+                raise InvalidInputError("a, b and c are not finite vectors of one length", bound.name, "See RateBound.")
+            least = _LEAST_ROOM * (np.abs(a) + np.abs(b))
+            if (c < -least).any():
+                raise UnreachableError(
+                    f"{bound.name}: the object cannot rest {mark + s:.3g} m along the path, so it cannot pass there. "
+                    "Take a lighter payload, or move the path."
+                )
+            room = share * np.maximum(c, least + 1e-300)
+            parts.append((b / room, a / room, np.full(len(a), float(number))))
+        found.append(tuple(np.concatenate(x) for x in zip(*parts, strict=True)))  # type: ignore[arg-type]
+    most = max(len(a) for a, _, _ in found)
+    a, b, owner = (
+        np.array([np.pad(rows[i], (0, most - len(rows[i])), constant_values=fill) for rows in found])
+        for i, fill in ((0, 0.0), (1, 0.0), (2, -1.0))
+    )
+    return Lines(a, b, np.zeros_like(a), np.ones(most), owner.astype(int))
+
+
+@dataclass(frozen=True, eq=False)
+class _Knot:
+    """What :meth:`coopqp.RateBound.lines` is asked at; the clock is s [m]."""
+
+    clock: float
+    state: CellState
+    slope: Array
+    curvature: Array
+
+
 def binding_limits(
-    cell: RobotCell, limited: Limited, squares: Array, jerk: Array | None = None
+    cell: RobotCell,
+    limited: Limited,
+    squares: Array,
+    jerk: Array | None = None,
+    bounds: Sequence[Any] = (),
 ) -> tuple[list[BindingLimit | None], Array]:
     """The limit that is used most between knots, and how much of it, of the share that is planned with (K − 1,).
 
@@ -202,13 +264,19 @@ def binding_limits(
     for row, top in zip(use, most, strict=True):
         if last < 0 or row[last] < _EQUAL * top:
             last = int(row.argmax())
+        if owners[last] < 0:
+            names.append(BindingLimit("", "", kinds[last], bounds[-1 - owners[last]].name))
+            continue
         arm, _, joint = cell.joint_names[owners[last]].partition("/")
         names.append(BindingLimit(arm, joint, kinds[last]))
     return names, most
 
 
 def _uses(limited: Limited, squares: Array, jerk: Array | None) -> list[tuple[LimitKind, Any, Array]]:
-    """Each kind of limits, the joints that have one (m,), and the share of it that is used between knots (K − 1, m)."""
+    """Each kind of limits, whose they are (m,), and the share of them that is used between knots (K − 1, m).
+
+    They are a joint's, or those of further bound ``k``, as ``−1 − k``.
+    """
     knots = limited.knots
     slope = 0.5 * np.diff(squares) / np.diff(knots.s)
     speeds = np.abs(knots.slope) * np.sqrt(squares)[:, None] / limited.speed
@@ -222,6 +290,18 @@ def _uses(limited: Limited, squares: Array, jerk: Array | None) -> list[tuple[Li
                 for part in (slice(None, -1), slice(1, None))
             ]
             found.append((kind, lines.owner, np.maximum(*ends)))
+    further = limited.further
+    if further is not None:
+        for number in range(int(further.owner.max()) + 1):
+            ends = [
+                np.where(
+                    further.owner[part] == number,
+                    further.a[part] * slope[:, None] + further.b[part] * squares[part, None],
+                    0.0,
+                ).max(axis=1, keepdims=True, initial=0.0)
+                for part in (slice(None, -1), slice(1, None))
+            ]
+            found.append((LimitKind.CONSTRAINT, np.array([-1 - number]), np.maximum(*ends)))
     if jerk is not None:
         found.append((LimitKind.JERK, joints, jerk_use(limited, squares, jerk)))
     return found

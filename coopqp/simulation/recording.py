@@ -50,7 +50,8 @@ class Recording(Shown):
         notes: one entry ``"step: explanation"`` per change of status or binding limits; one for many
             changes to and fro.
         metadata: controller, solver, names of arms and joints; description of the cell and the path (``scene``,
-            ``path``: :mod:`coopqp.simulation.scene`); binding limits over time (``binding``); entries of the caller.
+            ``path``: :mod:`coopqp.simulation.scene`); binding limits over time (``binding``); the plant, and whether
+            the arms held one object at the end (``gripped``); entries of the caller.
         meshes: whether the mesh files that the description of the cell names may be opened. Not so after
             :meth:`load`, unless asked: a stranger's recording names files of your disk.
     """

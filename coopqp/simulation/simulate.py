@@ -105,7 +105,8 @@ def simulate(
         still = still + step.dt if _stands(step) else 0.0
         if still >= enough:
             break
-    return recorder.recording(metadata or {})
+    held = {"plant": type(plant).__name__, "gripped": getattr(plant, "gripped", None)}
+    return recorder.recording({**held, **(metadata or {})})
 
 
 def _stands(step: ControlStep) -> bool:

@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-import json
-import os
-from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Any
 
 from coopqp.files.cellfile.build import DEFAULT_DT, CellRun
 from coopqp.files.cellfile.paths import resolve
+from coopqp.files.cellfile.write import relative, toml_lines
 from coopqp.planning.planner import Plan
 
 
@@ -29,9 +26,9 @@ def planned_text(run: CellRun, plan: Plan, *, folder: Path, into: Path) -> str:
         dirs = [resolve(d, folder, f"{where}: package_dirs") for d in arm.package_dirs]
         for key in ("urdf", "mjcf"):
             if key in table:
-                table[key] = _relative(resolve(table[key], folder, f"{where}: {key}", package_dirs=dirs), into)
+                table[key] = relative(resolve(table[key], folder, f"{where}: {key}", package_dirs=dirs), into)
         if dirs:
-            table["package_dirs"] = [_relative(d, into) for d in dirs]
+            table["package_dirs"] = [relative(d, into) for d in dirs]
     record = plan.path.record()
     tables["path"] = {
         "kind": "timed",
@@ -49,59 +46,4 @@ def planned_text(run: CellRun, plan: Plan, *, folder: Path, into: Path) -> str:
     # What is long comes last.
     order = sorted(tables, key=lambda key: key == "path")
     head = f"# {plan.path.duration:.4g} s from rest to rest, planned by coopqp. Its time law is in the table [path]."
-    return "\n".join([head, *_lines({key: tables[key] for key in order})]) + "\n"
-
-
-def _relative(path: Path, into: Path) -> str:
-    try:
-        return Path(os.path.relpath(path.absolute(), into.absolute())).as_posix()
-    except ValueError:  # on another drive
-        return path.absolute().as_posix()
-
-
-def _lines(tables: Mapping[str, Any], place: str = "") -> Iterator[str]:
-    """TOML: the keys of a table, then the tables inside it."""
-    inner = {}
-    for key, value in tables.items():
-        if isinstance(value, Mapping) or (isinstance(value, list) and value and isinstance(value[0], Mapping)):
-            inner[key] = value
-        else:
-            yield f"{_key(key)} = {_value(value)}"
-    for key, value in inner.items():
-        name = f"{place}.{_key(key)}" if place else _key(key)
-        for table in value if isinstance(value, list) else [value]:
-            yield ""
-            yield f"[[{name}]]" if isinstance(value, list) else f"[{name}]"
-            yield from _lines(table, name)
-
-
-def _key(key: str) -> str:
-    plain = key.isascii() and key.replace("_", "").replace("-", "").isalnum()
-    return key if plain else json.dumps(key)
-
-
-def _value(value: Any) -> str:
-    if isinstance(value, bool):
-        return str(value).lower()
-    if isinstance(value, float):
-        return repr(value)  # the shortest text that reads back to the same number; inf and nan are TOML, too
-    if isinstance(value, int):
-        return str(value)
-    if isinstance(value, (list, tuple)):
-        texts = [_value(item) for item in value]
-        if sum(map(len, texts)) < 100:
-            return f"[{', '.join(texts)}]"
-        return "[\n" + "".join(f"  {text},\n" for text in _rows(texts)) + "]"
-    return json.dumps(str(value), ensure_ascii=False)
-
-
-def _rows(texts: list[str]) -> Iterator[str]:
-    """Texts put together to lines of some length."""
-    row = ""
-    for text in texts:
-        if row and len(row) + len(text) > 110:
-            yield row
-            row = text
-        else:
-            row = f"{row}, {text}" if row else text
-    yield row
+    return "\n".join([head, *toml_lines({key: tables[key] for key in order})]) + "\n"

@@ -39,12 +39,15 @@ class DisturbedPlant:
         command_latency: delay of the commands [s], by arm.
 
     Attributes:
+        gripped: False: nothing but the commands holds the arms together.
         q: true configuration (nq,).
         time: time since the reset [s].
 
     Raises:
         UnknownNameError: a disturbance names an arm that is not in the cell.
     """
+
+    gripped = False
 
     def __init__(
         self,

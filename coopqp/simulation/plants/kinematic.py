@@ -24,7 +24,9 @@ class Plant(Protocol):
 
 @final
 class KinematicPlant:
-    """Joints that follow their commands exactly."""
+    """Joints that follow their commands exactly. They hold nothing: ``gripped`` is False."""
+
+    gripped = False
 
     def __init__(self, cell: RobotCell) -> None:
         require(cell, RobotCell, "KinematicPlant: cell", "Give a RobotCell.")

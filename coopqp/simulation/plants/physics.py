@@ -16,6 +16,7 @@ import pinocchio as pin
 from coopqp.checks import ArrayLike, as_options, as_scalar, as_vector, require
 from coopqp.control.command import ControlStep
 from coopqp.errors import CoopqpError, InvalidInputError
+from coopqp.forces.load import LoadShare
 from coopqp.model.cell import RobotCell
 from coopqp.model.grasp import Grasp
 from coopqp.simulation.plants.disturbances import Disturbances
@@ -63,6 +64,8 @@ class PhysicsPlant:
         options: settings of the servos and the engine.
         disturbances: as in :class:`coopqp.simulation.plants.disturbed.DisturbedPlant`; lag and stall act on the
             targets of the servos, base offsets on the bases in the engine.
+        load: load sharing whose torques the drives feed forward for the motion as commanded, with the arms' own
+            dynamics, in place of the object's weight alone.
 
     Attributes:
         stiffness: kp of the servos (nv,) [N·m/rad or N/m].
@@ -86,6 +89,7 @@ class PhysicsPlant:
         real_grasp: Grasp | None = None,
         options: PhysicsOptions | Mapping[str, Any] | None = None,
         disturbances: Disturbances | None = None,
+        load: LoadShare | None = None,
     ) -> None:
         mujoco = require_mujoco()
         require(grasp, Grasp, "PhysicsPlant: grasp", "Give a Grasp of the placements.")
@@ -103,8 +107,17 @@ class PhysicsPlant:
         self.T_object_body = (
             pin.SE3.Identity() if T_object_body is None else as_placement(T_object_body, "PhysicsPlant: T_object_body")
         )
+        if load is not None:
+            require(load, LoadShare, "PhysicsPlant: load", "Give a coopqp.forces.LoadShare.")
+            if load.cell.joint_names != cell.joint_names:
+                raise InvalidInputError(
+                    "it shares the load of other arms", "PhysicsPlant: load", "Build it of the cell."
+                )
+            if not np.allclose(load.cell.model.gravity.linear, self.options.gravity):
+                raise InvalidInputError("its gravity is another one", "PhysicsPlant: load", "Set cell.model.gravity.")
+        self.load = load
         servos = self.options.servos(cell)
-        self.stiffness = servos.stiffness
+        self.stiffness, self._armature = servos.stiffness, servos.armature
         self._lead = servos.damping / servos.stiffness if self.options.velocity_feed_forward else np.zeros(cell.nv)
         self._load, self._data = self._load_wrenches(), cell.model.createData()
         self._spec = build_spec(
@@ -131,7 +144,7 @@ class PhysicsPlant:
         )
         self._encoders = Encoders(cell, self.disturbances)
         self.time, self._fresh = 0.0, False
-        self._torque = np.zeros(cell.nv)
+        self._torque, self._velocity = np.zeros(cell.nv), np.zeros(cell.nv)
 
     @staticmethod
     def of(
@@ -140,6 +153,7 @@ class PhysicsPlant:
         real_grasp: Grasp | None = None,
         options: PhysicsOptions | Mapping[str, Any] | None = None,
         disturbances: Disturbances | None = None,
+        load: LoadShare | None = None,
     ) -> PhysicsPlant:
         """Build the plant of a scenario from its cell, grasp and object."""
         return PhysicsPlant(
@@ -151,6 +165,7 @@ class PhysicsPlant:
             real_grasp=real_grasp,
             options=options,
             disturbances=disturbances,
+            load=load,
         )
 
     # -- the plant -----------------------------------------------------------------------------------------------
@@ -185,6 +200,7 @@ class PhysicsPlant:
             self._command(x + u * way, still, torque + u * (self._torque - torque))
             self._mujoco.mj_step(m, d)
         self._targets.reset(measured if n else start)
+        self._velocity = np.zeros(self.cell.nv)
         return measured
 
     def apply(self, step: ControlStep) -> Array:
@@ -193,7 +209,8 @@ class PhysicsPlant:
         q_next = self.cell.check_configuration(step.q_next, "PhysicsPlant.apply: step.q_next")
         m, d, targets = self.mj_model, self.mj_data, self._targets
         targets.push(q_next, dt)
-        before, after = self._torque, self._load_torque(q_next)
+        before, after = self._torque, self._load_torque(q_next, step.velocity, (step.velocity - self._velocity) / dt)
+        self._velocity = np.array(step.velocity)
         n = max(1, math.ceil(dt / self.options.timestep - 1e-9))
         h = m.opt.timestep = dt / n
         for i in range(n):
@@ -213,6 +230,11 @@ class PhysicsPlant:
         """Open all grips until the next reset. The object falls."""
         self.mj_data.eq_active[self._welds] = 0
         self._fresh = False
+
+    @property
+    def gripped(self) -> bool:
+        """True while every arm holds the object; recordings say it."""
+        return bool(self.mj_data.eq_active[self._welds].all())
 
     # -- readings ------------------------------------------------------------------------------------------------
 
@@ -323,11 +345,22 @@ class PhysicsPlant:
         weight = -self.object_mass * np.array(options.gravity)
         return np.array([np.concatenate([share * weight, lever / n]) for share in shares])
 
-    def _load_torque(self, q: Array) -> Array:
-        """Feed-forward Jᵀf of the object's weight at ``q`` (nv,), with the nominal cell and grasp."""
+    def _load_torque(self, q: Array, velocity: Array | None = None, acceleration: Array | None = None) -> Array:
+        """Feed-forward torques (nv,) at ``q``, at rest by default, with the nominal cell and grasp.
+
+        Jᵀf of the object's weight; with load sharing all that its motion takes, besides the weight that the drives
+        carry anyhow.
+        """
         out = np.zeros(self.cell.nv)
         if not self.options.load_feed_forward:
             return out
+        if self.load is not None:
+            v, dv = (out if x is None else x for x in (velocity, acceleration))
+            twist, change = self.load.object_motion(q, v, dv)
+            shared = self.load.share(q, twist=twist, acceleration=change, joint_velocity=v, joint_acceleration=dv)
+            if self.options.gravity_compensation:
+                out = pin.computeGeneralizedGravity(self.cell.model, self._data, q)
+            return shared.torques + self._armature * dv - out
         J = np.asarray(pin.computeJointJacobians(self.cell.model, self._data, q))
         tools = [self._data.oMi[j] * X for j, X in zip(self.cell.tool_joints, self.cell.T_joint_tool, strict=True)]
         R_object = tools[0].rotation @ self.grasp.T_object_tool[0].rotation.T

@@ -1,0 +1,200 @@
+"""Load sharing and calibration on the paper's lift: newtons, shares of torque limits, and seconds.
+
+Records have the keys of ``KEYS``; what does not apply is null. Forces are the largest norm at a grasp less the load in
+a lift with everything where the model has it [N]. ``peak_N`` and ``rest_N`` are those of a lift with the controller of
+the record, ``without_N`` that at rest without it. Cases:
+
+``base_off_lift``  one base is off by 1 mm and 0.1°; the controller's model is calibrated from one lift before;
+``feed_forward``   forces in the engine less those that are shared, with the torques fed forward, and without;
+``heavy_lift``     torques of a slow lift, the load shared or in equal parts;
+``fastest_lift``   the shortest lift by torque limits.
+"""
+
+from __future__ import annotations
+
+import sys
+import warnings
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+import common  # first: it limits BLAS to one thread
+import numpy as np
+import pinocchio as pin
+from common import Record
+
+from coopqp import (
+    Array,
+    CalibrationOptions,
+    CellState,
+    ControlStep,
+    Disturbances,
+    Grasp,
+    PhysicsPlant,
+    QPController,
+    QPOptions,
+    Recording,
+    RobotCell,
+    StartWarning,
+    SupervisionOptions,
+    calibrate_runs,
+    inverse_kinematics,
+    simulate,
+)
+from coopqp.forces import LoadBound, LoadShare, load_use
+from coopqp.planning import Payload, time_path
+from coopqp.scenarios import Scenario, paper_lift
+from coopqp.simulation import Replay, exact_motion
+
+KEYS = (
+    "case", "variant", "controller", "peak_N", "rest_N", "without_N", "slip_mm", "torque_use", "time_s", "finished",
+    "status",
+)  # fmt: skip
+DIAGONAL = np.ones(3) / np.sqrt(3.0)
+BASE_OFF = pin.SE3(pin.exp3(np.deg2rad(0.1) * DIAGONAL), 1e-3 * DIAGONAL)
+#: The first run squeezes: it must not be stopped for what it is to measure.
+TOLERANT = QPOptions(supervision=SupervisionOptions(slow_from=0.005, hold_from=0.01, stall_samples=10_000))
+INTERNAL = 50.0  # N
+MASSES = (20.0, 40.0, 48.0, 53.0)
+
+
+def record(case: str, variant: str, controller: str, **values: Any) -> Record:
+    """A record with all keys."""
+    return {key: {"case": case, "variant": variant, "controller": controller, **values}.get(key) for key in KEYS}
+
+
+def box(task: Scenario, mass: float) -> Payload:
+    """The object as a homogeneous box."""
+    x, y, z = task.object_size
+    inertia = mass / 12.0 * np.diag([y * y + z * z, x * x + z * z, x * x + y * y])
+    return Payload(mass=mass, centre=task.T_object_body.translation, inertia=inertia)
+
+
+def lifted(task: Scenario, plant: PhysicsPlant, cell: RobotCell, grasp: Grasp) -> tuple[Recording, Array]:
+    """A lift with a model on a plant; wrenches at each step (T, N, 6)."""
+    q, wrenches = inverse_kinematics(cell, grasp, task.path.pose(0.0), task.q_start), list[Array]()
+    controller = QPController(cell, grasp, task.path, dt=task.dt, options=TOLERANT)
+    run = simulate(controller, plant, q_start=q, settle=0.5, observe=lambda _: wrenches.append(plant.wrenches()))
+    return run, np.array(wrenches)
+
+
+def forces(wrenches: Array, load: Array) -> Array:
+    """Largest force at a grasp less the load, at each step (T,) [N]."""
+    n = min(len(wrenches), len(load))
+    found: Array = np.linalg.norm((wrenches[:n] - load[:n])[:, :, :3], axis=2).max(axis=1)
+    return found
+
+
+def base_off_lift(quick: bool) -> Iterator[Record]:
+    """Every arm in turn."""
+    task = paper_lift(time_law="quintic")
+    load = lifted(task, PhysicsPlant.of(task), task.cell, task.grasp)[1]
+    for arm in ("slave_2",) if quick else task.cell.arm_names:
+        for noise in (0.0, 1e-4):
+
+            def plant(seed: int, arm: str = arm, noise: float = noise) -> PhysicsPlant:
+                off = Disturbances(base_offset={arm: BASE_OFF}, encoder_noise=noise, seed=seed)
+                return PhysicsPlant.of(task, disturbances=off)
+
+            run, before = lifted(task, plant(0), task.cell, task.grasp)
+            found = calibrate_runs([run], cell=task.cell, options=CalibrationOptions(encoder_noise=max(noise, 1e-5)))
+            again, after = lifted(task, plant(1), found.cell, found.grasp)
+            force, without = forces(after, load), forces(before, load)
+            yield record(
+                "base_off_lift", f"{arm}, encoders ±{noise:g} rad", "calibrated", peak_N=float(force.max()),
+                rest_N=float(force[-1]), without_N=float(without[-1]), time_s=float(again.time[-1]),
+                finished=again.finished, status=again.statuses[-1].value,
+            )  # fmt: skip
+
+
+def feed_forward(quick: bool) -> Iterator[Record]:
+    """A lift in 1.2 s with exact inverse kinematics."""
+    task = paper_lift(time_law="quintic", duration=1.2)
+    load = LoadShare(task.cell, task.grasp, box(task, 20.0), internal_force=INTERNAL)
+    motion, off = exact_motion(task.cell, task.grasp, task.path, task.q_start), list[Array]()
+    for shared in (None, load):
+        plant, wrenches = PhysicsPlant.of(task, load=shared), list[Array]()
+
+        def read(_: ControlStep, plant: PhysicsPlant = plant, wrenches: list[Array] = wrenches) -> None:
+            wrenches.append(plant.wrenches())
+
+        controller = Replay(task.cell, task.grasp, task.path, motion, dt=0.006 if quick else 0.002)
+        run = simulate(controller, plant, q_start=task.q_start, observe=read)
+        off.append(forces(np.array(wrenches), load_use(load, run.time, run.q_command).wrenches[1:]))
+    yield record(
+        "feed_forward", "20 kg in 1.2 s", "shared load", peak_N=float(off[1].max()), rest_N=float(off[1][-1]),
+        without_N=float(off[0].max()), time_s=float(run.time[-1]), finished=run.finished, status=run.statuses[-1].value,
+    )  # fmt: skip
+
+
+def heavy_lift(quick: bool) -> Iterator[Record]:
+    """Torques of 53 kg in 6 s, from rest to rest; equal parts: a third of the force at each grip, moments likewise."""
+    task = paper_lift(time_law="quintic", duration=6.0)
+    motion, time = exact_motion(task.cell, task.grasp, task.path, task.q_start), np.linspace(0, 6, 31 if quick else 121)
+    q = np.array([motion(t) for t in time])
+    load = LoadShare(task.cell, task.grasp, box(task, 53.0), internal_force=INTERNAL)
+    use = load_use(load, time, q)
+    yield record(
+        "heavy_lift", "53 kg", "shared load", torque_use=float(use.joint.max()), finished=use.feasible, time_s=6.0,
+        rest_N=float(INTERNAL * use.internal[-1].max()), peak_N=float(INTERNAL * use.internal.max()),
+    )  # fmt: skip
+    most, n = 0.0, len(task.cell)
+    for x, pose in zip(q, map(task.path.pose, time), strict=True):
+        f, state = load.wrench(pose.rotation), CellState(task.cell, x)
+        arms = pin.computeGeneralizedGravity(task.cell.model, task.cell.model.createData(), x)
+        levers = [np.cross(X.translation, f[:3] / n) for X in task.grasp.T_object_tool]
+        for k, (s, X) in enumerate(zip(task.cell.v_slices, task.grasp.T_object_tool, strict=True)):
+            w = np.concatenate([f[:3] / n, levers[k] + (f[3:] - np.sum(levers, axis=0)) / n])
+            torque = arms[s] + state.jacobian(k).T @ X.action.T @ w
+            most = max(most, float((np.abs(torque) / load.torque_limits[s]).max()))
+    yield record("heavy_lift", "53 kg", "equal parts", torque_use=most, finished=most <= 1.0, time_s=6.0)
+
+
+def fastest_lift(quick: bool) -> Iterator[Record]:
+    """By torque limits alone: the joints' speeds and accelerations are out of the way."""
+    task = paper_lift()
+    cell = task.cell.with_limits(velocity=1e3, acceleration=1e4)
+    for mass in MASSES[1:2] if quick else MASSES:
+        load = LoadShare(cell, task.grasp, box(task, mass), internal_force=INTERNAL)
+        path = time_path(
+            cell, task.grasp, task.path, q_start=task.q_start, bounds=[LoadBound(load)], share=1.0, knots=100
+        )
+        clocks, q = np.linspace(0.0, path.duration, 60), [task.q_start]
+        for clock in clocks[1:]:
+            q.append(inverse_kinematics(cell, task.grasp, path.pose(clock), q[-1], limits=False))
+        use = load_use(load, clocks, np.array(q))
+        inside = slice(2, -2)  # the acceleration jumps at both ends, where differences reach over them
+        yield record(
+            "fastest_lift", f"{mass:g} kg", "load bound", torque_use=float(use.joint[inside].max()),
+            peak_N=float(INTERNAL * use.internal[inside].max()), time_s=path.duration,
+            finished=bool(use.share[inside].min() > 0.995),
+        )  # fmt: skip
+
+
+CASES = (base_off_lift, feed_forward, heavy_lift, fastest_lift)
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run, print the table, write the files."""
+    options = common.arguments(__doc__.partition("\n")[0] if __doc__ else "").parse_args(argv)
+    description = common.describe(
+        "forces", {"internal force": f"{INTERNAL:g} N", "torque limits": "of the model (assumed)"}
+    )
+    description["versions"] |= common.versions(["mujoco", "toppra"])
+    print(common.header(description), file=sys.stderr)
+    progress, records = common.Progress(len(CASES)), list[Record]()
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", StartWarning)  # arms start where the closed grips put them
+        for case in CASES:
+            progress.label = case.__name__
+            progress.show()
+            records += case(options.quick)
+            progress.advance()
+    progress.close()
+    table = common.markdown_table(records, KEYS)
+    print(f"## Forces\n\n{table}\n")
+    common.save(records, description, json_file=options.json, out=options.out, files={"forces.md": table.encode()})
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

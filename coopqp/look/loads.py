@@ -1,0 +1,63 @@
+"""What a motion asks of the arms, as a picture: torques, grips and internal forces over time. Needs ``plot``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from coopqp.forces.use import LoadUse
+from coopqp.look.style import require_matplotlib, save_figure
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+_COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#7f5539")
+_INK, _FAINT = "#222222", "#8a8f98"
+
+
+def load_figure(use: LoadUse) -> Figure:
+    """Used shares of the limits over time: the most used joint of each arm, its internal force, and its grip if bound.
+
+    Raises:
+        MissingExtraError: matplotlib is missing.
+    """
+    require_matplotlib()
+    from matplotlib.figure import Figure
+
+    cell, rows = use.cell, [("joint torque", use.joint), ("internal force", use.internal), ("grip", use.grip)]
+    rows = [row for row in rows if row[1].max() > 0.0 or row[0] == "joint torque"]
+    figure = Figure(figsize=(8.0, 1.2 + 2.0 * len(rows)), layout="constrained")
+    panels = figure.subplots(len(rows), 1, sharex=True, squeeze=False)[:, 0]
+    for axes, (what, shares) in zip(panels, rows, strict=True):
+        for k, arm in enumerate(cell.arm_names):
+            label, line = arm, shares[:, min(k, shares.shape[1] - 1)]
+            if what == "joint torque":
+                own = cell.v_slices[k]
+                j = own.start + int(shares[:, own].max(axis=0).argmax())
+                label, line = cell.joint_names[j], shares[:, j]
+            axes.plot(use.time, 100.0 * line, color=_COLOURS[k % len(_COLOURS)], linewidth=1.6, label=label)
+        axes.axhline(100.0, color=_INK, linewidth=1.0, linestyle=(0, (4, 3)))
+        axes.set_ylim(0.0, 110.0)
+        axes.set_ylabel(f"{what}\n[% of its limit]")
+        axes.legend(loc="upper left", bbox_to_anchor=(1.01, 1.0), frameon=False, fontsize=9)
+        for side in ("top", "right"):
+            axes.spines[side].set_visible(False)
+        if not use.feasible:
+            axes.fill_between(use.time, 0.0, 110.0, where=use.share < 1.0, color=_FAINT, alpha=0.3, linewidth=0.0)
+    least = 100.0 * float(use.share.min())
+    text = "The arms carry the load" if use.feasible else f"Too heavy where grey: {least:.0f} % of the load are carried"
+    panels[0].set_title(text, loc="left", color=_INK)
+    panels[-1].set_xlabel("time [s]")
+    panels[-1].set_xlim(use.time[0], use.time[-1])
+    return figure
+
+
+def write_load_use(use: LoadUse, file: str | Path, *, dpi: int = 200) -> Path:
+    """Draw :func:`load_figure` into a ``.png``, ``.pdf`` or ``.svg`` file.
+
+    Raises:
+        InvalidInputError: another kind of file.
+        OutputError: it cannot be written.
+        MissingExtraError: matplotlib is missing.
+    """
+    return save_figure(load_figure(use), file, dpi=dpi)

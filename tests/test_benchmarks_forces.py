@@ -1,0 +1,34 @@
+"""benchmarks/forces.py meets its figures in a quick run."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+
+import pytest
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
+import forces
+
+
+@pytest.mark.slow
+def test_a_quick_run_meets_the_figures(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    pytest.importorskip("mujoco")
+    pytest.importorskip("toppra")
+    assert forces.main(["--quick", "--json", str(tmp_path / "forces.json")]) == 0
+    assert "base_off_lift" in capsys.readouterr().out
+    records = json.loads((tmp_path / "forces.json").read_text())
+    assert all(tuple(one) == forces.KEYS for one in records)
+    found = {(one["case"], one["variant"], one["controller"]): one for one in records}
+    for noise, most in (("0", 1.0), ("0.0001", 15.0)):
+        off = found["base_off_lift", f"slave_2, encoders ±{noise} rad", "calibrated"]
+        assert off["rest_N"] <= most
+        assert off["without_N"] > 200.0
+        assert off["finished"]
+    shared, equal = (found["heavy_lift", "53 kg", controller] for controller in ("shared load", "equal parts"))
+    assert shared["finished"]
+    assert shared["torque_use"] <= 1.0 + 1e-9 < 1.05 < equal["torque_use"]
+    assert shared["peak_N"] <= 50.0
+    assert found["feed_forward", "20 kg in 1.2 s", "shared load"]["peak_N"] < 5.0
+    assert found["fastest_lift", "40 kg", "load bound"]["finished"]
