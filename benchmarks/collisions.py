@@ -148,9 +148,10 @@ def skipped(plan: Plan) -> Record:
     rng, worst, violations, asked = np.random.default_rng(0), 0.0, 0, 0
     tasks = (paper_lift(), dual_arm7(), mixed_cell(), plate_and_post())
     scenes = [CollisionScene.of(task, margin=0.0) for task in tasks]
+    asking = [Distances(scene) for scene in scenes]
     while asked < plan.jumps:
-        for scene in scenes:
-            cell, distances, reach = scene.cell, Distances(scene), scene.built.reach
+        for scene, distances in zip(scenes, asking, strict=True):
+            cell, reach = scene.cell, scene.built.reach
             low, high = np.maximum(cell.limits.lower, -3.0), np.minimum(cell.limits.upper, 3.0)
             x = rng.uniform(low, high)
             step = np.clip(x + rng.normal(size=cell.nv) * 10.0 ** rng.uniform(-4.0, -0.5), low, high) - x
