@@ -189,7 +189,7 @@ def test_the_object_stops_at_any_wall(acceleration: float) -> None:
         side = int(np.abs(way).argmax())
         low, high = np.full(3, -FAR), np.full(3, FAR)
         (high if way[side] > 0.0 else low)[side] = start.translation[side] + rng.uniform(0.2, 0.9) * way[side]
-        box = Box(task.grasp, low, high, deceleration=float(10.0 ** rng.uniform(-1.0, 0.5)))
+        box = Box(task.grasp, low, high, braking=float(10.0 ** rng.uniform(-1.0, 0.5)))
         run = drive(started(dataclasses.replace(task, path=path), [box]), 900)
         assert run.excess <= 1e-9, i
         assert run.apart <= 1e-6, i

@@ -201,7 +201,7 @@ def _build(scene: CollisionScene) -> Built:
         raise InvalidInputError(
             "fewer than two shapes",
             "CollisionScene",
-            "Read the arms with geometry=True, or give bodies (on_links, obstacles, carried).",
+            "Take arms with collision shapes, or give bodies: on_links, obstacles, carried.",
         )
     model, geometry = scene.cell.model, pin.GeometryModel()
     for i, part in enumerate(parts):

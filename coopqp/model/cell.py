@@ -181,6 +181,8 @@ def _slices(arms: Sequence[Arm], size: str) -> tuple[slice, ...]:
 
 def _prefixed(arm: Arm, kind: str | None) -> tuple[pin.Model, pin.GeometryModel]:
     model = pin.Model(arm.model)
+    if hasattr(model, "lowerVelocityLimit"):  # Pinocchio 4: of a joint that was added, it lies above the upper one
+        model.lowerVelocityLimit = -np.asarray(model.velocityLimit)
     for i in range(1, model.njoints):
         model.names[i] = f"{arm.name}/{model.names[i]}"
     for i in range(1, model.nframes):

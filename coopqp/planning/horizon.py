@@ -15,8 +15,9 @@ from coopqp.spatial import Array
 
 #: The backward pass runs once for so many knots.
 _KNOTS_PER_PASS = 4
-#: Guesses of the largest rate, the share by which they stay below a line's, and the smallest rate that is not 0.
-_MOST_GUESSES, _SHORT_OF, _LEAST_RATE = 44, 1e-14, 1e-9
+#: Guesses of the largest rate, the share by which they stay below a line's and its growth after a miss, and the smallest
+#: rate that is not 0.
+_MOST_GUESSES, _SHORT_OF, _SHORTER, _LEAST_RATE = 44, 1e-14, 4.0, 1e-9
 
 
 class Knot(NamedTuple):
@@ -216,18 +217,19 @@ class Horizon:
         """The largest rate below 1 that K admits for a step, and the knot that makes it; 0 is always admissible.
 
         ``least`` is that of rate 1. K is linear between knots: the next guess is where σ² meets the line that makes
-        it, or half way.
+        it, or half way. After a miss guesses stay shorter: beside a clock a small rate has few digits.
         """
-        low, high, rate, cause = 0.0, 1.0, 1.0, least.cause
+        low, high, rate, short_of, cause = 0.0, 1.0, 1.0, _SHORT_OF, least.cause
         for _ in range(_MOST_GUESSES):
-            guess = (1.0 - _SHORT_OF) * least.met_by(rate)
-            rate = guess if low < guess < high else 0.5 * (low + high)
+            guess = (1.0 - short_of) * least.met_by(rate)
+            inside = low < guess < high
+            rate = guess if inside else 0.5 * (low + high)
             least = self.least(clock, rate, dt)
             if rate * rate > least.square:
-                high = rate
+                high, short_of = rate, short_of * (_SHORTER if inside else 1.0)
                 continue
             low, cause = rate, least.cause
-            if (1.0 - 2.0 * _SHORT_OF) * least.met_by(rate) <= rate:
+            if (1.0 - 2.0 * short_of) * least.met_by(rate) <= rate:
                 break
         return low if low >= _LEAST_RATE else 0.0, cause
 

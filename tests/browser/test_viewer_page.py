@@ -58,8 +58,8 @@ def test_the_live_viewer_is_shown(page: Any, baseline: Callable[..., Recording])
         page.wait_until(lambda: "ε_p" in text(page))
         page.wait_until(lambda: coloured(page.screenshot()) > 0.005)
         before = page.settled()
-        assert viewer.update(1.9) > 0
-        page.wait_until(lambda: "t = 1.9" in text(page))
+        assert viewer.update(1.95) == 26
+        page.wait_until(lambda: "t = 1.95" in text(page))
         assert changed(before, page.settled()) > 0.003
         assert page.errors == []
         assert all(

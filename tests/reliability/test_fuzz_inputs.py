@@ -411,7 +411,7 @@ DURATIONS: dict[str, Callable[[Any], Any]] = {
     "LinePath": lambda t: LinePath(START, START, duration=t).duration,
     "HoldPath": lambda t: HoldPath(START, duration=t).duration,
     "WaypointPath": lambda t: WaypointPath([START, START], durations=[t]).duration,
-    "ServoPath, speed": lambda t: ServoPath(START, speed=t)._speed,
+    "ServoPath, speed": lambda t: ServoPath(START, speed=t).speed,
 }
 
 

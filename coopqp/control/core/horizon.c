@@ -141,20 +141,23 @@ static double met_by(Least l, double rate) {
 }
 
 /* The largest rate below 1 that K admits for a step; 0 is always admissible. `least` is that of rate 1, then that of the
- * rate. K is linear between knots: the next guess is where σ² meets the line that makes it, or half way. */
+ * rate. K is linear between knots: the next guess is where σ² meets the line that makes it, or half way. After a miss guesses stay
+ * shorter: beside a clock a small rate has few digits. */
 static double largest_rate(const Core *c, double clock, double dt, Least *least) {
-    double low = 0.0, high = 1.0, rate = 1.0;
+    double low = 0.0, high = 1.0, rate = 1.0, short_of = SHORT_OF;
     Least there = *least;
     for (int i = 0; i < MOST_GUESSES; i++) {
-        const double guess = (1.0 - SHORT_OF) * met_by(there, rate);
-        rate = low < guess && guess < high ? guess : 0.5 * (low + high);
+        const double guess = (1.0 - short_of) * met_by(there, rate);
+        const int inside = low < guess && guess < high;
+        rate = inside ? guess : 0.5 * (low + high);
         there = least_square(c, clock, rate, dt);
         if (!(rate * rate <= there.square)) {
             high = rate;
+            if (inside) short_of *= SHORTER;
             continue;
         }
         low = rate, *least = there;
-        if ((1.0 - 2.0 * SHORT_OF) * met_by(there, rate) <= rate) break;
+        if ((1.0 - 2.0 * short_of) * met_by(there, rate) <= rate) break;
     }
     return low >= LEAST_RATE ? low : 0.0;
 }

@@ -46,6 +46,7 @@ CONSTANTS: dict[str, float] = {
     "LEADS": 1e-4,  # a joint that its arm's self-motion moves by a smaller share cannot be led away
     "MOST_GUESSES": 44,  # guesses of the largest rate
     "SHORT_OF": 1e-14,  # share by which they stay below a line's
+    "SHORTER": 4.0,  # that share grows by this factor after a guess that was too large
     "LEAST_RATE": 1e-9,  # a smaller rate is 0
     "JUST_BEFORE": 1e-10,  # the twist before a corner is taken this much earlier [s]
     "STEPS_TO_GROW": 8,  # a knot is begun this many steps before it is needed
