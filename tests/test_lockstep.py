@@ -653,7 +653,7 @@ IN_PYTHON: dict[str, dict[str, str]] = {
     "task.servo": {
         "STILL_OBJECT": "AT_REST", "NOWHERE": "_NOWHERE", "SHORTEST_CHANGE": "_SHORTEST", "SPEEDS": "_SPEEDS",
     },
-    "control.effort": {"CHANGE_SHARE": "_SHARE"},
+    "control.effort": {"CHANGE_SHARE": "_SHARE", "LARGEST_JUMP": "_LARGEST_JUMP"},
     "control.qp": {"RATE_TOLERANCE": "_ROUNDING"},
     "control.drift": {
         "WANDER": "_WANDER", "LAG": "_LAG", "LEAST_LAG": "_LEAST_LAG", "DRIFT_FLOOR": "_FLOOR",

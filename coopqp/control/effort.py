@@ -15,6 +15,8 @@ from coopqp.spatial import Array
 
 #: Share of the accelerations that a change of the motion is planned with; the rest is for the curvature of the way.
 _SHARE = 0.7
+#: Share of its speed by which a joint without acceleration limit changes its velocity in the first step, at most.
+_LARGEST_JUMP = 0.125
 
 
 @final
@@ -32,6 +34,9 @@ class Effort:
         self._chain: Chain | None = None
         plan = PlanLimits.of(cell, options or PreviewOptions(), dt=dt)
         self._acceleration = _SHARE * plan.acceleration
+        limits = cell.limits
+        speed = np.where(np.isfinite(limits.velocity), limits.velocity, 1.0)
+        self._jump = np.where(np.isfinite(limits.acceleration), np.inf, _LARGEST_JUMP * speed)
 
     def at(self, q: Array, T_world_object: pin.SE3) -> Array:
         """Seconds that each joint takes for a change by one unit (nv, 6) [s per m/s, s per rad/s], in world axes."""
@@ -39,3 +44,7 @@ class Effort:
         chain.linearise(q, about=T_world_object.translation)
         times: Array = chain.joint_columns(np.eye(6)) / self._acceleration[:, None]
         return times
+
+    def admits(self, change: Array) -> bool:
+        """Whether no joint without acceleration limit jumps in a step that changes the velocities so (nv,)."""
+        return bool((np.abs(change) <= self._jump).all())

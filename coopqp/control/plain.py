@@ -196,10 +196,14 @@ class PlainLoop:
         if self._preview is not None:
             self._preview.reset(self.state.q, self.state.clock)
 
-    def rate_of_a_step(self) -> float:
-        """σ of a step from here; nothing is committed, and samples in it count for nothing."""
-        found = self.propose(self.observe(None, None)).found.answer
-        return 0.0 if found.braked else found.rate
+    def try_step(self) -> tuple[float, Array]:
+        """σ that a step from here keeps, its cap at most, and the change of the joints' velocities (nv,).
+
+        Nothing is committed, and samples in it count for nothing. The joints may force a rate above the cap.
+        """
+        proposal = self.propose(self.observe(None, None))
+        found = proposal.found.answer
+        return 0.0 if found.braked else min(proposal.given.cap, found.rate), found.velocity - self.state.v
 
     def memory(self) -> Any:
         """All that a copy of this loop needs beside its arguments and its path."""

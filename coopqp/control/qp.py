@@ -280,7 +280,7 @@ class QPController:
             loop.set_reins(0.0, paused=paused)
 
     def _go_over_by_definition(self, path: ServoPath, goal: pin.SE3, full: float) -> bool:
-        """Take the way to a target if the rate of its first step need not fall, or where the object rests.
+        """Take the way to a target if the first step keeps to its rate and no joint jumps, or where the object rests.
 
         The way begins at the full rate, or at the present one: then its twist is as much larger.
         """
@@ -292,7 +292,10 @@ class QPController:
             if rests or rate > 0.0:
                 path.set_target(goal, clock=clock, rate=0.0 if rests else now / rate, effort=effort)
                 loop.look_ahead_again(rate=rate)
-                if rests or loop.rate_of_a_step() >= rate - _ROUNDING:
+                if rests:
+                    return True
+                kept, change = loop.try_step()
+                if kept >= rate - _ROUNDING and self._effort.admits(change):
                     return True
                 path.restore(way)
                 loop.take_path()

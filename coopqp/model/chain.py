@@ -230,6 +230,14 @@ class Chain:
             out[g.arms] = (v[g.columns][:, None, :] @ self.jacobian_rows(g))[:, 0, :]
         return out
 
+    def sides(self) -> Array:
+        """On which side of its singularities each arm with six joints is: the sign of its determinant (N,); else 0."""
+        out = np.zeros(self.n_arms)
+        for g in self._groups:
+            if g.joints == 6:
+                out[g.arms] = np.sign(np.linalg.det(self.jacobian_rows(g)))
+        return out
+
     def compliances(self, softness: Array) -> Array:
         """``J_k diag(softness) J_kᵀ``, (N, 6, 6): by how much the object gives way to a wrench on arm k.
 

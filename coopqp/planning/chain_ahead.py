@@ -18,7 +18,7 @@ from coopqp.spatial import Array, for_twists
 from coopqp.task.guarded import GuardedPath
 from coopqp.task.posture import Posture
 
-#: Intervals shorter than this are not halved for a change of slope [s].
+#: Intervals shorter than this are not halved for a change of slope, nor of the side of a singularity [s].
 _FINE_CELL = 1e-3
 #: A slope that changes by more than this share within a short interval is of another branch.
 _OTHER_BRANCH = 0.5
@@ -112,10 +112,12 @@ class ChainAhead:
             arm = int(np.abs(errors).max(axis=1).argmax())
             self._slope[:] = 0.0
             reach = BindingLimit(self._cell.arm_names[arm], "", LimitKind.REACH)
-            return self._knot_at(clock, q, None)._replace(cap=0.0, binding=reach)
-        if not self._newton_step(clock, q, before=0.0):
-            self._slope[:] = 0.0
-        return self._knot_at(clock, q, None)
+            unknown = np.zeros(self._chain.n_arms)
+            return self._knot_at(clock, q, None)._replace(cap=0.0, binding=reach, sides=unknown)
+        if self._newton_step(clock, q, before=0.0):
+            return self._knot_at(clock, q, None)
+        self._slope[:] = 0.0
+        return self._knot_at(clock, q, None)._replace(sides=np.zeros(self._chain.n_arms))
 
     def attempt(self, last: Knot, h: float) -> Generator[None, None, Knot | None]:
         """The chain at ``last.clock + h``, or None if Newton's method or the joints' slopes do not follow."""
@@ -145,6 +147,8 @@ class ChainAhead:
         fine = h <= _FINE_CELL
         if h > options.shortest and not knot.change <= (_OTHER_BRANCH if fine else options.slope_step) * knot.fastest:
             return None
+        if not fine and (knot.sides * last.sides < 0.0).any():
+            return None  # Newton's method gets past the end of the reach, onto the arm's other branch
         if not fine and not self._bends_slowly(knot, last):
             return None
         return self._constrained(knot)
@@ -233,6 +237,7 @@ class ChainAhead:
             binding=binding,
             fastest=float(np.abs(slope).max()),
             change=float((bend * span - self._plan.slope_change).max()),
+            sides=self._chain.sides(),
             inside=bool(((x <= self._high) & (x >= self._low)).all()),
         )
 

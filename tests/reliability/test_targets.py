@@ -1,6 +1,6 @@
 """Row I2: targets that move, in and out of reach, streamed with noise and jumps: the object never leaves its path.
 
-All seeds run in benchmarks/targets.py; here there is one, and every night ten.
+All seeds run in benchmarks/targets.py; here there is one, and every night ten, beside those that once went wrong.
 """
 
 from __future__ import annotations
@@ -19,6 +19,12 @@ import target_cases as cases
 pytestmark = pytest.mark.slow
 
 MM = 1e-3
+#: Runs that once went wrong: cell, seed, targets a second. A way that needs a rate above its cap was taken; past the
+#: end of the reach an arm was seen ahead on its other branch; a joint jumped as the object went over.
+WENT_WRONG = {
+    (cases.IN_REACH, 5.0): [("mixed_cell", 2, 100)],
+    (cases.OUT_OF_REACH, np.inf): [("mixed_cell", 1, 1000), ("panda_bar", 1, 1000)],
+}
 
 
 @pytest.mark.parametrize("acceleration", [5.0, np.inf], ids=["5 rad/s²", "no acceleration limits"])
@@ -27,6 +33,7 @@ def test_targets_are_chased_on_the_path(
     kind: str, acceleration: float, count: Callable[[int], int], catalogue: Any
 ) -> None:
     tasks = [(name, seed, hertz) for seed in range(count(1)) for name in cases.CELLS for hertz in cases.STEPS_PER_S]
+    tasks += [task for task in WENT_WRONG.get((kind, acceleration), []) if task not in tasks]
     runs = [cases.chase(cases.CELLS[name](), kind, acceleration, hertz, seed) for name, seed, hertz in tasks]
     name = f"targets {kind}, {'5 rad/s²' if np.isfinite(acceleration) else 'no acceleration limits'}"
     steps = sum(round(cases.SECONDS * cases.STEPS_PER_S[hertz]) for _, _, hertz in tasks)

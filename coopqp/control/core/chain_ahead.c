@@ -53,6 +53,43 @@ static Trial newton_step(Core *c, double clock, double before, const double *pos
     return size < INFINITY ? FOUND : REJECTED;
 }
 
+/* The sign of a 6 × 6 determinant, by elimination with partial pivoting. */
+static double sign_of(const double *JT) {
+    double A[6][6], sign = 1.0;
+    memcpy(A, JT, sizeof A);
+    for (int k = 0; k < 6; k++) {
+        int pivot = k;
+        for (int i = k + 1; i < 6; i++)
+            if (fabs(A[i][k]) > fabs(A[pivot][k])) pivot = i;
+        if (!(fabs(A[pivot][k]) > 0.0)) return 0.0;
+        if ((pivot != k) != (A[pivot][k] < 0.0)) sign = -sign;
+        for (int j = k; pivot != k && j < 6; j++) {
+            const double other = A[pivot][j];
+            A[pivot][j] = A[k][j], A[k][j] = other;
+        }
+        for (int i = k + 1; i < 6; i++) {
+            const double f = A[i][k] / A[k][k];
+            for (int j = k + 1; j < 6; j++) A[i][j] -= f * A[k][j];
+        }
+    }
+    return sign;
+}
+
+/* The sides of knot i, from the Jacobians of the latest Newton step. */
+static void note_sides(Core *c, int i) {
+    const double *jacobian = sketch_of(c).jacobian;
+    for (int k = 0; k < c->arms; k++)
+        sides_of(c, i)[k] = c->arm_size[k] == 6.0 ? sign_of(jacobian + 6 * (int)c->arm_start[k]) : 0.0;
+}
+
+/* Whether an arm passes a singularity between two knots. */
+static int passes(const Core *c, int last, int made) {
+    const double *before = sides_of(c, last), *after = sides_of(c, made);
+    for (int k = 0; k < c->arms; k++)
+        if (before[k] * after[k] < 0.0) return 1;
+    return 0;
+}
+
 /* Bounds of knot i from its positions and slope, and the slope of the knot before (−1 for none); 0 if they overflow. */
 static int bound_by_limits(Core *c, int before, int i, double clock, double span) {
     const double *slope = vector_of(c, c->knot_slope, i), *x = vector_of(c, c->knot_positions, i), *o = c->options;
@@ -130,12 +167,14 @@ static Trial try_knot(Core *c, int last, int made, double span, int iteration) {
     if (!(largest < o[JOINT_STEP])) return REJECTED;
     for (int j = 0; j < c->joints; j++) x[j] += step[j];
     if (!(largest < CONVERGED)) return iteration + 1 < MOST_TRIES ? PENDING : REJECTED;
+    note_sides(c, made);
     if (!bound_by_limits(c, last, made, clock, span)) return REJECTED;
     const double *k = knot(c, made);
     if (span > o[SHORTEST] && !(span * k[K_FASTEST] <= 1.5 * o[JOINT_STEP])) return REJECTED;
     const double most = span > FINE_CELL ? o[SLOPE_STEP] : OTHER_BRANCH;
     if (span > o[SHORTEST] && !(k[K_CHANGE] <= most * k[K_FASTEST])) return REJECTED;
-    if (span > FINE_CELL && !bends_slowly(c, last, made)) return REJECTED;
+    /* Newton's method gets past the end of the reach, onto the arm's other branch. */
+    if (span > FINE_CELL && (passes(c, last, made) || !bends_slowly(c, last, made))) return REJECTED;
     return constrain(c, made);
 }
 
@@ -231,10 +270,14 @@ static int first_knot(Core *c, double clock) {
     memcpy(x, c->positions, bytes);
     const int arm = reach_pose(c, R, p, x);
     memset(slope, 0, bytes);
+    memset(sides_of(c, 0), 0, sizeof(double) * (size_t)c->arms);
     if (arm < 0) {
         const Trial found = newton_step(c, clock, 0.0, x, sketch_of(c).step, slope);
         if (found == CANNOT_SAY) return 0;
-        if (found != FOUND) memset(slope, 0, bytes);
+        if (found == FOUND)
+            note_sides(c, 0);
+        else
+            memset(slope, 0, bytes);
     }
     bound_by_limits(c, -1, 0, clock, 1.0);
     if (arm < 0) return 1;

@@ -173,12 +173,14 @@ class CompiledLoop:
             path.take(goal, numbers[4:])
         return None if taken < 0 else taken > 0
 
-    def rate_of_a_step(self) -> float:
-        """σ of a step from here; nothing is committed, and samples in it count for nothing."""
+    def try_step(self) -> tuple[float, Array]:
+        """σ that a step from here keeps, and the change of velocity: as of the plain loop."""
         self._core.observe(None, None)
         outcome = self._core.propose(self._put_rows(), False)
         self._said.clear()
-        return self.at["proposal"].item(_P["NEW_RATE"]) if outcome < _FILLED else 0.0
+        proposal = self.at["proposal"]
+        rate = min(proposal.item(_P["CAP"]), proposal.item(_P["NEW_RATE"])) if outcome < _FILLED else 0.0
+        return rate, self.at["command"] - self.at["velocity"]
 
     def memory(self) -> Any:
         """All that a copy of this loop needs beside its arguments and its path."""

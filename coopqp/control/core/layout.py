@@ -35,7 +35,7 @@ CONSTANTS: dict[str, float] = {
     "STEPS_TO_FULL_SPEED": 22,  # steps in which a joint without acceleration limit is planned to reach full speed
     "PASSABLE": 0.3,  # a singularity is passed where the rate's cap stays above this share of singular_rate
     "GROWTH": 2.0,  # an interval is longer than the one before by this factor at most
-    "FINE_CELL": 1e-3,  # intervals shorter than this are not halved for a change of slope [s]
+    "FINE_CELL": 1e-3,  # intervals shorter than this are not halved for a change of slope or side [s]
     "OTHER_BRANCH": 0.5,  # a slope that changes by more than this share within a fine interval is of another branch
     "BEND_CHANGE": 0.3,  # intervals are halved where q″ changes by more than this share of the accelerations
     "CROSSED": 1e-13,  # the lower bound of σ̇ is above the upper one by more than rounding
@@ -60,6 +60,7 @@ CONSTANTS: dict[str, float] = {
     "NOWHERE": 1e-9,  # shorter ways are none [s, at full speed]
     "SHORTEST_CHANGE": 1e-4,  # the shortest time in which the motion changes [s]
     "CHANGE_SHARE": 0.7,  # share of the accelerations that a change of the motion is planned with
+    "LARGEST_JUMP": 0.125,  # share of its speed by which a joint without acceleration limit changes its velocity then
     "SPEEDS": 50,  # shares of the full speed that are compared
     "RATE_TOLERANCE": 1e-9,  # a rate that falls by less does not fall
     # supervision
@@ -181,7 +182,7 @@ STATE = (
     ("deflection", "nv"), ("way", "nv"), ("commanded", "nv"), ("forces", "n"),
     ("ahead", str(len(AHEAD))),
     ("knots", f"{len(KNOT)} * knots"), ("knot_positions", "nv * knots"), ("knot_slope", "nv * knots"),
-    ("knot_curvature", "nv * knots"),
+    ("knot_curvature", "nv * knots"), ("knot_sides", "n * knots"),
 )  # fmt: skip
 WORK = (
     ("proposal", str(len(PROPOSAL))), ("near_x", "nv"), ("near_sin", "nv"), ("near_cos", "nv"), ("carried", "12 * n"),

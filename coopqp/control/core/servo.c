@@ -92,8 +92,17 @@ static int way_to(Core *c, Way *w, double clock, double *segment) {
     return 1;
 }
 
-/* Try a path from the present clock on at a rate: 1 if the rate of its first step need not fall. What was known ahead
- * stays in the ring. */
+/* Whether a joint without acceleration limit jumps in the proposed step. */
+static int jumps(const Core *c) {
+    for (int j = 0; j < c->joints; j++) {
+        const double speed = isfinite(c->speed[j]) ? c->speed[j] : 1.0;
+        if (!isfinite(c->acceleration[j]) && !(fabs(c->command[j] - c->velocity[j]) <= LARGEST_JUMP * speed)) return 1;
+    }
+    return 0;
+}
+
+/* Try a path from the present clock on at a rate: 1 if its first step keeps to it, and no joint jumps; the joints may force
+ * a rate above the cap. What was known ahead stays in the ring. */
 static int admits(Core *c, const double *numbers, double rate, int needed) {
     const int kept = count_ahead(c, COUNT) + count_ahead(c, WAY) + 2;
     c->path_numbers = numbers;
@@ -102,7 +111,8 @@ static int admits(Core *c, const double *numbers, double rate, int needed) {
     if (!needed) return 1;
     observe(c, NULL, NULL);
     c->further_rows = 0;
-    return propose(c) < FILLED && c->proposal[NEW_RATE] >= rate - RATE_TOLERANCE;
+    const int found = propose(c) < FILLED;
+    return found && fmin(c->proposal[CAP], c->proposal[NEW_RATE]) >= rate - RATE_TOLERANCE && !jumps(c);
 }
 
 static int go_over(Core *c, const double *goal, double speed, double spin, double full, double *numbers) {
