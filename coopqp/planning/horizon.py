@@ -15,8 +15,8 @@ from coopqp.spatial import Array
 
 #: The backward pass runs once for so many knots.
 _KNOTS_PER_PASS = 4
-#: Guesses of the largest rate, the share by which they stay below a line's and its growth after a miss, and the smallest
-#: rate that is not 0.
+#: Guesses of the largest rate, the share by which they stay below a line's, its growth after a miss, and the
+#: smallest rate that is not 0.
 _MOST_GUESSES, _SHORT_OF, _SHORTER, _LEAST_RATE = 44, 1e-14, 4.0, 1e-9
 
 
