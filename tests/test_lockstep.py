@@ -633,7 +633,7 @@ IN_PYTHON: dict[str, dict[str, str]] = {
     "planning.preview_options": {"STEPS_TO_FULL_SPEED": "_STEPS_TO_FULL_SPEED"},
     "planning.growth": {name: f"_{name}" for name in ("PASSABLE", "GROWTH", "LONGEST_WAY", "MOST_KNOTS")},
     "planning.horizon": {
-        name: f"_{name}" for name in ("KNOTS_PER_PASS", "MOST_GUESSES", "SHORT_OF", "LEAST_RATE")
+        name: f"_{name}" for name in ("KNOTS_PER_PASS", "MOST_GUESSES", "SHORT_OF", "SHORTER", "LEAST_RATE")
     },
     "planning.chain_ahead": {
         name: f"_{name}"

@@ -55,6 +55,16 @@ VARIANTS: dict[str, list[Any]] = {
         {"kind": "independent"},
     ],
     "plant": [{"kind": "kinematic"}, {"kind": "physics"}],
+    "collision": [
+        {
+            "carried": [{"name": "ball", "shape": "sphere", "radius_m": 0.02}],
+            "obstacles": [
+                {"name": "post", "shape": "capsule", "radius_m": 0.05, "length_m": 1.0, "at": {"xyz_m": [3, 0, 0]}}
+            ],
+            "on_links": [{"name": "hand", "link": "a/link_5", "shape": "box", "size_m": [0.02, 0.02, 0.02]}],
+            "margins": [{"between": ["ball", "post"], "margin_m": 0.02}],
+        },
+    ],
 }
 NUMBERS = (
     0,
@@ -230,7 +240,7 @@ def test_every_cell_file_is_built_or_refused_by_name(
                     wrong = "no single line that begins with the file"
                 elif any(c < " " or c in "\x7f\u202e" for c in text):
                     wrong = "control characters"
-                elif python := PYTHON.search(re.sub(r"'[^']*'|Available: .*", "", said)):  # without words of the file
+                elif python := PYTHON.search(re.sub(r"'[^'…]*…|'[^']*'|Available: .*", "", said)):  # without words of the file
                     wrong = f"a word of Python, {python[0]}"
             except Exception as error:
                 text = f"{type(error).__name__}: {error}"
