@@ -240,7 +240,7 @@ def test_every_cell_file_is_built_or_refused_by_name(
                     wrong = "no single line that begins with the file"
                 elif any(c < " " or c in "\x7f\u202e" for c in text):
                     wrong = "control characters"
-                elif python := PYTHON.search(re.sub(r"'[^'…]*…|'[^']*'|Available: .*", "", said)):  # without words of the file
+                elif python := PYTHON.search(re.sub(r"'[^'…]*…|'[^']*'|Available: .*", "", said)):  # of its own
                     wrong = f"a word of Python, {python[0]}"
             except Exception as error:
                 text = f"{type(error).__name__}: {error}"
