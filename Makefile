@@ -26,11 +26,11 @@ demo: $(VENV)/.installed
 	$(BIN)/coopqp demo --force --out $(OUT)
 
 # After every edit: lint, types, and every test that is not marked slow, properties with a fifth of their examples.
-# Less than three minutes on two cores; pytest --durations 20 -m "not slow" shows what deserves the mark.
+# pytest --durations 20 -m "not slow" shows what deserves the mark.
 check: lint
 	HYPOTHESIS_PROFILE=check $(PYTEST) -m "not slow"
 
-# Before every commit: all tests. Twelve minutes on two cores.
+# Before every commit: all tests. 28 minutes of processor time.
 test: $(VENV)/.installed
 	@mkdir -p out
 	$(PYTEST) --reliability-json=out/reliability.json
