@@ -84,10 +84,12 @@ def _task(name: str) -> tuple[RobotCell, Grasp, ObjectPath, Array | None, str]:
 
     if Path(name).suffix in (TOML_SUFFIX, *YAML_SUFFIXES):
         task = load_cell_task(name)
+        note = "distances are not checked here: coopqp run judges them" if task.bodies else ""
         try:
-            return task.cell, task.grasp, task.path, task.exact_start(), ""
+            return task.cell, task.grasp, task.path, task.exact_start(), note
         except UnreachableError as error:
-            return task.cell, task.grasp, task.path, None, f"from the start of the file {error} Any start is judged."
+            note = f"from the start of the file {error} Any start is judged. {note}".rstrip()
+            return task.cell, task.grasp, task.path, None, note
     if name not in SCENARIOS:
         raise UnknownNameError("cell file (.toml, .yaml) or scenario", name, SCENARIOS)
     scenario = SCENARIOS[name]()

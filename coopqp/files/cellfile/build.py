@@ -68,6 +68,7 @@ class CellTask:
         cell, grasp, path: the arms, how they hold, and where to.
         q_start: the start of the file (nq,), or None if it is to be found.
         start_is_near: inverse kinematics leads from it to the start.
+        bodies: the file has a table of bodies that keep clear.
     """
 
     name: str
@@ -76,6 +77,7 @@ class CellTask:
     path: ObjectPath
     q_start: Array | None
     start_is_near: bool
+    bodies: bool
 
     def exact_start(self) -> Array | None:
         """The configuration (nq,) at which the arms hold the object.
@@ -199,19 +201,20 @@ def _task(file: CellFile, folder: Path) -> CellTask:
     """The arms, their grasp, the path, and the start; errors name the arm or table."""
     cell = RobotCell([_arm(arm, folder) for arm in file.arms])
     path = _path(file)
+    bodies = file.collision is not None
     if file.start.is_auto:
         if file.grasp.kind == "latched":
             raise _BuildError(
                 "a latched grasp is that of the start, so a start cannot be found: give start.positions_deg or "
                 "start.positions_rad, or another kind of grasp."
             )
-        return CellTask(file.name, cell, _grasp(file, cell), path, None, start_is_near=False)
+        return CellTask(file.name, cell, _grasp(file, cell), path, None, start_is_near=False, bodies=bodies)
     q_start = _start(file.start, cell)
     if file.grasp.kind == "latched":
         grasp = Grasp.from_configuration(cell, q_start, path.pose(0.0))
-        return CellTask(file.name, cell, grasp, path, q_start, start_is_near=False)
+        return CellTask(file.name, cell, grasp, path, q_start, start_is_near=False, bodies=bodies)
     near = bool(file.start.inverse_kinematics)
-    return CellTask(file.name, cell, _grasp(file, cell), path, q_start, start_is_near=near)
+    return CellTask(file.name, cell, _grasp(file, cell), path, q_start, start_is_near=near, bodies=bodies)
 
 
 def build(file: CellFile, folder: Path) -> CellRun:
