@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from coopqp import InvalidInputError, adjoint
 from coopqp.checks import as_scalar, as_vector, read_only
-from coopqp.spatial import ROTATION_TOLERANCE, as_placement, as_placements, cross, log6_batch, skew
+from coopqp.spatial import ROTATION_TOLERANCE, as_placement, as_placements, axis_angle, cross, log6_batch, skew
 
 Array = NDArray[np.float64]
 MANY = settings(max_examples=10 * settings().max_examples)
@@ -197,6 +197,18 @@ def test_read_only_is_a_frozen_copy(array: Array) -> None:
 
 
 # -- SE(3) -----------------------------------------------------------------------------------------------------------
+
+
+@given(turns, turns, st.one_of(st.floats(0.0, np.pi), st.floats(1e-9, 0.1).map(lambda short: np.pi - short)))
+def test_axis_and_angle_give_the_rotation_back_to_rounding(w: Array, axis: Array, angle: float) -> None:
+    """At every angle, also near π; of a product, whose entries are rounded."""
+    length = float(np.linalg.norm(axis))
+    turn = pin.exp3(angle * axis / length) if length > 1e-3 else np.eye(3)
+    R = pin.exp3(w).T @ (pin.exp3(w) @ turn)
+    r, found = axis_angle(R)
+    assert 0.0 <= found <= np.pi
+    assert np.linalg.norm(r) == pytest.approx(1.0, abs=1e-14) or found == np.linalg.norm(r) == 0.0
+    np.testing.assert_allclose(pin.exp3(found * r), R, rtol=0, atol=1e-14)
 
 
 @given(placements(), placements())

@@ -19,7 +19,7 @@ import pinocchio as pin
 
 from coopqp.checks import ArrayLike, as_scalar, as_vector
 from coopqp.errors import InvalidInputError, UnknownNameError
-from coopqp.spatial import Array, Placement, as_placement, as_placements
+from coopqp.spatial import Array, Placement, as_placement, as_placements, axis_angle
 from coopqp.task.geometry import PathGeometry, Straight, motion_length
 
 
@@ -132,24 +132,9 @@ class ScrewParameters:
 
     @staticmethod
     def between(start: Placement, goal: Placement) -> ScrewParameters:
-        """Eq. (10) with two corrections: r is normalised (10c has norm 2 sin φ*) and φ* comes from atan2.
-
-        At φ* = π the vector of (10c) vanishes. Then r is an eigenvector of the rotation for eigenvalue 1 (either sign).
-        """
+        """Eq. (10) with two corrections: r is normalised (10c has norm 2 sin φ*) and φ* comes from atan2."""
         T0, T1 = as_placement(start, "ScrewParameters: start"), as_placement(goal, "ScrewParameters: goal")
-        R = T0.rotation.T @ T1.rotation
-        w = np.array([R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]])  # Eq. (10c)
-        sin2, cos = float(np.linalg.norm(w)), 0.5 * (float(np.trace(R)) - 1.0)
-        angle = float(np.arctan2(0.5 * sin2, cos))
-        if cos < 0.0:
-            # Near φ* = π the skew part loses accuracy, the symmetric part does not.
-            _, vectors = np.linalg.eigh(0.5 * (R + R.T))
-            r = vectors[:, 2]
-            r = -r if w @ r < 0.0 else r
-        elif sin2 < 1e-15:
-            r, angle = np.zeros(3), 0.0
-        else:
-            r = w / sin2
+        r, angle = axis_angle(T0.rotation.T @ T1.rotation)
         return ScrewParameters(T0.rotation.T @ (T1.translation - T0.translation), r, angle)
 
 

@@ -9,7 +9,7 @@ import pinocchio as pin
 
 from coopqp.checks import as_scalar, as_vector
 from coopqp.errors import InvalidInputError
-from coopqp.spatial import Array, Placement, as_placement, for_twists
+from coopqp.spatial import Array, Placement, as_placement, axis_angle, for_twists
 from coopqp.task.path import ObjectPath
 
 #: Time in which the object reaches its full speed where nobody knows what the joints can do [s].
@@ -83,7 +83,8 @@ class _Way:
         b = 0.5 * self.begin
         R = pin.exp3(b * self.twist[3:]) @ self.start.rotation
         self.line = self.goal.translation - self.start.translation - b * self.twist[:3]
-        self.turn = pin.log3(R.T @ self.goal.rotation)
+        axis, angle = axis_angle(R.T @ self.goal.rotation)
+        self.turn = angle * axis
         nominal = max(float(np.linalg.norm(self.line)) / speed, float(np.linalg.norm(self.turn)) / spin)
         if nominal < _NOWHERE:
             return 0.0, np.zeros(6)
