@@ -192,22 +192,31 @@ class ControlStep(Shown):
     def dt(self) -> float:
         """Length of the step [s]."""
         context = self._context
-        value: float = self._values["dt"] if context is None else _number(self._record, context.dt_at)[0]
-        return value
+        if context is None:
+            value: float = self._values["dt"]
+            return value
+        number: float = _unpacked(self._record, context.dt_at)[0]
+        return number
 
     @property
     def clock(self) -> float:
         """The object's clock at the start of the step [s]."""
         context = self._context
-        value: float = self._values["clock"] if context is None else _number(self._record, context.clock_at)[0]
-        return value
+        if context is None:
+            value: float = self._values["clock"]
+            return value
+        number: float = _unpacked(self._record, context.clock_at)[0]
+        return number
 
     @property
     def clock_next(self) -> float:
         """The object's clock at the end of the step [s]."""
         context = self._context
-        value: float = self._values["clock_next"] if context is None else _number(self._record, context.clock_next_at)[0]
-        return value
+        if context is None:
+            value: float = self._values["clock_next"]
+            return value
+        number: float = _unpacked(self._record, context.clock_next_at)[0]
+        return number
 
     def __init__(
         self,
@@ -332,7 +341,7 @@ class ControlStep(Shown):
 
 _set = object.__setattr__
 _from_buffer, _FLOAT = np.frombuffer, np.dtype(np.float64)
-_number = struct.Struct("d").unpack_from
+_unpacked = struct.Struct("d").unpack_from
 _FIELDS = (*ControlStep.__annotations__, "path", "q", "velocity", "q_next", "dt", "clock", "clock_next")
 
 

@@ -11,7 +11,6 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.optimize import nnls
 
 from coopqp.spatial import Array
 
@@ -80,6 +79,8 @@ def distance(a: Core, b: Core, Ra: Array, pa: Array, Rb: Array, pb: Array, *, ga
 
     The lower bound is returned: bodies are never closer.
     """
+    from scipy.optimize import nnls  # here, since it takes longer to import than the rest of coopqp
+
     way = pb - pa
     corner = furthest(a, Ra, pa, way) - furthest(b, Rb, pb, -way)
     corners = corner[None]
