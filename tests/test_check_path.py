@@ -463,6 +463,7 @@ def cable_cell() -> tuple[RobotCell, Grasp, LinePath]:
     return RobotCell([arms[0].with_limits(lower=lower, upper=upper), arms[1]]), grasp, path
 
 
+@pytest.mark.slow
 def test_a_roll_of_the_tool_is_found() -> None:
     check = check_path(*cable_cell())
     assert check.verdict is INFEASIBLE

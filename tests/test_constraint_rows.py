@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 import pytest
+from marks import slow_unless
 
 from coopqp import (
     Array,
@@ -152,7 +153,11 @@ def test_the_protocols_are_public() -> None:
 
 @pytest.mark.parametrize("kernel", [pytest.param(k, marks=pytest.mark.slow) if k == "plain" else k for k in KERNELS])
 @pytest.mark.parametrize("acceleration", ACCELERATIONS)
-@pytest.mark.parametrize("make", [paper_lift, dual_arm7, mixed_cell], ids=lambda make: make.__name__)
+@pytest.mark.parametrize(
+    "make",
+    slow_unless(lambda make: make is dual_arm7, [paper_lift, dual_arm7, mixed_cell]),
+    ids=lambda make: make.__name__,
+)
 def test_the_object_stops_at_a_wall(make: Callable[..., Scenario], acceleration: float, kernel: str) -> None:
     task = limited(make(time_law="quintic"), acceleration)
     start, goal = (task.path.pose(clock).translation for clock in (0.0, task.path.duration))
@@ -415,6 +420,7 @@ def test_any_nonsense_in_motion_holds_by_name_until_it_ends(acceleration: float,
     holds_by_name(acceleration, kernel, NONSENSE)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kernel", KERNELS)
 @pytest.mark.parametrize("name", ["raises its own", "NaN in G", "lines raise"])
 def test_nonsense_in_motion_holds_by_name_until_it_ends(name: str, kernel: str) -> None:
@@ -494,6 +500,7 @@ def all_kinds(task: Scenario) -> list[Any]:
     ]
 
 
+@pytest.mark.slow
 @pytest.mark.core
 @pytest.mark.skipif("compiled" not in KERNELS, reason="there is no compiled core here")
 @pytest.mark.parametrize("acceleration", ACCELERATIONS)

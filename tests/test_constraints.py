@@ -129,6 +129,7 @@ def test_the_object_brakes_ahead_of_a_wall_and_stays_on_its_path(kernel: str, ac
     assert "constraint ceiling" in step.explain()
 
 
+@pytest.mark.slow
 @ACCELERATIONS
 def test_a_slow_elbow_slows_the_object_on_its_path(kernel: str, acceleration: float) -> None:
     lift = paper_lift(duration=1.5)

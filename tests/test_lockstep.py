@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 import pytest
+from marks import slow_unless
 
 from coopqp import (
     Arm,
@@ -252,6 +253,10 @@ MODES: dict[str, tuple[dict[str, Any], Callable[[Scenario, float], Inputs | None
 }  # fmt: skip
 
 
+#: Modes that show the most.
+IN_SHORT = ("nominal", "measured late, with noise", "an arm stalls for a while", "always a QP")
+
+
 def run_in(mode: str, task: Scenario, steps: int = 250, same: float = SAME) -> Pair:
     options, inputs = MODES[mode]
     dt = coarse(task)
@@ -261,7 +266,7 @@ def run_in(mode: str, task: Scenario, steps: int = 250, same: float = SAME) -> P
 
 
 @pytest.mark.core
-@pytest.mark.parametrize("mode", MODES)
+@pytest.mark.parametrize("mode", slow_unless(lambda mode: mode in IN_SHORT, MODES))
 def test_both_agree_with_any_input(mode: str) -> None:
     for make in (paper_lift, mixed_cell):
         run_in(mode, make(), 120)
@@ -289,7 +294,7 @@ def test_both_agree_under_acceleration_limits(make: Callable[[], Scenario], mode
 @pytest.mark.core
 @pytest.mark.parametrize("acceleration", [5.0, 10.0])
 def test_both_agree_under_acceleration_limits_in_short(acceleration: float) -> None:
-    for mode in ("nominal", "measured late, with noise", "an arm stalls for a while", "always a QP"):
+    for mode in IN_SHORT:
         run_in(mode, limited(mixed_cell, acceleration), 100)
 
 
@@ -323,7 +328,7 @@ ROBOTS = [
 
 
 @pytest.mark.core
-@pytest.mark.parametrize("robots", ROBOTS, ids="-".join)
+@pytest.mark.parametrize("robots", slow_unless(lambda robots: robots is ROBOTS[0], ROBOTS), ids="-".join)
 def test_both_agree_on_any_joints(
     robots: tuple[str, ...], make_cell: Callable[..., RobotCell], random_q: Callable[..., Array]
 ) -> None:
@@ -357,6 +362,7 @@ def test_both_agree_on_eight_joints(random_q: Callable[..., Array]) -> None:
         run_in(mode, held(cell, random_q(cell, np.random.default_rng(6))), 80)
 
 
+@pytest.mark.slow
 @pytest.mark.core
 @pytest.mark.parametrize("joint", [4, 6, 9])
 def test_both_agree_while_redundant_arms_avoid_limits(joint: int) -> None:
@@ -411,6 +417,7 @@ def test_both_agree_while_joints_are_led_back(make: Callable[[], Scenario], acce
     assert ((x < lower) | (x > upper)).any()
 
 
+@pytest.mark.slow
 @pytest.mark.core
 @pytest.mark.parametrize("off", [1e-4, 1e-3])
 @pytest.mark.parametrize("acceleration", [np.inf, 10.0])
@@ -455,6 +462,7 @@ class Own(ObjectPath):
         return self._inner.next_breakpoint(clock)
 
 
+@pytest.mark.slow
 @pytest.mark.core
 @pytest.mark.parametrize("acceleration", [np.inf, 5.0])
 def test_both_agree_on_a_users_path_with_corners(acceleration: float) -> None:
@@ -464,6 +472,7 @@ def test_both_agree_on_a_users_path_with_corners(acceleration: float) -> None:
         assert run.run(1000, noisy(task.cell, size=1e-5)).plain.step().finished
 
 
+@pytest.mark.slow
 @pytest.mark.core
 @pytest.mark.parametrize("acceleration", [np.inf, 5.0])
 def test_both_agree_on_a_path_that_is_not_known_ahead(acceleration: float) -> None:
@@ -487,9 +496,10 @@ class Failing(Own):
         return pin.SE3(np.eye(3), np.full(3, self.jump)) * super().pose(clock)
 
 
+@pytest.mark.slow
 @pytest.mark.core
 @pytest.mark.parametrize("jump", [0.0, 1e-3, 1.0])
-@pytest.mark.parametrize("acceleration", [pytest.param(np.inf, marks=pytest.mark.slow), 10.0])
+@pytest.mark.parametrize("acceleration", [np.inf, 10.0])
 def test_both_agree_while_a_users_path_fails(acceleration: float, jump: float) -> None:
     task = limited(mixed_cell, acceleration)
     for known_ahead in (True, False):
@@ -511,6 +521,7 @@ def test_both_agree_while_a_users_path_fails(acceleration: float, jump: float) -
             run.run(60)
 
 
+@pytest.mark.slow
 @pytest.mark.core
 def test_a_users_path_is_followed_like_the_librarys_own() -> None:
     task = limited(paper_lift, 5.0)
@@ -540,6 +551,7 @@ def test_both_agree_on_moving_targets(acceleration: float, make: Callable[[], Sc
     assert run.seen >= {Status.TRACKING, Status.SLOWED} or not np.isfinite(acceleration)
 
 
+@pytest.mark.slow
 @pytest.mark.core
 def test_both_agree_when_another_path_is_followed_in_motion() -> None:
     for acceleration in (np.inf, 10.0):

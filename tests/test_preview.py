@@ -91,6 +91,7 @@ def driven(task: Scenario, *, longest: float) -> tuple[Array, Array, Any]:
 # -- the caps ----------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("speed", "acceleration"), [(0.4, 3.0), pytest.param(np.inf, 0.6, marks=pytest.mark.slow), (0.25, 20.0)]
 )

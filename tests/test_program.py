@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from marks import slow_unless
 
 from coopqp import (
     Array,
@@ -199,7 +200,7 @@ def test_the_rows_of_the_condensed_form_have_unit_norm(
 
 
 @pytest.mark.parametrize("limits", [{}, {"velocity": 0.2}, {"acceleration": 2.0}], ids=["own", "slow", "accelerating"])
-@pytest.mark.parametrize("name", SCENARIOS)
+@pytest.mark.parametrize("name", slow_unless(lambda name: name in ("paper_lift", "dual_arm7", "scara_pair"), SCENARIOS))
 def test_both_forms_agree_on_every_scenario(name: str, limits: dict[str, float], monkeypatch: Any) -> None:
     task = SCENARIOS[name]()
     task = replace(task, cell=task.cell.with_limits(**limits) if limits else task.cell)
@@ -232,6 +233,7 @@ def test_both_forms_agree_on_the_way_to_a_singular_elbow(monkeypatch: pytest.Mon
     assert weakest < 1e-3
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("outside", [0, 2])
 @pytest.mark.parametrize("make", [paper_lift, dual_arm7, mixed_cell, scara_pair, five_joint_pair])
 def test_both_forms_agree_in_random_boxes(

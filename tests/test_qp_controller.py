@@ -187,6 +187,7 @@ def test_the_unit_of_time_does_not_matter(scenario: Callable[..., Scenario]) -> 
 # -- one behaviour by every way of solving -----------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("scenario", "alike"),
     [(fast_lift, 2e-5), (five_joint_pair, 2e-5), (mixed_cell, 1e-3)],
@@ -533,6 +534,7 @@ def test_any_number_of_arms(arms: int) -> None:
     assert excess(task, steps) == 0.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("scenario", [scara_pair, five_joint_pair])
 def test_arms_with_few_joints_are_named_and_restrict_the_object(scenario: Callable[..., Scenario]) -> None:
     task = scenario()
@@ -567,6 +569,7 @@ def test_arms_with_few_joints_brake_together_ahead_of_a_limit(
         assert acceleration_used(blocked, steps) < 1.0 + 1e-6
 
 
+@pytest.mark.slow
 def test_a_path_that_arms_with_few_joints_cannot_follow_is_not_previewed() -> None:
     """The path begins without tilt. At the tilt, the object moves on without it, off its path."""
     task = scara_pair()

@@ -183,6 +183,7 @@ def braking_time(task: Scenario, step: ControlStep) -> float:
     return time
 
 
+@pytest.mark.slow
 @pytest.mark.core
 @pytest.mark.skipif(len(KERNELS) < 2, reason="there is no compiled core here")
 @pytest.mark.parametrize("acceleration", [np.inf, 5.0])
