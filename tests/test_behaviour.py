@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from marks import slow_but_first
 
 from coopqp import (
     BindingLimit,
@@ -74,7 +75,7 @@ def all_met(behaviour: Any, case: str, keys: Any, solver: str = "daqp") -> list[
 # -- the figures -------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("case", ["fast", "mismatch", "paper", "redundant", "mixed", "ring"])
+@pytest.mark.parametrize("case", slow_but_first(["fast", "mismatch", "paper", "redundant", "mixed", "ring"]))
 def test_the_cooperative_qp_meets_its_figures(behaviour: Any, case: str) -> None:
     assert all_met(behaviour, case, behaviour.keys_of(case, quick=False))
 

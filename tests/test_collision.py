@@ -13,7 +13,7 @@ import pinocchio as pin
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from marks import slow_unless
+from marks import slow_but_first, slow_unless
 
 from coopqp import (
     CellFileError,
@@ -276,7 +276,7 @@ def test_a_start_inside_the_margin_is_refused_by_name(lift: Scenario) -> None:
 
 
 @pytest.mark.parametrize("acceleration", [np.inf, 5.0])
-@pytest.mark.parametrize("side", [1.0, -1.0])
+@pytest.mark.parametrize("side", slow_but_first([1.0, -1.0]))
 def test_an_allowed_start_inside_the_margin_only_parts(lift: Scenario, side: float, acceleration: float) -> None:
     gap = 0.008 if side > 0.0 else -0.098
     near = replace(lift, obstacles=(lid(lift, gap),))

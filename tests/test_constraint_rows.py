@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 import pytest
-from marks import slow_unless
+from marks import slow_but_first, slow_unless
 
 from coopqp import (
     Array,
@@ -221,6 +221,7 @@ def test_a_wall_binds_by_name_on_the_way_to_a_target(kernel: str) -> None:
 # -- speeds ------------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kernel", KERNELS)
 @pytest.mark.parametrize("acceleration", ACCELERATIONS)
 def test_an_elbow_keeps_its_speed(acceleration: float, kernel: str) -> None:
@@ -249,7 +250,7 @@ def test_an_elbow_keeps_its_speed(acceleration: float, kernel: str) -> None:
     assert {s.binding[0].name for s in slowed} == {f"speed of {frame}"}
 
 
-@pytest.mark.parametrize("kernel", KERNELS)
+@pytest.mark.parametrize("kernel", slow_but_first(KERNELS))
 @pytest.mark.parametrize("acceleration", ACCELERATIONS)
 def test_the_object_keeps_its_energy(acceleration: float, kernel: str) -> None:
     task = limited(paper_lift(time_law="quintic"), acceleration)

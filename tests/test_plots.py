@@ -256,6 +256,7 @@ def test_saving_is_repeatable(lift: Scenario, one: Recording) -> None:
     assert first == second
 
 
+@pytest.mark.slow
 def test_the_load_is_drawn_with_its_limits_and_where_it_is_too_heavy(lift: Scenario, tmp_path: Path) -> None:
     from coopqp import write_load_use
     from coopqp.forces import Grip, LoadShare, load_use

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 import pytest
+from marks import slow_but_first
 
 from coopqp import (
     Arm,
@@ -446,7 +447,7 @@ def test_follow_goes_on_from_a_standstill() -> None:
 
 
 @pytest.mark.parametrize("acceleration", [np.inf, 5.0])
-@pytest.mark.parametrize("miss", [0.1, 0.01, 0.003])
+@pytest.mark.parametrize("miss", slow_but_first([0.1, 0.01, 0.003]))
 def test_a_path_that_passes_near_a_singularity_is_completed(miss: float, acceleration: float) -> None:
     task = at_singularity("wrist", 1, miss=miss, acceleration=acceleration)
     steps = run(task)
@@ -774,6 +775,7 @@ def test_a_grasp_for_another_number_of_arms() -> None:
         QPController(three_rx90l(), Grasp((pin.SE3.Identity(),)), paper_lift().path, dt=0.01)
 
 
+@pytest.mark.slow
 def test_every_scenario_runs() -> None:
     """A quick test of all scenarios: 60 coarse steps each without failures, with a closed chain."""
     for name, build in SCENARIOS.items():

@@ -24,6 +24,7 @@ from coopqp.scenarios import mixed_cell, paper_lift
 pytestmark = pytest.mark.core
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("steps", [40, 41, 100, 400])
 def test_the_noise_margin_stays_a_number_for_long_steps(steps: int) -> None:
     """Noise holds no step, whoever runs it, and after it the watch still sees an arm that is not where it should be."""

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 import pytest
+from marks import slow_but_first
 
 from coopqp import (
     InvalidInputError,
@@ -216,7 +217,7 @@ class Jumping(ObjectPath):
 
 
 @pytest.mark.core
-@pytest.mark.parametrize("kernel", KERNELS)
+@pytest.mark.parametrize("kernel", slow_but_first(KERNELS))
 @pytest.mark.parametrize("size", [0.1, 5.0])
 def test_a_jump_of_a_users_path_is_named_as_such(kernel: str, size: float) -> None:
     task = limited(paper_lift(), 10.0)
