@@ -209,6 +209,7 @@ def alike(a: QpProblem, b: QpProblem) -> None:
     np.testing.assert_allclose(one @ one.T, other @ other.T, **close)
 
 
+@pytest.mark.filterwarnings("ignore::coopqp.StartWarning")
 @pytest.mark.skipif(native.GAP > 0, reason="it compares roundings, and the sanitized core is compiled for others")
 @pytest.mark.parametrize("acceleration", [np.inf, 20.0])
 @pytest.mark.parametrize("make", slow_but_first([paper_lift, dual_arm7, mixed_cell, lambda: ring(arms=5)]))

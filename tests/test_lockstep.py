@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 import pytest
-from marks import slow_unless
+from marks import slow_but_first, slow_unless
 
 from coopqp import (
     Arm,
@@ -292,7 +292,7 @@ def test_both_agree_under_acceleration_limits(make: Callable[[], Scenario], mode
 
 
 @pytest.mark.core
-@pytest.mark.parametrize("acceleration", [5.0, 10.0])
+@pytest.mark.parametrize("acceleration", slow_but_first([5.0, 10.0]))
 def test_both_agree_under_acceleration_limits_in_short(acceleration: float) -> None:
     for mode in IN_SHORT:
         run_in(mode, limited(mixed_cell, acceleration), 100)
@@ -398,6 +398,7 @@ def halfway(task: Scenario) -> Scenario:
 # -- starts ----------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.filterwarnings("ignore::coopqp.StartWarning")
 @pytest.mark.core
 @pytest.mark.parametrize("make", [paper_lift, dual_arm7, mixed_cell], ids=lambda make: make.__name__)
 @pytest.mark.parametrize("acceleration", [np.inf, 20.0])
@@ -417,6 +418,7 @@ def test_both_agree_while_joints_are_led_back(make: Callable[[], Scenario], acce
     assert ((x < lower) | (x > upper)).any()
 
 
+@pytest.mark.filterwarnings("ignore::coopqp.StartWarning")
 @pytest.mark.slow
 @pytest.mark.core
 @pytest.mark.parametrize("off", [1e-4, 1e-3])
@@ -607,6 +609,7 @@ def test_both_agree_with_any_solver(solver: str) -> None:
             assert one.status is other.status
 
 
+@pytest.mark.filterwarnings("ignore::coopqp.StartWarning")
 @pytest.mark.core
 def test_both_agree_where_the_chain_has_to_part() -> None:
     """A joint that may hardly move, and one that comes back from outside: no answer keeps the chain."""

@@ -285,6 +285,7 @@ def test_simulate_finds_a_start(paper: Scenario) -> None:
         simulate(QPController(paper.cell, paper.grasp, far, dt=0.02), duration=1.0)
 
 
+@pytest.mark.filterwarnings("ignore::coopqp.StartWarning")
 @pytest.mark.parametrize("kernel", slow_but_first(available_kernels()))
 def test_a_start_outside_limits_is_said_until_the_arm_is_inside(paper: Scenario, kernel: Any) -> None:
     """The limit of one joint is 1° on the inner side of its start, or 20°."""

@@ -216,6 +216,7 @@ def test_a_lag_is_not_let_in() -> None:
     assert offs.max() < 1e-3  # unslowed 2.5 mm
 
 
+@pytest.mark.slow
 def test_a_drift_beyond_what_is_let_in_holds() -> None:
     caps, offs = lifted(slope=20e-3)
     assert caps[-1] < 1e-3

@@ -168,7 +168,7 @@ def test_a_reset_in_mid_path_goes_on_there(kernel: str) -> None:
 
 
 @pytest.mark.core
-@pytest.mark.parametrize("kernel", KERNELS)
+@pytest.mark.parametrize("kernel", slow_but_first(KERNELS))
 def test_the_same_path_followed_again_from_where_it_is_changes_nothing(kernel: str) -> None:
     """Under acceleration limits a rate that starts again at 0 would part the arms."""
     task = limited(dual_arm7(), 5.0)

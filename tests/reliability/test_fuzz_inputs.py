@@ -252,6 +252,7 @@ POSES: dict[str, Callable[[Any], Any]] = {
 }
 
 
+@pytest.mark.slow
 def test_poses_and_nothing_else(catalogue: Any) -> None:
     tried = Tried()
 
