@@ -117,7 +117,7 @@ def drive(controller: QPController, feed: Feed | None, begin: int, steps: int, t
 
 @pytest.mark.core
 @pytest.mark.parametrize("kernel", slow_unless(lambda kernel: kernel == KERNELS[0], KERNELS))
-@pytest.mark.parametrize("run", RUNS)
+@pytest.mark.parametrize("run", slow_unless(lambda run: run in ("looking ahead", "measured", "always a QP"), RUNS))
 def test_a_copy_goes_on_bit_for_bit(run: str, kernel: str) -> None:
     controller, feed = RUNS[run](kernel)
     told: list[Array] = []

@@ -440,7 +440,7 @@ def zigzag(task: Scenario, law: str) -> WaypointPath:
 
 
 @pytest.mark.core
-@pytest.mark.parametrize("law", ["linear", "quintic"])
+@pytest.mark.parametrize("law", slow_but_first(["linear", "quintic"]))
 @pytest.mark.parametrize("acceleration", [np.inf, 5.0])
 def test_both_agree_on_waypoints(law: str, acceleration: float) -> None:
     task = limited(paper_lift, acceleration)
@@ -590,7 +590,7 @@ def test_both_agree_after_a_fault_and_a_reset() -> None:
 
 
 @pytest.mark.core
-@pytest.mark.parametrize("solver", ["ldp", "daqp", "proxqp"])
+@pytest.mark.parametrize("solver", slow_but_first(["ldp", "daqp", "proxqp"]))
 def test_both_agree_with_any_solver(solver: str) -> None:
     loose = 1e-6 if solver == "proxqp" else SAME
     for acceleration in (np.inf, 5.0):

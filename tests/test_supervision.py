@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from marks import slow_but_first
 
 from coopqp import (
     Array,
@@ -286,7 +287,7 @@ def test_a_drift_that_is_gone_is_forgotten_at_rest(seconds: float) -> None:
     assert seen[-1].rate_cap == 1.0
 
 
-@pytest.mark.parametrize("off", [0.022, 0.1, 0.29])
+@pytest.mark.parametrize("off", slow_but_first([0.022, 0.1, 0.29]))
 @pytest.mark.parametrize("filter_time", [0.0, 0.002])
 def test_one_sample_holds_but_is_no_fault_and_two_are(off: float, filter_time: float) -> None:
     for many in (1, 2, 3):

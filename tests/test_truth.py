@@ -55,7 +55,7 @@ def test_statuses_keep_their_numbers_and_have_an_order() -> None:
 
 
 @pytest.mark.core
-@pytest.mark.parametrize("kernel", KERNELS)
+@pytest.mark.parametrize("kernel", slow_but_first(KERNELS))
 @pytest.mark.parametrize("acceleration", [np.inf, 5.0])
 def test_a_path_that_starts_away_is_off_path_until_the_object_is_back(kernel: str, acceleration: float) -> None:
     task = limited(paper_lift(), acceleration)
@@ -108,7 +108,7 @@ def test_a_turn_is_off_the_path_too() -> None:
 
 
 @pytest.mark.core
-@pytest.mark.parametrize("kernel", KERNELS)
+@pytest.mark.parametrize("kernel", slow_but_first(KERNELS))
 @pytest.mark.parametrize("size", [2e-5, 2e-4, 2e-3])
 def test_an_odd_start_is_said_until_it_is_mended(kernel: str, size: float) -> None:
     task = paper_lift()
