@@ -23,15 +23,19 @@ from coopqp import (
     LinePath,
     QPController,
     QPOptions,
+    QpProblem,
+    QpSolution,
+    QpSolver,
     Rank,
     RateBound,
     RobotCell,
     ServoPath,
+    SolverStatus,
     Status,
     VelocityConstraint,
     available_kernels,
+    make_solver,
 )
-from coopqp.control.solvers import QpProblem, QpSolution, QpSolver, SolverStatus, make_solver
 from coopqp.scenarios import Scenario, dual_arm7, mixed_cell, paper_lift
 
 EXAMPLE = runpy.run_path(str(Path(__file__).parents[1] / "docs" / "examples" / "16_constraints.py"))
