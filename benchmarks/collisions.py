@@ -17,10 +17,15 @@ from common import Record
 
 from coopqp import Closeness, ControlStep, ObjectPath, QPController, check_run, simulate
 from coopqp.collision import Body, Box, Clearance, CollisionScene, Sphere
+from coopqp.model.chain import Chain
+from coopqp.model.inverse_kinematics import newton
+from coopqp.planning import check_path
 from coopqp.scenarios import (
     Scenario,
     dual_arm7,
     elbow_and_knob,
+    elbows,
+    forearms,
     mixed_cell,
     paper_lift,
     plate_and_post,
@@ -31,11 +36,12 @@ from coopqp.scenarios import (
 
 KEYS = (
     "case", "controller", "clearance_mm", "margin_mm", "chain_mm", "path_mm", "chain_slack", "finished", "status",
-    "pair", "reversals", "passes", "p50_us", "p99_us",
+    "pair", "check", "dense_mm", "reversals", "passes", "p50_us", "p99_us",
 )  # fmt: skip
 ACCELERATION = 5.0  # [rad/s²]
 MARGIN = 0.02  # [m]
 NEAR_MARGIN = 0.005  # of random posts and of the times of a step [m]
+ARMS, SAMPLES = (2, 3, 8), 401  # of the cells of random posts, and of their paths
 
 
 @dataclass(frozen=True)
@@ -48,7 +54,7 @@ class Plan:
         rounds: runs of the times of a step.
     """
 
-    posts: int = 50
+    posts: int = 67
     jumps: int = 1_000_000
     rounds: int = 5
 
@@ -91,6 +97,8 @@ def cases() -> Iterator[tuple[str, Scenario, dict[str, Any]]]:
     blind = plate_and_post()
     yield "plate and post, not known ahead", replace(blind, path=Unknown(blind.path)), {}
     yield "elbow and knob", elbow_and_knob(), {}
+    yield "elbows", elbows(), {}
+    yield "forearms, 30 mm", forearms(), {"margin": 0.03}
     yield "start inside, towards", inside_the_margin(1.0), {"inside": [("object", "lid")]}
     yield "start inside, away", inside_the_margin(-1.0), {"inside": [("object", "lid")]}
 
@@ -118,7 +126,8 @@ def measured(case: str, task: Scenario, scene: CollisionScene, *, avoids: bool, 
         "chain_mm": 1e3 * verdict.worst.chain_m, "path_mm": 1e3 * verdict.worst.path_m,
         "chain_slack": max(step.given_up.chain for step in steps), "finished": run.finished,
         "status": steps[-1].status.name, "pair": named or f"{closest.pair.first} and {closest.pair.second}",
-        "reversals": reversals(run.rate), "passes": None, "p50_us": None, "p99_us": None,
+        "check": None, "dense_mm": None, "reversals": reversals(run.rate),
+        "passes": None, "p50_us": None, "p99_us": None,
     }  # fmt: skip
 
 
@@ -127,18 +136,37 @@ def runs(plan: Plan, progress: common.Progress) -> Iterator[Record]:
     for name, task, more in cases():
         for acceleration in (np.inf, ACCELERATION):
             cell = task.cell.with_limits(acceleration=acceleration)
-            scene = CollisionScene.of(task, cell=cell, margin=MARGIN, **more)
+            scene = CollisionScene.of(task, cell=cell, **{"margin": MARGIN, **more})
             case = name if acceleration == np.inf else f"{name}, {ACCELERATION:g} rad/s²"
             for avoids in (True, False):
                 yield measured(case, task, scene, avoids=avoids)
             progress.advance(case)
-    for arms in (2, 3, 4, 8):
+    for arms in ARMS:
         for seed in range(plan.posts):
             task = random_posts(seed, arms=arms)
-            yield measured(
-                f"random posts, {arms} arms, {seed}", task, CollisionScene.of(task, margin=NEAR_MARGIN), avoids=True
-            )
+            scene = CollisionScene.of(task, margin=NEAR_MARGIN)
+            found = check_path(task.cell, task.grasp, task.path, q_start=task.q_start, scene=scene)
+            record = measured(f"random posts, {arms} arms, {seed}", task, scene, avoids=True)
+            yield {**record, "check": found.verdict.value, "dense_mm": dense(task, scene)}
             progress.advance(f"random posts, {arms} arms")
+
+
+def dense(task: Scenario, scene: CollisionScene) -> float | None:
+    """Least distance [mm] along the whole path at dense samples; None where the arms cannot follow it.
+
+    The chain follows by Newton's method from sample to sample, elbows by the shortest way.
+    """
+    chain, q, rows = Chain(task.cell, task.grasp), task.q_start, []
+    clocks = np.linspace(0.0, task.path.duration, SAMPLES)
+    for clock in clocks:
+        q, errors = newton(chain, task.path.pose(clock), q, tolerance=1e-10, max_iter=20)
+        x = task.cell.positions(q)
+        inside = ((x >= task.cell.limits.lower) & (x <= task.cell.limits.upper)).all()
+        if not (inside and np.abs(errors).max() < 1e-8):
+            return None
+        rows.append(q)
+    closest = Closeness(scene).closest(np.array(rows), clocks)
+    return None if closest is None else round(1e3 * closest.pair.distance, 6)
 
 
 def skipped(plan: Plan) -> Record:
@@ -225,7 +253,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Command line."""
     args = common.arguments(__doc__.partition("\n")[0] if __doc__ else "").parse_args(argv)
     plan = QUICK if args.quick else FULL
-    progress = common.Progress(2 * sum(1 for _ in cases()) + 4 * plan.posts)
+    progress = common.Progress(2 * sum(1 for _ in cases()) + len(ARMS) * plan.posts)
     description = common.describe("collisions", {"posts": plan.posts, "jumps": plan.jumps, "rounds": plan.rounds})
     print(common.header(description), flush=True)
     records = [*runs(plan, progress), skipped(plan), *step_times(plan)]
@@ -237,6 +265,13 @@ def main(argv: Sequence[str] | None = None) -> int:
     text = f"## Collisions\n\n{common.markdown_table(shown, KEYS)}\n\n"
     text += f"{len(posts)} random posts: {touched} inside the margin, {slack} with chain slack, {finished} finished, "
     text += f"chain ≤ {max(r['chain_mm'] for r in posts):.1e} mm, path ≤ {max(r['path_mm'] for r in posts):.1e} mm\n"
+    clear = [r for r in posts if r["dense_mm"] is not None and r["dense_mm"] >= 5.0]
+    certified = [r for r in posts if r["check"] == "CERTIFIED"]
+    text += (
+        f"The check before the motion certifies {sum(r in certified for r in clear)} of {len(clear)} that are clear "
+    )
+    ended = sum(r["finished"] for r in certified)
+    text += f"by 5 mm at dense samples; {ended} of {len(certified)} certified ones finish.\n"
     print("\n" + text)
     files = {"collisions.md": text.encode()} if args.out is not None else None
     for file in common.save(records, description, json_file=args.json, out=args.out, files=files):

@@ -48,7 +48,7 @@ def test_certified_writes_json_and_picture(tmp_path: Path, capsys: pytest.Captur
     assert "branch  verdict" in said
     assert said.splitlines()[-2:] == [f"  {record}", f"  {folder / 'check.png'}"]
     answer = json.loads(record.read_text(encoding="utf-8"))
-    assert list(answer) == ["verdict", "intervals", "arms", "remedies", "no_remedy", "q_start"]
+    assert list(answer) == ["verdict", "intervals", "arms", "clearance", "remedies", "no_remedy", "q_start"]
     assert (answer["verdict"], answer["intervals"], answer["remedies"]) == ("CERTIFIED", [], [])
     assert answer["arms"][0]["chosen"] == 0
     assert len(answer["arms"][0]["branches"]) == 8

@@ -503,7 +503,7 @@ def test_the_record_has_its_keys_and_is_plain() -> None:
     task = at_singularity()
     check = check_path(task.cell, task.grasp, task.path, q_start=task.q_start)
     record = json.loads(json.dumps(replace(check, remedies=find_remedies(check)).record(), allow_nan=False))
-    assert list(record) == ["verdict", "intervals", "arms", "remedies", "no_remedy", "q_start"]
+    assert list(record) == ["verdict", "intervals", "arms", "clearance", "remedies", "no_remedy", "q_start"]
     assert record["verdict"] == "UNDECIDED"
     assert record["intervals"][0]["arm"] == "arm_1"
     assert [arm["verdict"] for arm in record["arms"]] == ["UNDECIDED", "CERTIFIED", "CERTIFIED"]

@@ -6,6 +6,7 @@ import copy
 import pickle
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -46,12 +47,15 @@ from coopqp.collision import (
     Sphere,
 )
 from coopqp.collision.distances import Distances, LowerBounds
-from coopqp.collision.evasion import Evasion
-from coopqp.control.constraints import MOST_ROWS
+from coopqp.collision.evasion import YIELDS, Evasion
+from coopqp.control.constraints import MOST_ROWS, ConstraintTrouble
+from coopqp.planning import PathVerdict, check_path
 from coopqp.scenarios import (
     Scenario,
     dual_arm7,
     elbow_and_knob,
+    elbows,
+    forearms,
     mixed_cell,
     paper_lift,
     plate_and_post,
@@ -501,21 +505,24 @@ def test_rows_are_few_and_name_both_bodies() -> None:
 # -- random posts --------------------------------------------------------------------------------------------------
 
 
+#: Of the 200 of the benchmark: posts that are evaded (2 arms: 8, 60), that stop the object, and free ways.
+_POSTS = [(2, 8), (2, 16), (2, 60), (3, 0), (3, 12), (4, 1), (8, 0)]
+
+
 @pytest.mark.slow
-@pytest.mark.parametrize("arms", [2, 3, 4])
-def test_random_posts_are_never_touched(arms: int) -> None:
-    ran = 0
-    for seed in range(4):
-        scenario = random_posts(seed, arms=arms)
-        scene = scene_of(scenario, margin=0.005)
-        if min(p.distance - MARGIN / 4 for p in scene.distances(scenario.q_start)) < 0.0:
-            continue
-        recording, steps, _ = run(scenario, scene)
-        ran += 1
-        verdict = check_run(recording, scene.cell, scene=scene)
-        assert verdict.ok, (seed, verdict)
-        assert max(step.given_up.chain for step in steps) == 0.0
-    assert ran
+@pytest.mark.parametrize(("arms", "seed"), _POSTS)
+def test_random_posts_are_never_touched_and_certified_ways_are_finished(arms: int, seed: int) -> None:
+    scenario = random_posts(seed, arms=arms)
+    scene = scene_of(scenario, margin=0.005)
+    found = check_path(scene.cell, scenario.grasp, scenario.path, q_start=scenario.q_start, scene=scene)
+    recording, steps, _ = run(scenario, scene)
+    verdict = check_run(recording, scene.cell, scene=scene)
+    assert verdict.ok, (seed, verdict)
+    assert max(step.given_up.chain for step in steps) == 0.0
+    if found.verdict is PathVerdict.CERTIFIED:
+        assert recording.finished
+    if found.verdict is PathVerdict.INFEASIBLE:
+        assert not recording.finished
 
 
 # -- elbows --------------------------------------------------------------------------------------------------------
@@ -541,6 +548,23 @@ def test_an_elbow_evades_and_the_object_stays_on_its_path(acceleration: float) -
     assert not check_run(without, scene.cell, scene=scene).ok
 
 
+@pytest.mark.parametrize("acceleration", [np.inf, 5.0])
+@pytest.mark.parametrize(("make", "margin"), [(elbows, MARGIN), (forearms, 0.03)])
+def test_arms_evade_each_other(make: Any, margin: float, acceleration: float) -> None:
+    scenario = make()
+    recording, steps, scene = run(scenario, scene_of(scenario, margin=margin), acceleration=acceleration)
+    assert recording.finished
+    verdict = check_run(recording, scene.cell, scene=scene)
+    assert verdict.ok, verdict
+    assert max(verdict.worst.chain_m, verdict.worst.path_m) < 1e-6
+    assert max(step.given_up.chain for step in steps) == 0.0
+    without = simulate(
+        QPController(scene.cell, scenario.grasp, scenario.path, dt=scenario.dt), q_start=scenario.q_start
+    )
+    judged = check_run(without, scene.cell, scene=scene)
+    assert [breach.name for breach in judged.counts] == ["CLEARANCE"]
+
+
 def test_without_comfort_an_elbow_stops_the_object_by_name() -> None:
     scenario = elbow_and_knob()
     clearance = Clearance(scene_of(scenario), comfort=0.0)
@@ -559,17 +583,24 @@ def test_evasion_is_the_least_self_motion_that_keeps_its_rows(seed: int) -> None
     q = cell.moved(scenario.q_start, rng.uniform(-0.2, 0.2, cell.nv))
     N, slope = evasion.basis(q), rng.normal(size=cell.nv)
     G, wanted = rng.normal(size=(2, cell.nv)), rng.normal(size=2)
-    lower = G @ (slope + N @ rng.normal(size=N.shape[1])) - np.abs(wanted)  # some self-motion keeps them
+    keeps = rng.normal(size=N.shape[1])  # a self-motion that keeps them
+    lower = G @ (slope + N @ keeps) - np.abs(wanted)
     found = evasion.slope(q, slope, G, lower)
     state = CellState(cell, q)
     for k, own in enumerate(cell.v_slices):  # the tools do not feel it
         assert np.abs(state.jacobian(k) @ (found - slope)[own]).max() < 1e-9
-    assert (G @ found >= lower - 1e-4).all()
     z = np.linalg.lstsq(N, found - slope, rcond=None)[0]
-    for _ in range(20):  # no other one that keeps them is shorter
-        other = z + rng.normal(size=z.size) * rng.uniform(0.0, 1.0)
-        if (G @ (slope + N @ other) >= lower).all():
-            assert np.linalg.norm(z) <= np.linalg.norm(other) + 1e-3
+
+    def cost(z: Any) -> float:
+        short = np.maximum(lower - G @ (slope + N @ z), 0.0)
+        return float(z @ z + YIELDS**2 * short @ short)
+
+    # Of a motion that keeps them a small share may be missing, and none is better.
+    assert (G @ found >= lower - np.linalg.norm(keeps) / YIELDS - 1e-9).all()
+    assert cost(z) <= cost(keeps) + 1e-9
+    for _ in range(20):
+        other = z + rng.normal(size=z.size) * 10.0 ** rng.uniform(-3.0, 0.0)
+        assert cost(z) <= cost(other) + 1e-9
 
 
 # -- bodies that move ------------------------------------------------------------------------------------------------
@@ -612,6 +643,30 @@ def test_nothing_comes_closer_to_a_body_that_closes_in(lift: Scenario) -> None:
     assert late.sum() > 100
     assert (-np.diff(d)[late] / 0.004).max() <= 0.3 + 1e-3  # the cart's own speed
     assert clearance.quiet.slack < 0.0  # never certified
+
+
+@pytest.mark.parametrize("kernel", KERNELS)
+def test_rows_hold_while_nobody_says_where_a_body_is(lift: Scenario, kernel: str) -> None:
+    # The path is not known ahead, so rows alone keep the plate below the post; the arms come to rest before it.
+    blind = replace(plate_and_post(), path=Unknown(plate_and_post().path))
+    cell = blind.cell.with_limits(acceleration=5.0)
+    cart = Body("cart", Sphere(0.1), pin.SE3(np.eye(3), np.array([5.0, 0.0, 0.0])))
+    scene = CollisionScene.of(replace(blind, cell=cell), margin=MARGIN, moving=[cart])
+    clearance = Clearance(scene)
+    controller = QPController(
+        cell, blind.grasp, blind.path, dt=0.004, options=QPOptions(kernel=kernel), constraints=[clearance]
+    )
+    controller.reset(blind.q_start)
+    for i in range(440):
+        if i < 400:
+            clearance.move("cart", cart.placement)
+        step = controller.step()
+    assert step.status is Status.HOLDING
+    assert "cart" in step.reason
+    with pytest.raises(ConstraintTrouble) as raised:
+        clearance.rows_by_label(step.q, 0.004, blind=True)
+    pairs = {frozenset(clearance.labels[k].between) for k in raised.value.rows.which}
+    assert frozenset(("object", "post")) in pairs
 
 
 def test_a_body_that_nobody_moves_holds_by_name(lift: Scenario) -> None:
@@ -676,3 +731,13 @@ def test_bad_tables_are_named(tmp_path: Path, old: str, new: str, said: str) -> 
     file.write_text(BAR.read_text(encoding="utf-8") + TABLE.replace(old, new), encoding="utf-8")
     with pytest.raises(CellFileError, match=said):
         load_cell_file(file)
+
+
+def test_bodies_that_overlap_have_a_finite_depth(lift: Scenario) -> None:
+    # coal's search of the depth fails for one in some thousand overlaps, and answers −1.8e308.
+    distances = Distances(CollisionScene.of(lift))
+    distances._results = [SimpleNamespace(min_distance=-np.finfo(float).max) for _ in distances._results]  # type: ignore[misc]
+    d = distances.all(lift.q_start)
+    assert (d < 0.0).all()
+    assert np.isfinite(2.0 * d).all()
+    assert distances.one(0) == d[0]

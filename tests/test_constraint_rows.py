@@ -24,13 +24,18 @@ from coopqp import (
     LinePath,
     QPController,
     QPOptions,
+    QpProblem,
+    QpSolution,
+    QpSolver,
     Rank,
     RateBound,
     RobotCell,
     ServoPath,
+    SolverStatus,
     Status,
     VelocityConstraint,
     available_kernels,
+    make_solver,
 )
 from coopqp.scenarios import Scenario, dual_arm7, mixed_cell, paper_lift
 
@@ -528,3 +533,70 @@ def test_a_deep_copy_has_constraints_of_its_own(kernel: str) -> None:
     assert all(a is not b for a, b in zip(controller.constraints, other.constraints, strict=True))
     for _ in range(60):
         assert np.array_equal(controller.step().velocity, other.step().velocity)
+
+
+# -- the brake -----------------------------------------------------------------------------------------------------
+
+
+class Failing(QpSolver):
+    """Works until ``broken``; then it has no answer."""
+
+    name, strictly_convex_only = "failing", False
+
+    def __init__(self) -> None:
+        self.solver, self.broken = make_solver("daqp"), False
+        self.settings = self.solver.settings
+
+    def _forget(self) -> None:
+        self.solver.reset()
+
+    def _solve(self, problem: QpProblem, work: Any) -> Any:
+        raise NotImplementedError
+
+    def solve(self, problem: QpProblem) -> QpSolution:
+        found = self.solver.solve(problem)
+        nothing = np.full(problem.g.size, np.nan)
+        return dataclasses.replace(found, status=SolverStatus.FAILED, x=nothing) if self.broken else found
+
+
+def braked(kernel: str, rank: Rank, lower: Callable[[float], float]) -> tuple[float, float, ControlStep]:
+    """The speed before and after the solver fails, along the present motion, and the step.
+
+    A row asks for at least ``lower`` of the speed before.
+    """
+    task = paper_lift(time_law="quintic")
+    cell = task.cell.with_limits(acceleration=5.0)
+    way, least = np.zeros(cell.nv), [-np.inf]
+    told = Told(lambda _: (way[None].copy(), np.array([least[0]]), np.array([np.inf])), rank)
+    solver = Failing()
+    options = QPOptions(kernel=kernel, shortcut=False, solver=solver)
+    controller = QPController(cell, task.grasp, task.path, dt=DT, options=options, constraints=[told])
+    controller.reset(task.q_start)
+    for _ in range(200):
+        step = controller.step()
+    way[:] = step.velocity / np.linalg.norm(step.velocity)
+    speed = float(np.linalg.norm(step.velocity))
+    least[0], solver.broken = lower(speed), True
+    step = controller.step()
+    assert step.status is Status.HOLDING
+    assert "no usable answer" in step.reason
+    assert step.given_up.chain == 0.0
+    assert (np.abs(step.velocity) <= cell.limits.velocity).all()
+    return speed, float(way @ step.velocity), step
+
+
+@pytest.mark.parametrize("rank", [Rank.LIMITS, Rank.CLEARANCE])
+@pytest.mark.parametrize("kernel", KERNELS)
+def test_a_brake_without_a_solver_keeps_the_rows(kernel: str, rank: Rank) -> None:
+    speed, free, hardest = braked(kernel, rank, lambda _: -np.inf)
+    assert free < 0.97 * speed  # the brake without rows
+    _, kept, _ = braked(kernel, rank, lambda speed: 0.99 * speed)
+    assert 0.99 * speed - 1e-9 <= kept < speed
+    _, beyond, step = braked(kernel, rank, lambda speed: 2.0 * speed)  # nothing keeps that one
+    if rank is Rank.CLEARANCE:
+        assert beyond >= kept - 1e-9  # it breaks the row by the least, and speeds up for nobody
+    assert beyond <= 1.02 * speed
+    _, idle, same = braked(kernel, rank, lambda speed: -speed)
+    assert np.array_equal(same.velocity, hardest.velocity)
+    assert idle == free
+    assert step.rate <= 1.0

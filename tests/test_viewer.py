@@ -30,10 +30,13 @@ from coopqp import (
     robot_path,
     tool_placements,
 )
+from coopqp.collision import Body, Box, Capsule, CollisionScene, Cylinder, Hull, Sphere
 from coopqp.look import viewer
 from coopqp.look.stage import ALERT, FIELD_OF_VIEW, READOUT_SHARE, Stage
 from coopqp.look.viewer import readout
 from coopqp.scenarios import Scenario
+from coopqp.simulation.bodies import read_bodies
+from coopqp.simulation.closeness import with_clearance
 from coopqp.simulation.scene import describe_cell
 
 
@@ -383,3 +386,50 @@ def test_other_robots_are_shown_too(scene: FakeScene, make_cell: Any) -> None:
     stage = Stage(scene, recording)
     stage.show(1)
     assert "/path/line 0" not in scene.nodes  # the object rests
+
+
+# -- what stands around the arms ------------------------------------------------------------------------------------
+
+
+def _surrounded(run: Recording, paper: Scenario) -> tuple[Recording, CollisionScene]:
+    rng = np.random.default_rng(0)
+    shapes = {
+        "box": Box((0.1, 0.2, 0.3)),
+        "ball": Sphere(0.1),
+        "can": Cylinder(0.05, 0.2),
+        "post": Capsule(0.05, 0.2),
+        "stone": Hull(rng.normal(size=(12, 3))),
+    }
+    places = [pin.SE3(pin.exp3(rng.normal(size=3)), np.array([0.0, 3.0 + 2.0 * i, 0.5])) for i in range(len(shapes))]
+    bodies = [Body(name, shape, T) for (name, shape), T in zip(shapes.items(), places, strict=True)]
+    scene = CollisionScene.of(replace(paper, obstacles=tuple(bodies)), margin=0.0)
+    return with_clearance(run, scene, avoided=False), scene
+
+
+def test_bodies_stand_where_the_scene_says(scene: FakeScene, run: Recording, paper: Scenario) -> None:
+    recording, bodies = _surrounded(run, paper)
+    recording = replace(recording, metadata=json.loads(json.dumps(recording.metadata)))
+    Stage(scene, recording)
+    for i, (body, (name, _, T)) in enumerate(zip(bodies.obstacles, read_bodies(recording.metadata), strict=True)):
+        assert name == body.name
+        np.testing.assert_allclose(T.homogeneous, body.placement.homogeneous, atol=1e-12)
+        corners = np.asarray(scene.nodes[f"/bodies/{i}"].arguments[0])
+        middle = 0.5 * (corners.min(axis=0) + corners.max(axis=0))
+        assert np.linalg.norm(middle - T.translation) < (1.5 if name == "stone" else 1e-3)
+    damaged = {**recording.metadata, "bodies": [{"kind": "Box", "name": "box"}]}
+    with pytest.raises(SceneError, match="bodies are damaged"):
+        Stage(FakeScene(), replace(recording, metadata=damaged))
+
+
+def test_a_line_joins_the_bodies_that_are_nearest(scene: FakeScene, run: Recording, paper: Scenario) -> None:
+    recording, _ = _surrounded(run, paper)
+    entry = recording.metadata["clearance"]
+    stage = Stage(scene, recording)
+    for sample in (0, 17, 40):
+        stage.show(sample)
+        i = int(np.abs(np.array(entry["times_s"]) - recording.time[sample]).argmin())
+        a, b = np.asarray(scene.nodes["/nearest"].points)[0]
+        assert np.linalg.norm(b - a) == pytest.approx(entry["distances_m"][i], abs=2e-4)
+    broken = {**recording.metadata, "clearance": {**entry, "points_m": [[0.0]]}}
+    with pytest.raises(SceneError, match="nearest points are damaged"):
+        Stage(FakeScene(), replace(recording, metadata=broken))

@@ -12,6 +12,7 @@ from coopqp.app.terminal import print_table, reporter
 from coopqp.errors import UnknownNameError, UnreachableError, printable
 
 if TYPE_CHECKING:
+    from coopqp.collision.scene import CollisionScene
     from coopqp.model.cell import RobotCell
     from coopqp.model.grasp import Grasp
     from coopqp.planning import PathCheck
@@ -28,8 +29,9 @@ def _add_check(commands: Any) -> None:
     parser = commands.add_parser(
         "check",
         help="can the arms follow the path of a cell? A proof before the motion",
-        description="Judge whether the arms can follow the path inside their position limits and away from "
-        "singularities, from the start of the cell or from any start. Nothing moves.",
+        description="Judge whether the arms can follow the path inside their position limits, away from "
+        "singularities and, where the cell has bodies that keep distances, without coming too close; from the start of "
+        "the cell or from any start. Nothing moves.",
         epilog="Exit status: 0 if the arms follow the path (certified: proved at every point; or sampled: at samples, "
         "where there is no proof), 3 if an arm cannot or has no start, 4 if some interval is not decided, 2 for bad "
         "input.",
@@ -54,11 +56,11 @@ def _run_check(arguments: argparse.Namespace) -> int:
     picture = None if arguments.out is None else arguments.out / _PICTURE
     _check_outputs(arguments.json, picture, force=arguments.force)
     with reporter(quiet=arguments.quiet) as report:
-        cell, grasp, path, q_start, note = _task(arguments.cell)
+        cell, grasp, path, q_start, scene, note = _task(arguments.cell)
         if note:
             report.note(note)
         report.note("looking at the arms along the path")
-        check = check_path(cell, grasp, path, q_start=None if arguments.any_start else q_start)
+        check = check_path(cell, grasp, path, q_start=None if arguments.any_start else q_start, scene=scene)
         if arguments.remedies and not check.feasible:
             report.note("looking for remedies")
             check = with_remedies(check)
@@ -77,23 +79,24 @@ def _run_check(arguments: argparse.Namespace) -> int:
     return _CANNOT if check.verdict is PathVerdict.INFEASIBLE else _UNDECIDED
 
 
-def _task(name: str) -> tuple[RobotCell, Grasp, ObjectPath, Array | None, str]:
-    """Cell, grasp, path and start of a cell file or of a scenario, and what is to be said of the start."""
+def _task(name: str) -> tuple[RobotCell, Grasp, ObjectPath, Array | None, CollisionScene | None, str]:
+    """Cell, grasp, path, start and bodies of a cell file or of a scenario, and what is to be said of the start."""
+    from coopqp.collision.scene import CollisionScene
     from coopqp.files.cellfile import TOML_SUFFIX, YAML_SUFFIXES, load_cell_task
     from coopqp.scenarios import SCENARIOS
 
     if Path(name).suffix in (TOML_SUFFIX, *YAML_SUFFIXES):
         task = load_cell_task(name)
-        note = "distances are not checked here: coopqp run judges them" if task.bodies else ""
         try:
-            return task.cell, task.grasp, task.path, task.exact_start(), note
+            return task.cell, task.grasp, task.path, task.exact_start(), task.scene, ""
         except UnreachableError as error:
-            note = f"from the start of the file {error} Any start is judged. {note}".rstrip()
-            return task.cell, task.grasp, task.path, None, note
+            note = f"from the start of the file {error} Any start is judged."
+            return task.cell, task.grasp, task.path, None, task.scene, note
     if name not in SCENARIOS:
         raise UnknownNameError("cell file (.toml, .yaml) or scenario", name, SCENARIOS)
     scenario = SCENARIOS[name]()
-    return scenario.cell, scenario.grasp, scenario.path, scenario.q_start, ""
+    scene = CollisionScene.of(scenario) if scenario.obstacles else None
+    return scenario.cell, scenario.grasp, scenario.path, scenario.q_start, scene, ""
 
 
 def _check_outputs(record: Path | None, picture: Path | None, *, force: bool) -> None:

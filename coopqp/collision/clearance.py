@@ -190,13 +190,25 @@ class Clearance:
         return found.G, found.lower, found.upper
 
     def rows_by_label(self, q: Array, dt: float, *, blind: bool) -> LabelledRows:
-        """Rows of the pairs that are near, and their labels."""
+        """Rows of the pairs that are near, and their labels.
+
+        Raises:
+            ConstraintTrouble: nobody has told for too long where a moving body is; with the rows that hold where it was
+                told last.
+        """
+        trouble = self._grow_old(dt)
+        rows = self._rows(q, dt, blind=blind)
+        if trouble:
+            raise ConstraintTrouble(trouble, rows)
+        return rows
+
+    def _rows(self, q: Array, dt: float, *, blind: bool) -> LabelledRows:
         bounds, nv = self._step, self.scene.cell.nv
         xi = min(self.approach, 1.0 / dt) if blind else 1.0 / dt
         self._approach = self.approach if blind else np.inf
         bounds.follow(self.scene.cell.positions(q))
+        self._step.rooms[self._runs] = -np.inf
         self._distances.place(q)
-        self._grow_old(dt)
         watch = np.minimum(self._fastest / xi, _BLIND_WATCH if blind else _WATCH)
         watch[self._runs] = _BLIND_WATCH
         bounds.ask(np.flatnonzero(bounds.rooms < watch).tolist())
@@ -335,19 +347,14 @@ class Clearance:
         for distances in (self._distances, self._probe):
             distances.put(self._shapes[name], T_world_body)
 
-    def _grow_old(self, dt: float) -> None:
-        """Time goes on for moving bodies.
-
-        Raises:
-            ConstraintTrouble: nobody has told for too long where one is.
-        """
+    def _grow_old(self, dt: float) -> str:
+        """Time goes on for moving bodies; what is wrong where nobody has told for too long where one is."""
+        late = ""
         for name, place in self._places.items():
             place.age += dt
-            if place.age > self.patience + dt:
-                raise ConstraintTrouble(
-                    f"constraint {self.name}: nobody has said for {self.patience:g} s where {name} is (move)"
-                )
-        self._step.rooms[self._runs] = -np.inf
+            if place.age > self.patience + dt and not late:
+                late = f"constraint {self.name}: nobody has said for {self.patience:g} s where {name} is (move)"
+        return late
 
     def _run(self, near: Any, shape: int, place: _Place, gradient: Gradient, lower: Array, dt: float) -> None:
         """Lower bounds of pairs with a moving body that comes closer at u = −n · v.

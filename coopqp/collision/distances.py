@@ -17,6 +17,8 @@ if TYPE_CHECKING:
 #: coal's own tolerance leaves gradients wrong by 0.2; with this one by 2e-4.
 _TOLERANCE = 1e-9
 _MOST_ITERATIONS = 1000
+#: Where bodies overlap coal's search of the depth may fail, and answers the smallest number that there is [m].
+_DEEPEST = -1.0
 
 #: Pairs that are asked at most to sharpen bounds, and a room that counts as none [m].
 _MOST_ASKED, _LEAST_ROOM = 20, 1e-9
@@ -69,13 +71,13 @@ class Distances:
     def one(self, pair: int) -> float:
         """Distance of a pair where the shapes are placed [m]."""
         pin.computeDistance(self._geometry, self._placed, pair)
-        return float(self._results[pair].min_distance)
+        return max(float(self._results[pair].min_distance), _DEEPEST)
 
     def all(self, q: Array) -> Array:
         """Distances of all pairs (P,) at a configuration [m]."""
         self.place(q)
         pin.computeDistances(self._geometry, self._placed)
-        return np.array([result.min_distance for result in self._results])
+        return np.maximum([result.min_distance for result in self._results], _DEEPEST)
 
     def nearest_points(self, pair: int) -> tuple[Array, Array]:
         """The points of both bodies that are nearest to each other, of a pair asked last here [m]."""

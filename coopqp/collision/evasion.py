@@ -11,8 +11,9 @@ import pinocchio as pin
 from coopqp.model.cell import RobotCell
 from coopqp.spatial import Array
 
-#: A motion that no row can be kept with breaks it by as much as costs what this much self-motion costs [1/m].
-_YIELDS = 1e3
+#: A row broken by 1/YIELDS costs as much as a self-motion of 1: what no motion keeps gives way. With 1000 arms swung at
+#: many times their speeds to clear posts, along slopes that the look-ahead cannot follow.
+YIELDS = 50.0
 #: A self-motion that changes no distance by more than this does not help [m per unit of joint speed].
 _HELPS = 1e-6
 
@@ -67,7 +68,7 @@ class Evasion:
             return slope
         # Least distance by non-negative least squares [Lawson & Hanson, 1974]; each row has an unknown to give way by.
         A, b = A[helps], missing[helps]
-        rows = np.hstack([A, np.eye(len(b)) / _YIELDS])
+        rows = np.hstack([A, np.eye(len(b)) / YIELDS])
         system = np.vstack([rows.T, b])
         target = np.zeros(len(system))
         target[-1] = 1.0

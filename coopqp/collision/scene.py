@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any, final
@@ -18,7 +18,9 @@ from coopqp.errors import InvalidInputError, UnknownNameError, shown
 from coopqp.model.cell import RobotCell
 from coopqp.model.grasp import Grasp
 from coopqp.model.shapes import Body, Box, NearPair
-from coopqp.spatial import Array
+from coopqp.planning.clearance import ClearanceCheck
+from coopqp.planning.ways import CellWay
+from coopqp.spatial import Array, as_placement
 from coopqp.task.scenario import Scenario
 
 #: Distance that is kept by default [m].
@@ -135,6 +137,32 @@ class CollisionScene:
             found[label] = min(d, found.get(label, np.inf))
         return tuple(NearPair(*label, d) for label, d in sorted(found.items(), key=lambda item: item[1]))
 
+    def along(self, way: CellWay) -> ClearanceCheck:
+        """Distances along a way that is checked before the motion; see :func:`coopqp.planning.check_path`."""
+        from coopqp.collision.along import along
+
+        return along(self, way)
+
+    def evading(self, way: CellWay) -> tuple[Array, Array] | None:
+        """Places (K,) and joint positions (K, nv) of a way on which redundant arms keep off; None if there is none."""
+        from coopqp.collision.along import evading
+
+        return evading(self, way)
+
+    def clear_choice(self, ways: Sequence[Array]) -> tuple[int, ...] | None:
+        """One way for each arm so that all margins are kept at samples, the best first; None if there are none.
+
+        Args:
+            ways: of each arm positions of its joints along its ways (B, K, its joints) [rad or m].
+        """
+        from coopqp.collision.along import clear_choice
+
+        return clear_choice(self, ways)
+
+    def of_cell(self, cell: RobotCell, grasp: Grasp) -> CollisionScene:
+        """The same bodies about other arms or another grasp."""
+        return replace(self, cell=cell, grasp=grasp)
+
     def _checked(self, q: Any) -> Array:
         return self.cell.check_configuration(q, "CollisionScene: q")
 
@@ -157,6 +185,8 @@ class Built:
         reach: largest motion of a pair's distance per unit of joint motion (P, nv) [m/rad or 1].
         margins: of each pair (P,) [m].
         inside: pairs that may start inside their margin (P,).
+        levers: of pairs of the object with what stands in the world, how far the object's points are from its origin
+            (P,) [m]; infinite for others.
         moving: number of the shapes of moving bodies.
         notes: see :attr:`CollisionScene.notes`.
     """
@@ -168,6 +198,7 @@ class Built:
     reach: Array
     margins: Array
     inside: Any
+    levers: Array
     moving: tuple[int, ...]
     notes: tuple[str, ...]
 
@@ -192,6 +223,7 @@ class _Part:
     geometry: Any
     object: bool = False
     moving: bool = False
+    lever: float = np.inf
 
 
 def _build(scene: CollisionScene) -> Built:
@@ -217,6 +249,9 @@ def _build(scene: CollisionScene) -> Built:
             v = int(model.joints[joint].idx_v)
             kinds[row, v] = 1.0 if joint in chains[j] else -1.0
             reach[row, v] = way * (1.0 + _MORE)
+    levers = [
+        min(parts[i].lever, parts[j].lever) if 0 in (parts[i].joint, parts[j].joint) else np.inf for i, j in pairs
+    ]
     names = tuple(part.name for part in parts)
     labels = tuple((names[i], names[j]) for i, j in pairs)
     known = Names(names, scene.cell.arm_names)
@@ -232,6 +267,7 @@ def _build(scene: CollisionScene) -> Built:
         reach,
         margins,
         np.array([frozenset(label) in inside for label in labels], dtype=bool),
+        np.array(levers) * (1.0 + _MORE),
         tuple(i for i, part in enumerate(parts) if part.moving),
         tuple(notes),
     )
@@ -273,11 +309,13 @@ def _others(scene: CollisionScene, notes: list[str]) -> list[_Part]:
     parts = []
     for body in scene.carried:
         geometry = _geometry(body, notes)
+        T = as_placement(body.placement, body.name)
+        lever = reach_of(geometry, T.rotation, T.translation)
         for joint, frame, T_joint_tool, X in zip(
             cell.tool_joints, cell.tool_frames, cell.T_joint_tool, scene.grasp.T_object_tool, strict=True
         ):
             placement = T_joint_tool * X.inverse() * body.placement
-            parts.append(_Part(body.name, joint, frame, placement, geometry, object=True))
+            parts.append(_Part(body.name, joint, frame, placement, geometry, object=True, lever=lever))
     for bodies, moving in ((scene.obstacles, False), (scene.moving, True)):
         parts += [_Part(b.name, 0, 0, b.placement, _geometry(b, notes), moving=moving) for b in bodies]
     return parts

@@ -200,6 +200,10 @@ class Rows:
     def __len__(self) -> int:
         return len(self.lower)
 
+    def only(self, chosen: Any) -> Rows:
+        """Those of a mask (m,)."""
+        return Rows(*(getattr(self, f.name)[chosen] for f in fields(Rows)))
+
 
 class Bound(NamedTuple):
     """What constraints leave of the rate at a knot.
@@ -223,7 +227,15 @@ def no_rows(nv: int) -> Rows:
 
 
 class ConstraintTrouble(Exception):  # noqa: N818
-    """A constraint raised, or returned something else than rows; the step holds."""
+    """A constraint raised, or returned something else than rows; the step holds.
+
+    Attributes:
+        rows: what it, or the other constraints, could still say; the step that holds keeps them.
+    """
+
+    def __init__(self, message: str, rows: Any = None) -> None:
+        super().__init__(message)
+        self.rows = rows
 
 
 def listed(constraints: Any) -> tuple[Any, ...]:
@@ -329,16 +341,30 @@ class Constraints:
         """All rows at a configuration (nq,); ``blind`` where nothing brakes ahead of them.
 
         Raises:
-            ConstraintTrouble: a constraint raised, or its rows are not finite or have other shapes.
+            ConstraintTrouble: a constraint raised, or its rows are not finite or have other shapes; with the rows of
+                the others.
         """
-        parts = []
+        parts: list[Rows] = []
+        trouble: ConstraintTrouble | None = None
         for i, constraint in self._certified:
-            own = constraint.rows_by_label(q, dt, blind=blind)
+            try:
+                own = constraint.rows_by_label(q, dt, blind=blind)
+            except ConstraintTrouble as raised:
+                trouble = trouble or raised
+                if raised.rows is None:
+                    continue
+                own = raised.rows
             soft = np.full(len(own.which), self._soft[i])
             parts.append(Rows(own.G, own.lower, own.upper, soft, self._first[i] + own.which))
         if self._uncertified:
-            parts += self._uncertified_rows(CellState(self.cell, q), dt)
-        return self._joined(parts)
+            try:
+                parts += self._uncertified_rows(CellState(self.cell, q), dt)
+            except ConstraintTrouble as raised:
+                trouble = trouble or raised
+        rows = self._joined(parts)
+        if trouble is not None:
+            raise ConstraintTrouble(str(trouble), rows)
+        return rows
 
     def _uncertified_rows(self, state: CellState, dt: float) -> list[Rows]:
         nv, parts = self.cell.nv, []

@@ -329,6 +329,7 @@ class PlainLoop:
                 further = self.constraints.rows(s.q, h, blind=self._blind)
             except ConstraintTrouble as trouble:
                 seen.watch.lower(Watch.holding(str(trouble)))
+                further = self._no_rows if trouble.rows is None else trouble.rows
         cap, binding, late = self._rate_cap(seen)
         measured = seen.measured
         if late < 1.0:

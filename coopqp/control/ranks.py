@@ -26,6 +26,9 @@ _AT_LIMIT = 1e-7
 #: Cost of joint velocities in the second attempt at a chain that may part [1/(rad/s)²].
 _CALM = 1e-4
 
+#: Bisections of a share.
+_BISECTIONS = 40
+
 _ZERO6 = np.zeros(6)
 _ZERO6.flags.writeable = False
 
@@ -113,7 +116,7 @@ class StepSolver:
                 return found
         solved, report = self._solve(terms, pieces, further)
         if solved is None:
-            return self._brake(terms, v_prev, h, report)
+            return self._brake(terms, v_prev, h, further, report)
         return StepAnswer(
             np.clip(solved.velocity, box.lower, box.upper),
             solved.rate,
@@ -227,11 +230,12 @@ class StepSolver:
             solution.message,
         )
 
-    def _brake(self, terms: StepTerms, v_prev: Array, h: float, report: SolverReport) -> StepAnswer:
+    def _brake(self, terms: StepTerms, v_prev: Array, h: float, further: Rows, report: SolverReport) -> StepAnswer:
         """All arms brake together, as hard as the box allows, without a solver.
 
         Along the path if a rate will do, else along the object's present motion, else by one common factor. What
-        redundant arms do in their null-space fades with the rest.
+        redundant arms do in their null-space fades with the rest. Of these the first that keeps the further rows; if
+        none does, the one that breaks those that may give way by the least.
         """
         box, chain, metric = self._box, self._chain, self.program.metric
         why = f"{report.status}: {report.message}" if report.message else report.status
@@ -246,14 +250,27 @@ class StepSolver:
         rate = max(float(terms.along @ (metric * present)) / length, 0.0) if length > 0.0 else 0.0
         ways = chain.joint_columns(np.column_stack([rate * (terms.to_world @ terms.along), object_twist]))
         ways += chain.null_part(v_prev)[:, None]
-        for along in ways.T:
-            for base in (offsets + grasp, offsets):
-                interval = rate_interval(base, along, box.lower, box.upper)
-                if interval is not None and interval[1] >= max(interval[0], 0.0):
-                    share = max(interval[0], 0.0)
-                    v = np.clip(base + share * along, box.lower, box.upper)
-                    return StepAnswer(v, min(share * rate, 1.0), 0.0, 0.0, report=report, braked=True, reason=reason)
-        v = np.clip(v_prev * self._slowdown(v_prev, h), box.lower, box.upper)
+        soft, hard = further.only(further.soft), further.only(np.logical_not(further.soft))
+        for kept in (hard, further.only(np.zeros(len(further), dtype=bool))) if len(hard) else (hard,):
+            best: tuple[float, Array, float] | None = None
+            lower, upper = np.concatenate([box.lower, kept.lower]), np.concatenate([box.upper, kept.upper])
+            for along in ways.T:
+                for base in (offsets + grasp, offsets):
+                    rows = np.concatenate([base, kept.G @ base]), np.concatenate([along, kept.G @ along])
+                    interval = rate_interval(*rows, lower, upper)
+                    if interval is None or not interval[1] >= max(interval[0], 0.0):
+                        continue
+                    share, broken = _least_broken(soft, base, along, max(interval[0], 0.0), interval[1])
+                    if best is None or broken < best[0]:
+                        best = broken, np.clip(base + share * along, box.lower, box.upper), min(share * rate, 1.0)
+                    if broken == 0.0:
+                        break
+                if best is not None and best[0] == 0.0:
+                    break
+            if best is not None:
+                return StepAnswer(best[1], best[2], 0.0, 0.0, report=report, braked=True, reason=reason)
+        share = _least_broken(further, np.zeros(chain.nv), v_prev, self._slowdown(v_prev, h), 1.0)[0]
+        v = np.clip(v_prev * share, box.lower, box.upper)
         return StepAnswer(v, 0.0, 0.0, 0.0, report=report, braked=True, reason=reason)
 
     def _slowdown(self, v: Array, h: float) -> float:
@@ -289,3 +306,29 @@ def _keeps(further: Rows, v: Array, tolerance: float) -> bool:
         return True
     Gv = further.G @ v
     return bool(((Gv <= further.upper + tolerance) & (Gv >= further.lower - tolerance)).all())
+
+
+def _least_broken(further: Rows, base: Array, along: Array, low: float, high: float) -> tuple[float, float]:
+    """The share σ from ``low`` on, up to 1 or ``low``, with which ``base + σ along`` breaks rows by the least; by what.
+
+    The smallest of those that break none.
+    """
+    if not len(further):
+        return low, 0.0
+    at, slope = further.G @ base, further.G @ along
+    # Rows as a − σ b ≤ 0; the largest is a convex function of σ.
+    a, b = np.concatenate([further.lower - at, at - further.upper]), np.concatenate([slope, -slope])
+    finite = np.isfinite(a)
+    a, b = a[finite], b[finite]
+    if not a.size or (a - low * b).max() <= LIMIT_TOLERANCE:
+        return low, 0.0
+    high = max(low, min(high, 1.0))
+    for _ in range(_BISECTIONS):
+        middle = 0.5 * (low + high)
+        k = int((a - middle * b).argmax())
+        if b[k] > 0.0 and a[k] - middle * b[k] > 0.0:
+            low = middle
+        else:
+            high = middle
+    broken = float((a - high * b).max())
+    return high, broken if broken > LIMIT_TOLERANCE else 0.0

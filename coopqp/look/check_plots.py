@@ -1,4 +1,4 @@
-"""Picture of a check: margins and σ_min of each arm along the path, with the intervals that are proved."""
+"""Picture of a check: margins and σ_min of each arm along the path, the least distance, and what is proved."""
 
 from __future__ import annotations
 
@@ -19,9 +19,10 @@ from coopqp.look.style import (
     plain,
 )
 from coopqp.model.batch import ArmKinematics
-from coopqp.planning.branch_checks import BranchCheck
+from coopqp.planning.branch_checks import BranchCheck, PathVerdict
 from coopqp.planning.certificate import LEAST_SIGMA
 from coopqp.planning.check import PathCheck
+from coopqp.planning.clearance import ClearanceCheck
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -29,6 +30,8 @@ if TYPE_CHECKING:
 #: Largest number of arms in a picture: those with the least margins.
 _MOST_ARMS = 6
 _SIZE = 9.5  # type of the legends [pt]
+#: Height of the panel of distances [in].
+_DISTANCES = 2.2
 _PROVED, _OPEN = "#dcefe1", "#f6d7b0"
 
 
@@ -36,7 +39,8 @@ def check_figure(check: PathCheck) -> Figure:
     """Margins and σ_min of the branch that is judged, one column per arm; at most six arms, the tightest.
 
     Margins are shares of a joint's half range: 100 % in its middle, 0 % at a limit. The background is green where the
-    arm is proved to follow the path, and orange where it is not decided.
+    arm is proved to follow the path, and orange where it is not decided. Where distances were checked, the least one is
+    below, with the margin of the pair that comes nearest to its own.
 
     Raises:
         MissingExtraError: Matplotlib is not installed.
@@ -53,11 +57,15 @@ def check_figure(check: PathCheck) -> Figure:
     fits = {k: legend_columns(names[k], (width - 1.0) / columns, size=_SIZE) for k in shown if names[k]}
     legend = max((legend_height(names[k], fits[k], size=_SIZE) for k in fits), default=0.3)
     some = len(shown) < len(check.arms)
-    figure = new_figure(width, max(blocks, 1) * (5.0 + legend) + 0.6, layout="constrained")
+    bodies = check.clearance if check.clearance is not None and check.clearance.pair is not None else None
+    height = max(blocks, 1) * (5.0 + legend) + 0.6 + (_DISTANCES if bodies else 0.0)
+    figure = new_figure(width, height, layout="constrained")
     if not shown:
         figure.text(0.5, 0.5, "No arm reaches its grasp at the start of the path.", ha="center", color=INK)
         return figure
-    panels = figure.subplots(3 * blocks, columns, squeeze=False, height_ratios=[2.2, 1.8, legend] * blocks)
+    heights = [2.2, 1.8, legend] * blocks + ([_DISTANCES] if bodies else [])
+    grid = figure.add_gridspec(len(heights), columns, height_ratios=heights)
+    panels = np.array([[figure.add_subplot(grid[r, c]) for c in range(columns)] for r in range(3 * blocks)])
     if some:
         figure.suptitle(f"the tightest {len(shown)} of {len(check.arms)} arms", fontsize=12, color=INK)
     lowest = 0.0
@@ -103,8 +111,32 @@ def check_figure(check: PathCheck) -> Figure:
         for panel in panels[3 * b : 3 * b + 3, c]:
             panel.set_axis_off()
     figure.align_ylabels(panels[:, 0])
-    _legend(figure)
+    if bodies:
+        _distances(figure.add_subplot(grid[-1, :]), bodies, max(_end(check, k) for k in shown))
+    _legend(figure, distances=bodies is not None)
     return figure
+
+
+def _distances(axes: Any, found: ClearanceCheck, end: float) -> None:
+    """The least distance along the path."""
+    assert found.pair is not None
+    axes.plot(found.clocks, 1e3 * found.distances, color=INK, lw=1.8)
+    axes.axhline(1e3 * found.margin, color=RED, lw=1.4)
+    axes.plot([found.clock], [1e3 * found.pair.distance], "o", color=INK, ms=6)
+    if found.stop is not None:
+        axes.axvline(found.stop, color=RED, lw=1.4, ls=":")
+    bands = found.undecided
+    if found.verdict is PathVerdict.CERTIFIED:
+        axes.axvspan(found.clocks[0], found.clocks[-1], color=_PROVED, lw=0.0, zorder=0)
+    for a, b in bands:
+        axes.axvspan(a, b, color=_OPEN, lw=0.0, zorder=0)
+    said = f"distances: {found.verdict.value.lower()}; closest {label(found.pair.first)} and {label(found.pair.second)}"
+    axes.set_title(said, fontsize=12, color=INK, fontweight="bold")
+    axes.set_xlabel("clock of the path [s]", fontsize=11, color=INK)
+    axes.set_ylabel("least distance [mm]", fontsize=11, color=INK)
+    axes.set_xlim(0.0, end)
+    axes.set_ylim(min(0.0, 1.1e3 * float(found.distances.min())), None)
+    plain(axes)
 
 
 def _tightness(check: PathCheck, k: int) -> float:
@@ -125,12 +157,12 @@ def _bands(axes: Any, branch: BranchCheck) -> None:
             axes.axvspan(a, b, color=colour, lw=0.0, zorder=0)
 
 
-def _legend(figure: Figure) -> None:
+def _legend(figure: Figure, *, distances: bool) -> None:
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
 
     entries = {
-        "limit, and least σ_min": Line2D([], [], color=RED, lw=1.4),
+        f"limit, {'margin, ' if distances else ''}and least σ_min": Line2D([], [], color=RED, lw=1.4),
         "proved": Patch(color=_PROVED),
         "not decided": Patch(color=_OPEN),
     }

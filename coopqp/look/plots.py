@@ -15,7 +15,7 @@ import pinocchio as pin
 
 from coopqp.errors import InvalidInputError
 from coopqp.look.curves import drawn
-from coopqp.look.renderer import View, box_solid, cell_solids, name_places, render
+from coopqp.look.renderer import View, body_solids, box_solid, cell_solids, name_places, render
 from coopqp.look.style import COLOURS, DASHES, GRID, INK, WIDTH, label, new_figure, plain, text_width
 from coopqp.model.cell import RobotCell
 from coopqp.simulation import metrics
@@ -179,8 +179,10 @@ def motion_figure(
     X = recording.grasp.T_object_tool[0].inverse()
     bodies = [T[0] * X * T_object_body for T in metrics.tool_placements(cell, configurations)]
     solids = cell_solids(cell, configurations)
+    standing = body_solids(recording.metadata)
     for scene, T_world_body in zip(solids, bodies, strict=True):
         scene.append(box_solid(object_size, T_world_body, _PLATE))
+        scene += standing
     view = View.around(solids, azimuth=azimuth, elevation=elevation)
     view = replace(view, top=view.top + _HEADROOM * (view.top - view.bottom))
     pictures = render(solids, view, width=pixels)

@@ -6,7 +6,7 @@ no window, no graphics card and no global state: the same arrays give the same p
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from coopqp.errors import InvalidInputError
 from coopqp.model.cell import RobotCell
+from coopqp.simulation.bodies import SAND, read_bodies
 from coopqp.spatial import Array
 
 Indices = NDArray[np.intp]
@@ -189,6 +190,16 @@ def box_solid(size: tuple[float, float, float], T_world_box: pin.SE3, colour: tu
     """A box with side lengths ``size`` [m] at a placement."""
     vertices, triangles = box(np.array(size))
     return Solid(vertices @ T_world_box.rotation.T + T_world_box.translation, triangles, colour)
+
+
+def body_solids(metadata: Mapping[str, Any]) -> list[Solid]:
+    """What stands in the world in a recording, from its metadata."""
+    solids = []
+    for _, geometry, T in read_bodies(metadata):
+        mesh = mesh_of(geometry)
+        if mesh is not None:
+            solids.append(Solid(mesh[0] @ T.rotation.T + T.translation, mesh[1], SAND))
+    return solids
 
 
 @dataclass(frozen=True, eq=False)

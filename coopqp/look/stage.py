@@ -6,19 +6,20 @@ The scene has no windows, buttons or files. :mod:`coopqp.look.viewer` shows it, 
 from __future__ import annotations
 
 from collections import defaultdict
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 import pinocchio as pin
 
 from coopqp.checks import require
-from coopqp.look.renderer import box, mesh_of, name_places
+from coopqp.look.renderer import body_solids, box, mesh_of, name_places
 from coopqp.model.cell import RobotCell
 from coopqp.model.limits import BindingLimit
 from coopqp.simulation import metrics
 from coopqp.simulation.assessment import Readings, read_run
 from coopqp.simulation.recording import Recording
-from coopqp.simulation.scene import read_object, read_path
+from coopqp.simulation.scene import SceneError, read_object, read_path
 from coopqp.spatial import Array
 
 Colour = tuple[int, int, int]
@@ -67,12 +68,15 @@ class Stage:
         size, self._T_object_body = read_object(recording.metadata, recording.T_object_tool)
         self._first_grasp = recording.grasp.T_object_tool[0].inverse()
         self._path = read_path(recording.metadata) or self._followed()
+        self._bodies = body_solids(recording.metadata)
+        self._nearest = _nearest(recording.metadata)
         self._cloud = self._points(size)
         self.low, self.high = self._cloud.min(axis=0), self._cloud.max(axis=0)
         self._add_floor()
         self._add_arms()
         self._add_object(size)
         self._add_path(size)
+        self._add_bodies()
         self.show(0)
 
     def _followed(self) -> list[pin.SE3]:
@@ -94,6 +98,7 @@ class Stage:
             T = pose * self._T_object_body
             points += list(corners @ T.rotation.T + T.translation)
         points += [arm.T_world_base.translation for arm in self.cell.arms]
+        points += [corner for solid in self._bodies for corner in solid.vertices]
         return np.array([*points, *self._corners()])
 
     def _corners(self) -> list[Array]:
@@ -223,6 +228,22 @@ class Stage:
                 thickness_units="screen",
             )
 
+    def _add_bodies(self) -> None:
+        """Add what stands in the world, and a line between the bodies that are nearest to each other."""
+        for i, solid in enumerate(self._bodies):
+            red, green, blue = (round(255 * c) for c in solid.colour)
+            self._scene.add_mesh_simple(
+                f"/bodies/{i}",
+                solid.vertices[solid.triangles].reshape(-1, 3).astype(np.float32),
+                np.arange(3 * len(solid.triangles), dtype=np.uint32).reshape(-1, 3),
+                color=(red, green, blue),
+            )
+        self._gap: Any = None
+        if self._nearest is not None:
+            self._gap = self._scene.add_line_segments(
+                "/nearest", self._nearest[1][:1], colors=ALERT, thickness=3.0, thickness_units="screen"
+            )
+
     # -- a sample ------------------------------------------------------------------------------------------------
 
     def show(self, sample: int) -> None:
@@ -237,6 +258,10 @@ class Stage:
         _place(self._object, tool * self._first_grasp)
         for label, place in zip(self._names, name_places(self.cell, q), strict=True):
             label.position = place
+        if self._gap is not None and self._nearest is not None:
+            times, points = self._nearest
+            i = int(np.abs(times - self.recording.time[sample]).argmin())
+            self._gap.points = points[i : i + 1]
         limits = self.limits(sample)
         if limits != self._shown:
             self._mark(limits)
@@ -277,6 +302,20 @@ class Stage:
                 if sticks[0] == joints[0]:
                     colours = [_blend(_STICK, share[j]) for j in [*sticks, sticks[-1]]]
                     handle.colors = np.repeat(np.array(colours, dtype=np.uint8)[:, None, :], 2, axis=1)
+
+
+def _nearest(metadata: Mapping[str, Any]) -> tuple[Array, Array] | None:
+    """Times (T,) [s] and nearest points (T, 2, 3) [m] of a recording; None if it has none."""
+    entry = metadata.get("clearance")
+    if not isinstance(entry, Mapping) or "points_m" not in entry:
+        return None
+    try:
+        times, points = (np.array(entry[key], dtype=float) for key in ("times_s", "points_m"))
+    except (KeyError, TypeError, ValueError) as error:
+        raise SceneError(f"the recording's nearest points are damaged ({error}).") from error
+    if points.shape != (len(times), 2, 3) or not len(times) or not np.isfinite(points).all():
+        raise SceneError("the recording's nearest points are damaged.")
+    return times, points.astype(np.float32)
 
 
 def _title(arm: str) -> str:

@@ -8,9 +8,11 @@ from typing import TYPE_CHECKING
 from coopqp.lazy import lazy_names
 
 if TYPE_CHECKING:
+    from coopqp.planning.arm_check import ArmCheck, UndecidedInterval
     from coopqp.planning.arm_starts import BranchAlongPath
     from coopqp.planning.branch_checks import BranchCheck, PathVerdict
-    from coopqp.planning.check import ArmCheck, PathCheck, UndecidedInterval, check_path
+    from coopqp.planning.check import PathCheck, check_path
+    from coopqp.planning.clearance import ClearanceCheck
     from coopqp.planning.payload import Payload
     from coopqp.planning.planner import Plan, plan
     from coopqp.planning.remedies import Remedy, find_remedies
@@ -22,9 +24,11 @@ else:
     __getattr__, __dir__ = lazy_names(
         __name__,
         {
+            "coopqp.planning.arm_check": ("ArmCheck", "UndecidedInterval"),
             "coopqp.planning.arm_starts": ("BranchAlongPath",),
             "coopqp.planning.branch_checks": ("BranchCheck", "PathVerdict"),
-            "coopqp.planning.check": ("ArmCheck", "PathCheck", "UndecidedInterval", "check_path"),
+            "coopqp.planning.check": ("PathCheck", "check_path"),
+            "coopqp.planning.clearance": ("ClearanceCheck",),
             "coopqp.planning.payload": ("Payload",),
             "coopqp.planning.planner": ("Plan", "plan"),
             "coopqp.planning.remedies": ("Remedy", "find_remedies"),
@@ -40,6 +44,7 @@ __all__ = [
     "ArmStart",
     "BranchAlongPath",
     "BranchCheck",
+    "ClearanceCheck",
     "PathCheck",
     "PathGeometry",
     "PathVerdict",

@@ -15,6 +15,7 @@ from coopqp.planning.arm_starts import away_from_limits
 from coopqp.planning.certificate import LEAST_SIGMA, exactness, prove
 from coopqp.planning.samples import PathSamples
 from coopqp.planning.segments import Indices, Segments
+from coopqp.planning.ways import ArmWay
 from coopqp.spatial import Array
 
 #: Knots: largest motion of a tool between them [m, rad], and least number of pieces of a segment.
@@ -63,6 +64,7 @@ class BranchCheck:
         certified: intervals [a, b] of the clock that are proved (C, 2) [s].
         undecided: intervals [a, b] that are not decided (U, 2) [s].
         sigma_bound: lower bound of σ_min over the intervals that are proved; 0 without a proof.
+        way: the joints' way, between the samples, too.
     """
 
     verdict: PathVerdict
@@ -77,6 +79,7 @@ class BranchCheck:
     certified: Array
     undecided: Array
     sigma_bound: float
+    way: ArmWay
 
     @property
     def tightest(self) -> int:
@@ -103,6 +106,11 @@ class ToolPath:
     share: Array
     end: float
 
+    @property
+    def places(self) -> Array:
+        """Places of the knots (K,); see :mod:`coopqp.planning.ways`."""
+        return self.clocks if self.segments is None else self.segment + self.share
+
 
 def tool_path(segments: Segments | None, samples: PathSamples, T_object_tool: pin.SE3) -> ToolPath:
     """The path of a tool: at knots of the segments, or at the samples."""
@@ -115,6 +123,16 @@ def tool_path(segments: Segments | None, samples: PathSamples, T_object_tool: pi
     segment, share = segments.knots(T_object_tool, distance=_DISTANCE, angle=_ANGLE, pieces=_PIECES)
     clocks = segments.clocks(segment, share)
     return ToolPath(clocks, segments.poses(segment, share) @ offset, offset, segments, segment, share, clocks[-1])
+
+
+def path_at(tool: ToolPath, places: Array) -> ToolPath:
+    """The path of a tool at other knots, places (K,) that contain the ends of its segments."""
+    assert tool.segments is not None
+    last = len(tool.segments) - 1
+    segment = np.clip(np.ceil(places).astype(np.intp) - 1, 0, last)  # an end belongs to the segment before it
+    share = places - segment
+    poses = tool.segments.poses(segment, share) @ tool.offset
+    return replace(tool, clocks=tool.segments.clocks(segment, share), poses=poses, segment=segment, share=share)
 
 
 def check_branches(kinematics: ArmKinematics, path: ToolPath, starts: Array) -> list[BranchCheck]:
@@ -133,7 +151,7 @@ def check_branches(kinematics: ArmKinematics, path: ToolPath, starts: Array) -> 
     ways = [walks.q[m, : int(walks.reached[m]) + 1] for m in range(len(starts))]
     if kinematics.n > 6:
         ways = [_inside(kinematics, path, way, exact) for way in ways]
-    return [_check(kinematics, path, way) for way in ways]
+    return [check_way(kinematics, path, way) for way in ways]
 
 
 def not_disproved(kinematics: ArmKinematics, path: ToolPath, branches: list[BranchCheck]) -> list[BranchCheck]:
@@ -185,7 +203,7 @@ def _inside(kinematics: ArmKinematics, path: ToolPath, way: Array, exact: float)
     return np.array(q) if len(q) >= len(way) or len(q) == len(path.poses) else way
 
 
-def _check(kinematics: ArmKinematics, path: ToolPath, q: Array) -> BranchCheck:
+def check_way(kinematics: ArmKinematics, path: ToolPath, q: Array) -> BranchCheck:
     """The verdict on one branch that is at ``q`` (K, n) at the first K knots."""
     clocks, complete = path.clocks[: len(q)], len(q) == len(path.clocks)
     nothing = np.empty((0, 2))
@@ -193,8 +211,10 @@ def _check(kinematics: ArmKinematics, path: ToolPath, q: Array) -> BranchCheck:
     sure, lost = np.ones(len(q), dtype=bool), np.empty(0)
     outside = kinematics.margins(q).min(axis=1) < -AT_LIMIT
     m = int(outside.argmax()) if outside.any() else len(q)  # knots until the first one outside
+    way = ArmWay.sampled(kinematics, path.offset, path.places[: len(q)], q)
     if path.segments is not None and kinematics.n >= 6 and m > 1:
         found = prove(kinematics, path.segments, path.offset, path.segment[:m], path.share[:m], q[:m])
+        way = ArmWay.proved(kinematics, path.offset, found)
         shares = np.concatenate([found.low, found.high, 0.5 * (found.low + found.high)])
         low, high, middle = np.split(path.segments.clocks(np.tile(found.segment, 3), shares), 3)
         certified, undecided = (_merged(low[k], high[k]) for k in (found.proved, ~found.proved))
@@ -244,6 +264,7 @@ def _check(kinematics: ArmKinematics, path: ToolPath, q: Array) -> BranchCheck:
         certified=certified,
         undecided=undecided,
         sigma_bound=sigma_bound,
+        way=way,
     )
 
 

@@ -45,6 +45,7 @@ class Tubes:
         good: the tube holds, so they are on the branch of the ends (M,).
         sway: the joints leave the straight line between an end and the middle by at most this (M, n) [rad or m]; 0
             for joints that move one way only, whose extremes are at the ends.
+        rate: largest speed of each joint (M, n) per share of the segment; infinite where nothing is proved.
         sigma_min: lower bound of the tool Jacobian's smallest singular value (M,).
         sigma_middle: its value in the middle (M,).
     """
@@ -53,6 +54,7 @@ class Tubes:
     between: Flags
     good: Flags
     sway: Array
+    rate: Array
     sigma_min: Array
     sigma_middle: Array
 
@@ -73,7 +75,7 @@ def tubes(
     """
     n, half = kinematics.n, 0.5 * (b - a)
     T_world_object = segments.poses(segment, 0.5 * (a + b))
-    q, rows, solved = _middle(kinematics, T_world_object @ offset, qa, qb)
+    q, rows, solved = between(kinematics, T_world_object @ offset, qa, qb, np.full(len(qa), 0.5))
     arm = T_world_object[:, :3, :3] @ offset[:3, 3]  # from the object's origin to the tool
     J = kinematics.jacobians(q).transpose(0, 2, 1)  # (M, n, 6)
     A = J.copy()
@@ -121,8 +123,9 @@ def tubes(
     size = np.sqrt(E.sum(axis=1).max(axis=1) * E.sum(axis=2).max(axis=1))  # ‖E‖₂ ≤ √(‖E‖₁ ‖E‖∞)
     bound = sigma * np.maximum(1.0 - size, 0.0) * np.maximum(1.0 - drift, 0.0)
     away = np.abs(q - 0.5 * (qa + qb)).max(axis=1)
-    between = solved & (away <= np.abs(qb - qa).max(axis=1) + _INSIDE)
-    return Tubes(q, between, good, sway, np.where(good, bound, 0.0), sigma)
+    near = solved & (away <= np.abs(qb - qa).max(axis=1) + _INSIDE)
+    rate = np.where(good[:, None], np.abs(v) + r, np.inf)
+    return Tubes(q, near, good, sway, rate, np.where(good, bound, 0.0), sigma)
 
 
 def exactness(poses: Array) -> float:
@@ -130,13 +133,21 @@ def exactness(poses: Array) -> float:
     return _EXACT + _EXACT_SHARE * float(np.abs(poses[:, :3, 3]).max(initial=0.0))
 
 
-def _middle(kinematics: ArmKinematics, poses: Array, qa: Array, qb: Array) -> tuple[Array, Array, Flags]:
-    """Configurations that reach poses between two ends, the further rows of a redundant arm, and what is solved."""
-    n, guess, exact = kinematics.n, 0.5 * (qa + qb), exactness(poses)
-    if n == 6:
+def between(kinematics: ArmKinematics, poses: Array, qa: Array, qb: Array, share: Array) -> tuple[Array, Array, Flags]:
+    """Configurations that reach poses between two ends, the further rows of a redundant arm, and what is solved.
+
+    Args:
+        kinematics: the arm.
+        poses: T_world_tool (M, 4, 4).
+        qa, qb: joint positions at the ends (M, n) [rad or m].
+        share: where the poses are between the ends (M,), 0 to 1.
+    """
+    n, exact, x = kinematics.n, exactness(poses), share[:, None]
+    guess = (1.0 - x) * qa + x * qb
+    if n <= 6:
         answer = kinematics.solve(poses, guess, tolerance=exact, steps=8)
         return answer.q, np.empty((len(guess), 0, 6)), answer.residual <= exact
-    rows = np.linalg.svd(kinematics.jacobians(guess))[2][:, 6:]
+    rows = np.linalg.svd(kinematics.jacobians(0.5 * (qa + qb)))[2][:, 6:]
     q, solved = guess.copy(), np.zeros(len(guess), dtype=bool)
     for _ in range(8):
         J, T = kinematics.jacobians(q), kinematics.tool_poses(q)
@@ -239,6 +250,8 @@ class Proof:
         margins: lower bound of each joint's margin in each interval (I, n) [rad or m]; of those proved.
         sigma_min: lower bound of σ_min in each interval (I,); 0 where nothing is proved.
         q: joint positions in the middle of each interval (I, n) [rad or m].
+        q_low, q_high: the same at its ends.
+        rate: largest speed of each joint in each interval (I, n) per share; infinite where it is not on its branch.
         between, on_branch: True where they are between the ends, and proved to be on their branch (I,).
         outside: segment and share at which a joint is outside its limits; None if none was found.
     """
@@ -250,6 +263,9 @@ class Proof:
     margins: Array
     sigma_min: Array
     q: Array
+    q_low: Array
+    q_high: Array
+    rate: Array
     between: Flags
     on_branch: Flags
     outside: tuple[int, float] | None
@@ -296,7 +312,7 @@ def prove(
             hopeless |= tube.good
         split = (~inside | loose) & ~hopeless
         done = ~split
-        kept = s, low, high, inside, margins, tube.sigma_min, tube.q, tube.between, tube.good
+        kept = s, low, high, inside, margins, tube.sigma_min, tube.q, qa, qb, tube.rate, tube.between, tube.good
         parts.append(tuple(values[done] for values in kept))
         if not split.any():
             break
@@ -306,5 +322,5 @@ def prove(
         s = np.concatenate([s[split], s[split]])
     every = [np.concatenate(values) for values in zip(*parts, strict=True)]
     order = np.lexsort((every[1], every[0]))
-    segment, low, high, proved, margins, sigma, q_middle, between, on_branch = (values[order] for values in every)
-    return Proof(segment, low, high, proved, margins, sigma, q_middle, between, on_branch, outside)
+    segment, low, high, inside, margins, sigma, middle, qa, qb, rate, near, good = (values[order] for values in every)
+    return Proof(segment, low, high, inside, margins, sigma, middle, qa, qb, rate, near, good, outside)

@@ -1,13 +1,14 @@
 """Can the arms follow a path? The verdict before the motion, per arm and for the whole cell.
 
-With the object's path given, each arm follows its own tool's path, so each arm is judged by itself. The verdict is
-about the way, not about the speed: a joint that is too slow slows the object, it does not stop it.
+With the object's path given, each arm follows its own tool's path, so each arm is judged by itself; only distances
+between bodies are a matter of all arms. The verdict is about the way, not about the speed: a joint that is too slow
+slows the object, it does not stop it.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -16,23 +17,27 @@ import pinocchio as pin
 from coopqp.checks import ArrayLike, as_count
 from coopqp.errors import InvalidInputError
 from coopqp.model.batch import ArmKinematics
-from coopqp.model.branches import amount
 from coopqp.model.cell import RobotCell
 from coopqp.model.chain import Chain
 from coopqp.model.grasp import Grasp
+from coopqp.planning.arm_check import ArmCheck, UndecidedInterval, arm_record
 from coopqp.planning.arm_starts import ArmOnPath, BranchAlongPath, arm_on_path, trouble
 from coopqp.planning.branch_checks import (
     BranchCheck,
     PathVerdict,
     ToolPath,
     check_branches,
+    check_way,
     not_disproved,
+    path_at,
     tool_path,
     worst,
 )
+from coopqp.planning.clearance import Bodies, ClearanceCheck, check_scene
 from coopqp.planning.samples import PathSamples, sample_path
-from coopqp.planning.segments import segments_of
-from coopqp.planning.starts import exact_start
+from coopqp.planning.segments import Segments, segments_of
+from coopqp.planning.starts import clear_rows, exact_start
+from coopqp.planning.ways import CellWay
 from coopqp.spatial import Array
 from coopqp.task.guarded import GuardedPath
 from coopqp.task.path import ObjectPath
@@ -47,91 +52,18 @@ _OFF_M, _OFF_RAD = 1e-3, np.deg2rad(0.5)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class UndecidedInterval:
-    """An interval of the path on which nothing is proved about an arm.
-
-    Attributes:
-        arm: its name.
-        start, end: clocks [s].
-    """
-
-    arm: str
-    start: float
-    end: float
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class ArmCheck:
-    """What was found for one arm.
-
-    Attributes:
-        arm: its name.
-        joints: names of the joints that move its tool, n of them.
-        slides: True for prismatic joints (n,).
-        chosen: the branch that is judged; None if the arm does not reach its grasp at the start of the path.
-        branches: all branches at the start of the path, the best first; of a redundant arm the best samples. Only the
-            given one if a start was given.
-        trouble: why the arm cannot follow the path: a sentence; empty otherwise.
-    """
-
-    arm: str
-    joints: tuple[str, ...]
-    slides: tuple[bool, ...]
-    chosen: BranchCheck | None
-    branches: tuple[BranchCheck, ...]
-    trouble: str
-
-    @property
-    def verdict(self) -> PathVerdict:
-        """The verdict on this arm."""
-        return PathVerdict.INFEASIBLE if self.chosen is None else self.chosen.verdict
-
-    def explain(self) -> str:
-        """The verdict, the tightest joint with its margin, and σ_min, each with its clock."""
-        if self.trouble or self.chosen is None:
-            return f"{self.trouble}."
-        b = self.chosen
-        follow = sum(x.verdict in (PathVerdict.CERTIFIED, PathVerdict.SAMPLED) for x in self.branches)
-        if len(self.branches) > 1:
-            said = f"arm {self.arm}: {follow} of {len(self.branches)} branches follow the path"
-        else:
-            said = f"arm {self.arm} {'follows the path' if follow else 'may not follow the path'}"
-        i, m = int(b.sigma_min.argmin()), int(b.manipulability.argmin())
-        said += (
-            f"; least margin {self._margin(b)}; σ_min {b.sigma_min[i]:.3g} ({b.clocks[i]:.2f} s); "
-            f"manipulability {b.manipulability[m]:.3g} ({b.clocks[m]:.2f} s)."
-        )
-        if b.why:
-            said += f" It {b.why}."
-        return said
-
-    def _margin(self, branch: BranchCheck) -> str:
-        j = branch.tightest
-        if not np.isfinite(branch.margins[j]):
-            return "none: its joints have no limits"
-        size = amount(branch.margins[j], slides=self.slides[j])
-        return f"{size} at {self.joints[j]} ({branch.margin_clocks[j]:.2f} s)"
-
-    def table(self) -> list[list[str]]:
-        """The branches as rows of text: verdict, least margin with joint and clock, σ_min, and what is against it."""
-        rows = [["branch", "verdict", "least margin", "σ_min", "because it"]]
-        for i, b in enumerate(self.branches):
-            mark = f"{i + 1}*" if b is self.chosen else f"{i + 1}"
-            rows.append([mark, b.verdict.value.lower(), self._margin(b), f"{b.sigma_min.min():.3g}", b.why])
-        return rows
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
 class PathCheck:
     """The answer of :func:`check_path`.
 
     Attributes:
-        verdict: the worst verdict of the arms.
-        intervals: intervals that are not decided, in the order of the arms.
+        verdict: the worst verdict of the arms and of their distances.
+        intervals: intervals on which an arm is not decided, in the order of the arms.
         arms: what was found for each arm.
         q_start: the start that is judged (nq,); None if an arm has none.
         cell, grasp, path: what was asked.
         given: True if the start was given.
+        clearance: what was found for distances; None without a scene, or if an arm cannot follow the path.
+        scene: the bodies that keep distances; None if they play no part.
         remedies: what helps, each checked; see :func:`find_remedies`.
         no_remedy: kinds of remedies that were tried in vain, and what stood in the way.
     """
@@ -144,24 +76,32 @@ class PathCheck:
     grasp: Grasp
     path: ObjectPath
     given: bool = False
+    clearance: ClearanceCheck | None = None
+    scene: Bodies | None = None
     remedies: tuple[Remedy, ...] = ()
     no_remedy: tuple[str, ...] = ()
 
     @property
     def feasible(self) -> bool:
-        """True if the arms follow the path: CERTIFIED or SAMPLED."""
+        """True if the arms follow the path and keep their distances: CERTIFIED or SAMPLED."""
         return self.verdict in (PathVerdict.CERTIFIED, PathVerdict.SAMPLED)
 
     def explain(self) -> str:
-        """The verdict and a line per arm, in sentences; then the remedies."""
+        """The verdict, a line per arm and one for distances, in sentences; then the remedies."""
+        judged = self.clearance is not None
+        how = " and keep their distances" if judged else ""
         head = {
-            PathVerdict.CERTIFIED: "The arms can follow the whole path: this is proved at every point of it.",
-            PathVerdict.SAMPLED: "The arms follow the path at samples; between them nothing is proved.",
-            PathVerdict.UNDECIDED: f"It is not decided whether the arms can follow the path: {self._undecided()}.",
-            PathVerdict.INFEASIBLE: "The arms cannot follow the path"
+            PathVerdict.CERTIFIED: f"The arms can follow the whole path{how}: this is proved at every point of it.",
+            PathVerdict.SAMPLED: f"The arms follow the path{how} at samples; between them nothing is proved.",
+            PathVerdict.UNDECIDED: f"It is not decided whether the arms can follow the path{how}: {self._undecided()}.",
+            PathVerdict.INFEASIBLE: f"The arms cannot follow the path{how}"
             + (" from this start." if self.given else ", from any start."),
         }[self.verdict]
         lines = [head, *(arm.explain() for arm in self.arms)]
+        if self.clearance is not None:
+            lines.append(self.clearance.explain())
+        elif self.scene is not None:
+            lines.append("distances: not looked at, since an arm cannot follow the path.")
         if any(len(arm.joints) > 6 and arm.verdict is PathVerdict.CERTIFIED for arm in self.arms):
             lines.append(
                 "For arms with more than six joints the proof holds for one motion of their elbows; a controller may "
@@ -173,8 +113,11 @@ class PathCheck:
         return "\n".join(lines)
 
     def _undecided(self) -> str:
-        first = [f"{i.start:.4g}–{i.end:.4g} s for arm {i.arm}" for i in self.intervals[:3]]
-        more = len(self.intervals) - len(first)
+        every = [f"{i.start:.4g}–{i.end:.4g} s for arm {i.arm}" for i in self.intervals]
+        if self.clearance is not None and self.clearance.verdict is PathVerdict.UNDECIDED:
+            every += [f"{a:.4g}–{b:.4g} s for distances" for a, b in self.clearance.undecided]
+        first = every[:3]
+        more = len(every) - len(first)
         return ", ".join(first) + (f" and {more} more" if more > 0 else "")
 
     def __repr__(self) -> str:
@@ -182,11 +125,12 @@ class PathCheck:
         return f"PathCheck({self.verdict.value.lower()}; {arms})"
 
     def record(self) -> dict[str, Any]:
-        """Plain data for JSON: ``verdict``, ``intervals``, ``arms``, ``remedies``, ``no_remedy``, ``q_start``."""
+        """Plain data for JSON: ``verdict``, ``intervals``, ``arms``, ``clearance``, ``remedies``, …"""
         return {
             "verdict": self.verdict.value,
             "intervals": [{"arm": i.arm, "start_s": i.start, "end_s": i.end} for i in self.intervals],
-            "arms": [_arm_record(arm) for arm in self.arms],
+            "arms": [arm_record(arm) for arm in self.arms],
+            "clearance": None if self.clearance is None else self.clearance.record(),
             "remedies": [remedy.record() for remedy in self.remedies],
             "no_remedy": list(self.no_remedy),
             "q_start": None if self.q_start is None else self.q_start.tolist(),
@@ -194,17 +138,26 @@ class PathCheck:
 
 
 def check_path(
-    cell: RobotCell, grasp: Grasp, path: ObjectPath, *, q_start: ArrayLike | None = None, effort: int = 1
+    cell: RobotCell,
+    grasp: Grasp,
+    path: ObjectPath,
+    *,
+    q_start: ArrayLike | None = None,
+    scene: Bodies | None = None,
+    effort: int = 1,
 ) -> PathCheck:
-    """Can the arms follow a path inside their position limits and away from singularities?
+    """Can the arms follow a path inside their position limits, away from singularities, and without touching?
 
-    The library's own paths are proved between samples, too (:mod:`coopqp.planning.certificate`). Other paths, arms with
-    fewer than six joints and the remaining branches of redundant arms are sampled. Collisions play no part in it.
+    The library's own paths are proved between samples, too (:mod:`coopqp.planning.certificate`,
+    :mod:`coopqp.collision.along`). Other paths, arms with fewer than six joints and the remaining branches of redundant
+    arms are sampled.
 
     Args:
         cell, grasp, path: the arms, how they hold, and where to.
         q_start: the start (nq,): only its branches are judged. By default every branch of each arm is judged, as in
             :func:`find_start`, and the best one is chosen.
+        scene: the bodies that keep distances, a :class:`coopqp.collision.CollisionScene` of the same cell; without it
+            distances play no part. Without a start branches are chosen that keep clear.
         effort: multiplies the number of seeds of the search for branches.
 
     Raises:
@@ -212,6 +165,7 @@ def check_path(
     """
     grasp.check_arms(cell)
     effort = as_count(effort, "check_path: effort")
+    check_scene(cell, scene, "check_path: scene")
     GuardedPath(path).check("check_path: path")
     samples, segments = sample_path(path, grasp), segments_of(path)
     start = None if q_start is None else cell.check_configuration(q_start, "check_path: q_start")
@@ -224,8 +178,13 @@ def check_path(
             positions = cell.positions(start)[cell.v_slices[k]][kinematics.columns]
             arms.append(_given_branch(kinematics, tool, positions))
     if start is None and all(arm.chosen is not None for arm in arms):
+        if scene is not None:
+            arms = _clear(cell, grasp, samples, arms, scene)
         start = _joined(cell, grasp, samples.poses[0], arms)
-    verdict = worst([arm.verdict for arm in arms])
+    verdict, clearance = worst([arm.verdict for arm in arms]), None
+    if scene is not None and start is not None and verdict is not PathVerdict.INFEASIBLE:
+        arms, clearance = _distances(cell, grasp, path, samples, segments, arms, scene, cell.positions(start))
+        verdict = worst([clearance.verdict, *(arm.verdict for arm in arms)])
     return PathCheck(
         verdict=verdict,
         intervals=tuple(
@@ -240,7 +199,57 @@ def check_path(
         grasp=grasp,
         path=path,
         given=q_start is not None,
+        clearance=clearance,
+        scene=scene,
     )
+
+
+def _clear(cell: RobotCell, grasp: Grasp, samples: PathSamples, arms: list[ArmCheck], scene: Bodies) -> list[ArmCheck]:
+    """The same with the best branches that keep clear of each other, if there are any."""
+    options = [[b for b in arm.branches if b.verdict is not PathVerdict.INFEASIBLE] for arm in arms]
+    choice = clear_rows(cell, grasp, samples, [[b.q[0] for b in own] for own in options], scene)
+    if choice is None:
+        return arms
+    return [replace(arm, chosen=own[i]) for arm, own, i in zip(arms, options, choice, strict=True)]
+
+
+def _distances(
+    cell: RobotCell,
+    grasp: Grasp,
+    path: ObjectPath,
+    samples: PathSamples,
+    segments: Segments | None,
+    arms: list[ArmCheck],
+    scene: Bodies,
+    rest: Array,
+) -> tuple[list[ArmCheck], ClearanceCheck]:
+    """Distances along the ways of the arms, or along others that their self-motion allows; and whose ways they are."""
+
+    def way_of(arms: list[ArmCheck]) -> CellWay:
+        return CellWay(cell, path, segments, [arm.chosen.way for arm in arms if arm.chosen is not None], rest)
+
+    way = way_of(arms)
+    found = scene.along(way)
+    if found.verdict is not PathVerdict.UNDECIDED or segments is None or not way.complete:
+        return arms, found
+    other = scene.evading(way)
+    if other is None:
+        return arms, found
+    places, x = other
+    evading: list[ArmCheck] = []
+    for arm, model, own, X in zip(arms, cell.arms, cell.v_slices, grasp.T_object_tool, strict=True):
+        kinematics = ArmKinematics(model)
+        if kinematics.n <= 6:
+            evading.append(arm)
+            continue
+        tool = path_at(tool_path(segments, samples, X), places)
+        branch = check_way(kinematics, tool, x[:, own.start + kinematics.columns])
+        evading.append(
+            replace(arm, chosen=branch, branches=tuple(branch if b is arm.chosen else b for b in arm.branches))
+        )
+    better = scene.along(way_of(evading))
+    kept = all(new.verdict is old.verdict for new, old in zip(evading, arms, strict=True))
+    return (evading, better) if kept and worst([better.verdict, found.verdict]) is found.verdict else (arms, found)
 
 
 def _every_branch(kinematics: ArmKinematics, samples: PathSamples, X: pin.SE3, tool: ToolPath, effort: int) -> ArmCheck:
@@ -306,33 +315,3 @@ def _joined(cell: RobotCell, grasp: Grasp, T_world_object: pin.SE3, arms: list[A
         assert check.chosen is not None
         x[own.start + ArmKinematics(arm).columns] = check.chosen.q[0]
     return exact_start(Chain(cell, grasp), T_world_object, x)
-
-
-def _arm_record(arm: ArmCheck) -> dict[str, Any]:
-    return {
-        "name": arm.arm,
-        "verdict": arm.verdict.value,
-        "reason": arm.trouble,
-        "joints": list(arm.joints),
-        "chosen": None if arm.chosen is None else arm.branches.index(arm.chosen),
-        "branches": [_branch_record(branch) for branch in arm.branches],
-    }
-
-
-def _branch_record(branch: BranchCheck) -> dict[str, Any]:
-    i, m = int(branch.sigma_min.argmin()), int(branch.manipulability.argmin())
-    return {
-        "verdict": branch.verdict.value,
-        "reason": branch.why,
-        "until_s": branch.until,
-        "q": branch.q[0].tolist(),
-        "margins": [x if np.isfinite(x) else None for x in branch.margins.tolist()],
-        "margin_clocks_s": branch.margin_clocks.tolist(),
-        "sigma_min": float(branch.sigma_min[i]),
-        "sigma_min_clock_s": float(branch.clocks[i]),
-        "sigma_min_bound": branch.sigma_bound or None,
-        "manipulability": float(branch.manipulability[m]),
-        "manipulability_clock_s": float(branch.clocks[m]),
-        "certified_s": branch.certified.tolist(),
-        "undecided_s": branch.undecided.tolist(),
-    }

@@ -29,6 +29,8 @@ _ROLLS = (180.0, 90.0, -90.0, 45.0, -45.0, 135.0, -135.0, *np.arange(-165.0, 180
 #: Distances of the path or of a base [m], the least first, and how many of the places found are checked.
 _DISTANCES, _CHECKED = (0.05, 0.1, 0.2, 0.3, 0.5), 4
 _DIRECTIONS = np.array([d for d in itertools.product((0, 1, -1), repeat=3) if any(d)], dtype=float)
+#: Joints that move by less between two starts stay where they are [rad or m].
+_MOVED = 1e-3
 
 Kind = Literal["branch", "roll", "shift", "base"]
 
@@ -99,12 +101,27 @@ def find_remedies(check: PathCheck) -> Remedies:
         return Remedies()
     base = check
     if check.given:
-        base = check_path(check.cell, check.grasp, check.path)
+        base = check_path(check.cell, check.grasp, check.path, scene=check.scene)
         if base.feasible:
-            arms = _listed([arm.arm for arm in check.arms if not _follows(arm.verdict)])
+            arms = _listed(_to_be_changed(check, base))
             return Remedies.of((Remedy(kind="branch", text=f"start {arms} in another branch", check=base),))
     search = _Search(base)
+    if not search.bad:  # the arms follow the path, but come too close
+        return Remedies.of((search.shift(),))
     return Remedies.of((search.roll(), search.shift(), search.bases()))
+
+
+def _to_be_changed(check: PathCheck, base: PathCheck) -> list[str]:
+    """Arms that cannot follow the path; if there are none, those that start elsewhere to keep clear."""
+    bad = [arm.arm for arm in check.arms if not _follows(arm.verdict)]
+    if bad or check.q_start is None or base.q_start is None:
+        return bad
+    x, y = (check.cell.positions(q) for q in (check.q_start, base.q_start))
+    return [
+        name
+        for name, own in zip(check.cell.arm_names, check.cell.v_slices, strict=True)
+        if np.abs(x[own] - y[own]).max() > _MOVED
+    ]
 
 
 def _follows(verdict: PathVerdict) -> bool:
@@ -145,7 +162,10 @@ class _Search:
         return self._scores[key]
 
     def _confirmed(self, cell: RobotCell, grasp: Grasp, path: ObjectPath) -> PathCheck | None:
-        answer = check_path(cell, grasp, path)
+        scene = self.check.scene
+        if scene is not None and (cell is not scene.cell or grasp is not self.check.grasp):
+            scene = scene.of_cell(cell, grasp)
+        answer = check_path(cell, grasp, path, scene=scene)
         self._said = answer.verdict.value
         return answer if answer.feasible else None
 

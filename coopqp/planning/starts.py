@@ -6,7 +6,7 @@ With the object's path given, each arm follows its own tool's path, so each arm 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pinocchio as pin
@@ -19,6 +19,7 @@ from coopqp.model.chain import Chain
 from coopqp.model.grasp import Grasp
 from coopqp.model.inverse_kinematics import newton
 from coopqp.planning.arm_starts import ArmOnPath, BranchAlongPath, arm_on_path, trouble
+from coopqp.planning.clearance import Bodies, check_scene
 from coopqp.planning.samples import PathSamples, sample_path
 from coopqp.spatial import Array
 from coopqp.task.path import ObjectPath
@@ -26,6 +27,8 @@ from coopqp.task.path import ObjectPath
 #: Rolls of the tool that are tried for a remedy [deg], the most usual first.
 _ROLLS = ((180.0,), (90.0, -90.0), (45.0, -45.0, 135.0, -135.0), tuple(np.arange(-165.0, 180.0, 30.0)))
 _MOST_ALTERNATIVES = 8
+#: Of each arm so many branches at most are tried where they have to keep clear of each other.
+_MOST_OPTIONS = 24
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -72,6 +75,7 @@ class Start:
         margins: least margin of each joint along the path (nv,) [rad or m]; inf without limits.
         sigma_min: smallest singular value of each arm's tool Jacobian along the path (K, N).
         alternatives: other starts with the same grasp, one arm changed in each, the best first.
+        clear: whether all margins are kept at samples of the path; None without a scene.
     """
 
     q: Array
@@ -81,6 +85,7 @@ class Start:
     margins: Array
     sigma_min: Array
     alternatives: tuple[Array, ...]
+    clear: bool | None = None
 
     def explain(self) -> str:
         """A line per arm: the tightest joint with its margin, σ_min, and the number of branches."""
@@ -92,6 +97,8 @@ class Start:
                 f"arm {a.arm}: {feasible} of {len(a.branches)} branches follow the path{roll}; least margin "
                 f"{a.margin:.3f} at {a.tightest_joint} ({a.clock:.2f} s), σ_min {a.chosen.sigma_min.min():.3f}"
             )
+        if self.clear is False:
+            lines.append("no start was found that keeps all margins along the path")
         return "\n".join(lines)
 
 
@@ -102,6 +109,7 @@ def find_start(
     *,
     free_roll: Mapping[str, Sequence[float]] | None = None,
     q_near: ArrayLike | None = None,
+    scene: Bodies | None = None,
     effort: int = 1,
 ) -> Start:
     """Find a start configuration from which every arm follows the whole path inside its limits.
@@ -114,6 +122,8 @@ def find_start(
         free_roll: angles [rad] by which an arm's tool may be turned about its own z axis, by the arm's name; 0 is
             always allowed. The grasp in the answer has the turned tools.
         q_near: further seed (nq,); positions of joints that do not move a tool are taken from it.
+        scene: the bodies that keep distances, a :class:`coopqp.collision.CollisionScene` of the same cell: a start is
+            preferred from which all margins are kept along the path. Not together with ``free_roll``.
         effort: multiplies the number of seeds.
 
     Raises:
@@ -123,6 +133,9 @@ def find_start(
     """
     grasp.check_arms(cell)
     effort = as_count(effort, "find_start: effort")
+    check_scene(cell, scene, "find_start: scene")
+    if scene is not None and free_roll:
+        raise InvalidInputError("free_roll and a scene", "find_start", "A scene is of one grasp: give one of both.")
     rolls = _checked_rolls(cell, free_roll or {})
     samples = sample_path(path, grasp)
     near = None if q_near is None else cell.positions(cell.check_configuration(q_near, "find_start: q_near"))
@@ -143,7 +156,29 @@ def find_start(
             troubles.append((arm.name, f"{trouble(tries[0])}; {remedy}"))
     if troubles:
         raise NoStartError(tuple(name for name, _ in troubles), ". ".join(text for _, text in troubles) + ".")
-    return _put_together(cell, grasp, samples, found, near)
+    clear = None
+    if scene is not None:
+        options = [[row.q for row in arm.feasible[:_MOST_OPTIONS]] for arm, _ in found]
+        choice = clear_rows(cell, grasp, samples, options, scene)
+        clear = choice is not None
+        if choice is not None:
+            found = [(arm, arm.feasible[i]) for (arm, _), i in zip(found, choice, strict=True)]
+    return replace(_put_together(cell, grasp, samples, found, near), clear=clear)
+
+
+def clear_rows(
+    cell: RobotCell, grasp: Grasp, samples: PathSamples, options: Sequence[Sequence[Array]], scene: Bodies
+) -> tuple[int, ...] | None:
+    """Of starts of each arm (n,), the best first, those from which all margins are kept; None if there are none."""
+    ways = []
+    for arm, own, X, starts in zip(cell.arms, cell.v_slices, grasp.T_object_tool, options, strict=True):
+        kinematics = ArmKinematics(arm)
+        walks = kinematics.walk(samples.tool_poses(X), np.array(starts).reshape(-1, kinematics.n))
+        rest = np.clip(np.zeros(own.stop - own.start), cell.limits.lower[own], cell.limits.upper[own])
+        way = np.tile(rest, (*walks.q.shape[:2], 1))
+        way[:, :, kinematics.columns] = walks.q
+        ways.append(way)
+    return scene.clear_choice(ways)
 
 
 def _put_together(

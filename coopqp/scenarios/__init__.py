@@ -7,7 +7,7 @@ from collections.abc import Callable
 from coopqp.errors import UnknownNameError
 from coopqp.scenarios.arms import ROBOTS, robot_arm, robot_data_path, robot_file, robot_table
 from coopqp.scenarios.cells import dual_arm7, five_joint_pair, mixed_cell, ring, scara_pair
-from coopqp.scenarios.obstacles import elbow_and_knob, plate_and_post, plate_and_table, random_posts
+from coopqp.scenarios.obstacles import elbow_and_knob, elbows, forearms, plate_and_post, plate_and_table, random_posts
 from coopqp.scenarios.paper import fast_lift, paper_lift, wide_grasp
 from coopqp.scenarios.robot_data import panda_bar, ur5_table
 from coopqp.scenarios.robots import ROBOT_NAMES, robot_path
@@ -23,8 +23,10 @@ __all__ = [
     "at_singularity",
     "dual_arm7",
     "elbow_and_knob",
+    "elbows",
     "fast_lift",
     "five_joint_pair",
+    "forearms",
     "mixed_cell",
     "panda_bar",
     "paper_lift",
@@ -60,6 +62,8 @@ SCENARIOS: dict[str, Callable[[], Scenario]] = {
     "plate_and_post": plate_and_post,
     "plate_and_table": plate_and_table,
     "elbow_and_knob": elbow_and_knob,
+    "elbows": elbows,
+    "forearms": forearms,
     "random_posts": random_posts,
 }
 

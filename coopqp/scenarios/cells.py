@@ -17,8 +17,8 @@ from coopqp.task.path import LinePath, TimeLaw, WaypointPath
 from coopqp.task.scenario import Scenario
 
 #: Postures at the start [deg or m]. arm7 holds from above, the other arms from the side.
-_ARM7_NEAR = (0.0, 14.0, 0.0, 105.0, 0.0, 31.0, 0.0)
-_ARM7_TOOL = pin.utils.rotate("y", np.deg2rad(150.0))
+ARM7_NEAR = (0.0, 14.0, 0.0, 105.0, 0.0, 31.0, 0.0)
+ARM7_TOOL = pin.utils.rotate("y", np.deg2rad(150.0))
 _RX90L_NEAR = (0.0, 38.0, 102.0, 0.0, -50.0, 0.0)
 _ARM6C_NEAR = (-19.0, 4.3, 113.0, 62.7, 71.0, -90.0)
 _GANTRY7_NEAR = (0.0, 0.0, 45.0, 97.0, 0.0, -52.0, 0.0)
@@ -64,8 +64,8 @@ def dual_arm7(
             yaw=yaw,
             reach=0.50,
             height=0.25,
-            near=_ARM7_NEAR,
-            tool=_ARM7_TOOL,
+            near=ARM7_NEAR,
+            tool=ARM7_TOOL,
         )
         for name, x, yaw in (("left", -0.30, 0.0), ("right", 0.30, 180.0))
     ]
@@ -99,8 +99,8 @@ def mixed_cell(*, duration: float = 3.0, time_law: TimeLaw | str = TimeLaw.QUINT
             yaw=-90.0,
             reach=0.50,
             height=0.25,
-            near=_ARM7_NEAR,
-            tool=_ARM7_TOOL,
+            near=ARM7_NEAR,
+            tool=ARM7_TOOL,
         ),
         Station(
             arm=named_robot("arm6c", "arm6c"),
@@ -166,8 +166,8 @@ def ring(
             yaw=float(a) + 180.0,
             reach=reach,
             height=height,
-            near=_RX90L_NEAR if six else _ARM7_NEAR,
-            tool=FORWARD if six else _ARM7_TOOL,
+            near=_RX90L_NEAR if six else ARM7_NEAR,
+            tool=FORWARD if six else ARM7_TOOL,
         )
         for k, a in enumerate(angles)
     ]

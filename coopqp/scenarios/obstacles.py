@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Literal
 
@@ -13,10 +13,11 @@ from coopqp.collision.scene import CollisionScene
 from coopqp.errors import UnknownNameError
 from coopqp.model.inverse_kinematics import inverse_kinematics
 from coopqp.model.shapes import Body, Box, Capsule, Shape, Sphere
-from coopqp.scenarios.cells import dual_arm7, mixed_cell, ring
+from coopqp.scenarios.cells import ARM7_NEAR, ARM7_TOOL, dual_arm7, mixed_cell, named_robot, ring
 from coopqp.scenarios.paper import paper_lift
+from coopqp.scenarios.stations import Station, put_together
 from coopqp.spatial import Array
-from coopqp.task.path import LinePath
+from coopqp.task.path import LinePath, TimeLaw
 from coopqp.task.scenario import Scenario
 
 
@@ -70,6 +71,47 @@ def elbow_and_knob(*, duration: float = 3.0) -> Scenario:
 
 #: Centre of the knob of :func:`elbow_and_knob` [m].
 _KNOB = (-0.69, -0.118, 0.60)
+
+
+def elbows(*, duration: float = 3.0) -> Scenario:
+    """Two seven-joint arms side by side turn a short bar until their elbows would touch; they evade each other.
+
+    Args:
+        duration: duration of the path [s].
+    """
+    return _side_by_side("elbows", 0.11, 2.0, (-0.20, -0.16, 0.17), (-0.45, -0.03, 1.0), duration)
+
+
+def forearms(*, duration: float = 3.0) -> Scenario:
+    """Two seven-joint arms side by side carry a short bar away, and their forearms come close.
+
+    Args:
+        duration: duration of the path [s].
+    """
+    return _side_by_side("forearms", 0.08, 9.0, (0.24, -0.11, 0.12), (-0.09, -0.47, 0.65), duration)
+
+
+def _side_by_side(
+    name: str, half: float, yaw: float, translation: Sequence[float], rotation: Sequence[float], duration: float
+) -> Scenario:
+    """Two seven-joint arms that face one way, at ``half`` [m] from the middle of a bar, turned in by a yaw [deg]."""
+    start = pin.SE3(np.eye(3), np.array([0.0, 0.0, 0.30]))
+    path = LinePath.displaced(
+        start, translation=translation, rotation=rotation, duration=duration, time_law=TimeLaw.QUINTIC
+    )
+    stations = [
+        Station(
+            arm=named_robot("arm7", arm),
+            point=(0.0, y, 0.0),
+            yaw=turn,
+            reach=0.50,
+            height=0.25,
+            near=ARM7_NEAR,
+            tool=ARM7_TOOL,
+        )
+        for arm, y, turn in (("left", half, -yaw), ("right", -half, yaw))
+    ]
+    return put_together(name, stations, path, object_size=(0.05, 2.0 * half, 0.05), object_mass=1.5)
 
 
 def random_posts(seed: int = 0, *, arms: int = 2, posts: int = 2) -> Scenario:

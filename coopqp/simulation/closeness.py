@@ -15,9 +15,11 @@ from typing import Any, NamedTuple, final
 import numpy as np
 import pinocchio as pin
 
+from coopqp.collision.distances import Distances
 from coopqp.collision.scene import CollisionScene
 from coopqp.errors import InvalidInputError
 from coopqp.model.shapes import NearPair
+from coopqp.simulation.bodies import describe_bodies
 from coopqp.simulation.convex import Core, core_of, distance
 from coopqp.simulation.recording import Recording
 from coopqp.spatial import Array
@@ -277,7 +279,8 @@ def with_clearance(recording: Recording, scene: CollisionScene | None, *, avoide
     """The recording with an entry ``clearance`` in its metadata: where bodies came closest.
 
     Entries: ``closest_m``, ``between``, ``time_s``, ``margin_m``, ``avoided``, ``left_out`` (pairs of names that
-    overlap at the start of a run without avoidance: no verdict on these), ``times_s`` and ``distances_m``.
+    overlap at the start of a run without avoidance: no verdict on these), ``times_s``, ``distances_m`` and
+    ``points_m``, the nearest points of both bodies. An entry ``bodies`` holds what stands in the world.
     """
     if scene is None:
         return recording
@@ -299,5 +302,16 @@ def with_clearance(recording: Recording, scene: CollisionScene | None, *, avoide
         "left_out": [list(pair) for pair in left_out],
         "times_s": time[rows].tolist(),
         "distances_m": closeness.over_time(q[rows], judged).tolist(),
+        "points_m": _nearest_points(scene, q[rows], judged),
     }
-    return replace(recording, metadata={**recording.metadata, "clearance": entry})
+    bodies = {"bodies": describe_bodies(scene)} if scene.obstacles else {}
+    return replace(recording, metadata={**recording.metadata, "clearance": entry, **bodies})
+
+
+def _nearest_points(scene: CollisionScene, q: Array, pairs: list[int]) -> list[list[list[float]]]:
+    """The nearest points of the nearest pair at configurations (T, nq), for pictures (T, 2, 3) [m]."""
+    distances, found = Distances(scene), []
+    for row in q:
+        k = pairs[int(distances.all(row)[pairs].argmin())]
+        found.append([point.tolist() for point in distances.nearest_points(k)])
+    return found

@@ -103,7 +103,7 @@ def _describe_arm(arm: Arm) -> dict[str, Any]:
             entry["pitch"] = float(joint.extract().pitch)
         joints.append(entry)
     tool = model.frames[model.getFrameId(arm.tool_frame)]
-    shapes = [] if arm.visual is None else [_describe_shape(shape) for shape in arm.visual.geometryObjects]
+    shapes = [] if arm.visual is None else [describe_shape(shape) for shape in arm.visual.geometryObjects]
     return {
         "name": arm.name,
         "source": arm.source,
@@ -127,7 +127,8 @@ def _axis(joint: Any) -> list[float]:
     return axis
 
 
-def _describe_shape(shape: Any) -> dict[str, Any]:
+def describe_shape(shape: Any) -> dict[str, Any]:
+    """A Pinocchio geometry object as plain JSON."""
     geometry, kind = shape.geometry, type(shape.geometry).__name__
     entry = {
         "name": shape.name,
@@ -145,6 +146,11 @@ def _describe_shape(shape: Any) -> dict[str, Any]:
         entry["kind"] = "triangles"
         entry["vertices"] = _packed(np.asarray(geometry.vertices(), dtype="<f4"))
         triangles = [geometry.tri_indices(i) for i in range(geometry.num_tris)]
+        entry["triangles"] = _packed(np.array([[t[0], t[1], t[2]] for t in triangles], dtype="<i4").reshape(-1, 3))
+    elif kind == "Convex":
+        entry["kind"] = "triangles"
+        entry["vertices"] = _packed(np.array(geometry.points(), dtype="<f4"))
+        triangles = [geometry.polygons(i) for i in range(geometry.num_polygons)]
         entry["triangles"] = _packed(np.array([[t[0], t[1], t[2]] for t in triangles], dtype="<i4").reshape(-1, 3))
     return entry
 
@@ -315,7 +321,7 @@ def _read_shapes(entry: Mapping[str, Any], model: pin.Model, meshes: bool) -> pi
     for shape in entry["shapes"]:
         if shape["kind"] == "mesh" and not meshes:
             continue
-        geometry = _read_geometry(shape, str(entry["name"]))
+        geometry = read_geometry(shape, str(entry["name"]))
         if geometry is None:
             continue
         joint = _index(shape["joint"], model.njoints)
@@ -329,7 +335,7 @@ def _read_shapes(entry: Mapping[str, Any], model: pin.Model, meshes: bool) -> pi
     return shapes
 
 
-def _read_geometry(shape: Mapping[str, Any], arm: str) -> Any:
+def read_geometry(shape: Mapping[str, Any], arm: str) -> Any:
     """The shape as a coal geometry; None for kinds that cannot be drawn (planes, height fields)."""
     import coal
 

@@ -238,7 +238,7 @@ def fails_badly(fault: str = "answers NaN") -> bool:
 def braking(velocity: Callable[[StepSolver, Any, float], Any], *, told: bool = True) -> Callable[..., StepAnswer]:
     """A brake with another command."""
 
-    def brake(self: StepSolver, terms: Any, v_prev: Any, h: float, report: Any) -> StepAnswer:
+    def brake(self: StepSolver, terms: Any, v_prev: Any, h: float, further: Any, report: Any) -> StepAnswer:
         return StepAnswer(velocity(self, v_prev, h), 0.0, 0.0, 0.0, report=report, braked=told, reason="braking")
 
     return brake

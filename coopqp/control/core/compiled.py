@@ -363,7 +363,9 @@ class CompiledLoop:
                 self._said[_CONSTRAINT_FAILED] = str(trouble)
                 p[_P["WATCH_CAP"]], p[_P["HOLD"]] = 0.0, 1.0
                 p[_P["REASON"]], p[_P["REASON_ARM"]] = _CONSTRAINT_FAILED, -1.0
-            return 0
+            if trouble.rows is None:
+                return 0
+            rows = trouble.rows
         m = len(rows)
         at["further"][: m * self.cell.nv] = rows.G.ravel()
         at["further_lower"][:m], at["further_upper"][:m], at["further_soft"][:m] = rows.lower, rows.upper, rows.soft

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 import pinocchio as pin
 from annotated_types import Ge, Le, Len
@@ -15,8 +15,9 @@ from coopqp.collision.scene import DEFAULT_MARGIN, CollisionScene
 from coopqp.files.cellfile.basic import MAX_ARMS, FilePath, Metres, Name, PlacementTable, Sides, problem
 from coopqp.files.cellfile.paths import resolve
 from coopqp.files.cellfile.strict import Table
+from coopqp.model.cell import RobotCell
+from coopqp.model.grasp import Grasp
 from coopqp.model.shapes import Body, Box, Capsule, Cylinder, Mesh, Shape, Sphere
-from coopqp.task.scenario import Scenario
 
 #: Largest accepted number of bodies, and of pairs in a list.
 MAX_BODIES, MAX_PAIRS = 1000, 1000
@@ -99,17 +100,31 @@ class CollisionTable(Table):
 
 
 def build_scene(
-    table: CollisionTable, scenario: Scenario, folder: Path, placement: Callable[[PlacementTable], pin.SE3]
+    table: CollisionTable,
+    cell: RobotCell,
+    grasp: Grasp,
+    box: Body,
+    folder: Path,
+    placement: Callable[[PlacementTable], pin.SE3],
 ) -> CollisionScene:
-    """The scene that a table describes; errors name the body or the key."""
-    given: dict[str, Any] = {}
-    if table.carried is not None:
-        given["carried"] = [_body(body, folder, placement) for body in table.carried]
+    """The scene that a table describes; errors name the body or the key.
+
+    Args:
+        table: what the file says.
+        cell, grasp: the arms, and how they hold.
+        box: the object, if the table names no other bodies that are carried.
+        folder: paths in the file are relative to it.
+        placement: the placement that a table describes.
+    """
+    carried = [box] if table.carried is None else [_body(body, folder, placement) for body in table.carried]
     on_links: dict[str, list[Body]] = {}
     for body in table.on_links:
         on_links.setdefault(body.link, []).append(_body(body, folder, placement))
-    return CollisionScene.of(
-        scenario,
+    return CollisionScene(
+        cell=cell,
+        grasp=grasp,
+        carried=carried,
+        obstacles=[_body(body, folder, placement) for body in table.obstacles],
         on_links=on_links,
         without=table.without,
         margin=table.margin_m,
@@ -118,15 +133,7 @@ def build_scene(
         inside=[(a, b) for a, b in table.inside],
         srdf={arm: resolve(file, folder, f"collision.srdf.{arm}") for arm, file in table.srdf.items()},
         rules=PairRules(apart=table.apart, object_apart=table.object_apart),
-        **given,
     )
-
-
-def obstacles_of(
-    table: CollisionTable, folder: Path, placement: Callable[[PlacementTable], pin.SE3]
-) -> tuple[Body, ...]:
-    """The bodies that stand in the world."""
-    return tuple(_body(body, folder, placement) for body in table.obstacles)
 
 
 def _body(table: BodyTable, folder: Path, placement: Callable[[PlacementTable], pin.SE3]) -> Body:

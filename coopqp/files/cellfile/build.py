@@ -23,7 +23,7 @@ from coopqp.control.solvers import default_solver
 from coopqp.errors import CoopqpError, InvalidInputError, MissingExtraError, UnknownNameError
 from coopqp.files.cellfile import CellFileError
 from coopqp.files.cellfile.basic import PlacementTable
-from coopqp.files.cellfile.bodies import build_scene, obstacles_of
+from coopqp.files.cellfile.bodies import build_scene
 from coopqp.files.cellfile.explain import explain, in_words_of_the_file
 from coopqp.files.cellfile.paths import resolve
 from coopqp.files.cellfile.schema import MAX_STEPS, ArmTable, CellFile, CommonErrorTable, StartTable
@@ -33,6 +33,7 @@ from coopqp.model.cell import Arm, RobotCell
 from coopqp.model.description import check_nesting, check_urdf, description_file
 from coopqp.model.grasp import Grasp
 from coopqp.model.inverse_kinematics import inverse_kinematics
+from coopqp.model.shapes import Body, Box
 from coopqp.planning.starts import find_start
 from coopqp.scenarios.arms import robot_arm, robot_file
 from coopqp.simulation.assessment import slides
@@ -68,7 +69,7 @@ class CellTask:
         cell, grasp, path: the arms, how they hold, and where to.
         q_start: the start of the file (nq,), or None if it is to be found.
         start_is_near: inverse kinematics leads from it to the start.
-        bodies: the file has a table of bodies that keep clear.
+        scene: the bodies that keep distances; None if the file has no such table.
     """
 
     name: str
@@ -77,7 +78,7 @@ class CellTask:
     path: ObjectPath
     q_start: Array | None
     start_is_near: bool
-    bodies: bool
+    scene: CollisionScene | None
 
     def exact_start(self) -> Array | None:
         """The configuration (nq,) at which the arms hold the object.
@@ -201,20 +202,30 @@ def _task(file: CellFile, folder: Path) -> CellTask:
     """The arms, their grasp, the path, and the start; errors name the arm or table."""
     cell = RobotCell([_arm(arm, folder) for arm in file.arms])
     path = _path(file)
-    bodies = file.collision is not None
     if file.start.is_auto:
         if file.grasp.kind == "latched":
             raise _BuildError(
                 "a latched grasp is that of the start, so a start cannot be found: give start.positions_deg or "
                 "start.positions_rad, or another kind of grasp."
             )
-        return CellTask(file.name, cell, _grasp(file, cell), path, None, start_is_near=False, bodies=bodies)
+        grasp = _grasp(file, cell)
+        scene = _scene(file, cell, grasp, folder)
+        return CellTask(file.name, cell, grasp, path, None, start_is_near=False, scene=scene)
     q_start = _start(file.start, cell)
     if file.grasp.kind == "latched":
         grasp = Grasp.from_configuration(cell, q_start, path.pose(0.0))
-        return CellTask(file.name, cell, grasp, path, q_start, start_is_near=False, bodies=bodies)
-    near = bool(file.start.inverse_kinematics)
-    return CellTask(file.name, cell, _grasp(file, cell), path, q_start, start_is_near=near, bodies=bodies)
+    else:
+        grasp = _grasp(file, cell)
+    near = bool(file.start.inverse_kinematics) and file.grasp.kind != "latched"
+    scene = _scene(file, cell, grasp, folder)
+    return CellTask(file.name, cell, grasp, path, q_start, start_is_near=near, scene=scene)
+
+
+def _scene(file: CellFile, cell: RobotCell, grasp: Grasp, folder: Path) -> CollisionScene | None:
+    if file.collision is None:
+        return None
+    box = Body("object", Box(file.object.size_m), _placement(file.object.centre))
+    return build_scene(file.collision, cell, grasp, box, folder, _placement)
 
 
 def build(file: CellFile, folder: Path) -> CellRun:
@@ -222,7 +233,7 @@ def build(file: CellFile, folder: Path) -> CellRun:
     task = _task(file, folder)
     cell, grasp, path = task.cell, task.grasp, task.path
     given = task.exact_start()
-    q_start = find_start(cell, grasp, path).q if given is None else given
+    q_start = find_start(cell, grasp, path, scene=task.scene).q if given is None else given
     dt = path.duration / file.steps if file.steps is not None else file.dt_s or DEFAULT_DT
     longest = file.longest_s if file.longest_s is not None else 10.0 * path.duration
     if (longest + file.settle_s) / dt > 10.0 * MAX_STEPS:
@@ -240,11 +251,9 @@ def build(file: CellFile, folder: Path) -> CellRun:
         object_size=(size[0], size[1], size[2]),
         T_object_body=_placement(file.object.centre),
         object_mass=file.object.mass_kg,
-        obstacles=() if file.collision is None else obstacles_of(file.collision, folder, _placement),
+        obstacles=() if task.scene is None else tuple(task.scene.obstacles),
     )
-    scene = default_scene(scenario)
-    if file.collision is not None:
-        scene = build_scene(file.collision, scenario, folder, _placement)
+    scene = default_scene(scenario) if task.scene is None else task.scene
     kind = str(file.controller.kind)
     return CellRun(scenario, kind, _options(kind, file.controller), file.settle_s, file.longest_s, file, scene)
 

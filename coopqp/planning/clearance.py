@@ -1,0 +1,140 @@
+"""What a check says of distances, and what it asks of the bodies that may touch; see :mod:`coopqp.collision.along`."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+
+from coopqp.errors import InvalidInputError
+from coopqp.model.cell import RobotCell
+from coopqp.model.grasp import Grasp
+from coopqp.model.shapes import NearPair
+from coopqp.planning.branch_checks import PathVerdict
+from coopqp.planning.ways import CellWay
+from coopqp.spatial import Array
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ClearanceCheck:
+    """Distances along the whole path.
+
+    Attributes:
+        verdict: CERTIFIED: all margins are proved to be kept at every point of the path; SAMPLED: they are at samples,
+            and between them as far as the samples tell; UNDECIDED: not proved on some intervals; INFEASIBLE: a pair is
+            inside its margin at a sample.
+        pair: the pair that comes nearest to its margin, with its distance; None if no pair keeps a distance.
+        margin: what it is to keep [m].
+        clock: where it is so near [s].
+        room: no distance less its margin is below this anywhere on the path [m]; −inf where nothing is proved.
+        stop: clock [s] at which the first pair comes inside its margin; None if none does.
+        stopped_by: that pair, and its distance there.
+        undecided: intervals [a, b] of the clock that are not decided (U, 2) [s].
+        why: what stands against a better verdict; empty if it is certified.
+        clocks, distances: the least distance (K,) [m] at clocks [s], for pictures.
+    """
+
+    verdict: PathVerdict
+    pair: NearPair | None
+    margin: float
+    clock: float
+    room: float
+    stop: float | None
+    stopped_by: NearPair | None
+    undecided: Array
+    why: str
+    clocks: Array
+    distances: Array
+
+    def explain(self) -> str:
+        """How near bodies come, which ones, and where."""
+        if self.pair is None:
+            return "distances: no pair keeps one."
+        closest = f"{_mm(self.pair.distance)}, {self.pair.first} and {self.pair.second} at {self.clock:.2f} s"
+        if self.verdict is PathVerdict.CERTIFIED:
+            least = _mm(self.room + self.margin)
+            return f"distances: all margins are kept, which is proved; closest {closest} (proved: at least {least})."
+        if self.verdict is PathVerdict.SAMPLED:
+            return f"distances: all margins are kept at samples; closest {closest}. {self.why}."
+        if self.stopped_by is None:
+            return f"distances: {self.why}; closest sample {closest}."
+        by = self.stopped_by
+        said = f"distances: {by.first} and {by.second} come inside their margin at {self.stop:.2f} s"
+        if self.stop == 0.0:
+            said = f"distances: {by.first} and {by.second} start {_mm(by.distance)} apart, inside their margin"
+        if self.pair.distance <= 0.0:
+            return f"{said}; {self.pair.first} and {self.pair.second} touch at {self.clock:.2f} s{self._so}."
+        return f"{said}; closest {closest}{self._so}."
+
+    @property
+    def _so(self) -> str:
+        return f". {self.why}" if self.why else ""
+
+    def record(self) -> dict[str, Any]:
+        """Plain data for JSON."""
+
+        def named(pair: NearPair | None) -> dict[str, Any] | None:
+            return None if pair is None else {"between": [pair.first, pair.second], "distance_m": pair.distance}
+
+        return {
+            "verdict": self.verdict.value,
+            "closest": named(self.pair),
+            "margin_m": self.margin,
+            "clock_s": self.clock,
+            "room_m": self.room if np.isfinite(self.room) else None,
+            "stop_s": self.stop,
+            "stopped_by": named(self.stopped_by),
+            "undecided_s": self.undecided.tolist(),
+            "reason": self.why,
+            "clocks_s": self.clocks.tolist(),
+            "distances_m": self.distances.tolist(),
+        }
+
+
+class Bodies(Protocol):
+    """What keeps distances, as a check asks it: :class:`coopqp.collision.CollisionScene`."""
+
+    @property
+    def cell(self) -> RobotCell:
+        """The arms."""
+        ...
+
+    def along(self, way: CellWay) -> ClearanceCheck:
+        """Judge a way."""
+        ...
+
+    def evading(self, way: CellWay) -> tuple[Array, Array] | None:
+        """Places (K,) and joint positions (K, nv) of a way on which redundant arms keep off; None if there is none."""
+        ...
+
+    def clear_choice(self, ways: Sequence[Array]) -> tuple[int, ...] | None:
+        """One way for each arm, so that all margins are kept at samples; None if there are none.
+
+        Args:
+            ways: of each arm joint positions along its ways (B, K, its joints), the best first.
+        """
+        ...
+
+    def of_cell(self, cell: RobotCell, grasp: Grasp) -> Bodies:
+        """The same bodies about other arms or another grasp."""
+        ...
+
+
+def check_scene(cell: RobotCell, scene: Bodies | None, where: str) -> None:
+    """Refuse a scene of other arms.
+
+    Raises:
+        InvalidInputError: it is of another cell, or is no scene.
+    """
+    if scene is None:
+        return
+    if not callable(getattr(scene, "along", None)):
+        raise InvalidInputError(f"a {type(scene).__name__}", where, "Give a CollisionScene.")
+    if scene.cell is not cell:
+        raise InvalidInputError("a scene of another cell", where, "Give the cell that the scene was made of.")
+
+
+def _mm(distance: float) -> str:
+    return f"{1e3 * distance:.3g} mm"
