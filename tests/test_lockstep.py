@@ -669,7 +669,7 @@ IN_PYTHON: dict[str, dict[str, str]] = {
     },
 }  # fmt: skip
 #: Constants of the core's own linear algebra of singular arms.
-ONLY_IN_C = {"SMALLEST_PIVOT", "LONG_LEVER", "EIGEN_ROUNDING", "EIGEN_STEPS"}
+ONLY_IN_C = {"SMALLEST_PIVOT", "LONG_LEVER", "FAR_PIVOT", "EIGEN_ROUNDING", "EIGEN_STEPS"}
 
 
 def constants() -> Iterator[tuple[str, str, str]]:

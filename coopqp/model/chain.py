@@ -235,7 +235,7 @@ class Chain:
     def edges(self) -> Array:
         """Joint motion (nv,) that takes each arm to where its reach ends, to first order [rad or m].
 
-        With the least eigenvalue λ of G = J W Jᵀ and its eigenvector u, joint motion ``v = W Jᵀ u`` moves the object
+        With the least eigenvalue λ of J Jᵀ and its eigenvector u, joint motion ``v = Jᵀ u`` moves the object
         least, by ``J v = λ u``, and ``h = uᵀ (∂J/∂q v) v`` is how that changes: brackets of the joints' twists. At
         ``−λ/h`` times v the object turns back. Other singularities are passed without: h is 0 there, the edge far.
         """
@@ -243,10 +243,10 @@ class Chain:
         for g in self._groups:
             if g.joints < 6:
                 continue
-            JT, W = self.jacobian_rows(g), g.scale**2
-            values, vectors = np.linalg.eigh(JT.transpose(0, 2, 1) @ (W * JT))
+            JT = self.jacobian_rows(g)
+            values, vectors = np.linalg.eigh(JT.transpose(0, 2, 1) @ JT)
             least, u = np.maximum(values[:, 0], 0.0), vectors[:, :, :1]
-            v = W * (JT @ u)  # (m, joints, 1)
+            v = JT @ u  # (m, joints, 1)
             before = np.cumsum(v * JT, axis=1) - v * JT  # twist of the links before each joint
             turning = before[:, :, 3:]
             linear = cross_last(turning, JT[:, :, :3]) + cross_last(before[:, :, :3], JT[:, :, 3:])

@@ -148,9 +148,9 @@ class ChainAhead:
         fine = h <= _FINE_CELL
         if h > options.shortest and not knot.change <= (_OTHER_BRANCH if fine else options.slope_step) * knot.fastest:
             return None
-        if self._ends_reach(knot, last):
-            return None
         if not fine and not self._bends_slowly(knot, last):
+            return None
+        if self._ends_reach(knot, last):
             return None
         return self._constrained(knot)
 

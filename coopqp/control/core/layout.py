@@ -40,8 +40,9 @@ CONSTANTS: dict[str, float] = {
     "STEPS_TO_EDGE": 2,  # an arm stays so far from the end of its reach that its joints would take so many steps
     "BRANCH_WAY": 2.0,  # an arm this many joint steps from the end of its reach may be past it
     "FAR_EDGE": 1e3,  # the end of an arm's reach is no further than this, in units of its joints
+    "FAR_PIVOT": 0.1,  # an arm whose smallest pivot is larger is far from the end of its reach
     "EIGEN_ROUNDING": 1e-15,  # smallest pivot over the trace
-    "EIGEN_STEPS": 6,  # of inverse iteration
+    "EIGEN_STEPS": 3,  # of inverse iteration
     "BEND_CHANGE": 0.3,  # intervals are halved where q″ changes by more than this share of the accelerations
     "CROSSED": 1e-13,  # the lower bound of σ̇ is above the upper one by more than rounding
     "MOST_PIVOTS": 50,  # Newton steps of one program of two variables
@@ -199,7 +200,7 @@ WORK = (
     ("recovery", "nv"), ("outside", "nv"), ("further", "nv * rows"), ("further_lower", "rows"),
     ("further_upper", "rows"), ("further_soft", "rows"), ("further_owner", "rows"), ("base", "nv + rows"),
     ("columns", "(nv + rows) * unknowns"), ("x", "unknowns + nv + rows"), ("bindings", "4 * (nv + rows)"),
-    ("record", f"{len(RECORD)} + 2 * nq + nv + 6 + 4 * (nv + rows)"), ("sketch", "24 * n + 9 * nv"),
+    ("record", f"{len(RECORD)} + 2 * nq + nv + 6 + 4 * (nv + rows)"), ("sketch", "24 * n + 9 * nv"), ("least_pivot", "n"),
     ("lines", "3 * (4 * nv + 4)"),
     ("evading_positions", "nv"), ("evading_slope", "nv"),
     ("scratch", "scratch"),
