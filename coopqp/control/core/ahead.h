@@ -104,6 +104,9 @@ static int turn_corner(Core *c, int i);
 /* The last known knot once more, as the first tentative one, where the path ends moving; 0 if that needs nothing. */
 static int end_moving(Core *c);
 
+/* The arm that is at the end of its reach at knot i, or −1. */
+static int stretched_arm(const Core *c, int i);
+
 /* -- redundancy.c ----------------------------------------------------------------------------------------------------- */
 
 /* Lead the joints of redundant arm k away from their limits by its self-motion. */

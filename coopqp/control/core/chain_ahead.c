@@ -127,6 +127,17 @@ static double room_of(const Core *c, int k, const double *edges) {
     return room;
 }
 
+/* The arm that is at the end of its reach at knot i, or −1. */
+static int stretched_arm(const Core *c, int i) {
+    double least = 2.0 * c->options[ROOM];
+    int arm = -1;
+    for (int k = 0; k < c->arms; k++) {
+        const double room = room_of(c, k, edges_of(c, i));
+        if (room < least) least = room, arm = k;
+    }
+    return arm;
+}
+
 /* Whether an arm comes too close to where its reach ends, or is past it. */
 static int ends_reach(const Core *c, int last, int made) {
     const double *then = edges_of(c, last), *now = edges_of(c, made), near = BRANCH_WAY * c->options[JOINT_STEP];
