@@ -642,14 +642,16 @@ IN_PYTHON: dict[str, dict[str, str]] = {
     "control.ranks": {"AT_LIMIT": "_AT_LIMIT", "RESIDUE_TOLERANCE": "RESIDUE_TOLERANCE"},
     "control.solvers.polish": {"LARGEST_X": "REACH"},
     "task.guarded": {"FASTEST_PATH": "FASTEST_PATH", "TURN_LENGTH": "TURN_LENGTH"},
-    "model.chain": {"LARGE_INVERSE": "_LARGE_INVERSE"},
+    "model.chain": {"LARGE_INVERSE": "_LARGE_INVERSE", "FAR_EDGE": "_FAR_EDGE"},
     "model.inverse_kinematics": {"LONGEST_STEP": "_LONGEST_STEP"},
     "control.linearised": {"SETTLED": "SETTLED", "EXTRA_AT_START": "EXTRA_AT_START"},
     "control.plain": {
         name: name for name in ("BRAKING_SHARE", "LEAST_PACE", "NEGLIGIBLE", "RATE_ROUNDING", "ARRIVING")
     },
     "planning.preview": {"STEPS_TO_GROW": "_STEPS_TO_GROW", "NEWTON_STEPS_AT_START": "_NEWTON_STEPS_AT_START"},
-    "planning.preview_options": {"STEPS_TO_FULL_SPEED": "_STEPS_TO_FULL_SPEED"},
+    "planning.preview_options": {
+        "STEPS_TO_FULL_SPEED": "STEPS_TO_FULL_SPEED", "STEPS_TO_EDGE": "_STEPS_TO_EDGE",
+    },
     "planning.growth": {name: f"_{name}" for name in ("PASSABLE", "GROWTH", "LONGEST_WAY", "MOST_KNOTS")},
     "planning.horizon": {
         name: f"_{name}" for name in ("KNOTS_PER_PASS", "MOST_GUESSES", "SHORT_OF", "SHORTER", "LEAST_RATE")
@@ -657,7 +659,8 @@ IN_PYTHON: dict[str, dict[str, str]] = {
     "planning.chain_ahead": {
         name: f"_{name}"
         for name in (
-            "FINE_CELL", "OTHER_BRANCH", "BEND_CHANGE", "JUST_BEFORE", "STARTING_STEPS", "MOST_TRIES", "CONVERGED",
+            "FINE_CELL", "OTHER_BRANCH", "BRANCH_WAY", "BEND_CHANGE", "JUST_BEFORE", "STARTING_STEPS", "MOST_TRIES",
+            "CONVERGED",
         )
     },
     "planning.redundancy": {name: name for name in ("LIMIT_MARGIN", "TURNING_WAY", "LEADS")},
@@ -684,8 +687,8 @@ IN_PYTHON: dict[str, dict[str, str]] = {
         "STRAIGHT_BACK": "_STRAIGHT_BACK",
     },
 }  # fmt: skip
-#: Constants of the core's own test for singular arms.
-ONLY_IN_C = {"SMALLEST_PIVOT", "LONG_LEVER"}
+#: Constants of the core's own linear algebra of singular arms.
+ONLY_IN_C = {"SMALLEST_PIVOT", "LONG_LEVER", "FAR_PIVOT", "EIGEN_ROUNDING", "EIGEN_STEPS"}
 
 
 def constants() -> Iterator[tuple[str, str, str]]:

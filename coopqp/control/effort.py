@@ -10,13 +10,14 @@ import pinocchio as pin
 from coopqp.model.cell import RobotCell
 from coopqp.model.chain import Chain
 from coopqp.model.grasp import Grasp
-from coopqp.planning.preview_options import PlanLimits, PreviewOptions
+from coopqp.planning.preview_options import STEPS_TO_FULL_SPEED, PlanLimits, PreviewOptions
 from coopqp.spatial import Array
 
 #: Share of the accelerations that a change of the motion is planned with; the rest is for the curvature of the way.
 _SHARE = 0.7
-#: Share of its speed by which a joint without acceleration limit changes its velocity in the first step, at most.
-_LARGEST_JUMP = 0.125
+#: Share of its speed by which a joint without acceleration limit changes its velocity in the first step, at most: twice
+#: what is planned.
+_LARGEST_JUMP = 2.0 / STEPS_TO_FULL_SPEED
 
 
 @final

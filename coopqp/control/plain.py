@@ -249,6 +249,11 @@ class PlainLoop:
         """Commanded configuration (nq,)."""
         return self.state.q
 
+    @property
+    def velocity(self) -> Array:
+        """Commanded joint velocities of the last step (nv,)."""
+        return self.state.v
+
     # -- observe ---------------------------------------------------------------------------------------------------
 
     def observe(self, q_measured: Any, dt: Any) -> Observed:

@@ -278,18 +278,25 @@ class QPController:
         taken = None if isinstance(loop, PlainLoop) else loop.go_over(path, goal, full)
         if self._go_over_by_definition(path, goal, full) if taken is None else taken:
             self._wanted = None
-        elif np.isfinite(self.cell.limits.acceleration).any():
+        elif np.isfinite(self.cell.limits.acceleration).any() or self._object_rests():
             loop.set_reins(0.0, paused=paused)
 
-    def _go_over_by_definition(self, path: ServoPath, goal: pin.SE3, full: float) -> bool:
-        """Take the way to a target if the first step keeps to its rate and no joint jumps, or where the object rests.
+    def _object_rests(self) -> bool:
+        loop = self._loop
+        return not np.abs(loop.rate * self.path.twist(loop.clock)).max() > AT_REST
 
-        The way begins at the full rate, or at the present one: then its twist is as much larger.
+    def _go_over_by_definition(self, path: ServoPath, goal: pin.SE3, full: float) -> bool:
+        """Take the way to a target if the first step keeps to its rate and no joint jumps.
+
+        The way begins at the full rate, or at the present one: then its twist is as much larger. Where the object rests
+        it begins at rest, and so do the joints: self-motion that goes on there has to come to rest before.
         """
         loop = self._loop
         clock, now, way, memory = loop.clock, loop.rate, path.state(), loop.memory()
         effort = self._effort.at(loop.q, path.pose(clock))
-        rests = not np.abs(now * path.twist(clock)).max() > AT_REST
+        rests = self._object_rests()
+        if rests and not self._effort.admits(loop.velocity):
+            return False
         for rate in (0.0,) if rests else dict.fromkeys((full, min(now, full))):
             if rests or rate > 0.0:
                 path.set_target(goal, clock=clock, rate=0.0 if rests else now / rate, effort=effort)

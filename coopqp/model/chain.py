@@ -21,12 +21,14 @@ import pinocchio as pin
 
 from coopqp.model.cell import RobotCell
 from coopqp.model.grasp import Grasp
-from coopqp.spatial import Array, log6_batch
+from coopqp.spatial import Array, cross_last, log6_batch
 
 #: Singular values of A_k below this count as this in an inverse: limits and rate keep the command finite.
 SINGULAR_FLOOR = 1e-6
 #: Entries of an inverse beyond this send it to the singular value decomposition.
 _LARGE_INVERSE = 1e4
+#: The end of an arm's reach is no further than this, in units of its joints.
+_FAR_EDGE, _TINIEST = 1e3, float(np.finfo(float).tiny)
 
 
 #: Below this the logarithm of an error is its linear part, to rounding [m, rad].
@@ -235,12 +237,28 @@ class Chain:
             out[g.arms] = (v[g.columns][:, None, :] @ self.jacobian_rows(g))[:, 0, :]
         return out
 
-    def sides(self) -> Array:
-        """On which side of its singularities each arm with six joints is: the sign of its determinant (N,); else 0."""
-        out = np.zeros(self.n_arms)
+    def edges(self) -> Array:
+        """Joint motion (nv,) that takes each arm to where its reach ends, to first order [rad or m].
+
+        With the least eigenvalue λ of J Jᵀ and its eigenvector u, joint motion ``v = Jᵀ u`` moves the object
+        least, by ``J v = λ u``, and ``h = uᵀ (∂J/∂q v) v`` is how that changes: brackets of the joints' twists. At
+        ``−λ/h`` times v the object turns back. Other singularities are passed without: h is 0 there, the edge far.
+        """
+        out = np.full(self.nv, _FAR_EDGE)
         for g in self._groups:
-            if g.joints == 6:
-                out[g.arms] = np.sign(np.linalg.det(self.jacobian_rows(g)))
+            if g.joints < 6:
+                continue
+            JT = self.jacobian_rows(g)
+            values, vectors = np.linalg.eigh(JT.transpose(0, 2, 1) @ JT)
+            least, u = np.maximum(values[:, 0], 0.0), vectors[:, :, :1]
+            v = JT @ u  # (m, joints, 1)
+            before = np.cumsum(v * JT, axis=1) - v * JT  # twist of the links before each joint
+            turning = before[:, :, 3:]
+            linear = cross_last(turning, JT[:, :, :3]) + cross_last(before[:, :, :3], JT[:, :, 3:])
+            angular = cross_last(turning, JT[:, :, 3:])
+            h = (v * (linear @ u[:, :3] + angular @ u[:, 3:])).sum(axis=(1, 2))
+            size = np.maximum(np.abs(h), least * np.sqrt(least) / _FAR_EDGE + _TINIEST)
+            out[g.columns] = (-least / np.copysign(size, h))[:, None] * v[:, :, 0]
         return out
 
     def compliances(self, softness: Array) -> Array:

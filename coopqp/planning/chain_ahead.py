@@ -18,12 +18,14 @@ from coopqp.spatial import Array, for_twists
 from coopqp.task.guarded import GuardedPath
 from coopqp.task.posture import Posture
 
-#: Intervals shorter than this are not halved for a change of slope, nor of the side of a singularity [s].
+#: Intervals shorter than this are not halved for a change of slope [s].
 _FINE_CELL = 1e-3
 #: A slope that changes by more than this share within a short interval is of another branch.
 _OTHER_BRANCH = 0.5
 #: Intervals are halved where q″ changes by more than this share of the accelerations.
 _BEND_CHANGE = 0.3
+#: Where joints are this many of the longest way between knots from the end of an arm's reach, the arm may be past it.
+_BRANCH_WAY = 2.0
 #: The twist before a corner or the end is taken this much earlier [s].
 _JUST_BEFORE = 1e-10
 #: Newton steps that the first knot may take, and that every other knot may take.
@@ -112,12 +114,11 @@ class ChainAhead:
             arm = int(np.abs(errors).max(axis=1).argmax())
             self._slope[:] = 0.0
             reach = BindingLimit(self._cell.arm_names[arm], "", LimitKind.REACH)
-            unknown = np.zeros(self._chain.n_arms)
-            return self._knot_at(clock, q, None)._replace(cap=0.0, binding=reach, sides=unknown)
+            return self._knot_at(clock, q, None)._replace(cap=0.0, binding=reach)
         if self._newton_step(clock, q, before=0.0):
             return self._knot_at(clock, q, None)
         self._slope[:] = 0.0
-        return self._knot_at(clock, q, None)._replace(sides=np.zeros(self._chain.n_arms))
+        return self._knot_at(clock, q, None)
 
     def attempt(self, last: Knot, h: float) -> Generator[None, None, Knot | None]:
         """The chain at ``last.clock + h``, or None if Newton's method or the joints' slopes do not follow."""
@@ -147,11 +148,32 @@ class ChainAhead:
         fine = h <= _FINE_CELL
         if h > options.shortest and not knot.change <= (_OTHER_BRANCH if fine else options.slope_step) * knot.fastest:
             return None
-        if not fine and (knot.sides * last.sides < 0.0).any():
-            return None  # Newton's method gets past the end of the reach, onto the arm's other branch
         if not fine and not self._bends_slowly(knot, last):
             return None
+        if self._ends_reach(knot, last):
+            return None
         return self._constrained(knot)
+
+    def _ends_reach(self, knot: Knot, last: Knot) -> bool:
+        """Whether an arm comes too close to where its reach ends.
+
+        Nothing tells how close but the arm itself: on a way along the end no joint is fast. Closer than the joints'
+        accelerations take it in some steps a step would not see the end. Past it Newton's method is on another branch.
+        """
+        rooms, before = self.rooms(knot), self.rooms(last)
+        if ((rooms < self._plan.room) & (rooms < before)).any():
+            return True
+        near = _BRANCH_WAY * self._options.joint_step
+        for columns in self._chain.moving_columns:
+            now, then = knot.edges[columns], last.edges[columns]
+            if float(now @ then) < 0.0 and np.abs(now).max() < near and np.abs(then).max() < near:
+                return True
+        return False
+
+    def rooms(self, knot: Knot) -> Array:
+        """How long the joints of each arm, at their accelerations, would take to the end of its reach (N,) [s²]."""
+        times = np.abs(knot.edges) / self._plan.acceleration
+        return np.array([times[columns].max() for columns in self._chain.moving_columns])
 
     def _bends_slowly(self, knot: Knot, last: Knot) -> bool:
         """Whether q″ has changed by a small share of the accelerations since the interval before."""
@@ -237,7 +259,7 @@ class ChainAhead:
             binding=binding,
             fastest=float(np.abs(slope).max()),
             change=float((bend * span - self._plan.slope_change).max()),
-            sides=self._chain.sides(),
+            edges=self._chain.edges(),
             inside=bool(((x <= self._high) & (x >= self._low)).all()),
         )
 

@@ -213,6 +213,9 @@ class Growth:
             raise LookAheadTrouble(self._path.problem)
         if pose_distance(here, there) > FASTEST_PATH * (ahead - last.clock):
             return BindingLimit("", "", LimitKind.PATH_JUMP)
+        rooms = self._chain.rooms(last)
+        if rooms.min() < 2.0 * self._plan.room:
+            return BindingLimit(self._cell.arm_names[int(rooms.argmin())], "", LimitKind.REACH)
         return self._arm_limit(last, LimitKind.REACH)
 
     def _arm_limit(self, knot: Knot, kind: LimitKind) -> BindingLimit:

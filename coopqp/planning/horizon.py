@@ -33,7 +33,7 @@ class Knot(NamedTuple):
     binding: BindingLimit | None  # what makes the cap
     fastest: float  # largest |q′|
     change: float  # largest change of a slope since the knot before, less the change that is always allowed
-    sides: Array  # of its singularities on which each arm is (N,): ±1, 0 where that is not known
+    edges: Array  # joint motion (nv,) to where each arm's reach ends
     inside: bool  # all joints are inside their position limits
     corner: bool = False  # q′ jumps here
     fall: float = np.inf  # largest fall of σ by further constraints [1/s]

@@ -12,9 +12,11 @@ from coopqp.model.cell import RobotCell
 from coopqp.spatial import Array
 
 #: A joint without acceleration limit is planned to reach full speed in this many steps, and so is the rate.
-_STEPS_TO_FULL_SPEED = 22
+STEPS_TO_FULL_SPEED = 22
 #: Under acceleration limits this share of the largest change of the rate is planned with.
 _SHARE_OF_SLOPE = 0.9
+#: An arm stays so far from where its reach ends that its joints, from rest, would need this many steps to get there.
+_STEPS_TO_EDGE = 2
 
 
 @documented
@@ -65,7 +67,7 @@ class PreviewOptions:
 
     def slope(self, *, accelerates: bool, dt: float) -> float:
         """Largest change of the rate [1/s] of joints with or without acceleration limits."""
-        return self.rate_slope if accelerates else 1.0 / (_STEPS_TO_FULL_SPEED * dt)
+        return self.rate_slope if accelerates else 1.0 / (STEPS_TO_FULL_SPEED * dt)
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,6 +79,7 @@ class PlanLimits:
         jump: change of velocity that a joint can take within one step, at a corner or at the path's end (nv,).
         slope_change: change of slope between knots that is always allowed (nv,).
         slope_cap: largest change of the rate [1/s].
+        room: to the end of an arm's reach, as a joint motion over its acceleration [s²].
         accelerates: some joint has an acceleration limit.
     """
 
@@ -85,6 +88,7 @@ class PlanLimits:
     jump: Array
     slope_change: Array
     slope_cap: float
+    room: float
     accelerates: bool
 
     @staticmethod
@@ -101,9 +105,10 @@ class PlanLimits:
         slope_cap = options.slope(accelerates=accelerates, dt=dt)
         return PlanLimits(
             np.where(finite, options.margin, 1.0) * limits.velocity,
-            np.where(finite, planned, speed / (_STEPS_TO_FULL_SPEED * dt)),
+            np.where(finite, planned, speed / (STEPS_TO_FULL_SPEED * dt)),
             np.where(finite, planned, np.inf) * dt,
             options.slope_step * speed,
             _SHARE_OF_SLOPE * slope_cap if accelerates else slope_cap,
+            0.5 * (_STEPS_TO_EDGE * dt) ** 2,
             accelerates,
         )

@@ -20,11 +20,17 @@ pytestmark = pytest.mark.slow
 
 MM = 1e-3
 #: Runs that once went wrong: cell, seed, targets a second. A way that needs a rate above its cap was taken; past the
-#: end of the reach an arm was seen ahead on its other branch; a joint jumped as the object went over.
+#: end of the reach an arm was seen ahead on its other branch; a joint jumped as the object went over; an arm came too
+#: close to the end of its reach on a way along it; self-motion stopped at once where a way began at rest.
 WENT_WRONG = {
     (cases.IN_REACH, 5.0): [("mixed_cell", 2, 100)],
-    (cases.OUT_OF_REACH, np.inf): [("mixed_cell", 1, 1000), ("panda_bar", 1, 1000)],
-}
+    (cases.IN_REACH, np.inf): [("mixed_cell", 10, 100)],
+    (cases.OUT_OF_REACH, np.inf): [
+        ("mixed_cell", 1, 1000), ("panda_bar", 1, 1000), ("panda_bar", 13, 100), ("dual_arm7", 8, 1000),
+        ("dual_arm7", 11, 1000), ("dual_arm7", 18, 100), ("mixed_cell", 8, 1000), ("paper_lift", 7, 100),
+        ("ur5_table", 5, 100), ("ring of 8", 6, 100),
+    ],
+}  # fmt: skip
 
 
 @pytest.mark.parametrize("acceleration", [5.0, np.inf], ids=["5 rad/s²", "no acceleration limits"])

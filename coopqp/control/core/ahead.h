@@ -25,8 +25,8 @@ static double *vector_of(const Core *c, double *vectors, int i) {
     return vectors + (size_t)place_of(c, i) * (size_t)c->joints;
 }
 
-/* On which side of its singularities each arm is at knot i: ±1, 0 where that is not known. */
-static double *sides_of(const Core *c, int i) { return c->knot_sides + (size_t)place_of(c, i) * (size_t)c->arms; }
+/* Joint motion from knot i to where each arm's reach ends. */
+static double *edges_of(const Core *c, int i) { return vector_of(c, c->knot_edges, i); }
 
 static void copy_knot(Core *c, int from, int to) {
     const size_t bytes = sizeof(double) * (size_t)c->joints;
@@ -35,7 +35,7 @@ static void copy_knot(Core *c, int from, int to) {
     memcpy(vector_of(c, c->knot_positions, to), vector_of(c, c->knot_positions, from), bytes);
     memcpy(vector_of(c, c->knot_slope, to), vector_of(c, c->knot_slope, from), bytes);
     memcpy(vector_of(c, c->knot_curvature, to), vector_of(c, c->knot_curvature, from), bytes);
-    memcpy(sides_of(c, to), sides_of(c, from), sizeof(double) * (size_t)c->arms);
+    memcpy(edges_of(c, to), edges_of(c, from), bytes);
 }
 
 /* K_KIND, K_ARM, K_JOINT of a knot, or CAP_KIND, CAP_ARM, CAP_JOINT. */
@@ -103,6 +103,9 @@ static Trial try_knot(Core *c, int last, int made, double span, int iteration);
 static int turn_corner(Core *c, int i);
 /* The last known knot once more, as the first tentative one, where the path ends moving; 0 if that needs nothing. */
 static int end_moving(Core *c);
+
+/* The arm that is at the end of its reach at knot i, or −1. */
+static int stretched_arm(const Core *c, int i);
 
 /* -- redundancy.c ----------------------------------------------------------------------------------------------------- */
 

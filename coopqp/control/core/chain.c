@@ -58,9 +58,10 @@ typedef double pair __attribute__((vector_size(16)));
 typedef pair Rows[6][4];
 #define UNROLL _Pragma("GCC unroll 6")
 
-/* Solve by elimination with partial pivoting; the answers take the right-hand sides' place. 0 if singular. */
-static int solve6(Rows A) {
-    double scale = 0.0, inverse[6];
+/* Solve by elimination with partial pivoting; the answers take the right-hand sides' place. Returns the smallest pivot, 0 if
+ * the matrix is singular. */
+static double solve6(Rows A) {
+    double scale = 0.0, least = INFINITY, inverse[6];
     for (int i = 0; i < 6; i++)
         for (int j = 0; j < 6; j++) {
             double size = fabs(A[i][j / 2][j % 2]);
@@ -74,7 +75,8 @@ static int solve6(Rows A) {
             pivot = size > largest ? i : pivot;
             largest = size > largest ? size : largest;
         }
-        if (!(largest > SMALLEST_PIVOT * scale)) return 0;
+        if (!(largest > SMALLEST_PIVOT * scale)) return 0.0;
+        least = largest < least ? largest : least;
         if (pivot != k)
             for (int j = first; j < 4; j++) {
                 pair other = A[pivot][j];
@@ -95,22 +97,24 @@ static int solve6(Rows A) {
         }
         A[k][3] = x * (pair){inverse[k], inverse[k]};
     }
-    return 1;
+    return least;
 }
 
 /* Of one arm with n ≥ 6 joints: velocities v0, v1 for the world twists w0, w1, near the null-space wishes u0, u1 of a
- * redundant arm: v = u + A⁺(w − J u), A⁺ the right inverse of least Σ (v/scale)². */
-static int arm_velocities(const double *JT, const double *scale, int n, const double *w0, const double *w1,
-                          const double *u0, const double *u1, double *v0, double *v1) {
+ * redundant arm: v = u + A⁺(w − J u), A⁺ the right inverse of least Σ (v/scale)². Returns the smallest pivot of A, or the
+ * root of that of A Aᵀ of a redundant arm; 0 if it is singular. */
+static double arm_velocities(const double *JT, const double *scale, int n, const double *w0, const double *w1,
+                             const double *u0, const double *u1, double *v0, double *v1) {
     Rows A;
+    double least;
     if (n == 6) {
         for (int i = 0; i < 6; i++) {
             for (int j = 0; j < 3; j++) A[i][j] = (pair){JT[12 * j + i], JT[12 * j + 6 + i]};
             A[i][3] = (pair){w0[i], w1[i]};
         }
-        if (!solve6(A)) return 0;
+        if (!((least = solve6(A)) > 0.0)) return 0.0;
         for (int j = 0; j < 6; j++) v0[j] = A[j][3][0], v1[j] = A[j][3][1];
-        return 1;
+        return least;
     }
     for (int i = 0; i < 6; i++) {
         double first = w0[i], second = w1[i];
@@ -122,14 +126,14 @@ static int arm_velocities(const double *JT, const double *scale, int n, const do
         for (int j = 0; j < n; j++) first -= JT[6 * j + i] * u0[j], second -= JT[6 * j + i] * u1[j];
         A[i][3] = (pair){first, second};
     }
-    if (!solve6(A)) return 0;
+    if (!((least = solve6(A)) > 0.0)) return 0.0;
     for (int j = 0; j < n; j++) {
         double first = 0.0, second = 0.0;
         for (int i = 0; i < 6; i++) first += JT[6 * j + i] * A[i][3][0], second += JT[6 * j + i] * A[i][3][1];
         v0[j] = u0[j] + scale[j] * scale[j] * first;
         v1[j] = u1[j] + scale[j] * scale[j] * second;
     }
-    return 1;
+    return sqrt(least);
 }
 
 static void cross3(const double *a, const double *b, double *out) {
@@ -164,17 +168,18 @@ static void twist_at(const double *w, const double *way, double *out) {
 
 /* The same where the Jacobian's point is far from the arm: about a point of the arm, so that its lever does not count as
  * a singularity. 0 where it is near. */
-static int far_velocities(const double *JT, const double *scale, int n, const double *w0, const double *w1,
-                          const double *u0, const double *u1, double *v0, double *v1) {
+static double far_velocities(const double *JT, const double *scale, int n, const double *w0, const double *w1,
+                             const double *u0, const double *u1, double *v0, double *v1) {
     double way[3], near[6 * MOST_JOINTS], first[6], second[6];
-    if (!far_from_axes(JT, n, way)) return 0;
+    if (!far_from_axes(JT, n, way)) return 0.0;
     for (int j = 0; j < n; j++) twist_at(JT + 6 * j, way, near + 6 * j);
     twist_at(w0, way, first);
     twist_at(w1, way, second);
     return arm_velocities(near, scale, n, first, second, u0, u1, v0, v1);
 }
 
-/* The same for all arms: w0 (6 arms) has a twist per arm, w1 (6) is common to all; u0 and u1 (joints) may be NULL. */
+/* The same for all arms: w0 (6 arms) has a twist per arm, w1 (6) is common to all; u0 and u1 (joints) may be NULL. The
+ * smallest pivots are kept. */
 static int two_velocities(const Core *c, const double *jacobian, const double *w0, const double *w1, const double *u0,
                           const double *u1, double *v0, double *v1) {
     static const double still[MOST_JOINTS];
@@ -182,9 +187,10 @@ static int two_velocities(const Core *c, const double *jacobian, const double *w
         const int n = (int)c->arm_size[k], j = (int)c->arm_start[k];
         const double *JT = jacobian + 6 * j, *scale = c->scale + j, *own = w0 + 6 * k;
         const double *wish0 = u0 ? u0 + j : still, *wish1 = u1 ? u1 + j : still;
-        if (!arm_velocities(JT, scale, n, own, w1, wish0, wish1, v0 + j, v1 + j) &&
-            !far_velocities(JT, scale, n, own, w1, wish0, wish1, v0 + j, v1 + j))
-            return 0;
+        double least = arm_velocities(JT, scale, n, own, w1, wish0, wish1, v0 + j, v1 + j);
+        if (!(least > 0.0)) least = far_velocities(JT, scale, n, own, w1, wish0, wish1, v0 + j, v1 + j);
+        if (!(least > 0.0)) return 0;
+        c->least_pivot[k] = least;
     }
     return 1;
 }

@@ -53,40 +53,102 @@ static Trial newton_step(Core *c, double clock, double before, const double *pos
     return size < INFINITY ? FOUND : REJECTED;
 }
 
-/* The sign of a 6 × 6 determinant, by elimination with partial pivoting. */
-static double sign_of(const double *JT) {
-    double A[6][6], sign = 1.0;
-    memcpy(A, JT, sizeof A);
-    for (int k = 0; k < 6; k++) {
-        int pivot = k;
-        for (int i = k + 1; i < 6; i++)
-            if (fabs(A[i][k]) > fabs(A[pivot][k])) pivot = i;
-        if (!(fabs(A[pivot][k]) > 0.0)) return 0.0;
-        if ((pivot != k) != (A[pivot][k] < 0.0)) sign = -sign;
-        for (int j = k; pivot != k && j < 6; j++) {
-            const double other = A[pivot][j];
-            A[pivot][j] = A[k][j], A[k][j] = other;
+/* Least eigenvalue of a symmetric, positive semidefinite 6 × 6 matrix, and its eigenvector, by inverse iteration. */
+static double least_eigenvalue(double G[6][6], double *u) {
+    double trace = 0.0, before = 1.0, size = 1.0, inverse[6];
+    int least = 0;
+    for (int i = 0; i < 6; i++) trace += G[i][i];
+    for (int i = 0; i < 6; i++) { /* G = L D Lᵀ, L below the diagonal */
+        for (int j = 0; j < i; j++)
+            for (int k = 0; k < j; k++) G[i][j] -= G[i][k] * G[j][k] * inverse[k];
+        for (int j = 0; j < i; j++) G[i][i] -= G[i][j] * G[i][j] * inverse[j];
+        G[i][i] = maximum(G[i][i], EIGEN_ROUNDING * trace);
+        inverse[i] = 1.0 / G[i][i]; /* G[i][j] is that of L D */
+        if (G[i][i] < G[least][least]) least = i;
+        u[i] = 0.0;
+    }
+    u[least] = 1.0;
+    for (int iteration = 0; iteration < EIGEN_STEPS; iteration++) {
+        before = size, size = 0.0;
+        for (int i = 0; i < 6; i++) {
+            for (int k = 0; k < i; k++) u[i] -= G[i][k] * u[k];
+            u[i] *= inverse[i];
         }
-        for (int i = k + 1; i < 6; i++) {
-            const double f = A[i][k] / A[k][k];
-            for (int j = k + 1; j < 6; j++) A[i][j] -= f * A[k][j];
+        for (int i = 5; i >= 0; i--) {
+            for (int k = i + 1; k < 6; k++) u[i] -= G[k][i] * inverse[i] * u[k];
+            size += u[i] * u[i];
         }
     }
-    return sign;
+    for (int i = 0; i < 6; i++) u[i] /= sqrt(size);
+    return sqrt(before / size);
 }
 
-/* The sides of knot i, from the Jacobians of the latest Newton step. */
-static void note_sides(Core *c, int i) {
-    const double *jacobian = sketch_of(c).jacobian;
-    for (int k = 0; k < c->arms; k++)
-        sides_of(c, i)[k] = c->arm_size[k] == 6.0 ? sign_of(jacobian + 6 * (int)c->arm_start[k]) : 0.0;
+/* Joint motion that takes arm k to where its reach ends, to first order: Chain.edges. */
+static void find_edge(const Core *c, int k, const double *jacobian, double *edge) {
+    const int start = (int)c->arm_start[k], n = (int)c->arm_size[k];
+    const double *JT = jacobian + 6 * start;
+    double G[6][6], u[6], before[6] = {0}, h = 0.0;
+    for (int i = 0; i < 6; i++)
+        for (int m = 0; m <= i; m++) {
+            G[i][m] = 0.0;
+            for (int j = 0; j < n; j++) G[i][m] += JT[6 * j + i] * JT[6 * j + m];
+        }
+    const double least = least_eigenvalue(G, u);
+    edge += start;
+    for (int j = 0; j < n; j++) {
+        const double *v = JT + 6 * j, *a = v + 3;
+        double first[3], second[3], turn[3];
+        edge[j] = dot3(v, u) + dot3(a, u + 3);
+        cross3(before + 3, v, first);
+        cross3(before, a, second);
+        cross3(before + 3, a, turn);
+        h += edge[j] * (dot3(first, u) + dot3(second, u) + dot3(turn, u + 3));
+        for (int i = 0; i < 6; i++) before[i] += edge[j] * v[i];
+    }
+    const double way = -least / copysign(maximum(fabs(h), least * sqrt(least) / FAR_EDGE), h);
+    for (int j = 0; j < n; j++) edge[j] *= way;
 }
 
-/* Whether an arm passes a singularity between two knots. */
-static int passes(const Core *c, int last, int made) {
-    const double *before = sides_of(c, last), *after = sides_of(c, made);
-    for (int k = 0; k < c->arms; k++)
-        if (before[k] * after[k] < 0.0) return 1;
+/* The edges of knot i, from the Jacobians of the latest Newton step; those that are far need not be exact. */
+static void find_edges(const Core *c, int i) {
+    double *edges = edges_of(c, i);
+    for (int k = 0; k < c->arms; k++) {
+        const int start = (int)c->arm_start[k], end = start + (int)c->arm_size[k];
+        if (!(c->least_pivot[k] > FAR_PIVOT)) find_edge(c, k, sketch_of(c).jacobian, edges);
+        for (int j = start; c->least_pivot[k] > FAR_PIVOT && j < end; j++) edges[j] = FAR_EDGE;
+    }
+}
+
+/* How long the joints of arm k, at their accelerations, would take to the end of its reach [s²]. */
+static double room_of(const Core *c, int k, const double *edges) {
+    const int start = (int)c->arm_start[k], end = start + (int)c->arm_size[k];
+    double room = 0.0;
+    for (int j = start; j < end; j++) room = maximum(room, fabs(edges[j]) / c->plan_acceleration[j]);
+    return room;
+}
+
+/* The arm that is at the end of its reach at knot i, or −1. */
+static int stretched_arm(const Core *c, int i) {
+    double least = 2.0 * c->options[ROOM];
+    int arm = -1;
+    for (int k = 0; k < c->arms; k++) {
+        const double room = room_of(c, k, edges_of(c, i));
+        if (room < least) least = room, arm = k;
+    }
+    return arm;
+}
+
+/* Whether an arm comes too close to where its reach ends, or is past it. */
+static int ends_reach(const Core *c, int last, int made) {
+    const double *then = edges_of(c, last), *now = edges_of(c, made), near = BRANCH_WAY * c->options[JOINT_STEP];
+    for (int k = 0; k < c->arms; k++) {
+        const int start = (int)c->arm_start[k], n = (int)c->arm_size[k];
+        const double room = room_of(c, k, now);
+        double product = 0.0;
+        if (room < c->options[ROOM] && room < room_of(c, k, then)) return 1;
+        for (int j = start; j < start + n; j++) product += now[j] * then[j];
+        if (product < 0.0 && largest_size(now + start, n) < near && largest_size(then + start, n) < near) return 1;
+    }
     return 0;
 }
 
@@ -167,14 +229,14 @@ static Trial try_knot(Core *c, int last, int made, double span, int iteration) {
     if (!(largest < o[JOINT_STEP])) return REJECTED;
     for (int j = 0; j < c->joints; j++) x[j] += step[j];
     if (!(largest < CONVERGED)) return iteration + 1 < MOST_TRIES ? PENDING : REJECTED;
-    note_sides(c, made);
     if (!bound_by_limits(c, last, made, clock, span)) return REJECTED;
     const double *k = knot(c, made);
     if (span > o[SHORTEST] && !(span * k[K_FASTEST] <= 1.5 * o[JOINT_STEP])) return REJECTED;
     const double most = span > FINE_CELL ? o[SLOPE_STEP] : OTHER_BRANCH;
     if (span > o[SHORTEST] && !(k[K_CHANGE] <= most * k[K_FASTEST])) return REJECTED;
-    /* Newton's method gets past the end of the reach, onto the arm's other branch. */
-    if (span > FINE_CELL && (passes(c, last, made) || !bends_slowly(c, last, made))) return REJECTED;
+    if (span > FINE_CELL && !bends_slowly(c, last, made)) return REJECTED;
+    find_edges(c, made);
+    if (ends_reach(c, last, made)) return REJECTED;
     return constrain(c, made);
 }
 
@@ -270,15 +332,13 @@ static int first_knot(Core *c, double clock) {
     memcpy(x, c->positions, bytes);
     const int arm = reach_pose(c, R, p, x);
     memset(slope, 0, bytes);
-    memset(sides_of(c, 0), 0, sizeof(double) * (size_t)c->arms);
+    if (arm >= 0) memset(c->least_pivot, 0, sizeof(double) * (size_t)c->arms);
     if (arm < 0) {
         const Trial found = newton_step(c, clock, 0.0, x, sketch_of(c).step, slope);
         if (found == CANNOT_SAY) return 0;
-        if (found == FOUND)
-            note_sides(c, 0);
-        else
-            memset(slope, 0, bytes);
+        if (found != FOUND) memset(slope, 0, bytes), memset(c->least_pivot, 0, sizeof(double) * (size_t)c->arms);
     }
+    find_edges(c, 0);
     bound_by_limits(c, -1, 0, clock, 1.0);
     if (arm < 0) return 1;
     knot(c, 0)[K_CAP] = 0.0;

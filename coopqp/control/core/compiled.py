@@ -228,6 +228,11 @@ class CompiledLoop:
         """Commanded configuration (nq,)."""
         return self.cell.configuration(self.at["positions"])
 
+    @property
+    def velocity(self) -> Array:
+        """Commanded joint velocities of the last step (nv,)."""
+        return self.at["velocity"]
+
     # -- what the core asks ----------------------------------------------------------------------------------------
 
     def _ask_path(self, clock: float, twist: int) -> bool:

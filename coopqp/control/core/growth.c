@@ -119,7 +119,7 @@ static void end_growth(Core *c) {
         block_at(c, at, -1, -1, PATH_JUMP);
         return;
     }
-    const int arm = singular_arm(c, at);
+    const int stretched = way ? -1 : stretched_arm(c, at), arm = stretched < 0 ? singular_arm(c, at) : stretched;
     /* Where it is as bad already, the object stays: else it would creep on with every new path. */
     const int stays = way && knot(c, count - 1)[K_UNCAPPED] < rate * rate;
     block_at(c, stays ? count - 1 : at, arm, -1, way ? SINGULARITY : REACH);

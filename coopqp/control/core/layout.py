@@ -37,8 +37,14 @@ CONSTANTS: dict[str, float] = {
     "STEPS_TO_FULL_SPEED": 22,  # steps in which a joint without acceleration limit is planned to reach full speed
     "PASSABLE": 0.3,  # a singularity is passed where the rate's cap stays above this share of singular_rate
     "GROWTH": 2.0,  # an interval is longer than the one before by this factor at most
-    "FINE_CELL": 1e-3,  # intervals shorter than this are not halved for a change of slope or side [s]
+    "FINE_CELL": 1e-3,  # intervals shorter than this are not halved for a change of slope [s]
     "OTHER_BRANCH": 0.5,  # a slope that changes by more than this share within a fine interval is of another branch
+    "STEPS_TO_EDGE": 2,  # an arm stays so far from the end of its reach that its joints would take so many steps
+    "BRANCH_WAY": 2.0,  # an arm this many joint steps from the end of its reach may be past it
+    "FAR_EDGE": 1e3,  # the end of an arm's reach is no further than this, in units of its joints
+    "FAR_PIVOT": 0.1,  # an arm whose smallest pivot is larger is far from the end of its reach
+    "EIGEN_ROUNDING": 1e-15,  # smallest pivot over the trace
+    "EIGEN_STEPS": 3,  # of inverse iteration
     "BEND_CHANGE": 0.3,  # intervals are halved where q″ changes by more than this share of the accelerations
     "CROSSED": 1e-13,  # the lower bound of σ̇ is above the upper one by more than rounding
     "MOST_PIVOTS": 50,  # Newton steps of one program of two variables
@@ -62,7 +68,7 @@ CONSTANTS: dict[str, float] = {
     "NOWHERE": 1e-9,  # shorter ways are none [s, at full speed]
     "SHORTEST_CHANGE": 1e-4,  # the shortest time in which the motion changes [s]
     "CHANGE_SHARE": 0.7,  # share of the accelerations that a change of the motion is planned with
-    "LARGEST_JUMP": 0.125,  # share of its speed by which a joint without acceleration limit changes its velocity then
+    "LARGEST_JUMP": 2.0 / 22.0,  # share of its speed by which a joint without acceleration limit jumps then, at most
     "SPEEDS": 50,  # shares of the full speed that are compared
     "RATE_TOLERANCE": 1e-9,  # a rate that falls by less does not fall
     # supervision
@@ -107,7 +113,7 @@ OPTIONS = (
     "OFF_PATH_ANGLE",
     "POSTURE_GAIN", "CENTRING", "MANIPULABILITY", "POSTURE_SHARE",
     "LOOKS_AHEAD", "CAPS_SPEED", "CELL", "JOINT_STEP", "SLOPE_STEP", "SHORTEST", "CURVATURE_SHARE", "DOUBT",
-    "SLOPE_CAP", "SINGULAR_RATE", "NEWTON_STEPS",
+    "SLOPE_CAP", "ROOM", "SINGULAR_RATE", "NEWTON_STEPS",
     "SLOW_FROM", "HOLD_FROM", "LET_IN", "NOISE_MARGIN", "RECOVERY_TIME", "FAULT_FROM", "STALL_SAMPLES", "STALL_SHARE",
     "SILENT_TIME", "FILTER_TIME", "DT_LOW", "DT_HIGH", "JOINT_JUMP", "WATCHES_FORCE", "FORCE_LIMIT", "SERVO_DELAY",
 )  # fmt: skip
@@ -184,7 +190,7 @@ STATE = (
     ("deflection", "nv"), ("way", "nv"), ("commanded", "nv"), ("forces", "n"),
     ("ahead", str(len(AHEAD))),
     ("knots", f"{len(KNOT)} * knots"), ("knot_positions", "nv * knots"), ("knot_slope", "nv * knots"),
-    ("knot_curvature", "nv * knots"), ("knot_sides", "n * knots"),
+    ("knot_curvature", "nv * knots"), ("knot_edges", "nv * knots"),
 )  # fmt: skip
 WORK = (
     ("proposal", str(len(PROPOSAL))), ("near_x", "nv"), ("near_sin", "nv"), ("near_cos", "nv"), ("carried", "12 * n"),
@@ -197,6 +203,7 @@ WORK = (
     ("further_upper", "rows"), ("further_soft", "rows"), ("further_owner", "rows"), ("base", "nv + rows"),
     ("columns", "(nv + rows) * unknowns"), ("x", "unknowns + nv + rows"), ("bindings", "4 * (nv + rows)"),
     ("record", f"{len(RECORD)} + 2 * nq + nv + 6 + 4 * (nv + rows)"), ("sketch", "24 * n + 9 * nv"),
+    ("least_pivot", "n"),
     ("lines", "3 * (4 * nv + 4)"),
     ("evading_positions", "nv"), ("evading_slope", "nv"),
     ("scratch", "scratch"),

@@ -133,6 +133,7 @@ def _put_plan(chain: Chain, at: dict[str, Array], options: QPOptions, dt: float)
     at["plan_speed"][:], at["plan_acceleration"][:] = plan.speed, plan.acceleration
     at["plan_jump"][:], at["slope_change"][:] = plan.jump, plan.slope_change
     at["options"][layout.OPTIONS.index("SLOPE_CAP")] = plan.slope_cap
+    at["options"][layout.OPTIONS.index("ROOM")] = plan.room
 
 
 def _put_options(numbers: Array, box: VelocityBox, o: QPOptions, dt: float) -> None:

@@ -9,8 +9,8 @@ static int self_motion(const Core *c, int k, const double *jacobian, int j, doub
     double push[MOST_JOINTS] = {0}, other[MOST_JOINTS];
     const double *JT = jacobian + 6 * start, *scale = c->scale + start;
     push[j] = 1.0;
-    return arm_velocities(JT, scale, n, still, still, push, still, way, other) ||
-           far_velocities(JT, scale, n, still, still, push, still, way, other);
+    return arm_velocities(JT, scale, n, still, still, push, still, way, other) > 0.0 ||
+           far_velocities(JT, scale, n, still, still, push, still, way, other) > 0.0;
 }
 
 /* Lead the joints of redundant arm k away from their limits by its self-motion: coopqp/planning/redundancy.py. */

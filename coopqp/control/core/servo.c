@@ -92,11 +92,12 @@ static int way_to(Core *c, Way *w, double clock, double *segment) {
     return 1;
 }
 
-/* Whether a joint without acceleration limit jumps in the proposed step. */
-static int jumps(const Core *c) {
+/* Whether a joint without acceleration limit jumps from its last velocity to another; NULL for rest. */
+static int jumps(const Core *c, const double *velocity) {
     for (int j = 0; j < c->joints; j++) {
         const double speed = isfinite(c->speed[j]) ? c->speed[j] : 1.0;
-        if (!isfinite(c->acceleration[j]) && !(fabs(c->command[j] - c->velocity[j]) <= LARGEST_JUMP * speed)) return 1;
+        const double change = fabs((velocity ? velocity[j] : 0.0) - c->velocity[j]);
+        if (!isfinite(c->acceleration[j]) && !(change <= LARGEST_JUMP * speed)) return 1;
     }
     return 0;
 }
@@ -112,7 +113,7 @@ static int admits(Core *c, const double *numbers, double rate, int needed) {
     observe(c, NULL, NULL);
     c->further_rows = 0;
     const int found = propose(c) < FILLED;
-    return found && fmin(c->proposal[CAP], c->proposal[NEW_RATE]) >= rate - RATE_TOLERANCE && !jumps(c);
+    return found && fmin(c->proposal[CAP], c->proposal[NEW_RATE]) >= rate - RATE_TOLERANCE && !jumps(c, c->command);
 }
 
 static int go_over(Core *c, const double *goal, double speed, double spin, double full, double *numbers) {
@@ -123,6 +124,7 @@ static int go_over(Core *c, const double *goal, double speed, double spin, doubl
     if (!path_pose(c, clock, w.R, w.p) || !path_twist(c, clock, twist)) return -1;
     for (int i = 0; i < 6; i++) fastest = fmax(fastest, fabs(now * twist[i]));
     const int rests = !(fastest > STILL_OBJECT);
+    if (rests && jumps(c, NULL)) return 0; /* self-motion goes on where the object rests; the new way begins at rest */
     memcpy(ahead, c->ahead, sizeof ahead);
     memcpy(loop, c->loop, sizeof loop);
     for (int tries = 0; tries < (rests ? 1 : 2); tries++) {
