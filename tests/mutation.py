@@ -62,10 +62,11 @@ MODULES: dict[str, tuple[str, ...]] = {
     ),
     "coopqp/control/supervision.py": ("supervision", "lockstep", "stress", "qp_controller", "reliability/disturbances"),
     "coopqp/planning/preview.py": ("preview", "qp_controller", "lockstep", "scenarios", "reliability/saturation"),
-    "coopqp/planning/horizon.py": ("sharing", "preview", "lockstep", "scenarios", "reliability/saturation"),
+    "coopqp/planning/horizon.py": ("preview", "lockstep", "scenarios", "reliability/saturation"),
     "coopqp/planning/sharing.py": ("sharing", "preview", "lockstep"),
     "coopqp/planning/growth.py": ("preview", "lockstep", "truth", "scenarios", "reliability/singularities"),
     "coopqp/planning/chain_ahead.py": ("preview", "lockstep", "qp_controller", "scenarios"),
+    "coopqp/planning/knots.py": ("knots", "timing", "plan", "check_path", "branches"),
 }
 #: Tests of whole runs, for mutants that the module's own let live.
 EVERYWHERE = (
