@@ -170,6 +170,37 @@ def test_many_passes_find_what_one_finds() -> None:
     assert compared > 1000
 
 
+def test_slopes_and_curvatures_between_knots() -> None:
+    """q′ of the second degree over even knots: interpolated at the knots, and q″ exact at any clock but by a corner."""
+    preview = preview_of(paper_lift())
+    knot, horizon, h = preview.horizon.knots[0], preview.horizon, 0.01
+    a, b, c = np.random.default_rng(2).normal(size=(3, 18))
+
+    def slope(clock: float) -> Array:
+        return a + b * clock + c * clock**2
+
+    clocks = h * np.arange(7)
+    for corner in (None, 3):
+        horizon.clear()
+        for i, clock in enumerate(clocks):
+            mean = (slope(clock) - slope(clock - h)) / h
+            horizon.knots.append(
+                knot._replace(clock=clock, slope=slope(clock), curvature=mean, span=h, corner=i == corner)
+            )
+        for clock in np.linspace(h, 5.0 * h, 41):
+            i = horizon.knot_before(clock)
+            x = (clock - clocks[i]) / h
+            found, bend = horizon.joints_at(clock)
+            np.testing.assert_allclose(found, (1.0 - x) * slope(clocks[i]) + x * slope(clocks[i] + h), atol=1e-12)
+            if i + (x >= 0.5) == corner:  # nothing from beyond it counts
+                np.testing.assert_allclose(bend, b + 2.0 * c * (clocks[i] + 0.5 * h), atol=1e-9)
+            else:
+                np.testing.assert_allclose(bend, b + 2.0 * c * clock, atol=1e-9)
+    found, bend = horizon.joints_at(1.0)  # beyond the last knot
+    np.testing.assert_allclose(found, slope(clocks[-1]))
+    np.testing.assert_allclose(bend, horizon.knots[-1].curvature)
+
+
 # -- stops -------------------------------------------------------------------------------------------------------------
 
 
