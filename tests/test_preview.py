@@ -270,6 +270,56 @@ def test_a_singularity_ends_the_path_and_is_named(kind: Any, acceleration: float
     Joints(task).table(clocks)  # asserts that the arms carry the object
 
 
+@pytest.mark.parametrize("order", [1, -1])
+def test_of_two_limits_the_object_stops_at_the_first(order: int) -> None:
+    """Two joints would meet theirs between the same two knots."""
+    task = paper_lift(time_law=TimeLaw.QUINTIC)
+    task = replace(task, cell=task.cell.with_limits(acceleration=5.0))
+    preview, clock = preview_of(task), 0.0
+    while clock < 0.8:
+        clock += preview.cap(clock, DT)[0] * DT
+    before, after = (knot.clock for knot in list(preview.horizon.knots)[:2])
+    early, late = before + (after - before) * np.array([0.4, 0.6])
+    q = Joints(task).table(np.array([early, late]))
+    rising = np.flatnonzero((q[1] > q[0] + 1e-5) & (q[0] > 0.0))
+    first, second = rising[[0, -1]][::order]
+    assert first != second
+    upper = task.cell.limits.upper.copy()
+    upper[first], upper[second] = q[0, first], q[1, second]
+    clocks, rates, binding = driven(replace(task, cell=task.cell.with_limits(upper=upper)), longest=6.0)
+    assert rates[-1] < 1e-6
+    assert clocks[-1] == pytest.approx(early, abs=1e-6)
+    assert f"{binding.arm}/{binding.joint}" == task.cell.joint_names[first]
+
+
+class Jumping(ObjectPath):
+    """A user's path that jumps to another place."""
+
+    def __init__(self, inner: ObjectPath, since: float, by: Array) -> None:
+        self._inner, self.duration, self._since, self._by = inner, inner.duration, since, by
+
+    def pose(self, clock: float) -> pin.SE3:
+        pose = self._inner.pose(clock)
+        return pin.SE3(pose.rotation, pose.translation + (clock >= self._since) * self._by)
+
+    def twist(self, clock: float) -> Array:
+        return self._inner.twist(clock)
+
+
+@pytest.mark.parametrize("by", [(0.1, 0.0, 0.0), (0.0, 0.5, 0.5)])
+def test_the_object_stops_ahead_of_a_jump(by: Any) -> None:
+    task = paper_lift(time_law=TimeLaw.QUINTIC)
+    path = Jumping(task.path, 0.5 * task.path.duration, np.array(by))
+    task = replace(task, path=path, cell=task.cell.with_limits(acceleration=5.0))
+    clocks, rates, binding = driven(task, longest=8.0)
+    assert rates[-1] < 1e-6
+    assert 0.49 < clocks[-1] / path.duration < 0.5
+    assert binding.kind is LimitKind.PATH_JUMP
+    v = np.diff(Joints(task).table(clocks), axis=0) / DT
+    change = np.abs(np.diff(np.vstack([np.zeros(18), v, np.zeros(18)]), axis=0)) / DT
+    assert (change / 5.0).max() < 1.0
+
+
 def test_a_path_that_starts_out_of_reach() -> None:
     task = paper_lift()
     start = task.path.pose(0.0)
