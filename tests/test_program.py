@@ -114,6 +114,10 @@ class Box:
     outside: Array
     recovery: Array
 
+    @property
+    def any_outside(self) -> bool:
+        return bool(self.outside.any())
+
 
 def a_box(rng: np.random.Generator, recorded: Recorded, *, width: float, outside: int = 0) -> Box:
     """A random box that contains a command that keeps the chain, but not the nominal command."""
@@ -399,6 +403,28 @@ def test_what_a_solver_raises_is_reported(kernel: Any) -> None:
     assert "no licence" in report.message
     assert "no licence" in step.reason
     assert np.abs(step.velocity).max() < 1e-9  # the arms stay at rest, but for the rounding of the grasp
+
+
+def test_an_answer_names_the_limits_at_which_it_stands(monkeypatch: pytest.MonkeyPatch) -> None:
+    """By joint and side: those of a QP, and the one that makes the rate on the path."""
+    sides = set()
+    for recorded in steps(paper_lift(), monkeypatch, every=20):
+        n, terms = recorded.chain.nv, recorded.terms
+        v = recorded.pieces.command(terms.rate_cap)
+        if np.abs(v).max() < 0.05:
+            continue
+        for joint in (None, *range(n)):  # the way of all joints is halved, or of one
+            room = np.abs(v) + 0.1
+            room[slice(None) if joint is None else joint] = 0.5 * np.abs(v[slice(None) if joint is None else joint])
+            box = Box(-room - 1e-4, room + 1e-4, np.zeros(n, dtype=bool), np.zeros(n))
+            for shortcut in (True, False):
+                solver = StepSolver(recorded.chain, box, QPOptions(shortcut=shortcut))  # type: ignore[arg-type]
+                answer = solver.answer(terms, np.zeros(n), 0.02, no_rows(n))
+                at = {(j, 1.0) for j in np.flatnonzero(box.upper - answer.velocity < 1e-8)}
+                at |= {(j, -1.0) for j in np.flatnonzero(answer.velocity - box.lower < 1e-8)}
+                assert set(answer.active) == at
+                sides |= {(shortcut, side) for _, side in at}
+    assert len(sides) == 4
 
 
 class Boundless(Raising):
