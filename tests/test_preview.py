@@ -23,6 +23,7 @@ from coopqp import (
     QPController,
     QPOptions,
     ServoPath,
+    Status,
     TimeLaw,
     WaypointPath,
     available_kernels,
@@ -442,6 +443,19 @@ def run_through(task: Scenario) -> Array:
 
 
 # -- in the controller -------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("kernel", available_kernels())
+def test_an_object_that_stops_for_good_is_blocked_a_little_before(kernel: Any) -> None:
+    """From ten times the blocked rate on; until then it is slowed."""
+    task = at_limit()
+    options = QPOptions(kernel=kernel)
+    controller = QPController(task.cell, task.grasp, task.path, dt=DT, options=options)
+    controller.reset(task.q_start)
+    steps = [controller.step() for _ in range(1500)]
+    first = next(i for i, step in enumerate(steps) if step.status is Status.BLOCKED)
+    assert steps[first].rate < 10.0 * options.blocked_rate <= steps[first - 1].rate
+    assert {step.status for step in steps[first:]} == {Status.BLOCKED}
 
 
 def test_what_the_preview_is_for() -> None:
