@@ -118,6 +118,10 @@ EQUIVALENT: dict[tuple[str, str, str], str] = {
         },
         "coopqp/control/plain.py": {
             (
+                "if longest <= 0.0:",
+                "if longest < 0.0:",
+            ): "at rest no joint is late",
+            (
                 "s.rate = (0.0 if self._box.accelerates else 1.0) if rate is None else rate",
                 "s.rate = (0.0 if self._box.accelerates else 2.0) if rate is None else rate",
             ): "every use of it is cut off at 1",
