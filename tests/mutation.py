@@ -164,6 +164,12 @@ EQUIVALENT: dict[tuple[str, str, str], str] = {
             ): "within 1 ns of a knot the chain is as there, to rounding",
             ("for _ in range(8):", "for _ in range( 9):"): "it has ended long before",
         },
+        "coopqp/planning/chain_ahead.py": {
+            (
+                "if h > options.shortest and not h * knot.fastest <= 1.5 * options.joint_step:",
+                "if h >= options.shortest and not h * knot.fastest <= 1.5 * options.joint_step:",
+            ): "an interval of exactly the shortest length",
+        },
         "coopqp/planning/knots.py": {
             (
                 "_PASSES, _SETTLED = 60, 1e-11",
