@@ -117,6 +117,7 @@ EQUIVALENT: dict[tuple[str, str, str], str] = {
             ("@dataclass(eq=False)", "@dataclass(eq=True)"): "nobody compares these, and none of them is a key",
         },
         "coopqp/control/plain.py": {
+            ("break", "continue"): "what needs no tighter rows needs none when asked again",
             (
                 "if longest <= 0.0:",
                 "if longest < 0.0:",
