@@ -117,6 +117,10 @@ EQUIVALENT: dict[tuple[str, str, str], str] = {
             ("@dataclass(eq=False)", "@dataclass(eq=True)"): "nobody compares these, and none of them is a key",
         },
         "coopqp/control/plain.py": {
+            (
+                "if by_qp or self._box.accelerates:",
+                "if not by_qp or self._box.accelerates:",
+            ): "without acceleration limits nobody reads it",
             ("break", "continue"): "what needs no tighter rows needs none when asked again",
             (
                 "if longest <= 0.0:",
