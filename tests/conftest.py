@@ -9,6 +9,7 @@ examples multiplies the profile's number, so the nightly run grows by the same f
 from __future__ import annotations
 
 import functools
+import gc
 import os
 import zlib
 from collections.abc import Callable, Sequence
@@ -44,6 +45,12 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Where several processes share the tests, those marked slow come first: no long one is left over at the end."""
     if "PYTEST_XDIST_WORKER" in os.environ:
         items.sort(key=lambda item: item.get_closest_marker("slow") is None)
+
+
+def pytest_collection_finish() -> None:
+    """What was collected stays to the end: the garbage collector need not look at it again and again."""
+    gc.collect()
+    gc.freeze()
 
 
 @pytest.fixture

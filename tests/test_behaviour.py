@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from marks import slow_but_first
 
 from coopqp import (
     BindingLimit,
@@ -74,7 +75,8 @@ def all_met(behaviour: Any, case: str, keys: Any, solver: str = "daqp") -> list[
 # -- the figures -------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("case", ["fast", "mismatch", "paper", "redundant", "mixed", "ring"])
+@pytest.mark.filterwarnings("ignore::coopqp.StartWarning")
+@pytest.mark.parametrize("case", slow_but_first(["fast", "mismatch", "paper", "redundant", "mixed", "ring"]))
 def test_the_cooperative_qp_meets_its_figures(behaviour: Any, case: str) -> None:
     assert all_met(behaviour, case, behaviour.keys_of(case, quick=False))
 
@@ -190,6 +192,7 @@ def test_the_judge_knows_the_right_joint(behaviour: Any) -> None:
     assert steps[-1].clock_next == pytest.approx(run.expected[2], abs=2e-4)
 
 
+@pytest.mark.filterwarnings("ignore::coopqp.StartWarning")
 def test_the_judge_of_joints_outside(behaviour: Any) -> None:
     run, steps = recorded(behaviour, "outside", (1, "upper", np.inf))
     record = behaviour.judge(run, steps)
@@ -204,6 +207,7 @@ def test_the_judge_of_joints_outside(behaviour: Any) -> None:
     assert "recovery_ratio" in " ".join(behaviour.missed_targets(run, never))
 
 
+@pytest.mark.filterwarnings("ignore::coopqp.StartWarning")
 def test_a_mismatch_must_not_grow(behaviour: Any) -> None:
     run, steps = recorded(behaviour, "mismatch", (np.inf,))
     record = behaviour.judge(run, steps)

@@ -125,6 +125,7 @@ def holds(cell: RobotCell, grasp: Grasp, q: Any, T: pin.SE3) -> float:
     return max(float(np.abs(pin.log6(T.actInv(O)).vector).max()) for O in grasp.carried(CellState(cell, q)))
 
 
+@pytest.mark.slow
 def test_inverse_kinematics_prefers_what_is_inside_limits(paper: Scenario, rng: Any) -> None:
     """From any start whose own answer is outside limits, the answer is inside and holds the object."""
     cell, grasp, T = paper.cell, paper.grasp, paper.path.start

@@ -16,6 +16,7 @@ import pinocchio as pin
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from marks import slow_unless
 from ruamel.yaml import YAML
 
 from coopqp import (
@@ -108,7 +109,7 @@ def test_the_papers_file_gives_the_figures_of_the_code(
         assert figure == pytest.approx(eps_p_mm, abs=5e-4)
 
 
-@pytest.mark.parametrize("file", EXAMPLES, ids=lambda file: file.stem)
+@pytest.mark.parametrize("file", slow_unless(lambda file: file.stem == "bar", EXAMPLES), ids=lambda file: file.stem)
 def test_the_examples_of_the_docs_run_and_hold(file: Path) -> None:
     run = load_cell_file(file)
     recording = run.run()
@@ -573,6 +574,7 @@ def test_what_is_no_yaml_cell_file_is_refused(text: str, tmp_path: Path) -> None
     assert str(caught.value).startswith(str(file))
 
 
+@pytest.mark.slow
 def test_a_yaml_file_says_what_the_toml_file_says(tmp_path: Path) -> None:
     file = tmp_path / "cell.yml"
     for example in (example_path("paper_lift"), *EXAMPLES):

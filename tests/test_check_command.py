@@ -38,6 +38,7 @@ def cell_file(folder: Path, *, start: str = "", grasp: str = "tools", x: float =
     return str(file)
 
 
+@pytest.mark.slow
 def test_certified_writes_json_and_picture(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     record, folder = tmp_path / "a" / "check.json", tmp_path / "b"
     arguments = ["check", cell_file(tmp_path), "--branches", "--json", str(record), "--out", str(folder)]

@@ -424,6 +424,7 @@ def dense_check(check: Any) -> bool:
     return True
 
 
+@pytest.mark.slow
 def test_what_was_tried_in_vain_is_said(paper: Scenario) -> None:
     """A path far out of reach: each kind says why it is of no help, in words and in the record."""
     far = shifted(paper.path, np.array([0.0, 0.0, 9.0]))
@@ -463,6 +464,7 @@ def cable_cell() -> tuple[RobotCell, Grasp, LinePath]:
     return RobotCell([arms[0].with_limits(lower=lower, upper=upper), arms[1]]), grasp, path
 
 
+@pytest.mark.slow
 def test_a_roll_of_the_tool_is_found() -> None:
     check = check_path(*cable_cell())
     assert check.verdict is INFEASIBLE

@@ -13,6 +13,7 @@ import pinocchio as pin
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from marks import slow_but_first, slow_unless
 
 from coopqp import (
     CellFileError,
@@ -206,7 +207,7 @@ def test_bounds_that_follow_the_joints_stay_below_the_distances(lift: Scenario) 
 # -- on a known path -----------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("acceleration", [np.inf, 5.0])
+@pytest.mark.parametrize("acceleration", slow_unless(np.isfinite, [np.inf, 5.0]))
 @pytest.mark.parametrize(
     "scenario",
     [plate_and_post(), plate_and_post(post="box"), plate_and_table(), plate_and_table(tilt=0.1)],
@@ -233,6 +234,7 @@ def test_the_object_stops_at_the_margin_on_its_path(scenario: Scenario, accelera
     assert (np.diff(np.sign(moves[np.abs(moves) > 1e-6])) != 0).sum() <= 1  # it slows down once
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("acceleration", [np.inf, 5.0])
 def test_a_path_not_known_ahead_ends_at_the_margin_too(acceleration: float) -> None:
     scenario = plate_and_post()
@@ -244,6 +246,7 @@ def test_a_path_not_known_ahead_ends_at_the_margin_too(acceleration: float) -> N
     assert set(steps[-1].binding[0].between) == {"object", "post"}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("known", [True, False])
 def test_both_kernels_keep_the_same_distance(known: bool) -> None:
     scenario = plate_and_table(tilt=0.1)
@@ -276,7 +279,7 @@ def test_a_start_inside_the_margin_is_refused_by_name(lift: Scenario) -> None:
 
 
 @pytest.mark.parametrize("acceleration", [np.inf, 5.0])
-@pytest.mark.parametrize("side", [1.0, -1.0])
+@pytest.mark.parametrize("side", slow_but_first([1.0, -1.0]))
 def test_an_allowed_start_inside_the_margin_only_parts(lift: Scenario, side: float, acceleration: float) -> None:
     gap = 0.008 if side > 0.0 else -0.098
     near = replace(lift, obstacles=(lid(lift, gap),))
@@ -293,6 +296,7 @@ def test_an_allowed_start_inside_the_margin_only_parts(lift: Scenario, side: flo
 # -- the judges ----------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_the_monitor_finds_what_comes_too_close(lift: Scenario) -> None:
     scenario = plate_and_post()
     free = simulate(QPController(lift.cell, lift.grasp, scenario.path, dt=lift.dt), q_start=scenario.q_start)
@@ -332,6 +336,7 @@ def _swept(scenario: Scenario, q0: Any, q1: Any) -> Any:
     return (data.oMi[shape.parentJoint] * shape.placement).translation
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("avoided", [True, False])
 def test_the_verdict_says_where_it_was_closest(avoided: bool) -> None:
     scenario = plate_and_post()
@@ -467,6 +472,7 @@ def test_margins_of_pairs_and_bodies_on_links(lift: Scenario) -> None:
     assert not any(name.startswith("slave_2/") for name in scene.names)
 
 
+@pytest.mark.slow
 def test_copies_of_a_scene_and_its_constraint_are_the_same() -> None:
     scenario = plate_and_post()
     scene = scene_of(scenario)
@@ -518,6 +524,7 @@ def test_random_posts_are_never_touched(arms: int) -> None:
 # -- elbows --------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("acceleration", [np.inf, 5.0])
 def test_an_elbow_evades_and_the_object_stays_on_its_path(acceleration: float) -> None:
     scenario = elbow_and_knob()
@@ -591,6 +598,7 @@ def _cart(scenario: Scenario, *, give_way: bool, steps: int = 1100) -> tuple[lis
     return distances, taken, clearance
 
 
+@pytest.mark.slow
 def test_the_object_gives_way_to_a_body_that_moves(lift: Scenario) -> None:
     distances, steps, _ = _cart(lift, give_way=True)
     assert min(distances) >= MARGIN
@@ -598,6 +606,7 @@ def test_the_object_gives_way_to_a_body_that_moves(lift: Scenario) -> None:
     assert max(step.given_up.chain for step in steps) == 0.0
 
 
+@pytest.mark.slow
 def test_nothing_comes_closer_to_a_body_that_closes_in(lift: Scenario) -> None:
     distances, steps, clearance = _cart(lift, give_way=False)
     assert max(np.abs(step.given_up.off_path).max() for step in steps) < 1e-9  # it stays on its path
@@ -638,6 +647,7 @@ at = { xyz_m = [0.0, 0.1, 0.54] }
 """
 
 
+@pytest.mark.slow
 def test_a_cell_file_says_what_to_keep_away_from(tmp_path: Path) -> None:
     file = tmp_path / "bar.toml"
     file.write_text(BAR.read_text(encoding="utf-8") + TABLE, encoding="utf-8")

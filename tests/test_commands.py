@@ -107,6 +107,7 @@ def test_run_writes_what_is_asked(
     assert [f.name for f in (tmp_path / "other").iterdir()] == ["run.csv"]
 
 
+@pytest.mark.slow
 def test_the_papers_file_prints_the_papers_figure(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     text = example_path("paper_lift").read_text().replace('kind = "qp"', 'kind = "pseudo_inverse"')
     (tmp_path / "paper.toml").write_text(text.replace("report = true", ""))
@@ -326,6 +327,7 @@ def test_export_writes_every_kind(recording_file: Path, tmp_path: Path, capsys: 
     assert len(rows) == 41
 
 
+@pytest.mark.slow
 def test_runs_come_from_recordings_cell_files_and_scenarios(cell_file: Path, recording_file: Path) -> None:
     assert runs.obtain_run(str(recording_file)).n_steps == 40
     assert runs.obtain_run(str(cell_file)).n_steps == 12
@@ -412,6 +414,7 @@ def test_a_file_writes_below_the_working_directory_only(folder: str, capsys: pyt
     assert "output.folder: give a folder below the working directory" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_an_interrupt_leaves_no_partial_file_and_no_empty_folder(
     cell_file: Path, recording_file: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

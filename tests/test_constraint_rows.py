@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 import pytest
+from marks import slow_but_first, slow_unless
 
 from coopqp import (
     Array,
@@ -152,7 +153,11 @@ def test_the_protocols_are_public() -> None:
 
 @pytest.mark.parametrize("kernel", [pytest.param(k, marks=pytest.mark.slow) if k == "plain" else k for k in KERNELS])
 @pytest.mark.parametrize("acceleration", ACCELERATIONS)
-@pytest.mark.parametrize("make", [paper_lift, dual_arm7, mixed_cell], ids=lambda make: make.__name__)
+@pytest.mark.parametrize(
+    "make",
+    slow_unless(lambda make: make is dual_arm7, [paper_lift, dual_arm7, mixed_cell]),
+    ids=lambda make: make.__name__,
+)
 def test_the_object_stops_at_a_wall(make: Callable[..., Scenario], acceleration: float, kernel: str) -> None:
     task = limited(make(time_law="quintic"), acceleration)
     start, goal = (task.path.pose(clock).translation for clock in (0.0, task.path.duration))
@@ -216,6 +221,7 @@ def test_a_wall_binds_by_name_on_the_way_to_a_target(kernel: str) -> None:
 # -- speeds ------------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kernel", KERNELS)
 @pytest.mark.parametrize("acceleration", ACCELERATIONS)
 def test_an_elbow_keeps_its_speed(acceleration: float, kernel: str) -> None:
@@ -244,7 +250,7 @@ def test_an_elbow_keeps_its_speed(acceleration: float, kernel: str) -> None:
     assert {s.binding[0].name for s in slowed} == {f"speed of {frame}"}
 
 
-@pytest.mark.parametrize("kernel", KERNELS)
+@pytest.mark.parametrize("kernel", slow_but_first(KERNELS))
 @pytest.mark.parametrize("acceleration", ACCELERATIONS)
 def test_the_object_keeps_its_energy(acceleration: float, kernel: str) -> None:
     task = limited(paper_lift(time_law="quintic"), acceleration)
@@ -417,6 +423,7 @@ def test_any_nonsense_in_motion_holds_by_name_until_it_ends(acceleration: float,
     holds_by_name(acceleration, kernel, NONSENSE)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kernel", KERNELS)
 @pytest.mark.parametrize("name", ["raises its own", "NaN in G", "lines raise"])
 def test_nonsense_in_motion_holds_by_name_until_it_ends(name: str, kernel: str) -> None:
@@ -496,6 +503,7 @@ def all_kinds(task: Scenario) -> list[Any]:
     ]
 
 
+@pytest.mark.slow
 @pytest.mark.core
 @pytest.mark.skipif("compiled" not in KERNELS, reason="there is no compiled core here")
 @pytest.mark.parametrize("acceleration", ACCELERATIONS)

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 import pytest
+from marks import slow_but_first
 
 from coopqp import (
     Array,
@@ -26,7 +27,7 @@ from coopqp import (
 )
 from coopqp.scenarios import Scenario, paper_lift
 
-pytestmark = pytest.mark.parametrize("kernel", available_kernels())
+pytestmark = pytest.mark.parametrize("kernel", slow_but_first(available_kernels()))
 ACCELERATIONS = pytest.mark.parametrize("acceleration", [np.inf, 5.0])
 
 
@@ -129,6 +130,7 @@ def test_the_object_brakes_ahead_of_a_wall_and_stays_on_its_path(kernel: str, ac
     assert "constraint ceiling" in step.explain()
 
 
+@pytest.mark.slow
 @ACCELERATIONS
 def test_a_slow_elbow_slows_the_object_on_its_path(kernel: str, acceleration: float) -> None:
     lift = paper_lift(duration=1.5)
@@ -183,7 +185,7 @@ def test_rows_of_the_rank_limits_are_never_broken_by_more_than_rounding(kernel: 
         assert abs(float(controller.step().velocity[0])) <= 0.02 + 1e-8
 
 
-@pytest.mark.parametrize("solver", ["ldp", "daqp"])
+@pytest.mark.parametrize("solver", slow_but_first(["ldp", "daqp"]))
 @pytest.mark.parametrize("shortcut", [True, False])
 def test_rows_hold_with_any_solver_and_without_the_shortcut(kernel: str, solver: str, shortcut: bool) -> None:
     lift = paper_lift(duration=1.5)

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 import pytest
+from marks import slow_unless
 
 from coopqp import (
     Array,
@@ -115,8 +116,8 @@ def drive(controller: QPController, feed: Feed | None, begin: int, steps: int, t
 
 
 @pytest.mark.core
-@pytest.mark.parametrize("kernel", KERNELS)
-@pytest.mark.parametrize("run", RUNS)
+@pytest.mark.parametrize("kernel", slow_unless(lambda kernel: kernel == KERNELS[0], KERNELS))
+@pytest.mark.parametrize("run", slow_unless(lambda run: run in ("looking ahead", "measured", "always a QP"), RUNS))
 def test_a_copy_goes_on_bit_for_bit(run: str, kernel: str) -> None:
     controller, feed = RUNS[run](kernel)
     told: list[Array] = []
@@ -276,6 +277,7 @@ def test_a_copy_for_another_kernel_is_refused() -> None:
         other.__setstate__(state)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kernel", KERNELS)
 @pytest.mark.parametrize("run", ["looking ahead", "measured", "in fault"])
 def test_another_process_goes_on_with_the_same_bits(run: str, kernel: str, tmp_path: Path) -> None:

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 import pytest
+from marks import slow_but_first
 
 from coopqp import (
     Array,
@@ -156,7 +157,7 @@ def random_paths(rng: np.random.Generator) -> Iterator[ObjectPath]:
     yield servo
 
 
-@pytest.mark.parametrize("arithmetic", ARITHMETICS)
+@pytest.mark.parametrize("arithmetic", slow_but_first(ARITHMETICS))
 def test_it_follows_paths_as_they_say(arithmetic: str, paper: Scenario, rng: np.random.Generator) -> None:
     pin.seed(5)
     for path in random_paths(rng):
@@ -208,9 +209,10 @@ def alike(a: QpProblem, b: QpProblem) -> None:
     np.testing.assert_allclose(one @ one.T, other @ other.T, **close)
 
 
+@pytest.mark.filterwarnings("ignore::coopqp.StartWarning")
 @pytest.mark.skipif(native.GAP > 0, reason="it compares roundings, and the sanitized core is compiled for others")
 @pytest.mark.parametrize("acceleration", [np.inf, 20.0])
-@pytest.mark.parametrize("make", [paper_lift, dual_arm7, mixed_cell, lambda: ring(arms=5)])
+@pytest.mark.parametrize("make", slow_but_first([paper_lift, dual_arm7, mixed_cell, lambda: ring(arms=5)]))
 def test_its_qp_is_that_of_the_program(make: Callable[[], Scenario], acceleration: float) -> None:
     """With joints outside their limits, and while they come back."""
     task, path = make(), make().path

@@ -6,6 +6,7 @@ import subprocess
 import sys
 
 import pytest
+from marks import slow_unless
 
 OPTIONAL = (
     "matplotlib", "rich", "mujoco", "viser", "meshcat", "example_robot_data", "trimesh", "PIL", "pandas",
@@ -59,13 +60,16 @@ def imported(names: tuple[str, ...], *, blocked: bool) -> subprocess.CompletedPr
     return subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120, check=False)
 
 
-@pytest.mark.parametrize("names", [("coopqp",), MODULES], ids=["the package", "its modules"])
+@pytest.mark.parametrize(
+    "names", slow_unless(lambda names: names is not MODULES, [("coopqp",), MODULES]), ids=["the package", "its modules"]
+)
 def test_no_optional_package_is_imported(names: tuple[str, ...]) -> None:
     done = imported(names, blocked=False)
     assert done.returncode == 0, done.stderr
     assert done.stdout.strip() == ""
 
 
+@pytest.mark.slow
 def test_it_works_where_none_is_installed() -> None:
     done = imported(MODULES, blocked=True)
     assert done.returncode == 0, done.stderr

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from marks import slow_unless
 
 import coopqp.output
 from coopqp import Recording, write_bag, write_csv
@@ -61,7 +62,7 @@ WRITERS: dict[str, tuple[Callable[[Recording, Path], object], int]] = {
 }
 
 
-@pytest.mark.parametrize("name", WRITERS)
+@pytest.mark.parametrize("name", slow_unless(lambda name: name not in ("recording", "csv", "bag"), WRITERS))
 def test_at_any_line(name: str, baseline: Callable[..., Recording], tmp_path: Path) -> None:
     write, step = WRITERS[name]
     run = baseline(4)

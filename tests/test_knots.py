@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pinocchio as pin
 import pytest
+from marks import slow_but_first
 
 from coopqp import HoldPath, LinePath, Scenario, UnreachableError, WaypointPath
 from coopqp.model.batch import ArmKinematics
@@ -48,7 +49,7 @@ def test_twists_are_the_change_of_poses(seed: int) -> None:
         np.testing.assert_allclose(dV[i], (geometry.twist(at + h) - geometry.twist(at - h)) / (2.0 * h), atol=1e-6)
 
 
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("seed", slow_but_first(range(6)))
 def test_blends_join_smoothly_and_stay_within_their_tolerance(seed: int) -> None:
     straight = lines(waypoints(seed))
     distance, angle = RNG(seed).uniform(1e-3, 0.2, 2)

@@ -342,6 +342,7 @@ def test_a_load_that_is_too_heavy_is_said_when_and_why() -> None:
 # -- the engine --------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_the_engine_exerts_the_wrenches_that_are_fed_forward() -> None:
     pytest.importorskip("mujoco")
     lift = paper_lift(time_law="quintic", duration=1.2)

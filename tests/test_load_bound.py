@@ -55,6 +55,7 @@ def carried(load: LoadShare, knot: Knot, z: float, change: float) -> bool:
     return shared.share > 1.0 - 1e-6
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("palms", [False, True])
 def test_every_point_within_the_lines_can_be_carried_and_few_beyond(
     paper: Scenario, rng: np.random.Generator, palms: bool

@@ -58,6 +58,7 @@ def shown(thing: Any) -> Page:
     return page
 
 
+@pytest.mark.slow
 def test_cell_scenario_and_step_have_a_picture_and_a_table(paper: Scenario) -> None:
     controller = QPController(paper.cell, paper.grasp, paper.path, dt=paper.dt)
     controller.reset(paper.q_start)

@@ -106,6 +106,7 @@ def test_a_plan_without_a_start_is_refused_by_name() -> None:
         plan(cell, scenario.grasp, LinePath(pose, far, duration=1.0))
 
 
+@pytest.mark.slow
 def test_the_speed_profile_is_drawn(tmp_path: Path) -> None:
     scenario, cell = task()
     path = plan(cell, scenario.grasp, scenario.path, q_start=scenario.q_start).path

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 import pytest
+from marks import slow_unless
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.text import Text
 
@@ -163,7 +164,7 @@ def renamed(arm: Arm, name: str, joint: str) -> Arm:
     return Arm.from_model(name, model, tool_frame=arm.tool_frame, velocity_limits=1.0)
 
 
-@pytest.mark.parametrize("arms", [1, 2, 3, 4, 7])
+@pytest.mark.parametrize("arms", slow_unless(lambda arms: arms == 2, [1, 2, 3, 4, 7]))
 def test_every_arm_has_its_own_joints_by_name_and_no_name_is_cut(
     mixed_cell: RobotCell, make_cell: Callable[..., RobotCell], arms: int
 ) -> None:
@@ -182,6 +183,7 @@ def test_every_arm_has_its_own_joints_by_name_and_no_name_is_cut(
     assert figure.get_figwidth() <= 10.0
 
 
+@pytest.mark.slow
 def test_many_arms_are_drawn_by_those_closest_to_a_limit(make_cell: Callable[..., RobotCell]) -> None:
     cell = make_cell(["arm7"] * 20)
     run = still(cell)
@@ -194,6 +196,7 @@ def test_many_arms_are_drawn_by_those_closest_to_a_limit(make_cell: Callable[...
     assert cut(figure) == []
 
 
+@pytest.mark.slow
 def test_joints_without_limits_leave_a_gap(lift: Scenario, one: Recording) -> None:
     cell = RobotCell([arm.with_limits(lower=-np.inf, upper=np.inf, velocity=np.inf) for arm in lift.cell.arms])
     style.figure_bytes(joint_figure(cell, one), dpi=40)
@@ -253,6 +256,7 @@ def test_saving_is_repeatable(lift: Scenario, one: Recording) -> None:
     assert first == second
 
 
+@pytest.mark.slow
 def test_the_load_is_drawn_with_its_limits_and_where_it_is_too_heavy(lift: Scenario, tmp_path: Path) -> None:
     from coopqp import write_load_use
     from coopqp.forces import Grip, LoadShare, load_use

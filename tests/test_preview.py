@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 import pytest
+from marks import slow_but_first
 
 from coopqp import (
     Array,
@@ -92,6 +93,7 @@ def driven(task: Scenario, *, longest: float) -> tuple[Array, Array, Any]:
 # -- the caps ----------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("speed", "acceleration"), [(0.4, 3.0), pytest.param(np.inf, 0.6, marks=pytest.mark.slow), (0.25, 20.0)]
 )
@@ -150,6 +152,7 @@ def test_the_horizon_rolls_along() -> None:
         assert len(preview.horizon.knots) < 1500
 
 
+@pytest.mark.slow
 def test_many_passes_find_what_one_finds() -> None:
     """A knot keeps how K follows from the one ahead. A pass over the same knots that knows nothing agrees."""
     task = at_singularity("wrist", 0, acceleration=5.0, miss=2e-3)  # many small intervals
@@ -205,7 +208,7 @@ def test_slopes_and_curvatures_between_knots() -> None:
 # -- stops -------------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("number", range(DIRECTIONS))
+@pytest.mark.parametrize("number", slow_but_first(range(DIRECTIONS)))
 def test_caps_lead_to_a_stop_exactly_at_the_limit(number: int) -> None:
     rng = np.random.default_rng(number)
     rotation = tuple(rng.normal(size=3) * (0.4 if number % 2 else 0.0))
@@ -259,7 +262,7 @@ def test_without_acceleration_limits_too() -> None:
     assert binding.kind is LimitKind.POSITION
 
 
-@pytest.mark.parametrize("acceleration", [np.inf, 5.0])
+@pytest.mark.parametrize("acceleration", slow_but_first([np.inf, 5.0]))
 @pytest.mark.parametrize("kind", ["elbow", "reach"])
 def test_a_singularity_ends_the_path_and_is_named(kind: Any, acceleration: float) -> None:
     task = at_singularity(kind, 1, acceleration=acceleration)

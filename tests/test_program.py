@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from marks import slow_but_first, slow_unless
 
 from coopqp import (
     Array,
@@ -202,8 +203,12 @@ def test_the_rows_of_the_condensed_form_have_unit_norm(
         np.testing.assert_allclose(room * (upper - lower), (upper - made) * (problem.u - problem.l), rtol=1e-9)
 
 
-@pytest.mark.parametrize("limits", [{}, {"velocity": 0.2}, {"acceleration": 2.0}], ids=["own", "slow", "accelerating"])
-@pytest.mark.parametrize("name", SCENARIOS)
+@pytest.mark.parametrize(
+    "limits",
+    slow_but_first([{}, {"velocity": 0.2}, {"acceleration": 2.0}]),
+    ids=["own", "slow", "accelerating"],
+)
+@pytest.mark.parametrize("name", slow_unless(lambda name: name in ("dual_arm7", "scara_pair"), SCENARIOS))
 def test_both_forms_agree_on_every_scenario(name: str, limits: dict[str, float], monkeypatch: Any) -> None:
     task = SCENARIOS[name]()
     task = replace(task, cell=task.cell.with_limits(**limits) if limits else task.cell)
@@ -236,6 +241,7 @@ def test_both_forms_agree_on_the_way_to_a_singular_elbow(monkeypatch: pytest.Mon
     assert weakest < 1e-3
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("outside", [0, 2])
 @pytest.mark.parametrize("make", [paper_lift, dual_arm7, mixed_cell, scara_pair, five_joint_pair])
 def test_both_forms_agree_in_random_boxes(
@@ -260,7 +266,7 @@ def test_another_solver_finds_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
         assert np.abs(recorded.full().velocity - recorded.full(solver="proxqp").velocity).max() < 1e-7
 
 
-@pytest.mark.parametrize("make", [paper_lift, dual_arm7, mixed_cell, scara_pair, five_joint_pair])
+@pytest.mark.parametrize("make", slow_but_first([paper_lift, dual_arm7, mixed_cell, scara_pair, five_joint_pair]))
 def test_every_answer_keeps_the_chain(make: Any, monkeypatch: Any, rng: np.random.Generator) -> None:
     """A_k v_k = σν + s + ρ_p c_p + ρ_g c_k + b_k for every arm, with any values of s, σ and ρ."""
     for recorded in steps(make(), monkeypatch, every=40):

@@ -182,6 +182,7 @@ def test_tests_import_public_names_from_the_public_place() -> None:
     assert deep == []
 
 
+@pytest.mark.slow
 def test_every_public_name_is_there_without_extras() -> None:
     code = f"""
 import sys

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 import pytest
+from marks import slow_but_first
 
 from coopqp import (
     Arm,
@@ -187,6 +188,7 @@ def test_the_unit_of_time_does_not_matter(scenario: Callable[..., Scenario]) -> 
 # -- one behaviour by every way of solving -----------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("scenario", "alike"),
     [(fast_lift, 2e-5), (five_joint_pair, 2e-5), (mixed_cell, 1e-3)],
@@ -237,6 +239,7 @@ def views(task: Scenario, steps: Sequence[ControlStep], arm: int) -> tuple[float
     return max(e[0] for e in errors), max(e[1] for e in errors)
 
 
+@pytest.mark.filterwarnings("ignore::coopqp.StartWarning")
 @pytest.mark.parametrize("master", [0, 1, 2])
 def test_master_slave_the_object_is_where_the_master_carries_it(master: int) -> None:
     """The slaves correct all of a mismatch; the master's object pose never leaves the path."""
@@ -257,6 +260,7 @@ def test_master_slave_the_object_is_where_the_master_carries_it(master: int) -> 
     assert chain_of(task, steps)[-1] < 1e-6 * MM
 
 
+@pytest.mark.filterwarnings("ignore::coopqp.StartWarning")
 def test_leaderless_all_arms_give_way_alike() -> None:
     task = with_mismatch(paper_lift(time_law=TimeLaw.QUINTIC), 1, SHIFT)
     steps = run(task, common_error=CommonError.leaderless(), path_gain=0.0)
@@ -267,6 +271,7 @@ def test_leaderless_all_arms_give_way_alike() -> None:
     assert off_path(task, corrected)[-1] < 1e-5 * MM  # the path gain then leads the object back
 
 
+@pytest.mark.filterwarnings("ignore::coopqp.StartWarning")
 def test_driver_orients_and_master_positions() -> None:
     """The paper's mode I: the master determines the object's position, the driver its orientation."""
     task = with_mismatch(paper_lift(time_law=TimeLaw.QUINTIC), 0, (0, 0, 0), TURN)
@@ -285,6 +290,7 @@ def test_driver_orients_and_master_positions() -> None:
     assert views(task, other[-1:], 2)[1] == pytest.approx(np.linalg.norm(TURN), rel=0.02)
 
 
+@pytest.mark.filterwarnings("ignore::coopqp.StartWarning")
 def test_weights_per_axis_are_what_the_strategies_are_made_of() -> None:
     task = with_mismatch(paper_lift(), 1, SHIFT, TURN)
     weights = np.zeros((3, 6))
@@ -307,6 +313,7 @@ def test_weights_that_do_not_fit(weights: Any) -> None:
 # -- drift and its correction ------------------------------------------------------------------------------------------
 
 
+@pytest.mark.filterwarnings("ignore::coopqp.StartWarning")
 def test_a_step_never_corrects_more_than_the_whole_error() -> None:
     """K dt ≤ 1: with an absurd gain the mismatch is zero after one step and stays zero."""
     task = paper_lift()
@@ -318,6 +325,7 @@ def test_a_step_never_corrects_more_than_the_whole_error() -> None:
     assert errors.max() < 1e-8
 
 
+@pytest.mark.filterwarnings("ignore::coopqp.StartWarning")
 @pytest.mark.parametrize("gain", [2.0, 20.0, 100.0])
 def test_the_mismatch_decays_with_the_gain(gain: float) -> None:
     task = paper_lift()
@@ -328,12 +336,14 @@ def test_the_mismatch_decays_with_the_gain(gain: float) -> None:
     assert np.abs(ratio - (1.0 - gain * 0.002)).max() < 2e-3
 
 
+@pytest.mark.filterwarnings("ignore::coopqp.StartWarning")
 def test_without_gain_the_mismatch_stays() -> None:
     task = with_mismatch(paper_lift(time_law=TimeLaw.QUINTIC), 1, SHIFT)
     errors = chain_of(task, run(task, grasp_gain=0.0, path_gain=0.0))
     assert errors[-1] == pytest.approx(np.linalg.norm(SHIFT), rel=1e-3)
 
 
+@pytest.mark.filterwarnings("ignore::coopqp.StartWarning")
 @pytest.mark.parametrize(("speed", "spin"), [(0.01, 1.0), (1.0, 0.01)])
 def test_corrections_are_bounded(speed: float, spin: float) -> None:
     task = paper_lift()
@@ -358,6 +368,7 @@ def order_of_accuracy(iterations: int) -> Array:
     return np.array(figures)
 
 
+@pytest.mark.slow
 def test_a_second_linearisation_raises_the_order_of_accuracy() -> None:
     """Half the step divides the drift by ≥ 8 with one linearisation, by ≥ 14 with two (orders 3 and 4)."""
     one, two = order_of_accuracy(1), order_of_accuracy(2)
@@ -445,7 +456,7 @@ def test_follow_goes_on_from_a_standstill() -> None:
 
 
 @pytest.mark.parametrize("acceleration", [np.inf, 5.0])
-@pytest.mark.parametrize("miss", [0.1, 0.01, 0.003])
+@pytest.mark.parametrize("miss", slow_but_first([0.1, 0.01, 0.003]))
 def test_a_path_that_passes_near_a_singularity_is_completed(miss: float, acceleration: float) -> None:
     task = at_singularity("wrist", 1, miss=miss, acceleration=acceleration)
     steps = run(task)
@@ -533,6 +544,7 @@ def test_any_number_of_arms(arms: int) -> None:
     assert excess(task, steps) == 0.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("scenario", [scara_pair, five_joint_pair])
 def test_arms_with_few_joints_are_named_and_restrict_the_object(scenario: Callable[..., Scenario]) -> None:
     task = scenario()
@@ -567,6 +579,7 @@ def test_arms_with_few_joints_brake_together_ahead_of_a_limit(
         assert acceleration_used(blocked, steps) < 1.0 + 1e-6
 
 
+@pytest.mark.slow
 def test_a_path_that_arms_with_few_joints_cannot_follow_is_not_previewed() -> None:
     """The path begins without tilt. At the tilt, the object moves on without it, off its path."""
     task = scara_pair()
@@ -645,6 +658,7 @@ def test_an_arm_may_have_joints_that_do_not_move_its_tool() -> None:
     assert all(abs(s.velocity[7]) < 1e-9 for s in steps)
 
 
+@pytest.mark.filterwarnings("ignore::coopqp.StartWarning")
 @pytest.mark.parametrize("acceleration", [np.inf, 5.0])
 def test_redundant_arms_come_back_from_outside(acceleration: float) -> None:
     """Redundancy could move these joints alone; every solver must handle it."""
@@ -678,6 +692,7 @@ def test_a_step_tells_what_binds() -> None:
     assert blocked.explain().startswith(f"The object cannot go on ({blocked.binding[0]}")
 
 
+@pytest.mark.filterwarnings("ignore::coopqp.StartWarning")
 def test_readings_of_a_step_are_those_of_the_metrics() -> None:
     task = with_mismatch(paper_lift(), 1, SHIFT, TURN)
     controller = make(task)
@@ -771,6 +786,7 @@ def test_a_grasp_for_another_number_of_arms() -> None:
         QPController(three_rx90l(), Grasp((pin.SE3.Identity(),)), paper_lift().path, dt=0.01)
 
 
+@pytest.mark.slow
 def test_every_scenario_runs() -> None:
     """A quick test of all scenarios: 60 coarse steps each without failures, with a closed chain."""
     for name, build in SCENARIOS.items():

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from marks import slow_but_first
 
 from coopqp import (
     BindingLimit,
@@ -103,7 +104,7 @@ CELLS: dict[str, Callable[[], Scenario]] = {
 
 
 @pytest.mark.core
-@pytest.mark.parametrize("kernel", KERNELS)
+@pytest.mark.parametrize("kernel", slow_but_first(KERNELS))
 @pytest.mark.parametrize("name", CELLS)
 def test_a_random_override_keeps_chain_path_and_limits(name: str, kernel: str) -> None:
     task = limited(CELLS[name](), 5.0)
@@ -183,6 +184,7 @@ def braking_time(task: Scenario, step: ControlStep) -> float:
     return time
 
 
+@pytest.mark.slow
 @pytest.mark.core
 @pytest.mark.skipif(len(KERNELS) < 2, reason="there is no compiled core here")
 @pytest.mark.parametrize("acceleration", [np.inf, 5.0])

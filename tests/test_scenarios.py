@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 import pytest
+from marks import slow_but_first
 
 import coopqp.scenarios
 from coopqp import (
@@ -153,7 +154,7 @@ def test_the_fence_of_at_limit(rng: np.random.Generator) -> None:
         at_limit(direction=(0, 0, 0))
 
 
-@pytest.mark.parametrize("arm", [0, 1, 2])
+@pytest.mark.parametrize("arm", slow_but_first([0, 1, 2]))
 @pytest.mark.parametrize("kind", ["wrist", "elbow", "reach"])
 def test_the_path_leads_the_named_arm_into_its_singularity(kind: Any, arm: int) -> None:
     task = at_singularity(kind, arm)

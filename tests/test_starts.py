@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 import pytest
+from marks import slow_but_first
 
 from coopqp import (
     Arm,
@@ -284,7 +285,8 @@ def test_simulate_finds_a_start(paper: Scenario) -> None:
         simulate(QPController(paper.cell, paper.grasp, far, dt=0.02), duration=1.0)
 
 
-@pytest.mark.parametrize("kernel", available_kernels())
+@pytest.mark.filterwarnings("ignore::coopqp.StartWarning")
+@pytest.mark.parametrize("kernel", slow_but_first(available_kernels()))
 def test_a_start_outside_limits_is_said_until_the_arm_is_inside(paper: Scenario, kernel: Any) -> None:
     """The limit of one joint is 1° on the inner side of its start, or 20°."""
     for degrees, comes_inside in ((1.0, True), (20.0, False)):

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from marks import slow_but_first
 
 from coopqp import (
     Array,
@@ -24,6 +25,7 @@ from coopqp.scenarios import mixed_cell, paper_lift
 pytestmark = pytest.mark.core
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("steps", [40, 41, 100, 400])
 def test_the_noise_margin_stays_a_number_for_long_steps(steps: int) -> None:
     """Noise holds no step, whoever runs it, and after it the watch still sees an arm that is not where it should be."""
@@ -215,6 +217,7 @@ def test_a_lag_is_not_let_in() -> None:
     assert offs.max() < 1e-3  # unslowed 2.5 mm
 
 
+@pytest.mark.slow
 def test_a_drift_beyond_what_is_let_in_holds() -> None:
     caps, offs = lifted(slope=20e-3)
     assert caps[-1] < 1e-3
@@ -284,7 +287,7 @@ def test_a_drift_that_is_gone_is_forgotten_at_rest(seconds: float) -> None:
     assert seen[-1].rate_cap == 1.0
 
 
-@pytest.mark.parametrize("off", [0.022, 0.1, 0.29])
+@pytest.mark.parametrize("off", slow_but_first([0.022, 0.1, 0.29]))
 @pytest.mark.parametrize("filter_time", [0.0, 0.002])
 def test_one_sample_holds_but_is_no_fault_and_two_are(off: float, filter_time: float) -> None:
     for many in (1, 2, 3):

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 import pytest
+from marks import slow_but_first
 
 from coopqp import (
     CellState,
@@ -355,7 +356,7 @@ def run(scenario: Scenario, path: ObjectPath, *, dt: float, kernel: str = "auto"
 
 
 @pytest.mark.parametrize("build", [lambda: ring(arms=2), dual_arm7, mixed_cell])
-@pytest.mark.parametrize("kernel", available_kernels())
+@pytest.mark.parametrize("kernel", slow_but_first(available_kernels()))
 def test_a_controller_tracks_it_at_full_rate_all_along(build: Any, kernel: str) -> None:
     scenario = limited(build())
     path = plan_of(scenario)

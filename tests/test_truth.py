@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 import pytest
+from marks import slow_but_first
 
 from coopqp import (
     InvalidInputError,
@@ -54,7 +55,7 @@ def test_statuses_keep_their_numbers_and_have_an_order() -> None:
 
 
 @pytest.mark.core
-@pytest.mark.parametrize("kernel", KERNELS)
+@pytest.mark.parametrize("kernel", slow_but_first(KERNELS))
 @pytest.mark.parametrize("acceleration", [np.inf, 5.0])
 def test_a_path_that_starts_away_is_off_path_until_the_object_is_back(kernel: str, acceleration: float) -> None:
     task = limited(paper_lift(), acceleration)
@@ -107,7 +108,7 @@ def test_a_turn_is_off_the_path_too() -> None:
 
 
 @pytest.mark.core
-@pytest.mark.parametrize("kernel", KERNELS)
+@pytest.mark.parametrize("kernel", slow_but_first(KERNELS))
 @pytest.mark.parametrize("size", [2e-5, 2e-4, 2e-3])
 def test_an_odd_start_is_said_until_it_is_mended(kernel: str, size: float) -> None:
     task = paper_lift()
@@ -167,7 +168,7 @@ def test_a_reset_in_mid_path_goes_on_there(kernel: str) -> None:
 
 
 @pytest.mark.core
-@pytest.mark.parametrize("kernel", KERNELS)
+@pytest.mark.parametrize("kernel", slow_but_first(KERNELS))
 def test_the_same_path_followed_again_from_where_it_is_changes_nothing(kernel: str) -> None:
     """Under acceleration limits a rate that starts again at 0 would part the arms."""
     task = limited(dual_arm7(), 5.0)
@@ -216,7 +217,7 @@ class Jumping(ObjectPath):
 
 
 @pytest.mark.core
-@pytest.mark.parametrize("kernel", KERNELS)
+@pytest.mark.parametrize("kernel", slow_but_first(KERNELS))
 @pytest.mark.parametrize("size", [0.1, 5.0])
 def test_a_jump_of_a_users_path_is_named_as_such(kernel: str, size: float) -> None:
     task = limited(paper_lift(), 10.0)

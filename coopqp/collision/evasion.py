@@ -7,7 +7,6 @@ from typing import final
 import numpy as np
 import numpy.typing as npt
 import pinocchio as pin
-from scipy.optimize import nnls
 
 from coopqp.model.cell import RobotCell
 from coopqp.spatial import Array
@@ -29,6 +28,9 @@ class Evasion:
     """
 
     def __init__(self, cell: RobotCell) -> None:
+        from scipy.optimize import nnls  # not at the first step that needs it: it takes long to import
+
+        self._nnls = nnls
         self._cell, self._data = cell, cell.model.createData()
         speed = cell.limits.velocity
         self._scale = np.where(np.isfinite(speed), speed, 1.0)
@@ -69,7 +71,7 @@ class Evasion:
         system = np.vstack([rows.T, b])
         target = np.zeros(len(system))
         target[-1] = 1.0
-        u = nnls(system, target)[0]
+        u = self._nnls(system, target)[0]
         rest = system @ u - target
         z = -rest[:-1] / rest[-1] if rest[-1] < 0.0 else np.zeros(len(rest) - 1)
         out: Array = slope + N @ z[: A.shape[1]]

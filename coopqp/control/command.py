@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import enum
+import struct
 from dataclasses import dataclass
 from typing import Any, Protocol, final
 
@@ -94,12 +95,20 @@ class StepReader(Protocol):
     """Reads what a record does not say in words; one per controller and path.
 
     Attributes:
-        nq: numbers of a configuration.
-        q_next_at: where the commanded configuration begins in a record [bytes].
+        path: of the controller.
+        nq, nv: numbers of a configuration, and of joint velocities.
+        q_at, velocity_at, q_next_at, dt_at, clock_at, clock_next_at: where they begin in a record [bytes].
     """
 
+    path: ObjectPath
     nq: int
+    nv: int
+    q_at: int
+    velocity_at: int
     q_next_at: int
+    dt_at: int
+    clock_at: int
+    clock_next_at: int
 
     def read(self, record: bytes, name: str) -> Any:
         """Value of the attribute ``name`` of :class:`ControlStep`."""
@@ -134,12 +143,6 @@ class ControlStep(Shown):
 
     cell: RobotCell
     grasp: Grasp
-    path: ObjectPath
-    q: Array
-    velocity: Array
-    dt: float
-    clock: float
-    clock_next: float
     rate: float
     status: Status
     reason: str
@@ -149,6 +152,33 @@ class ControlStep(Shown):
     clearance: NearPair | None
     build_time_s: float
 
+    # Loops read these at every step: they do not go the way of __getattr__.
+
+    @property
+    def path(self) -> ObjectPath:
+        """The path that the step follows."""
+        context = self._context
+        value: ObjectPath = self._values["path"] if context is None else context.path
+        return value
+
+    @property
+    def q(self) -> Array:
+        """Commanded configuration at the start of the step (nq,)."""
+        context = self._context
+        if context is None:
+            value: Array = self._values["q"]
+            return value
+        return _from_buffer(self._record, _FLOAT, context.nq, context.q_at)
+
+    @property
+    def velocity(self) -> Array:
+        """Commanded joint velocities (nv,) [rad/s or m/s]."""
+        context = self._context
+        if context is None:
+            value: Array = self._values["velocity"]
+            return value
+        return _from_buffer(self._record, _FLOAT, context.nv, context.velocity_at)
+
     @property
     def q_next(self) -> Array:
         """Commanded configuration at the end of the step (nq,)."""
@@ -157,6 +187,36 @@ class ControlStep(Shown):
             value: Array = self._values["q_next"]
             return value
         return _from_buffer(self._record, _FLOAT, context.nq, context.q_next_at)
+
+    @property
+    def dt(self) -> float:
+        """Length of the step [s]."""
+        context = self._context
+        if context is None:
+            value: float = self._values["dt"]
+            return value
+        number: float = _unpacked(self._record, context.dt_at)[0]
+        return number
+
+    @property
+    def clock(self) -> float:
+        """The object's clock at the start of the step [s]."""
+        context = self._context
+        if context is None:
+            value: float = self._values["clock"]
+            return value
+        number: float = _unpacked(self._record, context.clock_at)[0]
+        return number
+
+    @property
+    def clock_next(self) -> float:
+        """The object's clock at the end of the step [s]."""
+        context = self._context
+        if context is None:
+            value: float = self._values["clock_next"]
+            return value
+        number: float = _unpacked(self._record, context.clock_next_at)[0]
+        return number
 
     def __init__(
         self,
@@ -281,7 +341,8 @@ class ControlStep(Shown):
 
 _set = object.__setattr__
 _from_buffer, _FLOAT = np.frombuffer, np.dtype(np.float64)
-_FIELDS = (*ControlStep.__annotations__, "q_next")
+_unpacked = struct.Struct("d").unpack_from
+_FIELDS = (*ControlStep.__annotations__, "path", "q", "velocity", "q_next", "dt", "clock", "clock_next")
 
 
 def _put(step: ControlStep, values: dict[str, Any]) -> None:

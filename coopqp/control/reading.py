@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import struct
 from typing import Any, final
 
 import numpy as np
@@ -20,9 +19,6 @@ from coopqp.task.guarded import jump
 from coopqp.task.path import ObjectPath
 
 _R = {name: i for i, name in enumerate(layout.RECORD)}
-_NUMBER = struct.Struct("d")
-#: Where single numbers are [bytes].
-_SCALARS = {"dt": 8 * _R["R_DT"], "clock": 8 * _R["R_CLOCK"], "clock_next": 8 * _R["R_CLOCK_NEXT"]}
 _KINDS = {code: LimitKind[name] for code, name in enumerate(layout.KINDS) if name != "NONE"}
 _REASONS = {name: code for code, name in enumerate(layout.REASONS)}
 STATUSES = tuple(Status[name.replace("FAULTED", "FAULT")] for name in layout.STATUSES)
@@ -55,21 +51,16 @@ class RecordReader:
         self._solver, self._constraints = solver, constraints
         self._force_limit, self._dt_range = supervision.force_limit, [share * dt for share in supervision.dt_range]
         self._q = len(layout.RECORD)
-        self._v = self._q + cell.nq
-        self._q_next = self._v + cell.nv
-        self._off_path = self._q_next + cell.nq
-        self.nq, self.q_next_at = cell.nq, 8 * self._q_next
+        velocity = self._q + cell.nq
+        q_next = velocity + cell.nv
+        self._off_path = q_next + cell.nq
+        self.nq, self.nv = cell.nq, cell.nv
+        self.q_at, self.velocity_at, self.q_next_at = 8 * self._q, 8 * velocity, 8 * q_next
+        self.dt_at, self.clock_at, self.clock_next_at = 8 * _R["R_DT"], 8 * _R["R_CLOCK"], 8 * _R["R_CLOCK_NEXT"]
 
     def read(self, record: bytes, name: str) -> Any:
         """Value of the attribute ``name`` of a step."""
-        if name in _SCALARS:
-            number: float = _NUMBER.unpack_from(record, _SCALARS[name])[0]
-            return number
-        if name == "velocity":
-            return np.frombuffer(record, np.float64, self.cell.nv, 8 * self._v)
-        if name == "q":
-            return np.frombuffer(record, np.float64, self.cell.nq, 8 * self._q)
-        if name in ("cell", "grasp", "path"):
+        if name in ("cell", "grasp"):
             return getattr(self, name)
         if name == "build_time_s":
             return 0.0

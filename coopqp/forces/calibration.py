@@ -17,8 +17,6 @@ from typing import Any
 
 import numpy as np
 import pinocchio as pin
-from scipy.linalg import qr
-from scipy.optimize import least_squares
 
 from coopqp.checks import NOT_NUMBERS, as_count, as_floats, as_options, keep_scalars
 from coopqp.errors import CoopqpError, InvalidInputError
@@ -150,6 +148,8 @@ def calibrate(
         InvalidInputError: bad arguments, or a cell of one arm.
         CalibrationError: no bases and grips close the chain within the noise of the joints.
     """
+    from scipy.optimize import least_squares  # here, since it takes long to import
+
     grasp.check_arms(cell)
     settings = as_options(CalibrationOptions, options, "calibrate: options")
     rows = _configurations(cell, configurations)
@@ -254,6 +254,8 @@ def _certainty(closure: Closure, J: Array, prior: Array) -> tuple[Array, Array]:
     shares, vectors = np.linalg.eigh(0.5 * (inner + inner.T))
     loose = (L @ vectors[:, shares > _UNDETERMINED]) / np.sqrt(np.diag(P))[:, None]
     if loose.shape[1]:
+        from scipy.linalg import qr
+
         # Of the space of loose directions the basis with the fewest large entries, one own coordinate each.
         _, _, pivots = qr(loose.T, pivoting=True, mode="economic")
         loose = np.linalg.solve(loose[pivots[: loose.shape[1]]].T, loose.T).T

@@ -143,13 +143,21 @@ def robot_data_path(name: str) -> Path:
     from importlib import metadata  # late: it imports much
 
     try:
-        files = metadata.distribution(_PACKAGE).files or []
+        root = Path(str(metadata.distribution(_PACKAGE).locate_file("")))
     except metadata.PackageNotFoundError as error:
         raise MissingExtraError("robots", _PACKAGE) from error
-    for file in files:
-        if str(file).endswith(name):
-            return Path(str(file.locate())).resolve()
+    for file in _data_files(root):
+        if file.endswith(name):
+            return (root / file).resolve()
     raise MissingExtraError("robots", f"{_PACKAGE} with a file {name}")
+
+
+@functools.cache
+def _data_files(root: Path) -> tuple[str, ...]:
+    """Names of the package's files where it is installed in ``root``: some thousand."""
+    from importlib import metadata
+
+    return tuple(map(str, metadata.distribution(_PACKAGE).files or ()))
 
 
 def robot_file(robot: str) -> Path:

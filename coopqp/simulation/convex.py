@@ -8,10 +8,10 @@ x is the next corner. ``‖x‖`` bounds the distance from above, that point's c
 
 from __future__ import annotations
 
+import math
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.optimize import nnls
 
 from coopqp.spatial import Array
 
@@ -21,6 +21,8 @@ GAP = 1e-10
 _MOST_CORNERS = 200
 #: Cores whose difference comes this close to 0 overlap [m].
 _OVERLAP = 1e-9
+#: What the corners' combination is to be, and their shares' sum.
+_ORIGIN = np.array([0.0, 0.0, 0.0, 1.0])
 
 
 class Core(NamedTuple):
@@ -75,6 +77,25 @@ def furthest(core: Core, R: Array, p: Array, way: Array) -> Array:
     return out
 
 
+def _least(corners: Array) -> Array:
+    """Shares (n,) of corners (n, 3) in the point of their hull that is nearest to the origin."""
+    if len(corners) == 1:
+        return np.ones(1)
+    if len(corners) == 2:
+        edge = corners[0] - corners[1]
+        length = float(edge @ edge)
+        if length > 0.0:
+            share = min(max(float(corners[0] @ edge) / length, 0.0), 1.0)
+            return np.array([1.0 - share, share])
+    from scipy.optimize import nnls  # here, since it takes longer to import than the rest of coopqp
+
+    system = np.ones((4, len(corners)))
+    system[:3] = corners.T / (float(np.abs(corners).max()) or 1.0)
+    shares = nnls(system, _ORIGIN)[0]
+    found: Array = shares / shares.sum()
+    return found
+
+
 def distance(a: Core, b: Core, Ra: Array, pa: Array, Rb: Array, pb: Array, *, gap: float = GAP) -> float:
     """Distance of two bodies [m], to within ``gap``; where their cores overlap, the negative sum of their radii.
 
@@ -85,11 +106,9 @@ def distance(a: Core, b: Core, Ra: Array, pa: Array, Rb: Array, pb: Array, *, ga
     corners = corner[None]
     lower = 0.0
     for _ in range(_MOST_CORNERS):
-        scale = float(np.abs(corners).max()) or 1.0
-        system = np.vstack([corners.T / scale, np.ones(len(corners))])
-        shares = nnls(system, np.array([0.0, 0.0, 0.0, 1.0]))[0]
-        x = shares @ corners / shares.sum()
-        size = float(np.linalg.norm(x))
+        shares = _least(corners)
+        x = shares @ corners
+        size = math.sqrt(float(x @ x))
         if size < _OVERLAP:
             return -(a.radius + b.radius)
         corner = furthest(a, Ra, pa, -x) - furthest(b, Rb, pb, x)

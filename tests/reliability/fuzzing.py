@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable
 from fractions import Fraction
 from typing import Any
@@ -135,6 +136,20 @@ FORMS: dict[str, Callable[[Any], Any]] = {
 }
 
 
+#: What an example draws from, made once: to make them takes longer than to draw.
+_HOW = st.sampled_from([*CLOTHES, *CLOTHES, *LOSSY, *NONSENSE])
+_WORN = {**CLOTHES, **LOSSY, **NONSENSE}
+_FORM = st.sampled_from(["right"] * 8 + sorted(FORMS))
+_COIN, _SEED = st.booleans(), st.integers(0, 2**32 - 1)
+_THREE = st.lists(ordinary, min_size=3, max_size=3)
+
+
+@functools.cache
+def _places(size: int) -> st.SearchStrategy[list[int]]:
+    """At most two entries of an array."""
+    return st.lists(st.integers(0, size - 1), max_size=2)
+
+
 @st.composite
 def arrays_like(draw: st.DrawFn, usual: Any) -> tuple[Any, Any]:
     """An odd value in place of the array ``usual``, and the numbers in it (None if it has none).
@@ -142,14 +157,14 @@ def arrays_like(draw: st.DrawFn, usual: Any) -> tuple[Any, Any]:
     At most two entries are odd numbers. In half of the examples the others are unchanged, otherwise in (−3, 3).
     """
     a = np.array(usual, dtype=float)
-    if draw(st.booleans()):
-        a = np.random.default_rng(draw(st.integers(0, 2**32 - 1))).uniform(-3.0, 3.0, a.shape)
-    for i in draw(st.lists(st.integers(0, a.size - 1), max_size=2)):
+    if draw(_COIN):
+        a = np.random.default_rng(draw(_SEED)).uniform(-3.0, 3.0, a.shape)
+    for i in draw(_places(a.size)):
         a.flat[i] = draw(odd)
-    form = draw(st.sampled_from(["right"] * 8 + sorted(FORMS)))
-    how = draw(st.sampled_from([*CLOTHES, *CLOTHES, *LOSSY, *NONSENSE]))
+    form = draw(_FORM)
+    how = draw(_HOW)
     with np.errstate(over="ignore"):
-        worn = {**CLOTHES, **LOSSY, **NONSENSE}[how](FORMS[form](a))
+        worn = _WORN[how](FORMS[form](a))
         meant = np.array(worn if how in LOSSY else a, dtype=float)
     return worn, meant if form == "right" and how not in NONSENSE else None
 
@@ -185,8 +200,8 @@ def _with(M: Any, i: int, value: float) -> Any:
 @st.composite
 def poses_like(draw: st.DrawFn) -> tuple[Any, pin.SE3 | None]:
     """An odd value for a placement, and the placement in it (None if it is invalid)."""
-    turn = np.array(draw(st.lists(ordinary, min_size=3, max_size=3)))
-    shift = np.array(draw(st.lists(ordinary, min_size=3, max_size=3)))
+    turn = np.array(draw(_THREE))
+    shift = np.array(draw(_THREE))
     T = pin.SE3(pin.exp3(turn), shift)
     M = T.homogeneous.copy()
     right: dict[str, Callable[[], Any]] = {
@@ -221,6 +236,6 @@ def poses_like(draw: st.DrawFn) -> tuple[Any, pin.SE3 | None]:
         "bad entry": lambda: _with(M, draw(st.integers(0, 15)), draw(st.sampled_from([np.nan, np.inf, -np.inf]))),
         "last row": lambda: _with(M, 15, 1.0 + 1e-3),
     }
-    good = draw(st.booleans())
+    good = draw(_COIN)
     how = draw(st.sampled_from(sorted(right if good else wrong)))
     return (right[how](), T) if good else (wrong[how](), None)

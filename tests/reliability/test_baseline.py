@@ -8,6 +8,7 @@ from typing import Any
 
 import pytest
 from checks import cooperative, drive, judged, limited
+from marks import slow_but_first
 
 from coopqp import Breach, PseudoInverseController
 from coopqp.scenarios import Scenario, at_limit, at_singularity, fast_lift, paper_lift
@@ -26,7 +27,7 @@ TASKS: dict[str, tuple[Callable[[], Scenario], set[Breach]]] = {
 }
 
 
-@pytest.mark.parametrize("name", TASKS)
+@pytest.mark.parametrize("name", slow_but_first(TASKS))
 def test_the_oracle_sees_what_the_baseline_breaks(name: str, catalogue: Any) -> None:
     build, expected = TASKS[name]
     task = build()

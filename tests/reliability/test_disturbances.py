@@ -432,6 +432,7 @@ def test_an_arm_that_stands_and_goes_on(tasks: list[Scenario], catalogue: Any, c
     catalogue.row("I4", name, cases=cases, measured=longest * DT, target=1.0, unit="s", note=note)
 
 
+@pytest.mark.slow
 def test_one_corrupted_sample(tasks: list[Scenario], catalogue: Any, count: Any) -> None:
     """One joint of one sample is off, from 10 µrad to half a turn; nothing else is."""
     rng, wrong, longest, cases = np.random.default_rng(9), 0, 0, count(30)

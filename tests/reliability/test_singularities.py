@@ -10,7 +10,17 @@ import numpy as np
 import pytest
 from hypothesis import settings
 
-from coopqp import LimitKind, LinePath, Monitor, MonitorTolerances, QPController, QPOptions, Status, Verdict
+from coopqp import (
+    ControlStep,
+    LimitKind,
+    LinePath,
+    Monitor,
+    MonitorTolerances,
+    QPController,
+    QPOptions,
+    Status,
+    Verdict,
+)
 from coopqp.scenarios import Scenario, at_singularity, five_joint_pair, scara_pair
 
 pytestmark = pytest.mark.slow
@@ -47,15 +57,15 @@ def excursion(task: Scenario, **options: Any) -> Excursion:
     controller = QPController(task.cell, task.grasp, task.path, dt=task.dt, options=QPOptions(**options))
     controller.reset(task.q_start)
     monitor = Monitor(task.cell, task.grasp, tolerances=NOTHING_ELSE)
-    jump, steps, blocked = 0.0, 0, False
+    jump, blocked = 0.0, False
+    steps: list[ControlStep] = []
 
     def go() -> Any:
-        nonlocal jump, steps
+        nonlocal jump
         rate, waited = None, 0
         for _ in range(int(LONGEST / task.dt)):
             step = controller.step()
-            monitor.observe(step)
-            steps += 1
+            steps.append(step)
             waited = waited + 1 if step.status is Status.BLOCKED else 0
             if step.finished or waited >= DWELL:
                 return step
@@ -69,7 +79,8 @@ def excursion(task: Scenario, **options: Any) -> Excursion:
     controller.follow(LinePath(task.path.pose(there.clock_next), task.path.pose(0.0), duration=2.0))
     back = go()
     pole = any(b.kind is LimitKind.SINGULARITY for b in back.binding)
-    return Excursion(monitor.verdict(), jump, steps, blocked, back.finished, pole)
+    monitor.observe_all(steps)
+    return Excursion(monitor.verdict(), jump, len(steps), blocked, back.finished, pole)
 
 
 def six_joints() -> Iterator[tuple[Scenario, float]]:

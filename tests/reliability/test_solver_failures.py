@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 from checks import FAULTS, REST, Failure, FaultySolver, cooperative, judged, limited, solver_fails
+from marks import slow_but_first
 
 from coopqp import (
     DaqpSettings,
@@ -230,7 +231,7 @@ class Interrupted(ObjectPath):
         return self._path.twist(clock)
 
 
-@pytest.mark.parametrize("kernel", available_kernels())
+@pytest.mark.parametrize("kernel", slow_but_first(available_kernels()))
 def test_an_interrupt_of_a_path_is_not_swallowed(kernel: str) -> None:
     """Whoever catches it can go on: neither the motion nor what is known ahead is broken."""
     task = replace(limited(paper_lift(time_law="quintic"), acceleration=5.0), dt=0.01)

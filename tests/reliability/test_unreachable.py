@@ -10,7 +10,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from coopqp import Monitor, MonitorTolerances, QPController, QPOptions, ServoPath, Status
+from coopqp import ControlStep, Monitor, MonitorTolerances, QPController, QPOptions, ServoPath, Status, Verdict
 from coopqp.scenarios import Scenario, dual_arm7, mixed_cell, paper_lift
 
 pytestmark = pytest.mark.slow
@@ -30,11 +30,18 @@ class Chase:
         self.controller = QPController(scenario.cell, scenario.grasp, ServoPath(self.start), dt=scenario.dt)
         self.controller.reset(scenario.q_start)
         nothing = {"chain_m": None, "chain_rad": None, "path_m": None, "path_rad": None}
+        self.steps: list[ControlStep] = []
         self.monitor = Monitor(scenario.cell, scenario.grasp, tolerances=MonitorTolerances(**nothing))
+
+    def verdict(self) -> Verdict:
+        """What the monitor says of all steps so far."""
+        self.monitor.observe_all(self.steps)
+        self.steps.clear()
+        return self.monitor.verdict()
 
     def step(self) -> Any:
         step = self.controller.step()
-        self.monitor.observe(step)
+        self.steps.append(step)
         return step
 
     def until_blocked(self) -> int:
@@ -97,7 +104,8 @@ def _found(request: pytest.FixtureRequest, count: Callable[[int], int]) -> tuple
         chase.controller.retarget(chase.start)
         to_off.append(chase.until_off())
         lost += not chase.arrives()
-        assert chase.monitor.verdict().ok, chase.monitor.verdict()
+        verdict = chase.verdict()
+        assert verdict.ok, verdict
     return bool(np.isfinite(request.param)), to_blocked, to_off, lost
 
 

@@ -298,6 +298,7 @@ def test_a_path_that_breaks_in_motion_holds_and_goes_on(kernel: str, known_ahead
     catalogue.row("I7", name, cases=cases, measured=wrong, target=0, note=note)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kernel", [pytest.param(k, marks=pytest.mark.slow) if k == "plain" else k for k in KERNELS])
 def test_a_path_that_fails_now_and_then(kernel: str, catalogue: Any, count: Any) -> None:
     """Every hundredth to third question has no answer."""

@@ -7,6 +7,8 @@ hands to the next (a copy of it is a copy of the controller), ``WORK`` is scratc
 
 from __future__ import annotations
 
+import functools
+
 #: Numbers that the definition and the core share.
 CONSTANTS: dict[str, float] = {
     # limits
@@ -222,6 +224,14 @@ def sizes(*, n: int, nv: int, nq: int, unknowns: int, past: int, rows: int) -> d
 
 def offsets(block: tuple[tuple[str, str], ...], symbols: dict[str, int], *, gap: int = 0) -> dict[str, tuple[int, int]]:
     """Where each field of a block begins and ends, with a gap of unused numbers after each."""
+    return dict(_offsets(block, tuple(symbols.items()), gap))
+
+
+@functools.lru_cache(maxsize=64)
+def _offsets(
+    block: tuple[tuple[str, str], ...], sizes: tuple[tuple[str, int], ...], gap: int
+) -> dict[str, tuple[int, int]]:
+    symbols = dict(sizes)
     places, begin = {}, 0
     for name, size in block:
         end = begin + _value(size, symbols)
