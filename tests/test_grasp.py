@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from coopqp import CellState, Grasp, InvalidInputError, RobotCell, adjoint, plate_from_centroid, plate_from_points
+from coopqp.control.plain import held_at
 from coopqp.model.grasp import THETA, triangle_frames
 from coopqp.scenarios import Scenario
 
@@ -108,6 +109,19 @@ def test_a_turned_tool_is_named_too(paper: Scenario) -> None:
 
 
 # -- increments ------------------------------------------------------------------------------------------------------
+
+
+def test_the_object_is_where_the_arms_hold_it_by_their_shares(paper: Scenario, rng: Any) -> None:
+    """With all of the share an arm decides alone; with equal ones what they differ by cancels, to the second order."""
+    away = 1e-4 * rng.normal(size=paper.cell.nv)
+    state = CellState(paper.cell, paper.cell.moved(paper.q_start, away))
+    carried = paper.grasp.carried(state)
+    for k, alone in enumerate(np.eye(3)):
+        assert held_at(paper.grasp, alone[:, None], state).isApprox(carried[k], 1e-12)
+    middle = held_at(paper.grasp, np.full((3, 1), 1.0 / 3.0), state)
+    errors = np.array([pin.log6(middle.actInv(other)).vector for other in carried])
+    assert np.abs(errors).max() > 1e-5
+    assert np.abs(errors.sum(axis=0)).max() < 1e-7
 
 
 @given(st.lists(poses, min_size=1, max_size=4), st.lists(st.floats(-2, 2), min_size=6, max_size=6))

@@ -7,9 +7,9 @@ import pinocchio as pin
 import pytest
 from marks import slow_but_first
 
-from coopqp import HoldPath, LinePath, Scenario, WaypointPath
+from coopqp import HoldPath, LinePath, Scenario, UnreachableError, WaypointPath
 from coopqp.model.batch import ArmKinematics
-from coopqp.planning.knots import Motion, arm_knots, follow
+from coopqp.planning.knots import ArmKnots, Following, Motion, arm_knots, follow, spread_knots
 from coopqp.scenarios import dual_arm7, mixed_cell, paper_lift
 from coopqp.task.geometry import PathGeometry, blended
 
@@ -120,3 +120,67 @@ def test_derivatives_of_the_joints_are_exact(build: object) -> None:
         np.testing.assert_allclose((found.q[at + 1] - found.q[at - 1]) / (2.0 * h), slope, atol=1e-5)
         bend = (found.slope[at + 1] - found.slope[at - 1]) / (2.0 * h)
         np.testing.assert_allclose(bend, curvature, atol=2e-4 * np.abs(curvature).max())
+
+
+def following(scenario: Scenario, geometry: PathGeometry) -> Following:
+    return Following(scenario.cell, scenario.grasp, geometry, scenario.cell.positions(scenario.q_start))
+
+
+@pytest.mark.parametrize("gather", [False, True])
+@pytest.mark.parametrize("build", [paper_lift, dual_arm7, mixed_cell])
+def test_knots_are_spread_evenly_over_the_joints_motion(build: object, gather: bool) -> None:
+    """Each interval has its share of the way (30 %) and of the motion of the arm that moves most (70 %); s of a motion
+    with bounded jerk goes from rest to rest like ``10 t³ − 15 t⁴ + 6 t⁵``."""
+    scenario: Scenario = build()  # type: ignore[operator]
+    cell, geometry = scenario.cell, scenario.path.geometry()
+    assert geometry is not None
+    assert len(geometry.pieces) == 1
+    follower = following(scenario, geometry)
+    s = follower.spread(31, gather=gather)
+    assert s[[0, -1]] == pytest.approx([0.0, geometry.length])
+    fine = np.linspace(0.0, geometry.length, 2001)
+    unit = np.where(np.isfinite(cell.limits.velocity), cell.limits.velocity, 1.0)
+    motion = np.abs(follower.at(fine).slope / unit).max(axis=1)
+    moved = np.concatenate([[0.0], np.cumsum(0.5 * (motion[1:] + motion[:-1]))])
+    done = np.interp(s, fine, 0.7 * moved / moved[-1] + 0.3 * fine / geometry.length)
+    t = np.linspace(0.0, 1.0, 31)
+    np.testing.assert_allclose(done, 10.0 * t**3 - 15.0 * t**4 + 6.0 * t**5 if gather else t, atol=2e-3)
+
+
+def test_the_way_ends_at_the_first_singularity() -> None:
+    """The message has the share of a line upwards at which the arm that it names has its least singular value."""
+    scenario = paper_lift()
+    start = scenario.path.pose(0.0)
+    goal = pin.SE3(start.rotation, start.translation + np.array([0.0, 0.0, 3.0]))
+    geometry = LinePath(start, goal, duration=1.0).geometry()
+    assert geometry is not None
+    with pytest.raises(UnreachableError, match=r"arm 'master' .* to \d+ % of its way") as found:
+        following(scenario, geometry)
+    share = 0.01 * float(str(found.value).split(" %")[0].split()[-1])
+    arm, q = ArmKinematics(scenario.cell.arms[0]), scenario.cell.positions(scenario.q_start)[None, :6]
+    ways, least = np.linspace(0.0, 0.3, 61), []
+    for way in ways:
+        pose = geometry.pose(way * geometry.length) * scenario.grasp.T_object_tool[0]
+        q = arm.solve(pose.homogeneous, q).q
+        least.append(arm.singular_values(q)[0, -1])
+    assert min(least) < 0.01
+    assert share == pytest.approx(ways[int(np.argmin(least))], abs=0.02)
+
+
+def test_knots_of_another_branch_are_not_taken() -> None:
+    """Where a guess from other knots leads to an arm's other branch, the arm is followed from its start."""
+    scenario = paper_lift()
+    geometry = scenario.path.geometry()
+    assert geometry is not None
+    arm, X, own = ArmKinematics(scenario.cell.arms[0]), scenario.grasp.T_object_tool[0], scenario.cell.v_slices[0]
+    s = np.linspace(0.0, geometry.length, 40)
+    motion = Motion.of(geometry, s)
+    q0 = scenario.cell.positions(scenario.q_start)[own][arm.columns]
+    found = arm_knots(arm, X, motion, q0)
+    flipped = found.q + np.array([0.0, 0.0, 0.0, np.pi, 0.0, -np.pi])
+    flipped[:, 4] *= -1.0
+    flipped[:, 0] += 0.1  # Newton's method still finds the flipped wrist
+    flipped[0] = found.q[0]
+    still = np.zeros_like(flipped)
+    again = spread_knots(arm, X, motion, s, ArmKnots(flipped, still, still, found.reached))
+    np.testing.assert_allclose(again.q, found.q, atol=1e-12)

@@ -18,6 +18,7 @@ from coopqp import (
     CellState,
     ControlStep,
     Grasp,
+    LimitKind,
     LinePath,
     ObjectPath,
     PostureOptions,
@@ -311,6 +312,18 @@ def test_both_agree_at_singularities(kind: Any, acceleration: float) -> None:
     near.run(600)
 
 
+@pytest.mark.core
+def test_a_mark_beside_a_singularity_ends_the_way_past_it() -> None:
+    """What comes after a mark is not known before it: no way past the pole of a wrist leads over one."""
+    task = at_singularity("wrist", 2, miss=5e-4, acceleration=10.0)
+    for mark, passes in ((np.inf, True), (0.7487, False)):
+        run = pair(task, path=lambda mark=mark: Own(task.path, mark=mark * task.path.duration), dt=0.01)
+        run.same = DISTURBED
+        step = run.run(400).plain.step()
+        assert step.finished == passes
+        assert (step.rate == 0.0 and step.binding[0].kind is LimitKind.SINGULARITY) != passes
+
+
 # -- cells -----------------------------------------------------------------------------------------------------------
 
 
@@ -449,10 +462,10 @@ def test_both_agree_on_waypoints(law: str, acceleration: float) -> None:
 
 
 class Own(ObjectPath):
-    """A user's path, which nothing but its poses is known of; with corners."""
+    """A user's path, which nothing but its poses is known of; with corners, and a mark where one might be."""
 
-    def __init__(self, inner: ObjectPath, *, known_ahead: bool = True) -> None:
-        self._inner, self.duration, self.known_ahead = inner, inner.duration, known_ahead
+    def __init__(self, inner: ObjectPath, *, known_ahead: bool = True, mark: float = np.inf) -> None:
+        self._inner, self.duration, self.known_ahead, self._mark = inner, inner.duration, known_ahead, mark
 
     def pose(self, clock: float) -> pin.SE3:
         return self._inner.pose(clock)
@@ -461,7 +474,8 @@ class Own(ObjectPath):
         return self._inner.twist(clock)
 
     def next_breakpoint(self, clock: float) -> float:
-        return self._inner.next_breakpoint(clock)
+        corner = self._inner.next_breakpoint(clock)
+        return min(corner, self._mark) if clock < self._mark else corner
 
 
 @pytest.mark.slow

@@ -24,6 +24,7 @@ from coopqp import (
     QPController,
     QPOptions,
     ServoPath,
+    Status,
     TimeLaw,
     WaypointPath,
     available_kernels,
@@ -173,6 +174,37 @@ def test_many_passes_find_what_one_finds() -> None:
     assert compared > 1000
 
 
+def test_slopes_and_curvatures_between_knots() -> None:
+    """q′ of the second degree over even knots: interpolated at the knots, and q″ exact at any clock but by a corner."""
+    preview = preview_of(paper_lift())
+    knot, horizon, h = preview.horizon.knots[0], preview.horizon, 0.01
+    a, b, c = np.random.default_rng(2).normal(size=(3, 18))
+
+    def slope(clock: float) -> Array:
+        return a + b * clock + c * clock**2
+
+    clocks = h * np.arange(7)
+    for corner in (None, 3):
+        horizon.clear()
+        for i, clock in enumerate(clocks):
+            mean = (slope(clock) - slope(clock - h)) / h
+            horizon.knots.append(
+                knot._replace(clock=clock, slope=slope(clock), curvature=mean, span=h, corner=i == corner)
+            )
+        for clock in np.linspace(h, 5.0 * h, 41):
+            i = horizon.knot_before(clock)
+            x = (clock - clocks[i]) / h
+            found, bend = horizon.joints_at(clock)
+            np.testing.assert_allclose(found, (1.0 - x) * slope(clocks[i]) + x * slope(clocks[i] + h), atol=1e-12)
+            if i + (x >= 0.5) == corner:  # nothing from beyond it counts
+                np.testing.assert_allclose(bend, b + 2.0 * c * (clocks[i] + 0.5 * h), atol=1e-9)
+            else:
+                np.testing.assert_allclose(bend, b + 2.0 * c * clock, atol=1e-9)
+    found, bend = horizon.joints_at(1.0)  # beyond the last knot
+    np.testing.assert_allclose(found, slope(clocks[-1]))
+    np.testing.assert_allclose(bend, horizon.knots[-1].curvature)
+
+
 # -- stops -------------------------------------------------------------------------------------------------------------
 
 
@@ -242,6 +274,56 @@ def test_a_singularity_ends_the_path_and_is_named(kind: Any, acceleration: float
     Joints(task).table(clocks)  # asserts that the arms carry the object
 
 
+@pytest.mark.parametrize("order", [1, -1])
+def test_of_two_limits_the_object_stops_at_the_first(order: int) -> None:
+    """Two joints would meet theirs between the same two knots."""
+    task = paper_lift(time_law=TimeLaw.QUINTIC)
+    task = replace(task, cell=task.cell.with_limits(acceleration=5.0))
+    preview, clock = preview_of(task), 0.0
+    while clock < 0.8:
+        clock += preview.cap(clock, DT)[0] * DT
+    before, after = (knot.clock for knot in list(preview.horizon.knots)[:2])
+    early, late = before + (after - before) * np.array([0.4, 0.6])
+    q = Joints(task).table(np.array([early, late]))
+    rising = np.flatnonzero((q[1] > q[0] + 1e-5) & (q[0] > 0.0))
+    first, second = rising[[0, -1]][::order]
+    assert first != second
+    upper = task.cell.limits.upper.copy()
+    upper[first], upper[second] = q[0, first], q[1, second]
+    clocks, rates, binding = driven(replace(task, cell=task.cell.with_limits(upper=upper)), longest=6.0)
+    assert rates[-1] < 1e-6
+    assert clocks[-1] == pytest.approx(early, abs=1e-6)
+    assert f"{binding.arm}/{binding.joint}" == task.cell.joint_names[first]
+
+
+class Jumping(ObjectPath):
+    """A user's path that jumps to another place."""
+
+    def __init__(self, inner: ObjectPath, since: float, by: Array) -> None:
+        self._inner, self.duration, self._since, self._by = inner, inner.duration, since, by
+
+    def pose(self, clock: float) -> pin.SE3:
+        pose = self._inner.pose(clock)
+        return pin.SE3(pose.rotation, pose.translation + (clock >= self._since) * self._by)
+
+    def twist(self, clock: float) -> Array:
+        return self._inner.twist(clock)
+
+
+@pytest.mark.parametrize("by", [(0.1, 0.0, 0.0), (0.0, 0.5, 0.5)])
+def test_the_object_stops_ahead_of_a_jump(by: Any) -> None:
+    task = paper_lift(time_law=TimeLaw.QUINTIC)
+    path = Jumping(task.path, 0.5 * task.path.duration, np.array(by))
+    task = replace(task, path=path, cell=task.cell.with_limits(acceleration=5.0))
+    clocks, rates, binding = driven(task, longest=8.0)
+    assert rates[-1] < 1e-6
+    assert 0.49 < clocks[-1] / path.duration < 0.5
+    assert binding.kind is LimitKind.PATH_JUMP
+    v = np.diff(Joints(task).table(clocks), axis=0) / DT
+    change = np.abs(np.diff(np.vstack([np.zeros(18), v, np.zeros(18)]), axis=0)) / DT
+    assert (change / 5.0).max() < 1.0
+
+
 def test_a_path_that_starts_out_of_reach() -> None:
     task = paper_lift()
     start = task.path.pose(0.0)
@@ -275,6 +357,27 @@ def test_corners_are_taken_at_a_speed_that_the_joints_can_jump() -> None:
     for corner in (0.3, 0.6):
         assert rates[np.abs(clocks[:-1] - corner).argmin()] < 0.05
     assert rates.max() > 0.3
+
+
+def test_a_corner_is_taken_no_faster_than_the_joints_may_go_on() -> None:
+    """From a line into one that is faster than a joint: the corner's cap is by that joint, and named after it."""
+    task = paper_lift()
+    start = task.path.pose(0.0)
+    poses = [pin.SE3(start.rotation, start.translation + np.array([0.0, 0.0, z])) for z in (0.0, 0.01, 0.2)]
+    path = WaypointPath(poses, durations=[0.3, 0.3], time_law=TimeLaw.LINEAR)
+    task = replace(task, path=path, cell=task.cell.with_limits(velocity=0.4, acceleration=1e4))
+    preview, clock = preview_of(task), 0.0
+    corner = None
+    while corner is None:
+        clock += preview.cap(clock, DT)[0] * DT
+        corner = next((knot for knot in preview.horizon.knots if knot.corner), None)
+    q = Joints(task).table(np.array([0.3, 0.3 + 1e-5]))
+    use = np.abs(np.diff(q, axis=0)[0]) / 1e-5 / (preview.options.margin * 0.4)
+    assert use.max() > 1.2
+    assert corner.cap == pytest.approx(1.0 / use.max() ** 2, rel=1e-3)
+    assert corner.binding is not None
+    assert corner.binding.kind is LimitKind.VELOCITY
+    assert f"{corner.binding.arm}/{corner.binding.joint}" == task.cell.joint_names[int(use.argmax())]
 
 
 def test_an_end_with_velocity_is_reached_slowly_enough_to_stop() -> None:
@@ -343,6 +446,19 @@ def run_through(task: Scenario) -> Array:
 
 
 # -- in the controller -------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("kernel", available_kernels())
+def test_an_object_that_stops_for_good_is_blocked_a_little_before(kernel: Any) -> None:
+    """From ten times the blocked rate on; until then it is slowed."""
+    task = at_limit()
+    options = QPOptions(kernel=kernel)
+    controller = QPController(task.cell, task.grasp, task.path, dt=DT, options=options)
+    controller.reset(task.q_start)
+    steps = [controller.step() for _ in range(1500)]
+    first = next(i for i, step in enumerate(steps) if step.status is Status.BLOCKED)
+    assert steps[first].rate < 10.0 * options.blocked_rate <= steps[first - 1].rate
+    assert {step.status for step in steps[first:]} == {Status.BLOCKED}
 
 
 def test_what_the_preview_is_for() -> None:

@@ -115,6 +115,10 @@ class Box:
     outside: Array
     recovery: Array
 
+    @property
+    def any_outside(self) -> bool:
+        return bool(self.outside.any())
+
 
 def a_box(rng: np.random.Generator, recorded: Recorded, *, width: float, outside: int = 0) -> Box:
     """A random box that contains a command that keeps the chain, but not the nominal command."""
@@ -405,6 +409,104 @@ def test_what_a_solver_raises_is_reported(kernel: Any) -> None:
     assert "no licence" in report.message
     assert "no licence" in step.reason
     assert np.abs(step.velocity).max() < 1e-9  # the arms stay at rest, but for the rounding of the grasp
+
+
+def test_an_answer_names_the_limits_at_which_it_stands(monkeypatch: pytest.MonkeyPatch) -> None:
+    """By joint and side: those of a QP, and the one that makes the rate on the path."""
+    sides = set()
+    for recorded in steps(paper_lift(), monkeypatch, every=20):
+        n, terms = recorded.chain.nv, recorded.terms
+        v = recorded.pieces.command(terms.rate_cap)
+        if np.abs(v).max() < 0.05:
+            continue
+        for joint in (None, *range(n)):  # the way of all joints is halved, or of one
+            room = np.abs(v) + 0.1
+            room[slice(None) if joint is None else joint] = 0.5 * np.abs(v[slice(None) if joint is None else joint])
+            box = Box(-room - 1e-4, room + 1e-4, np.zeros(n, dtype=bool), np.zeros(n))
+            for shortcut in (True, False):
+                solver = StepSolver(recorded.chain, box, QPOptions(shortcut=shortcut))  # type: ignore[arg-type]
+                answer = solver.answer(terms, np.zeros(n), 0.02, no_rows(n))
+                at = {(j, 1.0) for j in np.flatnonzero(box.upper - answer.velocity < 1e-8)}
+                at |= {(j, -1.0) for j in np.flatnonzero(answer.velocity - box.lower < 1e-8)}
+                assert set(answer.active) == at
+                sides |= {(shortcut, side) for _, side in at}
+    assert len(sides) == 4
+
+
+class Boundless(Raising):
+    """Solves as if there were no limits, and says that it kept them."""
+
+    name = "boundless"
+
+    def solve(self, problem: Any) -> Any:
+        n = problem.g.size
+        free = replace(
+            problem, C=np.zeros((0, n)), l=np.zeros(0), u=np.zeros(0), lb=np.full(n, -np.inf), ub=np.full(n, np.inf)
+        )
+        return make_solver("daqp").solve(free)
+
+
+def test_a_solver_that_breaks_limits_is_not_believed(monkeypatch: pytest.MonkeyPatch, rng: np.random.Generator) -> None:
+    """Cut off at a limit its answer would tear at the grasp; another command keeps chain and limits."""
+    for recorded in steps(paper_lift(), monkeypatch, every=60):
+        box = a_box(rng, recorded, width=0.1)
+        solver = StepSolver(recorded.chain, box, QPOptions(shortcut=False))  # type: ignore[arg-type]
+        solver._solver = Boundless()
+        answer = solver.answer(recorded.terms, np.zeros(18), 0.02, no_rows(18))
+        assert not answer.braked
+        assert ((answer.velocity >= box.lower) & (answer.velocity <= box.upper)).all()
+        shares = answer.rate, answer.grasp_share, answer.path_share
+        assert recorded.program.parting(Answer(answer.velocity, *shares, answer.off_path), recorded.terms) < 1e-5
+
+
+def braking(task: Scenario, monkeypatch: pytest.MonkeyPatch) -> Iterator[tuple[Recorded, Array]]:
+    """Steps of a motion, and joint velocities that follow the path at full rate."""
+    seen = 0
+    for recorded in steps(task, monkeypatch, every=20):
+        chain, terms = recorded.chain, recorded.terms
+        v = chain.joint_velocities(np.tile(terms.to_world @ terms.along, (chain.n_arms, 1)), np.zeros(chain.nv))
+        if np.abs(v).max() > 0.1:
+            seen += 1
+            yield recorded, v
+    assert seen > 3
+
+
+def brake(recorded: Recorded, v: Array, lower: Array, upper: Array) -> StepAnswer:
+    n = recorded.chain.nv
+    box = Box(lower, upper, np.zeros(n, dtype=bool), np.zeros(n))
+    solver = StepSolver(recorded.chain, box, QPOptions(solver=Raising(), shortcut=False))  # type: ignore[arg-type]
+    answer = solver.answer(recorded.terms, v, 0.02, no_rows(n))
+    assert answer.braked
+    assert answer.path_share == 0.0
+    assert ((answer.velocity >= lower) & (answer.velocity <= upper)).all()
+    return answer
+
+
+def test_arms_brake_along_the_path_where_a_rate_will_do(monkeypatch: pytest.MonkeyPatch) -> None:
+    for recorded, v in braking(paper_lift(), monkeypatch):
+        width = 1e-6 + 0.1 * np.abs(v)
+        answer = brake(recorded, v, 0.8 * v - width, 0.8 * v + width)
+        assert 0.69 < answer.rate < 0.71
+        pieces = recorded.pieces
+        expected = pieces.fixed + pieces.grasp + answer.rate * pieces.along
+        np.testing.assert_allclose(answer.velocity, expected, atol=1e-12)
+
+
+@pytest.mark.parametrize("width", [0.04, 1.0])
+def test_arms_slow_down_by_one_factor_where_no_motion_of_the_object_will_do(
+    width: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """One joint is sent back, against the motion of them all."""
+    task = paper_lift()
+    for recorded, v in braking(replace(task, cell=task.cell.with_limits(acceleration=2.0)), monkeypatch):
+        back = int(np.abs(v).argmax())
+        lower, upper = v - width, v + width
+        lower[back], upper[back] = np.sort([-0.5 * v[back], -0.1 * v[back]])
+        expected = v * (1.0 - 2.0 * 0.02 / np.abs(v).max())
+        expected[back] = -0.1 * v[back]
+        answer = brake(recorded, v, lower, upper)
+        np.testing.assert_allclose(answer.velocity, np.clip(expected, lower, upper), atol=1e-12)
+        assert (answer.rate, answer.grasp_share) == (0.0, 0.0)
 
 
 def test_ratios_of_at_least_100_keep_the_ranks_apart() -> None:

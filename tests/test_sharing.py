@@ -94,3 +94,16 @@ def test_the_largest_square_follows_the_one_ahead_along_a_line(seed: int) -> Non
     if share.until < 2.0:
         beyond = share.until + 0.1
         assert largest(interval, a, beyond).square < share.square + share.gain * (beyond - ahead) - 1e-12
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_a_rate_that_may_not_change_stays_as_it_is(seed: int) -> None:
+    """Where a constraint allows no change, z is what it is ahead; never a rounding error below 0, which has no root."""
+    rng = np.random.default_rng(seed)
+    interval, a = random_interval(rng, int(rng.integers(1, 12)))
+    interval = interval._replace(fall=0.0, rise=0.0)
+    top = largest(interval, a, 2.0).square
+    for ahead in rng.uniform(0.0, top, 5):
+        assert largest(interval, a, float(ahead)).square == pytest.approx(float(ahead), abs=1e-12)
+    for cap in rng.uniform(0.0, 1.0, 20):
+        assert 0.0 <= largest_square(interval, a, float(cap), 0.0, doubt=DOUBT).square < 1e-12

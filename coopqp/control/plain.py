@@ -476,11 +476,10 @@ class PlainLoop:
     def _bound_knot(self, clock: float, q: Array, slope: Array, curvature: Array, span: float) -> KnotRoom:
         """What further constraints leave of the rate at a knot."""
         options = self.options.preview
-        knot, share = Knot(clock, CellState(self.cell, q), slope, curvature, span), 1.0
-        if options is not None:
-            share = options.curvature_share
+        assert options is not None, "only a look-ahead has knots"
+        knot = Knot(clock, CellState(self.cell, q), slope, curvature, span)
         try:
-            found = self.constraints.bound(knot, self.dt, share)
+            found = self.constraints.bound(knot, self.dt, options.curvature_share)
         except ConstraintTrouble as trouble:
             raise LookAheadTrouble(str(trouble)) from trouble
         binding = self.constraints.labels[found.which] if found.which >= 0 else None

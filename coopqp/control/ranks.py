@@ -131,14 +131,10 @@ class StepSolver:
     def solve_filled(
         self, base: Array, columns: Array, unit: Array, cap: float, further: Rows
     ) -> tuple[Array | None, SolverReport]:
-        """x of the condensed QP that the core has filled in, in the core's units; None if it is not to be believed."""
+        """x of the condensed QP that the core has filled in, in the core's units; None without a usable answer."""
         problem = self.program.fill(base, columns, self._box, further)
         self.program.set_bounds(6, cap)
         solution = _ask(self._solver, problem)
-        if not solution.usable and further.soft.any():
-            problem = self.program.fill(base, columns, self._box, further, relax=True)
-            self.program.set_bounds(6, cap)
-            solution = _ask(self._solver, problem)
         return (solution.x[: unit.size] if solution.usable else None), self._report(solution, self._solver)
 
     def _nominal(self, terms: StepTerms, further: Rows) -> StepAnswer | None:

@@ -189,9 +189,8 @@ class Horizon:
     def _share(self, i: int) -> Share:
         """K at knot ``i`` from that at the next one."""
         here, ahead = self.knots[i], self.knots[i + 1]
-        if ahead.span == 0.0:  # the same knot again
-            by_ahead = ahead.square < here.cap
-            return Share(min(ahead.square, here.cap), float(by_ahead), here.cap if by_ahead else np.inf, -1)
+        if ahead.span == 0.0:  # the same knot again, with a lower cap
+            return Share(ahead.square, 1.0, np.inf, -1)
         chord, span = ahead.curvature, ahead.span
         bend = bend_ahead = chord
         if here.span > 0.0 and not here.corner:

@@ -113,7 +113,7 @@ def _largest(a: Array, b: Array, c: Array, cap: float, *, each: int) -> Share:
         high, low = high_c - high_b * square, low_c - low_b * square
         i, j = int(high.argmin()), int(low.argmax())
         over = float(low[j] - high[i])
-        if over <= CROSSED * (1.0 + abs(float(low[j]))) or square <= 0.0:
+        if over <= CROSSED * (1.0 + abs(float(low[j]))):  # at rest at the latest: every c is 0 or more
             break
         square, lower = max(square - over / float(high_b[i] - low_b[j]), 0.0), j
         rows = (int(up[i]), int(down[j]))

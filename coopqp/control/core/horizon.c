@@ -11,10 +11,10 @@ static int share_at(Core *c, int i) {
     if (here[K_SINCE] <= then && then <= here[K_UNTIL] && then < 1.0) {
         here[K_SQUARE] = here[K_FOUND] + here[K_GAIN] * (then - here[K_SINCE]);
     } else {
-        if (ahead[K_SPAN] == 0.0) { /* the same knot again */
-            here[K_SQUARE] = minimum(then, here[K_CAP]);
-            here[K_GAIN] = then < here[K_CAP];
-            here[K_UNTIL] = here[K_GAIN] != 0.0 ? here[K_CAP] : INFINITY;
+        if (ahead[K_SPAN] == 0.0) { /* the same knot again, with a lower cap */
+            here[K_SQUARE] = then;
+            here[K_GAIN] = 1.0;
+            here[K_UNTIL] = INFINITY;
         } else {
             joint = find_share(c, i);
         }

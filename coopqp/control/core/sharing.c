@@ -64,7 +64,7 @@ static double largest_z(Lines *l) {
             if (bound > low) low = bound, j = k;
         }
         const double over = low - high;
-        if (!(over > CROSSED * (1.0 + fabs(low))) || z <= 0.0) break;
+        if (!(over > CROSSED * (1.0 + fabs(low)))) break; /* at rest at the latest: every bound is on its side of 0 */
         z = maximum(z - over / (l->slope[i] - l->slope[j]), 0.0);
         l->high = i, l->low = j;
     }
