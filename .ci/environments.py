@@ -29,6 +29,8 @@ PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["
 EXTRAS = sorted(set(PROJECT["optional-dependencies"]) - {"all", "dev", "docs", "mutation"})
 #: The oldest and the newest Python that Pinocchio has wheels for.
 OLDEST, NEWEST = "3.10", "3.13"
+#: Of the variables around: these would change what is imported, or what is kept of it.
+_DROPPED = {"PYTHONPATH", "PYTHONDONTWRITEBYTECODE"}
 ONE_THREAD = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
 
 
@@ -70,18 +72,23 @@ class Environment:
         options = ("--quiet", "--python", str(self.bin / "python"), "--reinstall-package", "coopqp", *self.options)
         uv("pip", "install", *options, what, **dict(self.variables))
 
-    def run(self, *command: str, **variables: str) -> None:
-        """Run one of its programs in the root of the tree."""
-        call(str(self.bin / command[0]), *command[1:], **ONE_THREAD, **variables)
+    def run(self, *command: str) -> None:
+        """Run one of its programs in an empty folder: in the root Python would find the tree, not what is installed."""
+        folder = self.bin.parent / "empty"
+        folder.mkdir(exist_ok=True)
+        call(str(self.bin / command[0]), *command[1:], folder=folder, **ONE_THREAD)
 
     def pytest(self, *arguments: str) -> None:
         """Run tests, on both cores."""
-        self.run("pytest", "-n", os.environ.get("WORKERS", "auto"), "--dist", "worksteal", *arguments)
+        where = ("-c", str(ROOT / "pyproject.toml"), "--rootdir", str(ROOT), str(ROOT / "tests"))
+        spread = ("-n", os.environ.get("WORKERS", "auto"), "--dist", "worksteal")
+        self.run("pytest", *where, *spread, "-p", "no:cacheprovider", *arguments)
 
 
-def call(*command: str, **variables: str) -> None:
-    """Run a command in the root of the tree."""
-    done = subprocess.run(command, cwd=ROOT, env={**os.environ, **variables}, check=False)
+def call(*command: str, folder: Path = ROOT, **variables: str) -> None:
+    """Run a command, by default in the root of the tree. Compiled modules are kept: the tests start many processes."""
+    environment = {name: value for name, value in os.environ.items() if name not in _DROPPED}
+    done = subprocess.run(command, cwd=folder, env={**environment, **variables}, check=False)
     if done.returncode:
         raise FailedError(f"{' '.join(command[:4])} … ended with {done.returncode}")
 

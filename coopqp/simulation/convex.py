@@ -1,9 +1,11 @@
 """Distances of convex bodies for the judges of a run: another way than the controllers', with a proof of each figure.
 
 A body is a core and a radius about it: a sphere is a point, a capsule a segment. The distance of two cores is the least
-norm over their difference A − B, whose furthest point in a direction is known. Wolfe's method: the least-norm point x
-of the corners found so far (a least-squares problem, by SciPy) lies outside A − B or on it; the furthest point against
-x is the next corner. ``‖x‖`` bounds the distance from above, that point's component along x from below.
+norm over their difference A − B, whose furthest point in a direction is known. The method of P. Wolfe, "Finding the
+nearest point in a polytope", Mathematical Programming 11 (1976): the least-norm point x of the hull of the corners
+found so far is in A − B; the furthest point against x is the next corner. ``‖x‖`` bounds the distance from above, that
+point's component along x from below. (SciPy's ``nnls`` would do for the hull, but that of 1.15, the last for Python
+3.10, is wrong: its issue 25389.)
 """
 
 from __future__ import annotations
@@ -11,7 +13,6 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.optimize import nnls
 
 from coopqp.spatial import Array
 
@@ -81,14 +82,10 @@ def distance(a: Core, b: Core, Ra: Array, pa: Array, Rb: Array, pb: Array, *, ga
     The lower bound is returned: bodies are never closer.
     """
     way = pb - pa
-    corner = furthest(a, Ra, pa, way) - furthest(b, Rb, pb, -way)
-    corners = corner[None]
-    lower = 0.0
+    corners = (furthest(a, Ra, pa, way) - furthest(b, Rb, pb, -way))[None]
+    shares, lower = np.ones(1), 0.0
     for _ in range(_MOST_CORNERS):
-        scale = float(np.abs(corners).max()) or 1.0
-        system = np.vstack([corners.T / scale, np.ones(len(corners))])
-        shares = nnls(system, np.array([0.0, 0.0, 0.0, 1.0]))[0]
-        x = shares @ corners / shares.sum()
+        x = shares @ corners
         size = float(np.linalg.norm(x))
         if size < _OVERLAP:
             return -(a.radius + b.radius)
@@ -96,5 +93,27 @@ def distance(a: Core, b: Core, Ra: Array, pa: Array, Rb: Array, pb: Array, *, ga
         lower = max(lower, float(corner @ x) / size)
         if size - lower <= gap:
             break
-        corners = np.vstack([corners[shares > 0.0], corner])
+        corners, shares = least_norm(np.vstack([corners, corner]), np.append(shares, 0.0))
     return lower - a.radius - b.radius
+
+
+def least_norm(corners: Array, shares: Array) -> tuple[Array, Array]:
+    """The point of least norm in the hull of corners (n, 3): the corners it lies between, and their shares.
+
+    Args:
+        corners: affinely independent but for the last.
+        shares: of a point of the hull, to begin with (n,).
+    """
+    while True:
+        # The point of least norm in the plane of the corners, then as far towards it as the hull reaches.
+        first, edges = corners[0], (corners[1:] - corners[0]).T
+        rest = np.linalg.lstsq(edges, -first, rcond=None)[0]
+        there = np.concatenate([[1.0 - rest.sum()], rest])
+        if (there > 0.0).all():
+            return corners, there
+        falls = there <= 0.0
+        ways = shares[falls] / np.maximum(shares[falls] - there[falls], np.finfo(float).tiny)
+        shares = shares + min(1.0, float(ways.min())) * (there - shares)
+        shares[np.flatnonzero(falls)[int(ways.argmin())]] = 0.0
+        kept = shares > 0.0
+        corners, shares = corners[kept], shares[kept] / shares[kept].sum()
