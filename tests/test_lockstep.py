@@ -92,6 +92,8 @@ class Pair:
         assert abs(a.rate - b.rate) <= 100.0 * self.same, where
         assert abs(a.clock_next - b.clock_next) <= 100.0 * self.same, where
         assert (a.status, a.binding, a.reason, a.dt) == (b.status, b.binding, b.reason, b.dt), where
+        for name in ("rate", "clock", "clock_next", "dt", "finished"):  # a recording writes them as JSON
+            assert type(getattr(a, name)) is type(getattr(b, name)), f"{where}: {name}"
         np.testing.assert_allclose(a.given_up.off_path, b.given_up.off_path, rtol=0.0, atol=self.same, err_msg=where)
         self.told.append(b.q_next)
         self.seen.add(b.status)
