@@ -34,6 +34,10 @@ _DROPPED = {"PYTHONPATH", "PYTHONDONTWRITEBYTECODE"}
 ONE_THREAD = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
 
 
+#: What an outcome is to say besides.
+NOTES: list[str] = []
+
+
 class FailedError(Exception):
     """A command did not end with 0."""
 
@@ -99,7 +103,7 @@ def uv(*arguments: str, **variables: str) -> None:
 
 
 def interpreter(version: str) -> str:
-    """A Python of a version: on the path, or one of pyenv's; this one if there is none, which is said."""
+    """A Python of a version: on the path, or one of pyenv's; this one if there is none, which is said and noted."""
     if not version:
         return sys.executable
     versions = Path(os.environ.get("PYENV_ROOT", Path.home() / ".pyenv")) / "versions"
@@ -107,7 +111,8 @@ def interpreter(version: str) -> str:
     for candidate in candidates:
         if candidate and subprocess.run([candidate, "-c", ""], capture_output=True, check=False).returncode == 0:
             return str(candidate)
-    print(f"no Python {version} on this machine: {sys.version.split()[0]} takes its place", flush=True)
+    NOTES.append(f"no Python {version} on this machine: {sys.version.split()[0]} took its place")
+    print(NOTES[-1], flush=True)
     return sys.executable
 
 
@@ -127,8 +132,8 @@ def wheel() -> Path:
 # -- the environments ----------------------------------------------------------------------------------------------
 
 _WHEELS = ("--only-binary", ":all:", "--no-binary", "coopqp")
-#: Tests of environments that differ in a detail.
-_SOME = ("-m", "not slow")
+#: The tests of make check.
+_SOME = ("-m", "not slow", "--hypothesis-profile", "check")
 
 
 def lowest(tests: list[str]) -> None:
@@ -233,12 +238,13 @@ def main() -> int:
     for name in arguments.names or ENVIRONMENTS:
         print(f"== {name}: {(ENVIRONMENTS[name].__doc__ or '').splitlines()[0]}", flush=True)
         began, outcome = time.monotonic(), "passed"
+        NOTES.clear()
         try:
-            ENVIRONMENTS[name](list(_SOME) if arguments.some else [])
+            ENVIRONMENTS[name](list(_SOME if arguments.some else ()))
         except FailedError as error:
             print(error, flush=True)
             failed, outcome = True, "FAILED"
-        rows.append(f"{name:<12} {outcome:<7} {time.monotonic() - began:5.0f} s")
+        rows.append("; ".join([f"{name:<12} {outcome:<7} {time.monotonic() - began:5.0f} s", *NOTES]))
     print("\n".join(["== environments", *rows]))
     return int(failed)
 
