@@ -4,6 +4,10 @@ Records have the keys of ``KEYS``; what does not apply is null. Forces are the l
 a lift with everything where the model has it [N]. ``peak_N`` and ``rest_N`` are those of a lift with the controller of
 the record, ``without_N`` that at rest without it. Cases:
 
+``relaxed``        force sensors at the tools, and the arms relax what they feel. Forces are those beside an ideal
+                   share of the load; peaks count from the first step where the arms grip where they are, else from
+                   the first motion;
+``step_cost``      time of a step with wrenches and of one without [s];
 ``base_off_lift``  one base is off by 1 mm and 0.1°; the controller's model is calibrated from one lift before;
 ``feed_forward``   forces in the engine less those that are shared, with the torques fed forward, and without;
 ``heavy_lift``     torques of a slow lift, the load shared or in equal parts;
@@ -13,6 +17,7 @@ the record, ``without_N`` that at rest without it. Cases:
 from __future__ import annotations
 
 import sys
+import time
 import warnings
 from collections.abc import Iterator, Sequence
 from typing import Any
@@ -28,7 +33,10 @@ from coopqp import (
     CellState,
     ControlStep,
     Disturbances,
+    ForceController,
+    ForceOptions,
     Grasp,
+    HoldPath,
     PhysicsPlant,
     QPController,
     QPOptions,
@@ -38,9 +46,10 @@ from coopqp import (
     SupervisionOptions,
     calibrate_runs,
     inverse_kinematics,
+    misplaced,
     simulate,
 )
-from coopqp.forces import LoadBound, LoadShare, load_use
+from coopqp.forces import LoadBound, LoadShare, internal_wrenches, load_use
 from coopqp.planning import Payload, time_path
 from coopqp.scenarios import Scenario, paper_lift
 from coopqp.simulation import Replay, exact_motion
@@ -170,7 +179,86 @@ def fastest_lift(quick: bool) -> Iterator[Record]:
         )  # fmt: skip
 
 
-CASES = (base_off_lift, feed_forward, heavy_lift, fastest_lift)
+def relaxed(quick: bool) -> Iterator[Record]:
+    """A lift with force sensors; peaks are those from the first step on, the start included."""
+    task = paper_lift(time_law="quintic")
+    stiff = PhysicsPlant.of(task).stiffness
+    late = {"wrench_latency": 0.01}
+    cases: dict[str, dict[str, Any]] = {}
+    for arm in ("slave_2",) if quick else task.cell.arm_names:
+        base = {"base_offset": {arm: BASE_OFF}, **late}
+        cases[f"base of {arm}"] = {"off": base}
+        cases[f"base of {arm}, gripped where it is"] = {"off": base, "options": {"grips": "where they are"}}
+        grip = misplaced(task.cell, task.grasp, {arm: pin.SE3(np.eye(3), 2e-3 * DIAGONAL)})
+        cases[f"grip of {arm}, 2 mm"] = {"off": late, "grasp": grip}
+        for factor in (0.1, 10.0):
+            options = {"grips": "where they are", "stiffness": factor * stiff}
+            cases[f"base of {arm}, servos ×{factor:g}"] = {"off": base, "options": options}
+        for what, gain in (("flipped", -1.0), ("dead", 0.0), ("gain 2", 2.0)):
+            cases[f"sensor of {arm} {what}"] = {"off": {"wrench_gain": {arm: gain}, **late}}
+    noisy = {"wrench_noise": 1.0, "wrench_bias": 2.0, "encoder_noise": 1e-4}
+    cases["base of slave_2, noise"] = {"off": {"base_offset": {"slave_2": BASE_OFF}, **noisy, **late}}
+    lost = {"base_offset": {"slave_2": BASE_OFF}, "wrench_drop_share": 0.3, **late}
+    cases["base of slave_2, 30 % lost"] = {"off": lost}
+    growth = 2.2e-3 / task.object_size[1]
+    cases["plate grows by 2.2 mm in 3 s"] = {"off": {"object_growth": growth, "growth_period": 12.0, **late}}
+    for share in (0.5, 1.5):
+        cases[f"payload taken for {share:g} of it"] = {"off": late, "payload": share}
+    if not quick:
+        slow = {"object_growth": growth, "growth_period": 120.0, "wrench_noise": 1.0, "wrench_bias": 2.0}
+        cases["ten minutes"] = {"off": {**slow, **late}, "hold": 600.0}
+    for name, case in cases.items():
+        off = Disturbances(**case["off"])
+        load = None
+        if "payload" in case:
+            load = LoadShare(task.cell, task.grasp, box(task, 20.0 * case["payload"]), internal_force=INTERNAL)
+        plant = PhysicsPlant.of(
+            task, disturbances=off, options=case.get("options"), real_grasp=case.get("grasp"), load=load
+        )
+        path = HoldPath(task.path.pose(0.0), duration=case["hold"]) if "hold" in case else task.path
+        inner = QPController(task.cell, task.grasp, path, dt=task.dt, options=TOLERANT)
+        payload = box(task, 20.0 * case.get("payload", 1.0))
+        controller = ForceController(inner, ForceOptions(stiffness=stiff, payload=payload))
+        felt, from_start = list[float](), "gripped" in name or "hold" in case
+
+        def feel(_: ControlStep, plant: PhysicsPlant = plant, felt: list[float] = felt) -> None:
+            internal = internal_wrenches(plant.sensed_wrenches(), task.grasp)
+            felt.append(float(np.linalg.norm(internal[:, :3], axis=1).max()))
+
+        run = simulate(controller, plant, q_start=task.q_start, settle=0.5, observe=feel)
+        first = 0 if from_start else int(np.argmax(run.rate > 0.0))
+        yield record(
+            "relaxed", name, "ForceController", peak_N=max(felt[first:]), rest_N=felt[-1], time_s=float(run.time[-1]),
+            finished=run.finished, status=run.statuses[-1].value,
+        )  # fmt: skip
+
+
+def step_cost(quick: bool) -> Iterator[Record]:
+    """Interleaved medians of a step on measured configurations, with wrenches and without."""
+    task = paper_lift(time_law="quintic")
+    rng, steps = np.random.default_rng(0), 300 if quick else 3000
+    plain = QPController(task.cell, task.grasp, task.path, dt=1e-3)
+    minding = ForceController(QPController(task.cell, task.grasp, task.path, dt=1e-3), ForceOptions(stiffness=1e5))
+    times: dict[str, list[float]] = {"QPController": [], "ForceController": []}
+    for controller in (plain, minding):
+        controller.reset(task.q_start)
+    q = [task.q_start, task.q_start]
+    for _ in range(steps):
+        noise, wrenches = rng.uniform(-1e-4, 1e-4, task.cell.nq), 0.3 * rng.normal(size=(len(task.cell), 6))
+        measured = [x + noise for x in q]
+        began = time.perf_counter()
+        step = plain.step(measured[0])
+        between = time.perf_counter()
+        minded = minding.step(measured[1], wrenches=wrenches)
+        ended = time.perf_counter()
+        times["QPController"].append(between - began)
+        times["ForceController"].append(ended - between)
+        q = [step.q_next, minded.q_next]
+    for name, spent in times.items():
+        yield record("step_cost", "measured", name, time_s=float(np.median(spent[steps // 3 :])))
+
+
+CASES = (relaxed, step_cost, base_off_lift, feed_forward, heavy_lift, fastest_lift)
 
 
 def main(argv: Sequence[str] | None = None) -> int:

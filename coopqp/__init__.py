@@ -61,6 +61,8 @@ if TYPE_CHECKING:
     from coopqp.files.cellfile import CellFileError, load_cell_file
     from coopqp.files.export import write_bag, write_csv
     from coopqp.forces.calibration import Calibration, CalibrationError, CalibrationOptions, calibrate
+    from coopqp.forces.force_controller import ForceController
+    from coopqp.forces.force_options import ForceOptions
     from coopqp.forces.stress import InternalStress, StressModel, at_tools
     from coopqp.forces.use import LoadUse
     from coopqp.look.calibration import write_calibration
@@ -197,6 +199,8 @@ else:
             "coopqp.files.cellfile": ("CellFileError", "load_cell_file"),
             "coopqp.files.export": ("write_bag", "write_csv"),
             "coopqp.forces.calibration": ("Calibration", "CalibrationError", "CalibrationOptions", "calibrate"),
+            "coopqp.forces.force_controller": ("ForceController",),
+            "coopqp.forces.force_options": ("ForceOptions",),
             "coopqp.forces.stress": ("InternalStress", "StressModel", "at_tools"),
             "coopqp.forces.use": ("LoadUse",),
             "coopqp.look.calibration": ("write_calibration",),
@@ -258,6 +262,8 @@ __all__ = [
     "Disturbances",
     "DisturbedPlant",
     "Finding",
+    "ForceController",
+    "ForceOptions",
     "GenericSettings",
     "GivenUp",
     "Grasp",

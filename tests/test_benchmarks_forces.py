@@ -26,6 +26,14 @@ def test_a_quick_run_meets_the_figures(tmp_path: Path, capsys: pytest.CaptureFix
         assert off["rest_N"] <= most
         assert off["without_N"] > 200.0
         assert off["finished"]
+    for (case, variant, _), one in found.items():
+        if case == "relaxed" and "sensor" in variant:
+            assert one["status"] == "holding", variant
+            assert one["peak_N"] <= 20.0
+        elif case == "relaxed":
+            assert one["finished"], variant
+            assert one["peak_N"] <= (30.0 if "×" in variant or "gripped" in variant else 20.0), variant
+            assert one["rest_N"] <= 3.0, variant
     shared, equal = (found["heavy_lift", "53 kg", controller] for controller in ("shared load", "equal parts"))
     assert shared["finished"]
     assert shared["torque_use"] <= 1.0 + 1e-9 < 1.05 < equal["torque_use"]

@@ -161,3 +161,38 @@ def test_threads_may_take_turns(name: str, paper: Scenario) -> None:
 
 def test_the_error_travels() -> None:
     assert "Give each thread its own" in str(pickle.loads(pickle.dumps(BusyError())))
+
+
+class Asking(Meeting):
+    """A path that first calls the controller in which it runs."""
+
+    asks: Callable[[], object] | None = None
+
+    def pose(self, clock: float) -> pin.SE3:
+        if self.asks is not None:
+            asks, self.asks = self.asks, None
+            asks()
+        return super().pose(clock)
+
+
+@pytest.mark.parametrize("name", sorted(CONTROLLERS))
+def test_a_call_within_a_call_lets_no_other_thread_in(name: str, paper: Scenario) -> None:
+    kind, options = CONTROLLERS[name]
+    path, outcomes = Asking(paper.path), []
+    made: Any = kind(paper.cell, paper.grasp, path, dt=0.0075, options=options)
+    made.reset(paper.q_start)
+
+    def intrude() -> None:
+        try:
+            made.step()
+            outcomes.append(None)
+        except Exception as error:
+            outcomes.append(type(error))
+
+    path.asks, path.meet = lambda: copy.copy(made), intrude
+    made.step()
+    assert outcomes == [BusyError]
+    other = threading.Thread(target=intrude)  # nobody works there now
+    other.start()
+    other.join(timeout=30)
+    assert outcomes == [BusyError, None]

@@ -9,6 +9,7 @@ from __future__ import annotations
 import copy
 import math
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any, final
 
@@ -130,7 +131,7 @@ class PlainLoop:
         turn = Turn()
         self.hold, self.release = turn.hold, turn.release
         self.constraints = constraints
-        self._chain, self._box = Chain(cell, grasp), VelocityBox(cell)
+        self._chain, self._ahead_chain, self._box = Chain(cell, grasp), Chain(cell, grasp), VelocityBox(cell)
         self._shares = options.common_error.shares(cell)
         self.solver = StepSolver(self._chain, self._box, options)
         self._step = LinearisedStep(self._chain, self._box, self._shares, self.solver, options)
@@ -159,7 +160,7 @@ class PlainLoop:
             bound = self._bound_knot if self.constraints else None
             evade = self._evade if self.constraints.evades else None
             preview = PathPreview(
-                Chain(self.cell, self.grasp),
+                self._ahead_chain,
                 path,
                 self._posture,
                 dt=self.dt,
@@ -168,6 +169,11 @@ class PlainLoop:
                 evade=evade,
             )
             self._preview = preview
+
+    def set_grasp(self, T_object_tool: Sequence[pin.SE3]) -> None:
+        """The tools are at these placements on the object from the next step on."""
+        self._chain.hold(T_object_tool)
+        self._ahead_chain.hold(T_object_tool)
 
     def start(self, q: Array) -> None:
         """At rest at ``q``; forgets everything."""

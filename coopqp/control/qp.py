@@ -30,7 +30,7 @@ from coopqp.errors import InvalidInputError, StartWarning
 from coopqp.model.cell import RobotCell
 from coopqp.model.grasp import Grasp
 from coopqp.model.state import CellState
-from coopqp.spatial import Array, Placement, as_placement
+from coopqp.spatial import Array, Placement, as_placement, as_placements
 from coopqp.task.guarded import GuardedPath, is_known
 from coopqp.task.path import HoldPath, ObjectPath
 from coopqp.task.servo import AT_REST, ServoPath
@@ -94,6 +94,8 @@ class QPController:
         self.kernel, self.solver = self._loop.kernel, self._loop.solver.name
         self._effort = Effort(cell, grasp, self.options.preview, dt=self.dt)
         self._started = self._outside = False
+        #: Where the tools are on the object, if not where the grasp says.
+        self._held: tuple[pin.SE3, ...] | None = None
         #: The target that the object goes over to as soon as it can; it brakes until then. The override asked for.
         self._wanted: pin.SE3 | None = None
         self._asked = 1.0
@@ -302,6 +304,22 @@ class QPController:
                 loop.restore(memory)
         return False
 
+    @alone
+    def set_grasp(self, T_object_tool: Sequence[Placement] | None) -> None:
+        """Hold the object at other placements of the tools from the next step on, None for those of ``grasp``.
+
+        For small moves, as :class:`coopqp.forces.ForceController` makes them to relax the forces between the arms. The
+        arms go there as fast as the chain's errors are corrected; :attr:`grasp`, and what is read from it, stays.
+
+        Raises:
+            InvalidInputError: not one placement per arm.
+        """
+        X = self.grasp.T_object_tool if T_object_tool is None else as_placements(T_object_tool, "set_grasp")
+        if len(X) != len(self.cell):
+            raise InvalidInputError(f"{len(X)} placements", "set_grasp", f"Give {len(self.cell)}, one per arm.")
+        self._held = None if T_object_tool is None else X
+        self._loop.set_grasp(X)
+
     # -- the step --------------------------------------------------------------------------------------------------
 
     def step(self, q_measured: ArrayLike | None = None, *, dt: float | None = None) -> ControlStep:
@@ -365,11 +383,12 @@ class QPController:
         state = {name: getattr(self, name) for name in names}
         wanted = None if self._wanted is None else self._wanted.copy()
         own = {"started": self._started, "outside": self._outside, "wanted": wanted, "asked": self._asked}
+        own["held"] = self._held
         return state | own | {"memory": self._loop.memory()}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        names = ("kernel", "started", "outside", "wanted", "asked", "memory")
-        kernel, started, outside, wanted, asked, memory = (state.pop(name) for name in names)
+        names = ("kernel", "started", "outside", "wanted", "asked", "held", "memory")
+        kernel, started, outside, wanted, asked, held, memory = (state.pop(name) for name in names)
         self._build(**state)  # the path may fail for a while: that is no reason not to be copied
         if self.kernel != kernel:
             raise InvalidInputError(
@@ -380,6 +399,8 @@ class QPController:
         self._started, self._outside, self._wanted, self._asked = started, outside, wanted, asked
         self._take(self.path)
         self._loop.restore(memory)
+        if held is not None:
+            self.set_grasp(held)
 
     def __copy__(self) -> QPController:
         state = self.__getstate__()

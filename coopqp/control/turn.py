@@ -14,10 +14,10 @@ _R = TypeVar("_R")
 
 
 class Turn:
-    """Who works in a controller. The thread that already does may enter again."""
+    """Who works in a controller. The thread that already does may enter again; it ends as often as it began."""
 
     def __init__(self) -> None:
-        self._lock, self._owner = threading.Lock(), 0
+        self._lock = threading.RLock()
 
     def hold(self) -> None:
         """Begin to work.
@@ -25,16 +25,12 @@ class Turn:
         Raises:
             BusyError: another thread has not ended.
         """
-        me = threading.get_ident()
-        if not self._lock.acquire(blocking=False) and self._owner != me:
+        if not self._lock.acquire(blocking=False):
             raise BusyError
-        self._owner = me
 
     def release(self) -> None:
         """End."""
-        self._owner = 0
-        if self._lock.locked():
-            self._lock.release()
+        self._lock.release()
 
     def __reduce__(self) -> tuple[type[Turn], tuple[()]]:
         return Turn, ()

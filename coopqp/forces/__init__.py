@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from coopqp.forces.exciting import DeterminingMotion, determining_motion
     from coopqp.forces.grips import Grip
     from coopqp.forces.load import LoadShare, SharedLoad
+    from coopqp.forces.relaxation import internal_wrenches
     from coopqp.forces.use import load_use
 else:
     __getattr__, __dir__ = lazy_names(
@@ -23,6 +24,7 @@ else:
             "coopqp.forces.exciting": ("DeterminingMotion", "determining_motion"),
             "coopqp.forces.grips": ("Grip",),
             "coopqp.forces.load": ("LoadShare", "SharedLoad"),
+            "coopqp.forces.relaxation": ("internal_wrenches",),
             "coopqp.forces.use": ("load_use",),
         },
     )
@@ -35,6 +37,7 @@ __all__ = [
     "LoadShare",
     "SharedLoad",
     "determining_motion",
+    "internal_wrenches",
     "load_use",
     "undetermined_by",
 ]

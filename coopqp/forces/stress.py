@@ -72,7 +72,7 @@ class StressModel:
     def __init__(self, cell: RobotCell, grasp: Grasp, *, stiffness: Any) -> None:
         grasp.check_arms(cell)
         self.cell, self.grasp = cell, grasp
-        self.stiffness = _per_joint(stiffness, cell.nv, "StressModel: stiffness")
+        self.stiffness = per_joint(stiffness, cell.nv, "StressModel: stiffness")
 
     def estimate(self, q_command: ArrayLike, *, T_world_object: Placement | None = None) -> InternalStress:
         """Estimate the stress that a commanded configuration builds up.
@@ -168,7 +168,8 @@ def _equilibrium(C: Array, e: Array) -> tuple[Array, Array]:
     return x[: 6 * n].reshape(n, 6) / unit, x[6 * n :]
 
 
-def _per_joint(value: Any, n: int, where: str) -> Array:
+def per_joint(value: Any, n: int, where: str) -> Array:
+    """Stiffness of each joint (n,) from one number or n, finite and > 0."""
     try:
         out = np.array(np.broadcast_to(as_floats(value), (n,)))
     except NOT_NUMBERS as error:

@@ -11,7 +11,7 @@ depends on where the world's origin is. See docs/derivations.md.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 
@@ -82,8 +82,8 @@ class Chain:
         self._placements = _live_placements(cell.model, self._data)
         self.tool_joints = np.array(cell.tool_joints, dtype=np.int64) - 1
         # O_k = T_world_joint · Y_k with constant Y_k; the transpose suits Pinocchio's column-major memory.
-        Y = [T * X.inverse() for T, X in zip(cell.T_joint_tool, grasp.T_object_tool, strict=True)]
-        self.Y_transposed = np.array([y.homogeneous.T for y in Y])
+        self.Y_transposed = np.empty((self.n_arms, 4, 4))
+        self.hold(grasp.T_object_tool)
         # (nv, 6), a live view about the world's origin, and the same about a point; of one joint, J is flat
         self._world_JT = self._jacobian_data.J.T.reshape(-1, 6)
         self._JT, self._shift = np.zeros_like(self._world_JT), np.eye(6)
@@ -98,6 +98,11 @@ class Chain:
         self.deficient = tuple(int(k) for g in self._groups if g.joints < 6 for k in g.arms)
         self.inverses: list[Array] = []
         self.singular = False
+
+    def hold(self, T_object_tool: Sequence[pin.SE3]) -> None:
+        """The tools are at these placements on the object from now on."""
+        for Y, T, X in zip(self.Y_transposed, self.cell.T_joint_tool, T_object_tool, strict=True):
+            Y[:] = (T * X.inverse()).homogeneous.T
 
     # -- poses ---------------------------------------------------------------------------------------------------
 

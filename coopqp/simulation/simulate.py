@@ -12,6 +12,7 @@ from coopqp import planning
 from coopqp.checks import ArrayLike, as_scalar, read_only
 from coopqp.control.command import Controller, ControlStep, Status
 from coopqp.errors import InvalidInputError
+from coopqp.forces.force_controller import ForceController
 from coopqp.model.cell import RobotCell
 from coopqp.model.limits import BindingLimit
 from coopqp.simulation.notes import Notes
@@ -84,13 +85,14 @@ def simulate(
         raise InvalidInputError(f"a {type(metadata).__name__}", "simulate: metadata", "Give a dictionary.")
     if q_start is None:
         q_start = planning.find_start(cell, controller.grasp, controller.path).q
+    ask = _asking(controller, plant)
     measured = plant.reset(q_start)
     controller.reset(measured)
     recorder = _Recorder(controller, measured)
     nominal = max(1, round((longest if endless else controller.path.duration + after) / controller.dt))
     elapsed, rest, still = 0.0, 0.0, 0.0
     while elapsed < longest - 1e-9 * longest:
-        step = controller.step(measured)
+        step = ask(measured)
         measured = plant.apply(step)
         elapsed += step.dt
         recorder.take(step, measured)
@@ -107,6 +109,19 @@ def simulate(
             break
     held = {"plant": type(plant).__name__, "gripped": getattr(plant, "gripped", None)}
     return recorder.recording({**held, **(metadata or {})})
+
+
+def _asking(controller: Controller, plant: Plant) -> Callable[[Array], ControlStep]:
+    """How a controller is asked for a step; one that minds forces also gets the wrenches."""
+    if not isinstance(controller, ForceController):
+        return controller.step
+    wrenches: Callable[[], Array] | None = getattr(plant, "measured_wrenches", None)
+    if wrenches is None:
+        raise InvalidInputError(
+            f"a {type(plant).__name__} has no force sensors", "simulate: plant", "Give a PhysicsPlant."
+        )
+    minding, read = controller, wrenches
+    return lambda measured: minding.step(measured, wrenches=read())
 
 
 def _stands(step: ControlStep) -> bool:

@@ -7,6 +7,7 @@ where another solver than the core's own is asked for.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Any, final
 
 import numpy as np
@@ -80,6 +81,13 @@ class CompiledLoop:
         unit = self.solver.program.units
         self._memory = build_memory(chain, box, shares, unit, grasp_lengths(grasp), options, dt, gap=native.GAP)
         at = self.at = self._memory.at
+        #: Placement of each tool on its last joint, as the core turns its frame.
+        self._tools = [
+            pin.SE3(R, p) * X
+            for R, p, X in zip(
+                at["object_R"].reshape(-1, 3, 3), at["object_p"].reshape(-1, 3), grasp.T_object_tool, strict=True
+            )
+        ]
         at["options"][layout.OPTIONS.index("OWN_SOLVER")] = self.solver.name == "ldp"
         self._certified = constraints.certified
         at["options"][layout.OPTIONS.index("CERTIFIED")] = self._certified is not None
@@ -124,6 +132,14 @@ class CompiledLoop:
             breakpoints, own = path.breakpoints(), self._ask_path
             numbers = np.array([duration, len(breakpoints), 0.0, *breakpoints])
         self._core.set_path(numbers, own, self._pose_out, duration, looks_ahead)
+
+    def set_grasp(self, T_object_tool: Sequence[pin.SE3]) -> None:
+        """The tools are at these placements on the object from the next step on."""
+        R, p = self.at["object_R"].reshape(-1, 3, 3), self.at["object_p"].reshape(-1, 3)
+        for k, X in enumerate(T_object_tool):
+            Y = self._tools[k] * X.inverse()
+            R[k], p[k] = Y.rotation, Y.translation
+        self._chain.hold(T_object_tool)
 
     def start(self, q: Array) -> None:
         """At rest at ``q``; forgets everything."""

@@ -34,7 +34,9 @@ typedef struct {
     PyObject *own_path, *bound_knot, *evasion;     /* callables; NULL for none */
     PyObject *path_buffer, *pose_buffer;           /* arrays whose memory is in use */
     PyObject *step_type, *context, *statuses;      /* what a step is made of */
-    unsigned long busy;                            /* the thread that computes a step; 0 for none */
+    unsigned long busy;                            /* the thread that works here; 0 for none */
+    int entered;                                   /* how often it has entered and not left */
+    int handed;                                    /* a step is left open: the next entry is the same one's */
     PyObject *interrupt[3];                        /* type, value and traceback, until the call ends; or NULL */
 #ifdef GUARDED
     Guards guards;
@@ -360,7 +362,16 @@ static int enter(CoreObject *self) {
         return 0;
     }
     self->busy = me;
+    if (self->handed)
+        self->handed = 0;
+    else
+        self->entered++;
     return 1;
+}
+
+static void leave(CoreObject *self) {
+    if (self->entered > 0) self->entered--;
+    if (!self->entered) self->busy = 0;
 }
 
 static PyObject *core_hold(PyObject *object, PyObject *unused) {
@@ -371,7 +382,7 @@ static PyObject *core_hold(PyObject *object, PyObject *unused) {
 
 static PyObject *core_release(PyObject *object, PyObject *unused) {
     (void)unused;
-    ((CoreObject *)object)->busy = 0;
+    leave((CoreObject *)object);
     Py_RETURN_NONE;
 }
 
@@ -385,13 +396,17 @@ static PyObject *core_step(PyObject *object, PyObject *const *args, Py_ssize_t n
         if (!interrupted(self)) {
             if (self->core.options[CERTIFIED] != 0.0 && (outcome >= FILLED || !self->can->quiet(&self->core))) {
                 self->core.proposal[OUTCOME] = ASK;
+                self->handed = 1;
                 Py_RETURN_NONE;
             }
-            if (outcome >= FILLED) Py_RETURN_NONE; /* it is released when the step is done */
+            if (outcome >= FILLED) {
+                self->handed = 1;
+                Py_RETURN_NONE;
+            }
             step = make_step(self, self->can->commit(&self->core));
         }
     }
-    self->busy = 0;
+    leave(self);
     return step;
 }
 
@@ -547,7 +562,7 @@ static PyObject *module_least_distance(PyObject *self, PyObject *args) {
 static PyMethodDef core_methods[] = {
     {"step", FAST(core_step), METH_FASTCALL, "step(q, dt): observe, propose, commit; None if the answer is open."},
     {"hold", core_hold, METH_NOARGS, "hold(): this thread works here; BusyError if another one does."},
-    {"release", core_release, METH_NOARGS, "release(): nobody works here."},
+    {"release", core_release, METH_NOARGS, "release(): this thread ends, as often as it began."},
     {"observe", FAST(core_observe), METH_FASTCALL, "observe(q, dt): take one sample."},
     {"propose", FAST(core_propose), METH_FASTCALL,
      "propose(rows, again): find the command with this many further rows; returns an outcome."},

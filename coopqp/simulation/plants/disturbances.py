@@ -27,6 +27,13 @@ class Disturbances:
         base_offset: real placement of an arm's base in its nominal base frame, by arm.
         lag: time constant of the joints' response to commands [s], by arm.
         stall: time at which an arm stops moving [s], by arm.
+        wrench_noise, wrench_bias: standard deviation and constant error of measured wrenches [N]; of torques a tenth
+            of it [N·m].
+        wrench_latency: age of a wrench at its arrival [s].
+        wrench_drop_share: share of lost wrenches.
+        wrench_gain: what a sensor tells, as a multiple of the wrench, by arm: −1 if it is flipped, 0 if dead.
+        object_growth, growth_period: the object's lengths grow by the share ``object_growth · sin(2π t / period)``, the
+            period in seconds; for plants with forces.
         seed: seed of the random numbers.
     """
 
@@ -38,16 +45,30 @@ class Disturbances:
     base_offset: Mapping[str, Placement] = field(default_factory=dict)
     lag: Mapping[str, float] = field(default_factory=dict)
     stall: Mapping[str, float] = field(default_factory=dict)
+    wrench_noise: float = 0.0
+    wrench_bias: float = 0.0
+    wrench_latency: float = 0.0
+    wrench_drop_share: float = 0.0
+    wrench_gain: Mapping[str, float] = field(default_factory=dict)
+    object_growth: float = 0.0
+    growth_period: float = 12.0
     seed: int = 0
 
     def __post_init__(self) -> None:
         keep_scalars(self, "encoder_noise", "latency", open_low=False)
-        keep_scalars(self, "drop_share", "dt_jitter", high=0.99, open_low=False)
+        keep_scalars(self, "growth_period")
+        object.__setattr__(
+            self, "object_growth", as_scalar(self.object_growth, "Disturbances: object_growth", low=-0.5, high=0.5)
+        )
+        keep_scalars(self, "wrench_noise", "wrench_bias", "wrench_latency", open_low=False)
+        keep_scalars(self, "drop_share", "dt_jitter", "wrench_drop_share", high=0.99, open_low=False)
         if isinstance(self.seed, bool) or not isinstance(self.seed, (int, np.integer)) or self.seed < 0:
             raise InvalidInputError(f"seed is {shown(self.seed)}", "Disturbances", "Give a whole number from 0 on.")
         for name in ("lag", "stall"):
             for arm, value in getattr(self, name).items():
                 as_scalar(value, f"Disturbances: {name}['{arm}']", open_low=False)
+        for arm, value in self.wrench_gain.items():
+            as_scalar(value, f"Disturbances: wrench_gain['{arm}']", low=-np.inf)
         for arm, placement in self.base_offset.items():
             as_placement(placement, f"Disturbances: base_offset['{arm}']")
 

@@ -33,6 +33,7 @@ from coopqp.simulation.plants.mujoco_model import (
 )
 from coopqp.simulation.plants.physics_options import PhysicsOptions
 from coopqp.simulation.plants.targets import JointTargets
+from coopqp.simulation.plants.wrench_sensors import WrenchSensors
 from coopqp.spatial import Array, Placement, as_placement, cross
 from coopqp.task.path import TimeLaw
 
@@ -143,6 +144,7 @@ class PhysicsPlant:
             stall=self.disturbances.stall,
         )
         self._encoders = Encoders(cell, self.disturbances)
+        self._wrench_sensors = WrenchSensors(cell, self.disturbances)
         self.time, self._fresh = 0.0, False
         self._torque, self._velocity = np.zeros(cell.nv), np.zeros(cell.nv)
 
@@ -193,6 +195,7 @@ class PhysicsPlant:
             self._mujoco.mj_step(m, d)
         measured = self._configuration()
         self._encoders.reset(measured)
+        self._wrench_sensors.reset()
         self._torque = self._load_torque(measured)
         n, way = round(self.options.hand_over / h), pin.difference(self.cell.model, start, measured)
         for i in range(2 * n):
@@ -215,6 +218,7 @@ class PhysicsPlant:
         h = m.opt.timestep = dt / n
         for i in range(n):
             x, v = targets.at(self.time + i * h)
+            self._grow(self.time + i * h)
             self._command(x, v, before + (i / n) * (after - before))
             self._mujoco.mj_step(m, d)
         self.time = targets.end
@@ -265,6 +269,10 @@ class PhysicsPlant:
         self._refresh()
         d = self.mj_data
         return np.array([d.sensordata[[*range(f, f + 3), *range(t, t + 3)]] for f, t in self._sensors])
+
+    def measured_wrenches(self) -> Array:
+        """The same as the controller gets it, by the disturbances; NaN for an arm whose wrench is lost."""
+        return self._wrench_sensors.read(self.sensed_wrenches(), self.time)
 
     @property
     def servo_torques(self) -> Array:
@@ -318,9 +326,18 @@ class PhysicsPlant:
         if self.options.grips == "where they are":
             real = [O.actInv(T) for T in tools]
         d.qpos[self._object_q] = [*O.translation, *quaternion(O.rotation)]
-        for s, X in zip(self._grip_sites, real, strict=True):
+        self._gripped_at = np.zeros((len(real), 3))
+        for k, (s, X) in enumerate(zip(self._grip_sites, real, strict=True)):
             m.site_pos[s], m.site_quat[s] = X.translation, quaternion(X.rotation)
+            self._gripped_at[k] = X.translation
             m.site_sameframe[s] = self._mujoco.mjtSameFrame.mjSAMEFRAME_NONE  # or MuJoCo may ignore the new place
+
+    def _grow(self, time: float) -> None:
+        """Move the grips with the object's size at a time since the start [s]."""
+        growth = self.disturbances.object_growth
+        if growth != 0.0:
+            size = 1.0 + growth * math.sin(2.0 * math.pi * time / self.disturbances.growth_period)
+            self.mj_model.site_pos[self._grip_sites] = size * self._gripped_at
 
     def _load_wrenches(self) -> Array:
         """Each arm's share in carrying the object's weight, (N, 6): force in world axes [N], then lever [m].

@@ -1,0 +1,249 @@
+"""A cooperative controller whose arms relax the forces between them."""
+
+from __future__ import annotations
+
+import enum
+from collections.abc import Mapping
+from typing import Any, final
+
+import numpy as np
+import pinocchio as pin
+
+from coopqp.checks import ArrayLike, as_options, as_scalar, require
+from coopqp.control.command import ControlStep, Status
+from coopqp.control.qp import QPController
+from coopqp.errors import InvalidInputError
+from coopqp.forces.force_options import ForceOptions
+from coopqp.forces.relaxation import Relaxation
+from coopqp.spatial import Array, Placement
+from coopqp.task.path import ObjectPath
+
+#: The rate that forces allow falls from 1 to 0 and rises again in these times [s], so that it makes no forces itself.
+_FALL, _RISE = 0.6, 2.0
+
+
+class _Stage(enum.Enum):
+    """What the arms do, in this order."""
+
+    CHECK = "the sensors are compared with the servos"
+    PRESS = "the arms press a little to learn how stiff they are"
+    RELAX = "the arms relax before the object moves"
+    MOVE = "the object moves"
+
+
+@final
+class ForceController:
+    """A cooperative controller whose arms relax the forces between them, see :mod:`coopqp.forces.relaxation`.
+
+    At first the object rests. The sensors are compared with the servos; the arms press a little, to learn how stiff
+    they are; they relax. Then the object moves, more slowly where an internal force grows. What holds the object, with
+    the reason: a sensor that does not agree with its servos, wrenches that do not come, and a grasp that cannot give
+    way any further. :meth:`reset` ends the first two.
+
+    Args:
+        controller: the controller that moves the arms. Give commands to this one instead.
+        options: settings, or a dictionary of them.
+
+    Attributes:
+        cell, grasp, path, dt: as of the controller; the grasp is what the arms are told, without what they give way.
+
+    Raises:
+        InvalidInputError: bad settings, also those with which forces would swing.
+    """
+
+    def __init__(self, controller: QPController, options: ForceOptions | Mapping[str, Any]) -> None:
+        require(controller, QPController, "ForceController: controller", "Give a QPController.")
+        self.controller = controller
+        self.cell, self.grasp, self.path, self.dt = controller.cell, controller.grasp, controller.path, controller.dt
+        self.options = as_options(ForceOptions, options, "ForceController: options")
+        self._asked = controller.override
+        self._relaxation = Relaxation(
+            self.cell,
+            self.grasp,
+            self.options,
+            dt=controller.dt,
+            shares=controller.options.common_error.shares(self.cell),
+        )
+        self._begin()
+
+    def _begin(self) -> None:
+        n = len(self.cell)
+        self._stage, self._since, self._cap, self._rate = _Stage.CHECK, 0.0, 1.0, 0.0
+        self._seen, self._silent = np.zeros((n, 6)), np.zeros(n)
+        self._differences, self._compared = np.zeros((n, 6)), 0
+        self._last: ControlStep | None = None
+        self._fault = ""
+
+    # -- as of the controller ------------------------------------------------------------------------------------
+
+    def reset(self, q: ArrayLike, *, clock: float = 0.0) -> None:
+        """Start at ``q`` (nq,), at rest; see :meth:`coopqp.QPController.reset`.
+
+        The arms hold the object where they are, as far as the reach of the grasps allows. So no force comes of the
+        start itself.
+
+        Raises:
+            InvalidInputError: as of the controller; nothing is then changed.
+        """
+        before = self._relaxation.shift
+        shift = self._relaxation.found(self.cell.check_configuration(q, "ForceController.reset: q"))
+        self._hold(shift)
+        try:
+            self.controller.reset(q, clock=clock)
+        except Exception:
+            self._hold(before)
+            raise
+        self._relaxation.begin(shift)
+        self._begin()
+
+    def follow(self, path: ObjectPath, *, clock: float = 0.0) -> None:
+        """Take another path; see :meth:`coopqp.QPController.follow`."""
+        self.controller.follow(path, clock=clock)
+        self.path = path
+
+    def retarget(self, T_world_object: Placement) -> None:
+        """Move the target of a servo path; see :meth:`coopqp.QPController.retarget`."""
+        self.controller.retarget(T_world_object)
+
+    def set_override(self, share: float) -> None:
+        """The largest rate of the object; see :meth:`coopqp.QPController.set_override`."""
+        self._asked = as_scalar(share, "set_override: share", open_low=False, high=1.0)
+
+    def pause(self) -> None:
+        """Bring the object to rest until :meth:`resume`; the arms go on to relax."""
+        self.controller.pause()
+
+    def resume(self) -> None:
+        """Go on after :meth:`pause`."""
+        self.controller.resume()
+
+    # -- what is felt --------------------------------------------------------------------------------------------
+
+    @property
+    def internal(self) -> Array:
+        """Internal wrench of each arm on the object, filtered (N, 6) [N, N·m], in the object frame."""
+        return self._relaxation.internal
+
+    @property
+    def shift(self) -> Array:
+        """By how much each grasp has given way, in the object frame (N, 6) [m, rad]."""
+        return self._relaxation.shift
+
+    @property
+    def stiffer(self) -> float:
+        """How many times as stiff as said the servos are, as the arms felt it; at least 1."""
+        return self._relaxation.stiffer
+
+    # -- the step ------------------------------------------------------------------------------------------------
+
+    def step(
+        self, q_measured: ArrayLike | None = None, *, wrenches: ArrayLike | None = None, dt: float | None = None
+    ) -> ControlStep:
+        """The command of one period; see :meth:`coopqp.QPController.step`.
+
+        Args:
+            q_measured: measured configuration (nq,). Without it the object does not begin to move.
+            wrenches: of the arms on the object, each at the origin and in the axes of its tool (N, 6) [N, N·m]; None or
+                NaN where none came.
+            dt: length of this step [s], if not the nominal one.
+
+        Raises:
+            InvalidInputError: before the first :meth:`reset`, or wrenches of another shape; nothing is then changed.
+        """
+        length = self.dt if dt is None else dt
+        self._feel(wrenches, q_measured, length)
+        before = self._relaxation.shift
+        if not self._fault:
+            self._relax(length)
+        if self._relaxation.shift is not before:
+            self._hold(self._relaxation.shift)
+        share, why = self._share(length)
+        if share != self.controller.override:
+            self.controller.set_override(share)
+        step = self._last = self.controller.step(q_measured, dt=dt)
+        self._rate = step.rate
+        return self._told(step, why) if why else step
+
+    def _feel(self, wrenches: ArrayLike | None, q_measured: ArrayLike | None, dt: float) -> None:
+        n = len(self.cell)
+        w = np.full((n, 6), np.nan) if wrenches is None else np.asarray(wrenches, dtype=float)
+        if w.shape != (n, 6):
+            raise InvalidInputError(
+                f"wrenches of shape {w.shape}", "ForceController.step: wrenches", f"Give one per arm, ({n}, 6)."
+            )
+        fresh = np.isfinite(w).all(axis=1)
+        self._silent = np.where(fresh, 0.0, self._silent + dt)
+        self._seen = np.where(fresh[:, None], w, self._seen)
+        self._relaxation.sense(self._seen, dt)
+        k = int(self._silent.argmax())
+        if self._silent[k] > self.options.silent_time and not self._fault:
+            self._fault = f"no wrench of arm {self.cell.arm_names[k]} for {1e3 * self._silent[k]:.0f} ms"
+        if self._stage is _Stage.CHECK and self._last is not None and fresh.all():
+            self._compare(q_measured, self._last.q_next)
+
+    def _compare(self, q_measured: ArrayLike | None, commanded: Array) -> None:
+        """Compare the sensors with the servos at rest; in the end, say which sensor is wrong."""
+        q = None if q_measured is None else np.asarray(q_measured, dtype=float)
+        if q is None or q.shape != (self.cell.nq,) or not np.isfinite(q).all():
+            return  # the controller says so
+        self._differences += self._relaxation.off_servos(commanded, q)
+        self._compared += 1
+        if self._since < self.options.check_time:
+            return
+        off = np.linalg.norm(self._differences[:, :3] / self._compared, axis=1)
+        k = int(off.argmax())
+        if off[k] > self.options.sensor_tolerance and not self._fault:
+            self._fault = (
+                f"the force sensor of arm {self.cell.arm_names[k]} does not agree with its servos: {off[k]:.0f} N "
+                f"apart (tolerance {self.options.sensor_tolerance:g} N)"
+            )
+        self._go_on(_Stage.PRESS)
+
+    def _relax(self, dt: float) -> None:
+        """One step of what the arms do."""
+        o, relaxation, last = self.options, self._relaxation, self._last
+        self._since += dt
+        if self._stage is _Stage.PRESS:
+            if relaxation.press(dt):
+                self._go_on(_Stage.RELAX)
+        elif self._stage is not _Stage.CHECK and last is not None:
+            relaxation.give_way(lambda: last.q_next, dt, self._rate if self._stage is _Stage.MOVE else 0.0)
+            waited = self._stage is _Stage.RELAX and self._since > 2.0 * o.relax_time
+            if waited and relaxation.size < max(o.move_below, 2.0 * o.dead_band):
+                self._go_on(_Stage.MOVE)
+
+    def _go_on(self, stage: _Stage) -> None:
+        self._stage, self._since = stage, 0.0
+
+    def _hold(self, shift: Array) -> None:
+        grasp = [pin.exp6(d) * X for d, X in zip(shift, self.grasp.T_object_tool, strict=True)]
+        self.controller.set_grasp(grasp)
+
+    # -- how fast, and why ---------------------------------------------------------------------------------------
+
+    def _share(self, dt: float) -> tuple[float, str]:
+        """The largest rate of the object now, and why it is less than what the operator asks for."""
+        o, size = self.options, self._relaxation.size
+        if self._fault:
+            return 0.0, self._fault
+        arm = self.cell.arm_names[int(np.linalg.norm(self.internal[:, :3], axis=1).argmax())]
+        if self._stuck:
+            return 0.0, f"the grasps cannot give way any further: {size:.0f} N at that of arm {arm}"
+        if self._stage is not _Stage.MOVE:
+            return 0.0, f"{self._stage.value}: {size:.0f} N at the grasp of arm {arm}"
+        cap = min(max((o.hold_from - size) / (o.hold_from - o.slow_from), 0.0), 1.0)
+        self._cap = min(max(cap, self._cap - dt / _FALL), self._cap + dt / _RISE)
+        if self._cap >= self._asked:
+            return self._asked, ""
+        return self._cap, f"{size:.0f} N at the grasp of arm {arm} (slower from {o.slow_from:g} N on)"
+
+    @property
+    def _stuck(self) -> bool:
+        return self._relaxation.saturated and self._relaxation.size > self.options.slow_from
+
+    def _told(self, step: ControlStep, why: str) -> ControlStep:
+        """The step with the reason that the forces give."""
+        status = step.status
+        if (self._fault or self._stuck) and status.precedence < Status.HOLDING.precedence:
+            status = Status.HOLDING
+        return step.replaced(status=status, reason="; ".join(filter(None, (why, step.reason))))

@@ -1,0 +1,244 @@
+"""Relax the forces between the arms: the object stays on its path, the grasps in the controller give way.
+
+Wrist sensors tell the wrench ``w_k`` of each arm on the object. The load is shared with the least wrenches at the
+tools, S; the rest is internal: ``w_s = (I − S Σ) w``. An arm that pushes with ``w_s,k`` stands ``e_k = C_k w_s,k`` off
+where it would not, with the compliance of its servos ``C_k = A_k Kp⁻¹ A_kᵀ``. So its place on the object moves by
+
+    ``u_k = −(e_k − Σ_j s_j e_j) / (ρ T) + σ D_k,   d_k ← d_k + u_k dt,   X_k ← exp(d_k) X_k``
+
+with the shares s of the common error, so that the object stays. ρ is how many times as stiff as said the servos are.
+Where a base is off, the grasps have to move as the object does: D is what the path asks for at the full rate, learned
+in the time T_D, ``D_k ← D_k − σ (e_k − Σ_j s_j e_j) / (ρ T) dt / T_D``.
+
+The loop is 1 / (T s) · exp(−d s). It is damped well if (d + dt) / T is at most 1/2, doubts about the servos included.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import final
+
+import numpy as np
+import pinocchio as pin
+
+from coopqp.checks import ArrayLike, as_floats, as_vector
+from coopqp.errors import InvalidInputError
+from coopqp.forces.force_options import ForceOptions
+from coopqp.forces.stress import per_joint
+from coopqp.model.cell import RobotCell
+from coopqp.model.chain import Chain
+from coopqp.model.grasp import Grasp
+from coopqp.spatial import Array
+
+#: Metric of torques against forces in the load's shares [m]: short, so that forces carry the load where they can.
+_SHARE_LENGTH = 0.1
+#: Metric of torques where the size of a wrench is told [m].
+_LENGTH = 0.3
+#: Largest (d + dt) / T with the doubt.
+_LARGEST_GAIN = 0.5
+#: Of what servos do not model [m/N]; keeps what they say finite near singularities.
+_STRUCTURE = 2e-9
+#: The arms press until they feel so much [N], or until so far [m], at a speed [m/s]; what may come of it. Servos that
+#: are softer than said are not answered faster: their damping need not be softer.
+_PRESS, _PRESS_WAY, _PRESS_SPEED, _STIFFER = 3.0, 5e-4, 5e-4, (1.0, 20.0)
+#: Steps between two looks at the compliances, which change with the configuration.
+_EVERY = 20
+
+
+@final
+class Relaxation:
+    """Internal wrenches, and how the grasps give way to them.
+
+    Args:
+        cell, grasp: the arms, and how they are told to hold the object.
+        options: settings.
+        dt: nominal length of a step [s].
+        shares: s, of each arm in the object's pose (N, 6).
+
+    Attributes:
+        internal: internal wrenches of the arms on the object, filtered (N, 6) [N, N·m], in the object frame.
+        shift: d, by how much each grasp has given way, in the object frame (N, 6) [m, rad].
+        stiffer: ρ.
+        saturated: a grasp cannot give way any further.
+
+    Raises:
+        InvalidInputError: bad settings, also those with which forces would swing.
+    """
+
+    def __init__(self, cell: RobotCell, grasp: Grasp, options: ForceOptions, *, dt: float, shares: Array) -> None:
+        self.options, n = options, len(cell)
+        if options.stiffness is None:
+            raise InvalidInputError("no stiffness", "ForceOptions", "Give that of the joint servos.")
+        gain = options.softness_doubt * (options.delay + dt) / options.relax_time
+        if gain > _LARGEST_GAIN * (1.0 + 1e-9):
+            raise InvalidInputError(
+                f"forces would swing: softness_doubt (delay + dt) / relax_time is {gain:.2f}, above {_LARGEST_GAIN:g}",
+                "ForceOptions",
+                f"Give a relax_time of at least {gain / _LARGEST_GAIN * options.relax_time:.3g} s.",
+            )
+        self._cell, self._chain = cell, Chain(cell, grasp)
+        self._softness = 1.0 / per_joint(options.stiffness, cell.nv, "ForceOptions: stiffness")
+        self._to_object, self._load_shares = _load_shares(grasp)
+        total = np.tile(np.eye(6), n)
+        self._internal_of = (np.eye(6 * n) - self._load_shares @ total) @ self._to_object
+        #: Takes what the arms yield to what their grasps move.
+        self._relative = np.eye(6 * n) - np.tile(np.hstack([np.diag(s) for s in shares]), (n, 1))
+        points = np.array([X.translation for X in grasp.T_object_tool])
+        inward = np.concatenate([points.mean(axis=0) - points, np.zeros_like(points)], axis=1)
+        inward = (self._relative @ inward.ravel()).reshape(-1, 6)
+        #: How the grasps move where the arms press: towards each other.
+        self._inward = inward / max(float(np.linalg.norm(inward[:, :3], axis=1).max()), 1e-9)
+        self.begin(np.zeros((n, 6)))
+
+    def begin(self, shift: Array) -> None:
+        """Forget everything; the grasps are shifted by ``shift`` (N, 6)."""
+        n = len(self._cell)
+        self.shift, self.internal, self.stiffer, self.saturated = shift, np.zeros((n, 6)), 1.0, False
+        self._seen, self._drift, self._ease, self._age = np.zeros((n, 6)), np.zeros((n, 6)), 0.0, 0
+        self._compliance = np.zeros((6 * n, 6 * n))
+        self._pressed = self._pressing = self._waited = 0.0
+        self._felt: Array | None = None
+
+    # -- what is felt --------------------------------------------------------------------------------------------
+
+    def sense(self, wrenches: Array, dt: float) -> None:
+        """Take wrenches at the tools (N, 6), ``dt`` seconds after the last ones."""
+        self._seen = wrenches
+        now = (self._internal_of @ wrenches.ravel()).reshape(-1, 6)
+        self.internal = self.internal + (dt / (dt + self.options.filter_time)) * (now - self.internal)
+
+    @property
+    def size(self) -> float:
+        """Of the largest internal wrench [N]; a torque of 0.3 N·m counts as 1 N."""
+        return _size(self.internal)
+
+    def off_servos(self, commanded: Array, measured: Array) -> Array:
+        """By how much the sensors differ from what the servos and what the drives feed forward say (N, 6).
+
+        Without a payload all that an ideal share of some load explains counts as fed forward.
+        """
+        R = self.look(measured)
+        turned = self._chain.twists(pin.difference(self._cell.model, measured, commanded)) @ R
+        C = self._compliance + _STRUCTURE * np.eye(len(self._compliance))
+        off = self._to_object @ self._seen.ravel() - np.linalg.solve(C, turned.ravel())
+        payload = self.options.payload
+        load = off.reshape(-1, 6).sum(axis=0)
+        if payload is not None:
+            weight = -payload.mass * R[:3, :3].T @ self._cell.model.gravity.linear
+            load = np.concatenate([weight, np.cross(payload.centre, weight)])
+        out: Array = (off - self._load_shares @ load).reshape(-1, 6)
+        return out
+
+    def look(self, q: Array) -> Array:
+        """Look at the compliances at ``q``. Returns blockdiag(R, R) of the object (6, 6)."""
+        chain, n = self._chain, len(self._cell)
+        O = chain.carried(q)[0]
+        chain.evaluate(q, about=O[3].copy())
+        R = np.zeros((6, 6))
+        R[:3, :3] = R[3:, 3:] = O[:3].T
+        C = np.zeros((n, 6, n, 6))
+        C[range(n), :, range(n), :] = R.T @ chain.compliances(self._softness) @ R
+        self._compliance = C.reshape(6 * n, 6 * n)
+        self._yields = self._relative @ self._compliance
+        self._age = 0
+        return R
+
+    # -- what the grasps do --------------------------------------------------------------------------------------
+
+    def press(self, dt: float) -> bool:
+        """Move the grasps together until a force is felt, wait for all of it, and learn ρ; true when that is done.
+
+        Forces may grow by themselves, where the object does: how fast is seen before, and is left out.
+        """
+        o = self.options
+        settled = o.delay + 4.0 * o.filter_time + 2.0 * dt
+        self._pressing += dt
+        felt = self._yields @ self.internal.ravel()
+        if self._felt is None:
+            self._felt = felt
+        if self._pressing <= settled:  # nothing is done yet
+            self._grows = (felt - self._felt) / self._pressing
+            self._base = self.internal
+            return False
+        if self._waited == 0.0 and _size(self.internal - self._base) < _PRESS and self._pressed < _PRESS_WAY:
+            self._pressed += dt * _PRESS_SPEED
+            self.shift = self.shift + dt * _PRESS_SPEED * self._inward
+            return False
+        self._waited += dt
+        if self._waited <= settled:
+            return False
+        way = self._pressed * self._inward.ravel()
+        answer = felt - self._felt - self._pressing * self._grows
+        self.stiffer = float(np.clip(answer @ way / (way @ way), *_STIFFER))
+        return True
+
+    def give_way(self, q: Callable[[], Array], dt: float, rate: float) -> None:
+        """Move the grasps by one step.
+
+        Args:
+            q: the commanded configuration (nq,), asked for now and then.
+            dt: length of the step [s].
+            rate: σ at which the object moves along its path; 0 before it has begun.
+        """
+        o, size = self.options, self.size
+        self._age += 1
+        if self._age >= _EVERY:
+            self.look(q())
+        way = np.zeros_like(self.shift)
+        if size > o.dead_band:
+            yields = (self._yields @ self.internal.ravel()).reshape(-1, 6)
+            way = (o.dead_band / size - 1.0) / (self.stiffer * o.relax_time) * yields
+            self._drift = self._drift + rate * dt / o.drift_time * way
+        way = way + rate * self._drift
+        fastest = max(float(np.abs(way[:, :3]).max()) / o.speed, float(np.abs(way[:, 3:]).max()) / o.spin, 1.0)
+        self._ease = min(self._ease + dt / o.ramp_time, 1.0)
+        shift = self.shift + (dt * self._ease / fastest) * way
+        far = self.far(shift)
+        self.saturated = far >= 1.0
+        self.shift = shift / far if far > 1.0 else shift
+
+    def far(self, shift: Array) -> float:
+        """The largest shift of a grasp (N, 6), as a share of its reach."""
+        far, turned = np.linalg.norm(shift[:, :3], axis=1).max(), np.linalg.norm(shift[:, 3:], axis=1).max()
+        return float(max(far / self.options.reach, turned / self.options.turn))
+
+    def found(self, q: Array) -> Array:
+        """Where the arms hold the object at ``q``, as a shift of the grasps (N, 6); 0 where that is out of reach."""
+        O = self._chain.carried(q)
+        errors = self._chain.errors(O, pin.SE3(O[0, :3].T, O[0, 3]))
+        shift: Array = (self._relative @ errors.ravel()).reshape(-1, 6)
+        return shift if self.far(shift) < 1.0 else np.zeros_like(shift)
+
+
+def internal_wrenches(wrenches: ArrayLike, grasp: Grasp) -> Array:
+    """What of the arms' wrenches on the object the load does not take, in the object frame (N, 6) [N, N·m].
+
+    Args:
+        wrenches: of each arm on the object, at the origin and in the axes of its tool (N, 6) [N, N·m].
+        grasp: the placements of the tools.
+
+    Raises:
+        InvalidInputError: not one wrench per arm.
+    """
+    w = as_vector(np.ravel(as_floats(wrenches)), 6 * len(grasp), "internal_wrenches: wrenches")
+    to_object, shares = _load_shares(grasp)
+    own = (to_object @ w).reshape(-1, 6)
+    out: Array = own - (shares @ own.sum(axis=0)).reshape(-1, 6)
+    return out
+
+
+def _size(wrenches: Array) -> float:
+    forces, torques = np.linalg.norm(wrenches[:, :3], axis=1), np.linalg.norm(wrenches[:, 3:], axis=1)
+    return float(max(forces.max(), torques.max() / _LENGTH))
+
+
+def _load_shares(grasp: Grasp) -> tuple[Array, Array]:
+    """What takes wrenches at the tools to the object frame (6 N, 6 N), and S: the load to its shares there (6 N, 6)."""
+    n = len(grasp)
+    scale = np.tile([1.0] * 3 + [_SHARE_LENGTH] * 3, n)
+    to_object = np.zeros((6 * n, 6 * n))
+    for k, X in enumerate(grasp.T_object_tool):
+        to_object[6 * k : 6 * k + 6, 6 * k : 6 * k + 6] = X.actionInverse.T
+    total = np.tile(np.eye(6), n) @ to_object
+    shares: Array = to_object @ (scale[:, None] * np.linalg.pinv(total * scale))
+    return to_object, shares

@@ -1,0 +1,52 @@
+"""Force and torque sensors at the tools: noise, bias, latency, losses, and sensors that tell something else."""
+
+from __future__ import annotations
+
+from collections import deque
+from typing import final
+
+import numpy as np
+
+from coopqp.model.cell import RobotCell
+from coopqp.simulation.plants.disturbances import Disturbances
+from coopqp.spatial import Array
+
+#: Noise and bias of torques per that of forces [m].
+_LEVER = 0.1
+
+
+@final
+class WrenchSensors:
+    """Measured wrenches under the noise, bias, latency, losses and gains of :class:`Disturbances`."""
+
+    def __init__(self, cell: RobotCell, disturbances: Disturbances) -> None:
+        d = self._disturbances = disturbances
+        self._size = np.array([1.0] * 3 + [_LEVER] * 3)
+        self._gain = np.array([d.wrench_gain.get(name, 1.0) for name in cell.arm_names])[:, None]
+        self._arms = len(cell)
+        self.reset()
+
+    def reset(self) -> None:
+        """Start at time 0 with reseeded random numbers."""
+        self._rng = np.random.default_rng([self._disturbances.seed, 1])
+        self._bias = self._disturbances.wrench_bias * self._size * self._directions()
+        self._history: deque[tuple[float, Array]] = deque()
+
+    def _directions(self) -> Array:
+        """Random directions of length 1, for forces and torques (N, 6)."""
+        parts = self._rng.normal(size=(self._arms, 2, 3))
+        out: Array = (parts / np.linalg.norm(parts, axis=2, keepdims=True)).reshape(-1, 6)
+        return out
+
+    def read(self, wrenches: Array, time: float) -> Array:
+        """Measured wrenches (N, 6) [N, N·m] at a time [s], from the real ones; NaN for an arm whose is lost."""
+        d = self._disturbances
+        self._history.append((time, wrenches))
+        while len(self._history) > 1 and self._history[1][0] <= time - d.wrench_latency + 1e-12:
+            self._history.popleft()
+        out = self._gain * self._history[0][1] + self._bias
+        if d.wrench_noise > 0.0:
+            out = out + d.wrench_noise * self._size * self._rng.normal(size=(self._arms, 6))
+        if d.wrench_drop_share > 0.0:
+            out[self._rng.random(self._arms) < d.wrench_drop_share] = np.nan
+        return np.array(out)

@@ -1,0 +1,262 @@
+"""Forces that relax: against an elastic chain in closed form, and in the engine with sensors that fail."""
+
+from __future__ import annotations
+
+import copy
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from coopqp import (
+    Array,
+    CellState,
+    Disturbances,
+    ForceController,
+    ForceOptions,
+    Grasp,
+    HoldPath,
+    InvalidInputError,
+    KinematicPlant,
+    PhysicsPlant,
+    QPController,
+    RobotCell,
+    Status,
+    StressModel,
+    available_kernels,
+    misplaced,
+    simulate,
+)
+from coopqp.forces import internal_wrenches
+from coopqp.planning import Payload
+from coopqp.scenarios import Scenario, paper_lift
+
+STIFF = 2e4
+OFF = pin.SE3(pin.exp3(1e-4 * np.array([1.0, -0.5, 1.0])), 1e-4 * np.array([3.0, -2.0, 3.0]))
+
+
+@pytest.fixture(scope="module")
+def task() -> Scenario:
+    return paper_lift(time_law="quintic")
+
+
+@given(st.lists(st.floats(-50.0, 50.0), min_size=24, max_size=24))
+def test_what_the_load_takes_is_not_internal_and_what_cancels_is(task: Scenario, numbers: list[float]) -> None:
+    """With the least wrenches at the tools that carry a load, torques at a tenth of a metre, nothing is internal."""
+    X, load, free = task.grasp.T_object_tool, np.array(numbers[:6]), np.array(numbers[6:]).reshape(3, 6)
+    maps = np.hstack([x.actionInverse.T for x in X])
+    metric = np.tile([1.0] * 3 + [100.0] * 3, 3)  # of squared torques against squared forces
+    least = (maps.T @ np.linalg.solve((maps / metric) @ maps.T, load)) / metric
+    np.testing.assert_allclose(internal_wrenches(least.reshape(3, 6), task.grasp), 0.0, atol=1e-9)
+    free[2] = -X[2].action.T @ sum(x.actionInverse.T @ w for x, w in zip(X[:2], free[:2], strict=True))
+    there = [x.actionInverse.T @ w for x, w in zip(X, free, strict=True)]
+    np.testing.assert_allclose(internal_wrenches(least.reshape(3, 6) + free, task.grasp), there, atol=1e-8)
+
+
+class Elastic:
+    """A cell whose bases or grips are elsewhere, with elastic servos, in closed form; wrenches come late."""
+
+    def __init__(self, cell: RobotCell, grasp: Grasp, *, late: int, stiffness: float = STIFF) -> None:
+        self.model, self.grasp = StressModel(cell, grasp, stiffness=stiffness), grasp
+        self.past: list[Array] = []
+        self.late = late
+
+    def answer(self, commanded: Array) -> tuple[Array, Array]:
+        """Where the arms are, and the wrenches at their tools, late."""
+        found = self.model.estimate(commanded).wrenches
+        now = np.array([X.action.T @ w for X, w in zip(self.grasp.T_object_tool, found, strict=True)])
+        self.past.append(now)
+        cell, state = self.model.cell, CellState(self.model.cell, commanded)
+        bent = np.concatenate([state.jacobian(k).T @ w for k, w in enumerate(now)]) / self.model.stiffness
+        return pin.integrate(cell.model, commanded, -bent), self.past[max(0, len(self.past) - 1 - self.late)]
+
+
+def relaxed(
+    task: Scenario, *, late: int, steps: int, off: pin.SE3 = OFF, **options: Any
+) -> tuple[Array, ForceController]:
+    """Forces of an object at rest that one arm grips elsewhere, from where the arms begin to relax; and what did it."""
+    real = misplaced(task.cell, task.grasp, {"slave_2": off})
+    world = Elastic(task.cell, real, late=late)
+    held = HoldPath(task.path.pose(0.0), duration=100.0)
+    controller = QPController(task.cell, task.grasp, held, dt=task.dt)
+    made = ForceController(controller, {"stiffness": STIFF, "check_time": 0.0, **options})
+    made.reset(task.q_start)
+    commanded, forces = task.q_start, []
+    for _ in range(steps):
+        measured, wrenches = world.answer(commanded)
+        step = made.step(measured, wrenches=wrenches)
+        assert step.status is not Status.HOLDING or "further" in step.reason, step.reason
+        commanded = step.q_next
+        if "press" not in step.reason and "compared" not in step.reason:
+            forces.append(np.linalg.norm(world.past[-1][:, :3], axis=1).max())
+    return np.array(forces), made
+
+
+def test_a_force_decays_with_the_relax_time_whatever_the_arms_stand_like(task: Scenario) -> None:
+    """On an elastic chain the loop is one integrator: e^(−t/T), with no filter, delay or dead band."""
+    T = 0.3
+    free = {"delay": 0.0, "filter_time": 0.0, "dead_band": 0.0, "ramp_time": 1e-9, "speed": 9.0, "spin": 9.0}
+    forces, made = relaxed(task, late=0, steps=200, relax_time=T, **free)
+    assert forces[0] > 10.0
+    assert made.stiffer == pytest.approx(1.0, abs=0.1)
+    times = task.dt * np.arange(60)
+    np.testing.assert_allclose(forces[1:61] / forces[1], np.exp(-times / (made.stiffer * T)), rtol=0.05)
+    moved = np.linalg.norm(made.shift[:, :3], axis=1)
+    assert moved[0] < 1e-12, "the first arm defines the object"
+
+
+@pytest.mark.parametrize("share", [0.5, 1.0])
+def test_the_loop_is_stable_up_to_the_delay_that_it_allows(task: Scenario, share: float) -> None:
+    """With a dead band of 0, nothing hides what swings."""
+    T, late = 0.06, 1
+    delay = share * (0.5 * T / 1.0 - task.dt)
+    late = int(delay / task.dt)
+    forces, _ = relaxed(
+        task, late=late, steps=400, relax_time=T, delay=delay, softness_doubt=1.0, dead_band=0.0, filter_time=0.0
+    )
+    assert forces[0] > 10.0
+    assert forces[-50:].max() < 1e-3 * forces[0]
+
+
+def test_a_setting_with_which_forces_would_swing_is_refused(task: Scenario) -> None:
+    controller = QPController(task.cell, task.grasp, task.path, dt=task.dt)
+    with pytest.raises(InvalidInputError, match=r"would swing.*Give a relax_time of at least 0\.0825 s"):
+        ForceController(controller, {"stiffness": 1e4, "relax_time": 0.06, "delay": 0.02})
+    least = {"stiffness": 1e4, "relax_time": 0.0825, "delay": 0.02}
+    assert ForceController(controller, least).options.relax_time == 0.0825
+    with pytest.raises(InvalidInputError, match="Give that of the joint servos"):
+        ForceController(controller, {})
+    with pytest.raises(InvalidInputError, match="Slow down first"):
+        ForceOptions(stiffness=1e4, slow_from=50.0, hold_from=40.0)
+    with pytest.raises(InvalidInputError, match="payload"):
+        ForceOptions(stiffness=1e4, payload=20.0)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("factor", [3.0, 10.0])
+def test_servos_stiffer_than_said_are_learned_before_the_object_moves(task: Scenario, factor: float) -> None:
+    _, made = relaxed(task, late=1, steps=200, off=pin.SE3.Identity(), stiffness=STIFF / factor)
+    assert made.stiffer == pytest.approx(factor, rel=0.1)
+
+
+# -- what is told --------------------------------------------------------------------------------------------------
+
+
+def test_wrenches_that_do_not_come_hold_the_object_with_the_name_of_the_arm(task: Scenario) -> None:
+    made = ForceController(QPController(task.cell, task.grasp, task.path, dt=task.dt), {"stiffness": STIFF})
+    made.reset(task.q_start)
+    wrenches = np.zeros((3, 6))
+    wrenches[1] = np.nan
+    for _ in range(10):
+        step = made.step(task.q_start, wrenches=wrenches)
+    assert step.status is Status.HOLDING
+    assert "no wrench of arm slave_1 for" in step.reason
+    made.reset(task.q_start)
+    assert made.step(task.q_start, wrenches=np.zeros((3, 6))).status is Status.PAUSED
+
+
+def test_wrenches_of_another_shape_are_refused_before_anything_changes(task: Scenario) -> None:
+    made = ForceController(QPController(task.cell, task.grasp, task.path, dt=task.dt), {"stiffness": STIFF})
+    made.reset(task.q_start)
+    with pytest.raises(InvalidInputError, match=r"Give one per arm, \(3, 6\)"):
+        made.step(task.q_start, wrenches=np.zeros((2, 6)))
+    with pytest.raises(InvalidInputError, match="has no force sensors"):
+        simulate(made, KinematicPlant(task.cell), q_start=task.q_start)
+
+
+def test_a_grasp_out_of_reach_holds_the_object(task: Scenario) -> None:
+    _, made = relaxed(task, late=0, steps=150, reach=1e-4)
+    step = made.step(task.q_start, wrenches=made._seen)
+    assert step.status is Status.HOLDING
+    assert "cannot give way any further" in step.reason
+    assert np.linalg.norm(made.shift[:, :3], axis=1).max() <= 1e-4 * (1.0 + 1e-12)
+
+
+# -- the controller's grasp ----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("kernel", available_kernels())
+def test_arms_follow_a_grasp_that_moves(kernel: str, task: Scenario) -> None:
+    """The chain closes at the new placements; a copy goes on bit for bit; None leads back."""
+    controller = QPController(task.cell, task.grasp, task.path, dt=task.dt, options={"kernel": kernel})
+    controller.reset(task.q_start)
+    new = [
+        pin.exp6(1e-3 * np.array([k, -k, 0.5 * k, 0.3 * k, 0.0, k])) * X for k, X in enumerate(task.grasp.T_object_tool)
+    ]
+    controller.step()
+    controller.set_grasp(new)
+    copied = None
+    for i in range(60):
+        step = controller.step()
+        if i == 30:
+            copied = copy.copy(controller)
+        elif copied is not None:
+            np.testing.assert_array_equal(copied.step().q_next, step.q_next)
+    O = Grasp(tuple(new)).carried(CellState(task.cell, step.q_next))
+    assert max(np.abs(pin.log6(O[0].actInv(o)).vector).max() for o in O) < 1e-6
+    controller.set_grasp(None)
+    for _ in range(150):
+        step = controller.step()
+    assert step.relative_errors.max() < 3e-6
+    with pytest.raises(InvalidInputError, match="Give 3, one per arm"):
+        controller.set_grasp(new[:2])
+
+
+def test_core_and_definition_agree_about_a_grasp_that_moves(task: Scenario) -> None:
+    if len(available_kernels()) < 2:
+        pytest.skip("one kernel")
+    made = [
+        QPController(task.cell, task.grasp, task.path, dt=task.dt, options={"kernel": kernel})
+        for kernel in ("compiled", "plain")
+    ]
+    for controller in made:
+        controller.reset(task.q_start)
+    rng = np.random.default_rng(0)
+    for _ in range(40):
+        new = [pin.exp6(1e-4 * rng.normal(size=6)) * X for X in task.grasp.T_object_tool]
+        for controller in made:
+            controller.set_grasp(new)
+        a, b = (controller.step() for controller in made)
+        np.testing.assert_allclose(a.q_next, b.q_next, rtol=0, atol=1e-10)
+
+
+# -- in the engine -------------------------------------------------------------------------------------------------
+
+
+def lifted(task: Scenario, *, run: float = 2.0, **disturbances: Any) -> tuple[Array, Any, ForceController]:
+    """Internal force at each step of the lift's first seconds (T,) [N]; the run; the controller."""
+    plant = PhysicsPlant.of(task, disturbances=Disturbances(wrench_latency=0.01, **disturbances))
+    payload = Payload(mass=plant.object_mass, centre=task.T_object_body.translation)
+    controller = QPController(task.cell, task.grasp, task.path, dt=task.dt)
+    made = ForceController(controller, {"stiffness": plant.stiffness, "payload": payload})
+    forces: list[float] = []
+
+    def read(_: Any) -> None:
+        internal = internal_wrenches(plant.sensed_wrenches(), task.grasp)
+        forces.append(float(np.linalg.norm(internal[:, :3], axis=1).max()))
+
+    found = simulate(made, plant, q_start=task.q_start, duration=run, observe=read)
+    return np.array(forces), found, made
+
+
+@pytest.mark.slow
+def test_an_arm_whose_base_is_off_squeezes_no_more(task: Scenario) -> None:
+    """286 N without (``benchmarks/forces.py``)."""
+    axis = np.ones(3) / np.sqrt(3.0)
+    off = pin.SE3(pin.exp3(np.deg2rad(0.1) * axis), 1e-3 * axis)
+    forces, run, _ = lifted(task, base_offset={"slave_2": off})
+    assert run.clock[-1] > 1.0
+    assert forces.max() < 30.0
+    assert forces[run.rate > 0.0].max() < 20.0
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("gain", "apart"), [(-1.0, 98), (0.0, 49), (2.0, 49)])
+def test_a_sensor_that_tells_something_else_is_found_at_rest(task: Scenario, gain: float, apart: int) -> None:
+    _, run, made = lifted(task, run=0.6, wrench_gain={"slave_2": gain})
+    assert run.statuses[-1] is Status.HOLDING
+    assert f"the force sensor of arm slave_2 does not agree with its servos: {apart} N" in made._fault
+    assert run.clock[-1] == 0.0
+    np.testing.assert_allclose(made.shift, 0.0, atol=1e-6)
