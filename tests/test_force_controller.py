@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import copy
+import pickle
+import threading
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -13,6 +16,7 @@ from hypothesis import strategies as st
 
 from coopqp import (
     Array,
+    BusyError,
     CellState,
     Disturbances,
     ForceController,
@@ -174,6 +178,25 @@ def test_a_grasp_out_of_reach_holds_the_object(task: Scenario) -> None:
     assert np.linalg.norm(made.shift[:, :3], axis=1).max() <= 1e-4 * (1.0 + 1e-12)
 
 
+@pytest.mark.parametrize("how", [copy.copy, copy.deepcopy, lambda made: pickle.loads(pickle.dumps(made))])
+@pytest.mark.parametrize("steps", [5, 40, 80, 150])
+def test_a_copy_goes_on_bit_for_bit(how: Callable[[Any], Any], steps: int, task: Scenario) -> None:
+    """In each stage; under noise, the arms press whatever they feel."""
+    made = ForceController(QPController(task.cell, task.grasp, task.path, dt=task.dt), {"stiffness": 1e5})
+    made.reset(task.q_start)
+    rng, q = np.random.default_rng(steps), task.q_start
+    for _ in range(steps):
+        q = made.step(q, wrenches=rng.normal(size=(3, 6))).q_next
+    other, original = how(made), made.controller
+    for _ in range(10):
+        wrenches = rng.normal(size=(3, 6))
+        step, copied = made.step(q, wrenches=wrenches), other.step(q, wrenches=wrenches)
+        np.testing.assert_array_equal(copied.q_next, step.q_next)
+        assert copied.reason == step.reason
+        q = step.q_next
+    assert other.controller is not original
+
+
 # -- the controller's grasp ----------------------------------------------------------------------------------------
 
 
@@ -260,3 +283,24 @@ def test_a_sensor_that_tells_something_else_is_found_at_rest(task: Scenario, gai
     assert f"the force sensor of arm slave_2 does not agree with its servos: {apart} N" in made._fault
     assert run.clock[-1] == 0.0
     np.testing.assert_allclose(made.shift, 0.0, atol=1e-6)
+
+
+def test_the_second_thread_is_refused_before_anything_is_touched(task: Scenario) -> None:
+    made = ForceController(QPController(task.cell, task.grasp, task.path, dt=task.dt), {"stiffness": 1e5})
+    made.reset(task.q_start)
+    outcomes: list[type] = []
+
+    def intrude() -> None:
+        for call in (lambda: made.step(task.q_start, wrenches=np.zeros((3, 6))), lambda: made.reset(task.q_start)):
+            try:
+                call()
+            except Exception as error:
+                outcomes.append(type(error))
+
+    made._turn.hold()
+    other = threading.Thread(target=intrude)
+    other.start()
+    other.join(timeout=30)
+    made._turn.release()
+    assert outcomes == [BusyError, BusyError]
+    assert made._since == 0.0

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import enum
 from collections.abc import Mapping
 from typing import Any, final
@@ -12,6 +13,7 @@ import pinocchio as pin
 from coopqp.checks import ArrayLike, as_options, as_scalar, require
 from coopqp.control.command import ControlStep, Status
 from coopqp.control.qp import QPController
+from coopqp.control.turn import alone
 from coopqp.errors import InvalidInputError
 from coopqp.forces.force_options import ForceOptions
 from coopqp.forces.relaxation import Relaxation
@@ -20,6 +22,10 @@ from coopqp.task.path import ObjectPath
 
 #: The rate that forces allow falls from 1 to 0 and rises again in these times [s], so that it makes no forces itself.
 _FALL, _RISE = 0.6, 2.0
+#: Attributes that a step changes, but those of the relaxation and of the controller within.
+_VARYING = (
+    "_asked", "_stage", "_since", "_cap", "_rate", "_seen", "_silent", "_differences", "_compared", "_last", "_fault",
+)  # fmt: skip
 
 
 class _Stage(enum.Enum):
@@ -40,6 +46,8 @@ class ForceController:
     the reason: a sensor that does not agree with its servos, wrenches that do not come, and a grasp that cannot give
     way any further. :meth:`reset` ends the first two.
 
+    A copy (``copy.copy``, ``copy.deepcopy``, pickle) goes on where the original stands.
+
     Args:
         controller: the controller that moves the arms. Give commands to this one instead.
         options: settings, or a dictionary of them.
@@ -53,9 +61,11 @@ class ForceController:
 
     def __init__(self, controller: QPController, options: ForceOptions | Mapping[str, Any]) -> None:
         require(controller, QPController, "ForceController: controller", "Give a QPController.")
-        self.controller = controller
+        self._build(controller, as_options(ForceOptions, options, "ForceController: options"))
+
+    def _build(self, controller: QPController, options: ForceOptions) -> None:
+        self.controller, self.options = controller, options
         self.cell, self.grasp, self.path, self.dt = controller.cell, controller.grasp, controller.path, controller.dt
-        self.options = as_options(ForceOptions, options, "ForceController: options")
         self._asked = controller.override
         self._relaxation = Relaxation(
             self.cell,
@@ -76,6 +86,11 @@ class ForceController:
 
     # -- as of the controller ------------------------------------------------------------------------------------
 
+    @property
+    def _turn(self) -> Any:
+        return self.controller._turn
+
+    @alone
     def reset(self, q: ArrayLike, *, clock: float = 0.0) -> None:
         """Start at ``q`` (nq,), at rest; see :meth:`coopqp.QPController.reset`.
 
@@ -136,6 +151,7 @@ class ForceController:
 
     # -- the step ------------------------------------------------------------------------------------------------
 
+    @alone
     def step(
         self, q_measured: ArrayLike | None = None, *, wrenches: ArrayLike | None = None, dt: float | None = None
     ) -> ControlStep:
@@ -218,6 +234,27 @@ class ForceController:
     def _hold(self, shift: Array) -> None:
         grasp = [pin.exp6(d) * X for d, X in zip(shift, self.grasp.T_object_tool, strict=True)]
         self.controller.set_grasp(grasp)
+
+    # -- copies --------------------------------------------------------------------------------------------------
+
+    def __getstate__(self) -> dict[str, Any]:
+        own = {name: copy.deepcopy(getattr(self, name)) for name in _VARYING}
+        return {
+            "controller": self.controller,
+            "options": self.options,
+            "own": own,
+            "relaxation": copy.deepcopy(self._relaxation.memory()),
+        }
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self._build(state["controller"], state["options"])
+        vars(self).update(state["own"])
+        self._relaxation.restore(state["relaxation"])
+
+    def __copy__(self) -> ForceController:
+        other = object.__new__(ForceController)
+        other.__setstate__(self.__getstate__() | {"controller": copy.copy(self.controller)})
+        return other
 
     # -- how fast, and why ---------------------------------------------------------------------------------------
 

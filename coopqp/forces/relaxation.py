@@ -15,8 +15,9 @@ The loop is 1 / (T s) · exp(−d s). It is damped well if (d + dt) / T is at mo
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Callable
-from typing import final
+from typing import Any, final
 
 import numpy as np
 import pinocchio as pin
@@ -38,11 +39,17 @@ _LENGTH = 0.3
 _LARGEST_GAIN = 0.5
 #: Of what servos do not model [m/N]; keeps what they say finite near singularities.
 _STRUCTURE = 2e-9
-#: The arms press until they feel so much [N], or until so far [m], at a speed [m/s]; what may come of it. Servos that
-#: are softer than said are not answered faster: their damping need not be softer.
-_PRESS, _PRESS_WAY, _PRESS_SPEED, _STIFFER = 3.0, 5e-4, 5e-4, (1.0, 20.0)
+#: The arms press until they feel so much [N], from so far on and until so far [m], at a speed [m/s].
+_PRESS, _PRESS_LEAST, _PRESS_MOST, _PRESS_SPEED = 3.0, 1e-5, 5e-4, 5e-4
+#: What may come of it. Servos softer than said are not answered faster: their damping need not be softer.
+_STIFFER = (1.0, 20.0)
 #: Steps between two looks at the compliances, which change with the configuration.
 _EVERY = 20
+
+#: Attributes that never change.
+_FIXED = (
+    "options", "_cell", "_chain", "_softness", "_to_object", "_load_shares", "_internal_of", "_relative", "_inward",
+)  # fmt: skip
 
 
 @final
@@ -98,6 +105,14 @@ class Relaxation:
         self._compliance = np.zeros((6 * n, 6 * n))
         self._pressed = self._pressing = self._waited = 0.0
         self._felt: Array | None = None
+
+    def memory(self) -> dict[str, Any]:
+        """What a copy goes on from."""
+        return {name: value for name, value in vars(self).items() if name not in _FIXED}
+
+    def restore(self, memory: dict[str, Any]) -> None:
+        """Go on from what :meth:`memory` returned."""
+        vars(self).update(copy.deepcopy(memory))
 
     # -- what is felt --------------------------------------------------------------------------------------------
 
@@ -160,7 +175,8 @@ class Relaxation:
             self._grows = (felt - self._felt) / self._pressing
             self._base = self.internal
             return False
-        if self._waited == 0.0 and _size(self.internal - self._base) < _PRESS and self._pressed < _PRESS_WAY:
+        felt_none = _size(self.internal - self._base) < _PRESS and self._pressed < _PRESS_MOST
+        if self._waited == 0.0 and (felt_none or self._pressed < _PRESS_LEAST):
             self._pressed += dt * _PRESS_SPEED
             self.shift = self.shift + dt * _PRESS_SPEED * self._inward
             return False
