@@ -29,7 +29,13 @@ PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["
 EXTRAS = sorted(set(PROJECT["optional-dependencies"]) - {"all", "dev", "docs", "mutation"})
 #: The oldest and the newest Python that Pinocchio has wheels for.
 OLDEST, NEWEST = "3.10", "3.13"
+#: Of the variables around: these would change what is imported, or what is kept of it.
+_DROPPED = {"PYTHONPATH", "PYTHONDONTWRITEBYTECODE"}
 ONE_THREAD = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
+
+
+#: What an outcome is to say besides.
+NOTES: list[str] = []
 
 
 class FailedError(Exception):
@@ -70,18 +76,23 @@ class Environment:
         options = ("--quiet", "--python", str(self.bin / "python"), "--reinstall-package", "coopqp", *self.options)
         uv("pip", "install", *options, what, **dict(self.variables))
 
-    def run(self, *command: str, **variables: str) -> None:
-        """Run one of its programs in the root of the tree."""
-        call(str(self.bin / command[0]), *command[1:], **ONE_THREAD, **variables)
+    def run(self, *command: str) -> None:
+        """Run one of its programs in an empty folder: in the root Python would find the tree, not what is installed."""
+        folder = self.bin.parent / "empty"
+        folder.mkdir(exist_ok=True)
+        call(str(self.bin / command[0]), *command[1:], folder=folder, **ONE_THREAD)
 
     def pytest(self, *arguments: str) -> None:
         """Run tests, on both cores."""
-        self.run("pytest", "-n", os.environ.get("WORKERS", "auto"), "--dist", "worksteal", *arguments)
+        where = ("-c", str(ROOT / "pyproject.toml"), "--rootdir", str(ROOT), str(ROOT / "tests"))
+        spread = ("-n", os.environ.get("WORKERS", "auto"), "--dist", "worksteal")
+        self.run("pytest", *where, *spread, "-p", "no:cacheprovider", *arguments)
 
 
-def call(*command: str, **variables: str) -> None:
-    """Run a command in the root of the tree."""
-    done = subprocess.run(command, cwd=ROOT, env={**os.environ, **variables}, check=False)
+def call(*command: str, folder: Path = ROOT, **variables: str) -> None:
+    """Run a command, by default in the root of the tree. Compiled modules are kept: the tests start many processes."""
+    environment = {name: value for name, value in os.environ.items() if name not in _DROPPED}
+    done = subprocess.run(command, cwd=folder, env={**environment, **variables}, check=False)
     if done.returncode:
         raise FailedError(f"{' '.join(command[:4])} … ended with {done.returncode}")
 
@@ -92,7 +103,7 @@ def uv(*arguments: str, **variables: str) -> None:
 
 
 def interpreter(version: str) -> str:
-    """A Python of a version: on the path, or one of pyenv's; this one if there is none, which is said."""
+    """A Python of a version: on the path, or one of pyenv's; this one if there is none, which is said and noted."""
     if not version:
         return sys.executable
     versions = Path(os.environ.get("PYENV_ROOT", Path.home() / ".pyenv")) / "versions"
@@ -100,7 +111,8 @@ def interpreter(version: str) -> str:
     for candidate in candidates:
         if candidate and subprocess.run([candidate, "-c", ""], capture_output=True, check=False).returncode == 0:
             return str(candidate)
-    print(f"no Python {version} on this machine: {sys.version.split()[0]} takes its place", flush=True)
+    NOTES.append(f"no Python {version} on this machine: {sys.version.split()[0]} took its place")
+    print(NOTES[-1], flush=True)
     return sys.executable
 
 
@@ -120,8 +132,8 @@ def wheel() -> Path:
 # -- the environments ----------------------------------------------------------------------------------------------
 
 _WHEELS = ("--only-binary", ":all:", "--no-binary", "coopqp")
-#: Tests of environments that differ in a detail.
-_SOME = ("-m", "not slow")
+#: The tests of make check.
+_SOME = ("-m", "not slow", "--hypothesis-profile", "check")
 
 
 def lowest(tests: list[str]) -> None:
@@ -226,12 +238,13 @@ def main() -> int:
     for name in arguments.names or ENVIRONMENTS:
         print(f"== {name}: {(ENVIRONMENTS[name].__doc__ or '').splitlines()[0]}", flush=True)
         began, outcome = time.monotonic(), "passed"
+        NOTES.clear()
         try:
-            ENVIRONMENTS[name](list(_SOME) if arguments.some else [])
+            ENVIRONMENTS[name](list(_SOME if arguments.some else ()))
         except FailedError as error:
             print(error, flush=True)
             failed, outcome = True, "FAILED"
-        rows.append(f"{name:<12} {outcome:<7} {time.monotonic() - began:5.0f} s")
+        rows.append("; ".join([f"{name:<12} {outcome:<7} {time.monotonic() - began:5.0f} s", *NOTES]))
     print("\n".join(["== environments", *rows]))
     return int(failed)
 

@@ -98,7 +98,7 @@ class TestExport:
         assert np.array_equal(model.lowerPositionLimit, cell.limits.lower)
         assert np.array_equal(model.upperPositionLimit, cell.limits.upper)
         if kind == "urdf":
-            assert np.array_equal(model.upperVelocityLimit, cell.limits.velocity)
+            assert np.array_equal(model.velocityLimit, cell.limits.velocity)
         data = model.createData()
         q = rng.uniform(-2.0, 2.0, cell.nv)
         pin.framesForwardKinematics(model, data, q)

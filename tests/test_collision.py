@@ -28,6 +28,7 @@ from coopqp import (
     QPOptions,
     Status,
     UnknownNameError,
+    available_kernels,
     check_run,
     judge,
     load_cell_file,
@@ -66,7 +67,7 @@ from coopqp.simulation.closeness import with_clearance
 from coopqp.simulation.convex import core_of, distance
 
 MARGIN = 0.02
-KERNELS = ("compiled", "plain")
+KERNELS = available_kernels()
 
 
 def scene_of(scenario: Scenario, **changes: Any) -> CollisionScene:
@@ -251,6 +252,7 @@ def test_a_path_not_known_ahead_ends_at_the_margin_too(acceleration: float) -> N
 
 
 @pytest.mark.slow
+@pytest.mark.skipif(len(KERNELS) < 2, reason="there is no compiled core here")
 @pytest.mark.parametrize("known", [True, False])
 def test_both_kernels_keep_the_same_distance(known: bool) -> None:
     scenario = plate_and_table(tilt=0.1)

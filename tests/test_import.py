@@ -75,6 +75,18 @@ def test_it_works_where_none_is_installed() -> None:
     assert done.returncode == 0, done.stderr
 
 
+def test_a_control_program_starts_without_scipy() -> None:
+    """SciPy's optimisers take longer to import than coopqp."""
+    program = """
+import sys
+from coopqp import Grasp, Monitor, QPController, Recording, RobotCell, simulate
+from coopqp.scenarios import paper_lift
+assert not [name for name in sys.modules if name.startswith("scipy.")]
+"""
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=120, check=False)
+    assert done.returncode == 0, done.stderr
+
+
 def test_importing_says_nothing() -> None:
     done = subprocess.run(
         [sys.executable, "-W", "error::DeprecationWarning:coopqp", "-c", "import coopqp"],

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import runpy
 import shlex
 import shutil
 import subprocess
@@ -67,3 +68,17 @@ def test_the_pictures_are_there_and_wide_enough() -> None:
     with Image.open(ROOT / moving) as film:
         assert film.n_frames > 20
         assert film.width >= 800
+
+
+def test_released_links_are_absolute() -> None:
+    """PyPI has no files beside the README."""
+    script = runpy.run_path(str(ROOT / ".ci" / "absolute_links.py"))
+    released = script["absolute"](README, "https://host/me/repository", "v1")
+    base = r"https://host/me/repository/(raw|blob)/v1/"
+    targets = re.findall(rf"\]\({base}([^)]+)\)", released)
+    assert {kind for kind, _ in targets} == {"raw", "blob"}
+    assert all((ROOT / path).exists() for _, path in targets)
+    pictures = re.findall(r"!\[[^\]]*\]\(([^)]+)\)", released)
+    assert pictures
+    assert all(re.match(rf"{base}|https://", picture) for picture in pictures)
+    assert re.sub(base, "", released) == README

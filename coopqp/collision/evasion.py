@@ -14,6 +14,8 @@ from coopqp.spatial import Array
 #: A row broken by 1/YIELDS costs as much as a self-motion of 1: what no motion keeps gives way. With 1000 arms swung at
 #: many times their speeds to clear posts, along slopes that the look-ahead cannot follow.
 YIELDS = 50.0
+#: What a row may miss; DAQP's default is 1e-6.
+_TOLERANCE = 1e-10
 #: A self-motion that changes no distance by more than this does not help [m per unit of joint speed].
 _HELPS = 1e-6
 
@@ -29,9 +31,9 @@ class Evasion:
     """
 
     def __init__(self, cell: RobotCell) -> None:
-        from scipy.optimize import nnls  # not at the first step that needs it: it takes long to import
+        import daqp
 
-        self._nnls = nnls
+        self._solve = daqp.solve
         self._cell, self._data = cell, cell.model.createData()
         speed = cell.limits.velocity
         self._scale = np.where(np.isfinite(speed), speed, 1.0)
@@ -66,14 +68,13 @@ class Evasion:
         helps = np.abs(A).max(axis=1) > _HELPS
         if not helps.any():
             return slope
-        # Least distance by non-negative least squares [Lawson & Hanson, 1974]; each row has an unknown to give way by.
+        # A least-distance problem; each row has an unknown to give way by, so it has a solution.
         A, b = A[helps], missing[helps]
-        rows = np.hstack([A, np.eye(len(b)) / YIELDS])
-        system = np.vstack([rows.T, b])
-        target = np.zeros(len(system))
-        target[-1] = 1.0
-        u = self._nnls(system, target)[0]
-        rest = system @ u - target
-        z = -rest[:-1] / rest[-1] if rest[-1] < 0.0 else np.zeros(len(rest) - 1)
+        m, n = len(b), len(b) + A.shape[1]
+        rows = np.hstack([A, np.eye(m) / YIELDS])
+        free, inequality = np.full(m, np.inf), np.zeros(m, dtype=np.intc)
+        z, _, flag, _ = self._solve(np.eye(n), np.zeros(n), rows, free, b, inequality, primal_tol=_TOLERANCE)
+        if flag != 1:
+            return slope
         out: Array = slope + N @ z[: A.shape[1]]
         return out

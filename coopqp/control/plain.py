@@ -502,7 +502,7 @@ class PlainLoop:
         q_next = self.cell.moved(q, h * v)
         binding = self.names(answer.active, h, proposal.given.further) or proposal.binding
         binding = self.constraints.measured(binding, q)
-        rate = min(max(answer.rate, 0.0), 1.0)
+        rate = min(max(float(answer.rate), 0.0), 1.0)
         clock_next = clock + rate * h
         if duration - clock_next < 1e-9 * duration:
             clock_next = duration

@@ -1,9 +1,11 @@
 """Distances of convex bodies for the judges of a run: another way than the controllers', with a proof of each figure.
 
 A body is a core and a radius about it: a sphere is a point, a capsule a segment. The distance of two cores is the least
-norm over their difference A − B, whose furthest point in a direction is known. Wolfe's method: the least-norm point x
-of the corners found so far (a least-squares problem, by SciPy) lies outside A − B or on it; the furthest point against
-x is the next corner. ``‖x‖`` bounds the distance from above, that point's component along x from below.
+norm over their difference A − B, whose furthest point in a direction is known. The method of P. Wolfe, "Finding the
+nearest point in a polytope", Mathematical Programming 11 (1976): the least-norm point x of the hull of the corners
+found so far is in A − B; the furthest point against x is the next corner. ``‖x‖`` bounds the distance from above, that
+point's component along x from below. (SciPy's ``nnls`` would do for the hull, but that of 1.15, the last for Python
+3.10, is wrong: its issue 25389.)
 """
 
 from __future__ import annotations
@@ -21,8 +23,6 @@ GAP = 1e-10
 _MOST_CORNERS = 200
 #: Cores whose difference comes this close to 0 overlap [m].
 _OVERLAP = 1e-9
-#: What the corners' combination is to be, and their shares' sum.
-_ORIGIN = np.array([0.0, 0.0, 0.0, 1.0])
 
 
 class Core(NamedTuple):
@@ -77,36 +77,15 @@ def furthest(core: Core, R: Array, p: Array, way: Array) -> Array:
     return out
 
 
-def _least(corners: Array) -> Array:
-    """Shares (n,) of corners (n, 3) in the point of their hull that is nearest to the origin."""
-    if len(corners) == 1:
-        return np.ones(1)
-    if len(corners) == 2:
-        edge = corners[0] - corners[1]
-        length = float(edge @ edge)
-        if length > 0.0:
-            share = min(max(float(corners[0] @ edge) / length, 0.0), 1.0)
-            return np.array([1.0 - share, share])
-    from scipy.optimize import nnls  # here, since it takes longer to import than the rest of coopqp
-
-    system = np.ones((4, len(corners)))
-    system[:3] = corners.T / (float(np.abs(corners).max()) or 1.0)
-    shares = nnls(system, _ORIGIN)[0]
-    found: Array = shares / shares.sum()
-    return found
-
-
 def distance(a: Core, b: Core, Ra: Array, pa: Array, Rb: Array, pb: Array, *, gap: float = GAP) -> float:
     """Distance of two bodies [m], to within ``gap``; where their cores overlap, the negative sum of their radii.
 
     The lower bound is returned: bodies are never closer.
     """
     way = pb - pa
-    corner = furthest(a, Ra, pa, way) - furthest(b, Rb, pb, -way)
-    corners = corner[None]
-    lower = 0.0
+    corners = (furthest(a, Ra, pa, way) - furthest(b, Rb, pb, -way))[None]
+    shares, lower = np.ones(1), 0.0
     for _ in range(_MOST_CORNERS):
-        shares = _least(corners)
         x = shares @ corners
         size = math.sqrt(float(x @ x))
         if size < _OVERLAP:
@@ -115,5 +94,30 @@ def distance(a: Core, b: Core, Ra: Array, pa: Array, Rb: Array, pb: Array, *, ga
         lower = max(lower, float(corner @ x) / size)
         if size - lower <= gap:
             break
-        corners = np.vstack([corners[shares > 0.0], corner])
+        corners, shares = least_norm(np.vstack([corners, corner]), np.append(shares, 0.0))
     return lower - a.radius - b.radius
+
+
+def least_norm(corners: Array, shares: Array) -> tuple[Array, Array]:
+    """The point of least norm in the hull of corners (n, 3): the corners it lies between, and their shares.
+
+    Args:
+        corners: affinely independent but for the last.
+        shares: of a point of the hull, to begin with (n,).
+    """
+    while True:
+        # The point of least norm in the plane of the corners, then as far towards it as the hull reaches.
+        first, edges = corners[0], (corners[1:] - corners[0]).T
+        if edges.shape[1] == 1:  # by hand: the judge asks for many of these
+            rest = -(first @ edges) / max(float(edges[:, 0] @ edges[:, 0]), np.finfo(float).tiny)
+        else:
+            rest = np.linalg.lstsq(edges, -first, rcond=None)[0]
+        there = np.concatenate([[1.0 - rest.sum()], rest])
+        if (there > 0.0).all():
+            return corners, there
+        falls = there <= 0.0
+        ways = shares[falls] / np.maximum(shares[falls] - there[falls], np.finfo(float).tiny)
+        shares = shares + min(1.0, float(ways.min())) * (there - shares)
+        shares[np.flatnonzero(falls)[int(ways.argmin())]] = 0.0
+        kept = shares > 0.0
+        corners, shares = corners[kept], shares[kept] / shares[kept].sum()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import warnings
+from importlib import import_module
 from typing import TYPE_CHECKING
 
 from coopqp.control.constraints import Constraints
@@ -19,7 +20,7 @@ if TYPE_CHECKING:
 
 _MISSING = ""
 try:
-    from coopqp.control.core import _native  # noqa: F401
+    import_module("coopqp.control.core._native")
 except ModuleNotFoundError:
     _MISSING = "it was not built: there was no C compiler, or it failed"
 except ImportError as error:
