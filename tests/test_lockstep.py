@@ -96,6 +96,9 @@ class Pair:
         assert (a.status, a.binding, a.reason, a.dt) == (b.status, b.binding, b.reason, b.dt), self.where(a, b)
         off = np.subtract(a.given_up.off_path, b.given_up.off_path)
         assert np.abs(off).max() <= self.same, self.where(a, b)
+        for name in ("rate", "grasp", "path", "chain"):
+            lost = getattr(a.given_up, name) - getattr(b.given_up, name)
+            assert abs(lost) <= 1e4 * self.same, f"{self.where(a, b)}: given up, {name}"
         for name in ("rate", "clock", "clock_next", "dt", "finished"):  # a recording writes them as JSON
             assert type(getattr(a, name)) is type(getattr(b, name)), f"{self.where(a, b)}: {name}"
         self.told.append(b.q_next)

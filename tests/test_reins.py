@@ -9,6 +9,7 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
+import pinocchio as pin
 import pytest
 from marks import slow_but_first
 
@@ -277,6 +278,26 @@ def test_a_servo_target_can_be_paused() -> None:
         steps = drive(controller, lambda c, i: None, 300)
         assert steps[-1].status is Status.TRACKING
         assert steps[-1].clock > stopped
+
+
+@pytest.mark.parametrize("kernel", KERNELS)
+@pytest.mark.parametrize("acceleration", [np.inf, 5.0])
+@pytest.mark.parametrize("make", [paper_lift, dual_arm7])
+def test_a_target_is_reached_without_a_jump(make: Callable[[], Scenario], acceleration: float, kernel: str) -> None:
+    """From rest to rest: no joint changes its speed by more than an eighth of it in a step, or than its limit."""
+    task = limited(make(), acceleration)
+    start = task.path.pose(0.0)
+    task = dataclasses.replace(task, path=ServoPath(start))
+    controller = built(task, kernel=kernel)
+    goal = start * pin.exp6(pin.Motion(np.array([0.02, 0.03, 0.04, 0.0, 0.0, 0.1])))
+    controller.retarget(goal)
+    steps = drive(controller, lambda c, i: None, 400)
+    velocities = np.array([np.zeros(task.cell.nv), *(step.velocity for step in steps)])
+    limits, changes = task.cell.limits, np.abs(np.diff(velocities, axis=0))
+    allowed = limits.velocity / 8.0 if np.isinf(acceleration) else limits.acceleration * controller.dt
+    assert (changes <= allowed * (1.0 + 1e-9)).all()
+    assert np.abs(pin.log6(controller.path.pose(steps[-1].clock_next).actInv(goal)).vector).max() < 1e-9
+    assert steps[-1].rate == 1.0
 
 
 @pytest.mark.parametrize("bad", [-0.1, 1.1, np.nan, np.inf, "half", None, [0.5]])

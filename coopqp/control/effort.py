@@ -37,7 +37,9 @@ class Effort:
         self._acceleration = _SHARE * plan.acceleration
         limits = cell.limits
         speed = np.where(np.isfinite(limits.velocity), limits.velocity, 1.0)
-        self._jump = np.where(np.isfinite(limits.acceleration), np.inf, _LARGEST_JUMP * speed)
+        #: The joints without acceleration limits (nv,).
+        self.jumpy: Array = ~np.isfinite(limits.acceleration)
+        self._jump = np.where(self.jumpy, _LARGEST_JUMP * speed, np.inf)
 
     def at(self, q: Array, T_world_object: pin.SE3) -> Array:
         """Seconds that each joint takes for a change by one unit (nv, 6) [s per m/s, s per rad/s], in world axes."""

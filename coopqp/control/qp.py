@@ -299,7 +299,9 @@ class QPController:
             return False
         for rate in (0.0,) if rests else dict.fromkeys((full, min(now, full))):
             if rests or rate > 0.0:
-                path.set_target(goal, clock=clock, rate=0.0 if rests else now / rate, effort=effort)
+                path.set_target(
+                    goal, clock=clock, rate=0.0 if rests else now / rate, effort=effort, stops=self._effort.jumpy
+                )
                 loop.look_ahead_again(rate=rate)
                 if rests:
                     return True

@@ -33,9 +33,9 @@ class _Way:
 
         p(τ) = p₀ + b v + u d,   R(τ) = exp(b ω) R₀ exp(u φ),   b′ = 1 − τ/B,   u′ = ramp up in B, hold, ramp down in E
 
-    From rest the way has its full speed from end to end, as a path with a linear time law: the rate of the object's
-    clock rises from 0 and falls before the end instead. So the joints' slopes show how near a singularity is, however
-    short the way.
+    From rest the way begins at its full speed, as a path with a linear time law: the rate of the object's clock rises
+    from 0 instead. It falls before the end, too, but where joints without acceleration limits have to stop: then it
+    ends as above. So the joints' slopes show how near a singularity is, however short the way.
 
     Args:
         start: T_world_object, the pose in motion.
@@ -43,16 +43,19 @@ class _Way:
         goal: T_world_object, the pose to rest at.
         speed, spin: largest speed and angular speed of the straight way [m/s, rad/s].
         effort: seconds that each joint takes for a change of the object's motion by one unit, in world axes (m, 6).
+        stops: which joints the way itself brings to rest at its end (m,); the rate does so for the others.
     """
 
     def __init__(
-        self, start: pin.SE3, twist: Array, goal: pin.SE3, *, speed: float, spin: float, effort: Array
+        self, start: pin.SE3, twist: Array, goal: pin.SE3, *, speed: float, spin: float, effort: Array, stops: Array
     ) -> None:
         rests = bool(np.abs(twist).max() <= AT_REST)
         self.start, self.goal, self.twist = start, goal, np.zeros(6) if rests else twist
         self.begin = self.end = 0.0
         if rests:
-            self.duration = max(self._straight(speed, spin)[0], _SHORTEST)
+            nominal, full = self._straight(speed, spin)
+            self.end = float(np.abs(effort[stops] @ full).max(initial=0.0))
+            self.duration = max(nominal + 0.5 * self.end, self.end, _SHORTEST)
             return
         before = effort @ self.twist
         self.begin = max(float(np.abs(before).max()), _SHORTEST)
@@ -148,12 +151,14 @@ class ServoPath(ObjectPath):
 
     def _rest(self, pose: pin.SE3) -> None:
         self._since = 0.0
-        self._way = self._to(pose, np.zeros(6), pose, None)
+        self._way = self._to(pose, np.zeros(6), pose, None, None)
 
-    def _to(self, start: pin.SE3, twist: Array, goal: pin.SE3, effort: Array | None) -> _Way:
+    def _to(self, start: pin.SE3, twist: Array, goal: pin.SE3, effort: Array | None, stops: Array | None) -> _Way:
         if effort is None:
             effort = _RAMP * np.diag([1.0 / self.speed] * 3 + [1.0 / self.spin] * 3)
-        return _Way(start, twist, goal, speed=self.speed, spin=self.spin, effort=effort)
+        if stops is None:
+            stops = np.zeros(len(effort), dtype=bool)
+        return _Way(start, twist, goal, speed=self.speed, spin=self.spin, effort=effort, stops=stops)
 
     @property
     def target(self) -> pin.SE3:
@@ -169,7 +174,13 @@ class ServoPath(ObjectPath):
         self._rest(as_placement(T_world_object, "ServoPath.restart"))
 
     def set_target(
-        self, T_world_object: Placement, *, clock: float, rate: float = 1.0, effort: Array | None = None
+        self,
+        T_world_object: Placement,
+        *,
+        clock: float,
+        rate: float = 1.0,
+        effort: Array | None = None,
+        stops: Array | None = None,
     ) -> None:
         """Move to ``T_world_object`` from the object's pose and motion at ``clock``.
 
@@ -178,6 +189,8 @@ class ServoPath(ObjectPath):
             clock: the object's clock [s].
             rate: σ, share of the path's twist at which the object moves there.
             effort: seconds that each joint takes for a change of the object's motion by one unit, in world axes (m, 6).
+            stops: which joints the way itself brings to rest at its end (m,), none by default; the rate of the clock
+                does so for the others.
 
         Raises:
             InvalidInputError: not a pose, or other numbers that are none. The target is then unchanged.
@@ -189,7 +202,7 @@ class ServoPath(ObjectPath):
         if effort is not None:
             rows = np.shape(effort)[0] if np.ndim(effort) == 2 else 0
             effort = as_vector(np.ravel(effort), 6 * rows, f"{where}: effort").reshape(rows, 6)
-        self._way = self._to(here, rate * turned @ self.twist(clock), goal, effort)
+        self._way = self._to(here, rate * turned @ self.twist(clock), goal, effort, stops)
         self._since = clock
 
     def take(self, goal: pin.SE3, segment: Array) -> None:

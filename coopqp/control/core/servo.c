@@ -62,12 +62,16 @@ static int way_to(Core *c, Way *w, double clock, double *segment) {
     const Sketch s = sketch_of(c);
     double *before = s.step, *after = s.after, end = 0.0, duration;
     w->begin = 0.0;
+    carry_and_linearise(c, c->positions, w->p, NULL, s.jacobian);
     if (!(largest_size(w->twist, 6) > STILL_OBJECT)) {
         memset(w->twist, 0, sizeof w->twist);
-        duration = fmax(straight(w), SHORTEST_CHANGE);
+        const double nominal = straight(w);
+        if (!efforts(c, w, s.jacobian, before, after)) return 0;
+        for (int j = 0; j < c->joints; j++)
+            if (!isfinite(c->acceleration[j])) end = fmax(end, fabs(after[j]));
+        duration = fmax(fmax(nominal + 0.5 * end, end), SHORTEST_CHANGE);
     } else {
         double share = 1.0, nominal = 0.0, change = 0.0;
-        carry_and_linearise(c, c->positions, w->p, NULL, s.jacobian);
         memset(w->full, 0, sizeof w->full);
         if (!efforts(c, w, s.jacobian, before, after)) return 0;
         w->begin = fmax(largest_size(before, c->joints), SHORTEST_CHANGE);
