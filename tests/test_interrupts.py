@@ -5,7 +5,7 @@ from __future__ import annotations
 import signal
 import sys
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +20,14 @@ from coopqp.simulation import recording, rows
 
 #: Files whose lines are interrupted.
 LINES = {coopqp.output.__file__, recording.__file__, rows.__file__, sys.modules[write_bag.__module__].__file__}
+
+
+@pytest.fixture(autouse=True)
+def ctrl_c() -> Iterator[None]:
+    """As at a terminal: a shell that starts the tests in the background has it ignored."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
 
 
 def at_line(number: int, call: Callable[[], Any]) -> bool:

@@ -109,6 +109,6 @@ class PlanLimits:
             np.where(finite, planned, np.inf) * dt,
             options.slope_step * speed,
             _SHARE_OF_SLOPE * slope_cap if accelerates else slope_cap,
-            0.5 * (_STEPS_TO_EDGE * dt) ** 2,
+            0.5 * (_STEPS_TO_EDGE * dt) * (_STEPS_TO_EDGE * dt),  # without a power: that raises where it overflows
             accelerates,
         )
