@@ -148,6 +148,7 @@ def test_joints_stay_within_the_motion_that_is_proved(task: Scenario, rng: Any) 
             assert np.abs(errors).max() < 1e-8
 
 
+@pytest.mark.slow
 def test_without_a_proof_of_the_arms_distances_are_sampled() -> None:
     lift = paper_lift(time_law="quintic")
     task = replace(lift, path=Users(lift.path))
@@ -235,6 +236,7 @@ def _in_the_way() -> tuple[Scenario, CollisionScene]:
     return task, CollisionScene.of(task, obstacles=[ball], margin=0.005, ignored=[*others, ("arm6c", "object")])
 
 
+@pytest.mark.slow
 def test_a_start_is_found_that_keeps_clear() -> None:
     task, scene = _in_the_way()
     free = find_start(task.cell, task.grasp, task.path)
@@ -262,6 +264,7 @@ def test_where_no_branch_is_clear_it_is_said() -> None:
     assert checked(post, scene, start=False).verdict is INFEASIBLE
 
 
+@pytest.mark.slow
 def test_a_moved_path_is_a_remedy_for_distances() -> None:
     found = find_remedies(checked(plate_and_post(), margin=0.01))
     assert [remedy.kind for remedy in found] == ["shift"]

@@ -553,6 +553,7 @@ def test_an_elbow_evades_and_the_object_stays_on_its_path(acceleration: float) -
     assert not check_run(without, scene.cell, scene=scene).ok
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("acceleration", [np.inf, 5.0])
 @pytest.mark.parametrize(("make", "margin"), [(elbows, MARGIN), (forearms, 0.03)])
 def test_arms_evade_each_other(make: Any, margin: float, acceleration: float) -> None:

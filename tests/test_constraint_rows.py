@@ -589,6 +589,7 @@ def braked(kernel: str, rank: Rank, lower: Callable[[float], float]) -> tuple[fl
 
 @pytest.mark.parametrize("rank", [Rank.LIMITS, Rank.CLEARANCE])
 @pytest.mark.parametrize("kernel", KERNELS)
+@pytest.mark.slow
 def test_a_brake_without_a_solver_keeps_the_rows(kernel: str, rank: Rank) -> None:
     speed, free, hardest = braked(kernel, rank, lambda _: -np.inf)
     assert free < 0.97 * speed  # the brake without rows

@@ -318,6 +318,7 @@ def test_both_agree_at_singularities(kind: Any, acceleration: float) -> None:
 
 
 @pytest.mark.core
+@pytest.mark.slow
 def test_a_mark_beside_a_singularity_ends_the_way_past_it() -> None:
     """What comes after a mark is not known before it: no way past the pole of a wrist leads over one."""
     task = at_singularity("wrist", 2, miss=5e-4, acceleration=10.0)

@@ -151,6 +151,7 @@ JUMPED = [
 
 @pytest.mark.core
 @pytest.mark.parametrize(("name", "kind", "hertz", "seed"), JUMPED)
+@pytest.mark.slow
 def test_no_joint_without_acceleration_limit_jumps(name: str, kind: str, hertz: int, seed: int) -> None:
     seen = cases.chase(cases.CELLS[name](), kind, np.inf, hertz, seed)
     assert (seen.flips, seen.nameless) == (0, 0)
