@@ -37,9 +37,10 @@ class Effort:
         self._acceleration = _SHARE * plan.acceleration
         limits = cell.limits
         speed = np.where(np.isfinite(limits.velocity), limits.velocity, 1.0)
-        #: The joints without acceleration limits (nv,).
-        self.jumpy: Array = ~np.isfinite(limits.acceleration)
-        self._jump = np.where(self.jumpy, _LARGEST_JUMP * speed, np.inf)
+        jumpy = ~np.isfinite(limits.acceleration)
+        #: Time in which joints without acceleration limits stop from their full speed (nv,) [s]; 0 for the others.
+        self.stops: Array = np.where(jumpy, speed / self._acceleration, 0.0)
+        self._jump = np.where(jumpy, _LARGEST_JUMP * speed, np.inf)
 
     def at(self, q: Array, T_world_object: pin.SE3) -> Array:
         """Seconds that each joint takes for a change by one unit (nv, 6) [s per m/s, s per rad/s], in world axes."""

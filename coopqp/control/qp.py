@@ -300,7 +300,7 @@ class QPController:
         for rate in (0.0,) if rests else dict.fromkeys((full, min(now, full))):
             if rests or rate > 0.0:
                 path.set_target(
-                    goal, clock=clock, rate=0.0 if rests else now / rate, effort=effort, stops=self._effort.jumpy
+                    goal, clock=clock, rate=0.0 if rests else now / rate, effort=effort, stops=self._effort.stops
                 )
                 loop.look_ahead_again(rate=rate)
                 if rests:

@@ -43,7 +43,8 @@ class _Way:
         goal: T_world_object, the pose to rest at.
         speed, spin: largest speed and angular speed of the straight way [m/s, rad/s].
         effort: seconds that each joint takes for a change of the object's motion by one unit, in world axes (m, 6).
-        stops: which joints the way itself brings to rest at its end (m,); the rate does so for the others.
+        stops: time that each joint takes to stop from its full speed (m,) [s], where the way itself brings it to rest
+            at its end; 0 where the rate does.
     """
 
     def __init__(
@@ -54,7 +55,7 @@ class _Way:
         self.begin = self.end = 0.0
         if rests:
             nominal, full = self._straight(speed, spin)
-            self.end = float(np.abs(effort[stops] @ full).max(initial=0.0))
+            self.end = float(np.fmin(np.abs(effort @ full), stops).max(initial=0.0))
             self.duration = max(nominal + 0.5 * self.end, self.end, _SHORTEST)
             return
         before = effort @ self.twist
@@ -157,7 +158,7 @@ class ServoPath(ObjectPath):
         if effort is None:
             effort = _RAMP * np.diag([1.0 / self.speed] * 3 + [1.0 / self.spin] * 3)
         if stops is None:
-            stops = np.zeros(len(effort), dtype=bool)
+            stops = np.zeros(len(effort))
         return _Way(start, twist, goal, speed=self.speed, spin=self.spin, effort=effort, stops=stops)
 
     @property
@@ -189,8 +190,8 @@ class ServoPath(ObjectPath):
             clock: the object's clock [s].
             rate: σ, share of the path's twist at which the object moves there.
             effort: seconds that each joint takes for a change of the object's motion by one unit, in world axes (m, 6).
-            stops: which joints the way itself brings to rest at its end (m,), none by default; the rate of the clock
-                does so for the others.
+            stops: time that each joint takes to stop from its full speed (m,) [s], where the way itself brings it to
+                rest at its end; 0, the default, where the rate of the clock does.
 
         Raises:
             InvalidInputError: not a pose, or other numbers that are none. The target is then unchanged.

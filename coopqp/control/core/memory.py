@@ -127,10 +127,11 @@ def _put_links(chain: Chain, at: dict[str, Array]) -> None:
 
 
 def _put_plan(chain: Chain, at: dict[str, Array], options: QPOptions, dt: float) -> None:
+    plan = PlanLimits.of(chain.cell, options.preview or PreviewOptions(), dt=dt)
+    at["plan_acceleration"][:] = plan.acceleration  # the way to a new target keeps to them without a preview, too
     if options.preview is None:
         return
-    plan = PlanLimits.of(chain.cell, options.preview, dt=dt)
-    at["plan_speed"][:], at["plan_acceleration"][:] = plan.speed, plan.acceleration
+    at["plan_speed"][:] = plan.speed
     at["plan_jump"][:], at["slope_change"][:] = plan.jump, plan.slope_change
     at["options"][layout.OPTIONS.index("SLOPE_CAP")] = plan.slope_cap
     at["options"][layout.OPTIONS.index("ROOM")] = plan.room

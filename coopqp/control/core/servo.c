@@ -68,7 +68,10 @@ static int way_to(Core *c, Way *w, double clock, double *segment) {
         const double nominal = straight(w);
         if (!efforts(c, w, s.jacobian, before, after)) return 0;
         for (int j = 0; j < c->joints; j++)
-            if (!isfinite(c->acceleration[j])) end = fmax(end, fabs(after[j]));
+            if (!isfinite(c->acceleration[j])) { /* no joint stops from more than its full speed */
+                const double speed = isfinite(c->speed[j]) ? c->speed[j] : 1.0;
+                end = fmax(end, fmin(fabs(after[j]), speed / (CHANGE_SHARE * c->plan_acceleration[j])));
+            }
         duration = fmax(fmax(nominal + 0.5 * end, end), SHORTEST_CHANGE);
     } else {
         double share = 1.0, nominal = 0.0, change = 0.0;
