@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 import pytest
+from wrapped import Opaque
 
 from coopqp import (
     Arm,
@@ -292,19 +293,6 @@ def test_the_proof_knows_no_time_law(paper: Scenario) -> None:
                 whole[paper.cell.v_slices[paper.cell.index(arm.arm)]] = q
                 T = tool_placements(paper.cell, [whole])[0][paper.cell.index(arm.arm)]
                 assert np.abs(pin.log6(T.actInv(path.pose(clock) * X)).vector).max() < 1e-8
-
-
-class Opaque(ObjectPath):
-    """A path of a user: the same poses, nothing else known."""
-
-    def __init__(self, path: ObjectPath) -> None:
-        self.path, self.duration = path, path.duration
-
-    def pose(self, clock: float) -> pin.SE3:
-        return self.path.pose(clock)
-
-    def twist(self, clock: float) -> Any:
-        return self.path.twist(clock)
 
 
 def test_where_there_is_no_proof_samples_are_said(paper: Scenario) -> None:

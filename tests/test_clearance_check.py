@@ -10,8 +10,9 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 import pytest
+from wrapped import Opaque
 
-from coopqp import Closeness, InvalidInputError, ObjectPath, QPController, load_cell_file, simulate
+from coopqp import Closeness, InvalidInputError, QPController, load_cell_file, simulate
 from coopqp.app import cli
 from coopqp.collision import Body, Box, Clearance, CollisionScene, Sphere
 from coopqp.look.check_plots import check_figure
@@ -49,19 +50,6 @@ def followed(task: Scenario, samples: int) -> tuple[Any, Any]:
         assert np.abs(errors).max() < 1e-9
         rows.append(q)
     return clocks, np.array(rows)
-
-
-class Users(ObjectPath):
-    """A path that is known by its poses alone."""
-
-    def __init__(self, path: ObjectPath) -> None:
-        self._path, self.duration = path, path.duration
-
-    def pose(self, clock: float) -> pin.SE3:
-        return self._path.pose(clock)
-
-    def twist(self, clock: float) -> Any:
-        return self._path.twist(clock)
 
 
 # -- the proof -----------------------------------------------------------------------------------------------------
@@ -151,7 +139,7 @@ def test_joints_stay_within_the_motion_that_is_proved(task: Scenario, rng: Any) 
 @pytest.mark.slow
 def test_without_a_proof_of_the_arms_distances_are_sampled() -> None:
     lift = paper_lift(time_law="quintic")
-    task = replace(lift, path=Users(lift.path))
+    task = replace(lift, path=Opaque(lift.path))
     found = checked(task)
     assert found.verdict is SAMPLED
     assert found.clearance is not None
@@ -164,7 +152,7 @@ def test_without_a_proof_of_the_arms_distances_are_sampled() -> None:
     assert proved.clearance.pair is not None
     assert found.clearance.pair.distance == pytest.approx(proved.clearance.pair.distance, abs=1e-3)
     post = plate_and_post()
-    stopped = checked(replace(post, path=Users(post.path)))
+    stopped = checked(replace(post, path=Opaque(post.path)))
     assert stopped.verdict is INFEASIBLE
     assert stopped.clearance is not None
     assert stopped.clearance.stop == pytest.approx(checked(post).clearance.stop, abs=1e-3)  # type: ignore[union-attr]

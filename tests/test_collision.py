@@ -15,6 +15,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from marks import slow_but_first, slow_unless
+from wrapped import Opaque
 
 from coopqp import (
     CellFileError,
@@ -23,7 +24,6 @@ from coopqp import (
     InvalidInputError,
     LimitKind,
     Monitor,
-    ObjectPath,
     QPController,
     QPOptions,
     Status,
@@ -88,21 +88,6 @@ def run(scenario: Scenario, scene: CollisionScene, *, kernel: str = "auto", acce
     steps: list[Any] = []
     recording = simulate(controller, q_start=scenario.q_start, patience=0.2, observe=steps.append)
     return recording, steps, scene
-
-
-class Unknown(ObjectPath):
-    """A path that is not known ahead."""
-
-    known_ahead = False
-
-    def __init__(self, path: ObjectPath) -> None:
-        self._path, self.duration = path, path.duration
-
-    def pose(self, clock: float) -> pin.SE3:
-        return self._path.pose(clock)
-
-    def twist(self, clock: float) -> Any:
-        return self._path.twist(clock)
 
 
 @pytest.fixture(scope="module")
@@ -243,7 +228,7 @@ def test_the_object_stops_at_the_margin_on_its_path(scenario: Scenario, accelera
 @pytest.mark.parametrize("acceleration", [np.inf, 5.0])
 def test_a_path_not_known_ahead_ends_at_the_margin_too(acceleration: float) -> None:
     scenario = plate_and_post()
-    blind = replace(scenario, path=Unknown(scenario.path))
+    blind = replace(scenario, path=Opaque(scenario.path, known_ahead=False))
     recording, steps, scene = run(blind, scene_of(blind), acceleration=acceleration)
     verdict = check_run(recording, scene.cell, scene=scene)
     assert verdict.ok, verdict
@@ -257,7 +242,7 @@ def test_a_path_not_known_ahead_ends_at_the_margin_too(acceleration: float) -> N
 def test_both_kernels_keep_the_same_distance(known: bool) -> None:
     scenario = plate_and_table(tilt=0.1)
     if not known:
-        scenario = replace(scenario, path=Unknown(scenario.path))
+        scenario = replace(scenario, path=Opaque(scenario.path, known_ahead=False))
     runs = [run(scenario, scene_of(scenario), kernel=kernel, acceleration=5.0) for kernel in KERNELS]
     first, second = (recording.q_command for recording, _, _ in runs)
     assert first.shape == second.shape
@@ -282,6 +267,19 @@ def test_a_start_inside_the_margin_is_refused_by_name(lift: Scenario) -> None:
     near = replace(lift, obstacles=(lid(lift, 0.008),))
     with pytest.raises(InvalidInputError, match=r"object and lid are 8\.0 mm .* margin of 20 mm"):
         run(near, scene_of(near))
+
+
+def test_a_start_in_which_bodies_overlap_says_by_how_much(lift: Scenario) -> None:
+    """A table stands 2 mm up into the plate."""
+    place = lift.path.pose(0.0) * lift.T_object_body
+    place.translation[2] += 2e-3 - 0.5 * lift.object_size[2] - 0.05
+    table = Body("table", Box((0.1, 0.1, 0.1)), place)
+    scene = CollisionScene.of(lift, obstacles=[table], margin=0.02)
+    controller = QPController(lift.cell, lift.grasp, lift.path, dt=lift.dt, constraints=[Clearance(scene)])
+    with pytest.raises(InvalidInputError, match=r"object and table overlap by 2\.0 mm, inside their margin of 20 mm"):
+        controller.reset(lift.q_start)
+    found = check_path(lift.cell, lift.grasp, lift.path, q_start=lift.q_start, scene=scene)
+    assert "object and table start overlapping by 2 mm, inside their margin" in found.explain()
 
 
 @pytest.mark.parametrize("acceleration", [np.inf, 5.0])
@@ -654,7 +652,7 @@ def test_nothing_comes_closer_to_a_body_that_closes_in(lift: Scenario) -> None:
 @pytest.mark.parametrize("kernel", KERNELS)
 def test_rows_hold_while_nobody_says_where_a_body_is(lift: Scenario, kernel: str) -> None:
     # The path is not known ahead, so rows alone keep the plate below the post; the arms come to rest before it.
-    blind = replace(plate_and_post(), path=Unknown(plate_and_post().path))
+    blind = replace(plate_and_post(), path=Opaque(plate_and_post().path, known_ahead=False))
     cell = blind.cell.with_limits(acceleration=5.0)
     cart = Body("cart", Sphere(0.1), pin.SE3(np.eye(3), np.array([5.0, 0.0, 0.0])))
     scene = CollisionScene.of(replace(blind, cell=cell), margin=MARGIN, moving=[cart])

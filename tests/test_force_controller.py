@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import copy
 import pickle
-import threading
 from collections.abc import Callable
 from typing import Any
 
@@ -16,7 +15,6 @@ from hypothesis import strategies as st
 
 from coopqp import (
     Array,
-    BusyError,
     CellState,
     Disturbances,
     ForceController,
@@ -280,27 +278,26 @@ def test_an_arm_whose_base_is_off_squeezes_no_more(task: Scenario) -> None:
 def test_a_sensor_that_tells_something_else_is_found_at_rest(task: Scenario, gain: float, apart: int) -> None:
     _, run, made = lifted(task, run=0.6, wrench_gain={"slave_2": gain})
     assert run.statuses[-1] is Status.HOLDING
-    assert f"the force sensor of arm slave_2 does not agree with its servos: {apart} N" in made._fault
+    assert f"the force sensor of arm slave_2 does not agree with its servos: {apart} N" in run.notes[-1]
     assert run.clock[-1] == 0.0
     np.testing.assert_allclose(made.shift, 0.0, atol=1e-6)
 
 
-def test_the_second_thread_is_refused_before_anything_is_touched(task: Scenario) -> None:
-    made = ForceController(QPController(task.cell, task.grasp, task.path, dt=task.dt), {"stiffness": 1e5})
-    made.reset(task.q_start)
-    outcomes: list[type] = []
+@pytest.mark.slow
+def test_a_controller_of_a_user_gets_wrenches_if_it_says_so(task: Scenario) -> None:
+    """What wraps a controller is asked as the one within."""
 
-    def intrude() -> None:
-        for call in (lambda: made.step(task.q_start, wrenches=np.zeros((3, 6))), lambda: made.reset(task.q_start)):
-            try:
-                call()
-            except Exception as error:
-                outcomes.append(type(error))
+    class Wrapped:
+        minds_wrenches = True
 
-    made._turn.hold()
-    other = threading.Thread(target=intrude)
-    other.start()
-    other.join(timeout=30)
-    made._turn.release()
-    assert outcomes == [BusyError, BusyError]
-    assert made._since == 0.0
+        def __init__(self, inner: ForceController) -> None:
+            self.cell, self.grasp, self.path, self.dt = inner.cell, inner.grasp, inner.path, inner.dt
+            self.reset, self.step = inner.reset, inner.step
+
+    plant = PhysicsPlant.of(task)
+    inner = ForceController(QPController(task.cell, task.grasp, task.path, dt=task.dt), {"stiffness": plant.stiffness})
+    reasons: list[str] = []
+    simulate(
+        Wrapped(inner), plant, q_start=task.q_start, duration=0.3, observe=lambda step: reasons.append(step.reason)
+    )
+    assert "the arms press a little" in reasons[-1]

@@ -11,6 +11,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from marks import slow_but_first
+from wrapped import Opaque
 
 from coopqp import (
     Array,
@@ -525,27 +526,12 @@ class Looked:
         return np.zeros(0), np.zeros(0), np.zeros(0)
 
 
-class NotAhead(ObjectPath):
-    """A path whose poses ahead of the clock nobody knows."""
-
-    known_ahead = False
-
-    def __init__(self, path: ObjectPath) -> None:
-        self._inner, self.duration = path, path.duration
-
-    def pose(self, clock: float) -> pin.SE3:
-        return self._inner.pose(clock)
-
-    def twist(self, clock: float) -> Array:
-        return self._inner.twist(clock)
-
-
 @pytest.mark.parametrize("kernel", available_kernels())
 def test_paths_that_are_not_known_ahead_have_no_preview(kernel: str) -> None:
     task = paper_lift()
     start = task.path.pose(0.0)
     paths: list[tuple[ObjectPath, bool]] = [
-        (NotAhead(task.path), False),
+        (Opaque(task.path, known_ahead=False), False),
         (ServoPath(start), True),
         (task.path, True),
     ]

@@ -15,6 +15,7 @@ import pytest
 from coopqp import (
     BusyError,
     CoopqpError,
+    ForceController,
     IndependentQPController,
     ObjectPath,
     PseudoInverseController,
@@ -24,7 +25,13 @@ from coopqp import (
 )
 from coopqp.scenarios import Scenario
 
-CONTROLLERS: dict[str, tuple[type, dict[str, Any]]] = {
+
+def minding_forces(*arguments: Any, dt: float, options: dict[str, Any]) -> ForceController:
+    """A controller whose arms relax the forces between them."""
+    return ForceController(QPController(*arguments, dt=dt, options=options), {"stiffness": 1e5})
+
+
+CONTROLLERS: dict[str, tuple[Callable[..., Any], dict[str, Any]]] = {
     **{f"qp, {kernel}": (QPController, {"kernel": kernel}) for kernel in available_kernels()},
     **{
         f"qp, {kernel}, a QP of DAQP at every step": (
@@ -35,6 +42,7 @@ CONTROLLERS: dict[str, tuple[type, dict[str, Any]]] = {
     },
     "pseudo-inverse": (PseudoInverseController, {"increment": "exact"}),
     "independent": (IndependentQPController, {}),
+    "forces": (minding_forces, {}),
 }
 
 

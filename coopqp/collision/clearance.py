@@ -173,10 +173,12 @@ class Clearance:
             return
         k = int(near[(d - self._margins)[near].argmin()])
         pair = self._pair(k, float(d[k]))
-        more = f", and {len({self.labels[i].between for i in near}) - 1} other pairs" if near.size > 1 else ""
+        others = len({self.labels[i].between for i in near}) - 1
+        more = f", and {others} other pair{'s' * (others > 1)}" if others else ""
+        size = f"{1e3 * abs(pair.distance):.1f} mm"
+        apart = f"overlap by {size}" if pair.distance < 0.0 else f"are {size} from each other"
         raise InvalidInputError(
-            f"{pair.first} and {pair.second} are {1e3 * pair.distance:.1f} mm from each other, inside their margin of "
-            f"{1e3 * self._margins[k]:.4g} mm{more}",
+            f"{pair.first} and {pair.second} {apart}, inside their margin of {1e3 * self._margins[k]:.4g} mm{more}",
             "reset: q",
             "Start elsewhere, lower the margin (margins), or allow the pair: inside=[…] where it may only part, "
             "ignored=[…] where it may touch.",

@@ -172,8 +172,8 @@ class PlainLoop:
 
     def set_grasp(self, T_object_tool: Sequence[pin.SE3]) -> None:
         """The tools are at these placements on the object from the next step on."""
-        self._chain.hold(T_object_tool)
-        self._ahead_chain.hold(T_object_tool)
+        self._chain.set_grasp(T_object_tool)
+        self._ahead_chain.set_grasp(T_object_tool)
 
     def start(self, q: Array) -> None:
         """At rest at ``q``; forgets everything."""

@@ -86,7 +86,7 @@ class StressWatch:
         self._deflection += (1.0 - keep) * (off - self._deflection)
         chain.evaluate(measured, about=chain.carried(measured)[0, 3].copy())
         C, bent = chain.compliances(self._softness), chain.twists(self._deflection)
-        wrenches = np.linalg.solve(C + _STRUCTURE * np.eye(6), bent[:, :, None])[:, :, 0]
+        wrenches = servo_wrenches(C, bent)
         self.forces = np.linalg.norm(wrenches[:, :3], axis=1)
         self.behind = -1
         if np.abs(velocity).max() > _STILL:
@@ -102,3 +102,8 @@ class StressWatch:
             if straight[k] > _STRAIGHT_BACK:
                 self.behind, self.gap = k, float(np.linalg.norm(back[k, :3]))
                 self.pull = float(np.linalg.norm((total - wrenches[k])[:3]))
+
+
+def servo_wrenches(compliances: Array, yielded: Array) -> Array:
+    """Wrenches (N, 6) with which servos push that yield by so much (N, 6), with compliances (N, 6, 6)."""
+    return np.asarray(np.linalg.solve(compliances + _STRUCTURE * np.eye(6), yielded[:, :, None])[:, :, 0])

@@ -54,10 +54,13 @@ class ForceController:
 
     Attributes:
         cell, grasp, path, dt: as of the controller; the grasp is what the arms are told, without what they give way.
+        minds_wrenches: true: :func:`coopqp.simulate` gives it the plant's wrenches.
 
     Raises:
         InvalidInputError: bad settings, also those with which forces would swing.
     """
+
+    minds_wrenches = True
 
     def __init__(self, controller: QPController, options: ForceOptions | Mapping[str, Any]) -> None:
         require(controller, QPController, "ForceController: controller", "Give a QPController.")

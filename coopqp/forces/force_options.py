@@ -34,7 +34,7 @@ class ForceOptions:
     reach: Annotated[float, Doc("largest distance of a grasp from its place [m]")] = 0.01
     turn: Annotated[float, Doc("largest angle of a grasp from its place [rad]")] = 0.02
     check_time: Annotated[float, Doc("time at rest in which the sensors are compared with the servos [s]")] = 0.2
-    sensor_tolerance: Annotated[float, Doc("accepted difference of a sensor from what its servos say [N]")] = 20.0
+    sensor_tolerance: Annotated[float, Doc("accepted difference of a sensor from what its servos say [N]")] = 10.0
     move_below: Annotated[float, Doc("internal force below which the object begins to move [N]")] = 5.0
     slow_from: Annotated[float, Doc("internal force from which on the object moves more slowly [N]")] = 20.0
     hold_from: Annotated[float, Doc("internal force at which the object rests [N]")] = 50.0

@@ -23,6 +23,7 @@ import numpy as np
 import pinocchio as pin
 
 from coopqp.checks import ArrayLike, as_floats, as_vector
+from coopqp.control.stress_watch import servo_wrenches
 from coopqp.errors import InvalidInputError
 from coopqp.forces.force_options import ForceOptions
 from coopqp.forces.stress import per_joint
@@ -37,8 +38,6 @@ _SHARE_LENGTH = 0.1
 _LENGTH = 0.3
 #: Largest (d + dt) / T with the doubt.
 _LARGEST_GAIN = 0.5
-#: Of what servos do not model [m/N]; keeps what they say finite near singularities.
-_STRUCTURE = 2e-9
 #: The arms press until they feel so much [N], from so far on and until so far [m], at a speed [m/s].
 _PRESS, _PRESS_LEAST, _PRESS_MOST, _PRESS_SPEED = 3.0, 1e-5, 5e-4, 5e-4
 #: What may come of it. Servos softer than said are not answered faster: their damping need not be softer.
@@ -102,7 +101,7 @@ class Relaxation:
         n = len(self._cell)
         self.shift, self.internal, self.stiffer, self.saturated = shift, np.zeros((n, 6)), 1.0, False
         self._seen, self._drift, self._ease, self._age = np.zeros((n, 6)), np.zeros((n, 6)), 0.0, 0
-        self._compliance = np.zeros((6 * n, 6 * n))
+        self._compliances, self._yields = np.zeros((n, 6, 6)), np.zeros((6 * n, 6 * n))
         self._pressed = self._pressing = self._waited = 0.0
         self._felt: Array | None = None
 
@@ -134,8 +133,7 @@ class Relaxation:
         """
         R = self.look(measured)
         turned = self._chain.twists(pin.difference(self._cell.model, measured, commanded)) @ R
-        C = self._compliance + _STRUCTURE * np.eye(len(self._compliance))
-        off = self._to_object @ self._seen.ravel() - np.linalg.solve(C, turned.ravel())
+        off = self._to_object @ self._seen.ravel() - servo_wrenches(self._compliances, turned).ravel()
         payload = self.options.payload
         load = off.reshape(-1, 6).sum(axis=0)
         if payload is not None:
@@ -151,10 +149,11 @@ class Relaxation:
         chain.evaluate(q, about=O[3].copy())
         R = np.zeros((6, 6))
         R[:3, :3] = R[3:, 3:] = O[:3].T
-        C = np.zeros((n, 6, n, 6))
-        C[range(n), :, range(n), :] = R.T @ chain.compliances(self._softness) @ R
-        self._compliance = C.reshape(6 * n, 6 * n)
-        self._yields = self._relative @ self._compliance
+        self._compliances = R.T @ chain.compliances(self._softness) @ R
+        # The same as relative @ blockdiag(C).
+        self._yields = np.einsum("ikl,klm->ikm", self._relative.reshape(6 * n, n, 6), self._compliances).reshape(
+            6 * n, 6 * n
+        )
         self._age = 0
         return R
 

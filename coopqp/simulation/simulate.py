@@ -12,7 +12,6 @@ from coopqp import planning
 from coopqp.checks import ArrayLike, as_scalar, read_only
 from coopqp.control.command import Controller, ControlStep, Status
 from coopqp.errors import InvalidInputError
-from coopqp.forces.force_controller import ForceController
 from coopqp.model.cell import RobotCell
 from coopqp.model.limits import BindingLimit
 from coopqp.simulation.notes import Notes
@@ -48,7 +47,8 @@ def simulate(
     (environment variable ``TMPDIR``), which end with the recording.
 
     Args:
-        controller: the controller; it is reset at the plant's measured configuration.
+        controller: the controller; it is reset at the plant's measured configuration. One with a true attribute
+            ``minds_wrenches`` is asked as ``step(q, wrenches=…)``, as :class:`coopqp.ForceController` is.
         plant: the plant; by default an ideal :class:`KinematicPlant`.
         q_start: start configuration (nq,); by default :func:`coopqp.planning.find_start` finds one.
         duration: longest run [s]; by default ten times the path's duration, because a slowed object takes longer.
@@ -113,15 +113,16 @@ def simulate(
 
 def _asking(controller: Controller, plant: Plant) -> Callable[[Array], ControlStep]:
     """How a controller is asked for a step; one that minds forces also gets the wrenches."""
-    if not isinstance(controller, ForceController):
+    if not getattr(controller, "minds_wrenches", False):
         return controller.step
     wrenches: Callable[[], Array] | None = getattr(plant, "measured_wrenches", None)
     if wrenches is None:
         raise InvalidInputError(
             f"a {type(plant).__name__} has no force sensors", "simulate: plant", "Give a PhysicsPlant."
         )
-    minding, read = controller, wrenches
-    return lambda measured: minding.step(measured, wrenches=read())
+    step: Any = controller.step
+    read = wrenches
+    return lambda measured: step(measured, wrenches=read())
 
 
 def _stands(step: ControlStep) -> bool:

@@ -139,7 +139,7 @@ class CompiledLoop:
         for k, X in enumerate(T_object_tool):
             Y = self._tools[k] * X.inverse()
             R[k], p[k] = Y.rotation, Y.translation
-        self._chain.hold(T_object_tool)
+        self._chain.set_grasp(T_object_tool)
 
     def start(self, q: Array) -> None:
         """At rest at ``q``; forgets everything."""
