@@ -200,14 +200,13 @@ def test_a_copy_goes_on_bit_for_bit(how: Callable[[Any], Any], steps: int, task:
 
 @pytest.mark.parametrize("kernel", available_kernels())
 def test_arms_follow_a_grasp_that_moves(kernel: str, task: Scenario) -> None:
-    """The chain closes at the new placements; a copy goes on bit for bit; None leads back."""
+    """The chain closes at the new placements; a copy goes on bit for bit; zeros lead back."""
     controller = QPController(task.cell, task.grasp, task.path, dt=task.dt, options={"kernel": kernel})
     controller.reset(task.q_start)
-    new = [
-        pin.exp6(1e-3 * np.array([k, -k, 0.5 * k, 0.3 * k, 0.0, k])) * X for k, X in enumerate(task.grasp.T_object_tool)
-    ]
+    shift = np.array([1e-3 * np.array([k, -k, 0.5 * k, 0.3 * k, 0.0, k]) for k in range(3)])
+    new = [pin.exp6(d) * X for d, X in zip(shift, task.grasp.T_object_tool, strict=True)]
     controller.step()
-    controller.set_grasp(new)
+    controller.shift_grasp(shift)
     copied = None
     for i in range(60):
         step = controller.step()
@@ -217,12 +216,13 @@ def test_arms_follow_a_grasp_that_moves(kernel: str, task: Scenario) -> None:
             np.testing.assert_array_equal(copied.step().q_next, step.q_next)
     O = Grasp(tuple(new)).carried(CellState(task.cell, step.q_next))
     assert max(np.abs(pin.log6(O[0].actInv(o)).vector).max() for o in O) < 1e-6
-    controller.set_grasp(None)
+    controller.shift_grasp(np.zeros((3, 6)))
     for _ in range(150):
         step = controller.step()
     assert step.relative_errors.max() < 3e-6
-    with pytest.raises(InvalidInputError, match="Give 3, one per arm"):
-        controller.set_grasp(new[:2])
+    for bad in (shift[:2], np.full((3, 6), np.nan)):
+        with pytest.raises(InvalidInputError, match="shift_grasp"):
+            controller.shift_grasp(bad)
 
 
 def test_core_and_definition_agree_about_a_grasp_that_moves(task: Scenario) -> None:
@@ -236,9 +236,9 @@ def test_core_and_definition_agree_about_a_grasp_that_moves(task: Scenario) -> N
         controller.reset(task.q_start)
     rng = np.random.default_rng(0)
     for _ in range(40):
-        new = [pin.exp6(1e-4 * rng.normal(size=6)) * X for X in task.grasp.T_object_tool]
+        shift = 1e-4 * rng.normal(size=(3, 6))
         for controller in made:
-            controller.set_grasp(new)
+            controller.shift_grasp(shift)
         a, b = (controller.step() for controller in made)
         np.testing.assert_allclose(a.q_next, b.q_next, rtol=0, atol=1e-10)
 

@@ -17,7 +17,7 @@ from typing import Any, final
 import numpy as np
 import pinocchio as pin
 
-from coopqp.checks import ArrayLike, as_options, as_scalar, require
+from coopqp.checks import ArrayLike, as_options, as_scalar, as_vector, require
 from coopqp.control.command import ControlStep, Status, amend, brakes_for_target, check_start
 from coopqp.control.constraints import Constraints, listed
 from coopqp.control.core import make_loop
@@ -30,7 +30,7 @@ from coopqp.errors import InvalidInputError, StartWarning
 from coopqp.model.cell import RobotCell
 from coopqp.model.grasp import Grasp
 from coopqp.model.state import CellState
-from coopqp.spatial import Array, Placement, as_placement, as_placements
+from coopqp.spatial import Array, Placement, as_placement
 from coopqp.task.guarded import GuardedPath, is_known
 from coopqp.task.path import HoldPath, ObjectPath
 from coopqp.task.servo import AT_REST, ServoPath
@@ -94,8 +94,8 @@ class QPController:
         self.kernel, self.solver = self._loop.kernel, self._loop.solver.name
         self._effort = Effort(cell, grasp, self.options.preview, dt=self.dt)
         self._started = self._outside = False
-        #: Where the tools are on the object, if not where the grasp says.
-        self._held: tuple[pin.SE3, ...] | None = None
+        #: By how much the tools are elsewhere on the object than the grasp says (N, 6); None if they are not.
+        self._shift: Array | None = None
         #: The target that the object goes over to as soon as it can; it brakes until then. The override asked for.
         self._wanted: pin.SE3 | None = None
         self._asked = 1.0
@@ -314,20 +314,22 @@ class QPController:
         return False
 
     @alone
-    def set_grasp(self, T_object_tool: Sequence[Placement] | None) -> None:
-        """Hold the object at other placements of the tools from the next step on, None for those of ``grasp``.
+    def shift_grasp(self, shift: ArrayLike) -> None:
+        """Hold the object at shifted places of the tools from the next step on: ``exp(d_k) X_k`` for ``X_k`` of grasp.
 
-        For small moves, as :class:`coopqp.forces.ForceController` makes them to relax the forces between the arms. The
-        arms go there as fast as the chain's errors are corrected; :attr:`grasp`, and what is read from it, stays.
+        For small moves, as :class:`coopqp.ForceController` makes them to relax the forces between the arms. The arms go
+        there as fast as the chain's errors are corrected; :attr:`grasp`, and what is read from it, stays.
+
+        Args:
+            shift: d, of each tool in the object frame (N, 6) [m, rad]; zeros lead back.
 
         Raises:
-            InvalidInputError: not one placement per arm.
+            InvalidInputError: not six finite numbers per arm.
         """
-        X = self.grasp.T_object_tool if T_object_tool is None else as_placements(T_object_tool, "set_grasp")
-        if len(X) != len(self.cell):
-            raise InvalidInputError(f"{len(X)} placements", "set_grasp", f"Give {len(self.cell)}, one per arm.")
-        self._held = None if T_object_tool is None else X
-        self._loop.set_grasp(X)
+        d = as_vector(np.ravel(np.asarray(shift, dtype=float)), 6 * len(self.cell), "shift_grasp").reshape(-1, 6)
+        self._shift = d
+        moved = zip(d, self.grasp.T_object_tool, strict=True)
+        self._loop.set_grasp([pin.exp6(own) * X for own, X in moved])
 
     # -- the step --------------------------------------------------------------------------------------------------
 
@@ -392,12 +394,12 @@ class QPController:
         state = {name: getattr(self, name) for name in names}
         wanted = None if self._wanted is None else self._wanted.copy()
         own = {"started": self._started, "outside": self._outside, "wanted": wanted, "asked": self._asked}
-        own["held"] = self._held
+        own["shift"] = self._shift
         return state | own | {"memory": self._loop.memory()}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        names = ("kernel", "started", "outside", "wanted", "asked", "held", "memory")
-        kernel, started, outside, wanted, asked, held, memory = (state.pop(name) for name in names)
+        names = ("kernel", "started", "outside", "wanted", "asked", "shift", "memory")
+        kernel, started, outside, wanted, asked, shift, memory = (state.pop(name) for name in names)
         self._build(**state)  # the path may fail for a while: that is no reason not to be copied
         if self.kernel != kernel:
             raise InvalidInputError(
@@ -408,8 +410,8 @@ class QPController:
         self._started, self._outside, self._wanted, self._asked = started, outside, wanted, asked
         self._take(self.path)
         self._loop.restore(memory)
-        if held is not None:
-            self.set_grasp(held)
+        if shift is not None:
+            self.shift_grasp(shift)
 
     def __copy__(self) -> QPController:
         state = self.__getstate__()

@@ -8,7 +8,6 @@ from collections.abc import Mapping
 from typing import Any, final
 
 import numpy as np
-import pinocchio as pin
 
 from coopqp.checks import ArrayLike, as_options, as_scalar, require
 from coopqp.control.command import ControlStep, Status
@@ -105,11 +104,11 @@ class ForceController:
         """
         before = self._relaxation.shift
         shift = self._relaxation.found(self.cell.check_configuration(q, "ForceController.reset: q"))
-        self._hold(shift)
+        self.controller.shift_grasp(shift)
         try:
             self.controller.reset(q, clock=clock)
         except Exception:
-            self._hold(before)
+            self.controller.shift_grasp(before)
             raise
         self._relaxation.begin(shift)
         self._begin()
@@ -175,7 +174,7 @@ class ForceController:
         if not self._fault:
             self._relax(length)
         if self._relaxation.shift is not before:
-            self._hold(self._relaxation.shift)
+            self.controller.shift_grasp(self._relaxation.shift)
         share, why = self._share(length)
         if share != self.controller.override:
             self.controller.set_override(share)
@@ -233,10 +232,6 @@ class ForceController:
 
     def _go_on(self, stage: _Stage) -> None:
         self._stage, self._since = stage, 0.0
-
-    def _hold(self, shift: Array) -> None:
-        grasp = [pin.exp6(d) * X for d, X in zip(shift, self.grasp.T_object_tool, strict=True)]
-        self.controller.set_grasp(grasp)
 
     # -- copies --------------------------------------------------------------------------------------------------
 

@@ -16,6 +16,7 @@ The loop is 1 / (T s) · exp(−d s). It is damped well if (d + dt) / T is at mo
 from __future__ import annotations
 
 import copy
+import math
 from collections.abc import Callable
 from typing import Any, final
 
@@ -63,6 +64,7 @@ class Relaxation:
 
     Attributes:
         internal: internal wrenches of the arms on the object, filtered (N, 6) [N, N·m], in the object frame.
+        size: of the largest internal wrench [N]; a torque of 0.3 N·m counts as 1 N.
         shift: d, by how much each grasp has given way, in the object frame (N, 6) [m, rad].
         stiffer: ρ.
         saturated: a grasp cannot give way any further.
@@ -100,6 +102,7 @@ class Relaxation:
         """Forget everything; the grasps are shifted by ``shift`` (N, 6)."""
         n = len(self._cell)
         self.shift, self.internal, self.stiffer, self.saturated = shift, np.zeros((n, 6)), 1.0, False
+        self.size = 0.0
         self._seen, self._drift, self._ease, self._age = np.zeros((n, 6)), np.zeros((n, 6)), 0.0, 0
         self._compliances, self._yields = np.zeros((n, 6, 6)), np.zeros((6 * n, 6 * n))
         self._pressed = self._pressing = self._waited = 0.0
@@ -120,11 +123,7 @@ class Relaxation:
         self._seen = wrenches
         now = (self._internal_of @ wrenches.ravel()).reshape(-1, 6)
         self.internal = self.internal + (dt / (dt + self.options.filter_time)) * (now - self.internal)
-
-    @property
-    def size(self) -> float:
-        """Of the largest internal wrench [N]; a torque of 0.3 N·m counts as 1 N."""
-        return _size(self.internal)
+        self.size = _size(self.internal)
 
     def off_servos(self, commanded: Array, measured: Array) -> Array:
         """By how much the sensors differ from what the servos and what the drives feed forward say (N, 6).
@@ -243,8 +242,8 @@ def internal_wrenches(wrenches: ArrayLike, grasp: Grasp) -> Array:
 
 
 def _size(wrenches: Array) -> float:
-    forces, torques = np.linalg.norm(wrenches[:, :3], axis=1), np.linalg.norm(wrenches[:, 3:], axis=1)
-    return float(max(forces.max(), torques.max() / _LENGTH))
+    squares = (wrenches * wrenches).reshape(-1, 2, 3).sum(axis=2).max(axis=0)
+    return math.sqrt(max(squares[0], squares[1] / _LENGTH**2))
 
 
 def _load_shares(grasp: Grasp) -> tuple[Array, Array]:
