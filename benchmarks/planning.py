@@ -38,8 +38,9 @@ from coopqp.scenarios import paper_lift, ring
 KEYS = (
     "case", "method", "arms", "time_s", "ratio", "tracking_share", "chain_mm", "path_mm", "plan_ms", "verdict",
 )  # fmt: skip
-#: Length of a step [s], and the share of the shortest time that a reactive run's path asks for.
-DT, ASKED = 0.002, 0.75
+#: Length of a step [s], and the share of the shortest time that a reactive run's path asks for: so little that its own
+#: rate, at most 1, binds a linear path hardly, and a quintic one only near its ends.
+DT, ASKED = 0.002, {"linear": 0.5, "quintic": 0.75}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -167,9 +168,9 @@ def timings(plan: Plan, progress: common.Progress) -> list[Record]:
         planned = time_path(task.cell, task.grasp, task.path, q_start=task.q_start)
         plan_ms = 1e3 * (time.perf_counter() - began)
         paths: dict[str, ObjectPath] = {"planned": planned}
-        for law in ("linear", "quintic"):
+        for law, asked in ASKED.items():
             start, goal = task.path.start, task.path.goal
-            paths[f"reactive {law}"] = LinePath(start, goal, duration=ASKED * shortest, time_law=law)
+            paths[f"reactive {law}"] = LinePath(start, goal, duration=asked * shortest, time_law=law)
         for method, path in paths.items():
             options = {"plan_ms": plan_ms} if method == "planned" else {}
             records.append(tracked(task, method, path, shortest, **options))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import dataclasses
 import importlib
 from collections.abc import Callable, Iterator
@@ -494,6 +495,25 @@ def test_both_agree_on_a_users_path_with_corners(acceleration: float) -> None:
         assert run.run(1000, noisy(task.cell, size=1e-5)).plain.step().finished
 
 
+class Unsaid(Own):
+    """It does not tell its corners."""
+
+    def next_breakpoint(self, clock: float) -> float:
+        return self.duration
+
+
+@pytest.mark.core
+@pytest.mark.parametrize("make", slow_but_first([paper_lift, mixed_cell]))
+def test_both_agree_on_corners_that_a_user_does_not_tell(make: Callable[[], Scenario]) -> None:
+    task = limited(make, 5.0)
+    run = pair(task, path=lambda: Unsaid(zigzag(task, "linear")), dt=0.01).run(40)
+    for i in range(30):  # copies go on from any place within a search
+        run.step()
+        if i % 7 == 0:
+            run.compiled, run.plain = copy.deepcopy(run.compiled), copy.deepcopy(run.plain)
+    assert run.run(1000, noisy(task.cell, size=1e-5)).plain.step().finished
+
+
 @pytest.mark.slow
 @pytest.mark.core
 @pytest.mark.parametrize("acceleration", [np.inf, 5.0])
@@ -661,7 +681,10 @@ IN_PYTHON: dict[str, dict[str, str]] = {
     },
     "control.ranks": {"AT_LIMIT": "_AT_LIMIT", "RESIDUE_TOLERANCE": "RESIDUE_TOLERANCE"},
     "control.solvers.polish": {"LARGEST_X": "REACH"},
-    "task.guarded": {"FASTEST_PATH": "FASTEST_PATH", "TURN_LENGTH": "TURN_LENGTH"},
+    "task.guarded": {
+        "FASTEST_PATH": "FASTEST_PATH", "TURN_LENGTH": "TURN_LENGTH", "KINK_WIDTH": "_KINK_WIDTH",
+        "KINK_SHARE": "_KINK_SHARE", "LEAST_KINK": "_LEAST_KINK",
+    },
     "model.chain": {"LARGE_INVERSE": "_LARGE_INVERSE", "FAR_EDGE": "_FAR_EDGE"},
     "model.inverse_kinematics": {"LONGEST_STEP": "_LONGEST_STEP"},
     "control.linearised": {"SETTLED": "SETTLED", "EXTRA_AT_START": "EXTRA_AT_START"},
@@ -672,17 +695,18 @@ IN_PYTHON: dict[str, dict[str, str]] = {
     "planning.preview_options": {
         "STEPS_TO_FULL_SPEED": "STEPS_TO_FULL_SPEED", "STEPS_TO_EDGE": "_STEPS_TO_EDGE",
     },
-    "planning.growth": {name: f"_{name}" for name in ("PASSABLE", "GROWTH", "LONGEST_WAY", "MOST_KNOTS")},
+    "planning.growth": {
+        name: f"_{name}" for name in ("PASSABLE", "GROWTH", "LONGEST_WAY", "MOST_KNOTS", "KINK_CELL", "SAME_CLOCK")
+    } | {"MOST_KINKS": "MOST_KINKS"},
     "planning.horizon": {
         name: f"_{name}" for name in ("KNOTS_PER_PASS", "MOST_GUESSES", "SHORT_OF", "SHORTER", "LEAST_RATE")
     },
     "planning.chain_ahead": {
         name: f"_{name}"
         for name in (
-            "FINE_CELL", "OTHER_BRANCH", "BRANCH_WAY", "BEND_CHANGE", "JUST_BEFORE", "STARTING_STEPS", "MOST_TRIES",
-            "CONVERGED",
+            "FINE_CELL", "OTHER_BRANCH", "BRANCH_WAY", "BEND_CHANGE", "STARTING_STEPS", "MOST_TRIES", "CONVERGED",
         )
-    },
+    } | {"JUST_BEFORE": "JUST_BEFORE"},
     "planning.redundancy": {name: name for name in ("LIMIT_MARGIN", "TURNING_WAY", "LEADS")},
     "planning.sharing": {name: name for name in ("STILL_SLOPE", "MOST_PIVOTS", "CROSSED")},
     "control.supervision": {
@@ -707,6 +731,7 @@ IN_PYTHON: dict[str, dict[str, str]] = {
         "STRAIGHT_BACK": "_STRAIGHT_BACK",
     },
 }  # fmt: skip
+BOUNDS = {"MOST_KNOTS": layout.MOST_KNOTS, "MOST_KINKS": layout.MOST_KINKS}
 #: Constants of the core's own linear algebra of singular arms.
 ONLY_IN_C = {"SMALLEST_PIVOT", "LONG_LEVER", "FAR_PIVOT", "EIGEN_ROUNDING", "EIGEN_STEPS"}
 
@@ -721,11 +746,11 @@ def test_the_core_and_the_definition_have_the_same_constants(module: str, name: 
     thing: Any = importlib.import_module(f"coopqp.{module}")
     for part in attribute.split("."):
         thing = getattr(thing, part)
-    assert thing == {**layout.CONSTANTS, "MOST_KNOTS": layout.MOST_KNOTS}[name]
+    assert thing == {**layout.CONSTANTS, **BOUNDS}[name]
 
 
 def test_every_constant_of_the_core_is_known_to_the_definition() -> None:
     stress = importlib.import_module("coopqp.control.stress_watch")
     assert stress._SCALE.tolist() == [1.0] * 3 + [layout.CONSTANTS["TURN_LENGTH"]] * 3
     known = {name for _, name, _ in constants()} | ONLY_IN_C
-    assert known - {"MOST_KNOTS"} == set(layout.CONSTANTS)
+    assert known - set(BOUNDS) == set(layout.CONSTANTS)

@@ -513,6 +513,57 @@ def test_the_object_keeps_its_path_at_corners(acceleration: float) -> None:
         assert path_error(tools, task.grasp, path, s.clock_next)[0] < 3e-6
 
 
+class Fold(ObjectPath):
+    """Out on a straight line and back on another, at full speed over the corner; it may not tell the corner."""
+
+    def __init__(self, start: pin.SE3, angle: float, *, says: bool) -> None:
+        self.duration, self._start, self._says = 1.3, start, says
+        end = pin.SE3(start.rotation, start.translation + np.array([0.2, 0.0, 0.0]))
+        self._law = WaypointPath([start, end], durations=[1.3])
+        self._ways = np.array([[0.0, 0.0, 1.0], [np.sin(angle), 0.0, np.cos(angle)]])
+
+    def pose(self, clock: float) -> pin.SE3:
+        far = self._law.pose(clock).translation[0] - self._start.translation[0]
+        way = min(far, 0.08) * self._ways[0] + max(far - 0.08, 0.0) * self._ways[1]
+        return pin.SE3(self._start.rotation, self._start.translation + way)
+
+    def twist(self, clock: float) -> Array:
+        far = self._law.pose(clock).translation[0] - self._start.translation[0]
+        speed = (self._start.rotation @ self._law.twist(clock)[:3])[0]
+        return np.append(self._start.rotation.T @ self._ways[int(far >= 0.08)] * speed, np.zeros(3))
+
+    def next_breakpoint(self, clock: float) -> float:
+        if not self._says:
+            return self.duration
+        low, high = 0.0, self.duration  # clock of the corner
+        for _ in range(60):
+            middle = 0.5 * (low + high)
+            far = self._law.pose(middle).translation[0] - self._start.translation[0]
+            low, high = (middle, high) if far < 0.08 else (low, middle)
+        return high if clock < high else self.duration
+
+
+@pytest.mark.parametrize("kernel", slow_but_first(available_kernels()))
+@pytest.mark.parametrize("angle", [0.2, 3.0])
+def test_a_corner_that_a_users_path_does_not_tell_is_taken_like_a_told_one(angle: float, kernel: Any) -> None:
+    """An almost reversed one stopped the object for good, and was called an end of the reach."""
+    task, times = paper_lift(), []
+    cell = task.cell.with_limits(acceleration=5.0)
+    for says in (True, False):
+        path = Fold(task.path.pose(0.0), angle, says=says)
+        controller = QPController(cell, task.grasp, path, dt=0.004, options=QPOptions(kernel=kernel))
+        controller.reset(task.q_start)
+        steps = [controller.step()]
+        while not steps[-1].finished and len(steps) < 600:
+            steps.append(controller.step())
+        times.append(len(steps))
+        assert steps[-1].finished
+        assert {b.kind for s in steps for b in s.binding} <= {LimitKind.ACCELERATION, LimitKind.VELOCITY}
+        for tools, s in zip(tool_placements(cell, [s.q_next for s in steps]), steps, strict=True):
+            assert path_error(tools, task.grasp, path, s.clock_next)[0] < 3e-7
+    assert abs(times[1] - times[0]) <= 1
+
+
 class Looked:
     """A bound on the rate that bounds nothing, and keeps the clocks that it is asked for."""
 

@@ -381,8 +381,8 @@ def test_the_own_time_law_of_a_path_counts_for_nothing() -> None:
 class OwnPath(ObjectPath):
     """A path of a user: poses and twists, no geometry."""
 
-    def __init__(self, inner: ObjectPath, *, twist: Any = None) -> None:
-        self.duration, self._inner, self._twist = inner.duration, inner, twist
+    def __init__(self, inner: ObjectPath, *, twist: Any = None, says_corners: bool = True) -> None:
+        self.duration, self._inner, self._twist, self._says_corners = inner.duration, inner, twist, says_corners
 
     def pose(self, clock: float) -> pin.SE3:
         return self._inner.pose(clock)
@@ -391,7 +391,19 @@ class OwnPath(ObjectPath):
         return self._inner.twist(clock) if self._twist is None else self._twist
 
     def next_breakpoint(self, clock: float) -> float:
-        return self._inner.next_breakpoint(clock)
+        return self._inner.next_breakpoint(clock) if self._says_corners else self.duration
+
+
+def test_a_corner_that_a_path_of_ones_own_does_not_tell_is_found() -> None:
+    scenario = limited(dual_arm7())
+    start = scenario.path.pose(0.0)
+    ways = np.array([[0.0, 0.0, 0.0], [0.02, 0.03, 0.06], [0.0, 0.04, 0.05], [0.01, 0.0, 0.0]])
+    poses = [pin.SE3(start.rotation, start.translation + way) for way in ways]
+    line = WaypointPath(poses, durations=[0.31, 0.7, 0.2], time_law="linear")
+    paths = [OwnPath(line, says_corners=says) for says in (True, False)]
+    said, unsaid = (plan_of(replace(scenario, path=path), knots=60) for path in paths)
+    assert unsaid.geometry().corners == said.geometry().corners == (1, 2)
+    assert unsaid.duration == pytest.approx(said.duration, rel=1e-6)
 
 
 @pytest.mark.slow

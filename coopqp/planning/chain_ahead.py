@@ -27,7 +27,7 @@ _BEND_CHANGE = 0.3
 #: Where joints are this many of the longest way between knots from the end of an arm's reach, the arm may be past it.
 _BRANCH_WAY = 2.0
 #: The twist before a corner or the end is taken this much earlier [s].
-_JUST_BEFORE = 1e-10
+JUST_BEFORE = 1e-10
 #: Newton steps that the first knot may take, and that every other knot may take.
 _STARTING_STEPS, _MOST_TRIES = 8, 4
 #: Arms with few joints can follow a path if no more than this is left where Newton's method ends [m, rad].
@@ -202,7 +202,7 @@ class ChainAhead:
         few = errors[list(self._chain.deficient)]
         return few.size > 0 and not np.abs(few).max() < _FOLLOWED
 
-    def _newton_step(self, clock: float, q: Array, *, before: float = _JUST_BEFORE) -> bool:
+    def _newton_step(self, clock: float, q: Array, *, before: float = JUST_BEFORE) -> bool:
         """Newton's step from ``q`` to the pose at ``clock``, and q′ there; False if singular.
 
         q′ is that for the twist a moment ``before`` the clock [s], which tells the sides of a jump apart.

@@ -14,7 +14,7 @@ import numpy as np
 
 from coopqp.model.cell import RobotCell
 from coopqp.model.limits import BindingLimit, LimitKind
-from coopqp.planning.chain_ahead import ChainAhead, LookAheadTrouble
+from coopqp.planning.chain_ahead import JUST_BEFORE, ChainAhead, LookAheadTrouble
 from coopqp.planning.horizon import Horizon, Knot, joint_limit
 from coopqp.planning.preview_options import PlanLimits, PreviewOptions
 from coopqp.task.guarded import FASTEST_PATH, GuardedPath, pose_distance
@@ -23,6 +23,10 @@ from coopqp.task.guarded import FASTEST_PATH, GuardedPath, pose_distance
 _PASSABLE = 0.3
 #: An interval is longer than the one before by this factor at most.
 _GROWTH = 2.0
+#: Where an interval this short is too long, the twist of a user's path may jump [s]; so many such clocks are kept.
+_KINK_CELL, MOST_KINKS = 2e-3, 64
+#: Clocks this close to each other are the same [s].
+_SAME_CLOCK = 1e-9
 #: Knots that are kept at most, and knots of a way past a singularity.
 _MOST_KNOTS, _LONGEST_WAY = 1024, 300
 
@@ -58,9 +62,30 @@ class Growth:
         self._plan, self._options, self._duration = plan, options, path.duration
         self._low, self._high = cell.limits.lower, cell.limits.upper
         self.breakpoints = list[float]()
+        self._kinks, self._kinks_kept = list[float](), list[float]()
         self._way = list[Knot]()  # past a singularity, while it is looked for
         self.trouble = ""
         self.rest()
+
+    def begin(self, breakpoints: list[float]) -> None:
+        """Along a path from a knot on, with the clocks at which its twist is said to jump."""
+        self.rest()
+        self.breakpoints = breakpoints
+        self._kinks, self._kinks_kept = [], []
+
+    def memory(self) -> tuple[list[float], list[float], float, int]:
+        """What a copy goes on from: all as it was before the knot under way, whose Newton steps are counted."""
+        kinks = self._kinks if self._growing is None else self._kinks_kept
+        return list(self.breakpoints), list(kinks), self.begin_at, self.done
+
+    def restore(self, memory: tuple[list[float], list[float], float, int]) -> None:
+        """Go on from what :meth:`memory` returned; growth that was under way is done again up to there."""
+        breakpoints, kinks, begin_at, done = memory
+        self.begin(list(breakpoints))
+        self._kinks = list(kinks)
+        for _ in range(done):
+            self.step()
+        self.begin_at = begin_at
 
     def rest(self) -> None:
         """No knot is under way."""
@@ -75,6 +100,7 @@ class Growth:
             return False
         try:
             if self._growing is None:
+                self._kinks_kept = list(self._kinks)
                 self._growing = self._grow(self._horizon.knots[-1])
                 next(self._growing)  # up to its first Newton step
             self.done += 1
@@ -117,7 +143,7 @@ class Growth:
                 self._horizon.push(stop._replace(cap=0.0, binding=self._arm_limit(knot, LimitKind.SINGULARITY)))
                 return
         breakpoint_ = self.next_breakpoint(last.clock)
-        if abs(way[-1].clock - breakpoint_) < 1e-9 and breakpoint_ < self._duration:
+        if abs(way[-1].clock - breakpoint_) < _SAME_CLOCK and breakpoint_ < self._duration:
             way[-1] = self._chain.corner(way[-1])
         for knot in way:
             self._horizon.push(knot)
@@ -136,12 +162,26 @@ class Growth:
         half_way = self._half_way(last)
         if half_way < options.shortest:
             return None
-        h = min(h, half_way)
+        h, sought = min(h, half_way), False
         while True:
             knot = yield from self._chain.attempt(last, h)
+            if knot is None and h <= _KINK_CELL and not (sought or self._way or self._chain.blind):
+                sought, kink = True, self._kink(last.clock, h)
+                if kink is not None and kink <= last.clock + _SAME_CLOCK:
+                    return self._chain.corner(last)._replace(span=0.0)
+                if kink is not None:
+                    h = kink - last.clock
+                    continue
             h *= 0.5
             if knot is not None or h < options.shortest or self._chain.blind:
                 return knot
+
+    def _kink(self, clock: float, h: float) -> float | None:
+        """Where the twist of a user's path jumps within ``h`` after a knot, unsaid [s]: a breakpoint from now on."""
+        kink = self._path.kink(max(clock - JUST_BEFORE, 0.0), clock + h)
+        if kink is not None:
+            self._kinks = [*self._kinks[1 - MOST_KINKS :], kink]
+        return kink
 
     def _half_way(self, last: Knot) -> float:
         """Half of what is left between a knot and where a constraint allows no rate [s]."""
@@ -164,8 +204,11 @@ class Growth:
 
     def next_breakpoint(self, clock: float) -> float:
         """First clock after ``clock`` at which the twist jumps, the end at the latest [s]."""
-        i = bisect_right(self.breakpoints, clock + 1e-9)
-        return self.breakpoints[i] if i < len(self.breakpoints) else self._duration
+        after = self._duration
+        for clocks in (self.breakpoints, self._kinks):
+            i = bisect_right(clocks, clock + _SAME_CLOCK)
+            after = min(after, clocks[i]) if i < len(clocks) else after
+        return after
 
     def _limit_crossing(self, last: Knot, knot: Knot) -> Knot | None:
         """Where the first joint meets a position limit between two knots, as a knot at which the object rests."""

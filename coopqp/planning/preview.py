@@ -78,9 +78,8 @@ class PathPreview:
         """Start at a configuration on (or near) the path, and look ahead as far as the first step needs."""
         self.horizon.clear()
         self._chain.forget()
-        self._growth.rest()
-        self._free_until, self.ends = -np.inf, False
-        self._begun, self._growth.breakpoints = q, self._path.breakpoints()
+        self._growth.begin(self._path.breakpoints())
+        self._free_until, self.ends, self._begun = -np.inf, False, q
         try:
             self.horizon.push(self._chain.first(q, clock))
         except LookAheadTrouble as trouble:  # nothing is known ahead: the object rests, and the next step tries again
@@ -103,19 +102,15 @@ class PathPreview:
         chain, growth = self._chain, self._growth
         return (
             self.horizon.memory(), self.ends, chain.blind, chain.beyond, chain.beyond_at, self._free_until,
-            growth.begin_at, self._begun, list(growth.breakpoints), growth.done,
+            self._begun, growth.memory(),
         )  # fmt: skip
 
     def restore(self, memory: Any) -> None:
-        """Go on from what :meth:`memory` returned; growth that was under way is done again up to there."""
-        chain, growth = self._chain, self._growth
-        horizon, self.ends, chain.blind, chain.beyond, chain.beyond_at, self._free_until, *rest = memory
-        begin_at, self._begun, growth.breakpoints, done = rest
+        """Go on from what :meth:`memory` returned."""
+        chain = self._chain
+        horizon, self.ends, chain.blind, chain.beyond, chain.beyond_at, self._free_until, self._begun, growth = memory
         self.horizon.restore(horizon)
-        growth.rest()
-        for _ in range(done):
-            growth.step()
-        growth.begin_at = begin_at
+        self._growth.restore(growth)
 
     # -- what is ahead -------------------------------------------------------------------------------------------
 

@@ -10,15 +10,19 @@ import numpy as np
 from coopqp.errors import InvalidInputError
 from coopqp.spatial import Array
 from coopqp.task.geometry import TURN_LENGTH, PathGeometry, Piece
-from coopqp.task.guarded import GuardedPath
+from coopqp.task.guarded import GuardedPath, twist_distance
 from coopqp.task.path import ObjectPath
 
 #: Clocks at which a piece is measured, and nodes of its clock over s.
 _MEASURED, _NODES = 1001, 161
+#: Where a twist changes by so many times as much as before and after, it may jump.
+_SUDDEN = 3.0
 #: Within this share of the length from an end the twist per unit of s is the one there: at rest it is 0/0.
 _AT_END = 1e-4
 #: A piece rests where it moves at less than this share of its largest speed.
 _RESTS = 1e-3
+#: Ends are asked this far on this side of the breakpoints, as a share of the duration.
+_INSET = 1e-9
 #: Step of the differences of twists, as a share of the piece's duration.
 _DIFFERENCE = 1e-4
 #: Motion below this is none [m].
@@ -26,7 +30,7 @@ _STILL = 1e-9
 
 
 def sampled_geometry(path: ObjectPath) -> PathGeometry | None:
-    """Pieces between the breakpoints of a path; None where it stays.
+    """Pieces between the breakpoints of a path, said or found; None where it stays.
 
     Poses and twists are those of the path; derivatives of twists are differences.
 
@@ -36,9 +40,25 @@ def sampled_geometry(path: ObjectPath) -> PathGeometry | None:
     guarded = GuardedPath(path)
     guarded.check("the path")
     marks = [0.0, *guarded.breakpoints(), guarded.duration]
+    marks += [kink for span in itertools.pairwise(marks) for kink in _kinks(guarded, *span)]
+    marks.sort()
     pieces = [ClockPiece(guarded, a, b) for a, b in itertools.pairwise(marks)]
     moving = tuple(piece for piece in pieces if piece.length > _STILL)
     return PathGeometry(moving) if moving else None
+
+
+def _kinks(path: GuardedPath, start: float, end: float) -> list[float]:
+    """Clocks between two breakpoints at which the twist jumps, unsaid [s]."""
+    clocks = np.linspace(start, end, _MEASURED)
+    clocks[[0, -1]] += np.array([_INSET, -_INSET]) * (end - start)
+    found = [path.twist(clock) for clock in clocks.tolist()]
+    twists = [twist for twist in found if twist is not None]
+    if len(twists) < len(found):
+        raise InvalidInputError(path.problem, "the path", "Give twists at any clock.")
+    change = np.array([twist_distance(a, b) for a, b in itertools.pairwise(twists)])
+    beside = np.maximum(np.append(change[1:], 0.0), np.insert(change[:-1], 0, 0.0))
+    kinks = [path.kink(*clocks[i : i + 2].tolist()) for i in np.flatnonzero(change > _SUDDEN * beside)]
+    return [kink for kink in kinks if kink is not None]
 
 
 @final
@@ -117,7 +137,7 @@ class ClockPiece(Piece):
 
     def _world_twists(self, clocks: Array) -> Array:
         """Twists (K, 6) per second at the object's origin, in world axes."""
-        inset = 1e-9 * (self._end - self._start)  # on this side of the breakpoints
+        inset = _INSET * (self._end - self._start)
         V = np.empty((len(clocks), 6))
         for i, clock in enumerate(np.clip(clocks, self._start + inset, self._end - inset).tolist()):
             pose, twist = self._path.pose(clock), self._path.twist(clock)

@@ -29,6 +29,9 @@ _MOST_BREAKPOINTS = 10_000
 _LOOKED_AT = 1.0
 #: Clocks at which a path is asked, and the share of the distance between them over which its poses are compared.
 _PROBES, _SPAN_SHARE = 9, 1e-2
+#: A twist that changes by more than half of its change within so short a time jumps there [s], if the change is this
+#: large [m/s; 1 rad counts as TURN_LENGTH].
+_KINK_WIDTH, _KINK_SHARE, _LEAST_KINK = 2.5e-11, 0.5, 1e-9
 #: A twist may differ from the poses' change by this share of both, and by this much besides [m/s, rad/s].
 _TWIST_SHARE, _TWIST_TOLERANCE = 0.1, 1e-3
 
@@ -42,6 +45,12 @@ def pose_distance(a: pin.SE3, b: pin.SE3) -> float:
     """Distance of two poses [m], turns included."""
     cosine = 0.5 * (float((a.rotation * b.rotation).sum()) - 1.0)
     return float(np.linalg.norm(b.translation - a.translation)) + TURN_LENGTH * math.acos(min(max(cosine, -1.0), 1.0))
+
+
+def twist_distance(a: Array, b: Array) -> float:
+    """Distance of two twists [m/s], angular parts included."""
+    d = b - a
+    return float(np.linalg.norm(d[:3])) + TURN_LENGTH * float(np.linalg.norm(d[3:]))
 
 
 def jump(far: float, clock: float) -> str:
@@ -111,6 +120,25 @@ class GuardedPath:
                 return twist
             self.problem = f"the path's twist at its clock {clock:.6g} s is {np.abs(twist).max():.3g}"
         return None
+
+    def kink(self, before: float, after: float) -> float | None:
+        """A clock between two others at which the twist of a user's path jumps, unsaid [s]; None if it does not."""
+        if not self._own:
+            return None
+        low, high = self.twist(before), self.twist(after)
+        if low is None or high is None:
+            return None
+        whole = twist_distance(low, high)
+        while after - before > _KINK_WIDTH:
+            clock = 0.5 * (before + after)
+            middle = self.twist(clock)
+            if middle is None or not before < clock < after:
+                return None
+            if twist_distance(low, middle) >= twist_distance(middle, high):
+                after, high = clock, middle
+            else:
+                before, low = clock, middle
+        return after if twist_distance(low, high) > max(_KINK_SHARE * whole, _LEAST_KINK) else None
 
     def breakpoints(self) -> list[float]:
         """Clocks at which the twist jumps before the end [s]; none from where the path cannot tell."""

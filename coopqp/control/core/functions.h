@@ -22,6 +22,8 @@ static int path_pose(Core *c, double clock, double *R, double *p);
 static int path_twist(Core *c, double clock, double *twist);
 /* log(T(τ)⁻¹ T(τ + span)) / span; `R`, `p` is T(τ). */
 static int path_increment(Core *c, double clock, double span, const double *R, const double *p, double *twist);
+/* A clock between two others at which the twist of a user's path jumps, unsaid; NaN if it does not. */
+static double path_kink(Core *c, double before, double after);
 /* First clock after this one at which the twist jumps; the end of the path at the latest. */
 static double next_breakpoint(const Core *c, double clock);
 

@@ -95,7 +95,7 @@ static void aim_ahead(Core *c) {
     if (last[K_SPAN] > 0.0 && last[K_CORNER] == 0.0) span = minimum(span, GROWTH * last[K_SPAN]);
     if (last[K_CLOCK] + span > edge - 1e-9) span = edge - last[K_CLOCK];
     c->ahead[TRY_SPAN] = minimum(span, half_way(c, last));
-    c->ahead[ITERATION] = 0.0;
+    c->ahead[ITERATION] = c->ahead[SOUGHT] = 0.0;
     c->ahead[GROWING] = 1.0;
 }
 
@@ -123,12 +123,6 @@ static void end_growth(Core *c) {
     /* Where it is as bad already, the object stays: else it would creep on with every new path. */
     const int stays = way && knot(c, count - 1)[K_UNCAPPED] < rate * rate;
     block_at(c, stays ? count - 1 : at, arm, -1, way ? SINGULARITY : REACH);
-}
-
-static void reject_trial(Core *c) {
-    c->ahead[TRY_SPAN] *= 0.5;
-    c->ahead[ITERATION] = 0.0;
-    if (!(c->ahead[TRY_SPAN] >= c->options[SHORTEST])) end_growth(c);
 }
 
 /* Whether the knot that was tried ends in a singularity, unless there is a way past it. */
@@ -166,11 +160,45 @@ static int accept_trial(Core *c) {
     }
     if ((made > last + 1 || nears_singularity(c, made)) && !go_past(c, made)) return 1;
     const double edge = next_breakpoint(c, knot(c, last)[K_CLOCK]);
-    const int corner = fabs(knot(c, made)[K_CLOCK] - edge) < 1e-9 && edge < c->duration;
+    const int corner = fabs(knot(c, made)[K_CLOCK] - edge) < SAME_CLOCK && edge < c->duration;
     const int found = !corner || turn_corner(c, made);
     for (int i = last; found && i < made; i++) push_knot(c);
     rest_growth(c);
     return found;
+}
+
+/* Where the twist of a user's path jumps within the span that was tried, unsaid: a breakpoint from now on. NaN if not. */
+static double find_kink(Core *c, double clock) {
+    const double kink = path_kink(c, maximum(clock - JUST_BEFORE, 0.0), clock + c->ahead[TRY_SPAN]);
+    int count = count_ahead(c, KINKS);
+    if (isnan(kink)) return kink;
+    if (count == MOST_KINKS) memmove(c->kinks, c->kinks + 1, sizeof(double) * (size_t)--count);
+    c->kinks[count++] = kink;
+    c->ahead[KINKS] = count;
+    return kink;
+}
+
+/* A shorter span, or one that ends in a corner; 0 if the path fails. */
+static int reject_trial(Core *c) {
+    const int last = count_ahead(c, COUNT) - 1;
+    const double clock = knot(c, last)[K_CLOCK];
+    c->ahead[ITERATION] = 0.0;
+    if (c->ahead[TRY_SPAN] <= KINK_CELL && c->ahead[SOUGHT] == 0.0 && c->ahead[WAY] == 0.0) {
+        c->ahead[SOUGHT] = 1.0;
+        const double kink = find_kink(c, clock);
+        if (kink <= clock + SAME_CLOCK) { /* the same knot again */
+            copy_knot(c, last, last + 1);
+            knot(c, last + 1)[K_SPAN] = 0.0;
+            return turn_corner(c, last + 1) && accept_trial(c);
+        }
+        if (kink > clock) {
+            c->ahead[TRY_SPAN] = kink - clock;
+            return 1;
+        }
+    }
+    c->ahead[TRY_SPAN] *= 0.5;
+    if (!(c->ahead[TRY_SPAN] >= c->options[SHORTEST])) end_growth(c);
+    return 1;
 }
 
 static int work_ahead(Core *c) {
@@ -189,7 +217,9 @@ static int work_ahead(Core *c) {
     }
     switch (try_knot(c, made - 1, made, c->ahead[TRY_SPAN], (int)c->ahead[ITERATION])) {
     case PENDING: c->ahead[ITERATION] += 1.0; return 1;
-    case REJECTED: reject_trial(c); return 1;
+    case REJECTED:
+        if (reject_trial(c)) return 1;
+        break;
     case FOUND:
         if (accept_trial(c)) return 1;
         break;

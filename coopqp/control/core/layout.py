@@ -60,6 +60,11 @@ CONSTANTS: dict[str, float] = {
     "STEPS_TO_GROW": 8,  # a knot is begun this many steps before it is needed
     "NEWTON_STEPS_AT_START": 1000,  # Newton steps that a reset may take
     "LONGEST_WAY": 300,  # knots of a way past a singularity
+    "KINK_CELL": 2e-3,  # where an interval this short is too long, the twist of a user's path may jump [s]
+    "SAME_CLOCK": 1e-9,  # clocks this close to each other are the same [s]
+    "KINK_WIDTH": 2.5e-11,  # a twist that changes within so short a time jumps there [s],
+    "KINK_SHARE": 0.5,  # by more than this share of its change,
+    "LEAST_KINK": 1e-9,  # and by more than this [m/s]
     "MOST_TRIES": 4,  # Newton steps that a knot may take
     "STARTING_STEPS": 8,  # Newton steps that the first knot may take
     "CONVERGED": 1e-5,  # Newton steps shorter than this are the last [rad or m]
@@ -103,6 +108,8 @@ CONSTANTS: dict[str, float] = {
 
 #: Knots that the look-ahead keeps, and joints that an arm may have, at most.
 MOST_KNOTS, MOST_JOINTS = 1024, 16
+#: Clocks at which the twist of a user's path was found to jump that are kept.
+MOST_KINKS = 64
 #: Numbers of a segment, see ObjectPath.packed.
 SEGMENT = 29
 
@@ -131,7 +138,7 @@ WATCH = (
 )  # fmt: skip
 AHEAD = (
     "HEAD", "COUNT", "KNOWN", "FRESH", "COMPLETE", "ENDS", "FREE_UNTIL", "BEGIN_AT",
-    "GROWING", "TRY_SPAN", "ITERATION", "WAY", "BEYOND", "BEYOND_AT", "KEPT",
+    "GROWING", "TRY_SPAN", "ITERATION", "WAY", "BEYOND", "BEYOND_AT", "KEPT", "SOUGHT", "KINKS",
 )  # fmt: skip
 #: Numbers of a knot beside its vectors.
 KNOT = (
@@ -188,7 +195,7 @@ STATE = (
     ("stalled", "n"), ("widest", "n"), ("lost", "n"), ("seen", "nq"), ("history", "2 * nv * past"),
     ("slow_drift", "6 * n"), ("lag", "6 * n"), ("apart", "6 * n"), ("drift_last", "nv"),
     ("deflection", "nv"), ("way", "nv"), ("commanded", "nv"), ("forces", "n"),
-    ("ahead", str(len(AHEAD))),
+    ("ahead", str(len(AHEAD))), ("kinks", str(MOST_KINKS)),
     ("knots", f"{len(KNOT)} * knots"), ("knot_positions", "nv * knots"), ("knot_slope", "nv * knots"),
     ("knot_curvature", "nv * knots"), ("knot_edges", "nv * knots"),
 )  # fmt: skip
@@ -276,6 +283,7 @@ def header() -> str:
     lines += [
         f"#define MOST_KNOTS {MOST_KNOTS}",
         f"#define MOST_JOINTS {MOST_JOINTS}",
+        f"#define MOST_KINKS {MOST_KINKS}",
         f"#define SEGMENT {SEGMENT}",
         "",
     ]

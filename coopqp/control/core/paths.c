@@ -61,9 +61,15 @@ static const double *segment_at(const Core *c, double clock, double *end) {
 }
 
 static double next_breakpoint(const Core *c, double clock) {
+    double after = c->duration;
     for (int i = 0; i < count_of(c, 1); i++)
-        if (c->path_numbers[3 + i] > clock + 1e-9) return c->path_numbers[3 + i];
-    return c->duration;
+        if (c->path_numbers[3 + i] > clock + SAME_CLOCK) {
+            after = minimum(after, c->path_numbers[3 + i]);
+            break;
+        }
+    for (int i = 0; i < (int)c->ahead[KINKS]; i++)
+        if (c->kinks[i] > clock + SAME_CLOCK) return minimum(after, c->kinks[i]);
+    return after;
 }
 
 static void pose_on(const double *segment, Place at, double *R, double *p) {
@@ -114,6 +120,30 @@ static int path_twist(Core *c, double clock, double *twist) {
     rotate_back(R, velocity, twist);
     for (int i = 0; i < 3; i++) twist[3 + i] = at.fading * fading[i] + at.rate * segment[12 + i];
     return 1;
+}
+
+static double twist_distance(const double *a, const double *b) {
+    double d[6];
+    for (int i = 0; i < 6; i++) d[i] = b[i] - a[i];
+    return sqrt(dot3(d, d)) + TURN_LENGTH * sqrt(dot3(d + 3, d + 3));
+}
+
+static double path_kink(Core *c, double before, double after) {
+    double low[6], high[6], middle[6];
+    if (count_of(c, 2) || !path_twist(c, before, low) || !path_twist(c, after, high)) return NAN;
+    const double whole = twist_distance(low, high);
+    while (after - before > KINK_WIDTH) {
+        const double clock = 0.5 * (before + after);
+        if (!path_twist(c, clock, middle) || !(before < clock && clock < after)) return NAN;
+        if (twist_distance(low, middle) >= twist_distance(middle, high)) {
+            after = clock;
+            memcpy(high, middle, sizeof high);
+        } else {
+            before = clock;
+            memcpy(low, middle, sizeof low);
+        }
+    }
+    return twist_distance(low, high) > maximum(KINK_SHARE * whole, LEAST_KINK) ? after : NAN;
 }
 
 static int path_increment(Core *c, double clock, double span, const double *R, const double *p, double *twist) {
