@@ -6,6 +6,7 @@ controllers as the other tests apply to sound ones.
 
 from __future__ import annotations
 
+import copy
 from collections import Counter
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field, replace
@@ -242,8 +243,9 @@ class Failure:
     Attributes:
         held: True if the step of the failure already reports it.
         hits: number of steps with a failed call.
-        stopping: time until all joints rest, relative to the time of the slowest joint alone plus two steps; NaN if
-            the solver recovered.
+        stopping: time until all joints rest; NaN if the solver recovered. Its unit is that of the slowest joint alone
+            plus two steps, or of the hardest stop on the object's way plus two steps where that takes longer.
+        alone: the same, always in the unit of the slowest joint alone.
         chain_mm: growth of the chain error [mm].
         recovery: number of steps until the status changes after the solver's recovery.
         broken: number of other broken promises: limits, continuity, clock.
@@ -252,6 +254,7 @@ class Failure:
     held: bool
     hits: int
     stopping: float
+    alone: float
     chain_mm: float
     recovery: float
     broken: int
@@ -275,11 +278,11 @@ def solver_fails(
     steps = [controller.step() for _ in range(at)]
     before = judged(task, steps, **WIDE)
     v, dt, limits = steps[-1].velocity, task.dt, task.cell.limits
-    alone = float(np.max(np.abs(v) / limits.acceleration))
+    alone, whole = float(np.max(np.abs(v) / limits.acceleration)), copy.deepcopy(controller)
     double.broken = True
     steps.append(controller.step())
     held, hits = steps[-1].status in STOPPED, int(double.hits > 0)
-    stopping, recovery = np.nan, 0.0
+    stopping, relative, recovery = np.nan, np.nan, 0.0
     if for_ever:
         longest = int(3.0 * alone / dt) + 10
         while np.abs(steps[-1].velocity).max() > REST and len(steps) < at + longest:
@@ -287,13 +290,51 @@ def solver_fails(
             steps.append(controller.step())
             held, hits = held and steps[-1].status in STOPPED, hits + (double.hits > before_it)
         stopped = bool(np.abs(steps[-1].velocity).max() <= REST)
-        stopping = (len(steps) - 1 - at) * dt / (alone + 2.0 * dt) if stopped else np.inf
+        took = (len(steps) - 1 - at) * dt if stopped else np.inf
+        stopping = relative = took / (alone + 2.0 * dt)
+        double.broken = False  # the copy shares it
+        if np.isfinite(took) and relative > 1.0:
+            stopping = min(relative, took / (hardest_stop(whole, steps[at - 1]) + 2.0 * dt))
     double.broken = False
     after = [controller.step() for _ in range(30)]
     recovery = next((i + 1.0 for i, s in enumerate(after) if s.status not in STOPPED), np.inf)
     verdict = judged(task, [*steps, *after], **WIDE)
     growth = 1e3 * (verdict.worst.chain_m - before.worst.chain_m)
-    return Failure(held, hits, stopping, growth, recovery, sum(verdict.counts.values()))
+    return Failure(held, hits, stopping, relative, growth, recovery, sum(verdict.counts.values()))
+
+
+def hardest_stop(controller: QPController, last: ControlStep) -> float:
+    """Shortest time in which all joints come to rest on the way that the controller would go on [s].
+
+    Step by step the object goes on by as little as the joints' accelerations allow.
+
+    Args:
+        controller: before the stop.
+        last: its last step.
+    """
+    from scipy.interpolate import CubicSpline
+
+    cell, h = controller.cell, controller.dt
+    clocks, table = [last.clock_next], [cell.positions(last.q_next)]
+    for _ in range(1000):
+        step = controller.step()
+        if step.clock_next > clocks[-1] + 1e-6:
+            clocks.append(step.clock_next)
+            table.append(cell.positions(step.q_next))
+        if step.finished or step.status in STOPPED:
+            break
+    way, acceleration = CubicSpline(clocks, np.array(table)), cell.limits.acceleration
+    clock, x, v, rate, count = clocks[0], table[0], last.velocity, last.rate, 0
+    while np.abs(v).max() > REST:
+        rates = np.linspace(0.0, rate, 2001)
+        moved = (way(np.minimum(clock + rates * h, clocks[-1])) - x) / h
+        allowed = (np.abs(moved - v) <= acceleration * h * (1.0 + 1e-9)).all(axis=1)
+        if not allowed.any():
+            return 0.0  # it cannot stop on its way: nothing is known
+        i = int(allowed.argmax())
+        clock, rate, v, count = min(clock + rates[i] * h, clocks[-1]), float(rates[i]), moved[i], count + 1
+        x = x + v * h
+    return count * h
 
 
 # -- A1: any command ---------------------------------------------------------------------------------------------------
