@@ -19,6 +19,7 @@ from coopqp import (
     HoldPath,
     InvalidInputError,
     LinePath,
+    NoStartError,
     ObjectPath,
     RobotCell,
     ServoPath,
@@ -304,6 +305,12 @@ def test_where_there_is_no_proof_samples_are_said(paper: Scenario) -> None:
     check = check_path(task.cell, task.grasp, task.path, q_start=task.q_start)
     assert check.verdict is SAMPLED
     assert "the proof needs six joints, and it has 4" in check.explain()
+    tilted = LinePath.displaced(task.path.pose(0.0), rotation=(0.2, 0.0, 0.0), duration=1.0)
+    check = check_path(task.cell, task.grasp, tilted, q_start=task.q_start)
+    assert check.verdict is INFEASIBLE
+    assert "until 0.00 s, where it would need a motion that 4 joints cannot make" in check.explain()
+    with pytest.raises(NoStartError, match="a motion that 4 joints cannot make"):
+        find_start(task.cell, task.grasp, tilted)
     servo = check_path(paper.cell, paper.grasp, ServoPath(paper.path.start), q_start=paper.q_start)
     assert servo.verdict is SAMPLED
     assert "judged at its start alone" in servo.explain()

@@ -23,6 +23,8 @@ _RELAXATIONS, _FIRST_STEP, _LAST_STEP = 16, 0.3, 0.02
 _MOST_WALKS = 192
 #: Configurations of a redundant arm that are closer to each other count as one [rad or m].
 _SAME = 1e-3
+#: An arm of few joints that leaves out more than this share of a motion cannot make it.
+_LEFT_OUT = 1e-2
 #: Largest number of branches outside the limits that are kept; they are not walked.
 _MOST_OUTSIDE = 64
 
@@ -41,6 +43,7 @@ class BranchAlongPath:
         clocks: clock at which each joint has its least margin (n,) [s].
         sigma_min: smallest singular value of the tool's Jacobian at each sample of the path (K,).
         score: lesser of margin and σ_min, in shares of good values; the larger, the better.
+        end: what ends the way of a branch that does not reach the whole path.
     """
 
     roll: float
@@ -52,6 +55,7 @@ class BranchAlongPath:
     clocks: Array
     sigma_min: Array
     score: float
+    end: str = ""
 
     @property
     def inside(self) -> bool:
@@ -121,7 +125,7 @@ def arm_on_path(
     for group, along in ((np.flatnonzero(inside), poses), (np.flatnonzero(~inside)[:_MOST_OUTSIDE], poses[:1])):
         if len(group):
             walks = kinematics.walk(along, q[group])
-            rows += [_row(kinematics, samples, walks, m, roll, int(hits[i])) for m, i in enumerate(group)]
+            rows += [_row(kinematics, samples, along, walks, m, roll, int(hits[i])) for m, i in enumerate(group)]
     away = np.where(kinematics.bounded & kinematics.turns, 1.0, 0.0)
     # Mirrored branches are as good but for rounding: of these the one nearer to the middle comes first.
     rows.sort(key=lambda row: (not row.feasible, -row.score, round(float(away @ np.abs(row.q - kinematics.middle)), 6)))
@@ -129,7 +133,7 @@ def arm_on_path(
 
 
 def _row(
-    kinematics: ArmKinematics, samples: PathSamples, walks: Walks, m: int, roll: float, hits: int
+    kinematics: ArmKinematics, samples: PathSamples, poses: Array, walks: Walks, m: int, roll: float, hits: int
 ) -> BranchAlongPath:
     last = int(walks.reached[m])
     way = walks.q[m, : last + 1]
@@ -152,7 +156,19 @@ def _row(
         clocks=samples.clocks[margins.argmin(axis=0)],
         sigma_min=np.concatenate([sigma, np.zeros(len(samples.clocks) - len(sigma))]),
         score=round(float(min(share / _GOOD_MARGIN, sigma.min() / _GOOD_SIGMA)), 9),
+        end=why_it_ends(kinematics, way[-1], poses[last], poses[last + 1]) if last + 1 < len(poses) else "",
     )
+
+
+def why_it_ends(kinematics: ArmKinematics, q: Array, T: Array, ahead: Array) -> str:
+    """Why the way of an arm at ``q`` (n,), with its tool at T (4, 4), does not go on to the pose ahead."""
+    if kinematics.n < 6:
+        J = kinematics.jacobians(q[None])[0]
+        motion = np.append(ahead[:3, 3] - T[:3, 3], pin.log3(ahead[:3, :3] @ T[:3, :3].T))
+        left = motion - J @ np.linalg.lstsq(J, motion, rcond=None)[0]
+        if np.linalg.norm(left) > _LEFT_OUT * np.linalg.norm(motion):
+            return f"where it would need a motion that {kinematics.n} joints cannot make"
+    return "where its reach ends or it is singular"
 
 
 def _self_motions(
@@ -210,5 +226,5 @@ def trouble(arm: ArmOnPath) -> str:
         how_far, joint = names(row)
         return f"arm {name} goes {how_far} outside {joint} at {row.clocks[row.tightest]:.2f} s of the path"
     if not row.complete:
-        return f"arm {name} follows the path until {row.reached:.2f} s, where its reach ends or it is singular"
+        return f"arm {name} follows the path until {row.reached:.2f} s, {row.end}"
     return f"arm {name} is singular on the path (σ_min {row.sigma_min.min():.1g})"

@@ -11,7 +11,7 @@ import pinocchio as pin
 
 from coopqp.model.batch import ArmKinematics
 from coopqp.model.branches import AT_LIMIT, amount, find_branches
-from coopqp.planning.arm_starts import away_from_limits
+from coopqp.planning.arm_starts import away_from_limits, why_it_ends
 from coopqp.planning.certificate import LEAST_SIGMA, exactness, prove
 from coopqp.planning.samples import PathSamples
 from coopqp.planning.segments import Indices, Segments
@@ -294,7 +294,8 @@ def _ended(
             f"passes through a singularity after {clock:.2f} s",
             _merged(rest[:, 0], rest[:, 1]),
         )
-    why = f"follows the path until {clock:.2f} s, where its reach ends or it is singular"
+    end = why_it_ends(kinematics, q, path.poses[path.clocks <= clock][-1], ahead[0])
+    why = f"follows the path until {clock:.2f} s, {end}"
     return PathVerdict.INFEASIBLE, why, undecided[:0]
 
 

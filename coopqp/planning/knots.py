@@ -16,6 +16,7 @@ from coopqp.errors import UnreachableError
 from coopqp.model.batch import ArmKinematics
 from coopqp.model.cell import RobotCell
 from coopqp.model.grasp import Grasp
+from coopqp.planning.arm_starts import why_it_ends
 from coopqp.spatial import Array, cross_last
 from coopqp.task.geometry import PathGeometry
 
@@ -158,8 +159,10 @@ class Following:
             if found.reached < len(self._first.s) - 1:
                 share = self._first.s[max(found.reached, 0)] / geometry.length
                 where = "its start" if found.reached < 0 else f"{100.0 * share:.0f} % of its way"
+                last, T = max(found.reached, 0), self._first.tool(X)[0]
+                end = why_it_ends(arm, found.q[last], T[last], T[last + 1])
                 raise UnreachableError(
-                    f"arm '{name}' follows the path only to {where}, where its reach ends or it is singular. "
+                    f"arm '{name}' follows the path only to {where}, {end}. "
                     "Start from another branch (coopqp.planning.find_start), or move the path or the arm's base."
                 )
             self._coarse.append(found)
