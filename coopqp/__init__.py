@@ -43,6 +43,7 @@ if TYPE_CHECKING:
     from coopqp.control.solvers.ldp import LdpSettings
     from coopqp.control.solvers.osqp import OsqpSettings
     from coopqp.control.solvers.proxqp import ProxqpSettings
+    from coopqp.control.stall_bound import StallBound
     from coopqp.control.supervision import SupervisionOptions
     from coopqp.errors import (
         BusyError,
@@ -131,6 +132,7 @@ else:
                 "available_solvers",
                 "make_solver",
             ),
+            "coopqp.control.stall_bound": ("StallBound",),
             "coopqp.control.supervision": ("SupervisionOptions",),
             "coopqp.errors": (
                 "BusyError",
@@ -319,6 +321,7 @@ __all__ = [
     "SolverReport",
     "SolverSettings",
     "SolverStatus",
+    "StallBound",
     "StartWarning",
     "Status",
     "StressModel",

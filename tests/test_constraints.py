@@ -20,6 +20,7 @@ from coopqp import (
     QPController,
     QPOptions,
     Rank,
+    StallBound,
     Status,
     available_kernels,
     available_solvers,
@@ -165,6 +166,26 @@ def test_a_rate_bound_holds_along_the_whole_path(kernel: str) -> None:
     assert step.finished
     assert named
     assert 0.18 <= fastest <= 0.2 * 1.01  # linear between knots
+
+
+@ACCELERATIONS
+def test_a_stall_bound_keeps_the_distance_by_which_arms_may_part(kernel: str, acceleration: float) -> None:
+    """v T/2 + 5 dt v of every step, with the grasps' speed v and the time T in which all joints stop."""
+    lift, distance = paper_lift(duration=0.7, time_law="quintic"), 0.01 if np.isfinite(acceleration) else 0.002
+    controller = made(lift, kernel, StallBound(distance, dt=lift.dt), acceleration=acceleration)
+    controller.reset(lift.q_start)
+    step, farthest, named = controller.step(), 0.0, set()
+    while not step.finished:
+        grasps = [step.state.jacobian(k)[:3] @ step.velocity[own] for k, own in enumerate(lift.cell.v_slices)]
+        speed, to_rest = np.linalg.norm(grasps, axis=1).max(), np.abs(step.velocity).max() / acceleration
+        farthest = max(farthest, speed * (0.5 * to_rest + 5.0 * lift.dt))
+        named |= {str(b) for b in step.binding if b.kind is LimitKind.CONSTRAINT}
+        step = controller.step()
+    assert 0.95 * distance < farthest < 1.03 * distance
+    assert named == {"constraint stall"}
+    for arguments in ({"distance": 0.0, "dt": 0.01}, {"distance": 0.01, "dt": -1.0}):
+        with pytest.raises(InvalidInputError, match="StallBound"):
+            StallBound(**arguments)
 
 
 def test_rows_of_the_rank_clearance_give_way_before_the_arms_part(kernel: str) -> None:

@@ -6,7 +6,7 @@ supervision, at 1 kHz and an object peak speed of 0.25 m/s. Row B in newtons is 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -25,6 +25,7 @@ from coopqp import (
     LinePath,
     ObjectPath,
     QPController,
+    StallBound,
     Status,
     TimeLaw,
     WaypointPath,
@@ -104,11 +105,12 @@ def drive(
     command_latency: Mapping[str, float] | None = None,
     readings: int = READINGS,
     longest: float | None = None,
+    constraints: Sequence[Any] = (),
 ) -> Run:
     """Start from an average of readings at rest, then run one loop with all disturbances."""
     held = task.grasp if grasp is None else grasp
     plant = DisturbedPlant(task.cell, held, disturbances, command_latency=command_latency)
-    controller = QPController(task.cell, held, task.path, dt=DT)
+    controller = QPController(task.cell, held, task.path, dt=DT, constraints=constraints)
     rest = [plant.reset(task.q_start), *(plant.measure() for _ in range(readings - 1))]
     q = rest[-1]
     controller.reset(task.cell.average(rest))
@@ -398,6 +400,26 @@ def test_an_arm_that_stalls_under_acceleration_limits(catalogue: Any, count: Any
         target=1.05,
         note=f"v: speed of the grasps, T: max |q̇|/a of the joints; {farthest:.0f} mm at most",
     )
+
+
+@pytest.mark.slow
+def test_arms_part_by_no_more_than_a_stall_bound(catalogue: Any, count: Any) -> None:
+    """5 to 20 rad/s², asked for 0.3 to 0.6 m/s: the object slows down to what the distance allows."""
+    rng, worst, cases = np.random.default_rng(8), 0.0, count(9)
+    for i in range(cases):
+        make, distance = (paper_lift, dual_arm7, mixed_cell)[i % 3], float(rng.uniform(0.003, 0.01))
+        slow = make(time_law=TimeLaw.QUINTIC, duration=3.0)
+        task = make(time_law=TimeLaw.QUINTIC, duration=3.0 * peak_speed(slow.path) / float(rng.uniform(0.3, 0.6)))
+        cell = task.cell.with_limits(acceleration=float(rng.uniform(5.0, 20.0)))
+        when = round(float(rng.uniform(0.6, 1.0)) * task.path.duration / DT) * DT
+        stall = Disturbances(stall={str(rng.choice(cell.arm_names)): when})
+        bound = StallBound(distance, dt=DT)
+        run = drive(replace(task, cell=cell), stall, readings=1, longest=when + 0.5, constraints=[bound])
+        assert any("stall" in str(b) for s in run.steps for b in s.binding)
+        assert run.steps[-1].status is Status.HOLDING
+        worst = max(worst, 1e-3 * run.grasps_mm / distance)
+    name = "an arm that stalls, with a StallBound of 3 to 10 mm: apart at the grasps, of that distance"
+    catalogue.row("I5", name, cases=cases, measured=worst, target=1.05)
 
 
 def test_an_arm_that_stands_and_goes_on(tasks: list[Scenario], catalogue: Any, count: Any) -> None:
