@@ -21,13 +21,13 @@ from coopqp.spatial import Array
 class StallBound:
     """A rate bound (:class:`coopqp.RateBound`) that keeps the arms within a distance when one of them stalls.
 
-    Give it to ``QPController(constraints=[…])`` or ``coopqp.planning.time_path(bounds=[…])``. On curved paths the arms
-    may part by 5 % more.
+    Give it to ``QPController(constraints=[…])`` or ``coopqp.planning.time_path(bounds=[…])``. Between knots, and on
+    curved paths, the arms may part by 5 % more.
 
     Args:
         distance: from the arm that stalls to where the others carry its grasp [m].
         dt: length of the controller's steps [s].
-        samples: in which a stall is known; by default one more than ``SupervisionOptions.stall_samples`` has by default.
+        samples: in which a stall is known; by default one more than the default of ``SupervisionOptions.stall_samples``.
         name: how ``ControlStep.binding`` calls it.
 
     Raises:
