@@ -10,10 +10,12 @@ import pinocchio as pin
 import pytest
 
 from coopqp import (
+    Grasp,
     InvalidInputError,
     LinePath,
     NoStartError,
     QPController,
+    RobotCell,
     Scenario,
     TimedPath,
     WaypointPath,
@@ -59,6 +61,30 @@ def test_a_plan_has_a_start_and_says_what_binds() -> None:
 
 
 @pytest.mark.slow
+def test_a_plan_may_take_the_fastest_of_several_starts() -> None:
+    scenario, cell = task()
+    usual = plan(cell, scenario.grasp, scenario.path, knots=100)
+    fast = plan(cell, scenario.grasp, scenario.path, knots=100, starts=6)
+    assert usual.start is not None
+    assert fast.start is not None
+    alone = []  # each arm's own time from the same starts: the cell is no faster, and not much slower
+    for start in (usual.start, fast.start):
+        times = []
+        for k, own in enumerate(cell.v_slices):
+            one = RobotCell([cell.arms[k]]).with_limits(acceleration=cell.limits.acceleration[own])
+            q = one.configuration(cell.positions(start.q)[own])
+            grasp = Grasp((scenario.grasp.T_object_tool[k],))
+            times.append(time_path(one, grasp, scenario.path, q_start=q, knots=100).duration)
+        alone.append(max(times))
+    assert alone[1] <= alone[0] * 1.001
+    assert alone[1] * 0.999 <= fast.path.duration <= 1.03 * alone[1]
+    assert fast.path.duration <= 1.001 * usual.path.duration
+    assert (fast.start.margins > 0.0).all()
+    assert "branches follow the path" in fast.start.explain()
+    with pytest.raises(InvalidInputError, match="starts"):
+        plan(cell, scenario.grasp, scenario.path, q_start=usual.q_start, starts=2)
+
+
 def test_waypoints_are_passed_within_the_tolerance_and_faster_than_with_a_rest() -> None:
     scenario, cell = task()
     way = corner(scenario)

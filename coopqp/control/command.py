@@ -307,9 +307,10 @@ class ControlStep(Shown):
         """A sentence with the status, the binding limits, the reason and the lost parts of the ranks."""
         where = f" ({'; '.join(str(b) for b in self.binding)})" if self.binding else ""
         rate = f" at {100 * self.rate:.3g} % of its rate" if self.status is Status.SLOWED else ""
+        slowed = "The object waits on its path" if self.rate < _WAITS else "The object follows its path" + rate
         what = {
             Status.TRACKING: "The object follows its path",
-            Status.SLOWED: "The object follows its path" + rate,
+            Status.SLOWED: slowed,
             Status.BLOCKED: "The object cannot go on",
             Status.HOLDING: "All arms brake together and hold",
             Status.FAULT: "Stopped until reset() is called with the measured configuration",
@@ -339,6 +340,8 @@ class ControlStep(Shown):
         return "; ".join(parts) + "."
 
 
+#: An object that is slowed to less than this rate waits.
+_WAITS = 1e-6
 _set = object.__setattr__
 _from_buffer, _FLOAT = np.frombuffer, np.dtype(np.float64)
 _unpacked = struct.Struct("d").unpack_from
