@@ -513,6 +513,26 @@ def test_the_object_keeps_its_path_at_corners(acceleration: float) -> None:
         assert path_error(tools, task.grasp, path, s.clock_next)[0] < 3e-6
 
 
+@pytest.mark.parametrize("kernel", slow_but_first(available_kernels()))
+def test_an_object_that_almost_stops_at_a_corner_can_go_on(kernel: Any) -> None:
+    """Where joints take a corner at less than 1e-3 of the rate."""
+    task = paper_lift()
+    start = task.path.pose(0.0)
+    poses = [
+        pin.SE3(start.rotation, start.translation + np.array(way)) for way in ([0, 0, 0], [0.01, 0, 0], [0, 0, 0.01])
+    ]
+    path = WaypointPath(poses, durations=[0.03, 0.03], time_law="linear")
+    cell = task.cell.with_limits(acceleration=0.2)
+    controller = QPController(cell, task.grasp, path, dt=0.0005, options=QPOptions(kernel=kernel))
+    controller.reset(task.q_start)
+    steps = [controller.step()]
+    while not steps[-1].finished and len(steps) < 5000:
+        steps.append(controller.step())
+    assert steps[-1].finished
+    assert min(s.rate for s in steps[20:]) < 1e-3
+    assert {s.status for s in steps} <= {Status.SLOWED, Status.TRACKING}
+
+
 class Fold(ObjectPath):
     """Out on a straight line and back on another, at full speed over the corner; it may not tell the corner."""
 

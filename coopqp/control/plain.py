@@ -571,6 +571,8 @@ class PlainLoop:
         # it grows then, or a joint is on its way back in.
         accelerating = any(b.kind is LimitKind.ACCELERATION for b in binding)
         slowed = not binding or (accelerating and (rising or self._outside()))
+        if self._preview is not None and not ends and rate > 0.0:  # joints that stop slowly go on after a corner
+            slowed = slowed or self._preview.reaches_corner(self.state.clock - self.dt, 2.0 * self.dt)
         return Status.SLOWED if slowed else Status.BLOCKED
 
     def _off_path(self, found: LinearisedAnswer) -> str:
