@@ -23,6 +23,7 @@ from coopqp import (
     Status,
     available_kernels,
 )
+from coopqp.planning import check_path
 from coopqp.scenarios import Scenario, dual_arm7, mixed_cell, paper_lift
 
 DT = 0.005
@@ -360,3 +361,52 @@ def test_a_path_that_jumps_stops_by_name_or_is_caught_up_with(kernel: str, catal
     name = f"a user's path that jumps by 0.1 mm to 100 m, {kernel}: an exception, a limit, no name"
     note = f"arms apart by {1e3 * chain:.2g} mm at most"
     catalogue.row("I7", name, cases=cases, measured=wrong, target=0, note=note)
+
+
+class Kinked(ObjectPath):
+    """Straight lines at full speed, without a word of the corners between them."""
+
+    def __init__(self, start: pin.SE3, rng: np.random.Generator, *, slight: bool) -> None:
+        self.duration, self._start = float(rng.uniform(0.8, 1.6)), start
+        corners = np.sort(rng.uniform(0.1, 0.9, 3)) * self.duration
+        self._clocks = np.concatenate([[0.0], corners, [self.duration]])
+        self._ways = 0.1 * rng.normal(size=3) + (0.005 if slight else 0.1) * rng.normal(size=(4, 3))
+
+    def pose(self, clock: float) -> pin.SE3:
+        spent = np.clip(clock - self._clocks[:-1], 0.0, np.diff(self._clocks))
+        return pin.SE3(self._start.rotation, self._start.translation + spent @ self._ways)
+
+    def twist(self, clock: float) -> Array:
+        i = int(np.searchsorted(self._clocks[1:-1], clock, side="right"))
+        inside = 0.0 <= clock < self.duration
+        return np.concatenate([inside * (self._start.rotation.T @ self._ways[i]), np.zeros(3)])
+
+
+@pytest.mark.slow
+def test_corners_that_are_not_told(catalogue: Any, count: Any) -> None:
+    rng, wrong, off, chain, run = np.random.default_rng(11), 0, 0.0, 0.0, 0
+    for i in range(count(12)):
+        task = limited((paper_lift, mixed_cell, dual_arm7)[i % 3](), 5.0)
+        path = Kinked(task.path.pose(0.0), rng, slight=i % 2 == 1)
+        if not check_path(task.cell, task.grasp, path, q_start=task.q_start).feasible:
+            continue
+        controller, run = built(task, path), run + 1
+        controller.reset(task.q_start)
+        before = step = controller.step()
+        for _ in range(1500):
+            step = controller.step()
+            wrong += not judged(task, step, before)
+            wrong += step.status not in (Status.TRACKING, Status.SLOWED)
+            wrong += any(b.kind in (LimitKind.REACH, LimitKind.SINGULARITY) for b in step.binding)
+            errors = [pin.log6(step.path.pose(step.clock).actInv(O)).vector[:3] for O in task.grasp.carried(step.state)]
+            off = max(off, float(np.linalg.norm(errors, axis=1).max()))
+            chain = max(chain, float(task.grasp.relative_errors(step.state)[:, :3].max()))
+            before = step
+            if step.finished:
+                break
+        wrong += not step.finished
+    name = "a user's path with corners that it does not tell: off the path"
+    note = f"arms apart by {1e3 * chain:.2g} mm at most; {wrong} steps or runs that stop, or name a wrong cause"
+    catalogue.row("I7", name, cases=run, measured=1e3 * off, target=0.001, unit="mm", note=note)
+    assert wrong == 0
+    assert chain < 1e-5
