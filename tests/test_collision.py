@@ -17,6 +17,7 @@ from hypothesis import strategies as st
 from marks import slow_but_first, slow_unless
 from wrapped import Opaque
 
+import coopqp.collision.bounds_plain as bounds_plain
 from coopqp import (
     CellFileError,
     CellState,
@@ -192,6 +193,32 @@ def test_bounds_that_follow_the_joints_stay_below_the_distances(lift: Scenario) 
             step = rng.normal(size=lift.cell.nv)
             step *= 0.999 * slack / (reach @ np.abs(step))
             assert other.all(lift.cell.moved(q, step)).min() >= -1e-8
+
+
+@settings(deadline=None, max_examples=40)
+@given(seed=st.integers(0, 10**6))
+def test_bounds_in_c_are_those_in_numpy(seed: int) -> None:
+    kernel = pytest.importorskip("coopqp.collision._bounds", reason="there is no compiler here")
+    rng = np.random.default_rng(seed)
+    pairs, nv = int(rng.integers(1, 40)), int(rng.integers(1, 15))
+    reach, kinds = rng.uniform(0.0, 2.0, (nv, pairs)), rng.integers(-1, 2, (pairs, nv)).astype(float)
+    rooms, x, turns = rng.uniform(-0.05, 0.2, pairs), rng.uniform(-4.0, 4.0, nv), (rng.uniform(size=nv) < 0.3) * 1.0
+    rooms[rng.uniform(size=pairs) < 0.1] = -1e3
+    some = [int(k) for k in rng.choice(pairs, size=min(pairs, 4), replace=False)]
+    ends, J, most = rng.normal(size=(len(some), 6)), rng.normal(size=(nv, 6)), rng.uniform(0.0, 3.0, nv)
+    found = []
+    for one in (kernel, bounds_plain):
+        own, at = rooms.copy(), np.zeros(nv)
+        one.follow(own, reach, at, 1e-2 * x, np.zeros(nv))
+        one.follow(own, reach, at, x, turns)
+        shares, weights, G, lower = np.zeros(pairs), np.zeros(nv), np.zeros((len(some), nv)), np.zeros(len(some))
+        own[some] = np.abs(rooms[some])
+        known = [one.certify(own - least, reach, 0.01, shares, weights) for least in (0.0, own.min() - 0.02)]
+        one.rows(ends, J, kinds, own, some, 5.0, G, lower)
+        said = one.near(own, np.full(pairs, 0.1)), one.soonest(own, reach.sum(axis=0), 1e-9), known
+        found.append((*said, one.binding(G, lower, most), np.concatenate([own, at, weights, G.ravel(), lower])))
+    assert found[0][:-1] == found[1][:-1]
+    np.testing.assert_allclose(found[0][-1], found[1][-1], rtol=1e-12, atol=1e-14)
 
 
 # -- on a known path -----------------------------------------------------------------------------------------------

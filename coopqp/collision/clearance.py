@@ -13,7 +13,7 @@ import numpy as np
 import pinocchio as pin
 
 from coopqp.checks import as_scalar, as_vector, require
-from coopqp.collision.distances import Distances, Gradient, LowerBounds
+from coopqp.collision.distances import KERNEL, Distances, Gradient, LowerBounds
 from coopqp.collision.evasion import Evasion
 from coopqp.collision.scene import CollisionScene
 from coopqp.control.constraints import MOST_ROWS, ConstraintTrouble, Knot, LabelledRows, Quiet, Rank
@@ -110,8 +110,14 @@ class Clearance:
         self._approach = np.inf
         self._shapes = {b.name: i for b, i in zip(self.scene.moving, built.moving, strict=True)}
         second = np.array([int(pair.second) for pair in built.geometry.collisionPairs], dtype=int)
-        self._runs = np.isin(second, list(self._shapes.values()))
+        self._moves = np.isin(second, list(self._shapes.values()))
+        self._runs = np.flatnonzero(self._moves)  # pairs with a body that moves
         self._second = second
+        self._most = np.where(np.isfinite(self._speed), self._speed, 1e9)
+        self._watch_of, self._watch = (0.0, False), self._fastest
+        self._endless = np.full(_MOST_PAIRS, np.inf)
+        nothing = np.zeros(0)
+        self._no_rows = LabelledRows(np.zeros((0, cell.nv)), nothing, nothing, nothing.astype(int))
 
     # -- state -----------------------------------------------------------------------------------------------------
 
@@ -205,29 +211,38 @@ class Clearance:
         return rows
 
     def _rows(self, q: Array, dt: float, *, blind: bool) -> LabelledRows:
-        bounds, nv = self._step, self.scene.cell.nv
+        bounds = self._step
         xi = min(self.approach, 1.0 / dt) if blind else 1.0 / dt
         self._approach = self.approach if blind else np.inf
         bounds.follow(self.scene.cell.positions(q))
-        self._step.rooms[self._runs] = -np.inf
+        if self._places:
+            bounds.rooms[self._runs] = -np.inf
         self._distances.place(q)
-        watch = np.minimum(self._fastest / xi, _BLIND_WATCH if blind else _WATCH)
-        watch[self._runs] = _BLIND_WATCH
-        bounds.ask(np.flatnonzero(bounds.rooms < watch).tolist())
-        near = np.flatnonzero(bounds.rooms < watch)
+        near = bounds.near(self._watched(xi, blind=blind))
         bounds.sharpen()
-        if not near.size:
-            return LabelledRows(np.zeros((0, nv)), np.zeros(0), np.zeros(0), near)
-        if near.size > _MOST_PAIRS:
-            near = np.sort(near[np.argpartition(bounds.rooms[near], _MOST_PAIRS)[:_MOST_PAIRS]])
-        gradient = self._distances.gradient(near)
-        lower = -np.maximum(bounds.rooms[near], 0.0) * xi
-        for name, place in self._places.items():
-            self._run(near, self._shapes[name], place, gradient, lower, dt)
-        fastest = np.abs(gradient.rows) @ np.where(np.isfinite(self._speed), self._speed, 1e9)
-        binds = (fastest > -lower) | self._runs[near]
-        near, G, lower = near[binds], gradient.rows[binds], lower[binds]
-        return LabelledRows(G, lower, np.full(len(near), np.inf), near)
+        if len(near) > _MOST_PAIRS:
+            near = sorted(sorted(near, key=bounds.rooms.item)[:_MOST_PAIRS])
+        if not near:
+            return self._no_rows
+        gradient, lower = self._distances.rows(near, bounds.rooms, xi)
+        if self._places:
+            which = np.array(near)
+            for name, place in self._places.items():
+                self._run(which, self._shapes[name], place, gradient, lower, dt)
+        binds = KERNEL.binding(gradient.rows, lower, self._most)
+        if len(binds) < len(near):
+            return LabelledRows(
+                gradient.rows[binds], lower[binds], self._endless[: len(binds)], np.array([near[i] for i in binds], int)
+            )
+        return LabelledRows(gradient.rows, lower, self._endless[: len(near)], np.array(near))
+
+    def _watched(self, xi: float, *, blind: bool) -> Array:
+        """Pairs are asked within this of their margin (P,) [m]: nothing else can reach it at full speed."""
+        if self._watch_of != (xi, blind):
+            watch = np.minimum(self._fastest / xi, _BLIND_WATCH if blind else _WATCH)
+            watch[self._runs] = _BLIND_WATCH
+            self._watch_of, self._watch = (xi, blind), watch
+        return self._watch
 
     def tightened(self, rows: LabelledRows, q_next: Array, v: Array, dt: float) -> Array | None:
         """Lower bounds (m,) that make up for what rows are blind to, the bend of distances within a step.
@@ -243,14 +258,15 @@ class Clearance:
         """
         if not len(rows.which):
             return None
-        least = np.minimum(self._step.rooms[rows.which], 0.0)
-        close = np.flatnonzero(self._step.rooms[rows.which] + dt * (rows.G @ v) < least + _SAMPLE)
+        rooms = self._step.rooms[rows.which]
+        least = np.minimum(rooms, 0.0)
+        close = np.flatnonzero(rooms + dt * (rows.G @ v) < least + _SAMPLE)
         if not close.size:
             return None
         self._distances.place(q_next)
         room = np.array([self._distances.one(int(rows.which[i])) for i in close]) - self._margins[rows.which[close]]
         missing = least[close] - room
-        bent = (missing > 0.1 * _STANDS) & ~self._runs[rows.which[close]]
+        bent = (missing > 0.1 * _STANDS) & ~self._moves[rows.which[close]]
         if not bent.any():
             return None
         lower: Array = rows.lower.copy()
