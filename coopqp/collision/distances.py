@@ -156,7 +156,7 @@ class LowerBounds:
         self._kernel.follow(self.rooms, self._reach, self.positions, positions, self._continuous)
 
     def near(self, watch: Array) -> list[int]:
-        """Pairs nearer to their margin than this (P,) where the shapes are placed; coal is asked for those that may be."""
+        """Pairs nearer to their margin than this (P,) where shapes are placed; coal is asked for those that may be."""
         asked = self._kernel.near(self.rooms, watch)
         self.ask(asked)
         return [k for k in asked if self.rooms[k] < watch[k]]

@@ -137,11 +137,11 @@ class CollisionScene:
             found[label] = min(d, found.get(label, np.inf))
         return tuple(NearPair(*label, d) for label, d in sorted(found.items(), key=lambda item: item[1]))
 
-    def along(self, way: CellWay) -> ClearanceCheck:
+    def along(self, way: CellWay, *, any_start: bool = False) -> ClearanceCheck:
         """Distances along a way that is checked before the motion; see :func:`coopqp.planning.check_path`."""
         from coopqp.collision.along import along
 
-        return along(self, way)
+        return along(self, way, any_start=any_start)
 
     def evading(self, way: CellWay) -> tuple[Array, Array] | None:
         """Places (K,) and joint positions (K, nv) of a way on which redundant arms keep off; None if there is none."""
