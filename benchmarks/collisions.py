@@ -8,12 +8,15 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import common  # first: it limits BLAS to one thread
 import numpy as np
 import pinocchio as pin
 from common import Record
+from contestants import CACHE
+from peer_collisions import PEERS, peers
 
 from coopqp import Closeness, ControlStep, ObjectPath, QPController, QPOptions, check_run, simulate
 from coopqp.collision import Body, Box, Clearance, CollisionScene, Sphere
@@ -104,6 +107,10 @@ def cases() -> Iterator[tuple[str, Scenario, dict[str, Any]]]:
     yield "forearms, 30 mm", forearms(), {"margin": 0.03}
     yield "start inside, towards", inside_the_margin(1.0), {"inside": [("object", "lid")]}
     yield "start inside, away", inside_the_margin(-1.0), {"inside": [("object", "lid")]}
+
+
+def _scene(task: Scenario, more: dict[str, Any]) -> CollisionScene:
+    return CollisionScene.of(task, **{"margin": MARGIN, **more})
 
 
 def carts(progress: common.Progress) -> Iterator[Record]:
@@ -330,12 +337,21 @@ def _coal(scene: CollisionScene, places: list[Any]) -> Iterator[float]:
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Command line."""
-    args = common.arguments(__doc__.partition("\n")[0] if __doc__ else "").parse_args(argv)
+    parser = common.arguments(__doc__.partition("\n")[0] if __doc__ else "")
+    parser.add_argument("--peers", nargs="*", choices=PEERS, default=(), help="beside coopqp (none)")
+    parser.add_argument("--no-install", action="store_true", help="only peers that are installed already")
+    parser.add_argument("--cache", type=Path, default=CACHE, help="folder of the peers' environments")
+    args = parser.parse_args(argv)
     plan = QUICK if args.quick else FULL
     progress = common.Progress(2 * sum(1 for _ in cases()) + 4 * len(CART_HEIGHTS) + len(ARMS) * plan.posts)
     description = common.describe("collisions", {"posts": plan.posts, "jumps": plan.jumps, "rounds": plan.rounds})
     print(common.header(description), flush=True)
-    records = [*runs(plan, progress), skipped(plan), *step_times(plan)]
+    records = [*runs(plan, progress)]
+    known = [(name, task, _scene(task, more)) for name, task, more in cases() if not more.get("inside")]
+    known = [case for case in known if case[1].path.known_ahead]
+    beside = peers(known, args.peers, args.cache, install=not args.no_install)
+    records += [{**dict.fromkeys(KEYS), **record} for record in beside]
+    records += [skipped(plan), *step_times(plan)]
     progress.close()
     posts = [r for r in records if r["case"].startswith("random posts")]
     shown = [r for r in records if r not in posts]

@@ -426,6 +426,17 @@ def test_bad_shapes_are_refused_when_built(make: Any, said: str) -> None:
         ({"obstacles": Body("post", Sphere(0.1))}, InvalidInputError, "list"),
         ({"obstacles": ["post"]}, InvalidInputError, "list"),
         ({"rules": 3}, InvalidInputError, "PairRules"),
+        ({"obstacles": [Body("object", Sphere(0.1))]}, InvalidInputError, "two bodies are named 'object'"),
+        ({"obstacles": [Body("master/link_6", Sphere(0.1))]}, InvalidInputError, "two bodies"),
+        ({"moving": [Body("cart", Sphere(0.1)), Body("cart", Sphere(0.2))]}, InvalidInputError, "two bodies"),
+        ({"moving": [Body("post", Sphere(0.1))]}, InvalidInputError, "two bodies"),
+        ({"obstacles": [Body("*", Sphere(0.1))]}, InvalidInputError, "stands for several"),
+        ({"obstacles": [Body("master", Sphere(0.1))]}, InvalidInputError, "stands for several"),
+        (
+            {"on_links": {f"{arm}/link_6": [Body("gripper", Sphere(0.1))] for arm in ("master", "slave_1")}},
+            InvalidInputError,
+            "two bodies are named 'gripper'",
+        ),
     ],
 )
 def test_bad_scenes_are_refused_when_built(changes: dict[str, Any], error: type, said: str) -> None:
