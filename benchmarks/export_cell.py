@@ -7,7 +7,7 @@ geometry.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 from xml.etree.ElementTree import Element, SubElement, indent, tostring
@@ -121,7 +121,7 @@ def shapes(scene: CollisionScene) -> list[dict[str, Any]]:
     Raises:
         ValueError: a shape that is no primitive.
     """
-    sizes = {
+    sizes: dict[str, Callable[[Any], list[float]]] = {
         "Box": lambda g: np.asarray(g.halfSide).tolist(),
         "Sphere": lambda g: [g.radius],
         "Capsule": lambda g: [g.radius, g.halfLength],

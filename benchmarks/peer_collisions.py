@@ -64,7 +64,7 @@ def _runs(peer: Contestant, case: str, task: Scenario, scene: CollisionScene) ->
 def _judged(task: Scenario, scene: CollisionScene, found: dict[str, Any]) -> Record:
     """The figures of one run: the peer's commands, judged as coopqp's are."""
     q = np.array(found["q"])
-    closest = Closeness(scene).closest(q, task.dt * np.arange(len(q)))
+    closest = Closeness(scene).closest(q, np.array([task.dt * i for i in range(len(q))]))
     assert closest is not None
     chain, apart, away = Chain(task.cell, task.grasp), 0.0, 0.0
     for i, row in enumerate(q):

@@ -229,7 +229,7 @@ class Clearance:
             bounds.rooms[self._runs] = -np.inf
         self._distances.place(q)
         near = bounds.near(self._watched(xi, blind=blind))
-        bounds.sharpen()
+        bounds.sharpen(near)
         if len(near) > _MOST_PAIRS:
             near = sorted(sorted(near, key=bounds.rooms.item)[:_MOST_PAIRS])
         if not near:

@@ -166,15 +166,15 @@ class LowerBounds:
         for k in pairs:
             self.rooms[k] = self._distances.one(k) - self._margins[k]
 
-    def sharpen(self) -> None:
+    def sharpen(self, asked: Iterable[int] = ()) -> None:
         """Ask for pairs until the one that may use up its room first, as far as is known, has been asked."""
-        asked = set[int]()
-        while len(asked) < _MOST_ASKED:
+        known = set(asked)
+        while len(known) < _MOST_ASKED:
             k = self._kernel.soonest(self.rooms, self._most, _LEAST_ROOM)
-            if k in asked:
+            if k in known:
                 return
             self.ask([k])
-            asked.add(k)
+            known.add(k)
 
     def certificate(self, spare: float = 0.0) -> tuple[Array, float]:
         """Reach (nv,) and slack of a :class:`coopqp.control.constraints.Quiet` about :attr:`positions`.
