@@ -8,15 +8,19 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import common  # first: it limits BLAS to one thread
 import numpy as np
 import pinocchio as pin
 from common import Record
+from contestants import CACHE
+from peer_collisions import PEERS, peers
 
-from coopqp import Closeness, ControlStep, ObjectPath, QPController, check_run, simulate
+from coopqp import Closeness, ControlStep, ObjectPath, QPController, QPOptions, check_run, simulate
 from coopqp.collision import Body, Box, Clearance, CollisionScene, Sphere
+from coopqp.collision.distances import Distances
 from coopqp.model.chain import Chain
 from coopqp.model.inverse_kinematics import newton
 from coopqp.planning import check_path
@@ -41,7 +45,9 @@ KEYS = (
 ACCELERATION = 5.0  # [rad/s²]
 MARGIN = 0.02  # [m]
 NEAR_MARGIN = 0.005  # of random posts and of the times of a step [m]
-ARMS, SAMPLES = (2, 3, 8), 401  # of the cells of random posts, and of their paths
+CART_SPEED, CART_HEIGHTS, CART_STEPS = 0.3, (0.18, 0.34), 800  # [m/s, m]
+NEAR = 0.03  # beyond its margin a pair is near [m]
+ARMS, SAMPLES = (2, 3, 4, 8), 401  # of the cells of random posts, and of their paths
 
 
 @dataclass(frozen=True)
@@ -54,7 +60,7 @@ class Plan:
         rounds: runs of the times of a step.
     """
 
-    posts: int = 67
+    posts: int = 50
     jumps: int = 1_000_000
     rounds: int = 5
 
@@ -103,6 +109,62 @@ def cases() -> Iterator[tuple[str, Scenario, dict[str, Any]]]:
     yield "start inside, away", inside_the_margin(-1.0), {"inside": [("object", "lid")]}
 
 
+def _scene(task: Scenario, more: dict[str, Any]) -> CollisionScene:
+    return CollisionScene.of(task, **{"margin": MARGIN, **more})
+
+
+def carts(progress: common.Progress) -> Iterator[Record]:
+    """A cart at 0.3 m/s that comes towards the plate while it is lifted; how the plate moves when it is near."""
+    for acceleration in (np.inf, ACCELERATION):
+        for height in CART_HEIGHTS:
+            for gives_way in (True, False):
+                case = f"cart {1e3 * height:.0f} mm above, " + ("gives way" if gives_way else "stays on its path")
+                if acceleration < np.inf:
+                    case += f", {ACCELERATION:g} rad/s²"
+                yield _cart(case, height, acceleration, gives_way=gives_way)
+                progress.advance(case)
+
+
+def _cart(case: str, height: float, acceleration: float, *, gives_way: bool) -> Record:
+    """One of them, judged by coal where the cart is: nothing else knows."""
+    lift = paper_lift(time_law="quintic")
+    middle, dt = (lift.path.pose(0.0) * lift.T_object_body).translation, 4e-3
+
+    def place(clock: float) -> pin.SE3:
+        return pin.SE3(np.eye(3), middle + np.array([0.0, CART_SPEED * clock - 1.0, height]))
+
+    cell = lift.cell.with_limits(acceleration=acceleration)
+    scene = CollisionScene.of(lift, cell=cell, margin=MARGIN, moving=[Body("cart", Box((0.2, 0.2, 0.2)), place(0.0))])
+    clearance = Clearance(scene, give_way=gives_way)
+    controller = QPController(cell, lift.grasp, lift.path, dt=dt, constraints=[clearance])
+    controller.reset(lift.q_start)
+    chain, steps, distances, own, off = Chain(cell, lift.grasp), [], Distances(scene), [], [0.0, 0.0]
+    (shape,) = scene.built.moving
+    pairs = [k for k, label in enumerate(scene.built.labels) if "cart" in label]
+    rows = []
+    for i in range(CART_STEPS):
+        clearance.move("cart", place(i * dt), (0.0, CART_SPEED, 0.0, 0.0, 0.0, 0.0))
+        step = controller.step()
+        distances.put(shape, place(i * dt))
+        distances.place(step.q)
+        d = np.array([distances.one(k) for k in pairs])
+        rows.append(float(d.min()))
+        own.append(float((distances.gradient([pairs[int(d.argmin())]]).rows @ step.velocity)[0]))
+        errors = chain.errors(chain.carried(step.q), lift.path.pose(step.clock))[:, :3]
+        off = [max(off[0], float(np.ptp(errors, axis=0).max())), max(off[1], float(np.abs(errors).max()))]
+        steps.append(step)
+    inside = np.array(rows) < MARGIN
+    approach = max(0.0, -min(np.array(own)[inside], default=0.0))
+    return {
+        "case": case, "controller": "clearance", "clearance_mm": round(1e3 * min(rows), 6), "margin_mm": 1e3 * MARGIN,
+        "chain_mm": 1e3 * off[0], "path_mm": 1e3 * off[1],
+        "chain_slack": max(step.given_up.chain for step in steps), "finished": steps[-1].finished,
+        "status": f"{approach:.0e} m/s closer by itself inside" if inside.any() else "never inside", "pair": "cart",
+        "check": None, "dense_mm": None, "reversals": reversals(np.array([step.rate for step in steps])),
+        "passes": None, "p50_us": None, "p99_us": None,
+    }  # fmt: skip
+
+
 def reversals(rate: Any) -> int:
     """How often the rate turns between rising and falling."""
     change = np.diff(rate)
@@ -141,6 +203,7 @@ def runs(plan: Plan, progress: common.Progress) -> Iterator[Record]:
             for avoids in (True, False):
                 yield measured(case, task, scene, avoids=avoids)
             progress.advance(case)
+    yield from carts(progress)
     for arms in ARMS:
         for seed in range(plan.posts):
             task = random_posts(seed, arms=arms)
@@ -171,8 +234,6 @@ def dense(task: Scenario, scene: CollisionScene) -> float | None:
 
 def skipped(plan: Plan) -> Record:
     """Violations of the certified skip: distances after random jumps against what their bounds say."""
-    from coopqp.collision.distances import Distances
-
     rng, worst, violations, asked = np.random.default_rng(0), 0.0, 0, 0
     tasks = (paper_lift(), dual_arm7(), mixed_cell(), plate_and_post())
     scenes = [CollisionScene.of(task, margin=0.0) for task in tasks]
@@ -212,51 +273,85 @@ def step_times(plan: Plan) -> Iterator[Record]:
         task = plate_and_post()
         cell = task.cell.with_limits(acceleration=acceleration)
         scene = CollisionScene.of(task, cell=cell, margin=MARGIN)
-        yield from _timed("step with rows: plate and post", task, scene, plan, near=True)
+        case = "step with rows: plate and post" + ("" if acceleration == np.inf else f", {ACCELERATION:g} rad/s²")
+        yield from _timed(case, task, scene, plan, near=True)
 
 
 def _timed(case: str, task: Scenario, scene: CollisionScene, plan: Plan, *, near: bool = False) -> Iterator[Record]:
-    """Times of all steps; of those that asked for rows where ``near``."""
+    """Times of all steps; where ``near``, of those with rows, of a QP at every step, and of coal at near pairs."""
     clearance = Clearance(scene)
-    count, ask = [0], clearance.rows_by_label
+    count, rows, ask = [0], [0], clearance.rows_by_label
 
     def counted(*args: Any, **options: Any) -> Any:
+        found = ask(*args, **options)
         count[0] += 1
-        return ask(*args, **options)
+        rows[0] = len(found.which)
+        return found
 
     clearance.rows_by_label = counted  # type: ignore[method-assign]
-    contestants = {"without": [], "clearance": [clearance]}
+    contestants: dict[str, dict[str, Any]] = {"without": {}, "clearance": {"constraints": [clearance]}}
+    if near:
+        contestants["qp"] = {"options": QPOptions(shortcut=False)}
     times: dict[str, list[float]] = {name: [] for name in contestants}
+    passes, places = None, []
     for turn in range(plan.rounds):
-        for name, constraints in sorted(contestants.items(), reverse=bool(turn % 2)):
-            controller = QPController(scene.cell, task.grasp, task.path, dt=2e-3, constraints=constraints)
+        for name, given in sorted(contestants.items(), reverse=bool(turn % 2)):
+            controller = QPController(scene.cell, task.grasp, task.path, dt=2e-3, **given)
             controller.reset(task.q_start)
             count[0], steps = 0, 0
             while True:
-                before, begin = count[0], time.thread_time_ns()
+                rows[0], begin = 0, time.thread_time_ns()
                 step = controller.step()
-                if not near or not constraints or count[0] > before:
-                    times[name].append(1e-3 * (time.thread_time_ns() - begin))
+                took = 1e-3 * (time.thread_time_ns() - begin)
+                if not near or name != "clearance" or rows[0] > 0:
+                    times[name].append(took)
+                    if name == "clearance" and near:
+                        places.append(step.q_next)
                 steps += 1
                 if step.finished or steps > 5000 or (step.rate == 0.0 and steps > 200):
                     break
-            passes = f"{count[0]} of {steps}" if constraints else None
-    for name in contestants:
-        p = common.percentiles(times[name])
+            passes = f"{count[0]} of {steps}" if name == "clearance" else passes
+        if near:
+            times.setdefault("coal", []).extend(_coal(scene, places))
+            places.clear()
+    for name, own in times.items():
+        p = common.percentiles(own)
         yield dict(
             dict.fromkeys(KEYS), case=case, controller=name, passes=passes if name == "clearance" else None,
             p50_us=p["p50_us"], p99_us=p["p99_us"],
         )  # fmt: skip
 
 
+def _coal(scene: CollisionScene, places: list[Any]) -> Iterator[float]:
+    """CPU times [µs] of coal's own distances of the pairs within 30 mm of their margin at configurations."""
+    distances = Distances(scene)
+    for q in places[:: max(1, len(places) // 50)]:
+        pairs = np.flatnonzero(distances.all(q) < scene.built.margins + NEAR).tolist()
+        distances.place(scene.cell.moved(q, np.full(scene.cell.nv, 1e-9)))  # nothing is known there
+        begin = time.thread_time_ns()
+        distances.place(q)
+        for k in pairs:
+            distances.one(k)
+        yield 1e-3 * (time.thread_time_ns() - begin)
+
+
 def main(argv: Sequence[str] | None = None) -> int:
     """Command line."""
-    args = common.arguments(__doc__.partition("\n")[0] if __doc__ else "").parse_args(argv)
+    parser = common.arguments(__doc__.partition("\n")[0] if __doc__ else "")
+    parser.add_argument("--peers", nargs="*", choices=PEERS, default=(), help="beside coopqp (none)")
+    parser.add_argument("--no-install", action="store_true", help="only peers that are installed already")
+    parser.add_argument("--cache", type=Path, default=CACHE, help="folder of the peers' environments")
+    args = parser.parse_args(argv)
     plan = QUICK if args.quick else FULL
-    progress = common.Progress(2 * sum(1 for _ in cases()) + len(ARMS) * plan.posts)
+    progress = common.Progress(2 * sum(1 for _ in cases()) + 4 * len(CART_HEIGHTS) + len(ARMS) * plan.posts)
     description = common.describe("collisions", {"posts": plan.posts, "jumps": plan.jumps, "rounds": plan.rounds})
     print(common.header(description), flush=True)
-    records = [*runs(plan, progress), skipped(plan), *step_times(plan)]
+    records = [*runs(plan, progress)]
+    known = [(name, task, _scene(task, more)) for name, task, more in cases() if not more.get("inside")]
+    known = [case for case in known if case[1].path.known_ahead]
+    beside = peers(known, args.peers, args.cache, install=not args.no_install)
+    records += [{**dict.fromkeys(KEYS), **record} for record in beside]
+    records += [skipped(plan), *step_times(plan)]
     progress.close()
     posts = [r for r in records if r["case"].startswith("random posts")]
     shown = [r for r in records if r not in posts]

@@ -20,6 +20,8 @@ import export_cell
 import numpy as np
 import peer_cases
 
+from coopqp.collision import CollisionScene
+
 HERE = Path(__file__).resolve().parent
 #: Default folder of the peers' environments.
 CACHE = HERE.parent / ".venv-peers"
@@ -172,12 +174,12 @@ class Contestant:
 # -- files of the task -------------------------------------------------------------------------------------------------
 
 
-def hand_over(case: peer_cases.Case, folder: Path) -> Path:
-    """Write the cell and the task for the peers. Returns the task's file."""
+def hand_over(case: peer_cases.Case, folder: Path, scene: CollisionScene | None = None) -> Path:
+    """Write the cell and the task for the peers, with the bodies that keep distances. Returns the task's file."""
     folder.mkdir(parents=True)
     s = case.scenario
     (folder / "cell.urdf").write_text(export_cell.urdf(s.cell))
-    (folder / "cell.xml").write_text(export_cell.mjcf(s.cell))
+    (folder / "cell.xml").write_text(export_cell.mjcf(s.cell, scene))
     joints, tools = export_cell.names(s.cell)
     low, high = (np.clip(x, -np.pi, np.pi) for x in (s.cell.limits.lower, s.cell.limits.upper))
     samples = [s.q_start, *np.random.default_rng(0).uniform(low, high, (2, s.cell.nv))]
@@ -200,6 +202,9 @@ def hand_over(case: peer_cases.Case, folder: Path) -> Path:
             for q in samples
         ],
     }
+    if scene is not None:
+        pairs = [[int(pair.first), int(pair.second)] for pair in scene.built.geometry.collisionPairs]
+        task["scene"] = {"shapes": export_cell.shapes(scene), "pairs": pairs, "margin": scene.margin}
     file = folder / "task.json"
     file.write_text(json.dumps(task))
     return file

@@ -1,19 +1,22 @@
 """Export of a cell as one URDF and one MJCF, with all arms under a common world link, from its Pinocchio model.
 
 Joints have the names ``a00_j0``, ``a00_j1`` … in the order of the cell's velocity coordinates, tools ``a00_tool`` …:
-parsers that sort by name keep the order. There is no geometry; every link has the same token mass.
+parsers that sort by name keep the order. Every link has the same token mass. Without a collision scene there is no
+geometry.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 from xml.etree.ElementTree import Element, SubElement, indent, tostring
 
 import numpy as np
 import pinocchio as pin
 
 from coopqp import Array, RobotCell
+from coopqp.collision import CollisionScene
 
 _TOKEN_INERTIA = {"ixx": "0.01", "iyy": "0.01", "izz": "0.01", "ixy": "0", "ixz": "0", "iyz": "0"}
 
@@ -112,8 +115,32 @@ def urdf(cell: RobotCell) -> str:
     return tostring(root, encoding="unicode")
 
 
-def mjcf(cell: RobotCell) -> str:
-    """One robot with all arms for MuJoCo; tools are sites."""
+def shapes(scene: CollisionScene) -> list[dict[str, Any]]:
+    """Each primitive of a scene: its joint (0: the world), its placement there, its kind and its half sizes [m].
+
+    Raises:
+        ValueError: a shape that is no primitive.
+    """
+    sizes: dict[str, Callable[[Any], list[float]]] = {
+        "Box": lambda g: np.asarray(g.halfSide).tolist(),
+        "Sphere": lambda g: [g.radius],
+        "Capsule": lambda g: [g.radius, g.halfLength],
+        "Cylinder": lambda g: [g.radius, g.halfLength],
+    }
+    found = []
+    for shape in scene.built.geometry.geometryObjects:
+        kind = type(shape.geometry).__name__
+        if kind not in sizes:
+            raise ValueError(f"a {kind} is not exported")
+        found.append({
+            "joint": int(shape.parentJoint), "placement": shape.placement.homogeneous.tolist(),
+            "kind": kind.lower(), "half": sizes[kind](shape.geometry),
+        })  # fmt: skip
+    return found
+
+
+def mjcf(cell: RobotCell, scene: CollisionScene | None = None) -> str:
+    """One robot with all arms for MuJoCo; tools are sites, shapes are geoms ``shape_0`` …"""
     root = Element("mujoco", model="cell")
     SubElement(root, "compiler", angle="radian", autolimits="true")
     world = SubElement(SubElement(root, "worldbody"), "body", name="world_link")  # some parsers need one root body
@@ -134,5 +161,9 @@ def mjcf(cell: RobotCell) -> str:
         bodies.append(body)
     for tool, carrier, T in zip(names(cell)[1], cell.tool_joints, cell.T_joint_tool, strict=True):
         SubElement(bodies[carrier - 1], "site", {"name": tool, **place(T)})
+    for i, shape in enumerate(() if scene is None else shapes(scene)):
+        body = bodies[shape["joint"] - 1] if shape["joint"] else world
+        given = {"name": f"shape_{i}", "type": shape["kind"], "size": _numbers(shape["half"])}
+        SubElement(body, "geom", {**given, **place(pin.SE3(np.array(shape["placement"])))})
     indent(root)
     return tostring(root, encoding="unicode")

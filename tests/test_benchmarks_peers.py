@@ -9,12 +9,15 @@ import types
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
+from xml.etree import ElementTree
 
 import numpy as np
 import pinocchio as pin
 import pytest
 
 from coopqp import QPController, Status, available_kernels, tool_placements
+from coopqp.collision import Body, CollisionScene, Hull
+from coopqp.scenarios import plate_and_post
 
 BENCHMARKS = Path(__file__).resolve().parent.parent / "benchmarks"
 sys.path[:0] = [str(BENCHMARKS), str(BENCHMARKS / "peers")]
@@ -111,6 +114,24 @@ class TestExport:
         assert np.allclose(task["poses"][-1], paper_case.scenario.path.goal.homogeneous)
         assert set(task["speed"]) == {1.0}
         assert len(task["tools"]) == len(task["grasp"]) == 3
+
+    def test_bodies_that_keep_distances(self, tmp_path: Path) -> None:
+        task = plate_and_post()
+        scene = CollisionScene.of(task, margin=0.02)
+        file = contestants.hand_over(peer_cases.Case("post", task, 10), tmp_path / "task", scene)
+        given = json.loads(file.read_text())["scene"]
+        assert given["margin"] == 0.02
+        assert len(given["pairs"]) == len(scene.built.labels)
+        geoms = list(ElementTree.parse(file.parent / "cell.xml").iter("geom"))
+        assert len(geoms) == len(given["shapes"]) == len(scene.built.names)
+        post = scene.built.names.index("post")
+        assert given["shapes"][post] | {"placement": None} == {
+            "joint": 0, "placement": None, "kind": "capsule", "half": [0.05, 0.15],
+        }  # fmt: skip
+        assert np.allclose(given["shapes"][post]["placement"], task.obstacles[0].placement.homogeneous)
+        mesh = CollisionScene.of(task, obstacles=[Body("rock", Hull(np.vstack([np.eye(3), np.zeros(3)])))], margin=0.0)
+        with pytest.raises(ValueError, match="not exported"):
+            export_cell.shapes(mesh)
 
 
 class TestCases:

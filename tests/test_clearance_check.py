@@ -252,6 +252,24 @@ def test_where_no_branch_is_clear_it_is_said() -> None:
     assert checked(post, scene, start=False).verdict is INFEASIBLE
 
 
+def test_what_no_other_start_avoids_is_named_first() -> None:
+    task = plate_and_post()
+    cell, start = task.cell, find_start(task.cell, task.grasp, task.path)
+    data = cell.model.createData()
+    pin.forwardKinematics(cell.model, data, start.q)
+    shoulder, elbow = (data.oMi[cell.model.getJointId(f"slave_1/joint_{j}")].translation for j in (2, 3))
+    ball = Body("ball", Sphere(0.03), pin.SE3(np.eye(3), np.array(0.3 * shoulder + 0.7 * elbow)))
+    scene = CollisionScene.of(task, obstacles=[*task.obstacles, ball], margin=0.005)
+    given = check_path(cell, task.grasp, task.path, q_start=start.q, scene=scene).clearance
+    assert given is not None
+    assert given.stopped_by is not None
+    assert given.stopped_by.second == "ball"  # here and now
+    found = checked(task, scene, start=False).clearance
+    assert found is not None
+    assert found.stopped_by is not None
+    assert (found.stopped_by.first, found.stopped_by.second) == ("object", "post")
+
+
 @pytest.mark.slow
 def test_a_moved_path_is_a_remedy_for_distances() -> None:
     found = find_remedies(checked(plate_and_post(), margin=0.01))

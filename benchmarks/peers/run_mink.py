@@ -9,6 +9,9 @@ import mujoco
 import numpy as np
 from protocol import Array, Task, Timed, serve
 
+#: A pair is seen this far beyond its margin [m].
+SEEN = 0.1
+
 
 class _Motion(Timed):
     def __init__(self, model: Any, task: Task, *, hard: bool, solver: str) -> None:
@@ -28,6 +31,15 @@ class _Motion(Timed):
         self._targets = [[mink.SE3.from_matrix(T) for T in row[: len(free)]] for row in task.targets]
         speeds = {name: float(speed) for name, speed in zip(task.joints, task.speed, strict=True)}
         self._limits = [mink.ConfigurationLimit(model), mink.VelocityLimit(model, speeds)]
+        scene = task.spec.get("scene")
+        if scene is not None:
+            pairs = [([f"shape_{i}"], [f"shape_{j}"]) for i, j in scene["pairs"]]
+            margin = scene["margin"]
+            self._limits.append(
+                mink.CollisionAvoidanceLimit(
+                    model, pairs, minimum_distance_from_collisions=margin, collision_detection_distance=margin + SEEN
+                )
+            )
         self.start()
 
     def start(self) -> None:

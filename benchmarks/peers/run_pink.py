@@ -6,12 +6,35 @@ import logging
 import warnings
 from typing import Any
 
+import coal
 import numpy as np
 import pink
 import pinocchio as pin
+from pink.barriers import SelfCollisionBarrier
 from pink.limits import ConfigurationLimit, VelocityLimit
 from pink.tasks import FrameTask, RelativeFrameTask
 from protocol import Array, Task, Timed, serve
+
+#: As in pink's example of self-collision: its gain; the barrier sees so many of the nearest pairs.
+BARRIER_GAIN, MOST_PAIRS = 20.0, 10
+
+
+def _geometry(scene: dict[str, Any]) -> pin.GeometryModel:
+    """The shapes that keep distances, as pink wants them."""
+    make = {
+        "box": lambda half: coal.Box(*(2.0 * np.array(half))),
+        "sphere": lambda half: coal.Sphere(half[0]),
+        "capsule": lambda half: coal.Capsule(half[0], 2.0 * half[1]),
+        "cylinder": lambda half: coal.Cylinder(half[0], 2.0 * half[1]),
+    }
+    geometry = pin.GeometryModel()
+    for i, shape in enumerate(scene["shapes"]):
+        T = pin.SE3(np.array(shape["placement"]))
+        made = make[shape["kind"]](shape["half"])
+        geometry.addGeometryObject(pin.GeometryObject(f"shape_{i}", shape["joint"], T, made))
+    for first, second in scene["pairs"]:
+        geometry.addCollisionPair(pin.CollisionPair(first, second))
+    return geometry
 
 
 class _Motion(Timed):
@@ -28,10 +51,19 @@ class _Motion(Timed):
                 self._constraints.append(chain)
         self._targets = [[pin.SE3(T) for T in row[: len(free)]] for row in task.targets]
         self._limits = [ConfigurationLimit(model), VelocityLimit(model)]
+        scene = task.spec.get("scene")
+        self._geometry, self._barriers = None, []
+        if scene is not None:
+            self._geometry = _geometry(scene)
+            most = min(MOST_PAIRS, len(scene["pairs"]))
+            self._barriers = [SelfCollisionBarrier(most, gain=BARRIER_GAIN, d_min=scene["margin"])]
         self.start()
 
     def start(self) -> None:
-        self._configuration = pink.Configuration(self._model, self._model.createData(), self._task.q_start)
+        shapes: dict[str, Any] = {}
+        if self._geometry is not None:
+            shapes = {"collision_model": self._geometry, "collision_data": self._geometry.createData()}
+        self._configuration = pink.Configuration(self._model, self._model.createData(), self._task.q_start, **shapes)
 
     def step(self, i: int, reading: Array | None) -> Array:
         dt = self._task.dt
@@ -46,6 +78,7 @@ class _Motion(Timed):
             solver=self._solver,
             limits=self._limits,
             constraints=self._constraints or None,
+            barriers=self._barriers or None,
             safety_break=self._safety_break,
         )
         if not np.isfinite(v).all():

@@ -59,17 +59,23 @@ class _Interval(NamedTuple):
     motion: float  # largest of the pairs
 
 
-def along(scene: CollisionScene, way: CellWay) -> ClearanceCheck:
-    """Judge a way; see :class:`coopqp.planning.ClearanceCheck`."""
-    return _Judge(scene, way).answer()
+def along(scene: CollisionScene, way: CellWay, *, any_start: bool = False) -> ClearanceCheck:
+    """Judge a way; see :class:`coopqp.planning.ClearanceCheck`.
+
+    Args:
+        scene: what may touch what.
+        way: of the arms and the object.
+        any_start: the way stands for those from any other start, too.
+    """
+    return _Judge(scene, way, any_start=any_start).answer()
 
 
 @final
 class _Judge:
     """The search for the least room along one way."""
 
-    def __init__(self, scene: CollisionScene, way: CellWay) -> None:
-        built = scene.built
+    def __init__(self, scene: CollisionScene, way: CellWay, *, any_start: bool) -> None:
+        built, self._any_start = scene.built, any_start
         self._scene, self._way, self._built, self._cell = scene, way, built, scene.cell
         self._distances = Distances(scene)
         self._numbers = itertools.count()
@@ -102,9 +108,12 @@ class _Judge:
         rooms = d - self._required
         inside = (rooms[:, self._pairs] < -_ROUNDING).any(axis=0)
         judged = self._pairs
-        # What the pose of the object alone decides comes first: no motion of an elbow helps there.
-        if inside.any() and (~self._elbows[self._pairs[inside]]).any():
-            judged = self._pairs[~self._elbows[self._pairs]]
+        # What the pose of the object alone decides comes first: no motion of an elbow helps there, and no other start.
+        object_alone = np.isfinite(self._built.levers)
+        for decides in (object_alone, ~self._elbows) if self._any_start else (~self._elbows,):
+            if decides[self._pairs[inside]].any():
+                judged = self._pairs[decides[self._pairs]]
+                break
         for u, row in zip(places.tolist(), rooms, strict=True):
             self._seen(u, judged, row[judged])
         self._halve([

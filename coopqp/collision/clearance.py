@@ -13,10 +13,11 @@ import numpy as np
 import pinocchio as pin
 
 from coopqp.checks import as_scalar, as_vector, require
-from coopqp.collision.distances import Distances, Gradient, LowerBounds
+from coopqp.collision.distances import KERNEL, Distances, Gradient, LowerBounds
 from coopqp.collision.evasion import Evasion
 from coopqp.collision.scene import CollisionScene
 from coopqp.control.constraints import MOST_ROWS, ConstraintTrouble, Knot, LabelledRows, Quiet, Rank
+from coopqp.control.plain import BRAKING_SHARE
 from coopqp.errors import InvalidInputError, UnknownNameError
 from coopqp.model.limits import BindingLimit, LimitKind
 from coopqp.model.shapes import NearPair
@@ -31,6 +32,8 @@ _WATCH, _BLIND_WATCH = 0.1, 0.3
 _SAMPLE = 5e-4
 #: Pairs are looked at this far beyond the comfort, so that evasion begins gently [m].
 _EVADES_EARLY = 0.05
+#: A distance that would fall faster than it should by this, per second of the path's clock, is asked for in full [m/s].
+_GENTLE = 0.1
 #: Room that the bend between two knots may take, where they are certified together [m].
 _BEND = 2e-3
 #: The joints' way between knots is no longer than this many times the straight one.
@@ -64,7 +67,8 @@ class Clearance:
         approach: ξ where the path is not known ahead [1/s].
         comfort: redundant arms keep this far from their margins where their self-motion can [m]; 0: they do not evade.
         give_way: what stands in the way of a moving body leaves the path for it; else it slows down and stops there.
-        stopping: time in which the arms come to rest where a moving body comes closer [s].
+        stopping: time in which the arms come to rest where a moving body comes closer [s]; braking later where
+            acceleration limits say that it suffices.
         patience: a moving body whose place is not told for longer leads to HOLDING [s].
         name: how messages call it.
 
@@ -93,6 +97,7 @@ class Clearance:
         self.stopping = as_scalar(stopping, "Clearance: stopping", high=60.0)
         self.patience = as_scalar(patience, "Clearance: patience", high=60.0)
         self.labels = tuple(BindingLimit("", "", LimitKind.COLLISION, between=label) for label in scene.built.labels)
+        self._x: Array | None = None  # joint positions at the step before, where bodies move
         self._places = {b.name: _Place(as_placement(b.placement, b.name), np.zeros(6)) for b in scene.moving}
         self._prepare()
 
@@ -101,7 +106,8 @@ class Clearance:
         self._distances, self._probe = Distances(self.scene), Distances(self.scene)
         self._step, self._ahead = (LowerBounds(self.scene, self._distances) for _ in range(2))
         self._margins, self._inside, self._reach = built.margins, built.inside, built.reach
-        self._speed = cell.limits.velocity
+        self._speed, self._acceleration = cell.limits.velocity, cell.limits.acceleration
+        self._v = np.zeros(cell.nv)
         self._evasion = Evasion(cell)
         evades = bool(self._evasion) and self.comfort > 0.0
         self._evading_from = self.comfort + _EVADES_EARLY if evades else 0.0
@@ -110,13 +116,20 @@ class Clearance:
         self._approach = np.inf
         self._shapes = {b.name: i for b, i in zip(self.scene.moving, built.moving, strict=True)}
         second = np.array([int(pair.second) for pair in built.geometry.collisionPairs], dtype=int)
-        self._runs = np.isin(second, list(self._shapes.values()))
+        self._moves = np.isin(second, list(self._shapes.values()))
+        self._runs = np.flatnonzero(self._moves)  # pairs with a body that moves
         self._second = second
+        self._most = np.where(np.isfinite(self._speed), self._speed, 1e9)
+        self._in_view = np.full(len(second), self._evading_from)
+        self._watch_of, self._watch = (0.0, False), self._fastest
+        self._endless = np.full(_MOST_PAIRS, np.inf)
+        nothing = np.zeros(0)
+        self._no_rows = LabelledRows(np.zeros((0, cell.nv)), nothing, nothing, nothing.astype(int))
 
     # -- state -----------------------------------------------------------------------------------------------------
 
     def __getstate__(self) -> dict[str, Any]:
-        names = ("scene", "name", "approach", "comfort", "give_way", "stopping", "patience", "labels", "_places")
+        names = ("scene", "name", "approach", "comfort", "give_way", "stopping", "patience", "labels", "_places", "_x")
         return {name: self.__dict__[name] for name in names}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
@@ -169,6 +182,7 @@ class Clearance:
         near = np.flatnonzero((d < self._margins - _ROUNDING) & ~self._inside)
         self._step.forget()
         self._ahead.forget()
+        self._x = None
         if not near.size:
             return
         k = int(near[(d - self._margins)[near].argmin()])
@@ -205,29 +219,47 @@ class Clearance:
         return rows
 
     def _rows(self, q: Array, dt: float, *, blind: bool) -> LabelledRows:
-        bounds, nv = self._step, self.scene.cell.nv
+        bounds = self._step
         xi = min(self.approach, 1.0 / dt) if blind else 1.0 / dt
         self._approach = self.approach if blind else np.inf
-        bounds.follow(self.scene.cell.positions(q))
-        self._step.rooms[self._runs] = -np.inf
+        x = self.scene.cell.positions(q)
+        bounds.follow(x)
+        if self._places:
+            self._v, self._x = self._velocity(x, dt), x
+            bounds.rooms[self._runs] = -np.inf
         self._distances.place(q)
-        watch = np.minimum(self._fastest / xi, _BLIND_WATCH if blind else _WATCH)
-        watch[self._runs] = _BLIND_WATCH
-        bounds.ask(np.flatnonzero(bounds.rooms < watch).tolist())
-        near = np.flatnonzero(bounds.rooms < watch)
-        bounds.sharpen()
-        if not near.size:
-            return LabelledRows(np.zeros((0, nv)), np.zeros(0), np.zeros(0), near)
-        if near.size > _MOST_PAIRS:
-            near = np.sort(near[np.argpartition(bounds.rooms[near], _MOST_PAIRS)[:_MOST_PAIRS]])
-        gradient = self._distances.gradient(near)
-        lower = -np.maximum(bounds.rooms[near], 0.0) * xi
-        for name, place in self._places.items():
-            self._run(near, self._shapes[name], place, gradient, lower, dt)
-        fastest = np.abs(gradient.rows) @ np.where(np.isfinite(self._speed), self._speed, 1e9)
-        binds = (fastest > -lower) | self._runs[near]
-        near, G, lower = near[binds], gradient.rows[binds], lower[binds]
-        return LabelledRows(G, lower, np.full(len(near), np.inf), near)
+        near = bounds.near(self._watched(xi, blind=blind))
+        bounds.sharpen(near)
+        if len(near) > _MOST_PAIRS:
+            near = sorted(sorted(near, key=bounds.rooms.item)[:_MOST_PAIRS])
+        if not near:
+            return self._no_rows
+        gradient, lower = self._distances.rows(near, bounds.rooms, xi)
+        if self._places:
+            which = np.array(near)
+            for name, place in self._places.items():
+                self._run(which, self._shapes[name], place, gradient, lower, dt)
+        binds = KERNEL.binding(gradient.rows, lower, self._most)
+        if len(binds) < len(near):
+            return LabelledRows(
+                gradient.rows[binds], lower[binds], self._endless[: len(binds)], np.array([near[i] for i in binds], int)
+            )
+        return LabelledRows(gradient.rows, lower, self._endless[: len(near)], np.array(near))
+
+    def _velocity(self, x: Array, dt: float) -> Array:
+        """Of the joints since the step before (nv,); 0 at the first one."""
+        way = np.zeros(len(x)) if self._x is None else x - self._x
+        turns = self.scene.cell.continuous
+        way[turns] = np.remainder(way[turns] + np.pi, 2.0 * np.pi) - np.pi
+        return way / dt
+
+    def _watched(self, xi: float, *, blind: bool) -> Array:
+        """Pairs are asked within this of their margin (P,) [m]: nothing else can reach it at full speed."""
+        if self._watch_of != (xi, blind):
+            watch = np.minimum(self._fastest / xi, _BLIND_WATCH if blind else _WATCH)
+            watch[self._runs] = _BLIND_WATCH
+            self._watch_of, self._watch = (xi, blind), watch
+        return self._watch
 
     def tightened(self, rows: LabelledRows, q_next: Array, v: Array, dt: float) -> Array | None:
         """Lower bounds (m,) that make up for what rows are blind to, the bend of distances within a step.
@@ -243,14 +275,15 @@ class Clearance:
         """
         if not len(rows.which):
             return None
-        least = np.minimum(self._step.rooms[rows.which], 0.0)
-        close = np.flatnonzero(self._step.rooms[rows.which] + dt * (rows.G @ v) < least + _SAMPLE)
+        rooms = self._step.rooms[rows.which]
+        least = np.minimum(rooms, 0.0)
+        close = np.flatnonzero(rooms + dt * (rows.G @ v) < least + _SAMPLE)
         if not close.size:
             return None
         self._distances.place(q_next)
         room = np.array([self._distances.one(int(rows.which[i])) for i in close]) - self._margins[rows.which[close]]
         missing = least[close] - room
-        bent = (missing > 0.1 * _STANDS) & ~self._runs[rows.which[close]]
+        bent = (missing > 0.1 * _STANDS) & ~self._moves[rows.which[close]]
         if not bent.any():
             return None
         lower: Array = rows.lower.copy()
@@ -280,19 +313,27 @@ class Clearance:
         return -1
 
     def evaded(self, q: Array, slope: Array) -> Array:
-        """Slopes with the self-motion of redundant arms that keeps ``ḋ ≥ −ξ (d − m − comfort)``."""
+        """Slopes with the self-motion of redundant arms that keeps ``ḋ ≥ −ξ (d − m − comfort)``.
+
+        It begins and ends gently, so that slopes bend and accelerations stay small: bounds are lower where a pair comes
+        into view, and the first part of what misses is asked for in its square.
+        """
         if not self._evading_from:
             return slope
         bounds = self._ahead
         bounds.follow(self.scene.cell.positions(q))
         bounds.rooms[self._runs] = np.inf
         self._distances.place(q)
-        bounds.ask(np.flatnonzero(bounds.rooms < self._evading_from).tolist())
-        near = np.flatnonzero(bounds.rooms < self._evading_from)
-        if not near.size:
+        near = bounds.near(self._in_view)
+        if not near:
             return slope
-        lower = -self.approach * (bounds.rooms[near] - self.comfort)
-        return self._evasion.slope(q, slope, self._distances.gradient(near).rows, lower)
+        G = self._distances.gradient(near).rows
+        spare = bounds.rooms[near] - self.comfort
+        lower = -self.approach * spare / np.maximum(1.0 - np.maximum(spare, 0.0) / _EVADES_EARLY, _ROUNDING)
+        kept = G @ slope
+        missing = lower - kept
+        first = np.clip(missing, 0.0, _GENTLE)
+        return self._evasion.slope(q, slope, G, lower - first + first**2 / (2.0 * _GENTLE))
 
     def _crosses(self, k: int, knot: Knot, way: float) -> bool:
         """Whether pair ``k`` comes inside its margin, or closer inside it, between the knot before and this one."""
@@ -359,10 +400,14 @@ class Clearance:
         return late
 
     def _run(self, near: Any, shape: int, place: _Place, gradient: Gradient, lower: Array, dt: float) -> None:
-        """Lower bounds of pairs with a moving body that comes closer at u = −n · v.
+        """Lower bounds of pairs with a moving body that comes closer at u = −n · v, the arms coming closer at s = −ḋ.
 
         While the arms stop, in the time T and half of it at their present speed, the body goes on:
-        ``−ḋ (h + T/2) + u (h + T) ≤ d − m``. Where they give way they keep ``ḋ ≥ −ξ (d − m)``, its motion included.
+        ``s (h + T/2) + u (h + T) ≤ d − m``. This may ask for more braking than the joints have, (s + u) / (T/2): they
+        brake by no more than a, their accelerations', as long as that suffices,
+        ``s²/2a + u s/a + (s + u) h ≤ d − m``. Distances of convex bodies that go straight on are convex in time, so
+        neither takes them for larger than they will be. Where they give way they keep ``ḋ ≥ −ξ (d − m)``, its motion
+        included.
         """
         own = self._second[near] == shape
         if not own.any():
@@ -373,4 +418,16 @@ class Clearance:
         if self.give_way:
             lower[own] = np.minimum(closing - self.approach * room, _FASTEST_RETREAT)
         else:
-            lower[own] = np.minimum(-(room - np.maximum(closing, 0.0) * (dt + T)) / (dt + 0.5 * T), 0.0)
+            u, (s, a) = np.maximum(closing, 0.0), self._braking(gradient.rows[own])
+            in_time, b = (room - u * (dt + T)) / (dt + 0.5 * T), u + a * dt
+            in_room = np.sqrt(np.maximum(b**2 + 2.0 * a * (room - u * dt), 0.0)) - b
+            lower[own] = -np.maximum(np.maximum(in_time, np.minimum(s - a * dt, in_room)), 0.0)
+
+    def _braking(self, G: Array) -> tuple[Array, Array]:
+        """Approaches s = −G v (m,) [m/s], and how hard joints that brake together slow them down [m/s²].
+
+        Both are 0 where accelerations have no limits, or nothing moves.
+        """
+        slowest = float((np.abs(self._v) / self._acceleration).max())
+        s = np.maximum(-(G @ self._v), 0.0) * (slowest > _STANDS)
+        return s, s * BRAKING_SHARE / max(slowest, _STANDS)

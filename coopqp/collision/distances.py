@@ -3,13 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import TYPE_CHECKING, NamedTuple, final
+from typing import TYPE_CHECKING, Any, NamedTuple, final
 
 import numpy as np
 import numpy.typing as npt
 import pinocchio as pin
 
+from coopqp.collision import bounds_plain
 from coopqp.spatial import Array
+
+try:
+    from coopqp.collision import _bounds as _compiled
+except ImportError:  # built without a compiler
+    KERNEL: Any = bounds_plain
+else:
+    KERNEL = _compiled  #: What works on bounds and rows.
 
 if TYPE_CHECKING:
     from coopqp.collision.scene import CollisionScene
@@ -57,44 +65,64 @@ class Distances:
             request.gjk_tolerance = request.epa_tolerance = _TOLERANCE
             request.gjk_max_iterations = request.epa_max_iterations = _MOST_ITERATIONS
         self._results = [self._placed.distanceResults[k] for k in range(len(built.labels))]
-        self._kinds = built.kinds
+        self._kinds = np.ascontiguousarray(built.kinds)
+        self._nothing = np.zeros(len(built.labels))
+        self._at = b""  # the configuration where the shapes are
+        self._known: dict[int, float] = {}  # distances there
 
     def put(self, shape: int, T_world_shape: pin.SE3) -> None:
         """Move a shape that stands in the world, from the next :meth:`place` on."""
         self._geometry.geometryObjects[shape].placement = T_world_shape
+        self._at = b""
 
     def place(self, q: Array) -> None:
         """Put all shapes where they are at a configuration (nq,)."""
+        at = q.tobytes()
+        if at == self._at:
+            return
+        self._at, self._known = at, {}
         pin.computeJointJacobians(self._cell.model, self._data, q)
         pin.updateGeometryPlacements(self._cell.model, self._data, self._geometry, self._placed)
 
     def one(self, pair: int) -> float:
-        """Distance of a pair where the shapes are placed [m]."""
-        pin.computeDistance(self._geometry, self._placed, pair)
-        return max(float(self._results[pair].min_distance), _DEEPEST)
+        """Distance of a pair where the shapes are placed [m]; coal is asked once."""
+        found = self._known.get(pair)
+        if found is None:
+            pin.computeDistance(self._geometry, self._placed, pair)
+            found = self._known[pair] = max(self._results[pair].min_distance, _DEEPEST)
+        return found
 
     def all(self, q: Array) -> Array:
         """Distances of all pairs (P,) at a configuration [m]."""
         self.place(q)
         pin.computeDistances(self._geometry, self._placed)
-        return np.maximum([result.min_distance for result in self._results], _DEEPEST)
+        d: Array = np.maximum([result.min_distance for result in self._results], _DEEPEST)
+        self._known = dict(enumerate(d.tolist()))
+        return d
 
     def nearest_points(self, pair: int) -> tuple[Array, Array]:
         """The points of both bodies that are nearest to each other, of a pair asked last here [m]."""
         result = self._results[pair]
         return np.array(result.getNearestPoint1()), np.array(result.getNearestPoint2())
 
-    def gradient(self, pairs: Indices | list[int]) -> Gradient:
+    def gradient(self, pairs: Iterable[int]) -> Gradient:
         """Of the distances of pairs that were asked where the shapes are placed.
 
         With the unit normal n from the first to the second body and a nearest point p the distance grows by
         ``n · (v₂ − v₁)``; a world twist (v, ω) moves p by ``v + ω × p``. Both bodies' nearest points give the same.
         """
-        results = [self._results[k] for k in pairs]
-        n = np.array([r.normal for r in results]).reshape(-1, 3)
-        p = np.array([r.getNearestPoint2() for r in results]).reshape(-1, 3)
-        W = np.concatenate([n, np.cross(p, n)], axis=1)
-        return Gradient((W @ self._data.J) * self._kinds[pairs], n, p)
+        return self.rows([int(k) for k in pairs], self._nothing, 0.0)[0]
+
+    def rows(self, pairs: list[int], rooms: Array, approach: float) -> tuple[Gradient, Array]:
+        """Their gradient, and what ``ḋ ≥ −ξ`` room asks of them (m,), for rooms of all pairs (P,) [m] and ξ [1/s]."""
+        ends = []
+        for k in pairs:
+            result = self._results[k]
+            ends.append(result.normal.tolist() + result.getNearestPoint2().tolist())
+        both, lower = np.array(ends).reshape(-1, 6), np.empty(len(ends))
+        G = np.empty((len(ends), self._cell.nv))
+        KERNEL.rows(both, self._data.J.T, self._kinds, rooms, pairs, approach, G, lower)
+        return Gradient(G, both[:, :3], both[:, 3:]), lower
 
 
 @final
@@ -106,16 +134,18 @@ class LowerBounds:
     Args:
         scene: whose pairs they are.
         distances: where they are asked.
+        kernel: what computes them, ``_bounds.c`` or :mod:`coopqp.collision.bounds_plain`.
     """
 
-    def __init__(self, scene: CollisionScene, distances: Distances) -> None:
-        built = scene.built
-        self._reach, self._margins, self._distances = built.reach, built.margins, distances
+    def __init__(self, scene: CollisionScene, distances: Distances, *, kernel: Any = KERNEL) -> None:
+        built, nv = scene.built, scene.cell.nv
+        self._margins, self._distances, self._kernel = built.margins, distances, kernel
+        self._reach = np.ascontiguousarray(built.reach.T)  # as the kernel reads it
         self._most = built.reach.sum(axis=1)
-        self._continuous = scene.cell.continuous
+        self._continuous = scene.cell.continuous.astype(float)
+        self._shares, self._weights = np.empty(len(built.margins)), np.zeros(nv)
         self.rooms = np.full(len(built.margins), -np.inf)  # at least this far from the margin (P,) [m]
-        self.positions = np.zeros(scene.cell.nv)
-        self.forget()
+        self.positions = np.zeros(nv)
 
     def forget(self) -> None:
         """Nothing is known: a body has moved."""
@@ -123,27 +153,28 @@ class LowerBounds:
 
     def follow(self, positions: Array) -> None:
         """The joints are at positions (nv,) now."""
-        way = np.abs(positions - self.positions)
-        if self._continuous.any():
-            turn = self._continuous
-            way[turn] = np.minimum(way[turn], np.abs(2.0 * np.pi - way[turn]))
-        self.rooms -= self._reach @ way
-        self.positions = positions
+        self._kernel.follow(self.rooms, self._reach, self.positions, positions, self._continuous)
+
+    def near(self, watch: Array) -> list[int]:
+        """Pairs nearer to their margin than this (P,) where shapes are placed; coal is asked for those that may be."""
+        asked = self._kernel.near(self.rooms, watch)
+        self.ask(asked)
+        return [k for k in asked if self.rooms[k] < watch[k]]
 
     def ask(self, pairs: Iterable[int]) -> None:
         """Ask coal for pairs, where the shapes are placed."""
         for k in pairs:
             self.rooms[k] = self._distances.one(k) - self._margins[k]
 
-    def sharpen(self) -> None:
+    def sharpen(self, asked: Iterable[int] = ()) -> None:
         """Ask for pairs until the one that may use up its room first, as far as is known, has been asked."""
-        asked = set[int]()
-        while len(asked) < _MOST_ASKED:
-            k = int((self._most / np.maximum(self.rooms, _LEAST_ROOM)).argmax())
-            if k in asked:
+        known = set(asked)
+        while len(known) < _MOST_ASKED:
+            k = self._kernel.soonest(self.rooms, self._most, _LEAST_ROOM)
+            if k in known:
                 return
             self.ask([k])
-            asked.add(k)
+            known.add(k)
 
     def certificate(self, spare: float = 0.0) -> tuple[Array, float]:
         """Reach (nv,) and slack of a :class:`coopqp.control.constraints.Quiet` about :attr:`positions`.
@@ -153,9 +184,6 @@ class LowerBounds:
         Args:
             spare: room that is kept for something else [m].
         """
-        rooms = self.rooms - spare
-        if not len(rooms):
-            return np.zeros(self._reach.shape[1]), 1.0
-        if not rooms.min() > 0.0:
-            return np.zeros(self._reach.shape[1]), -1.0
-        return (self._reach / rooms[:, None]).max(axis=0), 1.0
+        weights = self._weights
+        known = self._kernel.certify(self.rooms, self._reach, spare, self._shares, weights)
+        return weights.copy(), 1.0 if known else -1.0

@@ -47,7 +47,11 @@ def _of_mesh(mesh: Mesh, where: str) -> tuple[Any, float]:
     try:
         read = coal.MeshLoader().load(str(file), np.array(mesh.scale))
     except (ValueError, RuntimeError) as error:
-        raise InvalidInputError(f"{file} is no readable mesh ({error})", where, "Give an STL, DAE or OBJ.") from error
+        why = str(error).partition("message: ")[2].partition("\nHint")[0] or str(
+            error
+        )  # coal adds its own source lines
+        said = " ".join(why.split())
+        raise InvalidInputError(f"{file} is no readable mesh ({said})", where, "Give an STL, DAE or OBJ.") from error
     return convex(read, f"{where}: {file}")
 
 

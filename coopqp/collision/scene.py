@@ -137,11 +137,11 @@ class CollisionScene:
             found[label] = min(d, found.get(label, np.inf))
         return tuple(NearPair(*label, d) for label, d in sorted(found.items(), key=lambda item: item[1]))
 
-    def along(self, way: CellWay) -> ClearanceCheck:
+    def along(self, way: CellWay, *, any_start: bool = False) -> ClearanceCheck:
         """Distances along a way that is checked before the motion; see :func:`coopqp.planning.check_path`."""
         from coopqp.collision.along import along
 
-        return along(self, way)
+        return along(self, way, any_start=any_start)
 
     def evading(self, way: CellWay) -> tuple[Array, Array] | None:
         """Places (K,) and joint positions (K, nv) of a way on which redundant arms keep off; None if there is none."""
@@ -235,6 +235,7 @@ def _build(scene: CollisionScene) -> Built:
             "CollisionScene",
             "Take arms with collision shapes, or give bodies: on_links, obstacles, carried.",
         )
+    _check_names(scene, parts)
     model, geometry = scene.cell.model, pin.GeometryModel()
     for i, part in enumerate(parts):
         shape = pin.GeometryObject(f"{i}: {part.name}", part.joint, part.T_joint_shape, part.geometry)
@@ -271,6 +272,26 @@ def _build(scene: CollisionScene) -> Built:
         tuple(i for i, part in enumerate(parts) if part.moving),
         tuple(notes),
     )
+
+
+def _check_names(scene: CollisionScene, parts: Sequence[_Part]) -> None:
+    """Shapes of one name are one body and keep no distance: they have to stand on one link, or be one object."""
+    known: dict[str, tuple[int, bool, bool]] = {}
+    for part in parts:
+        if part.name == "*" or part.name in scene.cell.arm_names:
+            raise InvalidInputError(
+                f"a body is named '{part.name}'",
+                "CollisionScene",
+                "Give it another name: this one stands for several bodies where pairs are named.",
+            )
+        own, before = (0 if part.object else part.joint, part.object, part.moving), known.get(part.name)
+        known[part.name] = own
+        if before is not None and (before != own or part.moving):  # what moves has one place
+            raise InvalidInputError(
+                f"two bodies are named '{part.name}'",
+                "CollisionScene",
+                "Give each a name of its own: shapes of one name are one body and keep no distance from each other.",
+            )
 
 
 def _links(scene: CollisionScene, notes: list[str]) -> list[_Part]:

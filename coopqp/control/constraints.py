@@ -295,6 +295,7 @@ class Constraints:
         self._uncertified = [(i, c) for i, c in self.velocity if not isinstance(c, CertifiedConstraint)]
         self._soft = {i: item.rank == Rank.CLEARANCE for i, item in self.velocity}
         self._nothing = no_rows(cell.nv)
+        self._all_soft, self._none_soft = np.ones(MOST_ROWS, dtype=bool), np.zeros(MOST_ROWS, dtype=bool)
 
     def __bool__(self) -> bool:
         return bool(self.names)
@@ -354,8 +355,8 @@ class Constraints:
                 if raised.rows is None:
                     continue
                 own = raised.rows
-            soft = np.full(len(own.which), self._soft[i])
-            parts.append(Rows(own.G, own.lower, own.upper, soft, self._first[i] + own.which))
+            soft = self._all_soft if self._soft[i] else self._none_soft
+            parts.append(Rows(own.G, own.lower, own.upper, soft[: len(own.which)], self._first[i] + own.which))
         if self._uncertified:
             try:
                 parts += self._uncertified_rows(CellState(self.cell, q), dt)
@@ -412,8 +413,9 @@ class Constraints:
         """Rows that make up for what a step's command breaks although it keeps its rows; None if it breaks nothing."""
         found = None
         for i, constraint in self._certified:
-            first = self._first[i]
-            own = (rows.owner >= first) & (rows.owner < first + len(constraint.labels))
+            first, own = self._first[i], _EVERY
+            if len(self.velocity) > 1:
+                own = (rows.owner >= first) & (rows.owner < first + len(constraint.labels))
             given = LabelledRows(rows.G[own], rows.lower[own], rows.upper[own], rows.owner[own] - first)
             lower = constraint.tightened(given, q_next, v, dt)
             if lower is not None:
@@ -492,6 +494,7 @@ def _asked(name: str, call: Callable[[], Any]) -> tuple[Array, Array, Array]:
         raise ConstraintTrouble(f"constraint {name} raised {said(error)}") from error
 
 
+_EVERY: Any = slice(None)
 #: Per unit of rate, a row that changes by less does not bound the rate.
 _STILL = 1e-12
 #: Entries of rows this large are nonsense.

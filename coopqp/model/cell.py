@@ -134,13 +134,15 @@ class RobotCell(Shown):
 
     def configuration(self, angles: ArrayLike) -> Array:
         """Configuration (nq,) from one position per joint (nv,) [rad or m]; continuous joints become (cos, sin)."""
-        x = as_vector(angles, self.nv, "RobotCell.configuration")
+        return self.configuration_of(as_vector(angles, self.nv, "RobotCell.configuration"))
+
+    def configuration_of(self, x: Array) -> Array:
+        """:meth:`configuration` of positions (nv,) that need no check."""
         q = np.empty(self.nq)
-        for j, i in enumerate(self.position_index):
-            if self.continuous[j]:
-                q[i : i + 2] = np.cos(x[j]), np.sin(x[j])
-            else:
-                q[i] = x[j]
+        q[self.position_index] = x
+        if not self.euclidean:
+            at = self.position_index[self.continuous]
+            q[at], q[at + 1] = np.cos(x[self.continuous]), np.sin(x[self.continuous])
         return q
 
     def positions(self, q: Array) -> Array:

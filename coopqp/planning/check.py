@@ -183,7 +183,9 @@ def check_path(
         start = _joined(cell, grasp, samples.poses[0], arms)
     verdict, clearance = worst([arm.verdict for arm in arms]), None
     if scene is not None and start is not None and verdict is not PathVerdict.INFEASIBLE:
-        arms, clearance = _distances(cell, grasp, path, samples, segments, arms, scene, cell.positions(start))
+        arms, clearance = _distances(
+            cell, grasp, path, samples, segments, arms, scene, cell.positions(start), any_start=q_start is None
+        )
         verdict = worst([clearance.verdict, *(arm.verdict for arm in arms)])
     return PathCheck(
         verdict=verdict,
@@ -222,6 +224,8 @@ def _distances(
     arms: list[ArmCheck],
     scene: Bodies,
     rest: Array,
+    *,
+    any_start: bool,
 ) -> tuple[list[ArmCheck], ClearanceCheck]:
     """Distances along the ways of the arms, or along others that their self-motion allows; and whose ways they are."""
 
@@ -229,7 +233,7 @@ def _distances(
         return CellWay(cell, path, segments, [arm.chosen.way for arm in arms if arm.chosen is not None], rest)
 
     way = way_of(arms)
-    found = scene.along(way)
+    found = scene.along(way, any_start=any_start)
     if found.verdict is not PathVerdict.UNDECIDED or segments is None or not way.complete:
         return arms, found
     other = scene.evading(way)
@@ -247,7 +251,7 @@ def _distances(
         evading.append(
             replace(arm, chosen=branch, branches=tuple(branch if b is arm.chosen else b for b in arm.branches))
         )
-    better = scene.along(way_of(evading))
+    better = scene.along(way_of(evading), any_start=any_start)
     kept = all(new.verdict is old.verdict for new, old in zip(evading, arms, strict=True))
     return (evading, better) if kept and worst([better.verdict, found.verdict]) is found.verdict else (arms, found)
 

@@ -105,8 +105,8 @@ class Bodies(Protocol):
         """The arms."""
         ...
 
-    def along(self, way: CellWay) -> ClearanceCheck:
-        """Judge a way."""
+    def along(self, way: CellWay, *, any_start: bool = False) -> ClearanceCheck:
+        """Judge a way; where it stands for any start, first what no other start helps against."""
         ...
 
     def evading(self, way: CellWay) -> tuple[Array, Array] | None:

@@ -226,7 +226,7 @@ class CompiledLoop:
     @property
     def q(self) -> Array:
         """Commanded configuration (nq,)."""
-        return self.cell.configuration(self.at["positions"])
+        return self.cell.configuration_of(self.at["positions"])
 
     @property
     def velocity(self) -> Array:
@@ -261,7 +261,7 @@ class CompiledLoop:
         """
         at, nv, n = self.at, self.cell.nv, len(layout.KNOT)
         numbers, vectors = at["knots"][n * slot : n * slot + n], slice(nv * slot, nv * slot + nv)
-        q = self.cell.configuration(at["knot_positions"][vectors])
+        q = self.cell.configuration_of(at["knot_positions"][vectors])
         slope, curvature = (at[f"knot_{name}"][vectors].copy() for name in ("slope", "curvature"))
         preview = self.options.preview
         share = 1.0 if preview is None else preview.curvature_share
@@ -290,7 +290,7 @@ class CompiledLoop:
         """Self-motion at a knot that is tried; False if it cannot be asked."""
         at = self.at
         try:
-            slope = self.constraints.evaded(self.cell.configuration(at["evading_positions"]), at["evading_slope"])
+            slope = self.constraints.evaded(self.cell.configuration_of(at["evading_positions"]), at["evading_slope"])
         except ConstraintTrouble as trouble:
             return self._cannot_say(str(trouble))
         at["evading_slope"][:] = slope

@@ -1,0 +1,60 @@
+"""The functions of ``_bounds.c`` in NumPy, for installations without a compiler. P pairs, reaches are (nv, P)."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from coopqp.spatial import Array
+
+
+def follow(rooms: Array, reach: Array, positions: Array, x: Array, continuous: Array) -> None:
+    """Rooms (P,) lose what the way of the joints from positions (nv,) to x (nv,) may take; they are at x then."""
+    way = np.abs(x - positions)
+    way = np.where(continuous != 0.0, np.minimum(way, np.abs(2.0 * np.pi - way)), way)
+    rooms -= way @ reach
+    positions[:] = x
+
+
+def certify(rooms: Array, reach: Array, spare: float, shares: Array, out: Array) -> bool:
+    """Largest reach over room less spare, per joint (nv,); False if a room is none."""
+    out[:] = 0.0
+    if not (rooms > spare).all():
+        return False
+    np.divide(1.0, rooms - spare, out=shares)
+    (reach * shares).max(axis=1, initial=0.0, out=out)
+    return True
+
+
+def near(rooms: Array, watch: Array) -> list[int]:
+    """Pairs whose room is below their watch (P,)."""
+    found: list[int] = np.flatnonzero(rooms < watch).tolist()
+    return found
+
+
+def soonest(rooms: Array, most: Array, least: float) -> int:
+    """The pair whose room, at least ``least``, may be used up first: ``most`` (P,) is what a unit of motion takes."""
+    return int((most / np.maximum(rooms, least)).argmax())
+
+
+def rows(
+    ends: Array, J: Array, kinds: Array, rooms: Array, pairs: list[int], approach: float, G: Array, lower: Array
+) -> None:
+    """``ḋ = G v ≥ lower`` of pairs: G (m, nv), lower (m,) = −ξ times the room, at most 0.
+
+    Args:
+        ends: unit normal and nearest point of each, in the world (m, 6).
+        J: world Jacobians of the joints (nv, 6).
+        kinds, rooms: of all pairs (P, nv), (P,).
+        pairs: which ones.
+        approach: ξ [1/s].
+        G, lower: where they are put.
+    """
+    n, p = ends[:, :3], ends[:, 3:]
+    G[:] = (np.hstack([n, np.cross(p, n)]) @ J.T) * kinds[pairs]
+    lower[:] = -approach * np.maximum(rooms[pairs], 0.0)
+
+
+def binding(G: Array, lower: Array, fastest: Array) -> list[int]:
+    """Rows that joints at speeds up to ``fastest`` (nv,) can break."""
+    found: list[int] = np.flatnonzero(np.abs(G) @ fastest > -lower).tolist()
+    return found
