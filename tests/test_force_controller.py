@@ -32,6 +32,8 @@ from coopqp import (
     misplaced,
     simulate,
 )
+from coopqp.control.core import layout, relax_of
+from coopqp.control.core.relax_plain import relax_size, relax_views
 from coopqp.forces import internal_wrenches
 from coopqp.planning import Payload
 from coopqp.scenarios import Scenario, paper_lift
@@ -170,7 +172,7 @@ def test_wrenches_of_another_shape_are_refused_before_anything_changes(task: Sce
 
 def test_a_grasp_out_of_reach_holds_the_object(task: Scenario) -> None:
     _, made = relaxed(task, late=0, steps=150, reach=1e-4)
-    step = made.step(task.q_start, wrenches=made._seen)
+    step = made.step(task.q_start, wrenches=made._relaxation._seen)
     assert step.status is Status.HOLDING
     assert "cannot give way any further" in step.reason
     assert np.linalg.norm(made.shift[:, :3], axis=1).max() <= 1e-4 * (1.0 + 1e-12)
@@ -241,6 +243,28 @@ def test_core_and_definition_agree_about_a_grasp_that_moves(task: Scenario) -> N
             controller.shift_grasp(shift)
         a, b = (controller.step() for controller in made)
         np.testing.assert_allclose(a.q_next, b.q_next, rtol=0, atol=1e-10)
+
+
+@pytest.mark.core
+@given(arms=st.integers(1, 5), seed=st.integers(0, 10**6))
+def test_core_and_definition_agree_about_a_step_of_the_relaxation(arms: int, seed: int) -> None:
+    """Forces below and above the dead band, grasps at the end of their reach, wrenches that do not come."""
+    if len(available_kernels()) < 2:
+        pytest.skip("one kernel")
+    rng, places = np.random.default_rng(seed), {name: i for i, name in enumerate(layout.RELAX)}
+    compiled = rng.uniform(-1.0, 1.0, relax_size(arms))
+    compiled[: len(places)] = rng.uniform(0.05, 2.0, len(places))
+    compiled[places["MOST_REACH"]] *= 10.0 ** rng.integers(-2, 2)
+    compiled[places["SATURATED"]] = 0.0
+    relax_views(compiled, arms)["silent"][:] = 0.0
+    plain = compiled.copy()
+    for _ in range(8):
+        wrenches = rng.normal(size=(arms, 6)) * 10.0 ** rng.integers(-2, 2)
+        wrenches[rng.random(arms) < 0.3, rng.integers(6)] = np.nan
+        given = None if rng.random() < 0.1 else wrenches
+        rest = (arms, given, 0.1, float(rng.random()), bool(rng.random() < 0.9))
+        assert relax_of("compiled")(compiled, *rest) == relax_of("plain")(plain, *rest)
+        np.testing.assert_allclose(compiled, plain, rtol=1e-11, atol=1e-11)
 
 
 # -- in the engine -------------------------------------------------------------------------------------------------
