@@ -22,7 +22,7 @@ from typing import Any, final
 import numpy as np
 import pinocchio as pin
 
-from coopqp.checks import ArrayLike, as_floats, as_vector
+from coopqp.checks import ArrayLike, as_floats
 from coopqp.control.core import layout, relax_of
 from coopqp.control.core.relax_plain import relax_size, relax_views
 from coopqp.control.stress_watch import servo_wrenches
@@ -247,19 +247,21 @@ class Relaxation:
 
 
 def internal_wrenches(wrenches: ArrayLike, grasp: Grasp) -> Array:
-    """What of the arms' wrenches on the object the load does not take, in the object frame (N, 6) [N, N·m].
+    """What of the arms' wrenches on the object the load does not take, in the object frame (…, N, 6) [N, N·m].
 
     Args:
-        wrenches: of each arm on the object, at the origin and in the axes of its tool (N, 6) [N, N·m].
+        wrenches: of each arm on the object, at the origin and in the axes of its tool (…, N, 6) [N, N·m].
         grasp: the placements of the tools.
 
     Raises:
         InvalidInputError: not one wrench per arm.
     """
-    w = as_vector(np.ravel(as_floats(wrenches)), 6 * len(grasp), "internal_wrenches: wrenches")
+    w, n = as_floats(wrenches), len(grasp)
+    if w.shape[-2:] != (n, 6):
+        raise InvalidInputError(f"wrenches of shape {w.shape}", "internal_wrenches", f"Give one per arm, (…, {n}, 6).")
     to_object, shares = _load_shares(grasp)
-    own = (to_object @ w).reshape(-1, 6)
-    out: Array = own - (shares @ own.sum(axis=0)).reshape(-1, 6)
+    internal_of = (np.eye(6 * n) - shares @ np.tile(np.eye(6), n)) @ to_object
+    out: Array = (w.reshape(-1, 6 * n) @ internal_of.T).reshape(w.shape)
     return out
 
 
