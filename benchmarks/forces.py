@@ -38,6 +38,7 @@ from coopqp import (
     Grasp,
     HoldPath,
     PhysicsPlant,
+    PseudoInverseController,
     QPController,
     QPOptions,
     Recording,
@@ -204,6 +205,7 @@ def relaxed(quick: bool) -> Iterator[Record]:
     cases["plate grows by 2.2 mm in 3 s"] = {"off": {"object_growth": growth, "growth_period": 12.0, **late}}
     for share in (0.5, 1.5):
         cases[f"payload taken for {share:g} of it"] = {"off": late, "payload": share}
+    cases["drift of the pseudo-inverse, N = 400"] = {"off": late, "baseline": True}
     if not quick:
         slow = {"object_growth": growth, "growth_period": 120.0, "wrench_noise": 1.0, "wrench_bias": 2.0}
         cases["ten minutes"] = {"off": {**slow, **late}, "hold": 600.0}
@@ -216,7 +218,11 @@ def relaxed(quick: bool) -> Iterator[Record]:
             task, disturbances=off, options=case.get("options"), real_grasp=case.get("grasp"), load=load
         )
         path = HoldPath(task.path.pose(0.0), duration=case["hold"]) if "hold" in case else task.path
-        inner = QPController(task.cell, task.grasp, path, dt=task.dt, options=TOLERANT)
+        inner: QPController | PseudoInverseController = QPController(
+            task.cell, task.grasp, path, dt=task.dt, options=TOLERANT
+        )
+        if "baseline" in case:
+            inner = PseudoInverseController(task.cell, task.grasp, path, dt=task.dt)
         payload = box(task, 20.0 * case.get("payload", 1.0))
         controller = ForceController(inner, ForceOptions(stiffness=stiff, payload=payload))
         felt, from_start = list[float](), "gripped" in name or "hold" in case

@@ -24,6 +24,7 @@ from coopqp import (
     InvalidInputError,
     KinematicPlant,
     PhysicsPlant,
+    PseudoInverseController,
     QPController,
     RobotCell,
     Status,
@@ -225,6 +226,21 @@ def test_arms_follow_a_grasp_that_moves(kernel: str, task: Scenario) -> None:
     for bad in (shift[:2], np.full((3, 6), np.nan)):
         with pytest.raises(InvalidInputError, match="shift_grasp"):
             controller.shift_grasp(bad)
+
+
+def test_the_tools_of_the_pseudo_inverse_follow_a_grasp_that_moves(task: Scenario) -> None:
+    """At rest: what counts is where the tools are on the object, and the first arm's share leaves the object there."""
+    controller = PseudoInverseController(task.cell, task.grasp, task.path, dt=task.dt)
+    controller.reset(task.q_start)
+    controller.set_override(0.0)
+    d = np.array([np.zeros(6), [1e-4, -2e-4, 3e-4, 1e-4, 0, 2e-4], [0, 1e-4, 0, 0, -2e-4, 0]])
+    for share in np.linspace(0.1, 1.0, 10):
+        controller.shift_grasp(share * d)
+        step = controller.step()
+    assert step.status is Status.PAUSED
+    there = Grasp(tuple(pin.exp6(x) * X for x, X in zip(d, task.grasp.T_object_tool, strict=True)))
+    O = there.carried(CellState(task.cell, step.q_next))
+    assert max(np.abs(pin.log6(task.path.pose(0.0).actInv(o)).vector).max() for o in O) < 1e-7
 
 
 def test_core_and_definition_agree_about_a_grasp_that_moves(task: Scenario) -> None:

@@ -236,6 +236,11 @@ class QPController:
         self._loop.set_reins(self.override, paused=False)
 
     @property
+    def shares(self) -> Array:
+        """Share of each arm in the object's pose (N, 6), by ``options.common_error``."""
+        return self.options.common_error.shares(self.cell)
+
+    @property
     def override(self) -> float:
         """The largest rate σ that is asked for, while the object is not paused."""
         return self._asked

@@ -13,6 +13,7 @@ import numpy as np
 from coopqp.checks import ArrayLike, as_options, as_scalar, require
 from coopqp.control.command import ControlStep, Status
 from coopqp.control.core.relax_plain import HEARD, SILENT
+from coopqp.control.pseudo_inverse import PseudoInverseController
 from coopqp.control.qp import QPController
 from coopqp.control.turn import alone
 from coopqp.errors import InvalidInputError
@@ -54,7 +55,8 @@ class ForceController:
     A copy (``copy.copy``, ``copy.deepcopy``, pickle) goes on where the original stands.
 
     Args:
-        controller: the controller that moves the arms. Give commands to this one instead.
+        controller: the controller that moves the arms: a QPController, or for comparison the PseudoInverseController,
+            which cannot pause or take another path. Give commands to this one instead.
         options: settings, or a dictionary of them.
 
     Attributes:
@@ -67,11 +69,14 @@ class ForceController:
 
     minds_wrenches = True
 
-    def __init__(self, controller: QPController, options: ForceOptions | Mapping[str, Any]) -> None:
-        require(controller, QPController, "ForceController: controller", "Give a QPController.")
+    def __init__(
+        self, controller: QPController | PseudoInverseController, options: ForceOptions | Mapping[str, Any]
+    ) -> None:
+        kinds = (QPController, PseudoInverseController)
+        require(controller, kinds, "ForceController: controller", "Give a QPController or PseudoInverseController.")
         self._build(controller, as_options(ForceOptions, options, "ForceController: options"))
 
-    def _build(self, controller: QPController, options: ForceOptions) -> None:
+    def _build(self, controller: QPController | PseudoInverseController, options: ForceOptions) -> None:
         self.controller, self.options = controller, options
         self.cell, self.grasp, self.path, self.dt = controller.cell, controller.grasp, controller.path, controller.dt
         self._asked = controller.override
@@ -80,7 +85,7 @@ class ForceController:
             self.grasp,
             self.options,
             dt=controller.dt,
-            shares=controller.options.common_error.shares(self.cell),
+            shares=controller.shares,
             kernel=controller.kernel,
         )
         self._shifted = controller.take_shift(self._relaxation.shift)
@@ -99,6 +104,14 @@ class ForceController:
     def _turn(self) -> Any:
         return self.controller._turn
 
+    @property
+    def _qp(self) -> QPController:
+        """The controller within, for what only that one can do."""
+        controller = self.controller
+        if not isinstance(controller, QPController):
+            raise InvalidInputError(f"a {type(controller).__name__}", "ForceController", "This needs a QPController.")
+        return controller
+
     @alone
     def reset(self, q: ArrayLike, *, clock: float = 0.0) -> None:
         """Start at ``q`` (nq,), at rest; see :meth:`coopqp.QPController.reset`.
@@ -112,7 +125,7 @@ class ForceController:
         shift = self._relaxation.found(self.cell.check_configuration(q, "ForceController.reset: q"))
         self.controller.shift_grasp(shift)
         try:
-            self.controller.reset(q, clock=clock)
+            self._qp.reset(q, clock=clock) if clock else self.controller.reset(q)
             self._relaxation.begin(shift)
             self._begin()
         finally:
@@ -121,12 +134,12 @@ class ForceController:
 
     def follow(self, path: ObjectPath, *, clock: float = 0.0) -> None:
         """Take another path; see :meth:`coopqp.QPController.follow`."""
-        self.controller.follow(path, clock=clock)
+        self._qp.follow(path, clock=clock)
         self.path = path
 
     def retarget(self, T_world_object: Placement) -> None:
         """Move the target of a servo path; see :meth:`coopqp.QPController.retarget`."""
-        self.controller.retarget(T_world_object)
+        self._qp.retarget(T_world_object)
 
     def set_override(self, share: float) -> None:
         """The largest rate of the object; see :meth:`coopqp.QPController.set_override`."""
@@ -134,11 +147,11 @@ class ForceController:
 
     def pause(self) -> None:
         """Bring the object to rest until :meth:`resume`; the arms go on to relax."""
-        self.controller.pause()
+        self._qp.pause()
 
     def resume(self) -> None:
         """Go on after :meth:`pause`."""
-        self.controller.resume()
+        self._qp.resume()
 
     # -- what is felt --------------------------------------------------------------------------------------------
 
