@@ -104,7 +104,7 @@ if TYPE_CHECKING:
     from coopqp.task.common_error import CommonError
     from coopqp.task.path import HoldPath, LinePath, ObjectPath, TimeLaw, WaypointPath
     from coopqp.task.posture import PostureOptions
-    from coopqp.task.scenario import Scenario
+    from coopqp.task.scenario import EngineSettings, Scenario
     from coopqp.task.servo import ServoPath
     from coopqp.task.timed import TimedPath
 else:
@@ -188,7 +188,7 @@ else:
                 "WaypointPath",
             ),
             "coopqp.task.posture": ("PostureOptions",),
-            "coopqp.task.scenario": ("Scenario",),
+            "coopqp.task.scenario": ("EngineSettings", "Scenario"),
             "coopqp.task.servo": ("ServoPath",),
             "coopqp.task.timed": ("TimedPath",),
             "coopqp.control.independent": ("IndependentQPController", "IndependentQPOptions"),
@@ -263,6 +263,7 @@ __all__ = [
     "DaqpSettings",
     "Disturbances",
     "DisturbedPlant",
+    "EngineSettings",
     "Finding",
     "ForceController",
     "ForceOptions",

@@ -24,6 +24,7 @@ from coopqp import (
     InvalidInputError,
     KinematicPlant,
     PhysicsPlant,
+    PseudoInverseController,
     QPController,
     RobotCell,
     Status,
@@ -32,6 +33,8 @@ from coopqp import (
     misplaced,
     simulate,
 )
+from coopqp.control.core import layout, relax_of
+from coopqp.control.core.relax_plain import relax_size, relax_views
 from coopqp.forces import internal_wrenches
 from coopqp.planning import Payload
 from coopqp.scenarios import Scenario, paper_lift
@@ -170,7 +173,7 @@ def test_wrenches_of_another_shape_are_refused_before_anything_changes(task: Sce
 
 def test_a_grasp_out_of_reach_holds_the_object(task: Scenario) -> None:
     _, made = relaxed(task, late=0, steps=150, reach=1e-4)
-    step = made.step(task.q_start, wrenches=made._seen)
+    step = made.step(task.q_start, wrenches=made._relaxation._seen)
     assert step.status is Status.HOLDING
     assert "cannot give way any further" in step.reason
     assert np.linalg.norm(made.shift[:, :3], axis=1).max() <= 1e-4 * (1.0 + 1e-12)
@@ -225,6 +228,21 @@ def test_arms_follow_a_grasp_that_moves(kernel: str, task: Scenario) -> None:
             controller.shift_grasp(bad)
 
 
+def test_the_tools_of_the_pseudo_inverse_follow_a_grasp_that_moves(task: Scenario) -> None:
+    """At rest: what counts is where the tools are on the object, and the first arm's share leaves the object there."""
+    controller = PseudoInverseController(task.cell, task.grasp, task.path, dt=task.dt)
+    controller.reset(task.q_start)
+    controller.set_override(0.0)
+    d = np.array([np.zeros(6), [1e-4, -2e-4, 3e-4, 1e-4, 0, 2e-4], [0, 1e-4, 0, 0, -2e-4, 0]])
+    for share in np.linspace(0.1, 1.0, 10):
+        controller.shift_grasp(share * d)
+        step = controller.step()
+    assert step.status is Status.PAUSED
+    there = Grasp(tuple(pin.exp6(x) * X for x, X in zip(d, task.grasp.T_object_tool, strict=True)))
+    O = there.carried(CellState(task.cell, step.q_next))
+    assert max(np.abs(pin.log6(task.path.pose(0.0).actInv(o)).vector).max() for o in O) < 1e-7
+
+
 def test_core_and_definition_agree_about_a_grasp_that_moves(task: Scenario) -> None:
     if len(available_kernels()) < 2:
         pytest.skip("one kernel")
@@ -241,6 +259,28 @@ def test_core_and_definition_agree_about_a_grasp_that_moves(task: Scenario) -> N
             controller.shift_grasp(shift)
         a, b = (controller.step() for controller in made)
         np.testing.assert_allclose(a.q_next, b.q_next, rtol=0, atol=1e-10)
+
+
+@pytest.mark.core
+@given(arms=st.integers(1, 5), seed=st.integers(0, 10**6))
+def test_core_and_definition_agree_about_a_step_of_the_relaxation(arms: int, seed: int) -> None:
+    """Forces below and above the dead band, grasps at the end of their reach, wrenches that do not come."""
+    if len(available_kernels()) < 2:
+        pytest.skip("one kernel")
+    rng, places = np.random.default_rng(seed), {name: i for i, name in enumerate(layout.RELAX)}
+    compiled = rng.uniform(-1.0, 1.0, relax_size(arms))
+    compiled[: len(places)] = rng.uniform(0.05, 2.0, len(places))
+    compiled[places["MOST_REACH"]] *= 10.0 ** rng.integers(-2, 2)
+    compiled[places["SATURATED"]] = 0.0
+    relax_views(compiled, arms)["silent"][:] = 0.0
+    plain = compiled.copy()
+    for _ in range(8):
+        wrenches = rng.normal(size=(arms, 6)) * 10.0 ** rng.integers(-2, 2)
+        wrenches[rng.random(arms) < 0.3, rng.integers(6)] = np.nan
+        given = None if rng.random() < 0.1 else wrenches
+        rest = (arms, given, 0.1, float(rng.random()), bool(rng.random() < 0.9))
+        assert relax_of("compiled")(compiled, *rest) == relax_of("plain")(plain, *rest)
+        np.testing.assert_allclose(compiled, plain, rtol=1e-11, atol=1e-11)
 
 
 # -- in the engine -------------------------------------------------------------------------------------------------

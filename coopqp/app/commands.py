@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import functools
 import json
 import sys
 import webbrowser
@@ -31,13 +32,13 @@ _RUN_HELP = "a recording (.npz), a cell file (.toml, .yaml) or the name of a sce
 def _add_run(commands: Any) -> None:
     parser = commands.add_parser(
         "run",
-        help="run a cell file (TOML or YAML)",
-        description="Run what a cell file describes, print its figures and verdict, and write what it asks for.",
+        help="run a cell file (TOML or YAML) or a scenario",
+        description="Run a scenario or a cell file, print its figures and verdict, and write what is asked for.",
         epilog="`coopqp schema` prints every key of a cell file. Exit status: 0 if the run finished and every check of "
         "its verdict holds (tolerances: table [verdict] of the file), 4 if not; 2 for bad input, 130 for Ctrl-C; 3 is "
         "kept for cells that cannot hold their object. With status 4 the last lines say why, where and since when.",
     )
-    parser.add_argument("cell", type=Path, metavar="CELL", help="the cell file, TOML or YAML")
+    parser.add_argument("cell", type=Path, metavar="CELL", help="the cell file, TOML or YAML; or a scenario's name")
     parser.add_argument("--out", type=Path, metavar="DIR", help="folder of what is written: any folder (out/NAME)")
     parser.add_argument("--force", action="store_true", help="overwrite an earlier run in the folder")
     for product, text in (
@@ -55,21 +56,28 @@ def _add_run(commands: Any) -> None:
 
 def _run_run(arguments: argparse.Namespace) -> int:
     from coopqp.app import runs
-    from coopqp.files.cellfile import load_cell_file
+    from coopqp.scenarios import SCENARIOS
     from coopqp.simulation.assessment import judge, read_run, run_figures, why
 
-    task = load_cell_file(arguments.cell)
-    output = task.settings.output
-    products = [name for name in runs.PRODUCTS if getattr(output, name) or getattr(arguments, name, False)]
+    wanted, asked, place = {"recording"}, None, str(arguments.cell)
+    run: Any = functools.partial(runs.obtain_run, place)
+    if place not in SCENARIOS or arguments.cell.is_file():
+        from coopqp.files.cellfile import load_cell_file
+
+        task = load_cell_file(arguments.cell)
+        output = task.settings.output
+        wanted, asked = {product for product in runs.PRODUCTS if getattr(output, product)}, output.folder
+        place, run = task.scenario.name, task.run
+    products = [product for product in runs.PRODUCTS if product in wanted or getattr(arguments, product, False)]
     if arguments.view:
         from coopqp.look.viewer import require_viser
 
         require_viser()
-    folder = runs.output_folder(task.scenario.name, output.folder, products, out=arguments.out, force=arguments.force)
+    folder = runs.output_folder(place, asked, products, out=arguments.out, force=arguments.force)
     with reporter(quiet=arguments.quiet) as report:
-        recording = task.run(progress=_progress(report, task.scenario.name))
+        recording = run(progress=_progress(report, place))
         files = runs.write_products(recording, folder, products, tell=report.note, force=arguments.force)
-    cell = task.scenario.cell
+    cell = recording.cell(shapes=False)
     readings = read_run(cell, recording)
     findings = judge(cell, recording, readings)
     if not arguments.quiet:

@@ -12,6 +12,7 @@ from coopqp.control.qp import QPController
 from coopqp.errors import UnknownNameError
 from coopqp.output import OutputError, check_folder, check_unused, folder_of, numbered
 from coopqp.simulation.closeness import default_scene, with_clearance
+from coopqp.simulation.engine import run_in_engine
 from coopqp.simulation.recording import Recording
 from coopqp.simulation.scene import describe_object, read_object
 from coopqp.simulation.simulate import ProgressCallback, simulate
@@ -20,7 +21,7 @@ from coopqp.simulation.simulate import ProgressCallback, simulate
 PRODUCTS = {
     "recording": ("recording.npz",),
     "report": ("report.html",),
-    "plots": ("timeline.png", "joints.png", "motion.png"),
+    "plots": ("timeline.png", "joints.png", "motion.png", "loads.png"),
     "page": ("view.html",),
     "csv": ("run.csv",),
     "bag": ("bag",),
@@ -72,18 +73,21 @@ def obtain_run(name: str, *, progress: ProgressCallback | None = None, meshes: b
     file = Path(name)
     if file.suffix in (TOML_SUFFIX, *YAML_SUFFIXES):
         return load_cell_file(file).run(progress=progress)
-    if file.suffix == ".npz" or file.exists():
+    if file.suffix == ".npz" or (file.exists() and name not in SCENARIOS):
         return Recording.load(file, meshes=meshes)
     if name not in SCENARIOS:
         raise UnknownNameError("recording (.npz), cell file (.toml, .yaml) or scenario", name, SCENARIOS)
     scenario = SCENARIOS[name]()
+    box = describe_object(scenario.object_size, scenario.T_object_body)
+    metadata = {"scenario": scenario.name, "method": "qp", "object": box}
     scene, constraints = default_scene(scenario), []
+    if scenario.engine is not None:
+        run = run_in_engine(scenario, progress=progress, metadata=metadata)
+        return with_clearance(run, scene, avoided=False)
     if scenario.obstacles:
         scene = CollisionScene.of(scenario)
         constraints = [Clearance(scene)]
     controller = QPController(scenario.cell, scenario.grasp, scenario.path, dt=scenario.dt, constraints=constraints)
-    box = describe_object(scenario.object_size, scenario.T_object_body)
-    metadata = {"scenario": scenario.name, "method": "qp", "object": box}
     run = simulate(controller, q_start=scenario.q_start, progress=progress, metadata=metadata)
     return with_clearance(run, scene, avoided=bool(constraints))
 
@@ -193,10 +197,12 @@ def _report(recording: Recording, folder: Path, say: Callable[[str], None]) -> l
 def _plots(recording: Recording, folder: Path, say: Callable[[str], None]) -> list[Path]:
     from coopqp.look import plots
     from coopqp.look.joints import joint_figure
+    from coopqp.look.loads import run_loads_figure
     from coopqp.look.style import figure_bytes
     from coopqp.look.timeline import timeline_figure
     from coopqp.output import write_files
     from coopqp.simulation.assessment import read_run
+    from coopqp.simulation.loads import read_loads
 
     say("drawing the pictures")
     cell = recording.cell()
@@ -209,6 +215,9 @@ def _plots(recording: Recording, folder: Path, say: Callable[[str], None]) -> li
         figures["motion.png"] = plots.motion_figure(
             cell, recording, object_size=(size[0], size[1], size[2]), T_object_body=body, pixels=600
         )
+    loads = read_loads(cell, recording)
+    if loads is not None:
+        figures["loads.png"] = run_loads_figure(cell, loads)
     return write_files({folder / name: figure_bytes(figure) for name, figure in figures.items()})
 
 

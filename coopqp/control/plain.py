@@ -9,7 +9,7 @@ from __future__ import annotations
 import copy
 import math
 import time
-from collections.abc import Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any, final
 
@@ -170,10 +170,17 @@ class PlainLoop:
             )
             self._preview = preview
 
-    def set_grasp(self, T_object_tool: Sequence[pin.SE3]) -> None:
-        """The tools are at these placements on the object from the next step on."""
-        self._chain.set_grasp(T_object_tool)
-        self._ahead_chain.set_grasp(T_object_tool)
+    def take_shift(self, shift: Array) -> Callable[[], bool]:
+        """The tools hold the object shifted by (N, 6) after each call of what is returned; False if not finite."""
+
+        def taken() -> bool:
+            if not np.isfinite(shift).all():
+                return False
+            self._chain.shift_grasp(shift)
+            self._ahead_chain.shift_grasp(shift)
+            return True
+
+        return taken
 
     def start(self, q: Array) -> None:
         """At rest at ``q``; forgets everything."""

@@ -6,14 +6,14 @@ The algorithm is open loop and ignores limits. It is the baseline.
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Annotated, Any, Literal, final
 
 import numpy as np
 import pinocchio as pin
 
-from coopqp.checks import ArrayLike, Doc, as_count, as_options, as_scalar, documented, keep_scalars, require
+from coopqp.checks import ArrayLike, Doc, as_count, as_options, as_scalar, as_vector, documented, keep_scalars, require
 from coopqp.control.command import START_TOLERANCE_M, START_TOLERANCE_RAD, ControlStep, Status, check_start
 from coopqp.control.turn import Turn, alone
 from coopqp.errors import InvalidInputError, UnknownNameError, UnreachableError
@@ -103,6 +103,56 @@ class PseudoInverseController:
             )
         self._q = pin.neutral(cell.model)
         self._clock, self._count, self._started = 0.0, 0, False
+        self._override = 1.0
+        self._shift, self._held = np.zeros((len(cell), 6)), np.zeros((len(cell), 6))
+
+    # -- what a ForceController asks of the controller within ----------------------------------------------------
+
+    kernel = "plain"
+
+    @property
+    def shares(self) -> Array:
+        """Share of each arm in the object's pose (N, 6): the first arm defines it, and nothing corrects the others."""
+        out = np.zeros((len(self.cell), 6))
+        out[0] = 1.0
+        return out
+
+    @property
+    def override(self) -> float:
+        """The rate σ that is asked for."""
+        return self._override
+
+    @alone
+    def set_override(self, share: float) -> None:
+        """The rate σ from the next step on: 1 for the path's own speed, 0 for rest.
+
+        Raises:
+            InvalidInputError: not a number from 0 to 1; the old one stays.
+        """
+        self._override = as_scalar(share, "set_override: share", open_low=False, high=1.0)
+
+    @alone
+    def shift_grasp(self, shift: ArrayLike) -> None:
+        """Hold the object at shifted places of the tools from the next step on, as the QP's ``shift_grasp``.
+
+        The tools go there in one step.
+
+        Raises:
+            InvalidInputError: not six finite numbers per arm.
+        """
+        n = len(self.cell)
+        self._shift = as_vector(np.ravel(np.asarray(shift, dtype=float)), 6 * n, "shift_grasp").reshape(n, 6).copy()
+
+    def take_shift(self, shift: Array) -> Callable[[], bool]:
+        """As :meth:`shift_grasp`, for a shift that its owner goes on to change in place; see the QP's."""
+
+        def taken() -> bool:
+            if not np.isfinite(shift).all():
+                return False
+            self._shift = shift.copy()
+            return True
+
+        return taken
 
     @alone
     def reset(self, q: ArrayLike) -> None:
@@ -116,6 +166,7 @@ class PseudoInverseController:
             tolerance_rad=START_TOLERANCE_RAD,
         )
         self._clock, self._count, self._started = 0.0, 0, True
+        self._held = self._shift
 
     @alone
     def step(self, q_measured: ArrayLike | None = None, *, dt: float | None = None) -> ControlStep:
@@ -132,8 +183,14 @@ class PseudoInverseController:
         except InvalidInputError as error:
             return self._result(self._q, self._clock, self.dt, began, Status.HOLDING, str(error).rstrip("."))
         clock = self._clock
-        share = min(h, max(self.path.duration - clock, 0.0))
+        share = min(self._override * h, max(self.path.duration - clock, 0.0))
         arm_increments = self.grasp.arm_increments(self._object_increment(clock, share))  # Step 3, Eq. (16)
+        if self._shift is not self._held:  # the grasps have moved on the object, as the tools have to
+            for X, moved, increment in zip(
+                self.grasp.T_object_tool, self._shift - self._held, arm_increments, strict=True
+            ):
+                increment += X.actionInverse @ moved
+            self._held = self._shift
         dq = self._joint_increment(self._q, arm_increments)  # Step 4, Eq. (17)
         if self.options.integration == "midpoint":
             dq = self._joint_increment(pin.integrate(self.cell.model, self._q, 0.5 * dq), arm_increments)
@@ -146,7 +203,8 @@ class PseudoInverseController:
                 q_next = inverse_kinematics(self.cell, self.grasp, self.path.pose(clock_next), q_next, limits=False)
             except UnreachableError as error:
                 reason = f"no periodic reset: {error}".rstrip(".")
-        step = self._result(q_next, clock_next, h, began, Status.TRACKING, reason)
+        status = Status.TRACKING if self._override else Status.PAUSED
+        step = self._result(q_next, clock_next, h, began, status, reason)
         self._q, self._clock = q_next, clock_next
         return step
 
@@ -163,7 +221,7 @@ class PseudoInverseController:
             dt=h,
             clock=self._clock,
             clock_next=clock_next,
-            rate=1.0 if status is Status.TRACKING else 0.0,
+            rate=self._override if status is Status.TRACKING else 0.0,
             status=status,
             reason=reason,
             build_time_s=time.perf_counter() - began,

@@ -17,7 +17,7 @@ from typing import Any, final
 import numpy as np
 import pinocchio as pin
 
-from coopqp.checks import ArrayLike, as_options, as_scalar, as_vector, require
+from coopqp.checks import NOT_NUMBERS, ArrayLike, as_options, as_scalar, require
 from coopqp.control.command import ControlStep, Status, amend, brakes_for_target, check_start
 from coopqp.control.constraints import Constraints, listed
 from coopqp.control.core import make_loop
@@ -236,6 +236,11 @@ class QPController:
         self._loop.set_reins(self.override, paused=False)
 
     @property
+    def shares(self) -> Array:
+        """Share of each arm in the object's pose (N, 6), by ``options.common_error``."""
+        return self.options.common_error.shares(self.cell)
+
+    @property
     def override(self) -> float:
         """The largest rate σ that is asked for, while the object is not paused."""
         return self._asked
@@ -326,10 +331,28 @@ class QPController:
         Raises:
             InvalidInputError: not six finite numbers per arm.
         """
-        d = as_vector(np.ravel(np.asarray(shift, dtype=float)), 6 * len(self.cell), "shift_grasp").reshape(-1, 6)
-        self._shift = d
-        moved = zip(d, self.grasp.T_object_tool, strict=True)
-        self._loop.set_grasp([pin.exp6(own) * X for own, X in moved])
+        try:
+            d = np.array(shift, dtype=float)
+        except NOT_NUMBERS:
+            d = np.zeros(0)
+        if d.shape != (len(self.cell), 6) or not np.isfinite(d).all():
+            raise InvalidInputError(
+                "no six finite numbers per arm", "shift_grasp", f"Give an array ({len(self.cell)}, 6)."
+            )
+        self.take_shift(d)()
+
+    def take_shift(self, shift: Array) -> Callable[[], bool]:
+        """As :meth:`shift_grasp`, for a shift that its owner goes on to change in place.
+
+        Args:
+            shift: as there, an array of finite numbers (N, 6) that stays.
+
+        Returns:
+            What to call after each change, in the thread that steps.
+        """
+        self._shift = shift
+        taken: Callable[[], bool] = self._loop.take_shift(shift)
+        return taken
 
     # -- the step --------------------------------------------------------------------------------------------------
 
@@ -394,7 +417,7 @@ class QPController:
         state = {name: getattr(self, name) for name in names}
         wanted = None if self._wanted is None else self._wanted.copy()
         own = {"started": self._started, "outside": self._outside, "wanted": wanted, "asked": self._asked}
-        own["shift"] = self._shift
+        own["shift"] = None if self._shift is None else self._shift.copy()
         return state | own | {"memory": self._loop.memory()}
 
     def __setstate__(self, state: dict[str, Any]) -> None:

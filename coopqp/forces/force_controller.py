@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import enum
+import math
 from collections.abc import Mapping
 from typing import Any, final
 
@@ -11,6 +12,8 @@ import numpy as np
 
 from coopqp.checks import ArrayLike, as_options, as_scalar, require
 from coopqp.control.command import ControlStep, Status
+from coopqp.control.core.relax_plain import HEARD, SILENT
+from coopqp.control.pseudo_inverse import PseudoInverseController
 from coopqp.control.qp import QPController
 from coopqp.control.turn import alone
 from coopqp.errors import InvalidInputError
@@ -23,7 +26,7 @@ from coopqp.task.path import ObjectPath
 _FALL, _RISE = 0.6, 2.0
 #: Attributes that a step changes, but those of the relaxation and of the controller within.
 _VARYING = (
-    "_asked", "_stage", "_since", "_cap", "_rate", "_seen", "_silent", "_differences", "_compared", "_last", "_fault",
+    "_asked", "_stage", "_since", "_cap", "_rate", "_differences", "_compared", "_last", "_fault",
 )  # fmt: skip
 
 
@@ -34,6 +37,10 @@ class _Stage(enum.Enum):
     PRESS = "the arms press a little to learn how stiff they are"
     RELAX = "the arms relax before the object moves"
     MOVE = "the object moves"
+
+
+def _is_length(dt: Any) -> bool:
+    return isinstance(dt, (int, float)) and 0.0 < dt < math.inf
 
 
 @final
@@ -48,7 +55,8 @@ class ForceController:
     A copy (``copy.copy``, ``copy.deepcopy``, pickle) goes on where the original stands.
 
     Args:
-        controller: the controller that moves the arms. Give commands to this one instead.
+        controller: the controller that moves the arms: a QPController, or for comparison the PseudoInverseController,
+            which cannot pause or take another path. Give commands to this one instead.
         options: settings, or a dictionary of them.
 
     Attributes:
@@ -61,11 +69,14 @@ class ForceController:
 
     minds_wrenches = True
 
-    def __init__(self, controller: QPController, options: ForceOptions | Mapping[str, Any]) -> None:
-        require(controller, QPController, "ForceController: controller", "Give a QPController.")
+    def __init__(
+        self, controller: QPController | PseudoInverseController, options: ForceOptions | Mapping[str, Any]
+    ) -> None:
+        kinds = (QPController, PseudoInverseController)
+        require(controller, kinds, "ForceController: controller", "Give a QPController or PseudoInverseController.")
         self._build(controller, as_options(ForceOptions, options, "ForceController: options"))
 
-    def _build(self, controller: QPController, options: ForceOptions) -> None:
+    def _build(self, controller: QPController | PseudoInverseController, options: ForceOptions) -> None:
         self.controller, self.options = controller, options
         self.cell, self.grasp, self.path, self.dt = controller.cell, controller.grasp, controller.path, controller.dt
         self._asked = controller.override
@@ -74,14 +85,15 @@ class ForceController:
             self.grasp,
             self.options,
             dt=controller.dt,
-            shares=controller.options.common_error.shares(self.cell),
+            shares=controller.shares,
+            kernel=controller.kernel,
         )
+        self._shifted = controller.take_shift(self._relaxation.shift)
         self._begin()
 
     def _begin(self) -> None:
         n = len(self.cell)
         self._stage, self._since, self._cap, self._rate = _Stage.CHECK, 0.0, 1.0, 0.0
-        self._seen, self._silent = np.zeros((n, 6)), np.zeros(n)
         self._differences, self._compared = np.zeros((n, 6)), 0
         self._last: ControlStep | None = None
         self._fault = ""
@@ -91,6 +103,14 @@ class ForceController:
     @property
     def _turn(self) -> Any:
         return self.controller._turn
+
+    @property
+    def _qp(self) -> QPController:
+        """The controller within, for what only that one can do."""
+        controller = self.controller
+        if not isinstance(controller, QPController):
+            raise InvalidInputError(f"a {type(controller).__name__}", "ForceController", "This needs a QPController.")
+        return controller
 
     @alone
     def reset(self, q: ArrayLike, *, clock: float = 0.0) -> None:
@@ -102,25 +122,24 @@ class ForceController:
         Raises:
             InvalidInputError: as of the controller; nothing is then changed.
         """
-        before = self._relaxation.shift
         shift = self._relaxation.found(self.cell.check_configuration(q, "ForceController.reset: q"))
         self.controller.shift_grasp(shift)
         try:
-            self.controller.reset(q, clock=clock)
-        except Exception:
-            self.controller.shift_grasp(before)
-            raise
-        self._relaxation.begin(shift)
-        self._begin()
+            self._qp.reset(q, clock=clock) if clock else self.controller.reset(q)
+            self._relaxation.begin(shift)
+            self._begin()
+        finally:
+            self._shifted = self.controller.take_shift(self._relaxation.shift)
+            self._shifted()
 
     def follow(self, path: ObjectPath, *, clock: float = 0.0) -> None:
         """Take another path; see :meth:`coopqp.QPController.follow`."""
-        self.controller.follow(path, clock=clock)
+        self._qp.follow(path, clock=clock)
         self.path = path
 
     def retarget(self, T_world_object: Placement) -> None:
         """Move the target of a servo path; see :meth:`coopqp.QPController.retarget`."""
-        self.controller.retarget(T_world_object)
+        self._qp.retarget(T_world_object)
 
     def set_override(self, share: float) -> None:
         """The largest rate of the object; see :meth:`coopqp.QPController.set_override`."""
@@ -128,23 +147,23 @@ class ForceController:
 
     def pause(self) -> None:
         """Bring the object to rest until :meth:`resume`; the arms go on to relax."""
-        self.controller.pause()
+        self._qp.pause()
 
     def resume(self) -> None:
         """Go on after :meth:`pause`."""
-        self.controller.resume()
+        self._qp.resume()
 
     # -- what is felt --------------------------------------------------------------------------------------------
 
     @property
     def internal(self) -> Array:
         """Internal wrench of each arm on the object, filtered (N, 6) [N, N·m], in the object frame."""
-        return self._relaxation.internal
+        return self._relaxation.internal.copy()
 
     @property
     def shift(self) -> Array:
         """By how much each grasp has given way, in the object frame (N, 6) [m, rad]."""
-        return self._relaxation.shift
+        return self._relaxation.shift.copy()
 
     @property
     def stiffer(self) -> float:
@@ -168,13 +187,21 @@ class ForceController:
         Raises:
             InvalidInputError: before the first :meth:`reset`, or wrenches of another shape; nothing is then changed.
         """
-        length = self.dt if dt is None else dt
-        self._feel(wrenches, q_measured, length)
-        before = self._relaxation.shift
-        if not self._fault:
-            self._relax(length)
-        if self._relaxation.shift is not before:
-            self.controller.shift_grasp(self._relaxation.shift)
+        w = self._taken(wrenches)
+        length = self.dt if dt is None or not _is_length(dt) else float(dt)
+        relaxation, last, stage = self._relaxation, self._last, self._stage
+        gives = last is not None and (stage is _Stage.MOVE or stage is _Stage.RELAX) and not self._fault
+        if gives and last is not None and relaxation.aged:
+            relaxation.look(last.q_next)
+        heard = relaxation.step(w, length, self._rate if stage is _Stage.MOVE else 0.0, gives)
+        if heard == SILENT and not self._fault:
+            silent = relaxation.silent
+            k = int(silent.argmax())
+            self._fault = f"no wrench of arm {self.cell.arm_names[k]} for {1e3 * silent[k]:.0f} ms"
+        if stage is not _Stage.MOVE and not self._fault:
+            self._prepare(q_measured, length, heard == HEARD)
+        if gives or stage is _Stage.PRESS:
+            self._shifted()
         share, why = self._share(length)
         if share != self.controller.override:
             self.controller.set_override(share)
@@ -182,22 +209,33 @@ class ForceController:
         self._rate = step.rate
         return self._told(step, why) if why else step
 
-    def _feel(self, wrenches: ArrayLike | None, q_measured: ArrayLike | None, dt: float) -> None:
+    def _taken(self, wrenches: ArrayLike | None) -> Array | None:
+        """The wrenches as an array (N, 6) that the core can read."""
+        if wrenches is None:
+            return None
+        w = np.ascontiguousarray(wrenches, dtype=float)
         n = len(self.cell)
-        w = np.full((n, 6), np.nan) if wrenches is None else np.asarray(wrenches, dtype=float)
         if w.shape != (n, 6):
             raise InvalidInputError(
                 f"wrenches of shape {w.shape}", "ForceController.step: wrenches", f"Give one per arm, ({n}, 6)."
             )
-        fresh = np.isfinite(w).all(axis=1)
-        self._silent = np.where(fresh, 0.0, self._silent + dt)
-        self._seen = np.where(fresh[:, None], w, self._seen)
-        self._relaxation.sense(self._seen, dt)
-        k = int(self._silent.argmax())
-        if self._silent[k] > self.options.silent_time and not self._fault:
-            self._fault = f"no wrench of arm {self.cell.arm_names[k]} for {1e3 * self._silent[k]:.0f} ms"
-        if self._stage is _Stage.CHECK and self._last is not None and fresh.all():
+        return w
+
+    def _prepare(self, q_measured: ArrayLike | None, dt: float, heard: bool) -> None:
+        """One step of what the arms do before the object moves."""
+        o, relaxation = self.options, self._relaxation
+        if self._stage is _Stage.CHECK and self._last is not None and heard:
             self._compare(q_measured, self._last.q_next)
+            if self._fault:
+                return
+        self._since += dt
+        if self._stage is _Stage.PRESS:
+            if relaxation.press(dt):
+                self._go_on(_Stage.RELAX)
+        elif self._stage is _Stage.RELAX:
+            waited = self._since > 2.0 * o.relax_time
+            if waited and relaxation.size < max(o.move_below, 2.0 * o.dead_band):
+                self._go_on(_Stage.MOVE)
 
     def _compare(self, q_measured: ArrayLike | None, commanded: Array) -> None:
         """Compare the sensors with the servos at rest; in the end, say which sensor is wrong."""
@@ -217,19 +255,6 @@ class ForceController:
             )
         self._go_on(_Stage.PRESS)
 
-    def _relax(self, dt: float) -> None:
-        """One step of what the arms do."""
-        o, relaxation, last = self.options, self._relaxation, self._last
-        self._since += dt
-        if self._stage is _Stage.PRESS:
-            if relaxation.press(dt):
-                self._go_on(_Stage.RELAX)
-        elif self._stage is not _Stage.CHECK and last is not None:
-            relaxation.give_way(lambda: last.q_next, dt, self._rate if self._stage is _Stage.MOVE else 0.0)
-            waited = self._stage is _Stage.RELAX and self._since > 2.0 * o.relax_time
-            if waited and relaxation.size < max(o.move_below, 2.0 * o.dead_band):
-                self._go_on(_Stage.MOVE)
-
     def _go_on(self, stage: _Stage) -> None:
         self._stage, self._since = stage, 0.0
 
@@ -248,6 +273,7 @@ class ForceController:
         self._build(state["controller"], state["options"])
         vars(self).update(state["own"])
         self._relaxation.restore(state["relaxation"])
+        self._shifted()
 
     def __copy__(self) -> ForceController:
         other = object.__new__(ForceController)
@@ -261,16 +287,20 @@ class ForceController:
         o, size = self.options, self._relaxation.size
         if self._fault:
             return 0.0, self._fault
-        arm = self.cell.arm_names[int(np.linalg.norm(self.internal[:, :3], axis=1).argmax())]
         if self._stuck:
-            return 0.0, f"the grasps cannot give way any further: {size:.0f} N at that of arm {arm}"
+            return 0.0, f"the grasps cannot give way any further: {self._most()}"
         if self._stage is not _Stage.MOVE:
-            return 0.0, f"{self._stage.value}: {size:.0f} N at the grasp of arm {arm}"
+            return 0.0, f"{self._stage.value}: {self._most()}"
         cap = min(max((o.hold_from - size) / (o.hold_from - o.slow_from), 0.0), 1.0)
         self._cap = min(max(cap, self._cap - dt / _FALL), self._cap + dt / _RISE)
         if self._cap >= self._asked:
             return self._asked, ""
-        return self._cap, f"{size:.0f} N at the grasp of arm {arm} (slower from {o.slow_from:g} N on)"
+        return self._cap, f"{self._most()} (slower from {o.slow_from:g} N on)"
+
+    def _most(self) -> str:
+        """The largest internal force, and where it is."""
+        k = int(np.linalg.norm(self._relaxation.internal[:, :3], axis=1).argmax())
+        return f"{self._relaxation.size:.0f} N at the grasp of arm {self.cell.arm_names[k]}"
 
     @property
     def _stuck(self) -> bool:

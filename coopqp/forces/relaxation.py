@@ -17,13 +17,14 @@ from __future__ import annotations
 
 import copy
 import math
-from collections.abc import Callable
 from typing import Any, final
 
 import numpy as np
 import pinocchio as pin
 
-from coopqp.checks import ArrayLike, as_floats, as_vector
+from coopqp.checks import ArrayLike, as_floats
+from coopqp.control.core import layout, relax_of
+from coopqp.control.core.relax_plain import relax_size, relax_views
 from coopqp.control.stress_watch import servo_wrenches
 from coopqp.errors import InvalidInputError
 from coopqp.forces.force_options import ForceOptions
@@ -42,14 +43,20 @@ _LARGEST_GAIN = 0.5
 #: The arms press until they feel so much [N], from so far on and until so far [m], at a speed [m/s].
 _PRESS, _PRESS_LEAST, _PRESS_MOST, _PRESS_SPEED = 3.0, 1e-5, 5e-4, 5e-4
 #: What may come of it. Servos softer than said are not answered faster: their damping need not be softer.
-_STIFFER = (1.0, 20.0)
-#: Steps between two looks at the compliances, which change with the configuration.
-_EVERY = 20
+_STIFFEST = (1.0, 20.0)
+#: Time between two looks at the compliances, which change with the configuration [s].
+_EVERY = 0.1
 
-#: Attributes that never change.
-_FIXED = (
-    "options", "_cell", "_chain", "_softness", "_to_object", "_load_shares", "_internal_of", "_relative", "_inward",
-)  # fmt: skip
+#: Attributes that change.
+_VARYING = ("_age", "_compliances", "_pressed", "_pressing", "_waited", "_felt", "_grows", "_base")
+_AT = {name: i for i, name in enumerate(layout.RELAX)}
+_SIZE, _STIFFER, _SATURATED = _AT["SIZE"], _AT["STIFFER"], _AT["SATURATED"]
+#: The settings that a step needs, by their place in its memory.
+_SETTINGS = {
+    "WRENCH_FILTER": "filter_time", "DEAD_BAND": "dead_band", "RELAX_TIME": "relax_time", "DRIFT_TIME": "drift_time",
+    "RAMP_TIME": "ramp_time", "WRENCH_SILENCE": "silent_time",
+    "MOST_SPEED": "speed", "MOST_SPIN": "spin", "MOST_REACH": "reach", "MOST_TURN": "turn",
+}  # fmt: skip
 
 
 @final
@@ -61,19 +68,22 @@ class Relaxation:
         options: settings.
         dt: nominal length of a step [s].
         shares: s, of each arm in the object's pose (N, 6).
+        kernel: ``"compiled"`` or ``"plain"``: what a step runs.
 
     Attributes:
-        internal: internal wrenches of the arms on the object, filtered (N, 6) [N, N·m], in the object frame.
-        size: of the largest internal wrench [N]; a torque of 0.3 N·m counts as 1 N.
-        shift: d, by how much each grasp has given way, in the object frame (N, 6) [m, rad].
-        stiffer: ρ.
-        saturated: a grasp cannot give way any further.
+        internal: internal wrenches of the arms on the object, filtered (N, 6) [N, N·m], in the object frame; the next
+            step changes it in place.
+        shift: d, by how much each grasp has given way, in the object frame (N, 6) [m, rad]; the next step changes it in
+            place.
+        silent: time since each arm's last wrench (N,) [s]; the next step changes it in place.
 
     Raises:
         InvalidInputError: bad settings, also those with which forces would swing.
     """
 
-    def __init__(self, cell: RobotCell, grasp: Grasp, options: ForceOptions, *, dt: float, shares: Array) -> None:
+    def __init__(
+        self, cell: RobotCell, grasp: Grasp, options: ForceOptions, *, dt: float, shares: Array, kernel: str
+    ) -> None:
         self.options, n = options, len(cell)
         if options.stiffness is None:
             raise InvalidInputError("no stiffness", "ForceOptions", "Give that of the joint servos.")
@@ -88,7 +98,14 @@ class Relaxation:
         self._softness = 1.0 / per_joint(options.stiffness, cell.nv, "ForceOptions: stiffness")
         self._to_object, self._load_shares = _load_shares(grasp)
         total = np.tile(np.eye(6), n)
-        self._internal_of = (np.eye(6 * n) - self._load_shares @ total) @ self._to_object
+        self._relax, self._memory = relax_of(kernel), np.zeros(relax_size(n))
+        for place, name in _SETTINGS.items():
+            self._memory[_AT[place]] = getattr(options, name)
+        views = relax_views(self._memory, n)
+        self.internal, self.shift, self.silent = views["internal"], views["shift"], views["silent"]
+        self._seen, self._yields = views["seen"], views["yields"]
+        views["internal_of"][:] = (np.eye(6 * n) - self._load_shares @ total) @ self._to_object
+        self._starting = self._memory.copy()
         #: Takes what the arms yield to what their grasps move.
         self._relative = np.eye(6 * n) - np.tile(np.hstack([np.diag(s) for s in shares]), (n, 1))
         points = np.array([X.translation for X in grasp.T_object_tool])
@@ -101,29 +118,60 @@ class Relaxation:
     def begin(self, shift: Array) -> None:
         """Forget everything; the grasps are shifted by ``shift`` (N, 6)."""
         n = len(self._cell)
-        self.shift, self.internal, self.stiffer, self.saturated = shift, np.zeros((n, 6)), 1.0, False
-        self.size = 0.0
-        self._seen, self._drift, self._ease, self._age = np.zeros((n, 6)), np.zeros((n, 6)), 0.0, 0
-        self._compliances, self._yields = np.zeros((n, 6, 6)), np.zeros((6 * n, 6 * n))
+        self._memory[:] = self._starting
+        self._memory[_STIFFER], self.shift[:] = 1.0, shift
+        self._age, self._compliances = 0.0, np.zeros((n, 6, 6))
         self._pressed = self._pressing = self._waited = 0.0
         self._felt: Array | None = None
+        self._grows, self._base = np.zeros(6 * n), np.zeros((n, 6))
 
     def memory(self) -> dict[str, Any]:
         """What a copy goes on from."""
-        return {name: value for name, value in vars(self).items() if name not in _FIXED}
+        return {"memory": self._memory.copy(), **{name: getattr(self, name) for name in _VARYING}}
 
     def restore(self, memory: dict[str, Any]) -> None:
         """Go on from what :meth:`memory` returned."""
-        vars(self).update(copy.deepcopy(memory))
+        self._memory[:] = memory["memory"]
+        vars(self).update({name: copy.deepcopy(memory[name]) for name in _VARYING})
+
+    @property
+    def size(self) -> float:
+        """Of the largest internal wrench [N]; a torque of 0.3 N·m counts as 1 N."""
+        return self._memory.item(_SIZE)
+
+    @property
+    def stiffer(self) -> float:
+        """ρ."""
+        return self._memory.item(_STIFFER)
+
+    @property
+    def saturated(self) -> bool:
+        """A grasp cannot give way any further."""
+        return self._memory.item(_SATURATED) != 0.0
+
+    # -- a step --------------------------------------------------------------------------------------------------
+
+    def step(self, wrenches: Array | None, dt: float, rate: float, gives: bool) -> int:
+        """Take wrenches at the tools, and move the grasps: ``relax.c``, which ``relax_plain.py`` says in NumPy.
+
+        Args:
+            wrenches: (N, 6), ``dt`` seconds after the last ones; None or NaN where none came.
+            dt: length of the step [s].
+            rate: σ at which the object moves along its path; 0 before it has begun.
+            gives: the grasps give way, unless a sensor is silent for too long.
+
+        Returns:
+            ``HEARD``, ``MISSED`` where some wrench did not come, ``SILENT`` where one has not come for too long.
+        """
+        self._age += dt
+        return self._relax(self._memory, len(self._cell), wrenches, dt, rate, gives)
+
+    @property
+    def aged(self) -> bool:
+        """The compliances have to be looked at again."""
+        return self._age >= _EVERY
 
     # -- what is felt --------------------------------------------------------------------------------------------
-
-    def sense(self, wrenches: Array, dt: float) -> None:
-        """Take wrenches at the tools (N, 6), ``dt`` seconds after the last ones."""
-        self._seen = wrenches
-        now = (self._internal_of @ wrenches.ravel()).reshape(-1, 6)
-        self.internal = self.internal + (dt / (dt + self.options.filter_time)) * (now - self.internal)
-        self.size = _size(self.internal)
 
     def off_servos(self, commanded: Array, measured: Array) -> Array:
         """By how much the sensors differ from what the servos and what the drives feed forward say (N, 6).
@@ -143,17 +191,16 @@ class Relaxation:
 
     def look(self, q: Array) -> Array:
         """Look at the compliances at ``q``. Returns blockdiag(R, R) of the object (6, 6)."""
-        chain, n = self._chain, len(self._cell)
+        chain = self._chain
         O = chain.carried(q)[0]
         chain.evaluate(q, about=O[3].copy())
         R = np.zeros((6, 6))
         R[:3, :3] = R[3:, 3:] = O[:3].T
         self._compliances = R.T @ chain.compliances(self._softness) @ R
         # The same as relative @ blockdiag(C).
-        self._yields = np.einsum("ikl,klm->ikm", self._relative.reshape(6 * n, n, 6), self._compliances).reshape(
-            6 * n, 6 * n
-        )
-        self._age = 0
+        for k, own in enumerate(self._compliances):
+            self._yields[:, 6 * k : 6 * k + 6] = self._relative[:, 6 * k : 6 * k + 6] @ own
+        self._age = 0.0
         return R
 
     # -- what the grasps do --------------------------------------------------------------------------------------
@@ -171,45 +218,20 @@ class Relaxation:
             self._felt = felt
         if self._pressing <= settled:  # nothing is done yet
             self._grows = (felt - self._felt) / self._pressing
-            self._base = self.internal
+            self._base = self.internal.copy()
             return False
         felt_none = _size(self.internal - self._base) < _PRESS and self._pressed < _PRESS_MOST
         if self._waited == 0.0 and (felt_none or self._pressed < _PRESS_LEAST):
             self._pressed += dt * _PRESS_SPEED
-            self.shift = self.shift + dt * _PRESS_SPEED * self._inward
+            self.shift += dt * _PRESS_SPEED * self._inward
             return False
         self._waited += dt
         if self._waited <= settled:
             return False
         way = self._pressed * self._inward.ravel()
         answer = felt - self._felt - self._pressing * self._grows
-        self.stiffer = float(np.clip(answer @ way / (way @ way), *_STIFFER))
+        self._memory[_STIFFER] = float(np.clip(answer @ way / (way @ way), *_STIFFEST))
         return True
-
-    def give_way(self, q: Callable[[], Array], dt: float, rate: float) -> None:
-        """Move the grasps by one step.
-
-        Args:
-            q: the commanded configuration (nq,), asked for now and then.
-            dt: length of the step [s].
-            rate: σ at which the object moves along its path; 0 before it has begun.
-        """
-        o, size = self.options, self.size
-        self._age += 1
-        if self._age >= _EVERY:
-            self.look(q())
-        way = np.zeros_like(self.shift)
-        if size > o.dead_band:
-            yields = (self._yields @ self.internal.ravel()).reshape(-1, 6)
-            way = (o.dead_band / size - 1.0) / (self.stiffer * o.relax_time) * yields
-            self._drift = self._drift + rate * dt / o.drift_time * way
-        way = way + rate * self._drift
-        fastest = max(float(np.abs(way[:, :3]).max()) / o.speed, float(np.abs(way[:, 3:]).max()) / o.spin, 1.0)
-        self._ease = min(self._ease + dt / o.ramp_time, 1.0)
-        shift = self.shift + (dt * self._ease / fastest) * way
-        far = self.far(shift)
-        self.saturated = far >= 1.0
-        self.shift = shift / far if far > 1.0 else shift
 
     def far(self, shift: Array) -> float:
         """The largest shift of a grasp (N, 6), as a share of its reach."""
@@ -225,19 +247,21 @@ class Relaxation:
 
 
 def internal_wrenches(wrenches: ArrayLike, grasp: Grasp) -> Array:
-    """What of the arms' wrenches on the object the load does not take, in the object frame (N, 6) [N, N·m].
+    """What of the arms' wrenches on the object the load does not take, in the object frame (…, N, 6) [N, N·m].
 
     Args:
-        wrenches: of each arm on the object, at the origin and in the axes of its tool (N, 6) [N, N·m].
+        wrenches: of each arm on the object, at the origin and in the axes of its tool (…, N, 6) [N, N·m].
         grasp: the placements of the tools.
 
     Raises:
         InvalidInputError: not one wrench per arm.
     """
-    w = as_vector(np.ravel(as_floats(wrenches)), 6 * len(grasp), "internal_wrenches: wrenches")
+    w, n = as_floats(wrenches), len(grasp)
+    if w.shape[-2:] != (n, 6):
+        raise InvalidInputError(f"wrenches of shape {w.shape}", "internal_wrenches", f"Give one per arm, (…, {n}, 6).")
     to_object, shares = _load_shares(grasp)
-    own = (to_object @ w).reshape(-1, 6)
-    out: Array = own - (shares @ own.sum(axis=0)).reshape(-1, 6)
+    internal_of = (np.eye(6 * n) - shares @ np.tile(np.eye(6), n)) @ to_object
+    out: Array = (w.reshape(-1, 6 * n) @ internal_of.T).reshape(w.shape)
     return out
 
 

@@ -5,8 +5,13 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from coopqp.forces.use import LoadUse
+from coopqp.look.curves import drawn
 from coopqp.look.style import require_matplotlib, save_figure
+from coopqp.model.cell import RobotCell
+from coopqp.simulation.loads import RunLoads
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -49,6 +54,38 @@ def load_figure(use: LoadUse) -> Figure:
     panels[0].set_title(text, loc="left", color=_INK)
     panels[-1].set_xlabel("time [s]")
     panels[-1].set_xlim(use.time[0], use.time[-1])
+    return figure
+
+
+def run_loads_figure(cell: RobotCell, loads: RunLoads) -> Figure:
+    """Torques of a run as shares of their limits, the most used joint of each arm; and the arms' internal forces.
+
+    Raises:
+        MissingExtraError: matplotlib is missing.
+    """
+    require_matplotlib()
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(8.0, 5.2), layout="constrained")
+    torque, force = figure.subplots(2, 1, sharex=True)
+    for k, (arm, own) in enumerate(zip(cell.arm_names, cell.v_slices, strict=True)):
+        j = own.start + int(loads.torque_use[:, own].max(axis=0).argmax())
+        colour = _COLOURS[k % len(_COLOURS)]
+        torque.plot(*drawn(loads.time, 100.0 * loads.torque_use[:, j]), color=colour, lw=1.6, label=cell.joint_names[j])
+        force.plot(*drawn(loads.time, loads.internal[:, k]), color=colour, lw=1.6, label=arm)
+    torque.set_title("Most used joint of each arm, and forces beside the load", loc="left", color=_INK)
+    torque.axhline(100.0, color=_INK, lw=1.0, ls=(0, (4, 3)))
+    torque.set(ylim=(0.0, max(110.0, 105.0 * float(loads.torque_use.max()))), ylabel="joint torque\n[% of its limit]")
+    if np.isfinite(loads.internal_limit):
+        force.axhline(loads.internal_limit, color=_INK, lw=1.0, ls=(0, (4, 3)), label="accepted in motion")
+    force.set(ylim=(0.0, None), ylabel="internal force [N]", xlabel="time [s]")
+    if 0 < loads.moves < len(loads.time):
+        force.axvspan(0.0, loads.time[loads.moves], color=_FAINT, alpha=0.2, lw=0.0, label="before it moves")
+    for axes in (torque, force):
+        axes.legend(loc="upper left", bbox_to_anchor=(1.01, 1.0), frameon=False, fontsize=9)
+        for side in ("top", "right"):
+            axes.spines[side].set_visible(False)
+    force.set_xlim(0.0, float(loads.time[-1]))
     return figure
 
 

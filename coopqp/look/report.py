@@ -12,11 +12,13 @@ from typing import TYPE_CHECKING, Any
 from coopqp.checks import require
 from coopqp.look import plots
 from coopqp.look.joints import joint_figure
+from coopqp.look.loads import run_loads_figure
 from coopqp.look.style import figure_bytes, require_matplotlib
 from coopqp.look.timeline import bound_limits, limit_name, timeline_figure
 from coopqp.model.cell import RobotCell
 from coopqp.output import check_file, write_files
 from coopqp.simulation.assessment import Finding, Readings, Tolerances, judge, read_run, run_figures, why
+from coopqp.simulation.loads import read_loads
 from coopqp.simulation.recording import Recording
 from coopqp.simulation.scene import named_meshes, read_object
 
@@ -29,7 +31,7 @@ MAX_SVG_BYTES = 400_000
 MAX_NOTES, MAX_LIMITS, MAX_SETTINGS = 1000, 40, 400
 #: Number of visible notes; further notes are folded.
 OPEN_NOTES = 15
-_HIDDEN = ("scene", "path", "binding", "object", "settings", "notes")
+_HIDDEN = ("scene", "path", "binding", "object", "settings", "notes", "load")
 
 _STYLE = """
 :root { color-scheme: light; }
@@ -96,6 +98,7 @@ def report_html(
         _verdict(findings),
         _section("Figures", figures),
         _section("Over time", over_time),
+        *_forces(cell, recording),
         _section("Joints against their limits", _picture(joint_figure(cell, recording), "joints over time")),
         _section("The motion", _motion(cell, recording)),
         _section("Limits that bound", _limits(recording)),
@@ -153,6 +156,15 @@ def _verdict(findings: Sequence[Finding]) -> str:
 def _figures(cell: RobotCell, recording: Recording, readings: Readings) -> str:
     cards = run_figures(cell, recording, readings).items()
     return "<dl>" + "".join(f"<div><dt>{_text(k)}</dt><dd>{_text(v)}</dd></div>" for k, v in cards) + "</dl>"
+
+
+def _forces(cell: RobotCell, recording: Recording) -> tuple[str, ...]:
+    """Torques and internal forces, of a run that was recorded with them."""
+    loads = read_loads(cell, recording)
+    if loads is None:
+        return ()
+    picture = _picture(run_loads_figure(cell, loads), "joint torques and internal forces over time")
+    return (_section("Torques and internal forces", picture),)
 
 
 def _motion(cell: RobotCell, recording: Recording) -> str:

@@ -11,7 +11,7 @@ depends on where the world's origin is. See docs/derivations.md.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 
@@ -85,7 +85,7 @@ class Chain:
         self.tool_joints = np.array(cell.tool_joints, dtype=np.int64) - 1
         # O_k = T_world_joint · Y_k with constant Y_k; the transpose suits Pinocchio's column-major memory.
         self.Y_transposed = np.empty((self.n_arms, 4, 4))
-        self.set_grasp(grasp.T_object_tool)
+        self.shift_grasp(np.zeros((self.n_arms, 6)))
         # (nv, 6), a live view about the world's origin, and the same about a point; of one joint, J is flat
         self._world_JT = self._jacobian_data.J.T.reshape(-1, 6)
         self._JT, self._shift = np.zeros_like(self._world_JT), np.eye(6)
@@ -101,10 +101,11 @@ class Chain:
         self.inverses: list[Array] = []
         self.singular = False
 
-    def set_grasp(self, T_object_tool: Sequence[pin.SE3]) -> None:
-        """The tools are at these placements on the object from now on."""
-        for Y, T, X in zip(self.Y_transposed, self.cell.T_joint_tool, T_object_tool, strict=True):
-            Y[:] = (T * X.inverse()).homogeneous.T
+    def shift_grasp(self, shift: Array) -> None:
+        """The tools hold the object shifted from now on: ``exp(d_k) X_k`` for each d_k of (N, 6) [m, rad]."""
+        placed = zip(self.Y_transposed, self.cell.T_joint_tool, self.grasp.T_object_tool, shift, strict=True)
+        for Y, T, X, d in placed:
+            Y[:] = (T * X.inverse() * pin.exp6(-d)).homogeneous.T
 
     # -- poses ---------------------------------------------------------------------------------------------------
 

@@ -7,6 +7,7 @@ from collections.abc import Callable
 from coopqp.errors import UnknownNameError
 from coopqp.scenarios.arms import ROBOTS, robot_arm, robot_data_path, robot_file, robot_table
 from coopqp.scenarios.cells import dual_arm7, five_joint_pair, mixed_cell, ring, scara_pair
+from coopqp.scenarios.loads import LOADED, base_off_lift, heavy_lift, hot_plate
 from coopqp.scenarios.obstacles import elbow_and_knob, elbows, forearms, plate_and_post, plate_and_table, random_posts
 from coopqp.scenarios.paper import fast_lift, paper_lift, wide_grasp
 from coopqp.scenarios.robot_data import panda_bar, ur5_table
@@ -15,18 +16,22 @@ from coopqp.scenarios.troubles import at_limit, at_singularity
 from coopqp.task.scenario import Scenario
 
 __all__ = [
+    "LOADED",
     "ROBOTS",
     "ROBOT_NAMES",
     "SCENARIOS",
     "Scenario",
     "at_limit",
     "at_singularity",
+    "base_off_lift",
     "dual_arm7",
     "elbow_and_knob",
     "elbows",
     "fast_lift",
     "five_joint_pair",
     "forearms",
+    "heavy_lift",
+    "hot_plate",
     "mixed_cell",
     "panda_bar",
     "paper_lift",
@@ -45,7 +50,8 @@ __all__ = [
     "wide_grasp",
 ]
 
-#: The function of every scenario, by name. A call without arguments uses the defaults. Some need the extra ``robots``.
+#: The function of every scenario, by name; those of :data:`LOADED` run in the physics engine. A call without arguments
+#: uses the defaults. Some need the extra ``robots``.
 SCENARIOS: dict[str, Callable[[], Scenario]] = {
     "paper_lift": paper_lift,
     "wide_grasp": wide_grasp,
@@ -65,6 +71,7 @@ SCENARIOS: dict[str, Callable[[], Scenario]] = {
     "elbows": elbows,
     "forearms": forearms,
     "random_posts": random_posts,
+    **LOADED,
 }
 
 

@@ -20,6 +20,7 @@ from coopqp.errors import InvalidInputError
 from coopqp.model.cell import RobotCell
 from coopqp.model.limits import LimitKind
 from coopqp.simulation import metrics
+from coopqp.simulation.loads import read_loads
 from coopqp.simulation.metrics import said
 from coopqp.simulation.recording import Recording, RecordingError
 from coopqp.spatial import Array
@@ -134,7 +135,11 @@ def _read_part(cell: RobotCell, recording: Recording, part: slice) -> Readings:
     grasp = recording.grasp
     q, q_command = recording.q[part], recording.q_command[part]
     commanded, J = metrics.tool_matrices(cell, q_command)
-    measured = commanded if np.array_equal(q, q_command) else metrics.tool_matrices(cell, q)[0]
+    sigma = _sigma_min(cell, commanded, J)
+    shift = recording.shift_at(part)
+    same = np.array_equal(q, q_command)
+    measured = metrics.without_shift(commanded if same else metrics.tool_matrices(cell, q)[0], grasp, shift)
+    commanded = measured if same else metrics.without_shift(commanded, grasp, shift)
     chain_m, chain_rad = metrics.chain_errors(commanded, grasp)
     object_m, object_rad = metrics.object_errors(measured, grasp, recording.reference[part])
     return Readings(
@@ -144,7 +149,7 @@ def _read_part(cell: RobotCell, recording: Recording, part: slice) -> Readings:
         chain_deg=np.rad2deg(chain_rad),
         object_mm=1e3 * object_m.max(axis=1),
         object_deg=np.rad2deg(object_rad.max(axis=1)),
-        sigma_min=_sigma_min(cell, commanded, J),
+        sigma_min=sigma,
     )
 
 
@@ -207,7 +212,7 @@ def worst_status(recording: Recording) -> str:
 
 def run_figures(cell: RobotCell, recording: Recording, readings: Readings) -> dict[str, str]:
     """The key figures of a run by name, with their units."""
-    sigma = readings.sigma_min
+    sigma, loads = readings.sigma_min, read_loads(cell, recording)
     arm = int(np.unravel_index(int(np.nanargmin(sigma)), sigma.shape)[1]) if np.isfinite(sigma).any() else 0
     return {
         "largest ε_p": said(readings.eps_p_mm.max(), " mm"),
@@ -220,6 +225,7 @@ def run_figures(cell: RobotCell, recording: Recording, readings: Readings) -> di
         "time": f"{float(recording.time[-1]):.4g} s",
         "steps": f"{recording.n_steps} of {1e3 * float(np.median(np.diff(recording.time))):.4g} ms",
         "worst status": worst_status(recording),
+        **({} if loads is None else loads.figures(cell)),
     }
 
 
@@ -257,6 +263,7 @@ def judge(
             lambda i: _strayed(cell, recording, i),
         ),
         *_apart(recording),
+        *_carried_load(cell, recording),
     )
 
 
@@ -284,6 +291,18 @@ def _finished(recording: Recording) -> Finding:
     arrived = recording.finished or endless
     cause = "" if arrived and not stopped else _why_not(recording, arrived=arrived)
     return Finding(question, arrived and not stopped, text, cause)
+
+
+def _carried_load(cell: RobotCell, recording: Recording) -> tuple[Finding, ...]:
+    """What the recording says of forces and torques; nothing if it says nothing."""
+    loads = read_loads(cell, recording)
+    if loads is None:
+        return ()
+    asked = (
+        ("Do the arms carry the load?", loads.overloaded(cell)),
+        ("Is the object held without squeezing?", loads.squeezed(cell)),
+    )
+    return tuple(Finding(question, not cause, text, cause) for question, (text, cause) in asked)
 
 
 def _apart(recording: Recording) -> tuple[Finding, ...]:

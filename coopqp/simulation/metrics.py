@@ -124,6 +124,16 @@ def _rotations(T: Array) -> Array:
 
 
 @np.errstate(invalid="ignore")  # infinite positions have no difference
+def without_shift(tools: Array, grasp: Grasp, shift: Array | None) -> Array:
+    """Tools (T, N, 4, 4) with grasps that have given way by a shift (T, N, 6), as if they had not: T X⁻¹ exp(−d) X."""
+    if shift is None:
+        return tools
+    back = np.array([[pin.exp6(-d).homogeneous for d in row] for row in shift]).reshape(tools.shape)
+    X = _matrices(grasp.T_object_tool)
+    out: Array = tools @ np.linalg.inv(X) @ back @ X
+    return out
+
+
 def positioning_errors(tools: Array, grasp: Grasp) -> Array:
     """ε_p (…) [m], see :func:`relative_positioning_error`."""
     off = _positions(tools) - _positions(_matrices(grasp.T_object_tool))

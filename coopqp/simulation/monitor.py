@@ -27,6 +27,7 @@ from coopqp.errors import InvalidInputError
 from coopqp.model.cell import RobotCell
 from coopqp.model.grasp import Grasp
 from coopqp.simulation.closeness import Closeness
+from coopqp.simulation.loads import read_loads
 from coopqp.simulation.recording import Recording
 from coopqp.spatial import Array
 from coopqp.task.path import ObjectPath
@@ -49,6 +50,8 @@ class Breach(enum.Enum):
     CHAIN = "arms out of step"
     PATH = "off the path"
     CLEARANCE = "too close"
+    TORQUE = "torque limit"
+    SQUEEZE = "internal force"
     MUTATED = "data were modified"
 
 
@@ -185,6 +188,7 @@ class _Block:
     same_path: Flags  # (T,): the clock continues from the step before
     reference: Array  # (T, 4, 4): pose of the path at clock_next
     duration: Array  # (T,)
+    shift: Array | None = None  # (T, N, 6): of the grasps at q_next
 
 
 #: q, q_next, velocity, dt, clock, clock_next, rate, status and path of a step.
@@ -383,7 +387,23 @@ class Monitor:
                     self._add(Violation(Breach.NOT_FINITE, row, float(r.time[row]), amount=np.nan))
                 self._steps += end - i
                 self._lose()
+        self._judge_loads(r)
         return self.verdict()
+
+    def _judge_loads(self, r: Recording) -> None:
+        """Torques of joints, and the internal force of each arm in motion, where the run was recorded with them."""
+        loads = read_loads(self.cell, r)
+        if loads is None:
+            return
+        for t, j in np.argwhere(loads.torque_use > 1.0):
+            arm, _, joint = self.cell.joint_names[j].partition("/")
+            excess = float(loads.torque_use[t, j] - 1.0)
+            self._add(Violation(Breach.TORQUE, int(t), float(loads.time[t]), arm, joint, excess, "share of the limit"))
+        squeezed = loads.internal > loads.internal_limit
+        squeezed[: loads.moves] = False
+        for t, k in np.argwhere(squeezed):
+            excess = float(loads.internal[t, k] - loads.internal_limit)
+            self._add(Violation(Breach.SQUEEZE, int(t), float(loads.time[t]), self.cell.arm_names[k], "", excess, "N"))
 
     @staticmethod
     def _sound(r: Recording, part: slice) -> Flags:
@@ -411,6 +431,7 @@ class Monitor:
             same_path=same_path,
             reference=r.reference[ends],
             duration=np.full(end - start, float(r.metadata.get("duration") or np.inf)),
+            shift=None if r.shift is None else r.shift[cut],
         )
 
     def _judge(self, block: _Block) -> None:
@@ -546,6 +567,8 @@ class Monitor:
         distance, angle = np.empty((steps, self._pairs)), np.empty((steps, self._pairs))
         T = np.empty((steps, n + 1, 4, 4))
         T[:, :n] = self._carried(block.q_next)
+        if block.shift is not None:
+            T[:, :n] = T[:, :n] @ np.array([[pin.exp6(-d).homogeneous for d in row] for row in block.shift])
         T[:, n] = block.reference
         rows = max(1, _LARGEST_TABLE // self._pairs)
         for start in range(0, steps, rows):

@@ -52,6 +52,11 @@ class Recording(Shown):
         metadata: controller, solver, names of arms and joints; description of the cell and the path (``scene``,
             ``path``: :mod:`coopqp.simulation.scene`); binding limits over time (``binding``); the plant, and whether
             the arms held one object at the end (``gripped``); entries of the caller.
+        wrenches: of the arms on the object after each step, at the origins and in the axes of the tools (T, N, 6)
+            [N, N·m], as sensors without errors would tell them; None where nobody asked.
+        shift: by how much each grasp had given way in each step (T, N, 6) [m, rad], in the object frame; None for
+            controllers whose grasps do not.
+        torques: of the joints after each step (T, nv) [N·m or N]; None likewise.
         meshes: whether the mesh files that the description of the cell names may be opened. Not so after
             :meth:`load`, unless asked: a stranger's recording names files of your disk.
     """
@@ -68,6 +73,9 @@ class Recording(Shown):
     notes: tuple[str, ...]
     metadata: dict[str, Any]
     meshes: bool = True
+    wrenches: Array | None = None
+    torques: Array | None = None
+    shift: Array | None = None
 
     def __repr__(self) -> str:
         end = "finished" if self.finished else "not finished"
@@ -129,7 +137,19 @@ class Recording(Shown):
 
     def parts(self, count: int) -> Iterator[slice]:
         """Slices that cover ``count`` samples or steps, for sums over long runs: one part is in memory at a time."""
-        return parts(count, [getattr(self, name) for name in _ARRAYS])
+        return parts(count, self._arrays().values())
+
+    def shift_at(self, samples: slice) -> Array | None:
+        """By how much the grasps had given way at samples (M, N, 6), for a command at each; None as :attr:`shift`."""
+        if self.shift is None or not self.n_steps:
+            return None
+        at: Array = self.shift[np.maximum(np.arange(samples.start, samples.stop) - 1, 0)]
+        return at
+
+    def _arrays(self) -> dict[str, Array]:
+        """The arrays that it has, by name."""
+        asked = [name for name in _ASKED if getattr(self, name) is not None]
+        return {name: getattr(self, name) for name in (*_ARRAYS, *asked)}
 
     def save(self, path: str | Path) -> Path:
         """Write a ``.npz`` file, atomically; a failure or an interrupt leaves what was there.
@@ -146,7 +166,7 @@ class Recording(Shown):
             raise RecordingError(f"cannot write {file}: the metadata are not JSON ({error}).") from error
         if not file.parent.is_dir():
             raise RecordingError(f"cannot write {file}: no such folder. Check that its folder exists.")
-        arrays = {"text": np.array(text), **{name: getattr(self, name) for name in _ARRAYS}}
+        arrays = {"text": np.array(text), **self._arrays()}
         compress = sum(array.nbytes for array in arrays.values()) <= MAX_COMPRESSED_BYTES
         try:
             with Interrupts() as interrupts, whole_file(file) as stream:
@@ -173,7 +193,7 @@ class Recording(Shown):
             size = unpacked_bytes(file)
             if size > MAX_RECORDING_BYTES:
                 raise RecordingError(f"{file} unpacks to {size} bytes, more than {MAX_RECORDING_BYTES}; not read.")
-            content = read_archive(file, ("text", *_ARRAYS))
+            content = read_archive(file, ("text", *_ARRAYS), _ASKED)
             text = json.loads(str(content.pop("text")))
             recording = Recording(
                 notes=tuple(map(str, text["notes"])), metadata=dict(text["metadata"]), meshes=meshes, **content
@@ -196,6 +216,9 @@ class Recording(Shown):
             "reference": (samples, 4, 4),
             "T_object_tool": (None, 4, 4),
         }
+        asked = {"wrenches": (steps, len(self.T_object_tool), 6), "torques": (steps, self.velocity.shape[-1])}
+        asked["shift"] = asked["wrenches"]
+        expected |= {name: shape for name, shape in asked.items() if getattr(self, name) is not None}
         for name, shape in expected.items():
             got = getattr(self, name).shape
             if len(got) != len(shape) or any(n is not None and n != m for n, m in zip(shape, got, strict=True)):
@@ -220,6 +243,9 @@ _UNREADABLE = (
     MemoryError,
 )
 _ARRAYS = ("time", "q", "q_command", "velocity", "clock", "rate", "status", "reference", "T_object_tool")
+
+#: Arrays that a run has only if asked.
+_ASKED = ("wrenches", "torques", "shift")
 
 
 def entries_of(limit: BindingLimit) -> list[Any]:

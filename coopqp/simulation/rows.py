@@ -140,8 +140,10 @@ def unpacked_bytes(file: Path) -> int:
         return sum(entry.file_size for entry in archive.infolist() if entry.compress_type != zipfile.ZIP_STORED)
 
 
-def read_archive(file: Path, names: Iterable[str]) -> dict[str, npt.NDArray[Any]]:
+def read_archive(file: Path, names: Iterable[str], perhaps: Iterable[str] = ()) -> dict[str, npt.NDArray[Any]]:
     """Arrays of numbers of a ``.npz`` archive, read-only, and single values of any type. Nothing in it is executed.
+
+    Those of ``perhaps`` are left out where they are not there.
 
     Small arrays are read into memory. Large ones of 8-byte numbers are mapped, or unpacked into a file without a name.
 
@@ -149,7 +151,9 @@ def read_archive(file: Path, names: Iterable[str]) -> dict[str, npt.NDArray[Any]
         OSError, ValueError, KeyError, zipfile.BadZipFile, ...: it is no such archive, or it is damaged.
     """
     with zipfile.ZipFile(file) as archive:
-        return {name: _read_entry(archive, archive.getinfo(f"{name}.npy"), file) for name in names}
+        there = set(archive.namelist())
+        wanted = [*names, *(name for name in perhaps if f"{name}.npy" in there)]
+        return {name: _read_entry(archive, archive.getinfo(f"{name}.npy"), file) for name in wanted}
 
 
 def _read_entry(archive: zipfile.ZipFile, entry: zipfile.ZipInfo, file: Path) -> npt.NDArray[Any]:

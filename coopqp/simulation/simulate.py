@@ -36,6 +36,7 @@ def simulate(
     q_start: ArrayLike | None = None,
     duration: float | None = None,
     settle: float = 0.0,
+    loads: bool = False,
     patience: float | None = PATIENCE,
     progress: ProgressCallback | None = None,
     observe: Callable[[ControlStep], None] | None = None,
@@ -53,6 +54,7 @@ def simulate(
         q_start: start configuration (nq,); by default :func:`coopqp.planning.find_start` finds one.
         duration: longest run [s]; by default ten times the path's duration, because a slowed object takes longer.
         settle: time that the run continues after the end of the path [s].
+        loads: record wrenches and torques of a plant that has them, as :class:`coopqp.PhysicsPlant`.
         patience: the run ends when the object was blocked, held, stopped or at rest off its path for this time [s];
             None for never. A pause does not count.
         progress: called as ``progress(steps done, steps of an unslowed run)``.
@@ -86,9 +88,11 @@ def simulate(
     if q_start is None:
         q_start = planning.find_start(cell, controller.grasp, controller.path).q
     ask = _asking(controller, plant)
+    if loads and not hasattr(plant, "sensed_wrenches"):
+        raise InvalidInputError(f"a {type(plant).__name__} has no forces", "simulate: loads", "Give a PhysicsPlant.")
     measured = plant.reset(q_start)
     controller.reset(measured)
-    recorder = _Recorder(controller, measured)
+    recorder = _Recorder(controller, measured, plant if loads else None)
     nominal = max(1, round((longest if endless else controller.path.duration + after) / controller.dt))
     elapsed, rest, still = 0.0, 0.0, 0.0
     while elapsed < longest - 1e-9 * longest:
@@ -136,9 +140,12 @@ def _stands(step: ControlStep) -> bool:
 class _Recorder:
     """Gathers the steps of a run."""
 
-    def __init__(self, controller: Controller, measured: Array) -> None:
+    def __init__(self, controller: Controller, measured: Array, loaded: Any = None) -> None:
         cell = controller.cell
-        self._controller, self.steps = controller, 0
+        self._shift = Rows(len(cell), 6) if getattr(controller, "minds_wrenches", False) else None
+        self._loaded, self._wrenches, self._torques = loaded, Rows(len(cell), 6), Rows(cell.nv)
+        self._controller: Any = controller
+        self.steps = 0
         self._now, self._failures, self._finished = 0.0, 0, False
         self._notes = Notes()
         self._binding: list[list[Any]] = []
@@ -161,6 +168,11 @@ class _Recorder:
         self._rate.append(step.rate)
         self._status.append(float(step.status.code))
         self._notes.take(step)
+        if self._shift is not None:
+            self._shift.append(self._controller.shift)
+        if self._loaded is not None:
+            self._wrenches.append(self._loaded.sensed_wrenches())
+            self._torques.append(self._loaded.joint_torques)
         if step.binding != self._last:
             self._binding.append([self.steps, [entries_of(limit) for limit in step.binding]])
             self._last = step.binding
@@ -191,6 +203,9 @@ class _Recorder:
             reference=self._reference.array(),
             T_object_tool=read_only(np.array([X.homogeneous for X in controller.grasp.T_object_tool])),
             notes=self._notes.lines(),
+            wrenches=None if self._loaded is None else self._wrenches.array(),
+            shift=None if self._shift is None else self._shift.array(),
+            torques=None if self._loaded is None else self._torques.array(),
             metadata={
                 "controller": type(controller).__name__,
                 "dt": controller.dt,

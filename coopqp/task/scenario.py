@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import Any, final
 
 import numpy as np
 import pinocchio as pin
@@ -13,6 +15,31 @@ from coopqp.model.grasp import Grasp
 from coopqp.model.shapes import Body
 from coopqp.spatial import Array
 from coopqp.task.path import ObjectPath
+
+
+@final
+@dataclass(frozen=True, kw_only=True, eq=False)
+class EngineSettings:
+    """How a scenario runs in the physics engine; see :class:`coopqp.PhysicsPlant`.
+
+    Attributes:
+        disturbances: settings of :class:`coopqp.Disturbances`.
+        options: settings of :class:`coopqp.PhysicsOptions`.
+        forces: settings of :class:`coopqp.ForceOptions`, besides stiffness and payload; None for arms that do not mind
+            forces.
+        controller: settings of :class:`coopqp.QPOptions`.
+        torque_share: share of the joints' torques that load sharing plans with.
+        shares_load: the drives feed a load forward that :class:`coopqp.forces.LoadShare` shares.
+        internal_force: largest internal force of an arm that is accepted [N]; None for any.
+    """
+
+    disturbances: Mapping[str, Any] = field(default_factory=dict)
+    options: Mapping[str, Any] = field(default_factory=dict)
+    forces: Mapping[str, Any] | None = None
+    controller: Mapping[str, Any] = field(default_factory=dict)
+    shares_load: bool = False
+    torque_share: float = 1.0
+    internal_force: float | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,6 +55,7 @@ class Scenario(Shown):
         T_object_body: placement of the box's centre in the object frame.
         object_mass: mass of the object [kg].
         obstacles: what stands around the arms.
+        engine: how it runs in the physics engine, if forces matter; None where joints follow their commands.
     """
 
     name: str
@@ -40,6 +68,7 @@ class Scenario(Shown):
     T_object_body: pin.SE3 = field(default_factory=lambda: pin.SE3(np.eye(3), np.zeros(3)))
     object_mass: float = 20.0
     obstacles: tuple[Body, ...] = ()
+    engine: EngineSettings | None = None
 
     def __repr__(self) -> str:
         return f"Scenario({self.name}: {self.cell!r}, {self.path.duration:.4g} s in steps of {1e3 * self.dt:.4g} ms)"

@@ -4,16 +4,19 @@ from __future__ import annotations
 
 import functools
 import warnings
+from collections.abc import Callable
 from importlib import import_module
 from typing import TYPE_CHECKING
 
 from coopqp.control.constraints import Constraints
+from coopqp.control.core import relax_plain
 from coopqp.control.core.memory import NotForTheCore
 from coopqp.control.options import QPOptions
 from coopqp.control.plain import PlainLoop
 from coopqp.errors import KernelWarning, UnknownNameError
 from coopqp.model.cell import RobotCell
 from coopqp.model.grasp import Grasp
+from coopqp.spatial import Array
 
 if TYPE_CHECKING:
     from coopqp.control.core.compiled import CompiledLoop
@@ -75,4 +78,13 @@ def make_loop(
     return PlainLoop(cell, grasp, dt=dt, options=options, constraints=constraints)
 
 
-__all__ = ["NotForTheCore", "available_kernels", "kernel_text", "make_loop"]
+def relax_of(kernel: str) -> Callable[[Array, int, Array | None, float, float, bool], int]:
+    """The step of the relaxation of forces in a kernel; see ``relax.c``."""
+    if kernel == "plain":
+        return relax_plain.relax
+    from coopqp.control.core import _native
+
+    return _native.relax
+
+
+__all__ = ["NotForTheCore", "available_kernels", "kernel_text", "make_loop", "relax_of"]

@@ -6,8 +6,9 @@ where another solver than the core's own is asked for.
 
 from __future__ import annotations
 
+import functools
 import math
-from collections.abc import Sequence
+from collections.abc import Callable
 from typing import Any, final
 
 import numpy as np
@@ -81,13 +82,9 @@ class CompiledLoop:
         unit = self.solver.program.units
         self._memory = build_memory(chain, box, shares, unit, grasp_lengths(grasp), options, dt, gap=native.GAP)
         at = self.at = self._memory.at
-        #: Placement of each tool on its last joint, as the core turns its frame.
-        self._tools = [
-            pin.SE3(R, p) * X
-            for R, p, X in zip(
-                at["object_R"].reshape(-1, 3, 3), at["object_p"].reshape(-1, 3), grasp.T_object_tool, strict=True
-            )
-        ]
+        #: Placement of the object on each arm's last joint without a shift: R, p.
+        self._places = np.hstack([at["object_R"].reshape(-1, 9), at["object_p"].reshape(-1, 3)])
+        self._shift: Array | None = None
         at["options"][layout.OPTIONS.index("OWN_SOLVER")] = self.solver.name == "ldp"
         self._certified = constraints.certified
         at["options"][layout.OPTIONS.index("CERTIFIED")] = self._certified is not None
@@ -133,13 +130,10 @@ class CompiledLoop:
             numbers = np.array([duration, len(breakpoints), 0.0, *breakpoints])
         self._core.set_path(numbers, own, self._pose_out, duration, looks_ahead)
 
-    def set_grasp(self, T_object_tool: Sequence[pin.SE3]) -> None:
-        """The tools are at these placements on the object from the next step on."""
-        R, p = self.at["object_R"].reshape(-1, 3, 3), self.at["object_p"].reshape(-1, 3)
-        for k, X in enumerate(T_object_tool):
-            Y = self._tools[k] * X.inverse()
-            R[k], p[k] = Y.rotation, Y.translation
-        self._chain.set_grasp(T_object_tool)
+    def take_shift(self, shift: Array) -> Callable[[], bool]:
+        """The tools hold the object shifted by (N, 6) after each call of what is returned; False if not finite."""
+        self._shift = shift
+        return functools.partial(self._core.shift_grasp, self._places, shift)
 
     def start(self, q: Array) -> None:
         """At rest at ``q``; forgets everything."""
@@ -405,6 +399,8 @@ class CompiledLoop:
         """The plain answer of this step, put where the core commits from."""
         at, p, loop = self.at, self.at["proposal"], self.at["loop"]
         given = self._given()
+        if self._shift is not None:
+            self._chain.shift_grasp(self._shift)
         found = self._definition.answer(given)
         self._put_answer(found)
         p[_P["OUTCOME"]] = _QP

@@ -159,6 +159,14 @@ RECORD = (
     "R_DT", "R_CLOCK", "R_CLOCK_NEXT", "R_RATE", "R_STATUS", "R_REASON", "R_REASON_ARM", "R_REASON_A", "R_REASON_B",
     "R_GRASP_SHARE", "R_PATH_SHARE", "R_PARTING", "R_OUTCOME", "R_ITERATIONS", "R_BINDINGS", "R_AWAY", "R_TURNED",
 )  # fmt: skip
+#: Scalars of the relaxation of forces: settings, then what changes; see relax.c for what follows them.
+RELAX = (
+    "WRENCH_FILTER", "DEAD_BAND", "RELAX_TIME", "DRIFT_TIME", "RAMP_TIME", "WRENCH_SILENCE",
+    "MOST_SPEED", "MOST_SPIN", "MOST_REACH", "MOST_TURN",
+    "SIZE", "STIFFER", "RELAX_EASE", "SATURATED",
+)  # fmt: skip
+#: What came of the sensors in a step.
+HEARING = ("HEARD", "MISSED", "SILENT")
 #: Members of Status, in the order of their codes.
 STATUSES = ("TRACKING", "SLOWED", "BLOCKED", "HOLDING", "FAULTED", "PAUSED", "OFF_PATH")
 
@@ -299,6 +307,7 @@ def header() -> str:
 _LISTS = {
     "OPTIONS": OPTIONS, "LOOP": LOOP, "WATCH": WATCH, "AHEAD": AHEAD, "KNOT": KNOT, "PROPOSAL": PROPOSAL,
     "OUTCOMES": OUTCOMES, "KINDS": KINDS, "REASONS": REASONS, "RECORD": RECORD, "STATUSES": STATUSES,
+    "RELAX": RELAX, "HEARING": HEARING,
 }  # fmt: skip
 
 if __name__ == "__main__":

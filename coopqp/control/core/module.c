@@ -7,6 +7,7 @@
 
 #include "core.h"
 #include "guards.h"
+#include "spatial.h"
 
 /* CPython passes functions as void *, which ISO C forbids and every platform with dynamic libraries allows. */
 #if defined(__GNUC__)
@@ -524,6 +525,72 @@ static PyObject *core_linearise(PyObject *object, PyObject *args) {
     Py_RETURN_NONE;
 }
 
+/* shift_grasp(places, shift): the tools have the places (R, p) of their last joints on the object, 12 each, and each has
+ * moved by exp of its shift, 6 each, in the object frame: object_R, object_p = place · exp(−shift). */
+static PyObject *core_shift_grasp(PyObject *object, PyObject *const *args, Py_ssize_t count) {
+    CoreObject *self = built(object);
+    Py_buffer views[2];
+    double *x[2];
+    if (!self) return NULL;
+    if (count != 2) {
+        PyErr_SetString(PyExc_TypeError, "shift_grasp takes places and shift");
+        return NULL;
+    }
+    Core *c = &self->core;
+    for (int i = 0; i < 2; i++)
+        if (!(x[i] = numbers(args[i], (i ? 6 : 12) * (Py_ssize_t)c->arms, 0, views + i))) {
+            if (i) PyBuffer_Release(views);
+            return NULL;
+        }
+    int good = 1;
+    for (int i = 0; i < 6 * c->arms; i++) good = good && isfinite(x[1][i]);
+    for (int k = 0; good && k < c->arms; k++) {
+        const double *place = x[0] + 12 * k;
+        double back[6], R[9], p[3];
+        for (int i = 0; i < 6; i++) back[i] = -x[1][6 * k + i];
+        exp6(back, R, p);
+        multiply3(place, R, c->object_R + 9 * k);
+        rotate(place, p, c->object_p + 3 * k);
+        for (int i = 0; i < 3; i++) c->object_p[3 * k + i] += place[9 + i];
+    }
+    PyBuffer_Release(views), PyBuffer_Release(views + 1);
+    return PyBool_FromLong(good);
+}
+
+/* -- forces between the arms ----------------------------------------------------------------------------------------- */
+
+#define MOST_RELAXED 64 /* arms */
+
+/* relax(memory, arms, wrenches, dt, rate, gives): see relax.c; returns what came of the sensors. */
+static PyObject *module_relax(PyObject *self, PyObject *const *args, Py_ssize_t count) {
+    Py_buffer memory, wrenches;
+    double work[12 * MOST_RELAXED], *m, *w = NULL;
+    (void)self;
+    if (count != 6) {
+        PyErr_SetString(PyExc_TypeError, "relax takes memory, arms, wrenches, dt, rate, gives");
+        return NULL;
+    }
+    const long arms = PyLong_AsLong(args[1]);
+    const double dt = PyFloat_AsDouble(args[3]), rate = PyFloat_AsDouble(args[4]);
+    const int gives = PyObject_IsTrue(args[5]);
+    if (PyErr_Occurred()) return NULL;
+    if (arms < 1 || arms > MOST_RELAXED) {
+        PyErr_SetString(PyExc_ValueError, "too many arms");
+        return NULL;
+    }
+    const Py_ssize_t n = 6 * arms;
+    if (!(m = numbers(args[0], N_RELAX + arms + 4 * n + 2 * n * n, 1, &memory))) return NULL;
+    if (args[2] != Py_None && !(w = numbers(args[2], n, 0, &wrenches))) {
+        PyBuffer_Release(&memory);
+        return NULL;
+    }
+    const int heard = best()->feel((int)arms, m, w, dt);
+    if (gives && heard != SILENT) best()->give_way((int)arms, m, dt, rate, work);
+    PyBuffer_Release(&memory);
+    if (w) PyBuffer_Release(&wrenches);
+    return PyLong_FromLong(heard);
+}
+
 /* -- least-distance programs by themselves --------------------------------------------------------------------------- */
 
 #define LDP_BUFFERS 8
@@ -577,6 +644,7 @@ static PyMethodDef core_methods[] = {
     {"bind_evasion", core_bind_evasion, METH_O, "bind_evasion(function): may change evading_slope."},
     {"make_steps", core_make_steps, METH_VARARGS, "make_steps(type, context, statuses): what step() returns."},
     {"linearise", core_linearise, METH_VARARGS, "linearise(positions, about, carried, jacobian)."},
+    {"shift_grasp", FAST(core_shift_grasp), METH_FASTCALL, "shift_grasp(places, shift); False if not finite."},
     {NULL, NULL, 0, NULL},
 };
 
@@ -597,6 +665,7 @@ static PyType_Spec core_spec = {"coopqp.control.core._native.Core", sizeof(CoreO
 static PyMethodDef module_methods[] = {
     {"least_distance", module_least_distance, METH_VARARGS,
      "least_distance(((address, bytes), ...), reach): of A, low, high, lb, ub, x, y, work; see functions.h."},
+    {"relax", FAST(module_relax), METH_FASTCALL, "relax(memory, arms, wrenches, dt, rate, gives); see relax.c."},
     {NULL, NULL, 0, NULL},
 };
 

@@ -18,10 +18,12 @@
 #include "preview.c"
 #include "step.c"
 #include "servo.c"
+#include "relax.c"
 
 #ifndef ARITHMETIC
 #define ARITHMETIC arithmetic_plain
 #endif
 
 const Arithmetic ARITHMETIC = {start,       start_path, observe, propose,             answer,         commit,
-                               read_answer, quiet_step, carry,   carry_and_linearise, least_distance, go_over};
+                               read_answer, quiet_step, carry,   carry_and_linearise, least_distance, go_over,
+                               feel,        give_way};

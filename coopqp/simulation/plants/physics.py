@@ -281,6 +281,13 @@ class PhysicsPlant:
         return np.array(self.mj_data.actuator_force[self._actuators])
 
     @property
+    def joint_torques(self) -> Array:
+        """All that the drives give (nv,) [N·m or N]: servos, feed-forward, the arms' own weight."""
+        self._refresh()
+        d = self.mj_data
+        return np.array((d.qfrc_actuator + d.qfrc_applied + d.qfrc_gravcomp)[self._v_at])
+
+    @property
     def T_world_object(self) -> pin.SE3:
         """Real pose of the object."""
         self._refresh()

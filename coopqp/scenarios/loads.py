@@ -1,0 +1,90 @@
+"""Scenarios where forces matter: they run in the physics engine (extra ``mujoco``)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pinocchio as pin
+
+from coopqp.checks import as_scalar
+from coopqp.errors import UnknownNameError
+from coopqp.scenarios.paper import paper_lift
+from coopqp.task.scenario import EngineSettings, Scenario
+
+#: Age of the wrenches when they arrive [s].
+_LATE = {"wrench_latency": 0.01}
+#: Forces are minded: what they make of the arms' places stops the object only where it is large.
+_TOLERANT = {"supervision": {"slow_from": 0.005, "hold_from": 0.01, "stall_samples": 10_000}}
+
+
+def base_off_lift(
+    *, arm: str = "slave_2", distance: float = 1e-3, angle: float = 0.1, duration: float = 3.0
+) -> Scenario:
+    """The paper's lift with one base off; the arms relax the forces that come of it.
+
+    Args:
+        arm: whose base is off.
+        distance, angle: by how much, along and about the diagonal of its axes [m, deg].
+        duration: duration of the path [s].
+
+    Raises:
+        UnknownNameError: no such arm.
+    """
+    lift = paper_lift(time_law="quintic", duration=duration)
+    if arm not in lift.cell.arm_names:
+        raise UnknownNameError("arm", str(arm), lift.cell.arm_names, "base_off_lift")
+    diagonal = np.ones(3) / np.sqrt(3.0)
+    off = pin.SE3(pin.exp3(np.deg2rad(angle) * diagonal), distance * diagonal)
+    return replace(
+        lift,
+        name="base_off_lift",
+        engine=EngineSettings(disturbances={"base_offset": {arm: off}, **_LATE}, forces={}, internal_force=30.0),
+    )
+
+
+def hot_plate(*, growth: float = 2.2e-3, period: float = 12.0, duration: float = 3.0) -> Scenario:
+    """The paper's lift with a plate that grows as it warms up; the arms give way.
+
+    Args:
+        growth: of the plate's length in a quarter of the period [m].
+        period: of growing and shrinking [s].
+        duration: duration of the path [s].
+    """
+    lift = paper_lift(time_law="quintic", duration=duration)
+    share = as_scalar(growth, "hot_plate: growth", open_low=False) / lift.object_size[1]
+    grows = {"object_growth": share, "growth_period": period, **_LATE}
+    return replace(
+        lift,
+        name="hot_plate",
+        engine=EngineSettings(disturbances=grows, forces={}, controller=_TOLERANT, internal_force=30.0),
+    )
+
+
+def heavy_lift(*, mass: float = 53.0, internal_force: float = 50.0, duration: float = 6.0) -> Scenario:
+    """The paper's lift with a plate that three arms carry only if they share its load well.
+
+    In equal parts 53 kg would take more torque than the arms have.
+
+    Args:
+        mass: mass of the plate [kg].
+        internal_force: largest internal force of an arm [N].
+        duration: duration of the path [s].
+    """
+    lift = paper_lift(time_law="quintic", duration=duration)
+    return replace(
+        lift,
+        name="heavy_lift",
+        dt=0.0075,
+        object_mass=as_scalar(mass, "heavy_lift: mass"),
+        engine=EngineSettings(shares_load=True, torque_share=0.98, internal_force=internal_force),
+    )
+
+
+#: These scenarios by name.
+LOADED: dict[str, Callable[[], Scenario]] = {
+    "base_off_lift": base_off_lift,
+    "hot_plate": hot_plate,
+    "heavy_lift": heavy_lift,
+}

@@ -1,0 +1,89 @@
+"""Scenarios in the physics engine: the plant, the controller and the run that a scenario's ``engine`` describes."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from coopqp.control.command import Controller
+from coopqp.control.options import QPOptions
+from coopqp.control.qp import QPController
+from coopqp.forces.force_controller import ForceController
+from coopqp.forces.force_options import ForceOptions
+from coopqp.forces.load import LoadShare
+from coopqp.planning.payload import Payload
+from coopqp.simulation.plants.disturbances import Disturbances
+from coopqp.simulation.plants.physics import PhysicsPlant
+from coopqp.simulation.recording import Recording
+from coopqp.simulation.simulate import ProgressCallback, simulate
+from coopqp.task.scenario import EngineSettings, Scenario
+
+
+def box_payload(scenario: Scenario, torque_share: float = 1.0) -> Payload:
+    """The object of a scenario as a homogeneous box, and a share of the joints' torques."""
+    x, y, z = scenario.object_size
+    inertia = scenario.object_mass / 12.0 * np.diag([y * y + z * z, x * x + z * z, x * x + y * y])
+    R = scenario.T_object_body.rotation
+    made = Payload(mass=scenario.object_mass, centre=scenario.T_object_body.translation, inertia=R @ inertia @ R.T)
+    return made if torque_share == 1.0 else replace(made, torque=torque_share * made.limits(scenario.cell))
+
+
+def engine_plant(scenario: Scenario) -> PhysicsPlant:
+    """The plant that a scenario runs on in the engine.
+
+    Raises:
+        MissingExtraError: mujoco is not installed.
+    """
+    given = scenario.engine or EngineSettings()
+    load = None
+    if given.shares_load:
+        load = LoadShare(
+            scenario.cell,
+            scenario.grasp,
+            box_payload(scenario, given.torque_share),
+            internal_force=given.internal_force or np.inf,
+        )
+    return PhysicsPlant.of(scenario, options=given.options, disturbances=Disturbances(**given.disturbances), load=load)
+
+
+def engine_controller(scenario: Scenario, plant: PhysicsPlant) -> Controller:
+    """The controller that a scenario runs with in the engine."""
+    given = scenario.engine or EngineSettings()
+    made = QPController(
+        scenario.cell, scenario.grasp, scenario.path, dt=scenario.dt, options=QPOptions(**given.controller)
+    )
+    if given.forces is None:
+        return made
+    settings = {"stiffness": plant.stiffness, "payload": box_payload(scenario), **given.forces}
+    return ForceController(made, ForceOptions(**settings))
+
+
+def run_in_engine(
+    scenario: Scenario, *, progress: ProgressCallback | None = None, metadata: dict[str, Any] | None = None
+) -> Recording:
+    """Run a scenario in the engine, with wrenches and torques; the object rests for half a second at the end.
+
+    The entry ``load`` of the metadata: ``torque_limits``, largest torques of the joints (null for none), and
+    ``internal_force``, the largest accepted internal force of an arm [N] (null for any).
+
+    Raises:
+        MissingExtraError: mujoco is not installed.
+    """
+    plant = engine_plant(scenario)
+    limits = box_payload(scenario).limits(scenario.cell)
+    given = scenario.engine or EngineSettings()
+    load = {
+        "torque_limits": [float(x) if np.isfinite(x) else None for x in limits],
+        "internal_force": given.internal_force,
+    }
+    return simulate(
+        engine_controller(scenario, plant),
+        plant,
+        q_start=scenario.q_start,
+        settle=0.5,
+        loads=True,
+        progress=progress,
+        metadata={**(metadata or {}), "load": load},
+    )
