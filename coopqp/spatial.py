@@ -120,6 +120,11 @@ def for_twists(R: Array) -> Array:
     return out
 
 
+def largest(x: Array) -> float:
+    """The largest entry, NaN if there is one; of small arrays several times faster than ``x.max()``."""
+    return float(x.item(x.argmax()))
+
+
 def skew(v: Array) -> Array:
     """``[v]×``, shape (3, 3)."""
     return np.array([[0.0, -v[2], v[1]], [v[2], 0.0, -v[0]], [-v[1], v[0], 0.0]])
