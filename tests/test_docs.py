@@ -11,7 +11,8 @@ import sys
 from pathlib import Path
 
 import pytest
-from pictures import MOST_PIXELS, PROGRAMS, difference, run
+from apart import run_apart
+from pictures import MOST_PIXELS, PROGRAMS, difference
 
 import coopqp
 
@@ -66,7 +67,7 @@ FURTHER = {
 @pytest.mark.parametrize("file", EXAMPLES, ids=lambda file: file.stem)
 def test_an_example_prints_and_draws_what_the_pages_show(file: Path, tmp_path: Path) -> None:
     program = f"python docs/examples/{file.name} --out {{out}}"
-    printed = run(program, tmp_path)
+    printed = run_apart(file, "--out", str(tmp_path), folder=ROOT, printed=tmp_path / "printed.txt")
     assert printed.strip()
     for page in PAGES:
         for include, shown in SHOWN.findall(page.read_text(encoding="utf-8")):

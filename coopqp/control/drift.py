@@ -12,7 +12,7 @@ from typing import final
 
 import numpy as np
 
-from coopqp.spatial import Array
+from coopqp.spatial import Array, largest
 
 #: How far a drift wanders within a second [m]; what lag an arm may have, and how well it is known at best [s].
 _WANDER, _LAG, _LEAST_LAG = 1e-3, 0.02, 1e-4
@@ -60,7 +60,7 @@ class Drift:
         if self._last is None:
             self._last = commanded
         elif self._since >= _PERIOD:
-            way = float(np.abs(commanded - self._last).max())  # joints counted with a lever of 1 m
+            way = largest(np.abs(commanded - self._last))  # joints counted with a lever of 1 m
             self._last = commanded
             self._update(apart, noise, way / self._since, _LARGEST_SLOPE * way, self._since)
             self._since = 0.0
@@ -80,10 +80,10 @@ class Drift:
         back = np.where(change * self._drift < 0.0, change, 0.0)
         shrunk = np.copysign(np.minimum(np.abs(back), np.abs(self._drift)), back)  # no farther than to 0
         growth = change - shrunk
-        largest = float(np.abs(growth).max())
-        too_fast = largest > most
+        fastest = largest(np.abs(growth))
+        too_fast = fastest > most
         if too_fast:
-            growth *= most / largest
+            growth *= most / fastest
         self._drift += shrunk + growth
         np.clip(self._drift, -self._largest, self._largest, out=self._drift)
         self._lag += scale * hc * surprise

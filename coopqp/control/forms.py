@@ -27,7 +27,7 @@ from coopqp.control.constraints import Rows
 from coopqp.control.limits import VelocityBox
 from coopqp.control.solvers.base import QpProblem
 from coopqp.model.chain import Chain
-from coopqp.spatial import Array
+from coopqp.spatial import Array, for_twists
 
 
 @documented
@@ -58,7 +58,7 @@ class StepTerms:
     """What one step wants; twists of the object in the reference object frame.
 
     Attributes:
-        to_world: Ad(R) (6, 6).
+        rotation: R of the reference pose (3, 3).
         along: ν, twist of the object along its path at full rate (6,).
         path_correction: c_p (6,).
         grasp_corrections: c_k (N, 6).
@@ -69,7 +69,7 @@ class StepTerms:
         admissible: basis Z (6, d) of the twists that every arm can follow, None if all can follow all.
     """
 
-    to_world: Array
+    rotation: Array
     along: Array
     path_correction: Array
     grasp_corrections: Array
@@ -80,12 +80,17 @@ class StepTerms:
     admissible: Array | None = None
     ranges: list[tuple[int, Array]] = field(default_factory=list)
 
+    @property
+    def to_world(self) -> Array:
+        """Ad(R) (6, 6)."""
+        return for_twists(self.rotation)
+
     def twists(self, rate: float) -> Array:
         """World twists (N, 6) that a perfect step at this rate gives each arm."""
         w = self.grasp_corrections + self.offsets
         w += rate * self.along + self.path_correction
-        out: Array = w @ self.to_world.T
-        return out
+        out: Array = w.reshape(-1, 3).dot(self.rotation.T)
+        return out.reshape(w.shape)
 
 
 @dataclass(eq=False)

@@ -15,7 +15,7 @@ from coopqp.control.limits import VelocityBox
 from coopqp.control.options import QPOptions
 from coopqp.control.ranks import StepAnswer, StepSolver
 from coopqp.model.chain import Chain
-from coopqp.spatial import Array, log6_batch
+from coopqp.spatial import Array, largest, log6_batch
 
 #: Linearisations that the first step may have beyond the others.
 EXTRA_AT_START = 3
@@ -123,12 +123,10 @@ class LinearisedStep:
         o = self._options
         grasp = -min(o.grasp_gain, 1.0 / s.h) * (errors - common)
         path = -min(o.path_gain, 1.0 / s.h) * (common if s.measured is None else s.measured)
-        to_world = np.zeros((6, 6))
-        to_world[:3, :3] = to_world[3:, 3:] = s.pose.rotation
         return StepTerms(
-            to_world,
-            s.along.copy(),
-            bounded(path[None, :], o.correction_speed, o.correction_spin)[0],
+            s.pose.rotation,
+            s.along,
+            bounded(path, o.correction_speed, o.correction_spin),
             bounded(grasp, o.correction_speed, o.correction_spin),
             np.zeros_like(grasp) if s.predicted is None else (s.predicted - errors) / s.last_dt,
             s.cap,
@@ -162,13 +160,15 @@ class LinearisedStep:
 
 
 def bounded(twists: Array, speed: float, spin: float) -> Array:
-    """Twists (n, 6), shrunk by one common factor to a linear and an angular speed."""
-    if np.vdot(twists, twists) <= min(speed, spin) ** 2:
+    """Twists (…, 6), shrunk by one common factor to a linear and an angular speed."""
+    entries = twists.ravel()
+    if entries.dot(entries) <= min(speed, spin) ** 2:
         return twists
     square = twists * twists
-    excess = math.sqrt(max(square[:, :3].sum(axis=1).max() / speed**2, square[:, 3:].sum(axis=1).max() / spin**2))
+    linear, angular = square[..., :3].sum(axis=-1).max(), square[..., 3:].sum(axis=-1).max()
+    excess = math.sqrt(max(linear / speed**2, angular / spin**2))
     return twists / excess if excess > 1.0 else twists
 
 
 def _settled(v: Array, guess: Array, h: float) -> bool:
-    return float(np.abs(v - guess).max()) * float(np.abs(v).max()) * h * h <= SETTLED
+    return largest(np.abs(v - guess)) * largest(np.abs(v)) * h * h <= SETTLED

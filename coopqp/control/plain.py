@@ -33,7 +33,7 @@ from coopqp.model.state import CellState
 from coopqp.planning.chain_ahead import KnotRoom, LookAheadTrouble
 from coopqp.planning.preview import PathPreview
 from coopqp.planning.preview_options import PreviewOptions
-from coopqp.spatial import Array
+from coopqp.spatial import Array, largest
 from coopqp.task.guarded import GuardedPath, is_known
 from coopqp.task.path import ObjectPath
 from coopqp.task.posture import Posture
@@ -443,7 +443,7 @@ class PlainLoop:
         """
         v, limits = self.state.v, self._box.limits
         speed = np.abs(v)
-        longest = float((speed / limits.acceleration).max())  # of the times that the joints need to stop
+        longest = largest(speed / limits.acceleration)  # of the times that the joints need to stop
         if longest <= 0.0:
             return 1.0, -1
         planned = longest / BRAKING_SHARE

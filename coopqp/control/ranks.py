@@ -15,7 +15,7 @@ from coopqp.control.options import QPOptions
 from coopqp.control.solvers import QpProblem, QpSolution, QpSolver, SolverStatus, default_solver, make_solver
 from coopqp.errors import InvalidInputError, said
 from coopqp.model.chain import Chain
-from coopqp.spatial import Array
+from coopqp.spatial import Array, largest
 
 #: A solver's excess over a limit up to this is clipped; more is a failure [rad/s or m/s].
 RESIDUE_TOLERANCE = 1e-5
@@ -146,7 +146,7 @@ class StepSolver:
         if terms.null_offset is not None:
             v += terms.null_offset
         clipped = np.minimum(np.maximum(v, box.lower), box.upper)  # np.clip costs three times as much
-        if not np.abs(v - clipped).max() <= LIMIT_TOLERANCE or not _keeps(further, v, LIMIT_TOLERANCE):
+        if not largest(np.abs(v - clipped)) <= LIMIT_TOLERANCE or not _keeps(further, v, LIMIT_TOLERANCE):
             return None
         return StepAnswer(clipped, cap, exact=True)
 
@@ -170,7 +170,7 @@ class StepSolver:
             active = ((row, 1.0 if along[row] > 0.0 else -1.0),)
         v = (base + rate * along)[: box.lower.size]
         clipped = np.clip(v, box.lower, box.upper)
-        if not np.abs(v - clipped).max() <= 2.0 * LIMIT_TOLERANCE or not _keeps(further, v, 10.0 * LIMIT_TOLERANCE):
+        if not largest(np.abs(v - clipped)) <= 2.0 * LIMIT_TOLERANCE or not _keeps(further, v, 10.0 * LIMIT_TOLERANCE):
             return None
         return StepAnswer(clipped, rate, active=active, exact=True)
 

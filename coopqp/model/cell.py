@@ -147,9 +147,9 @@ class RobotCell(Shown):
 
     def positions(self, q: Array) -> Array:
         """Joint positions (…, nv) [rad or m] of configurations (…, nq); continuous joints in (−π, π]."""
-        x: Array = q.take(self.position_index, axis=-1)
         if self.euclidean:
-            return x
+            return q.copy()
+        x: Array = q.take(self.position_index, axis=-1)
         for j in np.flatnonzero(self.continuous):
             i = self.position_index[j]
             x[..., j] = np.arctan2(q[..., i + 1], q[..., i])

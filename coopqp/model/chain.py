@@ -21,7 +21,7 @@ import pinocchio as pin
 
 from coopqp.model.cell import RobotCell
 from coopqp.model.grasp import Grasp
-from coopqp.spatial import Array, cross_last, log6_batch
+from coopqp.spatial import Array, cross_last, largest, log6_batch
 
 #: Singular values of A_k below this count as this in an inverse: limits and rate keep the command finite.
 SINGULAR_FLOOR = 1e-6
@@ -118,10 +118,10 @@ class Chain:
     def errors(self, O: Array, reference: pin.SE3) -> Array:
         """``e_k = log(R⁻¹ O_k)``, shape (N, 6) [m, rad], from :meth:`carried` and the reference pose R."""
         R = reference.rotation
-        D = O @ R  # rows transposed: (O_Rᵀ) R = (Rᵀ O_R)ᵀ
-        D[:, 3, :] -= reference.translation @ R
-        linear: Array = D.reshape(-1, 12) @ _LINEAR_LOG
-        if linear.max() <= _TINY:  # so are all errors, and none is half a turn
+        D = O.dot(R)  # rows transposed: (O_Rᵀ) R = (Rᵀ O_R)ᵀ; of small matrices dot costs half of what @ does
+        D[:, 3, :] -= reference.translation.dot(R)
+        linear: Array = D.reshape(-1, 12).dot(_LINEAR_LOG)
+        if largest(linear) <= _TINY:  # so are all errors, and none is half a turn
             return linear[:, :6]
         return log6_batch(D[:, :3, :].transpose(0, 2, 1), D[:, 3, :])
 
@@ -135,7 +135,7 @@ class Chain:
         # [about]×: ω × about is added to the linear part
         self._shift[3, 1], self._shift[3, 2], self._shift[4, 2] = -z, y, -x
         self._shift[4, 0], self._shift[5, 0], self._shift[5, 1] = z, -y, x
-        np.matmul(world, self._shift, out=self._JT)
+        np.dot(world, self._shift, out=self._JT)
 
     def linearise(self, q: Array, about: Array) -> None:
         """Evaluate the Jacobians at ``q`` about a point and invert them."""
@@ -170,8 +170,7 @@ class Chain:
                 inverse: Array = np.asarray(np.linalg.inv(JT), dtype=np.float64)
             except np.linalg.LinAlgError:
                 return self._floored(g)
-            extremes = inverse.ravel()
-            if extremes[np.abs(extremes).argmax()] ** 2 < _LARGE_INVERSE**2:
+            if largest(np.abs(inverse)) < _LARGE_INVERSE:
                 return inverse
             return self._floored(g)
         return self._least_squares(g) if g.joints < 6 else self._redundant(g)
@@ -190,7 +189,7 @@ class Chain:
         except np.linalg.LinAlgError:
             return self._floored(g)
         inverse: Array = gram @ (JT * g.scale).transpose(0, 2, 1)
-        if np.abs(inverse).max() < _LARGE_INVERSE:
+        if largest(np.abs(inverse)) < _LARGE_INVERSE:
             return inverse
         return self._floored(g)
 

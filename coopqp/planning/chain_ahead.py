@@ -14,7 +14,7 @@ from coopqp.planning.horizon import Knot, joint_limit
 from coopqp.planning.preview_options import PlanLimits, PreviewOptions
 from coopqp.planning.redundancy import LimitAvoidance
 from coopqp.planning.sharing import largest_alone
-from coopqp.spatial import Array, for_twists
+from coopqp.spatial import Array, for_twists, largest
 from coopqp.task.guarded import GuardedPath
 from coopqp.task.posture import Posture
 
@@ -129,11 +129,11 @@ class ChainAhead:
             yield
             if not self._newton_step(clock, q):
                 return None
-            largest = float(np.abs(self._step).max())
-            if not largest < options.joint_step:
+            farthest = largest(np.abs(self._step))
+            if not farthest < options.joint_step:
                 return None
             q = self._cell.moved(q, self._step)
-            if largest < _CONVERGED:
+            if farthest < _CONVERGED:
                 break
         else:
             return None
@@ -166,20 +166,20 @@ class ChainAhead:
         near = _BRANCH_WAY * self._options.joint_step
         for columns in self._chain.moving_columns:
             now, then = knot.edges[columns], last.edges[columns]
-            if float(now @ then) < 0.0 and np.abs(now).max() < near and np.abs(then).max() < near:
+            if float(now.dot(then)) < 0.0 and max(largest(np.abs(now)), largest(np.abs(then))) < near:
                 return True
         return False
 
     def rooms(self, knot: Knot) -> Array:
         """How long the joints of each arm, at their accelerations, would take to the end of its reach (N,) [s²]."""
         times = np.abs(knot.edges) / self._plan.acceleration
-        return np.array([times[columns].max() for columns in self._chain.moving_columns])
+        return np.array([largest(times[columns]) for columns in self._chain.moving_columns])
 
     def _bends_slowly(self, knot: Knot, last: Knot) -> bool:
         """Whether q″ has changed by a small share of the accelerations since the interval before."""
         if last.span == 0.0 or last.corner:
             return True
-        change = float((np.abs(knot.curvature - last.curvature) / self._plan.acceleration).max())
+        change = largest(np.abs(knot.curvature - last.curvature) / self._plan.acceleration)
         if change <= _BEND_CHANGE:
             return True  # at any rate
         z = largest_alone(knot.slope, knot.curvature, self._plan.acceleration, self._plan.slope_cap, knot.cap)
@@ -213,7 +213,7 @@ class ChainAhead:
         if pose is None or twist is None:
             raise LookAheadTrouble(path.problem)
         errors = self._errors = chain.errors(chain.carried(q), pose)
-        if not np.abs(errors).max() < np.inf:
+        if not largest(np.abs(errors)) < np.inf:
             return False
         chain.linearise(q, about=pose.translation)
         to_world = for_twists(pose.rotation)
@@ -257,8 +257,8 @@ class ChainAhead:
             cap=cap,
             uncapped=1.0 / max(by_speed, by_bend, 1.0),
             binding=binding,
-            fastest=float(np.abs(slope).max()),
-            change=float((bend * span - self._plan.slope_change).max()),
+            fastest=largest(speed),
+            change=largest(bend * span - self._plan.slope_change),
             edges=self._chain.edges(),
             inside=bool(((x <= self._high) & (x >= self._low)).all()),
         )
@@ -277,7 +277,7 @@ class ChainAhead:
             if jump < cap:
                 j = int((np.abs(after - knot.slope) / self._plan.jump).argmax())
                 cap, binding = jump, joint_limit(self._cell, j, LimitKind.ACCELERATION)
-        fastest = float(np.abs(after).max())
+        fastest = largest(np.abs(after))
         return knot._replace(slope=after, cap=cap, binding=binding, corner=True, fastest=fastest)
 
     def _jump_cap(self, after: Array, before: Array) -> float:

@@ -101,12 +101,12 @@ def largest_alone(slope: Array, bend: Array, acceleration: Array, most: float, c
 def _largest(a: Array, b: Array, c: Array, cap: float, *, each: int) -> Share:
     """The same for lines ``a u + b z ≤ c``: ``each`` of them per joint, then four others, the last one of K ahead."""
     top, which, by_ahead = cap, -1, False
-    still = np.flatnonzero((np.abs(a) <= STILL_SLOPE) & (b > 0.0))
+    (still,) = ((np.abs(a) <= STILL_SLOPE) & (b > 0.0)).nonzero()
     if still.size:
         z = c[still] / b[still]
         if z.min() < top:
             top, which = float(z.min()), int(still[z.argmin()]) // each
-    up, down = np.flatnonzero(a > STILL_SLOPE), np.flatnonzero(a < -STILL_SLOPE)
+    (up,), (down,) = (a > STILL_SLOPE).nonzero(), (a < -STILL_SLOPE).nonzero()
     high_c, high_b, low_c, low_b = c[up] / a[up], b[up] / a[up], c[down] / a[down], b[down] / a[down]
     square, lower = top, 0
     for _ in range(MOST_PIVOTS):

@@ -371,7 +371,7 @@ def rough_steps(
     limits = [np.array(getattr(task.cell.limits, name)) for name in ("lower", "upper", "velocity", "acceleration")]
     block: list[ControlStep] = []
     handed: list[tuple[Array, Array]] = []
-    kept: list[tuple[bytes, ...]] = []
+    kept: list[bytes] = []
 
     def judge() -> None:
         if not block:
@@ -405,8 +405,9 @@ def rough_steps(
                 break
             kept.append(_bytes(step))
             block.append(step)
-            if np.shape(step.q_next) == q.shape:
-                q = np.asarray(step.q_next)
+            q_next = step.q_next
+            if np.shape(q_next) == q.shape:
+                q = np.asarray(q_next)
             faulty = step.status is Status.FAULT
             if faulty:
                 break
@@ -436,9 +437,13 @@ def _take_the_reins(controller: Any, rng: np.random.Generator) -> None:
         controller.resume()
 
 
-def _bytes(step: ControlStep) -> tuple[bytes, ...]:
+def _bytes(step: ControlStep) -> bytes:
     """The contents of a command, bit for bit."""
-    return np.asarray(step.q).tobytes(), np.asarray(step.velocity).tobytes(), np.asarray(step.q_next).tobytes()
+    parts = step.q, step.velocity, step.q_next
+    try:
+        return b"".join(parts)  # takes arrays as they are
+    except (TypeError, ValueError, BufferError):  # a broken controller's are none
+        return b"".join(np.asarray(part).tobytes() for part in parts)
 
 
 #: Invalid and extreme lengths of a step.
