@@ -1,0 +1,41 @@
+"""Studies: thousands of runs on the cores of a machine or on a cluster, and where the bases of a cell may stand.
+
+A sweep, in the order of its flow: ``study`` (a file of axes and draws gives rows), ``drawing`` (disturbances),
+``row`` (one run gives one row), ``engines`` (where rows are run), ``dispatch`` (until all rows are there),
+``journal`` (what is never lost), ``table`` and ``sweeping`` (the folder of a study).
+"""
+
+from typing import TYPE_CHECKING
+
+from coopqp.lazy import lazy_names
+
+if TYPE_CHECKING:
+    from coopqp.studies.dispatch import run_rows
+    from coopqp.studies.engines import Cluster, Engine, Local
+    from coopqp.studies.errors import EngineError, StudyError
+    from coopqp.studies.study import Study, load_study
+    from coopqp.studies.sweeping import Sweep, sweep
+else:
+    __getattr__, __dir__ = lazy_names(
+        __name__,
+        {
+            "coopqp.studies.engines": ("Cluster", "Engine", "Local"),
+            "coopqp.studies.errors": ("EngineError", "StudyError"),
+            "coopqp.studies.study": ("Study", "load_study"),
+            "coopqp.studies.sweeping": ("Sweep", "sweep"),
+            "coopqp.studies.dispatch": ("run_rows",),
+        },
+    )
+
+__all__ = [
+    "Cluster",
+    "Engine",
+    "EngineError",
+    "Local",
+    "Study",
+    "StudyError",
+    "Sweep",
+    "load_study",
+    "run_rows",
+    "sweep",
+]
