@@ -33,7 +33,7 @@ from coopqp import (
 )
 from coopqp.app import cli
 from coopqp.scenarios import paper_lift
-from coopqp.studies import Engine, Local, Study, load_study, run_rows, sweep
+from coopqp.studies import Cluster, Engine, Local, Study, load_study, run_rows, sweep
 from coopqp.studies import engines as engines_module
 from coopqp.studies.drawing import DisturbancesTable, disturbances
 from coopqp.studies.journal import Journal, read_journal
@@ -405,8 +405,8 @@ def until(condition: Callable[[], Any], seconds: float) -> bool:
     return True
 
 
-def children(pid: int) -> set[int]:
-    """Processes that a process has started."""
+def workers_of(pid: int) -> set[int]:
+    """Worker processes that a coordinator has started."""
     found = set()
     for place in Path("/proc").iterdir():
         if place.name.isdigit():
@@ -414,7 +414,7 @@ def children(pid: int) -> set[int]:
                 words = (place / "stat").read_text().rpartition(")")[2].split()
             except OSError:
                 continue
-            if int(words[1]) == pid:
+            if int(words[1]) == pid and b"resource_tracker" not in (place / "cmdline").read_bytes():
                 found.add(int(place.name))
     return found
 
@@ -440,7 +440,7 @@ def test_a_killed_coordinator_leaves_no_workers_and_its_study_goes_on(whole: Pat
     out = tmp_path / "out"
     with start("--workers", "2", "--chunk", "1", "--out", str(out), folder=tmp_path) as coordinator:
         assert until(lambda: lines(out) >= 3, 120)
-        workers = children(coordinator.pid)
+        workers = workers_of(coordinator.pid)
         coordinator.kill()
     assert workers
     assert until(lambda: not any(map(alive, workers)), 10)
@@ -455,7 +455,7 @@ def test_killed_workers_cost_no_row_and_ctrl_c_ends_with_130(whole: Path, tmp_pa
     out = tmp_path / "out"
     with start("--workers", "2", "--chunk", "2", "--out", str(out), folder=tmp_path) as coordinator:
         assert until(lambda: lines(out) >= 2, 120)
-        for pid in children(coordinator.pid):
+        for pid in workers_of(coordinator.pid):
             os.kill(pid, signal.SIGKILL)
         assert until(lambda: lines(out) >= 6, 120)
         coordinator.send_signal(signal.SIGINT)
@@ -501,6 +501,88 @@ def test_a_row_that_always_kills_its_worker_is_the_only_one_lost() -> None:
     run_rows(task, range(12), Local(2), take=taken.extend, chunk=4)
     assert sorted(done.row for done in taken) == list(range(12))
     assert [done.row for done in taken if done.columns is None] == [5]
+
+
+@pytest.fixture(scope="module")
+def cluster(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
+    """Address of a scheduler with two workers, started by Dask's own commands."""
+    pytest.importorskip("distributed")
+    folder = tmp_path_factory.mktemp("cluster")
+    dask = Path(sys.executable).with_name("dask")
+    environment = {
+        **os.environ,
+        "DASK_DISTRIBUTED__SCHEDULER__ALLOWED_FAILURES": "0",
+    }  # one death of a worker is enough
+    file = folder / "scheduler.json"
+    scheduler = ["scheduler", "--host", "127.0.0.1", "--port", "0", "--no-dashboard", "--scheduler-file", str(file)]
+    worker = ["worker", "--scheduler-file", str(file), "--nworkers", "2", "--nthreads", "1", "--no-dashboard"]
+    processes = []
+    with (folder / "log").open("w") as log:
+        for words in (scheduler, [*worker, "--local-directory", str(folder)]):
+            processes.append(subprocess.Popen([dask, *words], cwd=folder, env=environment, stdout=log, stderr=log))
+            assert until(file.exists, 60)
+        try:
+            address = json.loads(file.read_text(encoding="utf-8"))["address"]
+            assert until(lambda: workers_there(address) == 2, 60)
+            yield address
+        finally:
+            for process in reversed(processes):
+                process.terminate()
+                process.wait(timeout=30)
+
+
+def workers_there(address: str) -> int:
+    try:
+        return Cluster(address).workers
+    except EngineError:
+        return 0
+
+
+@pytest.mark.slow
+def test_a_cluster_gives_the_same_table_though_a_worker_is_killed(whole: Path, cluster: str, tmp_path: Path) -> None:
+    """The study was begun elsewhere, and interrupted."""
+    from distributed import Client
+
+    out = tmp_path / "out"
+    out.mkdir()
+    begun = (whole / "journal.jsonl").read_bytes().splitlines(keepends=True)
+    (out / "journal.jsonl").write_bytes(b"".join(begun[3:7]) + begun[9][:30])
+    (out / "study.json").write_bytes((whole / "study.json").read_bytes())
+    with Client(cluster, set_as_default=False) as client:
+        victims = list(client.run(os.getpid).values())
+
+    def progress(done: int, total: int) -> None:
+        if done > 6 and victims:
+            os.kill(victims.pop(), signal.SIGKILL)
+            victims.clear()
+
+    study = load_study(study_file(tmp_path))
+    assert sweep(study, Cluster(cluster), out, resume=True, chunk=3, progress=progress).complete
+    assert not victims
+    assert (out / "runs.csv").read_bytes() == (whole / "runs.csv").read_bytes()
+
+
+@pytest.mark.slow
+def test_of_a_cluster_the_row_that_kills_is_the_only_one_lost(cluster: str) -> None:
+    def task(row: int) -> dict[str, Any]:
+        import os
+        import signal
+
+        if row == 2:
+            os.kill(os.getpid(), signal.SIGKILL)
+        return {"x": row}
+
+    taken: list[Any] = []
+    run_rows(task, range(6), Cluster(cluster), take=taken.extend, chunk=3)
+    assert sorted(done.row for done in taken) == list(range(6))
+    assert [done.row for done in taken if done.columns is None] == [2]
+
+
+@pytest.mark.slow
+def test_a_cluster_that_is_not_there_is_an_error_by_name() -> None:
+    pytest.importorskip("distributed")
+    with pytest.raises(EngineError, match="dask scheduler"):
+        Cluster("tcp://127.0.0.1:9", timeout=0.5)
 
 
 def test_errors_of_studies_are_coopqps() -> None:
