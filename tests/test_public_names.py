@@ -19,8 +19,8 @@ import coopqp
 ROOT = Path(__file__).parents[1]
 PACKAGE = ROOT / "coopqp"
 ROOMS = (
-    "model", "task", "planning", "control", "collision", "forces", "simulation", "scenarios", "files", "studies", "look",
-    "app",
+    "model", "task", "planning", "control", "collision", "forces", "simulation", "scenarios", "files", "studies",
+    "look", "app",
 )  # fmt: skip
 PUBLIC = ("coopqp", *(f"coopqp.{room}" for room in ROOMS if room != "app"))
 #: Packages with names that are imported on first use.
@@ -46,8 +46,8 @@ INSIDE = (
     "benchmarks/step_profile.py",
 )
 EXTRAS = (
-    "matplotlib", "rich", "mujoco", "viser", "example_robot_data", "rosbags", "pydantic", "ruamel", "quadprog", "joblib",
-    "distributed", "pyarrow",
+    "matplotlib", "rich", "mujoco", "viser", "example_robot_data", "rosbags", "pydantic", "ruamel", "quadprog",
+    "joblib", "distributed", "pyarrow",
 )  # fmt: skip
 
 

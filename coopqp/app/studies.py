@@ -1,4 +1,4 @@
-"""The subcommand ``coopqp sweep``: a study of many runs."""
+"""The subcommands ``coopqp sweep``, many runs, and ``coopqp place``, where bases may stand."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from coopqp.app.terminal import print_table, reporter
 from coopqp.errors import CoopqpError, printable
 
 if TYPE_CHECKING:
-    from coopqp.studies import Engine, Sweep
+    from coopqp.studies import CellPlaced, Engine, PlaceStudy, Sweep
 
-_OK, _ROWS_FAILED = 0, 4
+_OK, _NOWHERE, _ROWS_FAILED = 0, 3, 4
 #: File of the picture.
 _PICTURE = "runs.png"
 #: Reasons that are printed.
@@ -108,4 +108,120 @@ def _print(made: Sweep, files: list[Path]) -> None:
     print("\nwritten:", *(printable(str(file)) for file in files), sep="\n  ")
 
 
-COMMANDS = (_add_sweep,)
+# -- coopqp place --------------------------------------------------------------------------------------------------
+
+#: What is written into the folder.
+_MAP, _RECORD, _MAP_PICTURE = "map.csv", "place.json", "map.png"
+
+
+def _add_place(commands: Any) -> None:
+    parser = commands.add_parser(
+        "place",
+        help="find where the bases of a cell may stand",
+        description="Judge placements of the bases: can each arm follow its part of the path, with what σ_min, joint "
+        "margins, time and distances. One or two axes give a map, more are searched.",
+        epilog="Exit status: 0 with a best placement; 3 if there is none, or if the cell as built (now) is impossible; "
+        "2 for a bad study.",
+    )
+    parser.add_argument("study", type=Path, metavar="STUDY", help="the study file, TOML or YAML")
+    written = f"also write {_RECORD}, and of a map {_MAP} and {_MAP_PICTURE}"
+    parser.add_argument("--out", type=Path, metavar="DIR", help=written)
+    parser.add_argument("--force", action="store_true", help="overwrite what is there")
+    parser.add_argument("--quiet", action="store_true", help="print errors only")
+    parser.set_defaults(run=_run_place)
+
+
+def _run_place(arguments: argparse.Namespace) -> int:
+    from coopqp.files.cellfile import require_readers
+    from coopqp.output import check_folder, check_unused
+    from coopqp.studies import load_place_study
+
+    require_readers()
+    folder: Path | None = arguments.out
+    if folder is not None:
+        from coopqp.look.style import require_matplotlib
+
+        require_matplotlib()
+        check_unused((folder / name for name in (_MAP, _RECORD, _MAP_PICTURE)), force=arguments.force)
+        check_folder(folder)
+    study = load_place_study(arguments.study)
+    with reporter(quiet=arguments.quiet, remaining=True) as report:
+
+        def progress(done: int, total: int) -> None:
+            report.count(study.name, done, total)
+
+        placed = study.map(progress) if len(study.axes) <= 2 else ()
+        best = max(placed, key=lambda p: p.rank) if placed else study.search(progress)
+        best = study.at(best.values, quick=False)
+        now = study.now
+        remedies = () if now is None else study.placer.remedies(now)
+        files = [] if folder is None else _write_place(study, placed, best, now, remedies, folder)
+    if not arguments.quiet:
+        _print_place(best, now, remedies, files)
+    wrong = now is not None and not now.feasible
+    if not best.feasible:
+        print("coopqp: no placement is possible: nearest to it", _at(best), file=sys.stderr)
+    return _NOWHERE if wrong or not best.feasible else _OK
+
+
+def _write_place(
+    study: PlaceStudy,
+    placed: tuple[CellPlaced, ...],
+    best: CellPlaced,
+    now: CellPlaced | None,
+    remedies: tuple[str, ...],
+    folder: Path,
+) -> list[Path]:
+    import json
+
+    from coopqp.output import write_files
+
+    record = {
+        "name": study.name,
+        "best": best.record(),
+        "now": None if now is None else now.record(),
+        "remedies": list(remedies),
+    }
+    contents = {folder / _RECORD: (json.dumps(record, indent=1, ensure_ascii=False) + "\n").encode()}
+    if placed:
+        from coopqp.look.placements import placement_figure
+        from coopqp.look.style import figure_bytes
+        from coopqp.studies.table import csv_bytes
+
+        rows = [_row(one) for one in placed]
+        contents[folder / _MAP] = csv_bytes(list(rows[0]), rows)
+        figure = placement_figure(study.name, placed, now=now, best=best)
+        contents[folder / _MAP_PICTURE] = figure_bytes(figure, dpi=110)
+    return write_files(contents)
+
+
+def _row(placed: CellPlaced) -> dict[str, Any]:
+    row: dict[str, Any] = {**placed.values, "feasible": placed.feasible, "score": placed.score, "time_s": placed.time_s}
+    row["clearance_mm"] = 1e3 * placed.clearance
+    for arm in placed.arms:
+        row |= {
+            f"{arm.arm}.reach": arm.reach,
+            f"{arm.arm}.sigma_min": arm.sigma_min,
+            f"{arm.arm}.margin": arm.margin,
+            f"{arm.arm}.time_s": arm.time_s,
+        }
+    return row
+
+
+def _at(placed: CellPlaced) -> str:
+    return ", ".join(f"{name} = {value:.4g}" for name, value in placed.values.items())
+
+
+def _print_place(best: CellPlaced, now: CellPlaced | None, remedies: tuple[str, ...], files: list[Path]) -> None:
+    for title, placed in (("as built", now), ("best", best)):
+        if placed is not None:
+            said = f"{placed.score:.3f} of good" if placed.feasible else "impossible"
+            print(f"{title}: {_at(placed)}: {said}")
+            print(*(f"  {printable(line)}" for line in placed.explain().splitlines()), sep="\n")
+    for text in remedies:
+        print(printable(text))
+    if files:
+        print("\nwritten:", *(printable(str(file)) for file in files), sep="\n  ")
+
+
+COMMANDS = (_add_sweep, _add_place)
