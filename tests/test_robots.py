@@ -115,16 +115,34 @@ RX90L_LOWER = [-160, -137.5, -142.5, -270, -105, -270]
 RX90L_UPPER = [160, 137.5, 142.5, 270, 120, 270]
 RX90L_SPEED = [236, 200, 286, 401, 320, 580]
 RX90L_MASSES = [18.04, 16.37, 11.36, 0.58, 0.30]
-RX90L_POSES = np.radians(
-    [
+#: Poses of the paper's lift, and others; in degrees.
+POSES = {
+    "kr16_2": [
+        [0, 0, 0, 0, 0, 0],
+        [0, -38.5, 83.4, 0, -44.9, -90],
+        [-29.9, -40.6, 88.2, -38.0, -54.2, -65.5],
+        [29.9, -40.6, 88.2, 38.0, -54.2, -114.5],
+        [90, -90, 90, 0, 0, 0],
+        [-120, -120, 130, 90, 90, 200],
+    ],
+    "irb1600": [
+        [0, 0, 0, 0, 0, 0],
+        [0, 55.7, -6.6, 0, -49.2, 90],
+        [25.6, 55.0, -5.1, 32.1, -54.5, 70.0],
+        [-25.6, 55.0, -5.1, -32.1, -54.5, 110.0],
+        [90, 0, -90, 0, 0, 0],
+        [-120, -40, 40, 90, 90, 200],
+    ],
+    "rx90l": [
         [0, 0, 0, 0, 0, 0],
         [0, 65.4, 76.0, 180, 51.3, -90],
         [13.8, 67.4, 71.9, -162.1, 50.7, -101.6],
         [-13.8, 67.4, 71.9, 162.1, 50.7, -78.4],
         [90, 90, 0, 0, 0, 0],
         [-120, -40, 140, 30, -100, 200],
-    ]
-)
+    ],
+}
+POSED = [(name, np.radians(pose)) for name, poses in POSES.items() for pose in poses]
 
 
 def load(name: str) -> pin.Model:
@@ -451,10 +469,10 @@ def test_rx90l_stands_from_the_floor_to_its_flange() -> None:
         assert np.all(high[:2] - low[:2] < 0.5)
 
 
-@pytest.mark.parametrize("q", RX90L_POSES)
-def test_rx90l_shapes_reach_the_joints(q: Array) -> None:
-    model = load("rx90l")
-    shapes = load_shapes("rx90l", model, pin.GeometryType.COLLISION)
+@pytest.mark.parametrize(("name", "q"), POSED)
+def test_shapes_reach_the_joints(name: str, q: Array) -> None:
+    model = load(name)
+    shapes = load_shapes(name, model, pin.GeometryType.COLLISION)
     data, placed = model.createData(), shapes.createData()
     pin.forwardKinematics(model, data, q)
     pin.updateGeometryPlacements(model, data, shapes, placed)
@@ -484,10 +502,10 @@ def test_neighbouring_links_leave_no_gap(name: str) -> None:
         assert max(gap.values()) < 5e-3
 
 
-@pytest.mark.parametrize("q", RX90L_POSES)
-def test_rx90l_does_not_hit_itself(q: Array) -> None:
-    model = load("rx90l")
-    shapes = load_shapes("rx90l", model, pin.GeometryType.COLLISION)
+@pytest.mark.parametrize(("name", "q"), POSED)
+def test_the_arm_does_not_hit_itself(name: str, q: Array) -> None:
+    model = load(name)
+    shapes = load_shapes(name, model, pin.GeometryType.COLLISION)
     add_pairs(shapes, lambda steps: steps > 1)
     assert not pin.computeCollisions(model, model.createData(), shapes, shapes.createData(), q, False)
 

@@ -19,8 +19,8 @@ ROBOT_NAMES: Final[tuple[str, ...]] = (
     "rx90l",
     "scara4",
 )
-"""The robots, by the stem of their file: `rx90l` is the Stäubli RX-90L, `kr16_2` the KUKA KR 16-2, `irb1600` the ABB IRB
-1600-6/1.2; the others are made up."""
+"""The robots, by the stem of their file: `rx90l` is the Stäubli RX-90L, `kr16_2` the KUKA KR 16-2, `irb1600` the ABB
+IRB 1600-6/1.2; the others are made up."""
 
 
 def robot_path(name: str) -> Path:
