@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -18,7 +19,7 @@ if TYPE_CHECKING:
 #: Most lines of a panel.
 _MOST_LINES = 12
 #: Values that differ by more than this ratio are drawn in decades.
-_DECADES = 30.0
+_DECADES = 12.0
 
 
 def sweep_figure(sweep: Sweep) -> Figure:
@@ -59,7 +60,7 @@ def sweep_figure(sweep: Sweep) -> Figure:
         if not numeric:
             axes.set_xticks(range(len(positions)), [label(cell_text(p), width=14) for p in positions])
         axes.set_xlabel(label(along, width=30), color=INK)
-        axes.set_title(label(f"{FIGURES[column]}", width=36), fontsize=9.5, color=INK, loc="left")
+        axes.set_title(textwrap.fill(FIGURES[column], 36), fontsize=9.5, color=INK, loc="left")
         axes.grid(color=GRID, linewidth=0.7)
         axes.set_axisbelow(True)
         plain(axes)

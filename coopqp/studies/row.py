@@ -55,6 +55,7 @@ FIGURES: Mapping[str, str] = {
     "margin_deg": "least distance of a turning joint from its position limits [deg]",
     "margin_mm": "least distance of a sliding joint from its position limits [mm]",
     "speed_share": "largest joint speed, as a share of its limit",
+    "unrest_deg_per_s": "change of turning joints' commanded speeds from step to step, rms [deg/s]",
     "closest_mm": "least distance of bodies, where the task has bodies that keep distances [mm]",
 }
 #: Columns before the figures.
@@ -184,6 +185,7 @@ def _figures(ready: _Ready, recording: Recording, readings: Readings) -> dict[st
     room = np.minimum(x - cell.limits.lower, cell.limits.upper - x).min(axis=0)
     sliding = np.array(slides(cell))
     speed = (np.abs(recording.velocity) / cell.limits.velocity).max(initial=0.0)
+    changes = np.diff(recording.velocity[:, ~sliding], axis=0)
     entry = recording.metadata.get("clearance")
     largest = {name: float(getattr(readings, name).max()) for name in
                ("eps_p_mm", "eps_o_deg", "chain_mm", "chain_deg", "object_mm", "object_deg")}  # fmt: skip
@@ -197,6 +199,7 @@ def _figures(ready: _Ready, recording: Recording, readings: Readings) -> dict[st
         "margin_deg": float(np.rad2deg(room[~sliding].min(initial=np.inf))),
         "margin_mm": float(1e3 * room[sliding].min(initial=np.inf)),
         "speed_share": float(speed),
+        "unrest_deg_per_s": float(np.rad2deg(np.sqrt(np.mean(changes**2)))) if changes.size else 0.0,
         "closest_mm": float("nan") if entry is None else 1e3 * float(entry["closest_m"]),
     }
 
