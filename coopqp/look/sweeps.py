@@ -18,6 +18,8 @@ if TYPE_CHECKING:
 
 #: Most lines of a panel.
 _MOST_LINES = 12
+#: Numbers along an axis that are written out.
+_MOST_TICKS = 7
 #: Values that differ by more than this ratio are drawn in decades.
 _DECADES = 12.0
 
@@ -41,6 +43,8 @@ def sweep_figure(sweep: Sweep) -> Figure:
     names = list(groups)[:_MOST_LINES]
     panels = study.figures or ("chain_mm",)
     figure = new_figure(3.4 * max(2, len(panels)), 4.3, layout="constrained")
+    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+
     parts: Any = figure.subfigures(2, 1, height_ratios=(6, 1))
     top, bottom = parts
     for axes, column in zip(np.atleast_1d(top.subplots(1, len(panels))), panels, strict=True):
@@ -55,8 +59,15 @@ def sweep_figure(sweep: Sweep) -> Figure:
             decades += [v for v in (*low, *high) if np.isfinite(v)]
         if decades and min(decades) > 0.0 and max(decades) > _DECADES * min(decades):
             axes.set_yscale("log")
+            wide = max(decades) > 100.0 * min(decades)
+            axes.yaxis.set_major_locator(LogLocator(subs=(1.0,) if wide else (1.0, 2.0, 5.0)))
+            axes.yaxis.set_major_formatter(FuncFormatter(lambda v, _: f"{v:.0e}" if v < 1e-3 else f"{v:g}"))
+            axes.yaxis.set_minor_formatter(NullFormatter())
         if numeric and min(positions) > 0.0 and max(positions) > _DECADES * min(positions):
             axes.set_xscale("log")
+        if numeric and len(positions) <= _MOST_TICKS:
+            axes.set_xticks(positions, [f"{x:.3g}" for x in positions])
+            axes.set_xticks([], minor=True)
         if not numeric:
             axes.set_xticks(range(len(positions)), [label(cell_text(p), width=14) for p in positions])
         axes.set_xlabel(label(along, width=30), color=INK)
