@@ -32,7 +32,7 @@ class Engine(ABC):
 
     Attributes:
         workers: number of worker processes.
-        chunk_s: a chunk of rows should take this long [s]; shorter ones cost more than they do.
+        chunk_s: a chunk of rows should take this much processor time [s]; shorter ones cost more than they do.
         tries: a row that is run alone is lost after its worker died this many times.
     """
 

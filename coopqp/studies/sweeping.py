@@ -33,7 +33,7 @@ class Sweep:
         study: the study.
         columns: names of the columns.
         rows: the rows in order, by column.
-        seconds: time that each row took [s].
+        seconds: processor time that each row took [s].
         files: files that were written.
     """
 
