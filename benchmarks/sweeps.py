@@ -145,7 +145,7 @@ def dask() -> Iterator[tuple[str, Callable[[], list[int]]]]:
         started = []
         for line in words:
             started.append(subprocess.Popen([program, *line], **quiet))
-            while not file.exists():
+            while not (file.exists() and file.stat().st_size):
                 time.sleep(0.1)
         try:
             address = json.loads(file.read_text())["address"]

@@ -520,7 +520,7 @@ def cluster(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
     with (folder / "log").open("w") as log:
         for words in (scheduler, [*worker, "--local-directory", str(folder)]):
             processes.append(subprocess.Popen([dask, *words], cwd=folder, env=environment, stdout=log, stderr=log))
-            assert until(file.exists, 60)
+            assert until(lambda: file.exists() and file.stat().st_size, 60)
         try:
             address = json.loads(file.read_text(encoding="utf-8"))["address"]
             assert until(lambda: workers_there(address) == 2, 60)
