@@ -34,7 +34,7 @@ for gain in dict(runs.study.axes)["controller.path_gain"]:
     row = {"controller__path_gain": gain, "disturbances__encoder_noise_rad": 1e-4}
     print(f"  path_gain {gain:5.1f} 1/s: {median(runs, 'unrest_deg_per_s', **row):.3f} °/s")
 
-print("the lift in 0.3 s, where a joint would need more than its speed:")
+print("the lift in 0.3 s:")
 runs = made["speed_and_grasp"]
 for case in ("narrow grasp", "wide grasp"):
     for kind in ("pseudo_inverse", "qp"):
