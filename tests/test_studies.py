@@ -31,7 +31,7 @@ from coopqp import (
     read_run,
     simulate,
 )
-from coopqp.app import cli
+from coopqp.app import cli, terminal
 from coopqp.scenarios import paper_lift
 from coopqp.studies import Cluster, Engine, Local, Study, load_study, run_rows, sweep
 from coopqp.studies import engines as engines_module
@@ -583,6 +583,22 @@ def test_a_cluster_that_is_not_there_is_an_error_by_name() -> None:
     pytest.importorskip("distributed")
     with pytest.raises(EngineError, match="dask scheduler"):
         Cluster("tcp://127.0.0.1:9", timeout=0.5)
+
+
+def test_progress_is_a_line_for_each_tenth_with_the_time_left(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    now = [0.0]
+    monkeypatch.setattr(terminal.time, "monotonic", lambda: now[0])
+    with terminal.reporter() as report:
+        for done in range(0, 201, 5):
+            now[0] = 100.0 + 2.0 * done
+            report.count("study", done, 200)
+    lines = capsys.readouterr().err.splitlines()
+    assert lines[0] == "study: 0 of 200"
+    assert lines[1] == "study: 20 of 200, about 360 s left"
+    assert lines[-1] == "study: 200 of 200"
+    assert len(lines) == 11
 
 
 def test_errors_of_studies_are_coopqps() -> None:
