@@ -10,7 +10,9 @@ Each room of the package is one part of the flow:
 * ``forces``: the wrenches between the arms and the object;
 * ``simulation``: plants, the loop, recordings and their assessment;
 * ``scenarios``: ready cells and tasks;
-* ``files``, ``look``, ``app``: files, pictures, the command ``coopqp``.
+* ``files``: cell files and exports;
+* ``studies``: many runs, and where bases may stand;
+* ``look``, ``app``: pictures, the command ``coopqp``.
 
 A room imports only from itself, from the rooms before it, and from ``errors``, ``checks``, ``spatial``, ``output`` and
 ``lazy``. Import public names from :mod:`coopqp`, ready cells and tasks from :mod:`coopqp.scenarios`.
@@ -101,6 +103,7 @@ if TYPE_CHECKING:
     from coopqp.simulation.scene import SceneError, describe_object
     from coopqp.simulation.simulate import simulate
     from coopqp.spatial import Array, Placement, adjoint
+    from coopqp.studies.errors import EngineError, StudyError
     from coopqp.task.common_error import CommonError
     from coopqp.task.path import HoldPath, LinePath, ObjectPath, TimeLaw, WaypointPath
     from coopqp.task.posture import PostureOptions
@@ -238,6 +241,7 @@ else:
             "coopqp.simulation.plants.physics": ("PhysicsError", "PhysicsPlant"),
             "coopqp.simulation.plants.physics_options": ("PhysicsOptions",),
             "coopqp.simulation.scene": ("SceneError", "describe_object"),
+            "coopqp.studies.errors": ("EngineError", "StudyError"),
         },
     )
 
@@ -264,6 +268,7 @@ __all__ = [
     "Disturbances",
     "DisturbedPlant",
     "EngineSettings",
+    "EngineError",
     "Finding",
     "ForceController",
     "ForceOptions",
@@ -326,6 +331,7 @@ __all__ = [
     "StartWarning",
     "Status",
     "StressModel",
+    "StudyError",
     "SupervisionOptions",
     "TimeLaw",
     "TimedPath",

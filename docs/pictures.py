@@ -56,6 +56,11 @@ PROGRAMS: Mapping[str, tuple[str, ...]] = {
     "python docs/examples/24_share_the_load.py --out {out}": ("docs/howto/load_use.png",),
     "python docs/examples/25_calibrate.py --out {out}": ("docs/howto/calibration.png",),
     "python docs/examples/26_hold_without_squeezing.py --out {out}": ("docs/tutorials/forces.png",),
+    "python docs/examples/27_sweep.py --out {out}": (
+        "docs/howto/gains_and_noise.png",
+        "docs/howto/speed_and_grasp.png",
+    ),
+    "python docs/examples/28_place_the_bases.py --out {out}": ("docs/howto/h_and_b.png",),
 }
 #: Programs of this kind need Chromium (`make browser`).
 NEEDS_BROWSER = "docs/screenshots.py"

@@ -26,6 +26,7 @@ COMMANDS: dict[str, tuple[list[str], set[str]]] = {
     "a cell file": (["run", "cell.toml", "--out", "cell"], {"files"}),
     "the check of a cell file": (["check", "cell.toml"], {"files"}),
     "a plan": (["plan", "cell.toml", "--out", "plan"], {"files", "planning", "plot"}),
+    "a sweep": (["sweep", "study.toml", "--workers", "1", "--out", "sweep", "--quiet"], {"studies"}),
     "a report": (["report", "run.npz", "--out", "report.html"], {"plot"}),
     "a page": (["view", "run.npz", "--html", "page.html"], {"viewer"}),
     "a bag": (["export", "run.npz", "--bag", "bag"], {"bags"}),
@@ -70,6 +71,8 @@ def main() -> int:
     arguments = parser.parse_args()
     extras = {e for e in metadata.metadata("coopqp").get_all("Provides-Extra") or [] if e not in ("dev", "mutation")}
     given = extras if "all" in arguments.extras else set(arguments.extras)
+    given |= {"studies"} if "cluster" in given else set()
+    given |= {"files"} if "studies" in given else set()
     given |= {"plot"} if "planning" in given else set()  # toppra brings Matplotlib
     assert given <= extras, (given, extras)
     warnings.simplefilter("ignore")
@@ -85,6 +88,8 @@ def main() -> int:
         example = done([program, "schema", "--example"]).stdout
         limited = example.replace('robot = "rx90l"', 'robot = "rx90l"\nlimits = { acceleration_deg_per_s2 = 600 }')
         Path("cell.toml").write_text(limited.replace("report = true", ""), encoding="utf-8")
+        study = 'name = "s"\nscenario = "paper_lift"\nset = { steps = 4 }\n'
+        Path("study.toml").write_text(study, encoding="utf-8")
         for name, (command, needs) in COMMANDS.items():
             result = done([program, *command])
             wrong[name] = told(needs, given, result)

@@ -19,7 +19,8 @@ import coopqp
 ROOT = Path(__file__).parents[1]
 PACKAGE = ROOT / "coopqp"
 ROOMS = (
-    "model", "task", "planning", "control", "collision", "forces", "simulation", "scenarios", "files", "look", "app",
+    "model", "task", "planning", "control", "collision", "forces", "simulation", "scenarios", "files", "studies",
+    "look", "app",
 )  # fmt: skip
 PUBLIC = ("coopqp", *(f"coopqp.{room}" for room in ROOMS if room != "app"))
 #: Packages with names that are imported on first use.
@@ -32,6 +33,7 @@ LAZY = (
     "coopqp.files",
     "coopqp.look",
     "coopqp.planning",
+    "coopqp.studies",
 )
 #: Scripts that measure the parts of a step.
 INSIDE = (
@@ -43,7 +45,10 @@ INSIDE = (
     "benchmarks/recorded_qps.py",
     "benchmarks/step_profile.py",
 )
-EXTRAS = ("matplotlib", "rich", "mujoco", "viser", "example_robot_data", "rosbags", "pydantic", "ruamel", "quadprog")
+EXTRAS = (
+    "matplotlib", "rich", "mujoco", "viser", "example_robot_data", "rosbags", "pydantic", "ruamel", "quadprog",
+    "joblib", "distributed", "pyarrow",
+)  # fmt: skip
 
 
 def source_of(package: str) -> ast.Module:
@@ -86,6 +91,7 @@ PROGRAMS = programs()
         "coopqp.scenarios",
         "coopqp.planning",
         "coopqp.forces",
+        "coopqp.studies",
     ],
 )
 def test_names_are_sorted_and_importable(package: str) -> None:
@@ -202,7 +208,7 @@ def test_importing_coopqp_leaves_files_pictures_and_engines_alone() -> None:
     code = "import sys, coopqp; print(*sorted(name for name in sys.modules if name.startswith('coopqp.')))"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120, check=True)
     rooms = {name.split(".")[1] for name in done.stdout.split()}
-    assert rooms.isdisjoint({"files", "look", "app"})
+    assert rooms.isdisjoint({"files", "studies", "look", "app"})
     assert "coopqp.simulation.plants.physics" not in done.stdout.split()
 
 

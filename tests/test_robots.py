@@ -43,6 +43,14 @@ CHAINS: dict[str, Callable[[Array], Array]] = {
         Tz(0.420) @ Rz(q[0]) @ Ry(q[1]) @ Tz(0.450) @ Ry(q[2]) @ Rz(q[3]) @ Tz(0.650) @ Ry(q[4])
         @ Tz(0.085) @ Rz(q[5])
     ),
+    "kr16_2": lambda q: (
+        Tz(0.675) @ Rz(-q[0]) @ Tx(0.260) @ Ry(q[1]) @ Tx(0.680) @ Ry(q[2]) @ Tx(0.670) @ Tz(-0.035) @ Rx(-q[3])
+        @ Ry(q[4]) @ Tx(0.158) @ Rx(-q[5]) @ Ry(np.pi / 2)
+    ),
+    "irb1600": lambda q: (
+        Tz(0.4865) @ Rz(q[0]) @ Tx(0.150) @ Ry(q[1]) @ Tz(0.475) @ Ry(q[2]) @ Tx(0.600) @ Rx(q[3]) @ Ry(q[4])
+        @ Tx(0.065) @ Rx(q[5]) @ Ry(np.pi / 2)
+    ),
     "arm7": lambda q: (
         Tz(0.30) @ Rz(q[0]) @ Ry(q[1]) @ Rz(q[2]) @ Tz(0.32) @ Ry(q[3]) @ Tz(0.36) @ Rz(q[4]) @ Ry(q[5])
         @ Rz(q[6]) @ Tz(0.22)
@@ -65,6 +73,8 @@ CHAINS: dict[str, Callable[[Array], Array]] = {
 
 SIZES = {  # nq, nv, joint types
     "rx90l": (6, 6, ["revolute"] * 6),
+    "kr16_2": (6, 6, ["revolute"] * 6),
+    "irb1600": (6, 6, ["revolute"] * 6),
     "arm7": (7, 7, ["revolute"] * 7),
     "scara4": (4, 4, ["revolute", "revolute", "prismatic", "revolute"]),
     "arm5": (5, 5, ["revolute"] * 5),
@@ -72,21 +82,67 @@ SIZES = {  # nq, nv, joint types
     "arm6c": (7, 6, ["revolute"] * 5 + ["continuous"]),
 }
 
+#: The robots of manufacturers, with the load that they hold [kg].
+MADE = {"rx90l": 6.0, "kr16_2": 16.0, "irb1600": 6.0}
+
+# Modified Denavit-Hartenberg tables as they are published: α, a, d, θ, in mm; and the senses of the joints.
+TABLES = {
+    "kr16_2": (
+        [[0, 0, 675, 0], [-90, 260, 0, 0], [0, 680, 0, -90], [-90, -35, 670, 0], [90, 0, 0, 0], [-90, 0, 158, 180]],
+        [-1, 1, 1, -1, 1, -1],
+    ),
+    "irb1600": (
+        [[0, 0, 486.5, 0], [-90, 150, 0, -90], [0, 475, 0, 0], [-90, 0, 600, 0], [90, 0, 0, 0], [-90, 0, 65, 180]],
+        [1, 1, 1, 1, 1, 1],
+    ),
+}
+# Lower and upper limits and speeds, in degrees and degrees per second.
+LIMITS = {
+    "kr16_2": (
+        [-185, -155, -130, -350, -130, -350],
+        [185, 35, 154, 350, 130, 350],
+        [156, 156, 156, 330, 330, 615],
+    ),
+    "irb1600": (
+        [-180, -63, -235, -200, -115, -400],
+        [180, 110, 55, 200, 115, 400],
+        [150, 160, 170, 320, 400, 450],
+    ),
+}
+
 # The table of the RX-90L, in degrees, degrees per second and kg (links 2 to 6).
 RX90L_LOWER = [-160, -137.5, -142.5, -270, -105, -270]
 RX90L_UPPER = [160, 137.5, 142.5, 270, 120, 270]
 RX90L_SPEED = [236, 200, 286, 401, 320, 580]
 RX90L_MASSES = [18.04, 16.37, 11.36, 0.58, 0.30]
-RX90L_POSES = np.radians(
-    [
+#: Poses of the paper's lift, and others; in degrees.
+POSES = {
+    "kr16_2": [
+        [0, 0, 0, 0, 0, 0],
+        [0, -38.5, 83.4, 0, -44.9, -90],
+        [-29.9, -40.6, 88.2, -38.0, -54.2, -65.5],
+        [29.9, -40.6, 88.2, 38.0, -54.2, -114.5],
+        [90, -90, 90, 0, 0, 0],
+        [-120, -120, 130, 90, 90, 200],
+    ],
+    "irb1600": [
+        [0, 0, 0, 0, 0, 0],
+        [0, 55.7, -6.6, 0, -49.2, 90],
+        [25.6, 55.0, -5.1, 32.1, -54.5, 70.0],
+        [-25.6, 55.0, -5.1, -32.1, -54.5, 110.0],
+        [90, 0, -90, 0, 0, 0],
+        [-120, -40, 40, 90, 90, 200],
+    ],
+    "rx90l": [
         [0, 0, 0, 0, 0, 0],
         [0, 65.4, 76.0, 180, 51.3, -90],
         [13.8, 67.4, 71.9, -162.1, 50.7, -101.6],
         [-13.8, 67.4, 71.9, 162.1, 50.7, -78.4],
         [90, 90, 0, 0, 0, 0],
         [-120, -40, 140, 30, -100, 200],
-    ]
-)
+    ],
+}
+POSED = [(name, np.radians(pose)) for name, poses in POSES.items() for pose in poses]
 
 
 def load(name: str) -> pin.Model:
@@ -103,7 +159,7 @@ def load_shapes(name: str, model: pin.Model, kind: pin.GeometryType) -> pin.Geom
 
 
 def end_frame(name: str, model: pin.Model) -> int:
-    frame = "flange" if name == "rx90l" else "tool"
+    frame = "flange" if name in MADE else "tool"
     assert model.existFrame(frame)
     return int(model.getFrameId(frame))
 
@@ -226,6 +282,49 @@ def test_forward_kinematics_is_the_chain(name: str) -> None:
         np.testing.assert_allclose(data.oMf[frame].homogeneous, CHAINS[name](angles), rtol=0.0, atol=1e-12)
 
 
+def denavit_hartenberg(table: list[list[float]], angles: Array) -> Array:
+    """Product of modified Denavit-Hartenberg transforms, written out element by element, not as rotations."""
+    T = np.eye(4)
+    for (alpha_deg, a_mm, d_mm, theta_deg), q in zip(table, angles, strict=True):
+        (ca, cq), (sa, sq) = ((f(np.radians(alpha_deg)), f(np.radians(theta_deg) + q)) for f in (np.cos, np.sin))
+        a, d = 1e-3 * a_mm, 1e-3 * d_mm
+        T = T @ np.array(
+            [
+                [cq, -sq, 0.0, a],
+                [sq * ca, cq * ca, -sa, -sa * d],
+                [sq * sa, cq * sa, ca, ca * d],
+                [0.0, 0.0, 0.0, 1.0],
+            ]
+        )
+    return T
+
+
+@pytest.mark.parametrize("name", TABLES)
+def test_forward_kinematics_is_the_product_of_the_published_table(name: str) -> None:
+    """The table's last frame is the flange, but for a turn about its axis."""
+    model, (table, senses) = load(name), TABLES[name]
+    data = model.createData()
+    frame = end_frame(name, model)
+    rng = np.random.default_rng(94)
+    turns = []
+    for _ in range(100):
+        angles, q = random_angles(model, rng)
+        pin.framesForwardKinematics(model, data, q)
+        T = denavit_hartenberg(table, np.array(senses) * angles)
+        found = data.oMf[frame].homogeneous
+        np.testing.assert_allclose(found[:, 2:], T[:, 2:], rtol=0.0, atol=1e-12)
+        turns.append(T[:3, :3].T @ found[:3, :3])
+    np.testing.assert_allclose(turns, np.broadcast_to(turns[0], (100, 3, 3)), rtol=0.0, atol=1e-12)
+
+
+@pytest.mark.parametrize("name", LIMITS)
+def test_limits_are_the_published_ones(name: str) -> None:
+    model, (lower, upper, speed) = load(name), LIMITS[name]
+    np.testing.assert_allclose(np.degrees(model.lowerPositionLimit), lower, rtol=0.0, atol=1e-12)
+    np.testing.assert_allclose(np.degrees(model.upperPositionLimit), upper, rtol=0.0, atol=1e-12)
+    np.testing.assert_allclose(np.degrees(model.velocityLimit), speed, rtol=0.0, atol=1e-12)
+
+
 def test_rx90l_determinant_has_the_closed_form() -> None:
     model = load("rx90l")
     data = model.createData()
@@ -265,12 +364,21 @@ def test_rx90l_limits_are_the_table() -> None:
     np.testing.assert_allclose(np.degrees(model.velocityLimit), RX90L_SPEED, rtol=0.0, atol=1e-12)
 
 
-def test_rx90l_effort_holds_the_stretched_arm_with_6_kg() -> None:
-    model = load("rx90l")
+#: The arm stretched out, as far as it can, in degrees.
+STRETCHED = {
+    "rx90l": ([0, 90, 0, 0, 0, 0], [0, 90, 0, 0, 90, 0], [0, 90, 0, 90, 90, 0], [0, 0, 90, 0, 0, 0]),
+    "kr16_2": ([0, 0, 0, 0, 0, 0], [0, 0, 0, 0, 90, 0], [0, 0, 0, 90, 90, 0], [0, -90, 90, 0, 0, 0]),
+    "irb1600": ([0, 90, -90, 0, 0, 0], [0, 90, -90, 0, 90, 0], [0, 90, -90, 90, 90, 0], [0, 0, 0, 0, 0, 0]),
+}
+
+
+@pytest.mark.parametrize("name", MADE)
+def test_effort_holds_the_stretched_arm_with_its_load(name: str) -> None:
+    model = load(name)
     data = model.createData()
-    frame = end_frame("rx90l", model)
-    force = np.array([0.0, 0.0, 6.0 * 9.81, 0.0, 0.0, 0.0])  # [N], on the load, world axes
-    for pose in ([0, 90, 0, 0, 0, 0], [0, 90, 0, 0, 90, 0], [0, 90, 0, 90, 90, 0], [0, 0, 90, 0, 0, 0]):
+    frame = end_frame(name, model)
+    force = np.array([0.0, 0.0, MADE[name] * 9.81, 0.0, 0.0, 0.0])  # [N], on the load, world axes
+    for pose in STRETCHED[name]:
         q = np.radians(pose)
         J = pin.computeFrameJacobian(model, data, q, frame, pin.LOCAL_WORLD_ALIGNED)
         torque = pin.computeGeneralizedGravity(model, data, q) + J.T @ force
@@ -361,10 +469,10 @@ def test_rx90l_stands_from_the_floor_to_its_flange() -> None:
         assert np.all(high[:2] - low[:2] < 0.5)
 
 
-@pytest.mark.parametrize("q", RX90L_POSES)
-def test_rx90l_shapes_reach_the_joints(q: Array) -> None:
-    model = load("rx90l")
-    shapes = load_shapes("rx90l", model, pin.GeometryType.COLLISION)
+@pytest.mark.parametrize(("name", "q"), POSED)
+def test_shapes_reach_the_joints(name: str, q: Array) -> None:
+    model = load(name)
+    shapes = load_shapes(name, model, pin.GeometryType.COLLISION)
     data, placed = model.createData(), shapes.createData()
     pin.forwardKinematics(model, data, q)
     pin.updateGeometryPlacements(model, data, shapes, placed)
@@ -394,10 +502,10 @@ def test_neighbouring_links_leave_no_gap(name: str) -> None:
         assert max(gap.values()) < 5e-3
 
 
-@pytest.mark.parametrize("q", RX90L_POSES)
-def test_rx90l_does_not_hit_itself(q: Array) -> None:
-    model = load("rx90l")
-    shapes = load_shapes("rx90l", model, pin.GeometryType.COLLISION)
+@pytest.mark.parametrize(("name", "q"), POSED)
+def test_the_arm_does_not_hit_itself(name: str, q: Array) -> None:
+    model = load(name)
+    shapes = load_shapes(name, model, pin.GeometryType.COLLISION)
     add_pairs(shapes, lambda steps: steps > 1)
     assert not pin.computeCollisions(model, model.createData(), shapes, shapes.createData(), q, False)
 

@@ -12,7 +12,7 @@ from importlib import metadata
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
-from coopqp.app import calibrate, check
+from coopqp.app import calibrate, check, studies
 from coopqp.app.commands import COMMANDS
 from coopqp.app.terminal import print_table, reporter
 from coopqp.errors import CoopqpError, MissingExtraError, printable
@@ -58,8 +58,8 @@ def main(argv: Sequence[str] | None = None) -> int:
 
     Returns:
         0 if all is well; 2 after bad input; 3 if the arms cannot follow the path that is checked; 4 after a run that
-        did not finish or whose verdict has a check that does not hold, and after a check that is not decided; 130 after
-        an interrupt.
+        did not finish or whose verdict has a check that does not hold, after a check that is not decided, and after a
+        study with rows that failed or were lost; 130 after an interrupt.
     """
     try:
         with warnings.catch_warnings():
@@ -157,7 +157,7 @@ def _run_demo(arguments: argparse.Namespace) -> int:
     return OK
 
 
-_COMMANDS = (_add_demo, *COMMANDS, *check.COMMANDS, *calibrate.COMMANDS)
+_COMMANDS = (_add_demo, *COMMANDS, *check.COMMANDS, *calibrate.COMMANDS, *studies.COMMANDS)
 
 
 def _count(text: str) -> int:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import os
 import sys
+import time
 from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, TextIO
 
@@ -23,9 +24,16 @@ class Reporter:
     def step(self, label: str, done: int, planned: int) -> None:
         """Report ``done`` of ``planned`` steps of ``label``. A slowed run takes more steps than planned."""
 
+    def count(self, label: str, done: int, total: int) -> None:
+        """Report that ``done`` of ``total`` parts of equal cost are there."""
+
 
 class _Lines(Reporter):
-    """Prints one plain line on stderr at the beginning of each stage."""
+    """Prints one plain line on stderr at the beginning of each stage, and for each tenth of what is counted."""
+
+    def __init__(self) -> None:
+        self._begun: tuple[float, int] | None = None
+        self._tenth = -1
 
     def note(self, text: str) -> None:
         print(printable(text), file=sys.stderr, flush=True)
@@ -33,6 +41,16 @@ class _Lines(Reporter):
     def step(self, label: str, done: int, planned: int) -> None:
         if done == 1:
             self.note(f"running {label}")
+
+    def count(self, label: str, done: int, total: int) -> None:
+        now = time.monotonic()
+        begun, first = self._begun = self._begun or (now, done)
+        tenth = 10 * done // max(total, 1)
+        if tenth > self._tenth:
+            self._tenth = tenth
+            left = (now - begun) / (done - first) * (total - done) if done > first else 0.0
+            more = f", about {left:.0f} s left" if left >= 1.0 else ""
+            self.note(f"{label}: {done} of {total}{more}")
 
 
 def _unstyled(text: str) -> str:
@@ -50,6 +68,9 @@ class _Bar(Reporter):
     def note(self, text: str) -> None:
         self._bar.update(self._task, description=_unstyled(text))
 
+    def count(self, label: str, done: int, total: int) -> None:
+        self._bar.update(self._task, completed=done, total=total, description=_unstyled(label))
+
     def step(self, label: str, done: int, planned: int) -> None:
         if self._total is None:
             self._total = planned
@@ -59,24 +80,26 @@ class _Bar(Reporter):
 
 
 @contextlib.contextmanager
-def reporter(total: int | None = None, *, quiet: bool = False) -> Iterator[Reporter]:
+def reporter(total: int | None = None, *, quiet: bool = False, remaining: bool = False) -> Iterator[Reporter]:
     """A progress bar on a terminal, plain lines elsewhere or without rich, nothing if quiet.
 
     Args:
         total: total number of steps; by default ``planned`` of the first report.
         quiet: print nothing.
+        remaining: also show the time that is left.
     """
     if quiet or not sys.stderr.isatty():
         yield Reporter() if quiet else _Lines()
         return
     try:
         from rich.console import Console
-        from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+        from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
     except ImportError:
         yield _Lines()
         return
     columns = (TextColumn("{task.description:<31}"), BarColumn(), TextColumn("{task.percentage:3.0f} %"))
-    with Progress(*columns, TimeElapsedColumn(), console=Console(stderr=True), transient=True) as bar:
+    times = (TimeElapsedColumn(), TextColumn("left"), TimeRemainingColumn()) if remaining else (TimeElapsedColumn(),)
+    with Progress(*columns, *times, console=Console(stderr=True), transient=True) as bar:
         yield _Bar(bar, total)
 
 

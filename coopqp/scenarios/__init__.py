@@ -12,6 +12,7 @@ from coopqp.scenarios.obstacles import elbow_and_knob, elbows, forearms, plate_a
 from coopqp.scenarios.paper import fast_lift, paper_lift, wide_grasp
 from coopqp.scenarios.robot_data import panda_bar, ur5_table
 from coopqp.scenarios.robots import ROBOT_NAMES, robot_path
+from coopqp.scenarios.triads import abb_lift, kuka_lift, mixed_lift
 from coopqp.scenarios.troubles import at_limit, at_singularity
 from coopqp.task.scenario import Scenario
 
@@ -21,6 +22,7 @@ __all__ = [
     "ROBOT_NAMES",
     "SCENARIOS",
     "Scenario",
+    "abb_lift",
     "at_limit",
     "at_singularity",
     "base_off_lift",
@@ -32,7 +34,9 @@ __all__ = [
     "forearms",
     "heavy_lift",
     "hot_plate",
+    "kuka_lift",
     "mixed_cell",
+    "mixed_lift",
     "panda_bar",
     "paper_lift",
     "plate_and_post",
@@ -56,6 +60,9 @@ SCENARIOS: dict[str, Callable[[], Scenario]] = {
     "paper_lift": paper_lift,
     "wide_grasp": wide_grasp,
     "fast_lift": fast_lift,
+    "kuka_lift": kuka_lift,
+    "abb_lift": abb_lift,
+    "mixed_lift": mixed_lift,
     "at_limit": at_limit,
     "at_singularity": at_singularity,
     "dual_arm7": dual_arm7,

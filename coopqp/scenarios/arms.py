@@ -65,6 +65,8 @@ ROBOTS: Mapping[str, Robot] = MappingProxyType(
         "arm6c": _made_up(6),
         "arm7": _made_up(7),
         "gantry7": _made_up(7),
+        "irb1600": Robot(joints=6, tool_frame="flange", licence="Apache-2.0", source="ABB IRB 1600-6/1.2, coopqp"),
+        "kr16_2": Robot(joints=6, tool_frame="flange", licence="Apache-2.0", source="KUKA KR 16-2, coopqp"),
         "rx90l": Robot(joints=6, tool_frame="flange", licence="Apache-2.0", source="Stäubli RX-90L, coopqp"),
         "scara4": _made_up(4),
         "panda": Robot(

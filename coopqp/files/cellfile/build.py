@@ -52,7 +52,8 @@ from coopqp.task.timed import TimedPath
 
 DEFAULT_DT = 0.002
 
-_CONTROLLERS: dict[str, tuple[Any, Any]] = {
+#: Class and options of every kind of controller.
+CONTROLLERS: dict[str, tuple[Any, Any]] = {
     "qp": (QPController, QPOptions),
     "pseudo_inverse": (PseudoInverseController, PseudoInverseOptions),
     "independent": (IndependentQPController, IndependentQPOptions),
@@ -120,7 +121,7 @@ class CellRun:
 
     def controller(self) -> Controller:
         """A new controller."""
-        kind, s = _CONTROLLERS[self.controller_kind][0], self.scenario
+        kind, s = CONTROLLERS[self.controller_kind][0], self.scenario
         more: dict[str, Any] = {}
         if self.avoids and self.scene is not None:
             more["constraints"] = [Clearance(self.scene)]
@@ -255,7 +256,9 @@ def build(file: CellFile, folder: Path) -> CellRun:
     )
     scene = default_scene(scenario) if task.scene is None else task.scene
     kind = str(file.controller.kind)
-    return CellRun(scenario, kind, _options(kind, file.controller), file.settle_s, file.longest_s, file, scene)
+    return CellRun(
+        scenario, kind, controller_options(kind, file.controller), file.settle_s, file.longest_s, file, scene
+    )
 
 
 class _BuildError(CoopqpError):
@@ -411,17 +414,18 @@ def _path(file: CellFile) -> ObjectPath:
     )
 
 
-def _options(kind: str, table: Any) -> Any:
+def controller_options(kind: str, table: Any) -> Any:
+    """The options of a controller of :data:`CONTROLLERS` from its table."""
     replaced: dict[str, Any] = {}
     if getattr(table, "solver_settings", None) is not None:
-        default = _CONTROLLERS[kind][1]().solver
+        default = CONTROLLERS[kind][1]().solver
         chosen = table.solver or default
         replaced["solver_settings"] = _solver_settings(
             default_solver() if chosen == "auto" else chosen, table.solver_settings
         )
     if isinstance(getattr(table, "common_error", None), CommonErrorTable):
         replaced["common_error"] = _common_error(table.common_error)
-    return build_options(_CONTROLLERS[kind][1], table, **replaced)
+    return build_options(CONTROLLERS[kind][1], table, **replaced)
 
 
 def _solver_settings(solver: str, given: Mapping[str, Any]) -> Any:

@@ -9,14 +9,24 @@ from coopqp.errors import UnknownNameError
 
 __all__ = ["ROBOT_NAMES", "robot_path"]
 
-ROBOT_NAMES: Final[tuple[str, ...]] = ("arm5", "arm6c", "arm7", "gantry7", "rx90l", "scara4")
-"""The robots, by the stem of their file: `rx90l` is the Stäubli RX-90L, the others are made up."""
+ROBOT_NAMES: Final[tuple[str, ...]] = (
+    "arm5",
+    "arm6c",
+    "arm7",
+    "gantry7",
+    "irb1600",
+    "kr16_2",
+    "rx90l",
+    "scara4",
+)
+"""The robots, by the stem of their file: `rx90l` is the Stäubli RX-90L, `kr16_2` the KUKA KR 16-2, `irb1600` the ABB
+IRB 1600-6/1.2; the others are made up."""
 
 
 def robot_path(name: str) -> Path:
     """Return the path of the URDF of the robot `name`, one of `ROBOT_NAMES`.
 
-    The end-effector frame is `flange` for `rx90l` and `tool` for the others.
+    The end-effector frame is `flange` for the robots of manufacturers and `tool` for those that are made up.
     """
     if name not in ROBOT_NAMES:
         raise UnknownNameError("robot", name, ROBOT_NAMES, "coopqp.scenarios.robots")

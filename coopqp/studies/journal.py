@@ -1,0 +1,89 @@
+"""The journal of a study: a line for every row that is there, on the disk before the next one is asked for."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Iterable
+from pathlib import Path
+from types import TracebackType
+from typing import Any, final
+
+from coopqp.output import OutputError
+from coopqp.studies.errors import StudyError
+
+try:
+    import fcntl
+except ImportError:  # Windows
+    fcntl = None  # type: ignore[assignment]
+
+
+def read_journal(file: Path) -> tuple[list[dict[str, Any]], int]:
+    """The entries of a journal, and the length of its complete lines [bytes]: a last line may be cut.
+
+    Raises:
+        StudyError: a line inside it is damaged.
+    """
+    content = file.read_bytes() if file.exists() else b""
+    whole = content[: content.rfind(b"\n") + 1]
+    try:
+        return [json.loads(line) for line in whole.splitlines()], len(whole)
+    except ValueError as error:
+        raise StudyError(f"{file} is damaged ({error}). Start the study anew in another folder.") from error
+
+
+@final
+class Journal:
+    """A journal that is written. One program at a time can write it.
+
+    Args:
+        file: the journal; a line that was cut is taken off.
+
+    Raises:
+        StudyError: another program writes it, or it is damaged.
+        OutputError: it cannot be written.
+    """
+
+    def __init__(self, file: Path) -> None:
+        self.file = file
+        try:
+            self._stream = file.open("ab", buffering=0)
+        except OSError as error:
+            raise OutputError(f"cannot write {file}: {error.strerror}. Check the folder.") from error
+        try:
+            if fcntl is not None:
+                fcntl.flock(self._stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            self.entries, self._size = read_journal(file)
+            self._stream.truncate(self._size)
+        except BlockingIOError as error:
+            self._stream.close()
+            raise StudyError(f"another program writes {file}. Wait until it ends.") from error
+        except BaseException:
+            self._stream.close()
+            raise
+
+    def __enter__(self) -> Journal:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._stream.close()
+
+    def append(self, entries: Iterable[dict[str, Any]]) -> None:
+        """Write entries, and wait until the disk has them.
+
+        Raises:
+            OutputError: they cannot be written. Earlier ones stay.
+        """
+        text = "".join(f"{json.dumps(entry, ensure_ascii=False)}\n" for entry in entries).encode()
+        try:
+            rest = memoryview(text)
+            while rest:
+                rest = rest[self._stream.write(rest) :]
+            os.fsync(self._stream.fileno())
+            self._size += len(text)
+        except OSError as error:
+            raise OutputError(
+                f"cannot write {self.file}: {error.strerror}. Finished rows are kept: make room, then use --resume."
+            ) from error

@@ -1,0 +1,219 @@
+"""One row of a study: a run, and its figures in one pass over its samples. Runs in the workers."""
+
+from __future__ import annotations
+
+import functools
+import json
+import time
+import warnings
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, final
+
+import numpy as np
+
+from coopqp.collision.clearance import Clearance
+from coopqp.collision.scene import CollisionScene
+from coopqp.control.command import Controller, ControlStep
+from coopqp.errors import CoopqpError, StartWarning, said
+from coopqp.files.cellfile.build import CONTROLLERS, build, controller_options
+from coopqp.files.cellfile.schema import CellFile
+from coopqp.files.cellfile.strict import build_options
+from coopqp.model.grasp import Grasp
+from coopqp.scenarios import SCENARIOS
+from coopqp.simulation import metrics
+from coopqp.simulation.assessment import Readings, Tolerances, judge, read_run, slides, why, worst_status
+from coopqp.simulation.closeness import with_clearance
+from coopqp.simulation.plants.disturbances import Disturbances
+from coopqp.simulation.plants.disturbed import DisturbedPlant
+from coopqp.simulation.plants.kinematic import KinematicPlant, Plant
+from coopqp.simulation.plants.physics import PhysicsPlant
+from coopqp.simulation.plants.physics_options import PhysicsOptions
+from coopqp.simulation.recording import Recording
+from coopqp.simulation.simulate import simulate
+from coopqp.spatial import Array
+from coopqp.studies.drawing import disturbances
+from coopqp.studies.study import ScenarioFile, Study
+from coopqp.task.scenario import Scenario
+
+#: Columns of a run's figures, and their meaning.
+FIGURES: Mapping[str, str] = {
+    "time_s": "time that the run took [s]",
+    "steps": "number of steps",
+    "rate_min": "smallest rate of the object's clock",
+    "eps_p_mm": "largest ε_p of the commands [mm]",
+    "eps_o_deg": "largest ε_o of the commands [deg]",
+    "chain_mm": "largest distance between the object poses of any two arms, as commanded [mm]",
+    "chain_deg": "the same as an angle [deg]",
+    "true_chain_mm": "the same, as the disturbed arms really stand [mm]",
+    "true_chain_deg": "the same as an angle [deg]",
+    "object_mm": "largest distance of the object from its path, as measured [mm]",
+    "object_deg": "the same as an angle [deg]",
+    "object_end_mm": "distance of the object from its path at the end [mm]",
+    "sigma_min": "smallest singular value of any arm's tool Jacobian",
+    "margin_deg": "least distance of a turning joint from its position limits [deg]",
+    "margin_mm": "least distance of a sliding joint from its position limits [mm]",
+    "speed_share": "largest joint speed, as a share of its limit",
+    "unrest_deg_per_s": "change of turning joints' commanded speeds from step to step, rms [deg/s]",
+    "closest_mm": "least distance of bodies, where the task has bodies that keep distances [mm]",
+}
+#: Columns before the figures.
+OUTCOMES = ("outcome", "reason", "status", "finished", "verdict")
+OK, FAILED, LOST = "ok", "failed", "lost"
+
+
+class _TooLongError(CoopqpError):
+    """A run took longer than the study allows."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Ready:
+    """All of a row but its disturbances; built once in each worker."""
+
+    scenario: Scenario
+    kind: str
+    options: Any
+    settings: CellFile | ScenarioFile
+    scene: CollisionScene | None
+    avoids: bool
+
+    def controller(self) -> Controller:
+        s = self.scenario
+        more: dict[str, Any] = (
+            {"constraints": [Clearance(self.scene)]} if self.avoids and self.scene is not None else {}
+        )
+        made: Controller = CONTROLLERS[self.kind][0](s.cell, s.grasp, s.path, dt=s.dt, options=self.options, **more)
+        return made
+
+    def plant(self, disturbed: Disturbances | None) -> Plant:
+        table, s = self.settings.plant, self.scenario
+        if table.kind != "kinematic":
+            return PhysicsPlant.of(s, options=build_options(PhysicsOptions, table), disturbances=disturbed)
+        return KinematicPlant(s.cell) if disturbed is None else DisturbedPlant(s.cell, s.grasp, disturbed)
+
+
+@functools.lru_cache(maxsize=4)
+def _ready(scenario: str, folder: str, text: str) -> _Ready:
+    """Build the task of a row from its settings as JSON."""
+    data = json.loads(text)
+    if not scenario:
+        file = CellFile.model_validate(data)
+        run = build(file, Path(folder))
+        scene = run.scene if file.collision is not None else None
+        return _Ready(run.scenario, run.controller_kind, run.options, file, scene, run.avoids)
+    settings = ScenarioFile.model_validate(data)
+    task = SCENARIOS[scenario](**settings.scenario)
+    dt = task.path.duration / settings.steps if settings.steps is not None else settings.dt_s or task.dt
+    kind = str(settings.controller.kind)
+    scene = CollisionScene.of(task) if task.obstacles else None
+    options = controller_options(kind, settings.controller)
+    return _Ready(replace(task, dt=dt), kind, options, settings, scene, scene is not None and kind == "qp")
+
+
+def build_row(study: Study, index: int) -> _Ready:
+    """Build the task of a row, without its disturbances.
+
+    Raises:
+        CoopqpError: it cannot be built.
+    """
+    data, _ = study.data(study.row(index).values)
+    return _ready(study.scenario, study.folder, json.dumps(data, sort_keys=True))
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class RowTask:
+    """Runs rows of a study: what workers get."""
+
+    study: Study
+
+    def __call__(self, index: int) -> dict[str, Any]:
+        """The columns of a row. Whatever the run raises is a row that failed, with its reason."""
+        try:
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore", StartWarning)  # the row has the figures
+                return self._run(index)
+        except Exception as error:
+            return {"outcome": FAILED, "reason": " ".join(said(error).split())}
+
+    def _run(self, index: int) -> dict[str, Any]:
+        study = self.study
+        row = study.row(index)
+        _, amounts = study.settings(row.values)
+        ready = build_row(study, index)
+        s, settings = ready.scenario, ready.settings
+        disturbed = disturbances(amounts, s.cell, seed=study.seed, draw=row.draw, repeat=row.repeat)
+        plant = ready.plant(disturbed)
+        truth: list[Array] = []
+        end = time.monotonic() + study.timeout_s
+
+        def observe(_: ControlStep) -> None:
+            if isinstance(plant, DisturbedPlant):
+                truth.append(plant.q)
+            if time.monotonic() > end:
+                raise _TooLongError(f"longer than {study.timeout_s:g} s of wall time (timeout_s)")
+
+        recording = simulate(
+            ready.controller(),
+            plant,
+            q_start=s.q_start,
+            duration=settings.longest_s,
+            settle=settings.settle_s,
+            patience=settings.patience_s,
+            observe=observe,
+        )
+        if ready.scene is not None:
+            recording = with_clearance(recording, ready.scene, avoided=ready.avoids)
+        readings = read_run(s.cell, recording)
+        tolerances = build_options(Tolerances, settings.verdict)
+        causes = why(judge(s.cell, recording, readings, tolerances=tolerances))
+        return {
+            "outcome": OK,
+            "reason": "; ".join(causes),
+            "status": worst_status(recording),
+            "finished": "yes" if recording.finished else "no",
+            "verdict": "no" if causes else "yes",
+            **_figures(ready, recording, readings),
+            **_truth(ready, disturbed, np.array([s.q_start, *truth])),
+        }
+
+
+def _figures(ready: _Ready, recording: Recording, readings: Readings) -> dict[str, Any]:
+    cell = ready.scenario.cell
+    x = cell.positions(recording.q_command)
+    room = np.minimum(x - cell.limits.lower, cell.limits.upper - x).min(axis=0)
+    sliding = np.array(slides(cell))
+    speed = (np.abs(recording.velocity) / cell.limits.velocity).max(initial=0.0)
+    changes = np.diff(recording.velocity[:, ~sliding], axis=0)
+    entry = recording.metadata.get("clearance")
+    largest = {name: float(getattr(readings, name).max()) for name in
+               ("eps_p_mm", "eps_o_deg", "chain_mm", "chain_deg", "object_mm", "object_deg")}  # fmt: skip
+    return {
+        **largest,
+        "time_s": float(recording.time[-1]),
+        "steps": recording.n_steps,
+        "rate_min": float(recording.rate.min(initial=1.0)),
+        "object_end_mm": float(readings.object_mm[-1]),
+        "sigma_min": float(readings.sigma_min.min()),
+        "margin_deg": float(np.rad2deg(room[~sliding].min(initial=np.inf))),
+        "margin_mm": float(1e3 * room[sliding].min(initial=np.inf)),
+        "speed_share": float(speed),
+        "unrest_deg_per_s": float(np.rad2deg(np.sqrt(np.mean(changes**2)))) if changes.size else 0.0,
+        "closest_mm": float("nan") if entry is None else 1e3 * float(entry["closest_m"]),
+    }
+
+
+def _truth(ready: _Ready, disturbed: Disturbances | None, q: Array) -> dict[str, float]:
+    """Largest errors of the chain where the disturbed arms really are; of the commands where the plant has none."""
+    if len(q) < 2 or disturbed is None:
+        return {"true_chain_mm": float("nan"), "true_chain_deg": float("nan")}
+    cell = ready.scenario.cell
+    tools, _ = metrics.tool_matrices(cell, q)
+    for k, arm in enumerate(cell.arms):
+        if arm.name in disturbed.base_offset:
+            base = arm.T_world_base
+            tools[:, k] = (base * disturbed.base_offset[arm.name] * base.inverse()).homogeneous @ tools[:, k]
+    held = Grasp(tuple(np.linalg.inv(tools[0, 0]) @ T for T in tools[0]))
+    distance, angle = metrics.chain_errors(tools, held)
+    return {"true_chain_mm": 1e3 * float(distance.max()), "true_chain_deg": float(np.rad2deg(angle.max()))}
