@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import mujoco
 import numpy as np
 import pinocchio as pin
 import pytest
@@ -43,8 +44,6 @@ from coopqp import (
 from coopqp.scenarios import Scenario, paper_lift
 from coopqp.simulation import metrics
 from coopqp.simulation.plants.replay import Motion, Replay, exact_motion, recorded_motion
-
-mujoco = pytest.importorskip("mujoco")
 
 #: A base with an error of 1 mm and 0.1°, a grasp with an error of 2 mm.
 BASE_OFF = pin.SE3(pin.exp3(np.deg2rad(0.1) * np.ones(3) / np.sqrt(3)), 1e-3 * np.ones(3) / np.sqrt(3))

@@ -123,14 +123,15 @@ def read_run(cell: RobotCell, recording: Recording) -> Readings:
     samples = len(recording.time)
     errors: dict[str, Array] = {}
     for part in recording.parts(samples):
-        read = _read_part(cell, recording, part)
+        read = read_part(cell, recording, part)
         for name in (field.name for field in fields(Readings)):
             values = getattr(read, name)
             errors.setdefault(name, np.empty((samples, *values.shape[1:])))[part] = values
     return Readings(**errors)
 
 
-def _read_part(cell: RobotCell, recording: Recording, part: slice) -> Readings:
+def read_part(cell: RobotCell, recording: Recording, part: slice) -> Readings:
+    """:func:`read_run` for some samples of a recording that fits the cell."""
     grasp = recording.grasp
     q, q_command = recording.q[part], recording.q_command[part]
     commanded, J = metrics.tool_matrices(cell, q_command)

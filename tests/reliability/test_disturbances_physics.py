@@ -28,8 +28,6 @@ from coopqp import (
 )
 from coopqp.scenarios import Scenario, paper_lift
 
-pytest.importorskip("mujoco")
-
 DT = 1e-3
 AXIS = np.ones(3) / np.sqrt(3.0)
 #: Errors of 1 mm and 0.1° along and about one axis, and of 2 mm.
