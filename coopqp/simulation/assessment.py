@@ -299,7 +299,10 @@ def _apart(recording: Recording) -> tuple[Finding, ...]:
     except (KeyError, TypeError, ValueError) as error:
         raise RecordingError(f"'clearance' in the recording's metadata is damaged ({error}).") from error
     where = f"{names} at {at:.3g} s"
-    more = f" ({left_out} pairs that overlap at the start are left out)" if left_out else ""
+    pairs = (
+        "1 pair that overlaps at the start is" if left_out == 1 else f"{left_out} pairs that overlap at the start are"
+    )
+    more = f" ({pairs} left out)" if left_out else ""
     touched = closest <= 0.0
     text = f"{where} touched{more}" if touched else f"nothing touched: closest {1e3 * closest:.3g} mm, {where}{more}"
     inside = closest < margin - MARGIN_ROUNDING
