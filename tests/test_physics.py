@@ -427,6 +427,7 @@ def closed_loop(
 @pytest.mark.slow
 @pytest.mark.parametrize("latched", [True, False])
 @pytest.mark.parametrize("off", [{"base": BASE_OFF}, {"grip": GRASP_OFF}], ids=["base", "grip"])
+@pytest.mark.filterwarnings("ignore::coopqp.StartWarning")
 def test_held_for_ten_seconds_the_force_stays(paper: Scenario, off: dict[str, pin.SE3], latched: bool) -> None:
     force, recording = closed_loop(HoldPath(paper.path.pose(0.0), duration=10.0), latched=latched, **off)
     assert recording.finished
@@ -438,6 +439,7 @@ def test_held_for_ten_seconds_the_force_stays(paper: Scenario, off: dict[str, pi
 
 
 @pytest.mark.slow
+@pytest.mark.filterwarnings("ignore::coopqp.StartWarning")
 def test_lifted_and_lowered_for_ten_seconds_the_force_does_not_wind_up(paper: Scenario) -> None:
     low, high = paper.path.pose(0.0), paper.path.pose(paper.path.duration)
     path = WaypointPath([low, high] * 3 + [low], durations=[10.0 / 6.0] * 6)

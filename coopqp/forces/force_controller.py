@@ -10,7 +10,7 @@ from typing import Any, final
 import numpy as np
 
 from coopqp.checks import ArrayLike, as_options, as_scalar, require
-from coopqp.control.command import ControlStep, Status
+from coopqp.control.command import ControlStep, Status, short_text
 from coopqp.control.qp import QPController
 from coopqp.control.turn import alone
 from coopqp.errors import InvalidInputError
@@ -91,6 +91,9 @@ class ForceController:
     @property
     def _turn(self) -> Any:
         return self.controller._turn
+
+    def __repr__(self) -> str:
+        return short_text(self)
 
     @alone
     def reset(self, q: ArrayLike, *, clock: float = 0.0) -> None:
