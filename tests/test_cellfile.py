@@ -392,7 +392,6 @@ def test_common_errors(table: str, load: Callable[[str], CellRun]) -> None:
 
 
 def test_the_physics_engine_as_the_plant(load: Callable[[str], CellRun]) -> None:
-    pytest.importorskip("mujoco")
     plant = (
         'kind = "physics"\nstiffness = 2e4\ndamping = false\nsettle = 0.2\ngravity = [0, 0, -1]\nload_shares = [1.0]'
     )
