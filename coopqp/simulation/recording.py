@@ -170,7 +170,7 @@ class Recording(Shown):
         """
         file = Path(path)
         if not file.is_file():
-            there = "it is a folder" if file.is_dir() else "there is no such file"
+            there = "it is a folder" if file.is_dir() else "it is no file" if file.exists() else "there is no such file"
             raise RecordingError(f"cannot read {file}: {there}. Check the path.")
         try:
             size = unpacked_bytes(file)
