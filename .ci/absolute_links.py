@@ -10,8 +10,11 @@ import sys
 from pathlib import Path
 
 README = Path(__file__).resolve().parents[1] / "README.md"
-#: A link or a picture whose target is no address and no heading.
-_RELATIVE = re.compile(r"(!?)\[([^\]]*)\]\((?![a-z]+:|#)([^)\s]+)\)")
+#: What is left alone: blocks and pieces of code.
+_CODE = re.compile(r"(```.*?```|`[^`\n]*`)", re.DOTALL)
+#: A target that is no address and no heading, of a picture, and of anything else.
+_TARGET = r"\((?![a-z]+:|#)([^)\s]+)\)"
+_PICTURE, _LINK = re.compile(rf"(!\[[^\]]*\]){_TARGET}"), re.compile(rf"(\]){_TARGET}")
 
 
 def absolute(text: str, repository: str, version: str) -> str:
@@ -22,13 +25,11 @@ def absolute(text: str, repository: str, version: str) -> str:
         repository: address of the repository.
         version: tag or commit.
     """
-
-    def link(found: re.Match[str]) -> str:
-        picture, words, target = found.groups()
-        return f"{picture}[{words}]({repository}/{'raw' if picture else 'blob'}/{version}/{target})"
-
-    parts = text.split("```")
-    return "```".join(part if k % 2 else _RELATIVE.sub(link, part) for k, part in enumerate(parts))
+    parts = _CODE.split(text)
+    for k in range(0, len(parts), 2):  # the others are code
+        for pattern, kind in ((_PICTURE, "raw"), (_LINK, "blob")):
+            parts[k] = pattern.sub(rf"\1({repository}/{kind}/{version}/\2)", parts[k])
+    return "".join(parts)
 
 
 if __name__ == "__main__":

@@ -9,6 +9,7 @@ from __future__ import annotations
 import argparse
 import functools
 import os
+import resource
 import shutil
 import subprocess
 import sys
@@ -103,7 +104,10 @@ def uv(*arguments: str, **variables: str) -> None:
 
 
 def interpreter(version: str) -> str:
-    """A Python of a version: on the path, or one of pyenv's; this one if there is none, which is said and noted."""
+    """A Python of a version: on the path, or one of pyenv's; this one if there is none, which is said.
+
+    It is also noted for the outcome, and in the file that COOPQP_CI_LACKS names (`.ci/run`).
+    """
     if not version:
         return sys.executable
     versions = Path(os.environ.get("PYENV_ROOT", Path.home() / ".pyenv")) / "versions"
@@ -113,6 +117,9 @@ def interpreter(version: str) -> str:
             return str(candidate)
     NOTES.append(f"no Python {version} on this machine: {sys.version.split()[0]} took its place")
     print(NOTES[-1], flush=True)
+    if lacks := os.environ.get("COOPQP_CI_LACKS"):
+        with Path(lacks).open("a", encoding="utf-8") as file:
+            file.write(f"{NOTES[-1]}\n")
     return sys.executable
 
 
@@ -225,6 +232,12 @@ ENVIRONMENTS: dict[str, Callable[[list[str]], None]] = {
 }
 
 
+def cpu_seconds() -> float:
+    """CPU time of all programs that were run until now."""
+    used = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return used.ru_utime + used.ru_stime
+
+
 def main() -> int:
     """Make and test the environments that are named. Returns 1 if one of them fails."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
@@ -237,14 +250,15 @@ def main() -> int:
     failed, rows = False, []
     for name in arguments.names or ENVIRONMENTS:
         print(f"== {name}: {(ENVIRONMENTS[name].__doc__ or '').splitlines()[0]}", flush=True)
-        began, outcome = time.monotonic(), "passed"
+        began, worked, outcome = time.monotonic(), cpu_seconds(), "passed"
         NOTES.clear()
         try:
             ENVIRONMENTS[name](list(_SOME if arguments.some else ()))
         except FailedError as error:
             print(error, flush=True)
             failed, outcome = True, "FAILED"
-        rows.append("; ".join([f"{name:<12} {outcome:<7} {time.monotonic() - began:5.0f} s", *NOTES]))
+        times = f"{time.monotonic() - began:5.0f} s, CPU {cpu_seconds() - worked:5.0f} s"
+        rows.append("; ".join([f"{name:<12} {outcome:<7} {times}", *NOTES]))
     print("\n".join(["== environments", *rows]))
     return int(failed)
 

@@ -26,6 +26,7 @@ from __future__ import annotations
 
 import itertools
 import os
+import warnings
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from typing import Any
@@ -45,6 +46,7 @@ from coopqp import (
     PseudoInverseController,
     QPController,
     QPOptions,
+    StartWarning,
     Status,
     available_solvers,
     limit_excess,
@@ -82,7 +84,9 @@ def make_controller(run: Run, controller: str, solver: str) -> Controller:
 
 def drive(run: Run, controller: Controller) -> list[ControlStep]:
     """Run until the path is finished, the object has waited for a while, or the time is over; then run back."""
-    controller.reset(run.task.q_start)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", StartWarning)  # some cases start off the grasp, or outside limits
+        controller.reset(run.task.q_start)
     steps = list(_until_rest(controller, run.longest))
     if run.back and isinstance(controller, QPController):
         controller.follow(way_back(run.task, steps[-1].clock_next))

@@ -1,4 +1,4 @@
-"""How much memory does a long run take to record, save, load, judge and report, and how fast is a sample found?
+"""How much memory does a long run take to record, load, judge, report and export, and how fast is a sample found?
 
 Three arms lift and lower a plate. Each stage has a process of its own, which first imports what it needs. What counts
 is the largest resident memory of the stage above that start (Linux: ``VmHWM``, set back at the start; mapped files
@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import shutil
 import subprocess
 import sys
 import tempfile
@@ -25,7 +26,18 @@ import matplotlib.pyplot  # noqa: F401
 import numpy as np
 from common import Record
 
-from coopqp import QPController, Recording, WaypointPath, check_run, judge, read_run, simulate, write_report
+from coopqp import (
+    QPController,
+    Recording,
+    WaypointPath,
+    check_run,
+    judge,
+    read_run,
+    simulate,
+    write_bag,
+    write_csv,
+    write_report,
+)
 from coopqp.scenarios import paper_lift
 
 KEYS = ("stage", "steps", "arms", "memory_MB", "target_MB", "cpu_s", "file_MB", "good")
@@ -96,12 +108,31 @@ def report(file: Path, steps: int) -> bool:
     return "Everything held." in page.read_text(encoding="utf-8")
 
 
+def table(file: Path, steps: int) -> bool:
+    """Load, and export a table."""
+    written = write_csv(Recording.load(file), file.with_suffix(".csv"))
+    with written.open("rb") as stream:
+        lines = sum(1 for _ in stream)
+    written.unlink()
+    return lines == steps + 2
+
+
+def bag(file: Path, steps: int) -> bool:
+    """Load, and export a bag."""
+    written = write_bag(Recording.load(file), file.with_suffix(".bag"))
+    described = (written / "metadata.yaml").read_text(encoding="utf-8")
+    shutil.rmtree(written)
+    return f"message_count: {3 * (steps + 1)}" not in described and f"message_count: {steps + 1}" in described
+
+
 STAGES: dict[str, Callable[[Path, int], bool]] = {
     "record": record,
     "load": load,
     "seek": seek,
     "judge": judged,
     "report": report,
+    "csv": table,
+    "bag": bag,
 }
 
 

@@ -63,14 +63,19 @@ def period(records: Sequence[Record]) -> str:
 
 
 def figure(value: float) -> str:
-    """Two digits; whole numbers from 100 on."""
-    return f"{value:.0f}" if value >= 99.5 else f"{value:.2g}"
+    """Two digits; whole numbers from 100 on, powers of ten below 0.01."""
+    if value >= 99.5:
+        return f"{value:.0f}"
+    if value >= 0.01 or value == 0.0:
+        return f"{value:.2g}"
+    digits, power = f"{value:.1e}".split("e")
+    return f"{float(digits):g}e{int(power)}"
 
 
 def markdown(rows: Sequence[Record]) -> str:
     """Rows with the same keys as a table."""
     lines = [list(rows[0]), ["---"] * len(rows[0]), *([str(value) for value in row.values()] for row in rows)]
-    return "\n".join("| " + " | ".join(line) + " |" for line in lines)
+    return "\n".join(("| " + " | ".join(line) + " |").replace("|  |", "| |") for line in lines)
 
 
 #: The file, the mark and the records of each table.

@@ -98,7 +98,6 @@ def test_options_may_be_a_dictionary() -> None:
 
 
 def test_the_physics_plant_takes_a_dictionary() -> None:
-    pytest.importorskip("mujoco")
     assert PhysicsPlant.of(LIFT, options={"timestep": 0.002}).options.timestep == 0.002
 
 

@@ -101,6 +101,7 @@ def test_it_enters_dwells_in_and_leaves_singularities(behaviour: Any, arm: int) 
 
 
 @pytest.mark.slow
+@pytest.mark.filterwarnings("ignore::coopqp.StartWarning")
 def test_it_comes_back_from_outside_a_limit(behaviour: Any) -> None:
     """Tests some runs; tests/reliability/test_outside.py tests every joint."""
     assert len(behaviour.keys_of("outside", quick=False)) == 72
@@ -109,6 +110,7 @@ def test_it_comes_back_from_outside_a_limit(behaviour: Any) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("solver", ["proxqp", "osqp"])
+@pytest.mark.filterwarnings("ignore::coopqp.StartWarning")
 def test_other_solvers_behave_the_same(behaviour: Any, solver: str) -> None:
     all_met(behaviour, "fast", [(np.inf, False)], solver)
     all_met(behaviour, "outside", [(4, "lower", np.inf), (9, "upper", 5.0)], solver)

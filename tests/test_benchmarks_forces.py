@@ -14,8 +14,6 @@ import forces
 
 @pytest.mark.slow
 def test_a_quick_run_meets_the_figures(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    pytest.importorskip("mujoco")
-    pytest.importorskip("toppra")
     assert forces.main(["--quick", "--json", str(tmp_path / "forces.json")]) == 0
     assert "base_off_lift" in capsys.readouterr().out
     records = json.loads((tmp_path / "forces.json").read_text())

@@ -70,7 +70,6 @@ def test_the_cases_are_what_they_say() -> None:
 
 @pytest.mark.slow
 def test_physics(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    pytest.importorskip("mujoco")
     import physics
 
     file, out = tmp_path / "r.json", tmp_path / "out"

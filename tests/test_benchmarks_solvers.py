@@ -74,6 +74,7 @@ class TestRecorded:
             assert np.allclose(own.velocity(x), own.velocity(make_solver("daqp").solve(own.problem).x), atol=1e-8)
 
 
+@pytest.mark.filterwarnings("ignore:The default value of raise_error:PendingDeprecationWarning")  # of qpsolvers
 def test_compare_solvers(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     plan = compare_solvers.Plan(recordings=(("saturated", 3, 3),), rounds=1, round_s=0.0)
     monkeypatch.setattr(compare_solvers, "QUICK", plan)

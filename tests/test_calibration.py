@@ -299,7 +299,6 @@ def lifted(lift: Scenario, plant: PhysicsPlant, cell: RobotCell, grasp: Grasp) -
 
 @pytest.fixture(scope="module")
 def engine() -> Scenario:
-    pytest.importorskip("mujoco")
     return paper_lift(time_law="quintic")
 
 

@@ -392,7 +392,6 @@ def test_common_errors(table: str, load: Callable[[str], CellRun]) -> None:
 
 
 def test_the_physics_engine_as_the_plant(load: Callable[[str], CellRun]) -> None:
-    pytest.importorskip("mujoco")
     plant = (
         'kind = "physics"\nstiffness = 2e4\ndamping = false\nsettle = 0.2\ngravity = [0, 0, -1]\nload_shares = [1.0]'
     )
@@ -490,6 +489,7 @@ ROBOT, BASE, QP = 'robot = "rx90l"', "xyz_m = [3.60, 0.50, 0.0]", 'kind = "qp" #
         ("[0.90, 0.0, 0.10]", "[0.90, 0.0, 3.10]", "arm 'master' does not reach its grasp"),
         ("[grasp]", "[grasp", "is not TOML"),
         ('name = "paper_lift"', "name = 3", "name: give text, not 3"),
+        ('name = "paper_lift"', "name = 2024-01-02", "name: give text, not 2024-01-02"),
         ("mass_kg = 20.0", "mass_kg = 1e300", "object.mass_kg: must be less than or equal to 1000000, not 1e+300"),
         ("[0.80, 1.80, 0.04]", "[0.80, 1.80, 1e-300]", "object.size_m[2]: must be greater than or equal to 0.0001"),
         (BASE, "xyz_m = [3.60, 0.50, 1e308]", "arms[1].base.xyz_m[2]: must be less than or equal to 10000"),

@@ -349,7 +349,7 @@ def test_runs_come_from_recordings_cell_files_and_scenarios(cell_file: Path, rec
         (["run", "{cell}", "--out", "{cell}"], "is a file, not a folder"),
         (["view", "papre_lift"], "Did you mean 'paper_lift'?"),
         (["view", "{cell}x"], "no recording (.npz), cell file (.toml, .yaml) or scenario"),
-        (["view", "none.npz"], "is not a coopqp recording"),
+        (["view", "none.npz"], "cannot read none.npz: there is no such file"),
         (["view", "{recording}", "--html", "."], "it is a folder"),
         (["view", "{recording}", "--port", "99999", "--no-open"], "port is 99999"),
         (["view", "{recording}", "--port", "x"], "--port"),

@@ -143,9 +143,6 @@ def test_links_lead_somewhere() -> None:
 
 @pytest.mark.slow
 def test_the_pages_build_without_warnings(tmp_path: Path) -> None:
-    pytest.importorskip("sphinx")
-    pytest.importorskip("furo")
-    pytest.importorskip("myst_parser")
     done = subprocess.run(
         [sys.executable, "-m", "sphinx", "-W", "--keep-going", "-q", "-b", "html", str(DOCS), str(tmp_path / "html")],
         capture_output=True, text=True, timeout=300, check=False,
@@ -158,7 +155,6 @@ def test_the_pages_build_without_warnings(tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_view_needs_nothing_but_the_extra(monkeypatch: pytest.MonkeyPatch) -> None:
     """``--view`` opens the viewer on the run; the test closes it at once."""
-    pytest.importorskip("viser")
     from coopqp.look import viewer
 
     opened = []

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import builtins
 import csv
+import itertools
+import tracemalloc
 import warnings
 from collections import defaultdict
 from collections.abc import Callable
@@ -13,6 +15,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from rosbags.typesys import Stores, get_typestore
 
 from coopqp import (
     InvalidInputError,
@@ -25,8 +28,10 @@ from coopqp import (
     write_bag,
     write_csv,
 )
-from coopqp.files.export import csv_text, joint_table, knot_velocities, topic_name
+from coopqp.files import export
+from coopqp.files.export import csv_parts, csv_text, knot_velocities, topic_name
 from coopqp.scenarios import Scenario
+from coopqp.simulation import rows
 from coopqp.simulation.scene import describe_cell
 
 with warnings.catch_warnings():
@@ -176,7 +181,7 @@ def test_a_continuous_joint_does_not_jump_back(mixed_run: tuple[RobotCell, Recor
     j = int(np.flatnonzero(cell.continuous)[0]) - cell.v_slices[1].start
     angles = np.array([p.positions[j] for p in message.ros_msg.points])
     np.testing.assert_allclose(angles, np.linspace(3.0, 4.0, 21), atol=1e-12)
-    assert np.abs(joint_table(cell, recording)[0]).max() <= np.pi
+    assert np.abs(cell.positions(recording.q)).max() <= np.pi
 
 
 def test_the_start_of_a_bag_may_be_set(run: Recording, tmp_path: Path) -> None:
@@ -238,3 +243,72 @@ def test_the_table_has_the_torques_that_are_fed_forward(paper: Scenario, run: Re
     assert more.startswith(plain + ",")
     with pytest.raises(InvalidInputError, match="load_use"):
         csv_text(run, load=load_use(load, run.time[:5], run.q_command[:5]))
+
+
+# -- long runs -----------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def in_parts(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(rows, "BLOCK_ROWS", 7)
+    monkeypatch.setattr(export, "MAX_TRAJECTORY_STEPS", 6)
+
+
+def test_a_table_in_parts_is_the_whole_table(run: Recording, tmp_path: Path, in_parts: None) -> None:
+    parts = list(csv_parts(run))
+    assert [part.count("\n") for part in parts] == [1, *([7] * 5), 6]
+    assert (tmp_path / "run.csv").write_text("".join(parts)) == write_csv(run, tmp_path / "other.csv").stat().st_size
+    whole = columns("".join(parts))
+    np.testing.assert_allclose(numbers(whole["eps_p_mm"]), read_run(run.cell(shapes=False), run).eps_p_mm, atol=1e-12)
+    np.testing.assert_array_equal(numbers(whole["path.z_m"]), run.reference[:, 2, 3])
+
+
+def test_a_long_command_is_several_trajectories(
+    mixed_run: tuple[RobotCell, Recording], tmp_path: Path, in_parts: None
+) -> None:
+    """Each begins where and when the one before ends; together they are the command, with every turn."""
+    cell, recording = mixed_run
+    topics = messages(write_bag(recording, tmp_path / "bag"))
+    arm = topic_name(cell.arm_names[1])
+    sent = topics[f"/{arm}/joint_trajectory"]
+    assert [len(m.ros_msg.points) for m in sent] == [7, 7, 7, 3]
+    np.testing.assert_allclose([1e-9 * m.log_time_ns for m in sent], recording.time[::6], atol=1e-9)
+    ends = [(m.ros_msg.points[0], m.ros_msg.points[-1]) for m in sent]
+    for (_, end), (begin, _) in itertools.pairwise(ends):
+        assert list(begin.positions) == list(end.positions)
+        assert list(begin.velocities) == list(end.velocities)
+        assert _nanoseconds(begin.time_from_start) == 0
+    times = [m.log_time_ns + _nanoseconds(p.time_from_start) for m in sent for p in m.ros_msg.points[1:]]
+    np.testing.assert_allclose(1e-9 * np.array(times), recording.time[1:], atol=1e-9)
+    j = int(np.flatnonzero(cell.continuous)[0]) - cell.v_slices[1].start
+    angles = [ends[0][0].positions[j], *(p.positions[j] for m in sent for p in m.ros_msg.points[1:])]
+    np.testing.assert_allclose(angles, np.linspace(3.0, 4.0, 21), atol=1e-12)
+    states = topics["/joint_states"]
+    np.testing.assert_array_equal([list(m.ros_msg.velocity) for m in states], knot_velocities(recording))
+
+
+def messages_of(run: Recording, _: Path, *, cell: RobotCell) -> None:
+    """All messages of a bag. The writer of rosbags keeps 1 MB of them, more than these runs have."""
+    for _message in export.Messages(get_typestore(Stores.ROS2_JAZZY), cell, run, 0.0).all():
+        pass
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("write", [write_csv, messages_of])
+def test_memory_does_not_grow_with_the_run(
+    write: Callable[..., object], run: Recording, paper: Scenario, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A step is more than 800 bytes of either file; 100 bytes leave room for its limits and for rounding."""
+    monkeypatch.setattr(rows, "BLOCK_ROWS", 50)
+    monkeypatch.setattr(export, "MAX_TRAJECTORY_STEPS", 50)
+    few, largest = 300, []
+    for steps in (few, 2 * few):
+        again = np.arange(steps + 1) % (run.n_steps + 1)
+        samples = {name: getattr(run, name)[again] for name in ("q", "q_command", "clock", "reference")}
+        of_steps = {name: getattr(run, name)[again[:-1] % run.n_steps] for name in ("velocity", "rate", "status")}
+        long = replace(run, time=0.01 * np.arange(steps + 1), **samples, **of_steps)
+        tracemalloc.start()
+        write(long, tmp_path / f"{steps}", cell=paper.cell)
+        largest.append(tracemalloc.get_traced_memory()[1])
+        tracemalloc.stop()
+    assert largest[1] - largest[0] < 100 * few, largest

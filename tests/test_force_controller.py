@@ -303,6 +303,7 @@ def lifted(task: Scenario, *, run: float = 2.0, **disturbances: Any) -> tuple[Ar
 
 
 @pytest.mark.slow
+@pytest.mark.filterwarnings("ignore::coopqp.StartWarning")
 def test_an_arm_whose_base_is_off_squeezes_no_more(task: Scenario) -> None:
     """286 N without (``benchmarks/forces.py``)."""
     axis = np.ones(3) / np.sqrt(3.0)

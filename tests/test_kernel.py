@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from importlib import metadata
+
+from coopqp import available_kernels
 
 WITHOUT = "import sys; sys.modules['coopqp.control.core._native'] = None\n"
 WARNED = (
@@ -33,6 +36,15 @@ def ran(program: str) -> str:
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=120, check=False)
     assert done.returncode == 0, done.stderr
     return done.stdout
+
+
+def test_the_kernel_that_was_built_is_the_one_that_runs() -> None:
+    """A core that was built and cannot be imported would leave tests/test_core.py out, and nothing else would fail."""
+    built = metadata.distribution("coopqp").read_text("WHEEL")
+    assert built is not None
+    pure = "Root-Is-Purelib: true" in built
+    assert pure == ("py3-none-any" in built)
+    assert available_kernels() == (("plain",) if pure else ("compiled", "plain"))
 
 
 def test_a_missing_kernel_is_warned_of_once() -> None:

@@ -344,7 +344,6 @@ def test_a_load_that_is_too_heavy_is_said_when_and_why() -> None:
 
 @pytest.mark.slow
 def test_the_engine_exerts_the_wrenches_that_are_fed_forward() -> None:
-    pytest.importorskip("mujoco")
     lift = paper_lift(time_law="quintic", duration=1.2)
     load = LoadShare(lift.cell, lift.grasp, box(lift, 20.0), internal_force=50.0)
     motion, off = exact_motion(lift.cell, lift.grasp, lift.path, lift.q_start), []
@@ -408,6 +407,5 @@ def test_bad_settings_of_load_sharing(paper: Scenario) -> None:
     tight = LoadShare(*args, internal_force=50.0, grips=palms(squeeze=500.0))
     with pytest.raises(UnreachableError, match="least squeeze"):
         tight.share(paper.q_start)
-    pytest.importorskip("mujoco")
     with pytest.raises(InvalidInputError, match="gravity"):
         PhysicsPlant.of(paper, load=load, options=PhysicsOptions(gravity=(0, 0, -1.6)))

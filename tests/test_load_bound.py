@@ -158,7 +158,6 @@ def carried_along(load: LoadShare, paper: Scenario, path: Any) -> Any:
 @pytest.mark.slow
 def test_the_fastest_lifts_of_the_paper_s_cell(paper: Scenario) -> None:
     """By torque limits alone, 50 N of internal force: slower with each kilogram, and admissible all the way."""
-    pytest.importorskip("toppra")
     cell, durations = paper.cell.with_limits(velocity=1e3, acceleration=1e4), []
     for mass in (20.0, 40.0, 48.0, 53.0):
         load = LoadShare(cell, paper.grasp, box(paper, mass), internal_force=50.0)
@@ -180,7 +179,6 @@ def test_the_fastest_lifts_of_the_paper_s_cell(paper: Scenario) -> None:
 
 
 def test_a_bound_is_one_limit_among_others(paper: Scenario) -> None:
-    pytest.importorskip("toppra")
     cell = paper.cell.with_limits(acceleration=20.0)
     load = LoadShare(cell, paper.grasp, box(paper, 45.0), internal_force=50.0)
     common: Any = {"q_start": paper.q_start, "knots": 60}
@@ -196,7 +194,6 @@ def test_a_bound_is_one_limit_among_others(paper: Scenario) -> None:
 
 def test_a_bound_of_one_s_own_counts_in_the_timing(paper: Scenario) -> None:
     """A speed limit of the object, as a line, gives the time of a trapezoid without its ramps."""
-    pytest.importorskip("toppra")
 
     class Slow:
         name = "slow"

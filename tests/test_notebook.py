@@ -13,7 +13,19 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from coopqp import Arm, QPController, Recording, RobotCell, Status, robot_path
+from coopqp import (
+    Arm,
+    HoldPath,
+    IndependentQPController,
+    LinePath,
+    PseudoInverseController,
+    QPController,
+    Recording,
+    RobotCell,
+    ServoPath,
+    Status,
+    robot_path,
+)
 from coopqp.scenarios import Scenario
 
 MOST_BYTES = 250_000
@@ -123,3 +135,15 @@ def test_texts_are_short_and_say_what_it_is(paper: Scenario, baseline: Callable[
     assert repr(baseline(40)) == "Recording(PseudoInverseController, 3 arms, 40 steps, 3 s, finished)"
     assert repr(paper).startswith("Scenario(paper_lift: RobotCell(master: 6 joints, ")
     assert repr(paper.cell.arms[0]).startswith("Arm(master: 6 joints, tool flange, ")
+
+
+def test_controllers_and_paths_say_what_they_are(paper: Scenario) -> None:
+
+    path = HoldPath(paper.path.pose(0.0))
+    assert (repr(paper.path), repr(path), repr(ServoPath(paper.path.pose(0.0)))) == (
+        "LinePath(3 s)", "HoldPath(1 s)", "ServoPath(no end)",
+    )  # fmt: skip
+    assert "LinePath()" in repr(LinePath.__new__(LinePath)), "also before it is built"
+    for make in (QPController, PseudoInverseController, IndependentQPController):
+        controller = make(paper.cell, paper.grasp, paper.path, dt=0.002)
+        assert repr(controller) == f"{make.__name__}(3 arms, dt 0.002 s, LinePath(3 s))"

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import mujoco
 import numpy as np
 import pinocchio as pin
 import pytest
@@ -43,8 +44,6 @@ from coopqp import (
 from coopqp.scenarios import Scenario, paper_lift
 from coopqp.simulation import metrics
 from coopqp.simulation.plants.replay import Motion, Replay, exact_motion, recorded_motion
-
-mujoco = pytest.importorskip("mujoco")
 
 #: A base with an error of 1 mm and 0.1°, a grasp with an error of 2 mm.
 BASE_OFF = pin.SE3(pin.exp3(np.deg2rad(0.1) * np.ones(3) / np.sqrt(3)), 1e-3 * np.ones(3) / np.sqrt(3))
@@ -428,6 +427,7 @@ def closed_loop(
 @pytest.mark.slow
 @pytest.mark.parametrize("latched", [True, False])
 @pytest.mark.parametrize("off", [{"base": BASE_OFF}, {"grip": GRASP_OFF}], ids=["base", "grip"])
+@pytest.mark.filterwarnings("ignore::coopqp.StartWarning")
 def test_held_for_ten_seconds_the_force_stays(paper: Scenario, off: dict[str, pin.SE3], latched: bool) -> None:
     force, recording = closed_loop(HoldPath(paper.path.pose(0.0), duration=10.0), latched=latched, **off)
     assert recording.finished
@@ -439,6 +439,7 @@ def test_held_for_ten_seconds_the_force_stays(paper: Scenario, off: dict[str, pi
 
 
 @pytest.mark.slow
+@pytest.mark.filterwarnings("ignore::coopqp.StartWarning")
 def test_lifted_and_lowered_for_ten_seconds_the_force_does_not_wind_up(paper: Scenario) -> None:
     low, high = paper.path.pose(0.0), paper.path.pose(paper.path.duration)
     path = WaypointPath([low, high] * 3 + [low], durations=[10.0 / 6.0] * 6)

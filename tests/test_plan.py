@@ -27,7 +27,6 @@ from coopqp.app.cli import main
 from coopqp.planning import plan, time_path
 from coopqp.scenarios import dual_arm7
 
-pytest.importorskip("toppra")
 BAR = Path(__file__).parents[1] / "docs" / "examples" / "cells" / "bar.toml"
 
 

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import matplotlib.image
 import pytest
+from markdown_it import MarkdownIt
 from PIL import Image
 
 from coopqp.app import cli, demo
@@ -82,3 +83,25 @@ def test_released_links_are_absolute() -> None:
     assert pictures
     assert all(re.match(rf"{base}|https://", picture) for picture in pictures)
     assert re.sub(base, "", released) == README
+
+
+def test_no_link_of_a_released_readme_stays_relative() -> None:
+    """As a page shows it: links in tables, pictures in links, footnotes."""
+    script = runpy.run_path(str(ROOT / ".ci" / "absolute_links.py"))
+    page = MarkdownIt("gfm-like", {"linkify": False}).render(script["absolute"](README, "https://host/r", "v1"))
+    targets = re.findall(r'(?:href|src)="([^"]*)"', page)
+    assert len(targets) > 4
+    assert [t for t in targets if not t.startswith(("https://", "#"))] == []
+    odd = "a [b](c.md) [![d](e.png)](f.md) `[g](h.md)` [i](#j)\n```\n[k](l.md)\n```\n"
+    rewritten = script["absolute"](odd, "https:R", "v")
+    for before, after in (("(c", "(https:R/blob/v/c"), ("(e", "(https:R/raw/v/e"), ("(f", "(https:R/blob/v/f")):
+        odd = odd.replace(before, after)
+    assert rewritten == odd
+
+
+def test_the_release_builds_from_the_rewritten_readme() -> None:
+    """One source distribution is built, after the links are absolute, and the wheels are built from it."""
+    flow = (ROOT / ".github" / "workflows" / "release.yml").read_text(encoding="utf-8")
+    rewritten, built = flow.index("python .ci/absolute_links.py"), flow.index("python -m build --sdist")
+    assert rewritten < built < flow.index("cibuildwheel --output-dir wheels dist/*.tar.gz")
+    assert len(re.findall(r"-m build|cibuildwheel --output", flow)) == 2

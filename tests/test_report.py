@@ -171,6 +171,18 @@ def test_long_runs_stay_small(slowed: Recording, monkeypatch: pytest.MonkeyPatch
 
 
 @pytest.mark.slow
+def test_measurements_are_drawn_and_not_listed(slowed: Recording) -> None:
+    """Every run of a cell file carries its distances over time: pages of numbers under the settings."""
+    times = np.linspace(0.0, 3.0, 189).tolist()
+    clearance = {
+        "closest_m": 0.01, "time_s": 1.5, "between": ["a", "b"], "left_out": [], "avoided": False, "margin_m": 0.0,
+        "times_s": times, "distances_m": [0.0123456789] * 189, "points_m": [[[0.1, 0.2, 0.3]] * 2] * 189,
+    }  # fmt: skip
+    text = report_html(replace(_bare(slowed), metadata={**_bare(slowed).metadata, "clearance": clearance}))
+    assert "0.0123456789" not in text
+    assert text.count("189 values") == 3
+
+
 def test_arms_without_shapes_and_cells_that_are_given(baseline: Callable[..., Recording], paper: Scenario) -> None:
     recording = _bare(baseline(40))
     assert "no shapes to draw" in report_html(recording)

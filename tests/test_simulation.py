@@ -319,8 +319,8 @@ def test_what_is_no_recording(content: bytes, tmp_path: Path) -> None:
     file.write_bytes(content)
     with pytest.raises(RecordingError, match=r"file\.npz is not a coopqp recording"):
         Recording.load(file)
-    for missing in (tmp_path / "nothing.npz", tmp_path):
-        with pytest.raises(RecordingError, match="is not a coopqp recording"):
+    for missing, why in ((tmp_path / "nothing.npz", "there is no such file"), (tmp_path, "it is a folder")):
+        with pytest.raises(RecordingError, match=why):
             Recording.load(missing)
 
 

@@ -7,7 +7,7 @@ import shutil
 from pathlib import Path
 
 import pytest
-from tables import ROOT, TABLES, main, replaced
+from tables import ROOT, TABLES, figure, main, replaced
 
 BEHAVIOUR = [
     {"case": case, "controller": controller, "chain_mm": chain, "chain_final_mm": 0.1 * chain, "path_mm": 0.5}
@@ -34,8 +34,8 @@ def test_tables_are_the_worst_of_their_records(tmp_path: Path, capsys: pytest.Ca
     assert main([str(tmp_path), "--into", str(tmp_path)]) == 0
     assert capsys.readouterr().out.count("written") == len(TABLES)
     text = (tmp_path / "README.md").read_text(encoding="utf-8")
-    assert "| object at 0.6 m/s, joints limited to 1 rad/s | 345 | 0.0002 | 0.5 |" in text
-    assert "error at the end | 34 | 2e-05 |  |" in text
+    assert "| object at 0.6 m/s, joints limited to 1 rad/s | 345 | 2e-4 | 0.5 |" in text
+    assert "error at the end | 34 | 2e-5 | |" in text
     assert "| 16 | 24 | 40 | 75 | 0.32 |" in text
     assert main([str(tmp_path), "--into", str(tmp_path)]) == 0  # once more: the same
     assert (tmp_path / "README.md").read_text(encoding="utf-8") == text
@@ -44,3 +44,11 @@ def test_tables_are_the_worst_of_their_records(tmp_path: Path, capsys: pytest.Ca
 def test_a_table_without_its_marks_is_an_error() -> None:
     with pytest.raises(ValueError, match="measured: period -->"):
         replaced("no marks", "period", "table")
+
+
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [(0.0, "0"), (1.4e-4, "1.4e-4"), (9.96e-5, "1e-4"), (0.0123, "0.012"), (9.7, "9.7"), (99.4, "99"), (412.3, "412")],
+)
+def test_figures_are_short(value: float, text: str) -> None:
+    assert figure(value) == text

@@ -37,7 +37,6 @@ from coopqp.planning.timing import limits_along
 from coopqp.scenarios import dual_arm7, mixed_cell, paper_lift, ring
 from coopqp.task.geometry import blended, piece_of
 
-pytest.importorskip("toppra")
 UM = 1e-6
 
 

@@ -299,7 +299,7 @@ def _add_export(commands: Any) -> None:
 
 def _run_export(arguments: argparse.Namespace) -> int:
     from coopqp.app.runs import save_recording
-    from coopqp.files.export import csv_text, require_rosbags, write_bag, write_csv
+    from coopqp.files.export import csv_parts, require_rosbags, write_bag, write_csv
     from coopqp.output import check_new
 
     if arguments.bag is not None:
@@ -315,7 +315,7 @@ def _run_export(arguments: argparse.Namespace) -> int:
     if arguments.npz is not None:
         files.append(save_recording(recording, arguments.npz))
     if to_stdout:
-        sys.stdout.write(csv_text(recording))
+        sys.stdout.writelines(csv_parts(recording))
     elif arguments.csv is not None:
         files.append(write_csv(recording, arguments.csv))
     if arguments.bag is not None:

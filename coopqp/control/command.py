@@ -421,6 +421,12 @@ class Controller(Protocol):
         ...
 
 
+def short_text(controller: Controller) -> str:
+    """What a controller is made of, for its ``repr``."""
+    arms = f"{len(controller.cell)} arm{'s' * (len(controller.cell) != 1)}"
+    return f"{type(controller).__name__}({arms}, dt {controller.dt:g} s, {controller.path!r})"
+
+
 #: Default of the largest accepted error of an arm at reset [m, rad].
 START_TOLERANCE_M, START_TOLERANCE_RAD = 0.02, np.deg2rad(3.0)
 

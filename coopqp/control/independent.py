@@ -25,6 +25,7 @@ from coopqp.control.command import (
     SolverReport,
     Status,
     check_start,
+    short_text,
 )
 from coopqp.control.limits import VelocityBox
 from coopqp.control.solvers import QpProblem, QpSolution, QpSolver, make_solver
@@ -107,6 +108,9 @@ class IndependentQPController:
         self._metric = np.array([1.0] * 3 + [o.length**2] * 3)
         self._q, self._v = pin.neutral(cell.model), np.zeros(cell.nv)
         self._clock, self._started = 0.0, False
+
+    def __repr__(self) -> str:
+        return short_text(self)
 
     @alone
     def reset(self, q: ArrayLike) -> None:

@@ -14,7 +14,7 @@ import numpy as np
 import pinocchio as pin
 
 from coopqp.checks import ArrayLike, Doc, as_count, as_options, as_scalar, as_vector, documented, keep_scalars, require
-from coopqp.control.command import START_TOLERANCE_M, START_TOLERANCE_RAD, ControlStep, Status, check_start
+from coopqp.control.command import START_TOLERANCE_M, START_TOLERANCE_RAD, ControlStep, Status, check_start, short_text
 from coopqp.control.turn import Turn, alone
 from coopqp.errors import InvalidInputError, UnknownNameError, UnreachableError
 from coopqp.model.cell import RobotCell
@@ -153,6 +153,9 @@ class PseudoInverseController:
             return True
 
         return taken
+
+    def __repr__(self) -> str:
+        return short_text(self)
 
     @alone
     def reset(self, q: ArrayLike) -> None:

@@ -18,7 +18,7 @@ import numpy as np
 import pinocchio as pin
 
 from coopqp.checks import NOT_NUMBERS, ArrayLike, as_options, as_scalar, require
-from coopqp.control.command import ControlStep, Status, amend, brakes_for_target, check_start
+from coopqp.control.command import ControlStep, Status, amend, brakes_for_target, check_start, short_text
 from coopqp.control.constraints import Constraints, listed
 from coopqp.control.core import make_loop
 from coopqp.control.effort import Effort
@@ -123,6 +123,9 @@ class QPController:
             and (not self.constraints or self._checked.certified is not None)
         ):
             self._fast = self._loop.step
+
+    def __repr__(self) -> str:
+        return short_text(self)
 
     # -- starting --------------------------------------------------------------------------------------------------
 

@@ -7,35 +7,31 @@ import io
 import os
 import re
 import shutil
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pinocchio as pin
 
+from coopqp.control.command import Status
 from coopqp.errors import InvalidInputError, MissingExtraError, printable
 from coopqp.forces.use import LoadUse
 from coopqp.model.cell import RobotCell
-from coopqp.output import OutputError, check_folder, folder_of, write_files
-from coopqp.simulation.assessment import Readings, check_recording, read_run, slides
+from coopqp.model.limits import BindingLimit
+from coopqp.output import OutputError, check_folder, folder_of, whole_file
+from coopqp.simulation.assessment import check_recording, read_part, slides
 from coopqp.simulation.recording import Recording
 from coopqp.spatial import Array
+
+#: Most steps of one trajectory message. Longer ones are too large for memory and middleware.
+MAX_TRAJECTORY_STEPS = 50_000
 
 _READINGS = ("eps_p_mm", "eps_o_deg", "chain_mm", "chain_deg", "object_mm", "object_deg")
 
 
-def joint_table(cell: RobotCell, recording: Recording) -> tuple[Array, Array]:
-    """Measured and commanded joint positions, (T+1, nv) each [rad or m]; continuous joints in (−π, π]."""
-    check_recording(cell, recording)
-    return (
-        cell.positions(recording.q),
-        cell.positions(recording.q_command),
-    )
-
-
 def csv_text(recording: Recording, *, cell: RobotCell | None = None, load: LoadUse | None = None) -> str:
-    """A run as CSV: one row per sample, numbers with all digits.
+    """A run as CSV: one row per sample, numbers with all digits. :func:`csv_parts` has it in parts.
 
     Columns: time and the object's clock; rate, status and binding limits of the step that starts at the sample (empty
     in the last row); measured position, commanded position and commanded velocity of every joint; the path's pose
@@ -49,26 +45,46 @@ def csv_text(recording: Recording, *, cell: RobotCell | None = None, load: LoadU
 
     Raises:
         SceneError: no cell is given and the recording does not describe one.
-        InvalidInputError: a load of another run.
+        InvalidInputError: a recording of another cell, or a load of another run.
+    """
+    return "".join(csv_parts(recording, cell=cell, load=load))
+
+
+def csv_parts(recording: Recording, *, cell: RobotCell | None = None, load: LoadUse | None = None) -> Iterator[str]:
+    """:func:`csv_text` in parts: a long run is read, and becomes text, where it is written.
+
+    Raises:
+        SceneError, InvalidInputError: as in :func:`csv_text`, before the first part.
     """
     cell = recording.cell(shapes=False) if cell is None else cell
+    check_recording(cell, recording)
     if load is not None and load.torques.shape != (recording.n_steps + 1, cell.nv):
         raise InvalidInputError(
             f"torques of shape {load.torques.shape} for {recording.n_steps + 1} samples of {cell.nv} joints",
             "write_csv: load",
             "Give load_use(…, recording.time, recording.q_command).",
         )
-    readings = read_run(cell, recording)
-    stream = io.StringIO()
-    writer = csv.writer(stream, lineterminator="\n")
-    head, rows = _header(cell), _rows(cell, recording, readings)
+    return _parts(cell, recording, load)
+
+
+def _parts(cell: RobotCell, recording: Recording, load: LoadUse | None) -> Iterator[str]:
+    head = _header(cell)
     if load is not None:
         units = ["N" if slide else "N_m" for slide in slides(cell)]
         head += [f"{name}.torque_{unit}" for name, unit in zip(cell.joint_names, units, strict=True)] + ["load_share"]
-        torques = np.column_stack([load.torques, load.share]).tolist()
-        rows = ([*row, *more] for row, more in zip(rows, torques, strict=True))
-    writer.writerow(map(_cell, head))
-    writer.writerows(map(_cell, row) for row in rows)
+    yield _lines([head])
+    bindings = recording.bindings
+    for part in recording.parts(len(recording.time)):
+        rows = _rows(cell, recording, bindings, part)
+        if load is not None:
+            torques = np.column_stack([load.torques[part], load.share[part]]).tolist()
+            rows = ([*row, *more] for row, more in zip(rows, torques, strict=True))
+        yield _lines(rows)
+
+
+def _lines(rows: Iterable[list[Any]]) -> str:
+    stream = io.StringIO()
+    csv.writer(stream, lineterminator="\n").writerows(map(_cell, row) for row in rows)
     return stream.getvalue()
 
 
@@ -98,48 +114,60 @@ def _header(cell: RobotCell) -> list[str]:
     ]
 
 
-def _rows(cell: RobotCell, recording: Recording, readings: Readings) -> Iterator[list[Any]]:
-    measured, commanded = joint_table(cell, recording)
-    statuses, bindings = recording.statuses, recording.bindings
-    for i, time in enumerate(recording.time):
+def _rows(
+    cell: RobotCell, recording: Recording, bindings: list[tuple[BindingLimit, ...]], part: slice
+) -> Iterator[list[Any]]:
+    """The rows of some samples."""
+    readings = read_part(cell, recording, part)
+    measured, commanded = cell.positions(recording.q[part]), cell.positions(recording.q_command[part])
+    order = list(Status)
+    for k, i in enumerate(range(part.start, part.stop)):
         last = i == recording.n_steps
-        step = [""] * 3 if last else [float(recording.rate[i]), statuses[i].value, "; ".join(map(str, bindings[i]))]
+        status = "" if last else order[int(recording.status[i])].value
+        step = [""] * 3 if last else [float(recording.rate[i]), status, "; ".join(map(str, bindings[i]))]
         velocity = [""] * cell.nv if last else recording.velocity[i].tolist()
         pose = pin.SE3(recording.reference[i])
         yield [
-            float(time),
+            float(recording.time[i]),
             float(recording.clock[i]),
             *step,
-            *measured[i].tolist(),
-            *commanded[i].tolist(),
+            *measured[k].tolist(),
+            *commanded[k].tolist(),
             *velocity,
             *pose.translation.tolist(),
             *pin.Quaternion(pose.rotation).coeffs().tolist(),
-            *(float(getattr(readings, name)[i]) for name in _READINGS),
+            *(float(getattr(readings, name)[k]) for name in _READINGS),
         ]
 
 
 def write_csv(
     recording: Recording, path: str | Path, *, cell: RobotCell | None = None, load: LoadUse | None = None
 ) -> Path:
-    """Write :func:`csv_text` to a file, atomically.
+    """Write :func:`csv_text` to a file, atomically and in parts.
 
     Raises:
         OutputError: the file cannot be written.
         SceneError, InvalidInputError: as in :func:`csv_text`.
     """
     file = Path(path)
-    write_files({file: csv_text(recording, cell=cell, load=load).encode()})
+    texts = csv_parts(recording, cell=cell, load=load)
+    with whole_file(file) as stream:
+        for text in texts:
+            stream.write(text.encode())
     return file
 
 
-def knot_velocities(recording: Recording) -> Array:
-    """Velocity at each sample (T+1, nv) [rad/s or m/s]: the mean of the steps before and after it, 0 at both ends.
+def knot_velocities(recording: Recording, part: slice = slice(None)) -> Array:
+    """Velocity at samples (T+1, nv) [rad/s or m/s]: the mean of the steps before and after one, 0 at both ends.
 
-    Trajectory controllers that interpolate between points need these velocities.
+    Trajectory controllers that interpolate between points need these velocities. ``part``: of these samples only.
     """
-    v = np.zeros((recording.n_steps + 1, recording.velocity.shape[1]))
-    v[1:-1] = 0.5 * (recording.velocity[:-1] + recording.velocity[1:])
+    begin, end, _ = part.indices(recording.n_steps + 1)
+    v = np.zeros((end - begin, recording.velocity.shape[1]))
+    first, last = max(begin, 1), min(end, recording.n_steps)  # samples between two steps
+    if first < last:
+        steps = recording.velocity[first - 1 : last]
+        v[first - begin : last - begin] = 0.5 * (steps[:-1] + steps[1:])
     return v
 
 
@@ -160,6 +188,10 @@ def write_bag(recording: Recording, folder: str | Path, *, cell: RobotCell | Non
     message with the whole command; the stamp 0 means "start now"; continuous joints without jumps) and ``/object_path``
     (``geometry_msgs/PoseStamped``). Joints have the names ``arm/joint``.
 
+    A run of more than :data:`MAX_TRAJECTORY_STEPS` has a trajectory for each such part, at its time in the bag. Each
+    begins where the one before ends, mostly in motion: ros2_control plays them with
+    ``allow_nonzero_velocity_at_trajectory_end``.
+
     Args:
         recording: the run.
         folder: folder of the bag; it must not exist.
@@ -179,11 +211,12 @@ def write_bag(recording: Recording, folder: str | Path, *, cell: RobotCell | Non
     if not 0.0 <= start < 4e9:
         raise InvalidInputError(f"start is {start}", "write_bag", "Give seconds since the epoch, 0 for none.")
     cell = recording.cell(shapes=False) if cell is None else cell
+    check_recording(cell, recording)
     target = Path(folder)
     if target.exists():
         raise OutputError(f"cannot write the bag {target}: it exists. Remove it, or give another folder.")
     check_folder(target.parent)
-    messages = _Messages(get_typestore(Stores.ROS2_JAZZY), cell, recording, start)
+    messages = Messages(get_typestore(Stores.ROS2_JAZZY), cell, recording, start)
     temporary = target.with_name(f".{target.name}.{os.urandom(4).hex()}.tmp")
     with folder_of(target):
         try:
@@ -211,28 +244,42 @@ def _rename_inside(folder: Path, name: str) -> None:
     storage.rename(folder / f"{name}.mcap")
 
 
-class _Messages:
+class Messages:
     """The messages of a bag, in the order of time."""
 
     def __init__(self, store: Any, cell: RobotCell, recording: Recording, start: float) -> None:
         self.store, self._cell, self._recording = store, cell, recording
         self._start = round(start * 1e9)
-        self._times = [round(float(t) * 1e9) for t in recording.time]
-        self._measured, self._commanded = joint_table(cell, recording)
-        self._velocities = knot_velocities(recording)
-        turning = cell.continuous
-        self._trajectory = self._commanded.copy()  # without jumps of a full turn
-        self._trajectory[:, turning] = np.unwrap(self._commanded[:, turning], axis=0)
 
     def all(self) -> Iterator[tuple[int, str, Any]]:
         """(nanoseconds, topic, message)."""
-        for topic, message in self._trajectories():
-            yield self._start, topic, message
-        for i, t in enumerate(self._times):
-            now = self._start + t
-            for topic, positions in (("/joint_states", self._measured), ("/joint_commands", self._commanded)):
-                yield now, topic, self._state(now, positions[i], self._velocities[i])
-            yield now, "/object_path", self._pose(now, pin.SE3(self._recording.reference[i]))
+        recording, cell = self._recording, self._cell
+        pieces, due = self._pieces(), 0
+        for part in recording.parts(len(recording.time)):
+            measured, commanded = cell.positions(recording.q[part]), cell.positions(recording.q_command[part])
+            velocities = knot_velocities(recording, part)
+            for k, i in enumerate(range(part.start, part.stop)):
+                now = self._start + _nanoseconds(recording.time[i])
+                if i == due and (piece := next(pieces, None)) is not None:
+                    due += MAX_TRAJECTORY_STEPS
+                    for topic, message in self._trajectories(*piece):
+                        yield now, topic, message
+                for topic, positions in (("/joint_states", measured), ("/joint_commands", commanded)):
+                    yield now, topic, self._state(now, positions[k], velocities[k])
+                yield now, "/object_path", self._pose(now, pin.SE3(recording.reference[i]))
+
+    def _pieces(self) -> Iterator[tuple[slice, Array]]:
+        """Samples and commanded positions of each trajectory, without jumps of a full turn."""
+        recording, turning = self._recording, self._cell.continuous
+        before: Array | None = None
+        for begin in range(0, max(recording.n_steps, 1), MAX_TRAJECTORY_STEPS):
+            piece = slice(begin, min(begin + MAX_TRAJECTORY_STEPS, recording.n_steps) + 1)
+            positions = self._cell.positions(recording.q_command[piece])
+            if before is not None:
+                positions[0] = before  # the same place, with the turns until then
+            positions[:, turning] = np.unwrap(positions[:, turning], axis=0)
+            before = positions[-1].copy()
+            yield piece, positions
 
     def _make(self, kind: str, **fields: Any) -> Any:
         return self.store.types[kind](**fields)
@@ -263,18 +310,20 @@ class _Messages:
             pose=self._make("geometry_msgs/msg/Pose", position=position, orientation=turn),
         )
 
-    def _trajectories(self) -> Iterator[tuple[str, Any]]:
+    def _trajectories(self, piece: slice, positions: Array) -> Iterator[tuple[str, Any]]:
+        velocities = knot_velocities(self._recording, piece)
+        times = [_nanoseconds(t) for t in self._recording.time[piece] - self._recording.time[piece.start]]
         for name, own in zip(self._cell.arm_names, self._cell.v_slices, strict=True):
             points = [
                 self._make(
                     "trajectory_msgs/msg/JointTrajectoryPoint",
-                    positions=self._trajectory[i, own].copy(),
-                    velocities=self._velocities[i, own].copy(),
+                    positions=positions[i, own].copy(),
+                    velocities=velocities[i, own].copy(),
                     accelerations=np.zeros(0),
                     effort=np.zeros(0),
                     time_from_start=self._time(t, "Duration"),
                 )
-                for i, t in enumerate(self._times)
+                for i, t in enumerate(times)
             ]
             yield (
                 f"/{topic_name(name)}/joint_trajectory",
@@ -285,6 +334,10 @@ class _Messages:
                     points=points,
                 ),
             )
+
+
+def _nanoseconds(seconds: float) -> int:
+    return round(float(seconds) * 1e9)
 
 
 def topic_name(arm: str) -> str:

@@ -11,7 +11,7 @@ from typing import Any, final
 import numpy as np
 
 from coopqp.checks import ArrayLike, as_options, as_scalar, require
-from coopqp.control.command import ControlStep, Status
+from coopqp.control.command import ControlStep, Status, short_text
 from coopqp.control.core.relax_plain import HEARD, SILENT
 from coopqp.control.pseudo_inverse import PseudoInverseController
 from coopqp.control.qp import QPController
@@ -111,6 +111,9 @@ class ForceController:
         if not isinstance(controller, QPController):
             raise InvalidInputError(f"a {type(controller).__name__}", "ForceController", "This needs a QPController.")
         return controller
+
+    def __repr__(self) -> str:
+        return short_text(self)
 
     @alone
     def reset(self, q: ArrayLike, *, clock: float = 0.0) -> None:

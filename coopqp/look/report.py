@@ -29,6 +29,8 @@ if TYPE_CHECKING:
 MAX_SVG_BYTES = 400_000
 #: Largest numbers of listed notes, limits and settings.
 MAX_NOTES, MAX_LIMITS, MAX_SETTINGS = 1000, 40, 400
+#: Largest number of listed values of one setting.
+MAX_VALUES = 40
 #: Number of visible notes; further notes are folded.
 OPEN_NOTES = 15
 _HIDDEN = ("scene", "path", "binding", "object", "settings", "notes", "load")
@@ -217,7 +219,14 @@ def _flat(prefix: str, value: Any) -> Iterable[tuple[str, str]]:
         for i, inner in enumerate(value):
             yield from _flat(f"{prefix}[{i}]", inner)
     else:
-        yield prefix, ", ".join(map(str, value)) if isinstance(value, list) else str(value)
+        yield prefix, _listed(value) if isinstance(value, list) else str(value)
+
+
+def _listed(values: list[Any]) -> str:
+    """Names, all of them; of longer measurements their number: the page draws them."""
+    if len(values) > MAX_VALUES and not isinstance(values[0], str):
+        return f"{len(values)} values"
+    return ", ".join(map(str, values))
 
 
 def _notes(recording: Recording) -> str:

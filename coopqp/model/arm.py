@@ -208,7 +208,7 @@ class Arm:
             if geometry:
                 shapes["visual"] = pin.buildGeomFromMJCF(model, str(source), pin.GeometryType.VISUAL)
                 shapes["collision"] = pin.buildGeomFromMJCF(model, str(source), pin.GeometryType.COLLISION)
-        except (ValueError, RuntimeError) as error:
+        except (ValueError, RuntimeError, IndexError) as error:  # IndexError: Pinocchio 3.8 for a file without bodies
             raise ModelError(f"arm '{name}': {source} is not a readable MJCF ({_cause(error)})") from error
         return Arm._build(
             name, model, tool_frame, T_world_base, locked_joints, shapes, str(source),

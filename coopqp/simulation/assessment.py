@@ -124,14 +124,15 @@ def read_run(cell: RobotCell, recording: Recording) -> Readings:
     samples = len(recording.time)
     errors: dict[str, Array] = {}
     for part in recording.parts(samples):
-        read = _read_part(cell, recording, part)
+        read = read_part(cell, recording, part)
         for name in (field.name for field in fields(Readings)):
             values = getattr(read, name)
             errors.setdefault(name, np.empty((samples, *values.shape[1:])))[part] = values
     return Readings(**errors)
 
 
-def _read_part(cell: RobotCell, recording: Recording, part: slice) -> Readings:
+def read_part(cell: RobotCell, recording: Recording, part: slice) -> Readings:
+    """:func:`read_run` for some samples of a recording that fits the cell."""
     grasp = recording.grasp
     q, q_command = recording.q[part], recording.q_command[part]
     commanded, J = metrics.tool_matrices(cell, q_command)
@@ -317,7 +318,10 @@ def _apart(recording: Recording) -> tuple[Finding, ...]:
     except (KeyError, TypeError, ValueError) as error:
         raise RecordingError(f"'clearance' in the recording's metadata is damaged ({error}).") from error
     where = f"{names} at {at:.3g} s"
-    more = f" ({left_out} pairs that overlap at the start are left out)" if left_out else ""
+    pairs = (
+        "1 pair that overlaps at the start is" if left_out == 1 else f"{left_out} pairs that overlap at the start are"
+    )
+    more = f" ({pairs} left out)" if left_out else ""
     touched = closest <= 0.0
     text = f"{where} touched{more}" if touched else f"nothing touched: closest {1e3 * closest:.3g} mm, {where}{more}"
     inside = closest < margin - MARGIN_ROUNDING

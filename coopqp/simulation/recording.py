@@ -189,6 +189,9 @@ class Recording(Shown):
             RecordingError: the file is missing, too large, not a recording, or inconsistent.
         """
         file = Path(path)
+        if not file.is_file():
+            there = "it is a folder" if file.is_dir() else "it is no file" if file.exists() else "there is no such file"
+            raise RecordingError(f"cannot read {file}: {there}. Check the path.")
         try:
             size = unpacked_bytes(file)
             if size > MAX_RECORDING_BYTES:

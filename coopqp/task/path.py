@@ -76,6 +76,12 @@ class ObjectPath(abc.ABC):
     #: planned path use that share, and moves redundant arms by least motion, as they were planned, without posture.
     planned_share: float | None = None
 
+    def __repr__(self) -> str:
+        duration = getattr(self, "duration", None)
+        if duration is None:
+            return f"{type(self).__name__}()"
+        return f"{type(self).__name__}({'no end' if duration == math.inf else f'{duration:.4g} s'})"
+
     @abc.abstractmethod
     def pose(self, clock: float) -> pin.SE3:
         """T_world_object at ``clock`` [s]. It is constant before 0 and after :attr:`duration`."""

@@ -463,6 +463,7 @@ BROKEN: dict[str, Broken] = {
 
 
 @pytest.mark.slow
+@pytest.mark.filterwarnings("ignore::coopqp.StartWarning")
 def test_every_broken_controller_is_caught(catalogue: Any) -> None:
     missed = [name for name, broken in BROKEN.items() if not broken.caught()]
     rows = sorted({broken.row for broken in BROKEN.values()}, key=lambda r: (r[0], int(r[1:] or 0)))
@@ -491,6 +492,7 @@ def test_nan_is_stopped_twice() -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.filterwarnings("ignore::coopqp.StartWarning")
 def test_the_sound_one_is_not(catalogue: Any) -> None:
     """The real controller passes the same checks."""
     checks: dict[str, Callable[[], bool]] = {

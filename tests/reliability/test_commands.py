@@ -37,6 +37,7 @@ def rough_task(task: Scenario, rng: np.random.Generator) -> Scenario:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("part", [pytest.param(1, marks=pytest.mark.core), *range(2, PARTS + 1)])
+@pytest.mark.filterwarnings("ignore::coopqp.StartWarning")
 def test_any_command_may_be_sent(
     part: int, count: Callable[[int], int], catalogue: Any, rng: np.random.Generator
 ) -> None:

@@ -132,6 +132,7 @@ def drive(
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("noise", "target"), [(1e-4, 0.2), (1e-3, 1.0)])
+@pytest.mark.filterwarnings("ignore::coopqp.StartWarning")
 def test_encoder_noise(tasks: list[Scenario], catalogue: Any, count: Any, noise: float, target: float) -> None:
     seeds = range(count(2))
     runs = [drive(task, Disturbances(encoder_noise=noise, seed=seed)) for task in tasks for seed in seeds]

@@ -28,8 +28,6 @@ from coopqp import (
 )
 from coopqp.scenarios import Scenario, paper_lift
 
-pytest.importorskip("mujoco")
-
 DT = 1e-3
 AXIS = np.ones(3) / np.sqrt(3.0)
 #: Errors of 1 mm and 0.1° along and about one axis, and of 2 mm.
@@ -117,6 +115,7 @@ def test_signals(lift: Scenario, catalogue: Any, name: str) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.filterwarnings("ignore::coopqp.StartWarning")
 def test_a_grasp_that_is_off(lift: Scenario, catalogue: Any) -> None:
     run = drive(lift, grip={"slave_1": GRIP_OFF})
     assert run.smooth
@@ -127,6 +126,7 @@ def test_a_grasp_that_is_off(lift: Scenario, catalogue: Any) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.filterwarnings("ignore::coopqp.StartWarning")
 def test_a_base_that_is_off(lift: Scenario, catalogue: Any) -> None:
     """During the lift the measured poses of the arms drift apart by up to 3 mm: a property of the cell, not a fault."""
     force, stopped, cases, longest = 0.0, 0, 0, 0.0

@@ -13,6 +13,8 @@ from checks import Return, cooperative, fenced_out, from_outside, ideal_return, 
 from coopqp import available_solvers
 from coopqp.scenarios import Scenario, dual_arm7, mixed_cell, paper_lift
 
+pytestmark = pytest.mark.filterwarnings("ignore::coopqp.StartWarning")
+
 DEPTHS = (0.001, 0.01, 0.05, 0.2)  # [rad]
 LIMITED = {"velocity": 1.0}  # [rad/s]
 RATIO, CHAIN_MM = 1.35, 0.05

@@ -64,6 +64,7 @@ SATURATING: dict[str, tuple[Callable[[], tuple[Scenario, Any]], dict[str, Any]]]
 
 
 @pytest.mark.slow
+@pytest.mark.filterwarnings("ignore::coopqp.StartWarning")
 def test_limits_hold_after_clipping(count: Callable[[int], int], catalogue: Any) -> None:
     worst, solvers, steps = np.zeros(3), available_solvers(), 0
     for solver, (name, (build, options)) in itertools.product(solvers, SATURATING.items()):

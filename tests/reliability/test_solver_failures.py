@@ -74,6 +74,7 @@ def failures(count: Callable[[int], int]) -> list[tuple[bool, Failure]]:
 
 
 @pytest.mark.slow
+@pytest.mark.filterwarnings("ignore::coopqp.StartWarning")
 def test_it_holds_within_the_same_step(failures: list[tuple[bool, Failure]], catalogue: Any) -> None:
     catalogue.row(
         "A5",

@@ -32,7 +32,7 @@ from coopqp import (
 )
 from coopqp.scenarios import Scenario, dual_arm7, fast_lift, mixed_cell
 
-pytestmark = pytest.mark.filterwarnings("ignore::RuntimeWarning")
+pytestmark = pytest.mark.filterwarnings("ignore::RuntimeWarning", "ignore::coopqp.StartWarning")
 TASKS = (fast_lift(), dual_arm7(), mixed_cell())
 #: Number of machines in CI, and largest number of rules of each.
 MACHINES, RULES = 400, 12

@@ -5,6 +5,7 @@ from __future__ import annotations
 import difflib
 import re
 from collections.abc import Callable, Sequence
+from datetime import date, time
 from typing import Any
 
 from pydantic import ValidationError
@@ -111,6 +112,8 @@ def _notation(value: Any, depth: int = 0) -> str:
         return str(value).lower()
     if value is None:
         return "null"
+    if isinstance(value, (date, time)):  # a datetime is a date, too
+        return value.isoformat()
     if isinstance(value, (list, dict)) and depth > 3:
         return "…"
     if isinstance(value, list):
