@@ -10,7 +10,7 @@ from marks import slow_unless
 
 OPTIONAL = (
     "matplotlib", "rich", "mujoco", "viser", "meshcat", "example_robot_data", "trimesh", "PIL", "pandas",
-    "rosbags", "pydantic", "hypothesis", "pytest", "IPython", "daqp", "quadprog",
+    "rosbags", "distributed", "dask", "pyarrow", "pydantic", "hypothesis", "pytest", "IPython", "daqp", "quadprog",
 )  # fmt: skip
 MODULES = (
     "coopqp",
@@ -36,6 +36,7 @@ MODULES = (
     "coopqp.simulation.simulate",
     "coopqp.spatial",
     "coopqp.model.state",
+    "coopqp.studies",
     "coopqp.look.viewer",
 )
 

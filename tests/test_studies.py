@@ -372,6 +372,25 @@ def test_the_table_has_every_row_with_all_digits_and_no_times(whole: Path) -> No
     assert [row["chain_mm"] for row in table] == [float(row["chain_mm"]) for row in rows]
 
 
+@pytest.mark.slow
+def test_rows_that_fail_are_there_with_their_reason_and_the_command_ends_with_4(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    text = OF_A_LIFT + "set = { steps = 4 }\naxes.scenario.h = [9.0, 3.6]"
+    out = tmp_path / "out"
+    arguments = ["sweep", str(study_file(tmp_path, text)), "--workers", "1", "--out", str(out)]
+    assert cli.main(arguments) == 4
+    said = capsys.readouterr()
+    assert "1 failed: UnreachableError" in said.out
+    with (out / "runs.csv").open(encoding="utf-8") as stream:
+        rows = list(csv.DictReader(stream))
+    assert [(row["scenario.h"], row["outcome"]) for row in rows] == [("9.0", "failed"), ("3.6", "ok")]
+    assert "arm" in rows[0]["reason"]
+    assert (out / "runs.png").read_bytes().startswith(b"\x89PNG")
+    assert cli.main([*arguments, "--quiet"]) == 2  # it is there
+    assert "--resume" in capsys.readouterr().err
+
+
 def test_a_folder_with_another_study_is_refused(whole: Path, tmp_path: Path) -> None:
     study = load_study(study_file(tmp_path))
     with pytest.raises(StudyError, match="--resume"):
