@@ -10,7 +10,7 @@ import numpy as np
 import pinocchio as pin
 
 from coopqp import Arm, Grasp, LinePath, RobotCell, robot_path
-from coopqp.scenarios import robot_data_path
+from coopqp.scenarios import ROBOTS, robot_data_path
 
 DOWN = np.diag([1.0, -1.0, -1.0])
 FORWARD = np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]])
@@ -23,7 +23,7 @@ def robot(name: str) -> Arm:
         file = "urdf/panda.urdf" if name == "panda" else f"urdf/{name}_robot.urdf"
         tool, locked = ("panda_hand_tcp", FINGERS) if name == "panda" else ("tool0", None)
         return Arm.from_urdf(name, robot_data_path(file), tool_frame=tool, geometry=False, locked_joints=locked)
-    return Arm.from_urdf(name, robot_path(name), tool_frame="flange" if name == "rx90l" else "tool", geometry=False)
+    return Arm.from_urdf(name, robot_path(name), tool_frame=ROBOTS[name].tool_frame, geometry=False)
 
 
 @dataclass(frozen=True)

@@ -21,7 +21,7 @@ import pytest
 from hypothesis import HealthCheck, Phase, settings
 
 from coopqp import Arm, PseudoInverseController, PseudoInverseOptions, Recording, RobotCell, robot_path, simulate
-from coopqp.scenarios import Scenario, paper_lift
+from coopqp.scenarios import ROBOTS, Scenario, paper_lift
 
 pytest_plugins = ["catalogue"]  # tests/reliability/catalogue.py, whose table ends every run
 
@@ -67,7 +67,7 @@ def paper() -> Scenario:
 
 @functools.cache
 def _robot(robot: str) -> Arm:
-    return Arm.from_urdf(robot, robot_path(robot), tool_frame="flange" if robot == "rx90l" else "tool", geometry=False)
+    return Arm.from_urdf(robot, robot_path(robot), tool_frame=ROBOTS[robot].tool_frame, geometry=False)
 
 
 @pytest.fixture(scope="session")

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from coopqp import Arm, InvalidInputError, RobotCell, UnknownNameError, robot_path
+from coopqp import Arm, InvalidInputError, RobotCell, UnknownNameError, robot_path, scenarios
 from coopqp.model.batch import ArmKinematics, batch_kernels
 
 pytestmark = pytest.mark.core
@@ -21,7 +21,7 @@ KERNELS = batch_kernels()
 
 def arm_of(robot: str, seed: int = 0) -> Arm:
     pin.seed(seed)
-    tool = "flange" if robot == "rx90l" else "tool"
+    tool = scenarios.ROBOTS[robot].tool_frame
     return Arm.from_urdf("arm", robot_path(robot), tool_frame=tool, geometry=False, T_world_base=pin.SE3.Random())
 
 

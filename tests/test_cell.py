@@ -27,7 +27,7 @@ from coopqp import (
     UnknownNameError,
     robot_path,
 )
-from coopqp.scenarios import ROBOT_NAMES
+from coopqp.scenarios import ROBOT_NAMES, ROBOTS
 
 Array = NDArray[np.float64]
 
@@ -144,7 +144,7 @@ def test_order_of_arms_only_permutes(make_cell: Callable[..., RobotCell], rng: n
 
 @pytest.mark.parametrize("robot", ROBOT_NAMES)
 def test_every_robot_makes_a_cell(robot: str) -> None:
-    frame = "flange" if robot == "rx90l" else "tool"
+    frame = ROBOTS[robot].tool_frame
     arm = Arm.from_urdf("one", robot_path(robot), tool_frame=frame)
     cell = RobotCell([arm, arm.placed(np.eye(4), name="two")])
     assert cell.nv == 2 * arm.model.nv

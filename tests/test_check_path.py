@@ -30,7 +30,7 @@ from coopqp import (
 )
 from coopqp.planning import PathVerdict, check_path, find_remedies, find_start, plan
 from coopqp.planning.remedies import shifted, with_remedies
-from coopqp.scenarios import Scenario, at_limit, at_singularity, mixed_cell, ring, robot_arm, scara_pair
+from coopqp.scenarios import ROBOTS, Scenario, at_limit, at_singularity, mixed_cell, ring, robot_arm, scara_pair
 
 CERTIFIED, SAMPLED, UNDECIDED, INFEASIBLE = PathVerdict
 LOOSE = np.deg2rad(0.3)
@@ -38,7 +38,7 @@ LOOSE = np.deg2rad(0.3)
 
 def arm_of(name: str) -> Arm:
     if name in ("rx90l", "arm6c", "gantry7", "arm7"):
-        tool = "flange" if name == "rx90l" else "tool"
+        tool = ROBOTS[name].tool_frame
         return Arm.from_urdf(name, robot_path(name), tool_frame=tool, geometry=False)
     return robot_arm(name, geometry=False)
 

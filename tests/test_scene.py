@@ -27,7 +27,7 @@ from coopqp import (
     tool_placements,
 )
 from coopqp.look.renderer import cell_solids
-from coopqp.scenarios import ROBOT_NAMES
+from coopqp.scenarios import ROBOT_NAMES, ROBOTS
 from coopqp.simulation.scene import (
     describe_cell,
     describe_path,
@@ -45,7 +45,7 @@ def _all_robots() -> RobotCell:
         Arm.from_urdf(
             robot,
             robot_path(robot),
-            tool_frame="flange" if robot == "rx90l" else "tool",
+            tool_frame=ROBOTS[robot].tool_frame,
             T_world_base=pin.SE3.Random(),
             acceleration_limits=7.5 if robot == "arm7" else None,
         )

@@ -11,6 +11,7 @@ import pinocchio as pin
 
 from coopqp.errors import InvalidInputError, UnknownNameError
 from coopqp.model.cell import Arm
+from coopqp.scenarios.arms import ROBOTS
 from coopqp.scenarios.robots import robot_path
 from coopqp.scenarios.stations import DOWN, FORWARD, Station, put_together
 from coopqp.task.path import LinePath, TimeLaw, WaypointPath
@@ -27,7 +28,7 @@ _GANTRY7_NEAR = (0.0, 0.0, 45.0, 97.0, 0.0, -52.0, 0.0)
 @functools.cache
 def _robot(robot: str) -> Arm:
     """A robot that comes with coopqp, with its base at the origin. It is read only once."""
-    return Arm.from_urdf(robot, robot_path(robot), tool_frame="flange" if robot == "rx90l" else "tool")
+    return Arm.from_urdf(robot, robot_path(robot), tool_frame=ROBOTS[robot].tool_frame)
 
 
 def named_robot(robot: str, name: str) -> Arm:
