@@ -56,6 +56,7 @@ PROGRAMS: Mapping[str, tuple[str, ...]] = {
     "python docs/examples/24_share_the_load.py --out {out}": ("docs/howto/load_use.png",),
     "python docs/examples/25_calibrate.py --out {out}": ("docs/howto/calibration.png",),
     "python docs/examples/26_hold_without_squeezing.py --out {out}": ("docs/tutorials/forces.png",),
+    "python docs/examples/27_palms.py --out {out}": ("docs/howto/palms.png",),
 }
 #: Programs of this kind need Chromium (`make browser`).
 NEEDS_BROWSER = "docs/screenshots.py"
