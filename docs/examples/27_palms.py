@@ -25,7 +25,7 @@ held = ForceController(controller, ForceOptions(squeeze=200.0, **settings))
 if "--out" in sys.argv:
     from pathlib import Path
 
-    from coopqp.look.loads import run_loads_figure
+    from coopqp.look import run_loads_figure
     from coopqp.simulation import read_loads, run_in_engine
 
     figure = run_loads_figure(box.cell, read_loads(box.cell, run_in_engine(box)))
