@@ -54,7 +54,7 @@ from coopqp import (
 from coopqp.forces import LoadBound, LoadShare, internal_wrenches, load_use
 from coopqp.planning import Payload, time_path
 from coopqp.scenarios import Scenario, palm_box, paper_lift
-from coopqp.simulation import Replay, engine_controller, engine_plant, exact_motion, read_loads
+from coopqp.simulation import Replay, engine_plant, exact_motion, read_loads, run_in_engine
 
 KEYS = (
     "case", "variant", "controller", "peak_N", "rest_N", "without_N", "slip_mm", "torque_use", "time_s", "finished",
@@ -246,9 +246,7 @@ def palms(quick: bool) -> Iterator[Record]:
         for base_off in (False, True):
             task = palm_box(squeeze=squeeze, base_off=base_off)
             plant = engine_plant(task)
-            run = simulate(
-                engine_controller(task, plant), plant, q_start=task.q_start, settle=0.3, duration=12.0, loads=True
-            )
+            run = run_in_engine(task, plant=plant)
             loads = read_loads(task.cell, run)
             assert loads is not None
             yield record(

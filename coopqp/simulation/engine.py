@@ -72,17 +72,26 @@ def engine_controller(scenario: Scenario, plant: PhysicsPlant) -> Controller:
 
 
 def run_in_engine(
-    scenario: Scenario, *, progress: ProgressCallback | None = None, metadata: dict[str, Any] | None = None
+    scenario: Scenario,
+    *,
+    plant: PhysicsPlant | None = None,
+    progress: ProgressCallback | None = None,
+    metadata: dict[str, Any] | None = None,
 ) -> Recording:
     """Run a scenario in the engine, with wrenches and torques; the object rests for half a second at the end.
 
     The entry ``load`` of the metadata: ``torque_limits``, largest torques of the joints (null for none), and
-    ``internal_force``, the largest accepted internal force of an arm [N] (null for any).
+    ``internal_force``, the largest accepted internal force of an arm [N] (null for any); ``palms``.
+
+    Args:
+        scenario: the scenario.
+        plant: what it runs on; :func:`engine_plant` by default.
+        progress, metadata: as of :func:`coopqp.simulate`.
 
     Raises:
         MissingExtraError: mujoco is not installed.
     """
-    plant = engine_plant(scenario)
+    plant = engine_plant(scenario) if plant is None else plant
     limits = box_payload(scenario).limits(scenario.cell)
     given = scenario.engine or EngineSettings()
     load = {
