@@ -7,6 +7,7 @@ the record, ``without_N`` that at rest without it. Cases:
 ``relaxed``        force sensors at the tools, and the arms relax what they feel. Forces are those beside an ideal
                    share of the load; peaks count from the first step where the arms grip where they are, else from
                    the first motion;
+``palms``          a box between open palms: normal forces in motion and at the end, and how far a palm slipped;
 ``step_cost``      time of a step with wrenches and of one without [s];
 ``base_off_lift``  one base is off by 1 mm and 0.1°; the controller's model is calibrated from one lift before;
 ``feed_forward``   forces in the engine less those that are shared, with the torques fed forward, and without;
@@ -52,8 +53,8 @@ from coopqp import (
 )
 from coopqp.forces import LoadBound, LoadShare, internal_wrenches, load_use
 from coopqp.planning import Payload, time_path
-from coopqp.scenarios import Scenario, paper_lift
-from coopqp.simulation import Replay, exact_motion
+from coopqp.scenarios import Scenario, palm_box, paper_lift
+from coopqp.simulation import Replay, engine_plant, exact_motion, read_loads, run_in_engine
 
 KEYS = (
     "case", "variant", "controller", "peak_N", "rest_N", "without_N", "slip_mm", "torque_use", "time_s", "finished",
@@ -239,6 +240,23 @@ def relaxed(quick: bool) -> Iterator[Record]:
         )  # fmt: skip
 
 
+def palms(quick: bool) -> Iterator[Record]:
+    """A box between open palms, held by friction; forces are the normal ones while it moves."""
+    for squeeze in (200.0,) if quick else (180.0, 200.0, 250.0):
+        for base_off in (False, True):
+            task = palm_box(squeeze=squeeze, base_off=base_off)
+            plant = engine_plant(task)
+            run = run_in_engine(task, plant=plant)
+            loads = read_loads(task.cell, run)
+            assert loads is not None
+            yield record(
+                "palms", f"{squeeze:g} N{', base off' if base_off else ''}", "ForceController",
+                peak_N=float(loads.internal[loads.moves :].max(initial=0.0)), rest_N=float(loads.internal[-1].max()),
+                slip_mm=1e3 * plant.slip(), torque_use=float(loads.torque_use.max()), time_s=float(run.time[-1]),
+                finished=run.finished, status=run.statuses[-1].value,
+            )  # fmt: skip
+
+
 def step_cost(quick: bool) -> Iterator[Record]:
     """Interleaved medians of a step on measured configurations, with wrenches and without, while the object moves.
 
@@ -274,7 +292,7 @@ def step_cost(quick: bool) -> Iterator[Record]:
             yield record("step_cost", variant, name, time_s=float(np.median(spent)))
 
 
-CASES = (relaxed, step_cost, base_off_lift, feed_forward, heavy_lift, fastest_lift)
+CASES = (relaxed, palms, step_cost, base_off_lift, feed_forward, heavy_lift, fastest_lift)
 
 
 def main(argv: Sequence[str] | None = None) -> int:

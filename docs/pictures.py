@@ -61,6 +61,7 @@ PROGRAMS: Mapping[str, tuple[str, ...]] = {
         "docs/howto/speed_and_grasp.png",
     ),
     "python docs/examples/28_place_the_bases.py --out {out}": ("docs/howto/h_and_b.png",),
+    "python docs/examples/29_palms.py --out {out}": ("docs/howto/palms.png",),
 }
 #: Programs of this kind need Chromium (`make browser`).
 NEEDS_BROWSER = "docs/screenshots.py"

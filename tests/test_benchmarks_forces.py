@@ -25,7 +25,11 @@ def test_a_quick_run_meets_the_figures(tmp_path: Path, capsys: pytest.CaptureFix
         assert off["without_N"] > 200.0
         assert off["finished"]
     for (case, variant, _), one in found.items():
-        if case == "relaxed" and "sensor" in variant:
+        if case == "palms":
+            assert one["finished"], variant
+            assert one["slip_mm"] <= 1.0, variant
+            assert 0.5 < one["torque_use"] <= 1.0, variant
+        elif case == "relaxed" and "sensor" in variant:
             assert one["status"] == "holding", variant
             assert one["peak_N"] <= 20.0
         elif case == "relaxed":

@@ -173,7 +173,7 @@ def test_wrenches_of_another_shape_are_refused_before_anything_changes(task: Sce
 
 def test_a_grasp_out_of_reach_holds_the_object(task: Scenario) -> None:
     _, made = relaxed(task, late=0, steps=150, reach=1e-4)
-    step = made.step(task.q_start, wrenches=made._relaxation._seen)
+    step = made.step(task.q_start, wrenches=made._relaxation.seen)
     assert step.status is Status.HOLDING
     assert "cannot give way any further" in step.reason
     assert np.linalg.norm(made.shift[:, :3], axis=1).max() <= 1e-4 * (1.0 + 1e-12)

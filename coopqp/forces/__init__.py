@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from coopqp.forces.exciting import DeterminingMotion, determining_motion
     from coopqp.forces.grips import Grip
     from coopqp.forces.load import LoadShare, SharedLoad
+    from coopqp.forces.palms import least_squeeze, palm_use
     from coopqp.forces.relaxation import internal_wrenches
     from coopqp.forces.use import load_use
 else:
@@ -24,6 +25,7 @@ else:
             "coopqp.forces.exciting": ("DeterminingMotion", "determining_motion"),
             "coopqp.forces.grips": ("Grip",),
             "coopqp.forces.load": ("LoadShare", "SharedLoad"),
+            "coopqp.forces.palms": ("least_squeeze", "palm_use"),
             "coopqp.forces.relaxation": ("internal_wrenches",),
             "coopqp.forces.use": ("load_use",),
         },
@@ -38,6 +40,8 @@ __all__ = [
     "SharedLoad",
     "determining_motion",
     "internal_wrenches",
+    "least_squeeze",
     "load_use",
+    "palm_use",
     "undetermined_by",
 ]

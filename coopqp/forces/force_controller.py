@@ -18,15 +18,23 @@ from coopqp.control.qp import QPController
 from coopqp.control.turn import alone
 from coopqp.errors import InvalidInputError
 from coopqp.forces.force_options import ForceOptions
+from coopqp.forces.load import LoadShare
+from coopqp.forces.palms import least_squeeze, palm_use
 from coopqp.forces.relaxation import Relaxation
 from coopqp.spatial import Array, Placement
 from coopqp.task.path import ObjectPath
 
 #: The rate that forces allow falls from 1 to 0 and rises again in these times [s], so that it makes no forces itself.
 _FALL, _RISE = 0.6, 2.0
+#: Time for which palms press steadily before the object moves [s].
+_STEADY = 0.5
+#: Share of the squeeze that may be missing when the object begins to move.
+_PRESSED = 0.1
+#: Share of a palm's friction in use above which the object slows down; at 1 it rests.
+_FRICTION_SLOWS = 0.9
 #: Attributes that a step changes, but those of the relaxation and of the controller within.
 _VARYING = (
-    "_asked", "_stage", "_since", "_cap", "_rate", "_differences", "_compared", "_last", "_fault",
+    "_asked", "_stage", "_since", "_cap", "_rate", "_used", "_differences", "_compared", "_last", "_fault",
 )  # fmt: skip
 
 
@@ -88,12 +96,31 @@ class ForceController:
             shares=controller.shares,
             kernel=controller.kernel,
         )
+        self._check_squeeze()
         self._shifted = controller.take_shift(self._relaxation.shift)
         self._begin()
+
+    def _check_squeeze(self) -> None:
+        """Refuse palms that could not hold the object at rest along its path."""
+        o = self.options
+        if o.palms is None:
+            return
+        if o.payload is None:
+            raise InvalidInputError("palms without a payload", "ForceOptions", "Say what they hold.")
+        load, path = LoadShare(self.cell, self.grasp, o.payload, internal_force=o.squeeze), self.path
+        clocks = np.linspace(0.0, path.duration, 21) if path.known_ahead and np.isfinite(path.duration) else [0.0]
+        least = least_squeeze(o.palms, self.grasp, [load.wrench(path.pose(float(t)).rotation) for t in clocks])
+        if o.squeeze < least:
+            raise InvalidInputError(
+                f"the palms would lose the object: they press with {o.squeeze:g} N, and need {least:.1f} N at least",
+                "ForceOptions: squeeze",
+                f"Give {1.2 * least:.0f} N or more.",
+            )
 
     def _begin(self) -> None:
         n = len(self.cell)
         self._stage, self._since, self._cap, self._rate = _Stage.CHECK, 0.0, 1.0, 0.0
+        self._used = 0.0
         self._differences, self._compared = np.zeros((n, 6)), 0
         self._last: ControlStep | None = None
         self._fault = ""
@@ -236,8 +263,10 @@ class ForceController:
             if relaxation.press(dt):
                 self._go_on(_Stage.RELAX)
         elif self._stage is _Stage.RELAX:
-            waited = self._since > 2.0 * o.relax_time
-            if waited and relaxation.size < max(o.move_below, 2.0 * o.dead_band):
+            if o.palms is not None and relaxation.size > _PRESSED * o.squeeze:
+                self._since = 0.0
+            waited = self._since > (2.0 * o.relax_time if o.palms is None else _STEADY)
+            if waited and relaxation.size < max(o.move_below, 2.0 * o.dead_band, _PRESSED * o.squeeze):
                 self._go_on(_Stage.MOVE)
 
     def _compare(self, q_measured: ArrayLike | None, commanded: Array) -> None:
@@ -294,6 +323,15 @@ class ForceController:
             return 0.0, f"the grasps cannot give way any further: {self._most()}"
         if self._stage is not _Stage.MOVE:
             return 0.0, f"{self._stage.value}: {self._most()}"
+        if o.palms is not None:
+            use = palm_use(o.palms, self._relaxation.seen)
+            k = int(use.argmax())
+            self._used += dt / (dt + o.filter_time) * (min(float(use[k]), 2.0) - self._used)
+            if self._used > _FRICTION_SLOWS:
+                share = max((1.0 - self._used) / (1.0 - _FRICTION_SLOWS), 0.0)
+                self._cap = min(max(share, self._cap - dt / _FALL), self._cap + dt / _RISE)
+                what = f"{100.0 * self._used:.0f} % of the friction at the palm of arm {self.cell.arm_names[k]}"
+                return min(self._cap, self._asked), what
         cap = min(max((o.hold_from - size) / (o.hold_from - o.slow_from), 0.0), 1.0)
         self._cap = min(max(cap, self._cap - dt / _FALL), self._cap + dt / _RISE)
         if self._cap >= self._asked:

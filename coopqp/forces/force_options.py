@@ -5,9 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Annotated, Any
 
-from coopqp.checks import Doc, documented, keep_scalars, require
+import numpy as np
+
+from coopqp.checks import Doc, as_floats, as_vector, documented, keep_scalars, require
 from coopqp.errors import InvalidInputError
+from coopqp.forces.grips import Grip
 from coopqp.planning.payload import Payload
+from coopqp.spatial import Array
 
 
 @documented
@@ -22,6 +26,14 @@ class ForceOptions:
         Payload | None,
         Doc("what the drives carry by feed-forward, shared so that grips take as little torque as can be; or nothing"),
     ] = None
+    directions: Annotated[
+        Any,
+        Doc("1 where an arm minds forces, 0 where it keeps its place, in its tool's axes (N, 6); 1 by default"),
+    ] = None
+    palms: Annotated[
+        tuple[Grip, ...] | None, Doc("open palms in place of grips: they mind what presses and what tilts them")
+    ] = None
+    squeeze: Annotated[float, Doc("normal force with which palms press [N]; it must be given for palms")] = 0.0
     softness_doubt: Annotated[float, Doc("how many times as soft as they are the servos may be assumed")] = 1.5
     relax_time: Annotated[float, Doc("time T in which a force relaxes [s]")] = 0.06
     drift_time: Annotated[float, Doc("time in which the drift along the path is learned [s]")] = 0.1
@@ -40,7 +52,38 @@ class ForceOptions:
     hold_from: Annotated[float, Doc("internal force at which the object rests [N]")] = 50.0
     silent_time: Annotated[float, Doc("time without a new wrench after which the object is held [s]")] = 0.05
 
+    def minded(self, arms: int) -> Array:
+        """:attr:`directions` of so many arms (N, 6).
+
+        Raises:
+            InvalidInputError: another number of arms.
+        """
+        if self.palms is not None:
+            if len(self.palms) != arms:
+                raise InvalidInputError(f"{len(self.palms)} palms for {arms} arms", "ForceOptions", "Give one per arm.")
+            return np.array([[*np.round(np.abs(palm.normal)), 0.0, 0.0, 0.0] for palm in self.palms])
+        if self.directions is None:
+            return np.ones((arms, 6))
+        given = as_vector(np.ravel(as_floats(self.directions)), 6 * arms, "ForceOptions: directions").reshape(arms, 6)
+        if not np.isin(given, (0.0, 1.0)).all():
+            raise InvalidInputError(
+                "other directions than 0 and 1", "ForceOptions", "Give 1 for arms that mind forces."
+            )
+        return given
+
     def __post_init__(self) -> None:
+        if self.palms is not None:
+            object.__setattr__(self, "palms", tuple(self.palms))
+            keep_scalars(self, "squeeze")
+            for palm in self.palms:
+                if not isinstance(palm, Grip) or palm.kind != "palm" or np.abs(palm.normal).max() < 1.0 - 1e-9:
+                    raise InvalidInputError(
+                        "no palm along an axis of its tool", "ForceOptions: palms", 'Give Grip(kind="palm", …).'
+                    )
+            if self.directions is not None:
+                raise InvalidInputError(
+                    "palms and directions", "ForceOptions", "Palms mind forces along their normals."
+                )
         keep_scalars(self, "softness_doubt", "relax_time", "speed", "spin", "ramp_time", "reach", "turn")
         keep_scalars(self, "sensor_tolerance", "move_below", "slow_from", "hold_from", "silent_time")
         keep_scalars(self, "delay", "filter_time", "dead_band", "check_time", open_low=False)

@@ -71,8 +71,9 @@ class Relaxation:
         kernel: ``"compiled"`` or ``"plain"``: what a step runs.
 
     Attributes:
-        internal: internal wrenches of the arms on the object, filtered (N, 6) [N, N·m], in the object frame; the next
-            step changes it in place.
+        internal: internal wrenches of the arms on the object beside the squeeze that is asked for, filtered (N, 6)
+            [N, N·m], in the object frame; the next step changes it in place.
+        seen: the last wrenches at the tools (N, 6) [N, N·m]; the next step changes it in place.
         shift: d, by how much each grasp has given way, in the object frame (N, 6) [m, rad]; the next step changes it in
             place.
         silent: time since each arm's last wrench (N,) [s]; the next step changes it in place.
@@ -96,18 +97,29 @@ class Relaxation:
             )
         self._cell, self._chain = cell, Chain(cell, grasp)
         self._softness = 1.0 / per_joint(options.stiffness, cell.nv, "ForceOptions: stiffness")
-        self._to_object, self._load_shares = _load_shares(grasp)
+        self._to_object, self._load_shares = load_shares(grasp)
         total = np.tile(np.eye(6), n)
         self._relax, self._memory = relax_of(kernel), np.zeros(relax_size(n))
         for place, name in _SETTINGS.items():
             self._memory[_AT[place]] = getattr(options, name)
         views = relax_views(self._memory, n)
         self.internal, self.shift, self.silent = views["internal"], views["shift"], views["silent"]
-        self._seen, self._yields = views["seen"], views["yields"]
-        views["internal_of"][:] = (np.eye(6 * n) - self._load_shares @ total) @ self._to_object
+        self.seen, self._yields = views["seen"], views["yields"]
+        # What is minded, in the tools' axes; the twists that answer it are those of the whole wrench, so that the tools
+        # keep their real places in the other directions.
+        felt = np.zeros((6 * n, 6 * n))
+        for k, (X, mind) in enumerate(zip(grasp.T_object_tool, options.minded(n), strict=True)):
+            own = slice(6 * k, 6 * k + 6)
+            felt[own, own] = (X.actionInverse.T * mind) @ X.action.T
+        views["internal_of"][:] = felt @ (np.eye(6 * n) - self._load_shares @ total) @ self._to_object
+        if options.palms is not None:
+            press = options.squeeze * np.array([[*palm.normal, 0.0, 0.0, 0.0] for palm in options.palms])
+            views["target"][:] = (views["internal_of"] @ press.ravel()).reshape(-1, 6)
         self._starting = self._memory.copy()
         #: Takes what the arms yield to what their grasps move.
         self._relative = np.eye(6 * n) - np.tile(np.hstack([np.diag(s) for s in shares]), (n, 1))
+        if options.palms is not None:  # each arm makes up for what its own servos yield: the object stays where it is
+            self._relative = np.eye(6 * n)
         points = np.array([X.translation for X in grasp.T_object_tool])
         inward = np.concatenate([points.mean(axis=0) - points, np.zeros_like(points)], axis=1)
         inward = (self._relative @ inward.ravel()).reshape(-1, 6)
@@ -180,8 +192,8 @@ class Relaxation:
         """
         R = self.look(measured)
         turned = self._chain.twists(pin.difference(self._cell.model, measured, commanded)) @ R
-        off = self._to_object @ self._seen.ravel() - servo_wrenches(self._compliances, turned).ravel()
-        payload = self.options.payload
+        off = self._to_object @ self.seen.ravel() - servo_wrenches(self._compliances, turned).ravel()
+        payload = self.options.payload if self.options.palms is None else None  # palms do not carry it yet
         load = off.reshape(-1, 6).sum(axis=0)
         if payload is not None:
             weight = -payload.mass * R[:3, :3].T @ self._cell.model.gravity.linear
@@ -259,7 +271,7 @@ def internal_wrenches(wrenches: ArrayLike, grasp: Grasp) -> Array:
     w, n = as_floats(wrenches), len(grasp)
     if w.shape[-2:] != (n, 6):
         raise InvalidInputError(f"wrenches of shape {w.shape}", "internal_wrenches", f"Give one per arm, (…, {n}, 6).")
-    to_object, shares = _load_shares(grasp)
+    to_object, shares = load_shares(grasp)
     internal_of = (np.eye(6 * n) - shares @ np.tile(np.eye(6), n)) @ to_object
     out: Array = (w.reshape(-1, 6 * n) @ internal_of.T).reshape(w.shape)
     return out
@@ -270,7 +282,7 @@ def _size(wrenches: Array) -> float:
     return math.sqrt(max(squares[0], squares[1] / _LENGTH**2))
 
 
-def _load_shares(grasp: Grasp) -> tuple[Array, Array]:
+def load_shares(grasp: Grasp) -> tuple[Array, Array]:
     """What takes wrenches at the tools to the object frame (6 N, 6 N), and S: the load to its shares there (6 N, 6)."""
     n = len(grasp)
     scale = np.tile([1.0] * 3 + [_SHARE_LENGTH] * 3, n)

@@ -10,8 +10,8 @@ from coopqp.lazy import lazy_names
 if TYPE_CHECKING:
     from coopqp.look.calibration import calibration_figure, write_calibration
     from coopqp.look.joints import joint_figure
-    from coopqp.look.loads import load_figure, write_load_use
     from coopqp.look.placements import placement_figure
+    from coopqp.look.loads import load_figure, run_loads_figure, write_load_use
     from coopqp.look.plots import error_figure, motion_figure
     from coopqp.look.profile import profile_figure, write_speed_profile
     from coopqp.look.renderer import Solid, View, box_solid, cell_solids, render
@@ -26,7 +26,7 @@ else:
             "coopqp.look.joints": ("joint_figure",),
             "coopqp.look.plots": ("error_figure", "motion_figure"),
             "coopqp.look.calibration": ("calibration_figure", "write_calibration"),
-            "coopqp.look.loads": ("load_figure", "write_load_use"),
+            "coopqp.look.loads": ("load_figure", "run_loads_figure", "write_load_use"),
             "coopqp.look.profile": ("profile_figure", "write_speed_profile"),
             "coopqp.look.renderer": ("Solid", "View", "box_solid", "cell_solids", "render"),
             "coopqp.look.report": ("write_report",),
@@ -52,6 +52,7 @@ __all__ = [
     "placement_figure",
     "profile_figure",
     "render",
+    "run_loads_figure",
     "save_figure",
     "sweep_figure",
     "write_calibration",

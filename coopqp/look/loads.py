@@ -66,8 +66,16 @@ def run_loads_figure(cell: RobotCell, loads: RunLoads) -> Figure:
     require_matplotlib()
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(8.0, 5.2), layout="constrained")
-    torque, force = figure.subplots(2, 1, sharex=True)
+    palms = loads.palm_use
+    figure = Figure(figsize=(8.0, 5.2 if palms is None else 7.4), layout="constrained")
+    panels = figure.subplots(2 if palms is None else 3, 1, sharex=True)
+    torque, force = panels[0], panels[-1]
+    if palms is not None:
+        for k, arm in enumerate(cell.arm_names):
+            used = np.where(np.arange(len(palms)) < loads.moves, np.nan, np.minimum(100.0 * palms[:, k], 200.0))
+            panels[1].plot(loads.time, used, color=_COLOURS[k % len(_COLOURS)], lw=1.6, label=arm)
+        panels[1].axhline(100.0, color=_INK, lw=1.0, ls=(0, (4, 3)))
+        panels[1].set(ylim=(0.0, 120.0), ylabel="friction of the palm\n[% of what holds]")
     for k, (arm, own) in enumerate(zip(cell.arm_names, cell.v_slices, strict=True)):
         j = own.start + int(loads.torque_use[:, own].max(axis=0).argmax())
         colour = _COLOURS[k % len(_COLOURS)]
@@ -78,10 +86,10 @@ def run_loads_figure(cell: RobotCell, loads: RunLoads) -> Figure:
     torque.set(ylim=(0.0, max(110.0, 105.0 * float(loads.torque_use.max()))), ylabel="joint torque\n[% of its limit]")
     if np.isfinite(loads.internal_limit):
         force.axhline(loads.internal_limit, color=_INK, lw=1.0, ls=(0, (4, 3)), label="accepted in motion")
-    force.set(ylim=(0.0, None), ylabel="internal force [N]", xlabel="time [s]")
+    force.set(ylim=(0.0, None), ylabel="internal force [N]" if palms is None else "squeeze [N]", xlabel="time [s]")
     if 0 < loads.moves < len(loads.time):
         force.axvspan(0.0, loads.time[loads.moves], color=_FAINT, alpha=0.2, lw=0.0, label="before it moves")
-    for axes in (torque, force):
+    for axes in panels:
         axes.legend(loc="upper left", bbox_to_anchor=(1.01, 1.0), frameon=False, fontsize=9)
         for side in ("top", "right"):
             axes.spines[side].set_visible(False)

@@ -20,7 +20,7 @@ from coopqp.task.scenario import Scenario
 #: Postures at the start [deg or m]. arm7 holds from above, the other arms from the side.
 ARM7_NEAR = (0.0, 14.0, 0.0, 105.0, 0.0, 31.0, 0.0)
 ARM7_TOOL = pin.utils.rotate("y", np.deg2rad(150.0))
-_RX90L_NEAR = (0.0, 38.0, 102.0, 0.0, -50.0, 0.0)
+RX90L_NEAR = (0.0, 38.0, 102.0, 0.0, -50.0, 0.0)
 _ARM6C_NEAR = (-19.0, 4.3, 113.0, 62.7, 71.0, -90.0)
 _GANTRY7_NEAR = (0.0, 0.0, 45.0, 97.0, 0.0, -52.0, 0.0)
 
@@ -92,7 +92,7 @@ def mixed_cell(*, duration: float = 3.0, time_law: TimeLaw | str = TimeLaw.QUINT
             yaw=0.0,
             reach=0.80,
             height=0.30,
-            near=_RX90L_NEAR,
+            near=RX90L_NEAR,
         ),
         Station(
             arm=named_robot("arm7", "arm7"),
@@ -167,7 +167,7 @@ def ring(
             yaw=float(a) + 180.0,
             reach=reach,
             height=height,
-            near=_RX90L_NEAR if six else ARM7_NEAR,
+            near=RX90L_NEAR if six else ARM7_NEAR,
             tool=FORWARD if six else ARM7_TOOL,
         )
         for k, a in enumerate(angles)

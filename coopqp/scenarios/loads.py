@@ -10,7 +10,10 @@ import pinocchio as pin
 
 from coopqp.checks import as_scalar
 from coopqp.errors import UnknownNameError
+from coopqp.scenarios.cells import RX90L_NEAR, named_robot
 from coopqp.scenarios.paper import paper_lift
+from coopqp.scenarios.stations import Station, put_together
+from coopqp.task.path import LinePath
 from coopqp.task.scenario import EngineSettings, Scenario
 
 #: Age of the wrenches when they arrive [s].
@@ -82,9 +85,54 @@ def heavy_lift(*, mass: float = 53.0, internal_force: float = 50.0, duration: fl
     )
 
 
+def palm_box(
+    *, squeeze: float = 200.0, mass: float = 20.0, friction: float = 0.6, base_off: bool = False, duration: float = 3.0
+) -> Scenario:
+    """Two RX-90L lift a box between their open palms, by friction alone.
+
+    Args:
+        squeeze: normal force of the palms [N]; 20 kg need 164 N at least.
+        mass: mass of the box [kg].
+        friction: μ between palms and box.
+        base_off: the right arm's base is off by 1 mm and 0.1°.
+        duration: duration of the path [s].
+    """
+    path = LinePath.displaced(
+        pin.SE3(np.eye(3), np.array([0.0, 0.0, 0.60])),
+        translation=(0.05, 0.05, 0.25),
+        rotation=(0.0, 0.0, 0.2),
+        duration=duration,
+        time_law="quintic",
+    )
+    stations = [
+        Station(
+            arm=named_robot("rx90l", name),
+            point=(x, 0.0, 0.0),
+            yaw=yaw,
+            reach=0.80,
+            height=0.60,
+            near=RX90L_NEAR,
+        )
+        for name, x, yaw in (("left", -0.20, 0.0), ("right", 0.20, 180.0))
+    ]
+    made = put_together("palm_box", stations, path, dt=0.005, object_size=(0.40, 0.30, 0.30), object_mass=mass)
+    diagonal = np.ones(3) / np.sqrt(3.0)
+    off = {"right": pin.SE3(pin.exp3(np.deg2rad(0.1) * diagonal), 1e-3 * diagonal)} if base_off else {}
+    palm = {"kind": "palm", "friction": friction, "radius": 0.06, "squeeze": 0.8 * squeeze}
+    engine = EngineSettings(
+        disturbances={"base_offset": off, **_LATE},
+        palms=(palm, palm),
+        forces={"squeeze": squeeze},
+        controller=_TOLERANT,
+        tolerances={"object_mm": 5.0},
+    )
+    return replace(made, engine=engine)
+
+
 #: These scenarios by name.
 LOADED: dict[str, Callable[[], Scenario]] = {
     "base_off_lift": base_off_lift,
     "hot_plate": hot_plate,
     "heavy_lift": heavy_lift,
+    "palm_box": palm_box,
 }

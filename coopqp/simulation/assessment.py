@@ -301,7 +301,9 @@ def _carried_load(cell: RobotCell, recording: Recording) -> tuple[Finding, ...]:
         return ()
     asked = (
         ("Do the arms carry the load?", loads.overloaded(cell)),
-        ("Is the object held without squeezing?", loads.squeezed(cell)),
+        ("Is the object held without squeezing?", loads.squeezed(cell))
+        if loads.palm_use is None
+        else ("Do the palms hold the object?", loads.held(cell)),
     )
     return tuple(Finding(question, not cause, text, cause) for question, (text, cause) in asked)
 

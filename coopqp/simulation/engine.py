@@ -12,6 +12,7 @@ from coopqp.control.options import QPOptions
 from coopqp.control.qp import QPController
 from coopqp.forces.force_controller import ForceController
 from coopqp.forces.force_options import ForceOptions
+from coopqp.forces.grips import Grip
 from coopqp.forces.load import LoadShare
 from coopqp.planning.payload import Payload
 from coopqp.simulation.plants.disturbances import Disturbances
@@ -45,7 +46,17 @@ def engine_plant(scenario: Scenario) -> PhysicsPlant:
             box_payload(scenario, given.torque_share),
             internal_force=given.internal_force or np.inf,
         )
-    return PhysicsPlant.of(scenario, options=given.options, disturbances=Disturbances(**given.disturbances), load=load)
+    return PhysicsPlant.of(
+        scenario,
+        options=given.options,
+        disturbances=Disturbances(**given.disturbances),
+        load=load,
+        palms=_palms(given),
+    )
+
+
+def _palms(given: EngineSettings) -> tuple[Grip, ...] | None:
+    return None if given.palms is None else tuple(Grip(**one) for one in given.palms)
 
 
 def engine_controller(scenario: Scenario, plant: PhysicsPlant) -> Controller:
@@ -56,27 +67,37 @@ def engine_controller(scenario: Scenario, plant: PhysicsPlant) -> Controller:
     )
     if given.forces is None:
         return made
-    settings = {"stiffness": plant.stiffness, "payload": box_payload(scenario), **given.forces}
+    settings = {"stiffness": plant.stiffness, "payload": box_payload(scenario), "palms": _palms(given), **given.forces}
     return ForceController(made, ForceOptions(**settings))
 
 
 def run_in_engine(
-    scenario: Scenario, *, progress: ProgressCallback | None = None, metadata: dict[str, Any] | None = None
+    scenario: Scenario,
+    *,
+    plant: PhysicsPlant | None = None,
+    progress: ProgressCallback | None = None,
+    metadata: dict[str, Any] | None = None,
 ) -> Recording:
     """Run a scenario in the engine, with wrenches and torques; the object rests for half a second at the end.
 
     The entry ``load`` of the metadata: ``torque_limits``, largest torques of the joints (null for none), and
-    ``internal_force``, the largest accepted internal force of an arm [N] (null for any).
+    ``internal_force``, the largest accepted internal force of an arm [N] (null for any); ``palms``.
+
+    Args:
+        scenario: the scenario.
+        plant: what it runs on; :func:`engine_plant` by default.
+        progress, metadata: as of :func:`coopqp.simulate`.
 
     Raises:
         MissingExtraError: mujoco is not installed.
     """
-    plant = engine_plant(scenario)
+    plant = engine_plant(scenario) if plant is None else plant
     limits = box_payload(scenario).limits(scenario.cell)
     given = scenario.engine or EngineSettings()
     load = {
         "torque_limits": [float(x) if np.isfinite(x) else None for x in limits],
         "internal_force": given.internal_force,
+        "palms": None if given.palms is None else [dict(palm) for palm in given.palms],
     }
     return simulate(
         engine_controller(scenario, plant),
@@ -85,5 +106,5 @@ def run_in_engine(
         settle=0.5,
         loads=True,
         progress=progress,
-        metadata={**(metadata or {}), "load": load},
+        metadata={**(metadata or {}), "load": load, "settings": {"verdict": dict(given.tolerances)}},
     )

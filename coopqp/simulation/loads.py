@@ -7,6 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from coopqp.errors import InvalidInputError
+from coopqp.forces.grips import Grip
+from coopqp.forces.palms import palm_use
 from coopqp.forces.relaxation import internal_wrenches
 from coopqp.model.cell import RobotCell
 from coopqp.simulation.recording import Recording, RecordingError
@@ -20,6 +22,7 @@ class RunLoads:
     Attributes:
         time: (T,) [s].
         torque_use: share of each joint's largest torque that is used (T, nv); 0 without limit.
+        palm_use: share of each palm's friction and pad that is used (T, N); None for grips.
         internal: size of each arm's internal force on the object (T, N) [N].
         internal_limit: the largest accepted one [N]; inf for any.
         moves: index of the first step in which the object moves; T if it never does.
@@ -30,6 +33,7 @@ class RunLoads:
     internal: Array
     internal_limit: float
     moves: int
+    palm_use: Array | None = None
 
     def figures(self, cell: RobotCell) -> dict[str, str]:
         """The key figures by name, with their units."""
@@ -39,12 +43,17 @@ class RunLoads:
         for k, arm in enumerate(cell.arm_names):
             own = self.torque_use[:, cell.v_slices[k]]
             out[f"torque of {arm}"] = f"{100.0 * own.max():.1f} % of its limit"
+        if self.palm_use is not None and self.moves < len(self.time):
+            i, j = _largest(self.palm_use[self.moves :])
+            most = f"{100.0 * self.palm_use[self.moves + i, j]:.1f} %"
+            out["friction, most used"] = f"{most} ({cell.arm_names[j]}, {self.time[self.moves + i]:.2f} s)"
         moving = self.internal[self.moves :]
-        if moving.size:
+        if moving.size and self.palm_use is None:
             i, j = _largest(moving)
             where = f"{cell.arm_names[j]}, {self.time[self.moves + i]:.2f} s"
             out["internal force in motion"] = f"{moving[i, j]:.1f} N ({where})"
-        out["internal force at the end"] = f"{self.internal[-1].max():.1f} N"
+        what = "internal force" if self.palm_use is None else "squeeze"
+        out[f"{what} at the end"] = f"{self.internal[-1].max():.1f} N"
         return out
 
     def overloaded(self, cell: RobotCell) -> tuple[str, str]:
@@ -54,6 +63,21 @@ class RunLoads:
         text = f"at most {100.0 * use[i, j]:.1f} % of a torque ({cell.joint_names[j]})"
         over = np.flatnonzero(use.max(axis=1) > 1.0)
         return text, f"{cell.joint_names[j]}: torque, since {self.time[over[0]]:.3f} s" if over.size else ""
+
+    def held(self, cell: RobotCell) -> tuple[str, str]:
+        """Whether the palms held the object to the end; and the cause where they let go of it.
+
+        Friction is used up for moments where it is; an object is lost where a palm does not press any more.
+        """
+        if self.palm_use is None or self.moves == len(self.time):
+            return "the object did not move", ""
+        use = self.palm_use[self.moves :]
+        lost = np.flatnonzero(~np.isfinite(use).all(axis=1))
+        if not lost.size:
+            i, j = _largest(use)
+            return f"at most {100.0 * use[i, j]:.0f} % of a palm's friction ({cell.arm_names[j]})", ""
+        arm = cell.arm_names[int(np.argmax(~np.isfinite(use[lost[0]])))]
+        return f"arm {arm} let go", f"arm {arm}: friction, since {self.time[self.moves + lost[0]]:.3f} s"
 
     def squeezed(self, cell: RobotCell) -> tuple[str, str]:
         """The internal forces in motion in words; and the cause where they are too large."""
@@ -93,6 +117,7 @@ def read_loads(cell: RobotCell, recording: Recording) -> RunLoads | None:
         limits = np.array([np.inf if x is None else float(x) for x in given])
         cap = entry.get("internal_force")
         largest = np.inf if cap is None else float(cap)
+        palms = None if entry.get("palms") is None else [Grip(**one) for one in entry["palms"]]
         use = np.abs(torques) / limits
     except (TypeError, ValueError, AttributeError) as error:
         raise RecordingError(f"'load' in the recording's metadata is damaged ({error}).") from error
@@ -103,5 +128,6 @@ def read_loads(cell: RobotCell, recording: Recording) -> RunLoads | None:
         torque_use=use,
         internal=np.linalg.norm(internal[:, :, :3], axis=2),
         internal_limit=largest,
+        palm_use=None if palms is None else np.array([palm_use(palms, row) for row in wrenches]),
         moves=int(moving[0]) if moving.size else recording.n_steps,
     )

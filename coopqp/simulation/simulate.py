@@ -142,7 +142,7 @@ class _Recorder:
 
     def __init__(self, controller: Controller, measured: Array, loaded: Any = None) -> None:
         cell = controller.cell
-        self._shift = Rows(len(cell), 6) if getattr(controller, "minds_wrenches", False) else None
+        self._shift = Rows(len(cell), 6) if hasattr(controller, "shift") else None
         self._loaded, self._wrenches, self._torques = loaded, Rows(len(cell), 6), Rows(cell.nv)
         self._controller: Any = controller
         self.steps = 0

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, final
 
@@ -29,6 +29,8 @@ class EngineSettings:
             forces.
         controller: settings of :class:`coopqp.QPOptions`.
         torque_share: share of the joints' torques that load sharing plans with.
+        palms: open palms in place of grips that do not let go: settings of a :class:`coopqp.forces.Grip` per arm.
+        tolerances: of the verdict: settings of :class:`coopqp.Tolerances`. The object gives way to a squeeze.
         shares_load: the drives feed a load forward that :class:`coopqp.forces.LoadShare` shares.
         internal_force: largest internal force of an arm that is accepted [N]; None for any.
     """
@@ -37,6 +39,8 @@ class EngineSettings:
     options: Mapping[str, Any] = field(default_factory=dict)
     forces: Mapping[str, Any] | None = None
     controller: Mapping[str, Any] = field(default_factory=dict)
+    palms: Sequence[Mapping[str, Any]] | None = None
+    tolerances: Mapping[str, float] = field(default_factory=dict)
     shares_load: bool = False
     torque_share: float = 1.0
     internal_force: float | None = None

@@ -579,7 +579,7 @@ static PyObject *module_relax(PyObject *self, PyObject *const *args, Py_ssize_t 
         return NULL;
     }
     const Py_ssize_t n = 6 * arms;
-    if (!(m = numbers(args[0], N_RELAX + arms + 4 * n + 2 * n * n, 1, &memory))) return NULL;
+    if (!(m = numbers(args[0], N_RELAX + arms + 5 * n + 2 * n * n, 1, &memory))) return NULL;
     if (args[2] != Py_None && !(w = numbers(args[2], n, 0, &wrenches))) {
         PyBuffer_Release(&memory);
         return NULL;

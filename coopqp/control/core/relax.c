@@ -1,6 +1,7 @@
 /* The relaxation of forces, one step of it: the filter on wrenches, and how the grasps give way. relax_plain.py says the
  * same in NumPy, coopqp/forces/relaxation.py says why. The memory is that of layout.RELAX, for N arms: the scalars, then
- * silent (N), seen, internal, shift, drift (6 N each), internal_of and yields (6 N, 6 N). */
+ * silent (N), seen, internal, shift, drift, target (6 N each), internal_of and yields (6 N, 6 N). `internal` is what the
+ * internal wrenches have beside the target. */
 
 #include "functions.h"
 
@@ -39,7 +40,7 @@ static double largest_entry(int arms, const double *x, int part) {
 static int feel(int arms, double *m, const double *wrenches, double dt) {
     const int n = 6 * arms;
     double *silent = m + N_RELAX, *seen = silent + arms, *internal = seen + n;
-    const double *internal_of = internal + 3 * n, share = dt / (dt + m[WRENCH_FILTER]);
+    const double *target = internal + 3 * n, *internal_of = target + n, share = dt / (dt + m[WRENCH_FILTER]);
     int heard = HEARD;
     for (int k = 0; k < arms; k++) {
         const int fresh = wrenches && finite_numbers(wrenches + 6 * k, 6);
@@ -49,7 +50,7 @@ static int feel(int arms, double *m, const double *wrenches, double dt) {
         if (silent[k] > m[WRENCH_SILENCE]) heard = SILENT;
     }
     for (int i = 0; i < n; i++) {
-        double now = 0.0;
+        double now = -target[i];
         for (int j = 0; j < n; j++) now += internal_of[n * i + j] * seen[j];
         internal[i] += share * (now - internal[i]);
     }
@@ -62,7 +63,7 @@ static void give_way(int arms, double *m, double dt, double rate, double *work) 
     const int n = 6 * arms;
     double *internal = m + N_RELAX + arms + n, *shift = internal + n, *drift = shift + n;
     double *way = work, *moved = work + n;
-    const double *yields = drift + n + (size_t)(n * n), size = m[SIZE];
+    const double *yields = drift + 2 * n + (size_t)(n * n), size = m[SIZE];
     if (size > m[DEAD_BAND]) {
         const double gain = (m[DEAD_BAND] / size - 1.0) / (m[STIFFER] * m[RELAX_TIME]);
         multiply(n, yields, internal, way);

@@ -21,6 +21,7 @@ def relax_views(memory: Array, arms: int) -> dict[str, Array]:
     n, views, at = 6 * arms, {}, len(layout.RELAX)
     shapes: tuple[tuple[str, tuple[int, ...]], ...] = (
         ("silent", (arms,)), ("seen", (arms, 6)), ("internal", (arms, 6)), ("shift", (arms, 6)), ("drift", (arms, 6)),
+        ("target", (arms, 6)),
         ("internal_of", (n, n)), ("yields", (n, n)),
     )  # fmt: skip
     for name, shape in shapes:
@@ -32,7 +33,7 @@ def relax_views(memory: Array, arms: int) -> dict[str, Array]:
 
 def relax_size(arms: int) -> int:
     """Numbers of the memory of so many arms."""
-    return len(layout.RELAX) + arms + 24 * arms + 72 * arms**2
+    return len(layout.RELAX) + arms + 30 * arms + 72 * arms**2
 
 
 def relax(memory: Array, arms: int, wrenches: ArrayLike | None, dt: float, rate: float, gives: bool, /) -> int:
@@ -42,7 +43,7 @@ def relax(memory: Array, arms: int, wrenches: ArrayLike | None, dt: float, rate:
     fresh = np.isfinite(w).all(axis=1)
     x["silent"][:] = np.where(fresh, 0.0, x["silent"] + dt)
     x["seen"][:] = np.where(fresh[:, None], w, x["seen"])
-    now = (x["internal_of"] @ x["seen"].ravel()).reshape(-1, 6)
+    now = (x["internal_of"] @ x["seen"].ravel()).reshape(-1, 6) - x["target"]
     x["internal"] += dt / (dt + m[_AT["WRENCH_FILTER"]]) * (now - x["internal"])
     m[_AT["SIZE"]] = _largest(x["internal"], 1.0, _TURN_LENGTH)
     if (x["silent"] > m[_AT["WRENCH_SILENCE"]]).any():

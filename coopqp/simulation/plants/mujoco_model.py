@@ -1,8 +1,8 @@
 """A cell and its object as a MuJoCo model, built from the arms' own Pinocchio models.
 
 No file is read a second time, so URDF, MJCF and hand-made models are treated alike. Joint placements, axes and inertias
-are copied; primitive visual shapes are drawn, meshes are not. There are no collisions, no joint stops and no torque
-limits: the controller has to respect the limits.
+are copied; primitive visual shapes are drawn, meshes are not. Pads of palms touch the object; there are no other
+collisions, no joint stops and no torque limits: the controller has to respect the limits.
 """
 
 from __future__ import annotations
@@ -14,12 +14,19 @@ import numpy as np
 import pinocchio as pin
 
 from coopqp.errors import MissingExtraError, ModelError
+from coopqp.forces.grips import Grip
 from coopqp.model.cell import Arm, RobotCell
 from coopqp.model.grasp import Grasp
 from coopqp.simulation.plants.physics_options import PhysicsOptions, Servos, joint_axes
 from coopqp.spatial import Array
 
-OBJECT = "object"
+OBJECT, STAND = "object", "stand"
+#: Half the thickness of a palm's pad and of the stand [m].
+_PAD, STAND_HALF = 0.005, 0.01
+#: solref and solimp of contacts of palms: rubber. Between stiffer pads the box rattles.
+_CONTACT = ((0.02, 1.0), (0.9, 0.97, 0.0005, 0.5, 2.0))
+#: How many times as stiff friction is as the normal, and passes that take its creep away.
+_FRICTION_STIFFER, _NO_SLIP_ITERATIONS = 10.0, 10
 #: Smallest mass and inertia of a link [kg, kg·m²]; smaller ones are raised, because the engine needs positive values.
 _LEAST_MASS, _LEAST_INERTIA = 1e-6, 1e-9
 
@@ -57,8 +64,12 @@ def build_spec(
     servos: Servos,
     options: PhysicsOptions,
     base_offset: Mapping[str, pin.SE3],
+    palms: Mapping[str, Grip] | None = None,
 ) -> Any:
     """Build the ``mujoco.MjSpec``: arms at their real bases, the object as a free box, welds from tools to grip sites.
+
+    With ``palms`` pads press on the box in place of the welds, with contacts and friction, and the box lies on a smooth
+    stand at first.
 
     The body frame of the object is the object frame: the generalized force of its free joint is the wrench there.
     Joints have the names of the cell. Each has a position servo of the same name.
@@ -76,7 +87,12 @@ def build_spec(
     option.solver = mujoco.mjtSolver.mjSOL_NEWTON
     option.jacobian = mujoco.mjtJacobian.mjJAC_DENSE
     option.tolerance, option.iterations = options.tolerance, options.iterations
-    option.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT | mujoco.mjtDisableBit.mjDSBL_AUTORESET
+    option.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
+    if palms is None:
+        option.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT
+    else:
+        option.cone, option.impratio = mujoco.mjtCone.mjCONE_ELLIPTIC, _FRICTION_STIFFER
+        option.noslip_iterations = _NO_SLIP_ITERATIONS
     spec.visual.global_.offwidth, spec.visual.global_.offheight = 1280, 720
     spec.worldbody.add_light(pos=[0.0, 0.0, 4.0], dir=[0.0, 0.0, -1.0])
     _add_geom(spec.worldbody, mujoco.mjtGeom.mjGEOM_PLANE, [10.0, 10.0, 0.1], pin.SE3.Identity(), (0.9, 0.9, 0.92, 1.0))
@@ -89,9 +105,19 @@ def build_spec(
                                   T_object_body.rotation @ np.diag(inertia) @ T_object_body.rotation.T))  # fmt: skip
     _add_geom(box, mujoco.mjtGeom.mjGEOM_BOX, 0.5 * object_size, T_object_body, (0.30, 0.52, 0.75, 1.0))
 
+    if palms is not None:
+        _touches(box.geoms[0], object_=True)
+        stand = _add_body(spec.worldbody, STAND, pin.SE3.Identity())  # reset places it below the object
+        half = 0.5 * object_size + [0.0, 0.0, STAND_HALF - 0.5 * object_size[2]]
+        _add_geom(stand, mujoco.mjtGeom.mjGEOM_BOX, half, pin.SE3.Identity(), (0.6, 0.6, 0.6, 1.0))
+        _touches(stand.geoms[0], object_=False)
+        stand.geoms[0].name, stand.geoms[0].friction, stand.geoms[0].priority = STAND, [0.05, 0.005, 0.0001], 2
+        stand.geoms[0].solref, stand.geoms[0].solimp = _CONTACT
     for arm, rows, X in zip(cell.arms, cell.v_slices, grasp.T_object_tool, strict=True):
         box.add_site(name=grip_site(arm.name), pos=X.translation, quat=quaternion(X.rotation))  # reset moves it
-        _add_arm(mujoco, spec, arm, servos, rows, options, base_offset)
+        tool = _add_arm(mujoco, spec, arm, servos, rows, options, base_offset, welded=palms is None)
+        if palms is not None:
+            _add_pad(mujoco, tool, palms[arm.name])
     return spec
 
 
@@ -117,7 +143,10 @@ def _add_arm(
     rows: slice,
     options: PhysicsOptions,
     base_offset: Mapping[str, pin.SE3],
-) -> None:
+    *,
+    welded: bool,
+) -> Any:
+    """Add an arm, and its weld to the object unless it has a palm. Returns the body of its tool."""
     model = arm.model
     T_base = arm.T_world_base * base_offset.get(arm.name, pin.SE3.Identity())
     twists = joint_axes(model)
@@ -148,11 +177,32 @@ def _add_arm(
     tool = _add_body(bodies[frame.parentJoint], site, frame.placement)  # massless, carries the sensors
     tool.gravcomp = 1.0
     tool.add_site(name=site)
-    weld = spec.add_equality(name=site, type=mujoco.mjtEq.mjEQ_WELD, objtype=mujoco.mjtObj.mjOBJ_SITE)
-    weld.name1, weld.name2 = grip_site(arm.name), site
-    weld.solref, weld.solimp = options.weld_solref, options.weld_solimp
+    if welded:
+        weld = spec.add_equality(name=site, type=mujoco.mjtEq.mjEQ_WELD, objtype=mujoco.mjtObj.mjOBJ_SITE)
+        weld.name1, weld.name2 = grip_site(arm.name), site
+        weld.solref, weld.solimp = options.weld_solref, options.weld_solimp
     for kind, sensor in (("force", mujoco.mjtSensor.mjSENS_FORCE), ("torque", mujoco.mjtSensor.mjSENS_TORQUE)):
         spec.add_sensor(name=f"{arm.name}:{kind}", type=sensor, objtype=mujoco.mjtObj.mjOBJ_SITE, objname=site)
+    return tool
+
+
+def _add_pad(mujoco: Any, tool: Any, palm: Grip) -> None:
+    """A square pad around the palm's disc, whose face is at the tool's origin."""
+    normal = np.asarray(palm.normal)
+    x = np.cross(normal, np.eye(3)[int(np.abs(normal).argmin())])
+    x /= np.linalg.norm(x)
+    T = pin.SE3(np.column_stack([x, np.cross(normal, x), normal]), -_PAD * normal)
+    half = max(palm.radius, 0.01)
+    _add_geom(tool, mujoco.mjtGeom.mjGEOM_BOX, [half, half, _PAD], T, (0.2, 0.2, 0.22, 1.0))
+    pad = tool.geoms[-1]
+    _touches(pad, object_=False)
+    pad.condim, pad.friction, pad.priority = 3, [palm.friction, 0.005, 0.0001], 1
+    pad.solref, pad.solimp = _CONTACT
+
+
+def _touches(geom: Any, *, object_: bool) -> None:
+    """The object touches the pads, and nothing else touches."""
+    geom.contype, geom.conaffinity = (2, 1) if object_ else (1, 2)
 
 
 def _axis(arm: Arm, i: int, twist: Array) -> tuple[Array, bool]:

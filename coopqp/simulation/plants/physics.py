@@ -7,7 +7,7 @@ stresses the object. The plant reads the forces at the grasps. They scale with t
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, final
 
 import numpy as np
@@ -16,6 +16,7 @@ import pinocchio as pin
 from coopqp.checks import ArrayLike, as_options, as_scalar, as_vector, require
 from coopqp.control.command import ControlStep
 from coopqp.errors import CoopqpError, InvalidInputError
+from coopqp.forces.grips import Grip
 from coopqp.forces.load import LoadShare
 from coopqp.model.cell import RobotCell
 from coopqp.model.grasp import Grasp
@@ -23,6 +24,8 @@ from coopqp.simulation.plants.disturbances import Disturbances
 from coopqp.simulation.plants.encoders import Encoders
 from coopqp.simulation.plants.mujoco_model import (
     OBJECT,
+    STAND,
+    STAND_HALF,
     build_spec,
     compile_spec,
     grip_site,
@@ -41,6 +44,10 @@ if TYPE_CHECKING:
     from coopqp.task.scenario import Scenario
 
 __all__ = ["PhysicsError", "PhysicsOptions", "PhysicsPlant"]
+
+
+#: Time in which the drives take the load over from the stand, once all palms press with their least squeeze [s].
+_TAKES = 0.3
 
 
 class PhysicsError(CoopqpError):
@@ -68,6 +75,10 @@ class PhysicsPlant:
         load: load sharing whose torques the drives feed forward for the motion as commanded, with the arms' own
             dynamics, in place of the object's weight alone.
 
+        palms: palms that press on the box in place of welds, one per arm: square pads around their discs, with contacts
+            and friction. The box lies on a smooth stand, its z axis up, until the first command with a rate above 0.
+            The drives take over its load as soon as all palms press with their ``squeeze``.
+
     Attributes:
         stiffness: kp of the servos (nv,) [N·m/rad or N/m].
         time: time since the last reset without settling [s].
@@ -91,6 +102,7 @@ class PhysicsPlant:
         options: PhysicsOptions | Mapping[str, Any] | None = None,
         disturbances: Disturbances | None = None,
         load: LoadShare | None = None,
+        palms: Sequence[Grip] | None = None,
     ) -> None:
         mujoco = require_mujoco()
         require(grasp, Grasp, "PhysicsPlant: grasp", "Give a Grasp of the placements.")
@@ -104,6 +116,7 @@ class PhysicsPlant:
         size = as_vector(object_size, 3, "PhysicsPlant: object_size")
         if not (size > 0.0).all():
             raise InvalidInputError(f"{size.tolist()} must be > 0", "PhysicsPlant: object_size", "Give lengths [m].")
+        self._object_size = size
         self.object_mass = as_scalar(object_mass, "PhysicsPlant: object_mass")
         self.T_object_body = (
             pin.SE3.Identity() if T_object_body is None else as_placement(T_object_body, "PhysicsPlant: T_object_body")
@@ -117,6 +130,11 @@ class PhysicsPlant:
             if not np.allclose(load.cell.model.gravity.linear, self.options.gravity):
                 raise InvalidInputError("its gravity is another one", "PhysicsPlant: load", "Set cell.model.gravity.")
         self.load = load
+        self.palms = None if palms is None else tuple(palms)
+        if self.palms is not None and (
+            len(self.palms) != len(cell) or any(not isinstance(p, Grip) or p.kind != "palm" for p in self.palms)
+        ):
+            raise InvalidInputError("no palm for each arm", "PhysicsPlant: palms", 'Give Grip(kind="palm", …).')
         servos = self.options.servos(cell)
         self.stiffness, self._armature = servos.stiffness, servos.armature
         self._lead = servos.damping / servos.stiffness if self.options.velocity_feed_forward else np.zeros(cell.nv)
@@ -133,6 +151,7 @@ class PhysicsPlant:
                 cell.arm_names[cell.index(k)]: as_placement(T, "base_offset")
                 for k, T in self.disturbances.base_offset.items()
             },
+            palms=None if self.palms is None else dict(zip(cell.arm_names, self.palms, strict=True)),
         )
         self.mj_model = compile_spec(self._spec)
         self.mj_data = mujoco.MjData(self.mj_model)
@@ -147,6 +166,8 @@ class PhysicsPlant:
         self._wrench_sensors = WrenchSensors(cell, self.disturbances)
         self.time, self._fresh = 0.0, False
         self._torque, self._velocity = np.zeros(cell.nv), np.zeros(cell.nv)
+        self._placed: list[pin.SE3] | None = None
+        self._taken = 1.0 if self.palms is None else 0.0  # share of the load that the drives feed forward
 
     @staticmethod
     def of(
@@ -156,6 +177,7 @@ class PhysicsPlant:
         options: PhysicsOptions | Mapping[str, Any] | None = None,
         disturbances: Disturbances | None = None,
         load: LoadShare | None = None,
+        palms: Sequence[Grip] | None = None,
     ) -> PhysicsPlant:
         """Build the plant of a scenario from its cell, grasp and object."""
         return PhysicsPlant(
@@ -168,6 +190,7 @@ class PhysicsPlant:
             options=options,
             disturbances=disturbances,
             load=load,
+            palms=palms,
         )
 
     # -- the plant -----------------------------------------------------------------------------------------------
@@ -187,6 +210,8 @@ class PhysicsPlant:
         d.qpos[self._q_at] = x
         self._mujoco.mj_kinematics(m, d)
         self._grip([self._site(s) for s in self._tool_sites])
+        self._placed = None
+        self._taken = 1.0 if self.palms is None else 0.0
         self.time = 0.0
         h = m.opt.timestep = self.options.timestep
         still, torque = np.zeros(self.cell.nv), self._load_torque(start)
@@ -212,6 +237,14 @@ class PhysicsPlant:
         q_next = self.cell.check_configuration(step.q_next, "PhysicsPlant.apply: step.q_next")
         m, d, targets = self.mj_model, self.mj_data, self._targets
         targets.push(q_next, dt)
+        if self.palms is not None and self._placed is None:
+            pressed = zip(self.palms, self.sensed_wrenches(), strict=True)
+            if all(w[:3] @ palm.normal > palm.squeeze for palm, w in pressed):
+                self._taken = min(self._taken + dt / _TAKES, 1.0)
+        if self.palms is not None and self._placed is None and step.rate > 0.0:
+            self._taken = 1.0
+            self._placed = self._tools_on_object()
+            m.geom_contype[self._stand] = m.geom_conaffinity[self._stand] = 0
         before, after = self._torque, self._load_torque(q_next, step.velocity, (step.velocity - self._velocity) / dt)
         self._velocity = np.array(step.velocity)
         n = max(1, math.ceil(dt / self.options.timestep - 1e-9))
@@ -237,7 +270,9 @@ class PhysicsPlant:
 
     @property
     def gripped(self) -> bool:
-        """True while every arm holds the object; recordings say it."""
+        """True while every arm holds the object, or touches it with its palm; recordings say it."""
+        if self.palms is not None:
+            return bool((np.linalg.norm(self.sensed_wrenches()[:, :3], axis=1) > 1e-6).all())
         return bool(self.mj_data.eq_active[self._welds].all())
 
     # -- readings ------------------------------------------------------------------------------------------------
@@ -250,6 +285,9 @@ class PhysicsPlant:
         """
         m, d = self.mj_model, self.mj_data
         self._refresh()
+        if self.palms is not None:
+            placed = zip(self._tools_on_object(), self.sensed_wrenches(), strict=True)
+            return np.array([X.actionInverse.T @ w for X, w in placed])
         R = d.xmat[self._object].reshape(3, 3)
         J = d.efc_J.reshape(d.nefc, m.nv)[:, self._object_dofs]
         equality = d.efc_type == int(self._mujoco.mjtConstraint.mjCNSTR_EQUALITY)
@@ -269,6 +307,21 @@ class PhysicsPlant:
         self._refresh()
         d = self.mj_data
         return np.array([d.sensordata[[*range(f, f + 3), *range(t, t + 3)]] for f, t in self._sensors])
+
+    def slip(self) -> float:
+        """How far any palm has slipped along the object since the stand let it go [m]; 0 before."""
+        if self.palms is None or self._placed is None:
+            return 0.0
+        far = 0.0
+        for palm, before, now in zip(self.palms, self._placed, self._tools_on_object(), strict=True):
+            way, normal = now.translation - before.translation, before.rotation @ palm.normal
+            far = max(far, float(np.linalg.norm(way - (way @ normal) * normal)))
+        return far
+
+    def _tools_on_object(self) -> list[pin.SE3]:
+        self._refresh()
+        O = placement(self.mj_data.xpos[self._object], self.mj_data.xmat[self._object])
+        return [O.actInv(self._site(s)) for s in self._tool_sites]
 
     def measured_wrenches(self) -> Array:
         """The same as the controller gets it, by the disturbances; NaN for an arm whose wrench is lost."""
@@ -319,7 +372,9 @@ class PhysicsPlant:
         self._actuators = np.array([m.actuator(name).id for name in self.cell.joint_names])
         self._tool_sites = [m.site(tool_site(name)).id for name in names]
         self._grip_sites = [m.site(grip_site(name)).id for name in names]
-        self._welds = np.array([m.equality(tool_site(name)).id for name in names])
+        welded = [] if self.palms is not None else names
+        self._welds = np.array([m.equality(tool_site(name)).id for name in welded], dtype=int)
+        self._stand = m.geom(STAND).id if self.palms is not None else -1
         self._sensors = [(m.sensor(f"{name}:force").adr[0], m.sensor(f"{name}:torque").adr[0]) for name in names]
         self._object = m.body(OBJECT).id
         free = m.joint(OBJECT)
@@ -333,6 +388,13 @@ class PhysicsPlant:
         if self.options.grips == "where they are":
             real = [O.actInv(T) for T in tools]
         d.qpos[self._object_q] = [*O.translation, *quaternion(O.rotation)]
+        if self.palms is not None:
+            deep = 0.5 * self._object_size[2] + STAND_HALF
+            stand = O * self.T_object_body * pin.SE3(np.eye(3), np.array([0.0, 0.0, -deep]))
+            body = m.body(STAND).id
+            m.body_pos[body], m.body_quat[body] = stand.translation, quaternion(stand.rotation)
+            m.body_sameframe[body] = self._mujoco.mjtSameFrame.mjSAMEFRAME_NONE
+            m.geom_contype[self._stand], m.geom_conaffinity[self._stand] = 1, 2
         self._gripped_at = np.zeros((len(real), 3))
         for k, (s, X) in enumerate(zip(self._grip_sites, real, strict=True)):
             m.site_pos[s], m.site_quat[s] = X.translation, quaternion(X.rotation)
@@ -341,7 +403,7 @@ class PhysicsPlant:
 
     def _grow(self, time: float) -> None:
         """Move the grips with the object's size at a time since the start [s]."""
-        growth = self.disturbances.object_growth
+        growth = 0.0 if self.palms is not None else self.disturbances.object_growth
         if growth != 0.0:
             size = 1.0 + growth * math.sin(2.0 * math.pi * time / self.disturbances.growth_period)
             self.mj_model.site_pos[self._grip_sites] = size * self._gripped_at
@@ -376,7 +438,7 @@ class PhysicsPlant:
         carry anyhow.
         """
         out = np.zeros(self.cell.nv)
-        if not self.options.load_feed_forward:
+        if not self.options.load_feed_forward or self._taken == 0.0:
             return out
         if self.load is not None:
             v, dv = (out if x is None else x for x in (velocity, acceleration))
@@ -384,7 +446,7 @@ class PhysicsPlant:
             shared = self.load.share(q, twist=twist, acceleration=change, joint_velocity=v, joint_acceleration=dv)
             if self.options.gravity_compensation:
                 out = pin.computeGeneralizedGravity(self.cell.model, self._data, q)
-            return shared.torques + self._armature * dv - out
+            return self._taken * (shared.torques + self._armature * dv - out)
         J = np.asarray(pin.computeJointJacobians(self.cell.model, self._data, q))
         tools = [self._data.oMi[j] * X for j, X in zip(self.cell.tool_joints, self.cell.T_joint_tool, strict=True)]
         R_object = tools[0].rotation @ self.grasp.T_object_tool[0].rotation.T
@@ -394,7 +456,7 @@ class PhysicsPlant:
         moments = cross(self._load[:, 3:] @ R_object.T, weight[None]) + cross(points, forces)
         for k, s in enumerate(self.cell.v_slices):
             out[s] = forces[k] @ J[:3, s] + moments[k] @ J[3:, s]
-        return out
+        return self._taken * out
 
     def _command(self, x: Array, v: Array, torque: Array) -> None:
         self.mj_data.ctrl[self._actuators] = x + self._lead * v
