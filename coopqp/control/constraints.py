@@ -98,9 +98,6 @@ class RateBound(Protocol):
         ...
 
 
-Constraint = VelocityConstraint | RateBound
-
-
 class LabelledRows(NamedTuple):
     """Rows ``lower ≤ G v ≤ upper`` of a :class:`CertifiedConstraint`, and the label of each (m,)."""
 

@@ -327,20 +327,6 @@ class Chain:
                 J[6 * k : 6 * k + 6, g.columns[i]] = rows[i].T
         return J
 
-    def smallest_singular_values(self, q: Array) -> Array:
-        """σ_min of each tool Jacobian at ``q``, (N,), in the tool's frame (metres, radians)."""
-        O = self.carried(q)
-        about = O[0, 3].copy()
-        self.evaluate(q, about)
-        values = np.empty(self.n_arms)
-        for g in self._groups:
-            rows = self.jacobian_rows(g)
-            for i, k in enumerate(g.arms):
-                carried = pin.SE3(O[k, :3].T.copy(), O[k, 3] - about)
-                to_tool = (carried * self.grasp.T_object_tool[k]).inverse().action
-                values[k] = np.linalg.svd(to_tool @ rows[i].T, compute_uv=False)[-1]
-        return values
-
 
 def _live_placements(model: pin.Model, data: pin.Data) -> Array:
     """A strided view of ``data.oMi[1:]``: (joints, 4, 3), rows 0–2 the rotation transposed, row 3 the origin."""
