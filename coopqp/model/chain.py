@@ -82,7 +82,7 @@ class Chain:
         # Pinocchio's own functions: a call in between would cost as much as an arm.
         self.place: Callable[[Array], object] = partial(pin.forwardKinematics, cell.model, self._data)
         self._placements = _live_placements(cell.model, self._data)
-        self.tool_joints = np.array(cell.tool_joints, dtype=np.int64) - 1
+        self._tools = _spaced(np.array(cell.tool_joints, dtype=np.int64) - 1)
         # O_k = T_world_joint · Y_k with constant Y_k; the transpose suits Pinocchio's column-major memory.
         self.Y_transposed = np.empty((self.n_arms, 4, 4))
         self.set_grasp(grasp.T_object_tool)
@@ -111,7 +111,7 @@ class Chain:
     def carried(self, q: Array) -> Array:
         """``O_k`` at ``q`` for every arm, shape (N, 4, 3): rows 0–2 are the rotation transposed, row 3 the origin."""
         self.place(q)
-        O: Array = self.Y_transposed @ self._placements[self.tool_joints]
+        O: Array = self.Y_transposed @ self._placements[self._tools]
         return O
 
     def errors(self, O: Array, reference: pin.SE3) -> Array:
@@ -340,6 +340,14 @@ def _live_placements(model: pin.Model, data: pin.Data) -> Array:
         ):
             raise RuntimeError("Pinocchio's memory layout of placements is not the expected one")
     return view
+
+
+def _spaced(index: npt.NDArray[np.int64]) -> slice | npt.NDArray[np.int64]:
+    """Rising indices as a slice where they are evenly spaced: it makes a view, an array copies."""
+    steps = np.diff(index, append=index[-1] + 1) if len(index) == 1 else np.diff(index)
+    if steps[0] > 0 and (steps == steps[0]).all():
+        return slice(int(index[0]), int(index[-1]) + 1, int(steps[0]))
+    return index
 
 
 def moving_columns(cell: RobotCell) -> list[npt.NDArray[np.intp]]:
