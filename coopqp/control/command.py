@@ -373,14 +373,6 @@ def brakes_for_target(step: ControlStep) -> None:
         amend(step, binding=binding, reason=reason)
 
 
-def read_step(record: bytes, context: StepReader, status: Status, rate: float) -> ControlStep:
-    """The step of a record, as the compiled core makes it."""
-    step = object.__new__(ControlStep)
-    for name, value in (("_record", record), ("_context", context), ("status", status), ("rate", rate)):
-        _set(step, name, value)
-    return step
-
-
 def off_path(distance: float, angle: float) -> str:
     """That the object is off its path by a distance [m] or an angle [rad], in words; what is 0 is not said."""
     parts = [f"{1e3 * distance:.1f} mm"] if distance > 0.0 else []

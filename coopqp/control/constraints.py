@@ -98,9 +98,6 @@ class RateBound(Protocol):
         ...
 
 
-Constraint = VelocityConstraint | RateBound
-
-
 class LabelledRows(NamedTuple):
     """Rows ``lower ≤ G v ≤ upper`` of a :class:`CertifiedConstraint`, and the label of each (m,)."""
 
@@ -396,7 +393,7 @@ class Constraints:
 
     def measured(self, binding: tuple[BindingLimit, ...], q: Array) -> tuple[BindingLimit, ...]:
         """Limits with the distances of their bodies at ``q`` (nq,)."""
-        if all(limit.kind is not LimitKind.COLLISION for limit in binding):
+        if not self._certified or all(limit.kind is not LimitKind.COLLISION for limit in binding):
             return binding
         found = []
         for limit in binding:
@@ -406,6 +403,8 @@ class Constraints:
 
     def nearest(self, q: Array) -> NearPair | None:
         """The bodies that are nearest to their margin at ``q`` (nq,); None where nothing says so."""
+        if not self._certified:
+            return None
         found = [pair for _, c in self._certified if (pair := c.nearest(q)) is not None]
         return min(found, key=lambda pair: pair.distance, default=None)
 

@@ -507,7 +507,9 @@ class PlainLoop:
         answer, watch, h, duration = found.answer, seen.watch, seen.h, self._guarded.duration
         v, q, clock = answer.velocity, s.q, s.clock
         q_next = self.cell.moved(q, h * v)
-        binding = self.names(answer.active, h, proposal.given.further) or proposal.binding
+        binding = proposal.binding
+        if answer.active:
+            binding = self.names(answer.active, h, proposal.given.further)
         binding = self.constraints.measured(binding, q)
         rate = min(max(float(answer.rate), 0.0), 1.0)
         clock_next = clock + rate * h

@@ -145,10 +145,10 @@ class StepSolver:
             v += cap * terms.null_along
         if terms.null_offset is not None:
             v += terms.null_offset
-        clipped = np.minimum(np.maximum(v, box.lower), box.upper)  # np.clip costs three times as much
-        if not largest(np.abs(v - clipped)) <= LIMIT_TOLERANCE or not _keeps(further, v, LIMIT_TOLERANCE):
+        excess = largest(np.maximum(v - box.upper, box.lower - v))
+        if not excess <= LIMIT_TOLERANCE or not _keeps(further, v, LIMIT_TOLERANCE):
             return None
-        return StepAnswer(clipped, cap, exact=True)
+        return StepAnswer(np.clip(v, box.lower, box.upper) if excess > 0.0 else v, cap, exact=True)
 
     def _on_path(self, terms: StepTerms, pieces: Pieces, further: Rows) -> StepAnswer | None:
         """Full corrections at the fastest admissible rate, up to the cap; None if no rate will do."""

@@ -82,7 +82,7 @@ class Chain:
         # Pinocchio's own functions: a call in between would cost as much as an arm.
         self.place: Callable[[Array], object] = partial(pin.forwardKinematics, cell.model, self._data)
         self._placements = _live_placements(cell.model, self._data)
-        self.tool_joints = np.array(cell.tool_joints, dtype=np.int64) - 1
+        self._tools = _spaced(np.array(cell.tool_joints, dtype=np.int64) - 1)
         # O_k = T_world_joint · Y_k with constant Y_k; the transpose suits Pinocchio's column-major memory.
         self.Y_transposed = np.empty((self.n_arms, 4, 4))
         self.shift_grasp(np.zeros((self.n_arms, 6)))
@@ -112,7 +112,7 @@ class Chain:
     def carried(self, q: Array) -> Array:
         """``O_k`` at ``q`` for every arm, shape (N, 4, 3): rows 0–2 are the rotation transposed, row 3 the origin."""
         self.place(q)
-        O: Array = self.Y_transposed @ self._placements[self.tool_joints]
+        O: Array = self.Y_transposed @ self._placements[self._tools]
         return O
 
     def errors(self, O: Array, reference: pin.SE3) -> Array:
@@ -328,20 +328,6 @@ class Chain:
                 J[6 * k : 6 * k + 6, g.columns[i]] = rows[i].T
         return J
 
-    def smallest_singular_values(self, q: Array) -> Array:
-        """σ_min of each tool Jacobian at ``q``, (N,), in the tool's frame (metres, radians)."""
-        O = self.carried(q)
-        about = O[0, 3].copy()
-        self.evaluate(q, about)
-        values = np.empty(self.n_arms)
-        for g in self._groups:
-            rows = self.jacobian_rows(g)
-            for i, k in enumerate(g.arms):
-                carried = pin.SE3(O[k, :3].T.copy(), O[k, 3] - about)
-                to_tool = (carried * self.grasp.T_object_tool[k]).inverse().action
-                values[k] = np.linalg.svd(to_tool @ rows[i].T, compute_uv=False)[-1]
-        return values
-
 
 def _live_placements(model: pin.Model, data: pin.Data) -> Array:
     """A strided view of ``data.oMi[1:]``: (joints, 4, 3), rows 0–2 the rotation transposed, row 3 the origin."""
@@ -355,6 +341,14 @@ def _live_placements(model: pin.Model, data: pin.Data) -> Array:
         ):
             raise RuntimeError("Pinocchio's memory layout of placements is not the expected one")
     return view
+
+
+def _spaced(index: npt.NDArray[np.int64]) -> slice | npt.NDArray[np.int64]:
+    """Rising indices as a slice where they are evenly spaced: it makes a view, an array copies."""
+    steps = np.diff(index, append=index[-1] + 1) if len(index) == 1 else np.diff(index)
+    if steps[0] > 0 and (steps == steps[0]).all():
+        return slice(int(index[0]), int(index[-1]) + 1, int(steps[0]))
+    return index
 
 
 def moving_columns(cell: RobotCell) -> list[npt.NDArray[np.intp]]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 from collections.abc import Callable
 from dataclasses import fields, replace
 from typing import Any
@@ -10,7 +9,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 import pytest
-from fuzzing import MANY, MORE, Tried, answer, arrays_like, is_refused, numbers, poses_like
+from fuzzing import MANY, MORE, Tried, answer, arrays_like, contents, is_refused, numbers, poses_like
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -108,15 +107,14 @@ def test_arrays_of_finite_numbers_and_nothing_else(catalogue: Any) -> None:
         tried.number += 1
         usual, build, right = VECTORS[door]
         worn, meant = data.draw(arrays_like(usual))
-        before = copy.deepcopy(worn) if isinstance(worn, (np.ndarray, list)) else None
+        before = contents(worn)
         result = answer(lambda: (build(worn),))
         acceptable = meant is not None and np.isfinite(meant).all()
         assert (result is not None) == acceptable
         if result is not None:
             tried.accepted += 1
             assert right(result[0], meant)
-        if isinstance(before, np.ndarray):
-            assert str(worn) == str(before)
+        assert contents(worn) == before
 
     holds()
     tried.row(catalogue, f"arrays at {len(VECTORS)} doors that take any finite one", MORE)
@@ -511,9 +509,9 @@ def test_a_step_answers_to_anything(kinds: list[str], catalogue: Any) -> None:
         monitor = Monitor(controller.cell, controller.grasp, tolerances=LIMITS_ONLY)
         steps = [controller.step()]
         for measures, (worn, _), odd_time, dt in odd_steps:
-            before = str(worn)
+            before = contents(worn)
             step = controller.step(worn if measures else None, dt=dt if odd_time else None)
-            assert str(worn) == before
+            assert contents(worn) == before
             steps.append(step)
             assert step.reason or step.status not in (Status.HOLDING, Status.FAULT)
             assert step.explain()
