@@ -25,7 +25,7 @@ from coopqp.simulation.recording import Recording
 from coopqp.spatial import Array
 
 #: Most steps of one trajectory message. Longer ones are too large for memory and middleware.
-MAX_TRAJECTORY_STEPS = 50_000
+MAX_TRAJECTORY_STEPS = 20_000
 
 _READINGS = ("eps_p_mm", "eps_o_deg", "chain_mm", "chain_deg", "object_mm", "object_deg")
 
