@@ -195,6 +195,7 @@ def test_bounds_that_follow_the_joints_stay_below_the_distances(lift: Scenario) 
             assert other.all(lift.cell.moved(q, step)).min() >= -1e-8
 
 
+@pytest.mark.core
 @settings(deadline=None, max_examples=40)
 @given(seed=st.integers(0, 10**6))
 def test_bounds_in_c_are_those_in_numpy(seed: int) -> None:
