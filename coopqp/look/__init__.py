@@ -10,8 +10,8 @@ from coopqp.lazy import lazy_names
 if TYPE_CHECKING:
     from coopqp.look.calibration import calibration_figure, write_calibration
     from coopqp.look.joints import joint_figure
-    from coopqp.look.placements import placement_figure
     from coopqp.look.loads import load_figure, run_loads_figure, write_load_use
+    from coopqp.look.placements import placement_figure
     from coopqp.look.plots import error_figure, motion_figure
     from coopqp.look.profile import profile_figure, write_speed_profile
     from coopqp.look.renderer import Solid, View, box_solid, cell_solids, render
