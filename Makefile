@@ -30,7 +30,7 @@ demo: $(VENV)/.installed
 check: lint
 	HYPOTHESIS_PROFILE=check $(PYTEST) -m "not slow"
 
-# Before every commit: all tests. 12 minutes on two cores.
+# Before every commit: all tests. 14 minutes on two cores.
 test: $(VENV)/.installed
 	@mkdir -p out
 	$(PYTEST) --reliability-json=out/reliability.json
