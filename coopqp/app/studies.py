@@ -190,7 +190,7 @@ def _write_place(
 
         rows = [_row(one) for one in placed]
         contents[folder / _MAP] = csv_bytes(list(rows[0]), rows)
-        figure = placement_figure(study.name, placed, now=now, best=best)
+        figure = placement_figure(study.name, placed, units=study.units, now=now, best=best)
         contents[folder / _MAP_PICTURE] = figure_bytes(figure, dpi=110)
     return write_files(contents)
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -18,21 +18,28 @@ _NOWHERE, _TOUCHES = "#e3e6ea", "#f3c9b8"
 
 
 def placement_figure(
-    name: str, found: Sequence[CellPlaced], *, now: CellPlaced | None = None, best: CellPlaced | None = None
+    name: str,
+    found: Sequence[CellPlaced],
+    *,
+    units: Mapping[str, str],
+    now: CellPlaced | None = None,
+    best: CellPlaced | None = None,
 ) -> Figure:
     """A map over two axes, or curves over one.
 
     Args:
         name: name of the study.
         found: the cell at all combinations of the values of its axes, the last one innermost.
+        units: unit of each axis, as :attr:`coopqp.studies.PlaceStudy.units`.
         now, best: placements to mark.
 
     Raises:
         MissingExtraError: matplotlib is missing.
     """
     axes = list(found[0].values)
+    texts = [f"{label(axis)} [{units[axis]}]" for axis in axes]
     if len(axes) == 1:
-        return _curves(name, found, axes[0], now, best)
+        return _curves(name, found, axes[0], texts[0], now, best)
     xs, ys = (sorted({placed.values[axis] for placed in found}) for axis in axes)
     shape = len(xs), len(ys)
 
@@ -61,13 +68,13 @@ def placement_figure(
         if np.isfinite(values).sum() > 3:
             panel.contour(xs, ys, values, levels=5, colors="white", linewidths=0.5)
         panel.set_title(title, fontsize=10, color=INK, loc="left")
-        panel.set_xlabel(label(axes[0]))
+        panel.set_xlabel(texts[0])
         for placed, marker, face, _ in marked:
             if placed is not None:
                 x, y = (placed.values[axis] for axis in axes)
                 panel.plot(x, y, marker, color=RED, markersize=11, markerfacecolor=face)
         plain(panel)
-    score.set_ylabel(label(axes[1]))
+    score.set_ylabel(texts[1])
     handles: list[Any] = [
         Line2D([], [], linestyle="", marker=marker, color=RED, markerfacecolor=face, markersize=10, label=text)
         for placed, marker, face, text in marked
@@ -92,7 +99,7 @@ def _edges(values: Sequence[float]) -> Any:
 
 
 def _curves(
-    name: str, found: Sequence[CellPlaced], axis: str, now: CellPlaced | None, best: CellPlaced | None
+    name: str, found: Sequence[CellPlaced], axis: str, text: str, now: CellPlaced | None, best: CellPlaced | None
 ) -> Figure:
     figure = new_figure(7.0, 3.8, layout="constrained")
     panel = figure.subplots()
@@ -101,11 +108,10 @@ def _curves(
         shares = [min(p.arms[k].shares) if p.arms[k].feasible else np.nan for p in found]
         panel.plot(x, shares, label=label(arm.arm))
     panel.plot(x, [p.score for p in found], color=INK, linewidth=2.5, alpha=0.35, label="the cell")
-    for placed, text in ((now, "as built"), (best, "best")):
+    for placed, which, dashes in ((now, "as built", "--"), (best, "best", "-")):
         if placed is not None:
-            dashes = "--" if text == "as built" else "-"
-            panel.axvline(placed.values[axis], color=RED, linestyle=dashes, linewidth=1, label=text)
-    panel.set(xlabel=label(axis), ylabel="worst share of the goals", title=label(name, width=80))
+            panel.axvline(placed.values[axis], color=RED, linestyle=dashes, linewidth=1, label=which)
+    panel.set(xlabel=text, ylabel="worst share of the goals", title=label(name, width=80))
     panel.legend(frameon=False)
     plain(panel)
     return figure

@@ -108,6 +108,12 @@ class PlaceStudy:
     tables: Mapping[int, BaseTable]
     seed: int
 
+    @property
+    def units(self) -> dict[str, str]:
+        """Unit of each axis: a length, or an angle where a yaw names it."""
+        turns = {str(table.yaw_deg).removeprefix("-") for table in self.tables.values()}
+        return {name: "deg" if name in turns else "m" for name in self.axes}
+
     def bases(self, values: Mapping[str, float]) -> list[pin.SE3]:
         """T_world_base of each arm."""
         bases = []

@@ -45,5 +45,5 @@ for make in (paper_lift, kuka_lift, abb_lift, mixed_lift):
     print(f"ε_p of the paper's algorithm {paper:.3f} mm, of the QP {qp:.0e} mm")
 
 if "--out" in sys.argv:
-    figure = placement_figure(study.name, placed, now=now, best=best)
+    figure = placement_figure(study.name, placed, units=study.units, now=now, best=best)
     save_figure(figure, Path(sys.argv[sys.argv.index("--out") + 1]) / "h_and_b.png", dpi=80)
