@@ -10,7 +10,7 @@ import pinocchio as pin
 import pytest
 
 from coopqp import ForceController, ForceOptions, InvalidInputError, PhysicsPlant, QPController, simulate
-from coopqp.forces import Grip, least_squeeze, palm_use
+from coopqp.forces import Grip, least_squeeze, palm_use, squeeze_needed
 from coopqp.scenarios import Scenario, palm_box
 from coopqp.simulation import engine_controller, engine_plant
 from coopqp.simulation.engine import box_payload
@@ -49,6 +49,19 @@ def test_the_least_squeeze_carries_the_weight_by_friction(task: Scenario, mass: 
         least_squeeze([PALM, sideways], task.grasp, [weight])
 
 
+def test_the_squeeze_that_is_needed_uses_all_friction() -> None:
+    """Whatever the wrenches: with that normal force and the same load across, the busiest palm is at its limit."""
+    rng = np.random.default_rng(4)
+    for _ in range(200):
+        wrenches = rng.normal(size=(3, 6)) * [30.0, 30.0, 30.0, 0.3, 0.3, 0.3]
+        wrenches[:, 2] = rng.uniform(1.0, 200.0, 3)
+        needed = squeeze_needed([PALM] * 3, wrenches)
+        wrenches[:, 2] = needed
+        assert palm_use([PALM] * 3, wrenches).max() == pytest.approx(1.0)
+    wrenches[1, 2] = 0.0
+    assert squeeze_needed([PALM] * 3, wrenches) == np.inf
+
+
 def made(task: Scenario, **options: Any) -> ForceController:
     inner = QPController(task.cell, task.grasp, task.path, dt=task.dt)
     settings = {"stiffness": 1e4, "payload": box_payload(task), "palms": (PALM, PALM), **options}
@@ -59,6 +72,8 @@ def test_palms_that_would_lose_the_object_are_refused(task: Scenario) -> None:
     with pytest.raises(InvalidInputError, match=r"press with 163 N, and need 163\.5 N at least.*Give 196 N"):
         made(task, squeeze=163.0)
     assert made(task, squeeze=164.0).options.squeeze == 164.0
+    with pytest.raises(InvalidInputError, match="most_squeeze is 150 N, squeeze 200 N"):
+        made(task, squeeze=200.0, most_squeeze=150.0)
     with pytest.raises(InvalidInputError, match="Say what they hold"):
         made(task, squeeze=200.0, payload=None)
     with pytest.raises(InvalidInputError, match="1 palms for 2 arms"):
@@ -75,6 +90,7 @@ def test_palms_that_would_lose_the_object_are_refused(task: Scenario) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.filterwarnings("ignore::coopqp.StartWarning")  # a base is off
 def test_a_box_is_lifted_by_friction_alone() -> None:
     """With 1.2 times the least squeeze, real contacts, and a base off by 1 mm and 0.1°: it slips by 1 mm at most."""
     pytest.importorskip("mujoco")
@@ -97,7 +113,7 @@ def test_a_box_is_lifted_by_friction_alone() -> None:
 def test_a_palm_without_enough_friction_in_the_world_stops_before_it_lifts() -> None:
     """What is asked for is checked against the model; what is felt slows and stops the object."""
     pytest.importorskip("mujoco")
-    task = palm_box()
+    task = palm_box(most_squeeze=200.0)
     assert task.engine is not None
     heavier = replace(task, object_mass=23.9)  # 195 N at least, where 200 N press
     plant = engine_plant(heavier)
@@ -107,3 +123,17 @@ def test_a_palm_without_enough_friction_in_the_world_stops_before_it_lifts() -> 
     assert not run.finished
     assert "friction" in run.notes[-1]
     assert isinstance(plant.T_world_object, pin.SE3)
+
+
+@pytest.mark.slow
+def test_palms_press_harder_where_friction_runs_out() -> None:
+    """A box heavier than said, 1.02 times the least squeeze: it is lifted, and slips by 1 mm at most."""
+    pytest.importorskip("mujoco")
+    task = palm_box()
+    plant = engine_plant(replace(task, object_mass=23.9))
+    run = simulate(engine_controller(task, plant), plant, q_start=task.q_start, settle=0.3, loads=True)
+    assert run.finished
+    assert plant.gripped
+    assert plant.slip() < 1e-3
+    assert run.wrenches is not None
+    assert 1.15 * 195.4 < run.wrenches[-1][:, 2].mean() < 260.0

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from coopqp.forces.exciting import DeterminingMotion, determining_motion
     from coopqp.forces.grips import Grip
     from coopqp.forces.load import LoadShare, SharedLoad
-    from coopqp.forces.palms import least_squeeze, palm_use
+    from coopqp.forces.palms import least_squeeze, palm_use, squeeze_needed
     from coopqp.forces.relaxation import internal_wrenches
     from coopqp.forces.use import load_use
 else:
@@ -25,7 +25,7 @@ else:
             "coopqp.forces.exciting": ("DeterminingMotion", "determining_motion"),
             "coopqp.forces.grips": ("Grip",),
             "coopqp.forces.load": ("LoadShare", "SharedLoad"),
-            "coopqp.forces.palms": ("least_squeeze", "palm_use"),
+            "coopqp.forces.palms": ("least_squeeze", "palm_use", "squeeze_needed"),
             "coopqp.forces.relaxation": ("internal_wrenches",),
             "coopqp.forces.use": ("load_use",),
         },
@@ -43,5 +43,6 @@ __all__ = [
     "least_squeeze",
     "load_use",
     "palm_use",
+    "squeeze_needed",
     "undetermined_by",
 ]

@@ -19,7 +19,7 @@ from coopqp.control.turn import alone
 from coopqp.errors import InvalidInputError
 from coopqp.forces.force_options import ForceOptions
 from coopqp.forces.load import LoadShare
-from coopqp.forces.palms import least_squeeze, palm_use
+from coopqp.forces.palms import least_squeeze, palm_use, squeeze_needed
 from coopqp.forces.relaxation import Relaxation
 from coopqp.spatial import Array, Placement
 from coopqp.task.path import ObjectPath
@@ -32,9 +32,12 @@ _STEADY = 0.5
 _PRESSED = 0.1
 #: Share of a palm's friction in use above which the object slows down; at 1 it rests.
 _FRICTION_SLOWS = 0.9
+#: Palms press at least so many times what the felt load needs, and how fast they press harder [N/s].
+_SPARE, _FIRMER = 1.2, 100.0
 #: Attributes that a step changes, but those of the relaxation and of the controller within.
 _VARYING = (
-    "_asked", "_stage", "_since", "_cap", "_rate", "_used", "_differences", "_compared", "_last", "_fault",
+    "_asked", "_stage", "_since", "_cap", "_rate", "_used", "_pressed", "_needed", "_differences", "_compared", "_last",
+    "_fault",
 )  # fmt: skip
 
 
@@ -120,7 +123,7 @@ class ForceController:
     def _begin(self) -> None:
         n = len(self.cell)
         self._stage, self._since, self._cap, self._rate = _Stage.CHECK, 0.0, 1.0, 0.0
-        self._used = 0.0
+        self._used, self._pressed, self._needed = 0.0, self.options.squeeze, 0.0
         self._differences, self._compared = np.zeros((n, 6)), 0
         self._last: ControlStep | None = None
         self._fault = ""
@@ -324,6 +327,7 @@ class ForceController:
         if self._stage is not _Stage.MOVE:
             return 0.0, f"{self._stage.value}: {self._most()}"
         if o.palms is not None:
+            self._press_harder(dt)
             use = palm_use(o.palms, self._relaxation.seen)
             k = int(use.argmax())
             self._used += dt / (dt + o.filter_time) * (min(float(use[k]), 2.0) - self._used)
@@ -337,6 +341,16 @@ class ForceController:
         if self._cap >= self._asked:
             return self._asked, ""
         return self._cap, f"{self._most()} (slower from {o.slow_from:g} N on)"
+
+    def _press_harder(self, dt: float) -> None:
+        """Raise the squeeze where the load that is felt needs more; it never falls again."""
+        o = self.options
+        needed = min(squeeze_needed(o.palms or (), self._relaxation.seen), o.most_squeeze)
+        self._needed += dt / (dt + o.filter_time) * (needed - self._needed)
+        wanted = min(_SPARE * self._needed, o.most_squeeze)
+        if wanted > self._pressed:
+            self._pressed = min(wanted, self._pressed + _FIRMER * dt)
+            self._relaxation.squeeze(self._pressed / o.squeeze)
 
     def _most(self) -> str:
         """The largest internal force, and where it is."""

@@ -31,9 +31,12 @@ class ForceOptions:
         Doc("1 where an arm minds forces, 0 where it keeps its place, in its tool's axes (N, 6); 1 by default"),
     ] = None
     palms: Annotated[
-        tuple[Grip, ...] | None, Doc("open palms in place of grips: they mind what presses and what tilts them")
+        tuple[Grip, ...] | None, Doc("open palms in place of grips: they mind what presses, tilts and turns them")
     ] = None
     squeeze: Annotated[float, Doc("normal force with which palms press [N]; it must be given for palms")] = 0.0
+    most_squeeze: Annotated[
+        float, Doc("palms press harder where their friction runs out, up to this [N]; not at all by default")
+    ] = 0.0
     softness_doubt: Annotated[float, Doc("how many times as soft as they are the servos may be assumed")] = 1.5
     relax_time: Annotated[float, Doc("time T in which a force relaxes [s]")] = 0.06
     drift_time: Annotated[float, Doc("time in which the drift along the path is learned [s]")] = 0.1
@@ -61,7 +64,7 @@ class ForceOptions:
         if self.palms is not None:
             if len(self.palms) != arms:
                 raise InvalidInputError(f"{len(self.palms)} palms for {arms} arms", "ForceOptions", "Give one per arm.")
-            return np.array([[*np.round(np.abs(palm.normal)), 0.0, 0.0, 0.0] for palm in self.palms])
+            return np.array([[*np.round(np.abs(palm.normal)), 1.0, 1.0, 1.0] for palm in self.palms])
         if self.directions is None:
             return np.ones((arms, 6))
         given = as_vector(np.ravel(as_floats(self.directions)), 6 * arms, "ForceOptions: directions").reshape(arms, 6)
@@ -75,6 +78,11 @@ class ForceOptions:
         if self.palms is not None:
             object.__setattr__(self, "palms", tuple(self.palms))
             keep_scalars(self, "squeeze")
+            keep_scalars(self, "most_squeeze", open_low=False)
+            if 0.0 < self.most_squeeze < self.squeeze:
+                raise InvalidInputError(
+                    f"most_squeeze is {self.most_squeeze:g} N, squeeze {self.squeeze:g} N", "ForceOptions", "Give more."
+                )
             for palm in self.palms:
                 if not isinstance(palm, Grip) or palm.kind != "palm" or np.abs(palm.normal).max() < 1.0 - 1e-9:
                     raise InvalidInputError(
@@ -82,7 +90,7 @@ class ForceOptions:
                     )
             if self.directions is not None:
                 raise InvalidInputError(
-                    "palms and directions", "ForceOptions", "Palms mind forces along their normals."
+                    "palms and directions", "ForceOptions", "Palms mind forces along their normals, and moments."
                 )
         keep_scalars(self, "softness_doubt", "relax_time", "speed", "spin", "ramp_time", "reach", "turn")
         keep_scalars(self, "sensor_tolerance", "move_below", "slow_from", "hold_from", "silent_time")

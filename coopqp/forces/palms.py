@@ -39,6 +39,17 @@ def palm_use(palms: Sequence[Grip], wrenches: Array) -> Array:
     return out
 
 
+def squeeze_needed(palms: Sequence[Grip], wrenches: Array) -> float:
+    """The normal force with which every palm would hold what it transmits across now [N]; inf if one does not press.
+
+    Arguments as those of :func:`palm_use`. Friction and pads hold in proportion to the normal force.
+    """
+    pressed = np.array([palm.normal @ w[:3] for palm, w in zip(palms, wrenches, strict=True)])
+    if not (pressed > 0.0).all():
+        return math.inf
+    return float((palm_use(palms, wrenches) * pressed).max())
+
+
 def pressing(palms: Sequence[Grip]) -> Array:
     """Wrenches of palms that press with 1 N, at the tools (N, 6)."""
     out = np.zeros((len(palms), 6))

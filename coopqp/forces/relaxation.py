@@ -115,6 +115,7 @@ class Relaxation:
         if options.palms is not None:
             press = options.squeeze * np.array([[*palm.normal, 0.0, 0.0, 0.0] for palm in options.palms])
             views["target"][:] = (views["internal_of"] @ press.ravel()).reshape(-1, 6)
+        self._target, self._squeezed = views["target"], views["target"].copy()
         self._starting = self._memory.copy()
         #: Takes what the arms yield to what their grasps move.
         self._relative = np.eye(6 * n) - np.tile(np.hstack([np.diag(s) for s in shares]), (n, 1))
@@ -182,6 +183,10 @@ class Relaxation:
     def aged(self) -> bool:
         """The compliances have to be looked at again."""
         return self._age >= _EVERY
+
+    def squeeze(self, times: float) -> None:
+        """Palms press so many times as hard as they are set to."""
+        self._target[:] = times * self._squeezed
 
     # -- what is felt --------------------------------------------------------------------------------------------
 

@@ -86,12 +86,19 @@ def heavy_lift(*, mass: float = 53.0, internal_force: float = 50.0, duration: fl
 
 
 def palm_box(
-    *, squeeze: float = 200.0, mass: float = 20.0, friction: float = 0.6, base_off: bool = False, duration: float = 3.0
+    *,
+    squeeze: float = 200.0,
+    most_squeeze: float = 260.0,
+    mass: float = 20.0,
+    friction: float = 0.6,
+    base_off: bool = False,
+    duration: float = 3.0,
 ) -> Scenario:
     """Two RX-90L lift a box between their open palms, by friction alone.
 
     Args:
         squeeze: normal force of the palms [N]; 20 kg need 164 N at least.
+        most_squeeze: up to which they press harder where friction runs out [N].
         mass: mass of the box [kg].
         friction: μ between palms and box.
         base_off: the right arm's base is off by 1 mm and 0.1°.
@@ -122,7 +129,7 @@ def palm_box(
     engine = EngineSettings(
         disturbances={"base_offset": off, **_LATE},
         palms=(palm, palm),
-        forces={"squeeze": squeeze},
+        forces={"squeeze": squeeze, "most_squeeze": max(most_squeeze, squeeze)},
         controller=_TOLERANT,
         tolerances={"object_mm": 5.0},
     )
