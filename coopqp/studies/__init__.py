@@ -6,8 +6,9 @@ A sweep, in the order of its flow: ``study`` (a file of axes and draws gives row
 placement), ``placement`` (a file of axes, a map, a search).
 """
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
+from coopqp.errors import MissingExtraError
 from coopqp.lazy import lazy_names
 
 if TYPE_CHECKING:
@@ -19,7 +20,7 @@ if TYPE_CHECKING:
     from coopqp.studies.study import Study, load_study
     from coopqp.studies.sweeping import Sweep, sweep
 else:
-    __getattr__, __dir__ = lazy_names(
+    _get, __dir__ = lazy_names(
         __name__,
         {
             "coopqp.studies.engines": ("Cluster", "Engine", "Local"),
@@ -31,6 +32,14 @@ else:
             "coopqp.studies.dispatch": ("run_rows",),
         },
     )
+
+    def __getattr__(name: str) -> Any:
+        try:
+            return _get(name)
+        except ModuleNotFoundError as error:
+            if error.name in ("pydantic", "annotated_types"):
+                raise MissingExtraError("studies", "pydantic") from error
+            raise
 
 __all__ = [
     "ArmPlaced",
