@@ -73,6 +73,7 @@ def main() -> int:
     given = extras if "all" in arguments.extras else set(arguments.extras)
     given |= {"studies"} if "cluster" in given else set()
     given |= {"files"} if "studies" in given else set()
+    given |= {"studies"} if "files" in given else set()  # OSQP brings joblib
     given |= {"plot"} if "planning" in given else set()  # toppra brings Matplotlib
     assert given <= extras, (given, extras)
     warnings.simplefilter("ignore")
