@@ -8,7 +8,6 @@ placement), ``placement`` (a file of axes, a map, a search).
 
 from typing import TYPE_CHECKING, Any
 
-from coopqp.errors import MissingExtraError
 from coopqp.lazy import lazy_names
 
 if TYPE_CHECKING:
@@ -38,6 +37,8 @@ else:
             return _get(name)
         except ModuleNotFoundError as error:
             if error.name in ("pydantic", "annotated_types"):
+                from coopqp.errors import MissingExtraError
+
                 raise MissingExtraError("studies", "pydantic") from error
             raise
 
