@@ -10,22 +10,30 @@ from collections.abc import Callable, Mapping, Sequence
 from importlib import import_module
 from typing import Any
 
+from coopqp.errors import MissingExtraError
+
 
 def lazy_names(
-    package: str, places: Mapping[str, Sequence[str]]
+    package: str, places: Mapping[str, Sequence[str]], *, extra: tuple[str, ...] = ()
 ) -> tuple[Callable[[str], Any], Callable[[], list[str]]]:
     """``__getattr__`` and ``__dir__`` of a package with names from modules that are not imported yet.
 
     Args:
         package: its name.
         places: names of every module, by the name of the module.
+        extra: name of an extra, then the packages that it brings; a missing one is then a MissingExtraError.
     """
     module_of = {name: module for module, names in places.items() for name in names}
 
     def get(name: str) -> Any:
         if name not in module_of:
             raise AttributeError(f"module {package!r} has no attribute {name!r}", name=name, obj=sys.modules[package])
-        value = getattr(import_module(module_of[name]), name)
+        try:
+            value = getattr(import_module(module_of[name]), name)
+        except ModuleNotFoundError as error:
+            if error.name not in extra[1:]:
+                raise
+            raise MissingExtraError(extra[0], extra[1]) from error
         setattr(sys.modules[package], name, value)
         return value
 

@@ -6,7 +6,7 @@ A sweep, in the order of its flow: ``study`` (a file of axes and draws gives row
 placement), ``placement`` (a file of axes, a map, a search).
 """
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from coopqp.lazy import lazy_names
 
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from coopqp.studies.study import Study, load_study
     from coopqp.studies.sweeping import Sweep, sweep
 else:
-    _get, __dir__ = lazy_names(
+    __getattr__, __dir__ = lazy_names(
         __name__,
         {
             "coopqp.studies.engines": ("Cluster", "Engine", "Local"),
@@ -30,17 +30,8 @@ else:
             "coopqp.studies.sweeping": ("Sweep", "sweep"),
             "coopqp.studies.dispatch": ("run_rows",),
         },
+        extra=("studies", "pydantic", "annotated_types"),
     )
-
-    def __getattr__(name: str) -> Any:
-        try:
-            return _get(name)
-        except ModuleNotFoundError as error:
-            if error.name in ("pydantic", "annotated_types"):
-                from coopqp.errors import MissingExtraError
-
-                raise MissingExtraError("studies", "pydantic") from error
-            raise
 
 __all__ = [
     "ArmPlaced",
