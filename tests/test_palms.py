@@ -74,6 +74,8 @@ def test_palms_that_would_lose_the_object_are_refused(task: Scenario) -> None:
     assert made(task, squeeze=164.0).options.squeeze == 164.0
     with pytest.raises(InvalidInputError, match="most_squeeze is 150 N, squeeze 200 N"):
         made(task, squeeze=200.0, most_squeeze=150.0)
+    with pytest.raises(InvalidInputError, match="a squeeze without palms"):
+        ForceOptions(stiffness=1e4, most_squeeze=150.0)
     with pytest.raises(InvalidInputError, match="Say what they hold"):
         made(task, squeeze=200.0, payload=None)
     with pytest.raises(InvalidInputError, match="1 palms for 2 arms"):

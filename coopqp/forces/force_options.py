@@ -75,10 +75,10 @@ class ForceOptions:
         return given
 
     def __post_init__(self) -> None:
+        keep_scalars(self, "squeeze", "most_squeeze", open_low=False)
         if self.palms is not None:
             object.__setattr__(self, "palms", tuple(self.palms))
             keep_scalars(self, "squeeze")
-            keep_scalars(self, "most_squeeze", open_low=False)
             if 0.0 < self.most_squeeze < self.squeeze:
                 raise InvalidInputError(
                     f"most_squeeze is {self.most_squeeze:g} N, squeeze {self.squeeze:g} N", "ForceOptions", "Give more."
@@ -92,6 +92,8 @@ class ForceOptions:
                 raise InvalidInputError(
                     "palms and directions", "ForceOptions", "Palms mind forces along their normals, and moments."
                 )
+        elif self.squeeze or self.most_squeeze:
+            raise InvalidInputError("a squeeze without palms", "ForceOptions: palms", "Give one Grip per arm.")
         keep_scalars(self, "softness_doubt", "relax_time", "speed", "spin", "ramp_time", "reach", "turn")
         keep_scalars(self, "sensor_tolerance", "move_below", "slow_from", "hold_from", "silent_time")
         keep_scalars(self, "delay", "filter_time", "dead_band", "check_time", open_low=False)
