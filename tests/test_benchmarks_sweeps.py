@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import sys
 from pathlib import Path
 
@@ -21,5 +22,5 @@ def test_every_case_is_recorded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
     assert sweeps.main(["--quick", "--json", str(file), "--out", str(tmp_path / "out")]) == 0
     records = json.loads(file.read_text(encoding="utf-8"))
     assert [tuple(r) for r in records] == [sweeps.KEYS] * 3
-    assert all(r["ratio"] > 0.0 for r in records)
+    assert all(math.isfinite(r["ratio"]) for r in records)  # so few rows cost less than a tick of the system's clock
     assert (tmp_path / "out" / "sweeps.md").is_file()
