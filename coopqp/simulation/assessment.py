@@ -17,6 +17,7 @@ import pinocchio as pin
 from coopqp.checks import Doc, as_options, documented, keep_scalars
 from coopqp.control.command import Status
 from coopqp.errors import InvalidInputError
+from coopqp.model.batch import singular_values
 from coopqp.model.cell import RobotCell
 from coopqp.model.limits import LimitKind
 from coopqp.simulation import metrics
@@ -135,48 +136,32 @@ def read_part(cell: RobotCell, recording: Recording, part: slice) -> Readings:
     """:func:`read_run` for some samples of a recording that fits the cell."""
     grasp = recording.grasp
     q, q_command = recording.q[part], recording.q_command[part]
-    commanded, J = metrics.tool_matrices(cell, q_command)
-    sigma = _sigma_min(cell, commanded, J)
+    tools, J = metrics.tools_and_jacobians(cell, q_command)
+    sigma = _sigma_min(cell, J)
     shift = recording.shift_at(part)
-    same = np.array_equal(q, q_command)
-    measured = metrics.without_shift(commanded if same else metrics.tool_matrices(cell, q)[0], grasp, shift)
-    commanded = measured if same else metrics.without_shift(commanded, grasp, shift)
-    chain_m, chain_rad = metrics.chain_errors(commanded, grasp)
-    object_m, object_rad = metrics.object_errors(measured, grasp, recording.reference[part])
+    commanded = metrics.without_shift(tools, grasp, shift)
+    agreed = held = metrics.object_poses(commanded, grasp)
+    if not np.array_equal(q, q_command):
+        held = metrics.object_poses(metrics.without_shift(metrics.tool_matrices(cell, q), grasp, shift), grasp)
+    chain_m, chain_rad = metrics.gaps(agreed)
+    object_m, object_rad = metrics.errors_from(held, recording.reference[part])
     return Readings(
         eps_p_mm=1e3 * metrics.positioning_errors(commanded, grasp),
-        eps_o_deg=np.rad2deg(metrics.orientation_errors(commanded, grasp)),
-        chain_mm=1e3 * chain_m,
-        chain_deg=np.rad2deg(chain_rad),
+        eps_o_deg=np.rad2deg(metrics.orientation_errors(chain_rad)),
+        chain_mm=1e3 * chain_m.max(axis=1, initial=0.0),
+        chain_deg=np.rad2deg(chain_rad.max(axis=1, initial=0.0)),
         object_mm=1e3 * object_m.max(axis=1),
         object_deg=np.rad2deg(object_rad.max(axis=1)),
         sigma_min=sigma,
     )
 
 
-def _sigma_min(cell: RobotCell, tools: Array, J: Array) -> Array:
-    """Smallest singular value of each arm's tool Jacobian (T, N); NaN where a configuration is not finite."""
-    sigma = np.full(tools.shape[:2], np.nan)
-    good = np.isfinite(J).all(axis=(1, 2)) & np.isfinite(tools).all(axis=(1, 2, 3))
+def _sigma_min(cell: RobotCell, J: Array) -> Array:
+    """Smallest singular value of each arm's tool Jacobian (T, N); NaN where its entries (T, nv, 6) are not finite."""
+    sigma = np.full((len(J), len(cell)), np.nan)
+    good = np.isfinite(J).all(axis=(1, 2))
     for k, own in enumerate(cell.v_slices):
-        of_tool = J[good, :, own]
-        of_tool[:, :3] += np.cross(of_tool[:, 3:], tools[good, k, :3, 3, None], axis=1)  # from the world's origin
-        sigma[good, k] = _smallest(of_tool)
-    return sigma
-
-
-def _smallest(J: Array) -> Array:
-    """Smallest singular value (M,) of matrices (M, 6, n), from the squares' eigenvalues unless they are too small.
-
-    An eigenvalue of a matrix of norm s² has an error of 1e-16 s² or so, and its root one of 1e-16 s²/σ: at σ = s/30
-    that is 3e-15 s.
-    """
-    transposed = np.swapaxes(J, -1, -2)
-    squares = np.linalg.eigvalsh(J @ transposed if J.shape[2] >= 6 else transposed @ J)
-    sigma: Array = np.sqrt(np.maximum(squares[:, 0], 0.0))
-    close = sigma < np.sqrt(squares[:, -1]) / 30.0
-    if close.any():
-        sigma[close] = np.linalg.svd(J[close], compute_uv=False)[:, -1]
+        sigma[good, k] = singular_values(J[good, own])[:, -1]
     return sigma
 
 

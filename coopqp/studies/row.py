@@ -209,7 +209,7 @@ def _truth(ready: _Ready, disturbed: Disturbances | None, q: Array) -> dict[str,
     if len(q) < 2 or disturbed is None:
         return {"true_chain_mm": float("nan"), "true_chain_deg": float("nan")}
     cell = ready.scenario.cell
-    tools, _ = metrics.tool_matrices(cell, q)
+    tools = metrics.tool_matrices(cell, q)
     for k, arm in enumerate(cell.arms):
         if arm.name in disturbed.base_offset:
             base = arm.T_world_base
