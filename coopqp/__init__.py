@@ -81,7 +81,7 @@ if TYPE_CHECKING:
     from coopqp.output import OutputError
     from coopqp.planning.preview_options import PreviewOptions
     from coopqp.scenarios.robots import robot_path
-    from coopqp.simulation.assessment import Finding, Readings, Tolerances, judge, read_run
+    from coopqp.simulation.assessment import Finding, Tolerances, judge
     from coopqp.simulation.calibrating import calibrate_runs
     from coopqp.simulation.closeness import Closeness, Closest
     from coopqp.simulation.metrics import (
@@ -99,6 +99,7 @@ if TYPE_CHECKING:
     from coopqp.simulation.plants.kinematic import KinematicPlant, Plant
     from coopqp.simulation.plants.physics import PhysicsError, PhysicsPlant
     from coopqp.simulation.plants.physics_options import PhysicsOptions
+    from coopqp.simulation.readings import Readings, read_run
     from coopqp.simulation.recording import Recording, RecordingError
     from coopqp.simulation.scene import SceneError, describe_object
     from coopqp.simulation.simulate import simulate
@@ -172,6 +173,7 @@ else:
                 "KinematicPlant",
                 "Plant",
             ),
+            "coopqp.simulation.readings": ("Readings", "read_run"),
             "coopqp.simulation.recording": (
                 "Recording",
                 "RecordingError",
@@ -215,7 +217,7 @@ else:
             "coopqp.look.viewer": ("LiveViewer", "export_html"),
             "coopqp.output": ("OutputError",),
             "coopqp.scenarios.robots": ("robot_path",),
-            "coopqp.simulation.assessment": ("Finding", "Readings", "Tolerances", "judge", "read_run"),
+            "coopqp.simulation.assessment": ("Finding", "Tolerances", "judge"),
             "coopqp.simulation.calibrating": ("calibrate_runs",),
             "coopqp.simulation.closeness": ("Closeness", "Closest"),
             "coopqp.simulation.metrics": (

@@ -26,7 +26,7 @@ from coopqp import (
 from coopqp.app.cli import main
 from coopqp.scenarios import LOADED, Scenario, paper_lift
 from coopqp.simulation import run_in_engine
-from coopqp.simulation.assessment import run_figures
+from coopqp.simulation.figures import run_figures
 
 #: The encoders of an arm whose base is off tell another place than that of its grasp.
 OFF = {"base_off_lift": ["arm slave_2 started off its grasp"]}

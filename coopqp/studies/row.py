@@ -20,16 +20,19 @@ from coopqp.errors import CoopqpError, StartWarning, said
 from coopqp.files.cellfile.build import CONTROLLERS, build, controller_options
 from coopqp.files.cellfile.schema import CellFile
 from coopqp.files.cellfile.strict import build_options
+from coopqp.model.cell import slides
 from coopqp.model.grasp import Grasp
 from coopqp.scenarios import SCENARIOS
 from coopqp.simulation import metrics
-from coopqp.simulation.assessment import Readings, Tolerances, judge, read_run, slides, why, worst_status
+from coopqp.simulation.assessment import Tolerances, judge, why
 from coopqp.simulation.closeness import with_clearance
+from coopqp.simulation.figures import worst_status
 from coopqp.simulation.plants.disturbances import Disturbances
 from coopqp.simulation.plants.disturbed import DisturbedPlant
 from coopqp.simulation.plants.kinematic import KinematicPlant, Plant
 from coopqp.simulation.plants.physics import PhysicsPlant
 from coopqp.simulation.plants.physics_options import PhysicsOptions
+from coopqp.simulation.readings import Readings, read_run
 from coopqp.simulation.recording import Recording
 from coopqp.simulation.simulate import simulate
 from coopqp.spatial import Array
