@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import enum
 import itertools
-import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -191,8 +190,8 @@ class _Block:
     shift: Array | None = None  # (T, N, 6): of the grasps at q_next
 
 
-#: q, q_next, velocity, dt, clock, clock_next, rate, status and path of a step.
-_Row: TypeAlias = tuple[Array, Array, Array, float, float, float, float, Status, ObjectPath]
+#: q, q_next, velocity, dt, clock, clock_next, rate, status and path of a step, and the step.
+_Row: TypeAlias = tuple[Array, Array, Array, float, float, float, float, Status, ObjectPath, ControlStep]
 _FLOAT = np.dtype(np.float64)
 
 
@@ -227,6 +226,7 @@ class Monitor:
         self.tolerances = as_options(MonitorTolerances, tolerances, "Monitor: tolerances")
         self._keep, self._kinematics = keep, kinematics
         self._data = cell.model.createData()
+        self._shape_q, self._shape_v = (cell.nq,), (cell.nv,)
         self._inverse_grasp = np.array([X.inverse().homogeneous for X in grasp.T_object_tool])
         limits = cell.limits
         self._lower, self._upper = np.array(limits.lower), np.array(limits.upper)
@@ -268,17 +268,16 @@ class Monitor:
     def observe_all(self, steps: Sequence[ControlStep]) -> tuple[Violation, ...]:
         """Judge consecutive steps at once, at a lower cost per step; return their stored violations (see ``keep``)."""
         before = len(self._violations)
-        sound: list[_Row] = []
+        formed: list[_Row] = []
         for step in steps:
-            row = self._read(step, len(sound))
+            row = self._read(step)
             if row is not None:
-                sound.append(row)
+                formed.append(row)
             else:
-                self._judge_rows(sound)
-                self._steps += 1
-                self._lose()
-                sound = []
-        self._judge_rows(sound)
+                self._judge_rows(formed)
+                self._refuse(step)
+                formed = []
+        self._judge_rows(formed)
         return tuple(self._violations[before:])
 
     def report(self, breach: Breach, *, arm: str = "", amount: float = 0.0, detail: str = "") -> None:
@@ -298,32 +297,33 @@ class Monitor:
         if len(self._violations) < self._keep:
             self._violations.append(violation)
 
-    def _read(self, step: ControlStep, ahead: int) -> _Row | None:
-        """The values of a step; None, with violations, if shapes or types are wrong or a number is not finite."""
-        row: _Row = (
-            step.q, step.q_next, step.velocity, step.dt, step.clock, step.clock_next, step.rate, step.status, step.path
-        )  # fmt: skip
-        q, q_next, velocity, *numbers, status, _ = row
+    def _read(self, step: ControlStep) -> _Row | None:
+        """The values of a step; None if shapes or types are wrong. Numbers may be none."""
+        q, q_next, velocity, status = step.q, step.q_next, step.velocity, step.status
+        dt, clock, clock_next, rate = step.dt, step.clock, step.clock_next, step.rate
         formed = (
             type(q) is type(q_next) is type(velocity) is np.ndarray
             and q.dtype is q_next.dtype is velocity.dtype is _FLOAT
-            and q.shape == q_next.shape == (self.cell.nq,)
-            and velocity.shape == (self.cell.nv,)
-            and all(type(number) is float for number in numbers)
+            and q.shape == q_next.shape == self._shape_q
+            and velocity.shape == self._shape_v
+            and type(dt) is type(clock) is type(clock_next) is type(rate) is float
             and isinstance(status, Status)
             and isinstance(step.reason, str)
         )
-        # A finite sum has finite terms; few sums of finite terms are not finite, which a closer look tells.
-        if formed and math.isfinite(sum(numbers) + sum(q.tolist()) + sum(q_next.tolist()) + sum(velocity.tolist())):
-            return row
-        faults = self._faults(step, self._steps + ahead)
-        for fault in faults:
-            self._add(fault)
-        return None if faults else row
+        if not formed and self._faults(step):
+            return None
+        return q, q_next, velocity, dt, clock, clock_next, rate, status, step.path, step
 
-    def _faults(self, step: ControlStep, number: int) -> list[Violation]:
-        """Wrong shapes and types of a step, and numbers that are not finite."""
-        faults, now = [], self._time
+    def _refuse(self, step: ControlStep) -> None:
+        """Count the faults of a step. It is judged no further, and the next one is not compared with it."""
+        for fault in self._faults(step):
+            self._add(fault)
+        self._steps += 1
+        self._lose()
+
+    def _faults(self, step: ControlStep) -> list[Violation]:
+        """Wrong shapes and types of the next step, and numbers that are not finite."""
+        faults, number, now = [], self._steps, self._time
         for name, size in (("q", self.cell.nq), ("q_next", self.cell.nq), ("velocity", self.cell.nv)):
             value = getattr(step, name)
             if not isinstance(value, np.ndarray) or value.dtype != np.float64 or value.shape != (size,):
@@ -350,19 +350,32 @@ class Monitor:
     def _judge_rows(self, rows: Sequence[_Row]) -> None:
         if not rows:
             return
-        q, q_next, velocity, dt, clock, clock_next, rate, status, own = zip(*rows, strict=True)
+        q, q_next, velocity, dt, clock, clock_next, rate, status, own, steps = zip(*rows, strict=True)
+        arrays = [np.concatenate(values).reshape(len(rows), -1) for values in (q, q_next, velocity)]
+        numbers = np.array([dt, clock, clock_next, rate])
+        sound = np.isfinite(numbers).all(axis=0)
+        for values in arrays:
+            sound &= np.isfinite(values).all(axis=1)
+        if not sound.all():
+            for good, run in itertools.groupby(range(len(rows)), sound.__getitem__):
+                if good:
+                    self._judge_rows([rows[i] for i in run])
+                    continue
+                for i in run:
+                    self._refuse(steps[i])
+            return
         paths = own if self.path is None else (self.path,) * len(rows)
         before = (self._last_path, *paths[:-1])
         self._last_path = paths[-1]
         poses = [p.pose(c).homogeneous for p, c in zip(paths, clock_next, strict=True)] if self._kinematics else []
         block = _Block(
-            q=np.array(q),
-            q_next=np.array(q_next),
-            velocity=np.array(velocity),
-            dt=np.array(dt),
-            clock=np.array(clock),
-            clock_next=np.array(clock_next),
-            rate=np.array(rate),
+            q=arrays[0],
+            q_next=arrays[1],
+            velocity=arrays[2],
+            dt=numbers[0],
+            clock=numbers[1],
+            clock_next=numbers[2],
+            rate=numbers[3],
             holding=np.array([s is Status.HOLDING or s is Status.FAULT for s in status]),
             same_path=np.array([a is b for a, b in zip(before, paths, strict=True)]),
             reference=np.array(poses),
