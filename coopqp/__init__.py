@@ -93,7 +93,8 @@ if TYPE_CHECKING:
         relative_positioning_error,
         tool_placements,
     )
-    from coopqp.simulation.monitor import Breach, Monitor, Monitored, MonitorTolerances, Verdict, Violation, check_run
+    from coopqp.simulation.monitor import Monitor, check_run
+    from coopqp.simulation.monitored import Monitored
     from coopqp.simulation.plants.disturbances import Disturbances, misplaced
     from coopqp.simulation.plants.disturbed import DisturbedPlant
     from coopqp.simulation.plants.kinematic import KinematicPlant, Plant
@@ -103,6 +104,7 @@ if TYPE_CHECKING:
     from coopqp.simulation.recording import Recording, RecordingError
     from coopqp.simulation.scene import SceneError, describe_object
     from coopqp.simulation.simulate import simulate
+    from coopqp.simulation.violations import Breach, MonitorTolerances, Verdict, Violation
     from coopqp.spatial import Array, Placement, adjoint
     from coopqp.studies.errors import EngineError, StudyError
     from coopqp.task.common_error import CommonError
@@ -179,6 +181,7 @@ else:
                 "RecordingError",
             ),
             "coopqp.simulation.simulate": ("simulate",),
+            "coopqp.simulation.violations": ("Breach", "MonitorTolerances", "Verdict", "Violation"),
             "coopqp.spatial": (
                 "Array",
                 "Placement",
@@ -229,15 +232,8 @@ else:
                 "relative_positioning_error",
                 "tool_placements",
             ),
-            "coopqp.simulation.monitor": (
-                "Breach",
-                "Monitor",
-                "Monitored",
-                "MonitorTolerances",
-                "Verdict",
-                "Violation",
-                "check_run",
-            ),
+            "coopqp.simulation.monitor": ("Monitor", "check_run"),
+            "coopqp.simulation.monitored": ("Monitored",),
             "coopqp.simulation.plants.disturbances": ("Disturbances", "misplaced"),
             "coopqp.simulation.plants.disturbed": ("DisturbedPlant",),
             "coopqp.simulation.plants.physics": ("PhysicsError", "PhysicsPlant"),

@@ -11,10 +11,10 @@ from dataclasses import replace
 import numpy as np
 import pinocchio as pin
 
-from coopqp.model.cell import Arm, RobotCell
+from coopqp.model.cell import RobotCell
 from coopqp.model.grasp import Grasp
 from coopqp.model.inverse_kinematics import inverse_kinematics
-from coopqp.scenarios.robots import robot_path
+from coopqp.scenarios.cells import named_robot
 from coopqp.scenarios.units import Metres, RadiansPerSecond, Seconds
 from coopqp.task.path import LinePath, TimeLaw
 from coopqp.task.scenario import Scenario
@@ -39,7 +39,7 @@ def slave_base(b: float, h: Metres = BASE_DISTANCE_H) -> pin.SE3:
 
 def three_rx90l(*, h: Metres = BASE_DISTANCE_H, b: Metres = BASE_OFFSET_B) -> RobotCell:
     """The master at the origin, the slaves opposite at x = h, y = ±b (Figure 1) [m]."""
-    master = Arm.from_urdf("master", robot_path("rx90l"), tool_frame="flange")
+    master = named_robot("rx90l", "master")
     return RobotCell(
         [
             master,
