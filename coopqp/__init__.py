@@ -46,7 +46,7 @@ if TYPE_CHECKING:
     from coopqp.control.solvers.osqp import OsqpSettings
     from coopqp.control.solvers.proxqp import ProxqpSettings
     from coopqp.control.stall_bound import StallBound
-    from coopqp.control.supervision import SupervisionOptions
+    from coopqp.control.supervision_options import SupervisionOptions
     from coopqp.errors import (
         BusyError,
         CoopqpError,
@@ -139,7 +139,7 @@ else:
                 "make_solver",
             ),
             "coopqp.control.stall_bound": ("StallBound",),
-            "coopqp.control.supervision": ("SupervisionOptions",),
+            "coopqp.control.supervision_options": ("SupervisionOptions",),
             "coopqp.errors": (
                 "BusyError",
                 "CoopqpError",
