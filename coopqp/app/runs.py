@@ -162,10 +162,10 @@ def write_products(
 
 
 def _remove_bag(bag: Path) -> None:
-    """Remove a bag, and nothing that is none.
+    """Remove the folder of a bag. A folder with other files stays.
 
     Raises:
-        OutputError: the folder is no bag, or it cannot be removed.
+        OutputError: the folder has other files, or it cannot be removed.
     """
     if not bag.exists():
         return

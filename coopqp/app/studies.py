@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -20,24 +21,34 @@ _PICTURE = "runs.png"
 _MOST_REASONS = 5
 
 
+def _parser(
+    commands: Any, name: str, run: Callable[[argparse.Namespace], int], **texts: str
+) -> argparse.ArgumentParser:
+    """The parser of a subcommand that takes a study file."""
+    parser: argparse.ArgumentParser = commands.add_parser(name, **texts)
+    parser.add_argument("study", type=Path, metavar="STUDY", help="the study file, TOML or YAML")
+    parser.add_argument("--quiet", action="store_true", help="print errors only")
+    parser.set_defaults(run=run)
+    return parser
+
+
 def _add_sweep(commands: Any) -> None:
-    parser = commands.add_parser(
+    parser = _parser(
+        commands,
         "sweep",
+        _run_sweep,
         help="run a study: thousands of runs over settings and disturbances",
         description="Run every row of a study file on the cores of this machine or on a Dask cluster, and write one "
         "table. The table is the same, bit for bit, wherever its rows are run.",
         epilog="Exit status: 0 if every row is there; 4 if rows failed or were lost (column `outcome`), or if workers "
         "or disk could not go on (then --resume); 2 for a bad study; 130 for Ctrl-C (then --resume).",
     )
-    parser.add_argument("study", type=Path, metavar="STUDY", help="the study file, TOML or YAML")
     where = parser.add_mutually_exclusive_group()
     where.add_argument("--workers", type=int, metavar="N", help="worker processes on this machine (one per core)")
     where.add_argument("--cluster", metavar="ADDRESS", help="scheduler of a Dask cluster, as tcp://host:8786")
     parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder of the study")
     parser.add_argument("--resume", action="store_true", help="go on with the study that was interrupted in the folder")
     parser.add_argument("--chunk", type=int, metavar="ROWS", help="rows that are sent together (as many as pay)")
-    parser.add_argument("--quiet", action="store_true", help="print errors only")
-    parser.set_defaults(run=_run_sweep)
 
 
 def _run_sweep(arguments: argparse.Namespace) -> int:
@@ -115,20 +126,19 @@ _MAP, _RECORD, _MAP_PICTURE = "map.csv", "place.json", "map.png"
 
 
 def _add_place(commands: Any) -> None:
-    parser = commands.add_parser(
+    parser = _parser(
+        commands,
         "place",
+        _run_place,
         help="find where the bases of a cell may stand",
-        description="Judge placements of the bases: can each arm follow its part of the path, with what σ_min, joint "
-        "margins, time and distances. One or two axes give a map, more are searched.",
+        description="Judge places of the bases: whether each arm follows the path, its σ_min, joint margins and "
+        "fastest time, and the distances of bodies. One or two axes give a map, more are searched.",
         epilog="Exit status: 0 with a best placement; 3 if there is none, or if the cell as built (now) is impossible; "
         "2 for a bad study.",
     )
-    parser.add_argument("study", type=Path, metavar="STUDY", help="the study file, TOML or YAML")
     written = f"also write {_RECORD}, and of a map {_MAP} and {_MAP_PICTURE}"
     parser.add_argument("--out", type=Path, metavar="DIR", help=written)
     parser.add_argument("--force", action="store_true", help="overwrite what is there")
-    parser.add_argument("--quiet", action="store_true", help="print errors only")
-    parser.set_defaults(run=_run_place)
 
 
 def _run_place(arguments: argparse.Namespace) -> int:

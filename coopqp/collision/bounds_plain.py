@@ -8,7 +8,7 @@ from coopqp.spatial import Array
 
 
 def follow(rooms: Array, reach: Array, positions: Array, x: Array, continuous: Array) -> None:
-    """Rooms (P,) lose what the way of the joints from positions (nv,) to x (nv,) may take; they are at x then."""
+    """Move the joints from ``positions`` to ``x`` (nv,). Each room (P,) loses the most that this way can take."""
     way = np.abs(x - positions)
     way = np.where(continuous != 0.0, np.minimum(way, np.abs(2.0 * np.pi - way)), way)
     rooms -= way @ reach
@@ -16,7 +16,7 @@ def follow(rooms: Array, reach: Array, positions: Array, x: Array, continuous: A
 
 
 def certify(rooms: Array, reach: Array, spare: float, shares: Array, out: Array) -> bool:
-    """Largest reach over room less spare, per joint (nv,); False if a room is none."""
+    """Put the largest ``reach / (room − spare)`` of each joint into ``out`` (nv,); False if a room is ≤ spare."""
     out[:] = 0.0
     if not (rooms > spare).all():
         return False

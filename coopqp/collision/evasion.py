@@ -11,8 +11,8 @@ import pinocchio as pin
 from coopqp.model.cell import RobotCell
 from coopqp.spatial import Array
 
-#: A row broken by 1/YIELDS costs as much as a self-motion of 1: what no motion keeps gives way. With 1000 arms swung at
-#: many times their speeds to clear posts, along slopes that the look-ahead cannot follow.
+#: A row that is broken by 1/YIELDS costs as much as a self-motion of 1. With 1000 arms swung past posts at many times
+#: their speeds, along slopes that the look-ahead cannot follow.
 YIELDS = 50.0
 #: What a row may miss; DAQP's default is 1e-6.
 _TOLERANCE = 1e-10
@@ -22,7 +22,7 @@ _HELPS = 1e-6
 
 @final
 class Evasion:
-    """Least self-motion z with ``G (q′ + N z) ≥ lower``; where there is none, rows give way.
+    """Least self-motion z with ``G (q′ + N z) ≥ lower``. If no z keeps all rows, each may be broken at a cost.
 
     N is an orthonormal basis of each arm's self-motion in units of its joints' speeds.
 

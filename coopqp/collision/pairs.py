@@ -20,9 +20,9 @@ class PairRules:
     """Rules that leave pairs out: bodies that touch by design, or cannot meet.
 
     Attributes:
-        apart: links of one arm count from so many joints between them on.
-        object_apart: the object and the links of an arm that holds it count from so many joints between them on; the
-            link that holds it is 0 joints away.
+        apart: least number of joints between two links of one arm whose distance counts.
+        object_apart: least number of joints between the object and a link of an arm that holds it, for their distance
+            to count. The link at the grasp has 0.
     """
 
     apart: int = 3

@@ -144,7 +144,11 @@ class CollisionScene:
         return along(self, way, any_start=any_start)
 
     def evading(self, way: CellWay) -> tuple[Array, Array] | None:
-        """Places (K,) and joint positions (K, nv) of a way on which redundant arms keep off; None if there is none."""
+        """The way with the self-motion of redundant arms that keeps bodies apart; None if no self-motion does.
+
+        Returns:
+            places on the way (K,) and joint positions (K, nv).
+        """
         from coopqp.collision.along import evading
 
         return evading(self, way)

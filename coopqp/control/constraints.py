@@ -218,7 +218,7 @@ class Bound(NamedTuple):
 
 
 def no_rows(nv: int) -> Rows:
-    """No rows for so many joints."""
+    """Zero rows, for nv joints."""
     nothing = np.zeros(0)
     return Rows(np.zeros((0, nv)), nothing, nothing, nothing.astype(bool), nothing.astype(int))
 

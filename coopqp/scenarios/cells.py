@@ -15,6 +15,7 @@ from coopqp.scenarios.arms import ROBOTS
 from coopqp.scenarios.robots import robot_path
 from coopqp.scenarios.stations import DOWN, FORWARD, Station, put_together
 from coopqp.scenarios.units import Radians, Seconds
+from coopqp.spatial import Array
 from coopqp.task.path import LinePath, TimeLaw, WaypointPath
 from coopqp.task.scenario import Scenario
 
@@ -35,6 +36,21 @@ def _robot(robot: str) -> Arm:
 def named_robot(robot: str, name: str) -> Arm:
     """A robot that comes with coopqp, with the given name and its base at the origin."""
     return _robot(robot).placed(pin.SE3.Identity(), name=name)
+
+
+def facing(
+    robot: str, half: float, *, reach: float, height: float, near: Sequence[float], tool: Array = FORWARD
+) -> list[Station]:
+    """Two arms of one kind that face each other, "left" at −half and "right" at +half [m] on the object's x axis.
+
+    The other arguments are those of :class:`Station`.
+    """
+    return [
+        Station(
+            arm=named_robot(robot, name), point=(x, 0.0, 0.0), yaw=yaw, reach=reach, height=height, near=near, tool=tool
+        )
+        for name, x, yaw in (("left", -half, 0.0), ("right", half, 180.0))
+    ]
 
 
 def _at(x: float, y: float, z: float) -> pin.SE3:
@@ -59,18 +75,7 @@ def dual_arm7(
     path = LinePath.displaced(
         _at(0.0, 0.0, 0.25), translation=translation, rotation=rotation, duration=duration, time_law=time_law
     )
-    stations = [
-        Station(
-            arm=named_robot("arm7", name),
-            point=(x, 0.0, 0.0),
-            yaw=yaw,
-            reach=0.50,
-            height=0.25,
-            near=ARM7_NEAR,
-            tool=ARM7_TOOL,
-        )
-        for name, x, yaw in (("left", -0.30, 0.0), ("right", 0.30, 180.0))
-    ]
+    stations = facing("arm7", 0.30, reach=0.50, height=0.25, near=ARM7_NEAR, tool=ARM7_TOOL)
     return put_together("dual_arm7", stations, path, object_size=(0.60, 0.05, 0.05), object_mass=1.2)
 
 
@@ -192,18 +197,7 @@ def scara_pair(*, tilt: Radians = 0.0, duration: Seconds = 3.0, time_law: TimeLa
         duration=duration,
         time_law=time_law,
     )
-    stations = [
-        Station(
-            arm=named_robot("scara4", name),
-            point=(x, 0.0, 0.0),
-            yaw=yaw,
-            reach=0.42,
-            height=0.12,
-            near=(41.0, -91.0, -0.03, 50.0),
-            tool=DOWN,
-        )
-        for name, x, yaw in (("left", -0.20, 0.0), ("right", 0.20, 180.0))
-    ]
+    stations = facing("scara4", 0.20, reach=0.42, height=0.12, near=(41.0, -91.0, -0.03, 50.0), tool=DOWN)
     return put_together("scara_pair", stations, path, object_size=(0.45, 0.04, 0.04), object_mass=0.8)
 
 
@@ -216,16 +210,5 @@ def five_joint_pair(*, duration: Seconds = 4.0, time_law: TimeLaw | str = TimeLa
     lifted = pin.SE3(pin.exp3(np.array([0.0, 0.20, 0.0])), np.array([0.04, 0.0, 0.35]))
     rolled = pin.SE3(lifted.rotation @ pin.exp3(np.array([0.40, 0.0, 0.0])), lifted.translation)
     path = WaypointPath([start, lifted, rolled], durations=[0.6 * duration, 0.4 * duration], time_law=time_law)
-    stations = [
-        Station(
-            arm=named_robot("arm5", name),
-            point=(x, 0.0, 0.0),
-            yaw=yaw,
-            reach=0.48,
-            height=0.25,
-            near=(0.0, 10.0, 115.0, -35.0, 0.0),
-            tool=FORWARD,
-        )
-        for name, x, yaw in (("left", -0.25, 0.0), ("right", 0.25, 180.0))
-    ]
+    stations = facing("arm5", 0.25, reach=0.48, height=0.25, near=(0.0, 10.0, 115.0, -35.0, 0.0))
     return put_together("five_joint_pair", stations, path, object_size=(0.50, 0.04, 0.04), object_mass=1.0)

@@ -10,9 +10,9 @@ import pinocchio as pin
 
 from coopqp.checks import as_scalar
 from coopqp.errors import UnknownNameError
-from coopqp.scenarios.cells import RX90L_NEAR, named_robot
+from coopqp.scenarios.cells import RX90L_NEAR, facing
 from coopqp.scenarios.paper import paper_lift
-from coopqp.scenarios.stations import Station, put_together
+from coopqp.scenarios.stations import put_together
 from coopqp.scenarios.units import Degrees, Kilograms, Metres, Newtons, Seconds
 from coopqp.task.path import LinePath
 from coopqp.task.scenario import EngineSettings, Scenario
@@ -39,13 +39,18 @@ def base_off_lift(
     lift = paper_lift(time_law="quintic", duration=duration)
     if arm not in lift.cell.arm_names:
         raise UnknownNameError("arm", str(arm), lift.cell.arm_names, "base_off_lift")
-    diagonal = np.ones(3) / np.sqrt(3.0)
-    off = pin.SE3(pin.exp3(np.deg2rad(angle) * diagonal), distance * diagonal)
+    off = {arm: _along_the_diagonal(distance, angle)}
     return replace(
         lift,
         name="base_off_lift",
-        engine=EngineSettings(disturbances={"base_offset": {arm: off}, **_LATE}, forces={}, internal_force=30.0),
+        engine=EngineSettings(disturbances={"base_offset": off, **_LATE}, forces={}, internal_force=30.0),
     )
+
+
+def _along_the_diagonal(distance: float, angle_deg: float) -> pin.SE3:
+    """A shift along the diagonal of the axes [m], and a turn about it [deg]."""
+    diagonal = np.ones(3) / np.sqrt(3.0)
+    return pin.SE3(pin.exp3(np.deg2rad(angle_deg) * diagonal), distance * diagonal)
 
 
 def hot_plate(*, growth: Metres = 2.2e-3, period: Seconds = 12.0, duration: Seconds = 3.0) -> Scenario:
@@ -112,20 +117,9 @@ def palm_box(
         duration=duration,
         time_law="quintic",
     )
-    stations = [
-        Station(
-            arm=named_robot("rx90l", name),
-            point=(x, 0.0, 0.0),
-            yaw=yaw,
-            reach=0.80,
-            height=0.60,
-            near=RX90L_NEAR,
-        )
-        for name, x, yaw in (("left", -0.20, 0.0), ("right", 0.20, 180.0))
-    ]
+    stations = facing("rx90l", 0.20, reach=0.80, height=0.60, near=RX90L_NEAR)
     made = put_together("palm_box", stations, path, dt=0.005, object_size=(0.40, 0.30, 0.30), object_mass=mass)
-    diagonal = np.ones(3) / np.sqrt(3.0)
-    off = {"right": pin.SE3(pin.exp3(np.deg2rad(0.1) * diagonal), 1e-3 * diagonal)} if base_off else {}
+    off = {"right": _along_the_diagonal(1e-3, 0.1)} if base_off else {}
     palm = {"kind": "palm", "friction": friction, "radius": 0.06, "squeeze": 0.8 * squeeze}
     engine = EngineSettings(
         disturbances={"base_offset": off, **_LATE},
