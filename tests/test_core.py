@@ -32,7 +32,7 @@ from coopqp import (
     WaypointPath,
     make_solver,
 )
-from coopqp.control.constraints import Constraints
+from coopqp.control.constraint_set import Constraints
 from coopqp.control.core import layout
 from coopqp.scenarios import Scenario, at_limit, dual_arm7, mixed_cell, paper_lift, ring
 

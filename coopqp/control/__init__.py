@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from coopqp.lazy import lazy_names
 
 if TYPE_CHECKING:
-    from coopqp.control.constraints import Constraints
+    from coopqp.control.constraint_set import Constraints
     from coopqp.control.forms import Pieces, StepProgram, StepTerms
     from coopqp.control.limits import VelocityBox
     from coopqp.control.linearised import LinearisedStep
@@ -21,7 +21,7 @@ else:
     __getattr__, __dir__ = lazy_names(
         __name__,
         {
-            "coopqp.control.constraints": ("Constraints",),
+            "coopqp.control.constraint_set": ("Constraints",),
             "coopqp.control.forms": ("Pieces", "StepProgram", "StepTerms"),
             "coopqp.control.limits": ("VelocityBox",),
             "coopqp.control.linearised": ("LinearisedStep",),

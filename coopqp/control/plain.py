@@ -17,7 +17,8 @@ import numpy as np
 import pinocchio as pin
 
 from coopqp.control.command import NO_SOLVE, NOTHING, ControlStep, GivenUp, Status, off_path
-from coopqp.control.constraints import Constraints, ConstraintTrouble, Knot, Rows, no_rows
+from coopqp.control.constraint_set import Constraints
+from coopqp.control.constraints import ConstraintTrouble, Knot, Rows, no_rows
 from coopqp.control.limits import VelocityBox
 from coopqp.control.linearised import LinearisedAnswer, LinearisedStep, StepInput
 from coopqp.control.options import QPOptions

@@ -19,7 +19,7 @@ import pinocchio as pin
 
 from coopqp.checks import NOT_NUMBERS, ArrayLike, as_options, as_scalar, require
 from coopqp.control.command import ControlStep, Status, amend, brakes_for_target, check_start, short_text
-from coopqp.control.constraints import Constraints, listed
+from coopqp.control.constraint_set import Constraints, listed
 from coopqp.control.core import make_loop
 from coopqp.control.effort import Effort
 from coopqp.control.options import QPOptions

@@ -7,7 +7,7 @@ from typing import Any, final
 import numpy as np
 
 from coopqp.control.command import NO_SOLVE, NOTHING, GivenUp, SolverReport, Status, off_path
-from coopqp.control.constraints import Constraints
+from coopqp.control.constraint_set import Constraints
 from coopqp.control.core import layout
 from coopqp.control.supervision import refused_dt
 from coopqp.control.supervision_options import SupervisionOptions

@@ -8,7 +8,7 @@ from collections.abc import Callable
 from importlib import import_module
 from typing import TYPE_CHECKING
 
-from coopqp.control.constraints import Constraints
+from coopqp.control.constraint_set import Constraints
 from coopqp.control.core import relax_plain
 from coopqp.control.core.memory import NotForTheCore
 from coopqp.control.options import QPOptions

@@ -16,7 +16,8 @@ import pinocchio as pin
 
 import coopqp.control.core._native as native
 from coopqp.control.command import ControlStep, SolverReport, Status, amend
-from coopqp.control.constraints import Constraints, ConstraintTrouble, Knot, no_rows
+from coopqp.control.constraint_set import Constraints
+from coopqp.control.constraints import ConstraintTrouble, Knot, no_rows
 from coopqp.control.core import layout
 from coopqp.control.core.memory import Memory, NotForTheCore, build_memory, put_options, same_kinematics
 from coopqp.control.limits import VelocityBox
