@@ -1,7 +1,7 @@
 """The figures of a run as version 0.1 computed them: one sample, one pair of arms, one 3-vector at a time.
 
 A reference for the cost and for the values of :func:`coopqp.read_run`: Pinocchio's placements and frame Jacobians, and
-NumPy's SVD, no code of coopqp.
+NumPy's SVD, no formula of coopqp.
 """
 
 from __future__ import annotations
