@@ -161,7 +161,7 @@ def test_the_command_writes_a_map_and_says_what_is_wrong(tmp_path: Path, capsys:
 def test_the_command_says_why_no_placement_is_possible(
     quiet: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    file = study(tmp_path, "h = { low = 4.2, high = 4.4, number = 3, now = 4.4 }")
+    file = study(tmp_path, "h = { low = 4.2, high = 4.4, number = 2, now = 4.4 }")
     assert cli.main(["place", str(file), *quiet]) == 3
     printed = capsys.readouterr()
     built, nowhere = printed.err.strip().splitlines()[-2:]
