@@ -10,6 +10,12 @@ with the shares s of the common error, so that the object stays. ρ is how many 
 Where a base is off, the grasps have to move as the object does: D is what the path asks for at the full rate, learned
 in the time T_D, ``D_k ← D_k − σ (e_k − Σ_j s_j e_j) / (ρ T) dt / T_D``.
 
+Where arms mind forces in some directions only, F takes from the wrenches what they mind, and Fᵀ from the grasps what
+may move; the others keep their commanded places. Grasps that move by d change the internal wrenches by −G d, with the
+stiffness of the grip ``G = C⁻¹ − C⁻¹ Σᵀ (Σ C⁻¹ Σᵀ)⁻¹ Σ C⁻¹`` of all C_k together. So ``e = Fᵀ (F G Fᵀ)⁺ F w_s``: every
+force that is minded decays with T (all of them minded, that is C w_s again). C alone leaves forces that take up to 250
+times as long, where the master keeps its place: its own compliance is missing then.
+
 The loop is 1 / (T s) · exp(−d s). It is damped well if (d + dt) / T is at most 1/2, doubts about the servos included.
 """
 
@@ -24,7 +30,7 @@ import pinocchio as pin
 
 from coopqp.control.core import layout, minding_of
 from coopqp.control.core.relax_plain import AT, gives_way, minding_size, minding_views
-from coopqp.control.stress_watch import servo_wrenches
+from coopqp.control.stress_watch import STRUCTURE, servo_wrenches
 from coopqp.errors import InvalidInputError
 from coopqp.forces.force_options import ForceOptions
 from coopqp.forces.internal import load_shares
@@ -35,6 +41,8 @@ from coopqp.model.chain import Chain
 from coopqp.model.grasp import Grasp
 from coopqp.spatial import Array
 
+#: Parts of a stiffness below this share are none.
+_LEAST_PART = 1e-9
 #: Metric of torques where the size of a wrench is told [m].
 _LENGTH = 0.3
 #: Largest (d + dt) / T with the doubt.
@@ -103,8 +111,8 @@ class Relaxation:
         views = minding_views(self.memory, n)
         self.internal, self.shift, self.silent = views["internal"], views["shift"], views["silent"]
         self.seen, self._yields = views["seen"], views["yields"]
-        # What is minded, in the tools' axes; the twists that answer it are those of the whole wrench, so that the tools
-        # keep their real places in the other directions.
+        # What is minded, in the tools' axes. Palms answer it with the twists of the whole wrench, so that they keep
+        # their real places in the other directions.
         felt = np.zeros((6 * n, 6 * n))
         for k, (X, mind) in enumerate(zip(grasp.T_object_tool, options.minded(n), strict=True)):
             own = slice(6 * k, 6 * k + 6)
@@ -114,6 +122,8 @@ class Relaxation:
             press = options.squeeze * pressing(options.palms)
             views["target"][:] = (views["internal_of"] @ press.ravel()).reshape(-1, 6)
             views["squeezed"][:], views["palms"][:] = views["target"], palm_rows(options.palms)
+        #: F, where arms keep their places in some directions.
+        self._felt_part = None if options.palms is not None or options.minded(n).all() else felt
         self._starting = self.memory.copy()
         #: Takes what the arms yield to what their grasps move.
         self._relative = np.eye(6 * n) - np.tile(np.hstack([np.diag(s) for s in shares]), (n, 1))
@@ -121,7 +131,8 @@ class Relaxation:
             self._relative = np.eye(6 * n)
         points = np.array([X.translation for X in grasp.T_object_tool])
         inward = np.concatenate([points.mean(axis=0) - points, np.zeros_like(points)], axis=1)
-        inward = (self._relative @ inward.ravel()).reshape(-1, 6)
+        moves = self._relative if self._felt_part is None else self._relative @ self._felt_part.T
+        inward = (moves @ inward.ravel()).reshape(-1, 6)
         #: How the grasps move where the arms press: towards each other.
         self._inward = inward / max(float(np.linalg.norm(inward[:, :3], axis=1).max()), 1e-9)
         self.begin(np.zeros((n, 6)))
@@ -222,9 +233,11 @@ class Relaxation:
         R = np.zeros((6, 6))
         R[:3, :3] = R[3:, 3:] = O[:3].T
         self._compliances = R.T @ chain.compliances(self._softness) @ R
-        # The same as relative @ blockdiag(C).
-        for k, own in enumerate(self._compliances):
-            self._yields[:, 6 * k : 6 * k + 6] = self._relative[:, 6 * k : 6 * k + 6] @ own
+        if self._felt_part is not None:
+            self._yields[:] = self._relative @ yields_in_part(self._compliances, self._felt_part)
+        else:  # relative @ blockdiag(C)
+            for k, own in enumerate(self._compliances):
+                self._yields[:, 6 * k : 6 * k + 6] = self._relative[:, 6 * k : 6 * k + 6] @ own
         self.memory[AT["AGE"]] = 0.0
         return R
 
@@ -255,7 +268,8 @@ class Relaxation:
             return False
         way = self._pressed * self._inward.ravel()
         answer = felt - self._felt - self._pressing * self._grows
-        self.memory[AT["STIFFER"]] = float(np.clip(answer @ way / (way @ way), *_STIFFEST))
+        if way.any():  # some arm minds forces towards the others
+            self.memory[AT["STIFFER"]] = float(np.clip(answer @ way / (way @ way), *_STIFFEST))
         return True
 
     def far(self, shift: Array) -> float:
@@ -269,6 +283,17 @@ class Relaxation:
         errors = self._chain.errors(O, pin.SE3(O[0, :3].T, O[0, 3]))
         shift: Array = (self._relative @ errors.ravel()).reshape(-1, 6)
         return shift if self.far(shift) < 1.0 else np.zeros_like(shift)
+
+
+def yields_in_part(compliances: Array, felt: Array) -> Array:
+    """Fᵀ (F G Fᵀ)⁺ F (6 N, 6 N), of the compliances C_k (N, 6, 6) and F (6 N, 6 N); see the module."""
+    each = np.linalg.inv(compliances + STRUCTURE * np.eye(6))
+    stiff, together = np.zeros_like(felt), each.reshape(-1, 6)
+    for k, own in enumerate(each):
+        stiff[6 * k : 6 * k + 6, 6 * k : 6 * k + 6] = own
+    G = stiff - together @ np.linalg.solve(each.sum(axis=0), together.T)
+    out: Array = felt.T @ np.linalg.pinv(felt @ G @ felt.T, rcond=_LEAST_PART, hermitian=True) @ felt
+    return out
 
 
 def _size(wrenches: Array) -> float:
