@@ -46,7 +46,7 @@ if TYPE_CHECKING:
     from coopqp.control.solvers.osqp import OsqpSettings
     from coopqp.control.solvers.proxqp import ProxqpSettings
     from coopqp.control.stall_bound import StallBound
-    from coopqp.control.supervision import SupervisionOptions
+    from coopqp.control.supervision_options import SupervisionOptions
     from coopqp.errors import (
         BusyError,
         CoopqpError,
@@ -81,7 +81,7 @@ if TYPE_CHECKING:
     from coopqp.output import OutputError
     from coopqp.planning.preview_options import PreviewOptions
     from coopqp.scenarios.robots import robot_path
-    from coopqp.simulation.assessment import Finding, Readings, Tolerances, judge, read_run
+    from coopqp.simulation.assessment import Finding, Tolerances, judge
     from coopqp.simulation.calibrating import calibrate_runs
     from coopqp.simulation.closeness import Closeness, Closest
     from coopqp.simulation.metrics import (
@@ -93,15 +93,18 @@ if TYPE_CHECKING:
         relative_positioning_error,
         tool_placements,
     )
-    from coopqp.simulation.monitor import Breach, Monitor, Monitored, MonitorTolerances, Verdict, Violation, check_run
+    from coopqp.simulation.monitor import Monitor, check_run
+    from coopqp.simulation.monitored import Monitored
     from coopqp.simulation.plants.disturbances import Disturbances, misplaced
     from coopqp.simulation.plants.disturbed import DisturbedPlant
     from coopqp.simulation.plants.kinematic import KinematicPlant, Plant
     from coopqp.simulation.plants.physics import PhysicsError, PhysicsPlant
     from coopqp.simulation.plants.physics_options import PhysicsOptions
+    from coopqp.simulation.readings import Readings, read_run
     from coopqp.simulation.recording import Recording, RecordingError
     from coopqp.simulation.scene import SceneError, describe_object
     from coopqp.simulation.simulate import simulate
+    from coopqp.simulation.violations import Breach, MonitorTolerances, Verdict, Violation
     from coopqp.spatial import Array, Placement, adjoint
     from coopqp.studies.errors import EngineError, StudyError
     from coopqp.task.common_error import CommonError
@@ -136,7 +139,7 @@ else:
                 "make_solver",
             ),
             "coopqp.control.stall_bound": ("StallBound",),
-            "coopqp.control.supervision": ("SupervisionOptions",),
+            "coopqp.control.supervision_options": ("SupervisionOptions",),
             "coopqp.errors": (
                 "BusyError",
                 "CoopqpError",
@@ -172,11 +175,13 @@ else:
                 "KinematicPlant",
                 "Plant",
             ),
+            "coopqp.simulation.readings": ("Readings", "read_run"),
             "coopqp.simulation.recording": (
                 "Recording",
                 "RecordingError",
             ),
             "coopqp.simulation.simulate": ("simulate",),
+            "coopqp.simulation.violations": ("Breach", "MonitorTolerances", "Verdict", "Violation"),
             "coopqp.spatial": (
                 "Array",
                 "Placement",
@@ -215,7 +220,7 @@ else:
             "coopqp.look.viewer": ("LiveViewer", "export_html"),
             "coopqp.output": ("OutputError",),
             "coopqp.scenarios.robots": ("robot_path",),
-            "coopqp.simulation.assessment": ("Finding", "Readings", "Tolerances", "judge", "read_run"),
+            "coopqp.simulation.assessment": ("Finding", "Tolerances", "judge"),
             "coopqp.simulation.calibrating": ("calibrate_runs",),
             "coopqp.simulation.closeness": ("Closeness", "Closest"),
             "coopqp.simulation.metrics": (
@@ -227,15 +232,8 @@ else:
                 "relative_positioning_error",
                 "tool_placements",
             ),
-            "coopqp.simulation.monitor": (
-                "Breach",
-                "Monitor",
-                "Monitored",
-                "MonitorTolerances",
-                "Verdict",
-                "Violation",
-                "check_run",
-            ),
+            "coopqp.simulation.monitor": ("Monitor", "check_run"),
+            "coopqp.simulation.monitored": ("Monitored",),
             "coopqp.simulation.plants.disturbances": ("Disturbances", "misplaced"),
             "coopqp.simulation.plants.disturbed": ("DisturbedPlant",),
             "coopqp.simulation.plants.physics": ("PhysicsError", "PhysicsPlant"),

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields
 from typing import Any, TypeAlias, TypeVar, get_type_hints
 
@@ -29,8 +29,8 @@ class Doc:
     documentation: str
 
 
-def meanings(options: type) -> dict[str, str]:
-    """The texts of all :class:`Doc` of a class, by the name of the attribute."""
+def meanings(options: Callable[..., Any]) -> dict[str, str]:
+    """The texts of all :class:`Doc` of a class or function, by the name of the attribute or argument."""
     hints = get_type_hints(options, include_extras=True)
     marks = {
         name: [mark for mark in getattr(hint, "__metadata__", ()) if isinstance(mark, Doc)]

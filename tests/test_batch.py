@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from coopqp import Arm, InvalidInputError, RobotCell, UnknownNameError, robot_path, scenarios
-from coopqp.model.batch import ArmKinematics, batch_kernels
+from coopqp.model.batch import ArmKinematics, batch_kernels, singular_values
 
 pytestmark = pytest.mark.core
 
@@ -50,6 +50,16 @@ def test_poses_jacobians_and_singular_values_are_those_of_pinocchio(robot: str, 
         np.testing.assert_allclose(T[i], pose, rtol=0, atol=1e-13)
         np.testing.assert_allclose(J[i], jacobian, rtol=0, atol=1e-13)
         np.testing.assert_allclose(s[i], np.linalg.svd(jacobian, compute_uv=False), rtol=1e-12, atol=1e-13)
+
+
+@pytest.mark.parametrize("kernel", KERNELS)
+@pytest.mark.parametrize("shape", [(1, 1), (6, 1), (2, 5), (6, 6), (5, 64), (64, 6), (70, 6)])
+def test_singular_values_of_any_matrices(kernel: str, shape: tuple[int, int], rng: Any) -> None:
+    A = rng.normal(size=(9, *shape))
+    A[3] = 0.0
+    A[5, :, -1] *= 1e-9
+    found = singular_values(A, kernel=KINEMATICS["rx90l", kernel].kernel)
+    np.testing.assert_allclose(found, np.linalg.svd(A, compute_uv=False), rtol=1e-12, atol=1e-13)
 
 
 @pytest.mark.parametrize("robot", ROBOTS)

@@ -1,16 +1,35 @@
-"""The benchmark of sweeps: its records are complete, whatever the machine."""
+"""The benchmark of sweeps: its records are complete, whatever the machine, and its reference finds the same figures."""
 
 from __future__ import annotations
 
 import json
 import math
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
 import pytest
+
+from coopqp import Disturbances, DisturbedPlant, PseudoInverseController, read_run, simulate
+from coopqp.scenarios import Scenario, mixed_lift, paper_lift
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
 import sweeps
+from figures_0_1 import figures_0_1
+
+
+@pytest.mark.parametrize("lift", [paper_lift, mixed_lift])
+def test_figures_are_those_of_version_0_1(lift: Callable[..., Scenario]) -> None:
+    """Arms that part and sensors that lie, by a form that shares no code."""
+    task = lift()
+    controller = PseudoInverseController(task.cell, task.grasp, task.path, dt=20.0 * task.dt)
+    plant = DisturbedPlant(task.cell, task.grasp, Disturbances(encoder_noise=1e-3, seed=3))
+    run = simulate(controller, plant, q_start=task.q_start)
+    found = read_run(task.cell, run)
+    for name, expected in figures_0_1(task.cell, run).items():
+        np.testing.assert_allclose(getattr(found, name), expected, rtol=0, atol=1e-10, err_msg=name)
+        assert expected.max() > 1e-3
 
 
 @pytest.mark.slow

@@ -157,6 +157,32 @@ def test_the_command_writes_a_map_and_says_what_is_wrong(tmp_path: Path, capsys:
     assert "--force" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize("quiet", [[], ["--quiet"]])
+def test_the_command_says_why_no_placement_is_possible(
+    quiet: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = study(tmp_path, "h = { low = 4.2, high = 4.4, number = 3, now = 4.4 }")
+    assert cli.main(["place", str(file), *quiet]) == 3
+    printed = capsys.readouterr()
+    built, nowhere = printed.err.strip().splitlines()[-2:]
+    assert built.startswith("coopqp: as built the cell is impossible: h = 4.4: arm slave_")
+    assert nowhere.startswith("coopqp: no placement is possible; nearest to it: h = 4.2: arm slave_")
+    assert "does not reach its grasp" in nowhere or "of the path" in nowhere
+    assert bool(printed.out) is not bool(quiet)
+
+
+def test_bodies_that_come_too_close_are_named_with_their_place_and_time() -> None:
+    bases = [arm.T_world_base for arm in LIFT.cell.arms]
+    placer = Placer(LIFT.cell, LIFT.grasp, LIFT.path, goals=Goals(clearance_mm=5000.0), scene=CollisionScene.of(LIFT))
+    placed = placer.cell_at(bases)
+    assert not placed.feasible
+    told = f"{1e3 * placed.clearance:.0f} mm at {placed.near_s:.2f} s of the path"
+    assert placed.why == f"{' and '.join(placed.near)} come inside their margin of 5000 mm: {told}"
+    assert placed.why in placed.explain()
+    assert 0.0 <= placed.near_s <= LIFT.path.duration
+    assert placer.cell_at([T * pin.SE3(np.eye(3), np.array([0.0, 0.0, -9.0])) for T in bases]).why.count("arm ") == 3
+
+
 @pytest.mark.slow
 def test_a_search_over_three_numbers_is_as_good_as_a_grid(tmp_path: Path) -> None:
     axes = "h = { low = 3.3, high = 3.8 }, y = { low = 0.3, high = 0.8 }, z = { low = -0.3, high = 0.3 }"

@@ -35,7 +35,7 @@ from coopqp import (
 from coopqp.look.report import report_html
 from coopqp.look.timeline import bound_limits, timeline_figure
 from coopqp.scenarios import Scenario
-from coopqp.simulation.assessment import run_figures, worst_status
+from coopqp.simulation.figures import run_figures, worst_status
 
 
 @pytest.fixture(scope="module")

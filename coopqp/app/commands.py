@@ -57,7 +57,9 @@ def _add_run(commands: Any) -> None:
 def _run_run(arguments: argparse.Namespace) -> int:
     from coopqp.app import runs
     from coopqp.scenarios import SCENARIOS
-    from coopqp.simulation.assessment import judge, read_run, run_figures, why
+    from coopqp.simulation.assessment import judge, why
+    from coopqp.simulation.figures import run_figures
+    from coopqp.simulation.readings import read_run
 
     wanted, asked, place = {"recording"}, None, str(arguments.cell)
     run: Any = functools.partial(runs.obtain_run, place)

@@ -23,7 +23,7 @@ from coopqp.look.style import figure_bytes
 from coopqp.output import write_files
 from coopqp.scenarios import Scenario
 from coopqp.simulation import metrics
-from coopqp.simulation.assessment import worst_status
+from coopqp.simulation.figures import worst_status
 from coopqp.simulation.recording import Recording
 from coopqp.simulation.simulate import simulate
 

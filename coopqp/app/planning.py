@@ -138,7 +138,7 @@ def _plan(run: CellRun, arguments: argparse.Namespace, share: float) -> Plan:
 
 def _jerks(run: CellRun, degrees: float) -> list[float]:
     """Jerk limits of the joints [rad/s³]; for sliding joints the number is in m/s³, as in a cell file."""
-    from coopqp.simulation.assessment import slides
+    from coopqp.model.cell import slides
 
     return [degrees if slide else math.radians(degrees) for slide in slides(run.scenario.cell)]
 

@@ -201,8 +201,8 @@ def _plots(recording: Recording, folder: Path, say: Callable[[str], None]) -> li
     from coopqp.look.style import figure_bytes
     from coopqp.look.timeline import timeline_figure
     from coopqp.output import write_files
-    from coopqp.simulation.assessment import read_run
     from coopqp.simulation.loads import read_loads
+    from coopqp.simulation.readings import read_run
 
     say("drawing the pictures")
     cell = recording.cell()

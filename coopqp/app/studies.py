@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from coopqp.app.terminal import print_table, reporter
-from coopqp.errors import CoopqpError, printable
+from coopqp.errors import printable
 
 if TYPE_CHECKING:
     from coopqp.studies import CellPlaced, Engine, PlaceStudy, Sweep
@@ -70,7 +70,8 @@ def _run_sweep(arguments: argparse.Namespace) -> int:
         except (EngineError, OutputError) as error:
             if not began:
                 raise
-            return _say(error)
+            _say(f"error: {error}")
+            return _ROWS_FAILED
         files = list(made.files)
         if not missing:
             from coopqp.look.sweeps import sweep_figure
@@ -90,9 +91,8 @@ def _engine(arguments: argparse.Namespace) -> Engine:
     return Local(arguments.workers) if arguments.cluster is None else Cluster(arguments.cluster)
 
 
-def _say(error: CoopqpError) -> int:
-    print("coopqp: error:", printable(" ".join(str(error).split())), file=sys.stderr)
-    return _ROWS_FAILED
+def _say(text: str) -> None:
+    print("coopqp:", printable(" ".join(text.split())), file=sys.stderr)
 
 
 def _print(made: Sweep, files: list[Path]) -> None:
@@ -159,8 +159,10 @@ def _run_place(arguments: argparse.Namespace) -> int:
     if not arguments.quiet:
         _print_place(best, now, remedies, files)
     wrong = now is not None and not now.feasible
+    if now is not None and wrong:
+        _say(f"as built the cell is impossible: {_at(now)}: {now.why}")
     if not best.feasible:
-        print("coopqp: no placement is possible: nearest to it", _at(best), file=sys.stderr)
+        _say(f"no placement is possible; nearest to it: {_at(best)}: {best.why}")
     return _NOWHERE if wrong or not best.feasible else _OK
 
 
@@ -213,7 +215,7 @@ def _at(placed: CellPlaced) -> str:
 
 
 def _print_place(best: CellPlaced, now: CellPlaced | None, remedies: tuple[str, ...], files: list[Path]) -> None:
-    for title, placed in (("as built", now), ("best", best)):
+    for title, placed in (("as built", now), ("best" if best.feasible else "nearest", best)):
         if placed is not None:
             said = f"{placed.score:.3f} of good" if placed.feasible else "impossible"
             print(f"{title}: {_at(placed)}: {said}")

@@ -9,7 +9,8 @@ import numpy as np
 from coopqp.control.command import NO_SOLVE, NOTHING, GivenUp, SolverReport, Status, off_path
 from coopqp.control.constraints import Constraints
 from coopqp.control.core import layout
-from coopqp.control.supervision import SupervisionOptions, refused_dt
+from coopqp.control.supervision import refused_dt
+from coopqp.control.supervision_options import SupervisionOptions
 from coopqp.model.cell import RobotCell
 from coopqp.model.grasp import Grasp
 from coopqp.model.limits import BindingLimit, LimitKind

@@ -13,7 +13,7 @@ from typing import Any, final
 import numpy as np
 
 from coopqp.checks import as_count, as_scalar
-from coopqp.control.supervision import SupervisionOptions
+from coopqp.control.supervision_options import SupervisionOptions
 from coopqp.spatial import Array
 
 

@@ -17,10 +17,10 @@ import pinocchio as pin
 from coopqp.control.command import Status
 from coopqp.errors import InvalidInputError, MissingExtraError, printable
 from coopqp.forces.use import LoadUse
-from coopqp.model.cell import RobotCell
+from coopqp.model.cell import RobotCell, slides
 from coopqp.model.limits import BindingLimit
 from coopqp.output import OutputError, check_folder, folder_of, whole_file
-from coopqp.simulation.assessment import check_recording, read_part, slides
+from coopqp.simulation.readings import check_recording, read_part
 from coopqp.simulation.recording import Recording
 from coopqp.spatial import Array
 
@@ -35,7 +35,7 @@ def csv_text(recording: Recording, *, cell: RobotCell | None = None, load: LoadU
 
     Columns: time and the object's clock; rate, status and binding limits of the step that starts at the sample (empty
     in the last row); measured position, commanded position and commanded velocity of every joint; the path's pose
-    (position, quaternion); the errors of :class:`coopqp.simulation.assessment.Readings`. Units are in the names.
+    (position, quaternion); the errors of :class:`coopqp.Readings`. Units are in the names.
 
     Args:
         recording: the run.

@@ -137,7 +137,10 @@ class ForceController:
         shift = self._relaxation.found(self.cell.check_configuration(q, "ForceController.reset: q"))
         self.controller.shift_grasp(shift)
         try:
-            self._qp.reset(q, clock=clock) if clock else self.controller.reset(q)
+            if clock == 0.0:
+                self.controller.reset(q)
+            else:  # only a QPController begins in mid-path
+                self._qp.reset(q, clock=clock)
             self._relaxation.begin(shift)
             self._begin()
         finally:

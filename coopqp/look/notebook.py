@@ -22,7 +22,7 @@ from coopqp.look.renderer import View, box_solid, cell_solids, render
 from coopqp.look.style import COLOURS, FAINT, INK
 from coopqp.look.timeline import BANDS, bound_limits, limit_name
 from coopqp.model.cell import RobotCell
-from coopqp.simulation.assessment import worst_status
+from coopqp.simulation.figures import worst_status
 from coopqp.simulation.recording import Recording
 from coopqp.simulation.scene import read_object
 from coopqp.spatial import Array

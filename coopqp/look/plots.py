@@ -42,11 +42,12 @@ def relative_errors(cell: RobotCell, recording: Recording, quantity: Quantity) -
     grasp = recording.grasp
     errors = []
     for part in recording.parts(len(recording.time)):
-        tools, _ = metrics.tool_matrices(cell, recording.q_command[part])
+        tools = metrics.tool_matrices(cell, recording.q_command[part])
         if quantity == "position":
             errors.append(1e3 * metrics.positioning_errors(tools, grasp))
         else:
-            errors.append(np.rad2deg(metrics.orientation_errors(tools, grasp)))
+            angles = metrics.gaps(metrics.object_poses(tools, grasp))[1]
+            errors.append(np.rad2deg(metrics.orientation_errors(angles)))
     return np.concatenate(errors)
 
 

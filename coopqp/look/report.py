@@ -17,8 +17,10 @@ from coopqp.look.style import figure_bytes, require_matplotlib
 from coopqp.look.timeline import bound_limits, limit_name, timeline_figure
 from coopqp.model.cell import RobotCell
 from coopqp.output import check_file, write_files
-from coopqp.simulation.assessment import Finding, Readings, Tolerances, judge, read_run, run_figures, why
+from coopqp.simulation.assessment import Finding, Tolerances, judge, why
+from coopqp.simulation.figures import run_figures
 from coopqp.simulation.loads import read_loads
+from coopqp.simulation.readings import Readings, read_run
 from coopqp.simulation.recording import Recording
 from coopqp.simulation.scene import named_meshes, read_object
 

@@ -17,7 +17,7 @@ from coopqp.look.renderer import body_solids, box, mesh_of, name_places
 from coopqp.model.cell import RobotCell
 from coopqp.model.limits import BindingLimit
 from coopqp.simulation import metrics
-from coopqp.simulation.assessment import Readings, read_run
+from coopqp.simulation.readings import Readings, read_run
 from coopqp.simulation.recording import Recording
 from coopqp.simulation.scene import SceneError, read_object, read_path
 from coopqp.spatial import Array

@@ -12,6 +12,7 @@ from coopqp.look.style import COLOURS, DASHES, GRID, INK, add_legend, label, leg
 from coopqp.studies.row import FIGURES, OK
 from coopqp.studies.sweeping import Sweep
 from coopqp.studies.table import cell_text
+from coopqp.studies.units import name_and_unit
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -36,10 +37,11 @@ def sweep_figure(sweep: Sweep) -> Figure:
     rows = [row for row in sweep.rows if row["outcome"] == OK]
     choices = {key: values for key, values in _choices(sweep).items() if len(values) > 1}
     along = max(choices, key=lambda key: (_is_numeric(choices[key]), len(choices[key])), default="")
-    others = [key for key in choices if key != along]
+    said = {key: name_and_unit(study, key) for key in choices}
+    name_along, unit_along = said.pop(along, (along, ""))
     groups: dict[str, list[Mapping[str, Any]]] = {}
     for row in rows:
-        groups.setdefault(_name(row, others), []).append(row)
+        groups.setdefault(_name(row, said), []).append(row)
     names = list(groups)[:_MOST_LINES]
     panels = study.figures or ("chain_mm",)
     figure = new_figure(3.4 * max(2, len(panels)), 4.3, layout="constrained")
@@ -70,18 +72,18 @@ def sweep_figure(sweep: Sweep) -> Figure:
             axes.set_xticks([], minor=True)
         if not numeric:
             axes.set_xticks(range(len(positions)), [label(cell_text(p), width=14) for p in positions])
-        axes.set_xlabel(label(along, width=30), color=INK)
+        axes.set_xlabel(label(f"{name_along} [{unit_along}]" if unit_along else name_along, width=30), color=INK)
         axes.set_title(textwrap.fill(FIGURES[column], 36), fontsize=9.5, color=INK, loc="left")
         axes.grid(color=GRID, linewidth=0.7)
         axes.set_axisbelow(True)
         plain(axes)
     handles, _ = np.atleast_1d(top.axes)[0].get_legend_handles_labels()
-    if others and handles:
+    if said and handles:
         labels = [label(name, width=44) for name in names]
         add_legend(bottom.subplots(), handles, labels, legend_columns(labels, 3.4 * len(panels), size=9.5), size=9.5)
     drawn = study.draws * study.repeats
-    said = f"{study.name}: {len(rows)} of {len(sweep.rows)} runs"
-    figure.suptitle(label(said + (f"; lines: median, bands: 80 % of {drawn} draws" if drawn > 1 else ""), width=110),
+    title = f"{study.name}: {len(rows)} of {len(sweep.rows)} runs"
+    figure.suptitle(label(title + (f"; lines: median, bands: 80 % of {drawn} draws" if drawn > 1 else ""), width=110),
                     fontsize=10.5, color=INK)  # fmt: skip
     return figure
 
@@ -95,8 +97,12 @@ def _is_numeric(values: Sequence[Any]) -> bool:
     return all(isinstance(v, int | float) and not isinstance(v, bool) for v in values)
 
 
-def _name(row: Mapping[str, Any], others: Sequence[str]) -> str:
-    return ", ".join(f"{key} {_short(row[key])}" if key != "case" else str(row[key]) for key in others)
+def _name(row: Mapping[str, Any], said: Mapping[str, tuple[str, str]]) -> str:
+    """Values of a row, each with its name and unit."""
+    return ", ".join(
+        f"{name} {_short(row[key])} {unit}".rstrip() if key != "case" else str(row[key])
+        for key, (name, unit) in said.items()
+    )
 
 
 def _short(value: Any) -> str:

@@ -12,7 +12,8 @@ from coopqp.control.command import Status
 from coopqp.look.curves import drawn
 from coopqp.look.style import FAINT, GRID, INK, RED, WIDTH, label, new_figure
 from coopqp.model.limits import BindingLimit
-from coopqp.simulation.assessment import Readings, Tolerances
+from coopqp.simulation.assessment import Tolerances
+from coopqp.simulation.readings import Readings
 from coopqp.simulation.recording import Recording
 
 if TYPE_CHECKING:

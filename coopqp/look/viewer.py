@@ -23,7 +23,7 @@ from coopqp.errors import CoopqpError, InvalidInputError, MissingExtraError
 from coopqp.look.guarded import guarded_servers
 from coopqp.look.stage import FIELD_OF_VIEW, READOUT_SHARE, Stage
 from coopqp.output import check_file, write_files
-from coopqp.simulation.assessment import worst_status
+from coopqp.simulation.figures import worst_status
 from coopqp.simulation.recording import Recording
 
 #: Pictures per second of the page, and their largest number.

@@ -1,17 +1,18 @@
-/* Kinematics of one arm at many configurations, for Python: tool poses, Newton's method, walks along poses, singular
- * values, derivatives along a way. See _arm.h for what the numbers are; batch_plain.py says the same in NumPy. */
+/* Kinematics of one arm at many configurations, for Python: tool poses, Newton's method, walks along poses, derivatives
+ * along a way; singular values of many matrices. See _arm.h for what the numbers are; batch_plain.py says the same in NumPy. */
 
 #define PY_SSIZE_T_CLEAN
 #include <Python.h>
 
 #include "_arm.h"
 
-#define LANES 8 /* configurations whose singular values are found at once */
+#define LANES 8 /* matrices whose singular values are found at once */
+#define MOST_VALUES 6 /* of a matrix */
 #define ACROSS 1e-14 /* square of a cosine between vectors at right angles */
 
 /* -- singular values ------------------------------------------------------------------------------------------------- */
 
-/* A number of each of several configurations. Loops over them are for the processor's vectors. */
+/* A number of each of several matrices. Loops over them are for the processor's vectors. */
 typedef double Lanes[LANES];
 
 /* Sums of squares of the entries of vectors. */
@@ -50,36 +51,30 @@ static int insert(double *values, int count, double value) {
     return k;
 }
 
-/* The rows of the tool's Jacobian, of an arm with fewer than six joints its columns, the longest first: this saves a
- * sweep. Numbers of them, and their length. */
-static void longest_first(const Arm *a, const double *q, int lane, Lanes *vectors, int *count, int *length) {
-    double T[12], jacobian[6 * MOST_JOINTS], sizes[6];
-    const int n = a->joints, few = n < 6;
-    int order[6];
-    *count = few ? n : 6, *length = few ? 6 : n;
-    place(a, q, T, jacobian);
-    for (int i = 0; i < *count; i++) {
+/* A matrix as vectors, the longest first (this saves a sweep): its rows, of a tall or square one its columns. */
+static void longest_first(const double *A, int rows, int columns, int lane, Lanes *vectors) {
+    const int wide = rows < columns, count = wide ? rows : columns, length = wide ? columns : rows;
+    const int next = wide ? columns : 1, along = wide ? 1 : columns;
+    double sizes[MOST_VALUES];
+    int order[MOST_VALUES];
+    for (int i = 0; i < count; i++) {
         double size = 0.0;
-        for (int j = 0; j < *length; j++) {
-            const double x = jacobian[few ? 6 * i + j : 6 * j + i];
-            size += x * x;
-        }
+        for (int j = 0; j < length; j++) size += A[next * i + along * j] * A[next * i + along * j];
         const int k = insert(sizes, i, size);
         memmove(order + k + 1, order + k, sizeof(int) * (size_t)(i - k));
         order[k] = i;
     }
-    for (int k = 0; k < *count; k++)
-        for (int i = order[k], j = 0; j < *length; j++)
-            vectors[*length * k + j][lane] = jacobian[few ? 6 * i + j : 6 * j + i];
+    for (int k = 0; k < count; k++)
+        for (int i = order[k], j = 0; j < length; j++) vectors[length * k + j][lane] = A[next * i + along * j];
 }
 
-/* Singular values of the tool's Jacobian at LANES configurations, descending, by one-sided Jacobi rotations, accurate for
- * small ones, too. The values of one configuration do not depend on the others. */
-static void singular_values(const Arm *a, const double *const q[LANES], double *const values[LANES]) {
-    Lanes vectors[6 * MOST_JOINTS], squares[6], going, largest;
+/* Singular values of LANES matrices, descending, by one-sided Jacobi rotations, accurate for small ones, too. The values
+ * of one matrix do not depend on the others. */
+static void singular_values(const double *const A[LANES], int rows, int columns, double *const values[LANES]) {
+    const int wide = rows < columns, count = wide ? rows : columns, length = wide ? columns : rows;
+    Lanes vectors[MOST_VALUES * MOST_JOINTS], squares[MOST_VALUES], going, largest;
     double most = 1.0; /* square of a cosine between two vectors; the values' errors are of the square of the last one */
-    int count = 0, length = 0;
-    for (int l = 0; l < LANES; l++) longest_first(a, q[l], l, vectors, &count, &length), largest[l] = 1.0;
+    for (int l = 0; l < LANES; l++) longest_first(A[l], rows, columns, l, vectors), largest[l] = 1.0;
     for (int sweep = 0; most > ACROSS && sweep < 30; sweep++) {
         for (int l = 0; l < LANES; l++) going[l] = largest[l] > ACROSS, largest[l] = 0.0;
         for (int i = 0; i < count; i++) squares_of(vectors + length * i, length, squares[i]);
@@ -229,31 +224,31 @@ static PyObject *batch_derivatives(PyObject *self, PyObject *args) {
 }
 
 static PyObject *batch_singular_values(PyObject *self, PyObject *args) {
-    PyObject *objects[3];
-    Py_buffer views[3];
-    double *at[3];
-    Py_ssize_t n[3];
-    Arm a;
+    PyObject *objects[2];
+    Py_buffer views[2];
+    double *at[2];
+    Py_ssize_t n[2];
+    int rows, columns;
     (void)self;
-    if (!PyArg_ParseTuple(args, "OOO", objects, objects + 1, objects + 2)) return NULL;
-    if (!take(objects, 3, 1, views, at, n)) return NULL;
-    int good = read_arm(at[0], n[0], &a);
-    const int width = good && a.joints < 6 ? a.joints : 6;
-    const Py_ssize_t count = n[2] / width;
-    good = good && n[2] == width * count && n[1] == a.joints * count;
+    if (!PyArg_ParseTuple(args, "OiiO", objects, &rows, &columns, objects + 1)) return NULL;
+    if (!take(objects, 2, 1, views, at, n)) return NULL;
+    const int width = rows < columns ? rows : columns, length = rows < columns ? columns : rows;
+    int good = width >= 1 && width <= MOST_VALUES && length <= MOST_JOINTS;
+    const Py_ssize_t count = good ? n[1] / width : 0, size = (Py_ssize_t)rows * columns;
+    good = good && n[1] == width * count && n[0] == size * count;
     Py_BEGIN_ALLOW_THREADS;
     for (Py_ssize_t i = 0; good && i < count; i += LANES) {
-        double spare[6 * LANES], *values[LANES];
-        const double *q[LANES];
+        double spare[MOST_VALUES * LANES], *values[LANES];
+        const double *A[LANES];
         for (int l = 0; l < LANES; l++) {
-            const int inside = i + l < count; /* lanes past the last configuration do it once more */
-            q[l] = at[1] + (inside ? i + l : count - 1) * a.joints;
-            values[l] = inside ? at[2] + (i + l) * width : spare + 6 * l;
+            const int inside = i + l < count; /* lanes past the last matrix do it once more */
+            A[l] = at[0] + (inside ? i + l : count - 1) * size;
+            values[l] = inside ? at[1] + (i + l) * width : spare + MOST_VALUES * l;
         }
-        singular_values(&a, q, values);
+        singular_values(A, rows, columns, values);
     }
     Py_END_ALLOW_THREADS;
-    if (!release(views, 3, good)) return NULL;
+    if (!release(views, 2, good)) return NULL;
     Py_RETURN_NONE;
 }
 
@@ -292,7 +287,7 @@ static PyMethodDef methods[] = {
     {"place", batch_place, METH_VARARGS, "place(arm, q, poses, jacobians)"},
     {"solve", batch_solve, METH_VARARGS, "solve(arm, poses, q, residuals, tolerance, steps, longest, damping)"},
     {"derivatives", batch_derivatives, METH_VARARGS, "derivatives(arm, q, twists, slopes of twists, slopes, curvatures)"},
-    {"singular_values", batch_singular_values, METH_VARARGS, "singular_values(arm, q, values)"},
+    {"singular_values", batch_singular_values, METH_VARARGS, "singular_values(matrices, rows, columns, values)"},
     {"walk", batch_walk, METH_VARARGS, "walk(arm, poses, q, reached, tolerance, longest, halvings)"},
     {NULL, NULL, 0, NULL},
 };

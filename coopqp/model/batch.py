@@ -27,6 +27,8 @@ except ImportError:  # built without a compiler
 else:
     _KERNELS = {"compiled": _compiled, "plain": batch_plain}
 
+#: Longest rows or columns that the compiled functions take.
+_MOST_JOINTS = 64
 #: A solution reaches its pose within this [m, rad].
 REACHED = 1e-9
 #: Newton steps from a seed; almost all seeds that arrive take fewer.
@@ -40,6 +42,16 @@ _WALKING_STEP, _HALVINGS = 0.3, 12
 def batch_kernels() -> tuple[str, ...]:
     """Names of what computes batches in this installation, the fastest first."""
     return tuple(_KERNELS)
+
+
+def singular_values(A: Array, *, kernel: ModuleType | None = None) -> Array:
+    """Singular values of M finite matrices (M, k, l), descending (M, min(k, l)); k or l is at most 6."""
+    rows, columns = A.shape[1:]
+    if max(rows, columns) > _MOST_JOINTS:
+        kernel = batch_plain
+    values = np.empty((len(A), min(rows, columns)))
+    (kernel or _KERNELS[batch_kernels()[0]]).singular_values(np.ascontiguousarray(A), rows, columns, values)
+    return values
 
 
 @dataclass(frozen=True, eq=False)
@@ -178,10 +190,7 @@ class ArmKinematics:
 
     def singular_values(self, q: ArrayLike) -> Array:
         """Singular values of the tool's Jacobian, descending (M, min(6, n)), in metres and radians."""
-        x = self._positions(q)
-        values = np.empty((len(x), min(6, self.n)))
-        self.kernel.singular_values(self._numbers, x, values)
-        return values
+        return singular_values(self.jacobians(q).transpose(0, 2, 1), kernel=self.kernel)
 
     def margins(self, q: Array) -> Array:
         """Distance of positions (…, n) to the nearer limit [rad or m]: negative outside, inf without limits."""

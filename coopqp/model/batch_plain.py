@@ -53,10 +53,10 @@ def solve(
         x = x + np.minimum(1.0, longest / np.maximum(largest, 1e-300))[:, None] * v
 
 
-def singular_values(arm: Array, q: Array, values: Array, /) -> None:
-    """Singular values of the tool's Jacobian, descending."""
-    J = _place(arm, q)[1]
-    values.reshape(len(J), -1)[:] = np.linalg.svd(J, compute_uv=False)
+def singular_values(matrices: Array, rows: int, columns: int, values: Array, /) -> None:
+    """Singular values of matrices, descending."""
+    A = matrices.reshape(-1, rows, columns)
+    values.reshape(len(A), -1)[:] = np.linalg.svd(A, compute_uv=False)
 
 
 def derivatives(arm: Array, q: Array, twists: Array, twist_slopes: Array, slopes: Array, curvatures: Array, /) -> None:

@@ -176,6 +176,11 @@ class RobotCell(Shown):
         return _assemble(self.arms, "collision")[1]
 
 
+def slides(cell: RobotCell) -> list[bool]:
+    """True for each velocity coordinate of a prismatic joint [m], False for a revolute one [rad]."""
+    return [joint.shortname().startswith("JointModelP") for joint in list(cell.model.joints)[1:]]
+
+
 def _slices(arms: Sequence[Arm], size: str) -> tuple[slice, ...]:
     ends = np.cumsum([0, *(getattr(arm.model, size) for arm in arms)])
     return tuple(slice(int(a), int(b)) for a, b in itertools.pairwise(ends))

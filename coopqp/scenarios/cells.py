@@ -14,6 +14,7 @@ from coopqp.model.cell import Arm
 from coopqp.scenarios.arms import ROBOTS
 from coopqp.scenarios.robots import robot_path
 from coopqp.scenarios.stations import DOWN, FORWARD, Station, put_together
+from coopqp.scenarios.units import Radians, Seconds
 from coopqp.task.path import LinePath, TimeLaw, WaypointPath
 from coopqp.task.scenario import Scenario
 
@@ -44,7 +45,7 @@ def dual_arm7(
     *,
     translation: Sequence[float] = (0.05, 0.08, 0.20),
     rotation: Sequence[float] = (0.25, 0.15, 0.20),
-    duration: float = 3.0,
+    duration: Seconds = 3.0,
     time_law: TimeLaw | str = TimeLaw.QUINTIC,
 ) -> Scenario:
     """Two seven-joint arms that face each other move a bar of 1.2 kg. Needs no other package.
@@ -73,7 +74,7 @@ def dual_arm7(
     return put_together("dual_arm7", stations, path, object_size=(0.60, 0.05, 0.05), object_mass=1.2)
 
 
-def mixed_cell(*, duration: float = 3.0, time_law: TimeLaw | str = TimeLaw.QUINTIC) -> Scenario:
+def mixed_cell(*, duration: Seconds = 3.0, time_law: TimeLaw | str = TimeLaw.QUINTIC) -> Scenario:
     """Four different arms move a plate: six joints (one of them continuous), seven, and six on a rail.
 
     Because of the continuous joint, the configuration has one number more than the velocity.
@@ -127,7 +128,7 @@ def ring(
     *,
     arms: int = 8,
     robot: Literal["rx90l", "arm7"] = "rx90l",
-    duration: float = 3.0,
+    duration: Seconds = 3.0,
     time_law: TimeLaw | str = TimeLaw.QUINTIC,
 ) -> Scenario:
     """Arms at equal distances around a ring, whose size grows with their number. The benchmarks scale this cell.
@@ -176,7 +177,7 @@ def ring(
     return put_together("ring", stations, path, object_size=(size, size, 0.05), object_mass=5.0 * arms)
 
 
-def scara_pair(*, tilt: float = 0.0, duration: float = 3.0, time_law: TimeLaw | str = TimeLaw.QUINTIC) -> Scenario:
+def scara_pair(*, tilt: Radians = 0.0, duration: Seconds = 3.0, time_law: TimeLaw | str = TimeLaw.QUINTIC) -> Scenario:
     """Two four-joint arms move a bar. They can shift, lift and turn it, but always keep it level.
 
     Args:
@@ -206,7 +207,7 @@ def scara_pair(*, tilt: float = 0.0, duration: float = 3.0, time_law: TimeLaw | 
     return put_together("scara_pair", stations, path, object_size=(0.45, 0.04, 0.04), object_mass=0.8)
 
 
-def five_joint_pair(*, duration: float = 4.0, time_law: TimeLaw | str = TimeLaw.QUINTIC) -> Scenario:
+def five_joint_pair(*, duration: Seconds = 4.0, time_law: TimeLaw | str = TimeLaw.QUINTIC) -> Scenario:
     """Two five-joint arms in one vertical plane lift and pitch a bar in the plane, then roll it about its own axis.
 
     Together the arms can do only these motions. The path has two segments.

@@ -13,6 +13,7 @@ from coopqp.errors import UnknownNameError
 from coopqp.scenarios.cells import RX90L_NEAR, named_robot
 from coopqp.scenarios.paper import paper_lift
 from coopqp.scenarios.stations import Station, put_together
+from coopqp.scenarios.units import Degrees, Kilograms, Metres, Newtons, Seconds
 from coopqp.task.path import LinePath
 from coopqp.task.scenario import EngineSettings, Scenario
 
@@ -23,7 +24,7 @@ _TOLERANT = {"supervision": {"slow_from": 0.005, "hold_from": 0.01, "stall_sampl
 
 
 def base_off_lift(
-    *, arm: str = "slave_2", distance: float = 1e-3, angle: float = 0.1, duration: float = 3.0
+    *, arm: str = "slave_2", distance: Metres = 1e-3, angle: Degrees = 0.1, duration: Seconds = 3.0
 ) -> Scenario:
     """The paper's lift with one base off; the arms relax the forces that come of it.
 
@@ -47,7 +48,7 @@ def base_off_lift(
     )
 
 
-def hot_plate(*, growth: float = 2.2e-3, period: float = 12.0, duration: float = 3.0) -> Scenario:
+def hot_plate(*, growth: Metres = 2.2e-3, period: Seconds = 12.0, duration: Seconds = 3.0) -> Scenario:
     """The paper's lift with a plate that grows as it warms up; the arms give way.
 
     Args:
@@ -65,7 +66,7 @@ def hot_plate(*, growth: float = 2.2e-3, period: float = 12.0, duration: float =
     )
 
 
-def heavy_lift(*, mass: float = 53.0, internal_force: float = 50.0, duration: float = 6.0) -> Scenario:
+def heavy_lift(*, mass: Kilograms = 53.0, internal_force: Newtons = 50.0, duration: Seconds = 6.0) -> Scenario:
     """The paper's lift with a plate that three arms carry only if they share its load well.
 
     In equal parts 53 kg would take more torque than the arms have.
@@ -87,12 +88,12 @@ def heavy_lift(*, mass: float = 53.0, internal_force: float = 50.0, duration: fl
 
 def palm_box(
     *,
-    squeeze: float = 200.0,
-    most_squeeze: float = 260.0,
-    mass: float = 20.0,
+    squeeze: Newtons = 200.0,
+    most_squeeze: Newtons = 260.0,
+    mass: Kilograms = 20.0,
     friction: float = 0.6,
     base_off: bool = False,
-    duration: float = 3.0,
+    duration: Seconds = 3.0,
 ) -> Scenario:
     """Two RX-90L lift a box between their open palms, by friction alone.
 

@@ -16,12 +16,13 @@ from coopqp.model.shapes import Body, Box, Capsule, Shape, Sphere
 from coopqp.scenarios.cells import ARM7_NEAR, ARM7_TOOL, dual_arm7, mixed_cell, named_robot, ring
 from coopqp.scenarios.paper import paper_lift
 from coopqp.scenarios.stations import Station, put_together
+from coopqp.scenarios.units import Radians, Seconds
 from coopqp.spatial import Array
 from coopqp.task.path import LinePath, TimeLaw
 from coopqp.task.scenario import Scenario
 
 
-def plate_and_post(*, post: Literal["capsule", "box"] = "capsule", duration: float = 3.0) -> Scenario:
+def plate_and_post(*, post: Literal["capsule", "box"] = "capsule", duration: Seconds = 3.0) -> Scenario:
     """Three RX-90L lift the paper's plate towards a post that hangs above it: the plate has to stop below it.
 
     Args:
@@ -40,7 +41,7 @@ def plate_and_post(*, post: Literal["capsule", "box"] = "capsule", duration: flo
     return replace(lift, name="plate_and_post", obstacles=(Body("post", shapes[post], T),))
 
 
-def plate_and_table(*, tilt: float = 0.0, duration: float = 3.0) -> Scenario:
+def plate_and_table(*, tilt: Radians = 0.0, duration: Seconds = 3.0) -> Scenario:
     """Three RX-90L put the paper's plate down where a table is too high: the plate has to stop above it.
 
     Args:
@@ -58,7 +59,7 @@ def plate_and_table(*, tilt: float = 0.0, duration: float = 3.0) -> Scenario:
     return replace(lift, name="plate_and_table", path=path, q_start=q_top, obstacles=(table,))
 
 
-def elbow_and_knob(*, duration: float = 3.0) -> Scenario:
+def elbow_and_knob(*, duration: Seconds = 3.0) -> Scenario:
     """Two seven-joint arms move a bar past a knob at the side of an elbow, which evades it.
 
     Args:
@@ -73,7 +74,7 @@ def elbow_and_knob(*, duration: float = 3.0) -> Scenario:
 _KNOB = (-0.69, -0.118, 0.60)
 
 
-def elbows(*, duration: float = 3.0) -> Scenario:
+def elbows(*, duration: Seconds = 3.0) -> Scenario:
     """Two seven-joint arms side by side turn a short bar until their elbows would touch; they evade each other.
 
     Args:
@@ -82,7 +83,7 @@ def elbows(*, duration: float = 3.0) -> Scenario:
     return _side_by_side("elbows", 0.11, 2.0, (-0.20, -0.16, 0.17), (-0.45, -0.03, 1.0), duration)
 
 
-def forearms(*, duration: float = 3.0) -> Scenario:
+def forearms(*, duration: Seconds = 3.0) -> Scenario:
     """Two seven-joint arms side by side carry a short bar away, and their forearms come close.
 
     Args:

@@ -11,10 +11,11 @@ from dataclasses import replace
 import numpy as np
 import pinocchio as pin
 
-from coopqp.model.cell import Arm, RobotCell
+from coopqp.model.cell import RobotCell
 from coopqp.model.grasp import Grasp
 from coopqp.model.inverse_kinematics import inverse_kinematics
-from coopqp.scenarios.robots import robot_path
+from coopqp.scenarios.cells import named_robot
+from coopqp.scenarios.units import Metres, RadiansPerSecond, Seconds
 from coopqp.task.path import LinePath, TimeLaw
 from coopqp.task.scenario import Scenario
 
@@ -31,14 +32,14 @@ _NEAR_START_DEG = (
 )
 
 
-def slave_base(b: float, h: float = BASE_DISTANCE_H) -> pin.SE3:
+def slave_base(b: float, h: Metres = BASE_DISTANCE_H) -> pin.SE3:
     """S_i of Eq. (3): a slave's base in the master's base, turned by π about z. S_i is its own inverse."""
     return pin.SE3(np.diag([-1.0, -1.0, 1.0]), np.array([h, b, 0.0]))
 
 
-def three_rx90l(*, h: float = BASE_DISTANCE_H, b: float = BASE_OFFSET_B) -> RobotCell:
+def three_rx90l(*, h: Metres = BASE_DISTANCE_H, b: Metres = BASE_OFFSET_B) -> RobotCell:
     """The master at the origin, the slaves opposite at x = h, y = ±b (Figure 1) [m]."""
-    master = Arm.from_urdf("master", robot_path("rx90l"), tool_frame="flange")
+    master = named_robot("rx90l", "master")
     return RobotCell(
         [
             master,
@@ -50,12 +51,12 @@ def three_rx90l(*, h: float = BASE_DISTANCE_H, b: float = BASE_OFFSET_B) -> Robo
 
 def paper_lift(
     *,
-    alpha: float = 0.60,
-    beta: float = 0.30,
-    h: float = BASE_DISTANCE_H,
-    b: float = BASE_OFFSET_B,
+    alpha: Metres = 0.60,
+    beta: Metres = 0.30,
+    h: Metres = BASE_DISTANCE_H,
+    b: Metres = BASE_OFFSET_B,
     time_law: TimeLaw | str = TimeLaw.LINEAR,
-    duration: float = DURATION,
+    duration: Seconds = DURATION,
 ) -> Scenario:
     """The paper's lift.
 
@@ -91,7 +92,7 @@ def paper_lift(
     )
 
 
-def wide_grasp(*, time_law: TimeLaw | str = TimeLaw.LINEAR, duration: float = DURATION) -> Scenario:
+def wide_grasp(*, time_law: TimeLaw | str = TimeLaw.LINEAR, duration: Seconds = DURATION) -> Scenario:
     """The paper's lift with a wide grasp (β = 0.6 m, 3α = 0.8 m). The slaves stand nearer by as much as B and C.
 
     The baseline drifts by 1.5 mm at N = 400, against 0.9 mm with the narrow grasp.
@@ -101,7 +102,7 @@ def wide_grasp(*, time_law: TimeLaw | str = TimeLaw.LINEAR, duration: float = DU
     )
 
 
-def fast_lift(*, joint_speed: float = 1.0, duration: float = 0.5) -> Scenario:
+def fast_lift(*, joint_speed: RadiansPerSecond = 1.0, duration: Seconds = 0.5) -> Scenario:
     """The paper's lift at 0.6 m/s with joint speeds limited to 1 rad/s. The arms cannot follow at full rate.
 
     Args:

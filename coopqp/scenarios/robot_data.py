@@ -7,11 +7,12 @@ import pinocchio as pin
 
 from coopqp.scenarios.arms import robot_arm
 from coopqp.scenarios.stations import DOWN, FORWARD_SIDEWAYS, Station, put_together
+from coopqp.scenarios.units import Seconds
 from coopqp.task.path import LinePath, TimeLaw
 from coopqp.task.scenario import Scenario
 
 
-def panda_bar(*, geometry: bool = True, duration: float = 3.0, time_law: TimeLaw | str = TimeLaw.QUINTIC) -> Scenario:
+def panda_bar(*, geometry: bool = True, duration: Seconds = 3.0, time_law: TimeLaw | str = TimeLaw.QUINTIC) -> Scenario:
     """Two seven-joint pandas with locked fingers and their acceleration limits move a bar of 1 m and 3 kg.
 
     Args:
@@ -45,7 +46,7 @@ def panda_bar(*, geometry: bool = True, duration: float = 3.0, time_law: TimeLaw
     return put_together("panda_bar", stations, path, object_size=(1.00, 0.04, 0.04), object_mass=3.0)
 
 
-def ur5_table(*, geometry: bool = True, duration: float = 3.0, time_law: TimeLaw | str = TimeLaw.QUINTIC) -> Scenario:
+def ur5_table(*, geometry: bool = True, duration: Seconds = 3.0, time_law: TimeLaw | str = TimeLaw.QUINTIC) -> Scenario:
     """Four UR5 along the long sides of a table top of 1.2 x 0.8 m and 12 kg move it.
 
     Args:

@@ -15,6 +15,7 @@ from coopqp.model.grasp import Grasp
 from coopqp.model.inverse_kinematics import inverse_kinematics
 from coopqp.scenarios.arms import robot_arm
 from coopqp.scenarios.paper import DURATION, PLATE_SIZE, slave_base
+from coopqp.scenarios.units import Seconds
 from coopqp.task.path import LinePath, TimeLaw
 from coopqp.task.scenario import Scenario
 
@@ -106,7 +107,7 @@ def _lift(name: str, robots: tuple[str, str, str], duration: float, time_law: Ti
     )
 
 
-def kuka_lift(*, duration: float = DURATION, time_law: TimeLaw | str = TimeLaw.LINEAR) -> Scenario:
+def kuka_lift(*, duration: Seconds = DURATION, time_law: TimeLaw | str = TimeLaw.LINEAR) -> Scenario:
     """The paper's lift by three KUKA KR 16-2.
 
     Args:
@@ -116,7 +117,7 @@ def kuka_lift(*, duration: float = DURATION, time_law: TimeLaw | str = TimeLaw.L
     return _lift("kuka_lift", ("kr16_2",) * 3, duration, time_law)
 
 
-def abb_lift(*, duration: float = DURATION, time_law: TimeLaw | str = TimeLaw.LINEAR) -> Scenario:
+def abb_lift(*, duration: Seconds = DURATION, time_law: TimeLaw | str = TimeLaw.LINEAR) -> Scenario:
     """The paper's lift by three ABB IRB 1600-6/1.2.
 
     Args:
@@ -126,7 +127,7 @@ def abb_lift(*, duration: float = DURATION, time_law: TimeLaw | str = TimeLaw.LI
     return _lift("abb_lift", ("irb1600",) * 3, duration, time_law)
 
 
-def mixed_lift(*, duration: float = DURATION, time_law: TimeLaw | str = TimeLaw.LINEAR) -> Scenario:
+def mixed_lift(*, duration: Seconds = DURATION, time_law: TimeLaw | str = TimeLaw.LINEAR) -> Scenario:
     """The paper's lift by a KUKA KR 16-2 as master, a Stäubli RX-90L and an ABB IRB 1600-6/1.2 on pedestals.
 
     Args:

@@ -4,17 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Literal
+from typing import Annotated, Literal
 
 import numpy as np
 import pinocchio as pin
 
-from coopqp.checks import Array, as_scalar, as_vector
+from coopqp.checks import Array, Doc, as_scalar, as_vector
 from coopqp.errors import InvalidInputError, UnknownNameError
 from coopqp.model.state import CellState
 from coopqp.scenarios.cells import named_robot
 from coopqp.scenarios.paper import paper_lift
 from coopqp.scenarios.stations import Station, put_together
+from coopqp.scenarios.units import MetresPerSecond, Radians, RadiansPerSquareSecond
 from coopqp.task.path import LinePath, TimeLaw
 from coopqp.task.scenario import Scenario
 
@@ -26,9 +27,9 @@ def at_limit(
     *,
     direction: Sequence[float] = (0.0, 0.0, 1.0),
     rotation: Sequence[float] = (0.0, 0.0, 0.0),
-    margin: float | Array = 0.25,
-    speed: float = 0.25,
-    acceleration: float = 5.0,
+    margin: Annotated[float | Array, Doc("[rad]")] = 0.25,
+    speed: MetresPerSecond = 0.25,
+    acceleration: RadiansPerSquareSecond = 5.0,
 ) -> Scenario:
     """The paper's three arms with narrow position limits around the start, and a path of 1 m beyond these limits.
 
@@ -64,9 +65,9 @@ def at_singularity(
     kind: Literal["wrist", "elbow", "reach"] = "wrist",
     arm: int = 0,
     *,
-    miss: float = 0.0,
-    speed: float = 0.25,
-    acceleration: float = np.inf,
+    miss: Radians = 0.0,
+    speed: MetresPerSecond = 0.25,
+    acceleration: RadiansPerSquareSecond = np.inf,
 ) -> Scenario:
     """Three RX-90L around a plate, and a path that leads one of them through a singularity.
 

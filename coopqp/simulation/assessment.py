@@ -1,8 +1,4 @@
-"""Assessment of a run: its errors over time, and a verdict on limits, grasp, path and end.
-
-All values come from the recording only. The errors between the arms use the *commanded* configurations: once the object
-is gripped, servo deflection hides these errors in the measured ones. The object pose uses the *measured* ones.
-"""
+"""Verdict on a run, from its recording only: on the end, limits, grasp, path, distances and loads."""
 
 from __future__ import annotations
 
@@ -16,12 +12,12 @@ import pinocchio as pin
 
 from coopqp.checks import Doc, as_options, documented, keep_scalars
 from coopqp.control.command import Status
-from coopqp.errors import InvalidInputError
-from coopqp.model.cell import RobotCell
-from coopqp.model.limits import LimitKind
+from coopqp.model.cell import RobotCell, slides
 from coopqp.simulation import metrics
+from coopqp.simulation.figures import ramps
 from coopqp.simulation.loads import read_loads
 from coopqp.simulation.metrics import said
+from coopqp.simulation.readings import Readings
 from coopqp.simulation.recording import Recording, RecordingError
 from coopqp.spatial import Array
 
@@ -31,26 +27,6 @@ POSITION_ROUNDING, RATE_ROUNDING = 1e-6, 1e-6
 MARGIN_ROUNDING = 1e-6
 #: Largest number of limits in a cause.
 MAX_BLAMED = 3
-
-
-@dataclass(frozen=True, eq=False)
-class Readings:
-    """Errors at every sample of a run, shape (T+1,) unless stated otherwise.
-
-    Attributes:
-        eps_p_mm, eps_o_deg: the paper's ε_p [mm] and ε_o [deg].
-        chain_mm, chain_deg: largest distance [mm] and angle [deg] between the object poses of any two arms.
-        object_mm, object_deg: largest distance [mm] and angle [deg] between any arm's object pose and the path.
-        sigma_min: smallest singular value of each arm's tool Jacobian, (T+1, N).
-    """
-
-    eps_p_mm: Array
-    eps_o_deg: Array
-    chain_mm: Array
-    chain_deg: Array
-    object_mm: Array
-    object_deg: Array
-    sigma_min: Array
 
 
 @documented
@@ -102,134 +78,6 @@ class Finding:
     cause: str = ""
 
 
-def check_recording(cell: RobotCell, recording: Recording) -> None:
-    """Raise InvalidInputError unless the recording fits the cell."""
-    q, v, n = recording.q.shape[1], recording.velocity.shape[1], len(recording.T_object_tool)
-    if (q, v, n) != (cell.nq, cell.nv, len(cell)):
-        raise InvalidInputError(
-            f"a recording with nq = {q}, nv = {v} and {n} arms for a cell with nq = {cell.nq}, nv = {cell.nv} and "
-            f"{len(cell)} arms",
-            "recording",
-            "Use the cell that the run was made with.",
-        )
-
-
-def read_run(cell: RobotCell, recording: Recording) -> Readings:
-    """Compute the errors of a run at every sample.
-
-    Raises:
-        InvalidInputError: the recording is from another cell.
-    """
-    check_recording(cell, recording)
-    samples = len(recording.time)
-    errors: dict[str, Array] = {}
-    for part in recording.parts(samples):
-        read = read_part(cell, recording, part)
-        for name in (field.name for field in fields(Readings)):
-            values = getattr(read, name)
-            errors.setdefault(name, np.empty((samples, *values.shape[1:])))[part] = values
-    return Readings(**errors)
-
-
-def read_part(cell: RobotCell, recording: Recording, part: slice) -> Readings:
-    """:func:`read_run` for some samples of a recording that fits the cell."""
-    grasp = recording.grasp
-    q, q_command = recording.q[part], recording.q_command[part]
-    commanded, J = metrics.tool_matrices(cell, q_command)
-    sigma = _sigma_min(cell, commanded, J)
-    shift = recording.shift_at(part)
-    same = np.array_equal(q, q_command)
-    measured = metrics.without_shift(commanded if same else metrics.tool_matrices(cell, q)[0], grasp, shift)
-    commanded = measured if same else metrics.without_shift(commanded, grasp, shift)
-    chain_m, chain_rad = metrics.chain_errors(commanded, grasp)
-    object_m, object_rad = metrics.object_errors(measured, grasp, recording.reference[part])
-    return Readings(
-        eps_p_mm=1e3 * metrics.positioning_errors(commanded, grasp),
-        eps_o_deg=np.rad2deg(metrics.orientation_errors(commanded, grasp)),
-        chain_mm=1e3 * chain_m,
-        chain_deg=np.rad2deg(chain_rad),
-        object_mm=1e3 * object_m.max(axis=1),
-        object_deg=np.rad2deg(object_rad.max(axis=1)),
-        sigma_min=sigma,
-    )
-
-
-def _sigma_min(cell: RobotCell, tools: Array, J: Array) -> Array:
-    """Smallest singular value of each arm's tool Jacobian (T, N); NaN where a configuration is not finite."""
-    sigma = np.full(tools.shape[:2], np.nan)
-    good = np.isfinite(J).all(axis=(1, 2)) & np.isfinite(tools).all(axis=(1, 2, 3))
-    for k, own in enumerate(cell.v_slices):
-        of_tool = J[good, :, own]
-        of_tool[:, :3] += np.cross(of_tool[:, 3:], tools[good, k, :3, 3, None], axis=1)  # from the world's origin
-        sigma[good, k] = _smallest(of_tool)
-    return sigma
-
-
-def _smallest(J: Array) -> Array:
-    """Smallest singular value (M,) of matrices (M, 6, n), from the squares' eigenvalues unless they are too small.
-
-    An eigenvalue of a matrix of norm s² has an error of 1e-16 s² or so, and its root one of 1e-16 s²/σ: at σ = s/30
-    that is 3e-15 s.
-    """
-    transposed = np.swapaxes(J, -1, -2)
-    squares = np.linalg.eigvalsh(J @ transposed if J.shape[2] >= 6 else transposed @ J)
-    sigma: Array = np.sqrt(np.maximum(squares[:, 0], 0.0))
-    close = sigma < np.sqrt(squares[:, -1]) / 30.0
-    if close.any():
-        sigma[close] = np.linalg.svd(J[close], compute_uv=False)[:, -1]
-    return sigma
-
-
-def ramps(recording: Recording) -> tuple[int, int]:
-    """Numbers of steps with a lower rate in which the object only speeds up from rest, and only brakes for its end.
-
-    They are part of every healthy run. The first are those before the first step at full rate, if the rate rises and no
-    limit binds but accelerations; the others are those in which no limit binds but the end of the path.
-    """
-    slowed = np.asarray(recording.status) == Status.SLOWED.code
-    if not slowed.any():
-        return 0, 0
-    bindings = recording.bindings or [()] * recording.n_steps
-    ends = [len(b) > 0 and all(limit.kind is LimitKind.PATH_END for limit in b) for b in bindings]
-    full = np.flatnonzero(recording.status == Status.TRACKING.code)
-    first = int(full[0]) if len(full) else 0
-    rises = bool((np.diff(recording.rate[:first]) >= -metrics.ROUNDING).all())
-    free = all(limit.kind is LimitKind.ACCELERATION for b in bindings[:first] for limit in b)
-    begun = first if rises and free and bool(slowed[:first].all()) else 0
-    return begun, int(np.count_nonzero(slowed & ends)) if recording.finished else 0
-
-
-def worst_status(recording: Recording) -> str:
-    """``"ok"`` if every step tracked and the object arrived, otherwise the worst status of the run.
-
-    Steps of :func:`ramps` count as tracking.
-    """
-    statuses = recording.statuses
-    worst = max(statuses, key=lambda status: status.precedence, default=Status.TRACKING)
-    if worst is Status.SLOWED and statuses.count(worst) == sum(ramps(recording)):
-        worst = Status.TRACKING
-    return "ok" if worst is Status.TRACKING and recording.finished else worst.value
-
-
-def run_figures(cell: RobotCell, recording: Recording, readings: Readings) -> dict[str, str]:
-    """The key figures of a run by name, with their units."""
-    sigma, loads = readings.sigma_min, read_loads(cell, recording)
-    arm = int(np.unravel_index(int(np.nanargmin(sigma)), sigma.shape)[1]) if np.isfinite(sigma).any() else 0
-    return {
-        "largest ε_p": said(readings.eps_p_mm.max(), " mm"),
-        "largest ε_o": said(readings.eps_o_deg.max(), "°"),
-        "arms against each other": said(readings.chain_mm.max(), " mm"),
-        "object off its path": said(readings.object_mm.max(), " mm"),
-        "object off at the end": said(readings.object_mm[-1], " mm"),
-        "smallest rate σ": f"{100.0 * float(recording.rate.min(initial=1.0)):.3g} %",
-        "smallest singular value": f"{said(sigma.min())} ({cell.arm_names[arm]})",
-        "time": f"{float(recording.time[-1]):.4g} s",
-        "steps": f"{recording.n_steps} of {1e3 * float(np.median(np.diff(recording.time))):.4g} ms",
-        "worst status": worst_status(recording),
-        **({} if loads is None else loads.figures(cell)),
-    }
-
-
 def judge(
     cell: RobotCell,
     recording: Recording,
@@ -241,7 +89,7 @@ def judge(
 
     Args:
         cell, recording: the run.
-        readings: result of :func:`read_run`.
+        readings: result of :func:`coopqp.read_run`.
         tolerances: accepted errors; by default :meth:`Tolerances.of` the recording.
     """
     t = Tolerances.of(recording) if tolerances is None else as_options(Tolerances, tolerances, "judge: tolerances")
@@ -517,8 +365,3 @@ def why(findings: Sequence[Finding]) -> list[str]:
 def _amount(cell: RobotCell, j: int, value: float) -> str:
     """A joint position with its unit: degrees, or millimetres for a prismatic joint."""
     return f"{1e3 * value:.4g} mm" if slides(cell)[j] else f"{np.rad2deg(value):.4g}°"
-
-
-def slides(cell: RobotCell) -> list[bool]:
-    """True for each velocity coordinate of a prismatic joint [m], False for a revolute one [rad]."""
-    return [joint.shortname().startswith("JointModelP") for joint in list(cell.model.joints)[1:]]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import functools
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
 import numpy as np
@@ -15,7 +15,7 @@ from coopqp.errors import InvalidInputError
 from coopqp.model.cell import RobotCell
 from coopqp.model.grasp import Grasp
 from coopqp.model.state import workspace
-from coopqp.spatial import Array
+from coopqp.spatial import Array, cross_last
 from coopqp.task.path import ObjectPath
 
 #: Smaller errors [mm or deg] are rounding: texts say "below" instead of a number.
@@ -73,19 +73,40 @@ def _matrices(placements: Sequence[pin.SE3]) -> Array:
 # -- stacks of samples: T_world_tool (…, N, 4, 4) ----------------------------------------------------------------------
 
 
-def tool_matrices(cell: RobotCell, configurations: Array) -> tuple[Array, Array]:
-    """T_world_tool (T, N, 4, 4) at configurations (T, nq), and the joints' Jacobian (T, 6, nv).
+def tool_matrices(cell: RobotCell, configurations: Array) -> Array:
+    """T_world_tool (T, N, 4, 4) at configurations (T, nq)."""
+    data, model = workspace(cell), cell.model
+    return _tools(cell, configurations, lambda i, q: pin.forwardKinematics(model, data, q))
 
-    A column of the Jacobian is the twist that a joint gives to all that it carries, in the world frame at its origin.
+
+@np.errstate(invalid="ignore")  # infinite positions have no moment
+def tools_and_jacobians(cell: RobotCell, configurations: Array) -> tuple[Array, Array]:
+    """T_world_tool (T, N, 4, 4) at configurations (T, nq), and transposed Jacobians (T, nv, 6).
+
+    A row is the twist that a joint gives to its arm's tool, in world axes, at the tool's point.
     """
-    data, joints = workspace(cell), cell.tool_joints
-    carriers = [data.oMi[j] for j in joints]  # they move along with the data
-    T, J = np.empty((len(configurations), len(joints), 4, 4)), np.empty((len(configurations), 6, cell.nv))
+    data, model = workspace(cell), cell.model
+    J = np.empty((len(configurations), 6, cell.nv))
+
+    def compute(i: int, q: Array) -> None:
+        J[i] = pin.computeJointJacobians(model, data, q)
+
+    T = _tools(cell, configurations, compute)
+    twists = np.ascontiguousarray(J.transpose(0, 2, 1))  # at the world's origin
+    points = T[:, :, :3, 3].repeat([own.stop - own.start for own in cell.v_slices], axis=1)
+    twists[..., :3] += cross_last(twists[..., 3:], points)
+    return T, twists
+
+
+def _tools(cell: RobotCell, configurations: Array, compute: Callable[[int, Array], object]) -> Array:
+    """T_world_tool (T, N, 4, 4); ``compute`` places the joints in the workspace of the cell."""
+    carriers = [workspace(cell).oMi[j] for j in cell.tool_joints]  # they move along with the data
+    T = np.empty((len(configurations), len(carriers), 4, 4))
     for i, q in enumerate(configurations):
-        J[i] = pin.computeJointJacobians(cell.model, data, q)
+        compute(i, q)
         for k, carrier in enumerate(carriers):
             T[i, k] = carrier.homogeneous
-    return T @ _matrices(cell.T_joint_tool), J
+    return T @ _matrices(cell.T_joint_tool)
 
 
 @functools.cache
@@ -117,12 +138,6 @@ def _positions(T: Array) -> Array:
     return out
 
 
-def _rotations(T: Array) -> Array:
-    """Rotations (…, P, 3, 3) of tool j in the frame of tool i < j, for all pairs."""
-    (i, j), R = _pairs(T.shape[-3]), T[..., :3, :3]
-    return np.swapaxes(R[..., i, :, :], -1, -2) @ R[..., j, :, :]
-
-
 @np.errstate(invalid="ignore")  # infinite positions have no difference
 def without_shift(tools: Array, grasp: Grasp, shift: Array | None) -> Array:
     """Tools (T, N, 4, 4) with grasps that have given way by a shift (T, N, 6), as if they had not: T X⁻¹ exp(−d) X."""
@@ -142,31 +157,39 @@ def positioning_errors(tools: Array, grasp: Grasp) -> Array:
 
 
 @np.errstate(invalid="ignore")
-def orientation_errors(tools: Array, grasp: Grasp) -> Array:
-    """ε_o (…) [rad], see :func:`relative_orientation_error`."""
-    angles = _angles(np.swapaxes(_rotations(_matrices(grasp.T_object_tool)), -1, -2) @ _rotations(tools))
+def object_poses(tools: Array, grasp: Grasp) -> Array:
+    """Object pose of each arm (…, N, 4, 4)."""
+    out: Array = tools @ _matrices([X.inverse() for X in grasp.T_object_tool])
+    return out
+
+
+@np.errstate(invalid="ignore")
+def gaps(poses: Array) -> tuple[Array, Array]:
+    """Distances [m] and angles [rad] (…, P) between the object poses (…, N, 4, 4) of all pairs of arms."""
+    i, j = _pairs(poses.shape[-3])
+    return _apart(poses[..., i, :, :], poses[..., j, :, :])
+
+
+@np.errstate(invalid="ignore")
+def errors_from(poses: Array, references: Array) -> tuple[Array, Array]:
+    """Distances [m] and angles [rad] (…, N) between the object poses (…, N, 4, 4) and references (…, 4, 4)."""
+    return _apart(poses, references[..., None, :, :])
+
+
+def orientation_errors(angles: Array) -> Array:
+    """ε_o (…) [rad] from the angles (…, P) of :func:`gaps`.
+
+    With R_ij = R_iᵀ R_j of two tools and X_ij of their grasps, X_ijᵀ R_ij is as far from 1 as X_i R_ij X_jᵀ, which
+    turns one arm's object pose into the other's.
+    """
     out: Array = np.sqrt((angles * angles).sum(axis=-1))
     return out
 
 
-@np.errstate(invalid="ignore")
 def chain_errors(tools: Array, grasp: Grasp) -> tuple[Array, Array]:
     """Largest distance [m] and angle [rad] (…) between the object poses of any two arms."""
-    (i, j), O = _pairs(len(grasp)), _carried(tools, grasp)
-    distance, angle = _apart(O[..., i, :, :], O[..., j, :, :])
+    distance, angle = gaps(object_poses(tools, grasp))
     return distance.max(axis=-1, initial=0.0), angle.max(axis=-1, initial=0.0)
-
-
-@np.errstate(invalid="ignore")
-def object_errors(tools: Array, grasp: Grasp, poses: Array) -> tuple[Array, Array]:
-    """Distances [m] and angles [rad] (…, N) between the object pose of each arm and ``poses`` (…, 4, 4)."""
-    return _apart(_carried(tools, grasp), poses[..., None, :, :])
-
-
-def _carried(tools: Array, grasp: Grasp) -> Array:
-    """Object pose according to each arm (…, N, 4, 4)."""
-    out: Array = tools @ _matrices([X.inverse() for X in grasp.T_object_tool])
-    return out
 
 
 # -- one sample --------------------------------------------------------------------------------------------------------
@@ -182,7 +205,7 @@ def relative_positioning_error(tools: Sequence[pin.SE3], grasp: Grasp) -> float:
 
 def relative_orientation_error(tools: Sequence[pin.SE3], grasp: Grasp) -> float:
     """ε_o [rad]: like ε_p, with the angles between the relative tool orientations and those of the grasp."""
-    return float(orientation_errors(_stacked(tools, grasp), grasp))
+    return float(orientation_errors(gaps(object_poses(_stacked(tools, grasp), grasp))[1]))
 
 
 def chain_error(tools: Sequence[pin.SE3], grasp: Grasp) -> tuple[float, float]:
@@ -193,13 +216,13 @@ def chain_error(tools: Sequence[pin.SE3], grasp: Grasp) -> tuple[float, float]:
 
 def object_error(tools: Sequence[pin.SE3], grasp: Grasp, pose: pin.SE3, arm: int = 0) -> tuple[float, float]:
     """Distance [m] and angle [rad] between the object pose of ``arm`` and ``pose``. For the paper this is frame A."""
-    distance, angle = object_errors(_stacked(tools, grasp), grasp, pose.homogeneous)
+    distance, angle = errors_from(object_poses(_stacked(tools, grasp), grasp), pose.homogeneous)
     return float(distance[arm]), float(angle[arm])
 
 
 def path_error(tools: Sequence[pin.SE3], grasp: Grasp, path: ObjectPath, clock: float) -> tuple[float, float]:
     """Largest distance [m] and angle [rad] between any arm's object pose and the path's pose at ``clock``."""
-    distance, angle = object_errors(_stacked(tools, grasp), grasp, path.pose(clock).homogeneous)
+    distance, angle = errors_from(object_poses(_stacked(tools, grasp), grasp), path.pose(clock).homogeneous)
     return float(distance.max()), float(angle.max())
 
 

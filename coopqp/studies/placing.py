@@ -101,6 +101,7 @@ class CellPlaced:
         arms: what was found for each arm.
         clearance: least distance of bodies along the path [m]; NaN if it was not asked, or an arm does not follow.
         near: the bodies that come so near.
+        near_s: the path's clock where they do [s].
         goals: what is good.
     """
 
@@ -109,6 +110,7 @@ class CellPlaced:
     arms: tuple[ArmPlaced, ...]
     clearance: float
     near: tuple[str, str]
+    near_s: float
     goals: Goals
 
     @property
@@ -146,6 +148,21 @@ class CellPlaced:
             return float("nan")
         return float(np.max([arm.times for arm in self.arms], axis=0).sum())
 
+    @property
+    def why(self) -> str:
+        """Why the placement is impossible: the arms that do not follow the path, the worst first; else the bodies."""
+        lost = sorted((arm for arm in self.arms if not arm.feasible), key=lambda arm: arm.reach)
+        if lost or not self.touches:
+            return "; ".join(arm.why for arm in lost)
+        margin, bodies = f"{self.goals.clearance_mm:g} mm", " and ".join(self.near)
+        if self.clearance <= 0.0:
+            return f"{bodies} touch at {self.near_s:.2f} s of the path"
+        return f"{bodies} come inside their margin of {margin}: {self._closest}"
+
+    @property
+    def _closest(self) -> str:
+        return f"{1e3 * self.clearance:.0f} mm at {self.near_s:.2f} s of the path"
+
     def explain(self) -> str:
         """A line for each arm, one for the cell."""
         lines = [arm.explain() for arm in self.arms]
@@ -156,8 +173,7 @@ class CellPlaced:
                 f"cell: fastest {self.time_s:.2f} s; {worst.arm}'s {binding} is {min(worst.shares):.2f} of good"
             )
         if np.isfinite(self.clearance):
-            word = "too close" if self.touches else "closest"
-            lines.append(f"{word}: {1e3 * self.clearance:.0f} mm, {' and '.join(self.near)}")
+            lines.append(f"{self.why}." if self.touches else f"closest: {' and '.join(self.near)}, {self._closest}")
         return "\n".join(lines)
 
     def record(self) -> dict[str, Any]:
@@ -173,6 +189,8 @@ class CellPlaced:
             "time_s": number(self.time_s),
             "clearance_m": number(self.clearance),
             "near": list(self.near),
+            "near_s": number(self.near_s),
+            "why": self.why,
             "arms": [
                 {
                     "name": arm.arm,
@@ -286,11 +304,18 @@ class Placer:
     ) -> CellPlaced:
         """The cell with its bases at these places, T_world_base of each arm."""
         arms = tuple(self.arm(k, base, quick=quick) for k, base in enumerate(bases))
-        clearance, near = float("nan"), ("", "")
+        clearance, near, near_s = float("nan"), ("", ""), float("nan")
         if self._distances is not None and all(arm.feasible for arm in arms):
-            clearance, near = self._distances.least(bases, self._way(bases, arms))
+            clearance, near, sample = self._distances.least(bases, self._way(bases, arms))
+            near_s = float(self.samples.clocks[sample])
         return CellPlaced(
-            values=dict(values or {}), bases=tuple(bases), arms=arms, clearance=clearance, near=near, goals=self.goals
+            values=dict(values or {}),
+            bases=tuple(bases),
+            arms=arms,
+            clearance=clearance,
+            near=near,
+            near_s=near_s,
+            goals=self.goals,
         )
 
     def _way(self, bases: Sequence[pin.SE3], arms: Sequence[ArmPlaced]) -> Array:
@@ -352,20 +377,20 @@ class _MovedDistances:
             if self.geometry.geometryObjects[i].parentJoint == 0 and name.partition("/")[0] in scene.cell.arm_names
         ]
 
-    def least(self, bases: Sequence[pin.SE3], way: Array) -> tuple[float, tuple[str, str]]:
-        """Least distance [m] along a way (K, nv), and between which bodies."""
+    def least(self, bases: Sequence[pin.SE3], way: Array) -> tuple[float, tuple[str, str], int]:
+        """Least distance [m] along a way (K, nv), between which bodies, and at which sample of the way."""
         moves = [base * arm.T_world_base.inverse() for base, arm in zip(bases, self.cell.arms, strict=True)]
         for joint, arm, placement in self.roots:
             self.model.jointPlacements[joint] = moves[arm] * placement
         for shape, arm, placement in self.shapes:
             self.geometry.geometryObjects[shape].placement = moves[arm] * placement
-        least, pair = np.inf, 0
-        for x in way:
+        least, pair, at = np.inf, 0, 0
+        for sample, x in enumerate(way):
             q = self.cell.configuration(x)
             pin.updateGeometryPlacements(self.model, self.data, self.geometry, self.placed, q)
             pin.computeDistances(self.geometry, self.placed)
             distances = [result.min_distance for result in self.placed.distanceResults]
             k = int(np.argmin(distances))
             if distances[k] < least:
-                least, pair = float(distances[k]), k
-        return max(least, -1.0), self.labels[pair]
+                least, pair, at = float(distances[k]), k, sample
+        return max(least, -1.0), self.labels[pair], at

@@ -20,16 +20,19 @@ from coopqp.errors import CoopqpError, StartWarning, said
 from coopqp.files.cellfile.build import CONTROLLERS, build, controller_options
 from coopqp.files.cellfile.schema import CellFile
 from coopqp.files.cellfile.strict import build_options
+from coopqp.model.cell import slides
 from coopqp.model.grasp import Grasp
 from coopqp.scenarios import SCENARIOS
 from coopqp.simulation import metrics
-from coopqp.simulation.assessment import Readings, Tolerances, judge, read_run, slides, why, worst_status
+from coopqp.simulation.assessment import Tolerances, judge, why
 from coopqp.simulation.closeness import with_clearance
+from coopqp.simulation.figures import worst_status
 from coopqp.simulation.plants.disturbances import Disturbances
 from coopqp.simulation.plants.disturbed import DisturbedPlant
 from coopqp.simulation.plants.kinematic import KinematicPlant, Plant
 from coopqp.simulation.plants.physics import PhysicsPlant
 from coopqp.simulation.plants.physics_options import PhysicsOptions
+from coopqp.simulation.readings import Readings, read_run
 from coopqp.simulation.recording import Recording
 from coopqp.simulation.simulate import simulate
 from coopqp.spatial import Array
@@ -209,7 +212,7 @@ def _truth(ready: _Ready, disturbed: Disturbances | None, q: Array) -> dict[str,
     if len(q) < 2 or disturbed is None:
         return {"true_chain_mm": float("nan"), "true_chain_deg": float("nan")}
     cell = ready.scenario.cell
-    tools, _ = metrics.tool_matrices(cell, q)
+    tools = metrics.tool_matrices(cell, q)
     for k, arm in enumerate(cell.arms):
         if arm.name in disturbed.base_offset:
             base = arm.T_world_base

@@ -29,14 +29,13 @@ from coopqp.files.cellfile.paths import resolve
 from coopqp.files.cellfile.schema import MAX_STEPS, ArmTable, CellFile, CommonErrorTable, StartTable
 from coopqp.files.cellfile.strict import build_options
 from coopqp.files.cellfile.text import read_tables
-from coopqp.model.cell import Arm, RobotCell
+from coopqp.model.cell import Arm, RobotCell, slides
 from coopqp.model.description import check_nesting, check_urdf, description_file
 from coopqp.model.grasp import Grasp
 from coopqp.model.inverse_kinematics import inverse_kinematics
 from coopqp.model.shapes import Body, Box
 from coopqp.planning.starts import find_start
 from coopqp.scenarios.arms import robot_arm, robot_file
-from coopqp.simulation.assessment import slides
 from coopqp.simulation.closeness import default_scene, with_clearance
 from coopqp.simulation.plants.kinematic import KinematicPlant, Plant
 from coopqp.simulation.plants.physics import PhysicsPlant

@@ -1,0 +1,69 @@
+"""A controller whose every step is judged by a monitor."""
+
+from __future__ import annotations
+
+from typing import Any, final
+
+import numpy as np
+
+from coopqp.checks import ArrayLike
+from coopqp.control.command import Controller, ControlStep
+from coopqp.simulation.monitor import Monitor
+from coopqp.simulation.violations import Breach, Verdict
+from coopqp.spatial import Array
+from coopqp.task.path import ObjectPath
+
+
+@final
+class Monitored:
+    """A controller with a monitor. The monitor judges every step, and detects changes of the caller's arrays.
+
+    Args:
+        controller: the judged controller; use its other methods directly.
+        monitor: the monitor; by default a new one for the controller's cell and grasp.
+    """
+
+    def __init__(self, controller: Controller, monitor: Monitor | None = None) -> None:
+        self.controller = controller
+        self.cell, self.grasp, self.dt = controller.cell, controller.grasp, controller.dt
+        self.monitor = monitor or Monitor(controller.cell, controller.grasp)
+        self._last: ControlStep | None = None
+        self._kept: tuple[Array, ...] = ()
+
+    @property
+    def path(self) -> ObjectPath:
+        """The controller's path."""
+        return self.controller.path
+
+    def reset(self, q: ArrayLike) -> None:
+        """Reset the controller. The monitor keeps its violations."""
+        kept = _copy(q)
+        self.controller.reset(q)
+        self._unchanged(q, kept, "q of reset")
+        self.monitor.restart()
+        self._last = None
+
+    def step(self, q_measured: ArrayLike | None = None, *, dt: float | None = None) -> ControlStep:
+        """Compute and judge the controller's step."""
+        kept = _copy(q_measured)
+        step = self.controller.step(q_measured, dt=dt)
+        self._unchanged(q_measured, kept, "q_measured")
+        self.monitor.observe(step)
+        last = self._last
+        if last is not None:
+            for name, value in zip(("q", "velocity", "q_next"), self._kept, strict=True):
+                self._unchanged(getattr(last, name), value, f"{name} of the step before")
+        self._last, self._kept = step, (_copy(step.q), _copy(step.velocity), _copy(step.q_next))
+        return step
+
+    def verdict(self) -> Verdict:
+        """The verdict so far."""
+        return self.monitor.verdict()
+
+    def _unchanged(self, now: Any, before: Any, what: str) -> None:
+        if isinstance(before, np.ndarray) and not np.array_equal(now, before, equal_nan=before.dtype.kind == "f"):
+            self.monitor.report(Breach.MUTATED, detail=what)
+
+
+def _copy(value: Any) -> Any:
+    return value.copy() if isinstance(value, np.ndarray) else value
