@@ -284,7 +284,7 @@ def test_core_and_definition_agree_about_what_minds_forces(arms: int, seed: int)
         views["palms"][:, :, 3] = [0.0, 0.0, 0.5, 0.0, 0.0, 0.0]
     plain = compiled.copy()
     (relax, allow), (relax_plain, allow_plain) = minding_of("compiled"), minding_of("plain")
-    for _ in range(8):
+    for _ in range(5):
         wrenches = rng.normal(size=(arms, 6)) * 10.0 ** rng.integers(-2, 2)
         wrenches[:, 2] += rng.choice([0.0, 5.0])
         wrenches[rng.random(arms) < 0.3, rng.integers(6)] = np.nan
@@ -375,6 +375,20 @@ def test_core_and_definition_agree_about_steps_with_wrenches(case: str) -> None:
         assert a[1] == pytest.approx(b[1], abs=1e-8)
         assert a[2] is b[2]
         assert a[3].partition(" at the ")[0] == b[3].partition(" at the ")[0], "of palms that press alike any is named"
+
+
+@pytest.mark.core
+def test_two_that_mind_forces_over_one_controller_keep_their_memories_apart() -> None:
+    (made, q), (alone, _) = scripted("none"), scripted("none")
+    other = ForceController(made.controller, {"stiffness": 1e5})
+    rng, own = np.random.default_rng(0), q
+    for _ in range(150):
+        wrenches = 0.5 * rng.normal(size=(3, 6))
+        step, told = made.step(q, wrenches=wrenches), alone.step(own, wrenches=wrenches)
+        q, own = step.q_next, told.q_next
+        assert (step.reason, q.tobytes()) == (told.reason, own.tobytes())
+    assert step.rate > 0.0
+    assert not other.internal.any()
 
 
 @pytest.mark.core
