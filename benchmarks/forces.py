@@ -204,6 +204,11 @@ def relaxed(quick: bool) -> Iterator[Record]:
     cases["base of slave_2, noise"] = {"off": {"base_offset": {"slave_2": BASE_OFF}, **noisy, **late}}
     lost = {"base_offset": {"slave_2": BASE_OFF}, "wrench_drop_share": 0.3, **late}
     cases["base of slave_2, 30 % lost"] = {"off": lost}
+    slaves = np.vstack([np.zeros((1, 6)), np.ones((2, 6))])
+    cases["base of slave_2, the master minds none"] = {
+        "off": {"base_offset": {"slave_2": BASE_OFF}, **late},
+        "mind": slaves,
+    }
     growth = 2.2e-3 / task.object_size[1]
     cases["plate grows by 2.2 mm in 3 s"] = {"off": {"object_growth": growth, "growth_period": 12.0, **late}}
     for share in (0.5, 1.5):
@@ -227,7 +232,7 @@ def relaxed(quick: bool) -> Iterator[Record]:
         if "baseline" in case:
             inner = PseudoInverseController(task.cell, task.grasp, path, dt=task.dt)
         payload = box(task, 20.0 * case.get("payload", 1.0))
-        controller = ForceController(inner, ForceOptions(stiffness=stiff, payload=payload))
+        controller = ForceController(inner, ForceOptions(stiffness=stiff, payload=payload, directions=case.get("mind")))
         felt, from_start = list[float](), "gripped" in name or "hold" in case
 
         def feel(_: ControlStep, plant: PhysicsPlant = plant, felt: list[float] = felt) -> None:

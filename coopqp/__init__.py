@@ -105,6 +105,7 @@ if TYPE_CHECKING:
     from coopqp.simulation.scene import SceneError, describe_object
     from coopqp.simulation.simulate import simulate
     from coopqp.simulation.violations import Breach, MonitorTolerances, Verdict, Violation
+    from coopqp.simulation.wrench_bounds import WrenchBounds
     from coopqp.spatial import Array, Placement, adjoint
     from coopqp.studies.errors import EngineError, StudyError
     from coopqp.task.common_error import CommonError
@@ -182,6 +183,7 @@ else:
             ),
             "coopqp.simulation.simulate": ("simulate",),
             "coopqp.simulation.violations": ("Breach", "MonitorTolerances", "Verdict", "Violation"),
+            "coopqp.simulation.wrench_bounds": ("WrenchBounds",),
             "coopqp.spatial": (
                 "Array",
                 "Placement",
@@ -341,6 +343,7 @@ __all__ = [
     "Verdict",
     "Violation",
     "WaypointPath",
+    "WrenchBounds",
     "__version__",
     "adjoint",
     "at_tools",

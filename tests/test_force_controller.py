@@ -33,11 +33,11 @@ from coopqp import (
     misplaced,
     simulate,
 )
-from coopqp.control.core import layout, relax_of
-from coopqp.control.core.relax_plain import relax_size, relax_views
-from coopqp.forces import internal_wrenches
+from coopqp.control.core import layout, minding_of
+from coopqp.control.core.relax_plain import minding_size, minding_views
+from coopqp.forces import Grip, internal_wrenches
 from coopqp.planning import Payload
-from coopqp.scenarios import Scenario, paper_lift
+from coopqp.scenarios import Scenario, palm_box, paper_lift
 
 STIFF = 2e4
 OFF = pin.SE3(pin.exp3(1e-4 * np.array([1.0, -0.5, 1.0])), 1e-4 * np.array([3.0, -2.0, 3.0]))
@@ -263,24 +263,151 @@ def test_core_and_definition_agree_about_a_grasp_that_moves(task: Scenario) -> N
 
 @pytest.mark.core
 @given(arms=st.integers(1, 5), seed=st.integers(0, 10**6))
-def test_core_and_definition_agree_about_a_step_of_the_relaxation(arms: int, seed: int) -> None:
-    """Forces below and above the dead band, grasps at the end of their reach, wrenches that do not come."""
+def test_core_and_definition_agree_about_what_minds_forces(arms: int, seed: int) -> None:
+    """In each stage, with and without palms: dead bands, ends of the reach, wrenches that do not come, faults."""
     if len(available_kernels()) < 2:
         pytest.skip("one kernel")
-    rng, places = np.random.default_rng(seed), {name: i for i, name in enumerate(layout.RELAX)}
-    compiled = rng.uniform(-1.0, 1.0, relax_size(arms))
+    rng, places = np.random.default_rng(seed), {name: i for i, name in enumerate(layout.MINDING)}
+    compiled = rng.uniform(-1.0, 1.0, minding_size(arms))
     compiled[: len(places)] = rng.uniform(0.05, 2.0, len(places))
-    compiled[places["MOST_REACH"]] *= 10.0 ** rng.integers(-2, 2)
-    compiled[places["SATURATED"]] = 0.0
-    relax_views(compiled, arms)["silent"][:] = 0.0
+    for name, value in {
+        "MOST_REACH": compiled[places["MOST_REACH"]] * 10.0 ** rng.integers(-2, 2),
+        "FORCE_SLOWS": 0.5, "FORCE_HOLDS": rng.choice([1.0, 50.0]), "SATURATED": 0.0, "STEPPED": rng.random() < 0.9,
+        "STAGE": rng.integers(len(layout.STAGES)), "HAS_PALMS": rng.random() < 0.5, "SENSOR_ARM": 0.0,
+        "SENSOR_FAULT": rng.choice([0, 0, 0, 0, layout.SENSORS.index("SENSOR_WRONG")]), "FORCE_CAP": rng.random(),
+        "WAIT": rng.choice([0.15, 10.0]), "WHY": 0.0, "WHY_ARM": 0.0, "MOST_SQUEEZE": rng.choice([0.0, 30.0]),
+    }.items():  # fmt: skip
+        compiled[places[name]] = value
+    views = minding_views(compiled, arms)
+    views["silent"][:] = 0.0
+    if rng.random() < 0.5:  # palms that press
+        views["palms"][:, :, 3] = [0.0, 0.0, 0.5, 0.0, 0.0, 0.0]
     plain = compiled.copy()
-    for _ in range(8):
+    (relax, allow), (relax_plain, allow_plain) = minding_of("compiled"), minding_of("plain")
+    for _ in range(5):
         wrenches = rng.normal(size=(arms, 6)) * 10.0 ** rng.integers(-2, 2)
+        wrenches[:, 2] += rng.choice([0.0, 5.0])
         wrenches[rng.random(arms) < 0.3, rng.integers(6)] = np.nan
         given = None if rng.random() < 0.1 else wrenches
-        rest = (arms, given, 0.1, float(rng.random()), bool(rng.random() < 0.9))
-        assert relax_of("compiled")(compiled, *rest) == relax_of("plain")(plain, *rest)
+        assert relax(compiled, arms, given, 0.1) == relax_plain(plain, arms, given, 0.1)
         np.testing.assert_allclose(compiled, plain, rtol=1e-11, atol=1e-11)
+        allow(compiled, arms, 0.1)
+        allow_plain(plain, arms, 0.1)
+        np.testing.assert_allclose(compiled, plain, rtol=1e-11, atol=1e-11)
+        compiled[places["LAST_RATE"]] = plain[places["LAST_RATE"]] = rng.random()
+
+
+FAULTS = ("none", "noise", "lost", "late", "silent", "wrong", "out of reach", "palms", "lags")
+
+
+def fed(made: ForceController, case: str, steps: int, *, start: Array, as_lists: bool = False) -> list[Any]:
+    """Commands, statuses and reasons of scripted samples, with copies in between."""
+    rng, q, late, out = np.random.default_rng(0), start, np.zeros((len(made.cell), 6)), []
+    push = np.random.default_rng(1).normal(size=late.shape)
+    for i in range(steps):
+        drawn, missing = rng.normal(size=late.shape), rng.random(len(late)) < 0.1
+        w = (0.5 + 15.0 * (case == "noise" and i > 180)) * drawn + (case == "wrong") * 40.0 * push
+        if case == "palms":
+            w[:, 2] += 200.0 if i > 20 else 0.0
+            w[:, 1] += min(max(i - 210.0, 0.0), 120.0)
+        if case == "out of reach":
+            w += min(i, 60) * push
+        w, late = (late, w) if case == "late" else (w, late)
+        if case == "lost":
+            w[missing] = np.nan
+        given = None if (case == "silent" and i > 150) or (case == "lost" and i % 9 == 0) else w
+        dt = (None, 0.8 * made.dt, -1.0, 1.2 * made.dt, 1)[i % 5] if case == "lags" else None
+        if as_lists:
+            step = made.step(q.tolist(), wrenches=None if given is None else given.tolist(), dt=dt)
+        else:
+            step = made.step(q, wrenches=given, dt=dt)
+        q = step.q_next
+        out.append((q.tobytes(), step.rate, step.status, step.reason, made.shift.tobytes()))
+        if i % 90 == 80:
+            made = copy.copy(made) if i % 180 > 90 else pickle.loads(pickle.dumps(made))
+    return out
+
+
+def scripted(case: str, kernel: str = "auto") -> tuple[ForceController, Array]:
+    options: dict[str, Any] = {"stiffness": 1e5, "check_time": 0.02, "sensor_tolerance": 25.0}
+    task = palm_box() if case == "palms" else paper_lift(time_law="quintic")
+    if case == "palms":
+        palms = (Grip(kind="palm", friction=0.6, radius=0.05),) * 2
+        payload = Payload(mass=20.0, centre=task.T_object_body.translation)
+        options |= {"palms": palms, "squeeze": 200.0, "most_squeeze": 210.0, "payload": payload}
+        options |= {"sensor_tolerance": 1e4, "stiffness": 1e4}
+    if case == "out of reach":
+        options |= {"reach": 2e-5}
+    inner = QPController(task.cell, task.grasp, task.path, dt=task.dt, options={"kernel": kernel})
+    made = ForceController(inner, options)
+    made.reset(task.q_start)
+    return made, task.q_start
+
+
+WORDS = {
+    "none": "", "noise": "slower from", "lost": "", "late": "", "silent": "no wrench of arm", "lags": "",
+    "wrong": "does not agree", "out of reach": "cannot give way", "palms": "of the friction",
+}  # fmt: skip
+
+
+@pytest.mark.core
+@pytest.mark.parametrize("case", [pytest.param(case, marks=[pytest.mark.slow] * (case == "palms")) for case in FAULTS])
+def test_a_step_is_the_same_whether_python_takes_part_or_not(case: str) -> None:
+    """Lists keep a step out of the core: every command and every word is the same, to the last bit."""
+    steps = 340 if case == "palms" else 230
+    (made, start), (other, _) = scripted(case), scripted(case)
+    whole = fed(made, case, steps, start=start)
+    assert whole == fed(other, case, steps, start=start, as_lists=True)
+    assert any(WORDS[case] in words and status is not Status.FAULT for _, _, status, words, _ in whole)
+    assert case in ("wrong", "out of reach") or max(rate for _, rate, *_ in whole) > 0.0, "the object moved"
+
+
+@pytest.mark.core
+@pytest.mark.slow
+@pytest.mark.parametrize("case", FAULTS)
+def test_core_and_definition_agree_about_steps_with_wrenches(case: str) -> None:
+    if len(available_kernels()) < 2:
+        pytest.skip("one kernel")
+    steps = 340 if case == "palms" else 230
+    (made, start), (plain, _) = scripted(case), scripted(case, "plain")
+    for a, b in zip(fed(made, case, steps, start=start), fed(plain, case, steps, start=start), strict=True):
+        np.testing.assert_allclose(np.frombuffer(a[0]), np.frombuffer(b[0]), rtol=0, atol=1e-8)
+        assert a[1] == pytest.approx(b[1], abs=1e-8)
+        assert a[2] is b[2]
+        assert a[3].partition(" at the ")[0] == b[3].partition(" at the ")[0], "of palms that press alike any is named"
+
+
+@pytest.mark.core
+def test_two_that_mind_forces_over_one_controller_keep_their_memories_apart() -> None:
+    (made, q), (alone, _) = scripted("none"), scripted("none")
+    other = ForceController(made.controller, {"stiffness": 1e5})
+    rng, own = np.random.default_rng(0), q
+    for _ in range(150):
+        wrenches = 0.5 * rng.normal(size=(3, 6))
+        step, told = made.step(q, wrenches=wrenches), alone.step(own, wrenches=wrenches)
+        q, own = step.q_next, told.q_next
+        assert (step.reason, q.tobytes()) == (told.reason, own.tobytes())
+    assert step.rate > 0.0
+    assert not other.internal.any()
+
+
+@pytest.mark.core
+def test_memory_of_another_size_is_refused_by_the_core() -> None:
+    if len(available_kernels()) < 2:
+        pytest.skip("one kernel")
+    relax, allow = minding_of("compiled")
+    memory = np.zeros(minding_size(3))
+    for call in (
+        lambda: relax(memory, 2, None, 0.1),
+        lambda: relax(memory, 3, np.zeros(18), 0.1),
+        lambda: relax(memory, 3, np.zeros((6, 3)), 0.1),
+        lambda: relax(memory, 65, None, 0.1),
+        lambda: allow(memory[:-1], 3, 0.1),
+        lambda: allow(memory[::2], 1, 0.1),
+    ):
+        with pytest.raises((ValueError, BufferError)):
+            call()
+    assert not memory.any()
 
 
 # -- in the engine -------------------------------------------------------------------------------------------------

@@ -360,17 +360,18 @@ def _restored(values: dict[str, Any]) -> ControlStep:
 
 
 def amend(step: ControlStep, **values: Any) -> None:
-    """Put words into a step that nobody has seen yet."""
+    """Put words into a step that nobody has seen yet, or another status."""
+    if "status" in values:
+        _set(step, "status", values["status"])
     step._values.update(values)
 
 
 def brakes_for_target(step: ControlStep) -> None:
     """Say that a target that moves slows the object down in this step, and no operator."""
     if step.status in (Status.SLOWED, Status.PAUSED):
-        _set(step, "status", Status.SLOWED)
         binding = tuple(b for b in step.binding if b.kind is not LimitKind.OVERRIDE)
         reason = "; ".join(filter(None, (step.reason, "the object brakes before it goes over to its new target")))
-        amend(step, binding=binding, reason=reason)
+        amend(step, status=Status.SLOWED, binding=binding, reason=reason)
 
 
 def off_path(distance: float, angle: float) -> str:

@@ -154,6 +154,15 @@ class PseudoInverseController:
 
         return taken
 
+    def take_minding(self, memory: Array, tell: Callable[[ControlStep], None]) -> None:
+        """None: there is no core to step with wrenches."""
+
+    @property
+    def commanded(self) -> Array:
+        """Commanded configuration at the end of the last step (nq,)."""
+        q: Array = self._q
+        return q
+
     def __repr__(self) -> str:
         return short_text(self)
 

@@ -96,7 +96,7 @@ class QPController:
         self._started = self._outside = False
         #: By how much the tools are elsewhere on the object than the grasp says (N, 6); None if they are not.
         self._shift: Array | None = None
-        #: The target that the object goes over to as soon as it can; it brakes until then. The override asked for.
+        #: The target that the object goes over to as soon as it can; it brakes until then. The override to go on with.
         self._wanted: pin.SE3 | None = None
         self._asked = 1.0
         self._take(path)
@@ -158,8 +158,8 @@ class QPController:
         if isinstance(self.path, ServoPath) and again:
             self.path.restart(path.pose(0.0))
         odd = self._odd(start, GuardedPath(path).pose(clock))
+        self._loop.set_reins(self.override, paused=self.paused)
         self._started, self._outside, self._wanted = True, bool(odd), None
-        self._loop.set_reins(self._asked, paused=self.paused)
         self._loop.start(start)
         self._take(self.path)
         self._loop.start_path(clock, self._first_rate(clock))
@@ -194,8 +194,8 @@ class QPController:
         GuardedPath(path).check("follow")
         clock = _on(path, clock, "follow: clock")
         rate = self._rate_into(path, clock) if self._started else None
+        self._loop.set_reins(self.override, paused=self.paused)
         self._wanted = None
-        self._loop.set_reins(self._asked, paused=self.paused)
         self._take(path)
         if self._started:
             self._loop.start_path(clock, self._first_rate(clock) if rate is None else rate)
@@ -246,7 +246,7 @@ class QPController:
     @property
     def override(self) -> float:
         """The largest rate σ that is asked for, while the object is not paused."""
-        return self._asked
+        return self._asked if self._wanted is not None else self._loop.reins[0]
 
     @property
     def paused(self) -> bool:
@@ -268,7 +268,8 @@ class QPController:
             raise InvalidInputError(
                 f"the path is a {type(self.path).__name__}", "retarget", "Build the controller with a ServoPath."
             )
-        self._wanted = as_placement(T_world_object, "retarget")
+        wanted, self._asked = as_placement(T_world_object, "retarget"), self.override
+        self._wanted = wanted
         self._go_over()
         self._find_fast_step()
 
@@ -357,6 +358,24 @@ class QPController:
         taken: Callable[[], bool] = self._loop.take_shift(shift)
         return taken
 
+    def take_minding(self, memory: Array, tell: Callable[[ControlStep], None]) -> Callable[..., Any] | None:
+        """What steps with wrenches in the core alone, for :class:`coopqp.ForceController`; None where Python has to.
+
+        Args:
+            memory: numbers of :data:`coopqp.control.core.layout.MINDING`.
+            tell: puts words into a step that forces have something to say about.
+
+        Returns:
+            ``(memory, q_measured, dt, wrenches) → ControlStep``, None where the answer is left open; False where Python
+            has to take part first.
+        """
+        return None if isinstance(self._loop, PlainLoop) else self._loop.take_minding(memory, tell)
+
+    @property
+    def commanded(self) -> Array:
+        """Commanded configuration at the end of the last step (nq,)."""
+        return self._loop.q
+
     # -- the step --------------------------------------------------------------------------------------------------
 
     def step(self, q_measured: ArrayLike | None = None, *, dt: float | None = None) -> ControlStep:
@@ -419,7 +438,7 @@ class QPController:
         names = ("cell", "grasp", "path", "dt", "options", "constraints", "kernel")
         state = {name: getattr(self, name) for name in names}
         wanted = None if self._wanted is None else self._wanted.copy()
-        own = {"started": self._started, "outside": self._outside, "wanted": wanted, "asked": self._asked}
+        own = {"started": self._started, "outside": self._outside, "wanted": wanted, "asked": self.override}
         own["shift"] = None if self._shift is None else self._shift.copy()
         return state | own | {"memory": self._loop.memory()}
 

@@ -24,7 +24,7 @@ from coopqp.spatial import Array
 
 #: Of what servos do not model (links, gears, grips) [m/N]; 1 rad counts as 1 m. Keeps readings finite near
 #: singularities, where a servo's deflection tells nothing of the force along the direction that is lost.
-_STRUCTURE = 2e-9
+STRUCTURE = 2e-9
 #: 1 rad of turning counts as so many metres where directions of motion are compared.
 _SCALE = np.array([1.0] * 3 + [0.3] * 3)
 #: Commanded joint velocities below this are rest [rad/s or m/s], and after so long at rest servos have settled [s].
@@ -106,4 +106,4 @@ class StressWatch:
 
 def servo_wrenches(compliances: Array, yielded: Array) -> Array:
     """Wrenches (N, 6) with which servos push that yield by so much (N, 6), with compliances (N, 6, 6)."""
-    return np.asarray(np.linalg.solve(compliances + _STRUCTURE * np.eye(6), yielded[:, :, None])[:, :, 0])
+    return np.asarray(np.linalg.solve(compliances + STRUCTURE * np.eye(6), yielded[:, :, None])[:, :, 0])

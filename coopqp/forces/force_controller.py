@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import copy
-import enum
 import math
 from collections.abc import Mapping
 from typing import Any, final
@@ -11,47 +10,34 @@ from typing import Any, final
 import numpy as np
 
 from coopqp.checks import ArrayLike, as_options, as_scalar, require
-from coopqp.control.command import ControlStep, Status, short_text
-from coopqp.control.core.relax_plain import HEARD, SILENT
+from coopqp.control.command import ControlStep, Status, amend, short_text
+from coopqp.control.core.allow_plain import BY_FRICTION, BY_REACH, BY_SENSOR, BY_STAGE, NOTHING_MORE
+from coopqp.control.core.relax_plain import AT, CHECKING, HEARD, PRESSING, RELAXING, SENSOR_SILENT, SENSOR_WRONG
 from coopqp.control.pseudo_inverse import PseudoInverseController
 from coopqp.control.qp import QPController
 from coopqp.control.turn import alone
 from coopqp.errors import InvalidInputError
 from coopqp.forces.force_options import ForceOptions
 from coopqp.forces.load import LoadShare
-from coopqp.forces.palms import least_squeeze, palm_use, squeeze_needed
+from coopqp.forces.palms import least_squeeze
 from coopqp.forces.relaxation import Relaxation
 from coopqp.spatial import Array, Placement
 from coopqp.task.path import ObjectPath
 
-#: The rate that forces allow falls from 1 to 0 and rises again in these times [s], so that it makes no forces itself.
-_FALL, _RISE = 0.6, 2.0
-#: Time for which palms press steadily before the object moves [s].
-_STEADY = 0.5
-#: Share of the squeeze that may be missing when the object begins to move.
-_PRESSED = 0.1
-#: Share of a palm's friction in use above which the object slows down; at 1 it rests.
-_FRICTION_SLOWS = 0.9
-#: Palms press at least so many times what the felt load needs, and how fast they press harder [N/s].
-_SPARE, _FIRMER = 1.2, 100.0
+#: What the arms do, in the order of :data:`layout.STAGES`.
+_STAGES = (
+    "the sensors are compared with the servos",
+    "the arms press a little to learn how stiff they are",
+    "the arms relax before the object moves",
+    "the object moves",
+)
 #: Attributes that a step changes, but those of the relaxation and of the controller within.
-_VARYING = (
-    "_asked", "_stage", "_since", "_cap", "_rate", "_used", "_pressed", "_needed", "_differences", "_compared", "_last",
-    "_fault",
-)  # fmt: skip
+_VARYING = ("_differences", "_compared")
 
 
-class _Stage(enum.Enum):
-    """What the arms do, in this order."""
-
-    CHECK = "the sensors are compared with the servos"
-    PRESS = "the arms press a little to learn how stiff they are"
-    RELAX = "the arms relax before the object moves"
-    MOVE = "the object moves"
-
-
-def _is_length(dt: Any) -> bool:
-    return isinstance(dt, (int, float)) and 0.0 < dt < math.inf
+def _length(dt: Any, nominal: float) -> float:
+    """The length of a step for what minds forces: a dt that the controller refuses counts as the nominal one."""
+    return float(dt) if isinstance(dt, (int, float)) and 0.0 < dt < math.inf else nominal
 
 
 @final
@@ -90,17 +76,15 @@ class ForceController:
     def _build(self, controller: QPController | PseudoInverseController, options: ForceOptions) -> None:
         self.controller, self.options = controller, options
         self.cell, self.grasp, self.path, self.dt = controller.cell, controller.grasp, controller.path, controller.dt
-        self._asked = controller.override
         self._relaxation = Relaxation(
-            self.cell,
-            self.grasp,
-            self.options,
-            dt=controller.dt,
-            shares=controller.shares,
-            kernel=controller.kernel,
+            self.cell, self.grasp, options, dt=controller.dt, shares=controller.shares, kernel=controller.kernel
         )
+        self._memory = self._relaxation.memory
+        self._memory[AT["ASKED"]] = controller.override
         self._check_squeeze()
         self._shifted = controller.take_shift(self._relaxation.shift)
+        #: The core's own step with wrenches, where it has one.
+        self._minded = controller.take_minding(self._memory, self._tell)
         self._begin()
 
     def _check_squeeze(self) -> None:
@@ -121,12 +105,7 @@ class ForceController:
             )
 
     def _begin(self) -> None:
-        n = len(self.cell)
-        self._stage, self._since, self._cap, self._rate = _Stage.CHECK, 0.0, 1.0, 0.0
-        self._used, self._pressed, self._needed = 0.0, self.options.squeeze, 0.0
-        self._differences, self._compared = np.zeros((n, 6)), 0
-        self._last: ControlStep | None = None
-        self._fault = ""
+        self._differences, self._compared = np.zeros((len(self.cell), 6)), 0
 
     # -- as of the controller ------------------------------------------------------------------------------------
 
@@ -179,7 +158,7 @@ class ForceController:
 
     def set_override(self, share: float) -> None:
         """The largest rate of the object; see :meth:`coopqp.QPController.set_override`."""
-        self._asked = as_scalar(share, "set_override: share", open_low=False, high=1.0)
+        self._memory[AT["ASKED"]] = as_scalar(share, "set_override: share", open_low=False, high=1.0)
 
     def pause(self) -> None:
         """Bring the object to rest until :meth:`resume`; the arms go on to relax."""
@@ -208,7 +187,6 @@ class ForceController:
 
     # -- the step ------------------------------------------------------------------------------------------------
 
-    @alone
     def step(
         self, q_measured: ArrayLike | None = None, *, wrenches: ArrayLike | None = None, dt: float | None = None
     ) -> ControlStep:
@@ -222,28 +200,53 @@ class ForceController:
 
         Raises:
             InvalidInputError: before the first :meth:`reset`, or wrenches of another shape; nothing is then changed.
+            BusyError: another thread is in a call of this controller; nothing was changed.
         """
-        w = self._taken(wrenches)
-        length = self.dt if dt is None or not _is_length(dt) else float(dt)
-        relaxation, last, stage = self._relaxation, self._last, self._stage
-        gives = last is not None and (stage is _Stage.MOVE or stage is _Stage.RELAX) and not self._fault
-        if gives and last is not None and relaxation.aged:
-            relaxation.look(last.q_next)
-        heard = relaxation.step(w, length, self._rate if stage is _Stage.MOVE else 0.0, gives)
-        if heard == SILENT and not self._fault:
-            silent = relaxation.silent
-            k = int(silent.argmax())
-            self._fault = f"no wrench of arm {self.cell.arm_names[k]} for {1e3 * silent[k]:.0f} ms"
-        if stage is not _Stage.MOVE and not self._fault:
+        minded = self._minded
+        if minded is not None and self.controller._fast is not None:  # type: ignore[union-attr]
+            try:
+                step = minded(self._memory, q_measured, dt, wrenches)
+            except (ValueError, TypeError, BufferError):  # no plain arrays
+                return self._slow(q_measured, wrenches, dt)
+            if step is None:
+                return self._finish()
+            if step is not False:
+                made: ControlStep = step
+                return made
+        return self._slow(q_measured, wrenches, dt)
+
+    @alone
+    def _finish(self) -> ControlStep:
+        return self._made(self._qp._finish())
+
+    @alone
+    def _slow(self, q_measured: ArrayLike | None, wrenches: ArrayLike | None, dt: float | None) -> ControlStep:
+        """A step in which Python takes part, or of a controller without the core's; the same in the same order."""
+        w, length = self._taken(wrenches), _length(dt, self.dt)
+        relaxation, stage = self._relaxation, self._stage
+        gives = relaxation.gives
+        if gives and relaxation.aged:
+            relaxation.look(self.controller.commanded)
+        heard = relaxation.step(w, length)
+        if stage < RELAXING and not self._memory[AT["SENSOR_FAULT"]]:
             self._prepare(q_measured, length, heard == HEARD)
-        if gives or stage is _Stage.PRESS:
+        if gives or stage == PRESSING:
             self._shifted()
-        share, why = self._share(length)
+        share = relaxation.allow(length)
         if share != self.controller.override:
             self.controller.set_override(share)
-        step = self._last = self.controller.step(q_measured, dt=dt)
-        self._rate = step.rate
-        return self._told(step, why) if why else step
+        return self._made(self.controller.step(q_measured, dt=dt))
+
+    def _made(self, step: ControlStep) -> ControlStep:
+        m = self._memory
+        m[AT["LAST_RATE"]], m[AT["STEPPED"]] = step.rate, 1.0
+        if m[AT["WHY"]] != NOTHING_MORE:
+            self._tell(step)
+        return step
+
+    @property
+    def _stage(self) -> int:
+        return int(self._memory[AT["STAGE"]])
 
     def _taken(self, wrenches: ArrayLike | None) -> Array | None:
         """The wrenches as an array (N, 6) that the core can read."""
@@ -258,43 +261,33 @@ class ForceController:
         return w
 
     def _prepare(self, q_measured: ArrayLike | None, dt: float, heard: bool) -> None:
-        """One step of what the arms do before the object moves."""
-        o, relaxation = self.options, self._relaxation
-        if self._stage is _Stage.CHECK and self._last is not None and heard:
-            self._compare(q_measured, self._last.q_next)
-            if self._fault:
+        """One step of what the arms do before they relax."""
+        m = self._memory
+        if self._stage == CHECKING and m[AT["STEPPED"]] and heard:
+            self._compare(q_measured)
+            if m[AT["SENSOR_FAULT"]]:
                 return
-        self._since += dt
-        if self._stage is _Stage.PRESS:
-            if relaxation.press(dt):
-                self._go_on(_Stage.RELAX)
-        elif self._stage is _Stage.RELAX:
-            if o.palms is not None and relaxation.size > _PRESSED * o.squeeze:
-                self._since = 0.0
-            waited = self._since > (2.0 * o.relax_time if o.palms is None else _STEADY)
-            if waited and relaxation.size < max(o.move_below, 2.0 * o.dead_band, _PRESSED * o.squeeze):
-                self._go_on(_Stage.MOVE)
+        m[AT["SINCE"]] += dt
+        if self._stage == PRESSING and self._relaxation.press(dt):
+            self._go_on(RELAXING)
 
-    def _compare(self, q_measured: ArrayLike | None, commanded: Array) -> None:
+    def _compare(self, q_measured: ArrayLike | None) -> None:
         """Compare the sensors with the servos at rest; in the end, say which sensor is wrong."""
-        q = None if q_measured is None else np.asarray(q_measured, dtype=float)
+        m, q = self._memory, None if q_measured is None else np.asarray(q_measured, dtype=float)
         if q is None or q.shape != (self.cell.nq,) or not np.isfinite(q).all():
             return  # the controller says so
-        self._differences += self._relaxation.off_servos(commanded, q)
+        self._differences += self._relaxation.off_servos(self.controller.commanded, q)
         self._compared += 1
-        if self._since < self.options.check_time:
+        if m[AT["SINCE"]] < self.options.check_time:
             return
         off = np.linalg.norm(self._differences[:, :3] / self._compared, axis=1)
         k = int(off.argmax())
-        if off[k] > self.options.sensor_tolerance and not self._fault:
-            self._fault = (
-                f"the force sensor of arm {self.cell.arm_names[k]} does not agree with its servos: {off[k]:.0f} N "
-                f"apart (tolerance {self.options.sensor_tolerance:g} N)"
-            )
-        self._go_on(_Stage.PRESS)
+        if off[k] > self.options.sensor_tolerance:
+            m[AT["SENSOR_FAULT"]], m[AT["SENSOR_ARM"]], m[AT["SENSOR_AMOUNT"]] = SENSOR_WRONG, k, off[k]
+        self._go_on(PRESSING)
 
-    def _go_on(self, stage: _Stage) -> None:
-        self._stage, self._since = stage, 0.0
+    def _go_on(self, stage: int) -> None:
+        self._memory[AT["STAGE"]], self._memory[AT["SINCE"]] = stage, 0.0
 
     # -- copies --------------------------------------------------------------------------------------------------
 
@@ -304,7 +297,7 @@ class ForceController:
             "controller": self.controller,
             "options": self.options,
             "own": own,
-            "relaxation": copy.deepcopy(self._relaxation.memory()),
+            "relaxation": copy.deepcopy(self._relaxation.kept()),
         }
 
     def __setstate__(self, state: dict[str, Any]) -> None:
@@ -318,55 +311,40 @@ class ForceController:
         other.__setstate__(self.__getstate__() | {"controller": copy.copy(self.controller)})
         return other
 
-    # -- how fast, and why ---------------------------------------------------------------------------------------
+    # -- why -----------------------------------------------------------------------------------------------------
 
-    def _share(self, dt: float) -> tuple[float, str]:
-        """The largest rate of the object now, and why it is less than what the operator asks for."""
-        o, size = self.options, self._relaxation.size
-        if self._fault:
-            return 0.0, self._fault
-        if self._stuck:
-            return 0.0, f"the grasps cannot give way any further: {self._most()}"
-        if self._stage is not _Stage.MOVE:
-            return 0.0, f"{self._stage.value}: {self._most()}"
-        if o.palms is not None:
-            self._press_harder(dt)
-            use = palm_use(o.palms, self._relaxation.seen)
-            k = int(use.argmax())
-            self._used += dt / (dt + o.filter_time) * (min(float(use[k]), 2.0) - self._used)
-            if self._used > _FRICTION_SLOWS:
-                share = max((1.0 - self._used) / (1.0 - _FRICTION_SLOWS), 0.0)
-                self._cap = min(max(share, self._cap - dt / _FALL), self._cap + dt / _RISE)
-                what = f"{100.0 * self._used:.0f} % of the friction at the palm of arm {self.cell.arm_names[k]}"
-                return min(self._cap, self._asked), what
-        cap = min(max((o.hold_from - size) / (o.hold_from - o.slow_from), 0.0), 1.0)
-        self._cap = min(max(cap, self._cap - dt / _FALL), self._cap + dt / _RISE)
-        if self._cap >= self._asked:
-            return self._asked, ""
-        return self._cap, f"{self._most()} (slower from {o.slow_from:g} N on)"
+    def _tell(self, step: ControlStep) -> None:
+        """Put the reason that the forces give into a step that nobody has seen yet."""
+        why = int(self._memory[AT["WHY"]])
+        status = step.status
+        if why in (BY_SENSOR, BY_REACH) and status.precedence < Status.HOLDING.precedence:
+            status = Status.HOLDING
+        amend(step, status=status, reason="; ".join(filter(None, (self._why(why), step.reason))))
 
-    def _press_harder(self, dt: float) -> None:
-        """Raise the squeeze where the load that is felt needs more; it never falls again."""
-        o = self.options
-        needed = min(squeeze_needed(o.palms or (), self._relaxation.seen), o.most_squeeze)
-        self._needed += dt / (dt + o.filter_time) * (needed - self._needed)
-        wanted = min(_SPARE * self._needed, o.most_squeeze)
-        if wanted > self._pressed:
-            self._pressed = min(wanted, self._pressed + _FIRMER * dt)
-            self._relaxation.squeeze(self._pressed / o.squeeze)
+    def _why(self, why: int) -> str:
+        m = self._memory
+        if why == BY_SENSOR:
+            return self._fault()
+        if why == BY_REACH:
+            return f"the grasps cannot give way any further: {self._most()}"
+        if why == BY_STAGE:
+            return f"{_STAGES[self._stage]}: {self._most()}"
+        if why == BY_FRICTION:
+            used, arm = m[AT["FRICTION_USED"]], self.cell.arm_names[int(m[AT["WHY_ARM"]])]
+            return f"{100.0 * used:.0f} % of the friction at the palm of arm {arm}"
+        return f"{self._most()} (slower from {self.options.slow_from:g} N on)"
+
+    def _fault(self) -> str:
+        m = self._memory
+        arm, amount = self.cell.arm_names[int(m[AT["SENSOR_ARM"]])], m[AT["SENSOR_AMOUNT"]]
+        if m[AT["SENSOR_FAULT"]] == SENSOR_SILENT:
+            return f"no wrench of arm {arm} for {1e3 * amount:.0f} ms"
+        return (
+            f"the force sensor of arm {arm} does not agree with its servos: {amount:.0f} N apart (tolerance "
+            f"{self.options.sensor_tolerance:g} N)"
+        )
 
     def _most(self) -> str:
         """The largest internal force, and where it is."""
         k = int(np.linalg.norm(self._relaxation.internal[:, :3], axis=1).argmax())
         return f"{self._relaxation.size:.0f} N at the grasp of arm {self.cell.arm_names[k]}"
-
-    @property
-    def _stuck(self) -> bool:
-        return self._relaxation.saturated and self._relaxation.size > self.options.slow_from
-
-    def _told(self, step: ControlStep, why: str) -> ControlStep:
-        """The step with the reason that the forces give."""
-        status = step.status
-        if (self._fault or self._stuck) and status.precedence < Status.HOLDING.precedence:
-            status = Status.HOLDING
-        return step.replaced(status=status, reason="; ".join(filter(None, (why, step.reason))))

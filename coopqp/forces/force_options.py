@@ -94,7 +94,7 @@ class ForceOptions:
                 )
         elif self.squeeze or self.most_squeeze:
             raise InvalidInputError("a squeeze without palms", "ForceOptions: palms", "Give one Grip per arm.")
-        keep_scalars(self, "softness_doubt", "relax_time", "speed", "spin", "ramp_time", "reach", "turn")
+        keep_scalars(self, "softness_doubt", "relax_time", "drift_time", "speed", "spin", "ramp_time", "reach", "turn")
         keep_scalars(self, "sensor_tolerance", "move_below", "slow_from", "hold_from", "silent_time")
         keep_scalars(self, "delay", "filter_time", "dead_band", "check_time", open_low=False)
         if self.payload is not None:

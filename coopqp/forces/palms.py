@@ -6,20 +6,32 @@ palm transmits has to stay inside its friction cone and on its pad (:class:`coop
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 
 import numpy as np
 
+from coopqp.control.core.allow_plain import palms_need, palms_used
 from coopqp.errors import InvalidInputError
 from coopqp.forces.grips import Grip
-from coopqp.forces.relaxation import load_shares
+from coopqp.forces.internal import load_shares
 from coopqp.model.grasp import Grasp
 from coopqp.model.limits import LimitKind
 from coopqp.spatial import Array
 
 #: Largest squeeze that is tried [N].
 _MOST = 1e6
+
+
+def palm_rows(palms: Sequence[Grip]) -> Array:
+    """The palms' bounds for :func:`coopqp.control.core.allow_plain.palms_used` (N, 2, 4, 6)."""
+    out = np.zeros((len(palms), 2, 4, 6))
+    for k, palm in enumerate(palms):
+        out[k, 1, 3, :3] = palm.normal
+        for bound in palm.bounds():
+            if bound.kind in (LimitKind.FRICTION, LimitKind.TILT):
+                rows = out[k, int(bound.kind is LimitKind.TILT)]
+                rows[: len(bound.A), : palm.components], rows[3, : palm.components] = bound.A, bound.b
+    return out
 
 
 def palm_use(palms: Sequence[Grip], wrenches: Array) -> Array:
@@ -29,14 +41,7 @@ def palm_use(palms: Sequence[Grip], wrenches: Array) -> Array:
         palms: one per arm.
         wrenches: of the arms on the object, at the origins and in the axes of the tools (N, 6) [N, N·m].
     """
-    out = np.zeros(len(palms))
-    for k, (palm, w) in enumerate(zip(palms, wrenches, strict=True)):
-        for bound in palm.bounds():
-            if bound.kind in (LimitKind.FRICTION, LimitKind.TILT):
-                c = w[: palm.components]
-                held, asked = float(bound.b @ c + bound.d), float(np.linalg.norm(bound.A @ c))
-                out[k] = max(out[k], asked / held if held > 0.0 else math.inf)
-    return out
+    return palms_used(palm_rows(palms), wrenches)
 
 
 def squeeze_needed(palms: Sequence[Grip], wrenches: Array) -> float:
@@ -44,10 +49,7 @@ def squeeze_needed(palms: Sequence[Grip], wrenches: Array) -> float:
 
     Arguments as those of :func:`palm_use`. Friction and pads hold in proportion to the normal force.
     """
-    pressed = np.array([palm.normal @ w[:3] for palm, w in zip(palms, wrenches, strict=True)])
-    if not (pressed > 0.0).all():
-        return math.inf
-    return float((palm_use(palms, wrenches) * pressed).max())
+    return palms_need(palm_rows(palms), wrenches)
 
 
 def pressing(palms: Sequence[Grip]) -> Array:

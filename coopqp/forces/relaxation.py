@@ -10,6 +10,12 @@ with the shares s of the common error, so that the object stays. ρ is how many 
 Where a base is off, the grasps have to move as the object does: D is what the path asks for at the full rate, learned
 in the time T_D, ``D_k ← D_k − σ (e_k − Σ_j s_j e_j) / (ρ T) dt / T_D``.
 
+Where arms mind forces in some directions only, F takes from the wrenches what they mind, and Fᵀ from the grasps what
+may move; the others keep their commanded places. Grasps that move by d change the internal wrenches by −G d, with the
+stiffness of the grip ``G = C⁻¹ − C⁻¹ Σᵀ (Σ C⁻¹ Σᵀ)⁻¹ Σ C⁻¹`` of all C_k together. So ``e = Fᵀ (F G Fᵀ)⁺ F w_s``: every
+force that is minded decays with T (all of them minded, that is C w_s again). C alone leaves forces that take up to 250
+times as long, where the master keeps its place: its own compliance is missing then.
+
 The loop is 1 / (T s) · exp(−d s). It is damped well if (d + dt) / T is at most 1/2, doubts about the servos included.
 """
 
@@ -22,20 +28,21 @@ from typing import Any, final
 import numpy as np
 import pinocchio as pin
 
-from coopqp.checks import ArrayLike, as_floats
-from coopqp.control.core import layout, relax_of
-from coopqp.control.core.relax_plain import relax_size, relax_views
-from coopqp.control.stress_watch import servo_wrenches
+from coopqp.control.core import layout, minding_of
+from coopqp.control.core.relax_plain import AT, gives_way, minding_size, minding_views
+from coopqp.control.stress_watch import STRUCTURE, servo_wrenches
 from coopqp.errors import InvalidInputError
 from coopqp.forces.force_options import ForceOptions
+from coopqp.forces.internal import load_shares
+from coopqp.forces.palms import palm_rows, pressing
 from coopqp.forces.stress import per_joint
 from coopqp.model.cell import RobotCell
 from coopqp.model.chain import Chain
 from coopqp.model.grasp import Grasp
 from coopqp.spatial import Array
 
-#: Metric of torques against forces in the load's shares [m]: short, so that forces carry the load where they can.
-_SHARE_LENGTH = 0.1
+#: Parts of a stiffness below this share are none.
+_LEAST_PART = 1e-9
 #: Metric of torques where the size of a wrench is told [m].
 _LENGTH = 0.3
 #: Largest (d + dt) / T with the doubt.
@@ -44,18 +51,17 @@ _LARGEST_GAIN = 0.5
 _PRESS, _PRESS_LEAST, _PRESS_MOST, _PRESS_SPEED = 3.0, 1e-5, 5e-4, 5e-4
 #: What may come of it. Servos softer than said are not answered faster: their damping need not be softer.
 _STIFFEST = (1.0, 20.0)
-#: Time between two looks at the compliances, which change with the configuration [s].
-_EVERY = 0.1
-
 #: Attributes that change.
-_VARYING = ("_age", "_compliances", "_pressed", "_pressing", "_waited", "_felt", "_grows", "_base")
-_AT = {name: i for i, name in enumerate(layout.RELAX)}
-_SIZE, _STIFFER, _SATURATED = _AT["SIZE"], _AT["STIFFER"], _AT["SATURATED"]
+_VARYING = ("_compliances", "_pressed", "_pressing", "_waited", "_felt", "_grows", "_base")
+_LOOK_EVERY = layout.CONSTANTS["LOOK_EVERY"]
+#: Time for which palms press steadily before the object moves [s], and the share of the squeeze that may be missing.
+_STEADY, _PRESSED = 0.5, 0.1
 #: The settings that a step needs, by their place in its memory.
 _SETTINGS = {
     "WRENCH_FILTER": "filter_time", "DEAD_BAND": "dead_band", "RELAX_TIME": "relax_time", "DRIFT_TIME": "drift_time",
     "RAMP_TIME": "ramp_time", "WRENCH_SILENCE": "silent_time",
     "MOST_SPEED": "speed", "MOST_SPIN": "spin", "MOST_REACH": "reach", "MOST_TURN": "turn",
+    "FORCE_SLOWS": "slow_from", "FORCE_HOLDS": "hold_from", "SQUEEZE": "squeeze", "MOST_SQUEEZE": "most_squeeze",
 }  # fmt: skip
 
 
@@ -71,6 +77,7 @@ class Relaxation:
         kernel: ``"compiled"`` or ``"plain"``: what a step runs.
 
     Attributes:
+        memory: numbers of :data:`coopqp.control.core.layout.MINDING`, and the vectors below.
         internal: internal wrenches of the arms on the object beside the squeeze that is asked for, filtered (N, 6)
             [N, N·m], in the object frame; the next step changes it in place.
         seen: the last wrenches at the tools (N, 6) [N, N·m]; the next step changes it in place.
@@ -99,94 +106,106 @@ class Relaxation:
         self._softness = 1.0 / per_joint(options.stiffness, cell.nv, "ForceOptions: stiffness")
         self._to_object, self._load_shares = load_shares(grasp)
         total = np.tile(np.eye(6), n)
-        self._relax, self._memory = relax_of(kernel), np.zeros(relax_size(n))
-        for place, name in _SETTINGS.items():
-            self._memory[_AT[place]] = getattr(options, name)
-        views = relax_views(self._memory, n)
+        (self._relax, self._allow), self.memory = minding_of(kernel), np.zeros(minding_size(n))
+        self._put_settings()
+        views = minding_views(self.memory, n)
         self.internal, self.shift, self.silent = views["internal"], views["shift"], views["silent"]
         self.seen, self._yields = views["seen"], views["yields"]
-        # What is minded, in the tools' axes; the twists that answer it are those of the whole wrench, so that the tools
-        # keep their real places in the other directions.
+        # What is minded, in the tools' axes. Palms answer it with the twists of the whole wrench, so that they keep
+        # their real places in the other directions.
         felt = np.zeros((6 * n, 6 * n))
         for k, (X, mind) in enumerate(zip(grasp.T_object_tool, options.minded(n), strict=True)):
             own = slice(6 * k, 6 * k + 6)
             felt[own, own] = (X.actionInverse.T * mind) @ X.action.T
         views["internal_of"][:] = felt @ (np.eye(6 * n) - self._load_shares @ total) @ self._to_object
         if options.palms is not None:
-            press = options.squeeze * np.array([[*palm.normal, 0.0, 0.0, 0.0] for palm in options.palms])
+            press = options.squeeze * pressing(options.palms)
             views["target"][:] = (views["internal_of"] @ press.ravel()).reshape(-1, 6)
-        self._target, self._squeezed = views["target"], views["target"].copy()
-        self._starting = self._memory.copy()
+            views["squeezed"][:], views["palms"][:] = views["target"], palm_rows(options.palms)
+        #: F, where arms keep their places in some directions.
+        self._felt_part = None if options.palms is not None or options.minded(n).all() else felt
+        self._starting = self.memory.copy()
         #: Takes what the arms yield to what their grasps move.
         self._relative = np.eye(6 * n) - np.tile(np.hstack([np.diag(s) for s in shares]), (n, 1))
         if options.palms is not None:  # each arm makes up for what its own servos yield: the object stays where it is
             self._relative = np.eye(6 * n)
         points = np.array([X.translation for X in grasp.T_object_tool])
         inward = np.concatenate([points.mean(axis=0) - points, np.zeros_like(points)], axis=1)
-        inward = (self._relative @ inward.ravel()).reshape(-1, 6)
+        moves = self._relative if self._felt_part is None else self._relative @ self._felt_part.T
+        inward = (moves @ inward.ravel()).reshape(-1, 6)
         #: How the grasps move where the arms press: towards each other.
         self._inward = inward / max(float(np.linalg.norm(inward[:, :3], axis=1).max()), 1e-9)
         self.begin(np.zeros((n, 6)))
 
+    def _put_settings(self) -> None:
+        o, m = self.options, self.memory
+        for place, name in _SETTINGS.items():
+            m[AT[place]] = getattr(o, name)
+        palms = o.palms is not None
+        m[AT["HAS_PALMS"]] = palms
+        m[AT["WAIT"]] = _STEADY if palms else 2.0 * o.relax_time
+        m[AT["PRESSED_BELOW"]] = _PRESSED * o.squeeze if palms else math.inf
+        m[AT["MOVE_BELOW"]] = max(o.move_below, 2.0 * o.dead_band, _PRESSED * o.squeeze)
+
     def begin(self, shift: Array) -> None:
         """Forget everything; the grasps are shifted by ``shift`` (N, 6)."""
-        n = len(self._cell)
-        self._memory[:] = self._starting
-        self._memory[_STIFFER], self.shift[:] = 1.0, shift
-        self._age, self._compliances = 0.0, np.zeros((n, 6, 6))
+        n, m = len(self._cell), self.memory
+        asked = m[AT["ASKED"]]
+        m[:] = self._starting
+        m[AT["ASKED"]], m[AT["STIFFER"]], self.shift[:] = asked, 1.0, shift
+        m[AT["FORCE_CAP"]], m[AT["PRESSED_WITH"]] = 1.0, self.options.squeeze
+        self._compliances = np.zeros((n, 6, 6))
         self._pressed = self._pressing = self._waited = 0.0
         self._felt: Array | None = None
         self._grows, self._base = np.zeros(6 * n), np.zeros((n, 6))
 
-    def memory(self) -> dict[str, Any]:
+    def kept(self) -> dict[str, Any]:
         """What a copy goes on from."""
-        return {"memory": self._memory.copy(), **{name: getattr(self, name) for name in _VARYING}}
+        return {"memory": self.memory.copy(), **{name: getattr(self, name) for name in _VARYING}}
 
-    def restore(self, memory: dict[str, Any]) -> None:
-        """Go on from what :meth:`memory` returned."""
-        self._memory[:] = memory["memory"]
-        vars(self).update({name: copy.deepcopy(memory[name]) for name in _VARYING})
+    def restore(self, kept: dict[str, Any]) -> None:
+        """Go on from what :meth:`kept` returned."""
+        self.memory[:] = kept["memory"]
+        vars(self).update({name: copy.deepcopy(kept[name]) for name in _VARYING})
 
     @property
     def size(self) -> float:
         """Of the largest internal wrench [N]; a torque of 0.3 N·m counts as 1 N."""
-        return self._memory.item(_SIZE)
+        return self.memory.item(AT["SIZE"])
 
     @property
     def stiffer(self) -> float:
         """ρ."""
-        return self._memory.item(_STIFFER)
-
-    @property
-    def saturated(self) -> bool:
-        """A grasp cannot give way any further."""
-        return self._memory.item(_SATURATED) != 0.0
+        return self.memory.item(AT["STIFFER"])
 
     # -- a step --------------------------------------------------------------------------------------------------
 
-    def step(self, wrenches: Array | None, dt: float, rate: float, gives: bool) -> int:
+    def step(self, wrenches: Array | None, dt: float) -> int:
         """Take wrenches at the tools, and move the grasps: ``relax.c``, which ``relax_plain.py`` says in NumPy.
 
         Args:
             wrenches: (N, 6), ``dt`` seconds after the last ones; None or NaN where none came.
             dt: length of the step [s].
-            rate: σ at which the object moves along its path; 0 before it has begun.
-            gives: the grasps give way, unless a sensor is silent for too long.
 
         Returns:
             ``HEARD``, ``MISSED`` where some wrench did not come, ``SILENT`` where one has not come for too long.
         """
-        self._age += dt
-        return self._relax(self._memory, len(self._cell), wrenches, dt, rate, gives)
+        return self._relax(self.memory, len(self._cell), wrenches, dt)
+
+    def allow(self, dt: float) -> float:
+        """The largest rate of the object in this step: ``allow.c``, which ``allow_plain.py`` says in NumPy."""
+        self._allow(self.memory, len(self._cell), dt)
+        return self.memory.item(AT["ALLOWED"])
+
+    @property
+    def gives(self) -> bool:
+        """The grasps give way in the next step, unless a sensor is silent for too long."""
+        return gives_way(self.memory)
 
     @property
     def aged(self) -> bool:
         """The compliances have to be looked at again."""
-        return self._age >= _EVERY
-
-    def squeeze(self, times: float) -> None:
-        """Palms press so many times as hard as they are set to."""
-        self._target[:] = times * self._squeezed
+        return self.memory.item(AT["AGE"]) >= _LOOK_EVERY
 
     # -- what is felt --------------------------------------------------------------------------------------------
 
@@ -214,10 +233,12 @@ class Relaxation:
         R = np.zeros((6, 6))
         R[:3, :3] = R[3:, 3:] = O[:3].T
         self._compliances = R.T @ chain.compliances(self._softness) @ R
-        # The same as relative @ blockdiag(C).
-        for k, own in enumerate(self._compliances):
-            self._yields[:, 6 * k : 6 * k + 6] = self._relative[:, 6 * k : 6 * k + 6] @ own
-        self._age = 0.0
+        if self._felt_part is not None:
+            self._yields[:] = self._relative @ yields_in_part(self._compliances, self._felt_part)
+        else:  # relative @ blockdiag(C)
+            for k, own in enumerate(self._compliances):
+                self._yields[:, 6 * k : 6 * k + 6] = self._relative[:, 6 * k : 6 * k + 6] @ own
+        self.memory[AT["AGE"]] = 0.0
         return R
 
     # -- what the grasps do --------------------------------------------------------------------------------------
@@ -247,7 +268,8 @@ class Relaxation:
             return False
         way = self._pressed * self._inward.ravel()
         answer = felt - self._felt - self._pressing * self._grows
-        self._memory[_STIFFER] = float(np.clip(answer @ way / (way @ way), *_STIFFEST))
+        if way.any():  # some arm minds forces towards the others
+            self.memory[AT["STIFFER"]] = float(np.clip(answer @ way / (way @ way), *_STIFFEST))
         return True
 
     def far(self, shift: Array) -> float:
@@ -263,37 +285,17 @@ class Relaxation:
         return shift if self.far(shift) < 1.0 else np.zeros_like(shift)
 
 
-def internal_wrenches(wrenches: ArrayLike, grasp: Grasp) -> Array:
-    """What of the arms' wrenches on the object the load does not take, in the object frame (…, N, 6) [N, N·m].
-
-    Args:
-        wrenches: of each arm on the object, at the origin and in the axes of its tool (…, N, 6) [N, N·m].
-        grasp: the placements of the tools.
-
-    Raises:
-        InvalidInputError: not one wrench per arm.
-    """
-    w, n = as_floats(wrenches), len(grasp)
-    if w.shape[-2:] != (n, 6):
-        raise InvalidInputError(f"wrenches of shape {w.shape}", "internal_wrenches", f"Give one per arm, (…, {n}, 6).")
-    to_object, shares = load_shares(grasp)
-    internal_of = (np.eye(6 * n) - shares @ np.tile(np.eye(6), n)) @ to_object
-    out: Array = (w.reshape(-1, 6 * n) @ internal_of.T).reshape(w.shape)
+def yields_in_part(compliances: Array, felt: Array) -> Array:
+    """Fᵀ (F G Fᵀ)⁺ F (6 N, 6 N), of the compliances C_k (N, 6, 6) and F (6 N, 6 N); see the module."""
+    each = np.linalg.inv(compliances + STRUCTURE * np.eye(6))
+    stiff, together = np.zeros_like(felt), each.reshape(-1, 6)
+    for k, own in enumerate(each):
+        stiff[6 * k : 6 * k + 6, 6 * k : 6 * k + 6] = own
+    G = stiff - together @ np.linalg.solve(each.sum(axis=0), together.T)
+    out: Array = felt.T @ np.linalg.pinv(felt @ G @ felt.T, rcond=_LEAST_PART, hermitian=True) @ felt
     return out
 
 
 def _size(wrenches: Array) -> float:
     squares = (wrenches * wrenches).reshape(-1, 2, 3).sum(axis=2).max(axis=0)
     return math.sqrt(max(squares[0], squares[1] / _LENGTH**2))
-
-
-def load_shares(grasp: Grasp) -> tuple[Array, Array]:
-    """What takes wrenches at the tools to the object frame (6 N, 6 N), and S: the load to its shares there (6 N, 6)."""
-    n = len(grasp)
-    scale = np.tile([1.0] * 3 + [_SHARE_LENGTH] * 3, n)
-    to_object = np.zeros((6 * n, 6 * n))
-    for k, X in enumerate(grasp.T_object_tool):
-        to_object[6 * k : 6 * k + 6, 6 * k : 6 * k + 6] = X.actionInverse.T
-    total = np.tile(np.eye(6), n) @ to_object
-    shares: Array = to_object @ (scale[:, None] * np.linalg.pinv(total * scale))
-    return to_object, shares

@@ -8,8 +8,8 @@ import numpy as np
 
 from coopqp.errors import InvalidInputError
 from coopqp.forces.grips import Grip
+from coopqp.forces.internal import internal_wrenches
 from coopqp.forces.palms import palm_use
-from coopqp.forces.relaxation import internal_wrenches
 from coopqp.model.cell import RobotCell
 from coopqp.simulation.recording import Recording, RecordingError
 from coopqp.spatial import Array

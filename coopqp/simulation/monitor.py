@@ -15,7 +15,7 @@ from typing import Any, TypeAlias, final
 
 import numpy as np
 
-from coopqp.checks import as_options
+from coopqp.checks import ArrayLike, as_options
 from coopqp.collision.scene import CollisionScene
 from coopqp.control.command import ControlStep, Status
 from coopqp.model.cell import RobotCell
@@ -27,6 +27,7 @@ from coopqp.simulation.object_gaps import ObjectGaps
 from coopqp.simulation.readings import check_recording
 from coopqp.simulation.recording import Recording
 from coopqp.simulation.violations import Breach, MonitorTolerances, Verdict, Violation, Worst
+from coopqp.simulation.wrench_bounds import WrenchBounds, excesses
 from coopqp.spatial import Array
 from coopqp.task.path import ObjectPath
 
@@ -34,8 +35,8 @@ from coopqp.task.path import ObjectPath
 _BRAKING_SLACK = 1.1
 
 
-#: q, q_next, velocity, dt, clock, clock_next, rate, status and path of a step, and the step.
-_Row: TypeAlias = tuple[Array, Array, Array, float, float, float, float, Status, ObjectPath, ControlStep]
+#: q, q_next, velocity, dt, clock, clock_next, rate, status and path of a step, the step, and the shift of the grasps.
+_Row: TypeAlias = tuple[Array, Array, Array, float, float, float, float, Status, ObjectPath, ControlStep, Array | None]
 _FLOAT = np.dtype(np.float64)
 
 
@@ -51,6 +52,7 @@ class Monitor:
         keep: number of violations stored with details; all are counted.
         kinematics: also judge the chain and the path; this doubles the cost of a step.
         scene: also judge the distances of its bodies, in steps and between them, by another way than a controller's.
+        wrenches: also judge the wrenches that :meth:`observe` is given, from the first motion of the object on.
     """
 
     def __init__(
@@ -63,8 +65,12 @@ class Monitor:
         keep: int = 50,
         kinematics: bool = True,
         scene: CollisionScene | None = None,
+        wrenches: WrenchBounds | Mapping[str, Any] | None = None,
     ) -> None:
         grasp.check_arms(cell)
+        self._bounds = None if wrenches is None else as_options(WrenchBounds, wrenches, "Monitor: wrenches")
+        if self._bounds is not None:
+            self._bounds.check_arms(len(cell))
         self._closeness = None if scene is None else Closeness(scene)
         self.cell, self.grasp, self.path = cell, grasp, path
         self.tolerances = as_options(MonitorTolerances, tolerances, "Monitor: tolerances")
@@ -97,19 +103,37 @@ class Monitor:
         self._last_v = np.zeros(self.cell.nv)
         self._last_clock, self._held = 0.0, 0.0
         self._last_path: ObjectPath | None = None
+        self._moved = False
 
     # -- judging -----------------------------------------------------------------------------------------------------
 
-    def observe(self, step: ControlStep) -> tuple[Violation, ...]:
-        """Judge one step; return its violations."""
-        return self.observe_all([step])
+    def observe(
+        self, step: ControlStep, *, wrenches: ArrayLike | None = None, shift: Array | None = None
+    ) -> tuple[Violation, ...]:
+        """Judge one step; return its violations.
 
-    def observe_all(self, steps: Sequence[ControlStep]) -> tuple[Violation, ...]:
+        Args:
+            step: the step.
+            wrenches: that it was asked with, of the arms on the object, each at the origin and in the axes of its tool
+                (N, 6) [N, N·m]; judged by the monitor's ``wrenches``.
+            shift: by how much each grasp has given way in it, in the object frame (N, 6) [m, rad]:
+                :attr:`coopqp.ForceController.shift`.
+        """
+        before, moved = len(self._violations), self._moved
+        self.observe_all([step], shifts=None if shift is None else [shift])
+        if self._bounds is not None and wrenches is not None and moved:
+            for breach, arm, amount, unit in excesses(self._bounds, self.grasp, wrenches):
+                self.report(breach, arm=self.cell.arm_names[arm] if arm >= 0 else "", amount=amount, detail=unit)
+        return tuple(self._violations[before:])
+
+    def observe_all(
+        self, steps: Sequence[ControlStep], *, shifts: Sequence[Array] | None = None
+    ) -> tuple[Violation, ...]:
         """Judge consecutive steps at once, at a lower cost per step; return their stored violations (see ``keep``)."""
         before = len(self._violations)
         formed: list[_Row] = []
-        for step in steps:
-            row = self._read(step)
+        for i, step in enumerate(steps):
+            row = self._read(step, None if shifts is None else shifts[i])
             if row is not None:
                 formed.append(row)
             else:
@@ -136,7 +160,7 @@ class Monitor:
         if len(self._violations) < self._keep:
             self._violations.append(violation)
 
-    def _read(self, step: ControlStep) -> _Row | None:
+    def _read(self, step: ControlStep, shift: Array | None) -> _Row | None:
         """The values of a step; None if shapes or types are wrong. Numbers may be none."""
         q, q_next, velocity, status = step.q, step.q_next, step.velocity, step.status
         dt, clock, clock_next, rate = step.dt, step.clock, step.clock_next, step.rate
@@ -151,7 +175,7 @@ class Monitor:
         )
         if not formed and faults_of(step, self.cell, self._steps, self._time):
             return None
-        return q, q_next, velocity, dt, clock, clock_next, rate, status, step.path, step
+        return q, q_next, velocity, dt, clock, clock_next, rate, status, step.path, step, shift
 
     def _refuse(self, step: ControlStep) -> None:
         """Count the faults of a step. It is judged no further, and the next one is not compared with it."""
@@ -168,7 +192,7 @@ class Monitor:
     def _judge_rows(self, rows: Sequence[_Row]) -> None:
         if not rows:
             return
-        q, q_next, velocity, dt, clock, clock_next, rate, status, own, steps = zip(*rows, strict=True)
+        q, q_next, velocity, dt, clock, clock_next, rate, status, own, steps, shifts = zip(*rows, strict=True)
         arrays = [np.concatenate(values).reshape(len(rows), -1) for values in (q, q_next, velocity)]
         numbers = np.array([dt, clock, clock_next, rate])
         sound = np.isfinite(numbers).all(axis=0)
@@ -198,6 +222,7 @@ class Monitor:
             same_path=np.array([a is b for a, b in zip(before, paths, strict=True)]),
             reference=np.array(poses),
             duration=np.array([p.duration for p in paths]),
+            shift=None if shifts[0] is None else np.array(shifts),
         )
         self._judge(block)
 
@@ -222,7 +247,7 @@ class Monitor:
         return self.verdict()
 
     def _judge_loads(self, r: Recording) -> None:
-        """Torques of joints, and the internal force of each arm in motion, where the run was recorded with them."""
+        """Torques of joints, and in motion internal forces and palms, where the run was recorded with them."""
         loads = read_loads(self.cell, r)
         if loads is None:
             return
@@ -235,6 +260,12 @@ class Monitor:
         for t, k in np.argwhere(squeezed):
             excess = float(loads.internal[t, k] - loads.internal_limit)
             self._add(Violation(Breach.SQUEEZE, int(t), float(loads.time[t]), self.cell.arm_names[k], "", excess, "N"))
+        if loads.palm_use is None:
+            return
+        for t, k in np.argwhere(loads.palm_use[loads.moves :] > 1.0):
+            step, arm = int(t) + loads.moves, self.cell.arm_names[k]
+            excess, unit = float(loads.palm_use[step, k] - 1.0), "share of the friction"
+            self._add(Violation(Breach.FRICTION, step, float(loads.time[step]), arm, "", excess, unit))
 
     def _judge(self, block: Block) -> None:
         steps = len(block.dt)
@@ -251,6 +282,7 @@ class Monitor:
         if self._closeness is not None:
             self._judge_clearance(self._closeness, block, ends)
         self._steps += steps
+        self._moved = self._moved or bool((block.rate > 0.0).any())
         self._time = float(ends[-1])
         self._last_q, self._last_v = block.q_next[-1].copy(), block.velocity[-1].copy()
         self._last_clock = float(block.clock_next[-1])

@@ -18,6 +18,8 @@ from coopqp.task.path import ObjectPath
 class Monitored:
     """A controller with a monitor. The monitor judges every step, and detects changes of the caller's arrays.
 
+    A controller that minds wrenches gets them, and the monitor sees them, and by how much the grasps give way.
+
     Args:
         controller: the judged controller; use its other methods directly.
         monitor: the monitor; by default a new one for the controller's cell and grasp.
@@ -27,6 +29,8 @@ class Monitored:
         self.controller = controller
         self.cell, self.grasp, self.dt = controller.cell, controller.grasp, controller.dt
         self.monitor = monitor or Monitor(controller.cell, controller.grasp)
+        self._inner: Any = controller
+        self.minds_wrenches = bool(getattr(controller, "minds_wrenches", False))
         self._last: ControlStep | None = None
         self._kept: tuple[Array, ...] = ()
 
@@ -34,6 +38,12 @@ class Monitored:
     def path(self) -> ObjectPath:
         """The controller's path."""
         return self.controller.path
+
+    @property
+    def shift(self) -> Array:
+        """By how much each grasp has given way (N, 6), of a controller that has it."""
+        shift: Array = self._inner.shift
+        return shift
 
     def reset(self, q: ArrayLike) -> None:
         """Reset the controller. The monitor keeps its violations."""
@@ -43,12 +53,16 @@ class Monitored:
         self.monitor.restart()
         self._last = None
 
-    def step(self, q_measured: ArrayLike | None = None, *, dt: float | None = None) -> ControlStep:
+    def step(
+        self, q_measured: ArrayLike | None = None, *, wrenches: ArrayLike | None = None, dt: float | None = None
+    ) -> ControlStep:
         """Compute and judge the controller's step."""
-        kept = _copy(q_measured)
-        step = self.controller.step(q_measured, dt=dt)
+        kept, felt = _copy(q_measured), _copy(wrenches)
+        minded = {"wrenches": wrenches} if self.minds_wrenches else {}
+        step: ControlStep = self._inner.step(q_measured, dt=dt, **minded)
         self._unchanged(q_measured, kept, "q_measured")
-        self.monitor.observe(step)
+        self._unchanged(wrenches, felt, "wrenches")
+        self.monitor.observe(step, wrenches=wrenches, shift=getattr(self, "shift", None))
         last = self._last
         if last is not None:
             for name, value in zip(("q", "velocity", "q_next"), self._kept, strict=True):

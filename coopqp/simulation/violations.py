@@ -32,6 +32,7 @@ class Breach(enum.Enum):
     CLEARANCE = "too close"
     TORQUE = "torque limit"
     SQUEEZE = "internal force"
+    FRICTION = "friction of a palm"
     MUTATED = "data were modified"
 
 
@@ -44,7 +45,8 @@ class Violation:
         step: number of the step since the monitor's reset.
         time: time at the end of the step since the reset [s].
         arm, joint: names of the arm and the joint; empty if the violation concerns all.
-        amount: excess over the allowed value [rad, m, rad/s, m/s; a share of the limit for accelerations].
+        amount: excess over the allowed value [rad, m, rad/s, m/s, N; a share of the limit for accelerations, torques
+            and friction].
         detail: explanation in words.
     """
 

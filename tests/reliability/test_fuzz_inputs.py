@@ -10,7 +10,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from fuzzing import MANY, MORE, Tried, answer, arrays_like, contents, is_refused, numbers, poses_like
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from coopqp import (
@@ -19,6 +19,8 @@ from coopqp import (
     CommonError,
     DaqpSettings,
     Disturbances,
+    ForceController,
+    ForceOptions,
     Grasp,
     HoldPath,
     IndependentQPController,
@@ -52,6 +54,8 @@ from coopqp.task.path import ScrewParameters
 
 pytestmark = pytest.mark.filterwarnings("ignore::RuntimeWarning")
 LIFT, MIXED = paper_lift(), mixed_cell()
+#: For a property whose every example is a motion.
+FEW = settings(max_examples=max(settings().max_examples // 2, 1))
 N = LIFT.cell.nv
 START = LIFT.path.pose(0.0)
 LIMITS = LIFT.cell.limits
@@ -305,6 +309,7 @@ OPTIONS = (
     MonitorTolerances,
     Disturbances,
     PhysicsOptions,
+    ForceOptions,
     DaqpSettings,
     OsqpSettings,
     ProxqpSettings,
@@ -395,6 +400,41 @@ def test_accepted_options_never_make_a_step_fail(catalogue: Any) -> None:
 
     holds()
     tried.row(catalogue, "options that are accepted, then steps")
+
+
+@pytest.mark.slow
+def test_accepted_options_of_forces_never_make_a_step_fail(catalogue: Any) -> None:
+    """With any two of them, from the first step until the object moves: commands within the limits, or a refusal."""
+    tried = Tried()
+    task = replace(LIFT, dt=0.01)
+    positive = st.one_of(st.sampled_from([0.0, 1e-300, 1e-12, 1e-6, 1e6, 1e12, 1e300, 1, 3]), st.floats(1e-3, 1.0))
+    usual = {"stiffness": 1e5, "check_time": 0.02}
+
+    @FEW
+    @given(
+        st.dictionaries(st.sampled_from(numbers_of(ForceOptions)), positive, min_size=1, max_size=2),
+        st.sampled_from([0.0, 1.0, 30.0]),
+        st.integers(0, 9),
+    )
+    def holds(changed: dict[str, Any], size: float, seed: int) -> None:
+        tried.number += 1
+        inner = QPController(task.cell, task.grasp, task.path, dt=task.dt)
+        made = answer(lambda: ForceController(inner, ForceOptions(**{**usual, **changed})))
+        if made is None:
+            return
+        tried.accepted += 1
+        made.reset(task.q_start)
+        monitor = Monitor(task.cell, task.grasp, tolerances=LIMITS_ONLY)
+        rng, q, steps = np.random.default_rng(seed), task.q_start, []
+        for _ in range(60):
+            steps.append(made.step(q, wrenches=size * rng.standard_normal((len(task.cell), 6))))
+            q = steps[-1].q_next
+        monitor.observe_all(steps)
+        assert monitor.verdict().ok, monitor.verdict()
+        assert np.isfinite(made.shift).all()
+
+    holds()
+    tried.row(catalogue, "options of forces that are accepted, then steps", FEW)
 
 
 LIMITS_ONLY = MonitorTolerances(chain_m=None, chain_rad=None, path_m=None, path_rad=None)

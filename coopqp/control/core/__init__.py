@@ -9,7 +9,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 from coopqp.control.constraint_set import Constraints
-from coopqp.control.core import relax_plain
+from coopqp.control.core import allow_plain, relax_plain
 from coopqp.control.core.memory import NotForTheCore
 from coopqp.control.options import QPOptions
 from coopqp.control.plain import PlainLoop
@@ -20,6 +20,10 @@ from coopqp.spatial import Array
 
 if TYPE_CHECKING:
     from coopqp.control.core.compiled import CompiledLoop
+
+#: Memory, arms, wrenches (N, 6) or None, dt; and memory, arms, dt.
+Relax = Callable[[Array, int, Array | None, float], int]
+Allow = Callable[[Array, int, float], None]
 
 _MISSING = ""
 try:
@@ -78,13 +82,13 @@ def make_loop(
     return PlainLoop(cell, grasp, dt=dt, options=options, constraints=constraints)
 
 
-def relax_of(kernel: str) -> Callable[[Array, int, Array | None, float, float, bool], int]:
-    """The step of the relaxation of forces in a kernel; see ``relax.c``."""
+def minding_of(kernel: str) -> tuple[Relax, Allow]:
+    """What minds forces in a kernel: the relaxation, and how fast the object may move; ``relax.c`` and ``allow.c``."""
     if kernel == "plain":
-        return relax_plain.relax
+        return relax_plain.relax, allow_plain.allow
     from coopqp.control.core import _native
 
-    return _native.relax
+    return _native.relax, _native.allow
 
 
-__all__ = ["NotForTheCore", "available_kernels", "kernel_text", "make_loop", "relax_of"]
+__all__ = ["NotForTheCore", "available_kernels", "kernel_text", "make_loop", "minding_of"]

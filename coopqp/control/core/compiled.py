@@ -136,6 +136,14 @@ class CompiledLoop:
         self._shift = shift
         return functools.partial(self._core.shift_grasp, self._places, shift)
 
+    def take_minding(self, memory: Array, tell: Callable[[ControlStep], None]) -> Callable[..., Any] | None:
+        """The core's step with wrenches: see :meth:`coopqp.QPController.take_minding`."""
+        if len(self.cell) > layout.CONSTANTS["MOST_MINDING"]:
+            return None
+        self._core.bind_minding(memory, self._places, tell)
+        step: Callable[..., Any] = self._core.step_minding
+        return step
+
     def start(self, q: Array) -> None:
         """At rest at ``q``; forgets everything."""
         self.solver.reset()

@@ -11,7 +11,9 @@
  *     horizon.c     knots, and the largest rate at each        growth.c      more of them, one Newton step at a time
  *     sharing.c     programs of the accelerations              chain_ahead.c the chain at one clock
  *     redundancy.c  what redundant arms do at limits       servo.c       new targets
- *     quiet.c       where further constraints are quiet      relax.c       forces between the arms, grasps that move
+ *     quiet.c       where further constraints are quiet
+ *   minding.h     forces between the arms, with             relax.c       wrenches, and grasps that give way
+ *     allow.c       how fast the object may move for them
  */
 
 #ifndef COOPQP_CORE_H
@@ -61,9 +63,9 @@ typedef struct {
     /* Go over to the way to a new target if the rate of its first step need not fall, or where the object rests: 1, with
      * the path in `numbers`; 0 if not yet; −1 if an arm is singular. `full` is the largest rate asked for. */
     int (*go_over)(Core *c, const double *goal, double speed, double spin, double full, double *numbers);
-    /* The relaxation of forces; see relax.c. */
-    int (*feel)(int arms, double *memory, const double *wrenches, double dt);
-    void (*give_way)(int arms, double *memory, double dt, double rate, double *work);
+    /* What minds forces, in a memory of its own; see relax.c and allow.c. `wrenches` may be NULL. */
+    int (*relax)(int arms, double *memory, const double *wrenches, double dt);
+    void (*allow)(int arms, double *memory, double dt);
 } Arithmetic;
 
 extern const Arithmetic arithmetic_plain, arithmetic_avx2;

@@ -104,6 +104,14 @@ CONSTANTS: dict[str, float] = {
     "SERVOS_SETTLED": 0.2,  # after this long at rest servos have settled [s]
     "UNBALANCED": 0.3,  # share of the largest wrench from which on wrenches do not cancel
     "STRAIGHT_BACK": 0.95,  # cosine from which on an arm's way back is taken for the cause
+    # forces from the sensors
+    "RATE_FALLS": 0.6,  # the rate that forces allow falls from 1 to 0 in this time, so that it makes none itself [s]
+    "RATE_RISES": 2.0,  # and rises again in this time [s]
+    "FRICTION_SLOWS": 0.9,  # share of a palm's friction in use above which the object slows down; at 1 it rests
+    "SPARE_SQUEEZE": 1.2,  # palms press at least so many times what the felt load needs,
+    "FIRMER": 100.0,  # and so fast harder [N/s]
+    "LOOK_EVERY": 0.1,  # time between two looks at the compliances, which change with the configuration [s]
+    "MOST_MINDING": 64,  # arms
 }
 
 #: Knots that the look-ahead keeps, and joints that an arm may have, at most.
@@ -159,14 +167,23 @@ RECORD = (
     "R_DT", "R_CLOCK", "R_CLOCK_NEXT", "R_RATE", "R_STATUS", "R_REASON", "R_REASON_ARM", "R_REASON_A", "R_REASON_B",
     "R_GRASP_SHARE", "R_PATH_SHARE", "R_PARTING", "R_OUTCOME", "R_ITERATIONS", "R_BINDINGS", "R_AWAY", "R_TURNED",
 )  # fmt: skip
-#: Scalars of the relaxation of forces: settings, then what changes; see relax.c for what follows them.
-RELAX = (
+#: Scalars of what minds forces: settings, then what changes; see minding.h for what follows them.
+MINDING = (
     "WRENCH_FILTER", "DEAD_BAND", "RELAX_TIME", "DRIFT_TIME", "RAMP_TIME", "WRENCH_SILENCE",
     "MOST_SPEED", "MOST_SPIN", "MOST_REACH", "MOST_TURN",
+    "WAIT", "MOVE_BELOW", "PRESSED_BELOW", "FORCE_SLOWS", "FORCE_HOLDS", "HAS_PALMS", "SQUEEZE", "MOST_SQUEEZE",
     "SIZE", "STIFFER", "RELAX_EASE", "SATURATED",
+    "STAGE", "SINCE", "STEPPED", "AGE", "ASKED", "FORCE_CAP", "LAST_RATE", "FRICTION_USED", "PRESSED_WITH", "NEEDED",
+    "SENSOR_FAULT", "SENSOR_ARM", "SENSOR_AMOUNT", "ALLOWED", "WHY", "WHY_ARM",
 )  # fmt: skip
+#: What the arms do, in this order.
+STAGES = ("CHECKING", "PRESSING", "RELAXING", "MOVING")
 #: What came of the sensors in a step.
 HEARING = ("HEARD", "MISSED", "SILENT")
+#: Faults of a sensor: no wrench for SENSOR_AMOUNT seconds; so many newtons from what its servos say.
+SENSORS = ("SENSORS_FINE", "SENSOR_SILENT", "SENSOR_WRONG")
+#: Why the object may move at ALLOWED only; NOTHING_MORE: the operator asks for no more.
+WHYS = ("NOTHING_MORE", "BY_SENSOR", "BY_REACH", "BY_STAGE", "BY_FRICTION", "BY_FORCE")
 #: Members of Status, in the order of their codes.
 STATUSES = ("TRACKING", "SLOWED", "BLOCKED", "HOLDING", "FAULTED", "PAUSED", "OFF_PATH")
 
@@ -307,7 +324,7 @@ def header() -> str:
 _LISTS = {
     "OPTIONS": OPTIONS, "LOOP": LOOP, "WATCH": WATCH, "AHEAD": AHEAD, "KNOT": KNOT, "PROPOSAL": PROPOSAL,
     "OUTCOMES": OUTCOMES, "KINDS": KINDS, "REASONS": REASONS, "RECORD": RECORD, "STATUSES": STATUSES,
-    "RELAX": RELAX, "HEARING": HEARING,
+    "MINDING": MINDING, "STAGES": STAGES, "HEARING": HEARING, "SENSORS": SENSORS, "WHYS": WHYS,
 }  # fmt: skip
 
 if __name__ == "__main__":

@@ -7,6 +7,7 @@
 
 #include "core.h"
 #include "guards.h"
+#include "minding.h"
 #include "spatial.h"
 
 /* CPython passes functions as void *, which ISO C forbids and every platform with dynamic libraries allows. */
@@ -35,6 +36,9 @@ typedef struct {
     PyObject *own_path, *bound_knot, *evasion;     /* callables; NULL for none */
     PyObject *path_buffer, *pose_buffer;           /* arrays whose memory is in use */
     PyObject *step_type, *context, *statuses;      /* what a step is made of */
+    double *minding, *places;                      /* what minds forces; where the tools are on the object */
+    PyObject *minding_buffer, *places_buffer;      /* their arrays; NULL for none */
+    PyObject *tell;                                /* called with a step that forces have something to say about */
     unsigned long busy;                            /* the thread that works here; 0 for none */
     int entered;                                   /* how often it has entered and not left */
     int handed;                                    /* a step is left open: the next entry is the same one's */
@@ -140,6 +144,9 @@ static int core_traverse(PyObject *object, visitproc visit, void *arg) {
     Py_VISIT(self->step_type);
     Py_VISIT(self->context);
     Py_VISIT(self->statuses);
+    Py_VISIT(self->minding_buffer);
+    Py_VISIT(self->places_buffer);
+    Py_VISIT(self->tell);
     return 0;
 }
 
@@ -154,6 +161,7 @@ static int core_clear(PyObject *object) {
     Py_CLEAR(self->step_type);
     Py_CLEAR(self->context);
     Py_CLEAR(self->statuses);
+    Py_CLEAR(self->tell);
     return 0;
 }
 
@@ -164,6 +172,8 @@ static void core_dealloc(PyObject *object) {
     core_clear(object);
     Py_CLEAR(self->path_buffer);
     Py_CLEAR(self->pose_buffer);
+    Py_CLEAR(self->minding_buffer);
+    Py_CLEAR(self->places_buffer);
     for (int block = 0; block < 3; block++)
         if (self->memory[block].obj) PyBuffer_Release(self->memory + block);
     freefunc release = POINTER(freefunc, PyType_GetSlot(type, Py_tp_free));
@@ -304,20 +314,34 @@ static PyObject *core_make_steps(PyObject *object, PyObject *args) {
 
 /* -- steps ----------------------------------------------------------------------------------------------------------- */
 
-/* observe(q, dt) of what Python hands over; 0 and an exception if q is no array of the right size, or interrupted. */
-static int take(CoreObject *self, PyObject *q, PyObject *dt) {
+/* What Python hands over in a step: q (NULL for none), dt (NULL for none; a NaN is refused, with its reason). */
+typedef struct {
     Py_buffer view;
-    double length = 0.0, *measured = NULL;
-    const double *given = NULL;
+    double length, *q;
+    const double *dt;
+} Sample;
+
+/* 0 and an exception if q is no array of the right size. */
+static int read_sample(CoreObject *self, PyObject *q, PyObject *dt, Sample *out) {
+    out->q = NULL, out->dt = NULL;
     if (dt && dt != Py_None) {
-        length = PyFloat_AsDouble(dt);
-        if (PyErr_Occurred()) PyErr_Clear(), length = NAN; /* refused, with its reason */
-        given = &length;
+        out->length = PyFloat_AsDouble(dt);
+        if (PyErr_Occurred()) PyErr_Clear(), out->length = NAN;
+        out->dt = &out->length;
     }
-    if (q && q != Py_None && !(measured = numbers(q, self->core.nq, 0, &view))) return 0;
-    self->can->observe(&self->core, measured, given);
-    if (measured) PyBuffer_Release(&view);
+    return !q || q == Py_None || (out->q = numbers(q, self->core.nq, 0, &out->view));
+}
+
+/* Observe it, and give it back; 0 and an exception after an interrupt. */
+static int take_sample(CoreObject *self, Sample *sample) {
+    self->can->observe(&self->core, sample->q, sample->dt);
+    if (sample->q) PyBuffer_Release(&sample->view);
     return !interrupted(self);
+}
+
+static int take(CoreObject *self, PyObject *q, PyObject *dt) {
+    Sample sample;
+    return read_sample(self, q, dt, &sample) && take_sample(self, &sample);
 }
 
 /* Numbers of the record as bytes. */
@@ -387,27 +411,24 @@ static PyObject *core_release(PyObject *object, PyObject *unused) {
     Py_RETURN_NONE;
 }
 
+/* The step of what was observed. None where the answer is left open: whoever finishes it is expected. */
+static PyObject *command(CoreObject *self) {
+    Core *c = &self->core;
+    const int certified = c->options[CERTIFIED] != 0.0;
+    c->further_rows = 0;
+    const int outcome = self->can->propose(c);
+    if (interrupted(self)) return NULL;
+    if (outcome < FILLED && !(certified && !self->can->quiet(c))) return make_step(self, self->can->commit(c));
+    if (certified) c->proposal[OUTCOME] = ASK;
+    self->handed = 1;
+    Py_RETURN_NONE;
+}
+
 static PyObject *core_step(PyObject *object, PyObject *const *args, Py_ssize_t n) {
     CoreObject *self = built(object);
     if (!self || !enter(self)) return NULL;
-    PyObject *step = NULL;
-    if (take(self, n > 0 ? args[0] : NULL, n > 1 ? args[1] : NULL)) {
-        self->core.further_rows = 0;
-        const int outcome = self->can->propose(&self->core);
-        if (!interrupted(self)) {
-            if (self->core.options[CERTIFIED] != 0.0 && (outcome >= FILLED || !self->can->quiet(&self->core))) {
-                self->core.proposal[OUTCOME] = ASK;
-                self->handed = 1;
-                Py_RETURN_NONE;
-            }
-            if (outcome >= FILLED) {
-                self->handed = 1;
-                Py_RETURN_NONE;
-            }
-            step = make_step(self, self->can->commit(&self->core));
-        }
-    }
-    leave(self);
+    PyObject *step = take(self, n > 0 ? args[0] : NULL, n > 1 ? args[1] : NULL) ? command(self) : NULL;
+    if (!self->handed) leave(self);
     return step;
 }
 
@@ -525,8 +546,23 @@ static PyObject *core_linearise(PyObject *object, PyObject *args) {
     Py_RETURN_NONE;
 }
 
-/* shift_grasp(places, shift): the tools have the places (R, p) of their last joints on the object, 12 each, and each has
- * moved by exp of its shift, 6 each, in the object frame: object_R, object_p = place · exp(−shift). */
+/* The tools have the places (R, p) of their last joints on the object, 12 each, and each has moved by exp of its shift,
+ * 6 each, in the object frame: object_R, object_p = place · exp(−shift). 0 if a shift is not finite. */
+static int move_grasp(Core *c, const double *places, const double *shift) {
+    for (int i = 0; i < 6 * c->arms; i++)
+        if (!isfinite(shift[i])) return 0;
+    for (int k = 0; k < c->arms; k++) {
+        const double *place = places + 12 * k;
+        double back[6], R[9], p[3];
+        for (int i = 0; i < 6; i++) back[i] = -shift[6 * k + i];
+        exp6(back, R, p);
+        multiply3(place, R, c->object_R + 9 * k);
+        rotate(place, p, c->object_p + 3 * k);
+        for (int i = 0; i < 3; i++) c->object_p[3 * k + i] += place[9 + i];
+    }
+    return 1;
+}
+
 static PyObject *core_shift_grasp(PyObject *object, PyObject *const *args, Py_ssize_t count) {
     CoreObject *self = built(object);
     Py_buffer views[2];
@@ -536,60 +572,17 @@ static PyObject *core_shift_grasp(PyObject *object, PyObject *const *args, Py_ss
         PyErr_SetString(PyExc_TypeError, "shift_grasp takes places and shift");
         return NULL;
     }
-    Core *c = &self->core;
     for (int i = 0; i < 2; i++)
-        if (!(x[i] = numbers(args[i], (i ? 6 : 12) * (Py_ssize_t)c->arms, 0, views + i))) {
+        if (!(x[i] = numbers(args[i], (i ? 6 : 12) * (Py_ssize_t)self->core.arms, 0, views + i))) {
             if (i) PyBuffer_Release(views);
             return NULL;
         }
-    int good = 1;
-    for (int i = 0; i < 6 * c->arms; i++) good = good && isfinite(x[1][i]);
-    for (int k = 0; good && k < c->arms; k++) {
-        const double *place = x[0] + 12 * k;
-        double back[6], R[9], p[3];
-        for (int i = 0; i < 6; i++) back[i] = -x[1][6 * k + i];
-        exp6(back, R, p);
-        multiply3(place, R, c->object_R + 9 * k);
-        rotate(place, p, c->object_p + 3 * k);
-        for (int i = 0; i < 3; i++) c->object_p[3 * k + i] += place[9 + i];
-    }
+    const int good = move_grasp(&self->core, x[0], x[1]);
     PyBuffer_Release(views), PyBuffer_Release(views + 1);
     return PyBool_FromLong(good);
 }
 
-/* -- forces between the arms ----------------------------------------------------------------------------------------- */
-
-#define MOST_RELAXED 64 /* arms */
-
-/* relax(memory, arms, wrenches, dt, rate, gives): see relax.c; returns what came of the sensors. */
-static PyObject *module_relax(PyObject *self, PyObject *const *args, Py_ssize_t count) {
-    Py_buffer memory, wrenches;
-    double work[12 * MOST_RELAXED], *m, *w = NULL;
-    (void)self;
-    if (count != 6) {
-        PyErr_SetString(PyExc_TypeError, "relax takes memory, arms, wrenches, dt, rate, gives");
-        return NULL;
-    }
-    const long arms = PyLong_AsLong(args[1]);
-    const double dt = PyFloat_AsDouble(args[3]), rate = PyFloat_AsDouble(args[4]);
-    const int gives = PyObject_IsTrue(args[5]);
-    if (PyErr_Occurred()) return NULL;
-    if (arms < 1 || arms > MOST_RELAXED) {
-        PyErr_SetString(PyExc_ValueError, "too many arms");
-        return NULL;
-    }
-    const Py_ssize_t n = 6 * arms;
-    if (!(m = numbers(args[0], N_RELAX + arms + 5 * n + 2 * n * n, 1, &memory))) return NULL;
-    if (args[2] != Py_None && !(w = numbers(args[2], n, 0, &wrenches))) {
-        PyBuffer_Release(&memory);
-        return NULL;
-    }
-    const int heard = best()->feel((int)arms, m, w, dt);
-    if (gives && heard != SILENT) best()->give_way((int)arms, m, dt, rate, work);
-    PyBuffer_Release(&memory);
-    if (w) PyBuffer_Release(&wrenches);
-    return PyLong_FromLong(heard);
-}
+#include "minding_module.c"
 
 /* -- least-distance programs by themselves --------------------------------------------------------------------------- */
 
@@ -645,6 +638,9 @@ static PyMethodDef core_methods[] = {
     {"make_steps", core_make_steps, METH_VARARGS, "make_steps(type, context, statuses): what step() returns."},
     {"linearise", core_linearise, METH_VARARGS, "linearise(positions, about, carried, jacobian)."},
     {"shift_grasp", FAST(core_shift_grasp), METH_FASTCALL, "shift_grasp(places, shift); False if not finite."},
+    {"bind_minding", core_bind_minding, METH_VARARGS, "bind_minding(memory, places, tell): for step_minding."},
+    {"step_minding", FAST(core_step_minding), METH_FASTCALL,
+     "step_minding(memory, q, dt, wrenches): step; False where Python has to take part first."},
     {NULL, NULL, 0, NULL},
 };
 
@@ -665,7 +661,8 @@ static PyType_Spec core_spec = {"coopqp.control.core._native.Core", sizeof(CoreO
 static PyMethodDef module_methods[] = {
     {"least_distance", module_least_distance, METH_VARARGS,
      "least_distance(((address, bytes), ...), reach): of A, low, high, lb, ub, x, y, work; see functions.h."},
-    {"relax", FAST(module_relax), METH_FASTCALL, "relax(memory, arms, wrenches, dt, rate, gives); see relax.c."},
+    {"relax", FAST(module_relax), METH_FASTCALL, "relax(memory, arms, wrenches, dt); see relax.c."},
+    {"allow", FAST(module_allow), METH_FASTCALL, "allow(memory, arms, dt); see allow.c."},
     {NULL, NULL, 0, NULL},
 };
 

@@ -11,18 +11,21 @@ from coopqp.checks import ArrayLike
 from coopqp.control.core import layout
 from coopqp.spatial import Array
 
-_AT = {name: i for i, name in enumerate(layout.RELAX)}
+#: Where each scalar stands in the memory of what minds forces.
+AT = {name: i for i, name in enumerate(layout.MINDING)}
 HEARD, MISSED, SILENT = range(len(layout.HEARING))
+CHECKING, PRESSING, RELAXING, MOVING = range(len(layout.STAGES))
+SENSORS_FINE, SENSOR_SILENT, SENSOR_WRONG = range(len(layout.SENSORS))
 _TURN_LENGTH = layout.CONSTANTS["TURN_LENGTH"]
 
 
-def relax_views(memory: Array, arms: int) -> dict[str, Array]:
-    """The parts of the memory behind its scalars, by name."""
-    n, views, at = 6 * arms, {}, len(layout.RELAX)
+def minding_views(memory: Array, arms: int) -> dict[str, Array]:
+    """The parts of the memory behind its scalars, by name; ``palms``: see :mod:`coopqp.control.core.allow_plain`."""
+    n, views, at = 6 * arms, {}, len(layout.MINDING)
     shapes: tuple[tuple[str, tuple[int, ...]], ...] = (
         ("silent", (arms,)), ("seen", (arms, 6)), ("internal", (arms, 6)), ("shift", (arms, 6)), ("drift", (arms, 6)),
-        ("target", (arms, 6)),
-        ("internal_of", (n, n)), ("yields", (n, n)),
+        ("target", (arms, 6)), ("squeezed", (arms, 6)),
+        ("internal_of", (n, n)), ("yields", (n, n)), ("palms", (arms, 2, 4, 6)),
     )  # fmt: skip
     for name, shape in shapes:
         size = math.prod(shape)
@@ -31,30 +34,49 @@ def relax_views(memory: Array, arms: int) -> dict[str, Array]:
     return views
 
 
-def relax_size(arms: int) -> int:
+def minding_size(arms: int) -> int:
     """Numbers of the memory of so many arms."""
-    return len(layout.RELAX) + arms + 30 * arms + 72 * arms**2
+    return len(layout.MINDING) + (37 + 48) * arms + 72 * arms**2
 
 
-def relax(memory: Array, arms: int, wrenches: ArrayLike | None, dt: float, rate: float, gives: bool, /) -> int:
-    """Take wrenches (N, 6); then move the grasps if ``gives``, unless a sensor has been silent for too long."""
-    m, x = memory, relax_views(memory, arms)
-    w = np.full((arms, 6), np.nan) if wrenches is None else np.asarray(wrenches, dtype=float)
+def gives_way(memory: Array) -> bool:
+    """The grasps give way in this step, unless a sensor is silent for too long."""
+    m = memory
+    return bool(m[AT["STEPPED"]] and m[AT["STAGE"]] >= RELAXING and m[AT["SENSOR_FAULT"]] == SENSORS_FINE)
+
+
+def relax(memory: Array, arms: int, wrenches: ArrayLike | None, dt: float, /) -> int:
+    """Take wrenches (N, 6), and move the grasps where they give way; returns what came of the sensors."""
+    m, x, gives = memory, minding_views(memory, arms), gives_way(memory)
+    heard = _feel(m, x, wrenches, dt)
+    m[AT["AGE"]] += dt
+    if heard == SILENT:
+        if m[AT["SENSOR_FAULT"]] == SENSORS_FINE:
+            most = int(x["silent"].argmax())
+            m[AT["SENSOR_FAULT"]], m[AT["SENSOR_ARM"]], m[AT["SENSOR_AMOUNT"]] = SENSOR_SILENT, most, x["silent"][most]
+        return heard
+    if gives:
+        _give_way(m, x, dt, m.item(AT["LAST_RATE"]) if m[AT["STAGE"]] == MOVING else 0.0)
+    if m[AT["STAGE"]] == RELAXING and m[AT["SENSOR_FAULT"]] == SENSORS_FINE:
+        _wait_at_rest(m, dt)
+    return heard
+
+
+def _feel(m: Array, x: dict[str, Array], wrenches: ArrayLike | None, dt: float) -> int:
+    w = np.full_like(x["seen"], np.nan) if wrenches is None else np.asarray(wrenches, dtype=float)
     fresh = np.isfinite(w).all(axis=1)
     x["silent"][:] = np.where(fresh, 0.0, x["silent"] + dt)
     x["seen"][:] = np.where(fresh[:, None], w, x["seen"])
     now = (x["internal_of"] @ x["seen"].ravel()).reshape(-1, 6) - x["target"]
-    x["internal"] += dt / (dt + m[_AT["WRENCH_FILTER"]]) * (now - x["internal"])
-    m[_AT["SIZE"]] = _largest(x["internal"], 1.0, _TURN_LENGTH)
-    if (x["silent"] > m[_AT["WRENCH_SILENCE"]]).any():
+    x["internal"] += dt / (dt + m[AT["WRENCH_FILTER"]]) * (now - x["internal"])
+    m[AT["SIZE"]] = _largest(x["internal"], 1.0, _TURN_LENGTH)
+    if (x["silent"] > m[AT["WRENCH_SILENCE"]]).any():
         return SILENT
-    if gives:
-        _give_way(m, x, dt, rate)
     return HEARD if fresh.all() else MISSED
 
 
 def _give_way(m: Array, x: dict[str, Array], dt: float, rate: float) -> None:
-    o: dict[str, Any] = {name: m.item(i) for name, i in _AT.items()}
+    o: dict[str, Any] = {name: m.item(i) for name, i in AT.items()}
     size, way = o["SIZE"], np.zeros_like(x["shift"])
     if size > o["DEAD_BAND"]:
         yields = (x["yields"] @ x["internal"].ravel()).reshape(-1, 6)
@@ -64,11 +86,19 @@ def _give_way(m: Array, x: dict[str, Array], dt: float, rate: float) -> None:
     fastest = max(
         float(np.abs(way[:, :3]).max()) / o["MOST_SPEED"], float(np.abs(way[:, 3:]).max()) / o["MOST_SPIN"], 1.0
     )
-    ease = m[_AT["RELAX_EASE"]] = min(o["RELAX_EASE"] + dt / o["RAMP_TIME"], 1.0)
+    ease = m[AT["RELAX_EASE"]] = min(o["RELAX_EASE"] + dt / o["RAMP_TIME"], 1.0)
     moved = x["shift"] + (dt * ease / fastest) * way
     far = _largest(moved, o["MOST_REACH"], o["MOST_TURN"])
-    m[_AT["SATURATED"]] = far >= 1.0
+    m[AT["SATURATED"]] = far >= 1.0
     x["shift"][:] = moved / far if far > 1.0 else moved
+
+
+def _wait_at_rest(m: Array, dt: float) -> None:
+    """Palms press, and all forces are small, for long enough: then the object moves."""
+    since, size = AT["SINCE"], m[AT["SIZE"]]
+    m[since] = 0.0 if size > m[AT["PRESSED_BELOW"]] else m[since] + dt
+    if m[since] > m[AT["WAIT"]] and size < m[AT["MOVE_BELOW"]]:
+        m[AT["STAGE"]], m[since] = MOVING, 0.0
 
 
 def _largest(rows: Array, linear: float, angular: float) -> float:

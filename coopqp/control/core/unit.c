@@ -19,6 +19,7 @@
 #include "step.c"
 #include "servo.c"
 #include "relax.c"
+#include "allow.c"
 
 #ifndef ARITHMETIC
 #define ARITHMETIC arithmetic_plain
@@ -26,4 +27,4 @@
 
 const Arithmetic ARITHMETIC = {start,       start_path, observe, propose,             answer,         commit,
                                read_answer, quiet_step, carry,   carry_and_linearise, least_distance, go_over,
-                               feel,        give_way};
+                               relax,       allow};

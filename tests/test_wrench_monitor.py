@@ -1,0 +1,133 @@
+"""A monitor that judges wrenches step by step: as the figures of a run do, by another way."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from coopqp import (
+    Array,
+    Breach,
+    Disturbances,
+    ForceController,
+    InvalidInputError,
+    KinematicPlant,
+    Monitor,
+    Monitored,
+    PhysicsPlant,
+    QPController,
+    Violation,
+    WrenchBounds,
+    check_run,
+    simulate,
+)
+from coopqp.forces import Grip, internal_wrenches, palm_use
+from coopqp.planning import Payload
+from coopqp.scenarios import Scenario, palm_box, paper_lift
+from coopqp.simulation.wrench_bounds import excesses
+
+
+@pytest.fixture(scope="module")
+def task() -> Scenario:
+    return paper_lift(time_law="quintic")
+
+
+@given(seed=st.integers(0, 10**6), size=st.sampled_from([0.1, 1.0, 30.0]), radius=st.sampled_from([0.0, 0.05]))
+def test_what_is_too_much_is_what_the_reports_say(task: Scenario, seed: int, size: float, radius: float) -> None:
+    rng = np.random.default_rng(seed)
+    w = size * rng.normal(size=(3, 6))
+    normal = rng.normal(size=3)
+    palms = (Grip(kind="palm", friction=0.6, radius=radius, normal=normal),) * 3
+    w[:, :3] += rng.choice([0.0, 20.0]) * palms[0].normal
+    found = excesses(WrenchBounds(internal_force=10.0, palms=palms), task.grasp, w)
+    sizes = np.linalg.norm(internal_wrenches(w, task.grasp)[:, :3], axis=1)
+    squeezed = {e.arm: e.amount for e in found if e.breach is Breach.SQUEEZE}
+    assert squeezed == pytest.approx({k: s - 10.0 for k, s in enumerate(sizes) if s > 10.0})
+    slips = {e.arm: e.amount for e in found if e.breach is Breach.FRICTION}
+    assert slips == pytest.approx({k: use - 1.0 for k, use in enumerate(palm_use(palms, w)) if use > 1.0})
+
+
+def test_wrenches_count_while_the_object_moves_and_arms_are_named(task: Scenario) -> None:
+    controller = QPController(task.cell, task.grasp, task.path, dt=task.dt)
+    monitor = Monitor(task.cell, task.grasp, wrenches={"internal_force": 20.0})
+    controller.reset(task.q_start)
+    pushed = np.zeros((3, 6))
+    pushed[1, :3] = [0.0, 0.0, 50.0]
+
+    def judged(wrenches: Any) -> tuple[Violation, ...]:
+        return monitor.observe(controller.step(), wrenches=wrenches)
+
+    assert not judged(pushed), "nothing has moved yet"
+    found = judged(pushed)
+    assert [(v.breach, v.arm, v.step) for v in found] == [(Breach.SQUEEZE, "slave_1", 1)]
+    largest = np.linalg.norm(internal_wrenches(pushed, task.grasp)[1, :3])
+    assert found[0].amount == pytest.approx(largest - 20.0)
+    assert not judged(None)
+    pushed[2] = np.nan
+    assert not judged(pushed), "a wrench did not come"
+    assert [v.breach for v in judged(np.zeros((2, 6)))] == [Breach.FORM]
+    assert dict(monitor.verdict().counts) == {Breach.SQUEEZE: 1, Breach.FORM: 1}
+
+
+def test_palms_are_judged_alone_and_bad_bounds_refused(task: Scenario) -> None:
+    palms = (Grip(kind="palm", friction=0.5),) * 3
+    w = np.zeros((3, 6))
+    w[:, 2], w[2, 0], w[0, :] = 100.0, 60.0, np.nan
+    assert [(e.breach, e.arm) for e in excesses(WrenchBounds(palms=palms), task.grasp, w)] == [(Breach.FRICTION, 2)]
+    for bad in ({"internal_force": 0.0}, {"palms": (Grip(),) * 3}, {"palms": palms[:2]}):
+        with pytest.raises(InvalidInputError):
+            Monitor(task.cell, task.grasp, wrenches=bad)
+
+
+@pytest.mark.filterwarnings("ignore::coopqp.StartWarning")
+def test_a_controller_that_minds_wrenches_is_judged_as_its_recording_is(task: Scenario) -> None:
+    """A base off by 1 mm in the engine: grasps give way, and that is no parted chain; a tighter bound names the arm."""
+    axis = np.ones(3) / np.sqrt(3.0)
+    off = pin.SE3(pin.exp3(np.deg2rad(0.1) * axis), 1e-3 * axis)
+    plant = PhysicsPlant.of(task, disturbances=Disturbances(base_offset={"slave_2": off}))
+    payload = Payload(mass=plant.object_mass, centre=task.T_object_body.translation)
+    inner = ForceController(
+        QPController(task.cell, task.grasp, task.path, dt=task.dt), {"stiffness": plant.stiffness, "payload": payload}
+    )
+    tolerances = {"path_m": 5e-3}  # commands lead to where the measured object is on its path
+    monitor = Monitor(task.cell, task.grasp, tolerances=tolerances, wrenches=WrenchBounds(internal_force=20.0))
+    seen: list[Array] = []
+    made = Monitored(inner, monitor)
+    run = simulate(
+        made, plant, q_start=task.q_start, duration=1.2, observe=lambda _: seen.append(plant.measured_wrenches())
+    )
+    live, whole = made.verdict(), check_run(run, task.cell, tolerances=monitor.tolerances)
+    assert live.ok, live
+    assert live.steps == run.n_steps
+    assert live.worst.chain_m == pytest.approx(whole.worst.chain_m, rel=1e-9)
+    assert np.abs(inner.shift).max() > 5e-4
+    assert np.isfinite(seen).all()
+    strict = WrenchBounds(internal_force=0.5)
+    named = {e.arm for w in seen[-60:] for e in excesses(strict, task.grasp, w)}
+    assert named, "some force is left"
+
+
+def test_a_recording_names_the_palm_whose_friction_runs_out() -> None:
+    task = palm_box()
+    controller = QPController(task.cell, task.grasp, task.path, dt=task.dt)
+    run = simulate(controller, KinematicPlant(task.cell), q_start=task.q_start, duration=0.3)
+    wrenches = np.zeros((run.n_steps, 2, 6))
+    wrenches[:, :, 2] = 100.0
+    wrenches[20, 1, 0] = 90.0
+    palms = [{"kind": "palm", "friction": 0.6}] * 2
+    loaded = replace(
+        run,
+        wrenches=wrenches,
+        torques=np.zeros((run.n_steps, task.cell.nv)),
+        metadata={**run.metadata, "load": {"palms": palms}},
+    )
+    assert check_run(run, task.cell).ok
+    (found,) = check_run(loaded, task.cell).violations
+    assert (found.breach, found.step, found.arm) == (Breach.FRICTION, 20, task.cell.arm_names[1])
+    assert found.amount == pytest.approx(0.5)
