@@ -69,6 +69,10 @@ class TorqueDrives:
             )
         self._model.gravity.linear = np.array(options.gravity) * float(options.gravity_compensation)
         self._data = self._model.createData()
+        n = len(cell)
+        on_object = internal_wrenches(np.eye(6 * n).reshape(-1, n, 6), grasp)
+        at_tools = [on_object[:, k] @ X.action for k, X in enumerate(grasp.T_object_tool)]
+        self._internal = np.hstack(at_tools).T  # wrenches at the tools (6 N,) to their internal part there
         self.reset()
 
     def reset(self) -> None:
@@ -125,9 +129,9 @@ class TorqueDrives:
             parts = zip(to_wrench, self._cell.v_slices, strict=True)
             self._felt = np.array([A @ self.disturbance[s] for A, s in parts])
         self._resisted = self.disturbance.copy()
-        squeezes = internal_wrenches(self._felt, self._grasp)  # in the object frame
-        for s, J, X, w in zip(self._cell.v_slices, jacobians, self._grasp.T_object_tool, squeezes, strict=True):
-            self._resisted[s] -= J.T @ (X.action.T @ w)
+        squeezes = (self._internal @ self._felt.ravel()).reshape(-1, 6)
+        for s, J, w in zip(self._cell.v_slices, jacobians, squeezes, strict=True):
+            self._resisted[s] -= J.T @ w
 
     def _tools(self, q: Array, M: Array) -> tuple[list[Array], list[Array]]:
         """Of each arm J (6, n) in the tool's axes, and J̄ᵀ (6, n), which takes torques to the wrench that they make."""

@@ -17,7 +17,7 @@ import pinocchio as pin
 
 from coopqp.checks import ArrayLike, as_options, as_scalar, as_vector, read_only, require
 from coopqp.control.command import ControlStep
-from coopqp.errors import CoopqpError, InvalidInputError
+from coopqp.errors import CoopqpError, InvalidInputError, UnreachableError
 from coopqp.forces.grips import Grip
 from coopqp.forces.load import LoadShare
 from coopqp.model.cell import RobotCell
@@ -474,7 +474,11 @@ class PhysicsPlant:
         if self.load is not None:
             v, dv = (out if x is None else x for x in (velocity, acceleration))
             twist, change = self.load.object_motion(q, v, dv)
-            shared = self.load.share(q, twist=twist, acceleration=change, joint_velocity=v, joint_acceleration=dv)
+            try:
+                shared = self.load.share(q, twist=twist, acceleration=change, joint_velocity=v, joint_acceleration=dv)
+            except UnreachableError:  # no torques for such an acceleration: feed forward what rest takes
+                v = dv = out
+                shared = self.load.share(q, joint_velocity=v, joint_acceleration=dv)
             load = self.options.assumed_payload * shared.load_torques
             if self._drives is not None:
                 return self._taken * load
