@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -21,7 +22,8 @@ from coopqp import (
     UnknownNameError,
 )
 from coopqp.forces import internal_wrenches
-from coopqp.scenarios import Scenario, paper_lift
+from coopqp.scenarios import Scenario, palm_box, paper_lift, torque_lift
+from coopqp.simulation import engine_controller, engine_plant
 from coopqp.simulation.plants.drives import TorqueDrives
 
 OBSERVER = {"servo": "disturbance observer"}
@@ -183,13 +185,21 @@ def test_nonsense_and_bandwidths_beyond_the_rate_are_refused_by_name(options: di
         PhysicsOptions(**options, timestep=2e-4)  # a faster loop holds it
 
 
-def test_late_wrenches_and_bad_limits_are_refused(lift: Scenario) -> None:
+def test_late_wrenches_bad_limits_palms_and_minded_forces_are_refused(lift: Scenario) -> None:
     pytest.importorskip("mujoco")
     with pytest.raises(InvalidInputError, match="wrench_latency"):
         PhysicsPlant.of(lift, options=SENSED, disturbances=Disturbances(wrench_latency=0.02))
     for torque_limits in (0.0, [1.0, 2.0]):
         with pytest.raises(InvalidInputError, match="torque_limits"):
             PhysicsPlant.of(lift, options={**OBSERVER, "torque_limits": torque_limits})
+    box = palm_box()
+    assert box.engine is not None
+    with pytest.raises(InvalidInputError, match="palms"):
+        engine_plant(replace(box, engine=replace(box.engine, options=OBSERVER)))
+    minding = torque_lift()
+    assert minding.engine is not None
+    with pytest.raises(InvalidInputError, match="forces"):
+        engine_controller(replace(minding, engine=replace(minding.engine, forces={})), engine_plant(minding))
 
 
 # -- the engine --------------------------------------------------------------------------------------------------------

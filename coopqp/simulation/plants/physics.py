@@ -83,7 +83,8 @@ class PhysicsPlant:
             The drives take over its load as soon as all palms press with their ``squeeze``.
 
     Attributes:
-        stiffness: kp of the servos (nv,) [N·m/rad or N/m].
+        stiffness: kp of the servos (nv,) [N·m/rad or N/m]; of torque-controlled drives ω² times the inertia
+            at each joint, all joints at zero.
         time: time since the last reset without settling [s].
         mj_model, mj_data: MuJoCo's objects, for viewers and other readings.
 
@@ -138,6 +139,10 @@ class PhysicsPlant:
             len(self.palms) != len(cell) or any(not isinstance(p, Grip) or p.kind != "palm" for p in self.palms)
         ):
             raise InvalidInputError("no palm for each arm", "PhysicsPlant: palms", 'Give Grip(kind="palm", …).')
+        if self.palms is not None and self.options.servo != "position":
+            raise InvalidInputError(
+                f"palms on drives by {self.options.servo}", "PhysicsPlant", 'Palms need servo="position".'
+            )
         servos = self.options.servos(cell)
         self.stiffness, self._armature = servos.stiffness, servos.armature
         self._lead = servos.damping / servos.stiffness if self.options.velocity_feed_forward else np.zeros(cell.nv)
@@ -274,9 +279,8 @@ class PhysicsPlant:
             self._command(*targets.at(now), targets.acceleration(now), before + (i / n) * (after - before))
             self._step()
         self.time = targets.end
-        self._command(
-            *targets.at(self.time), targets.acceleration(self.time), after
-        )  # readings then refer to the present time
+        # Readings then refer to the present time.
+        self._command(*targets.at(self.time), targets.acceleration(self.time), after)
         self._torque = after
         return self._encoders.read(self._configuration(), dt)
 
