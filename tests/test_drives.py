@@ -173,6 +173,7 @@ def test_a_lost_wrench_changes_nothing(lift: Scenario, rng: np.random.Generator)
         ({"servo": "computed torque", "loop_bandwidth": 200.0, "assumed_mass": 1.5}, "assumed_mass"),
         ({**OBSERVER, "observer_bandwidth": 500.0}, "observer_bandwidth"),
         ({"servo": "computed torque", "timestep": 0.02}, "timestep"),
+        ({**OBSERVER, "assumed_mass": 0.15}, "assumed_mass"),
         ({"assumed_mass": 0.0}, "assumed_mass"),
         ({"assumed_payload": -0.5}, "assumed_payload"),
         ({"observer_bandwidth": float("nan")}, "observer_bandwidth"),
@@ -183,6 +184,32 @@ def test_nonsense_and_bandwidths_beyond_the_rate_are_refused_by_name(options: di
         PhysicsOptions(**options)
     if "bandwidth" in named and options.get("servo") and np.isfinite(list(options.values())[-1]):
         PhysicsOptions(**options, timestep=2e-4)  # a faster loop holds it
+
+
+def swing(w: float, K: float, mass: float, h: float) -> float:
+    """Largest eigenvalue of one step of a joint of mass 1 that the drives take for ``mass``; above 1 it swings up."""
+    columns = []
+    for x, v, d_hat in np.eye(3):
+        torque = -mass * (2.0 * w * v + w * w * x) - d_hat
+        faster = v + h * torque
+        d = mass * (faster - v) / h - torque
+        columns.append([x + h * faster, faster, d_hat - np.expm1(-K * h) * (d - d_hat)])
+    return float(np.abs(np.linalg.eigvals(np.array(columns).T)).max())
+
+
+def test_what_is_accepted_is_stable_and_refused_settings_include_all_that_swing(rng: np.random.Generator) -> None:
+    accepted, swings = 0, 0
+    for _ in range(2000):
+        w, K, mass = np.exp(rng.uniform(np.log([1.0, 1.0, 0.05]), np.log([900.0, 900.0, 4.0])))
+        stable = swing(w, K, mass, 1e-3) < 1.0
+        swings += not stable
+        try:
+            PhysicsOptions(loop_bandwidth=w, observer_bandwidth=K, assumed_mass=mass, **OBSERVER)
+        except InvalidInputError:
+            continue
+        accepted += 1
+        assert stable, (w, K, mass)
+    assert min(accepted, swings) > 200
 
 
 def test_late_wrenches_bad_limits_palms_and_minded_forces_are_refused(lift: Scenario) -> None:

@@ -158,9 +158,13 @@ class PhysicsOptions:
         Args:
             wrench_latency: age of the wrenches of ``wrist_sensors`` [s].
 
+        A single joint whose drives assume the mass ρ m in place of m swings without end where, with the observer,
+        K ω = ρ (2ω + K) (ω + 2K) (Routh), where max(1, ρ) (2ω + K) timestep reaches 1.6, and where K times the age of
+        the wrenches reaches π/2.
+
         Raises:
-            InvalidInputError: max(1, assumed_mass) (2 loop_bandwidth + observer_bandwidth) timestep, or with wrist
-                sensors observer_bandwidth (wrench_latency + timestep), is above ½. Ideal joints would bear 2 and π/2.
+            InvalidInputError: K ω / (ρ (2ω + K) (ω + 2K)), max(1, ρ) (2ω + K) timestep (K = 0 without observer), or
+                with wrist sensors K (wrench_latency + timestep), is above ½.
         """
         if self.servo == "position":
             return
@@ -169,6 +173,11 @@ class PhysicsOptions:
         if watches:
             gain, named = gain + self.observer_bandwidth, f"({named} + observer_bandwidth)"
         rules = {f"max(1, assumed_mass) {named} timestep": max(1.0, self.assumed_mass) * gain * self.timestep}
+        if watches:
+            w, K = self.loop_bandwidth, self.observer_bandwidth
+            rules["K ω / (assumed_mass (2ω + K) (ω + 2K))"] = (
+                K * w / (self.assumed_mass * (2.0 * w + K) * (w + 2.0 * K))
+            )
         if watches and self.wrist_sensors:
             late = self.observer_bandwidth * (wrench_latency + self.timestep)
             rules["observer_bandwidth (wrench_latency + timestep)"] = late
@@ -177,7 +186,7 @@ class PhysicsOptions:
                 raise InvalidInputError(
                     f"torques would swing: {rule} is {size:.3g}, and may be {_STEADY:g}",
                     "PhysicsOptions",
-                    "Lower the bandwidths or timestep.",
+                    "Lower the bandwidths or timestep, or correct assumed_mass.",
                 )
 
     def limits(self, cell: RobotCell) -> Array:
