@@ -18,8 +18,10 @@ from coopqp import (
     InvalidInputError,
     PhysicsOptions,
     PhysicsPlant,
+    QPController,
     RobotCell,
     UnknownNameError,
+    UnreachableError,
 )
 from coopqp.forces import internal_wrenches
 from coopqp.scenarios import Scenario, palm_box, paper_lift, torque_lift
@@ -274,3 +276,18 @@ def test_torques_stay_within_their_limits_and_the_joints_are_named(lift: Scenari
     np.testing.assert_array_less(np.abs(plant.joint_torques), limits * (1.0 + 1e-15))
     assert plant.limited_joints == (lift.cell.joint_names[1],)
     assert sank > 1.0
+
+
+@pytest.mark.parametrize("servo", ["position", "computed torque"])
+def test_a_command_beyond_all_torques_gets_the_feed_forward_of_rest(lift: Scenario, servo: str) -> None:
+    """Load sharing has no answer to a joint that is to speed up at 1000 rad/s²; the plant goes on."""
+    task = torque_lift(servo=servo, wrist_sensors=False, assumed_mass=1.0, assumed_payload=1.0)
+    plant = engine_plant(task)
+    q = plant.reset(task.q_start)
+    controller = QPController(task.cell, task.grasp, task.path, dt=task.dt)
+    controller.reset(q)
+    step = controller.step(q)
+    with pytest.raises(UnreachableError):
+        plant.load.share(q, joint_velocity=0.0 * step.velocity, joint_acceleration=np.full(task.cell.nv, 1e3))
+    after = plant.apply(step.replaced(velocity=step.velocity + 7.5))
+    np.testing.assert_allclose(after, q, atol=1e-3)
