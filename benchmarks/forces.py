@@ -12,6 +12,8 @@ the record, ``without_N`` that at rest without it. Cases:
 ``step_cost``      time of a step with wrenches and of one without [s];
 ``base_off_lift``  one base is off by 1 mm and 0.1°; the controller's model is calibrated from one lift before;
 ``feed_forward``   forces in the engine less those that are shared, with the torques fed forward, and without;
+``torque_drives``  the paper's lift by position servos and by torque-controlled drives, with wrong masses of arms and
+                   payload, and a base off; ``error_mm``: how far the object was off its path at most;
 ``heavy_lift``     torques of a slow lift, the load shared or in equal parts;
 ``fastest_lift``   the shortest lift by torque limits.
 """
@@ -60,7 +62,7 @@ from coopqp.simulation import Replay, engine_plant, exact_motion, read_loads, ru
 
 KEYS = (
     "case", "variant", "controller", "peak_N", "rest_N", "without_N", "slip_mm", "torque_use", "time_s", "finished",
-    "status",
+    "status", "error_mm",
 )  # fmt: skip
 DIAGONAL = np.ones(3) / np.sqrt(3.0)
 BASE_OFF = pin.SE3(pin.exp3(np.deg2rad(0.1) * DIAGONAL), 1e-3 * DIAGONAL)
@@ -68,6 +70,22 @@ BASE_OFF = pin.SE3(pin.exp3(np.deg2rad(0.1) * DIAGONAL), 1e-3 * DIAGONAL)
 TOLERANT = QPOptions(supervision=SupervisionOptions(slow_from=0.005, hold_from=0.01, stall_samples=10_000))
 INTERNAL = 50.0  # N
 MASSES = (20.0, 40.0, 48.0, 53.0)
+#: Settings of the plant's drives by name, and what they take masses for as multiples of the real ones.
+DRIVES: dict[str, dict[str, Any]] = {
+    "position servos": {"servo": "position"},
+    "computed torque": {"servo": "computed torque"},
+    "observer": {"servo": "disturbance observer"},
+    "observer, wrist sensors": {"servo": "disturbance observer", "wrist_sensors": True},
+}
+ASSUMED: dict[str, dict[str, Any]] = {"exact": {}} | {
+    f"{what} × {factor:g}": dict.fromkeys(keys, factor)
+    for what, keys in (
+        ("arms", ("assumed_mass",)),
+        ("payload", ("assumed_payload",)),
+        ("both", ("assumed_mass", "assumed_payload")),
+    )
+    for factor in (0.5, 1.5)
+}
 
 
 def record(case: str, variant: str, controller: str, **values: Any) -> Record:
@@ -137,6 +155,39 @@ def feed_forward(quick: bool) -> Iterator[Record]:
         "feed_forward", "20 kg in 1.2 s", "shared load", peak_N=float(off[1].max()), rest_N=float(off[1][-1]),
         without_N=float(off[0].max()), time_s=float(run.time[-1]), finished=run.finished, status=run.statuses[-1].value,
     )  # fmt: skip
+
+
+def torque_drives(quick: bool) -> Iterator[Record]:
+    """Exact inverse kinematics, so that only the drives err; wrist sensors are 5 ms late."""
+    task = paper_lift(time_law="quintic", duration=1.5 if quick else 3.0)
+    load = LoadShare(task.cell, task.grasp, box(task, 20.0), internal_force=INTERNAL)
+    motion, most = exact_motion(task.cell, task.grasp, task.path, task.q_start), load.torque_limits
+    wrong = {"both × 0.5": ASSUMED["both × 0.5"]} if quick else {**ASSUMED, "base of slave_2": {}}
+    for variant, assumed in wrong.items():
+        for drives, settings in DRIVES.items():
+            off = {"slave_2": BASE_OFF} if variant.startswith("base") else {}
+            plant = PhysicsPlant.of(
+                task, load=load, options={**settings, **assumed, "hand_over": 0.0},
+                disturbances=Disturbances(base_offset=off, wrench_latency=0.005),
+            )  # fmt: skip
+            felt, use, away = list[float](), list[float](), list[float]()
+
+            def read(
+                step: ControlStep, plant: PhysicsPlant = plant, felt: list[float] = felt, use: list[float] = use,
+                away: list[float] = away,
+            ) -> None:  # fmt: skip
+                internal = internal_wrenches(plant.sensed_wrenches(), task.grasp)
+                felt.append(float(np.linalg.norm(internal[:, :3], axis=1).max()))
+                use.append(float((np.abs(plant.joint_torques) / most).max()))
+                pose = task.path.pose(step.clock_next)
+                away.append(1e3 * float(np.linalg.norm(plant.T_world_object.translation - pose.translation)))
+
+            controller = Replay(task.cell, task.grasp, task.path, motion, dt=0.006)
+            run = simulate(controller, plant, q_start=task.q_start, settle=0.5, observe=read)
+            yield record(
+                "torque_drives", variant, drives, peak_N=max(felt), rest_N=felt[-1], torque_use=max(use),
+                time_s=float(run.time[-1]), finished=run.finished, status=run.statuses[-1].value, error_mm=max(away),
+            )  # fmt: skip
 
 
 def heavy_lift(quick: bool) -> Iterator[Record]:
@@ -319,7 +370,7 @@ def step_cost(quick: bool) -> Iterator[Record]:
             yield record("step_cost", variant, name, time_s=float(np.median(spent)))
 
 
-CASES = (relaxed, palms, step_cost, base_off_lift, feed_forward, heavy_lift, fastest_lift)
+CASES = (relaxed, palms, step_cost, base_off_lift, feed_forward, torque_drives, heavy_lift, fastest_lift)
 
 
 def main(argv: Sequence[str] | None = None) -> int:

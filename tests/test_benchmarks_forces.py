@@ -42,3 +42,15 @@ def test_a_quick_run_meets_the_figures(tmp_path: Path, capsys: pytest.CaptureFix
     assert shared["peak_N"] <= 50.0
     assert found["feed_forward", "20 kg in 1.2 s", "shared load"]["peak_N"] < 5.0
     assert found["fastest_lift", "40 kg", "load bound"]["finished"]
+    for controller in ("observer", "observer, wrist sensors"):
+        assert found["torque_drives", "both × 0.5", controller]["error_mm"] < 0.3
+    assert found["torque_drives", "both × 0.5", "computed torque"]["error_mm"] > 5.0
+    sensed, position = (
+        found["torque_drives", "both × 0.5", drives] for drives in ("observer, wrist sensors", "position servos")
+    )
+    assert sensed["peak_N"] < 5.0
+    assert position["peak_N"] > 50.0
+    for (case, variant, drives), one in found.items():
+        if case == "torque_drives":
+            assert one["finished"]
+            assert drives == "position servos" or one["torque_use"] <= 1.0, variant

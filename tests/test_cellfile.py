@@ -410,6 +410,16 @@ def test_the_physics_engine_as_the_plant(load: Callable[[str], CellRun]) -> None
         load(one_arm(path=LINE) + '[plant]\nkind = "real"\n')
 
 
+def test_torque_controlled_drives_as_the_plant(load: Callable[[str], CellRun]) -> None:
+    plant = 'kind = "physics"\nservo = "disturbance observer"\nsettle = 0.2\nassumed_mass = 0.5\ntorque_limits = 1e3\n'
+    text = one_arm(path=LINE).replace('name = "one"', 'name = "one"\nsteps = 20', 1)
+    assert load(f"{text}\n[plant]\n{plant}").run().finished
+    with pytest.raises(CellFileError, match=r"plant: .*observer_bandwidth"):
+        load(f"{text}\n[plant]\n{plant}observer_bandwidth = 1000\n").plant()
+    with pytest.raises(CellFileError, match=r"servo.*computed torque"):
+        load(f'{text}\n[plant]\nkind = "physics"\nservo = "torque"\n')
+
+
 def _cell(load: Callable[[str], CellRun]) -> RobotCell:
     return load(one_arm()).scenario.cell
 

@@ -64,6 +64,21 @@ def test_targets_meet_the_commands(cell: RobotCell, rng: np.random.Generator) ->
         assert not made.at(end + 1.0)[1].any()  # at rest after the last command
 
 
+def test_accelerations_are_the_slope_of_velocities(cell: RobotCell, rng: np.random.Generator) -> None:
+    """Inside each command; drives of an arm that lags or stands get none."""
+    made, held, end, h = targets(cell), targets(cell, lag={"0_rx90l": 0.1}, stall={"1_arm6c": 0.0}), 0.0, 1e-7
+    for dt in (0.001, 0.0075, 0.02):
+        x = cell.configuration(rng.uniform(-0.01, 0.01, cell.nv))
+        made.push(x, dt)
+        held.push(x, dt)
+        for t in end + dt * np.array([0.1, 0.5, 0.9]):
+            slope = (made.at(t + h)[1] - made.at(t - h)[1]) / (2.0 * h)
+            np.testing.assert_allclose(made.acceleration(t), slope, rtol=1e-5, atol=1e-4)
+            assert not held.acceleration(t).any()
+        end += dt
+    assert not made.acceleration(end + 1.0).any()
+
+
 @pytest.mark.parametrize(("interpolation", "order"), [("linear", 2), ("cubic", 3)])
 def test_smooth_commands_are_met_to_that_order(cell: RobotCell, interpolation: str, order: int) -> None:
     def motion(t: float) -> float:

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from coopqp.errors import UnknownNameError
 from coopqp.scenarios.arms import ROBOTS, robot_arm, robot_data_path, robot_file, robot_table
 from coopqp.scenarios.cells import dual_arm7, five_joint_pair, mixed_cell, ring, scara_pair
-from coopqp.scenarios.loads import LOADED, base_off_lift, heavy_lift, hot_plate, palm_box
+from coopqp.scenarios.loads import LOADED, base_off_lift, heavy_lift, hot_plate, palm_box, torque_lift
 from coopqp.scenarios.obstacles import elbow_and_knob, elbows, forearms, plate_and_post, plate_and_table, random_posts
 from coopqp.scenarios.paper import fast_lift, paper_lift, wide_grasp
 from coopqp.scenarios.robot_data import panda_bar, ur5_table
@@ -51,6 +51,7 @@ __all__ = [
     "robot_table",
     "scara_pair",
     "scenario",
+    "torque_lift",
     "ur5_table",
     "wide_grasp",
 ]

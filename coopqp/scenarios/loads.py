@@ -91,6 +91,35 @@ def heavy_lift(*, mass: Kilograms = 53.0, internal_force: Newtons = 50.0, durati
     )
 
 
+def torque_lift(
+    *,
+    servo: str = "disturbance observer",
+    wrist_sensors: bool = True,
+    assumed_mass: float = 0.5,
+    assumed_payload: float = 0.5,
+    duration: float = 3.0,
+) -> Scenario:
+    """The paper's lift by torque-controlled arms whose drives take arms and plate for half as heavy as they are.
+
+    Args:
+        servo, wrist_sensors, assumed_mass, assumed_payload: as of :class:`coopqp.PhysicsOptions`.
+        duration: duration of the path [s].
+    """
+    lift = paper_lift(time_law="quintic", duration=duration)
+    drives = {
+        "servo": servo,
+        "wrist_sensors": wrist_sensors,
+        "assumed_mass": assumed_mass,
+        "assumed_payload": assumed_payload,
+    }
+    late = {"wrench_latency": 0.005}
+    return replace(
+        lift,
+        name="torque_lift",
+        engine=EngineSettings(options=drives, disturbances=late, shares_load=True, internal_force=20.0),
+    )
+
+
 def palm_box(
     *,
     squeeze: Newtons = 200.0,
@@ -136,5 +165,6 @@ LOADED: dict[str, Callable[[], Scenario]] = {
     "base_off_lift": base_off_lift,
     "hot_plate": hot_plate,
     "heavy_lift": heavy_lift,
+    "torque_lift": torque_lift,
     "palm_box": palm_box,
 }

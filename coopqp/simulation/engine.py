@@ -10,6 +10,7 @@ import numpy as np
 from coopqp.control.command import Controller
 from coopqp.control.options import QPOptions
 from coopqp.control.qp import QPController
+from coopqp.errors import InvalidInputError
 from coopqp.forces.force_controller import ForceController
 from coopqp.forces.force_options import ForceOptions
 from coopqp.forces.grips import Grip
@@ -60,8 +61,18 @@ def _palms(given: EngineSettings) -> tuple[Grip, ...] | None:
 
 
 def engine_controller(scenario: Scenario, plant: PhysicsPlant) -> Controller:
-    """The controller that a scenario runs with in the engine."""
+    """The controller that a scenario runs with in the engine.
+
+    Raises:
+        InvalidInputError: arms on torque-controlled drives are to mind forces.
+    """
     given = scenario.engine or EngineSettings()
+    if given.forces is not None and plant.options.servo != "position":
+        raise InvalidInputError(
+            f"forces are minded through servos, not drives by {plant.options.servo}",
+            f"scenario {scenario.name}: engine",
+            'Give servo="position", or forces=None.',
+        )
     made = QPController(
         scenario.cell, scenario.grasp, scenario.path, dt=scenario.dt, options=QPOptions(**given.controller)
     )

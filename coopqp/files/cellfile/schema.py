@@ -279,7 +279,7 @@ class KinematicTable(Table):
 PhysicsTable = table_of(
     PhysicsOptions,
     "PhysicsTable",
-    replaced=dict.fromkeys(("stiffness", "damping", "armature"), Number | Numbers | Literal[False]),
+    replaced=dict.fromkeys(("stiffness", "damping", "armature", "torque_limits"), Number | Numbers | Literal[False]),
     first={"kind": (Literal["physics"], ...)},
 )
 

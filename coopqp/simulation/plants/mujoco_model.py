@@ -72,7 +72,7 @@ def build_spec(
     stand at first.
 
     The body frame of the object is the object frame: the generalized force of its free joint is the wrench there.
-    Joints have the names of the cell. Each has a position servo of the same name.
+    Joints have the names of the cell. Each has a position servo or a motor of the same name.
     """
     mujoco = require_mujoco()
     spec = mujoco.MjSpec()
@@ -149,13 +149,13 @@ def _add_arm(
     """Add an arm, and its weld to the object unless it has a palm. Returns the body of its tool."""
     model = arm.model
     T_base = arm.T_world_base * base_offset.get(arm.name, pin.SE3.Identity())
-    twists = joint_axes(model)
+    twists, servoed = joint_axes(model), options.servo == "position"
     bodies = [_add_body(spec.worldbody, f"{arm.name}:base", T_base)]
     _set_inertia(bodies[0], model.inertias[0])
     for i in range(1, model.njoints):
         name, j = f"{arm.name}/{model.names[i]}", rows.start + model.joints[i].idx_v
         body = _add_body(bodies[model.parents[i]], name, model.jointPlacements[i])
-        body.gravcomp = 1.0 if options.gravity_compensation else 0.0
+        body.gravcomp = options.assumed_mass if options.gravity_compensation and servoed else 0.0
         _set_inertia(body, model.inertias[i])
         axis, slides = _axis(arm, i, twists[model.joints[i].idx_v])
         body.add_joint(
@@ -167,7 +167,8 @@ def _add_arm(
         actuator = spec.add_actuator(name=name, trntype=mujoco.mjtTrn.mjTRN_JOINT, target=name)
         actuator.gaintype, actuator.biastype = mujoco.mjtGain.mjGAIN_FIXED, mujoco.mjtBias.mjBIAS_AFFINE
         kp, kd = float(servos.stiffness[j]), float(servos.damping[j])
-        actuator.gainprm[0], actuator.biasprm[1], actuator.biasprm[2] = kp, -kp, -kd
+        gains = (kp, -kp, -kd) if servoed else (1.0, 0.0, 0.0)
+        actuator.gainprm[0], actuator.biasprm[1], actuator.biasprm[2] = gains
         bodies.append(body)
     if arm.visual is not None:
         for item in arm.visual.geometryObjects:
@@ -175,7 +176,7 @@ def _add_arm(
     frame = model.frames[model.getFrameId(arm.tool_frame)]
     site = tool_site(arm.name)
     tool = _add_body(bodies[frame.parentJoint], site, frame.placement)  # massless, carries the sensors
-    tool.gravcomp = 1.0
+    tool.gravcomp = float(servoed)
     tool.add_site(name=site)
     if welded:
         weld = spec.add_equality(name=site, type=mujoco.mjtEq.mjEQ_WELD, objtype=mujoco.mjtObj.mjOBJ_SITE)

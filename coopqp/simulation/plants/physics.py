@@ -1,4 +1,6 @@
-"""The physics plant: the cell in MuJoCo with position servos. The object is a body with mass, welded to the tools.
+"""The physics plant: the cell in MuJoCo. The object is a body with mass, welded to the tools.
+
+Position servos drive the joints, or torques by a model of the arms (:mod:`coopqp.simulation.plants.drives`).
 
 The object and the links are rigid, the welds nearly so. A command that does not fit the grasp deflects the servos and
 stresses the object. The plant reads the forces at the grasps. They scale with the stiffness of the servos, so quote it.
@@ -13,14 +15,15 @@ from typing import TYPE_CHECKING, Any, final
 import numpy as np
 import pinocchio as pin
 
-from coopqp.checks import ArrayLike, as_options, as_scalar, as_vector, require
+from coopqp.checks import ArrayLike, as_options, as_scalar, as_vector, read_only, require
 from coopqp.control.command import ControlStep
-from coopqp.errors import CoopqpError, InvalidInputError
+from coopqp.errors import CoopqpError, InvalidInputError, UnreachableError
 from coopqp.forces.grips import Grip
 from coopqp.forces.load import LoadShare
 from coopqp.model.cell import RobotCell
 from coopqp.model.grasp import Grasp
 from coopqp.simulation.plants.disturbances import Disturbances
+from coopqp.simulation.plants.drives import TorqueDrives
 from coopqp.simulation.plants.encoders import Encoders
 from coopqp.simulation.plants.mujoco_model import (
     OBJECT,
@@ -80,7 +83,8 @@ class PhysicsPlant:
             The drives take over its load as soon as all palms press with their ``squeeze``.
 
     Attributes:
-        stiffness: kp of the servos (nv,) [N·m/rad or N/m].
+        stiffness: kp of the servos (nv,) [N·m/rad or N/m]; of torque-controlled drives ω² times the inertia
+            at each joint, all joints at zero.
         time: time since the last reset without settling [s].
         mj_model, mj_data: MuJoCo's objects, for viewers and other readings.
 
@@ -135,6 +139,10 @@ class PhysicsPlant:
             len(self.palms) != len(cell) or any(not isinstance(p, Grip) or p.kind != "palm" for p in self.palms)
         ):
             raise InvalidInputError("no palm for each arm", "PhysicsPlant: palms", 'Give Grip(kind="palm", …).')
+        if self.palms is not None and self.options.servo != "position":
+            raise InvalidInputError(
+                f"palms on drives by {self.options.servo}", "PhysicsPlant", 'Palms need servo="position".'
+            )
         servos = self.options.servos(cell)
         self.stiffness, self._armature = servos.stiffness, servos.armature
         self._lead = servos.damping / servos.stiffness if self.options.velocity_feed_forward else np.zeros(cell.nv)
@@ -156,6 +164,12 @@ class PhysicsPlant:
         self.mj_model = compile_spec(self._spec)
         self.mj_data = mujoco.MjData(self.mj_model)
         self._index()
+        self._drives: TorqueDrives | None = None
+        self.options.check_rate(self.disturbances.wrench_latency)
+        if self.options.servo != "position":
+            self._drives = TorqueDrives(cell, grasp, self.options, self._armature, self.options.limits(cell))
+            M, _ = self._drives.model_at(pin.neutral(cell.model), np.zeros(cell.nv))
+            self.stiffness = read_only(self.options.loop_bandwidth**2 * np.diag(M))
         self._targets = JointTargets(
             cell,
             interpolation=self.options.interpolation,
@@ -164,8 +178,10 @@ class PhysicsPlant:
         )
         self._encoders = Encoders(cell, self.disturbances)
         self._wrench_sensors = WrenchSensors(cell, self.disturbances)
+        self._drive_sensors = WrenchSensors(cell, self.disturbances)  # the same, at the rate of the drives
         self.time, self._fresh = 0.0, False
         self._torque, self._velocity = np.zeros(cell.nv), np.zeros(cell.nv)
+        self._limited, self._clock = np.zeros(cell.nv, dtype=bool), 0.0
         self._placed: list[pin.SE3] | None = None
         self._taken = 1.0 if self.palms is None else 0.0  # share of the load that the drives feed forward
 
@@ -215,9 +231,16 @@ class PhysicsPlant:
         self.time = 0.0
         h = m.opt.timestep = self.options.timestep
         still, torque = np.zeros(self.cell.nv), self._load_torque(start)
-        self._command(x, still, torque)
+        if self._drives is not None:
+            self._drives.reset()
+            self._drive_sensors.reset()
+            self._clock = 0.0
+        self._limited = np.zeros(self.cell.nv, dtype=bool)
+        self._command(x, still, still, torque)
         for _ in range(round(self.options.settle / h)):
-            self._mujoco.mj_step(m, d)
+            self._step()
+            if self._drives is not None:
+                self._command(x, still, still, torque)
         measured = self._configuration()
         self._encoders.reset(measured)
         self._wrench_sensors.reset()
@@ -225,8 +248,8 @@ class PhysicsPlant:
         n, way = round(self.options.hand_over / h), pin.difference(self.cell.model, start, measured)
         for i in range(2 * n):
             u = TimeLaw.QUINTIC.value_at((i + 1) / n)  # half the steps to move, half to rest
-            self._command(x + u * way, still, torque + u * (self._torque - torque))
-            self._mujoco.mj_step(m, d)
+            self._command(x + u * way, still, still, torque + u * (self._torque - torque))
+            self._step()
         self._targets.reset(measured if n else start)
         self._velocity = np.zeros(self.cell.nv)
         return measured
@@ -235,7 +258,7 @@ class PhysicsPlant:
         """Drive the joints to ``step.q_next`` in ``step.dt``. Returns the measured configuration (nq,) at the end."""
         dt = as_scalar(step.dt, "PhysicsPlant.apply: step.dt")
         q_next = self.cell.check_configuration(step.q_next, "PhysicsPlant.apply: step.q_next")
-        m, d, targets = self.mj_model, self.mj_data, self._targets
+        m, targets = self.mj_model, self._targets
         targets.push(q_next, dt)
         if self.palms is not None and self._placed is None:
             pressed = zip(self.palms, self.sensed_wrenches(), strict=True)
@@ -249,13 +272,15 @@ class PhysicsPlant:
         self._velocity = np.array(step.velocity)
         n = max(1, math.ceil(dt / self.options.timestep - 1e-9))
         h = m.opt.timestep = dt / n
+        self._limited[:] = False
         for i in range(n):
-            x, v = targets.at(self.time + i * h)
-            self._grow(self.time + i * h)
-            self._command(x, v, before + (i / n) * (after - before))
-            self._mujoco.mj_step(m, d)
+            now = self.time + i * h
+            self._grow(now)
+            self._command(*targets.at(now), targets.acceleration(now), before + (i / n) * (after - before))
+            self._step()
         self.time = targets.end
-        self._command(*targets.at(self.time), after)  # readings then refer to the present time
+        # Readings then refer to the present time.
+        self._command(*targets.at(self.time), targets.acceleration(self.time), after)
         self._torque = after
         return self._encoders.read(self._configuration(), dt)
 
@@ -305,8 +330,10 @@ class PhysicsPlant:
         welds under load; the forces are right.
         """
         self._refresh()
-        d = self.mj_data
-        return np.array([d.sensordata[[*range(f, f + 3), *range(t, t + 3)]] for f, t in self._sensors])
+        return self._sensed()
+
+    def _sensed(self) -> Array:
+        return np.array([self.mj_data.sensordata[rows] for rows in self._sensors])
 
     def slip(self) -> float:
         """How far any palm has slipped along the object since the stand let it go [m]; 0 before."""
@@ -331,6 +358,8 @@ class PhysicsPlant:
     def servo_torques(self) -> Array:
         """Torques or forces of the servos (nv,) [N·m or N], without the feed-forward of gravity and load."""
         self._refresh()
+        if self._drives is not None:
+            return np.array(self._drives.feedback)
         return np.array(self.mj_data.actuator_force[self._actuators])
 
     @property
@@ -339,6 +368,11 @@ class PhysicsPlant:
         self._refresh()
         d = self.mj_data
         return np.array((d.qfrc_actuator + d.qfrc_applied + d.qfrc_gravcomp)[self._v_at])
+
+    @property
+    def limited_joints(self) -> tuple[str, ...]:
+        """Joints whose torque was cut to its limit in the last command; position servos have no limits."""
+        return tuple(name for name, cut in zip(self.cell.joint_names, self._limited, strict=True) if cut)
 
     @property
     def T_world_object(self) -> pin.SE3:
@@ -375,7 +409,8 @@ class PhysicsPlant:
         welded = [] if self.palms is not None else names
         self._welds = np.array([m.equality(tool_site(name)).id for name in welded], dtype=int)
         self._stand = m.geom(STAND).id if self.palms is not None else -1
-        self._sensors = [(m.sensor(f"{name}:force").adr[0], m.sensor(f"{name}:torque").adr[0]) for name in names]
+        starts = [(m.sensor(f"{name}:force").adr[0], m.sensor(f"{name}:torque").adr[0]) for name in names]
+        self._sensors = [[*range(f, f + 3), *range(t, t + 3)] for f, t in starts]
         self._object = m.body(OBJECT).id
         free = m.joint(OBJECT)
         self._object_q = slice(free.qposadr[0], free.qposadr[0] + 7)
@@ -435,7 +470,7 @@ class PhysicsPlant:
         """Feed-forward torques (nv,) at ``q``, at rest by default, with the nominal cell and grasp.
 
         Jᵀf of the object's weight; with load sharing all that its motion takes, besides the weight that the drives
-        carry anyhow.
+        carry anyhow. Torque-controlled drives know the arms' part by themselves.
         """
         out = np.zeros(self.cell.nv)
         if not self.options.load_feed_forward or self._taken == 0.0:
@@ -443,10 +478,18 @@ class PhysicsPlant:
         if self.load is not None:
             v, dv = (out if x is None else x for x in (velocity, acceleration))
             twist, change = self.load.object_motion(q, v, dv)
-            shared = self.load.share(q, twist=twist, acceleration=change, joint_velocity=v, joint_acceleration=dv)
+            try:
+                shared = self.load.share(q, twist=twist, acceleration=change, joint_velocity=v, joint_acceleration=dv)
+            except UnreachableError:  # no torques for such an acceleration: feed forward what rest takes
+                v = dv = out
+                shared = self.load.share(q, joint_velocity=v, joint_acceleration=dv)
+            load = self.options.assumed_payload * shared.load_torques
+            if self._drives is not None:
+                return self._taken * load
             if self.options.gravity_compensation:
                 out = pin.computeGeneralizedGravity(self.cell.model, self._data, q)
-            return self._taken * (shared.torques + self._armature * dv - out)
+            arms = self.options.assumed_mass * (shared.torques - shared.load_torques - out)
+            return self._taken * (load + arms + self._armature * dv)
         J = np.asarray(pin.computeJointJacobians(self.cell.model, self._data, q))
         tools = [self._data.oMi[j] * X for j, X in zip(self.cell.tool_joints, self.cell.T_joint_tool, strict=True)]
         R_object = tools[0].rotation @ self.grasp.T_object_tool[0].rotation.T
@@ -456,12 +499,29 @@ class PhysicsPlant:
         moments = cross(self._load[:, 3:] @ R_object.T, weight[None]) + cross(points, forces)
         for k, s in enumerate(self.cell.v_slices):
             out[s] = forces[k] @ J[:3, s] + moments[k] @ J[3:, s]
-        return self._taken * out
+        return self._taken * self.options.assumed_payload * out
 
-    def _command(self, x: Array, v: Array, torque: Array) -> None:
-        self.mj_data.ctrl[self._actuators] = x + self._lead * v
-        self.mj_data.qfrc_applied[self._v_at] = torque
+    def _command(self, x: Array, v: Array, a: Array, torque: Array) -> None:
+        """Targets of the joints and what is fed forward (nv,): positions, velocities, accelerations; torques."""
+        d = self.mj_data
+        if self._drives is None:
+            d.ctrl[self._actuators] = x + self._lead * v
+            d.qfrc_applied[self._v_at] = torque
+        else:
+            q, now = self._configuration(), np.array(d.qvel[self._v_at])
+            d.ctrl[self._actuators] = self._drives.torque(q, now, x - self.positions, v - now, a, torque)
         self._fresh = False
+
+    def _step(self) -> None:
+        """One step of the engine with the last command; an observer sees what comes of it."""
+        self._mujoco.mj_step(self.mj_model, self.mj_data)
+        if self._drives is not None:
+            self._limited |= self._drives.limited
+            now = np.array(self.mj_data.qvel[self._v_at])
+            # The engine's readings are those at the start of its step, when the torques began to act.
+            self._clock += self.mj_model.opt.timestep
+            felt = self._drive_sensors.read(self._sensed(), self._clock)
+            self._drives.observe(self._configuration(), now, self.mj_model.opt.timestep, felt)
 
     def _configuration(self) -> Array:
         """Real configuration (nq,)."""

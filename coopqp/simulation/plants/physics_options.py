@@ -11,10 +11,16 @@ import pinocchio as pin
 from coopqp.checks import NOT_NUMBERS, Doc, as_count, as_floats, as_vector, documented, keep_scalars, read_only
 from coopqp.errors import InvalidInputError, UnknownNameError
 from coopqp.model.cell import RobotCell
+from coopqp.planning.payload import Payload
 from coopqp.spatial import Array
 
 Interpolation = Literal["linear", "cubic"]
 GripPoints = Literal["grasp", "where they are"]
+#: What drives the joints; the laws of torque are in :mod:`coopqp.simulation.plants.drives`.
+Servo = Literal["position", "computed torque", "disturbance observer"]
+SERVOS: tuple[Servo, ...] = ("position", "computed torque", "disturbance observer")
+#: Largest accepted product of a gain of torque-controlled drives and the delay in its loop.
+_STEADY = 0.5
 
 #: Servos of a large six-joint arm, from base to wrist. They are assumed: no maker publishes them. Forces scale with kp.
 STIFFNESS = (1e5, 1e5, 5e4, 1e4, 1e4, 5e3)  # kp [N·m/rad]
@@ -50,6 +56,37 @@ class PhysicsOptions:
     ] = None
     damping: Annotated[Any, Doc("kd of the joint servos [N·m·s/rad or N·s/m], in the same forms")] = None
     armature: Annotated[Any, Doc("inertia of the drives at the joints [kg·m² or kg], in the same forms")] = None
+    servo: Annotated[
+        Servo,
+        Doc(
+            '"position" for stiff position servos (stiffness, damping); "computed torque" for torques from a model of '
+            'the arms; "disturbance observer" for the same with an observer of what the model gets wrong'
+        ),
+    ] = "position"
+    loop_bandwidth: Annotated[
+        float, Doc("ω of torque-controlled drives [rad/s]: errors of a joint follow 'ë + 2ω ė + ω² e = 0'")
+    ] = 30.0
+    observer_bandwidth: Annotated[float, Doc("K of the disturbance observer [rad/s]; its time constant is 1/K")] = 40.0
+    wrist_sensors: Annotated[
+        bool,
+        Doc(
+            "the disturbance observer reads force and torque sensors at the tools. Without them it cannot tell a wrong "
+            "mass of an arm from a squeeze"
+        ),
+    ] = False
+    torque_limits: Annotated[
+        Any,
+        Doc(
+            "largest torques of torque-controlled drives [N·m or N]; one number, one per joint (nv,), or None for "
+            "those of the models"
+        ),
+    ] = None
+    assumed_mass: Annotated[
+        float, Doc("masses and inertias of the links as the drives know them, as a multiple of the real ones")
+    ] = 1.0
+    assumed_payload: Annotated[
+        float, Doc("the load that the drives feed forward, as a multiple of what it is said to be")
+    ] = 1.0
     interpolation: Annotated[
         Interpolation,
         Doc(
@@ -108,7 +145,62 @@ class PhysicsOptions:
             raise UnknownNameError("interpolation", str(self.interpolation), ("linear", "cubic"), where)
         if self.grips not in ("grasp", "where they are"):
             raise UnknownNameError("place to grip", str(self.grips), ("grasp", "where they are"), where)
+        if self.servo not in SERVOS:
+            raise UnknownNameError("servo", str(self.servo), SERVOS, where)
+        keep_scalars(self, "loop_bandwidth", "observer_bandwidth", "assumed_mass", high=1e4)
+        keep_scalars(self, "assumed_payload", high=1e4, open_low=False)
+        self.check_rate()
         object.__setattr__(self, "iterations", as_count(self.iterations, f"{where}: iterations"))
+
+    def check_rate(self, wrench_latency: float = 0.0) -> None:
+        """Refuse bandwidths that sampled torques cannot hold.
+
+        Args:
+            wrench_latency: age of the wrenches of ``wrist_sensors`` [s].
+
+        A single joint whose drives assume the mass ρ m in place of m swings without end where, with the observer,
+        K ω = ρ (2ω + K) (ω + 2K) (Routh), where max(1, ρ) (2ω + K) timestep reaches 1.6, and where K times the age of
+        the wrenches reaches π/2.
+
+        Raises:
+            InvalidInputError: K ω / (ρ (2ω + K) (ω + 2K)), max(1, ρ) (2ω + K) timestep (K = 0 without observer), or
+                with wrist sensors K (wrench_latency + timestep), is above ½.
+        """
+        if self.servo == "position":
+            return
+        watches = self.servo == "disturbance observer"
+        gain, named = 2.0 * self.loop_bandwidth, "2 loop_bandwidth"
+        if watches:
+            gain, named = gain + self.observer_bandwidth, f"({named} + observer_bandwidth)"
+        rules = {f"max(1, assumed_mass) {named} timestep": max(1.0, self.assumed_mass) * gain * self.timestep}
+        if watches:
+            w, K = self.loop_bandwidth, self.observer_bandwidth
+            rules["K ω / (assumed_mass (2ω + K) (ω + 2K))"] = (
+                K * w / (self.assumed_mass * (2.0 * w + K) * (w + 2.0 * K))
+            )
+        if watches and self.wrist_sensors:
+            late = self.observer_bandwidth * (wrench_latency + self.timestep)
+            rules["observer_bandwidth (wrench_latency + timestep)"] = late
+        for rule, size in rules.items():
+            if size > _STEADY * (1.0 + 1e-12):
+                raise InvalidInputError(
+                    f"torques would swing: {rule} is {size:.3g}, and may be {_STEADY:g}",
+                    "PhysicsOptions",
+                    "Lower the bandwidths or timestep, or correct assumed_mass.",
+                )
+
+    def limits(self, cell: RobotCell) -> Array:
+        """Largest torques of torque-controlled drives (nv,); inf for none.
+
+        Raises:
+            InvalidInputError: wrong shape, or a number is not positive.
+        """
+        if self.torque_limits is None:
+            return read_only(Payload(mass=0.0).limits(cell))
+        row = _one_per_joint(self.torque_limits, cell.nv, "PhysicsOptions: torque_limits")
+        if not (row > 0.0).all():
+            raise InvalidInputError(f"{row.tolist()} must be > 0", "PhysicsOptions: torque_limits", "Correct its sign.")
+        return read_only(row)
 
     def servos(self, cell: RobotCell) -> Servos:
         """The servos of a cell's joints.

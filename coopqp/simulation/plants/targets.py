@@ -43,6 +43,16 @@ class _Segment:
         v = way / h + (1.0 - s) * (1.0 - 3.0 * s) * bend + s * (3.0 * s - 2.0) * twist
         return x, v
 
+    def acceleration(self, t: float) -> Array:
+        """Acceleration at ``t``; zero on a line and after the end."""
+        h = self.end - self.start
+        if self.straight or t > self.end + 1e-6 * h:
+            return np.zeros_like(self.x1)
+        s = min(max((t - self.start) / h, 0.0), 1.0)
+        mean = (self.x1 - self.x0) / h
+        bend, twist = self.v0 - mean, self.v1 - mean
+        return ((6.0 * s - 4.0) * bend + (6.0 * s - 2.0) * twist) / h
+
 
 @final
 class JointTargets:
@@ -104,3 +114,13 @@ class JointTargets:
                 x[s] = self._frozen.setdefault(s.start, x[s].copy())
                 v[s] = 0.0
         return x, v
+
+    def acceleration(self, t: float) -> Array:
+        """Acceleration (nv,) at ``t`` [s] within the last command; zero for arms with lag, and for stalled ones."""
+        a = self._segment.acceleration(t)
+        for s, _ in self._lag:
+            a[s] = 0.0
+        for s, time in self._stall:
+            if t >= time - _SAME_TIME:
+                a[s] = 0.0
+        return a
