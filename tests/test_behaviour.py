@@ -220,6 +220,7 @@ def test_a_mismatch_must_not_grow(behaviour: Any) -> None:
     assert "chain_rise_mm" in " ".join(behaviour.missed_targets(run, behaviour.judge(run, back_and_forth)))
 
 
+@pytest.mark.slow
 def test_quick_runs_are_a_part_of_full_runs(behaviour: Any) -> None:
     for case in behaviour.CASES:
         assert set(behaviour.keys_of(case, quick=True)) <= set(behaviour.keys_of(case, quick=False)), case

@@ -138,6 +138,7 @@ def judged(robots: tuple[str, ...], enough: int, rng: Any, samples: int = 1001) 
     raise AssertionError
 
 
+@pytest.mark.slow
 def test_certified_branches_hold_at_dense_samples(rng: Any) -> None:
     count = judged(("rx90l", "ur5"), 10, rng, samples=201)
     assert count["loosest"] <= LOOSE

@@ -707,7 +707,7 @@ def test_arms_brake_within_their_accelerations_on_the_path_and_rest_before_the_m
     assert all(step.rate < 1e-9 for step in steps[late:])
 
 
-@pytest.mark.parametrize("kernel", KERNELS)
+@pytest.mark.parametrize("kernel", slow_but_first(KERNELS))
 def test_rows_hold_while_nobody_says_where_a_body_is(lift: Scenario, kernel: str) -> None:
     # The path is not known ahead, so rows alone keep the plate below the post; the arms come to rest before it.
     blind = replace(plate_and_post(), path=Opaque(plate_and_post().path, known_ahead=False))

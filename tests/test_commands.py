@@ -388,6 +388,7 @@ def test_products_that_do_not_exist_are_named(tmp_path: Path) -> None:
         runs.output_folder("run", None, ["reprot"], out=None, force=False)
 
 
+@pytest.mark.slow
 def test_nothing_is_overwritten_unless_it_is_asked_for(cell_file: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Runs go into fresh numbered folders; a folder of --out that is used needs --force, and so does a recording."""
     for folder in ("out/small_run", "out/small_run-2", "out/small_run-3"):

@@ -311,7 +311,7 @@ class Jumping(ObjectPath):
         return self._inner.twist(clock)
 
 
-@pytest.mark.parametrize("by", [(0.1, 0.0, 0.0), (0.0, 0.5, 0.5)])
+@pytest.mark.parametrize("by", slow_but_first([(0.1, 0.0, 0.0), (0.0, 0.5, 0.5)]))
 def test_the_object_stops_ahead_of_a_jump(by: Any) -> None:
     task = paper_lift(time_law=TimeLaw.QUINTIC)
     path = Jumping(task.path, 0.5 * task.path.duration, np.array(by))
@@ -346,6 +346,7 @@ def zigzag(start: pin.SE3) -> WaypointPath:
     return WaypointPath(poses, durations=[0.3, 0.3, 0.3], time_law=TimeLaw.LINEAR)
 
 
+@pytest.mark.slow
 def test_corners_are_taken_at_a_speed_that_the_joints_can_jump() -> None:
     task = paper_lift()
     path = zigzag(task.path.pose(0.0))
@@ -449,7 +450,7 @@ def run_through(task: Scenario) -> Array:
 # -- in the controller -------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("kernel", available_kernels())
+@pytest.mark.parametrize("kernel", slow_but_first(available_kernels()))
 def test_an_object_that_stops_for_good_is_blocked_a_little_before(kernel: Any) -> None:
     """From ten times the blocked rate on; until then it is slowed."""
     task = at_limit()

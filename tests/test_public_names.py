@@ -175,6 +175,7 @@ def test_programs_import_public_names_only(name: str) -> None:
             assert imported in listed, f"{name}: from {module} import {imported}"
 
 
+@pytest.mark.slow
 def test_tests_import_public_names_from_the_public_place() -> None:
     public = {id(getattr(coopqp, name)): name for name in coopqp.__all__}
     deep = []

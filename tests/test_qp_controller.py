@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 import pytest
-from marks import slow_but_first
+from marks import slow_but_first, slow_unless
 
 from coopqp import (
     Arm,
@@ -530,7 +530,7 @@ def test_a_perfect_measurement_changes_nothing() -> None:
 # -- arms of any number, with any joints and limits --------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("arms", [1, 2, 5, 12, 16])
+@pytest.mark.parametrize("arms", slow_unless(lambda arms: arms < 12, [1, 2, 5, 12, 16]))
 def test_any_number_of_arms(arms: int) -> None:
     task = ring(arms=max(arms, 2))
     if arms == 1:

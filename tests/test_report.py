@@ -183,6 +183,7 @@ def test_measurements_are_drawn_and_not_listed(slowed: Recording) -> None:
     assert text.count("189 values") == 3
 
 
+@pytest.mark.slow
 def test_arms_without_shapes_and_cells_that_are_given(baseline: Callable[..., Recording], paper: Scenario) -> None:
     recording = _bare(baseline(40))
     assert "no shapes to draw" in report_html(recording)

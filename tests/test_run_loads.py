@@ -118,6 +118,7 @@ def test_arms_that_give_way_are_judged_at_the_grasps_that_they_hold(task: Scenar
     assert check_run(said, task.cell).worst.chain_m < 5e-3
 
 
+@pytest.mark.slow
 def test_the_command_runs_scenarios_by_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Also where a folder of that name lies around; other names are files."""
     monkeypatch.chdir(tmp_path)

@@ -81,6 +81,7 @@ def attempt(read: Callable[[Any], Any], value: Any) -> Any:
 @example(np.eye(4, dtype=complex))
 @example(np.eye(4, dtype=np.int32))
 @example(np.eye(4)[:, ::-1])
+@pytest.mark.slow
 def test_a_value_is_refused_by_name_or_read_correctly(value: Any) -> None:
     vector = attempt(lambda x: as_vector(x, 3, "the spot"), value)
     if vector is not None:

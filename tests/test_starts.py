@@ -50,23 +50,32 @@ def chain_error(cell: RobotCell, grasp: Grasp, q: Any, T: pin.SE3) -> float:
 
 
 def exhaustive(arm: Arm, X: pin.SE3, path: Any, rng: Any) -> bool:
-    """Whether twenty times as many seeds find a way of the arm: every turn of every solution, walked in 200 steps."""
+    """Whether twenty times as many seeds find a way of the arm: every turn of every solution, walked in 200 steps.
+
+    The seeds are tried in parts, until one finds a way.
+    """
     kinematics = ArmKinematics(arm)
+    redundant = kinematics.n > 6
     poses = np.array([(path.pose(c) * X).homogeneous for c in np.linspace(0.0, path.duration, 201)])
-    seeds = kinematics.seeds(20 * 256 if kinematics.n > 6 else 20 * 192, rng)
-    answer = kinematics.solve(poses[0], seeds)
-    found: list[Any] = []
-    for q in answer.q[answer.reached]:
-        if kinematics.n > 6 or not any(kinematics.same(q, other, within=1e-5) for other in found):
-            found.append(q)
-    if not found:
-        return False
-    starts = np.array(found)
-    if kinematics.n > 6:
-        inside = kinematics.margins(kinematics.nearest_turns(starts)).min(axis=1) >= 0.0
-        starts = kinematics.nearest_turns(starts)[inside][:1000]
-    if not len(starts):
-        return False
+    seeds = kinematics.seeds(20 * 256 if redundant else 20 * 192, rng)
+    walked = np.empty((0, kinematics.n))
+    for part in np.array_split(seeds, 40):
+        answer = kinematics.solve(poses[0], part)
+        starts = answer.q[answer.reached]
+        if redundant:
+            starts = kinematics.nearest_turns(starts)
+            starts = starts[kinematics.margins(starts).min(axis=1) >= 0.0][: 1000 - len(walked)]
+        before = len(walked)
+        for q in starts:
+            if redundant or not kinematics.same(walked, q, within=1e-5).any():
+                walked = np.vstack([walked, q])
+        if len(walked) > before and way_inside(kinematics, poses, walked[before:]):
+            return True
+    return False
+
+
+def way_inside(kinematics: ArmKinematics, poses: Any, starts: Any) -> bool:
+    """Whether a way from one of these starts is inside the limits at some turn, and away from singularities."""
     ways, reached = kinematics.ways(poses, starts)
     for way in ways[reached == len(poses) - 1]:
         fits = []

@@ -393,6 +393,7 @@ class OwnPath(ObjectPath):
         return self._inner.next_breakpoint(clock) if self._says_corners else self.duration
 
 
+@pytest.mark.slow
 def test_a_corner_that_a_path_of_ones_own_does_not_tell_is_found() -> None:
     scenario = limited(dual_arm7())
     start = scenario.path.pose(0.0)
