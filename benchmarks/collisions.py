@@ -280,15 +280,6 @@ def step_times(plan: Plan) -> Iterator[Record]:
 def _timed(case: str, task: Scenario, scene: CollisionScene, plan: Plan, *, near: bool = False) -> Iterator[Record]:
     """Times of all steps; where ``near``, of those with rows, of a QP at every step, and of coal at near pairs."""
     clearance = Clearance(scene)
-    count, rows, ask = [0], [0], clearance.rows_by_label
-
-    def counted(*args: Any, **options: Any) -> Any:
-        found = ask(*args, **options)
-        count[0] += 1
-        rows[0] = len(found.which)
-        return found
-
-    clearance.rows_by_label = counted  # type: ignore[method-assign]
     contestants: dict[str, dict[str, Any]] = {"without": {}, "clearance": {"constraints": [clearance]}}
     if near:
         contestants["qp"] = {"options": QPOptions(shortcut=False)}
@@ -298,19 +289,19 @@ def _timed(case: str, task: Scenario, scene: CollisionScene, plan: Plan, *, near
         for name, given in sorted(contestants.items(), reverse=bool(turn % 2)):
             controller = QPController(scene.cell, task.grasp, task.path, dt=2e-3, **given)
             controller.reset(task.q_start)
-            count[0], steps = 0, 0
+            first, steps = clearance.passes, 0
             while True:
-                rows[0], begin = 0, time.thread_time_ns()
+                before, begin = clearance.passes, time.thread_time_ns()
                 step = controller.step()
                 took = 1e-3 * (time.thread_time_ns() - begin)
-                if not near or name != "clearance" or rows[0] > 0:
+                if not near or name != "clearance" or (clearance.passes > before and clearance.binding):
                     times[name].append(took)
                     if name == "clearance" and near:
                         places.append(step.q_next)
                 steps += 1
                 if step.finished or steps > 5000 or (step.rate == 0.0 and steps > 200):
                     break
-            passes = f"{count[0]} of {steps}" if name == "clearance" else passes
+            passes = f"{clearance.passes - first} of {steps}" if name == "clearance" else passes
         if near:
             times.setdefault("coal", []).extend(_coal(scene, places))
             places.clear()

@@ -6,6 +6,7 @@ is reached within one step, at the earliest. Where nothing is known ahead, ξ is
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any, final
 
@@ -16,7 +17,7 @@ from coopqp.checks import as_scalar, as_vector, require
 from coopqp.collision.distances import KERNEL, Distances, Gradient, LowerBounds
 from coopqp.collision.evasion import Evasion
 from coopqp.collision.scene import CollisionScene
-from coopqp.control.constraints import MOST_ROWS, ConstraintTrouble, Knot, LabelledRows, Quiet, Rank
+from coopqp.control.constraints import MOST_ROWS, ConstraintTrouble, Knot, LabelledRows, Quiet, Rank, RowsInMemory
 from coopqp.control.plain import BRAKING_SHARE
 from coopqp.errors import InvalidInputError, UnknownNameError
 from coopqp.model.limits import BindingLimit, LimitKind
@@ -122,6 +123,7 @@ class Clearance:
         self._most = np.where(np.isfinite(self._speed), self._speed, 1e9)
         self._in_view = np.full(len(second), self._evading_from)
         self._watch_of, self._watch = (0.0, False), self._fastest
+        self._counts = np.zeros(2)
         self._endless = np.full(_MOST_PAIRS, np.inf)
         nothing = np.zeros(0)
         self._no_rows = LabelledRows(np.zeros((0, cell.nv)), nothing, nothing, nothing.astype(int))
@@ -137,6 +139,16 @@ class Clearance:
         self._prepare()
         for name, place in self._places.items():
             self._put(name, place.T_world_body)
+
+    @property
+    def passes(self) -> int:
+        """How often steps have asked for rows: the others were known to be far enough from everything."""
+        return int(self._counts[0])
+
+    @property
+    def binding(self) -> int:
+        """Rows of the last time."""
+        return int(self._counts[1])
 
     @property
     def quiet(self) -> Quiet:
@@ -214,6 +226,7 @@ class Clearance:
         """
         trouble = self._grow_old(dt)
         rows = self._rows(q, dt, blind=blind)
+        self._counts[:] = self._counts[0] + 1.0, len(rows.which)
         if trouble:
             raise ConstraintTrouble(trouble, rows)
         return rows
@@ -289,6 +302,17 @@ class Clearance:
         lower: Array = rows.lower.copy()
         lower[close[bent]] = np.maximum(lower[close[bent]], rows.G[close[bent]] @ v) + missing[bent] / dt
         return lower
+
+    def in_memory(self, memory: Mapping[str, Array]) -> RowsInMemory | None:
+        """What says the same of bodies that stand, in C over the memory of a compiled step; None without a compiler."""
+        if self._places or not hasattr(KERNEL, "Nearby"):
+            return None
+        step = ("positions", "command", "dt", "G", "lower", "upper", "soft", "owner")
+        quiet = ("quiet_centre", "quiet_reach", "quiet_slack", "quiet_approach")
+        numbers = self.approach, _WATCH, _BLIND_WATCH, _SAMPLE, _STANDS, float(_MOST_PAIRS)
+        arrays = self._counts, self._most, self._fastest, *(memory[name] for name in step + quiet)
+        found: RowsInMemory = Distances(self.scene).nearby(self._step, arrays, numbers)
+        return found
 
     # -- the path ahead --------------------------------------------------------------------------------------------
 
