@@ -45,6 +45,8 @@ _STANDS = 1e-9
 _FASTEST_RETREAT = 0.5
 #: Rows of one step at most; the nearest pairs.
 _MOST_PAIRS = MOST_ROWS // 2
+#: And at least, beside rows of joints.
+_LEAST_PAIRS = 8
 
 
 @dataclass(eq=False)
@@ -69,7 +71,8 @@ class Clearance:
         comfort: redundant arms keep this far from their margins where their self-motion can [m]; 0: they do not evade.
         give_way: what stands in the way of a moving body leaves the path for it; else it slows down and stops there.
         stopping: time in which the arms come to rest where a moving body comes closer [s]; braking later where
-            acceleration limits say that it suffices.
+            acceleration limits say that it suffices. Joints without such limits take it to full speed while they give
+            way.
         patience: a moving body whose place is not told for longer leads to HOLDING [s].
         name: how messages call it.
 
@@ -97,7 +100,9 @@ class Clearance:
         self.give_way = bool(give_way)
         self.stopping = as_scalar(stopping, "Clearance: stopping", high=60.0)
         self.patience = as_scalar(patience, "Clearance: patience", high=60.0)
-        self.labels = tuple(BindingLimit("", "", LimitKind.COLLISION, between=label) for label in scene.built.labels)
+        pairs = [BindingLimit("", "", LimitKind.COLLISION, between=label) for label in scene.built.labels]
+        joints = [label.partition("/") for label in scene.cell.joint_names] if give_way else []
+        self.labels = (*pairs, *(BindingLimit(arm, joint, LimitKind.ACCELERATION) for arm, _, joint in joints))
         self._x: Array | None = None  # joint positions at the step before, where bodies move
         self._places = {b.name: _Place(as_placement(b.placement, b.name), np.zeros(6)) for b in scene.moving}
         self._prepare()
@@ -124,6 +129,10 @@ class Clearance:
         self._in_view = np.full(len(second), self._evading_from)
         self._watch_of, self._watch = (0.0, False), self._fastest
         self._counts = np.zeros(2)
+        unlimited = np.isfinite(self._speed) & ~np.isfinite(self._acceleration) & self.give_way
+        self._unlimited = np.flatnonzero(unlimited & (unlimited.sum() <= MOST_ROWS - _LEAST_PAIRS))
+        self._most_pairs = min(_MOST_PAIRS, MOST_ROWS - len(self._unlimited))
+        self._hardest, self._joint_rows = self._speed[self._unlimited] / self.stopping, np.eye(cell.nv)[self._unlimited]
         self._endless = np.full(_MOST_PAIRS, np.inf)
         nothing = np.zeros(0)
         self._no_rows = LabelledRows(np.zeros((0, cell.nv)), nothing, nothing, nothing.astype(int))
@@ -166,7 +175,7 @@ class Clearance:
 
     def nearest(self, q: Array) -> NearPair | None:
         """The pair that is nearest to its margin at a configuration (nq,)."""
-        if not self.labels:
+        if not self.scene.built.labels:
             return None
         d = self._probe.all(q)
         k = int((d - self._margins).argmin())
@@ -178,6 +187,8 @@ class Clearance:
 
     def measured(self, limit: BindingLimit, q: Array) -> BindingLimit:
         """One of the labels with the distance of its bodies at a configuration (nq,)."""
+        if not limit.between:
+            return limit
         self._probe.place(q)
         pairs = [k for k, label in enumerate(self.labels) if label.between == limit.between]
         return replace(limit, distance=min(self._probe.one(k) for k in pairs))
@@ -243,8 +254,8 @@ class Clearance:
         self._distances.place(q)
         near = bounds.near(self._watched(xi, blind=blind))
         bounds.sharpen(near)
-        if len(near) > _MOST_PAIRS:
-            near = sorted(sorted(near, key=bounds.rooms.item)[:_MOST_PAIRS])
+        if len(near) > self._most_pairs:
+            near = sorted(sorted(near, key=bounds.rooms.item)[: self._most_pairs])
         if not near:
             return self._no_rows
         gradient, lower = self._distances.rows(near, bounds.rooms, xi)
@@ -253,11 +264,28 @@ class Clearance:
             for name, place in self._places.items():
                 self._run(which, self._shapes[name], place, gradient, lower, dt)
         binds = KERNEL.binding(gradient.rows, lower, self._most)
+        kept = LabelledRows(gradient.rows, lower, self._endless[: len(near)], np.array(near))
         if len(binds) < len(near):
-            return LabelledRows(
-                gradient.rows[binds], lower[binds], self._endless[: len(binds)], np.array([near[i] for i in binds], int)
-            )
-        return LabelledRows(gradient.rows, lower, self._endless[: len(near)], np.array(near))
+            which = np.array([near[i] for i in binds], int)
+            kept = LabelledRows(gradient.rows[binds], lower[binds], self._endless[: len(binds)], which)
+        return self._smooth(kept, dt) if len(self._unlimited) else kept
+
+    def _smooth(self, rows: LabelledRows, dt: float) -> LabelledRows:
+        """With rows of joints without acceleration limits while bodies give way: no jumps of their velocities.
+
+        Where an arm is stretched they would turn round at full speed from step to step, and no linearisation of a step
+        sees that ahead: the arms would part. They take the time :attr:`stopping` to full speed.
+        """
+        v, jump = self._v[self._unlimited], self._hardest * dt
+        slowest = rows.G @ self._v - np.abs(rows.G[:, self._unlimited]) @ jump
+        if not (self._moves[rows.which] & (slowest < rows.lower)).any():
+            return rows
+        return LabelledRows(
+            np.concatenate([rows.G, self._joint_rows]),
+            np.concatenate([rows.lower, v - jump]),
+            np.concatenate([rows.upper, v + jump]),
+            np.concatenate([rows.which, len(self._second) + self._unlimited]),
+        )
 
     def _velocity(self, x: Array, dt: float) -> Array:
         """Of the joints since the step before (nv,); 0 at the first one."""
@@ -286,6 +314,10 @@ class Clearance:
         Returns:
             None where all pairs keep their margin, or come no closer inside it.
         """
+        pairs = rows.which < len(self._second)
+        if not pairs.all():
+            lower = self.tightened(LabelledRows(*(part[pairs] for part in rows)), q_next, v, dt)
+            return None if lower is None else np.concatenate([lower, rows.lower[~pairs]])
         if not len(rows.which):
             return None
         rooms = self._step.rooms[rows.which]
