@@ -316,8 +316,8 @@ class Clearance:
         """
         pairs = rows.which < len(self._second)
         if not pairs.all():
-            lower = self.tightened(LabelledRows(*(part[pairs] for part in rows)), q_next, v, dt)
-            return None if lower is None else np.concatenate([lower, rows.lower[~pairs]])
+            own = self.tightened(LabelledRows(*(part[pairs] for part in rows)), q_next, v, dt)
+            return None if own is None else np.concatenate([own, rows.lower[~pairs]])
         if not len(rows.which):
             return None
         rooms = self._step.rooms[rows.which]
