@@ -5,9 +5,13 @@ Distances are judged by ``Closeness``, which shares no code with the controller'
 
 from __future__ import annotations
 
+import json
+import os
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -48,6 +52,10 @@ NEAR_MARGIN = 0.005  # of random posts and of the times of a step [m]
 CART_SPEED, CART_HEIGHTS, CART_STEPS = 0.3, (0.18, 0.34), 800  # [m/s, m]
 NEAR = 0.03  # beyond its margin a pair is near [m]
 ARMS, SAMPLES = (2, 3, 4, 8), 401  # of the cells of random posts, and of their paths
+PARTS = ("known", "carts", *(f"posts-{arms}" for arms in ARMS), "peers", "skip", "times")
+
+#: What makes one record, in a process of its own.
+Job = Callable[[], Record]
 
 
 @dataclass(frozen=True)
@@ -113,7 +121,7 @@ def _scene(task: Scenario, more: dict[str, Any]) -> CollisionScene:
     return CollisionScene.of(task, **{"margin": MARGIN, **more})
 
 
-def carts(progress: common.Progress) -> Iterator[Record]:
+def carts() -> Iterator[Job]:
     """A cart at 0.3 m/s that comes towards the plate while it is lifted; how the plate moves when it is near."""
     for acceleration in (np.inf, ACCELERATION):
         for height in CART_HEIGHTS:
@@ -121,8 +129,7 @@ def carts(progress: common.Progress) -> Iterator[Record]:
                 case = f"cart {1e3 * height:.0f} mm above, " + ("gives way" if gives_way else "stays on its path")
                 if acceleration < np.inf:
                     case += f", {ACCELERATION:g} rad/s²"
-                yield _cart(case, height, acceleration, gives_way=gives_way)
-                progress.advance(case)
+                yield partial(_cart, case, height, acceleration, gives_way=gives_way)
 
 
 def _cart(case: str, height: float, acceleration: float, *, gives_way: bool) -> Record:
@@ -193,25 +200,59 @@ def measured(case: str, task: Scenario, scene: CollisionScene, *, avoids: bool, 
     }  # fmt: skip
 
 
-def runs(plan: Plan, progress: common.Progress) -> Iterator[Record]:
-    """Every case with and without acceleration limits, then the random posts."""
-    for name, task, more in cases():
+def known() -> Iterator[Job]:
+    """Every case with and without acceleration limits, with and without avoidance."""
+    for number, (name, _, _) in enumerate(cases()):
         for acceleration in (np.inf, ACCELERATION):
-            cell = task.cell.with_limits(acceleration=acceleration)
-            scene = CollisionScene.of(task, cell=cell, **{"margin": MARGIN, **more})
             case = name if acceleration == np.inf else f"{name}, {ACCELERATION:g} rad/s²"
             for avoids in (True, False):
-                yield measured(case, task, scene, avoids=avoids)
-            progress.advance(case)
-    yield from carts(progress)
+                yield partial(_known, number, case, acceleration, avoids=avoids)
+
+
+def _known(number: int, case: str, acceleration: float, *, avoids: bool) -> Record:
+    _, task, more = list(cases())[number]
+    scene = CollisionScene.of(task, cell=task.cell.with_limits(acceleration=acceleration), **{"margin": MARGIN, **more})
+    return measured(case, task, scene, avoids=avoids)
+
+
+def _posts(arms: int, seed: int) -> Record:
+    """A cell with random posts: the run, the check before it, and dense samples."""
+    task = random_posts(seed, arms=arms)
+    scene = CollisionScene.of(task, margin=NEAR_MARGIN)
+    found = check_path(task.cell, task.grasp, task.path, q_start=task.q_start, scene=scene)
+    record = measured(f"random posts, {arms} arms, {seed}", task, scene, avoids=True)
+    return {**record, "check": found.verdict.value, "dense_mm": dense(task, scene)}
+
+
+def jobs(parts: Sequence[str], plan: Plan) -> list[Job]:
+    """What processes can do beside each other: nothing is timed there."""
+    found = [*(known() if "known" in parts else ()), *(carts() if "carts" in parts else ())]
     for arms in ARMS:
-        for seed in range(plan.posts):
-            task = random_posts(seed, arms=arms)
-            scene = CollisionScene.of(task, margin=NEAR_MARGIN)
-            found = check_path(task.cell, task.grasp, task.path, q_start=task.q_start, scene=scene)
-            record = measured(f"random posts, {arms} arms, {seed}", task, scene, avoids=True)
-            yield {**record, "check": found.verdict.value, "dense_mm": dense(task, scene)}
-            progress.advance(f"random posts, {arms} arms")
+        if f"posts-{arms}" in parts:
+            found += [partial(_posts, arms, seed) for seed in range(plan.posts)]
+    return found
+
+
+def run_all(work: Sequence[Job], workers: int) -> list[Record]:
+    """Their records, in their order."""
+    progress, found = common.Progress(len(work)), []
+    with ProcessPoolExecutor(max_workers=workers) as pool:
+        for future in [pool.submit(job) for job in work]:
+            found.append(future.result())
+            progress.advance(found[-1]["case"])
+    progress.close()
+    return found
+
+
+def part_of(record: Record) -> str:
+    """The part of the benchmark that a record is of."""
+    case = str(record["case"])
+    if record["controller"].partition(" ")[0] in PEERS:
+        return "peers"
+    if case.startswith("random posts"):
+        return f"posts-{case.split()[2]}"
+    names = {"cart": "carts", "skip:": "skip", "step,": "times", "step": "times"}
+    return names.get(case.split()[0], "known")
 
 
 def dense(task: Scenario, scene: CollisionScene) -> float | None:
@@ -280,15 +321,6 @@ def step_times(plan: Plan) -> Iterator[Record]:
 def _timed(case: str, task: Scenario, scene: CollisionScene, plan: Plan, *, near: bool = False) -> Iterator[Record]:
     """Times of all steps; where ``near``, of those with rows, of a QP at every step, and of coal at near pairs."""
     clearance = Clearance(scene)
-    count, rows, ask = [0], [0], clearance.rows_by_label
-
-    def counted(*args: Any, **options: Any) -> Any:
-        found = ask(*args, **options)
-        count[0] += 1
-        rows[0] = len(found.which)
-        return found
-
-    clearance.rows_by_label = counted  # type: ignore[method-assign]
     contestants: dict[str, dict[str, Any]] = {"without": {}, "clearance": {"constraints": [clearance]}}
     if near:
         contestants["qp"] = {"options": QPOptions(shortcut=False)}
@@ -298,19 +330,19 @@ def _timed(case: str, task: Scenario, scene: CollisionScene, plan: Plan, *, near
         for name, given in sorted(contestants.items(), reverse=bool(turn % 2)):
             controller = QPController(scene.cell, task.grasp, task.path, dt=2e-3, **given)
             controller.reset(task.q_start)
-            count[0], steps = 0, 0
+            first, steps = clearance.passes, 0
             while True:
-                rows[0], begin = 0, time.thread_time_ns()
+                before, begin = clearance.passes, time.thread_time_ns()
                 step = controller.step()
                 took = 1e-3 * (time.thread_time_ns() - begin)
-                if not near or name != "clearance" or rows[0] > 0:
+                if not near or name != "clearance" or (clearance.passes > before and clearance.binding):
                     times[name].append(took)
                     if name == "clearance" and near:
                         places.append(step.q_next)
                 steps += 1
                 if step.finished or steps > 5000 or (step.rate == 0.0 and steps > 200):
                     break
-            passes = f"{count[0]} of {steps}" if name == "clearance" else passes
+            passes = f"{clearance.passes - first} of {steps}" if name == "clearance" else passes
         if near:
             times.setdefault("coal", []).extend(_coal(scene, places))
             places.clear()
@@ -341,23 +373,43 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--peers", nargs="*", choices=PEERS, default=(), help="beside coopqp (none)")
     parser.add_argument("--no-install", action="store_true", help="only peers that are installed already")
     parser.add_argument("--cache", type=Path, default=CACHE, help="folder of the peers' environments")
+    parser.add_argument(
+        "--case", nargs="+", choices=PARTS, default=PARTS, help="parts to run (all); the others in --json FILE are kept"
+    )
+    parser.add_argument("--workers", type=int, default=os.cpu_count() or 1, help="processes (one per core)")
     args = parser.parse_args(argv)
     plan = QUICK if args.quick else FULL
-    progress = common.Progress(2 * sum(1 for _ in cases()) + 4 * len(CART_HEIGHTS) + len(ARMS) * plan.posts)
     description = common.describe("collisions", {"posts": plan.posts, "jumps": plan.jumps, "rounds": plan.rounds})
     print(common.header(description), flush=True)
-    records = [*runs(plan, progress)]
-    known = [(name, task, _scene(task, more)) for name, task, more in cases() if not more.get("inside")]
-    known = [case for case in known if case[1].path.known_ahead]
-    beside = peers(known, args.peers, args.cache, install=not args.no_install)
-    records += [{**dict.fromkeys(KEYS), **record} for record in beside]
-    records += [skipped(plan), *step_times(plan)]
-    progress.close()
+    new = set(args.case) - {"peers"}
+    kept = json.loads(args.json.read_text()) if args.json is not None and args.json.is_file() else []
+    again = args.peers if "peers" in args.case else ()
+    kept = [r for r in kept if part_of(r) not in new and r["controller"].partition(" ")[0] not in again]
+    records = run_all(jobs(args.case, plan), args.workers)
+    if "peers" in args.case:
+        tasks = [(name, task, _scene(task, more)) for name, task, more in cases() if not more.get("inside")]
+        tasks = [case for case in tasks if case[1].path.known_ahead]
+        beside = peers(tasks, args.peers, args.cache, install=not args.no_install)
+        records += [{**dict.fromkeys(KEYS), **record} for record in beside]
+    records += [skipped(plan)] if "skip" in args.case else []
+    records += step_times(plan) if "times" in args.case else []
+    records = sorted([*kept, *records], key=lambda r: PARTS.index(part_of(r)))
+    print("\n" + report(records))
+    files = {"collisions.md": report(records).encode()} if args.out is not None else None
+    for file in common.save(records, description, json_file=args.json, out=args.out, files=files):
+        print(f"wrote {file}")
+    return 0
+
+
+def report(records: Sequence[Record]) -> str:
+    """The table, and what the random posts came to."""
     posts = [r for r in records if r["case"].startswith("random posts")]
     shown = [r for r in records if r not in posts]
     touched = sum(r["clearance_mm"] < r["margin_mm"] - 1e-3 for r in posts)
     slack, finished = sum(r["chain_slack"] > 0.0 for r in posts), sum(r["finished"] for r in posts)
     text = f"## Collisions\n\n{common.markdown_table(shown, KEYS)}\n\n"
+    if not posts:
+        return text
     text += f"{len(posts)} random posts: {touched} inside the margin, {slack} with chain slack, {finished} finished, "
     text += f"chain ≤ {max(r['chain_mm'] for r in posts):.1e} mm, path ≤ {max(r['path_mm'] for r in posts):.1e} mm\n"
     clear = [r for r in posts if r["dense_mm"] is not None and r["dense_mm"] >= 5.0]
@@ -367,11 +419,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     )
     ended = sum(r["finished"] for r in certified)
     text += f"by 5 mm at dense samples; {ended} of {len(certified)} certified ones finish.\n"
-    print("\n" + text)
-    files = {"collisions.md": text.encode()} if args.out is not None else None
-    for file in common.save(records, description, json_file=args.json, out=args.out, files=files):
-        print(f"wrote {file}")
-    return 0
+    return text
 
 
 if __name__ == "__main__":

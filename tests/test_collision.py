@@ -51,6 +51,7 @@ from coopqp.collision import (
 from coopqp.collision.distances import Distances, LowerBounds
 from coopqp.collision.evasion import YIELDS, Evasion
 from coopqp.control.constraints import MOST_ROWS, ConstraintTrouble
+from coopqp.model.chain import Chain
 from coopqp.planning import PathVerdict, check_path
 from coopqp.scenarios import (
     Scenario,
@@ -220,6 +221,112 @@ def test_bounds_in_c_are_those_in_numpy(seed: int) -> None:
         found.append((*said, one.binding(G, lower, most), np.concatenate([own, at, weights, G.ravel(), lower])))
     assert found[0][:-1] == found[1][:-1]
     np.testing.assert_allclose(found[0][-1], found[1][-1], rtol=1e-12, atol=1e-14)
+
+
+# -- rows over the memory of a compiled step ---------------------------------------------------------------------------
+
+
+def rows_memory(nv: int, rows: int) -> dict[str, Any]:
+    sizes = {"G": rows * nv, "lower": rows, "upper": rows, "soft": rows, "owner": rows}
+    of_joints = ("positions", "command", "quiet_centre", "quiet_reach")
+    one = ("dt", "quiet_slack", "quiet_approach")
+    return {name: np.zeros(sizes.get(name, 1 if name in one else nv)) for name in (*sizes, *of_joints, *one)}
+
+
+@pytest.mark.core
+@pytest.mark.skipif(len(KERNELS) < 2, reason="there is no compiler here")
+@pytest.mark.parametrize("scenario", [plate_and_post(), forearms()], ids=["six", "seven"])
+def test_rows_in_memory_are_those_of_the_definition(scenario: Scenario) -> None:
+    scene, cell, rng = CollisionScene.of(scenario, margin=0.01), scenario.cell, np.random.default_rng(3)
+    memory, definition, dt = rows_memory(cell.nv, MOST_ROWS), Clearance(scene), 0.004
+    both = Clearance(scene)
+    nearby = both.in_memory(memory)
+    assert nearby is not None
+    start, speed = cell.positions(scenario.q_start), np.minimum(cell.limits.velocity, 3.0)
+    x, found, tighter = start, 0, 0
+    for i in range(60):
+        q, v, blind = cell.configuration(x), rng.uniform(-1.0, 1.0, cell.nv) * speed, bool(i % 7 == 0)
+        memory["positions"][:], memory["command"][:], memory["dt"][:] = x, v, dt
+        rows = definition.rows_by_label(q, dt, blind=blind)
+        try:
+            count = nearby.rows(blind)
+        except OverflowError:
+            assert blind  # the definition has the nearest ones
+            count = -1
+        if count >= 0:
+            assert memory["owner"][:count].astype(int).tolist() == rows.which.tolist()
+            np.testing.assert_array_equal(memory["G"][: count * cell.nv].reshape(count, cell.nv), rows.G)
+            np.testing.assert_array_equal(memory["lower"][:count], rows.lower)
+            assert np.isinf(memory["upper"][:count]).all()
+            quiet, slack = definition.quiet, memory["quiet_slack"].item()
+            assert (slack, memory["quiet_approach"].item()) == (quiet.slack, quiet.approach)
+            np.testing.assert_allclose(memory["quiet_reach"], quiet.reach, rtol=1e-9)
+            np.testing.assert_array_equal(memory["quiet_centre"], quiet.centre)
+            lower = definition.tightened(rows, cell.moved(q, dt * v), v, dt)
+            assert nearby.tightened() == (lower is not None)
+            if lower is not None:
+                np.testing.assert_allclose(memory["lower"][:count], lower, rtol=1e-12, atol=1e-12)
+            found, tighter = found + (count > 0), tighter + (lower is not None)
+        # on along the step, or somewhere else
+        x = x + dt * v if i % 3 else start + rng.uniform(-0.8, 0.8, cell.nv)
+    assert both.passes == 60
+    assert found >= 10
+    assert tighter >= 3
+
+
+@pytest.mark.core
+@pytest.mark.skipif(len(KERNELS) < 2, reason="there is no compiler here")
+def test_rows_in_memory_refuse_what_does_not_fit(lift: Scenario) -> None:
+    clearance, memory = Clearance(scene_of(lift, margin=0.0)), rows_memory(lift.cell.nv, 4)
+    for name in memory:
+        with pytest.raises((ValueError, BufferError)):
+            clearance.in_memory({**memory, name: np.zeros(5)})
+    moving = scene_of(lift, margin=0.0, moving=[replace(lid(lift, 0.1), name="cart")])
+    assert Clearance(moving).in_memory(memory) is None
+
+
+@pytest.mark.core
+@pytest.mark.skipif(len(KERNELS) < 2, reason="there is no compiler here")
+def test_where_rows_in_memory_fail_the_definition_goes_on_and_interrupts_are_raised() -> None:
+    scenario = plate_and_post()
+    own, failing = (
+        QPController(scenario.cell, scenario.grasp, scenario.path, dt=0.05, constraints=[Clearance(scene_of(scenario))])
+        for _ in range(2)
+    )
+    asked = 0
+
+    def fails(_: bool) -> int:
+        nonlocal asked
+        asked += 1
+        raise RuntimeError("nothing is known")
+
+    failing._loop._core.bind_rows(fails, bool)
+    for controller in (own, failing):
+        controller.reset(scenario.q_start)
+    for _ in range(36):
+        np.testing.assert_array_equal(own.step().q_next, failing.step().q_next)
+    assert asked > 5
+
+    def interrupted(_: bool) -> int:
+        raise KeyboardInterrupt
+
+    failing._loop._core.bind_rows(interrupted, bool)
+    own.step()  # near in this step, too
+    with pytest.raises(KeyboardInterrupt):
+        failing.step()
+    failing.reset(scenario.q_start)
+    assert failing._loop._core.hold() is None  # nobody works in it
+    failing._loop._core.release()
+
+
+def test_distances_do_not_depend_on_what_was_asked_before() -> None:
+    scene, rng = CollisionScene.of(plate_and_post(), margin=0.0), np.random.default_rng(4)
+    asked, fresh = Distances(scene), Distances(scene)
+    q = plate_and_post().q_start
+    for _ in range(20):
+        q = q + rng.normal(size=q.size) * 1e-3
+        asked.all(q)
+    np.testing.assert_array_equal(asked.all(q), fresh.all(q))
 
 
 # -- on a known path -----------------------------------------------------------------------------------------------
@@ -679,11 +786,19 @@ def _cart(
 
 
 @pytest.mark.slow
-def test_the_object_gives_way_to_a_body_that_moves(lift: Scenario) -> None:
-    distances, steps, _ = _cart(lift, give_way=True)
+@pytest.mark.parametrize("height", [0.18, 0.34])
+def test_the_object_gives_way_to_a_body_that_moves(lift: Scenario, height: float) -> None:
+    distances, steps, _ = _cart(lift, give_way=True, steps=800, height=height)
     assert min(distances) >= MARGIN
     assert any(step.status is Status.OFF_PATH for step in steps)
     assert max(step.given_up.chain for step in steps) == 0.0
+    # At 340 mm an arm is stretched; joints that turned round there at full speed would part the arms by 0.2 mm.
+    chain = Chain(lift.cell, lift.grasp)
+    parted = [np.ptp(chain.errors(chain.carried(step.q_next), lift.path.pose(0.0))[:, :3], axis=0) for step in steps]
+    assert np.max(parted) < 1e-6
+    named = {limit for step in steps for limit in step.binding if limit.kind is LimitKind.ACCELERATION}
+    assert all(f"{limit.arm}/{limit.joint}" in lift.cell.joint_names for limit in named)
+    assert bool(named) == (height == 0.34)
 
 
 @pytest.mark.slow

@@ -705,7 +705,8 @@ IN_PYTHON: dict[str, dict[str, str]] = {
     "model.inverse_kinematics": {"LONGEST_STEP": "_LONGEST_STEP"},
     "control.linearised": {"SETTLED": "SETTLED", "EXTRA_AT_START": "EXTRA_AT_START"},
     "control.plain": {
-        name: name for name in ("BRAKING_SHARE", "LEAST_PACE", "NEGLIGIBLE", "RATE_ROUNDING", "ARRIVING")
+        name: name for name in ("BRAKING_SHARE", "LEAST_PACE", "NEGLIGIBLE", "RATE_ROUNDING", "ARRIVING",
+        "MOST_TIGHTENINGS")
     },
     "planning.preview": {"STEPS_TO_GROW": "_STEPS_TO_GROW", "NEWTON_STEPS_AT_START": "_NEWTON_STEPS_AT_START"},
     "planning.preview_options": {

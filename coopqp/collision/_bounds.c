@@ -1,64 +1,14 @@
-/* Lower bounds of distances that follow the joints; bounds_plain.py says the same in NumPy. Reaches are (nv, P): the
- * pairs of one joint stand in a row, for the processor's vectors. */
+/* Lower bounds of distances as a Python module: functions, which bounds_plain.py says in NumPy, and Nearby. */
 
 #define PY_SSIZE_T_CLEAN
 #include <Python.h>
-#include <math.h>
+
+#include "bounds.h"
+#include "nearby.h"
 
 #define MOST 6
-#define LANES 8
-#define TURN 6.283185307179586
 
-/* -- arithmetic ------------------------------------------------------------------------------------------------------ */
-
-/* Rooms lose what the way of the joints may take. */
-static void follow(double *rooms, const double *reach, double *positions, const double *x, const double *continuous,
-                   Py_ssize_t pairs, Py_ssize_t joints) {
-    for (Py_ssize_t j = 0; j < joints; j++) {
-        const double *own = reach + j * pairs;
-        double way = fabs(x[j] - positions[j]);
-        if (continuous[j] != 0.0 && fabs(TURN - way) < way) way = fabs(TURN - way);
-        positions[j] = x[j];
-        if (way != 0.0)
-            for (Py_ssize_t k = 0; k < pairs; k++) rooms[k] -= own[k] * way;
-    }
-}
-
-/* Largest reach over room, per joint; 0 if a room is none. `shares` is memory for one number per pair. */
-static int certify(const double *rooms, const double *reach, double spare, double *shares, double *out,
-                   Py_ssize_t pairs, Py_ssize_t joints) {
-    for (Py_ssize_t j = 0; j < joints; j++) out[j] = 0.0;
-    for (Py_ssize_t k = 0; k < pairs; k++) {
-        if (!(rooms[k] > spare)) return 0;
-        shares[k] = 1.0 / (rooms[k] - spare);
-    }
-    for (Py_ssize_t j = 0; j < joints; j++) {
-        const double *own = reach + j * pairs;
-        double most[LANES] = {0.0};
-        for (Py_ssize_t k = 0; k < pairs; k += LANES) {
-            const int some = pairs - k < LANES ? (int)(pairs - k) : LANES;
-            for (int l = 0; l < some; l++) {
-                const double share = own[k + l] * shares[k + l];
-                most[l] = share > most[l] ? share : most[l];
-            }
-        }
-        for (int l = 0; l < LANES; l++) out[j] = most[l] > out[j] ? most[l] : out[j];
-    }
-    return 1;
-}
-
-/* G (joints) of a pair with unit normal and point in `ends` (6), by the joints' world Jacobians J (joints, 6). */
-static void gradient(const double *ends, const double *J, const double *kinds, double *G, Py_ssize_t joints) {
-    const double *n = ends, *p = ends + 3;
-    const double turn[3] = {p[1] * n[2] - p[2] * n[1], p[2] * n[0] - p[0] * n[2], p[0] * n[1] - p[1] * n[0]};
-    for (Py_ssize_t j = 0; j < joints; j++) {
-        const double *a = J + 6 * j;
-        const double move = n[0] * a[0] + n[1] * a[1] + n[2] * a[2];
-        G[j] = kinds[j] * (move + turn[0] * a[3] + turn[1] * a[4] + turn[2] * a[5]);
-    }
-}
-
-/* -- Python ---------------------------------------------------------------------------------------------------------- */
+/* -- arrays ---------------------------------------------------------------------------------------------------------- */
 
 /* Hold `count` contiguous float64 arrays; 0 and an exception if they are something else. */
 static int take(PyObject **objects, int count, Py_buffer *views, double **at, Py_ssize_t *n) {
@@ -140,15 +90,12 @@ static PyObject *bounds_near(PyObject *self, PyObject *args) {
 static PyObject *bounds_soonest(PyObject *self, PyObject *args) {
     PyObject *objects[MOST];
     Py_buffer views[MOST];
-    double *at[MOST], least, most = -1.0;
+    double *at[MOST], least;
     Py_ssize_t n[MOST], found = -1;
     (void)self;
     if (!PyArg_ParseTuple(args, "OOd", objects, objects + 1, &least) || !take(objects, 2, views, at, n)) return NULL;
     const int good = n[1] == n[0] && n[0] > 0;
-    for (Py_ssize_t k = 0; good && k < n[0]; k++) {
-        const double room = at[0][k] > least ? at[0][k] : least;
-        if (at[1][k] > most * room) most = at[1][k] / room, found = k;
-    }
+    if (good) found = soonest(at[0], at[1], least, n[0]);
     release(views, 2);
     return good ? PyLong_FromSsize_t(found) : misfit();
 }
@@ -171,7 +118,7 @@ static PyObject *bounds_rows(PyObject *self, PyObject *args) {
         good = k >= 0 && k < n[3];
         if (!good) break;
         gradient(at[0] + 6 * i, at[1], at[2] + k * joints, at[4] + i * joints, joints);
-        at[5][i] = at[3][k] > 0.0 ? -at[3][k] * approach : 0.0;
+        at[5][i] = least_speed(at[3][k], approach);
     }
     release(views, 6);
     if (good) Py_RETURN_NONE;
@@ -188,9 +135,7 @@ static PyObject *bounds_binding(PyObject *self, PyObject *args) {
     const int good = n[0] == n[1] * n[2];
     PyObject *found = good ? PyList_New(0) : misfit();
     for (Py_ssize_t i = 0; found && i < n[1]; i++) {
-        double fastest = 0.0;
-        for (Py_ssize_t j = 0; j < n[2]; j++) fastest += fabs(at[0][i * n[2] + j]) * at[2][j];
-        if (!(fastest > -at[1][i])) continue;
+        if (!breakable(at[0] + i * n[2], at[1][i], at[2], n[2])) continue;
         PyObject *number = PyLong_FromSsize_t(i);
         if (!number || PyList_Append(found, number) < 0) Py_CLEAR(found);
         Py_XDECREF(number);
@@ -213,4 +158,9 @@ static struct PyModuleDef module = {
     PyModuleDef_HEAD_INIT, "_bounds", "Lower bounds of distances.", -1, methods, NULL, NULL, NULL, NULL,
 };
 
-PyMODINIT_FUNC PyInit__bounds(void) { return PyModule_Create(&module); }
+PyMODINIT_FUNC PyInit__bounds(void) {
+    PyObject *m = PyModule_Create(&module);
+    if (m && add_nearby(m) == 0) return m;
+    Py_XDECREF(m);
+    return NULL;
+}

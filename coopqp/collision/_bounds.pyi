@@ -1,3 +1,6 @@
+from collections.abc import Callable
+from typing import Any
+
 from coopqp.spatial import Array
 
 def follow(rooms: Array, reach: Array, positions: Array, x: Array, continuous: Array, /) -> None: ...
@@ -16,3 +19,20 @@ def rows(
     /,
 ) -> None: ...
 def binding(G: Array, lower: Array, fastest: Array, /) -> list[int]: ...
+
+class Nearby:
+    def __init__(
+        self,
+        arrays: tuple[Array, ...],
+        numbers: tuple[float, ...],
+        owner: object,
+        placing: tuple[tuple[Callable[..., Any], tuple[Any, ...]], ...],
+        ask: Callable[..., Any],
+        questions: list[tuple[Any, ...]],
+        answers: list[Any],
+        points: list[Callable[[], Array]],
+        normals: list[Array],
+        /,
+    ) -> None: ...
+    def rows(self, blind: bool, /) -> int: ...
+    def tightened(self) -> bool: ...

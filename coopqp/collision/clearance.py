@@ -6,19 +6,20 @@ is reached within one step, at the earliest. Where nothing is known ahead, ξ is
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any, final
 
 import numpy as np
 import pinocchio as pin
 
-from coopqp.checks import as_scalar, as_vector, require
-from coopqp.collision.distances import KERNEL, Distances, Gradient, LowerBounds
+from coopqp.checks import as_scalar, require
+from coopqp.collision.distances import KERNEL, Distances, LowerBounds
 from coopqp.collision.evasion import Evasion
+from coopqp.collision.moving import MovingBodies
 from coopqp.collision.scene import CollisionScene
-from coopqp.control.constraints import MOST_ROWS, ConstraintTrouble, Knot, LabelledRows, Quiet, Rank
-from coopqp.control.plain import BRAKING_SHARE
-from coopqp.errors import InvalidInputError, UnknownNameError
+from coopqp.control.constraints import MOST_ROWS, ConstraintTrouble, Knot, LabelledRows, Quiet, Rank, RowsInMemory
+from coopqp.errors import InvalidInputError
 from coopqp.model.limits import BindingLimit, LimitKind
 from coopqp.model.shapes import NearPair
 from coopqp.model.state import CellState
@@ -40,19 +41,8 @@ _BEND = 2e-3
 _BENT = 1.02
 #: A distance that falls by less stands still [m].
 _STANDS = 1e-9
-#: Speed at which a body that gives way is asked to retreat, at most [m/s].
-_FASTEST_RETREAT = 0.5
 #: Rows of one step at most; the nearest pairs.
 _MOST_PAIRS = MOST_ROWS // 2
-
-
-@dataclass(eq=False)
-class _Place:
-    """Where a moving body is, how it moves, and how long ago that was told [s]."""
-
-    T_world_body: pin.SE3
-    twist: Array
-    age: float = 0.0
 
 
 @final
@@ -68,7 +58,8 @@ class Clearance:
         comfort: redundant arms keep this far from their margins where their self-motion can [m]; 0: they do not evade.
         give_way: what stands in the way of a moving body leaves the path for it; else it slows down and stops there.
         stopping: time in which the arms come to rest where a moving body comes closer [s]; braking later where
-            acceleration limits say that it suffices.
+            acceleration limits say that it suffices. Joints without such limits take it to full speed while they give
+            way.
         patience: a moving body whose place is not told for longer leads to HOLDING [s].
         name: how messages call it.
 
@@ -96,9 +87,9 @@ class Clearance:
         self.give_way = bool(give_way)
         self.stopping = as_scalar(stopping, "Clearance: stopping", high=60.0)
         self.patience = as_scalar(patience, "Clearance: patience", high=60.0)
-        self.labels = tuple(BindingLimit("", "", LimitKind.COLLISION, between=label) for label in scene.built.labels)
-        self._x: Array | None = None  # joint positions at the step before, where bodies move
-        self._places = {b.name: _Place(as_placement(b.placement, b.name), np.zeros(6)) for b in scene.moving}
+        pairs = [BindingLimit("", "", LimitKind.COLLISION, between=label) for label in scene.built.labels]
+        self._moving = MovingBodies(scene, approach=self.approach, give_way=self.give_way, stopping=self.stopping)
+        self.labels = (*pairs, *self._moving.labels)
         self._prepare()
 
     def _prepare(self) -> None:
@@ -106,22 +97,18 @@ class Clearance:
         self._distances, self._probe = Distances(self.scene), Distances(self.scene)
         self._step, self._ahead = (LowerBounds(self.scene, self._distances) for _ in range(2))
         self._margins, self._inside, self._reach = built.margins, built.inside, built.reach
-        self._speed, self._acceleration = cell.limits.velocity, cell.limits.acceleration
-        self._v = np.zeros(cell.nv)
+        speed = cell.limits.velocity
         self._evasion = Evasion(cell)
         evades = bool(self._evasion) and self.comfort > 0.0
         self._evading_from = self.comfort + _EVADES_EARLY if evades else 0.0
-        self._fastest = built.reach @ np.where(np.isfinite(self._speed), self._speed, 0.0)
-        self._fastest[(built.reach[:, ~np.isfinite(self._speed)] > 0.0).any(axis=1)] = np.inf
+        self._fastest = built.reach @ np.where(np.isfinite(speed), speed, 0.0)
+        self._fastest[(built.reach[:, ~np.isfinite(speed)] > 0.0).any(axis=1)] = np.inf
         self._approach = np.inf
-        self._shapes = {b.name: i for b, i in zip(self.scene.moving, built.moving, strict=True)}
-        second = np.array([int(pair.second) for pair in built.geometry.collisionPairs], dtype=int)
-        self._moves = np.isin(second, list(self._shapes.values()))
-        self._runs = np.flatnonzero(self._moves)  # pairs with a body that moves
-        self._second = second
-        self._most = np.where(np.isfinite(self._speed), self._speed, 1e9)
-        self._in_view = np.full(len(second), self._evading_from)
+        self._most = np.where(np.isfinite(speed), speed, 1e9)
+        self._in_view = np.full(len(built.labels), self._evading_from)
         self._watch_of, self._watch = (0.0, False), self._fastest
+        self._counts = np.zeros(2)
+        self._most_pairs = min(_MOST_PAIRS, MOST_ROWS - self._moving.most_rows)
         self._endless = np.full(_MOST_PAIRS, np.inf)
         nothing = np.zeros(0)
         self._no_rows = LabelledRows(np.zeros((0, cell.nv)), nothing, nothing, nothing.astype(int))
@@ -129,14 +116,24 @@ class Clearance:
     # -- state -----------------------------------------------------------------------------------------------------
 
     def __getstate__(self) -> dict[str, Any]:
-        names = ("scene", "name", "approach", "comfort", "give_way", "stopping", "patience", "labels", "_places", "_x")
+        names = ("scene", "name", "approach", "comfort", "give_way", "stopping", "patience", "labels", "_moving")
         return {name: self.__dict__[name] for name in names}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state)
         self._prepare()
-        for name, place in self._places.items():
-            self._put(name, place.T_world_body)
+        for shape, T_world_body in self._moving.placements():
+            self._put(shape, T_world_body)
+
+    @property
+    def passes(self) -> int:
+        """How often steps have asked for rows: the others were known to be far enough from everything."""
+        return int(self._counts[0])
+
+    @property
+    def binding(self) -> int:
+        """Rows of the last time."""
+        return int(self._counts[1])
 
     @property
     def quiet(self) -> Quiet:
@@ -150,11 +147,11 @@ class Clearance:
 
     def _quiet(self, bounds: LowerBounds, spare: float, approach: float) -> Quiet:
         reach, slack = bounds.certificate(spare)
-        return Quiet(bounds.positions, reach, -1.0 if self._shapes else slack, approach)
+        return Quiet(bounds.positions, reach, -1.0 if self._moving else slack, approach)
 
     def nearest(self, q: Array) -> NearPair | None:
         """The pair that is nearest to its margin at a configuration (nq,)."""
-        if not self.labels:
+        if not self.scene.built.labels:
             return None
         d = self._probe.all(q)
         k = int((d - self._margins).argmin())
@@ -166,6 +163,8 @@ class Clearance:
 
     def measured(self, limit: BindingLimit, q: Array) -> BindingLimit:
         """One of the labels with the distance of its bodies at a configuration (nq,)."""
+        if not limit.between:
+            return limit
         self._probe.place(q)
         pairs = [k for k, label in enumerate(self.labels) if label.between == limit.between]
         return replace(limit, distance=min(self._probe.one(k) for k in pairs))
@@ -182,7 +181,7 @@ class Clearance:
         near = np.flatnonzero((d < self._margins - _ROUNDING) & ~self._inside)
         self._step.forget()
         self._ahead.forget()
-        self._x = None
+        self._moving.forget()
         if not near.size:
             return
         k = int(near[(d - self._margins)[near].argmin()])
@@ -212,9 +211,11 @@ class Clearance:
             ConstraintTrouble: nobody has told for too long where a moving body is; with the rows that hold where it was
                 told last.
         """
-        trouble = self._grow_old(dt)
+        late = self._moving.grow_old(dt, self.patience)
         rows = self._rows(q, dt, blind=blind)
-        if trouble:
+        self._counts[:] = self._counts[0] + 1.0, len(rows.which)
+        if late:
+            trouble = f"constraint {self.name}: nobody has said for {self.patience:g} s where {late} is (move)"
             raise ConstraintTrouble(trouble, rows)
         return rows
 
@@ -224,40 +225,32 @@ class Clearance:
         self._approach = self.approach if blind else np.inf
         x = self.scene.cell.positions(q)
         bounds.follow(x)
-        if self._places:
-            self._v, self._x = self._velocity(x, dt), x
-            bounds.rooms[self._runs] = -np.inf
+        if self._moving:
+            self._moving.follow(x, dt)
+            bounds.rooms[self._moving.pairs] = -np.inf
         self._distances.place(q)
         near = bounds.near(self._watched(xi, blind=blind))
         bounds.sharpen(near)
-        if len(near) > _MOST_PAIRS:
-            near = sorted(sorted(near, key=bounds.rooms.item)[:_MOST_PAIRS])
+        if len(near) > self._most_pairs:
+            near = sorted(sorted(near, key=bounds.rooms.item)[: self._most_pairs])
         if not near:
             return self._no_rows
         gradient, lower = self._distances.rows(near, bounds.rooms, xi)
-        if self._places:
+        if self._moving:
             which = np.array(near)
-            for name, place in self._places.items():
-                self._run(which, self._shapes[name], place, gradient, lower, dt)
+            self._moving.bound(which, bounds.rooms[which], gradient, lower, dt)
         binds = KERNEL.binding(gradient.rows, lower, self._most)
+        kept = LabelledRows(gradient.rows, lower, self._endless[: len(near)], np.array(near))
         if len(binds) < len(near):
-            return LabelledRows(
-                gradient.rows[binds], lower[binds], self._endless[: len(binds)], np.array([near[i] for i in binds], int)
-            )
-        return LabelledRows(gradient.rows, lower, self._endless[: len(near)], np.array(near))
-
-    def _velocity(self, x: Array, dt: float) -> Array:
-        """Of the joints since the step before (nv,); 0 at the first one."""
-        way = np.zeros(len(x)) if self._x is None else x - self._x
-        turns = self.scene.cell.continuous
-        way[turns] = np.remainder(way[turns] + np.pi, 2.0 * np.pi) - np.pi
-        return way / dt
+            which = np.array([near[i] for i in binds], int)
+            kept = LabelledRows(gradient.rows[binds], lower[binds], self._endless[: len(binds)], which)
+        return self._moving.smooth(kept, dt)
 
     def _watched(self, xi: float, *, blind: bool) -> Array:
         """Pairs are asked within this of their margin (P,) [m]: nothing else can reach it at full speed."""
         if self._watch_of != (xi, blind):
             watch = np.minimum(self._fastest / xi, _BLIND_WATCH if blind else _WATCH)
-            watch[self._runs] = _BLIND_WATCH
+            watch[self._moving.pairs] = _BLIND_WATCH
             self._watch_of, self._watch = (xi, blind), watch
         return self._watch
 
@@ -273,6 +266,10 @@ class Clearance:
         Returns:
             None where all pairs keep their margin, or come no closer inside it.
         """
+        pairs = rows.which < len(self._margins)
+        if not pairs.all():
+            own = self.tightened(LabelledRows(*(part[pairs] for part in rows)), q_next, v, dt)
+            return None if own is None else np.concatenate([own, rows.lower[~pairs]])
         if not len(rows.which):
             return None
         rooms = self._step.rooms[rows.which]
@@ -283,12 +280,23 @@ class Clearance:
         self._distances.place(q_next)
         room = np.array([self._distances.one(int(rows.which[i])) for i in close]) - self._margins[rows.which[close]]
         missing = least[close] - room
-        bent = (missing > 0.1 * _STANDS) & ~self._moves[rows.which[close]]
+        bent = (missing > 0.1 * _STANDS) & ~self._moving.moves[rows.which[close]]
         if not bent.any():
             return None
         lower: Array = rows.lower.copy()
         lower[close[bent]] = np.maximum(lower[close[bent]], rows.G[close[bent]] @ v) + missing[bent] / dt
         return lower
+
+    def in_memory(self, memory: Mapping[str, Array]) -> RowsInMemory | None:
+        """What says the same of bodies that stand, in C over the memory of a compiled step; None without a compiler."""
+        if self._moving or not hasattr(KERNEL, "Nearby"):
+            return None
+        step = ("positions", "command", "dt", "G", "lower", "upper", "soft", "owner")
+        quiet = ("quiet_centre", "quiet_reach", "quiet_slack", "quiet_approach")
+        numbers = self.approach, _WATCH, _BLIND_WATCH, _SAMPLE, _STANDS, float(self._most_pairs)
+        arrays = self._counts, self._most, self._fastest, *(memory[name] for name in step + quiet)
+        found: RowsInMemory = Distances(self.scene).nearby(self._step, arrays, numbers)
+        return found
 
     # -- the path ahead --------------------------------------------------------------------------------------------
 
@@ -300,7 +308,7 @@ class Clearance:
         bounds, positions = self._ahead, self.scene.cell.positions
         bounds.follow(positions(knot.state.q))
         way = _BENT * (self._reach @ np.abs(self._back(knot, knot.span)))
-        bounds.rooms[self._runs] = np.inf  # where they will be nobody knows
+        bounds.rooms[self._moving.pairs] = np.inf  # where they will be nobody knows
         close = np.maximum(way, self._evading_from)
         if not (bounds.rooms < close).any():
             return -1
@@ -322,7 +330,7 @@ class Clearance:
             return slope
         bounds = self._ahead
         bounds.follow(self.scene.cell.positions(q))
-        bounds.rooms[self._runs] = np.inf
+        bounds.rooms[self._moving.pairs] = np.inf
         self._distances.place(q)
         near = bounds.near(self._in_view)
         if not near:
@@ -380,54 +388,9 @@ class Clearance:
         Raises:
             UnknownNameError, InvalidInputError: no such body, or no numbers.
         """
-        if name not in self._shapes:
-            raise UnknownNameError("moving body", str(name), tuple(self._shapes), "Clearance.move")
         T = as_placement(T_world_body, f"Clearance.move '{name}'")
-        self._places[name] = _Place(T, as_vector(twist, 6, f"Clearance.move '{name}': twist"))
-        self._put(name, T)
+        self._put(self._moving.tell(name, T, twist, "Clearance.move"), T)
 
-    def _put(self, name: str, T_world_body: pin.SE3) -> None:
+    def _put(self, shape: int, T_world_body: pin.SE3) -> None:
         for distances in (self._distances, self._probe):
-            distances.put(self._shapes[name], T_world_body)
-
-    def _grow_old(self, dt: float) -> str:
-        """Time goes on for moving bodies; what is wrong where nobody has told for too long where one is."""
-        late = ""
-        for name, place in self._places.items():
-            place.age += dt
-            if place.age > self.patience + dt and not late:
-                late = f"constraint {self.name}: nobody has said for {self.patience:g} s where {name} is (move)"
-        return late
-
-    def _run(self, near: Any, shape: int, place: _Place, gradient: Gradient, lower: Array, dt: float) -> None:
-        """Lower bounds of pairs with a moving body that comes closer at u = −n · v, the arms coming closer at s = −ḋ.
-
-        While the arms stop, in the time T and half of it at their present speed, the body goes on:
-        ``s (h + T/2) + u (h + T) ≤ d − m``. This may ask for more braking than the joints have, (s + u) / (T/2): they
-        brake by no more than a, their accelerations', as long as that suffices,
-        ``s²/2a + u s/a + (s + u) h ≤ d − m``. Distances of convex bodies that go straight on are convex in time, so
-        neither takes them for larger than they will be. Where they give way they keep ``ḋ ≥ −ξ (d − m)``, its motion
-        included.
-        """
-        own = self._second[near] == shape
-        if not own.any():
-            return
-        velocity = place.twist[:3] + np.cross(place.twist[3:], gradient.points[own] - place.T_world_body.translation)
-        closing = -np.einsum("ij,ij->i", gradient.normals[own], velocity)
-        room, T = self._step.rooms[near[own]], self.stopping
-        if self.give_way:
-            lower[own] = np.minimum(closing - self.approach * room, _FASTEST_RETREAT)
-        else:
-            u, (s, a) = np.maximum(closing, 0.0), self._braking(gradient.rows[own])
-            in_time, b = (room - u * (dt + T)) / (dt + 0.5 * T), u + a * dt
-            in_room = np.sqrt(np.maximum(b**2 + 2.0 * a * (room - u * dt), 0.0)) - b
-            lower[own] = -np.maximum(np.maximum(in_time, np.minimum(s - a * dt, in_room)), 0.0)
-
-    def _braking(self, G: Array) -> tuple[Array, Array]:
-        """Approaches s = −G v (m,) [m/s], and how hard joints that brake together slow them down [m/s²].
-
-        Both are 0 where accelerations have no limits, or nothing moves.
-        """
-        slowest = float((np.abs(self._v) / self._acceleration).max())
-        s = np.maximum(-(G @ self._v), 0.0) * (slowest > _STANDS)
-        return s, s * BRAKING_SHARE / max(slowest, _STANDS)
+            distances.put(shape, T_world_body)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import TYPE_CHECKING, Any, NamedTuple, final
 
+import coal
 import numpy as np
 import numpy.typing as npt
 import pinocchio as pin
@@ -30,6 +31,18 @@ _DEEPEST = -1.0
 
 #: Pairs that are asked at most to sharpen bounds, and a room that counts as none [m].
 _MOST_ASKED, _LEAST_ROOM = 20, 1e-9
+
+
+def _request() -> coal.DistanceRequest:
+    """A new one, unlike Pinocchio's, keeps no guess: an answer does not depend on what was asked before."""
+    request = coal.DistanceRequest()
+    request.enable_signed_distance = True
+    request.gjk_tolerance = request.epa_tolerance = _TOLERANCE
+    request.gjk_max_iterations = request.epa_max_iterations = _MOST_ITERATIONS
+    return request
+
+
+_REQUEST = _request()
 
 Indices = npt.NDArray[np.intp]
 
@@ -60,10 +73,8 @@ class Distances:
         built, self._cell = scene.built, scene.cell
         self._geometry = built.geometry.copy()
         self._data, self._placed = scene.cell.model.createData(), self._geometry.createData()
-        for request in self._placed.distanceRequests:
-            request.enable_signed_distance = True
-            request.gjk_tolerance = request.epa_tolerance = _TOLERANCE
-            request.gjk_max_iterations = request.epa_max_iterations = _MOST_ITERATIONS
+        for k in range(len(built.labels)):
+            self._placed.distanceRequests[k] = _REQUEST
         self._results = [self._placed.distanceResults[k] for k in range(len(built.labels))]
         self._kinds = np.ascontiguousarray(built.kinds)
         self._nothing = np.zeros(len(built.labels))
@@ -104,6 +115,37 @@ class Distances:
         """The points of both bodies that are nearest to each other, of a pair asked last here [m]."""
         result = self._results[pair]
         return np.array(result.getNearestPoint1()), np.array(result.getNearestPoint2())
+
+    def nearby(self, bounds: LowerBounds, arrays: tuple[Array, ...], numbers: tuple[float, ...]) -> Any:
+        """What answers for these distances in a compiled step; nobody else asks here then.
+
+        Args:
+            bounds: that it follows.
+            arrays, numbers: as ``nearby.c`` lists them, those that are known here left out.
+        """
+        cell, results = self._cell, self._results
+        model, geometry, placed = cell.model, self._geometry, self._placed
+        q = pin.neutral(model)
+        placing = (
+            (pin.computeJointJacobians, (model, self._data, q)),
+            (pin.updateGeometryPlacements, (model, self._data, geometry, placed)),
+        )
+        counts, speeds, fastest, *step = arrays
+        own = (
+            *bounds.arrays(), fastest, self._kinds, cell.continuous.astype(float), speeds,
+            cell.position_index.astype(float), q, self._data.J.T, counts,
+        )  # fmt: skip
+        return KERNEL.Nearby(
+            (*own, *step),
+            (*numbers, _LEAST_ROOM, _DEEPEST, float(_MOST_ASKED)),
+            (self._data, placed),
+            placing,
+            pin.computeDistance,
+            [(geometry, placed, k) for k in range(len(results))],
+            results,
+            [result.getNearestPoint2 for result in results],
+            [result.normal for result in results],
+        )
 
     def gradient(self, pairs: Iterable[int]) -> Gradient:
         """Of the distances of pairs that were asked where the shapes are placed.
@@ -146,6 +188,10 @@ class LowerBounds:
         self._shares, self._weights = np.empty(len(built.margins)), np.zeros(nv)
         self.rooms = np.full(len(built.margins), -np.inf)  # at least this far from the margin (P,) [m]
         self.positions = np.zeros(nv)
+
+    def arrays(self) -> tuple[Array, ...]:
+        """Rooms, reaches, positions, margins, and what a unit of motion takes of each room."""
+        return self.rooms, self._reach, self.positions, self._margins, self._most
 
     def forget(self) -> None:
         """Nothing is known: a body has moved."""

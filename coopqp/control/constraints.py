@@ -7,6 +7,7 @@ on the path, the QP. A line ``a z + b σ̇ ≤ c`` with z = σ² bounds the rate
 from __future__ import annotations
 
 import enum
+from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from typing import Any, NamedTuple, Protocol, final, runtime_checkable
 
@@ -118,6 +119,18 @@ class Quiet(NamedTuple):
     approach: float = np.inf
 
 
+class RowsInMemory(Protocol):
+    """``rows_by_label`` and ``tightened`` of a :class:`CertifiedConstraint` over the memory of a compiled step."""
+
+    def rows(self, blind: bool, /) -> int:
+        """Put the rows of this step, and where it is quiet, into the memory; how many."""
+        ...
+
+    def tightened(self) -> bool:
+        """Raise lower bounds that the command breaks; whether it does."""
+        ...
+
+
 @runtime_checkable
 class CertifiedConstraint(VelocityConstraint, Protocol):
     """A velocity constraint with many rows of which few bind: it names each, and says where none does.
@@ -152,6 +165,10 @@ class CertifiedConstraint(VelocityConstraint, Protocol):
 
     def tightened(self, rows: LabelledRows, q_next: Array, v: Array, dt: float) -> Array | None:
         """Other lower bounds (m,) if ``q_next`` (nq,) breaks what rows stand for; else None."""
+        ...
+
+    def in_memory(self, memory: Mapping[str, Array]) -> RowsInMemory | None:
+        """What says the same over the memory of a compiled step; None where nothing does."""
         ...
 
     def room(self, knot: Knot) -> int:

@@ -100,6 +100,10 @@ class CompiledLoop:
         self._further = self._no_rows
         if constraints:
             self._core.bind_knots(self._bound_knot)
+        if self._certified is not None:
+            rows = self._certified.in_memory(self._memory.of_rows())
+            if rows is not None:
+                self._core.bind_rows(rows.rows, rows.tightened)
         if constraints.evades:
             self._core.bind_evasion(self._evade)
         self.step = self._core.step

@@ -18,6 +18,7 @@ CONSTANTS: dict[str, float] = {
     "INSIDE": 1e-5,  # how far inside its limit such a joint is led [rad or m]
     "AT_LIMIT": 1e-7,  # a velocity this close to its limit stands at it [rad/s or m/s]
     "RESIDUE_TOLERANCE": 1e-5,  # a solver's excess over a limit up to this is clipped; more is a failure [rad/s]
+    "MOST_TIGHTENINGS": 3,  # answers with rows that the one before broke by the bend of distances
     # chain
     "LARGE_INVERSE": 1e4,  # entries of an inverse beyond this need a look at the singular values
     "SMALLEST_PIVOT": 1e-9,  # smallest pivot over the largest entry

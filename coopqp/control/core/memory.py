@@ -41,6 +41,17 @@ class Memory:
             self.places += places.values()
             self.at.update({name: memory[begin:end] for name, (begin, end) in places.items()})
 
+    def of_rows(self) -> dict[str, Array]:
+        """What further rows are asked at, and where they and what is known of them are put."""
+        at, own = self.at, ("positions", "command", "quiet_centre", "quiet_reach")
+        loop, i = at["loop"], layout.LOOP.index("QUIET_SLACK")
+        found = {name: at[name] for name in own} | {name: at[f"further_{name}"] for name in ("lower", "upper", "soft")}
+        dt = layout.PROPOSAL.index("DT")
+        return found | {
+            "G": at["further"], "owner": at["further_owner"], "dt": at["proposal"][dt : dt + 1],
+            "quiet_slack": loop[i : i + 1], "quiet_approach": loop[i + 1 : i + 2],
+        }  # fmt: skip
+
 
 def build_memory(
     chain: Chain,

@@ -34,6 +34,7 @@ typedef struct {
     Py_buffer memory[3];   /* the blocks; released with the Core */
     double *own_pose;      /* where own_path leaves its numbers, 12 */
     PyObject *own_path, *bound_knot, *evasion;     /* callables; NULL for none */
+    PyObject *rows_of, *tightened;                 /* likewise: put further rows into the memory, and tighten them */
     PyObject *path_buffer, *pose_buffer;           /* arrays whose memory is in use */
     PyObject *step_type, *context, *statuses;      /* what a step is made of */
     double *minding, *places;                      /* what minds forces; where the tools are on the object */
@@ -139,6 +140,8 @@ static int core_traverse(PyObject *object, visitproc visit, void *arg) {
     Py_VISIT(self->own_path);
     Py_VISIT(self->bound_knot);
     Py_VISIT(self->evasion);
+    Py_VISIT(self->rows_of);
+    Py_VISIT(self->tightened);
     Py_VISIT(self->path_buffer);
     Py_VISIT(self->pose_buffer);
     Py_VISIT(self->step_type);
@@ -158,6 +161,8 @@ static int core_clear(PyObject *object) {
     Py_CLEAR(self->own_path);
     Py_CLEAR(self->bound_knot);
     Py_CLEAR(self->evasion);
+    Py_CLEAR(self->rows_of);
+    Py_CLEAR(self->tightened);
     Py_CLEAR(self->step_type);
     Py_CLEAR(self->context);
     Py_CLEAR(self->statuses);
@@ -294,6 +299,18 @@ static PyObject *core_bind_evasion(PyObject *object, PyObject *function) {
     Py_RETURN_NONE;
 }
 
+static PyObject *core_bind_rows(PyObject *object, PyObject *args) {
+    CoreObject *self = built(object);
+    PyObject *rows, *tightened;
+    if (!self || !PyArg_ParseTuple(args, "OO", &rows, &tightened)) return NULL;
+    Py_INCREF(rows);
+    Py_INCREF(tightened);
+    Py_XDECREF(self->rows_of);
+    Py_XDECREF(self->tightened);
+    self->rows_of = rows, self->tightened = tightened;
+    Py_RETURN_NONE;
+}
+
 static PyObject *core_make_steps(PyObject *object, PyObject *args) {
     CoreObject *self = built(object);
     PyObject *type, *context, *statuses;
@@ -411,15 +428,45 @@ static PyObject *core_release(PyObject *object, PyObject *unused) {
     Py_RETURN_NONE;
 }
 
+/* A number that a function answers; -1 where it fails. An exception is left to the definition, which asks again. */
+static long number_of(CoreObject *self, PyObject *function, PyObject *argument) {
+    PyObject *found = PyObject_CallFunctionObjArgs(function, argument, NULL);
+    const long number = found ? PyLong_AsLong(found) : -1;
+    Py_XDECREF(found);
+    if (!PyErr_Occurred()) return number;
+    if (PyErr_ExceptionMatches(PyExc_Exception))
+        PyErr_Clear();
+    else
+        PyErr_Fetch(self->interrupt, self->interrupt + 1, self->interrupt + 2);
+    return -1;
+}
+
+/* The outcome with all further rows, tightened where the command breaks what they stand for; ASK where the definition
+ * has to say. */
+static int answer_with_rows(CoreObject *self) {
+    Core *c = &self->core;
+    const long rows = self->rows_of ? number_of(self, self->rows_of, c->looks_ahead ? Py_False : Py_True) : -1;
+    if (rows < 0 || rows > c->rows) return ASK;
+    c->further_rows = (int)rows;
+    int outcome = self->can->answer(c);
+    for (int i = 0; rows && i < (int)MOST_TIGHTENINGS && outcome < FILLED; i++) {
+        const long tighter = number_of(self, self->tightened, NULL);
+        if (tighter < 0) return ASK;
+        if (!tighter) break;
+        outcome = self->can->answer(c);
+    }
+    return outcome < FILLED ? outcome : ASK;
+}
+
 /* The step of what was observed. None where the answer is left open: whoever finishes it is expected. */
 static PyObject *command(CoreObject *self) {
     Core *c = &self->core;
-    const int certified = c->options[CERTIFIED] != 0.0;
     c->further_rows = 0;
-    const int outcome = self->can->propose(c);
+    int outcome = self->can->propose(c);
+    const int asks = c->options[CERTIFIED] != 0.0 && (outcome >= FILLED || !self->can->quiet(c));
+    if (asks && !self->interrupt[0]) c->proposal[OUTCOME] = outcome = answer_with_rows(self);
     if (interrupted(self)) return NULL;
-    if (outcome < FILLED && !(certified && !self->can->quiet(c))) return make_step(self, self->can->commit(c));
-    if (certified) c->proposal[OUTCOME] = ASK;
+    if (outcome < FILLED) return make_step(self, self->can->commit(c));
     self->handed = 1;
     Py_RETURN_NONE;
 }
@@ -635,6 +682,7 @@ static PyMethodDef core_methods[] = {
     {"go_over", core_go_over, METH_VARARGS, "go_over(goal, numbers, speed, spin, full): to a new target."},
     {"bind_knots", core_bind_knots, METH_O, "bind_knots(function): called with the place of every new knot."},
     {"bind_evasion", core_bind_evasion, METH_O, "bind_evasion(function): may change evading_slope."},
+    {"bind_rows", core_bind_rows, METH_VARARGS, "bind_rows(rows, tightened): what step() asks for further rows."},
     {"make_steps", core_make_steps, METH_VARARGS, "make_steps(type, context, statuses): what step() returns."},
     {"linearise", core_linearise, METH_VARARGS, "linearise(positions, about, carried, jacobian)."},
     {"shift_grasp", FAST(core_shift_grasp), METH_FASTCALL, "shift_grasp(places, shift); False if not finite."},

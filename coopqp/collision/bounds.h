@@ -1,0 +1,81 @@
+/* Lower bounds of distances that follow the joints, and rows that keep distances. Reaches are (nv, P): the pairs of one
+ * joint stand in a row, for the processor's vectors. */
+
+#ifndef COOPQP_BOUNDS_H
+#define COOPQP_BOUNDS_H
+
+#include <Python.h>
+#include <math.h>
+
+#define LANES 8
+#define TURN 6.283185307179586
+
+/* Rooms lose what the way of the joints may take. */
+static inline void follow(double *rooms, const double *reach, double *positions, const double *x, const double *continuous,
+                   Py_ssize_t pairs, Py_ssize_t joints) {
+    for (Py_ssize_t j = 0; j < joints; j++) {
+        const double *own = reach + j * pairs;
+        double way = fabs(x[j] - positions[j]);
+        if (continuous[j] != 0.0 && fabs(TURN - way) < way) way = fabs(TURN - way);
+        positions[j] = x[j];
+        if (way != 0.0)
+            for (Py_ssize_t k = 0; k < pairs; k++) rooms[k] -= own[k] * way;
+    }
+}
+
+/* Largest reach over room, per joint; 0 if a room is none. `shares` is memory for one number per pair. */
+static inline int certify(const double *rooms, const double *reach, double spare, double *shares, double *out,
+                   Py_ssize_t pairs, Py_ssize_t joints) {
+    for (Py_ssize_t j = 0; j < joints; j++) out[j] = 0.0;
+    for (Py_ssize_t k = 0; k < pairs; k++) {
+        if (!(rooms[k] > spare)) return 0;
+        shares[k] = 1.0 / (rooms[k] - spare);
+    }
+    for (Py_ssize_t j = 0; j < joints; j++) {
+        const double *own = reach + j * pairs;
+        double most[LANES] = {0.0};
+        for (Py_ssize_t k = 0; k < pairs; k += LANES) {
+            const int some = pairs - k < LANES ? (int)(pairs - k) : LANES;
+            for (int l = 0; l < some; l++) {
+                const double share = own[k + l] * shares[k + l];
+                most[l] = share > most[l] ? share : most[l];
+            }
+        }
+        for (int l = 0; l < LANES; l++) out[j] = most[l] > out[j] ? most[l] : out[j];
+    }
+    return 1;
+}
+
+/* G (joints) of a pair with unit normal and point in `ends` (6), by the joints' world Jacobians J (joints, 6). */
+static inline void gradient(const double *ends, const double *J, const double *kinds, double *G, Py_ssize_t joints) {
+    const double *n = ends, *p = ends + 3;
+    const double turn[3] = {p[1] * n[2] - p[2] * n[1], p[2] * n[0] - p[0] * n[2], p[0] * n[1] - p[1] * n[0]};
+    for (Py_ssize_t j = 0; j < joints; j++) {
+        const double *a = J + 6 * j;
+        const double move = n[0] * a[0] + n[1] * a[1] + n[2] * a[2];
+        G[j] = kinds[j] * (move + turn[0] * a[3] + turn[1] * a[4] + turn[2] * a[5]);
+    }
+}
+
+/* The pair whose room, at least `least`, may be used up first: `most` is what a unit of motion takes. -1 of none. */
+static inline Py_ssize_t soonest(const double *rooms, const double *most, double least, Py_ssize_t pairs) {
+    double share = -1.0;
+    Py_ssize_t found = -1;
+    for (Py_ssize_t k = 0; k < pairs; k++) {
+        const double room = rooms[k] > least ? rooms[k] : least;
+        if (most[k] > share * room) share = most[k] / room, found = k;
+    }
+    return found;
+}
+
+/* Whether joints at speeds up to `most` can break a row G v >= lower. */
+static inline int breakable(const double *G, double lower, const double *most, Py_ssize_t joints) {
+    double fastest = 0.0;
+    for (Py_ssize_t j = 0; j < joints; j++) fastest += fabs(G[j]) * most[j];
+    return fastest > -lower;
+}
+
+/* What d' >= -approach room asks of a pair. */
+static inline double least_speed(double room, double approach) { return room > 0.0 ? -room * approach : 0.0; }
+
+#endif

@@ -1,0 +1,337 @@
+/* Rows of a compiled step beside bodies that stand: what Clearance.rows_by_label and Clearance.tightened say, over the
+ * memory of the step. coal is asked for distances, Pinocchio for placements; a step that is not near asks neither. */
+
+#define PY_SSIZE_T_CLEAN
+#include <Python.h>
+#include <stdint.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "bounds.h"
+#include "nearby.h"
+
+/* CPython passes functions as void *, which ISO C forbids and every platform with dynamic libraries allows. */
+#if defined(__GNUC__)
+#define POINTER(type, address) (__extension__(type)(address))
+#else
+#define POINTER(type, address) ((type)(address))
+#endif
+
+/* Joints this close to where the shapes are placed are there [rad or m]: a step's end, and the next one's start. */
+#define SAME_PLACE 1e-14
+
+/* Arrays, in the order in which Python gives them. */
+enum {
+    /* of the scene: pairs P, joints nv, numbers of a configuration nq */
+    ROOMS, REACH, AT, MARGINS, MOST, FASTEST, KINDS, CONTINUOUS, SPEEDS, Q_INDEX, Q, JACOBIAN, COUNTS,
+    /* of the step: rows m */
+    POSITIONS, COMMAND, DT, G, LOWER, UPPER, SOFT, OWNER, CENTRE, WEIGHTS, SLACK, APPROACH,
+    ARRAYS
+};
+/* Numbers, likewise. */
+enum { BLIND_APPROACH, WATCH, BLIND_WATCH, SAMPLE, STANDS, MOST_PAIRS, LEAST_ROOM, DEEPEST, MOST_ASKED, NUMBERS };
+
+#define PLACING 2 /* functions that place the shapes */
+
+typedef struct {
+    PyObject_HEAD
+    Py_buffer views[ARRAYS];
+    double *at[ARRAYS], number[NUMBERS];
+    Py_ssize_t pairs, joints, nq, rows;
+    PyObject *owner;                              /* of what coal writes */
+    PyObject *place[PLACING], *placed[PLACING];   /* functions, and their arguments */
+    PyObject *ask, *questions, *answers, *points; /* function, arguments of each pair, results, functions */
+    const double **normals;                       /* of each pair, in coal's memory */
+    double *d, *shares, *watch, *x, *next;        /* distances, scratch, watches, joints as placed and at the end */
+    double watch_of[2];                           /* approach and range of the watches */
+    uint64_t *known, stamp;                       /* distances with the present stamp are of this placement */
+    int lost;                                     /* nobody knows where the shapes are */
+    Py_ssize_t *near, *which, binding;            /* pairs that are near, and those of the rows; how many rows */
+} Nearby;
+
+/* -- asking ---------------------------------------------------------------------------------------------------------- */
+
+static int call(PyObject *function, PyObject *arguments) {
+    PyObject *found = PyObject_CallObject(function, arguments);
+    Py_XDECREF(found);
+    return found != NULL;
+}
+
+/* Put the shapes where they are at positions x; 0 and an exception if that fails. */
+static int place(Nearby *s, const double *x) {
+    double away = s->lost ? INFINITY : 0.0;
+    for (Py_ssize_t j = 0; j < s->joints; j++) away = fmax(away, fabs(x[j] - s->x[j]));
+    if (away <= SAME_PLACE) return 1;
+    for (Py_ssize_t j = 0; j < s->joints; j++) {
+        double *q = s->at[Q] + (Py_ssize_t)s->at[Q_INDEX][j];
+        q[0] = x[j];
+        if (s->at[CONTINUOUS][j] != 0.0) q[0] = cos(x[j]), q[1] = sin(x[j]);
+    }
+    memcpy(s->x, x, sizeof(double) * (size_t)s->joints);
+    s->stamp++, s->lost = 1;
+    for (int i = 0; i < PLACING; i++)
+        if (!call(s->place[i], s->placed[i])) return 0;
+    s->lost = 0;
+    return 1;
+}
+
+/* Distance of a pair where the shapes are placed, asked once; NAN and an exception if that fails. */
+static double distance(Nearby *s, Py_ssize_t k) {
+    if (s->known[k] == s->stamp) return s->d[k];
+    if (!call(s->ask, PyList_GetItem(s->questions, k))) return NAN;
+    PyObject *found = PyObject_GetAttrString(PyList_GetItem(s->answers, k), "min_distance");
+    const double d = found ? PyFloat_AsDouble(found) : NAN;
+    Py_XDECREF(found);
+    if (PyErr_Occurred()) return NAN;
+    s->d[k] = d > s->number[DEEPEST] ? d : s->number[DEEPEST];
+    s->known[k] = s->stamp;
+    return s->d[k];
+}
+
+static int ask_room(Nearby *s, Py_ssize_t k) {
+    const double d = distance(s, k);
+    if (PyErr_Occurred()) return 0;
+    s->at[ROOMS][k] = d - s->at[MARGINS][k];
+    return 1;
+}
+
+/* Nearest point of the second body of a pair that was asked. */
+static int nearest_point(Nearby *s, Py_ssize_t k, double *p) {
+    PyObject *found = PyObject_CallObject(PyList_GetItem(s->points, k), NULL);
+    Py_buffer view;
+    if (!found) return 0;
+    const int good = PyObject_GetBuffer(found, &view, PyBUF_C_CONTIGUOUS) == 0;
+    if (good && view.len == 3 * sizeof(double)) memcpy(p, view.buf, 3 * sizeof(double));
+    if (good && view.len != 3 * sizeof(double)) PyErr_SetString(PyExc_ValueError, "a point has three numbers");
+    if (good) PyBuffer_Release(&view);
+    Py_DECREF(found);
+    return !PyErr_Occurred();
+}
+
+/* -- rows ------------------------------------------------------------------------------------------------------------ */
+
+/* Pairs are asked within this of their margin: nothing else can reach it at full speed. */
+static void set_watches(Nearby *s, double approach, double range) {
+    if (s->watch_of[0] == approach && s->watch_of[1] == range) return;
+    s->watch_of[0] = approach, s->watch_of[1] = range;
+    for (Py_ssize_t k = 0; k < s->pairs; k++) {
+        const double way = s->at[FASTEST][k] / approach;
+        s->watch[k] = way < range ? way : range;
+    }
+}
+
+/* Pairs within their watch, asked: how many; -1 and an exception if that fails, or -2 if they are too many. */
+static Py_ssize_t find_near(Nearby *s) {
+    const double *rooms = s->at[ROOMS];
+    Py_ssize_t count = 0;
+    for (Py_ssize_t k = 0; k < s->pairs; k++) {
+        if (!(rooms[k] < s->watch[k])) continue;
+        if (!ask_room(s, k)) return -1;
+        if (rooms[k] < s->watch[k]) s->near[count++] = k;
+    }
+    return count > (Py_ssize_t)s->number[MOST_PAIRS] || count > s->rows ? -2 : count;
+}
+
+/* Ask for pairs until the one that may use up its room first, as far as is known, has been asked. */
+static int sharpen(Nearby *s, Py_ssize_t asked) {
+    for (; asked < (Py_ssize_t)s->number[MOST_ASKED]; asked++) {
+        const Py_ssize_t k = soonest(s->at[ROOMS], s->at[MOST], s->number[LEAST_ROOM], s->pairs);
+        if (k < 0 || (s->known[k] == s->stamp && s->at[ROOMS][k] == s->d[k] - s->at[MARGINS][k])) return 1;
+        if (!ask_room(s, k)) return 0;
+    }
+    return 1;
+}
+
+/* Rows of the pairs that are near, those that joints at full speed cannot break left out. */
+static int put_rows(Nearby *s, Py_ssize_t count, double approach) {
+    const Py_ssize_t nv = s->joints;
+    Py_ssize_t m = 0;
+    for (Py_ssize_t i = 0; i < count; i++) {
+        const Py_ssize_t k = s->near[i];
+        double ends[6], *G_row = s->at[G] + m * nv;
+        memcpy(ends, s->normals[k], 3 * sizeof(double));
+        if (!nearest_point(s, k, ends + 3)) return 0;
+        gradient(ends, s->at[JACOBIAN], s->at[KINDS] + k * nv, G_row, nv);
+        s->at[LOWER][m] = least_speed(s->at[ROOMS][k], approach);
+        if (!breakable(G_row, s->at[LOWER][m], s->at[SPEEDS], nv)) continue;
+        s->at[UPPER][m] = INFINITY, s->at[SOFT][m] = 1.0, s->at[OWNER][m] = (double)k;
+        s->which[m++] = k;
+    }
+    s->binding = m;
+    return 1;
+}
+
+/* rows(blind): put the rows of this step, and where none binds, into its memory; how many. */
+static PyObject *nearby_rows(PyObject *object, PyObject *blind_given) {
+    Nearby *s = (Nearby *)object;
+    const int blind = PyObject_IsTrue(blind_given);
+    const double dt = s->at[DT][0], own = s->number[BLIND_APPROACH];
+    const double approach = blind && own < 1.0 / dt ? own : 1.0 / dt;
+    s->binding = 0, s->at[COUNTS][0] += 1.0;
+    follow(s->at[ROOMS], s->at[REACH], s->at[AT], s->at[POSITIONS], s->at[CONTINUOUS], s->pairs, s->joints);
+    set_watches(s, approach, s->number[blind ? BLIND_WATCH : WATCH]);
+    if (!place(s, s->at[POSITIONS])) return NULL;
+    const Py_ssize_t count = find_near(s);
+    if (count == -2) PyErr_SetString(PyExc_OverflowError, "more pairs are near than a step has rows for");
+    if (count < 0 || !sharpen(s, count) || !put_rows(s, count, approach)) return NULL;
+    memcpy(s->at[CENTRE], s->at[AT], sizeof(double) * (size_t)s->joints);
+    const int known = certify(s->at[ROOMS], s->at[REACH], 0.0, s->shares, s->at[WEIGHTS], s->pairs, s->joints);
+    s->at[SLACK][0] = known ? 1.0 : -1.0;
+    s->at[APPROACH][0] = blind ? own : INFINITY;
+    s->at[COUNTS][1] = (double)s->binding;
+    return PyLong_FromSsize_t(s->binding);
+}
+
+/* tightened(): raise lower bounds where the command leads closer than rows say; whether it does. */
+static PyObject *nearby_tightened(PyObject *object, PyObject *unused) {
+    Nearby *s = (Nearby *)object;
+    const double dt = s->at[DT][0], *v = s->at[COMMAND];
+    int any = 0, placed = 0;
+    (void)unused;
+    for (Py_ssize_t i = 0; i < s->binding; i++) {
+        const Py_ssize_t k = s->which[i];
+        const double room = s->at[ROOMS][k], least = room < 0.0 ? room : 0.0, *G_row = s->at[G] + i * s->joints;
+        double speed = 0.0;
+        for (Py_ssize_t j = 0; j < s->joints; j++) speed += G_row[j] * v[j];
+        if (!(room + dt * speed < least + s->number[SAMPLE])) continue;
+        if (!placed) {
+            for (Py_ssize_t j = 0; j < s->joints; j++) s->next[j] = s->at[POSITIONS][j] + dt * v[j];
+            if (!place(s, s->next)) return NULL;
+            placed = 1;
+        }
+        const double missing = least - (distance(s, k) - s->at[MARGINS][k]);
+        if (PyErr_Occurred()) return NULL;
+        if (!(missing > 0.1 * s->number[STANDS])) continue;
+        s->at[LOWER][i] = (s->at[LOWER][i] > speed ? s->at[LOWER][i] : speed) + missing / dt;
+        any = 1;
+    }
+    return PyBool_FromLong(any);
+}
+
+/* -- building -------------------------------------------------------------------------------------------------------- */
+
+/* Hold the arrays; 0 and an exception if one is something else. */
+static int hold_arrays(Nearby *s, PyObject *arrays) {
+    Py_ssize_t n[ARRAYS];
+    if (PyTuple_Size(arrays) != ARRAYS) return 0;
+    for (int i = 0; i < ARRAYS; i++) {
+        Py_buffer *view = s->views + i;
+        if (PyObject_GetBuffer(PyTuple_GetItem(arrays, i), view, PyBUF_FORMAT | PyBUF_C_CONTIGUOUS) < 0) return 0;
+        if (view->itemsize != 8 || !view->format || view->format[0] != 'd' || view->format[1]) return 0;
+        s->at[i] = view->buf, n[i] = view->len / 8;
+    }
+    const Py_ssize_t pairs = s->pairs = n[ROOMS], nv = s->joints = n[AT], m = s->rows = n[LOWER];
+    const int of_pairs[] = {MARGINS, MOST, FASTEST}, of_rows[] = {UPPER, SOFT, OWNER}, of_one[] = {DT, SLACK, APPROACH};
+    const int of_joints[] = {CONTINUOUS, SPEEDS, Q_INDEX, POSITIONS, COMMAND, CENTRE, WEIGHTS};
+    int good = nv > 0 && n[REACH] == nv * pairs && n[KINDS] == nv * pairs && n[JACOBIAN] == 6 * nv && n[G] == m * nv &&
+               n[COUNTS] == 2;
+    for (int i = 0; i < 3; i++) good = good && n[of_pairs[i]] == pairs && n[of_rows[i]] == m && n[of_one[i]] == 1;
+    for (int i = 0; i < 7; i++) good = good && n[of_joints[i]] == nv;
+    for (Py_ssize_t j = 0; good && j < nv; j++) {
+        const double at = s->at[Q_INDEX][j];
+        good = at >= 0.0 && at + (s->at[CONTINUOUS][j] != 0.0 ? 2.0 : 1.0) <= (double)n[Q];
+    }
+    return good;
+}
+
+/* Hold what is asked, and find coal's normals. */
+static int hold_functions(Nearby *s, PyObject *placing, PyObject *normals) {
+    if (PyTuple_Size(placing) != PLACING || PyList_Size(s->questions) != s->pairs || PyList_Size(s->answers) != s->pairs ||
+        PyList_Size(s->points) != s->pairs || PyList_Size(normals) != s->pairs)
+        return 0;
+    for (int i = 0; i < PLACING; i++)
+        if (!PyArg_ParseTuple(PyTuple_GetItem(placing, i), "OO!", s->place + i, &PyTuple_Type, s->placed + i)) {
+            s->place[i] = s->placed[i] = NULL;
+            return 0;
+        } else {
+            Py_INCREF(s->place[i]), Py_INCREF(s->placed[i]);
+        }
+    for (Py_ssize_t k = 0; k < s->pairs; k++) {
+        Py_buffer view;
+        if (PyObject_GetBuffer(PyList_GetItem(normals, k), &view, PyBUF_C_CONTIGUOUS) < 0) return 0;
+        s->normals[k] = view.buf; /* stays there as long as its owner */
+        const int three = view.len == 3 * sizeof(double);
+        PyBuffer_Release(&view);
+        if (!three) return 0;
+    }
+    return 1;
+}
+
+static void *memory(Py_ssize_t count, size_t size) { return calloc(count > 0 ? (size_t)count : 1, size); }
+
+static int nearby_init(PyObject *object, PyObject *args, PyObject *kwargs) {
+    Nearby *s = (Nearby *)object;
+    PyObject *arrays, *numbers, *placing, *normals;
+    (void)kwargs;
+    if (s->owner) {
+        PyErr_SetString(PyExc_ValueError, "a Nearby is built once");
+        return -1;
+    }
+    if (!PyArg_ParseTuple(args, "O!O!OO!OO!O!O!O!", &PyTuple_Type, &arrays, &PyTuple_Type, &numbers, &s->owner,
+                          &PyTuple_Type, &placing, &s->ask, &PyList_Type, &s->questions, &PyList_Type, &s->answers,
+                          &PyList_Type, &s->points, &PyList_Type, &normals)) {
+        s->owner = s->ask = s->questions = s->answers = s->points = NULL;
+        return -1;
+    }
+    PyObject *held[] = {s->owner, s->ask, s->questions, s->answers, s->points};
+    for (size_t i = 0; i < sizeof held / sizeof *held; i++) Py_INCREF(held[i]);
+    s->lost = 1;
+    int good = PyTuple_Size(numbers) == NUMBERS;
+    for (int i = 0; good && i < NUMBERS; i++) s->number[i] = PyFloat_AsDouble(PyTuple_GetItem(numbers, i));
+    good = good && !PyErr_Occurred() && hold_arrays(s, arrays);
+    if (good) {
+        const Py_ssize_t pairs = s->pairs, nv = s->joints;
+        s->normals = memory(pairs, sizeof *s->normals), s->known = memory(pairs, sizeof *s->known);
+        s->d = memory(pairs, sizeof(double)), s->shares = memory(pairs, sizeof(double));
+        s->watch = memory(pairs, sizeof(double)), s->x = memory(nv, sizeof(double));
+        s->next = memory(nv, sizeof(double)), s->near = memory(pairs, sizeof *s->near);
+        s->which = memory(s->rows, sizeof *s->which);
+        if (!s->normals || !s->known || !s->d || !s->shares || !s->watch || !s->x || !s->next || !s->near || !s->which) {
+            PyErr_NoMemory();
+            return -1;
+        }
+        good = hold_functions(s, placing, normals);
+    }
+    if (good) return 0;
+    if (!PyErr_Occurred()) PyErr_SetString(PyExc_ValueError, "what it is given does not fit together");
+    return -1;
+}
+
+static void nearby_dealloc(PyObject *object) {
+    Nearby *s = (Nearby *)object;
+    PyTypeObject *type = Py_TYPE(object);
+    for (int i = 0; i < ARRAYS; i++)
+        if (s->views[i].obj) PyBuffer_Release(s->views + i);
+    for (int i = 0; i < PLACING; i++) Py_XDECREF(s->place[i]), Py_XDECREF(s->placed[i]);
+    void *own[] = {(void *)s->normals, s->known, s->d, s->shares, s->watch, s->x, s->next, s->near, s->which};
+    for (size_t i = 0; i < sizeof own / sizeof *own; i++) free(own[i]);
+    Py_XDECREF(s->ask), Py_XDECREF(s->questions), Py_XDECREF(s->answers), Py_XDECREF(s->points);
+    Py_XDECREF(s->owner);
+    freefunc release = POINTER(freefunc, PyType_GetSlot(type, Py_tp_free));
+    release(object);
+    Py_DECREF(type);
+}
+
+static PyMethodDef methods[] = {
+    {"rows", nearby_rows, METH_O, "rows(blind): put the rows of this step into its memory; how many."},
+    {"tightened", nearby_tightened, METH_NOARGS, "tightened(): raise bounds that the command breaks; whether it does."},
+    {NULL, NULL, 0, NULL},
+};
+
+static PyType_Slot slots[] = {
+    {Py_tp_doc, "Rows of a compiled step beside bodies that stand, over its memory."},
+    {Py_tp_init, POINTER(void *, nearby_init)},
+    {Py_tp_dealloc, POINTER(void *, nearby_dealloc)},
+    {Py_tp_methods, methods},
+    {Py_tp_new, POINTER(void *, PyType_GenericNew)},
+    {0, NULL},
+};
+
+static PyType_Spec spec = {"coopqp.collision._bounds.Nearby", sizeof(Nearby), 0, Py_TPFLAGS_DEFAULT, slots};
+
+int add_nearby(PyObject *module) {
+    PyObject *type = PyType_FromSpec(&spec);
+    if (type && PyModule_AddObject(module, "Nearby", type) == 0) return 0;
+    Py_XDECREF(type);
+    return -1;
+}
