@@ -131,5 +131,4 @@ def _least_square(edges: Array, goal: Array) -> Array:
         if c @ c > 1e-12 * (b @ b):
             of_b = (goal @ c) / (c @ c)
             return np.array([(goal @ a) / (a @ a) - along * of_b, of_b])
-    out: Array = np.linalg.lstsq(edges, goal, rcond=None)[0]
-    return out
+    return np.asarray(np.linalg.lstsq(edges, goal, rcond=None)[0], dtype=float)
