@@ -19,7 +19,7 @@ import pinocchio as pin
 from coopqp.control.command import NO_SOLVE, NOTHING, ControlStep, GivenUp, Status, off_path
 from coopqp.control.constraints import Constraints, ConstraintTrouble, Knot, Rows, no_rows
 from coopqp.control.limits import VelocityBox
-from coopqp.control.linearised import LinearisedAnswer, LinearisedStep, StepInput
+from coopqp.control.linearised import LinearisedAnswer, LinearisedStep, StepInput, averaging
 from coopqp.control.options import QPOptions
 from coopqp.control.ranks import StepSolver
 from coopqp.control.reins import Reins, blind_brake
@@ -133,6 +133,7 @@ class PlainLoop:
         self.constraints = constraints
         self._chain, self._ahead_chain, self._box = Chain(cell, grasp), Chain(cell, grasp), VelocityBox(cell)
         self._shares = options.common_error.shares(cell)
+        self._mean = averaging(self._shares)
         self.solver = StepSolver(self._chain, self._box, options)
         self._step = LinearisedStep(self._chain, self._box, self._shares, self.solver, options)
         self._posture = Posture(cell, options.posture)
@@ -328,7 +329,7 @@ class PlainLoop:
     def _object_at(self, q: Array, pose: pin.SE3) -> tuple[Array, Array]:
         """The object's error at a configuration (6,), and that of the object as each arm carries it (N, 6) [m, rad]."""
         errors = self._chain.errors(self._chain.carried(q), pose)
-        return (self._shares * errors).sum(axis=0), errors
+        return self._mean.dot(errors.ravel()), errors
 
     # -- propose ---------------------------------------------------------------------------------------------------
 
