@@ -60,6 +60,15 @@ MODULES: dict[str, tuple[str, ...]] = {
         "supervision",
         "reliability/stopping",
     ),
+    "coopqp/control/rate_cap.py": (
+        "lockstep",
+        "reins",
+        "qp_controller",
+        "supervision",
+        "constraint_rows",
+        "reliability/stopping",
+    ),
+    "coopqp/control/verdict.py": ("lockstep", "behaviour", "qp_controller", "reliability/statuses"),
     "coopqp/control/supervision.py": ("supervision", "lockstep", "stress", "qp_controller", "reliability/disturbances"),
     "coopqp/planning/preview.py": ("preview", "qp_controller", "lockstep", "scenarios", "reliability/saturation"),
     "coopqp/planning/horizon.py": ("preview", "lockstep", "scenarios", "reliability/saturation"),
@@ -109,6 +118,10 @@ EQUIVALENT: dict[tuple[str, str, str], str] = {
                 "if lowest > _FAR or highest <= -_FAR:",
             ): "a rate of exactly −1e100",
             (
+                "if longest <= 0.0:",
+                "if longest < 0.0:",
+            ): "at rest no joint is late",
+            (
                 "still = np.abs(along) < _STILL",
                 "still = np.abs(along) <= _STILL",
             ): "a speed of exactly 1e-12",
@@ -123,16 +136,14 @@ EQUIVALENT: dict[tuple[str, str, str], str] = {
             ): "without acceleration limits nobody reads it",
             ("break", "continue"): "what needs no tighter rows needs none when asked again",
             (
-                "if longest <= 0.0:",
-                "if longest < 0.0:",
-            ): "at rest no joint is late",
-            (
                 "s.rate = (0.0 if self._box.accelerates else 1.0) if rate is None else rate",
                 "s.rate = (0.0 if self._box.accelerates else 2.0) if rate is None else rate",
             ): "every use of it is cut off at 1",
+        },
+        "coopqp/control/verdict.py": {
             (
-                "if rate == 1.0 and answer.exact and not self._restricted:",
-                "if rate == 2.0 and answer.exact and not self._restricted:",
+                "if rate == 1.0 and answer.exact and not restricted:",
+                "if rate == 2.0 and answer.exact and not restricted:",
             ): "the same record, built anew",
         },
         "coopqp/control/ranks.py": {

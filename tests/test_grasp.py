@@ -13,8 +13,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from coopqp import CellState, Grasp, InvalidInputError, RobotCell, adjoint, plate_from_centroid, plate_from_points
-from coopqp.control.plain import held_at
-from coopqp.model.grasp import THETA, triangle_frames
+from coopqp.model.grasp import THETA, held_at, triangle_frames
 from coopqp.scenarios import Scenario
 
 Array = NDArray[np.float64]

@@ -17,7 +17,7 @@ from coopqp.collision.distances import KERNEL, Distances, Gradient, LowerBounds
 from coopqp.collision.evasion import Evasion
 from coopqp.collision.scene import CollisionScene
 from coopqp.control.constraints import MOST_ROWS, ConstraintTrouble, Knot, LabelledRows, Quiet, Rank
-from coopqp.control.plain import BRAKING_SHARE
+from coopqp.control.limits import BRAKING_SHARE
 from coopqp.errors import InvalidInputError, UnknownNameError
 from coopqp.model.limits import BindingLimit, LimitKind
 from coopqp.model.shapes import NearPair

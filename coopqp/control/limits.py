@@ -20,6 +20,8 @@ LIMIT_TOLERANCE = 1e-9
 _STILL = 1e-12
 #: In place of an infinite position limit, where inf / inf would be NaN.
 _FAR = 1e100
+#: Share of the accelerations that braking together ahead of a limit is planned with, where there is no preview.
+BRAKING_SHARE = 0.8
 #: More than the way in which a joint can brake, by rounding at least.
 _AMPLE = 1.001
 #: Slope of a joint that stands still: what the tolerance of a limit over it is beyond _FAR.
@@ -139,6 +141,26 @@ class VelocityBox:
         step = a * dt
         braking = 2.0 * a * d / (np.sqrt(step * step + 2.0 * a * d) + step)
         return np.where(finite, braking, distance / dt)
+
+    def brake_share(self, positions: Array, v: Array, h: float) -> tuple[float, int]:
+        """1 if all joints, braking together after this step, stop inside their limits; else the share of their speed
+        that they keep if they do so now, and the joint that needs it.
+
+        A joint's own braking distance is not enough: the others may be slower to stop, and they hold one object.
+        """
+        limits, speed = self.limits, np.abs(v)
+        longest = largest(speed / limits.acceleration)  # of the times that the joints need to stop
+        if longest <= 0.0:
+            return 1.0, -1
+        planned = longest / BRAKING_SHARE
+        room = np.where(v > 0.0, limits.upper - positions, positions - limits.lower)
+        late = (speed * (h + 0.5 * planned) > room) & (room >= 0.0)
+        if not late.any():
+            return 1.0, -1
+        times = np.full(room.shape, np.inf)
+        times[late] = room[late] / speed[late]
+        joint = int(times.argmin())
+        return max(0.0, 1.0 - h / min(max(2.0 * (float(times[joint]) - h), longest), planned)), joint
 
     def kind_of(self, j: int, sign: float, v_prev: Array, dt: float) -> LimitKind:
         """Which limit makes the bound of joint ``j`` on the side of ``sign``."""
