@@ -174,6 +174,12 @@ EQUIVALENT: dict[tuple[str, str, str], str] = {
                 "if d >= tolerance_m or a > tolerance_rad:",
             ): "a distance of exactly the tolerance",
         },
+        "coopqp/planning/preview.py": {
+            (
+                "if share[j] == 0.0 or 1.0 / share[j] >= rise:",
+                "if share[j] == 0.0 or 1.0 / share[j] > rise:",
+            ): "two bounds that are exactly the same",
+        },
         "coopqp/planning/horizon.py": {
             (
                 "if share is None or not since <= ahead.square <= share.until or ahead.square >= 1.0:",

@@ -81,7 +81,7 @@ def followed(preview: PathPreview, task: Scenario, until: float) -> float:
 
 
 def test_the_rate_stays_while_a_corner_is_passed() -> None:
-    """A corner takes the whole acceleration: within a step's way before and behind it the rate must not fall as well."""
+    """A corner takes the acceleration: within a step's way before and behind it the rate does not fall as well."""
     task = cornered(5.0)
     preview = preview_of(task)
     followed(preview, task, 0.28)
@@ -93,7 +93,7 @@ def test_the_rate_stays_while_a_corner_is_passed() -> None:
 
 @pytest.mark.parametrize("rate", [0.3, 1.0])
 def test_the_fastest_fall_takes_one_joint_to_its_acceleration(rate: float) -> None:
-    """Steps at σ and σ − x: velocities change by q″ (σ − x/2)² h − q′ x. No joint beyond η a h, and one almost there."""
+    """Steps at σ and σ − x: velocities change by q″ (σ − x/2)² h − q′ x, of one joint by almost η a h."""
     task = cornered(5.0)
     preview = preview_of(task)
     clock = followed(preview, task, 0.15)
@@ -144,7 +144,7 @@ def test_a_copy_knows_the_same_corners_and_goes_on_alike() -> None:
 
 
 def test_no_step_looks_far_ahead_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    """K is found for four knots at a time. The first is there before it is needed: three Newton steps at most at once."""
+    """K is found for four knots at a time. One is there before it is needed: three Newton steps at most at once."""
     task = paper_lift()
     preview = preview_of(task)
     preview.reset(task.q_start, 0.0)
