@@ -47,7 +47,7 @@ MODULES: dict[str, tuple[str, ...]] = {
     "coopqp/model/grasp.py": ("grasp", "paper_equations", "targets", "state", "cell", "chain"),
     "coopqp/model/chain.py": ("chain", "lockstep", "posture", "program", "inverse_kinematics", "qp_controller"),
     "coopqp/task/path.py": ("path", "targets", "core", "simulation", "preview", "scenarios"),
-    "coopqp/control/limits.py": ("limits", "lockstep", "program", "qp_controller", "reliability/stopping"),
+    "coopqp/control/limits.py": ("limits", "braking", "lockstep", "program", "qp_controller", "reliability/stopping"),
     "coopqp/control/forms.py": ("program", "lockstep", "core", "posture", "public_names", "qp_controller"),
     "coopqp/control/ranks.py": ("lockstep", "core", "program", "constraint_rows", "qp_controller", "posture"),
     "coopqp/control/linearised.py": ("lockstep", "qp_controller", "program"),
@@ -61,6 +61,7 @@ MODULES: dict[str, tuple[str, ...]] = {
         "reliability/stopping",
     ),
     "coopqp/control/rate_cap.py": (
+        "braking",
         "lockstep",
         "reins",
         "qp_controller",
