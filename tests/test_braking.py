@@ -90,3 +90,30 @@ def test_without_a_view_ahead_the_object_stops_on_its_path_at_a_limit(kernel: st
     assert np.minimum(x - limits.lower, limits.upper - x).min() > -1e-9
     assert np.minimum(x - limits.lower, limits.upper - x).min() < 0.02
     assert max(rates) > 0.5
+
+
+@pytest.mark.parametrize("kernel", available_kernels())
+@pytest.mark.parametrize("seeing", [True, False])
+def test_an_override_is_reached_on_the_path_as_fast_as_the_joints_can(kernel: str, seeing: bool) -> None:
+    """Up, down and up again: the rate moves one way, and some joint brakes with half its acceleration or more."""
+    task = at_limit(margin=2.0, speed=0.6)
+    options = QPOptions(kernel=kernel) if seeing else QPOptions(kernel=kernel, preview=None)
+    controller = QPController(task.cell, task.grasp, task.path, dt=task.dt, options=options)
+    controller.reset(task.q_start)
+    v, hardest = np.zeros(task.cell.nv), 0.0
+    for share, steps in ((1.0, 150), (0.3, 100), (0.8, 100)):
+        controller.set_override(share)
+        rates = []
+        for _ in range(steps):
+            step = controller.step()
+            use = np.abs(step.velocity - v) / (task.cell.limits.acceleration * task.dt)
+            assert use.max() < 1.0 + 1e-9
+            hardest = max(hardest, use.max()) if share == 0.3 else hardest
+            assert not any(step.given_up.off_path)
+            assert np.abs(task.grasp.relative_errors(step.state)).max() < 1e-6
+            v = step.velocity
+            rates.append(step.rate)
+        change = np.diff(rates)
+        assert (change <= 1e-9).all() if share == 0.3 else (change >= -1e-9).all()
+        assert rates[-1] == pytest.approx(share, abs=1e-9)
+    assert hardest > 0.5
