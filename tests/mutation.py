@@ -50,9 +50,10 @@ MODULES: dict[str, tuple[str, ...]] = {
     "coopqp/control/limits.py": ("limits", "braking", "lockstep", "program", "qp_controller", "reliability/stopping"),
     "coopqp/control/forms.py": ("program", "lockstep", "core", "posture", "public_names", "qp_controller"),
     "coopqp/control/ranks.py": ("lockstep", "core", "program", "constraint_rows", "qp_controller", "posture"),
-    "coopqp/control/linearised.py": ("lockstep", "qp_controller", "program"),
+    "coopqp/control/linearised.py": ("braking", "lockstep", "qp_controller", "program"),
     "coopqp/control/drift.py": ("lockstep", "supervision", "qp_controller", "reliability/disturbances"),
     "coopqp/control/plain.py": (
+        "braking",
         "lockstep",
         "qp_controller",
         "copies",
