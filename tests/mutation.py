@@ -70,7 +70,7 @@ MODULES: dict[str, tuple[str, ...]] = {
         "constraint_rows",
         "reliability/stopping",
     ),
-    "coopqp/control/verdict.py": ("lockstep", "behaviour", "qp_controller", "reliability/statuses"),
+    "coopqp/control/verdict.py": ("verdict", "lockstep", "behaviour", "qp_controller", "reliability/statuses"),
     "coopqp/control/supervision.py": ("supervision", "lockstep", "stress", "qp_controller", "reliability/disturbances"),
     "coopqp/planning/preview.py": (
         "look_ahead",
