@@ -173,6 +173,10 @@ EQUIVALENT: dict[tuple[str, str, str], str] = {
         "coopqp/model/grasp.py": {
             (
                 "if d > tolerance_m or a > tolerance_rad:",
+                "if d > tolerance_m or a >= tolerance_rad:",
+            ): "an angle of exactly the tolerance",
+            (
+                "if d > tolerance_m or a > tolerance_rad:",
                 "if d >= tolerance_m or a > tolerance_rad:",
             ): "a distance of exactly the tolerance",
         },
