@@ -50,7 +50,7 @@ MODULES: dict[str, tuple[str, ...]] = {
     "coopqp/control/limits.py": ("limits", "braking", "lockstep", "program", "qp_controller", "reliability/stopping"),
     "coopqp/control/forms.py": ("program", "lockstep", "core", "posture", "public_names", "qp_controller"),
     "coopqp/control/ranks.py": ("lockstep", "core", "program", "constraint_rows", "qp_controller", "posture"),
-    "coopqp/control/linearised.py": ("braking", "lockstep", "qp_controller", "program"),
+    "coopqp/control/linearised.py": ("linearised", "braking", "lockstep", "qp_controller", "program"),
     "coopqp/control/drift.py": ("lockstep", "supervision", "qp_controller", "reliability/disturbances"),
     "coopqp/control/plain.py": (
         "braking",
@@ -160,6 +160,10 @@ EQUIVALENT: dict[tuple[str, str, str], str] = {
         },
         "coopqp/control/verdict.py": {
             (
+                "rising = rate > s.rate + RATE_ROUNDING",
+                "rising = rate >= s.rate + RATE_ROUNDING",
+            ): "a rise of exactly the rounding",
+            (
                 "if rate == 1.0 and answer.exact and not restricted:",
                 "if rate == 2.0 and answer.exact and not restricted:",
             ): "the same record, built anew",
@@ -209,6 +213,10 @@ EQUIVALENT: dict[tuple[str, str, str], str] = {
             ("for _ in range(8):", "for _ in range( 9):"): "it has ended long before",
         },
         "coopqp/planning/chain_ahead.py": {
+            (
+                "if float(now.dot(then)) < 0.0 and max(largest(np.abs(now)), largest(np.abs(then))) < near:",
+                "if float(now.dot(then)) <= 0.0 and max(largest(np.abs(now)), largest(np.abs(then))) < near:",
+            ): "a product of exactly 0",
             (
                 "if h > options.shortest and not h * knot.fastest <= 1.5 * options.joint_step:",
                 "if h >= options.shortest and not h * knot.fastest <= 1.5 * options.joint_step:",
