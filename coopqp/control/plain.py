@@ -16,7 +16,8 @@ import numpy as np
 import pinocchio as pin
 
 from coopqp.control.command import NO_SOLVE, ControlStep, Status
-from coopqp.control.constraints import Constraints, ConstraintTrouble, Knot, Rows, no_rows
+from coopqp.control.constraints import Constraints, ConstraintTrouble, Rows, no_rows
+from coopqp.control.constraints_ahead import ConstraintsAhead
 from coopqp.control.limits import VelocityBox
 from coopqp.control.linearised import LinearisedAnswer, LinearisedStep, StepInput, averaging
 from coopqp.control.loop_state import LoopState, Observed, Proposal
@@ -31,7 +32,6 @@ from coopqp.model.chain import Chain
 from coopqp.model.grasp import Grasp, held_at
 from coopqp.model.limits import BindingLimit
 from coopqp.model.state import CellState
-from coopqp.planning.chain_ahead import KnotRoom, LookAheadTrouble
 from coopqp.planning.preview import PathPreview
 from coopqp.spatial import Array
 from coopqp.task.guarded import GuardedPath, is_known
@@ -90,16 +90,15 @@ class PlainLoop:
         self._ahead: tuple[float, pin.SE3] | None = None
         self._preview = None
         if self.options.preview is not None and self._guarded.known_ahead:
-            bound = self._bound_knot if self.constraints else None
-            evade = self._evade if self.constraints.evades else None
+            ahead = ConstraintsAhead(self.cell, self.constraints, self.options.preview.curvature_share, dt=self.dt)
             preview = PathPreview(
                 self._ahead_chain,
                 path,
                 self._posture,
                 dt=self.dt,
                 options=self._on_path.preview,
-                bound=bound,
-                evade=evade,
+                bound=ahead.bound if self.constraints else None,
+                evade=ahead.evade if self.constraints.evades else None,
             )
             self._preview = preview
 
@@ -343,25 +342,6 @@ class PlainLoop:
         else:
             slope, offset = nothing, self._posture.velocity(s.q)
         return slope, nothing if hold else s.reins.ease * offset
-
-    def _bound_knot(self, clock: float, q: Array, slope: Array, curvature: Array, span: float) -> KnotRoom:
-        """What further constraints leave of the rate at a knot."""
-        options = self.options.preview
-        assert options is not None, "only a look-ahead has knots"
-        knot = Knot(clock, CellState(self.cell, q), slope, curvature, span)
-        try:
-            found = self.constraints.bound(knot, self.dt, options.curvature_share)
-        except ConstraintTrouble as trouble:
-            raise LookAheadTrouble(str(trouble)) from trouble
-        binding = self.constraints.labels[found.which] if found.which >= 0 else None
-        return KnotRoom(found.cap, found.decrease, found.rise, binding)
-
-    def _evade(self, q: Array, slope: Array) -> Array:
-        """Slopes with the self-motion that further constraints ask for."""
-        try:
-            return self.constraints.evaded(q, slope)
-        except ConstraintTrouble as trouble:
-            raise LookAheadTrouble(str(trouble)) from trouble
 
     # -- commit ----------------------------------------------------------------------------------------------------
 
