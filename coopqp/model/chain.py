@@ -130,9 +130,9 @@ class Chain:
     def errors(self, O: Array, reference: pin.SE3) -> Array:
         """``e_k = log(R⁻¹ O_k)``, shape (N, 6) [m, rad], from :meth:`carried` and the reference pose R."""
         R, origin = reference.rotation, np.zeros((4, 3))
-        origin[3] = reference.translation
+        origin[3] = reference.translation.dot(R)
         # Rows transposed: (O_Rᵀ) R = (Rᵀ O_R)ᵀ. Of small matrices dot costs half of what @ does.
-        D = (O - origin).dot(R)
+        D = O.dot(R) - origin
         linear: Array = D.reshape(-1, 12).dot(_LINEAR_LOG)
         if largest(linear) <= _TINY:  # so are all errors, and none is half a turn
             return linear[:, :6]
