@@ -46,7 +46,7 @@ ROOT = Path(__file__).resolve().parents[1]
 MODULES: dict[str, tuple[str, ...]] = {
     "coopqp/model/grasp.py": ("grasp", "paper_equations", "targets", "state", "cell", "chain"),
     "coopqp/model/chain.py": ("chain", "lockstep", "posture", "program", "inverse_kinematics", "qp_controller"),
-    "coopqp/task/path.py": ("path", "targets", "core", "simulation", "preview", "scenarios"),
+    "coopqp/task/path.py": ("path", "clocks", "targets", "core", "simulation", "preview", "scenarios"),
     "coopqp/control/limits.py": ("limits", "braking", "lockstep", "program", "qp_controller", "reliability/stopping"),
     "coopqp/control/forms.py": ("program", "lockstep", "core", "posture", "public_names", "qp_controller"),
     "coopqp/control/ranks.py": ("lockstep", "core", "program", "constraint_rows", "qp_controller", "posture"),
