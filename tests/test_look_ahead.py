@@ -10,12 +10,11 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from coopqp import Array, LimitKind, TimeLaw, WaypointPath
+from coopqp import Array, LimitKind, PostureOptions, PreviewOptions, TimeLaw, WaypointPath
 from coopqp.model.chain import Chain
 from coopqp.planning.preview import PathPreview
-from coopqp.planning.preview_options import PreviewOptions
 from coopqp.scenarios import Scenario, paper_lift
-from coopqp.task.posture import Posture, PostureOptions
+from coopqp.task.posture import Posture
 
 DT = 0.002
 
