@@ -46,13 +46,14 @@ ROOT = Path(__file__).resolve().parents[1]
 MODULES: dict[str, tuple[str, ...]] = {
     "coopqp/model/grasp.py": ("grasp", "paper_equations", "targets", "state", "cell", "chain"),
     "coopqp/model/chain.py": ("chain", "lockstep", "posture", "program", "inverse_kinematics", "qp_controller"),
-    "coopqp/task/path.py": ("path", "targets", "core", "simulation", "preview", "scenarios"),
-    "coopqp/control/limits.py": ("limits", "lockstep", "program", "qp_controller", "reliability/stopping"),
+    "coopqp/task/path.py": ("path", "clocks", "targets", "core", "simulation", "preview", "scenarios"),
+    "coopqp/control/limits.py": ("limits", "braking", "lockstep", "program", "qp_controller", "reliability/stopping"),
     "coopqp/control/forms.py": ("program", "lockstep", "core", "posture", "public_names", "qp_controller"),
     "coopqp/control/ranks.py": ("lockstep", "core", "program", "constraint_rows", "qp_controller", "posture"),
-    "coopqp/control/linearised.py": ("lockstep", "qp_controller", "program"),
+    "coopqp/control/linearised.py": ("linearised", "braking", "lockstep", "qp_controller", "program"),
     "coopqp/control/drift.py": ("lockstep", "supervision", "qp_controller", "reliability/disturbances"),
     "coopqp/control/plain.py": (
+        "braking",
         "lockstep",
         "qp_controller",
         "copies",
@@ -60,12 +61,38 @@ MODULES: dict[str, tuple[str, ...]] = {
         "supervision",
         "reliability/stopping",
     ),
+    "coopqp/control/rate_cap.py": (
+        "braking",
+        "lockstep",
+        "reins",
+        "qp_controller",
+        "supervision",
+        "constraint_rows",
+        "reliability/stopping",
+    ),
+    "coopqp/control/verdict.py": ("verdict", "lockstep", "behaviour", "qp_controller", "reliability/statuses"),
     "coopqp/control/supervision.py": ("supervision", "lockstep", "stress", "qp_controller", "reliability/disturbances"),
-    "coopqp/planning/preview.py": ("preview", "qp_controller", "lockstep", "scenarios", "reliability/saturation"),
-    "coopqp/planning/horizon.py": ("preview", "lockstep", "scenarios", "reliability/saturation"),
+    "coopqp/planning/preview.py": (
+        "look_ahead",
+        "preview",
+        "reins",
+        "qp_controller",
+        "lockstep",
+        "scenarios",
+        "reliability/user_paths",
+        "reliability/saturation",
+    ),
+    "coopqp/planning/horizon.py": ("look_ahead", "preview", "lockstep", "scenarios", "reliability/saturation"),
     "coopqp/planning/sharing.py": ("sharing", "preview", "lockstep"),
-    "coopqp/planning/growth.py": ("preview", "lockstep", "truth", "scenarios", "reliability/singularities"),
-    "coopqp/planning/chain_ahead.py": ("preview", "lockstep", "qp_controller", "scenarios"),
+    "coopqp/planning/growth.py": (
+        "look_ahead",
+        "preview",
+        "lockstep",
+        "truth",
+        "scenarios",
+        "reliability/singularities",
+    ),
+    "coopqp/planning/chain_ahead.py": ("look_ahead", "preview", "lockstep", "qp_controller", "scenarios"),
     "coopqp/planning/knots.py": ("knots", "timing", "plan", "check_path", "branches"),
 }
 #: Tests of whole runs, for mutants that the module's own let live.
@@ -109,6 +136,10 @@ EQUIVALENT: dict[tuple[str, str, str], str] = {
                 "if lowest > _FAR or highest <= -_FAR:",
             ): "a rate of exactly −1e100",
             (
+                "if longest <= 0.0:",
+                "if longest < 0.0:",
+            ): "at rest no joint is late",
+            (
                 "still = np.abs(along) < _STILL",
                 "still = np.abs(along) <= _STILL",
             ): "a speed of exactly 1e-12",
@@ -123,16 +154,18 @@ EQUIVALENT: dict[tuple[str, str, str], str] = {
             ): "without acceleration limits nobody reads it",
             ("break", "continue"): "what needs no tighter rows needs none when asked again",
             (
-                "if longest <= 0.0:",
-                "if longest < 0.0:",
-            ): "at rest no joint is late",
-            (
                 "s.rate = (0.0 if self._box.accelerates else 1.0) if rate is None else rate",
                 "s.rate = (0.0 if self._box.accelerates else 2.0) if rate is None else rate",
             ): "every use of it is cut off at 1",
+        },
+        "coopqp/control/verdict.py": {
             (
-                "if rate == 1.0 and answer.exact and not self._restricted:",
-                "if rate == 2.0 and answer.exact and not self._restricted:",
+                "rising = rate > s.rate + RATE_ROUNDING",
+                "rising = rate >= s.rate + RATE_ROUNDING",
+            ): "a rise of exactly the rounding",
+            (
+                "if rate == 1.0 and answer.exact and not restricted:",
+                "if rate == 2.0 and answer.exact and not restricted:",
             ): "the same record, built anew",
         },
         "coopqp/control/ranks.py": {
@@ -144,8 +177,18 @@ EQUIVALENT: dict[tuple[str, str, str], str] = {
         "coopqp/model/grasp.py": {
             (
                 "if d > tolerance_m or a > tolerance_rad:",
+                "if d > tolerance_m or a >= tolerance_rad:",
+            ): "an angle of exactly the tolerance",
+            (
+                "if d > tolerance_m or a > tolerance_rad:",
                 "if d >= tolerance_m or a > tolerance_rad:",
             ): "a distance of exactly the tolerance",
+        },
+        "coopqp/planning/preview.py": {
+            (
+                "if share[j] == 0.0 or 1.0 / share[j] >= rise:",
+                "if share[j] == 0.0 or 1.0 / share[j] > rise:",
+            ): "two bounds that are exactly the same",
         },
         "coopqp/planning/horizon.py": {
             (
@@ -170,6 +213,10 @@ EQUIVALENT: dict[tuple[str, str, str], str] = {
             ("for _ in range(8):", "for _ in range( 9):"): "it has ended long before",
         },
         "coopqp/planning/chain_ahead.py": {
+            (
+                "if float(now.dot(then)) < 0.0 and max(largest(np.abs(now)), largest(np.abs(then))) < near:",
+                "if float(now.dot(then)) <= 0.0 and max(largest(np.abs(now)), largest(np.abs(then))) < near:",
+            ): "a product of exactly 0",
             (
                 "if h > options.shortest and not h * knot.fastest <= 1.5 * options.joint_step:",
                 "if h >= options.shortest and not h * knot.fastest <= 1.5 * options.joint_step:",

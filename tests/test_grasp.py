@@ -13,8 +13,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from coopqp import CellState, Grasp, InvalidInputError, RobotCell, adjoint, plate_from_centroid, plate_from_points
-from coopqp.control.plain import held_at
-from coopqp.model.grasp import THETA, triangle_frames
+from coopqp.model.grasp import THETA, held_at, triangle_frames
 from coopqp.scenarios import Scenario
 
 Array = NDArray[np.float64]
@@ -254,3 +253,17 @@ def test_bad_increments_and_targets(paper: Scenario) -> None:
             paper.grasp.arm_increments(bad)
     with pytest.raises(InvalidInputError, match=r"Grasp\.tool_targets"):
         paper.grasp.tool_targets(np.ones((4, 4)))
+
+
+@pytest.mark.parametrize("size", [1e-3, 1.0, 1e3])
+def test_a_triangle_is_judged_by_its_shape_whatever_its_size(size: float) -> None:
+    """The angle between base and height, as far as it is not a right one."""
+    for skew, accepted in ((0.9e-6, True), (1.1e-6, False)):
+        A, B, C = (size * np.array(p) for p in ((0.0, 0.0, 0.0), (-1.0, 2.0, 0.0), (1.0, 2.0, 0.0)))
+        B, C = (p + size * np.array([2.0 * skew, 0.0, 0.0]) for p in (B, C))
+        if accepted:
+            _, alpha, beta = plate_from_points(A, B, C)
+            assert (3.0 * alpha, beta) == pytest.approx((2.0 * size, size))
+        else:
+            with pytest.raises(InvalidInputError, match="not isosceles"):
+                plate_from_points(A, B, C)

@@ -693,7 +693,7 @@ def test_arms_with_few_joints_run_by_the_plain_definition() -> None:
 IN_PYTHON: dict[str, dict[str, str]] = {
     "control.limits": {
         "LIMIT_TOLERANCE": "LIMIT_TOLERANCE", "STILL_SLOPE": "_STILL", "RECOVERY_SHARE": "VelocityBox.RECOVERY_SHARE",
-        "INSIDE": "VelocityBox.INSIDE",
+        "INSIDE": "VelocityBox.INSIDE", "BRAKING_SHARE": "BRAKING_SHARE",
     },
     "control.ranks": {"AT_LIMIT": "_AT_LIMIT", "RESIDUE_TOLERANCE": "RESIDUE_TOLERANCE"},
     "control.solvers.polish": {"LARGEST_X": "REACH"},
@@ -704,10 +704,9 @@ IN_PYTHON: dict[str, dict[str, str]] = {
     "model.chain": {"LARGE_INVERSE": "_LARGE_INVERSE", "FAR_EDGE": "_FAR_EDGE"},
     "model.inverse_kinematics": {"LONGEST_STEP": "_LONGEST_STEP"},
     "control.linearised": {"SETTLED": "SETTLED", "EXTRA_AT_START": "EXTRA_AT_START"},
-    "control.plain": {
-        name: name for name in ("BRAKING_SHARE", "LEAST_PACE", "NEGLIGIBLE", "RATE_ROUNDING", "ARRIVING",
-        "MOST_TIGHTENINGS")
-    },
+    "control.plain": {name: name for name in ("LEAST_PACE", "NEGLIGIBLE", "MOST_TIGHTENINGS")},
+    "control.rate_cap": {"RATE_ROUNDING": "RATE_ROUNDING"},
+    "control.verdict": {"ARRIVING": "ARRIVING"},
     "planning.preview": {"STEPS_TO_GROW": "_STEPS_TO_GROW", "NEWTON_STEPS_AT_START": "_NEWTON_STEPS_AT_START"},
     "planning.preview_options": {
         "STEPS_TO_FULL_SPEED": "STEPS_TO_FULL_SPEED", "STEPS_TO_EDGE": "_STEPS_TO_EDGE",

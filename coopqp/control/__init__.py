@@ -12,7 +12,8 @@ if TYPE_CHECKING:
     from coopqp.control.forms import Pieces, StepProgram, StepTerms
     from coopqp.control.limits import VelocityBox
     from coopqp.control.linearised import LinearisedStep
-    from coopqp.control.plain import PlainLoop, Proposal
+    from coopqp.control.loop_state import Proposal
+    from coopqp.control.plain import PlainLoop
     from coopqp.control.ranks import StepSolver
     from coopqp.control.solvers.base import Outcome, Workspace
     from coopqp.model.chain import Chain
@@ -25,7 +26,8 @@ else:
             "coopqp.control.forms": ("Pieces", "StepProgram", "StepTerms"),
             "coopqp.control.limits": ("VelocityBox",),
             "coopqp.control.linearised": ("LinearisedStep",),
-            "coopqp.control.plain": ("PlainLoop", "Proposal"),
+            "coopqp.control.loop_state": ("Proposal",),
+            "coopqp.control.plain": ("PlainLoop",),
             "coopqp.control.ranks": ("StepSolver",),
             "coopqp.control.solvers.base": ("Outcome", "Workspace"),
             "coopqp.model.chain": ("Chain",),

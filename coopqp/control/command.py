@@ -239,7 +239,7 @@ class ControlStep(Shown):
         clearance: NearPair | None = None,
         build_time_s: float = 0.0,
     ) -> None:
-        values = dict(locals())
+        values = locals()
         del values["self"]
         for name in ("q", "velocity", "q_next"):
             if values[name].flags.writeable:

@@ -12,7 +12,7 @@ import numpy as np
 
 from coopqp.model.cell import JointLimits, RobotCell
 from coopqp.model.limits import BindingLimit, LimitKind
-from coopqp.spatial import Array
+from coopqp.spatial import Array, largest
 
 #: Velocities within this of a limit count as admissible, and are clipped [rad/s or m/s].
 LIMIT_TOLERANCE = 1e-9
@@ -20,9 +20,12 @@ LIMIT_TOLERANCE = 1e-9
 _STILL = 1e-12
 #: In place of an infinite position limit, where inf / inf would be NaN.
 _FAR = 1e100
+#: Share of the accelerations that braking together ahead of a limit is planned with, where there is no preview.
+BRAKING_SHARE = 0.8
+#: More than the way in which a joint can brake, by rounding at least.
+_AMPLE = 1.001
 #: Slope of a joint that stands still: what the tolerance of a limit over it is beyond _FAR.
 _TINY = 1e-200
-_SIDES = np.array([[1.0], [-1.0]])
 
 
 class VelocityBox:
@@ -50,13 +53,15 @@ class VelocityBox:
         self._braking = np.isfinite(limits.acceleration)
         self.accelerates, self._all_brake = bool(self._braking.any()), bool(self._braking.all())
         self._braking_gain = 2.0 * limits.acceleration
+        self._room, self._room_dt = 0.0, 0.0
         # Rows: upwards, and downwards with all signs turned. Buffers, for NumPy's calls cost more than its arithmetic.
-        self._ends = np.stack([limits.upper, -limits.lower])
-        self._ends_cut = np.clip(self._ends, -_FAR, _FAR)
+        ends = np.stack([limits.upper, -limits.lower])
+        self._top, self._bottom = np.clip(ends, -_FAR, _FAR) if self._all_brake else ends
         self._ways, self._bounds, self._work, self._v = (np.empty((2, n)) for _ in range(4))
         self._ways_flat = self._ways.reshape(-1)
+        self._way_up, self._way_down = self._ways
         self._reach, self._reach2, self._reach_dt = np.zeros(n), np.zeros(n), 0.0
-        self.lower, self.upper = np.empty(n), np.empty(n)
+        self.lower, self.upper = np.empty(n), self._bounds[0]
         self.recovery = np.zeros(n)
         self.outside = np.zeros(n, dtype=bool)
         self.any_outside = False
@@ -70,18 +75,21 @@ class VelocityBox:
             dt: length of the step [s].
         """
         ways, bounds = self._ways, self._bounds
-        np.multiply(_SIDES, positions, out=ways)
-        np.subtract(self._ends_cut if self._all_brake else self._ends, ways, out=ways)
+        np.subtract(self._top, positions, out=self._way_up)
+        np.add(self._bottom, positions, out=self._way_down)
         least = self._ways_flat.item(self._ways_flat.argmin())
         inside = least >= 0.0  # not so for NaN
-        np.minimum(self._speed, self._stopping_speed(ways if inside else np.maximum(ways, 0.0), dt), out=bounds)
+        if least > self._braking_room(dt):
+            bounds[:] = self._speed
+        else:
+            np.minimum(self._speed, self._stopping_speed(ways if inside else np.maximum(ways, 0.0), dt), out=bounds)
         if self.accelerates:
             self._keep_reach(dt)
             v, work = self._v, self._work
-            np.multiply(_SIDES, v_prev, out=v)
+            v[0] = v_prev
+            np.negative(v_prev, out=v[1])
             np.maximum(bounds, np.subtract(v, self._reach, out=work), out=bounds)
             np.minimum(bounds, np.add(v, self._reach, out=work), out=bounds)
-        self.upper[:] = bounds[0]
         np.negative(bounds[1], out=self.lower)
         if self.any_outside:
             self.recovery[:], self.outside[:], self.any_outside = 0.0, False, False
@@ -102,6 +110,15 @@ class VelocityBox:
         if dt != self._reach_dt:
             self._reach, self._reach_dt = self._acceleration * dt, dt
             self._reach2 = self._reach * self._reach
+
+    def _braking_room(self, dt: float) -> float:
+        """Way to a limit [rad or m] beyond which no joint has to brake, as fast as it may be, in steps up to ``dt``."""
+        if dt > self._room_dt:
+            finite = np.isfinite(self._speed)
+            speed = np.where(finite, self._speed, 1.0)
+            ways = np.where(finite, speed * dt + speed * speed / self._braking_gain, math.inf)
+            self._room, self._room_dt = _AMPLE * largest(ways), dt
+        return self._room
 
     def _stopping_speed(self, distance: Array, dt: float) -> Array:
         """Largest speed from which ``distance`` ≥ 0 suffices to stop: v dt + v²/(2a) = d; inf without limit.
@@ -124,6 +141,26 @@ class VelocityBox:
         step = a * dt
         braking = 2.0 * a * d / (np.sqrt(step * step + 2.0 * a * d) + step)
         return np.where(finite, braking, distance / dt)
+
+    def brake_share(self, positions: Array, v: Array, h: float) -> tuple[float, int]:
+        """1 if all joints, braking together after this step, stop inside their limits; else the share of their speed
+        that they keep if they do so now, and the joint that needs it.
+
+        A joint's own braking distance is not enough: the others may be slower to stop, and they hold one object.
+        """
+        limits, speed = self.limits, np.abs(v)
+        longest = largest(speed / limits.acceleration)  # of the times that the joints need to stop
+        if longest <= 0.0:
+            return 1.0, -1
+        planned = longest / BRAKING_SHARE
+        room = np.where(v > 0.0, limits.upper - positions, positions - limits.lower)
+        late = (speed * (h + 0.5 * planned) > room) & (room >= 0.0)
+        if not late.any():
+            return 1.0, -1
+        times = np.full(room.shape, np.inf)
+        times[late] = room[late] / speed[late]
+        joint = int(times.argmin())
+        return max(0.0, 1.0 - h / min(max(2.0 * (float(times[joint]) - h), longest), planned)), joint
 
     def kind_of(self, j: int, sign: float, v_prev: Array, dt: float) -> LimitKind:
         """Which limit makes the bound of joint ``j`` on the side of ``sign``."""

@@ -87,21 +87,21 @@ class LinearisedStep:
     """Steps of one chain under one box and solver."""
 
     def __init__(self, chain: Chain, box: VelocityBox, shares: Array, solver: StepSolver, options: QPOptions) -> None:
-        self._chain, self._box, self._shares = chain, box, shares
+        self._chain, self._box, self._mean = chain, box, averaging(shares)
         self._solver, self._options, self._cell = solver, options, chain.cell
 
     def answer(self, s: StepInput) -> LinearisedAnswer:
         """The best admissible command."""
-        chain, h = self._chain, s.h
+        chain, h, about = self._chain, s.h, s.pose.translation
         O = chain.carried(s.q)
         errors = chain.errors(O, s.pose)
-        common: Array = np.add.reduce(self._shares * errors)
+        common: Array = self._mean.dot(errors.ravel())
         terms = self._terms(s, errors, common)
         self._box.update(s.positions, s.v, h)
         guess = 2.0 * s.v - s.v_before
         start = guess
         for iteration in range(self._options.iterations + EXTRA_AT_START):
-            chain.linearise(self._cell.moved(s.q, 0.5 * h * guess), about=s.pose.translation)
+            chain.linearise(self._cell.moved(s.q, 0.5 * h * guess), about)
             if iteration:
                 terms.offsets = self._defect(s, O, guess, terms)
             self._complete(s, terms)
@@ -112,8 +112,10 @@ class LinearisedStep:
             if iteration + 1 >= self._options.iterations and settled:
                 break
             guess = answer.velocity
-        correction = answer.path_share * terms.path_correction + answer.off_path
-        predicted = errors + h * (answer.grasp_share * terms.grasp_corrections + terms.offsets + correction)
+        grasp, correction = terms.grasp_corrections, terms.path_correction
+        if not answer.exact:
+            grasp, correction = answer.grasp_share * grasp, answer.path_share * correction + answer.off_path
+        predicted = errors + h * (grasp + terms.offsets + correction)
         # The velocities at the start and the middle of the first step stand in for those of two steps.
         stand_in = 2.0 * start - answer.velocity if s.first else s.v
         return LinearisedAnswer(answer, stand_in, predicted, correction, terms, errors, common)
@@ -121,14 +123,14 @@ class LinearisedStep:
     def _terms(self, s: StepInput, errors: Array, common: Array) -> StepTerms:
         """Corrections, bounded by one common factor; a gain never takes away more than the whole error in a step."""
         o = self._options
-        grasp = -min(o.grasp_gain, 1.0 / s.h) * (errors - common)
+        grasp = min(o.grasp_gain, 1.0 / s.h) * (common - errors)
         path = -min(o.path_gain, 1.0 / s.h) * (common if s.measured is None else s.measured)
         return StepTerms(
             s.pose.rotation,
             s.along,
             bounded(path, o.correction_speed, o.correction_spin),
             bounded(grasp, o.correction_speed, o.correction_spin),
-            np.zeros_like(grasp) if s.predicted is None else (s.predicted - errors) / s.last_dt,
+            np.zeros(grasp.shape) if s.predicted is None else (s.predicted - errors) / s.last_dt,
             s.cap,
         )
 
@@ -157,6 +159,11 @@ class LinearisedStep:
         made = log6_batch(R, p) / s.h
         defect: Array = (self._chain.twists(v) - made) @ terms.to_world
         return defect
+
+
+def averaging(shares: Array) -> Array:
+    """S (6, 6N): ``S e`` is the mean of errors e of all arms (N, 6), in one row, by the arms' shares (N, 6)."""
+    return np.hstack([np.diag(row) for row in shares])
 
 
 def bounded(twists: Array, speed: float, spin: float) -> Array:

@@ -10,106 +10,41 @@ import copy
 import math
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, field
 from typing import Any, final
 
 import numpy as np
 import pinocchio as pin
 
-from coopqp.control.command import NO_SOLVE, NOTHING, ControlStep, GivenUp, Status, off_path
+from coopqp.control.command import NO_SOLVE, ControlStep, Status
 from coopqp.control.constraint_set import Constraints
-from coopqp.control.constraints import ConstraintTrouble, Knot, Rows, no_rows
+from coopqp.control.constraints import ConstraintTrouble, Rows, no_rows
+from coopqp.control.constraints_ahead import ConstraintsAhead
 from coopqp.control.limits import VelocityBox
-from coopqp.control.linearised import LinearisedAnswer, LinearisedStep, StepInput
+from coopqp.control.linearised import LinearisedAnswer, LinearisedStep, StepInput, averaging
+from coopqp.control.loop_state import LoopState, Observed, Proposal
 from coopqp.control.options import QPOptions
 from coopqp.control.ranks import StepSolver
-from coopqp.control.reins import Reins, blind_brake
+from coopqp.control.rate_cap import OVERRIDE, RateCap
 from coopqp.control.supervision import Supervision, Watch
 from coopqp.control.turn import Turn
+from coopqp.control.verdict import away_from_path, given_up, slow_status
 from coopqp.model.cell import RobotCell
 from coopqp.model.chain import Chain
-from coopqp.model.grasp import Grasp
-from coopqp.model.limits import BindingLimit, LimitKind
+from coopqp.model.grasp import Grasp, held_at
+from coopqp.model.limits import BindingLimit
 from coopqp.model.state import CellState
-from coopqp.planning.chain_ahead import KnotRoom, LookAheadTrouble
 from coopqp.planning.preview import PathPreview
-from coopqp.planning.preview_options import PreviewOptions
-from coopqp.spatial import Array, largest
+from coopqp.spatial import Array
 from coopqp.task.guarded import GuardedPath, is_known
 from coopqp.task.path import ObjectPath
 from coopqp.task.posture import Posture
 
-#: Share of the accelerations that braking together ahead of a limit is planned with, where there is no preview.
-BRAKING_SHARE = 0.8
 #: Where the object all but stands, the increment along the path is the mean over this share of a step.
 LEAST_PACE = 1e-3
-#: An object that comes to a stop for good counts as blocked from this many times the rate on.
-ARRIVING = 10.0
-#: A rate that rises by less stands still: a QP's zero has the solver's rounding.
-RATE_ROUNDING = 1e-12
 #: Further answers of a step whose command breaks what its rows stand for.
 MOST_TIGHTENINGS = 3
-#: What the override holds back.
-_OVERRIDE = BindingLimit("", "", LimitKind.OVERRIDE)
 #: Square of an off-path twist that needs no braking distance [m²/s², rad²/s²].
 NEGLIGIBLE = 1e-10
-
-
-@dataclass(eq=False)
-class LoopState:
-    """What one step hands to the next.
-
-    Attributes:
-        q, v, v_before: commanded configuration (nq,), and the velocities of the last two steps (nv,).
-        predicted: errors foreseen for the next step (N, 6), or None.
-        drift: the object's error as measured less as commanded, let in slowly (6,); None before the first measurement.
-        correcting: off-path twist of the last step (6,), or None where it was negligible.
-        clock: the object's clock [s].
-        rate: σ of the last step.
-        last_dt: its length [s].
-        first: no step was made yet on this path.
-        lost: the path failed in the last step.
-        away: distance of the object as the first arm holds it from a user's own path [m]; infinite at its start.
-        fault, fault_arm: why the controller is in fault, and by which arm; empty, and −1, if it is not.
-        reins: what the operator asks for.
-    """
-
-    q: Array
-    v: Array
-    v_before: Array
-    predicted: Array | None = None
-    drift: Array | None = None
-    correcting: Array | None = None
-    clock: float = 0.0
-    rate: float = 1.0
-    last_dt: float = 0.0
-    first: bool = True
-    lost: bool = False
-    away: float = math.inf
-    fault: str = ""
-    fault_arm: int = -1
-    reins: Reins = field(default_factory=Reins)
-
-
-@dataclass(eq=False)
-class Observed:
-    """One sample: the step's length, what the watch says, and the object's measured error (6,) (None: as commanded)."""
-
-    h: float
-    pose: pin.SE3
-    watch: Watch = field(default_factory=Watch)
-    measured: Array | None = None
-    lost: bool = False
-
-
-@dataclass(eq=False)
-class Proposal:
-    """A command that is not committed: the step's input, its answer, and what caps the rate."""
-
-    observed: Observed
-    given: StepInput
-    found: LinearisedAnswer
-    binding: tuple[BindingLimit, ...]
 
 
 @final
@@ -134,14 +69,12 @@ class PlainLoop:
         self.constraints = constraints
         self._chain, self._ahead_chain, self._box = Chain(cell, grasp), Chain(cell, grasp), VelocityBox(cell)
         self._shares = options.common_error.shares(cell)
+        self._mean = averaging(self._shares)
         self.solver = StepSolver(self._chain, self._box, options)
         self._step = LinearisedStep(self._chain, self._box, self._shares, self.solver, options)
         self._posture = Posture(cell, options.posture)
         self._supervision = Supervision(cell, grasp, options.supervision)
-        self._rise = (
-            None if options.preview is None else options.preview.slope(accelerates=self._box.accelerates, dt=dt)
-        )
-        self._slope = (options.preview or PreviewOptions()).slope(accelerates=self._box.accelerates, dt=dt)
+        self._rate_cap = RateCap(cell, self._box, options, dt=dt)
         self._restricted = tuple(cell.arm_names[k] for k in self._chain.deficient)
         self._redundant = self._chain.redundancy > 0
         self._no_rows = no_rows(cell.nv)
@@ -158,16 +91,15 @@ class PlainLoop:
         self._ahead: tuple[float, pin.SE3] | None = None
         self._preview = None
         if self.options.preview is not None and self._guarded.known_ahead:
-            bound = self._bound_knot if self.constraints else None
-            evade = self._evade if self.constraints.evades else None
+            ahead = ConstraintsAhead(self.cell, self.constraints, self.options.preview.curvature_share, dt=self.dt)
             preview = PathPreview(
                 self._ahead_chain,
                 path,
                 self._posture,
                 dt=self.dt,
                 options=self._on_path.preview,
-                bound=bound,
-                evade=evade,
+                bound=ahead.bound if self.constraints else None,
+                evade=ahead.evade if self.constraints.evades else None,
             )
             self._preview = preview
 
@@ -329,7 +261,7 @@ class PlainLoop:
     def _object_at(self, q: Array, pose: pin.SE3) -> tuple[Array, Array]:
         """The object's error at a configuration (6,), and that of the object as each arm carries it (N, 6) [m, rad]."""
         errors = self._chain.errors(self._chain.carried(q), pose)
-        return (self._shares * errors).sum(axis=0), errors
+        return self._mean.dot(errors.ravel()), errors
 
     # -- propose ---------------------------------------------------------------------------------------------------
 
@@ -343,7 +275,10 @@ class PlainLoop:
             except ConstraintTrouble as trouble:
                 seen.watch.lower(Watch.holding(str(trouble)))
                 further = self._no_rows if trouble.rows is None else trouble.rows
-        cap, binding, late = self._rate_cap(seen)
+        if s.lost and not seen.lost:
+            self.look_ahead_again()  # nobody knows what was seen ahead while the path failed
+        s.lost = seen.lost
+        cap, binding, late = self._rate_cap.find(s, seen, self._preview)
         measured = seen.measured
         if late < 1.0:
             measured = self._brake_correction(late, seen)
@@ -386,78 +321,6 @@ class PlainLoop:
             found = self._step.answer(given)
         return found
 
-    def _rate_cap(self, seen: Observed) -> tuple[float, tuple[BindingLimit, ...], float]:
-        """The fastest rate that what is ahead, the supervision and the last rate allow, what makes it so, and the share
-        of their speed that joints keep if they have to brake now."""
-        s, watch, h = self.state, seen.watch, seen.h
-        cap, keep = 1.0, 1.0
-        binding: tuple[BindingLimit, ...] = ()
-        preview = self._preview
-        if s.lost and not seen.lost:
-            self.look_ahead_again()  # nobody knows what was seen ahead while the path failed
-        s.lost = seen.lost
-        if preview is not None:
-            cap, ahead = preview.cap(s.clock, h)
-            if preview.trouble:
-                watch.lower(Watch.holding(preview.trouble))
-            if ahead is not None:
-                binding = (ahead,)
-        blind = preview is None or preview.blind
-        if self._box.accelerates and (blind or s.correcting is not None):
-            keep, late = self._brake_share(h)
-            if keep < 1.0 and blind and keep * s.rate < cap:
-                arm, _, joint = self.cell.joint_names[late].partition("/")
-                cap, binding = keep * s.rate, (BindingLimit(arm, joint, LimitKind.POSITION),)
-        if watch.rate_cap < cap:
-            cap = watch.rate_cap
-            out_of_step = BindingLimit(self.cell.arm_names[watch.arm], "", LimitKind.OUT_OF_STEP)
-            binding = () if watch.arm < 0 else (out_of_step,)
-        if s.rate < 1.0 and self._rise is not None:
-            most, joint = (np.inf, None) if preview is None else preview.rise(s.clock)
-            rise = s.rate + min(self._rise, most) * h
-            if rise < cap - RATE_ROUNDING:
-                cap, binding = rise, () if joint is None or most > self._rise else (joint,)
-        reined = self._reined(h)
-        if reined < cap:
-            cap, binding = reined, (_OVERRIDE,)
-        return cap, binding, keep
-
-    def _reined(self, h: float) -> float:
-        """The largest rate by the override, reached as fast as the joints can follow."""
-        s, reins, preview = self.state, self.state.reins, self._preview
-        share = reins.share
-        if share >= s.rate or not s.v.any():
-            return share
-        if not self._box.accelerates:
-            fall = self._slope
-        elif preview is None or preview.blind or not preview.knows:
-            fall = blind_brake(s.v, BRAKING_SHARE * self._box.limits.acceleration, s.rate)
-        else:
-            fall = preview.brake(s.clock, h, s.rate)
-        return max(share, s.rate - fall * h)
-
-    def _brake_share(self, h: float) -> tuple[float, int]:
-        """1 if all joints, braking together after this step, stop inside their limits; else the share of their speed
-        that they keep if they do so now, and the joint that needs it.
-
-        A joint's own braking distance is not enough: the others may be slower to stop, and they hold one object.
-        """
-        v, limits = self.state.v, self._box.limits
-        speed = np.abs(v)
-        longest = largest(speed / limits.acceleration)  # of the times that the joints need to stop
-        if longest <= 0.0:
-            return 1.0, -1
-        planned = longest / BRAKING_SHARE
-        x = self.cell.positions(self.state.q)
-        room = np.where(v > 0.0, limits.upper - x, x - limits.lower)
-        late = (speed * (h + 0.5 * planned) > room) & (room >= 0.0)
-        if not late.any():
-            return 1.0, -1
-        times = np.full(room.shape, np.inf)
-        times[late] = room[late] / speed[late]
-        joint = int(times.argmin())
-        return max(0.0, 1.0 - h / min(max(2.0 * (float(times[joint]) - h), longest), planned)), joint
-
     def _brake_correction(self, keep: float, seen: Observed) -> Array:
         """The error that the path correction sees, limited so that the correction is ``keep`` of the last one."""
         s = self.state
@@ -481,25 +344,6 @@ class PlainLoop:
             slope, offset = nothing, self._posture.velocity(s.q)
         return slope, nothing if hold else s.reins.ease * offset
 
-    def _bound_knot(self, clock: float, q: Array, slope: Array, curvature: Array, span: float) -> KnotRoom:
-        """What further constraints leave of the rate at a knot."""
-        options = self.options.preview
-        assert options is not None, "only a look-ahead has knots"
-        knot = Knot(clock, CellState(self.cell, q), slope, curvature, span)
-        try:
-            found = self.constraints.bound(knot, self.dt, options.curvature_share)
-        except ConstraintTrouble as trouble:
-            raise LookAheadTrouble(str(trouble)) from trouble
-        binding = self.constraints.labels[found.which] if found.which >= 0 else None
-        return KnotRoom(found.cap, found.decrease, found.rise, binding)
-
-    def _evade(self, q: Array, slope: Array) -> Array:
-        """Slopes with the self-motion that further constraints ask for."""
-        try:
-            return self.constraints.evaded(q, slope)
-        except ConstraintTrouble as trouble:
-            raise LookAheadTrouble(str(trouble)) from trouble
-
     # -- commit ----------------------------------------------------------------------------------------------------
 
     def commit(self, proposal: Proposal, began: float) -> ControlStep:
@@ -520,17 +364,19 @@ class PlainLoop:
         share = 1.0 if rate >= 1.0 or (clock_next >= duration and not watch.hold) else rate
         status, by_qp = Status.TRACKING, answer.report is not NO_SOLVE
         if share <= 1.0 - 1e-6:
-            status = self._slow_status(share, binding)
+            status = slow_status(
+                s, share, binding, self._preview, self.options.blocked_rate, outside=self._box.any_outside, dt=self.dt
+            )
         if s.reins.share < self.options.blocked_rate and share < self.options.blocked_rate:
             status = Status.PAUSED
-        away = self._off_path(found)
+        away = away_from_path(s, found, self.options)
         reason = watch.reason or answer.reason
         if watch.hold or answer.braked:
             status = Status.HOLDING
         elif away:
             status, reason = Status.OFF_PATH, "; ".join(filter(None, (away, reason)))
         elif status is Status.PAUSED:
-            binding = (_OVERRIDE,)  # whatever else would stop it
+            binding = (OVERRIDE,)  # whatever else would stop it
         if watch.hold and watch.fault:
             status, s.fault, s.fault_arm = Status.FAULT, watch.reason, watch.arm
         for array in (v, q_next):
@@ -549,7 +395,7 @@ class PlainLoop:
             status=status,
             reason=reason,
             binding=() if status is Status.TRACKING and not by_qp else binding,
-            given_up=self._given_up(found, share),
+            given_up=given_up(found, share, self._restricted),
             solver=answer.report,
             clearance=self.constraints.nearest(q),
             build_time_s=time.perf_counter() - began - answer.report.time_s,
@@ -560,7 +406,7 @@ class PlainLoop:
         s.predicted = found.predicted if answer.chain == 0.0 and not answer.braked and not seen.lost else None
         s.v_before, s.v, s.q = found.stand_in, v, step.q_next
         s.clock, s.rate, s.last_dt, s.first = clock_next, rate, h, False
-        s.reins.advance(self.options.blocked_rate, self._slope * h)
+        s.reins.advance(self.options.blocked_rate, self._rate_cap.slope * h)
         return step
 
     def names(self, active: tuple[tuple[int, float], ...], h: float, further: Rows) -> tuple[BindingLimit, ...]:
@@ -570,54 +416,3 @@ class PlainLoop:
             box.binding(row, side, self.state.v, h) if row < nv else labels[int(further.owner[row - nv])]
             for row, side in active
         )
-
-    def _slow_status(self, rate: float, binding: tuple[BindingLimit, ...]) -> Status:
-        rising = rate > self.state.rate + RATE_ROUNDING
-        ends = any(b.kind is LimitKind.POSITION for b in binding) or (self._preview is not None and self._preview.ends)
-        arriving = ends and not rising and not self._outside()
-        if rate >= self.options.blocked_rate * (ARRIVING if arriving else 1.0):
-            return Status.SLOWED
-        # Its own rise, or what is not yet seen ahead, keeps the rate small without a limit. From rest accelerations do;
-        # it grows then, or a joint is on its way back in.
-        accelerating = any(b.kind is LimitKind.ACCELERATION for b in binding)
-        slowed = not binding or (accelerating and (rising or self._outside()))
-        if self._preview is not None and not ends and rate > 0.0:  # joints that stop slowly go on after a corner
-            slowed = slowed or self._preview.reaches_corner(self.state.clock - self.dt, 2.0 * self.dt)
-        return Status.SLOWED if slowed else Status.BLOCKED
-
-    def _off_path(self, found: LinearisedAnswer) -> str:
-        """How far the object is off its path, in words, as far as measurements tell; empty if it is on it."""
-        o, error = self.options, found.common
-        if self.state.drift is not None:
-            error = error + self.state.drift
-        x, y, z, *turn = error.tolist()
-        distance, angle = math.hypot(x, y, z), math.hypot(*turn)
-        if not (distance > o.off_path_distance or angle > o.off_path_angle):
-            return ""
-        distance = float(np.linalg.norm(pin.exp6(error).translation))  # at most as long as that of the twist
-        return off_path(distance * (distance > o.off_path_distance), angle * (angle > o.off_path_angle))
-
-    def _outside(self) -> bool:
-        """Whether a joint is outside its position limits."""
-        x, limits = self.cell.positions(self.state.q), self._box.limits
-        return bool(((x > limits.upper) | (x < limits.lower)).any())
-
-    def _given_up(self, found: LinearisedAnswer, rate: float) -> GivenUp:
-        answer = found.answer
-        if rate == 1.0 and answer.exact and not self._restricted:
-            return NOTHING
-        return GivenUp(
-            chain=answer.chain,
-            grasp=1.0 - answer.grasp_share,
-            off_path=tuple(answer.off_path.tolist()),
-            path=1.0 - answer.path_share,
-            rate=1.0 - rate,
-            restricted=self._restricted,
-        )
-
-
-def held_at(grasp: Grasp, shares: Array, state: CellState) -> pin.SE3:
-    """Where the arms hold the object: by their shares in the common error, from the first one's view."""
-    O = grasp.carried(state)
-    errors = np.array([pin.log6(O[0].actInv(other)).vector for other in O])
-    return O[0] * pin.exp6((shares * errors).sum(axis=0))

@@ -23,12 +23,12 @@ from coopqp.control.constraint_set import Constraints, listed
 from coopqp.control.core import make_loop
 from coopqp.control.effort import Effort
 from coopqp.control.options import QPOptions
-from coopqp.control.plain import PlainLoop, held_at
+from coopqp.control.plain import PlainLoop
 from coopqp.control.starting import odd_start, rate_into
 from coopqp.control.turn import alone
 from coopqp.errors import InvalidInputError, StartWarning
 from coopqp.model.cell import RobotCell
-from coopqp.model.grasp import Grasp
+from coopqp.model.grasp import Grasp, held_at
 from coopqp.model.state import CellState
 from coopqp.spatial import Array, Placement, as_placement
 from coopqp.task.guarded import GuardedPath, is_known

@@ -21,7 +21,7 @@ import pinocchio as pin
 
 from coopqp.model.cell import RobotCell
 from coopqp.model.grasp import Grasp
-from coopqp.spatial import Array, cross_last, largest, log6_batch
+from coopqp.spatial import Array, largest, log6_batch
 
 #: Singular values of A_k below this count as this in an inverse: limits and rate keep the command finite.
 SINGULAR_FLOOR = 1e-6
@@ -47,6 +47,18 @@ def _linear_log() -> Array:
 
 
 _LINEAR_LOG = _linear_log()
+
+
+def _brackets() -> Array:
+    """Constant K (6, 36): ``xᵀ (u K) y`` with u K as (6, 6) is ``u · [x, y]``, [x, y] the bracket of two twists."""
+    K = np.zeros((6, 6, 6))
+    for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
+        for a, b, sign in ((i, j, 1.0), (j, i, -1.0)):
+            K[k, 3 + a, b] = K[k, a, 3 + b] = K[3 + k, 3 + a, 3 + b] = sign
+    return K.reshape(6, 36)
+
+
+_BRACKETS = _brackets()
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,9 +129,10 @@ class Chain:
 
     def errors(self, O: Array, reference: pin.SE3) -> Array:
         """``e_k = log(R⁻¹ O_k)``, shape (N, 6) [m, rad], from :meth:`carried` and the reference pose R."""
-        R = reference.rotation
-        D = O.dot(R)  # rows transposed: (O_Rᵀ) R = (Rᵀ O_R)ᵀ; of small matrices dot costs half of what @ does
-        D[:, 3, :] -= reference.translation.dot(R)
+        R, origin = reference.rotation, np.zeros((4, 3))
+        origin[3] = reference.translation.dot(R)
+        # Rows transposed: (O_Rᵀ) R = (Rᵀ O_R)ᵀ. Of small matrices dot costs half of what @ does.
+        D = O.dot(R) - origin
         linear: Array = D.reshape(-1, 12).dot(_LINEAR_LOG)
         if largest(linear) <= _TINY:  # so are all errors, and none is half a turn
             return linear[:, :6]
@@ -252,11 +265,9 @@ class Chain:
             values, vectors = np.linalg.eigh(JT.transpose(0, 2, 1) @ JT)
             least, u = np.maximum(values[:, 0], 0.0), vectors[:, :, :1]
             v = JT @ u  # (m, joints, 1)
-            before = np.cumsum(v * JT, axis=1) - v * JT  # twist of the links before each joint
-            turning = before[:, :, 3:]
-            linear = cross_last(turning, JT[:, :, :3]) + cross_last(before[:, :, :3], JT[:, :, 3:])
-            angular = cross_last(turning, JT[:, :, 3:])
-            h = (v * (linear @ u[:, :3] + angular @ u[:, 3:])).sum(axis=(1, 2))
+            own = v * JT  # twist that each joint makes
+            before = np.cumsum(own, axis=1) - own  # twist of the links before it
+            h = (before @ (u[:, :, 0] @ _BRACKETS).reshape(-1, 6, 6) * own).sum(axis=(1, 2))
             size = np.maximum(np.abs(h), least * np.sqrt(least) / _FAR_EDGE + _TINIEST)
             out[g.columns] = (-least / np.copysign(size, h))[:, None] * v[:, :, 0]
         return out
@@ -334,12 +345,9 @@ def _live_placements(model: pin.Model, data: pin.Data) -> Array:
     first = data.oMi[1].rotation
     gap = data.oMi[2].rotation.ctypes.data - first.ctypes.data if model.njoints > 2 else 96
     view = np.lib.stride_tricks.as_strided(first.T, shape=(model.njoints - 1, 4, 3), strides=(gap, 24, 8))
-    for j in range(1, model.njoints):
-        if not (
-            np.array_equal(view[j - 1, :3], data.oMi[j].rotation.T)
-            and np.array_equal(view[j - 1, 3], data.oMi[j].translation)
-        ):
-            raise RuntimeError("Pinocchio's memory layout of placements is not the expected one")
+    told = np.array([data.oMi[j].homogeneous.T for j in range(1, model.njoints)])
+    if not np.array_equal(view, told[:, :, :3]):
+        raise RuntimeError("Pinocchio's memory layout of placements is not the expected one")
     return view
 
 

@@ -176,3 +176,10 @@ def plate_from_centroid(T_world_centroid: Placement, alpha: float) -> pin.SE3:
     """Second method of the paper's Figure 2: T_world_A from the placement of the centroid (same axes as A)."""
     T = as_placement(T_world_centroid, "plate_from_centroid")
     return T * pin.SE3(np.eye(3), np.array([0.0, -2.0 * as_scalar(alpha, "plate_from_centroid: alpha"), 0.0]))
+
+
+def held_at(grasp: Grasp, shares: Array, state: CellState) -> pin.SE3:
+    """Where the arms hold the object: by their shares in the common error, from the first one's view."""
+    O = grasp.carried(state)
+    errors = np.array([pin.log6(O[0].actInv(other)).vector for other in O])
+    return O[0] * pin.exp6((shares * errors).sum(axis=0))

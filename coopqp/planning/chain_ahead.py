@@ -220,7 +220,7 @@ class ChainAhead:
         along = to_world @ twist
         step, slope = self._step, self._slope
         chain.joint_velocities(-errors @ to_world.T, step)
-        chain.joint_velocities(np.broadcast_to(along, (chain.n_arms, 6)), slope)
+        slope[:] = chain.joint_columns(along[:, None])[:, 0]
         if chain.redundancy:
             slope += chain.null_part(self._posture.velocity(q))
             if self._evade is not None:

@@ -283,7 +283,7 @@ class WaypointPath(ObjectPath):
         return np.concatenate([[self.duration, len(inner), len(segments)], inner, *segments])
 
     def _segment(self, clock: float) -> tuple[LinePath, float]:
-        i = min(max(bisect_right(self._starts, clock) - 1, 0), len(self.segments) - 1)
+        i = max(bisect_right(self._starts, clock) - 1, 0)
         return self.segments[i], clock - self._starts[i]
 
     def next_breakpoint(self, clock: float) -> float:

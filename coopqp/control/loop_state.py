@@ -1,0 +1,71 @@
+"""What a plain loop hands from step to step, and from one part of a step to the next."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+import pinocchio as pin
+
+from coopqp.control.linearised import LinearisedAnswer, StepInput
+from coopqp.control.reins import Reins
+from coopqp.control.supervision import Watch
+from coopqp.model.limits import BindingLimit
+from coopqp.spatial import Array
+
+
+@dataclass(eq=False)
+class LoopState:
+    """What one step hands to the next.
+
+    Attributes:
+        q, v, v_before: commanded configuration (nq,), and the velocities of the last two steps (nv,).
+        predicted: errors foreseen for the next step (N, 6), or None.
+        drift: the object's error as measured less as commanded, let in slowly (6,); None before the first measurement.
+        correcting: off-path twist of the last step (6,), or None where it was negligible.
+        clock: the object's clock [s].
+        rate: σ of the last step.
+        last_dt: its length [s].
+        first: no step was made yet on this path.
+        lost: the path failed in the last step.
+        away: distance of the object as the first arm holds it from a user's own path [m]; infinite at its start.
+        fault, fault_arm: why the controller is in fault, and by which arm; empty, and −1, if it is not.
+        reins: what the operator asks for.
+    """
+
+    q: Array
+    v: Array
+    v_before: Array
+    predicted: Array | None = None
+    drift: Array | None = None
+    correcting: Array | None = None
+    clock: float = 0.0
+    rate: float = 1.0
+    last_dt: float = 0.0
+    first: bool = True
+    lost: bool = False
+    away: float = math.inf
+    fault: str = ""
+    fault_arm: int = -1
+    reins: Reins = field(default_factory=Reins)
+
+
+@dataclass(eq=False)
+class Observed:
+    """One sample: the step's length, what the watch says, and the object's measured error (6,) (None: as commanded)."""
+
+    h: float
+    pose: pin.SE3
+    watch: Watch = field(default_factory=Watch)
+    measured: Array | None = None
+    lost: bool = False
+
+
+@dataclass(eq=False)
+class Proposal:
+    """A command that is not committed: the step's input, its answer, and what caps the rate."""
+
+    observed: Observed
+    given: StepInput
+    found: LinearisedAnswer
+    binding: tuple[BindingLimit, ...]

@@ -1,0 +1,38 @@
+"""Parts of the linearised step: averages by shares, and corrections that are bounded by one factor."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from coopqp.control.linearised import averaging, bounded
+
+
+def test_the_mean_is_that_of_each_axis_by_the_shares(rng: np.random.Generator) -> None:
+    shares, errors = rng.uniform(size=(4, 6)), rng.normal(size=(4, 6))
+    np.testing.assert_allclose(averaging(shares) @ errors.ravel(), (shares * errors).sum(axis=0), atol=1e-14)
+
+
+@pytest.mark.parametrize(("speed", "spin"), [(0.1, 0.5), (0.5, 0.1), (1e-3, 2.0), (3.0, 3.0)])
+@pytest.mark.parametrize("shape", [(6,), (3, 6)])
+def test_corrections_are_bounded_by_one_factor_and_no_more_than_needed(
+    speed: float, spin: float, shape: tuple[int, ...], rng: np.random.Generator
+) -> None:
+    shrunk = kept = 0
+    for size in np.geomspace(1e-4, 30.0, 40):
+        twists = size * rng.normal(size=shape) * np.repeat(rng.choice([[1.0, 1.0], [1.0, 0.01], [0.01, 1.0]]), 3)
+        out = bounded(twists, speed, spin)
+        use = np.array(
+            [np.linalg.norm(out[..., :3], axis=-1).max() / speed, np.linalg.norm(out[..., 3:], axis=-1).max() / spin]
+        )
+        factor = out.ravel() @ twists.ravel() / (twists.ravel() @ twists.ravel())
+        np.testing.assert_allclose(out, factor * twists, rtol=1e-12, atol=1e-300)
+        assert use.max() <= 1.0 + 1e-12
+        if factor < 1.0 - 1e-12:
+            assert use.max() == pytest.approx(1.0)
+            shrunk += 1
+        else:
+            np.testing.assert_array_equal(out, twists)
+            kept += 1
+    assert shrunk > 3
+    assert kept > 3

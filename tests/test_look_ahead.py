@@ -1,0 +1,162 @@
+"""What steps rest on when they ask the look-ahead: rises, falls, free ways, copies, and work in small pieces."""
+
+from __future__ import annotations
+
+import copy
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from coopqp import Array, LimitKind, PostureOptions, PreviewOptions, TimeLaw, WaypointPath
+from coopqp.model.chain import Chain
+from coopqp.planning.preview import PathPreview
+from coopqp.scenarios import Scenario, paper_lift
+from coopqp.task.posture import Posture
+
+DT = 0.002
+
+
+def preview_of(task: Scenario, **options: Any) -> PathPreview:
+    posture = Posture(task.cell, PostureOptions())
+    posture.reset(task.q_start)
+    chain = Chain(task.cell, task.grasp)
+    return PathPreview(chain, task.path, posture, dt=DT, options=PreviewOptions(**options))
+
+
+def cornered(acceleration: float) -> Scenario:
+    """Up, aside and back at constant speed: corners at 0.3 s and 0.6 s."""
+    task = paper_lift()
+    start = task.path.pose(0.0)
+    places = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.05), (0.03, 0.0, 0.05), (0.03, 0.03, 0.05))
+    poses = [pin.SE3(start.rotation, start.translation + np.array(p)) for p in places]
+    path = WaypointPath(poses, durations=[0.3] * 3, time_law=TimeLaw.LINEAR)
+    return replace(task, path=path, cell=task.cell.with_limits(acceleration=acceleration))
+
+
+def test_the_rate_rises_no_faster_than_the_knots_on_both_sides_allow() -> None:
+    preview = preview_of(cornered(5.0))
+    preview.reset(cornered(5.0).q_start, 0.0)
+    knots = preview.horizon.knots
+    here, ahead = knots[0], knots[1]
+    middle = 0.5 * (here.clock + ahead.clock)
+    for rises in ((0.5, 3.0), (3.0, 0.5)):
+        knots[0], knots[1] = here._replace(rise=rises[0]), ahead._replace(rise=rises[1])
+        assert preview.rise(middle) == (0.5, None)
+    preview.horizon.clear()
+    assert preview.rise(0.0) == (np.inf, None)  # nothing is known: nothing is forbidden
+
+
+def test_joints_that_no_step_limits_bound_the_rise() -> None:
+    """A rise of σ by u accelerates joint j by q′ u: the joint with the largest share of its acceleration is named."""
+    task = cornered(np.inf)
+    preview = preview_of(task)
+    preview.reset(task.q_start, 0.0)
+    knots, acceleration = preview.horizon.knots, preview._plan.acceleration
+    for first, second in ((1.0, 0.2), (0.2, 1.0)):
+        slopes = first * knots[0].slope, second * knots[0].slope
+        here, ahead = (knots[i]._replace(slope=slope, rise=np.inf) for i, slope in enumerate(slopes))
+        knots[0], knots[1] = here, ahead
+        expected = acceleration / np.maximum(np.abs(here.slope), np.abs(ahead.slope))
+        rise, limit = preview.rise(0.5 * (here.clock + ahead.clock))
+        assert rise == pytest.approx(expected.min())
+        assert limit is not None
+        assert limit.kind is LimitKind.ACCELERATION
+        assert f"{limit.arm}/{limit.joint}" == task.cell.joint_names[int(expected.argmin())]
+        knots[0] = knots[0]._replace(slope=slopes[0] / first)
+    knots[1] = knots[1]._replace(rise=0.5 * rise)
+    assert preview.rise(here.clock) == (0.5 * rise, None)
+
+
+def followed(preview: PathPreview, task: Scenario, until: float) -> float:
+    """The clock once the object has followed the caps up to ``until`` [s]."""
+    preview.reset(task.q_start, 0.0)
+    clock = 0.0
+    while clock < until:
+        clock += max(preview.cap(clock, DT)[0], 0.01) * DT
+    return clock
+
+
+def test_the_rate_stays_while_a_corner_is_passed() -> None:
+    """A corner takes the acceleration: within a step's way before and behind it the rate does not fall as well."""
+    task = cornered(5.0)
+    preview = preview_of(task)
+    followed(preview, task, 0.28)
+    rate = 0.5
+    for away, passing in ((-1.5, False), (-0.5, True), (0.5, True), (1.5, False)):
+        fall = preview.brake(0.3 + away * rate * DT, DT, rate)
+        assert (fall == 0.0) == passing, away
+
+
+@pytest.mark.parametrize("rate", [0.3, 1.0])
+def test_the_fastest_fall_takes_one_joint_to_its_acceleration(rate: float) -> None:
+    """Steps at σ and σ − x: velocities change by q″ (σ − x/2)² h − q′ x, of one joint by almost η a h."""
+    task = cornered(5.0)
+    preview = preview_of(task)
+    clock = followed(preview, task, 0.15)
+    slope, bend = preview.horizon.joints_at(clock)
+    x = DT * preview.brake(clock, DT, rate)
+    change = bend * (rate - 0.5 * x) ** 2 * DT - slope * x
+    back = np.maximum(-change * np.sign(slope), 0.0) / (preview._plan.acceleration * DT)  # those that brake
+    assert 0.98 < back.max() <= 1.0 + 1e-9
+
+
+def test_a_rate_keeps_to_what_is_known_ahead_in_steps_of_any_length() -> None:
+    """σ² ≤ K in the middle and at the end of every step, whatever the lengths of the steps before."""
+    task = cornered(20.0)
+    preview = preview_of(task)
+    preview.reset(task.q_start, 0.0)
+    clock, slowed = 0.0, 0
+    while clock < task.path.duration - 2.0 * DT:
+        rates = []
+        for dt in (0.1 * DT, DT, 0.5 * DT, DT):  # a short step first: what it says is free has to be so for a long one
+            rate, _ = preview.cap(clock, dt)
+            assert rate**2 <= preview.horizon.least(clock, rate, dt).square + 1e-12
+            rates.append(rate)
+        slowed += min(rates) < 1.0
+        clock += max(rates[0], 0.01) * 0.1 * DT
+    assert slowed > 100
+
+
+def test_a_copy_knows_the_same_corners_and_goes_on_alike() -> None:
+    """Also one that is taken while a knot is under way."""
+    task = cornered(5.0)
+    preview, clock, taken = preview_of(task), 0.0, 0
+    preview.reset(task.q_start, 0.0)
+    for step in range(400):
+        if step % 20 == 7:
+            other = preview_of(task)
+            other.restore(copy.deepcopy(preview.memory()))
+            at, fellow = clock, copy.deepcopy(preview.memory())
+            for _ in range(60):
+                cap = preview.cap(at, DT)
+                assert other.cap(at, DT) == cap
+                assert other.reaches_corner(at, 0.05) == preview.reaches_corner(at, 0.05)
+                at += max(cap[0], 0.01) * DT
+            preview.restore(fellow)
+            taken += 1
+        clock += max(preview.cap(clock, DT)[0], 0.01) * DT
+    assert clock > 0.35  # past a corner
+    assert taken == 20
+
+
+def test_no_step_looks_far_ahead_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """K is found for four knots at a time. One is there before it is needed: three Newton steps at most at once."""
+    task = paper_lift()
+    preview = preview_of(task)
+    preview.reset(task.q_start, 0.0)
+    newton_step, calls = preview._chain._newton_step, [0]
+
+    def counted(clock: float, q: Array, **options: Any) -> bool:
+        calls[0] += 1
+        return newton_step(clock, q, **options)
+
+    monkeypatch.setattr(preview._chain, "_newton_step", counted)
+    most = 0
+    for clock in np.arange(0.0, task.path.duration, DT).tolist():
+        calls[0] = 0
+        assert preview.cap(clock, DT) == (1.0, None)
+        most = max(most, calls[0])
+    assert 0 < most <= 3
