@@ -4,12 +4,14 @@
     python docs/pictures.py figure5.png     draw one, and those that come with it
     python docs/pictures.py --check         draw them elsewhere, and say how much they differ
 
-A new picture is one more line in PROGRAMS. `tests/test_pictures.py` draws all of them and compares.
+A new picture is one more line in PROGRAMS. `tests/test_pictures.py` draws all of them and compares. Other versions of
+what draws them change letters and edges: DRAWN_WITH holds the versions, and only with these pixels are compared.
 """
 
 from __future__ import annotations
 
 import argparse
+import json
 import os
 import shlex
 import shutil
@@ -18,6 +20,7 @@ import sys
 import tempfile
 from collections.abc import Iterable, Mapping
 from concurrent.futures import ThreadPoolExecutor
+from importlib.metadata import version
 from pathlib import Path
 
 import numpy as np
@@ -66,6 +69,8 @@ PROGRAMS: Mapping[str, tuple[str, ...]] = {
 }
 #: Programs of this kind need Chromium (`make browser`).
 NEEDS_BROWSER = "docs/screenshots.py"
+#: Versions of what drew the pictures, as a file.
+DRAWN_WITH = ROOT / "docs" / "images" / "drawn_with.json"
 #: Largest accepted share of pixels that differ, and the difference of a colour [of 255] from which a pixel does.
 MOST_PIXELS, VISIBLE = 0.01, 16
 
@@ -103,6 +108,17 @@ def run(program: str, into: Path) -> str:
     return done.stdout
 
 
+def versions() -> dict[str, str]:
+    """What draws pictures here: each with the first two numbers of its version."""
+    return {name: ".".join(version(name).split(".")[:2]) for name in ("matplotlib", "viser")}
+
+
+def drawn_alike() -> bool:
+    """Whether the pictures of the pages were drawn with the versions that are installed."""
+    kept: dict[str, str] = json.loads(DRAWN_WITH.read_text(encoding="utf-8"))
+    return kept == versions()
+
+
 def difference(one: Path, other: Path) -> float:
     """Share of the pixels that differ visibly, over all images of a moving picture; 1 for other sizes."""
     a, b = _pixels(one), _pixels(other)
@@ -126,6 +142,8 @@ def _main(arguments: argparse.Namespace) -> int:
         return 2
     wanted = list(dict.fromkeys(known[name] for name in arguments.names or known))
     worst = 0.0
+    if not arguments.check and not arguments.names:
+        DRAWN_WITH.write_text(json.dumps(versions(), indent=1) + "\n", encoding="utf-8")
     with tempfile.TemporaryDirectory() as folder, ThreadPoolExecutor(2) as pool:
         drawn = pool.map(lambda n: draw(wanted[n], _made(Path(folder) / str(n))), range(len(wanted)))
         for old, new in _pairs(wanted, drawn):

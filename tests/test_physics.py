@@ -220,8 +220,7 @@ def test_weld_forces_are_what_force_torque_sensors_read(paper: Scenario, baselin
     welds, sensors = (np.array(x) for x in zip(*readings, strict=True))
     assert np.abs(welds[:, :, :3]).max() > 1000.0
     assert np.abs(welds[:, :, 3:]).max() > 50.0
-    torques_too = int(mujoco.__version__.split(".")[0]) >= 4
-    for part in (slice(0, 3), slice(3, 6)) if torques_too else (slice(0, 3),):
+    for part in (slice(0, 3), slice(3, 6)):
         size = np.abs(welds[:, :, part]).max()
         np.testing.assert_allclose(sensors[:, :, part], welds[:, :, part], atol=1e-4 * size)
 

@@ -122,8 +122,8 @@ def keys(table: type[BaseModel]) -> Iterator[tuple[str, ...]]:
 
 
 def _tables(kind: Any) -> Iterator[type[BaseModel]]:
-    if isinstance(kind, type) and issubclass(kind, BaseModel):
-        yield kind
+    if typing.get_origin(kind) is None and isinstance(kind, type) and issubclass(kind, BaseModel):
+        yield kind  # to Python 3.10 list[int] is a type, too
     elif not isinstance(kind, types.GenericAlias) or typing.get_args(kind):
         for member in typing.get_args(kind):
             yield from _tables(member)

@@ -308,11 +308,15 @@ class PhysicsPlant:
         The values come from the weld constraints; they are zero for an open grip. See
         :func:`coopqp.forces.stress.at_tools`.
         """
-        m, d = self.mj_model, self.mj_data
         self._refresh()
-        if self.palms is not None:
-            placed = zip(self._tools_on_object(), self.sensed_wrenches(), strict=True)
-            return np.array([X.actionInverse.T @ w for X, w in placed])
+        if self.palms is None:
+            return self._at_welds()
+        placed = zip(self._tools_on_object(), self._sensed(), strict=True)
+        return np.array([X.actionInverse.T @ w for X, w in placed])
+
+    def _at_welds(self) -> Array:
+        """The wrenches of the weld constraints, as the engine left them."""
+        m, d = self.mj_model, self.mj_data
         R = d.xmat[self._object].reshape(3, 3)
         J = d.efc_J.reshape(d.nefc, m.nv)[:, self._object_dofs]
         equality = d.efc_type == int(self._mujoco.mjtConstraint.mjCNSTR_EQUALITY)
@@ -327,13 +331,17 @@ class PhysicsPlant:
         """Wrench of each arm on the object from the tools' force and torque sensors (N, 6) [N, N·m].
 
         Each wrench is at the origin and in the axes of the tool. Before version 4 the engine's torque sensors misread
-        welds under load; the forces are right.
+        welds under load; the torques of the welds then take their place.
         """
         self._refresh()
         return self._sensed()
 
     def _sensed(self) -> Array:
-        return np.array([self.mj_data.sensordata[rows] for rows in self._sensors])
+        felt = np.array([self.mj_data.sensordata[rows] for rows in self._sensors])
+        if self._misreads:
+            placed = zip(self._tools_placed(), self._at_welds(), strict=True)
+            felt[:, 3:] = [(X.action.T @ w)[3:] for X, w in placed]
+        return felt
 
     def slip(self) -> float:
         """How far any palm has slipped along the object since the stand let it go [m]; 0 before."""
@@ -347,6 +355,10 @@ class PhysicsPlant:
 
     def _tools_on_object(self) -> list[pin.SE3]:
         self._refresh()
+        return self._tools_placed()
+
+    def _tools_placed(self) -> list[pin.SE3]:
+        """T_object_tool of every arm, as the engine left them."""
         O = placement(self.mj_data.xpos[self._object], self.mj_data.xmat[self._object])
         return [O.actInv(self._site(s)) for s in self._tool_sites]
 
@@ -411,6 +423,7 @@ class PhysicsPlant:
         self._stand = m.geom(STAND).id if self.palms is not None else -1
         starts = [(m.sensor(f"{name}:force").adr[0], m.sensor(f"{name}:torque").adr[0]) for name in names]
         self._sensors = [[*range(f, f + 3), *range(t, t + 3)] for f, t in starts]
+        self._misreads = self.palms is None and int(self._mujoco.__version__.partition(".")[0]) < 4
         self._object = m.body(OBJECT).id
         free = m.joint(OBJECT)
         self._object_q = slice(free.qposadr[0], free.qposadr[0] + 7)
