@@ -83,10 +83,10 @@ def drive(controller: QPController, hand: Hand, steps: int = 5000) -> list[Contr
 
 def errors_of(task: Scenario, steps: list[ControlStep]) -> tuple[float, float]:
     """Largest distances between arms, and between any arm's object and the path, as commanded [m]."""
-    tools, _ = metrics.tool_matrices(task.cell, np.array([s.q for s in steps]))
+    tools = metrics.tool_matrices(task.cell, np.array([s.q for s in steps]))
     references = np.array([s.path.pose(s.clock).homogeneous for s in steps])
     chain, _ = metrics.chain_errors(tools, task.grasp)
-    path, _ = metrics.object_errors(tools, task.grasp, references)
+    path, _ = metrics.errors_from(metrics.object_poses(tools, task.grasp), references)
     return float(chain.max()), float(path.max())
 
 

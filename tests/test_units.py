@@ -14,7 +14,7 @@ from coopqp.studies import Study, Sweep, load_study
 from coopqp.studies.units import name_and_unit
 
 PAPER = Path(inspect.getfile(SCENARIOS["paper_lift"])).with_name("cells") / "paper_lift.toml"
-PURE = {"friction"}
+PURE = {"friction", "assumed_mass", "assumed_payload"}
 
 
 def study_of(folder: Path, task: str) -> Study:

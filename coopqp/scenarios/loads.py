@@ -97,7 +97,7 @@ def torque_lift(
     wrist_sensors: bool = True,
     assumed_mass: float = 0.5,
     assumed_payload: float = 0.5,
-    duration: float = 3.0,
+    duration: Seconds = 3.0,
 ) -> Scenario:
     """The paper's lift by torque-controlled arms whose drives take arms and plate for half as heavy as they are.
 

@@ -107,7 +107,7 @@ PLAUSIBLE: tuple[Any, ...] = (
 #: Words of Python that a user of files must not be told.
 PYTHON = re.compile(
     r"coopqp\.|np\.|numpy|pinocchio|\bpin\b|\w+Options|JointLimits|RankWeights|LinePath|WaypointPath|HoldPath|Arm\.|"
-    r"from_urdf|T_world|\bSE3\b|None\b|\bTrue\b|\bFalse\b|=\s*\w+\(|\w+\(…\)|_limits\b|dataclass|Traceback|keyword|"
+    r"from_urdf|T_world|\bSE3\b|None\b|\bTrue\b|\bFalse\b|=\s*\w+\(|\w+\(…\)|(?<!torque)_limits\b|dataclass|Traceback|keyword|"
     r"\w+Error\b|object at 0x|\w+Settings\b|\bdict(ionary)?\b|\btuple\b|\bfloat\b|\bint\b|\bstr\b"
 )
 
@@ -240,7 +240,7 @@ def test_every_cell_file_is_built_or_refused_by_name(
                     wrong = "no single line that begins with the file"
                 elif any(c < " " or c in "\x7f\u202e" for c in text):
                     wrong = "control characters"
-                elif python := PYTHON.search(re.sub(r"'[^'…]*…|'[^']*'|Available: .*", "", said)):  # of its own
+                elif python := PYTHON.search(re.sub(r"'[^'…]*…'?|'[^']*'|Available: .*", "", said)):  # of its own
                     wrong = f"a word of Python, {python[0]}"
             except Exception as error:
                 text = f"{type(error).__name__}: {error}"
