@@ -64,9 +64,9 @@ class TorqueDrives:
         self._observes, self._senses = options.servo == "disturbance observer", options.wrist_sensors
         self._model = cell.model.copy()
         for i, inertia in enumerate(cell.model.inertias):
-            self._model.inertias[i] = pin.Inertia(
-                options.assumed_mass * inertia.mass, inertia.lever, options.assumed_mass * inertia.inertia
-            )
+            if inertia.mass > 0.0:  # the parameters, mass first, are multiples of it
+                parameters = options.assumed_mass * inertia.toDynamicParameters()
+                self._model.inertias[i] = pin.Inertia.FromDynamicParameters(parameters)
         self._model.gravity.linear = np.array(options.gravity) * float(options.gravity_compensation)
         self._data = self._model.createData()
         n = len(cell)
