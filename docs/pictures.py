@@ -109,8 +109,8 @@ def run(program: str, into: Path) -> str:
 
 
 def versions() -> dict[str, str]:
-    """What draws pictures here: each with the first two numbers of its version."""
-    return {name: ".".join(version(name).split(".")[:2]) for name in ("matplotlib", "viser")}
+    """What draws pictures here, and the engine they tell of: each with the first two numbers of its version."""
+    return {name: ".".join(version(name).split(".")[:2]) for name in ("matplotlib", "viser", "mujoco")}
 
 
 def drawn_alike() -> bool:
