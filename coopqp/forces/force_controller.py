@@ -59,12 +59,14 @@ class ForceController:
     Attributes:
         cell, grasp, path, dt: as of the controller; the grasp is what the arms are told, without what they give way.
         minds_wrenches: true: :func:`coopqp.simulate` gives it the plant's wrenches.
+        needs_servos: true: :func:`coopqp.simulate` refuses torque-controlled drives, whose joints are no springs.
 
     Raises:
         InvalidInputError: bad settings, also those with which forces would swing.
     """
 
     minds_wrenches = True
+    needs_servos = True
 
     def __init__(
         self, controller: QPController | PseudoInverseController, options: ForceOptions | Mapping[str, Any]

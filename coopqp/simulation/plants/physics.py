@@ -139,7 +139,7 @@ class PhysicsPlant:
             len(self.palms) != len(cell) or any(not isinstance(p, Grip) or p.kind != "palm" for p in self.palms)
         ):
             raise InvalidInputError("no palm for each arm", "PhysicsPlant: palms", 'Give Grip(kind="palm", …).')
-        if self.palms is not None and self.options.servo != "position":
+        if self.palms is not None and not self.servoed:
             raise InvalidInputError(
                 f"palms on drives by {self.options.servo}", "PhysicsPlant", 'Palms need servo="position".'
             )
@@ -166,7 +166,7 @@ class PhysicsPlant:
         self._index()
         self._drives: TorqueDrives | None = None
         self.options.check_rate(self.disturbances.wrench_latency)
-        if self.options.servo != "position":
+        if not self.servoed:
             self._drives = TorqueDrives(cell, grasp, self.options, self._armature, self.options.limits(cell))
             M, _ = self._drives.model_at(pin.neutral(cell.model), np.zeros(cell.nv))
             self.stiffness = read_only(self.options.loop_bandwidth**2 * np.diag(M))
@@ -287,6 +287,11 @@ class PhysicsPlant:
     def period(self, nominal: float) -> float:
         """Length of the next step [s] with jitter; the loop passes it to the controller."""
         return self._encoders.period(nominal)
+
+    @property
+    def servoed(self) -> bool:
+        """True if position servos drive the joints, False for torques by a model of the arms."""
+        return self.options.servo == "position"
 
     def release(self) -> None:
         """Open all grips until the next reset. The object falls."""
