@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, final
 import numpy as np
 import pinocchio as pin
 
-from coopqp.checks import ArrayLike, as_options, as_scalar, as_vector, read_only, require
+from coopqp.checks import ArrayLike, as_options, as_scalar, as_tuple, as_vector, read_only, require
 from coopqp.control.command import ControlStep
 from coopqp.errors import CoopqpError, InvalidInputError, UnreachableError
 from coopqp.forces.grips import Grip
@@ -134,7 +134,7 @@ class PhysicsPlant:
             if not np.allclose(load.cell.model.gravity.linear, self.options.gravity):
                 raise InvalidInputError("its gravity is another one", "PhysicsPlant: load", "Set cell.model.gravity.")
         self.load = load
-        self.palms = None if palms is None else tuple(palms)
+        self.palms = None if palms is None else as_tuple(palms, "PhysicsPlant: palms", "Give one Grip per arm.")
         if self.palms is not None and (
             len(self.palms) != len(cell) or any(not isinstance(p, Grip) or p.kind != "palm" for p in self.palms)
         ):
