@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import copy
-import math
 from collections.abc import Mapping
 from typing import Any, final
 
@@ -33,11 +32,6 @@ _STAGES = (
 )
 #: Attributes that a step changes, but those of the relaxation and of the controller within.
 _VARYING = ("_differences", "_compared")
-
-
-def _length(dt: Any, nominal: float) -> float:
-    """The length of a step for what minds forces: a dt that the controller refuses counts as the nominal one."""
-    return float(dt) if isinstance(dt, (int, float)) and 0.0 < dt < math.inf else nominal
 
 
 @final
@@ -224,7 +218,7 @@ class ForceController:
     @alone
     def _slow(self, q_measured: ArrayLike | None, wrenches: ArrayLike | None, dt: float | None) -> ControlStep:
         """A step in which Python takes part, or of a controller without the core's; the same in the same order."""
-        w, length = self._taken(wrenches), _length(dt, self.dt)
+        w, length = self._taken(wrenches), self.controller.accepted_dt(dt)
         relaxation, stage = self._relaxation, self._stage
         gives = relaxation.gives
         if gives and relaxation.aged:
