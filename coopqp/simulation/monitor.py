@@ -1,8 +1,8 @@
 """An independent monitor: checks that commands keep the limits, the chain, the path and the controller's promises.
 
-The monitor judges the commands only and shares no code with the controllers: kinematics come directly from Pinocchio's
-frames and limits from the cell. Use it to test your own controller, after a run (:func:`check_run`) or during one
-(:class:`Monitor`, :class:`coopqp.Monitored`).
+The monitor judges commands, and wrenches where it is given them, and shares no code with the controllers: kinematics
+come directly from Pinocchio's frames and limits from the cell. Use it to test your own controller, after a run
+(:func:`check_run`) or during one (:class:`Monitor`, :class:`coopqp.Monitored`).
 """
 
 from __future__ import annotations
@@ -442,7 +442,7 @@ def check_run(
     tolerances: MonitorTolerances | None = None,
     scene: CollisionScene | None = None,
 ) -> Verdict:
-    """Judge a recorded run by its commands.
+    """Judge a recorded run by its commands, and by its loads where they were recorded.
 
     Args:
         recording: the run, which starts at rest.
