@@ -162,6 +162,16 @@ def test_wrenches_that_do_not_come_hold_the_object_with_the_name_of_the_arm(task
     assert made.step(task.q_start, wrenches=np.zeros((3, 6))).status is Status.PAUSED
 
 
+def test_without_measured_configurations_the_reason_says_what_is_missing(task: Scenario) -> None:
+    made = ForceController(QPController(task.cell, task.grasp, task.path, dt=task.dt), {"stiffness": STIFF})
+    made.reset(task.q_start)
+    for _ in range(20 + round(made.options.check_time / task.dt)):
+        step = made.step(wrenches=np.zeros((3, 6)))
+    assert step.status is Status.PAUSED
+    assert "give q_measured" in step.reason
+    assert "q_measured" not in made.step(task.q_start, wrenches=np.zeros((3, 6))).reason
+
+
 def test_wrenches_of_another_shape_are_refused_before_anything_changes(task: Scenario) -> None:
     made = ForceController(QPController(task.cell, task.grasp, task.path, dt=task.dt), {"stiffness": STIFF})
     made.reset(task.q_start)

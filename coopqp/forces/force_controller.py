@@ -30,6 +30,8 @@ _STAGES = (
     "the arms relax before the object moves",
     "the object moves",
 )
+#: Steps beyond the time of the comparison after which a reason says what it waits for.
+_PATIENCE = 5
 #: Attributes that a step changes, but those of the relaxation and of the controller within.
 _VARYING = ("_differences", "_compared")
 
@@ -324,6 +326,9 @@ class ForceController:
         if why == BY_REACH:
             return f"the grasps cannot give way any further: {self._most()}"
         if why == BY_STAGE:
+            waits = self._stage == CHECKING and not self._compared
+            if waits and m[AT["SINCE"]] > self.options.check_time + _PATIENCE * self.dt:
+                return "the sensors cannot be compared with the servos: give q_measured, and wrenches of all arms"
             return f"{_STAGES[self._stage]}: {self._most()}"
         if why == BY_FRICTION:
             used, arm = m[AT["FRICTION_USED"]], self.cell.arm_names[int(m[AT["WHY_ARM"]])]
