@@ -132,6 +132,18 @@ def require(value: Any, kind: type | tuple[type, ...], where: str, remedy: str) 
         raise InvalidInputError(f"a {type(value).__name__}", where, remedy)
 
 
+def as_tuple(value: Any, where: str, remedy: str) -> tuple[Any, ...]:
+    """The entries of a list, or of what can be gone through as one.
+
+    Raises:
+        InvalidInputError: it cannot.
+    """
+    try:
+        return tuple(value)
+    except TypeError as error:
+        raise InvalidInputError(f"a {type(value).__name__}", where, remedy) from error
+
+
 def _as_float(value: Any, where: str) -> float:
     try:
         if isinstance(value, (bool, np.bool_, str, bytes)):  # float() would read them

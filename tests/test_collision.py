@@ -9,6 +9,7 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+import eigenpy
 import numpy as np
 import pinocchio as pin
 import pytest
@@ -48,7 +49,7 @@ from coopqp.collision import (
     PairRules,
     Sphere,
 )
-from coopqp.collision.distances import Distances, LowerBounds
+from coopqp.collision.distances import KERNEL, Distances, LowerBounds
 from coopqp.collision.evasion import YIELDS, Evasion
 from coopqp.control.constraints import MOST_ROWS, ConstraintTrouble
 from coopqp.model.chain import Chain
@@ -243,7 +244,7 @@ def test_rows_in_memory_are_those_of_the_definition(scenario: Scenario) -> None:
     nearby = both.in_memory(memory)
     assert nearby is not None
     start, speed = cell.positions(scenario.q_start), np.minimum(cell.limits.velocity, 3.0)
-    x, found, tighter = start, 0, 0
+    x, found, tighter, refused = start, 0, 0, 0
     for i in range(60):
         q, v, blind = cell.configuration(x), rng.uniform(-1.0, 1.0, cell.nv) * speed, bool(i % 7 == 0)
         memory["positions"][:], memory["command"][:], memory["dt"][:] = x, v, dt
@@ -251,8 +252,8 @@ def test_rows_in_memory_are_those_of_the_definition(scenario: Scenario) -> None:
         try:
             count = nearby.rows(blind)
         except OverflowError:
-            assert blind  # the definition has the nearest ones
-            count = -1
+            assert blind  # the definition has the nearest ones, and counts
+            count, refused = -1, refused + 1
         if count >= 0:
             assert memory["owner"][:count].astype(int).tolist() == rows.which.tolist()
             np.testing.assert_array_equal(memory["G"][: count * cell.nv].reshape(count, cell.nv), rows.G)
@@ -269,7 +270,7 @@ def test_rows_in_memory_are_those_of_the_definition(scenario: Scenario) -> None:
             found, tighter = found + (count > 0), tighter + (lower is not None)
         # on along the step, or somewhere else
         x = x + dt * v if i % 3 else start + rng.uniform(-0.8, 0.8, cell.nv)
-    assert both.passes == 60
+    assert both.passes == 60 - refused
     assert found >= 10
     assert tighter >= 3
 
@@ -281,8 +282,33 @@ def test_rows_in_memory_refuse_what_does_not_fit(lift: Scenario) -> None:
     for name in memory:
         with pytest.raises((ValueError, BufferError)):
             clearance.in_memory({**memory, name: np.zeros(5)})
+    read_only = np.zeros(lift.cell.nv * 4)
+    read_only.flags.writeable = False
+    with pytest.raises(ValueError, match="fit together"):
+        clearance.in_memory({**memory, "G": read_only})
     moving = scene_of(lift, margin=0.0, moving=[replace(lid(lift, 0.1), name="cart")])
     assert Clearance(moving).in_memory(memory) is None
+
+
+@pytest.mark.core
+@pytest.mark.skipif(len(KERNELS) < 2, reason="there is no compiler here")
+def test_rows_in_memory_that_were_not_built_say_so() -> None:
+    unbuilt = KERNEL.Nearby.__new__(KERNEL.Nearby)
+    for ask in (unbuilt.tightened, lambda: unbuilt.rows(True)):
+        with pytest.raises(RuntimeError, match="not built"):
+            ask()
+
+
+@pytest.mark.core
+@pytest.mark.skipif(len(KERNELS) < 2, reason="there is no compiler here")
+def test_rows_are_in_memory_only_where_coal_and_pinocchio_share_theirs(lift: Scenario) -> None:
+    clearance, memory = Clearance(scene_of(lift, margin=0.0)), rows_memory(lift.cell.nv, 4)
+    eigenpy.sharedMemory(False)
+    try:
+        assert clearance.in_memory(memory) is None
+    finally:
+        eigenpy.sharedMemory(True)
+    assert clearance.in_memory(memory) is not None
 
 
 @pytest.mark.core

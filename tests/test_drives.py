@@ -14,14 +14,17 @@ from coopqp import (
     Array,
     CellState,
     Disturbances,
+    ForceController,
     Grasp,
     InvalidInputError,
+    Monitored,
     PhysicsOptions,
     PhysicsPlant,
     QPController,
     RobotCell,
     UnknownNameError,
     UnreachableError,
+    simulate,
 )
 from coopqp.forces import internal_wrenches
 from coopqp.scenarios import Scenario, palm_box, paper_lift, torque_lift
@@ -229,6 +232,17 @@ def test_late_wrenches_bad_limits_palms_and_minded_forces_are_refused(lift: Scen
     assert minding.engine is not None
     with pytest.raises(InvalidInputError, match="forces"):
         engine_controller(replace(minding, engine=replace(minding.engine, forces={})), engine_plant(minding))
+
+
+def test_a_controller_that_minds_forces_is_refused_on_torques(lift: Scenario) -> None:
+    """The run would end in HOLDING, for arms out of step or a sensor that "does not agree with its servos"."""
+    pytest.importorskip("mujoco")
+    plant = PhysicsPlant.of(lift, options=OBSERVER)
+    inner = QPController(lift.cell, lift.grasp, lift.path, dt=lift.dt)
+    made = ForceController(inner, {"stiffness": plant.stiffness})
+    for controller in (made, Monitored(made)):
+        with pytest.raises(InvalidInputError, match="torque-controlled drives"):
+            simulate(controller, plant, q_start=lift.q_start)
 
 
 # -- the engine --------------------------------------------------------------------------------------------------------

@@ -162,6 +162,16 @@ def test_wrenches_that_do_not_come_hold_the_object_with_the_name_of_the_arm(task
     assert made.step(task.q_start, wrenches=np.zeros((3, 6))).status is Status.PAUSED
 
 
+def test_without_measured_configurations_the_reason_says_what_is_missing(task: Scenario) -> None:
+    made = ForceController(QPController(task.cell, task.grasp, task.path, dt=task.dt), {"stiffness": STIFF})
+    made.reset(task.q_start)
+    for _ in range(20 + round(made.options.check_time / task.dt)):
+        step = made.step(wrenches=np.zeros((3, 6)))
+    assert step.status is Status.PAUSED
+    assert "give q_measured" in step.reason
+    assert "q_measured" not in made.step(task.q_start, wrenches=np.zeros((3, 6))).reason
+
+
 def test_wrenches_of_another_shape_are_refused_before_anything_changes(task: Scenario) -> None:
     made = ForceController(QPController(task.cell, task.grasp, task.path, dt=task.dt), {"stiffness": STIFF})
     made.reset(task.q_start)
@@ -196,6 +206,31 @@ def test_a_copy_goes_on_bit_for_bit(how: Callable[[Any], Any], steps: int, task:
         assert copied.reason == step.reason
         q = step.q_next
     assert other.controller is not original
+
+
+@pytest.mark.parametrize("kernel", available_kernels())
+def test_a_length_of_a_step_that_is_refused_moves_no_grasp_further(kernel: str, task: Scenario) -> None:
+    """A clock that leaps by 50 s let the grasps give way by 9.6 mm in one step; short numbers count as others do."""
+    inner = QPController(task.cell, task.grasp, task.path, dt=task.dt, options={"kernel": kernel})
+    made = ForceController(inner, {"stiffness": 1e5, "check_time": 0.0})
+    made.reset(task.q_start)
+    q, push = task.q_start, np.zeros((3, 6))
+    push[:2, 0] = 60.0, -60.0
+    for _ in range(200):
+        q = made.step(q, wrenches=0.1 * push).q_next
+
+    def given(dt: Any) -> Array:
+        other = copy.copy(made)
+        other.step(q, wrenches=push, dt=dt)
+        return other.shift
+
+    nominal = given(None)
+    assert np.abs(nominal - made.shift).max() > 0.0
+    for dt in (50.0, 1e9, -1.0, np.nan, np.inf, "1"):
+        np.testing.assert_array_equal(given(dt), nominal)
+    half = np.float32(0.5 * task.dt)
+    np.testing.assert_array_equal(given(half), given(float(half)))
+    assert np.abs(given(half) - nominal).max() > 0.0
 
 
 # -- the controller's grasp ----------------------------------------------------------------------------------------

@@ -9,7 +9,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from coopqp import ForceController, ForceOptions, InvalidInputError, PhysicsPlant, QPController, simulate
+from coopqp import ForceController, ForceOptions, InvalidInputError, PhysicsPlant, QPController, WrenchBounds, simulate
 from coopqp.forces import Grip, least_squeeze, palm_use, squeeze_needed
 from coopqp.scenarios import Scenario, palm_box
 from coopqp.simulation import engine_controller, engine_plant
@@ -86,9 +86,15 @@ def test_palms_that_would_lose_the_object_are_refused(task: Scenario) -> None:
         ForceOptions(stiffness=1e4, palms=(PALM, PALM), squeeze=200.0, directions=np.ones((2, 6)))
     with pytest.raises(InvalidInputError, match="other directions than 0 and 1"):
         made(task, palms=None, directions=0.5 * np.ones((2, 6)))
+    one: Any = PALM
+    for build in (lambda: ForceOptions(stiffness=1e4, palms=one, squeeze=200.0), lambda: WrenchBounds(palms=one)):
+        with pytest.raises(InvalidInputError, match="palms: a Grip"):
+            build()
     pytest.importorskip("mujoco")
     with pytest.raises(InvalidInputError, match="no palm for each arm"):
         PhysicsPlant.of(task, palms=(PALM,))
+    with pytest.raises(InvalidInputError, match="palms: a Grip"):
+        PhysicsPlant.of(task, palms=one)
 
 
 @pytest.mark.slow

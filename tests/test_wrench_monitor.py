@@ -85,6 +85,18 @@ def test_palms_are_judged_alone_and_bad_bounds_refused(task: Scenario) -> None:
             Monitor(task.cell, task.grasp, wrenches=bad)
 
 
+def test_shifts_of_another_shape_are_refused_and_nothing_is_judged(task: Scenario) -> None:
+    controller, monitor = QPController(task.cell, task.grasp, task.path, dt=task.dt), Monitor(task.cell, task.grasp)
+    controller.reset(task.q_start)
+    steps, good = [controller.step(), controller.step()], np.zeros((3, 6))
+    nothing: Any = None
+    for shifts in ([good], [nothing, good], [good, nothing], [good, good[:2]]):
+        with pytest.raises(InvalidInputError, match="shift"):
+            monitor.observe_all(steps, shifts=shifts)
+    assert monitor.observe_all(steps, shifts=[good, good]) == ()
+    assert monitor.verdict().steps == 2
+
+
 @pytest.mark.filterwarnings("ignore::coopqp.StartWarning")
 def test_a_controller_that_minds_wrenches_is_judged_as_its_recording_is(task: Scenario) -> None:
     """A base off by 1 mm in the engine: grasps give way, and that is no parted chain; a tighter bound names the arm."""

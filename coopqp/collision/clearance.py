@@ -295,7 +295,7 @@ class Clearance:
         quiet = ("quiet_centre", "quiet_reach", "quiet_slack", "quiet_approach")
         numbers = self.approach, _WATCH, _BLIND_WATCH, _SAMPLE, _STANDS, float(self._most_pairs)
         arrays = self._counts, self._most, self._fastest, *(memory[name] for name in step + quiet)
-        found: RowsInMemory = Distances(self.scene).nearby(self._step, arrays, numbers)
+        found: RowsInMemory | None = Distances(self.scene).nearby(self._step, arrays, numbers)
         return found
 
     # -- the path ahead --------------------------------------------------------------------------------------------

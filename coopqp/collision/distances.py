@@ -117,13 +117,16 @@ class Distances:
         return np.array(result.getNearestPoint1()), np.array(result.getNearestPoint2())
 
     def nearby(self, bounds: LowerBounds, arrays: tuple[Array, ...], numbers: tuple[float, ...]) -> Any:
-        """What answers for these distances in a compiled step; nobody else asks here then.
+        """What answers for these distances in a compiled step; nobody else asks here then. None if coal copies normals.
 
         Args:
             bounds: that it follows.
             arrays, numbers: as ``nearby.c`` lists them, those that are known here left out.
         """
         cell, results = self._cell, self._results
+        normals = [result.normal for result in results]
+        if any(normal.flags.owndata for normal in [*normals, self._data.J]):
+            return None  # C would read copies, and nobody writes them again
         model, geometry, placed = cell.model, self._geometry, self._placed
         q = pin.neutral(model)
         placing = (
@@ -144,7 +147,7 @@ class Distances:
             [(geometry, placed, k) for k in range(len(results))],
             results,
             [result.getNearestPoint2 for result in results],
-            [result.normal for result in results],
+            normals,
         )
 
     def gradient(self, pairs: Iterable[int]) -> Gradient:

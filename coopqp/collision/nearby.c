@@ -46,6 +46,7 @@ typedef struct {
     double watch_of[2];                           /* approach and range of the watches */
     uint64_t *known, stamp;                       /* distances with the present stamp are of this placement */
     int lost;                                     /* nobody knows where the shapes are */
+    int built;                                    /* all of this is there */
     Py_ssize_t *near, *which, binding;            /* pairs that are near, and those of the rows; how many rows */
 } Nearby;
 
@@ -108,6 +109,13 @@ static int nearest_point(Nearby *s, Py_ssize_t k, double *p) {
     return !PyErr_Occurred();
 }
 
+static Nearby *as_built(PyObject *object) {
+    Nearby *s = (Nearby *)object;
+    if (s->built) return s;
+    PyErr_SetString(PyExc_RuntimeError, "this Nearby was not built");
+    return NULL;
+}
+
 /* -- rows ------------------------------------------------------------------------------------------------------------ */
 
 /* Pairs are asked within this of their margin: nothing else can reach it at full speed. */
@@ -163,11 +171,12 @@ static int put_rows(Nearby *s, Py_ssize_t count, double approach) {
 
 /* rows(blind): put the rows of this step, and where none binds, into its memory; how many. */
 static PyObject *nearby_rows(PyObject *object, PyObject *blind_given) {
-    Nearby *s = (Nearby *)object;
-    const int blind = PyObject_IsTrue(blind_given);
+    Nearby *s = as_built(object);
+    const int blind = s ? PyObject_IsTrue(blind_given) : -1;
+    if (blind < 0) return NULL;
     const double dt = s->at[DT][0], own = s->number[BLIND_APPROACH];
     const double approach = blind && own < 1.0 / dt ? own : 1.0 / dt;
-    s->binding = 0, s->at[COUNTS][0] += 1.0;
+    s->binding = 0;
     follow(s->at[ROOMS], s->at[REACH], s->at[AT], s->at[POSITIONS], s->at[CONTINUOUS], s->pairs, s->joints);
     set_watches(s, approach, s->number[blind ? BLIND_WATCH : WATCH]);
     if (!place(s, s->at[POSITIONS])) return NULL;
@@ -178,16 +187,17 @@ static PyObject *nearby_rows(PyObject *object, PyObject *blind_given) {
     const int known = certify(s->at[ROOMS], s->at[REACH], 0.0, s->shares, s->at[WEIGHTS], s->pairs, s->joints);
     s->at[SLACK][0] = known ? 1.0 : -1.0;
     s->at[APPROACH][0] = blind ? own : INFINITY;
-    s->at[COUNTS][1] = (double)s->binding;
+    s->at[COUNTS][0] += 1.0, s->at[COUNTS][1] = (double)s->binding; /* what fails is counted in Python */
     return PyLong_FromSsize_t(s->binding);
 }
 
 /* tightened(): raise lower bounds where the command leads closer than rows say; whether it does. */
 static PyObject *nearby_tightened(PyObject *object, PyObject *unused) {
-    Nearby *s = (Nearby *)object;
-    const double dt = s->at[DT][0], *v = s->at[COMMAND];
+    Nearby *s = as_built(object);
     int any = 0, placed = 0;
     (void)unused;
+    if (!s) return NULL;
+    const double dt = s->at[DT][0], *v = s->at[COMMAND];
     for (Py_ssize_t i = 0; i < s->binding; i++) {
         const Py_ssize_t k = s->which[i];
         const double room = s->at[ROOMS][k], least = room < 0.0 ? room : 0.0, *G_row = s->at[G] + i * s->joints;
@@ -223,10 +233,12 @@ static int hold_arrays(Nearby *s, PyObject *arrays) {
     const Py_ssize_t pairs = s->pairs = n[ROOMS], nv = s->joints = n[AT], m = s->rows = n[LOWER];
     const int of_pairs[] = {MARGINS, MOST, FASTEST}, of_rows[] = {UPPER, SOFT, OWNER}, of_one[] = {DT, SLACK, APPROACH};
     const int of_joints[] = {CONTINUOUS, SPEEDS, Q_INDEX, POSITIONS, COMMAND, CENTRE, WEIGHTS};
+    const int written[] = {ROOMS, AT, Q, COUNTS, G, LOWER, UPPER, SOFT, OWNER, CENTRE, WEIGHTS, SLACK, APPROACH};
     int good = nv > 0 && n[REACH] == nv * pairs && n[KINDS] == nv * pairs && n[JACOBIAN] == 6 * nv && n[G] == m * nv &&
                n[COUNTS] == 2;
     for (int i = 0; i < 3; i++) good = good && n[of_pairs[i]] == pairs && n[of_rows[i]] == m && n[of_one[i]] == 1;
     for (int i = 0; i < 7; i++) good = good && n[of_joints[i]] == nv;
+    for (size_t i = 0; i < sizeof written / sizeof *written; i++) good = good && !s->views[written[i]].readonly;
     for (Py_ssize_t j = 0; good && j < nv; j++) {
         const double at = s->at[Q_INDEX][j];
         good = at >= 0.0 && at + (s->at[CONTINUOUS][j] != 0.0 ? 2.0 : 1.0) <= (double)n[Q];
@@ -292,6 +304,7 @@ static int nearby_init(PyObject *object, PyObject *args, PyObject *kwargs) {
         }
         good = hold_functions(s, placing, normals);
     }
+    s->built = good;
     if (good) return 0;
     if (!PyErr_Occurred()) PyErr_SetString(PyExc_ValueError, "what it is given does not fit together");
     return -1;

@@ -239,7 +239,7 @@ class ControlStep(Shown):
         clearance: NearPair | None = None,
         build_time_s: float = 0.0,
     ) -> None:
-        values = locals()
+        values = dict(locals())  # a debugger writes into the other one
         del values["self"]
         for name in ("q", "velocity", "q_next"):
             if values[name].flags.writeable:

@@ -9,7 +9,7 @@ from typing import Any, final
 
 import numpy as np
 
-from coopqp.checks import as_floats
+from coopqp.checks import as_floats, as_tuple
 from coopqp.control.constraints import (
     MOST_ROWS,
     Bound,
@@ -43,10 +43,7 @@ def listed(constraints: Any) -> tuple[Any, ...]:
     Raises:
         InvalidInputError: they are no sequence.
     """
-    try:
-        return tuple(constraints)
-    except TypeError as error:
-        raise InvalidInputError(f"a {type(constraints).__name__}", "constraints", "Give a list of them.") from error
+    return as_tuple(constraints, "constraints", "Give a list of them.")
 
 
 @final

@@ -157,6 +157,13 @@ class PseudoInverseController:
     def take_minding(self, memory: Array, tell: Callable[[ControlStep], None]) -> None:
         """None: there is no core to step with wrenches."""
 
+    def accepted_dt(self, dt: Any) -> float:
+        """Length of a step that is asked for [s]: the nominal one where none is, or it is refused."""
+        try:
+            return self.dt if dt is None else as_scalar(dt, "dt")
+        except InvalidInputError:
+            return self.dt
+
     @property
     def commanded(self) -> Array:
         """Commanded configuration at the end of the last step (nq,)."""

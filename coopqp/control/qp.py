@@ -371,6 +371,14 @@ class QPController:
         """
         return None if isinstance(self._loop, PlainLoop) else self._loop.take_minding(memory, tell)
 
+    def accepted_dt(self, dt: Any) -> float:
+        """Length of a step that is asked for [s]: the nominal one where none is, or it is refused."""
+        low, high = (share * self.dt for share in self.options.supervision.dt_range)
+        try:
+            return self.dt if dt is None else as_scalar(dt, "dt", low=low, high=high, open_low=False)
+        except InvalidInputError:
+            return self.dt
+
     @property
     def commanded(self) -> Array:
         """Commanded configuration at the end of the last step (nq,)."""

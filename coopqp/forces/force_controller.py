@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import copy
-import math
 from collections.abc import Mapping
 from typing import Any, final
 
@@ -31,13 +30,10 @@ _STAGES = (
     "the arms relax before the object moves",
     "the object moves",
 )
+#: Steps beyond the time of the comparison after which a reason says what it waits for.
+_PATIENCE = 5
 #: Attributes that a step changes, but those of the relaxation and of the controller within.
 _VARYING = ("_differences", "_compared")
-
-
-def _length(dt: Any, nominal: float) -> float:
-    """The length of a step for what minds forces: a dt that the controller refuses counts as the nominal one."""
-    return float(dt) if isinstance(dt, (int, float)) and 0.0 < dt < math.inf else nominal
 
 
 @final
@@ -59,12 +55,14 @@ class ForceController:
     Attributes:
         cell, grasp, path, dt: as of the controller; the grasp is what the arms are told, without what they give way.
         minds_wrenches: true: :func:`coopqp.simulate` gives it the plant's wrenches.
+        needs_servos: true: :func:`coopqp.simulate` refuses torque-controlled drives, whose joints are no springs.
 
     Raises:
         InvalidInputError: bad settings, also those with which forces would swing.
     """
 
     minds_wrenches = True
+    needs_servos = True
 
     def __init__(
         self, controller: QPController | PseudoInverseController, options: ForceOptions | Mapping[str, Any]
@@ -222,7 +220,7 @@ class ForceController:
     @alone
     def _slow(self, q_measured: ArrayLike | None, wrenches: ArrayLike | None, dt: float | None) -> ControlStep:
         """A step in which Python takes part, or of a controller without the core's; the same in the same order."""
-        w, length = self._taken(wrenches), _length(dt, self.dt)
+        w, length = self._taken(wrenches), self.controller.accepted_dt(dt)
         relaxation, stage = self._relaxation, self._stage
         gives = relaxation.gives
         if gives and relaxation.aged:
@@ -328,6 +326,9 @@ class ForceController:
         if why == BY_REACH:
             return f"the grasps cannot give way any further: {self._most()}"
         if why == BY_STAGE:
+            waits = self._stage == CHECKING and not self._compared
+            if waits and m[AT["SINCE"]] > self.options.check_time + _PATIENCE * self.dt:
+                return "the sensors cannot be compared with the servos: give q_measured, and wrenches of all arms"
             return f"{_STAGES[self._stage]}: {self._most()}"
         if why == BY_FRICTION:
             used, arm = m[AT["FRICTION_USED"]], self.cell.arm_names[int(m[AT["WHY_ARM"]])]

@@ -7,7 +7,7 @@ from typing import Annotated, Any
 
 import numpy as np
 
-from coopqp.checks import Doc, as_floats, as_vector, documented, keep_scalars, require
+from coopqp.checks import Doc, as_floats, as_tuple, as_vector, documented, keep_scalars, require
 from coopqp.errors import InvalidInputError
 from coopqp.forces.grips import Grip
 from coopqp.planning.payload import Payload
@@ -77,7 +77,7 @@ class ForceOptions:
     def __post_init__(self) -> None:
         keep_scalars(self, "squeeze", "most_squeeze", open_low=False)
         if self.palms is not None:
-            object.__setattr__(self, "palms", tuple(self.palms))
+            object.__setattr__(self, "palms", as_tuple(self.palms, "ForceOptions: palms", "Give one Grip per arm."))
             keep_scalars(self, "squeeze")
             if 0.0 < self.most_squeeze < self.squeeze:
                 raise InvalidInputError(

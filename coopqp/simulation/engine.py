@@ -67,7 +67,7 @@ def engine_controller(scenario: Scenario, plant: PhysicsPlant) -> Controller:
         InvalidInputError: arms on torque-controlled drives are to mind forces.
     """
     given = scenario.engine or EngineSettings()
-    if given.forces is not None and plant.options.servo != "position":
+    if given.forces is not None and not plant.servoed:
         raise InvalidInputError(
             f"forces are minded through servos, not drives by {plant.options.servo}",
             f"scenario {scenario.name}: engine",

@@ -1,8 +1,8 @@
 """An independent monitor: checks that commands keep the limits, the chain, the path and the controller's promises.
 
-The monitor judges the commands only and shares no code with the controllers: kinematics come directly from Pinocchio's
-frames and limits from the cell. Use it to test your own controller, after a run (:func:`check_run`) or during one
-(:class:`Monitor`, :class:`coopqp.Monitored`).
+The monitor judges commands, and wrenches where it is given them, and shares no code with the controllers: kinematics
+come directly from Pinocchio's frames and limits from the cell. Use it to test your own controller, after a run
+(:func:`check_run`) or during one (:class:`Monitor`, :class:`coopqp.Monitored`).
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ import numpy as np
 from coopqp.checks import ArrayLike, as_options
 from coopqp.collision.scene import CollisionScene
 from coopqp.control.command import ControlStep, Status
+from coopqp.errors import InvalidInputError
 from coopqp.model.cell import RobotCell
 from coopqp.model.grasp import Grasp
 from coopqp.simulation.blocks import Block, faults_of, recorded_block, sound_steps
@@ -118,6 +119,9 @@ class Monitor:
                 (N, 6) [N, N·m]; judged by the monitor's ``wrenches``.
             shift: by how much each grasp has given way in it, in the object frame (N, 6) [m, rad]:
                 :attr:`coopqp.ForceController.shift`.
+
+        Raises:
+            InvalidInputError: a shift of another shape; nothing is then judged.
         """
         before, moved = len(self._violations), self._moved
         self.observe_all([step], shifts=None if shift is None else [shift])
@@ -129,7 +133,13 @@ class Monitor:
     def observe_all(
         self, steps: Sequence[ControlStep], *, shifts: Sequence[Array] | None = None
     ) -> tuple[Violation, ...]:
-        """Judge consecutive steps at once, at a lower cost per step; return their stored violations (see ``keep``)."""
+        """Judge consecutive steps at once, at a lower cost per step; return their stored violations (see ``keep``).
+
+        Raises:
+            InvalidInputError: not one shift (N, 6) for each step; nothing is then judged.
+        """
+        if shifts is not None:
+            self._check_shifts(shifts, len(steps))
         before = len(self._violations)
         formed: list[_Row] = []
         for i, step in enumerate(steps):
@@ -142,6 +152,13 @@ class Monitor:
                 formed = []
         self._judge_rows(formed)
         return tuple(self._violations[before:])
+
+    def _check_shifts(self, shifts: Sequence[Array], steps: int) -> None:
+        wanted = (len(self.cell), 6)
+        if len(shifts) != steps or any(np.shape(shift) != wanted for shift in shifts):
+            raise InvalidInputError(
+                f"shapes {[np.shape(shift) for shift in shifts]}", "Monitor: shift", f"Give one {wanted} for each step."
+            )
 
     def report(self, breach: Breach, *, arm: str = "", amount: float = 0.0, detail: str = "") -> None:
         """Add a violation found by the caller to the verdict."""
@@ -425,7 +442,7 @@ def check_run(
     tolerances: MonitorTolerances | None = None,
     scene: CollisionScene | None = None,
 ) -> Verdict:
-    """Judge a recorded run by its commands.
+    """Judge a recorded run by its commands, and by its loads where they were recorded.
 
     Args:
         recording: the run, which starts at rest.

@@ -31,6 +31,7 @@ class Monitored:
         self.monitor = monitor or Monitor(controller.cell, controller.grasp)
         self._inner: Any = controller
         self.minds_wrenches = bool(getattr(controller, "minds_wrenches", False))
+        self.needs_servos = bool(getattr(controller, "needs_servos", False))
         self._last: ControlStep | None = None
         self._kept: tuple[Array, ...] = ()
 

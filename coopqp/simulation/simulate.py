@@ -62,7 +62,8 @@ def simulate(
         metadata: entries stored in the recording; must be JSON.
 
     Raises:
-        InvalidInputError: bad ``q_start`` or durations, or the arms do not hold the object at the start.
+        InvalidInputError: bad ``q_start`` or durations, the arms do not hold the object at the start, or a controller
+            with ``needs_servos`` gets torque-controlled drives.
         NoStartError: no ``q_start`` is given and there is none.
     """
     for thing, methods, name in ((controller, ("reset", "step"), "controller"), (plant, ("reset", "apply"), "plant")):
@@ -123,6 +124,12 @@ def _asking(controller: Controller, plant: Plant) -> Callable[[Array], ControlSt
     if wrenches is None:
         raise InvalidInputError(
             f"a {type(plant).__name__} has no force sensors", "simulate: plant", "Give a PhysicsPlant."
+        )
+    if getattr(controller, "needs_servos", False) and not getattr(plant, "servoed", True):
+        raise InvalidInputError(
+            f"forces are minded through servos, not torques: a {type(controller).__name__} on torque-controlled drives",
+            "simulate: plant",
+            'Give PhysicsOptions(servo="position"), or the QPController without forces.',
         )
     step: Any = controller.step
     read = wrenches

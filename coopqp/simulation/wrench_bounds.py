@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from coopqp.checks import NOT_NUMBERS, ArrayLike, as_floats, keep_scalars
+from coopqp.checks import NOT_NUMBERS, ArrayLike, as_floats, as_tuple, keep_scalars
 from coopqp.errors import InvalidInputError
 from coopqp.simulation.violations import Breach
 from coopqp.spatial import Array
@@ -40,8 +40,9 @@ class WrenchBounds:
         if self.internal_force != math.inf:
             keep_scalars(self, "internal_force")
         if self.palms is not None:
-            object.__setattr__(self, "palms", tuple(self.palms))
-            if any(getattr(palm, "kind", None) != "palm" for palm in self.palms):
+            palms = as_tuple(self.palms, "WrenchBounds: palms", "Give one Grip per arm.")
+            object.__setattr__(self, "palms", palms)
+            if any(getattr(palm, "kind", None) != "palm" for palm in palms):
                 raise InvalidInputError("no palm", "WrenchBounds: palms", 'Give Grip(kind="palm", …) for each arm.')
 
     def check_arms(self, arms: int) -> None:

@@ -37,12 +37,10 @@ static PyObject *core_bind_minding(PyObject *object, PyObject *args) {
     Py_RETURN_NONE;
 }
 
-/* The length of a step for what minds forces: a dt that is refused counts as the nominal one. */
-static double length_of(const Core *c, PyObject *dt) {
-    if (!PyFloat_Check(dt) && !PyLong_Check(dt)) return c->options[NOMINAL_DT];
-    const double length = PyFloat_AsDouble(dt);
-    if (PyErr_Occurred()) PyErr_Clear();
-    return length > 0.0 && isfinite(length) ? length : c->options[NOMINAL_DT];
+/* The length of a step for what minds forces: a dt that observe() refuses counts as the nominal one. */
+static double length_of(const Core *c, const double *dt) {
+    const double nominal = c->options[NOMINAL_DT];
+    return dt && *dt >= c->options[DT_LOW] * nominal && *dt <= c->options[DT_HIGH] * nominal ? *dt : nominal;
 }
 
 /* Mind the wrenches, then step: the grasps move, the object is as fast as forces let it be. */
@@ -80,7 +78,7 @@ static PyObject *core_step_minding(PyObject *object, PyObject *const *args, Py_s
         step = Py_NewRef(Py_False);
     } else if (read_wrenches(args[3], self->core.arms, &wrenches, &view)) {
         if (read_sample(self, args[1], args[2], &sample))
-            step = mind_and_step(self, wrenches, length_of(&self->core, args[2]), &sample);
+            step = mind_and_step(self, wrenches, length_of(&self->core, sample.dt), &sample);
         if (wrenches) PyBuffer_Release(&view);
     }
     if (!self->handed) leave(self);

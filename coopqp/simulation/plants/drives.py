@@ -67,7 +67,7 @@ class TorqueDrives:
             if inertia.mass > 0.0:  # the parameters, mass first, are multiples of it
                 parameters = options.assumed_mass * inertia.toDynamicParameters()
                 self._model.inertias[i] = pin.Inertia.FromDynamicParameters(parameters)
-        self._model.gravity.linear = np.array(options.gravity) * float(options.gravity_compensation)
+        self._model.gravity.linear = np.array(options.gravity) * bool(options.gravity_compensation)
         self._data = self._model.createData()
         n = len(cell)
         on_object = internal_wrenches(np.eye(6 * n).reshape(-1, n, 6), grasp)

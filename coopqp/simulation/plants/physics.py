@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, final
 import numpy as np
 import pinocchio as pin
 
-from coopqp.checks import ArrayLike, as_options, as_scalar, as_vector, read_only, require
+from coopqp.checks import ArrayLike, as_options, as_scalar, as_tuple, as_vector, read_only, require
 from coopqp.control.command import ControlStep
 from coopqp.errors import CoopqpError, InvalidInputError, UnreachableError
 from coopqp.forces.grips import Grip
@@ -134,12 +134,12 @@ class PhysicsPlant:
             if not np.allclose(load.cell.model.gravity.linear, self.options.gravity):
                 raise InvalidInputError("its gravity is another one", "PhysicsPlant: load", "Set cell.model.gravity.")
         self.load = load
-        self.palms = None if palms is None else tuple(palms)
+        self.palms = None if palms is None else as_tuple(palms, "PhysicsPlant: palms", "Give one Grip per arm.")
         if self.palms is not None and (
             len(self.palms) != len(cell) or any(not isinstance(p, Grip) or p.kind != "palm" for p in self.palms)
         ):
             raise InvalidInputError("no palm for each arm", "PhysicsPlant: palms", 'Give Grip(kind="palm", …).')
-        if self.palms is not None and self.options.servo != "position":
+        if self.palms is not None and not self.servoed:
             raise InvalidInputError(
                 f"palms on drives by {self.options.servo}", "PhysicsPlant", 'Palms need servo="position".'
             )
@@ -166,7 +166,7 @@ class PhysicsPlant:
         self._index()
         self._drives: TorqueDrives | None = None
         self.options.check_rate(self.disturbances.wrench_latency)
-        if self.options.servo != "position":
+        if not self.servoed:
             self._drives = TorqueDrives(cell, grasp, self.options, self._armature, self.options.limits(cell))
             M, _ = self._drives.model_at(pin.neutral(cell.model), np.zeros(cell.nv))
             self.stiffness = read_only(self.options.loop_bandwidth**2 * np.diag(M))
@@ -287,6 +287,11 @@ class PhysicsPlant:
     def period(self, nominal: float) -> float:
         """Length of the next step [s] with jitter; the loop passes it to the controller."""
         return self._encoders.period(nominal)
+
+    @property
+    def servoed(self) -> bool:
+        """True if position servos drive the joints, False for torques by a model of the arms."""
+        return self.options.servo == "position"
 
     def release(self) -> None:
         """Open all grips until the next reset. The object falls."""
