@@ -22,7 +22,7 @@ CONTRACT = {"case", "kernel", "arms", "p50_us", "p99_us", "p999_us", "max_us", "
 
 @pytest.mark.slow
 def test_latency(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
-    plan = latency.Plan(steps=40, block=20, laps=1, garbage_steps=1000, alive=1000)
+    plan = latency.Plan(steps=40, block=20, laps=1, garbage_steps=4000, alive=1000)
     monkeypatch.setattr(latency, "QUICK", plan)
     file, out = tmp_path / "r.json", tmp_path / "out"
     assert latency.main(["--quick", "--json", str(file), "--out", str(out)]) == 0
