@@ -383,6 +383,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     print(common.header(description), flush=True)
     new = set(args.case) - {"peers"}
     kept = json.loads(args.json.read_text()) if args.json is not None and args.json.is_file() else []
+    if any(set(r) != set(KEYS) for r in kept):
+        parser.error(f"{args.json} holds records of something else: give another file")
     again = args.peers if "peers" in args.case else ()
     kept = [r for r in kept if part_of(r) not in new and r["controller"].partition(" ")[0] not in again]
     records = run_all(jobs(args.case, plan), args.workers)

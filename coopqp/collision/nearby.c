@@ -9,13 +9,7 @@
 
 #include "bounds.h"
 #include "nearby.h"
-
-/* CPython passes functions as void *, which ISO C forbids and every platform with dynamic libraries allows. */
-#if defined(__GNUC__)
-#define POINTER(type, address) (__extension__(type)(address))
-#else
-#define POINTER(type, address) ((type)(address))
-#endif
+#include "pointer.h"
 
 /* Joints this close to where the shapes are placed are there [rad or m]: a step's end, and the next one's start. */
 #define SAME_PLACE 1e-14

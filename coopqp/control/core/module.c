@@ -8,14 +8,8 @@
 #include "core.h"
 #include "guards.h"
 #include "minding.h"
+#include "pointer.h"
 #include "spatial.h"
-
-/* CPython passes functions as void *, which ISO C forbids and every platform with dynamic libraries allows. */
-#if defined(__GNUC__)
-#define POINTER(type, address) (__extension__(type)(address))
-#else
-#define POINTER(type, address) ((type)(address))
-#endif
 
 #define FIELDS_IN_ALL (CONFIG_FIELDS + STATE_FIELDS + WORK_FIELDS)
 

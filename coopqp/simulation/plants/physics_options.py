@@ -255,5 +255,5 @@ def _one_per_joint(value: Any, n: int, where: str) -> Array:
     try:
         full = np.broadcast_to(as_floats(value), (n,))
     except NOT_NUMBERS as error:
-        raise InvalidInputError("cannot be read as numbers", where, f"Give one number or {n}.") from error
+        raise InvalidInputError(f"is neither a number nor {n} numbers", where, f"Give one number or {n}.") from error
     return as_vector(full, n, where)
