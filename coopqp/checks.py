@@ -73,6 +73,19 @@ def as_vector(value: Any, size: int, where: str) -> Array:
     return vector
 
 
+def one_each(value: Any, size: int, where: str) -> Array:
+    """Return a new finite float vector of shape (size,) from one number or from size numbers.
+
+    Raises:
+        InvalidInputError: another number of them, not numbers, NaN or infinite entries.
+    """
+    try:
+        full = np.broadcast_to(as_floats(value), (size,))
+    except NOT_NUMBERS as error:
+        raise InvalidInputError(f"is neither a number nor {size} numbers", where, f"Give one or {size}.") from error
+    return as_vector(full, size, where)
+
+
 def as_scalar(value: Any, where: str, *, low: float = 0.0, high: float = np.inf, open_low: bool = True) -> float:
     """Return a finite float in (low, high] (or [low, high] with ``open_low=False``)."""
     number = _as_float(value, where)

@@ -19,7 +19,7 @@ from typing import Any, final
 import numpy as np
 import pinocchio as pin
 
-from coopqp.checks import NOT_NUMBERS, ArrayLike, as_floats, as_vector, read_only
+from coopqp.checks import ArrayLike, as_vector, one_each, read_only
 from coopqp.errors import InvalidInputError
 from coopqp.model.cell import RobotCell
 from coopqp.model.grasp import Grasp
@@ -170,10 +170,7 @@ def _equilibrium(C: Array, e: Array) -> tuple[Array, Array]:
 
 def per_joint(value: Any, n: int, where: str) -> Array:
     """Stiffness of each joint (n,) from one number or n, finite and > 0."""
-    try:
-        out = np.array(np.broadcast_to(as_floats(value), (n,)))
-    except NOT_NUMBERS as error:
-        raise InvalidInputError("cannot be read as numbers", where, f"Give one number or {n}.") from error
-    if not (np.isfinite(out).all() and (out > 0.0).all()):
-        raise InvalidInputError(f"{out.tolist()} must be finite and > 0", where, "Give the servos' stiffness.")
+    out = one_each(value, n, where)
+    if not (out > 0.0).all():
+        raise InvalidInputError(f"{out.tolist()} must be > 0", where, "Give the servos' stiffness.")
     return read_only(out)

@@ -8,7 +8,7 @@ from typing import Annotated, Any, Literal
 import numpy as np
 import pinocchio as pin
 
-from coopqp.checks import NOT_NUMBERS, Doc, as_count, as_floats, as_vector, documented, keep_scalars, read_only
+from coopqp.checks import Doc, as_count, as_vector, documented, keep_scalars, one_each, read_only
 from coopqp.errors import InvalidInputError, UnknownNameError
 from coopqp.model.cell import RobotCell
 from coopqp.planning.payload import Payload
@@ -197,7 +197,7 @@ class PhysicsOptions:
         """
         if self.torque_limits is None:
             return read_only(Payload(mass=0.0).limits(cell))
-        row = _one_per_joint(self.torque_limits, cell.nv, "PhysicsOptions: torque_limits")
+        row = one_each(self.torque_limits, cell.nv, "PhysicsOptions: torque_limits")
         if not (row > 0.0).all():
             raise InvalidInputError(f"{row.tolist()} must be > 0", "PhysicsOptions: torque_limits", "Correct its sign.")
         return read_only(row)
@@ -212,7 +212,7 @@ class PhysicsOptions:
         given = (self.stiffness, self.damping, self.armature)
         rows = []
         for i, (name, value) in enumerate(zip(("stiffness", "damping", "armature"), given, strict=True)):
-            row = default[i] if value is None else _one_per_joint(value, cell.nv, f"PhysicsOptions: {name}")
+            row = default[i] if value is None else one_each(value, cell.nv, f"PhysicsOptions: {name}")
             if (row < 0.0).any() or (i < 2 and (row == 0.0).any()):
                 raise InvalidInputError(f"{row.tolist()} must be > 0", f"PhysicsOptions: {name}", "Correct its sign.")
             rows.append(read_only(row))
@@ -249,11 +249,3 @@ def _default_servos(model: pin.Model) -> Array:
     slides = ~joint_axes(model)[:, 3:].any(axis=1)
     values[:, slides] = np.array(PRISMATIC_SERVO)[:, None]
     return np.asarray(values)
-
-
-def _one_per_joint(value: Any, n: int, where: str) -> Array:
-    try:
-        full = np.broadcast_to(as_floats(value), (n,))
-    except NOT_NUMBERS as error:
-        raise InvalidInputError(f"is neither a number nor {n} numbers", where, f"Give one number or {n}.") from error
-    return as_vector(full, n, where)
