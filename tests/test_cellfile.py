@@ -693,3 +693,14 @@ def test_reading_a_file_imports_and_runs_nothing_else(monkeypatch: pytest.Monkey
     with pytest.raises(CoopqpError):
         load_cell_file(file)
     assert not [name for name in asked if "this" in name or "os;" in name]
+
+
+def test_a_start_that_the_run_refuses_is_told_in_the_words_of_the_file(tmp_path: Path) -> None:
+    file = tmp_path / "cell.toml"
+    ball = '[[collision.obstacles]]\nname = "ball"\nshape = "sphere"\nradius_m = 0.1\nat.xyz_m = [%g, %g, %g]\n'
+    at = load_cell_file(example_path("paper_lift")).scenario.path.pose(0.0).translation
+    file.write_text(example_path("paper_lift").read_text(encoding="utf-8") + ball % tuple(at), encoding="utf-8")
+    with pytest.raises(
+        CellFileError, match=r"cell\.toml: start: .*ball overlap.*collision\.margins.*collision\.inside"
+    ):
+        load_cell_file(file).run()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import importlib
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -103,6 +103,7 @@ class CellRun:
         longest: longest run [s], or None.
         settings: contents of the file as plain data; its table ``output`` selects the files to write.
         scene: the bodies whose distances are kept, or judged; None if there are none.
+        file: the file, for messages.
     """
 
     scenario: Scenario
@@ -112,6 +113,7 @@ class CellRun:
     longest: float | None
     settings: CellFile
     scene: CollisionScene | None = None
+    file: Path | None = None
 
     @property
     def avoids(self) -> bool:
@@ -139,7 +141,17 @@ class CellRun:
         return PhysicsPlant.of(self.scenario, options=build_options(PhysicsOptions, table))
 
     def run(self, *, progress: ProgressCallback | None = None) -> Recording:
-        """Run the controller on the plant."""
+        """Run the controller on the plant.
+
+        Raises:
+            CellFileError: the controller refuses the start.
+        """
+        try:
+            return self._run(progress)
+        except InvalidInputError as error:
+            raise CellFileError(f"{self.file or self.scenario.name}: {in_words_of_the_file(str(error))}") from error
+
+    def _run(self, progress: ProgressCallback | None) -> Recording:
         s = self.scenario
         given = self.settings.model_dump(mode="json", exclude_none=True, exclude_unset=True)
         recording = simulate(
@@ -177,7 +189,7 @@ def load(file: Path) -> CellRun:
     """Read a cell file, build its objects, and test its controller. Every error names the file."""
     settings = read(file)
     try:
-        run = build(settings, file.parent)
+        run = replace(build(settings, file.parent), file=file)
         run.controller()
         run.plant()
     except (CellFileError, MissingExtraError):

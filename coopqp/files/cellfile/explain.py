@@ -147,6 +147,9 @@ _WORDS: tuple[tuple[str, str | Callable[[re.Match[str]], str]], ...] = (
     (r"\bCommonError(\.\w+)?\b", "controller.common_error"),
     (r"\b(Line|Waypoint|Hold)Path(\.\w+)?\b", "path"),
     (r"\bGrasp\.triangle\b", "grasp"),
+    (r"\breset: q\b", "start"),
+    (r"lower the margin \(margins\)", "lower the margin (collision.margins)"),
+    (r"\b(inside|ignored)=\[…\]", r"collision.\1"),
 )
 
 
