@@ -84,7 +84,7 @@ class Environment:
         call(str(self.bin / command[0]), *command[1:], folder=folder, **ONE_THREAD)
 
     def pytest(self, *arguments: str) -> None:
-        """Run tests, on both cores."""
+        """Run tests, on all cores."""
         where = ("-c", str(ROOT / "pyproject.toml"), "--rootdir", str(ROOT), str(ROOT / "tests"))
         spread = ("-n", os.environ.get("WORKERS", "auto"), "--dist", "worksteal")
         self.run("pytest", *where, *spread, "-p", "no:cacheprovider", *arguments)

@@ -404,7 +404,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def report(records: Sequence[Record]) -> str:
-    """The table, and what the random posts came to."""
+    """The table, and the results of the random posts."""
     posts = [r for r in records if r["case"].startswith("random posts")]
     shown = [r for r in records if r not in posts]
     touched = sum(r["clearance_mm"] < r["margin_mm"] - 1e-3 for r in posts)

@@ -245,7 +245,7 @@ class Comparison:
                 yield contestant
 
     def _behave(self, contestant: Contestant, case: peer_cases.Case, mode: str) -> Record:
-        """One run from the start, as far as time allows; None where the runner gave up."""
+        """One run from the start, within the time; None if the runner gives up."""
         limit = self.plan.behave_s
         if case.name == "fast":
             limit *= 3.0
@@ -275,7 +275,7 @@ class Comparison:
         self.progress.advance()
 
     def cost(self, name: str, arms: int) -> None:
-        """One case of cost: first what the motion is worth, then its time in interleaved rounds."""
+        """One case of cost: first the errors of the motion, then its time in interleaved rounds."""
         case = peer_cases.build(name, arms)
         ready = list(self._load(case))
         entries = [Entry(contestant, mode) for contestant in ready for mode in self.modes(contestant)]

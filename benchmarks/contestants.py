@@ -211,7 +211,7 @@ def hand_over(case: peer_cases.Case, folder: Path, scene: CollisionScene | None 
 
 
 def ratio(own: Sequence[Sequence[float]], other: Sequence[Sequence[float]], *, share: float = 50.0) -> float | None:
-    """Time of ``own`` over that of ``other``: the median over the rounds of the ratio of this percentile of theirs."""
+    """Time of ``own`` over that of ``other``: the median over the rounds of the ratio of this percentile."""
     pairs = [(a, b) for a, b in zip(own, other, strict=False) if len(a) and len(b)]
     return float(np.median([np.percentile(a, share) / np.percentile(b, share) for a, b in pairs])) if pairs else None
 

@@ -66,11 +66,11 @@ KEYS = (
 )  # fmt: skip
 DIAGONAL = np.ones(3) / np.sqrt(3.0)
 BASE_OFF = pin.SE3(pin.exp3(np.deg2rad(0.1) * DIAGONAL), 1e-3 * DIAGONAL)
-#: The first run squeezes: it must not be stopped for what it is to measure.
+#: The first run squeezes on purpose: no supervision may stop it.
 TOLERANT = QPOptions(supervision=SupervisionOptions(slow_from=0.005, hold_from=0.01, stall_samples=10_000))
 INTERNAL = 50.0  # N
 MASSES = (20.0, 40.0, 48.0, 53.0)
-#: Settings of the plant's drives by name, and what they take masses for as multiples of the real ones.
+#: Settings of the plant's drives by name, and the masses in their model as multiples of the real ones.
 DRIVES: dict[str, dict[str, Any]] = {
     "position servos": {"servo": "position"},
     "computed torque": {"servo": "computed torque"},

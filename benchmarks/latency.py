@@ -14,7 +14,7 @@ Left out are the first steps of a turn, which find the caches cold, and the firs
 ``pole``      three arms past a wrist singularity, missed by 2 mrad, 5 rad/s²: the preview needs many small cells.
 
 ``ratio`` is p99.9 / p50. Records of the second kind (``case`` "lap: …") are of one lap from reset to the path's end,
-each step the median of the same step in several laps: what they take by themselves, without the machine's part.
+each step the median of the same step in several laps: their own time, without the machine's part.
 ``first_us`` is the first step after a reset, which ``max_us`` and the percentiles leave out. Records of the third kind
 (``case`` "garbage: …") have 10⁶ objects alive besides, with and without ``gc.freeze()``, the steps dropped or kept by
 the caller: ``gc_pause_ms`` is the longest pause, ``collections`` how many there were, ``full`` how many of them of

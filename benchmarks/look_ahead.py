@@ -86,7 +86,7 @@ def compared(record: Record, before: Record) -> Record:
 
 
 def compare(every: int, progress: common.Progress) -> Iterator[tuple[Record, Record]]:
-    """Every case: its record, and that of version 0.1."""
+    """Every case: its record, and the record of version 0.1."""
     recorded = {(r["case"], r["number"]): r for r in json.loads(RECORDED.read_text(encoding="utf-8"))}
     for kind, number, make in tasks(every):
         before = recorded[kind, number]

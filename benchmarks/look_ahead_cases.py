@@ -14,11 +14,13 @@ import pinocchio as pin
 
 from coopqp import (
     Array,
+    ControlStep,
     Grasp,
     LinePath,
     QPController,
     QPOptions,
     RobotCell,
+    Status,
     TimeLaw,
     UnreachableError,
     WaypointPath,
@@ -28,6 +30,7 @@ from coopqp.model.chain import Chain
 from coopqp.model.inverse_kinematics import newton
 from coopqp.scenarios import Scenario, at_limit, at_singularity, ring
 from coopqp.scenarios.arms import robot_arm
+from coopqp.simulation.metrics import object_poses, tool_matrices
 
 #: Intervals of the grid that the fastest motion is found on.
 GRID = 500
@@ -67,22 +70,21 @@ def run(task: Scenario, *, longest: float = 60.0, kernel: str = "auto", until: f
     """
     controller = QPController(task.cell, task.grasp, task.path, dt=task.dt, options=QPOptions(kernel=kernel))
     controller.reset(task.q_start)
-    chain = Chain(task.cell, task.grasp)
-    clocks, qp, held, apart, off, still = [0.0], 0, 0, 0.0, 0.0, 0
-    finished = False
-    while len(clocks) * task.dt < longest:
+    steps: list[ControlStep] = []
+    still, finished = 0, False
+    while (len(steps) + 1) * task.dt < longest and not finished and still <= 60:
         step = controller.step()
-        clocks.append(step.clock_next)
-        qp += step.solver.name != "none"
-        held += step.status.name in ("HOLDING", "FAULT")
+        steps.append(step)
         still = still + 1 if step.clock_next - step.clock < 1e-7 * task.dt else 0
-        errors = chain.errors(chain.carried(step.q_next), task.path.pose(step.clock_next))[:, :3]
-        apart = max(apart, float(np.abs(errors - errors.mean(axis=0)).max()))
-        off = max(off, float(np.abs(errors).max()))
         finished = step.finished
-        if finished or still > 60:
-            break
-    table = np.array(clocks)
+    poses = np.array([task.path.pose(step.clock_next).homogeneous for step in steps])
+    objects = object_poses(tool_matrices(task.cell, np.array([step.q_next for step in steps])), task.grasp)
+    # the objects' origins, seen by the path
+    errors = np.einsum("tji,tnj->tni", poses[:, :3, :3], objects[..., :3, 3] - poses[:, None, :3, 3])
+    apart, off = np.abs(errors - errors.mean(axis=1, keepdims=True)).max(), np.abs(errors).max()
+    qp = sum(step.solver.name != "none" for step in steps)
+    held = sum(step.status in (Status.HOLDING, Status.FAULT) for step in steps)
+    table = np.array([0.0, *(step.clock_next for step in steps)])
     end = table[-1] if until is None else until
     near = end if finished and until is None else end - 1e-3 * task.path.duration
     reached = np.flatnonzero(table >= near - 1e-12)
@@ -92,7 +94,7 @@ def run(task: Scenario, *, longest: float = 60.0, kernel: str = "auto", until: f
         share = (near - table[i - 1]) / (table[i] - table[i - 1]) if i else 0.0
         time = task.dt * (i - 1 + share) if i else 0.0
     return Run(
-        end=float(table[-1]), time=float(time), chain_um=1e6 * apart, path_um=1e6 * off, qp=qp, held=held,
+        end=float(table[-1]), time=float(time), chain_um=float(1e6 * apart), path_um=float(1e6 * off), qp=qp, held=held,
         finished=finished, clocks=table,
     )  # fmt: skip
 
@@ -386,6 +388,10 @@ def redundant(number: int, *, tries: int = 40) -> Scenario:
     raise UnreachableError(f"no feasible cell of {robot} in {tries} tries")
 
 
+#: So close to the path is on it, in the cells that are found [m, rad].
+_ON_PATH = 1e-9
+
+
 def _towards_the_middle(task: Scenario, *, steps: int = 150) -> Array | None:
     """Positions along the path that lead every joint towards the middle of its limits; None where they leave these."""
     cell, chain = task.cell, Chain(task.cell, task.grasp)
@@ -396,18 +402,21 @@ def _towards_the_middle(task: Scenario, *, steps: int = 150) -> Array | None:
     table = [x]
     for clock in np.linspace(0.0, task.path.duration, steps)[1:]:
         pose = task.path.pose(float(clock))
-        for _ in range(4):
+        R = pose.rotation
+        for i in range(5):
             errors = chain.errors(chain.carried(q), pose)
-            chain.linearise(q, about=pose.translation)
-            R = pose.rotation
+            if i and np.abs(errors).max() < _ON_PATH:
+                break
+            if i == 4:
+                return None
+            if i < 2:  # then the joints hardly move any more
+                chain.linearise(q, about=pose.translation)
             step = chain.joint_velocities(np.hstack([-errors[:, :3] @ R.T, -errors[:, 3:] @ R.T]), velocity).copy()
-            x = cell.positions(q)
-            step += chain.null_part(gain / steps * (middle - x) / np.maximum(half, 0.2)) * (_ == 0)
+            if not i:
+                step += chain.null_part(gain / steps * (middle - x) / np.maximum(half, 0.2))
             if not np.abs(step).max() < 0.3:
                 return None
             q = cell.moved(q, step)
-        if not np.abs(chain.errors(chain.carried(q), pose)).max() < 1e-6:
-            return None
         x = cell.positions(q)
         if (x > limits.upper).any() or (x < limits.lower).any():
             return None

@@ -63,7 +63,7 @@ class Case:
 
 
 def options_of(name: str, dt: float) -> QPOptions:
-    """coopqp's options in a case of cost: the default ones but for what the case is about; ``dt`` in s."""
+    """coopqp's options in a case of cost: the defaults except for the case's own setting; ``dt`` in s."""
     if name == "watched":  # readings are one sample late
         return QPOptions(supervision=SupervisionOptions(stiffness=STIFFNESS, servo_delay=dt))
     return QPOptions(shortcut=name != "qp")

@@ -46,7 +46,7 @@ QUICK = Plan(loky=(250, 1250), dask=(400, 1200), scaling=(20, 80), rounds=1)
 
 
 def spinning(milliseconds: float) -> Callable[[int], dict[str, Any]]:
-    """A task that takes so much processor time, wherever it runs, and returns a row of figures."""
+    """A task that takes a given processor time on any machine, and returns a row of figures."""
 
     def spin(row: int) -> dict[str, Any]:
         import time
@@ -146,7 +146,10 @@ def dask() -> Iterator[tuple[str, Callable[[], list[int]]]]:
         finally:
             for process in reversed(started):
                 process.terminate()
-                process.wait(timeout=30)
+                with contextlib.suppress(subprocess.TimeoutExpired):
+                    process.wait(timeout=10)
+                process.kill()  # one that has ended takes no notice
+                process.wait()
 
 
 def workers_at(address: str) -> int:

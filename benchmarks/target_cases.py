@@ -21,7 +21,7 @@ CELLS: dict[str, Callable[[], Scenario]] = {
     "ring of 8": lambda: ring(arms=8),
 }
 IN_REACH, OUT_OF_REACH = "in reach", "out of reach"
-#: Steps a second for targets so many times a second.
+#: Steps a second, by the number of targets a second.
 STEPS_PER_S = {100: 500, 1000: 1000}
 #: Length of a run [s].
 SECONDS = 3.0

@@ -26,7 +26,7 @@ KEYS = (
 ACCELERATIONS = (5.0, np.inf)
 #: Seeds of a case.
 SEEDS, QUICK_SEEDS = 20, 1
-#: Targets whose cost is measured, of so many the least is taken in each round.
+#: Number of targets whose cost is measured; each round takes the least.
 TIMED, ROUND = 400, 8
 
 

@@ -12,7 +12,7 @@ import numpy.typing as npt
 from coopqp.errors import InvalidInputError, UnknownNameError, shown
 
 Array: TypeAlias = npt.NDArray[np.float64]
-#: What becomes an array: numbers in lists, tuples or arrays.
+#: Arguments that become arrays: numbers in lists, tuples or arrays.
 ArrayLike: TypeAlias = npt.ArrayLike
 
 _Options = TypeVar("_Options")
@@ -67,23 +67,24 @@ def as_vector(value: Any, size: int, where: str) -> Array:
         raise InvalidInputError(
             f"expected shape ({size},), got {vector.shape}", where, f"Give a flat vector of {size} numbers."
         )
-    if not np.all(np.isfinite(vector)):
+    if not np.isfinite(vector).all():
         bad = np.flatnonzero(~np.isfinite(vector)).tolist()
         raise InvalidInputError(f"entries {bad} are NaN or infinite", where, "Give finite numbers.")
     return vector
 
 
-def one_each(value: Any, size: int, where: str) -> Array:
-    """Return a new finite float vector of shape (size,) from one number or from size numbers.
+def one_each(value: Any, size: int, where: str, *, finite: bool = True, remedy: str = "") -> Array:
+    """Return a new float vector of shape (size,) from one number or from size numbers.
 
     Raises:
-        InvalidInputError: another number of them, not numbers, NaN or infinite entries.
+        InvalidInputError: another number of them, not numbers, or NaN or infinite entries unless not ``finite``.
     """
     try:
-        full = np.broadcast_to(as_floats(value), (size,))
+        full = np.array(np.broadcast_to(as_floats(value), (size,)))
     except NOT_NUMBERS as error:
-        raise InvalidInputError(f"is neither a number nor {size} numbers", where, f"Give one or {size}.") from error
-    return as_vector(full, size, where)
+        remedy = remedy or f"Give one or {size}."
+        raise InvalidInputError(f"is neither a number nor {size} numbers", where, remedy) from error
+    return as_vector(full, size, where) if finite else full
 
 
 def as_scalar(value: Any, where: str, *, low: float = 0.0, high: float = np.inf, open_low: bool = True) -> float:
@@ -118,7 +119,7 @@ def as_options(kind: type[_Options], value: Any, where: str) -> _Options:
 
     Args:
         kind: a dataclass of options.
-        value: what the caller gave.
+        value: the caller's argument.
         where: the argument, for messages.
 
     Raises:

@@ -109,7 +109,7 @@ def said(error: BaseException) -> str:
     """Type and message of an error that a user's code raised, for a message of at most 200 characters."""
     try:
         text = str(error)
-    except Exception:  # whatever its own __str__ raises
+    except Exception:  # its own __str__ may raise anything
         text = ""
     name = type(error).__name__
     return f"{name}: {text}"[:200] if text else name

@@ -1,4 +1,4 @@
-"""What is imported on first use only, so that a package of many names stays fast to import.
+"""Names that are imported on first use only, so that a package of many names stays fast to import.
 
 Public names (PEP 562), and the pictures of objects in notebooks.
 """
@@ -6,7 +6,7 @@ Public names (PEP 562), and the pictures of objects in notebooks.
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from importlib import import_module
 from typing import Any
 
@@ -14,16 +14,16 @@ from coopqp.errors import MissingExtraError
 
 
 def lazy_names(
-    package: str, places: Mapping[str, Sequence[str]], *, extra: tuple[str, ...] = ()
+    package: str, places: Mapping[str, str], *, extra: tuple[str, ...] = ()
 ) -> tuple[Callable[[str], Any], Callable[[], list[str]]]:
     """``__getattr__`` and ``__dir__`` of a package with names from modules that are not imported yet.
 
     Args:
         package: its name.
-        places: names of every module, by the name of the module.
+        places: names of every module in one text, by the name of the module.
         extra: name of an extra, then the packages that it brings; a missing one is then a MissingExtraError.
     """
-    module_of = {name: module for module, names in places.items() for name in names}
+    module_of = {name: module for module, names in places.items() for name in names.split()}
 
     def get(name: str) -> Any:
         if name not in module_of:

@@ -63,7 +63,7 @@ def numbered(wanted: Path, is_used: Callable[[Path], bool], *, suffix: str = "")
 class Interrupts:
     """A block in which Ctrl-C waits until its end, except in the part under :meth:`let_through`.
 
-    There the first Ctrl-C has its usual effect, and what it makes the program do is not interrupted again. In threads,
+    There the first Ctrl-C has its usual effect, and nothing interrupts the clean-up after it. In threads,
     which no Ctrl-C interrupts, this does nothing.
     """
 

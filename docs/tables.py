@@ -23,7 +23,7 @@ def difficult(records: Sequence[Record]) -> str:
     """Largest distances in three cases of behaviour.py [mm], of all their runs."""
     rows = []
     for case, words, key in (
-        ("fast", "object at 0.6 m/s, joints limited to 1 rad/s", "chain_mm"),
+        ("fast", "object at 0.6 m/s, joints limited to 1 rad/s; also to 5 rad/s²", "chain_mm"),
         ("limit", "a joint runs into its limit, 5 rad/s² (50 directions)", "chain_mm"),
         ("mismatch", "5 mm grasp mismatch at the start: error at the end", "chain_final_mm"),
     ):

@@ -147,7 +147,7 @@ REFUSED: dict[str, tuple[Callable[[], Any], str]] = {
     "a number as solver": (lambda: controller(options={"solver": 3}), "Give a solver's name or a QpSolver"),
     "settings of another solver": (
         lambda: controller(options={"solver": "proxqp", "solver_settings": DaqpSettings()}),
-        "Give ProxqpSettings or nothing",
+        r"a DaqpSettings. Give ProxqpSettings\(…\)",
     ),
     "an unknown setting": (lambda: make_solver("proxqp", {"eps": 1}), "no option named 'eps'"),
     "a text as dt": (lambda: controller(dt="soon"), "QPController: dt: not a number"),

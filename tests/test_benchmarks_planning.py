@@ -23,7 +23,7 @@ def test_every_case_is_recorded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
     checks = {r["case"]: r["verdict"] for r in records if r["case"].startswith("check: ")}
     assert checks["check: paper_lift"] == checks["check: ring of 2"] == "CERTIFIED"
     others = [r for r in records if r["case"] not in checks]
-    verdicts = {r["verdict"] for r in others}
+    verdicts = {r["verdict"].partition(",")[0] for r in others}
     assert verdicts == {"all reached", "found", "finished", "planned"}, "every pose, every start, every end is reached"
     paths = {"planned", "reactive linear", "reactive quintic"}
     assert {r["method"] for r in others} == {"kept chain", "find_start", *paths, *planning.batch_kernels()}

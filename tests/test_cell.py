@@ -218,7 +218,7 @@ def test_arms_without_shapes_have_none(mixed_cell: RobotCell) -> None:
 # -- configurations --------------------------------------------------------------------------------------------------
 
 
-@given(st.lists(st.floats(-3.1, 3.1), min_size=35, max_size=35))
+@given(st.tuples(*[st.floats(-3.1, 3.1)] * 35))
 def test_configuration_and_positions_are_inverse(mixed_cell: RobotCell, x: list[float]) -> None:
     q = mixed_cell.configuration(x)
     assert q.shape == (mixed_cell.nq,)

@@ -410,12 +410,20 @@ def test_the_physics_engine_as_the_plant(load: Callable[[str], CellRun]) -> None
         load(one_arm(path=LINE) + '[plant]\nkind = "real"\n')
 
 
+TORQUES = 'kind = "physics"\nservo = "disturbance observer"\nsettle = 0.2\nassumed_mass = 0.5\ntorque_limits = 1e3\n'
+
+
+@pytest.mark.slow
 def test_torque_controlled_drives_as_the_plant(load: Callable[[str], CellRun]) -> None:
-    plant = 'kind = "physics"\nservo = "disturbance observer"\nsettle = 0.2\nassumed_mass = 0.5\ntorque_limits = 1e3\n'
     text = one_arm(path=LINE).replace('name = "one"', 'name = "one"\nsteps = 20', 1)
-    assert load(f"{text}\n[plant]\n{plant}").run().finished
+    assert load(f"{text}\n[plant]\n{TORQUES}").run().finished
+
+
+def test_options_of_torque_controlled_drives_are_read_and_checked(load: Callable[[str], CellRun]) -> None:
+    text = one_arm(path=LINE)
+    assert load(f"{text}\n[plant]\n{TORQUES}").plant() is not None
     with pytest.raises(CellFileError, match=r"plant: .*observer_bandwidth"):
-        load(f"{text}\n[plant]\n{plant}observer_bandwidth = 1000\n").plant()
+        load(f"{text}\n[plant]\n{TORQUES}observer_bandwidth = 1000\n").plant()
     with pytest.raises(CellFileError, match=r"servo.*computed torque"):
         load(f'{text}\n[plant]\nkind = "physics"\nservo = "torque"\n')
 

@@ -166,6 +166,37 @@ def test_dense_is_the_arms_jacobians(setting: tuple[Chain, Array]) -> None:
         assert not np.delete(block, np.arange(s.start, s.stop), axis=1).any()
 
 
+def test_an_edge_is_where_the_least_singular_value_is_headed_for_zero(setting: tuple[Chain, Array]) -> None:
+    """σ along the motion v = Jᵀ u that moves the object least, by finite differences: the edge is at −σ/σ̇ v."""
+    chain, q = setting
+
+    def jacobian(at: Array, arm: slice, k: int) -> Array:
+        chain.linearise(at, ABOUT)
+        return chain.dense()[6 * k : 6 * k + 6, arm]
+
+    chain.linearise(q, ABOUT)
+    edges = chain.edges()
+    for k, arm in enumerate(chain.cell.v_slices):
+        if arm.stop - arm.start < 6:
+            assert edges[arm].min() >= 1e3  # its reach is judged otherwise
+            continue
+        U, sizes, _ = np.linalg.svd(jacobian(q, arm, k))
+        v = np.zeros(chain.nv)
+        v[arm] = jacobian(q, arm, k).T @ U[:, 5]
+        ends = [np.linalg.svd(jacobian(chain.cell.moved(q, step * v), arm, k))[1][5] for step in (-1e-5, 1e-5)]
+        np.testing.assert_allclose(edges[arm], -2e-5 * sizes[5] / (ends[1] - ends[0]) * v[arm], rtol=1e-4)
+
+
+def test_compliances_are_those_of_joints_in_series(setting: tuple[Chain, Array], rng: Any) -> None:
+    """A wrench w bends joint j by softness_j (Jᵀ w)_j, and the object gives way by J times that."""
+    chain, q = setting
+    chain.linearise(q, ABOUT)
+    softness, state = rng.uniform(0.1, 2.0, chain.nv), CellState(chain.cell, q)
+    for k, arm in enumerate(chain.cell.v_slices):
+        J, wrench = tool_jacobian(state, k), rng.normal(size=6)
+        close(chain.compliances(softness)[k] @ wrench, J @ (softness[arm] * (J.T @ wrench)), 1e-12)
+
+
 def scale_of(chain: Chain, k: int) -> Array:
     """The unit of each joint of an arm: its speed limit."""
     speed = chain.cell.limits.velocity[chain.cell.v_slices[k]]
@@ -435,8 +466,8 @@ def test_the_order_of_the_arms_does_not_matter(make_cell: Any, order: list[int],
 
 @FEW
 @given(
-    st.lists(st.floats(-3.0, 3.0), min_size=3, max_size=3),
-    st.lists(st.floats(-10.0, 10.0), min_size=3, max_size=3),
+    st.tuples(*[st.floats(-3.0, 3.0)] * 3),
+    st.tuples(*[st.floats(-10.0, 10.0)] * 3),
 )
 def test_the_world_frame_does_not_matter(make_cell: Any, turn: list[float], shift: list[float]) -> None:
     pin.seed(13)

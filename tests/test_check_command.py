@@ -12,7 +12,7 @@ from matplotlib.image import imread
 from coopqp.app import cli
 from coopqp.look.check_plots import check_figure
 from coopqp.planning import check_path
-from coopqp.scenarios import at_limit, dual_arm7, paper_lift
+from coopqp.scenarios import at_limit, dual_arm7, mixed_cell, paper_lift
 
 CELL = """
 name = "one"
@@ -68,7 +68,10 @@ def test_the_exit_status_is_the_verdict(tmp_path: Path, capsys: pytest.CaptureFi
     said = capsys.readouterr().out
     assert said.startswith("UNDECIDED\nIt is not decided whether the arms can follow the path: 1.2")
     assert "remedy: start arm arm_1 in another branch (certified)." in said
-    assert cli.main(["check", "at_singularity", "--any-start", "--quiet"]) == 0
+    assert cli.main(["check", "at_singularity", "--any-start", "--branches"]) == 0
+    said = capsys.readouterr().out
+    open_ = said.partition("arm arm_2; * is judged")[0].count("undecided")
+    assert f" branches follow the path, {open_} are not decided; least margin" in said.splitlines()[2]
     assert cli.main(["check", "scara_pair"]) == 0
     assert capsys.readouterr().out.startswith("SAMPLED\n")
     assert cli.main(["check", cell_file(tmp_path, x=5.0)]) == 3
@@ -121,3 +124,14 @@ def test_the_picture_shows_each_joint_and_what_is_proved() -> None:
     panel = check_figure(check_path(task.cell, task.grasp, task.path, q_start=task.q_start)).axes[0]
     assert min(float(np.min(line.get_ydata())) for line in panel.lines) < -10.0
     assert panel.get_ylim()[0] < 0.0
+    assert " ".join(panel.get_title().split()) == "master: infeasible after 0.60 s"
+
+
+def test_a_joint_without_limits_has_no_margin_in_the_picture() -> None:
+    task = mixed_cell()
+    check = check_path(task.cell, task.grasp, task.path, q_start=task.q_start)
+    with np.errstate(all="raise"):
+        panel = check_figure(check).axes[2]
+    chosen = check.arms[2].chosen
+    assert chosen is not None
+    assert len(panel.lines) == np.isfinite(chosen.margins).sum() + 1 == 6

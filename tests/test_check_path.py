@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import json
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -69,23 +70,28 @@ class Oracle:
             pin.computeJointJacobians(self.model, self.data, self.configuration(x))
             error = pin.log6(pin.updateFramePlacement(self.model, self.data, self.frame).actInv(target)).vector
             J = pin.getFrameJacobian(self.model, self.data, self.frame, pin.LOCAL)
-            if np.abs(error).max() < 1e-10:
+            if error.dot(error) < 1e-20:
                 return J, x
             x = x + (np.linalg.solve(J, error) if len(x) == 6 else np.linalg.lstsq(J, error, rcond=None)[0])
         return J, x if np.abs(error).max() < 1e-9 else None
 
-    def follow(self, path: ObjectPath, X: pin.SE3, q: Any, samples: int = 1001) -> tuple[Any, Any]:
-        """Joint positions and σ_min at samples of a path, from ``q``, up to the last that is reached without a jump."""
+    def follow(self, tools: Sequence[pin.SE3], q: Any) -> tuple[Any, Any]:
+        """Joint positions and σ_min at tool poses in the world, from ``q``, up to the last reached without a jump."""
         x, rows, jacobians = q, [], []
-        for clock in np.linspace(0.0, path.duration, samples):
+        for T in tools:
             if len(rows) >= 3:
                 x = 3.0 * rows[-1] - 3.0 * rows[-2] + rows[-3]
-            J, x = self.reach(path.pose(clock) * X, x)
+            J, x = self.reach(T, x)
             if x is None or (rows and np.abs(x - rows[-1]).max() > 0.5):
                 break
             rows.append(x)
             jacobians.append(J)
         return np.array(rows), np.linalg.svd(np.array(jacobians), compute_uv=False)[:, -1]
+
+
+def tool_poses(path: ObjectPath, X: pin.SE3, samples: int) -> list[pin.SE3]:
+    """Poses of a tool that holds the object at ``X``, at samples of a path."""
+    return [path.pose(clock) * X for clock in np.linspace(0.0, path.duration, samples)]
 
 
 def random_task(arm: Arm, rng: Any) -> tuple[RobotCell, Grasp, ObjectPath]:
@@ -111,15 +117,16 @@ def judged(robots: tuple[str, ...], enough: int, rng: Any, samples: int = 1001) 
     for name in itertools.cycle(robots):
         cell, grasp, path = random_task(arm_of(name), rng)
         limits, oracle = cell.limits, Oracle(cell.arms[0])
+        dense, coarse = (tool_poses(path, grasp.T_object_tool[0], n) for n in (samples, samples // 4))
         for branch in check_path(cell, grasp, path).arms[0].branches:
             start = branch.q[0]
             if np.minimum(start - limits.lower, limits.upper - start).min() < -1e-9:
                 assert branch.verdict is INFEASIBLE
                 continue
-            number = samples if branch.verdict is CERTIFIED else samples // 4
-            q, sigma = oracle.follow(path, grasp.T_object_tool[0], start, number)
+            tools = dense if branch.verdict is CERTIFIED else coarse
+            q, sigma = oracle.follow(tools, start)
             margins = np.minimum(q - limits.lower, limits.upper - q).min(axis=0)
-            follows = len(q) == number and margins.min() >= 0.0
+            follows = len(q) == len(tools) and margins.min() >= 0.0
             if branch.verdict is CERTIFIED:
                 count["certified"] += 1
                 assert follows, f"{name}: the branch from {start} does not follow the path"
@@ -226,7 +233,9 @@ def test_a_wrist_that_is_passed_closely_is_never_certified(miss: float) -> None:
     assert check.verdict is UNDECIDED
     assert {i.arm for i in check.intervals} == {"arm_1"}
     assert [arm.verdict for arm in check.arms[1:]] == [CERTIFIED, CERTIFIED]
-    q, sigma = Oracle(task.cell.arms[0]).follow(task.path, task.grasp.T_object_tool[0], task.q_start[:6], 2001)
+    q, sigma = Oracle(task.cell.arms[0]).follow(
+        tool_poses(task.path, task.grasp.T_object_tool[0], 2001), task.q_start[:6]
+    )
     clocks = np.linspace(0.0, task.path.duration, 2001)[: len(q)]
     worst = clocks[sigma.argmin()]
     assert any(i.start <= worst <= i.end or abs(worst - i.start) < 2e-3 for i in check.intervals)
@@ -238,7 +247,9 @@ def test_a_wrist_that_is_passed_at_some_distance_is_certified() -> None:
         task = at_singularity(miss=miss)
         check = check_path(task.cell, task.grasp, task.path, q_start=task.q_start)
         assert check.verdict is CERTIFIED
-        _, sigma = Oracle(task.cell.arms[0]).follow(task.path, task.grasp.T_object_tool[0], task.q_start[:6], 4001)
+        _, sigma = Oracle(task.cell.arms[0]).follow(
+            tool_poses(task.path, task.grasp.T_object_tool[0], 4001), task.q_start[:6]
+        )
         branch = check.arms[0].chosen
         assert branch is not None
         assert branch.sigma_bound <= sigma.min() <= branch.sigma_min.min() + 1e-6
@@ -346,7 +357,9 @@ def test_a_limit_on_the_way_is_named_with_joint_clock_and_amount() -> None:
         assert branch is not None
         own = task.cell.v_slices[k]
         limits = task.cell.limits
-        q, _ = Oracle(task.cell.arms[k]).follow(task.path, task.grasp.T_object_tool[k], task.q_start[own], 2001)
+        q, _ = Oracle(task.cell.arms[k]).follow(
+            tool_poses(task.path, task.grasp.T_object_tool[k], 2001), task.q_start[own]
+        )
         outside = ((q < limits.lower[own]) | (q > limits.upper[own])).any(axis=1)
         clocks = np.linspace(0.0, task.path.duration, 2001)
         assert branch.until == pytest.approx(clocks[outside.argmax()], abs=0.01)
@@ -414,7 +427,7 @@ def dense_check(check: Any) -> bool:
     """The start of a check against dense samples: all arms follow the whole path inside their limits."""
     for k, (arm, X) in enumerate(zip(check.cell.arms, check.grasp.T_object_tool, strict=True)):
         own = check.cell.v_slices[k]
-        q, sigma = Oracle(arm).follow(check.path, X, check.cell.positions(check.q_start)[own], 301)
+        q, sigma = Oracle(arm).follow(tool_poses(check.path, X, 301), check.cell.positions(check.q_start)[own])
         if len(q) < 301 or np.minimum(q - arm.limits.lower, arm.limits.upper - q).min() < 0.0 or sigma.min() < 1e-3:
             return False
     return True

@@ -48,7 +48,7 @@ def task() -> Scenario:
     return paper_lift(time_law="quintic")
 
 
-@given(st.lists(st.floats(-50.0, 50.0), min_size=24, max_size=24))
+@given(st.tuples(*[st.floats(-50.0, 50.0)] * 24))
 def test_what_the_load_takes_is_not_internal_and_what_cancels_is(task: Scenario, numbers: list[float]) -> None:
     """With the least wrenches at the tools that carry a load, torques at a tenth of a metre, nothing is internal."""
     X, load, free = task.grasp.T_object_tool, np.array(numbers[:6]), np.array(numbers[6:]).reshape(3, 6)

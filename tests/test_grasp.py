@@ -20,7 +20,7 @@ Array = NDArray[np.float64]
 RandomQ = Callable[[RobotCell, np.random.Generator], Array]
 
 lengths = st.floats(0.01, 5.0)
-vectors = st.lists(st.floats(-3.0, 3.0), min_size=3, max_size=3).map(np.array)
+vectors = st.tuples(*[st.floats(-3.0, 3.0)] * 3).map(np.array)
 poses = st.builds(lambda w, p: pin.SE3(pin.exp3(w), p), vectors, vectors)
 
 
@@ -123,7 +123,7 @@ def test_the_object_is_where_the_arms_hold_it_by_their_shares(paper: Scenario, r
     assert np.abs(errors.sum(axis=0)).max() < 1e-7
 
 
-@given(st.lists(poses, min_size=1, max_size=4), st.lists(st.floats(-2, 2), min_size=6, max_size=6))
+@given(st.lists(poses, min_size=1, max_size=4), st.tuples(*[st.floats(-2, 2)] * 6))
 def test_increments_are_adjoints(X: list[pin.SE3], delta: list[float]) -> None:
     got = Grasp(tuple(X)).arm_increments(delta)
     assert got.shape == (len(X), 6)
@@ -131,7 +131,7 @@ def test_increments_are_adjoints(X: list[pin.SE3], delta: list[float]) -> None:
         close(adjoint(x) @ d, np.array(delta), 1e-11)
 
 
-@given(poses, st.lists(st.floats(-0.5, 0.5), min_size=6, max_size=6))
+@given(poses, st.tuples(*[st.floats(-0.5, 0.5)] * 6))
 def test_increments_keep_the_grasp(T: pin.SE3, delta: list[float]) -> None:
     """After finite motions Δ^k of the tools, all arms carry the object at the pose moved by Δ."""
     grasp = Grasp.triangle(0.6, 0.3)

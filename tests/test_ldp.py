@@ -29,9 +29,10 @@ from coopqp import (
     make_solver,
 )
 from coopqp.control.solvers import default_solver
-from coopqp.control.solvers.base import INFINITE, Workspace
+from coopqp.control.solvers.base import Workspace
 from coopqp.control.solvers.daqp import DaqpSolver
-from coopqp.control.solvers.polish import REACH, kkt_residual
+from coopqp.control.solvers.polish import REACH, measure
+from coopqp.control.solvers.problem import INFINITE
 from coopqp.scenarios import fast_lift
 
 native = pytest.importorskip("coopqp.control.core._native", reason="the core is not compiled")
@@ -134,7 +135,8 @@ def residual(problem: QpProblem, solution: QpSolution) -> float:
     assert solution.y_eq is not None
     assert solution.y_rows is not None
     assert solution.y_box is not None
-    return kkt_residual(problem, work, solution.x, np.concatenate([solution.y_box, solution.y_rows, solution.y_eq]))
+    y = np.concatenate([solution.y_box, solution.y_rows, solution.y_eq])
+    return measure(problem, work, solution.x, y).absolute
 
 
 # -- answers -----------------------------------------------------------------------------------------------------------

@@ -49,6 +49,7 @@ from coopqp.scenarios import (
     ring,
     scenario,
 )
+from coopqp.spatial import largest
 
 pytestmark = pytest.mark.skipif("compiled" not in available_kernels(), reason="there is no compiled core here")
 
@@ -92,15 +93,15 @@ class Pair:
         a, b = self.compiled.step(q, dt=dt), self.plain.step(q, dt=dt)
         near = max(self.same, SAME_AT_REST) if b.rate < 1e-6 else self.same
         # Of a number that is none no comparison is true.
-        assert np.abs(a.velocity - b.velocity).max() <= near, self.where(a, b)
-        assert np.abs(a.q_next - b.q_next).max() <= self.same, self.where(a, b)
+        assert largest(np.abs(a.velocity - b.velocity)) <= near, self.where(a, b)
+        assert largest(np.abs(a.q_next - b.q_next)) <= self.same, self.where(a, b)
         assert abs(a.rate - b.rate) <= 100.0 * self.same, self.where(a, b)
         assert abs(a.clock_next - b.clock_next) <= 100.0 * self.same, self.where(a, b)
         assert (a.status, a.binding, a.reason, a.dt) == (b.status, b.binding, b.reason, b.dt), self.where(a, b)
-        off = np.subtract(a.given_up.off_path, b.given_up.off_path)
-        assert np.abs(off).max() <= self.same, self.where(a, b)
+        one, other = a.given_up, b.given_up
+        assert all(abs(x - y) <= self.same for x, y in zip(one.off_path, other.off_path, strict=True)), self.where(a, b)
         for name in ("rate", "grasp", "path", "chain"):
-            lost = getattr(a.given_up, name) - getattr(b.given_up, name)
+            lost = getattr(one, name) - getattr(other, name)
             assert abs(lost) <= 1e4 * self.same, f"{self.where(a, b)}: given up, {name}"
         for name in ("rate", "clock", "clock_next", "dt", "finished"):  # a recording writes them as JSON
             assert type(getattr(a, name)) is type(getattr(b, name)), f"{self.where(a, b)}: {name}"
@@ -319,6 +320,19 @@ def test_both_agree_under_acceleration_limits(make: Callable[[], Scenario], mode
 def test_both_agree_under_acceleration_limits_in_short(acceleration: float) -> None:
     for mode in IN_SHORT:
         run_in(mode, limited(mixed_cell, acceleration), 100)
+
+
+@pytest.mark.core
+@pytest.mark.parametrize("acceleration", [np.inf, 5.0])
+def test_both_agree_with_other_settings_of_the_preview(acceleration: float) -> None:
+    """A gentler rise of the rate, more in reserve: the object starts later than with the defaults, in both alike."""
+    task = limited(paper_lift, acceleration)
+    other = pair(task, dt=0.01, preview=PreviewOptions(rate_slope=3.0, margin=0.8, doubt=0.1, curvature_share=0.4))
+    other.run(100)
+    usual = pair(task, dt=0.01)
+    usual.run(100)
+    if np.isfinite(acceleration):
+        assert other.plain.step().clock < usual.plain.step().clock
 
 
 @pytest.mark.slow
@@ -736,7 +750,7 @@ IN_PYTHON: dict[str, dict[str, str]] = {
         "STILL_OBJECT": "AT_REST", "NOWHERE": "_NOWHERE", "SHORTEST_CHANGE": "_SHORTEST", "SPEEDS": "_SPEEDS",
     },
     "control.effort": {"CHANGE_SHARE": "_SHARE", "LARGEST_JUMP": "_LARGEST_JUMP"},
-    "control.qp": {"RATE_TOLERANCE": "_ROUNDING"},
+    "control.going_over": {"RATE_TOLERANCE": "_ROUNDING"},
     "control.drift": {
         "WANDER": "_WANDER", "LAG": "_LAG", "LEAST_LAG": "_LEAST_LAG", "DRIFT_FLOOR": "_FLOOR",
         "DRIFT_SAMPLE": "_SAMPLE", "SMOOTHING": "_SMOOTHING", "DRIFT_PERIOD": "_PERIOD",

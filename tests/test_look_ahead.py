@@ -160,3 +160,25 @@ def test_no_step_looks_far_ahead_at_once(monkeypatch: pytest.MonkeyPatch) -> Non
         assert preview.cap(clock, DT) == (1.0, None)
         most = max(most, calls[0])
     assert 0 < most <= 3
+
+
+def test_a_path_asked_for_faster_than_joints_follow_takes_no_more_knots() -> None:
+    """Where σ² ≤ a / |q″| keeps the object slow, knots lie as far apart on the way however fast it is asked for."""
+    task = paper_lift()
+    start = task.path.pose(0.0)
+    ends = [start, pin.SE3(start.rotation, start.translation + np.array([0.0, 0.05, 0.15]))]
+
+    def knots(duration: float) -> int:
+        path = WaypointPath(ends, durations=[duration], time_law=TimeLaw.LINEAR)
+        preview = preview_of(replace(task, path=path, cell=task.cell.with_limits(acceleration=0.5)))
+        preview.reset(task.q_start, 0.0)
+        clock, known = 0.0, set()
+        while clock < duration:
+            clock += max(preview.cap(clock, DT)[0], 0.01) * DT
+            known |= {knot.clock for knot in preview.horizon.knots}
+        return len(known)
+
+    slow = knots(0.2)
+    assert slow > 10
+    assert knots(0.1) <= slow + 1
+    assert knots(0.05) <= slow + 1

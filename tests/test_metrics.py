@@ -33,7 +33,7 @@ from coopqp.scenarios import Scenario
 
 Array = NDArray[np.float64]
 
-vectors = st.lists(st.floats(-2.0, 2.0), min_size=3, max_size=3).map(np.array)
+vectors = st.tuples(*[st.floats(-2.0, 2.0)] * 3).map(np.array)
 poses = st.builds(lambda w, p: pin.SE3(pin.exp3(w), p), vectors, vectors)
 grasps = st.lists(poses, min_size=2, max_size=4).map(lambda X: Grasp(tuple(X)))
 NAN_POSE = pin.SE3(np.eye(3), np.full(3, np.nan))

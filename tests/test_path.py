@@ -27,7 +27,7 @@ from coopqp.task.path import ScrewParameters, as_time_law
 
 Array = NDArray[np.float64]
 
-vectors = st.lists(st.floats(-3.0, 3.0), min_size=3, max_size=3).map(np.array)
+vectors = st.tuples(*[st.floats(-3.0, 3.0)] * 3).map(np.array)
 poses = st.builds(lambda w, p: pin.SE3(pin.exp3(0.9 * w), p), vectors, vectors)
 laws = st.sampled_from(list(TimeLaw))
 durations = st.floats(0.01, 100.0)

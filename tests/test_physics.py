@@ -81,6 +81,11 @@ def plant_of(cell: RobotCell, q: Array, **options: Any) -> PhysicsPlant:
 # -- the model ---------------------------------------------------------------------------------------------------------
 
 
+def joints_of(plant: PhysicsPlant) -> list[int]:
+    """Indices of the joints in the engine's velocities."""
+    return [plant.mj_model.joint(name).dofadr[0] for name in plant.cell.joint_names]
+
+
 def engine_mass_matrix(plant: PhysicsPlant) -> Array:
     m, d = plant.mj_model, plant.mj_data
     columns = []
@@ -88,7 +93,7 @@ def engine_mass_matrix(plant: PhysicsPlant) -> Array:
         column = np.zeros(m.nv)
         mujoco.mj_mulM(m, d, column, unit)
         columns.append(column)
-    joints = plant._v_at
+    joints = joints_of(plant)
     return np.array(columns).T[np.ix_(joints, joints)]
 
 
@@ -102,10 +107,10 @@ def assert_same_robots(cell: RobotCell, q: Array, rng: np.random.Generator) -> N
     expected_mass = upper + np.triu(upper, 1).T
     np.testing.assert_allclose(engine_mass_matrix(plant), expected_mass, atol=1e-5)
     v = rng.uniform(-1.0, 1.0, cell.nv)
-    plant.mj_data.qvel[plant._v_at] = v
+    plant.mj_data.qvel[joints_of(plant)] = v
     mujoco.mj_forward(plant.mj_model, plant.mj_data)
     bias = pin.nonLinearEffects(cell.model, cell.model.createData(), q, v)
-    np.testing.assert_allclose(plant.mj_data.qfrc_bias[plant._v_at], bias, atol=1e-4)
+    np.testing.assert_allclose(plant.mj_data.qfrc_bias[joints_of(plant)], bias, atol=1e-4)
 
 
 def test_the_engine_s_robots_are_pinocchio_s(

@@ -185,6 +185,22 @@ def test_a_plan_is_a_cell_file_that_runs(tmp_path: Path, capsys: pytest.CaptureF
     assert main(["run", str(out / "plan.toml"), "--out", str(tmp_path / "run"), "--quiet"]) == 0
 
 
+@pytest.mark.slow
+def test_the_command_compares_starts_of_a_file_without_one(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    text = BAR.read_text(encoding="utf-8")
+    file = tmp_path / "bar.toml"
+    file.write_text(text[: text.index("[start]")] + text[text.index("[object]") :], encoding="utf-8")
+    durations = []
+    for starts in ("1", "8"):
+        out = tmp_path / starts
+        assert main(["plan", str(file), "--out", str(out), "--starts", starts, "--quiet"]) == 0
+        durations.append(load_cell_file(out / "plan.toml").scenario.path.duration)
+    assert durations[1] < 0.97 * durations[0]
+    for wrong, says in ((BAR, "--starts is for files without a table 'start'"), (file, "starts: 0 is no whole number")):
+        assert main(["plan", str(wrong), "--out", str(tmp_path / "b"), "--starts", "3" if wrong is BAR else "0"]) == 2
+        assert says in capsys.readouterr().err
+
+
 def test_exit_statuses(tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
     out = str(tmp_path / "plan")
     assert main(["plan", str(tmp_path / "none.toml"), "--out", out]) == 2

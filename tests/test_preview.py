@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import itertools
 import os
 from dataclasses import replace
@@ -94,17 +95,22 @@ def driven(task: Scenario, *, longest: float) -> tuple[Array, Array, Any]:
 # -- the caps ----------------------------------------------------------------------------------------------------------
 
 
+@functools.cache
+def dense_lift() -> tuple[Scenario, float, Array, Array]:
+    """A lift, and its joints at clocks so far from each other [s]."""
+    task, h = paper_lift(time_law=TimeLaw.QUINTIC, duration=1.5), 0.002
+    clocks = np.arange(0.0, task.path.duration + h / 2, h)
+    return task, h, clocks, Joints(task).table(clocks)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("speed", "acceleration"), [(0.4, 3.0), pytest.param(np.inf, 0.6, marks=pytest.mark.slow), (0.25, 20.0)]
 )
 def test_caps_are_those_of_path_timing_by_brute_force(speed: float, acceleration: float) -> None:
     """K(τ): the largest z = σ² from which an admissible σ̇ leads to K a little later, backwards over a table of q(τ)."""
-    task = paper_lift(time_law=TimeLaw.QUINTIC, duration=1.5)
+    task, h, clocks, q = dense_lift()
     task = replace(task, cell=task.cell.with_limits(velocity=speed, acceleration=acceleration))
-    h = 0.002
-    clocks = np.arange(0.0, task.path.duration + h / 2, h)
-    q = Joints(task).table(clocks)
     slope = np.gradient(q, h, axis=0)
     slope[np.abs(slope) < 1e-12] = 1e-12
     bend = np.gradient(slope, h, axis=0)

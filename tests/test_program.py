@@ -28,7 +28,7 @@ from coopqp.control.command import NO_SOLVE
 from coopqp.control.constraints import Rows, no_rows
 from coopqp.control.forms import Answer, Pieces, StepProgram, StepTerms
 from coopqp.control.limits import VelocityBox
-from coopqp.control.ranks import StepAnswer, StepSolver
+from coopqp.control.ranks import StepAnswer, StepSolver, _least_broken
 from coopqp.model.chain import Chain
 from coopqp.scenarios import (
     LOADED,
@@ -300,6 +300,24 @@ def test_pieces_add_up_to_the_command(monkeypatch: pytest.MonkeyPatch, rng: np.r
 # -- the ray -----------------------------------------------------------------------------------------------------------
 
 
+def test_joints_that_are_free_go_along_at_any_rate_for_nothing(
+    monkeypatch: pytest.MonkeyPatch, rng: np.random.Generator
+) -> None:
+    """Full form: at a rate σ of the object the motion σ z′ of the free joints has no cost, only the late object has."""
+    recorded = next(steps(dual_arm7(), monkeypatch))
+    chain, weights = recorded.chain, recorded.program.weights
+    along = chain.null_basis() @ rng.normal(size=chain.redundancy)
+    terms = replace(recorded.terms, null_along=along, null_offset=None)
+    problem, costs = recorded.program.full(terms, recorded.box), []
+    for share in (0.0, 0.5, 1.0):
+        late = (1.0 - share) * terms.rate_cap
+        x = np.zeros(len(problem.g))
+        x[: chain.nv], x[chain.nv + 6] = share * terms.rate_cap * along, late * np.sqrt(weights.rate)
+        costs.append(0.5 * x @ problem.H @ x + problem.g @ x - 0.5 * weights.rate * late**2)
+    assert costs[0] < 0.0  # the square that is left out where no joint moves
+    np.testing.assert_allclose(costs, costs[0], rtol=1e-6)
+
+
 def test_the_ray_is_what_the_weights_tend_to(monkeypatch: pytest.MonkeyPatch) -> None:
     """The ray solves the strict ranks. The distance of the weighted QP is proportional to rate cost / off-path cost."""
     task = paper_lift(time_law="quintic")
@@ -466,6 +484,43 @@ def test_a_solver_that_breaks_limits_is_not_believed(monkeypatch: pytest.MonkeyP
         assert recorded.program.parting(Answer(answer.velocity, *shares, answer.off_path), recorded.terms) < 1e-5
 
 
+def test_an_object_that_must_go_on_faster_than_its_cap_does_so_along_the_path(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where no joint can be as slow as the cap asks, the least rate that they can follow is kept."""
+    for recorded in steps(paper_lift(), monkeypatch, every=60):
+        terms, n = replace(recorded.terms, rate_cap=0.3), recorded.chain.nv
+        pieces = recorded.program.pieces(terms)
+        base = pieces.fixed + pieces.grasp + pieces.path
+        ends = base + 0.5 * pieces.along, base + 0.7 * pieces.along
+        box = Box(np.minimum(*ends), np.maximum(*ends), np.zeros(n, dtype=bool), np.zeros(n))
+        solver = StepSolver(recorded.chain, box, QPOptions())  # type: ignore[arg-type]
+        answer = solver.answer(terms, np.zeros(n), 0.02, no_rows(n))
+        assert answer.rate == pytest.approx(0.5, abs=1e-6)
+        np.testing.assert_allclose(answer.velocity, ends[0], atol=1e-9)
+
+
+def test_rows_that_may_give_way_are_broken_by_the_least(rng: np.random.Generator) -> None:
+    """Of the shares from ``low`` to 1 the first that breaks no row, else the one whose worst excess is least."""
+    kinds = set()
+    for _ in range(100):
+        G, base, along = rng.normal(size=(3, 4)), rng.normal(size=4), rng.normal(size=4)
+        low, middle = rng.uniform(0.0, 0.5), rng.normal(size=3)
+        rows = Rows(G, middle - 1.0, middle + 1.0, np.ones(3, dtype=bool), np.zeros(3, dtype=int))
+        shares = np.linspace(low, 1.0, 2001)
+        values = G @ (base + shares[:, None] * along).T
+        excess = np.maximum(values - rows.upper[:, None], rows.lower[:, None] - values).max(axis=0)
+        share, broken = _least_broken(rows, base, along, low, 1.0)
+        step = np.abs(G @ along).max() * (shares[1] - shares[0])
+        assert low <= share <= 1.0
+        if (excess <= 0.0).any():
+            kinds.add("kept")
+            assert broken == 0.0
+            assert share == pytest.approx(shares[(excess <= 0.0).argmax()], abs=2.0 * (shares[1] - shares[0]))
+        else:
+            kinds.add("broken")
+            assert broken == pytest.approx(excess.min(), abs=step)
+    assert kinds == {"kept", "broken"}
+
+
 def braking(task: Scenario, monkeypatch: pytest.MonkeyPatch) -> Iterator[tuple[Recorded, Array]]:
     """Steps of a motion, and joint velocities that follow the path at full rate."""
     seen = 0
@@ -484,7 +539,7 @@ def brake(recorded: Recorded, v: Array, lower: Array, upper: Array) -> StepAnswe
     solver = StepSolver(recorded.chain, box, QPOptions(solver=Raising(), shortcut=False))  # type: ignore[arg-type]
     answer = solver.answer(recorded.terms, v, 0.02, no_rows(n))
     assert answer.braked
-    assert answer.path_share == 0.0
+    assert answer.grasp_share == answer.path_share == 0.0  # nothing is promised but to slow down
     assert ((answer.velocity >= lower) & (answer.velocity <= upper)).all()
     return answer
 

@@ -110,8 +110,8 @@ def test_type_checkers_and_the_running_package_find_a_name_in_the_same_module(pa
     (branch,) = (node for node in source_of(package).body if isinstance(node, ast.If))
     typed = {(name, module) for module, name in imports(ast.Module(branch.body, []))}
     (table,) = (node for node in ast.walk(ast.Module(branch.orelse, [])) if isinstance(node, ast.Dict))
-    places: dict[str, tuple[str, ...]] = ast.literal_eval(table)
-    assert {(name, module) for module, names in places.items() for name in names} == typed
+    places: dict[str, str] = ast.literal_eval(table)
+    assert {(name, module) for module, names in places.items() for name in names.split()} == typed
 
 
 @pytest.mark.parametrize("package", LAZY)

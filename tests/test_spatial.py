@@ -21,8 +21,8 @@ Array = NDArray[np.float64]
 MANY = settings(max_examples=10 * settings().max_examples)
 
 coordinate = st.floats(-10.0, 10.0)
-vectors = st.lists(coordinate, min_size=3, max_size=3).map(np.array)
-turns = st.lists(st.floats(-3.0, 3.0), min_size=3, max_size=3).map(np.array)
+vectors = st.tuples(*[coordinate] * 3).map(np.array)
+turns = st.tuples(*[st.floats(-3.0, 3.0)] * 3).map(np.array)
 
 
 @st.composite
@@ -295,3 +295,4 @@ def test_half_a_turn_is_not_mistaken_for_none(rng: np.random.Generator) -> None:
 
 def test_log_of_nan_is_nan() -> None:
     assert np.isnan(log6_batch(np.full((2, 3, 3), np.nan), np.zeros((2, 3)))).any()
+    assert log6_batch(np.empty((0, 3, 3)), np.empty((0, 3))).shape == (0, 6)

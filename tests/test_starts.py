@@ -6,6 +6,7 @@ import copy
 import itertools
 import pickle
 import sys
+import warnings
 from pathlib import Path
 from typing import Any
 
@@ -26,6 +27,7 @@ from coopqp import (
     QPController,
     QPOptions,
     RobotCell,
+    StartWarning,
     UnknownNameError,
     UnreachableError,
     WaypointPath,
@@ -155,7 +157,11 @@ def test_of_all_branches_the_one_with_the_largest_margins_is_taken(paper: Scenar
         scores = [branch.score for branch in found.branches if branch.feasible]
         assert found.chosen.score == max(scores)
         assert len(found.branches) == 8
-    assert f"of 8 branches follow the path; least margin {start.arms[0].margin:.3f}" in start.explain()
+    degrees = np.rad2deg(start.arms[0].margin)
+    assert (
+        f"of 8 branches follow the path; least margin {degrees:.1f}° at {start.arms[0].tightest_joint} ("
+        in start.explain()
+    )
 
 
 def test_turns_are_chosen_for_the_whole_path() -> None:
@@ -354,6 +360,18 @@ def cell_file(folder: Path, *, start: str = "", grasp: str = "tools", x: float =
 def test_a_cell_file_without_a_start_has_one_found(tmp_path: Path, start: str) -> None:
     task = load_cell_file(cell_file(tmp_path, start=start)).scenario
     np.testing.assert_array_equal(task.q_start, find_start(task.cell, task.grasp, task.path).q)
+
+
+def test_a_start_that_is_corrected_far_is_said(tmp_path: Path) -> None:
+    found = np.rad2deg(load_cell_file(cell_file(tmp_path)).scenario.q_start)
+    for away, said in ((15.0, []), (-25.0, ["arm a takes hold with joint_1 25.0° from the positions that are given"])):
+        near = found + np.array([away, 0.0, 0.0, 0.0, 0.0, 0.0])
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always")
+            run = load_cell_file(cell_file(tmp_path, start=f"start = {{ positions_deg = {{ a = {near.tolist()} }} }}"))
+        np.testing.assert_allclose(run.scenario.q_start, np.deg2rad(found), atol=1e-8)
+        assert [str(w.message).partition(": ")[2].partition(";")[0] for w in caught] == said
+        assert all(w.category is StartWarning for w in caught)
 
 
 def test_a_cell_file_without_a_start_says_what_is_wrong(tmp_path: Path) -> None:

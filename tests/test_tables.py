@@ -34,7 +34,7 @@ def test_tables_are_the_worst_of_their_records(tmp_path: Path, capsys: pytest.Ca
     assert main([str(tmp_path), "--into", str(tmp_path)]) == 0
     assert capsys.readouterr().out.count("written") == len(TABLES)
     text = (tmp_path / "README.md").read_text(encoding="utf-8")
-    assert "| object at 0.6 m/s, joints limited to 1 rad/s | 345 | 2e-4 | 0.5 |" in text
+    assert "| object at 0.6 m/s, joints limited to 1 rad/s; also to 5 rad/s² | 345 | 2e-4 | 0.5 |" in text
     assert "error at the end | 34 | 2e-5 | |" in text
     assert "| 16 | 24 | 40 | 75 | 0.32 |" in text
     assert main([str(tmp_path), "--into", str(tmp_path)]) == 0  # once more: the same

@@ -259,6 +259,17 @@ def test_the_profile_names_what_binds() -> None:
     assert LimitKind.VELOCITY in {b.kind for b in plan_of(slow).profile.binding if b}
 
 
+def test_of_arms_that_move_alike_the_first_is_named() -> None:
+    """On a straight lift in the middle of a ring the limits of all arms are used alike, up to rounding."""
+    scenario = ring(arms=4)
+    path = LinePath.displaced(scenario.path.pose(0.0), translation=(0.0, 0.0, 0.2), duration=1.0)
+    acceleration = np.full(scenario.cell.nv, 5.0)
+    acceleration[scenario.cell.v_slices[0]] *= 1.0 + 1e-12
+    cell = scenario.cell.with_limits(acceleration=acceleration)
+    profile = plan_of(replace(scenario, cell=cell, path=path)).profile
+    assert {b.arm for b in profile.binding if b} == {"arm_1"}
+
+
 # -- the path --------------------------------------------------------------------------------------------------------
 
 

@@ -28,7 +28,7 @@ clock = time.process_time_ns
 
 
 class Task:
-    """The cell, its start, and what it is to do.
+    """The cell, its start, and its task.
 
     Attributes:
         urdf, mjcf: files.
@@ -78,7 +78,7 @@ class Motion(Protocol):
         ...
 
     def step(self, i: int, reading: Array | None) -> Array:
-        """One period: targets of step ``i``, kinematics, solve, integrate; this is what is timed.
+        """One period: targets of step ``i``, kinematics, solve, integrate; the benchmark times this.
 
         Args:
             i: number of the step.
@@ -88,7 +88,7 @@ class Motion(Protocol):
             The command (nv,); the next step may overwrite the array.
 
         Raises:
-            Exception: there is none, the arms hold still.
+            Exception: no command; the arms hold still.
         """
         ...
 
@@ -102,7 +102,7 @@ class Motion(Protocol):
 
 
 class Timed:
-    """Motions whose targets come one a step, whatever the arms do."""
+    """Motions whose targets come one a step, wherever the arms are."""
 
     _task: Task
 
@@ -148,7 +148,7 @@ class _Session:
     """A motion that is carried on from round to round, and the servos: they report the command before the last.
 
     Attributes:
-        motion: what is stepped.
+        motion: the motion under test.
         i: number of the next step.
         command: the last one (nv,), or the start.
     """

@@ -15,7 +15,7 @@ from pink.limits import ConfigurationLimit, VelocityLimit
 from pink.tasks import FrameTask, RelativeFrameTask
 from protocol import Array, Task, Timed, serve
 
-#: As in pink's example of self-collision: its gain; the barrier sees so many of the nearest pairs.
+#: As in pink's example of self-collision: its gain, and the number of nearest pairs that the barrier sees.
 BARRIER_GAIN, MOST_PAIRS = 20.0, 10
 
 

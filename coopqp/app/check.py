@@ -80,7 +80,7 @@ def _run_check(arguments: argparse.Namespace) -> int:
 
 
 def _task(name: str) -> tuple[RobotCell, Grasp, ObjectPath, Array | None, CollisionScene | None, str]:
-    """Cell, grasp, path, start and bodies of a cell file or of a scenario, and what is to be said of the start."""
+    """Cell, grasp, path, start and bodies of a cell file or of a scenario, and remarks on the start."""
     from coopqp.collision.scene import CollisionScene
     from coopqp.files.cellfile import TOML_SUFFIX, YAML_SUFFIXES, load_cell_task
     from coopqp.scenarios import SCENARIOS

@@ -14,9 +14,10 @@ from coopqp.errors import CoopqpError, UndecidedError, UnreachableError, printab
 if TYPE_CHECKING:
     from coopqp.files.cellfile.build import CellRun
     from coopqp.planning import Plan
+    from coopqp.spatial import Array
 
 _OK, _INFEASIBLE, _UNDECIDED = 0, 3, 4
-#: What is written into the folder.
+#: Files in the folder.
 _FILES = ("plan.toml", "speed.png")
 #: Limits that are printed.
 _MOST_LIMITS = 8
@@ -45,6 +46,9 @@ def add_plan(commands: Any) -> None:
         "--torques", action="store_true", help="keep the torques within the models' limits, with the file's object"
     )
     parser.add_argument("--jerk", type=float, metavar="DEG", help="largest jerk of the joints [°/s³]; takes seconds")
+    parser.add_argument(
+        "--starts", type=int, default=1, metavar="N", help="compare N starts of each arm by time; the file gives none"
+    )
     parser.add_argument("--quiet", action="store_true", help="print errors only")
     parser.set_defaults(run=run_plan)
 
@@ -88,9 +92,11 @@ def _run(arguments: argparse.Namespace) -> int:
         report.note("finding a start")
         run = load_cell_file(arguments.cell)
         _check_accelerations(run, arguments.cell)
+        _check_starts(run, arguments.cell, arguments.starts)
         report.note("planning")
-        made = _plan(run, arguments, SHARE if arguments.share is None else arguments.share)
-        optimum = _plan(run, arguments, 1.0).path.duration
+        q_start = run.scenario.q_start if arguments.starts == 1 else None
+        made = _plan(run, arguments, SHARE if arguments.share is None else arguments.share, q_start)
+        optimum = _plan(run, arguments, 1.0, made.q_start).path.duration
         report.note("drawing the speed profile")
         picture = figure_bytes(profile_figure(made.path))
         text = planned_text(run, made, folder=arguments.cell.parent, into=folder)
@@ -118,7 +124,20 @@ def _check_accelerations(run: CellRun, file: Path) -> None:
         )
 
 
-def _plan(run: CellRun, arguments: argparse.Namespace, share: float) -> Plan:
+def _check_starts(run: CellRun, file: Path, count: int) -> None:
+    """Starts are compared where the file leaves the choice."""
+    from coopqp.files.cellfile import CellFileError
+
+    if count == 1:
+        return
+    settings = run.settings
+    for table, given in (("start", not settings.start.is_auto), ("collision", settings.collision is not None)):
+        if given:
+            raise CellFileError(f"{file}: --starts is for files without a table '{table}': leave one of both out.")
+
+
+def _plan(run: CellRun, arguments: argparse.Namespace, share: float, q_start: Array | None) -> Plan:
+    """The plan from a start (nq,), or from the fastest of those that are compared."""
     from coopqp.planning import plan
 
     task = run.scenario
@@ -127,7 +146,8 @@ def _plan(run: CellRun, arguments: argparse.Namespace, share: float) -> Plan:
         task.cell,
         task.grasp,
         task.path,
-        q_start=task.q_start,
+        q_start=q_start,
+        starts=arguments.starts if q_start is None else 1,
         blend=1e-3 * arguments.blend_mm,
         blend_angle=angle,
         payload=_payload(run) if arguments.torques else None,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shutil
 from collections.abc import Callable, Iterable
+from importlib import import_module
 from pathlib import Path
 
 from coopqp.collision.clearance import Clearance
@@ -28,30 +29,12 @@ PRODUCTS = {
 }
 
 
-def _require_viser() -> None:
-    from coopqp.look.viewer import require_viser
-
-    require_viser()
-
-
-def _require_rosbags() -> None:
-    from coopqp.files.export import require_rosbags
-
-    require_rosbags()
-
-
-def _require_matplotlib() -> None:
-    from coopqp.look.style import require_matplotlib
-
-    require_matplotlib()
-
-
-#: What raises MissingExtraError for products that need an extra.
-_NEEDS: dict[str, Callable[[], None]] = {
-    "report": _require_matplotlib,
-    "plots": _require_matplotlib,
-    "page": _require_viser,
-    "bag": _require_rosbags,
+#: Functions that raise MissingExtraError for products that need an extra: module and name.
+_NEEDS = {
+    "report": ("coopqp.look.style", "require_matplotlib"),
+    "plots": ("coopqp.look.style", "require_matplotlib"),
+    "page": ("coopqp.look.viewer", "require_viser"),
+    "bag": ("coopqp.files.export", "require_rosbags"),
 }
 
 
@@ -112,7 +95,8 @@ def output_folder(name: str, asked: str | None, products: Iterable[str], *, out:
         if product not in PRODUCTS:
             raise UnknownNameError("product", product, PRODUCTS)
         if product in _NEEDS:
-            _NEEDS[product]()
+            module, name = _NEEDS[product]
+            getattr(import_module(module), name)()
     files = [file for product in wanted for file in PRODUCTS[product]]
     folder = out or Path(asked or Path("out") / safe_name(name))
     if out is not None:
@@ -151,7 +135,7 @@ def write_products(
         _remove_bag(folder / PRODUCTS["bag"][0])
     say = tell or (lambda _: None)
     makers: dict[str, Callable[[Recording, Path, Callable[[str], None]], list[Path]]] = {
-        "recording": lambda run, into, _: [_save(run, into)],
+        "recording": lambda run, into, _: [save_recording(run, into / PRODUCTS["recording"][0])],
         "report": _report,
         "plots": _plots,
         "page": _page,
@@ -176,10 +160,6 @@ def _remove_bag(bag: Path) -> None:
         shutil.rmtree(bag)
     except OSError as error:
         raise OutputError(f"cannot replace {bag}: {error.strerror}. Give another folder.") from error
-
-
-def _save(recording: Recording, folder: Path) -> Path:
-    return save_recording(recording, folder / PRODUCTS["recording"][0])
 
 
 def save_recording(recording: Recording, file: Path) -> Path:

@@ -121,7 +121,7 @@ def _print(made: Sweep, files: list[Path]) -> None:
 
 # -- coopqp place --------------------------------------------------------------------------------------------------
 
-#: What is written into the folder.
+#: Files in the folder.
 _MAP, _RECORD, _MAP_PICTURE = "map.csv", "place.json", "map.png"
 
 
@@ -136,7 +136,7 @@ def _add_place(commands: Any) -> None:
         epilog="Exit status: 0 with a best placement; 3 if there is none, or if the cell as built (now) is impossible; "
         "2 for a bad study.",
     )
-    written = f"also write {_RECORD}, and of a map {_MAP} and {_MAP_PICTURE}"
+    written = f"also write {_RECORD}, and for a map {_MAP} and {_MAP_PICTURE}"
     parser.add_argument("--out", type=Path, metavar="DIR", help=written)
     parser.add_argument("--force", action="store_true", help="overwrite what is there")
 

@@ -29,7 +29,7 @@ class Reporter:
 
 
 class _Lines(Reporter):
-    """Prints one plain line on stderr at the beginning of each stage, and for each tenth of what is counted."""
+    """Prints one plain line on stderr at the beginning of each stage, and after each tenth of the items."""
 
     def __init__(self) -> None:
         self._begun: tuple[float, int] | None = None

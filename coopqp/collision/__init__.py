@@ -16,10 +16,10 @@ else:
     __getattr__, __dir__ = lazy_names(
         __name__,
         {
-            "coopqp.collision.clearance": ("Clearance",),
-            "coopqp.collision.pairs": ("PairRules",),
-            "coopqp.collision.scene": ("CollisionScene",),
-            "coopqp.model.shapes": ("Body", "Box", "Capsule", "Cylinder", "Hull", "Mesh", "NearPair", "Sphere"),
+            "coopqp.collision.clearance": "Clearance",
+            "coopqp.collision.pairs": "PairRules",
+            "coopqp.collision.scene": "CollisionScene",
+            "coopqp.model.shapes": "Body Box Capsule Cylinder Hull Mesh NearPair Sphere",
         },
     )
 

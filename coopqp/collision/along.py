@@ -108,7 +108,7 @@ class _Judge:
         rooms = d - self._required
         inside = (rooms[:, self._pairs] < -_ROUNDING).any(axis=0)
         judged = self._pairs
-        # What the pose of the object alone decides comes first: no motion of an elbow helps there, and no other start.
+        # Pairs that depend on the object's pose alone come first: no motion of an elbow and no other start helps there.
         object_alone = np.isfinite(self._built.levers)
         for decides in (object_alone, ~self._elbows) if self._any_start else (~self._elbows,):
             if decides[self._pairs[inside]].any():

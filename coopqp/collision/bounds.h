@@ -10,7 +10,7 @@
 #define LANES 8
 #define TURN 6.283185307179586
 
-/* Rooms lose what the way of the joints may take. */
+/* Rooms shrink by the most that the joints' way can take. */
 static inline void follow(double *rooms, const double *reach, double *positions, const double *x, const double *continuous,
                    Py_ssize_t pairs, Py_ssize_t joints) {
     for (Py_ssize_t j = 0; j < joints; j++) {
@@ -23,7 +23,7 @@ static inline void follow(double *rooms, const double *reach, double *positions,
     }
 }
 
-/* Largest reach over room, per joint; 0 if a room is none. `shares` is memory for one number per pair. */
+/* Largest reach over room, per joint; 0 if a room is not positive. `shares` is memory for one number per pair. */
 static inline int certify(const double *rooms, const double *reach, double spare, double *shares, double *out,
                    Py_ssize_t pairs, Py_ssize_t joints) {
     for (Py_ssize_t j = 0; j < joints; j++) out[j] = 0.0;

@@ -32,7 +32,7 @@ def near(rooms: Array, watch: Array) -> list[int]:
 
 
 def soonest(rooms: Array, most: Array, least: float) -> int:
-    """The pair whose room, at least ``least``, may be used up first: ``most`` (P,) is what a unit of motion takes."""
+    """The pair that may use up its room first: a unit of motion takes ``most`` (P,) of it. Rooms count as ``least``."""
     return int((most / np.maximum(rooms, least)).argmax())
 
 

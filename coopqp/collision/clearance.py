@@ -127,7 +127,7 @@ class Clearance:
 
     @property
     def passes(self) -> int:
-        """How often steps have asked for rows: the others were known to be far enough from everything."""
+        """Number of steps that asked for rows; in the others all bodies were known to be far apart."""
         return int(self._counts[0])
 
     @property
@@ -288,7 +288,7 @@ class Clearance:
         return lower
 
     def in_memory(self, memory: Mapping[str, Array]) -> RowsInMemory | None:
-        """What says the same of bodies that stand, in C over the memory of a compiled step; None without a compiler."""
+        """The same rows for standing bodies, in C over the memory of a compiled step; None without a compiler."""
         if self._moving or not hasattr(KERNEL, "Nearby"):
             return None
         step = ("positions", "command", "dt", "G", "lower", "upper", "soft", "owner")

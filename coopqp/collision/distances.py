@@ -18,7 +18,7 @@ try:
 except ImportError:  # built without a compiler
     KERNEL: Any = bounds_plain
 else:
-    KERNEL = _compiled  #: What works on bounds and rows.
+    KERNEL = _compiled  #: The module for bounds and rows: compiled or plain.
 
 if TYPE_CHECKING:
     from coopqp.collision.scene import CollisionScene
@@ -117,7 +117,7 @@ class Distances:
         return np.array(result.getNearestPoint1()), np.array(result.getNearestPoint2())
 
     def nearby(self, bounds: LowerBounds, arrays: tuple[Array, ...], numbers: tuple[float, ...]) -> Any:
-        """What answers for these distances in a compiled step; nobody else asks here then. None if coal copies normals.
+        """The native object that holds these distances in a compiled step, alone. None if coal copies normals.
 
         Args:
             bounds: that it follows.
@@ -159,7 +159,7 @@ class Distances:
         return self.rows([int(k) for k in pairs], self._nothing, 0.0)[0]
 
     def rows(self, pairs: list[int], rooms: Array, approach: float) -> tuple[Gradient, Array]:
-        """Their gradient, and what ``ḋ ≥ −ξ`` room asks of them (m,), for rooms of all pairs (P,) [m] and ξ [1/s]."""
+        """Their gradient, and the lower bounds ``ḋ ≥ −ξ`` room (m,), for rooms of all pairs (P,) [m] and ξ [1/s]."""
         ends = []
         for k in pairs:
             result = self._results[k]
@@ -193,7 +193,7 @@ class LowerBounds:
         self.positions = np.zeros(nv)
 
     def arrays(self) -> tuple[Array, ...]:
-        """Rooms, reaches, positions, margins, and what a unit of motion takes of each room."""
+        """Rooms, reaches, positions, margins, and the most room that a unit of motion takes from each pair."""
         return self.rooms, self._reach, self.positions, self._margins, self._most
 
     def forget(self) -> None:
@@ -216,7 +216,7 @@ class LowerBounds:
             self.rooms[k] = self._distances.one(k) - self._margins[k]
 
     def sharpen(self, asked: Iterable[int] = ()) -> None:
-        """Ask for pairs until the one that may use up its room first, as far as is known, has been asked."""
+        """Ask for pairs until the distance of the pair that may use up its room first is known."""
         known = set(asked)
         while len(known) < _MOST_ASKED:
             k = self._kernel.soonest(self.rooms, self._most, _LEAST_ROOM)

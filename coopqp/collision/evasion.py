@@ -1,4 +1,4 @@
-"""What redundant arms do with their freedom where bodies come close: they keep off, the object keeps to its path."""
+"""Self-motion of redundant arms near bodies: the arms keep clear, the object stays on its path."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from coopqp.spatial import Array
 #: A row that is broken by 1/YIELDS costs as much as a self-motion of 1. With 1000 arms swung past posts at many times
 #: their speeds, along slopes that the look-ahead cannot follow.
 YIELDS = 50.0
-#: What a row may miss; DAQP's default is 1e-6.
+#: Accepted violation of a row; DAQP's default is 1e-6.
 _TOLERANCE = 1e-10
 #: A self-motion that changes no distance by more than this does not help [m per unit of joint speed].
 _HELPS = 1e-6

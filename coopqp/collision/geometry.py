@@ -56,7 +56,7 @@ def _of_mesh(mesh: Mesh, where: str) -> tuple[Any, float]:
 
 
 def _stl_triangles(file: Path) -> int:
-    """What a binary STL says of its triangles; 0 for other files."""
+    """Number of triangles by the header of a binary STL; 0 for other files."""
     if file.suffix.lower() != ".stl":
         return 0
     with file.open("rb") as opened:

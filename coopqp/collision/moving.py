@@ -1,4 +1,4 @@
-"""Bodies that move: where they are, what they ask of the arms, and of joints that give way to them."""
+"""Bodies that move: their places, the rows that keep arms clear of them, and rows of joints that give way."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 _FASTEST_RETREAT = 0.5
 #: Joints that come to rest in less time stand still [s].
 _STANDS = 1e-9
-#: Rows that are left for pairs at least, beside those of joints.
+#: Least number of rows for pairs, beside the rows of joints.
 _LEAST_PAIRS = 8
 
 
@@ -39,7 +39,7 @@ class _Place:
 
 @final
 class MovingBodies:
-    """The moving bodies of a scene; false where there are none.
+    """The moving bodies of a scene; false without any.
 
     Args:
         scene: what may touch what.
@@ -48,8 +48,8 @@ class MovingBodies:
     Attributes:
         pairs: with a body that moves (m,).
         moves: which pairs these are (P,).
-        labels: of the rows of :meth:`smooth`, which follow those of the pairs.
-        most_rows: how many rows these are at most.
+        labels: of the rows of :meth:`smooth`, which follow the rows of the pairs.
+        most_rows: largest number of these rows.
     """
 
     def __init__(self, scene: CollisionScene, *, approach: float, give_way: bool, stopping: float) -> None:
@@ -91,7 +91,7 @@ class MovingBodies:
             yield self._shapes[name], place.T_world_body
 
     def grow_old(self, dt: float, patience: float) -> str:
-        """Time goes on; the body of which nobody has told for too long where it is."""
+        """Let time pass. Returns the body whose last reported place is too old."""
         late = ""
         for name, place in self._places.items():
             place.age += dt

@@ -1,5 +1,5 @@
-/* Rows of a compiled step beside bodies that stand: what Clearance.rows_by_label and Clearance.tightened say, over the
- * memory of the step. coal is asked for distances, Pinocchio for placements; a step that is not near asks neither. */
+/* Rows of a compiled step beside bodies that stand: the NumPy forms are Clearance.rows_by_label and
+ * Clearance.tightened. coal is asked for distances, Pinocchio for placements; a step that is not near asks neither. */
 
 #define PY_SSIZE_T_CLEAN
 #include <Python.h>
@@ -39,7 +39,7 @@ typedef struct {
     double *d, *shares, *watch, *x, *next;        /* distances, scratch, watches, joints as placed and at the end */
     double watch_of[2];                           /* approach and range of the watches */
     uint64_t *known, stamp;                       /* distances with the present stamp are of this placement */
-    int lost;                                     /* nobody knows where the shapes are */
+    int lost;                                     /* the placement of the shapes is unknown */
     int built;                                    /* all of this is there */
     Py_ssize_t *near, *which, binding;            /* pairs that are near, and those of the rows; how many rows */
 } Nearby;
@@ -134,7 +134,7 @@ static Py_ssize_t find_near(Nearby *s) {
     return count > (Py_ssize_t)s->number[MOST_PAIRS] || count > s->rows ? -2 : count;
 }
 
-/* Ask for pairs until the one that may use up its room first, as far as is known, has been asked. */
+/* Ask for pairs until the distance of the pair that may use up its room first is known. */
 static int sharpen(Nearby *s, Py_ssize_t asked) {
     for (; asked < (Py_ssize_t)s->number[MOST_ASKED]; asked++) {
         const Py_ssize_t k = soonest(s->at[ROOMS], s->at[MOST], s->number[LEAST_ROOM], s->pairs);
@@ -240,7 +240,7 @@ static int hold_arrays(Nearby *s, PyObject *arrays) {
     return good;
 }
 
-/* Hold what is asked, and find coal's normals. */
+/* Hold functions and arguments, and find coal's normals. */
 static int hold_functions(Nearby *s, PyObject *placing, PyObject *normals) {
     if (PyTuple_Size(placing) != PLACING || PyList_Size(s->questions) != s->pairs || PyList_Size(s->answers) != s->pairs ||
         PyList_Size(s->points) != s->pairs || PyList_Size(normals) != s->pairs)

@@ -1,4 +1,4 @@
-"""What may touch what: the arms' links, the object that they carry, and what stands or moves around them."""
+"""The bodies that keep clear of each other: the arms' links, the object, and bodies that stand or move around."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ import pinocchio as pin
 from coopqp.checks import as_scalar, require
 from coopqp.collision.geometry import LARGE_HULL, convex, geometry_of, reach_of
 from coopqp.collision.pairs import Names, PairRules, as_pair, srdf_pairs
+from coopqp.collision.parts import Levers, Part, joints_to
 from coopqp.errors import InvalidInputError, UnknownNameError, shown
 from coopqp.model.cell import RobotCell
 from coopqp.model.grasp import Grasp
@@ -27,8 +28,6 @@ from coopqp.task.scenario import Scenario
 DEFAULT_MARGIN = 0.01
 #: Share that is added to bounds of motion for the rounding of distances.
 _MORE = 1e-5
-#: Stroke of a joint that slides and has no limits, as far as bounds of motion are concerned [m].
-_LONGEST_STROKE = 100.0
 
 
 @final
@@ -125,7 +124,7 @@ class CollisionScene:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What a user should know: meshes whose hulls are much larger than they are."""
+        """Remarks for the user: meshes whose hulls are much larger than themselves."""
         return self.built.notes
 
     def distances(self, q: Any) -> tuple[NearPair, ...]:
@@ -154,7 +153,7 @@ class CollisionScene:
         return evading(self, way)
 
     def clear_choice(self, ways: Sequence[Array]) -> tuple[int, ...] | None:
-        """One way for each arm so that all margins are kept at samples, the best first; None if there are none.
+        """One way for each arm, the best first; together they keep all margins at the samples. None if no ways do.
 
         Args:
             ways: of each arm positions of its joints along its ways (B, K, its joints) [rad or m].
@@ -216,20 +215,6 @@ def _bodies(bodies: Any, where: str) -> tuple[Body, ...]:
     return found
 
 
-@dataclass(frozen=True, eq=False)
-class _Part:
-    """A convex shape on a joint."""
-
-    name: str
-    joint: int
-    frame: int
-    T_joint_shape: pin.SE3
-    geometry: Any
-    object: bool = False
-    moving: bool = False
-    lever: float = np.inf
-
-
 def _build(scene: CollisionScene) -> Built:
     notes: list[str] = []
     parts = [*_links(scene, notes), *_others(scene, notes)]
@@ -246,13 +231,13 @@ def _build(scene: CollisionScene) -> Built:
         shape.parentFrame = part.frame
         geometry.addGeometryObject(shape)
     pairs = _pairs(scene, parts)
-    chains = [_joints_to(model, part.joint) for part in parts]
+    levers_of = Levers(scene.cell, parts)
     kinds, reach = np.zeros((len(pairs), scene.cell.nv)), np.zeros((len(pairs), scene.cell.nv))
     for row, (i, j) in enumerate(pairs):
         geometry.addCollisionPair(pin.CollisionPair(i, j))
-        for joint, way in _reaches(scene.cell, parts[i], chains[i], parts[j], chains[j]).items():
+        for joint, way in levers_of.between(i, j).items():
             v = int(model.joints[joint].idx_v)
-            kinds[row, v] = 1.0 if joint in chains[j] else -1.0
+            kinds[row, v] = 1.0 if joint in levers_of.chains[j] else -1.0
             reach[row, v] = way * (1.0 + _MORE)
     levers = [
         min(parts[i].lever, parts[j].lever) if 0 in (parts[i].joint, parts[j].joint) else np.inf for i, j in pairs
@@ -278,7 +263,7 @@ def _build(scene: CollisionScene) -> Built:
     )
 
 
-def _check_names(scene: CollisionScene, parts: Sequence[_Part]) -> None:
+def _check_names(scene: CollisionScene, parts: Sequence[Part]) -> None:
     """Shapes of one name are one body and keep no distance: they have to stand on one link, or be one object."""
     known: dict[str, tuple[int, bool, bool]] = {}
     for part in parts:
@@ -298,7 +283,7 @@ def _check_names(scene: CollisionScene, parts: Sequence[_Part]) -> None:
             )
 
 
-def _links(scene: CollisionScene, notes: list[str]) -> list[_Part]:
+def _links(scene: CollisionScene, notes: list[str]) -> list[Part]:
     """The arms' own shapes, and those that the user put on links."""
     model, parts = scene.cell.model, []
     shapes = list(scene.cell.collision_model().geometryObjects)
@@ -312,7 +297,7 @@ def _links(scene: CollisionScene, notes: list[str]) -> list[_Part]:
         geometry, large = convex(shape.geometry, link)
         if large > LARGE_HULL:
             notes.append(f"the hull of a mesh of {link} has {large:.1f} times its volume")
-        parts.append(_Part(link, shape.parentJoint, shape.parentFrame, shape.placement, geometry))
+        parts.append(Part(link, shape.parentJoint, shape.parentFrame, shape.placement, geometry))
     for link, bodies in scene.on_links.items():
         if not model.existFrame(link):
             raise UnknownNameError("link", link, sorted(set(links)), "CollisionScene: on_links")
@@ -320,11 +305,11 @@ def _links(scene: CollisionScene, notes: list[str]) -> list[_Part]:
         for body in bodies:
             geometry = _geometry(body, notes)
             placement = model.frames[frame].placement * body.placement
-            parts.append(_Part(body.name, model.frames[frame].parentJoint, frame, placement, geometry))
+            parts.append(Part(body.name, model.frames[frame].parentJoint, frame, placement, geometry))
     return parts
 
 
-def _others(scene: CollisionScene, notes: list[str]) -> list[_Part]:
+def _others(scene: CollisionScene, notes: list[str]) -> list[Part]:
     """The object, as each arm carries it, and the surroundings.
 
     All arms carry the object to one place, up to the chain's error. With the links of an arm goes the object as that
@@ -340,9 +325,9 @@ def _others(scene: CollisionScene, notes: list[str]) -> list[_Part]:
             cell.tool_joints, cell.tool_frames, cell.T_joint_tool, scene.grasp.T_object_tool, strict=True
         ):
             placement = T_joint_tool * X.inverse() * body.placement
-            parts.append(_Part(body.name, joint, frame, placement, geometry, object=True, lever=lever))
+            parts.append(Part(body.name, joint, frame, placement, geometry, object=True, lever=lever))
     for bodies, moving in ((scene.obstacles, False), (scene.moving, True)):
-        parts += [_Part(b.name, 0, 0, b.placement, _geometry(b, notes), moving=moving) for b in bodies]
+        parts += [Part(b.name, 0, 0, b.placement, _geometry(b, notes), moving=moving) for b in bodies]
     return parts
 
 
@@ -353,7 +338,7 @@ def _geometry(body: Body, notes: list[str]) -> Any:
     return geometry
 
 
-def _pairs(scene: CollisionScene, parts: Sequence[_Part]) -> list[tuple[int, int]]:
+def _pairs(scene: CollisionScene, parts: Sequence[Part]) -> list[tuple[int, int]]:
     """Numbers of the parts that keep a distance. What is on the world is one body, but for bodies that move."""
     cell, model = scene.cell, scene.cell.model
     known = Names([part.name for part in parts], cell.arm_names)
@@ -362,9 +347,9 @@ def _pairs(scene: CollisionScene, parts: Sequence[_Part]) -> list[tuple[int, int
         cell.index(arm)
         names = srdf_pairs(source, f"CollisionScene: srdf of arm '{arm}'")
         left_out |= {frozenset((f"{arm}/{a}", f"{arm}/{b}")) for a, b in names}
-    depth = [len(_joints_to(model, part.joint)) for part in parts]
+    depth = [len(joints_to(model, part.joint)) for part in parts]
     arm_of = [model.frames[part.frame].name.partition("/")[0] if part.frame else "" for part in parts]
-    holds = {name: len(_joints_to(model, joint)) for name, joint in zip(cell.arm_names, cell.tool_joints, strict=True)}
+    holds = {name: len(joints_to(model, joint)) for name, joint in zip(cell.arm_names, cell.tool_joints, strict=True)}
     found = []
     for i, a in enumerate(parts):
         for j in range(i + 1, len(parts)):
@@ -386,63 +371,3 @@ def _pairs(scene: CollisionScene, parts: Sequence[_Part]) -> list[tuple[int, int
                 continue
             found.append((i, j))
     return found
-
-
-def _joints_to(model: pin.Model, joint: int) -> tuple[int, ...]:
-    """The joints that carry what is on a joint, from the base on."""
-    chain = []
-    while joint > 0:
-        chain.append(joint)
-        joint = int(model.parents[joint])
-    return tuple(reversed(chain))
-
-
-def _reaches(cell: RobotCell, a: _Part, chain_a: Sequence[int], b: _Part, chain_b: Sequence[int]) -> dict[int, float]:
-    """Bounds, in any configuration, of how fast each joint between two parts changes their distance.
-
-    A joint that turns moves the distance by no more than the lever of its nearest points, on either of both parts.
-    Their levers are at most what lies between the joint and the part: its own extent and the lengths of the links.
-    """
-    shared = len([None for x, y in zip(chain_a, chain_b, strict=False) if x == y])
-    up, down = list(reversed(chain_a[shared:])), list(chain_b[shared:])
-    joints = [*up, *down]
-    if not joints:
-        return {}
-    steps = [_length(cell, joint) for joint in up[:-1]]
-    if up and down:
-        tops = [cell.model.jointPlacements[joint].translation for joint in (up[-1], down[0])]
-        steps.append(float(np.linalg.norm(tops[0] - tops[1])) + _stroke(cell, up[-1]) + _stroke(cell, down[0]))
-    steps += [_length(cell, joint) for joint in down[1:]]
-    levers_a = np.cumsum([_extent(cell, a, joints[0], on=bool(up)), *steps])
-    levers_b = np.cumsum([_extent(cell, b, joints[-1], on=bool(down)), *reversed(steps)])[::-1]
-    return {
-        joint: 1.0 if _slides(cell, joint) else float(min(lever_a, lever_b))
-        for joint, lever_a, lever_b in zip(joints, levers_a, levers_b, strict=True)
-    }
-
-
-def _extent(cell: RobotCell, part: _Part, joint: int, *, on: bool) -> float:
-    """Largest distance of a part's points from the origin of its own joint, or of the first one after it."""
-    T, origin = part.T_joint_shape, np.zeros(3)
-    if not on:
-        origin = cell.model.jointPlacements[joint].translation
-    stroke = 0.0 if on else _stroke(cell, joint)
-    return reach_of(part.geometry, T.rotation, T.translation - origin) + stroke
-
-
-def _length(cell: RobotCell, joint: int) -> float:
-    """Largest distance of a joint's frame from that of the joint before [m]."""
-    return float(np.linalg.norm(cell.model.jointPlacements[joint].translation)) + _stroke(cell, joint)
-
-
-def _stroke(cell: RobotCell, joint: int) -> float:
-    """How far a joint that slides goes from its zero [m]."""
-    if not _slides(cell, joint):
-        return 0.0
-    v, limits = int(cell.model.joints[joint].idx_v), cell.limits
-    stroke = max(abs(float(limits.lower[v])), abs(float(limits.upper[v])))
-    return stroke if stroke < _LONGEST_STROKE else _LONGEST_STROKE
-
-
-def _slides(cell: RobotCell, joint: int) -> bool:
-    return bool(cell.model.joints[joint].shortname().startswith("JointModelP"))

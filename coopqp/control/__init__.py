@@ -22,16 +22,16 @@ else:
     __getattr__, __dir__ = lazy_names(
         __name__,
         {
-            "coopqp.control.constraint_set": ("Constraints",),
-            "coopqp.control.forms": ("Pieces", "StepProgram", "StepTerms"),
-            "coopqp.control.limits": ("VelocityBox",),
-            "coopqp.control.linearised": ("LinearisedStep",),
-            "coopqp.control.loop_state": ("Proposal",),
-            "coopqp.control.plain": ("PlainLoop",),
-            "coopqp.control.ranks": ("StepSolver",),
-            "coopqp.control.solvers.base": ("Outcome", "Workspace"),
-            "coopqp.model.chain": ("Chain",),
-            "coopqp.planning.preview": ("PathPreview",),
+            "coopqp.control.constraint_set": "Constraints",
+            "coopqp.control.forms": "Pieces StepProgram StepTerms",
+            "coopqp.control.limits": "VelocityBox",
+            "coopqp.control.linearised": "LinearisedStep",
+            "coopqp.control.loop_state": "Proposal",
+            "coopqp.control.plain": "PlainLoop",
+            "coopqp.control.ranks": "StepSolver",
+            "coopqp.control.solvers.base": "Outcome Workspace",
+            "coopqp.model.chain": "Chain",
+            "coopqp.planning.preview": "PathPreview",
         },
     )
 

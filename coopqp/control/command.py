@@ -3,24 +3,21 @@
 from __future__ import annotations
 
 import enum
+import operator
 import struct
 from dataclasses import dataclass
 from typing import Any, Protocol, final
 
 import numpy as np
-import pinocchio as pin
 
 from coopqp.checks import ArrayLike, read_only
-from coopqp.errors import InvalidInputError
 from coopqp.lazy import Shown
-from coopqp.model.branches import AT_LIMIT, amount
 from coopqp.model.cell import RobotCell
 from coopqp.model.grasp import Grasp
 from coopqp.model.limits import BindingLimit, LimitKind
 from coopqp.model.shapes import NearPair
 from coopqp.model.state import CellState
 from coopqp.spatial import Array
-from coopqp.task.guarded import GuardedPath
 from coopqp.task.path import ObjectPath
 
 
@@ -42,7 +39,7 @@ class Status(enum.Enum):
 
     @property
     def precedence(self) -> int:
-        """Of several statuses that apply the one with the highest precedence is said; 0 for TRACKING."""
+        """Among several statuses that apply, the highest precedence wins; 0 for TRACKING."""
         return _PRECEDENCE.index(self)
 
 
@@ -92,7 +89,7 @@ NOTHING = GivenUp()
 
 
 class StepReader(Protocol):
-    """Reads what a record does not say in words; one per controller and path.
+    """Puts the numbers of a record into words; one per controller and path.
 
     Attributes:
         path: of the controller.
@@ -115,6 +112,37 @@ class StepReader(Protocol):
         ...
 
 
+_set = object.__setattr__
+_from_buffer, _FLOAT = np.frombuffer, np.dtype(np.float64)
+_unpacked = struct.Struct("d").unpack_from
+
+
+def _array(name: str, size: str, meaning: str) -> Any:
+    """An array in the record, or among the values of a step without one."""
+    place = operator.attrgetter(size, f"{name}_at")
+
+    def read(step: ControlStep) -> Array:
+        context = step._context
+        if context is None:
+            value: Array = step._values[name]
+            return value
+        return _from_buffer(step._record, _FLOAT, *place(context))
+
+    return property(read, doc=meaning)
+
+
+def _number(name: str, meaning: str) -> Any:
+    """A number in the record, or among the values of a step without one."""
+    place = operator.attrgetter(f"{name}_at")
+
+    def read(step: ControlStep) -> float:
+        context = step._context
+        value: float = step._values[name] if context is None else _unpacked(step._record, place(context))[0]
+        return value
+
+    return property(read, doc=meaning)
+
+
 @final
 class ControlStep(Shown):
     """The command of one step, and the reason for it.
@@ -129,7 +157,7 @@ class ControlStep(Shown):
         dt: length of the step [s].
         clock, clock_next: the object's clock at both ends [s].
         rate: σ, share of the nominal path rate.
-        status, reason: what the step is worth, in a word and in a sentence.
+        status, reason: the result of the step, in a word and in a sentence.
         binding: limits that the step runs against.
         given_up: what each rank gave up.
         solver: how the QP went.
@@ -153,6 +181,12 @@ class ControlStep(Shown):
     build_time_s: float
 
     # Loops read these at every step: they do not go the way of __getattr__.
+    q: Array = _array("q", "nq", "Commanded configuration at the start of the step (nq,).")
+    velocity: Array = _array("velocity", "nv", "Commanded joint velocities (nv,) [rad/s or m/s].")
+    q_next: Array = _array("q_next", "nq", "Commanded configuration at the end of the step (nq,).")
+    dt: float = _number("dt", "Length of the step [s].")
+    clock: float = _number("clock", "The object's clock at the start of the step [s].")
+    clock_next: float = _number("clock_next", "The object's clock at the end of the step [s].")
 
     @property
     def path(self) -> ObjectPath:
@@ -160,63 +194,6 @@ class ControlStep(Shown):
         context = self._context
         value: ObjectPath = self._values["path"] if context is None else context.path
         return value
-
-    @property
-    def q(self) -> Array:
-        """Commanded configuration at the start of the step (nq,)."""
-        context = self._context
-        if context is None:
-            value: Array = self._values["q"]
-            return value
-        return _from_buffer(self._record, _FLOAT, context.nq, context.q_at)
-
-    @property
-    def velocity(self) -> Array:
-        """Commanded joint velocities (nv,) [rad/s or m/s]."""
-        context = self._context
-        if context is None:
-            value: Array = self._values["velocity"]
-            return value
-        return _from_buffer(self._record, _FLOAT, context.nv, context.velocity_at)
-
-    @property
-    def q_next(self) -> Array:
-        """Commanded configuration at the end of the step (nq,)."""
-        context = self._context
-        if context is None:
-            value: Array = self._values["q_next"]
-            return value
-        return _from_buffer(self._record, _FLOAT, context.nq, context.q_next_at)
-
-    @property
-    def dt(self) -> float:
-        """Length of the step [s]."""
-        context = self._context
-        if context is None:
-            value: float = self._values["dt"]
-            return value
-        number: float = _unpacked(self._record, context.dt_at)[0]
-        return number
-
-    @property
-    def clock(self) -> float:
-        """The object's clock at the start of the step [s]."""
-        context = self._context
-        if context is None:
-            value: float = self._values["clock"]
-            return value
-        number: float = _unpacked(self._record, context.clock_at)[0]
-        return number
-
-    @property
-    def clock_next(self) -> float:
-        """The object's clock at the end of the step [s]."""
-        context = self._context
-        if context is None:
-            value: float = self._values["clock_next"]
-            return value
-        number: float = _unpacked(self._record, context.clock_next_at)[0]
-        return number
 
     def __init__(
         self,
@@ -244,10 +221,13 @@ class ControlStep(Shown):
         for name in ("q", "velocity", "q_next"):
             if values[name].flags.writeable:
                 values[name] = read_only(values[name])
-        _put(self, values)
+        _set(self, "_values", values)
+        _set(self, "_context", None)
+        _set(self, "rate", rate)
+        _set(self, "status", status)
 
     def __getattr__(self, name: str) -> Any:
-        # Only for what is not there yet: C leaves all but the record, the context, rate and status to be read.
+        # Python calls this for missing attributes only. C fills in the record, the context, rate and status.
         if name == "_values":
             empty: dict[str, Any] = {}
             _set(self, "_values", empty)
@@ -342,17 +322,7 @@ class ControlStep(Shown):
 
 #: An object that is slowed to less than this rate waits.
 _WAITS = 1e-6
-_set = object.__setattr__
-_from_buffer, _FLOAT = np.frombuffer, np.dtype(np.float64)
-_unpacked = struct.Struct("d").unpack_from
-_FIELDS = (*ControlStep.__annotations__, "path", "q", "velocity", "q_next", "dt", "clock", "clock_next")
-
-
-def _put(step: ControlStep, values: dict[str, Any]) -> None:
-    _set(step, "_values", values)
-    _set(step, "_context", None)
-    _set(step, "rate", values["rate"])
-    _set(step, "status", values["status"])
+_FIELDS = (*ControlStep.__annotations__, "path")
 
 
 def _restored(values: dict[str, Any]) -> ControlStep:
@@ -360,7 +330,7 @@ def _restored(values: dict[str, Any]) -> ControlStep:
 
 
 def amend(step: ControlStep, **values: Any) -> None:
-    """Put words into a step that nobody has seen yet, or another status."""
+    """Change the words or the status of a step before anyone sees it."""
     if "status" in values:
         _set(step, "status", values["status"])
     step._values.update(values)
@@ -375,22 +345,10 @@ def brakes_for_target(step: ControlStep) -> None:
 
 
 def off_path(distance: float, angle: float) -> str:
-    """That the object is off its path by a distance [m] or an angle [rad], in words; what is 0 is not said."""
+    """A sentence: how far the object is off its path, by a distance [m] and an angle [rad], each unless it is 0."""
     parts = [f"{1e3 * distance:.1f} mm"] if distance > 0.0 else []
     parts += [f"{np.rad2deg(angle):.2f}°"] if angle > 0.0 else []
     return f"the object is {' and '.join(parts)} off its path"
-
-
-def outside_limits(cell: RobotCell, q: Array) -> str:
-    """The arm and the joint that is furthest outside its position limits, in words; empty if all are inside."""
-    x, limits = cell.positions(q), cell.limits
-    excess = np.maximum(limits.lower - x, x - limits.upper)
-    j = int(excess.argmax())
-    if not excess[j] > AT_LIMIT:
-        return ""
-    arm, _, joint = cell.joint_names[j].partition("/")
-    slides = "P" in cell.model.joints[j + 1].shortname()[len("JointModel") :][:1]
-    return f"arm {arm} started outside its limits: {joint} is {amount(float(excess[j]), slides=slides)} outside"
 
 
 class Controller(Protocol):
@@ -415,45 +373,6 @@ class Controller(Protocol):
 
 
 def short_text(controller: Controller) -> str:
-    """What a controller is made of, for its ``repr``."""
+    """The parts of a controller, for its ``repr``."""
     arms = f"{len(controller.cell)} arm{'s' * (len(controller.cell) != 1)}"
     return f"{type(controller).__name__}({arms}, dt {controller.dt:g} s, {controller.path!r})"
-
-
-#: Default of the largest accepted error of an arm at reset [m, rad].
-START_TOLERANCE_M, START_TOLERANCE_RAD = 0.02, np.deg2rad(3.0)
-
-
-def check_start(
-    cell: RobotCell,
-    grasp: Grasp,
-    path: ObjectPath,
-    q: ArrayLike,
-    *,
-    tolerance_m: float,
-    tolerance_rad: float,
-    clock: float = 0.0,
-) -> Array:
-    """Check that the arms hold the object where the path is at ``clock`` [s]. Returns ``q`` (nq,) as a read-only array.
-
-    Raises:
-        InvalidInputError: an arm does not; the message names the arm and its distance from the path.
-    """
-    configuration = cell.check_configuration(q, "reset: q")
-    guarded = GuardedPath(path)
-    start = guarded.pose(clock)
-    if start is None:
-        raise InvalidInputError(guarded.problem, "reset", "A path needs a pose where it starts.")
-    where = f"its path at {clock:g} s" if clock > 0.0 else "the start of its path"
-    for name, O in zip(cell.arm_names, grasp.carried(CellState(cell, configuration)), strict=True):
-        error = pin.log6(start.actInv(O)).vector
-        d, a = float(np.linalg.norm(error[:3])), float(np.linalg.norm(error[3:]))
-        if d > tolerance_m or a > tolerance_rad:
-            raise InvalidInputError(
-                f"arm '{name}' holds the object {1e3 * d:.1f} mm and {np.rad2deg(a):.2f}° from {where} "
-                f"(tolerance {1e3 * tolerance_m:g} mm, {np.rad2deg(tolerance_rad):.3g}°)",
-                "reset: q",
-                "Start where the arms meet the grasp (coopqp.inverse_kinematics, coopqp.planning.find_start), or widen "
-                "the start tolerance.",
-            )
-    return read_only(configuration)

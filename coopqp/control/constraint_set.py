@@ -1,4 +1,4 @@
-"""The further constraints of one controller: all rows of a step, and what they leave of the rate at a knot."""
+"""The further constraints of one controller: all rows of a step, and the rate that they allow at a knot."""
 
 from __future__ import annotations
 
@@ -85,7 +85,7 @@ class Constraints:
                 )
             names.append(name)
         self.names = tuple(names)
-        #: Names of all that may bind, and where those of each constraint begin.
+        #: Names of all limits that may bind, and the index of each constraint's first name.
         self.labels, self._first = _labels(names, dict(self.velocity))
         self._certified = [(i, c) for i, c in self.velocity if isinstance(c, CertifiedConstraint)]
         self._uncertified = [(i, c) for i, c in self.velocity if not isinstance(c, CertifiedConstraint)]
@@ -208,7 +208,7 @@ class Constraints:
         return min(found, key=lambda pair: pair.distance, default=None)
 
     def tightened(self, rows: Rows, q_next: Array, v: Array, dt: float) -> Rows | None:
-        """Rows that make up for what a step's command breaks although it keeps its rows; None if it breaks nothing."""
+        """Tighter rows if a command keeps the rows but breaks their constraint; None if it breaks none."""
         found = None
         for i, constraint in self._certified:
             first, own = self._first[i], _EVERY
@@ -233,7 +233,7 @@ class Constraints:
         return found
 
     def bound(self, knot: Knot, dt: float, curvature_share: float) -> Bound:
-        """What the constraints leave of the rate at a knot.
+        """The rate that the constraints allow at a knot.
 
         Raises:
             ConstraintTrouble: as of :meth:`rows`.
@@ -268,7 +268,7 @@ class Constraints:
 def _labels(
     names: Sequence[str], velocity: dict[int, VelocityConstraint]
 ) -> tuple[tuple[BindingLimit, ...], list[int]]:
-    """The names of all that may bind, and where those of each constraint begin."""
+    """Names of all limits that may bind, and the index of each constraint's first name."""
     labels: list[BindingLimit] = []
     first = []
     for i, name in enumerate(names):

@@ -23,7 +23,7 @@ MOST_ROWS = 64
 
 
 class Rank(enum.IntEnum):
-    """What gives way to what: a rank gives way only to those before it."""
+    """Order of precedence: a rank gives way only to the ranks before it."""
 
     LIMITS = 0  #: never exceeded
     CHAIN = 1  #: the arms agree on where the object is
@@ -140,7 +140,7 @@ class CertifiedConstraint(VelocityConstraint, Protocol):
         quiet: joint positions at whose neighbours no row binds: with the certificate of the last ``rows_by_label`` a
             step of velocities v and length dt is admissible where ``Σ reach |v| dt`` is at most a share of
             ``slack − Σ reach |x − centre|``: min(approach dt, 1).
-        quiet_ahead: the same for knots, and for what is between two of them.
+        quiet_ahead: the same for knots and the way between them.
     """
 
     labels: tuple[BindingLimit, ...]
@@ -168,7 +168,7 @@ class CertifiedConstraint(VelocityConstraint, Protocol):
         ...
 
     def in_memory(self, memory: Mapping[str, Array]) -> RowsInMemory | None:
-        """What says the same over the memory of a compiled step; None where nothing does."""
+        """The same rows over the memory of a compiled step; None without a native form."""
         ...
 
     def room(self, knot: Knot) -> int:
@@ -176,7 +176,7 @@ class CertifiedConstraint(VelocityConstraint, Protocol):
         ...
 
     def evaded(self, q: Array, slope: Array) -> Array:
-        """Slopes q′ (nv,) at ``q`` (nq,) with the self-motion of redundant arms that keeps off what is ahead."""
+        """Slopes q′ (nv,) at ``q`` (nq,) with the self-motion by which redundant arms keep clear of bodies ahead."""
         ...
 
     def measured(self, limit: BindingLimit, q: Array) -> BindingLimit:
@@ -184,7 +184,7 @@ class CertifiedConstraint(VelocityConstraint, Protocol):
         ...
 
     def nearest(self, q: Array) -> NearPair | None:
-        """What is nearest to binding at ``q`` (nq,)."""
+        """The pair nearest to binding at ``q`` (nq,)."""
         ...
 
 
@@ -215,7 +215,7 @@ class Rows:
 
 
 class Bound(NamedTuple):
-    """What constraints leave of the rate at a knot.
+    """The rate that constraints allow at a knot.
 
     Attributes:
         cap: largest z = σ²; negative where not even rest is admissible.
@@ -239,7 +239,7 @@ class ConstraintTrouble(Exception):  # noqa: N818
     """A constraint raised, or returned something else than rows; the step holds.
 
     Attributes:
-        rows: what it, or the other constraints, could still say; the step that holds keeps them.
+        rows: those that constraints could still give; the step that holds keeps them.
     """
 
     def __init__(self, message: str, rows: Any = None) -> None:

@@ -1,4 +1,4 @@
-"""What further constraints say of knots ahead."""
+"""Further constraints at knots ahead."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class ConstraintsAhead:
         self._cell, self._constraints, self._curvature_share, self._dt = cell, constraints, curvature_share, dt
 
     def bound(self, clock: float, q: Array, slope: Array, curvature: Array, span: float) -> KnotRoom:
-        """What they leave of the rate at a knot.
+        """The rate that they allow at a knot.
 
         Raises:
             LookAheadTrouble: one fails.

@@ -1,9 +1,9 @@
-"""What the cell is like, and what is out of step: two causes of arms that are not where the others are.
+"""Calibration errors of the cell and arms out of step: two causes of a deviation of one arm from the others.
 
-Where a base is not quite where the model has it, arms in a rigid grip are seen to drift apart as the object moves and
-turns: slowly, and as much at rest as in motion. An arm that lags is apart by its speed times the lag. So a distance is
-taken for ``d = b + c s`` with the speed s of the joints, a drift b that wanders slowly and a lag c that stays, and the
-filter of least variance (Kalman's) tells them apart. What is left without b is out of step.
+If a base is not exactly at its modelled place, arms in a rigid grip seem to drift apart as the object moves and turns:
+slowly, at rest as in motion. An arm that lags deviates by its speed times the lag. So the model of a deviation is
+``d = b + c s`` with the speed s of the joints, a slow drift b and a constant lag c. A Kalman filter separates them. The
+remainder d − b is out of step.
 """
 
 from __future__ import annotations
@@ -14,13 +14,13 @@ import numpy as np
 
 from coopqp.spatial import Array, largest
 
-#: How far a drift wanders within a second [m]; what lag an arm may have, and how well it is known at best [s].
+#: Standard deviations: drift within a second [m], lag of an arm [s], and the least one of an estimated lag [s].
 _WANDER, _LAG, _LEAST_LAG = 1e-3, 0.02, 1e-4
-#: Distances are known to so much without noise [m], each such time [s]: the lag does not model them better.
+#: Accuracy of the model of a deviation [m], and the time between independent samples [s].
 _FLOOR, _SAMPLE = 5e-4, 1e-3
 #: Distances and speed are smoothed alike [s]: a lagging arm does not follow a speed that jitters.
 _SMOOTHING = 0.1
-#: The filter runs as often [s], or at every step if that is longer.
+#: Period of the filter [s]; a longer step sets it.
 _PERIOD = 0.0045
 #: A drift grows by no more than this share of the arms' way, joints counted with a lever of 1 m; it may always shrink.
 _LARGEST_SLOPE = 0.02
@@ -32,7 +32,7 @@ class Drift:
 
     Args:
         n: arms.
-        largest: drift of an arm that is let in at most, along each axis [m].
+        largest: largest tolerated drift of an arm along each axis [m].
     """
 
     def __init__(self, n: int, largest: float) -> None:
@@ -41,7 +41,7 @@ class Drift:
         self.reset()
 
     def reset(self) -> None:
-        """Nothing has drifted."""
+        """Forget drift and lag."""
         self._drift[:] = self._lag[:] = self._apart[:] = 0.0
         self._speed, self._since = 0.0, 0.0
         self._last: Array | None = None
@@ -77,15 +77,16 @@ class Drift:
         scale = 1.0 / (hb + hc * s + (_FLOOR**2 + noise**2) * _SAMPLE / dt)
         surprise = self._apart - self._drift - s * self._lag
         change = scale * hb * surprise
-        back = np.where(change * self._drift < 0.0, change, 0.0)
-        shrunk = np.copysign(np.minimum(np.abs(back), np.abs(self._drift)), back)  # no farther than to 0
+        drift = self._drift
+        back = change * (change * drift < 0.0)
+        shrunk = np.minimum(np.maximum(back, -np.abs(drift)), np.abs(drift))  # no farther than to 0
         growth = change - shrunk
         fastest = largest(np.abs(growth))
         too_fast = fastest > most
         if too_fast:
             growth *= most / fastest
-        self._drift += shrunk + growth
-        np.clip(self._drift, -self._largest, self._largest, out=self._drift)
+        drift += shrunk + growth
+        np.minimum(np.maximum(drift, -self._largest, out=drift), self._largest, out=drift)
         self._lag += scale * hc * surprise
         self._bb = max(self._bb - scale * hb * hb, 0.0)
         self._bc -= scale * hb * hc

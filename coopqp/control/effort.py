@@ -13,7 +13,7 @@ from coopqp.model.grasp import Grasp
 from coopqp.planning.preview_options import STEPS_TO_FULL_SPEED, PlanLimits, PreviewOptions
 from coopqp.spatial import Array
 
-#: Share of the accelerations that a change of the motion is planned with; the rest is for the curvature of the way.
+#: Share of the accelerations for the plan of a change; the rest is for the curvature of the way.
 _SHARE = 0.7
 #: Share of its speed by which a joint without acceleration limit changes its velocity in the first step, at most: twice
 #: what is planned.

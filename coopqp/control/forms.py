@@ -1,4 +1,4 @@
-"""The QP of one step: from what is wanted (terms) and what is allowed (box) to matrices, and back.
+"""The QP of one step: from the wanted motion (terms) and the allowed velocities (box) to matrices, and back.
 
 With the arms' kinematics inverted, every admissible command of a perfect chain is
 
@@ -25,7 +25,7 @@ import numpy.typing as npt
 from coopqp.checks import Doc, documented, keep_scalars
 from coopqp.control.constraints import Rows
 from coopqp.control.limits import VelocityBox
-from coopqp.control.solvers.base import QpProblem
+from coopqp.control.solvers.problem import QpProblem
 from coopqp.model.chain import Chain
 from coopqp.spatial import Array, for_twists
 
@@ -55,14 +55,14 @@ class RankWeights:
 
 @dataclass(eq=False)
 class StepTerms:
-    """What one step wants; twists of the object in the reference object frame.
+    """Wanted motion of one step; twists of the object in the reference object frame.
 
     Attributes:
         rotation: R of the reference pose (3, 3).
         along: ν, twist of the object along its path at full rate (6,).
         path_correction: c_p (6,).
         grasp_corrections: c_k (N, 6).
-        offsets: b_k, what a linearisation leaves out (N, 6).
+        offsets: b_k, defects of the linearisation (N, 6).
         rate_cap: largest admissible σ, in [0, 1].
         null_along: null-space part of the joint velocities per unit of σ (nv,), or None.
         null_offset: null-space joint velocities wanted besides (nv,), or None.
@@ -166,7 +166,7 @@ class CondensedQp:
 
 @dataclass(frozen=True, eq=False)
 class LeadBack:
-    """What has an unknown of its own: joints outside their limits, and rows that may give way.
+    """Joints outside their limits and rows that may give way: each has an unknown of its own.
 
     Attributes:
         outside: indices of the joints.

@@ -16,19 +16,10 @@ import numpy as np
 import pinocchio as pin
 
 from coopqp.checks import ArrayLike, Doc, as_options, as_scalar, documented, keep_scalars, require
-from coopqp.control.command import (
-    NO_SOLVE,
-    START_TOLERANCE_M,
-    START_TOLERANCE_RAD,
-    ControlStep,
-    GivenUp,
-    SolverReport,
-    Status,
-    check_start,
-    short_text,
-)
+from coopqp.control.command import NO_SOLVE, ControlStep, GivenUp, SolverReport, Status, short_text
 from coopqp.control.limits import VelocityBox
 from coopqp.control.solvers import QpProblem, QpSolution, QpSolver, make_solver
+from coopqp.control.starting import check_start
 from coopqp.control.turn import Turn, alone
 from coopqp.errors import InvalidInputError
 from coopqp.model.cell import RobotCell
@@ -115,8 +106,7 @@ class IndependentQPController:
     @alone
     def reset(self, q: ArrayLike) -> None:
         """Start at rest at ``q`` (nq,), with the object's clock at 0. Errors as in :class:`Controller`."""
-        tolerances = {"tolerance_m": START_TOLERANCE_M, "tolerance_rad": START_TOLERANCE_RAD}
-        self._q = check_start(self.cell, self.grasp, self.path, q, **tolerances)
+        self._q = check_start(self.cell, self.grasp, self.path, q)
         self._v = np.zeros(self.cell.nv)
         self._clock, self._started = 0.0, True
         for solver in self._solvers:

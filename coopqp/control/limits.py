@@ -22,9 +22,9 @@ _STILL = 1e-12
 _FAR = 1e100
 #: Share of the accelerations that braking together ahead of a limit is planned with, where there is no preview.
 BRAKING_SHARE = 0.8
-#: More than the way in which a joint can brake, by rounding at least.
+#: Factor on a joint's braking way that covers rounding.
 _AMPLE = 1.001
-#: Slope of a joint that stands still: what the tolerance of a limit over it is beyond _FAR.
+#: Slope in place of 0 for a joint that stands still: a limit's tolerance over it is beyond _FAR.
 _TINY = 1e-200
 
 

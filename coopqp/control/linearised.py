@@ -25,10 +25,11 @@ SETTLED = 1e-13
 
 @dataclass(eq=False)
 class StepInput:
-    """What one step starts from.
+    """The input of one step.
 
     Attributes:
         q, positions: commanded configuration (nq,), and one position per joint (nv,).
+        carried, errors: the object there as each arm carries it (N, 4, 3), and its errors e_k (N, 6).
         v, v_before: joint velocities of the last two steps (nv,).
         h: length of the step [s].
         cap: largest rate.
@@ -44,6 +45,8 @@ class StepInput:
 
     q: Array
     positions: Array
+    carried: Array
+    errors: Array
     v: Array
     v_before: Array
     h: float
@@ -61,16 +64,15 @@ class StepInput:
 
 @dataclass(eq=False)
 class LinearisedAnswer:
-    """The answer of a step, and what the next one goes on from.
+    """The answer of a step, and the values that the next step starts from.
 
     Attributes:
         answer: the command and what was given up for it.
-        stand_in: velocity that stands in for that of the step before the first one (nv,).
+        stand_in: assumed velocity before the first step (nv,).
         predicted: errors foreseen for the next step (N, 6).
         correction: off-path twist of the object by the path correction, and besides (6,).
-        terms: what the step wanted.
-        errors: e_k (N, 6).
-        common: their mean, by the arms' shares (6,).
+        terms: the wanted motion of the step.
+        common: mean of the errors e_k, by the arms' shares (6,).
     """
 
     answer: StepAnswer
@@ -78,7 +80,6 @@ class LinearisedAnswer:
     predicted: Array
     correction: Array
     terms: StepTerms
-    errors: Array
     common: Array
 
 
@@ -93,17 +94,15 @@ class LinearisedStep:
     def answer(self, s: StepInput) -> LinearisedAnswer:
         """The best admissible command."""
         chain, h, about = self._chain, s.h, s.pose.translation
-        O = chain.carried(s.q)
-        errors = chain.errors(O, s.pose)
-        common: Array = self._mean.dot(errors.ravel())
-        terms = self._terms(s, errors, common)
+        common: Array = self._mean.dot(s.errors.ravel())
+        terms = self._terms(s, common)
         self._box.update(s.positions, s.v, h)
         guess = 2.0 * s.v - s.v_before
         start = guess
         for iteration in range(self._options.iterations + EXTRA_AT_START):
             chain.linearise(self._cell.moved(s.q, 0.5 * h * guess), about)
             if iteration:
-                terms.offsets = self._defect(s, O, guess, terms)
+                terms.offsets = self._defect(s, guess, terms)
             self._complete(s, terms)
             answer = self._solver.answer(terms, s.v, h, s.further)
             if iteration == 0:
@@ -115,14 +114,14 @@ class LinearisedStep:
         grasp, correction = terms.grasp_corrections, terms.path_correction
         if not answer.exact:
             grasp, correction = answer.grasp_share * grasp, answer.path_share * correction + answer.off_path
-        predicted = errors + h * (grasp + terms.offsets + correction)
-        # The velocities at the start and the middle of the first step stand in for those of two steps.
+        predicted = s.errors + h * (grasp + terms.offsets + correction)
+        # The velocities at the start and the middle of the first step serve as the velocities of two steps.
         stand_in = 2.0 * start - answer.velocity if s.first else s.v
-        return LinearisedAnswer(answer, stand_in, predicted, correction, terms, errors, common)
+        return LinearisedAnswer(answer, stand_in, predicted, correction, terms, common)
 
-    def _terms(self, s: StepInput, errors: Array, common: Array) -> StepTerms:
+    def _terms(self, s: StepInput, common: Array) -> StepTerms:
         """Corrections, bounded by one common factor; a gain never takes away more than the whole error in a step."""
-        o = self._options
+        o, errors = self._options, s.errors
         grasp = min(o.grasp_gain, 1.0 / s.h) * (common - errors)
         path = -min(o.path_gain, 1.0 / s.h) * (common if s.measured is None else s.measured)
         return StepTerms(
@@ -135,7 +134,7 @@ class LinearisedStep:
         )
 
     def _complete(self, s: StepInput, terms: StepTerms) -> None:
-        """What depends on the linearisation: null-space motion, and what arms with few joints allow."""
+        """Update the parts that depend on the linearisation: null-space motion, arms with few joints."""
         chain = self._chain
         if chain.redundancy:
             terms.null_along = chain.null_part(s.null_along)
@@ -150,9 +149,9 @@ class LinearisedStep:
                 terms.offsets[k] = P @ terms.offsets[k]
             terms.admissible, terms.ranges = Z, ranges
 
-    def _defect(self, s: StepInput, before: Array, v: Array, terms: StepTerms) -> Array:
+    def _defect(self, s: StepInput, v: Array, terms: StepTerms) -> Array:
         """b_k = A_k v − log(step that v really makes)/dt, (N, 6) in the reference object frame."""
-        after = self._chain.carried(self._cell.moved(s.q, s.h * v))
+        before, after = s.carried, self._chain.carried(self._cell.moved(s.q, s.h * v))
         R = after[:, :3].transpose(0, 2, 1) @ before[:, :3]  # displacement O₁ O₀⁻¹ about the reference origin
         about = s.pose.translation
         p = after[:, 3] - about - np.einsum("kij,kj->ki", R, before[:, 3] - about)

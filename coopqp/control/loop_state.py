@@ -1,4 +1,4 @@
-"""What a plain loop hands from step to step, and from one part of a step to the next."""
+"""Data that a plain loop hands from step to step, and from one part of a step to the next."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from coopqp.spatial import Array
 
 @dataclass(eq=False)
 class LoopState:
-    """What one step hands to the next.
+    """The state that one step hands to the next.
 
     Attributes:
         q, v, v_before: commanded configuration (nq,), and the velocities of the last two steps (nv,).
@@ -30,7 +30,7 @@ class LoopState:
         lost: the path failed in the last step.
         away: distance of the object as the first arm holds it from a user's own path [m]; infinite at its start.
         fault, fault_arm: why the controller is in fault, and by which arm; empty, and −1, if it is not.
-        reins: what the operator asks for.
+        reins: override and pause, set by the operator.
     """
 
     q: Array
@@ -52,10 +52,21 @@ class LoopState:
 
 @dataclass(eq=False)
 class Observed:
-    """One sample: the step's length, what the watch says, and the object's measured error (6,) (None: as commanded)."""
+    """One sample.
+
+    Attributes:
+        h: length of the step [s].
+        pose: the object's reference.
+        carried, errors: the object as each arm carries it, as commanded (N, 4, 3), and its errors (N, 6).
+        watch: what the supervision says.
+        measured: the object's measured error (6,); None for the commanded one.
+        lost: the path failed.
+    """
 
     h: float
     pose: pin.SE3
+    carried: Array
+    errors: Array
     watch: Watch = field(default_factory=Watch)
     measured: Array | None = None
     lost: bool = False

@@ -9,9 +9,9 @@ from typing import Annotated, Any, Literal
 import numpy as np
 
 from coopqp.checks import Doc, as_count, as_options, documented, keep_scalars
-from coopqp.control.command import START_TOLERANCE_M, START_TOLERANCE_RAD
 from coopqp.control.forms import RankWeights
 from coopqp.control.solvers import QpSolver
+from coopqp.control.starting import START_TOLERANCE_M, START_TOLERANCE_RAD
 from coopqp.control.supervision_options import SupervisionOptions
 from coopqp.errors import InvalidInputError, UnknownNameError
 from coopqp.planning.preview_options import PreviewOptions

@@ -39,9 +39,9 @@ from coopqp.task.guarded import GuardedPath, is_known
 from coopqp.task.path import ObjectPath
 from coopqp.task.posture import Posture
 
-#: Where the object all but stands, the increment along the path is the mean over this share of a step.
+#: Close to rest, the increment along the path is the mean over this share of a step.
 LEAST_PACE = 1e-3
-#: Further answers of a step whose command breaks what its rows stand for.
+#: Further answers of a step whose command violates the constraints behind its rows.
 MOST_TIGHTENINGS = 3
 #: Square of an off-path twist that needs no braking distance [m²/s², rad²/s²].
 NEGLIGIBLE = 1e-10
@@ -52,7 +52,7 @@ class PlainLoop:
     """See the module's description.
 
     Args:
-        cell, grasp: what moves, and how it holds.
+        cell, grasp: the arms, and how they hold the object.
         dt: nominal length of a step [s].
         options: settings.
         constraints: further constraints.
@@ -104,7 +104,7 @@ class PlainLoop:
             self._preview = preview
 
     def take_shift(self, shift: Array) -> Callable[[], bool]:
-        """The tools hold the object shifted by (N, 6) after each call of what is returned; False if not finite."""
+        """The tools hold the object shifted by (N, 6) after each call of the returned function; False if not finite."""
 
         def taken() -> bool:
             if not np.isfinite(shift).all():
@@ -116,7 +116,7 @@ class PlainLoop:
         return taken
 
     def start(self, q: Array) -> None:
-        """At rest at ``q``; forgets everything."""
+        """Start at rest at ``q``; forget everything."""
         self.solver.reset()
         self._supervision.reset()
         self._posture.reset(q)
@@ -124,14 +124,14 @@ class PlainLoop:
         self.state = LoopState(q, np.zeros(self.cell.nv), np.zeros(self.cell.nv), last_dt=self.dt, reins=reins)
 
     def start_path(self, clock: float = 0.0, rate: float | None = None) -> None:
-        """Along the path from ``clock`` on."""
+        """Start along the path from ``clock`` on."""
         s = self.state
         s.clock, s.first, s.predicted, s.away = clock, True, None, math.inf
         s.rate = (0.0 if self._box.accelerates else s.reins.share) if rate is None else rate
         self.look_ahead_again()
 
     def take_path(self) -> None:
-        """The path is another one than it was."""
+        """Forget the pose ahead: the path has changed."""
         self._ahead = None
 
     def look_ahead_again(self, rate: float | None = None) -> None:
@@ -166,7 +166,7 @@ class PlainLoop:
             self._preview.restore(preview)
 
     def set_reins(self, override: float, *, paused: bool) -> None:
-        """What the operator asks for, from the next step on."""
+        """Set the override and the pause of the operator, from the next step on."""
         self.state.reins.override, self.state.reins.paused = override, paused
 
     @property
@@ -198,27 +198,31 @@ class PlainLoop:
 
     def observe(self, q_measured: Any, dt: Any) -> Observed:
         """Take one sample: accept or refuse the inputs, and advance the filters."""
-        s, supervision = self.state, self._supervision
-        seen = Observed(self.dt, self._pose(s.clock))
+        s, supervision, h, watch, lost = self.state, self._supervision, self.dt, Watch(), False
         if dt is not None:
             trouble = supervision.accept_dt(dt, self.dt)
             if trouble:
-                seen.watch = Watch.holding(trouble)
+                watch = Watch.holding(trouble)
             else:
-                seen.h = float(dt)
+                h = float(dt)
         measured = None
         if q_measured is not None:
             measured, trouble = supervision.accept_measurement(q_measured, s.q)
             if trouble:
-                measured, seen.watch = None, Watch.holding(trouble)
-        trouble, s.away = self._guarded.trouble(s.clock, seen.h, self._held, s.away)
+                measured, watch = None, Watch.holding(trouble)
+        pose, carried = self._pose(s.clock), self._chain.carried(s.q)
+        trouble, s.away = self._guarded.trouble(s.clock, h, carried[0], s.away)
         if trouble:
-            measured, seen.watch, seen.lost = None, Watch.holding(trouble), True
+            measured, watch, lost = None, Watch.holding(trouble), True
             s.predicted = None  # from another reference
-            seen.pose = held_at(self.grasp, self._shares, CellState(self.cell, s.q))
+            pose = held_at(self.grasp, self._shares, CellState(self.cell, s.q))
         if s.fault:
-            seen.watch = Watch(0.0, hold=True, fault=True, arm=s.fault_arm, reason=s.fault)
-        seen.measured = self._let_in(seen, measured)
+            watch = Watch(0.0, hold=True, fault=True, arm=s.fault_arm, reason=s.fault)
+        poses = carried if measured is None else np.concatenate([carried, self._chain.carried(measured)])
+        errors = self._chain.errors(poses, pose)
+        n = len(carried)
+        seen = Observed(h, pose, carried, errors[:n], watch, lost=lost)
+        seen.measured = self._let_in(seen, measured, errors[n:])
         return seen
 
     def _pose_ahead(self, clock: float) -> pin.SE3 | None:
@@ -232,36 +236,23 @@ class PlainLoop:
         pose = self._pose_ahead(clock)
         return held_at(self.grasp, self._shares, CellState(self.cell, self.state.q)) if pose is None else pose
 
-    def _let_in(self, seen: Observed, measured: Array | None) -> Array | None:
-        """The object's error for the path correction; None if the commanded one will do.
+    def _let_in(self, seen: Observed, measured: Array | None, errors: Array) -> Array | None:
+        """The object's error for the path correction, from those as measured; None to use the commanded one.
 
-        It is the commanded error and, let in slowly, what is measured besides. The less the arms are in step the less
-        of it is corrected, and while they hold nothing: the measured error of an arm that does not move would lead
+        It is the commanded error plus the further measured error, which fades in slowly. The correction shrinks as the
+        arms get out of step, and vanishes while they hold: the measured error of an arm that does not move would lead
         the others away from it without end.
         """
         s, watch = self.state, seen.watch
         if measured is not None:
-            found, errors = self._object_at(measured, seen.pose)
-            commanded, told = self._object_at(s.q, seen.pose)
-            watch.lower(self._supervision.watch(measured, s.q, errors - told, seen.h))
+            away = errors - seen.errors
             drift = np.zeros(6) if s.drift is None else s.drift
-            s.drift = drift + seen.h / (seen.h + self.options.measurement_time) * (found - commanded - drift)
-        elif s.drift is not None and not watch.hold:
-            commanded, _ = self._object_at(s.q, seen.pose)
-        else:
+            s.drift = drift + seen.h / (seen.h + self.options.measurement_time) * (self._mean.dot(away.ravel()) - drift)
+            watch.lower(self._supervision.watch(measured, s.q, away, seen.h))
+        if s.drift is None or watch.hold:
             return np.zeros(6) if watch.hold else None
-        error: Array = (0.0 if watch.hold else watch.rate_cap) * (commanded + s.drift)
+        error: Array = watch.rate_cap * (self._mean.dot(seen.errors.ravel()) + s.drift)
         return error
-
-    def _held(self) -> pin.SE3:
-        """The object's pose as the first arm holds it."""
-        held = self._chain.carried(self.state.q)[0]
-        return pin.SE3(held[:3].T.copy(), held[3].copy())
-
-    def _object_at(self, q: Array, pose: pin.SE3) -> tuple[Array, Array]:
-        """The object's error at a configuration (6,), and that of the object as each arm carries it (N, 6) [m, rad]."""
-        errors = self._chain.errors(self._chain.carried(q), pose)
-        return self._mean.dot(errors.ravel()), errors
 
     # -- propose ---------------------------------------------------------------------------------------------------
 
@@ -276,7 +267,7 @@ class PlainLoop:
                 seen.watch.lower(Watch.holding(str(trouble)))
                 further = self._no_rows if trouble.rows is None else trouble.rows
         if s.lost and not seen.lost:
-            self.look_ahead_again()  # nobody knows what was seen ahead while the path failed
+            self.look_ahead_again()  # the known horizon is void after the path has failed
         s.lost = seen.lost
         cap, binding, late = self._rate_cap.find(s, seen, self._preview)
         measured = seen.measured
@@ -299,8 +290,8 @@ class PlainLoop:
                 along = np.asarray(pin.log6(seen.pose.actInv(ahead)).vector) / span
         null_along, null_offset = self._wishes(seen.watch.hold)
         given = StepInput(
-            s.q, self.cell.positions(s.q), s.v, s.v_before, h, cap, seen.pose, along, measured, s.predicted, s.last_dt,
-            null_along, null_offset, further, s.first,
+            s.q, self.cell.positions(s.q), seen.carried, seen.errors, s.v, s.v_before, h, cap, seen.pose, along,
+            measured, s.predicted, s.last_dt, null_along, null_offset, further, s.first,
         )  # fmt: skip
         return Proposal(seen, given, self._kept(given), binding)
 
@@ -310,7 +301,7 @@ class PlainLoop:
         return self._preview is None or self._preview.blind
 
     def _kept(self, given: StepInput) -> LinearisedAnswer:
-        """The answer; again with tighter rows where it breaks what they stand for."""
+        """The answer; again with tighter rows where it violates their constraints."""
         found = self._step.answer(given)
         for _ in range(MOST_TIGHTENINGS):
             v = found.answer.velocity
@@ -324,7 +315,7 @@ class PlainLoop:
     def _brake_correction(self, keep: float, seen: Observed) -> Array:
         """The error that the path correction sees, limited so that the correction is ``keep`` of the last one."""
         s = self.state
-        error = self._object_at(s.q, seen.pose)[0] if seen.measured is None else seen.measured.copy()
+        error = self._mean.dot(seen.errors.ravel()) if seen.measured is None else seen.measured.copy()
         for part in (slice(0, 3), slice(3, 6)):
             now = self.options.path_gain * float(np.linalg.norm(error[part]))
             allowed = 0.0 if s.correcting is None else keep * float(np.linalg.norm(s.correcting[part]))

@@ -14,7 +14,8 @@ import numpy as np
 import pinocchio as pin
 
 from coopqp.checks import ArrayLike, Doc, as_count, as_options, as_scalar, as_vector, documented, keep_scalars, require
-from coopqp.control.command import START_TOLERANCE_M, START_TOLERANCE_RAD, ControlStep, Status, check_start, short_text
+from coopqp.control.command import ControlStep, Status, short_text
+from coopqp.control.starting import check_start
 from coopqp.control.turn import Turn, alone
 from coopqp.errors import InvalidInputError, UnknownNameError, UnreachableError
 from coopqp.model.cell import RobotCell
@@ -106,7 +107,7 @@ class PseudoInverseController:
         self._override = 1.0
         self._shift, self._held = np.zeros((len(cell), 6)), np.zeros((len(cell), 6))
 
-    # -- what a ForceController asks of the controller within ----------------------------------------------------
+    # -- the interface for ForceController -----------------------------------------------------------------------
 
     kernel = "plain"
 
@@ -176,14 +177,7 @@ class PseudoInverseController:
     @alone
     def reset(self, q: ArrayLike) -> None:
         """Step 0: start at ``q`` (nq,), with the object's clock at 0. Errors as in :class:`Controller`."""
-        self._q = check_start(
-            self.cell,
-            self.grasp,
-            self.path,
-            q,
-            tolerance_m=START_TOLERANCE_M,
-            tolerance_rad=START_TOLERANCE_RAD,
-        )
+        self._q = check_start(self.cell, self.grasp, self.path, q)
         self._clock, self._count, self._started = 0.0, 0, True
         self._held = self._shift
 

@@ -1,7 +1,7 @@
 """The cooperative QP controller: the chain holds, the object stays on its path, a command always comes.
 
-A step observes (is the input to be believed, are the arms in step), proposes (the rate that the path ahead allows, what
-the step wants, and the strictly ranked answer: the nominal command if it is admissible; else the fastest rate on the
+A step observes (is the input plausible, are the arms in step), proposes (the rate that the path ahead allows, the
+wanted motion, and the strictly ranked answer: the nominal command if it is admissible; else the fastest rate on the
 path; else the QP; else the QP whose chain may part; else a synchronised brake) and commits. The compiled core does it
 where it can (:mod:`coopqp.control.core`); :mod:`coopqp.control.plain` is its definition. See docs/derivations.md.
 """
@@ -18,13 +18,14 @@ import numpy as np
 import pinocchio as pin
 
 from coopqp.checks import NOT_NUMBERS, ArrayLike, as_options, as_scalar, require
-from coopqp.control.command import ControlStep, Status, amend, brakes_for_target, check_start, short_text
+from coopqp.control.command import ControlStep, Status, amend, brakes_for_target, short_text
 from coopqp.control.constraint_set import Constraints, listed
 from coopqp.control.core import make_loop
 from coopqp.control.effort import Effort
+from coopqp.control.going_over import go_over, object_rests
 from coopqp.control.options import QPOptions
 from coopqp.control.plain import PlainLoop
-from coopqp.control.starting import odd_start, rate_into
+from coopqp.control.starting import check_start, odd_start, rate_into
 from coopqp.control.turn import alone
 from coopqp.errors import InvalidInputError, StartWarning
 from coopqp.model.cell import RobotCell
@@ -33,10 +34,7 @@ from coopqp.model.state import CellState
 from coopqp.spatial import Array, Placement, as_placement
 from coopqp.task.guarded import GuardedPath, is_known
 from coopqp.task.path import HoldPath, ObjectPath
-from coopqp.task.servo import AT_REST, ServoPath
-
-#: Rounding of a rate.
-_ROUNDING = 1e-9
+from coopqp.task.servo import ServoPath
 
 
 @final
@@ -57,8 +55,8 @@ class QPController:
         solver: name of the solver that a QP step uses.
 
     Raises:
-        InvalidInputError, UnknownNameError, MissingExtraError: bad settings, an unknown or missing solver, a path or a
-            constraint that is none.
+        InvalidInputError, UnknownNameError, MissingExtraError: bad settings, an unknown or missing solver, a wrong
+            path or constraint.
     """
 
     def __init__(
@@ -189,7 +187,7 @@ class QPController:
         OFF_PATH until then; :meth:`pause` first to have the clock wait for the object.
 
         Raises:
-            InvalidInputError: the path is none, or the clock is not on it; the old one goes on.
+            InvalidInputError: not a path, or the clock is not on it; the old path goes on.
         """
         GuardedPath(path).check("follow")
         clock = _on(path, clock, "follow: clock")
@@ -201,7 +199,7 @@ class QPController:
             self._loop.start_path(clock, self._first_rate(clock) if rate is None else rate)
 
     def _rate_into(self, path: ObjectPath, clock: float) -> float | None:
-        """The rate to go on with; None for that of a start."""
+        """The rate on the new path; None for the rate of a start."""
         loop = self._loop
         if not np.isfinite(self.cell.limits.acceleration).any():
             return max(loop.rate, 0.0 if self.paused else self.override)
@@ -258,7 +256,7 @@ class QPController:
         """Move the target of a :class:`ServoPath`.
 
         The object goes over from its present motion, without a jump of its velocity, as fast as the joints can. Where
-        that takes it out of what the look-ahead allows, it brakes on its present way and goes over as soon as it may,
+        the look-ahead does not allow that, it brakes on its present way and goes over as soon as it may,
         at rest at the latest. The last target wins.
 
         Raises:
@@ -285,49 +283,17 @@ class QPController:
         loop.set_reins(self._asked, paused=paused)
         full = 0.0 if paused else self._asked
         taken = None if isinstance(loop, PlainLoop) else loop.go_over(path, goal, full)
-        if self._go_over_by_definition(path, goal, full) if taken is None else taken:
+        if go_over(loop, path, self._effort, goal, full) if taken is None else taken:
             self._wanted = None
-        elif np.isfinite(self.cell.limits.acceleration).any() or self._object_rests():
+        elif np.isfinite(self.cell.limits.acceleration).any() or object_rests(loop, path):
             loop.set_reins(0.0, paused=paused)
-
-    def _object_rests(self) -> bool:
-        loop = self._loop
-        return not np.abs(loop.rate * self.path.twist(loop.clock)).max() > AT_REST
-
-    def _go_over_by_definition(self, path: ServoPath, goal: pin.SE3, full: float) -> bool:
-        """Take the way to a target if the first step keeps to its rate and no joint jumps.
-
-        The way begins at the full rate, or at the present one: then its twist is as much larger. Where the object rests
-        it begins at rest, and so do the joints: self-motion that goes on there has to come to rest before.
-        """
-        loop = self._loop
-        clock, now, way, memory = loop.clock, loop.rate, path.state(), loop.memory()
-        effort = self._effort.at(loop.q, path.pose(clock))
-        rests = self._object_rests()
-        if rests and not self._effort.admits(loop.velocity):
-            return False
-        for rate in (0.0,) if rests else dict.fromkeys((full, min(now, full))):
-            if rests or rate > 0.0:
-                path.set_target(
-                    goal, clock=clock, rate=0.0 if rests else now / rate, effort=effort, stops=self._effort.stops
-                )
-                loop.look_ahead_again(rate=rate)
-                if rests:
-                    return True
-                kept, change = loop.try_step()
-                if kept >= rate - _ROUNDING and self._effort.admits(change):
-                    return True
-                path.restore(way)
-                loop.take_path()
-                loop.restore(memory)
-        return False
 
     @alone
     def shift_grasp(self, shift: ArrayLike) -> None:
         """Hold the object at shifted places of the tools from the next step on: ``exp(d_k) X_k`` for ``X_k`` of grasp.
 
         For small moves, as :class:`coopqp.ForceController` makes them to relax the forces between the arms. The arms go
-        there as fast as the chain's errors are corrected; :attr:`grasp`, and what is read from it, stays.
+        there as fast as the chain's errors are corrected; :attr:`grasp` stays.
 
         Args:
             shift: d, of each tool in the object frame (N, 6) [m, rad]; zeros lead back.
@@ -359,7 +325,7 @@ class QPController:
         return taken
 
     def take_minding(self, memory: Array, tell: Callable[[ControlStep], None]) -> Callable[..., Any] | None:
-        """What steps with wrenches in the core alone, for :class:`coopqp.ForceController`; None where Python has to.
+        """The core's function that steps with wrenches, for :class:`coopqp.ForceController`; None if Python has to.
 
         Args:
             memory: numbers of :data:`coopqp.control.core.layout.MINDING`.

@@ -34,7 +34,7 @@ _ZERO6.flags.writeable = False
 
 
 def _ask(solver: QpSolver, problem: QpProblem) -> QpSolution:
-    """Solve, whatever the solver does: what raises, or answers with anything but n finite numbers, has failed."""
+    """Solve; a solver that raises, or answers with anything but n finite numbers, has failed."""
     try:
         solution = solver.solve(problem)
         if isinstance(solution, QpSolution) and (
@@ -151,7 +151,7 @@ class StepSolver:
         return StepAnswer(np.clip(v, box.lower, box.upper) if excess > 0.0 else v, cap, exact=True)
 
     def _on_path(self, terms: StepTerms, pieces: Pieces, further: Rows) -> StepAnswer | None:
-        """Full corrections at the fastest admissible rate, up to the cap; None if no rate will do."""
+        """Full corrections at the fastest admissible rate, up to the cap; None if no rate is admissible."""
         box, cap = self._box, terms.rate_cap
         base, along, lower, upper = pieces.fixed + pieces.grasp + pieces.path, pieces.along, box.lower, box.upper
         if len(further):
@@ -190,7 +190,7 @@ class StepSolver:
                 return answer, self._report(solution, self._solver)
         problem = program.full(terms, box, further, slack=True)
         shared = self._slack_solver is self._solver
-        self._slack_solver.reset()  # what it found long ago is no start, and a copy of the controller has not seen it
+        self._slack_solver.reset()  # an old solution is no warm start, and a copy of the controller does not have it
         relaxed = _ask(self._slack_solver, problem)
         if not relaxed.usable:
             # Without a cost of their own the joint velocities defeat some solvers near a singularity.
@@ -229,9 +229,9 @@ class StepSolver:
     def _brake(self, terms: StepTerms, v_prev: Array, h: float, further: Rows, report: SolverReport) -> StepAnswer:
         """All arms brake together, as hard as the box allows, without a solver.
 
-        Along the path if a rate will do, else along the object's present motion, else by one common factor. What
-        redundant arms do in their null-space fades with the rest. Of these the first that keeps the further rows; if
-        none does, the one that breaks those that may give way by the least.
+        Along the path if a rate is admissible, else along the object's present motion, else by one common factor. What
+        redundant arms do in their null-space fades with the rest. The first of these that keeps the further rows is
+        taken, else the one that breaks the soft rows by the least.
         """
         box, chain, metric = self._box, self._chain, self.program.metric
         why = f"{report.status}: {report.message}" if report.message else report.status
@@ -305,9 +305,9 @@ def _keeps(further: Rows, v: Array, tolerance: float) -> bool:
 
 
 def _least_broken(further: Rows, base: Array, along: Array, low: float, high: float) -> tuple[float, float]:
-    """The share σ from ``low`` on, up to 1 or ``low``, with which ``base + σ along`` breaks rows by the least; by what.
+    """The share σ from ``low`` on, up to 1 or ``low``, with which ``base + σ along`` breaks rows least, and how much.
 
-    The smallest of those that break none.
+    If several shares break none, the smallest.
     """
     if not len(further):
         return low, 0.0

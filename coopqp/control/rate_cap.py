@@ -1,4 +1,4 @@
-"""How fast a step may go along the path, and what makes it so."""
+"""The largest rate of a step along the path, and the limit that sets it."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from coopqp.planning.preview_options import PreviewOptions
 
 #: A rate that rises by less stands still: a QP's zero has the solver's rounding.
 RATE_ROUNDING = 1e-12
-#: What the override holds back.
+#: The limit that stands for the override.
 OVERRIDE = BindingLimit("", "", LimitKind.OVERRIDE)
 
 

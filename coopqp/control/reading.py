@@ -117,35 +117,31 @@ class RecordReader:
         return SolverReport(self._solver, "solved", int(r[_R["R_ITERATIONS"]]))
 
 
+#: The sentence of each reason, by the joint or arm i and two numbers a and b. BAD_DT and PATH_JUMPS have their own.
+_SENTENCES = {
+    "NO_REASON": "",
+    "NOT_FINITE": "q_measured[{i}] is {a}",
+    "OFF_CIRCLE": "q_measured[{i}] and [{next}] are no cosine and sine (norm {a:.3g})",
+    "JUMPED": "joint {joint} is measured {a:.3g} rad (or m) from its command",
+    "ALL_STALLED": "no arm is seen to follow its command (all have stopped, or measurements are stale)",
+    "PATH_FAILED": "the path has no pose at its clock {a:.6g} s",
+    "LOOK_AHEAD_FAILED": "the path ahead of its clock {a:.6g} s cannot be asked",
+    "CONSTRAINT_FAILED": "a constraint cannot be asked",
+    "OUT_OF_STEP_BY": "arm {arm} is {mm:.2f} mm out of step with the others",
+    "WAS_OUT_OF_STEP": "arm {arm} was out of step",
+    "STALLED": "arm {arm} does not follow its command (stalled)",
+    "FORCE": "{a:.0f} N at the grasp of arm {arm} by its servos (limit {limit:g} N)",
+    "HANGS_BEHIND": (
+        "arm {arm} does not follow its command: it hangs {mm:.2g} mm behind, and the others pull it with {b:.0f} N"
+    ),
+}
+
+
 def reason(cell: RobotCell, force_limit: float, code: int, index: float, a: float, b: float) -> str:
     """The sentence of a reason of :data:`layout.REASONS`."""
-    i, names = int(index), cell.arm_names
-    if code == _REASONS["NO_REASON"]:
-        return ""
-    if code == _REASONS["NOT_FINITE"]:
-        return f"q_measured[{i}] is {a}"
-    if code == _REASONS["OFF_CIRCLE"]:
-        return f"q_measured[{i}] and [{i + 1}] are no cosine and sine (norm {a:.3g})"
-    if code == _REASONS["JUMPED"]:
-        return f"joint {cell.joint_names[i]} is measured {a:.3g} rad (or m) from its command"
-    if code == _REASONS["ALL_STALLED"]:
-        return "no arm is seen to follow its command (all have stopped, or measurements are stale)"
-    if code == _REASONS["PATH_FAILED"]:
-        return f"the path has no pose at its clock {a:.6g} s"
     if code == _REASONS["PATH_JUMPS"]:
         return jump(b, a)
-    if code == _REASONS["LOOK_AHEAD_FAILED"]:
-        return f"what is ahead of the path's clock {a:.6g} s cannot be asked"
-    if code == _REASONS["CONSTRAINT_FAILED"]:
-        return "a constraint cannot be asked"
-    arm = names[i]
-    if code == _REASONS["OUT_OF_STEP_BY"]:
-        return f"arm {arm} is {1e3 * a:.2f} mm out of step with the others"
-    if code == _REASONS["WAS_OUT_OF_STEP"]:
-        return f"arm {arm} was out of step"
-    if code == _REASONS["STALLED"]:
-        return f"arm {arm} does not follow its command (stalled)"
-    if code == _REASONS["FORCE"]:
-        return f"{a:.0f} N at the grasp of arm {arm} by its servos (limit {force_limit:g} N)"
-    behind = f"it hangs {1e3 * a:.2g} mm behind, and the others pull it with {b:.0f} N"
-    return f"arm {arm} does not follow its command: {behind}"
+    i = int(index)
+    arm, joint = (names[i] if i < len(names) else "" for names in (cell.arm_names, cell.joint_names))
+    values = {"i": i, "next": i + 1, "arm": arm, "joint": joint, "a": a, "b": b, "mm": 1e3 * a, "limit": force_limit}
+    return _SENTENCES[layout.REASONS[code]].format(**values)

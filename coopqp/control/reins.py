@@ -16,7 +16,7 @@ from coopqp.spatial import Array
 
 @dataclass(eq=False)
 class Reins:
-    """What the operator asks for, and how far the null-space motion has followed.
+    """Override and pause, set by the operator, and the share of the null-space motion that has followed.
 
     Attributes:
         override: largest rate.
@@ -38,7 +38,7 @@ class Reins:
         return Reins(self.override, self.paused, 0.0 if self.share < blocked_rate else 1.0)
 
     def advance(self, blocked_rate: float, change: float) -> None:
-        """Let the null-space motion go on, or stop it, by so much in a step."""
+        """Raise or lower the share of the null-space motion by one step's amount."""
         if self.share < blocked_rate:
             self.ease = max(self.ease - change, 0.0)
         elif self.ease < 1.0:

@@ -1,4 +1,4 @@
-"""How hard do the arms press on what they hold? Read from the servos, without a sensor.
+"""Forces of the arms on the object, estimated from the deflections of the servos, without a sensor.
 
 A servo of stiffness Kp that stands off its command pushes with ``Kp (q_command − q_measured)``. At the object that is
 the wrench ``w_k = C_k⁻¹ A_k (q_command − q_measured)`` with the compliance ``C_k = A_k Kp⁻¹ A_kᵀ``, as
@@ -6,8 +6,8 @@ the wrench ``w_k = C_k⁻¹ A_k (q_command − q_measured)`` with the compliance
 
 An arm in a rigid grip that does not follow its command is dragged along by the others, and all arms then stand off
 their commands by the same displacement: nothing parts them, but the wrenches do not cancel. At rest, where neither
-inertia nor damping plays a part, the arm that does not follow is the one that the total puts straight back along its
-way: ``C_k Σ w`` is by how much its servos' target hangs behind.
+inertia nor damping plays a part, the total wrench points the arm that does not follow straight back along its way:
+``C_k Σ w`` is the distance by which its servos' target lags behind.
 """
 
 from __future__ import annotations
@@ -22,16 +22,16 @@ from coopqp.model.chain import Chain
 from coopqp.model.grasp import Grasp
 from coopqp.spatial import Array
 
-#: Of what servos do not model (links, gears, grips) [m/N]; 1 rad counts as 1 m. Keeps readings finite near
-#: singularities, where a servo's deflection tells nothing of the force along the direction that is lost.
+#: Compliance of links, gears and grips, beside the servos' [m/N]; 1 rad counts as 1 m. Keeps readings finite near
+#: singularities, where a servo's deflection does not depend on the force along the lost direction.
 STRUCTURE = 2e-9
-#: 1 rad of turning counts as so many metres where directions of motion are compared.
+#: Weights of translation and rotation where directions of motion are compared [1, m/rad].
 _SCALE = np.array([1.0] * 3 + [0.3] * 3)
-#: Commanded joint velocities below this are rest [rad/s or m/s], and after so long at rest servos have settled [s].
+#: Commanded joint velocities below this are rest [rad/s or m/s]; time at rest after which servos have settled [s].
 _STILL, _SETTLED = 1e-3, 0.2
-#: Share of the largest wrench from which on wrenches do not cancel.
+#: Wrenches cancel if their sum is below this share of the largest one.
 _UNBALANCED = 0.3
-#: Cosine between the way back that the total asks of an arm and its motion, from which on it is taken for the cause.
+#: An arm is the cause if the cosine between its way back (by the total wrench) and its motion exceeds this.
 _STRAIGHT_BACK = 0.95
 
 
@@ -51,8 +51,8 @@ class StressWatch:
 
     Attributes:
         forces: at each grasp, if every arm follows its command (N,) [N].
-        behind: index of the arm that does not, as far as can be told; else -1.
-        gap: by how much its servos' target hangs behind [m].
+        behind: index of the arm that does not follow; -1 if none is found.
+        gap: distance by which its servos' target lags behind [m].
         pull: force with which the others pull it [N].
     """
 
@@ -69,7 +69,7 @@ class StressWatch:
         self._rest = 0.0
 
     def memory(self) -> dict[str, Any]:
-        """What a copy of this watch goes on from."""
+        """The state of a copy."""
         return {name: value for name, value in vars(self).items() if name not in _FIXED}
 
     def restore(self, memory: dict[str, Any]) -> None:
@@ -105,5 +105,5 @@ class StressWatch:
 
 
 def servo_wrenches(compliances: Array, yielded: Array) -> Array:
-    """Wrenches (N, 6) with which servos push that yield by so much (N, 6), with compliances (N, 6, 6)."""
+    """Wrenches (N, 6) of servos with compliances (N, 6, 6) that yield by displacements (N, 6)."""
     return np.asarray(np.linalg.solve(compliances + STRUCTURE * np.eye(6), yielded[:, :, None])[:, :, 0])

@@ -1,7 +1,7 @@
-"""Are the arms where they were told to be? Watches measured against commanded configurations.
+"""Supervision: comparison of measured with commanded configurations.
 
-An arm that lags or stalls pulls on the object that the others carry on. The watch compares, for every arm, where it
-carries the object with where it was told to, and slows the object before the arms part by more than they may.
+An arm that lags or stalls pulls on the object that the others carry on. The watch compares, for every arm, the measured
+with the commanded pose of the object that it carries, and slows the object before the arms part too far.
 Deviations common to all arms do not count: they only displace the object.
 """
 
@@ -28,7 +28,7 @@ from coopqp.spatial import Array, largest, skew
 
 @dataclass(slots=True)
 class Watch:
-    """What the supervision says about one step: a rate cap, and why it is below 1."""
+    """Result of the supervision in one step: a rate cap, and why it is below 1."""
 
     rate_cap: float = 1.0
     hold: bool = False
@@ -42,7 +42,7 @@ class Watch:
         return Watch(rate_cap=0.0, hold=True, fault=fault, reason=reason)
 
     def lower(self, seen: Watch) -> None:
-        """Take what was seen besides, if it says more; a fault stays as it is."""
+        """Take another finding if it is stricter; a fault stays as it is."""
         if self.fault:
             return
         if seen.rate_cap < self.rate_cap or seen.fault:
@@ -51,7 +51,7 @@ class Watch:
 
 
 def as_number(value: Any) -> float:
-    """A float; NaN for what is none."""
+    """A float; NaN if the value is not a number."""
     try:
         return float(value)
     except NOT_NUMBERS:
@@ -71,15 +71,15 @@ _FOLLOWS = 0.5
 _CAUGHT_UP, _CAUGHT_UP_SHARE = 5e-4, 0.3
 #: The two numbers (cos, sin) of a continuous joint may be this far from the unit circle.
 _CIRCLE_TOLERANCE = 0.05
-#: A force that held the object lets it go on below this share of its limit.
+#: A held object continues when the force falls below this share of its limit.
 _LET_GO = 0.5
-#: Grasps closer to their centre than this count as so far away [m].
+#: Least distance between a grasp and the grasps' centre that counts [m].
 _LEAST_REACH = 0.1
 #: Arms whose distances from their commands differ by less count as equally far [m].
 _EQUALLY_FAR = 1e-6
-#: A fault needs as many samples in a row.
+#: Samples in a row that make a fault.
 _FAULT_SAMPLES = 2
-#: An arm whose samples stay the same is taken to have lost them for so many in a row; then it stands.
+#: Equal samples in a row that count as lost; after more of them the arm counts as standing.
 _MOST_LOST = 3
 #: Noise is averaged over this time [s].
 _NOISE_TIME = 0.2
@@ -103,7 +103,7 @@ class Supervision:
         self._pressed = False
         self._turning = np.flatnonzero(cell.continuous)
         n = len(cell)
-        #: Takes what the arms do to how far each is from the mean of the others.
+        #: Maps deviations of the arms to their differences from the mean of the others.
         self._from_others = (np.eye(n) - 1.0 / n) * (n / max(n - 1.0, 1.0))
         columns = moving_columns(cell)
         self._starts = np.cumsum([0, *(len(c) for c in columns[:-1])]).tolist()
@@ -141,7 +141,7 @@ class Supervision:
             self._stress.reset()
 
     def memory(self) -> dict[str, Any]:
-        """What a copy of this watch goes on from."""
+        """The state of a copy."""
         own = {name: value for name, value in vars(self).items() if name not in _FIXED}
         return own | {"stress": None if self._stress is None else self._stress.memory()}
 
@@ -168,10 +168,10 @@ class Supervision:
             return q_command, trouble
         away = measured - q_command
         worst = int(np.abs(away).argmax())  # NaN wins
-        if not np.isfinite(away[worst]):
+        if not math.isfinite(away.item(worst)):
             return q_command, f"q_measured[{worst}] is {measured[worst]}"
-        for i in self._cell.position_index[self._turning]:
-            radius = float(np.hypot(measured[i], measured[i + 1]))
+        for i in self._cell.position_index[self._turning].tolist():
+            radius = math.hypot(measured.item(i), measured.item(i + 1))
             if abs(radius - 1.0) > _CIRCLE_TOLERANCE:
                 return q_command, f"q_measured[{i}] and [{i + 1}] are no cosine and sine (norm {radius:.3g})"
             if radius != 1.0:
@@ -181,9 +181,9 @@ class Supervision:
             told = self._cell.positions(q_command)
             away = self._positions(measured, told) - told
             worst = int(np.abs(away).argmax())
-        if abs(away[worst]) > self._options.joint_jump:
-            joint = self._cell.joint_names[worst]
-            return q_command, f"joint {joint} is measured {abs(away[worst]):.3g} rad (or m) from its command"
+        far = abs(away.item(worst))
+        if far > self._options.joint_jump:
+            return q_command, f"joint {self._cell.joint_names[worst]} is measured {far:.3g} rad (or m) from its command"
         return measured, ""
 
     def _positions(self, q: Array, near: Array | None) -> Array:
@@ -209,7 +209,7 @@ class Supervision:
         told = self._told = self._positions(commanded, self._told)
         found = self._positions(measured, told)
         if len(away) > 1 and o.slow_from is not None:
-            away = away @ self._at_grasps
+            away = away.dot(self._at_grasps)
             lost = self._keep_where_lost(measured, away)
             self._watch_distances(told, away, lost, dt, result)
         if o.stall_samples is not None:
@@ -226,38 +226,39 @@ class Supervision:
         return result
 
     def _keep_where_lost(self, measured: Array, away: Array) -> npt.NDArray[np.bool_]:
-        """An arm whose numbers are those of the sample before, to the last bit, has lost this one (N,).
+        """Arms that have lost this sample (N,): their numbers equal the sample before to the last bit.
 
         Its distance stays as it was.
         """
         numbers = measured[self._numbers]
         lost = np.zeros(len(away), dtype=bool)
         if self._seen is not None:
-            same = ~np.logical_or.reduceat(numbers != self._seen, self._first_numbers)
-            self._lost = np.where(same, self._lost + 1, 0)
-            lost = same & (self._lost <= _MOST_LOST)
-            away[lost] = self._away[lost]
+            same = np.logical_and.reduceat(numbers == self._seen, self._first_numbers)
+            self._lost = (self._lost + 1) * same
+            if np.count_nonzero(same):
+                lost = same & (self._lost <= _MOST_LOST)
+                away[lost] = self._away[lost]
         self._seen = numbers
         return lost
 
     def _watch_distances(self, told: Array, away: Array, lost: npt.NDArray[np.bool_], dt: float, result: Watch) -> None:
-        """How far each arm, as far as it is not as commanded, is from the mean of the others."""
+        """Deviation of each arm from the mean of the others that slows or stops the object."""
         o = self._options
         assert o.slow_from is not None
         keep = o.filter_time / (o.filter_time + dt)
         self._deviation += (1.0 - keep) * (away - self._deviation)
-        share = math.sqrt(self._from_others[0, 0] * (1.0 - keep) / (1.0 + keep))  # of the noise: what the filter leaves
-        noise = share * self._noise_seen(away, dt)
-        apart = out_of_step = self._from_others @ self._deviation
+        passed = math.sqrt(self._from_others.item(0) * (1.0 - keep) / (1.0 + keep))  # share of the noise
+        noise = passed * self._noise_seen(away, dt)
+        apart = out_of_step = self._from_others.dot(self._deviation)
         if o.let_in > 0.0:
             out_of_step = self._drift.without(apart, noise, told, dt)
-        self._count_far(away, self._from_others @ away - (apart - out_of_step), lost)
+        self._count_far(away, self._from_others.dot(away) - (apart - out_of_step), lost)
         spread = np.einsum("ij,ij->i", out_of_step, out_of_step)
         worst = math.sqrt(largest(spread)) - o.noise_margin * noise
         if worst <= o.slow_from or self._samples < _FEW_SAMPLES:
             return
         spread = np.sqrt(spread)
-        # Of arms equally far from the others, as two arms always are, the one that is not where it should be.
+        # Two arms are always equally far from each other: blame the arm that is farther from its command.
         own = np.where(spread >= 0.99 * spread.max(), np.linalg.norm(self._deviation, axis=1), -1.0)
         candidates = own > own.max() - _EQUALLY_FAR  # of these the one that was named last, or the first
         arm = result.arm = self._arm if self._arm >= 0 and candidates[self._arm] else int(candidates.argmax())
@@ -348,7 +349,7 @@ def _numbers_of(cell: RobotCell, columns: list[npt.NDArray[np.intp]]) -> tuple[n
 
 
 def as_configuration(cell: RobotCell, q: Any) -> tuple[Array | None, str]:
-    """A measured configuration as an array (nq,), or None and what is wrong with its type or shape."""
+    """A measured configuration as an array (nq,), or None and the fault of its type or shape."""
     try:
         measured = q if type(q) is np.ndarray and q.dtype == np.float64 else as_floats(q)
     except NOT_NUMBERS:
@@ -359,10 +360,10 @@ def as_configuration(cell: RobotCell, q: Any) -> tuple[Array | None, str]:
 
 
 def grasp_lengths(grasp: Grasp) -> Array:
-    """Takes displacements of the object (…, 6) [m, rad] to lengths at the grasps (…, 6) [m].
+    """Lᵀ (6, 6): ``d @ Lᵀ`` are the lengths at the grasps [m] of displacements d (…, 6) of the object [m, rad].
 
-    The first three are the displacement of the grasps' centre, the others the turn times their largest distance from
-    it: what a turn of the object as one arm carries it parts is the grasps.
+    The first three are the displacement of the grasps' centre, the others the turn times the largest distance of a
+    grasp from it: if one arm turns the object, the grasps part by this length.
     """
     points = np.array([X.translation for X in grasp.T_object_tool])
     centre = points.mean(axis=0)

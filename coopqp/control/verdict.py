@@ -1,4 +1,4 @@
-"""What is said of a step: its status where it is slow, how far the object is off its path, what was given up."""
+"""Words about a step: slowed or blocked, the object's distance from its path, the parts that were given up."""
 
 from __future__ import annotations
 
@@ -35,8 +35,8 @@ def slow_status(
     arriving = ends and not rising and not outside
     if rate >= blocked_rate * (ARRIVING if arriving else 1.0):
         return Status.SLOWED
-    # Its own rise, or what is not yet seen ahead, keeps the rate small without a limit. From rest accelerations do;
-    # it grows then, or a joint is on its way back in.
+    # Without a limit the bound on the rate's rise, or the unknown path ahead, keeps the rate small. From rest the
+    # accelerations do: then the rate grows, or a joint is on its way back into its limits.
     accelerating = any(b.kind is LimitKind.ACCELERATION for b in binding)
     slowed = not binding or (accelerating and (rising or outside))
     if preview is not None and not ends and rate > 0.0:  # joints that stop slowly go on after a corner
@@ -45,18 +45,18 @@ def slow_status(
 
 
 def away_from_path(s: LoopState, found: LinearisedAnswer, options: QPOptions) -> str:
-    """How far the object is off its path, in words, as far as measurements tell; empty if it is on it."""
+    """A sentence: the object's measured distance from its path; empty if it is within the options' bounds."""
     error = found.common if s.drift is None else found.common + s.drift
     x, y, z, *turn = error.tolist()
     distance, angle = math.hypot(x, y, z), math.hypot(*turn)
     if not (distance > options.off_path_distance or angle > options.off_path_angle):
         return ""
-    distance = float(np.linalg.norm(pin.exp6(error).translation))  # at most as long as that of the twist
+    distance = float(np.linalg.norm(pin.exp6(error).translation))  # at most as long as the twist's
     return off_path(distance * (distance > options.off_path_distance), angle * (angle > options.off_path_angle))
 
 
 def given_up(found: LinearisedAnswer, rate: float, restricted: tuple[str, ...]) -> GivenUp:
-    """What a step gave up; ``restricted`` are the names of arms with few joints."""
+    """The parts that a step gave up; ``restricted`` are the names of arms with few joints."""
     answer = found.answer
     if rate == 1.0 and answer.exact and not restricted:
         return NOTHING

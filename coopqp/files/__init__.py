@@ -15,8 +15,8 @@ else:
     __getattr__, __dir__ = lazy_names(
         __name__,
         {
-            "coopqp.files.cellfile": ("CELLS", "example_path", "json_schema", "schema_text"),
-            "coopqp.output": ("write_files",),
+            "coopqp.files.cellfile": "CELLS example_path json_schema schema_text",
+            "coopqp.output": "write_files",
         },
     )
 

@@ -13,21 +13,23 @@ if TYPE_CHECKING:
     from coopqp.forces.exciting import DeterminingMotion, determining_motion
     from coopqp.forces.grips import Grip
     from coopqp.forces.internal import internal_wrenches
-    from coopqp.forces.load import LoadShare, SharedLoad
+    from coopqp.forces.load import LoadShare
     from coopqp.forces.palms import least_squeeze, palm_use, squeeze_needed
+    from coopqp.forces.shared_load import SharedLoad
     from coopqp.forces.use import load_use
 else:
     __getattr__, __dir__ = lazy_names(
         __name__,
         {
-            "coopqp.forces.bound": ("LoadBound",),
-            "coopqp.forces.calibration": ("ArmCorrection", "undetermined_by"),
-            "coopqp.forces.exciting": ("DeterminingMotion", "determining_motion"),
-            "coopqp.forces.grips": ("Grip",),
-            "coopqp.forces.internal": ("internal_wrenches",),
-            "coopqp.forces.load": ("LoadShare", "SharedLoad"),
-            "coopqp.forces.palms": ("least_squeeze", "palm_use", "squeeze_needed"),
-            "coopqp.forces.use": ("load_use",),
+            "coopqp.forces.bound": "LoadBound",
+            "coopqp.forces.calibration": "ArmCorrection undetermined_by",
+            "coopqp.forces.exciting": "DeterminingMotion determining_motion",
+            "coopqp.forces.grips": "Grip",
+            "coopqp.forces.internal": "internal_wrenches",
+            "coopqp.forces.load": "LoadShare",
+            "coopqp.forces.shared_load": "SharedLoad",
+            "coopqp.forces.palms": "least_squeeze palm_use squeeze_needed",
+            "coopqp.forces.use": "load_use",
         },
     )
 

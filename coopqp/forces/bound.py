@@ -1,4 +1,4 @@
-"""What the arms can carry bounds the speed: the load as lines in z = σ² and σ̇, for the look-ahead and for the timing.
+"""A bound of the speed by the load: lines in z = σ² and σ̇, for the look-ahead and for the timing.
 
 Along a path the joints move at ``q′ σ`` and accelerate at ``q′ σ̇ + q″ z``. The wrench on the object, and the arms' own
 torques, are then affine in (z, σ̇):

@@ -5,7 +5,7 @@ grips it is (:mod:`coopqp.forces.closure`). Corrections x of all bases and grips
 
     Σ_t |whitened r(q_t, x)|² + Σ_i (x_i / prior_i)²
 
-(nonlinear least squares). The prior is what is believed before: it decides where the motion says nothing, so what the
+(nonlinear least squares). The prior decides where the motion determines nothing, so what the
 run does not determine stays where it was. The first arm is the reference: its base and its grip keep their places.
 """
 
@@ -42,7 +42,7 @@ class CalibrationError(CoopqpError):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class CalibrationOptions:
-    """What is believed before a calibration. Priors are standard deviations of each component.
+    """Settings of a calibration. Priors are standard deviations of each component.
 
     Attributes:
         encoder_noise: amplitude of the uniform noise of measured joint positions [rad or m], as in
@@ -92,7 +92,7 @@ class Calibration:
     """A cell and a grasp that fit the measurements, and how sure that is.
 
     Attributes:
-        cell, grasp: corrected; those of the first arm are as before.
+        cell, grasp: corrected; the first arm's are as before.
         corrections: one per arm from the second on.
         before, after: largest distance [m] and angle [rad] between the object poses of two arms, at each used sample,
             with the given and with the corrected model (T, 2).
@@ -111,7 +111,7 @@ class Calibration:
     determined_share: float
 
     def explain(self) -> str:
-        """Lines of text: closure before and after, corrections with deviations, what is not determined."""
+        """Lines of text: closure before and after, corrections with deviations, undetermined parameters."""
         lines = [
             f"closure: {_mm(self.before[:, 0].max())} mm, {_deg(self.before[:, 1].max())}° before; "
             f"{_mm(self.after[:, 0].max())} mm, {_deg(self.after[:, 1].max())}° after ({len(self.samples)} samples)"
@@ -136,8 +136,8 @@ def calibrate(
 ) -> Calibration:
     """Base placements and grips with which the chain is closed at measured configurations.
 
-    The arms held one rigid object all the time, and the grips did not slip: nothing here can see whether they did
-    where the model fits anyhow. :func:`coopqp.simulation.calibrate_runs` asks the recordings.
+    The arms held one rigid object all the time, and the grips did not slip: a slip that the model can
+    explain stays unseen here. :func:`coopqp.simulation.calibrate_runs` asks the recordings.
 
     Args:
         cell, grasp: the model that the run was made with.
@@ -226,7 +226,7 @@ def _configurations(cell: RobotCell, configurations: Any) -> Array:
 
 
 def _check_closed(closure: Closure, x: Array, used: Array) -> None:
-    """Raise CalibrationError unless the residuals are those of the joints' noise."""
+    """Raise CalibrationError unless the joints' noise explains the residuals."""
     left = closure.residuals(x).reshape(len(used), -1)
     square, worst = float((left**2).mean()), np.abs(left).max(axis=1)
     if square <= _MEAN_SQUARE and worst.max() <= _LARGEST:
@@ -256,7 +256,7 @@ def _certainty(closure: Closure, J: Array, prior: Array) -> tuple[Array, Array]:
     if loose.shape[1]:
         from scipy.linalg import qr
 
-        # Of the space of loose directions the basis with the fewest large entries, one own coordinate each.
+        # Basis of the loose directions with the fewest large entries: one own coordinate each.
         _, _, pivots = qr(loose.T, pivoting=True, mode="economic")
         loose = np.linalg.solve(loose[pivots[: loose.shape[1]]].T, loose.T).T
     return np.sqrt(np.diag(C)), loose.T

@@ -105,7 +105,7 @@ class Closure:
         return [world * B for B in bases], [thing * X for X in tools]
 
     def gauge(self) -> Array:
-        """Map of corrections of all arms to those of arms 1, 2, … with the first arm where it was (12 N − 12, 12 N)."""
+        """Map of corrections of all arms to those relative to the first arm, of arms 1, 2, … (12 N − 12, 12 N)."""
         n = len(self.cell)
         M = np.zeros((12 * n - 12, 12 * n))
         for k in range(1, n):

@@ -77,7 +77,7 @@ class Cones:
     def nearest(self, target: Array, value: float | None = None, *, weights: Array | None = None) -> Array | None:
         """The point nearest to a target (n,), with the last coordinate at ``value`` if given and left out of both.
 
-        None if the cones have no point there. ``weights`` (n,) > 0 are those of the squares of distances.
+        None if the cones have no point there. ``weights`` (n,) > 0 weigh the squares of distances.
 
         Raises:
             UndecidedError: the solver fails, or the planes do not close in on an answer.
@@ -105,7 +105,7 @@ class Cones:
         raise UndecidedError(f"load sharing: no answer after {_ROUNDS} rounds of planes")
 
     def largest(self) -> tuple[Array, float] | None:
-        """The largest λ in [0, 1] to ``_CLOSE`` from below, and the smallest y there; None if there is none.
+        """The largest λ in [0, 1] to ``_CLOSE`` from below, and the smallest y there; None if no λ has a y.
 
         The values of λ with an answer are an interval, so bisection finds its end.
 
@@ -129,7 +129,7 @@ class Cones:
         return np.sqrt(np.add.reduceat(y * y, self._starts)), self._g @ x + self._h, y
 
     def _keep_inside(self) -> None:
-        """Replace the planes by those of a polyhedron inside each cone."""
+        """Replace the planes by a polyhedron inside each cone."""
         C, u = [], []
         for k, (g, h) in enumerate(zip(self._g, self._h, strict=True)):
             own = self._cone == k

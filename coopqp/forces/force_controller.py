@@ -23,7 +23,7 @@ from coopqp.forces.relaxation import Relaxation
 from coopqp.spatial import Array, Placement
 from coopqp.task.path import ObjectPath
 
-#: What the arms do, in the order of :data:`layout.STAGES`.
+#: Words for :data:`layout.STAGES`, in their order.
 _STAGES = (
     "the sensors are compared with the servos",
     "the arms press a little to learn how stiff they are",
@@ -32,7 +32,7 @@ _STAGES = (
 )
 #: Steps beyond the time of the comparison after which a reason says what it waits for.
 _PATIENCE = 5
-#: Attributes that a step changes, but those of the relaxation and of the controller within.
+#: Attributes that a step changes, beside the attributes of the relaxation and of the inner controller.
 _VARYING = ("_differences", "_compared")
 
 
@@ -53,7 +53,7 @@ class ForceController:
         options: settings, or a dictionary of them.
 
     Attributes:
-        cell, grasp, path, dt: as of the controller; the grasp is what the arms are told, without what they give way.
+        cell, grasp, path, dt: as of the controller; the grasp is the nominal one, without relaxation.
         minds_wrenches: true: :func:`coopqp.simulate` gives it the plant's wrenches.
         needs_servos: true: :func:`coopqp.simulate` refuses torque-controlled drives, whose joints are no springs.
 
@@ -166,7 +166,7 @@ class ForceController:
         """Go on after :meth:`pause`."""
         self._qp.resume()
 
-    # -- what is felt --------------------------------------------------------------------------------------------
+    # -- the wrenches --------------------------------------------------------------------------------------------
 
     @property
     def internal(self) -> Array:
@@ -180,7 +180,7 @@ class ForceController:
 
     @property
     def stiffer(self) -> float:
-        """How many times as stiff as said the servos are, as the arms felt it; at least 1."""
+        """Measured stiffness of the servos as a multiple of the given one; at least 1."""
         return self._relaxation.stiffer
 
     # -- the step ------------------------------------------------------------------------------------------------
@@ -259,7 +259,7 @@ class ForceController:
         return w
 
     def _prepare(self, q_measured: ArrayLike | None, dt: float, heard: bool) -> None:
-        """One step of what the arms do before they relax."""
+        """One step of the stages before the relaxation."""
         m = self._memory
         if self._stage == CHECKING and m[AT["STEPPED"]] and heard:
             self._compare(q_measured)

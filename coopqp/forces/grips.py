@@ -1,4 +1,4 @@
-"""How an arm holds the object: what it can transmit, and how much of it.
+"""How an arm holds the object: the wrenches that a grip transmits, and their bounds.
 
 A grip bounds the wrench ``[f; m]`` of its arm on the object, at the origin and in the axes of the tool [N, N·m]. All
 bounds are norms of linear forms, ``|A c| ≤ b·c + d`` in the components c that the grip transmits.
@@ -34,7 +34,7 @@ class GripBound(NamedTuple):
 @final
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Grip:
-    """What the grip of one arm transmits, and its limits.
+    """The wrenches that one arm's grip transmits, and its limits.
 
     A palm presses on the object along ``normal`` and holds it by friction: its pad is a disc with uniform pressure at
     the tool's origin. Friction and turning share one limit surface, the ellipsoid ``|(f_t, m_n / ⅔r)| ≤ μ f_n``

@@ -1,4 +1,4 @@
-"""What of the arms' wrenches the load does not take: the internal ones."""
+"""Internal wrenches: the part of the arms' wrenches that does not move the load."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ _SHARE_LENGTH = 0.1
 
 
 def internal_wrenches(wrenches: ArrayLike, grasp: Grasp) -> Array:
-    """What of the arms' wrenches on the object the load does not take, in the object frame (…, N, 6) [N, N·m].
+    """The part of the arms' wrenches that does not move the object, in its frame (…, N, 6) [N, N·m].
 
     Args:
         wrenches: of each arm on the object, at the origin and in the axes of its tool (…, N, 6) [N, N·m].
@@ -33,7 +33,7 @@ def internal_wrenches(wrenches: ArrayLike, grasp: Grasp) -> Array:
 
 
 def load_shares(grasp: Grasp) -> tuple[Array, Array]:
-    """What takes wrenches at the tools to the object frame (6 N, 6 N), and S: the load to its shares there (6 N, 6)."""
+    """Maps: wrenches at the tools to the object frame (6 N, 6 N), and S, the load to its shares there (6 N, 6)."""
     n = len(grasp)
     scale = np.tile([1.0] * 3 + [_SHARE_LENGTH] * 3, n)
     to_object = np.zeros((6 * n, 6 * n))

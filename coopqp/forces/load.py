@@ -34,6 +34,7 @@ from coopqp.checks import as_scalar, as_vector, read_only, require
 from coopqp.errors import InvalidInputError, UnreachableError
 from coopqp.forces.cones import Cone, Cones
 from coopqp.forces.grips import Grip
+from coopqp.forces.shared_load import SharedLoad
 from coopqp.model.cell import RobotCell
 from coopqp.model.grasp import Grasp
 from coopqp.model.limits import BindingLimit, LimitKind
@@ -47,46 +48,6 @@ _BINDS = 1.0 - 1e-6
 _ROUNDING = 1e-6
 #: Metric of torques against forces [m], as in the weights of the controllers.
 LENGTH = 0.3
-
-
-@dataclass(frozen=True, eq=False)
-class SharedLoad:
-    """The load of the arms at one instant.
-
-    Attributes:
-        wrenches: wrench of each arm on the object, at the origin and in the axes of the object frame (N, 6) [N, N·m].
-        internal: the part of them that cancels (N, 6).
-        torques: joint torques (nv,) [N·m or N]: the arms' own dynamics and the wrenches.
-        load_torques: the part of them that the wrenches make, Jᵀ c (nv,).
-        share: 1, or the largest share of the object's wrench for which the limits leave an answer.
-        joint_use: share of each torque limit that is used (nv,); 0 without limit.
-        grip_use: largest share of a limit of each grip that is used (N,), internal limits left out.
-        internal_use: largest share of both internal limits that is used (N,).
-        binding: limits that are used up, the most used first.
-    """
-
-    wrenches: Array
-    internal: Array
-    torques: Array
-    load_torques: Array
-    share: float
-    joint_use: Array
-    grip_use: Array
-    internal_use: Array
-    binding: tuple[BindingLimit, ...]
-
-    @property
-    def feasible(self) -> bool:
-        """True if the arms carry the whole wrench."""
-        return self.share == 1.0
-
-    def explain(self) -> str:
-        """One sentence: how much is carried, and what binds."""
-        names = ", ".join(map(str, self.binding[:4])) + (", …" if len(self.binding) > 4 else "")
-        if not self.feasible:
-            return f"The arms carry {100.0 * self.share:.1f} % of the load ({names})."
-        most = float(np.max([self.joint_use.max(), self.grip_use.max(), self.internal_use.max()]))
-        return f"The arms carry the load with {100.0 * most:.1f} % of their limits{f' ({names})' if names else ''}."
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,7 +70,7 @@ class LoadShare:
     """Shares the wrench on an object among the arms that hold it.
 
     Args:
-        cell, grasp: the arms, and how they hold the object. Gravity is that of ``cell.model``.
+        cell, grasp: the arms, and how they hold the object. Gravity is ``cell.model``'s.
         payload: mass, centre and inertia of the object, and the torque limits of the joints.
         internal_force: largest norm of each arm's internal force [N]. Mandatory.
         internal_torque: the same of its torque [N·m]; by default ``internal_force`` times ``length``.
@@ -296,9 +257,9 @@ class LoadShare:
         Args:
             q: configuration (nq,). The object's orientation follows from the first arm.
             twist, acceleration: motion of the object (6,) in its own frame, as in :meth:`wrench`; rest by default.
-            joint_velocity, joint_acceleration: of the arms (nv,); by default those of :meth:`joint_motion`.
+            joint_velocity, joint_acceleration: of the arms (nv,); by default from :meth:`joint_motion`.
             internal: wanted wrenches of the arms (N, 6) in the object frame [N, N·m], such as a squeeze; their internal
-                part is approached as far as the limits allow. Zero by default.
+                part is met, or approached within the limits. Zero by default.
 
         Raises:
             InvalidInputError: bad arguments.

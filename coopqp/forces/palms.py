@@ -45,9 +45,9 @@ def palm_use(palms: Sequence[Grip], wrenches: Array) -> Array:
 
 
 def squeeze_needed(palms: Sequence[Grip], wrenches: Array) -> float:
-    """The normal force with which every palm would hold what it transmits across now [N]; inf if one does not press.
+    """The normal force with which every palm could transmit its present tangential load [N]; inf if one does not press.
 
-    Arguments as those of :func:`palm_use`. Friction and pads hold in proportion to the normal force.
+    Arguments as of :func:`palm_use`. Friction and pads hold in proportion to the normal force.
     """
     return palms_need(palm_rows(palms), wrenches)
 

@@ -41,13 +41,13 @@ from coopqp.model.chain import Chain
 from coopqp.model.grasp import Grasp
 from coopqp.spatial import Array
 
-#: Parts of a stiffness below this share are none.
+#: Smaller shares of a stiffness count as 0.
 _LEAST_PART = 1e-9
 #: Metric of torques where the size of a wrench is told [m].
 _LENGTH = 0.3
 #: Largest (d + dt) / T with the doubt.
 _LARGEST_GAIN = 0.5
-#: The arms press until they feel so much [N], from so far on and until so far [m], at a speed [m/s].
+#: Pressing: force at which it ends [N], first and last distance [m], speed [m/s].
 _PRESS, _PRESS_LEAST, _PRESS_MOST, _PRESS_SPEED = 3.0, 1e-5, 5e-4, 5e-4
 #: What may come of it. Servos softer than said are not answered faster: their damping need not be softer.
 _STIFFEST = (1.0, 20.0)
@@ -111,8 +111,8 @@ class Relaxation:
         views = minding_views(self.memory, n)
         self.internal, self.shift, self.silent = views["internal"], views["shift"], views["silent"]
         self.seen, self._yields = views["seen"], views["yields"]
-        # What is minded, in the tools' axes. Palms answer it with the twists of the whole wrench, so that they keep
-        # their real places in the other directions.
+        # The wrenches that count, in the tools' axes. Palms answer with the twists of the whole wrench, so that they
+        # keep their real places in the other directions.
         felt = np.zeros((6 * n, 6 * n))
         for k, (X, mind) in enumerate(zip(grasp.T_object_tool, options.minded(n), strict=True)):
             own = slice(6 * k, 6 * k + 6)
@@ -125,7 +125,7 @@ class Relaxation:
         #: F, where arms keep their places in some directions.
         self._felt_part = None if options.palms is not None or options.minded(n).all() else felt
         self._starting = self.memory.copy()
-        #: Takes what the arms yield to what their grasps move.
+        #: Maps displacements of the arms to displacements of their grasps.
         self._relative = np.eye(6 * n) - np.tile(np.hstack([np.diag(s) for s in shares]), (n, 1))
         if options.palms is not None:  # each arm makes up for what its own servos yield: the object stays where it is
             self._relative = np.eye(6 * n)
@@ -160,7 +160,7 @@ class Relaxation:
         self._grows, self._base = np.zeros(6 * n), np.zeros((n, 6))
 
     def kept(self) -> dict[str, Any]:
-        """What a copy goes on from."""
+        """The state of a copy."""
         return {"memory": self.memory.copy(), **{name: getattr(self, name) for name in _VARYING}}
 
     def restore(self, kept: dict[str, Any]) -> None:
@@ -170,7 +170,7 @@ class Relaxation:
 
     @property
     def size(self) -> float:
-        """Of the largest internal wrench [N]; a torque of 0.3 N·m counts as 1 N."""
+        """Size of the largest internal wrench [N]; a torque of 0.3 N·m counts as 1 N."""
         return self.memory.item(AT["SIZE"])
 
     @property
@@ -207,10 +207,10 @@ class Relaxation:
         """The compliances have to be looked at again."""
         return self.memory.item(AT["AGE"]) >= _LOOK_EVERY
 
-    # -- what is felt --------------------------------------------------------------------------------------------
+    # -- the wrenches --------------------------------------------------------------------------------------------
 
     def off_servos(self, commanded: Array, measured: Array) -> Array:
-        """By how much the sensors differ from what the servos and what the drives feed forward say (N, 6).
+        """Differences of the sensors from the estimate by servos and feed-forward (N, 6).
 
         Without a payload all that an ideal share of some load explains counts as fed forward.
         """
@@ -241,7 +241,7 @@ class Relaxation:
         self.memory[AT["AGE"]] = 0.0
         return R
 
-    # -- what the grasps do --------------------------------------------------------------------------------------
+    # -- motion of the grasps ------------------------------------------------------------------------------------
 
     def press(self, dt: float) -> bool:
         """Move the grasps together until a force is felt, wait for all of it, and learn ρ; true when that is done.

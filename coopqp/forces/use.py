@@ -1,4 +1,4 @@
-"""What a motion asks of the arms: torques, wrenches, and the share of each limit that it uses, at every sample."""
+"""Demands of a motion on the arms: torques, wrenches, and the share of each limit that it uses, at every sample."""
 
 from __future__ import annotations
 
@@ -11,7 +11,8 @@ import pinocchio as pin
 
 from coopqp.checks import NOT_NUMBERS, as_floats
 from coopqp.errors import InvalidInputError
-from coopqp.forces.load import LoadShare, SharedLoad
+from coopqp.forces.load import LoadShare
+from coopqp.forces.shared_load import SharedLoad
 from coopqp.model.cell import RobotCell
 from coopqp.model.limits import BindingLimit
 from coopqp.spatial import Array
@@ -64,7 +65,7 @@ class LoadUse:
 
 
 def load_use(load: LoadShare, time: Any, q: Any) -> LoadUse:
-    """Share the load along a motion, such as ``recording.time`` and ``recording.q_command``.
+    """Share the load along a motion, for example ``recording.time`` and ``recording.q_command``.
 
     Velocities and accelerations are central differences of the samples: give commands, not noisy measurements.
 

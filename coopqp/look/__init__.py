@@ -23,17 +23,17 @@ else:
     __getattr__, __dir__ = lazy_names(
         __name__,
         {
-            "coopqp.look.joints": ("joint_figure",),
-            "coopqp.look.plots": ("error_figure", "motion_figure"),
-            "coopqp.look.calibration": ("calibration_figure", "write_calibration"),
-            "coopqp.look.loads": ("load_figure", "run_loads_figure", "write_load_use"),
-            "coopqp.look.profile": ("profile_figure", "write_speed_profile"),
-            "coopqp.look.renderer": ("Solid", "View", "box_solid", "cell_solids", "render"),
-            "coopqp.look.report": ("write_report",),
-            "coopqp.look.style": ("save_figure",),
-            "coopqp.look.placements": ("placement_figure",),
-            "coopqp.look.sweeps": ("sweep_figure",),
-            "coopqp.look.viewer": ("LiveViewer", "export_html"),
+            "coopqp.look.joints": "joint_figure",
+            "coopqp.look.plots": "error_figure motion_figure",
+            "coopqp.look.calibration": "calibration_figure write_calibration",
+            "coopqp.look.loads": "load_figure run_loads_figure write_load_use",
+            "coopqp.look.profile": "profile_figure write_speed_profile",
+            "coopqp.look.renderer": "Solid View box_solid cell_solids render",
+            "coopqp.look.report": "write_report",
+            "coopqp.look.style": "save_figure",
+            "coopqp.look.placements": "placement_figure",
+            "coopqp.look.sweeps": "sweep_figure",
+            "coopqp.look.viewer": "LiveViewer export_html",
         },
     )
 

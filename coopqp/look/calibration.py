@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from coopqp.forces.calibration import Calibration
-from coopqp.look.style import require_matplotlib, save_figure
+from coopqp.look.style import open_frame, require_matplotlib, save_figure
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -56,8 +56,7 @@ def calibration_figure(found: Calibration) -> Figure:
         axes.set_xlabel(f"{'shift' if unit == 'mm' else 'turn'} [{unit}], ± 2 standard deviations")
     grid[1, 0].set_title("What was corrected", loc="left", color=_INK)
     for axes in grid.ravel():
-        for side in ("top", "right"):
-            axes.spines[side].set_visible(False)
+        open_frame(axes)
     return figure
 
 

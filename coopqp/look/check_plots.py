@@ -1,4 +1,4 @@
-"""Picture of a check: margins and σ_min of each arm along the path, the least distance, and what is proved."""
+"""Picture of a check: margins and σ_min of each arm along the path, the least distance, and the proved intervals."""
 
 from __future__ import annotations
 
@@ -76,17 +76,18 @@ def check_figure(check: PathCheck) -> Figure:
         branch = arm.chosen
         assert branch is not None
         own = kinematics[k]
-        share = 100.0 * own.margins(branch.q) / (0.5 * (own.upper - own.lower))
         joints = np.flatnonzero(own.bounded)
+        share = 100.0 * own.margins(branch.q)[:, joints] / (0.5 * (own.upper - own.lower)[joints])
         lines = [
-            top.plot(branch.clocks, share[:, j], color=COLOURS[i % len(COLOURS)], lw=1.8)[0]
-            for i, j in enumerate(joints)
+            top.plot(branch.clocks, row, color=COLOURS[i % len(COLOURS)], lw=1.8)[0] for i, row in enumerate(share.T)
         ]
-        lowest = min(lowest, float(share[:, joints].min(initial=0.0)))
+        lowest = min(lowest, float(share.min(initial=0.0)))
         top.axhline(0.0, color=RED, lw=1.4)
         bottom.semilogy(branch.clocks, np.maximum(branch.sigma_min, 1e-6), color=INK, lw=1.8)
         bottom.axhline(LEAST_SIGMA, color=RED, lw=1.4)
         verdict = arm.verdict.value.lower()
+        if arm.verdict is PathVerdict.INFEASIBLE:
+            verdict += f" after {branch.until:.2f} s" if branch.until > 0.0 else " from the start"
         top.set_title(
             label(f"{arm.arm}: {verdict}", width=72 // (columns + 1)), fontsize=12, color=INK, fontweight="bold"
         )

@@ -49,7 +49,7 @@ def _guard(inner: Callable[[Any, Any], Any] | None, host: str) -> Callable[[Any,
     def process_request(connection: Any, request: Any) -> Any:
         here = connection.local_address
         names = frozenset({host.lower(), str(here[0]).lower(), socket.gethostname().lower(), *_LOOPBACK})
-        try:  # a header that comes twice is none of a browser
+        try:  # a browser sends no header twice
             own = is_own(request.headers.get("Host"), request.headers.get("Origin"), names=names, port=int(here[1]))
         except LookupError:
             own = False

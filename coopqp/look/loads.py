@@ -1,4 +1,4 @@
-"""What a motion asks of the arms, as a picture: torques, grips and internal forces over time. Needs ``plot``."""
+"""Picture of the demands of a motion on the arms: torques, grips and internal forces over time. Needs ``plot``."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 
 from coopqp.forces.use import LoadUse
 from coopqp.look.curves import drawn
-from coopqp.look.style import require_matplotlib, save_figure
+from coopqp.look.style import open_frame, require_matplotlib, save_figure
 from coopqp.model.cell import RobotCell
 from coopqp.simulation.loads import RunLoads
 
@@ -45,8 +45,7 @@ def load_figure(use: LoadUse) -> Figure:
         axes.set_ylim(0.0, 110.0)
         axes.set_ylabel(f"{what}\n[% of its limit]")
         axes.legend(loc="upper left", bbox_to_anchor=(1.01, 1.0), frameon=False, fontsize=9)
-        for side in ("top", "right"):
-            axes.spines[side].set_visible(False)
+        open_frame(axes)
         if not use.feasible:
             axes.fill_between(use.time, 0.0, 110.0, where=use.share < 1.0, color=_FAINT, alpha=0.3, linewidth=0.0)
     least = 100.0 * float(use.share.min())
@@ -91,8 +90,7 @@ def run_loads_figure(cell: RobotCell, loads: RunLoads) -> Figure:
         force.axvspan(0.0, loads.time[loads.moves], color=_FAINT, alpha=0.2, lw=0.0, label="before it moves")
     for axes in panels:
         axes.legend(loc="upper left", bbox_to_anchor=(1.01, 1.0), frameon=False, fontsize=9)
-        for side in ("top", "right"):
-            axes.spines[side].set_visible(False)
+        open_frame(axes)
     force.set_xlim(0.0, float(loads.time[-1]))
     return figure
 

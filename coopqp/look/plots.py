@@ -230,7 +230,7 @@ def _cycle(items: Sequence[Any], n: int) -> list[Any]:
 
 
 def _at_most(value: float, unit: str) -> str:
-    """That errors are at most a value, with three digits; a small one with two digits and a power of ten."""
+    """A text: errors are at most a value, with three digits; a small one has two digits and a power of ten."""
     if not metrics.ROUNDING <= value < 1e-3:
         return ("≤ " if value >= metrics.ROUNDING else "") + metrics.said(value, unit)
     mantissa, exponent = f"{value:.1e}".split("e")

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from coopqp.look.style import INK, label, new_figure, save_figure
+from coopqp.look.style import INK, label, new_figure, open_frame, save_figure
 from coopqp.model.limits import LimitKind
 from coopqp.task.timed import TimedPath
 
@@ -74,8 +74,7 @@ def profile_figure(path: TimedPath) -> Figure:
         if kinds[kind] >= _LEAST_SHARE * path.duration
     ]
     axes.legend(handles=handles, loc="upper left", bbox_to_anchor=(1.01, 1.0), frameon=False, fontsize=9)
-    for side in ("top", "right"):
-        axes.spines[side].set_visible(False)
+    open_frame(axes)
     return figure
 
 

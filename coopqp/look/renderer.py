@@ -26,8 +26,8 @@ Picture = NDArray[np.float32]
 SEGMENTS = 36
 #: Samples per pixel in each direction; they smooth the edges.
 SAMPLES = 2
-#: Number of candidate samples that are tested at once; bounds the memory.
-CHUNK = 1_500_000
+#: Number of candidate samples that are tested at once: as many as stay in a processor's cache.
+CHUNK = 100_000
 #: Distance of the camera in diagonals of the scene; gives a mild perspective.
 CAMERA_DISTANCE = 2.2
 
@@ -193,7 +193,7 @@ def box_solid(size: tuple[float, float, float], T_world_box: pin.SE3, colour: tu
 
 
 def body_solids(metadata: Mapping[str, Any]) -> list[Solid]:
-    """What stands in the world in a recording, from its metadata."""
+    """Bodies in the world of a recording, from its metadata."""
     solids = []
     for _, geometry, T in read_bodies(metadata):
         mesh = mesh_of(geometry)

@@ -76,7 +76,7 @@ def report_html(
     Args:
         recording: the run.
         cell: cell of the run; by default read from the recording.
-        tolerances: accepted errors of the verdict; by default those of the recording's cell file.
+        tolerances: accepted errors of the verdict; by default the tolerances of the recording's cell file.
         progress: called with a text for each stage.
 
     Raises:

@@ -1,4 +1,4 @@
-"""What all figures share: colours, type, files, and legends that fit their place. Needs the extra ``plot``."""
+"""Common parts of all figures: colours, type, files, and legends that fit their place. Needs the extra ``plot``."""
 
 from __future__ import annotations
 
@@ -74,12 +74,15 @@ def save_figure(figure: Figure, path: str | Path, *, dpi: int = 200) -> Path:
     return file
 
 
+def open_frame(axes: Axes) -> None:
+    """Leave the frame open at the top and on the right."""
+    axes.spines[["top", "right"]].set_visible(False)
+
+
 def plain(axes: Axes) -> None:
     """Set a plain style of ticks and frame."""
-    for side in ("top", "right"):
-        axes.spines[side].set_visible(False)
-    for side in ("left", "bottom"):
-        axes.spines[side].set_color(FAINT)
+    open_frame(axes)
+    axes.spines[["left", "bottom"]].set_color(FAINT)
     axes.tick_params(colors=INK, labelsize=10.5, which="both")
 
 

@@ -72,7 +72,7 @@ static double error_of(const double *T, const double *target, double *e) {
         for (int j = 0; j < 3; j++) D[3 * i + j] = dot3(target + 3 * i, T + 3 * j);
     rotation_vector(D, e + 3);
     for (int i = 0; i < 3; i++) e[i] = target[9 + i] - T[9 + i];
-    for (int i = 0; i < 6; i++) largest = fmax(largest, fabs(e[i]));
+    for (int i = 0; i < 6; i++) largest = maximum(largest, fabs(e[i]));
     return isfinite(e[0] + e[1] + e[2] + e[3] + e[4] + e[5]) ? largest : INFINITY;
 }
 
@@ -84,7 +84,7 @@ static double weight_of(const Arm *a, int j) {
 
 static double dot6(const double *a, const double *b) { return dot3(a, b) + dot3(a + 3, b + 3); }
 
-/* Cholesky's factor of J W² J' + damping I, its diagonal inverted; 0 if there is none. */
+/* Factors L D L' of J W² J' + damping I: L' above the diagonal, D⁻¹ on it; 0 if it is not positive definite. */
 static int factor(const Arm *a, const double *jacobian, double damping, double *G) {
     double trace = 0.0;
     memset(G, 0, 36 * sizeof(double));
@@ -92,18 +92,19 @@ static int factor(const Arm *a, const double *jacobian, double damping, double *
         const double *row = jacobian + 6 * j, weight = weight_of(a, j);
         UNROLL for (int i = 0; i < 6; i++) {
             const double x = weight * row[i];
-            UNROLL for (int m = 0; m < 6; m++) G[6 * i + m] += x * row[m];
+            UNROLL for (int m = i; m < 6; m++) G[6 * i + m] += x * row[m];
         }
     }
     UNROLL for (int i = 0; i < 6; i++) trace += G[7 * i];
     UNROLL for (int i = 0; i < 6; i++) G[7 * i] += damping + LEAST_DAMPING * trace;
     UNROLL for (int k = 0; k < 6; k++) {
         if (!(G[7 * k] > 0.0)) return 0;
-        const double inverse = 1.0 / sqrt(G[7 * k]);
-        G[7 * k] = inverse;
-        UNROLL for (int i = k + 1; i < 6; i++) G[6 * k + i] *= inverse;
-        UNROLL for (int i = k + 1; i < 6; i++)
-            UNROLL for (int m = i; m < 6; m++) G[6 * i + m] -= G[6 * k + i] * G[6 * k + m];
+        G[7 * k] = 1.0 / G[7 * k]; /* no square root: each step waits for the one before */
+        UNROLL for (int i = k + 1; i < 6; i++) {
+            const double below = G[6 * k + i] * G[7 * k];
+            UNROLL for (int m = i; m < 6; m++) G[6 * i + m] -= below * G[6 * k + m];
+            G[6 * k + i] = below;
+        }
     }
     return 1;
 }
@@ -113,22 +114,21 @@ static void solve_factored(const double *G, const double *e, double *y) {
     UNROLL for (int k = 0; k < 6; k++) {
         y[k] = e[k];
         UNROLL for (int i = 0; i < k; i++) y[k] -= G[6 * i + k] * y[i];
-        y[k] *= G[7 * k];
     }
     UNROLL for (int i = 5; i >= 0; i--) {
-        UNROLL for (int k = i + 1; k < 6; k++) y[i] -= G[6 * i + k] * y[k];
         y[i] *= G[7 * i];
+        UNROLL for (int k = i + 1; k < 6; k++) y[i] -= G[6 * i + k] * y[k];
     }
 }
 
-/* v = W² J' (J W² J' + damping I)⁻¹ e; returns the largest step, infinite if there is none. */
+/* v = W² J' (J W² J' + damping I)⁻¹ e; returns the largest step, infinite on failure. */
 static double newton_step(const Arm *a, const double *jacobian, const double *e, double damping, double *v) {
     double G[36], y[6], largest = 0.0;
     if (!factor(a, jacobian, damping, G)) return INFINITY;
     solve_factored(G, e, y);
     for (int j = 0; j < a->joints; j++) {
         v[j] = weight_of(a, j) * dot6(jacobian + 6 * j, y);
-        largest = fmax(largest, fabs(v[j]));
+        largest = maximum(largest, fabs(v[j]));
     }
     return isfinite(largest) ? largest : INFINITY;
 }

@@ -1,93 +1,12 @@
 /* Kinematics of one arm at many configurations, for Python: tool poses, Newton's method, walks along poses, derivatives
- * along a way; singular values of many matrices. See _arm.h for what the numbers are; batch_plain.py says the same in NumPy. */
+ * along a way; singular values of many matrices (_values.c). See _arm.h for the layout of the numbers; batch_plain.py
+ * says the same in NumPy. */
 
 #define PY_SSIZE_T_CLEAN
 #include <Python.h>
 
 #include "_arm.h"
-
-#define LANES 8 /* matrices whose singular values are found at once */
-#define MOST_VALUES 6 /* of a matrix */
-#define ACROSS 1e-14 /* square of a cosine between vectors at right angles */
-
-/* -- singular values ------------------------------------------------------------------------------------------------- */
-
-/* A number of each of several matrices. Loops over them are for the processor's vectors. */
-typedef double Lanes[LANES];
-
-/* Sums of squares of the entries of vectors. */
-static void squares_of(Lanes *x, int length, double *out) {
-    for (int l = 0; l < LANES; l++) out[l] = 0.0;
-    for (int j = 0; j < length; j++)
-        for (int l = 0; l < LANES; l++) out[l] += x[j][l] * x[j][l];
-}
-
-/* Turn the vectors x and y into right angles where `going` is 1; keep the largest square of a cosine between two. */
-static void turn(Lanes *x, Lanes *y, int length, double *xx, double *yy, const double *going, double *largest) {
-    Lanes xy = {0.0}, c, s;
-    for (int j = 0; j < length; j++)
-        for (int l = 0; l < LANES; l++) xy[l] += x[j][l] * y[j][l];
-    for (int l = 0; l < LANES; l++) {
-        const double square = xy[l] * xy[l], size = xx[l] * yy[l], half = 0.5 * (yy[l] - xx[l]);
-        const double tangent = (half < 0.0 ? -xy[l] : xy[l]) / (fabs(half) + sqrt(square + half * half));
-        const int turns = going[l] != 0.0 && square > 1e-30 * size; /* if not, quotients are of no account */
-        const double t = turns ? tangent : 0.0, cosine = turns ? square / size : 0.0;
-        largest[l] = cosine > largest[l] ? cosine : largest[l];
-        c[l] = 1.0 / sqrt(1.0 + t * t), s[l] = c[l] * t;
-        xx[l] -= t * xy[l], yy[l] += t * xy[l];
-    }
-    for (int j = 0; j < length; j++)
-        for (int l = 0; l < LANES; l++) {
-            const double u = x[j][l], w = y[j][l];
-            x[j][l] = c[l] * u - s[l] * w, y[j][l] = s[l] * u + c[l] * w;
-        }
-}
-
-/* Put a value into values in descending order, of which there are `count`; its place. */
-static int insert(double *values, int count, double value) {
-    int k = count;
-    for (; k > 0 && values[k - 1] < value; k--) values[k] = values[k - 1];
-    values[k] = value;
-    return k;
-}
-
-/* A matrix as vectors, the longest first (this saves a sweep): its rows, of a tall or square one its columns. */
-static void longest_first(const double *A, int rows, int columns, int lane, Lanes *vectors) {
-    const int wide = rows < columns, count = wide ? rows : columns, length = wide ? columns : rows;
-    const int next = wide ? columns : 1, along = wide ? 1 : columns;
-    double sizes[MOST_VALUES];
-    int order[MOST_VALUES];
-    for (int i = 0; i < count; i++) {
-        double size = 0.0;
-        for (int j = 0; j < length; j++) size += A[next * i + along * j] * A[next * i + along * j];
-        const int k = insert(sizes, i, size);
-        memmove(order + k + 1, order + k, sizeof(int) * (size_t)(i - k));
-        order[k] = i;
-    }
-    for (int k = 0; k < count; k++)
-        for (int i = order[k], j = 0; j < length; j++) vectors[length * k + j][lane] = A[next * i + along * j];
-}
-
-/* Singular values of LANES matrices, descending, by one-sided Jacobi rotations, accurate for small ones, too. The values
- * of one matrix do not depend on the others. */
-static void singular_values(const double *const A[LANES], int rows, int columns, double *const values[LANES]) {
-    const int wide = rows < columns, count = wide ? rows : columns, length = wide ? columns : rows;
-    Lanes vectors[MOST_VALUES * MOST_JOINTS], squares[MOST_VALUES], going, largest;
-    double most = 1.0; /* square of a cosine between two vectors; the values' errors are of the square of the last one */
-    for (int l = 0; l < LANES; l++) longest_first(A[l], rows, columns, l, vectors), largest[l] = 1.0;
-    for (int sweep = 0; most > ACROSS && sweep < 30; sweep++) {
-        for (int l = 0; l < LANES; l++) going[l] = largest[l] > ACROSS, largest[l] = 0.0;
-        for (int i = 0; i < count; i++) squares_of(vectors + length * i, length, squares[i]);
-        for (int i = 0; i < count; i++)
-            for (int k = i + 1; k < count; k++)
-                turn(vectors + length * i, vectors + length * k, length, squares[i], squares[k], going, largest);
-        most = 0.0;
-        for (int l = 0; l < LANES; l++) most = fmax(most, largest[l]);
-    }
-    for (int i = 0; i < count; i++) squares_of(vectors + length * i, length, squares[i]);
-    for (int l = 0; l < LANES; l++)
-        for (int i = 0; i < count; i++) insert(values[l], i, sqrt(squares[i][l]));
-}
+#include "_values.h"
 
 /* -- along poses ----------------------------------------------------------------------------------------------------- */
 
@@ -118,7 +37,7 @@ static int step_to(const Arm *a, const double *from, const double *to, double *q
     double next[MOST_JOINTS], between[12], furthest = 0.0;
     memcpy(next, q, sizeof(double) * (size_t)a->joints);
     const double residual = solve(a, to, next, tolerance, 12, longest, 0.0);
-    for (int j = 0; j < a->joints; j++) furthest = fmax(furthest, fabs(next[j] - q[j]));
+    for (int j = 0; j < a->joints; j++) furthest = maximum(furthest, fabs(next[j] - q[j]));
     if (residual <= tolerance && furthest <= longest && orientation(a, next) == orientation(a, q)) {
         memcpy(q, next, sizeof(double) * (size_t)a->joints);
         return 1;
@@ -127,6 +46,14 @@ static int step_to(const Arm *a, const double *from, const double *to, double *q
     halfway(from, to, between);
     return step_to(a, from, between, q, tolerance, longest, halvings - 1) &&
            step_to(a, between, to, q, tolerance, longest, halvings - 1);
+}
+
+/* The fastest that this processor can do. */
+static SingularValues *fastest(void) {
+#ifdef HAS_AVX2_ARITHMETIC
+    if (__builtin_cpu_supports("avx2") && __builtin_cpu_supports("fma")) return singular_values_avx2;
+#endif
+    return singular_values;
 }
 
 /* -- Python ---------------------------------------------------------------------------------------------------------- */
@@ -228,12 +155,13 @@ static PyObject *batch_singular_values(PyObject *self, PyObject *args) {
     Py_buffer views[2];
     double *at[2];
     Py_ssize_t n[2];
+    SingularValues *find = fastest();
     int rows, columns;
     (void)self;
     if (!PyArg_ParseTuple(args, "OiiO", objects, &rows, &columns, objects + 1)) return NULL;
     if (!take(objects, 2, 1, views, at, n)) return NULL;
     const int width = rows < columns ? rows : columns, length = rows < columns ? columns : rows;
-    int good = width >= 1 && width <= MOST_VALUES && length <= MOST_JOINTS;
+    int good = width >= 1 && width <= MOST_VALUES && length <= MOST_ROWS;
     const Py_ssize_t count = good ? n[1] / width : 0, size = (Py_ssize_t)rows * columns;
     good = good && n[1] == width * count && n[0] == size * count;
     Py_BEGIN_ALLOW_THREADS;
@@ -245,7 +173,7 @@ static PyObject *batch_singular_values(PyObject *self, PyObject *args) {
             A[l] = at[0] + (inside ? i + l : count - 1) * size;
             values[l] = inside ? at[1] + (i + l) * width : spare + MOST_VALUES * l;
         }
-        singular_values(A, rows, columns, values);
+        find(A, rows, columns, values);
     }
     Py_END_ALLOW_THREADS;
     if (!release(views, 2, good)) return NULL;

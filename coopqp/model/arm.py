@@ -1,4 +1,4 @@
-"""One arm: its model, its joint limits, its tool frame, and the placement of its base.
+"""One arm: its model, its tool frame, and the placement of its base.
 
 Models are copied. The user's objects are never modified.
 """
@@ -14,79 +14,11 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from coopqp.checks import NOT_NUMBERS, ArrayLike, as_floats, as_vector, read_only, require
+from coopqp.checks import ArrayLike, as_vector, require
 from coopqp.errors import InvalidInputError, ModelError, UnknownNameError, has_controls, shown
 from coopqp.model.description import check_nesting, check_urdf, description_file, mesh_folders
-from coopqp.spatial import Array, Placement, as_placement
-
-#: A position limit beyond this [rad or m] means "no limit" (parsers write the largest double for it).
-UNLIMITED = 1e6
-#: Smallest accepted velocity or acceleration limit [rad/s or m/s, rad/s² or m/s²]. Below it the joint could not move.
-SMALLEST_LIMIT = 1e-6
-#: Largest accepted finite limit. The square of a larger one loses its meaning in floating point.
-LARGEST_LIMIT = 1e9
-#: Names of the fields of :class:`JointLimits`, in order.
-LIMIT_FIELDS = ("lower", "upper", "velocity", "acceleration")
-
-
-@dataclass(frozen=True, eq=False)
-class JointLimits:
-    """Limits of joints, one entry per velocity coordinate; ±inf means no limit.
-
-    Attributes:
-        lower, upper: position limits [rad or m], shape (nv,).
-        velocity: largest speeds [rad/s or m/s], shape (nv,), > 0.
-        acceleration: largest accelerations [rad/s² or m/s²], shape (nv,), > 0.
-    """
-
-    lower: Array
-    upper: Array
-    velocity: Array
-    acceleration: Array
-
-    def __post_init__(self) -> None:
-        n = None
-        for name in ("lower", "upper", "velocity", "acceleration"):
-            try:
-                value = as_floats(getattr(self, name))
-            except NOT_NUMBERS as error:
-                raise InvalidInputError(f"{name} is not a vector of numbers", "JointLimits", "Give floats.") from error
-            n = value.size if n is None else n
-            if value.shape != (n,) or n == 0 or np.isnan(value).any():
-                raise InvalidInputError(
-                    f"{name} has shape {value.shape} or NaN, expected ({n},)",
-                    "JointLimits",
-                    "One number per joint.",
-                )
-            object.__setattr__(self, name, read_only(value))
-            if (np.isfinite(value) & (np.abs(value) > LARGEST_LIMIT)).any():
-                raise InvalidInputError(
-                    f"{name} has entries beyond {LARGEST_LIMIT:g}", "JointLimits", "Give inf where there is no limit."
-                )
-        for j in range(len(self.lower)):
-            if not self.lower[j] < self.upper[j]:
-                raise InvalidInputError(
-                    f"joint {j}: lower {self.lower[j]:g} is not below upper {self.upper[j]:g}",
-                    "JointLimits",
-                    "Swap reversed limits, or lock the joint.",
-                )
-            if not (self.velocity[j] >= SMALLEST_LIMIT and self.acceleration[j] >= SMALLEST_LIMIT):
-                raise InvalidInputError(
-                    f"joint {j}: velocity {self.velocity[j]:g} and acceleration {self.acceleration[j]:g} must be > 0 "
-                    f"(at least {SMALLEST_LIMIT:g})",
-                    "JointLimits",
-                    "Give a positive limit (inf for none).",
-                )
-
-    def replace(self, **changes: ArrayLike) -> JointLimits:
-        """Return a copy with some limits replaced. A scalar applies to every joint."""
-        n = len(self.lower)
-        full = {}
-        for key, value in changes.items():
-            if key not in LIMIT_FIELDS:
-                raise UnknownNameError("limit", key, LIMIT_FIELDS, "JointLimits")
-            full[key] = _one_per_joint(value, n, f"JointLimits: {key}", f"Give one number or {n}.")
-        return replace(self, **full)
+from coopqp.model.joint_limits import JointLimits, model_limits
+from coopqp.spatial import Placement, as_placement
 
 
 @dataclass(frozen=True, eq=False)
@@ -280,7 +212,7 @@ class Arm:
             raise UnknownNameError("frame", str(tool_frame), near, f"arm '{name}' ({source})")
         if model.frames[model.getFrameId(tool_frame)].parentJoint == 0:
             raise ModelError(f"arm '{name}': no joint moves the tool frame '{tool_frame}' ({source}).")
-        limits = _model_limits(name, model, velocity, acceleration, lower, upper)
+        limits = model_limits(name, model, velocity, acceleration, lower, upper)
         return Arm(name, model, tool_frame, base, limits, shapes["visual"], shapes["collision"], source)
 
     def placed(self, T_world_base: Placement, *, name: str | None = None) -> Arm:
@@ -374,50 +306,3 @@ def _separate_frames(model: pin.Model) -> None:
                 if frame.name in taken:
                     frame.name = f"{frame.name} ({str(frame.type).lower()})"
                 taken.add(frame.name)
-
-
-def _one_per_joint(value: Any, n: int, where: str, remedy: str) -> Array:
-    """Return a new array (n,) from one number for all or from n numbers."""
-    try:
-        return np.array(np.broadcast_to(as_floats(value), (n,)))
-    except NOT_NUMBERS as error:
-        raise InvalidInputError(f"cannot be read as {n} numbers", where, remedy) from error
-
-
-def _model_limits(name: str, model: pin.Model, velocity: Any, acceleration: Any, lower: Any, upper: Any) -> JointLimits:
-    n = model.nv
-    joints = list(model.joints)[1:]  # joint 0 is the universe
-    continuous = np.array([j.nq != j.nv for j in joints])
-    index = np.array([j.idx_q for j in joints])
-    joint_names = [x for x in model.names if x != "universe"]
-
-    def override(value: Any, default: Array, what: str) -> Array:
-        if value is None:
-            return default
-        return _one_per_joint(value, n, f"arm '{name}': {what}", f"Give one number or {n}: {joint_names}.")
-
-    low = np.asarray(model.lowerPositionLimit)[index].copy()
-    high = np.asarray(model.upperPositionLimit)[index].copy()
-    # A continuous joint has the limits ±1.01 on its cosine: it has none. Huge numbers also mean no limit.
-    low[continuous | (low <= -UNLIMITED)] = -np.inf
-    high[continuous | (high >= UNLIMITED)] = np.inf
-    speed = np.array(model.velocityLimit)  # Pinocchio 4 has other names for it, too
-    speed[speed >= UNLIMITED] = np.inf
-    low, high = override(lower, low, "lower_limits"), override(upper, high, "upper_limits")
-    speed = override(velocity, speed, "velocity_limits")
-    accel = override(acceleration, np.full(n, np.inf), "acceleration_limits")
-    for j, joint in enumerate(joint_names):
-        if not low[j] < high[j]:
-            raise InvalidInputError(
-                f"position limits [{low[j]:g}, {high[j]:g}] are empty or reversed",
-                f"arm '{name}', joint '{joint}'",
-                "Correct the model, or give lower_limits and upper_limits.",
-            )
-        if not (speed[j] >= SMALLEST_LIMIT and accel[j] >= SMALLEST_LIMIT):
-            raise InvalidInputError(
-                f"velocity limit {speed[j]:g}, acceleration limit {accel[j]:g}: both must be > 0 "
-                f"(at least {SMALLEST_LIMIT:g})",
-                f"arm '{name}', joint '{joint}'",
-                "Give velocity_limits [rad/s or m/s] and acceleration_limits, inf for none.",
-            )
-    return JointLimits(low, high, speed, accel)

@@ -40,7 +40,7 @@ _WALKING_STEP, _HALVINGS = 0.3, 12
 
 
 def batch_kernels() -> tuple[str, ...]:
-    """Names of what computes batches in this installation, the fastest first."""
+    """Names of the batch kernels in this installation, the fastest first."""
     return tuple(_KERNELS)
 
 

@@ -34,7 +34,7 @@ class Branches:
         margins: distance to the nearer limit (B, n) [rad or m]; negative outside.
         sigma_min: smallest singular value of the tool's Jacobian (B,), in metres and radians.
         seeds: number of seeds.
-        closest: smallest residual of any seed [m, rad]: what is missing where there is no solution.
+        closest: smallest residual of any seed [m, rad]: the remaining error if no seed leads to a solution.
     """
 
     q: Array
@@ -63,14 +63,14 @@ def find_branches(
     seed: int = 0,
     quick: bool = False,
 ) -> Branches:
-    """Search all branches at a tool pose with random seeds until none that is new turns up.
+    """Search all branches at a tool pose with random seeds until a round finds no new one.
 
     Args:
         kinematics: the arm.
         T_world_tool: the pose.
         effort: multiplies the numbers of seeds.
         near: further seeds (S, n) [rad or m], tried first.
-        seed: of the random numbers.
+        seed: seed of the random numbers.
         quick: a first look, with few seeds: branches may be missing.
     """
     effort = as_count(effort, "find_branches: effort")
@@ -144,7 +144,7 @@ class _Search:
         return new
 
     def try_neighbours(self) -> int:
-        """Solve from what the latest solutions look like with one joint turned by half a turn, or reversed."""
+        """Solve from the latest solutions, with one joint turned by half a turn or reversed."""
         latest = self.found[self._expanded :]
         self._expanded = len(self.found)
         seeds = []

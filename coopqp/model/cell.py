@@ -16,7 +16,8 @@ import pinocchio as pin
 from coopqp.checks import ArrayLike, as_vector
 from coopqp.errors import InvalidInputError, UnknownNameError
 from coopqp.lazy import Shown
-from coopqp.model.arm import LIMIT_FIELDS, Arm, JointLimits
+from coopqp.model.arm import Arm
+from coopqp.model.joint_limits import LIMIT_FIELDS, JointLimits
 from coopqp.spatial import Array
 
 __all__ = ["Arm", "JointLimits", "RobotCell"]
@@ -36,7 +37,7 @@ class RobotCell(Shown):
         tool_joints, tool_frames: indices of the joint that carries each tool and of each tool frame.
         T_joint_tool: placement of each tool in the frame of its joint.
         position_index: index in a configuration of the position of each velocity coordinate (nv,). A continuous joint
-            is stored as (cos, sin); the index is that of the cosine.
+            is stored as (cos, sin); the index is the cosine's.
         continuous: True for velocity coordinates of continuous joints (nv,).
         euclidean: True if no joint is continuous; a displacement is then simply added to a configuration.
 
@@ -74,6 +75,8 @@ class RobotCell(Shown):
         self.position_index = np.array([j.idx_q for j in joints])
         self.continuous = np.array([j.nq != j.nv for j in joints])
         self.euclidean = not self.continuous.any()
+        turning = np.flatnonzero(self.continuous)
+        self._turning = list(zip(turning.tolist(), self.position_index[turning].tolist(), strict=True))
 
     def __len__(self) -> int:
         return len(self.arms)
@@ -119,8 +122,7 @@ class RobotCell(Shown):
                 than 1e-6.
         """
         vector = as_vector(q, self.nq, where)
-        for j in np.flatnonzero(self.continuous):
-            i = self.position_index[j]
+        for j, i in self._turning:
             radius = float(np.hypot(vector[i], vector[i + 1]))
             if abs(radius - 1.0) > 1e-6:
                 raise InvalidInputError(
@@ -150,8 +152,7 @@ class RobotCell(Shown):
         if self.euclidean:
             return q.copy()
         x: Array = q.take(self.position_index, axis=-1)
-        for j in np.flatnonzero(self.continuous):
-            i = self.position_index[j]
+        for j, i in self._turning:
             x[..., j] = np.arctan2(q[..., i + 1], q[..., i])
         return x
 

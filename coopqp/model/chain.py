@@ -5,7 +5,7 @@ Pinocchio's memory, and arms of equal joint count are handled in one batch, so a
 
 Twists of the object are given in the *reference object frame* R: ``A_k v_k`` is the twist of the object as arm k
 carries it. Jacobians ``J_k`` give twists at a point that moves with the object, in world axes: with the origin of R as
-that point ``A_k = blockdiag(Rᵀ, Rᵀ) J_k``, whatever the grasp: the grasp only enters the poses. No singular value
+that point ``A_k = blockdiag(Rᵀ, Rᵀ) J_k``, for any grasp: the grasp only enters the poses. No singular value
 depends on where the world's origin is. See docs/derivations.md.
 """
 
@@ -21,7 +21,7 @@ import pinocchio as pin
 
 from coopqp.model.cell import RobotCell
 from coopqp.model.grasp import Grasp
-from coopqp.spatial import Array, largest, log6_batch
+from coopqp.spatial import Array, largest, log6_rows
 
 #: Singular values of A_k below this count as this in an inverse: limits and rate keep the command finite.
 SINGULAR_FLOOR = 1e-6
@@ -68,7 +68,8 @@ class _Group:
     joints: int
     arms: Array  # indices of the arms (m,)
     columns: Array  # their velocity coordinates (m, joints)
-    scale: Array  # unit of each joint [rad/s or m/s], (m, joints, 1): the metric of redundant arms
+    scale: Array  # unit of each joint [rad/s or m/s], (m, joints, 1)
+    metric: Array  # its square: the metric of redundant arms
     span: slice | None  # the same columns as one slice, where they are contiguous
 
 
@@ -136,7 +137,7 @@ class Chain:
         linear: Array = D.reshape(-1, 12).dot(_LINEAR_LOG)
         if largest(linear) <= _TINY:  # so are all errors, and none is half a turn
             return linear[:, :6]
-        return log6_batch(D[:, :3, :].transpose(0, 2, 1), D[:, 3, :])
+        return log6_rows(linear, D[:, :3].transpose(0, 2, 1))
 
     # -- Jacobians -----------------------------------------------------------------------------------------------
 
@@ -196,12 +197,13 @@ class Chain:
 
     def _redundant(self, g: _Group) -> Array:
         """Weighted right inverse: least Σ (v_j / scale_j)² among the joint velocities that make the twist."""
-        JT = self.jacobian_rows(g) * g.scale
+        JT = self.jacobian_rows(g)
+        weighted = (JT * g.metric).transpose(0, 2, 1)
         try:
-            gram = np.linalg.inv(JT.transpose(0, 2, 1) @ JT)
+            gram = np.linalg.inv(weighted @ JT)
         except np.linalg.LinAlgError:
             return self._floored(g)
-        inverse: Array = gram @ (JT * g.scale).transpose(0, 2, 1)
+        inverse: Array = gram @ weighted
         if largest(np.abs(inverse)) < _LARGE_INVERSE:
             return inverse
         return self._floored(g)
@@ -266,8 +268,8 @@ class Chain:
             least, u = np.maximum(values[:, 0], 0.0), vectors[:, :, :1]
             v = JT @ u  # (m, joints, 1)
             own = v * JT  # twist that each joint makes
-            before = np.cumsum(own, axis=1) - own  # twist of the links before it
-            h = (before @ (u[:, :, 0] @ _BRACKETS).reshape(-1, 6, 6) * own).sum(axis=(1, 2))
+            before = own.cumsum(axis=1) - own  # twist of the links before it
+            h = np.einsum("kij,kij->k", before @ (u[:, :, 0] @ _BRACKETS).reshape(-1, 6, 6), own)
             size = np.maximum(np.abs(h), least * np.sqrt(least) / _FAR_EDGE + _TINIEST)
             out[g.columns] = (-least / np.copysign(size, h))[:, None] * v[:, :, 0]
         return out
@@ -275,7 +277,7 @@ class Chain:
     def compliances(self, softness: Array) -> Array:
         """``J_k diag(softness) J_kᵀ``, (N, 6, 6): by how much the object gives way to a wrench on arm k.
 
-        ``softness`` (nv,) is that of the joints [rad/(N·m) or m/N]; twists and wrenches are those of the world.
+        ``softness`` (nv,) is the joints' [rad/(N·m) or m/N]; twists and wrenches are in world axes.
         """
         out = np.empty((self.n_arms, 6, 6))
         for g in self._groups:
@@ -306,7 +308,7 @@ class Chain:
         return basis
 
     def admissible_twists(self, to_reference: Array) -> tuple[Array, list[tuple[int, Array]]]:
-        """What arms with fewer than six joints allow.
+        """The object motions that arms with fewer than six joints allow.
 
         Args:
             to_reference: ``Ad(R⁻¹)`` (6, 6).
@@ -378,7 +380,7 @@ def _group_arms(cell: RobotCell, moving: list[npt.NDArray[np.intp]]) -> list[_Gr
         flat = columns.ravel()
         contiguous = bool(np.all(np.diff(flat) == 1)) if len(flat) > 1 else True
         span = slice(int(flat[0]), int(flat[-1]) + 1) if contiguous else None
-        # Six-joint arms have one inverse, whatever the metric.
+        # Six-joint arms have one inverse, for any metric.
         scale = speed[columns][:, :, None] if n != 6 else np.ones((len(arms), n, 1))
-        groups.append(_Group(n, arms, columns, scale, span))
+        groups.append(_Group(n, arms, columns, scale, scale**2, span))
     return groups

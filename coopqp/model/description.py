@@ -1,4 +1,4 @@
-"""Robot description files: what they must be before a parser reads them, and where their meshes are."""
+"""Robot description files: checks before a parser reads them, and the folders of their meshes."""
 
 from __future__ import annotations
 

@@ -121,7 +121,7 @@ def _inside_limits(arm: Arm, T_world_tool: pin.SE3, x: Array, q0: Array, cell: R
     inside = [q for b in branches.q[branches.inside] for q in all_turns(kinematics, b)]
     if inside:
         return min(inside, key=lambda q: float(np.abs(q - start).max()))
-    # Of all branches, the one that is least outside.
+    # The branch with the smallest excess over its limits.
     margins = branches.margins if len(branches) else kinematics.margins(x[None, columns])
     j = int(margins[0].argmin())
     raise UnreachableError(

@@ -49,7 +49,7 @@ def _axis(model: pin.Model, joint: int, jacobian: Array) -> tuple[Array, bool]:
 
 @lru_cache(maxsize=256)
 def _z_to(*axis: float) -> Array:
-    """A rotation that takes z to an axis; most axes are those of a frame."""
+    """A rotation that takes z to an axis; most axes are axes of a frame."""
     z = np.array(axis) / np.linalg.norm(axis)
     x = skew(np.eye(3)[int(np.abs(z).argmin())]) @ z
     x /= np.linalg.norm(x)

@@ -154,8 +154,8 @@ class Body:
 
     Attributes:
         name: how limits and messages call it; several bodies of one name count as one.
-        shape: what it looks like.
-        placement: of the shape, in the frame of what it stands on: the world, the object, a link.
+        shape: its geometry.
+        placement: of the shape, in the frame of its carrier: the world, the object, a link.
     """
 
     name: str

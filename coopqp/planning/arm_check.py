@@ -1,4 +1,4 @@
-"""What a check says of one arm: the branch that is judged, its margins, and what stands against it."""
+"""Result of a path check for one arm: the judged branch, its margins, and its obstacles."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class UndecidedInterval:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ArmCheck:
-    """What was found for one arm.
+    """Result for one arm.
 
     Attributes:
         arm: its name.
@@ -59,6 +59,8 @@ class ArmCheck:
         follow = sum(x.verdict in (PathVerdict.CERTIFIED, PathVerdict.SAMPLED) for x in self.branches)
         if len(self.branches) > 1:
             said = f"arm {self.arm}: {follow} of {len(self.branches)} branches follow the path"
+            open_ = sum(x.verdict is PathVerdict.UNDECIDED for x in self.branches)
+            said += f", {open_} {'is' if open_ == 1 else 'are'} not decided" if open_ else ""
         else:
             said = f"arm {self.arm} {'follows the path' if follow else 'may not follow the path'}"
         i, m = int(b.sigma_min.argmin()), int(b.manipulability.argmin())

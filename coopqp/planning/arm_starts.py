@@ -13,7 +13,7 @@ from coopqp.model.branches import AT_LIMIT, Branches, amount, find_branches
 from coopqp.planning.samples import PathSamples
 from coopqp.spatial import Array
 
-#: A branch is as good as the lesser of margin and σ_min in these shares of a joint's half range and of 1.
+#: Good margin, as a share of a joint's half range, and good σ_min: the units of a branch's score.
 _GOOD_MARGIN, _GOOD_SIGMA = 1.0 / 3.0, 0.2
 #: Below this σ_min a branch counts as singular: no arm follows a path there.
 _SINGULAR = 1e-3
@@ -23,7 +23,7 @@ _RELAXATIONS, _FIRST_STEP, _LAST_STEP = 16, 0.3, 0.02
 _MOST_WALKS = 192
 #: Configurations of a redundant arm that are closer to each other count as one [rad or m].
 _SAME = 1e-3
-#: An arm of few joints that leaves out more than this share of a motion cannot make it.
+#: An arm with fewer than six joints cannot make a motion if it misses more than this share of it.
 _LEFT_OUT = 1e-2
 #: Largest number of branches outside the limits that are kept; they are not walked.
 _MOST_OUTSIDE = 64
@@ -80,7 +80,7 @@ class ArmOnPath:
     Attributes:
         kinematics: the arm.
         branches: the branches.
-        closest: smallest residual at the start [m, rad]: what is missing where there is no branch.
+        closest: smallest residual at the start [m, rad]: the remaining error where there is no branch.
     """
 
     kinematics: ArmKinematics
@@ -127,7 +127,7 @@ def arm_on_path(
             walks = kinematics.walk(along, q[group])
             rows += [_row(kinematics, samples, along, walks, m, roll, int(hits[i])) for m, i in enumerate(group)]
     away = np.where(kinematics.bounded & kinematics.turns, 1.0, 0.0)
-    # Mirrored branches are as good but for rounding: of these the one nearer to the middle comes first.
+    # Mirrored branches differ by rounding only: the one nearer to the middle comes first.
     rows.sort(key=lambda row: (not row.feasible, -row.score, round(float(away @ np.abs(row.q - kinematics.middle)), 6)))
     return ArmOnPath(kinematics, tuple(rows), found.closest)
 
@@ -138,7 +138,7 @@ def _row(
     last = int(walks.reached[m])
     way = walks.q[m, : last + 1]
     low, high = way.min(axis=0), way.max(axis=0)
-    # The whole turns that leave the most room for the way as a whole.
+    # Whole turns with the most room for the whole way.
     turn = np.round((kinematics.middle - 0.5 * (low + high)) / (2.0 * np.pi))
     shift = np.where(kinematics.turns & kinematics.bounded, 2.0 * np.pi * turn, 0.0)
     margins = kinematics.margins(way + shift)
@@ -180,7 +180,7 @@ def _self_motions(
     for length in np.geomspace(_FIRST_STEP, _LAST_STEP, _RELAXATIONS):
         relaxed = away_from_limits(kinematics, T, relaxed, length)
     both, hits = np.vstack([q, relaxed]), np.tile(found.hits[: len(q)], 2)
-    # Many are led to the same end.
+    # Many end at the same configuration.
     kept = np.sort(np.unique(np.round(both / _SAME), axis=0, return_index=True)[1])
     return both[kept], hits[kept]
 

@@ -20,12 +20,12 @@ from coopqp.spatial import Array
 
 #: Knots: largest motion of a tool between them [m, rad], and least number of pieces of a segment.
 _DISTANCE, _ANGLE, _PIECES = 0.03, 0.1, 4
-#: A branch that ends goes on if there is a solution beyond within this of every joint [rad or m].
+#: A branch continues past its end if a solution there is within this distance in every joint [rad or m].
 _BEYOND = 0.6
 #: A redundant arm that comes closer to a limit than this is led away from it by steps of these lengths [rad or m].
 #: Longest step of its joints between knots [rad or m].
 _LED, _LEADS, _STRIDE = 0.35, (0.06, 0.03, 0.015), 0.5
-#: Poses at which a redundant arm is asked for a configuration inside its limits.
+#: Poses at which a configuration of a redundant arm inside its limits is searched.
 _ASKED = 8
 
 
@@ -42,7 +42,7 @@ _WORSE = {verdict: i for i, verdict in enumerate(PathVerdict)}
 
 
 def worst(verdicts: list[PathVerdict]) -> PathVerdict:
-    """The worst of verdicts."""
+    """The worst verdict."""
     return max(verdicts, key=_WORSE.__getitem__)
 
 
@@ -52,7 +52,7 @@ class BranchCheck:
 
     Attributes:
         verdict: the verdict on this branch.
-        why: what stands against a better verdict; empty if it is certified.
+        why: reason against a better verdict; empty if it is certified.
         until: last clock until which the arm follows the path inside its limits [s]; 0 if not even at the start.
         clocks: clocks of the samples (K,) [s], as far as the branch goes.
         q: joint positions there (K, n) [rad or m]; the first row is the start.
@@ -64,7 +64,7 @@ class BranchCheck:
         certified: intervals [a, b] of the clock that are proved (C, 2) [s].
         undecided: intervals [a, b] that are not decided (U, 2) [s].
         sigma_bound: lower bound of σ_min over the intervals that are proved; 0 without a proof.
-        way: the joints' way, between the samples, too.
+        way: joint motion along the path, also between the samples.
     """
 
     verdict: PathVerdict
@@ -155,7 +155,7 @@ def check_branches(kinematics: ArmKinematics, path: ToolPath, starts: Array) -> 
 
 
 def not_disproved(kinematics: ArmKinematics, path: ToolPath, branches: list[BranchCheck]) -> list[BranchCheck]:
-    """Of a redundant arm, branches that leave the limits or end are undecided: another motion of the elbow may not.
+    """Make branches of a redundant arm undecided if they leave the limits or end: another elbow motion may not.
 
     They stay infeasible if they start outside, or if the arm has no configuration inside its limits at some pose.
     """
@@ -284,7 +284,7 @@ def _exit(kinematics: ArmKinematics, clocks: Array, margins: Array) -> tuple[str
 def _ended(
     kinematics: ArmKinematics, path: ToolPath, q: Array, clock: float, undecided: Array
 ) -> tuple[PathVerdict, str, Array]:
-    """What to say of a branch that ends at ``q`` at ``clock``: does it end, or go on beyond a singularity?"""
+    """Verdict on a branch that ends at ``q`` at ``clock``: it ends there, or continues beyond a singularity."""
     ahead = path.poses[path.clocks > clock][:2]
     beyond = kinematics.solve(ahead, np.tile(q, (len(ahead), 1)))
     if (beyond.reached & (np.abs(beyond.q - q).max(axis=1) <= _BEYOND)).any():
@@ -324,7 +324,7 @@ def _not_proved(kinematics: ArmKinematics, path: ToolPath) -> str:
 
 
 def _merged(low: Array, high: Array) -> Array:
-    """Intervals in their order, those that touch as one (I, 2)."""
+    """Intervals in order, touching ones merged (I, 2)."""
     out: list[list[float]] = []
     for a, b in sorted(zip(low.tolist(), high.tolist(), strict=True)):
         if out and a <= out[-1][1] + 1e-12:

@@ -1,4 +1,4 @@
-"""A proof for intervals of a path: along each of them the arm moves inside a tube that is stated.
+"""A proof for intervals of a path: along each of them the arm moves inside a known tube.
 
 With A the Jacobian of the object's origin on the tool in world axes, the joints follow ``A(q) q' = ν``; ν is constant
 on a segment (:mod:`coopqp.planning.segments`). At the middle of an interval of half-width h stand q, ``Y = A⁻¹`` and
@@ -37,12 +37,12 @@ Flags = npt.NDArray[np.bool_]
 
 @dataclass(frozen=True, eq=False)
 class Tubes:
-    """What is proved about M intervals.
+    """Proved properties of M intervals.
 
     Attributes:
         q: joint positions in the middle (M, n) [rad or m].
-        between: they reach their pose, and lie between the ends or not far from it (M,).
-        good: the tube holds, so they are on the branch of the ends (M,).
+        between: q reaches its pose, and lies between the ends or near them (M,).
+        good: the tube holds, so q is on the branch of the ends (M,).
         sway: the joints leave the straight line between an end and the middle by at most this (M, n) [rad or m]; 0
             for joints that move one way only, whose extremes are at the ends.
         rate: largest speed of each joint (M, n) per share of the segment; infinite where nothing is proved.
@@ -63,7 +63,7 @@ def tubes(
     kinematics: ArmKinematics, segments: Segments, offset: Array, segment: Indices, a: Array, b: Array, qa: Array,
     qb: Array,
 ) -> Tubes:  # fmt: skip
-    """Prove what can be proved about intervals of a path.
+    """Prove tubes for intervals of a path, where possible.
 
     Args:
         kinematics: the arm, of six joints or more.
@@ -134,7 +134,7 @@ def exactness(poses: Array) -> float:
 
 
 def between(kinematics: ArmKinematics, poses: Array, qa: Array, qb: Array, share: Array) -> tuple[Array, Array, Flags]:
-    """Configurations that reach poses between two ends, the further rows of a redundant arm, and what is solved.
+    """Configurations that reach poses between two ends, the further rows of a redundant arm, and flags.
 
     Args:
         kinematics: the arm.
@@ -169,7 +169,7 @@ def _small_turns(R: Array, S: Array) -> Array:
 
 
 def _inverses(systems: Array) -> tuple[Array, Flags]:
-    """Inverses, and where there is one."""
+    """Inverses, 0 for singular matrices, and True for regular ones."""
     try:
         inverse = np.linalg.inv(systems)
     except np.linalg.LinAlgError:
@@ -234,20 +234,20 @@ LEAST_SIGMA = 2e-3
 _LOOSE = 2e-3
 #: The bound of σ_min is at least this share of the smallest value found.
 _SIGMA_SHARE = 0.6
-#: Intervals are halved this often, and no more of them than this are looked at for each way.
+#: Most halvings of an interval, and most intervals of each way.
 _HALVINGS, _MOST = 24, 4000
-#: Intervals with less than the least σ_min are halved this often, to tell how far that reaches.
+#: Halvings of intervals with less than the least σ_min, to locate the ends of such a region.
 _SINGULAR_HALVINGS = 9
 
 
 @dataclass(frozen=True, eq=False)
 class Proof:
-    """What is proved about one way of an arm along a path.
+    """Proved properties of one way of an arm along a path.
 
     Attributes:
         segment, low, high: segment, and the shares at both ends, of the last intervals, in their order (I,).
         proved: True where the joints are proved to follow the path inside the limits (I,).
-        margins: lower bound of each joint's margin in each interval (I, n) [rad or m]; of those proved.
+        margins: lower bound of each joint's margin in each interval (I, n) [rad or m]; valid where proved.
         sigma_min: lower bound of σ_min in each interval (I,); 0 where nothing is proved.
         q: joint positions in the middle of each interval (I, n) [rad or m].
         q_low, q_high: the same at its ends.
@@ -308,7 +308,7 @@ def prove(
         weak = np.where(tube.good, tube.sigma_min, tube.sigma_middle) < LEAST_SIGMA
         hopeless = weak & (halving >= _SINGULAR_HALVINGS)
         hopeless |= (halving == _HALVINGS) | (looked_at > _MOST)
-        if outside is not None:  # what is left to know is whether the branch is still that of the start
+        if outside is not None:  # open question: does the branch still belong to the start?
             hopeless |= tube.good
         split = (~inside | loose) & ~hopeless
         done = ~split

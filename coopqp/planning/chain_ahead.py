@@ -14,30 +14,30 @@ from coopqp.planning.horizon import Knot, joint_limit
 from coopqp.planning.preview_options import PlanLimits, PreviewOptions
 from coopqp.planning.redundancy import LimitAvoidance
 from coopqp.planning.sharing import largest_alone
-from coopqp.spatial import Array, for_twists, largest
+from coopqp.spatial import Array, largest
 from coopqp.task.guarded import GuardedPath
 from coopqp.task.posture import Posture
 
 #: Intervals shorter than this are not halved for a change of slope [s].
 _FINE_CELL = 1e-3
-#: A slope that changes by more than this share within a short interval is of another branch.
+#: A slope that changes by more than this share within a short interval belongs to another branch.
 _OTHER_BRANCH = 0.5
 #: Intervals are halved where q″ changes by more than this share of the accelerations.
 _BEND_CHANGE = 0.3
-#: Where joints are this many of the longest way between knots from the end of an arm's reach, the arm may be past it.
+#: Within this many of the longest way between knots from the end of its reach, an arm may already be past it.
 _BRANCH_WAY = 2.0
 #: The twist before a corner or the end is taken this much earlier [s].
 JUST_BEFORE = 1e-10
 #: Newton steps that the first knot may take, and that every other knot may take.
 _STARTING_STEPS, _MOST_TRIES = 8, 4
-#: Arms with few joints can follow a path if no more than this is left where Newton's method ends [m, rad].
+#: Arms with fewer than six joints follow a path if Newton's method leaves no larger error [m, rad].
 _FOLLOWED = 1e-4
-#: Newton steps shorter than this are the last: the next would be of the square of it [rad or m].
+#: Newton's method ends after a step shorter than this: the next would be of its square [rad or m].
 _CONVERGED = 1e-5
 
 
 class KnotRoom(NamedTuple):
-    """What further constraints leave at a knot.
+    """Bounds by further constraints at a knot.
 
     Attributes:
         cap: largest σ²; negative where not even rest is admissible.
@@ -51,15 +51,15 @@ class KnotRoom(NamedTuple):
     binding: BindingLimit | None
 
 
-#: What further constraints leave at the knot at (clock, q, q′, q″), so long after the knot before [s]. It may raise
-#: :class:`LookAheadTrouble`.
+#: Bounds by further constraints at a knot, from its clock, q, q′, q″ and the time since the knot before [s]. It may
+#: raise :class:`LookAheadTrouble`.
 KnotBound = Callable[[float, Array, Array, Array, float], KnotRoom]
-#: Slopes (nv,) at (q, q′) with the self-motion of redundant arms that keeps off what is ahead.
+#: Slopes (nv,) at (q, q′) with self-motion that keeps redundant arms clear of bodies ahead.
 Evade = Callable[[Array, Array], Array]
 
 
 class LookAheadTrouble(Exception):  # noqa: N818
-    """A user's path, or a further constraint, cannot say what is ahead. Growth waits; the next step asks again."""
+    """A user's path or a further constraint fails ahead of the clock. Growth waits; the next step asks again."""
 
 
 @final
@@ -67,13 +67,13 @@ class ChainAhead:
     """See the module's description.
 
     Args:
-        chain: a workspace; what it held is overwritten.
+        chain: a workspace; its content is overwritten.
         path: the object's path.
-        posture: what redundant arms do with their freedom.
-        plan: the limits that are planned with.
+        posture: null-space motion of redundant arms.
+        plan: planning limits.
         options: settings.
-        bound: what further constraints leave of the rate at a knot.
-        evade: self-motion that keeps redundant arms off what is ahead.
+        bound: bound of the rate at a knot by further constraints.
+        evade: self-motion that keeps redundant arms clear of bodies ahead.
 
     Attributes:
         blind: arms with fewer than six joints cannot follow the path; nothing is known ahead.
@@ -94,6 +94,10 @@ class ChainAhead:
         self._duration, self._options, self._plan = path.duration, options, plan
         self._cell, self._avoidance = chain.cell, LimitAvoidance(chain)
         self._low, self._high = chain.cell.limits.lower, chain.cell.limits.upper
+        #: The joints that move the tools, arm by arm, and the first index of each arm.
+        self._moving = np.concatenate(chain.moving_columns)
+        self._starts = np.cumsum([0, *(len(columns) for columns in chain.moving_columns[:-1])]).tolist()
+        self._moving_acceleration = plan.acceleration[self._moving]
         self._step, self._slope = np.zeros(chain.nv), np.zeros(chain.nv)
         self._errors = np.zeros((chain.n_arms, 6))
         self.forget()
@@ -104,7 +108,7 @@ class ChainAhead:
         self.beyond: BindingLimit | None = None
 
     def first(self, q: Array, clock: float) -> Knot:
-        """The knot at a clock, from a configuration near; the object rests there where the chain does not get there."""
+        """The knot at a clock, from a configuration near; the object rests there if the chain does not reach it."""
         pose = self._path.pose(clock)
         if pose is None:
             raise LookAheadTrouble(self._path.problem)
@@ -157,23 +161,17 @@ class ChainAhead:
     def _ends_reach(self, knot: Knot, last: Knot) -> bool:
         """Whether an arm comes too close to where its reach ends.
 
-        Nothing tells how close but the arm itself: on a way along the end no joint is fast. Closer than the joints'
-        accelerations take it in some steps a step would not see the end. Past it Newton's method is on another branch.
+        Joint speeds do not tell the distance: on a way along the end no joint is fast. Within the distance that the
+        joints cover from rest in some steps, a step would miss the end. Past it Newton's method is on another branch.
         """
-        rooms, before = self.rooms(knot), self.rooms(last)
-        if ((rooms < self._plan.room) & (rooms < before)).any():
+        rooms, now, then = knot.rooms, knot.edges, last.edges
+        if rooms.item(rooms.argmin()) < self._plan.room and ((rooms < self._plan.room) & (rooms < last.rooms)).any():
             return True
+        ways = np.maximum.reduceat(np.maximum(np.abs(now), np.abs(then)), self._starts)
         near = _BRANCH_WAY * self._options.joint_step
-        for columns in self._chain.moving_columns:
-            now, then = knot.edges[columns], last.edges[columns]
-            if float(now.dot(then)) < 0.0 and max(largest(np.abs(now)), largest(np.abs(then))) < near:
-                return True
-        return False
-
-    def rooms(self, knot: Knot) -> Array:
-        """How long the joints of each arm, at their accelerations, would take to the end of its reach (N,) [s²]."""
-        times = np.abs(knot.edges) / self._plan.acceleration
-        return np.array([largest(times[columns]) for columns in self._chain.moving_columns])
+        if not ways.item(ways.argmin()) < near:
+            return False
+        return bool(((ways < near) & (np.add.reduceat(now * then, self._starts) < 0.0)).any())
 
     def _bends_slowly(self, knot: Knot, last: Knot) -> bool:
         """Whether q″ has changed by a small share of the accelerations since the interval before."""
@@ -198,9 +196,9 @@ class ChainAhead:
         return knot._replace(fall=room.decrease, rise=room.rise)
 
     def _beyond_few_joints(self, errors: Array) -> bool:
-        """Whether errors (N, 6) are left that arms with few joints cannot make up for."""
-        few = errors[list(self._chain.deficient)]
-        return few.size > 0 and not np.abs(few).max() < _FOLLOWED
+        """Whether the remaining errors (N, 6) are too large for arms with fewer than six joints."""
+        few = self._chain.deficient
+        return bool(few) and not np.abs(errors[list(few)]).max() < _FOLLOWED
 
     def _newton_step(self, clock: float, q: Array, *, before: float = JUST_BEFORE) -> bool:
         """Newton's step from ``q`` to the pose at ``clock``, and q′ there; False if singular.
@@ -216,11 +214,11 @@ class ChainAhead:
         if not largest(np.abs(errors)) < np.inf:
             return False
         chain.linearise(q, about=pose.translation)
-        to_world = for_twists(pose.rotation)
-        along = to_world @ twist
-        step, slope = self._step, self._slope
-        chain.joint_velocities(-errors @ to_world.T, step)
-        slope[:] = chain.joint_columns(along[:, None])[:, 0]
+        wanted = np.empty((chain.n_arms, 2, 6))  # of the step and of the slope, in world axes
+        wanted[:, 0], wanted[:, 1] = -errors, twist
+        wanted = wanted.reshape(-1, 3).dot(pose.rotation.T).reshape(wanted.shape)
+        step, slope = np.ascontiguousarray(chain.joint_columns(wanted.transpose(0, 2, 1)).T)
+        self._step, self._slope = step, slope
         if chain.redundancy:
             slope += chain.null_part(self._posture.velocity(q))
             if self._evade is not None:
@@ -230,15 +228,15 @@ class ChainAhead:
 
     def _knot_at(self, clock: float, q: Array, last: Knot | None) -> Knot:
         """Bounds at a configuration on the path, from the slopes there (of the last Newton step) and those before."""
-        slope = self._slope.copy()
+        slope, edges = self._slope.copy(), self._chain.edges()[self._moving]
         before, span = (slope, 1.0) if last is None else (last.slope, clock - last.clock)
         speed, curvature = np.abs(slope), (slope - before) / span
         bend = np.abs(curvature)
-        # How often each joint's limit is used up at full rate: z may be 1 over the square, or over the curvature's.
+        # Use of each joint's limits at full rate: z is at most 1 over the speed's square, and 1 over the curvature's.
         use_speed, use_bend = speed / self._plan.speed, bend / (self._options.curvature_share * self._plan.acceleration)
         j_speed, j_bend = int(use_speed.argmax()), int(use_bend.argmax())
         by_speed, by_bend = float(use_speed[j_speed]) ** 2, float(use_bend[j_bend])
-        # Without acceleration limits the step itself finds the cap by speed; it changes slowly under that by curvature.
+        # Without acceleration limits the step itself finds the cap by speed; by curvature it changes slowly.
         cap = 1.0 / max(by_speed if self._plan.accelerates else by_bend, 1.0)
         binding = None
         if cap < 1.0:
@@ -259,7 +257,8 @@ class ChainAhead:
             binding=binding,
             fastest=largest(speed),
             change=largest(bend * span - self._plan.slope_change),
-            edges=self._chain.edges(),
+            edges=edges,
+            rooms=np.maximum.reduceat(np.abs(edges) / self._moving_acceleration, self._starts),
             inside=bool(((x <= self._high) & (x >= self._low)).all()),
         )
 
@@ -289,7 +288,7 @@ class ChainAhead:
         return float((self._plan.jump[moving] / jump[moving]).min() ** 2)
 
     def at_end(self, knot: Knot) -> Knot | None:
-        """The same knot where the path ends moving: the joints have one step to stop in; None if that needs no more."""
+        """The same knot where the path ends moving: the joints have one step to stop in; None if the cap suffices."""
         if not self._plan.accelerates:
             return None
         cap = self._jump_cap(np.zeros_like(knot.slope), knot.slope)

@@ -1,7 +1,7 @@
 """Can the arms follow a path? The verdict before the motion, per arm and for the whole cell.
 
 With the object's path given, each arm follows its own tool's path, so each arm is judged by itself; only distances
-between bodies are a matter of all arms. The verdict is about the way, not about the speed: a joint that is too slow
+between bodies concern all arms. The verdict is about the way, not about the speed: a joint that is too slow
 slows the object, it does not stop it.
 """
 
@@ -45,7 +45,7 @@ from coopqp.task.path import ObjectPath
 if TYPE_CHECKING:
     from coopqp.planning.remedies import Remedy
 
-#: Of a redundant arm's branches, which are samples of its self-motion, so many are judged at most.
+#: Most branches of a redundant arm that are judged; they are samples of its self-motion.
 _MOST_REDUNDANT = 8
 #: A start whose tools are further from their places is refused [m, rad].
 _OFF_M, _OFF_RAD = 1e-3, np.deg2rad(0.5)
@@ -58,14 +58,14 @@ class PathCheck:
     Attributes:
         verdict: the worst verdict of the arms and of their distances.
         intervals: intervals on which an arm is not decided, in the order of the arms.
-        arms: what was found for each arm.
+        arms: result for each arm.
         q_start: the start that is judged (nq,); None if an arm has none.
-        cell, grasp, path: what was asked.
+        cell, grasp, path: the task.
         given: True if the start was given.
-        clearance: what was found for distances; None without a scene, or if an arm cannot follow the path.
+        clearance: result for distances; None without a scene, or if an arm cannot follow the path.
         scene: the bodies that keep distances; None if they play no part.
-        remedies: what helps, each checked; see :func:`find_remedies`.
-        no_remedy: kinds of remedies that were tried in vain, and what stood in the way.
+        remedies: changes that help, each checked; see :func:`find_remedies`.
+        no_remedy: kinds of remedies that failed, and why.
     """
 
     verdict: PathVerdict
@@ -153,7 +153,7 @@ def check_path(
     arms are sampled.
 
     Args:
-        cell, grasp, path: the arms, how they hold, and where to.
+        cell, grasp, path: the arms, their grasps and the object's path.
         q_start: the start (nq,): only its branches are judged. By default every branch of each arm is judged, as in
             :func:`find_start`, and the best one is chosen.
         scene: the bodies that keep distances, a :class:`coopqp.collision.CollisionScene` of the same cell; without it
@@ -207,7 +207,7 @@ def check_path(
 
 
 def _clear(cell: RobotCell, grasp: Grasp, samples: PathSamples, arms: list[ArmCheck], scene: Bodies) -> list[ArmCheck]:
-    """The same with the best branches that keep clear of each other, if there are any."""
+    """Judgements with the best branches that keep clear of each other, if any do."""
     options = [[b for b in arm.branches if b.verdict is not PathVerdict.INFEASIBLE] for arm in arms]
     choice = clear_rows(cell, grasp, samples, [[b.q[0] for b in own] for own in options], scene)
     if choice is None:
@@ -227,7 +227,7 @@ def _distances(
     *,
     any_start: bool,
 ) -> tuple[list[ArmCheck], ClearanceCheck]:
-    """Distances along the ways of the arms, or along others that their self-motion allows; and whose ways they are."""
+    """Distances along the ways of the arms, or along others that their self-motion allows; and the arms on them."""
 
     def way_of(arms: list[ArmCheck]) -> CellWay:
         return CellWay(cell, path, segments, [arm.chosen.way for arm in arms if arm.chosen is not None], rest)

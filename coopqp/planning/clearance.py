@@ -1,4 +1,4 @@
-"""What a check says of distances, and what it asks of the bodies that may touch; see :mod:`coopqp.collision.along`."""
+"""Result of a path check for distances, and the protocol of the bodies; see :mod:`coopqp.collision.along`."""
 
 from __future__ import annotations
 
@@ -26,13 +26,13 @@ class ClearanceCheck:
             and between them as far as the samples tell; UNDECIDED: not proved on some intervals; INFEASIBLE: a pair is
             inside its margin at a sample.
         pair: the pair that comes nearest to its margin, with its distance; None if no pair keeps a distance.
-        margin: what it is to keep [m].
-        clock: where it is so near [s].
-        room: no distance less its margin is below this anywhere on the path [m]; −inf where nothing is proved.
+        margin: margin of that pair [m].
+        clock: clock of that distance [s].
+        room: lower bound of distance less margin along the whole path [m]; −inf where nothing is proved.
         stop: clock [s] at which the first pair comes inside its margin; None if none does.
         stopped_by: that pair, and its distance there.
         undecided: intervals [a, b] of the clock that are not decided (U, 2) [s].
-        why: what stands against a better verdict; empty if it is certified.
+        why: reason against a better verdict; empty if it is certified.
         clocks, distances: the least distance (K,) [m] at clocks [s], for pictures.
     """
 
@@ -98,7 +98,7 @@ class ClearanceCheck:
 
 
 class Bodies(Protocol):
-    """What keeps distances, as a check asks it: :class:`coopqp.collision.CollisionScene`."""
+    """Bodies that keep distances, as a check uses them: :class:`coopqp.collision.CollisionScene`."""
 
     @property
     def cell(self) -> RobotCell:
@@ -106,7 +106,7 @@ class Bodies(Protocol):
         ...
 
     def along(self, way: CellWay, *, any_start: bool = False) -> ClearanceCheck:
-        """Judge a way; where it stands for any start, first what no other start helps against."""
+        """Judge a way; with ``any_start`` first the pairs that stay too close from every start."""
         ...
 
     def evading(self, way: CellWay) -> tuple[Array, Array] | None:

@@ -1,4 +1,4 @@
-"""The start from which the arms are fastest, of those that are found.
+"""The start with the shortest motion among the branches found.
 
 With the object's path given each arm follows its own tool, and the arms meet only in the common time: the cell is as
 slow as its slowest arm, to 2 % in the cells that were tried. So the branches of each arm are timed by themselves.
@@ -21,7 +21,7 @@ from coopqp.planning.timing import time_path
 from coopqp.spatial import Array
 from coopqp.task.geometry import PathGeometry
 
-#: Knots of a timing that only compares, and times that differ by less than this share count as equal.
+#: Knots of a timing for comparison, and the share within which times count as equal.
 _KNOTS, _EQUAL = 60, 1e-3
 
 

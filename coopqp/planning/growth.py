@@ -19,11 +19,11 @@ from coopqp.planning.horizon import Horizon, Knot, joint_limit
 from coopqp.planning.preview_options import PlanLimits, PreviewOptions
 from coopqp.task.guarded import FASTEST_PATH, GuardedPath, pose_distance
 
-#: A singularity is passed where the rate's cap stays above this share of the one that ends the path.
+#: A singularity is passed where the rate's cap stays above this share of the cap that ends the path.
 _PASSABLE = 0.3
 #: An interval is longer than the one before by this factor at most.
 _GROWTH = 2.0
-#: Where an interval this short is too long, the twist of a user's path may jump [s]; so many such clocks are kept.
+#: Where an interval this short is too long, the twist of a user's path may jump [s]; number of such clocks kept.
 _KINK_CELL, MOST_KINKS = 2e-3, 64
 #: Clocks this close to each other are the same [s].
 _SAME_CLOCK = 1e-9
@@ -36,11 +36,11 @@ class Growth:
     """See the module's description.
 
     Args:
-        cell: that moves.
+        cell: the cell.
         path: the object's path.
         chain: the chain ahead.
-        horizon: where the knots go.
-        plan: the limits that are planned with.
+        horizon: takes the knots.
+        plan: planning limits.
         options: settings.
 
     Attributes:
@@ -68,13 +68,13 @@ class Growth:
         self.rest()
 
     def begin(self, breakpoints: list[float]) -> None:
-        """Along a path from a knot on, with the clocks at which its twist is said to jump."""
+        """Begin along a path after a first knot, with the clocks at which the path declares jumps of its twist."""
         self.rest()
         self.breakpoints = breakpoints
         self._kinks, self._kinks_kept = [], []
 
     def memory(self) -> tuple[list[float], list[float], float, int]:
-        """What a copy goes on from: all as it was before the knot under way, whose Newton steps are counted."""
+        """State for a copy: as before the knot under way, with the number of its Newton steps."""
         kinks = self._kinks if self._growing is None else self._kinks_kept
         return list(self.breakpoints), list(kinks), self.begin_at, self.done
 
@@ -138,7 +138,7 @@ class Growth:
         if knot.uncapped < self._options.singular_rate**2 and knot.fastest > last.fastest:
             way = yield from self._past(knot)
             if not way:
-                # Where it is as bad already, the object stays: else it would creep on with every new path.
+                # If the last knot is singular, too, the object stays: else it would creep on with every new path.
                 stop = last._replace(span=0.0) if last.uncapped < self._options.singular_rate**2 else knot
                 self._horizon.push(stop._replace(cap=0.0, binding=self._arm_limit(knot, LimitKind.SINGULARITY)))
                 return
@@ -177,14 +177,14 @@ class Growth:
                 return knot
 
     def _kink(self, clock: float, h: float) -> float | None:
-        """Where the twist of a user's path jumps within ``h`` after a knot, unsaid [s]: a breakpoint from now on."""
+        """Where a user's twist jumps within ``h`` after a knot, undeclared [s]: a breakpoint from now on."""
         kink = self._path.kink(max(clock - JUST_BEFORE, 0.0), clock + h)
         if kink is not None:
             self._kinks = [*self._kinks[1 - MOST_KINKS :], kink]
         return kink
 
     def _half_way(self, last: Knot) -> float:
-        """Half of what is left between a knot and where a constraint allows no rate [s]."""
+        """Half of the time from a knot to the clock at which a constraint allows no rate [s]."""
         return 0.5 * (self._chain.beyond_at - last.clock)
 
     def _past(self, knot: Knot) -> Generator[None, None, list[Knot]]:
@@ -256,13 +256,12 @@ class Growth:
             raise LookAheadTrouble(self._path.problem)
         if pose_distance(here, there) > FASTEST_PATH * (ahead - last.clock):
             return BindingLimit("", "", LimitKind.PATH_JUMP)
-        rooms = self._chain.rooms(last)
-        if rooms.min() < 2.0 * self._plan.room:
-            return BindingLimit(self._cell.arm_names[int(rooms.argmin())], "", LimitKind.REACH)
+        if last.rooms.min() < 2.0 * self._plan.room:
+            return BindingLimit(self._cell.arm_names[int(last.rooms.argmin())], "", LimitKind.REACH)
         return self._arm_limit(last, LimitKind.REACH)
 
     def _arm_limit(self, knot: Knot, kind: LimitKind) -> BindingLimit:
-        """That of the arm whose joints are fastest at a knot."""
+        """A limit of the arm whose joints are fastest at a knot."""
         share = np.abs(knot.slope) / np.where(np.isfinite(self._plan.speed), self._plan.speed, 1.0)
         return BindingLimit(self._cell.arm_names[self._cell.arm_of_joint(int(share.argmax()))], "", kind)
 

@@ -13,7 +13,7 @@ from coopqp.model.limits import BindingLimit, LimitKind
 from coopqp.planning.sharing import Interval, Share, largest_square
 from coopqp.spatial import Array
 
-#: The backward pass runs once for so many knots.
+#: Knots per backward pass.
 _KNOTS_PER_PASS = 4
 #: Guesses of the largest rate, the share by which they stay below a line's, its growth after a miss, and the
 #: smallest rate that is not 0.
@@ -33,7 +33,8 @@ class Knot(NamedTuple):
     binding: BindingLimit | None  # what makes the cap
     fastest: float  # largest |q′|
     change: float  # largest change of a slope since the knot before, less the change that is always allowed
-    edges: Array  # joint motion (nv,) to where each arm's reach ends
+    edges: Array  # joint motion to where each arm's reach ends, of the joints that move the tools, arm by arm
+    rooms: Array  # how long each arm's joints, at their accelerations, would take to there (N,) [s²]
     inside: bool  # all joints are inside their position limits
     corner: bool = False  # q′ jumps here
     fall: float = np.inf  # largest fall of σ by further constraints [1/s]
@@ -41,7 +42,7 @@ class Knot(NamedTuple):
     square: float = 0.0  # K: largest σ² here from which the object can go on
     cause: BindingLimit | None = None  # what makes K
     stops: bool = False  # it stops the object for good
-    share: Share | None = None  # how K follows from that at the next knot
+    share: Share | None = None  # how K follows from K at the next knot
     since: float = 0.0  # K at the next knot that it was found from
 
 
@@ -69,8 +70,8 @@ class Horizon:
     """See the module's description.
 
     Args:
-        cell: whose joints it names.
-        acceleration: that is planned with (nv,).
+        cell: names the joints.
+        acceleration: planned accelerations (nv,).
         slope_cap: largest change of the rate [1/s].
         doubt: see :class:`coopqp.planning.preview_options.PreviewOptions`.
 
@@ -87,12 +88,12 @@ class Horizon:
         self.complete = False
 
     def clear(self) -> None:
-        """Know nothing."""
+        """Forget all knots."""
         self.knots.clear()
         self.known, self._fresh, self.complete = 0, 0, False
 
     def memory(self) -> tuple[list[Knot], int, int, bool]:
-        """What a copy goes on from."""
+        """State for a copy."""
         return list(self.knots), self.known, self._fresh, self.complete
 
     def restore(self, memory: tuple[list[Knot], int, int, bool]) -> None:
@@ -123,7 +124,7 @@ class Horizon:
             self.known = max(self.known - 1, 0)
 
     def reaches(self, clock: float, dt: float) -> bool:
-        """Whether K is known for good where a step from ``clock`` on goes: the horizon's end does not make it."""
+        """Whether K is final along a step from ``clock``: the horizon's end does not make it."""
         return self.known > 0 and self.knots[self.known - 1].clock > clock + 2.0 * dt
 
     def knot_before(self, clock: float) -> int:
@@ -187,7 +188,7 @@ class Horizon:
         self.known = max(settled, self.known)
 
     def _share(self, i: int) -> Share:
-        """K at knot ``i`` from that at the next one."""
+        """K at knot ``i`` from K at the next one."""
         here, ahead = self.knots[i], self.knots[i + 1]
         if ahead.span == 0.0:  # the same knot again, with a lower cap
             return Share(ahead.square, 1.0, np.inf, -1)
@@ -216,7 +217,7 @@ class Horizon:
     def largest_rate(self, clock: float, dt: float, least: Least) -> tuple[float, Knot]:
         """The largest rate below 1 that K admits for a step, and the knot that makes it; 0 is always admissible.
 
-        ``least`` is that of rate 1. K is linear between knots: the next guess is where σ² meets the line that makes
+        ``least`` is found at rate 1. K is linear between knots: the next guess is where σ² meets the line that makes
         it, or half way. After a miss guesses stay shorter: beside a clock a small rate has few digits.
         """
         low, high, rate, short_of, cause = 0.0, 1.0, 1.0, _SHORT_OF, least.cause

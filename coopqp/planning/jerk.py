@@ -1,4 +1,4 @@
-"""A speed profile under limits on the joints' jerk, from one without: linear programs in a row.
+"""A speed profile under limits on the joints' jerk, from one without: successive linear programs.
 
 The mean acceleration of a joint between two knots is linear in z = ṡ²:
 ``A_i = ½ [(q′_i + q′_{i+1}) s̈_i + q″_i z_i + q″_{i+1} z_{i+1}]``.
@@ -24,11 +24,11 @@ from coopqp.planning.knots import hermite
 from coopqp.planning.parametrise import Limited, Lines
 from coopqp.spatial import Array
 
-#: Programs at most, and the share of the duration that one has to gain for the next.
+#: Most programs, and the share of the duration that one has to gain before the next.
 _PROGRAMS, _GAIN = 40, 2e-4
-#: Rows that use less than this share of their bounds wait outside of a program until one of them is broken.
+#: Rows used below this share of their bounds stay out of a program until one of them is broken.
 _LOOKED_AT = 0.3
-#: Looks for broken rows in one program; then all are in it.
+#: Searches for broken rows in one program; then all rows enter.
 _LOOKS = 4
 #: Knots of the smoothed profile: so many for one, or one in so many seconds, and at most.
 _FINER, _STEP, _MOST_KNOTS = 4, 0.0025, 4000
@@ -67,7 +67,7 @@ def jerk_limited(limited: Limited, squares: Array, jerk: Array) -> Array:
     for _ in range(_PROGRAMS):
         ahead = _program(lines, A, h, z, bound, top)
         step, gained = 1.0, False
-        while step > 1e-3 and not gained:  # the tangent of the duration promises more than the duration keeps
+        while step > 1e-3 and not gained:  # the tangent of the duration overestimates the gain
             tried = z + step * (ahead - z)
             spent = _times(h, tried).sum()
             gained = spent < total
@@ -195,7 +195,7 @@ def _line_rows(lines: Lines, h: Array) -> _Rows:
 
 
 def _program(lines: list[_Rows], A: tuple[Array, Array], h: Array, z: Array, bound: Array, top: Array) -> Array:
-    """The best profile within the limits, those of the jerk with tangents at ``z``."""
+    """The best profile within the limits; jerk limits have tangents at ``z``."""
     from scipy.optimize import linprog
     from scipy.sparse import csr_array, vstack
 

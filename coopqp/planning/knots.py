@@ -1,7 +1,7 @@
 """Knots of all arms along a path: joint positions with exact first and second derivatives, before the motion.
 
-With the object's path given each arm follows its own tool's path, ``J(q) q′ = V(s)``; the derivatives of its joints are
-those of :meth:`coopqp.model.batch.ArmKinematics.derivatives`.
+With the object's path given each arm follows its own tool's path, ``J(q) q′ = V(s)``; the joints' derivatives come
+from :meth:`coopqp.model.batch.ArmKinematics.derivatives`.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ class ArmKnots:
     Attributes:
         q, slope, curvature: positions and derivatives with respect to s at each knot (K, n), in the order of the joints
             of :class:`ArmKinematics`; continuous joints go on over whole turns.
-        reached: index of the last knot that is reached without passing a singularity; what follows has no meaning.
+        reached: index of the last knot that is reached without passing a singularity; later rows have no meaning.
     """
 
     q: Array
@@ -115,7 +115,7 @@ def arm_knots(kinematics: ArmKinematics, T_object_tool: pin.SE3, motion: Motion,
 def spread_knots(
     kinematics: ArmKinematics, T_object_tool: pin.SE3, motion: Motion, coarse_s: Array, coarse: ArmKnots
 ) -> ArmKnots:
-    """The same at other knots, from knots that are known: all at once, without the walk."""
+    """Knots of an arm at other s, from known knots: all at once, without the walk."""
     T, V, dV = motion.tool(T_object_tool)
     guess = hermite(coarse_s, coarse.q, coarse.slope, motion.s)
     q, residual = kinematics.newton(T, guess, tolerance=_EXACT, steps=6)
@@ -170,7 +170,7 @@ class Following:
     def spread(self, count: int, *, gather: bool = False) -> Array:
         """s of ``count`` knots, spread evenly over the joints' motion, not over time; those of the pieces are added.
 
-        Of the arms the one counts that moves most, in the unit of its speeds.
+        The arm that moves most counts, in the unit of its speeds.
 
         Args:
             count: number of knots.
@@ -201,7 +201,7 @@ class Following:
         return merged(s, self._geometry.marks)
 
     def _within(self, count: int) -> Array:
-        """The marks, and so many knots within each of several pieces."""
+        """The marks, and ``count`` knots within each of several pieces."""
         marks = self._geometry.marks
         if len(marks) == 2:
             return marks

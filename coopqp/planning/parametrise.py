@@ -20,7 +20,7 @@ from coopqp.spatial import Array
 
 #: s is scaled to one of these lengths for toppra, whose tolerances are absolute; the next is tried where one fails.
 _LENGTHS = (10.0, 1.0, 50.0)
-#: Directions in half a turn that the hull of the lines is looked at from, and the rounding of points on it.
+#: Directions in half a turn that give corners of the lines' hull, and the rounding of points on it.
 _DIRECTIONS, _ON_THE_HULL = 8, 1e-12
 #: Bound of ṡ² where no speed makes one, in toppra's s.
 _LARGEST = 1e6
@@ -33,7 +33,7 @@ class Lines:
     Attributes:
         a, b, c: (K, m).
         bound: (m,), > 0.
-        owner: what each is a limit of (m,): index of the joint.
+        owner: index of the joint of each limit (m,).
     """
 
     a: Array
@@ -43,13 +43,13 @@ class Lines:
     owner: Any
 
     def take(self, which: Any) -> Lines:
-        """Some of them."""
+        """The lines that ``which`` selects."""
         return Lines(self.a[:, which], self.b[:, which], self.c[:, which], self.bound[which], self.owner[which])
 
 
 @dataclass(frozen=True, eq=False)
 class Limited:
-    """What bounds the speed along knots.
+    """Bounds of the speed along knots.
 
     Attributes:
         knots: the knots.
@@ -75,7 +75,7 @@ class Limited:
 def outermost(a: Array, b: Array) -> Any:
     """Which of lines ``|a_j s̈ + b_j ṡ²| ≤ 1`` at K knots (K, m) may bind at some knot (m,): all others never do.
 
-    What lines leave free is the polar of the convex hull of the points ±(a_j, b_j): a point inside the hull bounds
+    The admissible set is the polar of the convex hull of the points ±(a_j, b_j): a point inside the hull bounds
     nothing. The hull is taken from within, as a polygon of the points that are outermost in some directions.
     """
     x, y = (v / np.maximum(np.abs(v).max(axis=1, keepdims=True), 1e-300) for v in (a, b))
@@ -168,6 +168,6 @@ def _by_toppra(limited: Limited, scale: float) -> Array | None:
     bounds = [SpeedBound(), *(LineBound(x) for x in (limited.acceleration, limited.torque) if x is not None)]
     if limited.further is not None:
         bounds.append(LineBound(limited.further, one_sided=True))
-    logging.getLogger("toppra").setLevel(logging.ERROR)  # what it warns of is told by the answer
+    logging.getLogger("toppra").setLevel(logging.ERROR)  # the answer tells the same as its warnings
     speeds = TOPPRA(bounds, KnotPath(), gridpoints=grid, solver_wrapper="seidel").compute_parameterization(0.0, 0.0)[1]
     return None if speeds is None else np.asarray(speeds, dtype=float) / scale

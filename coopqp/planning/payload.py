@@ -1,4 +1,4 @@
-"""What the arms carry, and the torques that it takes to move it along a path."""
+"""The payload of the arms, and the joint torques that move it along a path."""
 
 from __future__ import annotations
 

@@ -22,7 +22,7 @@ from coopqp.task.geometry import TURN_LENGTH, PathGeometry, Straight, blended
 from coopqp.task.path import LinePath, ObjectPath
 from coopqp.task.timed import SpeedProfile, TimedPath
 
-#: Limits that bind for less than this share of the duration are not told.
+#: Limits that bind for less than this share of the duration are not listed.
 _WORTH_SAYING = 0.01
 
 
@@ -32,9 +32,9 @@ class Plan:
 
     Attributes:
         q_start: configuration at the start (nq,).
-        grasp: the grasp; tools rolled where that was allowed.
+        grasp: the grasp; with rolled tools where allowed.
         path: the path, for a controller or a simulation.
-        start: what was found for each arm; None where ``q_start`` was given.
+        start: result for each arm; None where ``q_start`` was given.
     """
 
     q_start: Array
@@ -87,7 +87,7 @@ def plan(
         blend_angle: and within this angle [rad]; by default ``blend`` over 0.3 m.
         free_roll: as of :func:`find_start`.
         payload, bounds, jerk, share, knots: as of :func:`time_path`.
-        starts: so many starts of each arm are compared by time, and the fastest is taken; by default the one with the
+        starts: number of starts of each arm to compare by time; the fastest is taken. By default the one with the
             largest margins and singular values. Arms with more than six joints gain most: their starts differ in the
             elbow. Not with ``q_start``.
 

@@ -5,8 +5,8 @@ together, ahead of it. The preview runs the chain's own inverse kinematics ahead
 stores the joints' derivatives with respect to the clock, ``q′ = A⁻¹ν`` and ``q″``. With rate σ the joints move at
 ``q′σ`` and accelerate at ``q′σ̇ + q″σ²``. Speeds bound ``z = σ²`` at each knot. A backward pass over the knots finds K,
 the largest z from which the object can go on within the accelerations (see :mod:`coopqp.planning.sharing`), down to a
-stop at the end of what is known. The rate of a step keeps ``σ² ≤ K`` in its middle and at its end. It is path timing on
-a rolling horizon: as long as the object needs to stop, and no longer.
+stop at the end of the known horizon. The rate of a step keeps ``σ² ≤ K`` in its middle and at its end. It is path
+timing on a rolling horizon: as long as the object needs to stop, and no longer.
 """
 
 from __future__ import annotations
@@ -38,17 +38,17 @@ class PathPreview:
     """Rolling preview of one path for one chain.
 
     Args:
-        chain: a workspace; what it held is overwritten.
+        chain: a workspace; its content is overwritten.
         path: the object's path.
-        posture: what redundant arms do with their freedom.
+        posture: null-space motion of redundant arms.
         dt: nominal length of a control step [s].
         options: settings.
-        bound: what further constraints leave of the rate at a knot.
-        evade: self-motion that keeps redundant arms off what is ahead.
+        bound: bound of the rate at a knot by further constraints.
+        evade: self-motion that keeps redundant arms clear of bodies ahead.
 
     Attributes:
         horizon: the known knots.
-        ends: what makes the latest cap stops the object for good.
+        ends: the cause of the latest cap stops the object for good.
         trouble: why the latest look ahead failed; empty if it did not.
     """
 
@@ -98,7 +98,7 @@ class PathPreview:
         return self._chain.blind
 
     def memory(self) -> Any:
-        """What a copy of this preview goes on from."""
+        """State for a copy of this preview."""
         chain, growth = self._chain, self._growth
         return (
             self.horizon.memory(), self.ends, chain.blind, chain.beyond, chain.beyond_at, self._free_until,
@@ -115,7 +115,7 @@ class PathPreview:
     # -- what is ahead -------------------------------------------------------------------------------------------
 
     def cap(self, clock: float, dt: float) -> tuple[float, BindingLimit | None]:
-        """Largest admissible rate σ at ``clock`` for a step of ``dt``, and what ahead makes it less than 1."""
+        """Largest admissible rate σ at ``clock`` for a step of ``dt``, and its cause if it is below 1."""
         self.trouble = ""
         if self.blind:
             return 1.0, None
@@ -191,7 +191,7 @@ class PathPreview:
         return q, slope
 
     def _extend(self, clock: float, dt: float, newton_steps: int) -> None:
-        """Grow the horizon until K is known for good where a step goes, or by that many Newton steps."""
+        """Grow the horizon until K is final along a step, or by that many Newton steps."""
         for _ in range(newton_steps):
             self.horizon.leave_behind(clock)
             if self.horizon.complete or self.blind or self.horizon.reaches(clock, dt):

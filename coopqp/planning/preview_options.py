@@ -13,9 +13,9 @@ from coopqp.spatial import Array
 
 #: A joint without acceleration limit is planned to reach full speed in this many steps, and so is the rate.
 STEPS_TO_FULL_SPEED = 22
-#: Under acceleration limits this share of the largest change of the rate is planned with.
+#: Planned share of the largest change of the rate, under acceleration limits.
 _SHARE_OF_SLOPE = 0.9
-#: An arm stays so far from where its reach ends that its joints, from rest, would need this many steps to get there.
+#: Least distance of an arm from the end of its reach, in steps that its joints would need there from rest.
 _STEPS_TO_EDGE = 2
 
 
@@ -72,7 +72,7 @@ class PreviewOptions:
 
 @dataclass(frozen=True, eq=False)
 class PlanLimits:
-    """The limits that the path ahead is planned with.
+    """Planning limits of the path ahead.
 
     Attributes:
         speed, acceleration: of each joint (nv,).

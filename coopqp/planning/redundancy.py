@@ -1,4 +1,4 @@
-"""What redundant arms do with their freedom where a joint nears its position limit."""
+"""Self-motion of redundant arms where a joint nears its position limit."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from coopqp.spatial import Array
 
 #: Joints are kept this far inside their limits, and turn away from them within this way before [rad or m].
 LIMIT_MARGIN, TURNING_WAY = 0.003, 0.02
-#: A joint that its arm's self-motion moves by less than this share of it cannot be led away.
+#: Self-motion cannot lead a joint away if the joint's part in it is below this share.
 LEADS = 1e-4
 
 

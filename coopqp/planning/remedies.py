@@ -1,7 +1,7 @@
-"""What helps arms that cannot follow a path: another branch, a roll of the tool, a shift of the path or of a base.
+"""Remedies for arms that cannot follow a path: another branch, a roll of the tool, a shift of the path or of a base.
 
 Moving the path by D is moving each base by −D, seen from the arm. So one map, of the places at which an arm can follow
-the path, serves both. Every remedy is checked before it is said.
+the path, serves both. Every remedy is checked before it is reported.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from coopqp.task.path import HoldPath, LinePath, ObjectPath, WaypointPath
 
 #: Rolls of the tool [deg], in the order in which they are tried.
 _ROLLS = (180.0, 90.0, -90.0, 45.0, -45.0, 135.0, -135.0, *np.arange(-165.0, 180.0, 30.0).tolist())
-#: Distances of the path or of a base [m], the least first, and how many of the places found are checked.
+#: Distances of the path or of a base [m], the least first, and number of found places that are checked.
 _DISTANCES, _CHECKED = (0.05, 0.1, 0.2, 0.3, 0.5), 4
 _DIRECTIONS = np.array([d for d in itertools.product((0, 1, -1), repeat=3) if any(d)], dtype=float)
 #: Joints that move by less between two starts stay where they are [rad or m].
@@ -71,10 +71,10 @@ class Remedy:
 
 @final
 class Remedies(tuple[Remedy, ...]):
-    """Remedies, and what was tried in vain.
+    """Remedies, and the kinds that failed.
 
     Attributes:
-        failed: for each kind that gave none what was tried, and what stood in the way.
+        failed: for each kind without a remedy, the attempts and the obstacle.
     """
 
     failed: tuple[str, ...] = ()
@@ -266,7 +266,7 @@ def _metres(D: Array) -> str:
 
 
 def shifted(path: ObjectPath, shift: Array) -> ObjectPath:
-    """A path moved by ``shift`` (3,) in the world [m]; the library's own paths stay what they are."""
+    """A path moved by ``shift`` (3,) in the world [m]; the library's own paths keep their type."""
 
     def moved(T: pin.SE3) -> pin.SE3:
         return pin.SE3(T.rotation, T.translation + shift)
@@ -300,7 +300,7 @@ class _ShiftedPath(ObjectPath):
         return self._path.twist(clock)
 
     def next_breakpoint(self, clock: float) -> float:
-        """As the path."""
+        """The path's next breakpoint [s]."""
         return self._path.next_breakpoint(clock)
 
 

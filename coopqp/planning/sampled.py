@@ -1,4 +1,4 @@
-"""The geometry of a path that does not know it: a user's own, known by its poses and twists at clocks."""
+"""Geometry of a user's path, from its poses and twists at clocks."""
 
 from __future__ import annotations
 
@@ -15,22 +15,22 @@ from coopqp.task.path import ObjectPath
 
 #: Clocks at which a piece is measured, and nodes of its clock over s.
 _MEASURED, _NODES = 1001, 161
-#: Where a twist changes by so many times as much as before and after, it may jump.
+#: A twist may jump where it changes by this many times as much as before and after.
 _SUDDEN = 3.0
 #: Within this share of the length from an end the twist per unit of s is the one there: at rest it is 0/0.
 _AT_END = 1e-4
 #: A piece rests where it moves at less than this share of its largest speed.
 _RESTS = 1e-3
-#: Ends are asked this far on this side of the breakpoints, as a share of the duration.
+#: Ends of a piece are evaluated this far inside its breakpoints, as a share of the duration.
 _INSET = 1e-9
 #: Step of the differences of twists, as a share of the piece's duration.
 _DIFFERENCE = 1e-4
-#: Motion below this is none [m].
+#: Motion below this counts as rest [m].
 _STILL = 1e-9
 
 
 def sampled_geometry(path: ObjectPath) -> PathGeometry | None:
-    """Pieces between the breakpoints of a path, said or found; None where it stays.
+    """Pieces between the breakpoints of a path, declared or found; None where it stays.
 
     Poses and twists are those of the path; derivatives of twists are differences.
 
@@ -48,7 +48,7 @@ def sampled_geometry(path: ObjectPath) -> PathGeometry | None:
 
 
 def _kinks(path: GuardedPath, start: float, end: float) -> list[float]:
-    """Clocks between two breakpoints at which the twist jumps, unsaid [s]."""
+    """Clocks between two breakpoints at which the twist jumps, undeclared [s]."""
     clocks = np.linspace(start, end, _MEASURED)
     clocks[[0, -1]] += np.array([_INSET, -_INSET]) * (end - start)
     found = [path.twist(clock) for clock in clocks.tolist()]

@@ -1,7 +1,7 @@
 """The geometry of the library's own paths: straight lines about one axis each, as functions of the share of the way.
 
-Along a segment the object's twist about its own origin, per share of the segment and in world axes, is constant. What
-is proved in shares holds for every time law.
+Along a segment the object's twist about its own origin, per share of the segment and in world axes, is constant. A
+proof in shares holds for every time law.
 """
 
 from __future__ import annotations

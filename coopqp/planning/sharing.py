@@ -1,9 +1,9 @@
 """How fast the object may be at a knot: linear programs of two variables, z = σ² and u = σ̇.
 
 Between two knots the joints move at ``q′σ`` and accelerate at ``q′u + q″z``; z changes by 2u per second of clock. From
-a knot with z the object has to be able to reach the next one with at most K there, within the accelerations. What is
-not known of q″ between the knots counts as a share e of them. The largest such z is K here: a backward pass, as of
-TOPP-RA [Pham & Pham, 2018], over the known horizon.
+a knot with z the object has to be able to reach the next one with at most K there, within the accelerations. Unknown
+changes of q″ between the knots count as a share e of its known changes. The largest such z is K here: a backward pass,
+as in TOPP-RA [Pham & Pham, 2018], over the known horizon.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from coopqp.spatial import Array
 STILL_SLOPE = 1e-12
 #: Newton steps of one program. Each takes another pair of lines.
 MOST_PIVOTS = 50
-#: The lower bound of u is above the upper one by more than rounding.
+#: Excess of the lower bound of u over the upper one, beyond rounding.
 CROSSED = 1e-13
 
 
@@ -77,17 +77,17 @@ def largest_square(interval: Interval, acceleration: Array, cap: float, ahead: f
     span, slope, arrival, chord, bend, bend_ahead, fall, rise = interval
     two = 2.0 * span
     unknown = doubt * (np.abs(bend - chord) + np.abs(bend_ahead - chord))
+    # Four lines of each joint, upwards and downwards at either knot, and then those of the rate.
+    a, b, c = np.empty((3, len(slope) + 1, 4))
+    a[-1], b[-1], c[-1] = (1.0, -1.0, -two, two), (0.0, 0.0, -1.0, 1.0), (rise, fall, 0.0, ahead)
     # Of the bend and the chord the worse counts: z is not negative at either knot.
-    up, down = unknown + np.maximum(bend, chord), unknown - np.minimum(bend, chord)
-    up_ahead, down_ahead = unknown + np.maximum(bend_ahead, chord), unknown - np.minimum(bend_ahead, chord)
-    alpha = (slope, -slope, two * up_ahead + arrival, two * down_ahead - arrival)
-    return _largest(
-        np.concatenate([np.array(alpha).T.ravel(), [1.0, -1.0, -two, two]]),
-        np.concatenate([np.array((up, down, up_ahead, down_ahead)).T.ravel(), [0.0, 0.0, -1.0, 1.0]]),
-        np.concatenate([np.repeat(acceleration, 4), [rise, fall, 0.0, ahead]]),
-        cap,
-        each=4,
-    )
+    b[:-1, 0], b[:-1, 1] = np.maximum(bend, chord), -np.minimum(bend, chord)
+    b[:-1, 2], b[:-1, 3] = np.maximum(bend_ahead, chord), -np.minimum(bend_ahead, chord)
+    b[:-1] += unknown[:, None]
+    a[:-1, 0], a[:-1, 1] = slope, -slope
+    a[:-1, 2], a[:-1, 3] = two * b[:-1, 2] + arrival, two * b[:-1, 3] - arrival
+    c[:-1] = acceleration[:, None]
+    return _largest(a.ravel(), b.ravel(), c.ravel(), cap, each=4)
 
 
 def largest_alone(slope: Array, bend: Array, acceleration: Array, most: float, cap: float) -> float:
@@ -99,15 +99,16 @@ def largest_alone(slope: Array, bend: Array, acceleration: Array, most: float, c
 
 
 def _largest(a: Array, b: Array, c: Array, cap: float, *, each: int) -> Share:
-    """The same for lines ``a u + b z ≤ c``: ``each`` of them per joint, then four others, the last one of K ahead."""
+    """Largest z for lines ``a u + b z ≤ c``: ``each`` of them per joint, then four others, the last one of K ahead."""
     top, which, by_ahead = cap, -1, False
-    (still,) = ((np.abs(a) <= STILL_SLOPE) & (b > 0.0)).nonzero()
-    if still.size:
-        z = c[still] / b[still]
-        if z.min() < top:
-            top, which = float(z.min()), int(still[z.argmin()]) // each
     (up,), (down,) = (a > STILL_SLOPE).nonzero(), (a < -STILL_SLOPE).nonzero()
-    high_c, high_b, low_c, low_b = c[up] / a[up], b[up] / a[up], c[down] / a[down], b[down] / a[down]
+    if len(up) + len(down) < len(a):
+        (still,) = ((np.abs(a) <= STILL_SLOPE) & (b > 0.0)).nonzero()
+        z = c[still] / b[still]
+        if z.min(initial=np.inf) < top:
+            top, which = float(z.min()), int(still[z.argmin()]) // each
+    rising, falling = a[up], a[down]
+    high_c, high_b, low_c, low_b = c[up] / rising, b[up] / rising, c[down] / falling, b[down] / falling
     square, lower = top, 0
     for _ in range(MOST_PIVOTS):
         high, low = high_c - high_b * square, low_c - low_b * square

@@ -14,6 +14,7 @@ import pinocchio as pin
 from coopqp.checks import ArrayLike, as_count, as_floats, as_scalar
 from coopqp.errors import InvalidInputError, NoStartError
 from coopqp.model.batch import ArmKinematics
+from coopqp.model.branches import amount
 from coopqp.model.cell import RobotCell
 from coopqp.model.chain import Chain
 from coopqp.model.grasp import Grasp
@@ -27,7 +28,7 @@ from coopqp.task.path import ObjectPath
 #: Rolls of the tool that are tried for a remedy [deg], the most usual first.
 _ROLLS = ((180.0,), (90.0, -90.0), (45.0, -45.0, 135.0, -135.0), tuple(np.arange(-165.0, 180.0, 30.0)))
 _MOST_ALTERNATIVES = 8
-#: Of each arm so many branches at most are tried where they have to keep clear of each other.
+#: Most branches of each arm that are tried where arms have to keep clear of each other.
 _MOST_OPTIONS = 24
 
 
@@ -38,12 +39,14 @@ class ArmStart:
     Attributes:
         arm: its name.
         joints: names of the joints that move its tool, n of them.
+        slides: True for prismatic joints.
         chosen: the branch at which it starts.
         branches: all branches at the start of the path, the best first; those of redundant arms are samples.
     """
 
     arm: str
     joints: tuple[str, ...]
+    slides: tuple[bool, ...]
     chosen: BranchAlongPath
     branches: tuple[BranchAlongPath, ...]
 
@@ -59,7 +62,7 @@ class ArmStart:
 
     @property
     def clock(self) -> float:
-        """Clock at which it is so close to its limit [s]."""
+        """Clock of that margin [s]."""
         return float(self.chosen.clocks[self.chosen.tightest])
 
 
@@ -69,8 +72,8 @@ class Start:
 
     Attributes:
         q: the configuration (nq,).
-        grasp: the grasp, tools rolled where that was allowed.
-        arms: what was found for each arm.
+        grasp: the grasp, with rolled tools where allowed.
+        arms: result for each arm.
         clocks: clocks of the samples (K,) [s].
         margins: least margin of each joint along the path (nv,) [rad or m]; inf without limits.
         sigma_min: smallest singular value of each arm's tool Jacobian along the path (K, N).
@@ -93,9 +96,13 @@ class Start:
         for a in self.arms:
             feasible = sum(b.feasible for b in a.branches)
             roll = f", tool rolled by {np.rad2deg(a.chosen.roll):.0f}°" if a.chosen.roll else ""
+            margin = "none: its joints have no limits"
+            if np.isfinite(a.margin):
+                size = amount(a.margin, slides=a.slides[a.chosen.tightest])
+                margin = f"{size} at {a.tightest_joint} ({a.clock:.2f} s)"
             lines.append(
-                f"arm {a.arm}: {feasible} of {len(a.branches)} branches follow the path{roll}; least margin "
-                f"{a.margin:.3f} at {a.tightest_joint} ({a.clock:.2f} s), σ_min {a.chosen.sigma_min.min():.3f}"
+                f"arm {a.arm}: {feasible} of {len(a.branches)} branches follow the path{roll}; least margin {margin}; "
+                f"σ_min {a.chosen.sigma_min.min():.3f}"
             )
         if self.clear is False:
             lines.append("no start was found that keeps all margins along the path")
@@ -118,7 +125,7 @@ def find_start(
     margins and singular values is taken. A path without an end, or not known ahead, is judged by its start alone.
 
     Args:
-        cell, grasp, path: the arms, how they hold, and where to.
+        cell, grasp, path: the arms, their grasps and the object's path.
         free_roll: angles [rad] by which an arm's tool may be turned about its own z axis, by the arm's name; 0 is
             always allowed. The grasp in the answer has the turned tools.
         q_near: further seed (nq,); positions of joints that do not move a tool are taken from it.
@@ -169,7 +176,7 @@ def find_start(
 def clear_rows(
     cell: RobotCell, grasp: Grasp, samples: PathSamples, options: Sequence[Sequence[Array]], scene: Bodies
 ) -> tuple[int, ...] | None:
-    """Of starts of each arm (n,), the best first, those from which all margins are kept; None if there are none."""
+    """Index of one start (n,) per arm, so that all margins are kept; None if there are none. The best come first."""
     ways = []
     for arm, own, X, starts in zip(cell.arms, cell.v_slices, grasp.T_object_tool, options, strict=True):
         kinematics = ArmKinematics(arm)
@@ -188,7 +195,7 @@ def _put_together(
     found: list[tuple[ArmOnPath, BranchAlongPath]],
     near: Array | None,
 ) -> Start:
-    """The answer for the whole cell."""
+    """The start of the whole cell."""
     x = np.clip(np.zeros(cell.nv), cell.limits.lower, cell.limits.upper) if near is None else near.copy()
     columns = [s.start + arm.kinematics.columns for s, (arm, _) in zip(cell.v_slices, found, strict=True)]
     margins = np.minimum(x - cell.limits.lower, cell.limits.upper - x)
@@ -209,7 +216,13 @@ def _put_together(
         q=exact_start(chain, samples.poses[0], x),
         grasp=rolled if any(row.roll for _, row in found) else grasp,
         arms=tuple(
-            ArmStart(arm=name, joints=arm.kinematics.joints, chosen=row, branches=arm.branches)
+            ArmStart(
+                arm=name,
+                joints=arm.kinematics.joints,
+                slides=tuple(arm.kinematics.slides.tolist()),
+                chosen=row,
+                branches=arm.branches,
+            )
             for name, (arm, row) in zip(cell.arm_names, found, strict=True)
         ),
         clocks=samples.clocks,
@@ -239,7 +252,7 @@ def _checked_rolls(cell: RobotCell, free_roll: Mapping[str, Sequence[float]]) ->
 
 
 def _remedy(kinematics: ArmKinematics, samples: PathSamples, X: pin.SE3, tried: tuple[float, ...]) -> str:
-    """What helps an arm without a start."""
+    """Remedy for an arm without a start."""
     nowhere = np.empty((0, kinematics.n))
 
     def look(roll: float) -> ArmOnPath:

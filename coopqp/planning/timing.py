@@ -1,6 +1,6 @@
 """Timing before the motion: the fastest way along a path under the joints' limits, as a path of its own.
 
-With the object's path given the joints' ways are known (:mod:`coopqp.planning.knots`). What is left to choose is the
+With the object's path given the joints' ways are known (:mod:`coopqp.planning.knots`). The remaining choice is the
 speed ṡ along them. In ``z = ṡ²`` and s̈ all limits are lines: ``q̇ = q′ ṡ``, ``q̈ = q′ s̈ + q″ z``, ``τ = a s̈ + b z + c``.
 """
 
@@ -30,15 +30,15 @@ from coopqp.task.guarded import is_known
 from coopqp.task.path import ObjectPath
 from coopqp.task.timed import SpeedProfile, TimedPath
 
-#: Share of the limits that a path is planned with; the rest is for a controller's corrections.
+#: Planned share of the limits; the rest is for a controller's corrections.
 SHARE = 0.98
-#: Limits that are used by this share of the most used one are used alike.
+#: Limits used by at least this share of the most used one count as used alike.
 _EQUAL = 0.99
-#: Between knots limits may be exceeded by this share; where it is more, knots are added, in so many rounds at most.
+#: Largest excess of limits between knots, as a share; above it knots are added, in this many rounds at most.
 _EXCESS, _ROUNDS = 2e-3, 6
 #: Room of a rate bound at rest, as a share of its coefficients, that counts as rounding.
 _LEAST_ROOM = 1e-9
-#: Knots of a path, and of a stretch between corners at least.
+#: Knots of a path, and least knots of a stretch between corners.
 KNOTS, LEAST_KNOTS = 400, 60
 JERK_KNOTS = 150
 
@@ -57,19 +57,19 @@ def time_path(
 ) -> TimedPath:
     """The fastest way along a path, from rest to rest, under the joints' velocity and acceleration limits.
 
-    The time law of ``path`` counts for nothing, only where it goes. The object rests at its corners. Redundant arms
+    Only the geometry of ``path`` counts, not its time law. The object rests at its corners. Redundant arms
     are planned with their least motion, ``Σ (q̇_j / v_j)²``; on a planned path a :class:`coopqp.QPController` moves
     them so, too, without posture.
 
     Args:
         cell, grasp: the arms, and how they hold the object.
-        path: where to. Of a path of your own poses and twists are asked; derivatives of its twists are differences.
+        path: the path. Your own path gives poses and twists; derivatives of its twists are differences.
         q_start: configuration (nq,) near the start of the path; it decides the branches.
         payload: with it the joints' torques stay within their limits, too; each arm carries an equal part.
         bounds: further rate bounds (:class:`coopqp.RateBound`), such as :class:`coopqp.forces.LoadBound`, which shares
             the payload among the arms. Not with ``jerk``.
         jerk: largest jerk of the joints, one number or one per joint (nv,) [rad/s³ or m/s³]: the change between mean
-            accelerations of 10 ms, over 10 ms. The profile then comes from linear programs in a row, see
+            accelerations of 10 ms, over 10 ms. The profile then comes from successive linear programs, see
             :mod:`coopqp.planning.jerk`; this takes a second.
         share: share of the limits that is used, in (0, 1].
         knots: number of knots; 400 by default, 150 with ``jerk``.
@@ -80,7 +80,7 @@ def time_path(
     Raises:
         InvalidInputError: bad arguments, a path without geometry, or joints without acceleration limits.
         UnreachableError: an arm cannot follow the path, leaves its position limits, or cannot hold the payload.
-        UndecidedError: the parametrisation fails in numbers.
+        UndecidedError: the parametrisation fails numerically.
         MissingExtraError: toppra is missing: install coopqp[planning].
     """
     require_toppra()
@@ -183,7 +183,7 @@ def use_between(limited: Limited, squares: Array) -> Array:
 def limits_along(
     cell: RobotCell, grasp: Grasp, knots: Knots, *, payload: Payload | None = None, share: float = SHARE
 ) -> Limited:
-    """What bounds the speed along knots, as lines."""
+    """Bounds of the speed along knots, as lines."""
     limits = cell.limits
     moving = np.abs(knots.slope).max(axis=0) > 0.0
 
@@ -235,7 +235,7 @@ def further_lines(
 
 @dataclass(frozen=True, eq=False)
 class _Knot:
-    """What :meth:`coopqp.RateBound.lines` is asked at; the clock is s [m]."""
+    """The argument of :meth:`coopqp.RateBound.lines`; the clock is s [m]."""
 
     clock: float
     state: CellState
@@ -250,9 +250,9 @@ def binding_limits(
     jerk: Array | None = None,
     bounds: Sequence[Any] = (),
 ) -> tuple[list[BindingLimit | None], Array]:
-    """The limit that is used most between knots, and how much of it, of the share that is planned with (K − 1,).
+    """The most used limit between knots, and its use as a share of the planned limit (K − 1,).
 
-    Of limits that are used alike the one counts that bound before.
+    Among limits used alike, the one that bound before counts, else the first.
     """
     uses = _uses(limited, squares, jerk)
     kinds = [kind for kind, owner, _ in uses for _ in owner]
@@ -263,7 +263,7 @@ def binding_limits(
     last = -1
     for row, top in zip(use, most, strict=True):
         if last < 0 or row[last] < _EQUAL * top:
-            last = int(row.argmax())
+            last = int((row >= _EQUAL * top).argmax())  # the first: what is alike may not hang on rounding
         if owners[last] < 0:
             names.append(BindingLimit("", "", kinds[last], bounds[-1 - owners[last]].name))
             continue
@@ -273,9 +273,9 @@ def binding_limits(
 
 
 def _uses(limited: Limited, squares: Array, jerk: Array | None) -> list[tuple[LimitKind, Any, Array]]:
-    """Each kind of limits, whose they are (m,), and the share of them that is used between knots (K − 1, m).
+    """Each kind of limits, their owners (m,), and the share of them that is used between knots (K − 1, m).
 
-    They are a joint's, or those of further bound ``k``, as ``−1 − k``.
+    An owner is a joint, or ``−1 − k`` for further bound ``k``.
     """
     knots = limited.knots
     slope = 0.5 * np.diff(squares) / np.diff(knots.s)
@@ -307,12 +307,12 @@ def _uses(limited: Limited, squares: Array, jerk: Array | None) -> list[tuple[Li
     return found
 
 
-#: What ṡ² is divided by where a limit is used too much: this power of the share that is used.
+#: ṡ² is divided by this power of the used share of a limit where that exceeds 1.
 _POWERS = {LimitKind.VELOCITY: 2.0, LimitKind.ACCELERATION: 1.0, LimitKind.TORQUE: 1.0, LimitKind.JERK: 2.0 / 3.0}
 
 
 def kept_within(limited: Limited, squares: Array, jerk: Array) -> Array:
-    """A profile (K,) as a whole slowed down until it uses no limit up."""
+    """A profile (K,), slowed down as a whole until it exceeds no limit."""
     for _ in range(_ROUNDS):
         uses = _uses(limited, squares, jerk)
         excess = max(float(own.max(initial=0.0)) ** _POWERS[kind] for kind, _, own in uses)

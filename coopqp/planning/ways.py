@@ -1,4 +1,4 @@
-"""The joints' ways along a path that is checked: where they are at any place of it, how fast they move between places.
+"""The joints' ways along a checked path: positions at any place of it, and largest speeds between places.
 
 A place is the number of a segment plus the share of it, or the clock of a path without segments.
 """
@@ -43,7 +43,7 @@ class ArmWay:
 
     @staticmethod
     def proved(kinematics: ArmKinematics, offset: Array, proof: Proof) -> ArmWay:
-        """The way that a proof is about."""
+        """The way of a proof."""
         places = np.append(proof.segment + proof.low, proof.segment[-1] + proof.high[-1])
         return ArmWay(kinematics, offset, places, np.vstack([proof.q_low, proof.q_high[-1:]]), proof.rate)
 
@@ -83,7 +83,7 @@ class CellWay:
     """The ways of all arms of a cell.
 
     Args:
-        cell, path: whose ways they are.
+        cell, path: the arms, and the object's path.
         segments: of the path; None if it has none.
         arms: the way of each arm.
         rest: positions (nv,) of joints that move no tool.

@@ -56,8 +56,8 @@ __all__ = [
     "wide_grasp",
 ]
 
-#: The function of every scenario, by name; those of :data:`LOADED` run in the physics engine. A call without arguments
-#: uses the defaults. Some need the extra ``robots``.
+#: The function of every scenario, by name; scenarios in :data:`LOADED` run in the physics engine. A call without
+#: arguments uses the defaults. Some need the extra ``robots``.
 SCENARIOS: dict[str, Callable[[], Scenario]] = {
     "paper_lift": paper_lift,
     "wide_grasp": wide_grasp,

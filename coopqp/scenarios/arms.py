@@ -184,7 +184,7 @@ def robot_arm(
 
     Args:
         robot: name of the robot.
-        name: name of the arm in its cell; by default that of the robot.
+        name: name of the arm in its cell; by default the robot's.
         T_world_base: placement of its base in the world (identity by default).
         tool_frame: the frame that holds the object; by default the robot's.
         geometry: also load the shapes.
@@ -228,7 +228,7 @@ def _read(robot: str, file: Path, tool_frame: str, geometry: bool, locked: tuple
 
 
 def robot_table() -> str:
-    """The robots as text: name, joints, tool frame, licence and source; those of the extra ``robots`` are marked."""
+    """The robots as text: name, joints, tool frame, licence and source; robots of the extra ``robots`` are marked."""
     rows = [("robot", "joints", "tool frame", "licence", "source")]
     rows += [
         (name + ("*" if made.extra else ""), str(made.joints), made.tool_frame, made.licence, made.source)

@@ -43,7 +43,7 @@ def facing(
 ) -> list[Station]:
     """Two arms of one kind that face each other, "left" at −half and "right" at +half [m] on the object's x axis.
 
-    The other arguments are those of :class:`Station`.
+    The other arguments are as of :class:`Station`.
     """
     return [
         Station(

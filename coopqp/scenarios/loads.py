@@ -19,7 +19,7 @@ from coopqp.task.scenario import EngineSettings, Scenario
 
 #: Age of the wrenches when they arrive [s].
 _LATE = {"wrench_latency": 0.01}
-#: Forces are minded: what they make of the arms' places stops the object only where it is large.
+#: Forces deflect the arms: only a large deviation stops the object.
 _TOLERANT = {"supervision": {"slow_from": 0.005, "hold_from": 0.01, "stall_samples": 10_000}}
 
 

@@ -17,10 +17,10 @@ else:
     __getattr__, __dir__ = lazy_names(
         __name__,
         {
-            "coopqp.simulation.engine": ("engine_controller", "engine_plant", "run_in_engine"),
-            "coopqp.simulation.loads": ("RunLoads", "read_loads"),
-            "coopqp.simulation.plants.physics_options": ("Interpolation",),
-            "coopqp.simulation.plants.replay": ("Motion", "Replay", "exact_motion", "recorded_motion"),
+            "coopqp.simulation.engine": "engine_controller engine_plant run_in_engine",
+            "coopqp.simulation.loads": "RunLoads read_loads",
+            "coopqp.simulation.plants.physics_options": "Interpolation",
+            "coopqp.simulation.plants.replay": "Motion Replay exact_motion recorded_motion",
         },
     )
 

@@ -143,7 +143,7 @@ def _finished(recording: Recording) -> Finding:
 
 
 def _carried_load(cell: RobotCell, recording: Recording) -> tuple[Finding, ...]:
-    """What the recording says of forces and torques; nothing if it says nothing."""
+    """Findings on forces and torques; empty for a recording without them."""
     loads = read_loads(cell, recording)
     if loads is None:
         return ()
@@ -157,7 +157,7 @@ def _carried_load(cell: RobotCell, recording: Recording) -> tuple[Finding, ...]:
 
 
 def _apart(recording: Recording) -> tuple[Finding, ...]:
-    """What the recording says of distances; nothing if it says nothing."""
+    """Finding on distances; empty for a recording without them."""
     entry = recording.metadata.get("clearance")
     if entry is None:
         return ()
@@ -241,7 +241,7 @@ def _samples(recording: Recording) -> Iterator[slice]:
 
 
 def _first_in(parts: Iterable[slice], bad: Callable[[slice], Any]) -> int | None:
-    """The first row for which ``bad(part)`` is True; None if there is none."""
+    """The first row for which ``bad(part)`` is True; None if it is False for all."""
     for part in parts:
         found = bad(part)
         if found.any():

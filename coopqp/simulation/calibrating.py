@@ -73,7 +73,7 @@ def _check_gripped(run: Recording, gripped: bool | None, i: int) -> None:
 
 
 def _kinematics(cell: RobotCell) -> list[dict[str, Any]]:
-    """What a calibration depends on: joints, tools and bases."""
+    """Parts of a cell that a calibration depends on: joints, tools and bases."""
     parts = ("name", "base", "tool", "joints")
     return [{part: arm[part] for part in parts} for arm in describe_cell(cell)["arms"]]
 

@@ -1,8 +1,8 @@
 """How close bodies came in a run, judged from its commanded configurations alone, between its steps, too.
 
 The controllers' distances play no part in it: bodies are placed by Pinocchio's kinematics, distances come from
-:mod:`coopqp.simulation.convex`. What a body can have moved by between two samples tells how far a pair can have come,
-so few distances are asked.
+:mod:`coopqp.simulation.convex`. The motion of two bodies between samples bounds the change of their distance, so few
+distances are computed.
 """
 
 from __future__ import annotations
@@ -25,11 +25,11 @@ from coopqp.simulation.recording import Recording
 from coopqp.spatial import Array
 from coopqp.task.scenario import Scenario
 
-#: A step is looked at in so many parts where bodies may have been closest.
+#: Number of parts of a step in which bodies may have been closest.
 PARTS = 4
 #: A body's way between two samples is no longer than this many times what its placements say.
 _BENT = 1.05
-#: Of longer runs every second, third, … sample is looked at.
+#: Largest number of samples that are judged; of longer runs every second, third, … sample is.
 MOST_JUDGED = 50_000
 #: Samples of the distances over a run.
 MOST_SAMPLES = 200
@@ -45,7 +45,7 @@ class Closest:
     Attributes:
         pair: the bodies, and their distance [m].
         time: when [s].
-        margin: what they are to keep [m].
+        margin: the least distance that they are to keep [m].
     """
 
     pair: NearPair
@@ -176,11 +176,11 @@ class Closeness:
         Pairs that may start inside their margin are to come no closer than they are at :meth:`start`.
 
         Args:
-            q: commanded configurations (T + 1, nq); the first one ended the last call, or is that of the start.
+            q: commanded configurations (T + 1, nq); the first is the last one of the call before, or the start.
             tolerance: accepted [m].
 
         Returns:
-            number of the step, the pair with its least distance in the step, what is missing [m].
+            number of the step, the pair with its least distance in the step, the missing distance [m].
         """
         placed, found = self._place(q), []
         ends = np.array(self._ends)
@@ -205,7 +205,7 @@ class Closeness:
         return found
 
     def judged(self, left_out: Iterable[tuple[str, str]]) -> list[int]:
-        """Pairs of shapes but for those of these names."""
+        """Pairs of shapes, without the pairs of these names."""
         names = set(left_out)
         return [k for k in self._pairs if self._labels[k] not in names]
 
@@ -224,7 +224,7 @@ class Closeness:
                     continue
                 d = self._sampled(placed, k, t)
                 out[t] = min(out[t], d)
-                # Until the bodies can have come so close as the closest there, nothing is to be asked.
+                # No distance is needed until the bodies may be as close as the closest pair.
                 way = placed.way[t:, i] + placed.way[t:, j] - placed.way[t, i] - placed.way[t, j]
                 closer = np.flatnonzero(d - _BENT * way < out[t:] - 1e-4)
                 later = closer[closer > 0]

@@ -23,6 +23,11 @@ GAP = 1e-10
 _MOST_CORNERS = 200
 #: Cores whose difference comes this close to 0 overlap [m].
 _OVERLAP = 1e-9
+#: Squared sine of an angle below which three edges are solved with the SVD.
+_FLAT = 1e-8
+_TINY = float(np.finfo(float).tiny)
+
+Point = list[float]  # three coordinates [m]
 
 
 class Core(NamedTuple):
@@ -65,16 +70,14 @@ def core_of(geometry: Any) -> Core:
     return Core(points, disc, radius, extent)
 
 
-def furthest(core: Core, R: Array, p: Array, way: Array) -> Array:
-    """The core's furthest point in a world direction, placed at (R, p)."""
-    own = way @ R
-    point = core.points[int((core.points @ own).argmax())]
+def furthest(core: Core, way: Array) -> Array:
+    """The core's furthest point in a direction, both in its frame."""
+    point: Array = core.points[(core.points @ way).argmax()]
     if core.disc > 0.0:
-        across = float(np.hypot(own[0], own[1]))
+        across = math.hypot(way[0], way[1])
         if across > 0.0:
-            point = point + np.array([own[0], own[1], 0.0]) * (core.disc / across)
-    out: Array = R @ point + p
-    return out
+            point = point + np.array([way[0], way[1], 0.0]) * (core.disc / across)
+    return point
 
 
 def distance(a: Core, b: Core, Ra: Array, pa: Array, Rb: Array, pb: Array, *, gap: float = GAP) -> float:
@@ -82,53 +85,87 @@ def distance(a: Core, b: Core, Ra: Array, pa: Array, Rb: Array, pb: Array, *, ga
 
     The lower bound is returned: bodies are never closer.
     """
-    way = pb - pa
-    corners = (furthest(a, Ra, pa, way) - furthest(b, Rb, pb, -way))[None]
-    shares, lower = np.ones(1), 0.0
+    R, p = Ra.T @ Rb, Ra.T @ (pb - pa)  # b as a has it; all points are in the frame of a
+
+    def corner(way: Array) -> Point:
+        """The point of A − B furthest in a direction."""
+        point: Point = (furthest(a, way) - R @ furthest(b, -way @ R) - p).tolist()
+        return point
+
+    corners, shares, lower = [corner(p)], [1.0], 0.0
     for _ in range(_MOST_CORNERS):
-        x = shares @ corners
-        size = math.sqrt(float(x @ x))
+        x = [0.0, 0.0, 0.0]
+        for share, known in zip(shares, corners, strict=True):
+            x = _less(x, known, -share)
+        size = math.sqrt(_dot(x, x))
         if size < _OVERLAP:
             return -(a.radius + b.radius)
-        corner = furthest(a, Ra, pa, -x) - furthest(b, Rb, pb, x)
-        lower = max(lower, float(corner @ x) / size)
+        new = corner(-np.array(x))
+        lower = max(lower, _dot(new, x) / size)
         if size - lower <= gap:
             break
-        corners, shares = least_norm(np.vstack([corners, corner]), np.append(shares, 0.0))
+        corners, shares = least_norm([*corners, new], [*shares, 0.0])
     return lower - a.radius - b.radius
 
 
-def least_norm(corners: Array, shares: Array) -> tuple[Array, Array]:
-    """The point of least norm in the hull of corners (n, 3): the corners it lies between, and their shares.
+def least_norm(corners: list[Point], shares: list[float]) -> tuple[list[Point], list[float]]:
+    """The point of least norm in the hull of corners: the corners it lies between, and their shares.
 
     Args:
         corners: affinely independent but for the last.
-        shares: of a point of the hull, to begin with (n,).
+        shares: of a point of the hull, to begin with, one for each corner.
     """
     while True:
         # The point of least norm in the plane of the corners, then as far towards it as the hull reaches.
-        rest = _least_square((corners[1:] - corners[0]).T, -corners[0])
-        there = np.concatenate([[1.0 - rest.sum()], rest])
-        if (there > 0.0).all():
+        rest = _least_square([_less(corner, corners[0]) for corner in corners[1:]], corners[0])
+        there = [1.0 - sum(rest), *rest]
+        if min(there) > 0.0:
             return corners, there
-        falls = there <= 0.0
-        ways = shares[falls] / np.maximum(shares[falls] - there[falls], np.finfo(float).tiny)
-        shares = shares + min(1.0, float(ways.min())) * (there - shares)
-        shares[np.flatnonzero(falls)[int(ways.argmin())]] = 0.0
-        kept = shares > 0.0
-        corners, shares = corners[kept], shares[kept] / shares[kept].sum()
+        way, first = min(
+            (s / max(s - t, _TINY), k) for k, (s, t) in enumerate(zip(shares, there, strict=True)) if t <= 0.0
+        )
+        shares = [s + min(1.0, way) * (t - s) for s, t in zip(shares, there, strict=True)]
+        shares[first] = 0.0
+        kept = [k for k, share in enumerate(shares) if share > 0.0]
+        whole = sum(shares[k] for k in kept)
+        corners, shares = [corners[k] for k in kept], [shares[k] / whole for k in kept]
 
 
-def _least_square(edges: Array, goal: Array) -> Array:
-    """The shares with which edges (3, n) come closest to a goal (3,). One and two by hand: most are."""
-    if edges.shape[1] == 1:
-        a = edges[:, 0]
-        return np.array([(goal @ a) / max(float(a @ a), np.finfo(float).tiny)])
-    if edges.shape[1] == 2:
-        a, b = edges.T
-        along = (a @ b) / max(float(a @ a), np.finfo(float).tiny)
-        c = b - along * a  # across a
-        if c @ c > 1e-12 * (b @ b):
-            of_b = (goal @ c) / (c @ c)
-            return np.array([(goal @ a) / (a @ a) - along * of_b, of_b])
-    return np.asarray(np.linalg.lstsq(edges, goal, rcond=None)[0], dtype=float)
+def _least_square(edges: list[Point], corner: Point) -> list[float]:
+    """The shares of up to three edges that lead from a corner closest to 0.
+
+    By hand, each edge less what the ones before it reach: arrays of three numbers take longer than their sums.
+    """
+    if not edges:
+        return []
+    a = edges[0]
+    aa = max(_dot(a, a), _TINY)
+    of_a = -_dot(corner, a) / aa
+    if len(edges) == 1:
+        return [of_a]
+    b = edges[1]
+    ab = _dot(a, b) / aa
+    c = _less(b, a, ab)  # across a
+    cc = _dot(c, c)
+    if len(edges) == 2 and cc > 1e-12 * _dot(b, b):
+        of_b = -_dot(corner, c) / cc
+        return [of_a - ab * of_b, of_b]
+    if len(edges) == 3 and cc > _FLAT * _dot(b, b):
+        e = edges[2]
+        ae, ce = _dot(a, e) / aa, _dot(c, e) / cc
+        d = _less(_less(e, a, ae), c, ce)  # across a and b
+        dd = _dot(d, d)
+        if dd > _FLAT * _dot(e, e):
+            of_e = -_dot(corner, d) / dd
+            of_b = -_dot(corner, c) / cc - ce * of_e
+            return [of_a - ab * of_b - ae * of_e, of_b, of_e]
+    found: list[float] = np.linalg.lstsq(np.array(edges).T, -np.array(corner), rcond=None)[0].tolist()
+    return found
+
+
+def _dot(a: Point, b: Point) -> float:
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+def _less(a: Point, b: Point, times: float = 1.0) -> Point:
+    return [a[0] - times * b[0], a[1] - times * b[1], a[2] - times * b[2]]

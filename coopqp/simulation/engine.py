@@ -96,7 +96,7 @@ def run_in_engine(
 
     Args:
         scenario: the scenario.
-        plant: what it runs on; :func:`engine_plant` by default.
+        plant: the plant; :func:`engine_plant` by default.
         progress, metadata: as of :func:`coopqp.simulate`.
 
     Raises:

@@ -1,4 +1,4 @@
-"""Forces and torques of a run that was recorded with them: what is internal, and how much of each limit is used."""
+"""Forces and torques of a recorded run: internal forces, and the used share of each limit."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ class RunLoads:
         return out
 
     def overloaded(self, cell: RobotCell) -> tuple[str, str]:
-        """What is used of torques in words; and the cause where that is too much."""
+        """The used share of the torques in words; and the cause if it is too much."""
         use = self.torque_use
         i, j = _largest(use)
         text = f"at most {100.0 * use[i, j]:.1f} % of a torque ({cell.joint_names[j]})"
@@ -65,7 +65,7 @@ class RunLoads:
         return text, f"{cell.joint_names[j]}: torque, since {self.time[over[0]]:.3f} s" if over.size else ""
 
     def held(self, cell: RobotCell) -> tuple[str, str]:
-        """Whether the palms held the object to the end; and the cause where they let go of it.
+        """Whether the palms held the object to the end; and the cause if they did not.
 
         Friction is used up for moments where it is; an object is lost where a palm does not press any more.
         """

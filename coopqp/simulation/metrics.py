@@ -204,7 +204,7 @@ def relative_positioning_error(tools: Sequence[pin.SE3], grasp: Grasp) -> float:
 
 
 def relative_orientation_error(tools: Sequence[pin.SE3], grasp: Grasp) -> float:
-    """ε_o [rad]: like ε_p, with the angles between the relative tool orientations and those of the grasp."""
+    """ε_o [rad]: like ε_p, with the angles between the relative tool orientations and the grasp's."""
     return float(orientation_errors(gaps(object_poses(_stacked(tools, grasp), grasp))[1]))
 
 

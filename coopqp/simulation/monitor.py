@@ -379,7 +379,7 @@ class Monitor:
 
     def _judge_object(self, block: Block, ends: Array) -> None:
         t = self.tolerances
-        chain = len(self._gaps.first) - len(self.cell)  # first the pairs of two arms, then those of arm and path
+        chain = len(self._gaps.first) - len(self.cell)  # first the pairs of two arms, then each arm and the path
         distance, angle = self._gaps.of(block.q_next, block.reference, block.shift)
         for breach, values, allowed, unit in (
             (Breach.CHAIN, distance[:, :chain], t.chain_m, "m"),

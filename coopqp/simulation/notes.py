@@ -1,4 +1,4 @@
-"""What a run has to say about itself: one note per change, and one for changes that go to and fro."""
+"""Notes of a run about itself: one per change, and one for changes that go to and fro."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import final
 from coopqp.control.command import ControlStep, Status
 from coopqp.model.limits import BindingLimit
 
-#: What a note is about.
+#: Subject of a note.
 Kind = tuple[Status, tuple[BindingLimit, ...]]
 #: Changes that follow each other within this time belong together [s].
 _TOGETHER = 0.1

@@ -1,4 +1,4 @@
-"""A run as arrays, in memory or in a file: what :func:`coopqp.simulate` returns, and what is saved and loaded."""
+"""A run as arrays, in memory or in a file: returned by :func:`coopqp.simulate`, saved and loaded."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from coopqp.simulation.rows import parts, read_archive, unpacked_bytes, write_ar
 from coopqp.simulation.scene import read_cell
 from coopqp.spatial import Array
 
-#: Largest accepted recording [bytes, of what is compressed in it].
+#: Largest accepted recording [bytes, uncompressed].
 MAX_RECORDING_BYTES = 2_000_000_000
 #: Recordings with more bytes are not compressed, so that they can be read in parts.
 MAX_COMPRESSED_BYTES = 64 * 2**20

@@ -19,7 +19,7 @@ import numpy.typing as npt
 from coopqp.checks import read_only
 from coopqp.spatial import Array
 
-#: Bytes of an array that stays in memory while it is gathered; a longer one goes on in a file.
+#: Largest array that is gathered in memory [bytes]; a longer one goes on in a file.
 MOST_IN_MEMORY = 8 * 2**20
 #: Rows of a block, which is written at once, and of a part, which is read at once.
 BLOCK_ROWS = 4096
@@ -148,7 +148,7 @@ def read_archive(file: Path, names: Iterable[str], perhaps: Iterable[str] = ()) 
     Small arrays are read into memory. Large ones of 8-byte numbers are mapped, or unpacked into a file without a name.
 
     Raises:
-        OSError, ValueError, KeyError, zipfile.BadZipFile, ...: it is no such archive, or it is damaged.
+        OSError, ValueError, KeyError, zipfile.BadZipFile, ...: not a recording, or damaged.
     """
     with zipfile.ZipFile(file) as archive:
         there = set(archive.namelist())

@@ -64,7 +64,7 @@ def simulate(
     Raises:
         InvalidInputError: bad ``q_start`` or durations, the arms do not hold the object at the start, or a controller
             with ``needs_servos`` gets torque-controlled drives.
-        NoStartError: no ``q_start`` is given and there is none.
+        NoStartError: no ``q_start`` is given and the search finds none.
     """
     for thing, methods, name in ((controller, ("reset", "step"), "controller"), (plant, ("reset", "apply"), "plant")):
         if thing is None and name == "plant":
@@ -117,7 +117,7 @@ def simulate(
 
 
 def _asking(controller: Controller, plant: Plant) -> Callable[[Array], ControlStep]:
-    """How a controller is asked for a step; one that minds forces also gets the wrenches."""
+    """The call for a step of a controller; a force controller also gets the wrenches."""
     if not getattr(controller, "minds_wrenches", False):
         return controller.step
     wrenches: Callable[[], Array] | None = getattr(plant, "measured_wrenches", None)

@@ -1,4 +1,4 @@
-"""What a monitor finds: violations, what it accepts, and its verdict."""
+"""Findings of a monitor: violations, accepted tolerances, and the verdict."""
 
 from __future__ import annotations
 

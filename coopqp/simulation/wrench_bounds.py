@@ -1,4 +1,4 @@
-"""What wrenches of the arms on the object may be, for a monitor; computed by another way than a controller's."""
+"""Bounds of the arms' wrenches on the object, for a monitor; computed in another way than a controller's."""
 
 from __future__ import annotations
 
@@ -17,20 +17,20 @@ if TYPE_CHECKING:
     from coopqp.forces.grips import Grip
     from coopqp.model.grasp import Grasp
 
-#: A torque of 1 N·m counts as so many newtons where a load is shared [1/m].
+#: Weight of torques against forces where a load is shared [1/m].
 _TORQUE = 10.0
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class WrenchBounds:
-    """What the wrenches of the arms on the object may be while it moves.
+    """Bounds of the wrenches of the arms on the object while it moves.
 
     Attributes:
-        internal_force: largest internal force of an arm, what is left of its force without its share of the load [N].
+        internal_force: largest internal force of an arm: its force less its share of the load [N].
         palms: one palm per arm, which must stay inside its friction cone and on its pad; None for grips.
 
     Raises:
-        InvalidInputError: no positive force, or something that is no palm.
+        InvalidInputError: a force that is not positive, or a grip that is no palm.
     """
 
     internal_force: float = math.inf
@@ -56,7 +56,7 @@ class WrenchBounds:
 
 
 class Excess(NamedTuple):
-    """What is too much of an arm's wrench: the kind, the arm's number (−1 for all), by how much, and in which unit."""
+    """Excesses of wrenches: the kind, the arm's number (−1 for all), the excess, and its unit."""
 
     breach: Breach
     arm: int
@@ -65,10 +65,10 @@ class Excess(NamedTuple):
 
 
 def excesses(bounds: WrenchBounds, grasp: Grasp, wrenches: ArrayLike) -> list[Excess]:
-    """What breaks the bounds in one sample.
+    """Excesses over the bounds in one sample.
 
     Args:
-        bounds: what is accepted.
+        bounds: accepted wrenches.
         grasp: placements of the tools.
         wrenches: of each arm on the object, at the origin and in the axes of its tool (N, 6) [N, N·m]; NaN where none
             came. The internal forces are judged where all have come.

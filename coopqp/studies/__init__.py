@@ -2,8 +2,8 @@
 
 A sweep, in the order of its flow: ``study`` (a file of axes and draws gives rows), ``drawing`` (disturbances),
 ``row`` (one run gives one row), ``engines`` (where rows are run), ``dispatch`` (until all rows are there),
-``journal`` (what is never lost), ``table`` and ``sweeping`` (the folder of a study). Base placement: ``placing`` (one
-placement), ``placement`` (a file of axes, a map, a search).
+``journal`` (finished rows, on disk), ``table`` and ``sweeping`` (the folder of a study). Base placement: ``placing``
+(one placement), ``placement`` (a file of axes, a map, a search).
 """
 
 from typing import TYPE_CHECKING
@@ -22,13 +22,13 @@ else:
     __getattr__, __dir__ = lazy_names(
         __name__,
         {
-            "coopqp.studies.engines": ("Cluster", "Engine", "Local"),
-            "coopqp.studies.errors": ("EngineError", "StudyError"),
-            "coopqp.studies.placement": ("PlaceStudy", "load_place_study"),
-            "coopqp.studies.placing": ("ArmPlaced", "CellPlaced", "Goals", "Placer"),
-            "coopqp.studies.study": ("Study", "load_study"),
-            "coopqp.studies.sweeping": ("Sweep", "sweep"),
-            "coopqp.studies.dispatch": ("run_rows",),
+            "coopqp.studies.engines": "Cluster Engine Local",
+            "coopqp.studies.errors": "EngineError StudyError",
+            "coopqp.studies.placement": "PlaceStudy load_place_study",
+            "coopqp.studies.placing": "ArmPlaced CellPlaced Goals Placer",
+            "coopqp.studies.study": "Study load_study",
+            "coopqp.studies.sweeping": "Sweep sweep",
+            "coopqp.studies.dispatch": "run_rows",
         },
         extra=("studies", "pydantic", "annotated_types"),
     )

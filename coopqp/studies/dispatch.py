@@ -28,7 +28,7 @@ class Done:
 
     Attributes:
         row: its number.
-        columns: what the task returned; None if it killed its workers.
+        columns: the task's result; None if it killed its workers.
         seconds: processor time that it took [s].
     """
 

@@ -1,4 +1,4 @@
-"""What a draw of a study disturbs: the same for every setting, and for any number of workers.
+"""Disturbances of a draw of a study: the same for every setting, and for any number of workers.
 
 Each quantity of a draw has random numbers of its own, from the study's seed, the draw and the quantity. So a setting
 meets the disturbances that all others meet, and a change of one amount leaves the other draws as they are.
@@ -56,7 +56,7 @@ class DisturbancesTable(Table):
     lag_s: Amount = Field(default=0.0, description="time constant of each arm's servos")
 
 
-#: First number of a spawn key: what is drawn once a draw, and the noise of each run of it.
+#: First number of a spawn key: for values of a draw, and for the noise of each of its runs.
 _OF_A_DRAW, _OF_A_RUN = 0, 1
 
 
@@ -70,7 +70,7 @@ def disturbances(
         cell: the arms.
         seed: seed of the study.
         draw: number of the draw.
-        repeat: number of the run among those of the same draw; it has noise of its own.
+        repeat: number of the run within its draw; each run has noise of its own.
     """
     amounts = {}
     for quantity, name in enumerate(type(table).model_fields):

@@ -28,7 +28,7 @@ _LOOK = 1.0
 
 
 class Engine(ABC):
-    """What runs chunks of rows.
+    """Runs chunks of rows.
 
     Attributes:
         workers: number of worker processes.
@@ -50,7 +50,7 @@ class Engine(ABC):
 
     @abstractmethod
     def is_broken(self, error: BaseException) -> bool:
-        """Whether the executor takes no more work after such an error."""
+        """Whether the executor takes no more work after this error."""
 
 
 @final
@@ -155,7 +155,7 @@ class Cluster(Engine):
         here = versions()
         try:
             there = client.run(versions)
-        except Exception as error:  # whatever the workers raise: without coopqp they cannot even read the question
+        except Exception as error:  # any exception: workers without coopqp cannot even read the question
             raise EngineError(
                 f"the workers at {self.address} cannot run coopqp ({said(error)}). Install it there."
             ) from error

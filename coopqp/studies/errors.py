@@ -10,4 +10,4 @@ class StudyError(CoopqpError):
 
 
 class EngineError(CoopqpError):
-    """What runs the rows of a study cannot go on. Finished rows are kept: resume the study."""
+    """The engine of a study cannot go on. Finished rows are kept: resume the study."""

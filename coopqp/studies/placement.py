@@ -151,7 +151,7 @@ class PlaceStudy:
     def search(
         self, progress: Callable[[int, int], None] | None = None, *, generations: int = _GENERATIONS
     ) -> CellPlaced:
-        """The best placement over any number of axes: SciPy's differential evolution, at most so many generations."""
+        """The best placement over any number of axes: SciPy's differential evolution, ``generations`` at most."""
         from scipy.optimize import differential_evolution
 
         names, tell = list(self.axes), progress or (lambda *_: None)

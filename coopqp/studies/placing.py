@@ -100,9 +100,9 @@ class CellPlaced:
         bases: T_world_base of each arm.
         arms: what was found for each arm.
         clearance: least distance of bodies along the path [m]; NaN if it was not asked, or an arm does not follow.
-        near: the bodies that come so near.
+        near: the bodies at this distance.
         near_s: the path's clock where they do [s].
-        goals: what is good.
+        goals: thresholds of a good placement.
     """
 
     values: Mapping[str, float]
@@ -115,7 +115,7 @@ class CellPlaced:
 
     @property
     def follows(self) -> bool:
-        """All arms follow the path, whatever they touch."""
+        """All arms follow the path; contacts do not count."""
         return all(arm.feasible for arm in self.arms)
 
     @property
@@ -214,7 +214,7 @@ class Placer:
 
     Args:
         cell, grasp, path: the task.
-        goals: what is good.
+        goals: thresholds of a good placement.
         scene: bodies whose distances count; None for none.
     """
 
@@ -332,7 +332,7 @@ class Placer:
         return np.hstack(ways)
 
     def remedies(self, placed: CellPlaced) -> tuple[str, ...]:
-        """What helps arms that do not follow the path from where they stand: the shortest way of each base, checked."""
+        """Remedies for arms that do not follow the path from their places: the shortest way of each base, checked."""
         return tuple(self._remedy(k, placed) for k, arm in enumerate(placed.arms) if not arm.feasible)
 
     def _remedy(self, k: int, placed: CellPlaced) -> str:

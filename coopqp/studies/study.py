@@ -1,4 +1,4 @@
-"""A study file: what is varied, over a cell file or a scenario, and the rows that come of it."""
+"""A study file: variations of a cell file or a scenario, and the rows that they make."""
 
 from __future__ import annotations
 
@@ -93,7 +93,7 @@ class StudyFile(Table):
 
 
 class ScenarioFile(Table):
-    """What can be varied of a scenario: its own arguments, the controller, the plant, the loop."""
+    """Settings of a scenario that can vary: its own arguments, the controller, the plant, the loop."""
 
     scenario: dict[str, Any] = Field(default={}, description="arguments of the scenario's function")
     controller: ControllerTable = Field(default_factory=lambda: QPTable.model_validate({"kind": "qp"}))
@@ -112,8 +112,8 @@ class Row:
 
     Attributes:
         index: its number, from 0.
-        values: what is varied, by column.
-        draw, repeat: number of the draw of the disturbances, and of the run among those of the draw.
+        values: the varied settings, by column.
+        draw, repeat: number of the draw of the disturbances, and of the run within its draw.
     """
 
     index: int
@@ -160,7 +160,7 @@ class Study:
 
     @property
     def varied(self) -> tuple[str, ...]:
-        """Columns of what is varied."""
+        """Columns of the varied settings."""
         return (*(("case",) if self.cases else ()), *(key for key, _ in self.axes))
 
     @property
@@ -361,7 +361,7 @@ def _has(instructions: str) -> bool:
 
 
 def versions() -> dict[str, str]:
-    """What decides about the bits of a row: versions, the kernel, the solver."""
+    """The bits of a row depend on these: versions, the kernel, the solver."""
     import platform
 
     from coopqp.control.core import kernel_text

@@ -1,4 +1,4 @@
-"""A sweep: run a study into a folder, so that nothing is lost and an interrupted one goes on."""
+"""A sweep: run a study into a folder. Nothing is lost, and an interrupted study can be resumed."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Units of what a study varies, for its figure."""
+"""Units of the settings that a study varies, for its figure."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def name_and_unit(study: Study, key: str) -> tuple[str, str]:
     """A dotted key without its unit, and the unit; empty if it has none.
 
     The unit is the end of the key (``duration_s``), or stands in square brackets where the schema of the file, the
-    options or the scenario says what the number means.
+    options or the scenario defines the number.
     """
     number = key.rpartition(".")[2]
     entry = f".{number}" if number.isdigit() else ""  # of a list
@@ -51,5 +51,5 @@ def _told(study: Study, key: str) -> str:
 
 
 def _bracketed(text: str) -> str:
-    """What stands between the first square brackets of a text; empty if there are none."""
+    """The text between the first square brackets; empty without brackets."""
     return text.partition("[")[2].partition("]")[0]

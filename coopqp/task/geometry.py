@@ -197,7 +197,7 @@ def piece_of(numbers: Array) -> Straight | Blend:
     """The piece whose :meth:`Piece.numbers` are given.
 
     Raises:
-        InvalidInputError: they are not those of a piece.
+        InvalidInputError: they do not describe a piece.
     """
     where = "piece of a geometry"
     x = np.asarray(numbers, dtype=float)

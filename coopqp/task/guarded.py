@@ -1,9 +1,8 @@
-"""A user's own path, asked with care: whatever it raises or returns, a step gets a pose or a reason."""
+"""A user's own path, asked with care: it may raise or return anything, and a step gets a pose or a reason."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from typing import final
 
 import numpy as np
@@ -25,7 +24,7 @@ FASTEST = 1e9
 FASTEST_PATH = 20.0
 #: Breakpoints that are asked for, at most.
 _MOST_BREAKPOINTS = 10_000
-#: Of a path without end, so much is asked before anything moves [s].
+#: Length of the part of an endless path that is asked before anything moves [s].
 _LOOKED_AT = 1.0
 #: Clocks at which a path is asked, and the share of the distance between them over which its poses are compared.
 _PROBES, _SPAN_SHARE = 9, 1e-2
@@ -54,13 +53,13 @@ def twist_distance(a: Array, b: Array) -> float:
 
 
 def jump(far: float, clock: float) -> str:
-    """That a path jumps, and how far [m], and where [s]."""
+    """A sentence: the path jumps, by a distance [m], at a clock [s]."""
     return f"the path jumps by {far:.3g} m at its clock {clock:.6g} s (a turn of 1 rad counts as {TURN_LENGTH:g} m)"
 
 
 @final
 class GuardedPath:
-    """Poses and twists of a path; of a user's own path checked, with what is wrong in :attr:`problem`.
+    """Poses and twists of a path; of a user's own path checked, with a fault in :attr:`problem`.
 
     Attributes:
         duration: the path's duration when it was taken [s]; 0 if it has none.
@@ -155,12 +154,12 @@ class GuardedPath:
             clock = ahead
         return found
 
-    def trouble(self, clock: float, h: float, held: Callable[[], pin.SE3], away: float) -> tuple[str, float]:
-        """What is wrong with the path's poses at ``clock`` and ``h`` later [s], if anything; and the new ``away``.
+    def trouble(self, clock: float, h: float, held: Array, away: float) -> tuple[str, float]:
+        """The fault of the path's poses at ``clock`` and ``h`` later [s], or empty; and the new ``away``.
 
         Args:
             clock, h: the object's clock, and the length of the step [s].
-            held: says the object's pose as it is held; asked for a user's path alone.
+            held: the object as it is held, as of :meth:`coopqp.model.chain.Chain.carried` (4, 3).
             away: its distance from the path in the last step [m]; infinite where the path begins.
         """
         if not self._own:
@@ -169,7 +168,7 @@ class GuardedPath:
         ahead = None if here is None else self.pose(clock + h)
         if here is None or ahead is None:
             return self.problem, away
-        now = pose_distance(here, held())
+        now = pose_distance(here, pin.SE3(held[:3].T.copy(), held[3].copy()))
         far = max(pose_distance(here, ahead), now - away)
         return ("", now) if far <= FASTEST_PATH * h else (jump(far, clock), away)
 

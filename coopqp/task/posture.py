@@ -40,6 +40,7 @@ class Posture:
     def __init__(self, cell: RobotCell, options: PostureOptions) -> None:
         self._cell = cell
         self._redundant = np.concatenate([np.full(s.stop - s.start, s.stop - s.start > 6) for s in cell.v_slices])
+        self._arms = [(k, s) for k, s in enumerate(cell.v_slices) if s.stop - s.start > 6]
         limits = cell.limits
         bounded = np.isfinite(limits.lower) & np.isfinite(limits.upper) & self._redundant
         self._bounded = np.flatnonzero(bounded)
@@ -75,25 +76,25 @@ class Posture:
         return v / excess if excess > 1.0 else v
 
     def _manipulability(self, q: Array) -> Array:
+        """√det(J Jᵀ) of the redundant arms."""
         cell, data = self._cell, self._data
         pin.computeJointJacobians(cell.model, data, q)
-        values = []
-        for k, s in enumerate(cell.v_slices):
-            J = pin.getFrameJacobian(cell.model, data, cell.tool_frames[k], pin.LOCAL)[:, s]
-            values.append(np.sqrt(max(np.linalg.det(J @ J.T), 0.0)))
-        return np.array(values)
+        J = [pin.getFrameJacobian(cell.model, data, cell.tool_frames[k], pin.LOCAL)[:, s] for k, s in self._arms]
+        values: Array = np.sqrt(np.maximum(np.linalg.det(np.array([one @ one.T for one in J])), 0.0))
+        return values
 
     def _manipulability_gradient(self, q: Array, h: float = 1e-5) -> Array:
-        """Gradient (nv,) of each arm's √det(J Jᵀ) with respect to its joints, by central differences."""
+        """Gradient (nv,) of each arm's √det(J Jᵀ) with respect to its joints, by central differences.
+
+        An arm's Jacobian depends on its own joints only: a joint of every arm moves at once.
+        """
         cell = self._cell
         gradient = np.zeros(cell.nv)
-        for k, s in enumerate(cell.v_slices):
-            if s.stop - s.start <= 6:
-                continue
-            for j in range(s.start, s.stop):
-                e = np.zeros(cell.nv)
-                e[j] = h
-                up = self._manipulability(pin.integrate(cell.model, q, e))[k]
-                down = self._manipulability(pin.integrate(cell.model, q, -e))[k]
-                gradient[j] = (up - down) / (2.0 * h)
+        for i in range(max((s.stop - s.start for _, s in self._arms), default=0)):
+            own = [s.start + i for _, s in self._arms if i < s.stop - s.start]
+            e = np.zeros(cell.nv)
+            e[own] = h
+            up, down = (self._manipulability(pin.integrate(cell.model, q, way)) for way in (e, -e))
+            has = [i < s.stop - s.start for _, s in self._arms]
+            gradient[own] = (up - down)[has] / (2.0 * h)
         return gradient

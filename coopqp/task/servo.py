@@ -12,7 +12,7 @@ from coopqp.errors import InvalidInputError
 from coopqp.spatial import Array, Placement, as_placement, axis_angle, for_twists
 from coopqp.task.path import ObjectPath
 
-#: Time in which the object reaches its full speed where nobody knows what the joints can do [s].
+#: Time in which the object reaches its full speed if the joints' accelerations are unknown [s].
 _RAMP = 0.2
 #: The shortest time in which the motion changes [s].
 _SHORTEST = 1e-4
@@ -21,7 +21,7 @@ AT_REST = 1e-6
 #: Shares of the full speed that are compared.
 _SPEEDS = 50
 _SHARES = np.arange(1, _SPEEDS + 1) / _SPEEDS
-#: Shorter ways are none [s, at full speed].
+#: Length of the shortest way [s, at full speed].
 _NOWHERE = 1e-9
 
 
@@ -194,7 +194,7 @@ class ServoPath(ObjectPath):
                 rest at its end; 0, the default, where the rate of the clock does.
 
         Raises:
-            InvalidInputError: not a pose, or other numbers that are none. The target is then unchanged.
+            InvalidInputError: not a pose, or invalid other numbers. The target is then unchanged.
         """
         where = "ServoPath.set_target"
         goal, here = as_placement(T_world_object, where), self.pose(clock)

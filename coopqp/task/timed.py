@@ -70,7 +70,7 @@ class SpeedProfile:
         return float(self.clocks[-1])
 
     def sections(self) -> list[dict[str, Any]]:
-        """What binds when, as plain data: from when to when [s], and the arm, the joint and the limit."""
+        """Binding limits over time, as plain data: from when to when [s], and the arm, the joint and the limit."""
         out: list[dict[str, Any]] = []
         ends = self.clocks.tolist()
         for limit, run in itertools.groupby(enumerate(self.binding), key=lambda item: item[1]):

@@ -23,7 +23,7 @@ off = pin.SE3(
 def lifted(cell, grasp, disturbances):
     """A lift in the engine; the recording, and the wrenches at its end."""
     plant = coopqp.PhysicsPlant.of(lift, disturbances=disturbances)
-    # This run squeezes: it must not be stopped for what it is to measure.
+    # This run squeezes on purpose: no supervision may stop it.
     watch = coopqp.SupervisionOptions(slow_from=0.005, hold_from=0.01, stall_samples=10_000)
     options = coopqp.QPOptions(supervision=watch)
     controller = coopqp.QPController(cell, grasp, lift.path, dt=lift.dt, options=options)

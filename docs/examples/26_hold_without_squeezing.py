@@ -18,7 +18,7 @@ lift = paper_lift(time_law="quintic")
 off = pin.SE3(
     pin.exp3(np.deg2rad([0.06, 0.06, 0.06])), np.array([0.0006, 0.0006, 0.0006])
 )  # 1 mm, 0.1°
-# Without sensors the run squeezes: it must not be stopped for what it is to show.
+# Without sensors the run squeezes on purpose: no supervision may stop it.
 tolerant = coopqp.SupervisionOptions(slow_from=0.005, hold_from=0.01, stall_samples=10_000)
 
 

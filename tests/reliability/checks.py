@@ -271,14 +271,29 @@ def solver_fails(
 ) -> Failure:
     """Run a controller with a QP in every step, whose solver fails after ``at`` steps in every form of the QP."""
     double = FaultySolver("daqp", fault)
-    controller = make(task, shortcut=False, solver=double)
+    controller = set_off(make, task, double, goal)
+    return fails_now(task, controller, double, [controller.step() for _ in range(at)], for_ever=for_ever)
+
+
+def set_off(make: Maker, task: Scenario, solver: FaultySolver, goal: Any = None) -> QPController:
+    """A controller with a QP in every step that begins a task, or goes to a moving target."""
+    controller: QPController = make(task, shortcut=False, solver=solver)
     controller.reset(task.q_start)
     if goal is not None:
         controller.retarget(goal)
-    steps = [controller.step() for _ in range(at)]
-    before = judged(task, steps, **WIDE)
+    return controller
+
+
+def fails_now(
+    task: Scenario, controller: QPController, double: FaultySolver, steps: list[ControlStep], *, for_ever: bool
+) -> Failure:
+    """The solver of a controller fails after the ``steps`` that it has done."""
+    monitor, at = Monitor(task.cell, task.grasp, tolerances=MonitorTolerances(**WIDE)), len(steps)
+    monitor.observe_all(steps)
+    chain_before, steps = monitor.verdict().worst.chain_m, list(steps)
     v, dt, limits = steps[-1].velocity, task.dt, task.cell.limits
     alone, whole = float(np.max(np.abs(v) / limits.acceleration)), copy.deepcopy(controller)
+    double.hits = 0
     double.broken = True
     steps.append(controller.step())
     held, hits = steps[-1].status in STOPPED, int(double.hits > 0)
@@ -298,8 +313,9 @@ def solver_fails(
     double.broken = False
     after = [controller.step() for _ in range(30)]
     recovery = next((i + 1.0 for i, s in enumerate(after) if s.status not in STOPPED), np.inf)
-    verdict = judged(task, [*steps, *after], **WIDE)
-    growth = 1e3 * (verdict.worst.chain_m - before.worst.chain_m)
+    monitor.observe_all([*steps[at:], *after])
+    verdict = monitor.verdict()
+    growth = 1e3 * (verdict.worst.chain_m - chain_before)
     return Failure(held, hits, stopping, relative, growth, recovery, sum(verdict.counts.values()))
 
 
@@ -371,17 +387,18 @@ def rough_steps(
     limits = [np.array(getattr(task.cell.limits, name)) for name in ("lower", "upper", "velocity", "acceleration")]
     block: list[ControlStep] = []
     handed: list[tuple[Array, Array]] = []
+    told: list[tuple[Any, ...]] = []  # the arrays of a step as they were handed out
     kept: list[bytes] = []
 
     def judge() -> None:
         if not block:
             return
         monitor.observe_all(block)
-        result.violations["mutated"] += sum(_bytes(s) != before for s, before in zip(block, kept, strict=True))
+        result.violations["mutated"] += sum(_bytes(parts) != before for parts, before in zip(told, kept, strict=True))
         result.violations["mutated"] += sum(not np.array_equal(a, b, equal_nan=True) for a, b in handed)
         result.statuses.update(s.status for s in block)
         result.steps += len(block)
-        for done in (block, kept, handed):
+        for done in (block, told, kept, handed):
             done.clear()
 
     q = np.array(task.q_start)
@@ -403,9 +420,9 @@ def rough_steps(
             except Exception as error:
                 result.violations[f"raised {type(error).__name__}"] += 1
                 break
-            kept.append(_bytes(step))
             block.append(step)
-            q_next = step.q_next
+            told.append((step.q, step.velocity, q_next := step.q_next))
+            kept.append(_bytes(told[-1]))
             if np.shape(q_next) == q.shape:
                 q = np.asarray(q_next)
             faulty = step.status is Status.FAULT
@@ -437,9 +454,8 @@ def _take_the_reins(controller: Any, rng: np.random.Generator) -> None:
         controller.resume()
 
 
-def _bytes(step: ControlStep) -> bytes:
-    """The contents of a command, bit for bit."""
-    parts = step.q, step.velocity, step.q_next
+def _bytes(parts: tuple[Any, ...]) -> bytes:
+    """The contents of a command's arrays, bit for bit."""
     try:
         return b"".join(parts)  # takes arrays as they are
     except (TypeError, ValueError, BufferError):  # a broken controller's are none
@@ -693,9 +709,14 @@ def needed_speeds(task: Scenario) -> Array:
     return np.asarray(np.abs([s.velocity for s in drive(cooperative(free), task.q_start, 5000)]).max(axis=0))
 
 
-def slows_together(make: Maker, task: Scenario, share: float, *, joint: int | None = None, **options: Any) -> Sharing:
-    """Set speed limits to a share of the needed speed: of one joint, or of all (a share for the fastest joint)."""
-    peak = needed_speeds(task)
+def slows_together(
+    make: Maker, task: Scenario, share: float, *, joint: int | None = None, peak: Array | None = None, **options: Any
+) -> Sharing:
+    """Set speed limits to a share of the needed speed: of one joint, or of all (a share for the fastest joint).
+
+    ``peak`` are the task's :func:`needed_speeds` where they are known.
+    """
+    peak = needed_speeds(task) if peak is None else peak
     speed = np.array(task.cell.limits.velocity)
     if joint is None:
         speed *= share * float((peak / speed).max())
@@ -710,30 +731,32 @@ def slows_together(make: Maker, task: Scenario, share: float, *, joint: int | No
         at_limit = np.abs(s.velocity) >= part * speed
         if fast and s.rate < 1.0 and (at_limit.any() if joint is None else at_limit[joint]):
             saturated.append(s)
-    shares = [arm_rates(cut, s) for s in saturated]
+    rates, angles = arm_rates(cut, saturated)
     return Sharing(
-        max((float(np.ptp(rates)) for rates, _ in shares), default=0.0),
-        max((float(np.rad2deg(angles.max())) for _, angles in shares), default=0.0),
+        float(np.ptp(rates, axis=1).max(initial=0.0)),
+        float(np.rad2deg(angles).max(initial=0.0)),
         len(saturated),
         1e3 * judged(cut, steps, **WIDE).worst.chain_m,
     )
 
 
-def arm_rates(task: Scenario, step: ControlStep) -> tuple[Array, Array]:
-    """Each arm's rate along the path (N,), and the angle between its object motion and the path (N,) [rad].
+def arm_rates(task: Scenario, steps: list[ControlStep]) -> tuple[Array, Array]:
+    """Each arm's rate along the path (T, N), and the angle between its object motion and the path (T, N) [rad].
 
-    The values come from Pinocchio's frame Jacobians at the midpoint of the step.
+    The values come from Pinocchio's Jacobians at the midpoints of the steps.
     """
-    cell, path = task.cell, step.path
-    data = cell.model.createData()
-    pin.computeJointJacobians(cell.model, data, pin.integrate(cell.model, step.q, 0.5 * step.dt * step.velocity))
-    pin.updateFramePlacements(cell.model, data)
-    span = step.clock_next - step.clock
-    start, middle = path.pose(step.clock), path.pose(0.5 * (step.clock + step.clock_next))
-    along = start.action @ pin.log6(start.actInv(path.pose(step.clock_next))).vector / span
-    wanted = _WEIGHTS * (middle.actionInverse @ along)
-    J = [pin.getFrameJacobian(cell.model, data, f, pin.WORLD) for f in cell.tool_frames]
-    twists = _WEIGHTS * np.array([middle.actionInverse @ (j @ step.velocity) for j in J])
-    rates = twists @ wanted / (wanted @ wanted)
-    aside = np.linalg.norm(twists - rates[:, None] * wanted, axis=1)
-    return rates, np.arctan2(aside, rates * np.linalg.norm(wanted))
+    cell, model, data = task.cell, task.cell.model, task.cell.model.createData()
+    wanted, twists = np.empty((len(steps), 6)), np.empty((len(steps), len(cell), 6))
+    for i, step in enumerate(steps):
+        path, v = step.path, step.velocity
+        J = pin.computeJointJacobians(model, data, pin.integrate(model, step.q, 0.5 * step.dt * v))
+        start, middle = path.pose(step.clock), path.pose(0.5 * (step.clock + step.clock_next)).actionInverse
+        moved = pin.log6(start.actInv(path.pose(step.clock_next))).vector
+        wanted[i] = middle @ start.action @ moved / (step.clock_next - step.clock)
+        # At the world's origin all arms' tools and joints have the twists of one rigid body each.
+        twists[i] = np.array([J[:, s] @ v[s] for s in cell.v_slices]) @ middle.T
+    wanted, twists = _WEIGHTS * wanted, _WEIGHTS * twists
+    length = np.linalg.norm(wanted, axis=1)[:, None]
+    rates = np.einsum("tni,ti->tn", twists, wanted) / length**2
+    aside = np.linalg.norm(twists - rates[..., None] * wanted[:, None], axis=2)
+    return rates, np.arctan2(aside, rates * length)

@@ -2,21 +2,25 @@
 
 from __future__ import annotations
 
-import functools
+import math
+import struct
 from collections.abc import Callable
 from fractions import Fraction
+from random import Random
 from typing import Any
 
 import numpy as np
 import pinocchio as pin
-from hypothesis import settings
+from hypothesis import Phase, given, note, settings
 from hypothesis import strategies as st
 
 from coopqp import CoopqpError, InvalidInputError
 
-#: At least 2000 examples of each property in CI, more for a property of many functions.
-MANY = settings(max_examples=10 * settings().max_examples)
-MORE = settings(max_examples=12 * settings().max_examples)
+#: At least 2400 examples of each property in CI, more for a property of many functions.
+MANY = settings(max_examples=12 * settings().max_examples)
+MORE = settings(max_examples=14 * settings().max_examples)
+#: Cases drawn from one seed. Hypothesis takes longer to draw an odd array than most functions to refuse it.
+PER_SEED = 10
 
 
 class Tried:
@@ -24,6 +28,27 @@ class Tried:
 
     def __init__(self) -> None:
         self.number = self.accepted = 0
+
+    def each(self, holds: Callable[[Random], None], wanted: settings = MANY) -> None:
+        """Run a property as often as ``wanted`` says, on random numbers from seeds that Hypothesis chooses.
+
+        A failure names the seed and the case; it is not made smaller: each case is one short sequence of draws.
+        """
+        phases = [phase for phase in settings().phases if phase is not Phase.shrink]
+
+        @settings(max_examples=-(-wanted.max_examples // PER_SEED), phases=phases)
+        @given(st.integers(0, 2**64 - 1))
+        def cases(seed: int) -> None:
+            rng = Random(seed)
+            for case in range(PER_SEED):
+                self.number += 1
+                try:
+                    holds(rng)
+                except BaseException:
+                    note(f"case {case} of seed {seed}")
+                    raise
+
+        cases()
 
     def row(self, catalogue: Any, test: str, wanted: settings = MANY) -> None:
         """Add a line to the catalogue. All examples passed; this checks that enough of them ran."""
@@ -59,21 +84,31 @@ def contents(value: Any) -> Any:
 
 # -- numbers -----------------------------------------------------------------------------------------------------------
 
-ordinary = st.floats(-3.0, 3.0)
-odd = st.sampled_from([np.nan, np.inf, -np.inf, 1e300, -1e300, 5e-324, 2.2e-308, -0.0, 1e-12, 1e19])
-#: Values of many kinds in place of a number.
-numbers = st.one_of(
-    st.floats(),
-    odd,
-    st.floats(1e-6, 10.0),
-    st.integers(-3, 5),
-    st.sampled_from(
-        [
-            *(None, True, "fast", "1.5", b"1", 1j, [], [1.0], [1.0, 2.0], {}, object(), 10**400, Fraction(1, 3)),
-            *(np.float32(0.25), np.int64(2), np.array(0.5), np.array([0.5]), np.array(np.nan), np.complex128(1.0)),
-        ]
-    ),
-)
+ODD = [np.nan, np.inf, -np.inf, 1e300, -1e300, 5e-324, 2.2e-308, -0.0, 1e-12, 1e19]
+#: Values that are no number, or a number of another type.
+OTHERS = [
+    *(None, True, "fast", "1.5", b"1", 1j, [], [1.0], [1.0, 2.0], {}, object(), 10**400, Fraction(1, 3)),
+    *(np.float32(0.25), np.int64(2), np.array(0.5), np.array([0.5]), np.array(np.nan), np.complex128(1.0)),
+]
+
+
+def number_like(rng: Random) -> Any:
+    """A value of any kind in place of a number."""
+    draw: Callable[[], Any] = rng.choice(
+        (
+            lambda: struct.unpack("d", rng.randbytes(8))[0],
+            lambda: rng.choice(ODD),
+            lambda: rng.uniform(1e-6, 10.0),
+            lambda: rng.randint(-3, 5),
+            lambda: rng.choice(OTHERS),
+        )
+    )
+    return draw()
+
+
+def positive_like(rng: Random, *odd: float) -> float:
+    """A positive number of any size, between 1e-3 and 1, or an odd one."""
+    return rng.choice([rng.uniform(1e-3, 1.0), rng.choice([1e-300, 1e-12, 1e-6, 1e6, 1e12, 1e300, 1, 3, *odd])])
 
 
 # -- arrays ------------------------------------------------------------------------------------------------------------
@@ -143,33 +178,28 @@ FORMS: dict[str, Callable[[Any], Any]] = {
 }
 
 
-#: What an example draws from, made once: to make them takes longer than to draw.
-_HOW = st.sampled_from([*CLOTHES, *CLOTHES, *LOSSY, *NONSENSE])
+_HOW = [*CLOTHES, *CLOTHES, *LOSSY, *NONSENSE]
 _WORN = {**CLOTHES, **LOSSY, **NONSENSE}
-_FORM = st.sampled_from(["right"] * 8 + sorted(FORMS))
-_COIN, _SEED = st.booleans(), st.integers(0, 2**32 - 1)
-_THREE = st.lists(ordinary, min_size=3, max_size=3)
+_FORM = ["right"] * 8 + sorted(FORMS)
 
 
-@functools.cache
-def _places(size: int) -> st.SearchStrategy[list[int]]:
-    """At most two entries of an array."""
-    return st.lists(st.integers(0, size - 1), max_size=2)
+def _uniform(rng: Random, shape: tuple[int, ...]) -> Any:
+    """An array of numbers in (−3, 3)."""
+    return np.array([rng.uniform(-3.0, 3.0) for _ in range(math.prod(shape))]).reshape(shape)
 
 
-@st.composite
-def arrays_like(draw: st.DrawFn, usual: Any) -> tuple[Any, Any]:
+def array_like(rng: Random, usual: Any) -> tuple[Any, Any]:
     """An odd value in place of the array ``usual``, and the numbers in it (None if it has none).
 
-    At most two entries are odd numbers. In half of the examples the others are unchanged, otherwise in (−3, 3).
+    At most two entries are odd numbers. In half of the cases the others are unchanged, otherwise in (−3, 3).
     """
     a = np.array(usual, dtype=float)
-    if draw(_COIN):
-        a = np.random.default_rng(draw(_SEED)).uniform(-3.0, 3.0, a.shape)
-    for i in draw(_places(a.size)):
-        a.flat[i] = draw(odd)
-    form = draw(_FORM)
-    how = draw(_HOW)
+    if rng.random() < 0.5:
+        a = _uniform(rng, a.shape)
+    for _ in range(rng.choice((0, 0, 1, 2))):
+        a.flat[rng.randrange(a.size)] = rng.choice(ODD)
+    form = rng.choice(_FORM)
+    how = rng.choice(_HOW)
     with np.errstate(over="ignore"):
         worn = _WORN[how](FORMS[form](a))
         meant = np.array(worn if how in LOSSY else a, dtype=float)
@@ -204,45 +234,47 @@ def _with(M: Any, i: int, value: float) -> Any:
     return M
 
 
-@st.composite
-def poses_like(draw: st.DrawFn) -> tuple[Any, pin.SE3 | None]:
+#: Forms of a placement T with the matrix M; all must be accepted.
+RIGHT: dict[str, Callable[[pin.SE3, Any, Random], Any]] = {
+    "SE3": lambda T, M, rng: T,
+    "matrix": lambda T, M, rng: M,
+    "list": lambda T, M, rng: M.tolist(),
+    "strided": lambda T, M, rng: _strided(M),
+    "fortran": lambda T, M, rng: np.asfortranarray(M),
+    "read-only": lambda T, M, rng: _frozen(M),
+    "rounded to 1e-8": lambda T, M, rng: np.where(np.arange(16).reshape(4, 4) < 12, M.round(8), M),
+}
+#: Values that are no placement.
+WRONG: dict[str, Callable[[pin.SE3, Any, Random], Any]] = {
+    "2 I": lambda T, M, rng: 2.0 * np.eye(4),
+    "scaled": lambda T, M, rng: _scaled(M),
+    "reflection": lambda T, M, rng: _reflected(M),
+    "shear": lambda T, M, rng: _sheared(M),
+    "off by 1e-3": lambda T, M, rng: _off(M),
+    "raw SE3, scaled": lambda T, M, rng: pin.SE3(2.0 * T.rotation, T.translation),
+    "raw SE3, NaN": lambda T, M, rng: pin.SE3(T.rotation, np.array([0.0, np.nan, 0.0])),
+    "transposed": lambda T, M, rng: _with(M, 3, 1.0).T,
+    "3 x 3": lambda T, M, rng: M[:3, :3],
+    "3 x 4": lambda T, M, rng: M[:3],
+    "stack": lambda T, M, rng: M[None],
+    "flat": lambda T, M, rng: M.ravel(),
+    "translation and quaternion": lambda T, M, rng: pin.SE3ToXYZQUAT(T),
+    "zero": lambda T, M, rng: np.zeros((4, 4)),
+    "huge": lambda T, M, rng: _with(M, 0, 1e300),
+    "complex": lambda T, M, rng: M + 0j,
+    "words": lambda T, M, rng: "here",
+    "nothing": lambda T, M, rng: None,
+    "number": lambda T, M, rng: 1.0,
+    "last row": lambda T, M, rng: _with(M, 15, 1.0 + 1e-3),
+    "bad entry": lambda T, M, rng: _with(M, rng.randrange(16), rng.choice((np.nan, np.inf, -np.inf))),
+}
+_RIGHT, _WRONG = list(RIGHT), list(WRONG)
+
+
+def pose_like(rng: Random) -> tuple[Any, pin.SE3 | None]:
     """An odd value for a placement, and the placement in it (None if it is invalid)."""
-    turn = np.array(draw(_THREE))
-    shift = np.array(draw(_THREE))
-    T = pin.SE3(pin.exp3(turn), shift)
+    T = pin.SE3(pin.exp3(_uniform(rng, (3,))), _uniform(rng, (3,)))
     M = T.homogeneous.copy()
-    right: dict[str, Callable[[], Any]] = {
-        "SE3": lambda: T,
-        "matrix": lambda: M,
-        "list": M.tolist,
-        "strided": lambda: _strided(M),
-        "fortran": lambda: np.asfortranarray(M),
-        "read-only": lambda: _frozen(M),
-        "rounded to 1e-8": lambda: np.where(np.arange(16).reshape(4, 4) < 12, M.round(8), M),
-    }
-    wrong: dict[str, Callable[[], Any]] = {
-        "2 I": lambda: 2.0 * np.eye(4),
-        "scaled": lambda: _scaled(M),
-        "reflection": lambda: _reflected(M),
-        "shear": lambda: _sheared(M),
-        "off by 1e-3": lambda: _off(M),
-        "raw SE3, scaled": lambda: pin.SE3(2.0 * T.rotation, shift),
-        "raw SE3, NaN": lambda: pin.SE3(T.rotation, np.array([0.0, np.nan, 0.0])),
-        "transposed": lambda: _with(M, 3, 1.0).T,
-        "3 x 3": lambda: M[:3, :3],
-        "3 x 4": lambda: M[:3],
-        "stack": lambda: M[None],
-        "flat": lambda: M.ravel(),
-        "translation and quaternion": lambda: pin.SE3ToXYZQUAT(T),
-        "zero": lambda: np.zeros((4, 4)),
-        "huge": lambda: _with(M, 0, 1e300),
-        "complex": lambda: M + 0j,
-        "words": lambda: "here",
-        "nothing": lambda: None,
-        "number": lambda: 1.0,
-        "bad entry": lambda: _with(M, draw(st.integers(0, 15)), draw(st.sampled_from([np.nan, np.inf, -np.inf]))),
-        "last row": lambda: _with(M, 15, 1.0 + 1e-3),
-    }
-    good = draw(_COIN)
-    how = draw(st.sampled_from(sorted(right if good else wrong)))
-    return (right[how](), T) if good else (wrong[how](), None)
+    if rng.random() < 0.5:
+        return RIGHT[rng.choice(_RIGHT)](T, M, rng), T
+    return WRONG[rng.choice(_WRONG)](T, M, rng), None

@@ -114,14 +114,15 @@ def drive(
     rest = [plant.reset(task.q_start), *(plant.measure() for _ in range(readings - 1))]
     q = rest[-1]
     controller.reset(task.cell.average(rest))
-    tools, steps = [plant.true_tools()], []
-    grip = Grasp(tuple(held.T_object_tool[0] * tools[0][0].inverse() * T for T in tools[0]))
+    first, steps = plant.true_tools(), []
+    tools = [[T.homogeneous for T in first]]
+    grip = Grasp(tuple(held.T_object_tool[0] * first[0].inverse() * T for T in first))
     end = 10.0 * task.path.duration if longest is None else longest
     while plant.time < end and not (steps and steps[-1].finished):
         steps.append(controller.step(q, dt=plant.period(DT)))
         q = plant.apply(steps[-1])
-        tools.append(plant.true_tools())
-    placed = np.array([[T.homogeneous for T in sample] for sample in tools])
+        tools.append([T.homogeneous for T in plant.true_tools()])
+    placed = np.array(tools)
     chain = chain_errors(placed, grip)[0]
     assert abs(chain[-1] - plant.chain_error()[0]) < 1e-12
     return Run(1e3 * chain, 1e3 * apart(placed, held, grip), steps)

@@ -7,6 +7,7 @@ They are proportional to the servo stiffness of :mod:`coopqp.simulation.plants.p
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -46,12 +47,20 @@ def lift() -> Scenario:
 
 @dataclass(frozen=True)
 class Run:
-    """Time [s], largest force at a grasp beyond its share of the weight [N], its reading by the servos [N], steps."""
+    """Time [s], largest force at a grasp beyond its share of the weight [N], steps, and the measured q after each."""
 
     time: Array
     force: Array
-    reading: Array
     steps: list[ControlStep]
+    measured: list[Array]
+    servos: StressModel
+
+    @cached_property
+    def reading(self) -> Array:
+        """The largest force at a grasp as the servos show it [N]."""
+        pairs = zip(self.steps, self.measured, strict=True)
+        wrenches = np.array([self.servos.from_servos(step.q_next, q) for step, q in pairs])
+        return np.asarray(np.linalg.norm(wrenches[..., :3], axis=2).max(axis=1))
 
     @property
     def smooth(self) -> bool:
@@ -82,15 +91,15 @@ def drive(
     controller.reset(q)
     servos = StressModel(lift.cell, grasp, stiffness=plant.stiffness)
     shares = plant.object_mass * 9.81 * np.array([0.5, 0.25, 0.25])[:, None]
-    rows: list[tuple[float, float, float]] = []
+    time, beyond, measured = [], [], []
     steps: list[ControlStep] = []
     while plant.time < longest and not (steps and steps[-1].finished):
         steps.append(controller.step(q, dt=plant.period(DT)))
         q = plant.apply(steps[-1])
-        beyond = plant.wrenches()[:, :3] - shares * plant.T_world_object.rotation[2]
-        reading = servos.from_servos(steps[-1].q_next, q)[:, :3] if watched else np.zeros((3, 3))
-        rows.append((plant.time, *(float(np.linalg.norm(w, axis=1).max()) for w in (beyond, reading))))
-    return Run(*np.array(rows).T, steps)
+        beyond.append(plant.wrenches()[:, :3] - shares * plant.T_world_object.rotation[2])
+        time.append(plant.time)
+        measured.append(q)
+    return Run(np.array(time), np.linalg.norm(beyond, axis=2).max(axis=1), steps, measured, servos)
 
 
 SIGNALS = {

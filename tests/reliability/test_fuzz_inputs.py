@@ -4,12 +4,24 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import fields, replace
+from random import Random
 from typing import Any
 
 import numpy as np
 import pinocchio as pin
 import pytest
-from fuzzing import MANY, MORE, Tried, answer, arrays_like, contents, is_refused, numbers, poses_like
+from fuzzing import (
+    MANY,
+    MORE,
+    Tried,
+    answer,
+    array_like,
+    contents,
+    is_refused,
+    number_like,
+    pose_like,
+    positive_like,
+)
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -103,14 +115,11 @@ VECTORS: dict[str, tuple[Any, Callable[[Any], Any], Callable[[Any, Any], bool]]]
 
 @pytest.mark.slow
 def test_arrays_of_finite_numbers_and_nothing_else(catalogue: Any) -> None:
-    tried = Tried()
+    tried, doors = Tried(), list(VECTORS)
 
-    @MORE
-    @given(st.sampled_from(list(VECTORS)), st.data())
-    def holds(door: str, data: st.DataObject) -> None:
-        tried.number += 1
-        usual, build, right = VECTORS[door]
-        worn, meant = data.draw(arrays_like(usual))
+    def holds(rng: Random) -> None:
+        usual, build, right = VECTORS[rng.choice(doors)]
+        worn, meant = array_like(rng, usual)
         before = contents(worn)
         result = answer(lambda: (build(worn),))
         acceptable = meant is not None and np.isfinite(meant).all()
@@ -120,7 +129,7 @@ def test_arrays_of_finite_numbers_and_nothing_else(catalogue: Any) -> None:
             assert right(result[0], meant)
         assert contents(worn) == before
 
-    holds()
+    tried.each(holds, MORE)
     tried.row(catalogue, f"arrays at {len(VECTORS)} doors that take any finite one", MORE)
 
 
@@ -192,14 +201,11 @@ SCALARS_TOO = ("with_limits, velocity", "with_limits, lower")
 
 @pytest.mark.slow
 def test_what_is_accepted_is_right(catalogue: Any) -> None:
-    tried = Tried()
+    tried, doors = Tried(), list(PICKY)
 
-    @MORE
-    @given(st.sampled_from(list(PICKY)), st.data())
-    def holds(door: str, data: st.DataObject) -> None:
-        tried.number += 1
-        usual, build, right = PICKY[door]
-        worn, meant = data.draw(arrays_like(usual))
+    def holds(rng: Random) -> None:
+        usual, build, right = PICKY[door := rng.choice(doors)]
+        worn, meant = array_like(rng, usual)
         if np.ndim(usual) > 1 and not (meant is not None and has_rows(worn, len(usual))):
             return  # without rows the value tests nothing here
         result = answer(lambda: (build(worn),))
@@ -210,7 +216,7 @@ def test_what_is_accepted_is_right(catalogue: Any) -> None:
             assert meant is not None
             assert right(result[0], meant)
 
-    holds()
+    tried.each(holds, MORE)
     tried.row(catalogue, f"arrays at {len(PICKY)} doors that ask for more", MORE)
 
 
@@ -256,20 +262,18 @@ POSES: dict[str, Callable[[Any], Any]] = {
 
 @pytest.mark.slow
 def test_poses_and_nothing_else(catalogue: Any) -> None:
-    tried = Tried()
+    tried, doors = Tried(), list(POSES)
 
-    @MORE
-    @given(st.sampled_from(list(POSES)), poses_like())
-    def holds(door: str, value: tuple[Any, pin.SE3 | None]) -> None:
-        tried.number += 1
-        worn, T = value
+    def holds(rng: Random) -> None:
+        door = rng.choice(doors)
+        worn, T = pose_like(rng)
         result = answer(lambda: POSES[door](worn))
         assert (result is not None) == (T is not None)
         if result is not None:
             tried.accepted += 1
             assert np.abs(result.homogeneous - T.homogeneous).max() < 1e-6
 
-    holds()
+    tried.each(holds, MORE)
     tried.row(catalogue, f"poses at {len(POSES)} doors", MORE)
 
 
@@ -278,11 +282,9 @@ def test_a_pose_to_be_reached(catalogue: Any) -> None:
     """inverse_kinematics refuses an invalid pose, reports an unreachable one, and reaches any other."""
     tried = Tried()
 
-    @MANY
-    @given(poses_like(), st.floats(0.0, 0.3))
-    def holds(value: tuple[Any, pin.SE3 | None], share: float) -> None:
-        tried.number += 1
-        worn, T = value
+    def holds(rng: Random) -> None:
+        worn, T = pose_like(rng)
+        share = rng.choice([0.0, 0.3, rng.uniform(0.0, 0.3)])
         if T is not None:  # sometimes near enough to be reachable
             worn = T = START * pin.exp6(share * pin.log6(T).vector / (1.0 + np.linalg.norm(pin.log6(T).vector)))
         q = answer(lambda: inverse_kinematics(LIFT.cell, LIFT.grasp, worn, LIFT.q_start, max_iter=8))
@@ -292,7 +294,7 @@ def test_a_pose_to_be_reached(catalogue: Any) -> None:
             for O in LIFT.grasp.carried(CellState(LIFT.cell, q)):
                 assert np.abs(O.homogeneous - T.homogeneous).max() < 1e-8
 
-    holds()
+    tried.each(holds)
     tried.row(catalogue, "poses, inverse_kinematics")
 
 
@@ -334,11 +336,8 @@ def test_options_of_any_value(catalogue: Any) -> None:
     tried = Tried()
     every = [(options, name) for options in OPTIONS for name in numbers_of(options)]
 
-    @MORE
-    @given(st.sampled_from(every), numbers)
-    def holds(field: tuple[Any, str], value: Any) -> None:
-        tried.number += 1
-        options, name = field
+    def holds(rng: Random) -> None:
+        (options, name), value = rng.choice(every), number_like(rng)
         made = answer(lambda: options(**{name: value}))
         if made is None:
             return
@@ -353,7 +352,7 @@ def test_options_of_any_value(catalogue: Any) -> None:
             assert abs(kept) < np.inf
             assert kept == (value if isinstance(value, int) else float(value))
 
-    holds()
+    tried.each(holds, MORE)
     tried.row(catalogue, f"numbers in {len(every)} fields of {len(OPTIONS)} options classes", MORE)
 
 
@@ -363,42 +362,37 @@ def test_accepted_options_never_make_a_step_fail(catalogue: Any) -> None:
     tried = Tried()
     tasks = [replace(LIFT, cell=LIFT.cell.with_limits(acceleration=a), dt=0.01) for a in (np.inf, 5.0)]
     kinds = (QPOptions, SupervisionOptions, PreviewOptions, PostureOptions, RankWeights)
-    names = {kind: st.sampled_from(numbers_of(kind)) for kind in kinds}
+    names = {kind: numbers_of(kind) for kind in kinds}
     part = {
         SupervisionOptions: "supervision",
         PreviewOptions: "preview",
         PostureOptions: "posture",
         RankWeights: "weights",
     }
-    positive = st.one_of(st.sampled_from([1e-300, 1e-12, 1e-6, 1e6, 1e12, 1e300, 1, 3]), st.floats(1e-3, 1.0))
-    odd_noise = st.sampled_from([0.0, 1e-4, 1e-2])
 
-    @MANY
-    @given(st.sampled_from(list(names)), st.data(), odd_noise, st.booleans(), st.booleans())
-    def holds(kind: Any, data: st.DataObject, noise: float, accelerates: bool, shortcut: bool) -> None:
-        tried.number += 1
-        changed = {data.draw(names[kind]): data.draw(positive) for _ in range(2)}
-        task = tasks[accelerates]
+    def holds(rng: Random) -> None:
+        kind, task, noise = rng.choice(kinds), rng.choice(tasks), rng.choice([0.0, 1e-4, 1e-2])
+        changed = {rng.choice(names[kind]): positive_like(rng) for _ in range(2)}
         options = answer(lambda: kind(**changed))
         if options is None:
             return
         whole = options if kind is QPOptions else QPOptions(**{part[kind]: options})
-        whole = replace(whole, shortcut=shortcut)
+        whole = replace(whole, shortcut=rng.random() < 0.5)
         controller = QPController(task.cell, task.grasp, task.path, dt=task.dt, options=whole)
         if answer(lambda: (controller.reset(task.q_start),)) is None:
             return
         tried.accepted += 1
         monitor = Monitor(task.cell, task.grasp, tolerances=LIMITS_ONLY)
-        rng = np.random.default_rng(3)
+        normal = np.random.default_rng(3).standard_normal
         q = task.q_start
         steps = []
         for _ in range(2):
-            steps.append(controller.step(q + noise * rng.standard_normal(q.size)))
+            steps.append(controller.step(q + noise * normal(q.size)))
             q = steps[-1].q_next
         monitor.observe_all(steps)
         assert monitor.verdict().ok, monitor.verdict()
 
-    holds()
+    tried.each(holds)
     tried.row(catalogue, "options that are accepted, then steps")
 
 
@@ -407,17 +401,11 @@ def test_accepted_options_of_forces_never_make_a_step_fail(catalogue: Any) -> No
     """With any two of them, from the first step until the object moves: commands within the limits, or a refusal."""
     tried = Tried()
     task = replace(LIFT, dt=0.01)
-    positive = st.one_of(st.sampled_from([0.0, 1e-300, 1e-12, 1e-6, 1e6, 1e12, 1e300, 1, 3]), st.floats(1e-3, 1.0))
-    usual = {"stiffness": 1e5, "check_time": 0.02}
+    usual, names = {"stiffness": 1e5, "check_time": 0.02}, numbers_of(ForceOptions)
 
-    @FEW
-    @given(
-        st.dictionaries(st.sampled_from(numbers_of(ForceOptions)), positive, min_size=1, max_size=2),
-        st.sampled_from([0.0, 1.0, 30.0]),
-        st.integers(0, 9),
-    )
-    def holds(changed: dict[str, Any], size: float, seed: int) -> None:
-        tried.number += 1
+    def holds(rng: Random) -> None:
+        changed = {rng.choice(names): positive_like(rng, 0.0) for _ in range(rng.choice([1, 2]))}
+        size = rng.choice([0.0, 1.0, 30.0])
         inner = QPController(task.cell, task.grasp, task.path, dt=task.dt)
         made = answer(lambda: ForceController(inner, ForceOptions(**{**usual, **changed})))
         if made is None:
@@ -425,15 +413,15 @@ def test_accepted_options_of_forces_never_make_a_step_fail(catalogue: Any) -> No
         tried.accepted += 1
         made.reset(task.q_start)
         monitor = Monitor(task.cell, task.grasp, tolerances=LIMITS_ONLY)
-        rng, q, steps = np.random.default_rng(seed), task.q_start, []
+        normal, q, steps = np.random.default_rng(rng.randrange(10)).standard_normal, task.q_start, []
         for _ in range(60):
-            steps.append(made.step(q, wrenches=size * rng.standard_normal((len(task.cell), 6))))
+            steps.append(made.step(q, wrenches=size * normal((len(task.cell), 6))))
             q = steps[-1].q_next
         monitor.observe_all(steps)
         assert monitor.verdict().ok, monitor.verdict()
         assert np.isfinite(made.shift).all()
 
-    holds()
+    tried.each(holds, FEW)
     tried.row(catalogue, "options of forces that are accepted, then steps", FEW)
 
 
@@ -442,7 +430,12 @@ LIMITS_ONLY = MonitorTolerances(chain_m=None, chain_rad=None, path_m=None, path_
 
 # -- time --------------------------------------------------------------------------------------------------------------
 
-times = st.one_of(numbers, st.sampled_from([0.0, -1.0, np.nan, 1e-12, 10.0, -1e-3, 1e300, 5e-324, np.inf]))
+ODD_TIMES = [0.0, -1.0, np.nan, 1e-12, 10.0, -1e-3, 1e300, 5e-324, np.inf]
+
+
+def time_like(rng: Random) -> Any:
+    return rng.choice([number_like(rng), number_like(rng), rng.choice(ODD_TIMES), rng.uniform(1e-6, 10.0)])
+
 
 DURATIONS: dict[str, Callable[[Any], Any]] = {
     "QPController": lambda t: QPController(LIFT.cell, LIFT.grasp, LIFT.path, dt=t).dt,
@@ -457,12 +450,10 @@ DURATIONS: dict[str, Callable[[Any], Any]] = {
 
 @pytest.mark.slow
 def test_times_that_are_none(catalogue: Any) -> None:
-    tried = Tried()
+    tried, doors = Tried(), list(DURATIONS)
 
-    @MORE
-    @given(st.sampled_from(list(DURATIONS)), times)
-    def holds(door: str, t: Any) -> None:
-        tried.number += 1
+    def holds(rng: Random) -> None:
+        door, t = rng.choice(doors), time_like(rng)
         kept = answer(lambda: DURATIONS[door](t))
         if kept is not None:
             tried.accepted += 1
@@ -472,7 +463,7 @@ def test_times_that_are_none(catalogue: Any) -> None:
         elif type(t) is float:
             assert not 0.0 < t < np.inf
 
-    holds()
+    tried.each(holds, MORE)
     tried.row(catalogue, f"times at {len(DURATIONS)} doors", MORE)
 
 
@@ -533,24 +524,16 @@ def test_a_step_answers_to_anything(kinds: list[str], catalogue: Any) -> None:
             cell = task.cell.with_limits(acceleration=8.0) if limited else task.cell
             made[kind, limited] = MAKERS[kind](cell, task.grasp, task.path, dt=0.01)
 
-    odd = {
-        q.size: st.lists(st.tuples(st.booleans(), arrays_like(q), st.booleans(), times), min_size=1, max_size=2)
-        for q in (MIXED.q_start, LIFT.q_start)
-    }
-
-    @MANY
-    @given(st.sampled_from(list(made)), st.data())
-    def holds(which: tuple[str, bool], data: st.DataObject) -> None:
-        tried.number += 1
-        kind, controller = which[0], made[which]
+    def holds(rng: Random) -> None:
+        (kind, _), controller = rng.choice(list(made.items()))
         q = MIXED.q_start if kind == "QP, turning joints" else LIFT.q_start
-        odd_steps = data.draw(odd[q.size])
         controller.reset(q)
         monitor = Monitor(controller.cell, controller.grasp, tolerances=LIMITS_ONLY)
         steps = [controller.step()]
-        for measures, (worn, _), odd_time, dt in odd_steps:
+        for _ in range(rng.choice([1, 2])):
+            worn = array_like(rng, q)[0] if rng.random() < 0.5 else None
             before = contents(worn)
-            step = controller.step(worn if measures else None, dt=dt if odd_time else None)
+            step = controller.step(worn, dt=time_like(rng) if rng.random() < 0.5 else None)
             assert contents(worn) == before
             steps.append(step)
             assert step.reason or step.status not in (Status.HOLDING, Status.FAULT)
@@ -562,7 +545,7 @@ def test_a_step_answers_to_anything(kinds: list[str], catalogue: Any) -> None:
             breaches -= {Breach.VELOCITY, Breach.POSITION, Breach.ACCELERATION}
         assert not breaches, monitor.verdict()
 
-    holds()
+    tried.each(holds)
     tried.row(catalogue, f"a step of anything, {', '.join(kinds)}")
 
 
@@ -579,15 +562,13 @@ def test_a_refused_value_changes_nothing(catalogue: Any) -> None:
 
     a, b = fresh(), fresh()
 
-    @MANY
-    @given(arrays_like(LIFT.q_start), poses_like())
-    def holds(q: tuple[Any, Any], T: tuple[Any, Any]) -> None:
-        tried.number += 1
+    def holds(rng: Random) -> None:
+        q, T = array_like(rng, LIFT.q_start), pose_like(rng)
         if q[1] is None or not np.isfinite(q[1]).all():
             assert is_refused(lambda: a.reset(q[0]))
         if T[1] is None:
             assert is_refused(lambda: a.retarget(T[0]))
         assert np.array_equal(a.step().velocity, b.step().velocity)
 
-    holds()
+    tried.each(holds)
     tried.row(catalogue, "a refused reset or target changes nothing")

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from random import Random
 from typing import Any
 
 import numpy as np
 import pinocchio as pin
 import pytest
-from fuzzing import MANY, Tried, answer
-from hypothesis import given
-from hypothesis import strategies as st
+from fuzzing import Tried, answer
 
 from coopqp import Arm, CellState, Grasp, LinePath, Monitor, MonitorTolerances, QPController, RobotCell
 
@@ -44,30 +43,26 @@ class Description:
     plain: bool
 
 
-@st.composite
-def descriptions(draw: st.DrawFn) -> Description:
+def description(rng: Random) -> Description:
     """A chain of joints. In half of the cases one joint or a name is odd."""
-    n = draw(st.integers(1, 8))
-    rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
-    odd = draw(st.integers(0, 2 * n))  # index of the odd joint
+    n = rng.randint(1, 8)
+    odd = rng.randint(0, 2 * n)  # index of the odd joint
     joints = []
     for i in range(n):
-        kind, axis = str(rng.choice(["revolute"] * 5 + ["continuous", "prismatic"])), str(rng.choice(AXES))
+        kind, axis = rng.choice(["revolute"] * 5 + ["continuous", "prismatic"]), rng.choice(AXES)
         limit = '<limit lower="-2.5" upper="2.5" velocity="1.5" effort="10"/>'
         name = f"joint_{i}"
         if i == odd:
-            kind = draw(st.sampled_from(KINDS))
-            axis = draw(st.sampled_from(AXES + ODD_AXES))
-            low, high, speed = (draw(st.sampled_from(NUMBERS)) for _ in range(3))
-            limit = draw(
-                st.sampled_from(["", limit, f'<limit lower="{low}" upper="{high}" velocity="{speed}" effort="1"/>'])
-            )
-            name = draw(st.sampled_from([name, name, "joint_0", "", "a/b", "link_0", "universe", "é"]))
+            kind = rng.choice(KINDS)
+            axis = rng.choice(AXES + ODD_AXES)
+            low, high, speed = (rng.choice(NUMBERS) for _ in range(3))
+            limit = rng.choice(["", limit, f'<limit lower="{low}" upper="{high}" velocity="{speed}" effort="1"/>'])
+            name = rng.choice([name, name, "joint_0", "", "a/b", "link_0", "universe", "é"])
         if kind == "continuous" and i != odd:
             limit = '<limit velocity="1.5" effort="10"/>'
-        xyz, rpy = (tuple(float(v) for v in rng.uniform(-0.5, 0.5, 3).round(3)) for _ in range(2))
+        xyz, rpy = (tuple(round(rng.uniform(-0.5, 0.5), 3) for _ in range(3)) for _ in range(2))
         joints.append(Joint(kind, name, axis, limit, xyz, rpy))
-    tool = draw(st.sampled_from([f"link_{n}"] * 6 + ["link_0", "nowhere", ""]))
+    tool = rng.choice([f"link_{n}"] * 6 + ["link_0", "nowhere", ""])
     lines = ['<robot name="r"><link name="link_0"/>']
     for i, j in enumerate(joints):
         kind = "revolute" if j.kind == "mimic" else j.kind
@@ -135,31 +130,29 @@ def check_cell(arm: Arm, arms: int, rng: np.random.Generator) -> None:
 def test_descriptions_of_arms(catalogue: Any, tmp_path: Path) -> None:
     tried, file = Tried(), tmp_path / "arm.urdf"
 
-    @MANY
-    @given(descriptions(), st.integers(0, 2**32 - 1))
-    def holds(description: Description, seed: int) -> None:
-        tried.number += 1
+    def holds(random: Random) -> None:
+        made, seed = description(random), random.randrange(2**32)
         rng = np.random.default_rng(seed)
-        file.write_text(description.text, encoding="utf-8")
-        arm = answer(lambda: Arm.from_urdf("arm", file, tool_frame=description.tool, geometry=False))
-        assert arm is not None or not description.plain
+        file.write_text(made.text, encoding="utf-8")
+        arm = answer(lambda: Arm.from_urdf("arm", file, tool_frame=made.tool, geometry=False))
+        assert arm is not None or not made.plain
         if arm is None:
             return
         tried.accepted += 1
         limits, n = arm.limits, arm.model.nv
-        assert n == sum(j.kind != "fixed" for j in description.joints)
+        assert n == sum(j.kind != "fixed" for j in made.joints)
         assert (limits.lower < limits.upper).all()
         assert (limits.velocity > 0.0).all()
         assert np.isfinite(arm.model.jointPlacements[1].homogeneous).all()
         cell = RobotCell([arm])
         x = drawn(cell, rng)
         tool = CellState(cell, cell.configuration(x)).T_world_tool[0]
-        by_hand = tool_by_hand(description.joints, x) if description.tool == f"link_{len(description.joints)}" else tool
+        by_hand = tool_by_hand(made.joints, x) if made.tool == f"link_{len(made.joints)}" else tool
         assert np.abs(tool.homogeneous - by_hand.homogeneous).max() < 1e-9
         if seed % 4 == 0:
             check_cell(arm, int(rng.integers(1, 9)), rng)
 
-    holds()
+    tried.each(holds)
     tried.row(catalogue, "models, URDFs of 1–8 joints, then cells of 1–8 arms")
 
 
@@ -182,21 +175,20 @@ OTHERS = {
 }
 
 
-@st.composite
-def models(draw: st.DrawFn) -> tuple[pin.Model, dict[str, Any], bool]:
+def model_like(random: Random) -> tuple[pin.Model, dict[str, Any], bool]:
     """A model, limits for it, and True if both are valid."""
-    n = draw(st.integers(0, 7))
-    rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
+    n = random.randint(0, 7)
+    rng = np.random.default_rng(random.randrange(2**32))
     model, plain, at = pin.Model(), n > 0, 0
-    strange = draw(st.integers(0, 2 * n + 1))
+    strange = random.randint(0, 2 * n + 1)
     for i in range(n):
-        kind = str(rng.choice(sorted(SINGLE)))
+        kind = random.choice(sorted(SINGLE))
         joint = SINGLE[kind]()
         name = f"j{i}"
         if i == strange:
-            what = draw(st.sampled_from(["kind", "name", "placement"]))
+            what = random.choice(["kind", "name", "placement"])
             if what == "kind":
-                joint, plain = OTHERS[draw(st.sampled_from(sorted(OTHERS)))](), False
+                joint, plain = OTHERS[random.choice(sorted(OTHERS))](), False
             elif what == "name" and i:
                 name, plain = "j0", False
         T = pin.SE3(pin.exp3(rng.normal(size=3)), 0.3 * rng.normal(size=3))
@@ -214,11 +206,9 @@ def models(draw: st.DrawFn) -> tuple[pin.Model, dict[str, Any], bool]:
     if at:
         model.addFrame(pin.Frame("tool", at, 0, pin.SE3.Identity(), pin.FrameType.OP_FRAME))
     given: dict[str, Any] = {}
-    if draw(st.booleans()):
-        key = draw(st.sampled_from(["velocity_limits", "acceleration_limits", "lower_limits", "upper_limits"]))
-        value = draw(
-            st.sampled_from([1.9, 0.0, -1.0, np.nan, np.inf, -np.inf, 1e300, "fast", [1.0] * 3, None, 5e-324, 1j])
-        )
+    if random.random() < 0.5:
+        key = random.choice(["velocity_limits", "acceleration_limits", "lower_limits", "upper_limits"])
+        value = random.choice([1.9, 0.0, -1.0, np.nan, np.inf, -np.inf, 1e300, "fast", [1.0] * 3, None, 5e-324, 1j])
         given[key] = value
         plain = plain and ((value == 1.9 and key != "lower_limits") or value is None)
     return model, given, plain and n > 0
@@ -228,11 +218,8 @@ def models(draw: st.DrawFn) -> tuple[pin.Model, dict[str, Any], bool]:
 def test_models_built_in_code(catalogue: Any) -> None:
     tried = Tried()
 
-    @MANY
-    @given(models(), st.integers(0, 2**32 - 1))
-    def holds(made: tuple[pin.Model, dict[str, Any], bool], seed: int) -> None:
-        tried.number += 1
-        model, limits, plain = made
+    def holds(random: Random) -> None:
+        (model, limits, plain), seed = model_like(random), random.randrange(2**32)
         before = (list(model.names), model.nq, model.lowerPositionLimit.copy())
         arm = answer(lambda: Arm.from_model("arm", model, tool_frame="tool", **limits))
         assert arm is not None or not plain
@@ -248,5 +235,5 @@ def test_models_built_in_code(catalogue: Any) -> None:
             rng = np.random.default_rng(seed)
             check_cell(arm, int(rng.integers(1, 9)), rng)
 
-    holds()
+    tried.each(holds)
     tried.row(catalogue, "models, built in code, then cells of 1–8 arms")

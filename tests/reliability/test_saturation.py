@@ -92,10 +92,12 @@ def test_one_joint_saturates(count: Callable[[int], int], catalogue: Any) -> Non
     found = []
     for i, law in enumerate(("linear", "quintic")):
         task = replace(paper_lift(duration=2.0, time_law=law), dt=0.001)
-        joints = np.flatnonzero(needed_speeds(task) > 0.02)
+        peak = needed_speeds(task)
+        joints = np.flatnonzero(peak > 0.02)
         assert len(joints) >= 12
         shares = np.linspace(0.5, 0.8, count(1))
-        found += [slows_together(cooperative, task, float(s), joint=int(j)) for j in joints[i::2] for s in shares]
+        runs = [(int(j), float(s)) for j in joints[i::2] for s in shares]
+        found += [slows_together(cooperative, task, share, joint=j, peak=peak) for j, share in runs]
     assert min(s.steps for s in found) > 100
     sharing(catalogue, "one joint at its speed limit, each in turn", found)
 
@@ -125,8 +127,9 @@ def test_random_paths_too_fast(
             time_law="linear" if i % 2 else "quintic",
         )
         task = limited(replace(base, path=path, dt=0.001), acceleration=acceleration)
-        found.append(slows_together(cooperative, task, 0.6, iterations=2))
-        single.append(slows_together(cooperative, task, 0.6))
+        peak = needed_speeds(task)
+        found.append(slows_together(cooperative, task, 0.6, peak=peak, iterations=2))
+        single.append(slows_together(cooperative, task, 0.6, peak=peak))
     note = f"two linearisations a step; {max(s.spread for s in single):.1g} with one, the default"
     limit = "speed" if np.isinf(acceleration) else "speed and acceleration"
     sharing(catalogue, f"random paths, {limit} limited", found, note)

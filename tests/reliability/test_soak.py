@@ -1,4 +1,4 @@
-"""A million steps in one process: memory, open files and objects do not grow, and rotations stay valid."""
+"""A million steps in one process: its own memory, open files and objects do not grow, and rotations stay valid."""
 
 from __future__ import annotations
 

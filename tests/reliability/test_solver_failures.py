@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import copy
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from functools import partial
 from typing import Any
 
 import numpy as np
 import pytest
-from checks import FAULTS, REST, Failure, FaultySolver, cooperative, judged, limited, solver_fails
+from checks import FAULTS, REST, Failure, FaultySolver, cooperative, fails_now, judged, limited, set_off
 from marks import slow_but_first
 
 from coopqp import (
@@ -56,21 +57,32 @@ TASKS: dict[str, Callable[[], tuple[Scenario, Any]]] = {
 @pytest.fixture(scope="module")
 def failures(count: Callable[[int], int]) -> list[tuple[bool, Failure]]:
     """Every fault on one task, and one fault on all tasks, at several times; temporary and permanent."""
-    rng = np.random.default_rng(5)
-    names, found = list(TASKS), []
+    rng, names = np.random.default_rng(5), list(TASKS)
+    # of each task and kernel: when a solver fails, how, and whether for ever
+    cases: dict[tuple[str, str], list[tuple[int, str, bool]]] = {}
     for _ in range(count(1)):
         shift = int(rng.integers(len(names)))
         runs = [(fault, names[(i + shift) % len(names)], at) for i, fault in enumerate(FAULTS) for at in (30, 120)]
         runs += [("answers NaN", name, at) for name in names for at in (1, 60, 200)]
         runs += [("answers NaN", "off the path past a corner", 300)]
         for fault, name, at in runs:
-            task, goal = TASKS[name]()
             for for_ever in (False, True):
                 moment = at + int(rng.integers(20))
-                make = partial(cooperative, kernel=str(rng.choice(available_kernels())))
-                failure = solver_fails(make, task, FAULTS[fault], at=moment, for_ever=for_ever, goal=goal)
-                found.append((for_ever, failure))
-    return found
+                kernel = str(rng.choice(available_kernels()))
+                cases.setdefault((name, kernel), []).append((moment, fault, for_ever))
+    return [failure for (name, kernel), of_run in cases.items() for failure in failed(name, kernel, of_run)]
+
+
+def failed(name: str, kernel: str, cases: list[tuple[int, str, bool]]) -> Iterator[tuple[bool, Failure]]:
+    """Copies of one run whose solver fails, each at its time."""
+    task, goal = TASKS[name]()
+    double = FaultySolver("daqp", FAULTS["answers NaN"])
+    controller, steps = set_off(partial(cooperative, kernel=kernel), task, double, goal), []
+    for moment, fault, for_ever in sorted(cases):
+        steps += [controller.step() for _ in range(moment - len(steps))]
+        double.fault = FAULTS[fault]
+        double.solver.reset()  # a copy shares the solver: no case begins from the answers of another
+        yield for_ever, fails_now(task, copy.deepcopy(controller), double, steps, for_ever=for_ever)
 
 
 @pytest.mark.slow

@@ -40,7 +40,7 @@ MACHINES, RULES = 400, 12
 IN_STEP = 1e-4
 
 numbers = st.floats(-1.0, 1.0)
-triples = st.lists(numbers, min_size=3, max_size=3).map(np.array)
+triples = st.tuples(*[numbers] * 3).map(np.array)
 
 
 class AnyOrder(RuleBasedStateMachine):

@@ -83,7 +83,7 @@ def make_loop(
 
 
 def minding_of(kernel: str) -> tuple[Relax, Allow]:
-    """What minds forces in a kernel: the relaxation, and how fast the object may move; ``relax.c`` and ``allow.c``."""
+    """Functions of a kernel for forces: the relaxation (``relax.c``), and the allowed rate (``allow.c``)."""
     if kernel == "plain":
         return relax_plain.relax, allow_plain.allow
     from coopqp.control.core import _native

@@ -1,4 +1,4 @@
-/* The memory of the look-ahead, and what its files call of each other.
+/* The memory of the look-ahead, and the functions that its files share.
  *
  * Knots lie in a ring, numbered from the one at or before the clock; `place` is where in the ring. COUNT of them are
  * known. Behind these lie tentative ones: WAY knots of a way past a singularity, then the knot that is being tried. So
@@ -9,7 +9,7 @@
 
 #include "functions.h"
 
-/* What one Newton step makes of the knot that is tried. CANNOT_SAY: a user's path, or a further constraint, fails. */
+/* Outcome of one Newton step at the tried knot. CANNOT_SAY: a user's path, or a further constraint, fails. */
 typedef enum { PENDING, REJECTED, FOUND, CANNOT_SAY } Trial;
 
 static int count_ahead(const Core *c, int what) { return (int)c->ahead[what]; }
@@ -61,7 +61,7 @@ static double largest_size(const double *x, int n) {
 
 /* Largest z ≤ cap that some |u| ≤ SLOPE_CAP allows at knot i alone. */
 static double largest_alone(const Core *c, int i);
-/* Largest z at knot i from which that at the next knot can be in [0, K there], and how it follows K there; the joint
+/* Largest z at knot i from which z at the next knot can be in [0, K there], and its slope over K there; the joint
  * whose acceleration makes it, or helps to, or −1. */
 static int find_share(Core *c, int i);
 
@@ -75,7 +75,7 @@ static void finish_horizon(Core *c);
 static void leave_behind(Core *c, double clock);
 /* Number of the last knot at or before `clock`. */
 static int knot_before(const Core *c, double clock);
-/* Whether K is known for good where a step from `clock` on goes: the end of the horizon does not make it. */
+/* Whether K is final along a step from `clock`: the end of the horizon does not make it. */
 static int reaches(const Core *c, double clock, double dt);
 /* q′ and q″ at a clock, from the knots around it. */
 static void joints_at(const Core *c, double clock, double *slope, double *curvature);
@@ -89,7 +89,7 @@ typedef struct {
 } Least;
 
 static Least least_square(const Core *c, double clock, double rate, double dt);
-/* The largest rate below 1 that K admits for a step. `least` is that of rate 1, then that of the rate. */
+/* The largest rate below 1 that K admits for a step. `least` is the least K at rate 1, on return at the rate found. */
 static double largest_rate(const Core *c, double clock, double dt, Least *least);
 
 /* -- chain_ahead.c ---------------------------------------------------------------------------------------------------- */
@@ -114,8 +114,8 @@ static void lead_away(const Core *c, int k, const double *jacobian, const double
 
 /* -- growth.c --------------------------------------------------------------------------------------------------------- */
 
-/* One Newton step, so that no single control step has to make a whole knot; 0 where growth has to wait, −1 where it cannot
- * be said what is ahead. */
+/* One Newton step, so that no single control step has to make a whole knot; 0 where growth has to wait, −1 where the
+ * look-ahead fails. */
 static int work_ahead(Core *c);
 
 #endif

@@ -59,7 +59,7 @@ static int friction_slows(int arms, const Minding *f, double dt) {
     return 1;
 }
 
-/* Find the largest rate of the object now, ALLOWED, and WHY it is less than what is asked for. */
+/* Find the largest rate of the object now, ALLOWED, and WHY it is less than the wanted rate. */
 static void allow(int arms, double *memory, double dt) {
     const Minding f = minding_of(arms, memory);
     double *m = memory;

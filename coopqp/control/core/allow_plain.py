@@ -1,4 +1,4 @@
-"""How fast the object may move for the forces, in NumPy: what ``allow.c`` does. See :mod:`coopqp.forces`."""
+"""The rate of the object that forces allow, in NumPy, as in ``allow.c``. See :mod:`coopqp.forces`."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _FALLS, _RISES, _FRICTION_SLOWS, _SPARE, _FIRMER = (
 
 
 def allow(memory: Array, arms: int, dt: float, /) -> None:
-    """Find the largest rate of the object now, ALLOWED, and WHY it is less than what is asked for."""
+    """Find the largest rate of the object now, ALLOWED, and WHY it is less than the wanted rate."""
     m = memory
     size, slows, asked = m[AT["SIZE"]], m[AT["FORCE_SLOWS"]], m[AT["ASKED"]]
     m[AT["ALLOWED"]], why = 0.0, NOTHING_MORE
@@ -86,9 +86,9 @@ def palms_used(palms: Array, wrenches: Array) -> Array:
 
 
 def palms_need(palms: Array, wrenches: Array) -> float:
-    """The normal force with which every palm would hold what it transmits across now [N]; inf if one does not press.
+    """The normal force with which every palm could transmit its present tangential load [N]; inf if one does not press.
 
-    Arguments as those of :func:`palms_used`.
+    Arguments as of :func:`palms_used`.
     """
     pressed = np.einsum("kj,kj->k", palms[:, 1, 3], wrenches)
     return float((palms_used(palms, wrenches) * pressed).max()) if (pressed > 0.0).all() else math.inf

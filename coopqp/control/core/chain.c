@@ -33,7 +33,7 @@ static void bound(const Core *c, double *twists, int n) {
     for (int i = 0; excess > 1.0 && i < 6 * n; i++) twists[i] /= excess;
 }
 
-/* c_k, c_p, and b_k: what the last linearisation left out. Gains take away no more than the whole error in a step. */
+/* c_k, c_p, and b_k: the error of the last linearisation. Gains take away no more than the whole error in a step. */
 static void corrections(Core *c, double h) {
     const double grasp_gain = fmin(c->options[GRASP_GAIN], 1.0 / h), path_gain = fmin(c->options[PATH_GAIN], 1.0 / h);
     const double *seen = c->proposal[HAS_MEASURED] != 0.0 ? c->measured : c->common;
@@ -220,7 +220,7 @@ static int nominal_command(Core *c, double cap) {
     return two_velocities(c, c->jacobian, w, along, u0, u1, c->command, c->along_velocity);
 }
 
-/* -- what redundant arms wish for ------------------------------------------------------------------------------------ */
+/* -- wishes of redundant arms ---------------------------------------------------------------------------------------- */
 
 /* √det(J Jᵀ) of one arm */
 static double manipulability(const Core *c, int k, const double *positions, double *jacobian) {

@@ -22,7 +22,7 @@ static void twists_back(const Core *c, const double *R, const double *errors, do
     }
 }
 
-/* Self-motion of redundant arms that keeps them off what they come close to; 0 if it cannot be asked. */
+/* Self-motion by which redundant arms keep clear of bodies; 0 if a constraint fails. */
 static int evade(Core *c, const double *positions, double *slope) {
     const size_t size = sizeof(double) * (size_t)c->joints;
     if (!c->evade || (c->options[CERTIFIED] != 0.0 && quiet_ahead(c, positions))) return 1;
@@ -63,7 +63,7 @@ static double least_eigenvalue(double G[6][6], double *u) {
             for (int k = 0; k < j; k++) G[i][j] -= G[i][k] * G[j][k] * inverse[k];
         for (int j = 0; j < i; j++) G[i][i] -= G[i][j] * G[i][j] * inverse[j];
         G[i][i] = maximum(G[i][i], EIGEN_ROUNDING * trace);
-        inverse[i] = 1.0 / G[i][i]; /* G[i][j] is that of L D */
+        inverse[i] = 1.0 / G[i][i]; /* G[i][j] is an entry of L D */
         if (G[i][i] < G[least][least]) least = i;
         u[i] = 0.0;
     }
@@ -162,7 +162,7 @@ static int bound_by_limits(Core *c, int before, int i, double clock, double span
     for (int j = 0; j < c->joints; j++) {
         curvature[j] = (slope[j] - then[j]) / span;
         const double bend = fabs(curvature[j]), speed = fabs(slope[j]);
-        /* How often the joint's limit is used up at full rate: z may be 1 over the square, or over the curvature's. */
+        /* Use of the joint's limits at full rate: z is at most 1 over the speed's square, and 1 over the curvature's. */
         const double use_speed = speed * (1.0 / c->plan_speed[j]);
         const double use_bend = bend * (1.0 / (o[CURVATURE_SHARE] * c->plan_acceleration[j]));
         fastest = maximum(fastest, fabs(slope[j]));
@@ -171,7 +171,7 @@ static int bound_by_limits(Core *c, int before, int i, double clock, double span
         if (use_bend > by_bend) by_bend = use_bend, j_bend = j;
         inside &= x[j] <= c->high[j] && x[j] >= c->low[j];
     }
-    /* Without acceleration limits the step itself finds the cap by speed; it changes slowly under that by curvature. */
+    /* Without acceleration limits the step itself finds the cap by speed; below the cap by curvature it changes slowly. */
     const int capped = o[CAPS_SPEED] != 0.0;
     const double square = by_speed * by_speed, cap = 1.0 / maximum(capped ? square : by_bend, 1.0);
     memset(k, 0, sizeof(double) * N_KNOT);
@@ -324,7 +324,7 @@ static int reach_pose(Core *c, const double *R, const double *p, double *x) {
     return largest < 1e-6 ? -1 : arm;
 }
 
-/* The object rests there where the chain does not get there. */
+/* The object rests there if the chain does not reach it. */
 static int first_knot(Core *c, double clock) {
     double R[9], p[3], *x = vector_of(c, c->knot_positions, 0), *slope = vector_of(c, c->knot_slope, 0);
     const size_t bytes = sizeof(double) * (size_t)c->joints;

@@ -108,7 +108,7 @@ class CompiledLoop:
             self._core.bind_evasion(self._evade)
         self.step = self._core.step
         self.hold, self.release = self._core.hold, self._core.release
-        #: What is wrong in this step, by its reason, where it takes more than numbers to say so.
+        #: Faults of this step in words, by the code of the reason; for faults that numbers do not describe.
         self._said: dict[int, str] = {}
 
     # -- starting --------------------------------------------------------------------------------------------------
@@ -136,7 +136,7 @@ class CompiledLoop:
         self._core.set_path(numbers, own, self._pose_out, duration, looks_ahead)
 
     def take_shift(self, shift: Array) -> Callable[[], bool]:
-        """The tools hold the object shifted by (N, 6) after each call of what is returned; False if not finite."""
+        """Returns a function that reads ``shift`` (N, 6) and moves the grasps; it returns False if not finite."""
         self._shift = shift
         return functools.partial(self._core.shift_grasp, self._places, shift)
 
@@ -164,7 +164,7 @@ class CompiledLoop:
         return 0.0 if self._box.accelerates or paused else override
 
     def set_reins(self, override: float, *, paused: bool) -> None:
-        """What the operator asks for, from the next step on."""
+        """Set override and pause from the next step on."""
         loop = self.at["loop"]
         loop[_LOOP["OVERRIDDEN"]], loop[_LOOP["PAUSE"]] = override, paused
 
@@ -197,7 +197,7 @@ class CompiledLoop:
         return None if taken < 0 else taken > 0
 
     def try_step(self) -> tuple[float, Array]:
-        """σ that a step from here keeps, and the change of velocity: as of the plain loop."""
+        """σ that a step from here keeps, and the change of velocity, as in the plain loop."""
         self._core.observe(None, None)
         outcome = self._core.propose(self._put_rows(), False)
         self._said.clear()
@@ -240,7 +240,7 @@ class CompiledLoop:
         """Commanded joint velocities of the last step (nv,)."""
         return self.at["velocity"]
 
-    # -- what the core asks ----------------------------------------------------------------------------------------
+    # -- callbacks of the core -------------------------------------------------------------------------------------
 
     def _ask_path(self, clock: float, twist: int) -> bool:
         if twist:
@@ -256,15 +256,15 @@ class CompiledLoop:
         return True
 
     def _cannot_say(self, why: str) -> bool:
-        """Keep why the path, or what is ahead of it, cannot be asked; the first failure of a step is its reason."""
+        """Remember why the path or its look-ahead failed; the first failure of a step is its reason."""
         for code in (_PATH_FAILED, _LOOK_AHEAD_FAILED):
             self._said.setdefault(code, why)
         return False
 
     def _bound_knot(self, slot: int) -> bool:
-        """Lower the cap and the decrease of a new knot to what the constraints leave; False where they leave none.
+        """Lower the cap and the decrease of a new knot as the constraints demand; False if they allow no rate.
 
-        A constraint that cannot say leaves a cap that is no number.
+        A constraint that fails makes the cap NaN.
         """
         at, nv, n = self.at, self.cell.nv, len(layout.KNOT)
         numbers, vectors = at["knots"][n * slot : n * slot + n], slice(nv * slot, nv * slot + nv)
@@ -294,7 +294,7 @@ class CompiledLoop:
         return True
 
     def _evade(self) -> bool:
-        """Self-motion at a knot that is tried; False if it cannot be asked."""
+        """Self-motion at a knot that is tried; False if a constraint fails."""
         at = self.at
         try:
             slope = self.constraints.evaded(self.cell.configuration_of(at["evading_positions"]), at["evading_slope"])
@@ -314,7 +314,7 @@ class CompiledLoop:
         return self.finish(outcome)
 
     def finish(self, outcome: int | None = None) -> ControlStep:
-        """Answer what the core left open, and commit."""
+        """Answer an open step, and commit it."""
         p = self.at["proposal"]
         outcome = int(p[_P["OUTCOME"]]) if outcome is None else outcome
         if outcome == _ASK:
@@ -332,7 +332,7 @@ class CompiledLoop:
         return step
 
     def _kept(self, outcome: int) -> tuple[SolverReport | None, str]:
-        """Answer what the core left open; again with tighter rows where the command breaks what they stand for."""
+        """Answer an open step; again with tighter rows if the command breaks their constraints."""
         report, reason = self._answered(outcome)
         for _ in range(MOST_TIGHTENINGS if len(self._further) else 0):
             h, v = self.at["proposal"].item(_P["DT"]), self.at["command"]
@@ -345,7 +345,7 @@ class CompiledLoop:
         return report, reason
 
     def _answered(self, outcome: int) -> tuple[SolverReport | None, str]:
-        """Answer what the core left open; how the solver went, and why the arms brake."""
+        """Answer an open step. Returns the solver's report, and why the arms brake."""
         report, reason = None, ""
         if outcome == _FILLED:
             outcome, report = self._solve()
@@ -363,7 +363,7 @@ class CompiledLoop:
         return measured
 
     def _put_rows(self) -> int:
-        """Ask the constraints; their rows in the core's memory. What cannot be asked holds."""
+        """Ask the constraints and put their rows into the core's memory. If one fails the step holds."""
         self._further = self._no_rows
         if not self.constraints.velocity:
             return 0
@@ -409,15 +409,15 @@ class CompiledLoop:
         box.any_outside = bool(box.outside.any())
 
     def _by_definition(self) -> tuple[SolverReport, str]:
-        """The plain answer of this step, put where the core commits from."""
+        """Answer this step by the plain definition, in the core's memory."""
         at, p, loop = self.at, self.at["proposal"], self.at["loop"]
-        given = self._given()
         if self._shift is not None:
             self._chain.shift_grasp(self._shift)
+        given = self._given()
         found = self._definition.answer(given)
         self._put_answer(found)
         p[_P["OUTCOME"]] = _QP
-        at["errors"][:], at["grasp"][:] = found.errors.ravel(), found.terms.grasp_corrections.ravel()
+        at["errors"][:], at["grasp"][:] = given.errors.ravel(), found.terms.grasp_corrections.ravel()
         at["offsets"][:], at["path"][:] = found.terms.offsets.ravel(), found.terms.path_correction
         at["stand_in"][:] = found.stand_in if loop[_LOOP["FIRST"]] else at["velocity"]
         return found.answer.report, found.answer.reason
@@ -425,14 +425,17 @@ class CompiledLoop:
     def _given(self) -> StepInput:
         at, p, loop, n = self.at, self.at["proposal"], self.at["loop"], len(self.cell)
         predicted = at["predicted"].reshape(n, 6).copy() if loop[_LOOP["HAS_PREDICTED"]] else None
+        pose, carried = pin.SE3(at["R"].reshape(3, 3).copy(), at["p"].copy()), self._chain.carried(self.q)
         return StepInput(
             q=self.q,
             positions=at["positions"].copy(),
+            carried=carried,
+            errors=self._chain.errors(carried, pose),
             v=at["velocity"].copy(),
             v_before=at["before"].copy(),
             h=p.item(_P["DT"]),
             cap=p.item(_P["CAP"]),
-            pose=pin.SE3(at["R"].reshape(3, 3).copy(), at["p"].copy()),
+            pose=pose,
             along=at["along"].copy(),
             measured=at["measured"].copy() if p[_P["HAS_MEASURED"]] else None,
             predicted=predicted,

@@ -1,6 +1,6 @@
 /* The compiled step: what its files share. No Python here.
  *
- * The memory is that of layout.py, in three blocks that Python owns: fields are members of Core. Vectors of joints have
+ * layout.py lays out the memory, three blocks that Python owns: fields are members of Core. Vectors of joints have
  * one number per joint [rad or m]; rotations are row major; twists are [linear; angular].
  *
  *   spatial.h     rotations, logarithm, exponential          kinematics.c  where the arms carry the object, Jacobians
@@ -10,7 +10,7 @@
  *   preview.c     the path ahead of the clock, with          step.c        observe, propose, commit
  *     horizon.c     knots, and the largest rate at each        growth.c      more of them, one Newton step at a time
  *     sharing.c     programs of the accelerations              chain_ahead.c the chain at one clock
- *     redundancy.c  what redundant arms do at limits       servo.c       new targets
+ *     redundancy.c  self-motion at position limits         servo.c       new targets
  *     quiet.c       where further constraints are quiet
  *   minding.h     forces between the arms, with             relax.c       wrenches, and grasps that give way
  *     allow.c       how fast the object may move for them
@@ -34,19 +34,19 @@ struct Core {
     int arms, joints, nq, unknowns, rows, past; /* rows: further rows that fit; past: samples in `history` */
     int redundant, accelerates, looks_ahead;
     int further_rows; /* of this step */
-    /* The path: duration, number of breakpoints, number of segments, breakpoints, segments of 21 numbers in the order of
+    /* The path: duration, number of breakpoints, number of segments, breakpoints, segments of 29 numbers in the order of
      * their starts. A path without segments is known to own_path. */
     const double *path_numbers;
     double duration;
-    /* Calls of what is not known here; 0 if they fail. `out` takes R (9) and p (3), or with `twist` six numbers. */
+    /* Calls into Python; 0 if they fail. `out` takes R (9) and p (3), or with `twist` six numbers. */
     int (*own_path)(Core *c, double clock, int twist, double *out);
-    /* May lower cap and decrease of a new knot; NULL where nobody does. `slot` is its place in the ring. */
+    /* May lower cap and decrease of a new knot; NULL for none. `slot` is its place in the ring. */
     int (*bound_knot)(Core *c, int slot);
-    /* May add self-motion to `evading_slope` at `evading_positions`; NULL where nobody does. 0 if it fails. */
+    /* May add self-motion to `evading_slope` at `evading_positions`; NULL for none. 0 if it fails. */
     int (*evade)(Core *c);
 };
 
-/* What the core can do, once for any processor and once for a newer one; see step.c and kinematics.c. */
+/* The core's functions, once for any processor and once for a newer one; see step.c and kinematics.c. */
 typedef struct {
     void (*start)(Core *c, const double *positions);
     void (*start_path)(Core *c, double clock, double rate);
@@ -63,7 +63,7 @@ typedef struct {
     /* Go over to the way to a new target if the rate of its first step need not fall, or where the object rests: 1, with
      * the path in `numbers`; 0 if not yet; −1 if an arm is singular. `full` is the largest rate asked for. */
     int (*go_over)(Core *c, const double *goal, double speed, double spin, double full, double *numbers);
-    /* What minds forces, in a memory of its own; see relax.c and allow.c. `wrenches` may be NULL. */
+    /* The relaxation of forces, in its own memory; see relax.c and allow.c. `wrenches` may be NULL. */
     int (*relax)(int arms, double *memory, const double *wrenches, double dt);
     void (*allow)(int arms, double *memory, double dt);
 } Arithmetic;

@@ -1,4 +1,4 @@
-/* What the files of the core call of each other. They are one unit, so that the compiler sees all of it. */
+/* Functions that the core's files share. The files are one unit, so that the compiler sees all of it. */
 
 #ifndef COOPQP_FUNCTIONS_H
 #define COOPQP_FUNCTIONS_H
@@ -59,7 +59,7 @@ static int quiet_knot(Core *c, const double *x, const double *slope, const doubl
 
 /* Start at the commanded positions, on or near the path, and look ahead as far as a step needs. */
 static void preview_reset(Core *c, double clock);
-/* The same behind so many knots, which stay as they are in the ring: a copy of AHEAD goes on with them. */
+/* The same behind `kept` knots, which stay in the ring: a copy of AHEAD goes on with them. */
 static void preview_try(Core *c, double clock, int kept);
 /* Largest admissible rate at `clock` for a step of dt. CAP_KIND, CAP_ARM, CAP_JOINT of the proposal say what makes it. */
 static double preview_cap(Core *c, double clock, double dt);

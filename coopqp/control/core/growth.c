@@ -9,7 +9,7 @@ static void rest_growth(Core *c) {
     c->ahead[BEGIN_AT] = INFINITY;
 }
 
-/* Half of what is left between a knot and where a constraint allows no rate, infinite where none is known. */
+/* Half of the way from a knot to the place where a constraint allows no rate, infinite if none is known. */
 static double half_way(const Core *c, const double *last) {
     return c->ahead[BEYOND] > 0.0 ? 0.5 * (c->ahead[BEYOND_AT] - last[K_CLOCK]) : INFINITY;
 }
@@ -120,7 +120,7 @@ static void end_growth(Core *c) {
         return;
     }
     const int stretched = way ? -1 : stretched_arm(c, at), arm = stretched < 0 ? singular_arm(c, at) : stretched;
-    /* Where it is as bad already, the object stays: else it would creep on with every new path. */
+    /* If the last knot is singular, too, the object stays: else it would creep on with every new path. */
     const int stays = way && knot(c, count - 1)[K_UNCAPPED] < rate * rate;
     block_at(c, stays ? count - 1 : at, arm, -1, way ? SINGULARITY : REACH);
 }
@@ -167,7 +167,7 @@ static int accept_trial(Core *c) {
     return found;
 }
 
-/* Where the twist of a user's path jumps within the span that was tried, unsaid: a breakpoint from now on. NaN if not. */
+/* Where the twist of a user's path jumps within the tried span, undeclared: a breakpoint from now on. NaN if not. */
 static double find_kink(Core *c, double clock) {
     const double kink = path_kink(c, maximum(clock - JUST_BEFORE, 0.0), clock + c->ahead[TRY_SPAN]);
     int count = count_ahead(c, KINKS);

@@ -2,7 +2,7 @@
 
 #include "ahead.h"
 
-/* K at knot i from that at the next one, and what makes it; 1 if that is K ahead. K only rises from one pass to the next,
+/* K at knot i from K at the next one, and its cause; 1 if that is K ahead. K only rises from one pass to the next,
  * and follows K ahead along a line from K_SINCE, where it was K_FOUND, to K_UNTIL. */
 static int share_at(Core *c, int i) {
     double *here = knot(c, i);
@@ -140,9 +140,9 @@ static double met_by(Least l, double rate) {
     return half + sqrt(maximum(half * half + l.square - l.slope * rate, 0.0));
 }
 
-/* The largest rate below 1 that K admits for a step; 0 is always admissible. `least` is that of rate 1, then that of the
- * rate. K is linear between knots: the next guess is where σ² meets the line that makes it, or half way. After a miss guesses stay
- * shorter: beside a clock a small rate has few digits. */
+/* The largest rate below 1 that K admits for a step; 0 is always admissible. `least` is the least K at rate 1, on
+ * return at the rate found. K is linear between knots: the next guess is where σ² meets the line that makes it, or half
+ * way. After a miss guesses stay shorter: beside a clock a small rate has few digits. */
 static double largest_rate(const Core *c, double clock, double dt, Least *least) {
     double low = 0.0, high = 1.0, rate = 1.0, short_of = SHORT_OF;
     Least there = *least;

@@ -40,7 +40,7 @@ CONSTANTS: dict[str, float] = {
     "GROWTH": 2.0,  # an interval is longer than the one before by this factor at most
     "FINE_CELL": 1e-3,  # intervals shorter than this are not halved for a change of slope [s]
     "OTHER_BRANCH": 0.5,  # a slope that changes by more than this share within a fine interval is of another branch
-    "STEPS_TO_EDGE": 2,  # an arm stays so far from the end of its reach that its joints would take so many steps
+    "STEPS_TO_EDGE": 2,  # an arm's joints would take this many steps to the end of its reach
     "BRANCH_WAY": 2.0,  # an arm this many joint steps from the end of its reach may be past it
     "FAR_EDGE": 1e3,  # the end of an arm's reach is no further than this, in units of its joints
     "FAR_PIVOT": 0.1,  # an arm whose smallest pivot is larger is far from the end of its reach
@@ -49,8 +49,8 @@ CONSTANTS: dict[str, float] = {
     "BEND_CHANGE": 0.3,  # intervals are halved where q″ changes by more than this share of the accelerations
     "CROSSED": 1e-13,  # the lower bound of σ̇ is above the upper one by more than rounding
     "MOST_PIVOTS": 50,  # Newton steps of one program of two variables
-    "KNOTS_PER_PASS": 4,  # the backward pass runs once for so many knots
-    "LIMIT_MARGIN": 0.003,  # self-motion keeps joints this far inside their limits [rad or m]
+    "KNOTS_PER_PASS": 4,  # knots per backward pass
+    "LIMIT_MARGIN": 0.003,  # self-motion keeps joints inside their limits by this distance [rad or m]
     "TURNING_WAY": 0.02,  # within this way before they turn away [rad or m]
     "LEADS": 1e-4,  # a joint that its arm's self-motion moves by a smaller share cannot be led away
     "MOST_GUESSES": 44,  # guesses of the largest rate
@@ -71,7 +71,7 @@ CONSTANTS: dict[str, float] = {
     "CONVERGED": 1e-5,  # Newton steps shorter than this are the last [rad or m]
     # new targets
     "STILL_OBJECT": 1e-6,  # an object this slow rests [m/s, rad/s]
-    "NOWHERE": 1e-9,  # shorter ways are none [s, at full speed]
+    "NOWHERE": 1e-9,  # length of the shortest way [s, at full speed]
     "SHORTEST_CHANGE": 1e-4,  # the shortest time in which the motion changes [s]
     "CHANGE_SHARE": 0.7,  # share of the accelerations that a change of the motion is planned with
     "LARGEST_JUMP": 2.0 / 22.0,  # share of its speed by which a joint without acceleration limit jumps then, at most
@@ -106,11 +106,11 @@ CONSTANTS: dict[str, float] = {
     "UNBALANCED": 0.3,  # share of the largest wrench from which on wrenches do not cancel
     "STRAIGHT_BACK": 0.95,  # cosine from which on an arm's way back is taken for the cause
     # forces from the sensors
-    "RATE_FALLS": 0.6,  # the rate that forces allow falls from 1 to 0 in this time, so that it makes none itself [s]
+    "RATE_FALLS": 0.6,  # the rate by forces falls from 1 to 0 in this time, so that braking makes none [s]
     "RATE_RISES": 2.0,  # and rises again in this time [s]
     "FRICTION_SLOWS": 0.9,  # share of a palm's friction in use above which the object slows down; at 1 it rests
-    "SPARE_SQUEEZE": 1.2,  # palms press at least so many times what the felt load needs,
-    "FIRMER": 100.0,  # and so fast harder [N/s]
+    "SPARE_SQUEEZE": 1.2,  # palms press with at least this multiple of the force that the felt load needs,
+    "FIRMER": 100.0,  # and press harder at this speed [N/s]
     "LOOK_EVERY": 0.1,  # time between two looks at the compliances, which change with the configuration [s]
     "MOST_MINDING": 64,  # arms
 }
@@ -155,20 +155,20 @@ KNOT = (
     "K_KIND", "K_ARM", "K_JOINT", "K_SQUARE", "K_CAUSE_KIND", "K_CAUSE_ARM", "K_CAUSE_JOINT", "K_STOPS",
     "K_FOUND", "K_SINCE", "K_UNTIL", "K_GAIN",
 )  # fmt: skip
-#: What a step proposes. REASON comes with an arm (or an index) and two numbers.
+#: The proposal of a step. REASON comes with an arm (or an index) and two numbers.
 PROPOSAL = (
     "DT", "CAP", "SPAN", "HAS_MEASURED", "CAP_KIND", "CAP_ARM", "CAP_JOINT", "WATCH_CAP", "HOLD", "FAULTS",
     "REASON", "REASON_ARM", "REASON_A", "REASON_B", "OUTCOME", "NEW_RATE", "BINDING_ROW", "BINDING_SIDE",
     "GRASP_SHARE", "PATH_SHARE", "PARTING", "BRAKED", "ITERATIONS", "OUTSIDE", "RELAXED", "PLACED", "LATE", "KEEP",
     "BINDINGS",
 )  # fmt: skip
-#: What a step hands out, before its vectors q, velocity, q_next, off_path, and four numbers per binding limit: kind,
-#: arm, joint, constraint, each −1 where there is none.
+#: The record of a step, before its vectors q, velocity, q_next, off_path, and four numbers per binding limit: kind,
+#: arm, joint, constraint, each −1 if it does not apply.
 RECORD = (
     "R_DT", "R_CLOCK", "R_CLOCK_NEXT", "R_RATE", "R_STATUS", "R_REASON", "R_REASON_ARM", "R_REASON_A", "R_REASON_B",
     "R_GRASP_SHARE", "R_PATH_SHARE", "R_PARTING", "R_OUTCOME", "R_ITERATIONS", "R_BINDINGS", "R_AWAY", "R_TURNED",
 )  # fmt: skip
-#: Scalars of what minds forces: settings, then what changes; see minding.h for what follows them.
+#: Scalars of the relaxation of forces: settings, then state; see minding.h for the arrays behind them.
 MINDING = (
     "WRENCH_FILTER", "DEAD_BAND", "RELAX_TIME", "DRIFT_TIME", "RAMP_TIME", "WRENCH_SILENCE",
     "MOST_SPEED", "MOST_SPIN", "MOST_REACH", "MOST_TURN",
@@ -177,19 +177,19 @@ MINDING = (
     "STAGE", "SINCE", "STEPPED", "AGE", "ASKED", "FORCE_CAP", "LAST_RATE", "FRICTION_USED", "PRESSED_WITH", "NEEDED",
     "SENSOR_FAULT", "SENSOR_ARM", "SENSOR_AMOUNT", "ALLOWED", "WHY", "WHY_ARM",
 )  # fmt: skip
-#: What the arms do, in this order.
+#: Stages of a run with forces, in this order.
 STAGES = ("CHECKING", "PRESSING", "RELAXING", "MOVING")
-#: What came of the sensors in a step.
+#: Readings of the sensors in a step.
 HEARING = ("HEARD", "MISSED", "SILENT")
-#: Faults of a sensor: no wrench for SENSOR_AMOUNT seconds; so many newtons from what its servos say.
+#: Faults of a sensor: silent for SENSOR_AMOUNT seconds; SENSOR_AMOUNT newtons from the servos' estimate.
 SENSORS = ("SENSORS_FINE", "SENSOR_SILENT", "SENSOR_WRONG")
 #: Why the object may move at ALLOWED only; NOTHING_MORE: the operator asks for no more.
 WHYS = ("NOTHING_MORE", "BY_SENSOR", "BY_REACH", "BY_STAGE", "BY_FRICTION", "BY_FORCE")
 #: Members of Status, in the order of their codes.
 STATUSES = ("TRACKING", "SLOWED", "BLOCKED", "HOLDING", "FAULTED", "PAUSED", "OFF_PATH")
 
-#: FILLED: base and columns are there for another solver. OPEN: the plain definition has to find the answer. ASK: rows
-#: may bind that have not been asked.
+#: FILLED: base and columns are filled in for another solver. OPEN: the plain definition has to answer. ASK: rows may
+#: bind that the constraints have not given yet.
 OUTCOMES = ("NOMINAL", "RAY", "QP", "FILLED", "OPEN", "ASK")
 #: Members of LimitKind, in the order of their codes; 0 is none.
 KINDS = (
@@ -250,7 +250,7 @@ def sizes(*, n: int, nv: int, nq: int, unknowns: int, past: int, rows: int) -> d
 
     Args:
         n, nv, nq: arms, joints, numbers of a configuration.
-        unknowns: of the condensed QP without what is led back or relaxed.
+        unknowns: of the condensed QP without the slacks of recovery and relaxation.
         past: samples in which a stall is looked for.
         rows: further rows that a step may have.
     """

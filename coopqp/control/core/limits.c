@@ -100,7 +100,7 @@ typedef struct {
     int row;
 } Rates;
 
-/* 0 if no rate will do. */
+/* 0 if no rate is admissible. */
 static int narrow(Rates *rates, int row, double base, double along, double lower, double upper) {
     const double up = upper - base, down = lower - base;
     if (!isfinite(base)) return 0;
@@ -115,7 +115,7 @@ static int narrow(Rates *rates, int row, double base, double along, double lower
     return 1;
 }
 
-/* The fastest rate up to `cap` at which the command stays admissible with full corrections; 0 if there is none. */
+/* The fastest rate up to `cap` at which the command stays admissible with full corrections; 0 if no rate is. */
 static int ray(Core *c, double cap) {
     const double *along = c->along_velocity, *v = c->command;
     Rates rates = {-INFINITY, INFINITY, 0.0, 0.0, 0.0, -1};

@@ -42,7 +42,7 @@ class Memory:
             self.at.update({name: memory[begin:end] for name, (begin, end) in places.items()})
 
     def of_rows(self) -> dict[str, Array]:
-        """What further rows are asked at, and where they and what is known of them are put."""
+        """Inputs of further rows, and the places of the rows and of their quiet regions."""
         at, own = self.at, ("positions", "command", "quiet_centre", "quiet_reach")
         loop, i = at["loop"], layout.LOOP.index("QUIET_SLACK")
         found = {name: at[name] for name in own} | {name: at[f"further_{name}"] for name in ("lower", "upper", "soft")}

@@ -1,5 +1,5 @@
-/* What minds the forces between the arms: a memory of its own that Python owns, for N arms. The scalars are those of
- * layout.MINDING; relax_plain.py lists the same views. `internal` is what the internal wrenches have beside the target. */
+/* The relaxation of forces between N arms, in a memory of its own that Python owns. The scalars are in
+ * layout.MINDING; relax_plain.py lists the same views. `internal` is the internal wrenches less their target. */
 
 #ifndef COOPQP_MINDING_H
 #define COOPQP_MINDING_H

@@ -1,4 +1,4 @@
-/* Steps with wrenches for Python, a part of module.c: what comes in is checked, minded, and then stepped with. */
+/* Steps with wrenches for Python, a part of module.c: wrenches are checked and taken, then the step follows. */
 
 /* Wrenches, an array (arms, 6) or None; 0 and an exception if they are something else. */
 static int read_wrenches(PyObject *object, int arms, double **found, Py_buffer *view) {
@@ -37,7 +37,7 @@ static PyObject *core_bind_minding(PyObject *object, PyObject *args) {
     Py_RETURN_NONE;
 }
 
-/* The length of a step for what minds forces: a dt that observe() refuses counts as the nominal one. */
+/* The length of a step for the relaxation of forces: a dt that observe() refuses counts as the nominal one. */
 static double length_of(const Core *c, const double *dt) {
     const double nominal = c->options[NOMINAL_DT];
     return dt && *dt >= c->options[DT_LOW] * nominal && *dt <= c->options[DT_HIGH] * nominal ? *dt : nominal;

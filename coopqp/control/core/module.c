@@ -31,7 +31,7 @@ typedef struct {
     PyObject *rows_of, *tightened;                 /* likewise: put further rows into the memory, and tighten them */
     PyObject *path_buffer, *pose_buffer;           /* arrays whose memory is in use */
     PyObject *step_type, *context, *statuses;      /* what a step is made of */
-    double *minding, *places;                      /* what minds forces; where the tools are on the object */
+    double *minding, *places;                      /* relaxation of forces; places of the tools on the object */
     PyObject *minding_buffer, *places_buffer;      /* their arrays; NULL for none */
     PyObject *tell;                                /* called with a step that forces have something to say about */
     unsigned long busy;                            /* the thread that works here; 0 for none */
@@ -230,7 +230,7 @@ static int ask_knot(Core *c, int slot) {
     return good;
 }
 
-/* set_path(numbers, own, pose, duration, looks_ahead): own(clock, twist) leaves what it knows in pose. */
+/* set_path(numbers, own, pose, duration, looks_ahead): own(clock, twist) writes into pose. */
 static PyObject *core_set_path(PyObject *object, PyObject *args) {
     CoreObject *self = built(object);
     PyObject *path, *own, *pose;
@@ -435,7 +435,7 @@ static long number_of(CoreObject *self, PyObject *function, PyObject *argument) 
     return -1;
 }
 
-/* The outcome with all further rows, tightened where the command breaks what they stand for; ASK where the definition
+/* The outcome with all further rows, tightened if the command breaks their constraints; ASK where the definition
  * has to say. */
 static int answer_with_rows(CoreObject *self) {
     Core *c = &self->core;

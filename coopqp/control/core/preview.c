@@ -3,7 +3,7 @@
 
 #include "ahead.h"
 
-/* The arms hold where it cannot be said what is ahead, until it can. */
+/* While the look-ahead fails the arms hold. */
 static void hold_blind(Core *c) {
     if (c->proposal[WATCH_CAP] > 0.0) refuse(c, LOOK_AHEAD_FAILED, -1, c->loop[CLOCK]);
 }

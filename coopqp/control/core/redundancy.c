@@ -1,4 +1,4 @@
-/* What redundant arms do with their freedom where a joint nears its position limit: coopqp/planning/redundancy.py. */
+/* Self-motion of redundant arms where a joint nears its position limit: coopqp/planning/redundancy.py. */
 
 #include "ahead.h"
 

@@ -1,4 +1,4 @@
-"""The relaxation of forces, one step of it, in NumPy: what ``relax.c`` does. See :mod:`coopqp.forces.relaxation`."""
+"""The relaxation of forces, one step of it, in NumPy, as in ``relax.c``. See :mod:`coopqp.forces.relaxation`."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from coopqp.checks import ArrayLike
 from coopqp.control.core import layout
 from coopqp.spatial import Array
 
-#: Where each scalar stands in the memory of what minds forces.
+#: Index of each scalar in the memory of the relaxation.
 AT = {name: i for i, name in enumerate(layout.MINDING)}
 HEARD, MISSED, SILENT = range(len(layout.HEARING))
 CHECKING, PRESSING, RELAXING, MOVING = range(len(layout.STAGES))
@@ -35,7 +35,7 @@ def minding_views(memory: Array, arms: int) -> dict[str, Array]:
 
 
 def minding_size(arms: int) -> int:
-    """Numbers of the memory of so many arms."""
+    """Size of the memory for a number of arms."""
     return len(layout.MINDING) + (37 + 48) * arms + 72 * arms**2
 
 
@@ -46,7 +46,7 @@ def gives_way(memory: Array) -> bool:
 
 
 def relax(memory: Array, arms: int, wrenches: ArrayLike | None, dt: float, /) -> int:
-    """Take wrenches (N, 6), and move the grasps where they give way; returns what came of the sensors."""
+    """Take wrenches (N, 6), and move the grasps where they give way; returns HEARD, MISSED or SILENT."""
     m, x, gives = memory, minding_views(memory, arms), gives_way(memory)
     heard = _feel(m, x, wrenches, dt)
     m[AT["AGE"]] += dt

@@ -3,7 +3,7 @@
 
 #include "functions.h"
 
-/* Where a way begins, and what of it is looked for. */
+/* Start of a way, and its unknowns. */
 typedef struct {
     double R[9], p[3];       /* the pose in motion */
     double twist[6];         /* its velocity, in world axes */

@@ -1,4 +1,4 @@
-/* One step: observe what is measured, propose a command, commit it. See docs/derivations.md and the plain definition. */
+/* One step: observe the measurement, propose a command, commit it. See docs/derivations.md and the plain definition. */
 
 #include "functions.h"
 
@@ -58,8 +58,8 @@ static void hold_here(Core *c) {
     for (int i = 0; i < 3; i++) c->p[i] += first[9 + i];
 }
 
-/* The object's error for the path correction: the commanded one and, let in slowly, what is measured besides. While the
- * arms hold it is 0: the measured error of an arm that does not move would lead the others away without end. */
+/* The object's error for the path correction: the commanded one plus the further measured error, which fades in slowly.
+ * While the arms hold it is 0: the measured error of an arm that does not move would lead the others away without end. */
 static int let_in(Core *c, const double *positions, const double *q) {
     double *p = c->proposal, commanded[6];
     const double h = p[DT];
@@ -185,14 +185,14 @@ static void ease_wishes(Core *c, double h) {
         *ease = fmin(*ease + change, 1.0);
 }
 
-/* The fastest rate that the path ahead, the supervision and the last rate allow, and what makes it so. */
+/* The fastest rate that the path ahead, the supervision and the last rate allow, and its cause. */
 static void find_cap(Core *c) {
     double *p = c->proposal;
     const double h = p[DT], rate = c->loop[RATE];
     p[CAP] = 1.0, p[LATE] = 0.0, p[KEEP] = 1.0;
     if (c->loop[PATH_LOST] == 2.0) {
         c->loop[PATH_LOST] = 0.0;
-        if (c->looks_ahead) preview_reset(c, c->loop[CLOCK]); /* nobody knows what was seen ahead while it failed */
+        if (c->looks_ahead) preview_reset(c, c->loop[CLOCK]); /* the known horizon is void after the path has failed */
     }
     if (c->looks_ahead) p[CAP] = preview_cap(c, c->loop[CLOCK], h);
     if (c->accelerates && (!c->looks_ahead || c->loop[CORRECTING] != 0.0)) {
@@ -247,7 +247,7 @@ static void wish(Core *c) {
     if (c->proposal[HOLD] != 0.0) memset(c->null_offset, 0, sizeof(double) * (size_t)c->joints);
 }
 
-/* What the linearisation at positions on the way leaves out: b_k = A_k v − log(O(q + h v) O(q)⁻¹) / h. */
+/* Defects of the linearisation at positions on the way: b_k = A_k v − log(O(q + h v) O(q)⁻¹) / h. */
 static int defect(Core *c, const double *v, double h) {
     double *ahead = c->scratch, *after = ahead + c->joints;
     for (int j = 0; j < c->joints; j++) ahead[j] = c->positions[j] + h * v[j];
@@ -331,7 +331,7 @@ static int settle_first(Core *c, double cap) {
         if (change * fastest * h * h <= SETTLED) break;
         memcpy(guess, c->command, size);
     }
-    /* The velocities at the start and the middle of this step stand in for those of two steps. */
+    /* The velocities at the start and the middle of this step serve as the velocities of two steps. */
     for (int j = 0; j < c->joints; j++) c->stand_in[j] = 2.0 * start[j] - c->command[j];
     return outcome;
 }
@@ -417,13 +417,13 @@ static int slow_status(const Core *c, double rate, int position, int acceleratio
     return c->record[R_BINDINGS] == 0.0 || (acceleration && (rising || outside)) ? SLOWED : BLOCKED;
 }
 
-/* How far the object is off its path [m], [rad], as far as measurements tell; 0 where that is within what may be. */
+/* How far the object is off its path [m], [rad], by the measurements; 0 within the options' bounds. */
 static int off_its_path(const Core *c, double *distance, double *angle) {
     double e[6];
     common_error(c, c->errors, e);
     for (int i = 0; i < 6 && c->loop[DRIFTED] != 0.0; i++) e[i] += c->drift[i];
     const double far = c->options[OFF_PATH_DISTANCE], wide = c->options[OFF_PATH_ANGLE];
-    double R[9], shift[3]; /* at most as long as that of the twist */
+    double R[9], shift[3]; /* at most as long as the twist's */
     if (!(dot3(e, e) > far * far) && !(dot3(e + 3, e + 3) > wide * wide)) return 0;
     exp6(e, R, shift);
     *distance = sqrt(dot3(shift, shift)), *angle = sqrt(dot3(e + 3, e + 3));
@@ -432,7 +432,7 @@ static int off_its_path(const Core *c, double *distance, double *angle) {
     return *distance > 0.0 || *angle > 0.0;
 }
 
-/* What the next step starts from. */
+/* Set the start of the next step. */
 static void move_on(Core *c, double rate, double clock_next) {
     const double *p = c->proposal, h = p[DT];
     const int by_qp = p[OUTCOME] == QP;
@@ -472,7 +472,7 @@ static int commit(Core *c) {
     const double h = p[DT], clock = c->loop[CLOCK], rate = clamp(p[NEW_RATE], 0.0, 1.0);
     double clock_next = clock + rate * h;
     if (c->duration - clock_next < 1e-9 * c->duration) clock_next = c->duration;
-    /* what the last step needs is the full rate */
+    /* the last step needs the full rate */
     const double share = rate >= 1.0 || (clock_next >= c->duration && p[HOLD] == 0.0) ? 1.0 : rate;
     int position, acceleration, status = TRACKING;
     write_bindings(c, off_path + 6, &position, &acceleration);
@@ -483,7 +483,7 @@ static int commit(Core *c) {
         status = HOLDING;
     else if (off_its_path(c, r + R_AWAY, r + R_TURNED))
         status = OFF_PATH;
-    else if (status == PAUSED) { /* whatever else would stop it */
+    else if (status == PAUSED) { /* before any other reason to stop */
         static const double by_override[4] = {OVERRIDE, -1.0, -1.0, -1.0};
         memcpy(off_path + 6, by_override, sizeof by_override);
         r[R_BINDINGS] = 1.0;
@@ -510,7 +510,7 @@ static int commit(Core *c) {
 
 /* -- starting -------------------------------------------------------------------------------------------------------- */
 
-/* Along a path from its start, or from `clock` on. */
+/* Start along a path at `clock`. */
 static void start_path(Core *c, double clock, double rate) {
     c->loop[CLOCK] = clock, c->loop[FIRST] = 1.0, c->loop[HAS_PREDICTED] = 0.0, c->loop[RATE] = rate;
     stay_near(c, c->positions); /* so that a restart repeats to the last bit */
@@ -518,7 +518,7 @@ static void start_path(Core *c, double clock, double rate) {
     if (c->looks_ahead) preview_reset(c, clock);
 }
 
-/* At rest at `positions`. */
+/* Start at rest at `positions`. */
 static void start(Core *c, const double *positions) {
     const size_t size = sizeof(double) * (size_t)c->joints;
     const double override = c->loop[OVERRIDDEN], pause = c->loop[PAUSE]; /* a start ends neither */

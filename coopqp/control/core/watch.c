@@ -1,4 +1,4 @@
-/* Are the arms where they were told to be? Supervision, drift and forces, as supervision.py, drift.py and
+/* Comparison of measured with commanded configurations: supervision, drift and forces, as supervision.py, drift.py and
  * stress_watch.py define them.
  *
  * Positions are finite here, and comparisons that decide are written so that NaN holds. */
@@ -7,7 +7,7 @@
 
 #include <float.h>
 
-/* What one sample says: a cap of the rate, and why it is below 1. */
+/* Finding of one sample: a cap of the rate, and why it is below 1. */
 typedef struct {
     double cap;
     int hold, fault, arm, reason;
@@ -194,7 +194,7 @@ static int most_out_of_step(const Core *c, const double *out_of_step, double lar
     return arm < 0 ? 0 : arm;
 }
 
-/* How far each arm, as far as it is not as commanded, is from the mean of the others. */
+/* Deviation of each arm from the mean of the others that slows or stops the object. */
 static void watch_distances(Core *c, const double *q, const double *away_given, double dt, Seen *seen) {
     const double *o = c->options;
     const int count = 6 * c->arms;
@@ -203,7 +203,7 @@ static void watch_distances(Core *c, const double *q, const double *away_given, 
     keep_where_lost(c, q, away);
     const double fresh = dt / (o[FILTER_TIME] + dt);
     for (int i = 0; i < count; i++) c->deviation[i] += fresh * (away[i] - c->deviation[i]);
-    const double share = sqrt(dt / (2.0 * o[FILTER_TIME] + dt)); /* of the noise: what the filter leaves */
+    const double share = sqrt(dt / (2.0 * o[FILTER_TIME] + dt)); /* of the noise that passes the filter */
     const double noise = share * noise_seen(c, away, dt);
     from_others(c, c->deviation, apart);
     if (o[LET_IN] > 0.0)
@@ -333,7 +333,7 @@ static void comply(const Core *c, int k, const double *jacobian, double *C, doub
     }
 }
 
-/* Filter the deflection of the servos; the commanded velocity, and whether it is rest. */
+/* Filter the deflection of the servos; find the commanded velocity. Returns whether all joints rest. */
 static int deflect(Core *c, const double *positions, double dt, double *velocity) {
     const double *o = c->options;
     const double fresh = dt / (o[FILTER_TIME] + dt), known = c->watch[HAS_COMMANDED];
@@ -400,7 +400,7 @@ static void linearise_measured(const Core *c, const double *positions, double *c
     }
 }
 
-/* Read the force at each grasp, and who hangs behind; the arm with the largest. */
+/* Read the force at each grasp, and the arm that lags. Returns the arm with the largest force. */
 static int read_forces(Core *c, const double *positions, double dt) {
     const int n = c->arms, nv = c->joints;
     double *carried = c->scratch, *C = carried + 12 * n, *wrenches = C + 36 * n;

@@ -11,7 +11,8 @@ from __future__ import annotations
 from importlib.util import find_spec
 from typing import Any
 
-from coopqp.control.solvers.base import QpProblem, QpSolution, QpSolver, SolverSettings, SolverStatus
+from coopqp.control.solvers.base import QpSolver, SolverSettings
+from coopqp.control.solvers.problem import QpProblem, QpSolution, SolverStatus
 from coopqp.errors import InvalidInputError, MissingExtraError, MissingSolverError, UnknownNameError, shown
 
 __all__ = [

@@ -8,20 +8,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from coopqp.control.solvers.base import (
-    INFINITE,
-    Array,
-    Outcome,
-    QpProblem,
-    QpSolver,
-    SolverSettings,
-    SolverStatus,
-    Workspace,
-    require_count,
-    require_positive,
-    settings_of,
-)
+from coopqp.checks import as_options, keep_scalars
+from coopqp.control.solvers.base import Outcome, QpSolver, SolverSettings, Workspace, require_count
 from coopqp.control.solvers.polish import finish
+from coopqp.control.solvers.problem import INFINITE, Array, QpProblem, SolverStatus
 from coopqp.errors import MissingExtraError
 
 # Marks of a constraint in DAQP's ``sense``.
@@ -82,7 +72,7 @@ class DaqpSettings(SolverSettings):
 
     def __post_init__(self) -> None:
         SolverSettings.__post_init__(self)
-        require_positive(self, "primal_tol", "dual_tol", "eta_prox")
+        keep_scalars(self, "primal_tol", "dual_tol", "eta_prox")
         require_count(self, "iter_limit")
 
 
@@ -100,7 +90,7 @@ class DaqpSolver(QpSolver):
             import daqp
         except ImportError as error:
             raise MissingExtraError("solvers", "daqp") from error
-        self.settings: DaqpSettings = settings_of(settings, DaqpSettings, self.name)
+        self.settings: DaqpSettings = as_options(DaqpSettings, settings, f"solver '{self.name}': settings")
         self._module = daqp
         self._forget()
 

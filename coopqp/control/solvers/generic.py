@@ -10,19 +10,10 @@ from typing import Any
 
 import numpy as np
 
-from coopqp.control.solvers.base import (
-    INFINITE,
-    Array,
-    Outcome,
-    QpProblem,
-    QpSolver,
-    SolverSettings,
-    SolverStatus,
-    Workspace,
-    require_positive,
-    settings_of,
-)
+from coopqp.checks import as_options, keep_scalars
+from coopqp.control.solvers.base import Outcome, QpSolver, SolverSettings, Workspace
 from coopqp.control.solvers.polish import finish
+from coopqp.control.solvers.problem import INFINITE, Array, QpProblem, SolverStatus
 from coopqp.errors import InvalidInputError
 
 # Default options for backends with defaults that are too inaccurate for commands. Through qpsolvers, ProxQP's cap on
@@ -45,7 +36,7 @@ class GenericSettings(SolverSettings):
     """Settings of a backend of qpsolvers.
 
     Attributes:
-        accuracy: largest optimality error (:func:`~coopqp.control.solvers.polish.kkt_residual`) without a message.
+        accuracy: largest optimality error (:func:`~coopqp.control.solvers.polish.measure`) without a message.
         polish: solve the equations of the active set if the solution is not exact up to rounding.
         options: keyword arguments for the backend; they replace the defaults of this module or of the backend.
     """
@@ -56,7 +47,7 @@ class GenericSettings(SolverSettings):
 
     def __post_init__(self) -> None:
         SolverSettings.__post_init__(self)
-        require_positive(self, "accuracy")
+        keep_scalars(self, "accuracy")
         if self.options is None:
             return
         if not isinstance(self.options, Mapping) or not all(isinstance(k, str) for k in self.options):
@@ -76,7 +67,7 @@ class GenericSolver(QpSolver):
         from qpsolvers.exceptions import QPError
 
         self.name = f"qpsolvers:{backend}"
-        self.settings: GenericSettings = settings_of(settings, GenericSettings, self.name)
+        self.settings: GenericSettings = as_options(GenericSettings, settings, f"solver '{self.name}': settings")
         self._backend = backend
         self._module = qpsolvers
         # TypeError: an option unknown to the backend. AssertionError: osqp's checks of its input.

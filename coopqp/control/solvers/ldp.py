@@ -6,18 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from coopqp.control.solvers.base import (
-    INFINITE,
-    Array,
-    Outcome,
-    QpProblem,
-    QpSolver,
-    SolverSettings,
-    SolverStatus,
-    Workspace,
-    settings_of,
-)
+from coopqp.checks import as_options
+from coopqp.control.solvers.base import Outcome, QpSolver, SolverSettings, Workspace
 from coopqp.control.solvers.polish import REACH, finish
+from coopqp.control.solvers.problem import INFINITE, Array, QpProblem, SolverStatus
 from coopqp.errors import MissingSolverError
 
 #: An answer this far from optimal is not worth a message.
@@ -73,7 +65,7 @@ class LdpSolver(QpSolver):
     strictly_convex_only = True
 
     def __init__(self, settings: LdpSettings | None = None) -> None:
-        self.settings: LdpSettings = settings_of(settings, LdpSettings, self.name)
+        self.settings: LdpSettings = as_options(LdpSettings, settings, f"solver '{self.name}': settings")
         _Memory(1, 0)  # raises where the core is not compiled
         self._forget()
 

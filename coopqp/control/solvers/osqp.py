@@ -8,18 +8,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from coopqp.control.solvers.base import (
-    Outcome,
-    QpProblem,
-    QpSolver,
-    SolverSettings,
-    SolverStatus,
-    Workspace,
-    require_count,
-    require_positive,
-    settings_of,
-)
+from coopqp.checks import as_options, keep_scalars
+from coopqp.control.solvers.base import Outcome, QpSolver, SolverSettings, Workspace, require_count
 from coopqp.control.solvers.polish import finish
+from coopqp.control.solvers.problem import QpProblem, SolverStatus
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -33,7 +25,7 @@ class OsqpSettings(SolverSettings):
         check_termination: number of iterations between two tests of the residuals.
         adaptive_rho_interval: number of iterations between two updates of the penalty; fixed, for runs that repeat bit
             for bit.
-        accuracy: largest optimality error (:func:`~coopqp.control.solvers.polish.kkt_residual`) without a message.
+        accuracy: largest optimality error (:func:`~coopqp.control.solvers.polish.measure`) without a message.
         polish: solve the equations of the active set for solutions that are exact up to rounding. OSQP alone needs
             thousands of iterations for a similar accuracy.
     """
@@ -49,7 +41,7 @@ class OsqpSettings(SolverSettings):
 
     def __post_init__(self) -> None:
         SolverSettings.__post_init__(self)
-        require_positive(self, "eps_abs", "eps_rel", "eps_infeasible", "accuracy")
+        keep_scalars(self, "eps_abs", "eps_rel", "eps_infeasible", "accuracy")
         require_count(self, "max_iter", "check_termination", "adaptive_rho_interval")
 
 
@@ -66,7 +58,7 @@ class OsqpSolver(QpSolver):
     def __init__(self, settings: OsqpSettings | None = None) -> None:
         import osqp
 
-        self.settings: OsqpSettings = settings_of(settings, OsqpSettings, self.name)
+        self.settings: OsqpSettings = as_options(OsqpSettings, settings, f"solver '{self.name}': settings")
         self._module = osqp
         self._raises = (*QpSolver._raises, osqp.OSQPException)
         self._forget()

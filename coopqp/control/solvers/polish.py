@@ -8,7 +8,8 @@ import eigenpy  # type: ignore[import-untyped]
 import numpy as np
 from numpy.typing import NDArray
 
-from coopqp.control.solvers.base import INFINITE, Array, Outcome, QpProblem, SolverStatus, Workspace
+from coopqp.control.solvers.base import Outcome, Workspace
+from coopqp.control.solvers.problem import INFINITE, Array, QpProblem, SolverStatus
 
 #: Largest absolute and relative residuals that count as rounding; polishing stops there.
 _EXACT, _EXACT_RELATIVE = 1e-13, 1e-10
@@ -19,7 +20,7 @@ _ROUNDS = 8
 #: Largest max |x| that a proof of infeasibility has to cover.
 REACH = 1e5
 #: Regularisation of the equations, taken out again by refinement: a handful of times where H is nearly singular on
-#: what the active constraints leave free, as near a singularity.
+#: the directions that the active constraints leave free, as near a singularity.
 _DELTA = 1e-10
 _REFINEMENTS = 20
 _CONVERGED = 1e-15
@@ -30,7 +31,7 @@ class Residual:
     """Optimality error of a solution.
 
     Attributes:
-        absolute: the :func:`kkt_residual`.
+        absolute: error of the optimality conditions, see :func:`measure`.
         relative: the same residual, but with all terms of the multipliers divided by the largest multiplier. If all
             multipliers are tiny, the absolute residual is small even far from the optimum.
     """
@@ -52,11 +53,12 @@ class Residual:
 def finish(problem: QpProblem, work: Workspace, outcome: Outcome, accuracy: float, *, polished: bool) -> float:
     """Judge the result of a solver and, if ``polished``, polish it in place.
 
-    If the measured residual is within the accuracy, the status becomes ``SOLVED``, whatever the solver reported. If a
-    solve hit its cap with multipliers that grow without bound, these often prove that no solution exists.
+    If the measured residual is within the accuracy, the status becomes ``SOLVED``, even if the solver reports
+    otherwise. If a solve hit its cap with multipliers that grow without bound, these often prove that
+    no solution exists.
 
     Returns:
-        The :func:`kkt_residual` of the outcome; infinite without finite numbers.
+        The optimality error (:func:`measure`) of the outcome; infinite without finite numbers.
     """
     if outcome.x is None or outcome.y is None:
         return np.inf
@@ -79,17 +81,13 @@ def finish(problem: QpProblem, work: Workspace, outcome: Outcome, accuracy: floa
     return residual.absolute
 
 
-def kkt_residual(problem: QpProblem, work: Workspace, x: Array, y: Array) -> float:
+def measure(problem: QpProblem, work: Workspace, x: Array, y: Array) -> Residual:
     """Optimality error of x (n,) and y (n + p + m,), stacked as in the workspace; 0 at an optimum.
 
-    This is the largest violation of a constraint, min(|y|, distance to the active bound of y), or entry of the
-    Lagrangian's gradient divided by 1 + max|y|. NaN if x or y contain NaN. Writes x, C x, A x into the workspace.
+    The absolute error is the largest violation of a constraint, min(|y|, distance to the active bound of y), or entry
+    of the Lagrangian's gradient divided by 1 + max|y|. NaN if x or y contain NaN. Writes x, C x, A x into the
+    workspace.
     """
-    return measure(problem, work, x, y).absolute
-
-
-def measure(problem: QpProblem, work: Workspace, x: Array, y: Array) -> Residual:
-    """The absolute and the relative :func:`kkt_residual`."""
     n, m, p = work.sizes
     violation, _ = work.violation(problem, x)
     bounded = n + p

@@ -7,18 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from coopqp.control.solvers.base import (
-    Outcome,
-    QpProblem,
-    QpSolver,
-    SolverSettings,
-    SolverStatus,
-    Workspace,
-    require_count,
-    require_positive,
-    settings_of,
-)
+from coopqp.checks import as_options, keep_scalars
+from coopqp.control.solvers.base import Outcome, QpSolver, SolverSettings, Workspace, require_count
 from coopqp.control.solvers.polish import finish
+from coopqp.control.solvers.problem import QpProblem, SolverStatus
 
 _ATTEMPTS = ("warm", "cold", "fixed penalties")
 
@@ -37,7 +29,7 @@ class ProxqpSettings(SolverSettings):
         max_iter_warm, max_iter_in_warm: the same numbers after a warm start; long warm-started runs rarely succeed.
         check_duality_gap: also check the duality gap. Without this check a persistent ProxQP repeats its last solution
             when bounds only relax.
-        accuracy: largest accepted optimality error (:func:`~coopqp.control.solvers.polish.kkt_residual`). A worse
+        accuracy: largest accepted optimality error (:func:`~coopqp.control.solvers.polish.measure`). A worse
             solution is polished, then solved again from scratch. The duality gap alone accepts an error of √eps_abs.
         polish: solve the equations of the active set for solutions that are exact up to rounding.
         update_preconditioner: scale the problem again at every solve. This costs more than it gains unless rows change
@@ -57,7 +49,7 @@ class ProxqpSettings(SolverSettings):
 
     def __post_init__(self) -> None:
         SolverSettings.__post_init__(self)
-        require_positive(self, "eps_abs", "eps_infeasible", "accuracy")
+        keep_scalars(self, "eps_abs", "eps_infeasible", "accuracy")
         require_count(self, "max_iter", "max_iter_in", "max_iter_warm", "max_iter_in_warm")
 
 
@@ -73,7 +65,7 @@ class ProxqpSolver(QpSolver):
     def __init__(self, settings: ProxqpSettings | None = None) -> None:
         from proxsuite import proxqp
 
-        self.settings: ProxqpSettings = settings_of(settings, ProxqpSettings, self.name)
+        self.settings: ProxqpSettings = as_options(ProxqpSettings, settings, f"solver '{self.name}': settings")
         self._module = proxqp
         self._forget()
 

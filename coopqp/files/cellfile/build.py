@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import importlib
-from collections.abc import Callable, Mapping, Sequence
+import warnings
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -20,22 +21,20 @@ from coopqp.control.options import QPOptions
 from coopqp.control.pseudo_inverse import PseudoInverseController, PseudoInverseOptions
 from coopqp.control.qp import QPController
 from coopqp.control.solvers import default_solver
-from coopqp.errors import CoopqpError, InvalidInputError, MissingExtraError, UnknownNameError
+from coopqp.errors import CoopqpError, InvalidInputError, MissingExtraError, StartWarning, UnknownNameError
 from coopqp.files.cellfile import CellFileError
-from coopqp.files.cellfile.basic import PlacementTable
 from coopqp.files.cellfile.bodies import build_scene
+from coopqp.files.cellfile.build_arm import build_arm, build_placement, in_radians
 from coopqp.files.cellfile.explain import explain, in_words_of_the_file
-from coopqp.files.cellfile.paths import resolve
-from coopqp.files.cellfile.schema import MAX_STEPS, ArmTable, CellFile, CommonErrorTable, StartTable
+from coopqp.files.cellfile.schema import MAX_STEPS, CellFile, CommonErrorTable, StartTable
 from coopqp.files.cellfile.strict import build_options
 from coopqp.files.cellfile.text import read_tables
-from coopqp.model.cell import Arm, RobotCell, slides
-from coopqp.model.description import check_nesting, check_urdf, description_file
+from coopqp.model.branches import amount
+from coopqp.model.cell import RobotCell, slides
 from coopqp.model.grasp import Grasp
 from coopqp.model.inverse_kinematics import inverse_kinematics
 from coopqp.model.shapes import Body, Box
 from coopqp.planning.starts import find_start
-from coopqp.scenarios.arms import robot_arm, robot_file
 from coopqp.simulation.closeness import default_scene, with_clearance
 from coopqp.simulation.plants.kinematic import KinematicPlant, Plant
 from coopqp.simulation.plants.physics import PhysicsPlant
@@ -43,13 +42,15 @@ from coopqp.simulation.plants.physics_options import PhysicsOptions
 from coopqp.simulation.recording import Recording
 from coopqp.simulation.scene import describe_object
 from coopqp.simulation.simulate import ProgressCallback, simulate
-from coopqp.spatial import Array, as_placement
+from coopqp.spatial import Array
 from coopqp.task.common_error import CommonError
 from coopqp.task.path import HoldPath, LinePath, ObjectPath, WaypointPath
 from coopqp.task.scenario import Scenario
 from coopqp.task.timed import TimedPath
 
 DEFAULT_DT = 0.002
+#: A start further than this from the positions of the file is told [rad], [m].
+_NEAR_RAD, _NEAR_M = 0.35, 0.1
 
 #: Class and options of every kind of controller.
 CONTROLLERS: dict[str, tuple[Any, Any]] = {
@@ -62,7 +63,7 @@ _SOLVER_SETTINGS = {"proxqp": "ProxqpSettings", "osqp": "OsqpSettings", "daqp": 
 
 @dataclass(frozen=True, eq=False)
 class CellTask:
-    """What a cell file asks of the arms, before a start is found.
+    """The task of a cell file, before a start is found.
 
     Attributes:
         name: name of the task.
@@ -85,10 +86,26 @@ class CellTask:
 
         Raises:
             UnreachableError: inverse kinematics does not lead to one.
+
+        Warns:
+            StartWarning: a joint is far from what the file gives.
         """
         if self.q_start is None or not self.start_is_near:
             return self.q_start
-        return inverse_kinematics(self.cell, self.grasp, self.path.pose(0.0), self.q_start)
+        q = inverse_kinematics(self.cell, self.grasp, self.path.pose(0.0), self.q_start)
+        away = np.abs(pin.difference(self.cell.model, self.q_start, q))
+        sliding = np.array(slides(self.cell))
+        j = int((away / np.where(sliding, _NEAR_M, _NEAR_RAD)).argmax())
+        if away[j] > (_NEAR_M if sliding[j] else _NEAR_RAD):
+            arm, _, joint = self.cell.joint_names[j].rpartition("/")
+            far = amount(away[j], slides=bool(sliding[j]))
+            warnings.warn(
+                f"start: arm {arm} takes hold with {joint} {far} from the positions that are given; give closer ones, "
+                "or start.inverse_kinematics = false",
+                StartWarning,
+                stacklevel=2,
+            )
+        return q
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,7 +119,7 @@ class CellRun:
         settle: time that the run continues after the end of the path [s].
         longest: longest run [s], or None.
         settings: contents of the file as plain data; its table ``output`` selects the files to write.
-        scene: the bodies whose distances are kept, or judged; None if there are none.
+        scene: the bodies whose distances are kept or judged; None without bodies.
         file: the file, for messages.
     """
 
@@ -200,7 +217,7 @@ def load(file: Path) -> CellRun:
 
 
 def load_task(file: Path) -> CellTask:
-    """Read what a cell file asks of the arms. A start that is to be found is None. Every error names the file."""
+    """Read the task of a cell file. The start is None if it is to be searched. Every error names the file."""
     settings = read(file)
     try:
         return _task(settings, file.parent)
@@ -212,11 +229,11 @@ def load_task(file: Path) -> CellTask:
 
 def _task(file: CellFile, folder: Path) -> CellTask:
     """The arms, their grasp, the path, and the start; errors name the arm or table."""
-    cell = RobotCell([_arm(arm, folder) for arm in file.arms])
+    cell = RobotCell([build_arm(arm, folder) for arm in file.arms])
     path = _path(file)
     if file.start.is_auto:
         if file.grasp.kind == "latched":
-            raise _BuildError(
+            raise CoopqpError(
                 "a latched grasp is that of the start, so a start cannot be found: give start.positions_deg or "
                 "start.positions_rad, or another kind of grasp."
             )
@@ -236,8 +253,8 @@ def _task(file: CellFile, folder: Path) -> CellTask:
 def _scene(file: CellFile, cell: RobotCell, grasp: Grasp, folder: Path) -> CollisionScene | None:
     if file.collision is None:
         return None
-    box = Body("object", Box(file.object.size_m), _placement(file.object.centre))
-    return build_scene(file.collision, cell, grasp, box, folder, _placement)
+    box = Body("object", Box(file.object.size_m), build_placement(file.object.centre))
+    return build_scene(file.collision, cell, grasp, box, folder, build_placement)
 
 
 def build(file: CellFile, folder: Path) -> CellRun:
@@ -249,7 +266,7 @@ def build(file: CellFile, folder: Path) -> CellRun:
     dt = path.duration / file.steps if file.steps is not None else file.dt_s or DEFAULT_DT
     longest = file.longest_s if file.longest_s is not None else 10.0 * path.duration
     if (longest + file.settle_s) / dt > 10.0 * MAX_STEPS:
-        raise _BuildError(
+        raise CoopqpError(
             f"a run of up to {longest:g} s in steps of {dt:g} s is too long; raise dt_s or lower longest_s."
         )
     size = file.object.size_m
@@ -261,7 +278,7 @@ def build(file: CellFile, folder: Path) -> CellRun:
         q_start=q_start,
         dt=dt,
         object_size=(size[0], size[1], size[2]),
-        T_object_body=_placement(file.object.centre),
+        T_object_body=build_placement(file.object.centre),
         object_mass=file.object.mass_kg,
         obstacles=() if task.scene is None else tuple(task.scene.obstacles),
     )
@@ -272,102 +289,6 @@ def build(file: CellFile, folder: Path) -> CellRun:
     )
 
 
-class _BuildError(CoopqpError):
-    """A cell file describes something that cannot be built. :func:`load` adds the name of the file."""
-
-
-def _placement(table: PlacementTable) -> pin.SE3:
-    if table.matrix is not None:
-        return as_placement(np.array(table.matrix), "matrix")
-    angles = np.deg2rad(table.rpy_deg) if table.rpy_deg is not None else np.array(table.rpy_rad or (0.0, 0.0, 0.0))
-    R = pin.rpy.rpyToMatrix(angles)
-    whole = np.round(R)
-    R = np.where(np.abs(R - whole) < 4e-16, whole, R)  # make quarter turns exact
-    return pin.SE3(R, np.array(table.xyz_m or (0.0, 0.0, 0.0)))
-
-
-def _in_radians(given: Any, sliding: Sequence[bool], where: str, *, degrees: bool) -> Array:
-    """Joint values (n,) in radians (prismatic joints in metres), from one number or n numbers."""
-    n = len(sliding)
-    values = np.array(given, dtype=float)
-    if values.ndim and values.shape != (n,):
-        raise _BuildError(f"{where} has {values.size} numbers for {n} joints.")
-    values = np.array(np.broadcast_to(values, (n,)))
-    return np.where(sliding, values, np.deg2rad(values)) if degrees else values
-
-
-def _arm(table: ArmTable, folder: Path) -> Arm:
-    base, where = _placement(table.base), f"arm '{table.name}'"
-    dirs = [resolve(d, folder, f"{where}: package_dirs") for d in table.package_dirs]
-    if table.robot is not None:
-        locked = _locked(table, lambda: _urdf(robot_file(str(table.robot)), table.name))
-        arm = robot_arm(
-            table.robot,
-            name=table.name,
-            T_world_base=base,
-            tool_frame=table.tool_frame,
-            geometry=table.geometry,
-            locked_joints=locked,
-        )
-    else:
-        common: dict[str, Any] = {"T_world_base": base, "tool_frame": table.tool_frame, "geometry": table.geometry}
-        if table.urdf is not None:
-            file = resolve(table.urdf, folder, f"{where}: urdf", package_dirs=dirs)
-            locked = _locked(table, lambda: _urdf(file, table.name))
-            arm = Arm.from_urdf(table.name, file, package_dirs=dirs, locked_joints=locked, **common)
-        else:
-            file = resolve(str(table.mjcf), folder, f"{where}: mjcf", package_dirs=dirs)
-            locked = _locked(table, lambda: _mjcf(file, table.name))
-            arm = Arm.from_mjcf(table.name, file, locked_joints=locked, **common)
-    alone = RobotCell([arm])
-    sliding = slides(alone)
-    changes: dict[str, Array] = {}
-    for name, per in (("lower", ""), ("upper", ""), ("velocity", "_per_s"), ("acceleration", "_per_s2")):
-        for unit in ("deg", "rad"):
-            value = getattr(table.limits, f"{name}_{unit}{per}")
-            if value is not None:
-                where = f"arm '{table.name}': limits.{name}_{unit}{per}"
-                if np.ndim(value) == 0 and np.isfinite(value) and len(set(sliding)) == 2:
-                    slide = alone.joint_names[sliding.index(True)].partition("/")[2]
-                    unit_m = f"m{per.replace('_per_', '/').replace('s2', 's²')}"
-                    raise _BuildError(
-                        f"{where}: one number would be for joints that turn and for '{slide}', which slides "
-                        f"[{unit_m}]. Give a list with one number per joint: {len(sliding)}."
-                    )
-                changes[name] = _in_radians(value, sliding, where, degrees=unit == "deg")
-    try:
-        return arm.with_limits(**changes) if changes else arm
-    except InvalidInputError as error:
-        raise _BuildError(f"arm '{table.name}': {error}") from error
-
-
-def _urdf(file: Path, arm: str) -> pin.Model:
-    check_urdf(description_file(file, arm), arm)
-    return pin.buildModelFromUrdf(str(file))
-
-
-def _mjcf(file: Path, arm: str) -> pin.Model:
-    check_nesting(description_file(file, arm), arm)
-    return pin.buildModelFromMJCF(str(file))
-
-
-def _locked(table: ArmTable, model: Callable[[], pin.Model]) -> dict[str, float] | None:
-    """Positions of the locked joints [rad or m]; prismatic joints are in metres under the keys of either unit."""
-    locked = dict(table.locked_joints_rad)
-    if table.locked_joints_deg:
-        try:
-            whole = model()
-        except (ValueError, RuntimeError):  # the reader of the arm says what is wrong
-            return {**locked, **table.locked_joints_deg}
-        for name, value in table.locked_joints_deg.items():
-            if name in locked:
-                raise _BuildError(f"arm '{table.name}': '{name}' is in locked_joints_deg and in locked_joints_rad.")
-            known = whole.existJointName(name)
-            slide = known and whole.joints[whole.getJointId(name)].shortname().startswith("JointModelP")
-            locked[name] = value if slide else float(np.deg2rad(value))
-    return locked or None
-
-
 def _by_arm(given: Mapping[str, Any], cell: RobotCell, where: str) -> list[Any]:
     """The values of a table with one key per arm, in the order of the arms. Every arm must have a key."""
     for name in given:
@@ -375,7 +296,7 @@ def _by_arm(given: Mapping[str, Any], cell: RobotCell, where: str) -> list[Any]:
             raise UnknownNameError("arm", name, cell.arm_names, where)
     missing = [name for name in cell.arm_names if name not in given]
     if missing:
-        raise _BuildError(f"{where}: arm '{missing[0]}' is missing.")
+        raise CoopqpError(f"{where}: arm '{missing[0]}' is missing.")
     return [given[name] for name in cell.arm_names]
 
 
@@ -387,8 +308,8 @@ def _start(table: StartTable, cell: RobotCell) -> Array:
     parts = []
     for name, own, numbers in zip(cell.arm_names, cell.v_slices, values, strict=True):
         if len(numbers) != own.stop - own.start:
-            raise _BuildError(f"{where}.{name} has {len(numbers)} numbers for {own.stop - own.start} joints.")
-        parts.append(_in_radians(numbers, sliding[own], f"{where}.{name}", degrees=degrees))
+            raise CoopqpError(f"{where}.{name} has {len(numbers)} numbers for {own.stop - own.start} joints.")
+        parts.append(in_radians(numbers, sliding[own], f"{where}.{name}", degrees=degrees))
     return cell.configuration(np.concatenate(parts))
 
 
@@ -398,7 +319,7 @@ def _grasp(file: CellFile, cell: RobotCell) -> Grasp:
         grasp.check_arms(cell)
         return grasp
     assert file.grasp.kind == "tools"
-    return Grasp(tuple(_placement(tool) for tool in _by_arm(file.grasp.tools, cell, "grasp.tools")))
+    return Grasp(tuple(build_placement(tool) for tool in _by_arm(file.grasp.tools, cell, "grasp.tools")))
 
 
 def _path(file: CellFile) -> ObjectPath:
@@ -408,13 +329,13 @@ def _path(file: CellFile) -> ObjectPath:
         names["binding"] = [section.model_dump() for section in path.binding]
         return TimedPath.of_record(names)
     if path.kind == "hold":
-        return HoldPath(_placement(path.pose), duration=path.duration_s)
+        return HoldPath(build_placement(path.pose), duration=path.duration_s)
     if path.kind == "waypoints":
-        poses = [_placement(pose) for pose in path.poses]
+        poses = [build_placement(pose) for pose in path.poses]
         return WaypointPath(poses, durations=path.durations_s, time_law=path.time_law)
-    start = _placement(path.start)
+    start = build_placement(path.start)
     if path.goal is not None:
-        return LinePath(start, _placement(path.goal), duration=path.duration_s, time_law=path.time_law)
+        return LinePath(start, build_placement(path.goal), duration=path.duration_s, time_law=path.time_law)
     assert path.displacement is not None
     return LinePath.displaced(
         start,

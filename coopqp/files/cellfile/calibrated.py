@@ -26,7 +26,7 @@ def settings_of(metadata: Mapping[str, Any], given: Path | None) -> tuple[CellFi
         given: the cell file, if the recording is not one of a cell file.
 
     Raises:
-        CellFileError: there is none, or it is no cell file.
+        CellFileError: it does not exist, or is no cell file.
     """
     if given is not None:
         return read(given), given.parent

@@ -124,7 +124,7 @@ def _notation(value: Any, depth: int = 0) -> str:
     return shown(value)
 
 
-#: Words of programs, and what they are in a file.
+#: Words of programs, and their words in a file.
 _WORDS: tuple[tuple[str, str | Callable[[re.Match[str]], str]], ...] = (
     (r"'([^']*)': (-?[\d.]+)(?=[,}])", r'"\1" = \2'),
     (r"locked_joints=\{(.*?)\}", r"locked_joints_rad = { \1 }"),

@@ -45,7 +45,7 @@ def resolve(text: str, folder: Path, where: str, *, package_dirs: Sequence[Path]
 
 
 def check_inside(text: str) -> str | None:
-    """What is wrong with a folder that must lie below the working directory; None if it does."""
+    """The fault of a folder that must lie below the working directory; None if it does."""
     for path in (PurePosixPath(text), PureWindowsPath(text)):
         if path.is_absolute() or path.drive or path.root or ".." in path.parts:
             return "give a folder below the working directory, without '..' (the option --out takes any folder)"

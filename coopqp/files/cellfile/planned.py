@@ -43,7 +43,7 @@ def planned_text(run: CellRun, plan: Plan, *, folder: Path, into: Path) -> str:
     tables["start"] = {"positions_rad": positions, "inverse_kinematics": False}
     if tables.pop("steps", None) is not None or run.scenario.dt != DEFAULT_DT:
         tables["dt_s"] = run.scenario.dt
-    # What is long comes last.
+    # Long entries come last.
     order = sorted(tables, key=lambda key: key == "path")
     head = f"# {plan.path.duration:.4g} s from rest to rest, planned by coopqp. Its time law is in the table [path]."
     return "\n".join([head, *toml_lines({key: tables[key] for key in order})]) + "\n"

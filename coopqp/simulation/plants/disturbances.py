@@ -31,7 +31,7 @@ class Disturbances:
             of it [N·m].
         wrench_latency: age of a wrench at its arrival [s].
         wrench_drop_share: share of lost wrenches.
-        wrench_gain: what a sensor tells, as a multiple of the wrench, by arm: −1 if it is flipped, 0 if dead.
+        wrench_gain: a sensor's reading as a multiple of the wrench, by arm: −1 if it is flipped, 0 if dead.
         object_growth, growth_period: the object's lengths grow by the share ``object_growth · sin(2π t / period)``, the
             period in seconds; for plants with forces.
         seed: seed of the random numbers.

@@ -1,4 +1,4 @@
-"""Torque-controlled drives: computed torque, and an observer of what the drives' model gets wrong.
+"""Torque-controlled drives: computed torque, and an observer of the errors of the drives' model.
 
 Of the arms the drives know a mass matrix M̂(q) and ĥ(q, q̇) (Coriolis, centrifugal, gravity), and of the load the
 wrenches ŵ that the tools should exert. With the tracking error e = q_ref − q the law is
@@ -107,7 +107,7 @@ class TorqueDrives:
         return out
 
     def observe(self, q: Array, v: Array, dt: float, wrenches: Array) -> None:
-        """Compare what the last torques did in ``dt`` seconds with the model.
+        """Compare the motion by the last torques in ``dt`` seconds with the model.
 
         Args:
             q, v: configuration (nq,) and velocities (nv,) now.
@@ -134,7 +134,7 @@ class TorqueDrives:
             self._resisted[s] -= J.T @ w
 
     def _tools(self, q: Array, M: Array) -> tuple[list[Array], list[Array]]:
-        """Of each arm J (6, n) in the tool's axes, and J̄ᵀ (6, n), which takes torques to the wrench that they make."""
+        """J (6, n) of each arm in the tool's axes, and J̄ᵀ (6, n), which maps torques to their wrench at the tool."""
         pin.computeJointJacobians(self._model, self._data, q)
         jacobians, to_wrench = [], []
         for s, frame in zip(self._cell.v_slices, self._cell.tool_frames, strict=True):

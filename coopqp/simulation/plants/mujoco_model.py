@@ -25,7 +25,7 @@ OBJECT, STAND = "object", "stand"
 _PAD, STAND_HALF = 0.005, 0.01
 #: solref and solimp of contacts of palms: rubber. Between stiffer pads the box rattles.
 _CONTACT = ((0.02, 1.0), (0.9, 0.97, 0.0005, 0.5, 2.0))
-#: How many times as stiff friction is as the normal, and passes that take its creep away.
+#: Stiffness of friction over the normal's, and number of solver passes against creep.
 _FRICTION_STIFFER, _NO_SLIP_ITERATIONS = 10.0, 10
 #: Smallest mass and inertia of a link [kg, kg·m²]; smaller ones are raised, because the engine needs positive values.
 _LEAST_MASS, _LEAST_INERTIA = 1e-6, 1e-9

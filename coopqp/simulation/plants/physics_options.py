@@ -16,7 +16,7 @@ from coopqp.spatial import Array
 
 Interpolation = Literal["linear", "cubic"]
 GripPoints = Literal["grasp", "where they are"]
-#: What drives the joints; the laws of torque are in :mod:`coopqp.simulation.plants.drives`.
+#: Kinds of drives of the joints; the laws of torque are in :mod:`coopqp.simulation.plants.drives`.
 Servo = Literal["position", "computed torque", "disturbance observer"]
 SERVOS: tuple[Servo, ...] = ("position", "computed torque", "disturbance observer")
 #: Largest accepted product of a gain of torque-controlled drives and the delay in its loop.

@@ -11,7 +11,7 @@ from coopqp.model.cell import RobotCell
 from coopqp.simulation.plants.disturbances import Disturbances
 from coopqp.spatial import Array
 
-#: Noise and bias of torques per that of forces [m].
+#: Ratio of torques to forces, for noise and bias [m].
 _LEVER = 0.1
 
 

@@ -6,6 +6,7 @@ QPs in every step, bad numbers, resets, or moving targets.
 
 from __future__ import annotations
 
+import ctypes
 import gc
 import json
 import os
@@ -95,11 +96,15 @@ def round_of(shuttles: list[Shuttle], limit: Scenario, servo: QPController, rng:
 
 
 def held() -> dict[str, int]:
-    """Resources of the process: resident memory [bytes], open files, objects tracked by Python."""
+    """Resources of the process: resident memory [bytes], open files, objects tracked by Python.
+
+    Without the pages of files, which the system loads when it likes, and without free memory that malloc keeps.
+    """
     gc.collect()
-    pages = int(Path("/proc/self/statm").read_text().split()[1])
+    getattr(ctypes.CDLL(None), "malloc_trim", lambda pad: 0)(0)
+    resident, of_files = (int(pages) for pages in Path("/proc/self/statm").read_text().split()[1:3])
     return {
-        "resident": pages * os.sysconf("SC_PAGE_SIZE"),
+        "resident": (resident - of_files) * os.sysconf("SC_PAGE_SIZE"),
         "files": len(list(Path("/proc/self/fd").iterdir())),
         "objects": len(gc.get_objects()),
     }

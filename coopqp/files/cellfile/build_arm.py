@@ -1,0 +1,113 @@
+"""Building an arm of a cell file: its model, its placement, its limits."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+
+from coopqp.errors import CoopqpError, InvalidInputError
+from coopqp.files.cellfile.basic import PlacementTable
+from coopqp.files.cellfile.paths import resolve
+from coopqp.files.cellfile.schema import ArmTable
+from coopqp.model.cell import Arm, RobotCell, slides
+from coopqp.model.description import check_nesting, check_urdf, description_file
+from coopqp.scenarios.arms import robot_arm, robot_file
+from coopqp.spatial import Array, as_placement
+
+
+def build_placement(table: PlacementTable) -> pin.SE3:
+    """The placement of a table."""
+    if table.matrix is not None:
+        return as_placement(np.array(table.matrix), "matrix")
+    angles = np.deg2rad(table.rpy_deg) if table.rpy_deg is not None else np.array(table.rpy_rad or (0.0, 0.0, 0.0))
+    R = pin.rpy.rpyToMatrix(angles)
+    whole = np.round(R)
+    R = np.where(np.abs(R - whole) < 4e-16, whole, R)  # make quarter turns exact
+    return pin.SE3(R, np.array(table.xyz_m or (0.0, 0.0, 0.0)))
+
+
+def in_radians(given: Any, sliding: Sequence[bool], where: str, *, degrees: bool) -> Array:
+    """Joint values (n,) in radians (prismatic joints in metres), from one number or n numbers."""
+    n = len(sliding)
+    values = np.array(given, dtype=float)
+    if values.ndim and values.shape != (n,):
+        raise CoopqpError(f"{where} has {values.size} numbers for {n} joints.")
+    values = np.array(np.broadcast_to(values, (n,)))
+    return np.where(sliding, values, np.deg2rad(values)) if degrees else values
+
+
+def build_arm(table: ArmTable, folder: Path) -> Arm:
+    """The arm of a table; its files are relative to ``folder``."""
+    base, where = build_placement(table.base), f"arm '{table.name}'"
+    dirs = [resolve(d, folder, f"{where}: package_dirs") for d in table.package_dirs]
+    if table.robot is not None:
+        locked = _locked(table, lambda: _urdf(robot_file(str(table.robot)), table.name))
+        arm = robot_arm(
+            table.robot,
+            name=table.name,
+            T_world_base=base,
+            tool_frame=table.tool_frame,
+            geometry=table.geometry,
+            locked_joints=locked,
+        )
+    else:
+        common: dict[str, Any] = {"T_world_base": base, "tool_frame": table.tool_frame, "geometry": table.geometry}
+        if table.urdf is not None:
+            file = resolve(table.urdf, folder, f"{where}: urdf", package_dirs=dirs)
+            locked = _locked(table, lambda: _urdf(file, table.name))
+            arm = Arm.from_urdf(table.name, file, package_dirs=dirs, locked_joints=locked, **common)
+        else:
+            file = resolve(str(table.mjcf), folder, f"{where}: mjcf", package_dirs=dirs)
+            locked = _locked(table, lambda: _mjcf(file, table.name))
+            arm = Arm.from_mjcf(table.name, file, locked_joints=locked, **common)
+    alone = RobotCell([arm])
+    sliding = slides(alone)
+    changes: dict[str, Array] = {}
+    for name, per in (("lower", ""), ("upper", ""), ("velocity", "_per_s"), ("acceleration", "_per_s2")):
+        for unit in ("deg", "rad"):
+            value = getattr(table.limits, f"{name}_{unit}{per}")
+            if value is not None:
+                where = f"arm '{table.name}': limits.{name}_{unit}{per}"
+                if np.ndim(value) == 0 and np.isfinite(value) and len(set(sliding)) == 2:
+                    slide = alone.joint_names[sliding.index(True)].partition("/")[2]
+                    unit_m = f"m{per.replace('_per_', '/').replace('s2', 's²')}"
+                    raise CoopqpError(
+                        f"{where}: one number would be for joints that turn and for '{slide}', which slides "
+                        f"[{unit_m}]. Give a list with one number per joint: {len(sliding)}."
+                    )
+                changes[name] = in_radians(value, sliding, where, degrees=unit == "deg")
+    try:
+        return arm.with_limits(**changes) if changes else arm
+    except InvalidInputError as error:
+        raise CoopqpError(f"arm '{table.name}': {error}") from error
+
+
+def _urdf(file: Path, arm: str) -> pin.Model:
+    check_urdf(description_file(file, arm), arm)
+    return pin.buildModelFromUrdf(str(file))
+
+
+def _mjcf(file: Path, arm: str) -> pin.Model:
+    check_nesting(description_file(file, arm), arm)
+    return pin.buildModelFromMJCF(str(file))
+
+
+def _locked(table: ArmTable, model: Callable[[], pin.Model]) -> dict[str, float] | None:
+    """Positions of the locked joints [rad or m]; prismatic joints are in metres under the keys of either unit."""
+    locked = dict(table.locked_joints_rad)
+    if table.locked_joints_deg:
+        try:
+            whole = model()
+        except (ValueError, RuntimeError):  # the reader of the arm names the fault
+            return {**locked, **table.locked_joints_deg}
+        for name, value in table.locked_joints_deg.items():
+            if name in locked:
+                raise CoopqpError(f"arm '{table.name}': '{name}' is in locked_joints_deg and in locked_joints_rad.")
+            known = whole.existJointName(name)
+            slide = known and whole.joints[whole.getJointId(name)].shortname().startswith("JointModelP")
+            locked[name] = value if slide else float(np.deg2rad(value))
+    return locked or None
