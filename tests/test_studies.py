@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import csv
 import json
 import os
@@ -12,7 +13,6 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import BrokenExecutor, Executor, Future
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -253,7 +253,7 @@ class MortalEngine(Engine):
     def __init__(self, workers: int, fatal: set[int], mishaps: Iterator[bool], breaks: bool) -> None:
         self.workers, self.made = workers, (fatal, mishaps, breaks)
 
-    @contextmanager
+    @contextlib.contextmanager
     def open(self, workers: int) -> Iterator[Executor]:
         yield Mortal(*self.made)
 
@@ -297,7 +297,7 @@ def test_an_error_of_the_engine_is_no_lost_row() -> None:
             return future
 
     class BrokenEngine(MortalEngine):
-        @contextmanager
+        @contextlib.contextmanager
         def open(self, workers: int) -> Iterator[Executor]:
             yield Broken(set(), iter(()), False)
 
@@ -538,7 +538,11 @@ def cluster(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
     processes = []
     with (folder / "log").open("w") as log:
         for words in (scheduler, [*worker, "--local-directory", str(folder)]):
-            processes.append(subprocess.Popen([dask, *words], cwd=folder, env=environment, stdout=log, stderr=log))
+            processes.append(
+                subprocess.Popen(
+                    [dask, *words], cwd=folder, env=environment, stdout=log, stderr=log, start_new_session=True
+                )
+            )
             assert until(lambda: file.exists() and file.stat().st_size, 60)
         try:
             address = json.loads(file.read_text(encoding="utf-8"))["address"]
@@ -546,8 +550,17 @@ def cluster(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
             yield address
         finally:
             for process in reversed(processes):
-                process.terminate()
-                process.wait(timeout=30)
+                end_with_children(process)
+
+
+def end_with_children(process: subprocess.Popen[bytes]) -> None:
+    """End a leader of a process group, and its group: Dask's nanny can wait for ever for a worker that died."""
+    process.terminate()
+    with contextlib.suppress(subprocess.TimeoutExpired):
+        process.wait(timeout=10)
+    with contextlib.suppress(ProcessLookupError):
+        os.killpg(process.pid, signal.SIGKILL)
+    process.wait()
 
 
 def workers_there(address: str) -> int:
