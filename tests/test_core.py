@@ -167,12 +167,12 @@ def test_it_follows_paths_as_they_say(arithmetic: str, paper: Scenario, rng: np.
 
 
 class Shown(QpSolver):
-    """DAQP, that keeps the problems it is shown."""
+    """ProxQP, that keeps the problems it is shown. It is the most exact of the solvers: both loops stay in one state."""
 
     name = "shown"
 
     def __init__(self) -> None:
-        self.solver, self.problems = make_solver("daqp"), list[QpProblem]()
+        self.solver, self.problems = make_solver("proxqp"), list[QpProblem]()
         self.settings = self.solver.settings
 
     def solve(self, problem: QpProblem) -> QpSolution:
@@ -181,7 +181,7 @@ class Shown(QpSolver):
         return self.solver.solve(problem)
 
     def _solve(self, problem: QpProblem, work: Any) -> Any:
-        raise NotImplementedError("solve() asks DAQP")
+        raise NotImplementedError("solve() asks ProxQP")
 
     def _forget(self) -> None:
         self.solver.reset()
