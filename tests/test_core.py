@@ -167,7 +167,7 @@ def test_it_follows_paths_as_they_say(arithmetic: str, paper: Scenario, rng: np.
 
 
 class Shown(QpSolver):
-    """ProxQP, that keeps the problems it is shown. It is the most exact of the solvers: both loops stay in one state."""
+    """ProxQP, that keeps the problems it is shown. It is the most exact solver: both loops stay in one state."""
 
     name = "shown"
 
