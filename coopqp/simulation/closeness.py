@@ -10,7 +10,7 @@ from __future__ import annotations
 import heapq
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple, final
+from typing import NamedTuple, final
 
 import numpy as np
 import pinocchio as pin
@@ -209,28 +209,6 @@ class Closeness:
         names = set(left_out)
         return [k for k in self._pairs if self._labels[k] not in names]
 
-    def over_time(self, q: Array, pairs: Any = None) -> Array:
-        """Least distance at each configuration (T,) [m], to within 0.1 mm from above."""
-        placed = self._place(q)
-        chosen = self._pairs if pairs is None else pairs
-        out = np.full(len(q), np.inf)
-        for k in chosen:
-            i, j = self._ends[k]
-            away = np.linalg.norm(placed.p[:, i] - placed.p[:, j], axis=1) - self._extent[i] - self._extent[j]
-            t = 0
-            while t < len(q):
-                if away[t] >= out[t] - 1e-4:
-                    t += 1
-                    continue
-                d = self._sampled(placed, k, t)
-                out[t] = min(out[t], d)
-                # No distance is needed until the bodies may be as close as the closest pair.
-                way = placed.way[t:, i] + placed.way[t:, j] - placed.way[t, i] - placed.way[t, j]
-                closer = np.flatnonzero(d - _BENT * way < out[t:] - 1e-4)
-                later = closer[closer > 0]
-                t = t + int(later[0]) if later.size else len(q)
-        return out
-
     def _less(self, k: int, to_margin: bool) -> float:
         return float(self.margins[k]) if to_margin else 0.0
 
@@ -292,7 +270,7 @@ def with_clearance(recording: Recording, scene: CollisionScene | None, *, avoide
     if found is None:
         return recording
     rows = np.unique(np.linspace(0, len(q) - 1, MOST_SAMPLES).round().astype(int))
-    judged = closeness.judged(left_out)
+    distances, points = _nearest(scene, closeness, q[rows], closeness.judged(left_out))
     entry = {
         "closest_m": found.pair.distance,
         "between": [found.pair.first, found.pair.second],
@@ -301,17 +279,23 @@ def with_clearance(recording: Recording, scene: CollisionScene | None, *, avoide
         "avoided": avoided,
         "left_out": [list(pair) for pair in left_out],
         "times_s": time[rows].tolist(),
-        "distances_m": closeness.over_time(q[rows], judged).tolist(),
-        "points_m": _nearest_points(scene, q[rows], judged),
+        "distances_m": distances,
+        "points_m": points,
     }
     bodies = {"bodies": describe_bodies(scene)} if scene.obstacles else {}
     return replace(recording, metadata={**recording.metadata, "clearance": entry, **bodies})
 
 
-def _nearest_points(scene: CollisionScene, q: Array, pairs: list[int]) -> list[list[list[float]]]:
-    """The nearest points of the nearest pair at configurations (T, nq), for pictures (T, 2, 3) [m]."""
-    distances, found = Distances(scene), []
+def _nearest(
+    scene: CollisionScene, closeness: Closeness, q: Array, pairs: list[int]
+) -> tuple[list[float], list[list[list[float]]]]:
+    """The nearest pair at configurations (T, nq), for pictures: its distances (T,) [m], its points (T, 2, 3) [m].
+
+    The controllers' distances choose the pair; the judge says its distance.
+    """
+    distances, apart, points = Distances(scene), list[float](), []
     for row in q:
         k = pairs[int(distances.all(row)[pairs].argmin())]
-        found.append([point.tolist() for point in distances.nearest_points(k)])
-    return found
+        apart.append(closeness.at(row, k))
+        points.append([point.tolist() for point in distances.nearest_points(k)])
+    return apart, points
