@@ -45,6 +45,7 @@ from coopqp.scenarios import (
     mixed_cell,
     paper_lift,
 )
+from coopqp.simulation.metrics import chain_errors, errors_from, object_poses, tool_matrices
 
 NIGHTLY = os.environ.get("HYPOTHESIS_PROFILE") == "nightly"
 BENCHMARKS = Path(__file__).parents[1] / "benchmarks"
@@ -271,11 +272,10 @@ def alone(task: Scenario, *, steps: int = 300, dt: float | None = None, **option
 
 
 def errors_of(task: Scenario, steps: list[ControlStep]) -> tuple[float, float]:
-    tools = tool_placements(task.cell, [s.q_next for s in steps])
-    return (
-        max(chain_error(T, task.grasp)[0] for T in tools),
-        max(path_error(T, task.grasp, task.path, s.clock_next)[0] for T, s in zip(tools, steps, strict=True)),
-    )
+    tools = tool_matrices(task.cell, np.array([s.q_next for s in steps]))
+    poses = np.array([task.path.pose(s.clock_next).homogeneous for s in steps])
+    away = errors_from(object_poses(tools, task.grasp), poses)[0]
+    return float(chain_errors(tools, task.grasp)[0].max()), float(away.max())
 
 
 @pytest.mark.slow

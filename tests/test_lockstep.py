@@ -6,7 +6,7 @@ import copy
 import dataclasses
 import functools
 import importlib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -49,7 +49,6 @@ from coopqp.scenarios import (
     ring,
     scenario,
 )
-from coopqp.spatial import largest
 
 pytestmark = pytest.mark.skipif("compiled" not in available_kernels(), reason="there is no compiled core here")
 
@@ -87,43 +86,69 @@ class Pair:
     told: list[Array] = dataclasses.field(default_factory=list)
     seen: set[Status] = dataclasses.field(default_factory=set)
     lowest: float = 1.0
+    made: list[tuple[ControlStep, ControlStep]] = dataclasses.field(default_factory=list)
 
     def step(self, q: Any = None, dt: Any = None) -> ControlStep:
         """One step of both, compared."""
-        a, b = self.compiled.step(q, dt=dt), self.plain.step(q, dt=dt)
-        near = max(self.same, SAME_AT_REST) if b.rate < 1e-6 else self.same
-        # Of a number that is none no comparison is true.
-        assert largest(np.abs(a.velocity - b.velocity)) <= near, self.where(a, b)
-        assert largest(np.abs(a.q_next - b.q_next)) <= self.same, self.where(a, b)
-        assert abs(a.rate - b.rate) <= 100.0 * self.same, self.where(a, b)
-        assert abs(a.clock_next - b.clock_next) <= 100.0 * self.same, self.where(a, b)
-        assert (a.status, a.binding, a.reason, a.dt) == (b.status, b.binding, b.reason, b.dt), self.where(a, b)
-        one, other = a.given_up, b.given_up
-        assert all(abs(x - y) <= self.same for x, y in zip(one.off_path, other.off_path, strict=True)), self.where(a, b)
-        for name in ("rate", "grasp", "path", "chain"):
-            lost = getattr(one, name) - getattr(other, name)
-            assert abs(lost) <= 1e4 * self.same, f"{self.where(a, b)}: given up, {name}"
-        for name in ("rate", "clock", "clock_next", "dt", "finished"):  # a recording writes them as JSON
-            assert type(getattr(a, name)) is type(getattr(b, name)), f"{self.where(a, b)}: {name}"
-        self.told.append(b.q_next)
-        self.seen.add(b.status)
-        self.lowest = min(self.lowest, b.rate)
-        return b
-
-    def where(self, a: ControlStep, b: ControlStep) -> str:
-        return f"step {len(self.told)}: {a.explain()} / {b.explain()}"
+        step = self.take(q, dt)
+        self.compare()
+        return step
 
     def run(self, steps: int, inputs: Inputs | None = None) -> Pair:
-        """Steps until the path ends, or so many."""
+        """Steps until the path ends, or so many; then all of them are compared."""
         for i in range(steps):
             q, dt = (None, None) if inputs is None else inputs(i, self.told)
-            if self.step(q, dt).finished:
+            if self.take(q, dt).finished:
                 break
+        self.compare()
         return self
 
     def both(self, call: Callable[[QPController], None]) -> None:
         call(self.compiled)
         call(self.plain)
+
+    def take(self, q: Any = None, dt: Any = None) -> ControlStep:
+        """One step of both, to be compared with the others later."""
+        a, b = self.compiled.step(q, dt=dt), self.plain.step(q, dt=dt)
+        self.made.append((a, b))
+        self.told.append(b.q_next)
+        return b
+
+    def compare(self) -> None:
+        """Compare the steps that were made since the last time."""
+        if not self.made:
+            return
+        (one, other), same = zip(*self.made, strict=True), self.same
+        self.made = []
+        rates = [b.rate for b in other]
+        near = np.where(np.array(rates) < 1e-6, max(same, SAME_AT_REST), same)
+        self._near(one, other, "velocity", near[:, None])
+        self._near(one, other, "q_next", same)
+        for name in ("rate", "clock_next"):
+            self._near(one, other, name, 100.0 * same)
+        for name in ("status", "binding", "reason", "dt"):
+            mine, its = ([getattr(step, name) for step in steps] for steps in (one, other))
+            assert mine == its, self.where(one, other, [x != y for x, y in zip(mine, its, strict=True)], name)
+        for name in ("rate", "clock", "clock_next", "dt", "finished"):  # a recording writes them as JSON
+            mine, its = ([type(getattr(step, name)) for step in steps] for steps in (one, other))
+            assert mine == its, self.where(one, other, [x is not y for x, y in zip(mine, its, strict=True)], name)
+        one_lost, its_lost = ([step.given_up for step in steps] for steps in (one, other))
+        self._near(one_lost, its_lost, "off_path", same, one, other)
+        for name in ("rate", "grasp", "path", "chain"):
+            self._near(one_lost, its_lost, name, 1e4 * same, one, other)
+        self.seen.update(b.status for b in other)
+        self.lowest = min(self.lowest, *rates)
+
+    def _near(self, mine: Sequence[Any], its: Sequence[Any], name: str, near: Any, *steps: Sequence[Any]) -> None:
+        """The numbers of that name differ by so much at most; of a number that is none no comparison is true."""
+        a, b = (np.array([getattr(x, name) for x in both]) for both in (mine, its))
+        close = np.abs(a - b) <= near
+        assert close.all(), self.where(*(steps or (mine, its)), ~close.reshape(len(close), -1).all(axis=1), name)
+
+    def where(self, one: Sequence[ControlStep], other: Sequence[ControlStep], apart: Any, what: str) -> str:
+        """The first step of which ``apart`` is true, in words."""
+        i = int(np.argmax(apart))
+        return f"step {len(self.told) - len(one) + i}, {what}: {one[i].explain()} / {other[i].explain()}"
 
 
 #: A ready scenario, built once.
@@ -361,6 +386,38 @@ def test_a_mark_beside_a_singularity_ends_the_way_past_it() -> None:
         assert (step.rate == 0.0 and step.binding[0].kind is LimitKind.SINGULARITY) != passes
 
 
+# -- the judge -------------------------------------------------------------------------------------------------------
+
+
+def more(array: Array, by: float) -> Array:
+    return array + by * (np.arange(array.size) == 3)
+
+
+#: Changes of one step, each just beyond what may differ.
+LIES: list[dict[str, Callable[[Any], Any]]] = [
+    {"velocity": lambda v: more(v, 1.1 * SAME)}, {"velocity": lambda v: more(v, np.nan)},
+    {"q_next": lambda q: more(q, 1.1 * SAME)}, {"rate": lambda r: r - 110.0 * SAME}, {"rate": np.float64},
+    {"clock_next": lambda t: t + 110.0 * SAME}, {"clock": np.float64}, {"dt": lambda dt: np.nextafter(dt, 1.0).item()},
+    {"status": lambda status: Status.SLOWED}, {"reason": lambda reason: "for fun"}, {"binding": lambda b: (*b, "")},
+    {"given_up": lambda g: dataclasses.replace(g, off_path=(0.0, 0.0, 0.0, 1.1 * SAME, 0.0, 0.0))},
+    *(
+        {"given_up": lambda g, name=name: dataclasses.replace(g, **{name: 1.1e4 * SAME})}
+        for name in ("rate", "grasp", "path", "chain")
+    ),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("lie", LIES, ids=lambda lie: next(iter(lie)))
+def test_a_step_that_differs_is_seen(lie: dict[str, Callable[[Any], Any]]) -> None:
+    run = pair(ready("paper_lift"), dt=0.01).run(3)
+    for _ in range(3):
+        run.take()
+    a, b = run.made[1]
+    run.made[1] = a, b.replaced(**{name: change(getattr(b, name)) for name, change in lie.items()})
+    with pytest.raises(AssertionError, match="step 4, "):
+        run.compare()
+
+
 # -- cells -----------------------------------------------------------------------------------------------------------
 
 
@@ -538,7 +595,7 @@ def test_both_agree_on_corners_that_a_user_does_not_tell(make: Callable[[], Scen
     task = limited(make, 5.0)
     run = pair(task, path=lambda: Unsaid(zigzag(task, "linear")), dt=0.01).run(40)
     for i in range(30):  # copies go on from any place within a search
-        run.step()
+        run.take()
         if i % 7 == 0:
             run.compiled, run.plain = copy.deepcopy(run.compiled), copy.deepcopy(run.plain)
     assert run.run(1000, noisy(task.cell, size=1e-5)).plain.step().finished
@@ -599,8 +656,10 @@ def test_a_users_path_is_followed_like_the_librarys_own() -> None:
     task = limited(paper_lift, 5.0)
     own = pair(task, path=lambda: Own(zigzag(task, "linear")), dt=0.01)
     known = pair(task, path=lambda: zigzag(task, "linear"), dt=0.01)
-    for _ in range(300):
-        np.testing.assert_allclose(own.step().velocity, known.step().velocity, rtol=0.0, atol=1e-7)
+    both = np.array([(own.take().velocity, known.take().velocity) for _ in range(300)])
+    own.compare()
+    known.compare()
+    np.testing.assert_allclose(both[:, 0], both[:, 1], rtol=0.0, atol=1e-7)
 
 
 @pytest.mark.core
@@ -673,10 +732,10 @@ def test_both_agree_with_any_solver(solver: str) -> None:
         )
         a.reset(task.q_start)
         b.reset(task.q_start)
-        for _ in range(120):
-            one, other = a.step(), b.step()
-            np.testing.assert_allclose(one.velocity, other.velocity, rtol=0.0, atol=loose)
-            assert one.status is other.status
+        steps = [(a.step(), b.step()) for _ in range(120)]
+        velocities = np.array([(one.velocity, other.velocity) for one, other in steps])
+        np.testing.assert_allclose(velocities[:, 0], velocities[:, 1], rtol=0.0, atol=loose)
+        assert all(one.status is other.status for one, other in steps)
 
 
 @pytest.mark.filterwarnings("ignore::coopqp.StartWarning")
@@ -690,7 +749,8 @@ def test_both_agree_where_the_chain_has_to_part() -> None:
     speed[12:] = 1e-3
     cell = task.cell.with_limits(upper=upper, velocity=speed)
     run = pair(dataclasses.replace(task, cell=cell), dt=0.005)
-    parted = max(run.step().given_up.chain for _ in range(60))
+    parted = max(step.given_up.chain for step in [run.take() for _ in range(60)])
+    run.compare()
     assert parted >= 0.0
 
 

@@ -339,7 +339,7 @@ class Supervision:
             )
 
 
-def _numbers_of(cell: RobotCell, columns: list[npt.NDArray[np.intp]]) -> tuple[npt.NDArray[np.intp], list[int]]:
+def _numbers_of(cell: RobotCell, columns: tuple[npt.NDArray[np.intp], ...]) -> tuple[npt.NDArray[np.intp], list[int]]:
     """Where in a configuration the numbers of the joints that move each arm's tool stand; where each arm's begin."""
     numbers = []
     for own in columns:

@@ -6,9 +6,12 @@ prefix (``master/joint_1``).
 
 from __future__ import annotations
 
+import functools
 import itertools
-from collections.abc import Iterable, Sequence
+import weakref
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
+from typing import TypeVar
 
 import numpy as np
 import pinocchio as pin
@@ -175,6 +178,22 @@ class RobotCell(Shown):
     def collision_model(self) -> pin.GeometryModel:
         """Collision shapes of all arms, for :attr:`model`; an arm without shapes adds none."""
         return _assemble(self.arms, "collision")[1]
+
+
+_T = TypeVar("_T")
+
+
+def of_cell(make: Callable[[RobotCell], _T]) -> Callable[[RobotCell], _T]:
+    """A function of a cell alone: its result is kept while the cell lives, for cells do not change."""
+    kept: weakref.WeakKeyDictionary[RobotCell, _T] = weakref.WeakKeyDictionary()
+
+    @functools.wraps(make)
+    def found(cell: RobotCell) -> _T:
+        if cell not in kept:
+            kept[cell] = make(cell)
+        return kept[cell]
+
+    return found
 
 
 def slides(cell: RobotCell) -> list[bool]:

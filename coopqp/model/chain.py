@@ -19,7 +19,8 @@ import numpy as np
 import numpy.typing as npt
 import pinocchio as pin
 
-from coopqp.model.cell import RobotCell
+from coopqp.checks import read_only
+from coopqp.model.cell import RobotCell, of_cell
 from coopqp.model.grasp import Grasp
 from coopqp.spatial import Array, largest, log6_rows
 
@@ -73,6 +74,16 @@ class _Group:
     span: slice | None  # the same columns as one slice, where they are contiguous
 
 
+@dataclass(frozen=True, eq=False)
+class _Order:
+    """The order of a cell's joints."""
+
+    tools: slice | npt.NDArray[np.int64]  # the joints that carry the tools
+    groups: tuple[_Group, ...]
+    still: npt.NDArray[np.intp] | None  # velocity coordinates that move no tool
+    scale: Array  # unit of each joint [rad/s or m/s], (nv,)
+
+
 class Chain:
     """Batched kinematics of one cell and grasp.
 
@@ -87,28 +98,21 @@ class Chain:
         grasp.check_arms(cell)
         self.cell, self.grasp = cell, grasp
         self.n_arms, self.nv = len(cell), cell.nv
-        self._model = cell.model
-        self._data, self._jacobian_data = cell.model.createData(), cell.model.createData()
-        q0 = pin.neutral(cell.model)
-        for data in (self._data, self._jacobian_data):
-            pin.computeJointJacobians(cell.model, data, q0)
+        data = cell.model.createData()
+        pin.computeJointJacobians(cell.model, data, pin.neutral(cell.model))
         # Pinocchio's own functions: a call in between would cost as much as an arm.
-        self.place: Callable[[Array], object] = partial(pin.forwardKinematics, cell.model, self._data)
-        self._placements = _live_placements(cell.model, self._data)
-        self._tools = _spaced(np.array(cell.tool_joints, dtype=np.int64) - 1)
+        self.place: Callable[[Array], object] = partial(pin.forwardKinematics, cell.model, data)
+        self._place_columns = partial(pin.computeJointJacobians, cell.model, data)
+        self._placements = _live_placements(cell.model, data)
+        # (nv, 6), a live view about the world's origin, and the same about a point; of one joint, J is flat
+        self._world_JT = data.J.T.reshape(-1, 6)
+        self._JT, self._shift = np.zeros_like(self._world_JT), np.eye(6)
         # O_k = T_world_joint · Y_k with constant Y_k; the transpose suits Pinocchio's column-major memory.
         self.Y_transposed = np.empty((self.n_arms, 4, 4))
         self.shift_grasp(np.zeros((self.n_arms, 6)))
-        # (nv, 6), a live view about the world's origin, and the same about a point; of one joint, J is flat
-        self._world_JT = self._jacobian_data.J.T.reshape(-1, 6)
-        self._JT, self._shift = np.zeros_like(self._world_JT), np.eye(6)
         self.moving_columns = moving_columns(cell)
-        self._groups = _group_arms(cell, self.moving_columns)
-        still = np.setdiff1d(np.arange(cell.nv), np.concatenate(self.moving_columns))
-        self._still: npt.NDArray[np.intp] | None = still if still.size else None
-        self.scale = np.ones(cell.nv)
-        for g in self._groups:
-            self.scale[g.columns] = g.scale[:, :, 0]
+        order = _order_of(cell)
+        self._tools, self._groups, self._still, self.scale = order.tools, order.groups, order.still, order.scale
         self.redundancy = sum(max(g.joints - 6, 0) * len(g.arms) for g in self._groups)
         self.deficient = tuple(int(k) for g in self._groups if g.joints < 6 for k in g.arms)
         self.inverses: list[Array] = []
@@ -143,7 +147,7 @@ class Chain:
 
     def evaluate(self, q: Array, about: Array) -> None:
         """Jacobians at ``q`` about a point ``about`` (3,) [m], in world axes."""
-        pin.computeJointJacobians(self._model, self._jacobian_data, q)
+        self._place_columns(q)
         world = self._world_JT
         x, y, z = about.tolist()
         # [about]×: ω × about is added to the linear part
@@ -361,16 +365,28 @@ def _spaced(index: npt.NDArray[np.int64]) -> slice | npt.NDArray[np.int64]:
     return index
 
 
-def moving_columns(cell: RobotCell) -> list[npt.NDArray[np.intp]]:
+@of_cell
+def moving_columns(cell: RobotCell) -> tuple[npt.NDArray[np.intp], ...]:
     """Per arm, the velocity coordinates that move its tool (a gripper's fingers do not)."""
     columns = []
     for joint in cell.tool_joints:
         chain = [cell.model.joints[j].idx_v for j in cell.model.supports[joint] if j]
         columns.append(np.array(sorted(chain), dtype=np.intp))
-    return columns
+    return tuple(columns)
 
 
-def _group_arms(cell: RobotCell, moving: list[npt.NDArray[np.intp]]) -> list[_Group]:
+@of_cell
+def _order_of(cell: RobotCell) -> _Order:
+    moving = moving_columns(cell)
+    still = np.setdiff1d(np.arange(cell.nv), np.concatenate(moving))
+    groups, scale = _group_arms(cell, moving), np.ones(cell.nv)
+    for g in groups:
+        scale[g.columns] = g.scale[:, :, 0]
+    tools = _spaced(np.array(cell.tool_joints, dtype=np.int64) - 1)
+    return _Order(tools, groups, still if still.size else None, read_only(scale))
+
+
+def _group_arms(cell: RobotCell, moving: tuple[npt.NDArray[np.intp], ...]) -> tuple[_Group, ...]:
     speed = np.where(np.isfinite(cell.limits.velocity), cell.limits.velocity, 1.0)
     groups = []
     sizes = [len(columns) for columns in moving]
@@ -383,4 +399,4 @@ def _group_arms(cell: RobotCell, moving: list[npt.NDArray[np.intp]]) -> list[_Gr
         # Six-joint arms have one inverse, for any metric.
         scale = speed[columns][:, :, None] if n != 6 else np.ones((len(arms), n, 1))
         groups.append(_Group(n, arms, columns, scale, scale**2, span))
-    return groups
+    return tuple(groups)

@@ -45,6 +45,9 @@ class Knot(NamedTuple):
     share: Share | None = None  # how K follows from K at the next knot
     since: float = 0.0  # K at the next knot that it was found from
 
+    def __deepcopy__(self, memo: object) -> Knot:
+        return self  # nobody writes into its arrays
+
 
 class Least(NamedTuple):
     """The least K of a step.

@@ -11,10 +11,13 @@ from coopqp.control.core import layout
 from coopqp.control.limits import VelocityBox
 from coopqp.control.options import QPOptions
 from coopqp.errors import ModelError
-from coopqp.model.chain import Chain
+from coopqp.model.cell import RobotCell, of_cell
+from coopqp.model.chain import Chain, moving_columns
 from coopqp.model.links import joint_links
 from coopqp.planning.preview_options import PlanLimits, PreviewOptions
 from coopqp.spatial import Array
+
+_OPTIONS = {name: i for i, name in enumerate(layout.OPTIONS)}
 
 
 class NotForTheCore(Exception):  # noqa: N818
@@ -117,24 +120,31 @@ def _arms(chain: Chain) -> tuple[list[int], list[int]]:
 
 
 def _put_links(chain: Chain, at: dict[str, Array]) -> None:
-    """Placement of each joint in the one before, both with the z axis along the joint's axis."""
+    """Placement of each joint in the one before, and of the object on each arm's last joint."""
     cell = chain.cell
-    link_R, link_p = at["link_R"].reshape(-1, 9), at["link_p"].reshape(-1, 3)
-    link_R[:] = np.eye(3).ravel()
-    for k, columns in enumerate(chain.moving_columns):
+    at["link_R"][:], at["link_p"][:], at["prismatic"][:], aligned = _links_of(cell)
+    object_R, object_p = at["object_R"].reshape(-1, 9), at["object_p"].reshape(-1, 3)
+    for k, turned in enumerate(aligned):
+        Y = cell.T_joint_tool[k] * chain.grasp.T_object_tool[k].inverse()
+        object_R[k], object_p[k] = (turned.T @ Y.rotation).ravel(), turned.T @ Y.translation
+
+
+@of_cell
+def _links_of(cell: RobotCell) -> tuple[Array, Array, Array, list[Array]]:
+    """The numbers of all joints, each with its z axis along the joint's axis, and the last rotation of each arm."""
+    R, p, slides, aligned = np.tile(np.eye(3), (cell.nv, 1, 1)), np.zeros((cell.nv, 3)), np.zeros(cell.nv), []
+    for k, columns in enumerate(moving_columns(cell)):
         joints = [int(j) + 1 for j in columns]
         if any(cell.model.joints[j].idx_v != j - 1 for j in joints):
             raise NotForTheCore(f"the joints of arm {cell.arm_names[k]} are in another order")
         if cell.tool_joints[k] != joints[-1]:
             raise NotForTheCore(f"the tool of arm {cell.arm_names[k]} is not on its last joint")
         try:
-            R, link_p[columns], at["prismatic"][columns], aligned = joint_links(cell.model, joints)
+            R[columns], p[columns], slides[columns], turned = joint_links(cell.model, joints)
         except ModelError as error:
             raise NotForTheCore(str(error)) from error
-        link_R[columns] = R.reshape(-1, 9)
-        Y = cell.T_joint_tool[k] * chain.grasp.T_object_tool[k].inverse()
-        at["object_R"].reshape(-1, 9)[k] = (aligned.T @ Y.rotation).ravel()
-        at["object_p"].reshape(-1, 3)[k] = aligned.T @ Y.translation
+        aligned.append(turned)
+    return R.ravel(), p.ravel(), slides, aligned
 
 
 def _put_plan(chain: Chain, at: dict[str, Array], options: QPOptions, dt: float) -> None:
@@ -144,8 +154,8 @@ def _put_plan(chain: Chain, at: dict[str, Array], options: QPOptions, dt: float)
         return
     at["plan_speed"][:] = plan.speed
     at["plan_jump"][:], at["slope_change"][:] = plan.jump, plan.slope_change
-    at["options"][layout.OPTIONS.index("SLOPE_CAP")] = plan.slope_cap
-    at["options"][layout.OPTIONS.index("ROOM")] = plan.room
+    at["options"][_OPTIONS["SLOPE_CAP"]] = plan.slope_cap
+    at["options"][_OPTIONS["ROOM"]] = plan.room
 
 
 def _put_options(numbers: Array, box: VelocityBox, o: QPOptions, dt: float) -> None:
@@ -173,7 +183,7 @@ def _put_options(numbers: Array, box: VelocityBox, o: QPOptions, dt: float) -> N
             "SINGULAR_RATE": p.singular_rate, "NEWTON_STEPS": p.newton_steps,
         }  # fmt: skip
     for name, value in values.items():
-        numbers[layout.OPTIONS.index(name)] = value
+        numbers[_OPTIONS[name]] = value
 
 
 def same_kinematics(chain: Chain, linearise: object, *, samples: int = 3, tolerance: float = 1e-9) -> bool:
