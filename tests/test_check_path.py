@@ -11,6 +11,8 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 import pytest
+from scipy.interpolate import make_interp_spline
+from scipy.linalg.lapack import dgesv
 from wrapped import Opaque
 
 from coopqp import (
@@ -53,10 +55,11 @@ class Oracle:
         joints = list(arm.model.joints)[1:]
         self.at = np.array([joint.idx_q for joint in joints])
         self.continuous = np.array([joint.nq > 1 for joint in joints])
+        self.angles_only = not self.continuous.any()
 
     def configuration(self, x: Any) -> Any:
         """Continuous joints are (cos, sin) in Pinocchio."""
-        if not self.continuous.any():
+        if self.angles_only:
             return x
         q = np.empty(self.model.nq)
         q[self.at] = np.where(self.continuous, np.cos(x), x)
@@ -72,21 +75,42 @@ class Oracle:
             J = pin.getFrameJacobian(self.model, self.data, self.frame, pin.LOCAL)
             if error.dot(error) < 1e-20:
                 return J, x
-            x = x + (np.linalg.solve(J, error) if len(x) == 6 else np.linalg.lstsq(J, error, rcond=None)[0])
+            # LAPACK itself: of a small system NumPy's solve takes five times as long.
+            x = x + (dgesv(J, error)[2] if len(x) == 6 else np.linalg.lstsq(J, error, rcond=None)[0])
         return J, x if np.abs(error).max() < 1e-9 else None
 
-    def follow(self, tools: Sequence[pin.SE3], q: Any) -> tuple[Any, Any]:
-        """Joint positions and σ_min at tool poses in the world, from ``q``, up to the last reached without a jump."""
-        x, rows, jacobians = q, [], []
-        for T in tools:
-            if len(rows) >= 3:
-                x = 3.0 * rows[-1] - 3.0 * rows[-2] + rows[-3]
+    def walk(self, tools: Sequence[pin.SE3], guesses: Any) -> tuple[Any, Any]:
+        """Joint positions and Jacobians at tool poses, up to the last reached without a jump.
+
+        Newton's method starts at the guesses, and where they end at what the last three positions lead to.
+        """
+        rows, jacobians = [], []
+        for i, T in enumerate(tools):
+            if i < len(guesses):
+                x = guesses[i]
+            elif i >= 3:
+                x = 3.0 * (rows[-1] - rows[-2]) + rows[-3]
             J, x = self.reach(T, x)
-            if x is None or (rows and np.abs(x - rows[-1]).max() > 0.5):
+            if x is None:
                 break
             rows.append(x)
             jacobians.append(J)
-        return np.array(rows), np.linalg.svd(np.array(jacobians), compute_uv=False)[:, -1]
+        jumps = np.append(np.abs(np.diff(rows, axis=0)).max(axis=1), np.inf) > 0.5
+        n = int(jumps.argmax()) + 1
+        return np.array(rows[:n]), np.array(jacobians[:n])
+
+    def follow(self, tools: Sequence[pin.SE3], q: Any) -> tuple[Any, Any]:
+        """Joint positions and σ_min at tool poses in the world, from ``q``, up to the last reached without a jump.
+
+        A curve through every eighth position is a guess of the others that leaves little to Newton's method.
+        """
+        at, guesses = np.append(np.arange(0, len(tools) - 1, 8), len(tools) - 1), q[None]
+        knots, _ = self.walk([tools[i] for i in at], guesses)
+        if len(knots) == len(at):
+            guesses = make_interp_spline(at, knots, k=5)(np.arange(len(tools)))
+        rows, jacobians = self.walk(tools, guesses)
+        squares = np.linalg.eigvalsh(jacobians @ jacobians.transpose(0, 2, 1))[:, 0]
+        return rows, np.sqrt(np.maximum(squares, 0.0))
 
 
 def tool_poses(path: ObjectPath, X: pin.SE3, samples: int) -> list[pin.SE3]:
