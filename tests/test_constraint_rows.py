@@ -513,6 +513,24 @@ def holds_by_name(acceleration: float, kernel: str, names: list[str]) -> None:
         assert run.last.finished, name
 
 
+@pytest.mark.parametrize("kernel", KERNELS)
+def test_rows_that_fail_hold_the_object_without_a_look_ahead_too(kernel: str) -> None:
+    """Nothing else asks the constraint: the step itself has to hold, by name, while it fails."""
+    task = limited(paper_lift(time_law="quintic"), 10.0)
+    constraint = nonsense("raises its own", task.cell.nv)
+    good = constraint.make
+    controller = started(task, [constraint], kernel, preview=None)
+    assert drive(controller, 40).statuses <= {Status.TRACKING, Status.SLOWED}
+    spoil(constraint, "raises its own", task.cell.nv)
+    for _ in range(30):
+        step = controller.step()
+        assert step.status is Status.HOLDING
+        assert constraint.name in step.reason
+    assert float(np.abs(step.velocity).max()) < 1e-9
+    constraint.make = good
+    assert drive(controller, 1000).last.finished
+
+
 def test_what_is_no_constraint_is_refused() -> None:
     task = paper_lift()
     box = Box(task.grasp, (-FAR,) * 3, (FAR,) * 3)
