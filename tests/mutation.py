@@ -162,10 +162,6 @@ EQUIVALENT: dict[tuple[str, str, str], str] = {
                 "if not by_qp or self._box.accelerates:",
             ): "without acceleration limits nobody reads it",
             ("break", "continue"): "what needs no tighter rows needs none when asked again",
-            (
-                "s.rate = (0.0 if self._box.accelerates else 1.0) if rate is None else rate",
-                "s.rate = (0.0 if self._box.accelerates else 2.0) if rate is None else rate",
-            ): "every use of it is cut off at 1",
         },
         "coopqp/control/verdict.py": {
             (
@@ -217,8 +213,8 @@ EQUIVALENT: dict[tuple[str, str, str], str] = {
         },
         "coopqp/planning/growth.py": {
             (
-                "if abs(way[-1].clock - breakpoint_) < 1e-9 and breakpoint_ < self._duration:",
-                "if abs(way[-1].clock - breakpoint_) <= 1e-9 and breakpoint_ < self._duration:",
+                "if abs(way[-1].clock - breakpoint_) < _SAME_CLOCK and breakpoint_ < self._duration:",
+                "if abs(way[-1].clock - breakpoint_) <= _SAME_CLOCK and breakpoint_ < self._duration:",
             ): "a distance of exactly 1 ns",
             (
                 "knot = _whole(self._chain.attempt(last, clock - last.clock)) if clock - last.clock > 1e-9 else last",
@@ -228,10 +224,6 @@ EQUIVALENT: dict[tuple[str, str, str], str] = {
             ("for _ in range(8):", "for _ in range( 9):"): "it has ended long before",
         },
         "coopqp/planning/chain_ahead.py": {
-            (
-                "if float(now.dot(then)) < 0.0 and max(largest(np.abs(now)), largest(np.abs(then))) < near:",
-                "if float(now.dot(then)) <= 0.0 and max(largest(np.abs(now)), largest(np.abs(then))) < near:",
-            ): "a product of exactly 0",
             (
                 "if h > options.shortest and not h * knot.fastest <= 1.5 * options.joint_step:",
                 "if h >= options.shortest and not h * knot.fastest <= 1.5 * options.joint_step:",
@@ -273,8 +265,8 @@ EQUIVALENT: dict[tuple[str, str, str], str] = {
                 "self._past: deque[tuple[Array, Array]] = deque(maxlen=1 + (options.stall_samples or 2))",
             ): "without stall_samples nobody looks at the past",
             (
-                "if abs(away[worst]) > self._options.joint_jump:",
-                "if abs(away[worst]) >= self._options.joint_jump:",
+                "if far > self._options.joint_jump:",
+                "if far >= self._options.joint_jump:",
             ): "a jump of exactly the limit",
             (
                 "self._pressed = force >= (_LET_GO * limit if self._pressed else limit)",

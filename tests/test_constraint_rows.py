@@ -13,9 +13,11 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from marks import slow_but_first, slow_unless
+from wrapped import Opaque
 
 from coopqp import (
     Array,
+    BindingLimit,
     CellState,
     ControlStep,
     InvalidInputError,
@@ -37,6 +39,7 @@ from coopqp import (
     available_kernels,
     make_solver,
 )
+from coopqp.control.constraints import LabelledRows, Quiet
 from coopqp.scenarios import Scenario, dual_arm7, mixed_cell, paper_lift
 
 EXAMPLE = runpy.run_path(str(Path(__file__).parents[1] / "docs" / "examples" / "16_constraints.py"))
@@ -88,6 +91,45 @@ class ToldLines:
 
     def lines(self, knot: Knot) -> Any:
         return self.make(knot)
+
+
+class Sighted:
+    """A certified constraint without rows; it keeps whether it was asked as one that nothing brakes ahead of."""
+
+    name, rank = "sighted", Rank.CLEARANCE
+    labels = (BindingLimit("", "", LimitKind.COLLISION),)
+
+    def __init__(self, nv: int) -> None:
+        self.quiet = self.quiet_ahead = Quiet(np.zeros(nv), np.zeros(nv), -1.0)
+        self.blind: list[bool] = []
+
+    def rows_by_label(self, q: Array, dt: float, *, blind: bool) -> LabelledRows:
+        self.blind.append(blind)
+        return LabelledRows(np.zeros((0, len(self.quiet.centre))), np.zeros(0), np.zeros(0), np.zeros(0, dtype=int))
+
+    def rows(self, state: CellState, dt: float) -> Any:
+        return self.rows_by_label(state.q, dt, blind=False)[:3]
+
+    def check(self, q: Array) -> None:
+        pass
+
+    def tightened(self, rows: LabelledRows, q_next: Array, v: Array, dt: float) -> Array | None:
+        return None
+
+    def in_memory(self, memory: Any) -> None:
+        return None
+
+    def room(self, knot: Knot) -> int:
+        return -1
+
+    def evaded(self, q: Array, slope: Array) -> Array:
+        return slope
+
+    def measured(self, limit: BindingLimit, q: Array) -> BindingLimit:
+        return limit
+
+    def nearest(self, q: Array) -> None:
+        return None
 
 
 def limited(task: Scenario, acceleration: float, **limits: Any) -> Scenario:
@@ -154,6 +196,19 @@ def test_the_protocols_are_public() -> None:
     assert isinstance(Box(task.grasp, (-FAR,) * 3, (FAR,) * 3), VelocityConstraint)
     assert isinstance(LittleEnergy(task.grasp, 1.0, 1.0), RateBound)
     assert not isinstance(LittleEnergy(task.grasp, 1.0, 1.0), VelocityConstraint)
+
+
+@pytest.mark.parametrize("kernel", KERNELS)
+def test_constraints_are_told_whether_anything_brakes_ahead_of_them(kernel: str) -> None:
+    task = paper_lift()
+    unknown = dataclasses.replace(task, path=Opaque(task.path, known_ahead=False))
+    for case, options, blind in ((task, {}, False), (task, {"preview": None}, True), (unknown, {}, True)):
+        sighted = Sighted(task.cell.nv)
+        controller = started(case, [sighted], kernel, **options)
+        sighted.blind.clear()
+        for _ in range(5):
+            controller.step()
+        assert sighted.blind == 5 * [blind]
 
 
 # -- walls -------------------------------------------------------------------------------------------------------------
@@ -462,6 +517,24 @@ def holds_by_name(acceleration: float, kernel: str, names: list[str]) -> None:
         constraint.make = good.make
         run = drive(controller, 1000)
         assert run.last.finished, name
+
+
+@pytest.mark.parametrize("kernel", KERNELS)
+def test_rows_that_fail_hold_the_object_without_a_look_ahead_too(kernel: str) -> None:
+    """Nothing else asks the constraint: the step itself has to hold, by name, while it fails."""
+    task = limited(paper_lift(time_law="quintic"), 10.0)
+    constraint = nonsense("raises its own", task.cell.nv)
+    good = constraint.make
+    controller = started(task, [constraint], kernel, preview=None)
+    assert drive(controller, 40).statuses <= {Status.TRACKING, Status.SLOWED}
+    spoil(constraint, "raises its own", task.cell.nv)
+    for _ in range(30):
+        step = controller.step()
+        assert step.status is Status.HOLDING
+        assert constraint.name in step.reason
+    assert float(np.abs(step.velocity).max()) < 1e-9
+    constraint.make = good
+    assert drive(controller, 1000).last.finished
 
 
 def test_what_is_no_constraint_is_refused() -> None:

@@ -10,7 +10,7 @@ from marks import slow_but_first
 from coopqp import HoldPath, LinePath, Scenario, UnreachableError, WaypointPath
 from coopqp.model.batch import ArmKinematics
 from coopqp.planning.knots import ArmKnots, Following, Motion, arm_knots, follow, spread_knots
-from coopqp.scenarios import dual_arm7, mixed_cell, paper_lift
+from coopqp.scenarios import dual_arm7, five_joint_pair, mixed_cell, paper_lift
 from coopqp.task.geometry import PathGeometry, blended
 
 RNG = np.random.default_rng
@@ -145,6 +145,39 @@ def test_knots_are_spread_evenly_over_the_joints_motion(build: object, gather: b
     done = np.interp(s, fine, 0.7 * moved / moved[-1] + 0.3 * fine / geometry.length)
     t = np.linspace(0.0, 1.0, 31)
     np.testing.assert_allclose(done, 10.0 * t**3 - 15.0 * t**4 + 6.0 * t**5 if gather else t, atol=2e-3)
+
+
+def test_short_pieces_have_their_share_of_the_knots() -> None:
+    """They are looked at more closely, which is no reason to have more knots than 30 % by way and 70 % by motion."""
+    scenario = paper_lift()
+    start = scenario.path.pose(0.0)
+    places = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.1), (0.1, 0.0, 0.1), (0.1, 0.08, 0.12))
+    poses = [pin.SE3(start.rotation, start.translation + np.array(p)) for p in places]
+    geometry = blended(lines(WaypointPath(poses, durations=[1.0] * 3)), distance=0.003, angle=0.1)
+    follower = following(scenario, geometry)
+    fine = np.linspace(0.0, geometry.length, 4001)
+    motion = np.abs(follower.at(fine).slope / scenario.cell.limits.velocity).max(axis=1)
+    moved = np.concatenate([[0.0], np.cumsum(0.5 * (motion[1:] + motion[:-1]))])
+    done = 0.7 * moved / moved[-1] + 0.3 * fine / geometry.length
+    share = np.diff(np.interp(geometry.marks, fine, done))
+    assert len(share) == 5
+    assert share.min() < 0.3 * share.max()
+    knots = np.histogram(follower.spread(1001), geometry.marks)[0] - 12  # each piece's own 11, and its first mark
+    np.testing.assert_allclose(knots, 1000.0 * share, rtol=0.0, atol=8.0)
+
+
+def test_a_way_of_few_joints_ends_where_they_cannot_make_the_motion() -> None:
+    """Two arms of five joints turn an object about an axis that they have not, or lift it out of their reach."""
+    scenario = five_joint_pair()
+    start = scenario.path.pose(0.0)
+    for step, end in (
+        (pin.Motion(np.r_[0.0, 0.0, 0.0, 0.5, 0.3, 0.4]), "5 joints cannot make"),
+        (pin.Motion(np.r_[0.0, 0.0, 3.0, 0.0, 0.0, 0.0]), "where its reach ends"),
+    ):
+        geometry = LinePath(start, start * pin.exp6(step), duration=1.0).geometry()
+        assert geometry is not None
+        with pytest.raises(UnreachableError, match=f"arm 'left' .* {end}"):
+            following(scenario, geometry)
 
 
 def test_the_way_ends_at_the_first_singularity() -> None:

@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 
+from coopqp import LinePath, QPController, QPOptions
 from coopqp.control.linearised import averaging, bounded
+from coopqp.model.chain import Chain
+from coopqp.scenarios import paper_lift
 
 
 def test_the_mean_is_that_of_each_axis_by_the_shares(rng: np.random.Generator) -> None:
@@ -36,3 +41,27 @@ def test_corrections_are_bounded_by_one_factor_and_no_more_than_needed(
             kept += 1
     assert shrunk > 3
     assert kept > 3
+
+
+def test_the_first_step_is_linearised_until_its_way_is_known_in_any_unit_of_time(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """A short way takes fewer linearisations, each further step one; a slow path in long steps takes as many."""
+    task, times, linearise = paper_lift(), [0], Chain.linearise
+
+    def counted(chain: Chain, *args: Any, **options: Any) -> None:
+        times[0] += 1
+        linearise(chain, *args, **options)
+
+    monkeypatch.setattr(Chain, "linearise", counted)
+    cell = task.cell.with_limits(velocity=np.inf, acceleration=np.inf)
+    for duration, expected in ((0.5, 4), (10.0, 3), (100.0, 2)):
+        for unit in (1.0, 10.0, 100.0):
+            path = LinePath(task.path.pose(0.0), task.path.pose(5.0), duration=duration * unit, time_law="linear")
+            options = QPOptions(kernel="plain", preview=None)
+            controller = QPController(cell, task.grasp, path, dt=0.002 * unit, options=options)
+            controller.reset(task.q_start)
+            for number in (expected, 1):
+                times[0] = 0
+                controller.step()
+                assert times[0] == number, (duration, unit)

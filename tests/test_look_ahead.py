@@ -10,10 +10,11 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from coopqp import Array, LimitKind, PostureOptions, PreviewOptions, TimeLaw, WaypointPath
+from coopqp import Array, LimitKind, ObjectPath, PostureOptions, PreviewOptions, TimeLaw, WaypointPath
 from coopqp.model.chain import Chain
+from coopqp.model.inverse_kinematics import newton
 from coopqp.planning.preview import PathPreview
-from coopqp.scenarios import Scenario, paper_lift
+from coopqp.scenarios import Scenario, at_singularity, paper_lift
 from coopqp.task.posture import Posture
 
 DT = 0.002
@@ -34,6 +35,31 @@ def cornered(acceleration: float) -> Scenario:
     poses = [pin.SE3(start.rotation, start.translation + np.array(p)) for p in places]
     path = WaypointPath(poses, durations=[0.3] * 3, time_law=TimeLaw.LINEAR)
     return replace(task, path=path, cell=task.cell.with_limits(acceleration=acceleration))
+
+
+class Marked(ObjectPath):
+    """A user's path along another one: it tells the clocks of these marks, and no others."""
+
+    def __init__(self, inner: ObjectPath, *marks: float) -> None:
+        self._inner, self.duration, self._marks = inner, inner.duration, marks
+
+    def pose(self, clock: float) -> pin.SE3:
+        return self._inner.pose(clock)
+
+    def twist(self, clock: float) -> Array:
+        return self._inner.twist(clock)
+
+    def next_breakpoint(self, clock: float) -> float:
+        return min((mark for mark in self._marks if mark > clock), default=self.duration)
+
+
+def on_the_path(task: Scenario, clock: float) -> Array:
+    """The configuration (nq,) at a clock, along the path from its start."""
+    chain, q = Chain(task.cell, task.grasp), task.q_start
+    for at in np.linspace(0.0, clock, 25).tolist():
+        q, errors = newton(chain, task.path.pose(at), q, tolerance=1e-13, max_iter=12)
+        assert np.abs(errors).max() < 1e-9
+    return q
 
 
 def test_the_rate_rises_no_faster_than_the_knots_on_both_sides_allow() -> None:
@@ -142,6 +168,55 @@ def test_a_copy_knows_the_same_corners_and_goes_on_alike() -> None:
     assert taken == 20
 
 
+def test_a_copy_within_a_knot_knows_the_corners_that_were_found_before() -> None:
+    """The path does not tell them. Each knot takes some Newton steps, and a copy is taken after each step."""
+    task = replace(cornered(5.0), path=Marked(cornered(5.0).path))
+    preview, taken = preview_of(task), 0
+    preview.reset(task.q_start, 0.0)
+    while preview.horizon.knots[-1].clock < 0.85:
+        assert preview._growth.step()
+        if preview._growth.done:
+            other = preview_of(task)
+            other.restore(copy.deepcopy(preview.memory()))
+            np.testing.assert_equal(other.memory(), preview.memory())
+            found = [preview.reaches_corner(clock, 0.1) for clock in (0.25, 0.55)]
+            assert [other.reaches_corner(clock, 0.1) for clock in (0.25, 0.55)] == found
+            taken += any(found)
+    assert taken > 5
+
+
+def test_corners_that_a_path_does_not_tell_are_found_where_they_are() -> None:
+    """Also a slight one after a sharp one."""
+    task = cornered(5.0)
+    start = task.path.pose(0.0)
+    places = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.05), (0.05, 0.0, 0.0), (0.1, 0.0, -0.055))
+    poses = [pin.SE3(start.rotation, start.translation + np.array(p)) for p in places]
+    path = WaypointPath(poses, durations=[0.3] * 3, time_law=TimeLaw.LINEAR)
+    preview = preview_of(replace(task, path=Marked(path)))
+    preview.reset(task.q_start, 0.0)
+    while not preview.horizon.complete:
+        assert preview._growth.step()
+    corners = [knot.clock for knot in preview.horizon.knots if knot.corner]
+    np.testing.assert_allclose(corners, [0.3, 0.6], rtol=0.0, atol=1e-10)
+
+
+def test_a_path_is_searched_for_a_corner_once_a_knot(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where it jumps no knot can be had, however short the interval: a further search would find as little."""
+    task, asked = cornered(5.0), []
+    jumping = Marked(task.path)
+    monkeypatch.setattr(
+        jumping, "pose", lambda clock: pin.SE3(np.eye(3), np.full(3, 0.1 * (clock > 0.2037))) * task.path.pose(clock)
+    )
+    preview = preview_of(replace(task, path=jumping))
+    kink = preview._path.kink
+    monkeypatch.setattr(preview._path, "kink", lambda low, high: asked.append(low) or kink(low, high))
+    preview.reset(task.q_start, 0.0)
+    while not preview.horizon.complete:
+        assert preview._growth.step()
+    assert preview.horizon.knots[-1].clock == pytest.approx(0.2037, abs=1e-3)
+    assert len(asked) == len(set(asked)) > 2
+
+
 def test_no_step_looks_far_ahead_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
     """K is found for four knots at a time. One is there before it is needed: three Newton steps at most at once."""
     task = paper_lift()
@@ -182,3 +257,76 @@ def test_a_path_asked_for_faster_than_joints_follow_takes_no_more_knots() -> Non
     assert slow > 10
     assert knots(0.1) <= slow + 1
     assert knots(0.05) <= slow + 1
+
+
+@pytest.mark.parametrize("mark", [None, 0.7487])
+def test_a_way_past_a_singularity_is_known_as_a_whole_or_not_at_all(mark: float | None) -> None:
+    """Knots at which the joints only turn faster are no end. A mark on the way hides what comes after it: a stop."""
+    task = at_singularity("wrist", 2, miss=5e-4, acceleration=10.0)
+    at = [share * task.path.duration for share in (0.745, 0.7487, 0.7505)]
+    preview = preview_of(replace(task, path=Marked(task.path, *at[1:2] if mark else ())))
+    preview.reset(on_the_path(task, at[0]), at[0])
+    knots = preview.horizon.knots
+    while knots[-1].clock < at[2] and not preview.horizon.complete:
+        assert preview._growth.step()
+        before, last = list(knots)[-2:]
+        singular = last.uncapped < preview.options.singular_rate**2
+        assert not (singular and last.fastest > before.fastest) or preview.horizon.complete
+    assert preview.horizon.complete == (mark is not None)
+    if mark:
+        assert knots[-1].clock < at[1]
+        assert knots[-1].cap == 0.0
+        assert knots[-1].binding is not None
+        assert knots[-1].binding.kind is LimitKind.SINGULARITY
+
+
+def test_where_the_path_fails_nothing_is_known_and_the_object_rests_until_it_answers(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    task = paper_lift(time_law=TimeLaw.QUINTIC)
+    path = Marked(task.path)
+    preview = preview_of(replace(task, path=path))
+    with monkeypatch.context() as failing:
+        failing.setattr(path, "pose", lambda clock: None)
+        preview.reset(task.q_start, 0.0)
+        assert preview.cap(0.0, DT) == (0.0, None)
+        assert "NoneType" in preview.trouble
+        assert not preview.knows
+        assert preview.rise(0.0) == (np.inf, None)
+        q, slope = preview.reference(0.0)
+        assert np.array_equal(q, task.q_start)
+        assert not slope.any()
+    assert preview.cap(0.0, DT) == (1.0, None)
+    assert preview.trouble == ""
+    assert preview.knows
+
+
+def test_a_look_ahead_that_begins_on_the_way_goes_on_from_there() -> None:
+    """q′ of its first knot is that of its own clock."""
+    task, clock, h = paper_lift(time_law=TimeLaw.QUINTIC), 0.8, 1e-5
+    preview = preview_of(task)
+    q = on_the_path(task, clock)
+    preview.reset(q, clock)
+    chain = Chain(task.cell, task.grasp)
+    around = [newton(chain, task.path.pose(clock + x), q, tolerance=1e-14, max_iter=12)[0] for x in (-h, h)]
+    slope = pin.difference(task.cell.model, *around) / (2.0 * h)
+    np.testing.assert_allclose(preview.horizon.knots[0].slope, slope, rtol=0.0, atol=1e-7)
+
+
+def test_a_corner_into_a_rest_is_passed_as_slowly_as_joints_can_stop() -> None:
+    """σ² of the corner: within one step no joint changes its velocity q′σ by more than a dt."""
+    task = paper_lift()
+    start = task.path.pose(0.0)
+    up = pin.SE3(start.rotation, start.translation + np.array([0.0, 0.0, 0.05]))
+    path = WaypointPath([start, up, up], durations=[0.3, 0.3], time_law=TimeLaw.LINEAR)
+    task = replace(task, path=path, cell=task.cell.with_limits(acceleration=5.0))
+    preview = preview_of(task)
+    followed(preview, task, 0.25)
+    corner = next(knot for knot in preview.horizon.knots if knot.corner)
+    assert corner.clock == pytest.approx(0.3, abs=1e-9)
+    assert not corner.slope.any()
+    q, chain, h = on_the_path(task, 0.3), Chain(task.cell, task.grasp), 1e-5
+    before = newton(chain, path.pose(0.3 - h), q, tolerance=1e-14, max_iter=12)[0]
+    slope = pin.difference(task.cell.model, before, q) / h
+    assert corner.cap == pytest.approx(1.0 / float((np.abs(slope) / preview._plan.jump).max()) ** 2, rel=1e-3)
+    assert 0.0 < corner.cap < 0.1

@@ -16,6 +16,7 @@ from wrapped import Opaque
 
 from coopqp import (
     Array,
+    BindingLimit,
     HoldPath,
     InvalidInputError,
     LimitKind,
@@ -279,6 +280,19 @@ def test_a_singularity_ends_the_path_and_is_named(kind: Any, acceleration: float
     assert binding.arm == "arm_2"
     assert binding.joint == ""
     Joints(task).table(clocks)  # asserts that the arms carry the object
+
+
+@pytest.mark.parametrize("kind", ["elbow", "reach"])
+def test_every_arm_keeps_away_from_the_end_of_its_reach_by_what_joints_cover_in_a_step(kind: Any) -> None:
+    """Two of the three arms are far from theirs."""
+    preview = preview_of(at_singularity(kind, 1, acceleration=10.0), dt=0.05)
+    while not preview.horizon.complete:
+        assert preview._growth.step()
+    rooms = np.array([knot.rooms for knot in preview.horizon.knots])
+    least = preview._plan.room
+    assert least < rooms.min() < 2.0 * least
+    assert (rooms[-1] > 10.0 * least).sum() == 2
+    assert preview.horizon.knots[-1].binding == BindingLimit("arm_2", "", LimitKind.REACH)
 
 
 @pytest.mark.parametrize("order", [1, -1])

@@ -159,8 +159,9 @@ class Following:
             if found.reached < len(self._first.s) - 1:
                 share = self._first.s[max(found.reached, 0)] / geometry.length
                 where = "its start" if found.reached < 0 else f"{100.0 * share:.0f} % of its way"
-                last, T = max(found.reached, 0), self._first.tool(X)[0]
-                end = why_it_ends(arm, found.q[last], T[last], T[last + 1])
+                last = max(found.reached, 0)
+                here, ahead = ((geometry.pose(float(s)) * X).homogeneous for s in self._first.s[last : last + 2])
+                end = why_it_ends(arm, found.q[last], here, ahead)
                 raise UnreachableError(
                     f"arm '{name}' follows the path only to {where}, {end}. "
                     "Start from another branch (coopqp.planning.find_start), or move the path or the arm's base."
