@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 import pinocchio as pin
 
-from coopqp.checks import ArrayLike, as_vector
+from coopqp.checks import ArrayLike, as_tuple, as_vector
 from coopqp.errors import InvalidInputError, UnknownNameError
 from coopqp.lazy import Shown
 from coopqp.model.arm import Arm
@@ -46,10 +46,7 @@ class RobotCell(Shown):
     """
 
     def __init__(self, arms: Iterable[Arm]) -> None:
-        try:
-            self.arms = tuple(arms)
-        except TypeError as error:
-            raise InvalidInputError(f"a {type(arms).__name__}", "RobotCell", "Give a list of Arm.") from error
+        self.arms: tuple[Arm, ...] = as_tuple(arms, "RobotCell", "Give a list of Arm.")
         if not self.arms:
             raise InvalidInputError("a cell needs at least one arm", "RobotCell", "Give a list of Arm.")
         for arm in self.arms:
