@@ -19,6 +19,7 @@ from coopqp.model.cell import RobotCell, slides
 from coopqp.model.grasp import Grasp
 from coopqp.model.limits import BindingLimit, LimitKind
 from coopqp.model.state import CellState
+from coopqp.planning.horizon import joint_limit
 from coopqp.planning.jerk import jerk_limited, jerk_use, smoothed
 from coopqp.planning.knots import Following, Knots
 from coopqp.planning.parametrise import Limited, Lines, fastest, require_toppra
@@ -265,8 +266,7 @@ def binding_limits(
         if owners[last] < 0:
             names.append(BindingLimit("", "", kinds[last], bounds[-1 - owners[last]].name))
             continue
-        arm, _, joint = cell.joint_names[owners[last]].partition("/")
-        names.append(BindingLimit(arm, joint, kinds[last]))
+        names.append(joint_limit(cell, owners[last], kinds[last]))
     return names, most
 
 
