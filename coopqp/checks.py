@@ -147,10 +147,10 @@ def require(value: Any, kind: type | tuple[type, ...], where: str, remedy: str) 
 
 
 def as_tuple(value: Any, where: str, remedy: str) -> tuple[Any, ...]:
-    """The entries of a list, or of what can be gone through as one.
+    """The entries of a list or another iterable.
 
     Raises:
-        InvalidInputError: it cannot.
+        InvalidInputError: ``value`` is not iterable.
     """
     try:
         return tuple(value)

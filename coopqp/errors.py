@@ -80,7 +80,7 @@ class NoStartError(UnreachableError):
 
 
 class UndecidedError(CoopqpError):
-    """A computation failed in numbers: nothing is known of what was asked."""
+    """A computation failed numerically: its question stays open."""
 
 
 class MissingExtraError(CoopqpError, ImportError):
@@ -143,11 +143,7 @@ def printable(text: str) -> str:
 
 
 def _is_control(character: str) -> bool:
-    return (
-        (not character.isascii() and unicodedata.category(character) in _CONTROLS)
-        or character < " "
-        or character == "\x7f"
-    )
+    return unicodedata.category(character) in _CONTROLS
 
 
 #: Categories of Unicode: control, format (also the direction of writing), surrogates, line and paragraph separators.

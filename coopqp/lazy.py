@@ -20,7 +20,7 @@ def lazy_names(
 
     Args:
         package: its name.
-        places: names of every module in one text, by the name of the module.
+        places: the names that each module has, separated by spaces, by the name of the module.
         extra: name of an extra, then the packages that it brings; a missing one is then a MissingExtraError.
     """
     module_of = {name: module for module, names in places.items() for name in names.split()}

@@ -181,23 +181,19 @@ def write_files(contents: Mapping[Path, bytes]) -> list[Path]:
     """
     staged: list[tuple[Path, Path]] = []
     with Interrupts(), contextlib.ExitStack() as folders:
-        _write(contents, staged, folders)
+        try:
+            for file, content in contents.items():
+                check_file(file)
+                folders.enter_context(folder_of(file))
+                temporary = _temporary(file)
+                staged.append((temporary, file))
+                with temporary.open("xb") as stream:
+                    stream.write(content)
+            for temporary, file in staged:
+                temporary.replace(file)
+        except OSError as error:
+            raise OutputError(f"cannot write {error.filename or file}: {error.strerror}. Check the folder.") from error
+        finally:
+            for temporary, _ in staged:
+                temporary.unlink(missing_ok=True)
     return list(contents)
-
-
-def _write(contents: Mapping[Path, bytes], staged: list[tuple[Path, Path]], folders: contextlib.ExitStack) -> None:
-    try:
-        for file, content in contents.items():
-            check_file(file)
-            folders.enter_context(folder_of(file))
-            temporary = _temporary(file)
-            staged.append((temporary, file))
-            with temporary.open("xb") as stream:
-                stream.write(content)
-        for temporary, file in staged:
-            temporary.replace(file)
-    except OSError as error:
-        raise OutputError(f"cannot write {error.filename or file}: {error.strerror}. Check the folder.") from error
-    finally:
-        for temporary, _ in staged:
-            temporary.unlink(missing_ok=True)

@@ -475,7 +475,7 @@ def test_names_of_arms() -> None:
         RobotCell([rx90l(geometry=False), rx90l(geometry=False)])
     with pytest.raises(InvalidInputError, match="at least one arm"):
         RobotCell([])
-    with pytest.raises(InvalidInputError, match=r"expected Arm, got Model.*from_urdf"):
+    with pytest.raises(InvalidInputError, match=r"RobotCell: a Model.*from_urdf"):
         RobotCell([pin.Model()])
     for bad in ("", "left/arm", None, 3):
         with pytest.raises(InvalidInputError, match=r"Arm\.name"):

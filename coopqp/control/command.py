@@ -88,30 +88,6 @@ class GivenUp:
 NOTHING = GivenUp()
 
 
-class StepReader(Protocol):
-    """Puts the numbers of a record into words; one per controller and path.
-
-    Attributes:
-        path: of the controller.
-        nq, nv: numbers of a configuration, and of joint velocities.
-        q_at, velocity_at, q_next_at, dt_at, clock_at, clock_next_at: where they begin in a record [bytes].
-    """
-
-    path: ObjectPath
-    nq: int
-    nv: int
-    q_at: int
-    velocity_at: int
-    q_next_at: int
-    dt_at: int
-    clock_at: int
-    clock_next_at: int
-
-    def read(self, record: bytes, name: str) -> Any:
-        """Value of the attribute ``name`` of :class:`ControlStep`."""
-        ...
-
-
 _set = object.__setattr__
 _from_buffer, _FLOAT = np.frombuffer, np.dtype(np.float64)
 _unpacked = struct.Struct("d").unpack_from
@@ -159,8 +135,8 @@ class ControlStep(Shown):
         rate: σ, share of the nominal path rate.
         status, reason: the result of the step, in a word and in a sentence.
         binding: limits that the step runs against.
-        given_up: what each rank gave up.
-        solver: how the QP went.
+        given_up: the parts that each rank gave up.
+        solver: result of the QP solver.
         clearance: the bodies nearest to their margin at :attr:`q`, and their distance; None without a
             :class:`coopqp.collision.Clearance`. It is measured when it is asked for.
         build_time_s: time to compute the step without the solve [s]; 0 where it is not measured.
@@ -180,7 +156,7 @@ class ControlStep(Shown):
     clearance: NearPair | None
     build_time_s: float
 
-    # Loops read these at every step: they do not go the way of __getattr__.
+    # Loops read these at every step: properties spare them the detour through __getattr__.
     q: Array = _array("q", "nq", "Commanded configuration at the start of the step (nq,).")
     velocity: Array = _array("velocity", "nv", "Commanded joint velocities (nv,) [rad/s or m/s].")
     q_next: Array = _array("q_next", "nq", "Commanded configuration at the end of the step (nq,).")
@@ -216,7 +192,7 @@ class ControlStep(Shown):
         clearance: NearPair | None = None,
         build_time_s: float = 0.0,
     ) -> None:
-        values = dict(locals())  # a debugger writes into the other one
+        values = dict(locals())  # a copy: debuggers write into locals()
         del values["self"]
         for name in ("q", "velocity", "q_next"):
             if values[name].flags.writeable:
@@ -227,7 +203,8 @@ class ControlStep(Shown):
         _set(self, "status", status)
 
     def __getattr__(self, name: str) -> Any:
-        # Python calls this for missing attributes only. C fills in the record, the context, rate and status.
+        # Python calls this for missing attributes only. C fills in the record, rate and status, and as the context the
+        # RecordReader that puts the record into words.
         if name == "_values":
             empty: dict[str, Any] = {}
             _set(self, "_values", empty)

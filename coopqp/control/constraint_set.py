@@ -37,25 +37,19 @@ _STILL = 1e-12
 _LARGEST = 1e9
 
 
-def listed(constraints: Any) -> tuple[Any, ...]:
-    """The constraints as a tuple.
-
-    Raises:
-        InvalidInputError: they are no sequence.
-    """
-    return as_tuple(constraints, "constraints", "Give a list of them.")
-
-
 @final
 class Constraints:
     """The further constraints of one controller, in their order.
 
     Args:
-        cell: whose joints they constrain.
+        cell: the arms.
         constraints: objects with ``rows`` or ``lines``.
 
+    Attributes:
+        given: the constraints.
+
     Raises:
-        InvalidInputError: an object that is neither, or has no name or no rank.
+        InvalidInputError: no list, or an object that is neither, or has no name or no rank.
     """
 
     def __init__(self, cell: RobotCell, constraints: Sequence[Any]) -> None:
@@ -63,7 +57,8 @@ class Constraints:
         self.velocity: list[tuple[int, VelocityConstraint]] = []
         self.rate: list[tuple[int, RateBound]] = []
         names: list[str] = []
-        for i, item in enumerate(listed(constraints)):
+        self.given = as_tuple(constraints, "constraints", "Give a list of them.")
+        for i, item in enumerate(self.given):
             where = f"constraints[{i}]"
             name = getattr(item, "name", None)
             if not isinstance(name, str) or not name or name in names:
@@ -236,7 +231,7 @@ class Constraints:
         """The rate that the constraints allow at a knot.
 
         Raises:
-            ConstraintTrouble: as of :meth:`rows`.
+            ConstraintTrouble: as for :meth:`rows`.
         """
         cap, decrease, rise, which = np.inf, np.inf, np.inf, -1
         for i, constraint in self._certified:

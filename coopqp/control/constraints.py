@@ -136,7 +136,7 @@ class CertifiedConstraint(VelocityConstraint, Protocol):
     """A velocity constraint with many rows of which few bind: it names each, and says where none does.
 
     Attributes:
-        labels: what binds, one for each row that there may ever be.
+        labels: name of the limit that each row stands for, one for each row that there may ever be.
         quiet: joint positions at whose neighbours no row binds: with the certificate of the last ``rows_by_label`` a
             step of velocities v and length dt is admissible where ``Σ reach |v| dt`` is at most a share of
             ``slack − Σ reach |x − centre|``: min(approach dt, 1).

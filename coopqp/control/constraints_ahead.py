@@ -17,8 +17,8 @@ class ConstraintsAhead:
     """Further constraints in the words of the look-ahead.
 
     Args:
-        cell: that moves.
-        constraints: to ask.
+        cell: the arms.
+        constraints: the constraints.
         curvature_share: share of a bound that curvature may take, see :class:`coopqp.PreviewOptions`.
         dt: nominal length of a step [s].
     """
@@ -27,7 +27,7 @@ class ConstraintsAhead:
         self._cell, self._constraints, self._curvature_share, self._dt = cell, constraints, curvature_share, dt
 
     def bound(self, clock: float, q: Array, slope: Array, curvature: Array, span: float) -> KnotRoom:
-        """The rate that they allow at a knot.
+        """The rate that the constraints allow at a knot.
 
         Raises:
             LookAheadTrouble: one fails.
@@ -41,7 +41,7 @@ class ConstraintsAhead:
         return KnotRoom(found.cap, found.decrease, found.rise, binding)
 
     def evade(self, q: Array, slope: Array) -> Array:
-        """Slopes with the self-motion that they ask for.
+        """Slopes (nv,) at ``q`` (nq,) with the self-motion that the constraints ask for.
 
         Raises:
             LookAheadTrouble: one fails.

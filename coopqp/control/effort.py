@@ -25,8 +25,8 @@ class Effort:
     """Times in which the joints change the object's motion.
 
     Args:
-        cell, grasp: what moves, and how it holds.
-        options: of the preview.
+        cell, grasp: the arms, and how they hold the object.
+        options: of the preview; None for the defaults.
         dt: nominal length of a step [s].
     """
 

@@ -67,6 +67,7 @@ class StepTerms:
         null_along: null-space part of the joint velocities per unit of σ (nv,), or None.
         null_offset: null-space joint velocities wanted besides (nv,), or None.
         admissible: basis Z (6, d) of the twists that every arm can follow, None if all can follow all.
+        ranges: index of each arm with fewer than six joints, and the projector (6, 6) on the twists that it can follow.
     """
 
     rotation: Array

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Annotated, Any, final
 
@@ -195,7 +195,7 @@ class IndependentQPController:
         clock: float,
         began: float,
         reason: str,
-        solutions: list[QpSolution] | None = None,
+        solutions: Sequence[QpSolution] = (),
         parting: float = 0.0,
     ) -> ControlStep:
         box, report = self._box, NO_SOLVE

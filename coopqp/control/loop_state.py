@@ -21,7 +21,8 @@ class LoopState:
     Attributes:
         q, v, v_before: commanded configuration (nq,), and the velocities of the last two steps (nv,).
         predicted: errors foreseen for the next step (N, 6), or None.
-        drift: the object's error as measured less as commanded, let in slowly (6,); None before the first measurement.
+        drift: filtered difference of the object's measured from its commanded error (6,); None before the first
+            measurement.
         correcting: off-path twist of the last step (6,), or None where it was negligible.
         clock: the object's clock [s].
         rate: σ of the last step.
@@ -58,7 +59,7 @@ class Observed:
         h: length of the step [s].
         pose: the object's reference.
         carried, errors: the object as each arm carries it, as commanded (N, 4, 3), and its errors (N, 6).
-        watch: what the supervision says.
+        watch: result of the supervision.
         measured: the object's measured error (6,); None for the commanded one.
         lost: the path failed.
     """

@@ -351,7 +351,7 @@ class PlainLoop:
         clock_next = clock + rate * h
         if duration - clock_next < 1e-9 * duration:
             clock_next = duration
-        # what the last step needs is the full rate
+        # the last step needs less than the full rate, but nothing slows it
         share = 1.0 if rate >= 1.0 or (clock_next >= duration and not watch.hold) else rate
         status, by_qp = Status.TRACKING, answer.report is not NO_SOLVE
         if share <= 1.0 - 1e-6:

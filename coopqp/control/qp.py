@@ -19,7 +19,7 @@ import pinocchio as pin
 
 from coopqp.checks import NOT_NUMBERS, ArrayLike, as_options, as_scalar, require
 from coopqp.control.command import ControlStep, Status, amend, brakes_for_target, short_text
-from coopqp.control.constraint_set import Constraints, listed
+from coopqp.control.constraint_set import Constraints
 from coopqp.control.core import make_loop
 from coopqp.control.effort import Effort
 from coopqp.control.going_over import go_over, object_rests
@@ -41,11 +41,11 @@ from coopqp.task.servo import ServoPath
 class QPController:
     """Cooperative QP controller for any number of arms that hold one object.
 
-    A copy (``copy.copy``, ``copy.deepcopy``, pickle) goes on bit for bit where the original stands, with another solver
-    than the default one up to the solver's accuracy. ``copy.copy`` shares a path and constraints of the user's own.
+    A copy (``copy.copy``, ``copy.deepcopy``, pickle) goes on bit for bit where the original stands; with another solver
+    than the default one, up to that solver's accuracy. ``copy.copy`` shares a path and constraints of the user's own.
 
     Args:
-        cell, grasp, path: what moves, how it holds, and where to.
+        cell, grasp, path: the arms, how they hold the object, and its path.
         dt: nominal length of a step [s].
         options: settings, or a dictionary of them.
         constraints: further constraints, see :class:`coopqp.VelocityConstraint` and :class:`coopqp.RateBound`.
@@ -86,15 +86,16 @@ class QPController:
         self.cell, self.grasp, self.path = cell, grasp, path
         self.dt = as_scalar(dt, "QPController: dt")
         self.options = as_options(QPOptions, options, "QPController: options")
-        self.constraints = listed(constraints)
-        self._checked = Constraints(cell, self.constraints)
+        self._checked = Constraints(cell, constraints)
+        self.constraints = self._checked.given
         self._loop = make_loop(cell, grasp, dt=self.dt, options=self.options, constraints=self._checked)
         self.kernel, self.solver = self._loop.kernel, self._loop.solver.name
         self._effort = Effort(cell, grasp, self.options.preview, dt=self.dt)
         self._started = self._outside = False
         #: By how much the tools are elsewhere on the object than the grasp says (N, 6); None if they are not.
         self._shift: Array | None = None
-        #: The target that the object goes over to as soon as it can; it brakes until then. The override to go on with.
+        #: The target that the object goes over to as soon as it can, None if there is none; the object brakes until
+        #: then. And the override with which it goes on.
         self._wanted: pin.SE3 | None = None
         self._asked = 1.0
         self._take(path)
@@ -183,7 +184,7 @@ class QPController:
         """Go on from the present command along another path, from ``clock`` [s] on; the motion is not interrupted.
 
         The rate goes on as the one that comes closest to the object's present motion. The path should be where the
-        object is. What is missing is made up for by the path correction while the clock runs, and the status is
+        object is. If it is not, the path correction leads the object there while the clock runs, and the status is
         OFF_PATH until then; :meth:`pause` first to have the clock wait for the object.
 
         Raises:

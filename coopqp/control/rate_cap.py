@@ -13,6 +13,7 @@ from coopqp.control.reins import blind_brake
 from coopqp.control.supervision import Watch
 from coopqp.model.cell import RobotCell
 from coopqp.model.limits import BindingLimit, LimitKind
+from coopqp.planning.horizon import joint_limit
 from coopqp.planning.preview import PathPreview
 from coopqp.planning.preview_options import PreviewOptions
 
@@ -24,11 +25,11 @@ OVERRIDE = BindingLimit("", "", LimitKind.OVERRIDE)
 
 @final
 class RateCap:
-    """See the module's description.
+    """The largest rate of a step of the plain loop.
 
     Args:
-        cell: that moves.
-        box: whose limits joints brake ahead of.
+        cell: the arms.
+        box: limits of the joints, which brake ahead of them.
         options: of the controller.
         dt: nominal length of a step [s].
 
@@ -59,8 +60,7 @@ class RateCap:
         if self._box.accelerates and (blind or s.correcting is not None):
             keep, late = self._box.brake_share(self._cell.positions(s.q), s.v, h)
             if keep < 1.0 and blind and keep * s.rate < cap:
-                arm, _, joint = self._cell.joint_names[late].partition("/")
-                cap, binding = keep * s.rate, (BindingLimit(arm, joint, LimitKind.POSITION),)
+                cap, binding = keep * s.rate, (joint_limit(self._cell, late, LimitKind.POSITION),)
         if watch.rate_cap < cap:
             cap = watch.rate_cap
             out_of_step = BindingLimit(self._cell.arm_names[watch.arm], "", LimitKind.OUT_OF_STEP)

@@ -15,6 +15,7 @@ from coopqp.model.cell import RobotCell
 from coopqp.model.grasp import Grasp
 from coopqp.model.limits import BindingLimit, LimitKind
 from coopqp.model.shapes import NearPair
+from coopqp.planning.horizon import joint_limit
 from coopqp.spatial import Array
 from coopqp.task.guarded import jump
 from coopqp.task.path import ObjectPath
@@ -27,7 +28,7 @@ STATUSES = tuple(Status[name.replace("FAULTED", "FAULT")] for name in layout.STA
 
 @final
 class RecordReader:
-    """Reads the records of one controller on one path; see :class:`coopqp.control.command.StepReader`.
+    """Puts the numbers of the records of one controller on one path into words, for its steps.
 
     Args:
         cell, grasp, path: of the controller.
@@ -35,6 +36,10 @@ class RecordReader:
         constraints: the further constraints.
         dt: nominal length of a step [s].
         supervision: its thresholds.
+
+    Attributes:
+        nq, nv: sizes of a configuration and of a velocity.
+        q_at, velocity_at, q_next_at, dt_at, clock_at, clock_next_at: where each value begins in a record [bytes].
     """
 
     def __init__(
@@ -60,7 +65,7 @@ class RecordReader:
         self.dt_at, self.clock_at, self.clock_next_at = 8 * _R["R_DT"], 8 * _R["R_CLOCK"], 8 * _R["R_CLOCK_NEXT"]
 
     def read(self, record: bytes, name: str) -> Any:
-        """Value of the attribute ``name`` of a step."""
+        """Value of the attribute ``name`` of :class:`coopqp.ControlStep`."""
         if name in ("cell", "grasp"):
             return getattr(self, name)
         if name == "build_time_s":
@@ -99,8 +104,7 @@ class RecordReader:
         if constraint >= 0:
             return self._constraints.labels[constraint]
         if joint >= 0:
-            name, _, own = self.cell.joint_names[joint].partition("/")
-            return BindingLimit(name, own, _KINDS[kind])
+            return joint_limit(self.cell, joint, _KINDS[kind])
         return BindingLimit(self.cell.arm_names[arm] if arm >= 0 else "", "", _KINDS[kind])
 
     def _read_given_up(self, r: Array) -> GivenUp:

@@ -49,7 +49,8 @@ def blind_brake(velocity: Array, acceleration: Array, rate: float) -> float:
     """The fastest fall of the rate where nothing is known ahead [1/s]: all joints brake together, on a straight path.
 
     Args:
-        velocity, acceleration: of the joints, the second as far as it may be used (nv,).
+        velocity: of the joints (nv,) [rad/s or m/s].
+        acceleration: the share of the joints' acceleration limits that may be used (nv,) [rad/s² or m/s²].
         rate: σ of the last step.
     """
     tightest = float((np.abs(velocity) / acceleration).max())

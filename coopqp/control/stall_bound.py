@@ -27,7 +27,7 @@ class StallBound:
     Args:
         distance: from the arm that stalls to where the others carry its grasp [m].
         dt: length of the controller's steps [s].
-        samples: in which a stall is known; by default 5, as ``SupervisionOptions`` find it by default.
+        samples: number of samples after which a stall is known; by default 5, as with default ``SupervisionOptions``.
         name: how ``ControlStep.binding`` calls it.
 
     Raises:

@@ -62,7 +62,7 @@ def odd_start(cell: RobotCell, grasp: Grasp, shares: Array, pose: pin.SE3 | None
     """Sentences about joints outside limits, arms off the grasp, an object off its path; empty if all is well.
 
     Args:
-        cell, grasp: what moves, and how it holds.
+        cell, grasp: the arms, and how they hold the object.
         shares: of the arms in the common error (N, 6).
         pose: the path's; None to judge the grasp only.
         q: configuration (nq,).

@@ -163,12 +163,7 @@ class Arm:
         upper_limits: ArrayLike | None = None,
     ) -> Arm:
         """Build an arm from a copy of a :class:`pinocchio.Model`; see :meth:`from_urdf`."""
-        if not isinstance(model, pin.Model):
-            raise InvalidInputError(
-                f"expected a pinocchio.Model, got {type(model).__name__}",
-                f"arm '{name}'",
-                "Use from_urdf for a file.",
-            )
+        require(model, pin.Model, f"arm '{name}': model", "Give a pinocchio.Model, or use from_urdf for a file.")
         shapes = {
             "visual": None if visual is None else visual.copy(),
             "collision": None if collision is None else collision.copy(),

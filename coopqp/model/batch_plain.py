@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from coopqp.spatial import Array, cross_last, skew
+from coopqp.spatial import Array, cross_last, rotations
 
 _PER_JOINT, _SLIDES, _WEIGHT = 14, 12, 13
 _LEAST_DAMPING = 1e-15
@@ -149,11 +149,8 @@ def _negative(arm: Array, q: Array) -> npt.NDArray[np.bool_]:
 
 def _halfway(start: Array, goal: Array) -> Array:
     R0, R1 = start[:9].reshape(3, 3), goal[:9].reshape(3, 3)
-    w = 0.5 * _rotation_vectors((R1 @ R0.T)[None])[0]
-    angle = float(np.linalg.norm(w))
-    K = skew(w / angle if angle > 0.0 else w)
-    R = (_EYE3 + np.sin(angle) * K + (1.0 - np.cos(angle)) * K @ K) @ R0
-    return np.concatenate([R.ravel(), 0.5 * (start[9:] + goal[9:])])
+    w = 0.5 * _rotation_vectors((R1 @ R0.T)[None])
+    return np.concatenate([(rotations(w)[0] @ R0).ravel(), 0.5 * (start[9:] + goal[9:])])
 
 
 def _place(arm: Array, q: Array) -> tuple[Array, Array]:

@@ -16,7 +16,7 @@ from typing import TypeVar
 import numpy as np
 import pinocchio as pin
 
-from coopqp.checks import ArrayLike, as_vector
+from coopqp.checks import ArrayLike, as_tuple, as_vector, require
 from coopqp.errors import InvalidInputError, UnknownNameError
 from coopqp.lazy import Shown
 from coopqp.model.arm import Arm
@@ -49,17 +49,11 @@ class RobotCell(Shown):
     """
 
     def __init__(self, arms: Iterable[Arm]) -> None:
-        try:
-            self.arms = tuple(arms)
-        except TypeError as error:
-            raise InvalidInputError(f"a {type(arms).__name__}", "RobotCell", "Give a list of Arm.") from error
+        self.arms: tuple[Arm, ...] = as_tuple(arms, "RobotCell", "Give a list of Arm.")
         if not self.arms:
             raise InvalidInputError("a cell needs at least one arm", "RobotCell", "Give a list of Arm.")
         for arm in self.arms:
-            if not isinstance(arm, Arm):
-                raise InvalidInputError(
-                    f"expected Arm, got {type(arm).__name__}", "RobotCell", "Build arms with Arm.from_urdf."
-                )
+            require(arm, Arm, "RobotCell", "Give a list of Arm, built with Arm.from_urdf.")
         self.arm_names = tuple(arm.name for arm in self.arms)
         double = sorted({n for n in self.arm_names if self.arm_names.count(n) > 1})
         if double:

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from coopqp.model.branches import amount
-from coopqp.planning.branch_checks import BranchCheck, PathVerdict
+from coopqp.planning.branch_checks import BranchCheck, PathVerdict, follows
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -56,7 +56,7 @@ class ArmCheck:
         if self.trouble or self.chosen is None:
             return f"{self.trouble}."
         b = self.chosen
-        follow = sum(x.verdict in (PathVerdict.CERTIFIED, PathVerdict.SAMPLED) for x in self.branches)
+        follow = sum(follows(x.verdict) for x in self.branches)
         if len(self.branches) > 1:
             said = f"arm {self.arm}: {follow} of {len(self.branches)} branches follow the path"
             open_ = sum(x.verdict is PathVerdict.UNDECIDED for x in self.branches)

@@ -43,7 +43,7 @@ class BranchAlongPath:
         clocks: clock at which each joint has its least margin (n,) [s].
         sigma_min: smallest singular value of the tool's Jacobian at each sample of the path (K,).
         score: lesser of margin and σ_min, in shares of good values; the larger, the better.
-        end: what ends the way of a branch that does not reach the whole path.
+        end: why the way ends before the path does; empty if it does not.
     """
 
     roll: float
@@ -93,6 +93,11 @@ class ArmOnPath:
         return tuple(b for b in self.branches if b.feasible)
 
 
+def rolled(T: pin.SE3, angle: float) -> pin.SE3:
+    """A pose turned about its own z axis by an angle [rad]."""
+    return T * pin.SE3(pin.exp3(np.array([0.0, 0.0, angle])), np.zeros(3)) if angle else T
+
+
 def arm_on_path(
     kinematics: ArmKinematics,
     samples: PathSamples,
@@ -114,8 +119,7 @@ def arm_on_path(
         effort: multiplies the number of seeds.
         quick: a first look, with few seeds: branches may be missing.
     """
-    turned = X * pin.SE3(pin.exp3(np.array([0.0, 0.0, roll])), np.zeros(3)) if roll else X
-    poses = samples.tool_poses(turned)
+    poses = samples.tool_poses(rolled(X, roll))
     found = find_branches(kinematics, poses[0], effort=effort, near=near, quick=quick)
     q, hits = found.q, found.hits
     if kinematics.n > 6 and len(q):

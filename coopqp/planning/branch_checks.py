@@ -38,12 +38,14 @@ class PathVerdict(enum.Enum):
     INFEASIBLE = "INFEASIBLE"  #: an arm cannot follow the path
 
 
-_WORSE = {verdict: i for i, verdict in enumerate(PathVerdict)}
-
-
 def worst(verdicts: list[PathVerdict]) -> PathVerdict:
     """The worst verdict."""
-    return max(verdicts, key=_WORSE.__getitem__)
+    return max(verdicts, key=list(PathVerdict).index)
+
+
+def follows(verdict: PathVerdict) -> bool:
+    """True for the verdicts on a path that is followed, with a proof or at samples."""
+    return verdict in (PathVerdict.CERTIFIED, PathVerdict.SAMPLED)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -42,7 +42,7 @@ class KnotRoom(NamedTuple):
     Attributes:
         cap: largest σ²; negative where not even rest is admissible.
         decrease, rise: largest changes of σ [1/s].
-        binding: what makes the cap.
+        binding: the limit that makes the cap; None if none does.
     """
 
     cap: float

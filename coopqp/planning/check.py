@@ -28,6 +28,7 @@ from coopqp.planning.branch_checks import (
     ToolPath,
     check_branches,
     check_way,
+    follows,
     not_disproved,
     path_at,
     tool_path,
@@ -84,7 +85,7 @@ class PathCheck:
     @property
     def feasible(self) -> bool:
         """True if the arms follow the path and keep their distances: CERTIFIED or SAMPLED."""
-        return self.verdict in (PathVerdict.CERTIFIED, PathVerdict.SAMPLED)
+        return follows(self.verdict)
 
     def explain(self) -> str:
         """The verdict, a line per arm and one for distances, in sentences; then the remedies."""

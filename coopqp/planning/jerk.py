@@ -30,7 +30,7 @@ _PROGRAMS, _GAIN = 40, 2e-4
 _LOOKED_AT = 0.3
 #: Searches for broken rows in one program; then all rows enter.
 _LOOKS = 4
-#: Knots of the smoothed profile: so many for one, or one in so many seconds, and at most.
+#: Knots of the smoothed profile: number for each given knot, or one per this time [s] if those are more; at most.
 _FINER, _STEP, _MOST_KNOTS = 4, 0.0025, 4000
 #: Time over which accelerations are averaged where jerk is measured [s].
 _WINDOW = 0.01
@@ -205,15 +205,8 @@ def _program(lines: list[_Rows], A: tuple[Array, Array], h: Array, z: Array, bou
     gradient = np.concatenate([near, [0.0]]) + np.concatenate([[0.0], far])
     upper = np.minimum(top, 1e3 * scale) / scale
     upper[0] = upper[-1] = 0.0
-    matrices, rights = [], []
-    for rows in lines:
-        B, b = _two_sided(rows, K)
-        matrices.append(B * scale)
-        rights.append(b)
-    B, b = _jerk_rows(A, h, z, bound)
-    matrices.append(B * scale)
-    rights.append(b)
-    M, right = csr_array(vstack(matrices)), np.concatenate(rights)
+    parts = [*(_two_sided(rows, K) for rows in lines), _jerk_rows(A, h, z, bound)]
+    M, right = csr_array(vstack([B * scale for B, _ in parts])), np.concatenate([b for _, b in parts])
     here = z / scale
     inside = M @ here - right > -(1.0 - _LOOKED_AT)
     for look in range(_LOOKS + 1):

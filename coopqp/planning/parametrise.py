@@ -120,7 +120,7 @@ def fastest(limited: Limited) -> Array:
             squares: Array = np.asarray(speeds, dtype=float) ** 2
             squares[0] = squares[-1] = 0.0
             return squares
-    raise UndecidedError("the parametrisation failed in numbers; give another number of knots")
+    raise UndecidedError("the parametrisation failed numerically; give another number of knots")
 
 
 def _by_toppra(limited: Limited, scale: float) -> Array | None:

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from coopqp.checks import as_floats, as_scalar, as_vector
+from coopqp.checks import as_floats, as_scalar, as_vector, one_each
 from coopqp.errors import InvalidInputError
 from coopqp.model.cell import RobotCell
 from coopqp.model.grasp import Grasp
@@ -37,7 +37,7 @@ class Payload:
         object.__setattr__(self, "mass", as_scalar(self.mass, "Payload: mass", open_low=False))
         object.__setattr__(self, "centre", as_vector(self.centre, 3, "Payload: centre"))
         if self.inertia is not None:
-            inertia = np.asarray(as_floats(self.inertia))
+            inertia = as_floats(self.inertia)
             if inertia.shape != (3, 3) or not np.allclose(inertia, inertia.T) or np.linalg.eigvalsh(inertia)[0] < 0.0:
                 raise InvalidInputError(
                     "not a symmetric 3x3 matrix ≥ 0", "Payload: inertia", "Give it about the centre."
@@ -53,10 +53,10 @@ class Payload:
         if self.torque is None:
             model = np.asarray(cell.model.effortLimit, dtype=float)
             return np.where((model > 0.0) & (model < 1e9), model, np.inf)
-        given = np.asarray(as_floats(self.torque))
-        if given.shape not in ((), (cell.nv,)) or not (given > 0.0).all():
-            raise InvalidInputError("torque has a bad shape or entries ≤ 0", "Payload", f"Give one, or {cell.nv}.")
-        return np.broadcast_to(given, (cell.nv,)).astype(float)
+        given = one_each(self.torque, cell.nv, "Payload: torque", finite=False)
+        if not (given > 0.0).all():
+            raise InvalidInputError("entries ≤ 0 or NaN", "Payload: torque", f"Give one, or {cell.nv}.")
+        return given
 
 
 def torque_lines(cell: RobotCell, grasp: Grasp, payload: Payload, knots: Knots) -> tuple[Array, Array, Array]:

@@ -85,15 +85,15 @@ def plan(
         q_start: start configuration (nq,); found by default.
         blend: corners are rounded off: the object stays within this distance of them [m]. 0: it rests at each corner.
         blend_angle: and within this angle [rad]; by default ``blend`` over 0.3 m.
-        free_roll: as of :func:`find_start`.
-        payload, bounds, jerk, share, knots: as of :func:`time_path`.
+        free_roll: as for :func:`find_start`.
+        payload, bounds, jerk, share, knots: as for :func:`time_path`.
         starts: number of starts of each arm to compare by time; the fastest is taken. By default the one with the
             largest margins and singular values. Arms with more than six joints gain most: their starts differ in the
             elbow. Not with ``q_start``.
 
     Raises:
         NoStartError: an arm has no start from which it follows the path.
-        InvalidInputError, UnreachableError, UndecidedError, MissingExtraError: as of :func:`time_path`.
+        InvalidInputError, UnreachableError, UndecidedError, MissingExtraError: as for :func:`time_path`.
     """
     where = "plan"
     blend = as_scalar(blend, f"{where}: blend", open_low=False)

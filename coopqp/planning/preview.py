@@ -145,7 +145,10 @@ class PathPreview:
         return self._growth.next_breakpoint(clock) <= clock + way
 
     def rise(self, clock: float) -> tuple[float, BindingLimit | None]:
-        """Largest rise of σ near a clock by further constraints, and by joints that no step limits [1/s]; the joint."""
+        """Largest rise of σ near a clock [1/s], and the joint's limit that makes it; None where a constraint does.
+
+        Further constraints bound it, and the planned accelerations of joints without acceleration limits.
+        """
         if not self.knows:
             return np.inf, None
         i = self.horizon.knot_before(clock)

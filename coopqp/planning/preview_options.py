@@ -79,7 +79,7 @@ class PlanLimits:
         jump: change of velocity that a joint can take within one step, at a corner or at the path's end (nv,).
         slope_change: change of slope between knots that is always allowed (nv,).
         slope_cap: largest change of the rate [1/s].
-        room: to the end of an arm's reach, as a joint motion over its acceleration [s²].
+        room: least distance to the end of an arm's reach, as a joint motion over its acceleration [s²].
         accelerates: some joint has an acceleration limit.
     """
 

@@ -17,8 +17,8 @@ import pinocchio as pin
 from coopqp.model.batch import ArmKinematics
 from coopqp.model.cell import RobotCell
 from coopqp.model.grasp import Grasp
-from coopqp.planning.arm_starts import arm_on_path
-from coopqp.planning.branch_checks import PathVerdict
+from coopqp.planning.arm_starts import arm_on_path, rolled
+from coopqp.planning.branch_checks import follows
 from coopqp.planning.check import PathCheck, check_path
 from coopqp.planning.samples import PathSamples, sample_path
 from coopqp.spatial import Array
@@ -28,7 +28,10 @@ from coopqp.task.path import HoldPath, LinePath, ObjectPath, WaypointPath
 _ROLLS = (180.0, 90.0, -90.0, 45.0, -45.0, 135.0, -135.0, *np.arange(-165.0, 180.0, 30.0).tolist())
 #: Distances of the path or of a base [m], the least first, and number of found places that are checked.
 _DISTANCES, _CHECKED = (0.05, 0.1, 0.2, 0.3, 0.5), 4
-_DIRECTIONS = np.array([d for d in itertools.product((0, 1, -1), repeat=3) if any(d)], dtype=float)
+_DIRECTIONS = [np.array(d) / np.linalg.norm(d) for d in itertools.product((0, 1, -1), repeat=3) if any(d)]
+#: Displacements that are tried, by their distances [m].
+_PLACES = [[distance * d for d in _DIRECTIONS] for distance in _DISTANCES]
+_MOST_PLACES = len(_DISTANCES) * len(_DIRECTIONS)
 #: Joints that move by less between two starts stay where they are [rad or m].
 _MOVED = 1e-3
 
@@ -42,7 +45,7 @@ class Remedy:
     Attributes:
         kind: ``"branch"`` (another start), ``"roll"`` (of tools about their z axes), ``"shift"`` (of the path) or
             ``"base"`` (of bases).
-        text: what to do.
+        text: the change, in words.
         check: the check of the changed task: its ``cell``, ``grasp``, ``path`` and ``q_start`` hold the remedy.
         shift: displacement of the path, or of each base (N, 3), in the world [m]; None for other kinds.
         roll: roll of each tool (N,) [rad]; None for other kinds.
@@ -113,7 +116,7 @@ def find_remedies(check: PathCheck) -> Remedies:
 
 def _to_be_changed(check: PathCheck, base: PathCheck) -> list[str]:
     """Arms that cannot follow the path; if there are none, those that start elsewhere to keep clear."""
-    bad = [arm.arm for arm in check.arms if not _follows(arm.verdict)]
+    bad = [arm.arm for arm in check.arms if not follows(arm.verdict)]
     if bad or check.q_start is None or base.q_start is None:
         return bad
     x, y = (check.cell.positions(q) for q in (check.q_start, base.q_start))
@@ -122,10 +125,6 @@ def _to_be_changed(check: PathCheck, base: PathCheck) -> list[str]:
         for name, own in zip(check.cell.arm_names, check.cell.v_slices, strict=True)
         if np.abs(x[own] - y[own]).max() > _MOVED
     ]
-
-
-def _follows(verdict: PathVerdict) -> bool:
-    return verdict in (PathVerdict.CERTIFIED, PathVerdict.SAMPLED)
 
 
 def _listed(names: list[str]) -> str:
@@ -141,7 +140,7 @@ class _Search:
         self.check = check
         self.samples = sample_path(check.path, check.grasp)
         self.arms = [ArmKinematics(arm) for arm in check.cell.arms]
-        self.bad = [k for k, arm in enumerate(check.arms) if not _follows(arm.verdict)]
+        self.bad = [k for k, arm in enumerate(check.arms) if not follows(arm.verdict)]
         self._scores: dict[tuple[int, tuple[float, ...], float], float] = {}
         self._said = ""  # verdict of the last check
 
@@ -183,11 +182,8 @@ class _Search:
         for choice in itertools.islice(_together(options), _CHECKED):
             angles = np.zeros(len(c.cell))
             angles[self.bad] = np.deg2rad(choice)
-            tools = [
-                X * pin.SE3(pin.exp3(np.array([0.0, 0.0, a])), np.zeros(3))
-                for X, a in zip(c.grasp.T_object_tool, angles, strict=True)
-            ]
-            answer = self._confirmed(c.cell, Grasp(tuple(tools)), c.path)
+            tools = tuple(rolled(X, a) for X, a in zip(c.grasp.T_object_tool, angles, strict=True))
+            answer = self._confirmed(c.cell, Grasp(tools), c.path)
             if answer is not None:
                 said = [f"of arm {c.cell.arm_names[k]} by {a:.0f}°" for k, a in zip(self.bad, choice, strict=True)]
                 return Remedy(kind="roll", text=f"roll the tool {' and '.join(said)}", check=answer, roll=angles)
@@ -197,8 +193,7 @@ class _Search:
         """Move the whole path; or why this does not help."""
         c, tried = self.check, 0
         order = [*self.bad, *(k for k in range(len(c.cell)) if k not in self.bad)]
-        for distance in _DISTANCES:
-            places = [distance * d / np.linalg.norm(d) for d in _DIRECTIONS]
+        for places in _PLACES:
             good = [D for D in places if all(self.score(k, D) > -np.inf for k in order)]
             good.sort(key=lambda D: -min(self.score(k, D) for k in order))
             for D in good:
@@ -212,16 +207,16 @@ class _Search:
         if tried:
             return f"moving the path: {self._in_vain()}"
         for k in self.bad:
-            if not any(self.score(k, D) > -np.inf for D in _places()):
+            if not any(self.score(k, D) > -np.inf for places in _PLACES for D in places):
                 return f"moving the path: {self._nowhere(k)}"
-        return f"moving the path: no place of {len(_places())} up to {_DISTANCES[-1]:g} m away suits all arms at once"
+        return f"moving the path: no place of {_MOST_PLACES} up to {_DISTANCES[-1]:g} m away suits all arms at once"
 
     def _in_vain(self) -> str:
         return f"a first look found some that all arms follow, but the check of the best says {self._said}"
 
     def _nowhere(self, k: int) -> str:
         name = self.check.cell.arm_names[k]
-        return f"arm {name} follows it at none of {len(_places())} places up to {_DISTANCES[-1]:g} m away"
+        return f"arm {name} follows it at none of {_MOST_PLACES} places up to {_DISTANCES[-1]:g} m away"
 
     def bases(self) -> Remedy | str:
         """Move the base of each arm in trouble: by −D where the path moved by D is followed; or why this is no help."""
@@ -229,8 +224,7 @@ class _Search:
         options: list[list[Array]] = []
         for k in self.bad:
             good: list[Array] = []
-            for distance in _DISTANCES:
-                places = [distance * d / np.linalg.norm(d) for d in _DIRECTIONS]
+            for places in _PLACES:
                 scored = [(self.score(k, D), i) for i, D in enumerate(places)]
                 good += [-places[i] for score, i in sorted(scored, reverse=True) if score > -np.inf]
                 if len(good) >= _CHECKED:
@@ -248,11 +242,6 @@ class _Search:
                 said = [f"of arm {c.cell.arm_names[k]} by {_metres(shift[k])} m" for k in self.bad]
                 return Remedy(kind="base", text=f"move the base {' and '.join(said)}", check=answer, shift=shift)
         return f"moving bases: {self._in_vain()}"
-
-
-def _places() -> list[Array]:
-    """Displacements of the path that are tried [m]."""
-    return [distance * d / np.linalg.norm(d) for distance in _DISTANCES for d in _DIRECTIONS]
 
 
 def _together(options: list[list[Any]]) -> Any:

@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 import pinocchio as pin
 
-from coopqp.spatial import Array
+from coopqp.spatial import Array, rotations
 from coopqp.task.geometry import Straight
 from coopqp.task.path import ObjectPath
 
@@ -145,15 +145,3 @@ def _timed(path: ObjectPath) -> Segments | None:
         lengths=lengths,
         when=path.clocks,
     )
-
-
-def rotations(w: Array) -> Array:
-    """Rotations (M, 3, 3) about rotation vectors (M, 3) [rad]."""
-    angle = np.linalg.norm(w, axis=1)
-    x, y, z = (w / np.where(angle > 0.0, angle, 1.0)[:, None]).T
-    K = np.zeros((len(w), 3, 3))
-    K[:, 0, 1], K[:, 0, 2], K[:, 1, 2] = -z, y, -x
-    K[:, 1, 0], K[:, 2, 0], K[:, 2, 1] = z, -y, x
-    s, half = np.sin(angle)[:, None, None], np.sin(0.5 * angle)[:, None, None]
-    out: Array = np.eye(3) + s * K + 2.0 * half * half * (K @ K)
-    return out

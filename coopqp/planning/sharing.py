@@ -50,7 +50,7 @@ class Share(NamedTuple):
         square: z.
         gain: slope of z over K at the next knot; 0 where K there does not make z.
         until: K at the next knot up to which this is the slope.
-        joint: whose acceleration makes z, or helps to; −1 if none does.
+        joint: index of the joint whose acceleration makes z, or helps to; −1 if none does.
     """
 
     square: float

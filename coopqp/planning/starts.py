@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pinocchio as pin
 
-from coopqp.checks import ArrayLike, as_count, as_floats, as_scalar
+from coopqp.checks import NOT_NUMBERS, ArrayLike, as_count, as_floats, as_scalar
 from coopqp.errors import InvalidInputError, NoStartError
 from coopqp.model.batch import ArmKinematics
 from coopqp.model.branches import amount
@@ -19,7 +19,7 @@ from coopqp.model.cell import RobotCell
 from coopqp.model.chain import Chain
 from coopqp.model.grasp import Grasp
 from coopqp.model.inverse_kinematics import newton
-from coopqp.planning.arm_starts import ArmOnPath, BranchAlongPath, arm_on_path, trouble
+from coopqp.planning.arm_starts import ArmOnPath, BranchAlongPath, arm_on_path, rolled, trouble
 from coopqp.planning.clearance import Bodies, check_scene
 from coopqp.planning.samples import PathSamples, sample_path
 from coopqp.spatial import Array
@@ -202,9 +202,9 @@ def _put_together(
     tools = []
     for own, X, (_, row) in zip(columns, grasp.T_object_tool, found, strict=True):
         x[own], margins[own] = row.q, row.margins
-        tools.append(X * pin.SE3(pin.exp3(np.array([0.0, 0.0, row.roll])), np.zeros(3)))
-    rolled = Grasp(tuple(tools))
-    chain = Chain(cell, rolled)
+        tools.append(rolled(X, row.roll))
+    held = Grasp(tuple(tools))
+    chain = Chain(cell, held)
     others = [(row.score, k, row) for k, (arm, best) in enumerate(found) for row in arm.feasible if row is not best]
     others.sort(key=lambda other: -other[0])
     alternatives = []
@@ -214,7 +214,7 @@ def _put_together(
         alternatives.append(exact_start(chain, samples.poses[0], changed))
     return Start(
         q=exact_start(chain, samples.poses[0], x),
-        grasp=rolled if any(row.roll for _, row in found) else grasp,
+        grasp=held if any(row.roll for _, row in found) else grasp,
         arms=tuple(
             ArmStart(
                 arm=name,
@@ -244,7 +244,7 @@ def _checked_rolls(cell: RobotCell, free_roll: Mapping[str, Sequence[float]]) ->
         where = f"find_start: free_roll['{name}']"
         try:
             numbers = np.atleast_1d(as_floats(angles))
-        except (TypeError, ValueError) as error:
+        except NOT_NUMBERS as error:
             raise InvalidInputError("not a list of angles", where, "Give angles [rad].") from error
         checked = [as_scalar(a, where, low=-2.0 * np.pi, high=2.0 * np.pi, open_low=False) for a in numbers.ravel()]
         rolls[cell.index(name)] = (0.0, *(a for a in checked if a))

@@ -12,13 +12,14 @@ from typing import Any
 
 import numpy as np
 
-from coopqp.checks import NOT_NUMBERS, ArrayLike, as_count, as_floats, as_scalar, require
+from coopqp.checks import ArrayLike, as_count, as_scalar, one_each, require
 from coopqp.errors import InvalidInputError, UnreachableError
 from coopqp.model.branches import AT_LIMIT, amount
-from coopqp.model.cell import RobotCell
+from coopqp.model.cell import RobotCell, slides
 from coopqp.model.grasp import Grasp
 from coopqp.model.limits import BindingLimit, LimitKind
 from coopqp.model.state import CellState
+from coopqp.planning.horizon import joint_limit
 from coopqp.planning.jerk import jerk_limited, jerk_use, smoothed
 from coopqp.planning.knots import Following, Knots
 from coopqp.planning.parametrise import Limited, Lines, fastest, require_toppra
@@ -131,13 +132,11 @@ def time_path(
 
 def _as_jerks(jerk: ArrayLike, nv: int, where: str) -> Array:
     """Limits of the jerk (nv,)."""
-    try:
-        given = as_floats(jerk)
-    except NOT_NUMBERS as error:
-        raise InvalidInputError("jerk is no number", where, "Give one, or one per joint [rad/s³ or m/s³].") from error
-    if given.shape not in ((), (nv,)) or not (given > 0.0).all():
-        raise InvalidInputError("jerk has a bad shape or entries ≤ 0", where, f"Give one number, or {nv}.")
-    return np.broadcast_to(given, (nv,)).astype(float)
+    remedy = f"Give one number, or {nv} [rad/s³ or m/s³]."
+    given = one_each(jerk, nv, f"{where}: jerk", finite=False, remedy=remedy)
+    if not (given > 0.0).all():
+        raise InvalidInputError("entries ≤ 0 or NaN", f"{where}: jerk", remedy)
+    return given
 
 
 def geometry_of(path: ObjectPath | PathGeometry, where: str) -> PathGeometry:
@@ -267,8 +266,7 @@ def binding_limits(
         if owners[last] < 0:
             names.append(BindingLimit("", "", kinds[last], bounds[-1 - owners[last]].name))
             continue
-        arm, _, joint = cell.joint_names[owners[last]].partition("/")
-        names.append(BindingLimit(arm, joint, kinds[last]))
+        names.append(joint_limit(cell, owners[last], kinds[last]))
     return names, most
 
 
@@ -341,11 +339,10 @@ def _check_positions(cell: RobotCell, path: ObjectPath | PathGeometry, knots: Kn
     j = int(margins.min(axis=0).argmin())
     at = mark + knots.s[np.flatnonzero(margins[:, j] < -AT_LIMIT)[0]]
     arm, _, joint = cell.joint_names[j].partition("/")
-    slides = cell.model.joints[j + 1].shortname().startswith("JointModelP")
     when = f" ({path.clocks(np.array([at]))[0]:.2f} s of it)" if isinstance(path, ObjectPath) and is_known(path) else ""
     raise UnreachableError(
         f"arm {arm} leaves its position limits {at:.3g} m along the path{when}: {joint} goes "
-        f"{amount(-float(margins[:, j].min()), slides=slides)} outside. Start from another branch "
+        f"{amount(-float(margins[:, j].min()), slides=slides(cell)[j])} outside. Start from another branch "
         "(coopqp.planning.find_start), or move the path or the arm's base."
     )
 

@@ -20,7 +20,7 @@ import numpy as np
 import pinocchio as pin
 
 from coopqp.errors import InvalidInputError
-from coopqp.spatial import Array, as_placement, cross, skew
+from coopqp.spatial import Array, as_placement, cross, rotations
 
 _Number = TypeVar("_Number", float, Array)
 #: A turn of 1 rad counts as this many metres.
@@ -64,17 +64,6 @@ def motion_length(displacement: Array, angle: float) -> float:
     return math.hypot(float(np.linalg.norm(displacement)), TURN_LENGTH * angle)
 
 
-def _turns(w: Array, share: Array) -> Array:
-    """``exp(share · [w]×)`` for one rotation vector (3,) and many shares (K,): (K, 3, 3)."""
-    angle = float(np.linalg.norm(w))
-    if angle == 0.0:
-        return np.broadcast_to(np.eye(3), (len(share), 3, 3)).copy()
-    K = skew(w / angle)
-    a = (angle * share)[:, None, None]
-    out: Array = np.eye(3) + np.sin(a) * K + 2.0 * np.sin(0.5 * a) ** 2 * (K @ K)
-    return out
-
-
 @final
 @dataclass(frozen=True, eq=False)
 class Straight(Piece):
@@ -96,7 +85,7 @@ class Straight(Piece):
     def poses(self, s: Array) -> tuple[Array, Array]:
         """See :class:`Piece`."""
         share = s / self.length
-        return self.R @ _turns(self.turn, share), self.p + share[:, None] * self.way
+        return self.R @ rotations(share[:, None] * self.turn), self.p + share[:, None] * self.way
 
     def twists(self, s: Array) -> tuple[Array, Array]:
         """See :class:`Piece`. The axis is fixed in the world, too: the twist is constant."""
@@ -163,19 +152,19 @@ class Blend(Piece):
     def poses(self, s: Array) -> tuple[Array, Array]:
         """See :class:`Piece`."""
         x = 2.0 * s / self.length - 1.0
-        b, _, _ = _ramp(x)
-        a = x - b
-        R = self.R @ _turns(self.turns[0], a) @ _turns(self.turns[1], b)
-        return R, self.p + a[:, None] * self.ways[0] + b[:, None] * self.ways[1]
+        b = _ramp(x)[0]
+        a, b = (y[:, None] for y in (x - b, b))
+        R = self.R @ rotations(a * self.turns[0]) @ rotations(b * self.turns[1])
+        return R, self.p + a * self.ways[0] + b * self.ways[1]
 
     def twists(self, s: Array) -> tuple[Array, Array]:
         """See :class:`Piece`. In world axes ω = R_C (α′ w_0 + β′ exp(α w_0) w_1)."""
         half = 0.5 * self.length
         x = s / half - 1.0
         b, db, ddb = (y[:, None] for y in _ramp(x))
-        a, da = x - b[:, 0], 1.0 - db
+        a, da = x[:, None] - b, 1.0 - db
         (e0, e1), w0 = self.ways, self.turns[0]
-        w1 = _turns(w0, a) @ self.turns[1]
+        w1 = rotations(a * w0) @ self.turns[1]
         V = np.hstack([da * e0 + db * e1, (da * w0 + db * w1) @ self.R.T]) / half
         bend = cross(np.tile(w0, (len(s), 1)), w1)
         dV = np.hstack([ddb * (e1 - e0), (ddb * (w1 - w0) + da * db * bend) @ self.R.T]) / (half * half)

@@ -121,7 +121,7 @@ class GuardedPath:
         return None
 
     def kink(self, before: float, after: float) -> float | None:
-        """A clock between two others at which the twist of a user's path jumps, unsaid [s]; None if it does not."""
+        """A clock between two others at which the twist of a user's path jumps [s]; None if it does not."""
         if not self._own:
             return None
         low, high = self.twist(before), self.twist(after)
@@ -140,7 +140,7 @@ class GuardedPath:
         return after if twist_distance(low, high) > max(_KINK_SHARE * whole, _LEAST_KINK) else None
 
     def breakpoints(self) -> list[float]:
-        """Clocks at which the twist jumps before the end [s]; none from where the path cannot tell."""
+        """Clocks before the end at which the path says that its twist jumps [s], up to the first that it cannot say."""
         found: list[float] = []
         clock = 0.0
         while len(found) < _MOST_BREAKPOINTS:
@@ -159,7 +159,7 @@ class GuardedPath:
 
         Args:
             clock, h: the object's clock, and the length of the step [s].
-            held: the object as it is held, as of :meth:`coopqp.model.chain.Chain.carried` (4, 3).
+            held: pose of the object as an arm holds it, in the form of :meth:`coopqp.model.chain.Chain.carried` (4, 3).
             away: its distance from the path in the last step [m]; infinite where the path begins.
         """
         if not self._own:

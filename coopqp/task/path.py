@@ -304,7 +304,12 @@ class WaypointPath(ObjectPath):
 
 @final
 class HoldPath(ObjectPath):
-    """The object rests at one pose."""
+    """The object rests at one pose.
+
+    Args:
+        T_world_object: the pose.
+        duration: length of the rest [s].
+    """
 
     def __init__(self, T_world_object: Placement, *, duration: float = 1.0) -> None:
         self._pose = as_placement(T_world_object, "HoldPath")

@@ -39,8 +39,10 @@ class Posture:
 
     def __init__(self, cell: RobotCell, options: PostureOptions) -> None:
         self._cell = cell
-        self._redundant = np.concatenate([np.full(s.stop - s.start, s.stop - s.start > 6) for s in cell.v_slices])
         self._arms = [(k, s) for k, s in enumerate(cell.v_slices) if s.stop - s.start > 6]
+        self._redundant = np.zeros(cell.nv, dtype=bool)
+        for _, s in self._arms:
+            self._redundant[s] = True
         limits = cell.limits
         bounded = np.isfinite(limits.lower) & np.isfinite(limits.upper) & self._redundant
         self._bounded = np.flatnonzero(bounded)
@@ -91,10 +93,10 @@ class Posture:
         cell = self._cell
         gradient = np.zeros(cell.nv)
         for i in range(max((s.stop - s.start for _, s in self._arms), default=0)):
-            own = [s.start + i for _, s in self._arms if i < s.stop - s.start]
+            has = np.array([i < s.stop - s.start for _, s in self._arms])
+            own = np.array([s.start + i for _, s in self._arms])[has]
             e = np.zeros(cell.nv)
             e[own] = h
             up, down = (self._manipulability(pin.integrate(cell.model, q, way)) for way in (e, -e))
-            has = [i < s.stop - s.start for _, s in self._arms]
             gradient[own] = (up - down)[has] / (2.0 * h)
         return gradient

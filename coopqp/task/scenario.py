@@ -58,8 +58,8 @@ class Scenario(Shown):
         object_size: side lengths of the box that represents the object in pictures and in the physics engine [m].
         T_object_body: placement of the box's centre in the object frame.
         object_mass: mass of the object [kg].
-        obstacles: what stands around the arms.
-        engine: how it runs in the physics engine, if forces matter; None where joints follow their commands.
+        obstacles: bodies around the arms, in the world.
+        engine: settings for the physics engine, if forces matter; None where joints follow their commands.
     """
 
     name: str

@@ -34,8 +34,8 @@ class _Way:
         p(τ) = p₀ + b v + u d,   R(τ) = exp(b ω) R₀ exp(u φ),   b′ = 1 − τ/B,   u′ = ramp up in B, hold, ramp down in E
 
     From rest the way begins at its full speed, as a path with a linear time law: the rate of the object's clock rises
-    from 0 instead. It falls before the end, too, but where joints without acceleration limits have to stop: then it
-    ends as above. So the joints' slopes show how near a singularity is, however short the way.
+    from 0 instead, and falls before the end. Only where joints without acceleration limits have to stop does the way
+    end as above. So the joints' slopes show how near a singularity is, however short the way.
 
     Args:
         start: T_world_object, the pose in motion.

@@ -27,8 +27,8 @@ class SpeedProfile:
     Attributes:
         s: the knots (K,) [m], increasing from 0.
         squares: ṡ² at each (K,) [m²/s²]; 0 at both ends, and not at two knots in a row.
-        binding: the limit that is used up most between knots, K − 1 of them; None where that is not known.
-        use: how much of it is used (K − 1,), 1 for all of it; NaN where that is not known.
+        binding: the most used limit between knots, K − 1 of them; None where it is not known.
+        use: share of that limit that is used (K − 1,); NaN where it is not known.
 
     Raises:
         InvalidInputError: numbers that make no profile.
@@ -66,7 +66,7 @@ class SpeedProfile:
 
     @property
     def duration(self) -> float:
-        """[s]."""
+        """Duration of the motion [s]."""
         return float(self.clocks[-1])
 
     def sections(self) -> list[dict[str, Any]]:

@@ -91,4 +91,4 @@ def minding_of(kernel: str) -> tuple[Relax, Allow]:
     return _native.relax, _native.allow
 
 
-__all__ = ["NotForTheCore", "available_kernels", "kernel_text", "make_loop", "minding_of"]
+__all__ = ["available_kernels", "kernel_text", "make_loop", "minding_of"]

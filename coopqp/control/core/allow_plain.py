@@ -88,7 +88,7 @@ def palms_used(palms: Array, wrenches: Array) -> Array:
 def palms_need(palms: Array, wrenches: Array) -> float:
     """The normal force with which every palm could transmit its present tangential load [N]; inf if one does not press.
 
-    Arguments as of :func:`palms_used`.
+    Arguments as for :func:`palms_used`.
     """
     pressed = np.einsum("kj,kj->k", palms[:, 1, 3], wrenches)
     return float((palms_used(palms, wrenches) * pressed).max()) if (pressed > 0.0).all() else math.inf

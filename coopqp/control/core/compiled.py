@@ -53,8 +53,8 @@ class CompiledLoop:
     """See :class:`coopqp.control.plain.PlainLoop`.
 
     Args:
-        cell, grasp, dt, options, constraints: as of the plain loop.
-        arithmetic: ``"plain"`` for the one that any processor can do.
+        cell, grasp, dt, options, constraints: as for the plain loop.
+        arithmetic: ``"plain"`` for instructions that every processor has; ``"auto"`` for the fastest.
 
     Raises:
         NotForTheCore: the cell or the options ask for something that the core does not do.

@@ -8,6 +8,7 @@ forces that route for a backend that could be kept.
 
 from __future__ import annotations
 
+from importlib import import_module
 from importlib.util import find_spec
 from typing import Any
 
@@ -26,7 +27,7 @@ __all__ = [
     "make_solver",
 ]
 
-#: Kept solvers: the name, and the module that it needs.
+#: Kept solvers: the name, which is also its module's here, and the module that it needs.
 _KEPT = {"proxqp": "proxsuite", "osqp": "osqp", "daqp": "daqp", "ldp": "coopqp.control.core._native"}
 _GENERIC = "qpsolvers:"
 
@@ -94,23 +95,11 @@ def make_solver(name: str | QpSolver, settings: Any = None) -> QpSolver:
 
 
 def _make_kept(name: str, settings: Any) -> QpSolver:
-    if name == "ldp":
-        from coopqp.control.solvers.ldp import LdpSolver
-
-        return LdpSolver(settings)
-    if find_spec(_KEPT[name]) is None:
+    if name != "ldp" and find_spec(_KEPT[name]) is None:  # ldp has a remedy of its own
         raise MissingExtraError("solvers", _KEPT[name])
-    if name == "proxqp":
-        from coopqp.control.solvers.proxqp import ProxqpSolver
-
-        return ProxqpSolver(settings)
-    if name == "osqp":
-        from coopqp.control.solvers.osqp import OsqpSolver
-
-        return OsqpSolver(settings)
-    from coopqp.control.solvers.daqp import DaqpSolver
-
-    return DaqpSolver(settings)
+    module = import_module(f"coopqp.control.solvers.{name}")
+    solver: QpSolver = getattr(module, f"{name.capitalize()}Solver")(settings)
+    return solver
 
 
 def _backends() -> tuple[str, ...]:

@@ -12,7 +12,6 @@ from coopqp.checks import as_options, keep_scalars
 from coopqp.control.solvers.base import Outcome, QpSolver, SolverSettings, Workspace, require_count
 from coopqp.control.solvers.polish import finish
 from coopqp.control.solvers.problem import INFINITE, Array, QpProblem, SolverStatus
-from coopqp.errors import MissingExtraError
 
 # Marks of a constraint in DAQP's ``sense``.
 _ACTIVE_UPPER, _ACTIVE_LOWER, _EQUALITY = 1, 3, 5
@@ -86,10 +85,8 @@ class DaqpSolver(QpSolver):
     name = "daqp"
 
     def __init__(self, settings: DaqpSettings | None = None) -> None:
-        try:
-            import daqp
-        except ImportError as error:
-            raise MissingExtraError("solvers", "daqp") from error
+        import daqp
+
         self.settings: DaqpSettings = as_options(DaqpSettings, settings, f"solver '{self.name}': settings")
         self._module = daqp
         self._forget()

@@ -66,7 +66,7 @@ class LdpSolver(QpSolver):
 
     def __init__(self, settings: LdpSettings | None = None) -> None:
         self.settings: LdpSettings = as_options(LdpSettings, settings, f"solver '{self.name}': settings")
-        _Memory(1, 0)  # raises where the core is not compiled
+        _Memory(1, 0)  # raises MissingSolverError where the core is not compiled
         self._forget()
 
     def _forget(self) -> None:
