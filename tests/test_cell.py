@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import contextlib
+import gc
 import hashlib
+import weakref
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -20,13 +22,17 @@ from coopqp import (
     Arm,
     CellState,
     CoopqpError,
+    Grasp,
+    HoldPath,
     InvalidInputError,
     JointLimits,
     ModelError,
+    QPController,
     RobotCell,
     UnknownNameError,
     robot_path,
 )
+from coopqp.model.cell import of_cell
 from coopqp.scenarios import ROBOT_NAMES, ROBOTS
 
 Array = NDArray[np.float64]
@@ -623,3 +629,22 @@ def test_moved_is_the_integral_of_a_displacement(
         q, step = random_q(cell, rng), 0.1 * rng.standard_normal(cell.nv)
         np.testing.assert_allclose(cell.moved(q, step), pin.integrate(cell.model, q, step), rtol=0.0, atol=1e-15)
         assert cell.euclidean == (cell.nq == cell.nv)
+
+
+def test_what_is_found_of_a_cell_is_kept_while_the_cell_lives(make_cell: Callable[..., RobotCell]) -> None:
+    asked = []
+
+    @of_cell
+    def names(cell: RobotCell) -> list[str]:
+        asked.append(cell.arm_names)
+        return list(cell.arm_names)
+
+    cell, other = RobotCell(make_cell(("rx90l",)).arms), make_cell(("arm7", "arm7"))
+    assert names(cell) is names(cell)
+    assert names(other) == list(other.arm_names)
+    assert len(asked) == 2
+    QPController(cell, Grasp((np.eye(4),)), HoldPath(pin.SE3.Identity()), dt=0.01)
+    alive = weakref.ref(cell)
+    del cell
+    gc.collect()
+    assert alive() is None

@@ -57,9 +57,10 @@ def same(a: ControlStep, b: ControlStep) -> bool:
 
 
 def noisy(task: Scenario) -> Feed:
+    noise = np.random.default_rng(0).uniform(-1e-4, 1e-4, (210, task.cell.nv))
+
     def feed(i: int, told: list[Array]) -> Any:
-        noise = np.random.default_rng(i).uniform(-1e-4, 1e-4, task.cell.nv)
-        return None if not told else task.cell.moved(told[-1], noise)
+        return None if not told else task.cell.moved(told[-1], noise[i])
 
     return feed
 

@@ -63,7 +63,8 @@ def run(task: Scenario, kernel: str, noise: float = 0.0, override: bool = False,
 
 def compare(a: list[ControlStep], b: list[ControlStep]) -> tuple[float, int]:
     """Largest difference of joint velocities [rad/s or m/s], and how many steps say something else."""
-    off = max(float(np.abs(x.velocity - y.velocity).max()) for x, y in zip(a, b, strict=True))
+    v, w = (np.array([step.velocity for step in steps]) for steps in (a, b))
+    off = float(np.abs(v - w).max())
     return off, sum((x.status, x.binding) != (y.status, y.binding) for x, y in zip(a, b, strict=True))
 
 
