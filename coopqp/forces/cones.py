@@ -50,14 +50,15 @@ class Cones:
     """
 
     def __init__(self, cones: Sequence[Cone], *, inside: bool = False) -> None:
-        size = [float(np.linalg.norm(np.vstack([c.E, c.g[None]]), axis=1).max()) for c in cones]
-        size = [s if s > _NOTHING else 1.0 for s in size]
-        self._starts = np.cumsum([0, *(len(c.e) for c in cones[:-1])])
-        self._cone = np.repeat(np.arange(len(cones)), [len(c.e) for c in cones])
-        self._E = np.vstack([c.E / s for c, s in zip(cones, size, strict=True)])
-        self._e = np.concatenate([c.e / s for c, s in zip(cones, size, strict=True)])
-        self._g = np.array([c.g / s for c, s in zip(cones, size, strict=True)])
-        self._h = np.array([c.h / s for c, s in zip(cones, size, strict=True)])
+        rows = [len(c.e) for c in cones]
+        self._starts = np.cumsum([0, *rows[:-1]])
+        self._cone = np.repeat(np.arange(len(cones)), rows)
+        E, g = np.vstack([c.E for c in cones]), np.array([c.g for c in cones])
+        size = np.maximum(np.maximum.reduceat(np.einsum("ij,ij->i", E, E), self._starts), np.einsum("ij,ij->i", g, g))
+        size = np.sqrt(size)
+        size[size <= _NOTHING] = 1.0
+        self._E, self._e = E / size[self._cone, None], np.concatenate([c.e for c in cones]) / size[self._cone]
+        self._g, self._h = g / size[:, None], np.array([c.h for c in cones]) / size
         g, h = self._g[self._cone], self._h[self._cone]
         # Planes C x ≤ u along the rows: |component| ≤ bound.
         self._C = np.vstack([self._E - g, -self._E - g])

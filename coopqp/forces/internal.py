@@ -39,6 +39,6 @@ def load_shares(grasp: Grasp) -> tuple[Array, Array]:
     to_object = np.zeros((6 * n, 6 * n))
     for k, X in enumerate(grasp.T_object_tool):
         to_object[6 * k : 6 * k + 6, 6 * k : 6 * k + 6] = X.actionInverse.T
-    total = np.tile(np.eye(6), n) @ to_object
-    shares: Array = to_object @ (scale[:, None] * np.linalg.pinv(total * scale))
+    scaled = to_object.reshape(n, 6, 6 * n).sum(axis=0) * scale  # of full rank: its pseudo-inverse is Aᵀ (A Aᵀ)⁻¹
+    shares: Array = to_object @ (scale[:, None] * np.linalg.solve(scaled @ scaled.T, scaled).T)
     return to_object, shares

@@ -20,7 +20,7 @@ from coopqp.collision.scene import CollisionScene
 from coopqp.errors import InvalidInputError
 from coopqp.model.shapes import NearPair
 from coopqp.simulation.bodies import describe_bodies
-from coopqp.simulation.convex import Core, core_of, distance
+from coopqp.simulation.convex import Core, Point, core_of, separate
 from coopqp.simulation.recording import Recording
 from coopqp.spatial import Array
 from coopqp.task.scenario import Scenario
@@ -29,6 +29,8 @@ from coopqp.task.scenario import Scenario
 PARTS = 4
 #: A body's way between two samples is no longer than this many times what its placements say.
 _BENT = 1.05
+#: While a run is watched, a pair's distance is found no closer than that it suffices for this many such steps.
+_AHEAD = 10.0
 #: Largest number of samples that are judged; of longer runs every second, third, … sample is.
 MOST_JUDGED = 50_000
 #: Samples of the distances over a run.
@@ -81,15 +83,15 @@ class Closeness:
         ends = [(int(pair.first), int(pair.second)) for pair in built.geometry.collisionPairs]
         self._pairs = [k for k, pair in enumerate(ends) if not moving & set(pair)]
         self._ends, self._labels, self.margins, self._inside = ends, built.labels, built.margins, built.inside
+        self._ways: list[Point | None] = [None] * len(ends)  # of each pair's last distance
         self._data = self._model.createData()
 
-    def at(self, q: Array, pair: int) -> float:
-        """Distance of a pair of shapes at a configuration (nq,) [m]."""
+    def at(self, q: Array, pair: int, enough: float = np.inf) -> float:
+        """Distance of a pair of shapes at a configuration (nq,) [m]; a lower bound if that is ``enough``."""
         pin.forwardKinematics(self._model, self._data, q)
         i, j = self._ends[pair]
         A, B = self._data.oMi[self._joints[i]] * self._T[i], self._data.oMi[self._joints[j]] * self._T[j]
-        a, b = self._cores[i], self._cores[j]
-        return distance(a, b, A.rotation, A.translation, B.rotation, B.translation)
+        return self._apart(pair, A.rotation, A.translation, B.rotation, B.translation, enough)
 
     def closest(self, q: Array, time: Array, *, to_margin: bool = False, without_start: bool = False) -> Closest | None:
         """The least distance of a run; None without pairs.
@@ -190,15 +192,15 @@ class Closeness:
             self._rooms -= way
             for k in np.flatnonzero(self._rooms < -tolerance):
                 required = float(self._least[k])
-                room = self._sampled(placed, int(k), t) - required
-                self._rooms[k] = room
-                if room - way[k] < -tolerance and way[k] > 0.0:
+                d = self._sampled(placed, int(k), t, required + _AHEAD * way[k])
+                self._rooms[k] = d - required
+                if d - required - way[k] < -tolerance and way[k] > 0.0:
                     turn = pin.difference(self._model, q[t - 1], q[t])
-                    between = (
-                        self.at(pin.integrate(self._model, q[t - 1], part / PARTS * turn), int(k))
-                        for part in range(1, PARTS)
-                    )
-                    room = min(room, min(between) - required)
+                    for part in range(1, PARTS):  # closer than all before and than accepted, or not of interest
+                        enough = min(d, required - 0.5 * tolerance)
+                        between = pin.integrate(self._model, q[t - 1], part / PARTS * turn)
+                        d = min(d, self.at(between, int(k), enough))
+                room = d - required
                 if room < -tolerance:
                     first, second = self._labels[k]
                     found.append((t - 1, NearPair(first, second, room + required), -room))
@@ -217,24 +219,28 @@ class Closeness:
         i, j = self._ends[k]
         return _BENT * float(placed.way[end, i] - placed.way[first, i] + placed.way[end, j] - placed.way[first, j])
 
-    def _sampled(self, placed: _Placed, k: int, t: int) -> float:
+    def _sampled(self, placed: _Placed, k: int, t: int, enough: float = np.inf) -> float:
         i, j = self._ends[k]
         R, p = placed.R[t], placed.p[t]
-        return distance(self._cores[i], self._cores[j], R[i], p[i], R[j], p[j])
+        return self._apart(k, R[i], p[i], R[j], p[j], enough)
+
+    def _apart(self, k: int, Ra: Array, pa: Array, Rb: Array, pb: Array, enough: float) -> float:
+        """Distance of a pair, or a bound that is enough; the search begins along the direction of the last one."""
+        i, j = self._ends[k]
+        bound, self._ways[k] = separate(self._cores[i], self._cores[j], Ra, pa, Rb, pb, enough, self._ways[k])
+        return bound
 
     def _place(self, q: Array) -> _Placed:
         """All bodies at configurations (T, nq)."""
-        joints = np.array(self._joints)
-        R, p = np.empty((len(q), self._model.njoints, 3, 3)), np.empty((len(q), self._model.njoints, 3))
-        for t, row in enumerate(q):
+        used, shape_joint = np.unique(self._joints, return_inverse=True)
+        placed = np.empty((len(q), len(used), 4, 4))
+        for row, out in zip(q, placed, strict=True):
             pin.forwardKinematics(self._model, self._data, row)
-            for joint in range(self._model.njoints):
-                T = self._data.oMi[joint]
-                R[t, joint], p[t, joint] = T.rotation, T.translation
-        shape_R, shape_p = np.array([T.rotation for T in self._T]), np.array([T.translation for T in self._T])
-        rotations = R[:, joints] @ shape_R
-        origins = (R[:, joints] @ shape_p[:, :, None])[..., 0] + p[:, joints]
-        way = np.zeros((len(q), len(joints)))
+            for k, joint in enumerate(used.tolist()):
+                out[k] = self._data.oMi[joint].homogeneous
+        shapes = placed[:, shape_joint] @ np.array([T.homogeneous for T in self._T])
+        rotations, origins = shapes[..., :3, :3], shapes[..., :3, 3]
+        way = np.zeros((len(q), len(shape_joint)))
         if len(q) > 1:
             shift = np.linalg.norm(np.diff(origins, axis=0), axis=2)
             # The chord of a turn: ‖R₁ − R₀‖ = 2√2 sin(θ/2); its arc θ is at most π/2 times 2 sin(θ/2).

@@ -11,6 +11,7 @@ point's component along x from below. (SciPy's ``nnls`` would do for the hull, b
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -23,6 +24,10 @@ GAP = 1e-10
 _MOST_CORNERS = 200
 #: Cores whose difference comes this close to 0 overlap [m].
 _OVERLAP = 1e-9
+#: Of no more points than this the furthest is found one by one: an array takes longer.
+_FEW = 8
+#: The plane of a disc about the z axis.
+_PLANE = ([1.0, 0.0, 0.0], [0.0, 1.0, 0.0])
 #: Squared sine of an angle below which three edges are solved with the SVD.
 _FLAT = 1e-8
 _TINY = float(np.finfo(float).tiny)
@@ -70,42 +75,76 @@ def core_of(geometry: Any) -> Core:
     return Core(points, disc, radius, extent)
 
 
-def furthest(core: Core, way: Array) -> Array:
-    """The core's furthest point in a direction, both in its frame."""
-    point: Array = core.points[(core.points @ way).argmax()]
-    if core.disc > 0.0:
-        across = math.hypot(way[0], way[1])
+def furthest(points: Array | list[Point], disc: float, plane: Sequence[Point], way: Point) -> Point:
+    """The furthest point in a direction of points (n, 3), each with a disc in a plane of two axes; all in one frame."""
+    if isinstance(points, list):
+        best, point = -math.inf, points[0]
+        for one in points:
+            along = _dot(one, way)
+            if along > best:
+                best, point = along, one
+    else:
+        point = points[(points @ way).argmax()].tolist()
+    if disc > 0.0:
+        x, y = _dot(plane[0], way), _dot(plane[1], way)
+        across = math.hypot(x, y)
         if across > 0.0:
-            point = point + np.array([way[0], way[1], 0.0]) * (core.disc / across)
+            point = _less(_less(point, plane[0], -x * disc / across), plane[1], -y * disc / across)
     return point
 
 
-def distance(a: Core, b: Core, Ra: Array, pa: Array, Rb: Array, pb: Array, *, gap: float = GAP) -> float:
-    """Distance of two bodies [m], to within ``gap``; where their cores overlap, the negative sum of their radii.
+def distance(a: Core, b: Core, Ra: Array, pa: Array, Rb: Array, pb: Array) -> float:
+    """Distance of two bodies [m], to within ``GAP``; where their cores overlap, the negative sum of their radii.
 
     The lower bound is returned: bodies are never closer.
     """
+    return separate(a, b, Ra, pa, Rb, pb, math.inf)[0]
+
+
+def separate(
+    a: Core, b: Core, Ra: Array, pa: Array, Rb: Array, pb: Array, enough: float, way: Point | None = None
+) -> tuple[float, Point]:
+    """A lower bound of a distance, which :func:`distance` returns unless the bound is ``enough`` before [m].
+
+    Args:
+        a, b: the bodies.
+        Ra, pa, Rb, pb: their orientations (3, 3) and origins (3,) [m].
+        enough: a bound that ends the search [m].
+        way: direction from b to a, in the frame of a, to begin with; between the origins by default.
+
+    Returns:
+        the bound, and the direction that it is along, for a search close by.
+    """
     R, p = Ra.T @ Rb, Ra.T @ (pb - pa)  # b as a has it; all points are in the frame of a
+    at_b, plane_b = b.points @ R.T + p, R.T.tolist()
+    points_a: Array | list[Point] = a.points if len(a.points) > _FEW else a.points.tolist()
+    points_b: Array | list[Point] = at_b if len(at_b) > _FEW else at_b.tolist()
 
-    def corner(way: Array) -> Point:
-        """The point of A − B furthest in a direction."""
-        point: Point = (furthest(a, way) - R @ furthest(b, -way @ R) - p).tolist()
-        return point
+    def corner(way: Point) -> Point:
+        """The point of A − B furthest against a direction."""
+        back = [-way[0], -way[1], -way[2]]
+        return _less(furthest(points_a, a.disc, _PLANE, back), furthest(points_b, b.disc, plane_b, way))
 
-    corners, shares, lower = [corner(p)], [1.0], 0.0
+    radii = a.radius + b.radius
+    x: Point = (-p).tolist() if way is None else way
+    first = corner(x)
+    corners, shares = [first], [1.0]
+    lower = max(0.0, _dot(first, x) / max(math.sqrt(_dot(x, x)), _TINY))
     for _ in range(_MOST_CORNERS):
+        if lower - radii >= enough:
+            break
         x = [0.0, 0.0, 0.0]
         for share, known in zip(shares, corners, strict=True):
             x = _less(x, known, -share)
         size = math.sqrt(_dot(x, x))
         if size < _OVERLAP:
-            return -(a.radius + b.radius)
-        new = corner(-np.array(x))
+            return -radii, first
+        new = corner(x)
         lower = max(lower, _dot(new, x) / size)
-        if size - lower <= gap:
+        if size - lower <= GAP:
             break
         corners, shares = least_norm([*corners, new], [*shares, 0.0])
-    return lower - a.radius - b.radius
+    return lower - radii, x
 
 
 def least_norm(corners: list[Point], shares: list[float]) -> tuple[list[Point], list[float]]:

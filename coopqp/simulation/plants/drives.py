@@ -136,10 +136,11 @@ class TorqueDrives:
     def _tools(self, q: Array, M: Array) -> tuple[list[Array], list[Array]]:
         """J (6, n) of each arm in the tool's axes, and J̄ᵀ (6, n), which maps torques to their wrench at the tool."""
         pin.computeJointJacobians(self._model, self._data, q)
-        jacobians, to_wrench = [], []
+        jacobians, moves = [], []
         for s, frame in zip(self._cell.v_slices, self._cell.tool_frames, strict=True):
             J = np.asarray(pin.getFrameJacobian(self._model, self._data, frame, pin.LOCAL))[:, s]
-            moves = np.linalg.solve(M[s, s], J.T)  # M⁻¹ Jᵀ
             jacobians.append(J)
-            to_wrench.append(np.linalg.pinv(J @ moves, rcond=_MOVABLE, hermitian=True) @ moves.T)
-        return jacobians, to_wrench
+            moves.append(np.linalg.solve(M[s, s], J.T))  # M⁻¹ Jᵀ
+        mobilities = np.array([J @ move for J, move in zip(jacobians, moves, strict=True)])
+        weights = np.linalg.pinv(mobilities, rcond=_MOVABLE, hermitian=True)
+        return jacobians, [weight @ move.T for weight, move in zip(weights, moves, strict=True)]

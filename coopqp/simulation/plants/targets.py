@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import final
 
 import numpy as np
@@ -28,6 +28,11 @@ class _Segment:
     x1: Array
     v1: Array
     straight: bool
+    _shape: tuple[Array, Array, Array] = field(init=False)  # the mean velocity, and how far v0 and v1 are from it
+
+    def __post_init__(self) -> None:
+        mean = (self.x1 - self.x0) / (self.end - self.start)
+        object.__setattr__(self, "_shape", (mean, self.v0 - mean, self.v1 - mean))
 
     def at(self, t: float) -> tuple[Array, Array]:
         """Position and velocity at ``t``. After the end: the last position, at rest."""
@@ -35,12 +40,12 @@ class _Segment:
         if t > self.end + 1e-6 * h:
             return self.x1, np.zeros_like(self.x1)
         s = min(max((t - self.start) / h, 0.0), 1.0)
-        way = self.x1 - self.x0
-        if self.straight:
-            return self.x0 + s * way, way / h
-        bend, twist = self.v0 - way / h, self.v1 - way / h
-        x = self.x0 + s * way + h * s * (1.0 - s) * ((1.0 - s) * bend - s * twist)
-        v = way / h + (1.0 - s) * (1.0 - 3.0 * s) * bend + s * (3.0 * s - 2.0) * twist
+        mean, bend, twist = self._shape
+        x, v = self.x0 + (s * h) * mean, mean
+        if not self.straight:
+            r = 1.0 - s
+            x += (h * s * r * r) * bend - (h * s * s * r) * twist
+            v = mean + (r * (1.0 - 3.0 * s)) * bend + (s * (3.0 * s - 2.0)) * twist
         return x, v
 
     def acceleration(self, t: float) -> Array:
@@ -49,8 +54,7 @@ class _Segment:
         if self.straight or t > self.end + 1e-6 * h:
             return np.zeros_like(self.x1)
         s = min(max((t - self.start) / h, 0.0), 1.0)
-        mean = (self.x1 - self.x0) / h
-        bend, twist = self.v0 - mean, self.v1 - mean
+        _, bend, twist = self._shape
         return ((6.0 * s - 4.0) * bend + (6.0 * s - 2.0) * twist) / h
 
 
