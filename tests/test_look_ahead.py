@@ -116,6 +116,16 @@ def test_the_rate_stays_while_a_corner_is_passed() -> None:
         assert (fall == 0.0) == passing, away
 
 
+def test_the_rate_may_fall_up_to_the_end_of_the_path() -> None:
+    """Nothing comes after it that the rate would have to stay for."""
+    task = cornered(5.0)
+    preview, rate = preview_of(task), 0.5
+    followed(preview, task, 0.89)
+    falls = [preview.brake(task.path.duration - steps * rate * DT, DT, rate) for steps in (2.0, 0.5)]
+    assert falls == pytest.approx([falls[0]] * 2, rel=1e-2)
+    assert falls[0] > 0.0
+
+
 @pytest.mark.parametrize("rate", [0.3, 1.0])
 def test_the_fastest_fall_takes_one_joint_to_its_acceleration(rate: float) -> None:
     """Steps at σ and σ − x: velocities change by q″ (σ − x/2)² h − q′ x, of one joint by almost η a h."""
