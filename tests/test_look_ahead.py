@@ -116,6 +116,16 @@ def test_the_rate_stays_while_a_corner_is_passed() -> None:
         assert (fall == 0.0) == passing, away
 
 
+def test_the_rate_may_fall_up_to_the_end_of_the_path() -> None:
+    """Nothing comes after it that the rate would have to stay for."""
+    task = cornered(5.0)
+    preview, rate = preview_of(task), 0.5
+    followed(preview, task, 0.89)
+    falls = [preview.brake(task.path.duration - steps * rate * DT, DT, rate) for steps in (2.0, 0.5)]
+    assert falls == pytest.approx([falls[0]] * 2, rel=1e-2)
+    assert falls[0] > 0.0
+
+
 @pytest.mark.parametrize("rate", [0.3, 1.0])
 def test_the_fastest_fall_takes_one_joint_to_its_acceleration(rate: float) -> None:
     """Steps at σ and σ − x: velocities change by q″ (σ − x/2)² h − q′ x, of one joint by almost η a h."""
@@ -127,6 +137,22 @@ def test_the_fastest_fall_takes_one_joint_to_its_acceleration(rate: float) -> No
     change = bend * (rate - 0.5 * x) ** 2 * DT - slope * x
     back = np.maximum(-change * np.sign(slope), 0.0) / (preview._plan.acceleration * DT)  # those that brake
     assert 0.98 < back.max() <= 1.0 + 1e-9
+
+
+@pytest.mark.parametrize("rate", [0.3, 1.0])
+def test_the_fastest_fall_leaves_room_for_the_bend(rate: float, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where q″σ² takes almost half of the acceleration, with the motion or against it; a joint that rests sets none."""
+    preview = preview_of(cornered(5.0))
+    preview.reset(cornered(5.0).q_start, 0.0)
+    most = preview._plan.acceleration
+    for share in (0.45, -0.45):
+        slope = np.linspace(-1.0, 1.0, len(most)) * (np.arange(len(most)) > 2)
+        bend = share * most / rate**2 * np.sign(slope)
+        monkeypatch.setattr(preview.horizon, "joints_at", lambda clock, known=(slope, bend): known)
+        x = DT * preview.brake(0.15, DT, rate)
+        change = bend * (rate - 0.5 * x) ** 2 * DT - slope * x
+        back = np.maximum(-change * np.sign(slope), 0.0) / (most * DT)
+        assert 0.98 < back.max() <= 1.0 + 1e-9
 
 
 def test_a_rate_keeps_to_what_is_known_ahead_in_steps_of_any_length() -> None:
@@ -299,6 +325,33 @@ def test_where_the_path_fails_nothing_is_known_and_the_object_rests_until_it_ans
     assert preview.cap(0.0, DT) == (1.0, None)
     assert preview.trouble == ""
     assert preview.knows
+
+
+def test_a_twist_that_fails_ahead_is_told_and_asked_for_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    task = paper_lift(time_law=TimeLaw.QUINTIC)
+    path = Marked(task.path)
+    preview = preview_of(replace(task, path=path))
+    preview.reset(task.q_start, 0.0)
+    known = preview.horizon.knots[-1].clock
+    with monkeypatch.context() as failing:
+        failing.setattr(path, "twist", lambda clock: None if clock > known + 0.05 else task.path.twist(clock))
+        while preview._growth.step():
+            pass
+        assert "twist" in preview._growth.trouble
+        assert not preview.horizon.complete
+    while preview.horizon.knots[-1].clock < known + 0.2:
+        assert preview._growth.step()
+
+
+def test_a_mark_where_the_path_does_not_bend_costs_nothing() -> None:
+    task = paper_lift(time_law=TimeLaw.QUINTIC)
+    task = replace(task, path=Marked(task.path, 0.4), cell=task.cell.with_limits(acceleration=5.0))
+    preview = preview_of(task)
+    followed(preview, task, 0.38)
+    corner = next(knot for knot in preview.horizon.knots if knot.corner)
+    assert corner.clock == pytest.approx(0.4, abs=1e-9)
+    assert corner.cap == 1.0
+    assert corner.binding is None
 
 
 def test_a_look_ahead_that_begins_on_the_way_goes_on_from_there() -> None:

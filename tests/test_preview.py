@@ -295,6 +295,24 @@ def test_every_arm_keeps_away_from_the_end_of_its_reach_by_what_joints_cover_in_
     assert preview.horizon.knots[-1].binding == BindingLimit("arm_2", "", LimitKind.REACH)
 
 
+@pytest.mark.parametrize("kind", ["elbow", "reach"])
+def test_the_way_back_from_the_end_of_a_reach_is_free(kind: Any) -> None:
+    """Other arms come nearer to the ends of theirs meanwhile, from far away."""
+    out = at_singularity(kind, 1, acceleration=10.0)
+    preview = preview_of(out)
+    while not preview.horizon.complete:
+        assert preview._growth.step()
+    last = preview.horizon.knots[-1]
+    path = LinePath(out.path.pose(last.clock), out.path.pose(0.0), duration=1.0, time_law=TimeLaw.QUINTIC)
+    preview = preview_of(replace(out, path=path, q_start=last.q), dt=0.05)
+    while not preview.horizon.complete:
+        assert preview._growth.step()
+    rooms = np.array([knot.rooms for knot in preview.horizon.knots])
+    assert rooms[0].min() < preview._plan.room < rooms[-1].min()
+    assert (np.diff(rooms, axis=0).min(axis=0) < 0.0).any()
+    assert preview.horizon.knots[-1].clock == path.duration
+
+
 @pytest.mark.parametrize("order", [1, -1])
 def test_of_two_limits_the_object_stops_at_the_first(order: int) -> None:
     """Two joints would meet theirs between the same two knots."""
