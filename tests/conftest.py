@@ -13,6 +13,7 @@ import gc
 import os
 import zlib
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -77,8 +78,9 @@ def make_cell() -> Callable[..., RobotCell]:
     def make(robots: Sequence[str], bases: Sequence[pin.SE3] | None = None, **limits: Any) -> RobotCell:
         placed = bases or [pin.SE3(np.eye(3), np.array([0.0, 1.1 * k, 0.0])) for k in range(len(robots))]
         arms = [_robot(r).placed(T, name=f"{k}_{r}") for k, (r, T) in enumerate(zip(robots, placed, strict=True))]
-        cell = RobotCell(arms)
-        return cell.with_limits(**limits) if limits else cell
+        if all(np.ndim(limit) == 0 for limit in limits.values()):  # of the arms: another cell takes longer
+            return RobotCell(replace(arm, limits=arm.limits.replace(**limits)) for arm in arms)
+        return RobotCell(arms).with_limits(**limits)
 
     return make
 
