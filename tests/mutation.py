@@ -162,6 +162,10 @@ EQUIVALENT: dict[tuple[str, str, str], str] = {
                 "if not by_qp or self._box.accelerates:",
             ): "without acceleration limits nobody reads it",
             ("break", "continue"): "what needs no tighter rows needs none when asked again",
+            (
+                "if self._preview is not None and preview is not None:",
+                "if self._preview is not None or preview is not None:",
+            ): "a copy looks ahead where the original does",
         },
         "coopqp/control/verdict.py": {
             (
