@@ -162,6 +162,10 @@ EQUIVALENT: dict[tuple[str, str, str], str] = {
                 "if not by_qp or self._box.accelerates:",
             ): "without acceleration limits nobody reads it",
             ("break", "continue"): "what needs no tighter rows needs none when asked again",
+            (
+                "if self._preview is not None and preview is not None:",
+                "if self._preview is not None or preview is not None:",
+            ): "a copy looks ahead where the original does",
         },
         "coopqp/control/verdict.py": {
             (
@@ -222,8 +226,20 @@ EQUIVALENT: dict[tuple[str, str, str], str] = {
                 "if clock - last.clock > -0.999999999 else last",
             ): "within 1 ns of a knot the chain is as there, to rounding",
             ("for _ in range(8):", "for _ in range( 9):"): "it has ended long before",
+            (
+                "if last.clock + h > breakpoint_ - 1e-9:",
+                "if last.clock + h >= breakpoint_ - 1e-9:",
+            ): "a knot of exactly 1 ns before a breakpoint",
+            (
+                "if miss * miss_end > 0.0:",
+                "if miss * miss_end >= 0.0:",
+            ): "a miss of exactly 0 has ended the search",
         },
         "coopqp/planning/chain_ahead.py": {
+            (
+                "if not ways.item(ways.argmin()) < near:",
+                "if not ways.item(ways.argmin()) <= near:",
+            ): "a way of exactly that length is not below it in what follows either",
             (
                 "if h > options.shortest and not h * knot.fastest <= 1.5 * options.joint_step:",
                 "if h >= options.shortest and not h * knot.fastest <= 1.5 * options.joint_step:",

@@ -498,6 +498,21 @@ def test_an_object_that_must_go_on_faster_than_its_cap_does_so_along_the_path(mo
         np.testing.assert_allclose(answer.velocity, ends[0], atol=1e-9)
 
 
+def test_a_reset_forgets_what_was_solved_with_slack_too(
+    monkeypatch: pytest.MonkeyPatch, rng: np.random.Generator
+) -> None:
+    """Where no answer keeps the chain both programs are solved; both solvers are as new afterwards."""
+    recorded = next(steps(paper_lift(), monkeypatch))
+    n, v = recorded.chain.nv, rng.normal(size=recorded.chain.nv)
+    box = Box(v - 1e-3, v + 1e-3, np.zeros(n, dtype=bool), np.zeros(n))
+    solver = StepSolver(recorded.chain, box, QPOptions(shortcut=False))  # type: ignore[arg-type]
+    kept = [solver._solver, solver._slack_solver]
+    assert solver.answer(recorded.terms, np.zeros(n), 0.02, no_rows(n)).chain > 0.1
+    assert all(one._workspace is not None for one in kept)
+    solver.reset()
+    assert all(one._workspace is None for one in kept)
+
+
 def test_rows_that_may_give_way_are_broken_by_the_least(rng: np.random.Generator) -> None:
     """Of the shares from ``low`` to 1 the first that breaks no row, else the one whose worst excess is least."""
     kinds = set()
