@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import contextlib
+import json
 import os
 import signal
 import threading
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
 from types import FrameType
-from typing import IO, final
+from typing import IO, Any, final
 
 from coopqp.errors import CoopqpError
 
@@ -150,7 +151,7 @@ def whole_file(file: Path) -> Iterator[IO[bytes]]:
         OutputError: the file cannot be written.
     """
     check_file(file)
-    temporary = _temporary(file)
+    temporary = temporary_name(file)
     with Interrupts() as interrupts, folder_of(file):
         try:
             with temporary.open("xb") as stream, interrupts.let_through():
@@ -162,9 +163,14 @@ def whole_file(file: Path) -> Iterator[IO[bytes]]:
             temporary.unlink(missing_ok=True)
 
 
-def _temporary(file: Path) -> Path:
-    """A name beside a file for what will become the file."""
+def temporary_name(file: Path) -> Path:
+    """A hidden name beside a file or folder, until it is complete and renamed."""
     return file.with_name(f".{file.name}.{os.urandom(4).hex()}.tmp")
+
+
+def json_bytes(value: Any) -> bytes:
+    """Plain values as the bytes of a JSON file."""
+    return (json.dumps(value, indent=1, ensure_ascii=False) + "\n").encode()
 
 
 def write_files(contents: Mapping[Path, bytes]) -> list[Path]:
@@ -185,7 +191,7 @@ def write_files(contents: Mapping[Path, bytes]) -> list[Path]:
             for file, content in contents.items():
                 check_file(file)
                 folders.enter_context(folder_of(file))
-                temporary = _temporary(file)
+                temporary = temporary_name(file)
                 staged.append((temporary, file))
                 with temporary.open("xb") as stream:
                     stream.write(content)

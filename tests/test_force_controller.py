@@ -132,7 +132,7 @@ def test_a_setting_with_which_forces_would_swing_is_refused(task: Scenario) -> N
         ForceController(controller, {"stiffness": 1e4, "relax_time": 0.06, "delay": 0.02})
     least = {"stiffness": 1e4, "relax_time": 0.0825, "delay": 0.02}
     assert ForceController(controller, least).options.relax_time == 0.0825
-    with pytest.raises(InvalidInputError, match="Give that of the joint servos"):
+    with pytest.raises(InvalidInputError, match="Give the stiffness of the joint servos"):
         ForceController(controller, {})
     with pytest.raises(InvalidInputError, match="Slow down first"):
         ForceOptions(stiffness=1e4, slow_from=50.0, hold_from=40.0)

@@ -1,1 +1,1 @@
-"""The command ``coopqp``: run, schema, view, report, export, demo."""
+"""The command ``coopqp`` and its subcommands."""

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import argparse
-import json
 import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from coopqp.app.terminal import reporter
+from coopqp.app.terminal import print_written, reporter
 from coopqp.errors import UnreachableError, printable
 
 if TYPE_CHECKING:
@@ -48,7 +47,7 @@ def run_calibrate(arguments: argparse.Namespace) -> int:
     from coopqp.files.cellfile import CellFileError, require_readers
     from coopqp.look.calibration import calibration_figure
     from coopqp.look.style import figure_bytes, require_matplotlib
-    from coopqp.output import OutputError, check_file, write_files
+    from coopqp.output import check_new, json_bytes, write_files
     from coopqp.simulation.calibrating import calibrate_runs
     from coopqp.simulation.recording import Recording
 
@@ -59,9 +58,7 @@ def run_calibrate(arguments: argparse.Namespace) -> int:
         require_matplotlib()
     for file in (arguments.out, arguments.picture, arguments.json):
         if file is not None:
-            check_file(file)
-            if file.exists() and not arguments.force:
-                raise OutputError(f"{file} exists. Replace it with --force, or give another name.")
+            check_new(file, force=arguments.force)
     from coopqp.files.cellfile.calibrated import calibrated_text, settings_of
 
     options = {} if arguments.encoder_noise is None else {"encoder_noise": arguments.encoder_noise}
@@ -81,13 +78,13 @@ def run_calibrate(arguments: argparse.Namespace) -> int:
             kind = arguments.picture.suffix.lstrip(".") or "png"
             contents[arguments.picture] = figure_bytes(calibration_figure(found), kind=kind)
         if arguments.json is not None:
-            contents[arguments.json] = (json.dumps(_record(found, motion), indent=1) + "\n").encode()
+            contents[arguments.json] = json_bytes(_record(found, motion))
         files = write_files(contents)
     if not arguments.quiet:
         print(*map(printable, found.explain().splitlines()), sep="\n")
         if motion is not None:
             print(_say(motion))
-        print("written:", *(printable(str(file)) for file in files), sep="\n  ")
+        print_written(files)
     return _OK
 
 

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import argparse
-import json
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from coopqp.app.terminal import print_table, reporter
+from coopqp.app.terminal import print_table, print_written, reporter
 from coopqp.errors import UnknownNameError, UnreachableError, printable
 
 if TYPE_CHECKING:
@@ -67,15 +66,11 @@ def _run_check(arguments: argparse.Namespace) -> int:
         files = _write(check, arguments.json, picture)
     if not arguments.quiet:
         _print(check, branches=arguments.branches)
-        if files:
-            print("\nwritten:", *(printable(str(file)) for file in files), sep="\n  ")
+        print_written(files, apart=True)
     if check.feasible:
         return _FOLLOWS
-    sys.stdout.flush()
-    if not arguments.quiet:
-        return _CANNOT if check.verdict is PathVerdict.INFEASIBLE else _UNDECIDED
-    first = check.explain().splitlines()[0]
-    print(f"coopqp: {printable(first)}", file=sys.stderr, flush=True)
+    if arguments.quiet:
+        print("coopqp:", printable(check.explain().splitlines()[0]), file=sys.stderr)
     return _CANNOT if check.verdict is PathVerdict.INFEASIBLE else _UNDECIDED
 
 
@@ -113,11 +108,11 @@ def _check_outputs(record: Path | None, picture: Path | None, *, force: bool) ->
 
 
 def _write(check: PathCheck, record: Path | None, picture: Path | None) -> list[Path]:
-    from coopqp.output import write_files
+    from coopqp.output import json_bytes, write_files
 
     contents: dict[Path, bytes] = {}
     if record is not None:
-        contents[record] = (json.dumps(check.record(), indent=1, ensure_ascii=False) + "\n").encode()
+        contents[record] = json_bytes(check.record())
     if picture is not None:
         from coopqp.look.check_plots import check_figure
         from coopqp.look.style import figure_bytes

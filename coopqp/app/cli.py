@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, NoReturn
 
 from coopqp.app import calibrate, check, studies
 from coopqp.app.commands import COMMANDS
-from coopqp.app.terminal import print_table, reporter
+from coopqp.app.terminal import print_table, print_written, reporter
 from coopqp.errors import CoopqpError, MissingExtraError, printable
 
 if TYPE_CHECKING:
@@ -149,8 +149,7 @@ def _run_demo(arguments: argparse.Namespace) -> int:
         files = demo.write_demo(scenario, runs, None if missing else folder, json_file=arguments.json)
     if not arguments.quiet:
         _print_table(runs)
-        if files:
-            print("\nwritten:", *files, sep="\n  ")
+        print_written(files, apart=True)
     if missing:
         sys.stdout.flush()
         print(f"coopqp: no pictures: {missing}", file=sys.stderr)

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from coopqp.app.planning import add_plan
-from coopqp.app.terminal import BOLD, GREEN, RED, Reporter, print_table, reporter, styled
+from coopqp.app.terminal import BOLD, GREEN, RED, Reporter, print_table, print_written, reporter, styled
 from coopqp.errors import CoopqpError, printable
 
 if TYPE_CHECKING:
@@ -84,8 +84,7 @@ def _run_run(arguments: argparse.Namespace) -> int:
     findings = judge(cell, recording, readings)
     if not arguments.quiet:
         _print_run(run_figures(cell, recording, readings), findings)
-        print()
-        _print_written(files)
+        print_written(files, apart=True)
     causes = why(findings)
     if causes:
         sys.stdout.flush()
@@ -106,11 +105,6 @@ def _print_run(figures: Mapping[str, str], findings: Sequence[Finding]) -> None:
     for finding in findings:
         mark = styled("yes", GREEN) if finding.holds else styled("NO ", BOLD, RED)
         print(f"{mark}  {finding.question} {printable(finding.answer)}")
-
-
-def _print_written(files: list[Path]) -> None:
-    if files:
-        print("written:", *(printable(str(file)) for file in files), sep="\n  ")
 
 
 # -- coopqp schema -------------------------------------------------------------------------------------------------
@@ -193,7 +187,7 @@ def _run_view(arguments: argparse.Namespace) -> int:
             progress=lambda done, total: report.step("the pictures of the page", done, total),
         )
     if not arguments.quiet:
-        _print_written([page])
+        print_written([page])
     return _OK
 
 
@@ -277,7 +271,7 @@ def _run_report(arguments: argparse.Namespace) -> int:
         tolerances = replace(Tolerances.of(recording), **asked)
         write_report(recording, page, tolerances=tolerances, progress=report.note)
     if not arguments.quiet:
-        _print_written([page])
+        print_written([page])
     return _OK
 
 
@@ -323,7 +317,7 @@ def _run_export(arguments: argparse.Namespace) -> int:
     if arguments.bag is not None:
         files.append(write_bag(recording, arguments.bag))
     if not arguments.quiet and not to_stdout:
-        _print_written(files)
+        print_written(files)
     return _OK
 
 

@@ -8,7 +8,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from coopqp.app.terminal import print_table, reporter
+from coopqp.app.terminal import print_table, print_written, reporter
 from coopqp.errors import CoopqpError, UndecidedError, UnreachableError, printable
 
 if TYPE_CHECKING:
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 _OK, _INFEASIBLE, _UNDECIDED = 0, 3, 4
 #: Files in the folder.
 _FILES = ("plan.toml", "speed.png")
-#: Limits that are printed.
+#: Largest number of printed limits.
 _MOST_LIMITS = 8
 
 
@@ -103,7 +103,7 @@ def _run(arguments: argparse.Namespace) -> int:
         files = write_files({folder / "plan.toml": text.encode(), folder / "speed.png": picture})
     if not arguments.quiet:
         _print(made, optimum, run.scenario.path.duration)
-        print("\nwritten:", *(printable(str(file)) for file in files), sep="\n  ")
+        print_written(files, apart=True)
     return _OK
 
 
@@ -139,6 +139,7 @@ def _check_starts(run: CellRun, file: Path, count: int) -> None:
 def _plan(run: CellRun, arguments: argparse.Namespace, share: float, q_start: Array | None) -> Plan:
     """The plan from a start (nq,), or from the fastest of those that are compared."""
     from coopqp.planning import plan
+    from coopqp.simulation.engine import box_payload
 
     task = run.scenario
     angle = None if arguments.blend_deg is None else math.radians(arguments.blend_deg)
@@ -150,7 +151,7 @@ def _plan(run: CellRun, arguments: argparse.Namespace, share: float, q_start: Ar
         starts=arguments.starts if q_start is None else 1,
         blend=1e-3 * arguments.blend_mm,
         blend_angle=angle,
-        payload=_payload(run) if arguments.torques else None,
+        payload=box_payload(task) if arguments.torques else None,
         jerk=None if arguments.jerk is None else _jerks(run, arguments.jerk),
         share=share,
     )
@@ -161,19 +162,6 @@ def _jerks(run: CellRun, degrees: float) -> list[float]:
     from coopqp.model.cell import slides
 
     return [degrees if slide else math.radians(degrees) for slide in slides(run.scenario.cell)]
-
-
-def _payload(run: CellRun) -> Any:
-    """The file's object as a homogeneous box."""
-    import numpy as np
-
-    from coopqp.planning import Payload
-
-    task = run.scenario
-    squares = np.array(task.object_size) ** 2
-    inertia = np.diag(task.object_mass / 12.0 * (squares.sum() - squares))
-    R = task.T_object_body.rotation
-    return Payload(mass=task.object_mass, centre=task.T_object_body.translation, inertia=R @ inertia @ R.T)
 
 
 def _print(made: Plan, optimum: float, given: float) -> None:

@@ -8,16 +8,16 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from coopqp.app.terminal import print_table, reporter
+from coopqp.app.terminal import print_table, print_written, reporter
 from coopqp.errors import printable
 
 if TYPE_CHECKING:
-    from coopqp.studies import CellPlaced, Engine, PlaceStudy, Sweep
+    from coopqp.studies import CellPlaced, PlaceStudy, Sweep
 
 _OK, _NOWHERE, _ROWS_FAILED = 0, 3, 4
 #: File of the picture.
 _PICTURE = "runs.png"
-#: Reasons that are printed.
+#: Largest number of printed reasons.
 _MOST_REASONS = 5
 
 
@@ -57,7 +57,7 @@ def _run_sweep(arguments: argparse.Namespace) -> int:
     from coopqp.files.cellfile import require_readers
     from coopqp.look.style import figure_bytes, require_matplotlib
     from coopqp.output import OutputError, write_files
-    from coopqp.studies import EngineError, load_study, sweep
+    from coopqp.studies import Cluster, EngineError, Local, load_study, sweep
 
     require_readers()
     missing = ""
@@ -67,7 +67,7 @@ def _run_sweep(arguments: argparse.Namespace) -> int:
         missing = str(error)
     chunk = None if arguments.chunk is None else as_count(arguments.chunk, "--chunk")
     study = load_study(arguments.study)
-    engine = _engine(arguments)
+    engine = Local(arguments.workers) if arguments.cluster is None else Cluster(arguments.cluster)
     began = False
     with reporter(quiet=arguments.quiet, remaining=True) as report:
 
@@ -96,12 +96,6 @@ def _run_sweep(arguments: argparse.Namespace) -> int:
     return _OK if made.complete else _ROWS_FAILED
 
 
-def _engine(arguments: argparse.Namespace) -> Engine:
-    from coopqp.studies import Cluster, Local
-
-    return Local(arguments.workers) if arguments.cluster is None else Cluster(arguments.cluster)
-
-
 def _say(text: str) -> None:
     print("coopqp:", printable(" ".join(text.split())), file=sys.stderr)
 
@@ -116,7 +110,7 @@ def _print(made: Sweep, files: list[Path]) -> None:
             reasons[text] = reasons.get(text, 0) + 1
     for text, count in sorted(reasons.items(), key=lambda item: -item[1])[:_MOST_REASONS]:
         print(printable(f"{count} {text}"))
-    print("\nwritten:", *(printable(str(file)) for file in files), sep="\n  ")
+    print_written(files, apart=True)
 
 
 # -- coopqp place --------------------------------------------------------------------------------------------------
@@ -184,9 +178,7 @@ def _write_place(
     remedies: tuple[str, ...],
     folder: Path,
 ) -> list[Path]:
-    import json
-
-    from coopqp.output import write_files
+    from coopqp.output import json_bytes, write_files
 
     record = {
         "name": study.name,
@@ -194,7 +186,7 @@ def _write_place(
         "now": None if now is None else now.record(),
         "remedies": list(remedies),
     }
-    contents = {folder / _RECORD: (json.dumps(record, indent=1, ensure_ascii=False) + "\n").encode()}
+    contents = {folder / _RECORD: json_bytes(record)}
     if placed:
         from coopqp.look.placements import placement_figure
         from coopqp.look.style import figure_bytes
@@ -232,8 +224,7 @@ def _print_place(best: CellPlaced, now: CellPlaced | None, remedies: tuple[str, 
             print(*(f"  {printable(line)}" for line in placed.explain().splitlines()), sep="\n")
     for text in remedies:
         print(printable(text))
-    if files:
-        print("\nwritten:", *(printable(str(file)) for file in files), sep="\n  ")
+    print_written(files, apart=True)
 
 
 COMMANDS = (_add_sweep, _add_place)

@@ -7,6 +7,7 @@ import os
 import sys
 import time
 from collections.abc import Iterator, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, TextIO
 
 from coopqp.errors import printable
@@ -113,6 +114,12 @@ def styled(text: str, *codes: int, stream: TextIO | None = None) -> str:
 
 #: ANSI codes for :func:`styled`.
 BOLD, GREEN, RED = 1, 32, 31
+
+
+def print_written(files: Sequence[Path], *, apart: bool = False) -> None:
+    """Print the files that were written, if there are any; ``apart``: after an empty line."""
+    if files:
+        print("\nwritten:" if apart else "written:", *(printable(str(file)) for file in files), sep="\n  ")
 
 
 def print_table(lines: Sequence[Sequence[str]], *, numeric: Sequence[bool], head: bool = True) -> None:

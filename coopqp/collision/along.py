@@ -64,7 +64,7 @@ def along(scene: CollisionScene, way: CellWay, *, any_start: bool = False) -> Cl
 
     Args:
         scene: what may touch what.
-        way: of the arms and the object.
+        way: motion of the arms and the object.
         any_start: the way stands for those from any other start, too.
     """
     return _Judge(scene, way, any_start=any_start).answer()
@@ -300,7 +300,7 @@ def clear_choice(scene: CollisionScene, ways: Sequence[Array]) -> tuple[int, ...
 
     Args:
         scene: whose margins are kept.
-        ways: of each arm positions of all its joints along its ways (B, K, its joints) [rad or m].
+        ways: positions of all joints of each arm along its ways (B, K, its joints) [rad or m].
     """
     return _Choice(scene, ways).found(())
 

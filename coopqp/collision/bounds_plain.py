@@ -44,10 +44,10 @@ def rows(
     Args:
         ends: unit normal and nearest point of each, in the world (m, 6).
         J: world Jacobians of the joints (nv, 6).
-        kinds, rooms: of all pairs (P, nv), (P,).
-        pairs: which ones.
+        kinds, rooms: kinds (P, nv) and rooms (P,) [m] of all pairs.
+        pairs: numbers of the pairs of the rows.
         approach: ξ [1/s].
-        G, lower: where they are put.
+        G, lower: arrays that get the rows and bounds.
     """
     n, p = ends[:, :3], ends[:, 3:]
     G[:] = (np.hstack([n, np.cross(p, n)]) @ J.T) * kinds[pairs]

@@ -33,7 +33,7 @@ _WATCH, _BLIND_WATCH = 0.1, 0.3
 _SAMPLE = 5e-4
 #: Pairs are looked at this far beyond the comfort, so that evasion begins gently [m].
 _EVADES_EARLY = 0.05
-#: A distance that would fall faster than it should by this, per second of the path's clock, is asked for in full [m/s].
+#: Missing speed of a distance, per second of the path's clock, up to which evasion grows with its square [m/s].
 _GENTLE = 0.1
 #: Room that the bend between two knots may take, where they are certified together [m].
 _BEND = 2e-3
@@ -56,10 +56,10 @@ class Clearance:
         scene: what may touch what.
         approach: ξ where the path is not known ahead [1/s].
         comfort: redundant arms keep this far from their margins where their self-motion can [m]; 0: they do not evade.
-        give_way: what stands in the way of a moving body leaves the path for it; else it slows down and stops there.
-        stopping: time in which the arms come to rest where a moving body comes closer [s]; braking later where
-            acceleration limits say that it suffices. Joints without such limits take it to full speed while they give
-            way.
+        give_way: arms and object leave the path for a moving body; else they slow down and stop on it.
+        stopping: time in which the arms come to rest where a moving body comes closer [s]. They brake later where
+            acceleration limits show that this suffices. Joints without such limits need this time to full speed while
+            they give way.
         patience: a moving body whose place is not told for longer leads to HOLDING [s].
         name: how messages call it.
 
@@ -208,8 +208,8 @@ class Clearance:
         """Rows of the pairs that are near, and their labels.
 
         Raises:
-            ConstraintTrouble: nobody has told for too long where a moving body is; with the rows that hold where it was
-                told last.
+            ConstraintTrouble: the place of a moving body was not told for too long; it carries the rows for the last
+                place that was told.
         """
         late = self._moving.grow_old(dt, self.patience)
         rows = self._rows(q, dt, blind=blind)
@@ -258,7 +258,7 @@ class Clearance:
         """Lower bounds (m,) that make up for what rows are blind to, the bend of distances within a step.
 
         Args:
-            rows: of this step.
+            rows: rows of this step.
             q_next: where its command leads to (nq,).
             v: the command (nv,).
             dt: its length [s].
@@ -324,7 +324,7 @@ class Clearance:
         """Slopes with the self-motion of redundant arms that keeps ``ḋ ≥ −ξ (d − m − comfort)``.
 
         It begins and ends gently, so that slopes bend and accelerations stay small: bounds are lower where a pair comes
-        into view, and the first part of what misses is asked for in its square.
+        into view, and a small missing speed is met only in part, by its square.
         """
         if not self._evading_from:
             return slope
@@ -381,9 +381,9 @@ class Clearance:
         """Tell where a moving body is now, before the next step.
 
         Args:
-            name: of a body of ``scene.moving``.
+            name: name of a body of ``scene.moving``.
             T_world_body: placement of its shape in the world.
-            twist: its velocity: that of the placement's origin and of its turning, in world axes (6,) [m/s, rad/s].
+            twist: velocity of the placement's origin, and angular velocity, in world axes (6,) [m/s, rad/s].
 
         Raises:
             UnknownNameError, InvalidInputError: no such body, or no numbers.

@@ -48,7 +48,7 @@ Indices = npt.NDArray[np.intp]
 
 
 class Gradient(NamedTuple):
-    """Of the distances of m pairs.
+    """Gradient of the distances of m pairs.
 
     Attributes:
         rows: derivative with respect to joint positions (m, nv).
@@ -66,7 +66,7 @@ class Distances:
     """Distances at one configuration after the other; owns what coal writes.
 
     Args:
-        scene: whose pairs they are.
+        scene: the scene of the pairs.
     """
 
     def __init__(self, scene: CollisionScene) -> None:
@@ -120,8 +120,8 @@ class Distances:
         """The native object that holds these distances in a compiled step, alone. None if coal copies normals.
 
         Args:
-            bounds: that it follows.
-            arrays, numbers: as ``nearby.c`` lists them, those that are known here left out.
+            bounds: the bounds that it keeps up to date.
+            arrays, numbers: as ``nearby.c`` lists them, without those that are known here.
         """
         cell, results = self._cell, self._results
         normals = [result.normal for result in results]
@@ -151,7 +151,7 @@ class Distances:
         )
 
     def gradient(self, pairs: Iterable[int]) -> Gradient:
-        """Of the distances of pairs that were asked where the shapes are placed.
+        """Gradient of the distances of pairs that were asked where the shapes are placed.
 
         With the unit normal n from the first to the second body and a nearest point p the distance grows by
         ``n · (v₂ − v₁)``; a world twist (v, ω) moves p by ``v + ω × p``. Both bodies' nearest points give the same.
@@ -159,7 +159,7 @@ class Distances:
         return self.rows([int(k) for k in pairs], self._nothing, 0.0)[0]
 
     def rows(self, pairs: list[int], rooms: Array, approach: float) -> tuple[Gradient, Array]:
-        """Their gradient, and the lower bounds ``ḋ ≥ −ξ`` room (m,), for rooms of all pairs (P,) [m] and ξ [1/s]."""
+        """Gradient of pairs, and lower bounds ``ḋ ≥ −ξ`` room (m,), for the rooms of all pairs (P,) [m] and ξ [1/s]."""
         ends = []
         for k in pairs:
             result = self._results[k]
@@ -177,9 +177,9 @@ class LowerBounds:
     A joint that moves by δ changes the distance of a pair by at most its reach times |δ|.
 
     Args:
-        scene: whose pairs they are.
-        distances: where they are asked.
-        kernel: what computes them, ``_bounds.c`` or :mod:`coopqp.collision.bounds_plain`.
+        scene: the scene of the pairs.
+        distances: the distances that are asked.
+        kernel: the code of the bounds, ``_bounds.c`` or :mod:`coopqp.collision.bounds_plain`.
     """
 
     def __init__(self, scene: CollisionScene, distances: Distances, *, kernel: Any = KERNEL) -> None:

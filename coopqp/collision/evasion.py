@@ -27,7 +27,7 @@ class Evasion:
     N is an orthonormal basis of each arm's self-motion in units of its joints' speeds.
 
     Args:
-        cell: whose redundant arms move.
+        cell: the arms, of which the redundant ones move.
     """
 
     def __init__(self, cell: RobotCell) -> None:

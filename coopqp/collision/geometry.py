@@ -47,10 +47,8 @@ def _of_mesh(mesh: Mesh, where: str) -> tuple[Any, float]:
     try:
         read = coal.MeshLoader().load(str(file), np.array(mesh.scale))
     except (ValueError, RuntimeError) as error:
-        why = str(error).partition("message: ")[2].partition("\nHint")[0] or str(
-            error
-        )  # coal adds its own source lines
-        said = " ".join(why.split())
+        why = str(error).partition("message: ")[2].partition("\nHint")[0]  # without coal's own source lines
+        said = " ".join((why or str(error)).split())
         raise InvalidInputError(f"{file} is no readable mesh ({said})", where, "Give an STL, DAE or OBJ.") from error
     return convex(read, f"{where}: {file}")
 

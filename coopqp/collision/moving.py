@@ -43,12 +43,12 @@ class MovingBodies:
 
     Args:
         scene: what may touch what.
-        approach, give_way, stopping: as of :class:`coopqp.collision.Clearance`.
+        approach, give_way, stopping: as in :class:`coopqp.collision.Clearance`.
 
     Attributes:
-        pairs: with a body that moves (m,).
-        moves: which pairs these are (P,).
-        labels: of the rows of :meth:`smooth`, which follow the rows of the pairs.
+        pairs: numbers of the pairs with a moving body (m,).
+        moves: True for these pairs (P,).
+        labels: labels of the rows of :meth:`smooth`, which follow the rows of the pairs.
         most_rows: largest number of these rows.
     """
 
@@ -75,10 +75,10 @@ class MovingBodies:
         return bool(self._places)
 
     def tell(self, name: str, T_world_body: pin.SE3, twist: Any, where: str) -> int:
-        """Where a body is now, and how it moves; its shape.
+        """Take the present place and motion of a body. Returns the number of its shape.
 
         Raises:
-            UnknownNameError, InvalidInputError: no such body, or no numbers.
+            UnknownNameError, InvalidInputError: no such body, or a twist that is not six numbers.
         """
         if name not in self._shapes:
             raise UnknownNameError("moving body", str(name), tuple(self._shapes), where)
@@ -125,7 +125,7 @@ class MovingBodies:
         ``s (h + T/2) + u (h + T) ≤ d − m``. This may ask for more braking than the joints have, (s + u) / (T/2): they
         brake by no more than a, their accelerations', as long as that suffices,
         ``s²/2a + u s/a + (s + u) h ≤ d − m``. Distances of convex bodies that go straight on are convex in time, so
-        neither takes them for larger than they will be. Where they give way they keep ``ḋ ≥ −ξ (d − m)``, its motion
+        neither bound overestimates them. Where the arms give way they keep ``ḋ ≥ −ξ (d − m)``, the body's motion
         included.
         """
         velocity = place.twist[:3] + np.cross(place.twist[3:], gradient.points - place.T_world_body.translation)
@@ -149,7 +149,7 @@ class MovingBodies:
         return s, s * BRAKING_SHARE / max(slowest, _STANDS)
 
     def smooth(self, rows: LabelledRows, dt: float) -> LabelledRows:
-        """With rows of joints without acceleration limits while bodies give way: no jumps of their velocities.
+        """Add rows of joints without acceleration limits where arms give way, so that their velocities do not jump.
 
         Where an arm is stretched they would turn round at full speed from step to step, and no linearisation of a step
         sees that ahead: the arms would part. They take the time ``stopping`` to full speed.

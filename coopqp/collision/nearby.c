@@ -11,7 +11,7 @@
 #include "nearby.h"
 #include "pointer.h"
 
-/* Joints this close to where the shapes are placed are there [rad or m]: a step's end, and the next one's start. */
+/* Joints this close to their placed positions need no new placement [rad or m]: a step's end is the next one's start. */
 #define SAME_PLACE 1e-14
 
 /* Arrays, in the order in which Python gives them. */
@@ -32,7 +32,7 @@ typedef struct {
     Py_buffer views[ARRAYS];
     double *at[ARRAYS], number[NUMBERS];
     Py_ssize_t pairs, joints, nq, rows;
-    PyObject *owner;                              /* of what coal writes */
+    PyObject *owner;                              /* owns the memory that coal writes */
     PyObject *place[PLACING], *placed[PLACING];   /* functions, and their arguments */
     PyObject *ask, *questions, *answers, *points; /* function, arguments of each pair, results, functions */
     const double **normals;                       /* of each pair, in coal's memory */
@@ -40,8 +40,8 @@ typedef struct {
     double watch_of[2];                           /* approach and range of the watches */
     uint64_t *known, stamp;                       /* distances with the present stamp are of this placement */
     int lost;                                     /* the placement of the shapes is unknown */
-    int built;                                    /* all of this is there */
-    Py_ssize_t *near, *which, binding;            /* pairs that are near, and those of the rows; how many rows */
+    int built;                                    /* the object is complete */
+    Py_ssize_t *near, *which, binding;            /* near pairs, pairs of the rows, number of rows */
 } Nearby;
 
 /* -- asking ---------------------------------------------------------------------------------------------------------- */

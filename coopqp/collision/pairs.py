@@ -44,7 +44,7 @@ class Names:
         """The bodies that a pattern stands for.
 
         Raises:
-            UnknownNameError: none.
+            UnknownNameError: the pattern stands for no body.
         """
         if pattern == "*":
             return frozenset(self.names)
@@ -73,7 +73,7 @@ def as_pair(entry: Any, where: str) -> tuple[str, str]:
     """Two names.
 
     Raises:
-        InvalidInputError: something else.
+        InvalidInputError: the entry is something else.
     """
     if isinstance(entry, (str, bytes)) or not hasattr(entry, "__len__") or len(entry) != 2:
         raise InvalidInputError(f"{shown(entry)} is no pair of names", where, 'Give pairs such as ("object", "post").')

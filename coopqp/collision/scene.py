@@ -131,8 +131,9 @@ class CollisionScene:
         """Distances of all pairs of names at a configuration (nq,), the nearest first [m]."""
         from coopqp.collision.distances import Distances
 
+        x = self.cell.check_configuration(q, "CollisionScene: q")
         found: dict[tuple[str, str], float] = {}
-        for label, d in zip(self.built.labels, Distances(self).all(self._checked(q)).tolist(), strict=True):
+        for label, d in zip(self.built.labels, Distances(self).all(x).tolist(), strict=True):
             found[label] = min(d, found.get(label, np.inf))
         return tuple(NearPair(*label, d) for label, d in sorted(found.items(), key=lambda item: item[1]))
 
@@ -156,7 +157,7 @@ class CollisionScene:
         """One way for each arm, the best first; together they keep all margins at the samples. None if no ways do.
 
         Args:
-            ways: of each arm positions of its joints along its ways (B, K, its joints) [rad or m].
+            ways: joint positions of each arm along its ways (B, K, its joints) [rad or m].
         """
         from coopqp.collision.along import clear_choice
 
@@ -166,14 +167,8 @@ class CollisionScene:
         """The same bodies about other arms or another grasp."""
         return replace(self, cell=cell, grasp=grasp)
 
-    def _checked(self, q: Any) -> Array:
-        return self.cell.check_configuration(q, "CollisionScene: q")
-
     def __getstate__(self) -> dict[str, Any]:
         return {name: value for name, value in self.__dict__.items() if name != "built"}
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        self.__dict__.update(state)
 
 
 @dataclass(frozen=True, eq=False)
@@ -182,14 +177,14 @@ class Built:
 
     Attributes:
         geometry: all shapes with their pairs, for the cell's model.
-        names: of each shape's body.
+        names: name of each shape's body.
         labels: names of each pair's bodies.
         kinds: +1, −1 or 0 for joints that move the second body of a pair only, the first only, or both or none (P, nv).
         reach: largest motion of a pair's distance per unit of joint motion (P, nv) [m/rad or 1].
-        margins: of each pair (P,) [m].
+        margins: margin of each pair (P,) [m].
         inside: pairs that may start inside their margin (P,).
-        levers: of pairs of the object with what stands in the world, how far the object's points are from its origin
-            (P,) [m]; infinite for others.
+        levers: largest distance of the object's points from its origin, for pairs of the object with a body that stands
+            in the world (P,) [m]; infinite for others.
         moving: number of the shapes of moving bodies.
         notes: see :attr:`CollisionScene.notes`.
     """

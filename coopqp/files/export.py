@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import io
-import os
 import re
 import shutil
 from collections.abc import Iterable, Iterator
@@ -19,7 +18,7 @@ from coopqp.errors import InvalidInputError, MissingExtraError, printable
 from coopqp.forces.use import LoadUse
 from coopqp.model.cell import RobotCell, slides
 from coopqp.model.limits import BindingLimit
-from coopqp.output import OutputError, check_folder, folder_of, whole_file
+from coopqp.output import OutputError, check_folder, folder_of, temporary_name, whole_file
 from coopqp.simulation.readings import check_recording, read_part
 from coopqp.simulation.recording import Recording
 from coopqp.spatial import Array
@@ -217,7 +216,7 @@ def write_bag(recording: Recording, folder: str | Path, *, cell: RobotCell | Non
         raise OutputError(f"cannot write the bag {target}: it exists. Remove it, or give another folder.")
     check_folder(target.parent)
     messages = Messages(get_typestore(Stores.ROS2_JAZZY), cell, recording, start)
-    temporary = target.with_name(f".{target.name}.{os.urandom(4).hex()}.tmp")
+    temporary = temporary_name(target)
     with folder_of(target):
         try:
             with Writer(temporary, version=9, storage_plugin=StoragePlugin.MCAP) as writer:

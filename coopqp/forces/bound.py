@@ -22,7 +22,8 @@ from coopqp.forces.cones import Cone, Cones
 from coopqp.forces.load import LoadShare
 from coopqp.spatial import Array
 
-#: Parameters this far out, in units of what changes the load by itself, are furthest; how far furthest is at most.
+#: Distance of the point that the search for a furthest point aims at, and largest accepted parameter; both in units in
+#: which a parameter changes the load by as much as the load itself.
 _FAR, _FURTHEST = 100.0, 20.0
 #: A side of the polygon that is shorter than this, in units of its size, is a corner.
 _CORNER = 1e-7
@@ -78,10 +79,11 @@ class LoadBound:
         furthest points in each direction of the fan to the largest s at z = 0. None if the arms cannot exert f₀.
 
         Args:
-            torques: of the arms alone (3, nv): at z = s = 0, per z, per s.
-            wrenches: on the object (3, 6), likewise.
-            to_torque: of :meth:`to_torques`.
-            fan: directions (m, 2) in (z, s), z ≥ 0, each parameter in units of what changes the load by itself.
+            torques: torques of the arms alone (3, nv): at z = s = 0, per z, per s.
+            wrenches: wrenches on the object (3, 6), likewise.
+            to_torque: result of :meth:`LoadShare.to_torques`.
+            fan: directions (m, 2) in (z, s), z ≥ 0, each parameter in units in which it changes the load by as much as
+                the load itself.
         """
         load = self.load
         unit = max(1.0, float(np.linalg.norm(wrenches[0])))

@@ -5,8 +5,8 @@ grips it is (:mod:`coopqp.forces.closure`). Corrections x of all bases and grips
 
     Σ_t |whitened r(q_t, x)|² + Σ_i (x_i / prior_i)²
 
-(nonlinear least squares). The prior decides where the motion determines nothing, so what the
-run does not determine stays where it was. The first arm is the reference: its base and its grip keep their places.
+(nonlinear least squares). Where the motion determines nothing the prior decides: those parameters keep their given
+values. The first arm is the reference: its base and its grip keep their places.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from coopqp.spatial import Array
 _UNDETERMINED = 0.5
 #: Weighed residuals of a closed chain: their mean square, and the largest of them, are below these.
 _MEAN_SQUARE, _LARGEST = 3.0, 8.0
-#: Entries of a direction, of its largest, that are named.
+#: Least entry of a direction that is named, as a share of its largest.
 _NAMED = 0.3
 _COORDINATES = [
     (part, how, axis) for part in ("base", "grip") for how in ("shift", "turn") for axis in ("x", "y", "z")
@@ -200,7 +200,7 @@ def undetermined_by(
 
     Args:
         cell, grasp, options: as in :func:`calibrate`.
-        configurations: of the motion (T, nq), such as planned ones.
+        configurations: configurations of the motion (T, nq), such as planned ones.
     """
     grasp.check_arms(cell)
     settings = as_options(CalibrationOptions, options, "undetermined_by: options")

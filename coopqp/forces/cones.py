@@ -111,7 +111,7 @@ class Cones:
         The values of λ with an answer are an interval, so bisection finds its end.
 
         Raises:
-            UndecidedError: as of :meth:`nearest`.
+            UndecidedError: as in :meth:`nearest`.
         """
         zero = np.zeros(self._C.shape[1] - 1)
         best, low, high = self.nearest(zero, 0.0), 0.0, 1.0

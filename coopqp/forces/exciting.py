@@ -61,7 +61,7 @@ def determining_motion(
         cell, grasp: the arms, and how they hold.
         q_start: configuration (nq,) at which they hold the object.
         largest: largest tilt [rad].
-        duration: of each way to a tilt, and back [s].
+        duration: duration of each way to a tilt, and of each way back [s].
         options: as in :func:`coopqp.forces.calibrate`.
 
     Raises:

@@ -41,9 +41,9 @@ class ForceController:
     """A cooperative controller whose arms relax the forces between them, see :mod:`coopqp.forces.relaxation`.
 
     At first the object rests. The sensors are compared with the servos; the arms press a little, to learn how stiff
-    they are; they relax. Then the object moves, more slowly where an internal force grows. What holds the object, with
-    the reason: a sensor that does not agree with its servos, wrenches that do not come, and a grasp that cannot give
-    way any further. :meth:`reset` ends the first two.
+    they are; they relax. Then the object moves, more slowly where an internal force grows. Three causes hold the
+    object, and the reason names them: a sensor that does not agree with its servos, wrenches that do not come, and a
+    grasp that cannot give way any further. :meth:`reset` ends the first two.
 
     A copy (``copy.copy``, ``copy.deepcopy``, pickle) goes on where the original stands.
 
@@ -53,7 +53,7 @@ class ForceController:
         options: settings, or a dictionary of them.
 
     Attributes:
-        cell, grasp, path, dt: as of the controller; the grasp is the nominal one, without relaxation.
+        cell, grasp, path, dt: the controller's; the grasp is the nominal one, without relaxation.
         minds_wrenches: true: :func:`coopqp.simulate` gives it the plant's wrenches.
         needs_servos: true: :func:`coopqp.simulate` refuses torque-controlled drives, whose joints are no springs.
 
@@ -105,7 +105,7 @@ class ForceController:
     def _begin(self) -> None:
         self._differences, self._compared = np.zeros((len(self.cell), 6)), 0
 
-    # -- as of the controller ------------------------------------------------------------------------------------
+    # -- calls of the inner controller ---------------------------------------------------------------------------
 
     @property
     def _turn(self) -> Any:
@@ -126,11 +126,11 @@ class ForceController:
     def reset(self, q: ArrayLike, *, clock: float = 0.0) -> None:
         """Start at ``q`` (nq,), at rest; see :meth:`coopqp.QPController.reset`.
 
-        The arms hold the object where they are, as far as the reach of the grasps allows. So no force comes of the
-        start itself.
+        The arms hold the object where they are, as far as the reach of the grasps allows. So the start
+        itself causes no force.
 
         Raises:
-            InvalidInputError: as of the controller; nothing is then changed.
+            InvalidInputError: as in the controller's reset; nothing is then changed.
         """
         shift = self._relaxation.found(self.cell.check_configuration(q, "ForceController.reset: q"))
         self.controller.shift_grasp(shift)
@@ -175,7 +175,7 @@ class ForceController:
 
     @property
     def shift(self) -> Array:
-        """By how much each grasp has given way, in the object frame (N, 6) [m, rad]."""
+        """Motion by which each grasp has given way, in the object frame (N, 6) [m, rad]."""
         return self._relaxation.shift.copy()
 
     @property
@@ -192,8 +192,8 @@ class ForceController:
 
         Args:
             q_measured: measured configuration (nq,). Without it the object does not begin to move.
-            wrenches: of the arms on the object, each at the origin and in the axes of its tool (N, 6) [N, N·m]; None or
-                NaN where none came.
+            wrenches: wrenches of the arms on the object, each at the origin and in the axes of its tool (N, 6)
+                [N, N·m]; None or NaN for missing ones.
             dt: length of this step [s], if not the nominal one.
 
         Raises:
@@ -312,7 +312,7 @@ class ForceController:
     # -- why -----------------------------------------------------------------------------------------------------
 
     def _tell(self, step: ControlStep) -> None:
-        """Put the reason that the forces give into a step that nobody has seen yet."""
+        """Put the forces' reason into a step, before anyone sees it."""
         why = int(self._memory[AT["WHY"]])
         status = step.status
         if why in (BY_SENSOR, BY_REACH) and status.precedence < Status.HOLDING.precedence:

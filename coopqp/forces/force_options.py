@@ -37,11 +37,11 @@ class ForceOptions:
     most_squeeze: Annotated[
         float, Doc("palms press harder where their friction runs out, up to this [N]; not at all by default")
     ] = 0.0
-    softness_doubt: Annotated[float, Doc("how many times as soft as they are the servos may be assumed")] = 1.5
+    softness_doubt: Annotated[float, Doc("largest assumed softness of the servos, as a multiple of the real one")] = 1.5
     relax_time: Annotated[float, Doc("time T in which a force relaxes [s]")] = 0.06
     drift_time: Annotated[float, Doc("time in which the drift along the path is learned [s]")] = 0.1
     delay: Annotated[float, Doc("age of the wrenches when they arrive [s]")] = 0.01
-    filter_time: Annotated[float, Doc("time constant of the filter on wrenches, that of the servos (kd/kp) [s]")] = 0.02
+    filter_time: Annotated[float, Doc("time constant of the filter on wrenches [s]; give kd/kp of the servos")] = 0.02
     dead_band: Annotated[float, Doc("internal force that is left alone [N]")] = 1.0
     speed: Annotated[float, Doc("largest speed of a grasp [m/s]")] = 0.02
     spin: Annotated[float, Doc("largest angular speed of a grasp [rad/s]")] = 0.05
@@ -49,14 +49,14 @@ class ForceOptions:
     reach: Annotated[float, Doc("largest distance of a grasp from its place [m]")] = 0.01
     turn: Annotated[float, Doc("largest angle of a grasp from its place [rad]")] = 0.02
     check_time: Annotated[float, Doc("time at rest in which the sensors are compared with the servos [s]")] = 0.2
-    sensor_tolerance: Annotated[float, Doc("accepted difference of a sensor from what its servos say [N]")] = 10.0
+    sensor_tolerance: Annotated[float, Doc("accepted difference of a sensor from its servos' estimate [N]")] = 10.0
     move_below: Annotated[float, Doc("internal force below which the object begins to move [N]")] = 5.0
     slow_from: Annotated[float, Doc("internal force from which on the object moves more slowly [N]")] = 20.0
     hold_from: Annotated[float, Doc("internal force at which the object rests [N]")] = 50.0
     silent_time: Annotated[float, Doc("time without a new wrench after which the object is held [s]")] = 0.05
 
     def minded(self, arms: int) -> Array:
-        """:attr:`directions` of so many arms (N, 6).
+        """The directions that each of ``arms`` minds (N, 6): :attr:`directions`, or those of the palms.
 
         Raises:
             InvalidInputError: another number of arms.
@@ -81,7 +81,7 @@ class ForceOptions:
             keep_scalars(self, "squeeze")
             if 0.0 < self.most_squeeze < self.squeeze:
                 raise InvalidInputError(
-                    f"most_squeeze is {self.most_squeeze:g} N, squeeze {self.squeeze:g} N", "ForceOptions", "Give more."
+                    f"most_squeeze is {self.most_squeeze:g} N, squeeze {self.squeeze:g} N", "ForceOptions", "Raise it."
                 )
             for palm in self.palms:
                 if not isinstance(palm, Grip) or palm.kind != "palm" or np.abs(palm.normal).max() < 1.0 - 1e-9:

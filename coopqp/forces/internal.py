@@ -17,7 +17,7 @@ def internal_wrenches(wrenches: ArrayLike, grasp: Grasp) -> Array:
     """The part of the arms' wrenches that does not move the object, in its frame (…, N, 6) [N, N·m].
 
     Args:
-        wrenches: of each arm on the object, at the origin and in the axes of its tool (…, N, 6) [N, N·m].
+        wrenches: wrench of each arm on the object, at the origin and in the axes of its tool (…, N, 6) [N, N·m].
         grasp: the placements of the tools.
 
     Raises:

@@ -73,7 +73,8 @@ class LoadShare:
         cell, grasp: the arms, and how they hold the object. Gravity is ``cell.model``'s.
         payload: mass, centre and inertia of the object, and the torque limits of the joints.
         internal_force: largest norm of each arm's internal force [N]. Mandatory.
-        internal_torque: the same of its torque [N·m]; by default ``internal_force`` times ``length``.
+        internal_torque: largest norm of each arm's internal torque [N·m]; by default ``internal_force`` times
+            ``length``.
         grips: what each grip transmits, and its limits; rigid without limits by default.
         weights: how much of the load each arm takes before limits bind (N,), > 0; alike by default.
         length: metric of torques against forces [m].
@@ -190,7 +191,7 @@ class LoadShare:
 
         Args:
             q: configuration (nq,).
-            joint_velocity, joint_acceleration: of the cell (nv,).
+            joint_velocity, joint_acceleration: rates of the cell's joints (nv,) [rad/s or m/s, rad/s² or m/s²].
         """
         cell, data, where = self.cell, self._data, "LoadShare.object_motion"
         x = cell.check_configuration(q, f"{where}: q")
@@ -257,7 +258,7 @@ class LoadShare:
         Args:
             q: configuration (nq,). The object's orientation follows from the first arm.
             twist, acceleration: motion of the object (6,) in its own frame, as in :meth:`wrench`; rest by default.
-            joint_velocity, joint_acceleration: of the arms (nv,); by default from :meth:`joint_motion`.
+            joint_velocity, joint_acceleration: rates of the arms' joints (nv,); by default from :meth:`joint_motion`.
             internal: wanted wrenches of the arms (N, 6) in the object frame [N, N·m], such as a squeeze; their internal
                 part is met, or approached within the limits. Zero by default.
 

@@ -39,7 +39,7 @@ def palm_use(palms: Sequence[Grip], wrenches: Array) -> Array:
 
     Args:
         palms: one per arm.
-        wrenches: of the arms on the object, at the origins and in the axes of the tools (N, 6) [N, N·m].
+        wrenches: wrenches of the arms on the object, at the origins and in the axes of the tools (N, 6) [N, N·m].
     """
     return palms_used(palm_rows(palms), wrenches)
 
@@ -47,7 +47,7 @@ def palm_use(palms: Sequence[Grip], wrenches: Array) -> Array:
 def squeeze_needed(palms: Sequence[Grip], wrenches: Array) -> float:
     """The normal force with which every palm could transmit its present tangential load [N]; inf if one does not press.
 
-    Arguments as of :func:`palm_use`. Friction and pads hold in proportion to the normal force.
+    Arguments as in :func:`palm_use`. Friction and pads hold in proportion to the normal force.
     """
     return palms_need(palm_rows(palms), wrenches)
 

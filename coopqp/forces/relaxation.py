@@ -1,12 +1,12 @@
 """Relax the forces between the arms: the object stays on its path, the grasps in the controller give way.
 
 Wrist sensors tell the wrench ``w_k`` of each arm on the object. The load is shared with the least wrenches at the
-tools, S; the rest is internal: ``w_s = (I − S Σ) w``. An arm that pushes with ``w_s,k`` stands ``e_k = C_k w_s,k`` off
-where it would not, with the compliance of its servos ``C_k = A_k Kp⁻¹ A_kᵀ``. So its place on the object moves by
+tools, S; the rest is internal: ``w_s = (I − S Σ) w``. A push ``w_s,k`` displaces arm k by
+``e_k = C_k w_s,k``, with the compliance of its servos ``C_k = A_k Kp⁻¹ A_kᵀ``. So its place on the object moves by
 
     ``u_k = −(e_k − Σ_j s_j e_j) / (ρ T) + σ D_k,   d_k ← d_k + u_k dt,   X_k ← exp(d_k) X_k``
 
-with the shares s of the common error, so that the object stays. ρ is how many times as stiff as said the servos are.
+with the shares s of the common error, so that the object stays. ρ is the servos' real stiffness over the given one.
 Where a base is off, the grasps have to move as the object does: D is what the path asks for at the full rate, learned
 in the time T_D, ``D_k ← D_k − σ (e_k − Σ_j s_j e_j) / (ρ T) dt / T_D``.
 
@@ -49,7 +49,7 @@ _LENGTH = 0.3
 _LARGEST_GAIN = 0.5
 #: Pressing: force at which it ends [N], first and last distance [m], speed [m/s].
 _PRESS, _PRESS_LEAST, _PRESS_MOST, _PRESS_SPEED = 3.0, 1e-5, 5e-4, 5e-4
-#: What may come of it. Servos softer than said are not answered faster: their damping need not be softer.
+#: Range of the measured ρ. Softer servos than given are not answered faster: their damping need not be softer.
 _STIFFEST = (1.0, 20.0)
 #: Attributes that change.
 _VARYING = ("_compliances", "_pressed", "_pressing", "_waited", "_felt", "_grows", "_base")
@@ -73,16 +73,16 @@ class Relaxation:
         cell, grasp: the arms, and how they are told to hold the object.
         options: settings.
         dt: nominal length of a step [s].
-        shares: s, of each arm in the object's pose (N, 6).
-        kernel: ``"compiled"`` or ``"plain"``: what a step runs.
+        shares: s, share of each arm in the object's pose (N, 6).
+        kernel: the code of a step, ``"compiled"`` or ``"plain"``.
 
     Attributes:
         memory: numbers of :data:`coopqp.control.core.layout.MINDING`, and the vectors below.
         internal: internal wrenches of the arms on the object beside the squeeze that is asked for, filtered (N, 6)
             [N, N·m], in the object frame; the next step changes it in place.
         seen: the last wrenches at the tools (N, 6) [N, N·m]; the next step changes it in place.
-        shift: d, by how much each grasp has given way, in the object frame (N, 6) [m, rad]; the next step changes it in
-            place.
+        shift: d, the motion by which each grasp has given way, in the object frame (N, 6) [m, rad]; the next step
+            changes it in place.
         silent: time since each arm's last wrench (N,) [s]; the next step changes it in place.
 
     Raises:
@@ -94,7 +94,7 @@ class Relaxation:
     ) -> None:
         self.options, n = options, len(cell)
         if options.stiffness is None:
-            raise InvalidInputError("no stiffness", "ForceOptions", "Give that of the joint servos.")
+            raise InvalidInputError("no stiffness", "ForceOptions", "Give the stiffness of the joint servos.")
         gain = options.softness_doubt * (options.delay + dt) / options.relax_time
         if gain > _LARGEST_GAIN * (1.0 + 1e-9):
             raise InvalidInputError(
@@ -184,11 +184,11 @@ class Relaxation:
         """Take wrenches at the tools, and move the grasps: ``relax.c``, which ``relax_plain.py`` says in NumPy.
 
         Args:
-            wrenches: (N, 6), ``dt`` seconds after the last ones; None or NaN where none came.
+            wrenches: (N, 6) [N, N·m], ``dt`` seconds after the last ones; None or NaN for missing ones.
             dt: length of the step [s].
 
         Returns:
-            ``HEARD``, ``MISSED`` where some wrench did not come, ``SILENT`` where one has not come for too long.
+            ``HEARD``; ``MISSED`` if a wrench is missing, ``SILENT`` if one has been missing for too long.
         """
         return self._relax(self.memory, len(self._cell), wrenches, dt)
 
@@ -212,7 +212,7 @@ class Relaxation:
     def off_servos(self, commanded: Array, measured: Array) -> Array:
         """Differences of the sensors from the estimate by servos and feed-forward (N, 6).
 
-        Without a payload all that an ideal share of some load explains counts as fed forward.
+        Without a payload, the part that an ideal share of some load explains counts as fed forward.
         """
         R = self.look(measured)
         turned = self._chain.twists(pin.difference(self._cell.model, measured, commanded)) @ R

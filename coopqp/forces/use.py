@@ -71,12 +71,12 @@ def load_use(load: LoadShare, time: Any, q: Any) -> LoadUse:
 
     Args:
         load: how the load is shared.
-        time: (T,) [s], increasing.
+        time: times of the samples (T,) [s], increasing.
         q: configurations (T, nq).
 
     Raises:
         InvalidInputError: fewer than three samples, or samples that do not fit together.
-        UnreachableError, UndecidedError: as of :meth:`LoadShare.share`.
+        UnreachableError, UndecidedError: as in :meth:`LoadShare.share`.
     """
     t, rows = _samples(load.cell, time, q)
     model = load.cell.model

@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from coopqp.forces.calibration import Calibration
-from coopqp.look.style import open_frame, require_matplotlib, save_figure
+from coopqp.look.style import COLOURS, INK, new_figure, open_frame, save_figure
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-_BEFORE, _AFTER, _INK = "#d55e00", "#0072b2", "#222222"
+_AFTER, _BEFORE = COLOURS[:2]
 #: Smallest drawn distance [mm] and angle [°]; smaller ones are rounding.
 _FLOOR = 1e-6
 
@@ -24,10 +24,7 @@ def calibration_figure(found: Calibration) -> Figure:
     Raises:
         MissingExtraError: matplotlib is missing.
     """
-    require_matplotlib()
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(9.0, 6.4), layout="constrained")
+    figure = new_figure(9.0, 6.4, layout="constrained")
     grid = figure.subplots(2, 2)
     for axes, column, scale, unit in ((grid[0, 0], 0, 1e3, "mm"), (grid[0, 1], 1, 180.0 / np.pi, "°")):
         for values, colour, label in ((found.before, _BEFORE, "before"), (found.after, _AFTER, "after")):
@@ -37,7 +34,7 @@ def calibration_figure(found: Calibration) -> Figure:
         axes.set_ylabel(f"the arms part by [{unit}]")
         axes.grid(visible=True, which="major", alpha=0.3)
     grid[0, 0].legend(frameon=False)
-    grid[0, 0].set_title("Does the chain close?", loc="left", color=_INK)
+    grid[0, 0].set_title("Does the chain close?", loc="left", color=INK)
     for axes, own, scale, unit in (
         (grid[1, 0], slice(0, 3), 1e3, "mm"),
         (grid[1, 1], slice(3, 6), 180.0 / np.pi, "°"),
@@ -50,11 +47,11 @@ def calibration_figure(found: Calibration) -> Figure:
                 names += [f"{arm.arm} {part} {axis}" for axis in "xyz"]
                 axes.errorbar(scale * value[own], at, xerr=2.0 * scale * spread[own], fmt="o", color=_AFTER,
                               markersize=4.0, linewidth=1.2, capsize=2.0)  # fmt: skip
-        axes.axvline(0.0, color=_INK, linewidth=0.8)
+        axes.axvline(0.0, color=INK, linewidth=0.8)
         axes.set_yticks(range(len(names)), names, fontsize=7)
         axes.invert_yaxis()
         axes.set_xlabel(f"{'shift' if unit == 'mm' else 'turn'} [{unit}], ± 2 standard deviations")
-    grid[1, 0].set_title("What was corrected", loc="left", color=_INK)
+    grid[1, 0].set_title("What was corrected", loc="left", color=INK)
     for axes in grid.ravel():
         open_frame(axes)
     return figure

@@ -12,6 +12,7 @@ from coopqp.look.style import (
     RED,
     WIDTH,
     add_legend,
+    hide_rest,
     label,
     legend_columns,
     legend_height,
@@ -56,7 +57,6 @@ def check_figure(check: PathCheck) -> Figure:
     }
     fits = {k: legend_columns(names[k], (width - 1.0) / columns, size=_SIZE) for k in shown if names[k]}
     legend = max((legend_height(names[k], fits[k], size=_SIZE) for k in fits), default=0.3)
-    some = len(shown) < len(check.arms)
     bodies = check.clearance if check.clearance is not None and check.clearance.pair is not None else None
     height = max(blocks, 1) * (5.0 + legend) + 0.6 + (_DISTANCES if bodies else 0.0)
     figure = new_figure(width, height, layout="constrained")
@@ -66,7 +66,7 @@ def check_figure(check: PathCheck) -> Figure:
     heights = [2.2, 1.8, legend] * blocks + ([_DISTANCES] if bodies else [])
     grid = figure.add_gridspec(len(heights), columns, height_ratios=heights)
     panels = np.array([[figure.add_subplot(grid[r, c]) for c in range(columns)] for r in range(3 * blocks)])
-    if some:
+    if len(shown) < len(check.arms):
         figure.suptitle(f"the tightest {len(shown)} of {len(check.arms)} arms", fontsize=12, color=INK)
     lowest = 0.0
     for place, k in enumerate(shown):
@@ -107,10 +107,7 @@ def check_figure(check: PathCheck) -> Figure:
     for b, c in used:
         panels[3 * b, c].set_ylim(max(1.1 * lowest - 3.0, -40.0), 105.0)
         panels[3 * b + 1, c].set_ylim(least, most)
-    for place in range(len(shown), blocks * columns):
-        b, c = divmod(place, columns)
-        for panel in panels[3 * b : 3 * b + 3, c]:
-            panel.set_axis_off()
+    hide_rest(panels, len(shown))
     figure.align_ylabels(panels[:, 0])
     if bodies:
         _distances(figure.add_subplot(grid[-1, :]), bodies, max(_end(check, k) for k in shown))
@@ -126,10 +123,9 @@ def _distances(axes: Any, found: ClearanceCheck, end: float) -> None:
     axes.plot([found.clock], [1e3 * found.pair.distance], "o", color=INK, ms=6)
     if found.stop is not None:
         axes.axvline(found.stop, color=RED, lw=1.4, ls=":")
-    bands = found.undecided
     if found.verdict is PathVerdict.CERTIFIED:
         axes.axvspan(found.clocks[0], found.clocks[-1], color=_PROVED, lw=0.0, zorder=0)
-    for a, b in bands:
+    for a, b in found.undecided:
         axes.axvspan(a, b, color=_OPEN, lw=0.0, zorder=0)
     said = f"distances: {found.verdict.value.lower()}; closest {label(found.pair.first)} and {label(found.pair.second)}"
     axes.set_title(said, fontsize=12, color=INK, fontweight="bold")

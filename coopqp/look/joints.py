@@ -13,6 +13,7 @@ from coopqp.look.style import (
     RED,
     WIDTH,
     add_legend,
+    hide_rest,
     label,
     legend_columns,
     legend_height,
@@ -74,10 +75,7 @@ def joint_figure(cell: RobotCell, recording: Recording) -> Figure:
         top.set_title(label(cell.arm_names[k], width=72 // (columns + 1)), fontsize=12, color=INK, fontweight="bold")
         _axes(top, bottom, end=float(recording.time[-1]), reach=reach, first=column == 0)
         add_legend(below, lines, names[k], fits[k], size=_SIZE)
-    for place in range(len(shown), blocks * columns):
-        block, column = divmod(place, columns)
-        for panel in panels[3 * block : 3 * block + 3, column]:
-            panel.set_axis_off()
+    hide_rest(panels, len(shown))
     figure.align_ylabels(panels[:, 0])
     return figure
 
@@ -104,7 +102,7 @@ def _names(cell: RobotCell, arm: int) -> list[str]:
 
 
 def _draw(top: Any, bottom: Any, positions: tuple[Array, Array], speeds: tuple[Array, Array]) -> list[Any]:
-    """The curves of an arm; its lines of speed, which exist for every joint."""
+    """Draw the curves of an arm. Returns its lines of speed: one for every joint, also without limits."""
     (times, position), (starts, speed) = positions, speeds
     lines = []
     for i in range(position.shape[1]):

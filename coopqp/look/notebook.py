@@ -11,6 +11,7 @@ import base64
 import html
 import importlib.util
 import io
+import itertools
 from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
@@ -20,7 +21,7 @@ from coopqp.control.command import ControlStep, Status
 from coopqp.errors import printable
 from coopqp.look.renderer import View, box_solid, cell_solids, render
 from coopqp.look.style import COLOURS, FAINT, INK
-from coopqp.look.timeline import BANDS, bound_limits, limit_name
+from coopqp.look.timeline import BANDS, bound_limits, limit_name, marked_spans
 from coopqp.model.cell import RobotCell
 from coopqp.simulation.figures import worst_status
 from coopqp.simulation.recording import Recording
@@ -116,15 +117,11 @@ def _rate(run: Recording) -> str:
         return ""
     end = max(float(run.time[-1]), 1e-12)
     x, y = width * run.time[:-1] / end, height - 6.0 - (height - 14.0) * np.clip(run.rate, 0.0, 1.0)
-    statuses = list(Status)
-    bands: list[str] = []
-    starts = np.flatnonzero(np.diff(run.status.astype(int), prepend=-1))
-    for i, j in zip(starts, [*starts[1:], n], strict=True):
-        status = statuses[int(run.status[i])]
-        if status in BANDS and len(bands) < MOST_POINTS:
-            wide = width * float(run.time[j] - run.time[i]) / end
-            place = f'x="{x[i]:.1f}" y="0" width="{wide:.1f}" height="{height:g}"'
-            bands.append(f'<rect {place} fill="{BANDS[status]}"><title>{status.value}</title></rect>')
+    bands = []
+    for status, i, j in itertools.islice(marked_spans(run), MOST_POINTS):
+        wide = width * float(run.time[j] - run.time[i]) / end
+        place = f'x="{x[i]:.1f}" y="0" width="{wide:.1f}" height="{height:g}"'
+        bands.append(f'<rect {place} fill="{BANDS[status]}"><title>{status.value}</title></rect>')
     # The lowest rate of each of the drawn intervals, so that no short stop is lost.
     parts = np.array_split(np.arange(n), min(n, MOST_POINTS))
     points = " ".join(f"{x[p[0]]:.1f},{float(np.nanmax(y[p])):.1f}" for p in parts) + f" {width:g},{y[-1]:.1f}"

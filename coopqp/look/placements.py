@@ -1,4 +1,4 @@
-"""A map of base placements: how good each is, what makes it so, and what makes others impossible. Extra ``plot``."""
+"""A map of base placements: the score of each, the figures behind it, and impossible ones. Needs ``plot``."""
 
 from __future__ import annotations
 

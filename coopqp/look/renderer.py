@@ -68,7 +68,8 @@ class Camera:
     distance: float
 
     @property
-    def _axes(self) -> tuple[Array, Array, Array]:
+    def axes(self) -> tuple[Array, Array, Array]:
+        """Unit vectors (3,) to the right and up in the picture, and from the target to the camera."""
         a, e = np.deg2rad(self.azimuth), np.deg2rad(self.elevation)
         back = np.array([np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)])
         right = np.array([-np.sin(a), np.cos(a), 0.0])
@@ -77,25 +78,25 @@ class Camera:
     @property
     def light(self) -> Array:
         """Unit vector towards the light (3,): above, behind the viewer's left shoulder."""
-        right, _, back = self._axes
+        right, _, back = self.axes
         direction = -0.55 * right + 0.45 * back * (1.0, 1.0, 0.0) + np.array([0.0, 0.0, 0.85])
         return np.asarray(direction / np.linalg.norm(direction))
 
     @property
     def eye(self) -> Array:
         """Position of the camera (3,) [m]."""
-        return np.asarray(self.target) + self.distance * self._axes[2]
+        return np.asarray(self.target) + self.distance * self.axes[2]
 
     def project(self, points: Array) -> Array:
         """Project points (n, 3): right and up in units of the focal length, and inverse depth [1/m], (n, 3)."""
-        right, up, back = self._axes
+        right, up, back = self.axes
         offset = np.asarray(points) - self.eye
         inverse = 1.0 / np.maximum(-(offset @ back), 1e-3)
         return np.column_stack([(offset @ right) * inverse, (offset @ up) * inverse, inverse])
 
     def ray(self, x: Array, y: Array) -> Array:
         """Directions (…, 3) of the rays through image points."""
-        right, up, back = self._axes
+        right, up, back = self.axes
         return x[..., None] * right + y[..., None] * up - back
 
 

@@ -13,7 +13,7 @@ import numpy as np
 import pinocchio as pin
 
 from coopqp.checks import require
-from coopqp.look.renderer import body_solids, box, mesh_of, name_places
+from coopqp.look.renderer import Camera, body_solids, box, mesh_of, name_places
 from coopqp.model.cell import RobotCell
 from coopqp.model.limits import BindingLimit
 from coopqp.simulation import metrics
@@ -84,7 +84,7 @@ class Stage:
         samples = np.unique(np.linspace(0, self.recording.n_steps, _PATH_POINTS).astype(int))
         return [pin.SE3(self.recording.reference[i]) for i in samples]
 
-    # -- what stands there ---------------------------------------------------------------------------------------
+    # -- the scene -----------------------------------------------------------------------------------------------
 
     def _points(self, size: Array) -> Array:
         """Points (n, 3) [m]: bases; joints and names at the start, middle and end; corners of the object."""
@@ -123,11 +123,7 @@ class Stage:
         readout = self.above(READOUT_SHARE + 0.06)
         points = np.array([*self._cloud, readout])
         target = 0.5 * (points.min(axis=0) + points.max(axis=0))
-        azimuth, elevation = np.deg2rad(_AZIMUTH), np.deg2rad(_ELEVATION)
-        right = np.array([-np.sin(azimuth), np.cos(azimuth), 0.0])
-        flat = np.array([np.cos(azimuth), np.sin(azimuth), 0.0])
-        away = np.cos(elevation) * flat + np.array([0.0, 0.0, np.sin(elevation)])
-        up = np.cross(away, right)
+        right, up, away = Camera(target, _AZIMUTH, _ELEVATION, distance=0.0).axes
         # Needed distance of the camera for a point: its depth towards the camera plus its offset / slope.
         slope = _FILL * np.tan(np.deg2rad(0.5 * FIELD_OF_VIEW))
         offsets = points - target
@@ -176,27 +172,19 @@ class Stage:
             self._names.append(label)
 
     def _add_mesh(self, joint: int, name: str, vertices: Array, triangles: Any, colour: Colour) -> None:
-        """Add a mesh in the frame of a joint. Each triangle has its own corners, for sharp edges."""
+        """Add a mesh in the frame of a joint."""
         if joint not in self._links:
             self._links[joint] = self._scene.add_frame(f"/links/{joint}", show_axes=False)
-        mesh = self._scene.add_mesh_simple(
-            f"/links/{joint}/{name.replace('/', '_')}",
-            vertices[triangles].reshape(-1, 3).astype(np.float32),
-            np.arange(3 * len(triangles), dtype=np.uint32).reshape(-1, 3),
-            color=colour,
-        )
+        place = f"/links/{joint}/{name.replace('/', '_')}"
+        mesh = self._scene.add_mesh_simple(place, *_sharp(vertices, triangles), color=colour)
         self._meshes[joint].append((mesh, colour))
 
     def _add_object(self, size: Array) -> None:
         vertices, triangles = box(size)
         T = self._T_object_body
         self._object = self._scene.add_frame("/object", axes_length=0.16, axes_radius=0.006, origin_radius=0.012)
-        self._scene.add_mesh_simple(
-            "/object/body",
-            (vertices @ T.rotation.T + T.translation)[triangles].reshape(-1, 3).astype(np.float32),
-            np.arange(3 * len(triangles), dtype=np.uint32).reshape(-1, 3),
-            color=_OBJECT,
-        )
+        placed = vertices @ T.rotation.T + T.translation
+        self._scene.add_mesh_simple("/object/body", *_sharp(placed, triangles), color=_OBJECT)
         for name, X in zip(self.cell.arm_names, self.recording.grasp.T_object_tool, strict=True):
             self._scene.add_frame(
                 f"/object/grasp {name}", axes_length=0.11, axes_radius=0.004, origin_radius=0.009,
@@ -232,12 +220,8 @@ class Stage:
         """Add what stands in the world, and a line between the bodies that are nearest to each other."""
         for i, solid in enumerate(self._bodies):
             red, green, blue = (round(255 * c) for c in solid.colour)
-            self._scene.add_mesh_simple(
-                f"/bodies/{i}",
-                solid.vertices[solid.triangles].reshape(-1, 3).astype(np.float32),
-                np.arange(3 * len(solid.triangles), dtype=np.uint32).reshape(-1, 3),
-                color=(red, green, blue),
-            )
+            mesh = _sharp(solid.vertices, solid.triangles)
+            self._scene.add_mesh_simple(f"/bodies/{i}", *mesh, color=(red, green, blue))
         self._gap: Any = None
         if self._nearest is not None:
             self._gap = self._scene.add_line_segments(
@@ -302,6 +286,12 @@ class Stage:
                 if sticks[0] == joints[0]:
                     colours = [_blend(_STICK, share[j]) for j in [*sticks, sticks[-1]]]
                     handle.colors = np.repeat(np.array(colours, dtype=np.uint8)[:, None, :], 2, axis=1)
+
+
+def _sharp(vertices: Array, triangles: Any) -> tuple[Any, Any]:
+    """The vertices and triangles of a mesh with sharp edges: each triangle has its own corners."""
+    corners = vertices[triangles].reshape(-1, 3).astype(np.float32)
+    return corners, np.arange(len(corners), dtype=np.uint32).reshape(-1, 3)
 
 
 def _nearest(metadata: Mapping[str, Any]) -> tuple[Array, Array] | None:

@@ -86,6 +86,14 @@ def plain(axes: Axes) -> None:
     axes.tick_params(colors=INK, labelsize=10.5, which="both")
 
 
+def hide_rest(panels: Any, shown: int) -> None:
+    """Hide the places from ``shown`` on in a grid of panels (3 B, C), in which a place is three panels of a column."""
+    columns = panels.shape[1]
+    for block, column in (divmod(place, columns) for place in range(shown, panels.size // 3)):
+        for panel in panels[3 * block : 3 * block + 3, column]:
+            panel.set_axis_off()
+
+
 def label(name: str, *, width: int = LABEL) -> str:
     """A name as text of a figure: without underscores and markup, in lines of at most ``width`` characters."""
     text = printable(name).replace("_", " ").replace("$", "\\$")

@@ -1,4 +1,4 @@
-"""The figures of a sweep over what was varied: medians, and the span of the draws. Needs the extra ``plot``."""
+"""The figures of a sweep over its varied settings: medians, and the span of the draws. Needs the extra ``plot``."""
 
 from __future__ import annotations
 

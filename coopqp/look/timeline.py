@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -10,7 +10,7 @@ import numpy as np
 
 from coopqp.control.command import Status
 from coopqp.look.curves import drawn
-from coopqp.look.style import FAINT, GRID, INK, RED, WIDTH, label, new_figure
+from coopqp.look.style import FAINT, GRID, INK, RED, WIDTH, label, new_figure, plain
 from coopqp.model.limits import BindingLimit
 from coopqp.simulation.assessment import Tolerances
 from coopqp.simulation.readings import Readings
@@ -71,6 +71,15 @@ def bound_limits(recording: Recording) -> list[Bound]:
     return sorted(found, key=lambda bound: (-bound.seconds, str(bound.limit)))
 
 
+def marked_spans(recording: Recording) -> Iterator[tuple[Status, int, int]]:
+    """Each span of steps [i, j) of one status that :data:`BANDS` marks: the status, i and j."""
+    statuses, codes = list(Status), recording.status.astype(int)
+    starts = np.flatnonzero(np.diff(codes, prepend=-1)).tolist()
+    for i, j in zip(starts, [*starts[1:], recording.n_steps], strict=True):
+        if statuses[codes[i]] in BANDS:
+            yield statuses[codes[i]], i, j
+
+
 def limit_name(limit: BindingLimit) -> str:
     """Name of a limit for the plot, e.g. ``slave_1/joint_3 velocity``, ``object and post``."""
     if limit.between:
@@ -104,11 +113,8 @@ def timeline_figure(recording: Recording, readings: Readings, *, tolerances: Tol
     if limits:
         _draw_limits(panels[-1], limits, names)
     for panel in panels:
-        for side in ("top", "right"):
-            panel.spines[side].set_visible(False)
-        for side in ("left", "bottom"):
-            panel.spines[side].set_color(FAINT)
-        panel.tick_params(colors=INK, labelsize=10, which="both")
+        plain(panel)
+        panel.tick_params(labelsize=10, which="both")
     panels[-1].set_xlim(0.0, max(float(recording.time[-1]), 1e-9))
     panels[-1].set_xlabel("time [s]", fontsize=11, color=INK)
     figure.align_ylabels(panels[:2])
@@ -152,16 +158,11 @@ def _draw_errors(axes: Any, recording: Recording, readings: Readings, tolerances
 
 
 def _draw_rate(axes: Any, recording: Recording) -> None:
-    status = list(Status)
-    codes = recording.status.astype(int)
-    starts = np.flatnonzero(np.diff(codes, prepend=-1))
     named: set[Status] = set()
-    for i, j in zip(starts, [*starts[1:], recording.n_steps], strict=True):
-        now = status[codes[i]]
-        if now in BANDS:
-            label = now.value if now not in named else None
-            axes.axvspan(recording.time[i], recording.time[j], color=BANDS[now], lw=0, label=label)
-            named.add(now)
+    for status, i, j in marked_spans(recording):
+        label = status.value if status not in named else None
+        axes.axvspan(recording.time[i], recording.time[j], color=BANDS[status], lw=0, label=label)
+        named.add(status)
     times, rates = drawn(recording.time[:-1], 100.0 * recording.rate)
     axes.stairs(rates, np.append(times, recording.time[-1]), color=INK, lw=1.6, baseline=None)
     axes.set_ylim(-4.0, 108.0)

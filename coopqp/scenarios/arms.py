@@ -23,7 +23,7 @@ PANDA_ACCELERATION = (15.0, 7.5, 10.0, 12.5, 15.0, 20.0, 20.0)
 
 @dataclass(frozen=True, kw_only=True)
 class Robot:
-    """An arm that has a name.
+    """An arm with a name of its own.
 
     Attributes:
         joints: number of moving joints.
@@ -58,7 +58,7 @@ def _universal(file: str) -> Robot:
     return Robot(joints=6, tool_frame="tool0", licence="BSD", source=source, file=f"ur_description/urdf/{file}.urdf")
 
 
-#: Every arm that has a name.
+#: Every arm with a name of its own.
 ROBOTS: Mapping[str, Robot] = MappingProxyType(
     {
         "arm5": _made_up(5),
@@ -196,15 +196,14 @@ def robot_arm(
         MissingExtraError: the robot needs the extra ``robots``.
         InvalidInputError, ModelError: as in :meth:`Arm.from_urdf`.
     """
-    if not isinstance(robot, str) or robot not in ROBOTS:
-        raise UnknownNameError("robot", str(robot), ROBOTS)
+    file = robot_file(robot)
     if locked_joints is not None and not isinstance(locked_joints, Mapping):
         raise InvalidInputError(
             f"locked_joints is a {type(locked_joints).__name__}", "robot_arm", "Give a dictionary of joints."
         )
     made = ROBOTS[robot]
     locked = {**dict(made.locked), **(locked_joints or {})}
-    frame, file = tool_frame or made.tool_frame, robot_file(robot)
+    frame = tool_frame or made.tool_frame
     try:
         arm = _read(robot, file, frame, bool(geometry), tuple(sorted(locked.items())))
     except TypeError:  # a position that is no key of a cache; the reader names it

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 from collections.abc import Sequence
 from typing import Literal
 
@@ -10,9 +9,7 @@ import numpy as np
 import pinocchio as pin
 
 from coopqp.errors import InvalidInputError, UnknownNameError
-from coopqp.model.cell import Arm
-from coopqp.scenarios.arms import ROBOTS
-from coopqp.scenarios.robots import robot_path
+from coopqp.scenarios.arms import robot_arm
 from coopqp.scenarios.stations import DOWN, FORWARD, Station, put_together
 from coopqp.scenarios.units import Radians, Seconds
 from coopqp.spatial import Array
@@ -27,27 +24,22 @@ _ARM6C_NEAR = (-19.0, 4.3, 113.0, 62.7, 71.0, -90.0)
 _GANTRY7_NEAR = (0.0, 0.0, 45.0, 97.0, 0.0, -52.0, 0.0)
 
 
-@functools.cache
-def _robot(robot: str) -> Arm:
-    """A robot that comes with coopqp, with its base at the origin. It is read only once."""
-    return Arm.from_urdf(robot, robot_path(robot), tool_frame=ROBOTS[robot].tool_frame)
-
-
-def named_robot(robot: str, name: str) -> Arm:
-    """A robot that comes with coopqp, with the given name and its base at the origin."""
-    return _robot(robot).placed(pin.SE3.Identity(), name=name)
-
-
 def facing(
     robot: str, half: float, *, reach: float, height: float, near: Sequence[float], tool: Array = FORWARD
 ) -> list[Station]:
     """Two arms of one kind that face each other, "left" at −half and "right" at +half [m] on the object's x axis.
 
-    The other arguments are as of :class:`Station`.
+    The other arguments are as in :class:`Station`.
     """
     return [
         Station(
-            arm=named_robot(robot, name), point=(x, 0.0, 0.0), yaw=yaw, reach=reach, height=height, near=near, tool=tool
+            arm=robot_arm(robot, name=name),
+            point=(x, 0.0, 0.0),
+            yaw=yaw,
+            reach=reach,
+            height=height,
+            near=near,
+            tool=tool,
         )
         for name, x, yaw in (("left", -half, 0.0), ("right", half, 180.0))
     ]
@@ -93,7 +85,7 @@ def mixed_cell(*, duration: Seconds = 3.0, time_law: TimeLaw | str = TimeLaw.QUI
     )
     stations = [
         Station(
-            arm=named_robot("rx90l", "rx90l"),
+            arm=robot_arm("rx90l"),
             point=(-0.45, 0.0, 0.0),
             yaw=0.0,
             reach=0.80,
@@ -101,7 +93,7 @@ def mixed_cell(*, duration: Seconds = 3.0, time_law: TimeLaw | str = TimeLaw.QUI
             near=RX90L_NEAR,
         ),
         Station(
-            arm=named_robot("arm7", "arm7"),
+            arm=robot_arm("arm7"),
             point=(0.0, 0.45, 0.0),
             yaw=-90.0,
             reach=0.50,
@@ -110,7 +102,7 @@ def mixed_cell(*, duration: Seconds = 3.0, time_law: TimeLaw | str = TimeLaw.QUI
             tool=ARM7_TOOL,
         ),
         Station(
-            arm=named_robot("arm6c", "arm6c"),
+            arm=robot_arm("arm6c"),
             point=(0.45, 0.0, 0.0),
             yaw=180.0,
             reach=0.50,
@@ -118,7 +110,7 @@ def mixed_cell(*, duration: Seconds = 3.0, time_law: TimeLaw | str = TimeLaw.QUI
             near=_ARM6C_NEAR,
         ),
         Station(
-            arm=named_robot("gantry7", "gantry7"),
+            arm=robot_arm("gantry7"),
             point=(0.0, -0.45, 0.0),
             yaw=90.0,
             reach=0.60,
@@ -168,7 +160,7 @@ def ring(
     angles = 360.0 * np.arange(arms) / arms
     stations = [
         Station(
-            arm=named_robot(robot, f"arm_{k + 1}"),
+            arm=robot_arm(robot, name=f"arm_{k + 1}"),
             point=(float(radius * np.cos(np.deg2rad(a))), float(radius * np.sin(np.deg2rad(a))), 0.0),
             yaw=float(a) + 180.0,
             reach=reach,

@@ -26,11 +26,11 @@ _TOLERANT = {"supervision": {"slow_from": 0.005, "hold_from": 0.01, "stall_sampl
 def base_off_lift(
     *, arm: str = "slave_2", distance: Metres = 1e-3, angle: Degrees = 0.1, duration: Seconds = 3.0
 ) -> Scenario:
-    """The paper's lift with one base off; the arms relax the forces that come of it.
+    """The paper's lift with one base off; the arms relax the forces that follow from it.
 
     Args:
-        arm: whose base is off.
-        distance, angle: by how much, along and about the diagonal of its axes [m, deg].
+        arm: the arm whose base is off.
+        distance, angle: its error along and about the diagonal of its axes [m, deg].
         duration: duration of the path [s].
 
     Raises:
@@ -57,8 +57,8 @@ def hot_plate(*, growth: Metres = 2.2e-3, period: Seconds = 12.0, duration: Seco
     """The paper's lift with a plate that grows as it warms up; the arms give way.
 
     Args:
-        growth: of the plate's length in a quarter of the period [m].
-        period: of growing and shrinking [s].
+        growth: growth of the plate's length in a quarter of the period [m].
+        period: period of growth and shrinkage [s].
         duration: duration of the path [s].
     """
     lift = paper_lift(time_law="quintic", duration=duration)
@@ -102,7 +102,7 @@ def torque_lift(
     """The paper's lift by torque-controlled arms whose drives take arms and plate for half as heavy as they are.
 
     Args:
-        servo, wrist_sensors, assumed_mass, assumed_payload: as of :class:`coopqp.PhysicsOptions`.
+        servo, wrist_sensors, assumed_mass, assumed_payload: as in :class:`coopqp.PhysicsOptions`.
         duration: duration of the path [s].
     """
     lift = paper_lift(time_law="quintic", duration=duration)
@@ -133,7 +133,7 @@ def palm_box(
 
     Args:
         squeeze: normal force of the palms [N]; 20 kg need 164 N at least.
-        most_squeeze: up to which they press harder where friction runs out [N].
+        most_squeeze: largest normal force, where friction runs out [N].
         mass: mass of the box [kg].
         friction: μ between palms and box.
         base_off: the right arm's base is off by 1 mm and 0.1°.
@@ -160,7 +160,7 @@ def palm_box(
     return replace(made, engine=engine)
 
 
-#: These scenarios by name.
+#: The scenarios of this module by name.
 LOADED: dict[str, Callable[[], Scenario]] = {
     "base_off_lift": base_off_lift,
     "hot_plate": hot_plate,

@@ -13,7 +13,8 @@ from coopqp.collision.scene import CollisionScene
 from coopqp.errors import UnknownNameError
 from coopqp.model.inverse_kinematics import inverse_kinematics
 from coopqp.model.shapes import Body, Box, Capsule, Shape, Sphere
-from coopqp.scenarios.cells import ARM7_NEAR, ARM7_TOOL, dual_arm7, mixed_cell, named_robot, ring
+from coopqp.scenarios.arms import robot_arm
+from coopqp.scenarios.cells import ARM7_NEAR, ARM7_TOOL, dual_arm7, mixed_cell, ring
 from coopqp.scenarios.paper import paper_lift
 from coopqp.scenarios.stations import Station, put_together
 from coopqp.scenarios.units import Radians, Seconds
@@ -45,7 +46,7 @@ def plate_and_table(*, tilt: Radians = 0.0, duration: Seconds = 3.0) -> Scenario
     """Three RX-90L put the paper's plate down where a table is too high: the plate has to stop above it.
 
     Args:
-        tilt: of the table about the x axis [rad].
+        tilt: turn of the table about the x axis [rad].
         duration: duration of the path [s].
     """
     lift = paper_lift()
@@ -66,12 +67,8 @@ def elbow_and_knob(*, duration: Seconds = 3.0) -> Scenario:
         duration: duration of the path [s].
     """
     pair = dual_arm7(duration=duration)
-    knob = Body("knob", Sphere(0.03), pin.SE3(np.eye(3), np.array(_KNOB)))
+    knob = Body("knob", Sphere(0.03), pin.SE3(np.eye(3), np.array([-0.69, -0.118, 0.60])))
     return replace(pair, name="elbow_and_knob", obstacles=(knob,))
-
-
-#: Centre of the knob of :func:`elbow_and_knob` [m].
-_KNOB = (-0.69, -0.118, 0.60)
 
 
 def elbows(*, duration: Seconds = 3.0) -> Scenario:
@@ -102,7 +99,7 @@ def _side_by_side(
     )
     stations = [
         Station(
-            arm=named_robot("arm7", arm),
+            arm=robot_arm("arm7", name=arm),
             point=(0.0, y, 0.0),
             yaw=turn,
             reach=0.50,
@@ -119,7 +116,7 @@ def random_posts(seed: int = 0, *, arms: int = 2, posts: int = 2) -> Scenario:
     """A cell of 2 (seven joints), 3 (six), 4 (mixed) or 8 arms with posts at random places among them.
 
     Args:
-        seed: of the random numbers; the path is as random as the posts.
+        seed: seed of the random numbers, for the posts and the path.
         arms: number of arms.
         posts: number of posts.
 

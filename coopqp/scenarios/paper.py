@@ -14,7 +14,7 @@ import pinocchio as pin
 from coopqp.model.cell import RobotCell
 from coopqp.model.grasp import Grasp
 from coopqp.model.inverse_kinematics import inverse_kinematics
-from coopqp.scenarios.cells import named_robot
+from coopqp.scenarios.arms import robot_arm
 from coopqp.scenarios.units import Metres, RadiansPerSecond, Seconds
 from coopqp.task.path import LinePath, TimeLaw
 from coopqp.task.scenario import Scenario
@@ -39,13 +39,25 @@ def slave_base(b: float, h: Metres = BASE_DISTANCE_H) -> pin.SE3:
 
 def three_rx90l(*, h: Metres = BASE_DISTANCE_H, b: Metres = BASE_OFFSET_B) -> RobotCell:
     """The master at the origin, the slaves opposite at x = h, y = ±b (Figure 1) [m]."""
-    master = named_robot("rx90l", "master")
+    master = robot_arm("rx90l", name="master")
     return RobotCell(
         [
             master,
             master.placed(slave_base(b, h), name="slave_1"),
             master.placed(slave_base(-b, h), name="slave_2"),
         ]
+    )
+
+
+def lift_path(reach: Metres, height: Metres, duration: Seconds, time_law: TimeLaw | str) -> LinePath:
+    """The lift by 30 cm with a turn by −40°; A starts ahead of the master's base by ``reach``, at ``height`` [m]."""
+    R = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    return LinePath.displaced(
+        pin.SE3(R, np.array([reach, 0.0, height])),
+        translation=(0.0, 0.0, 0.30),
+        rotation=(-np.deg2rad(40.0), 0.0, 0.0),
+        duration=duration,
+        time_law=time_law,
     )
 
 
@@ -68,16 +80,9 @@ def paper_lift(
     """
     cell = three_rx90l(h=h, b=b)
     grasp = Grasp.triangle(alpha, beta)
-    start = pin.SE3(np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]), np.array([0.90, 0.0, 0.10]))
-    path = LinePath.displaced(
-        start,
-        translation=(0.0, 0.0, 0.30),
-        rotation=(-np.deg2rad(40.0), 0.0, 0.0),
-        duration=duration,
-        time_law=time_law,
-    )
+    path = lift_path(0.90, 0.10, duration, time_law)
     near = cell.configuration(np.deg2rad(np.concatenate(_NEAR_START_DEG)))
-    q_start = inverse_kinematics(cell, grasp, start, near)
+    q_start = inverse_kinematics(cell, grasp, path.pose(0.0), near)
     # The length of the plate is along y of A, an edge is at A; 1.80 x 0.80 m with the default grasp.
     T_object_body = pin.SE3(np.eye(3), np.array([0.0, 1.5 * alpha, 0.0]))
     return Scenario(
@@ -93,7 +98,7 @@ def paper_lift(
 
 
 def wide_grasp(*, time_law: TimeLaw | str = TimeLaw.LINEAR, duration: Seconds = DURATION) -> Scenario:
-    """The paper's lift with a wide grasp (β = 0.6 m, 3α = 0.8 m). The slaves stand nearer by as much as B and C.
+    """The paper's lift with a wide grasp (β = 0.6 m, 3α = 0.8 m). B and C are 1 m nearer to A, and so are the slaves.
 
     The baseline drifts by 1.5 mm at N = 400, against 0.9 mm with the narrow grasp.
     """

@@ -56,7 +56,8 @@ class Station:
     @property
     def near_positions(self) -> Array:
         """:attr:`near` in radians; prismatic joints in metres."""
-        prismatic = np.array(["P" in joint.shortname()[len("JointModel") :][:1] for joint in self.arm.model.joints][1:])
+        joints = list(self.arm.model.joints)[1:]  # the first is the world
+        prismatic = [joint.shortname().startswith("JointModelP") for joint in joints]
         x = np.array(self.near, dtype=float)
         return np.where(prismatic, x, np.deg2rad(x))
 

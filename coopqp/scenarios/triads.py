@@ -14,9 +14,9 @@ from coopqp.model.cell import RobotCell
 from coopqp.model.grasp import Grasp
 from coopqp.model.inverse_kinematics import inverse_kinematics
 from coopqp.scenarios.arms import robot_arm
-from coopqp.scenarios.paper import DURATION, PLATE_SIZE, slave_base
+from coopqp.scenarios.paper import DURATION, PLATE_SIZE, lift_path, slave_base
 from coopqp.scenarios.units import Seconds
-from coopqp.task.path import LinePath, TimeLaw
+from coopqp.task.path import TimeLaw
 from coopqp.task.scenario import Scenario
 
 _ALPHA, _BETA = 0.60, 0.30
@@ -86,14 +86,7 @@ def _lift(name: str, robots: tuple[str, str, str], duration: float, time_law: Ti
         base.translation = base.translation + np.array([0.0, 0.0, first.height - stand.height])
         arms.append(robot_arm(robot, name=f"slave_{k}", T_world_base=base))
     cell, grasp = RobotCell(arms), Grasp.triangle(_ALPHA, _BETA)
-    R = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
-    path = LinePath.displaced(
-        pin.SE3(R, np.array([first.reach, 0.0, first.height])),
-        translation=(0.0, 0.0, 0.30),
-        rotation=(-np.deg2rad(40.0), 0.0, 0.0),
-        duration=duration,
-        time_law=time_law,
-    )
+    path = lift_path(first.reach, first.height, duration, time_law)
     near = np.deg2rad(np.concatenate([_STANDS[robot].near[k] for k, robot in enumerate(robots)]))
     return Scenario(
         name=name,

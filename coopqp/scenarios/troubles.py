@@ -12,7 +12,7 @@ import pinocchio as pin
 from coopqp.checks import Array, Doc, as_scalar, as_vector
 from coopqp.errors import InvalidInputError, UnknownNameError
 from coopqp.model.state import CellState
-from coopqp.scenarios.cells import named_robot
+from coopqp.scenarios.arms import robot_arm
 from coopqp.scenarios.paper import paper_lift
 from coopqp.scenarios.stations import Station, put_together
 from coopqp.scenarios.units import MetresPerSecond, Radians, RadiansPerSquareSecond
@@ -97,7 +97,7 @@ def at_singularity(
         led = k == arm
         stations.append(
             Station(
-                arm=named_robot("rx90l", f"arm_{k + 1}"),
+                arm=robot_arm("rx90l", name=f"arm_{k + 1}"),
                 point=(float(x), float(y), 0.0),
                 yaw=angle + 180.0,
                 reach=1.0 if led and kind != "wrist" else 0.80,

@@ -40,8 +40,7 @@ class Tolerances:
     object_deg: Annotated[float, Doc("angle between the object and its path [deg]")] = 0.5
 
     def __post_init__(self) -> None:
-        for name in self.__dataclass_fields__:
-            keep_scalars(self, name)
+        keep_scalars(self, *self.__dataclass_fields__)
 
     @staticmethod
     def of(recording: Recording) -> Tolerances:

@@ -1,4 +1,4 @@
-"""The bodies around the arms in a recording: what stands there, for pictures, as plain JSON."""
+"""The bodies that stand around the arms, in a recording as plain JSON, for pictures."""
 
 from __future__ import annotations
 
@@ -9,12 +9,11 @@ import numpy as np
 import pinocchio as pin
 
 from coopqp.collision.scene import CollisionScene
-from coopqp.errors import CoopqpError
-from coopqp.simulation.scene import MAX_SHAPES, SceneError, describe_shape, read_geometry
+from coopqp.simulation.scene import MAX_SHAPES, SceneError, describe_shape, read_geometry, reading
 from coopqp.spatial import as_placement
 
-#: Colour of what stands in the world.
-_SAND = np.array([0.80, 0.68, 0.47, 1.0])
+#: Colour of bodies in pictures (red, green, blue).
+SAND: tuple[float, float, float] = (0.80, 0.68, 0.47)
 
 
 def describe_bodies(scene: CollisionScene) -> list[dict[str, Any]]:
@@ -24,7 +23,7 @@ def describe_bodies(scene: CollisionScene) -> list[dict[str, Any]]:
     for name, shape in zip(built.names, built.geometry.geometryObjects, strict=True):
         if name in names and not shape.parentJoint and not shape.parentFrame:
             drawn = pin.GeometryObject(name, 0, shape.placement, shape.geometry)
-            drawn.meshColor = _SAND
+            drawn.meshColor = np.array([*SAND, 1.0])
             found.append(describe_shape(drawn))
     return found
 
@@ -36,22 +35,14 @@ def read_bodies(metadata: Mapping[str, Any]) -> list[tuple[str, Any, pin.SE3]]:
         SceneError: the entry is damaged.
     """
     entries = metadata.get("bodies") or []
-    try:
+    found = []
+    with reading("bodies are"):
         if len(entries) > MAX_SHAPES:
             raise SceneError(f"the recording has more than {MAX_SHAPES} bodies.")
-        found = []
         for entry in entries:
             if entry["kind"] == "mesh":  # none is written
                 continue
             geometry = read_geometry(entry, "the surroundings")
             if geometry is not None:
                 found.append((str(entry["name"]), geometry, as_placement(entry["placement"], "body")))
-        return found
-    except SceneError:
-        raise
-    except (CoopqpError, KeyError, TypeError, ValueError, IndexError, AttributeError, OverflowError) as error:
-        raise SceneError(f"the recording's bodies are damaged ({type(error).__name__}: {error}).") from error
-
-
-#: Colour of bodies in pictures (red, green, blue).
-SAND: tuple[float, float, float] = (0.80, 0.68, 0.47)
+    return found

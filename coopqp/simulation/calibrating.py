@@ -29,8 +29,8 @@ def calibrate_runs(
 
     Args:
         recordings: the runs.
-        cell: the cell that they were made with, for a result with its shapes and inertias; by default that of the
-            recordings, which has joints only.
+        cell: the cell of the runs, for a result with its shapes and inertias; by default the cell that the recordings
+            describe, which has joints only.
         gripped: True if you know that the arms held one object in recordings that do not say so.
         options: as in :func:`coopqp.forces.calibrate`.
 

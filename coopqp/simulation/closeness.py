@@ -27,7 +27,7 @@ from coopqp.task.scenario import Scenario
 
 #: Number of parts of a step in which bodies may have been closest.
 PARTS = 4
-#: A body's way between two samples is no longer than this many times what its placements say.
+#: A body's way between two samples is at most this many times the way that its placements show.
 _BENT = 1.05
 #: While a run is watched, a pair's distance is found no closer than that it suffices for this many such steps.
 _AHEAD = 10.0
@@ -69,7 +69,7 @@ class Closeness:
     """Judges one scene.
 
     Args:
-        scene: whose pairs are judged, with their margins. Of bodies that move by themselves nothing is known here.
+        scene: the pairs that are judged, with their margins. Pairs with bodies that move by themselves are left out.
     """
 
     def __init__(self, scene: CollisionScene) -> None:
@@ -93,13 +93,12 @@ class Closeness:
         A, B = self._data.oMi[self._joints[i]] * self._T[i], self._data.oMi[self._joints[j]] * self._T[j]
         return self._apart(pair, A.rotation, A.translation, B.rotation, B.translation, enough)
 
-    def closest(self, q: Array, time: Array, *, to_margin: bool = False, without_start: bool = False) -> Closest | None:
+    def closest(self, q: Array, time: Array, *, without_start: bool = False) -> Closest | None:
         """The least distance of a run; None without pairs.
 
         Args:
             q: commanded configurations (T, nq).
-            time: of each (T,) [s].
-            to_margin: the least distance less its margin instead.
+            time: time of each (T,) [s].
             without_start: leave out pairs of names that overlap at the first configuration.
         """
         placed = self._place(q)
@@ -110,15 +109,11 @@ class Closeness:
         for k in self._pairs:
             if self._labels[k] in left_out:
                 continue
-            # Spheres about both bodies' origins are a first lower bound.
-            i, j = self._ends[k]
-            away = np.linalg.norm(placed.p[:, i] - placed.p[:, j], axis=1) - self._extent[i] - self._extent[j]
-            heapq.heappush(queue, (float(away.min()) - self._less(k, to_margin), k, -1, last, 0.0, 0.0))
+            heapq.heappush(queue, (float(self._away(placed, k).min()), k, -1, last, 0.0, 0.0))
         while queue:
             bound, k, first, end, d_first, d_end = heapq.heappop(queue)
             if least is not None and bound >= least[0] - RESOLUTION:
                 break
-            less = self._less(k, to_margin)
             found: list[tuple[float, float]] = []
             if first < 0:
                 d_first, d_end = self._sampled(placed, k, 0), self._sampled(placed, k, last)
@@ -136,27 +131,24 @@ class Closeness:
                     found.append((self.at(pin.integrate(self._model, q[first], share * step), k), first + share))
                 parts = []
             for d, where in found:
-                if least is None or d - less < least[0]:
-                    least = (d - less, k, where)
+                if least is None or d < least[0]:
+                    least = (d, k, where)
             for a, b, d_a, d_b in parts:
                 if b > a:
                     lower = 0.5 * (d_a + d_b - self._way(placed, k, a, b))
-                    heapq.heappush(queue, (min(lower, d_a, d_b) - less, k, a, b, d_a, d_b))
+                    heapq.heappush(queue, (min(lower, d_a, d_b), k, a, b, d_a, d_b))
         if least is None:
             return None
         value, k, where = least
-        first_name, second_name = self._labels[k]
         at = float(np.interp(where, np.arange(len(time)), time))
-        return Closest(NearPair(first_name, second_name, value + self._less(k, to_margin)), at, float(self.margins[k]))
+        return Closest(NearPair(*self._labels[k], value), at, float(self.margins[k]))
 
     def overlapping(self, q: Array) -> set[tuple[str, str]]:
         """Pairs of names that overlap at a configuration (nq,)."""
         placed = self._place(q[None])
         found = set()
         for k in self._pairs:
-            i, j = self._ends[k]
-            reach = self._extent[i] + self._extent[j]
-            if np.linalg.norm(placed.p[0, i] - placed.p[0, j]) <= reach and self._sampled(placed, k, 0) <= 0.0:
+            if self._away(placed, k)[0] <= 0.0 and self._sampled(placed, k, 0) <= 0.0:
                 found.add(self._labels[k])
         return found
 
@@ -166,9 +158,7 @@ class Closeness:
         self._least = self.margins.copy()
         self._rooms = np.full(len(self._least), np.inf)
         for k in self._pairs:
-            i, j = self._ends[k]
-            away = float(np.linalg.norm(placed.p[0, i] - placed.p[0, j])) - self._extent[i] - self._extent[j]
-            self._rooms[k] = away - self.margins[k]
+            self._rooms[k] = self._away(placed, k)[0] - self.margins[k]
             if self._inside[k]:
                 self._least[k] = min(self.margins[k], self._sampled(placed, k, 0))
 
@@ -202,8 +192,7 @@ class Closeness:
                         d = min(d, self.at(between, int(k), enough))
                 room = d - required
                 if room < -tolerance:
-                    first, second = self._labels[k]
-                    found.append((t - 1, NearPair(first, second, room + required), -room))
+                    found.append((t - 1, NearPair(*self._labels[k], room + required), -room))
         return found
 
     def judged(self, left_out: Iterable[tuple[str, str]]) -> list[int]:
@@ -211,8 +200,11 @@ class Closeness:
         names = set(left_out)
         return [k for k in self._pairs if self._labels[k] not in names]
 
-    def _less(self, k: int, to_margin: bool) -> float:
-        return float(self.margins[k]) if to_margin else 0.0
+    def _away(self, placed: _Placed, k: int) -> Array:
+        """Lower bound of the distance of a pair at each sample (T,) [m], by spheres about both bodies' origins."""
+        i, j = self._ends[k]
+        out: Array = np.linalg.norm(placed.p[:, i] - placed.p[:, j], axis=1) - self._extent[i] - self._extent[j]
+        return out
 
     def _way(self, placed: _Placed, k: int, first: int, end: int) -> float:
         """Largest motion of the two bodies of a pair against each other between two samples [m]."""

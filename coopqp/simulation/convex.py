@@ -20,7 +20,7 @@ from coopqp.spatial import Array
 
 #: Upper and lower bound of a distance differ by less [m].
 GAP = 1e-10
-#: Corners of one search at most.
+#: Largest number of corners of one search.
 _MOST_CORNERS = 200
 #: Cores whose difference comes this close to 0 overlap [m].
 _OVERLAP = 1e-9
@@ -41,7 +41,7 @@ class Core(NamedTuple):
     Attributes:
         points: (n, 3) [m].
         disc: radius of the disc [m].
-        radius: of the ball [m].
+        radius: radius of the ball [m].
         extent: largest distance of a point of the body from its origin [m].
     """
 
@@ -151,8 +151,8 @@ def least_norm(corners: list[Point], shares: list[float]) -> tuple[list[Point], 
     """The point of least norm in the hull of corners: the corners it lies between, and their shares.
 
     Args:
-        corners: affinely independent but for the last.
-        shares: of a point of the hull, to begin with, one for each corner.
+        corners: corners that are affinely independent, except perhaps the last.
+        shares: shares of the corners in a first point of the hull.
     """
     while True:
         # The point of least norm in the plane of the corners, then as far towards it as the hull reaches.

@@ -97,7 +97,7 @@ def run_in_engine(
     Args:
         scenario: the scenario.
         plant: the plant; :func:`engine_plant` by default.
-        progress, metadata: as of :func:`coopqp.simulate`.
+        progress, metadata: as in :func:`coopqp.simulate`.
 
     Raises:
         MissingExtraError: mujoco is not installed.

@@ -67,7 +67,7 @@ class RunLoads:
     def held(self, cell: RobotCell) -> tuple[str, str]:
         """Whether the palms held the object to the end; and the cause if they did not.
 
-        Friction is used up for moments where it is; an object is lost where a palm does not press any more.
+        Friction may be used up for moments. The object is lost when a palm no longer presses.
         """
         if self.palm_use is None or self.moves == len(self.time):
             return "the object did not move", ""

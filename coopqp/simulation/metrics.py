@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import functools
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -226,24 +226,18 @@ def path_error(tools: Sequence[pin.SE3], grasp: Grasp, path: ObjectPath, clock: 
     return float(distance.max()), float(angle.max())
 
 
-def _largest(values: Iterable[Any]) -> float:
-    """The largest value; 0 without values. NaN if any value is NaN, so that a broken run never looks perfect."""
-    return float(np.max([0.0, *values]))
-
-
 def limit_excess(cell: RobotCell, configurations: ArrayLike, velocities: Any) -> float:
     """Largest excess over any position [rad or m] or velocity limit [rad/s or m/s]; 0 if all limits are kept.
 
     Args:
         cell: cell with the limits.
         configurations, velocities: rows (nq,) and rows (nv,); both may be empty.
+
+    Returns:
+        The excess; NaN if any row has NaN, so that a broken run never looks perfect.
     """
     limits = cell.limits
     x = cell.positions(_table(configurations, cell.nq, "configurations"))
     v = np.abs(_table(velocities, cell.nv, "velocities"))
-    worst: list[Any] = []
-    if len(x):
-        worst += [(x - limits.upper).max(), (limits.lower - x).max()]
-    if len(v):
-        worst.append((v - limits.velocity).max())
-    return _largest(worst)
+    excesses = (x - limits.upper, limits.lower - x, v - limits.velocity)
+    return float(np.max([excess.max(initial=0.0) for excess in excesses]))

@@ -10,6 +10,7 @@ from __future__ import annotations
 import itertools
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from types import MappingProxyType
 from typing import Any, TypeAlias, final
 
@@ -115,9 +116,9 @@ class Monitor:
 
         Args:
             step: the step.
-            wrenches: that it was asked with, of the arms on the object, each at the origin and in the axes of its tool
-                (N, 6) [N, N·m]; judged by the monitor's ``wrenches``.
-            shift: by how much each grasp has given way in it, in the object frame (N, 6) [m, rad]:
+            wrenches: wrenches of the arms on the object that the controller was given for the step, each at the origin
+                and in the axes of its tool (N, 6) [N, N·m]; judged by the monitor's ``wrenches``.
+            shift: motion by which each grasp has given way in the step, in the object frame (N, 6) [m, rad]:
                 :attr:`coopqp.ForceController.shift`.
 
         Raises:
@@ -178,7 +179,7 @@ class Monitor:
             self._violations.append(violation)
 
     def _read(self, step: ControlStep, shift: Array | None) -> _Row | None:
-        """The values of a step; None if shapes or types are wrong. Numbers may be none."""
+        """The values of a step; None if shapes or types are wrong. Numbers may be NaN or infinite."""
         q, q_next, velocity, status = step.q, step.q_next, step.velocity, step.status
         dt, clock, clock_next, rate = step.dt, step.clock, step.clock_next, step.rate
         formed = (
@@ -417,9 +418,7 @@ class Monitor:
     def _note(self, **figures: float) -> None:
         w = self._worst
         if any(not value <= getattr(w, name) for name, value in figures.items()):
-            known = {name: getattr(w, name) for name in w.__dataclass_fields__}
-            known.update({name: float(np.maximum(known[name], value)) for name, value in figures.items()})
-            self._worst = Worst(**known)
+            self._worst = replace(w, **{name: float(np.maximum(getattr(w, name), x)) for name, x in figures.items()})
 
     def _joints(self, breach: Breach, amounts: Array, allowed: float, ends: Array, detail: str = "") -> None:
         """Add a violation for every joint with an amount (T, nv) above ``allowed``."""

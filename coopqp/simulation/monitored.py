@@ -42,7 +42,7 @@ class Monitored:
 
     @property
     def shift(self) -> Array:
-        """By how much each grasp has given way (N, 6), of a controller that has it."""
+        """Motion by which each grasp has given way (N, 6) [m, rad], for a controller with such a motion."""
         shift: Array = self._inner.shift
         return shift
 

@@ -39,7 +39,7 @@ class ObjectGaps:
         Args:
             q: configurations (T, nq).
             reference: poses of the path (T, 4, 4).
-            shift: of the grasps (T, N, 6), where they give way.
+            shift: motion of the grasps (T, N, 6) [m, rad]; None where they stay.
         """
         pairs = len(self.first)
         steps, n = len(q), len(self.cell)

@@ -52,13 +52,13 @@ class Recording(Shown):
         metadata: controller, solver, names of arms and joints; description of the cell and the path (``scene``,
             ``path``: :mod:`coopqp.simulation.scene`); binding limits over time (``binding``); the plant, and whether
             the arms held one object at the end (``gripped``); entries of the caller.
-        wrenches: of the arms on the object after each step, at the origins and in the axes of the tools (T, N, 6)
-            [N, N·m], as sensors without errors would tell them; None where nobody asked.
-        shift: by how much each grasp had given way in each step (T, N, 6) [m, rad], in the object frame; None for
-            controllers whose grasps do not.
-        torques: of the joints after each step (T, nv) [N·m or N]; None likewise.
-        meshes: whether the mesh files that the description of the cell names may be opened. Not so after
-            :meth:`load`, unless asked: a stranger's recording names files of your disk.
+        wrenches: wrenches of the arms on the object after each step, at the origins and in the axes of the tools
+            (T, N, 6) [N, N·m], as sensors without errors read them; None for a run recorded without loads.
+        shift: motion by which each grasp had given way in each step (T, N, 6) [m, rad], in the object frame; None for
+            controllers whose grasps stay.
+        torques: torques of the joints after each step (T, nv) [N·m or N]; None for a run recorded without loads.
+        meshes: whether the mesh files that the description of the cell names may be opened. False after :meth:`load`,
+            unless asked for: a stranger's recording may name any file of your disk.
     """
 
     time: Array
@@ -147,7 +147,7 @@ class Recording(Shown):
         return at
 
     def _arrays(self) -> dict[str, Array]:
-        """The arrays that it has, by name."""
+        """The arrays of this run, by name."""
         asked = [name for name in _ASKED if getattr(self, name) is not None]
         return {name: getattr(self, name) for name in (*_ARRAYS, *asked)}
 

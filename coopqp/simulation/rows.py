@@ -143,7 +143,7 @@ def unpacked_bytes(file: Path) -> int:
 def read_archive(file: Path, names: Iterable[str], perhaps: Iterable[str] = ()) -> dict[str, npt.NDArray[Any]]:
     """Arrays of numbers of a ``.npz`` archive, read-only, and single values of any type. Nothing in it is executed.
 
-    Those of ``perhaps`` are left out where they are not there.
+    Arrays of ``perhaps`` that the archive lacks are left out.
 
     Small arrays are read into memory. Large ones of 8-byte numbers are mapped, or unpacked into a file without a name.
 
@@ -158,15 +158,11 @@ def read_archive(file: Path, names: Iterable[str], perhaps: Iterable[str] = ()) 
 
 def _read_entry(archive: zipfile.ZipFile, entry: zipfile.ZipInfo, file: Path) -> npt.NDArray[Any]:
     if entry.file_size <= MOST_IN_MEMORY:
-        with archive.open(entry) as member:
-            array: npt.NDArray[Any] = np.lib.format.read_array(member, allow_pickle=False)
-            return array if array.ndim == 0 else read_only(array)
+        return _read_into_memory(archive, entry)
     with archive.open(entry) as member:
         shape, fortran, kind = _read_head(member)
         if kind.kind != "f" or kind.itemsize != 8 or fortran:
-            with archive.open(entry) as again:
-                array = np.lib.format.read_array(again, allow_pickle=False)
-                return array if array.ndim == 0 else read_only(array)
+            return _read_into_memory(archive, entry)
         begin = member.tell()
         if min(shape) < 0 or _size(shape) != entry.file_size - begin:
             raise ValueError(f"'{entry.filename}' has {entry.file_size - begin} bytes for the shape {shape}")
@@ -181,6 +177,12 @@ def _read_entry(archive: zipfile.ZipFile, entry: zipfile.ZipInfo, file: Path) ->
             copy.write(np.frombuffer(block, dtype=kind).astype("<f8").tobytes())
         copy.flush()
         return _mapped(copy, 0, shape)
+
+
+def _read_into_memory(archive: zipfile.ZipFile, entry: zipfile.ZipInfo) -> npt.NDArray[Any]:
+    with archive.open(entry) as member:
+        array: npt.NDArray[Any] = np.lib.format.read_array(member, allow_pickle=False)
+        return array if array.ndim == 0 else read_only(array)
 
 
 def _read_head(member: IO[bytes]) -> tuple[tuple[int, ...], bool, np.dtype[Any]]:

@@ -9,9 +9,10 @@ from __future__ import annotations
 
 import base64
 import binascii
+import contextlib
 import math
 import zlib
-from collections.abc import Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -51,6 +52,17 @@ _GREY = [0.6, 0.6, 0.6, 1.0]
 
 class SceneError(CoopqpError):
     """A recording does not describe its cell, or a file of the description is missing."""
+
+
+@contextlib.contextmanager
+def reading(what: str) -> Iterator[None]:
+    """Errors of damaged data become a :class:`SceneError`: "the recording's ``what`` damaged"."""
+    try:
+        yield
+    except SceneError:
+        raise
+    except (CoopqpError, KeyError, TypeError, ValueError, IndexError, AttributeError, OverflowError) as error:
+        raise SceneError(f"the recording's {what} damaged ({type(error).__name__}: {error}).") from error
 
 
 # -- writing ------------------------------------------------------------------------------------------------------
@@ -142,17 +154,17 @@ def describe_shape(shape: Any) -> dict[str, Any]:
     elif Path(shape.meshPath).suffix.lower() in _MESH_ENDINGS:
         entry["kind"], entry["file"] = "mesh", str(Path(shape.meshPath).absolute())
         entry["scale"] = np.asarray(shape.meshScale, dtype=float).tolist()
-    elif kind.startswith("BVHModel"):
-        entry["kind"] = "triangles"
-        entry["vertices"] = _packed(np.asarray(geometry.vertices(), dtype="<f4"))
-        triangles = [geometry.tri_indices(i) for i in range(geometry.num_tris)]
-        entry["triangles"] = _packed(np.array([[t[0], t[1], t[2]] for t in triangles], dtype="<i4").reshape(-1, 3))
     elif kind == "Convex":
-        entry["kind"] = "triangles"
-        entry["vertices"] = _packed(np.array(geometry.points(), dtype="<f4"))
-        triangles = [geometry.polygons(i) for i in range(geometry.num_polygons)]
-        entry["triangles"] = _packed(np.array([[t[0], t[1], t[2]] for t in triangles], dtype="<i4").reshape(-1, 3))
+        entry |= _triangles(geometry.points(), map(geometry.polygons, range(geometry.num_polygons)))
+    elif kind.startswith("BVHModel"):
+        entry |= _triangles(geometry.vertices(), map(geometry.tri_indices, range(geometry.num_tris)))
     return entry
+
+
+def _triangles(vertices: Any, triangles: Iterable[Any]) -> dict[str, str]:
+    """The entries of a mesh: its vertices (V, 3) [m], and the indices of each triangle's corners (F, 3)."""
+    corners = np.array([[t[0], t[1], t[2]] for t in triangles], dtype="<i4").reshape(-1, 3)
+    return {"kind": "triangles", "vertices": _packed(np.array(vertices, dtype="<f4")), "triangles": _packed(corners)}
 
 
 def _matrix(T: pin.SE3) -> list[list[float]]:
@@ -184,15 +196,11 @@ def read_cell(metadata: Mapping[str, Any], *, shapes: bool = True, meshes: bool 
         raise SceneError("the recording does not describe its cell (no 'scene' in its metadata). Run it again.")
     if scene.get("format") != FORMAT:
         raise SceneError(f"the recording's scene has format {scene.get('format')!r}, not {FORMAT}. Run it again.")
-    try:
+    with reading("scene is"):
         entries = scene["arms"]
         if not 1 <= len(entries) <= MAX_ARMS:
             raise SceneError(f"the recording's scene has {len(entries)} arms; 1 to {MAX_ARMS} are read.")
         return RobotCell([_read_arm(entry, shapes, meshes) for entry in entries])
-    except SceneError:
-        raise
-    except (CoopqpError, KeyError, TypeError, ValueError, IndexError, AttributeError, OverflowError) as error:
-        raise SceneError(f"the recording's scene is damaged ({type(error).__name__}: {error}).") from error
 
 
 def read_object(metadata: Mapping[str, Any], T_object_tool: Array) -> tuple[Array, pin.SE3]:
@@ -212,11 +220,9 @@ def read_object(metadata: Mapping[str, Any], T_object_tool: Array) -> tuple[Arra
         points = np.asarray(T_object_tool)[:, :3, 3]
         low, high = points.min(axis=0), points.max(axis=0)
         return np.maximum(high - low, 0.04), pin.SE3(np.eye(3), 0.5 * (low + high))
-    try:
+    with reading("object is"):
         size = as_vector(entry["size_m"], 3, "size_m")
         body = as_placement(entry["T_object_body"], "T_object_body")
-    except (CoopqpError, KeyError, TypeError) as error:
-        raise SceneError(f"the recording's object is damaged ({type(error).__name__}: {error}).") from error
     if not (size > 0.0).all():
         raise SceneError(f"the recording's object is damaged (its size is {size.tolist()}).")
     return size, body
@@ -297,9 +303,8 @@ def _unbounded(axis: Array) -> Any:
     """A continuous joint about any axis. Pinocchio's Python interface can only build it from a description."""
     xyz = " ".join(repr(float(x)) for x in axis)
     joint = '<joint name="j" type="continuous"><parent link="a"/><child link="b"/><axis xyz="{}"/></joint>'
-    return pin.buildModelFromXML(f'<robot name="r"><link name="a"/><link name="b"/>{joint.format(xyz)}</robot>').joints[
-        1
-    ]
+    model = pin.buildModelFromXML(f'<robot name="r"><link name="a"/><link name="b"/>{joint.format(xyz)}</robot>')
+    return model.joints[1]
 
 
 def _limits(values: Any, absent: float, n: int) -> Array:

@@ -46,10 +46,10 @@ class WrenchBounds:
                 raise InvalidInputError("no palm", "WrenchBounds: palms", 'Give Grip(kind="palm", …) for each arm.')
 
     def check_arms(self, arms: int) -> None:
-        """Refuse palms of another number of arms.
+        """Check that there is one palm for each arm.
 
         Raises:
-            InvalidInputError: as said.
+            InvalidInputError: another number of palms.
         """
         if self.palms is not None and len(self.palms) != arms:
             raise InvalidInputError(f"{len(self.palms)} palms for {arms} arms", "WrenchBounds", "Give one per arm.")
@@ -70,8 +70,8 @@ def excesses(bounds: WrenchBounds, grasp: Grasp, wrenches: ArrayLike) -> list[Ex
     Args:
         bounds: accepted wrenches.
         grasp: placements of the tools.
-        wrenches: of each arm on the object, at the origin and in the axes of its tool (N, 6) [N, N·m]; NaN where none
-            came. The internal forces are judged where all have come.
+        wrenches: wrench of each arm on the object, at the origin and in the axes of its tool (N, 6) [N, N·m]; NaN for
+            a missing one. The internal forces are judged if none is missing.
     """
     try:
         w = as_floats(wrenches)

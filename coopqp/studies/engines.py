@@ -84,10 +84,8 @@ class Local(Engine):
         )
         try:
             yield pool
-        except BaseException:
+        finally:
             pool.shutdown(wait=True, kill_workers=True)
-            raise
-        pool.shutdown(wait=True, kill_workers=True)  # all their work is done
 
     def has_died(self, error: BaseException) -> bool:
         """As the base class says."""
@@ -113,7 +111,7 @@ def _end_with(coordinator: int) -> None:
 
 @final
 class Cluster(Engine):
-    """A Dask cluster that runs already, started as Dask's documentation says.
+    """A Dask cluster that is already running, started as in Dask's documentation.
 
     Args:
         address: address of its scheduler, as ``tcp://host:8786``.

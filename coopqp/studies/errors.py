@@ -6,7 +6,7 @@ from coopqp.errors import CoopqpError
 
 
 class StudyError(CoopqpError):
-    """A study is missing, breaks its schema, asks for what there is not, or is not the one that is resumed."""
+    """A study breaks its schema, names something that does not exist, or differs from the study that is resumed."""
 
 
 class EngineError(CoopqpError):

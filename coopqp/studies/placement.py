@@ -16,10 +16,11 @@ from pydantic import Field, ValidationError, model_validator
 from coopqp.collision.scene import CollisionScene
 from coopqp.errors import CoopqpError, UnknownNameError
 from coopqp.files.cellfile import CellFileError, load_cell_task
-from coopqp.files.cellfile.basic import Angle, FilePath, Name, exactly_one, problem
+from coopqp.files.cellfile.basic import Angle, FilePath, Name, exactly_one
+from coopqp.files.cellfile.build_arm import exact_turns
 from coopqp.files.cellfile.explain import explain
 from coopqp.files.cellfile.paths import resolve
-from coopqp.files.cellfile.strict import Number, Table, build_options, table_of
+from coopqp.files.cellfile.strict import Number, Table, build_options, problem, table_of
 from coopqp.files.cellfile.text import read_tables
 from coopqp.scenarios import SCENARIOS
 from coopqp.studies.errors import StudyError
@@ -123,7 +124,9 @@ class PlaceStudy:
                 bases.append(T)
                 continue
             p = np.array([_number(entry, values) for entry in table.xyz_m])
-            R = T.rotation if table.yaw_deg is None else _turned(_number(table.yaw_deg, values))
+            R = T.rotation
+            if table.yaw_deg is not None:
+                R = exact_turns(pin.utils.rotate("z", float(np.deg2rad(_number(table.yaw_deg, values)))))
             bases.append(pin.SE3(R, p))
         return bases
 
@@ -179,12 +182,6 @@ def _number(entry: Any, values: Mapping[str, float]) -> float:
     if isinstance(entry, str):
         return -values[entry[1:]] if entry.startswith("-") else values[entry]
     return float(entry)
-
-
-def _turned(yaw_deg: float) -> Any:
-    R = pin.utils.rotate("z", float(np.deg2rad(yaw_deg)))
-    whole = np.round(R)
-    return np.where(np.abs(R - whole) < 4e-16, whole, R)  # quarter turns are exact
 
 
 def load_place_study(path: str | Path) -> PlaceStudy:

@@ -13,11 +13,10 @@ from typing import Any, final
 
 import numpy as np
 
-from coopqp.collision.clearance import Clearance
 from coopqp.collision.scene import CollisionScene
 from coopqp.control.command import Controller, ControlStep
 from coopqp.errors import CoopqpError, StartWarning, said
-from coopqp.files.cellfile.build import CONTROLLERS, build, controller_options
+from coopqp.files.cellfile.build import build, controller_options, new_controller
 from coopqp.files.cellfile.schema import CellFile
 from coopqp.files.cellfile.strict import build_options
 from coopqp.model.cell import slides
@@ -72,7 +71,7 @@ class _TooLongError(CoopqpError):
 
 @dataclass(frozen=True, eq=False)
 class _Ready:
-    """All of a row but its disturbances; built once in each worker."""
+    """A row without its disturbances; built once in each worker."""
 
     scenario: Scenario
     kind: str
@@ -82,12 +81,7 @@ class _Ready:
     avoids: bool
 
     def controller(self) -> Controller:
-        s = self.scenario
-        more: dict[str, Any] = (
-            {"constraints": [Clearance(self.scene)]} if self.avoids and self.scene is not None else {}
-        )
-        made: Controller = CONTROLLERS[self.kind][0](s.cell, s.grasp, s.path, dt=s.dt, options=self.options, **more)
-        return made
+        return new_controller(self.scenario, self.kind, self.options, self.scene if self.avoids else None)
 
     def plant(self, disturbed: Disturbances | None) -> Plant:
         table, s = self.settings.plant, self.scenario
@@ -208,7 +202,7 @@ def _figures(ready: _Ready, recording: Recording, readings: Readings) -> dict[st
 
 
 def _truth(ready: _Ready, disturbed: Disturbances | None, q: Array) -> dict[str, float]:
-    """Largest errors of the chain where the disturbed arms really are; of the commands where the plant has none."""
+    """Largest errors of the chain where the disturbed arms really are (n, nq); NaN where the plant does not say it."""
     if len(q) < 2 or disturbed is None:
         return {"true_chain_mm": float("nan"), "true_chain_deg": float("nan")}
     cell = ready.scenario.cell

@@ -129,7 +129,7 @@ class Study:
 
     Attributes:
         name: its name.
-        base: the cell file as plain data; of a scenario the data of :class:`ScenarioFile`.
+        base: the cell file, or the :class:`ScenarioFile` of a scenario, as plain data.
         folder: folder of the cell file.
         scenario: name of the scenario; empty for a cell file.
         cases: name, and values by dotted key, of each case.
@@ -224,20 +224,17 @@ def put(data: Any, key: str, value: Any) -> None:
     parts = key.split(".")
     place = data
     for i, part in enumerate(parts):
-        last = i == len(parts) - 1
+        at: Any = part
         if isinstance(place, list):
-            index = _entry(place, part, ".".join(parts[:i]))
-            if last:
-                place[index] = value
-            else:
-                place = place[index]
-        elif isinstance(place, dict):
-            if last:
-                place[part] = value
-            else:
-                place = place.setdefault(part, {})
-        else:
+            at = _entry(place, part, ".".join(parts[:i]))
+        elif not isinstance(place, dict):
             raise StudyError(f"key '{key}': {'.'.join(parts[:i])} is no table. Check the key.")
+        elif i < len(parts) - 1:
+            place.setdefault(part, {})
+        if i == len(parts) - 1:
+            place[at] = value
+        else:
+            place = place[at]
 
 
 def _entry(entries: list[Any], part: str, where: str) -> int:
@@ -303,9 +300,8 @@ def _study(file: StudyFile, folder: Path) -> Study:
         folder = cell_file.parent
     elif file.scenario not in SCENARIOS:
         raise StudyError(str(UnknownNameError("scenario", str(file.scenario), SCENARIOS)))
-    disturbed = copy.deepcopy(file.disturbances)
-    whole = {**base, "disturbances": disturbed}
-    for key, value in _fixed(file.set):
+    whole = {**base, "disturbances": copy.deepcopy(file.disturbances)}
+    for key, value in file.set.items():
         put(whole, key, value)
     disturbed = whole.pop("disturbances")
     return Study(
@@ -313,7 +309,7 @@ def _study(file: StudyFile, folder: Path) -> Study:
         base=whole,
         folder=str(folder.absolute()),
         scenario=file.scenario or "",
-        cases=tuple((case.name, dict(_fixed(case.set))) for case in file.cases),
+        cases=tuple((case.name, case.set) for case in file.cases),
         axes=tuple((key, _values(key, given)) for key, given in _flat(file.axes)),
         disturbances=disturbed,
         draws=file.draws,
@@ -322,11 +318,6 @@ def _study(file: StudyFile, folder: Path) -> Study:
         timeout_s=file.timeout_s,
         figures=tuple(file.figures),
     )
-
-
-def _fixed(given: Mapping[str, Any]) -> list[tuple[str, Any]]:
-    """Values by dotted key; a whole table is given as `"controller" = { … }`, in quotes or not."""
-    return list(given.items())
 
 
 def _check(study: Study) -> None:

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from coopqp.errors import UnreachableError
-from coopqp.output import check_folder, write_files
+from coopqp.output import check_folder, json_bytes, write_files
 from coopqp.studies.dispatch import Done, run_rows
 from coopqp.studies.engines import Engine
 from coopqp.studies.errors import StudyError
@@ -111,7 +111,7 @@ def _describe(study: Study, place: Path, *, resume: bool) -> None:
     file = place / DESCRIPTION
     now = {"name": study.name, "study": study.digest, "rows": len(study), "versions": versions()}
     if not file.exists():
-        write_files({file: (json.dumps(now, indent=1, ensure_ascii=False) + "\n").encode()})
+        write_files({file: json_bytes(now)})
         return
     if not resume:
         raise StudyError(f"{place} has a study. Go on with it by --resume, or give another folder.")

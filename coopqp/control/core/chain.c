@@ -101,8 +101,8 @@ static double solve6(Rows A) {
 }
 
 /* Of one arm with n ≥ 6 joints: velocities v0, v1 for the world twists w0, w1, near the null-space wishes u0, u1 of a
- * redundant arm: v = u + A⁺(w − J u), A⁺ the right inverse of least Σ (v/scale)². Returns the smallest pivot of A, or the
- * root of that of A Aᵀ of a redundant arm; 0 if it is singular. */
+ * redundant arm: v = u + A⁺(w − J u), A⁺ the right inverse of least Σ (v/scale)². Returns the smallest pivot of A, or, of a
+ * redundant arm, the root of the smallest pivot of A Aᵀ; 0 if it is singular. */
 static double arm_velocities(const double *JT, const double *scale, int n, const double *w0, const double *w1,
                              const double *u0, const double *u1, double *v0, double *v1) {
     Rows A;

@@ -30,7 +30,7 @@ typedef struct {
     quad x, y, z, p;
 } Frame;
 
-/* From the frame of the joint before to that of joint j at position x: R ← R C Rot(z, x), p ← p + R c. */
+/* From the frame of the joint before to the frame of joint j at position x: R ← R C Rot(z, x), p ← p + R c. */
 static inline void advance(const Core *c, int j, double x, Frame *f) {
     const double *C = c->link_R + 9 * j, *link = c->link_p + 3 * j;
     const quad mx = f->x * C[0] + f->y * C[3] + f->z * C[6], my = f->x * C[1] + f->y * C[4] + f->z * C[7];
@@ -47,7 +47,7 @@ static inline void advance(const Core *c, int j, double x, Frame *f) {
     f->y = my * co - mx * s;
 }
 
-/* Rows of Jᵀ of one arm: what its joints do to a point, in world axes; and where it carries the object. */
+/* Rows of Jᵀ of one arm, the twists that its joints give to a point, in world axes; and the object as it carries it. */
 static void follow_arm(const Core *c, int k, const double *positions, const double *about, double *O, double *jacobian) {
     Frame f = {{1, 0, 0, 0}, {0, 1, 0, 0}, {0, 0, 1, 0}, {0, 0, 0, 0}};
     const int start = (int)c->arm_start[k], end = start + (int)c->arm_size[k];

@@ -187,7 +187,7 @@ static CoreObject *built(PyObject *object) {
     return NULL;
 }
 
-/* -- what is not known here ------------------------------------------------------------------------------------------ */
+/* -- calls into Python ----------------------------------------------------------------------------------------------- */
 
 /* Call a Python function that says whether it succeeded; an exception counts as failure. After an interrupt nothing more
  * is asked, and the call that the core is in raises it. */
@@ -361,7 +361,7 @@ static PyObject *record_of(const Core *c) {
     return PyBytes_FromStringAndSize((const char *)c->record, 8 * count);
 }
 
-/* Names of what a step is born with. */
+/* Names of the attributes that a step is made with. */
 static PyObject *record_name, *context_name, *status_name, *rate_name;
 
 /* A step is read-only: its own attributes are set past its class. */
@@ -452,7 +452,7 @@ static int answer_with_rows(CoreObject *self) {
     return outcome < FILLED ? outcome : ASK;
 }
 
-/* The step of what was observed. None where the answer is left open: whoever finishes it is expected. */
+/* The step for the observed sample. None if the answer is left open: then a call that finishes it has to follow. */
 static PyObject *command(CoreObject *self) {
     Core *c = &self->core;
     c->further_rows = 0;

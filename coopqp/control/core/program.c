@@ -3,8 +3,8 @@
 
 #include "functions.h"
 
-/* Of one arm with n ≥ 6 joints: the right inverse P (n, 6) of least Σ (v/scale)², and a basis N (n, n − 6) of what moves
- * nothing, orthonormal in the joints' units. By Householder's QR of diag(scale) Jᵀ. Returns 0 if near a singularity. */
+/* Of one arm with n ≥ 6 joints: the right inverse P (n, 6) of least Σ (v/scale)², and a basis N (n, n − 6) of the self-
+ * motions, orthonormal in the joints' units. By Householder's QR of diag(scale) Jᵀ. Returns 0 if near a singularity. */
 static int right_inverse(const double *JT, const double *scale, int n, double *P, double *N) {
     double M[6 * MOST_JOINTS], Q[MOST_JOINTS * MOST_JOINTS], diagonal[6], largest = 0.0;
     for (int j = 0; j < n; j++)

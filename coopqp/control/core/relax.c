@@ -19,7 +19,7 @@ static int finite_numbers(const double *x, int n) {
     return 1;
 }
 
-/* Largest norm of the halves of twists or wrenches: of the first three numbers, or of the last three. */
+/* Largest norm of one half of twists or wrenches: the first three numbers, or the last three. */
 static double largest_norm(int arms, const double *x, int part) {
     double most = 0.0;
     for (int k = 0; k < arms; k++) most = maximum(most, dot3(x + 6 * k + 3 * part, x + 6 * k + 3 * part));
@@ -34,7 +34,7 @@ static double largest_entry(int arms, const double *x, int part) {
     return most;
 }
 
-/* Take wrenches (6 N; NULL where none came) after a time. HEARD: all came; MISSED: some did not; SILENT: one has not come
+/* Take wrenches (6 N; NULL for none) after a time. HEARD: all came; MISSED: some did not; SILENT: one has been missing
  * for too long. */
 static int feel(int arms, const Minding *f, const double *wrenches, double dt) {
     const int n = 6 * arms;
@@ -85,7 +85,7 @@ static void wait_at_rest(double *m, double dt) {
     if (m[SINCE] > m[WAIT] && m[SIZE] < m[MOVE_BELOW]) m[STAGE] = MOVING, m[SINCE] = 0.0;
 }
 
-/* Take wrenches, and move the grasps where they give way. Returns what came of the sensors. */
+/* Take wrenches, and move the grasps where they give way. Returns HEARD, MISSED or SILENT. */
 static int relax(int arms, double *memory, const double *wrenches, double dt) {
     const Minding f = minding_of(arms, memory);
     double *m = memory;

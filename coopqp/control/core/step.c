@@ -410,8 +410,9 @@ static int slow_status(const Core *c, double rate, int position, int acceleratio
     const int ends = position || (c->looks_ahead && c->ahead[ENDS] != 0.0);
     const int arriving = ends && !rising && !outside;
     if (rate >= c->options[BLOCKED_RATE] * (arriving ? ARRIVING : 1.0)) return SLOWED;
-    /* Its own rise, or what is not yet seen ahead, keeps the rate small without a limit. From rest accelerations do; it
-     * grows then, or a joint is on its way back in. Joints that stop slowly go on after a corner. */
+    /* The bound on its rise, or a part of the path that is not yet seen, keeps the rate small without a limit. From rest
+     * accelerations do: the rate then grows, or a joint is on its way back in. A rate that is small at a corner grows
+     * again after it. */
     const double clock = c->loop[CLOCK], dt = c->options[NOMINAL_DT];
     if (c->looks_ahead && !ends && rate > 0.0 && next_breakpoint(c, clock - dt) <= clock + dt) return SLOWED;
     return c->record[R_BINDINGS] == 0.0 || (acceleration && (rising || outside)) ? SLOWED : BLOCKED;

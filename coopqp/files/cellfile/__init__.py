@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from coopqp.checks import require
-from coopqp.errors import CoopqpError, MissingExtraError
+from coopqp.errors import CoopqpError, MissingExtraError, UnknownNameError
 
 if TYPE_CHECKING:
     from coopqp.files.cellfile.build import CellRun, CellTask
@@ -33,8 +33,6 @@ def example_path(name: str) -> Path:
     Raises:
         UnknownNameError: no such file.
     """
-    from coopqp.errors import UnknownNameError
-
     if name not in CELLS:
         raise UnknownNameError("cell file", name, CELLS)
     return Path(__file__).parents[2] / "scenarios" / "cells" / f"{name}.toml"

@@ -6,20 +6,14 @@ from typing import Annotated
 
 from annotated_types import Ge, Le, Len
 from pydantic import AfterValidator, Field, model_validator
-from pydantic_core import PydanticCustomError
 
 from coopqp.errors import has_controls, printable, shown
-from coopqp.files.cellfile.strict import MAX_LIST, Table
+from coopqp.files.cellfile.strict import MAX_LIST, Table, problem
 
 #: Largest accepted number of arms.
 MAX_ARMS = 128
 #: Largest accepted length of a position [m], of an angle [deg or rad], and of a path in characters.
 MAX_METRES, MAX_ANGLE, MAX_PATH = 1e4, 1e6, 4096
-
-
-def problem(text: str) -> PydanticCustomError:
-    """An error of a value, in words."""
-    return PydanticCustomError("cell_file", "{text}", {"text": text})
 
 
 def _plain(text: str) -> str:

@@ -12,9 +12,9 @@ from pydantic import Field, model_validator
 
 from coopqp.collision.pairs import PairRules
 from coopqp.collision.scene import DEFAULT_MARGIN, CollisionScene
-from coopqp.files.cellfile.basic import MAX_ARMS, FilePath, Metres, Name, PlacementTable, Sides, problem
+from coopqp.files.cellfile.basic import MAX_ARMS, FilePath, Metres, Name, PlacementTable, Sides
 from coopqp.files.cellfile.paths import resolve
-from coopqp.files.cellfile.strict import Table
+from coopqp.files.cellfile.strict import Table, problem
 from coopqp.model.cell import RobotCell
 from coopqp.model.grasp import Grasp
 from coopqp.model.shapes import Body, Box, Capsule, Cylinder, Mesh, Shape, Sphere

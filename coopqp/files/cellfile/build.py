@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import importlib
 import warnings
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -67,9 +68,9 @@ class CellTask:
 
     Attributes:
         name: name of the task.
-        cell, grasp, path: the arms, how they hold, and where to.
+        cell, grasp, path: the arms, how they hold the object, and its path.
         q_start: the start of the file (nq,), or None if it is to be found.
-        start_is_near: inverse kinematics leads from it to the start.
+        start_is_near: the start of the file is only near; inverse kinematics leads from it to the start.
         scene: the bodies that keep distances; None if the file has no such table.
     """
 
@@ -139,12 +140,7 @@ class CellRun:
 
     def controller(self) -> Controller:
         """A new controller."""
-        kind, s = CONTROLLERS[self.controller_kind][0], self.scenario
-        more: dict[str, Any] = {}
-        if self.avoids and self.scene is not None:
-            more["constraints"] = [Clearance(self.scene)]
-        made: Controller = kind(s.cell, s.grasp, s.path, dt=s.dt, options=self.options, **more)
-        return made
+        return new_controller(self.scenario, self.controller_kind, self.options, self.scene if self.avoids else None)
 
     def plant(self) -> Plant:
         """A new plant.
@@ -163,30 +159,35 @@ class CellRun:
         Raises:
             CellFileError: the controller refuses the start.
         """
-        try:
-            return self._run(progress)
-        except InvalidInputError as error:
-            raise CellFileError(f"{self.file or self.scenario.name}: {in_words_of_the_file(str(error))}") from error
-
-    def _run(self, progress: ProgressCallback | None) -> Recording:
         s = self.scenario
-        given = self.settings.model_dump(mode="json", exclude_none=True, exclude_unset=True)
-        recording = simulate(
-            self.controller(),
-            self.plant(),
-            q_start=s.q_start,
-            duration=self.longest,
-            settle=self.settle,
-            patience=self.settings.patience_s,
-            progress=progress,
-            metadata={
-                "scenario": s.name,
-                "method": self.controller_kind,
-                "object": describe_object(s.object_size, s.T_object_body),
-                "settings": given,
-            },
-        )
-        return with_clearance(recording, self.scene, avoided=self.avoids)
+        metadata = {
+            "scenario": s.name,
+            "method": self.controller_kind,
+            "object": describe_object(s.object_size, s.T_object_body),
+            "settings": self.settings.model_dump(mode="json", exclude_none=True, exclude_unset=True),
+        }
+        try:
+            recording = simulate(
+                self.controller(),
+                self.plant(),
+                q_start=s.q_start,
+                duration=self.longest,
+                settle=self.settle,
+                patience=self.settings.patience_s,
+                progress=progress,
+                metadata=metadata,
+            )
+            return with_clearance(recording, self.scene, avoided=self.avoids)
+        except InvalidInputError as error:
+            raise CellFileError(f"{self.file or s.name}: {in_words_of_the_file(str(error))}") from error
+
+
+def new_controller(scenario: Scenario, kind: str, options: Any, scene: CollisionScene | None) -> Controller:
+    """A new controller of :data:`CONTROLLERS` that keeps the margins of ``scene``, if there is one."""
+    s = scenario
+    more = {} if scene is None else {"constraints": [Clearance(scene)]}
+    made: Controller = CONTROLLERS[kind][0](s.cell, s.grasp, s.path, dt=s.dt, options=options, **more)
+    return made
 
 
 def read(file: Path) -> CellFile:
@@ -205,22 +206,25 @@ def read(file: Path) -> CellFile:
 def load(file: Path) -> CellRun:
     """Read a cell file, build its objects, and test its controller. Every error names the file."""
     settings = read(file)
-    try:
+    with _errors_of(file):
         run = replace(build(settings, file.parent), file=file)
         run.controller()
         run.plant()
-    except (CellFileError, MissingExtraError):
-        raise
-    except CoopqpError as error:
-        raise CellFileError(f"{file}: {in_words_of_the_file(str(error))}") from error
     return run
 
 
 def load_task(file: Path) -> CellTask:
     """Read the task of a cell file. The start is None if it is to be searched. Every error names the file."""
     settings = read(file)
-    try:
+    with _errors_of(file):
         return _task(settings, file.parent)
+
+
+@contextlib.contextmanager
+def _errors_of(file: Path) -> Iterator[None]:
+    """Errors of the library become errors of the file, in its words."""
+    try:
+        yield
     except (CellFileError, MissingExtraError):
         raise
     except CoopqpError as error:
@@ -231,21 +235,18 @@ def _task(file: CellFile, folder: Path) -> CellTask:
     """The arms, their grasp, the path, and the start; errors name the arm or table."""
     cell = RobotCell([build_arm(arm, folder) for arm in file.arms])
     path = _path(file)
-    if file.start.is_auto:
-        if file.grasp.kind == "latched":
-            raise CoopqpError(
-                "a latched grasp is that of the start, so a start cannot be found: give start.positions_deg or "
-                "start.positions_rad, or another kind of grasp."
-            )
+    q_start = None if file.start.is_auto else _start(file.start, cell)
+    latched = file.grasp.kind == "latched"
+    if not latched:
         grasp = _grasp(file, cell)
-        scene = _scene(file, cell, grasp, folder)
-        return CellTask(file.name, cell, grasp, path, None, start_is_near=False, scene=scene)
-    q_start = _start(file.start, cell)
-    if file.grasp.kind == "latched":
+    elif q_start is not None:
         grasp = Grasp.from_configuration(cell, q_start, path.pose(0.0))
     else:
-        grasp = _grasp(file, cell)
-    near = bool(file.start.inverse_kinematics) and file.grasp.kind != "latched"
+        raise CoopqpError(
+            "a latched grasp follows from the start, so no start can be found for it: give start.positions_deg or "
+            "start.positions_rad, or another kind of grasp."
+        )
+    near = q_start is not None and file.start.inverse_kinematics and not latched
     scene = _scene(file, cell, grasp, folder)
     return CellTask(file.name, cell, grasp, path, q_start, start_is_near=near, scene=scene)
 
@@ -307,8 +308,6 @@ def _start(table: StartTable, cell: RobotCell) -> Array:
     sliding = slides(cell)
     parts = []
     for name, own, numbers in zip(cell.arm_names, cell.v_slices, values, strict=True):
-        if len(numbers) != own.stop - own.start:
-            raise CoopqpError(f"{where}.{name} has {len(numbers)} numbers for {own.stop - own.start} joints.")
         parts.append(in_radians(numbers, sliding[own], f"{where}.{name}", degrees=degrees))
     return cell.configuration(np.concatenate(parts))
 

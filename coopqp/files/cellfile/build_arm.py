@@ -24,10 +24,13 @@ def build_placement(table: PlacementTable) -> pin.SE3:
     if table.matrix is not None:
         return as_placement(np.array(table.matrix), "matrix")
     angles = np.deg2rad(table.rpy_deg) if table.rpy_deg is not None else np.array(table.rpy_rad or (0.0, 0.0, 0.0))
-    R = pin.rpy.rpyToMatrix(angles)
+    return pin.SE3(exact_turns(pin.rpy.rpyToMatrix(angles)), np.array(table.xyz_m or (0.0, 0.0, 0.0)))
+
+
+def exact_turns(R: Array) -> Array:
+    """A rotation matrix (3, 3) whose quarter turns are exact: entries within rounding of a whole number are whole."""
     whole = np.round(R)
-    R = np.where(np.abs(R - whole) < 4e-16, whole, R)  # make quarter turns exact
-    return pin.SE3(R, np.array(table.xyz_m or (0.0, 0.0, 0.0)))
+    return np.where(np.abs(R - whole) < 4e-16, whole, R)
 
 
 def in_radians(given: Any, sliding: Sequence[bool], where: str, *, degrees: bool) -> Array:

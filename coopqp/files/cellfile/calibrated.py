@@ -12,21 +12,20 @@ from pydantic import ValidationError
 from coopqp.files.cellfile import CellFileError
 from coopqp.files.cellfile.build import read
 from coopqp.files.cellfile.explain import explain
-from coopqp.files.cellfile.paths import resolve
 from coopqp.files.cellfile.schema import CellFile
-from coopqp.files.cellfile.write import relative, toml_lines
+from coopqp.files.cellfile.write import file_text, move_files, relative
 from coopqp.forces.calibration import Calibration
 
 
 def settings_of(metadata: Mapping[str, Any], given: Path | None) -> tuple[CellFile, Path | None]:
-    """The cell file of a recording, and the folder of its paths; None where these are those of the arms' models.
+    """The cell file of a recording, and its folder; None for a file whose folder the recording does not know.
 
     Args:
-        metadata: of the recording.
-        given: the cell file, if the recording is not one of a cell file.
+        metadata: metadata of the recording.
+        given: the cell file, for a recording that has none.
 
     Raises:
-        CellFileError: it does not exist, or is no cell file.
+        CellFileError: the file does not exist or is no cell file, or there is none.
     """
     if given is not None:
         return read(given), given.parent
@@ -48,9 +47,9 @@ def calibrated_text(
 
     Args:
         settings: the cell file of the run.
-        calibration: what was found.
+        calibration: the bases and grips that were found.
         sources: file of each arm's model, for paths whose folder is not known.
-        folder: folder of that file, or None.
+        folder: folder of the run's file, or None.
         into: folder of the new file.
 
     Raises:
@@ -60,29 +59,24 @@ def calibrated_text(
     if tuple(arm.name for arm in settings.arms) != cell.arm_names:
         raise CellFileError(f"the cell file has other arms than the recording: {', '.join(cell.arm_names)} are needed.")
     tables = settings.model_dump(exclude_none=True, exclude_unset=True)
-    for table, given, arm, source in zip(tables["arms"], settings.arms, cell.arms, sources, strict=True):
+    for table, arm, source in zip(tables["arms"], cell.arms, sources, strict=True):
         table["base"] = {"matrix": _matrix(arm.T_world_base)}
-        where = f"arm '{arm.name}'"
-        dirs = [] if folder is None else [resolve(d, folder, f"{where}: package_dirs") for d in given.package_dirs]
-        for key in ("urdf", "mjcf"):
-            if key in table:
-                file = Path(source) if folder is None else resolve(table[key], folder, where, package_dirs=dirs)
-                table[key] = relative(file, into)
-        if dirs:
-            table["package_dirs"] = [relative(d, into) for d in dirs]
+        if folder is None:
+            table |= {key: relative(Path(source), into) for key in ("urdf", "mjcf") if key in table}
+    if folder is not None:
+        move_files(tables["arms"], settings.arms, folder, into)
     tools = zip(cell.arm_names, calibration.grasp.T_object_tool, strict=True)
     tables["grasp"] = {"kind": "tools", "tools": {name: {"matrix": _matrix(X)} for name, X in tools}}
     if tables.get("start", {}).get("inverse_kinematics") is False:
         tables["start"]["inverse_kinematics"] = True  # the old start does not fit the corrected bases
     before, after = 1e3 * calibration.before[:, 0].max(), 1e3 * calibration.after[:, 0].max()
     head = [
-        f"# Bases and grips calibrated by coopqp from {len(calibration.samples)} configurations of a gripped run:",
-        f"# the arms part by {after:.3g} mm instead of {before:.3g} mm. The base and the grip of "
+        f"Bases and grips calibrated by coopqp from {len(calibration.samples)} configurations of a gripped run:",
+        f"the arms part by {after:.3g} mm instead of {before:.3g} mm. The base and the grip of "
         f"{cell.arm_names[0]} are the reference.",
-        *(f"# not determined, kept: {name}" for name in calibration.undetermined),
+        *(f"not determined, kept: {name}" for name in calibration.undetermined),
     ]
-    order = sorted(tables, key=lambda key: key == "path")
-    return "\n".join([*head, *toml_lines({key: tables[key] for key in order})]) + "\n"
+    return file_text(head, tables)
 
 
 def _matrix(T: pin.SE3) -> list[list[float]]:

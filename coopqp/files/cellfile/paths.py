@@ -13,10 +13,6 @@ from coopqp.model.description import find_package
 _PACKAGE = "package://"
 
 
-class _PathError(CoopqpError):
-    """A path of a cell file leads nowhere."""
-
-
 def resolve(text: str, folder: Path, where: str, *, package_dirs: Sequence[Path] = ()) -> Path:
     """The path that a text of a cell file means.
 
@@ -27,20 +23,20 @@ def resolve(text: str, folder: Path, where: str, *, package_dirs: Sequence[Path]
         package_dirs: folders that resolve ``package://``.
 
     Raises:
-        _PathError: an environment variable is not set, there is no such package, or no home folder.
+        CoopqpError: an environment variable is not set, there is no such package, or no home folder.
     """
     if text.startswith(_PACKAGE):
         name, _, rest = text.removeprefix(_PACKAGE).partition("/")
         found = find_package(name, folder, package_dirs) if name else None
         if found is None:
-            raise _PathError(f"{where}: there is no package '{name}'. Give the folder above it in package_dirs.")
+            raise CoopqpError(f"{where}: there is no package '{name}'. Give the folder above it in package_dirs.")
         return found / rest
     expanded = os.path.expandvars(os.path.expanduser(text))  # noqa: PTH111 Path.expanduser raises, and needs a Path
     missing = re.search(r"\$(\w+|\{[^}]*\})", expanded)
     if missing:
-        raise _PathError(f"{where}: the environment variable {missing[0]} is not set. Set it, or write the path out.")
+        raise CoopqpError(f"{where}: the environment variable {missing[0]} is not set. Set it, or write the path out.")
     if expanded.startswith("~"):
-        raise _PathError(f"{where}: '{expanded.partition('/')[0]}' has no home folder. Write the path out.")
+        raise CoopqpError(f"{where}: '{expanded.partition('/')[0]}' has no home folder. Write the path out.")
     return folder / expanded
 
 

@@ -5,8 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from coopqp.files.cellfile.build import DEFAULT_DT, CellRun
-from coopqp.files.cellfile.paths import resolve
-from coopqp.files.cellfile.write import relative, toml_lines
+from coopqp.files.cellfile.write import file_text, move_files
 from coopqp.planning.planner import Plan
 
 
@@ -14,21 +13,14 @@ def planned_text(run: CellRun, plan: Plan, *, folder: Path, into: Path) -> str:
     """The plan as a cell file in TOML. It reads back to the same numbers, bit for bit.
 
     Args:
-        run: the cell file that was planned for.
+        run: the run of the cell file that was planned for.
         plan: start and path.
-        folder: folder of that file; paths in it are relative to it.
+        folder: folder of that file.
         into: folder of the new file.
     """
     tables = run.settings.model_dump(exclude_none=True, exclude_unset=True)
     cell = run.scenario.cell
-    for table, arm in zip(tables["arms"], run.settings.arms, strict=True):
-        where = f"arm '{arm.name}'"
-        dirs = [resolve(d, folder, f"{where}: package_dirs") for d in arm.package_dirs]
-        for key in ("urdf", "mjcf"):
-            if key in table:
-                table[key] = relative(resolve(table[key], folder, f"{where}: {key}", package_dirs=dirs), into)
-        if dirs:
-            table["package_dirs"] = [relative(d, into) for d in dirs]
+    move_files(tables["arms"], run.settings.arms, folder, into)
     record = plan.path.record()
     tables["path"] = {
         "kind": "timed",
@@ -43,7 +35,5 @@ def planned_text(run: CellRun, plan: Plan, *, folder: Path, into: Path) -> str:
     tables["start"] = {"positions_rad": positions, "inverse_kinematics": False}
     if tables.pop("steps", None) is not None or run.scenario.dt != DEFAULT_DT:
         tables["dt_s"] = run.scenario.dt
-    # Long entries come last.
-    order = sorted(tables, key=lambda key: key == "path")
-    head = f"# {plan.path.duration:.4g} s from rest to rest, planned by coopqp. Its time law is in the table [path]."
-    return "\n".join([head, *toml_lines({key: tables[key] for key in order})]) + "\n"
+    head = f"{plan.path.duration:.4g} s from rest to rest, planned by coopqp. Its time law is in the table [path]."
+    return file_text([head], tables)

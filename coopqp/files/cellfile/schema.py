@@ -29,11 +29,10 @@ from coopqp.files.cellfile.basic import (
     Sides,
     at_most_one,
     exactly_one,
-    problem,
 )
 from coopqp.files.cellfile.bodies import CollisionTable
 from coopqp.files.cellfile.paths import check_inside
-from coopqp.files.cellfile.strict import MAX_LIST, Number, Numbers, Table, table_of
+from coopqp.files.cellfile.strict import MAX_LIST, Number, Numbers, Table, problem, table_of
 from coopqp.scenarios.arms import ROBOTS
 from coopqp.simulation.assessment import Tolerances
 from coopqp.simulation.plants.physics_options import PhysicsOptions

@@ -40,13 +40,18 @@ class Table(BaseModel):
         return data
 
 
+def problem(text: str) -> PydanticCustomError:
+    """An error of a value, in words."""
+    return PydanticCustomError("cell_file", "{text}", {"text": text})
+
+
 #: Largest accepted number of an option, and the smallest one that is not 0; longest text.
 MAX_NUMBER, MIN_NUMBER, MAX_TEXT = 1e12, 1e-30, 100
 
 
 def _not_tiny(value: float) -> float:
     if 0.0 < abs(value) < MIN_NUMBER:
-        raise PydanticCustomError("cell_file", "{text}", {"text": f"must be 0 or at least {MIN_NUMBER:g}, not {value}"})
+        raise problem(f"must be 0 or at least {MIN_NUMBER:g}, not {value}")
     return value
 
 

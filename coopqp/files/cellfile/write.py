@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
+
+from coopqp.files.cellfile.paths import resolve
+from coopqp.files.cellfile.schema import ArmTable
 
 
 def relative(path: Path, into: Path) -> str:
@@ -15,6 +18,34 @@ def relative(path: Path, into: Path) -> str:
         return Path(os.path.relpath(path.absolute(), into.absolute())).as_posix()
     except ValueError:  # on another drive
         return path.absolute().as_posix()
+
+
+def move_files(tables: list[dict[str, Any]], arms: Sequence[ArmTable], folder: Path, into: Path) -> None:
+    """Rewrite the paths of the tables ``arms`` of a cell file for another folder.
+
+    Args:
+        tables: the tables that are written.
+        arms: the same tables, as they were read.
+        folder: folder of the file that was read.
+        into: folder of the file that is written.
+
+    Raises:
+        CoopqpError: a path leads nowhere.
+    """
+    for table, arm in zip(tables, arms, strict=True):
+        where = f"arm '{arm.name}'"
+        dirs = [resolve(d, folder, f"{where}: package_dirs") for d in arm.package_dirs]
+        for key in ("urdf", "mjcf"):
+            if key in table:
+                table[key] = relative(resolve(table[key], folder, f"{where}: {key}", package_dirs=dirs), into)
+        if dirs:
+            table["package_dirs"] = [relative(d, into) for d in dirs]
+
+
+def file_text(head: Sequence[str], tables: Mapping[str, Any]) -> str:
+    """A cell file in TOML: comment lines, then its tables. The path comes last: its entries are long."""
+    order = sorted(tables, key=lambda key: key == "path")
+    return "\n".join([*(f"# {line}" for line in head), *toml_lines({key: tables[key] for key in order})]) + "\n"
 
 
 def toml_lines(tables: Mapping[str, Any], place: str = "") -> Iterator[str]:

@@ -58,17 +58,13 @@ class DisturbedPlant:
         command_latency: Mapping[str, float] | None = None,
     ) -> None:
         grasp.check_arms(cell)
-        self.cell, self.grasp, self.disturbances = (
-            cell,
-            grasp,
-            as_options(Disturbances, disturbances, "DisturbedPlant: disturbances"),
-        )
-        d, late = self.disturbances, command_latency or {}
+        self.cell, self.grasp = cell, grasp
+        d = self.disturbances = as_options(Disturbances, disturbances, "DisturbedPlant: disturbances")
         self._lag = {cell.index(arm): tau for arm, tau in d.lag.items() if tau > 0.0}
         self._stall = {cell.index(arm): time for arm, time in d.stall.items()}
         self._late = {
             cell.index(arm): as_scalar(delay, f"DisturbedPlant: command_latency['{arm}']", open_low=False)
-            for arm, delay in late.items()
+            for arm, delay in (command_latency or {}).items()
         }
         self._displaced = [pin.SE3.Identity() for _ in cell.arms]  # in the world
         for arm, offset in d.base_offset.items():

@@ -5,15 +5,16 @@ wrenches ŵ that the tools should exert. With the tracking error e = q_ref − q
 
     τ = M̂ (q̈_ref + 2ω ė + ω² e) + ĥ + Jᵀŵ − d̃.
 
-An exact model leaves ë + 2ω ė + ω² e = 0 of an arm by itself. The observer filters what inverse dynamics miss,
+An exact model leaves ë + 2ω ė + ω² e = 0 of an arm by itself. The observer filters the torque d that inverse
+dynamics miss,
 
     d = M̂ q̈ + ĥ − (τ − Jᵀŵ),    d/dt d̂ = K (d − d̂),
 
 with the time constant 1/K: wrong masses, friction, a load of another mass, and forces between the arms.
 
 Arms on one object must not resist all of it. Forces between them move no joint, so integrators in the drives would wind
-up on the first geometric error. With c, what the tools feel beyond ŵ, the drives leave its internal part
-(:func:`coopqp.forces.internal_wrenches`) alone:
+up on the first geometric error. Let c be the wrenches that the tools feel beyond ŵ. The drives leave the internal part
+of c (:func:`coopqp.forces.internal_wrenches`) alone:
 
     d̃ = d̂ − Jᵀ internal(ĉ).
 

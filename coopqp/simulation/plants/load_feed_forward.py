@@ -25,7 +25,7 @@ class LoadFeedForward:
         options: ``load_feed_forward``, ``load_shares``, ``servo``, gravity and the masses that the drives assume.
         object_mass: mass of the object [kg].
         centre: its centre of mass in the object frame (3,) [m].
-        load: shares all that the object's motion takes; None for its weight alone.
+        load: load sharing for the whole motion of the object; None for its weight alone.
         armature: inertia of the drives at the joints (nv,).
 
     Raises:

@@ -65,7 +65,6 @@ class PhysicsPlant:
             targets of the servos, base offsets on the bases in the engine.
         load: load sharing whose torques the drives feed forward for the motion as commanded, with the arms' own
             dynamics, in place of the object's weight alone.
-
         palms: palms that press on the box in place of welds, one per arm: square pads around their discs, with contacts
             and friction. The box lies on a smooth stand, its z axis up, until the first command with a rate above 0.
             The drives take over its load as soon as all palms press with their ``squeeze``.
@@ -299,7 +298,7 @@ class PhysicsPlant:
         return 0.0 if self._palms is None else self._palms.slip()
 
     def measured_wrenches(self) -> Array:
-        """The same as the controller gets it, by the disturbances; NaN for an arm whose wrench is lost."""
+        """The sensed wrenches (N, 6) with the disturbances, as the controller gets them; NaN for a lost one."""
         return self._wrench_sensors.read(self.sensed_wrenches(), self.time)
 
     @property

@@ -136,9 +136,8 @@ def exact_motion(cell: RobotCell, grasp: Grasp, path: ObjectPath, q_start: Any) 
         pose = path.pose(tau)
         q, errors = newton(chain, pose, start if tau <= 0.0 else last, tolerance=1e-12, max_iter=20)
         if not np.abs(errors).max() <= 1e-9:
-            q = inverse_kinematics(
-                cell, grasp, pose, last, limits=False
-            )  # more iterations, and an error that names the arm
+            # More iterations, and an error that names the arm.
+            q = inverse_kinematics(cell, grasp, pose, last, limits=False)
         last = q
         return q
 

@@ -1,4 +1,4 @@
-"""Force and torque sensors at the tools: noise, bias, latency, losses, and sensors that tell something else."""
+"""Force and torque sensors at the tools: noise, bias, latency, losses and wrong gains."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ class WrenchSensors:
         return out
 
     def read(self, wrenches: Array, time: float) -> Array:
-        """Measured wrenches (N, 6) [N, N·m] at a time [s], from the real ones; NaN for an arm whose is lost."""
+        """Measured wrenches (N, 6) [N, N·m] at a time [s], from the real ones; NaN for an arm whose wrench is lost."""
         d = self._disturbances
         self._history.append((time, wrenches))
         while len(self._history) > 1 and self._history[1][0] <= time - d.wrench_latency + 1e-12:
