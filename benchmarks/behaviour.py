@@ -27,7 +27,7 @@ from __future__ import annotations
 import itertools
 import os
 import warnings
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from typing import Any
 
@@ -50,9 +50,10 @@ from coopqp import (
     Status,
     available_solvers,
     limit_excess,
+    relative_positioning_error,
+    tool_placements,
 )
 from coopqp.control import VelocityBox
-from coopqp.simulation.metrics import positioning_errors, tool_matrices
 
 #: Persistent QP solvers; the installed ones are run.
 KEPT = ("daqp", "proxqp", "osqp")
@@ -109,8 +110,8 @@ def judge(run: Run, steps: Sequence[ControlStep]) -> Record:
     cell, grasp = run.task.cell, run.task.grasp
     q = np.array([steps[0].q, *(s.q_next for s in steps)])
     v = np.array([s.velocity for s in steps])
-    tools = tool_matrices(cell, q)
-    views = tools @ np.linalg.inv(_homogeneous(grasp.T_object_tool))  # O_k, (T, N, 4, 4)
+    tools = tool_placements(cell, q)
+    views = _homogeneous(tools) @ np.linalg.inv(_homogeneous(grasp.T_object_tool))  # O_k, (T, N, 4, 4)
     poses = _homogeneous([s.path.pose(s.clock_next) for s in steps])
     pairs = [(i, j) for i in range(len(cell)) for j in range(i)]
     chain = np.max([_apart(views[:, i], views[:, j]) for i, j in pairs], axis=0)
@@ -136,7 +137,7 @@ def judge(run: Run, steps: Sequence[ControlStep]) -> Record:
         "blocked_joint": (blocked.joint or None) if blocked else None,
         "named": _named(run, end),
         "recovery_ratio": _recovery_ratio(run, q),
-        "eps_p_mm": 1e3 * float(positioning_errors(tools, grasp).max()) if len(cell) == 3 else None,
+        "eps_p_mm": 1e3 * max(relative_positioning_error(T, grasp) for T in tools) if len(cell) == 3 else None,
         "arms": len(cell),
         "steps": len(steps),
         "qp_steps": sum(s.solver.name != "none" for s in steps),
@@ -144,9 +145,11 @@ def judge(run: Run, steps: Sequence[ControlStep]) -> Record:
     }
 
 
-def _homogeneous(placements: Iterable[pin.SE3]) -> Array:
-    """Placements as one array (n, 4, 4)."""
-    return np.array([T.homogeneous for T in placements])
+def _homogeneous(placements: Any) -> Array:
+    """Nested lists of placements as one array (…, 4, 4)."""
+    if isinstance(placements, pin.SE3):
+        return np.asarray(placements.homogeneous)
+    return np.array([_homogeneous(T) for T in placements])
 
 
 def _apart(A: Array, B: Array) -> Array:
