@@ -108,7 +108,7 @@ def test_it_comes_to_rest(failures: list[tuple[bool, Failure]], catalogue: Any) 
         "A5",
         "solver fails for ever: time to rest, in multiples of v/a + 2 dt or of the hardest stop on the way + 2 dt",
         cases=len(stopped),
-        measured=max(f.stopping for f in stopped),
+        measured=np.max([f.stopping for f in stopped]),
         target=1.0,
         note=f"in {len(longer)} cases the hardest stop on the way takes longer than v/a + 2 dt: {largest:.3g} times",
     )
@@ -120,7 +120,7 @@ def test_the_arms_stay_together(failures: list[tuple[bool, Failure]], catalogue:
         "A5",
         "solver fails: growth of the chain error",
         cases=len(failures),
-        measured=max(f.chain_mm for _, f in failures),
+        measured=np.max([f.chain_mm for _, f in failures]),
         target=0.1,
         unit="mm",
     )
@@ -143,7 +143,7 @@ def test_it_goes_on_when_the_solver_does(failures: list[tuple[bool, Failure]], c
         "A5",
         "solver recovers: steps until it goes on",
         cases=len(failures),
-        measured=max(f.recovery for _, f in failures),
+        measured=np.max([f.recovery for _, f in failures]),
         target=1,
     )
 
@@ -177,7 +177,7 @@ def test_only_one_form_fails(kernel: str) -> None:
     steps = [controller.step() for _ in range(100)]
     assert double.hits >= 100
     assert all(s.status in (Status.TRACKING, Status.SLOWED) for s in steps)
-    assert max(s.given_up.chain for s in steps) < 1e-9
+    assert all(s.given_up.chain < 1e-9 for s in steps)
 
 
 @pytest.mark.slow
