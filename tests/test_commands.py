@@ -422,7 +422,7 @@ def test_an_interrupt_leaves_no_partial_file_and_no_empty_folder(
     """Whichever file is being written."""
     before = set(Path().rglob("*"))
     commands = {
-        "coopqp.output._write": ["report", str(recording_file), "--out", "a/b/report.html"],
+        "coopqp.output.temporary_name": ["report", str(recording_file), "--out", "a/b/report.html"],
         "coopqp.simulation.recording.write_archive": ["run", str(cell_file), "--out", "a/b"],
         "coopqp.files.export._rename_inside": ["export", str(recording_file), "--bag", "c/d/bag"],
         "pathlib.Path.replace": ["export", str(recording_file), "--csv", "c/d/run.csv"],

@@ -8,7 +8,7 @@ distances are computed.
 from __future__ import annotations
 
 import heapq
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple, final
 
@@ -86,19 +86,20 @@ class Closeness:
         self._ways: list[Point | None] = [None] * len(ends)  # of each pair's last distance
         self._data = self._model.createData()
 
-    def at(self, q: Array, pair: int, enough: float = np.inf) -> float:
+    def at(self, q: Array, pair: int, *, enough: float = np.inf) -> float:
         """Distance of a pair of shapes at a configuration (nq,) [m]; a lower bound if that is ``enough``."""
         pin.forwardKinematics(self._model, self._data, q)
         i, j = self._ends[pair]
         A, B = self._data.oMi[self._joints[i]] * self._T[i], self._data.oMi[self._joints[j]] * self._T[j]
         return self._apart(pair, A.rotation, A.translation, B.rotation, B.translation, enough)
 
-    def closest(self, q: Array, time: Array, *, without_start: bool = False) -> Closest | None:
+    def closest(self, q: Array, time: Array, *, to_margin: bool = False, without_start: bool = False) -> Closest | None:
         """The least distance of a run; None without pairs.
 
         Args:
             q: commanded configurations (T, nq).
             time: time of each (T,) [s].
+            to_margin: the least distance less its margin instead.
             without_start: leave out pairs of names that overlap at the first configuration.
         """
         placed = self._place(q)
@@ -109,11 +110,13 @@ class Closeness:
         for k in self._pairs:
             if self._labels[k] in left_out:
                 continue
-            heapq.heappush(queue, (float(self._away(placed, k).min()), k, -1, last, 0.0, 0.0))
+            least_away = float(self._away(placed, k).min())
+            heapq.heappush(queue, (least_away - self._less(k, to_margin), k, -1, last, 0.0, 0.0))
         while queue:
             bound, k, first, end, d_first, d_end = heapq.heappop(queue)
             if least is not None and bound >= least[0] - RESOLUTION:
                 break
+            less = self._less(k, to_margin)
             found: list[tuple[float, float]] = []
             if first < 0:
                 d_first, d_end = self._sampled(placed, k, 0), self._sampled(placed, k, last)
@@ -131,17 +134,18 @@ class Closeness:
                     found.append((self.at(pin.integrate(self._model, q[first], share * step), k), first + share))
                 parts = []
             for d, where in found:
-                if least is None or d < least[0]:
-                    least = (d, k, where)
+                if least is None or d - less < least[0]:
+                    least = (d - less, k, where)
             for a, b, d_a, d_b in parts:
                 if b > a:
                     lower = 0.5 * (d_a + d_b - self._way(placed, k, a, b))
-                    heapq.heappush(queue, (min(lower, d_a, d_b), k, a, b, d_a, d_b))
+                    heapq.heappush(queue, (min(lower, d_a, d_b) - less, k, a, b, d_a, d_b))
         if least is None:
             return None
         value, k, where = least
         at = float(np.interp(where, np.arange(len(time)), time))
-        return Closest(NearPair(*self._labels[k], value), at, float(self.margins[k]))
+        pair = NearPair(*self._labels[k], value + self._less(k, to_margin))
+        return Closest(pair, at, float(self.margins[k]))
 
     def overlapping(self, q: Array) -> set[tuple[str, str]]:
         """Pairs of names that overlap at a configuration (nq,)."""
@@ -189,7 +193,7 @@ class Closeness:
                     for part in range(1, PARTS):  # closer than all before and than accepted, or not of interest
                         enough = min(d, required - 0.5 * tolerance)
                         between = pin.integrate(self._model, q[t - 1], part / PARTS * turn)
-                        d = min(d, self.at(between, int(k), enough))
+                        d = min(d, self.at(between, int(k), enough=enough))
                 room = d - required
                 if room < -tolerance:
                     found.append((t - 1, NearPair(*self._labels[k], room + required), -room))
@@ -199,6 +203,34 @@ class Closeness:
         """Pairs of shapes, without the pairs of these names."""
         names = set(left_out)
         return [k for k in self._pairs if self._labels[k] not in names]
+
+    def over_time(self, q: Array, pairs: Sequence[int] | None = None) -> Array:
+        """Least distance at each configuration (T,) [m], to within 0.1 mm from above.
+
+        Args:
+            q: configurations (T, nq).
+            pairs: numbers of the pairs of shapes; all by default.
+        """
+        placed = self._place(q)
+        out = np.full(len(q), np.inf)
+        for k in self._pairs if pairs is None else pairs:
+            i, j = self._ends[k]
+            away, t = self._away(placed, k), 0
+            while t < len(q):
+                if away[t] >= out[t] - 1e-4:
+                    t += 1
+                    continue
+                d = self._sampled(placed, k, t)
+                out[t] = min(out[t], d)
+                # No distance is needed until the bodies may be as close as the closest pair.
+                way = placed.way[t:, i] + placed.way[t:, j] - placed.way[t, i] - placed.way[t, j]
+                closer = np.flatnonzero(d - _BENT * way < out[t:] - 1e-4)
+                later = closer[closer > 0]
+                t = t + int(later[0]) if later.size else len(q)
+        return out
+
+    def _less(self, k: int, to_margin: bool) -> float:
+        return float(self.margins[k]) if to_margin else 0.0
 
     def _away(self, placed: _Placed, k: int) -> Array:
         """Lower bound of the distance of a pair at each sample (T,) [m], by spheres about both bodies' origins."""
