@@ -34,7 +34,7 @@ check: $(VENV)/.installed
 quick: $(VENV)/.installed
 	HYPOTHESIS_PROFILE=check $(PYTEST) -m "not slow"
 
-# Before every commit: all tests. 9 minutes on two cores.
+# Before every commit: all tests. 7 minutes on two cores.
 test: $(VENV)/.installed
 	@mkdir -p out
 	$(PYTEST) --reliability-json=out/reliability.json
