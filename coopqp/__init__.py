@@ -14,8 +14,8 @@ Each room of the package is one part of the flow:
 * ``studies``: many runs, and where bases may stand;
 * ``look``, ``app``: pictures, the command ``coopqp``.
 
-A room imports only from itself, from the rooms before it, and from ``errors``, ``checks``, ``spatial``, ``output`` and
-``lazy``. Import public names from :mod:`coopqp`, ready cells and tasks from :mod:`coopqp.scenarios`.
+A room imports only from itself, from the rooms before it, and from ``errors``, ``native``, ``checks``, ``spatial``,
+``output`` and ``lazy``. Import public names from :mod:`coopqp`, ready cells and tasks from :mod:`coopqp.scenarios`.
 """
 
 from typing import TYPE_CHECKING
@@ -23,9 +23,9 @@ from typing import TYPE_CHECKING
 from coopqp.lazy import lazy_names
 
 if TYPE_CHECKING:
+    from coopqp.control.cause import Cause
     from coopqp.control.command import Controller, ControlStep, GivenUp, SolverReport, Status
-    from coopqp.control.constraints import Knot, Rank, RateBound, VelocityConstraint
-    from coopqp.control.core import available_kernels
+    from coopqp.control.constraints import Rank, VelocityConstraint
     from coopqp.control.forms import RankWeights
     from coopqp.control.independent import IndependentQPController, IndependentQPOptions
     from coopqp.control.options import QPOptions
@@ -57,6 +57,8 @@ if TYPE_CHECKING:
         ModelError,
         NoStartError,
         StartWarning,
+        StiffnessWarning,
+        TooCloseError,
         UndecidedError,
         UnknownNameError,
         UnreachableError,
@@ -78,8 +80,10 @@ if TYPE_CHECKING:
     from coopqp.model.inverse_kinematics import inverse_kinematics
     from coopqp.model.limits import BindingLimit, LimitKind
     from coopqp.model.state import CellState
+    from coopqp.native import available_kernels
     from coopqp.output import OutputError
     from coopqp.planning.preview_options import PreviewOptions
+    from coopqp.planning.rate_bounds import Knot, RateBound
     from coopqp.scenarios.robots import robot_path
     from coopqp.simulation.assessment import Finding, Tolerances, judge
     from coopqp.simulation.calibrating import calibrate_runs
@@ -118,9 +122,10 @@ else:
     __getattr__, __dir__ = lazy_names(
         __name__,
         {
+            "coopqp.control.cause": "Cause",
             "coopqp.control.command": "Controller ControlStep GivenUp SolverReport Status",
-            "coopqp.control.constraints": "Knot RateBound Rank VelocityConstraint",
-            "coopqp.control.core": "available_kernels",
+            "coopqp.control.constraints": "Rank VelocityConstraint",
+            "coopqp.planning.rate_bounds": "Knot RateBound",
             "coopqp.control.forms": "RankWeights",
             "coopqp.control.options": "QPOptions",
             "coopqp.control.qp": "QPController",
@@ -131,13 +136,15 @@ else:
             "coopqp.control.supervision_options": "SupervisionOptions",
             "coopqp.errors": (
                 "BusyError CoopqpError InvalidInputError KernelWarning MissingExtraError MissingSolverError "
-                "ModelError NoStartError StartWarning UndecidedError UnknownNameError UnreachableError"
+                "ModelError NoStartError StartWarning StiffnessWarning TooCloseError UndecidedError "
+                "UnknownNameError UnreachableError"
             ),
             "coopqp.model.cell": "Arm JointLimits RobotCell",
             "coopqp.model.grasp": "Grasp plate_from_centroid plate_from_points",
             "coopqp.model.inverse_kinematics": "inverse_kinematics",
             "coopqp.model.limits": "BindingLimit LimitKind",
             "coopqp.model.state": "CellState",
+            "coopqp.native": "available_kernels",
             "coopqp.planning.preview_options": "PreviewOptions",
             "coopqp.simulation.plants.kinematic": "KinematicPlant Plant",
             "coopqp.simulation.readings": "Readings read_run",
@@ -202,6 +209,7 @@ __all__ = [
     "Calibration",
     "CalibrationError",
     "CalibrationOptions",
+    "Cause",
     "CellFileError",
     "CellState",
     "Closeness",
@@ -276,12 +284,14 @@ __all__ = [
     "StallBound",
     "StartWarning",
     "Status",
+    "StiffnessWarning",
     "StressModel",
     "StudyError",
     "SupervisionOptions",
     "TimeLaw",
     "TimedPath",
     "Tolerances",
+    "TooCloseError",
     "UndecidedError",
     "UnknownNameError",
     "UnreachableError",

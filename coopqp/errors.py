@@ -51,8 +51,12 @@ class StartWarning(UserWarning):
     """A controller starts where it may, but something is odd: joints outside limits, arms off the grasp or the path."""
 
 
+class StiffnessWarning(UserWarning):
+    """Arms that hold one object are measured without their servos' stiffness: one that stops may be seen late."""
+
+
 class KernelWarning(UserWarning):
-    """The compiled kernel is not there: steps take about a hundred times longer. Said once by each program."""
+    """A compiled part is not there: it takes about a hundred times longer. Said once by each program."""
 
 
 class BusyError(CoopqpError, RuntimeError):
@@ -79,6 +83,10 @@ class NoStartError(UnreachableError):
         return type(self), (self.arms, self.message)
 
 
+class TooCloseError(InvalidInputError, UnreachableError):
+    """A start at which bodies are inside their margins. The message names them, how near they are, and remedies."""
+
+
 class UndecidedError(CoopqpError):
     """A computation failed numerically: its question stays open."""
 
@@ -103,6 +111,15 @@ class MissingSolverError(MissingExtraError):
 
     def __reduce__(self) -> tuple[type[MissingSolverError], tuple[str, str]]:
         return type(self), (self.package, self.remedy)
+
+
+def cause_of(error: BaseException | None, kind: type[BaseException]) -> bool:
+    """Whether an error is of a kind, or an error that it was raised from: errors of a file name the file."""
+    while error is not None:
+        if isinstance(error, kind):
+            return True
+        error = error.__cause__
+    return False
 
 
 def said(error: BaseException) -> str:

@@ -30,6 +30,19 @@ def check_folder(folder: Path) -> None:
         raise OutputError(f"cannot write into {folder}: no permission on {existing}. Give another folder.")
 
 
+def check_below(folder: Path) -> None:
+    """Raise OutputError unless ``folder`` lies below the working directory, links followed. Creates nothing."""
+    try:
+        place, here = folder.resolve(), Path.cwd().resolve()
+    except (OSError, RuntimeError) as error:  # links in a circle
+        raise OutputError(f"cannot write into {folder}: {error}. Give another folder with --out.") from error
+    if not place.is_relative_to(here):
+        raise OutputError(
+            f"{folder} leads to {place}, out of the working directory, and nothing was written. "
+            "Give --out, which takes any folder."
+        )
+
+
 def check_file(file: Path) -> None:
     """Raise OutputError unless ``file`` can be written, or created with its folder. Creates nothing."""
     if file.is_dir():

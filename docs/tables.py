@@ -1,8 +1,8 @@
-"""Write the measured tables of README.md, from the records of ``make tables``, between their marks.
+"""Write the measured tables of README.md and docs/reliability.md, from the records of ``make tables``, between marks.
 
     python docs/tables.py out/bench
 
-The folder holds behaviour.json and compare_peers.json; a table whose records are not there stays as it is.
+The folder holds behaviour.json, compare_peers.json and promises.json; a table without its records stays.
 """
 
 from __future__ import annotations
@@ -62,6 +62,17 @@ def period(records: Sequence[Record]) -> str:
     )
 
 
+def steps(records: Sequence[Record]) -> str:
+    """How far apart the arms are commanded, by the length of a step, of promises.py."""
+    found = [(re.search(r"steps of (\d+) ms: apart$", str(r["case"])), r) for r in records]
+    rows = [
+        {"dt [ms]": m[1], "largest [µm]": figure(float(r["value"])), "promised [µm]": figure(float(r["bound"]))}
+        for m, r in found
+        if m
+    ]
+    return markdown(rows)
+
+
 def figure(value: float) -> str:
     """Two digits; whole numbers from 100 on, powers of ten below 0.01."""
     if value >= 99.5:
@@ -82,6 +93,7 @@ def markdown(rows: Sequence[Record]) -> str:
 TABLES: dict[tuple[str, str], tuple[str, Callable[[Sequence[Record]], str]]] = {
     ("README.md", "difficult"): ("behaviour.json", difficult),
     ("README.md", "period"): ("compare_peers.json", period),
+    ("docs/reliability.md", "steps"): ("promises.json", steps),
 }
 
 

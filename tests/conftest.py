@@ -12,6 +12,7 @@ import functools
 import gc
 import os
 import zlib
+from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any
@@ -52,6 +53,30 @@ def pytest_collection_finish() -> None:
     """What was collected stays to the end: the garbage collector need not look at it again and again."""
     gc.collect()
     gc.freeze()
+
+
+def _too_many_skips(config: pytest.Config) -> Counter[str]:
+    """Why tests were skipped, if more were than COOPQP_MOST_SKIPS allows; without it any number may be."""
+    most, reporter = os.environ.get("COOPQP_MOST_SKIPS"), config.pluginmanager.get_plugin("terminalreporter")
+    skipped = reporter.stats.get("skipped", []) if reporter else []
+    if most is None or len(skipped) <= int(most):
+        return Counter()
+    return Counter(str(report.longrepr[2] if report.longrepr else "no reason") for report in skipped)
+
+
+def pytest_sessionfinish(session: pytest.Session) -> None:
+    """Tests that are skipped prove nothing: too many of them are a failure."""
+    if _too_many_skips(session.config) and session.exitstatus == pytest.ExitCode.OK:
+        session.exitstatus = pytest.ExitCode.TESTS_FAILED
+
+
+def pytest_terminal_summary(terminalreporter: Any, config: pytest.Config) -> None:
+    """The reasons of too many skips."""
+    if reasons := _too_many_skips(config):
+        most = os.environ["COOPQP_MOST_SKIPS"]
+        terminalreporter.section(f"{reasons.total()} tests were skipped, {most} may be (COOPQP_MOST_SKIPS)", red=True)
+        for reason, times in reasons.most_common():
+            terminalreporter.write_line(f"{times:5} {reason}")
 
 
 @pytest.fixture

@@ -32,6 +32,8 @@ COMMANDS: dict[str, tuple[list[str], set[str]]] = {
     "a bag": (["export", "run.npz", "--bag", "bag"], {"bags"}),
     "a bag of a run": (["export", "paper_lift", "--bag", "other_bag"], {"bags"}),
 }
+#: What is compiled.
+PARTS = ("step", "kinematics", "distances")
 #: Name: program, and the extras that it needs.
 PROGRAMS: dict[str, tuple[str, set[str]]] = {
     "an arm of example-robot-data": (
@@ -67,7 +69,7 @@ def told(needs: set[str], given: set[str], result: subprocess.CompletedProcess[s
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("extras", nargs="*", metavar="EXTRA")
-    parser.add_argument("--kernel", help="the kernel that steps have to run")
+    parser.add_argument("--kernel", help="the kernel that has to compute every part")
     arguments = parser.parse_args()
     extras = {e for e in metadata.metadata("coopqp").get_all("Provides-Extra") or [] if e not in ("dev", "mutation")}
     given = extras if "all" in arguments.extras else set(arguments.extras)
@@ -81,8 +83,9 @@ def main() -> int:
 
     assert "site-packages" in coopqp.__file__, coopqp.__file__
     wrong = {}
-    if arguments.kernel and coopqp.available_kernels()[0] != arguments.kernel:
-        wrong["the kernel"] = f"it is {coopqp.available_kernels()[0]}"
+    for part in PARTS if arguments.kernel else ():
+        found = coopqp.available_kernels(part)[0]
+        wrong[f"the kernel of {part}"] = "" if found == arguments.kernel else f"it is {found}"
     program = str(Path(sys.executable).with_name("coopqp"))
     with tempfile.TemporaryDirectory() as folder:
         os.chdir(folder)

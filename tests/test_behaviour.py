@@ -195,6 +195,7 @@ def test_the_judge_knows_the_right_joint(behaviour: Any) -> None:
     assert steps[-1].clock_next == pytest.approx(run.expected[2], abs=2e-4)
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore::coopqp.StartWarning")
 def test_the_judge_of_joints_outside(behaviour: Any) -> None:
     run, steps = recorded(behaviour, "outside", (1, "upper", np.inf))

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from marks import slow_but_first
 from wrapped import Opaque
 
 from coopqp import LimitKind, QPController, QPOptions, Status, available_kernels
@@ -58,7 +59,7 @@ def test_the_joint_that_needs_the_braking_is_named(paper: Scenario) -> None:
             assert joint == (j if late else -1)
 
 
-@pytest.mark.parametrize("kernel", available_kernels())
+@pytest.mark.parametrize("kernel", slow_but_first(available_kernels()))
 @pytest.mark.parametrize("known", [True, False])
 def test_without_a_view_ahead_the_object_stops_on_its_path_at_a_limit(kernel: str, known: bool) -> None:
     """No preview, or a path that is not known ahead: all arms brake together before the joint is at its limit.
@@ -92,7 +93,7 @@ def test_without_a_view_ahead_the_object_stops_on_its_path_at_a_limit(kernel: st
     assert max(rates) > 0.5
 
 
-@pytest.mark.parametrize("kernel", available_kernels())
+@pytest.mark.parametrize("kernel", slow_but_first(available_kernels()))
 @pytest.mark.parametrize("seeing", [True, False])
 def test_an_override_is_reached_on_the_path_as_fast_as_the_joints_can(kernel: str, seeing: bool) -> None:
     """Up, down and up again: the rate moves one way, and some joint brakes with half its acceleration or more."""

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
@@ -17,6 +19,7 @@ from coopqp import (
     CalibrationError,
     CalibrationOptions,
     CellState,
+    CoopqpError,
     Disturbances,
     DisturbedPlant,
     Grasp,
@@ -202,6 +205,52 @@ def test_a_model_that_fits_stays_as_it_is(paper: Scenario) -> None:
         np.testing.assert_allclose([arm.base, arm.grip], 0.0, atol=1e-7)
 
 
+@pytest.mark.parametrize("motion", [two_axes, one_axis])
+def test_noise_corrects_nothing(
+    paper: Scenario, motion: Callable[..., list[pin.SE3]], rng: np.random.Generator
+) -> None:
+    """Of a model that fits no arm is corrected; of one arm that is off, that arm alone."""
+    q = held(paper.cell, paper.grasp, motion(paper.path.pose(0.0)), paper.q_start)
+    for _ in range(5):
+        found = calibrate(paper.cell, paper.grasp, q + rng.uniform(-NOISE, NOISE, q.shape))
+        assert not any(arm.significant for arm in found.corrections)
+        assert found.explain().count("no more than its own uncertainty") == 2
+        np.testing.assert_array_equal(found.after, found.before)
+        assert all(a.T_world_base == b.T_world_base for a, b in zip(found.cell.arms, paper.cell.arms, strict=True))
+        assert found.slip is None
+    errors = drawn(rng, 3)
+    errors[:24] = 0.0
+    cell, grasp = with_errors(paper.cell, paper.grasp, errors)
+    measured = held(cell, grasp, motion(paper.path.pose(0.0)), paper.q_start)
+    found = calibrate(paper.cell, paper.grasp, measured + rng.uniform(-NOISE, NOISE, q.shape))
+    assert [arm.significant for arm in found.corrections] == [False, True]
+    assert found.after[:, 0].max() < 0.5 * found.before[:, 0].max()
+
+
+def slipping(paper: Scenario, size: float, rng: np.random.Generator) -> Array:
+    """Measured configurations (80, nq) of a run in which a grip slips by a size [m] at sample 53."""
+    poses = two_axes(paper.path.pose(0.0), 80)
+    slipped = pin.exp6(np.array([0.0, 0.0, size, 0.0, 0.0, 0.0]))
+    tools = list(paper.grasp.T_object_tool)
+    later = Grasp((*tools[:2], tools[2] * slipped))
+    q = held(paper.cell, paper.grasp, poses[:53], paper.q_start)
+    q = np.concatenate([q, held(paper.cell, later, poses[53:], q[-1])])
+    return q + rng.uniform(-NOISE, NOISE, q.shape)
+
+
+def test_a_slip_is_told(paper: Scenario, rng: np.random.Generator) -> None:
+    """Bases and grips cannot explain both parts, though the noise hides each sample."""
+    size = 3e-4
+    found = calibrate(paper.cell, paper.grasp, slipping(paper, size, rng))
+    assert found.slip is not None
+    sample, shift = found.slip
+    assert abs(sample - 53) <= 6
+    assert 0.3 * size < shift < 2.0 * size
+    assert "did a grip slip?" in found.explain()
+    with pytest.raises(CalibrationError, match="not closed"):
+        calibrate(paper.cell, paper.grasp, slipping(paper, 2e-3, rng))
+
+
 def assert_no_harm(case: Case, paper: Scenario, rng: np.random.Generator, motions: int) -> None:
     done = 0
     while done < motions:
@@ -251,6 +300,25 @@ def test_the_motion_that_would_determine_it_is_found_and_checked(paper: Scenario
 
 
 # -- what is refused ---------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("wrong", "named"),
+    [
+        ({"largest": 2.0}, "determining_motion: largest"), ({"largest": 0.0}, "determining_motion: largest"),
+        ({"duration": 0.0}, "determining_motion: duration"), ({"duration": math.nan}, "determining_motion: duration"),
+        ({"options": {"nonsense": 1}}, "determining_motion: options"),
+    ],
+)  # fmt: skip
+def test_bad_arguments_of_the_motion_are_named(paper: Scenario, wrong: dict[str, Any], named: str) -> None:
+    with pytest.raises(CoopqpError, match=named):
+        determining_motion(paper.cell, paper.grasp, paper.q_start, **wrong)
+
+
+def test_a_motion_for_another_number_of_arms_is_refused(paper: Scenario) -> None:
+    two = Grasp(paper.grasp.T_object_tool[:2])
+    with pytest.raises(InvalidInputError, match="2"):
+        determining_motion(paper.cell, two, paper.q_start)
 
 
 def test_a_chain_that_is_not_closed_is_refused(paper: Scenario, rng: np.random.Generator) -> None:

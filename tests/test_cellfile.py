@@ -46,6 +46,7 @@ from coopqp.app.demo import run_method
 from coopqp.checks import meanings
 from coopqp.files.cellfile import CELLS, example_path, json_schema, schema_text
 from coopqp.files.cellfile.build import CellRun
+from coopqp.files.cellfile.hints import grip_hints
 from coopqp.files.cellfile.text import read_tables
 from coopqp.scenarios import ROBOTS, Scenario, robot_file
 
@@ -389,6 +390,45 @@ def test_options_reach_the_controller(load: Callable[[str], CellRun]) -> None:
 def test_common_errors(table: str, load: Callable[[str], CellRun]) -> None:
     options = load(_controller(f'kind = "qp"\ncommon_error = {table}')).options
     np.testing.assert_array_equal(options.common_error.shares(_cell(load)), np.ones((1, 6)))
+
+
+def test_the_stiffness_of_servos_is_told_arm_by_arm(load: Callable[[str], CellRun]) -> None:
+    def with_stiffness(*values: str) -> str:
+        texts = iter([*values, *[""] * 3])
+        return re.sub(r'robot = "rx90l"\n', lambda found: f"{found[0]}{next(texts)}\n", PAPER)
+
+    key = "stiffness_nm_per_rad = "
+    six = [1e5, 1e5, 5e4, 1e4, 1e4, 5e3]
+    run = load(with_stiffness(f"{key}{six}", f"{key}2e4", f"{key}{six}"))
+    assert run.options.supervision.stiffness == (*six, *[2e4] * 6, *six)
+    np.testing.assert_array_equal(run.stiffness, run.options.supervision.stiffness)
+    text = with_stiffness(*[f"{key}2e4"] * 3)
+    limited = load(text.replace(QP, f"supervision.force_limit = 200\n{QP}", 1)).options.supervision
+    assert (limited.force_limit, limited.stiffness) == (200.0, (2e4,) * 18)
+    plain = load(text.replace(QP, 'kind = "pseudo_inverse" #', 1))
+    assert plain.stiffness is not None  # for a ForceController
+    bare = load(PAPER)
+    assert bare.stiffness is None
+    assert bare.options.supervision.stiffness is None
+    for bad, said in (
+        ((f"{key}2e4",), "arm 'slave_1': stiffness_nm_per_rad is missing. .* give it for every arm"),
+        ((f"{key}2e4",) * 2 + (f"{key}[1, 2]",), "arm 'slave_2': stiffness_nm_per_rad has 2 numbers for 6 joints"),
+        ((f"{key}0",) * 3, r"arms\[0\].stiffness_nm_per_rad: must be from 0.001 to 1e\+09, not 0"),
+        ((f"{key}[2e4, -1]",), r"arms\[0\].stiffness_nm_per_rad: must be from .*, not -1"),
+        ((f"{key}true",), r"arms\[0\].stiffness_nm_per_rad: give a number or a list"),
+    ):
+        with pytest.raises(CellFileError, match=said):
+            load(with_stiffness(*bad))
+
+
+def test_who_runs_gripped_arms_in_the_engine_is_asked_for_their_stiffness(load: Callable[[str], CellRun]) -> None:
+    engine = f'{PAPER}\n[plant]\nkind = "physics"\n'
+    (said,) = grip_hints(load(engine))
+    assert "stiffness_nm_per_rad" in said
+    told = re.sub(r'(robot = "rx90l")', r"\1\nstiffness_nm_per_rad = 2e4", engine)
+    torques = f'{engine}servo = "computed torque"\n'
+    for text in (PAPER, told, torques, one_arm(path=LINE) + '[plant]\nkind = "physics"\n'):
+        assert grip_hints(load(text)) == []
 
 
 def test_the_physics_engine_as_the_plant(load: Callable[[str], CellRun]) -> None:

@@ -13,7 +13,7 @@ import pytest
 from marks import slow_unless
 from wrapped import Opaque
 
-from coopqp import Closeness, InvalidInputError, QPController, load_cell_file, simulate
+from coopqp import CellState, Closeness, InvalidInputError, QPController, load_cell_file, simulate
 from coopqp.app import cli
 from coopqp.collision import Body, Box, Clearance, CollisionScene, Sphere
 from coopqp.look.check_plots import check_figure
@@ -74,6 +74,7 @@ def test_what_is_proved_holds_at_dense_samples(seed: int) -> None:
     assert (found.verdict is CERTIFIED) == (d > 0.005)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("task", [paper_lift(), ring(arms=2)], ids=lambda task: task.name)
 def test_a_margin_is_certified_up_to_the_least_distance_and_not_beyond(task: Scenario) -> None:
     # 20 µm on either side of what the judge finds, with its own search between samples
@@ -93,6 +94,39 @@ def test_a_margin_is_certified_up_to_the_least_distance_and_not_beyond(task: Sce
     assert beyond.clearance.stopped_by is not None
     assert {beyond.clearance.stopped_by.first, beyond.clearance.stopped_by.second} == set(between)
     assert "object and ball" in beyond.explain()
+
+
+@pytest.mark.parametrize("share", [0.437, 0.561])
+def test_a_ball_that_is_passed_between_samples_is_seen(share: float) -> None:
+    """The least distance of two balls, one carried along a straight line, is known in closed form."""
+    task = paper_lift()
+    first, last = (task.path.pose(t).translation for t in (0.0, task.path.duration))
+    along = (last - first) / np.linalg.norm(last - first)
+    side = np.cross(along, [1.0, 0.0, 0.0])
+    side /= np.linalg.norm(side)
+    near = 0.12
+    ball = Body("ball", Sphere(0.05), pin.SE3(np.eye(3), first + share * (last - first) + near * side))
+    arms = [(arm, "*") for arm in task.cell.arm_names]
+
+    def answer(margin: float) -> PathCheck:
+        bob = Body("bob", Sphere(0.05))
+        return checked(task, CollisionScene.of(task, carried=[bob], obstacles=[ball], margin=margin, ignored=arms))
+
+    clear = answer(near - 0.1 - 5e-4)
+    assert clear.clearance is not None
+    assert clear.clearance.verdict is CERTIFIED
+    ways = [arm.chosen.way for arm in clear.arms if arm.chosen is not None]
+    way = CellWay(task.cell, task.path, segments_of(task.path), ways, task.cell.positions(task.q_start))
+    samples = [task.path.pose(float(t)).translation for t in way.clocks(way.places)]
+    at_samples = min(float(np.linalg.norm(p - ball.placement.translation)) for p in samples) - 0.1
+    margin = 0.5 * (at_samples + near - 0.1)
+    assert margin > near - 0.1 + 1e-6
+    inside = answer(margin).clearance
+    assert inside is not None
+    assert inside.verdict is INFEASIBLE
+    assert inside.pair is not None
+    assert {inside.pair.first, inside.pair.second} == {"ball", "bob"}
+    assert near - 0.1 - 1e-9 < inside.pair.distance < margin
 
 
 def _aside(task: Scenario) -> pin.SE3:
@@ -115,6 +149,26 @@ def test_the_check_names_pair_and_place_at_which_the_controller_stops(task: Scen
     by = found.clearance.stopped_by
     assert {by.first, by.second} == set(steps[-1].binding[0].between)
     assert by.distance == pytest.approx(0.02, abs=1e-4)
+
+
+def test_beyond_the_end_of_an_arms_way_nothing_is_proved() -> None:
+    task = paper_lift()
+    found = check_path(task.cell, task.grasp, task.path, q_start=task.q_start)
+    ways = [arm.chosen.way for arm in found.arms if arm.chosen is not None]
+    segments, rest = segments_of(task.path), task.cell.positions(task.q_start)
+    scene = CollisionScene.of(task, margin=0.005)
+    whole = scene.along(CellWay(task.cell, task.path, segments, ways, rest))
+    assert whole.verdict is CERTIFIED
+    half = len(ways[1].q) // 2
+    ways[1] = replace(ways[1], places=ways[1].places[: half + 1], q=ways[1].q[: half + 1], rates=ways[1].rates[:half])
+    part = CellWay(task.cell, task.path, segments, ways, rest)
+    ended = scene.along(part)
+    assert ended.verdict is UNDECIDED
+    end = float(part.clocks(part.places[-1:])[0])
+    np.testing.assert_allclose(ended.undecided, [[end, task.path.duration]], rtol=0, atol=1e-12)
+    assert f"from {end:.4g} s on nothing is judged" in ended.explain()
+    assert "proved" not in ended.explain()
+    assert ended.room == -np.inf
 
 
 @pytest.mark.parametrize("task", [mixed_cell(), dual_arm7(), ring(arms=3)], ids=lambda task: task.name)
@@ -193,6 +247,7 @@ def test_the_proof_holds_for_a_motion_of_the_elbow_that_evades() -> None:
     assert unled.pair.distance < 0.02
 
 
+@pytest.mark.slow
 def test_an_elbow_that_finds_no_way_is_not_decided() -> None:
     task = elbow_and_knob()
     scene = CollisionScene.of(task, margin=0.02)
@@ -223,6 +278,29 @@ def _in_the_way() -> tuple[Scenario, CollisionScene]:
     ball = Body("ball", Sphere(0.03), pin.SE3(np.eye(3), np.array(0.3 * shoulder + 0.7 * elbow)))
     others = [(arm, body) for arm in ("rx90l", "arm7", "gantry7") for body in ("*",)]
     return task, CollisionScene.of(task, obstacles=[ball], margin=0.005, ignored=[*others, ("arm6c", "object")])
+
+
+def test_of_several_ways_the_first_that_keeps_its_margin_is_chosen() -> None:
+    task = paper_lift()
+    first, *others = task.cell.arm_names
+    x = task.cell.positions(task.q_start)
+    ways = [np.tile(x[own], (2, 3, 1)) for own in task.cell.v_slices]
+    ways[0][1, :, 0] += 0.6  # the second way of the first arm: turned aside
+    tool = CellState(task.cell, task.q_start).T_world_tool[0].translation
+    ball = Body("ball", Sphere(0.02), pin.SE3(np.eye(3), tool + np.array([0.0, 0.0, 0.2])))
+
+    def scene(margin: float) -> CollisionScene:
+        ignored = [(arm, "*") for arm in others]
+        margins = {("ball", first): margin}
+        return CollisionScene.of(task, carried=[], obstacles=[ball], margin=0.0, margins=margins, ignored=ignored)
+
+    near = min(pair.distance for pair in scene(0.0).distances(task.q_start) if "ball" in (pair.first, pair.second))
+    aside = scene(0.0).distances(task.cell.configuration(np.concatenate([ways[0][1, 0], *(w[0, 0] for w in ways[1:])])))
+    far = min(pair.distance for pair in aside if "ball" in (pair.first, pair.second))
+    assert 0.0 < near < 0.9 * far
+    assert scene(0.9 * near).clear_choice(ways) == (0, 0, 0)
+    assert scene(1.05 * near).clear_choice(ways) == (1, 0, 0)
+    assert scene(1.05 * far).clear_choice(ways) is None
 
 
 @pytest.mark.slow
@@ -334,6 +412,7 @@ def test_a_cell_file_with_bodies_is_judged_as_it_runs(
     assert load_cell_file(file).run().finished == (status == 0)
 
 
+@pytest.mark.slow
 def test_the_picture_shows_the_least_distance() -> None:
     found = checked(plate_and_post())
     panel = check_figure(found).axes[-1]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import pickle
+import sys
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -20,11 +21,13 @@ from wrapped import Opaque
 
 import coopqp.collision.bounds_plain as bounds_plain
 from coopqp import (
+    Cause,
     CellFileError,
     CellState,
     Closeness,
     InvalidInputError,
     LimitKind,
+    MissingExtraError,
     Monitor,
     QPController,
     QPOptions,
@@ -53,6 +56,7 @@ from coopqp.collision.distances import KERNEL, Distances, LowerBounds
 from coopqp.collision.evasion import YIELDS, Evasion
 from coopqp.control.constraints import MOST_ROWS, ConstraintTrouble
 from coopqp.model.chain import Chain
+from coopqp.native import compiled
 from coopqp.planning import PathVerdict, check_path
 from coopqp.scenarios import (
     Scenario,
@@ -201,7 +205,9 @@ def test_bounds_that_follow_the_joints_stay_below_the_distances(lift: Scenario) 
 @settings(deadline=None, max_examples=40)
 @given(seed=st.integers(0, 10**6))
 def test_bounds_in_c_are_those_in_numpy(seed: int) -> None:
-    kernel = pytest.importorskip("coopqp.collision._bounds", reason="there is no compiler here")
+    kernel = compiled("distances")
+    if kernel is None:
+        pytest.skip("there is no compiler here")
     rng = np.random.default_rng(seed)
     pairs, nv = int(rng.integers(1, 40)), int(rng.integers(1, 15))
     reach, kinds = rng.uniform(0.0, 2.0, (nv, pairs)), rng.integers(-1, 2, (pairs, nv)).astype(float)
@@ -230,8 +236,16 @@ def test_bounds_in_c_are_those_in_numpy(seed: int) -> None:
 def rows_memory(nv: int, rows: int) -> dict[str, Any]:
     sizes = {"G": rows * nv, "lower": rows, "upper": rows, "soft": rows, "owner": rows}
     of_joints = ("positions", "command", "quiet_centre", "quiet_reach")
-    one = ("dt", "quiet_slack", "quiet_approach")
-    return {name: np.zeros(sizes.get(name, 1 if name in one else nv)) for name in (*sizes, *of_joints, *one)}
+    of_joints += ("quiet_ahead_centre", "quiet_ahead_reach", "knot_positions", "knot_slope", "knot_curvature")
+    one = ("dt", "quiet_slack", "quiet_approach", "quiet_ahead_slack", "quiet_ahead_approach", "knots")
+    found = {name: np.zeros(sizes.get(name, 1 if name in one else nv)) for name in (*sizes, *of_joints, *one)}
+    return {**found, "knot_numbers": np.array([1.0, 0.0])}
+
+
+def max_of_two(scenario: Scenario, of_joints: Any) -> float:
+    """The sum over the joints of the two arms where it is largest."""
+    sums = sorted(float(of_joints[own].sum()) for own in scenario.cell.v_slices)
+    return sum(sums[-2:])
 
 
 @pytest.mark.core
@@ -244,7 +258,8 @@ def test_rows_in_memory_are_those_of_the_definition(scenario: Scenario) -> None:
     nearby = both.in_memory(memory)
     assert nearby is not None
     start, speed = cell.positions(scenario.q_start), np.minimum(cell.limits.velocity, 3.0)
-    x, found, tighter, refused = start, 0, 0, 0
+    x, found, tighter, refused, quiets = start, 0, 0, 0, 0
+    probe, other = Distances(scene), np.random.default_rng(4)
     for i in range(60):
         q, v, blind = cell.configuration(x), rng.uniform(-1.0, 1.0, cell.nv) * speed, bool(i % 7 == 0)
         memory["positions"][:], memory["command"][:], memory["dt"][:] = x, v, dt
@@ -259,10 +274,16 @@ def test_rows_in_memory_are_those_of_the_definition(scenario: Scenario) -> None:
             np.testing.assert_array_equal(memory["G"][: count * cell.nv].reshape(count, cell.nv), rows.G)
             np.testing.assert_array_equal(memory["lower"][:count], rows.lower)
             assert np.isinf(memory["upper"][:count]).all()
-            quiet, slack = definition.quiet, memory["quiet_slack"].item()
-            assert (slack, memory["quiet_approach"].item()) == (quiet.slack, quiet.approach)
-            np.testing.assert_allclose(memory["quiet_reach"], quiet.reach, rtol=1e-9)
-            np.testing.assert_array_equal(memory["quiet_centre"], quiet.centre)
+            quiet = definition.quiet
+            assert memory["quiet_approach"].item() == quiet.approach
+            assert quiet.slack > 0.0 or memory["quiet_slack"].item() < 0.0
+            if memory["quiet_slack"].item() > 0.0:  # all keep their margins where it says so
+                way = other.normal(size=cell.nv)
+                away = max_of_two(scenario, memory["quiet_reach"] * np.abs(way))
+                np.testing.assert_array_equal(memory["quiet_centre"], x)
+                there = probe.all(cell.configuration(x + way * (0.999 * memory["quiet_slack"].item() / away)))
+                assert (there >= scene.built.margins - 1e-8).all()
+                quiets += 1
             lower = definition.tightened(rows, cell.moved(q, dt * v), v, dt)
             assert nearby.tightened() == (lower is not None)
             if lower is not None:
@@ -272,6 +293,7 @@ def test_rows_in_memory_are_those_of_the_definition(scenario: Scenario) -> None:
         x = x + dt * v if i % 3 else start + rng.uniform(-0.8, 0.8, cell.nv)
     assert both.passes == 60 - refused
     assert found >= 10
+    assert quiets >= 5
     assert tighter >= 3
 
 
@@ -281,7 +303,7 @@ def test_rows_in_memory_refuse_what_does_not_fit(lift: Scenario) -> None:
     clearance, memory = Clearance(scene_of(lift, margin=0.0)), rows_memory(lift.cell.nv, 4)
     for name in memory:
         with pytest.raises((ValueError, BufferError)):
-            clearance.in_memory({**memory, name: np.zeros(5)})
+            clearance.in_memory({**memory, name: np.zeros(5)}, ahead="ahead" in name)
     read_only = np.zeros(lift.cell.nv * 4)
     read_only.flags.writeable = False
     with pytest.raises(ValueError, match="fit together"):
@@ -608,8 +630,51 @@ def test_empty_and_huge_meshes_are_refused(tmp_path: Path, triangles: int, said:
 def test_a_hull_much_larger_than_its_mesh_is_named(tmp_path: Path) -> None:
     cube, pair = _cubes([[0, 0, 0]]), _cubes([[0, 0, 0], [0.4, 0, 0]])  # the hull of two is 2.5 times their volume
     meshes = [Body(name, Mesh(_stl(tmp_path / f"{name}.stl", c))) for name, c in (("cube", cube), ("pair", pair))]
-    scene = CollisionScene.of(plate_and_post(), obstacles=meshes)
-    assert scene.notes == ("the hull of the mesh of pair has 2.5 times its volume",)
+    task = plate_and_post()
+    scene = CollisionScene.of(task, obstacles=meshes)
+    said = "pair counts as the convex hull of its mesh, with 2.5 times the volume (decompose takes its parts)"
+    assert scene.notes == (said,)
+    inwards = Body("pair", Mesh(_stl(tmp_path / "inwards.stl", pair[:, ::-1])))
+    assert CollisionScene.of(plate_and_post(), obstacles=[inwards]).notes == (said,)
+    check = check_path(task.cell, task.grasp, task.path, q_start=task.q_start, scene=scene)
+    assert check.clearance is not None
+    assert f"note: {said}." in check.explain().splitlines()
+    assert check.clearance.record()["notes"] == [said]
+    run = simulate(QPController(task.cell, task.grasp, task.path, dt=0.05), q_start=task.q_start)
+    run = with_clearance(run, scene, avoided=False)
+    assert said in next(f.answer for f in judge(task.cell, run, read_run(task.cell, run)) if "clear" in f.question)
+    around = pin.SE3(np.eye(3), task.path.pose(0.0).translation - [0.2, 0.0, 0.0])
+    scene = CollisionScene.of(task, obstacles=[replace(meshes[1], placement=around)])
+    with pytest.raises(InvalidInputError, match=r"and pair overlap .* pair counts as the convex hull of its mesh"):
+        QPController(task.cell, task.grasp, task.path, dt=1e-3, constraints=[Clearance(scene)]).reset(task.q_start)
+
+
+def test_convex_parts_leave_the_gaps_of_a_mesh_free(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    task, centres = plate_and_post(), np.array([[0.0, 0.0, 0.0], [0.4, 0.0, 0.0]])
+    mesh = Body("pair", Mesh(_stl(tmp_path / "pair.stl", _cubes(centres))), pin.SE3(np.eye(3), np.array([3.0, 0, 1])))
+    boxes = [Body("pair", Box((0.1, 0.1, 0.1)), mesh.placement * pin.SE3(np.eye(3), c)) for c in centres]
+    of_boxes = CollisionScene.of(task, obstacles=boxes).distances(task.q_start)
+    for _ in range(2):  # the second time from the cache
+        parts = CollisionScene.of(task, obstacles=[mesh], decompose=["pair"])
+        assert not parts.notes
+        found = {(pair.first, pair.second): pair.distance for pair in parts.distances(task.q_start)}
+        assert found == pytest.approx({(pair.first, pair.second): pair.distance for pair in of_boxes}, abs=2e-5)
+        (kept,) = (tmp_path / "cache" / "coopqp" / "convex").iterdir()
+    kept.write_bytes(kept.read_bytes()[:100])  # a damaged one is made anew
+    assert CollisionScene.of(task, obstacles=[mesh], decompose=["*"]).pairs == parts.pairs
+    assert kept.stat().st_size > 100
+
+
+def test_what_cannot_be_decomposed_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    task, cart = plate_and_post(), Body("cart", Sphere(0.1), pin.SE3(np.eye(3), np.array([9.0, 0, 0])))
+    with pytest.raises(InvalidInputError, match="cart moves"):
+        CollisionScene.of(task, moving=[cart], decompose=["cart"])
+    with pytest.raises(UnknownNameError, match=r"pst.*Did you mean 'post'"):
+        CollisionScene.of(task, decompose=["pst"])
+    monkeypatch.setitem(sys.modules, "coacd", None)
+    with pytest.raises(MissingExtraError, match="decompose"):
+        CollisionScene.of(task, decompose=["post"])
 
 
 # -- scenes --------------------------------------------------------------------------------------------------------
@@ -849,6 +914,36 @@ def test_arms_brake_within_their_accelerations_on_the_path_and_rest_before_the_m
 
 
 @pytest.mark.parametrize("kernel", slow_but_first(KERNELS))
+def test_a_body_that_comes_on_is_named_and_an_overlap_holds(lift: Scenario, kernel: str) -> None:
+    cell, dt, middle = lift.cell, 0.004, (lift.path.pose(0.0) * lift.T_object_body).translation
+    scene = scene_of(lift, moving=[Body("cart", Sphere(0.1), pin.SE3.Identity())])
+    clearance = Clearance(scene)
+    controller = QPController(
+        cell, lift.grasp, lift.path, dt=dt, options=QPOptions(kernel=kernel), constraints=[clearance]
+    )
+    clearance.move("cart", pin.SE3(np.eye(3), middle + np.array([0.0, 0.0, 0.6])))
+    controller.reset(lift.q_start)
+    limit = next(limit for limit in clearance.labels if set(limit.between) == {"object", "cart"})
+    kinds = set()
+    for i in range(150):
+        height = 0.25 - 0.002 * i if i < 100 else 0.6  # through the plate, and away
+        clearance.move("cart", pin.SE3(np.eye(3), middle + np.array([0.0, 0.0, height])), (0, 0, -0.5, 0, 0, 0))
+        step = controller.step()
+        distance = clearance.measured(limit, step.q).distance
+        assert distance is not None
+        inside, named = distance < MARGIN - 1e-6, limit in step.binding
+        kinds.add((inside, distance < 0.0))
+        assert named or not inside, (i, distance, step)
+        if inside:
+            assert "object and cart" in step.reason, (i, distance, step)
+        assert (step.status is Status.HOLDING) == (distance < 0.0), (i, distance, step)
+        if distance < 0.0:
+            assert step.cause is Cause.CLEARANCE
+            assert "overlap" in step.reason
+    assert kinds == {(False, False), (True, False), (True, True)}
+
+
+@pytest.mark.parametrize("kernel", slow_but_first(KERNELS))
 def test_rows_hold_while_nobody_says_where_a_body_is(lift: Scenario, kernel: str) -> None:
     # The path is not known ahead, so rows alone keep the plate below the post; the arms come to rest before it.
     blind = replace(plate_and_post(), path=Opaque(plate_and_post().path, known_ahead=False))
@@ -944,3 +1039,38 @@ def test_bodies_that_overlap_have_a_finite_depth(lift: Scenario) -> None:
     assert (d < 0.0).all()
     assert np.isfinite(2.0 * d).all()
     assert distances.one(0) == d[0]
+
+
+# -- the work of a step ------------------------------------------------------------------------------------------------
+
+
+def posts_around(lift: Scenario, count: int) -> list[Body]:
+    """Spheres 1.3 to 1.6 m from the object, none of them in its way."""
+    rng, middle = np.random.default_rng(8), lift.path.pose(0.0).translation
+    ways = rng.normal(size=(count, 3)) * (1.0, 1.0, 0.2)
+    ways *= rng.uniform(1.3, 1.6, (count, 1)) / np.linalg.norm(ways, axis=1)[:, None]
+    return [Body(f"post {i}", Sphere(0.03), pin.SE3(np.eye(3), middle + way)) for i, way in enumerate(ways)]
+
+
+@pytest.mark.core
+@pytest.mark.skipif(len(KERNELS) < 2, reason="there is no compiler here")
+def test_a_step_asks_for_few_distances(monkeypatch: pytest.MonkeyPatch) -> None:
+    lift, asked, per_step = paper_lift(time_law="quintic"), [0], []
+    ask = pin.computeDistance
+
+    def counts(*arguments: Any) -> Any:
+        asked[0] += 1
+        return ask(*arguments)
+
+    monkeypatch.setattr(pin, "computeDistance", counts)
+    clearance = Clearance(CollisionScene.of(lift, obstacles=posts_around(lift, 12), margin=0.005))
+    controller = QPController(lift.cell, lift.grasp, lift.path, dt=2e-3, constraints=[clearance])
+    controller.reset(lift.q_start)
+    for _ in range(1500):
+        asked[0] = 0
+        step = controller.step()
+        per_step.append(asked[0])
+    assert step.finished
+    assert step.status is Status.TRACKING
+    assert sum(per_step) > 100  # distances are needed, and each is asked by the step that this counts
+    assert max(per_step) <= 16  # 13; where a knot asked for all at once it was up to 60

@@ -129,10 +129,49 @@ def test_the_papers_file_prints_the_papers_figure(tmp_path: Path, capsys: pytest
 @pytest.mark.parametrize("name", CELLS)
 @pytest.mark.slow
 def test_the_cell_files_that_come_with_coopqp_hold(name: str, capsys: pytest.CaptureFixture[str]) -> None:
-    text = example_path(name).read_text(encoding="utf-8").replace("report = true", "")
-    Path("cell.toml").write_text(text, encoding="utf-8")
+    """Unchanged, in an empty folder. The page names the files that the first one writes."""
+    assert cli.main(["schema", "--example", name]) == 0
+    Path("cell.toml").write_text(capsys.readouterr().out, encoding="utf-8")
     assert cli.main(["run", "cell.toml", "--quiet"]) == 0
     assert capsys.readouterr() == ("", "")
+    page = (Path(__file__).parents[1] / "docs" / "howto" / "cell-file.md").read_text(encoding="utf-8")
+    told = set(re.findall(r"`(out/paper_lift/[^`]+)`", page))
+    assert len(told) == 2
+    files = {file.as_posix() for file in Path().rglob("*") if file.is_file()} - {"cell.toml"}
+    assert files == {file.replace("paper_lift", name) for file in told}
+
+
+@pytest.mark.parametrize("product", list(runs.PRODUCTS))
+def test_the_folder_has_the_name_of_the_run_whatever_is_written(product: str) -> None:
+    assert runs.output_folder("mine", None, ["recording", product], out=None, force=False) == Path("out/mine")
+
+
+@pytest.mark.parametrize("link", ["out", "out/small_run", "out/small_run-2"])
+def test_no_link_leads_a_run_out_of_the_working_directory(
+    link: str, cell_file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Nor a link that leads nowhere, nor one in a circle; --out takes any folder."""
+    here = tmp_path / "here"
+    here.mkdir()
+    monkeypatch.chdir(here)
+    Path(link).parent.mkdir(exist_ok=True)
+    if link.endswith("-2"):
+        Path("out/small_run").mkdir()
+        Path("out/small_run/recording.npz").write_bytes(b"")
+    victim = tmp_path / "victim"
+    for there, target in ((True, victim), (False, tmp_path / "nowhere"), (False, Path(link).name)):
+        if there:
+            victim.mkdir()
+        Path(link).symlink_to(target)
+        assert cli.main(["run", str(cell_file), "--quiet"]) == 2
+        assert "--out" in capsys.readouterr().err
+        Path(link).unlink()
+    assert not any(victim.iterdir())
+    assert not (tmp_path / "nowhere").exists()
+    Path(link).symlink_to(victim)
+    assert cli.main(["run", str(cell_file), "--quiet", "--out", "../victim"]) == 0
+    (here / "inside").mkdir()
+    assert runs.output_folder("x", "inside", ["recording"], out=None, force=False) == Path("inside")
 
 
 #: Changes of the small cell, and the last line of its run: why, where (arm, joint, limit) and since when.

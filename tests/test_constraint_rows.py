@@ -131,6 +131,9 @@ class Sighted:
     def nearest(self, q: Array) -> None:
         return None
 
+    def inside(self, q: Array) -> tuple[BindingLimit, ...]:
+        return ()
+
 
 def limited(task: Scenario, acceleration: float, **limits: Any) -> Scenario:
     return dataclasses.replace(task, cell=task.cell.with_limits(acceleration=acceleration, **limits))
@@ -162,10 +165,11 @@ class Run:
         return {s.status for s in self.steps}
 
 
-def drive(controller: QPController, steps: int) -> Run:
-    """At most this number of steps: to the end of the path, or till the object has stood for :data:`BLOCKED` steps."""
+def drive(controller: QPController, steps: int, velocity: Array | float = 0.0) -> Run:
+    """At most this number of steps: to the end of the path, or till the object has stood for :data:`BLOCKED` steps. The
+    joints begin at a velocity (nv,)."""
     run, blocked = Run([]), 0
-    before = np.zeros(controller.cell.nv)
+    before = np.zeros(controller.cell.nv) + velocity
     limits = controller.cell.limits
     of_rows = [c for c in controller.constraints if isinstance(c, VelocityConstraint)]
     for _ in range(steps):
@@ -483,20 +487,9 @@ def test_nonsense_at_the_start_is_a_named_error(name: str, kernel: str) -> None:
 @pytest.mark.parametrize("kernel", KERNELS)
 @pytest.mark.parametrize("acceleration", [np.inf, 10.0])
 def test_any_nonsense_in_motion_holds_by_name_until_it_ends(acceleration: float, kernel: str) -> None:
-    holds_by_name(acceleration, kernel, NONSENSE)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("kernel", KERNELS)
-@pytest.mark.parametrize("name", ["raises its own", "NaN in G", "lines raise"])
-def test_nonsense_in_motion_holds_by_name_until_it_ends(name: str, kernel: str) -> None:
-    holds_by_name(10.0, kernel, [name])
-
-
-def holds_by_name(acceleration: float, kernel: str, names: list[str]) -> None:
     task = limited(paper_lift(time_law="quintic", duration=1.0), acceleration)
     in_motion: dict[type, tuple[QPController, ControlStep]] = {}
-    for name in names:
+    for name in NONSENSE:
         good = nonsense(name, task.cell.nv)
         if type(good) not in in_motion:
             controller = started(task, [Box(task.grasp, (-FAR,) * 3, (FAR,) * 3), good], kernel)
@@ -505,7 +498,7 @@ def holds_by_name(acceleration: float, kernel: str, names: list[str]) -> None:
         constraint: Any = controller.constraints[1]
         spoil(constraint, name, task.cell.nv)
         held = []
-        for _ in range(80):
+        for _ in range(130):  # what is known ahead, 40 steps at least, was right
             step = controller.step()
             assert np.isfinite(step.velocity).all()
             assert (np.abs(step.velocity - before.velocity) <= task.cell.limits.acceleration * DT + 1e-9).all()
@@ -515,7 +508,7 @@ def holds_by_name(acceleration: float, kernel: str, names: list[str]) -> None:
         assert held[-1], name
         assert float(np.abs(before.velocity).max()) < 1e-6, name
         constraint.make = good.make
-        run = drive(controller, 1000)
+        run = drive(controller, 1000, before.velocity)
         assert run.last.finished, name
 
 

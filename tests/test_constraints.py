@@ -153,6 +153,34 @@ def test_a_slow_elbow_slows_the_object_on_its_path(kernel: str, acceleration: fl
     assert lowest < 0.9
 
 
+class Scaled:
+    """Rows of another constraint, in other units."""
+
+    def __init__(self, other: ElbowSpeed | Box, scale: float, rank: Rank) -> None:
+        self.other, self.scale, self.name, self.rank = other, scale, other.name, rank
+
+    def rows(self, state: CellState, dt: float) -> tuple[Array, Array, Array]:
+        G, lower, upper = (self.scale * x for x in self.other.rows(state, dt))
+        return G, lower, upper
+
+
+@pytest.mark.parametrize("rank", [Rank.LIMITS, Rank.CLEARANCE])
+@ACCELERATIONS
+def test_rows_in_tiny_units_bind_as_they_say(kernel: str, acceleration: float, rank: Rank, rng: Any) -> None:
+    """Whatever their scale, the elbow keeps its speed; where they have lost their digits they are refused by name."""
+    lift = paper_lift(duration=1.5, time_law="linear")
+    for scale in (1e-14, 10.0 ** -float(rng.uniform(4.0, 250.0))):
+        controller = made(lift, kernel, Scaled(ElbowSpeed(0.03), scale, rank), acceleration=acceleration)
+        named = False
+        for _ in range(60):
+            step = controller.step()
+            assert np.abs(elbow(CellState(lift.cell, step.q)) @ step.velocity).max() <= 0.03 + 1e-8
+            named = named or any(b.name == "elbow" for b in step.binding)
+        assert named
+    with pytest.raises(InvalidInputError, match="constraint elbow: the largest entry of row 0"):
+        made(lift, kernel, Scaled(ElbowSpeed(0.03), 1e-300, rank)).reset(lift.q_start)
+
+
 def test_a_rate_bound_holds_along_the_whole_path(kernel: str) -> None:
     lift = paper_lift(duration=1.5)
     controller = made(lift, kernel, Speed(0.2), acceleration=5.0)

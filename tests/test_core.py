@@ -230,10 +230,10 @@ def test_its_qp_is_that_of_the_program(make: Callable[[], Scenario], acceleratio
     for i in range(40):
         done = [loop.step(q) for loop in loops]
         q = done[1].q_next if i % 2 else None
-        if i:  # the first step has more than one
-            assert len(shown[0].problems) == len(shown[1].problems) == 1
-            alike(shown[0].problems[0], shown[1].problems[0])
-            sizes.add(len(shown[0].problems[0].b))
+        if i:  # the first step has more than one; of a long one the definition solves all again
+            assert min(len(solver.problems) for solver in shown) >= 1
+            alike(shown[0].problems[-1], shown[1].problems[-1])
+            sizes.add(len(shown[0].problems[-1].b))
         for solver in shown:
             solver.problems.clear()
     assert sizes >= {0, 1}
@@ -400,7 +400,7 @@ def test_a_core_is_built_once_and_before_it_is_used(paper: Scenario) -> None:
     for call in (
         raw.step, raw.observe, raw.propose, raw.commit, lambda: raw.advance(1), lambda: raw.start(np.zeros(18)),
         lambda: raw.start_path(0.0, 1.0), lambda: raw.read(1.0), lambda: raw.bind_knots(None),
-        lambda: raw.set_path(np.zeros(3), None, None, 1.0, False), lambda: raw.make_steps(int, None, ()),
+        lambda: raw.set_path(np.zeros(3), None, None, 1.0, False, False), lambda: raw.make_steps(int, None, ()),
         lambda: raw.linearise(*[np.zeros(3)] * 4),
     ):  # fmt: skip
         with pytest.raises(RuntimeError, match="not built"):
@@ -510,12 +510,12 @@ def test_paths_that_are_no_numbers_are_refused(paper: Scenario) -> None:
         None, "path",
     ):  # fmt: skip
         with pytest.raises((ValueError, TypeError)):
-            core.set_path(bad, None, None, 1.0, False)
+            core.set_path(bad, None, None, 1.0, False, False)
     for bad in (None, np.zeros(11), np.zeros(12, dtype=np.float32), "pose"):
         with pytest.raises((ValueError, TypeError)):
-            core.set_path(np.array([1.0, 0.0, 0.0]), lambda clock, twist: True, bad, 1.0, False)
-    core.set_path(good, None, None, paper.path.duration, True)  # the path that was refused has changed nothing
-    core.set_path(np.array([1.0, 0.0, 0.0]), lambda clock, twist: False, pose, 1.0, False)
+            core.set_path(np.array([1.0, 0.0, 0.0]), lambda clock, twist: True, bad, 1.0, False, False)
+    core.set_path(good, None, None, paper.path.duration, True, False)  # the path that was refused has changed nothing
+    core.set_path(np.array([1.0, 0.0, 0.0]), lambda clock, twist: False, pose, 1.0, False, True)
     assert core.step() is None or core.step().status.name == "HOLDING"
 
 
@@ -533,7 +533,7 @@ def test_memory_lives_as_long_as_its_core(paper: Scenario, make_cell: Callable[.
     """The core keeps its blocks: nothing else needs to."""
     blocks, places, sizes = built(loop_of(paper))
     core = native.Core(blocks, places, sizes)
-    core.set_path(paper.path.packed(), None, None, paper.path.duration, False)
+    core.set_path(paper.path.packed(), None, None, paper.path.duration, False, False)
     core.start(paper.q_start)
     core.start_path(0.0, 1.0)
     del blocks

@@ -259,6 +259,7 @@ def held(lift: Scenario, **options: Any) -> tuple[PhysicsPlant, float, float]:
     return plant, 1e3 * float(np.linalg.norm(off)), float(np.linalg.norm(internal[:, :3], axis=1).max())
 
 
+@pytest.mark.slow
 def test_at_rest_an_exact_model_holds_as_position_servos_do(lift: Scenario) -> None:
     for servo in ("position", "computed torque", "disturbance observer"):
         plant, sank, internal = held(lift, servo=servo)
@@ -268,6 +269,7 @@ def test_at_rest_an_exact_model_holds_as_position_servos_do(lift: Scenario) -> N
         assert plant.limited_joints == ()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("off", [0.5, 1.5])
 def test_the_observer_holds_what_computed_torque_lets_sink(lift: Scenario, off: float) -> None:
     """Wrong masses sink the plate by millimetres, and squeeze it; only sensors tell the drives of a squeeze."""

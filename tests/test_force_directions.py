@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 import pytest
+from marks import slow_but_first
 
 from coopqp import (
     Array,
@@ -98,7 +99,7 @@ def test_with_all_directions_it_is_what_the_servos_yield() -> None:
 
 
 @pytest.mark.filterwarnings("ignore::coopqp.StartWarning")
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", slow_but_first(KINDS))
 def test_in_the_engine_forces_relax_and_positions_stay(task: Scenario, kind: str) -> None:
     """A base off by 1 mm and 0.1°: what is minded relaxes, position-controlled directions keep to 1 µm; it goes on."""
     mind, axis = np.array(KINDS[kind], dtype=float), np.ones(3) / np.sqrt(3.0)

@@ -80,7 +80,7 @@ def test_a_control_program_starts_without_scipy() -> None:
     """SciPy's optimisers take longer to import than coopqp."""
     program = """
 import sys
-from coopqp import Grasp, Monitor, QPController, Recording, RobotCell, simulate
+from coopqp import ForceController, Grasp, Monitor, QPController, Recording, RobotCell, simulate
 from coopqp.scenarios import paper_lift
 assert not [name for name in sys.modules if name.startswith("scipy.")]
 """
@@ -97,3 +97,10 @@ def test_importing_says_nothing() -> None:
         check=False,
     )
     assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
+
+
+@pytest.mark.parametrize("first", ["coopqp.collision.clearance", "coopqp.control.verdict", "coopqp.control.plain"])
+def test_no_room_has_to_be_imported_before_another(first: str) -> None:
+    """The command imports bodies before controllers, programs the other way round."""
+    done = subprocess.run([sys.executable, "-c", f"import {first}"], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr

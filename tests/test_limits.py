@@ -129,11 +129,17 @@ def test_a_joint_has_its_own_box_whatever_the_others_have(seed: int, dt: float) 
     assert together.any_outside == together.outside.any()
 
 
-def test_without_any_limit_there_is_none() -> None:
+@pytest.mark.parametrize("dt", [1e-3, 0.01])
+def test_without_any_limit_a_joint_moves_by_so_much_in_a_step_and_a_hold_brakes_it(dt: float) -> None:
     box = box_of([-np.inf] * 3, np.inf, np.inf, np.inf)
-    box.update(np.array([0.0, 1e6, -1e6]), np.array([0.0, 5.0, -1e9]), 0.01)
-    assert (box.upper == np.inf).all()
-    assert (box.lower == -np.inf).all()
+    x, v = np.array([0.0, 1e6, -1e6]), np.array([0.0, 4.0, -1e9])
+    box.update(x, v, dt)
+    np.testing.assert_allclose(dt * box.upper, 0.05)
+    np.testing.assert_array_equal(box.lower, -box.upper)
+    assert box.kind_of(1, 1.0, v, dt) is LimitKind.VELOCITY
+    box.update(x, v, dt, hold=True)
+    np.testing.assert_allclose(box.upper, [1.0, 2.0, 0.05 / dt])  # half as fast in each step, down to 1 rad/s
+    np.testing.assert_array_equal(box.lower, -box.upper)
     assert not box.accelerates
     assert not box.outside.any()
 
@@ -141,8 +147,8 @@ def test_without_any_limit_there_is_none() -> None:
 def test_without_acceleration_limits_the_last_step_ends_at_the_limit() -> None:
     box = box_of([-1.0, -1.0, -np.inf], [1.0, 1.0, 2.0], [3.0, np.inf, np.inf], np.inf)
     box.update(np.array([0.99, -0.5, 0.0]), np.full(3, 99.0), 0.01)
-    np.testing.assert_allclose(box.upper, [1.0, 150.0, 200.0], rtol=1e-12)
-    np.testing.assert_allclose(box.lower, [-3.0, -50.0, -np.inf], rtol=1e-12)
+    np.testing.assert_allclose(box.upper, [1.0, 5.0, 5.0], rtol=1e-12)  # 0.05 rad in a step without a velocity limit
+    np.testing.assert_allclose(box.lower, [-3.0, -5.0, -5.0], rtol=1e-12)
 
 
 # -- stopping distance -------------------------------------------------------------------------------------------------

@@ -120,7 +120,7 @@ def assert_closed_form(case: Case) -> None:
 def test_without_limits_the_shares_are_the_closed_form_and_torques_those_of_inverse_dynamics(
     random_case: Callable[..., Case], rng: np.random.Generator
 ) -> None:
-    for _ in range(40):
+    for _ in range(15):
         assert_closed_form(random_case(rng))
 
 
@@ -164,6 +164,7 @@ def test_an_internal_target_is_met_without_a_trace_in_the_motion(
         np.testing.assert_allclose(again.internal, shared.internal, atol=1e-9 * scale)
 
 
+@pytest.mark.slow
 def test_limits_are_kept_and_the_largest_share_is_that_of_a_linear_program(
     random_case: Callable[..., Case], rng: np.random.Generator
 ) -> None:

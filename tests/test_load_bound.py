@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from typing import Any
 
 import numpy as np
@@ -178,6 +179,7 @@ def test_the_fastest_lifts_of_the_paper_s_cell(paper: Scenario) -> None:
         time_path(cell, paper.grasp, paper.path, q_start=paper.q_start, bounds=[heaviest], knots=60)
 
 
+@pytest.mark.slow
 def test_a_bound_is_one_limit_among_others(paper: Scenario) -> None:
     cell = paper.cell.with_limits(acceleration=20.0)
     load = LoadShare(cell, paper.grasp, box(paper, 45.0), internal_force=50.0)
@@ -193,23 +195,72 @@ def test_a_bound_is_one_limit_among_others(paper: Scenario) -> None:
 
 
 def test_a_bound_of_one_s_own_counts_in_the_timing(paper: Scenario) -> None:
-    """A speed limit of the object, as a line, gives the time of a trapezoid without its ramps."""
+    """A limit of σ gives the time of a trapezoid without its ramps; a knot has the clock of a run at constant speed."""
+    knots: list[Knot] = []
 
     class Slow:
         name = "slow"
 
-        def lines(self, knot: Any) -> tuple[Array, Array, Array]:
-            return np.array([1.0]), np.array([0.0]), np.array([0.05**2])  # ṡ ≤ 0.05 m/s
+        def lines(self, knot: Knot) -> tuple[Array, Array, Array]:
+            knots.append(knot)
+            return np.array([1.0]), np.array([0.0]), np.array([0.1**2])  # σ ≤ 0.1
 
     cell = paper.cell.with_limits(acceleration=50.0)
     path = time_path(cell, paper.grasp, paper.path, q_start=paper.q_start, bounds=[Slow()], share=1.0, knots=60)
-    assert path.duration == pytest.approx(path.profile.s[-1] / 0.05, rel=0.05)
+    assert path.duration == pytest.approx(paper.path.duration / 0.1, rel=0.05)
+    clocks = np.array([knot.clock for knot in knots])
+    assert (clocks.min(), clocks.max()) == pytest.approx((0.0, paper.path.duration))
+    for last, knot in itertools.pairwise(knots):
+        if knot.clock > last.clock:
+            assert knot.span == pytest.approx(knot.clock - last.clock)
+            between = knot.state.q - last.state.q
+            np.testing.assert_allclose(between / knot.span, 0.5 * (knot.slope + last.slope), atol=1e-3)
 
-    class Bad(Slow):
+
+@pytest.mark.parametrize("slowest", [0, 1, 2])
+def test_the_bound_that_binds_is_named(paper: Scenario, slowest: int) -> None:
+    class Slow:
+        def __init__(self, k: int) -> None:
+            self.name, self.rate = f"bound {k}", 0.05 if k == slowest else 0.1 + 0.1 * k
+
+        def lines(self, knot: Knot) -> tuple[Array, Array, Array]:
+            return np.array([1.0]), np.array([0.0]), np.array([self.rate**2])
+
+    cell = paper.cell.with_limits(acceleration=50.0)
+    bounds = [Slow(k) for k in range(3)]
+    path = time_path(cell, paper.grasp, paper.path, q_start=paper.q_start, bounds=bounds, share=1.0, knots=30)
+    named = {limit.name for limit in path.profile.binding[5:-5] if limit is not None}
+    assert named == {f"bound {slowest}"}
+
+
+@pytest.mark.parametrize("duration", [1.0, 4.0])
+def test_a_bound_in_joint_speeds_does_not_hang_on_the_path_s_own_time(paper: Scenario, duration: float) -> None:
+    class Gentle:
+        name = "gentle"
+
+        def lines(self, knot: Knot) -> tuple[Array, Array, Array]:
+            return knot.slope[:6] ** 2, np.zeros(6), np.full(6, 0.1**2)  # |q̇| ≤ 0.1 rad/s
+
+    cell = paper.cell.with_limits(acceleration=50.0)
+    motion = LinePath(paper.path.pose(0.0), paper.path.pose(paper.path.duration), duration=duration)
+    path = time_path(cell, paper.grasp, motion, q_start=paper.q_start, bounds=[Gentle()], share=1.0, knots=60)
+    slow = cell.with_limits(velocity=np.where(np.arange(18) < 6, 0.1, cell.limits.velocity))
+    own = time_path(slow, paper.grasp, motion, q_start=paper.q_start, share=1.0, knots=60)
+    assert path.duration == pytest.approx(own.duration, rel=5e-3)  # speeds are refined between knots
+
+
+def test_a_bound_that_fails_is_named(paper: Scenario) -> None:
+    cell = paper.cell.with_limits(acceleration=50.0)
+
+    class Bad:
         name = "bad"
 
-        def lines(self, knot: Any) -> tuple[Array, Array, Array]:
-            return np.array([1.0]), np.array([0.0]), np.array([np.nan])
+        def __init__(self, c: Any) -> None:
+            self.c = c
 
-    with pytest.raises(InvalidInputError, match="bad"):
-        time_path(cell, paper.grasp, paper.path, q_start=paper.q_start, bounds=[Bad()], knots=60)
+        def lines(self, knot: Knot) -> tuple[Array, Array, Array]:
+            return np.array([1.0]), np.array([0.0]), np.array([float(self.c)])
+
+    for c, why in ((np.nan, "bad: its a, b and c are not finite"), ("one", "bad raised ValueError: could not convert")):
+        with pytest.raises(InvalidInputError, match=why):
+            time_path(cell, paper.grasp, paper.path, q_start=paper.q_start, bounds=[Bad(c)], knots=60)

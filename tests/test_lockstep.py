@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 import pytest
+from hypothesis import settings
 from marks import slow_but_first, slow_unless
 
 from coopqp import (
@@ -50,14 +51,19 @@ from coopqp.scenarios import (
     scenario,
 )
 
-pytestmark = pytest.mark.skipif("compiled" not in available_kernels(), reason="there is no compiled core here")
+if "compiled" not in available_kernels():
+    pytest.skip("there is no compiled core here", allow_module_level=True)
 
 #: Largest difference of joint velocities [rad/s or m/s].
 SAME = 1e-9
 #: The same at a stop: there the rate is the root of what rounding leaves.
 SAME_AT_REST = 1e-8
-#: The same after many holds under acceleration limits: each of them hands the rounding of the last on, magnified.
+#: The same in fast turns and near singularities.
 DISTURBED = 5e-8
+#: A step hands on by how much the last ones differed, magnified where the rate falls to what the slowest joint can do.
+MAGNIFIED = 2.0
+#: Nothing may grow beyond this in a run [rad/s or m/s].
+GROWN = 1e-6
 #: What one sample of a run feeds to a step: the measured configuration (nq,) or None, and dt.
 Inputs = Callable[[int, list[Array]], tuple[Any, Any]]
 
@@ -69,8 +75,7 @@ def pair(task: Scenario, *, path: Callable[[], ObjectPath] | None = None, dt: fl
         given = QPOptions(kernel=kernel, **options)
         follow = task.path if path is None else path()
         made.append(QPController(task.cell, task.grasp, follow, dt=dt or task.dt, options=given))
-    if made[0].kernel == "plain":
-        pytest.skip("the core leaves this robot to the plain definition")
+    assert made[0].kernel == "compiled", "the core leaves this robot to the plain definition: nothing is compared"
     for controller in made:
         controller.reset(task.q_start)
     return Pair(*made)
@@ -87,6 +92,7 @@ class Pair:
     seen: set[Status] = dataclasses.field(default_factory=set)
     lowest: float = 1.0
     made: list[tuple[ControlStep, ControlStep]] = dataclasses.field(default_factory=list)
+    parted: tuple[float, float] = (0.0, 0.0)
 
     def step(self, q: Any = None, dt: Any = None) -> ControlStep:
         """One step of both, compared."""
@@ -121,23 +127,36 @@ class Pair:
         (one, other), same = zip(*self.made, strict=True), self.same
         self.made = []
         rates = [b.rate for b in other]
-        near = np.where(np.array(rates) < 1e-6, max(same, SAME_AT_REST), same)
+        inherited = self._inherited(one, other)
+        near = np.where(np.array(rates) < 1e-6, max(same, SAME_AT_REST), same) + inherited
+        same = same + inherited
         self._near(one, other, "velocity", near[:, None])
-        self._near(one, other, "q_next", same)
+        self._near(one, other, "q_next", same[:, None])
+        self._near(one, other, "commanded_apart", 10.0 * same)
         for name in ("rate", "clock_next"):
             self._near(one, other, name, 100.0 * same)
-        for name in ("status", "binding", "reason", "dt"):
+        for name in ("status", "cause", "binding", "reason", "dt"):
             mine, its = ([getattr(step, name) for step in steps] for steps in (one, other))
             assert mine == its, self.where(one, other, [x != y for x, y in zip(mine, its, strict=True)], name)
         for name in ("rate", "clock", "clock_next", "dt", "finished"):  # a recording writes them as JSON
             mine, its = ([type(getattr(step, name)) for step in steps] for steps in (one, other))
             assert mine == its, self.where(one, other, [x is not y for x, y in zip(mine, its, strict=True)], name)
         one_lost, its_lost = ([step.given_up for step in steps] for steps in (one, other))
-        self._near(one_lost, its_lost, "off_path", same, one, other)
+        self._near(one_lost, its_lost, "off_path", same[:, None], one, other)
         for name in ("rate", "grasp", "path", "chain"):
             self._near(one_lost, its_lost, name, 1e4 * same, one, other)
         self.seen.update(b.status for b in other)
         self.lowest = min(self.lowest, *rates)
+
+    def _inherited(self, one: Sequence[ControlStep], other: Sequence[ControlStep]) -> Array:
+        """What each step may differ by because the last one did: a joint at its limit makes up in one step for what its
+        positions differ by."""
+        turn = np.array([0.0, *(np.abs(a.velocity - b.velocity).max() for a, b in zip(one, other, strict=True))])
+        place = np.array([0.0, *(np.abs(a.q_next - b.q_next).max() for a, b in zip(one, other, strict=True))])
+        turn[0], place[0] = self.parted
+        self.parted = turn[-1], place[-1]
+        handed = MAGNIFIED * turn[:-1] + place[:-1] / np.array([step.dt for step in other])
+        return np.minimum(handed, GROWN)
 
     def _near(self, mine: Sequence[Any], its: Sequence[Any], name: str, near: Any, *steps: Sequence[Any]) -> None:
         """The numbers of that name differ by so much at most; of a number that is none no comparison is true."""
@@ -314,12 +333,43 @@ def test_both_agree_in_short(mode: str) -> None:
         assert run_in(mode, ASKEW, 150).seen >= {Status.SLOWED}
 
 
+#: Scenarios whose arms have fewer than six joints, which the core leaves to the plain definition.
+FEW_JOINTS = ("five_joint_pair", "scara_pair")
+
+
+@pytest.mark.parametrize("name", sorted(set(SCENARIOS) - set(LOADED)))
+def test_the_core_takes_every_cell_whose_arms_have_six_joints_or_more(name: str) -> None:
+    task = ready(name)
+    few = min(arm.model.nv for arm in task.cell.arms) < 6
+    assert few == (name in FEW_JOINTS)
+    controller = QPController(task.cell, task.grasp, task.path, dt=task.dt)
+    assert controller.kernel == ("plain" if few else "compiled")
+
+
+#: Whether every scenario meets every mode.
+NIGHTLY = settings.get_current_profile_name() == "nightly"
+#: Cells that always do.
+IN_FULL = ("paper_lift", "mixed_cell", "dual_arm7", "at_limit")
+
+
 def every_run() -> Iterator[Any]:
-    """Each scenario in each mode. Under the sanitizers the core runs those in three cells that it has not in short."""
-    for name in sorted(set(SCENARIOS) - set(LOADED)):
-        for mode in MODES:
-            sanitized = name in ("paper_lift", "mixed_cell", "at_limit") and mode not in IN_SHORT
-            yield pytest.param(name, mode, marks=[pytest.mark.core] if sanitized else [])
+    """Each scenario that the core takes with each mode; of most a third of the modes in turn, all of them at night.
+
+    Sanitized: those in three cells that it has not in short.
+    """
+    for i, name in enumerate(sorted(set(SCENARIOS) - set(LOADED) - set(FEW_JOINTS))):
+        for k, mode in enumerate(MODES):
+            if name in IN_FULL or (i + k) % 3 == 0 or NIGHTLY:
+                sanitized = name in ("paper_lift", "mixed_cell", "at_limit") and mode not in IN_SHORT
+                yield pytest.param(name, mode, marks=[pytest.mark.core] if sanitized else [])
+
+
+def limited_runs() -> Iterator[Any]:
+    """Three cells in each mode, with one of two accelerations in turn; at night with both."""
+    for i, make in enumerate((paper_lift, dual_arm7, mixed_cell)):
+        for k, mode in enumerate(MODES):
+            for acceleration in (5.0, 10.0) if NIGHTLY else ((5.0, 10.0)[(i + k) % 2],):
+                yield pytest.param(make, mode, acceleration, id=f"{make.__name__}-{mode}-{acceleration}")
 
 
 @pytest.mark.slow
@@ -333,9 +383,7 @@ def test_both_agree_on_every_scenario(name: str, mode: str) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("acceleration", [5.0, 10.0])
-@pytest.mark.parametrize("mode", MODES)
-@pytest.mark.parametrize("make", [paper_lift, dual_arm7, mixed_cell], ids=lambda make: make.__name__)
+@pytest.mark.parametrize(("make", "mode", "acceleration"), [*limited_runs()])
 def test_both_agree_under_acceleration_limits(make: Callable[[], Scenario], mode: str, acceleration: float) -> None:
     run_in(mode, limited(make, acceleration), 150 if "corrupted" in mode else 250, same=DISTURBED)
 
@@ -612,6 +660,30 @@ def test_both_agree_on_a_path_that_is_not_known_ahead(acceleration: float) -> No
         assert run.seen >= {Status.TRACKING}
 
 
+#: Modes of the inputs in which rows that brake all arms together are compared.
+BLIND = ("nominal", "measured late, with noise", "one arm lags", "samples lost", "uneven steps")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("mode", BLIND)
+@pytest.mark.parametrize("acceleration", [np.inf, 5.0])
+def test_both_brake_together_where_a_path_that_is_not_known_ahead_runs_out_of_reach(
+    acceleration: float, mode: str
+) -> None:
+    """Of two cells one in turn; at night both."""
+    options, inputs = MODES[mode]
+    cells = ((paper_lift, (0.6, 0.2, 0.5)), (mixed_cell, (-0.3, 0.7, 0.1)))
+    turn = (BLIND.index(mode) + bool(np.isfinite(acceleration))) % 2
+    for make, way in cells if NIGHTLY else (cells[turn],):
+        task = limited(make, acceleration)
+        line = LinePath.displaced(task.path.pose(0.0), translation=way, duration=1.6, time_law="quintic")
+        run = pair(task, path=lambda line=line: Own(line, known_ahead=False), dt=0.008, **options)
+        run.same = DISTURBED
+        run.run(220, inputs(task, 0.008))
+        assert run.lowest < 0.9
+        assert np.abs(run.told[-1] - run.told[0]).max() > 0.1
+
+
 class Failing(Own):
     """It fails, or jumps, from a clock on, while its owner says so."""
 
@@ -682,6 +754,21 @@ def test_both_agree_on_moving_targets(acceleration: float, make: Callable[[], Sc
     assert run.seen >= {Status.TRACKING, Status.SLOWED} or not np.isfinite(acceleration)
 
 
+@pytest.mark.core
+@pytest.mark.parametrize("acceleration", [np.inf, 10.0])
+def test_both_agree_on_targets_that_change_while_the_object_turns(acceleration: float) -> None:
+    """The object's frame is askew to the world, and both halves of its velocity are there as the way is changed."""
+    task = limited(paper_lift, acceleration)
+    start = task.path.pose(0.0)
+    run = pair(task, path=lambda: ServoPath(start), dt=0.005)
+    run.same = DISTURBED
+    for turn, way in (((0.3, -0.2, 0.4), (0.02, 0.03, 0.05)), ((-0.2, 0.4, 0.1), (-0.03, 0.0, 0.04)), (None, None)):
+        goal = start if turn is None else pin.SE3(start.rotation @ pin.exp3(np.array(turn)), start.translation + way)
+        run.both(lambda c, T=goal: c.retarget(T))
+        run.run(30)
+    assert run.seen >= {Status.TRACKING}
+
+
 @pytest.mark.slow
 @pytest.mark.core
 def test_both_agree_when_another_path_is_followed_in_motion() -> None:
@@ -693,6 +780,18 @@ def test_both_agree_when_another_path_is_followed_in_motion() -> None:
             run.compiled.step()
             run.both(lambda c, a=here, b=goal: c.follow(LinePath(a, b, duration=1.0, time_law="linear")))
             run.run(90, noisy(task.cell, size=1e-5))
+
+
+@pytest.mark.core
+@pytest.mark.parametrize("acceleration", [1e2, 1e3, 1e4, 1e6])
+@pytest.mark.parametrize("dt", [0.01, 0.06])
+def test_both_agree_and_finish_however_far_joints_get_in_a_step(acceleration: float, dt: float) -> None:
+    task = limited(paper_lift, acceleration)
+    start, rng = task.path.pose(0.0), np.random.default_rng(5)
+    by = {"translation": rng.normal(size=3) * 0.05, "rotation": rng.normal(size=3) * 0.1}
+    run = pair(task, path=lambda: LinePath.displaced(start, duration=0.8, **by), dt=dt)
+    run.run(int(1.2 / dt))
+    assert run.plain.step().clock == 0.8
 
 
 @pytest.mark.core
@@ -767,26 +866,37 @@ def test_arms_with_few_joints_run_by_the_plain_definition() -> None:
 IN_PYTHON: dict[str, dict[str, str]] = {
     "control.limits": {
         "LIMIT_TOLERANCE": "LIMIT_TOLERANCE", "STILL_SLOPE": "_STILL", "RECOVERY_SHARE": "VelocityBox.RECOVERY_SHARE",
-        "INSIDE": "VelocityBox.INSIDE", "BRAKING_SHARE": "BRAKING_SHARE",
+        "INSIDE": "VelocityBox.INSIDE", "BRAKING_SHARE": "BRAKING_SHARE", "LARGEST_MOVE": "LARGEST_MOVE",
+        "HELD_SPEED": "HELD_SPEED", "HELD_SHARE": "HELD_SHARE",
     },
     "control.ranks": {"AT_LIMIT": "_AT_LIMIT", "RESIDUE_TOLERANCE": "RESIDUE_TOLERANCE"},
     "control.solvers.polish": {"LARGEST_X": "REACH"},
     "task.guarded": {
         "FASTEST_PATH": "FASTEST_PATH", "TURN_LENGTH": "TURN_LENGTH", "KINK_WIDTH": "_KINK_WIDTH",
         "KINK_SHARE": "_KINK_SHARE", "LEAST_KINK": "_LEAST_KINK",
+        "JUMP_WIDTH": "_JUMP_WIDTH", "LEAST_JUMP": "_LEAST_JUMP",
+        "STEEP_WIDTH": "_STEEP_WIDTH", "STEEP_SHARE": "_STEEP_SHARE",
     },
     "model.chain": {"LARGE_INVERSE": "_LARGE_INVERSE", "FAR_EDGE": "_FAR_EDGE"},
     "model.inverse_kinematics": {"LONGEST_STEP": "_LONGEST_STEP"},
-    "control.linearised": {"SETTLED": "SETTLED", "EXTRA_AT_START": "EXTRA_AT_START"},
+    "control.linearised": {name: name for name in ("SETTLED", "EXTRA_AT_START", "LONG_STEP", "BENT_STEP")},
     "control.plain": {name: name for name in ("LEAST_PACE", "NEGLIGIBLE", "MOST_TIGHTENINGS")},
     "control.rate_cap": {"RATE_ROUNDING": "RATE_ROUNDING"},
-    "control.verdict": {"ARRIVING": "ARRIVING"},
-    "planning.preview": {"STEPS_TO_GROW": "_STEPS_TO_GROW", "NEWTON_STEPS_AT_START": "_NEWTON_STEPS_AT_START"},
+    "control.verdict": {
+        name: name for name in ("ARRIVING", "RESTING_SPEED", "RESTING_SPIN", "STILL_BLOCKED", "STILL_SLOWED")
+    },
+    "planning.preview": {
+        name: f"_{name}"
+        for name in (
+            "STEPS_TO_GROW", "NEWTON_STEPS_AT_START", "LEAST_ASKED", "ASKED_PER_TIME", "SHORT_STEP", "STEPS_TO_ASK",
+        )
+    },
     "planning.preview_options": {
         "STEPS_TO_FULL_SPEED": "STEPS_TO_FULL_SPEED", "STEPS_TO_EDGE": "_STEPS_TO_EDGE",
     },
     "planning.growth": {
-        name: f"_{name}" for name in ("PASSABLE", "GROWTH", "LONGEST_WAY", "MOST_KNOTS", "KINK_CELL", "SAME_CLOCK")
+        name: f"_{name}"
+        for name in ("PASSABLE", "GROWTH", "LONGEST_WAY", "MOST_KNOTS", "KINK_CELL", "SAME_CLOCK", "BESIDE_KINK")
     } | {"MOST_KINKS": "MOST_KINKS"},
     "planning.horizon": {
         name: f"_{name}" for name in ("KNOTS_PER_PASS", "MOST_GUESSES", "SHORT_OF", "SHORTER", "LEAST_RATE")
@@ -797,6 +907,7 @@ IN_PYTHON: dict[str, dict[str, str]] = {
             "FINE_CELL", "OTHER_BRANCH", "BRANCH_WAY", "BEND_CHANGE", "STARTING_STEPS", "MOST_TRIES", "CONVERGED",
         )
     } | {"JUST_BEFORE": "JUST_BEFORE"},
+    "task.elbows": {"ELBOW_GAIN": "ELBOW_GAIN"},
     "planning.redundancy": {name: name for name in ("LIMIT_MARGIN", "TURNING_WAY", "LEADS")},
     "planning.sharing": {name: name for name in ("STILL_SLOPE", "MOST_PIVOTS", "CROSSED")},
     "control.supervision": {
@@ -809,6 +920,10 @@ IN_PYTHON: dict[str, dict[str, str]] = {
     "task.servo": {
         "STILL_OBJECT": "AT_REST", "NOWHERE": "_NOWHERE", "SHORTEST_CHANGE": "_SHORTEST", "SPEEDS": "_SPEEDS",
     },
+    "control.braking_rows": {
+        name: name
+        for name in ("EDGE_SHARE", "SINGULAR_MARGIN", "BEND_SHARE", "APPROACH_TIME", "APPROACH_STEPS", "GIVES_WAY")
+    } | {"FASTEST_JOINT": "_FASTEST"},
     "control.effort": {"CHANGE_SHARE": "_SHARE", "LARGEST_JUMP": "_LARGEST_JUMP"},
     "control.going_over": {"RATE_TOLERANCE": "_ROUNDING"},
     "control.drift": {
@@ -823,10 +938,18 @@ IN_PYTHON: dict[str, dict[str, str]] = {
 }  # fmt: skip
 BOUNDS = {"MOST_KNOTS": layout.MOST_KNOTS, "MOST_KINKS": layout.MOST_KINKS}
 #: Constants of the core's own linear algebra of singular arms.
-ONLY_IN_C = {"SMALLEST_PIVOT", "LONG_LEVER", "FAR_PIVOT", "EIGEN_ROUNDING", "EIGEN_STEPS"}
-#: Those of minding forces: Python reads them from the layout itself.
+ONLY_IN_C = {
+    "SMALLEST_PIVOT", "LONG_LEVER", "FAR_PIVOT", "FAR_ROOM", "EIGEN_ROUNDING", "EIGEN_STEPS", "MOST_SWEEPS",
+    "SMALL_ROTATION",
+}  # fmt: skip
+#: Those of arms that their commands part and of minding forces: Python reads them from the layout itself.
 READ_THERE = {
+    "SAID_APART", "TOGETHER_AGAIN", "ALIKE", "NO_MISMATCH",
     "RATE_FALLS", "RATE_RISES", "FRICTION_SLOWS", "SPARE_SQUEEZE", "FIRMER", "LOOK_EVERY", "MOST_MINDING",
+    "SERVO_SLOWS", "SERVO_HOLDS", "SERVO_LATE", "SERVO_PEAK", "HASTE_FILTER", "SOFTEST", "CAP_FALLS", "GROWS",
+    "CORRECTION_FADES", "MORE_THAN_AT_START", "SENSED_MOTION",
+    "CONTACT_FILTER", "CONTACT_LASTS", "CONTACT_SETTLES", "MORE_THAN_INTERNAL", "LATE_LOAD",
+    "SLOW_RATE", "LEAST_CALM", "STRANGE_SERVOS", "CAREFUL_START", "SLOWEST_LESSON",
 }  # fmt: skip
 
 

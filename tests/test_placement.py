@@ -42,6 +42,7 @@ def test_fixture_f_has_the_figures_of_the_paper_cell(placer: Placer) -> None:
     np.testing.assert_allclose(np.concatenate([arm.q for arm in found.arms]), LIFT.q_start, atol=1e-6)
 
 
+@pytest.mark.slow
 def test_why_the_papers_b_and_h(placer: Placer) -> None:
     """The slaves stand in a ring about their grasps, outside of each other; F is on the plateau of the joint margin."""
     assert not at(placer, 3.00, 0.50).follows  # too near to the plate: joint_3 at its limit
@@ -138,6 +139,7 @@ def study(folder: Path, axes: str, y: Any = 0.5, z: Any = 0) -> Path:
     return file
 
 
+@pytest.mark.slow
 def test_the_command_writes_a_map_and_says_what_is_wrong(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     file = study(tmp_path, "h = { low = 3.5, high = 3.9, number = 5, now = 3.9 }")
     out = tmp_path / "out"

@@ -318,6 +318,7 @@ def test_joints_that_are_free_go_along_at_any_rate_for_nothing(
     np.testing.assert_allclose(costs, costs[0], rtol=1e-6)
 
 
+@pytest.mark.slow
 def test_the_ray_is_what_the_weights_tend_to(monkeypatch: pytest.MonkeyPatch) -> None:
     """The ray solves the strict ranks. The distance of the weighted QP is proportional to rate cost / off-path cost."""
     task = paper_lift(time_law="quintic")

@@ -358,11 +358,11 @@ def test_corrections_are_bounded(speed: float, spin: float) -> None:
     assert max(fastest) == pytest.approx(1.0, rel=0.01)
 
 
-def order_of_accuracy(iterations: int) -> Array:
-    """ε_p [m] of the paper's lift at N = 25, 50, 100, 200."""
+def order_of_accuracy(iterations: int, numbers: Sequence[int]) -> Array:
+    """ε_p [m] of the paper's lift in N steps."""
     task = paper_lift()
     figures = []
-    for N in (25, 50, 100, 200):
+    for N in numbers:
         steps = run(task, dt=3.0 / N, iterations=iterations)
         tools = tool_placements(task.cell, [s.q_next for s in steps])
         figures.append(max(relative_positioning_error(T, task.grasp) for T in tools))
@@ -372,10 +372,11 @@ def order_of_accuracy(iterations: int) -> Array:
 @pytest.mark.slow
 def test_a_second_linearisation_raises_the_order_of_accuracy() -> None:
     """Half the step divides the drift by ≥ 8 with one linearisation, by ≥ 14 with two (orders 3 and 4)."""
-    one, two = order_of_accuracy(1), order_of_accuracy(2)
+    one = order_of_accuracy(1, (200, 400, 800))  # longer steps are linearised twice by themselves
+    two = order_of_accuracy(2, (200, 400))
     assert np.all(one[:-1] / one[1:] > 7.0)
     assert np.all(two[:-1] / two[1:] > 13.0)
-    assert np.all(two < 0.2 * one)
+    assert np.all(two < 0.2 * one[:2])
 
 
 @pytest.mark.parametrize(("steps", "bound"), [(40, 0.003), (400, 3e-6), (1000, 2e-7)])
@@ -600,7 +601,7 @@ def test_a_path_that_arms_with_few_joints_cannot_follow_is_not_previewed() -> No
 def test_what_arms_with_few_joints_cannot_do_is_left_out() -> None:
     """The arms leave the impossible tilt out, do the rest of the motion, and keep the chain."""
     task = scara_pair(tilt=0.1)
-    steps = run(task, dt=0.005)
+    steps = run(task, dt=0.01)
     assert steps[-1].finished
     assert chain_of(task, steps).max() < 1e-2 * MM
     (tools,) = tool_placements(task.cell, [steps[-1].q_next])

@@ -41,6 +41,7 @@ def about_the_object(task: Scenario, chain: Chain, x: Array) -> Array:
     return chain.edges()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("make", CELLS, ids=lambda make: make.__name__)
 def test_at_the_edge_the_object_turns_back(make: Callable[[], Scenario], rng: np.random.Generator) -> None:
     """Along the joint motion to it and beyond the tool goes to and fro where it moves least: by Pinocchio's frames."""

@@ -307,3 +307,36 @@ def test_a_bad_share_is_a_named_error_and_changes_nothing(bad: Any) -> None:
     with pytest.raises(InvalidInputError, match="set_override"):
         controller.set_override(bad)
     assert controller.override == 0.7
+
+
+@pytest.mark.core
+@pytest.mark.parametrize("kernel", slow_but_first(available_kernels()))
+def test_an_object_that_still_moves_is_not_said_to_be_paused(kernel: str) -> None:
+    """Another path is followed right after a pause in motion: the clock stands, and the object brakes off the path."""
+    task = paper_lift(duration=1.0, time_law="quintic")
+    cell = task.cell.with_limits(acceleration=5.0)
+    arm = cell.arms[0]
+    data, frame = arm.model.createData(), arm.model.getFrameId(arm.tool_frame)
+
+    def object_at(q: np.ndarray) -> Any:
+        pin.framesForwardKinematics(arm.model, data, q[: arm.model.nq])
+        return (arm.T_world_base * data.oMf[frame] * task.grasp.T_object_tool[0].inverse()).translation
+
+    for steps_between in (0, 3):
+        controller = QPController(cell, task.grasp, task.path, dt=0.002, options={"kernel": kernel})
+        controller.reset(task.q_start)
+        for _ in range(250):
+            step = controller.step()
+        controller.pause()
+        for _ in range(steps_between):
+            step = controller.step()
+        here = task.path.pose(step.clock_next)
+        controller.follow(LinePath.displaced(here, translation=(0.1, 0.0, 0.0), duration=1.0))
+        seen = []
+        for _ in range(200):
+            step = controller.step()
+            seen.append(step.status)
+            speed = np.linalg.norm(object_at(step.q_next) - object_at(step.q)) / step.dt
+            assert step.status is not Status.PAUSED or speed < 2e-3
+            assert step.status is not Status.SLOWED or step.binding
+        assert seen[-1] in (Status.PAUSED, Status.OFF_PATH)

@@ -207,6 +207,7 @@ def test_round_trip(run: Recording, tmp_path: Path) -> None:
     assert [f.name for f in fields(Recording)] == known, "a new field is saved too"
 
 
+@pytest.mark.slow
 @given(st.dictionaries(st.text(max_size=5), st.one_of(st.integers(), st.text(), st.booleans(), st.none()), max_size=4),
        st.lists(st.text(max_size=20), max_size=3))  # fmt: skip
 @settings(max_examples=settings().max_examples // 4)

@@ -679,6 +679,7 @@ def test_feasibility_tolerance() -> None:
         _Scripted(MemoryError()).solve(problem)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", KEPT)
 def test_wild_data_end_in_a_status(name: str) -> None:
     """Magnitudes from 1e-18 to 1e18, H of any rank and sign: the result is a status without exception or hang."""

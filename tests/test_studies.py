@@ -11,6 +11,7 @@ import signal
 import subprocess
 import sys
 import time
+import warnings
 from collections.abc import Callable, Iterator
 from concurrent.futures import BrokenExecutor, Executor, Future
 from pathlib import Path
@@ -356,6 +357,7 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder / "out"
 
 
+@pytest.mark.slow
 def test_the_table_has_every_row_with_all_digits_and_no_times(whole: Path) -> None:
     with (whole / "runs.csv").open(encoding="utf-8") as stream:
         rows = list(csv.DictReader(stream))
@@ -391,6 +393,7 @@ def test_rows_that_fail_are_there_with_their_reason_and_the_command_ends_with_4(
     assert "--resume" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_a_folder_with_another_study_is_refused(whole: Path, tmp_path: Path) -> None:
     study = load_study(study_file(tmp_path))
     with pytest.raises(StudyError, match="--resume"):
@@ -615,6 +618,33 @@ def test_a_cluster_that_is_not_there_is_an_error_by_name() -> None:
     pytest.importorskip("distributed")
     with pytest.raises(EngineError, match="dask scheduler"):
         Cluster("tcp://127.0.0.1:9", timeout=0.5)
+
+
+def test_tls_is_passed_on_to_dask(monkeypatch: pytest.MonkeyPatch) -> None:
+    distributed = pytest.importorskip("distributed")
+    given: list[dict[str, Any]] = []
+
+    def client(address: str, **options: Any) -> None:
+        given.append({"address": address, **options})
+        raise OSError("nobody")
+
+    monkeypatch.setattr(distributed, "Client", client)
+    security = distributed.Security(require_encryption=True)
+    with pytest.raises(EngineError, match="nobody"):
+        Cluster("tls://127.0.0.1:9", security=security)
+    with pytest.raises(EngineError, match="nobody"):
+        Cluster("tcp://127.0.0.1:9")
+    assert given[0]["security"] is security
+    assert "security" not in given[1]
+
+
+def test_a_worker_that_rests_is_no_news() -> None:
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        with Local(1).open(1):
+            warnings.warn("A worker stopped while some jobs were given to the executor.", UserWarning, stacklevel=1)
+            warnings.warn("Something else.", UserWarning, stacklevel=1)
+    assert [str(w.message) for w in caught] == ["Something else."]
 
 
 def test_progress_is_a_line_for_each_tenth_with_the_time_left(

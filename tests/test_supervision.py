@@ -11,6 +11,7 @@ from marks import slow_but_first
 
 from coopqp import (
     Array,
+    Cause,
     InvalidInputError,
     QPController,
     QPOptions,
@@ -226,6 +227,7 @@ def test_a_drift_beyond_what_is_let_in_holds() -> None:
     assert 3e-3 < offs[-1] < 4e-3
 
 
+@pytest.mark.slow
 def test_at_rest_nothing_is_let_in() -> None:
     see = watch_of()
     held = [see(0.0, 1e-3 * min(1.0, i / 1000.0)).hold for i in range(5000)]
@@ -451,12 +453,12 @@ def test_the_lowest_cap_counts_and_of_equal_ones_the_first() -> None:
         watch.lower(Watch(rate_cap=cap, arm=arm, reason=f"{arm}"))
     assert watch == Watch(rate_cap=0.5, arm=0, reason="0")
     watch.lower(Watch.holding("held"))
-    assert watch == Watch(rate_cap=0.0, hold=True, reason="held")
+    assert watch == Watch(rate_cap=0.0, hold=True, reason="held", cause=Cause.INPUT)
     watch.lower(Watch.holding("held again"))
     assert watch.reason == "held"
     watch.lower(Watch.holding("over", fault=True))
     watch.lower(Watch.holding("another", fault=True))
-    assert watch == Watch(rate_cap=0.0, hold=True, fault=True, reason="over")
+    assert watch == Watch(rate_cap=0.0, hold=True, fault=True, reason="over", cause=Cause.INPUT)
 
 
 def test_a_cosine_and_sine_are_brought_to_the_circle() -> None:

@@ -81,8 +81,7 @@ def test_the_second_thread_is_refused_before_anything_is_touched(name: str, pape
         made.reset(paper.q_start)
         calls: list[Callable[[], Any]] = [made.step, lambda: made.reset(paper.q_start)]
         if kind is QPController:
-            calls += [lambda: made.follow(paper.path), lambda: copy.copy(made), lambda: made.retarget(np.eye(4))]
-            calls += [made.pause, made.resume, lambda: made.set_override(0.5)]
+            calls.append(lambda: copy.copy(made))
 
         def intrude() -> None:
             for call in calls:
@@ -103,6 +102,70 @@ def test_the_second_thread_is_refused_before_anything_is_touched(name: str, pape
     np.testing.assert_array_equal(run(disturbed=True), alone)
     assert errors
     assert {type(error) for error in errors} == {BusyError}
+
+
+@pytest.mark.parametrize("kernel", available_kernels())
+@pytest.mark.parametrize("own", [True, False])
+def test_what_an_operator_asks_for_from_another_thread_waits_for_the_next_step(
+    kernel: str, own: bool, paper: Scenario
+) -> None:
+    """The steps are those of a controller that its own thread asks between two steps."""
+
+    def run(ask: Callable[[QPController], None], *, elsewhere: bool) -> list[Any]:
+        path: Any = Meeting(paper.path) if own else paper.path
+        made = QPController(paper.cell, paper.grasp, path, dt=0.0075, options={"kernel": kernel})
+        made.reset(paper.q_start)
+        steps = []
+        for i in range(40):
+            if i == 10 and elsewhere and own:  # amid a step: it waits for the next one
+                path.meet = lambda: ask(made)
+            elif i == 11 and not (elsewhere and own):
+                if elsewhere:
+                    other = threading.Thread(target=ask, args=(made,))
+                    other.start()
+                    other.join(timeout=30)
+                else:
+                    ask(made)
+            steps.append(made.step())
+        return [(s.q_next.tolist(), s.status) for s in steps]
+
+    def follow(c: QPController) -> None:
+        c.follow(paper.path, clock=0.1)
+
+    def pause_and_resume(c: QPController) -> None:
+        c.pause()
+        c.resume()
+        c.set_override(0.3)
+
+    asked: list[Callable[[QPController], None]] = [
+        lambda c: c.pause(),
+        lambda c: c.set_override(0.5),
+        pause_and_resume,
+        lambda c: c.shift_grasp(np.full((len(paper.cell), 6), 1e-5)),
+        follow,
+    ]
+    for ask in asked:
+        assert run(ask, elsewhere=True) == run(ask, elsewhere=False)
+
+
+def test_bad_input_from_another_thread_is_refused_there(paper: Scenario) -> None:
+    made = QPController(paper.cell, paper.grasp, paper.path, dt=0.0075)
+    made.reset(paper.q_start)
+    made.step()
+    errors: list[type] = []
+
+    def ask() -> None:
+        for call in (lambda: made.set_override(2.0), lambda: made.retarget(np.eye(4)), lambda: made.follow(None)):
+            try:
+                call()  # type: ignore[no-untyped-call]
+            except CoopqpError as error:
+                errors.append(type(error))
+
+    other = threading.Thread(target=ask)
+    other.start()
+    other.join(timeout=30)
+    assert len(errors) == 3
+    assert made.step().rate == 1.0
 
 
 @pytest.mark.parametrize("kernel", available_kernels())

@@ -25,6 +25,7 @@ from coopqp import (
     Recording,
     RobotCell,
     SceneError,
+    Status,
     describe_object,
     export_html,
     robot_path,
@@ -156,7 +157,31 @@ def test_a_limit_that_binds_is_marked_and_named(scene: FakeScene, run: Recording
         stage.show(sample)
         assert all(_colours(scene, j) == plain[j] for j in range(1, 19))
         assert scene.nodes["/names/slave_2"].text == "slave 2"
-        assert "no limit binds" in readout(stage, sample)
+        assert ("no limit binds" if sample == 25 else "path end") in readout(stage, sample)
+
+
+def test_what_binds_is_told_whatever_it_is(scene: FakeScene, run: Recording, paper: Scenario) -> None:
+    """Distances and constraints, too; without a limit the run's own words for a step that does not track."""
+    recording, _ = _surrounded(run, paper)
+    near = ["", "", "collision", "", ["slave_1/forearm_link", "post"]]
+    bound = [[10, [near]], [20, [["", "", "constraint", "my_torques"]]], [30, []]]
+    status = recording.status.copy()
+    status[10:] = Status.BLOCKED.code
+    notes = ("10: The object is stopped.", "30: The arms wait for no reason.")
+    recording = replace(recording, status=status, notes=notes, metadata={**recording.metadata, "binding": bound})
+    stage = Stage(scene, recording)
+    names = [name for name, _, _ in read_bodies(recording.metadata)]
+    post = scene.nodes[f"/bodies/{names.index('post')}"]
+    plain = post.color
+    stage.show(15)
+    assert "slave_1/forearm_link and post" in readout(stage, 15)
+    assert post.color != plain
+    assert scene.nodes["/names/slave_1"].text == "slave 1\n! forearm link near post"
+    assert scene.nodes["/names/slave_2"].text == "slave 2"
+    stage.show(25)
+    assert post.color == plain
+    assert "constraint my_torques" in readout(stage, 25)
+    assert "The arms wait for no reason." in readout(stage, 35)
 
 
 def test_the_last_sample_shows_the_last_step(scene: FakeScene, run: Recording) -> None:
@@ -419,6 +444,28 @@ def test_bodies_stand_where_the_scene_says(scene: FakeScene, run: Recording, pap
     damaged = {**recording.metadata, "bodies": [{"kind": "Box", "name": "box"}]}
     with pytest.raises(SceneError, match="bodies are damaged"):
         Stage(FakeScene(), replace(recording, metadata=damaged))
+
+
+def test_the_bodies_of_the_object_are_drawn_in_place_of_its_box(
+    scene: FakeScene, run: Recording, paper: Scenario
+) -> None:
+    """At their places on the object, in the recording's own words; outlines go round them all."""
+    shapes = {"bar": Box((0.1, 1.0, 0.1)), "knob": Sphere(0.2)}
+    carried = [Body(name, shape, pin.SE3(np.eye(3), np.array([0.1, 0.5, 0.3]))) for name, shape in shapes.items()]
+    bodies = CollisionScene.of(paper, carried=carried, margin=0.0)
+    recording = with_clearance(run, bodies, avoided=False)
+    recording = replace(recording, metadata=json.loads(json.dumps(recording.metadata)))
+    assert [name for name, _, _ in read_bodies(recording.metadata, "carried")] == list(shapes)
+    Stage(scene, recording)
+    for node, half in (("/object/body", (0.05, 0.5, 0.05)), ("/object/body 1", (0.2, 0.2, 0.2))):
+        corners = np.asarray(scene.nodes[node].arguments[0])
+        np.testing.assert_allclose(corners.max(axis=0), np.array([0.1, 0.5, 0.3]) + half, atol=1e-3)
+    outline = np.asarray(scene.nodes["/path/start"].arguments[0]).reshape(-1, 3)
+    T = paper.path.pose(0.0).inverse()
+    local = outline @ T.rotation.T + T.translation
+    np.testing.assert_allclose(np.ptp(local, axis=0), [0.4, 1.0, 0.4], atol=1e-2)
+    own = with_clearance(run, CollisionScene.of(paper, margin=0.0), avoided=False)
+    assert "carried" not in own.metadata  # its box alone
 
 
 def test_a_line_joins_the_bodies_that_are_nearest(scene: FakeScene, run: Recording, paper: Scenario) -> None:

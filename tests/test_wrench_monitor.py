@@ -105,7 +105,8 @@ def test_a_controller_that_minds_wrenches_is_judged_as_its_recording_is(task: Sc
     plant = PhysicsPlant.of(task, disturbances=Disturbances(base_offset={"slave_2": off}))
     payload = Payload(mass=plant.object_mass, centre=task.T_object_body.translation)
     inner = ForceController(
-        QPController(task.cell, task.grasp, task.path, dt=task.dt), {"stiffness": plant.stiffness, "payload": payload}
+        QPController(task.cell, task.grasp, task.path, dt=task.dt),
+        {"stiffness": plant.stiffness, "payload": payload, "presses": False},
     )
     tolerances = {"path_m": 5e-3}  # commands lead to where the measured object is on its path
     monitor = Monitor(task.cell, task.grasp, tolerances=tolerances, wrenches=WrenchBounds(internal_force=20.0))

@@ -123,10 +123,12 @@ def _record(found: Calibration, motion: DeterminingMotion | None) -> dict[str, A
                 "base_deviation": arm.base_deviation.tolist(),
                 "grip": arm.grip.tolist(),
                 "grip_deviation": arm.grip_deviation.tolist(),
+                "significant": arm.significant,
             }
             for arm in found.corrections
         ],
         "undetermined": list(found.undetermined),
+        "slip": None if found.slip is None else {"sample": found.slip[0], "shift_m": found.slip[1]},
         "motion": None
         if motion is None
         else {

@@ -5,15 +5,17 @@ from __future__ import annotations
 import argparse
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
-from coopqp.app.terminal import print_table, print_written, reporter
+from coopqp.app.terminal import Reporter, print_table, print_written, reporter
 from coopqp.errors import UnknownNameError, UnreachableError, printable
 
 if TYPE_CHECKING:
     from coopqp.collision.scene import CollisionScene
+    from coopqp.look.glance import Glance
     from coopqp.model.cell import RobotCell
     from coopqp.model.grasp import Grasp
+    from coopqp.model.shapes import Body
     from coopqp.planning import PathCheck
     from coopqp.spatial import Array
     from coopqp.task.path import ObjectPath
@@ -49,23 +51,21 @@ def _add_check(commands: Any) -> None:
 
 
 def _run_check(arguments: argparse.Namespace) -> int:
-    from coopqp.planning import PathVerdict, check_path
+    from coopqp.planning import PathVerdict
     from coopqp.planning.remedies import with_remedies
 
     picture = None if arguments.out is None else arguments.out / _PICTURE
     _check_outputs(arguments.json, picture, force=arguments.force)
     with reporter(quiet=arguments.quiet) as report:
-        cell, grasp, path, q_start, scene, note = _task(arguments.cell)
-        if note:
-            report.note(note)
-        report.note("looking at the arms along the path")
-        check = check_path(cell, grasp, path, q_start=None if arguments.any_start else q_start, scene=scene)
+        task = _task(arguments.cell)
+        check = _look(task, report, any_start=arguments.any_start)
         if arguments.remedies and not check.feasible:
             report.note("looking for remedies")
             check = with_remedies(check)
         files = _write(check, arguments.json, picture)
+    told = _unjudged(check, task.box)
     if not arguments.quiet:
-        _print(check, branches=arguments.branches)
+        _print(check, told, branches=arguments.branches)
         print_written(files, apart=True)
     if check.feasible:
         return _FOLLOWS
@@ -74,24 +74,76 @@ def _run_check(arguments: argparse.Namespace) -> int:
     return _CANNOT if check.verdict is PathVerdict.INFEASIBLE else _UNDECIDED
 
 
-def _task(name: str) -> tuple[RobotCell, Grasp, ObjectPath, Array | None, CollisionScene | None, str]:
-    """Cell, grasp, path, start and bodies of a cell file or of a scenario, and remarks on the start."""
+def _unjudged(check: PathCheck, box: Body) -> str:
+    """Where distances play no part: the links and the object that overlap at the start; empty if none do."""
+    from coopqp.collision.pairs import ignored_line, pairs_said
+    from coopqp.simulation.closeness import overlaps
+
+    if check.scene is not None or check.q_start is None:
+        return ""
+    found = overlaps(check.cell, check.grasp, box, check.q_start)
+    if not found:
+        return ""
+    return (
+        f"distances: not judged, since no table [collision] asks for it; but {pairs_said(found)} overlap at the "
+        "start. Is the object too large, or off its place? Where links touch by design, the file says so:\n"
+        f"  [collision]\n  {ignored_line(found)}"
+    )
+
+
+class _Task(NamedTuple):
+    """What is checked: a cell file or a scenario."""
+
+    name: str
+    cell: RobotCell
+    grasp: Grasp
+    path: ObjectPath
+    q_start: Array | None
+    scene: CollisionScene | None
+    box: Body
+    note: str  # a remark on the start
+
+
+def _task(name: str) -> _Task:
+    """The task of a cell file or of a scenario."""
     from coopqp.collision.scene import CollisionScene
     from coopqp.files.cellfile import TOML_SUFFIX, YAML_SUFFIXES, load_cell_task
+    from coopqp.model.shapes import Body, Box
     from coopqp.scenarios import SCENARIOS
 
     if Path(name).suffix in (TOML_SUFFIX, *YAML_SUFFIXES):
         task = load_cell_task(name)
+        q_start, note = None, ""
         try:
-            return task.cell, task.grasp, task.path, task.exact_start(), task.scene, ""
+            q_start = task.exact_start()
         except UnreachableError as error:
             note = f"from the start of the file {error} Any start is judged."
-            return task.cell, task.grasp, task.path, None, task.scene, note
+        return _Task(task.name, task.cell, task.grasp, task.path, q_start, task.scene, task.box, note)
     if name not in SCENARIOS:
         raise UnknownNameError("cell file (.toml, .yaml) or scenario", name, SCENARIOS)
-    scenario = SCENARIOS[name]()
-    scene = CollisionScene.of(scenario) if scenario.obstacles else None
-    return scenario.cell, scenario.grasp, scenario.path, scenario.q_start, scene, ""
+    s = SCENARIOS[name]()
+    scene = CollisionScene.of(s) if s.obstacles else None
+    box = Body("object", Box(s.object_size), s.T_object_body)
+    return _Task(s.name, s.cell, s.grasp, s.path, s.q_start, scene, box, "")
+
+
+def _look(task: _Task, report: Reporter, *, any_start: bool = False) -> PathCheck:
+    from coopqp.planning import check_path
+
+    if task.note:
+        report.note(task.note)
+    report.note("looking at the arms along the path")
+    q_start = None if any_start else task.q_start
+    return check_path(task.cell, task.grasp, task.path, q_start=q_start, scene=task.scene)
+
+
+def glance_at(name: str, report: Reporter) -> tuple[Glance, str]:
+    """A cell file or a scenario at a glance, and where distances play no part what overlaps at the start."""
+    from coopqp.look.glance import glance
+
+    task = _task(name)
+    check = _look(task, report)
+    return glance(task.name, check, task.box, task.scene), _unjudged(check, task.box)
 
 
 def _check_outputs(record: Path | None, picture: Path | None, *, force: bool) -> None:
@@ -121,9 +173,9 @@ def _write(check: PathCheck, record: Path | None, picture: Path | None) -> list[
     return write_files(contents) if contents else []
 
 
-def _print(check: PathCheck, *, branches: bool) -> None:
+def _print(check: PathCheck, told: str, *, branches: bool) -> None:
     print(printable(check.verdict.value))
-    for line in check.explain().splitlines():
+    for line in [*check.explain().splitlines(), *told.splitlines()]:
         print(printable(line))
     if branches:
         for arm in check.arms:

@@ -12,16 +12,16 @@ from importlib import metadata
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
-from coopqp.app import calibrate, check, studies
+from coopqp.app import calibrate, check, sensors, studies
 from coopqp.app.commands import COMMANDS
-from coopqp.app.terminal import print_table, print_written, reporter
-from coopqp.errors import CoopqpError, MissingExtraError, printable
+from coopqp.app.terminal import print_hints, print_table, print_written, reporter
+from coopqp.errors import CoopqpError, MissingExtraError, UndecidedError, UnreachableError, cause_of, printable
 
 if TYPE_CHECKING:
     from coopqp.app.demo import DemoRun
 
 #: Exit statuses.
-OK, BAD_INPUT, INTERRUPTED = 0, 2, 130
+OK, BAD_INPUT, IMPOSSIBLE, UNDECIDED, INTERRUPTED = 0, 2, 3, 4, 130
 
 
 class UsageError(CoopqpError):
@@ -39,11 +39,11 @@ class _Version(argparse.Action):
     """Prints the kernel and the versions of what coopqp stands on."""
 
     def __call__(self, parser: argparse.ArgumentParser, *_: Any, **__: Any) -> NoReturn:
-        from coopqp.control.core import kernel_text
         from coopqp.control.solvers import default_solver
+        from coopqp.native import kernel_text
 
         print(f"coopqp {metadata.version('coopqp')}")
-        print(f"kernel {kernel_text()}; solver {default_solver()}")
+        print(f"kernels: {kernel_text()}; solver {default_solver()}")
         versions = {"python": platform.python_version(), **{name: metadata.version(name) for name in _SHOWN}}
         print(", ".join(f"{name} {version}" for name, version in versions.items()))
         parser.exit()
@@ -57,9 +57,10 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line.
 
     Returns:
-        0 if all is well; 2 after bad input; 3 if the arms cannot follow the path that is checked; 4 after a run that
-        did not finish or whose verdict has a check that does not hold, after a check that is not decided, and after a
-        study with rows that failed or were lost; 130 after an interrupt.
+        0 if it is done; 2 after bad input; 3 if it is impossible: the arms do not reach their grasps, cannot follow the
+        path or start too close to something; 4 after a run that did not finish or whose verdict has a check that does
+        not hold, after a check or computation that is not decided, and after a study with rows that failed or were
+        lost; 130 after an interrupt, what there was being written.
     """
     try:
         with warnings.catch_warnings():
@@ -75,6 +76,26 @@ def _show_warning(message: Any, category: type[Warning], *where: Any, **more: An
     print("coopqp: warning:", printable(" ".join(str(message).split())), file=sys.stderr)
 
 
+def _ask_about_units(arguments: argparse.Namespace) -> None:
+    """Numbers of a cell file that look like another unit are asked about before it is built: that may fail for them."""
+    from coopqp.files.cellfile import TOML_SUFFIX, YAML_SUFFIXES, require_readers
+
+    file = Path(str(getattr(arguments, "cell", getattr(arguments, "what", ""))))
+    if file.suffix not in (TOML_SUFFIX, *YAML_SUFFIXES) or getattr(arguments, "quiet", False):
+        return
+    require_readers()
+    from coopqp.files.cellfile.hints import unit_hints
+
+    print_hints(unit_hints(file))
+
+
+def _status_of(error: CoopqpError) -> int:
+    """Exit status of a command that an error ended."""
+    if cause_of(error, UndecidedError):
+        return UNDECIDED
+    return IMPOSSIBLE if cause_of(error, UnreachableError) else BAD_INPUT
+
+
 def _main(argv: Sequence[str] | None) -> int:
     parser = _Parser(prog="coopqp", description="QP-based cooperative control of several arms that hold one object.")
     parser.add_argument("--version", action=_Version, nargs=0, help="print the versions and the kernel, and end")
@@ -83,12 +104,13 @@ def _main(argv: Sequence[str] | None) -> int:
         add(commands)
     try:
         arguments = parser.parse_args(argv)
+        _ask_about_units(arguments)
         run: Callable[[argparse.Namespace], int] = arguments.run
         status = run(arguments)
         sys.stdout.flush()
     except CoopqpError as error:
         print("coopqp: error:", printable(" ".join(str(error).split())), file=sys.stderr)
-        return BAD_INPUT
+        return _status_of(error)
     except BrokenPipeError:  # the reader has closed the pipe, as in `coopqp demo | head`
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return OK
@@ -120,7 +142,7 @@ def _add_demo(commands: Any) -> None:
 def _run_demo(arguments: argparse.Namespace) -> int:
     from coopqp.app import demo
     from coopqp.look.style import require_matplotlib
-    from coopqp.output import check_folder, check_new, check_unused, numbered
+    from coopqp.output import check_below, check_folder, check_new, check_unused, numbered
     from coopqp.scenarios import paper_lift
 
     steps = demo.check_demo(arguments.steps, arguments.solver)
@@ -132,6 +154,8 @@ def _run_demo(arguments: argparse.Namespace) -> int:
     folder = arguments.out or Path("out/demo")
     if arguments.out is None and not arguments.force:
         folder = numbered(folder, lambda place: any((place / name).exists() for name in demo.PICTURES))
+    if arguments.out is None:
+        check_below(folder)
     check_unused((folder / name for name in demo.PICTURES), force=arguments.force)
     check_folder(folder)
     if arguments.json is not None:
@@ -156,7 +180,7 @@ def _run_demo(arguments: argparse.Namespace) -> int:
     return OK
 
 
-_COMMANDS = (_add_demo, *COMMANDS, *check.COMMANDS, *calibrate.COMMANDS, *studies.COMMANDS)
+_COMMANDS = (_add_demo, *COMMANDS, *check.COMMANDS, *calibrate.COMMANDS, *sensors.COMMANDS, *studies.COMMANDS)
 
 
 def _count(text: str) -> int:

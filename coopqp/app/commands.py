@@ -14,10 +14,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from coopqp.app.planning import add_plan
-from coopqp.app.terminal import BOLD, GREEN, RED, Reporter, print_table, print_written, reporter, styled
-from coopqp.errors import CoopqpError, printable
+from coopqp.app.terminal import BOLD, GREEN, RED, Reporter, print_hints, print_table, print_written, reporter, styled
+from coopqp.errors import CoopqpError, TooCloseError, UnreachableError, cause_of, printable
 
 if TYPE_CHECKING:
+    from coopqp.look.viewer import LiveViewer
     from coopqp.simulation.assessment import Finding
     from coopqp.simulation.recording import Recording
     from coopqp.simulation.simulate import ProgressCallback
@@ -35,8 +36,9 @@ def _add_run(commands: Any) -> None:
         help="run a cell file (TOML or YAML) or a scenario",
         description="Run a scenario or a cell file, print its figures and verdict, and write what is asked for.",
         epilog="`coopqp schema` prints every key of a cell file. Exit status: 0 if the run finished and every check of "
-        "its verdict holds (tolerances: table [verdict] of the file), 4 if not; 2 for bad input, 130 for Ctrl-C; 3 is "
-        "kept for cells that cannot hold their object. With status 4 the last lines say why, where and since when.",
+        "its verdict holds (tolerances: table [verdict] of the file), 4 if not; 3 if an arm does not reach its grasp "
+        "or cannot follow the path, or bodies start too close; 2 for bad input, 130 for Ctrl-C. With status 4 the "
+        "last lines say why, where and since when.",
     )
     parser.add_argument("cell", type=Path, metavar="CELL", help="the cell file, TOML or YAML; or a scenario's name")
     parser.add_argument("--out", type=Path, metavar="DIR", help="folder of what is written: any folder (out/NAME)")
@@ -61,15 +63,25 @@ def _run_run(arguments: argparse.Namespace) -> int:
     from coopqp.simulation.figures import run_figures
     from coopqp.simulation.readings import read_run
 
-    wanted, asked, place = {"recording"}, None, str(arguments.cell)
+    wanted, asked, place, note = {"recording"}, None, str(arguments.cell), ""
     run: Any = functools.partial(runs.obtain_run, place)
     if place not in SCENARIOS or arguments.cell.is_file():
-        from coopqp.files.cellfile import load_cell_file
+        from coopqp.files.cellfile import load_cell_file, require_readers
 
-        task = load_cell_file(arguments.cell)
+        require_readers()
+        from coopqp.files.cellfile.hints import grip_hints, load_hints
+
+        try:
+            task = load_cell_file(arguments.cell)
+        except CoopqpError as error:
+            if cause_of(error, UnreachableError):
+                _draw_refused(arguments)
+            raise
+        if not arguments.quiet:
+            print_hints([*load_hints(task), *grip_hints(task)])
         output = task.settings.output
         wanted, asked = {product for product in runs.PRODUCTS if getattr(output, product)}, output.folder
-        place, run = task.scenario.name, task.run
+        place, run, note = task.scenario.name, task.run, task.scenario.cell.standing_note()
     products = [product for product in runs.PRODUCTS if product in wanted or getattr(arguments, product, False)]
     if arguments.view:
         from coopqp.look.viewer import require_viser
@@ -77,7 +89,14 @@ def _run_run(arguments: argparse.Namespace) -> int:
         require_viser()
     folder = runs.output_folder(place, asked, products, out=arguments.out, force=arguments.force)
     with reporter(quiet=arguments.quiet) as report:
-        recording = run(progress=_progress(report, place))
+        if note:
+            report.note(note)
+        try:
+            recording = run(progress=_progress(report, place))
+        except CoopqpError as error:
+            if arguments.cell.is_file() and cause_of(error, TooCloseError):
+                _draw_refused(arguments)
+            raise
         files = runs.write_products(recording, folder, products, tell=report.note, force=arguments.force)
     cell = recording.cell(shapes=False)
     readings = read_run(cell, recording)
@@ -89,9 +108,58 @@ def _run_run(arguments: argparse.Namespace) -> int:
     if causes:
         sys.stdout.flush()
         print(*(f"coopqp: failed: {printable(line)}" for line in causes), sep="\n", file=sys.stderr, flush=True)
+        _offer(recording)
     if arguments.view:
         _serve(recording, quiet=arguments.quiet)
     return _FAILED if causes else _OK
+
+
+#: Picture of a cell that is refused.
+_REFUSED = "reach.png"
+
+
+def _draw_refused(arguments: argparse.Namespace) -> None:
+    """Draw a cell that cannot hold its object: the arms, their reach, and who is short."""
+    from coopqp.app.check import glance_at
+    from coopqp.app.runs import free_folder
+    from coopqp.files.cellfile.build import read
+    from coopqp.look.glance import glance_figure
+    from coopqp.look.style import figure_bytes, require_matplotlib
+    from coopqp.output import write_files
+
+    try:
+        require_matplotlib()
+        settings = read(arguments.cell)
+        folder = free_folder(
+            settings.name, settings.output.folder, [_REFUSED], out=arguments.out, force=arguments.force
+        )
+        with reporter(quiet=arguments.quiet) as report:
+            found, _ = glance_at(str(arguments.cell), report)
+            report.note("drawing the cell")
+            files = write_files({folder / _REFUSED: figure_bytes(glance_figure(found), dpi=110)})
+    except CoopqpError as error:  # the refusal itself is told by the caller
+        print("coopqp: no picture:", printable(" ".join(str(error).split())), file=sys.stderr)
+        return
+    if not arguments.quiet:
+        print_written(files)
+        sys.stdout.flush()
+
+
+def _offer(recording: Recording) -> None:
+    """Offer the lines of a cell file for pairs that overlap at the start."""
+    from coopqp.collision.pairs import ignored_line
+
+    settings = recording.metadata.get("settings")
+    left_out = recording.metadata.get("clearance", {}).get("left_out")
+    if left_out and settings:
+        ignored = settings.get("collision", {}).get("ignored", [])
+        print(
+            "coopqp: is the object too large, or off its place? Where links touch by design, the file says so:",
+            *("[collision]", "avoid = false", ignored_line([*ignored, *left_out])),
+            sep="\n  ",
+            file=sys.stderr,
+            flush=True,
+        )
 
 
 def _progress(report: Reporter, name: str) -> ProgressCallback:
@@ -148,10 +216,13 @@ def _run_schema(arguments: argparse.Namespace) -> int:
 def _add_view(commands: Any) -> None:
     parser = commands.add_parser(
         "view",
-        help="show a run in the browser",
-        description="Show a run in 3D, in the browser, with play, pause and scrub; or write it as one HTML file.",
+        help="show a cell or a run in the browser",
+        description="Show a recording in 3D, in the browser, with play, pause and scrub. Of a cell file or a scenario "
+        "show the start, the path, how far the arms come and what `coopqp check` says, with a button that runs it. Or "
+        "write what is shown as one HTML file.",
     )
-    parser.add_argument("what", metavar="RUN", help=_RUN_HELP)
+    parser.add_argument("what", metavar="WHAT", help=_RUN_HELP)
+    parser.add_argument("--run", dest="run_it", action="store_true", help="run a cell at once, and show its run")
     parser.add_argument("--html", type=Path, metavar="FILE", help="write one page that opens offline, and end")
     parser.add_argument("--force", action="store_true", help="overwrite an earlier page")
     parser.add_argument("--port", type=int, default=8080, metavar="N", help="port (8080; 0 for any that is free)")
@@ -169,6 +240,8 @@ def _run_view(arguments: argparse.Namespace) -> int:
     require_viser()
     if arguments.html is not None:
         check_new(arguments.html, force=arguments.force)
+    if not arguments.run_it and _is_cell(arguments.what):
+        return _view_cell(arguments)
     recording = _obtain(arguments.what, quiet=arguments.quiet, meshes=arguments.meshes)
     if arguments.html is None:
         _serve(
@@ -188,6 +261,40 @@ def _run_view(arguments: argparse.Namespace) -> int:
         )
     if not arguments.quiet:
         print_written([page])
+    return _OK
+
+
+def _is_cell(what: str) -> bool:
+    """Whether a name is a cell file or a scenario; else it is a recording, or nothing."""
+    from coopqp.files.cellfile import TOML_SUFFIX, YAML_SUFFIXES
+    from coopqp.scenarios import SCENARIOS
+
+    return Path(what).suffix in (TOML_SUFFIX, *YAML_SUFFIXES) or what in SCENARIOS
+
+
+def _view_cell(arguments: argparse.Namespace) -> int:
+    """Show a cell before it runs, or write it as a page."""
+    from coopqp.app.check import glance_at
+    from coopqp.app.runs import obtain_run
+    from coopqp.look.viewer import CellViewer, export_glance
+
+    with reporter(quiet=arguments.quiet) as report:
+        found, more = glance_at(arguments.what, report)
+    if arguments.html is not None:
+        page = export_glance(found, arguments.html, more=more, sticks=arguments.sticks)
+        if not arguments.quiet:
+            print_written([page])
+        return _OK
+
+    def run(progress: ProgressCallback) -> Recording:
+        return obtain_run(arguments.what, progress=progress)
+
+    _keep_serving(
+        CellViewer(found, run, more=more, port=arguments.port, sticks=arguments.sticks),
+        "the cell",
+        browser=not arguments.no_open,
+        quiet=arguments.quiet,
+    )
     return _OK
 
 
@@ -216,9 +323,13 @@ def _serve(
     """Show a run until Ctrl-C."""
     from coopqp.look.viewer import LiveViewer
 
-    with LiveViewer(recording, port=port, sticks=sticks) as viewer:
+    _keep_serving(LiveViewer(recording, port=port, sticks=sticks), "the run", browser=browser, quiet=quiet)
+
+
+def _keep_serving(opened: LiveViewer, what: str, *, browser: bool, quiet: bool) -> None:
+    with opened as viewer:
         if not quiet:
-            print(f"{viewer.url} shows the run; Ctrl-C ends it", flush=True)
+            print(f"{viewer.url} shows {what}; Ctrl-C ends it", flush=True)
         if browser:
             webbrowser.open(viewer.url)
         with contextlib.suppress(KeyboardInterrupt):

@@ -23,6 +23,7 @@ from coopqp.look.style import figure_bytes
 from coopqp.output import write_files
 from coopqp.scenarios import Scenario
 from coopqp.simulation import metrics
+from coopqp.simulation.assessment import Tolerances
 from coopqp.simulation.figures import worst_status
 from coopqp.simulation.recording import Recording
 from coopqp.simulation.simulate import simulate
@@ -74,8 +75,13 @@ class DemoRun:
 
     @property
     def status(self) -> str:
-        """``"ok"`` if every step tracked and the object arrived, otherwise the worst status."""
-        return worst_status(self.recording)
+        """``"ok"`` if every step tracked and the object arrived where it should, otherwise the worst status.
+
+        ``"off target"`` where all steps tracked, but the object is further from its target than a run accepts.
+        """
+        worst = worst_status(self.recording)
+        there = self.object_error_mm <= Tolerances().object_mm
+        return worst if there or worst != "ok" else "off target"
 
     def record(self) -> dict[str, Any]:
         """The run as a flat record for JSON. Figures that are not finite become None."""

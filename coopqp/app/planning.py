@@ -12,6 +12,7 @@ from coopqp.app.terminal import print_table, print_written, reporter
 from coopqp.errors import CoopqpError, UndecidedError, UnreachableError, printable
 
 if TYPE_CHECKING:
+    from coopqp.collision.scene import CollisionScene
     from coopqp.files.cellfile.build import CellRun
     from coopqp.planning import Plan
     from coopqp.spatial import Array
@@ -30,9 +31,11 @@ def add_plan(commands: Any) -> None:
         help="plan the fastest way along the path of a cell file",
         description="Find a start and the fastest way along the path of a cell file under the joints' velocity and "
         "acceleration limits, from rest to rest. Write it as a cell file that `coopqp run` takes as it is, and draw "
-        "the speed profile.",
-        epilog="Exit status: 0 with a plan; 2 for bad input; 3 where an arm has no start or cannot follow the path; "
-        "4 where the computation fails in numbers. The time law of the file's path counts for nothing.",
+        "the speed profile. Where the cell has bodies that keep distances, the plan is judged as by `coopqp check` "
+        "before it is written.",
+        epilog="Exit status: 0 with a plan; 2 for bad input; 3 where an arm has no start or cannot follow the path, or "
+        "bodies come too close; 4 where that is not decided, or the computation fails in numbers. The time law of the "
+        "file's path counts for nothing.",
     )
     parser.add_argument("cell", type=Path, metavar="CELL", help="the cell file, TOML or YAML")
     parser.add_argument("--out", type=Path, metavar="DIR", required=True, help="folder of plan.toml and speed.png")
@@ -93,16 +96,24 @@ def _run(arguments: argparse.Namespace) -> int:
         run = load_cell_file(arguments.cell)
         _check_accelerations(run, arguments.cell)
         _check_starts(run, arguments.cell, arguments.starts)
+        if note := run.scenario.cell.standing_note():
+            report.note(note)
         report.note("planning")
         q_start = run.scenario.q_start if arguments.starts == 1 else None
-        made = _plan(run, arguments, SHARE if arguments.share is None else arguments.share, q_start)
-        optimum = _plan(run, arguments, 1.0, made.q_start).path.duration
+        share = SHARE if arguments.share is None else arguments.share
+        scene = run.scene if run.settings.collision is not None else None
+        made = _plan(run, arguments, share, q_start, scene)
+        optimum = _plan(run, arguments, 1.0, made.q_start, None).path.duration
         report.note("drawing the speed profile")
         picture = figure_bytes(profile_figure(made.path))
         text = planned_text(run, made, folder=arguments.cell.parent, into=folder)
         files = write_files({folder / "plan.toml": text.encode(), folder / "speed.png": picture})
     if not arguments.quiet:
         _print(made, optimum, run.scenario.path.duration)
+        if made.check is not None:
+            print()
+            for line in (made.check.verdict.value, *made.check.explain().splitlines()):
+                print(printable(line))
         print_written(files, apart=True)
     return _OK
 
@@ -136,7 +147,9 @@ def _check_starts(run: CellRun, file: Path, count: int) -> None:
             raise CellFileError(f"{file}: --starts is for files without a table '{table}': leave one of both out.")
 
 
-def _plan(run: CellRun, arguments: argparse.Namespace, share: float, q_start: Array | None) -> Plan:
+def _plan(
+    run: CellRun, arguments: argparse.Namespace, share: float, q_start: Array | None, scene: CollisionScene | None
+) -> Plan:
     """The plan from a start (nq,), or from the fastest of those that are compared."""
     from coopqp.planning import plan
     from coopqp.simulation.engine import box_payload
@@ -154,6 +167,7 @@ def _plan(run: CellRun, arguments: argparse.Namespace, share: float, q_start: Ar
         payload=box_payload(task) if arguments.torques else None,
         jerk=None if arguments.jerk is None else _jerks(run, arguments.jerk),
         share=share,
+        scene=scene,
     )
 
 

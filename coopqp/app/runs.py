@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shutil
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from importlib import import_module
 from pathlib import Path
 
@@ -11,12 +11,14 @@ from coopqp.collision.clearance import Clearance
 from coopqp.collision.scene import CollisionScene
 from coopqp.control.qp import QPController
 from coopqp.errors import UnknownNameError
-from coopqp.output import OutputError, check_folder, check_unused, folder_of, numbered
+from coopqp.output import OutputError, check_below, check_folder, check_unused, folder_of, numbered
+from coopqp.planning.leading import led_path
 from coopqp.simulation.closeness import default_scene, with_clearance
 from coopqp.simulation.engine import run_in_engine
 from coopqp.simulation.recording import Recording
 from coopqp.simulation.scene import describe_object, read_object
 from coopqp.simulation.simulate import ProgressCallback, simulate
+from coopqp.task.posture import PostureOptions
 
 #: Products of :func:`write_products` and their file names.
 PRODUCTS = {
@@ -70,7 +72,15 @@ def obtain_run(name: str, *, progress: ProgressCallback | None = None, meshes: b
     if scenario.obstacles:
         scene = CollisionScene.of(scenario)
         constraints = [Clearance(scene)]
-    controller = QPController(scenario.cell, scenario.grasp, scenario.path, dt=scenario.dt, constraints=constraints)
+    path = led_path(
+        scenario.cell,
+        scenario.grasp,
+        scenario.path,
+        q_start=scenario.q_start,
+        posture=PostureOptions(),
+        scene=scene if constraints else None,
+    )
+    controller = QPController(scenario.cell, scenario.grasp, path, dt=scenario.dt, constraints=constraints)
     run = simulate(controller, q_start=scenario.q_start, progress=progress, metadata=metadata)
     return with_clearance(run, scene, avoided=bool(constraints))
 
@@ -88,23 +98,32 @@ def output_folder(name: str, asked: str | None, products: Iterable[str], *, out:
     Raises:
         UnknownNameError: no such product.
         MissingExtraError: a product needs an extra that is not installed.
-        OutputError: the folder cannot be written, or ``out`` already has one of the products.
+        OutputError: the folder cannot be written, ``out`` already has one of the products, or without ``out`` a link
+            leads out of the working directory.
     """
     wanted = list(products)
     for product in wanted:
         if product not in PRODUCTS:
             raise UnknownNameError("product", product, PRODUCTS)
         if product in _NEEDS:
-            module, name = _NEEDS[product]
-            getattr(import_module(module), name)()
+            module, guard = _NEEDS[product]
+            getattr(import_module(module), guard)()
     files = [file for product in wanted for file in PRODUCTS[product]]
+    folder = free_folder(name, asked, files, out=out, force=force)
+    if wanted:
+        check_folder(folder)
+    return folder
+
+
+def free_folder(name: str, asked: str | None, files: Sequence[str], *, out: Path | None, force: bool) -> Path:
+    """The folder for some files of a run; arguments and errors as in :func:`output_folder`."""
     folder = out or Path(asked or Path("out") / safe_name(name))
     if out is not None:
         check_unused((folder / file for file in files), force=force)
-    elif not force:
+        return folder
+    if not force:
         folder = numbered(folder, lambda place: any((place / file).exists() for file in files))
-    if wanted:
-        check_folder(folder)
+    check_below(folder)
     return folder
 
 

@@ -122,6 +122,12 @@ def print_written(files: Sequence[Path], *, apart: bool = False) -> None:
         print("\nwritten:" if apart else "written:", *(printable(str(file)) for file in files), sep="\n  ")
 
 
+def print_hints(hints: Sequence[str]) -> None:
+    """Print questions about a file on stderr."""
+    for hint in hints:
+        print("coopqp: hint:", printable(hint), file=sys.stderr, flush=True)
+
+
 def print_table(lines: Sequence[Sequence[str]], *, numeric: Sequence[bool], head: bool = True) -> None:
     """Print rows in columns, with numbers to the right and the head in bold."""
     lines = [[printable(text) for text in line] for line in lines]

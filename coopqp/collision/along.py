@@ -9,6 +9,7 @@ from __future__ import annotations
 import heapq
 import itertools
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING, NamedTuple, final
 
 import numpy as np
@@ -67,7 +68,7 @@ def along(scene: CollisionScene, way: CellWay, *, any_start: bool = False) -> Cl
         way: motion of the arms and the object.
         any_start: the way stands for those from any other start, too.
     """
-    return _Judge(scene, way, any_start=any_start).answer()
+    return replace(_Judge(scene, way, any_start=any_start).answer(), notes=scene.notes)
 
 
 @final
@@ -230,6 +231,12 @@ class _Judge:
             verdict, why = PathVerdict.SAMPLED, "They are judged at the start alone"
         elif not self._sure:
             verdict, why = PathVerdict.SAMPLED, "Between them nothing is proved"
+        if not self._way.complete and self._first is None:  # an arm's way ends early: beyond it nothing is judged
+            rest = [[end, self._way.duration]]
+            undecided = _merged(np.array(sorted([*undecided.tolist(), *rest])))
+            verdict = PathVerdict.UNDECIDED
+            ended = f"from {end:.4g} s on nothing is judged, since the way of an arm ends there"
+            why = f"{why}; {ended}" if why and len(undecided) > 1 else ended
         sure = verdict is PathVerdict.CERTIFIED
         return ClearanceCheck(
             verdict=verdict,

@@ -6,7 +6,8 @@ is reached within one step, at the earliest. Where nothing is known ahead, ξ is
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import json
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any, final
 
@@ -18,11 +19,14 @@ from coopqp.collision.distances import KERNEL, Distances, LowerBounds
 from coopqp.collision.evasion import Evasion
 from coopqp.collision.moving import MovingBodies
 from coopqp.collision.scene import CollisionScene
-from coopqp.control.constraints import MOST_ROWS, ConstraintTrouble, Knot, LabelledRows, Quiet, Rank, RowsInMemory
-from coopqp.errors import InvalidInputError
+from coopqp.control.cause import Cause
+from coopqp.control.constraints import MOST_ROWS, ConstraintTrouble, LabelledRows, Quiet, Rank, RowsInMemory
+from coopqp.control.verdict import too_close
+from coopqp.errors import TooCloseError
 from coopqp.model.limits import BindingLimit, LimitKind
 from coopqp.model.shapes import NearPair
 from coopqp.model.state import CellState
+from coopqp.planning.rate_bounds import Knot
 from coopqp.spatial import Array, Placement, as_placement
 
 #: A start this far inside a margin is outside it but for rounding [m].
@@ -31,6 +35,8 @@ _ROUNDING = 1e-6
 _WATCH, _BLIND_WATCH = 0.1, 0.3
 #: Between knots a pair is asked until its bodies move by less than this from one sample to the next [m].
 _SAMPLE = 5e-4
+#: In a compiled step pairs are followed one by one within this of their margin, others all together [m].
+_CLOSE = 0.25
 #: Pairs are looked at this far beyond the comfort, so that evasion begins gently [m].
 _EVADES_EARLY = 0.05
 #: Missing speed of a distance, per second of the path's clock, up to which evasion grows with its square [m/s].
@@ -96,6 +102,9 @@ class Clearance:
         built, cell = self.scene.built, self.scene.cell
         self._distances, self._probe = Distances(self.scene), Distances(self.scene)
         self._step, self._ahead = (LowerBounds(self.scene, self._distances) for _ in range(2))
+        self._bounds = [self._step, self._ahead]
+        self._in_memory: LowerBounds | None = None
+        self._native: list[RowsInMemory] = []
         self._margins, self._inside, self._reach = built.margins, built.inside, built.reach
         speed = cell.limits.velocity
         self._evasion = Evasion(cell)
@@ -157,6 +166,25 @@ class Clearance:
         k = int((d - self._margins).argmin())
         return self._pair(k, float(d[k]))
 
+    def inside(self, q: Array) -> tuple[BindingLimit, ...]:
+        """Pairs inside their margin at a configuration (nq,), with their distances; a pair that may be is no such pair.
+
+        Pairs are asked whose lower bound of the last step does not exclude it.
+        """
+        rooms = self._step.rooms if self._in_memory is None else np.minimum(self._step.rooms, self._in_memory.rooms)
+        near = np.flatnonzero((rooms < -_ROUNDING) & ~self._inside)
+        if not near.size:
+            return ()
+        self._probe.place(q)
+        found = [(self._probe.one(int(k)), int(k)) for k in near]
+        return tuple(replace(self.labels[k], distance=d) for d, k in sorted(found) if d < self._margins[k] - _ROUNDING)
+
+    def _overlaps(self) -> tuple[BindingLimit, ...]:
+        """Pairs that overlap with a moving body where rows were asked, the deepest first."""
+        distances, pairs = self._step.rooms + self._margins, self._moving.pairs
+        found = pairs[(distances[pairs] < 0.0) & ~self._inside[pairs]]
+        return tuple(replace(self.labels[k], distance=distances[k]) for k in found[distances[found].argsort()])
+
     def _pair(self, k: int, distance: float) -> NearPair:
         first, second = self.scene.built.labels[k]
         return NearPair(first, second, distance)
@@ -175,26 +203,31 @@ class Clearance:
         """Refuse a start at which a pair is inside its margin.
 
         Raises:
-            InvalidInputError: one is, and the scene does not say that it may start there.
+            TooCloseError: one is, and the scene does not say that it may start there.
         """
         d = self._distances.all(q)
         near = np.flatnonzero((d < self._margins - _ROUNDING) & ~self._inside)
-        self._step.forget()
-        self._ahead.forget()
+        for bounds in self._bounds:
+            bounds.start(d, self.scene.cell.positions(q))
+        for native in self._native:
+            native.prepare()
         self._moving.forget()
         if not near.size:
             return
         k = int(near[(d - self._margins)[near].argmin()])
         pair = self._pair(k, float(d[k]))
-        others = len({self.labels[i].between for i in near}) - 1
+        names = list(dict.fromkeys(self.labels[i].between for i in near))
+        others = len(names) - 1
         more = f", and {others} other pair{'s' * (others > 1)}" if others else ""
-        size = f"{1e3 * abs(pair.distance):.1f} mm"
+        size, notes = f"{1e3 * abs(pair.distance):.1f} mm", self.scene.built.notes
         apart = f"overlap by {size}" if pair.distance < 0.0 else f"are {size} from each other"
-        raise InvalidInputError(
-            f"{pair.first} and {pair.second} {apart}, inside their margin of {1e3 * self._margins[k]:.4g} mm{more}",
+        hulls = "".join(f"; {notes[name]}" for name in (pair.first, pair.second) if name in notes)
+        raise TooCloseError(
+            f"{pair.first} and {pair.second} {apart}, inside their margin of {1e3 * self._margins[k]:.4g} mm{more}"
+            f"{hulls}",
             "reset: q",
-            "Start elsewhere, lower the margin (margins), or allow the pair: inside=[…] where it may only part, "
-            "ignored=[…] where it may touch.",
+            "Start elsewhere, lower the margin (margins), or allow the pairs: inside=[…] where they may only part, "
+            f"where they may touch ignored={json.dumps(names, ensure_ascii=False)}.",
         )
 
     # -- the step --------------------------------------------------------------------------------------------------
@@ -208,8 +241,8 @@ class Clearance:
         """Rows of the pairs that are near, and their labels.
 
         Raises:
-            ConstraintTrouble: the place of a moving body was not told for too long; it carries the rows for the last
-                place that was told.
+            ConstraintTrouble: the place of a moving body was not told for too long, or it overlaps; with the rows for
+                the last place that was told.
         """
         late = self._moving.grow_old(dt, self.patience)
         rows = self._rows(q, dt, blind=blind)
@@ -217,6 +250,8 @@ class Clearance:
         if late:
             trouble = f"constraint {self.name}: nobody has said for {self.patience:g} s where {late} is (move)"
             raise ConstraintTrouble(trouble, rows)
+        if self._moving and (overlaps := self._overlaps()):
+            raise ConstraintTrouble(too_close(overlaps), rows, Cause.CLEARANCE)
         return rows
 
     def _rows(self, q: Array, dt: float, *, blind: bool) -> LabelledRows:
@@ -287,24 +322,49 @@ class Clearance:
         lower[close[bent]] = np.maximum(lower[close[bent]], rows.G[close[bent]] @ v) + missing[bent] / dt
         return lower
 
-    def in_memory(self, memory: Mapping[str, Array]) -> RowsInMemory | None:
-        """The same rows for standing bodies, in C over the memory of a compiled step; None without a compiler."""
+    def in_memory(self, memory: Mapping[str, Array], *, ahead: bool = False) -> RowsInMemory | None:
+        """The same for standing bodies, in C over the memory of a compiled step; None without a compiler.
+
+        Each step does a bounded share of what need not be known at once. Pairs that it did not look at keep a lower
+        bound of their distance, which the joints' motion takes from.
+
+        Args:
+            memory: see :meth:`coopqp.control.core.memory.Memory.of_rows`.
+            ahead: for knots ahead, not for rows.
+        """
         if self._moving or not hasattr(KERNEL, "Nearby"):
             return None
         step = ("positions", "command", "dt", "G", "lower", "upper", "soft", "owner")
-        quiet = ("quiet_centre", "quiet_reach", "quiet_slack", "quiet_approach")
-        numbers = self.approach, _WATCH, _BLIND_WATCH, _SAMPLE, _STANDS, float(self._most_pairs)
-        arrays = self._counts, self._most, self._fastest, *(memory[name] for name in step + quiet)
-        found: RowsInMemory | None = Distances(self.scene).nearby(self._step, arrays, numbers)
+        quiet = ("centre", "reach", "slack", "approach")
+        knots = ("knots", "knot_positions", "knot_slope", "knot_curvature")
+        names = (*step, *(f"{'quiet_ahead' if ahead else 'quiet'}_{name}" for name in quiet), *knots)
+        spare, evades = (max(_BEND, self._evading_from), self._evading_from) if ahead else (0.0, -1.0)
+        numbers = (
+            self.approach, _WATCH, _BLIND_WATCH, _SAMPLE, _STANDS, float(self._most_pairs), *memory["knot_numbers"],
+            _BENT, spare, evades, _CLOSE,
+        )  # fmt: skip
+        arrays = np.zeros(2) if ahead else self._counts, self._most, self._fastest, *(memory[name] for name in names)
+        bounds = LowerBounds(self.scene, self._distances)
+        found: RowsInMemory | None = Distances(self.scene).nearby(bounds, arrays, numbers)
+        if found is not None:
+            self._bounds.append(bounds)
+            self._native.append(found)
+            self._in_memory = self._in_memory if ahead else bounds
         return found
 
     # -- the path ahead --------------------------------------------------------------------------------------------
 
-    def room(self, knot: Knot) -> int:
-        """Label of a pair that stops the object between the knot before and this one; −1 if none does.
+    def room(self, knot: Knot, among: Sequence[int] | None = None) -> int:
+        """Label of a pair, of all or among some, that stops the object between the knot before and this one, or −1.
 
         It stops where the distance is below the margin while it falls.
         """
+        if among is not None:
+            self._distances.place(knot.state.q)
+            self._ahead.ask(among)
+            motion = _BENT * np.abs(self._back(knot, knot.span))
+            ways = [float(self._reach[k] @ motion) for k in among]
+            return next((k for k, way in zip(among, ways, strict=True) if self._crosses(k, knot, way)), -1)
         bounds, positions = self._ahead, self.scene.cell.positions
         bounds.follow(positions(knot.state.q))
         way = _BENT * (self._reach @ np.abs(self._back(knot, knot.span)))

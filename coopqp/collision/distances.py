@@ -11,14 +11,11 @@ import numpy.typing as npt
 import pinocchio as pin
 
 from coopqp.collision import bounds_plain
+from coopqp.native import compiled, warn_once
 from coopqp.spatial import Array
 
-try:
-    from coopqp.collision import _bounds as _compiled
-except ImportError:  # built without a compiler
-    KERNEL: Any = bounds_plain
-else:
-    KERNEL = _compiled  #: The module for bounds and rows: compiled or plain.
+#: The module for bounds and rows: compiled or plain.
+KERNEL: Any = compiled("distances") or bounds_plain
 
 if TYPE_CHECKING:
     from coopqp.collision.scene import CollisionScene
@@ -28,9 +25,13 @@ _TOLERANCE = 1e-9
 _MOST_ITERATIONS = 1000
 #: Where bodies overlap coal's search of the depth may fail, and answers the smallest number that there is [m].
 _DEEPEST = -1.0
+#: Nearest points beyond this are none: that search has failed [m].
+_FARTHEST = 1e9
 
 #: Pairs that are asked at most to sharpen bounds, and a room that counts as none [m].
 _MOST_ASKED, _LEAST_ROOM = 20, 1e-9
+#: The same in a compiled step.
+_MOST_ASKED_IN_STEP = 6
 
 
 def _request() -> coal.DistanceRequest:
@@ -134,13 +135,14 @@ class Distances:
             (pin.updateGeometryPlacements, (model, self._data, geometry, placed)),
         )
         counts, speeds, fastest, *step = arrays
+        arms = np.array([cell.arm_of_joint(j) for j in range(cell.nv)], dtype=float)
         own = (
-            *bounds.arrays(), fastest, self._kinds, cell.continuous.astype(float), speeds,
+            *bounds.arrays(), fastest, self._kinds, cell.continuous.astype(float), arms, speeds,
             cell.position_index.astype(float), q, self._data.J.T, counts,
         )  # fmt: skip
         return KERNEL.Nearby(
             (*own, *step),
-            (*numbers, _LEAST_ROOM, _DEEPEST, float(_MOST_ASKED)),
+            (*numbers, _LEAST_ROOM, _DEEPEST, float(_MOST_ASKED_IN_STEP)),
             (self._data, placed),
             placing,
             pin.computeDistance,
@@ -165,6 +167,7 @@ class Distances:
             result = self._results[k]
             ends.append(result.normal.tolist() + result.getNearestPoint2().tolist())
         both, lower = np.array(ends).reshape(-1, 6), np.empty(len(ends))
+        both[~(np.abs(both) < _FARTHEST).all(axis=1)] = 0.0  # of an overlap whose depth coal did not find
         G = np.empty((len(ends), self._cell.nv))
         KERNEL.rows(both, self._data.J.T, self._kinds, rooms, pairs, approach, G, lower)
         return Gradient(G, both[:, :3], both[:, 3:]), lower
@@ -179,26 +182,35 @@ class LowerBounds:
     Args:
         scene: the scene of the pairs.
         distances: the distances that are asked.
-        kernel: the code of the bounds, ``_bounds.c`` or :mod:`coopqp.collision.bounds_plain`.
+        kernel: the code of the bounds, ``_bounds.c`` or :mod:`coopqp.collision.bounds_plain`; None for the fastest of
+            this installation.
+
+    Warns:
+        KernelWarning: there is no compiled kernel, and none was asked for.
     """
 
-    def __init__(self, scene: CollisionScene, distances: Distances, *, kernel: Any = KERNEL) -> None:
+    def __init__(self, scene: CollisionScene, distances: Distances, *, kernel: Any = None) -> None:
+        if kernel is None:
+            warn_once()
         built, nv = scene.built, scene.cell.nv
-        self._margins, self._distances, self._kernel = built.margins, distances, kernel
+        self._margins, self._distances, self._kernel = built.margins, distances, kernel or KERNEL
         self._reach = np.ascontiguousarray(built.reach.T)  # as the kernel reads it
         self._most = built.reach.sum(axis=1)
         self._continuous = scene.cell.continuous.astype(float)
         self._shares, self._weights = np.empty(len(built.margins)), np.zeros(nv)
         self.rooms = np.full(len(built.margins), -np.inf)  # at least this far from the margin (P,) [m]
         self.positions = np.zeros(nv)
+        self._epoch = np.zeros(1)
 
     def arrays(self) -> tuple[Array, ...]:
-        """Rooms, reaches, positions, margins, and the most room that a unit of motion takes from each pair."""
-        return self.rooms, self._reach, self.positions, self._margins, self._most
+        """Rooms, reaches, positions, number of starts, margins, and the room that a unit of motion takes at most."""
+        return self.rooms, self._reach, self.positions, self._epoch, self._margins, self._most
 
-    def forget(self) -> None:
-        """Nothing is known: a body has moved."""
-        self.rooms[:] = -np.inf
+    def start(self, distances: Array, positions: Array) -> None:
+        """Begin where all distances (P,) are known."""
+        self.rooms[:] = distances - self._margins
+        self.positions[:] = positions
+        self._epoch += 1.0
 
     def follow(self, positions: Array) -> None:
         """The joints are at positions (nv,) now."""

@@ -18,26 +18,26 @@ LARGE_HULL = 1.5
 MOST_BYTES = 100_000_000
 
 
-def geometry_of(shape: Shape, where: str) -> tuple[Any, float]:
-    """A convex coal geometry, and how many times the volume of its mesh it has (1 where it is no mesh).
+def geometry_of(shape: Shape, where: str) -> Any:
+    """A coal geometry, convex unless the shape is a mesh.
 
     Raises:
         InvalidInputError: a mesh that cannot be read, is empty or too large.
     """
     if isinstance(shape, Box):
-        return coal.Box(*shape.size), 1.0
+        return coal.Box(*shape.size)
     if isinstance(shape, Sphere):
-        return coal.Sphere(shape.radius), 1.0
+        return coal.Sphere(shape.radius)
     if isinstance(shape, Cylinder):
-        return coal.Cylinder(shape.radius, shape.length), 1.0
+        return coal.Cylinder(shape.radius, shape.length)
     if isinstance(shape, Capsule):
-        return coal.Capsule(shape.radius, shape.length), 1.0
+        return coal.Capsule(shape.radius, shape.length)
     if isinstance(shape, Hull):
-        return hull_of(shape.points, where), 1.0
+        return hull_of(shape.points, where)
     return _of_mesh(shape, where)
 
 
-def _of_mesh(mesh: Mesh, where: str) -> tuple[Any, float]:
+def _of_mesh(mesh: Mesh, where: str) -> Any:
     file = Path(mesh.file)
     if file.stat().st_size > MOST_BYTES:
         raise InvalidInputError(f"{file} is larger than {MOST_BYTES} bytes", where, "Reduce the mesh.")
@@ -45,12 +45,11 @@ def _of_mesh(mesh: Mesh, where: str) -> tuple[Any, float]:
     if triangles > MOST_TRIANGLES:  # before it takes a minute to read it
         raise InvalidInputError(f"{file} has {triangles} triangles", where, f"Reduce it to {MOST_TRIANGLES} or fewer.")
     try:
-        read = coal.MeshLoader().load(str(file), np.array(mesh.scale))
+        return coal.MeshLoader().load(str(file), np.array(mesh.scale))
     except (ValueError, RuntimeError) as error:
         why = str(error).partition("message: ")[2].partition("\nHint")[0]  # without coal's own source lines
         said = " ".join((why or str(error)).split())
         raise InvalidInputError(f"{file} is no readable mesh ({said})", where, "Give an STL, DAE or OBJ.") from error
-    return convex(read, f"{where}: {file}")
 
 
 def _stl_triangles(file: Path) -> int:
@@ -65,6 +64,8 @@ def _stl_triangles(file: Path) -> int:
 
 def convex(geometry: Any, where: str) -> tuple[Any, float]:
     """The convex hull of a geometry (itself if it is convex), and how many times its volume the hull has.
+
+    The number is infinite for a mesh that encloses no volume.
 
     Raises:
         InvalidInputError: an empty or too large mesh, or a geometry without end or volume.
@@ -86,8 +87,8 @@ def convex(geometry: Any, where: str) -> tuple[Any, float]:
             f"a mesh of {geometry.num_tris} triangles", where, f"Reduce it to {MOST_TRIANGLES} or fewer."
         )
     points = np.asarray(geometry.vertices(), dtype=float)
-    hull, volume = hull_of(points, where), float(geometry.computeVolume())
-    return hull, float(hull.computeVolume()) / volume if volume > 0.0 else 1.0
+    hull, volume = hull_of(points, where), abs(float(geometry.computeVolume()))  # negative if it is wound inwards
+    return hull, float(hull.computeVolume()) / volume if volume > 0.0 else np.inf
 
 
 def hull_of(points: Any, where: str) -> Any:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import json
 from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -79,6 +80,19 @@ def as_pair(entry: Any, where: str) -> tuple[str, str]:
         raise InvalidInputError(f"{shown(entry)} is no pair of names", where, 'Give pairs such as ("object", "post").')
     first, second = entry
     return first, second
+
+
+def ignored_line(pairs: Iterable[Sequence[str]]) -> str:
+    """The line of a cell file by which pairs of names may touch."""
+    return f"ignored = {json.dumps([list(pair) for pair in pairs], ensure_ascii=False)}"
+
+
+def pairs_said(pairs: Iterable[Sequence[str]]) -> str:
+    """Pairs of names for a sentence: "a and b with object, c with d"."""
+    groups: dict[str, list[str]] = {}
+    for first, second in pairs:
+        groups.setdefault(second, []).append(first)
+    return ", ".join(f"{' and '.join(firsts)} with {second}" for second, firsts in groups.items())
 
 
 def srdf_pairs(source: str | Path, where: str) -> list[tuple[str, str]]:

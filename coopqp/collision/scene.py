@@ -12,9 +12,10 @@ import numpy as np
 import pinocchio as pin
 
 from coopqp.checks import as_scalar, require
-from coopqp.collision.geometry import LARGE_HULL, convex, geometry_of, reach_of
+from coopqp.collision.geometry import reach_of
 from coopqp.collision.pairs import Names, PairRules, as_pair, srdf_pairs
 from coopqp.collision.parts import Levers, Part, joints_to
+from coopqp.collision.shapes import Shapes
 from coopqp.errors import InvalidInputError, UnknownNameError, shown
 from coopqp.model.cell import RobotCell
 from coopqp.model.grasp import Grasp
@@ -33,7 +34,10 @@ _MORE = 1e-5
 @final
 @dataclass(frozen=True, kw_only=True, eq=False)
 class CollisionScene:
-    """The bodies of a cell and the distances that they keep. All shapes are convex; meshes count as their hulls.
+    """The bodies of a cell and the distances that they keep. All shapes are convex.
+
+    A mesh counts as its convex hull, and :attr:`notes` names it where the hull is much larger; ``decompose`` takes its
+    convex parts instead.
 
     Names: a link is ``arm/link``; other bodies are called as their ``Body`` says. Where two names are asked for, an
     arm's name stands for all its links, and ``"*"`` for all bodies.
@@ -51,9 +55,12 @@ class CollisionScene:
         margins: other margins for pairs of names [m].
         ignored: pairs of names that may touch.
         inside: pairs of names that may start inside their margin; they come no closer then.
+        decompose: names of bodies whose meshes count as their convex parts, and not as one hull. Needs the extra
+            ``decompose``; the parts are kept in the user's cache folder.
 
     Raises:
         InvalidInputError, UnknownNameError: a bad mesh, size, name or margin.
+        MissingExtraError: ``decompose`` without its extra.
     """
 
     cell: RobotCell
@@ -69,6 +76,7 @@ class CollisionScene:
     margins: Mapping[tuple[str, str], float] = field(default_factory=dict)
     ignored: Sequence[tuple[str, str]] = ()
     inside: Sequence[tuple[str, str]] = ()
+    decompose: Sequence[str] = ()
 
     def __post_init__(self) -> None:
         require(self.cell, RobotCell, "CollisionScene: cell", "Give a RobotCell.")
@@ -80,7 +88,7 @@ class CollisionScene:
         on_links = {str(link): _bodies(bodies, f"on_links '{link}'") for link, bodies in dict(self.on_links).items()}
         object.__setattr__(self, "on_links", on_links)
         object.__setattr__(self, "margin", as_scalar(self.margin, "CollisionScene: margin", open_low=False, high=10.0))
-        for name in ("without", "ignored", "inside"):
+        for name in ("without", "ignored", "inside", "decompose"):
             object.__setattr__(self, name, tuple(getattr(self, name)))
         margins = {
             as_pair(pair, "CollisionScene: margins"): as_scalar(
@@ -124,8 +132,8 @@ class CollisionScene:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Remarks for the user: meshes whose hulls are much larger than themselves."""
-        return self.built.notes
+        """Remarks for the user: meshes whose hulls are much larger than themselves, and what convex parts leave out."""
+        return tuple(self.built.notes.values())
 
     def distances(self, q: Any) -> tuple[NearPair, ...]:
         """Distances of all pairs of names at a configuration (nq,), the nearest first [m]."""
@@ -186,7 +194,7 @@ class Built:
         levers: largest distance of the object's points from its origin, for pairs of the object with a body that stands
             in the world (P,) [m]; infinite for others.
         moving: number of the shapes of moving bodies.
-        notes: see :attr:`CollisionScene.notes`.
+        notes: :attr:`CollisionScene.notes` by the name of the body.
     """
 
     geometry: pin.GeometryModel
@@ -198,7 +206,7 @@ class Built:
     inside: Any
     levers: Array
     moving: tuple[int, ...]
-    notes: tuple[str, ...]
+    notes: Mapping[str, str]
 
 
 def _bodies(bodies: Any, where: str) -> tuple[Body, ...]:
@@ -211,8 +219,8 @@ def _bodies(bodies: Any, where: str) -> tuple[Body, ...]:
 
 
 def _build(scene: CollisionScene) -> Built:
-    notes: list[str] = []
-    parts = [*_links(scene, notes), *_others(scene, notes)]
+    shapes = Shapes(scene)
+    parts = [*_links(scene, shapes), *_others(scene, shapes)]
     if len(parts) < 2:
         raise InvalidInputError(
             "fewer than two shapes",
@@ -254,7 +262,7 @@ def _build(scene: CollisionScene) -> Built:
         np.array([frozenset(label) in inside for label in labels], dtype=bool),
         np.array(levers) * (1.0 + _MORE),
         tuple(i for i, part in enumerate(parts) if part.moving),
-        tuple(notes),
+        shapes.notes,
     )
 
 
@@ -278,7 +286,7 @@ def _check_names(scene: CollisionScene, parts: Sequence[Part]) -> None:
             )
 
 
-def _links(scene: CollisionScene, notes: list[str]) -> list[Part]:
+def _links(scene: CollisionScene, convex: Shapes) -> list[Part]:
     """The arms' own shapes, and those that the user put on links."""
     model, parts = scene.cell.model, []
     shapes = list(scene.cell.collision_model().geometryObjects)
@@ -289,22 +297,19 @@ def _links(scene: CollisionScene, notes: list[str]) -> list[Part]:
     for shape, link in zip(shapes, links, strict=True):
         if link in without:
             continue
-        geometry, large = convex(shape.geometry, link)
-        if large > LARGE_HULL:
-            notes.append(f"the hull of a mesh of {link} has {large:.1f} times its volume")
-        parts.append(Part(link, shape.parentJoint, shape.parentFrame, shape.placement, geometry))
+        at = shape.parentJoint, shape.parentFrame, shape.placement
+        parts += [Part(link, *at, geometry) for geometry in convex.of(link, shape.geometry, link)]
     for link, bodies in scene.on_links.items():
         if not model.existFrame(link):
             raise UnknownNameError("link", link, sorted(set(links)), "CollisionScene: on_links")
         frame = model.getFrameId(link)
         for body in bodies:
-            geometry = _geometry(body, notes)
-            placement = model.frames[frame].placement * body.placement
-            parts.append(Part(body.name, model.frames[frame].parentJoint, frame, placement, geometry))
+            at = model.frames[frame].parentJoint, frame, model.frames[frame].placement * body.placement
+            parts += [Part(body.name, *at, geometry) for geometry in convex.of_body(body)]
     return parts
 
 
-def _others(scene: CollisionScene, notes: list[str]) -> list[Part]:
+def _others(scene: CollisionScene, convex: Shapes) -> list[Part]:
     """The object, as each arm carries it, and the surroundings.
 
     All arms carry the object to one place, up to the chain's error. With the links of an arm goes the object as that
@@ -312,8 +317,7 @@ def _others(scene: CollisionScene, notes: list[str]) -> list[Part]:
     """
     cell = scene.cell
     parts = []
-    for body in scene.carried:
-        geometry = _geometry(body, notes)
+    for body, geometry in [(b, g) for b in scene.carried for g in convex.of_body(b)]:
         T = as_placement(body.placement, body.name)
         lever = reach_of(geometry, T.rotation, T.translation)
         for joint, frame, T_joint_tool, X in zip(
@@ -322,15 +326,8 @@ def _others(scene: CollisionScene, notes: list[str]) -> list[Part]:
             placement = T_joint_tool * X.inverse() * body.placement
             parts.append(Part(body.name, joint, frame, placement, geometry, object=True, lever=lever))
     for bodies, moving in ((scene.obstacles, False), (scene.moving, True)):
-        parts += [Part(b.name, 0, 0, b.placement, _geometry(b, notes), moving=moving) for b in bodies]
+        parts += [Part(b.name, 0, 0, b.placement, g, moving=moving) for b in bodies for g in convex.of_body(b)]
     return parts
-
-
-def _geometry(body: Body, notes: list[str]) -> Any:
-    geometry, large = geometry_of(body.shape, f"Body '{body.name}'")
-    if large > LARGE_HULL:
-        notes.append(f"the hull of the mesh of {body.name} has {large:.1f} times its volume")
-    return geometry
 
 
 def _pairs(scene: CollisionScene, parts: Sequence[Part]) -> list[tuple[int, int]]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import enum
+import math
 import operator
 import struct
 from dataclasses import dataclass
@@ -11,6 +12,7 @@ from typing import Any, Protocol, final
 import numpy as np
 
 from coopqp.checks import ArrayLike, read_only
+from coopqp.control.cause import Cause
 from coopqp.lazy import Shown
 from coopqp.model.cell import RobotCell
 from coopqp.model.grasp import Grasp
@@ -134,9 +136,13 @@ class ControlStep(Shown):
         clock, clock_next: the object's clock at both ends [s].
         rate: σ, share of the nominal path rate.
         status, reason: the result of the step, in a word and in a sentence.
+        cause: why the status is not TRACKING, for programs; None while it is.
         binding: limits that the step runs against.
         given_up: the parts that each rank gave up.
         solver: result of the QP solver.
+        commanded_apart: the largest distance of an arm's view of the object from the others' at :attr:`q` [m]: at the
+            grasps, turns included, without what is left of the start's mismatch and of shifts of the grasps. NaN for
+            controllers that do not watch it.
         clearance: the bodies nearest to their margin at :attr:`q`, and their distance; None without a
             :class:`coopqp.collision.Clearance`. It is measured when it is asked for.
         build_time_s: time to compute the step without the solve [s]; 0 where it is not measured.
@@ -150,9 +156,11 @@ class ControlStep(Shown):
     rate: float
     status: Status
     reason: str
+    cause: Cause | None
     binding: tuple[BindingLimit, ...]
     given_up: GivenUp
     solver: SolverReport
+    commanded_apart: float
     clearance: NearPair | None
     build_time_s: float
 
@@ -186,9 +194,11 @@ class ControlStep(Shown):
         rate: float,
         status: Status,
         reason: str = "",
+        cause: Cause | None = None,
         binding: tuple[BindingLimit, ...] = (),
         given_up: GivenUp = NOTHING,
         solver: SolverReport = NO_SOLVE,
+        commanded_apart: float = math.nan,
         clearance: NearPair | None = None,
         build_time_s: float = 0.0,
     ) -> None:
@@ -318,7 +328,7 @@ def brakes_for_target(step: ControlStep) -> None:
     if step.status in (Status.SLOWED, Status.PAUSED):
         binding = tuple(b for b in step.binding if b.kind is not LimitKind.OVERRIDE)
         reason = "; ".join(filter(None, (step.reason, "the object brakes before it goes over to its new target")))
-        amend(step, status=Status.SLOWED, binding=binding, reason=reason)
+        amend(step, status=Status.SLOWED, cause=Cause.OPERATOR, binding=binding, reason=reason)
 
 
 def off_path(distance: float, angle: float) -> str:
@@ -337,7 +347,7 @@ class Controller(Protocol):
     dt: float
 
     def reset(self, q: ArrayLike) -> None:
-        """Start at rest at a measured configuration (nq,), with the object's clock at 0.
+        """Start at rest at a measured configuration (nq,), or the mean of readings (n, nq), with the clock at 0.
 
         Raises:
             InvalidInputError: wrong shape, NaN, or the arms do not hold the object at ``q``.

@@ -15,10 +15,8 @@ from coopqp.control.constraints import (
     Bound,
     CertifiedConstraint,
     ConstraintTrouble,
-    Knot,
     LabelledRows,
     Rank,
-    RateBound,
     Rows,
     VelocityConstraint,
     no_rows,
@@ -28,6 +26,7 @@ from coopqp.model.cell import RobotCell
 from coopqp.model.limits import BindingLimit, LimitKind
 from coopqp.model.shapes import NearPair
 from coopqp.model.state import CellState
+from coopqp.planning.rate_bounds import BoundTrouble, Knot, RateBound, lines_of
 from coopqp.spatial import Array
 
 _EVERY: Any = slice(None)
@@ -35,6 +34,9 @@ _EVERY: Any = slice(None)
 _STILL = 1e-12
 #: Entries of rows this large are nonsense.
 _LARGEST = 1e9
+#: Rows whose largest entry is smaller are scaled to 1, for steps keep all rows with the same absolute tolerance; where
+#: it is smaller than the least, their numbers have lost digits.
+_SMALL, _LEAST = 1e-3, 1e-290
 
 
 @final
@@ -86,10 +88,15 @@ class Constraints:
         self._uncertified = [(i, c) for i, c in self.velocity if not isinstance(c, CertifiedConstraint)]
         self._soft = {i: item.rank == Rank.CLEARANCE for i, item in self.velocity}
         self._nothing = no_rows(cell.nv)
-        self._all_soft, self._none_soft = np.ones(MOST_ROWS, dtype=bool), np.zeros(MOST_ROWS, dtype=bool)
+        self._all_soft, self._none_soft = np.ones(MOST_ROWS), np.zeros(MOST_ROWS)
 
     def __bool__(self) -> bool:
         return bool(self.names)
+
+    @property
+    def gives_way(self) -> bool:
+        """Whether one of them may lead the object off its path."""
+        return any(getattr(c, "give_way", False) for _, c in self.velocity)
 
     @property
     def evades(self) -> bool:
@@ -155,7 +162,7 @@ class Constraints:
                 trouble = trouble or raised
         rows = self._joined(parts)
         if trouble is not None:
-            raise ConstraintTrouble(str(trouble), rows)
+            raise ConstraintTrouble(str(trouble), rows, trouble.cause)
         return rows
 
     def _uncertified_rows(self, state: CellState, dt: float) -> list[Rows]:
@@ -173,7 +180,8 @@ class Constraints:
                     f"constraint {name}: G {G.shape}, lower {lower.shape} and upper {upper.shape} are no rows "
                     f"for {nv} joints (finite G, lower ≤ upper)"
                 )
-            parts.append(Rows(G, lower, upper, np.full(m, self._soft[i]), np.full(m, self._first[i])))
+            G, lower, upper = _scaled(name, G, lower, upper)
+            parts.append(Rows(G, lower, upper, np.full(m, float(self._soft[i])), np.full(m, self._first[i])))
         return parts
 
     def _joined(self, parts: list[Rows]) -> Rows:
@@ -202,12 +210,17 @@ class Constraints:
         found = [pair for _, c in self._certified if (pair := c.nearest(q)) is not None]
         return min(found, key=lambda pair: pair.distance, default=None)
 
+    def inside(self, q: Array) -> tuple[BindingLimit, ...]:
+        """Pairs of bodies that are inside their margin at ``q`` (nq,), each with its distance, the worst first."""
+        found = [limit for _, c in self._certified for limit in c.inside(q)]
+        return tuple(sorted(dict.fromkeys(found), key=lambda limit: limit.distance or 0.0))
+
     def tightened(self, rows: Rows, q_next: Array, v: Array, dt: float) -> Rows | None:
         """Tighter rows if a command keeps the rows but breaks their constraint; None if it breaks none."""
         found = None
         for i, constraint in self._certified:
             first, own = self._first[i], _EVERY
-            if len(self.velocity) > 1:
+            if len(self.velocity) > 1 or (len(rows) and rows.owner[-1] < 0):  # others come last
                 own = (rows.owner >= first) & (rows.owner < first + len(constraint.labels))
             given = LabelledRows(rows.G[own], rows.lower[own], rows.upper[own], rows.owner[own] - first)
             lower = constraint.tightened(given, q_next, v, dt)
@@ -221,21 +234,27 @@ class Constraints:
         """a, b, c of every rate bound, and its number."""
         found = []
         for i, bound in self.rate:
-            a, b, c = (np.atleast_1d(x) for x in _asked(self.names[i], partial(bound.lines, knot)))
-            if not (a.shape == b.shape == c.shape == (a.size,) and np.isfinite([a, b, c]).all()):
-                raise ConstraintTrouble(f"constraint {self.names[i]}: a, b and c are not finite vectors of one length")
-            found.append((a, b, c, i))
+            try:
+                found.append((*lines_of(bound, knot), i))
+            except BoundTrouble as trouble:
+                raise ConstraintTrouble(f"constraint {self.names[i]}{trouble}") from trouble
         return found
 
-    def bound(self, knot: Knot, dt: float, curvature_share: float) -> Bound:
+    def bound(self, knot: Knot, dt: float, curvature_share: float, among: Sequence[int] | None = None) -> Bound:
         """The rate that the constraints allow at a knot.
+
+        Args:
+            knot: the knot.
+            dt: nominal length of a step [s].
+            curvature_share: share of a bound that curvature may take.
+            among: labels of a certified constraint of which one may bind; None if all may.
 
         Raises:
             ConstraintTrouble: as for :meth:`rows`.
         """
         cap, decrease, rise, which = np.inf, np.inf, np.inf, -1
         for i, constraint in self._certified:
-            label = constraint.room(knot)
+            label = constraint.room(knot) if among is None else constraint.room(knot, among)
             if label >= 0:
                 return Bound(-1.0, np.inf, np.inf, self._first[i] + label)
         rows = self._joined(self._uncertified_rows(knot.state, dt))
@@ -272,6 +291,26 @@ def _labels(
         own = item.labels if isinstance(item, CertifiedConstraint) else ()
         labels += own or [BindingLimit("", "", LimitKind.CONSTRAINT, name)]
     return tuple(labels), first
+
+
+def _scaled(name: str, G: Array, lower: Array, upper: Array) -> tuple[Array, Array, Array]:
+    """The same rows, G (m, nv) with lower and upper (m,), those with small entries in units in which the largest is 1.
+
+    Raises:
+        ConstraintTrouble: entries of a row are too small to be told from rounding.
+    """
+    size = np.abs(G).max(axis=1, initial=0.0)
+    small = (size < _SMALL) & (size > 0.0)
+    if not small.any():
+        return G, lower, upper
+    if size[small].min() < _LEAST:
+        raise ConstraintTrouble(
+            f"constraint {name}: the largest entry of row {int(np.argmax(small & (size < _LEAST)))} of G is "
+            f"{size[small].min():.3g}: scale the row, and its bounds with it"
+        )
+    units = np.where(small, size, 1.0)
+    with np.errstate(over="ignore"):  # a bound that becomes infinite cannot be reached
+        return G / units[:, None], lower / units, upper / units
 
 
 def _asked(name: str, call: Callable[[], Any]) -> tuple[Array, Array, Array]:

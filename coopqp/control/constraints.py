@@ -7,15 +7,17 @@ on the path, the QP. A line ``a z + b σ̇ ≤ c`` with z = σ² bounds the rate
 from __future__ import annotations
 
 import enum
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from typing import Any, NamedTuple, Protocol, final, runtime_checkable
 
 import numpy as np
 
+from coopqp.control.cause import Cause
 from coopqp.model.limits import BindingLimit
 from coopqp.model.shapes import NearPair
 from coopqp.model.state import CellState
+from coopqp.planning.rate_bounds import Knot
 from coopqp.spatial import Array
 
 #: Further rows that a step may have.
@@ -57,43 +59,6 @@ class VelocityConstraint(Protocol):
         ...
 
 
-@dataclass(frozen=True, eq=False)
-class Knot:
-    """The chain at one clock of the path ahead: joints move at ``q′ σ`` and accelerate at ``q′ σ̇ + q″ σ²``.
-
-    Attributes:
-        clock: the object's clock [s].
-        state: kinematics there.
-        slope: q′ (nv,) [rad or m per clock second].
-        curvature: q″ (nv,), its mean since the knot before.
-        span: since the knot before [s]; 0 at the first one.
-    """
-
-    clock: float
-    state: CellState
-    slope: Array
-    curvature: Array
-    span: float = 0.0
-
-
-@runtime_checkable
-class RateBound(Protocol):
-    """Lines that the object's rate σ, and its change σ̇, have to keep at every knot of the look-ahead.
-
-    They hold on paths that are looked ahead on, and while the object follows its path: a hold brakes as hard as the
-    joints' own limits allow.
-
-    Attributes:
-        name: how ``ControlStep.binding`` calls it.
-    """
-
-    name: str
-
-    def lines(self, knot: Knot) -> tuple[Array, Array, Array]:
-        """a, b and c (m,) with ``a z + b σ̇ ≤ c``, z = σ². At z = 0 and σ̇ = 0 they have to hold: c ≥ 0."""
-        ...
-
-
 class LabelledRows(NamedTuple):
     """Rows ``lower ≤ G v ≤ upper`` of a :class:`CertifiedConstraint`, and the label of each (m,)."""
 
@@ -105,6 +70,8 @@ class LabelledRows(NamedTuple):
 
 class Quiet(NamedTuple):
     """Where a constraint is known to be quiet: joint positions x with ``Σ reach |x − centre| ≤ slack``.
+
+    The sum is over the joints of the two arms where it is largest: no row may depend on more arms.
 
     Attributes:
         centre: joint positions (nv,).
@@ -128,6 +95,18 @@ class RowsInMemory(Protocol):
 
     def tightened(self) -> bool:
         """Raise lower bounds that the command breaks; whether it does."""
+        ...
+
+    def doubtful(self, place: int, /) -> list[int] | None:
+        """Labels that may stop the object between the knot before and the one at a place; None if nothing is known."""
+        ...
+
+    def prepare(self) -> None:
+        """Look at everything once, where the joints start."""
+        ...
+
+    def surveys(self) -> bool:
+        """Do a piece of work that need not be done in one step; whether there was any."""
         ...
 
 
@@ -167,12 +146,12 @@ class CertifiedConstraint(VelocityConstraint, Protocol):
         """Other lower bounds (m,) if ``q_next`` (nq,) breaks what rows stand for; else None."""
         ...
 
-    def in_memory(self, memory: Mapping[str, Array]) -> RowsInMemory | None:
-        """The same rows over the memory of a compiled step; None without a native form."""
+    def in_memory(self, memory: Mapping[str, Array], *, ahead: bool = False) -> RowsInMemory | None:
+        """The same rows, or those of knots ahead, over the memory of a compiled step; None without a native form."""
         ...
 
-    def room(self, knot: Knot) -> int:
-        """Number of the label that stops the object before a knot; −1 if none does."""
+    def room(self, knot: Knot, among: Sequence[int] | None = None) -> int:
+        """Number of the label, of all or among some, that stops the object before a knot; −1 if none does."""
         ...
 
     def evaded(self, q: Array, slope: Array) -> Array:
@@ -187,6 +166,10 @@ class CertifiedConstraint(VelocityConstraint, Protocol):
         """The pair nearest to binding at ``q`` (nq,)."""
         ...
 
+    def inside(self, q: Array) -> tuple[BindingLimit, ...]:
+        """Labels of what is already violated at ``q`` (nq,), with its distance, the worst first."""
+        ...
+
 
 @final
 @dataclass(frozen=True, eq=False)
@@ -196,8 +179,10 @@ class Rows:
     Attributes:
         G: (m, nv).
         lower, upper: (m,).
-        soft: which rows may give way before the arms part (m,).
-        owner: number of each row's name in :attr:`Constraints.labels` (m,).
+        soft: how far a row gives way before the arms part, over what a row of the rank CLEARANCE does at the same cost
+            (m,); 0 for rows that never do.
+        owner: number of each row's name in :attr:`Constraints.labels` (m,); of a row that brakes all arms together −1
+            less its number in :attr:`coopqp.control.braking_rows.BrakingRows.labels`.
     """
 
     G: Array
@@ -208,6 +193,12 @@ class Rows:
 
     def __len__(self) -> int:
         return len(self.lower)
+
+    def and_also(self, others: Rows) -> Rows:
+        """These, then the others."""
+        if not len(self) or not len(others):
+            return others if len(others) else self
+        return Rows(*(np.concatenate([getattr(self, f.name), getattr(others, f.name)]) for f in fields(Rows)))
 
     def only(self, chosen: Any) -> Rows:
         """Those of a mask (m,)."""
@@ -232,7 +223,7 @@ class Bound(NamedTuple):
 def no_rows(nv: int) -> Rows:
     """Zero rows, for nv joints."""
     nothing = np.zeros(0)
-    return Rows(np.zeros((0, nv)), nothing, nothing, nothing.astype(bool), nothing.astype(int))
+    return Rows(np.zeros((0, nv)), nothing, nothing, nothing, nothing.astype(int))
 
 
 class ConstraintTrouble(Exception):  # noqa: N818
@@ -240,8 +231,9 @@ class ConstraintTrouble(Exception):  # noqa: N818
 
     Attributes:
         rows: those that constraints could still give; the step that holds keeps them.
+        cause: of the step that holds.
     """
 
-    def __init__(self, message: str, rows: Any = None) -> None:
+    def __init__(self, message: str, rows: Any = None, cause: Cause = Cause.INPUT) -> None:
         super().__init__(message)
-        self.rows = rows
+        self.rows, self.cause = rows, cause

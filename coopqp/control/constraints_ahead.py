@@ -5,10 +5,11 @@ from __future__ import annotations
 from typing import final
 
 from coopqp.control.constraint_set import Constraints
-from coopqp.control.constraints import ConstraintTrouble, Knot
+from coopqp.control.constraints import ConstraintTrouble
 from coopqp.model.cell import RobotCell
 from coopqp.model.state import CellState
 from coopqp.planning.chain_ahead import KnotRoom, LookAheadTrouble
+from coopqp.planning.rate_bounds import Knot
 from coopqp.spatial import Array
 
 

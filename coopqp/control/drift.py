@@ -12,6 +12,7 @@ from typing import final
 
 import numpy as np
 
+from coopqp.control.core import layout
 from coopqp.spatial import Array, largest
 
 #: Standard deviations: drift within a second [m], lag of an arm [s], and the least one of an estimated lag [s].
@@ -26,6 +27,10 @@ _PERIOD = 0.0045
 _LARGEST_SLOPE = 0.02
 
 
+#: Closures of rigid grips also drift as fast as the object grows [m/s].
+_GROWS = layout.CONSTANTS["GROWS"]
+
+
 @final
 class Drift:
     """The drift of each arm from the others; all arms share the variances, since all have one speed.
@@ -38,6 +43,8 @@ class Drift:
     def __init__(self, n: int, largest: float) -> None:
         self._drift, self._lag, self._apart = np.zeros((n, 6)), np.zeros((n, 6)), np.zeros((n, 6))
         self._largest = largest
+        #: The way of the arms in the last sample of rigid grips [rad or m].
+        self.way = 0.0
         self.reset()
 
     def reset(self) -> None:
@@ -64,6 +71,19 @@ class Drift:
             self._last = commanded
             self._update(apart, noise, way / self._since, _LARGEST_SLOPE * way, self._since)
             self._since = 0.0
+        return apart - self._drift
+
+    def followed(self, apart: Array, commanded: Array, dt: float) -> Array:
+        """Distances without a drift that follows them at once, by a share of the arms' way, and of time, at most.
+
+        For rigid grips, whose distances are closure errors: no lag is in them, but the object may grow.
+        """
+        way = 0.0 if self._last is None else largest(np.abs(commanded - self._last))
+        self._last, self.way = commanded, way
+        off = apart - self._drift
+        fastest = largest(np.abs(off))
+        self._drift += off * min((_LARGEST_SLOPE * way + _GROWS * dt) / max(fastest, 1e-300), 1.0)
+        np.minimum(np.maximum(self._drift, -self._largest, out=self._drift), self._largest, out=self._drift)
         return apart - self._drift
 
     def _update(self, apart: Array, noise: float, speed: float, most: float, dt: float) -> None:

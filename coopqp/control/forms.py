@@ -144,7 +144,7 @@ class CondensedQp:
         problem, (_, unknowns, outside, soft) = self.problem, self.sizes
         square = np.einsum("ij,ij->i", columns, columns)
         if soft:
-            square[lead_back.soft] += lead_back.soft_unit**2
+            square[lead_back.soft] += lead_back.soft_units**2
         norms = np.sqrt(square)
         norms[norms < 1e-12] = 1.0
         problem.C[:, :unknowns] = columns / norms[:, None]
@@ -155,7 +155,7 @@ class CondensedQp:
             np.fill_diagonal(problem.A[:, unknowns : unknowns + outside], -lead_back.unit / norms[j])
             problem.b[:] = (lead_back.recovery[j] - base[j]) / norms[j]
         for i, row in enumerate(lead_back.soft[:soft]):
-            problem.C[row, unknowns + outside + i] = -lead_back.soft_unit / norms[row]
+            problem.C[row, unknowns + outside + i] = -lead_back.soft_units[i] / norms[row]
         return problem
 
     def set_bounds(self, first: int, unit: Array, rate_cap: float) -> None:
@@ -174,14 +174,14 @@ class LeadBack:
         recovery: velocities that lead them back (nv,).
         unit: of their unknowns.
         soft: indices of the rows.
-        soft_unit: of their unknowns.
+        soft_units: of their unknowns.
     """
 
     outside: npt.NDArray[np.intp]
     recovery: Array
     unit: float
     soft: npt.NDArray[np.intp]
-    soft_unit: float
+    soft_units: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -270,15 +270,17 @@ class StepProgram:
     ) -> QpProblem:
         """The condensed QP of base and columns, of joints and further rows, but for the bounds of x."""
         lower, upper = box.lower, box.upper
-        soft = np.zeros(0, dtype=np.intp)
+        soft, softness = np.zeros(0, dtype=np.intp), np.zeros(0)
         if further is not None and len(further):
             lower, upper = np.concatenate([lower, further.lower]), np.concatenate([upper, further.upper])
-            soft = self.chain.nv + np.flatnonzero(further.soft) if relax else soft
+            if relax:
+                gives_way = np.flatnonzero(further.soft)
+                soft, softness = self.chain.nv + gives_way, further.soft[gives_way]
         outside = np.flatnonzero(box.outside)
         sizes = *B.shape, outside.size, soft.size
         if self._qp is None or self._qp.sizes != sizes:  # sizes seldom change
             self._qp = CondensedQp(*sizes)
-        lead_back = LeadBack(outside, box.recovery, self.recovery_scale, soft, self.relax_scale)
+        lead_back = LeadBack(outside, box.recovery, self.recovery_scale, soft, self.relax_scale * softness)
         return self._qp.fill(base, B, lower, upper, lead_back)
 
     def set_bounds(self, first: int, rate_cap: float) -> None:
@@ -355,7 +357,7 @@ class StepProgram:
         if own_rows is not None:
             C, low, high = np.zeros((len(own_rows), n)), own_rows.lower, own_rows.upper
             C[:, :nv] = own_rows.G
-            C[soft, range(last, n)] = -self.relax_scale
+            C[soft, range(last, n)] = -self.relax_scale * own_rows.soft[soft]
         return QpProblem(H=H, g=g, A=A, b=b, C=C, l=low, u=high, lb=lb, ub=ub)
 
     def _add_comfort(self, H: Array, g: Array, terms: StepTerms, nv: int, d: int, comfort: float) -> None:

@@ -16,6 +16,7 @@ import numpy as np
 import pinocchio as pin
 
 from coopqp.checks import ArrayLike, Doc, as_options, as_scalar, documented, keep_scalars, require
+from coopqp.control.cause import Cause
 from coopqp.control.command import NO_SOLVE, ControlStep, GivenUp, SolverReport, Status, short_text
 from coopqp.control.limits import VelocityBox
 from coopqp.control.solvers import QpProblem, QpSolution, QpSolver, make_solver
@@ -222,6 +223,7 @@ class IndependentQPController:
             rate=0.0 if reason else 1.0,
             status=Status.HOLDING if reason else Status.TRACKING,
             reason=reason,
+            cause=(Cause.SOLVER if solutions else Cause.INPUT) if reason else None,
             binding=self._binding(v, h),
             given_up=GivenUp(chain=parting) if parting > 1e-6 else GivenUp(),
             solver=report,

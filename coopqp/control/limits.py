@@ -24,6 +24,10 @@ _FAR = 1e100
 BRAKING_SHARE = 0.8
 #: Factor on a joint's braking way that covers rounding.
 _AMPLE = 1.001
+#: A joint with neither a velocity nor an acceleration limit moves by no more than this in a step [rad or m].
+LARGEST_MOVE = 0.05
+#: A hold brakes such a joint to this speed [rad/s or m/s], and in each step to this share of the speed before.
+HELD_SPEED, HELD_SHARE = 1.0, 0.5
 #: Slope in place of 0 for a joint that stands still: a limit's tolerance over it is beyond _FAR.
 _TINY = 1e-200
 
@@ -51,6 +55,10 @@ class VelocityBox:
         self._speed = limits.velocity
         self._acceleration = limits.acceleration
         self._braking = np.isfinite(limits.acceleration)
+        #: Joints with neither limit.
+        self.unlimited = np.logical_not(self._braking | np.isfinite(limits.velocity))
+        self._any_unlimited = bool(self.unlimited.any())
+        self._fastest = self._speed
         self.accelerates, self._all_brake = bool(self._braking.any()), bool(self._braking.all())
         self._braking_gain = 2.0 * limits.acceleration
         self._room, self._room_dt = 0.0, 0.0
@@ -66,23 +74,29 @@ class VelocityBox:
         self.outside = np.zeros(n, dtype=bool)
         self.any_outside = False
 
-    def update(self, positions: Array, v_prev: Array, dt: float) -> None:
+    def update(self, positions: Array, v_prev: Array, dt: float, *, hold: bool = False) -> None:
         """Compute the box for one step.
 
         Args:
             positions: one position per joint (nv,) [rad or m].
             v_prev: velocity of the previous step (nv,).
             dt: length of the step [s].
+            hold: the arms are held: joints without limits brake.
         """
+        if self._any_unlimited:
+            most = np.full(self._speed.shape, LARGEST_MOVE / dt)
+            if hold:
+                np.minimum(most, np.maximum(HELD_SPEED, HELD_SHARE * np.abs(v_prev)), out=most)
+            self._fastest = np.where(self.unlimited, most, self._speed)
         ways, bounds = self._ways, self._bounds
         np.subtract(self._top, positions, out=self._way_up)
         np.add(self._bottom, positions, out=self._way_down)
         least = self._ways_flat.item(self._ways_flat.argmin())
         inside = least >= 0.0  # not so for NaN
         if least > self._braking_room(dt):
-            bounds[:] = self._speed
+            bounds[:] = self._fastest
         else:
-            np.minimum(self._speed, self._stopping_speed(ways if inside else np.maximum(ways, 0.0), dt), out=bounds)
+            np.minimum(self._fastest, self._stopping_speed(ways if inside else np.maximum(ways, 0.0), dt), out=bounds)
         if self.accelerates:
             self._keep_reach(dt)
             v, work = self._v, self._work
@@ -166,7 +180,7 @@ class VelocityBox:
         """Which limit makes the bound of joint ``j`` on the side of ``sign``."""
         bound = self.upper.item(j) if sign > 0 else self.lower.item(j)
         tolerance = 1e-9 * (1.0 + abs(bound))
-        if abs(abs(bound) - self._speed.item(j)) <= tolerance:
+        if abs(abs(bound) - self._fastest.item(j)) <= tolerance:
             return LimitKind.VELOCITY
         acceleration = self._acceleration.item(j)
         if acceleration < math.inf:

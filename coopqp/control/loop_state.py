@@ -7,6 +7,9 @@ from dataclasses import dataclass, field
 
 import pinocchio as pin
 
+from coopqp.control.apart import Apart
+from coopqp.control.cause import Cause
+from coopqp.control.command import Status
 from coopqp.control.linearised import LinearisedAnswer, StepInput
 from coopqp.control.reins import Reins
 from coopqp.control.supervision import Watch
@@ -20,17 +23,26 @@ class LoopState:
 
     Attributes:
         q, v, v_before: commanded configuration (nq,), and the velocities of the last two steps (nv,).
-        predicted: errors foreseen for the next step (N, 6), or None.
+        predicted, foreseen: errors foreseen for the next step (N, 6), or None; and the defects of the linearisation
+            that the last step made up for (N, 6).
         drift: filtered difference of the object's measured from its commanded error (6,); None before the first
             measurement.
         correcting: off-path twist of the last step (6,), or None where it was negligible.
         clock: the object's clock [s].
-        rate: σ of the last step.
+        rate, rate_slope: σ of the last step, and its change per second in it [1/s].
         last_dt: its length [s].
+        status: its status.
+        outdated: by how much the object has gone on under a status that only lasts (:func:`.verdict.lasting`) [s].
+        mismatch: of the arms' views of the object, by the start or by shifts of the grasps, as far as it is still to be
+            corrected (N, 6); None if nothing is.
+        grasp_shift: by how much the grasps have given way so far (N, 6).
+        asked_shift: by how much more since the last step, without the mean of all (N, 6); None for nothing.
+        started, chain_held: a step was made since the start; the commands had led the arms too far apart in it.
         first: no step was made yet on this path.
         lost: the path failed in the last step.
         away: distance of the object as the first arm holds it from a user's own path [m]; infinite at its start.
-        fault, fault_arm: why the controller is in fault, and by which arm; empty, and −1, if it is not.
+        fault, fault_arm, fault_cause: why the controller is in fault, by which arm, and the cause; empty,
+            −1 and None if it is not.
         reins: override and pause, set by the operator.
     """
 
@@ -38,16 +50,26 @@ class LoopState:
     v: Array
     v_before: Array
     predicted: Array | None = None
+    foreseen: Array | float = 0.0
     drift: Array | None = None
     correcting: Array | None = None
     clock: float = 0.0
     rate: float = 1.0
+    rate_slope: float = 0.0
     last_dt: float = 0.0
+    status: Status = Status.TRACKING
+    outdated: float = 0.0
+    mismatch: Array | None = None
+    grasp_shift: Array | float = 0.0
+    asked_shift: Array | None = None
+    started: bool = False
+    chain_held: bool = False
     first: bool = True
     lost: bool = False
     away: float = math.inf
     fault: str = ""
     fault_arm: int = -1
+    fault_cause: Cause | None = None
     reins: Reins = field(default_factory=Reins)
 
 
@@ -60,6 +82,7 @@ class Observed:
         pose: the object's reference.
         carried, errors: the object as each arm carries it, as commanded (N, 4, 3), and its errors (N, 6).
         watch: result of the supervision.
+        apart: how far the commands lead the arms apart.
         measured: the object's measured error (6,); None for the commanded one.
         lost: the path failed.
     """
@@ -69,6 +92,7 @@ class Observed:
     carried: Array
     errors: Array
     watch: Watch = field(default_factory=Watch)
+    apart: Apart = field(default_factory=Apart)
     measured: Array | None = None
     lost: bool = False
 

@@ -15,6 +15,9 @@ from typing import Any, final
 import numpy as np
 import pinocchio as pin
 
+from coopqp.control.apart import PARTED, SAID_APART, ChainWatch, among_arms, expected
+from coopqp.control.braking_rows import BrakingRows
+from coopqp.control.cause import Cause
 from coopqp.control.command import NO_SOLVE, ControlStep, Status
 from coopqp.control.constraint_set import Constraints
 from coopqp.control.constraints import ConstraintTrouble, Rows, no_rows
@@ -25,17 +28,19 @@ from coopqp.control.loop_state import LoopState, Observed, Proposal
 from coopqp.control.options import QPOptions
 from coopqp.control.ranks import StepSolver
 from coopqp.control.rate_cap import OVERRIDE, RateCap
+from coopqp.control.servo_watch import ServoWatch
 from coopqp.control.supervision import Supervision, Watch
 from coopqp.control.turn import Turn
-from coopqp.control.verdict import away_from_path, given_up, slow_status
+from coopqp.control.verdict import away_from_path, cause_of, given_up, lasting, rests, slow_status, too_close
 from coopqp.model.cell import RobotCell
 from coopqp.model.chain import Chain
 from coopqp.model.grasp import Grasp, held_at
-from coopqp.model.limits import BindingLimit
+from coopqp.model.limits import BindingLimit, LimitKind
 from coopqp.model.state import CellState
 from coopqp.planning.preview import PathPreview
+from coopqp.planning.preview_options import PlanLimits, PreviewOptions
 from coopqp.spatial import Array
-from coopqp.task.guarded import GuardedPath, is_known
+from coopqp.task.guarded import GuardedPath, is_known, jump
 from coopqp.task.path import ObjectPath
 from coopqp.task.posture import Posture
 
@@ -66,18 +71,23 @@ class PlainLoop:
         self.cell, self.grasp, self.dt, self.options, self._on_path = cell, grasp, dt, options, options
         turn = Turn()
         self.hold, self.release = turn.hold, turn.release
+        self.steps_here, self.steps_elsewhere = turn.steps_here, turn.steps_elsewhere
         self.constraints = constraints
         self._chain, self._ahead_chain, self._box = Chain(cell, grasp), Chain(cell, grasp), VelocityBox(cell)
+        self._ahead_shift = np.zeros((len(cell), 6))
         self._shares = options.common_error.shares(cell)
         self._mean = averaging(self._shares)
         self.solver = StepSolver(self._chain, self._box, options)
         self._step = LinearisedStep(self._chain, self._box, self._shares, self.solver, options)
         self._posture = Posture(cell, options.posture)
         self._supervision = Supervision(cell, grasp, options.supervision)
+        self._chain_watch = ChainWatch(grasp, options.supervision.apart_from)
         self._rate_cap = RateCap(cell, self._box, options, dt=dt)
         self._restricted = tuple(cell.arm_names[k] for k in self._chain.deficient)
         self._redundant = self._chain.redundancy > 0
         self._no_rows = no_rows(cell.nv)
+        plan = PlanLimits.of(cell, options.preview or PreviewOptions(), dt=dt)
+        self._braking = BrakingRows(self._chain, plan.acceleration)
         self._preview: PathPreview | None = None
         self.state = LoopState(pin.neutral(cell.model), np.zeros(cell.nv), np.zeros(cell.nv))
 
@@ -99,7 +109,8 @@ class PlainLoop:
                 dt=self.dt,
                 options=self._on_path.preview,
                 bound=ahead.bound if self.constraints else None,
-                evade=ahead.evade if self.constraints.evades else None,
+                evade=ahead.evade if self.constraints.evades and not self._guarded.keeps_clear else None,
+                shift=self._ahead_shift,
             )
             self._preview = preview
 
@@ -110,10 +121,21 @@ class PlainLoop:
             if not np.isfinite(shift).all():
                 return False
             self._chain.shift_grasp(shift)
-            self._ahead_chain.shift_grasp(shift)
+            self._ahead_shift[:] = shift
+            s, change = self.state, among_arms(self.state.grasp_shift - shift)
+            s.mismatch = change if s.mismatch is None else s.mismatch + change
+            s.asked_shift = -change if s.asked_shift is None else s.asked_shift - change
+            s.grasp_shift = shift.copy()
             return True
 
         return taken
+
+    #: Where the last step has asked for the object.
+    reference = pin.SE3.Identity()
+
+    def take_minding(self, memory: Array) -> None:
+        """Compare the arms with their wrenches, too, which the owner of ``memory`` puts there."""
+        self._supervision.servos = ServoWatch(memory, self.cell.arm_names)
 
     def start(self, q: Array) -> None:
         """Start at rest at ``q``; forget everything."""
@@ -121,13 +143,15 @@ class PlainLoop:
         self._supervision.reset()
         self._posture.reset(q)
         reins = self.state.reins.started(self.options.blocked_rate)
-        self.state = LoopState(q, np.zeros(self.cell.nv), np.zeros(self.cell.nv), last_dt=self.dt, reins=reins)
+        still, shift = np.zeros(self.cell.nv), self.state.grasp_shift
+        self.state = LoopState(q, still, still.copy(), last_dt=self.dt, reins=reins, grasp_shift=shift)
 
     def start_path(self, clock: float = 0.0, rate: float | None = None) -> None:
         """Start along the path from ``clock`` on."""
         s = self.state
-        s.clock, s.first, s.predicted, s.away = clock, True, None, math.inf
-        s.rate = (0.0 if self._box.accelerates else s.reins.share) if rate is None else rate
+        s.clock, s.first, s.predicted, s.foreseen = clock, True, None, 0.0
+        s.away, s.status = math.inf, Status.TRACKING
+        s.rate, s.rate_slope = (0.0 if self._box.accelerates else s.reins.share) if rate is None else rate, 0.0
         self.look_ahead_again()
 
     def take_path(self) -> None:
@@ -138,9 +162,12 @@ class PlainLoop:
         """The path ahead has changed; the object moves along it at a rate."""
         self.take_path()
         if rate is not None:
-            self.state.rate = rate
+            self.state.rate, self.state.rate_slope = rate, 0.0
+        self._start_preview()
+
+    def _start_preview(self, *, later: bool = False) -> None:
         if self._preview is not None:
-            self._preview.reset(self.state.q, self.state.clock)
+            self._preview.reset(self.state.q, self.state.clock, later=later)
 
     def try_step(self) -> tuple[float, Array]:
         """σ that a step from here keeps, its cap at most, and the change of the joints' velocities (nv,).
@@ -214,14 +241,16 @@ class PlainLoop:
         trouble, s.away = self._guarded.trouble(s.clock, h, carried[0], s.away)
         if trouble:
             measured, watch, lost = None, Watch.holding(trouble), True
-            s.predicted = None  # from another reference
+            s.predicted, s.foreseen = None, 0.0  # from another reference
             pose = held_at(self.grasp, self._shares, CellState(self.cell, s.q))
+        self.reference = pose
         if s.fault:
-            watch = Watch(0.0, hold=True, fault=True, arm=s.fault_arm, reason=s.fault)
+            watch = Watch(0.0, hold=True, fault=True, arm=s.fault_arm, reason=s.fault, cause=s.fault_cause)
         poses = carried if measured is None else np.concatenate([carried, self._chain.carried(measured)])
         errors = self._chain.errors(poses, pose)
         n = len(carried)
         seen = Observed(h, pose, carried, errors[:n], watch, lost=lost)
+        self._watch_chain(seen)
         seen.measured = self._let_in(seen, measured, errors[n:])
         return seen
 
@@ -236,6 +265,19 @@ class PlainLoop:
         pose = self._pose_ahead(clock)
         return held_at(self.grasp, self._shares, CellState(self.cell, self.state.q)) if pose is None else pose
 
+    def _watch_chain(self, seen: Observed) -> None:
+        """Name arms that their commands lead apart; hold them where they are too far apart."""
+        s, watch = self.state, seen.watch
+        found = seen.apart = self._chain_watch.look(seen.errors, s.mismatch, started=s.started, held=s.chain_held)
+        if found.distance <= SAID_APART:
+            return
+        arm, other = (self.cell.arm_names[k] for k in found.arms)
+        reason = PARTED.format(arm=arm, other=other, mm=1e3 * found.distance)
+        if found.holds:
+            watch.lower(Watch.holding(reason, Cause.COMMANDED_CHAIN))
+        elif not watch.reason:
+            watch.reason = reason
+
     def _let_in(self, seen: Observed, measured: Array | None, errors: Array) -> Array | None:
         """The object's error for the path correction, from those as measured; None to use the commanded one.
 
@@ -248,10 +290,13 @@ class PlainLoop:
             away = errors - seen.errors
             drift = np.zeros(6) if s.drift is None else s.drift
             s.drift = drift + seen.h / (seen.h + self.options.measurement_time) * (self._mean.dot(away.ravel()) - drift)
-            watch.lower(self._supervision.watch(measured, s.q, away, seen.h))
-        if s.drift is None or watch.hold:
+            watch.lower(self._supervision.watch(measured, s.q, away, seen.h, s.v, seen.pose.rotation))
+        servos = self._supervision.servos
+        corrects = 1.0 if servos is None else servos.corrects  # arms that mind forces relax first
+        if watch.hold or (s.drift is None and corrects == 1.0):
             return np.zeros(6) if watch.hold else None
-        error: Array = watch.rate_cap * (self._mean.dot(seen.errors.ravel()) + s.drift)
+        measured_error = self._mean.dot(seen.errors.ravel()) + (0.0 if s.drift is None else s.drift)
+        error: Array = corrects * watch.rate_cap * measured_error
         return error
 
     # -- propose ---------------------------------------------------------------------------------------------------
@@ -264,10 +309,10 @@ class PlainLoop:
             try:
                 further = self.constraints.rows(s.q, h, blind=self._blind)
             except ConstraintTrouble as trouble:
-                seen.watch.lower(Watch.holding(str(trouble)))
+                seen.watch.lower(Watch.holding(str(trouble), trouble.cause))
                 further = self._no_rows if trouble.rows is None else trouble.rows
         if s.lost and not seen.lost:
-            self.look_ahead_again()  # the known horizon is void after the path has failed
+            self._start_preview(later=True)  # the known horizon is void after the path has failed
         s.lost = seen.lost
         cap, binding, late = self._rate_cap.find(s, seen, self._preview)
         measured = seen.measured
@@ -276,7 +321,7 @@ class PlainLoop:
         rest = self._guarded.duration - s.clock
         if rest < h * cap:
             cap = rest / h  # the last step ends at the end
-        pace = min(cap, s.rate)
+        pace = min(cap, max(s.rate + s.rate_slope * h, 0.0))  # it goes on to change as it did
         if self._preview is not None and self._preview.reaches_corner(s.clock, h * cap):
             pace = cap  # the mean along the path has to see the corner
         span = min(h * max(pace, LEAST_PACE), rest)
@@ -288,10 +333,14 @@ class PlainLoop:
                 cap = 0.0
             else:
                 along = np.asarray(pin.log6(seen.pose.actInv(ahead)).vector) / span
+        if self._brakes_together:
+            further = further.and_also(self._braking.rows(s.q, s.v, h, seen.carried[0, 3]))
         null_along, null_offset = self._wishes(seen.watch.hold)
+        asked = None if s.predicted is None else s.asked_shift
         given = StepInput(
             s.q, self.cell.positions(s.q), seen.carried, seen.errors, s.v, s.v_before, h, cap, seen.pose, along,
-            measured, s.predicted, s.last_dt, null_along, null_offset, further, s.first,
+            measured, s.predicted, s.foreseen, s.last_dt, asked, null_along, null_offset, further, s.first,
+            seen.watch.hold,
         )  # fmt: skip
         return Proposal(seen, given, self._kept(given), binding)
 
@@ -299,6 +348,12 @@ class PlainLoop:
     def _blind(self) -> bool:
         """Whether nothing brakes ahead of further constraints."""
         return self._preview is None or self._preview.blind
+
+    @property
+    def _brakes_together(self) -> bool:
+        """Whether no look-ahead covers the motion: none has one, or arms that give way have left their path."""
+        leaves = self.constraints.gives_way and self._box.accelerates and self.state.correcting is not None
+        return self._blind or leaves
 
     def _kept(self, given: StepInput) -> LinearisedAnswer:
         """The answer; again with tighter rows where it violates their constraints."""
@@ -358,8 +413,10 @@ class PlainLoop:
             status = slow_status(
                 s, share, binding, self._preview, self.options.blocked_rate, outside=self._box.any_outside, dt=self.dt
             )
+        status = lasting(s, status, share, binding, h=h, blind=self._blind)
         if s.reins.share < self.options.blocked_rate and share < self.options.blocked_rate:
-            status = Status.PAUSED
+            status = Status.PAUSED if rests(answer.off_path) else Status.SLOWED
+            binding = binding or (OVERRIDE,)
         away = away_from_path(s, found, self.options)
         reason = watch.reason or answer.reason
         if watch.hold or answer.braked:
@@ -368,8 +425,18 @@ class PlainLoop:
             status, reason = Status.OFF_PATH, "; ".join(filter(None, (away, reason)))
         elif status is Status.PAUSED:
             binding = (OVERRIDE,)  # whatever else would stop it
+        if inside := self.constraints.inside(q):
+            binding = tuple(dict.fromkeys((*inside, *binding)))
+            if not watch.hold:
+                reason = "; ".join(filter(None, (reason, too_close(inside))))
         if watch.hold and watch.fault:
-            status, s.fault, s.fault_arm = Status.FAULT, watch.reason, watch.arm
+            status, s.fault, s.fault_arm, s.fault_cause = Status.FAULT, watch.reason, watch.arm, watch.cause
+        stopped = status in (Status.SLOWED, Status.BLOCKED) and any(b.kind is LimitKind.PATH_JUMP for b in binding)
+        if stopped and not reason and self._preview is not None and self._preview.jump is not None:
+            clock_of_jump, far = self._preview.jump
+            reason = jump(far, clock_of_jump)
+        watched = Cause.SOLVER if answer.braked and not watch.hold else watch.cause
+        cause = cause_of(status, watched, binding, measured=s.drift is not None)
         for array in (v, q_next):
             array.flags.writeable = False  # the loop goes on from them
         step = ControlStep(
@@ -385,25 +452,34 @@ class PlainLoop:
             rate=share,
             status=status,
             reason=reason,
-            binding=() if status is Status.TRACKING and not by_qp else binding,
+            cause=cause,
+            binding=inside if status is Status.TRACKING and not by_qp else binding,
             given_up=given_up(found, share, self._restricted),
             solver=answer.report,
+            commanded_apart=seen.apart.distance,
             clearance=self.constraints.nearest(q),
             build_time_s=time.perf_counter() - began - answer.report.time_s,
         )
         if by_qp or self._box.accelerates:
             c = found.correction
             s.correcting = c if c @ c > NEGLIGIBLE else None
-        s.predicted = found.predicted if answer.chain == 0.0 and not answer.braked and not seen.lost else None
+        foresees = answer.chain == 0.0 and not answer.braked and not seen.lost
+        s.predicted, s.foreseen = (found.predicted, found.foreseen) if foresees else (None, 0.0)
+        s.mismatch = expected(seen.apart.mismatch, proposal.given.asked if found.makes_up else None, found.closes)
+        s.started, s.asked_shift, s.chain_held = True, None, seen.apart.holds
         s.v_before, s.v, s.q = found.stand_in, v, step.q_next
-        s.clock, s.rate, s.last_dt, s.first = clock_next, rate, h, False
+        s.rate_slope, s.rate, s.clock = (rate - s.rate) / h, rate, clock_next
+        s.last_dt, s.first, s.status = h, False, status
         s.reins.advance(self.options.blocked_rate, self._rate_cap.slope * h)
         return step
 
     def names(self, active: tuple[tuple[int, float], ...], h: float, further: Rows) -> tuple[BindingLimit, ...]:
         """Rows of a step, by name."""
-        box, nv, labels = self._box, self.cell.nv, self.constraints.labels
+        box, nv = self._box, self.cell.nv
         return tuple(
-            box.binding(row, side, self.state.v, h) if row < nv else labels[int(further.owner[row - nv])]
+            box.binding(row, side, self.state.v, h) if row < nv else self._label(int(further.owner[row - nv]))
             for row, side in active
         )
+
+    def _label(self, owner: int) -> BindingLimit:
+        return self.constraints.labels[owner] if owner >= 0 else self._braking.labels[-1 - owner]

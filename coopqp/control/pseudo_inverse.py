@@ -14,6 +14,7 @@ import numpy as np
 import pinocchio as pin
 
 from coopqp.checks import ArrayLike, Doc, as_count, as_options, as_scalar, as_vector, documented, keep_scalars, require
+from coopqp.control.cause import Cause
 from coopqp.control.command import ControlStep, Status, short_text
 from coopqp.control.starting import check_start
 from coopqp.control.turn import Turn, alone
@@ -27,6 +28,8 @@ from coopqp.task.path import LinePath, ObjectPath
 
 Increment = Literal["rotated", "literal", "exact"]
 Integration = Literal["euler", "midpoint"]
+#: The algorithm has no other reason to hold than the length of a step, and rests if it is told to.
+_CAUSES = {Status.HOLDING: Cause.INPUT, Status.PAUSED: Cause.OPERATOR}
 
 
 @documented
@@ -166,6 +169,11 @@ class PseudoInverseController:
             return self.dt
 
     @property
+    def reference(self) -> pin.SE3:
+        """Where the last step has asked for the object."""
+        return self.path.pose(self._clock)
+
+    @property
     def commanded(self) -> Array:
         """Commanded configuration at the end of the last step (nq,)."""
         q: Array = self._q
@@ -237,6 +245,7 @@ class PseudoInverseController:
             rate=self._override if status is Status.TRACKING else 0.0,
             status=status,
             reason=reason,
+            cause=_CAUSES.get(status),
             build_time_s=time.perf_counter() - began,
         )
 

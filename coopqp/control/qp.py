@@ -11,6 +11,7 @@ from __future__ import annotations
 import copy
 import time
 import warnings
+from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, final
 
@@ -25,13 +26,14 @@ from coopqp.control.effort import Effort
 from coopqp.control.going_over import go_over, object_rests
 from coopqp.control.options import QPOptions
 from coopqp.control.plain import PlainLoop
-from coopqp.control.starting import check_start, odd_start, rate_into
+from coopqp.control.starting import check_start, held_command, odd_start, rate_into
 from coopqp.control.turn import alone
-from coopqp.errors import InvalidInputError, StartWarning
+from coopqp.errors import BusyError, InvalidInputError, StartWarning, StiffnessWarning
 from coopqp.model.cell import RobotCell
 from coopqp.model.grasp import Grasp, held_at
 from coopqp.model.state import CellState
 from coopqp.spatial import Array, Placement, as_placement
+from coopqp.task.elbows import Elbows
 from coopqp.task.guarded import GuardedPath, is_known
 from coopqp.task.path import HoldPath, ObjectPath
 from coopqp.task.servo import ServoPath
@@ -91,13 +93,15 @@ class QPController:
         self._loop = make_loop(cell, grasp, dt=self.dt, options=self.options, constraints=self._checked)
         self.kernel, self.solver = self._loop.kernel, self._loop.solver.name
         self._effort = Effort(cell, grasp, self.options.preview, dt=self.dt)
-        self._started = self._outside = False
+        self._started = self._outside = self._minded = False
         #: By how much the tools are elsewhere on the object than the grasp says (N, 6); None if they are not.
         self._shift: Array | None = None
         #: The target that the object goes over to as soon as it can, None if there is none; the object brakes until
         #: then. And the override with which it goes on.
         self._wanted: pin.SE3 | None = None
         self._asked = 1.0
+        #: What the operator asked for from another thread than the one that steps: done in the next step.
+        self._waiting: deque[Callable[[], object]] = deque()
         self._take(path)
 
     @property
@@ -105,6 +109,9 @@ class QPController:
         return self._loop
 
     def _take(self, path: ObjectPath) -> None:
+        elbows = getattr(path, "elbows", None)
+        if isinstance(elbows, Elbows) and elbows.x.shape[1:] != (self.cell.nv,):
+            raise InvalidInputError("its elbows are those of another cell", "QPController: path", "Give this cell's.")
         self.path = path
         self._loop.follow(path)
         self._find_fast_step()
@@ -122,6 +129,30 @@ class QPController:
             and (not self.constraints or self._checked.certified is not None)
         ):
             self._fast = self._loop.step
+        if self._waiting:
+            self._fast = None
+
+    def _soon(self, call: Callable[[], object]) -> None:
+        """Do what the operator asks for: at once, or in the next step where another thread steps this controller."""
+        loop = self._loop
+        try:
+            waits = loop.steps_elsewhere()
+            if not waits:
+                loop.hold()
+        except BusyError:
+            waits = True
+        if waits:
+            self._waiting.append(call)
+            self._fast = None
+            return
+        try:
+            call()
+        finally:
+            loop.release()
+
+    def _catch_up(self) -> None:
+        while self._waiting:
+            self._waiting.popleft()()
 
     def __repr__(self) -> str:
         return short_text(self)
@@ -129,26 +160,40 @@ class QPController:
     # -- starting --------------------------------------------------------------------------------------------------
 
     @alone
-    def reset(self, q: ArrayLike, *, clock: float = 0.0) -> None:
-        """Start at ``q`` (nq,), at rest, at the object's ``clock`` [s]; ends a fault, but no pause and no override.
+    def reset(self, q: ArrayLike, *, commanded: ArrayLike | None = None, clock: float = 0.0) -> None:
+        """Start at rest at ``q``, at the object's ``clock`` [s]; ends a fault, but no pause and no override.
 
         A later reset with a :class:`ServoPath` starts where the arms hold the object, and rests there until the next
         target. With any other path the arms have to be where it is at ``clock``: give the clock of the last step to go
-        on in mid-path, or :meth:`follow` a path that starts where they are. Errors as :class:`Controller`.
+        on in mid-path, or :meth:`follow` a path that starts where they are.
+
+        Args:
+            q: measured configuration (nq,), or readings at rest (n, nq), whose mean has less noise.
+            commanded: configuration (nq,) that the robots' own controllers hold now. Commands go on from there, and the
+                start itself changes no force. None: commands begin at ``q``.
+            clock: where the object is on its path [s].
+
+        Raises:
+            InvalidInputError: as :class:`Controller`, or a joint is measured too far from where it is commanded.
 
         Warns:
             StartWarning: a joint is outside its limits, an arm off its grasp, or the object off its path. The steps say
                 so until it is mended.
+            StiffnessWarning: readings or ``commanded`` are given, so arms are measured, and nothing is told of the
+                stiffness of their servos.
         """
+        self._catch_up()
         o = self.options
         clock = _on(self.path, clock, "reset: clock")
+        given, q = q, self.cell.at_rest(q, "reset: q")
+        begin = q if commanded is None else held_command(self.cell, q, commanded, self.options.supervision.joint_jump)
         again = self._started and isinstance(self.path, ServoPath)
-        path = HoldPath(self._held_at(q)) if again else self.path
+        path = HoldPath(self._held_at(begin)) if again else self.path
         start = check_start(
             self.cell,
             self.grasp,
             path,
-            q,
+            begin,
             tolerance_m=o.start_tolerance_m,
             tolerance_rad=o.start_tolerance_rad,
             clock=clock,
@@ -164,6 +209,15 @@ class QPController:
         self._loop.start_path(clock, self._first_rate(clock))
         if odd:
             warnings.warn("; ".join(odd), StartWarning, stacklevel=3)
+        unknown = o.supervision.stiffness is None and not self._minded and len(self.cell) > 1
+        if unknown and (commanded is not None or np.ndim(given) > 1):
+            warnings.warn(
+                "a rigid grip hides an arm that stops from what is measured: the others drag it along. Tell the "
+                "servos' stiffness: QPOptions(supervision=SupervisionOptions(stiffness=…)), in a cell file "
+                "stiffness_nm_per_rad of [[arms]]",
+                StiffnessWarning,
+                stacklevel=3,
+            )
 
     def _first_rate(self, clock: float) -> float | None:
         """The rate that a path begins with: full where the object rests there; None for the loop's own."""
@@ -179,7 +233,6 @@ class QPController:
         """Where the arms hold the object at ``q``: by their shares in the common error, from the first one's view."""
         return held_at(self.grasp, self.options.common_error.shares(self.cell), CellState(self.cell, q))
 
-    @alone
     def follow(self, path: ObjectPath, *, clock: float = 0.0) -> None:
         """Go on from the present command along another path, from ``clock`` [s] on; the motion is not interrupted.
 
@@ -192,6 +245,9 @@ class QPController:
         """
         GuardedPath(path).check("follow")
         clock = _on(path, clock, "follow: clock")
+        self._soon(lambda: self._follow(path, clock))
+
+    def _follow(self, path: ObjectPath, clock: float) -> None:
         rate = self._rate_into(path, clock) if self._started else None
         self._loop.set_reins(self.override, paused=self.paused)
         self._wanted = None
@@ -211,7 +267,6 @@ class QPController:
 
     # -- the reins -------------------------------------------------------------------------------------------------
 
-    @alone
     def set_override(self, share: float) -> None:
         """The largest rate σ from now on: 1 for the path's own speed, 0 for rest.
 
@@ -221,21 +276,22 @@ class QPController:
             InvalidInputError: not a number from 0 to 1; the old override stays.
         """
         share = as_scalar(share, "set_override: share", open_low=False, high=1.0)
+        self._soon(lambda: self._override(share))
+
+    def _override(self, share: float) -> None:
         self._asked = share
         self._loop.set_reins(share, paused=self.paused)
 
-    @alone
     def pause(self) -> None:
         """Bring the object to rest on its path, until :meth:`resume`; a reset or another path changes nothing.
 
         At rest the status is PAUSED. Errors are still corrected; the arms' null-space motion stops.
         """
-        self._loop.set_reins(self.override, paused=True)
+        self._soon(lambda: self._loop.set_reins(self.override, paused=True))
 
-    @alone
     def resume(self) -> None:
         """Go on after :meth:`pause`, up to the override."""
-        self._loop.set_reins(self.override, paused=False)
+        self._soon(lambda: self._loop.set_reins(self.override, paused=False))
 
     @property
     def shares(self) -> Array:
@@ -252,7 +308,6 @@ class QPController:
         """Whether the object is asked to rest; once it does the status of a step is PAUSED."""
         return self._loop.reins[1]
 
-    @alone
     def retarget(self, T_world_object: Placement) -> None:
         """Move the target of a :class:`ServoPath`.
 
@@ -267,8 +322,13 @@ class QPController:
             raise InvalidInputError(
                 f"the path is a {type(self.path).__name__}", "retarget", "Build the controller with a ServoPath."
             )
-        wanted, self._asked = as_placement(T_world_object, "retarget"), self.override
-        self._wanted = wanted
+        wanted = as_placement(T_world_object, "retarget")
+        self._soon(lambda: self._retarget(wanted))
+
+    def _retarget(self, wanted: pin.SE3) -> None:
+        if not isinstance(self.path, ServoPath):  # another path is followed since
+            return
+        self._asked, self._wanted = self.override, wanted
         self._go_over()
         self._find_fast_step()
 
@@ -289,7 +349,6 @@ class QPController:
         elif np.isfinite(self.cell.limits.acceleration).any() or object_rests(loop, path):
             loop.set_reins(0.0, paused=paused)
 
-    @alone
     def shift_grasp(self, shift: ArrayLike) -> None:
         """Hold the object at shifted places of the tools from the next step on: ``exp(d_k) X_k`` for ``X_k`` of grasp.
 
@@ -310,7 +369,7 @@ class QPController:
             raise InvalidInputError(
                 "no six finite numbers per arm", "shift_grasp", f"Give an array ({len(self.cell)}, 6)."
             )
-        self.take_shift(d)()
+        self._soon(lambda: self.take_shift(d)())
 
     def take_shift(self, shift: Array) -> Callable[[], bool]:
         """As :meth:`shift_grasp`, for a shift that its owner goes on to change in place.
@@ -336,7 +395,11 @@ class QPController:
             ``(memory, q_measured, dt, wrenches) → ControlStep``, None where the answer is left open; False where Python
             has to take part first.
         """
-        return None if isinstance(self._loop, PlainLoop) else self._loop.take_minding(memory, tell)
+        self._minded = True
+        if isinstance(self._loop, PlainLoop):
+            self._loop.take_minding(memory)
+            return None
+        return self._loop.take_minding(memory, tell)
 
     def accepted_dt(self, dt: Any) -> float:
         """Length of a step that is asked for [s]: the nominal one where none is, or it is refused."""
@@ -345,6 +408,11 @@ class QPController:
             return self.dt if dt is None else as_scalar(dt, "dt", low=low, high=high, open_low=False)
         except InvalidInputError:
             return self.dt
+
+    @property
+    def reference(self) -> pin.SE3:
+        """Where the last step has asked for the object: the path's pose at its clock, if there is one."""
+        return self._loop.reference
 
     @property
     def commanded(self) -> Array:
@@ -366,7 +434,9 @@ class QPController:
 
         Raises:
             InvalidInputError: before the first :meth:`reset`. Never for run-time data: those lead to a status.
-            BusyError: another thread is in a call of this controller; nothing was changed.
+            BusyError: another thread steps, resets or copies this controller; nothing was changed. What an operator
+                asks for from another thread (:meth:`pause`, :meth:`resume`, :meth:`set_override`, :meth:`retarget`,
+                :meth:`follow`, :meth:`shift_grasp`) is no such call: it waits for the next step.
         """
         fast = self._fast
         if fast is not None:
@@ -386,6 +456,10 @@ class QPController:
 
     @alone
     def _slow(self, q_measured: ArrayLike | None, dt: Any) -> ControlStep:
+        self._loop.steps_here()
+        if self._waiting:
+            self._catch_up()
+            self._find_fast_step()
         if self._wanted is not None:
             self._go_over()
             self._find_fast_step()
@@ -410,6 +484,7 @@ class QPController:
 
     @alone
     def __getstate__(self) -> dict[str, Any]:
+        self._catch_up()
         names = ("cell", "grasp", "path", "dt", "options", "constraints", "kernel")
         state = {name: getattr(self, name) for name in names}
         wanted = None if self._wanted is None else self._wanted.copy()

@@ -119,7 +119,7 @@ class StepSolver:
             return self._brake(terms, v_prev, h, further, report)
         return StepAnswer(
             np.clip(solved.velocity, box.lower, box.upper),
-            solved.rate,
+            min(max(solved.rate, 0.0), terms.rate_cap),  # a solver may miss its bounds a little
             solved.grasp_share,
             solved.path_share,
             solved.off_path,
@@ -246,7 +246,7 @@ class StepSolver:
         rate = max(float(terms.along @ (metric * present)) / length, 0.0) if length > 0.0 else 0.0
         ways = chain.joint_columns(np.column_stack([rate * (terms.to_world @ terms.along), object_twist]))
         ways += chain.null_part(v_prev)[:, None]
-        soft, hard = further.only(further.soft), further.only(np.logical_not(further.soft))
+        soft, hard = further.only(further.soft > 0.0), further.only(further.soft == 0.0)
         for kept in (hard, further.only(np.zeros(len(further), dtype=bool))) if len(hard) else (hard,):
             best: tuple[float, Array, float] | None = None
             lower, upper = np.concatenate([box.lower, kept.lower]), np.concatenate([box.upper, kept.upper])

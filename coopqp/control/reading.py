@@ -6,11 +6,14 @@ from typing import Any, final
 
 import numpy as np
 
+from coopqp.control.apart import PARTED
+from coopqp.control.cause import Cause
 from coopqp.control.command import NO_SOLVE, NOTHING, GivenUp, SolverReport, Status, off_path
 from coopqp.control.constraint_set import Constraints
 from coopqp.control.core import layout
 from coopqp.control.supervision import refused_dt
 from coopqp.control.supervision_options import SupervisionOptions
+from coopqp.control.verdict import cause_of, too_close
 from coopqp.model.cell import RobotCell
 from coopqp.model.grasp import Grasp
 from coopqp.model.limits import BindingLimit, LimitKind
@@ -23,6 +26,13 @@ from coopqp.task.path import ObjectPath
 _R = {name: i for i, name in enumerate(layout.RECORD)}
 _KINDS = {code: LimitKind[name] for code, name in enumerate(layout.KINDS) if name != "NONE"}
 _REASONS = {name: code for code, name in enumerate(layout.REASONS)}
+#: Causes of reasons, by their codes: the arms, nothing that slows, or an input that cannot be used.
+_BY_ARMS = ("OUT_OF_STEP_BY", "WAS_OUT_OF_STEP", "STALLED", "ALL_STALLED", "FORCE", "HANGS_BEHIND", "OFF_SERVOS")
+CAUSES = {code: Cause.TRACKING if name in _BY_ARMS else Cause.INPUT for name, code in _REASONS.items()} | {
+    _REASONS["CHAIN_APART"]: None,
+    _REASONS["TOUCHING"]: Cause.CONTACT,
+    _REASONS["CHAIN_PARTED"]: Cause.COMMANDED_CHAIN,
+}
 STATUSES = tuple(Status[name.replace("FAULTED", "FAULT")] for name in layout.STATUSES)
 
 
@@ -74,9 +84,10 @@ class RecordReader:
 
     def _read_reason(self, r: Array) -> str:
         distance, angle = r.item(_R["R_AWAY"]), r.item(_R["R_TURNED"])
-        if distance > 0.0 or angle > 0.0:
-            return "; ".join(filter(None, (off_path(distance, angle), self._read_code(r))))
-        return self._read_code(r)
+        away = off_path(distance, angle) if distance > 0.0 or angle > 0.0 else ""
+        holds = STATUSES[int(r.item(_R["R_STATUS"]))] in (Status.HOLDING, Status.FAULT)
+        near = "" if holds else too_close(self._constraints.inside(self._q_of(r)))
+        return "; ".join(filter(None, (away, self._read_code(r), near)))
 
     def _read_code(self, r: Array) -> str:
         code = int(r.item(_R["R_REASON"]))
@@ -87,11 +98,22 @@ class RecordReader:
             return refused_dt(given[1], *self._dt_range)
         return reason(self.cell, self._force_limit, code, *given)
 
+    def _read_commanded_apart(self, r: Array) -> float:
+        return float(r.item(_R["R_APART"]))
+
+    def _read_cause(self, r: Array) -> Cause | None:
+        status, code = STATUSES[int(r.item(_R["R_STATUS"]))], int(r.item(_R["R_REASON"]))
+        watched = CAUSES[code] if code else None
+        return cause_of(status, watched, self._read_binding(r), measured=r.item(_R["R_MEASURED"]) != 0.0)
+
     def _read_binding(self, r: Array) -> tuple[BindingLimit, ...]:
         begin = self._off_path + 6
         entries = r[begin : begin + 4 * int(r[_R["R_BINDINGS"]])].reshape(-1, 4)
         binding = tuple(self.limit(*(int(x) for x in entry)) for entry in entries)
-        return self._constraints.measured(binding, self._q_of(r)) if self._constraints else binding
+        if not self._constraints:
+            return binding
+        q = self._q_of(r)
+        return tuple(dict.fromkeys((*self._constraints.inside(q), *self._constraints.measured(binding, q))))
 
     def _q_of(self, r: Array) -> Array:
         return r[self._q : self._q + self.nq]
@@ -121,9 +143,11 @@ class RecordReader:
         return SolverReport(self._solver, "solved", int(r[_R["R_ITERATIONS"]]))
 
 
+_BOTH = (_REASONS["CHAIN_APART"], _REASONS["CHAIN_PARTED"])
 #: The sentence of each reason, by the joint or arm i and two numbers a and b. BAD_DT and PATH_JUMPS have their own.
 _SENTENCES = {
     "NO_REASON": "",
+    "TOUCHING": "the arms hold",
     "NOT_FINITE": "q_measured[{i}] is {a}",
     "OFF_CIRCLE": "q_measured[{i}] and [{next}] are no cosine and sine (norm {a:.3g})",
     "JUMPED": "joint {joint} is measured {a:.3g} rad (or m) from its command",
@@ -131,10 +155,13 @@ _SENTENCES = {
     "PATH_FAILED": "the path has no pose at its clock {a:.6g} s",
     "LOOK_AHEAD_FAILED": "the path ahead of its clock {a:.6g} s cannot be asked",
     "CONSTRAINT_FAILED": "a constraint cannot be asked",
+    "CHAIN_APART": PARTED,
+    "CHAIN_PARTED": PARTED,
     "OUT_OF_STEP_BY": "arm {arm} is {mm:.2f} mm out of step with the others",
     "WAS_OUT_OF_STEP": "arm {arm} was out of step",
     "STALLED": "arm {arm} does not follow its command (stalled)",
     "FORCE": "{a:.0f} N at the grasp of arm {arm} by its servos (limit {limit:g} N)",
+    "OFF_SERVOS": "arm {arm} is {mm:.2f} mm from where its wrench puts its servos",
     "HANGS_BEHIND": (
         "arm {arm} does not follow its command: it hangs {mm:.2g} mm behind, and the others pull it with {b:.0f} N"
     ),
@@ -145,7 +172,17 @@ def reason(cell: RobotCell, force_limit: float, code: int, index: float, a: floa
     """The sentence of a reason of :data:`layout.REASONS`."""
     if code == _REASONS["PATH_JUMPS"]:
         return jump(b, a)
-    i = int(index)
+    i, other = int(index), int(b) if code in _BOTH else 0
     arm, joint = (names[i] if i < len(names) else "" for names in (cell.arm_names, cell.joint_names))
-    values = {"i": i, "next": i + 1, "arm": arm, "joint": joint, "a": a, "b": b, "mm": 1e3 * a, "limit": force_limit}
+    values = {
+        "i": i,
+        "next": i + 1,
+        "arm": arm,
+        "joint": joint,
+        "other": cell.arm_names[other],
+        "a": a,
+        "b": b,
+        "mm": 1e3 * a,
+        "limit": force_limit,
+    }
     return _SENTENCES[layout.REASONS[code]].format(**values)

@@ -1,8 +1,9 @@
 """How far arms may part when one of them stalls bounds the speed of the object.
 
-An arm that stalls is known after some samples; the others brake together in T = max |q̇|/a and go on by v T/2. So they
-part from it by ``v T/2 + n dt v`` at the grasps, v the speed of the fastest grasp. At the rate σ both v and T are
-proportional to σ: the bound of the distance is a quadratic for the largest σ.
+An arm that stalls is known n samples later; only then do the others brake together, in T = max |q̇|/a, and go on by v
+T/2. So they part from it by ``v T/2 + n dt v`` at the grasps, v the speed of the fastest grasp, and rest n dt + T
+after the stall; v and T are those of the moment when it is known. At the rate σ both are proportional to σ: the bound
+of the distance is a quadratic for the largest σ.
 """
 
 from __future__ import annotations

@@ -33,12 +33,15 @@ def check_start(
     tolerance_rad: float = START_TOLERANCE_RAD,
     clock: float = 0.0,
 ) -> Array:
-    """Check that the arms hold the object where the path is at ``clock`` [s]. Returns ``q`` (nq,) as a read-only array.
+    """Check that the arms hold the object where the path is at ``clock`` [s].
+
+    Returns:
+        ``q`` (nq,), or the mean of its rows (n, nq), as a read-only array.
 
     Raises:
         InvalidInputError: an arm does not; the message names the arm and its distance from the path.
     """
-    configuration = cell.check_configuration(q, "reset: q")
+    configuration = cell.at_rest(q, "reset: q")
     guarded = GuardedPath(path)
     start = guarded.pose(clock)
     if start is None:
@@ -56,6 +59,30 @@ def check_start(
                 "the start tolerance.",
             )
     return read_only(configuration)
+
+
+def held_command(cell: RobotCell, q: Array, commanded: ArrayLike, largest: float) -> Array:
+    """The configuration (nq,) that the robots hold, checked against the measured one.
+
+    Args:
+        cell: the arms.
+        q: measured configuration (nq,).
+        commanded: what the robots' controllers hold (nq,).
+        largest: largest distance of a joint from its command that is believed [rad or m].
+
+    Raises:
+        InvalidInputError: it is no configuration, or a joint is measured elsewhere.
+    """
+    held = cell.check_configuration(commanded, "reset: commanded")
+    away = np.abs(pin.difference(cell.model, held, q))
+    worst = int(away.argmax())
+    if away[worst] > largest:
+        raise InvalidInputError(
+            f"joint {cell.joint_names[worst]} is measured {away[worst]:.3g} rad (or m) from its command",
+            "reset: commanded",
+            "Give the targets that the robots hold at the time of the measurement, in the order of cell.joint_names.",
+        )
+    return held
 
 
 def odd_start(cell: RobotCell, grasp: Grasp, shares: Array, pose: pin.SE3 | None, q: Array) -> tuple[str, ...]:

@@ -16,7 +16,9 @@ import numpy as np
 import numpy.typing as npt
 
 from coopqp.checks import NOT_NUMBERS, as_floats, as_scalar
+from coopqp.control.cause import Cause
 from coopqp.control.drift import Drift
+from coopqp.control.servo_watch import ServoWatch, fall_gently
 from coopqp.control.stress_watch import StressWatch
 from coopqp.control.supervision_options import SupervisionOptions
 from coopqp.errors import InvalidInputError
@@ -28,18 +30,19 @@ from coopqp.spatial import Array, largest, skew
 
 @dataclass(slots=True)
 class Watch:
-    """Result of the supervision in one step: a rate cap, and why it is below 1."""
+    """Result of the supervision in one step: a rate cap, and why it is below 1, in a sentence and in a word."""
 
     rate_cap: float = 1.0
     hold: bool = False
     fault: bool = False
     arm: int = -1
     reason: str = ""
+    cause: Cause | None = None
 
     @staticmethod
-    def holding(reason: str, *, fault: bool = False) -> Watch:
+    def holding(reason: str, cause: Cause = Cause.INPUT, *, fault: bool = False) -> Watch:
         """The arms hold."""
-        return Watch(rate_cap=0.0, hold=True, fault=fault, reason=reason)
+        return Watch(rate_cap=0.0, hold=True, fault=fault, reason=reason, cause=cause)
 
     def lower(self, seen: Watch) -> None:
         """Take another finding if it is stricter; a fault stays as it is."""
@@ -47,7 +50,7 @@ class Watch:
             return
         if seen.rate_cap < self.rate_cap or seen.fault:
             self.rate_cap, self.hold, self.fault = seen.rate_cap, seen.hold, seen.fault
-            self.arm, self.reason = seen.arm, seen.reason
+            self.arm, self.reason, self.cause = seen.arm, seen.reason, seen.cause
 
 
 def as_number(value: Any) -> float:
@@ -90,7 +93,7 @@ _FEW_SAMPLES = 4
 #: Attributes of a Supervision that never change.
 _FIXED = (
     "_cell", "_options", "_stress", "_turning", "_from_others", "_starts", "_moving", "_at_grasps", "_numbers",
-    "_first_numbers",
+    "_first_numbers", "servos",
 )  # fmt: skip
 
 
@@ -123,6 +126,10 @@ class Supervision:
         self._seen: Array | None = None
         self._lost = np.zeros(n, dtype=int)
         self._far = 0
+        #: Compares with the wrenches where forces are minded; None where they are not.
+        self.servos: ServoWatch | None = None
+        #: Commanded velocities of the joints, filtered, for it (nv,).
+        self._velocity = np.zeros(cell.nv)
 
     def reset(self) -> None:
         """Forget."""
@@ -137,6 +144,7 @@ class Supervision:
         self._seen = None
         self._lost[:] = 0
         self._pressed = False
+        self._velocity = np.zeros(self._cell.nv)
         if self._stress is not None:
             self._stress.reset()
 
@@ -197,23 +205,39 @@ class Supervision:
         x[self._turning] += 2.0 * np.pi * turns
         return x
 
-    def watch(self, measured: Array, commanded: Array, away: Array, dt: float) -> Watch:
+    def watch(
+        self,
+        measured: Array,
+        commanded: Array,
+        away: Array,
+        dt: float,
+        velocity: Array | None = None,
+        rotation: Array | None = None,
+    ) -> Watch:
         """Compare one sample.
 
         Args:
             measured, commanded: configurations at the same time (nq,).
             away: of the object as each arm carries it, measured from commanded, in its own frame (N, 6) [m, rad].
             dt: time since the last sample [s].
+            velocity, rotation: commanded velocities of the joints (nv,) and rotation of the object (3, 3); where
+                forces are minded only.
         """
         o, result = self._options, Watch()
+        servos = self.servos if self.servos is not None and self.servos.minds else None
+        given = away
         told = self._told = self._positions(commanded, self._told)
         found = self._positions(measured, told)
         if len(away) > 1 and o.slow_from is not None:
-            away = away.dot(self._at_grasps)
+            away = (away if servos is None else away + servos.shift).dot(self._at_grasps)
             lost = self._keep_where_lost(measured, away)
-            self._watch_distances(told, away, lost, dt, result)
+            self._watch_distances(told, away, lost, dt, result, rigid=servos is not None)
+        if servos is not None:
+            fall_gently(result, self._cap, dt)
+        if servos is not None and o.slow_from is not None and velocity is not None and rotation is not None:
+            self._watch_servos(servos, given, velocity, rotation, dt, result)
         if o.stall_samples is not None:
-            self._watch_stall(found, told, dt, result)
+            self._watch_stall(found, told, dt, result, rigid=servos is not None)
         if self._stress is not None:
             self._watch_stress(self._stress, measured, commanded, dt, result)
         if o.recovery_time > 0.0:
@@ -223,6 +247,9 @@ class Supervision:
                 if not result.reason:
                     result.arm, result.reason = self._arm, f"arm {self._cell.arm_names[self._arm]} was out of step"
             self._cap, self._arm = result.rate_cap, result.arm
+        result.cause = Cause.TRACKING if result.reason else None
+        if self.servos is not None and self.servos.touches and not result.fault:
+            return Watch.holding("the arms hold", Cause.CONTACT)
         return result
 
     def _keep_where_lost(self, measured: Array, away: Array) -> npt.NDArray[np.bool_]:
@@ -241,7 +268,9 @@ class Supervision:
         self._seen = numbers
         return lost
 
-    def _watch_distances(self, told: Array, away: Array, lost: npt.NDArray[np.bool_], dt: float, result: Watch) -> None:
+    def _watch_distances(
+        self, told: Array, away: Array, lost: npt.NDArray[np.bool_], dt: float, result: Watch, *, rigid: bool
+    ) -> None:
         """Deviation of each arm from the mean of the others that slows or stops the object."""
         o = self._options
         assert o.slow_from is not None
@@ -251,7 +280,8 @@ class Supervision:
         noise = passed * self._noise_seen(away, dt)
         apart = out_of_step = self._from_others.dot(self._deviation)
         if o.let_in > 0.0:
-            out_of_step = self._drift.without(apart, noise, told, dt)
+            drift = self._drift
+            out_of_step = drift.followed(apart, told, dt) if rigid else drift.without(apart, noise, told, dt)
         self._count_far(away, self._from_others.dot(away) - (apart - out_of_step), lost)
         spread = np.einsum("ij,ij->i", out_of_step, out_of_step)
         worst = math.sqrt(largest(spread)) - o.noise_margin * noise
@@ -287,8 +317,11 @@ class Supervision:
             self._noise += (np.einsum("ij,ij->i", bend, bend) - self._noise) / max(self._samples - 2.0, 1.0)
         return math.sqrt(largest(self._noise) / 6.0)
 
-    def _watch_stall(self, found: Array, told: Array, dt: float, result: Watch) -> None:
-        """An arm that stands while another follows has stalled; where none follows, signals may just be late."""
+    def _watch_stall(self, found: Array, told: Array, dt: float, result: Watch, *, rigid: bool) -> None:
+        """An arm that stands while another follows has stalled; where none follows, signals may just be late.
+
+        Of arms in rigid grips that mind forces their wrenches say more: here, only whether all have stopped.
+        """
         o, past = self._options, self._past
         measured, commanded = found[self._moving], told[self._moving]
         past.append((measured, commanded))
@@ -312,11 +345,36 @@ class Supervision:
                 stalled |= stands
         else:
             self._silence = 0.0
-        if stalled.any():
+        if stalled.all() if rigid else stalled.any():
             result.rate_cap, result.hold, result.arm = 0.0, True, int(stalled.argmax())
             result.reason = f"arm {self._cell.arm_names[result.arm]} does not follow its command (stalled)"
             if stalled.all():
                 result.reason = "no arm is seen to follow its command (all have stopped, or measurements are stale)"
+
+    def _watch_servos(
+        self, servos: ServoWatch, away: Array, velocity: Array, rotation: Array, dt: float, result: Watch
+    ) -> None:
+        """Arms whose servos do not stand where their wrenches say slow the object; one that has stalled holds it."""
+        o = self._options
+        hasty = servos.hasten(velocity, self._velocity, dt)
+        cap, arm, far = servos.watch(
+            away,
+            self._at_grasps,
+            rotation,
+            hasty,
+            way=self._drift.way,
+            dt=dt,
+            filter_time=o.filter_time,
+            margin=o.noise_margin,
+        )
+        if cap >= 1.0:
+            return
+        reason = f"arm {self._cell.arm_names[arm]} is {1e3 * far:.2f} mm from where its wrench puts its servos"
+        found = Watch(cap, hold=cap == 0.0, arm=arm, reason=reason, cause=Cause.TRACKING)
+        if cap > 0.0:
+            fall_gently(found, self._cap, dt)
+        if found.rate_cap < result.rate_cap:
+            result.lower(found)
 
     def _watch_stress(self, stress: StressWatch, measured: Array, commanded: Array, dt: float, result: Watch) -> None:
         """Arms that press too hard on the object hold it, until they press less than half as hard."""

@@ -43,6 +43,13 @@ class SupervisionOptions:
     fault_from: Annotated[
         float, Doc("distance at which the controller latches a fault, in two samples in a row [m]")
     ] = 0.02
+    apart_from: Annotated[
+        float | None,
+        Doc(
+            "distance of an arm's view of the object from the others', as commanded, at which the arms hold [m]; they "
+            "go on below half of it"
+        ),
+    ] = 2e-4
     stall_samples: Annotated[
         int | None,
         Doc(
@@ -95,6 +102,8 @@ class SupervisionOptions:
         low = as_scalar(low, "SupervisionOptions: dt_range[0]", high=1.0)
         high = as_scalar(high, "SupervisionOptions: dt_range[1]", low=1.0, open_low=False)
         object.__setattr__(self, "dt_range", (low, high))
+        if self.apart_from is not None:
+            keep_scalars(self, "apart_from")
         if self.slow_from is not None:
             keep_scalars(self, "slow_from", high=self.hold_from)
         if self.stall_samples is not None:

@@ -1,4 +1,7 @@
-"""One thread at a time: a controller that another thread works in refuses the call before anything is touched."""
+"""One thread at a time: a controller that another thread works in refuses the call before anything is touched.
+
+What an operator asks for from another thread than the one that steps waits for the next step.
+"""
 
 from __future__ import annotations
 
@@ -18,6 +21,7 @@ class Turn:
 
     def __init__(self) -> None:
         self._lock = threading.RLock()
+        self._stepper: int | None = None
 
     def hold(self) -> None:
         """Begin to work.
@@ -31,6 +35,14 @@ class Turn:
     def release(self) -> None:
         """End."""
         self._lock.release()
+
+    def steps_here(self) -> None:
+        """This thread steps."""
+        self._stepper = threading.get_ident()
+
+    def steps_elsewhere(self) -> bool:
+        """Whether another thread made the last step."""
+        return self._stepper not in (None, threading.get_ident())
 
     def __reduce__(self) -> tuple[type[Turn], tuple[()]]:
         return Turn, ()

@@ -7,6 +7,7 @@ import math
 import numpy as np
 import pinocchio as pin
 
+from coopqp.control.cause import Cause, cause_of_limits
 from coopqp.control.command import NOTHING, GivenUp, Status, off_path
 from coopqp.control.linearised import LinearisedAnswer
 from coopqp.control.loop_state import LoopState
@@ -14,9 +15,16 @@ from coopqp.control.options import QPOptions
 from coopqp.control.rate_cap import RATE_ROUNDING
 from coopqp.model.limits import BindingLimit, LimitKind
 from coopqp.planning.preview import PathPreview
+from coopqp.spatial import Array
 
 #: An object that comes to a stop for good counts as blocked from this many times the rate on.
 ARRIVING = 10.0
+#: A paused object that leaves its path faster does not rest yet [m/s], [rad/s].
+RESTING_SPEED, RESTING_SPIN = 1e-3, 1e-2
+#: A blocked object counts as blocked until it has gone on by this way of its clock [s],
+STILL_BLOCKED = 1e-5
+#: and a slowed one as slowed, where nothing is known ahead, until it has gone on at its full rate for this long [s].
+STILL_SLOWED = 0.05
 
 
 def slow_status(
@@ -42,6 +50,66 @@ def slow_status(
     if preview is not None and not ends and rate > 0.0:  # joints that stop slowly go on after a corner
         slowed = slowed or preview.reaches_corner(s.clock - dt, 2.0 * dt)
     return Status.SLOWED if slowed else Status.BLOCKED
+
+
+def lasting(
+    s: LoopState, found: Status, rate: float, binding: tuple[BindingLimit, ...], *, h: float, blind: bool
+) -> Status:
+    """``found``, or the status of the last step, which lasts a moment: else it would flicker near rates of 0 and 1.
+
+    ``blind`` where nothing is known ahead of a step of length ``h`` [s].
+    """
+    last, more, most = s.status, 0.0, 0.0
+    if last is Status.BLOCKED and found is Status.SLOWED and binding:
+        more, most = rate * h, STILL_BLOCKED
+    elif last is Status.SLOWED and found is Status.TRACKING and blind:
+        more, most = h, STILL_SLOWED
+    if more > 0.0 and s.outdated + more <= most:
+        s.outdated += more
+        return last
+    if last is not Status.BLOCKED or found is not last:
+        s.outdated = 0.0
+    return found
+
+
+def rests(off_path: Array) -> bool:
+    """Whether an object whose clock stands rests: it may leave its path (6,) that slowly; errors are corrected."""
+    speed, spin = float(np.linalg.norm(off_path[:3])), float(np.linalg.norm(off_path[3:]))
+    return speed <= RESTING_SPEED and spin <= RESTING_SPIN
+
+
+def cause_of(
+    status: Status, watched: Cause | None, binding: tuple[BindingLimit, ...], *, measured: bool
+) -> Cause | None:
+    """Why a status is not TRACKING; None if it is.
+
+    Args:
+        status: of the step.
+        watched: cause of what the supervision found; None if it found nothing. A hold without one is the solver's.
+        binding: limits that the step runs against.
+        measured: measurements have a share in the object's distance from its path.
+    """
+    if status is Status.TRACKING:
+        return None
+    if status is Status.PAUSED:
+        return Cause.OPERATOR
+    if status in (Status.HOLDING, Status.FAULT):
+        return watched or Cause.SOLVER
+    # Without a limit the bound on the rate's rise slows the object, and a path that it was given away from it is far.
+    rest = Cause.LIMIT if status is not Status.OFF_PATH else Cause.TRACKING if measured else Cause.INPUT
+    return cause_of_limits(binding) or watched or rest
+
+
+def too_close(inside: tuple[BindingLimit, ...]) -> str:
+    """A sentence: the two bodies that are deepest inside their margin; empty without any."""
+    if not inside:
+        return ""
+    others = len(inside) - 1
+    more = f", and {others} other pair{'s' * (others > 1)}" if others else ""
+    names, distance = " and ".join(inside[0].between), inside[0].distance or 0.0
+    if distance < 0.0:
+        return f"{names} overlap by {-1e3 * distance:.1f} mm{more}"
+    return f"{names} are {1e3 * distance:.1f} mm from each other, inside their margin{more}"
 
 
 def away_from_path(s: LoopState, found: LinearisedAnswer, options: QPOptions) -> str:

@@ -15,8 +15,10 @@ if TYPE_CHECKING:
     from coopqp.forces.internal import internal_wrenches
     from coopqp.forces.load import LoadShare
     from coopqp.forces.palms import least_squeeze, palm_use, squeeze_needed
+    from coopqp.forces.sensor_findings import SensorFinding, SensorJudgement
     from coopqp.forces.shared_load import SharedLoad
     from coopqp.forces.use import load_use
+    from coopqp.forces.wrist_sensor import WristSensor
 else:
     __getattr__, __dir__ = lazy_names(
         __name__,
@@ -27,9 +29,11 @@ else:
             "coopqp.forces.grips": "Grip",
             "coopqp.forces.internal": "internal_wrenches",
             "coopqp.forces.load": "LoadShare",
+            "coopqp.forces.sensor_findings": "SensorFinding SensorJudgement",
             "coopqp.forces.shared_load": "SharedLoad",
             "coopqp.forces.palms": "least_squeeze palm_use squeeze_needed",
             "coopqp.forces.use": "load_use",
+            "coopqp.forces.wrist_sensor": "WristSensor",
         },
     )
 
@@ -39,7 +43,10 @@ __all__ = [
     "Grip",
     "LoadBound",
     "LoadShare",
+    "SensorFinding",
+    "SensorJudgement",
     "SharedLoad",
+    "WristSensor",
     "determining_motion",
     "internal_wrenches",
     "least_squeeze",

@@ -29,6 +29,11 @@ from coopqp.spatial import Array
 _UNDETERMINED = 0.5
 #: Weighed residuals of a closed chain: their mean square, and the largest of them, are below these.
 _MEAN_SQUARE, _LARGEST = 3.0, 8.0
+#: A correction whose squared size in its own uncertainty is below this is no correction: the 99 % quantile of chi²
+#: with 12 degrees of freedom.
+_INSIGNIFICANT = 26.217
+#: A step of the weighed residuals that noise makes less than once in 10 000 runs of 200 samples.
+_STEP = 5.5
 #: Least entry of a direction that is named, as a share of its largest.
 _NAMED = 0.3
 _COORDINATES = [
@@ -78,6 +83,7 @@ class ArmCorrection:
         base: correction of its base placement, in its base frame (6,) [m, rad]: ``T_world_base · exp(base)``.
         grip: correction of its tool on the object, in the tool frame (6,): ``T_object_tool · exp(grip)``.
         base_deviation, grip_deviation: their standard deviations (6,), after the run.
+        significant: the correction is more than its uncertainty. Else the base and the grip stay as given.
     """
 
     arm: str
@@ -85,6 +91,7 @@ class ArmCorrection:
     grip: Array
     base_deviation: Array
     grip_deviation: Array
+    significant: bool
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,13 +99,15 @@ class Calibration:
     """A cell and a grasp that fit the measurements, and how sure that is.
 
     Attributes:
-        cell, grasp: corrected; the first arm's are as before.
+        cell, grasp: corrected; those of the first arm, and of arms with no significant correction, are as before.
         corrections: one per arm from the second on.
         before, after: largest distance [m] and angle [rad] between the object poses of two arms, at each used sample,
             with the given and with the corrected model (T, 2).
         samples: indices of the used samples (T,).
         undetermined: directions that the motion does not determine, in words.
         determined_share: share of the directions that it determines.
+        slip: sample from which on the arms' views of the object are shifted against those before, as by a slip, and by
+            how much [m]; None if there is no such sample.
     """
 
     cell: RobotCell
@@ -109,6 +118,7 @@ class Calibration:
     samples: Array
     undetermined: tuple[str, ...]
     determined_share: float
+    slip: tuple[int, float] | None
 
     def explain(self) -> str:
         """Lines of text: closure before and after, corrections with deviations, undetermined parameters."""
@@ -117,6 +127,9 @@ class Calibration:
             f"{_mm(self.after[:, 0].max())} mm, {_deg(self.after[:, 1].max())}° after ({len(self.samples)} samples)"
         ]
         for found in self.corrections:
+            if not found.significant:
+                lines.append(f"{found.arm}: no more than its own uncertainty; its base and grip stay as given")
+                continue
             for part, value, spread in (
                 ("base", found.base, found.base_deviation),
                 ("grip", found.grip, found.grip_deviation),
@@ -125,6 +138,11 @@ class Calibration:
                     f"{found.arm}, {part}: {_three(1e3 * value[:3])} ± {_three(1e3 * spread[:3])} mm, "
                     f"{_three(np.rad2deg(value[3:]))} ± {_three(np.rad2deg(spread[3:]))}°"
                 )
+        if self.slip is not None:
+            lines.append(
+                f"the arms' views of the object shift by {_mm(self.slip[1])} mm at sample {self.slip[0]}: did a grip "
+                "slip? Bases and grips then hold for neither part of the run"
+            )
         if self.undetermined:
             lines.append(f"not determined by this motion, kept as believed ({len(self.undetermined)}):")
             lines += [f"  {name}" for name in self.undetermined]
@@ -136,8 +154,9 @@ def calibrate(
 ) -> Calibration:
     """Base placements and grips with which the chain is closed at measured configurations.
 
-    The arms held one rigid object all the time, and the grips did not slip: a slip that the model can
-    explain stays unseen here. :func:`coopqp.simulation.calibrate_runs` asks the recordings.
+    The arms held one rigid object all the time, and the grips did not slip: a slip that bases and grips can
+    explain stays unseen, one that they cannot is told (:attr:`Calibration.slip`). A correction that is no more than its
+    own uncertainty is not made. :func:`coopqp.simulation.calibrate_runs` asks the recordings.
 
     Args:
         cell, grasp: the model that the run was made with.
@@ -168,28 +187,30 @@ def calibrate(
     x = prior * found.x
     _check_closed(closure, x, used)
     bases, tools = closure.corrected(x)
-    spread, directions = _certainty(closure, found.jac, prior)
+    covariance, directions = _certainty(closure, found.jac, prior)
+    spread = np.sqrt(np.diag(covariance))
     corrections = []
+    kept = np.zeros(len(x))
     for k in range(1, len(cell)):
         own = slice(12 * k - 12, 12 * k)
-        corrections.append(
-            ArmCorrection(
-                cell.arm_names[k],
-                pin.log6(cell.arms[k].T_world_base.actInv(bases[k])).vector,
-                pin.log6(grasp.T_object_tool[k].actInv(tools[k])).vector,
-                spread[own][:6],
-                spread[own][6:],
-            )
-        )
+        base = pin.log6(cell.arms[k].T_world_base.actInv(bases[k])).vector
+        grip = pin.log6(grasp.T_object_tool[k].actInv(tools[k])).vector
+        change = np.concatenate([base, grip])
+        significant = float(change @ np.linalg.solve(covariance[own, own], change)) > _INSIGNIFICANT
+        if significant:
+            kept[12 * k : 12 * k + 12] = change
+        corrections.append(ArmCorrection(cell.arm_names[k], base, grip, spread[own][:6], spread[own][6:], significant))
+    bases, tools = closure.corrected(kept)
     return Calibration(
         RobotCell([arm.placed(B) for arm, B in zip(cell.arms, bases, strict=True)]),
         Grasp(tuple(tools)),
         tuple(corrections),
         closure.distances(np.zeros(len(x))),
-        closure.distances(x),
+        closure.distances(kept),
         used,
         tuple(_in_words(cell, direction) for direction in directions),
         1.0 - len(directions) / (12 * len(cell) - 12),
+        _slip(closure, x, used),
     )
 
 
@@ -239,8 +260,26 @@ def _check_closed(closure: Closure, x: Array, used: Array) -> None:
     )
 
 
+def _slip(closure: Closure, x: Array, used: Array) -> tuple[int, float] | None:
+    """The sample with the largest step of the residuals, if noise does not make it, and the shift of the object [m].
+
+    For residuals of unit variance the difference of the means of m samples and the n others, times √(m n / (m + n)),
+    has unit variance.
+    """
+    left = closure.residuals(x).reshape(len(used), -1)
+    count = np.arange(1, len(used))[:, None]
+    sums = np.cumsum(left - left.mean(axis=0), axis=0)[:-1]
+    steps = np.abs(sums) / np.sqrt(count * (len(used) - count) / len(used))
+    if steps.max() <= _STEP:
+        return None
+    at = int((steps**2).sum(axis=1).argmax())
+    r = closure.errors(x)
+    shift = r[at + 1 :].mean(axis=0) - r[: at + 1].mean(axis=0)
+    return int(used[at + 1]), float(np.linalg.norm(shift[:, :3], axis=1).max())
+
+
 def _certainty(closure: Closure, J: Array, prior: Array) -> tuple[Array, Array]:
-    """Standard deviations (12 N − 12,) relative to the first arm, and an undetermined direction per row (m, 12 N − 12).
+    """Covariance (12 N − 12, 12 N − 12) relative to the first arm, and an undetermined direction per row.
 
     With the prior covariance P = L Lᵀ and that after the run C, the eigenvalues of L⁻¹ C L⁻ᵀ are the shares of the
     prior variance that are left, from 0 (determined) to 1 (nothing is learned).
@@ -259,7 +298,7 @@ def _certainty(closure: Closure, J: Array, prior: Array) -> tuple[Array, Array]:
         # Basis of the loose directions with the fewest large entries: one own coordinate each.
         _, _, pivots = qr(loose.T, pivoting=True, mode="economic")
         loose = np.linalg.solve(loose[pivots[: loose.shape[1]]].T, loose.T).T
-    return np.sqrt(np.diag(C)), loose.T
+    return C, loose.T
 
 
 def _in_words(cell: RobotCell, direction: Array) -> str:

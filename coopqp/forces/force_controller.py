@@ -9,9 +9,19 @@ from typing import Any, final
 import numpy as np
 
 from coopqp.checks import ArrayLike, as_options, as_scalar, require
+from coopqp.control.cause import Cause
 from coopqp.control.command import ControlStep, Status, amend, short_text
-from coopqp.control.core.allow_plain import BY_FRICTION, BY_REACH, BY_SENSOR, BY_STAGE, NOTHING_MORE
-from coopqp.control.core.relax_plain import AT, CHECKING, HEARD, PRESSING, RELAXING, SENSOR_SILENT, SENSOR_WRONG
+from coopqp.control.core.allow_plain import BY_CONTACT, BY_FRICTION, BY_REACH, BY_SENSOR, BY_STAGE, NOTHING_MORE
+from coopqp.control.core.relax_plain import (
+    AT,
+    CHECKING,
+    HEARD,
+    PRESSING,
+    RELAXING,
+    SENSOR_SILENT,
+    SENSOR_WRONG,
+    squeezes,
+)
 from coopqp.control.pseudo_inverse import PseudoInverseController
 from coopqp.control.qp import QPController
 from coopqp.control.turn import alone
@@ -20,20 +30,23 @@ from coopqp.forces.force_options import ForceOptions
 from coopqp.forces.load import LoadShare
 from coopqp.forces.palms import least_squeeze
 from coopqp.forces.relaxation import Relaxation
+from coopqp.forces.sensor_check import SensorCheck
+from coopqp.forces.sensor_findings import SensorJudgement
+from coopqp.forces.wrist_sensor import SensorMaps
 from coopqp.spatial import Array, Placement
 from coopqp.task.path import ObjectPath
 
 #: Words for :data:`layout.STAGES`, in their order.
 _STAGES = (
     "the sensors are compared with the servos",
-    "the arms press a little to learn how stiff they are",
+    "the arms press each other a little, to learn how stiff they are and what the sensors read",
     "the arms relax before the object moves",
     "the object moves",
 )
 #: Steps beyond the time of the comparison after which a reason says what it waits for.
 _PATIENCE = 5
 #: Attributes that a step changes, beside the attributes of the relaxation and of the inner controller.
-_VARYING = ("_differences", "_compared")
+_VARYING = ("_differences", "_compared", "_check", "_place", "_found", "_disturbed")
 
 
 @final
@@ -79,6 +92,10 @@ class ForceController:
         )
         self._memory = self._relaxation.memory
         self._memory[AT["ASKED"]] = controller.override
+        #: What is known of the sensors; None if they read as they should.
+        self._maps = SensorMaps(self.cell, options.sensors) if options.sensors else None
+        if self._maps is not None:
+            self._maps.check()
         self._check_squeeze()
         self._shifted = controller.take_shift(self._relaxation.shift)
         #: The core's own step with wrenches, where it has one.
@@ -104,6 +121,10 @@ class ForceController:
 
     def _begin(self) -> None:
         self._differences, self._compared = np.zeros((len(self.cell), 6)), 0
+        self._check: SensorCheck | None = None
+        self._found: SensorJudgement | None = None
+        self._disturbed = False
+        self._place = self.shift
 
     # -- calls of the inner controller ---------------------------------------------------------------------------
 
@@ -123,22 +144,25 @@ class ForceController:
         return short_text(self)
 
     @alone
-    def reset(self, q: ArrayLike, *, clock: float = 0.0) -> None:
-        """Start at ``q`` (nq,), at rest; see :meth:`coopqp.QPController.reset`.
+    def reset(self, q: ArrayLike, *, commanded: ArrayLike | None = None, clock: float = 0.0) -> None:
+        """Start at rest at ``q``, (nq,) or readings (n, nq); see :meth:`coopqp.QPController.reset`.
 
-        The arms hold the object where they are, as far as the reach of the grasps allows. So the start
+        The arms hold the object where they are, and the object stays where it is until they have relaxed. So the start
         itself causes no force.
 
         Raises:
-            InvalidInputError: as in the controller's reset; nothing is then changed.
+            InvalidInputError: as in the controller's reset, or an arm holds the object farther from its grasp than the
+                grasps reach; nothing is then changed.
         """
-        shift = self._relaxation.found(self.cell.check_configuration(q, "ForceController.reset: q"))
+        q = self.cell.at_rest(q, "ForceController.reset: q")
+        held = q if commanded is None else self.cell.check_configuration(commanded, "ForceController.reset: commanded")
+        shift = self._relaxation.found(held)
         self.controller.shift_grasp(shift)
         try:
-            if clock == 0.0:
+            if clock == 0.0 and commanded is None:
                 self.controller.reset(q)
-            else:  # only a QPController begins in mid-path
-                self._qp.reset(q, clock=clock)
+            else:  # only a QPController begins in mid-path, or elsewhere than it is measured
+                self._qp.reset(q, commanded=commanded, clock=clock)
             self._relaxation.begin(shift)
             self._begin()
         finally:
@@ -180,8 +204,13 @@ class ForceController:
 
     @property
     def stiffer(self) -> float:
-        """Measured stiffness of the servos as a multiple of the given one; at least 1."""
+        """Measured stiffness of the servos as a multiple of the given one; 1 before it is measured."""
         return self._relaxation.stiffer
+
+    @property
+    def sensors(self) -> SensorJudgement | None:
+        """What the presses at the start found of each sensor; None before their end, and without presses."""
+        return self._found
 
     # -- the step ------------------------------------------------------------------------------------------------
 
@@ -201,6 +230,8 @@ class ForceController:
             BusyError: another thread is in a call of this controller; nothing was changed.
         """
         minded = self._minded
+        if self._maps is not None and wrenches is not None:
+            wrenches = self._maps.wrenches(self._shaped(wrenches))
         if minded is not None and self.controller._fast is not None:  # type: ignore[union-attr]
             try:
                 step = minded(self._memory, q_measured, dt, wrenches)
@@ -227,17 +258,23 @@ class ForceController:
             relaxation.look(self.controller.commanded)
         heard = relaxation.step(w, length)
         if stage < RELAXING and not self._memory[AT["SENSOR_FAULT"]]:
-            self._prepare(q_measured, length, heard == HEARD)
+            self._prepare(w, q_measured, length, heard == HEARD)
+        elif stage == PRESSING and self._check is not None:  # a sensor fell silent: the press ends
+            relaxation.shift += min(length / self.options.ramp_time, 1.0) * (self._place - relaxation.shift)
         if gives or stage == PRESSING:
             self._shifted()
         share = relaxation.allow(length)
+        self._minded = self.controller.take_minding(self._memory, self._tell)  # another may have stepped it
         if share != self.controller.override:
             self.controller.set_override(share)
         return self._made(self.controller.step(q_measured, dt=dt))
 
     def _made(self, step: ControlStep) -> ControlStep:
         m = self._memory
+        self._relaxation.refer(self.controller.reference, step.dt)
         m[AT["LAST_RATE"]], m[AT["STEPPED"]] = step.rate, 1.0
+        m[AT["AT_END"]] = not step.clock_next > step.clock
+        m[AT["LAST_SPEED"]] = np.abs(step.velocity).max()
         if m[AT["WHY"]] != NOTHING_MORE:
             self._tell(step)
         return step
@@ -248,8 +285,9 @@ class ForceController:
 
     def _taken(self, wrenches: ArrayLike | None) -> Array | None:
         """The wrenches as an array (N, 6) that the core can read."""
-        if wrenches is None:
-            return None
+        return None if wrenches is None else self._shaped(wrenches)
+
+    def _shaped(self, wrenches: ArrayLike) -> Array:
         w = np.ascontiguousarray(wrenches, dtype=float)
         n = len(self.cell)
         if w.shape != (n, 6):
@@ -258,22 +296,55 @@ class ForceController:
             )
         return w
 
-    def _prepare(self, q_measured: ArrayLike | None, dt: float, heard: bool) -> None:
+    def _prepare(self, w: Array | None, q_measured: ArrayLike | None, dt: float, heard: bool) -> None:
         """One step of the stages before the relaxation."""
-        m = self._memory
-        if self._stage == CHECKING and m[AT["STEPPED"]] and heard:
-            self._compare(q_measured)
+        m, q = self._memory, None if q_measured is None else np.asarray(q_measured, dtype=float)
+        if q is None or q.shape != (self.cell.nq,) or not np.isfinite(q).all():
+            q = None  # the controller says so
+        if self._stage == CHECKING and m[AT["STEPPED"]] and heard and q is not None:
+            check = None if self._disturbed else self._relaxation.sensor_check(q, self.dt)
+            if check is None:
+                self._compare(q)
+            else:
+                self._check, self._place = check, self.shift
+                self._go_on(PRESSING)
             if m[AT["SENSOR_FAULT"]]:
                 return
         m[AT["SINCE"]] += dt
-        if self._stage == PRESSING and self._relaxation.press(dt):
-            self._go_on(RELAXING)
+        if self._stage != PRESSING:
+            return
+        if self._check is None:
+            if self._relaxation.press(dt):
+                self._go_on(RELAXING)
+        elif q is not None:
+            self._press(self._check, w, q, dt)
 
-    def _compare(self, q_measured: ArrayLike | None) -> None:
+    def _press(self, check: SensorCheck, w: Array | None, q: Array, dt: float) -> None:
+        """Press the sensors; in the end, say which of them are wrong."""
+        m = self._memory
+        if not check.began:  # the force at the start is that before the presses
+            m[AT["START_SIZE"]] = max(m[AT["START_SIZE"]], m[AT["SIZE"]])
+        shift = check.press(w, self.controller.commanded, q, dt)
+        if check.disturbed:  # sensors are compared with the servos, and the arms relax from where they are
+            self._check, self._disturbed = None, True
+            self._go_on(CHECKING)
+            return
+        self._relaxation.shift[:] = self._place + shift
+        found = check.judgement
+        if found is None:
+            return
+        self._found, self._check = found, None
+        m[AT["STIFFER"]] = self._relaxation.accepted(found.stiffer)
+        wrong = [k for k, finding in enumerate(found.findings) if not (finding.fine or finding.late)]
+        if not wrong and not self._relaxation.slow_down(found.latest, self.dt):
+            wrong = [k for k, finding in enumerate(found.findings) if finding.late]
+        if wrong:
+            m[AT["SENSOR_FAULT"]], m[AT["SENSOR_ARM"]] = SENSOR_WRONG, wrong[0]
+        self._go_on(RELAXING)
+
+    def _compare(self, q: Array) -> None:
         """Compare the sensors with the servos at rest; in the end, say which sensor is wrong."""
-        m, q = self._memory, None if q_measured is None else np.asarray(q_measured, dtype=float)
-        if q is None or q.shape != (self.cell.nq,) or not np.isfinite(q).all():
-            return  # the controller says so
+        m = self._memory
         self._differences += self._relaxation.off_servos(self.controller.commanded, q)
         self._compared += 1
         if m[AT["SINCE"]] < self.options.check_time:
@@ -315,21 +386,46 @@ class ForceController:
         """Put the forces' reason into a step, before anyone sees it."""
         why = int(self._memory[AT["WHY"]])
         status = step.status
-        if why in (BY_SENSOR, BY_REACH) and status.precedence < Status.HOLDING.precedence:
+        if (
+            why in (BY_SENSOR, BY_REACH, BY_CONTACT) or squeezes(self._memory)
+        ) and status.precedence < Status.HOLDING.precedence:
             status = Status.HOLDING
-        amend(step, status=status, reason="; ".join(filter(None, (self._why(why), step.reason))))
+        amend(
+            step,
+            status=status,
+            reason="; ".join(filter(None, (self._why(why), step.reason))),
+            cause=self._cause(why, status, step.cause),
+        )
+
+    def _cause(self, why: int, status: Status, cause: Cause | None) -> Cause | None:
+        """The cause of a step that forces have something to say about, by its status and the cause so far."""
+        if status is Status.TRACKING:
+            return None
+        if why == BY_CONTACT and status is Status.HOLDING:
+            return Cause.CONTACT
+        paused = isinstance(self.controller, QPController) and self.controller.paused
+        if paused or cause not in (None, Cause.OPERATOR):  # forces lower the override
+            return cause
+        by_sensor = why == BY_SENSOR or (why == BY_STAGE and self._stage == CHECKING)
+        return Cause.SENSOR if by_sensor else Cause.LIMIT
 
     def _why(self, why: int) -> str:
         m = self._memory
         if why == BY_SENSOR:
             return self._fault()
+        if why == BY_CONTACT:
+            return f"the object touches something: {self._relaxation.contact()}"
         if why == BY_REACH:
             return f"the grasps cannot give way any further: {self._most()}"
+        if why == BY_STAGE and squeezes(m):
+            return f"the arms squeeze the object further while they relax: {self._most()}"
         if why == BY_STAGE:
             waits = self._stage == CHECKING and not self._compared
             if waits and m[AT["SINCE"]] > self.options.check_time + _PATIENCE * self.dt:
                 return "the sensors cannot be compared with the servos: give q_measured, and wrenches of all arms"
-            return f"{_STAGES[self._stage]}: {self._most()}"
+            late = self._found is not None and self._found.latest > 0.0
+            slowly = f" ({self._found.explain()}; forces relax more slowly)" if late and self._found else ""
+            return f"{_STAGES[self._stage]}: {self._most()}{slowly}"
         if why == BY_FRICTION:
             used, arm = m[AT["FRICTION_USED"]], self.cell.arm_names[int(m[AT["WHY_ARM"]])]
             return f"{100.0 * used:.0f} % of the friction at the palm of arm {arm}"
@@ -339,7 +435,9 @@ class ForceController:
         m = self._memory
         arm, amount = self.cell.arm_names[int(m[AT["SENSOR_ARM"]])], m[AT["SENSOR_AMOUNT"]]
         if m[AT["SENSOR_FAULT"]] == SENSOR_SILENT:
-            return f"no wrench of arm {arm} for {1e3 * amount:.0f} ms"
+            return f"no new wrench of arm {arm} for {1e3 * amount:.0f} ms"
+        if self._found is not None:
+            return self._found.explain()
         return (
             f"the force sensor of arm {arm} does not agree with its servos: {amount:.0f} N apart (tolerance "
             f"{self.options.sensor_tolerance:g} N)"

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from typing import Annotated, Any
 
 import numpy as np
@@ -10,6 +11,7 @@ import numpy as np
 from coopqp.checks import Doc, as_floats, as_tuple, as_vector, documented, keep_scalars, require
 from coopqp.errors import InvalidInputError
 from coopqp.forces.grips import Grip
+from coopqp.forces.wrist_sensor import WristSensor
 from coopqp.planning.payload import Payload
 from coopqp.spatial import Array
 
@@ -48,11 +50,26 @@ class ForceOptions:
     ramp_time: Annotated[float, Doc("time in which a grasp reaches that speed [s]")] = 0.1
     reach: Annotated[float, Doc("largest distance of a grasp from its place [m]")] = 0.01
     turn: Annotated[float, Doc("largest angle of a grasp from its place [rad]")] = 0.02
+    sensors: Annotated[
+        Mapping[str, WristSensor],
+        Doc("how the wrist sensors are known to read, by arm; readings are corrected by it"),
+    ] = field(default_factory=dict)
     check_time: Annotated[float, Doc("time at rest in which the sensors are compared with the servos [s]")] = 0.2
+    presses: Annotated[
+        bool,
+        Doc("arms press each other at the start, to find wrong sensors; or sensors are compared with servos at rest"),
+    ] = False
     sensor_tolerance: Annotated[float, Doc("accepted difference of a sensor from its servos' estimate [N]")] = 10.0
     move_below: Annotated[float, Doc("internal force below which the object begins to move [N]")] = 5.0
     slow_from: Annotated[float, Doc("internal force from which on the object moves more slowly [N]")] = 20.0
     hold_from: Annotated[float, Doc("internal force at which the object rests [N]")] = 50.0
+    contact_limit: Annotated[
+        float | None,
+        Doc(
+            "force on the object beside its payload's weight and inertia from which on it is held [N]; by default a "
+            "fifth of the weight and at least 25 N where grips hold a payload that is told; inf for none"
+        ),
+    ] = None
     silent_time: Annotated[float, Doc("time without a new wrench after which the object is held [s]")] = 0.05
 
     def minded(self, arms: int) -> Array:
@@ -97,6 +114,17 @@ class ForceOptions:
         keep_scalars(self, "softness_doubt", "relax_time", "drift_time", "speed", "spin", "ramp_time", "reach", "turn")
         keep_scalars(self, "sensor_tolerance", "move_below", "slow_from", "hold_from", "silent_time")
         keep_scalars(self, "delay", "filter_time", "dead_band", "check_time", open_low=False)
+        require(self.sensors, Mapping, "ForceOptions: sensors", "Give a WristSensor by arm.")
+        for name, sensor in self.sensors.items():
+            require(sensor, WristSensor, f"ForceOptions: sensors['{name}']", "Give a coopqp.forces.WristSensor.")
+        require(self.presses, bool, "ForceOptions: presses", "Give true or false.")
+        if self.contact_limit is not None:
+            if self.contact_limit != np.inf:
+                keep_scalars(self, "contact_limit")
+            if self.payload is None and self.contact_limit < np.inf:
+                raise InvalidInputError(
+                    "a contact_limit without a payload", "ForceOptions", "Say what the arms carry: payload=Payload(…)."
+                )
         if self.payload is not None:
             require(self.payload, Payload, "ForceOptions: payload", "Give a coopqp.planning.Payload.")
         if not self.slow_from < self.hold_from:

@@ -10,7 +10,7 @@ from coopqp.model.grasp import Grasp
 from coopqp.spatial import Array
 
 #: Metric of torques against forces in the load's shares [m]: short, so that forces carry the load where they can.
-_SHARE_LENGTH = 0.1
+SHARE_LENGTH = 0.1
 
 
 def internal_wrenches(wrenches: ArrayLike, grasp: Grasp) -> Array:
@@ -35,7 +35,7 @@ def internal_wrenches(wrenches: ArrayLike, grasp: Grasp) -> Array:
 def load_shares(grasp: Grasp) -> tuple[Array, Array]:
     """Maps: wrenches at the tools to the object frame (6 N, 6 N), and S, the load to its shares there (6 N, 6)."""
     n = len(grasp)
-    scale = np.tile([1.0] * 3 + [_SHARE_LENGTH] * 3, n)
+    scale = np.tile([1.0] * 3 + [SHARE_LENGTH] * 3, n)
     to_object = np.zeros((6 * n, 6 * n))
     for k, X in enumerate(grasp.T_object_tool):
         to_object[6 * k : 6 * k + 6, 6 * k : 6 * k + 6] = X.actionInverse.T

@@ -30,16 +30,18 @@ import pinocchio as pin
 
 from coopqp.control.core import layout, minding_of
 from coopqp.control.core.relax_plain import AT, gives_way, minding_size, minding_views
-from coopqp.control.stress_watch import STRUCTURE, servo_wrenches
+from coopqp.control.stress_watch import servo_wrenches
 from coopqp.errors import InvalidInputError
 from coopqp.forces.force_options import ForceOptions
 from coopqp.forces.internal import load_shares
 from coopqp.forces.palms import palm_rows, pressing
+from coopqp.forces.presses import of_grip
+from coopqp.forces.sensor_check import SensorCheck
 from coopqp.forces.stress import per_joint
 from coopqp.model.cell import RobotCell
 from coopqp.model.chain import Chain
 from coopqp.model.grasp import Grasp
-from coopqp.spatial import Array
+from coopqp.spatial import Array, skew
 
 #: Smaller shares of a stiffness count as 0.
 _LEAST_PART = 1e-9
@@ -47,13 +49,22 @@ _LEAST_PART = 1e-9
 _LENGTH = 0.3
 #: Largest (d + dt) / T with the doubt.
 _LARGEST_GAIN = 0.5
+#: The same with the delay that was measured: beyond it a sensor is late.
+_LATEST = 0.55
+#: The same where it relaxes more slowly for a sensor that is late, up to this delay [s].
+_SLOWED_GAIN, _TOO_LATE = 0.4, 0.15
 #: Pressing: force at which it ends [N], first and last distance [m], speed [m/s].
 _PRESS, _PRESS_LEAST, _PRESS_MOST, _PRESS_SPEED = 3.0, 1e-5, 5e-4, 5e-4
-#: Range of the measured ρ. Softer servos than given are not answered faster: their damping need not be softer.
-_STIFFEST = (1.0, 20.0)
+#: Range of the measured ρ. Softer servos than given are not answered faster, as their damping need not be softer; but
+#: their deflection is judged by it.
+_STIFFEST = (0.05, 20.0)
 #: Attributes that change.
-_VARYING = ("_compliances", "_pressed", "_pressing", "_waited", "_felt", "_grows", "_base")
+_VARYING = ("_pressed", "_pressing", "_waited", "_felt", "_grows", "_base")
 _LOOK_EVERY = layout.CONSTANTS["LOOK_EVERY"]
+#: A contact pushes with at least this share of the payload's weight, and this force [N], if nothing else is told.
+_CONTACT, _LEAST_CONTACT = 0.2, 25.0
+#: A direction is called by an axis from this cosine on.
+_ALONG = 0.95
 #: Time for which palms press steadily before the object moves [s], and the share of the squeeze that may be missing.
 _STEADY, _PRESSED = 0.5, 0.1
 #: The settings that a step needs, by their place in its memory.
@@ -102,7 +113,7 @@ class Relaxation:
                 "ForceOptions",
                 f"Give a relax_time of at least {gain / _LARGEST_GAIN * options.relax_time:.3g} s.",
             )
-        self._cell, self._chain = cell, Chain(cell, grasp)
+        self._cell, self._grasp, self._chain = cell, grasp, Chain(cell, grasp)
         self._softness = 1.0 / per_joint(options.stiffness, cell.nv, "ForceOptions: stiffness")
         self._to_object, self._load_shares = load_shares(grasp)
         total = np.tile(np.eye(6), n)
@@ -110,7 +121,8 @@ class Relaxation:
         self._put_settings()
         views = minding_views(self.memory, n)
         self.internal, self.shift, self.silent = views["internal"], views["shift"], views["silent"]
-        self.seen, self._yields = views["seen"], views["yields"]
+        self.seen, self._yields, self._compliances = views["seen"], views["yields"], views["compliances"]
+        self._held, self._reference = views["held"], views["reference"]
         # The wrenches that count, in the tools' axes. Palms answer with the twists of the whole wrench, so that they
         # keep their real places in the other directions.
         felt = np.zeros((6 * n, 6 * n))
@@ -122,6 +134,7 @@ class Relaxation:
             press = options.squeeze * pressing(options.palms)
             views["target"][:] = (views["internal_of"] @ press.ravel()).reshape(-1, 6)
             views["squeezed"][:], views["palms"][:] = views["target"], palm_rows(options.palms)
+        self._put_load(views["unfed_of"], views["carries"], total)
         #: F, where arms keep their places in some directions.
         self._felt_part = None if options.palms is not None or options.minded(n).all() else felt
         self._starting = self.memory.copy()
@@ -147,14 +160,33 @@ class Relaxation:
         m[AT["PRESSED_BELOW"]] = _PRESSED * o.squeeze if palms else math.inf
         m[AT["MOVE_BELOW"]] = max(o.move_below, 2.0 * o.dead_band, _PRESSED * o.squeeze)
 
+    def _put_load(self, unfed_of: Array, carries: Array, total: Array) -> None:
+        """What the drives are fed forward of the wrenches: the payload's weight, or the sum of all wrenches."""
+        payload, m = self.options.payload, self.memory
+        m[AT["RIGID"]] = self.options.palms is None
+        m[AT["CONTACT_LIMIT"]] = math.inf
+        if payload is None:
+            unfed_of[:] = (np.eye(len(total.T)) - self._load_shares @ total) @ self._to_object
+            return
+        unfed_of[:] = self._to_object
+        minding_views(m, len(self._cell))["centre"][:] = payload.centre
+        carries[:] = self._load_shares @ np.vstack([np.eye(3), skew(payload.centre)])
+        weight = m[AT["WEIGHT_X"] : AT["WEIGHT_Z"] + 1] = -payload.mass * self._cell.model.gravity.linear
+        m[AT["LOAD_MASS"]] = payload.mass
+        limit = self.options.contact_limit
+        least = max(_LEAST_CONTACT, _CONTACT * float(np.linalg.norm(weight)))
+        if self.options.palms is not None:  # a stand hides what the object weighs until it moves
+            least = math.inf
+        m[AT["CONTACT_LIMIT"]] = least if limit is None else limit
+
     def begin(self, shift: Array) -> None:
         """Forget everything; the grasps are shifted by ``shift`` (N, 6)."""
         n, m = len(self._cell), self.memory
         asked = m[AT["ASKED"]]
         m[:] = self._starting
-        m[AT["ASKED"]], m[AT["STIFFER"]], self.shift[:] = asked, 1.0, shift
+        m[AT["ASKED"]], m[AT["STIFFER"]], self.shift[:], self._held[:] = asked, 1.0, shift, shift
         m[AT["FORCE_CAP"]], m[AT["PRESSED_WITH"]] = 1.0, self.options.squeeze
-        self._compliances = np.zeros((n, 6, 6))
+        m[AT["CORRECTS"]] = self.options.palms is not None
         self._pressed = self._pressing = self._waited = 0.0
         self._felt: Array | None = None
         self._grows, self._base = np.zeros(6 * n), np.zeros((n, 6))
@@ -192,6 +224,25 @@ class Relaxation:
         """
         return self._relax(self.memory, len(self._cell), wrenches, dt)
 
+    def refer(self, pose: pin.SE3, dt: float) -> None:
+        """The object was asked for at ``pose``, in a step of ``dt`` [s]."""
+        m = self.memory
+        m[AT["REFERENCE_DT"]], m[AT["ASKED_DT"]] = m[AT["ASKED_DT"]], dt
+        self._reference[:9], self._reference[9:] = pose.rotation.ravel(), pose.translation
+
+    def contact(self) -> str:
+        """The force and the direction of what touches the object, in words."""
+        force = minding_views(self.memory, len(self._cell))["push"][2]
+        size = float(np.linalg.norm(force))
+        way = force / max(size, 1e-9)
+        k = int(np.abs(way).argmax())
+        if abs(way[k]) > _ALONG:
+            towards = f"{'+-'[int(way[k] < 0.0)]}{'xyz'[k]}"
+        else:
+            towards = "({:.1f}, {:.1f}, {:.1f})".format(*(np.round(way, 1) + 0.0))  # no -0.0
+        limit = self.memory[AT["CONTACT_LIMIT"]]
+        return f"{size:.0f} N have pushed it towards {towards} of the world (from {limit:.0f} N on)"
+
     def allow(self, dt: float) -> float:
         """The largest rate of the object in this step: ``allow.c``, which ``allow_plain.py`` says in NumPy."""
         self._allow(self.memory, len(self._cell), dt)
@@ -217,13 +268,33 @@ class Relaxation:
         R = self.look(measured)
         turned = self._chain.twists(pin.difference(self._cell.model, measured, commanded)) @ R
         off = self._to_object @ self.seen.ravel() - servo_wrenches(self._compliances, turned).ravel()
-        payload = self.options.payload if self.options.palms is None else None  # palms do not carry it yet
-        load = off.reshape(-1, 6).sum(axis=0)
-        if payload is not None:
-            weight = -payload.mass * R[:3, :3].T @ self._cell.model.gravity.linear
-            load = np.concatenate([weight, np.cross(payload.centre, weight)])
+        carried = self._carried(R) if self.options.palms is None else None  # palms do not carry it yet
+        load = off.reshape(-1, 6).sum(axis=0) if carried is None else carried
         out: Array = (off - self._load_shares @ load).reshape(-1, 6)
         return out
+
+    def _carried(self, R: Array) -> Array | None:
+        """The load that the drives carry by feed-forward, in the object frame (6,) [N, N·m]; None if it is not told."""
+        payload = self.options.payload
+        if payload is None:
+            return None
+        weight = -payload.mass * R[:3, :3].T @ self._cell.model.gravity.linear
+        return np.concatenate([weight, np.cross(payload.centre, weight)])
+
+    def sensor_check(self, q: Array, dt: float) -> SensorCheck | None:
+        """The check of the sensors by presses from rest at ``q`` (nq,); None where arms cannot press all ways."""
+        o = self.options
+        if not o.presses or o.palms is not None or self._felt_part is not None or self._chain.deficient:
+            return None
+        return SensorCheck(
+            self._cell,
+            self._grasp,
+            softness=self._softness,
+            q=q,
+            load=self._carried(self.look(q)),
+            tolerance=o.sensor_tolerance,
+            latest=_LATEST * o.relax_time - dt,
+        )
 
     def look(self, q: Array) -> Array:
         """Look at the compliances at ``q``. Returns blockdiag(R, R) of the object (6, 6)."""
@@ -232,7 +303,7 @@ class Relaxation:
         chain.evaluate(q, about=O[3].copy())
         R = np.zeros((6, 6))
         R[:3, :3] = R[3:, 3:] = O[:3].T
-        self._compliances = R.T @ chain.compliances(self._softness) @ R
+        self._compliances[:] = R.T @ chain.compliances(self._softness) @ R
         if self._felt_part is not None:
             self._yields[:] = self._relative @ yields_in_part(self._compliances, self._felt_part)
         else:  # relative @ blockdiag(C)
@@ -269,8 +340,20 @@ class Relaxation:
         way = self._pressed * self._inward.ravel()
         answer = felt - self._felt - self._pressing * self._grows
         if way.any():  # some arm minds forces towards the others
-            self.memory[AT["STIFFER"]] = float(np.clip(answer @ way / (way @ way), *_STIFFEST))
+            self.memory[AT["STIFFER"]] = self.accepted(answer @ way / (way @ way))
         return True
+
+    @staticmethod
+    def accepted(stiffer: float) -> float:
+        """A measured ρ within the range that is answered."""
+        return float(np.clip(stiffer, *_STIFFEST))
+
+    def slow_down(self, delay: float, dt: float) -> bool:
+        """Relax no faster than wrenches that come after ``delay`` [s] allow; false if that is too late for any pace."""
+        m, slower = self.memory, max((delay + dt) / (_SLOWED_GAIN * self.options.relax_time), 1.0)
+        for name in ("RELAX_TIME", "DRIFT_TIME", "WAIT"):
+            m[AT[name]] *= slower
+        return delay <= _TOO_LATE
 
     def far(self, shift: Array) -> float:
         """The largest shift of a grasp (N, 6), as a share of its reach."""
@@ -278,20 +361,33 @@ class Relaxation:
         return float(max(far / self.options.reach, turned / self.options.turn))
 
     def found(self, q: Array) -> Array:
-        """Where the arms hold the object at ``q``, as a shift of the grasps (N, 6); 0 where that is out of reach."""
+        """Where the arms hold the object at ``q``, as a shift of the grasps (N, 6).
+
+        Raises:
+            InvalidInputError: that is out of reach.
+        """
         O = self._chain.carried(q)
         errors = self._chain.errors(O, pin.SE3(O[0, :3].T, O[0, 3]))
         shift: Array = (self._relative @ errors.ravel()).reshape(-1, 6)
-        return shift if self.far(shift) < 1.0 else np.zeros_like(shift)
+        if self.options.palms is not None:  # they slide, and keep their places
+            return shift if self.far(shift) < 1.0 else np.zeros_like(shift)
+        if not self.far(shift) < 1.0:
+            far, turned = np.linalg.norm(shift[:, :3], axis=1), np.linalg.norm(shift[:, 3:], axis=1)
+            o = self.options
+            k = int(np.maximum(far / o.reach, turned / o.turn).argmax())
+            raise InvalidInputError(
+                f"arm {self._cell.arm_names[k]} holds the object {1e3 * far[k]:.1f} mm and "
+                f"{math.degrees(turned[k]):.2f}° from its grasp, out of reach ({1e3 * o.reach:g} mm, "
+                f"{math.degrees(o.turn):.3g}°)",
+                "ForceController.reset: q",
+                "Correct the grasp or the base (coopqp calibrate), or give a larger ForceOptions(reach=, turn=).",
+            )
+        return shift
 
 
 def yields_in_part(compliances: Array, felt: Array) -> Array:
     """Fᵀ (F G Fᵀ)⁺ F (6 N, 6 N), of the compliances C_k (N, 6, 6) and F (6 N, 6 N); see the module."""
-    each = np.linalg.inv(compliances + STRUCTURE * np.eye(6))
-    stiff, together = np.zeros_like(felt), each.reshape(-1, 6)
-    for k, own in enumerate(each):
-        stiff[6 * k : 6 * k + 6, 6 * k : 6 * k + 6] = own
-    G = stiff - together @ np.linalg.solve(each.sum(axis=0), together.T)
+    G = of_grip(compliances)
     out: Array = felt.T @ np.linalg.pinv(felt @ G @ felt.T, rcond=_LEAST_PART, hermitian=True) @ felt
     return out
 

@@ -14,6 +14,8 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 _AFTER, _BEFORE = COLOURS[:2]
+#: Colour of corrections that are not made.
+_NOT_MADE = "0.6"
 #: Smallest drawn distance [mm] and angle [°]; smaller ones are rounding.
 _FLOOR = 1e-6
 
@@ -45,13 +47,16 @@ def calibration_figure(found: Calibration) -> Figure:
             for part, value, spread in parts:
                 at = len(names) + np.arange(3)
                 names += [f"{arm.arm} {part} {axis}" for axis in "xyz"]
-                axes.errorbar(scale * value[own], at, xerr=2.0 * scale * spread[own], fmt="o", color=_AFTER,
-                              markersize=4.0, linewidth=1.2, capsize=2.0)  # fmt: skip
+                colour, fill = (_AFTER, _AFTER) if arm.significant else (_NOT_MADE, "white")
+                axes.errorbar(scale * value[own], at, xerr=2.0 * scale * spread[own], fmt="o", color=colour,
+                              markerfacecolor=fill, markersize=4.0, linewidth=1.2, capsize=2.0)  # fmt: skip
         axes.axvline(0.0, color=INK, linewidth=0.8)
         axes.set_yticks(range(len(names)), names, fontsize=7)
         axes.invert_yaxis()
         axes.set_xlabel(f"{'shift' if unit == 'mm' else 'turn'} [{unit}], ± 2 standard deviations")
-    grid[1, 0].set_title("What was corrected", loc="left", color=INK)
+    made = all(arm.significant for arm in found.corrections)
+    title = "What was corrected" if made else "What was corrected (hollow: within its uncertainty, not made)"
+    grid[1, 0].set_title(title, loc="left", color=INK)
     for axes in grid.ravel():
         open_frame(axes)
     return figure

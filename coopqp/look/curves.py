@@ -11,6 +11,8 @@ from coopqp.spatial import Array
 
 #: Spans of time of a drawn curve, more than a page has pixels.
 DRAWN_SPANS = 4000
+#: Numbers beyond this are drawn there: Matplotlib cannot draw 1e300.
+_FAR = 1e12
 
 
 def drawn(time: Array, values: Array, *, spans: int = DRAWN_SPANS) -> tuple[Array, Array]:
@@ -21,6 +23,7 @@ def drawn(time: Array, values: Array, *, spans: int = DRAWN_SPANS) -> tuple[Arra
         values: (T,), or (T, n) for n curves.
         spans: number of spans, at least 1.
     """
+    values = np.clip(values, -_FAR, _FAR)
     if len(time) <= 4 * spans:
         return time, values
     first = np.linspace(0, len(time), spans, endpoint=False).astype(int)
@@ -33,7 +36,7 @@ def drawn_rows(recording: Recording, count: int, rows: Callable[[slice], Array])
     other.
     """
     if count <= 4 * DRAWN_SPANS:
-        return recording.time[:count], rows(slice(0, count))
+        return recording.time[:count], np.clip(rows(slice(0, count)), -_FAR, _FAR)
     curves = [
         drawn(recording.time[part], rows(part), spans=max(1, (part.stop - part.start) * DRAWN_SPANS // count))
         for part in recording.parts(count)

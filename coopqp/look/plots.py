@@ -15,7 +15,7 @@ import pinocchio as pin
 
 from coopqp.errors import InvalidInputError
 from coopqp.look.curves import drawn
-from coopqp.look.renderer import View, body_solids, box_solid, cell_solids, name_places, render
+from coopqp.look.renderer import View, body_solids, cell_solids, name_places, object_solids, render
 from coopqp.look.style import COLOURS, DASHES, GRID, INK, WIDTH, label, new_figure, plain, text_width
 from coopqp.model.cell import RobotCell
 from coopqp.simulation import metrics
@@ -158,7 +158,8 @@ def motion_figure(
 ) -> Figure:
     """The paper's Figure 4: the arms and the object at evenly spaced times of a run.
 
-    The object is drawn at the pose of the first arm. Its outline at the start is dashed.
+    The object is drawn at the pose of the first arm: the bodies that its file calls carried, else its box. The upper
+    outline at the start is dashed.
 
     Args:
         cell, recording: the run.
@@ -178,12 +179,12 @@ def motion_figure(
     samples = np.round(np.linspace(0, recording.n_steps, frames)).astype(int)
     configurations = recording.q[samples]
     X = recording.grasp.T_object_tool[0].inverse()
-    bodies = [T[0] * X * T_object_body for T in metrics.tool_placements(cell, configurations)]
+    poses = [T[0] * X for T in metrics.tool_placements(cell, configurations)]
+    carried, corners = object_solids(recording.metadata, np.array(object_size), T_object_body, _PLATE)
     solids = cell_solids(cell, configurations)
     standing = body_solids(recording.metadata)
-    for scene, T_world_body in zip(solids, bodies, strict=True):
-        scene.append(box_solid(object_size, T_world_body, _PLATE))
-        scene += standing
+    for scene, T in zip(solids, poses, strict=True):
+        scene += [*(solid.placed(T) for solid in carried), *standing]
     view = View.around(solids, azimuth=azimuth, elevation=elevation)
     view = replace(view, top=view.top + _HEADROOM * (view.top - view.bottom))
     pictures = render(solids, view, width=pixels)
@@ -196,7 +197,7 @@ def motion_figure(
     cell_height = cell_width * height / width
     total = rows * (cell_height + _BAND)
     figure = new_figure(inches, total)
-    start = view.pixels(solids[0][-1].vertices, width, height)
+    start = view.pixels(corners @ poses[0].rotation.T + poses[0].translation, width, height)
     for i, picture in enumerate(pictures):
         row, column = divmod(i, columns)
         left, bottom = column * (cell_width + gap), total - (row + 1) * (cell_height + _BAND)

@@ -7,7 +7,7 @@ no window, no graphics card and no global state: the same arrays give the same p
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -45,11 +45,17 @@ class Solid:
         vertices: vertices in the world [m], shape (V, 3).
         triangles: indices of vertices, counter-clockwise seen from outside, shape (F, 3).
         colour: red, green and blue in [0, 1].
+        name: of the body; may be empty.
     """
 
     vertices: Array
     triangles: Indices
     colour: tuple[float, float, float]
+    name: str = ""
+
+    def placed(self, T: pin.SE3) -> Solid:
+        """The solid in another frame: ``T`` places its own frame there."""
+        return replace(self, vertices=self.vertices @ T.rotation.T + T.translation)
 
 
 @dataclass(frozen=True, eq=False)
@@ -193,14 +199,36 @@ def box_solid(size: tuple[float, float, float], T_world_box: pin.SE3, colour: tu
     return Solid(vertices @ T_world_box.rotation.T + T_world_box.translation, triangles, colour)
 
 
-def body_solids(metadata: Mapping[str, Any]) -> list[Solid]:
-    """Bodies in the world of a recording, from its metadata."""
+def body_solids(metadata: Mapping[str, Any], key: str = "bodies", colour: Any = SAND) -> list[Solid]:
+    """Bodies of a recording, from its metadata: those in the world, or (key ``"carried"``) in the object frame."""
     solids = []
-    for _, geometry, T in read_bodies(metadata):
+    for name, geometry, T in read_bodies(metadata, key):
         mesh = mesh_of(geometry)
         if mesh is not None:
-            solids.append(Solid(mesh[0] @ T.rotation.T + T.translation, mesh[1], SAND))
+            solids.append(Solid(*mesh, colour, name).placed(T))
     return solids
+
+
+def object_solids(
+    metadata: Mapping[str, Any], size: Array, T_object_body: pin.SE3, colour: tuple[float, float, float]
+) -> tuple[list[Solid], Array]:
+    """The object of a recording in its frame: the bodies that its file calls carried, else a box.
+
+    Args:
+        metadata: of the recording.
+        size, T_object_body: the box: side lengths (3,) [m], and its placement in the object frame.
+        colour: of all of them.
+
+    Returns:
+        the solids; corners (8, 3) [m] of a box round them, in the order of :func:`box`.
+    """
+    whole = Solid(*box(size), colour, "object").placed(T_object_body)
+    carried = body_solids(metadata, "carried", colour)
+    if not carried:
+        return [whole], whole.vertices
+    points = np.vstack([solid.vertices for solid in carried])
+    low, high = points.min(axis=0), points.max(axis=0)
+    return carried, 0.5 * (low + high) + box(high - low)[0]
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,9 +13,10 @@ import numpy as np
 import pinocchio as pin
 
 from coopqp.checks import require
-from coopqp.look.renderer import Camera, body_solids, box, mesh_of, name_places
+from coopqp.control.command import Status
+from coopqp.look.renderer import Camera, Solid, body_solids, mesh_of, name_places, object_solids
 from coopqp.model.cell import RobotCell
-from coopqp.model.limits import BindingLimit
+from coopqp.model.limits import BindingLimit, LimitKind
 from coopqp.simulation import metrics
 from coopqp.simulation.readings import Readings, read_run
 from coopqp.simulation.recording import Recording
@@ -65,17 +66,20 @@ class Stage:
         self._sticks: list[tuple[Any, list[int]]] = []
         self._names: list[Any] = []
         self._shown: tuple[Any, ...] = ()  # marked limits
-        size, self._T_object_body = read_object(recording.metadata, recording.T_object_tool)
+        size, T_object_body = read_object(recording.metadata, recording.T_object_tool)
+        blue = (_OBJECT[0] / 255, _OBJECT[1] / 255, _OBJECT[2] / 255)
+        self._carried, self._corners_of_object = object_solids(recording.metadata, size, T_object_body, blue)
         self._first_grasp = recording.grasp.T_object_tool[0].inverse()
         self._path = read_path(recording.metadata) or self._followed()
         self._bodies = body_solids(recording.metadata)
+        self._standing: list[tuple[str, Any, Colour]] = []  # all bodies by name, to mark them
         self._nearest = _nearest(recording.metadata)
-        self._cloud = self._points(size)
+        self._cloud = self._points()
         self.low, self.high = self._cloud.min(axis=0), self._cloud.max(axis=0)
         self._add_floor()
         self._add_arms()
-        self._add_object(size)
-        self._add_path(size)
+        self._add_object()
+        self._add_path()
         self._add_bodies()
         self.show(0)
 
@@ -86,17 +90,16 @@ class Stage:
 
     # -- the scene -----------------------------------------------------------------------------------------------
 
-    def _points(self, size: Array) -> Array:
+    def _points(self) -> Array:
         """Points (n, 3) [m]: bases; joints and names at the start, middle and end; corners of the object."""
-        corners = box(size)[0]
+        corners = self._corners_of_object
         points = []
         for i in {0, self.recording.n_steps // 2, self.recording.n_steps}:
             pin.forwardKinematics(self.cell.model, self._data, self.recording.q[i])
             points += [T.translation for T in list(self._data.oMi)[1:]]
             points += list(name_places(self.cell, self.recording.q[i]))
         for pose in [*self._path[:: max(1, len(self._path) // 8)], self._path[-1]]:
-            T = pose * self._T_object_body
-            points += list(corners @ T.rotation.T + T.translation)
+            points += list(corners @ pose.rotation.T + pose.translation)
         points += [arm.T_world_base.translation for arm in self.cell.arms]
         points += [corner for solid in self._bodies for corner in solid.vertices]
         return np.array([*points, *self._corners()])
@@ -179,19 +182,23 @@ class Stage:
         mesh = self._scene.add_mesh_simple(place, *_sharp(vertices, triangles), color=colour)
         self._meshes[joint].append((mesh, colour))
 
-    def _add_object(self, size: Array) -> None:
-        vertices, triangles = box(size)
-        T = self._T_object_body
+    def _add_object(self) -> None:
         self._object = self._scene.add_frame("/object", axes_length=0.16, axes_radius=0.006, origin_radius=0.012)
-        placed = vertices @ T.rotation.T + T.translation
-        self._scene.add_mesh_simple("/object/body", *_sharp(placed, triangles), color=_OBJECT)
+        for i, solid in enumerate(self._carried):
+            self._add_solid(f"/object/body {i}" if i else "/object/body", solid)
         for name, X in zip(self.cell.arm_names, self.recording.grasp.T_object_tool, strict=True):
             self._scene.add_frame(
                 f"/object/grasp {name}", axes_length=0.11, axes_radius=0.004, origin_radius=0.009,
                 wxyz=_wxyz(X), position=X.translation,
             )  # fmt: skip
 
-    def _add_path(self, size: Array) -> None:
+    def _add_solid(self, place: str, solid: Solid) -> None:
+        """Add a body that can be marked."""
+        red, green, blue = (round(255 * c) for c in solid.colour)
+        handle = self._scene.add_mesh_simple(place, *_sharp(solid.vertices, solid.triangles), color=(red, green, blue))
+        self._standing.append((solid.name, handle, (red, green, blue)))
+
+    def _add_path(self) -> None:
         """Add the lines of the object frame's origin and of the grasps, and outlines of the object at both ends."""
         poses = self._path
         points = [np.zeros(3), *(X.translation for X in self.recording.grasp.T_object_tool)]
@@ -203,10 +210,9 @@ class Stage:
                 self._scene.add_line_segments(
                     f"/path/line {k}", segments, colors=_PATH, thickness=width, thickness_units="screen"
                 )
-        corners = box(size)[0]
+        corners = self._corners_of_object
         edges = [(i, i ^ bit) for i in range(8) for bit in (1, 2, 4) if not i & bit]
-        for name, pose in (("start", poses[0]), ("end", poses[-1])):
-            T = pose * self._T_object_body
+        for name, T in (("start", poses[0]), ("end", poses[-1])):
             world = (corners @ T.rotation.T + T.translation).astype(np.float32)
             self._scene.add_line_segments(
                 f"/path/{name}",
@@ -219,9 +225,7 @@ class Stage:
     def _add_bodies(self) -> None:
         """Add what stands in the world, and a line between the bodies that are nearest to each other."""
         for i, solid in enumerate(self._bodies):
-            red, green, blue = (round(255 * c) for c in solid.colour)
-            mesh = _sharp(solid.vertices, solid.triangles)
-            self._scene.add_mesh_simple(f"/bodies/{i}", *mesh, color=(red, green, blue))
+            self._add_solid(f"/bodies/{i}", solid)
         self._gap: Any = None
         if self._nearest is not None:
             self._gap = self._scene.add_line_segments(
@@ -251,6 +255,10 @@ class Stage:
             self._mark(limits)
             self._shown = limits
 
+    def put_object(self, pose: pin.SE3) -> None:
+        """Show the object at another pose than in the first arm's hand: before a run the arms may not reach it."""
+        _place(self._object, pose)
+
     def _stick_points(self, joints: list[int]) -> Array:
         """Ends of the sticks of an arm, from its base along the joints to the tool (n, 2, 3)."""
         arm = self.cell.arm_of_joint(joints[0] - 1)
@@ -263,19 +271,32 @@ class Stage:
         return np.array([*zip(before, places, strict=True), (last.translation, tool)], dtype=np.float32)
 
     def limits(self, sample: int) -> tuple[BindingLimit, ...]:
-        """The binding limits of joints and arms in the step that starts at a sample."""
-        if not self._bindings:
-            return ()
-        return tuple(limit for limit in self._bindings[sample] if limit.arm in self.cell.arm_names)
+        """What binds in the step that starts at a sample: limits of arms and of the path, constraints, distances."""
+        return self._bindings[sample] if self._bindings else ()
+
+    def reason(self, sample: int) -> str:
+        """What the run says about the step that starts at a sample, where it does not track; else empty."""
+        step = min(sample, self.recording.n_steps - 1)
+        if step < 0 or list(Status)[int(self.recording.status[step])] is Status.TRACKING:
+            return ""
+        notes = (note.partition(": ") for note in self.recording.notes)
+        told = [text for begun, _, text in notes if begun.isdigit() and int(begun) <= step]
+        return told[-1] if told else ""
 
     def _mark(self, limits: tuple[BindingLimit, ...]) -> None:
-        """Colour the arms with binding limits (their joints strongest) and write the limits under their names."""
+        """Colour the arms with binding limits (their joints strongest) and write the limits under their names.
+
+        Of two bodies that come too close the links' arms and the bodies that stand in the world are coloured.
+        """
+        close = {name for limit in limits for name in limit.between}
+        for name, mesh, colour in self._standing:
+            mesh.color = _blend(colour, 0.6 if name in close else 0.0)
         for arm, own in enumerate(self.cell.v_slices):
             name = self.cell.arm_names[arm]
-            bound = [limit for limit in limits if limit.arm == name]
-            if not bound and not any(limit.arm == name for limit in self._shown):
+            bound = [limit for limit in limits if _concerns(limit, name)]
+            if not bound and not any(_concerns(limit, name) for limit in self._shown):
                 continue
-            self._names[arm].text = "\n".join([_title(name), *(_short(limit) for limit in bound)])
+            self._names[arm].text = "\n".join([_title(name), *(_short(limit, name) for limit in bound)])
             joints = range(own.start + 1, own.stop + 1)
             strong = {j for j in joints if self.cell.joint_names[j - 1] in {f"{b.arm}/{b.joint}" for b in bound}}
             share = {j: 0.0 if not bound else 1.0 if j in strong else 0.45 for j in joints}
@@ -286,6 +307,11 @@ class Stage:
                 if sticks[0] == joints[0]:
                     colours = [_blend(_STICK, share[j]) for j in [*sticks, sticks[-1]]]
                     handle.colors = np.repeat(np.array(colours, dtype=np.uint8)[:, None, :], 2, axis=1)
+
+
+def _concerns(limit: BindingLimit, arm: str) -> bool:
+    """Whether a limit is the arm's, or a distance of one of its links."""
+    return limit.arm == arm or any(name.startswith(f"{arm}/") for name in limit.between)
 
 
 def _sharp(vertices: Array, triangles: Any) -> tuple[Any, Any]:
@@ -301,7 +327,7 @@ def _nearest(metadata: Mapping[str, Any]) -> tuple[Array, Array] | None:
         return None
     try:
         times, points = (np.array(entry[key], dtype=float) for key in ("times_s", "points_m"))
-    except (KeyError, TypeError, ValueError) as error:
+    except (KeyError, TypeError, ValueError, OverflowError) as error:
         raise SceneError(f"the recording's nearest points are damaged ({error}).") from error
     if points.shape != (len(times), 2, 3) or not len(times) or not np.isfinite(points).all():
         raise SceneError("the recording's nearest points are damaged.")
@@ -312,8 +338,14 @@ def _title(arm: str) -> str:
     return arm.replace("_", " ")
 
 
-def _short(limit: BindingLimit) -> str:
-    return f"! {limit.joint.replace('_', ' ')} {limit.kind.value}".replace("!  ", "! ")
+def _short(limit: BindingLimit, arm: str) -> str:
+    """A limit under the name of an arm."""
+    if limit.between:
+        own = next(name for name in limit.between if name.startswith(f"{arm}/"))
+        other = next((name for name in limit.between if name != own), own)
+        return f"! {own.partition('/')[2]} near {other}".replace("_", " ")
+    what = limit.name if limit.kind is LimitKind.CONSTRAINT else limit.kind.value
+    return f"! {limit.joint.replace('_', ' ')} {what}".replace("!  ", "! ")
 
 
 def _blend(colour: Colour, share: float) -> Colour:

@@ -11,10 +11,11 @@ import numpy as np
 from coopqp.control.command import Status
 from coopqp.look.curves import drawn
 from coopqp.look.style import FAINT, GRID, INK, RED, WIDTH, label, new_figure, plain
-from coopqp.model.limits import BindingLimit
+from coopqp.model.limits import BindingLimit, LimitKind
 from coopqp.simulation.assessment import Tolerances
 from coopqp.simulation.readings import Readings
-from coopqp.simulation.recording import Recording
+from coopqp.simulation.recording import LONGEST, Recording
+from coopqp.simulation.scene import SceneError, reading
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -81,9 +82,9 @@ def marked_spans(recording: Recording) -> Iterator[tuple[Status, int, int]]:
 
 
 def limit_name(limit: BindingLimit) -> str:
-    """Name of a limit for the plot, e.g. ``slave_1/joint_3 velocity``, ``object and post``."""
-    if limit.between:
-        return " and ".join(limit.between)
+    """Name of a limit for the plot, e.g. ``slave_1/joint_3 velocity``, ``object and post``, ``constraint speed``."""
+    if limit.between or limit.kind is LimitKind.CONSTRAINT:
+        return " and ".join(limit.between) or f"{limit.kind.value} {limit.name}"
     return " ".join(part for part in ("/".join(p for p in (limit.arm, limit.joint) if p), limit.kind.value) if part)
 
 
@@ -103,6 +104,8 @@ def timeline_figure(recording: Recording, readings: Readings, *, tolerances: Tol
     names = [label(limit_name(bound.limit)) for bound in limits]
     lines = sum(name.count("\n") + 1 for name in names)
     clearance = recording.metadata.get("clearance")
+    if not isinstance(clearance, Mapping) or "closest_m" not in clearance:  # there all pairs were left out
+        clearance = None
     rows = [3.0, 1.5] + ([1.5] if clearance else []) + ([0.25 + 0.22 * lines] if limits else [])
     figure = new_figure(WIDTH, 0.9 + sum(rows), layout="constrained")
     panels = np.atleast_1d(figure.subplots(len(rows), 1, sharex=True, height_ratios=rows))
@@ -133,7 +136,7 @@ def _draw_errors(axes: Any, recording: Recording, readings: Readings, tolerances
         if not small:
             times, errors = drawn(recording.time, np.maximum(error, 0.1 * _FLOOR))
             axes.plot(times, errors, color=colour, ls=dashes, lw=1.9)
-            largest = max(largest, float(np.nanmax(error, initial=0.0)))
+            largest = max(largest, float(np.nanmax(errors, initial=0.0)))
         said = f"{text}: below 1e-6 mm" if small else text
         handles.append(Line2D([], [], color=colour, ls="none" if small else dashes, lw=1.9, label=said))
     for name, text, colour in (("chain_mm", "arms", _ERRORS[1][2]), ("object_mm", "object", _ERRORS[2][2])):
@@ -176,16 +179,20 @@ def _draw_rate(axes: Any, recording: Recording) -> None:
 
 def _draw_clearance(axes: Any, clearance: Mapping[str, Any]) -> None:
     """Least distance of all bodies over time, the closest point, and the margin."""
-    distances = 1e3 * np.array(clearance["distances_m"], dtype=float)
-    axes.plot(clearance["times_s"], distances, color=INK, lw=1.6)
-    label = f"closest: {' and '.join(clearance['between'])}"
-    axes.plot(clearance["time_s"], 1e3 * clearance["closest_m"], "o", color=RED, ms=5, label=label)
-    if clearance["avoided"]:
-        axes.axhline(1e3 * clearance["margin_m"], color=FAINT, ls="--", lw=1.2, label="margin")
-    axes.set_ylim(min(0.0, 1.1 * float(distances.min())), max(1.15 * float(distances.max()), 1.0))
-    axes.set_ylabel("distance [mm]", fontsize=11, color=INK)
-    axes.grid(True, axis="y", color=GRID, lw=0.8)
-    axes.legend(frameon=False, fontsize=10, labelcolor=INK, loc="best")
+    with reading("clearance is"):
+        times, distances = drawn(np.array(clearance["times_s"], float), 1e3 * np.array(clearance["distances_m"], float))
+        at, closest = drawn(np.array([clearance["time_s"]], float), 1e3 * np.array([clearance["closest_m"]], float))
+        if not np.isfinite([*times, *distances, *at, *closest]).all() or max(map(abs, [*times, *at])) > LONGEST:
+            raise SceneError("the recording's clearance is damaged (its numbers are too large).")
+        axes.plot(times, distances, color=INK, lw=1.6)
+        axes.plot(at, closest, "o", color=RED, ms=5, label=f"closest: {' and '.join(map(str, clearance['between']))}")
+        if clearance["avoided"]:
+            margin = min(1e3 * float(clearance["margin_m"]), 1e4)
+            axes.axhline(margin, color=FAINT, ls="--", lw=1.2, label="margin")
+        axes.set_ylim(min(0.0, 1.1 * float(distances.min())), max(1.15 * float(distances.max()), 1.0))
+        axes.set_ylabel("distance [mm]", fontsize=11, color=INK)
+        axes.grid(True, axis="y", color=GRID, lw=0.8)
+        axes.legend(frameon=False, fontsize=10, labelcolor=INK, loc="best")
 
 
 def _draw_limits(axes: Any, limits: Sequence[Bound], names: Sequence[str]) -> None:

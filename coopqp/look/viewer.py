@@ -20,11 +20,13 @@ import numpy as np
 from coopqp.checks import as_scalar
 from coopqp.control.command import Status
 from coopqp.errors import CoopqpError, InvalidInputError, MissingExtraError
+from coopqp.look.glance import Glance, shortfall
 from coopqp.look.guarded import guarded_servers
-from coopqp.look.stage import FIELD_OF_VIEW, READOUT_SHARE, Stage
+from coopqp.look.stage import ALERT, FIELD_OF_VIEW, READOUT_SHARE, Stage
 from coopqp.output import check_file, write_files
 from coopqp.simulation.figures import worst_status
 from coopqp.simulation.recording import Recording
+from coopqp.simulation.simulate import ProgressCallback
 
 #: Pictures per second of the page, and their largest number.
 FRAMES_PER_SECOND, MAX_FRAMES = 25.0, 500
@@ -49,7 +51,7 @@ _CARD = """
 <div id="coopqp"><b>{title}</b><br>{subtitle}<span><br>
 <i style="background: #4c84bf"></i>the object (grey: its start and end)<br>
 <i style="background: #0072b2; height: .25em; vertical-align: .2em"></i>paths of its frame and of the grasps<br>
-<i style="background: #d61e1e"></i>an arm at a limit, named above it<br>
+<i style="background: #d61e1e"></i>an arm at a limit, named above it, or bodies too close<br>
 Drag to turn, scroll to zoom; the space bar plays and pauses.</span></div>
 """
 
@@ -79,6 +81,17 @@ def _serve(viser: Any, host: str, port: int) -> Any:
     return server
 
 
+def _opened(host: str, port: int) -> Any:
+    """A server of viser, or a named error."""
+    viser = require_viser()
+    if isinstance(port, bool) or not isinstance(port, int) or not 0 <= port < 65536:
+        raise InvalidInputError(f"port is {port!r}", "LiveViewer", "Give a number from 0 (any) to 65535.")
+    try:
+        return _serve(viser, host, port)
+    except OSError as error:
+        raise InvalidInputError(f"cannot listen on {host}:{port} ({error})", "LiveViewer", "Use --port 0.") from error
+
+
 def _stop(server: Any) -> None:
     with contextlib.redirect_stdout(io.StringIO()):
         server.stop()
@@ -98,7 +111,7 @@ def readout(stage: Stage, sample: int) -> str:
     step = min(sample, run.n_steps - 1)
     end = float(run.metadata.get("duration", run.clock[-1]))
     share = f"{100.0 * run.clock[sample] / end:.0f} % of the path · " if 0.0 < end < np.inf else ""
-    limits = "; ".join(str(limit) for limit in stage.limits(sample)) or "no limit binds"
+    limits = "; ".join(str(limit) for limit in stage.limits(sample)) or stage.reason(sample) or "no limit binds"
     status = list(Status)[int(run.status[step])].value
     lines = (
         f"t = {run.time[sample]:.2f} s · {share}{status}, σ = {100.0 * run.rate[step]:.3g} %",
@@ -177,6 +190,10 @@ def export_html(
         _stop(server)
     name, made = title_of(recording)
     card = _CARD.format(title=html.escape(name), subtitle=html.escape(made))
+    return _write_page(page, document, card)
+
+
+def _write_page(page: Path, document: str, card: str) -> Path:
     head, found, tail = document.rpartition("</body>")
     write_files({page: f"{head}{card}{found}{tail}".encode() if found else f"{document}{card}".encode()})
     return page
@@ -202,23 +219,19 @@ class LiveViewer:
     def __init__(
         self, recording: Recording, *, host: str = "127.0.0.1", port: int = 8080, sticks: bool = False
     ) -> None:
-        viser = require_viser()
-        if isinstance(port, bool) or not isinstance(port, int) or not 0 <= port < 65536:
-            raise InvalidInputError(f"port is {port!r}", "LiveViewer", "Give a number from 0 (any) to 65535.")
+        self._sticks = sticks
+        self._server = _opened(host, port)
         try:
-            self._server = _serve(viser, host, port)
-        except OSError as error:
-            raise InvalidInputError(
-                f"cannot listen on {host}:{port} ({error})", "LiveViewer", "Use --port 0."
-            ) from error
-        try:
-            self.stage = Stage(self._server.scene, recording, sticks=sticks)
-            _frame_camera(self._server, self.stage)
-            self._add_controls(recording)
+            self._show_run(recording)
         except BaseException:
             _stop(self._server)
             raise
         self.url = f"http://{host}:{self._server.get_port()}"
+
+    def _show_run(self, recording: Recording) -> None:
+        self.stage = Stage(self._server.scene, recording, sticks=self._sticks)
+        _frame_camera(self._server, self.stage)
+        self._add_controls(recording)
 
     def __enter__(self) -> LiveViewer:
         return self
@@ -282,3 +295,107 @@ class LiveViewer:
 def _plain(text: str) -> str:
     """Text with escaped Markdown characters."""
     return "".join(f"\\{c}" if c in "\\`*_{}[]<>#|~" else c for c in text)
+
+
+class CellViewer(LiveViewer):
+    """Shows a cell before it runs: its start, its path, how far its arms come, and what the check says; with Run.
+
+    Args:
+        found: the cell at a glance.
+        run: runs it, when Run is pressed; called with a callback for the progress.
+        more: further lines.
+        host, port, sticks: as for :class:`LiveViewer`.
+
+    Raises:
+        SceneError, MissingExtraError, InvalidInputError: as :class:`LiveViewer`.
+    """
+
+    def __init__(
+        self,
+        found: Glance,
+        run: Callable[[ProgressCallback], Recording],
+        *,
+        more: str = "",
+        host: str = "127.0.0.1",
+        port: int = 8080,
+        sticks: bool = False,
+    ) -> None:
+        self._sticks, self._run, self._asked, self._is_run = sticks, run, False, False
+        self._server = _opened(host, port)
+        try:
+            self.stage = Stage(self._server.scene, found.recording(), sticks=sticks)
+            self.stage.put_object(found.pose)
+            mark_glance(self._server.scene, found)
+            _frame_camera(self._server, self.stage)
+            gui = self._server.gui
+            gui.configure_theme(show_share_button=False)
+            verdict, *lines = [*found.said(), *more.splitlines()]
+            told = "\n\n".join(_plain(line) for line in lines)
+            gui.add_markdown(f"**{_plain(found.name.replace('_', ' '))}**\n\n**{_plain(verdict)}**\n\n{told}")
+            self._button = gui.add_button("Run", color="blue")
+            self._button.on_click(lambda _: self._press())
+            self._text = gui.add_markdown("")
+        except BaseException:
+            _stop(self._server)
+            raise
+        self.url = f"http://{host}:{self._server.get_port()}"
+
+    def _press(self) -> None:
+        self._asked = True
+
+    def update(self, elapsed: float) -> int:
+        """Wait for Run, then run the cell and show its run as :class:`LiveViewer` does."""
+        if self._is_run:
+            return super().update(elapsed)
+        if self._asked:
+            self._asked, self._button.disabled = False, True
+            told = -1
+
+            def progress(done: int, planned: int) -> None:
+                nonlocal told
+                if (percent := 100 * done // max(planned, 1)) != told:
+                    told = percent
+                    self._text.content = f"running: {min(percent, 100)} %"
+
+            try:
+                recording = self._run(progress)
+            except CoopqpError as error:
+                self._text.content = f"**refused**\n\n{_plain(' '.join(str(error).split()))}"
+                self._button.disabled = False
+                return 0
+            self._server.scene.reset()
+            self._server.gui.reset()
+            self._show_run(recording)
+            self._is_run = True
+        return 0
+
+
+def mark_glance(scene: Any, found: Glance) -> None:
+    """Add the reach of the arms that miss their grasps to a scene of viser, and by how much they miss them."""
+    for name, (tool, wanted) in found.targets().items():
+        ring = found.reaches[name].ring(wanted[2]) if name in found.reaches else np.empty((0, 3))
+        segments = np.stack([ring[:-1:2], ring[1::2]], axis=1) if len(ring) else np.empty((0, 2, 3))
+        lines = np.concatenate([segments, [[tool, wanted]]]).astype(np.float32)
+        scene.add_line_segments(f"/short/{name}", lines, colors=ALERT, thickness=3.0, thickness_units="screen")
+        scene.add_label(f"/missed/{name}", shortfall(found, name), position=wanted, anchor="top-left")
+
+
+def export_glance(found: Glance, file: str | Path, *, more: str = "", sticks: bool = False) -> Path:
+    """Write what :class:`CellViewer` shows as one offline page, without Run. Errors as of :func:`export_html`."""
+    viser, page = require_viser(), Path(file)
+    check_file(page)
+    server = _serve(viser, "127.0.0.1", 0)
+    try:
+        stage = Stage(server.scene, found.recording(), sticks=sticks)
+        stage.put_object(found.pose)
+        mark_glance(server.scene, found)
+        _frame_camera(server, stage)
+        serializer = server.get_scene_serializer()
+        serializer.insert_sleep(1.0)
+        document: str = serializer.as_html()
+    finally:
+        _stop(server)
+    verdict, *lines = [*found.said(), *more.splitlines()]
+    told = "<br>".join(html.escape(line) for line in lines)
+    card = _CARD.format(title=html.escape(f"{found.name.replace('_', ' ')}: {verdict}"), subtitle=told)
+    return _write_page(page, document, card)

@@ -244,9 +244,13 @@ def _lock(
         if not model.existJointName(joint):
             raise UnknownNameError("joint", joint, list(model.names)[1:], f"arm '{name}', locked_joints")
         j = model.joints[model.getJointId(joint)]
-        if j.nq != 1 or j.nv != 1:
-            raise ModelError(f"arm '{name}': joint '{joint}' has nq = {j.nq}, nv = {j.nv}; only nq = nv = 1 locks.")
-        q[j.idx_q] = as_vector([position], 1, f"arm '{name}': locked_joints['{joint}']")[0]
+        at = as_vector([position], 1, f"arm '{name}': locked_joints['{joint}']")[0]
+        if j.nv != 1:
+            raise ModelError(
+                f"arm '{name}': joint '{joint}' has {j.nv} degrees of freedom; joints with one can be locked."
+            )
+        # a continuous joint is stored as (cos, sin)
+        q[j.idx_q : j.idx_q + j.nq] = [at] if j.nq == 1 else [np.cos(at), np.sin(at)]
     ids = [model.getJointId(joint) for joint in locked]
     bodies = {frame.name for frame in model.frames if frame.type == pin.FrameType.BODY}
     for i in ids:
@@ -254,6 +258,11 @@ def _lock(
             model.names[i] += " (joint)"
     keys = [key for key, shape in shapes.items() if shape is not None]
     reduced, geometries = pin.buildReducedModel(model, [shapes[k] for k in keys], ids, q)
+    before = {f.parentJoint: f.parentFrame for f in model.frames if f.type == pin.FrameType.JOINT}
+    for i in ids:  # Pinocchio makes the frame of a locked joint its own parent
+        frame = reduced.frames[reduced.getFrameId(model.names[i], pin.FrameType.FIXED_JOINT)]
+        name = model.frames[before[i]].name if i in before else "universe"
+        frame.parentFrame = reduced.getFrameId(f"{name} (joint)" if not reduced.existFrame(name) else name)
     return reduced, {**dict.fromkeys(shapes), **dict(zip(keys, geometries, strict=True))}
 
 

@@ -18,14 +18,11 @@ from coopqp.errors import InvalidInputError, ModelError, UnknownNameError
 from coopqp.model import batch_plain
 from coopqp.model.cell import Arm
 from coopqp.model.links import joint_links
+from coopqp.native import compiled, warn_once
 from coopqp.spatial import Array, Placement, as_placement, as_placements, cross
 
-try:
-    from coopqp.model import _batch as _compiled
-except ImportError:  # built without a compiler
-    _KERNELS: dict[str, Any] = {"plain": batch_plain}
-else:
-    _KERNELS = {"compiled": _compiled, "plain": batch_plain}
+_COMPILED = compiled("kinematics")
+_KERNELS: dict[str, Any] = {**({"compiled": _COMPILED} if _COMPILED else {}), "plain": batch_plain}
 
 #: Longest rows or columns that the compiled functions take.
 _MOST_JOINTS = 64
@@ -119,11 +116,16 @@ class ArmKinematics:
     Raises:
         ModelError: a joint neither turns about an axis nor slides along one.
         UnknownNameError: this installation has no such kernel.
+
+    Warns:
+        KernelWarning: there is no compiled kernel, and none was asked for by name.
     """
 
     def __init__(self, arm: Arm, *, kernel: Literal["auto", "compiled", "plain"] = "auto") -> None:
         if kernel != "auto" and kernel not in _KERNELS:
             raise UnknownNameError("kernel", kernel, _KERNELS)
+        if kernel == "auto":
+            warn_once()
         self.arm, model = arm, arm.model
         self.kernel: ModuleType = _KERNELS[batch_kernels()[0] if kernel == "auto" else kernel]
         frame = model.frames[model.getFrameId(arm.tool_frame)]

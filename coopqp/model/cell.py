@@ -21,9 +21,14 @@ from coopqp.errors import InvalidInputError, UnknownNameError
 from coopqp.lazy import Shown
 from coopqp.model.arm import Arm
 from coopqp.model.joint_limits import LIMIT_FIELDS, JointLimits
+from coopqp.model.same_joints import without_copies
 from coopqp.spatial import Array
 
 __all__ = ["Arm", "JointLimits", "RobotCell"]
+
+
+#: Most joints that a sentence names.
+_NAMED = 3
 
 
 class RobotCell(Shown):
@@ -31,8 +36,10 @@ class RobotCell(Shown):
 
     Attributes:
         model: Pinocchio model of all arms, with the joints in the order of the arms. Do not modify it.
-        arms: the arms, as given.
+        arms: the arms, as given, but for :attr:`locked`.
         arm_names: names of the arms.
+        locked: names ``arm/joint`` of joints that were locked where they stand: they do not move the tool of their
+            arm, and are joints of another arm, too, as where a robot with two arms is given twice.
         nq, nv: sizes of a configuration and of a velocity of the whole cell.
         q_slices, v_slices: slice of each arm in a configuration and in a velocity.
         joint_names: name ``arm/joint`` of each velocity coordinate.
@@ -45,7 +52,8 @@ class RobotCell(Shown):
         euclidean: True if no joint is continuous; a displacement is then simply added to a configuration.
 
     Raises:
-        InvalidInputError: no arm, or two arms with the same name.
+        InvalidInputError: no arm, two arms with the same name, or a joint that moves the tools of two arms: joints of
+            the same name and kind at the same place in the world are one joint, which cannot follow two commands.
     """
 
     def __init__(self, arms: Iterable[Arm]) -> None:
@@ -59,6 +67,7 @@ class RobotCell(Shown):
         if double:
             raise InvalidInputError(f"two arms are named '{double[0]}'", "RobotCell", "Give each arm its own name.")
 
+        self.arms, self.locked = without_copies(self.arms)
         self.model = _assemble(self.arms)[0]
         self.nq, self.nv = int(self.model.nq), int(self.model.nv)
         self.q_slices, self.v_slices = _slices(self.arms, "nq"), _slices(self.arms, "nv")
@@ -81,6 +90,17 @@ class RobotCell(Shown):
     def __repr__(self) -> str:
         parts = ", ".join(f"{a.name}: {a.model.nv} joints" for a in self.arms)
         return f"RobotCell({parts})"
+
+    def standing_note(self) -> str:
+        """A sentence on the joints that move no tool; empty without such joints."""
+        moving = {j for tool in self.tool_joints for j in self.model.supports[tool]}
+        names = [*self.locked, *(name for j, name in enumerate(self.model.names) if j and j not in moving)]
+        if not names:
+            return ""
+        more = f" and {len(names) - _NAMED} more" if len(names) > _NAMED else ""
+        one = len(names) == 1
+        said = "moves no tool of its arm: it is" if one else "move no tool of their arm: they are"
+        return f"{', '.join(names[:_NAMED])}{more} {said} locked where {'it stands' if one else 'they stand'}."
 
     def index(self, arm: str | int) -> int:
         """Index of an arm, from its name or index."""
@@ -164,6 +184,18 @@ class RobotCell(Shown):
             raise InvalidInputError("no configurations", "RobotCell.average", "Measure at least once.")
         away = np.mean([pin.difference(self.model, rows[0], q) for q in rows], axis=0)
         return np.asarray(pin.integrate(self.model, rows[0], away))
+
+    def at_rest(self, q: ArrayLike, where: str) -> Array:
+        """One configuration (nq,) as :meth:`check_configuration`, or the mean of rows (n, nq) measured at rest, n ≥ 2.
+
+        Raises:
+            InvalidInputError: no configuration, or an invalid one.
+        """
+        try:
+            rows = np.ndim(q) == 2 and np.shape(q)[0] > 1
+        except ValueError:  # rows of several lengths
+            rows = False
+        return self.average(np.asarray(q)) if rows else self.check_configuration(q, where)
 
     def visual_model(self) -> pin.GeometryModel:
         """Visual shapes of all arms, for :attr:`model`; an arm without shapes adds none."""

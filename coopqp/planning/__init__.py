@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from coopqp.planning.remedies import Remedy, find_remedies
     from coopqp.planning.starts import ArmStart, Start, find_start
     from coopqp.planning.timing import time_path
-    from coopqp.task.geometry import PathGeometry
+    from coopqp.task.geometry import MotionBounds, PathGeometry, Piece
     from coopqp.task.timed import SpeedProfile
 else:
     __getattr__, __dir__ = lazy_names(
@@ -34,7 +34,7 @@ else:
             "coopqp.planning.remedies": "Remedy find_remedies",
             "coopqp.planning.starts": "ArmStart Start find_start",
             "coopqp.planning.timing": "time_path",
-            "coopqp.task.geometry": "PathGeometry",
+            "coopqp.task.geometry": "MotionBounds PathGeometry Piece",
             "coopqp.task.timed": "SpeedProfile",
         },
     )
@@ -45,10 +45,12 @@ __all__ = [
     "BranchAlongPath",
     "BranchCheck",
     "ClearanceCheck",
+    "MotionBounds",
     "PathCheck",
     "PathGeometry",
     "PathVerdict",
     "Payload",
+    "Piece",
     "Plan",
     "Remedy",
     "SpeedProfile",

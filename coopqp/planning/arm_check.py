@@ -51,6 +51,11 @@ class ArmCheck:
         """The verdict on this arm."""
         return PathVerdict.INFEASIBLE if self.chosen is None else self.chosen.verdict
 
+    @property
+    def follows(self) -> bool:
+        """Whether a way along the whole path was found, proved or not."""
+        return self.chosen is not None and not self.trouble
+
     def explain(self) -> str:
         """The verdict, the tightest joint with its margin, and σ_min, each with its clock."""
         if self.trouble or self.chosen is None:

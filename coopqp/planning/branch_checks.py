@@ -321,7 +321,7 @@ def _not_proved(kinematics: ArmKinematics, path: ToolPath) -> str:
     if kinematics.n < 6:
         return f"is followed at samples: the proof needs six joints, and it has {kinematics.n}"
     if path.segments is None:
-        return "is followed at samples: the proof knows straight pieces only, no rounded corners and no other paths"
+        return "is followed at samples: the proof knows lines, rounded corners, and pieces that tell their bounds"
     return "is followed at samples"
 
 

@@ -1,12 +1,14 @@
 """A proof for intervals of a path: along each of them the arm moves inside a known tube.
 
-With A the Jacobian of the object's origin on the tool in world axes, the joints follow ``A(q) q' = ν``; ν is constant
-on a segment (:mod:`coopqp.planning.segments`). At the middle of an interval of half-width h stand q, ``Y = A⁻¹`` and
-``v = Y ν``. If r is such that ``E (|v| + r) ≤ r``, where E bounds the entries of ``|Y A(q + δ) − I|`` over all
-``δ = t y``, ``|t| ≤ h``, ``|y − v| ≤ r``, then ``|q' − v| ≤ r`` on the whole interval: ``q' = v − (Y A − I) q'`` and
-the spectral radius of E is below 1, so the joints cannot leave this tube. E comes from the first derivatives of A,
-which are Lie brackets of its columns, and from a bound of the second ones. A redundant arm gets one more row for each
-further joint: a combination of joints that moves at a constant rate along the interval.
+With A the Jacobian of the object's origin on the tool in world axes, the joints follow ``A(q) q' = ν``. At the middle
+of an interval of half-width h stand q, ``Y = A⁻¹`` and ``v = Y ν``. If r is such that ``E (|v| + r) + D ≤ r``, where E
+bounds the entries of ``|Y A(q + δ) − I|`` over all ``δ = t y``, ``|t| ≤ h``, ``|y − v| ≤ r``, and D those of
+``|Y (ν(t) − ν)|``, then ``|q' − v| ≤ r`` on the whole interval: ``q' = Y ν(t) − (Y A − I) q'`` and the spectral radius
+of E is below 1, so the joints cannot leave this tube. E comes from the first derivatives of A, which are Lie brackets
+of its columns, and from a bound of the second ones. On a straight segment ν is constant; else ``D = h |Y ν'| + ½ h²
+(|Y_lin| ‖p‴‖ + |Y_ang| ‖ω″‖)``, with norms of the rows of Y and bounds over the interval
+(:meth:`coopqp.task.geometry.Piece.bounds`). A redundant arm gets one more row for each further joint: a combination of
+joints that moves at a constant rate along the interval.
 
 Source: the tube argument is that of interval methods for differential equations (Moore, Kearfott, Cloud: Introduction
 to Interval Analysis, 2009), with real bounds in place of interval arithmetic. It is a proof up to rounding.
@@ -81,7 +83,8 @@ def tubes(
     A = J.copy()
     A[:, :, :3] += cross_last(arm[:, None], J[:, :, 3:])
     system = np.concatenate([A.transpose(0, 2, 1), rows], axis=1)
-    nu = np.concatenate([segments.twists[segment], (rows @ (qb - qa)[:, :, None])[:, :, 0] / (2.0 * half)[:, None]], 1)
+    twists, changes = segments.twists(segment, 0.5 * (a + b))
+    nu = np.concatenate([twists, (rows @ (qb - qa)[:, :, None])[:, :, 0] / (2.0 * half)[:, None]], 1)
     Y, regular = _inverses(system)
     v = (Y @ nu[:, :, None])[:, :, 0]
     Y = np.ascontiguousarray(Y[:, :, :6])
@@ -89,7 +92,8 @@ def tubes(
     H = _derivatives(A)  # (M, j, i, 6): derivative of column i by joint j
     brackets = (H.reshape(len(q), n * n, 6) @ Y.transpose(0, 2, 1)).reshape(-1, n, n, n)  # (M, j, i, k)
     signed = np.einsum("mjik,mj->mki", brackets, v)
-    bend, D = np.abs((signed @ v[:, :, None])[:, :, 0]), np.abs(signed)
+    turning = (Y @ changes[:, :, None])[:, :, 0]  # Y ν'
+    bend, D = np.abs((signed @ v[:, :, None])[:, :, 0] - turning), np.abs(signed)
     G: Array = np.abs(brackets).transpose(0, 1, 3, 2).reshape(len(q), n, n * n)
     linear, angular = np.linalg.norm(Y[:, :, :3], axis=2), np.linalg.norm(Y[:, :, 3:], axis=2)
     turns = np.linalg.norm(A[:, :, 3:], axis=2)  # 1, or 0 for joints that slide
@@ -97,6 +101,9 @@ def tubes(
     speed = np.abs(v) + _FLOOR * np.abs(v).max(axis=1, keepdims=True)
 
     h = half[:, None]
+    motion = segments.bounds(segment, a, b)
+    bent = h * (linear * motion.way_change[:, None] + angular * motion.turn_change[:, None])
+    drifts = h * (np.abs(turning) + 0.5 * bent)  # bound of |Y (ν(t) − ν)|
     r = np.zeros_like(v)
     good = np.zeros(len(q), dtype=bool)
     for _ in range(_ROUNDS):
@@ -105,7 +112,7 @@ def tubes(
         reach, swung, total = _reaches(levers, turns, h * z)
         E += linear[:, :, None] * (0.5 * total * total * reach)[:, None]
         E += angular[:, :, None] * (0.5 * swung * swung)[:, None]
-        need = (E @ z[:, :, None])[:, :, 0]
+        need = (E @ z[:, :, None])[:, :, 0] + drifts
         good = (need <= r).all(axis=1)
         if good.all():
             break
@@ -116,10 +123,13 @@ def tubes(
         good &= (np.abs(end - q - sign * h * v) <= h * r + _INSIDE).all(axis=1)
     E, r = np.where(good[:, None, None], E, 0.0), np.where(good[:, None], r, 0.0)
 
-    sway = _sway(bend, D, G, E, r, speed + r, reach, total, linear, angular, half)
+    sway = _sway(bend + bent, D, G, E, r, speed + r, reach, total, linear, angular, half)
     sway[np.abs(v) >= r] = 0.0
     sigma = kinematics.singular_values(q)[:, -1]
-    drift = half * np.linalg.norm(cross_last(segments.twists[segment][:, 3:], arm), axis=1)
+    # The tool's lever turns with the object: on a straight segment about a fixed axis.
+    lever = np.linalg.norm(cross_last(twists[:, 3:], arm), axis=1)
+    straight = (motion.turn_change == 0.0) & (changes[:, 3:] == 0.0).all(axis=1)
+    drift = half * np.where(straight, lever, motion.turn * np.linalg.norm(arm, axis=1))
     size = np.sqrt(E.sum(axis=1).max(axis=1) * E.sum(axis=2).max(axis=1))  # ‖E‖₂ ≤ √(‖E‖₁ ‖E‖∞)
     bound = sigma * np.maximum(1.0 - size, 0.0) * np.maximum(1.0 - drift, 0.0)
     away = np.abs(q - 0.5 * (qa + qb)).max(axis=1)
@@ -216,7 +226,10 @@ def _sway(
     bend: Array, D: Array, G: Array, E: Array, r: Array, z: Array, reach: Array, total: Array, linear: Array,
     angular: Array, half: Array,
 ) -> Array:  # fmt: skip
-    """Largest distance from the chords of both halves: h²/8 times a bound of |q''| = |A⁻¹ (Σ_j ∂_jA q'_j) q'|."""
+    """Largest distance from the chords of both halves: h²/8 times a bound of |q''| = |A⁻¹ (ν' − (Σ_j ∂_jA q'_j) q')|.
+
+    ``bend`` is |Y (ν' − (Σ_j ∂_jA v_j) v)| in the middle, and by how much Y ν' changes.
+    """
     n = z.shape[1]
     changed = bend + (D @ r[:, :, None])[:, :, 0]
     changed += ((r[:, None, :] @ G).reshape(-1, n, n) @ z[:, :, None])[:, :, 0]

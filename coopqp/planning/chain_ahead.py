@@ -6,6 +6,7 @@ from collections.abc import Callable, Generator
 from typing import NamedTuple, final
 
 import numpy as np
+import pinocchio as pin
 
 from coopqp.model.chain import Chain
 from coopqp.model.inverse_kinematics import newton
@@ -15,6 +16,7 @@ from coopqp.planning.preview_options import PlanLimits, PreviewOptions
 from coopqp.planning.redundancy import LimitAvoidance
 from coopqp.planning.sharing import largest_alone
 from coopqp.spatial import Array, largest
+from coopqp.task.elbows import ELBOW_GAIN
 from coopqp.task.guarded import GuardedPath
 from coopqp.task.posture import Posture
 
@@ -97,7 +99,7 @@ class ChainAhead:
         #: The joints that move the tools, arm by arm, and the first index of each arm.
         self._moving = np.concatenate(chain.moving_columns)
         self._starts = np.cumsum([0, *(len(columns) for columns in chain.moving_columns[:-1])]).tolist()
-        self._moving_acceleration = plan.acceleration[self._moving]
+        self._moving_room = plan.room[self._moving]
         self._step, self._slope = np.zeros(chain.nv), np.zeros(chain.nv)
         self._errors = np.zeros((chain.n_arms, 6))
         self.forget()
@@ -162,10 +164,10 @@ class ChainAhead:
         """Whether an arm comes too close to where its reach ends.
 
         Joint speeds do not tell the distance: on a way along the end no joint is fast. Within the distance that the
-        joints cover from rest in some steps, a step would miss the end. Past it Newton's method is on another branch.
+        joints cover in two steps, a step would miss the end. Past it Newton's method is on another branch.
         """
         rooms, now, then = knot.rooms, knot.edges, last.edges
-        if rooms.item(rooms.argmin()) < self._plan.room and ((rooms < self._plan.room) & (rooms < last.rooms)).any():
+        if rooms.item(rooms.argmin()) < 1.0 and ((rooms < 1.0) & (rooms < last.rooms)).any():
             return True
         ways = np.maximum.reduceat(np.maximum(np.abs(now), np.abs(then)), self._starts)
         near = _BRANCH_WAY * self._options.joint_step
@@ -220,11 +222,21 @@ class ChainAhead:
         step, slope = np.ascontiguousarray(chain.joint_columns(wanted.transpose(0, 2, 1)).T)
         self._step, self._slope = step, slope
         if chain.redundancy:
-            slope += chain.null_part(self._posture.velocity(q))
+            slope += chain.null_part(self._wish(clock, q))
             if self._evade is not None:
                 slope[:] = self._evade(q, slope)
-            self._avoidance.lead_away(self._cell.positions(q), slope)
+            if self._path.elbows is None:
+                self._avoidance.lead_away(self._cell.positions(q), slope)
         return bool(step @ step + slope @ slope < np.inf)
+
+    def _wish(self, clock: float, q: Array) -> Array:
+        """Null-space motion wished for (nv,), per second of the clock; the caller projects it."""
+        elbows = self._path.elbows
+        if elbows is None:
+            return self._posture.velocity(q)
+        x, slope = elbows.at(clock)
+        wish: Array = slope + ELBOW_GAIN * pin.difference(self._cell.model, q, self._cell.configuration_of(x))
+        return wish
 
     def _knot_at(self, clock: float, q: Array, last: Knot | None) -> Knot:
         """Bounds at a configuration on the path, from the slopes there (of the last Newton step) and those before."""
@@ -258,7 +270,7 @@ class ChainAhead:
             fastest=largest(speed),
             change=largest(bend * span - self._plan.slope_change),
             edges=edges,
-            rooms=np.maximum.reduceat(np.abs(edges) / self._moving_acceleration, self._starts),
+            rooms=np.maximum.reduceat(np.abs(edges) / self._moving_room, self._starts),
             inside=bool(((x <= self._high) & (x >= self._low)).all()),
         )
 

@@ -7,6 +7,7 @@ slows the object, it does not stop it.
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
@@ -40,14 +41,18 @@ from coopqp.planning.segments import Segments, segments_of
 from coopqp.planning.starts import clear_rows, exact_start
 from coopqp.planning.ways import CellWay
 from coopqp.spatial import Array
+from coopqp.task.elbows import Elbows
 from coopqp.task.guarded import GuardedPath
 from coopqp.task.path import ObjectPath
+from coopqp.task.timed import TimedPath
 
 if TYPE_CHECKING:
     from coopqp.planning.remedies import Remedy
 
 #: Most branches of a redundant arm that are judged; they are samples of its self-motion.
 _MOST_REDUNDANT = 8
+#: A knot within this share of a piece from its end is at the end.
+_AT_MARK = 1e-9
 #: A start whose tools are further from their places is refused [m, rad].
 _OFF_M, _OFF_RAD = 1e-3, np.deg2rad(0.5)
 
@@ -87,6 +92,28 @@ class PathCheck:
         """True if the arms follow the path and keep their distances: CERTIFIED or SAMPLED."""
         return follows(self.verdict)
 
+    def led_path(self) -> ObjectPath:
+        """The path with the motion of the elbows that is proved: a controller leads redundant arms along it.
+
+        From :attr:`q_start`, and with bodies that were judged clear of them. Without bodies the motion is smoothed over
+        4 % of the duration, which saves time and keeps inside the limits. The path itself where nothing is proved,
+        or where no arm has more than six joints.
+        """
+        ways = [arm.chosen.way for arm in self.arms if arm.chosen is not None]
+        segments = segments_of(self.path)
+        redundant = any(len(arm.joints) > 6 for arm in self.arms)
+        if self.verdict is not PathVerdict.CERTIFIED or self.q_start is None or segments is None or not redundant:
+            return self.path
+        way = CellWay(self.cell, self.path, segments, ways, self.cell.positions(self.q_start))
+        clocks, first = np.unique(way.clocks(way.places), return_index=True)
+        if len(clocks) < 2:
+            return self.path
+        path = copy.copy(self.path)
+        elbows = Elbows.through(clocks, way.positions(way.places[first])[0])
+        path.elbows = elbows.smoothed() if self.clearance is None else elbows
+        path.keeps_clear = path.keeps_clear or self.clearance is not None
+        return path
+
     def explain(self) -> str:
         """The verdict, a line per arm and one for distances, in sentences; then the remedies."""
         judged = self.clearance is not None
@@ -105,9 +132,11 @@ class PathCheck:
             lines.append("distances: not looked at, since an arm cannot follow the path.")
         if any(len(arm.joints) > 6 and arm.verdict is PathVerdict.CERTIFIED for arm in self.arms):
             lines.append(
-                "For arms with more than six joints the proof holds for one motion of their elbows; a controller may "
-                "move them otherwise."
+                "For arms with more than six joints the proof holds for one motion of their elbows; a run follows it "
+                "on the check's led_path(), as coopqp run does."
             )
+        if note := self.cell.standing_note():
+            lines.append(note)
         lines += [f"remedy: {remedy}." for remedy in self.remedies]
         if not self.remedies:
             lines += [f"no remedy by {why}." for why in self.no_remedy]
@@ -187,7 +216,56 @@ def check_path(
         arms, clearance = _distances(
             cell, grasp, path, samples, segments, arms, scene, cell.positions(start), any_start=q_start is None
         )
-        verdict = worst([clearance.verdict, *(arm.verdict for arm in arms)])
+    return _judged(cell, grasp, path, arms, start, clearance, scene, given=q_start is not None)
+
+
+def check_motion(cell: RobotCell, grasp: Grasp, path: TimedPath, x: Array, scene: Bodies) -> PathCheck | None:
+    """The verdict on one motion of all arms along a planned path, with the distances of a scene.
+
+    :func:`check_path` chooses a motion of the elbows of redundant arms; this is for a given one.
+
+    Args:
+        cell, grasp, path: the arms, their grasps, and the path.
+        x: joint positions (K, nv) at the knots of the path's profile [rad or m].
+        scene: the bodies that keep distances.
+
+    Returns:
+        None where the path has pieces of which no proof is possible.
+    """
+    segments, samples = segments_of(path), sample_path(path, grasp)
+    if segments is None:
+        return None
+    marks = path.geometry().marks
+    piece = np.clip(np.searchsorted(marks, path.profile.s, side="right") - 1, 0, len(marks) - 2)
+    places = piece + (path.profile.s - marks[piece]) / np.diff(marks)[piece]
+    whole = np.round(places)
+    places = np.where(np.abs(places - whole) < _AT_MARK, whole, places)
+    arms = []
+    for own, arm, X in zip(cell.v_slices, cell.arms, grasp.T_object_tool, strict=True):
+        kinematics = ArmKinematics(arm)
+        tool = path_at(tool_path(segments, samples, X), places)
+        branch = check_way(kinematics, tool, x[:, own.start + kinematics.columns])
+        arms.append(_arm_check(kinematics, branch, [branch], None))
+    clearance = None
+    if worst([arm.verdict for arm in arms]) is not PathVerdict.INFEASIBLE:
+        ways = [arm.chosen.way for arm in arms if arm.chosen is not None]
+        clearance = scene.along(CellWay(cell, path, segments, ways, x[0]))
+    return _judged(cell, grasp, path, arms, cell.configuration(x[0]), clearance, scene, given=True)
+
+
+def _judged(
+    cell: RobotCell,
+    grasp: Grasp,
+    path: ObjectPath,
+    arms: list[ArmCheck],
+    start: Array | None,
+    clearance: ClearanceCheck | None,
+    scene: Bodies | None,
+    *,
+    given: bool,
+) -> PathCheck:
+    """The answer, from the judgements of the arms and of their distances."""
+    verdict = worst([arm.verdict for arm in arms] + ([clearance.verdict] if clearance is not None else []))
     return PathCheck(
         verdict=verdict,
         intervals=tuple(
@@ -197,11 +275,11 @@ def check_path(
             for a, b in arm.chosen.undecided
         ),
         arms=tuple(arms),
-        q_start=None if q_start is None and verdict is PathVerdict.INFEASIBLE else start,
+        q_start=None if not given and verdict is PathVerdict.INFEASIBLE else start,
         cell=cell,
         grasp=grasp,
         path=path,
-        given=q_start is not None,
+        given=given,
         clearance=clearance,
         scene=scene,
     )

@@ -34,6 +34,7 @@ class ClearanceCheck:
         undecided: intervals [a, b] of the clock that are not decided (U, 2) [s].
         why: reason against a better verdict; empty if it is certified.
         clocks, distances: the least distance (K,) [m] at clocks [s], for pictures.
+        notes: remarks on the bodies, e.g. that a mesh counts as its hull.
     """
 
     verdict: PathVerdict
@@ -47,9 +48,13 @@ class ClearanceCheck:
     why: str
     clocks: Array
     distances: Array
+    notes: tuple[str, ...] = ()
 
     def explain(self) -> str:
-        """How near bodies come, which ones, and where."""
+        """How near bodies come, which ones, and where; then a remark on the bodies."""
+        return "\n".join((self._result(), *(f"note: {text}." for text in remark(self.notes))))
+
+    def _result(self) -> str:
         if self.pair is None:
             return "distances: no pair keeps one."
         closest = f"{_mm(self.pair.distance)}, {self.pair.first} and {self.pair.second} at {self.clock:.2f} s"
@@ -94,6 +99,7 @@ class ClearanceCheck:
             "reason": self.why,
             "clocks_s": self.clocks.tolist(),
             "distances_m": self.distances.tolist(),
+            "notes": list(self.notes),
         }
 
 
@@ -138,6 +144,12 @@ def check_scene(cell: RobotCell, scene: Bodies | None, where: str) -> None:
         raise InvalidInputError(f"a {type(scene).__name__}", where, "Give a CollisionScene.")
     if scene.cell is not cell:
         raise InvalidInputError("a scene of another cell", where, "Give the cell that the scene was made of.")
+
+
+def remark(notes: Sequence[str]) -> list[str]:
+    """The first of some remarks, and how many there are besides; empty without any."""
+    more = len(notes) - 1
+    return [f"{notes[0]}, and {more} more of the kind" if more else notes[0]] if notes else []
 
 
 def _mm(distance: float) -> str:

@@ -17,14 +17,16 @@ from coopqp.model.limits import BindingLimit, LimitKind
 from coopqp.planning.chain_ahead import JUST_BEFORE, ChainAhead, LookAheadTrouble
 from coopqp.planning.horizon import Horizon, Knot, joint_limit
 from coopqp.planning.preview_options import PlanLimits, PreviewOptions
-from coopqp.task.guarded import FASTEST_PATH, GuardedPath, pose_distance
+from coopqp.task.guarded import GuardedPath
 
 #: A singularity is passed where the rate's cap stays above this share of the cap that ends the path.
 _PASSABLE = 0.3
 #: An interval is longer than the one before by this factor at most.
 _GROWTH = 2.0
-#: Where an interval this short is too long, the twist of a user's path may jump [s]; number of such clocks kept.
+#: Where an interval this short is too long, a user's path or its twist may jump [s]; number of such clocks kept.
 _KINK_CELL, MOST_KINKS = 2e-3, 64
+#: A twist by finite differences jumps a little before and after the path does [s].
+_BESIDE_KINK = 2e-5
 #: Clocks this close to each other are the same [s].
 _SAME_CLOCK = 1e-9
 #: Knots that are kept at most, and knots of a way past a singularity.
@@ -45,7 +47,8 @@ class Growth:
 
     Attributes:
         begin_at: clock from which on the next knot is begun, before it is needed.
-        done: Newton steps of the knot that is under way; 0 if none is.
+        done: pieces of work of the knot that is under way, each a Newton step or a look for jumps; 0 if none is.
+        jump: the clock at which the path jumps, where that is the end [s], and by how far [m]; None if it does not.
         trouble: why the latest Newton step failed; empty if it did not.
     """
 
@@ -65,24 +68,26 @@ class Growth:
         self._kinks, self._kinks_kept = list[float](), list[float]()
         self._way = list[Knot]()  # past a singularity, while it is looked for
         self.trouble = ""
+        self.jump: tuple[float, float] | None = None
         self.rest()
 
     def begin(self, breakpoints: list[float]) -> None:
         """Begin along a path after a first knot, with the clocks at which the path declares jumps of its twist."""
         self.rest()
         self.breakpoints = breakpoints
-        self._kinks, self._kinks_kept = [], []
+        self._kinks, self._kinks_kept, self.jump = [], [], None
 
-    def memory(self) -> tuple[list[float], list[float], float, int]:
+    def memory(self) -> tuple[list[float], list[float], float, int, tuple[float, float] | None]:
         """State for a copy: as before the knot under way, with the number of its Newton steps."""
         kinks = self._kinks if self._growing is None else self._kinks_kept
-        return list(self.breakpoints), list(kinks), self.begin_at, self.done
+        return list(self.breakpoints), list(kinks), self.begin_at, self.done, self.jump
 
-    def restore(self, memory: tuple[list[float], list[float], float, int]) -> None:
+    def restore(self, memory: tuple[list[float], list[float], float, int, tuple[float, float] | None]) -> None:
         """Go on from what :meth:`memory` returned; growth that was under way is done again up to there."""
-        breakpoints, kinks, begin_at, done = memory
+        breakpoints, kinks, begin_at, done, self.jump = memory
+        jump = self.jump
         self.begin(list(breakpoints))
-        self._kinks = list(kinks)
+        self._kinks, self.jump = list(kinks), jump
         for _ in range(done):
             self.step()
         self.begin_at = begin_at
@@ -93,8 +98,13 @@ class Growth:
         self._way.clear()
         self.done, self.begin_at = 0, np.inf
 
+    @property
+    def under_way(self) -> bool:
+        """Whether a knot has been begun."""
+        return self._growing is not None
+
     def step(self) -> bool:
-        """One Newton step, so that no single control step has to make a whole knot; False where growth has to wait."""
+        """One piece of work: a control step need not make a whole knot. False where growth has to wait."""
         self.trouble = ""
         if len(self._horizon.knots) + len(self._way) + 2 > _MOST_KNOTS:
             return False
@@ -102,7 +112,7 @@ class Growth:
             if self._growing is None:
                 self._kinks_kept = list(self._kinks)
                 self._growing = self._grow(self._horizon.knots[-1])
-                next(self._growing)  # up to its first Newton step
+                next(self._growing)  # up to its first piece
             self.done += 1
             next(self._growing)
         except StopIteration:
@@ -114,7 +124,7 @@ class Growth:
         return True
 
     def _grow(self, last: Knot) -> Iterator[None]:
-        """Add a knot; pauses before every Newton step."""
+        """Add a knot; pauses before every piece of work."""
         if self._duration - last.clock <= 1e-12:
             end = self._chain.at_end(last)
             if end is not None:
@@ -165,8 +175,17 @@ class Growth:
         h, sought = min(h, half_way), False
         while True:
             knot = yield from self._chain.attempt(last, h)
-            if knot is None and h <= _KINK_CELL and not (sought or self._way or self._chain.blind):
-                sought, kink = True, self._kink(last.clock, h)
+            if knot is None and self._path.own and h <= _KINK_CELL and not (self._way or self._chain.blind):
+                yield
+                self.jump = yield from self._path.jumps(last.clock, last.clock + h)
+                if self.jump is not None:
+                    return None
+                kink = None
+                if not sought:
+                    yield
+                    sought, kink = True, (yield from self._kink(last.clock, h))
+                if self.jump is not None:
+                    return None
                 if kink is not None and kink <= last.clock + _SAME_CLOCK:
                     return self._chain.corner(last)._replace(span=0.0)
                 if kink is not None:
@@ -176,10 +195,16 @@ class Growth:
             if knot is not None or h < options.shortest or self._chain.blind:
                 return knot
 
-    def _kink(self, clock: float, h: float) -> float | None:
-        """Where a user's twist jumps within ``h`` after a knot, undeclared [s]: a breakpoint from now on."""
-        kink = self._path.kink(max(clock - JUST_BEFORE, 0.0), clock + h)
+    def _kink(self, clock: float, h: float) -> Generator[None, None, float | None]:
+        """Where a user's twist jumps within ``h`` after a knot, undeclared [s]: a breakpoint from now on.
+
+        Unless the path jumps with it.
+        """
+        kink = yield from self._path.kinks(max(clock - JUST_BEFORE, 0.0), clock + h)
         if kink is not None:
+            yield
+            self.jump = yield from self._path.jumps(kink - _BESIDE_KINK, kink + _BESIDE_KINK)
+        if kink is not None and self.jump is None:
             self._kinks = [*self._kinks[1 - MOST_KINKS :], kink]
         return kink
 
@@ -250,13 +275,9 @@ class Growth:
 
     def _why_no_further(self, last: Knot) -> BindingLimit:
         """Why the chain cannot be followed past a knot: a user's path jumps there, or an arm's reach ends."""
-        ahead = min(last.clock + 2.0 * self._options.shortest, self._duration)
-        here, there = self._path.pose(last.clock), self._path.pose(ahead)
-        if here is None or there is None:
-            raise LookAheadTrouble(self._path.problem)
-        if pose_distance(here, there) > FASTEST_PATH * (ahead - last.clock):
+        if self.jump is not None:
             return BindingLimit("", "", LimitKind.PATH_JUMP)
-        if last.rooms.min() < 2.0 * self._plan.room:
+        if last.rooms.min() < 2.0:
             return BindingLimit(self._cell.arm_names[int(last.rooms.argmin())], "", LimitKind.REACH)
         return self._arm_limit(last, LimitKind.REACH)
 

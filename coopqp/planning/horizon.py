@@ -34,7 +34,7 @@ class Knot(NamedTuple):
     fastest: float  # largest |q′|
     change: float  # largest change of a slope since the knot before, less the change that is always allowed
     edges: Array  # joint motion to where each arm's reach ends, of the joints that move the tools, arm by arm
-    rooms: Array  # how long each arm's joints, at their accelerations, would take to there (N,) [s²]
+    rooms: Array  # the largest of them of each arm, as a multiple of what the joint needs (N,)
     inside: bool  # all joints are inside their position limits
     corner: bool = False  # q′ jumps here
     fall: float = np.inf  # largest fall of σ by further constraints [1/s]

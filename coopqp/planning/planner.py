@@ -3,20 +3,25 @@
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, replace
+from typing import Any, NoReturn
 
 import numpy as np
 
 from coopqp.checks import ArrayLike, as_count, as_scalar
-from coopqp.errors import InvalidInputError
+from coopqp.errors import InvalidInputError, UndecidedError, UnreachableError
 from coopqp.model.cell import RobotCell
+from coopqp.model.chain import moving_columns
 from coopqp.model.grasp import Grasp
+from coopqp.planning.branch_checks import PathVerdict, follows
+from coopqp.planning.check import PathCheck, check_motion, check_path
+from coopqp.planning.clearance import Bodies, check_scene
 from coopqp.planning.fastest_start import faster_start
 from coopqp.planning.payload import Payload
 from coopqp.planning.starts import Start, find_start
-from coopqp.planning.timing import SHARE, geometry_of, time_path
+from coopqp.planning.timing import SHARE, geometry_of, timed_motion
 from coopqp.spatial import Array, Placement, as_placements
 from coopqp.task.geometry import TURN_LENGTH, PathGeometry, Straight, blended
 from coopqp.task.path import LinePath, ObjectPath
@@ -24,6 +29,8 @@ from coopqp.task.timed import SpeedProfile, TimedPath
 
 #: Limits that bind for less than this share of the duration are not listed.
 _WORTH_SAYING = 0.01
+#: Halvings of the search for the largest clear tolerance of blends: to 1 % of what was asked.
+_SHARE_HALVINGS = 7
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -35,12 +42,14 @@ class Plan:
         grasp: the grasp; with rolled tools where allowed.
         path: the path, for a controller or a simulation.
         start: result for each arm; None where ``q_start`` was given.
+        check: the verdict on the timed path; None without a scene.
     """
 
     q_start: Array
     grasp: Grasp
     path: TimedPath
     start: Start | None
+    check: PathCheck | None = None
 
     def binding_times(self) -> dict[str, float]:
         """How long each limit binds [s], the longest first; keys are ``arm left joint joint_2: acceleration``."""
@@ -76,6 +85,7 @@ def plan(
     share: float = SHARE,
     knots: int | None = None,
     starts: int = 1,
+    scene: Bodies | None = None,
 ) -> Plan:
     """Find a start, and the fastest way along a path from rest to rest.
 
@@ -90,17 +100,24 @@ def plan(
         starts: number of starts of each arm to compare by time; the fastest is taken. By default the one with the
             largest margins and singular values. Arms with more than six joints gain most: their starts differ in the
             elbow. Not with ``q_start``.
+        scene: the bodies that keep distances, a :class:`coopqp.collision.CollisionScene` of the same cell: the plan is
+            judged by :func:`check_path` and is given only if it is proved, or followed at samples. Not with ``starts``.
 
     Raises:
         NoStartError: an arm has no start from which it follows the path.
-        InvalidInputError, UnreachableError, UndecidedError, MissingExtraError: as for :func:`time_path`.
+        UnreachableError: as for :func:`time_path`; or the bodies come too close. For corners that are rounded off the
+            message has the largest tolerance that keeps clear, if there is one.
+        UndecidedError: as for :func:`time_path`; or it is not decided whether the bodies keep clear.
+        InvalidInputError, MissingExtraError: as for :func:`time_path`.
     """
     where = "plan"
     blend = as_scalar(blend, f"{where}: blend", open_low=False)
     angle = (
         blend / TURN_LENGTH if blend_angle is None else as_scalar(blend_angle, f"{where}: blend_angle", open_low=False)
     )
+    check_scene(cell, scene, f"{where}: scene")
     geometry = _through(path) if not isinstance(path, (ObjectPath, PathGeometry)) else geometry_of(path, where)
+    lines: list[Straight] = []
     if blend > 0.0 or angle > 0.0:
         lines = [piece for piece in geometry.pieces if isinstance(piece, Straight)]
         if len(lines) < len(geometry.pieces):
@@ -109,18 +126,63 @@ def plan(
     start, starts = None, as_count(starts, f"{where}: starts")
     if q_start is not None and starts > 1:
         raise InvalidInputError("starts to compare beside a start", where, "Give one of both.")
+    if scene is not None and starts > 1:
+        raise InvalidInputError("starts to compare beside a scene", where, "Give one of both.")
     if q_start is None:
         # On a path of the user's the clocks of a message are the user's.
         way = path if isinstance(path, ObjectPath) and blend == 0.0 else some_timing(geometry)
-        start = find_start(cell, grasp, way, free_roll=free_roll)
+        start = find_start(cell, grasp, way, free_roll=free_roll, scene=scene)
         if starts > 1:
             start = faster_start(cell, geometry, start, starts)
         q_start, grasp = start.q, start.grasp
     q = cell.check_configuration(q_start, f"{where}: q_start")
-    timed = time_path(
+    timed, x = timed_motion(
         cell, grasp, geometry, q_start=q, payload=payload, bounds=bounds, jerk=jerk, share=share, knots=knots
     )
-    return Plan(q_start=q, grasp=grasp, path=timed, start=start)
+    if scene is None:
+        return Plan(q_start=q, grasp=grasp, path=timed, start=start)
+    if any(len(columns) > 6 for columns in moving_columns(cell)):
+        own = check_motion(cell, grasp, timed, x, scene)  # the elbows as they are planned
+        if own is not None and own.verdict is PathVerdict.CERTIFIED:
+            timed = timed.kept_clear()
+            return Plan(q_start=q, grasp=grasp, path=timed, start=start, check=replace(own, path=timed))
+    check = check_path(cell, grasp, timed, q_start=q, scene=scene)
+    if not check.feasible:
+        _refuse(check, lines, blend, angle)
+    return Plan(q_start=q, grasp=grasp, path=timed, start=start, check=check)
+
+
+def _refuse(check: PathCheck, lines: Sequence[Straight], blend: float, angle: float) -> NoReturn:
+    """Raise for a plan that does not keep clear, with the largest tolerance of its blends that does."""
+    troubles = [arm.explain() for arm in check.arms if not follows(arm.verdict)]
+    if check.clearance is not None and not follows(check.clearance.verdict):
+        troubles.append(check.clearance.explain())
+    said = f"the plan is {check.verdict.value.lower()}: {' '.join(troubles)}"
+    if lines:
+        share = _clear_share(check, lines, blend, angle)
+        turned = np.rad2deg(share * angle)
+        said += (
+            f" With blends of at most {1e3 * share * blend:.1f} mm and {turned:.2f}° it keeps clear."
+            if share > 0.0
+            else " Without rounding its corners off it does not keep clear, either."
+        )
+    raise (UnreachableError if check.verdict is PathVerdict.INFEASIBLE else UndecidedError)(said)
+
+
+def _clear_share(check: PathCheck, lines: Sequence[Straight], blend: float, angle: float) -> float:
+    """The largest share of the tolerances of blends with which a path keeps clear, by halving; 0 without any."""
+
+    def keeps_clear(share: float) -> bool:
+        path = some_timing(blended(lines, distance=share * blend, angle=share * angle))
+        return check_path(check.cell, check.grasp, path, q_start=check.q_start, scene=check.scene).feasible
+
+    if check.q_start is None or not keeps_clear(0.0):
+        return 0.0
+    low, high = 0.0, 1.0
+    for _ in range(_SHARE_HALVINGS):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if keeps_clear(middle) else (low, middle)
+    return math.floor(low * blend * 1e4) / (blend * 1e4) if blend > 0.0 else low  # tenths of a millimetre are said
 
 
 def some_timing(geometry: PathGeometry) -> TimedPath:

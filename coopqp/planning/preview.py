@@ -11,6 +11,7 @@ timing on a rolling horizon: as long as the object needs to stop, and no longer.
 
 from __future__ import annotations
 
+import math
 from typing import Any, final
 
 import numpy as np
@@ -31,6 +32,9 @@ from coopqp.task.posture import Posture
 _STEPS_TO_GROW = 8
 #: Newton steps that a reset may take.
 _NEWTON_STEPS_AT_START = 1000
+#: A user's path is asked up to this often in a step for what is ahead, more often in longer ones [1/s]. A knot of it
+#: is begun this many steps before it is needed.
+_LEAST_ASKED, _ASKED_PER_TIME, _SHORT_STEP, _STEPS_TO_ASK = 4, 6000.0, 0.002, 40
 
 
 @final
@@ -45,6 +49,8 @@ class PathPreview:
         options: settings.
         bound: bound of the rate at a knot by further constraints.
         evade: self-motion that keeps redundant arms clear of bodies ahead.
+        shift: by how much the tools are elsewhere on the object than the grasp says (N, 6) [m, rad]; read again
+            whenever a knot is begun. None if they never are.
 
     Attributes:
         horizon: the known knots.
@@ -62,8 +68,13 @@ class PathPreview:
         options: PreviewOptions | None = None,
         bound: KnotBound | None = None,
         evade: Evade | None = None,
+        shift: Array | None = None,
     ) -> None:
         self._path, self._dt, self._cell = GuardedPath(path), dt, chain.cell
+        self._links, self._shift = chain, np.zeros((chain.n_arms, 6)) if shift is None else shift
+        self._taken = self._shift.copy()
+        if shift is not None:
+            chain.shift_grasp(shift)
         self.options = options or PreviewOptions()
         plan = self._plan = PlanLimits.of(chain.cell, self.options, dt=dt)
         self.accelerates = plan.accelerates
@@ -71,11 +82,21 @@ class PathPreview:
         self._chain = ChainAhead(chain, self._path, posture, plan, self.options, bound, evade)
         self._growth = Growth(chain.cell, self._path, self._chain, self.horizon, plan, self.options)
         self._begun = pin.neutral(chain.cell.model)
+        self._most_asked = (
+            _LEAST_ASKED + max(0, int(_ASKED_PER_TIME * (dt - _SHORT_STEP))) if self._path.own else math.inf
+        )
+        self._ahead_of_need = _STEPS_TO_ASK if self._path.own or bound is not None else _STEPS_TO_GROW
+        # Beside bodies growth goes on before the rate is no longer known to be free.
+        self._early = 0.0 if bound is None else self._ahead_of_need * dt
         self._free_until = -np.inf  # clock until which the rate is known to be free
         self.ends, self.trouble = False, ""
 
-    def reset(self, q: Array, clock: float) -> None:
-        """Start at a configuration on (or near) the path, and look ahead as far as the first step needs."""
+    def reset(self, q: Array, clock: float, *, later: bool = False) -> None:
+        """Start at a configuration on (or near) the path, and look ahead as far as the first step needs.
+
+        With ``later`` that is left to the steps.
+        """
+        self._take_grasps()
         self.horizon.clear()
         self._chain.forget()
         self._growth.begin(self._path.breakpoints())
@@ -85,7 +106,19 @@ class PathPreview:
         except LookAheadTrouble as trouble:  # nothing is known ahead: the object rests, and the next step tries again
             self.trouble = str(trouble)
             return
-        self._extend(clock, self._dt, _NEWTON_STEPS_AT_START)
+        if not later:
+            self._extend(clock, self._dt, _NEWTON_STEPS_AT_START, math.inf)
+
+    @property
+    def jump(self) -> tuple[float, float] | None:
+        """The clock at which the path jumps [s], and by how far [m]; None where it does not, as far as it is known."""
+        return self._growth.jump
+
+    def _take_grasps(self) -> None:
+        """Go on with the present grasps: those that give way while a knot is found would be pursued for ever."""
+        if not np.array_equal(self._taken, self._shift):
+            self._taken = self._shift.copy()
+            self._links.shift_grasp(self._taken)
 
     @property
     def knows(self) -> bool:
@@ -102,13 +135,17 @@ class PathPreview:
         chain, growth = self._chain, self._growth
         return (
             self.horizon.memory(), self.ends, chain.blind, chain.beyond, chain.beyond_at, self._free_until,
-            self._begun, growth.memory(),
+            self._begun, self._taken, growth.memory(),
         )  # fmt: skip
 
     def restore(self, memory: Any) -> None:
         """Go on from what :meth:`memory` returned."""
         chain = self._chain
-        horizon, self.ends, chain.blind, chain.beyond, chain.beyond_at, self._free_until, self._begun, growth = memory
+        (
+            horizon, self.ends, chain.blind, chain.beyond, chain.beyond_at, self._free_until, self._begun, self._taken,
+            growth,
+        ) = memory  # fmt: skip
+        self._links.shift_grasp(self._taken)
         self.horizon.restore(horizon)
         self._growth.restore(growth)
 
@@ -119,22 +156,25 @@ class PathPreview:
         self.trouble = ""
         if self.blind:
             return 1.0, None
+        if not self._growth.under_way:
+            self._take_grasps()
         if not self.knows:
-            self.reset(self._begun, clock)
+            self.reset(self._begun, clock, later=True)
             if not self.knows:
                 return 0.0, None
-        if clock < self._free_until and dt <= self._dt:
+        if clock < self._free_until - self._early and dt <= self._dt:
             if clock >= self._growth.begin_at:
                 self._growth.step()
             return 1.0, None
-        self._extend(clock, dt, self.options.newton_steps)
-        if not self.horizon.complete and not self.horizon.reaches(clock + _STEPS_TO_GROW * dt, dt):
+        self._extend(clock, dt, self.options.newton_steps, self._most_asked)
+        needs = not self.horizon.complete and not self.horizon.reaches(clock + self._ahead_of_need * dt, dt)
+        if needs and not self._path.asked:  # else a user's path was asked enough in this step
             self._growth.step()
         self.ends = False
         least = self.horizon.least(clock, 1.0, dt)
         if least.square >= 1.0:
             self._free_until = self.horizon.free_until(2.0 * max(dt, self._dt))
-            self._growth.begin_at = self._free_until - _STEPS_TO_GROW * self._dt
+            self._growth.begin_at = self._free_until - self._ahead_of_need * self._dt
             return 1.0, None
         rate, cause = self.horizon.largest_rate(clock, dt, least)
         self.ends = cause.stops
@@ -193,11 +233,12 @@ class PathPreview:
         q = pin.integrate(model, here.q, 0.5 * (here.slope + slope) * (share * span))
         return q, slope
 
-    def _extend(self, clock: float, dt: float, newton_steps: int) -> None:
-        """Grow the horizon until K is final along a step, or by that many Newton steps."""
+    def _extend(self, clock: float, dt: float, newton_steps: int, most_asked: float) -> None:
+        """Grow the horizon until K is final along a step, or by that many Newton steps, or questions to a path."""
+        self._path.asked = 0
         for _ in range(newton_steps):
             self.horizon.leave_behind(clock)
-            if self.horizon.complete or self.blind or self.horizon.reaches(clock, dt):
+            if self.horizon.complete or self.blind or self.horizon.reaches(clock, dt) or self._path.asked >= most_asked:
                 return
             if not self._growth.step():
                 self.trouble = self._growth.trouble

@@ -15,7 +15,7 @@ from coopqp.spatial import Array
 STEPS_TO_FULL_SPEED = 22
 #: Planned share of the largest change of the rate, under acceleration limits.
 _SHARE_OF_SLOPE = 0.9
-#: Least distance of an arm from the end of its reach, in steps that its joints would need there from rest.
+#: Least distance of an arm from the end of its reach, in steps of its joints to there, from rest or at full speed.
 _STEPS_TO_EDGE = 2
 
 
@@ -79,7 +79,8 @@ class PlanLimits:
         jump: change of velocity that a joint can take within one step, at a corner or at the path's end (nv,).
         slope_change: change of slope between knots that is always allowed (nv,).
         slope_cap: largest change of the rate [1/s].
-        room: least distance to the end of an arm's reach, as a joint motion over its acceleration [s²].
+        room: way of each joint in two steps, from rest or at full speed, whichever is less: an arm stays further from
+            the end of its reach (nv,).
         accelerates: some joint has an acceleration limit.
     """
 
@@ -88,7 +89,7 @@ class PlanLimits:
     jump: Array
     slope_change: Array
     slope_cap: float
-    room: float
+    room: Array
     accelerates: bool
 
     @staticmethod
@@ -102,13 +103,14 @@ class PlanLimits:
         limits, finite = cell.limits, np.isfinite(cell.limits.acceleration)
         speed = np.where(np.isfinite(limits.velocity), limits.velocity, 1.0)
         planned, accelerates = options.margin * limits.acceleration, bool(finite.any())
+        acceleration, time = np.where(finite, planned, speed / (STEPS_TO_FULL_SPEED * dt)), _STEPS_TO_EDGE * dt
         slope_cap = options.slope(accelerates=accelerates, dt=dt)
         return PlanLimits(
             np.where(finite, options.margin, 1.0) * limits.velocity,
-            np.where(finite, planned, speed / (STEPS_TO_FULL_SPEED * dt)),
+            acceleration,
             np.where(finite, planned, np.inf) * dt,
             options.slope_step * speed,
             _SHARE_OF_SLOPE * slope_cap if accelerates else slope_cap,
-            0.5 * (_STEPS_TO_EDGE * dt) * (_STEPS_TO_EDGE * dt),  # without a power: that raises where it overflows
+            np.minimum(0.5 * acceleration * time, limits.velocity) * time,
             accelerates,
         )

@@ -1,20 +1,21 @@
-"""The geometry of the library's own paths: straight lines about one axis each, as functions of the share of the way.
+"""The geometry of paths as functions of the share of each segment: a proof in shares holds for every time law.
 
-Along a segment the object's twist about its own origin, per share of the segment and in world axes, is constant. A
-proof in shares holds for every time law.
+A segment is a piece that tells bounds of its motion (:meth:`coopqp.task.geometry.Piece.bounds`): straight lines about
+one axis each, blends, and pieces of a user's geometry that have them.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
 import pinocchio as pin
 
-from coopqp.spatial import Array, rotations
-from coopqp.task.geometry import Straight
+from coopqp.spatial import Array
+from coopqp.task.geometry import MotionBounds, Piece, Straight
 from coopqp.task.path import ObjectPath
 
 _NUMBERS = 29
@@ -27,50 +28,66 @@ Indices = npt.NDArray[np.intp]
 
 @dataclass(frozen=True, eq=False)
 class Segments:
-    """S segments of a path.
+    """S segments of a path: pieces of a geometry, over the share of each.
 
     Attributes:
-        R: rotation of the object at the start of each segment (S, 3, 3).
-        p: its origin there (S, 3) [m].
-        turn: rotation vector of each segment in the object's frame (S, 3) [rad].
-        way: displacement of the origin in the world (S, 3) [m].
+        pieces: S pieces whose bounds are known.
         start, duration: first clock and duration of each (S,) [s].
         quintic: True where the time law is quintic, else linear (S,).
-        lengths, when: of a path with a speed profile of its own, the length of each segment (S,) [m] and its
-            ``clocks``; None for time laws.
+        when: of a path with a speed profile of its own, its ``clocks`` of the motion [m]; None for time laws.
     """
 
-    R: Array
-    p: Array
-    turn: Array
-    way: Array
+    pieces: tuple[Piece, ...]
     start: Array
     duration: Array
     quintic: npt.NDArray[np.bool_]
-    lengths: Array | None = None
     when: Callable[[Array], Array] | None = None
 
     def __len__(self) -> int:
-        return len(self.start)
+        return len(self.pieces)
 
-    @property
-    def twists(self) -> Array:
-        """Twist of the object about its own origin in world axes, per share of each segment (S, 6) [m, rad]."""
-        turned: Array = (self.R @ self.turn[:, :, None])[:, :, 0]
-        return np.concatenate([self.way, turned], axis=1)
+    @cached_property
+    def lengths(self) -> Array:
+        """Length of each piece (S,) [m]."""
+        return np.array([piece.length for piece in self.pieces])
 
     def poses(self, segment: Indices, share: Array) -> Array:
         """T_world_object (M, 4, 4) at shares (M,) of segments (M,)."""
-        w = self.turn[segment] * share[:, None]
         T = np.zeros((len(share), 4, 4))
-        T[:, :3, :3] = self.R[segment] @ rotations(w)
-        T[:, :3, 3] = self.p[segment] + self.way[segment] * share[:, None]
         T[:, 3, 3] = 1.0
+        for piece, here in self._of_pieces(segment):
+            T[here, :3, :3], T[here, :3, 3] = piece.poses(share[here] * piece.length)
         return T
+
+    def twists(self, segment: Indices, share: Array) -> tuple[Array, Array]:
+        """Twists of the object about its own origin in world axes (M, 6), and their derivatives, per share [m, rad]."""
+        V, dV = np.empty((len(share), 6)), np.empty((len(share), 6))
+        for piece, here in self._of_pieces(segment):
+            V[here], dV[here] = piece.twists(share[here] * piece.length)
+        size = self.lengths[segment][:, None]
+        return V * size, dV * size**2
+
+    def bounds(self, segment: Indices, low: Array, high: Array) -> MotionBounds:
+        """Bounds of the motion between two shares (M,) of segments (M,), per share."""
+        way, turn, way_change, turn_change = (np.empty(len(low)) for _ in range(4))
+        for piece, here in self._of_pieces(segment):
+            size = piece.length
+            found = piece.bounds(low[here] * size, high[here] * size)
+            assert found is not None
+            way[here], turn[here] = found.way * size, found.turn * size
+            way_change[here], turn_change[here] = found.way_change * size**3, found.turn_change * size**3
+        return MotionBounds(way, turn, way_change, turn_change)
+
+    def _of_pieces(self, segment: Indices) -> Iterator[tuple[Piece, Indices]]:
+        """Pieces with the rows of ``segment`` (M,) that are on each."""
+        order = np.argsort(segment, kind="stable")
+        cuts = np.flatnonzero(np.diff(segment[order])) + 1
+        for here in np.split(order, cuts) if len(order) else ():
+            yield self.pieces[segment[here[0]]], here
 
     def clocks(self, segment: Indices, share: Array) -> Array:
         """Clocks [s] at which the object is at shares (M,) of segments (M,)."""
-        if self.when is not None and self.lengths is not None:
+        if self.when is not None:
             starts = np.cumsum(self.lengths) - self.lengths
             return self.when(starts[segment] + share * self.lengths[segment])
         from scipy.special import betaincinv
@@ -90,8 +107,10 @@ class Segments:
             distance, angle: largest motion of the tool between knots [m, rad].
             pieces: least number of pieces of a segment.
         """
-        turned = np.linalg.norm(self.turn, axis=1)
-        moved = np.linalg.norm(self.way, axis=1) + turned * float(np.linalg.norm(T_object_tool.translation))
+        every = np.arange(len(self))
+        whole = self.bounds(every, np.zeros(len(self)), np.ones(len(self)))
+        turned = whole.turn
+        moved = whole.way + turned * float(np.linalg.norm(T_object_tool.translation))
         counts = np.maximum(np.ceil(np.maximum(moved / distance, turned / angle)), pieces).astype(int)
         segment, share = [0], [0.0]
         for s, count in enumerate(counts.tolist()):
@@ -114,10 +133,11 @@ def segments_of(path: ObjectPath) -> Segments | None:
     breakpoints, count = int(numbers[1]), int(numbers[2])
     rows = np.asarray(numbers[3 + breakpoints :]).reshape(count, _NUMBERS)
     return Segments(
-        R=rows[:, :9].reshape(-1, 3, 3),
-        p=rows[:, 9:12],
-        turn=rows[:, 12:15],
-        way=rows[:, 15:18],
+        pieces=tuple(
+            # The length only scales s: shares are the same for any.
+            Straight(row[:9].reshape(3, 3), row[9:12], row[12:15], row[15:18], 1.0)
+            for row in rows
+        ),
         start=rows[:, 18],
         duration=rows[:, 19],
         quintic=rows[:, 20] != 0.0,
@@ -125,23 +145,18 @@ def segments_of(path: ObjectPath) -> Segments | None:
 
 
 def _timed(path: ObjectPath) -> Segments | None:
-    """The segments of a path with a geometry; None where it has none, or rounded corners."""
+    """The segments of a path with a geometry; None where it has none, or a piece tells no bounds of its motion."""
     geometry = path.geometry()
     if geometry is None:
         return None
-    lines = [piece for piece in geometry.pieces if isinstance(piece, Straight)]
-    if len(lines) < len(geometry.pieces):
+    end = np.zeros(1)
+    if any(piece.bounds(end, end + piece.length) is None for piece in geometry.pieces):
         return None
-    lengths = np.array([line.length for line in lines])
-    clocks = path.clocks(np.cumsum(np.concatenate([[0.0], lengths])))
+    clocks = path.clocks(np.cumsum(np.array([0.0, *(piece.length for piece in geometry.pieces)])))
     return Segments(
-        R=np.array([line.R for line in lines]),
-        p=np.array([line.p for line in lines]),
-        turn=np.array([line.turn for line in lines]),
-        way=np.array([line.way for line in lines]),
+        pieces=geometry.pieces,
         start=clocks[:-1],
         duration=np.diff(clocks),
-        quintic=np.ones(len(lines), dtype=bool),  # it rests at both ends, so knots are spread as for this law
-        lengths=lengths,
+        quintic=np.ones(len(geometry.pieces), dtype=bool),  # it rests at both ends: knots are spread as for this law
         when=path.clocks,
     )

@@ -7,7 +7,7 @@ speed ṡ along them. In ``z = ṡ²`` and s̈ all limits are lines: ``q̇ = q�
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -24,6 +24,7 @@ from coopqp.planning.jerk import jerk_limited, jerk_use, smoothed
 from coopqp.planning.knots import Following, Knots
 from coopqp.planning.parametrise import Limited, Lines, fastest, require_toppra
 from coopqp.planning.payload import Payload, torque_lines
+from coopqp.planning.rate_bounds import BoundTrouble, Knot, RateBound, lines_of
 from coopqp.planning.sampled import sampled_geometry
 from coopqp.spatial import Array
 from coopqp.task.geometry import PathGeometry
@@ -51,7 +52,7 @@ def time_path(
     *,
     q_start: ArrayLike,
     payload: Payload | None = None,
-    bounds: Sequence[Any] = (),
+    bounds: Sequence[RateBound] = (),
     jerk: ArrayLike | None = None,
     share: float = SHARE,
     knots: int | None = None,
@@ -84,6 +85,24 @@ def time_path(
         UndecidedError: the parametrisation fails numerically.
         MissingExtraError: toppra is missing: install coopqp[planning].
     """
+    return timed_motion(
+        cell, grasp, path, q_start=q_start, payload=payload, bounds=bounds, jerk=jerk, share=share, knots=knots
+    )[0]
+
+
+def timed_motion(
+    cell: RobotCell,
+    grasp: Grasp,
+    path: ObjectPath | PathGeometry,
+    *,
+    q_start: ArrayLike,
+    payload: Payload | None,
+    bounds: Sequence[Any],
+    jerk: ArrayLike | None,
+    share: float,
+    knots: int | None,
+) -> tuple[TimedPath, Array]:
+    """The path of :func:`time_path`, and the joint positions (K, nv) at the knots of its profile."""
     require_toppra()
     grasp.check_arms(cell)
     where = "time_path"
@@ -98,7 +117,8 @@ def time_path(
         require(payload, Payload, f"{where}: payload", "Give a Payload.")
     _check_limits(cell, where)
     s, squares, binding, use = [np.zeros(1)], [np.zeros(1)], list[BindingLimit | None](), list[Array]()
-    mark = 0.0
+    rows = list[Array]()
+    mark, pace = 0.0, _pace(path, geometry)
     for stretch in geometry.stretches():
         own = max(LEAST_KNOTS, round(count * stretch.length / geometry.length))
         following = Following(cell, grasp, stretch, x)
@@ -107,7 +127,8 @@ def time_path(
             found = following.at(own_s)
             _check_positions(cell, path, found, mark)
             limited = limits_along(cell, grasp, found, payload=payload, share=share)
-            limited = replace(limited, further=further_lines(cell, bounds, found, share, mark))
+            further = further_lines(cell, bounds, found, share, mark=mark, pace=pace)
+            limited = replace(limited, further=further)
             _check_weight(cell, limited, mark)
             z = fastest(limited)
             over = use_between(limited, z) > 1.0 + _EXCESS
@@ -123,11 +144,12 @@ def time_path(
         names, shares = binding_limits(cell, limited, z, None if jerks is None else share * jerks, bounds)
         s.append(mark + found.s[1:])
         squares.append(z[1:])
+        rows.append(found.q[1:] if rows else found.q)
         binding += names
         use.append(shares)
         mark, x = mark + stretch.length, found.q[-1]
     profile = SpeedProfile(np.concatenate(s), np.concatenate(squares), tuple(binding), np.concatenate(use))
-    return TimedPath(geometry, profile, planned_share=share)
+    return TimedPath(geometry, profile, planned_share=share), np.vstack(rows)
 
 
 def _as_jerks(jerk: ArrayLike, nv: int, where: str) -> Array:
@@ -195,26 +217,52 @@ def limits_along(
     return Limited(knots, share * limits.velocity, acceleration, torque)
 
 
+def _pace(path: ObjectPath | PathGeometry, geometry: PathGeometry) -> float:
+    """Time per length along a path that is run at constant speed in its own duration [s/m]; of a geometry 1 s/m."""
+    return path.duration / geometry.length if isinstance(path, ObjectPath) and path.duration > 0.0 else 1.0
+
+
 def further_lines(
-    cell: RobotCell, bounds: Sequence[Any], knots: Knots, share: float, mark: float = 0.0
+    cell: RobotCell,
+    bounds: Sequence[RateBound],
+    knots: Knots,
+    share: float,
+    *,
+    mark: float = 0.0,
+    pace: float = 1.0,
 ) -> Lines | None:
     """Rate bounds at knots as lines ``a s̈ + b ṡ² ≤ 1``, one row of each knot padded with zeros; None without bounds.
 
+    A bound is asked in the clock τ = P s of a run at constant speed: ``dq/dτ = q′/P``, ``σ = P ṡ``.
+
+    Args:
+        cell: the arms.
+        bounds: the rate bounds.
+        knots: where they are asked, with derivatives with respect to s.
+        share: share of the bounds that is used.
+        mark: where the knots begin on the path [m].
+        pace: P [s/m].
+
     Raises:
         UnreachableError: a bound does not allow the object to rest at a knot.
-        InvalidInputError: a bound returns something else than lines.
+        InvalidInputError: a bound raises, or returns something else than lines.
     """
     if not len(bounds):
         return None
     found: list[tuple[Array, Array, Array]] = []
-    for i, s in enumerate(knots.s):
+    spans = np.diff(knots.s, prepend=knots.s[0])
+    for i, (s, span) in enumerate(zip(knots.s.tolist(), spans.tolist(), strict=True)):
         state = CellState(cell, cell.configuration(knots.q[i]))
-        knot = _Knot(float(s), state, knots.slope[i], knots.curvature[i])
+        knot = Knot(pace * (mark + s), state, knots.slope[i] / pace, knots.curvature[i] / pace**2, pace * span)
         parts = []
         for number, bound in enumerate(bounds):
-            a, b, c = (np.atleast_1d(np.asarray(x, dtype=float)) for x in bound.lines(knot))
-            if not (a.shape == b.shape == c.shape == (a.size,) and np.isfinite([a, b, c]).all()):
-                raise InvalidInputError("a, b and c are not finite vectors of one length", bound.name, "See RateBound.")
+            try:
+                a, b, c = lines_of(bound, knot)
+            except BoundTrouble as trouble:
+                raise InvalidInputError(
+                    f"the rate bound {bound.name}{trouble}", "time_path: bounds", "See coopqp.RateBound."
+                ) from trouble
+            a, b = a * pace**2, b * pace
             least = _LEAST_ROOM * (np.abs(a) + np.abs(b))
             if (c < -least).any():
                 raise UnreachableError(
@@ -232,22 +280,12 @@ def further_lines(
     return Lines(a, b, np.zeros_like(a), np.ones(most), owner.astype(int))
 
 
-@dataclass(frozen=True, eq=False)
-class _Knot:
-    """The argument of :meth:`coopqp.RateBound.lines`; the clock is s [m]."""
-
-    clock: float
-    state: CellState
-    slope: Array
-    curvature: Array
-
-
 def binding_limits(
     cell: RobotCell,
     limited: Limited,
     squares: Array,
     jerk: Array | None = None,
-    bounds: Sequence[Any] = (),
+    bounds: Sequence[RateBound] = (),
 ) -> tuple[list[BindingLimit | None], Array]:
     """The most used limit between knots, and its use as a share of the planned limit (K − 1,).
 

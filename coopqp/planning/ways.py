@@ -105,6 +105,11 @@ class CellWay:
         last = path.duration if segments is None else float(len(segments))
         self.complete = end >= last or len(self.places) == 1
 
+    @property
+    def duration(self) -> float:
+        """Duration of the whole path [s]."""
+        return self._path.duration
+
     def clocks(self, places: Array) -> Array:
         """Clocks (M,) [s]."""
         if self._segments is None:
@@ -144,8 +149,8 @@ class CellWay:
             unknown = np.full(len(low), np.inf)
             return unknown, unknown
         s = self._split(0.5 * (low + high))[0]
-        way, turn = (np.linalg.norm(part[s], axis=1) for part in (self._segments.way, self._segments.turn))
-        return way * (high - low), turn * (high - low)
+        motion = self._segments.bounds(s, low - s, high - s)
+        return motion.way * (high - low), motion.turn * (high - low)
 
     def _split(self, places: Array) -> tuple[Indices, Array]:
         assert self._segments is not None

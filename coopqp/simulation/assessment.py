@@ -11,8 +11,10 @@ import numpy as np
 import pinocchio as pin
 
 from coopqp.checks import Doc, as_options, documented, keep_scalars
+from coopqp.collision.pairs import pairs_said
 from coopqp.control.command import Status
 from coopqp.model.cell import RobotCell, slides
+from coopqp.planning.clearance import remark
 from coopqp.simulation import metrics
 from coopqp.simulation.figures import ramps
 from coopqp.simulation.loads import read_loads
@@ -56,7 +58,7 @@ class Tolerances:
         known = {field.name for field in fields(Tolerances)}
         try:
             return Tolerances(**{name: value for name, value in dict(given).items() if name in known})
-        except (TypeError, ValueError) as error:
+        except (TypeError, ValueError, OverflowError) as error:
             raise RecordingError(f"'verdict' in the recording's settings is damaged ({error}).") from error
 
 
@@ -161,21 +163,26 @@ def _apart(recording: Recording) -> tuple[Finding, ...]:
     if entry is None:
         return ()
     try:
-        closest, at = float(entry["closest_m"]), float(entry["time_s"])
-        names, left_out = " and ".join(entry["between"]), len(entry["left_out"])
-        margin = float(entry["margin_m"]) if entry["avoided"] else 0.0
-    except (KeyError, TypeError, ValueError) as error:
+        left_out = [(str(first), str(second)) for first, second in entry["left_out"]]
+        judged = "closest_m" in entry
+        closest, at = (float(entry[key]) if judged else math.nan for key in ("closest_m", "time_s"))
+        names = " and ".join(map(str, entry["between"])) if judged else ""
+        margin = float(entry["margin_m"]) if judged and entry["avoided"] else 0.0
+        notes = [str(note) for note in entry.get("notes", ())]
+    except (KeyError, TypeError, ValueError, OverflowError, AttributeError) as error:
         raise RecordingError(f"'clearance' in the recording's metadata is damaged ({error}).") from error
     where = f"{names} at {at:.3g} s"
-    pairs = (
-        "1 pair that overlaps at the start is" if left_out == 1 else f"{left_out} pairs that overlap at the start are"
-    )
-    more = f" ({pairs} left out)" if left_out else ""
-    touched = closest <= 0.0
-    text = f"{where} touched{more}" if touched else f"nothing touched: closest {1e3 * closest:.3g} mm, {where}{more}"
-    inside = closest < margin - MARGIN_ROUNDING
-    cause = where if touched else f"{where}, inside the margin of {1e3 * margin:.3g} mm"
-    return (Finding("Did all keep clear?", not touched and not inside, text, cause if touched or inside else ""),)
+    touched, inside = closest <= 0.0, closest < margin - MARGIN_ROUNDING
+    texts = [f"{where} touched" if touched else f"nothing touched: closest {1e3 * closest:.3g} mm, {where}"][
+        : int(judged)
+    ]
+    causes = [where if touched else f"{where}, inside the margin of {1e3 * margin:.3g} mm"][: int(touched or inside)]
+    if left_out:
+        overlap = f"{pairs_said(left_out)} overlap at the start"
+        texts = [f"{overlap} and are not judged", *(f"else {text}" for text in texts)]
+        causes.insert(0, overlap)
+    texts += remark(notes)
+    return (Finding("Did all keep clear?", not causes, "; ".join(texts), "; ".join(causes)),)
 
 
 def _counted(recording: Recording, status: Status, what: str) -> str:

@@ -10,7 +10,7 @@ from __future__ import annotations
 import heapq
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple, final
+from typing import Any, NamedTuple, final
 
 import numpy as np
 import pinocchio as pin
@@ -18,8 +18,10 @@ import pinocchio as pin
 from coopqp.collision.distances import Distances
 from coopqp.collision.scene import CollisionScene
 from coopqp.errors import InvalidInputError
-from coopqp.model.shapes import NearPair
-from coopqp.simulation.bodies import describe_bodies
+from coopqp.model.cell import RobotCell
+from coopqp.model.grasp import Grasp
+from coopqp.model.shapes import Body, Box, NearPair
+from coopqp.simulation.bodies import describe_bodies, describe_carried
 from coopqp.simulation.convex import Core, Point, core_of, separate
 from coopqp.simulation.recording import Recording
 from coopqp.spatial import Array
@@ -275,10 +277,21 @@ class Closeness:
 
 def default_scene(scenario: Scenario) -> CollisionScene | None:
     """The bodies of a scenario without margins, to judge runs by; None where its arms have no shapes."""
-    if all(arm.collision is None or not arm.collision.ngeoms for arm in scenario.cell.arms):
+    box = Body("object", Box(scenario.object_size), scenario.T_object_body)
+    return _plain_scene(scenario.cell, scenario.grasp, box, scenario.obstacles)
+
+
+def overlaps(cell: RobotCell, grasp: Grasp, box: Body, q: Array) -> list[tuple[str, str]]:
+    """Pairs of names among links and the object (a box) that overlap at a configuration (nq,), in their order."""
+    scene = _plain_scene(cell, grasp, box, ())
+    return [] if scene is None else sorted(Closeness(scene).overlapping(q))
+
+
+def _plain_scene(cell: RobotCell, grasp: Grasp, box: Body, obstacles: Sequence[Body]) -> CollisionScene | None:
+    if all(arm.collision is None or not arm.collision.ngeoms for arm in cell.arms):
         return None
     try:
-        return CollisionScene.of(scenario, margin=0.0)
+        return CollisionScene(cell=cell, grasp=grasp, carried=[box], obstacles=obstacles, margin=0.0)
     except InvalidInputError:  # a shape of the description that no distance is defined for
         return None
 
@@ -287,8 +300,10 @@ def with_clearance(recording: Recording, scene: CollisionScene | None, *, avoide
     """The recording with an entry ``clearance`` in its metadata: where bodies came closest.
 
     Entries: ``closest_m``, ``between``, ``time_s``, ``margin_m``, ``avoided``, ``left_out`` (pairs of names that
-    overlap at the start of a run without avoidance: no verdict on these), ``times_s``, ``distances_m`` and
-    ``points_m``, the nearest points of both bodies. An entry ``bodies`` holds what stands in the world.
+    overlap at the start of a run without avoidance: the distances of these are not judged), ``times_s``,
+    ``distances_m`` and ``points_m``, the nearest points of both bodies. Where all pairs are left out only ``avoided``
+    and ``left_out`` are there. ``notes`` are those of the scene. Entries ``bodies`` and ``carried`` hold what stands
+    in the world and what the object is made of.
     """
     if scene is None:
         return recording
@@ -297,23 +312,26 @@ def with_clearance(recording: Recording, scene: CollisionScene | None, *, avoide
     q, time = recording.q_command[::every], recording.time[::every]
     left_out = sorted(set() if avoided else closeness.overlapping(q[0]))
     found = closeness.closest(q, time, without_start=not avoided)
+    drawn = {"bodies": describe_bodies(scene), "carried": describe_carried(scene, recording.metadata.get("object"))}
+    drawn = {key: entries for key, entries in drawn.items() if entries}
+    recording = replace(recording, metadata={**recording.metadata, **drawn})
+    entry: dict[str, Any] = {"avoided": avoided, "left_out": [list(pair) for pair in left_out]}
+    if scene.notes:
+        entry["notes"] = list(scene.notes)
     if found is None:
-        return recording
+        return replace(recording, metadata={**recording.metadata, "clearance": entry}) if left_out else recording
     rows = np.unique(np.linspace(0, len(q) - 1, MOST_SAMPLES).round().astype(int))
     distances, points = _nearest(scene, closeness, q[rows], closeness.judged(left_out))
-    entry = {
+    entry |= {
         "closest_m": found.pair.distance,
         "between": [found.pair.first, found.pair.second],
         "time_s": found.time,
         "margin_m": found.margin,
-        "avoided": avoided,
-        "left_out": [list(pair) for pair in left_out],
         "times_s": time[rows].tolist(),
         "distances_m": distances,
         "points_m": points,
     }
-    bodies = {"bodies": describe_bodies(scene)} if scene.obstacles else {}
-    return replace(recording, metadata={**recording.metadata, "clearance": entry, **bodies})
+    return replace(recording, metadata={**recording.metadata, "clearance": entry})
 
 
 def _nearest(

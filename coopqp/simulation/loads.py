@@ -119,7 +119,7 @@ def read_loads(cell: RobotCell, recording: Recording) -> RunLoads | None:
         largest = np.inf if cap is None else float(cap)
         palms = None if entry.get("palms") is None else [Grip(**one) for one in entry["palms"]]
         use = np.abs(torques) / limits
-    except (TypeError, ValueError, AttributeError) as error:
+    except (TypeError, ValueError, OverflowError, AttributeError) as error:
         raise RecordingError(f"'load' in the recording's metadata is damaged ({error}).") from error
     internal = internal_wrenches(wrenches, recording.grasp)
     moving = np.flatnonzero(recording.rate > 0.0)

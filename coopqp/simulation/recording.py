@@ -29,6 +29,10 @@ MAX_RECORDING_BYTES = 2_000_000_000
 MAX_COMPRESSED_BYTES = 64 * 2**20
 
 
+#: Time at which no recording ends [s]: a century.
+LONGEST = 3e9
+
+
 class RecordingError(CoopqpError):
     """A file is not a recording, or it cannot be read or written."""
 
@@ -110,7 +114,7 @@ class Recording(Shown):
         changes = self.metadata.get("binding", [])
         try:
             named = {int(step): tuple(_limit(*entries) for entries in limits) for step, limits in changes}
-        except (TypeError, ValueError) as error:
+        except (TypeError, ValueError, OverflowError) as error:
             raise RecordingError(f"'binding' in the recording's metadata is damaged ({error}).") from error
         now: tuple[BindingLimit, ...] = ()
         return [now := named.get(step, now) for step in range(self.n_steps)]
@@ -227,6 +231,9 @@ class Recording(Shown):
             if len(got) != len(shape) or any(n is not None and n != m for n, m in zip(shape, got, strict=True)):
                 want = ", ".join("any" if n is None else str(n) for n in shape)
                 raise RecordingError(f"{file}: '{name}' has shape {got}, not ({want}); it is cut or was changed.")
+        rises = np.isfinite(self.time).all() and (np.diff(self.time) >= 0.0).all()
+        if not (rises and np.abs(self.time).max() < LONGEST):
+            raise RecordingError(f"{file}: 'time' is no rising time in seconds; it is damaged or was changed.")
         known = all(np.isin(self.status[part], np.arange(len(Status))).all() for part in self.parts(steps))
         if not known:
             raise RecordingError(f"{file}: 'status' has unknown codes; it was changed or comes from a newer coopqp.")

@@ -239,7 +239,7 @@ def read_path(metadata: Mapping[str, Any]) -> list[pin.SE3] | None:
         return None
     try:
         table = np.array(rows, dtype=float)
-    except (TypeError, ValueError) as error:
+    except (TypeError, ValueError, OverflowError) as error:
         raise SceneError(f"the recording's path is damaged ({error}).") from error
     unit = table.ndim == 2 and table.shape[1] == 7 and 1 <= len(table) <= MAX_PATH_POSES
     if not unit or not np.abs(np.linalg.norm(table[:, 3:], axis=1) - 1.0).max() < 1e-6 or not np.isfinite(table).all():

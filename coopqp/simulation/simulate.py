@@ -23,6 +23,8 @@ from coopqp.spatial import Array
 
 #: Time until a run with a stopped object ends, by default [s].
 PATIENCE = 1.0
+#: Readings at rest whose mean the controller starts from.
+_REST_SAMPLES = 100
 #: An object off its path stands at a rate below this.
 _AT_REST = 1e-3
 #: Called during a run with the numbers of steps (done, total).
@@ -92,7 +94,9 @@ def simulate(
     if loads and not hasattr(plant, "sensed_wrenches"):
         raise InvalidInputError(f"a {type(plant).__name__} has no forces", "simulate: loads", "Give a PhysicsPlant.")
     measured = plant.reset(q_start)
-    controller.reset(measured)
+    measure = getattr(plant, "measure", None)
+    readings = [measured] if measure is None else [measured, *(measure() for _ in range(_REST_SAMPLES - 1))]
+    controller.reset(cell.average(readings))  # noise averages out
     recorder = _Recorder(controller, measured, plant if loads else None)
     nominal = max(1, round((longest if endless else controller.path.duration + after) / controller.dt))
     elapsed, rest, still = 0.0, 0.0, 0.0

@@ -10,6 +10,7 @@ import os
 import signal
 import threading
 import time
+import warnings
 from abc import ABC, abstractmethod
 from collections.abc import Iterator
 from concurrent.futures import BrokenExecutor, Executor
@@ -83,7 +84,10 @@ class Local(Engine):
             max_workers=min(workers, self.workers), env=_ONE_THREAD, initializer=_begin, initargs=(os.getpid(),)
         )
         try:
-            yield pool
+            with warnings.catch_warnings():
+                # A worker that waits for long ends by itself, and loky starts another one: no news to a user.
+                warnings.filterwarnings("ignore", "A worker stopped while some jobs", UserWarning)
+                yield pool
         finally:
             pool.shutdown(wait=True, kill_workers=True)
 
@@ -113,9 +117,13 @@ def _end_with(coordinator: int) -> None:
 class Cluster(Engine):
     """A Dask cluster that is already running, started as in Dask's documentation.
 
+    Rows and their results are pickled, both ways: whoever answers at the address can run programs here.
+
     Args:
-        address: address of its scheduler, as ``tcp://host:8786``.
+        address: address of its scheduler, as ``tcp://host:8786``, or ``tls://host:8786`` with ``security``.
         timeout: longest time until it answers [s].
+        security: a :class:`distributed.Security` with the certificates of a cluster that uses TLS; by default those of
+            Dask's own settings.
 
     Raises:
         MissingExtraError: Dask distributed is not installed.
@@ -125,12 +133,12 @@ class Cluster(Engine):
     chunk_s = 3.0
     tries = 1  # Dask has tried it several times before it says so
 
-    def __init__(self, address: str, *, timeout: float = 10.0) -> None:
+    def __init__(self, address: str, *, timeout: float = 10.0, security: Any = None) -> None:
         if find_spec("distributed") is None:
             raise MissingExtraError("cluster", "distributed")
         if not isinstance(address, str) or not address:
             raise InvalidInputError(f"{address!r}", "Cluster: address", "Give an address, as tcp://host:8786.")
-        self.address, self._timeout = address, timeout
+        self.address, self._timeout, self._security = address, timeout, security
         with self._client() as client:
             self.workers = len(client.nthreads())
             if not self.workers:
@@ -141,7 +149,8 @@ class Cluster(Engine):
         from distributed import Client
 
         try:
-            return Client(self.address, timeout=self._timeout, set_as_default=False)
+            more = {} if self._security is None else {"security": self._security}
+            return Client(self.address, timeout=self._timeout, set_as_default=False, **more)
         except (OSError, ValueError) as error:
             raise EngineError(
                 f"no Dask scheduler answers at {self.address} ({said(error)}). Start one: dask scheduler."

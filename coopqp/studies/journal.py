@@ -1,9 +1,13 @@
-"""The journal of a study: a line for every row that is there, on the disk before the next one is asked for."""
+"""The journal of a study: a line for every row that is there, on the disk before the next one is asked for.
+
+A line is a JSON object whose last entry ``crc`` is the CRC-32 of the line without it: a line that was changed is found.
+"""
 
 from __future__ import annotations
 
 import json
 import os
+import zlib
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any, final
@@ -25,10 +29,31 @@ def read_journal(file: Path) -> tuple[list[dict[str, Any]], int]:
     """
     content = file.read_bytes() if file.exists() else b""
     whole = content[: content.rfind(b"\n") + 1]
-    try:
-        return [json.loads(line) for line in whole.splitlines()], len(whole)
-    except ValueError as error:
-        raise StudyError(f"{file} is damaged ({error}). Start the study anew in another folder.") from error
+    return [_entry(line, f"{file}, line {i}") for i, line in enumerate(whole.split(b"\n")[:-1], start=1)], len(whole)
+
+
+#: What helps where a journal is damaged.
+ANEW = "Start the study anew in another folder, or take this line and those after it out: their rows are run again."
+_MARK = b', "crc": "'
+
+
+def _line(entry: dict[str, Any]) -> bytes:
+    text = json.dumps(entry, ensure_ascii=False).encode()
+    return text[:-1] + _MARK + f'{zlib.crc32(text):08x}"}}\n'.encode()
+
+
+def _entry(line: bytes, where: str) -> dict[str, Any]:
+    """The entry of a line.
+
+    Raises:
+        StudyError: it is not as it was written.
+    """
+    head, _, tail = line.rpartition(_MARK)
+    text = head + b"}"
+    if tail != f'{zlib.crc32(text):08x}"}}'.encode():
+        raise StudyError(f"{where} is damaged (its checksum is another). {ANEW}")
+    found: dict[str, Any] = json.loads(text)
+    return found
 
 
 @final
@@ -73,7 +98,7 @@ class Journal:
         Raises:
             OutputError: they cannot be written. Earlier ones stay.
         """
-        text = "".join(f"{json.dumps(entry, ensure_ascii=False)}\n" for entry in entries).encode()
+        text = b"".join(map(_line, entries))
         try:
             rest = memoryview(text)
             while rest:

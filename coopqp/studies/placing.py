@@ -87,7 +87,7 @@ class ArmPlaced:
         margin = amount(self.margin, slides=self.slides)
         return (
             f"arm {self.arm}: σ_min {self.sigma_min:.3f}, least margin {margin} at {self.tightest}, "
-            f"fastest {self.time_s:.2f} s"
+            f"by speed limits alone {self.time_s:.2f} s"
         )
 
 
@@ -170,7 +170,8 @@ class CellPlaced:
             worst = min(self.arms, key=lambda arm: min(arm.shares))
             binding = "σ_min" if worst.shares[0] <= worst.shares[1] else "margin"
             lines.append(
-                f"cell: fastest {self.time_s:.2f} s; {worst.arm}'s {binding} is {min(worst.shares):.2f} of good"
+                f"cell: by speed limits alone {self.time_s:.2f} s (accelerations: coopqp plan); "
+                f"{worst.arm}'s {binding} is {min(worst.shares):.2f} of good"
             )
         if np.isfinite(self.clearance):
             lines.append(f"{self.why}." if self.touches else f"closest: {' and '.join(self.near)}, {self._closest}")

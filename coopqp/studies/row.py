@@ -16,7 +16,7 @@ import numpy as np
 from coopqp.collision.scene import CollisionScene
 from coopqp.control.command import Controller, ControlStep
 from coopqp.errors import CoopqpError, StartWarning, said
-from coopqp.files.cellfile.build import build, controller_options, new_controller
+from coopqp.files.cellfile.build import build, controller_options, led, new_controller
 from coopqp.files.cellfile.schema import CellFile
 from coopqp.files.cellfile.strict import build_options
 from coopqp.model.cell import slides
@@ -98,14 +98,16 @@ def _ready(scenario: str, folder: str, text: str) -> _Ready:
         file = CellFile.model_validate(data)
         run = build(file, Path(folder))
         scene = run.scene if file.collision is not None else None
-        return _Ready(run.scenario, run.controller_kind, run.options, file, scene, run.avoids)
+        task = led(run.scenario, run.options, scene if run.avoids else None)
+        return _Ready(task, run.controller_kind, run.options, file, scene, run.avoids)
     settings = ScenarioFile.model_validate(data)
     task = SCENARIOS[scenario](**settings.scenario)
     dt = task.path.duration / settings.steps if settings.steps is not None else settings.dt_s or task.dt
     kind = str(settings.controller.kind)
     scene = CollisionScene.of(task) if task.obstacles else None
     options = controller_options(kind, settings.controller)
-    return _Ready(replace(task, dt=dt), kind, options, settings, scene, scene is not None and kind == "qp")
+    task = replace(led(task, options, scene if kind == "qp" else None), dt=dt)
+    return _Ready(task, kind, options, settings, scene, scene is not None and kind == "qp")
 
 
 def build_row(study: Study, index: int) -> _Ready:
@@ -197,7 +199,7 @@ def _figures(ready: _Ready, recording: Recording, readings: Readings) -> dict[st
         "margin_mm": float(1e3 * room[sliding].min(initial=np.inf)),
         "speed_share": float(speed),
         "unrest_deg_per_s": float(np.rad2deg(np.sqrt(np.mean(changes**2)))) if changes.size else 0.0,
-        "closest_mm": float("nan") if entry is None else 1e3 * float(entry["closest_m"]),
+        "closest_mm": 1e3 * float((entry or {}).get("closest_m", float("nan"))),
     }
 
 

@@ -18,7 +18,7 @@ import numpy as np
 from annotated_types import Ge, Le, Len
 from pydantic import Field, ValidationError, model_validator
 
-from coopqp.errors import CoopqpError, UnknownNameError
+from coopqp.errors import CoopqpError, UnknownNameError, shown
 from coopqp.files.cellfile.basic import FilePath, Name, Seconds, exactly_one
 from coopqp.files.cellfile.explain import explain
 from coopqp.files.cellfile.paths import resolve
@@ -31,7 +31,7 @@ from coopqp.files.cellfile.schema import (
     QPTable,
     VerdictTable,
 )
-from coopqp.files.cellfile.strict import Number, Table
+from coopqp.files.cellfile.strict import Number, Table, problem
 from coopqp.files.cellfile.text import read_tables
 from coopqp.scenarios import SCENARIOS
 from coopqp.simulation.assessment import Tolerances
@@ -50,6 +50,14 @@ class RangeTable(Table):
     high: Number = Field(description="last number")
     number: Annotated[int, Ge(1), Le(MAX_VALUES)] = Field(description="how many")
     log: bool = Field(default=False, description="equal ratios instead of equal distances")
+
+    @model_validator(mode="after")
+    def _has_ratios(self) -> RangeTable:
+        if self.log and not self.low * self.high > 0.0:
+            raise problem(
+                f"log = true needs two numbers of one sign, not {self.low:g} and {self.high:g}: 0 has no ratio"
+            )
+        return self
 
     def values(self) -> list[float]:
         """The numbers."""
@@ -304,6 +312,8 @@ def _study(file: StudyFile, folder: Path) -> Study:
     for key, value in file.set.items():
         put(whole, key, value)
     disturbed = whole.pop("disturbances")
+    if not isinstance(disturbed, dict):
+        raise StudyError(f"set: disturbances: give a table, not {shown(disturbed)}.")
     return Study(
         name=file.name,
         base=whole,
@@ -355,8 +365,8 @@ def versions() -> dict[str, str]:
     """The bits of a row depend on these: versions, the kernel, the solver."""
     import platform
 
-    from coopqp.control.core import kernel_text
     from coopqp.control.solvers import default_solver
+    from coopqp.native import kernel_text
 
     packages = {
         name: metadata.version(name) for name in ("coopqp", "pin", "numpy", "scipy", "daqp", "osqp", "proxsuite")

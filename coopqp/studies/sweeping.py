@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import json
 from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -15,7 +15,7 @@ from coopqp.output import check_folder, json_bytes, write_files
 from coopqp.studies.dispatch import Done, run_rows
 from coopqp.studies.engines import Engine
 from coopqp.studies.errors import StudyError
-from coopqp.studies.journal import Journal
+from coopqp.studies.journal import ANEW, Journal
 from coopqp.studies.row import FIGURES, LOST, OK, OUTCOMES, RowTask, build_row
 from coopqp.studies.study import Study, versions
 from coopqp.studies.table import CSV, PARQUET, csv_bytes, has_parquet, parquet_bytes
@@ -86,7 +86,7 @@ def sweep(
         build_row(study, 0)
     _describe(study, place, resume=resume)
     with Journal(place / JOURNAL) as journal:
-        found = {int(entry["row"]): entry for entry in journal.entries}
+        found = rows_found(journal, len(study))
         tell = progress or (lambda *_: None)
         tell(len(found), len(study))
 
@@ -131,13 +131,33 @@ def _describe(study: Study, place: Path, *, resume: bool) -> None:
         raise StudyError(f"{place} was begun with {', '.join(changed)}: rows would differ. Give another folder.")
 
 
-def _write(study: Study, entries: list[dict[str, Any]], place: Path) -> Sweep:
+def rows_found(journal: Journal, rows: int) -> dict[int, dict[str, Any]]:
+    """The entries of a journal by the number of their row.
+
+    Raises:
+        StudyError: an entry is none of a study with this many rows.
+    """
+    found: dict[int, dict[str, Any]] = {}
+    for i, entry in enumerate(journal.entries, start=1):  # their checksums hold
+        if not 0 <= entry["row"] < rows:
+            raise StudyError(f"{journal.file} is damaged (line {i} is no row of this study). {ANEW}")
+        found[entry["row"]] = entry
+    return found
+
+
+def table_of_rows(study: Study, entries: Sequence[dict[str, Any]]) -> tuple[tuple[str, ...], list[dict[str, Any]]]:
+    """Columns of the table of a study, and its rows, from the entries of its journal."""
     columns = ("row", *study.varied, "draw", "repeat", *OUTCOMES, *FIGURES)
     rows = []
     for entry in entries:
         row = study.row(entry["row"])
         given = {"row": row.index, **row.values, "draw": row.draw, "repeat": row.repeat}
         rows.append({**given, **entry["columns"]})
+    return columns, rows
+
+
+def _write(study: Study, entries: list[dict[str, Any]], place: Path) -> Sweep:
+    columns, rows = table_of_rows(study, entries)
     seconds = [float(entry["seconds"]) for entry in entries]
     times = [{"row": i, "seconds": s} for i, s in enumerate(seconds)]
     contents = {place / CSV: csv_bytes(columns, rows), place / TIMES: csv_bytes(("row", "seconds"), times)}

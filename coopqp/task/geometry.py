@@ -31,6 +31,25 @@ _CORNER = 1e-9
 RAMP_AT_MIDDLE = 3.0 / 16.0
 
 
+@dataclass(frozen=True, eq=False)
+class MotionBounds:
+    """Bounds over M stretches of a piece, per unit of its parameter (M,).
+
+    With ``p`` the object's origin and ``ω`` its turning in world axes:
+
+    Attributes:
+        way: of ‖p′‖ [m].
+        turn: of ‖ω‖ [rad].
+        way_change: of ‖p‴‖ [m].
+        turn_change: of ‖ω″‖ [rad].
+    """
+
+    way: Array
+    turn: Array
+    way_change: Array
+    turn_change: Array
+
+
 class Piece(abc.ABC):
     """A smooth piece of a geometry, over its own s from 0 to :attr:`length` [m]."""
 
@@ -53,6 +72,13 @@ class Piece(abc.ABC):
         """The twist (6,) at one s."""
         V: Array = self.twists(np.array([s]))[0][0]
         return V
+
+    def bounds(self, low: Array, high: Array) -> MotionBounds | None:
+        """Bounds of the motion between s of ``low`` and ``high`` (M,); None by default: nothing is known.
+
+        With them :func:`coopqp.planning.check_path` proves the piece, also one of your own.
+        """
+        return None
 
     @abc.abstractmethod
     def numbers(self) -> Array:
@@ -90,6 +116,12 @@ class Straight(Piece):
     def twists(self, s: Array) -> tuple[Array, Array]:
         """See :class:`Piece`. The axis is fixed in the world, too: the twist is constant."""
         return np.tile(self._twist, (len(s), 1)), np.zeros((len(s), 6))
+
+    def bounds(self, low: Array, high: Array) -> MotionBounds:
+        """See :class:`Piece`. The twist is constant."""
+        ones = np.ones(len(low))
+        way, turn = (float(np.linalg.norm(part)) / self.length for part in (self.way, self.turn))
+        return MotionBounds(way * ones, turn * ones, 0.0 * ones, 0.0 * ones)
 
     def pose(self, s: float) -> pin.SE3:
         """See :class:`Piece`; a tenth of the time."""
@@ -169,6 +201,34 @@ class Blend(Piece):
         bend = cross(np.tile(w0, (len(s), 1)), w1)
         dV = np.hstack([ddb * (e1 - e0), (ddb * (w1 - w0) + da * db * bend) @ self.R.T]) / (half * half)
         return V, dV
+
+    def bounds(self, low: Array, high: Array) -> MotionBounds:
+        """See :class:`Piece`.
+
+        In x, ``p‴ = β‴ (e_1 − e_0)``, and with ``w = exp(α w_0) w_1``
+
+            ω″ = R_C [β‴ (w − w_0) + β″ (2α′ − β′) w_0 × w + α′² β′ w_0 × (w_0 × w)]
+
+        where ``‖w − w_0‖ ≤ ‖w_1 − w_0‖ + |α| c`` and ``‖w_0 × w‖ = ‖w_0 × w_1‖ = c``. β′ grows from 0 to 1, ``α′ =
+        1 − β′`` and ``|α|`` fall, β″ is largest next to the middle, and ``β‴ = −3x/2``.
+        """
+        half = 0.5 * self.length
+        x, y = low / half - 1.0, high / half - 1.0
+        a = np.abs(x - _ramp(x)[0])
+        da, db = 1.0 - _ramp(x)[1], _ramp(y)[1]
+        ddb = _ramp(np.clip(0.0, x, y))[2]
+        dddb = 1.5 * np.maximum(np.abs(x), np.abs(y))
+        (e0, e1), (w0, w1) = self.ways, self.turns
+        size_e0, size_e1, size_w0, size_w1 = (float(np.linalg.norm(v)) for v in (e0, e1, w0, w1))
+        bent, turned = float(np.linalg.norm(e1 - e0)), float(np.linalg.norm(w1 - w0))
+        c = float(np.linalg.norm(cross(w0[None], w1[None])))
+        turn_change = dddb * (turned + a * c) + ddb * np.maximum(2.0 * da, db) * c + da * da * db * size_w0 * c
+        return MotionBounds(
+            (da * size_e0 + db * size_e1) / half,
+            (da * size_w0 + db * size_w1) / half,
+            dddb * bent / half**3,
+            turn_change / half**3,
+        )
 
     def pose(self, s: float) -> pin.SE3:
         """See :class:`Piece`; a fifth of the time."""

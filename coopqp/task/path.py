@@ -20,6 +20,7 @@ import pinocchio as pin
 from coopqp.checks import ArrayLike, as_scalar, as_vector
 from coopqp.errors import InvalidInputError, UnknownNameError
 from coopqp.spatial import Array, Placement, as_placement, as_placements, axis_angle
+from coopqp.task.elbows import Elbows
 from coopqp.task.geometry import PathGeometry, Straight, motion_length
 
 
@@ -75,6 +76,12 @@ class ObjectPath(abc.ABC):
     #: Share of the joints' limits that the path was planned with; None if it was not planned. A controller lets a
     #: planned path use that share, and moves redundant arms by least motion, as they were planned, without posture.
     planned_share: float | None = None
+    #: Whether the planned motion is proved to keep clear of bodies: redundant arms then do not evade on it. Margins are
+    #: kept all the same: where a body is elsewhere than it was when the path was planned, the object stops.
+    keeps_clear: bool = False
+    #: A motion of redundant arms that a controller which looks ahead follows in their null-space, in place of its own
+    #: rules; None for these.
+    elbows: Elbows | None = None
 
     def __repr__(self) -> str:
         duration = getattr(self, "duration", None)

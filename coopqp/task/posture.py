@@ -28,6 +28,11 @@ class PostureOptions:
         float, Doc("upper bound of the wanted null-space velocity, as a share of every joint's speed limit")
     ] = 0.2
 
+    @property
+    def asks(self) -> bool:
+        """Whether a goal other than the default one is asked for."""
+        return self.target is not None or (self.gain, self.centring, self.manipulability) != (1.0, 0.0, 0.0)
+
     def __post_init__(self) -> None:
         keep_scalars(self, "gain", "centring", "manipulability", open_low=False)
         keep_scalars(self, "speed_share", high=1.0)

@@ -104,6 +104,7 @@ class TimedPath(ObjectPath):
         geometry: where the object goes.
         profile: how fast; it ends where the geometry ends.
         planned_share: share of the joints' limits that it was planned with, in (0, 1]; None if it was not.
+        keeps_clear: True if the planned motion of redundant arms is proved to keep clear of the bodies of a scene.
 
     Attributes:
         profile: the speed profile.
@@ -112,7 +113,14 @@ class TimedPath(ObjectPath):
         InvalidInputError: profile and geometry do not fit each other.
     """
 
-    def __init__(self, geometry: PathGeometry, profile: SpeedProfile, *, planned_share: float | None = None) -> None:
+    def __init__(
+        self,
+        geometry: PathGeometry,
+        profile: SpeedProfile,
+        *,
+        planned_share: float | None = None,
+        keeps_clear: bool = False,
+    ) -> None:
         if abs(profile.s[-1] - geometry.length) > 1e-9 * geometry.length:
             raise InvalidInputError(
                 f"the profile ends at {profile.s[-1]:g} m and the geometry at {geometry.length:g} m",
@@ -124,7 +132,7 @@ class TimedPath(ObjectPath):
             raise InvalidInputError("it moves at a corner", "TimedPath", "Give a profile that rests at each corner.")
         if planned_share is not None:
             self.planned_share = as_scalar(planned_share, "TimedPath: planned_share", high=1.0)
-        self._geometry, self.profile = geometry, profile
+        self._geometry, self.profile, self.keeps_clear = geometry, profile, bool(keeps_clear)
         self.duration = profile.duration
         self._clocks, self._s = profile.clocks.tolist(), profile.s.tolist()
         self._speeds, self._slopes = np.sqrt(profile.squares).tolist(), profile.slopes.tolist()
@@ -132,6 +140,10 @@ class TimedPath(ObjectPath):
     def geometry(self) -> PathGeometry:
         """Where the path goes."""
         return self._geometry
+
+    def kept_clear(self) -> TimedPath:
+        """The same path, whose planned motion is proved to keep clear."""
+        return TimedPath(self._geometry, self.profile, planned_share=self.planned_share, keeps_clear=True)
 
     def clocks(self, s: Array) -> Array:
         """Clocks (K,) [s] at which the path is at s (K,) [m]."""
@@ -174,6 +186,7 @@ class TimedPath(ObjectPath):
             "s": self.profile.s.tolist(),
             "squares": self.profile.squares.tolist(),
             "planned_share": self.planned_share,
+            "keeps_clear": self.keeps_clear,
             "binding": self.profile.sections(),
         }
 
@@ -187,7 +200,7 @@ class TimedPath(ObjectPath):
         try:
             pieces = tuple(piece_of(np.asarray(piece, dtype=float)) for piece in record["pieces"])
             s, squares = (np.asarray(record[name], dtype=float) for name in ("s", "squares"))
-            share = record["planned_share"]
+            share, clear = record["planned_share"], bool(record.get("keeps_clear", False))
             profile = SpeedProfile(s, squares).bound_by(record.get("binding", ()))
         except InvalidInputError:
             raise
@@ -197,4 +210,4 @@ class TimedPath(ObjectPath):
             ) from error
         if not pieces:
             raise InvalidInputError("the record has no piece", "TimedPath", "Make it with TimedPath.record.")
-        return TimedPath(PathGeometry(pieces), profile, planned_share=share)
+        return TimedPath(PathGeometry(pieces), profile, planned_share=share, keeps_clear=clear)

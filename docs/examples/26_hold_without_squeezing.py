@@ -26,7 +26,7 @@ def lifted(relax, **sensors):
     """The controller, the run and the largest force of an arm at each step, one base off."""
     wrong = coopqp.Disturbances(base_offset={"slave_2": off}, wrench_latency=0.01, **sensors)
     plant = coopqp.PhysicsPlant.of(lift, disturbances=wrong)
-    options = coopqp.QPOptions(supervision=tolerant)
+    options = coopqp.QPOptions() if relax else coopqp.QPOptions(supervision=tolerant)
     controller = coopqp.QPController(
         lift.cell, lift.grasp, lift.path, dt=lift.dt, options=options
     )

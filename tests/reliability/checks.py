@@ -17,6 +17,7 @@ import numpy.typing as npt
 import pinocchio as pin
 
 from coopqp import (
+    Cause,
     CellState,
     Controller,
     ControlStep,
@@ -579,7 +580,7 @@ class Return:
         growth: largest growth of the distance from a limit in one step [rad], at least 0.
         ratio: time until all joints are inside, relative to the time of the slowest joint alone; inf if they stay out.
         chain_mm: largest chain error [mm].
-        failures: number of holding steps.
+        failures: number of holding steps, but for those that hold because the commands parted the arms.
         broken: number of other broken promises: limits, continuity, clock.
         steps: number of steps of the run.
     """
@@ -644,7 +645,7 @@ def from_outside(
         growth=max(0.0, float(np.diff(excess, axis=0).max())),
         ratio=float(inside[0] * dt / ideal) if inside.size else np.inf,
         chain_mm=1e3 * verdict.worst.chain_m,
-        failures=sum(s.status in STOPPED for s in steps),
+        failures=sum(s.status in STOPPED and s.cause is not Cause.COMMANDED_CHAIN for s in steps),
         broken=sum(verdict.counts.values()),
         steps=len(steps),
     )

@@ -121,7 +121,7 @@ def test_the_order_of_the_arms_does_not_matter(
         f"arms in another order, {how}",
         cases=cases,
         measured=worst,
-        target=1e-9,
+        target=1e-11,
         unit="rad/s",
         note=f"six cells of two to five arms in closed loop, each by its master and leaderless; largest in {where}",
     )

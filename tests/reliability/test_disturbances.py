@@ -151,8 +151,8 @@ def test_encoder_noise(tasks: list[Scenario], catalogue: Any, count: Any, noise:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("latency", "target"), [(0.002, 0.2), (0.005, 0.4), (0.010, 0.8)])
-def test_late_measurements(tasks: list[Scenario], catalogue: Any, latency: float, target: float) -> None:
+@pytest.mark.parametrize("latency", [0.002, 0.005, 0.010])
+def test_late_measurements(tasks: list[Scenario], catalogue: Any, latency: float) -> None:
     """All measurements and all commands have the latency."""
     runs = []
     for task in tasks:
@@ -163,7 +163,7 @@ def test_late_measurements(tasks: list[Scenario], catalogue: Any, latency: float
     cases = sum(len(run.steps) for run in runs)
     chain = max(run.chain_mm for run in runs)
     name = f"measurements, and commands, late by {1e3 * latency:g} ms"
-    catalogue.row("B", name, cases=cases, measured=chain, target=target, unit="mm")
+    catalogue.row("B", name, cases=cases, measured=chain, target=1e-6, unit="mm")
 
 
 @pytest.mark.slow
@@ -176,7 +176,7 @@ def test_lost_samples(tasks: list[Scenario], catalogue: Any, count: Any) -> None
     ]
     assert all(run.smooth for run in runs)
     cases, chain = sum(len(run.steps) for run in runs), max(run.chain_mm for run in runs)
-    catalogue.row("B", "5 % of the samples lost", cases=cases, measured=chain, target=0.1, unit="mm")
+    catalogue.row("B", "5 % of the samples lost", cases=cases, measured=chain, target=1e-5, unit="mm")
 
 
 @pytest.mark.slow
@@ -188,7 +188,7 @@ def test_periods_that_vary(tasks: list[Scenario], catalogue: Any, count: Any) ->
         assert max(lengths) > 1.19 * DT
     assert all(run.smooth for run in runs)
     cases, chain = sum(len(run.steps) for run in runs), max(run.chain_mm for run in runs)
-    catalogue.row("B", "periods that vary by ±20 %", cases=cases, measured=chain, target=0.1, unit="mm")
+    catalogue.row("B", "periods that vary by ±20 %", cases=cases, measured=chain, target=1e-5, unit="mm")
 
 
 # -- where the arms stand and hold -------------------------------------------------------------------------------------
@@ -223,7 +223,7 @@ def test_a_base_that_is_off_for_ten_minutes(catalogue: Any, count: Any) -> None:
     drift = abs(max(chain[-2 * cycle :]) - max(chain[: 2 * cycle]))
     where = f"base off by 1 mm and 0.1°, 0.3 m up and down for {minutes} min"
     catalogue.row("B", where, cases=tick, measured=max(chain), target=0.6, unit="mm")
-    catalogue.row("B", f"{where}: drift", cases=tick, measured=drift, target=1e-3, unit="mm")
+    catalogue.row("B", f"{where}: drift", cases=tick, measured=drift, target=1e-9, unit="mm")
 
 
 @pytest.mark.slow
@@ -250,7 +250,7 @@ def test_a_base_that_is_off_and_a_turn(tasks: list[Scenario], catalogue: Any, co
         "base off by 1 mm and 0.1°, turned by 40°: beyond geometry",
         cases=cases,
         measured=added,
-        target=0.01,
+        target=0.003,
         unit="mm",
         note=f"geometry alone makes {whole:.2g} mm of it; calibrate, or turn less",
     )
@@ -275,7 +275,7 @@ def test_a_grasp_that_is_off(tasks: list[Scenario], catalogue: Any, count: Any) 
             assert run.smooth
             runs.append(run)
     cases, chain = sum(len(run.steps) for run in runs), max(run.chain_mm for run in runs)
-    catalogue.row("B", "grasp off by 2 mm, latched", cases=cases, measured=chain, target=0.1, unit="mm")
+    catalogue.row("B", "grasp off by 2 mm, latched", cases=cases, measured=chain, target=1e-6, unit="mm")
 
 
 def test_a_grasp_too_far_off_is_refused(tasks: list[Scenario], catalogue: Any, count: Any) -> None:
@@ -373,7 +373,7 @@ def test_an_arm_that_stalls(tasks: list[Scenario], catalogue: Any, noise: float)
 
 @pytest.mark.slow
 def test_an_arm_that_stalls_under_acceleration_limits(catalogue: Any, count: Any) -> None:
-    """The others part from it while it is not known (5 dt at speed v), and while they brake together (v T/2)."""
+    """The others part from it while it is not known (5 dt at speed v), and then while they brake together (v T/2)."""
     rng, worst, farthest, cases = np.random.default_rng(7), 0.0, 0.0, count(24)
     for i in range(cases):
         make = (paper_lift, dual_arm7, mixed_cell)[i % 3]
@@ -387,9 +387,12 @@ def test_an_arm_that_stalls_under_acceleration_limits(catalogue: Any, count: Any
         held = next(k for k, s in enumerate(run.steps) if s.status in (Status.HOLDING, Status.FAULT))
         assert 0 < held - first <= 5
         assert np.abs(run.steps[-1].velocity).max() < 1e-6
-        before = run.steps[held - 1]
+        before = run.steps[held - 1]  # the last at full speed: v and T when the stall is known
         to_stop = float((np.abs(before.velocity) / cell.limits.acceleration).max())
-        poses = [task.grasp.carried(s.state)[0] for s in run.steps[first : first + 2]]
+        fastest = np.array([np.abs(s.velocity).max() for s in run.steps[first:]])
+        resting = int(np.argmax(fastest < 0.01 * np.abs(before.velocity).max()))  # samples from the stall to rest
+        assert resting * DT <= 1.05 * (to_stop + 5.0 * DT)
+        poses = [task.grasp.carried(s.state)[0] for s in run.steps[held - 1 : held + 1]]
         points = [X.translation for X in task.grasp.T_object_tool]
         speed = max(float(np.linalg.norm(poses[1].act(p) - poses[0].act(p))) for p in points) / DT
         expected = 1e3 * speed * (0.5 * to_stop + 5.0 * DT)
@@ -453,7 +456,7 @@ def test_an_arm_that_stands_and_goes_on(tasks: list[Scenario], catalogue: Any, c
     assert faults < cases / 2
     name = "an arm that stands for 0.1 to 2 s and goes on: held after it"
     note = f"{faults} of them were 20 mm apart before they had braked: a fault"
-    catalogue.row("I4", name, cases=cases, measured=longest * DT, target=1.0, unit="s", note=note)
+    catalogue.row("I4", name, cases=cases, measured=longest * DT, target=0.4, unit="s", note=note)
 
 
 @pytest.mark.slow

@@ -410,8 +410,9 @@ def test_accepted_options_of_forces_never_make_a_step_fail(catalogue: Any) -> No
         made = answer(lambda: ForceController(inner, ForceOptions(**{**usual, **changed})))
         if made is None:
             return
+        if is_refused(lambda: made.reset(task.q_start)):
+            return
         tried.accepted += 1
-        made.reset(task.q_start)
         monitor = Monitor(task.cell, task.grasp, tolerances=LIMITS_ONLY)
         normal, q, steps = np.random.default_rng(rng.randrange(10)).standard_normal, task.q_start, []
         for _ in range(60):

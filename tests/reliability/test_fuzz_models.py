@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from random import Random
@@ -91,9 +92,25 @@ def tool_by_hand(joints: tuple[Joint, ...], x: Any) -> pin.SE3:
 
 def drawn(cell: RobotCell, rng: np.random.Generator, inside: float = 0.9) -> Any:
     """Positions (nv,) well inside the limits; between −2 and 2 without limits."""
-    low, high = np.maximum(cell.limits.lower, -2.0), np.minimum(cell.limits.upper, 2.0)
+    lower, upper = cell.limits.lower, cell.limits.upper
+    low = np.maximum(lower, np.minimum(-2.0, upper - 4.0))  # limits may lie beyond ±2
+    high = np.minimum(upper, np.maximum(2.0, lower + 4.0))
+    low, high = np.where(cell.continuous, -2.0, low), np.where(cell.continuous, 2.0, high)  # these have none
     middle, half = 0.5 * (low + high), 0.5 * (high - low)
     return middle + inside * rng.uniform(-half, half)
+
+
+@pytest.mark.parametrize(
+    "limits", [(2.5, 3.0), (-9.0, -3.0), (-1.0, 1.0), (-np.inf, np.inf), (-np.inf, -5.0), (4.0, np.inf)]
+)
+def test_positions_are_drawn_inside_any_limits(
+    limits: tuple[float, float], make_cell: Callable[..., RobotCell], rng: np.random.Generator
+) -> None:
+    cell = make_cell(["rx90l"]).with_limits(lower=limits[0], upper=limits[1])
+    x = np.array([drawn(cell, rng) for _ in range(20)])
+    assert (x > limits[0]).all()
+    assert (x < limits[1]).all()
+    assert np.ptp(x) > 0.1
 
 
 def check_cell(arm: Arm, arms: int, rng: np.random.Generator) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
 from typing import Any
 
 import numpy as np
@@ -76,12 +77,14 @@ def moving(first: list[ControlStep], steps: list[ControlStep]) -> list[ControlSt
 @pytest.mark.slow
 @pytest.mark.parametrize("kernel", KERNELS)
 def test_the_worlds_origin_is_somewhere_else(kernel: str, catalogue: Any, count: Any) -> None:
+    """The definition takes a hundred times as long: each of its cases stands at one of the distances in turn."""
     rng = np.random.default_rng(0)
     makes = (
         paper_lift, dual_arm7, mixed_cell, lambda: at_limit(direction=(0.1, 0.05, 1.0)),
         lambda: at_singularity("elbow"), lambda: at_singularity(miss=0.1),
     )  # fmt: skip
     largest = {10.0: 0.0, 1e3: 0.0, 1e4: 0.0}
+    turns = itertools.cycle(largest)
     other, cases, close = 0, 0, 0.0
     for make in makes:
         for acceleration in (np.inf, 10.0):
@@ -89,7 +92,7 @@ def test_the_worlds_origin_is_somewhere_else(kernel: str, catalogue: Any, count:
             task = dataclasses.replace(task, cell=task.cell.with_limits(acceleration=acceleration))
             for how in ({}, {"noise": 1e-4}, {"shortcut": False}, {"override": True}):
                 here = run(task, kernel, **how)
-                for distance in largest:
+                for distance in (next(turns),) if kernel == "plain" else tuple(largest):
                     for _ in range(count(1)):
                         way = rng.standard_normal(3)
                         turn = pin.exp3(rng.uniform(-2.0, 2.0, 3))
@@ -129,5 +132,5 @@ def test_the_arms_are_far_from_each_other(kernel: str, catalogue: Any) -> None:
     name = f"arms 10 m to 1 km from each other, {kernel}"
     note = f"at the grasps they part by {1e3 * parted:.1e} mm"
     what = f"{name}: other joint velocities"
-    catalogue.row("I6", what, cases=cases, measured=worst, target=1e-6, unit="rad/s", note=note)
+    catalogue.row("I6", what, cases=cases, measured=worst, target=5e-9, unit="rad/s", note=note)
     catalogue.row("I6", f"{name}: another status, or another cause", cases=cases, measured=other, target=0)

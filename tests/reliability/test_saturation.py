@@ -58,7 +58,8 @@ SATURATING: dict[str, tuple[Callable[[], tuple[Scenario, Any]], dict[str, Any]]]
         lambda: (limited(five_joint_pair(duration=0.5, time_law="linear"), velocity=0.5, acceleration=5.0), None),
         {},
     ),
-    "singular": (lambda: (at_singularity("elbow", 1, acceleration=5.0), None), {"preview": None}),
+    # Past the pole joints turn with their whole acceleration; ahead of it, and of an elbow, all arms brake more gently.
+    "singular": (lambda: (at_singularity("wrist", 1, miss=0.05, speed=0.6, acceleration=5.0), None), {"preview": None}),
     "outside": (outside, {}),
 }
 
@@ -69,7 +70,7 @@ def test_limits_hold_after_clipping(count: Callable[[int], int], catalogue: Any)
     worst, solvers, steps = np.zeros(3), available_solvers(), 0
     for solver, (name, (build, options)) in itertools.product(solvers, SATURATING.items()):
         task, goal = build()
-        start = int(1.2 / task.dt) if name == "singular" else 0
+        start = int(1.6 / task.dt) if name == "singular" else 0
         runs = [
             saturated(cooperative(task, solver=solver, shortcut=shortcut, **options), task, start, count(120), goal)
             for shortcut in (True, False)  # False: a QP at every step
@@ -80,7 +81,7 @@ def test_limits_hold_after_clipping(count: Callable[[int], int], catalogue: Any)
         worst = np.maximum(worst, np.max([r.excess for r in runs], axis=0))
         steps += sum(r.steps for r in runs)
     for kind, excess, target, unit in zip(
-        ("position", "velocity", "acceleration"), worst, (1e-9, 1e-9, 1e-6), ("rad", "rad/s", ""), strict=True
+        ("position", "velocity", "acceleration"), worst, (1e-12, 1e-12, 1e-12), ("rad", "rad/s", ""), strict=True
     ):
         name = f"{kind} excess, {', '.join(solvers)}"
         catalogue.row("A2", name, cases=steps, measured=excess, target=target, unit=unit)
@@ -106,7 +107,7 @@ def sharing(catalogue: Any, what: str, found: list[Sharing], note: str = "") -> 
     steps = sum(s.steps for s in found)
     spread, angle = max(s.spread for s in found), max(s.angle for s in found)
     catalogue.row("A9", f"{what}: spread of path rate", cases=steps, measured=spread, target=1e-6, note=note)
-    catalogue.row("A9", f"{what}: direction of the object", cases=steps, measured=angle, target=1.0, unit="°")
+    catalogue.row("A9", f"{what}: direction of the object", cases=steps, measured=angle, target=0.04, unit="°")
 
 
 @pytest.mark.slow
@@ -135,4 +136,4 @@ def test_random_paths_too_fast(
     sharing(catalogue, f"random paths, {limit} limited", found, note)
     chain = max(s.chain_mm for s in single)
     name = f"random paths, {limit} limited, one linearisation: chain error"
-    catalogue.row("A9", name, cases=sum(s.steps for s in single), measured=chain, target=1e-3, unit="mm")
+    catalogue.row("A9", name, cases=sum(s.steps for s in single), measured=chain, target=3e-4, unit="mm")

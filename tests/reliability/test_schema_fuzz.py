@@ -99,10 +99,11 @@ NONSENSE: tuple[Any, ...] = (
 )
 #: Values of a size that the schema accepts somewhere: these reach the models, the kinematics and the controller.
 PLAUSIBLE: tuple[Any, ...] = (
-    1e-6, 1e-3, 0.01, 0.5, 1.0, 2, 3, 20.0, 90.0, 1e3, 1e4, 1e6, -0.5, -90.0, True, False, "a", "tool", "link_3",
-    "auto", "daqp", "full", "midpoint", [0.1] * 3, [0.5] * 5, [-1e4] * 3, [90.0] * 5, [1e6] * 5, [1e-3] * 2,
-    {"joint_2": 0.3}, {"joint_5": 90.0, "joint_4": 1e6}, {"a": [0.0, 10.0, 115.0, -35.0, 0.0]}, {"a": [1e6] * 5},
-    {"xyz_m": [0.5, 0.1, 0.3], "rpy_deg": [10.0, 20.0, 30.0]}, [{}, {"rpy_deg": [0.0, 0.0, 180.0]}], [0.5, 2.0],
+    1e-6, 1e-3, 0.002, 0.01, 0.05, 0.1, 0.5, 1.0, 2, 3, 5.0, 20.0, 90.0, 1e3, 1e4, 1e6, -0.5, -90.0, True, False, "a",
+    "tool", "link_3", "auto", "daqp", "full", "midpoint", [0.1] * 3, [0.5] * 5, [-1e4] * 3, [90.0] * 5, [1e6] * 5,
+    [1e-3] * 2, {"joint_2": 0.3}, {"joint_5": 90.0, "joint_4": 1e6}, {"a": [0.0, 10.0, 115.0, -35.0, 0.0]},
+    {"a": [1e6] * 5}, {"xyz_m": [0.5, 0.1, 0.3], "rpy_deg": [10.0, 20.0, 30.0]}, [{}, {"rpy_deg": [0.0, 0.0, 180.0]}],
+    [0.5, 2.0],
 )  # fmt: skip
 #: Words of Python that a user of files must not be told.
 PYTHON = re.compile(
@@ -178,7 +179,7 @@ def files(rng: np.random.Generator, part: int, number: int) -> Iterator[tuple[di
             if path[0] == name or rng.uniform() < 0.2:
                 choice = wanted or variants
                 data[name] = copy.deepcopy(choice[int(rng.integers(len(choice)))])
-        values = PLAUSIBLE if rng.uniform() < 0.3 else NONSENSE
+        values = PLAUSIBLE if rng.uniform() < 0.45 else NONSENSE
         put(data, path, copy.deepcopy(values[(7 * (i % len(places)) + turn) % len(values)]))
         for _ in range(int(rng.integers(0, 3)) if rng.uniform() < 0.3 else 0):
             other = places[int(rng.integers(len(places)))]

@@ -121,7 +121,7 @@ def test_the_arms_stay_together(failures: list[tuple[bool, Failure]], catalogue:
         "solver fails: growth of the chain error",
         cases=len(failures),
         measured=np.max([f.chain_mm for _, f in failures]),
-        target=0.1,
+        target=6e-4,
         unit="mm",
     )
 

@@ -10,7 +10,7 @@ import pytest
 from checks import DRIVES, box_stops, controller_overshoot, cooperative
 
 STEPS = (0.001, 0.002, 0.01)  # [s]
-OVERSHOOT = 1e-6  # [rad]
+OVERSHOOT = 1e-12  # [rad]
 
 
 @pytest.mark.slow

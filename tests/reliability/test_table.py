@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib.util
 import json
 import os
+import re
 import subprocess
 import sys
 from collections.abc import Callable
@@ -12,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from catalogue import FAR
 
 
 @pytest.fixture(name="table")
@@ -76,3 +78,25 @@ def test_lines_of_every_worker_arrive(tmp_path: Path) -> None:
     rows = json.loads(file.read_text(encoding="utf-8"))
     assert [r["test"] for r in rows] == [f"line {i}" for i in range(8)]
     assert {r["note"] for r in rows} == {"gw0", "gw1"}
+
+
+def far_rows(page: str) -> list[str]:
+    """Lines of the page's table whose target is far above what was measured, and that do not say why."""
+    lines = [line.strip("| ").split(" | ") for line in page.splitlines() if re.match(r"\| [A-I]\d* \| ", line)]
+    measured, target = ([float(cells[k].split()[0]) for cells in lines] for k in (3, 4))
+    return [
+        cells[1]
+        for cells, m, t in zip(lines, measured, target, strict=True)
+        if t > FAR * m and "target: " not in " | ".join(cells[5:])
+    ]
+
+
+def test_a_target_far_above_what_was_measured_has_a_reason(table: Any) -> None:
+    """A target that any code meets shows nothing."""
+    text = table.PAGE.read_text(encoding="utf-8")
+    assert len(re.findall(r"^\| [A-I]\d* \| ", text, re.MULTILINE)) > 200
+    assert far_rows(text) == []
+    assert far_rows("| A1 | t | 3 | 0.1 mm | 1.1 mm |  |\n| A1 | u | 3 | 0.1 mm | 1 mm |  |\n") == ["t"]
+    line = {"row": "D", "test": "t", "cases": 1, "measured": 1e-9, "target": 1.0, "unit": "", "note": ""}
+    assert far_rows(table.table([line])) == []
+    assert far_rows(table.table([{**line, "row": "A1"}])) == ["t"]

@@ -47,11 +47,11 @@ def test_targets_are_chased_on_the_path(
     def row(test: str, measured: float, target: float, unit: str = "") -> None:
         catalogue.row("I2", f"{name}: {test}", cases=steps, measured=measured, target=target, unit=unit)
 
-    row("chain error", max(r.apart for r in runs) / MM, 0.01, "mm")
+    row("chain error", max(r.apart for r in runs) / MM, 0.004, "mm")
     row("off the path", max(r.off for r in runs) / MM, 0.01, "mm")
     row("changes of velocity beyond a·dt or v/8", sum(r.flips for r in runs), 0)
     row("stops without a name", sum(r.nameless for r in runs), 0)
-    row("swing while blocked", max(r.swing for r in runs) / MM, 0.01, "mm")
+    row("swing while blocked", max(r.swing for r in runs) / MM, 0.007, "mm")
     if kind == cases.IN_REACH and np.isfinite(acceleration):
         lags = np.concatenate([r.lags for r in runs])
         row("median lag behind 0.2 m/s", float(np.median(lags)) / MM, 20.0, "mm")

@@ -116,7 +116,7 @@ def test_a_standing_object_is_reported_blocked(found: tuple[bool, list[int], lis
         f"unreachable target, {'with' if limited else 'without'} acceleration limits: steps to blocked",
         cases=len(to_blocked),
         measured=max(to_blocked),
-        target=50,
+        target=10,
         unit="steps",
         note="the longest time for which the object stood (σ < 1 %) and was not said to be blocked",
     )

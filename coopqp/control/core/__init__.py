@@ -2,59 +2,26 @@
 
 from __future__ import annotations
 
-import functools
-import warnings
 from collections.abc import Callable
-from importlib import import_module
 from typing import TYPE_CHECKING
 
 from coopqp.control.constraint_set import Constraints
 from coopqp.control.core import allow_plain, relax_plain
 from coopqp.control.core.memory import NotForTheCore
 from coopqp.control.options import QPOptions
-from coopqp.control.plain import PlainLoop
-from coopqp.errors import KernelWarning, UnknownNameError
+from coopqp.errors import UnknownNameError
 from coopqp.model.cell import RobotCell
 from coopqp.model.grasp import Grasp
+from coopqp.native import available_kernels, warn_once
 from coopqp.spatial import Array
 
 if TYPE_CHECKING:
     from coopqp.control.core.compiled import CompiledLoop
+    from coopqp.control.plain import PlainLoop
 
 #: Memory, arms, wrenches (N, 6) or None, dt; and memory, arms, dt.
 Relax = Callable[[Array, int, Array | None, float], int]
 Allow = Callable[[Array, int, float], None]
-
-_MISSING = ""
-try:
-    import_module("coopqp.control.core._native")
-except ModuleNotFoundError:
-    _MISSING = "it was not built: there was no C compiler, or it failed"
-except ImportError as error:
-    _MISSING = f"it cannot be loaded ({error})"
-_KERNELS = ("plain",) if _MISSING else ("compiled", "plain")
-
-
-def available_kernels() -> tuple[str, ...]:
-    """Names of what runs a step in this installation, the fastest first."""
-    return _KERNELS
-
-
-def kernel_text() -> str:
-    """The kernel that steps run by default, and why it is not the compiled one."""
-    return _KERNELS[0] + (f" ({_MISSING})" if _MISSING else "")
-
-
-@functools.cache
-def _warn_once() -> None:
-    remedy = (
-        "Install a C compiler, then: COOPQP_REQUIRE_KERNEL=1 pip install --force-reinstall --no-binary coopqp coopqp"
-    )
-    warnings.warn(
-        f"coopqp runs without its compiled kernel, about a hundred times slower: {_MISSING}. {remedy}",
-        KernelWarning,
-        stacklevel=4,
-    )
 
 
 def make_loop(
@@ -68,9 +35,13 @@ def make_loop(
     Warns:
         KernelWarning: there is no compiled kernel, and none was asked for by name.
     """
-    if options.kernel != "auto" and options.kernel not in _KERNELS:
-        raise UnknownNameError("kernel", options.kernel, _KERNELS)
-    if "compiled" in _KERNELS and options.kernel != "plain":
+    # Both loops use the layout of this package: they are imported here, so that either may be imported first.
+    from coopqp.control.plain import PlainLoop
+
+    kernels = available_kernels()
+    if options.kernel != "auto" and options.kernel not in kernels:
+        raise UnknownNameError("kernel", options.kernel, kernels)
+    if "compiled" in kernels and options.kernel != "plain":
         from coopqp.control.core.compiled import CompiledLoop
 
         try:
@@ -78,7 +49,7 @@ def make_loop(
         except NotForTheCore:
             pass
     elif options.kernel == "auto":
-        _warn_once()
+        warn_once()
     return PlainLoop(cell, grasp, dt=dt, options=options, constraints=constraints)
 
 
@@ -91,4 +62,4 @@ def minding_of(kernel: str) -> tuple[Relax, Allow]:
     return _native.relax, _native.allow
 
 
-__all__ = ["available_kernels", "kernel_text", "make_loop", "minding_of"]
+__all__ = ["make_loop", "minding_of"]

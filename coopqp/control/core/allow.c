@@ -41,9 +41,12 @@ static void press_harder(int arms, const Minding *f, double needed, double dt) {
     for (int i = 0; i < 6 * arms; i++) f->target[i] = m[PRESSED_WITH] / m[SQUEEZE] * f->squeezed[i];
 }
 
-/* Let the rate that forces allow come closer to `cap`. */
+/* Let the rate that forces allow come closer to `cap`: it falls in proportion to itself, as braking makes forces of its own, and
+ * rises the less, the more is felt, and the stiffer the servos are. */
 static void ease_cap(double *m, double cap, double dt) {
-    m[FORCE_CAP] = minimum(maximum(cap, m[FORCE_CAP] - dt / RATE_FALLS), m[FORCE_CAP] + dt / RATE_RISES);
+    const double falls = maximum(m[FORCE_CAP], SLOW_RATE) / RATE_FALLS;
+    const double calm = maximum(1.0 - m[SIZE] / m[FORCE_SLOWS], LEAST_CALM) / sqrt(maximum(m[STIFFER], 1.0));
+    m[FORCE_CAP] = minimum(maximum(cap, m[FORCE_CAP] - falls * dt), m[FORCE_CAP] + calm * dt / RATE_RISES);
 }
 
 /* Whether friction is what slows the object. */
@@ -67,6 +70,7 @@ static void allow(int arms, double *memory, double dt) {
     if (m[SENSOR_FAULT] != SENSORS_FINE) why = BY_SENSOR;
     else if (m[SATURATED] != 0.0 && m[SIZE] > m[FORCE_SLOWS]) why = BY_REACH;
     else if (m[STAGE] != MOVING) why = BY_STAGE;
+    else if (m[TOUCHES] != 0.0) why = BY_CONTACT;
     m[WHY] = why, m[ALLOWED] = 0.0;
     if (why != NOTHING_MORE) return;
     if (m[HAS_PALMS] != 0.0 && friction_slows(arms, &f, dt)) {

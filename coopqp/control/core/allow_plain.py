@@ -10,10 +10,13 @@ from coopqp.control.core import layout
 from coopqp.control.core.relax_plain import AT, MOVING, SENSORS_FINE, minding_views
 from coopqp.spatial import Array
 
-NOTHING_MORE, BY_SENSOR, BY_REACH, BY_STAGE, BY_FRICTION, BY_FORCE = range(len(layout.WHYS))
-_FALLS, _RISES, _FRICTION_SLOWS, _SPARE, _FIRMER = (
-    layout.CONSTANTS[name] for name in ("RATE_FALLS", "RATE_RISES", "FRICTION_SLOWS", "SPARE_SQUEEZE", "FIRMER")
-)
+NOTHING_MORE, BY_SENSOR, BY_REACH, BY_STAGE, BY_FRICTION, BY_FORCE, BY_CONTACT = range(len(layout.WHYS))
+_FALLS, _SLOW, _RISES, _LEAST_CALM, _FRICTION_SLOWS, _SPARE, _FIRMER = (
+    layout.CONSTANTS[name]
+    for name in (
+        "RATE_FALLS", "SLOW_RATE", "RATE_RISES", "LEAST_CALM", "FRICTION_SLOWS", "SPARE_SQUEEZE", "FIRMER",
+    )
+)  # fmt: skip
 
 
 def allow(memory: Array, arms: int, dt: float, /) -> None:
@@ -27,6 +30,8 @@ def allow(memory: Array, arms: int, dt: float, /) -> None:
         why = BY_REACH
     elif m[AT["STAGE"]] != MOVING:
         why = BY_STAGE
+    elif m[AT["TOUCHES"]]:
+        why = BY_CONTACT
     m[AT["WHY"]] = why
     if why != NOTHING_MORE:
         return
@@ -40,9 +45,15 @@ def allow(memory: Array, arms: int, dt: float, /) -> None:
 
 
 def _ease_cap(m: Array, cap: float, dt: float) -> None:
-    """Let the rate that forces allow come closer to ``cap``."""
-    at = AT["FORCE_CAP"]
-    m[at] = min(max(cap, m[at] - dt / _FALLS), m[at] + dt / _RISES)
+    """Let the rate that forces allow come closer to ``cap``.
+
+    It falls in proportion to itself, as braking makes forces of its own, and rises the less, the more is felt, and the
+    stiffer the servos are.
+    """
+    now = m[AT["FORCE_CAP"]]
+    falls = max(now, _SLOW) / _FALLS
+    calm = max(1.0 - m[AT["SIZE"]] / m[AT["FORCE_SLOWS"]], _LEAST_CALM) / math.sqrt(max(m[AT["STIFFER"]], 1.0))
+    m[AT["FORCE_CAP"]] = min(max(cap, now - falls * dt), now + calm * dt / _RISES)
 
 
 def _friction_slows(m: Array, x: dict[str, Array], dt: float) -> bool:

@@ -22,7 +22,7 @@ static void common_error(const Core *c, const double *errors, double *common) {
 }
 
 /* Shrink n corrections by one common factor to the bounds of speed and spin. */
-static void bound(const Core *c, double *twists, int n) {
+static double bound(const Core *c, double *twists, int n) {
     double linear = 0.0, angular = 0.0;
     for (int k = 0; k < n; k++) {
         linear = fmax(linear, dot3(twists + 6 * k, twists + 6 * k));
@@ -31,22 +31,39 @@ static void bound(const Core *c, double *twists, int n) {
     const double excess =
         fmax(sqrt(linear) / c->options[CORRECTION_SPEED], sqrt(angular) / c->options[CORRECTION_SPIN]);
     for (int i = 0; excess > 1.0 && i < 6 * n; i++) twists[i] /= excess;
+    return maximum(excess, 1.0);
 }
 
-/* c_k, c_p, and b_k: the error of the last linearisation. Gains take away no more than the whole error in a step. */
+/* What the grasps were asked to shift since the step before, of which the errors foreseen did not know; or NULL. */
+static const double *asked_to_shift(const Core *c) {
+    return c->loop[HAS_PREDICTED] != 0.0 && c->loop[SHIFT_ASKED] != 0.0 ? c->asked_shift : NULL;
+}
+
+/* c_k, c_p, and b_k: the error of the last linearisation; beyond what that step foresaw it is left over. Gains take away
+ * no more than the whole error in a step. What was asked of the grasps is no error: it is made up for in this step. */
 static void corrections(Core *c, double h) {
     const double grasp_gain = fmin(c->options[GRASP_GAIN], 1.0 / h), path_gain = fmin(c->options[PATH_GAIN], 1.0 / h);
     const double *seen = c->proposal[HAS_MEASURED] != 0.0 ? c->measured : c->common;
+    const double *asked = asked_to_shift(c);
     const int predicted = c->loop[HAS_PREDICTED] != 0.0;
+    double common_shift[6];
     common_error(c, c->errors, c->common);
+    if (asked) common_error(c, asked, common_shift);
     for (int k = 0; k < c->arms; k++)
         for (int i = 0; i < 6; i++) {
             double e = c->errors[6 * k + i];
             c->grasp[6 * k + i] = -grasp_gain * (e - c->common[i]);
-            c->offsets[6 * k + i] = predicted ? (c->predicted[6 * k + i] - e) / c->loop[LAST_DT] : 0.0;
+            if (asked) {
+                e += asked[6 * k + i];
+                c->grasp[6 * k + i] -= grasp_gain * (asked[6 * k + i] - common_shift[i]);
+            }
+            const double shift = asked ? asked[6 * k + i] / h : 0.0;
+            c->foresees[6 * k + i] = predicted ? (c->predicted[6 * k + i] - e) / c->loop[LAST_DT] : 0.0;
+            c->offsets[6 * k + i] = c->foresees[6 * k + i] + shift;
+            c->left_over[6 * k + i] = predicted ? c->offsets[6 * k + i] - c->foreseen[6 * k + i] : 0.0;
         }
     for (int i = 0; i < 6; i++) c->path[i] = -path_gain * seen[i];
-    bound(c, c->grasp, c->arms);
+    c->proposal[CLOSES] = h * grasp_gain / bound(c, c->grasp, c->arms);
     bound(c, c->path, 1);
 }
 

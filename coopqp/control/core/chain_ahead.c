@@ -33,6 +33,26 @@ static int evade(Core *c, const double *positions, double *slope) {
     return 1;
 }
 
+/* Velocities wished for in the null-space at a clock: along the motion of the elbows that follows the path's numbers. */
+static void elbow_velocity(Core *c, double clock, const double *positions, double *v) {
+    const double *numbers = c->path_numbers, *t = numbers + 3 + (int)numbers[1] + SEGMENT * (int)numbers[2];
+    const int knots = (int)c->options[ELBOWS], nv = c->joints;
+    int i = 0;
+    for (int n = knots - 1; n > 1;) { /* the last knot not after the clock, but the end of no piece */
+        const int half = n / 2;
+        if (t[i + half] <= clock) i += half, n -= half;
+        else n = half;
+    }
+    const double h = t[i + 1] - t[i], u = minimum(maximum((clock - t[i]) / h, 0.0), 1.0);
+    const double *x = t + knots + i * nv, *s = x + knots * nv;
+    for (int j = 0; j < nv; j++) {
+        const double way = x[nv + j] - x[j], a = s[j], b = s[nv + j];
+        const double bend = 3.0 * way - h * (2.0 * a + b), twist = h * (a + b) - 2.0 * way;
+        const double at = x[j] + u * (h * a + u * (bend + u * twist));
+        v[j] = a + u * (2.0 * bend + 3.0 * u * twist) / h + ELBOW_GAIN * wrapped(c, j, at - positions[j]);
+    }
+}
+
 /* Newton's step from `positions` to the pose at `clock`, and q′ there; where the twist jumps, that before it. */
 static Trial newton_step(Core *c, double clock, double before, const double *positions, double *step, double *slope) {
     const Sketch s = sketch_of(c);
@@ -44,10 +64,11 @@ static Trial newton_step(Core *c, double clock, double before, const double *pos
     twists_back(c, R, s.errors, s.w);
     rotate(R, twist, along);
     rotate(R, twist + 3, along + 3);
-    if (c->redundant) posture_velocity(c, positions, s.wish);
+    if (c->redundant && c->options[ELBOWS] > 0.0) elbow_velocity(c, clock, positions, s.wish);
+    else if (c->redundant) posture_velocity(c, positions, s.wish);
     if (!two_velocities(c, s.jacobian, s.w, along, NULL, c->redundant ? s.wish : NULL, step, slope)) return REJECTED;
     if (c->redundant && !evade(c, positions, slope)) return CANNOT_SAY;
-    for (int k = 0; c->redundant && k < c->arms; k++)
+    for (int k = 0; c->redundant && !(c->options[ELBOWS] > 0.0) && k < c->arms; k++)
         if (c->arm_size[k] > 6.0) lead_away(c, k, s.jacobian, positions, slope);
     for (int j = 0; j < c->joints; j++) size += step[j] * step[j] + slope[j] * slope[j];
     return size < INFINITY ? FOUND : REJECTED;
@@ -114,22 +135,23 @@ static void find_edges(const Core *c, int i) {
     double *edges = edges_of(c, i);
     for (int k = 0; k < c->arms; k++) {
         const int start = (int)c->arm_start[k], end = start + (int)c->arm_size[k];
-        if (!(c->least_pivot[k] > FAR_PIVOT)) find_edge(c, k, sketch_of(c).jacobian, edges);
-        for (int j = start; c->least_pivot[k] > FAR_PIVOT && j < end; j++) edges[j] = FAR_EDGE;
+        const int far = c->least_pivot[k] > FAR_PIVOT && c->options[ROOM] <= FAR_ROOM;
+        if (!far) find_edge(c, k, sketch_of(c).jacobian, edges);
+        for (int j = start; far && j < end; j++) edges[j] = FAR_EDGE;
     }
 }
 
-/* How long the joints of arm k, at their accelerations, would take to the end of its reach [s²]. */
+/* The way of arm k to the end of its reach, as a multiple of what its joints need. */
 static double room_of(const Core *c, int k, const double *edges) {
     const int start = (int)c->arm_start[k], end = start + (int)c->arm_size[k];
     double room = 0.0;
-    for (int j = start; j < end; j++) room = maximum(room, fabs(edges[j]) / c->plan_acceleration[j]);
+    for (int j = start; j < end; j++) room = maximum(room, fabs(edges[j]) / c->plan_room[j]);
     return room;
 }
 
 /* The arm that is at the end of its reach at knot i, or −1. */
 static int stretched_arm(const Core *c, int i) {
-    double least = 2.0 * c->options[ROOM];
+    double least = 2.0;
     int arm = -1;
     for (int k = 0; k < c->arms; k++) {
         const double room = room_of(c, k, edges_of(c, i));
@@ -145,7 +167,7 @@ static int ends_reach(const Core *c, int last, int made) {
         const int start = (int)c->arm_start[k], n = (int)c->arm_size[k];
         const double room = room_of(c, k, now);
         double product = 0.0;
-        if (room < c->options[ROOM] && room < room_of(c, k, then)) return 1;
+        if (room < 1.0 && room < room_of(c, k, then)) return 1;
         for (int j = start; j < start + n; j++) product += now[j] * then[j];
         if (product < 0.0 && largest_size(now + start, n) < near && largest_size(then + start, n) < near) return 1;
     }

@@ -15,13 +15,14 @@ import numpy as np
 import pinocchio as pin
 
 import coopqp.control.core._native as native
+from coopqp.control.cause import Cause
 from coopqp.control.command import ControlStep, SolverReport, Status, amend
 from coopqp.control.constraint_set import Constraints
-from coopqp.control.constraints import ConstraintTrouble, Knot, no_rows
+from coopqp.control.constraints import ConstraintTrouble, Rows, no_rows
 from coopqp.control.core import layout
 from coopqp.control.core.memory import Memory, NotForTheCore, build_memory, put_options, same_kinematics
 from coopqp.control.limits import VelocityBox
-from coopqp.control.linearised import LinearisedAnswer, LinearisedStep, StepInput
+from coopqp.control.linearised import LinearisedAnswer, LinearisedStep, StepInput, is_long
 from coopqp.control.options import QPOptions
 from coopqp.control.plain import MOST_TIGHTENINGS
 from coopqp.control.ranks import StepSolver
@@ -32,6 +33,7 @@ from coopqp.model.cell import RobotCell
 from coopqp.model.chain import Chain
 from coopqp.model.grasp import Grasp
 from coopqp.model.state import CellState
+from coopqp.planning.rate_bounds import Knot
 from coopqp.spatial import Array
 from coopqp.task.guarded import GuardedPath, is_known
 from coopqp.task.path import ObjectPath
@@ -89,6 +91,7 @@ class CompiledLoop:
         at["options"][layout.OPTIONS.index("OWN_SOLVER")] = self.solver.name == "ldp"
         self._certified = constraints.certified
         at["options"][layout.OPTIONS.index("CERTIFIED")] = self._certified is not None
+        at["options"][layout.OPTIONS.index("LEAVES_PATH")] = constraints.gives_way
         at["loop"][_LOOP["OVERRIDDEN"]] = at["loop"][_LOOP["EASE"]] = 1.0
         self._core = _make_core(self._memory, arithmetic)
         if not same_kinematics(chain, self._core.linearise):
@@ -98,18 +101,22 @@ class CompiledLoop:
         self._no_rows = no_rows(cell.nv)
         self._nan = np.full(cell.nq, math.nan)
         self._further = self._no_rows
+        self._doubtful: Callable[[int], list[int] | None] | None = None
         if constraints:
             self._core.bind_knots(self._bound_knot)
         if self._certified is not None:
             rows = self._certified.in_memory(self._memory.of_rows())
-            if rows is not None:
+            ahead = None if rows is None else self._certified.in_memory(self._memory.of_rows(), ahead=True)
+            if rows is not None and ahead is not None:
+                self._doubtful = ahead.doubtful
                 self._core.bind_rows(rows.rows, rows.tightened)
-        if constraints.evades:
-            self._core.bind_evasion(self._evade)
+                self._core.bind_surveys(rows.surveys, ahead.surveys)
         self.step = self._core.step
         self.hold, self.release = self._core.hold, self._core.release
+        self.steps_here, self.steps_elsewhere = self._core.steps_here, self._core.steps_elsewhere
         #: Faults of this step in words, by the code of the reason; for faults that numbers do not describe.
         self._said: dict[int, str] = {}
+        self._held_by = Cause.INPUT
 
     # -- starting --------------------------------------------------------------------------------------------------
 
@@ -118,6 +125,9 @@ class CompiledLoop:
         self.path = path
         self._guarded = GuardedPath(path)
         put_options(self._memory, self._chain, self._box, self.options.on(self._guarded.planned_share), self.dt)
+        elbows = self._guarded.elbows
+        self.at["options"][layout.OPTIONS.index("ELBOWS")] = 0 if elbows is None else len(elbows.clocks)
+        self._core.bind_evasion(self._evade if self.constraints.evades and not self._guarded.keeps_clear else None)
         self._reader = RecordReader(
             self.cell, self.grasp, path, solver=self.solver.name, constraints=self.constraints,
             dt=self.dt, supervision=self.options.supervision,
@@ -133,12 +143,19 @@ class CompiledLoop:
         if numbers is None:
             breakpoints, own = path.breakpoints(), self._ask_path
             numbers = np.array([duration, len(breakpoints), 0.0, *breakpoints])
-        self._core.set_path(numbers, own, self._pose_out, duration, looks_ahead)
+        if path.elbows is not None:
+            numbers = np.concatenate([numbers, path.elbows.packed()])
+        self._core.set_path(numbers, own, self._pose_out, duration, looks_ahead, not is_known(self.path))
 
     def take_shift(self, shift: Array) -> Callable[[], bool]:
         """Returns a function that reads ``shift`` (N, 6) and moves the grasps; it returns False if not finite."""
         self._shift = shift
         return functools.partial(self._core.shift_grasp, self._places, shift)
+
+    @property
+    def reference(self) -> pin.SE3:
+        """Where the last step has asked for the object."""
+        return pin.SE3(self.at["R"].reshape(3, 3), self.at["p"])
 
     def take_minding(self, memory: Array, tell: Callable[[ControlStep], None]) -> Callable[..., Any] | None:
         """The core's step with wrenches: see :meth:`coopqp.QPController.take_minding`."""
@@ -179,7 +196,7 @@ class CompiledLoop:
         loop = self.at["loop"]
         kept = loop.copy()
         if rate is not None:
-            kept[_LOOP["RATE"]] = rate
+            kept[_LOOP["RATE"]], kept[_LOOP["RATE_SLOPE"]] = rate, 0.0
         self.take_path()
         self._core.start_path(kept[_LOOP["CLOCK"]], kept[_LOOP["RATE"]])
         kept[_LOOP["QUIET_AHEAD"]] = loop[_LOOP["QUIET_AHEAD"]]
@@ -187,7 +204,7 @@ class CompiledLoop:
 
     def go_over(self, path: ServoPath, goal: pin.SE3, full: float) -> bool | None:
         """Take the way to a new target as :class:`coopqp.QPController` does; None where the definition has to say."""
-        if self.constraints:
+        if self.constraints or self._guarded.elbows is not None:  # which the core's own numbers lack
             return None
         numbers = np.empty(4 + layout.SEGMENT)
         target = np.concatenate([goal.rotation.ravel(), goal.translation])
@@ -266,6 +283,9 @@ class CompiledLoop:
 
         A constraint that fails makes the cap NaN.
         """
+        doubtful = None if self._doubtful is None else self._doubtful(slot)
+        if doubtful is not None and not doubtful:
+            return True
         at, nv, n = self.at, self.cell.nv, len(layout.KNOT)
         numbers, vectors = at["knots"][n * slot : n * slot + n], slice(nv * slot, nv * slot + nv)
         q = self.cell.configuration_of(at["knot_positions"][vectors])
@@ -275,8 +295,8 @@ class CompiledLoop:
         span = numbers.item(_KNOT["K_SPAN"])
         knot = Knot(numbers.item(_KNOT["K_CLOCK"]), CellState(self.cell, q), slope, curvature, span)
         try:
-            found = self.constraints.bound(knot, self.dt, share)
-            if self._certified is not None:
+            found = self.constraints.bound(knot, self.dt, share, doubtful)
+            if self._certified is not None and doubtful is None:
                 quiet = self._certified.quiet_ahead
                 at["quiet_ahead_centre"][:], at["quiet_ahead_reach"][:] = quiet.centre, quiet.reach
                 at["loop"][_LOOP["QUIET_AHEAD"]] = quiet.slack
@@ -329,6 +349,10 @@ class CompiledLoop:
             if reason and step.status is Status.OFF_PATH:  # how far it is off comes first
                 reason = f"{step.reason.partition('; ')[0]}; {reason}"
             amend(step, **({} if report is None else {"solver": report}), **({"reason": reason} if reason else {}))
+        if p[_P["REASON"]] == _CONSTRAINT_FAILED:
+            amend(step, cause=self._held_by)
+        if p[_P["BRAKED"]] and not p[_P["HOLD"]]:
+            amend(step, cause=Cause.SOLVER)
         return step
 
     def _kept(self, outcome: int) -> tuple[SolverReport | None, str]:
@@ -349,6 +373,8 @@ class CompiledLoop:
         report, reason = None, ""
         if outcome == _FILLED:
             outcome, report = self._solve()
+            if is_long(self.at["command"], self.at["guess"], self.at["proposal"].item(_P["DT"])):
+                outcome = _OPEN  # the definition linearises again, with any solver
         if outcome == _OPEN:
             report, reason = self._by_definition()
         return report, reason
@@ -372,7 +398,7 @@ class CompiledLoop:
             rows = self.constraints.rows(self.q, p.item(_P["DT"]), blind=not self._looks_ahead)
         except ConstraintTrouble as trouble:
             if p[_P["WATCH_CAP"]] > 0.0:
-                self._said[_CONSTRAINT_FAILED] = str(trouble)
+                self._said[_CONSTRAINT_FAILED], self._held_by = str(trouble), trouble.cause
                 p[_P["WATCH_CAP"]], p[_P["HOLD"]] = 0.0, 1.0
                 p[_P["REASON"]], p[_P["REASON_ARM"]] = _CONSTRAINT_FAILED, -1.0
             if trouble.rows is None:
@@ -388,13 +414,22 @@ class CompiledLoop:
             at["loop"][_QUIET] = slack
         return m
 
+    def _all_rows(self) -> Rows:
+        """The rows of the constraints, and those that brake all arms together."""
+        at, m, nv = self.at, int(self.at["proposal"][_P["ROWS"]]), self.cell.nv
+        if m == len(self._further):
+            return self._further
+        lower, upper, soft, owner = (at[f"further_{name}"][:m].copy() for name in ("lower", "upper", "soft", "owner"))
+        return Rows(at["further"][: m * nv].reshape(m, nv).copy(), lower, upper, soft, owner.astype(int))
+
     def _solve(self) -> tuple[int, SolverReport]:
         """The condensed QP that the core has filled in, by a solver of the user's choice."""
         at, p = self.at, self.at["proposal"]
-        rows, unknowns = self.cell.nv + len(self._further), self._memory.sizes["unknowns"]
+        further = self._all_rows()
+        rows, unknowns = self.cell.nv + len(further), self._memory.sizes["unknowns"]
         self._show_box()
         base, columns = at["base"][:rows], at["columns"][: rows * unknowns].reshape(rows, unknowns)
-        x, report = self.solver.solve_filled(base, columns, at["unit"], p.item(_P["CAP"]), self._further)
+        x, report = self.solver.solve_filled(base, columns, at["unit"], p.item(_P["CAP"]), further)
         if x is None:
             return _OPEN, report
         at["x"][:unknowns] = x
@@ -419,6 +454,7 @@ class CompiledLoop:
         p[_P["OUTCOME"]] = _QP
         at["errors"][:], at["grasp"][:] = given.errors.ravel(), found.terms.grasp_corrections.ravel()
         at["offsets"][:], at["path"][:] = found.terms.offsets.ravel(), found.terms.path_correction
+        at["foresees"][:] = found.foreseen.ravel()
         at["stand_in"][:] = found.stand_in if loop[_LOOP["FIRST"]] else at["velocity"]
         return found.answer.report, found.answer.reason
 
@@ -439,11 +475,16 @@ class CompiledLoop:
             along=at["along"].copy(),
             measured=at["measured"].copy() if p[_P["HAS_MEASURED"]] else None,
             predicted=predicted,
+            foreseen=0.0 if predicted is None else at["foreseen"].reshape(n, 6).copy(),
             last_dt=loop.item(_LOOP["LAST_DT"]),
+            asked=at["asked_shift"].reshape(n, 6).copy()
+            if predicted is not None and loop[_LOOP["SHIFT_ASKED"]]
+            else None,
             null_along=at["null_along"].copy(),
             null_offset=at["null_offset"].copy(),
-            further=self._further,
+            further=self._all_rows(),
             first=bool(loop[_LOOP["FIRST"]]),
+            hold=bool(p[_P["HOLD"]]),
         )
 
     def _put_answer(self, found: LinearisedAnswer) -> None:
@@ -453,7 +494,7 @@ class CompiledLoop:
         values = {
             "NEW_RATE": answer.rate, "GRASP_SHARE": answer.grasp_share, "PATH_SHARE": answer.path_share,
             "PARTING": answer.chain, "BRAKED": answer.braked, "BINDING_ROW": -1.0, "BINDINGS": len(answer.active),
-            "ITERATIONS": answer.report.iterations,
+            "ITERATIONS": answer.report.iterations, "CLOSES": found.closes, "MADE": found.makes_up,
         }  # fmt: skip
         for name, value in values.items():
             p[_P[name]] = value

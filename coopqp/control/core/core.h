@@ -7,6 +7,8 @@
  *   paths.c       pose and twist of the object's path        chain.c       errors, corrections, joint velocities
  *   limits.c      admissible velocities, rates               program.c     the condensed QP and its answer
  *   ldp.c         least-distance programs                    watch.c       supervision, drift, forces
+ *   apart.c       arms that their commands part
+ *   braking.c     rows that brake all arms together where nothing is known ahead
  *   preview.c     the path ahead of the clock, with          step.c        observe, propose, commit
  *     horizon.c     knots, and the largest rate at each        growth.c      more of them, one Newton step at a time
  *     sharing.c     programs of the accelerations              chain_ahead.c the chain at one clock
@@ -33,17 +35,22 @@ struct Core {
     FIELDS
     int arms, joints, nq, unknowns, rows, past; /* rows: further rows that fit; past: samples in `history` */
     int redundant, accelerates, looks_ahead;
-    int further_rows; /* of this step */
+    int users_path; /* the path is no one of the library: it may jump or bend where no breakpoint tells */
+    int given_rows, further_rows; /* of this step: by constraints, and with those that brake all arms together */
+    int asked;        /* how often a user's path was asked for what is ahead */
     /* The path: duration, number of breakpoints, number of segments, breakpoints, segments of 29 numbers in the order of
      * their starts. A path without segments is known to own_path. */
     const double *path_numbers;
     double duration;
+    double *minding; /* of the forces between the arms, see minding.h; NULL where nobody minds them */
     /* Calls into Python; 0 if they fail. `out` takes R (9) and p (3), or with `twist` six numbers. */
     int (*own_path)(Core *c, double clock, int twist, double *out);
     /* May lower cap and decrease of a new knot; NULL for none. `slot` is its place in the ring. */
     int (*bound_knot)(Core *c, int slot);
     /* May add self-motion to `evading_slope` at `evading_positions`; NULL for none. 0 if it fails. */
     int (*evade)(Core *c);
+    /* Does a piece of what bodies ahead ask for; NULL for none. 0 if there is nothing to do. */
+    int (*survey_ahead)(Core *c);
 };
 
 /* The core's functions, once for any processor and once for a newer one; see step.c and kinematics.c. */
@@ -56,6 +63,7 @@ typedef struct {
     int (*commit)(Core *c);
     int (*read)(Core *c, double cap);
     int (*quiet)(const Core *c);
+    void (*expect_shift)(Core *c, const double *shift);
     void (*carry)(const Core *c, const double *positions, double *carried);
     void (*linearise)(const Core *c, const double *positions, const double *about, double *carried, double *jacobian);
     int (*least_distance)(int n, int m, const double *A, const double *low, const double *high, const double *lb,

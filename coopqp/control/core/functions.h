@@ -22,8 +22,16 @@ static int path_pose(Core *c, double clock, double *R, double *p);
 static int path_twist(Core *c, double clock, double *twist);
 /* log(T(τ)⁻¹ T(τ + span)) / span; `R`, `p` is T(τ). */
 static int path_increment(Core *c, double clock, double span, const double *R, const double *p, double *twist);
-/* A clock between two others at which the twist of a user's path jumps, unsaid; NaN if it does not. */
-static double path_kink(Core *c, double before, double after);
+/* Whether the path is a user's, which Python knows. */
+static int own_path(const Core *c);
+/* Whether the pose of a user's path, or its twist, may jump between two clocks; SEEK_FROM and SEEK_TO close in on it by
+ * halves. 0 if it does not, or the path fails. */
+static int begin_seeking(Core *c, int pose, double from, double to);
+static int seeks_on(const Core *c, int pose);
+/* Keep the half in which more happens; 0 if the path fails. */
+static int go_on_seeking(Core *c, int pose);
+/* By how much it jumps before SEEK_TO; 0 if it does not. */
+static double found_by_seeking(const Core *c, int pose);
 /* First clock after this one at which the twist jumps; the end of the path at the latest. */
 static double next_breakpoint(const Core *c, double clock);
 
@@ -46,6 +54,15 @@ static int two_velocities(const Core *c, const double *jacobian, const double *w
 static void watch_sample(Core *c, const double *positions, const double *q, const double *away, double dt);
 static void watch_reset(Core *c);
 
+/* -- apart.c --------------------------------------------------------------------------------------------------------- */
+
+/* How far the commands lead the arms apart: APART, and a hold where it is too large. After the errors. */
+static void watch_chain(Core *c);
+/* Once a step is made. */
+static void chain_watched(Core *c);
+/* The grasps give way by these shifts (6 arms) from now on. */
+static void expect_shift(Core *c, const double *shift);
+
 /* -- quiet.c --------------------------------------------------------------------------------------------------------- */
 
 /* No further row binds the command, without asking for them. */
@@ -57,10 +74,11 @@ static int quiet_knot(Core *c, const double *x, const double *slope, const doubl
 
 /* -- preview.c ------------------------------------------------------------------------------------------------------- */
 
-/* Start at the commanded positions, on or near the path, and look ahead as far as a step needs. */
-static void preview_reset(Core *c, double clock);
+/* Start at the commanded positions, on or near the path, and look ahead as far as a step needs; `later`: that is left
+ * to the steps. */
+static void preview_reset(Core *c, double clock, int later);
 /* The same behind `kept` knots, which stay in the ring: a copy of AHEAD goes on with them. */
-static void preview_try(Core *c, double clock, int kept);
+static void preview_try(Core *c, double clock, int kept, int later);
 /* Largest admissible rate at `clock` for a step of dt. CAP_KIND, CAP_ARM, CAP_JOINT of the proposal say what makes it. */
 static double preview_cap(Core *c, double clock, double dt);
 /* Largest rise of the rate near `clock` by further constraints [1/s]. */

@@ -3,9 +3,12 @@
 
 #include "ahead.h"
 
+/* What growth looks for where a span was too long: a jump of a user's path, of its twist, of the path beside that. */
+enum { NOT_SEEKING, JUMPS, KINKS_OF_TWIST, BESIDE_A_KINK };
+
 /* Growth has come to a pause between two knots. */
 static void rest_growth(Core *c) {
-    c->ahead[GROWING] = c->ahead[WAY] = 0.0;
+    c->ahead[GROWING] = c->ahead[WAY] = c->ahead[SEEKING] = c->ahead[CLOSING_IN] = 0.0;
     c->ahead[BEGIN_AT] = INFINITY;
 }
 
@@ -99,24 +102,12 @@ static void aim_ahead(Core *c) {
     c->ahead[GROWING] = 1.0;
 }
 
-/* Whether a user's path jumps right after a clock; 0 where it cannot be asked. */
-static int jumps_after(Core *c, double clock) {
-    double R0[9], p0[3], R1[9], p1[3];
-    const double ahead = minimum(clock + 2.0 * c->options[SHORTEST], c->duration);
-    if (!path_pose(c, clock, R0, p0) || !path_pose(c, ahead, R1, p1)) return 0;
-    return pose_distance(R0, p0, R1, p1) > FASTEST_PATH * (ahead - clock);
-}
-
 /* The chain cannot be followed past the last known knot, or past the singularity that the way leads to. */
 static void end_growth(Core *c) {
     const int count = count_ahead(c, COUNT), way = count_ahead(c, WAY) > 0, at = way ? count : count - 1;
     const double rate = c->options[SINGULAR_RATE];
     if (!way && half_way(c, knot(c, at)) < 2.0 * c->options[SHORTEST]) {
         block_at(c, at, -1, (int)c->ahead[BEYOND] - 1, CONSTRAINT);
-        return;
-    }
-    if (!way && jumps_after(c, knot(c, at)[K_CLOCK])) {
-        block_at(c, at, -1, -1, PATH_JUMP);
         return;
     }
     const int stretched = way ? -1 : stretched_arm(c, at), arm = stretched < 0 ? singular_arm(c, at) : stretched;
@@ -167,37 +158,73 @@ static int accept_trial(Core *c) {
     return found;
 }
 
-/* Where the twist of a user's path jumps within the tried span, undeclared: a breakpoint from now on. NaN if not. */
-static double find_kink(Core *c, double clock) {
-    const double kink = path_kink(c, maximum(clock - JUST_BEFORE, 0.0), clock + c->ahead[TRY_SPAN]);
+/* A shorter span is tried. */
+static void halve_trial(Core *c) {
+    c->ahead[TRY_SPAN] *= 0.5;
+    if (!(c->ahead[TRY_SPAN] >= c->options[SHORTEST])) end_growth(c);
+}
+
+static void reject_trial(Core *c) {
+    c->ahead[ITERATION] = 0.0;
+    if (own_path(c) && c->ahead[TRY_SPAN] <= KINK_CELL && c->ahead[WAY] == 0.0)
+        c->ahead[SEEKING] = JUMPS;
+    else
+        halve_trial(c);
+}
+
+/* The path's twist jumps at a clock, undeclared: a breakpoint from now on. 0 if the path fails. */
+static int take_kink(Core *c, int last, double clock, double kink) {
     int count = count_ahead(c, KINKS);
-    if (isnan(kink)) return kink;
     if (count == MOST_KINKS) memmove(c->kinks, c->kinks + 1, sizeof(double) * (size_t)--count);
     c->kinks[count++] = kink;
     c->ahead[KINKS] = count;
-    return kink;
+    if (kink > clock + SAME_CLOCK) {
+        c->ahead[TRY_SPAN] = kink - clock;
+        return 1;
+    }
+    copy_knot(c, last, last + 1); /* the same knot again */
+    knot(c, last + 1)[K_SPAN] = 0.0;
+    return turn_corner(c, last + 1) && accept_trial(c);
 }
 
-/* A shorter span, or one that ends in a corner; 0 if the path fails. */
-static int reject_trial(Core *c) {
-    const int last = count_ahead(c, COUNT) - 1;
-    const double clock = knot(c, last)[K_CLOCK];
-    c->ahead[ITERATION] = 0.0;
-    if (c->ahead[TRY_SPAN] <= KINK_CELL && c->ahead[SOUGHT] == 0.0 && c->ahead[WAY] == 0.0) {
-        c->ahead[SOUGHT] = 1.0;
-        const double kink = find_kink(c, clock);
-        if (kink <= clock + SAME_CLOCK) { /* the same knot again */
-            copy_knot(c, last, last + 1);
-            knot(c, last + 1)[K_SPAN] = 0.0;
-            return turn_corner(c, last + 1) && accept_trial(c);
-        }
-        if (kink > clock) {
-            c->ahead[TRY_SPAN] = kink - clock;
-            return 1;
-        }
+/* The first piece of a stage of the search: 1 if it may jump there. */
+static int look_for_jump(Core *c, double clock) {
+    double *a = c->ahead;
+    switch ((int)a[SEEKING]) {
+    case JUMPS: return begin_seeking(c, 1, clock, clock + a[TRY_SPAN]);
+    case KINKS_OF_TWIST: return begin_seeking(c, 0, maximum(clock - JUST_BEFORE, 0.0), clock + a[TRY_SPAN]);
+    default: return begin_seeking(c, 1, a[KINK] - BESIDE_KINK, a[KINK] + BESIDE_KINK);
     }
-    c->ahead[TRY_SPAN] *= 0.5;
-    if (!(c->ahead[TRY_SPAN] >= c->options[SHORTEST])) end_growth(c);
+}
+
+/* A piece of the search for what made the tried span too long: a jump of the path, else one of its twist that no jump of
+ * the path makes. The span ends there, or is halved. 0 if the path fails. */
+static int seek(Core *c) {
+    double *a = c->ahead;
+    const int last = count_ahead(c, COUNT) - 1, stage = (int)a[SEEKING], pose = stage != KINKS_OF_TWIST;
+    const double clock = knot(c, last)[K_CLOCK];
+    const int may = a[CLOSING_IN] != 0.0 ? go_on_seeking(c, pose) : look_for_jump(c, clock);
+    a[CLOSING_IN] = may && seeks_on(c, pose);
+    if (a[CLOSING_IN] != 0.0) return 1;
+    const double size = may ? found_by_seeking(c, pose) : 0.0, steep_by = a[STEEP_BY];
+    if (pose && size > 0.0 && !(steep_by > 0.0)) {
+        a[SEEK_WHOLE] = a[STEEP_BY] = size, a[STEEP_AT] = a[SEEK_TO];
+        a[CLOSING_IN] = seeks_on(c, pose);
+        if (a[CLOSING_IN] != 0.0) return 1;
+    }
+    a[SEEKING] = NOT_SEEKING, a[STEEP_BY] = 0.0;
+    if (pose && may && (size > 0.0 || steep_by > 0.0)) {
+        a[JUMP_AT] = a[SEEK_TO], a[JUMP_BY] = size > 0.0 ? size : -steep_by;
+        block_at(c, last, -1, -1, PATH_JUMP);
+    } else if (stage == JUMPS && a[SOUGHT] == 0.0) {
+        a[SOUGHT] = 1.0, a[SEEKING] = KINKS_OF_TWIST;
+    } else if (stage == KINKS_OF_TWIST && size > 0.0) {
+        a[KINK] = a[SEEK_TO], a[SEEKING] = BESIDE_A_KINK;
+    } else if (stage == BESIDE_A_KINK) {
+        return take_kink(c, last, clock, a[KINK]);
+    } else {
+        halve_trial(c);
+    }
     return 1;
 }
 
@@ -215,11 +242,14 @@ static int work_ahead(Core *c) {
         end_growth(c);
         return 1;
     }
+    if (c->ahead[SEEKING] != NOT_SEEKING) {
+        if (seek(c)) return 1;
+        rest_growth(c);
+        return -1;
+    }
     switch (try_knot(c, made - 1, made, c->ahead[TRY_SPAN], (int)c->ahead[ITERATION])) {
     case PENDING: c->ahead[ITERATION] += 1.0; return 1;
-    case REJECTED:
-        if (reject_trial(c)) return 1;
-        break;
+    case REJECTED: reject_trial(c); return 1;
     case FOUND:
         if (accept_trial(c)) return 1;
         break;

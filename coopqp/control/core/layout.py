@@ -32,8 +32,27 @@ CONSTANTS: dict[str, float] = {
     "SETTLED": 1e-13,  # the first step has settled when its change of velocity moves the joints by less [rad²]
     "RATE_ROUNDING": 1e-12,  # a rate that rises by less stands still: a QP's zero has the solver's rounding
     "ARRIVING": 10.0,  # an object that comes to a stop for good counts as blocked from this many times the rate on
+    "STILL_BLOCKED": 1e-5,  # a blocked object counts as blocked until it has gone on by this way of its clock [s],
+    "STILL_SLOWED": 0.05,  # a slowed one, where nothing is known ahead, as slowed for so long at its full rate [s]
+    "RESTING_SPEED": 1e-3,  # a paused object that leaves its path faster does not rest yet [m/s],
+    "RESTING_SPIN": 1e-2,  # or by this [rad/s]
     "LARGEST_X": 1e5,  # an infeasibility has to cover unknowns of the QP up to this, in their units
-    "EXTRA_AT_START": 3,  # linearisations of the first step beyond the others
+    "EXTRA_AT_START": 3,  # linearisations of a first or long step beyond the others
+    "LONG_STEP": 0.03,  # a step that moves a joint further is linearised again [rad or m]
+    "BENT_STEP": 1e-6,  # so is one whose linearisation errs by more [rad²]
+    "LARGEST_MOVE": 0.05,  # a joint with neither velocity nor acceleration limit moves by this in a step [rad or m]
+    "HELD_SPEED": 1.0,  # a hold brakes it to this speed [rad/s or m/s],
+    "HELD_SHARE": 0.5,  # each step to this share of the speed before
+    # braking together
+    "EDGE_SHARE": 0.8,  # share of the accelerations that braking together is planned with, ahead of an edge
+    "SINGULAR_MARGIN": 0.01,  # least singular value of a tool Jacobian that arms keep
+    "BEND_SHARE": 0.4,  # share of the accelerations that the chain's bend may take
+    "APPROACH_TIME": 0.05,  # an edge is approached no faster than its room over this time [s],
+    "APPROACH_STEPS": 5.0,  # and over this many steps
+    "GIVES_WAY": 0.1,  # how far such a row gives way, per unit of a row of the rank CLEARANCE
+    "FASTEST_JOINT": 1e9,  # stands for the speed of a joint without velocity limit [rad/s or m/s]
+    "MOST_SWEEPS": 12,  # of Jacobi's rotations
+    "SMALL_ROTATION": 1e-16,  # entries this small over the trace need none
     # preview
     "STEPS_TO_FULL_SPEED": 22,  # steps in which a joint without acceleration limit is planned to reach full speed
     "PASSABLE": 0.3,  # a singularity is passed where the rate's cap stays above this share of singular_rate
@@ -43,7 +62,8 @@ CONSTANTS: dict[str, float] = {
     "STEPS_TO_EDGE": 2,  # an arm's joints would take this many steps to the end of its reach
     "BRANCH_WAY": 2.0,  # an arm this many joint steps from the end of its reach may be past it
     "FAR_EDGE": 1e3,  # the end of an arm's reach is no further than this, in units of its joints
-    "FAR_PIVOT": 0.1,  # an arm whose smallest pivot is larger is far from the end of its reach
+    "FAR_PIVOT": 0.1,  # an arm whose smallest pivot is larger is far from the end of its reach,
+    "FAR_ROOM": 0.02,  # where no joint needs more than this to there [rad or m]
     "EIGEN_ROUNDING": 1e-15,  # smallest pivot over the trace
     "EIGEN_STEPS": 3,  # of inverse iteration
     "BEND_CHANGE": 0.3,  # intervals are halved where q″ changes by more than this share of the accelerations
@@ -53,6 +73,7 @@ CONSTANTS: dict[str, float] = {
     "LIMIT_MARGIN": 0.003,  # self-motion keeps joints inside their limits by this distance [rad or m]
     "TURNING_WAY": 0.02,  # within this way before they turn away [rad or m]
     "LEADS": 1e-4,  # a joint that its arm's self-motion moves by a smaller share cannot be led away
+    "ELBOW_GAIN": 5.0,  # redundant arms come nearer to a given motion by this share per second of the clock [1/s]
     "MOST_GUESSES": 44,  # guesses of the largest rate
     "SHORT_OF": 1e-14,  # share by which they stay below a line's
     "SHORTER": 4.0,  # that share grows by this factor after a guess that was too large
@@ -61,11 +82,20 @@ CONSTANTS: dict[str, float] = {
     "STEPS_TO_GROW": 8,  # a knot is begun this many steps before it is needed
     "NEWTON_STEPS_AT_START": 1000,  # Newton steps that a reset may take
     "LONGEST_WAY": 300,  # knots of a way past a singularity
-    "KINK_CELL": 2e-3,  # where an interval this short is too long, the twist of a user's path may jump [s]
+    "KINK_CELL": 2e-3,  # where an interval this short is too long, a user's path or its twist may jump [s]
     "SAME_CLOCK": 1e-9,  # clocks this close to each other are the same [s]
     "KINK_WIDTH": 2.5e-11,  # a twist that changes within so short a time jumps there [s],
     "KINK_SHARE": 0.5,  # by more than this share of its change,
     "LEAST_KINK": 1e-9,  # and by more than this [m/s]
+    "JUMP_WIDTH": 1e-6,  # a path that changes faster than FASTEST_PATH, most of it within so short a time, jumps [s],
+    "STEEP_WIDTH": 2.5e-11,  # it is too steep, and jumps not, if most of that needs more than this time [s],
+    "STEEP_SHARE": 1e-15,  # or than this share of the clock
+    "LEAST_JUMP": 5e-5,  # if it is by more than this [m]
+    "BESIDE_KINK": 2e-5,  # a twist by finite differences jumps this much before and after the path, at most [s]
+    "LEAST_ASKED": 4,  # a user's path is asked up to this often in a step for what is ahead,
+    "ASKED_PER_TIME": 6000.0,  # and more often in steps [1/s]
+    "SHORT_STEP": 0.002,  # that are longer than this [s],
+    "STEPS_TO_ASK": 40,  # and a knot of it is begun this many steps before it is needed
     "MOST_TRIES": 4,  # Newton steps that a knot may take
     "STARTING_STEPS": 8,  # Newton steps that the first knot may take
     "CONVERGED": 1e-5,  # Newton steps shorter than this are the last [rad or m]
@@ -88,6 +118,10 @@ CONSTANTS: dict[str, float] = {
     "FAULT_SAMPLES": 2,  # a fault needs as many samples in a row
     "MOST_LOST": 3,  # samples in a row that an arm may repeat before it counts as standing
     "NOISE_TIME": 0.2,  # noise is averaged over this time [s]
+    "SAID_APART": 1e-5,  # arms commanded further apart are named [m]
+    "TOGETHER_AGAIN": 0.5,  # share of the distance at which they were held from which on they go on
+    "ALIKE": 1.0 + 1e-9,  # the first of arms equally far from the others is named
+    "NO_MISMATCH": 1e-12,  # a smaller mismatch is none [m, rad]
     "FEW_SAMPLES": 4,  # fewer samples tell nothing of the noise
     # drift of the arms from each other
     "WANDER": 1e-3,  # how far a drift wanders within a second [m]
@@ -106,10 +140,31 @@ CONSTANTS: dict[str, float] = {
     "UNBALANCED": 0.3,  # share of the largest wrench from which on wrenches do not cancel
     "STRAIGHT_BACK": 0.95,  # cosine from which on an arm's way back is taken for the cause
     # forces from the sensors
-    "RATE_FALLS": 0.6,  # the rate by forces falls from 1 to 0 in this time, so that braking makes none [s]
-    "RATE_RISES": 2.0,  # and rises again in this time [s]
+    "RATE_FALLS": 0.6,  # the rate by forces falls with this time constant, so that braking makes none [s],
+    "SLOW_RATE": 0.1,  # below this rate steadily,
+    "RATE_RISES": 2.0,  # and rises again in this time without forces [s],
+    "LEAST_CALM": 0.1,  # or at this share of that pace where there are some
+    "STRANGE_SERVOS": 1.5,  # servos stiffer or softer than told by this factor
+    "CAREFUL_START": 0.2,  # begin at this rate
+    "SLOWEST_LESSON": 0.7,  # drifts are learned as fast down to this rate
     "FRICTION_SLOWS": 0.9,  # share of a palm's friction in use above which the object slows down; at 1 it rests
+    "SENSED_MOTION": 1e-4,  # commanded joint velocities above this change what a sensor reads [rad/s or m/s]
     "SPARE_SQUEEZE": 1.2,  # palms press with at least this multiple of the force that the felt load needs,
+    "MORE_THAN_AT_START": 1.1,  # arms that relax hold where they squeeze by this multiple of the force at the start
+    "CONTACT_FILTER": 0.002,  # time constant of the filter on what pushes the object [s]
+    "CONTACT_LASTS": 0.5,  # the arms hold for this time after the last push: the object may have bounced off [s]
+    "MORE_THAN_INTERNAL": 1.2,  # it pushes this much harder than the arms do each other: an arm that stops does not
+    "CONTACT_SETTLES": 0.1,  # and on what pushes it before it moves
+    "LATE_LOAD": 0.5,  # share of the inertia that may be late
+    "CORRECTION_FADES": 0.5,  # time in which the path correction begins, once the arms have relaxed [s]
+    "SERVO_SLOWS": 6e-4,  # an arm this far from where its wrench puts its servos slows the object,
+    "SERVO_HOLDS": 1.2e-3,  # and holds it from this on [m]
+    "SERVO_LATE": 4e-4,  # and per acceleration of the joints, for what damping and late wrenches make of it [s²]
+    "SERVO_PEAK": 0.05,  # an acceleration is remembered for this time [s]
+    "HASTE_FILTER": 0.03,  # accelerations are filtered: a single step of arms that relax is none [s]
+    "GROWS": 2e-3,  # closures of rigid grips also drift as fast as the object grows [m/s]
+    "SOFTEST": 0.05,  # servos count as no softer than this share of what they are told to be
+    "CAP_FALLS": 0.1,  # the cap by arms out of step falls from 1 to 0 in this time: a jolt is a force of its own [s]
     "FIRMER": 100.0,  # and press harder at this speed [N/s]
     "LOOK_EVERY": 0.1,  # time between two looks at the compliances, which change with the configuration [s]
     "MOST_MINDING": 64,  # arms
@@ -124,7 +179,7 @@ SEGMENT = 29
 
 OPTIONS = (
     "NOMINAL_DT", "GRASP_GAIN", "PATH_GAIN", "CORRECTION_SPEED", "CORRECTION_SPIN", "MEASUREMENT_TIME", "SHORTCUT",
-    "OWN_SOLVER", "CERTIFIED",
+    "OWN_SOLVER", "CERTIFIED", "LEAVES_PATH",
     "ACCELERATES", "RECOVERY_UNIT", "RELAX_UNIT", "RISE", "BLOCKED_RATE", "REIN_SLOPE", "OFF_PATH_DISTANCE",
     "OFF_PATH_ANGLE",
     "POSTURE_GAIN", "CENTRING", "MANIPULABILITY", "POSTURE_SHARE",
@@ -132,13 +187,16 @@ OPTIONS = (
     "SLOPE_CAP", "ROOM", "SINGULAR_RATE", "NEWTON_STEPS",
     "SLOW_FROM", "HOLD_FROM", "LET_IN", "NOISE_MARGIN", "RECOVERY_TIME", "FAULT_FROM", "STALL_SAMPLES", "STALL_SHARE",
     "SILENT_TIME", "FILTER_TIME", "DT_LOW", "DT_HIGH", "JOINT_JUMP", "WATCHES_FORCE", "FORCE_LIMIT", "SERVO_DELAY",
+    "APART_HOLD",
+    "ELBOWS",
 )  # fmt: skip
 
 #: Scalars of the state: the loop, the watch, the drift filter, the forces, the look-ahead.
 LOOP = (
     "CLOCK", "RATE", "LAST_DT", "HAS_PREDICTED", "FIRST", "DRIFTED", "CORRECTING", "FAULT", "FAULT_ARM", "FAULT_A",
     "FAULT_B", "PATH_LOST", "AWAY", "OVERRIDDEN", "PAUSE", "EASE",
-    "QUIET_SLACK", "QUIET_APPROACH", "QUIET_AHEAD",
+    "QUIET_SLACK", "QUIET_APPROACH", "QUIET_AHEAD", "STARTED", "MISMATCH", "CHAIN_HELD", "SAID", "OUTDATED",
+    "SHIFT_ASKED", "RATE_SLOPE",
 )  # fmt: skip
 WATCH = (
     "SAMPLES", "WATCH_RATE", "WATCH_ARM", "SILENCE", "PRESSED", "HAS_SEEN", "PAST_COUNT", "PAST_HEAD", "FAR_SAMPLES",
@@ -148,6 +206,8 @@ WATCH = (
 AHEAD = (
     "HEAD", "COUNT", "KNOWN", "FRESH", "COMPLETE", "ENDS", "FREE_UNTIL", "BEGIN_AT",
     "GROWING", "TRY_SPAN", "ITERATION", "WAY", "BEYOND", "BEYOND_AT", "KEPT", "SOUGHT", "KINKS",
+    "SEEKING", "CLOSING_IN", "SEEK_FROM", "SEEK_TO", "SEEK_WHOLE", "KINK", "JUMP_AT", "JUMP_BY", "STEEP_BY",
+    "STEEP_AT",
 )  # fmt: skip
 #: Numbers of a knot beside its vectors.
 KNOT = (
@@ -160,13 +220,15 @@ PROPOSAL = (
     "DT", "CAP", "SPAN", "HAS_MEASURED", "CAP_KIND", "CAP_ARM", "CAP_JOINT", "WATCH_CAP", "HOLD", "FAULTS",
     "REASON", "REASON_ARM", "REASON_A", "REASON_B", "OUTCOME", "NEW_RATE", "BINDING_ROW", "BINDING_SIDE",
     "GRASP_SHARE", "PATH_SHARE", "PARTING", "BRAKED", "ITERATIONS", "OUTSIDE", "RELAXED", "PLACED", "LATE", "KEEP",
-    "BINDINGS",
+    "BINDINGS", "ROWS", "APART", "CHAIN_HOLDS", "MISMATCH_LEFT", "MISMATCHED", "HAS_ERRORS", "CLOSES",
+    "MADE",
 )  # fmt: skip
 #: The record of a step, before its vectors q, velocity, q_next, off_path, and four numbers per binding limit: kind,
 #: arm, joint, constraint, each −1 if it does not apply.
 RECORD = (
     "R_DT", "R_CLOCK", "R_CLOCK_NEXT", "R_RATE", "R_STATUS", "R_REASON", "R_REASON_ARM", "R_REASON_A", "R_REASON_B",
     "R_GRASP_SHARE", "R_PATH_SHARE", "R_PARTING", "R_OUTCOME", "R_ITERATIONS", "R_BINDINGS", "R_AWAY", "R_TURNED",
+    "R_MEASURED", "R_APART",
 )  # fmt: skip
 #: Scalars of the relaxation of forces: settings, then state; see minding.h for the arrays behind them.
 MINDING = (
@@ -174,8 +236,12 @@ MINDING = (
     "MOST_SPEED", "MOST_SPIN", "MOST_REACH", "MOST_TURN",
     "WAIT", "MOVE_BELOW", "PRESSED_BELOW", "FORCE_SLOWS", "FORCE_HOLDS", "HAS_PALMS", "SQUEEZE", "MOST_SQUEEZE",
     "SIZE", "STIFFER", "RELAX_EASE", "SATURATED",
-    "STAGE", "SINCE", "STEPPED", "AGE", "ASKED", "FORCE_CAP", "LAST_RATE", "FRICTION_USED", "PRESSED_WITH", "NEEDED",
+    "STAGE", "SINCE", "STEPPED", "AGE", "ASKED", "FORCE_CAP", "LAST_RATE", "LAST_SPEED", "AT_END",
+    "FRICTION_USED", "PRESSED_WITH", "NEEDED",
     "SENSOR_FAULT", "SENSOR_ARM", "SENSOR_AMOUNT", "ALLOWED", "WHY", "WHY_ARM",
+    "RIGID", "WEIGHT_X", "WEIGHT_Y", "WEIGHT_Z", "HASTE", "SUSPECTED", "SERVO_SAMPLES", "SERVO_NOISE", "CORRECTS",
+    "START_SIZE", "WAY_DONE",
+    "LOAD_MASS", "CONTACT_LIMIT", "LOAD_HASTE", "TOUCHES", "PUSHED", "SHARPEST", "ASKED_DT", "REFERENCE_DT",
 )  # fmt: skip
 #: Stages of a run with forces, in this order.
 STAGES = ("CHECKING", "PRESSING", "RELAXING", "MOVING")
@@ -184,7 +250,7 @@ HEARING = ("HEARD", "MISSED", "SILENT")
 #: Faults of a sensor: silent for SENSOR_AMOUNT seconds; SENSOR_AMOUNT newtons from the servos' estimate.
 SENSORS = ("SENSORS_FINE", "SENSOR_SILENT", "SENSOR_WRONG")
 #: Why the object may move at ALLOWED only; NOTHING_MORE: the operator asks for no more.
-WHYS = ("NOTHING_MORE", "BY_SENSOR", "BY_REACH", "BY_STAGE", "BY_FRICTION", "BY_FORCE")
+WHYS = ("NOTHING_MORE", "BY_SENSOR", "BY_REACH", "BY_STAGE", "BY_FRICTION", "BY_FORCE", "BY_CONTACT")
 #: Members of Status, in the order of their codes.
 STATUSES = ("TRACKING", "SLOWED", "BLOCKED", "HOLDING", "FAULTED", "PAUSED", "OFF_PATH")
 
@@ -197,31 +263,35 @@ KINDS = (
     "OVERRIDE", "PATH_JUMP",
 )  # fmt: skip
 REASONS = (
-    "NO_REASON", "BAD_DT", "NOT_FINITE", "OFF_CIRCLE", "JUMPED", "OUT_OF_STEP_BY", "WAS_OUT_OF_STEP", "STALLED",
-    "ALL_STALLED", "FORCE", "HANGS_BEHIND", "PATH_FAILED", "PATH_JUMPS", "LOOK_AHEAD_FAILED",
-    "CONSTRAINT_FAILED",
+    "NO_REASON", "BAD_DT", "NOT_FINITE", "OFF_CIRCLE", "JUMPED", "CHAIN_APART", "CHAIN_PARTED", "OUT_OF_STEP_BY",
+    "WAS_OUT_OF_STEP", "STALLED", "ALL_STALLED", "FORCE", "HANGS_BEHIND", "PATH_FAILED", "PATH_JUMPS",
+    "LOOK_AHEAD_FAILED", "CONSTRAINT_FAILED", "OFF_SERVOS", "TOUCHING",
 )  # fmt: skip
 
 #: The fields of each block: name and size.
 CONFIG = (
     ("arm_start", "n"), ("arm_size", "n"),
     ("link_R", "9 * nv"), ("link_p", "3 * nv"), ("prismatic", "nv"), ("continuous", "nv"), ("q_index", "nv"),
-    ("object_R", "9 * n"), ("object_p", "3 * n"),
+    ("object_R", "9 * n"), ("object_p", "3 * n"), ("tool_p", "3 * n"),
     ("scale", "nv"), ("shares", "6 * n"), ("low", "nv"), ("high", "nv"), ("speed", "nv"), ("acceleration", "nv"),
     ("unit", "unknowns"), ("at_grasps", "36"), ("softness", "nv"),
     ("posture_cap", "nv"), ("posture_bounded", "nv"), ("posture_middle", "nv"),
-    ("plan_speed", "nv"), ("plan_acceleration", "nv"), ("plan_jump", "nv"), ("slope_change", "nv"),
+    ("plan_speed", "nv"), ("plan_acceleration", "nv"), ("plan_jump", "nv"), ("plan_room", "nv"), ("slope_change", "nv"),
+    ("most_move", "nv"),
     ("options", str(len(OPTIONS))),
 )  # fmt: skip
 STATE = (
     ("loop", str(len(LOOP))), ("positions", "nv"), ("velocity", "nv"), ("before", "nv"), ("predicted", "6 * n"),
-    ("drift", "6"), ("correcting", "6"), ("posture_target", "nv"),
+    ("foreseen", "6 * n"),
+    ("mismatch", "6 * n"), ("grasp_shift", "6 * n"), ("asked_shift", "6 * n"), ("drift", "6"), ("correcting", "6"),
+    ("posture_target", "nv"),
     ("quiet_centre", "nv"), ("quiet_reach", "nv"), ("quiet_ahead_centre", "nv"), ("quiet_ahead_reach", "nv"),
     ("watch", str(len(WATCH))), ("deviation", "6 * n"), ("away", "6 * n"), ("away_step", "6 * n"), ("noise", "n"),
     ("stalled", "n"), ("widest", "n"), ("lost", "n"), ("seen", "nq"), ("history", "2 * nv * past"),
     ("slow_drift", "6 * n"), ("lag", "6 * n"), ("apart", "6 * n"), ("drift_last", "nv"),
     ("deflection", "nv"), ("way", "nv"), ("commanded", "nv"), ("forces", "n"),
-    ("ahead", str(len(AHEAD))), ("kinks", str(MOST_KINKS)),
+    ("ahead", str(len(AHEAD))), ("ahead_R", "9 * n"), ("ahead_p", "3 * n"), ("kinks", str(MOST_KINKS)),
+    ("seek_low", "12"), ("seek_high", "12"), ("told_velocity", "nv"),
     ("knots", f"{len(KNOT)} * knots"), ("knot_positions", "nv * knots"), ("knot_slope", "nv * knots"),
     ("knot_curvature", "nv * knots"), ("knot_edges", "nv * knots"),
 )  # fmt: skip
@@ -229,7 +299,10 @@ WORK = (
     ("proposal", str(len(PROPOSAL))), ("near_x", "nv"), ("near_sin", "nv"), ("near_cos", "nv"), ("carried", "12 * n"),
     ("jacobian", "6 * nv"), ("R", "9"), ("p", "3"), ("along", "6"), ("path", "6"), ("measured", "6"),
     ("measured_positions", "nv"), ("measured_carried", "12 * n"), ("measured_away", "6 * n"),
+    ("measured_moved", "6 * n"),
     ("posture_work", "7 * nv"), ("common", "6"), ("errors", "6 * n"), ("grasp", "6 * n"), ("offsets", "6 * n"),
+    ("left_over", "6 * n"), ("foresees", "6 * n"), ("made", "6 * n"), ("best_offsets", "6 * n"),
+    ("best_foresees", "6 * n"), ("best_guess", "nv"),
     ("null_along", "nv"), ("null_offset", "nv"), ("command", "nv"), ("stand_in", "nv"), ("guess", "nv"),
     ("first_guess", "nv"), ("along_velocity", "nv"), ("off_path", "6"), ("lower", "nv"), ("upper", "nv"),
     ("recovery", "nv"), ("outside", "nv"), ("further", "nv * rows"), ("further_lower", "rows"),
@@ -252,8 +325,9 @@ def sizes(*, n: int, nv: int, nq: int, unknowns: int, past: int, rows: int) -> d
         n, nv, nq: arms, joints, numbers of a configuration.
         unknowns: of the condensed QP without the slacks of recovery and relaxation.
         past: samples in which a stall is looked for.
-        rows: further rows that a step may have.
+        rows: further rows that constraints may have; those that brake all arms together come after them.
     """
+    rows += 1 + n + nv
     x, m = unknowns + nv + rows, 2 * nv + rows  # unknowns and rows of the largest QP
     scratch = x * m + 3 * (m + x) + 2 * x * (x + 3) + 64 * n + 8 * nv
     return {

@@ -9,6 +9,14 @@ static double stopping_speed(double d, double a, double h) {
     return 2.0 * a * d / (sqrt(step * step + 2.0 * a * d) + step);
 }
 
+/* The fastest that joint j may be in a step of any motion: without a velocity and an acceleration limit it moves by
+ * LARGEST_MOVE at most, and a hold brakes it. */
+static double fastest(const Core *c, int j, double h) {
+    if (c->most_move[j] == INFINITY) return c->speed[j];
+    const double most = c->most_move[j] / h;
+    return c->proposal[HOLD] != 0.0 ? fmin(most, fmax(HELD_SPEED, HELD_SHARE * fabs(c->velocity[j]))) : most;
+}
+
 /* The box lower ≤ v ≤ upper, never empty; where limits conflict, acceleration wins. From outside a position limit it only
  * forbids going further out. Returns 0 if a joint is outside, or a number is not finite. */
 static int box(Core *c, double h) {
@@ -17,8 +25,9 @@ static int box(Core *c, double h) {
         const double x = c->positions[j], up = c->high[j] - x, down = x - c->low[j];
         const double a = c->acceleration[j], v = c->velocity[j];
         if (!(up >= 0.0 && down >= 0.0 && isfinite(v))) inside = 0;
-        double upper = fmin(c->speed[j], stopping_speed(fmax(up, 0.0), a, h));
-        double lower = -fmin(c->speed[j], stopping_speed(fmax(down, 0.0), a, h));
+        const double speed = fastest(c, j, h);
+        double upper = fmin(speed, stopping_speed(fmax(up, 0.0), a, h));
+        double lower = -fmin(speed, stopping_speed(fmax(down, 0.0), a, h));
         if (isfinite(a)) {
             upper = clamp(upper, v - a * h, v + a * h);
             lower = clamp(lower, v - a * h, v + a * h);
@@ -49,12 +58,12 @@ static int lead_back(Core *c, double h) {
 
 /* Whether the command stays inside all limits from inside, without a need to clip: the box without its divisions. */
 static int well_inside(const Core *c, double h) {
-    int inside = 1;
+    int inside = c->proposal[HOLD] == 0.0; /* a hold brakes joints without limits */
     for (int j = 0; j < c->joints; j++) {
         const double v = c->command[j], speed = fabs(v), a = c->acceleration[j];
         const double up = c->high[j] - c->positions[j], down = c->positions[j] - c->low[j];
         const double way = speed * h + speed * speed * (0.5 / a), change = fabs(v - c->velocity[j]);
-        inside &= (way <= (v > 0.0 ? up : down)) & (up >= 0.0) & (down >= 0.0) & (speed <= c->speed[j]) &
+        inside &= (way <= (v > 0.0 ? up : down)) & (up >= 0.0) & (down >= 0.0) & (speed <= c->speed[j]) & (speed * h <= c->most_move[j]) &
                   (change <= a * h) & (change < INFINITY);
     }
     return inside;
@@ -145,7 +154,7 @@ static int ray(Core *c, double cap) {
 /* Which limit makes the bound of joint j on a side: a code of KINDS. */
 static int kind_of(const Core *c, int j, double side, double h) {
     const double limit = side > 0.0 ? c->upper[j] : c->lower[j], tolerance = 1e-9 * (1.0 + fabs(limit));
-    if (fabs(fabs(limit) - c->speed[j]) <= tolerance) return VELOCITY;
+    if (fabs(fabs(limit) - fastest(c, j, h)) <= tolerance) return VELOCITY;
     if (isfinite(c->acceleration[j])) {
         const double change = (limit - c->velocity[j]) * side;
         if (fabs(fabs(change) - c->acceleration[j] * h) <= tolerance) return ACCELERATION;

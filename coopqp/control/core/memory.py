@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from typing import final
 
 import numpy as np
 
 from coopqp.control.constraints import MOST_ROWS
 from coopqp.control.core import layout
-from coopqp.control.limits import VelocityBox
+from coopqp.control.limits import LARGEST_MOVE, VelocityBox
 from coopqp.control.options import QPOptions
 from coopqp.errors import ModelError
 from coopqp.model.cell import RobotCell, of_cell
@@ -47,12 +48,16 @@ class Memory:
     def of_rows(self) -> dict[str, Array]:
         """Inputs of further rows, and the places of the rows and of their quiet regions."""
         at, own = self.at, ("positions", "command", "quiet_centre", "quiet_reach")
-        loop, i = at["loop"], layout.LOOP.index("QUIET_SLACK")
+        loop, i, ahead = at["loop"], layout.LOOP.index("QUIET_SLACK"), layout.LOOP.index("QUIET_AHEAD")
         found = {name: at[name] for name in own} | {name: at[f"further_{name}"] for name in ("lower", "upper", "soft")}
         dt = layout.PROPOSAL.index("DT")
         return found | {
             "G": at["further"], "owner": at["further_owner"], "dt": at["proposal"][dt : dt + 1],
             "quiet_slack": loop[i : i + 1], "quiet_approach": loop[i + 1 : i + 2],
+            **{name: at[name] for name in ("quiet_ahead_centre", "quiet_ahead_reach", "knots")},
+            **{f"knot_{name}": at[f"knot_{name}"] for name in ("positions", "slope", "curvature")},
+            "quiet_ahead_slack": loop[ahead : ahead + 1], "quiet_ahead_approach": np.zeros(1),
+            "knot_numbers": np.array([len(layout.KNOT), layout.KNOT.index("K_SPAN")], dtype=float),
         }  # fmt: skip
 
 
@@ -90,6 +95,7 @@ def build_memory(
     at["scale"][:], at["shares"][:], at["unit"][:] = chain.scale, shares.ravel(), unit
     at["low"][:], at["high"][:] = limits.lower, limits.upper
     at["speed"][:], at["acceleration"][:] = limits.velocity, limits.acceleration
+    at["most_move"][:] = np.where(box.unlimited, LARGEST_MOVE, np.inf)
     at["at_grasps"][:] = at_grasps.ravel()
     stiffness = options.supervision.stiffness
     at["softness"][:] = 0.0 if stiffness is None else 1.0 / np.asarray(stiffness, dtype=float)
@@ -120,13 +126,14 @@ def _arms(chain: Chain) -> tuple[list[int], list[int]]:
 
 
 def _put_links(chain: Chain, at: dict[str, Array]) -> None:
-    """Placement of each joint in the one before, and of the object on each arm's last joint."""
+    """Placement of each joint in the one before, of the object on each arm's last joint, and of the tool there."""
     cell = chain.cell
     at["link_R"][:], at["link_p"][:], at["prismatic"][:], aligned = _links_of(cell)
-    object_R, object_p = at["object_R"].reshape(-1, 9), at["object_p"].reshape(-1, 3)
+    object_R, object_p, tool_p = (at[name].reshape(len(cell), -1) for name in ("object_R", "object_p", "tool_p"))
     for k, turned in enumerate(aligned):
         Y = cell.T_joint_tool[k] * chain.grasp.T_object_tool[k].inverse()
         object_R[k], object_p[k] = (turned.T @ Y.rotation).ravel(), turned.T @ Y.translation
+        tool_p[k] = turned.T @ cell.T_joint_tool[k].translation
 
 
 @of_cell
@@ -155,7 +162,7 @@ def _put_plan(chain: Chain, at: dict[str, Array], options: QPOptions, dt: float)
     at["plan_speed"][:] = plan.speed
     at["plan_jump"][:], at["slope_change"][:] = plan.jump, plan.slope_change
     at["options"][_OPTIONS["SLOPE_CAP"]] = plan.slope_cap
-    at["options"][_OPTIONS["ROOM"]] = plan.room
+    at["plan_room"][:], at["options"][_OPTIONS["ROOM"]] = plan.room, plan.room.max()
 
 
 def _put_options(numbers: Array, box: VelocityBox, o: QPOptions, dt: float) -> None:
@@ -174,6 +181,7 @@ def _put_options(numbers: Array, box: VelocityBox, o: QPOptions, dt: float) -> N
         "STALL_SAMPLES": s.stall_samples or 0, "STALL_SHARE": s.stall_share, "SILENT_TIME": s.silent_time,
         "FILTER_TIME": s.filter_time, "DT_LOW": low, "DT_HIGH": high, "JOINT_JUMP": s.joint_jump,
         "WATCHES_FORCE": s.stiffness is not None, "FORCE_LIMIT": s.force_limit, "SERVO_DELAY": s.servo_delay,
+        "APART_HOLD": math.inf if s.apart_from is None else s.apart_from,
     }  # fmt: skip
     if p is not None:
         values |= {

@@ -16,6 +16,15 @@ typedef struct {
     double *seen, *internal, *shift, *drift, *target, *squeezed;       /* 6 N each */
     double *internal_of, *yields;                                      /* (6 N, 6 N) each */
     double *palms;                                                     /* PALM N */
+    double *felt, *held, *off_servos, *off_last, *off_step, *off_drift; /* 6 N each; see residual.c */
+    double *off_noise;                                                 /* N */
+    double *compliances;                                               /* (6, 6) N */
+    double *carries;                                                   /* (6 N, 3) */
+    double *unfed_of;                                                  /* (6 N, 6 N) */
+    double *reference;                                                 /* 12: R and p of the object as asked for */
+    double *centre;                                                    /* 3: of the payload, in the object */
+    double *travel;                                                    /* its place, velocity and acceleration, 3 each */
+    double *push;                                                      /* 3 now, 3 before it moved, 3 of the last contact; see contact() */
 } Minding;
 
 static inline Minding minding_of(int arms, double *memory) {
@@ -27,11 +36,15 @@ static inline Minding minding_of(int arms, double *memory) {
     f.target = f.drift + n, f.squeezed = f.target + n;
     f.internal_of = f.squeezed + n, f.yields = f.internal_of + (size_t)n * (size_t)n;
     f.palms = f.yields + (size_t)n * (size_t)n;
+    f.felt = f.palms + PALM * arms, f.held = f.felt + n, f.off_servos = f.held + n, f.off_last = f.off_servos + n;
+    f.off_step = f.off_last + n, f.off_drift = f.off_step + n, f.off_noise = f.off_drift + n, f.compliances = f.off_noise + arms;
+    f.carries = f.compliances + 6 * n, f.unfed_of = f.carries + 3 * n;
+    f.reference = f.unfed_of + (size_t)n * (size_t)n, f.centre = f.reference + 12, f.travel = f.centre + 3, f.push = f.travel + 9;
     return f;
 }
 
 /* Numbers of the whole memory. */
-static inline ptrdiff_t minding_size(ptrdiff_t arms) { return N_MINDING + (37 + PALM) * arms + 72 * arms * arms; }
+static inline ptrdiff_t minding_size(ptrdiff_t arms) { return N_MINDING + 33 + (128 + PALM) * arms + 108 * arms * arms; }
 
 /* The grasps give way in this step, unless a sensor is silent for too long. */
 static inline int gives_way(const double *m) {

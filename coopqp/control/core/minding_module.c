@@ -31,7 +31,7 @@ static PyObject *core_bind_minding(PyObject *object, PyObject *args) {
     Py_INCREF(memory);
     Py_INCREF(places);
     Py_INCREF(tell);
-    self->minding = at[0], self->places = at[1];
+    self->minding = self->core.minding = at[0], self->places = at[1];
     self->minding_buffer = memory, self->places_buffer = places, self->tell = tell;
     for (int i = 0; i < 3; i++) Py_XDECREF(old[i]);
     Py_RETURN_NONE;
@@ -41,6 +41,13 @@ static PyObject *core_bind_minding(PyObject *object, PyObject *args) {
 static double length_of(const Core *c, const double *dt) {
     const double nominal = c->options[NOMINAL_DT];
     return dt && *dt >= c->options[DT_LOW] * nominal && *dt <= c->options[DT_HIGH] * nominal ? *dt : nominal;
+}
+
+/* Largest size of n velocities. */
+static double fastest(int n, const double *velocity) {
+    double most = 0.0;
+    for (int i = 0; i < n; i++) most = maximum(most, fabs(velocity[i]));
+    return most;
 }
 
 /* Mind the wrenches, then step: the grasps move, the object is as fast as forces let it be. */
@@ -53,7 +60,11 @@ static PyObject *mind_and_step(CoreObject *self, const double *wrenches, double 
     c->loop[OVERRIDDEN] = m[ALLOWED];
     PyObject *step = take_sample(self, sample) ? command(self) : NULL;
     if (!step || self->handed) return step;
-    m[LAST_RATE] = c->record[R_RATE];
+    m[REFERENCE_DT] = m[ASKED_DT], m[ASKED_DT] = c->record[R_DT];
+    memcpy(minding_of(c->arms, m).reference, c->R, 9 * sizeof(double));
+    memcpy(minding_of(c->arms, m).reference + 9, c->p, 3 * sizeof(double));
+    m[AT_END] = !(c->record[R_CLOCK_NEXT] > c->record[R_CLOCK]);
+    m[LAST_RATE] = c->record[R_RATE], m[LAST_SPEED] = fastest(c->joints, c->record + N_RECORD + c->nq);
     if (m[WHY] == NOTHING_MORE) return step;
     PyObject *told = PyObject_CallFunctionObjArgs(self->tell, step, NULL);
     Py_DECREF(told ? told : step);
@@ -70,6 +81,7 @@ static PyObject *core_step_minding(PyObject *object, PyObject *const *args, Py_s
         return NULL;
     }
     if (!enter(self)) return NULL;
+    self->stepper = self->busy;
     PyObject *step = NULL;
     double *wrenches;
     Py_buffer view;

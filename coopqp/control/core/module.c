@@ -29,12 +29,14 @@ typedef struct {
     double *own_pose;      /* where own_path leaves its numbers, 12 */
     PyObject *own_path, *bound_knot, *evasion;     /* callables; NULL for none */
     PyObject *rows_of, *tightened;                 /* likewise: put further rows into the memory, and tighten them */
+    PyObject *survey_here, *survey_ahead;          /* likewise: a piece of work on distances, once a step each */
     PyObject *path_buffer, *pose_buffer;           /* arrays whose memory is in use */
     PyObject *step_type, *context, *statuses;      /* what a step is made of */
-    double *minding, *places;                      /* relaxation of forces; places of the tools on the object */
+    double *minding, *places;                      /* relaxation of forces, also the core's; places of the tools */
     PyObject *minding_buffer, *places_buffer;      /* their arrays; NULL for none */
     PyObject *tell;                                /* called with a step that forces have something to say about */
     unsigned long busy;                            /* the thread that works here; 0 for none */
+    unsigned long stepper;                         /* the thread that made the last step; 0 for none */
     int entered;                                   /* how often it has entered and not left */
     int handed;                                    /* a step is left open: the next entry is the same one's */
     PyObject *interrupt[3];                        /* type, value and traceback, until the call ends; or NULL */
@@ -136,6 +138,8 @@ static int core_traverse(PyObject *object, visitproc visit, void *arg) {
     Py_VISIT(self->evasion);
     Py_VISIT(self->rows_of);
     Py_VISIT(self->tightened);
+    Py_VISIT(self->survey_here);
+    Py_VISIT(self->survey_ahead);
     Py_VISIT(self->path_buffer);
     Py_VISIT(self->pose_buffer);
     Py_VISIT(self->step_type);
@@ -152,11 +156,14 @@ static int core_clear(PyObject *object) {
     self->core.own_path = NULL;
     self->core.bound_knot = NULL;
     self->core.evade = NULL;
+    self->core.survey_ahead = NULL;
     Py_CLEAR(self->own_path);
     Py_CLEAR(self->bound_knot);
     Py_CLEAR(self->evasion);
     Py_CLEAR(self->rows_of);
     Py_CLEAR(self->tightened);
+    Py_CLEAR(self->survey_here);
+    Py_CLEAR(self->survey_ahead);
     Py_CLEAR(self->step_type);
     Py_CLEAR(self->context);
     Py_CLEAR(self->statuses);
@@ -230,20 +237,21 @@ static int ask_knot(Core *c, int slot) {
     return good;
 }
 
-/* set_path(numbers, own, pose, duration, looks_ahead): own(clock, twist) writes into pose. */
+/* set_path(numbers, own, pose, duration, looks_ahead, users): own(clock, twist) writes into pose. */
 static PyObject *core_set_path(PyObject *object, PyObject *args) {
     CoreObject *self = built(object);
     PyObject *path, *own, *pose;
     double duration, *found, *where = NULL;
-    int looks_ahead;
+    int looks_ahead, users;
     Py_buffer view;
-    if (!self || !PyArg_ParseTuple(args, "OOOdp", &path, &own, &pose, &duration, &looks_ahead)) return NULL;
+    if (!self || !PyArg_ParseTuple(args, "OOOdpp", &path, &own, &pose, &duration, &looks_ahead, &users)) return NULL;
     if (!(found = numbers(path, -1, 0, &view))) return NULL;
     const Py_ssize_t count = view.len / 8;
     PyBuffer_Release(&view); /* the arrays stay where they are while they are held here */
     const int asks = own != Py_None;
     if (!(count >= 3 && found[1] >= 0 && found[1] < 1e6 && found[2] >= (asks ? 0 : 1) && found[2] < 1e6 &&
-          count >= 3 + (Py_ssize_t)found[1] + SEGMENT * (Py_ssize_t)found[2])) {
+          count >= 3 + (Py_ssize_t)found[1] + SEGMENT * (Py_ssize_t)found[2] +
+                       (Py_ssize_t)self->core.options[ELBOWS] * (1 + 2 * self->core.joints))) {
         PyErr_SetString(PyExc_ValueError, "the numbers are no path");
         return NULL;
     }
@@ -260,7 +268,7 @@ static PyObject *core_set_path(PyObject *object, PyObject *args) {
     self->path_buffer = path, self->own_path = own, self->pose_buffer = pose, self->own_pose = where;
     self->core.own_path = asks ? ask_path : NULL;
     self->core.path_numbers = found;
-    self->core.duration = duration, self->core.looks_ahead = looks_ahead;
+    self->core.duration = duration, self->core.looks_ahead = looks_ahead, self->core.users_path = users;
     Py_RETURN_NONE;
 }
 
@@ -302,6 +310,25 @@ static PyObject *core_bind_rows(PyObject *object, PyObject *args) {
     Py_XDECREF(self->rows_of);
     Py_XDECREF(self->tightened);
     self->rows_of = rows, self->tightened = tightened;
+    Py_RETURN_NONE;
+}
+
+static int survey_ahead(Core *c) {
+    guard(c, 0);
+    const int some = ask(owner_of(c), owner_of(c)->survey_ahead, PyTuple_New(0));
+    guard(c, 1);
+    return some;
+}
+
+static PyObject *core_bind_surveys(PyObject *object, PyObject *args) {
+    CoreObject *self = built(object);
+    PyObject *here, *ahead;
+    if (!self || !PyArg_ParseTuple(args, "OO", &here, &ahead)) return NULL;
+    Py_INCREF(here);
+    Py_INCREF(ahead);
+    Py_XDECREF(self->survey_here);
+    Py_XDECREF(self->survey_ahead);
+    self->survey_here = here, self->survey_ahead = ahead, self->core.survey_ahead = survey_ahead;
     Py_RETURN_NONE;
 }
 
@@ -422,6 +449,18 @@ static PyObject *core_release(PyObject *object, PyObject *unused) {
     Py_RETURN_NONE;
 }
 
+static PyObject *core_steps_here(PyObject *object, PyObject *unused) {
+    (void)unused;
+    ((CoreObject *)object)->stepper = PyThread_get_thread_ident();
+    Py_RETURN_NONE;
+}
+
+static PyObject *core_steps_elsewhere(PyObject *object, PyObject *unused) {
+    const unsigned long stepper = ((CoreObject *)object)->stepper;
+    (void)unused;
+    return PyBool_FromLong(stepper && stepper != PyThread_get_thread_ident());
+}
+
 /* A number that a function answers; -1 where it fails. An exception is left to the definition, which asks again. */
 static long number_of(CoreObject *self, PyObject *function, PyObject *argument) {
     PyObject *found = PyObject_CallFunctionObjArgs(function, argument, NULL);
@@ -435,13 +474,16 @@ static long number_of(CoreObject *self, PyObject *function, PyObject *argument) 
     return -1;
 }
 
+/* Rows that constraints may give; those that brake all arms together come after them. */
+static long most_given(const Core *c) { return c->rows - (1 + c->arms + c->joints); }
+
 /* The outcome with all further rows, tightened if the command breaks their constraints; ASK where the definition
  * has to say. */
 static int answer_with_rows(CoreObject *self) {
     Core *c = &self->core;
     const long rows = self->rows_of ? number_of(self, self->rows_of, c->looks_ahead ? Py_False : Py_True) : -1;
-    if (rows < 0 || rows > c->rows) return ASK;
-    c->further_rows = (int)rows;
+    if (rows < 0 || rows > most_given(c)) return ASK;
+    c->given_rows = (int)rows;
     int outcome = self->can->answer(c);
     for (int i = 0; rows && i < (int)MOST_TIGHTENINGS && outcome < FILLED; i++) {
         const long tighter = number_of(self, self->tightened, NULL);
@@ -455,10 +497,12 @@ static int answer_with_rows(CoreObject *self) {
 /* The step for the observed sample. None if the answer is left open: then a call that finishes it has to follow. */
 static PyObject *command(CoreObject *self) {
     Core *c = &self->core;
-    c->further_rows = 0;
+    c->given_rows = 0;
     int outcome = self->can->propose(c);
     const int asks = c->options[CERTIFIED] != 0.0 && (outcome >= FILLED || !self->can->quiet(c));
     if (asks && !self->interrupt[0]) c->proposal[OUTCOME] = outcome = answer_with_rows(self);
+    if (!asks && self->survey_here && !self->interrupt[0])
+        number_of(self, self->survey_here, NULL);
     if (interrupted(self)) return NULL;
     if (outcome < FILLED) return make_step(self, self->can->commit(c));
     self->handed = 1;
@@ -468,6 +512,7 @@ static PyObject *command(CoreObject *self) {
 static PyObject *core_step(PyObject *object, PyObject *const *args, Py_ssize_t n) {
     CoreObject *self = built(object);
     if (!self || !enter(self)) return NULL;
+    self->stepper = self->busy;
     PyObject *step = take(self, n > 0 ? args[0] : NULL, n > 1 ? args[1] : NULL) ? command(self) : NULL;
     if (!self->handed) leave(self);
     return step;
@@ -484,11 +529,11 @@ static PyObject *core_propose(PyObject *object, PyObject *const *args, Py_ssize_
     if (!self) return NULL;
     const long rows = n > 0 ? PyLong_AsLong(args[0]) : 0, again = n > 1 ? PyObject_IsTrue(args[1]) : 0;
     if (PyErr_Occurred()) return NULL;
-    if (rows < 0 || rows > self->core.rows) {
+    if (rows < 0 || rows > most_given(&self->core)) {
         PyErr_SetString(PyExc_ValueError, "there is no room for so many rows");
         return NULL;
     }
-    self->core.further_rows = (int)rows;
+    self->core.given_rows = (int)rows;
     const int outcome = again ? self->can->answer(&self->core) : self->can->propose(&self->core);
     return interrupted(self) ? NULL : PyLong_FromLong(outcome);
 }
@@ -601,6 +646,7 @@ static int move_grasp(Core *c, const double *places, const double *shift) {
         rotate(place, p, c->object_p + 3 * k);
         for (int i = 0; i < 3; i++) c->object_p[3 * k + i] += place[9 + i];
     }
+    best()->expect_shift(c, shift);
     return 1;
 }
 
@@ -663,6 +709,8 @@ static PyObject *module_least_distance(PyObject *self, PyObject *args) {
 static PyMethodDef core_methods[] = {
     {"step", FAST(core_step), METH_FASTCALL, "step(q, dt): observe, propose, commit; None if the answer is open."},
     {"hold", core_hold, METH_NOARGS, "hold(): this thread works here; BusyError if another one does."},
+    {"steps_here", core_steps_here, METH_NOARGS, "steps_here(): this thread steps."},
+    {"steps_elsewhere", core_steps_elsewhere, METH_NOARGS, "steps_elsewhere(): another thread made the last step."},
     {"release", core_release, METH_NOARGS, "release(): this thread ends, as often as it began."},
     {"observe", FAST(core_observe), METH_FASTCALL, "observe(q, dt): take one sample."},
     {"propose", FAST(core_propose), METH_FASTCALL,
@@ -677,6 +725,7 @@ static PyMethodDef core_methods[] = {
     {"bind_knots", core_bind_knots, METH_O, "bind_knots(function): called with the place of every new knot."},
     {"bind_evasion", core_bind_evasion, METH_O, "bind_evasion(function): may change evading_slope."},
     {"bind_rows", core_bind_rows, METH_VARARGS, "bind_rows(rows, tightened): what step() asks for further rows."},
+    {"bind_surveys", core_bind_surveys, METH_VARARGS, "bind_surveys(here, ahead): work that step() spreads."},
     {"make_steps", core_make_steps, METH_VARARGS, "make_steps(type, context, statuses): what step() returns."},
     {"linearise", core_linearise, METH_VARARGS, "linearise(positions, about, carried, jacobian)."},
     {"shift_grasp", FAST(core_shift_grasp), METH_FASTCALL, "shift_grasp(places, shift); False if not finite."},

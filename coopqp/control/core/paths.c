@@ -100,6 +100,7 @@ static int path_pose(Core *c, double clock, double *R, double *p) {
         return 1;
     }
     double pose[12];
+    c->asked++;
     if (!c->own_path || !c->own_path(c, clock, 0, pose)) return 0;
     memcpy(R, pose, 9 * sizeof(double));
     memcpy(p, pose + 9, 3 * sizeof(double));
@@ -107,7 +108,10 @@ static int path_pose(Core *c, double clock, double *R, double *p) {
 }
 
 static int path_twist(Core *c, double clock, double *twist) {
-    if (!count_of(c, 2)) return c->own_path && c->own_path(c, clock, 1, twist);
+    if (!count_of(c, 2)) {
+        c->asked++;
+        return c->own_path && c->own_path(c, clock, 1, twist);
+    }
     double end, R[9], p[3], velocity[3], fading[3] = {0};
     const double *segment = segment_at(c, clock, &end);
     const Place at = place_on(segment, clock);
@@ -128,22 +132,46 @@ static double twist_distance(const double *a, const double *b) {
     return sqrt(dot3(d, d)) + TURN_LENGTH * sqrt(dot3(d + 3, d + 3));
 }
 
-static double path_kink(Core *c, double before, double after) {
-    double low[6], high[6], middle[6];
-    if (count_of(c, 2) || !path_twist(c, before, low) || !path_twist(c, after, high)) return NAN;
-    const double whole = twist_distance(low, high);
-    while (after - before > KINK_WIDTH) {
-        const double clock = 0.5 * (before + after);
-        if (!path_twist(c, clock, middle) || !(before < clock && clock < after)) return NAN;
-        if (twist_distance(low, middle) >= twist_distance(middle, high)) {
-            after = clock;
-            memcpy(high, middle, sizeof high);
-        } else {
-            before = clock;
-            memcpy(low, middle, sizeof low);
-        }
+static int own_path(const Core *c) { return c->users_path; }
+
+/* The twist of a user's path at a clock (6), or its pose, R (9) and p (3). */
+static int ask_own(Core *c, int pose, double clock, double *out) {
+    return pose ? path_pose(c, clock, out, out + 9) : path_twist(c, clock, out);
+}
+
+static double asked_distance(int pose, const double *a, const double *b) {
+    return pose ? pose_distance(a, a + 9, b, b + 9) : twist_distance(a, b);
+}
+
+static int begin_seeking(Core *c, int pose, double from, double to) {
+    double *a = c->ahead;
+    if (!ask_own(c, pose, from, c->seek_low) || !ask_own(c, pose, to, c->seek_high)) return 0;
+    a[SEEK_FROM] = from, a[SEEK_TO] = to, a[SEEK_WHOLE] = asked_distance(pose, c->seek_low, c->seek_high);
+    return a[SEEK_WHOLE] > (pose ? maximum(FASTEST_PATH * (to - from), LEAST_JUMP) : LEAST_KINK);
+}
+
+static int seeks_on(const Core *c, int pose) {
+    const double *a = c->ahead, narrow = maximum(STEEP_WIDTH, STEEP_SHARE * a[STEEP_AT]);
+    return a[SEEK_TO] - a[SEEK_FROM] > (!pose ? KINK_WIDTH : a[STEEP_BY] > 0.0 ? narrow : JUMP_WIDTH);
+}
+
+static int go_on_seeking(Core *c, int pose) {
+    double *a = c->ahead, middle[12];
+    const double clock = 0.5 * (a[SEEK_FROM] + a[SEEK_TO]);
+    if (!ask_own(c, pose, clock, middle) || !(a[SEEK_FROM] < clock && clock < a[SEEK_TO])) return 0;
+    if (asked_distance(pose, c->seek_low, middle) >= asked_distance(pose, middle, c->seek_high)) {
+        a[SEEK_TO] = clock;
+        memcpy(c->seek_high, middle, sizeof middle);
+    } else {
+        a[SEEK_FROM] = clock;
+        memcpy(c->seek_low, middle, sizeof middle);
     }
-    return twist_distance(low, high) > maximum(KINK_SHARE * whole, LEAST_KINK) ? after : NAN;
+    return 1;
+}
+
+static double found_by_seeking(const Core *c, int pose) {
+    const double there = asked_distance(pose, c->seek_low, c->seek_high), share = KINK_SHARE * c->ahead[SEEK_WHOLE];
+    return there > (pose ? share : maximum(share, LEAST_KINK)) ? there : 0.0;
 }
 
 static int path_increment(Core *c, double clock, double span, const double *R, const double *p, double *twist) {

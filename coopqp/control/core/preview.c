@@ -3,20 +3,49 @@
 
 #include "ahead.h"
 
+/* The look-ahead finds a knot with the grasps as they are when it is begun: grasps that go on giving way would be pursued
+ * by its Newton steps for ever. */
+static void take_grasps(Core *c) {
+    memcpy(c->ahead_R, c->object_R, sizeof(double) * 9 * (size_t)c->arms);
+    memcpy(c->ahead_p, c->object_p, sizeof(double) * 3 * (size_t)c->arms);
+}
+
+/* Swaps these grasps with the present ones; a second call swaps them back. */
+static void swap_grasps(Core *c) {
+    double *R = c->object_R, *p = c->object_p;
+    c->object_R = c->ahead_R, c->object_p = c->ahead_p;
+    c->ahead_R = R, c->ahead_p = p;
+}
+
 /* While the look-ahead fails the arms hold. */
 static void hold_blind(Core *c) {
     if (c->proposal[WATCH_CAP] > 0.0) refuse(c, LOOK_AHEAD_FAILED, -1, c->loop[CLOCK]);
 }
 
-/* Grow the horizon until it reaches far enough, or by that many Newton steps. */
-static void extend_horizon(Core *c, double clock, double dt, int newton_steps) {
+/* Grow the horizon until it reaches far enough, or by that many Newton steps, or questions to a user's path. */
+static void extend_horizon(Core *c, double clock, double dt, int newton_steps, double most_asked) {
+    c->asked = 0;
     for (int i = 0; i < newton_steps; i++) {
         leave_behind(c, clock);
-        if (c->ahead[COMPLETE] != 0.0 || reaches(c, clock, dt)) return;
+        if (c->ahead[COMPLETE] != 0.0 || reaches(c, clock, dt) || c->asked >= most_asked) return;
         const int grown = work_ahead(c);
         if (grown < 0) hold_blind(c);
         if (grown <= 0) return;
     }
+}
+
+/* A knot is begun this many steps before it is needed. */
+static double steps_to_grow(const Core *c) { return own_path(c) || c->bound_knot ? STEPS_TO_ASK : STEPS_TO_GROW; }
+
+/* A piece of work before it is needed: on bodies ahead, else on the next knot. */
+static void work_early(Core *c) {
+    if (c->survey_ahead && c->ahead[GROWING] == 0.0 && c->survey_ahead(c)) return;
+    work_ahead(c);
+}
+
+/* How often a user's path is asked in a step for what is ahead. */
+static double most_asked(const Core *c) {
+    return own_path(c) ? LEAST_ASKED + maximum(0.0, floor(ASKED_PER_TIME * (c->options[NOMINAL_DT] - SHORT_STEP))) : INFINITY;
 }
 
 /* The cap of a step, from a horizon that is grown for it, and the knot that makes it; −1 if none does. */
@@ -26,7 +55,7 @@ static double cap_on_horizon(Core *c, double clock, double dt, int *cause) {
     *cause = -1;
     if (least.square >= 1.0) {
         a[FREE_UNTIL] = free_until(c, 2.0 * maximum(dt, c->options[NOMINAL_DT]));
-        a[BEGIN_AT] = a[FREE_UNTIL] - STEPS_TO_GROW * c->options[NOMINAL_DT];
+        a[BEGIN_AT] = a[FREE_UNTIL] - steps_to_grow(c) * c->options[NOMINAL_DT];
         return 1.0;
     }
     const double rate = largest_rate(c, clock, dt, &least);
@@ -35,19 +64,23 @@ static double cap_on_horizon(Core *c, double clock, double dt, int *cause) {
     return rate;
 }
 
-static void preview_try(Core *c, double clock, int kept) {
+static void preview_try(Core *c, double clock, int kept, int later) {
+    take_grasps(c);
+    swap_grasps(c);
     const int head = kept ? place_of(c, kept) : 0;
     memset(c->ahead, 0, sizeof(double) * N_AHEAD);
     c->ahead[HEAD] = head, c->ahead[KEPT] = kept;
     c->ahead[FREE_UNTIL] = -INFINITY;
     c->ahead[BEGIN_AT] = INFINITY;
     if (first_knot(c, clock)) push_knot(c);
-    if (c->ahead[COUNT] > 0.0) extend_horizon(c, clock, c->options[NOMINAL_DT], NEWTON_STEPS_AT_START);
+    if (c->ahead[COUNT] > 0.0 && !later)
+        extend_horizon(c, clock, c->options[NOMINAL_DT], NEWTON_STEPS_AT_START, INFINITY);
+    swap_grasps(c);
 }
 
-static void preview_reset(Core *c, double clock) { preview_try(c, clock, 0); }
+static void preview_reset(Core *c, double clock, int later) { preview_try(c, clock, 0, later); }
 
-static double preview_cap(Core *c, double clock, double dt) {
+static double cap_ahead(Core *c, double clock, double dt) {
     double *a = c->ahead;
     int cause = -1;
     name_cause(c->proposal + CAP_KIND, NONE, -1, -1);
@@ -57,16 +90,26 @@ static double preview_cap(Core *c, double clock, double dt) {
         hold_blind(c);
         return 0.0;
     }
-    if (clock < a[FREE_UNTIL] && dt <= c->options[NOMINAL_DT]) {
-        if (clock >= a[BEGIN_AT]) work_ahead(c);
+    /* Beside bodies growth goes on before the rate is no longer known to be free. */
+    const double early = c->bound_knot ? steps_to_grow(c) * c->options[NOMINAL_DT] : 0.0;
+    if (clock < a[FREE_UNTIL] - early && dt <= c->options[NOMINAL_DT]) {
+        if (clock >= a[BEGIN_AT]) work_early(c);
         return 1.0;
     }
-    extend_horizon(c, clock, dt, (int)c->options[NEWTON_STEPS]);
-    if (a[COMPLETE] == 0.0 && !reaches(c, clock + STEPS_TO_GROW * dt, dt)) work_ahead(c);
+    extend_horizon(c, clock, dt, (int)c->options[NEWTON_STEPS], most_asked(c));
+    if (a[COMPLETE] == 0.0 && !reaches(c, clock + steps_to_grow(c) * dt, dt) && !c->asked) work_early(c);
     a[ENDS] = 0.0;
     const double cap = cap_on_horizon(c, clock, dt, &cause);
     for (int i = 0; cause >= 0 && i < 3; i++) c->proposal[CAP_KIND + i] = knot(c, cause)[K_CAUSE_KIND + i];
     return cap > 0.0 ? cap : 0.0;
+}
+
+static double preview_cap(Core *c, double clock, double dt) {
+    if (c->ahead[GROWING] == 0.0) take_grasps(c);
+    swap_grasps(c);
+    const double cap = cap_ahead(c, clock, dt);
+    swap_grasps(c);
+    return cap;
 }
 
 /* Largest rise of σ near a clock by further constraints, and by joints that no step limits; the joint, or −1. */

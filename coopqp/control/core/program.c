@@ -157,8 +157,8 @@ static int solve_condensed(Core *c, double cap, int relax) {
         put_row(c, j, n, -1, 0.0, c->lower[j], c->upper[j], A + n * m, low + m, high + m);
     for (int r = 0; r < c->further_rows; r++, m++) {
         const int gives_way = relax && c->further_soft[r] != 0.0;
-        put_row(c, c->joints + r, n, gives_way ? slack++ : -1, c->options[RELAX_UNIT], c->further_lower[r],
-                c->further_upper[r], A + n * m, low + m, high + m);
+        put_row(c, c->joints + r, n, gives_way ? slack++ : -1, c->options[RELAX_UNIT] * c->further_soft[r],
+                c->further_lower[r], c->further_upper[r], A + n * m, low + m, high + m);
     }
     return least_distance(n, m, A, low, high, lb, ub, LARGEST_X, c->x, y, y + m + n);
 }
@@ -189,7 +189,7 @@ static int read_answer(Core *c, double cap) {
     p[BINDINGS] = count;
     for (int j = 0; j < c->joints; j++) c->command[j] = clamp(c->command[j], c->lower[j], c->upper[j]);
     for (int i = 0; i < 6; i++) c->off_path[i] = c->x[i] * c->unit[i];
-    p[NEW_RATE] = cap - c->x[6] * c->unit[6];
+    p[NEW_RATE] = clamp(cap - c->x[6] * c->unit[6], 0.0, cap); /* a solver may miss its bounds a little */
     p[GRASP_SHARE] = 1.0 - c->x[7] * c->unit[7];
     p[PATH_SHARE] = 1.0 - c->x[8] * c->unit[8];
     return 1;

@@ -35,41 +35,63 @@ static double largest_entry(int arms, const double *x, int part) {
 }
 
 /* Take wrenches (6 N; NULL for none) after a time. HEARD: all came; MISSED: some did not; SILENT: one has been missing
- * for too long. */
+ * for too long, or has not changed by a bit for as long while the arms move. */
 static int feel(int arms, const Minding *f, const double *wrenches, double dt) {
     const int n = 6 * arms;
     double *m = f->m, *silent = f->silent, *seen = f->seen, *internal = f->internal;
     const double share = dt / (dt + m[WRENCH_FILTER]);
+    const int moves = m[LAST_SPEED] > SENSED_MOTION;
     int heard = HEARD;
     for (int k = 0; k < arms; k++) {
         const int fresh = wrenches && finite_numbers(wrenches + 6 * k, 6);
+        const int same = fresh && moves && !memcmp(seen + 6 * k, wrenches + 6 * k, 6 * sizeof(double));
         if (fresh) memcpy(seen + 6 * k, wrenches + 6 * k, 6 * sizeof(double));
         else heard = heard == SILENT ? SILENT : MISSED;
-        silent[k] = fresh ? 0.0 : silent[k] + dt;
+        silent[k] = fresh && !same ? 0.0 : silent[k] + dt;
         if (silent[k] > m[WRENCH_SILENCE]) heard = SILENT;
     }
+    double squares = 0.0;
+    m[SHARPEST] = 0.0;
     for (int i = 0; i < n; i++) {
         double now = -f->target[i];
         for (int j = 0; j < n; j++) now += f->internal_of[n * i + j] * seen[j];
         internal[i] += share * (now - internal[i]);
+        squares = (i % 6 == 0 ? 0.0 : squares) + (i % 6 < 3 ? now * now : 0.0);
+        m[SHARPEST] = fmax(m[SHARPEST], sqrt(squares));
+        f->felt[i] += share * (seen[i] - f->felt[i]);
     }
     m[SIZE] = maximum(largest_norm(arms, internal, 0), largest_norm(arms, internal, 1) / TURN_LENGTH);
     return heard;
+}
+
+/* The share of that rate at which the path asks the grasps to move on: past its end a step says 1 again, however slow it came. */
+static double share_of_way(const double *m, double rate) {
+    return m[AT_END] != 0.0 ? minimum(rate, m[ALLOWED]) : rate;
+}
+
+/* A slow object shows little of its drift, which would be learned with the square of the rate. */
+static double square_of_slow(double rate) {
+    const double counts = clamp(rate, SLOWEST_LESSON, 1.0);
+    return counts * counts;
 }
 
 /* Move the grasps by one step of dt, while the object moves at a rate. */
 static void give_way(int arms, const Minding *f, double dt, double rate) {
     const int n = 6 * arms;
     double *m = f->m, *shift = f->shift, *drift = f->drift, way[6 * (int)MOST_MINDING], moved[6 * (int)MOST_MINDING];
-    const double size = m[SIZE];
+    const double size = m[SIZE], soft = clamp(m[STIFFER], SOFTEST, 1.0), asks = share_of_way(m, rate);
     if (size > m[DEAD_BAND]) {
-        const double gain = (m[DEAD_BAND] / size - 1.0) / (m[STIFFER] * m[RELAX_TIME]);
+        const double gain = (m[DEAD_BAND] / size - 1.0) / (maximum(m[STIFFER], 1.0) * m[RELAX_TIME]);
+        /* Softer servos than given are answered more slowly, and their drift is learned more slowly in the same proportion. */
+        const double learned = rate * dt * soft / (square_of_slow(rate) * m[DRIFT_TIME]);
         multiply(n, f->yields, f->internal, way);
-        for (int i = 0; i < n; i++) way[i] *= gain, drift[i] += rate * dt / m[DRIFT_TIME] * way[i];
+        for (int i = 0; i < n; i++) way[i] *= gain, drift[i] += learned * way[i];
     } else {
         memset(way, 0, (size_t)n * sizeof(double));
     }
-    for (int i = 0; i < n; i++) way[i] += rate * drift[i];
+    if (m[AT_END] != 0.0) /* soft servos, and slow objects, would unlearn slowly what the path has asked for */
+        for (int i = 0; i < n; i++) drift[i] *= 1.0 - rate * dt * (1.0 - soft * asks) / (m[DRIFT_TIME] + dt);
+    for (int i = 0; i < n; i++) way[i] += asks * drift[i];
     double fastest = maximum(largest_entry(arms, way, 0) / m[MOST_SPEED], largest_entry(arms, way, 1) / m[MOST_SPIN]);
     fastest = maximum(fastest, 1.0);
     m[RELAX_EASE] = minimum(m[RELAX_EASE] + dt / m[RAMP_TIME], 1.0);
@@ -79,10 +101,68 @@ static void give_way(int arms, const Minding *f, double dt, double rate) {
     for (int i = 0; i < n; i++) shift[i] = far > 1.0 ? moved[i] / far : moved[i];
 }
 
-/* Palms press, and all forces are small, for long enough: then the object moves. */
+/* Palms press, and all forces are small, for long enough: then the object moves, slowly at first on servos that were found to
+ * be other ones than told. */
 static void wait_at_rest(double *m, double dt) {
     m[SINCE] = m[SIZE] > m[PRESSED_BELOW] ? 0.0 : m[SINCE] + dt;
-    if (m[SINCE] > m[WAIT] && m[SIZE] < m[MOVE_BELOW]) m[STAGE] = MOVING, m[SINCE] = 0.0;
+    if (!(m[SINCE] > m[WAIT] && m[SIZE] < m[MOVE_BELOW])) return;
+    m[STAGE] = MOVING, m[SINCE] = 0.0;
+    const int softer = m[STIFFER] > SOFTEST && m[STIFFER] * STRANGE_SERVOS < 1.0; /* or they do not answer at all */
+    if (m[HAS_PALMS] == 0.0 && (softer || m[STIFFER] > STRANGE_SERVOS)) /* the pads of palms yield, too */
+        m[FORCE_CAP] = minimum(m[FORCE_CAP], CAREFUL_START);
+}
+
+/* The object is led to its path once the arms have relaxed: before, that would be a pull of its own. */
+static void begin_to_correct(double *m, double dt) {
+    if (m[STAGE] == MOVING) m[CORRECTS] = minimum(m[CORRECTS] + dt / CORRECTION_FADES, 1.0);
+}
+
+/* What pushes the object, beside its weight and the arms: the sum of their wrenches, less its weight and inertia. What was
+ * there before it moved is no contact, nor any less of it: a payload of another mass, or a table that it is lifted from. */
+static void contact(int arms, const Minding *f, double dt) {
+    const int n = 6 * arms;
+    double *m = f->m, *travel = f->travel, *push = f->push, *base = push + 3, force[3] = {0.0, 0.0, 0.0}, place[3], sum[3];
+    const double settled = dt / (dt + CONTACT_SETTLES), fresh = dt / (dt + CONTACT_FILTER);
+    const double weight[3] = {m[WEIGHT_X], m[WEIGHT_Y], m[WEIGHT_Z]}, since = fmax(m[REFERENCE_DT], 1e-6);
+    if (!(m[CONTACT_LIMIT] < INFINITY)) return;
+    rotate(f->reference, f->centre, place);
+    for (int i = 0; i < 3; i++) place[i] += f->reference[9 + i];
+    if (m[STAGE] < MOVING) {
+        memcpy(travel, place, sizeof place);
+        memset(travel + 3, 0, 6 * sizeof(double));
+        m[LOAD_HASTE] = 0.0;
+    } else {
+        double square = 0.0;
+        for (int i = 0; i < 3; i++) {
+            const double velocity = (place[i] - travel[i]) / since, change = (velocity - travel[3 + i]) / since;
+            travel[i] = place[i], travel[3 + i] = velocity;
+            travel[6 + i] += dt / (dt + m[WRENCH_FILTER]) * (change - travel[6 + i]);
+            square += change * change;
+        }
+        m[LOAD_HASTE] = fmax(sqrt(square), m[LOAD_HASTE] * SERVO_PEAK / (SERVO_PEAK + dt));
+    }
+    for (int k = 0; k < arms; k++)
+        for (int i = 0; i < 3; i++)
+            for (int j = 0; j < 6; j++) force[i] += f->unfed_of[n * (6 * k + i) + 6 * k + j] * f->seen[6 * k + j];
+    rotate(f->reference, force, sum);
+    for (int i = 0; i < 3; i++) {
+        const double now = weight[i] + m[LOAD_MASS] * travel[6 + i] - sum[i];
+        push[i] += fresh * (now - push[i]);
+        if (m[STAGE] < MOVING) base[i] += settled * (now - base[i]);
+    }
+    if (m[STAGE] < MOVING) return;
+    const double share = clamp(dot3(push, base) / fmax(dot3(base, base), 1e-12), 0.0, 1.0);
+    for (int i = 0; i < 3; i++) sum[i] = push[i] - share * base[i];
+    m[PUSHED] = sqrt(dot3(sum, sum));
+    const double limit = (m[TOUCHES] != 0.0 ? LET_GO : 1.0) * m[CONTACT_LIMIT];
+    const int clear = m[TOUCHES] != 0.0 || (m[SUSPECTED] == 0.0 && m[PUSHED] > MORE_THAN_INTERNAL * m[SHARPEST]);
+    if (clear && m[PUSHED] - LATE_LOAD * m[LOAD_MASS] * m[LOAD_HASTE] >= limit) {
+        if (m[TOUCHES] == 0.0 || m[PUSHED] >= m[CONTACT_LIMIT]) memcpy(push + 6, sum, sizeof sum);
+        m[TOUCHES] = CONTACT_LASTS;
+    } else {
+        m[TOUCHES] = maximum(m[TOUCHES] - dt, 0.0);
+    }
+    if (m[TOUCHES] != 0.0) m[CORRECTS] = m[FORCE_CAP] = 0.0;
 }
 
 /* Take wrenches, and move the grasps where they give way. Returns HEARD, MISSED or SILENT. */
@@ -91,6 +171,7 @@ static int relax(int arms, double *memory, const double *wrenches, double dt) {
     double *m = memory;
     const int gives = gives_way(m), heard = feel(arms, &f, wrenches, dt);
     m[AGE] += dt;
+    begin_to_correct(m, dt);
     if (heard == SILENT) {
         if (m[SENSOR_FAULT] != SENSORS_FINE) return heard;
         int most = 0;
@@ -99,6 +180,8 @@ static int relax(int arms, double *memory, const double *wrenches, double dt) {
         m[SENSOR_FAULT] = SENSOR_SILENT, m[SENSOR_ARM] = most, m[SENSOR_AMOUNT] = f.silent[most];
         return heard;
     }
+    contact(arms, &f, dt);
+    if (m[STAGE] < RELAXING) m[START_SIZE] = maximum(m[START_SIZE], m[SIZE]);
     if (gives) give_way(arms, &f, dt, m[STAGE] == MOVING ? m[LAST_RATE] : 0.0);
     if (m[STAGE] == RELAXING && m[SENSOR_FAULT] == SENSORS_FINE) wait_at_rest(m, dt);
     return heard;

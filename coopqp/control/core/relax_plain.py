@@ -16,6 +16,18 @@ AT = {name: i for i, name in enumerate(layout.MINDING)}
 HEARD, MISSED, SILENT = range(len(layout.HEARING))
 CHECKING, PRESSING, RELAXING, MOVING = range(len(layout.STAGES))
 SENSORS_FINE, SENSOR_SILENT, SENSOR_WRONG = range(len(layout.SENSORS))
+_CORRECTION_FADES = layout.CONSTANTS["CORRECTION_FADES"]
+_MORE_THAN_AT_START = layout.CONSTANTS["MORE_THAN_AT_START"]
+_SOFTEST = layout.CONSTANTS["SOFTEST"]
+_SENSED_MOTION = layout.CONSTANTS["SENSED_MOTION"]
+_CONTACT_FILTER, _CONTACT_SETTLES, _CONTACT_LASTS, _LATE_LOAD, _PEAK, _LET_GO = (
+    layout.CONSTANTS[name]
+    for name in ("CONTACT_FILTER", "CONTACT_SETTLES", "CONTACT_LASTS", "LATE_LOAD", "SERVO_PEAK", "LET_GO")
+)
+_MORE_THAN_INTERNAL = layout.CONSTANTS["MORE_THAN_INTERNAL"]
+_STRANGE, _CAREFUL, _SLOWEST_LESSON = (
+    layout.CONSTANTS[name] for name in ("STRANGE_SERVOS", "CAREFUL_START", "SLOWEST_LESSON")
+)
 _TURN_LENGTH = layout.CONSTANTS["TURN_LENGTH"]
 
 
@@ -26,6 +38,10 @@ def minding_views(memory: Array, arms: int) -> dict[str, Array]:
         ("silent", (arms,)), ("seen", (arms, 6)), ("internal", (arms, 6)), ("shift", (arms, 6)), ("drift", (arms, 6)),
         ("target", (arms, 6)), ("squeezed", (arms, 6)),
         ("internal_of", (n, n)), ("yields", (n, n)), ("palms", (arms, 2, 4, 6)),
+        ("felt", (arms, 6)), ("held", (arms, 6)), ("off_servos", (arms, 6)), ("off_last", (arms, 6)),
+        ("off_step", (arms, 6)), ("off_drift", (arms, 6)), ("off_noise", (arms,)),
+        ("compliances", (arms, 6, 6)), ("carries", (n, 3)), ("unfed_of", (n, n)),
+        ("reference", (12,)), ("centre", (3,)), ("travel", (3, 3)), ("push", (3, 3)),
     )  # fmt: skip
     for name, shape in shapes:
         size = math.prod(shape)
@@ -36,7 +52,7 @@ def minding_views(memory: Array, arms: int) -> dict[str, Array]:
 
 def minding_size(arms: int) -> int:
     """Size of the memory for a number of arms."""
-    return len(layout.MINDING) + (37 + 48) * arms + 72 * arms**2
+    return len(layout.MINDING) + 33 + (128 + 48) * arms + 108 * arms**2
 
 
 def gives_way(memory: Array) -> bool:
@@ -45,16 +61,29 @@ def gives_way(memory: Array) -> bool:
     return bool(m[AT["STEPPED"]] and m[AT["STAGE"]] >= RELAXING and m[AT["SENSOR_FAULT"]] == SENSORS_FINE)
 
 
+def squeezes(memory: Array) -> bool:
+    """The arms squeeze the object while they relax, more than at the start: what should relax them pulls."""
+    m = memory
+    if m[AT["STAGE"]] != RELAXING or m[AT["HAS_PALMS"]]:
+        return False
+    return bool(m[AT["SIZE"]] >= m[AT["FORCE_HOLDS"]] and m[AT["SIZE"]] > _MORE_THAN_AT_START * m[AT["START_SIZE"]])
+
+
 def relax(memory: Array, arms: int, wrenches: ArrayLike | None, dt: float, /) -> int:
     """Take wrenches (N, 6), and move the grasps where they give way; returns HEARD, MISSED or SILENT."""
     m, x, gives = memory, minding_views(memory, arms), gives_way(memory)
     heard = _feel(m, x, wrenches, dt)
     m[AT["AGE"]] += dt
+    if m[AT["STAGE"]] == MOVING:  # the object is led to its path once the arms have relaxed
+        m[AT["CORRECTS"]] = min(m[AT["CORRECTS"]] + dt / _CORRECTION_FADES, 1.0)
     if heard == SILENT:
         if m[AT["SENSOR_FAULT"]] == SENSORS_FINE:
             most = int(x["silent"].argmax())
             m[AT["SENSOR_FAULT"]], m[AT["SENSOR_ARM"]], m[AT["SENSOR_AMOUNT"]] = SENSOR_SILENT, most, x["silent"][most]
         return heard
+    _find_contact(m, x, dt)
+    if m[AT["STAGE"]] < RELAXING:  # an object that grows squeezes by itself
+        m[AT["START_SIZE"]] = max(m[AT["START_SIZE"]], m[AT["SIZE"]])
     if gives:
         _give_way(m, x, dt, m.item(AT["LAST_RATE"]) if m[AT["STAGE"]] == MOVING else 0.0)
     if m[AT["STAGE"]] == RELAXING and m[AT["SENSOR_FAULT"]] == SENSORS_FINE:
@@ -65,24 +94,78 @@ def relax(memory: Array, arms: int, wrenches: ArrayLike | None, dt: float, /) ->
 def _feel(m: Array, x: dict[str, Array], wrenches: ArrayLike | None, dt: float) -> int:
     w = np.full_like(x["seen"], np.nan) if wrenches is None else np.asarray(wrenches, dtype=float)
     fresh = np.isfinite(w).all(axis=1)
-    x["silent"][:] = np.where(fresh, 0.0, x["silent"] + dt)
+    same = (w == x["seen"]).all(axis=1) & (m[AT["LAST_SPEED"]] > _SENSED_MOTION)  # while the arms move
+    x["silent"][:] = np.where(fresh & ~same, 0.0, x["silent"] + dt)
     x["seen"][:] = np.where(fresh[:, None], w, x["seen"])
     now = (x["internal_of"] @ x["seen"].ravel()).reshape(-1, 6) - x["target"]
-    x["internal"] += dt / (dt + m[AT["WRENCH_FILTER"]]) * (now - x["internal"])
+    m[AT["SHARPEST"]] = np.linalg.norm(now[:, :3], axis=1).max()
+    share = dt / (dt + m[AT["WRENCH_FILTER"]])
+    x["internal"] += share * (now - x["internal"])
+    x["felt"] += share * (x["seen"] - x["felt"])
     m[AT["SIZE"]] = _largest(x["internal"], 1.0, _TURN_LENGTH)
     if (x["silent"] > m[AT["WRENCH_SILENCE"]]).any():
         return SILENT
     return HEARD if fresh.all() else MISSED
 
 
+def _find_contact(m: Array, x: dict[str, Array], dt: float) -> None:
+    """What pushes the object, beside its weight and the arms: the sum of their wrenches, less its weight and inertia.
+
+    What was there before it moved is no contact, nor any less of it: a payload of another mass than told, or a table
+    that it is lifted from.
+    """
+    if not m[AT["CONTACT_LIMIT"]] < math.inf:
+        return
+    R, travel, (push, base, last), moves = (
+        x["reference"][:9].reshape(3, 3),
+        x["travel"],
+        x["push"],
+        m[AT["STAGE"]] >= MOVING,
+    )
+    place, since, haste = R @ x["centre"] + x["reference"][9:], max(m.item(AT["REFERENCE_DT"]), 1e-6), AT["LOAD_HASTE"]
+    if moves:
+        velocity = (place - travel[0]) / since
+        change = (velocity - travel[1]) / since
+        travel[:2] = place, velocity
+        travel[2] += dt / (dt + m[AT["WRENCH_FILTER"]]) * (change - travel[2])
+        m[haste] = max(float(np.linalg.norm(change)), m[haste] * _PEAK / (_PEAK + dt))
+    else:
+        travel[0], travel[1:], m[haste] = place, 0.0, 0.0
+    n = len(x["seen"])
+    felt = np.einsum("kikj,kj->i", x["unfed_of"].reshape(n, 6, n, 6)[:, :3], x["seen"])
+    now = m[AT["WEIGHT_X"] : AT["WEIGHT_Z"] + 1] + m[AT["LOAD_MASS"]] * travel[2] - R @ felt
+    push += dt / (dt + _CONTACT_FILTER) * (now - push)
+    if not moves:
+        base += dt / (dt + _CONTACT_SETTLES) * (now - base)
+        return
+    off = push - min(max(push @ base / max(base @ base, 1e-12), 0.0), 1.0) * base
+    m[AT["PUSHED"]] = math.sqrt(off @ off)
+    limit = (_LET_GO if m[AT["TOUCHES"]] else 1.0) * m[AT["CONTACT_LIMIT"]]
+    clear = m[AT["TOUCHES"]] or (not m[AT["SUSPECTED"]] and m[AT["PUSHED"]] > _MORE_THAN_INTERNAL * m[AT["SHARPEST"]])
+    if clear and m[AT["PUSHED"]] - _LATE_LOAD * m[AT["LOAD_MASS"]] * m[haste] >= limit:
+        if not m[AT["TOUCHES"]] or m[AT["PUSHED"]] >= m[AT["CONTACT_LIMIT"]]:
+            last[:] = off
+        m[AT["TOUCHES"]] = _CONTACT_LASTS
+    else:
+        m[AT["TOUCHES"]] = max(m[AT["TOUCHES"]] - dt, 0.0)
+    if m[AT["TOUCHES"]]:
+        m[AT["CORRECTS"]] = m[AT["FORCE_CAP"]] = 0.0
+
+
 def _give_way(m: Array, x: dict[str, Array], dt: float, rate: float) -> None:
     o: dict[str, Any] = {name: m.item(i) for name, i in AT.items()}
-    size, way = o["SIZE"], np.zeros_like(x["shift"])
+    size, soft, way = o["SIZE"], min(max(o["STIFFER"], _SOFTEST), 1.0), np.zeros_like(x["shift"])
+    asks = min(rate, o["ALLOWED"]) if o["AT_END"] else rate  # past its end a step says 1 again, however slow it came
     if size > o["DEAD_BAND"]:
         yields = (x["yields"] @ x["internal"].ravel()).reshape(-1, 6)
-        way = (o["DEAD_BAND"] / size - 1.0) / (o["STIFFER"] * o["RELAX_TIME"]) * yields
-        x["drift"] += rate * dt / o["DRIFT_TIME"] * way
-    way = way + rate * x["drift"]
+        way = (o["DEAD_BAND"] / size - 1.0) / (max(o["STIFFER"], 1.0) * o["RELAX_TIME"]) * yields
+        # Softer servos than given are answered more slowly, and their drift is learned as much more slowly.
+        # A slow object shows little of its drift, which would be learned with the square of the rate.
+        counts = min(max(rate, _SLOWEST_LESSON), 1.0)
+        x["drift"] += rate * dt * soft / (counts * counts * o["DRIFT_TIME"]) * way
+    if o["AT_END"]:  # soft servos, and slow objects, would unlearn slowly what the path has asked for
+        x["drift"] *= 1.0 - rate * dt * (1.0 - soft * asks) / (o["DRIFT_TIME"] + dt)
+    way = way + asks * x["drift"]
     fastest = max(
         float(np.abs(way[:, :3]).max()) / o["MOST_SPEED"], float(np.abs(way[:, 3:]).max()) / o["MOST_SPIN"], 1.0
     )
@@ -94,11 +177,18 @@ def _give_way(m: Array, x: dict[str, Array], dt: float, rate: float) -> None:
 
 
 def _wait_at_rest(m: Array, dt: float) -> None:
-    """Palms press, and all forces are small, for long enough: then the object moves."""
+    """Palms press, and all forces are small, for long enough: then the object moves.
+
+    It moves slowly at first on servos that were found to be other ones than told.
+    """
     since, size = AT["SINCE"], m[AT["SIZE"]]
     m[since] = 0.0 if size > m[AT["PRESSED_BELOW"]] else m[since] + dt
     if m[since] > m[AT["WAIT"]] and size < m[AT["MOVE_BELOW"]]:
         m[AT["STAGE"]], m[since] = MOVING, 0.0
+        stiffer = m[AT["STIFFER"]]
+        softer = stiffer > _SOFTEST and stiffer * _STRANGE < 1.0  # or they do not answer at all
+        if not m[AT["HAS_PALMS"]] and (softer or stiffer > _STRANGE):  # the pads of palms yield, too
+            m[AT["FORCE_CAP"]] = min(m[AT["FORCE_CAP"]], _CAREFUL)
 
 
 def _largest(rows: Array, linear: float, angular: float) -> float:

@@ -114,8 +114,8 @@ static int jumps(const Core *c, const double *velocity) {
 static int admits(Core *c, const double *numbers, double rate, int needed) {
     const int kept = count_ahead(c, COUNT) + count_ahead(c, WAY) + 2;
     c->path_numbers = numbers;
-    c->loop[RATE] = rate;
-    if (c->looks_ahead) preview_try(c, c->loop[CLOCK], kept);
+    c->loop[RATE] = rate, c->loop[RATE_SLOPE] = 0.0;
+    if (c->looks_ahead) preview_try(c, c->loop[CLOCK], kept, 0);
     if (!needed) return 1;
     observe(c, NULL, NULL);
     c->further_rows = 0;
@@ -146,7 +146,7 @@ static int go_over(Core *c, const double *goal, double speed, double spin, doubl
         const int taken = admits(c, numbers, rate, !rests);
         memcpy(c->loop, loop, sizeof loop);
         if (taken) {
-            c->loop[RATE] = rate, c->ahead[KEPT] = 0.0;
+            c->loop[RATE] = rate, c->loop[RATE_SLOPE] = 0.0, c->ahead[KEPT] = 0.0;
             return 1;
         }
         memcpy(c->ahead, ahead, sizeof ahead);

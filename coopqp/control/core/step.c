@@ -63,11 +63,12 @@ static void hold_here(Core *c) {
 static int let_in(Core *c, const double *positions, const double *q) {
     double *p = c->proposal, commanded[6];
     const double h = p[DT];
-    if (!positions && !(c->loop[DRIFTED] != 0.0 && p[HOLD] == 0.0)) {
+    const double corrects = c->minding ? c->minding[CORRECTS] : 1.0; /* arms that mind forces relax first */
+    if (!positions && !((c->loop[DRIFTED] != 0.0 || corrects < 1.0) && p[HOLD] == 0.0)) {
         memset(c->measured, 0, 6 * sizeof(double));
         return p[HOLD] != 0.0;
     }
-    if (!errors_at(c, c->carried, c->R, c->p, c->errors)) return 0;
+    if (p[HAS_ERRORS] == 0.0) return 0;
     common_error(c, c->errors, commanded);
     if (positions) {
         double *carried = c->measured_carried, *away = c->measured_away, found[6];
@@ -80,7 +81,7 @@ static int let_in(Core *c, const double *positions, const double *q) {
         for (int i = 0; i < 6; i++) c->drift[i] += new * (found[i] - commanded[i] - c->drift[i]);
         c->loop[DRIFTED] = 1.0;
     }
-    const double share = p[HOLD] != 0.0 ? 0.0 : p[WATCH_CAP];
+    const double share = p[HOLD] != 0.0 ? 0.0 : corrects * p[WATCH_CAP];
     for (int i = 0; i < 6; i++) c->measured[i] = share * (commanded[i] + c->drift[i]);
     return 1;
 }
@@ -135,6 +136,8 @@ static void observe(Core *c, const double *q, const double *dt) {
         refuse(c, (int)c->loop[FAULT], (int)c->loop[FAULT_ARM], c->loop[FAULT_A]);
         p[REASON_B] = c->loop[FAULT_B], p[FAULTS] = 1.0;
     }
+    p[HAS_ERRORS] = errors_at(c, c->carried, c->R, c->p, c->errors);
+    if (p[HAS_ERRORS] != 0.0) watch_chain(c);
     p[HAS_MEASURED] = let_in(c, q ? positions : NULL, q);
 }
 
@@ -192,7 +195,7 @@ static void find_cap(Core *c) {
     p[CAP] = 1.0, p[LATE] = 0.0, p[KEEP] = 1.0;
     if (c->loop[PATH_LOST] == 2.0) {
         c->loop[PATH_LOST] = 0.0;
-        if (c->looks_ahead) preview_reset(c, c->loop[CLOCK]); /* the known horizon is void after the path has failed */
+        if (c->looks_ahead) preview_reset(c, c->loop[CLOCK], 1); /* the known horizon is void after the path has failed */
     }
     if (c->looks_ahead) p[CAP] = preview_cap(c, c->loop[CLOCK], h);
     if (c->accelerates && (!c->looks_ahead || c->loop[CORRECTING] != 0.0)) {
@@ -221,7 +224,7 @@ static void find_cap(Core *c) {
 
 /* Limit the error that the path correction sees, so that the correction is `keep` of the last one. */
 static void brake_correction(Core *c, double keep) {
-    if (c->proposal[HAS_MEASURED] == 0.0 && errors_at(c, c->carried, c->R, c->p, c->errors))
+    if (c->proposal[HAS_MEASURED] == 0.0 && c->proposal[HAS_ERRORS] != 0.0)
         common_error(c, c->errors, c->measured);
     for (int part = 0; part < 6; part += 3) {
         const double now = c->options[PATH_GAIN] * sqrt(dot3(c->measured + part, c->measured + part));
@@ -247,29 +250,46 @@ static void wish(Core *c) {
     if (c->proposal[HOLD] != 0.0) memset(c->null_offset, 0, sizeof(double) * (size_t)c->joints);
 }
 
-/* Defects of the linearisation at positions on the way: b_k = A_k v − log(O(q + h v) O(q)⁻¹) / h. */
-static int defect(Core *c, const double *v, double h) {
+/* Mean twists of the object in a step of velocities v, as each arm carries it, in the world frame about the reference
+ * origin: log(O(q + h v) O(q)⁻¹) / h. */
+static int twists_made(Core *c, const double *v, double h) {
     double *ahead = c->scratch, *after = ahead + c->joints;
     for (int j = 0; j < c->joints; j++) ahead[j] = c->positions[j] + h * v[j];
     carry(c, ahead, after);
     for (int k = 0; k < c->arms; k++) {
         const double *O = c->carried + 12 * k, *O1 = after + 12 * k;
-        const int start = (int)c->arm_start[k], end = start + (int)c->arm_size[k];
-        double D[9], before[3], moved[3], made[6], off[6];
+        double D[9], before[3], moved[3];
         for (int i = 0; i < 3; i++) /* D = R₁ Rᵀ */
             for (int m = 0; m < 3; m++) D[3 * i + m] = dot3(O1 + 3 * i, O + 3 * m);
         for (int i = 0; i < 3; i++) before[i] = O[9 + i] - c->p[i];
         rotate(D, before, moved);
         for (int i = 0; i < 3; i++) moved[i] = O1[9 + i] - c->p[i] - moved[i];
-        if (!log6(D, moved, made)) return 0;
-        for (int i = 0; i < 6; i++) {
-            off[i] = -made[i] / h;
-            for (int j = start; j < end; j++) off[i] += c->jacobian[6 * j + i] * v[j];
-        }
-        rotate_back(c->R, off, c->offsets + 6 * k);
-        rotate_back(c->R, off + 3, c->offsets + 6 * k + 3);
+        if (!log6(D, moved, c->made + 6 * k)) return 0;
+        for (int i = 6 * k; i < 6 * k + 6; i++) c->made[i] /= h;
     }
     return 1;
+}
+
+/* b_k = A_k v less the twists made, of arm k, in the reference object frame. */
+static void defect(const Core *c, int k, const double *v, double *b) {
+    const int start = (int)c->arm_start[k], end = start + (int)c->arm_size[k];
+    double off[6];
+    for (int i = 0; i < 6; i++) {
+        off[i] = -c->made[6 * k + i];
+        for (int j = start; j < end; j++) off[i] += c->jacobian[6 * j + i] * v[j];
+    }
+    rotate_back(c->R, off, b);
+    rotate_back(c->R, off + 3, b + 3);
+}
+
+/* By how much the step that the command makes misses the twists that it was to make [m, rad]. */
+static double missed(const Core *c, double h) {
+    double most = 0.0, b[6];
+    for (int k = 0; k < c->arms; k++) {
+        defect(c, k, c->command, b);
+        for (int i = 0; i < 6; i++) most = fmax(most, fabs(b[i] - c->foresees[6 * k + i]));
+    }
+    return most * h;
 }
 
 static int settle_qp(Core *c, double cap) {
@@ -293,7 +313,7 @@ static int settle(Core *c, double cap) {
     double *p = c->proposal;
     const double h = p[DT];
     p[NEW_RATE] = cap, p[BINDING_ROW] = -1.0, p[BINDINGS] = 0.0;
-    p[GRASP_SHARE] = p[PATH_SHARE] = 1.0, p[PARTING] = 0.0, p[BRAKED] = 0.0;
+    p[GRASP_SHARE] = p[PATH_SHARE] = p[MADE] = 1.0, p[PARTING] = 0.0, p[BRAKED] = 0.0;
     memset(c->off_path, 0, 6 * sizeof(double));
     if (c->options[SHORTCUT] != 0.0 && nominal_command(c, cap)) {
         if (well_inside(c, h) && further_admissible(c, LIMIT_TOLERANCE)) return NOMINAL;
@@ -309,44 +329,83 @@ static int settle(Core *c, double cap) {
     return settle_qp(c, cap);
 }
 
-/* The first step of a motion has no velocity to predict its midpoint with: linearise again until it settles. */
-static int settle_first(Core *c, double cap) {
-    double *guess = c->guess, *start = c->first_guess, *middle = c->scratch;
+/* Linearise at the middle of the way that joint velocities make; the middle is in `scratch`. */
+static void linearise_about(Core *c, const double *v) {
+    double *middle = c->scratch;
+    for (int j = 0; j < c->joints; j++) middle[j] = c->positions[j] + 0.5 * c->proposal[DT] * v[j];
+    carry_and_linearise(c, middle, c->p, NULL, c->jacobian);
+}
+
+static int answered(int outcome) { return outcome != OPEN && outcome != FILLED; }
+
+/* Whether one linearisation is not enough for the command. */
+static int long_step(const Core *c) {
+    double change = 0.0, fastest = 0.0;
     const double h = c->proposal[DT];
-    const size_t size = sizeof(double) * (size_t)c->joints;
-    int outcome = OPEN;
-    for (int j = 0; j < c->joints; j++) guess[j] = 2.0 * c->velocity[j] - c->before[j];
-    for (int iteration = 0; iteration <= (int)EXTRA_AT_START; iteration++) {
-        double change = 0.0, fastest = 0.0;
-        for (int j = 0; j < c->joints; j++) middle[j] = c->positions[j] + 0.5 * h * guess[j];
-        carry_and_linearise(c, middle, c->p, NULL, c->jacobian);
-        if (iteration && !defect(c, guess, h)) return OPEN;
-        outcome = settle(c, cap);
-        if (outcome == OPEN || outcome == FILLED) return OPEN; /* the definition iterates with any solver */
-        for (int j = 0; j < c->joints; j++) {
-            change = fmax(change, fabs(c->command[j] - guess[j]));
-            fastest = fmax(fastest, fabs(c->command[j]));
-        }
-        if (!iteration) memcpy(start, c->command, size);
-        if (change * fastest * h * h <= SETTLED) break;
-        memcpy(guess, c->command, size);
+    for (int j = 0; j < c->joints; j++) {
+        change = fmax(change, fabs(c->command[j] - c->guess[j]));
+        fastest = fmax(fastest, fabs(c->command[j]));
     }
-    /* The velocities at the start and the middle of this step serve as the velocities of two steps. */
-    for (int j = 0; j < c->joints; j++) c->stand_in[j] = 2.0 * start[j] - c->command[j];
-    return outcome;
+    return fastest * h > LONG_STEP || change * h * fastest * h > BENT_STEP;
+}
+
+/* Linearise about the answer's own way until it settles, `least` times at least, and keep the answer that misses least:
+ * near singularities a further one may miss more. Where no answer is found the definition does the same with any
+ * solver. */
+static int settle_again(Core *c, double cap, int outcome, int least) {
+    const double h = c->proposal[DT];
+    const size_t joints = sizeof(double) * (size_t)c->joints, twists = 6 * sizeof(double) * (size_t)c->arms;
+    double smallest = INFINITY;
+    for (int done = 0;; done++) {
+        if (!answered(outcome) || !twists_made(c, c->command, h)) return OPEN;
+        const double miss = missed(c, h);
+        const int best = miss < smallest;
+        const int last = done == (int)EXTRA_AT_START || (done >= least && miss <= SETTLED);
+        if (best) {
+            smallest = miss;
+            memcpy(c->best_guess, c->guess, joints);
+            memcpy(c->best_offsets, c->offsets, twists);
+            memcpy(c->best_foresees, c->foresees, twists);
+        }
+        if (last && best) return outcome;
+        memcpy(c->guess, last ? c->best_guess : c->command, joints);
+        linearise_about(c, c->guess);
+        if (last) {
+            memcpy(c->offsets, c->best_offsets, twists);
+            memcpy(c->foresees, c->best_foresees, twists);
+            outcome = settle(c, cap);
+            return answered(outcome) ? outcome : OPEN;
+        }
+        for (int k = 0; k < c->arms; k++) {
+            defect(c, k, c->guess, c->foresees + 6 * k);
+            for (int i = 6 * k; i < 6 * k + 6; i++) c->offsets[i] = c->left_over[i] + c->foresees[i];
+        }
+        outcome = settle(c, cap);
+    }
+}
+
+/* No look-ahead covers the motion: none has one, or arms that give way have left their path. */
+static int brakes_together(const Core *c) {
+    return !c->looks_ahead || (c->options[LEAVES_PATH] != 0.0 && c->accelerates && c->loop[CORRECTING] != 0.0);
 }
 
 /* The ranked answer under the cap and the further rows; returns an outcome. */
 static int answer(Core *c) {
-    double *p = c->proposal, *middle = c->scratch;
-    int outcome = OPEN;
-    if (c->loop[FIRST] != 0.0) {
-        outcome = settle_first(c, p[CAP]);
-    } else {
-        for (int j = 0; j < c->joints; j++)
-            middle[j] = c->positions[j] + 0.5 * p[DT] * (2.0 * c->velocity[j] - c->before[j]);
-        carry_and_linearise(c, middle, c->p, NULL, c->jacobian);
-        outcome = settle(c, p[CAP]);
+    double *p = c->proposal, *start = c->first_guess;
+    const int first = c->loop[FIRST] != 0.0;
+    c->further_rows = c->given_rows;
+    if (brakes_together(c)) brake_together(c);
+    p[ROWS] = c->further_rows;
+    for (int j = 0; j < c->joints; j++) c->guess[j] = 2.0 * c->velocity[j] - c->before[j];
+    linearise_about(c, c->guess);
+    int outcome = settle(c, p[CAP]);
+    if (first && !answered(outcome)) outcome = OPEN;
+    if (answered(outcome)) {
+        const int again = long_step(c);
+        if (first) memcpy(start, c->command, sizeof(double) * (size_t)c->joints);
+        if (first || again) outcome = settle_again(c, p[CAP], outcome, again);
+        /* The velocities at the start and the middle of the first step serve as the velocities of two steps. */
+        for (int j = 0; first && j < c->joints; j++) c->stand_in[j] = 2.0 * start[j] - c->command[j];
     }
     return (int)(p[OUTCOME] = outcome);
 }
@@ -361,7 +420,9 @@ static int propose(Core *c) {
     if (rest < h * p[CAP]) p[CAP] = rest / h; /* the last step ends at the end */
     /* The mean along the path has to see a corner that the step may reach. */
     const int corner = c->looks_ahead && next_breakpoint(c, clock) <= clock + h * p[CAP];
-    const double pace = corner ? p[CAP] : fmin(p[CAP], c->loop[RATE]);
+    /* Else at the rate that is expected: it goes on to change as it did. */
+    const double expected = c->loop[RATE] + c->loop[RATE_SLOPE] * h;
+    const double pace = corner ? p[CAP] : fmin(p[CAP], fmax(expected, 0.0));
     p[SPAN] = fmin(h * fmax(pace, LEAST_PACE), rest);
     if (c->loop[PATH_LOST] != 0.0 || !path_increment(c, clock, p[SPAN], c->R, c->p, c->along)) {
         memset(c->along, 0, 6 * sizeof(double));
@@ -369,7 +430,8 @@ static int propose(Core *c) {
         p[CAP] = 0.0;
     }
     if (c->redundant) wish(c);
-    if (!errors_at(c, c->carried, c->R, c->p, c->errors)) return (int)(p[OUTCOME] = OPEN);
+    p[ROWS] = c->given_rows;
+    if (p[HAS_ERRORS] == 0.0) return (int)(p[OUTCOME] = OPEN);
     corrections(c, h);
     return answer(c);
 }
@@ -390,6 +452,8 @@ static void write_bindings(Core *c, double *entries, int *position, int *acceler
         entries[4 * count + 1] = -1.0;
         entries[4 * count + 2] = joint ? row : -1.0;
         entries[4 * count + 3] = joint ? -1.0 : c->further_owner[row - c->joints];
+        if (!joint && c->further_owner[row - c->joints] < 0.0)
+            name_brake(c, (int)(-1.0 - c->further_owner[row - c->joints]), entries + 4 * count);
     }
     if (!count && p[CAP_KIND] != NONE) {
         const int own = p[CAP_KIND] == CONSTRAINT;
@@ -418,6 +482,22 @@ static int slow_status(const Core *c, double rate, int position, int acceleratio
     return c->record[R_BINDINGS] == 0.0 || (acceleration && (rising || outside)) ? SLOWED : BLOCKED;
 }
 
+/* The status that a step alone would say, or that of the last step, which lasts a moment. */
+static int lasting(Core *c, int found, double rate) {
+    const double h = c->proposal[DT], last = c->loop[SAID];
+    double more = 0.0, most = 0.0;
+    if (last == BLOCKED && found == SLOWED && c->record[R_BINDINGS] > 0.0)
+        more = rate * h, most = STILL_BLOCKED;
+    else if (last == SLOWED && found == TRACKING && !c->looks_ahead)
+        more = h, most = STILL_SLOWED;
+    if (more > 0.0 && c->loop[OUTDATED] + more <= most) {
+        c->loop[OUTDATED] += more;
+        return last == BLOCKED ? BLOCKED : SLOWED;
+    }
+    if (last != BLOCKED || found != BLOCKED) c->loop[OUTDATED] = 0.0;
+    return found;
+}
+
 /* How far the object is off its path [m], [rad], by the measurements; 0 within the options' bounds. */
 static int off_its_path(const Core *c, double *distance, double *angle) {
     double e[6];
@@ -431,6 +511,18 @@ static int off_its_path(const Core *c, double *distance, double *angle) {
     if (!(*distance > far)) *distance = 0.0;
     if (!(*angle > wide)) *angle = 0.0;
     return *distance > 0.0 || *angle > 0.0;
+}
+
+/* Whether an object whose clock stands rests; its errors are corrected. */
+static int rests(const Core *c) {
+    const double *off = c->off_path;
+    return sqrt(dot3(off, off)) <= RESTING_SPEED && sqrt(dot3(off + 3, off + 3)) <= RESTING_SPIN;
+}
+
+static void bind_override(Core *c, double *entries) {
+    static const double by_override[4] = {OVERRIDE, -1.0, -1.0, -1.0};
+    memcpy(entries, by_override, sizeof by_override);
+    c->record[R_BINDINGS] = 1.0;
 }
 
 /* Set the start of the next step. */
@@ -450,11 +542,13 @@ static void move_on(Core *c, double rate, double clock_next) {
         c->loop[CORRECTING] = square > NEGLIGIBLE;
         memcpy(c->correcting, twist, sizeof twist);
     }
+    memcpy(c->foreseen, c->foresees, 6 * sizeof(double) * (size_t)c->arms);
     const double *before = c->loop[FIRST] != 0.0 ? c->stand_in : c->velocity;
     memmove(c->before, before, sizeof(double) * (size_t)c->joints);
     memcpy(c->velocity, c->command, sizeof(double) * (size_t)c->joints);
     for (int j = 0; j < c->joints; j++) c->positions[j] += h * c->command[j];
     c->loop[HAS_PREDICTED] = p[PARTING] == 0.0 && p[BRAKED] == 0.0 && c->loop[PATH_LOST] == 0.0;
+    c->loop[RATE_SLOPE] = (rate - c->loop[RATE]) / h;
     c->loop[LAST_DT] = h, c->loop[CLOCK] = clock_next, c->loop[RATE] = rate, c->loop[FIRST] = 0.0;
 }
 
@@ -478,17 +572,18 @@ static int commit(Core *c) {
     int position, acceleration, status = TRACKING;
     write_bindings(c, off_path + 6, &position, &acceleration);
     if (share <= 1.0 - 1e-6) status = slow_status(c, share, position, acceleration);
-    if (rate_asked(c) < c->options[BLOCKED_RATE] && share < c->options[BLOCKED_RATE]) status = PAUSED;
-    r[R_AWAY] = r[R_TURNED] = 0.0;
+    status = lasting(c, status, share);
+    if (rate_asked(c) < c->options[BLOCKED_RATE] && share < c->options[BLOCKED_RATE]) {
+        status = rests(c) ? PAUSED : SLOWED;
+        if (r[R_BINDINGS] == 0.0) bind_override(c, off_path + 6);
+    }
+    r[R_AWAY] = r[R_TURNED] = 0.0, r[R_MEASURED] = c->loop[DRIFTED];
     if (p[HOLD] != 0.0 || p[BRAKED] != 0.0)
         status = HOLDING;
     else if (off_its_path(c, r + R_AWAY, r + R_TURNED))
         status = OFF_PATH;
-    else if (status == PAUSED) { /* before any other reason to stop */
-        static const double by_override[4] = {OVERRIDE, -1.0, -1.0, -1.0};
-        memcpy(off_path + 6, by_override, sizeof by_override);
-        r[R_BINDINGS] = 1.0;
-    }
+    else if (status == PAUSED)
+        bind_override(c, off_path + 6); /* before any other reason to stop */
     if (p[HOLD] != 0.0 && p[FAULTS] != 0.0) {
         status = FAULTED;
         if (c->loop[FAULT] == 0.0)
@@ -496,13 +591,19 @@ static int commit(Core *c) {
             c->loop[FAULT_B] = p[REASON_B];
     }
     if (status == TRACKING && p[OUTCOME] != QP) r[R_BINDINGS] = 0.0;
+    const int stopped = status == SLOWED || status == BLOCKED;
+    for (int i = 0; i < (int)r[R_BINDINGS] && stopped && p[REASON] == NO_REASON; i++)
+        if (off_path[6 + 4 * i] == PATH_JUMP && c->ahead[JUMP_BY] != 0.0)
+            p[REASON] = PATH_JUMPS, p[REASON_A] = c->ahead[JUMP_AT], p[REASON_B] = c->ahead[JUMP_BY];
+    c->loop[SAID] = status;
     r[R_DT] = h, r[R_CLOCK] = clock, r[R_CLOCK_NEXT] = clock_next, r[R_RATE] = share, r[R_STATUS] = status;
     r[R_REASON] = p[REASON], r[R_REASON_ARM] = p[REASON_ARM], r[R_REASON_A] = p[REASON_A], r[R_REASON_B] = p[REASON_B];
     r[R_GRASP_SHARE] = p[GRASP_SHARE], r[R_PATH_SHARE] = p[PATH_SHARE], r[R_PARTING] = p[PARTING];
-    r[R_OUTCOME] = p[OUTCOME], r[R_ITERATIONS] = p[ITERATIONS];
+    r[R_OUTCOME] = p[OUTCOME], r[R_ITERATIONS] = p[ITERATIONS], r[R_APART] = p[APART];
     memcpy(off_path, c->off_path, 6 * sizeof(double));
     memcpy(velocity, c->command, sizeof(double) * (size_t)c->joints);
     write_configuration(c, q);
+    chain_watched(c);
     move_on(c, rate, clock_next);
     ease_wishes(c, h);
     write_configuration(c, q_next);
@@ -513,10 +614,12 @@ static int commit(Core *c) {
 
 /* Start along a path at `clock`. */
 static void start_path(Core *c, double clock, double rate) {
-    c->loop[CLOCK] = clock, c->loop[FIRST] = 1.0, c->loop[HAS_PREDICTED] = 0.0, c->loop[RATE] = rate;
+    c->loop[CLOCK] = clock, c->loop[FIRST] = 1.0, c->loop[HAS_PREDICTED] = 0.0;
+    c->loop[RATE] = rate, c->loop[RATE_SLOPE] = 0.0;
     stay_near(c, c->positions); /* so that a restart repeats to the last bit */
     c->loop[AWAY] = INFINITY;
-    if (c->looks_ahead) preview_reset(c, clock);
+    c->loop[SAID] = TRACKING;
+    if (c->looks_ahead) preview_reset(c, clock, 0);
 }
 
 /* Start at rest at `positions`. */

@@ -9,6 +9,8 @@
 #include "ldp.c"
 #include "program.c"
 #include "watch.c"
+#include "residual.c"
+#include "apart.c"
 #include "quiet.c"
 #include "sharing.c"
 #include "horizon.c"
@@ -16,6 +18,7 @@
 #include "chain_ahead.c"
 #include "growth.c"
 #include "preview.c"
+#include "braking.c"
 #include "step.c"
 #include "servo.c"
 #include "relax.c"
@@ -26,5 +29,5 @@
 #endif
 
 const Arithmetic ARITHMETIC = {start,       start_path, observe, propose,             answer,         commit,
-                               read_answer, quiet_step, carry,   carry_and_linearise, least_distance, go_over,
-                               relax,       allow};
+                               read_answer, quiet_step, expect_shift, carry, carry_and_linearise, least_distance,
+                               go_over,     relax,      allow};

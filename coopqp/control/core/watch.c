@@ -75,20 +75,21 @@ static void keep_where_lost(Core *c, const double *q, double *away) {
     c->watch[HAS_SEEN] = 1.0;
 }
 
-/* Noise in unfiltered deviations [m, rms], from their second differences, which motion hardly has. */
-static double noise_seen(Core *c, const double *away, double dt) {
-    double *samples = c->watch + SAMPLES, largest = 0.0;
+/* Noise in unfiltered deviations (6 an arm) [m, rms], from their second differences, which motion hardly has. */
+static double noise_seen(int arms, double *samples, double *lasts, double *last_steps, double *noise, const double *away,
+                         double dt) {
+    double largest = 0.0;
     *samples = fmin(*samples + 1.0, NOISE_TIME / dt);
     const double gain = 1.0 / fmax(*samples - 2.0, 1.0);
-    for (int k = 0; k < c->arms; k++) {
-        double *last = c->away + 6 * k, *last_step = c->away_step + 6 * k, bend[6];
+    for (int k = 0; k < arms; k++) {
+        double *last = lasts + 6 * k, *last_step = last_steps + 6 * k, bend[6];
         for (int i = 0; i < 6; i++) {
             double step = away[6 * k + i] - last[i];
             bend[i] = step - last_step[i];
             last[i] = away[6 * k + i], last_step[i] = step;
         }
-        if (*samples > 2.0) c->noise[k] += gain * (square6(bend) - c->noise[k]); /* the first have no past */
-        largest = larger(largest, c->noise[k]);
+        if (*samples > 2.0) noise[k] += gain * (square6(bend) - noise[k]); /* the first have no past */
+        largest = larger(largest, noise[k]);
     }
     return sqrt(largest / 6.0);
 }
@@ -155,6 +156,24 @@ static void without_drift(Core *c, const double *apart, double noise, double dt,
     for (int i = 0; i < 6 * c->arms; i++) out[i] = apart[i] - c->slow_drift[i];
 }
 
+/* Distances of rigid grips, which have no lag in them, without a drift that follows them at once. */
+static void follow_drift(Core *c, const double *apart, double dt, double *out) {
+    double way = 0.0, fastest = 1e-300;
+    const double limit = c->options[LET_IN];
+    for (int j = 0; j < c->joints; j++) {
+        if (c->watch[DRIFT_STARTED] != 0.0) way = fmax(way, fabs(c->positions[j] - c->drift_last[j]));
+        c->drift_last[j] = c->positions[j];
+    }
+    c->watch[DRIFT_STARTED] = 1.0;
+    for (int i = 0; i < 6 * c->arms; i++) fastest = fmax(fastest, fabs(apart[i] - c->slow_drift[i]));
+    c->minding[WAY_DONE] = way;
+    const double share = fmin((LARGEST_SLOPE * way + GROWS * dt) / fastest, 1.0);
+    for (int i = 0; i < 6 * c->arms; i++) {
+        c->slow_drift[i] = clamp(c->slow_drift[i] + share * (apart[i] - c->slow_drift[i]), -limit, limit);
+        out[i] = apart[i] - c->slow_drift[i];
+    }
+}
+
 /* -- out of step --------------------------------------------------------------------------------------------------- */
 
 /* Count the samples in a row in which an arm is as far from the others as a fault needs. One that the arm farthest from
@@ -195,7 +214,7 @@ static int most_out_of_step(const Core *c, const double *out_of_step, double lar
 }
 
 /* Deviation of each arm from the mean of the others that slows or stops the object. */
-static void watch_distances(Core *c, const double *q, const double *away_given, double dt, Seen *seen) {
+static void watch_distances(Core *c, const double *q, const double *away_given, double dt, int rigid, Seen *seen) {
     const double *o = c->options;
     const int count = 6 * c->arms;
     double *away = c->scratch, *apart = away + count, *out_of_step = apart + count, *unfiltered = out_of_step + count;
@@ -204,9 +223,11 @@ static void watch_distances(Core *c, const double *q, const double *away_given, 
     const double fresh = dt / (o[FILTER_TIME] + dt);
     for (int i = 0; i < count; i++) c->deviation[i] += fresh * (away[i] - c->deviation[i]);
     const double share = sqrt(dt / (2.0 * o[FILTER_TIME] + dt)); /* of the noise that passes the filter */
-    const double noise = share * noise_seen(c, away, dt);
+    const double noise = share * noise_seen(c->arms, c->watch + SAMPLES, c->away, c->away_step, c->noise, away, dt);
     from_others(c, c->deviation, apart);
-    if (o[LET_IN] > 0.0)
+    if (o[LET_IN] > 0.0 && rigid)
+        follow_drift(c, apart, dt, out_of_step);
+    else if (o[LET_IN] > 0.0)
         without_drift(c, apart, noise, dt, out_of_step);
     else
         memcpy(out_of_step, apart, sizeof(double) * (size_t)count);
@@ -284,7 +305,8 @@ static void note_stalls(Core *c, const double *told, const double *moved, const 
     }
 }
 
-static void watch_stall(Core *c, const double *positions, double dt, Seen *seen) {
+/* Of arms in rigid grips that mind forces, their wrenches say more: here, only whether all have stopped. */
+static void watch_stall(Core *c, const double *positions, double dt, int rigid, Seen *seen) {
     double *told = c->scratch, *moved = told + c->arms, *gap = moved + c->arms;
     const double *before = remember(c, positions);
     for (int k = 0; k < c->arms; k++) moves_of(c, k, positions, before, told + k, moved + k, gap + k);
@@ -297,7 +319,7 @@ static void watch_stall(Core *c, const double *positions, double dt, Seen *seen)
         else
             all = 0;
     }
-    if (first >= 0) hold_for(seen, all ? ALL_STALLED : STALLED, first, 0.0, 0.0);
+    if (first >= 0 && (all || !rigid)) hold_for(seen, all ? ALL_STALLED : STALLED, first, 0.0, 0.0);
 }
 
 /* -- forces from the servos ---------------------------------------------------------------------------------------- */
@@ -444,6 +466,10 @@ static void watch_forces(Core *c, const double *positions, double dt, Seen *seen
         hold_for(seen, HANGS_BEHIND, (int)w[BEHIND], w[GAP], w[PULL]);
 }
 
+/* Of arms that mind forces; see residual.c. */
+static void add_shift(const Core *c, double *away);
+static void watch_servos(Core *c, const double *away, double dt, Seen *seen);
+
 /* -- one sample ---------------------------------------------------------------------------------------------------- */
 
 static int all_finite(const Core *c, const double *positions, const double *away, double dt) {
@@ -465,17 +491,30 @@ static void recover(Core *c, double dt, Seen *seen) {
     w[WATCH_ARM] = seen->arm;
 }
 
+/* Slow arms that are out of step down gently: a jolt would be a force of its own. */
+static void fall_gently(const Core *c, double dt, Seen *seen) {
+    const double least = c->watch[WATCH_RATE] - dt / CAP_FALLS;
+    if (seen->fault || !(least > seen->cap)) return;
+    seen->cap = least, seen->hold = 0;
+}
+
 static void watch_sample(Core *c, const double *positions, const double *q, const double *away, double dt) {
     const double *o = c->options;
-    double *out = c->proposal;
+    const int minds = c->arms > 1 && c->minding && c->minding[RIGID] != 0.0;
+    double *out = c->proposal, *moved = c->measured_moved;
     Seen seen = {.cap = 1.0, .arm = -1, .reason = NO_REASON};
     if (!all_finite(c, positions, away, dt)) {
         hold_for(&seen, NOT_FINITE, -1, 0.0, 0.0);
     } else {
-        if (c->arms > 1 && o[SLOW_FROM] >= 0.0) watch_distances(c, q, away, dt, &seen);
-        if (o[STALL_SAMPLES] > 0.0) watch_stall(c, positions, dt, &seen);
+        memcpy(moved, away, sizeof(double) * 6 * (size_t)c->arms);
+        if (minds) add_shift(c, moved);
+        if (c->arms > 1 && o[SLOW_FROM] >= 0.0) watch_distances(c, q, moved, dt, minds, &seen);
+        if (minds) fall_gently(c, dt, &seen);
+        if (minds && o[SLOW_FROM] >= 0.0) watch_servos(c, away, dt, &seen);
+        if (o[STALL_SAMPLES] > 0.0) watch_stall(c, positions, dt, minds, &seen);
         if (o[WATCHES_FORCE] != 0.0) watch_forces(c, positions, dt, &seen);
         if (o[RECOVERY_TIME] > 0.0) recover(c, dt, &seen);
+        if (c->minding && c->minding[TOUCHES] != 0.0 && !seen.fault) hold_for(&seen, TOUCHING, -1, 0.0, 0.0); /* at once */
     }
     if (out[FAULTS] != 0.0 || !(seen.cap < out[WATCH_CAP] || seen.fault)) return; /* a fault stays as it is */
     out[WATCH_CAP] = seen.cap;
@@ -494,6 +533,7 @@ static void watch_reset(Core *c) {
     c->watch[VAR_LAG] = LAG * LAG;
     for (size_t i = 0; i < sizeof of_arms / sizeof *of_arms; i++) memset(of_arms[i], 0, arms);
     for (size_t i = 0; i < sizeof of_distances / sizeof *of_distances; i++) memset(of_distances[i], 0, 6 * arms);
+    memset(c->told_velocity, 0, joints);
     memset(c->deflection, 0, joints);
     memset(c->way, 0, joints);
 }

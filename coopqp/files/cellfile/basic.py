@@ -14,6 +14,8 @@ from coopqp.files.cellfile.strict import MAX_LIST, Table, problem
 MAX_ARMS = 128
 #: Largest accepted length of a position [m], of an angle [deg or rad], and of a path in characters.
 MAX_METRES, MAX_ANGLE, MAX_PATH = 1e4, 1e6, 4096
+#: Smallest and largest accepted stiffness of a servo [N·m/rad or N/m].
+_SOFTEST, _STIFFEST = 1e-3, 1e9
 
 
 def _plain(text: str) -> str:
@@ -34,6 +36,16 @@ Unbounded = Annotated[float, Field(allow_inf_nan=True)]
 Sides = Annotated[list[Metres], Len(3, 3)]
 PerJoint = Unbounded | Annotated[list[Unbounded], Len(1, 100)]
 Degrees = Annotated[dict[Name, Positions], Len(1, MAX_ARMS)]
+
+
+def _stiff(value: float | list[float]) -> float | list[float]:
+    for x in value if isinstance(value, list) else [value]:
+        if not _SOFTEST <= x <= _STIFFEST:
+            raise problem(f"must be from {_SOFTEST:g} to {_STIFFEST:g}, not {x:g}")
+    return value
+
+
+Stiffness = Annotated[float | Annotated[list[float], Len(1, 100)], AfterValidator(_stiff)]
 
 
 def exactly_one(table: Table, *keys: str) -> str:

@@ -45,7 +45,9 @@ class BodyTable(Table):
     length_m: Metres | None = Field(
         default=None, description="length of a cylinder; of a capsule between the centres of its ends"
     )
-    file: FilePath | None = Field(default=None, description="mesh file, whose convex hull is taken")
+    file: FilePath | None = Field(
+        default=None, description="mesh file; its convex hull is taken, or its parts (decompose)"
+    )
     scale: Annotated[float, Ge(1e-6), Le(1e6)] = Field(default=1.0, description="factor of a mesh")
     at: PlacementTable = Field(default_factory=PlacementTable, description="placement of the shape")
 
@@ -89,6 +91,9 @@ class CollisionTable(Table):
     margins: Annotated[list[MarginTable], Len(0, MAX_PAIRS)] = Field(default=[], description="margins of pairs")
     ignored: Pairs = Field(default=[], description="pairs that may touch")
     inside: Pairs = Field(default=[], description="pairs that may start inside their margin")
+    decompose: Annotated[list[Name], Len(0, MAX_BODIES)] = Field(
+        default=[], description="bodies whose meshes count as their convex parts, not as one hull"
+    )
     srdf: Annotated[dict[Name, FilePath], Len(0, MAX_ARMS)] = Field(
         default={}, description="SRDF files by arm: pairs that they disable are left out"
     )
@@ -131,6 +136,7 @@ def build_scene(
         margins={(m.between[0], m.between[1]): m.margin_m for m in table.margins},
         ignored=[(a, b) for a, b in table.ignored],
         inside=[(a, b) for a, b in table.inside],
+        decompose=table.decompose,
         srdf={arm: resolve(file, folder, f"collision.srdf.{arm}") for arm, file in table.srdf.items()},
         rules=PairRules(apart=table.apart, object_apart=table.object_apart),
     )

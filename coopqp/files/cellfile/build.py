@@ -25,17 +25,21 @@ from coopqp.control.solvers import default_solver
 from coopqp.errors import CoopqpError, InvalidInputError, MissingExtraError, StartWarning, UnknownNameError
 from coopqp.files.cellfile import CellFileError
 from coopqp.files.cellfile.bodies import build_scene
-from coopqp.files.cellfile.build_arm import build_arm, build_placement, in_radians
+from coopqp.files.cellfile.build_arm import build_arm, build_placement, build_stiffness, in_radians
 from coopqp.files.cellfile.explain import explain, in_words_of_the_file
 from coopqp.files.cellfile.schema import MAX_STEPS, CellFile, CommonErrorTable, StartTable
+from coopqp.files.cellfile.sensors import build_disturbances, known_sensors
 from coopqp.files.cellfile.strict import build_options
 from coopqp.files.cellfile.text import read_tables
+from coopqp.forces.wrist_sensor import SensorMaps, WristSensor
 from coopqp.model.branches import amount
 from coopqp.model.cell import RobotCell, slides
 from coopqp.model.grasp import Grasp
 from coopqp.model.inverse_kinematics import inverse_kinematics
 from coopqp.model.shapes import Body, Box
+from coopqp.planning.leading import led_path
 from coopqp.planning.starts import find_start
+from coopqp.simulation.assessment import Tolerances
 from coopqp.simulation.closeness import default_scene, with_clearance
 from coopqp.simulation.plants.kinematic import KinematicPlant, Plant
 from coopqp.simulation.plants.physics import PhysicsPlant
@@ -72,6 +76,7 @@ class CellTask:
         q_start: the start of the file (nq,), or None if it is to be found.
         start_is_near: the start of the file is only near; inverse kinematics leads from it to the start.
         scene: the bodies that keep distances; None if the file has no such table.
+        box: the object.
     """
 
     name: str
@@ -81,6 +86,7 @@ class CellTask:
     q_start: Array | None
     start_is_near: bool
     scene: CollisionScene | None
+    box: Body
 
     def exact_start(self) -> Array | None:
         """The configuration (nq,) at which the arms hold the object.
@@ -120,6 +126,8 @@ class CellRun:
         settle: time that the run continues after the end of the path [s].
         longest: longest run [s], or None.
         settings: contents of the file as plain data; its table ``output`` selects the files to write.
+        stiffness: what the file says of the joint servos (nv,) [N·m/rad or N/m]; None if it says nothing. The options
+            of a controller ``"qp"`` have it; for :class:`coopqp.ForceOptions`.
         scene: the bodies whose distances are kept or judged; None without bodies.
         file: the file, for messages.
     """
@@ -130,6 +138,7 @@ class CellRun:
     settle: float
     longest: float | None
     settings: CellFile
+    stiffness: Array | None = None
     scene: CollisionScene | None = None
     file: Path | None = None
 
@@ -151,7 +160,23 @@ class CellRun:
         table = self.settings.plant
         if table.kind == "kinematic":
             return KinematicPlant(self.scenario.cell)
-        return PhysicsPlant.of(self.scenario, options=build_options(PhysicsOptions, table))
+        return self.physics_plant()
+
+    def physics_plant(self) -> PhysicsPlant:
+        """A new physics plant: the file's, or one with default settings where the file asks for the kinematic one.
+
+        Raises:
+            MissingExtraError: MuJoCo is not installed.
+        """
+        table, more = self.settings.plant, self.settings.disturbances
+        options = build_options(PhysicsOptions, table) if table.kind == "physics" else None
+        disturbances = None if more is None else build_disturbances(more)
+        return PhysicsPlant.of(self.scenario, options=options, disturbances=disturbances)
+
+    @property
+    def sensors(self) -> dict[str, WristSensor]:
+        """What the file says of the wrist sensors, by arm; for :class:`coopqp.ForceOptions`."""
+        return known_sensors(self.settings)
 
     def run(self, *, progress: ProgressCallback | None = None) -> Recording:
         """Run the controller on the plant.
@@ -159,6 +184,7 @@ class CellRun:
         Raises:
             CellFileError: the controller refuses the start.
         """
+        scene = self.scene if self.avoids else None
         s = self.scenario
         metadata = {
             "scenario": s.name,
@@ -168,7 +194,7 @@ class CellRun:
         }
         try:
             recording = simulate(
-                self.controller(),
+                new_controller(led(s, self.options, scene), self.controller_kind, self.options, scene),
                 self.plant(),
                 q_start=s.q_start,
                 duration=self.longest,
@@ -180,6 +206,15 @@ class CellRun:
             return with_clearance(recording, self.scene, avoided=self.avoids)
         except InvalidInputError as error:
             raise CellFileError(f"{self.file or s.name}: {in_words_of_the_file(str(error))}") from error
+
+
+def led(scenario: Scenario, options: Any, scene: CollisionScene | None) -> Scenario:
+    """The same task with its redundant arms led as its check proves; itself where nothing is proved or led."""
+    if not isinstance(options, QPOptions) or options.preview is None:
+        return scenario
+    s = scenario
+    path = led_path(s.cell, s.grasp, s.path, q_start=s.q_start, posture=options.posture, scene=scene)
+    return scenario if path is s.path else replace(s, path=path)
 
 
 def new_controller(scenario: Scenario, kind: str, options: Any, scene: CollisionScene | None) -> Controller:
@@ -210,6 +245,7 @@ def load(file: Path) -> CellRun:
         run = replace(build(settings, file.parent), file=file)
         run.controller()
         run.plant()
+        SensorMaps(run.scenario.cell, run.sensors).check()
     return run
 
 
@@ -233,6 +269,7 @@ def _errors_of(file: Path) -> Iterator[None]:
 
 def _task(file: CellFile, folder: Path) -> CellTask:
     """The arms, their grasp, the path, and the start; errors name the arm or table."""
+    build_options(Tolerances, file.verdict)  # a bad one is refused before any work is done
     cell = RobotCell([build_arm(arm, folder) for arm in file.arms])
     path = _path(file)
     q_start = None if file.start.is_auto else _start(file.start, cell)
@@ -247,15 +284,10 @@ def _task(file: CellFile, folder: Path) -> CellTask:
             "start.positions_rad, or another kind of grasp."
         )
     near = q_start is not None and file.start.inverse_kinematics and not latched
-    scene = _scene(file, cell, grasp, folder)
-    return CellTask(file.name, cell, grasp, path, q_start, start_is_near=near, scene=scene)
-
-
-def _scene(file: CellFile, cell: RobotCell, grasp: Grasp, folder: Path) -> CollisionScene | None:
-    if file.collision is None:
-        return None
     box = Body("object", Box(file.object.size_m), build_placement(file.object.centre))
-    return build_scene(file.collision, cell, grasp, box, folder, build_placement)
+    table = file.collision
+    scene = None if table is None else build_scene(table, cell, grasp, box, folder, build_placement)
+    return CellTask(file.name, cell, grasp, path, q_start, start_is_near=near, scene=scene, box=box)
 
 
 def build(file: CellFile, folder: Path) -> CellRun:
@@ -285,9 +317,10 @@ def build(file: CellFile, folder: Path) -> CellRun:
     )
     scene = default_scene(scenario) if task.scene is None else task.scene
     kind = str(file.controller.kind)
-    return CellRun(
-        scenario, kind, controller_options(kind, file.controller), file.settle_s, file.longest_s, file, scene
-    )
+    options, stiffness = controller_options(kind, file.controller), build_stiffness(file.arms, cell)
+    if stiffness is not None and kind == "qp":
+        options = replace(options, supervision=replace(options.supervision, stiffness=tuple(stiffness.tolist())))
+    return CellRun(scenario, kind, options, file.settle_s, file.longest_s, file, stiffness, scene)
 
 
 def _by_arm(given: Mapping[str, Any], cell: RobotCell, where: str) -> list[Any]:
@@ -325,6 +358,7 @@ def _path(file: CellFile) -> ObjectPath:
     path = file.path
     if path.kind == "timed":
         names = {"pieces": path.pieces, "s": path.s_m, "squares": path.squares, "planned_share": path.planned_share}
+        names["keeps_clear"] = path.keeps_clear
         names["binding"] = [section.model_dump() for section in path.binding]
         return TimedPath.of_record(names)
     if path.kind == "hold":

@@ -75,18 +75,46 @@ def build_arm(table: ArmTable, folder: Path) -> Arm:
             value = getattr(table.limits, f"{name}_{unit}{per}")
             if value is not None:
                 where = f"arm '{table.name}': limits.{name}_{unit}{per}"
-                if np.ndim(value) == 0 and np.isfinite(value) and len(set(sliding)) == 2:
-                    slide = alone.joint_names[sliding.index(True)].partition("/")[2]
-                    unit_m = f"m{per.replace('_per_', '/').replace('s2', 's²')}"
-                    raise CoopqpError(
-                        f"{where}: one number would be for joints that turn and for '{slide}', which slides "
-                        f"[{unit_m}]. Give a list with one number per joint: {len(sliding)}."
-                    )
+                if np.isfinite(value).all():
+                    _check_kinds(value, alone, where, f"m{per.replace('_per_', '/').replace('s2', 's²')}")
                 changes[name] = in_radians(value, sliding, where, degrees=unit == "deg")
     try:
         return arm.with_limits(**changes) if changes else arm
     except InvalidInputError as error:
         raise CoopqpError(f"arm '{table.name}': {error}") from error
+
+
+def build_stiffness(tables: Sequence[ArmTable], cell: RobotCell) -> Array | None:
+    """Kp of all joint servos (nv,) [N·m/rad or N/m]; None if no arm tells it.
+
+    Raises:
+        CoopqpError: some arms tell it and others do not, or in another number than that of their joints.
+    """
+    silent = [table.name for table in tables if table.stiffness_nm_per_rad is None]
+    if len(silent) == len(tables):
+        return None
+    if silent:
+        raise CoopqpError(
+            f"arm '{silent[0]}': stiffness_nm_per_rad is missing. Forces are read from the servos of all arms or of "
+            "none: give it for every arm."
+        )
+    rows = []
+    for table, arm in zip(tables, cell.arms, strict=True):
+        alone, where = RobotCell([arm]), f"arm '{table.name}': stiffness_nm_per_rad"
+        _check_kinds(table.stiffness_nm_per_rad, alone, where, "N/m")
+        rows.append(in_radians(table.stiffness_nm_per_rad, slides(alone), where, degrees=False))
+    return np.concatenate(rows)
+
+
+def _check_kinds(value: Any, alone: RobotCell, where: str, unit: str) -> None:
+    """Refuse one number for joints that turn and joints that slide, whose unit is another."""
+    sliding = slides(alone)
+    if np.ndim(value) == 0 and len(set(sliding)) == 2:
+        slide = alone.joint_names[sliding.index(True)].partition("/")[2]
+        raise CoopqpError(
+            f"{where}: one number would be for joints that turn and for '{slide}', which slides "
+            f"[{unit}]. Give a list with one number per joint: {len(sliding)}."
+        )
 
 
 def _urdf(file: Path, arm: str) -> pin.Model:

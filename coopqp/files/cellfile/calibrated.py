@@ -69,11 +69,13 @@ def calibrated_text(
     tables["grasp"] = {"kind": "tools", "tools": {name: {"matrix": _matrix(X)} for name, X in tools}}
     if tables.get("start", {}).get("inverse_kinematics") is False:
         tables["start"]["inverse_kinematics"] = True  # the old start does not fit the corrected bases
+    same = [found.arm for found in calibration.corrections if not found.significant]
     before, after = 1e3 * calibration.before[:, 0].max(), 1e3 * calibration.after[:, 0].max()
     head = [
         f"Bases and grips calibrated by coopqp from {len(calibration.samples)} configurations of a gripped run:",
         f"the arms part by {after:.3g} mm instead of {before:.3g} mm. The base and the grip of "
         f"{cell.arm_names[0]} are the reference.",
+        *(f"kept, its correction is no more than its uncertainty: {arm}" for arm in same),
         *(f"not determined, kept: {name}" for name in calibration.undetermined),
     ]
     return file_text(head, tables)

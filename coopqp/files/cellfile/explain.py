@@ -141,6 +141,7 @@ _WORDS: tuple[tuple[str, str | Callable[[re.Match[str]], str]], ...] = (
     (r"\bRobotCell\b", "arms"),
     (r"\b(QP|PseudoInverse|IndependentQP)Options\b", "controller"),
     (r"\b(Supervision|Preview|Posture)Options\b", lambda found: f"controller.{found[1].lower()}"),
+    (r"\bTolerances\b", "verdict"),
     (r"\bRankWeights\b", "controller.weights"),
     (r"\bPhysicsOptions\b", "plant"),
     (r"\b(Ldp|Daqp|Osqp|Proxqp|Generic|Solver)Settings\b", "controller.solver_settings"),
@@ -149,7 +150,8 @@ _WORDS: tuple[tuple[str, str | Callable[[re.Match[str]], str]], ...] = (
     (r"\bGrasp\.triangle\b", "grasp"),
     (r"\breset: q\b", "start"),
     (r"lower the margin \(margins\)", "lower the margin (collision.margins)"),
-    (r"\b(inside|ignored)=\[…\]", r"collision.\1"),
+    (r"\binside=\[…\]", "collision.inside"),
+    (r"\bignored=(?=\[\[)", "collision.ignored = "),
 )
 
 

@@ -28,6 +28,7 @@ def planned_text(run: CellRun, plan: Plan, *, folder: Path, into: Path) -> str:
         "pieces": record["pieces"],
         "s_m": record["s"],
         "squares": record["squares"],
+        **({"keeps_clear": True} if record["keeps_clear"] else {}),
         "binding": record["binding"],
     }
     x = cell.positions(plan.q_start)

@@ -27,11 +27,13 @@ from coopqp.files.cellfile.basic import (
     Position,
     Seconds,
     Sides,
+    Stiffness,
     at_most_one,
     exactly_one,
 )
 from coopqp.files.cellfile.bodies import CollisionTable
 from coopqp.files.cellfile.paths import check_inside
+from coopqp.files.cellfile.sensors import DisturbancesTable, SensorTable
 from coopqp.files.cellfile.strict import MAX_LIST, Number, Numbers, Table, problem, table_of
 from coopqp.scenarios.arms import ROBOTS
 from coopqp.simulation.assessment import Tolerances
@@ -83,6 +85,14 @@ class ArmTable(Table):
     locked_joints_deg: dict[Name, Angle] = Field(default={}, description="joints to lock, with their positions")
     locked_joints_rad: dict[Name, Angle] = Field(default={}, description="the same in radians")
     limits: LimitsTable = Field(default_factory=LimitsTable, description="limits in place of the model's")
+    stiffness_nm_per_rad: Stiffness | None = Field(
+        default=None,
+        description="Kp of its joint servos: one number, or one per joint (sliding joints: N/m). With it an arm that "
+        "stops is seen by the force at the grasps: controller.supervision.force_limit",
+    )
+    sensor: SensorTable | None = Field(
+        default=None, description="how its wrist sensor is known to read, as `coopqp sensors` writes it"
+    )
 
     @model_validator(mode="after")
     def _one_model(self) -> ArmTable:
@@ -186,6 +196,10 @@ class TimedTable(Table):
     squares: Annotated[list[float], Len(2, MAX_LIST)] = Field(description="square of the speed at each knot [m²/s²]")
     planned_share: Annotated[float, Ge(1e-6), Le(1.0)] | None = Field(
         default=None, description="share of the joints' limits that it was planned with"
+    )
+    keeps_clear: bool = Field(
+        default=False,
+        description="the planned motion is proved to keep clear of the bodies: redundant arms do not evade on it",
     )
     binding: Annotated[list[BindingTable], Len(0, MAX_LIST)] = Field(
         default_factory=list, description="what limit binds when; it changes nothing"
@@ -340,6 +354,9 @@ class CellFile(Table):
         default_factory=lambda: KinematicTable(kind="kinematic"),
         description="the plant: kinematic (default) or physics (extra mujoco)",
     )
+    disturbances: DisturbancesTable | None = Field(
+        default=None, description="what the physics plant simulates besides the model"
+    )
     dt_s: Seconds | None = Field(default=None, description="length of a step (default 0.002); or give steps")
     steps: Annotated[int, Ge(1), Le(MAX_STEPS)] | None = Field(
         default=None, description="number of steps of an unslowed run"
@@ -360,6 +377,8 @@ class CellFile(Table):
     @model_validator(mode="after")
     def _fits(self) -> CellFile:
         at_most_one(self, "dt_s", "steps")
+        if self.disturbances is not None and self.plant.kind != "physics":
+            raise problem("disturbances: only the plant physics simulates them")
         if self.collision is not None and self.collision.avoid and self.controller.kind != "qp":
             raise problem("collision.avoid: only the controller qp avoids; with avoid = false a run is judged")
         return self

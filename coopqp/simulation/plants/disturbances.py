@@ -7,8 +7,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from coopqp.checks import as_scalar, keep_scalars
+from coopqp.checks import as_scalar, keep_scalars, require
 from coopqp.errors import InvalidInputError, shown
+from coopqp.forces.wrist_sensor import WristSensor
 from coopqp.model.cell import RobotCell
 from coopqp.model.grasp import Grasp
 from coopqp.spatial import Placement, as_placement
@@ -32,6 +33,8 @@ class Disturbances:
         wrench_latency: age of a wrench at its arrival [s].
         wrench_drop_share: share of lost wrenches.
         wrench_gain: a sensor's reading as a multiple of the wrench, by arm: −1 if it is flipped, 0 if dead.
+        sensors: how wrist sensors really read, by arm (:class:`coopqp.forces.WristSensor`); their delays add to
+            ``wrench_latency``.
         object_growth, growth_period: the object's lengths grow by the share ``object_growth · sin(2π t / period)``, the
             period in seconds; for plants with forces.
         seed: seed of the random numbers.
@@ -50,6 +53,7 @@ class Disturbances:
     wrench_latency: float = 0.0
     wrench_drop_share: float = 0.0
     wrench_gain: Mapping[str, float] = field(default_factory=dict)
+    sensors: Mapping[str, WristSensor] = field(default_factory=dict)
     object_growth: float = 0.0
     growth_period: float = 12.0
     seed: int = 0
@@ -69,6 +73,8 @@ class Disturbances:
                 as_scalar(value, f"Disturbances: {name}['{arm}']", open_low=False)
         for arm, value in self.wrench_gain.items():
             as_scalar(value, f"Disturbances: wrench_gain['{arm}']", low=-np.inf)
+        for arm, sensor in self.sensors.items():
+            require(sensor, WristSensor, f"Disturbances: sensors['{arm}']", "Give a coopqp.forces.WristSensor.")
         for arm, placement in self.base_offset.items():
             as_placement(placement, f"Disturbances: base_offset['{arm}']")
 

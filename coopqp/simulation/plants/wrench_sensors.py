@@ -7,6 +7,7 @@ from typing import final
 
 import numpy as np
 
+from coopqp.forces.wrist_sensor import SensorMaps, WristSensor
 from coopqp.model.cell import RobotCell
 from coopqp.simulation.plants.disturbances import Disturbances
 from coopqp.spatial import Array
@@ -24,6 +25,9 @@ class WrenchSensors:
         self._size = np.array([1.0] * 3 + [_LEVER] * 3)
         self._gain = np.array([d.wrench_gain.get(name, 1.0) for name in cell.arm_names])[:, None]
         self._arms = len(cell)
+        self._maps = SensorMaps(cell, d.sensors)
+        own = [d.sensors.get(name, WristSensor()).delay for name in cell.arm_names]
+        self._late = d.wrench_latency + np.array(own)
         self.reset()
 
     def reset(self) -> None:
@@ -41,12 +45,18 @@ class WrenchSensors:
     def read(self, wrenches: Array, time: float) -> Array:
         """Measured wrenches (N, 6) [N, N·m] at a time [s], from the real ones; NaN for an arm whose wrench is lost."""
         d = self._disturbances
-        self._history.append((time, wrenches))
-        while len(self._history) > 1 and self._history[1][0] <= time - d.wrench_latency + 1e-12:
+        self._history.append((time, self._maps.readings(wrenches)))
+        while len(self._history) > 1 and self._history[1][0] <= time - self._late.max() + 1e-12:
             self._history.popleft()
-        out = self._gain * self._history[0][1] + self._bias
+        out = self._gain * self._heard(time) + self._bias
         if d.wrench_noise > 0.0:
             out = out + d.wrench_noise * self._size * self._rng.normal(size=(self._arms, 6))
         if d.wrench_drop_share > 0.0:
             out[self._rng.random(self._arms) < d.wrench_drop_share] = np.nan
         return np.array(out)
+
+    def _heard(self, time: float) -> Array:
+        """The readings (N, 6) that have arrived at a time, each as late as its sensor is."""
+        times = np.array([at for at, _ in self._history])
+        last = np.searchsorted(times, time - self._late + 1e-12, side="right") - 1
+        return np.array([self._history[i][1][k] for k, i in enumerate(np.maximum(last, 0))])

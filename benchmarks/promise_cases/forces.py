@@ -1,0 +1,187 @@
+"""Forces between the arms and the object, in an engine, with default options and from the first command on."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+
+from coopqp import (
+    Array,
+    Disturbances,
+    ForceController,
+    ForceOptions,
+    InvalidInputError,
+    PhysicsPlant,
+    QPController,
+    Status,
+    SupervisionOptions,
+)
+from coopqp.planning import Payload
+from coopqp.scenarios import paper_lift
+from promise_cases import Promise
+
+#: Servos of an arm in the engine: kp [N·m/rad] and kd [N·m·s/rad], as the engine has them by default.
+STIFFNESS = (1e5, 1e5, 5e4, 1e4, 1e4, 5e3)
+DAMPING = (3160.0, 3160.0, 1265.0, 167.0, 167.0, 71.0)
+#: After the end of the path a force has this long to settle [s].
+SETTLED = 1.0
+DIAGONAL = np.ones(3) / np.sqrt(3.0)
+
+
+def off(millimetres: float, degrees: float) -> pin.SE3:
+    """A displacement along, and a turn about, the diagonal of a base's axes."""
+    return pin.SE3(pin.exp3(np.deg2rad(degrees) * DIAGONAL), 1e-3 * millimetres * DIAGONAL)
+
+
+def shares(points: Array) -> Array:
+    """The part of forces and moments on a rigid body that least-norm loads at its grasps carry (6 N, 6 N).
+
+    ``points`` are the places of the grasps (N, 3) [m]; a moment of 0.1 N·m counts as much as a force of 1 N.
+    """
+    n = len(points)
+    total, scale = np.zeros((6, 6 * n)), np.tile([1.0, 1.0, 1.0, 0.1, 0.1, 0.1], n)
+    for k, (x, y, z) in enumerate(points):
+        total[:, 6 * k : 6 * k + 6] = np.eye(6)
+        total[3:, 6 * k : 6 * k + 3] = [[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]]
+    found: Array = scale[:, None] * np.linalg.pinv(total * scale) @ total
+    return found
+
+
+@dataclass
+class Run:
+    """What a run showed: internal forces [N], rates, statuses with times [s], and the step that ended the path."""
+
+    force: Array
+    time: Array
+    status: list[Status]
+    reason: list[str]
+    finished: float
+
+    @property
+    def peak(self) -> float:
+        """The largest internal force [N]."""
+        return float(self.force.max())
+
+    @property
+    def rest(self) -> float:
+        """The largest from a second after the path's end on [N]; infinite if it was not reached."""
+        late = self.time >= self.finished + SETTLED
+        return float(self.force[late].max()) if late.any() else np.inf
+
+    @property
+    def false_words(self) -> int:
+        """Steps in which an arm was named that followed its command."""
+        words = ("out of step", "its wrench puts", "does not follow")
+        return sum(any(word in said for word in words) for said in self.reason)
+
+    @property
+    def contacts(self) -> int:
+        """Steps in which the object is said to touch something."""
+        return sum("touches something" in said for said in self.reason)
+
+
+def lift(
+    duration: float, *, mass: float = 20.0, softer: float = 1.0, relax: bool = True, grips: str = "where they are",
+    watch: float = SETTLED + 0.1, until: float = 9.0, stiffness_told: bool = False, **disturbances: Any,
+) -> Run:  # fmt: skip
+    """The paper's lift in the engine; without ``relax`` by the QPController alone."""
+    task = replace(paper_lift(time_law="quintic", duration=duration), object_mass=mass)
+    servos = {"stiffness": softer * np.tile(STIFFNESS, 3), "damping": np.sqrt(softer) * np.tile(DAMPING, 3)}
+    plant = PhysicsPlant.of(task, options={"grips": grips, **servos}, disturbances=Disturbances(**disturbances))
+    told = SupervisionOptions(stiffness=tuple(np.tile(STIFFNESS, 3))) if stiffness_told else SupervisionOptions()
+    inner = QPController(task.cell, task.grasp, task.path, dt=task.dt, options={"supervision": told})
+    payload = Payload(mass=mass, centre=task.T_object_body.translation)
+    made = ForceController(inner, ForceOptions(stiffness=np.tile(STIFFNESS, 3), payload=payload))
+    internal = np.eye(18) - shares(np.array([X.translation for X in task.grasp.T_object_tool]))
+    controller: Any = made if relax else inner
+    q = plant.reset(task.q_start)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        controller.reset(q)
+    force, time, status, reason, ended, now = [], [], [], [], np.inf, 0.0
+    while now < min(until, ended + watch):
+        step = controller.step(q, wrenches=plant.measured_wrenches()) if relax else controller.step(q)
+        q = plant.apply(step)
+        now += step.dt
+        w = plant.wrenches()  # at the object's origin; at each grasp the moment is less
+        for k, X in enumerate(task.grasp.T_object_tool):
+            w[k, 3:] -= np.cross(X.translation, w[k, :3])
+        force.append(float(np.linalg.norm((internal @ w.ravel()).reshape(3, 6)[:, :3], axis=1).max()))
+        time.append(now)
+        status.append(step.status)
+        reason.append(step.reason)
+        ended = now if step.finished and not np.isfinite(ended) else ended
+    return Run(np.array(force), np.array(time), status, reason, ended)
+
+
+def lifts(quick: bool) -> Iterator[Promise]:
+    """Nothing is off."""
+    durations = (1.0,) if quick else (3.0, 2.0, 1.5, 1.0)
+    for mass in (20.0,) if quick else (5.0, 20.0):
+        runs = [lift(duration, mass=mass) for duration in durations]
+        case = f"ForceController, {mass:g} kg, lifts of {', '.join(f'{d:g}' for d in durations)} s"
+        yield Promise(f"{case}: largest force", max(run.peak for run in runs), 20.0, "N")
+        yield Promise(f"{case}: force at rest", max(run.rest for run in runs), 5.0, "N")
+        yield Promise(f"{case}: steps with a contact that is none", sum(run.contacts for run in runs), 0.0, "")
+    fast, alone = lift(0.5), lift(0.5, relax=False)
+    yield Promise("ForceController, lift of 0.5 s: force over QPController's", fast.peak / alone.peak, 1.5, "")
+    yield Promise("ForceController, lift of 0.5 s: force at rest", fast.rest, 5.0, "N")
+    yield Promise("QPController, lift of 0.5 s: force at rest", alone.rest, 5.0, "N")
+
+
+def disturbed(quick: bool) -> Iterator[Promise]:
+    """Other servos than told, lags of all arms, a base that is off."""
+    lags = {"none": {}, "20 ms": dict.fromkeys(("master", "slave_1", "slave_2"), 0.02)}
+    for duration in (3.0,) if quick else (3.0, 1.0):
+        runs = []
+        for softer in (0.3, 10.0) if quick else (0.3, 1.0, 3.0, 10.0):
+            for lag in ("20 ms",) if quick else lags:
+                for base in ("slave_2",) if quick else ("", "slave_2"):
+                    bases = {base: off(1.0, 0.1)} if base else {}
+                    runs.append(lift(duration, softer=softer, lag=lags[lag], base_offset=bases, wrench_latency=0.01))
+        case = f"servos × 0.3 to 10, lag to 20 ms, base 1 mm off, lift of {duration:g} s"
+        said = sum(run.false_words + run.contacts for run in runs)
+        yield Promise(f"{case}: steps with a false word", said, 0.0, "")
+        yield Promise(f"{case}: largest force", max(run.peak for run in runs), 30.0, "N")
+
+
+def starts(quick: bool) -> Iterator[Promise]:
+    """A base that is off, from the first command on."""
+    for grips, bound in (("where they are", 12.0), ("grasp", 30.0)):
+        arms = ("slave_2",) if quick else ("master", "slave_1", "slave_2")
+        peak = max(
+            lift(3.0, grips=grips, base_offset={a: off(1.0, 0.1)}, wrench_latency=0.01, until=1.0).peak for a in arms
+        )
+        yield Promise(f"base 1 mm and 0.1° off, grips {grips}: from the first command on", peak, bound, "N")
+    accepted = 0
+    for arm in ("slave_2",) if quick else ("master", "slave_1", "slave_2"):
+        try:
+            lift(3.0, grips="grasp", base_offset={arm: off(20.0, 0.0)}, until=0.5)
+            accepted += 1
+        except InvalidInputError as error:
+            accepted += "mm" not in str(error)
+    yield Promise("bases 20 mm off: starts that are not refused by name", accepted, 0.0, "")
+
+
+def stalls(quick: bool) -> Iterator[Promise]:
+    """A gripped arm stops."""
+    worst = {True: 0.0, False: 0.0}
+    for relax in (True, False):
+        for arm in ("slave_2",) if quick else ("master", "slave_1", "slave_2"):
+            for at in (1.2,) if quick else (1.1, 1.4, 1.6):
+                run = lift(2.0, relax=relax, stall={arm: at}, until=at + 0.15, stiffness_told=not relax)
+                held = [t for t, s in zip(run.time, run.status, strict=True) if t > at and s is Status.HOLDING]
+                worst[relax] = max(worst[relax], 1e3 * (held[0] - at) if held else np.inf)
+    yield Promise("an arm of a ForceController stops: time until HOLDING", worst[True], 25.0, "ms")
+    yield Promise("an arm of a QPController stops, stiffness told: time until HOLDING", worst[False], 25.0, "ms")
+
+
+def promises(quick: bool) -> Iterator[Promise]:
+    """The promises of this module; ``quick`` for a part of the cases."""
+    for part in (lifts, disturbed, starts, stalls):
+        yield from part(quick)

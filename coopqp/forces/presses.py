@@ -1,0 +1,108 @@
+"""Presses: small known wrenches between the arms that hold one object at rest, by which wrist sensors are identified.
+
+Arm k shall push the object with ``f``. The others balance it with the least wrenches at their tools, and each arm's
+place on the object moves by what its servos yield, ``e_j = C_j w_j``: the object stays where it is. Each press goes to
+one side, then to the other, and back. In two presses an arm pushes along two directions that are square to each other;
+its share of the other arms' presses adds more. So forces and torques of every sensor are seen from all sides.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import final
+
+import numpy as np
+
+from coopqp.control.stress_watch import STRUCTURE
+from coopqp.forces.internal import SHARE_LENGTH
+from coopqp.model.grasp import Grasp
+from coopqp.spatial import Array
+from coopqp.task.path import TimeLaw
+
+#: Force of a press [N], its torque beside the couples that balance it [N·m].
+PRESS_FORCE, PRESS_TORQUE = 6.0, 1.0
+#: Size of the first press, which finds how stiff the servos are, as a share of the others.
+FIRST_PRESS = 0.2
+#: Length of a press [s], its ramp from rest to one side [s], and the rest before the first one [s].
+PRESS_TIME, RAMP_TIME, REST_TIME = 0.52, 0.16, 0.2
+#: Presses of all arms together, at least.
+_FEWEST = 6
+_SEED = 21
+
+
+@final
+class PressPlan:
+    """Which way each grasp moves when.
+
+    Args:
+        grasp: how the arms hold the object.
+        compliances: C of each arm's servos at the object frame (N, 6, 6) [m/N …], in its axes.
+
+    Attributes:
+        duration: time of all presses, with the rest before and after them [s].
+        ends_first: time at which the first, small press is over [s].
+    """
+
+    def __init__(self, grasp: Grasp, compliances: Array) -> None:
+        n = len(grasp)
+        each = max(2, math.ceil(_FEWEST / n))
+        rng = np.random.default_rng(_SEED)
+        order = [(k, i) for i in range(each) for k in range(n)]
+        turns = [np.linalg.qr(rng.normal(size=(2, 3, 3)))[0] for _ in range(n)]
+        ways = []
+        for k, i in order:
+            f = np.concatenate([PRESS_FORCE * turns[k][0][:, i % 3], PRESS_TORQUE * turns[k][1][:, i % 3]])
+            ways.append(np.einsum("kij,kj->ki", compliances, balanced(grasp, k, f)))
+        self.ways = np.array([FIRST_PRESS * ways[0], *ways])
+        self.ends_first = REST_TIME + PRESS_TIME
+        self.duration = REST_TIME + PRESS_TIME * len(self.ways) + REST_TIME
+
+    def shift(self, time: float, scale: float) -> Array:
+        """Motion of each grasp (N, 6) [m, rad] at a time; ``scale`` is the size of all presses but the first."""
+        i, within = divmod(time - REST_TIME, PRESS_TIME)
+        if not 0 <= i < len(self.ways):
+            return np.zeros_like(self.ways[0])
+        out: Array = (scale if i else 1.0) * _side(within) * self.ways[int(i)]
+        return out
+
+
+def balanced(grasp: Grasp, arm: int, wrench: Array) -> Array:
+    """Wrenches of all arms on the object (N, 6) [N, N·m], in its frame, that cancel: one arm's, balanced by the others.
+
+    No force in them is above :data:`PRESS_FORCE`.
+
+    Args:
+        grasp: how the arms hold.
+        arm: who pushes.
+        wrench: with what, at its tool (6,) [N, N·m].
+    """
+    metric = np.array([1.0] * 3 + [SHARE_LENGTH] * 3)
+    to_object = [X.actionInverse.T for X in grasp.T_object_tool]
+    scaled = np.hstack([A * metric for k, A in enumerate(to_object) if k != arm])
+    least = np.linalg.pinv(scaled) @ -(to_object[arm] @ wrench)
+    tools = np.insert((least.reshape(-1, 6) * metric), arm, wrench, axis=0)
+    tools *= PRESS_FORCE / max(float(np.linalg.norm(tools[:, :3], axis=1).max()), 1e-9)
+    return np.array([A @ w for A, w in zip(to_object, tools, strict=True)])
+
+
+def _side(within: float) -> float:
+    """Where a press stands: 0, to one side (1), to the other (−1), back to 0."""
+    ramp, half = RAMP_TIME, 0.5 * (PRESS_TIME - RAMP_TIME)
+    law = TimeLaw.QUINTIC.value_at
+    if within < half:
+        return law(within / ramp) if within < ramp else 1.0
+    if within < half + ramp:
+        return 1.0 - 2.0 * law((within - half) / ramp)
+    left = PRESS_TIME - within
+    return -(law(left / ramp) if left < ramp else 1.0)
+
+
+def of_grip(compliances: Array) -> Array:
+    """G (6 N, 6 N): wrenches of the arms on the object, in its frame, per motion of their commanded places on it."""
+    each = np.linalg.inv(compliances + STRUCTURE * np.eye(6))
+    n = len(each)
+    out, together = np.zeros((6 * n, 6 * n)), each.reshape(-1, 6)
+    for k, own in enumerate(each):
+        out[6 * k : 6 * k + 6, 6 * k : 6 * k + 6] = own
+    out -= together @ np.linalg.solve(each.sum(axis=0), together.T)
+    return out

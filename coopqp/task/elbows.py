@@ -1,0 +1,70 @@
+"""A motion of redundant arms along a path, which a controller follows in their null-space."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import final
+
+import numpy as np
+
+from coopqp.checks import ArrayLike, as_floats
+from coopqp.errors import InvalidInputError
+from coopqp.spatial import Array
+
+#: Gain towards the motion, per second of the path's clock [1/s].
+ELBOW_GAIN = 5.0
+#: Samples of a motion that is smoothed, and the standard deviation of its mean as a share of the duration.
+_SAMPLES, _WIDTH = 60, 0.04
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class Elbows:
+    """Joint positions over a path's clock: cubics without overshoot through knots.
+
+    Attributes:
+        clocks: of the knots (K,), rising [s].
+        x: joint positions there (K, nv) [rad or m]; continuous joints go on over whole turns.
+        slopes: their speeds there (K, nv), per second of the clock.
+    """
+
+    clocks: Array
+    x: Array
+    slopes: Array
+
+    @staticmethod
+    def through(clocks: ArrayLike, x: ArrayLike) -> Elbows:
+        """The motion through positions (K, nv) at clocks (K,) [s], K of two or more.
+
+        Raises:
+            InvalidInputError: the clocks do not rise, or the positions are not one row a clock.
+        """
+        from scipy.interpolate import PchipInterpolator  # takes long to import
+
+        at, rows = as_floats(clocks), as_floats(x)
+        if at.ndim != 1 or rows.ndim != 2 or not 2 <= len(at) == len(rows) or not (np.diff(at) > 0.0).all():
+            raise InvalidInputError("the clocks do not rise, one a row", "Elbows", "Give rising clocks [s].")
+        return Elbows(at, rows, PchipInterpolator(at, rows).derivative()(at))
+
+    def smoothed(self) -> Elbows:
+        """Nearly the same motion without its kinks, where joints would wait for their accelerations; the same ends."""
+        from scipy.ndimage import gaussian_filter1d
+
+        clocks = np.linspace(self.clocks[0], self.clocks[-1], _SAMPLES)
+        x = np.array([self.at(clock)[0] for clock in clocks.tolist()])
+        wide = np.pad(x, ((_SAMPLES - 1, _SAMPLES - 1), (0, 0)), mode="reflect", reflect_type="odd")
+        mean = gaussian_filter1d(wide, _WIDTH * _SAMPLES, axis=0)[_SAMPLES - 1 : 2 * _SAMPLES - 1]
+        return Elbows.through(clocks, mean)
+
+    def at(self, clock: float) -> tuple[Array, Array]:
+        """Positions and speeds (nv,) at a clock [s]; those of an end beyond it."""
+        t, x, v = self.clocks, self.x, self.slopes
+        i = min(max(int(np.searchsorted(t, clock, side="right")) - 1, 0), len(t) - 2)
+        h = t[i + 1] - t[i]
+        u, way = min(max((clock - t[i]) / h, 0.0), 1.0), x[i + 1] - x[i]
+        bend, twist = 3.0 * way - h * (2.0 * v[i] + v[i + 1]), h * (v[i] + v[i + 1]) - 2.0 * way
+        return x[i] + u * (h * v[i] + u * (bend + u * twist)), v[i] + u * (2.0 * bend + 3.0 * u * twist) / h
+
+    def packed(self) -> Array:
+        """As numbers: the clocks, the positions and the slopes row by row."""
+        return np.concatenate([self.clocks, self.x.ravel(), self.slopes.ravel()])

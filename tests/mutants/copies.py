@@ -1,0 +1,156 @@
+"""Copies of the tree, in which one mutant after the other meets its tests."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import shutil
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+
+from mutants import c
+
+ROOT = Path(__file__).resolve().parents[2]
+
+#: Runs pytest as often as it is told to, each time in a child that finds all but this package imported.
+_TESTER = """
+import json, os, resource, sys
+import hypothesis.strategies, numpy, pinocchio, pytest
+
+
+class Told:
+    def __init__(self, job):
+        self.job, self.place = job, {name: i for i, name in enumerate(job["tests"])}
+        self.lines = None
+
+    def pytest_collection_modifyitems(self, items):
+        items.sort(key=lambda item: self.place.get(item.nodeid.partition("[")[0], 1e9))
+
+    def pytest_runtest_setup(self, item):
+        if self.lines is not None:
+            self.lines.switch_context(item.nodeid.partition("[")[0])
+
+    def pytest_runtest_logreport(self, report):
+        name = report.nodeid.partition("[")[0]
+        self.took[name] = self.took.get(name, 0.0) + report.duration
+
+    took = {}
+
+    def run(self):
+        if not self.job["covered"]:
+            return int(pytest.main(self.job["arguments"], plugins=[self]))
+        import coverage
+
+        self.lines = coverage.Coverage(
+            data_file=None, config_file=False, include=[os.path.join(os.getcwd(), "coopqp", "*")]
+        )
+        self.lines.start()
+        status = int(pytest.main(self.job["arguments"], plugins=[self]))
+        self.lines.stop()
+        data, reached = self.lines.get_data(), {}
+        for file in data.measured_files():
+            named = {line: [n for n in names if n] for line, names in data.contexts_by_lineno(file).items()}
+            reached[os.path.relpath(file)] = {line: names for line, names in named.items() if names}
+        with open(self.job["covered"], "w") as file:
+            json.dump({"took": self.took, "reached": reached}, file)
+        return status
+
+
+for line in sys.stdin:
+    job = json.loads(line)
+    child = os.fork()
+    if not child:
+        resource.setrlimit(resource.RLIMIT_CPU, (job["limit"], job["limit"] + 5))
+        said = os.open(job["said"], os.O_WRONLY | os.O_CREAT | os.O_TRUNC)
+        os.dup2(said, 1), os.dup2(said, 2)
+        status = 3
+        try:
+            status = Told(job).run()
+        finally:
+            sys.stdout.flush()
+            os._exit(status)
+    print(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]), flush=True)
+"""
+
+
+class Copy:
+    """A copy of the tree, with the compiled modules for the processor's plain arithmetic."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        shutil.copytree(
+            ROOT, folder, ignore=shutil.ignore_patterns(".*", "out", "build", "dist", "__pycache__"), symlinks=True
+        )
+        self.parts = [part for part in c.PARTS if c.compile_part(folder, part)]
+        path = [str(folder / "tests" / "elsewhere"), str(folder)]
+        self._environment = {
+            **os.environ, "PYTHONPATH": os.pathsep.join(path), "HYPOTHESIS_PROFILE": "mutation",
+            "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1",
+        }  # fmt: skip
+        where = subprocess.run(
+            [sys.executable, "-c", "import coopqp; print(coopqp.__file__)"],
+            env=self._environment, cwd=folder, capture_output=True, text=True, check=True,
+        )  # fmt: skip
+        assert Path(where.stdout.strip()).is_relative_to(folder), where.stdout
+        self._tester = subprocess.Popen(
+            [sys.executable, "-c", _TESTER],
+            env=self._environment, cwd=folder, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True,
+        )  # fmt: skip
+
+    def run(self, tests: Sequence[str], *options: str, limit: int, covered: Path | None = None) -> int:
+        """The exit status of pytest with these files or tests, in this order; negative for a signal.
+
+        ``limit`` is in seconds of a processor. With ``covered``, which test took how long and reached which line is
+        written there.
+        """
+        job = {
+            "arguments": ["-p", "no:cacheprovider", "--timeout", "0", *options, *tests], "limit": limit,
+            "tests": list(tests), "covered": str(covered or ""), "said": str(self.folder / "said.txt"),
+        }  # fmt: skip
+        assert self._tester.stdin is not None
+        assert self._tester.stdout is not None
+        print(json.dumps(job), file=self._tester.stdin, flush=True)
+        return int(self._tester.stdout.readline())
+
+    def killer(self, tests: Sequence[str], *options: str, limit: int) -> str:
+        """The test that failed, or "" if none did."""
+        if not tests:
+            return ""
+        status = self.run(tests, "-x", *options, limit=limit)
+        if status in (0, 5):  # 5: no test of that kind
+            return ""
+        if status == -signal.SIGXCPU:
+            return "runs for ever"
+        said = (self.folder / "said.txt").read_text(encoding="utf-8", errors="replace")
+        found = re.search(r"^(?:FAILED|ERROR) (\S+)", said, re.MULTILINE)
+        return found.group(1) if found else f"status {status}"
+
+    @contextmanager
+    def changed(self, name: str, text: str) -> Iterator[bool]:
+        """A file has another text for a while; yields False if it does not compile."""
+        file = self.folder / name
+        source = file.read_text(encoding="utf-8")
+        part = c.part_of(name) if name.endswith(".c") else None
+        built = (self.folder / part).with_suffix(".abi3.so") if part else None
+        kept = built.read_bytes() if built else b""
+        try:
+            file.write_text(text, encoding="utf-8")
+            self._forget(file)
+            yield part is None or c.compile_part(self.folder, part)
+        finally:
+            file.write_text(source, encoding="utf-8")
+            self._forget(file)
+            if built:
+                built.unlink(missing_ok=True)  # a new file: a program that runs keeps the old one
+                built.write_bytes(kept)
+
+    @staticmethod
+    def _forget(file: Path) -> None:
+        """Compiled, one second may be as good as another to Python, and one length as good as another."""
+        for compiled in (file.parent / "__pycache__").glob(f"{file.stem}.*.pyc"):
+            compiled.unlink()

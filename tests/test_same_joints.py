@@ -1,0 +1,196 @@
+"""A robot with two arms that is given as two arms: no joint gets two commands, and none is certified."""
+
+from __future__ import annotations
+
+import contextlib
+import importlib.util
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from coopqp import Arm, CellState, InvalidInputError, RobotCell
+from coopqp.app.cli import main
+from coopqp.scenarios import SCENARIOS
+
+#: Torsos of ten robots: kind and axis of each joint, from the base up.
+TORSOS: tuple[tuple[tuple[str, str], ...], ...] = (
+    (("prismatic", "0 0 1"),),
+    (("revolute", "0 0 1"),),
+    (("continuous", "0 0 1"),),
+    (("revolute", "0 1 0"),),
+    (("prismatic", "0 0 1"), ("revolute", "0 0 1")),
+    (("revolute", "0 0 1"), ("revolute", "0 1 0")),
+    (("continuous", "0 0 1"), ("prismatic", "0 0 1")),
+    (("prismatic", "1 0 0"), ("prismatic", "0 1 0"), ("continuous", "0 0 1")),
+    (("revolute", "0.6 0 0.8"),),
+    (("revolute", "1 0 0"), ("revolute", "0 1 0"), ("revolute", "0 0 1")),
+)
+#: Axes of the six joints of an arm, and the offsets of their frames [m].
+AXES = ("0 0 1", "0 1 0", "0 1 0", "1 0 0", "0 1 0", "1 0 0")
+OFFSETS = ("0 0 0.1", "0 0 0.1", "0 0 0.4", "0.1 0 0", "0.35 0 0", "0.1 0 0")
+
+
+def joint(name: str, kind: str, parent: str, child: str, axis: str, xyz: str, rpy: str = "0 0 0") -> str:
+    limit = "" if kind == "continuous" else 'lower="-2.9" upper="2.9" '
+    return (
+        f'<link name="{child}"/><joint name="{name}" type="{kind}"><parent link="{parent}"/><child link="{child}"/>'
+        f'<origin xyz="{xyz}" rpy="{rpy}"/><axis xyz="{axis}"/><limit {limit}velocity="2" effort="100"/></joint>'
+    )
+
+
+def two_arms(torso: tuple[tuple[str, str], ...]) -> str:
+    """A URDF of a torso with two arms of six joints and a head."""
+    text, last = '<robot name="both"><link name="base"/>', "base"
+    for i, (kind, axis) in enumerate(torso):
+        text += joint(f"torso_{i}", kind, last, f"chest_{i}", axis, "0 0 0.3")
+        last = f"chest_{i}"
+    text += joint("neck", "revolute", last, "head", "0 0 1", "0 0 0.6")
+    for side, y in (("left", 0.3), ("right", -0.3)):
+        before = last
+        for i, (axis, xyz) in enumerate(zip(AXES, OFFSETS, strict=True)):
+            place = f"0 {y} 0.4" if i == 0 else xyz
+            text += joint(f"{side}_{i}", "revolute", before, f"{side}_link_{i}", axis, place)
+            before = f"{side}_link_{i}"
+    return text + "</robot>"
+
+
+def arm_of(side: str, file: Path, **options: Any) -> Arm:
+    return Arm.from_urdf(side, file, tool_frame=f"{side}_link_5", geometry=False, **options)
+
+
+@pytest.mark.parametrize("torso", TORSOS)
+def test_a_torso_of_two_arms_is_refused_by_name(torso: tuple[tuple[str, str], ...], tmp_path: Path) -> None:
+    file = tmp_path / "both.urdf"
+    file.write_text(two_arms(torso))
+    base = pin.exp6(np.array([0.3, -0.2, 0.1, 0.2, 0.5, -0.4]))
+    left, right = (arm_of(side, file, T_world_base=base) for side in ("left", "right"))
+    with pytest.raises(InvalidInputError, match=r"torso_0.* arms 'left' and 'right'.*Lock .*locked_joints=\{'torso_0'"):
+        RobotCell([left, right])
+    names = [f"torso_{i}" for i in range(len(torso))]
+    held = dict.fromkeys(names, 0.2)
+    locked = [arm_of(side, file, T_world_base=base, locked_joints=held) for side in ("left", "right")]
+    with pytest.raises(
+        InvalidInputError, match=f"{names[0]}' moves the tool of arm 'left' and is locked in arm 'right'"
+    ):
+        RobotCell([left, locked[1]])
+    other = arm_of("right", file, T_world_base=base, locked_joints={**held, names[-1]: 0.3})
+    with pytest.raises(InvalidInputError, match=f"{names[-1]}' .* locked at two positions"):
+        RobotCell([locked[0], other])
+    cell = RobotCell(locked)  # the remedy in the messages works
+    moving = [f"{side}/{side}_{i}" for side in ("left", "right") for i in range(6)]
+    assert [name for name in cell.joint_names if not name.endswith("neck")] == moving
+    assert set(cell.locked) == {*(f"left/right_{i}" for i in range(6)), *(f"right/left_{i}" for i in range(6)),
+                                "right/neck"}  # fmt: skip
+    assert "no tool of their arm: they are locked where they stand" in cell.standing_note()
+    assert cell.with_limits(acceleration=5.0).joint_names == cell.joint_names
+
+
+def test_arms_of_a_locked_torso_move_as_the_robot_does(tmp_path: Path, rng: np.random.Generator) -> None:
+    """The tools of both arms are where one model of the whole robot has them."""
+    file = tmp_path / "both.urdf"
+    file.write_text(two_arms(TORSOS[6]))
+    held = {"torso_0": 0.7, "torso_1": -0.2}
+    cell = RobotCell([arm_of(side, file, locked_joints=held) for side in ("left", "right")])
+    robot = pin.buildModelFromUrdf(str(file))
+    q, x = pin.neutral(robot), rng.uniform(-1.0, 1.0, cell.nv)
+    values = {**held, **{name.partition("/")[2]: value for name, value in zip(cell.joint_names, x, strict=True)}}
+    for name, value in values.items():
+        at = robot.joints[robot.getJointId(name)]
+        q[at.idx_q : at.idx_q + at.nq] = [value] if at.nq == 1 else [np.cos(value), np.sin(value)]
+    data = robot.createData()
+    pin.framesForwardKinematics(robot, data, q)
+    for side, T in zip(("left", "right"), CellState(cell, cell.configuration(x)).T_world_tool, strict=True):
+        there = data.oMf[robot.getFrameId(f"{side}_link_5")]
+        np.testing.assert_allclose(T.homogeneous, there.homogeneous, rtol=0, atol=1e-13)
+
+
+def test_arms_beside_each_other_are_two_robots(tmp_path: Path) -> None:
+    """The same description at two places has two torsos."""
+    file = tmp_path / "both.urdf"
+    file.write_text(two_arms(TORSOS[0]))
+    beside = pin.SE3(np.eye(3), np.array([0.0, 2.0, 0.0]))
+    cell = RobotCell([arm_of("left", file), arm_of("right", file, T_world_base=beside)])
+    assert not cell.locked
+    assert cell.nv == 2 * 14
+
+
+CELL = """name = "torso"
+[[arms]]
+name = "left"
+urdf = "both.urdf"
+tool_frame = "left_link_5"
+limits = { acceleration_deg_per_s2 = ACCELERATIONS }
+
+[[arms]]
+name = "right"
+urdf = "both.urdf"
+tool_frame = "right_link_5"
+limits = { acceleration_deg_per_s2 = ACCELERATIONS }
+
+[grasp]
+kind = "tools"
+tools.left = { xyz_m = [0, 0.2, 0] }
+tools.right = { xyz_m = [0, -0.2, 0] }
+[path]
+kind = "line"
+start = { xyz_m = [0.5, 0, 0.9] }
+displacement = { translation_m = [0.05, 0.0, 0.05] }
+duration_s = 0.2
+"""
+
+
+@pytest.mark.parametrize("command", [["check"], ["plan", "--out", "made"], ["run"]])
+def test_every_command_refuses_a_torso_with_two_commands(
+    command: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    if command[0] == "plan":
+        pytest.importorskip("toppra")
+    monkeypatch.chdir(tmp_path)
+    Path("both.urdf").write_text(two_arms(TORSOS[1]))
+    text = CELL.replace("ACCELERATIONS", "300")
+    Path("cell.toml").write_text(text)
+    assert main([command[0], "cell.toml", *command[1:]]) == 2
+    said = capsys.readouterr().err
+    assert "joint 'torso_0' moves the tools of arms 'left' and 'right'" in said
+    assert 'Lock it in both arms: locked_joints_rad = { "torso_0" = 0.0 }' in said
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["both.urdf", "cell.toml"]
+    Path("cell.toml").write_text(text.replace("[[arms]]", "[[arms]]\nlocked_joints_rad = { torso_0 = 0.0 }"))
+    assert main([command[0], "cell.toml", *command[1:]]) == 0
+    told = capsys.readouterr()
+    assert "are locked where they stand" in told.out + told.err
+
+
+@pytest.mark.skipif(importlib.util.find_spec("cmeel") is None, reason="the extra robots")
+@pytest.mark.parametrize(
+    ("robot", "tools"),
+    [
+        ("tiago_pro_description/robots/tiago_pro.urdf", ("arm_left_7_link", "arm_right_7_link")),
+        ("pr2_description/urdf/pr2.urdf", ("l_wrist_roll_link", "r_wrist_roll_link")),
+        ("talos_data/robots/talos_reduced.urdf", ("arm_left_7_link", "arm_right_7_link")),
+    ],
+)
+def test_known_robots_with_one_torso_are_refused(robot: str, tools: tuple[str, str]) -> None:
+    shared = Path(sys.prefix) / f"lib/python3.{sys.version_info[1]}/site-packages/cmeel.prefix/share"
+    file = shared / "example-robot-data/robots" / robot
+    if not file.exists():
+        pytest.skip("the extra robots is not installed")
+    whole = pin.buildModelFromUrdf(str(file), True)
+    mimics = [n for n, j in zip(whole.names, whole.joints, strict=True) if "Mimic" in j.shortname()]
+    locked = dict.fromkeys(mimics, 0.0)
+    arms = [
+        Arm.from_urdf(side, file, tool_frame=tool, geometry=False, locked_joints=locked, velocity_limits=2.0)
+        for side, tool in zip(("left", "right"), tools, strict=True)
+    ]
+    with pytest.raises(InvalidInputError, match=r"torso.*Lock"):
+        RobotCell(arms)
+
+
+def test_shipped_cells_have_no_joint_twice() -> None:
+    for name, make in SCENARIOS.items():
+        with contextlib.suppress(ImportError):  # robots of extras
+            cell = make(**({"geometry": False} if name in ("panda_bar", "ur5_table") else {})).cell
+            assert not cell.locked, name
