@@ -34,7 +34,7 @@ from contestants import CACHE, PACES, PINS, Contestant, NotAvailable, hand_over,
 
 from coopqp import QPOptions, available_kernels
 from coopqp.model.cell import RobotCell
-from coopqp.simulation.metrics import tool_placements
+from coopqp.simulation.evaluation.metrics import tool_placements
 from coopqp.spatial import Array
 
 #: Modes that --quick runs; all others need the full run.

@@ -30,7 +30,7 @@ from coopqp.model.chain import Chain
 from coopqp.model.inverse_kinematics import newton
 from coopqp.scenarios import Scenario, at_limit, at_singularity, ring
 from coopqp.scenarios.arms import robot_arm
-from coopqp.simulation.metrics import object_poses, tool_matrices
+from coopqp.simulation.evaluation.metrics import object_poses, tool_matrices
 
 #: Intervals of the grid that the fastest motion is found on.
 GRID = 500

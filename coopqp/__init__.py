@@ -23,13 +23,16 @@ from typing import TYPE_CHECKING
 from coopqp.lazy import lazy_names
 
 if TYPE_CHECKING:
-    from coopqp.control.cause import Cause
-    from coopqp.control.command import Controller, ControlStep, GivenUp, SolverReport, Status
-    from coopqp.control.constraints import Rank, VelocityConstraint
-    from coopqp.control.forms import RankWeights
-    from coopqp.control.independent import IndependentQPController, IndependentQPOptions
+    from coopqp.baselines.independent import IndependentQPController, IndependentQPOptions
+    from coopqp.baselines.pseudo_inverse import PseudoInverseController, PseudoInverseOptions
+    from coopqp.constraints.cause import Cause
+    from coopqp.constraints.rate import Knot, RateBound
+    from coopqp.constraints.velocity import Rank, VelocityConstraint
+    from coopqp.control.interface import Controller, ControlStep, GivenUp, SolverReport, Status
+    from coopqp.control.lookahead.options import PreviewOptions
+    from coopqp.control.monitoring.options import SupervisionOptions
+    from coopqp.control.monitoring.stall_bound import StallBound
     from coopqp.control.options import QPOptions
-    from coopqp.control.pseudo_inverse import PseudoInverseController, PseudoInverseOptions
     from coopqp.control.qp import QPController
     from coopqp.control.solvers import (
         QpProblem,
@@ -45,8 +48,7 @@ if TYPE_CHECKING:
     from coopqp.control.solvers.ldp import LdpSettings
     from coopqp.control.solvers.osqp import OsqpSettings
     from coopqp.control.solvers.proxqp import ProxqpSettings
-    from coopqp.control.stall_bound import StallBound
-    from coopqp.control.supervision_options import SupervisionOptions
+    from coopqp.control.step.formulations import RankWeights
     from coopqp.errors import (
         BusyError,
         CoopqpError,
@@ -69,26 +71,25 @@ if TYPE_CHECKING:
     from coopqp.forces.force_controller import ForceController
     from coopqp.forces.force_options import ForceOptions
     from coopqp.forces.stress import InternalStress, StressModel, at_tools
-    from coopqp.forces.use import LoadUse
-    from coopqp.look.calibration import write_calibration
-    from coopqp.look.loads import write_load_use
-    from coopqp.look.profile import write_speed_profile
-    from coopqp.look.report import write_report
-    from coopqp.look.viewer import LiveViewer, export_html
+    from coopqp.forces.utilisation import LoadUse
     from coopqp.model.cell import Arm, JointLimits, RobotCell
+    from coopqp.model.common_error import CommonError
     from coopqp.model.grasp import Grasp, plate_from_centroid, plate_from_points
     from coopqp.model.inverse_kinematics import inverse_kinematics
     from coopqp.model.limits import BindingLimit, LimitKind
+    from coopqp.model.posture import PostureOptions
     from coopqp.model.state import CellState
     from coopqp.native import available_kernels
     from coopqp.output import OutputError
-    from coopqp.planning.preview_options import PreviewOptions
-    from coopqp.planning.rate_bounds import Knot, RateBound
+    from coopqp.paths.path import HoldPath, LinePath, ObjectPath, TimeLaw, WaypointPath
+    from coopqp.paths.scenario import EngineSettings, Scenario
+    from coopqp.paths.servo import ServoPath
+    from coopqp.paths.timed import TimedPath
     from coopqp.scenarios.robots import robot_path
-    from coopqp.simulation.assessment import Finding, Tolerances, judge
-    from coopqp.simulation.calibrating import calibrate_runs
-    from coopqp.simulation.closeness import Closeness, Closest
-    from coopqp.simulation.metrics import (
+    from coopqp.simulation.evaluation.assessment import Finding, Tolerances, judge
+    from coopqp.simulation.evaluation.calibration_runs import calibrate_runs
+    from coopqp.simulation.evaluation.closeness import Closeness, Closest
+    from coopqp.simulation.evaluation.metrics import (
         chain_error,
         limit_excess,
         object_error,
@@ -97,43 +98,42 @@ if TYPE_CHECKING:
         relative_positioning_error,
         tool_placements,
     )
-    from coopqp.simulation.monitor import Monitor, check_run
-    from coopqp.simulation.monitored import Monitored
+    from coopqp.simulation.evaluation.monitor import Monitor, check_run
+    from coopqp.simulation.evaluation.monitored import Monitored
+    from coopqp.simulation.evaluation.readings import Readings, read_run
+    from coopqp.simulation.evaluation.violations import Breach, MonitorTolerances, Verdict, Violation
+    from coopqp.simulation.evaluation.wrench_bounds import WrenchBounds
     from coopqp.simulation.plants.disturbances import Disturbances, misplaced
     from coopqp.simulation.plants.disturbed import DisturbedPlant
     from coopqp.simulation.plants.kinematic import KinematicPlant, Plant
     from coopqp.simulation.plants.physics import PhysicsError, PhysicsPlant
     from coopqp.simulation.plants.physics_options import PhysicsOptions
-    from coopqp.simulation.readings import Readings, read_run
-    from coopqp.simulation.recording import Recording, RecordingError
-    from coopqp.simulation.scene import SceneError, describe_object
+    from coopqp.simulation.recording.recording import Recording, RecordingError
+    from coopqp.simulation.recording.scene import SceneError, describe_object
     from coopqp.simulation.simulate import simulate
-    from coopqp.simulation.violations import Breach, MonitorTolerances, Verdict, Violation
-    from coopqp.simulation.wrench_bounds import WrenchBounds
     from coopqp.spatial import Array, Placement, adjoint
     from coopqp.studies.errors import EngineError, StudyError
-    from coopqp.task.common_error import CommonError
-    from coopqp.task.path import HoldPath, LinePath, ObjectPath, TimeLaw, WaypointPath
-    from coopqp.task.posture import PostureOptions
-    from coopqp.task.scenario import EngineSettings, Scenario
-    from coopqp.task.servo import ServoPath
-    from coopqp.task.timed import TimedPath
+    from coopqp.visualization.calibration import write_calibration
+    from coopqp.visualization.loads import write_load_use
+    from coopqp.visualization.profile import write_speed_profile
+    from coopqp.visualization.report import write_report
+    from coopqp.visualization.viewer import LiveViewer, export_html
 else:
     __getattr__, __dir__ = lazy_names(
         __name__,
         {
-            "coopqp.control.cause": "Cause",
-            "coopqp.control.command": "Controller ControlStep GivenUp SolverReport Status",
-            "coopqp.control.constraints": "Rank VelocityConstraint",
-            "coopqp.planning.rate_bounds": "Knot RateBound",
-            "coopqp.control.forms": "RankWeights",
+            "coopqp.constraints.cause": "Cause",
+            "coopqp.control.interface": "Controller ControlStep GivenUp SolverReport Status",
+            "coopqp.constraints.velocity": "Rank VelocityConstraint",
+            "coopqp.constraints.rate": "Knot RateBound",
+            "coopqp.control.step.formulations": "RankWeights",
             "coopqp.control.options": "QPOptions",
             "coopqp.control.qp": "QPController",
             "coopqp.control.solvers": (
                 "QpProblem QpSolution QpSolver SolverSettings SolverStatus available_solvers make_solver"
             ),
-            "coopqp.control.stall_bound": "StallBound",
-            "coopqp.control.supervision_options": "SupervisionOptions",
+            "coopqp.control.monitoring.stall_bound": "StallBound",
+            "coopqp.control.monitoring.options": "SupervisionOptions",
             "coopqp.errors": (
                 "BusyError CoopqpError InvalidInputError KernelWarning MissingExtraError MissingSolverError "
                 "ModelError NoStartError StartWarning StiffnessWarning TooCloseError UndecidedError "
@@ -145,22 +145,22 @@ else:
             "coopqp.model.limits": "BindingLimit LimitKind",
             "coopqp.model.state": "CellState",
             "coopqp.native": "available_kernels",
-            "coopqp.planning.preview_options": "PreviewOptions",
+            "coopqp.control.lookahead.options": "PreviewOptions",
             "coopqp.simulation.plants.kinematic": "KinematicPlant Plant",
-            "coopqp.simulation.readings": "Readings read_run",
-            "coopqp.simulation.recording": "Recording RecordingError",
+            "coopqp.simulation.evaluation.readings": "Readings read_run",
+            "coopqp.simulation.recording.recording": "Recording RecordingError",
             "coopqp.simulation.simulate": "simulate",
-            "coopqp.simulation.violations": "Breach MonitorTolerances Verdict Violation",
-            "coopqp.simulation.wrench_bounds": "WrenchBounds",
+            "coopqp.simulation.evaluation.violations": "Breach MonitorTolerances Verdict Violation",
+            "coopqp.simulation.evaluation.wrench_bounds": "WrenchBounds",
             "coopqp.spatial": "Array Placement adjoint",
-            "coopqp.task.common_error": "CommonError",
-            "coopqp.task.path": "HoldPath LinePath ObjectPath TimeLaw WaypointPath",
-            "coopqp.task.posture": "PostureOptions",
-            "coopqp.task.scenario": "EngineSettings Scenario",
-            "coopqp.task.servo": "ServoPath",
-            "coopqp.task.timed": "TimedPath",
-            "coopqp.control.independent": "IndependentQPController IndependentQPOptions",
-            "coopqp.control.pseudo_inverse": "PseudoInverseController PseudoInverseOptions",
+            "coopqp.model.common_error": "CommonError",
+            "coopqp.paths.path": "HoldPath LinePath ObjectPath TimeLaw WaypointPath",
+            "coopqp.model.posture": "PostureOptions",
+            "coopqp.paths.scenario": "EngineSettings Scenario",
+            "coopqp.paths.servo": "ServoPath",
+            "coopqp.paths.timed": "TimedPath",
+            "coopqp.baselines.independent": "IndependentQPController IndependentQPOptions",
+            "coopqp.baselines.pseudo_inverse": "PseudoInverseController PseudoInverseOptions",
             "coopqp.control.solvers.daqp": "DaqpSettings",
             "coopqp.control.solvers.generic": "GenericSettings",
             "coopqp.control.solvers.ldp": "LdpSettings",
@@ -172,28 +172,28 @@ else:
             "coopqp.forces.force_controller": "ForceController",
             "coopqp.forces.force_options": "ForceOptions",
             "coopqp.forces.stress": "InternalStress StressModel at_tools",
-            "coopqp.forces.use": "LoadUse",
-            "coopqp.look.calibration": "write_calibration",
-            "coopqp.look.loads": "write_load_use",
-            "coopqp.look.profile": "write_speed_profile",
-            "coopqp.look.report": "write_report",
-            "coopqp.look.viewer": "LiveViewer export_html",
+            "coopqp.forces.utilisation": "LoadUse",
+            "coopqp.visualization.calibration": "write_calibration",
+            "coopqp.visualization.loads": "write_load_use",
+            "coopqp.visualization.profile": "write_speed_profile",
+            "coopqp.visualization.report": "write_report",
+            "coopqp.visualization.viewer": "LiveViewer export_html",
             "coopqp.output": "OutputError",
             "coopqp.scenarios.robots": "robot_path",
-            "coopqp.simulation.assessment": "Finding Tolerances judge",
-            "coopqp.simulation.calibrating": "calibrate_runs",
-            "coopqp.simulation.closeness": "Closeness Closest",
-            "coopqp.simulation.metrics": (
+            "coopqp.simulation.evaluation.assessment": "Finding Tolerances judge",
+            "coopqp.simulation.evaluation.calibration_runs": "calibrate_runs",
+            "coopqp.simulation.evaluation.closeness": "Closeness Closest",
+            "coopqp.simulation.evaluation.metrics": (
                 "chain_error limit_excess object_error path_error relative_orientation_error "
                 "relative_positioning_error tool_placements"
             ),
-            "coopqp.simulation.monitor": "Monitor check_run",
-            "coopqp.simulation.monitored": "Monitored",
+            "coopqp.simulation.evaluation.monitor": "Monitor check_run",
+            "coopqp.simulation.evaluation.monitored": "Monitored",
             "coopqp.simulation.plants.disturbances": "Disturbances misplaced",
             "coopqp.simulation.plants.disturbed": "DisturbedPlant",
             "coopqp.simulation.plants.physics": "PhysicsError PhysicsPlant",
             "coopqp.simulation.plants.physics_options": "PhysicsOptions",
-            "coopqp.simulation.scene": "SceneError describe_object",
+            "coopqp.simulation.recording.scene": "SceneError describe_object",
             "coopqp.studies.errors": "EngineError StudyError",
         },
     )

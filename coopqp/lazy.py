@@ -44,11 +44,11 @@ def lazy_names(
 
 
 class Shown:
-    """An object with a picture in notebooks. :mod:`coopqp.look.notebook` makes it when a notebook asks for it."""
+    """An object with a picture in notebooks, which :mod:`coopqp.visualization.notebook` makes when it is asked for."""
 
     __slots__ = ()
 
     def _repr_html_(self) -> str | None:
         """HTML without links to anything else; None, for the plain text, if it cannot be made."""
-        page: str | None = import_module("coopqp.look.notebook").html_of(self)
+        page: str | None = import_module("coopqp.visualization.notebook").html_of(self)
         return page

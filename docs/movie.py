@@ -26,8 +26,8 @@ from coopqp import (
     simulate,
     tool_placements,
 )
-from coopqp.look import Solid, View, box_solid, cell_solids, render
 from coopqp.scenarios import paper_lift
+from coopqp.visualization import Solid, View, box_solid, cell_solids, render
 
 #: Frames per second, width of each half [px], and how long the last frame stays [ms].
 FPS, WIDTH, REST_MS = 10, 400, 1500

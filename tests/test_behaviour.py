@@ -45,7 +45,7 @@ from coopqp.scenarios import (
     mixed_cell,
     paper_lift,
 )
-from coopqp.simulation.metrics import chain_errors, errors_from, object_poses, tool_matrices
+from coopqp.simulation.evaluation.metrics import chain_errors, errors_from, object_poses, tool_matrices
 
 NIGHTLY = os.environ.get("HYPOTHESIS_PROFILE") == "nightly"
 BENCHMARKS = Path(__file__).parents[1] / "benchmarks"

@@ -10,10 +10,10 @@ import pytest
 from numpy.typing import NDArray
 
 from coopqp import Scenario
+from coopqp.paths.geometry import Blend, MotionBounds, PathGeometry, Piece, Straight, blended
 from coopqp.planning import PathVerdict, check_path
 from coopqp.planning.planner import some_timing
 from coopqp.planning.segments import segments_of
-from coopqp.task.geometry import Blend, MotionBounds, PathGeometry, Piece, Straight, blended
 
 Array = NDArray[np.float64]
 

@@ -23,10 +23,10 @@ from coopqp import (
     Status,
     available_kernels,
 )
-from coopqp.control.braking_rows import BrakingRows, bend, least_singular_value
-from coopqp.control.constraints import Rows
+from coopqp.constraints.velocity import Rows
+from coopqp.control.lookahead.options import PlanLimits
+from coopqp.control.step.braking_rows import BrakingRows, bend, least_singular_value
 from coopqp.model.chain import Chain
-from coopqp.planning.preview_options import PlanLimits
 from coopqp.scenarios import Scenario, dual_arm7, five_joint_pair, mixed_cell, paper_lift, ring
 
 H = 0.002

@@ -38,10 +38,10 @@ from coopqp import (
     load_cell_file,
     simulate,
 )
-from coopqp.app.cli import main
+from coopqp.cli.main import main
 from coopqp.files import example_path
 from coopqp.forces import determining_motion, undetermined_by
-from coopqp.forces.closure import Closure
+from coopqp.forces.loop_residual import Closure
 from coopqp.planning import PathVerdict
 from coopqp.scenarios import Scenario, paper_lift
 

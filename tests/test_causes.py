@@ -23,8 +23,8 @@ from coopqp import (
     available_kernels,
 )
 from coopqp.control.core import layout
-from coopqp.control.reading import CAUSES
-from coopqp.control.verdict import cause_of
+from coopqp.control.step.decoding import CAUSES
+from coopqp.control.step.verdict import cause_of
 from coopqp.scenarios import Scenario, at_limit, at_singularity, paper_lift
 
 LIMIT, SINGULAR, NEAR, APART, REINS, JUMP = (

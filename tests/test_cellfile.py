@@ -42,8 +42,8 @@ from coopqp import (
     read_run,
     robot_path,
 )
-from coopqp.app.demo import run_method
 from coopqp.checks import meanings
+from coopqp.cli.demo import run_method
 from coopqp.files.cellfile import CELLS, example_path, json_schema, schema_text
 from coopqp.files.cellfile.build import CellRun
 from coopqp.files.cellfile.hints import grip_hints

@@ -14,14 +14,13 @@ from marks import slow_unless
 from wrapped import Opaque
 
 from coopqp import CellState, Closeness, InvalidInputError, QPController, load_cell_file, simulate
-from coopqp.app import cli
+from coopqp.cli import main as cli
 from coopqp.collision import Body, Box, Clearance, CollisionScene, Sphere
-from coopqp.look.check_plots import check_figure
 from coopqp.model.chain import Chain
 from coopqp.model.inverse_kinematics import newton
 from coopqp.planning import PathCheck, PathVerdict, check_path, find_remedies, find_start
+from coopqp.planning.joint_trajectories import CellWay
 from coopqp.planning.segments import segments_of
-from coopqp.planning.ways import CellWay
 from coopqp.scenarios import (
     Scenario,
     dual_arm7,
@@ -33,6 +32,7 @@ from coopqp.scenarios import (
     random_posts,
     ring,
 )
+from coopqp.visualization.check_plots import check_figure
 
 CERTIFIED, SAMPLED, UNDECIDED, INFEASIBLE = PathVerdict
 

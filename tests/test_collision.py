@@ -54,7 +54,7 @@ from coopqp.collision import (
 )
 from coopqp.collision.distances import KERNEL, Distances, LowerBounds
 from coopqp.collision.evasion import YIELDS, Evasion
-from coopqp.control.constraints import MOST_ROWS, ConstraintTrouble
+from coopqp.constraints.velocity import MOST_ROWS, ConstraintTrouble
 from coopqp.model.chain import Chain
 from coopqp.native import compiled
 from coopqp.planning import PathVerdict, check_path
@@ -70,8 +70,8 @@ from coopqp.scenarios import (
     plate_and_table,
     random_posts,
 )
-from coopqp.simulation.closeness import with_clearance
-from coopqp.simulation.convex import core_of, distance
+from coopqp.simulation.evaluation.closeness import with_clearance
+from coopqp.simulation.evaluation.convex import core_of, distance
 
 MARGIN = 0.02
 KERNELS = available_kernels()

@@ -25,7 +25,7 @@ from coopqp import (
     SupervisionOptions,
     available_kernels,
 )
-from coopqp.control.apart import ChainWatch
+from coopqp.control.monitoring.commanded import ChainWatch
 from coopqp.scenarios import Scenario, five_joint_pair, paper_lift
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))

@@ -39,7 +39,7 @@ from coopqp import (
     available_kernels,
     make_solver,
 )
-from coopqp.control.constraints import LabelledRows, Quiet
+from coopqp.constraints.velocity import LabelledRows, Quiet
 from coopqp.scenarios import Scenario, dual_arm7, mixed_cell, paper_lift
 
 EXAMPLE = runpy.run_path(str(Path(__file__).parents[1] / "docs" / "examples" / "16_constraints.py"))

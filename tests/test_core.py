@@ -32,8 +32,8 @@ from coopqp import (
     WaypointPath,
     make_solver,
 )
-from coopqp.control.constraint_set import Constraints
 from coopqp.control.core import layout
+from coopqp.control.step.constraint_set import Constraints
 from coopqp.scenarios import Scenario, at_limit, dual_arm7, mixed_cell, paper_lift, ring
 
 pytestmark = pytest.mark.core

@@ -13,9 +13,9 @@ import numpy as np
 import pytest
 
 from coopqp import InvalidInputError, QPController, UnknownNameError, available_solvers
-from coopqp.app.demo import METHODS, DemoRun, check_demo, records_json, run_demo, run_method
+from coopqp.cli.demo import METHODS, DemoRun, check_demo, records_json, run_demo, run_method
 from coopqp.scenarios import Scenario, paper_lift
-from coopqp.simulation import metrics
+from coopqp.simulation.evaluation import metrics
 
 Runner = Callable[..., DemoRun]
 STEPS = (40, 400, 1000)

@@ -31,8 +31,8 @@ from coopqp import (
 from coopqp.files import export
 from coopqp.files.export import csv_parts, csv_text, knot_velocities, topic_name
 from coopqp.scenarios import Scenario
-from coopqp.simulation import rows
-from coopqp.simulation.scene import describe_cell
+from coopqp.simulation.recording import rows
+from coopqp.simulation.recording.scene import describe_cell
 
 with warnings.catch_warnings():
     warnings.simplefilter("ignore", DeprecationWarning)

@@ -24,7 +24,7 @@ from coopqp import (
     misplaced,
     simulate,
 )
-from coopqp.forces.relaxation import yields_in_part
+from coopqp.forces.admittance import yields_in_part
 from coopqp.planning import Payload
 from coopqp.scenarios import Scenario, paper_lift
 

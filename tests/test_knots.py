@@ -9,9 +9,9 @@ from marks import slow_but_first
 
 from coopqp import HoldPath, LinePath, Scenario, UnreachableError, WaypointPath
 from coopqp.model.batch import ArmKinematics
+from coopqp.paths.geometry import PathGeometry, blended
 from coopqp.planning.knots import ArmKnots, Following, Motion, arm_knots, follow, spread_knots
 from coopqp.scenarios import dual_arm7, five_joint_pair, mixed_cell, paper_lift
-from coopqp.task.geometry import PathGeometry, blended
 
 RNG = np.random.default_rng
 

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from coopqp import BindingLimit, JointLimits, LimitKind, RobotCell
-from coopqp.control.limits import LIMIT_TOLERANCE, VelocityBox, rate_interval
+from coopqp.control.step.velocity_bounds import LIMIT_TOLERANCE, VelocityBox, rate_interval
 
 Array = NDArray[np.float64]
 STEPS = [0.001, 0.002, 0.01]  # [s]

@@ -864,14 +864,14 @@ def test_arms_with_few_joints_run_by_the_plain_definition() -> None:
 
 #: Where the definition keeps a constant of the core: module, and attributes or ``Class.attribute``.
 IN_PYTHON: dict[str, dict[str, str]] = {
-    "control.limits": {
+    "control.step.velocity_bounds": {
         "LIMIT_TOLERANCE": "LIMIT_TOLERANCE", "STILL_SLOPE": "_STILL", "RECOVERY_SHARE": "VelocityBox.RECOVERY_SHARE",
         "INSIDE": "VelocityBox.INSIDE", "BRAKING_SHARE": "BRAKING_SHARE", "LARGEST_MOVE": "LARGEST_MOVE",
         "HELD_SPEED": "HELD_SPEED", "HELD_SHARE": "HELD_SHARE",
     },
-    "control.ranks": {"AT_LIMIT": "_AT_LIMIT", "RESIDUE_TOLERANCE": "RESIDUE_TOLERANCE"},
+    "control.step.priorities": {"AT_LIMIT": "_AT_LIMIT", "RESIDUE_TOLERANCE": "RESIDUE_TOLERANCE"},
     "control.solvers.polish": {"LARGEST_X": "REACH"},
-    "task.guarded": {
+    "paths.guarded": {
         "FASTEST_PATH": "FASTEST_PATH", "TURN_LENGTH": "TURN_LENGTH", "KINK_WIDTH": "_KINK_WIDTH",
         "KINK_SHARE": "_KINK_SHARE", "LEAST_KINK": "_LEAST_KINK",
         "JUMP_WIDTH": "_JUMP_WIDTH", "LEAST_JUMP": "_LEAST_JUMP",
@@ -879,59 +879,59 @@ IN_PYTHON: dict[str, dict[str, str]] = {
     },
     "model.chain": {"LARGE_INVERSE": "_LARGE_INVERSE", "FAR_EDGE": "_FAR_EDGE"},
     "model.inverse_kinematics": {"LONGEST_STEP": "_LONGEST_STEP"},
-    "control.linearised": {name: name for name in ("SETTLED", "EXTRA_AT_START", "LONG_STEP", "BENT_STEP")},
-    "control.plain": {name: name for name in ("LEAST_PACE", "NEGLIGIBLE", "MOST_TIGHTENINGS")},
-    "control.rate_cap": {"RATE_ROUNDING": "RATE_ROUNDING"},
-    "control.verdict": {
+    "control.step.linearised": {name: name for name in ("SETTLED", "EXTRA_AT_START", "LONG_STEP", "BENT_STEP")},
+    "control.step.plain": {name: name for name in ("LEAST_PACE", "NEGLIGIBLE", "MOST_TIGHTENINGS")},
+    "control.step.rate_cap": {"RATE_ROUNDING": "RATE_ROUNDING"},
+    "control.step.verdict": {
         name: name for name in ("ARRIVING", "RESTING_SPEED", "RESTING_SPIN", "STILL_BLOCKED", "STILL_SLOWED")
     },
-    "planning.preview": {
+    "control.lookahead.preview": {
         name: f"_{name}"
         for name in (
             "STEPS_TO_GROW", "NEWTON_STEPS_AT_START", "LEAST_ASKED", "ASKED_PER_TIME", "SHORT_STEP", "STEPS_TO_ASK",
         )
     },
-    "planning.preview_options": {
+    "control.lookahead.options": {
         "STEPS_TO_FULL_SPEED": "STEPS_TO_FULL_SPEED", "STEPS_TO_EDGE": "_STEPS_TO_EDGE",
     },
-    "planning.growth": {
+    "control.lookahead.extension": {
         name: f"_{name}"
         for name in ("PASSABLE", "GROWTH", "LONGEST_WAY", "MOST_KNOTS", "KINK_CELL", "SAME_CLOCK", "BESIDE_KINK")
     } | {"MOST_KINKS": "MOST_KINKS"},
-    "planning.horizon": {
+    "control.lookahead.horizon": {
         name: f"_{name}" for name in ("KNOTS_PER_PASS", "MOST_GUESSES", "SHORT_OF", "SHORTER", "LEAST_RATE")
     },
-    "planning.chain_ahead": {
+    "control.lookahead.closed_chain": {
         name: f"_{name}"
         for name in (
             "FINE_CELL", "OTHER_BRANCH", "BRANCH_WAY", "BEND_CHANGE", "STARTING_STEPS", "MOST_TRIES", "CONVERGED",
         )
     } | {"JUST_BEFORE": "JUST_BEFORE"},
-    "task.elbows": {"ELBOW_GAIN": "ELBOW_GAIN"},
-    "planning.redundancy": {name: name for name in ("LIMIT_MARGIN", "TURNING_WAY", "LEADS")},
-    "planning.sharing": {name: name for name in ("STILL_SLOPE", "MOST_PIVOTS", "CROSSED")},
-    "control.supervision": {
+    "paths.elbows": {"ELBOW_GAIN": "ELBOW_GAIN"},
+    "control.lookahead.redundancy": {name: name for name in ("LIMIT_MARGIN", "TURNING_WAY", "LEADS")},
+    "control.lookahead.backward_pass": {name: name for name in ("STILL_SLOPE", "MOST_PIVOTS", "CROSSED")},
+    "control.monitoring.supervision": {
         name: f"_{name}"
         for name in (
             "FOLLOWS", "CAUGHT_UP", "CAUGHT_UP_SHARE", "CIRCLE_TOLERANCE", "EQUALLY_FAR", "LET_GO", "FAULT_SAMPLES",
             "MOST_LOST", "NOISE_TIME", "FEW_SAMPLES",
         )
     } | {"STILL_COMMAND": "_STILL"},
-    "task.servo": {
+    "paths.servo": {
         "STILL_OBJECT": "AT_REST", "NOWHERE": "_NOWHERE", "SHORTEST_CHANGE": "_SHORTEST", "SPEEDS": "_SPEEDS",
     },
-    "control.braking_rows": {
+    "control.step.braking_rows": {
         name: name
         for name in ("EDGE_SHARE", "SINGULAR_MARGIN", "BEND_SHARE", "APPROACH_TIME", "APPROACH_STEPS", "GIVES_WAY")
     } | {"FASTEST_JOINT": "_FASTEST"},
-    "control.effort": {"CHANGE_SHARE": "_SHARE", "LARGEST_JUMP": "_LARGEST_JUMP"},
-    "control.going_over": {"RATE_TOLERANCE": "_ROUNDING"},
-    "control.drift": {
+    "control.lookahead.ramp_time": {"CHANGE_SHARE": "_SHARE", "LARGEST_JUMP": "_LARGEST_JUMP"},
+    "control.retargeting": {"RATE_TOLERANCE": "_ROUNDING"},
+    "control.monitoring.drift": {
         "WANDER": "_WANDER", "LAG": "_LAG", "LEAST_LAG": "_LEAST_LAG", "DRIFT_FLOOR": "_FLOOR",
         "DRIFT_SAMPLE": "_SAMPLE", "SMOOTHING": "_SMOOTHING", "DRIFT_PERIOD": "_PERIOD",
         "LARGEST_SLOPE": "_LARGEST_SLOPE",
     },
-    "control.stress_watch": {
+    "control.monitoring.stress": {
         "STRUCTURE": "STRUCTURE", "AT_REST": "_STILL", "SERVOS_SETTLED": "_SETTLED", "UNBALANCED": "_UNBALANCED",
         "STRAIGHT_BACK": "_STRAIGHT_BACK",
     },
@@ -967,7 +967,7 @@ def test_the_core_and_the_definition_have_the_same_constants(module: str, name: 
 
 
 def test_every_constant_of_the_core_is_known_to_the_definition() -> None:
-    stress = importlib.import_module("coopqp.control.stress_watch")
+    stress = importlib.import_module("coopqp.control.monitoring.stress")
     assert stress._SCALE.tolist() == [1.0] * 3 + [layout.CONSTANTS["TURN_LENGTH"]] * 3
     known = {name for _, name, _ in constants()} | ONLY_IN_C | READ_THERE
     assert known - set(BOUNDS) == set(layout.CONSTANTS)

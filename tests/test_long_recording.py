@@ -18,10 +18,10 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
 from coopqp import Monitor, QPController, Recording, RecordingError, judge, read_run, simulate
-from coopqp.look import curves
 from coopqp.scenarios import Scenario, at_limit
-from coopqp.simulation import recording as recordings
-from coopqp.simulation import rows
+from coopqp.simulation.recording import recording as recordings
+from coopqp.simulation.recording import rows
+from coopqp.visualization import curves
 
 ARRAYS = ("time", "q", "q_command", "velocity", "clock", "rate", "status", "reference", "T_object_tool")
 

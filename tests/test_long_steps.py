@@ -21,7 +21,7 @@ from coopqp import (
     Status,
     available_kernels,
 )
-from coopqp.control.linearised import is_long
+from coopqp.control.step.linearised import is_long
 from coopqp.scenarios import at_singularity, dual_arm7, mixed_cell, paper_lift
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))

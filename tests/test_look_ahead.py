@@ -11,11 +11,11 @@ import pinocchio as pin
 import pytest
 
 from coopqp import Array, LimitKind, ObjectPath, PostureOptions, PreviewOptions, TimeLaw, WaypointPath
+from coopqp.control.lookahead.preview import PathPreview
 from coopqp.model.chain import Chain
 from coopqp.model.inverse_kinematics import newton
-from coopqp.planning.preview import PathPreview
+from coopqp.model.posture import Posture
 from coopqp.scenarios import Scenario, at_singularity, paper_lift
-from coopqp.task.posture import Posture
 
 DT = 0.002
 

@@ -20,9 +20,10 @@ from pathlib import Path
 import pytest
 
 from coopqp import Tolerances, load_cell_file
-from coopqp.app import cli, demo
-from coopqp.look import plots
+from coopqp.cli import demo
+from coopqp.cli import main as cli
 from coopqp.scenarios import robot_file
+from coopqp.visualization import plots
 
 ROOT = Path(__file__).parents[1]
 CELLS = ROOT / "docs" / "examples" / "cells"

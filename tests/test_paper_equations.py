@@ -26,9 +26,9 @@ from coopqp import (
     tool_placements,
 )
 from coopqp.model.grasp import THETA, triangle_frames
+from coopqp.paths.path import ScrewParameters
 from coopqp.scenarios import Scenario
 from coopqp.scenarios.paper import BASE_DISTANCE_H, BASE_OFFSET_B, slave_base
-from coopqp.task.path import ScrewParameters
 
 Array = NDArray[np.float64]
 EXACT = 1e-13

@@ -23,7 +23,7 @@ from coopqp import (
     WaypointPath,
     adjoint,
 )
-from coopqp.task.path import ScrewParameters, as_time_law
+from coopqp.paths.path import ScrewParameters, as_time_law
 
 Array = NDArray[np.float64]
 

@@ -42,7 +42,7 @@ from coopqp import (
     simulate,
 )
 from coopqp.scenarios import Scenario, paper_lift
-from coopqp.simulation import metrics
+from coopqp.simulation.evaluation import metrics
 from coopqp.simulation.plants.replay import Motion, Replay, exact_motion, recorded_motion
 
 #: A base with an error of 1 mm and 0.1°, a grasp with an error of 2 mm.

@@ -12,7 +12,7 @@ import pinocchio as pin
 import pytest
 
 from coopqp import QPController, StudyError, simulate
-from coopqp.app import cli
+from coopqp.cli import main as cli
 from coopqp.collision import CollisionScene
 from coopqp.planning import find_start
 from coopqp.scenarios import paper_lift

@@ -23,7 +23,7 @@ from coopqp import (
     simulate,
     write_speed_profile,
 )
-from coopqp.app.cli import main
+from coopqp.cli.main import main
 from coopqp.planning import plan, time_path
 from coopqp.scenarios import dual_arm7
 

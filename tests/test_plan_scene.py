@@ -21,12 +21,12 @@ from coopqp import (
     UnreachableError,
     simulate,
 )
-from coopqp.app.cli import main
+from coopqp.cli.main import main
 from coopqp.collision import Body, Box, Clearance, CollisionScene
+from coopqp.paths.geometry import Straight, blended
 from coopqp.planning import PathVerdict, check_path, plan
 from coopqp.planning.planner import some_timing
 from coopqp.scenarios import elbow_and_knob, forearms, plate_and_post
-from coopqp.task.geometry import Straight, blended
 
 pytest.importorskip("toppra")
 

@@ -24,8 +24,8 @@ from coopqp import (
     path_error,
     tool_placements,
 )
+from coopqp.model.posture import Posture
 from coopqp.scenarios import Scenario, dual_arm7, mixed_cell, paper_lift
-from coopqp.task.posture import Posture
 
 
 def posture_of(cell: RobotCell, q: Array, **options: Any) -> Posture:

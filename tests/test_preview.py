@@ -35,11 +35,11 @@ from coopqp import (
     path_error,
     tool_placements,
 )
+from coopqp.control.lookahead.preview import PathPreview
 from coopqp.model.chain import Chain
 from coopqp.model.inverse_kinematics import newton
-from coopqp.planning.preview import PathPreview
+from coopqp.model.posture import Posture
 from coopqp.scenarios import Scenario, at_limit, at_singularity, dual_arm7, mixed_cell, paper_lift
-from coopqp.task.posture import Posture
 
 pytestmark = pytest.mark.core
 

@@ -24,11 +24,11 @@ from coopqp import (
     available_kernels,
     make_solver,
 )
-from coopqp.control.command import NO_SOLVE
-from coopqp.control.constraints import Rows, no_rows
-from coopqp.control.forms import Answer, Pieces, StepProgram, StepTerms
-from coopqp.control.limits import VelocityBox
-from coopqp.control.ranks import StepAnswer, StepSolver, _least_broken
+from coopqp.constraints.velocity import Rows, no_rows
+from coopqp.control.interface import NO_SOLVE
+from coopqp.control.step.formulations import Answer, Pieces, StepProgram, StepTerms
+from coopqp.control.step.priorities import StepAnswer, StepSolver, _least_broken
+from coopqp.control.step.velocity_bounds import VelocityBox
 from coopqp.model.chain import Chain
 from coopqp.scenarios import (
     LOADED,

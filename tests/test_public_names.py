@@ -31,7 +31,7 @@ LAZY = (
     "coopqp.forces",
     "coopqp.simulation",
     "coopqp.files",
-    "coopqp.look",
+    "coopqp.visualization",
     "coopqp.planning",
     "coopqp.studies",
 )
@@ -122,7 +122,7 @@ def test_every_imported_name_is_listed(package: str) -> None:
 
 def test_no_public_name_is_that_of_a_module() -> None:
     """An import of the module would put it in the place of the name."""
-    for package in (*LAZY, "coopqp.look"):
+    for package in (*LAZY, "coopqp.visualization"):
         folder = ROOT / package.replace(".", "/")
         modules = {file.stem for file in folder.glob("*.py")} | {
             file.name for file in folder.iterdir() if file.is_dir()

@@ -9,8 +9,8 @@ import pinocchio as pin
 import pytest
 
 from coopqp import Arm, Array, CellState, Grasp, RobotCell, robot_path
+from coopqp.control.lookahead.redundancy import LIMIT_MARGIN, TURNING_WAY, LimitAvoidance
 from coopqp.model.chain import Chain
-from coopqp.planning.redundancy import LIMIT_MARGIN, TURNING_WAY, LimitAvoidance
 
 
 def eight_joints() -> RobotCell:

@@ -11,7 +11,7 @@ import pytest
 from numpy.typing import NDArray
 
 from coopqp import Arm, InvalidInputError, RobotCell, robot_path
-from coopqp.look.renderer import Solid, View, box_solid, cell_solids, mesh_of, render
+from coopqp.visualization.renderer import Solid, View, box_solid, cell_solids, mesh_of, render
 
 Array = NDArray[np.float64]
 

@@ -23,10 +23,10 @@ from coopqp import (
     read_run,
     simulate,
 )
-from coopqp.app.cli import main
+from coopqp.cli.main import main
 from coopqp.scenarios import LOADED, Scenario, paper_lift
 from coopqp.simulation import run_in_engine
-from coopqp.simulation.figures import run_figures
+from coopqp.simulation.evaluation.figures import run_figures
 
 #: The encoders of an arm whose base is off tell another place than that of its grasp.
 OFF = {"base_off_lift": ["arm slave_2 started off its grasp"]}

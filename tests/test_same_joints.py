@@ -13,7 +13,7 @@ import pinocchio as pin
 import pytest
 
 from coopqp import Arm, CellState, InvalidInputError, RobotCell
-from coopqp.app.cli import main
+from coopqp.cli.main import main
 from coopqp.scenarios import SCENARIOS
 
 #: Torsos of ten robots: kind and axis of each joint, from the base up.

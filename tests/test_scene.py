@@ -26,9 +26,8 @@ from coopqp import (
     robot_path,
     tool_placements,
 )
-from coopqp.look.renderer import cell_solids
 from coopqp.scenarios import ROBOT_NAMES, ROBOTS
-from coopqp.simulation.scene import (
+from coopqp.simulation.recording.scene import (
     describe_cell,
     describe_path,
     named_meshes,
@@ -36,6 +35,7 @@ from coopqp.simulation.scene import (
     read_object,
     read_path,
 )
+from coopqp.visualization.renderer import cell_solids
 
 
 def _all_robots() -> RobotCell:

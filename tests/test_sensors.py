@@ -11,7 +11,7 @@ import pinocchio as pin
 import pytest
 
 from coopqp import Array, InvalidInputError, UnknownNameError, load_cell_file
-from coopqp.app.cli import main
+from coopqp.cli.main import main
 from coopqp.files import example_path
 from coopqp.forces import WristSensor
 from coopqp.forces.presses import PressPlan, balanced

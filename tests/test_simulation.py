@@ -17,7 +17,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-import coopqp.simulation.recording
+import coopqp.simulation.recording.recording
 from coopqp import (
     ControlStep,
     CoopqpError,
@@ -309,9 +309,9 @@ def test_pickles_are_not_executed(run: Recording, tmp_path: Path) -> None:
 def test_a_bomb_is_not_unpacked(run: Recording, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     file = run.save(tmp_path / "run.npz")
     unpacked = sum(info.file_size for info in zipfile.ZipFile(file).infolist())
-    monkeypatch.setattr(coopqp.simulation.recording, "MAX_RECORDING_BYTES", unpacked)
+    monkeypatch.setattr(coopqp.simulation.recording.recording, "MAX_RECORDING_BYTES", unpacked)
     Recording.load(file)
-    monkeypatch.setattr(coopqp.simulation.recording, "MAX_RECORDING_BYTES", unpacked - 1)
+    monkeypatch.setattr(coopqp.simulation.recording.recording, "MAX_RECORDING_BYTES", unpacked - 1)
     with pytest.raises(RecordingError, match=f"unpacks to {unpacked} bytes"):
         Recording.load(file)
 

@@ -36,9 +36,9 @@ from coopqp import (
     robot_path,
     simulate,
 )
+from coopqp.constraints.samples import sample_path
 from coopqp.model.batch import ArmKinematics
 from coopqp.planning import find_start
-from coopqp.planning.samples import sample_path
 from coopqp.scenarios import Scenario, dual_arm7, mixed_cell, scara_pair
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))

@@ -10,7 +10,7 @@ import pytest
 
 import coopqp.forces.stress
 from coopqp import Array, CellState, Grasp, InvalidInputError, RobotCell, StressModel, at_tools
-from coopqp.control.stress_watch import StressWatch
+from coopqp.control.monitoring.stress import StressWatch
 from coopqp.scenarios import Scenario
 
 #: Cells of arms with 6, 7, and fewer joints.

@@ -32,7 +32,8 @@ from coopqp import (
     read_run,
     simulate,
 )
-from coopqp.app import cli, terminal
+from coopqp.cli import main as cli
+from coopqp.cli import terminal
 from coopqp.scenarios import paper_lift
 from coopqp.studies import Cluster, Engine, Local, Study, load_study, run_rows, sweep
 from coopqp.studies import engines as engines_module
@@ -409,7 +410,7 @@ def test_a_folder_with_another_study_is_refused(whole: Path, tmp_path: Path) -> 
 def start(*arguments: str, folder: Path, **options: Any) -> subprocess.Popen[str]:
     """A coordinator in a process of its own."""
     code = "import signal, sys; signal.signal(signal.SIGINT, signal.default_int_handler); "
-    code += "from coopqp.app.start import main; sys.exit(main())"
+    code += "from coopqp.cli.start import main; sys.exit(main())"
     environment = {**os.environ, "PYTHONIOENCODING": "utf-8"}
     return subprocess.Popen(
         [sys.executable, "-c", code, "sweep", str(study_file(folder)), *arguments],

@@ -19,10 +19,10 @@ from coopqp import (
     SupervisionOptions,
     available_kernels,
 )
-from coopqp.control import drift
-from coopqp.control.drift import Drift
-from coopqp.control.stress_watch import StressWatch
-from coopqp.control.supervision import Supervision, Watch
+from coopqp.control.monitoring import drift
+from coopqp.control.monitoring.drift import Drift
+from coopqp.control.monitoring.stress import StressWatch
+from coopqp.control.monitoring.supervision import Supervision, Watch
 from coopqp.scenarios import mixed_cell, paper_lift
 
 pytestmark = pytest.mark.core

@@ -28,6 +28,7 @@ from coopqp import (
     WaypointPath,
     available_kernels,
 )
+from coopqp.paths.geometry import blended, piece_of
 from coopqp.planning import PathGeometry, Payload, SpeedProfile, time_path
 from coopqp.planning.jerk import jerk_limited
 from coopqp.planning.knots import Knots, follow
@@ -35,7 +36,6 @@ from coopqp.planning.parametrise import Limited, Lines, fastest, outermost
 from coopqp.planning.payload import torque_lines
 from coopqp.planning.timing import limits_along
 from coopqp.scenarios import dual_arm7, mixed_cell, paper_lift, ring
-from coopqp.task.geometry import blended, piece_of
 
 UM = 1e-6
 

@@ -32,13 +32,13 @@ from coopqp import (
     tool_placements,
 )
 from coopqp.collision import Body, Box, Capsule, CollisionScene, Cylinder, Hull, Sphere
-from coopqp.look import viewer
-from coopqp.look.stage import ALERT, FIELD_OF_VIEW, READOUT_SHARE, Stage
-from coopqp.look.viewer import readout
 from coopqp.scenarios import Scenario
-from coopqp.simulation.bodies import read_bodies
-from coopqp.simulation.closeness import with_clearance
-from coopqp.simulation.scene import describe_cell
+from coopqp.simulation.evaluation.closeness import with_clearance
+from coopqp.simulation.recording.bodies import read_bodies
+from coopqp.simulation.recording.scene import describe_cell
+from coopqp.visualization import viewer
+from coopqp.visualization.run_view import ALERT, FIELD_OF_VIEW, READOUT_SHARE, Stage
+from coopqp.visualization.viewer import readout
 
 
 class Node:

@@ -30,7 +30,7 @@ from coopqp import (
 from coopqp.forces import Grip, internal_wrenches, palm_use
 from coopqp.planning import Payload
 from coopqp.scenarios import Scenario, palm_box, paper_lift
-from coopqp.simulation.wrench_bounds import excesses
+from coopqp.simulation.evaluation.wrench_bounds import excesses
 
 
 @pytest.fixture(scope="module")

@@ -238,7 +238,7 @@ class LowerBounds:
             known.add(k)
 
     def certificate(self, spare: float = 0.0) -> tuple[Array, float]:
-        """Reach (nv,) and slack of a :class:`coopqp.control.constraints.Quiet` about :attr:`positions`.
+        """Reach (nv,) and slack of a :class:`coopqp.constraints.velocity.Quiet` about :attr:`positions`.
 
         A pair with room d and reach ρ keeps its margin where ``Σ ρ |δ| ≤ d``; all do where ``Σ max(ρ / d) |δ| ≤ 1``.
 

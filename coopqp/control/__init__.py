@@ -8,30 +8,30 @@ from typing import TYPE_CHECKING
 from coopqp.lazy import lazy_names
 
 if TYPE_CHECKING:
-    from coopqp.control.constraint_set import Constraints
-    from coopqp.control.forms import Pieces, StepProgram, StepTerms
-    from coopqp.control.limits import VelocityBox
-    from coopqp.control.linearised import LinearisedStep
-    from coopqp.control.loop_state import Proposal
-    from coopqp.control.plain import PlainLoop
-    from coopqp.control.ranks import StepSolver
+    from coopqp.control.lookahead.preview import PathPreview
     from coopqp.control.solvers.base import Outcome, Workspace
+    from coopqp.control.step.constraint_set import Constraints
+    from coopqp.control.step.formulations import Pieces, StepProgram, StepTerms
+    from coopqp.control.step.linearised import LinearisedStep
+    from coopqp.control.step.plain import PlainLoop
+    from coopqp.control.step.priorities import StepSolver
+    from coopqp.control.step.state import Proposal
+    from coopqp.control.step.velocity_bounds import VelocityBox
     from coopqp.model.chain import Chain
-    from coopqp.planning.preview import PathPreview
 else:
     __getattr__, __dir__ = lazy_names(
         __name__,
         {
-            "coopqp.control.constraint_set": "Constraints",
-            "coopqp.control.forms": "Pieces StepProgram StepTerms",
-            "coopqp.control.limits": "VelocityBox",
-            "coopqp.control.linearised": "LinearisedStep",
-            "coopqp.control.loop_state": "Proposal",
-            "coopqp.control.plain": "PlainLoop",
-            "coopqp.control.ranks": "StepSolver",
+            "coopqp.control.step.constraint_set": "Constraints",
+            "coopqp.control.step.formulations": "Pieces StepProgram StepTerms",
+            "coopqp.control.step.velocity_bounds": "VelocityBox",
+            "coopqp.control.step.linearised": "LinearisedStep",
+            "coopqp.control.step.state": "Proposal",
+            "coopqp.control.step.plain": "PlainLoop",
+            "coopqp.control.step.priorities": "StepSolver",
             "coopqp.control.solvers.base": "Outcome Workspace",
             "coopqp.model.chain": "Chain",
-            "coopqp.planning.preview": "PathPreview",
+            "coopqp.control.lookahead.preview": "PathPreview",
         },
     )
 

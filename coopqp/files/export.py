@@ -13,14 +13,14 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from coopqp.control.command import Status
+from coopqp.control.interface import Status
 from coopqp.errors import InvalidInputError, MissingExtraError, printable
-from coopqp.forces.use import LoadUse
+from coopqp.forces.utilisation import LoadUse
 from coopqp.model.cell import RobotCell, slides
 from coopqp.model.limits import BindingLimit
 from coopqp.output import OutputError, check_folder, folder_of, temporary_name, whole_file
-from coopqp.simulation.readings import check_recording, read_part
-from coopqp.simulation.recording import Recording
+from coopqp.simulation.evaluation.readings import check_recording, read_part
+from coopqp.simulation.recording.recording import Recording
 from coopqp.spatial import Array
 
 #: Most steps of one trajectory message. Longer ones are too large for memory and middleware.

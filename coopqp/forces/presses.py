@@ -13,11 +13,11 @@ from typing import final
 
 import numpy as np
 
-from coopqp.control.stress_watch import STRUCTURE
+from coopqp.control.monitoring.stress import STRUCTURE
 from coopqp.forces.internal import SHARE_LENGTH
 from coopqp.model.grasp import Grasp
+from coopqp.paths.path import TimeLaw
 from coopqp.spatial import Array
-from coopqp.task.path import TimeLaw
 
 #: Force of a press [N], its torque beside the couples that balance it [N·m].
 PRESS_FORCE, PRESS_TORQUE = 6.0, 1.0

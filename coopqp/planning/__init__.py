@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING
 from coopqp.lazy import lazy_names
 
 if TYPE_CHECKING:
+    from coopqp.paths.geometry import MotionBounds, PathGeometry, Piece
+    from coopqp.paths.timed import SpeedProfile
     from coopqp.planning.arm_check import ArmCheck, UndecidedInterval
     from coopqp.planning.arm_starts import BranchAlongPath
     from coopqp.planning.branch_checks import BranchCheck, PathVerdict
@@ -18,8 +20,6 @@ if TYPE_CHECKING:
     from coopqp.planning.remedies import Remedy, find_remedies
     from coopqp.planning.starts import ArmStart, Start, find_start
     from coopqp.planning.timing import time_path
-    from coopqp.task.geometry import MotionBounds, PathGeometry, Piece
-    from coopqp.task.timed import SpeedProfile
 else:
     __getattr__, __dir__ = lazy_names(
         __name__,
@@ -34,8 +34,8 @@ else:
             "coopqp.planning.remedies": "Remedy find_remedies",
             "coopqp.planning.starts": "ArmStart Start find_start",
             "coopqp.planning.timing": "time_path",
-            "coopqp.task.geometry": "MotionBounds PathGeometry Piece",
-            "coopqp.task.timed": "SpeedProfile",
+            "coopqp.paths.geometry": "MotionBounds PathGeometry Piece",
+            "coopqp.paths.timed": "SpeedProfile",
         },
     )
 

@@ -16,11 +16,16 @@ import numpy as np
 import pinocchio as pin
 
 from coopqp.checks import ArrayLike, as_count
+from coopqp.constraints.samples import PathSamples, sample_path
 from coopqp.errors import InvalidInputError
 from coopqp.model.batch import ArmKinematics
 from coopqp.model.cell import RobotCell
 from coopqp.model.chain import Chain
 from coopqp.model.grasp import Grasp
+from coopqp.paths.elbows import Elbows
+from coopqp.paths.guarded import GuardedPath
+from coopqp.paths.path import ObjectPath
+from coopqp.paths.timed import TimedPath
 from coopqp.planning.arm_check import ArmCheck, UndecidedInterval, arm_record
 from coopqp.planning.arm_starts import ArmOnPath, BranchAlongPath, arm_on_path, trouble
 from coopqp.planning.branch_checks import (
@@ -36,15 +41,10 @@ from coopqp.planning.branch_checks import (
     worst,
 )
 from coopqp.planning.clearance import Bodies, ClearanceCheck, check_scene
-from coopqp.planning.samples import PathSamples, sample_path
+from coopqp.planning.joint_trajectories import CellWay
 from coopqp.planning.segments import Segments, segments_of
 from coopqp.planning.starts import clear_rows, exact_start
-from coopqp.planning.ways import CellWay
 from coopqp.spatial import Array
-from coopqp.task.elbows import Elbows
-from coopqp.task.guarded import GuardedPath
-from coopqp.task.path import ObjectPath
-from coopqp.task.timed import TimedPath
 
 if TYPE_CHECKING:
     from coopqp.planning.remedies import Remedy

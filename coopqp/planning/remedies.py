@@ -14,15 +14,15 @@ from typing import Any, Literal, final
 import numpy as np
 import pinocchio as pin
 
+from coopqp.constraints.samples import PathSamples, sample_path
 from coopqp.model.batch import ArmKinematics
 from coopqp.model.cell import RobotCell
 from coopqp.model.grasp import Grasp
+from coopqp.paths.path import HoldPath, LinePath, ObjectPath, WaypointPath
 from coopqp.planning.arm_starts import arm_on_path, rolled
 from coopqp.planning.branch_checks import follows
 from coopqp.planning.check import PathCheck, check_path
-from coopqp.planning.samples import PathSamples, sample_path
 from coopqp.spatial import Array
-from coopqp.task.path import HoldPath, LinePath, ObjectPath, WaypointPath
 
 #: Rolls of the tool [deg], in the order in which they are tried.
 _ROLLS = (180.0, 90.0, -90.0, 45.0, -45.0, 135.0, -135.0, *np.arange(-165.0, 180.0, 30.0).tolist())

@@ -9,12 +9,12 @@ import numpy as np
 import pinocchio as pin
 
 from coopqp.errors import InvalidInputError, UnknownNameError
+from coopqp.paths.path import LinePath, TimeLaw, WaypointPath
+from coopqp.paths.scenario import Scenario
 from coopqp.scenarios.arms import robot_arm
 from coopqp.scenarios.stations import DOWN, FORWARD, Station, put_together
 from coopqp.scenarios.units import Radians, Seconds
 from coopqp.spatial import Array
-from coopqp.task.path import LinePath, TimeLaw, WaypointPath
-from coopqp.task.scenario import Scenario
 
 #: Postures at the start [deg or m]. arm7 holds from above, the other arms from the side.
 ARM7_NEAR = (0.0, 14.0, 0.0, 105.0, 0.0, 31.0, 0.0)

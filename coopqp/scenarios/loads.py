@@ -10,12 +10,12 @@ import pinocchio as pin
 
 from coopqp.checks import as_scalar
 from coopqp.errors import UnknownNameError
+from coopqp.paths.path import LinePath
+from coopqp.paths.scenario import EngineSettings, Scenario
 from coopqp.scenarios.cells import RX90L_NEAR, facing
 from coopqp.scenarios.paper import paper_lift
 from coopqp.scenarios.stations import put_together
 from coopqp.scenarios.units import Degrees, Kilograms, Metres, Newtons, Seconds
-from coopqp.task.path import LinePath
-from coopqp.task.scenario import EngineSettings, Scenario
 
 #: Age of the wrenches when they arrive [s].
 _LATE = {"wrench_latency": 0.01}

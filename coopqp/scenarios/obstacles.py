@@ -13,14 +13,14 @@ from coopqp.collision.scene import CollisionScene
 from coopqp.errors import UnknownNameError
 from coopqp.model.inverse_kinematics import inverse_kinematics
 from coopqp.model.shapes import Body, Box, Capsule, Shape, Sphere
+from coopqp.paths.path import LinePath, TimeLaw
+from coopqp.paths.scenario import Scenario
 from coopqp.scenarios.arms import robot_arm
 from coopqp.scenarios.cells import ARM7_NEAR, ARM7_TOOL, dual_arm7, mixed_cell, ring
 from coopqp.scenarios.paper import paper_lift
 from coopqp.scenarios.stations import Station, put_together
 from coopqp.scenarios.units import Radians, Seconds
 from coopqp.spatial import Array
-from coopqp.task.path import LinePath, TimeLaw
-from coopqp.task.scenario import Scenario
 
 
 def plate_and_post(*, post: Literal["capsule", "box"] = "capsule", duration: Seconds = 3.0) -> Scenario:

@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pinocchio as pin
 
+from coopqp.paths.path import LinePath, TimeLaw
+from coopqp.paths.scenario import Scenario
 from coopqp.scenarios.arms import robot_arm
 from coopqp.scenarios.stations import DOWN, FORWARD_SIDEWAYS, Station, put_together
 from coopqp.scenarios.units import Seconds
-from coopqp.task.path import LinePath, TimeLaw
-from coopqp.task.scenario import Scenario
 
 
 def panda_bar(*, geometry: bool = True, duration: Seconds = 3.0, time_law: TimeLaw | str = TimeLaw.QUINTIC) -> Scenario:

@@ -11,9 +11,9 @@ import pinocchio as pin
 from coopqp.model.cell import Arm, RobotCell
 from coopqp.model.grasp import Grasp
 from coopqp.model.inverse_kinematics import inverse_kinematics
+from coopqp.paths.path import ObjectPath
+from coopqp.paths.scenario import Scenario
 from coopqp.spatial import Array
-from coopqp.task.path import ObjectPath
-from coopqp.task.scenario import Scenario
 
 #: Tool orientation in the base frame: the tool points forward along x (a turn by 90° about y).
 FORWARD = np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]])

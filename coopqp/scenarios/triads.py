@@ -13,11 +13,11 @@ import pinocchio as pin
 from coopqp.model.cell import RobotCell
 from coopqp.model.grasp import Grasp
 from coopqp.model.inverse_kinematics import inverse_kinematics
+from coopqp.paths.path import TimeLaw
+from coopqp.paths.scenario import Scenario
 from coopqp.scenarios.arms import robot_arm
 from coopqp.scenarios.paper import DURATION, PLATE_SIZE, lift_path, slave_base
 from coopqp.scenarios.units import Seconds
-from coopqp.task.path import TimeLaw
-from coopqp.task.scenario import Scenario
 
 _ALPHA, _BETA = 0.60, 0.30
 

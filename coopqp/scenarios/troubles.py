@@ -12,12 +12,12 @@ import pinocchio as pin
 from coopqp.checks import Array, Doc, as_scalar, as_vector
 from coopqp.errors import InvalidInputError, UnknownNameError
 from coopqp.model.state import CellState
+from coopqp.paths.path import LinePath, TimeLaw
+from coopqp.paths.scenario import Scenario
 from coopqp.scenarios.arms import robot_arm
 from coopqp.scenarios.paper import paper_lift
 from coopqp.scenarios.stations import Station, put_together
 from coopqp.scenarios.units import MetresPerSecond, Radians, RadiansPerSquareSecond
-from coopqp.task.path import LinePath, TimeLaw
-from coopqp.task.scenario import Scenario
 
 #: Kinds of singularity of :func:`at_singularity`.
 SINGULARITIES = ("wrist", "elbow", "reach")

@@ -10,7 +10,7 @@ from coopqp.lazy import lazy_names
 
 if TYPE_CHECKING:
     from coopqp.simulation.engine import engine_controller, engine_plant, run_in_engine
-    from coopqp.simulation.loads import RunLoads, read_loads
+    from coopqp.simulation.evaluation.wrenches import RunLoads, read_loads
     from coopqp.simulation.plants.physics_options import Interpolation
     from coopqp.simulation.plants.replay import Motion, Replay, exact_motion, recorded_motion
 else:
@@ -18,7 +18,7 @@ else:
         __name__,
         {
             "coopqp.simulation.engine": "engine_controller engine_plant run_in_engine",
-            "coopqp.simulation.loads": "RunLoads read_loads",
+            "coopqp.simulation.evaluation.wrenches": "RunLoads read_loads",
             "coopqp.simulation.plants.physics_options": "Interpolation",
             "coopqp.simulation.plants.replay": "Motion Replay exact_motion recorded_motion",
         },

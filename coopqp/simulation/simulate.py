@@ -10,15 +10,15 @@ import numpy as np
 
 from coopqp import planning
 from coopqp.checks import ArrayLike, as_scalar, read_only
-from coopqp.control.command import Controller, ControlStep, Status
+from coopqp.control.interface import Controller, ControlStep, Status
 from coopqp.errors import InvalidInputError
 from coopqp.model.cell import RobotCell
 from coopqp.model.limits import BindingLimit
-from coopqp.simulation.notes import Notes
 from coopqp.simulation.plants.kinematic import KinematicPlant, Plant
-from coopqp.simulation.recording import Recording, entries_of
-from coopqp.simulation.rows import Rows
-from coopqp.simulation.scene import describe_cell, describe_path
+from coopqp.simulation.recording.notes import Notes
+from coopqp.simulation.recording.recording import Recording, entries_of
+from coopqp.simulation.recording.rows import Rows
+from coopqp.simulation.recording.scene import describe_cell, describe_path
 from coopqp.spatial import Array
 
 #: Time until a run with a stopped object ends, by default [s].

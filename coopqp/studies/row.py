@@ -14,30 +14,30 @@ from typing import Any, final
 import numpy as np
 
 from coopqp.collision.scene import CollisionScene
-from coopqp.control.command import Controller, ControlStep
+from coopqp.control.interface import Controller, ControlStep
 from coopqp.errors import CoopqpError, StartWarning, said
 from coopqp.files.cellfile.build import build, controller_options, led, new_controller
 from coopqp.files.cellfile.schema import CellFile
 from coopqp.files.cellfile.strict import build_options
 from coopqp.model.cell import slides
 from coopqp.model.grasp import Grasp
+from coopqp.paths.scenario import Scenario
 from coopqp.scenarios import SCENARIOS
-from coopqp.simulation import metrics
-from coopqp.simulation.assessment import Tolerances, judge, why
-from coopqp.simulation.closeness import with_clearance
-from coopqp.simulation.figures import worst_status
+from coopqp.simulation.evaluation import metrics
+from coopqp.simulation.evaluation.assessment import Tolerances, judge, why
+from coopqp.simulation.evaluation.closeness import with_clearance
+from coopqp.simulation.evaluation.figures import worst_status
+from coopqp.simulation.evaluation.readings import Readings, read_run
 from coopqp.simulation.plants.disturbances import Disturbances
 from coopqp.simulation.plants.disturbed import DisturbedPlant
 from coopqp.simulation.plants.kinematic import KinematicPlant, Plant
 from coopqp.simulation.plants.physics import PhysicsPlant
 from coopqp.simulation.plants.physics_options import PhysicsOptions
-from coopqp.simulation.readings import Readings, read_run
-from coopqp.simulation.recording import Recording
+from coopqp.simulation.recording.recording import Recording
 from coopqp.simulation.simulate import simulate
 from coopqp.spatial import Array
 from coopqp.studies.drawing import disturbances
 from coopqp.studies.study import ScenarioFile, Study
-from coopqp.task.scenario import Scenario
 
 #: Columns of a run's figures, and their meaning.
 FIGURES: Mapping[str, str] = {

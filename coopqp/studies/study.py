@@ -34,7 +34,7 @@ from coopqp.files.cellfile.schema import (
 from coopqp.files.cellfile.strict import Number, Table, problem
 from coopqp.files.cellfile.text import read_tables
 from coopqp.scenarios import SCENARIOS
-from coopqp.simulation.assessment import Tolerances
+from coopqp.simulation.evaluation.assessment import Tolerances
 from coopqp.simulation.simulate import PATIENCE
 from coopqp.studies.drawing import DisturbancesTable
 from coopqp.studies.errors import StudyError

@@ -38,7 +38,7 @@ if "--view" in sys.argv:
         viewer.run()
 
 if "--out" in sys.argv:
-    from coopqp.look import error_figure
+    from coopqp.visualization import error_figure
 
     figure = error_figure(lift.cell, runs)
     figure.savefig(Path(sys.argv[sys.argv.index("--out") + 1]) / "paper_drift.png", dpi=80)

@@ -64,7 +64,7 @@ if "--view" in sys.argv:
         viewer.run()
 
 if "--out" in sys.argv:
-    from coopqp.look import motion_figure
+    from coopqp.visualization import motion_figure
 
     bar = {"object_size": (0.7, 0.05, 0.05), "T_object_body": pin.SE3.Identity()}
     figure = motion_figure(cell, recording, **bar, frames=2, azimuth=-60.0, pixels=500)

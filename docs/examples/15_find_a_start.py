@@ -49,7 +49,7 @@ print("finished:", simulate(controller, q_start=found.q).finished)
 if "--out" in sys.argv:
     import matplotlib.pyplot as plt
 
-    from coopqp.look import View, box_solid, cell_solids, render
+    from coopqp.visualization import View, box_solid, cell_solids, render
 
     branches = found.arms[0].branches
     scenes = cell_solids(cell, [np.r_[branch.q, found.q[6:]] for branch in branches])

@@ -23,7 +23,7 @@ for name in ("two_ur10", "panda_and_ur5", "pandas_and_ur5s", "gantry_and_ur5"):
 if "--out" in sys.argv:
     import matplotlib.pyplot as plt
 
-    from coopqp.look import View, box_solid, cell_solids, render
+    from coopqp.visualization import View, box_solid, cell_solids, render
 
     figure, panels = plt.subplots(2, 2, figsize=(9, 6.4), layout="constrained")
     for panel, (name, (task, recording)) in zip(panels.flat, runs.items(), strict=True):

@@ -41,7 +41,7 @@ from coopqp import (
     inverse_kinematics,
     make_solver,
 )
-from coopqp.control.limits import VelocityBox
+from coopqp.control.step.velocity_bounds import VelocityBox
 from coopqp.scenarios import Scenario, at_limit
 
 Array: TypeAlias = npt.NDArray[np.float64]

@@ -16,7 +16,7 @@ import pinocchio as pin
 from damage import damaged, inside
 
 from coopqp import judge, load_cell_file, read_run
-from coopqp.app import cli
+from coopqp.cli import main as cli
 from coopqp.files.cellfile.build import CellRun
 from coopqp.files.cellfile.hints import unit_hints
 

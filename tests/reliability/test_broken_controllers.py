@@ -42,11 +42,11 @@ from coopqp import (
     ServoPath,
     Status,
 )
-from coopqp.control import ranks as answers
-from coopqp.control.command import amend
-from coopqp.control.limits import VelocityBox
-from coopqp.control.ranks import StepAnswer, StepSolver
-from coopqp.control.supervision import Supervision
+from coopqp.control.interface import amend
+from coopqp.control.monitoring.supervision import Supervision
+from coopqp.control.step import priorities as answers
+from coopqp.control.step.priorities import StepAnswer, StepSolver
+from coopqp.control.step.velocity_bounds import VelocityBox
 from coopqp.scenarios import Scenario, at_limit, at_singularity, fast_lift, mixed_cell, paper_lift
 
 Spoil = Callable[[ControlStep, int], ControlStep]

@@ -33,7 +33,7 @@ from coopqp import (
     misplaced,
 )
 from coopqp.scenarios import Scenario, dual_arm7, mixed_cell, paper_lift
-from coopqp.simulation.metrics import chain_errors
+from coopqp.simulation.evaluation.metrics import chain_errors
 
 DT = 1e-3
 SPEED = 0.25

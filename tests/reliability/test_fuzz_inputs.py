@@ -61,8 +61,8 @@ from coopqp import (
     plate_from_centroid,
     plate_from_points,
 )
+from coopqp.paths.path import ScrewParameters
 from coopqp.scenarios import mixed_cell, paper_lift
-from coopqp.task.path import ScrewParameters
 
 pytestmark = pytest.mark.filterwarnings("ignore::RuntimeWarning")
 LIFT, MIXED = paper_lift(), mixed_cell()

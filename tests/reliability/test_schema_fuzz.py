@@ -24,7 +24,7 @@ from pydantic import BaseModel
 from ruamel.yaml import YAML
 
 from coopqp import CellFileError, OutputError, StartWarning, load_cell_file
-from coopqp.app.runs import output_folder
+from coopqp.cli.runs import output_folder
 from coopqp.files.cellfile.schema import CellFile
 
 #: Parts that the files are spread over, so that several processes can share them.

@@ -1,7 +1,7 @@
 """Random sequences of good and bad steps, resets, new grasps, other limits, new targets, and the loss of an arm.
 
 After any sequence every command is finite, continues the last one and keeps the limits; the status is right, and while
-the object is tracked the arms stay in step. The monitor of coopqp.simulation.monitor judges.
+the object is tracked the arms stay in step. The monitor of coopqp.simulation.evaluation.monitor judges.
 """
 
 from __future__ import annotations

@@ -28,7 +28,7 @@ from coopqp import (
     available_kernels,
 )
 from coopqp.scenarios import Scenario, at_limit, at_singularity, dual_arm7, five_joint_pair, mixed_cell, paper_lift
-from coopqp.simulation.metrics import errors_from, object_poses, tool_matrices
+from coopqp.simulation.evaluation.metrics import errors_from, object_poses, tool_matrices
 
 KERNELS = available_kernels()
 #: What a status may not be beyond these distances [m, rad]; rounding decides within the last.

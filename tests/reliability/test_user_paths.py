@@ -26,7 +26,7 @@ from coopqp import (
 )
 from coopqp.planning import check_path
 from coopqp.scenarios import Scenario, dual_arm7, mixed_cell, paper_lift
-from coopqp.simulation.metrics import chain_errors, errors_from, object_poses, tool_matrices
+from coopqp.simulation.evaluation.metrics import chain_errors, errors_from, object_poses, tool_matrices
 
 DT = 0.005
 #: A hold is judged until the arms have stood for this number of steps, or for this number of steps in all.

@@ -14,12 +14,12 @@ import numpy as np
 import pinocchio as pin
 from pydantic import ValidationError
 
+from coopqp.baselines.independent import IndependentQPController, IndependentQPOptions
+from coopqp.baselines.pseudo_inverse import PseudoInverseController, PseudoInverseOptions
 from coopqp.collision.clearance import Clearance
 from coopqp.collision.scene import CollisionScene
-from coopqp.control.command import Controller
-from coopqp.control.independent import IndependentQPController, IndependentQPOptions
+from coopqp.control.interface import Controller
 from coopqp.control.options import QPOptions
-from coopqp.control.pseudo_inverse import PseudoInverseController, PseudoInverseOptions
 from coopqp.control.qp import QPController
 from coopqp.control.solvers import default_solver
 from coopqp.errors import CoopqpError, InvalidInputError, MissingExtraError, StartWarning, UnknownNameError
@@ -34,24 +34,24 @@ from coopqp.files.cellfile.text import read_tables
 from coopqp.forces.wrist_sensor import SensorMaps, WristSensor
 from coopqp.model.branches import amount
 from coopqp.model.cell import RobotCell, slides
+from coopqp.model.common_error import CommonError
 from coopqp.model.grasp import Grasp
 from coopqp.model.inverse_kinematics import inverse_kinematics
 from coopqp.model.shapes import Body, Box
-from coopqp.planning.leading import led_path
+from coopqp.paths.path import HoldPath, LinePath, ObjectPath, WaypointPath
+from coopqp.paths.scenario import Scenario
+from coopqp.paths.timed import TimedPath
+from coopqp.planning.self_motion import led_path
 from coopqp.planning.starts import find_start
-from coopqp.simulation.assessment import Tolerances
-from coopqp.simulation.closeness import default_scene, with_clearance
+from coopqp.simulation.evaluation.assessment import Tolerances
+from coopqp.simulation.evaluation.closeness import default_scene, with_clearance
 from coopqp.simulation.plants.kinematic import KinematicPlant, Plant
 from coopqp.simulation.plants.physics import PhysicsPlant
 from coopqp.simulation.plants.physics_options import PhysicsOptions
-from coopqp.simulation.recording import Recording
-from coopqp.simulation.scene import describe_object
+from coopqp.simulation.recording.recording import Recording
+from coopqp.simulation.recording.scene import describe_object
 from coopqp.simulation.simulate import ProgressCallback, simulate
 from coopqp.spatial import Array
-from coopqp.task.common_error import CommonError
-from coopqp.task.path import HoldPath, LinePath, ObjectPath, WaypointPath
-from coopqp.task.scenario import Scenario
-from coopqp.task.timed import TimedPath
 
 DEFAULT_DT = 0.002
 #: A start further than this from the positions of the file is told [rad], [m].

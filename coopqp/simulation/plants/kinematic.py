@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Protocol, final
 
 from coopqp.checks import ArrayLike, require
-from coopqp.control.command import ControlStep
+from coopqp.control.interface import ControlStep
 from coopqp.model.cell import RobotCell
 from coopqp.spatial import Array
 
