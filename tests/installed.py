@@ -84,7 +84,7 @@ def main() -> int:
     assert "site-packages" in coopqp.__file__, coopqp.__file__
     wrong = {}
     for part in PARTS if arguments.kernel else ():
-        found = coopqp.available_kernels(part)[0]
+        found = coopqp.native.available_kernels(part)[0]
         wrong[f"the kernel of {part}"] = "" if found == arguments.kernel else f"it is {found}"
     program = str(Path(sys.executable).with_name("coopqp"))
     with tempfile.TemporaryDirectory() as folder:

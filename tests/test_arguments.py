@@ -13,40 +13,32 @@ import pytest
 from coopqp import (
     Arm,
     CoopqpError,
-    DaqpSettings,
-    DisturbedPlant,
     Grasp,
     HoldPath,
-    IndependentQPController,
-    IndependentQPOptions,
     InvalidInputError,
-    KinematicPlant,
     LinePath,
-    Monitor,
-    PhysicsPlant,
     PreviewOptions,
-    ProxqpSettings,
-    PseudoInverseController,
-    PseudoInverseOptions,
     QPController,
     QPOptions,
-    RankWeights,
     RobotCell,
     ServoPath,
     WaypointPath,
-    adjoint,
-    describe_object,
-    export_html,
     inverse_kinematics,
-    judge,
     load_cell_file,
-    make_solver,
-    read_run,
-    robot_path,
     simulate,
-    write_report,
 )
-from coopqp.scenarios import Scenario, paper_lift, robot_arm
+from coopqp.baselines import (
+    IndependentQPController,
+    IndependentQPOptions,
+    PseudoInverseController,
+    PseudoInverseOptions,
+)
+from coopqp.control import RankWeights
+from coopqp.scenarios import Scenario, paper_lift, robot_arm, robot_path
+from coopqp.simulation import DisturbedPlant, KinematicPlant, Monitor, PhysicsPlant, describe_object, judge, read_run
+from coopqp.solvers import DaqpSettings, ProxqpSettings, make_solver
+from coopqp.spatial import adjoint
+from coopqp.visualization import export_html, write_report
 
 LIFT = paper_lift()
 CELL, GRASP, PATH = LIFT.cell, LIFT.grasp, LIFT.path

@@ -20,11 +20,11 @@ from coopqp import (
     QPOptions,
     Status,
     SupervisionOptions,
-    available_kernels,
 )
 from coopqp.control.core import layout
 from coopqp.control.step.decoding import CAUSES
 from coopqp.control.step.verdict import cause_of
+from coopqp.native import available_kernels
 from coopqp.scenarios import Scenario, at_limit, at_singularity, paper_lift
 
 LIMIT, SINGULAR, NEAR, APART, REINS, JUMP = (

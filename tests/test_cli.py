@@ -13,9 +13,11 @@ from pathlib import Path
 
 import pytest
 
-from coopqp import OutputError, __version__, available_kernels
+from coopqp import __version__
 from coopqp.cli import demo
 from coopqp.cli import main as cli
+from coopqp.errors import OutputError
+from coopqp.native import available_kernels
 
 PICTURES = {"paper_lift.png", "figure5.png", "figure5_orientation.png", "joints.png"}
 

@@ -22,42 +22,27 @@ from wrapped import Opaque
 import coopqp.collision.bounds_plain as bounds_plain
 from coopqp import (
     Cause,
-    CellFileError,
-    CellState,
-    Closeness,
+    Clearance,
+    CollisionScene,
     InvalidInputError,
     LimitKind,
-    MissingExtraError,
-    Monitor,
     QPController,
     QPOptions,
     Status,
-    UnknownNameError,
-    available_kernels,
-    check_run,
-    judge,
+    check_path,
     load_cell_file,
-    read_run,
     simulate,
 )
-from coopqp.collision import (
-    Body,
-    Box,
-    Capsule,
-    Clearance,
-    CollisionScene,
-    Cylinder,
-    Hull,
-    Mesh,
-    PairRules,
-    Sphere,
-)
+from coopqp.collision import Body, Box, Capsule, Cylinder, Hull, Mesh, PairRules, Sphere
 from coopqp.collision.distances import KERNEL, Distances, LowerBounds
 from coopqp.collision.evasion import YIELDS, Evasion
 from coopqp.constraints.velocity import MOST_ROWS, ConstraintTrouble
+from coopqp.errors import MissingExtraError, UnknownNameError
+from coopqp.files import CellFileError
+from coopqp.model import CellState
 from coopqp.model.chain import Chain
-from coopqp.native import compiled
-from coopqp.planning import PathVerdict, check_path
+from coopqp.native import available_kernels, compiled
+from coopqp.planning import PathVerdict
 from coopqp.scenarios import (
     Scenario,
     dual_arm7,
@@ -70,6 +55,7 @@ from coopqp.scenarios import (
     plate_and_table,
     random_posts,
 )
+from coopqp.simulation import Closeness, Monitor, check_run, judge, read_run
 from coopqp.simulation.evaluation.closeness import with_clearance
 from coopqp.simulation.evaluation.convex import core_of, distance
 

@@ -17,18 +17,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from coopqp import (
-    Recording,
-    RecordingError,
-    Tolerances,
-    judge,
-    load_cell_file,
-    read_run,
-    simulate,
-)
+from coopqp import Recording, load_cell_file, simulate
 from coopqp.cli import main as cli
 from coopqp.cli import runs
 from coopqp.files.cellfile import CELLS, example_path
+from coopqp.simulation import RecordingError, Tolerances, judge, read_run
 from coopqp.simulation.evaluation.assessment import why
 from coopqp.simulation.recording.scene import read_cell
 from coopqp.visualization import plots, viewer

@@ -126,9 +126,9 @@ def test_notation_and_code_agree() -> None:
 def test_defaults_in_the_text_are_those_of_the_code() -> None:
     """After a change of a default, also change the pages: howto/gains, howto/why-slow, derivations, tutorials 2 and 5,
     reliability."""
-    from coopqp import OsqpSettings
     from coopqp.control.step.priorities import RESIDUE_TOLERANCE
     from coopqp.control.step.velocity_bounds import VelocityBox
+    from coopqp.solvers import OsqpSettings
 
     assert (RESIDUE_TOLERANCE, VelocityBox.RECOVERY_SHARE, OsqpSettings().max_iter) == (1e-5, 0.2, 4000)
     o = coopqp.QPOptions()

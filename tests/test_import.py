@@ -80,7 +80,8 @@ def test_a_control_program_starts_without_scipy() -> None:
     """SciPy's optimisers take longer to import than coopqp."""
     program = """
 import sys
-from coopqp import ForceController, Grasp, Monitor, QPController, Recording, RobotCell, simulate
+from coopqp import ForceController, Grasp, QPController, Recording, RobotCell, simulate
+from coopqp.simulation import Monitor
 from coopqp.scenarios import paper_lift
 assert not [name for name in sys.modules if name.startswith("scipy.")]
 """

@@ -9,14 +9,16 @@ from importlib import metadata
 import pytest
 from marks import slow_but_first
 
-from coopqp import UnknownNameError, available_kernels
-from coopqp.native import PARTS
+from coopqp.errors import UnknownNameError
+from coopqp.native import PARTS, available_kernels
 
 WITHOUT = "import sys; sys.modules[{module!r}] = None\n"
 WARNED = """
 import warnings
-from coopqp import KernelWarning, QPController, available_kernels
-from coopqp.collision import Clearance, CollisionScene
+from coopqp import QPController
+from coopqp.errors import KernelWarning
+from coopqp.native import available_kernels
+from coopqp import Clearance, CollisionScene
 from coopqp.model.batch import ArmKinematics
 from coopqp.scenarios import paper_lift
 assert available_kernels({part!r}) == ("plain",)

@@ -17,8 +17,6 @@ from marks import slow_but_first, slow_unless
 
 from coopqp import (
     Arm,
-    Array,
-    CellState,
     ControlStep,
     Grasp,
     LimitKind,
@@ -33,10 +31,10 @@ from coopqp import (
     Status,
     SupervisionOptions,
     WaypointPath,
-    available_kernels,
-    robot_path,
 )
 from coopqp.control.core import layout
+from coopqp.model import CellState
+from coopqp.native import available_kernels
 from coopqp.scenarios import (
     LOADED,
     SCENARIOS,
@@ -48,8 +46,10 @@ from coopqp.scenarios import (
     mixed_cell,
     paper_lift,
     ring,
+    robot_path,
     scenario,
 )
+from coopqp.spatial import Array
 
 if "compiled" not in available_kernels():
     pytest.skip("there is no compiled core here", allow_module_level=True)
@@ -553,7 +553,7 @@ def halfway(task: Scenario) -> Scenario:
 # -- starts ----------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.filterwarnings("ignore::coopqp.StartWarning")
+@pytest.mark.filterwarnings("ignore::coopqp.errors.StartWarning")
 @pytest.mark.core
 @pytest.mark.parametrize("make", [paper_lift, dual_arm7, mixed_cell], ids=lambda make: make.__name__)
 @pytest.mark.parametrize("acceleration", [np.inf, 20.0])
@@ -573,7 +573,7 @@ def test_both_agree_while_joints_are_led_back(make: Callable[[], Scenario], acce
     assert ((x < lower) | (x > upper)).any()
 
 
-@pytest.mark.filterwarnings("ignore::coopqp.StartWarning")
+@pytest.mark.filterwarnings("ignore::coopqp.errors.StartWarning")
 @pytest.mark.slow
 @pytest.mark.core
 @pytest.mark.parametrize("off", [1e-4, 1e-3])
@@ -837,7 +837,7 @@ def test_both_agree_with_any_solver(solver: str) -> None:
         assert all(one.status is other.status for one, other in steps)
 
 
-@pytest.mark.filterwarnings("ignore::coopqp.StartWarning")
+@pytest.mark.filterwarnings("ignore::coopqp.errors.StartWarning")
 @pytest.mark.core
 def test_both_agree_where_the_chain_has_to_part() -> None:
     """A joint that may hardly move, and one that comes back from outside: no answer keeps the chain."""
@@ -870,7 +870,7 @@ IN_PYTHON: dict[str, dict[str, str]] = {
         "HELD_SPEED": "HELD_SPEED", "HELD_SHARE": "HELD_SHARE",
     },
     "control.step.priorities": {"AT_LIMIT": "_AT_LIMIT", "RESIDUE_TOLERANCE": "RESIDUE_TOLERANCE"},
-    "control.solvers.polish": {"LARGEST_X": "REACH"},
+    "solvers.polish": {"LARGEST_X": "REACH"},
     "paths.guarded": {
         "FASTEST_PATH": "FASTEST_PATH", "TURN_LENGTH": "TURN_LENGTH", "KINK_WIDTH": "_KINK_WIDTH",
         "KINK_SHARE": "_KINK_SHARE", "LEAST_KINK": "_LEAST_KINK",

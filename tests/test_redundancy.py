@@ -8,9 +8,12 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from coopqp import Arm, Array, CellState, Grasp, RobotCell, robot_path
+from coopqp import Arm, Grasp, RobotCell
 from coopqp.control.lookahead.redundancy import LIMIT_MARGIN, TURNING_WAY, LimitAvoidance
+from coopqp.model import CellState
 from coopqp.model.chain import Chain
+from coopqp.scenarios import robot_path
+from coopqp.spatial import Array
 
 
 def eight_joints() -> RobotCell:

@@ -24,8 +24,8 @@ from coopqp import (
     ServoPath,
     Status,
     WaypointPath,
-    available_kernels,
 )
+from coopqp.native import available_kernels
 from coopqp.scenarios import Scenario, dual_arm7, mixed_cell, paper_lift, ring
 from coopqp.simulation.evaluation import metrics
 

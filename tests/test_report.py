@@ -17,23 +17,17 @@ from coopqp import (
     BindingLimit,
     InvalidInputError,
     LimitKind,
-    MissingExtraError,
-    OutputError,
     QPController,
     Recording,
-    RecordingError,
     RobotCell,
-    SceneError,
     Status,
-    Tolerances,
-    describe_object,
-    judge,
-    read_run,
     simulate,
-    write_report,
 )
+from coopqp.errors import MissingExtraError, OutputError
 from coopqp.scenarios import Scenario
+from coopqp.simulation import RecordingError, SceneError, Tolerances, describe_object, judge, read_run
 from coopqp.simulation.evaluation.figures import run_figures, worst_status
+from coopqp.visualization import write_report
 from coopqp.visualization.report import report_html
 from coopqp.visualization.timeline import bound_limits, timeline_figure
 

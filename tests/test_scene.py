@@ -15,18 +15,9 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from coopqp import (
-    Arm,
-    HoldPath,
-    Recording,
-    RobotCell,
-    SceneError,
-    ServoPath,
-    describe_object,
-    robot_path,
-    tool_placements,
-)
-from coopqp.scenarios import ROBOT_NAMES, ROBOTS
+from coopqp import Arm, HoldPath, Recording, RobotCell, ServoPath
+from coopqp.scenarios import ROBOT_NAMES, ROBOTS, robot_path
+from coopqp.simulation import SceneError, describe_object, tool_placements
 from coopqp.simulation.recording.scene import (
     describe_cell,
     describe_path,

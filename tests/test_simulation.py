@@ -22,17 +22,15 @@ from coopqp import (
     ControlStep,
     CoopqpError,
     InvalidInputError,
-    KinematicPlant,
-    PseudoInverseController,
-    PseudoInverseOptions,
     QPController,
     Recording,
-    RecordingError,
     ServoPath,
     Status,
     simulate,
 )
+from coopqp.baselines import PseudoInverseController, PseudoInverseOptions
 from coopqp.scenarios import Scenario, at_limit
+from coopqp.simulation import KinematicPlant, RecordingError
 
 Array = NDArray[np.float64]
 MANY = settings(max_examples=4 * settings().max_examples)

@@ -22,20 +22,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from coopqp import (
-    CoopqpError,
-    EngineError,
-    MissingExtraError,
-    OutputError,
-    PseudoInverseController,
-    StudyError,
-    read_run,
-    simulate,
-)
+from coopqp import CoopqpError, simulate
+from coopqp.baselines import PseudoInverseController
 from coopqp.cli import main as cli
 from coopqp.cli import terminal
+from coopqp.errors import MissingExtraError, OutputError
 from coopqp.scenarios import paper_lift
-from coopqp.studies import Cluster, Engine, Local, Study, load_study, run_rows, sweep
+from coopqp.simulation import read_run
+from coopqp.studies import Cluster, Engine, EngineError, Local, Study, StudyError, load_study, run_rows, sweep
 from coopqp.studies import engines as engines_module
 from coopqp.studies.drawing import DisturbancesTable, disturbances
 from coopqp.studies.journal import Journal, read_journal

@@ -19,7 +19,6 @@ from coopqp.checks import ArrayLike, Doc, as_options, as_scalar, documented, kee
 from coopqp.constraints.cause import Cause
 from coopqp.control.interface import NO_SOLVE, ControlStep, GivenUp, SolverReport, Status, short_text
 from coopqp.control.lock import Turn, alone
-from coopqp.control.solvers import QpProblem, QpSolution, QpSolver, make_solver
 from coopqp.control.step.start import check_start
 from coopqp.control.step.velocity_bounds import VelocityBox
 from coopqp.errors import InvalidInputError
@@ -28,6 +27,9 @@ from coopqp.model.chain import Chain
 from coopqp.model.grasp import Grasp
 from coopqp.model.limits import BindingLimit
 from coopqp.paths.path import ObjectPath
+from coopqp.solvers.base import QpSolver
+from coopqp.solvers.choice import make_solver
+from coopqp.solvers.problem import QpProblem, QpSolution
 from coopqp.spatial import Array, adjoint, for_twists
 
 #: Cost that makes every problem strictly convex [m²]. It is small: the resulting error is in the range of micrometres.

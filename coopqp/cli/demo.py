@@ -15,7 +15,6 @@ from coopqp.baselines.pseudo_inverse import PseudoInverseController, PseudoInver
 from coopqp.control.interface import NO_SOLVE, Controller, ControlStep
 from coopqp.control.options import QPOptions
 from coopqp.control.qp import QPController
-from coopqp.control.solvers import default_solver, make_solver
 from coopqp.errors import InvalidInputError, UnknownNameError
 from coopqp.output import write_files
 from coopqp.scenarios import Scenario
@@ -24,6 +23,7 @@ from coopqp.simulation.evaluation.assessment import Tolerances
 from coopqp.simulation.evaluation.figures import worst_status
 from coopqp.simulation.recording.recording import Recording
 from coopqp.simulation.simulate import simulate
+from coopqp.solvers.choice import default_solver, make_solver
 from coopqp.visualization import plots
 from coopqp.visualization.joints import joint_figure
 from coopqp.visualization.style import figure_bytes

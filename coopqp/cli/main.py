@@ -39,8 +39,8 @@ class _Version(argparse.Action):
     """Prints the kernel and the versions of what coopqp stands on."""
 
     def __call__(self, parser: argparse.ArgumentParser, *_: Any, **__: Any) -> NoReturn:
-        from coopqp.control.solvers import default_solver
         from coopqp.native import kernel_text
+        from coopqp.solvers.choice import default_solver
 
         print(f"coopqp {metadata.version('coopqp')}")
         print(f"kernels: {kernel_text()}; solver {default_solver()}")

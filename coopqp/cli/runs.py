@@ -10,9 +10,9 @@ from pathlib import Path
 from coopqp.collision.clearance import Clearance
 from coopqp.collision.scene import CollisionScene
 from coopqp.control.qp import QPController
-from coopqp.errors import UnknownNameError
+from coopqp.errors import OutputError, UnknownNameError
 from coopqp.model.posture import PostureOptions
-from coopqp.output import OutputError, check_below, check_folder, check_unused, folder_of, numbered
+from coopqp.output import check_below, check_folder, check_unused, folder_of, numbered
 from coopqp.planning.self_motion import led_path
 from coopqp.simulation.engine import run_in_engine
 from coopqp.simulation.evaluation.closeness import default_scene, with_clearance
@@ -45,7 +45,7 @@ def obtain_run(name: str, *, progress: ProgressCallback | None = None, meshes: b
 
     Args:
         name: a file, or one of :data:`coopqp.scenarios.SCENARIOS`.
-        progress: as in :func:`coopqp.simulation.simulate.simulate`.
+        progress: as in :func:`coopqp.simulate.simulate`.
         meshes: as in :meth:`Recording.load`.
 
     Raises:

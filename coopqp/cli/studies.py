@@ -53,9 +53,9 @@ def _add_sweep(commands: Any) -> None:
 
 def _run_sweep(arguments: argparse.Namespace) -> int:
     from coopqp.checks import as_count
-    from coopqp.errors import MissingExtraError
+    from coopqp.errors import MissingExtraError, OutputError
     from coopqp.files.cellfile import require_readers
-    from coopqp.output import OutputError, write_files
+    from coopqp.output import write_files
     from coopqp.studies import Cluster, EngineError, Local, load_study, sweep
     from coopqp.visualization.style import figure_bytes, require_matplotlib
 

@@ -43,7 +43,7 @@ class MovingBodies:
 
     Args:
         scene: what may touch what.
-        approach, give_way, stopping: as in :class:`coopqp.collision.Clearance`.
+        approach, give_way, stopping: as in :class:`coopqp.Clearance`.
 
     Attributes:
         pairs: numbers of the pairs with a moving body (m,).

@@ -146,7 +146,7 @@ class CollisionScene:
         return tuple(NearPair(*label, d) for label, d in sorted(found.items(), key=lambda item: item[1]))
 
     def along(self, way: CellWay, *, any_start: bool = False) -> ClearanceCheck:
-        """Distances along a way that is checked before the motion; see :func:`coopqp.planning.check_path`."""
+        """Distances along a way that is checked before the motion; see :func:`coopqp.check_path`."""
         from coopqp.collision.along import along
 
         return along(self, way, any_start=any_start)

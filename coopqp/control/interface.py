@@ -144,7 +144,7 @@ class ControlStep(Shown):
             grasps, turns included, without what is left of the start's mismatch and of shifts of the grasps. NaN for
             controllers that do not watch it.
         clearance: the bodies nearest to their margin at :attr:`q`, and their distance; None without a
-            :class:`coopqp.collision.Clearance`. It is measured when it is asked for.
+            :class:`coopqp.Clearance`. It is measured when it is asked for.
         build_time_s: time to compute the step without the solve [s]; 0 where it is not measured.
         finished: the object's clock has reached the end of its path.
     """
@@ -339,7 +339,7 @@ def off_path(distance: float, angle: float) -> str:
 
 
 class Controller(Protocol):
-    """The protocol of the controllers of :func:`coopqp.simulation.simulate.simulate`."""
+    """The protocol of the controllers of :func:`coopqp.simulate.simulate`."""
 
     cell: RobotCell
     grasp: Grasp

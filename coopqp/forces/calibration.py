@@ -51,7 +51,7 @@ class CalibrationOptions:
 
     Attributes:
         encoder_noise: amplitude of the uniform noise of measured joint positions [rad or m], as in
-            :class:`coopqp.Disturbances`.
+            :class:`coopqp.simulation.Disturbances`.
         base_position, base_angle: errors of base placements [m, rad].
         grip_position, grip_angle: errors of the tools' placements on the object [m, rad].
         samples: configurations that are used at most, spread evenly.

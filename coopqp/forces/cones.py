@@ -16,8 +16,9 @@ from typing import NamedTuple, final
 
 import numpy as np
 
-from coopqp.control.solvers import QpProblem, SolverStatus, make_solver
 from coopqp.errors import UndecidedError
+from coopqp.solvers.choice import make_solver
+from coopqp.solvers.problem import QpProblem, SolverStatus
 from coopqp.spatial import Array
 
 #: An answer may leave a cone, whose rows have unit norm at most, by this; x is scaled to about 1.

@@ -76,7 +76,7 @@ class Piece(abc.ABC):
     def bounds(self, low: Array, high: Array) -> MotionBounds | None:
         """Bounds of the motion between s of ``low`` and ``high`` (M,); None by default: nothing is known.
 
-        With them :func:`coopqp.planning.check_path` proves the piece, also one of your own.
+        With them :func:`coopqp.check_path` proves the piece, also one of your own.
         """
         return None
 

@@ -20,17 +20,18 @@ from coopqp.spatial import Array
 @final
 @dataclass(frozen=True, kw_only=True, eq=False)
 class EngineSettings:
-    """How a scenario runs in the physics engine; see :class:`coopqp.PhysicsPlant`.
+    """How a scenario runs in the physics engine; see :class:`coopqp.simulation.PhysicsPlant`.
 
     Attributes:
-        disturbances: settings of :class:`coopqp.Disturbances`.
-        options: settings of :class:`coopqp.PhysicsOptions`.
+        disturbances: settings of :class:`coopqp.simulation.Disturbances`.
+        options: settings of :class:`coopqp.simulation.PhysicsOptions`.
         forces: settings of :class:`coopqp.ForceOptions`, besides stiffness and payload; None for arms that do not mind
             forces.
         controller: settings of :class:`coopqp.QPOptions`.
         torque_share: share of the joints' torques that load sharing plans with.
         palms: open palms in place of grips that do not let go: settings of a :class:`coopqp.forces.Grip` per arm.
-        tolerances: of the verdict: settings of :class:`coopqp.Tolerances`. The object gives way to a squeeze.
+        tolerances: of the verdict: settings of :class:`coopqp.simulation.Tolerances`. The object gives way to a
+            squeeze.
         shares_load: the drives feed a load forward that :class:`coopqp.forces.LoadShare` shares.
         internal_force: largest internal force of an arm that is accepted [N]; None for any.
     """

@@ -30,7 +30,7 @@ _ASKED = 8
 
 
 class PathVerdict(enum.Enum):
-    """Verdict of :func:`coopqp.planning.check_path`, the best first."""
+    """Verdict of :func:`coopqp.check_path`, the best first."""
 
     CERTIFIED = "CERTIFIED"  #: proved at every point of the path
     SAMPLED = "SAMPLED"  #: followed at samples; nothing is proved between them

@@ -186,7 +186,7 @@ def check_path(
         cell, grasp, path: the arms, their grasps and the object's path.
         q_start: the start (nq,): only its branches are judged. By default every branch of each arm is judged, as in
             :func:`find_start`, and the best one is chosen.
-        scene: the bodies that keep distances, a :class:`coopqp.collision.CollisionScene` of the same cell; without it
+        scene: the bodies that keep distances, a :class:`coopqp.CollisionScene` of the same cell; without it
             distances play no part. Without a start branches are chosen that keep clear.
         effort: multiplies the number of seeds of the search for branches.
 

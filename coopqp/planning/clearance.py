@@ -104,7 +104,7 @@ class ClearanceCheck:
 
 
 class Bodies(Protocol):
-    """Bodies that keep distances, as a check uses them: :class:`coopqp.collision.CollisionScene`."""
+    """Bodies that keep distances, as a check uses them: :class:`coopqp.CollisionScene`."""
 
     @property
     def cell(self) -> RobotCell:

@@ -164,7 +164,7 @@ class Following:
                 end = why_it_ends(arm, found.q[last], here, ahead)
                 raise UnreachableError(
                     f"arm '{name}' follows the path only to {where}, {end}. "
-                    "Start from another branch (coopqp.planning.find_start), or move the path or the arm's base."
+                    "Start from another branch (coopqp.find_start), or move the path or the arm's base."
                 )
             self._coarse.append(found)
 

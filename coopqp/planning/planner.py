@@ -100,7 +100,7 @@ def plan(
         starts: number of starts of each arm to compare by time; the fastest is taken. By default the one with the
             largest margins and singular values. Arms with more than six joints gain most: their starts differ in the
             elbow. Not with ``q_start``.
-        scene: the bodies that keep distances, a :class:`coopqp.collision.CollisionScene` of the same cell: the plan is
+        scene: the bodies that keep distances, a :class:`coopqp.CollisionScene` of the same cell: the plan is
             judged by :func:`check_path` and is given only if it is proved, or followed at samples. Not with ``starts``.
 
     Raises:

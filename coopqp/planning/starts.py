@@ -129,7 +129,7 @@ def find_start(
         free_roll: angles [rad] by which an arm's tool may be turned about its own z axis, by the arm's name; 0 is
             always allowed. The grasp in the answer has the turned tools.
         q_near: further seed (nq,); positions of joints that do not move a tool are taken from it.
-        scene: the bodies that keep distances, a :class:`coopqp.collision.CollisionScene` of the same cell: a start is
+        scene: the bodies that keep distances, a :class:`coopqp.CollisionScene` of the same cell: a start is
             preferred from which all margins are kept along the path. Not together with ``free_roll``.
         effort: multiplies the number of seeds.
 

@@ -380,7 +380,7 @@ def _check_positions(cell: RobotCell, path: ObjectPath | PathGeometry, knots: Kn
     raise UnreachableError(
         f"arm {arm} leaves its position limits {at:.3g} m along the path{when}: {joint} goes "
         f"{amount(-float(margins[:, j].min()), slides=slides(cell)[j])} outside. Start from another branch "
-        "(coopqp.planning.find_start), or move the path or the arm's base."
+        "(coopqp.find_start), or move the path or the arm's base."
     )
 
 

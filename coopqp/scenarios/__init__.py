@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from coopqp.errors import UnknownNameError
-from coopqp.paths.scenario import Scenario
+from coopqp.paths.scenario import EngineSettings, Scenario
 from coopqp.scenarios.arms import ROBOTS, robot_arm, robot_data_path, robot_file, robot_table
 from coopqp.scenarios.cells import dual_arm7, five_joint_pair, mixed_cell, ring, scara_pair
 from coopqp.scenarios.loads import LOADED, base_off_lift, heavy_lift, hot_plate, palm_box, torque_lift
@@ -21,6 +21,7 @@ __all__ = [
     "ROBOTS",
     "ROBOT_NAMES",
     "SCENARIOS",
+    "EngineSettings",
     "Scenario",
     "abb_lift",
     "at_limit",

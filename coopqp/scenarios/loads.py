@@ -102,7 +102,7 @@ def torque_lift(
     """The paper's lift by torque-controlled arms whose drives take arms and plate for half as heavy as they are.
 
     Args:
-        servo, wrist_sensors, assumed_mass, assumed_payload: as in :class:`coopqp.PhysicsOptions`.
+        servo, wrist_sensors, assumed_mass, assumed_payload: as in :class:`coopqp.simulation.PhysicsOptions`.
         duration: duration of the path [s].
     """
     lift = paper_lift(time_law="quintic", duration=duration)

@@ -365,8 +365,8 @@ def versions() -> dict[str, str]:
     """The bits of a row depend on these: versions, the kernel, the solver."""
     import platform
 
-    from coopqp.control.solvers import default_solver
     from coopqp.native import kernel_text
+    from coopqp.solvers.choice import default_solver
 
     packages = {
         name: metadata.version(name) for name in ("coopqp", "pin", "numpy", "scipy", "daqp", "osqp", "proxsuite")

@@ -6,18 +6,9 @@ from pathlib import Path
 import numpy as np
 import pinocchio as pin
 
-from coopqp import (
-    Arm,
-    Grasp,
-    LinePath,
-    QPController,
-    RobotCell,
-    inverse_kinematics,
-    judge,
-    read_run,
-    robot_path,
-    simulate,
-)
+from coopqp import Arm, Grasp, LinePath, QPController, RobotCell, inverse_kinematics, simulate
+from coopqp.scenarios import robot_path
+from coopqp.simulation import judge, read_run
 
 my_arm = robot_path("arm7")  # comes with coopqp; put the path of your URDF here: "my_arm.urdf"
 
@@ -57,7 +48,7 @@ for finding in judge(cell, recording, read_run(cell, recording)):
     print("yes" if finding.holds else "NO ", finding.question, finding.answer)
 
 if "--view" in sys.argv:
-    from coopqp import LiveViewer
+    from coopqp.visualization import LiveViewer
 
     with LiveViewer(recording) as viewer:
         print("Open", viewer.url)

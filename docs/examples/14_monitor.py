@@ -1,15 +1,9 @@
 """Judge a run by its commands alone, then or later.  python docs/examples/14_monitor.py"""
 
-from coopqp import (
-    Monitor,
-    Monitored,
-    MonitorTolerances,
-    PseudoInverseController,
-    QPController,
-    check_run,
-    simulate,
-)
+from coopqp import QPController, simulate
+from coopqp.baselines import PseudoInverseController
 from coopqp.scenarios import fast_lift
+from coopqp.simulation import Monitor, Monitored, MonitorTolerances, check_run
 
 task = fast_lift()  # faster than the joints can move
 

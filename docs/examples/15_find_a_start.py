@@ -6,17 +6,9 @@ from pathlib import Path
 import numpy as np
 import pinocchio as pin
 
-from coopqp import (
-    Arm,
-    Grasp,
-    LinePath,
-    NoStartError,
-    QPController,
-    RobotCell,
-    robot_path,
-    simulate,
-)
-from coopqp.planning import find_start
+from coopqp import Arm, Grasp, LinePath, QPController, RobotCell, find_start, simulate
+from coopqp.errors import NoStartError
+from coopqp.scenarios import robot_path
 
 # Two arms face each other and hold a bar. A cable lets joints 4 and 6 of the left one turn
 # by ±100° only.

@@ -3,8 +3,8 @@
 import sys
 from pathlib import Path
 
-from coopqp import judge, load_cell_file, read_run
-from coopqp.planning import check_path
+from coopqp import check_path, load_cell_file
+from coopqp.simulation import judge, read_run
 
 CELLS = Path(__file__).parent / "cells"
 runs = {}

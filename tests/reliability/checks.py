@@ -18,31 +18,25 @@ import pinocchio as pin
 
 from coopqp import (
     Cause,
-    CellState,
-    Controller,
     ControlStep,
     HoldPath,
     JointLimits,
     LinePath,
-    Monitor,
-    MonitorTolerances,
     ObjectPath,
     QPController,
     QPOptions,
-    QpProblem,
-    QpSolution,
-    QpSolver,
     ServoPath,
-    SolverStatus,
     Status,
-    UnreachableError,
-    Verdict,
     WaypointPath,
     inverse_kinematics,
-    make_solver,
 )
+from coopqp.control import Controller
 from coopqp.control.step.velocity_bounds import VelocityBox
+from coopqp.errors import UnreachableError
+from coopqp.model import CellState
 from coopqp.scenarios import Scenario, at_limit
+from coopqp.simulation import Monitor, MonitorTolerances, Verdict
+from coopqp.solvers import QpProblem, QpSolution, QpSolver, SolverStatus, make_solver
 
 Array: TypeAlias = npt.NDArray[np.float64]
 #: ``make(task, **options)`` builds a controller for a scenario.

@@ -21,11 +21,12 @@ from typing import Any
 
 import numpy as np
 
-from coopqp import CoopqpError, QPController, Recording, describe_object, judge, load_cell_file, read_run, simulate
+from coopqp import CoopqpError, QPController, Recording, load_cell_file, simulate
 from coopqp.files.cellfile import load_cell_task
 from coopqp.files.cellfile.text import read_tables
 from coopqp.files.export import csv_parts
 from coopqp.scenarios import paper_lift
+from coopqp.simulation import describe_object, judge, read_run
 from coopqp.simulation.evaluation.assessment import why
 from coopqp.simulation.evaluation.closeness import default_scene, with_clearance
 from coopqp.simulation.evaluation.figures import run_figures

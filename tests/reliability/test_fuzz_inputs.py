@@ -26,43 +26,36 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from coopqp import (
-    Breach,
-    CellState,
     CommonError,
-    DaqpSettings,
-    Disturbances,
     ForceController,
     ForceOptions,
     Grasp,
     HoldPath,
-    IndependentQPController,
-    IndependentQPOptions,
     JointLimits,
-    KinematicPlant,
     LinePath,
-    Monitor,
-    MonitorTolerances,
-    OsqpSettings,
-    PhysicsOptions,
     PostureOptions,
     PreviewOptions,
-    ProxqpSettings,
-    PseudoInverseController,
-    PseudoInverseOptions,
     QPController,
     QPOptions,
-    RankWeights,
     RobotCell,
     ServoPath,
     Status,
     SupervisionOptions,
     WaypointPath,
     inverse_kinematics,
-    plate_from_centroid,
-    plate_from_points,
 )
+from coopqp.baselines import (
+    IndependentQPController,
+    IndependentQPOptions,
+    PseudoInverseController,
+    PseudoInverseOptions,
+)
+from coopqp.control import RankWeights
+from coopqp.model import CellState, plate_from_centroid, plate_from_points
 from coopqp.paths.path import ScrewParameters
 from coopqp.scenarios import mixed_cell, paper_lift
+from coopqp.simulation import Breach, Disturbances, KinematicPlant, Monitor, MonitorTolerances, PhysicsOptions
+from coopqp.solvers import DaqpSettings, OsqpSettings, ProxqpSettings
 
 pytestmark = pytest.mark.filterwarnings("ignore::RuntimeWarning")
 LIFT, MIXED = paper_lift(), mixed_cell()

@@ -13,7 +13,9 @@ import pinocchio as pin
 import pytest
 from fuzzing import Tried, answer
 
-from coopqp import Arm, CellState, Grasp, LinePath, Monitor, MonitorTolerances, QPController, RobotCell
+from coopqp import Arm, Grasp, LinePath, QPController, RobotCell
+from coopqp.model import CellState
+from coopqp.simulation import Monitor, MonitorTolerances
 
 pytestmark = pytest.mark.filterwarnings("ignore::RuntimeWarning")
 LIMITS_ONLY = MonitorTolerances(chain_m=None, chain_rad=None, path_m=None, path_rad=None)

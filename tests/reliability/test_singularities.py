@@ -10,18 +10,9 @@ import numpy as np
 import pytest
 from hypothesis import settings
 
-from coopqp import (
-    ControlStep,
-    LimitKind,
-    LinePath,
-    Monitor,
-    MonitorTolerances,
-    QPController,
-    QPOptions,
-    Status,
-    Verdict,
-)
+from coopqp import ControlStep, LimitKind, LinePath, QPController, QPOptions, Status
 from coopqp.scenarios import Scenario, at_singularity, five_joint_pair, scara_pair
+from coopqp.simulation import Monitor, MonitorTolerances, Verdict
 
 pytestmark = pytest.mark.slow
 

@@ -17,22 +17,21 @@ from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, precondition, rule, run_state_machine_as_test
 
 from coopqp import (
-    CellState,
     ControlStep,
     CoopqpError,
     Grasp,
     LinePath,
-    Monitor,
-    MonitorTolerances,
     QPController,
     QPOptions,
     RobotCell,
     ServoPath,
     Status,
 )
+from coopqp.model import CellState
 from coopqp.scenarios import Scenario, dual_arm7, fast_lift, mixed_cell
+from coopqp.simulation import Monitor, MonitorTolerances
 
-pytestmark = pytest.mark.filterwarnings("ignore::RuntimeWarning", "ignore::coopqp.StartWarning")
+pytestmark = pytest.mark.filterwarnings("ignore::RuntimeWarning", "ignore::coopqp.errors.StartWarning")
 TASKS = (fast_lift(), dual_arm7(), mixed_cell())
 #: Number of machines in CI, and largest number of rules of each.
 MACHINES, RULES = 400, 12

@@ -10,8 +10,9 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from coopqp import ControlStep, Monitor, MonitorTolerances, QPController, QPOptions, ServoPath, Status, Verdict
+from coopqp import ControlStep, QPController, QPOptions, ServoPath, Status
 from coopqp.scenarios import Scenario, dual_arm7, mixed_cell, paper_lift
+from coopqp.simulation import Monitor, MonitorTolerances, Verdict
 
 pytestmark = pytest.mark.slow
 

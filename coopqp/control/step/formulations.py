@@ -24,9 +24,9 @@ import numpy.typing as npt
 
 from coopqp.checks import Doc, documented, keep_scalars
 from coopqp.constraints.velocity import Rows
-from coopqp.control.solvers.problem import QpProblem
 from coopqp.control.step.velocity_bounds import VelocityBox
 from coopqp.model.chain import Chain
+from coopqp.solvers.problem import QpProblem
 from coopqp.spatial import Array, for_twists
 
 

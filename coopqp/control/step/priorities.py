@@ -10,11 +10,13 @@ import numpy as np
 from coopqp.constraints.velocity import Rows
 from coopqp.control.interface import NO_SOLVE, SolverReport
 from coopqp.control.options import QPOptions
-from coopqp.control.solvers import QpProblem, QpSolution, QpSolver, SolverStatus, default_solver, make_solver
 from coopqp.control.step.formulations import Answer, Pieces, StepProgram, StepTerms
 from coopqp.control.step.velocity_bounds import LIMIT_TOLERANCE, VelocityBox, rate_interval
 from coopqp.errors import InvalidInputError, said
 from coopqp.model.chain import Chain
+from coopqp.solvers.base import QpSolver
+from coopqp.solvers.choice import default_solver, make_solver
+from coopqp.solvers.problem import QpProblem, QpSolution, SolverStatus
 from coopqp.spatial import Array, largest
 
 #: A solver's excess over a limit up to this is clipped; more is a failure [rad/s or m/s].

@@ -55,7 +55,7 @@ def check_start(
                 f"arm '{name}' holds the object {1e3 * d:.1f} mm and {np.rad2deg(a):.2f}° from {where} "
                 f"(tolerance {1e3 * tolerance_m:g} mm, {np.rad2deg(tolerance_rad):.3g}°)",
                 "reset: q",
-                "Start where the arms meet the grasp (coopqp.inverse_kinematics, coopqp.planning.find_start), or widen "
+                "Start where the arms meet the grasp (coopqp.inverse_kinematics, coopqp.find_start), or widen "
                 "the start tolerance.",
             )
     return read_only(configuration)

@@ -21,7 +21,6 @@ from coopqp.collision.scene import CollisionScene
 from coopqp.control.interface import Controller
 from coopqp.control.options import QPOptions
 from coopqp.control.qp import QPController
-from coopqp.control.solvers import default_solver
 from coopqp.errors import CoopqpError, InvalidInputError, MissingExtraError, StartWarning, UnknownNameError
 from coopqp.files.cellfile import CellFileError
 from coopqp.files.cellfile.bodies import build_scene
@@ -51,6 +50,7 @@ from coopqp.simulation.plants.physics_options import PhysicsOptions
 from coopqp.simulation.recording.recording import Recording
 from coopqp.simulation.recording.scene import describe_object
 from coopqp.simulation.simulate import ProgressCallback, simulate
+from coopqp.solvers.choice import default_solver
 from coopqp.spatial import Array
 
 DEFAULT_DT = 0.002
@@ -396,7 +396,7 @@ def controller_options(kind: str, table: Any) -> Any:
 def _solver_settings(solver: str, given: Mapping[str, Any]) -> Any:
     """The settings object of a QP solver."""
     name = _SOLVER_SETTINGS.get(solver, "GenericSettings")
-    settings = getattr(importlib.import_module(f"coopqp.control.solvers.{name.removesuffix('Settings').lower()}"), name)
+    settings = getattr(importlib.import_module(f"coopqp.solvers.{name.removesuffix('Settings').lower()}"), name)
     for key in given:
         if key not in settings.__dataclass_fields__ or key == "options":
             raise UnknownNameError("setting", key, (k for k in settings.__dataclass_fields__ if k != "options"), name)

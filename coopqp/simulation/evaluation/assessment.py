@@ -90,7 +90,7 @@ def judge(
 
     Args:
         cell, recording: the run.
-        readings: result of :func:`coopqp.read_run`.
+        readings: result of :func:`coopqp.simulation.read_run`.
         tolerances: accepted errors; by default :meth:`Tolerances.of` the recording.
     """
     t = Tolerances.of(recording) if tolerances is None else as_options(Tolerances, tolerances, "judge: tolerances")

@@ -2,7 +2,7 @@
 
 The monitor judges commands, and wrenches where it is given them, and shares no code with the controllers: kinematics
 come directly from Pinocchio's frames and limits from the cell. Use it to test your own controller, after a run
-(:func:`check_run`) or during one (:class:`Monitor`, :class:`coopqp.Monitored`).
+(:func:`check_run`) or during one (:class:`Monitor`, :class:`coopqp.simulation.Monitored`).
 """
 
 from __future__ import annotations

@@ -18,23 +18,10 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from coopqp import (
-    Cause,
-    InvalidInputError,
-    Monitor,
-    MonitorTolerances,
-    ObjectPath,
-    QPController,
-    QPOptions,
-    QpProblem,
-    QpSolution,
-    QpSolver,
-    ServoPath,
-    SolverSettings,
-    Status,
-    make_solver,
-)
+from coopqp import Cause, InvalidInputError, ObjectPath, QPController, QPOptions, ServoPath, Status
 from coopqp.scenarios import Scenario, dual_arm7, fast_lift, scara_pair
+from coopqp.simulation import Monitor, MonitorTolerances
+from coopqp.solvers import QpProblem, QpSolution, QpSolver, SolverSettings, make_solver
 
 BAD = {"NaN": np.nan, "+inf": np.inf, "-inf": -np.inf}
 #: Finite numbers at which solvers have been slow or have failed.

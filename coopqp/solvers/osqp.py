@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coopqp.checks import as_options, keep_scalars
-from coopqp.control.solvers.base import Outcome, QpSolver, SolverSettings, Workspace, require_count
-from coopqp.control.solvers.polish import finish
-from coopqp.control.solvers.problem import QpProblem, SolverStatus
+from coopqp.solvers.base import Outcome, QpSolver, SolverSettings, Workspace, require_count
+from coopqp.solvers.polish import finish
+from coopqp.solvers.problem import QpProblem, SolverStatus
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -25,7 +25,7 @@ class OsqpSettings(SolverSettings):
         check_termination: number of iterations between two tests of the residuals.
         adaptive_rho_interval: number of iterations between two updates of the penalty; fixed, for runs that repeat bit
             for bit.
-        accuracy: largest optimality error (:func:`~coopqp.control.solvers.polish.measure`) without a message.
+        accuracy: largest optimality error (:func:`~coopqp.solvers.polish.measure`) without a message.
         polish: solve the equations of the active set for solutions that are exact up to rounding. OSQP alone needs
             thousands of iterations for a similar accuracy.
     """

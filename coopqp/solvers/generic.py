@@ -11,10 +11,10 @@ from typing import Any
 import numpy as np
 
 from coopqp.checks import as_options, keep_scalars
-from coopqp.control.solvers.base import Outcome, QpSolver, SolverSettings, Workspace
-from coopqp.control.solvers.polish import finish
-from coopqp.control.solvers.problem import INFINITE, Array, QpProblem, SolverStatus
 from coopqp.errors import InvalidInputError
+from coopqp.solvers.base import Outcome, QpSolver, SolverSettings, Workspace
+from coopqp.solvers.polish import finish
+from coopqp.solvers.problem import INFINITE, Array, QpProblem, SolverStatus
 
 # Default options for backends with defaults that are too inaccurate for commands. Through qpsolvers, ProxQP's cap on
 # inner iterations and its accuracy of an infeasibility certificate cannot be set.
@@ -36,7 +36,7 @@ class GenericSettings(SolverSettings):
     """Settings of a backend of qpsolvers.
 
     Attributes:
-        accuracy: largest optimality error (:func:`~coopqp.control.solvers.polish.measure`) without a message.
+        accuracy: largest optimality error (:func:`~coopqp.solvers.polish.measure`) without a message.
         polish: solve the equations of the active set if the solution is not exact up to rounding.
         options: keyword arguments for the backend; they replace the defaults of this module or of the backend.
     """

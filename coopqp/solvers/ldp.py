@@ -7,10 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from coopqp.checks import as_options
-from coopqp.control.solvers.base import Outcome, QpSolver, SolverSettings, Workspace
-from coopqp.control.solvers.polish import REACH, finish
-from coopqp.control.solvers.problem import INFINITE, Array, QpProblem, SolverStatus
 from coopqp.errors import MissingSolverError
+from coopqp.solvers.base import Outcome, QpSolver, SolverSettings, Workspace
+from coopqp.solvers.polish import REACH, finish
+from coopqp.solvers.problem import INFINITE, Array, QpProblem, SolverStatus
 
 #: An answer this far from optimal is not worth a message.
 _ACCURACY = 1e-8

@@ -8,8 +8,8 @@ import eigenpy  # type: ignore[import-untyped]
 import numpy as np
 from numpy.typing import NDArray
 
-from coopqp.control.solvers.base import Outcome, Workspace
-from coopqp.control.solvers.problem import INFINITE, Array, QpProblem, SolverStatus
+from coopqp.solvers.base import Outcome, Workspace
+from coopqp.solvers.problem import INFINITE, Array, QpProblem, SolverStatus
 
 #: Largest absolute and relative residuals that count as rounding; polishing stops there.
 _EXACT, _EXACT_RELATIVE = 1e-13, 1e-10

@@ -9,8 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from coopqp.checks import keep_scalars
-from coopqp.control.solvers.problem import INFINITE, Array, QpProblem, QpSolution, SolverStatus, blame
 from coopqp.errors import InvalidInputError, shown
+from coopqp.solvers.problem import INFINITE, Array, QpProblem, QpSolution, SolverStatus, blame
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -145,7 +145,7 @@ class QpSolver(abc.ABC):
     depend on earlier problems.
 
     Attributes:
-        name: name for :func:`coopqp.control.solvers.make_solver`.
+        name: name for :func:`coopqp.solvers.make_solver`.
         settings: settings of the backend.
     """
 

@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 
 from coopqp.checks import as_options, keep_scalars
-from coopqp.control.solvers.base import Outcome, QpSolver, SolverSettings, Workspace, require_count
-from coopqp.control.solvers.polish import finish
-from coopqp.control.solvers.problem import QpProblem, SolverStatus
+from coopqp.solvers.base import Outcome, QpSolver, SolverSettings, Workspace, require_count
+from coopqp.solvers.polish import finish
+from coopqp.solvers.problem import QpProblem, SolverStatus
 
 _ATTEMPTS = ("warm", "cold", "fixed penalties")
 
@@ -29,7 +29,7 @@ class ProxqpSettings(SolverSettings):
         max_iter_warm, max_iter_in_warm: the same numbers after a warm start; long warm-started runs rarely succeed.
         check_duality_gap: also check the duality gap. Without this check a persistent ProxQP repeats its last solution
             when bounds only relax.
-        accuracy: largest accepted optimality error (:func:`~coopqp.control.solvers.polish.measure`). A worse
+        accuracy: largest accepted optimality error (:func:`~coopqp.solvers.polish.measure`). A worse
             solution is polished, then solved again from scratch. The duality gap alone accepts an error of √eps_abs.
         polish: solve the equations of the active set for solutions that are exact up to rounding.
         update_preconditioner: scale the problem again at every solve. This costs more than it gains unless rows change

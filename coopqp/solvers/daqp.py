@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coopqp.checks import as_options, keep_scalars
-from coopqp.control.solvers.base import Outcome, QpSolver, SolverSettings, Workspace, require_count
-from coopqp.control.solvers.polish import finish
-from coopqp.control.solvers.problem import INFINITE, Array, QpProblem, SolverStatus
+from coopqp.solvers.base import Outcome, QpSolver, SolverSettings, Workspace, require_count
+from coopqp.solvers.polish import finish
+from coopqp.solvers.problem import INFINITE, Array, QpProblem, SolverStatus
 
 # Marks of a constraint in DAQP's ``sense``.
 _ACTIVE_UPPER, _ACTIVE_LOWER, _EQUALITY = 1, 3, 5

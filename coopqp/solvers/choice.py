@@ -1,10 +1,4 @@
-"""QP solvers behind one interface. Every problem is checked before, and every answer after the solve.
-
-``ldp`` is the compiled core's own, for strictly convex QPs. ``proxqp``, ``osqp`` and ``daqp`` are kept: memory,
-factorisation and warm start survive from one solve to the next.
-Any other backend that qpsolvers finds installed works by its name, built anew at every solve; ``qpsolvers:proxqp``
-forces that route for a backend that could be kept.
-"""
+"""Solvers by name: those that are kept from step to step, and every other backend that qpsolvers finds."""
 
 from __future__ import annotations
 
@@ -12,20 +6,8 @@ from importlib import import_module
 from importlib.util import find_spec
 from typing import Any
 
-from coopqp.control.solvers.base import QpSolver, SolverSettings
-from coopqp.control.solvers.problem import QpProblem, QpSolution, SolverStatus
 from coopqp.errors import InvalidInputError, MissingExtraError, MissingSolverError, UnknownNameError, shown
-
-__all__ = [
-    "QpProblem",
-    "QpSolution",
-    "QpSolver",
-    "SolverSettings",
-    "SolverStatus",
-    "available_solvers",
-    "default_solver",
-    "make_solver",
-]
+from coopqp.solvers.base import QpSolver
 
 #: Kept solvers: the name, which is also its module's here, and the module that it needs.
 _KEPT = {"proxqp": "proxsuite", "osqp": "osqp", "daqp": "daqp", "ldp": "coopqp.control.core._native"}
@@ -89,7 +71,7 @@ def make_solver(name: str | QpSolver, settings: Any = None) -> QpSolver:
         if extra in (metadata("qpsolvers").get_all("Provides-Extra") or ()):
             raise MissingSolverError(name, f"pip install 'qpsolvers[{extra}]'")
         raise UnknownNameError("QP solver", name, available_solvers())
-    from coopqp.control.solvers.generic import GenericSolver
+    from coopqp.solvers.generic import GenericSolver
 
     return GenericSolver(backend, settings)
 
@@ -97,7 +79,7 @@ def make_solver(name: str | QpSolver, settings: Any = None) -> QpSolver:
 def _make_kept(name: str, settings: Any) -> QpSolver:
     if name != "ldp" and find_spec(_KEPT[name]) is None:  # ldp has a remedy of its own
         raise MissingExtraError("solvers", _KEPT[name])
-    module = import_module(f"coopqp.control.solvers.{name}")
+    module = import_module(f"coopqp.solvers.{name}")
     solver: QpSolver = getattr(module, f"{name.capitalize()}Solver")(settings)
     return solver
 
