@@ -237,7 +237,7 @@ def test_control_c_stops_a_run_without_a_traceback(tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_a_reader_that_leaves_is_no_error(tmp_path: Path) -> None:
     program = (
-        "import sys; from coopqp.cli import cli, demo; demo.demo_pictures = lambda *_: {};"
+        "import sys; from coopqp.cli import main as cli, demo; demo.demo_pictures = lambda *_: {};"
         f"sys.exit(cli.main(['demo', '--steps', '2', '--out', {str(tmp_path)!r}]))"
     )
     with subprocess.Popen([sys.executable, "-c", program], stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:

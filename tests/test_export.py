@@ -23,7 +23,7 @@ from coopqp.files import export, write_bag, write_csv
 from coopqp.files.export import csv_parts, csv_text, knot_velocities, topic_name
 from coopqp.scenarios import Scenario
 from coopqp.simulation import SceneError, read_run
-from coopqp.simulation.recording.recording import rows
+from coopqp.simulation.recording import rows
 from coopqp.simulation.recording.scene import describe_cell
 
 with warnings.catch_warnings():

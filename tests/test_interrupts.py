@@ -17,7 +17,7 @@ from coopqp import Recording
 from coopqp.cli.runs import write_products
 from coopqp.files import write_bag, write_csv
 from coopqp.output import Interrupts, whole_file, write_files
-from coopqp.simulation.recording.recording import recording, rows
+from coopqp.simulation.recording import recording, rows
 
 #: Files whose lines are interrupted.
 LINES = {coopqp.output.__file__, recording.__file__, rows.__file__, sys.modules[write_bag.__module__].__file__}
