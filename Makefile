@@ -16,7 +16,7 @@ SANITIZED := build/sanitized
   environments lowest newest no-compiler wheel extras import
 
 # Without COOPQP_REQUIRE_KERNEL=1 a compiler that fails is no error: coopqp then warns when it runs.
-$(VENV)/.installed: pyproject.toml CMakeLists.txt $(wildcard coopqp/control/core/*.[ch] coopqp/control/core/layout.py coopqp/model/*.[ch] coopqp/collision/*.[ch])
+$(VENV)/.installed: pyproject.toml CMakeLists.txt $(wildcard coopqp/native/*.cpp coopqp/native/*.h coopqp/native/layout.py)
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 10) and "coopqp needs Python >= 3.10: make PYTHON=python3.x ...")'
 	$(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[dev]'
@@ -68,12 +68,12 @@ sanitize: $(VENV)/.installed
 	  -DPython_EXECUTABLE=$(CURDIR)/$(BIN)/python
 	$(BIN)/cmake --build $(SANITIZED)
 	rm -rf $(SANITIZED)/tree && mkdir $(SANITIZED)/tree && cp -r coopqp $(SANITIZED)/tree
-	rm -f $(SANITIZED)/tree/coopqp/control/core/_native*.so
+	rm -f $(SANITIZED)/tree/coopqp/native/_native*.so
 	$(BIN)/cmake --install $(SANITIZED) --prefix $(SANITIZED)/tree
-	grep -q __asan_init $(SANITIZED)/tree/coopqp/control/core/_native*.so
+	grep -q __asan_init $(SANITIZED)/tree/coopqp/native/_native*.so
 	export LD_PRELOAD="$$(cc -print-file-name=libasan.so) $$(cc -print-file-name=libstdc++.so.6)" PYTHONMALLOC=malloc; \
 	(cd $(SANITIZED) && $(CURDIR)/$(BIN)/python -c \
-	  'from coopqp.control.core import _native as n; assert "$(SANITIZED)/tree" in n.__file__, n.__file__') && \
+	  'from coopqp.native import _native as n; assert "$(SANITIZED)/tree" in n.__file__, n.__file__') && \
 	$(PYTEST) -m core --capture sys -p no:cacheprovider
 
 # Would a test fail if the code said something else? MUTANTS in each package and in the C code: hours; 5 for a look.

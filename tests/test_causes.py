@@ -22,9 +22,9 @@ from coopqp import (
     SupervisionOptions,
     available_kernels,
 )
-from coopqp.control.core import layout
 from coopqp.control.reading import CAUSES
 from coopqp.control.verdict import cause_of
+from coopqp.native import layout
 from coopqp.scenarios import Scenario, at_limit, at_singularity, paper_lift
 
 LIMIT, SINGULAR, NEAR, APART, REINS, JUMP = (

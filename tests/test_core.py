@@ -33,13 +33,13 @@ from coopqp import (
     make_solver,
 )
 from coopqp.control.constraint_set import Constraints
-from coopqp.control.core import layout
+from coopqp.native import layout
 from coopqp.scenarios import Scenario, at_limit, dual_arm7, mixed_cell, paper_lift, ring
 
 pytestmark = pytest.mark.core
 
 
-native = pytest.importorskip("coopqp.control.core._native", reason="the core is not compiled")
+native = pytest.importorskip("coopqp.native._native", reason="the core is not compiled")
 compiled = pytest.importorskip("coopqp.control.core.compiled", reason="the core is not compiled")
 
 #: The one that this processor runs, and the one that any can.

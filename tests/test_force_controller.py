@@ -36,9 +36,10 @@ from coopqp import (
     misplaced,
     simulate,
 )
-from coopqp.control.core import layout, minding_of
+from coopqp.control.core import minding_of
 from coopqp.control.core.relax_plain import minding_size, minding_views
 from coopqp.forces import Grip, internal_wrenches
+from coopqp.native import layout
 from coopqp.planning import Payload
 from coopqp.scenarios import Scenario, palm_box, paper_lift
 

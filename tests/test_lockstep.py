@@ -36,7 +36,7 @@ from coopqp import (
     available_kernels,
     robot_path,
 )
-from coopqp.control.core import layout
+from coopqp.native import layout
 from coopqp.scenarios import (
     LOADED,
     SCENARIOS,

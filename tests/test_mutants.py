@@ -56,12 +56,12 @@ def test_each_kind_changes_one_place_of_the_code_and_no_text() -> None:
 
 def test_every_source_in_c_has_places_and_belongs_to_a_module() -> None:
     root = Path(__file__).parents[1]
-    for file in (root / "coopqp").rglob("*.c"):
+    for file in (root / "coopqp").rglob("*.cpp"):
         assert c.part_of(str(file.relative_to(root))) in c.PARTS
         source = file.read_text(encoding="utf-8")
         assert c.sites(source) or file.stat().st_size < 2500, file
-    assert {Path(source).name for sources, _ in c.PARTS.values() for source in sources} == {
-        "module.c", "unit.c", "_batch.c", "_values.c", "_bounds.c", "nearby.c"
+    assert {Path(source).name for sources in c.PARTS.values() for source in sources} == {
+        "step_module.cpp", "unit.cpp", "batch_module.cpp", "values.cpp", "bounds_module.cpp", "nearby.cpp"
     }  # fmt: skip
 
 

@@ -122,7 +122,7 @@ class Distances:
 
         Args:
             bounds: the bounds that it keeps up to date.
-            arrays, numbers: as ``nearby.c`` lists them, without those that are known here.
+            arrays, numbers: as ``nearby.cpp`` lists them, without those that are known here.
         """
         cell, results = self._cell, self._results
         normals = [result.normal for result in results]
@@ -182,8 +182,8 @@ class LowerBounds:
     Args:
         scene: the scene of the pairs.
         distances: the distances that are asked.
-        kernel: the code of the bounds, ``_bounds.c`` or :mod:`coopqp.collision.bounds_plain`; None for the fastest of
-            this installation.
+        kernel: the code of the bounds, ``bounds_module.cpp`` or :mod:`coopqp.collision.bounds_plain`; None for the
+            fastest of this installation.
 
     Warns:
         KernelWarning: there is no compiled kernel, and none was asked for.

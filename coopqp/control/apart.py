@@ -1,4 +1,4 @@
-"""How far the commands lead the arms apart: the definition of the core's ``apart.c``.
+"""How far the commands lead the arms apart: the definition of the core's ``apart.cpp``.
 
 The arms' views O_k of the object should be one. Their errors without the mean are lengths at the grasps, turns
 included, as in the supervision. Two parts of them were asked for, and do not count as long as they are corrected: the
@@ -15,9 +15,9 @@ from typing import final
 
 import numpy as np
 
-from coopqp.control.core import layout
 from coopqp.control.supervision import grasp_lengths
 from coopqp.model.grasp import Grasp
+from coopqp.native import layout
 from coopqp.spatial import Array
 
 #: Two arms that their commands part.

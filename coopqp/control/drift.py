@@ -12,7 +12,7 @@ from typing import final
 
 import numpy as np
 
-from coopqp.control.core import layout
+from coopqp.native import layout
 from coopqp.spatial import Array, largest
 
 #: Standard deviations: drift within a second [m], lag of an arm [s], and the least one of an estimated lag [s].

@@ -10,7 +10,6 @@ from coopqp.control.apart import PARTED
 from coopqp.control.cause import Cause
 from coopqp.control.command import NO_SOLVE, NOTHING, GivenUp, SolverReport, Status, off_path
 from coopqp.control.constraint_set import Constraints
-from coopqp.control.core import layout
 from coopqp.control.supervision import refused_dt
 from coopqp.control.supervision_options import SupervisionOptions
 from coopqp.control.verdict import cause_of, too_close
@@ -18,6 +17,7 @@ from coopqp.model.cell import RobotCell
 from coopqp.model.grasp import Grasp
 from coopqp.model.limits import BindingLimit, LimitKind
 from coopqp.model.shapes import NearPair
+from coopqp.native import layout
 from coopqp.planning.horizon import joint_limit
 from coopqp.spatial import Array
 from coopqp.task.guarded import jump

@@ -18,8 +18,8 @@ from typing import TYPE_CHECKING, final
 
 import numpy as np
 
-from coopqp.control.core import layout
 from coopqp.control.core.relax_plain import AT, RELAXING, SENSORS_FINE, minding_views
+from coopqp.native import layout
 from coopqp.spatial import Array, largest
 
 if TYPE_CHECKING:
@@ -42,7 +42,7 @@ class ServoWatch:
     """The comparison with the wrenches, in the memory of the relaxation (:class:`coopqp.forces.Relaxation`).
 
     Args:
-        memory: numbers of :data:`coopqp.control.core.layout.MINDING`, and the vectors behind them.
+        memory: numbers of :data:`coopqp.native.layout.MINDING`, and the vectors behind them.
         names: of the arms.
     """
 

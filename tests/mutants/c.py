@@ -36,11 +36,11 @@ _KINDS: dict[str, tuple[re.Pattern[str], dict[str, str]]] = {
 _DECLARES = re.compile(
     r"\s*(?:const|double|int|static|struct|char|size_t|Py_ssize_t|void|unsigned|return|for|if|[A-Z]\w* )"
 )
-#: Modules: their sources, and the folders of headers besides their own.
-PARTS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
-    "coopqp/control/core/_native": (("coopqp/control/core/module.c", "coopqp/control/core/unit.c"), ()),
-    "coopqp/model/_batch": (("coopqp/model/_batch.c", "coopqp/model/_values.c"), ()),
-    "coopqp/collision/_bounds": (("coopqp/collision/_bounds.c", "coopqp/collision/nearby.c"), ("coopqp/control/core",)),
+#: Modules: their sources.
+PARTS: dict[str, tuple[str, ...]] = {
+    "coopqp/native/_native": ("coopqp/native/step_module.cpp", "coopqp/native/unit.cpp"),
+    "coopqp/native/_batch": ("coopqp/native/batch_module.cpp", "coopqp/native/values.cpp"),
+    "coopqp/native/_bounds": ("coopqp/native/bounds_module.cpp", "coopqp/native/nearby.cpp"),
 }
 
 
@@ -94,7 +94,8 @@ def write(source: str, kind: str, occurrence: int) -> str:
 
 def part_of(file: str) -> str:
     """The compiled module that a source is part of."""
-    return next(part for part in PARTS if str(Path(part).parent) == str(Path(file).parent))
+    own = next((part for part, sources in PARTS.items() if file in sources), None)
+    return own or next(iter(PARTS))  # a part of unit.cpp
 
 
 def compile_part(folder: Path, part: str) -> bool:
@@ -102,17 +103,17 @@ def compile_part(folder: Path, part: str) -> bool:
 
     The functions for AVX2 are left out: a module without them takes its own.
     """
-    sources, headers = PARTS[part]
+    sources = PARTS[part]
     generated = folder / "build" / "generated"
     generated.mkdir(parents=True, exist_ok=True)
     layout = subprocess.run(
-        [sys.executable, str(folder / "coopqp/control/core/layout.py")], capture_output=True, text=True, check=True
+        [sys.executable, str(folder / "coopqp/native/layout.py")], capture_output=True, text=True, check=True
     )
     (generated / "layout.h").write_text(layout.stdout, encoding="utf-8")
     target = (folder / part).with_suffix(".abi3.so")
-    include = [str(generated), str((folder / part).parent), *(str(folder / h) for h in headers)]
+    include = [str(generated), str((folder / part).parent)]
     done = subprocess.run(
-        ["cc", "-O1", "-w", "-shared", "-fPIC", "-fvisibility=hidden", "-DPy_LIMITED_API=0x030b0000",
+        ["cc", "-x", "c", "-O1", "-w", "-shared", "-fPIC", "-fvisibility=hidden", "-DPy_LIMITED_API=0x030b0000",
          *(f"-I{i}" for i in (*include, sysconfig.get_paths()["include"])),
          *(str(folder / s) for s in sources), "-o", str(target), "-lm"],
         capture_output=True, text=True, check=False,

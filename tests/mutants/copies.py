@@ -135,7 +135,7 @@ class Copy:
         """A file has another text for a while; yields False if it does not compile."""
         file = self.folder / name
         source = file.read_text(encoding="utf-8")
-        part = c.part_of(name) if name.endswith(".c") else None
+        part = c.part_of(name) if name.endswith(".cpp") else None
         built = (self.folder / part).with_suffix(".abi3.so") if part else None
         kept = built.read_bytes() if built else b""
         try:

@@ -1,4 +1,4 @@
-"""The rate of the object that forces allow, in NumPy, as in ``allow.c``. See :mod:`coopqp.forces`."""
+"""The rate of the object that forces allow, in NumPy, as in ``allow.cpp``. See :mod:`coopqp.forces`."""
 
 from __future__ import annotations
 
@@ -6,8 +6,8 @@ import math
 
 import numpy as np
 
-from coopqp.control.core import layout
 from coopqp.control.core.relax_plain import AT, MOVING, SENSORS_FINE, minding_views
+from coopqp.native import layout
 from coopqp.spatial import Array
 
 NOTHING_MORE, BY_SENSOR, BY_REACH, BY_STAGE, BY_FRICTION, BY_FORCE, BY_CONTACT = range(len(layout.WHYS))

@@ -14,12 +14,11 @@ from typing import Any, final
 import numpy as np
 import pinocchio as pin
 
-import coopqp.control.core._native as native
+import coopqp.native._native as native
 from coopqp.control.cause import Cause
 from coopqp.control.command import ControlStep, SolverReport, Status, amend
 from coopqp.control.constraint_set import Constraints
 from coopqp.control.constraints import ConstraintTrouble, Rows, no_rows
-from coopqp.control.core import layout
 from coopqp.control.core.memory import Memory, NotForTheCore, build_memory, put_options, same_kinematics
 from coopqp.control.limits import VelocityBox
 from coopqp.control.linearised import LinearisedAnswer, LinearisedStep, StepInput, is_long
@@ -33,6 +32,7 @@ from coopqp.model.cell import RobotCell
 from coopqp.model.chain import Chain
 from coopqp.model.grasp import Grasp
 from coopqp.model.state import CellState
+from coopqp.native import layout
 from coopqp.planning.rate_bounds import Knot
 from coopqp.spatial import Array
 from coopqp.task.guarded import GuardedPath, is_known

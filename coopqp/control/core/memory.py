@@ -8,13 +8,13 @@ from typing import final
 import numpy as np
 
 from coopqp.control.constraints import MOST_ROWS
-from coopqp.control.core import layout
 from coopqp.control.limits import LARGEST_MOVE, VelocityBox
 from coopqp.control.options import QPOptions
 from coopqp.errors import ModelError
 from coopqp.model.cell import RobotCell, of_cell
 from coopqp.model.chain import Chain, moving_columns
 from coopqp.model.links import joint_links
+from coopqp.native import layout
 from coopqp.planning.preview_options import PlanLimits, PreviewOptions
 from coopqp.spatial import Array
 

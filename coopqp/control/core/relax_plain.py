@@ -1,4 +1,4 @@
-"""The relaxation of forces, one step of it, in NumPy, as in ``relax.c``. See :mod:`coopqp.forces.relaxation`."""
+"""The relaxation of forces, one step of it, in NumPy, as in ``relax.cpp``. See :mod:`coopqp.forces.relaxation`."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from coopqp.checks import ArrayLike
-from coopqp.control.core import layout
+from coopqp.native import layout
 from coopqp.spatial import Array
 
 #: Index of each scalar in the memory of the relaxation.

@@ -39,7 +39,7 @@ class _Memory:
 
     def __init__(self, n: int, m: int) -> None:
         try:
-            from coopqp.control.core._native import least_distance
+            from coopqp.native._native import least_distance
         except ImportError as error:
             raise MissingSolverError("ldp", "install a wheel of coopqp, or a C compiler before you build it") from error
         self._least_distance = least_distance

@@ -57,7 +57,7 @@ static double largest_size(const double *x, int n) {
     return largest;
 }
 
-/* -- sharing.c -------------------------------------------------------------------------------------------------------- */
+/* -- sharing.cpp ---------------------------------------------------------------------------------------- */
 
 /* Largest z ≤ cap that some |u| ≤ SLOPE_CAP allows at knot i alone. */
 static double largest_alone(const Core *c, int i);
@@ -65,7 +65,7 @@ static double largest_alone(const Core *c, int i);
  * whose acceleration makes it, or helps to, or −1. */
 static int find_share(Core *c, int i);
 
-/* -- horizon.c -------------------------------------------------------------------------------------------------------- */
+/* -- horizon.cpp ---------------------------------------------------------------------------------------- */
 
 /* The first tentative knot becomes the last known one. */
 static void push_knot(Core *c);
@@ -92,7 +92,7 @@ static Least least_square(const Core *c, double clock, double rate, double dt);
 /* The largest rate below 1 that K admits for a step. `least` is the least K at rate 1, on return at the rate found. */
 static double largest_rate(const Core *c, double clock, double dt, Least *least);
 
-/* -- chain_ahead.c ---------------------------------------------------------------------------------------------------- */
+/* -- chain_ahead.cpp ------------------------------------------------------------------------------------ */
 
 /* The knot at a clock, at the commanded positions, as the first tentative one; 0 if the path fails. */
 static int first_knot(Core *c, double clock);
@@ -107,12 +107,12 @@ static int end_moving(Core *c);
 /* The arm that is at the end of its reach at knot i, or −1. */
 static int stretched_arm(const Core *c, int i);
 
-/* -- redundancy.c ----------------------------------------------------------------------------------------------------- */
+/* -- redundancy.cpp ------------------------------------------------------------------------------------- */
 
 /* Lead the joints of redundant arm k away from their limits by its self-motion. */
 static void lead_away(const Core *c, int k, const double *jacobian, const double *positions, double *slope);
 
-/* -- growth.c --------------------------------------------------------------------------------------------------------- */
+/* -- growth.cpp ----------------------------------------------------------------------------------------- */
 
 /* One Newton step, so that no single control step has to make a whole knot; 0 where growth has to wait, −1 where the
  * look-ahead fails. */

@@ -11,9 +11,9 @@ from coopqp.errors import KernelWarning, UnknownNameError
 
 #: Each part by what it computes, and its module. Where a part is missing its definition in NumPy takes its place.
 PARTS = {
-    "step": "coopqp.control.core._native",
-    "kinematics": "coopqp.model._batch",
-    "distances": "coopqp.collision._bounds",
+    "step": "coopqp.native._native",
+    "kinematics": "coopqp.native._batch",
+    "distances": "coopqp.native._bounds",
 }
 _REMEDY = "Install a C compiler, then: COOPQP_REQUIRE_KERNEL=1 pip install --force-reinstall --no-binary coopqp coopqp"
 

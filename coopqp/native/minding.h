@@ -16,7 +16,7 @@ typedef struct {
     double *seen, *internal, *shift, *drift, *target, *squeezed;       /* 6 N each */
     double *internal_of, *yields;                                      /* (6 N, 6 N) each */
     double *palms;                                                     /* PALM N */
-    double *felt, *held, *off_servos, *off_last, *off_step, *off_drift; /* 6 N each; see residual.c */
+    double *felt, *held, *off_servos, *off_last, *off_step, *off_drift; /* 6 N each; see residual.cpp */
     double *off_noise;                                                 /* N */
     double *compliances;                                               /* (6, 6) N */
     double *carries;                                                   /* (6 N, 3) */

@@ -1,12 +1,12 @@
 /* Kinematics of one arm at many configurations, for Python: tool poses, Newton's method, walks along poses, derivatives
- * along a way; singular values of many matrices (_values.c). See _arm.h for the layout of the numbers; batch_plain.py
+ * along a way; singular values of many matrices (values.cpp). See arm.h for the layout of the numbers; batch_plain.py
  * says the same in NumPy. */
 
 #define PY_SSIZE_T_CLEAN
 #include <Python.h>
 
-#include "_arm.h"
-#include "_values.h"
+#include "arm.h"
+#include "values.h"
 
 /* -- along poses ----------------------------------------------------------------------------------------------------- */
 

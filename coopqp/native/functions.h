@@ -6,7 +6,7 @@
 #include "core.h"
 #include "spatial.h"
 
-/* -- kinematics.c ---------------------------------------------------------------------------------------------------- */
+/* -- kinematics.cpp ------------------------------------------------------------------------------------ */
 
 /* Positions close to these are cheap from now on. */
 static void stay_near(Core *c, const double *positions);
@@ -16,7 +16,7 @@ static void carry(const Core *c, const double *positions, double *carried);
 static void carry_and_linearise(const Core *c, const double *positions, const double *about, double *carried,
                                 double *jacobian);
 
-/* -- paths.c --------------------------------------------------------------------------------------------------------- */
+/* -- paths.cpp ----------------------------------------------------------------------------------------- */
 
 static int path_pose(Core *c, double clock, double *R, double *p);
 static int path_twist(Core *c, double clock, double *twist);
@@ -35,7 +35,7 @@ static double found_by_seeking(const Core *c, int pose);
 /* First clock after this one at which the twist jumps; the end of the path at the latest. */
 static double next_breakpoint(const Core *c, double clock);
 
-/* -- chain.c --------------------------------------------------------------------------------------------------------- */
+/* -- chain.cpp ----------------------------------------------------------------------------------------- */
 
 /* e_k = log(R⁻¹ O_k), 6 per arm; 0 near half a turn or for numbers that are not finite. */
 static int errors_at(const Core *c, const double *carried, const double *R, const double *p, double *errors);
@@ -46,7 +46,7 @@ static void common_error(const Core *c, const double *errors, double *common);
 static int two_velocities(const Core *c, const double *jacobian, const double *w0, const double *w1, const double *u0,
                           const double *u1, double *v0, double *v1);
 
-/* -- watch.c --------------------------------------------------------------------------------------------------------- */
+/* -- watch.cpp ----------------------------------------------------------------------------------------- */
 
 /* Compare a sample with the command; lowers WATCH_CAP and sets HOLD, FAULTS, REASON… of the proposal.
  * `positions` are measured, near the commanded ones; `q` is the configuration as measured; `away` (6 arms) is log of the
@@ -54,7 +54,7 @@ static int two_velocities(const Core *c, const double *jacobian, const double *w
 static void watch_sample(Core *c, const double *positions, const double *q, const double *away, double dt);
 static void watch_reset(Core *c);
 
-/* -- apart.c --------------------------------------------------------------------------------------------------------- */
+/* -- apart.cpp ----------------------------------------------------------------------------------------- */
 
 /* How far the commands lead the arms apart: APART, and a hold where it is too large. After the errors. */
 static void watch_chain(Core *c);
@@ -63,7 +63,7 @@ static void chain_watched(Core *c);
 /* The grasps give way by these shifts (6 arms) from now on. */
 static void expect_shift(Core *c, const double *shift);
 
-/* -- quiet.c --------------------------------------------------------------------------------------------------------- */
+/* -- quiet.cpp ----------------------------------------------------------------------------------------- */
 
 /* No further row binds the command, without asking for them. */
 static int quiet_step(const Core *c);
@@ -72,7 +72,7 @@ static int quiet_ahead(const Core *c, const double *x);
 /* No further constraint stops the object between the knot before and one at x, `span` after it. */
 static int quiet_knot(Core *c, const double *x, const double *slope, const double *curvature, double span);
 
-/* -- preview.c ------------------------------------------------------------------------------------------------------- */
+/* -- preview.cpp --------------------------------------------------------------------------------------- */
 
 /* Start at the commanded positions, on or near the path, and look ahead as far as a step needs; `later`: that is left
  * to the steps. */
@@ -88,19 +88,19 @@ static double preview_brake(const Core *c, double clock, double dt, double rate)
 /* Previewed positions and slopes at `clock`. */
 static void preview_reference(Core *c, double clock, double *positions, double *slope);
 
-/* -- posture (chain.c) ----------------------------------------------------------------------------------------------- */
+/* -- posture (chain.cpp) ------------------------------------------------------------------------------- */
 
 /* Velocities that redundant arms wish for at these positions. */
 static void posture_velocity(Core *c, const double *positions, double *v);
 
-/* -- step.c ---------------------------------------------------------------------------------------------------------- */
+/* -- step.cpp ------------------------------------------------------------------------------------------ */
 
 /* Distance of two poses [m]; 1 rad counts as TURN_LENGTH. */
 static double pose_distance(const double *R0, const double *p0, const double *R1, const double *p1);
 /* The arms hold in this step: for a reason, with an arm (or an index) and a number. */
 static void refuse(Core *c, int reason, int index, double a);
 
-/* -- ldp.c ----------------------------------------------------------------------------------------------------------- */
+/* -- ldp.cpp ------------------------------------------------------------------------------------------- */
 
 /* Least ‖x‖² subject to  low ≤ A x ≤ high  and  lb ≤ x ≤ ub; bounds may be infinite, equal ones make an equality.
  * Rows of A (m, n) should have unit norm. Returns the iterations (≥ 0) and in y (m + n) the multipliers of rows and

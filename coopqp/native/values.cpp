@@ -4,8 +4,8 @@
 
 #include <string.h>
 
-#include "../control/core/spatial.h"
-#include "_values.h"
+#include "spatial.h"
+#include "values.h"
 
 #ifndef VALUES
 #define VALUES singular_values

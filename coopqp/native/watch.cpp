@@ -466,7 +466,7 @@ static void watch_forces(Core *c, const double *positions, double dt, Seen *seen
         hold_for(seen, HANGS_BEHIND, (int)w[BEHIND], w[GAP], w[PULL]);
 }
 
-/* Of arms that mind forces; see residual.c. */
+/* Of arms that mind forces; see residual.cpp. */
 static void add_shift(const Core *c, double *away);
 static void watch_servos(Core *c, const double *away, double dt, Seen *seen);
 

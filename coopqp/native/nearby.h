@@ -1,4 +1,4 @@
-/* The rows of a compiled step beside obstacles; see nearby.c. */
+/* The rows of a compiled step beside obstacles; see nearby.cpp. */
 
 #ifndef COOPQP_NEARBY_H
 #define COOPQP_NEARBY_H

@@ -1,4 +1,4 @@
-/* Steps with wrenches for Python, a part of module.c: wrenches are checked and taken, then the step follows. */
+/* Steps with wrenches for Python, a part of step_module.cpp: wrenches are checked and taken, then the step follows. */
 
 /* Wrenches, an array (arms, 6) or None; 0 and an exception if they are something else. */
 static int read_wrenches(PyObject *object, int arms, double **found, Py_buffer *view) {
@@ -97,7 +97,7 @@ static PyObject *core_step_minding(PyObject *object, PyObject *const *args, Py_s
     return step;
 }
 
-/* relax(memory, arms, wrenches, dt) and allow(memory, arms, dt): see relax.c and allow.c. */
+/* relax(memory, arms, wrenches, dt) and allow(memory, arms, dt): see relax.cpp and allow.cpp. */
 static double *minding_memory(PyObject *const *args, Py_ssize_t count, Py_ssize_t wanted, int *arms, Py_buffer *view) {
     if (count != wanted) {
         PyErr_SetString(PyExc_TypeError, "relax takes memory, arms, wrenches, dt; allow takes no wrenches");

@@ -669,7 +669,7 @@ static PyObject *core_shift_grasp(PyObject *object, PyObject *const *args, Py_ss
     return PyBool_FromLong(good);
 }
 
-#include "minding_module.c"
+#include "minding_module.cpp"
 
 /* -- least-distance programs by themselves --------------------------------------------------------------------------- */
 
@@ -746,14 +746,14 @@ static PyType_Slot core_slots[] = {
     {0, NULL},
 };
 
-static PyType_Spec core_spec = {"coopqp.control.core._native.Core", sizeof(CoreObject), 0,
+static PyType_Spec core_spec = {"coopqp.native._native.Core", sizeof(CoreObject), 0,
                                Py_TPFLAGS_DEFAULT | Py_TPFLAGS_HAVE_GC, core_slots};
 
 static PyMethodDef module_methods[] = {
     {"least_distance", module_least_distance, METH_VARARGS,
      "least_distance(((address, bytes), ...), reach): of A, low, high, lb, ub, x, y, work; see functions.h."},
-    {"relax", FAST(module_relax), METH_FASTCALL, "relax(memory, arms, wrenches, dt); see relax.c."},
-    {"allow", FAST(module_allow), METH_FASTCALL, "allow(memory, arms, dt); see allow.c."},
+    {"relax", FAST(module_relax), METH_FASTCALL, "relax(memory, arms, wrenches, dt); see relax.cpp."},
+    {"allow", FAST(module_allow), METH_FASTCALL, "allow(memory, arms, dt); see allow.cpp."},
     {NULL, NULL, 0, NULL},
 };
 

@@ -10,7 +10,7 @@
 
 #include <string.h>
 
-#include "../control/core/spatial.h"
+#include "spatial.h"
 
 #define PER_JOINT 14
 #define MOST_JOINTS 64

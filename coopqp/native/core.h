@@ -3,19 +3,19 @@
  * layout.py lays out the memory, three blocks that Python owns: fields are members of Core. Vectors of joints have
  * one number per joint [rad or m]; rotations are row major; twists are [linear; angular].
  *
- *   spatial.h     rotations, logarithm, exponential          kinematics.c  where the arms carry the object, Jacobians
- *   paths.c       pose and twist of the object's path        chain.c       errors, corrections, joint velocities
- *   limits.c      admissible velocities, rates               program.c     the condensed QP and its answer
- *   ldp.c         least-distance programs                    watch.c       supervision, drift, forces
- *   apart.c       arms that their commands part
- *   braking.c     rows that brake all arms together where nothing is known ahead
- *   preview.c     the path ahead of the clock, with          step.c        observe, propose, commit
- *     horizon.c     knots, and the largest rate at each        growth.c      more of them, one Newton step at a time
- *     sharing.c     programs of the accelerations              chain_ahead.c the chain at one clock
- *     redundancy.c  self-motion at position limits         servo.c       new targets
- *     quiet.c       where further constraints are quiet
- *   minding.h     forces between the arms, with             relax.c       wrenches, and grasps that give way
- *     allow.c       how fast the object may move for them
+ *   spatial.h        rotations, logarithm, exponential       kinematics.cpp   where the arms carry the object, Jacobians
+ *   paths.cpp        pose and twist of the object's path     chain.cpp        errors, corrections, joint velocities
+ *   limits.cpp       admissible velocities, rates            program.cpp      the condensed QP and its answer
+ *   ldp.cpp          least-distance programs                 watch.cpp        supervision, drift, forces
+ *   apart.cpp        arms that their commands part
+ *   braking.cpp      rows that brake all arms together where nothing is known ahead
+ *   preview.cpp      the path ahead of the clock, with       step.cpp         observe, propose, commit
+ *     horizon.cpp      knots, the largest rate at each         growth.cpp       more of them, one Newton step at a time
+ *     sharing.cpp      programs of the accelerations           chain_ahead.cpp  the chain at one clock
+ *     redundancy.cpp   self-motion at position limits        servo.cpp        new targets
+ *     quiet.cpp        where further constraints are quiet
+ *   minding.h        forces between the arms, with           relax.cpp        wrenches, and grasps that give way
+ *     allow.cpp        how fast the object may move for them
  */
 
 #ifndef COOPQP_CORE_H
@@ -53,7 +53,7 @@ struct Core {
     int (*survey_ahead)(Core *c);
 };
 
-/* The core's functions, once for any processor and once for a newer one; see step.c and kinematics.c. */
+/* The core's functions, once for any processor and once for a newer one; see step.cpp and kinematics.cpp. */
 typedef struct {
     void (*start)(Core *c, const double *positions);
     void (*start_path)(Core *c, double clock, double rate);
@@ -71,7 +71,7 @@ typedef struct {
     /* Go over to the way to a new target if the rate of its first step need not fall, or where the object rests: 1, with
      * the path in `numbers`; 0 if not yet; −1 if an arm is singular. `full` is the largest rate asked for. */
     int (*go_over)(Core *c, const double *goal, double speed, double spin, double full, double *numbers);
-    /* The relaxation of forces, in its own memory; see relax.c and allow.c. `wrenches` may be NULL. */
+    /* The relaxation of forces, in its own memory; see relax.cpp and allow.cpp. `wrenches` may be NULL. */
     int (*relax)(int arms, double *memory, const double *wrenches, double dt);
     void (*allow)(int arms, double *memory, double dt);
 } Arithmetic;

@@ -540,7 +540,7 @@ static PyType_Slot slots[] = {
     {0, NULL},
 };
 
-static PyType_Spec spec = {"coopqp.collision._bounds.Nearby", sizeof(Nearby), 0, Py_TPFLAGS_DEFAULT, slots};
+static PyType_Spec spec = {"coopqp.native._bounds.Nearby", sizeof(Nearby), 0, Py_TPFLAGS_DEFAULT, slots};
 
 int add_nearby(PyObject *module) {
     PyObject *type = PyType_FromSpec(&spec);
