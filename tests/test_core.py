@@ -39,7 +39,7 @@ from coopqp.scenarios import Scenario, at_limit, dual_arm7, mixed_cell, paper_li
 pytestmark = pytest.mark.core
 
 
-native = pytest.importorskip("coopqp.native._native", reason="the core is not compiled")
+native = pytest.importorskip("coopqp.native._core", reason="the core is not compiled")
 compiled = pytest.importorskip("coopqp.control.core.compiled", reason="the core is not compiled")
 
 #: The one that this processor runs, and the one that any can.

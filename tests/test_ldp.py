@@ -35,7 +35,7 @@ from coopqp.control.solvers.polish import REACH, measure
 from coopqp.control.solvers.problem import INFINITE
 from coopqp.scenarios import fast_lift
 
-native = pytest.importorskip("coopqp.native._native", reason="the core is not compiled")
+native = pytest.importorskip("coopqp.native._core", reason="the core is not compiled")
 pytestmark = pytest.mark.core
 BENCHMARKS = Path(__file__).parents[1] / "benchmarks"
 OTHERS = [name for name in ("daqp", "quadprog") if name in available_solvers()]
@@ -305,8 +305,8 @@ def test_the_default() -> None:
 
 
 def test_without_the_compiled_core(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "coopqp.native._native", None)
-    monkeypatch.setattr("coopqp.control.solvers.find_spec", lambda name: None if "_native" in name else object())
+    monkeypatch.setitem(sys.modules, "coopqp.native._core", None)
+    monkeypatch.setattr("coopqp.control.solvers.find_spec", lambda name: None if "_core" in name else object())
     assert default_solver() == "daqp"
     assert "ldp" not in available_solvers()
     with pytest.raises(MissingExtraError, match="compiler"):

@@ -15,7 +15,7 @@ from coopqp.native import compiled, warn_once
 from coopqp.spatial import Array
 
 #: The module for bounds and rows: compiled or plain.
-KERNEL: Any = compiled("distances") or bounds_plain
+KERNEL: Any = compiled() or bounds_plain
 
 if TYPE_CHECKING:
     from coopqp.collision.scene import CollisionScene
@@ -127,7 +127,7 @@ class Distances:
         cell, results = self._cell, self._results
         normals = [result.normal for result in results]
         if any(normal.flags.owndata for normal in [*normals, self._data.J]):
-            return None  # C would read copies, and nobody writes them again
+            return None  # the core would read copies, and nobody writes them again
         model, geometry, placed = cell.model, self._geometry, self._placed
         q = pin.neutral(model)
         placing = (

@@ -21,7 +21,7 @@ from coopqp.model.links import joint_links
 from coopqp.native import compiled, warn_once
 from coopqp.spatial import Array, Placement, as_placement, as_placements, cross
 
-_COMPILED = compiled("kinematics")
+_COMPILED = compiled()
 _KERNELS: dict[str, Any] = {**({"compiled": _COMPILED} if _COMPILED else {}), "plain": batch_plain}
 
 #: Longest rows or columns that the compiled functions take.

@@ -1,4 +1,4 @@
-"""The compiled parts of coopqp: which of them this installation has, and why another is missing."""
+"""The compiled parts of coopqp: whether this installation has them, and why not."""
 
 from __future__ import annotations
 
@@ -7,67 +7,56 @@ import warnings
 from importlib import import_module
 from types import ModuleType
 
-from coopqp.errors import KernelWarning, UnknownNameError
+from coopqp.errors import KernelWarning
 
-#: Each part by what it computes, and its module. Where a part is missing its definition in NumPy takes its place.
-PARTS = {
-    "step": "coopqp.native._native",
-    "kinematics": "coopqp.native._batch",
-    "distances": "coopqp.native._bounds",
-}
-_REMEDY = "Install a C compiler, then: COOPQP_REQUIRE_KERNEL=1 pip install --force-reinstall --no-binary coopqp coopqp"
+#: The module of steps, kinematics and distances. Without it their definitions in NumPy take its place.
+MODULE = "coopqp.native._core"
+_REMEDY = (
+    "Install a C++ compiler, then: COOPQP_REQUIRE_KERNEL=1 pip install --force-reinstall --no-binary coopqp coopqp"
+)
 
 
 @functools.cache
-def _loaded(part: str) -> tuple[ModuleType | None, str]:
-    """The module of a part, or None and the reason."""
-    if part not in PARTS:
-        raise UnknownNameError("compiled part", part, PARTS)
+def _loaded() -> tuple[ModuleType | None, str]:
+    """The module, or None and the reason."""
     try:
-        return import_module(PARTS[part]), ""
+        return import_module(MODULE), ""
     except ModuleNotFoundError:
-        return None, "it was not built: there was no C compiler, or it failed"
+        return None, "it was not built: there was no C++ compiler, or it failed"
     except ImportError as error:
         return None, f"it cannot be loaded ({error})"
 
 
-def compiled(part: str) -> ModuleType | None:
-    """The compiled module of a part; None where it is missing."""
-    return _loaded(part)[0]
+def compiled() -> ModuleType | None:
+    """The compiled module; None where it is missing."""
+    return _loaded()[0]
 
 
-def available_kernels(part: str = "step") -> tuple[str, ...]:
-    """Names of what computes a part in this installation, the fastest first.
-
-    Args:
-        part: ``"step"`` of a controller, ``"kinematics"`` of many configurations at once, or ``"distances"`` of bodies.
+def available_kernels() -> tuple[str, ...]:
+    """Names of what computes steps, kinematics and distances in this installation, the fastest first.
 
     Returns:
-        ``("compiled", "plain")``, or ``("plain",)`` where the part was not built or cannot be loaded.
-
-    Raises:
-        UnknownNameError: there is no such part.
+        ``("compiled", "plain")``, or ``("plain",)`` where the module was not built or cannot be loaded.
     """
-    return ("compiled", "plain") if compiled(part) is not None else ("plain",)
+    return ("compiled", "plain") if compiled() is not None else ("plain",)
 
 
 def kernel_text() -> str:
-    """The kernel that computes each part by default, and why it is not the compiled one."""
-    told = ((part, available_kernels(part)[0], _loaded(part)[1]) for part in PARTS)
-    return ", ".join(f"{part} {kernel}" + (f" ({reason})" if reason else "") for part, kernel, reason in told)
+    """The kernel that computes by default, and why it is not the compiled one."""
+    reason = _loaded()[1]
+    return available_kernels()[0] + (f" ({reason})" if reason else "")
 
 
 @functools.cache
 def warn_once() -> None:
-    """Say which parts are missing, once in a program.
+    """Say that the compiled module is missing, once in a program.
 
     Warns:
-        KernelWarning: a compiled part is missing.
+        KernelWarning: it is missing.
     """
-    if missing := [part for part in PARTS if compiled(part) is None]:
+    if compiled() is None:
         warnings.warn(
-            f"coopqp runs without its compiled kernel for {', '.join(missing)}, about a hundred times slower: "
-            f"{_loaded(missing[0])[1]}. {_REMEDY}",
+            f"coopqp runs without its compiled kernel, about a hundred times slower: {_loaded()[1]}. {_REMEDY}",
             KernelWarning,
             stacklevel=4,
         )

@@ -10,7 +10,7 @@
 #include "functions.h"
 
 /* Outcome of one Newton step at the tried knot. CANNOT_SAY: a user's path, or a further constraint, fails. */
-typedef enum { PENDING, REJECTED, FOUND, CANNOT_SAY } Trial;
+enum Trial { PENDING, REJECTED, FOUND, CANNOT_SAY };
 
 static int count_ahead(const Core *c, int what) { return (int)c->ahead[what]; }
 
@@ -83,10 +83,10 @@ static void joints_at(const Core *c, double clock, double *slope, double *curvat
 static double free_until(const Core *c, double margin);
 
 /* The least K of a step, its slope over the step's rate, and the knot that makes it. */
-typedef struct {
+struct Least {
     double square, slope;
     int cause;
-} Least;
+};
 
 static Least least_square(const Core *c, double clock, double rate, double dt);
 /* The largest rate below 1 that K admits for a step. `least` is the least K at rate 1, on return at the rate found. */

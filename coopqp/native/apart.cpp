@@ -6,7 +6,7 @@ static double length6(const double *x) { return sqrt(dot3(x, x) + dot3(x + 3, x 
 
 /* The errors of the arms without their mean. */
 static void among_arms(const Core *c, const double *errors, double *out) {
-    double mean[6] = {0};
+    double mean[6] = {};
     for (int k = 0; k < c->arms; k++)
         for (int i = 0; i < 6; i++) mean[i] += errors[6 * k + i];
     for (int i = 0; i < 6; i++) mean[i] /= c->arms;
@@ -77,7 +77,7 @@ static void chain_watched(Core *c) {
     c->loop[STARTED] = 1.0, c->loop[CHAIN_HELD] = p[CHAIN_HOLDS];
     const int known = p[MADE] != 0.0 && p[PARTING] == 0.0 && p[BRAKED] == 0.0;
     const int left = c->loop[MISMATCH] != 0.0 && p[MISMATCHED] != 0.0;
-    const double *asked = known ? asked_to_shift(c) : NULL;
+    const double *asked = known ? asked_to_shift(c) : nullptr;
     const double closes = known ? p[GRASP_SHARE] * p[CLOSES] : 0.0;
     for (int i = 0; (left || asked) && i < 6 * c->arms; i++) {
         const double still = left ? p[MISMATCH_LEFT] * c->mismatch[i] : 0.0;

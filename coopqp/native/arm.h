@@ -23,10 +23,10 @@
 #define UNROLL
 #endif
 
-typedef struct {
+struct Arm {
     int joints;
     const double *numbers, *tool;
-} Arm;
+};
 
 /* -- one configuration ----------------------------------------------------------------------------------------------- */
 

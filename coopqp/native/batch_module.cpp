@@ -51,9 +51,9 @@ static int step_to(const Arm *a, const double *from, const double *to, double *q
 /* The fastest that this processor can do. */
 static SingularValues *fastest(void) {
 #ifdef HAS_AVX2_ARITHMETIC
-    if (__builtin_cpu_supports("avx2") && __builtin_cpu_supports("fma")) return singular_values_avx2;
+    if (__builtin_cpu_supports("avx2") && __builtin_cpu_supports("fma")) return avx2::singular_values;
 #endif
-    return singular_values;
+    return plain::singular_values;
 }
 
 /* -- Python ---------------------------------------------------------------------------------------------------------- */
@@ -72,7 +72,7 @@ static int take(PyObject *const *objects, int count, int writable, Py_buffer *vi
             while (i--) PyBuffer_Release(views + i);
             return 0;
         }
-        at[i] = views[i].buf, length[i] = views[i].len / 8;
+        at[i] = static_cast<double *>(views[i].buf), length[i] = views[i].len / 8;
     }
     return 1;
 }
@@ -220,8 +220,4 @@ static PyMethodDef methods[] = {
     {NULL, NULL, 0, NULL},
 };
 
-static struct PyModuleDef module = {
-    PyModuleDef_HEAD_INIT, "_batch", "Kinematics of one arm at many configurations.", -1, methods, NULL, NULL, NULL, NULL,
-};
-
-PyMODINIT_FUNC PyInit__batch(void) { return PyModule_Create(&module); }
+int add_batch(PyObject *module) { return PyModule_AddFunctions(module, methods); }

@@ -15,7 +15,7 @@ static int take(PyObject **objects, int count, Py_buffer *views, double **at, Py
     for (int i = 0; i < count; i++) {
         if (PyObject_GetBuffer(objects[i], views + i, PyBUF_FORMAT | PyBUF_C_CONTIGUOUS) == 0) {
             if (views[i].itemsize == 8 && views[i].format && views[i].format[0] == 'd' && !views[i].format[1]) {
-                at[i] = views[i].buf, n[i] = views[i].len / 8;
+                at[i] = static_cast<double *>(views[i].buf), n[i] = views[i].len / 8;
                 continue;
             }
             PyErr_SetString(PyExc_ValueError, "expected contiguous arrays of float64");
@@ -154,13 +154,4 @@ static PyMethodDef methods[] = {
     {NULL, NULL, 0, NULL},
 };
 
-static struct PyModuleDef module = {
-    PyModuleDef_HEAD_INIT, "_bounds", "Lower bounds of distances.", -1, methods, NULL, NULL, NULL, NULL,
-};
-
-PyMODINIT_FUNC PyInit__bounds(void) {
-    PyObject *m = PyModule_Create(&module);
-    if (m && add_nearby(m) == 0) return m;
-    Py_XDECREF(m);
-    return NULL;
-}
+int add_bounds(PyObject *module) { return PyModule_AddFunctions(module, methods) == 0 ? add_nearby(module) : -1; }

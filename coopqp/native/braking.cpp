@@ -75,7 +75,7 @@ static double singular_edge(const double *JT, const double *way, int n, double *
 
 /* J̇ v of one arm about a point that moves with the object. */
 static void bend(const double *JT, const double *v, int n, double *out) {
-    double before[3] = {0};
+    double before[3] = {};
     memset(out, 0, 6 * sizeof(double));
     for (int j = 0; j < n; j++) {
         const double *linear = JT + 6 * j, *turn = linear + 3;
@@ -140,12 +140,12 @@ static void name_brake(const Core *c, int number, double *entry) {
 
 /* Add the rows that may bind the next velocities. */
 static void brake_together(Core *c) {
-    static const double still[6];
+    static const double still[6] = {};
     const double h = c->proposal[DT], *v = c->velocity;
     double T = h, *bends = c->scratch, *needed = bends + 6 * c->arms, *nothing = needed + c->joints, size = 0.0;
     int worst = 0;
     for (int j = 0; j < c->joints; j++) T = fmax(T, fabs(v[j]) / c->plan_acceleration[j]);
-    carry_and_linearise(c, c->positions, c->carried + 9, NULL, c->jacobian);
+    carry_and_linearise(c, c->positions, c->carried + 9, nullptr, c->jacobian);
     memset(needed, 0, sizeof(double) * (size_t)c->joints);
     for (int k = 0; k < c->arms; k++) {
         const int n = (int)c->arm_size[k], start = (int)c->arm_start[k];
@@ -170,7 +170,7 @@ static void brake_together(Core *c) {
     }
     for (int k = 0; k < c->arms; k++)
         bend(c->jacobian + 6 * (int)c->arm_start[k], v + (int)c->arm_start[k], (int)c->arm_size[k], bends + 6 * k);
-    const int singular = !two_velocities(c, c->jacobian, bends, still, NULL, NULL, needed, nothing);
+    const int singular = !two_velocities(c, c->jacobian, bends, still, nullptr, nullptr, needed, nothing);
     double used = singular ? INFINITY : 0.0, reach = 0.0, *G = next_row(c);
     for (int j = 0; j < c->joints && !singular; j++) {
         const double share = fabs(needed[j]) / c->plan_acceleration[j];

@@ -34,9 +34,9 @@ static double bound(const Core *c, double *twists, int n) {
     return maximum(excess, 1.0);
 }
 
-/* What the grasps were asked to shift since the step before, of which the errors foreseen did not know; or NULL. */
+/* What the grasps were asked to shift since the step before, of which the errors foreseen did not know; or nullptr. */
 static const double *asked_to_shift(const Core *c) {
-    return c->loop[HAS_PREDICTED] != 0.0 && c->loop[SHIFT_ASKED] != 0.0 ? c->asked_shift : NULL;
+    return c->loop[HAS_PREDICTED] != 0.0 && c->loop[SHIFT_ASKED] != 0.0 ? c->asked_shift : nullptr;
 }
 
 /* c_k, c_p, and b_k: the error of the last linearisation; beyond what that step foresaw it is left over. Gains take away
@@ -103,16 +103,16 @@ static double solve6(Rows A) {
         inverse[k] = 1.0 / A[k][first][k % 2];
         UNROLL for (int i = k + 1; i < 6; i++) {
             double f = A[i][first][k % 2] * inverse[k];
-            for (int j = first; j < 4; j++) A[i][j] -= (pair){f, f} * A[k][j];
+            for (int j = first; j < 4; j++) A[i][j] -= pair{f, f} * A[k][j];
         }
     }
     UNROLL for (int k = 5; k >= 0; k--) {
         pair x = A[k][3];
         UNROLL for (int j = k + 1; j < 6; j++) {
             double f = A[k][j / 2][j % 2];
-            x -= (pair){f, f} * A[j][3];
+            x -= pair{f, f} * A[j][3];
         }
-        A[k][3] = x * (pair){inverse[k], inverse[k]};
+        A[k][3] = x * pair{inverse[k], inverse[k]};
     }
     return least;
 }
@@ -126,8 +126,8 @@ static double arm_velocities(const double *JT, const double *scale, int n, const
     double least;
     if (n == 6) {
         for (int i = 0; i < 6; i++) {
-            for (int j = 0; j < 3; j++) A[i][j] = (pair){JT[12 * j + i], JT[12 * j + 6 + i]};
-            A[i][3] = (pair){w0[i], w1[i]};
+            for (int j = 0; j < 3; j++) A[i][j] = pair{JT[12 * j + i], JT[12 * j + 6 + i]};
+            A[i][3] = pair{w0[i], w1[i]};
         }
         if (!((least = solve6(A)) > 0.0)) return 0.0;
         for (int j = 0; j < 6; j++) v0[j] = A[j][3][0], v1[j] = A[j][3][1];
@@ -141,7 +141,7 @@ static double arm_velocities(const double *JT, const double *scale, int n, const
             A[i][k / 2][k % 2] = A[k][i / 2][i % 2] = sum;
         }
         for (int j = 0; j < n; j++) first -= JT[6 * j + i] * u0[j], second -= JT[6 * j + i] * u1[j];
-        A[i][3] = (pair){first, second};
+        A[i][3] = pair{first, second};
     }
     if (!((least = solve6(A)) > 0.0)) return 0.0;
     for (int j = 0; j < n; j++) {
@@ -195,11 +195,11 @@ static double far_velocities(const double *JT, const double *scale, int n, const
     return arm_velocities(near, scale, n, first, second, u0, u1, v0, v1);
 }
 
-/* The same for all arms: w0 (6 arms) has a twist per arm, w1 (6) is common to all; u0 and u1 (joints) may be NULL. The
+/* The same for all arms: w0 (6 arms) has a twist per arm, w1 (6) is common to all; u0 and u1 (joints) may be nullptr. The
  * smallest pivots are kept. */
 static int two_velocities(const Core *c, const double *jacobian, const double *w0, const double *w1, const double *u0,
                           const double *u1, double *v0, double *v1) {
-    static const double still[MOST_JOINTS];
+    static const double still[MOST_JOINTS] = {};
     for (int k = 0; k < c->arms; k++) {
         const int n = (int)c->arm_size[k], j = (int)c->arm_start[k];
         const double *JT = jacobian + 6 * j, *scale = c->scale + j, *own = w0 + 6 * k;
@@ -221,7 +221,7 @@ static void to_world(const double *R, const double *twist, double *out) {
 /* v = u + A⁺(σ ν + c_p + c_k + b_k − J u): the command at full corrections and rate `cap`, and what a unit of rate adds. */
 static int nominal_command(Core *c, double cap) {
     double *w = c->scratch, along[6], common[6];
-    const double *u0 = NULL, *u1 = NULL;
+    const double *u0 = nullptr, *u1 = nullptr;
     for (int i = 0; i < 6; i++) common[i] = cap * c->along[i] + c->path[i];
     for (int k = 0; k < c->arms; k++) {
         double twist[6];
@@ -241,9 +241,9 @@ static int nominal_command(Core *c, double cap) {
 
 /* √det(J Jᵀ) of one arm */
 static double manipulability(const Core *c, int k, const double *positions, double *jacobian) {
-    static const double about[3];
+    static const double about[3] = {};
     const int n = (int)c->arm_size[k];
-    follow_arm(c, k, positions, about, NULL, jacobian);
+    follow_arm(c, k, positions, about, nullptr, jacobian);
     const double *JT = jacobian + 6 * (int)c->arm_start[k];
     double G[36], det = 1.0;
     for (int i = 0; i < 6; i++)

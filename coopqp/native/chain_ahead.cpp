@@ -3,15 +3,15 @@
 
 #include "ahead.h"
 
-typedef struct {
+struct Sketch {
     double *carried, *errors, *w, *jacobian, *step, *wish, *after;
-} Sketch;
+};
 
 static Sketch sketch_of(const Core *c) {
     const int n = c->arms, nv = c->joints;
     double *carried = c->sketch, *errors = carried + 12 * n, *w = errors + 6 * n, *jacobian = w + 6 * n;
     double *step = jacobian + 6 * nv;
-    return (Sketch){carried, errors, w, jacobian, step, step + nv, step + 2 * nv};
+    return Sketch{carried, errors, w, jacobian, step, step + nv, step + 2 * nv};
 }
 
 /* w_k = −R e_k */
@@ -66,7 +66,7 @@ static Trial newton_step(Core *c, double clock, double before, const double *pos
     rotate(R, twist + 3, along + 3);
     if (c->redundant && c->options[ELBOWS] > 0.0) elbow_velocity(c, clock, positions, s.wish);
     else if (c->redundant) posture_velocity(c, positions, s.wish);
-    if (!two_velocities(c, s.jacobian, s.w, along, NULL, c->redundant ? s.wish : NULL, step, slope)) return REJECTED;
+    if (!two_velocities(c, s.jacobian, s.w, along, nullptr, c->redundant ? s.wish : nullptr, step, slope)) return REJECTED;
     if (c->redundant && !evade(c, positions, slope)) return CANNOT_SAY;
     for (int k = 0; c->redundant && !(c->options[ELBOWS] > 0.0) && k < c->arms; k++)
         if (c->arm_size[k] > 6.0) lead_away(c, k, s.jacobian, positions, slope);
@@ -311,7 +311,7 @@ static int end_moving(Core *c) {
     const int last = count_ahead(c, COUNT) - 1;
     int joint;
     if (!c->accelerates) return 0;
-    const double cap = jump_cap(c, NULL, vector_of(c, c->knot_slope, last), &joint);
+    const double cap = jump_cap(c, nullptr, vector_of(c, c->knot_slope, last), &joint);
     if (!(cap < knot(c, last)[K_CAP])) return 0;
     copy_knot(c, last, last + 1);
     knot(c, last + 1)[K_CAP] = cap;
@@ -322,7 +322,7 @@ static int end_moving(Core *c) {
 
 /* Newton's method from x to a pose; the arm that does not get there, or −1. */
 static int reach_pose(Core *c, const double *R, const double *p, double *x) {
-    static const double still[6];
+    static const double still[6] = {};
     const Sketch s = sketch_of(c);
     double largest = INFINITY;
     int arm = 0;
@@ -338,7 +338,7 @@ static int reach_pose(Core *c, const double *R, const double *p, double *x) {
         if (!known) break;
         if (largest <= 1e-10 || i == STARTING_STEPS) break;
         twists_back(c, R, s.errors, s.w);
-        if (!two_velocities(c, s.jacobian, s.w, still, NULL, NULL, s.step, s.after)) break;
+        if (!two_velocities(c, s.jacobian, s.w, still, nullptr, nullptr, s.step, s.after)) break;
         const double length = largest_size(s.step, c->joints);
         const double share = length > LONGEST_STEP ? LONGEST_STEP / length : 1.0;
         for (int j = 0; j < c->joints; j++) x[j] += share * s.step[j];

@@ -21,6 +21,7 @@
 #ifndef COOPQP_CORE_H
 #define COOPQP_CORE_H
 
+#include <float.h>
 #include <math.h>
 #include <stddef.h>
 #include <string.h>
@@ -30,7 +31,6 @@
 /* Unknowns of the condensed QP but for null-space motions: off-path twist, rate, shares of both corrections. */
 #define TWIST_AND_SHARES 9
 
-typedef struct Core Core;
 struct Core {
     FIELDS
     int arms, joints, nq, unknowns, rows, past; /* rows: further rows that fit; past: samples in `history` */
@@ -42,19 +42,19 @@ struct Core {
      * their starts. A path without segments is known to own_path. */
     const double *path_numbers;
     double duration;
-    double *minding; /* of the forces between the arms, see minding.h; NULL where nobody minds them */
+    double *minding; /* of the forces between the arms, see minding.h; nullptr where nobody minds them */
     /* Calls into Python; 0 if they fail. `out` takes R (9) and p (3), or with `twist` six numbers. */
     int (*own_path)(Core *c, double clock, int twist, double *out);
-    /* May lower cap and decrease of a new knot; NULL for none. `slot` is its place in the ring. */
+    /* May lower cap and decrease of a new knot; nullptr for none. `slot` is its place in the ring. */
     int (*bound_knot)(Core *c, int slot);
-    /* May add self-motion to `evading_slope` at `evading_positions`; NULL for none. 0 if it fails. */
+    /* May add self-motion to `evading_slope` at `evading_positions`; nullptr for none. 0 if it fails. */
     int (*evade)(Core *c);
-    /* Does a piece of what bodies ahead ask for; NULL for none. 0 if there is nothing to do. */
+    /* Does a piece of what bodies ahead ask for; nullptr for none. 0 if there is nothing to do. */
     int (*survey_ahead)(Core *c);
 };
 
 /* The core's functions, once for any processor and once for a newer one; see step.cpp and kinematics.cpp. */
-typedef struct {
+struct Arithmetic {
     void (*start)(Core *c, const double *positions);
     void (*start_path)(Core *c, double clock, double rate);
     void (*observe)(Core *c, const double *q, const double *dt);
@@ -71,11 +71,16 @@ typedef struct {
     /* Go over to the way to a new target if the rate of its first step need not fall, or where the object rests: 1, with
      * the path in `numbers`; 0 if not yet; −1 if an arm is singular. `full` is the largest rate asked for. */
     int (*go_over)(Core *c, const double *goal, double speed, double spin, double full, double *numbers);
-    /* The relaxation of forces, in its own memory; see relax.cpp and allow.cpp. `wrenches` may be NULL. */
+    /* The relaxation of forces, in its own memory; see relax.cpp and allow.cpp. `wrenches` may be nullptr. */
     int (*relax)(int arms, double *memory, const double *wrenches, double dt);
     void (*allow)(int arms, double *memory, double dt);
-} Arithmetic;
+};
 
-extern const Arithmetic arithmetic_plain, arithmetic_avx2;
+namespace plain {
+extern const Arithmetic arithmetic;
+}
+namespace avx2 {
+extern const Arithmetic arithmetic;
+}
 
 #endif

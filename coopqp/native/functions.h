@@ -42,7 +42,7 @@ static int errors_at(const Core *c, const double *carried, const double *R, cons
 /* ē = Σ W_k e_k */
 static void common_error(const Core *c, const double *errors, double *common);
 /* Joint velocities v0, v1 for world twists about the point of the Jacobian: w0 has one per arm, w1 is common to all; near
- * the null-space wishes u0, u1 (NULL for none). 0 if an arm is singular. */
+ * the null-space wishes u0, u1 (nullptr for none). 0 if an arm is singular. */
 static int two_velocities(const Core *c, const double *jacobian, const double *w0, const double *w1, const double *u0,
                           const double *u1, double *v0, double *v1);
 

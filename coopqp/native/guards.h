@@ -17,10 +17,10 @@
 
 #define GAP 4 /* numbers after each field */
 
-typedef struct {
+struct Guards {
     const Arithmetic *can;
     double *end[CONFIG_FIELDS + STATE_FIELDS + WORK_FIELDS];
-} Guards;
+};
 
 static Guards *guards_of(const Core *c);
 

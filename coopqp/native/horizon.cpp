@@ -113,9 +113,9 @@ static double free_until(const Core *c, double margin) {
 /* K between knot i and the next one, its slope over the clock, and which of them makes it. */
 static Least square_after(const Core *c, int i, double clock) {
     const double *here = knot(c, i);
-    if (i + 1 == count_ahead(c, COUNT)) return (Least){here[K_SQUARE], 0.0, i};
+    if (i + 1 == count_ahead(c, COUNT)) return Least{here[K_SQUARE], 0.0, i};
     const double *ahead = knot(c, i + 1), slope = (ahead[K_SQUARE] - here[K_SQUARE]) / (ahead[K_CLOCK] - here[K_CLOCK]);
-    return (Least){here[K_SQUARE] + (clock - here[K_CLOCK]) * slope, slope, slope < 0.0 ? i + 1 : i};
+    return Least{here[K_SQUARE] + (clock - here[K_CLOCK]) * slope, slope, slope < 0.0 ? i + 1 : i};
 }
 
 /* The least K of a step: in its middle, at its end, and at the knots on its way. */
@@ -127,9 +127,9 @@ static Least least_square(const Core *c, double clock, double rate, double dt) {
     for (int part = 0; part < 2; part++) {
         const double at = clock + rate * parts[part];
         while (i + 1 < count && knot(c, i + 1)[K_CLOCK] <= at)
-            if (knot(c, ++i)[K_SQUARE] < least.square) least = (Least){knot(c, i)[K_SQUARE], 0.0, i};
+            if (knot(c, ++i)[K_SQUARE] < least.square) least = Least{knot(c, i)[K_SQUARE], 0.0, i};
         const Least there = square_after(c, i, at);
-        if (there.square < least.square) least = (Least){there.square, there.slope * parts[part], there.cause};
+        if (there.square < least.square) least = Least{there.square, there.slope * parts[part], there.cause};
     }
     return least;
 }

@@ -26,9 +26,9 @@ static void stay_near(Core *c, const double *positions) {
 /* Four numbers side by side, of which three are a vector; GCC and Clang make them what the processor has. */
 typedef double quad __attribute__((vector_size(32)));
 /* A frame in the world: its axes and its origin. */
-typedef struct {
+struct Frame {
     quad x, y, z, p;
-} Frame;
+};
 
 /* From the frame of the joint before to the frame of joint j at position x: R ← R C Rot(z, x), p ← p + R c. */
 static inline void advance(const Core *c, int j, double x, Frame *f) {
@@ -74,11 +74,11 @@ static void follow_arm(const Core *c, int k, const double *positions, const doub
 }
 
 static void carry(const Core *c, const double *positions, double *carried) {
-    for (int k = 0; k < c->arms; k++) follow_arm(c, k, positions, NULL, carried + 12 * k, NULL);
+    for (int k = 0; k < c->arms; k++) follow_arm(c, k, positions, nullptr, carried + 12 * k, nullptr);
 }
 
 static void carry_and_linearise(const Core *c, const double *positions, const double *about, double *carried,
                                 double *jacobian) {
     for (int k = 0; k < c->arms; k++)
-        follow_arm(c, k, positions, about, carried ? carried + 12 * k : NULL, jacobian);
+        follow_arm(c, k, positions, about, carried ? carried + 12 * k : nullptr, jacobian);
 }

@@ -16,20 +16,18 @@
  *
  * Rows are met to rounding where that leaves an answer, else, in a second attempt, to ROW_TOLERANCE. */
 
-#include <math.h>
-#include <string.h>
 
 #define ROW_TOLERANCE 1e-10 /* a row (of unit norm) broken by less holds */
 #define ROW_ROUNDING 1e-14  /* rounding of a row, as a share of 1 + ‖x‖ */
 #define DEPENDENT 1e-14     /* ‖z‖ / ‖ν‖, and entries of r, up to this are rounding */
 
-typedef struct {
+struct LeastDistance {
     int n, k;            /* unknowns, active rows */
     double *Q, *R;       /* (n, k) orthonormal, (k, k) triangular; both by columns of n numbers */
     double *w, *u;       /* of the active rows */
     double *d, *z, *r;   /* of the row that enters */
     int *active;         /* index of each active row: rows of A, then bounds of x */
-} LeastDistance;
+};
 
 static double ldp_dot(int n, const double *a, const double *b) {
     double part[4] = {0.0, 0.0, 0.0, 0.0};
@@ -102,7 +100,7 @@ static void ldp_multipliers(const LeastDistance *s, double *y) {
 
 static int ldp_attempt(int n, int m, const double *A, const double *low, const double *high, const double *lb,
                        const double *ub, double reach, double tolerance, double *x, double *y, double *work) {
-    LeastDistance s = {n, 0, work, work + n * n, NULL, NULL, NULL, NULL, NULL, NULL};
+    LeastDistance s = {n, 0, work, work + n * n, nullptr, nullptr, nullptr, nullptr, nullptr, nullptr};
     s.w = s.R + n * n, s.u = s.w + n, s.d = s.u + n, s.z = s.d + n, s.r = s.z + n, s.active = (int *)(s.r + n);
     const int most = 100 + 4 * (n + m);
     memset(x, 0, (size_t)n * sizeof(double));

@@ -104,10 +104,10 @@ static int clip(Core *c, double tolerance) {
 }
 
 /* The rates σ that rows of base + σ along leave, and the row that makes the highest. */
-typedef struct {
+struct Rates {
     double low, high, low_slack, high_slack, side;
     int row;
-} Rates;
+};
 
 /* 0 if no rate is admissible. */
 static int narrow(Rates *rates, int row, double base, double along, double lower, double upper) {

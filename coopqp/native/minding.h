@@ -10,7 +10,7 @@
 #define PALM_BOUND 24
 #define PALM (2 * PALM_BOUND)
 
-typedef struct {
+struct Minding {
     double *m;                                                         /* the scalars */
     double *silent;                                                    /* N */
     double *seen, *internal, *shift, *drift, *target, *squeezed;       /* 6 N each */
@@ -25,7 +25,7 @@ typedef struct {
     double *centre;                                                    /* 3: of the payload, in the object */
     double *travel;                                                    /* its place, velocity and acceleration, 3 each */
     double *push;                                                      /* 3 now, 3 before it moved, 3 of the last contact; see contact() */
-} Minding;
+};
 
 static inline Minding minding_of(int arms, double *memory) {
     const int n = 6 * arms;

@@ -415,7 +415,7 @@ static int hold_arrays(Nearby *s, PyObject *arrays) {
         Py_buffer *view = s->views + i;
         if (PyObject_GetBuffer(PyTuple_GetItem(arrays, i), view, PyBUF_FORMAT | PyBUF_C_CONTIGUOUS) < 0) return 0;
         if (view->itemsize != 8 || !view->format || view->format[0] != 'd' || view->format[1]) return 0;
-        s->at[i] = view->buf, n[i] = view->len / 8;
+        s->at[i] = static_cast<double *>(view->buf), n[i] = view->len / 8;
     }
     const Py_ssize_t pairs = s->pairs = n[ROOMS], nv = s->joints = n[AT], m = s->rows = n[LOWER];
     const int of_pairs[] = {MARGINS, MOST, FASTEST}, of_rows[] = {UPPER, SOFT, OWNER}, of_one[] = {DT, SLACK, APPROACH};
@@ -452,15 +452,13 @@ static int hold_functions(Nearby *s, PyObject *placing, PyObject *normals) {
     for (Py_ssize_t k = 0; k < s->pairs; k++) {
         Py_buffer view;
         if (PyObject_GetBuffer(PyList_GetItem(normals, k), &view, PyBUF_C_CONTIGUOUS) < 0) return 0;
-        s->normals[k] = view.buf; /* stays there as long as its owner */
+        s->normals[k] = static_cast<const double *>(view.buf); /* stays there as long as its owner */
         const int three = view.len == 3 * sizeof(double);
         PyBuffer_Release(&view);
         if (!three) return 0;
     }
     return 1;
 }
-
-static void *memory(Py_ssize_t count, size_t size) { return calloc(count > 0 ? (size_t)count : 1, size); }
 
 static int nearby_init(PyObject *object, PyObject *args, PyObject *kwargs) {
     Nearby *s = (Nearby *)object;
@@ -476,24 +474,22 @@ static int nearby_init(PyObject *object, PyObject *args, PyObject *kwargs) {
         s->owner = s->ask = s->questions = s->answers = s->points = NULL;
         return -1;
     }
-    PyObject *held[] = {s->owner, s->ask, s->questions, s->answers, s->points};
-    for (size_t i = 0; i < sizeof held / sizeof *held; i++) Py_INCREF(held[i]);
+    PyObject *given[] = {s->owner, s->ask, s->questions, s->answers, s->points};
+    for (size_t i = 0; i < sizeof given / sizeof *given; i++) Py_INCREF(given[i]);
     s->lost = 1;
     int good = PyTuple_Size(numbers) == NUMBERS;
     for (int i = 0; good && i < NUMBERS; i++) s->number[i] = PyFloat_AsDouble(PyTuple_GetItem(numbers, i));
     good = good && !PyErr_Occurred() && hold_arrays(s, arrays);
     if (good) {
         const Py_ssize_t pairs = s->pairs, nv = s->joints;
-        s->normals = memory(pairs, sizeof *s->normals), s->known = memory(pairs, sizeof *s->known);
-        s->d = memory(pairs, sizeof(double));
-        s->watch = memory(pairs, sizeof(double)), s->x = memory(nv, sizeof(double));
-        s->next = memory(nv, sizeof(double)), s->coming = memory(nv, sizeof(double)), s->near = memory(pairs, sizeof *s->near);
-        s->which = memory(s->rows, sizeof *s->which);
+        const int held = allocate(s->normals, pairs) && allocate(s->known, pairs) && allocate(s->d, pairs) &&
+                         allocate(s->watch, pairs) && allocate(s->x, nv) && allocate(s->next, nv) &&
+                         allocate(s->coming, nv) && allocate(s->near, pairs) && allocate(s->which, s->rows);
         const int surveyed = build_survey(&s->survey, pairs, nv, s->at[ROOMS], s->at[AT], s->at[REACH], s->at[CONTINUOUS],
                                           s->at[ARM]);
         s->survey.range = s->number[RANGE], s->survey.spare = s->number[SPARE];
         s->epoch = NAN;
-        if (!surveyed || !s->normals || !s->known || !s->d || !s->coming || !s->watch || !s->x || !s->next || !s->near || !s->which) {
+        if (!surveyed || !held) {
             PyErr_NoMemory();
             return -1;
         }
@@ -532,7 +528,7 @@ static PyMethodDef methods[] = {
 };
 
 static PyType_Slot slots[] = {
-    {Py_tp_doc, "Rows of a compiled step beside bodies that stand, over its memory."},
+    {Py_tp_doc, const_cast<char *>("Rows of a compiled step beside bodies that stand, over its memory.")},
     {Py_tp_init, POINTER(void *, nearby_init)},
     {Py_tp_dealloc, POINTER(void *, nearby_dealloc)},
     {Py_tp_methods, methods},
@@ -540,7 +536,7 @@ static PyType_Slot slots[] = {
     {0, NULL},
 };
 
-static PyType_Spec spec = {"coopqp.native._bounds.Nearby", sizeof(Nearby), 0, Py_TPFLAGS_DEFAULT, slots};
+static PyType_Spec spec = {"coopqp.native._core.Nearby", sizeof(Nearby), 0, Py_TPFLAGS_DEFAULT, slots};
 
 int add_nearby(PyObject *module) {
     PyObject *type = PyType_FromSpec(&spec);

@@ -6,13 +6,13 @@
 #include "functions.h"
 
 /* How far along a segment: u of its straight way, b of the motion that dies away, and their changes a second. */
-typedef struct {
+struct Place {
     double u, rate, b, fading;
-} Place;
+};
 
 /* TimeLaw.value_at and slope_at */
 static Place on_law(double x, double quintic, double duration) {
-    Place at = {0};
+    Place at = {};
     if (x >= 0.0 && x < 1.0) at.rate = (quintic != 0.0 ? 30.0 * x * x * (1.0 - x) * (1.0 - x) : 1.0) / duration;
     if (x <= 0.0) return at;
     at.u = quintic != 0.0 ? x * x * x * (10.0 + x * (6.0 * x - 15.0)) : x;
@@ -23,7 +23,7 @@ static Place on_law(double x, double quintic, double duration) {
 /* _Way._shares */
 static Place on_ramps(double t, double T, double B, double E) {
     const double peak = 1.0 / (T - 0.5 * (B + E)), left = T - t;
-    Place at = {0};
+    Place at = {};
     if (t >= T) {
         at.u = 1.0, at.b = 0.5 * B;
         return at;
@@ -112,7 +112,7 @@ static int path_twist(Core *c, double clock, double *twist) {
         c->asked++;
         return c->own_path && c->own_path(c, clock, 1, twist);
     }
-    double end, R[9], p[3], velocity[3], fading[3] = {0};
+    double end, R[9], p[3], velocity[3], fading[3] = {};
     const double *segment = segment_at(c, clock, &end);
     const Place at = place_on(segment, clock);
     pose_on(segment, at, R, p);
@@ -178,7 +178,7 @@ static int path_increment(Core *c, double clock, double span, const double *R, c
     memset(twist, 0, 6 * sizeof(double));
     if (!(span > 1e-12)) return 1;
     double end;
-    const double *segment = count_of(c, 2) ? segment_at(c, clock, &end) : NULL;
+    const double *segment = count_of(c, 2) ? segment_at(c, clock, &end) : nullptr;
     if (segment && clock + span <= end && !has_ramps(segment)) { /* log of one screw is known */
         const double gain = place_on(segment, clock + span).u - place_on(segment, clock).u;
         double step[3], omega[3];

@@ -86,7 +86,7 @@ static int condense(Core *c, double cap) {
     double T[10][6], square = 0.0;
     int z = TWIST_AND_SHARES;
     for (int m = 0; m < 6; m++) {
-        double one[6] = {0};
+        double one[6] = {};
         one[m] = 1.0;
         to_world(c->R, one, T[m]);
     }

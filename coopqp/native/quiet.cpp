@@ -2,7 +2,7 @@
 
 #include "functions.h"
 
-/* Σ reach (|x − centre| + h |v|) over the joints of the two arms where it is largest; without v for NULL. */
+/* Σ reach (|x − centre| + h |v|) over the joints of the two arms where it is largest; without v for nullptr. */
 static double way_from(const Core *c, const double *x, const double *centre, const double *reach, const double *v, double h) {
     double first = 0.0, second = 0.0;
     for (int k = 0; k < c->arms; k++) {
@@ -26,7 +26,7 @@ static int quiet_step(const Core *c) {
 
 /* No further constraint asks for anything ahead at x. */
 static int quiet_ahead(const Core *c, const double *x) {
-    return way_from(c, x, c->quiet_ahead_centre, c->quiet_ahead_reach, NULL, 0.0) < c->loop[QUIET_AHEAD];
+    return way_from(c, x, c->quiet_ahead_centre, c->quiet_ahead_reach, nullptr, 0.0) < c->loop[QUIET_AHEAD];
 }
 
 /* No further constraint stops the object between the knot before and one at x, `span` after it. */

@@ -4,7 +4,7 @@
 
 /* Self-motion of arm k that moves its joint `j`, (n,); 0 if the arm is singular. */
 static int self_motion(const Core *c, int k, const double *jacobian, int j, double *way) {
-    static const double still[MOST_JOINTS];
+    static const double still[MOST_JOINTS] = {};
     const int start = (int)c->arm_start[k], n = (int)c->arm_size[k];
     double push[MOST_JOINTS] = {0}, other[MOST_JOINTS];
     const double *JT = jacobian + 6 * start, *scale = c->scale + start;

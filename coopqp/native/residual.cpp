@@ -69,7 +69,7 @@ static void watch_servos(Core *c, const double *away, double dt, Seen *seen) {
     const double worst = soft * (far - c->options[NOISE_MARGIN] * noise) - SERVO_LATE * hasty;
     m[SUSPECTED] = worst > SERVO_SLOWS;
     if (m[SUSPECTED] == 0.0) return;
-    Seen found = {.cap = 1.0};
+    Seen found;
     hold_for(&found, OFF_SERVOS, arm, far, 0.0);
     if (worst < SERVO_HOLDS) {
         found.cap = (SERVO_HOLDS - worst) / (SERVO_HOLDS - SERVO_SLOWS), found.hold = 0;

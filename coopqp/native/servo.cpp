@@ -4,7 +4,7 @@
 #include "functions.h"
 
 /* Start of a way, and its unknowns. */
-typedef struct {
+struct Way {
     double R[9], p[3];       /* the pose in motion */
     double twist[6];         /* its velocity, in world axes */
     const double *goal;      /* R (9), p (3) */
@@ -12,7 +12,7 @@ typedef struct {
     double begin;            /* time in which the present motion dies away [s] */
     double line[3], turn[3]; /* the straight way */
     double full[6];          /* its twist at full speed, in world axes */
-} Way;
+};
 
 /* Set the straight way from where the present motion ends; its time at full speed [s]. */
 static double straight(Way *w) {
@@ -37,7 +37,7 @@ static int efforts(Core *c, const Way *w, const double *jacobian, double *before
     for (int i = 0; i < 6 * c->arms; i++) present[i] = w->twist[i % 6];
     memset(before, 0, sizeof(double) * (size_t)c->joints);
     memset(after, 0, sizeof(double) * (size_t)c->joints);
-    if (!two_velocities(c, jacobian, present, w->full, NULL, NULL, before, after)) return 0;
+    if (!two_velocities(c, jacobian, present, w->full, nullptr, nullptr, before, after)) return 0;
     for (int j = 0; j < c->joints; j++) {
         const double planned = CHANGE_SHARE * c->plan_acceleration[j];
         before[j] /= planned, after[j] /= planned;
@@ -62,7 +62,7 @@ static int way_to(Core *c, Way *w, double clock, double *segment) {
     const Sketch s = sketch_of(c);
     double *before = s.step, *after = s.after, end = 0.0, duration;
     w->begin = 0.0;
-    carry_and_linearise(c, c->positions, w->p, NULL, s.jacobian);
+    carry_and_linearise(c, c->positions, w->p, nullptr, s.jacobian);
     if (!(largest_size(w->twist, 6) > STILL_OBJECT)) {
         memset(w->twist, 0, sizeof w->twist);
         const double nominal = straight(w);
@@ -99,7 +99,7 @@ static int way_to(Core *c, Way *w, double clock, double *segment) {
     return 1;
 }
 
-/* Whether a joint without acceleration limit jumps from its last velocity to another; NULL for rest. */
+/* Whether a joint without acceleration limit jumps from its last velocity to another; nullptr for rest. */
 static int jumps(const Core *c, const double *velocity) {
     for (int j = 0; j < c->joints; j++) {
         const double speed = isfinite(c->speed[j]) ? c->speed[j] : 1.0;
@@ -117,7 +117,7 @@ static int admits(Core *c, const double *numbers, double rate, int needed) {
     c->loop[RATE] = rate, c->loop[RATE_SLOPE] = 0.0;
     if (c->looks_ahead) preview_try(c, c->loop[CLOCK], kept, 0);
     if (!needed) return 1;
-    observe(c, NULL, NULL);
+    observe(c, nullptr, nullptr);
     c->further_rows = 0;
     const int found = propose(c) < FILLED;
     return found && fmin(c->proposal[CAP], c->proposal[NEW_RATE]) >= rate - RATE_TOLERANCE && !jumps(c, c->command);
@@ -126,12 +126,13 @@ static int admits(Core *c, const double *numbers, double rate, int needed) {
 static int go_over(Core *c, const double *goal, double speed, double spin, double full, double *numbers) {
     const double clock = c->loop[CLOCK], now = c->loop[RATE], *present = c->path_numbers;
     double ahead[N_AHEAD], loop[N_LOOP], twist[6], fastest = 0.0;
-    Way w = {.goal = goal, .speed = speed, .spin = spin};
+    Way w = {};
+    w.goal = goal, w.speed = speed, w.spin = spin;
     stay_near(c, c->positions);
     if (!path_pose(c, clock, w.R, w.p) || !path_twist(c, clock, twist)) return -1;
     for (int i = 0; i < 6; i++) fastest = fmax(fastest, fabs(now * twist[i]));
     const int rests = !(fastest > STILL_OBJECT);
-    if (rests && jumps(c, NULL)) return 0; /* self-motion goes on where the object rests; the new way begins at rest */
+    if (rests && jumps(c, nullptr)) return 0; /* self-motion goes on where the object rests; the new way begins at rest */
     memcpy(ahead, c->ahead, sizeof ahead);
     memcpy(loop, c->loop, sizeof loop);
     for (int tries = 0; tries < (rests ? 1 : 2); tries++) {

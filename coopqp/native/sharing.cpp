@@ -4,11 +4,11 @@
 
 /* Lines α u + β z ≤ γ, as bounds (γ − β z)/α of u: upper ones from the front of the tables, lower ones from their back.
  * `high` and `low` are the pair that makes z, −1 where none does; `still` is the row of a bound of z alone. */
-typedef struct {
+struct Lines {
     double *share, *slope, *row;
     int ups, downs, room, still, high, low;
     double square;
-} Lines;
+};
 
 /* A bound of z alone: β z ≤ γ. */
 static void add_still(Lines *l, double beta, double gamma, int row) {
@@ -45,7 +45,7 @@ static void add_pair(Lines *l, double alpha, double beta, double other, double e
 
 static Lines lines_of(const Core *c, double cap) {
     const int room = 4 * c->joints + 4;
-    return (Lines){c->lines, c->lines + room, c->lines + 2 * room, 0, 0, room, -1, -1, -1, cap};
+    return Lines{c->lines, c->lines + room, c->lines + 2 * room, 0, 0, room, -1, -1, -1, cap};
 }
 
 /* Largest z that some u allows: where the largest lower bound of u meets the least upper one, by Newton's method from

@@ -77,8 +77,8 @@ static int let_in(Core *c, const double *positions, const double *q) {
         common_error(c, away, found);
         for (int i = 0; i < 6 * c->arms; i++) away[i] -= c->errors[i];
         watch_sample(c, positions, q, away, h);
-        const double new = h / (h + c->options[MEASUREMENT_TIME]);
-        for (int i = 0; i < 6; i++) c->drift[i] += new * (found[i] - commanded[i] - c->drift[i]);
+        const double fresh = h / (h + c->options[MEASUREMENT_TIME]);
+        for (int i = 0; i < 6; i++) c->drift[i] += fresh * (found[i] - commanded[i] - c->drift[i]);
         c->loop[DRIFTED] = 1.0;
     }
     const double share = p[HOLD] != 0.0 ? 0.0 : corrects * p[WATCH_CAP];
@@ -105,7 +105,7 @@ static int ask_for_path(Core *c, double h, double *far) {
     return 1;
 }
 
-/* Take one sample: q as measured (NULL where commands are followed exactly), the step's length (NaN: nominal). */
+/* Take one sample: q as measured (nullptr where commands are followed exactly), the step's length (NaN: nominal). */
 static void observe(Core *c, const double *q, const double *dt) {
     double *p = c->proposal, *positions = c->measured_positions;
     const double nominal = c->options[NOMINAL_DT];
@@ -117,7 +117,7 @@ static void observe(Core *c, const double *q, const double *dt) {
         else
             refuse(c, BAD_DT, -1, *dt);
     }
-    if (q && !believe(c, q, positions)) q = NULL;
+    if (q && !believe(c, q, positions)) q = nullptr;
     stay_near(c, c->positions);
     carry(c, c->positions, c->carried);
     const int was_lost = c->loop[PATH_LOST] == 1.0;
@@ -127,7 +127,7 @@ static void observe(Core *c, const double *q, const double *dt) {
     if (!known || far > FASTEST_PATH * p[DT]) {
         c->loop[PATH_LOST] = 1.0;
         c->loop[HAS_PREDICTED] = 0.0; /* that was from another reference */
-        q = NULL;
+        q = nullptr;
         hold_here(c);
         refuse(c, known ? PATH_JUMPS : PATH_FAILED, -1, c->loop[CLOCK]);
         p[REASON_B] = far;
@@ -138,7 +138,7 @@ static void observe(Core *c, const double *q, const double *dt) {
     }
     p[HAS_ERRORS] = errors_at(c, c->carried, c->R, c->p, c->errors);
     if (p[HAS_ERRORS] != 0.0) watch_chain(c);
-    p[HAS_MEASURED] = let_in(c, q ? positions : NULL, q);
+    p[HAS_MEASURED] = let_in(c, q ? positions : nullptr, q);
 }
 
 /* -- propose --------------------------------------------------------------------------------------------------------- */
@@ -333,7 +333,7 @@ static int settle(Core *c, double cap) {
 static void linearise_about(Core *c, const double *v) {
     double *middle = c->scratch;
     for (int j = 0; j < c->joints; j++) middle[j] = c->positions[j] + 0.5 * c->proposal[DT] * v[j];
-    carry_and_linearise(c, middle, c->p, NULL, c->jacobian);
+    carry_and_linearise(c, middle, c->p, nullptr, c->jacobian);
 }
 
 static int answered(int outcome) { return outcome != OPEN && outcome != FILLED; }

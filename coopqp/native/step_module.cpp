@@ -8,6 +8,7 @@
 #include "core.h"
 #include "guards.h"
 #include "minding.h"
+#include "nearby.h"
 #include "pointer.h"
 #include "spatial.h"
 
@@ -16,12 +17,12 @@
 /* The best arithmetic that this processor can do. */
 static const Arithmetic *best(void) {
 #ifdef HAS_AVX2_ARITHMETIC
-    if (__builtin_cpu_supports("avx2") && __builtin_cpu_supports("fma")) return &arithmetic_avx2;
+    if (__builtin_cpu_supports("avx2") && __builtin_cpu_supports("fma")) return &avx2::arithmetic;
 #endif
-    return &arithmetic_plain;
+    return &plain::arithmetic;
 }
 
-typedef struct {
+struct CoreObject {
     PyObject_HEAD
     Core core;
     const Arithmetic *can; /* NULL before it is built */
@@ -43,7 +44,7 @@ typedef struct {
 #ifdef GUARDED
     Guards guards;
 #endif
-} CoreObject;
+};
 
 static CoreObject *owner_of(Core *c) { return (CoreObject *)(void *)((char *)c - offsetof(CoreObject, core)); }
 
@@ -59,7 +60,7 @@ static double *numbers(PyObject *object, Py_ssize_t count, int writable, Py_buff
         return NULL;
     if (view->itemsize == 8 && view->format && view->format[0] == 'd' && !view->format[1] &&
         (count < 0 || view->len == 8 * count))
-        return view->buf;
+        return static_cast<double *>(view->buf);
     PyBuffer_Release(view);
     PyErr_SetString(PyExc_ValueError, "expected a contiguous array of float64 of the right length");
     return NULL;
@@ -125,7 +126,7 @@ static int core_init(PyObject *object, PyObject *args, PyObject *kwargs) {
     }
     static const double nowhere[3] = {1.0, 0.0, 0.0};
     c->duration = 1.0, c->path_numbers = nowhere;
-    self->can = guarded(c, plain ? &arithmetic_plain : best());
+    self->can = guarded(c, plain ? &plain::arithmetic : best());
     return 0;
 }
 
@@ -353,11 +354,11 @@ static PyObject *core_make_steps(PyObject *object, PyObject *args) {
 /* -- steps ----------------------------------------------------------------------------------------------------------- */
 
 /* What Python hands over in a step: q (NULL for none), dt (NULL for none; a NaN is refused, with its reason). */
-typedef struct {
+struct Sample {
     Py_buffer view;
     double length, *q;
     const double *dt;
-} Sample;
+};
 
 /* 0 and an exception if q is no array of the right size. */
 static int read_sample(CoreObject *self, PyObject *q, PyObject *dt, Sample *out) {
@@ -736,7 +737,7 @@ static PyMethodDef core_methods[] = {
 };
 
 static PyType_Slot core_slots[] = {
-    {Py_tp_doc, "Core(blocks, places, sizes, plain=False): the compiled step over memory that Python owns."},
+    {Py_tp_doc, const_cast<char *>("Core(blocks, places, sizes, plain=False): the compiled step over memory that Python owns.")},
     {Py_tp_init, POINTER(void *, core_init)},
     {Py_tp_dealloc, POINTER(void *, core_dealloc)},
     {Py_tp_traverse, POINTER(void *, core_traverse)},
@@ -746,7 +747,7 @@ static PyType_Slot core_slots[] = {
     {0, NULL},
 };
 
-static PyType_Spec core_spec = {"coopqp.native._native.Core", sizeof(CoreObject), 0,
+static PyType_Spec core_spec = {"coopqp.native._core.Core", sizeof(CoreObject), 0,
                                Py_TPFLAGS_DEFAULT | Py_TPFLAGS_HAVE_GC, core_slots};
 
 static PyMethodDef module_methods[] = {
@@ -758,15 +759,15 @@ static PyMethodDef module_methods[] = {
 };
 
 static struct PyModuleDef module = {
-    PyModuleDef_HEAD_INIT, "_native", "The compiled step.", -1, module_methods, NULL, NULL, NULL, NULL,
+    PyModuleDef_HEAD_INIT, "_core", "The compiled parts of coopqp.", -1, module_methods, NULL, NULL, NULL, NULL,
 };
 
-PyMODINIT_FUNC PyInit__native(void) {
+PyMODINIT_FUNC PyInit__core(void) {
     PyObject *m = PyModule_Create(&module), *type = m ? PyType_FromSpec(&core_spec) : NULL;
     record_name = PyUnicode_InternFromString("_record"), context_name = PyUnicode_InternFromString("_context");
     status_name = PyUnicode_InternFromString("status"), rate_name = PyUnicode_InternFromString("rate");
     if (type && record_name && context_name && status_name && rate_name && PyModule_AddObject(m, "Core", type) == 0 &&
-        PyModule_AddIntConstant(m, "GAP", GAP) == 0)
+        PyModule_AddIntConstant(m, "GAP", GAP) == 0 && add_batch(m) == 0 && add_bounds(m) == 0)
         return m;
     Py_XDECREF(type);
     Py_XDECREF(m);

@@ -22,7 +22,7 @@
 #define NEARLY_USED 0.02
 #define LEAVES 1.2
 
-typedef struct {
+struct Survey {
     Py_ssize_t pairs, joints;
     double *rooms, *at;             /* the rooms of close pairs hold where the joints are `at` */
     const double *continuous, *arm; /* of each joint */
@@ -35,7 +35,7 @@ typedef struct {
     int known, under_way;
     Py_ssize_t cursor, *close, closes;
     char *is_close;
-} Survey;
+};
 
 static inline void way_between(const Survey *s, const double *a, const double *b, double *way) {
     for (Py_ssize_t j = 0; j < s->joints; j++) {
@@ -180,6 +180,12 @@ static inline void free_survey(Survey *s) {
     for (size_t i = 0; i < sizeof own / sizeof *own; i++) free(own[i]);
 }
 
+/* Memory of zeros for so many and one more; 0 without memory. */
+template <typename T>
+static int allocate(T *&out, Py_ssize_t count) {
+    return (out = static_cast<T *>(calloc((size_t)count + 1, sizeof(T)))) != NULL;
+}
+
 /* Over memory for rooms and joints, with reaches (joints, pairs); 0 without memory. */
 static inline int build_survey(Survey *s, Py_ssize_t pairs, Py_ssize_t joints, double *rooms, double *at, const double *reach,
                                const double *continuous, const double *arm) {
@@ -188,11 +194,9 @@ static inline int build_survey(Survey *s, Py_ssize_t pairs, Py_ssize_t joints, d
     double **vectors[] = {&s->reference, &s->goal, &s->centre, &s->weights, &s->made, &s->way, &s->back};
     int good = 1;
     for (size_t i = 0; i < sizeof vectors / sizeof *vectors; i++)
-        good = (*vectors[i] = calloc((size_t)joints + 1, sizeof(double))) && good;
-    s->first = calloc((size_t)pairs + 1, sizeof *s->first), s->joint = calloc((size_t)entries + 1, sizeof *s->joint);
-    s->own = calloc((size_t)entries + 1, sizeof *s->own), s->close = calloc((size_t)pairs + 1, sizeof *s->close);
-    s->is_close = calloc((size_t)pairs + 1, 1);
-    if (!good || !s->first || !s->joint || !s->own || !s->close || !s->is_close) return 0;
+        good = allocate(*vectors[i], joints) && good;
+    good = good && allocate(s->first, pairs) && allocate(s->joint, entries) && allocate(s->own, entries);
+    if (!good || !allocate(s->close, pairs) || !allocate(s->is_close, pairs)) return 0;
     s->pairs = pairs, s->joints = joints, s->rooms = rooms, s->at = at, s->continuous = continuous, s->arm = arm, entries = 0;
     for (Py_ssize_t k = 0; k < pairs; k++) {
         for (Py_ssize_t j = 0; j < joints; j++)

@@ -1,4 +1,14 @@
-/* The core as one unit: compiled for any processor and, where ARITHMETIC names another table, once more for a newer one. */
+/* The core as one unit: compiled for any processor and, where BUILD names another one, once more for a newer one. All of
+ * it stands in a namespace of that name: of two templates or inline functions alike the linker keeps one, and this one's
+ * instructions would run in the other build, too. */
+
+#include "core.h"
+
+#ifndef BUILD
+#define BUILD plain
+#endif
+
+namespace BUILD {
 
 #include "functions.h"
 
@@ -24,10 +34,8 @@
 #include "relax.cpp"
 #include "allow.cpp"
 
-#ifndef ARITHMETIC
-#define ARITHMETIC arithmetic_plain
-#endif
-
-const Arithmetic ARITHMETIC = {start,       start_path, observe, propose,             answer,         commit,
+const Arithmetic arithmetic = {start,       start_path, observe, propose,             answer,         commit,
                                read_answer, quiet_step, expect_shift, carry, carry_and_linearise, least_distance,
                                go_over,     relax,      allow};
+
+}  // namespace BUILD

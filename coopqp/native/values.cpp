@@ -1,19 +1,24 @@
 /* Singular values of LANES matrices, descending, by one-sided Jacobi rotations, accurate for small ones, too (entries
  * between 1e-40 and 1e40: it forms products of four). The values of one matrix do not depend on the others. Compiled once
- * more for processors with AVX2, by another name. */
+ * more for processors with AVX2, in another namespace. */
 
+#include <math.h>
 #include <string.h>
 
-#include "spatial.h"
 #include "values.h"
 
-#ifndef VALUES
-#define VALUES singular_values
+#ifndef BUILD
+#define BUILD plain
 #endif
+
+namespace BUILD {
+
+#include "spatial.h"
+
 #define ACROSS 1e-14 /* square of a cosine between vectors at right angles */
 
 /* A number of each of several matrices. Loops over them are for the processor's vectors. */
-typedef double Lanes[LANES];
+using Lanes = double[LANES];
 
 /* Sums of squares of the entries of vectors. */
 static void squares_of(Lanes *x, int length, double *out) {
@@ -68,7 +73,7 @@ static void longest_first(const double *A, int rows, int columns, int lane, Lane
         for (int i = order[k], j = 0; j < length; j++) vectors[length * k + j][lane] = A[next * i + along * j];
 }
 
-void VALUES(const double *const A[LANES], int rows, int columns, double *const values[LANES]) {
+void singular_values(const double *const A[LANES], int rows, int columns, double *const values[LANES]) {
     const int wide = rows < columns, count = wide ? rows : columns, length = wide ? columns : rows;
     Lanes vectors[MOST_VALUES * MOST_ROWS], squares[MOST_VALUES], going, askew;
     double any = 1.0; /* whether vectors were far from right angles; if not, the values' errors are of ACROSS's square */
@@ -86,3 +91,5 @@ void VALUES(const double *const A[LANES], int rows, int columns, double *const v
     for (int l = 0; l < LANES; l++)
         for (int i = 0; i < count; i++) insert(values[l], i, sqrt(squares[i][l]));
 }
+
+}  // namespace BUILD

@@ -7,8 +7,13 @@
 #define MOST_VALUES 6 /* of a matrix */
 #define MOST_ROWS 64  /* or columns, of which there are more */
 
-typedef void SingularValues(const double *const A[LANES], int rows, int columns, double *const values[LANES]);
+using SingularValues = void(const double *const A[LANES], int rows, int columns, double *const values[LANES]);
 
-SingularValues singular_values, singular_values_avx2;
+namespace plain {
+SingularValues singular_values;
+}
+namespace avx2 {
+SingularValues singular_values;
+}
 
 #endif

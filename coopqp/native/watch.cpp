@@ -5,14 +5,12 @@
 
 #include "functions.h"
 
-#include <float.h>
-
 /* Finding of one sample: a cap of the rate, and why it is below 1. */
-typedef struct {
-    double cap;
-    int hold, fault, arm, reason;
-    double a, b; /* numbers of the reason */
-} Seen;
+struct Seen {
+    double cap = 1.0;
+    int hold = 0, fault = 0, arm = -1, reason = NO_REASON;
+    double a = 0.0, b = 0.0; /* numbers of the reason */
+};
 
 static void hold_for(Seen *seen, int reason, int arm, double a, double b) {
     seen->cap = 0.0;
@@ -45,7 +43,7 @@ static void to_grasps(const Core *c, const double *away, double *out) {
 /* How far each arm is from the mean of the others. */
 static void from_others(const Core *c, const double *x, double *out) {
     const double n = c->arms, factor = n / (n - 1.0);
-    double mean[6] = {0};
+    double mean[6] = {};
     for (int k = 0; k < c->arms; k++)
         for (int i = 0; i < 6; i++) mean[i] += x[6 * k + i];
     for (int i = 0; i < 6; i++) mean[i] /= n;
@@ -261,7 +259,7 @@ static const double *remember(Core *c, const double *positions) {
 static void moves_of(const Core *c, int k, const double *positions, const double *before, double *told, double *moved,
                      double *gap) {
     const int start = (int)c->arm_start[k], end = start + (int)c->arm_size[k];
-    double most[3] = {0};
+    double most[3] = {};
     for (int j = start; j < end; j++) {
         double commanded = c->positions[j];
         double size[3] = {fabs(commanded - before[c->joints + j]), fabs(positions[j] - before[j]),
@@ -396,7 +394,7 @@ static void find_behind(Core *c, const double *jacobian, const double *C, const 
         for (int i = 0; i < 6; i++) total[i] += wrenches[6 * k + i];
     if (!(sqrt(dot3(total, total)) > UNBALANCED * largest)) return;
     for (int k = 0; k < c->arms; k++) {
-        double back[6] = {0};
+        double back[6] = {};
         for (int i = 0; i < 6; i++)
             for (int m = 0; m < 6; m++) back[i] += C[36 * k + 6 * i + m] * total[m];
         const double straight = straightness(c, k, jacobian, back);
@@ -502,7 +500,7 @@ static void watch_sample(Core *c, const double *positions, const double *q, cons
     const double *o = c->options;
     const int minds = c->arms > 1 && c->minding && c->minding[RIGID] != 0.0;
     double *out = c->proposal, *moved = c->measured_moved;
-    Seen seen = {.cap = 1.0, .arm = -1, .reason = NO_REASON};
+    Seen seen;
     if (!all_finite(c, positions, away, dt)) {
         hold_for(&seen, NOT_FINITE, -1, 0.0, 0.0);
     } else {

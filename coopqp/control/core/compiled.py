@@ -1,4 +1,4 @@
-"""The compiled loop: the plain loop's three calls over memory that Python and C share.
+"""The compiled loop: the plain loop's three calls over memory that Python and the core share.
 
 Python goes on from the same memory where the core leaves a step open: where the arms have to part or to brake, and
 where another solver than the core's own is asked for.
@@ -14,7 +14,7 @@ from typing import Any, final
 import numpy as np
 import pinocchio as pin
 
-import coopqp.native._native as native
+import coopqp.native._core as native
 from coopqp.control.cause import Cause
 from coopqp.control.command import ControlStep, SolverReport, Status, amend
 from coopqp.control.constraint_set import Constraints

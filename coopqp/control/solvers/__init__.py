@@ -28,7 +28,7 @@ __all__ = [
 ]
 
 #: Kept solvers: the name, which is also its module's here, and the module that it needs.
-_KEPT = {"proxqp": "proxsuite", "osqp": "osqp", "daqp": "daqp", "ldp": "coopqp.native._native"}
+_KEPT = {"proxqp": "proxsuite", "osqp": "osqp", "daqp": "daqp", "ldp": "coopqp.native._core"}
 _GENERIC = "qpsolvers:"
 
 

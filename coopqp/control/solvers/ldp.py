@@ -39,9 +39,11 @@ class _Memory:
 
     def __init__(self, n: int, m: int) -> None:
         try:
-            from coopqp.native._native import least_distance
+            from coopqp.native._core import least_distance
         except ImportError as error:
-            raise MissingSolverError("ldp", "install a wheel of coopqp, or a C compiler before you build it") from error
+            raise MissingSolverError(
+                "ldp", "install a wheel of coopqp, or a C++ compiler before you build it"
+            ) from error
         self._least_distance = least_distance
         self.A, self.low, self.high = np.zeros((m, n)), np.full(m, -np.inf), np.full(m, np.inf)
         self.lb, self.ub, self.x, self.y = np.full(n, -np.inf), np.full(n, np.inf), np.zeros(n), np.zeros(m + n)
