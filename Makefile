@@ -16,7 +16,7 @@ SANITIZED := build/sanitized
   environments lowest newest no-compiler wheel extras import
 
 # Without COOPQP_REQUIRE_KERNEL=1 a compiler that fails is no error: coopqp then warns when it runs.
-$(VENV)/.installed: pyproject.toml CMakeLists.txt $(wildcard coopqp/native/*.cpp coopqp/native/*.h coopqp/native/layout.py)
+$(VENV)/.installed: pyproject.toml CMakeLists.txt $(wildcard coopqp/native/*.cpp coopqp/native/*.h coopqp/native/*.py)
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 10) and "coopqp needs Python >= 3.10: make PYTHON=python3.x ...")'
 	$(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[dev]'

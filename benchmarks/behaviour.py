@@ -53,7 +53,7 @@ from coopqp import (
     relative_positioning_error,
     tool_placements,
 )
-from coopqp.control import VelocityBox
+from coopqp.native.constants import RECOVERY_SHARE
 
 #: Persistent QP solvers; the installed ones are run.
 KEPT = ("daqp", "proxqp", "osqp")
@@ -186,7 +186,7 @@ def _recovery_ratio(run: Run, q: Array) -> float | None:
         return None
     limits = run.task.cell.limits
     acceleration = float(limits.acceleration[run.outside])
-    speed = VelocityBox.RECOVERY_SHARE * float(limits.velocity[run.outside])
+    speed = RECOVERY_SHARE * float(limits.velocity[run.outside])
     if 0.5 * speed * speed / acceleration < OUTSIDE:  # the joint reaches this speed
         ideal = OUTSIDE / speed + 0.5 * speed / acceleration
     else:

@@ -31,8 +31,9 @@ from coopqp import (
 from coopqp.control.solvers import default_solver
 from coopqp.control.solvers.base import Workspace
 from coopqp.control.solvers.daqp import DaqpSolver
-from coopqp.control.solvers.polish import REACH, measure
+from coopqp.control.solvers.polish import measure
 from coopqp.control.solvers.problem import INFINITE
+from coopqp.native.constants import LARGEST_X
 from coopqp.scenarios import fast_lift
 
 native = pytest.importorskip("coopqp.native._core", reason="the core is not compiled")
@@ -246,7 +247,7 @@ def test_the_sign_of_a_small_gap_decides(sign: float, seed: int) -> None:
         assert residual(problem, solution) <= 1e-9
 
 
-def core(problem: QpProblem, reach: float = REACH) -> tuple[int, np.ndarray, np.ndarray]:
+def core(problem: QpProblem, reach: float = LARGEST_X) -> tuple[int, np.ndarray, np.ndarray]:
     """Code, answer and multipliers (rows, then bounds) of the core."""
     n, p = len(problem.g), len(problem.l)
     x, y = np.zeros(n), np.zeros(p + n)
@@ -265,7 +266,7 @@ def test_infeasible_is_proved(seed: int) -> None:
     used = np.flatnonzero(y)
     low, high = np.append(problem.l, problem.lb), np.append(problem.u, problem.ub)
     s = float(y[used] @ np.where(y > 0.0, high, low)[used])
-    assert -s > 0.9 * REACH * float(np.linalg.norm(problem.C.T @ y[:p] + y[p:]))
+    assert -s > 0.9 * LARGEST_X * float(np.linalg.norm(problem.C.T @ y[:p] + y[p:]))
 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
@@ -279,9 +280,9 @@ def test_numbers_that_are_none(bad: float) -> None:
 def test_the_core_tests_the_lengths_of_its_arrays() -> None:
     x = np.zeros(2)
     with pytest.raises(ValueError, match="do not fit"):
-        native.least_distance(((x.ctypes.data, x.nbytes),) * 8, REACH)
+        native.least_distance(((x.ctypes.data, x.nbytes),) * 8, LARGEST_X)
     with pytest.raises(ValueError, match="8 buffers"):
-        native.least_distance((), REACH)
+        native.least_distance((), LARGEST_X)
 
 
 @pytest.mark.parametrize("diagonal", [[1.0, 0.0], [1.0, -1.0], [0.0, 0.0], [1.0, 1e-14]])

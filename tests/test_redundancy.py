@@ -10,7 +10,8 @@ import pytest
 
 from coopqp import Arm, Array, CellState, Grasp, RobotCell, robot_path
 from coopqp.model.chain import Chain
-from coopqp.planning.redundancy import LIMIT_MARGIN, TURNING_WAY, LimitAvoidance
+from coopqp.native.constants import LIMIT_MARGIN, TURNING_WAY
+from coopqp.planning.redundancy import LimitAvoidance
 
 
 def eight_joints() -> RobotCell:

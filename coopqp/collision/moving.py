@@ -12,9 +12,9 @@ import pinocchio as pin
 from coopqp.checks import as_vector
 from coopqp.collision.distances import Gradient
 from coopqp.control.constraints import MOST_ROWS, LabelledRows
-from coopqp.control.limits import BRAKING_SHARE
 from coopqp.errors import UnknownNameError
 from coopqp.model.limits import BindingLimit, LimitKind
+from coopqp.native.constants import BRAKING_SHARE
 from coopqp.spatial import Array, as_placement
 
 if TYPE_CHECKING:

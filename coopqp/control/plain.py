@@ -15,7 +15,7 @@ from typing import Any, final
 import numpy as np
 import pinocchio as pin
 
-from coopqp.control.apart import PARTED, SAID_APART, ChainWatch, among_arms, expected
+from coopqp.control.apart import PARTED, ChainWatch, among_arms, expected
 from coopqp.control.braking_rows import BrakingRows
 from coopqp.control.cause import Cause
 from coopqp.control.command import NO_SOLVE, ControlStep, Status
@@ -37,19 +37,13 @@ from coopqp.model.chain import Chain
 from coopqp.model.grasp import Grasp, held_at
 from coopqp.model.limits import BindingLimit, LimitKind
 from coopqp.model.state import CellState
+from coopqp.native.constants import LEAST_PACE, MOST_TIGHTENINGS, NEGLIGIBLE, SAID_APART
 from coopqp.planning.preview import PathPreview
 from coopqp.planning.preview_options import PlanLimits, PreviewOptions
 from coopqp.spatial import Array
 from coopqp.task.guarded import GuardedPath, is_known, jump
 from coopqp.task.path import ObjectPath
 from coopqp.task.posture import Posture
-
-#: Close to rest, the increment along the path is the mean over this share of a step.
-LEAST_PACE = 1e-3
-#: Further answers of a step whose command violates the constraints behind its rows.
-MOST_TIGHTENINGS = 3
-#: Square of an off-path twist that needs no braking distance [m²/s², rad²/s²].
-NEGLIGIBLE = 1e-10
 
 
 @final

@@ -10,18 +10,13 @@ import numpy as np
 from coopqp.control.command import NO_SOLVE, SolverReport
 from coopqp.control.constraints import Rows
 from coopqp.control.forms import Answer, Pieces, StepProgram, StepTerms
-from coopqp.control.limits import LIMIT_TOLERANCE, VelocityBox, rate_interval
+from coopqp.control.limits import VelocityBox, rate_interval
 from coopqp.control.options import QPOptions
 from coopqp.control.solvers import QpProblem, QpSolution, QpSolver, SolverStatus, default_solver, make_solver
 from coopqp.errors import InvalidInputError, said
 from coopqp.model.chain import Chain
+from coopqp.native.constants import AT_LIMIT, LIMIT_TOLERANCE, RESIDUE_TOLERANCE
 from coopqp.spatial import Array, largest
-
-#: A solver's excess over a limit up to this is clipped; more is a failure [rad/s or m/s].
-RESIDUE_TOLERANCE = 1e-5
-
-#: Distance within which a velocity stands at its limit [rad/s or m/s].
-_AT_LIMIT = 1e-7
 
 #: Cost of joint velocities in the second attempt at a chain that may part [1/(rad/s)²].
 _CALM = 1e-4
@@ -287,13 +282,13 @@ class StepSolver:
             above = np.concatenate([above, Gv - further.upper])
             below = np.concatenate([below, further.lower - Gv])
         room = np.maximum(above, below)
-        if room[room.argmax()] < -_AT_LIMIT:
+        if room[room.argmax()] < -AT_LIMIT:
             return ()
         broken = np.arange(room.size) >= v.size  # a further row that gave way
         return tuple(
             (int(row), sign)
             for sign, excess in ((1.0, above), (-1.0, below))
-            for row in np.flatnonzero((np.abs(excess) <= _AT_LIMIT) | (broken & (excess > 0.0)))
+            for row in np.flatnonzero((np.abs(excess) <= AT_LIMIT) | (broken & (excess > 0.0)))
         )
 
 

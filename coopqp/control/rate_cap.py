@@ -6,19 +6,18 @@ from typing import final
 
 import numpy as np
 
-from coopqp.control.limits import BRAKING_SHARE, VelocityBox
+from coopqp.control.limits import VelocityBox
 from coopqp.control.loop_state import LoopState, Observed
 from coopqp.control.options import QPOptions
 from coopqp.control.reins import blind_brake
 from coopqp.control.supervision import Watch
 from coopqp.model.cell import RobotCell
 from coopqp.model.limits import BindingLimit, LimitKind
+from coopqp.native.constants import BRAKING_SHARE, RATE_ROUNDING
 from coopqp.planning.horizon import joint_limit
 from coopqp.planning.preview import PathPreview
 from coopqp.planning.preview_options import PreviewOptions
 
-#: A rate that rises by less stands still: a QP's zero has the solver's rounding.
-RATE_ROUNDING = 1e-12
 #: The limit that stands for the override.
 OVERRIDE = BindingLimit("", "", LimitKind.OVERRIDE)
 

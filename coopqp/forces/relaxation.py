@@ -41,7 +41,7 @@ from coopqp.forces.stress import per_joint
 from coopqp.model.cell import RobotCell
 from coopqp.model.chain import Chain
 from coopqp.model.grasp import Grasp
-from coopqp.native import layout
+from coopqp.native.constants import LOOK_EVERY
 from coopqp.spatial import Array, skew
 
 #: Smaller shares of a stiffness count as 0.
@@ -61,7 +61,6 @@ _PRESS, _PRESS_LEAST, _PRESS_MOST, _PRESS_SPEED = 3.0, 1e-5, 5e-4, 5e-4
 _STIFFEST = (0.05, 20.0)
 #: Attributes that change.
 _VARYING = ("_pressed", "_pressing", "_waited", "_felt", "_grows", "_base")
-_LOOK_EVERY = layout.CONSTANTS["LOOK_EVERY"]
 #: A contact pushes with at least this share of the payload's weight, and this force [N], if nothing else is told.
 _CONTACT, _LEAST_CONTACT = 0.2, 25.0
 #: A direction is called by an axis from this cosine on.
@@ -257,7 +256,7 @@ class Relaxation:
     @property
     def aged(self) -> bool:
         """The compliances have to be looked at again."""
-        return self.memory.item(AT["AGE"]) >= _LOOK_EVERY
+        return self.memory.item(AT["AGE"]) >= LOOK_EVERY
 
     # -- the wrenches --------------------------------------------------------------------------------------------
 

@@ -15,6 +15,7 @@ from coopqp.errors import InvalidInputError, UndecidedError, UnreachableError
 from coopqp.model.cell import RobotCell
 from coopqp.model.chain import moving_columns
 from coopqp.model.grasp import Grasp
+from coopqp.native.constants import TURN_LENGTH
 from coopqp.planning.branch_checks import PathVerdict, follows
 from coopqp.planning.check import PathCheck, check_motion, check_path
 from coopqp.planning.clearance import Bodies, check_scene
@@ -23,7 +24,7 @@ from coopqp.planning.payload import Payload
 from coopqp.planning.starts import Start, find_start
 from coopqp.planning.timing import SHARE, geometry_of, timed_motion
 from coopqp.spatial import Array, Placement, as_placements
-from coopqp.task.geometry import TURN_LENGTH, PathGeometry, Straight, blended
+from coopqp.task.geometry import PathGeometry, Straight, blended
 from coopqp.task.path import LinePath, ObjectPath
 from coopqp.task.timed import SpeedProfile, TimedPath
 

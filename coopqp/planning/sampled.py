@@ -8,8 +8,9 @@ from typing import Any, final
 import numpy as np
 
 from coopqp.errors import InvalidInputError
+from coopqp.native.constants import TURN_LENGTH
 from coopqp.spatial import Array
-from coopqp.task.geometry import TURN_LENGTH, PathGeometry, Piece
+from coopqp.task.geometry import PathGeometry, Piece
 from coopqp.task.guarded import GuardedPath, twist_distance
 from coopqp.task.path import ObjectPath
 

@@ -96,7 +96,7 @@ def compile_copy(folder: Path) -> bool:
     """
     generated, native = folder / "build" / "generated", (folder / MODULE).parent
     generated.mkdir(parents=True, exist_ok=True)
-    layout = subprocess.run([sys.executable, str(native / "layout.py")], capture_output=True, text=True, check=True)
+    layout = subprocess.run([sys.executable, str(native / "header.py")], capture_output=True, text=True, check=True)
     (generated / "layout.h").write_text(layout.stdout, encoding="utf-8")
     include = [str(generated), sysconfig.get_paths()["include"]]
     done = subprocess.run(

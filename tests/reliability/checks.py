@@ -42,6 +42,7 @@ from coopqp import (
     make_solver,
 )
 from coopqp.control.limits import VelocityBox
+from coopqp.native.constants import RECOVERY_SHARE
 from coopqp.scenarios import Scenario, at_limit
 
 Array: TypeAlias = npt.NDArray[np.float64]
@@ -618,7 +619,7 @@ def ideal_return(task: Scenario, depths: dict[int, float], motion: dict[int, flo
     speed, acceleration = (
         np.asarray(x, dtype=float) for x in (task.cell.limits.velocity, task.cell.limits.acceleration)
     )
-    slow = VelocityBox.RECOVERY_SHARE * speed
+    slow = RECOVERY_SHARE * speed
     back = [alone_inside(abs(d), float(slow[j]), float(acceleration[j])) for j, d in depths.items()]
     others = [alone_inside(abs(d), float(speed[j]), float(acceleration[j])) for j, d in (motion or {}).items() if d]
     return max(back + others)

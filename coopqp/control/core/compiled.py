@@ -23,7 +23,6 @@ from coopqp.control.core.memory import Memory, NotForTheCore, build_memory, put_
 from coopqp.control.limits import VelocityBox
 from coopqp.control.linearised import LinearisedAnswer, LinearisedStep, StepInput, is_long
 from coopqp.control.options import QPOptions
-from coopqp.control.plain import MOST_TIGHTENINGS
 from coopqp.control.ranks import StepSolver
 from coopqp.control.reading import STATUSES, RecordReader
 from coopqp.control.supervision import as_configuration, grasp_lengths
@@ -33,6 +32,7 @@ from coopqp.model.chain import Chain
 from coopqp.model.grasp import Grasp
 from coopqp.model.state import CellState
 from coopqp.native import layout
+from coopqp.native.constants import MOST_MINDING, MOST_TIGHTENINGS, SEGMENT
 from coopqp.planning.rate_bounds import Knot
 from coopqp.spatial import Array
 from coopqp.task.guarded import GuardedPath, is_known
@@ -159,7 +159,7 @@ class CompiledLoop:
 
     def take_minding(self, memory: Array, tell: Callable[[ControlStep], None]) -> Callable[..., Any] | None:
         """The core's step with wrenches: see :meth:`coopqp.QPController.take_minding`."""
-        if len(self.cell) > layout.CONSTANTS["MOST_MINDING"]:
+        if len(self.cell) > MOST_MINDING:
             return None
         self._core.bind_minding(memory, self._places, tell)
         step: Callable[..., Any] = self._core.step_minding
@@ -206,7 +206,7 @@ class CompiledLoop:
         """Take the way to a new target as :class:`coopqp.QPController` does; None where the definition has to say."""
         if self.constraints or self._guarded.elbows is not None:  # which the core's own numbers lack
             return None
-        numbers = np.empty(4 + layout.SEGMENT)
+        numbers = np.empty(4 + SEGMENT)
         target = np.concatenate([goal.rotation.ravel(), goal.translation])
         taken: int = self._core.go_over(target, numbers, path.speed, path.spin, full)
         if taken > 0:

@@ -8,9 +8,10 @@ import numpy as np
 
 from coopqp.checks import as_options
 from coopqp.control.solvers.base import Outcome, QpSolver, SolverSettings, Workspace
-from coopqp.control.solvers.polish import REACH, finish
+from coopqp.control.solvers.polish import finish
 from coopqp.control.solvers.problem import INFINITE, Array, QpProblem, SolverStatus
 from coopqp.errors import MissingSolverError
+from coopqp.native.constants import LARGEST_X
 
 #: An answer this far from optimal is not worth a message.
 _ACCURACY = 1e-8
@@ -114,7 +115,7 @@ class LdpSolver(QpSolver):
         memory.A[:p], memory.A[p:] = problem.C, problem.A
         memory.low[:], memory.high[:] = work.lower[n:], work.upper[n:]
         memory.lb[:], memory.ub[:] = work.lower[:n], work.upper[:n]
-        code = memory.solve(REACH)
+        code = memory.solve(LARGEST_X)
         y = memory.y
         return _outcome(code, memory.x.copy(), np.concatenate([y[p + m :], y[: p + m]]))
 
@@ -134,7 +135,7 @@ class LdpSolver(QpSolver):
             np.divide(bounds - values, lengths, out=out)
             out[side * bounds >= INFINITE] = side * np.inf
         # ‖L‖ ≤ √n, as no pivot of H / s is above 1.
-        reach = n * REACH + float(np.linalg.norm(start)) * np.sqrt(n)
+        reach = n * LARGEST_X + float(np.linalg.norm(start)) * np.sqrt(n)
         code = memory.solve(reach)
         x = start + inverse.T @ memory.x
         outcome = _outcome(code, x, self._scale * memory.y[: n + p + m] / lengths)
