@@ -16,7 +16,7 @@ SANITIZED := build/sanitized
   environments lowest newest no-compiler wheel extras import
 
 # Without COOPQP_REQUIRE_KERNEL=1 a compiler that fails is no error: coopqp then warns when it runs.
-$(VENV)/.installed: pyproject.toml CMakeLists.txt $(wildcard coopqp/control/core/*.[ch] coopqp/control/core/layout.py coopqp/model/*.[ch] coopqp/collision/*.[ch])
+$(VENV)/.installed: pyproject.toml CMakeLists.txt $(wildcard coopqp/native/*.cpp coopqp/native/*.h coopqp/native/*.py)
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 10) and "coopqp needs Python >= 3.10: make PYTHON=python3.x ...")'
 	$(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[dev]'
@@ -51,10 +51,11 @@ lint: $(VENV)/.installed
 	$(BIN)/mypy
 	$(BIN)/lint-imports
 
-# The compiled core, each warning an error.
+# The compiled core, each warning an error, and no weak symbol common to its two builds.
 core: $(VENV)/.installed
 	$(BIN)/cmake -S . -B build/strict -DCOOPQP_WERROR=ON -DPython_EXECUTABLE=$(CURDIR)/$(BIN)/python
 	$(BIN)/cmake --build build/strict --clean-first
+	$(BIN)/python .ci/weak_symbols.py build/strict
 
 # The tests marked core in a copy of the package whose core stops at the first wrong access to memory and the first
 # undefined operation. The lines before them make sure that it is this core that the tests get. Eight tests are skipped:
@@ -68,12 +69,12 @@ sanitize: $(VENV)/.installed
 	  -DPython_EXECUTABLE=$(CURDIR)/$(BIN)/python
 	$(BIN)/cmake --build $(SANITIZED)
 	rm -rf $(SANITIZED)/tree && mkdir $(SANITIZED)/tree && cp -r coopqp $(SANITIZED)/tree
-	rm -f $(SANITIZED)/tree/coopqp/control/core/_native*.so
+	rm -f $(SANITIZED)/tree/coopqp/native/_core*.so
 	$(BIN)/cmake --install $(SANITIZED) --prefix $(SANITIZED)/tree
-	grep -q __asan_init $(SANITIZED)/tree/coopqp/control/core/_native*.so
+	grep -q __asan_init $(SANITIZED)/tree/coopqp/native/_core*.so
 	export LD_PRELOAD="$$(cc -print-file-name=libasan.so) $$(cc -print-file-name=libstdc++.so.6)" PYTHONMALLOC=malloc; \
 	(cd $(SANITIZED) && $(CURDIR)/$(BIN)/python -c \
-	  'from coopqp.control.core import _native as n; assert "$(SANITIZED)/tree" in n.__file__, n.__file__') && \
+	  'from coopqp.native import _core as n; assert "$(SANITIZED)/tree" in n.__file__, n.__file__') && \
 	$(PYTEST) -m core --capture sys -p no:cacheprovider
 
 # Would a test fail if the code said something else? MUTANTS in each package and in the C code: hours; 5 for a look.

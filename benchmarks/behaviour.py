@@ -39,8 +39,9 @@ from common import Record
 
 from coopqp import ControlStep, QPController, QPOptions, Status
 from coopqp.baselines import IndependentQPController, IndependentQPOptions, PseudoInverseController
-from coopqp.control import Controller, VelocityBox
+from coopqp.control import Controller
 from coopqp.errors import StartWarning
+from coopqp.native.constants import RECOVERY_SHARE
 from coopqp.simulation import limit_excess, relative_positioning_error, tool_placements
 from coopqp.solvers import available_solvers
 from coopqp.spatial import Array
@@ -176,7 +177,7 @@ def _recovery_ratio(run: Run, q: Array) -> float | None:
         return None
     limits = run.task.cell.limits
     acceleration = float(limits.acceleration[run.outside])
-    speed = VelocityBox.RECOVERY_SHARE * float(limits.velocity[run.outside])
+    speed = RECOVERY_SHARE * float(limits.velocity[run.outside])
     if 0.5 * speed * speed / acceleration < OUTSIDE:  # the joint reaches this speed
         ideal = OUTSIDE / speed + 0.5 * speed / acceleration
     else:

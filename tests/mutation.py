@@ -40,7 +40,7 @@ CORE = "core and not slow"
 
 def modules_of(group: str) -> list[str]:
     """Files of a group, relative to the root."""
-    found = (ROOT / "coopqp").rglob("*.c") if group == "C" else (ROOT / "coopqp" / group).rglob("*.py")
+    found = (ROOT / "coopqp").rglob("*.cpp") if group == "C" else (ROOT / "coopqp" / group).rglob("*.py")
     return sorted(str(file.relative_to(ROOT)) for file in found)
 
 

@@ -21,10 +21,9 @@ from coopqp import (
     Status,
     SupervisionOptions,
 )
-from coopqp.control.core import layout
 from coopqp.control.step.decoding import CAUSES
 from coopqp.control.step.verdict import cause_of
-from coopqp.native import available_kernels
+from coopqp.native import available_kernels, layout
 from coopqp.scenarios import Scenario, at_limit, at_singularity, paper_lift
 
 LIMIT, SINGULAR, NEAR, APART, REINS, JUMP = (

@@ -191,7 +191,7 @@ def test_bounds_that_follow_the_joints_stay_below_the_distances(lift: Scenario) 
 @settings(deadline=None, max_examples=40)
 @given(seed=st.integers(0, 10**6))
 def test_bounds_in_c_are_those_in_numpy(seed: int) -> None:
-    kernel = compiled("distances")
+    kernel = compiled()
     if kernel is None:
         pytest.skip("there is no compiler here")
     rng = np.random.default_rng(seed)

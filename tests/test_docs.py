@@ -15,6 +15,7 @@ from apart import run_apart
 from pictures import MOST_PIXELS, PROGRAMS, difference, drawn_alike
 
 import coopqp
+from coopqp.native.constants import RECOVERY_SHARE
 
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
@@ -127,10 +128,9 @@ def test_defaults_in_the_text_are_those_of_the_code() -> None:
     """After a change of a default, also change the pages: howto/gains, howto/why-slow, derivations, tutorials 2 and 5,
     reliability."""
     from coopqp.control.step.priorities import RESIDUE_TOLERANCE
-    from coopqp.control.step.velocity_bounds import VelocityBox
     from coopqp.solvers import OsqpSettings
 
-    assert (RESIDUE_TOLERANCE, VelocityBox.RECOVERY_SHARE, OsqpSettings().max_iter) == (1e-5, 0.2, 4000)
+    assert (RESIDUE_TOLERANCE, RECOVERY_SHARE, OsqpSettings().max_iter) == (1e-5, 0.2, 4000)
     o = coopqp.QPOptions()
     s, w, p = o.supervision, o.weights, coopqp.PreviewOptions()
     assert (o.grasp_gain, o.path_gain, o.correction_speed, o.correction_spin) == (20.0, 20.0, 0.1, 0.4)

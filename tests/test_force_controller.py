@@ -27,12 +27,12 @@ from coopqp import (
     simulate,
 )
 from coopqp.baselines import PseudoInverseController
-from coopqp.control.core import layout, minding_of
+from coopqp.control.core import minding_of
 from coopqp.control.core.relax_plain import minding_size, minding_views
 from coopqp.errors import StartWarning
 from coopqp.forces import Grip, StressModel, internal_wrenches
 from coopqp.model import CellState
-from coopqp.native import available_kernels
+from coopqp.native import available_kernels, layout
 from coopqp.planning import Payload
 from coopqp.scenarios import Scenario, palm_box, paper_lift
 from coopqp.simulation import Disturbances, KinematicPlant, PhysicsPlant, misplaced

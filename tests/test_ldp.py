@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 from coopqp import InvalidInputError, QPController, QPOptions
 from coopqp.baselines import IndependentQPController, IndependentQPOptions
 from coopqp.errors import MissingExtraError, MissingSolverError, UnknownNameError
+from coopqp.native.constants import LARGEST_X
 from coopqp.scenarios import fast_lift
 from coopqp.solvers import (
     DaqpSettings,
@@ -27,10 +28,10 @@ from coopqp.solvers import (
 )
 from coopqp.solvers.base import Workspace
 from coopqp.solvers.daqp import DaqpSolver
-from coopqp.solvers.polish import REACH, measure
+from coopqp.solvers.polish import measure
 from coopqp.solvers.problem import INFINITE
 
-native = pytest.importorskip("coopqp.control.core._native", reason="the core is not compiled")
+native = pytest.importorskip("coopqp.native._core", reason="the core is not compiled")
 pytestmark = pytest.mark.core
 BENCHMARKS = Path(__file__).parents[1] / "benchmarks"
 OTHERS = [name for name in ("daqp", "quadprog") if name in available_solvers()]
@@ -241,7 +242,7 @@ def test_the_sign_of_a_small_gap_decides(sign: float, seed: int) -> None:
         assert residual(problem, solution) <= 1e-9
 
 
-def core(problem: QpProblem, reach: float = REACH) -> tuple[int, np.ndarray, np.ndarray]:
+def core(problem: QpProblem, reach: float = LARGEST_X) -> tuple[int, np.ndarray, np.ndarray]:
     """Code, answer and multipliers (rows, then bounds) of the core."""
     n, p = len(problem.g), len(problem.l)
     x, y = np.zeros(n), np.zeros(p + n)
@@ -260,7 +261,7 @@ def test_infeasible_is_proved(seed: int) -> None:
     used = np.flatnonzero(y)
     low, high = np.append(problem.l, problem.lb), np.append(problem.u, problem.ub)
     s = float(y[used] @ np.where(y > 0.0, high, low)[used])
-    assert -s > 0.9 * REACH * float(np.linalg.norm(problem.C.T @ y[:p] + y[p:]))
+    assert -s > 0.9 * LARGEST_X * float(np.linalg.norm(problem.C.T @ y[:p] + y[p:]))
 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
@@ -274,9 +275,9 @@ def test_numbers_that_are_none(bad: float) -> None:
 def test_the_core_tests_the_lengths_of_its_arrays() -> None:
     x = np.zeros(2)
     with pytest.raises(ValueError, match="do not fit"):
-        native.least_distance(((x.ctypes.data, x.nbytes),) * 8, REACH)
+        native.least_distance(((x.ctypes.data, x.nbytes),) * 8, LARGEST_X)
     with pytest.raises(ValueError, match="8 buffers"):
-        native.least_distance((), REACH)
+        native.least_distance((), LARGEST_X)
 
 
 @pytest.mark.parametrize("diagonal", [[1.0, 0.0], [1.0, -1.0], [0.0, 0.0], [1.0, 1e-14]])
@@ -300,8 +301,8 @@ def test_the_default() -> None:
 
 
 def test_without_the_compiled_core(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "coopqp.control.core._native", None)
-    monkeypatch.setattr("coopqp.solvers.choice.find_spec", lambda name: None if "_native" in name else object())
+    monkeypatch.setitem(sys.modules, "coopqp.native._core", None)
+    monkeypatch.setattr("coopqp.solvers.find_spec", lambda name: None if "_core" in name else object())
     assert default_solver() == "daqp"
     assert "ldp" not in available_solvers()
     with pytest.raises(MissingExtraError, match="compiler"):

@@ -15,7 +15,8 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from coopqp import BindingLimit, JointLimits, LimitKind, RobotCell
-from coopqp.control.step.velocity_bounds import LIMIT_TOLERANCE, VelocityBox, rate_interval
+from coopqp.control.step.velocity_bounds import VelocityBox, rate_interval
+from coopqp.native.constants import LIMIT_TOLERANCE, RECOVERY_SHARE
 
 Array = NDArray[np.float64]
 STEPS = [0.001, 0.002, 0.01]  # [s]
@@ -243,7 +244,7 @@ def test_recovery_leads_back_in(dt: float, acceleration: float, away: float) -> 
     speed = 2.0
     box = box_of([-1.0] * 4, 1.0, speed, acceleration)
     x, v = np.array([1.0 + away, -1.0 - away, 0.5, -1.0]), np.zeros(4)
-    share = VelocityBox.RECOVERY_SHARE * speed
+    share = RECOVERY_SHARE * speed
     allowed = 1.35 * (away / share + share / acceleration) + 12 * dt
     for _ in range(int(allowed / dt) + 2):
         box.update(x, v, dt)

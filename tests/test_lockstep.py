@@ -5,7 +5,6 @@ from __future__ import annotations
 import copy
 import dataclasses
 import functools
-import importlib
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
@@ -32,7 +31,6 @@ from coopqp import (
     SupervisionOptions,
     WaypointPath,
 )
-from coopqp.control.core import layout
 from coopqp.model import CellState
 from coopqp.native import available_kernels
 from coopqp.scenarios import (
@@ -858,116 +856,3 @@ def test_arms_with_few_joints_run_by_the_plain_definition() -> None:
     task = five_joint_pair()
     controller = QPController(task.cell, task.grasp, task.path, dt=0.01, options=QPOptions(kernel="compiled"))
     assert controller.kernel == "plain"
-
-
-# -- constants -------------------------------------------------------------------------------------------------------
-
-#: Where the definition keeps a constant of the core: module, and attributes or ``Class.attribute``.
-IN_PYTHON: dict[str, dict[str, str]] = {
-    "control.step.velocity_bounds": {
-        "LIMIT_TOLERANCE": "LIMIT_TOLERANCE", "STILL_SLOPE": "_STILL", "RECOVERY_SHARE": "VelocityBox.RECOVERY_SHARE",
-        "INSIDE": "VelocityBox.INSIDE", "BRAKING_SHARE": "BRAKING_SHARE", "LARGEST_MOVE": "LARGEST_MOVE",
-        "HELD_SPEED": "HELD_SPEED", "HELD_SHARE": "HELD_SHARE",
-    },
-    "control.step.priorities": {"AT_LIMIT": "_AT_LIMIT", "RESIDUE_TOLERANCE": "RESIDUE_TOLERANCE"},
-    "solvers.polish": {"LARGEST_X": "REACH"},
-    "paths.guarded": {
-        "FASTEST_PATH": "FASTEST_PATH", "TURN_LENGTH": "TURN_LENGTH", "KINK_WIDTH": "_KINK_WIDTH",
-        "KINK_SHARE": "_KINK_SHARE", "LEAST_KINK": "_LEAST_KINK",
-        "JUMP_WIDTH": "_JUMP_WIDTH", "LEAST_JUMP": "_LEAST_JUMP",
-        "STEEP_WIDTH": "_STEEP_WIDTH", "STEEP_SHARE": "_STEEP_SHARE",
-    },
-    "model.chain": {"LARGE_INVERSE": "_LARGE_INVERSE", "FAR_EDGE": "_FAR_EDGE"},
-    "model.inverse_kinematics": {"LONGEST_STEP": "_LONGEST_STEP"},
-    "control.step.linearised": {name: name for name in ("SETTLED", "EXTRA_AT_START", "LONG_STEP", "BENT_STEP")},
-    "control.step.plain": {name: name for name in ("LEAST_PACE", "NEGLIGIBLE", "MOST_TIGHTENINGS")},
-    "control.step.rate_cap": {"RATE_ROUNDING": "RATE_ROUNDING"},
-    "control.step.verdict": {
-        name: name for name in ("ARRIVING", "RESTING_SPEED", "RESTING_SPIN", "STILL_BLOCKED", "STILL_SLOWED")
-    },
-    "control.lookahead.preview": {
-        name: f"_{name}"
-        for name in (
-            "STEPS_TO_GROW", "NEWTON_STEPS_AT_START", "LEAST_ASKED", "ASKED_PER_TIME", "SHORT_STEP", "STEPS_TO_ASK",
-        )
-    },
-    "control.lookahead.options": {
-        "STEPS_TO_FULL_SPEED": "STEPS_TO_FULL_SPEED", "STEPS_TO_EDGE": "_STEPS_TO_EDGE",
-    },
-    "control.lookahead.extension": {
-        name: f"_{name}"
-        for name in ("PASSABLE", "GROWTH", "LONGEST_WAY", "MOST_KNOTS", "KINK_CELL", "SAME_CLOCK", "BESIDE_KINK")
-    } | {"MOST_KINKS": "MOST_KINKS"},
-    "control.lookahead.horizon": {
-        name: f"_{name}" for name in ("KNOTS_PER_PASS", "MOST_GUESSES", "SHORT_OF", "SHORTER", "LEAST_RATE")
-    },
-    "control.lookahead.closed_chain": {
-        name: f"_{name}"
-        for name in (
-            "FINE_CELL", "OTHER_BRANCH", "BRANCH_WAY", "BEND_CHANGE", "STARTING_STEPS", "MOST_TRIES", "CONVERGED",
-        )
-    } | {"JUST_BEFORE": "JUST_BEFORE"},
-    "paths.elbows": {"ELBOW_GAIN": "ELBOW_GAIN"},
-    "control.lookahead.redundancy": {name: name for name in ("LIMIT_MARGIN", "TURNING_WAY", "LEADS")},
-    "control.lookahead.backward_pass": {name: name for name in ("STILL_SLOPE", "MOST_PIVOTS", "CROSSED")},
-    "control.monitoring.supervision": {
-        name: f"_{name}"
-        for name in (
-            "FOLLOWS", "CAUGHT_UP", "CAUGHT_UP_SHARE", "CIRCLE_TOLERANCE", "EQUALLY_FAR", "LET_GO", "FAULT_SAMPLES",
-            "MOST_LOST", "NOISE_TIME", "FEW_SAMPLES",
-        )
-    } | {"STILL_COMMAND": "_STILL"},
-    "paths.servo": {
-        "STILL_OBJECT": "AT_REST", "NOWHERE": "_NOWHERE", "SHORTEST_CHANGE": "_SHORTEST", "SPEEDS": "_SPEEDS",
-    },
-    "control.step.braking_rows": {
-        name: name
-        for name in ("EDGE_SHARE", "SINGULAR_MARGIN", "BEND_SHARE", "APPROACH_TIME", "APPROACH_STEPS", "GIVES_WAY")
-    } | {"FASTEST_JOINT": "_FASTEST"},
-    "control.lookahead.ramp_time": {"CHANGE_SHARE": "_SHARE", "LARGEST_JUMP": "_LARGEST_JUMP"},
-    "control.retargeting": {"RATE_TOLERANCE": "_ROUNDING"},
-    "control.monitoring.drift": {
-        "WANDER": "_WANDER", "LAG": "_LAG", "LEAST_LAG": "_LEAST_LAG", "DRIFT_FLOOR": "_FLOOR",
-        "DRIFT_SAMPLE": "_SAMPLE", "SMOOTHING": "_SMOOTHING", "DRIFT_PERIOD": "_PERIOD",
-        "LARGEST_SLOPE": "_LARGEST_SLOPE",
-    },
-    "control.monitoring.stress": {
-        "STRUCTURE": "STRUCTURE", "AT_REST": "_STILL", "SERVOS_SETTLED": "_SETTLED", "UNBALANCED": "_UNBALANCED",
-        "STRAIGHT_BACK": "_STRAIGHT_BACK",
-    },
-}  # fmt: skip
-BOUNDS = {"MOST_KNOTS": layout.MOST_KNOTS, "MOST_KINKS": layout.MOST_KINKS}
-#: Constants of the core's own linear algebra of singular arms.
-ONLY_IN_C = {
-    "SMALLEST_PIVOT", "LONG_LEVER", "FAR_PIVOT", "FAR_ROOM", "EIGEN_ROUNDING", "EIGEN_STEPS", "MOST_SWEEPS",
-    "SMALL_ROTATION",
-}  # fmt: skip
-#: Those of arms that their commands part and of minding forces: Python reads them from the layout itself.
-READ_THERE = {
-    "SAID_APART", "TOGETHER_AGAIN", "ALIKE", "NO_MISMATCH",
-    "RATE_FALLS", "RATE_RISES", "FRICTION_SLOWS", "SPARE_SQUEEZE", "FIRMER", "LOOK_EVERY", "MOST_MINDING",
-    "SERVO_SLOWS", "SERVO_HOLDS", "SERVO_LATE", "SERVO_PEAK", "HASTE_FILTER", "SOFTEST", "CAP_FALLS", "GROWS",
-    "CORRECTION_FADES", "MORE_THAN_AT_START", "SENSED_MOTION",
-    "CONTACT_FILTER", "CONTACT_LASTS", "CONTACT_SETTLES", "MORE_THAN_INTERNAL", "LATE_LOAD",
-    "SLOW_RATE", "LEAST_CALM", "STRANGE_SERVOS", "CAREFUL_START", "SLOWEST_LESSON",
-}  # fmt: skip
-
-
-def constants() -> Iterator[tuple[str, str, str]]:
-    for module, names in IN_PYTHON.items():
-        yield from ((module, name, attribute) for name, attribute in names.items())
-
-
-@pytest.mark.parametrize(("module", "name", "attribute"), [*constants()], ids=str)
-def test_the_core_and_the_definition_have_the_same_constants(module: str, name: str, attribute: str) -> None:
-    thing: Any = importlib.import_module(f"coopqp.{module}")
-    for part in attribute.split("."):
-        thing = getattr(thing, part)
-    assert thing == {**layout.CONSTANTS, **BOUNDS}[name]
-
-
-def test_every_constant_of_the_core_is_known_to_the_definition() -> None:
-    stress = importlib.import_module("coopqp.control.monitoring.stress")
-    assert stress._SCALE.tolist() == [1.0] * 3 + [layout.CONSTANTS["TURN_LENGTH"]] * 3
-    known = {name for _, name, _ in constants()} | ONLY_IN_C | READ_THERE
-    assert known - set(BOUNDS) == set(layout.CONSTANTS)

@@ -100,7 +100,7 @@ def test_the_top_has_what_most_programs_need() -> None:
 
 def test_a_name_that_is_not_here_is_said_to_be_there() -> None:
     with pytest.raises(ImportError, match=r"'Disturbances'; it is in coopqp\.simulation"):
-        from coopqp import Disturbances  # type: ignore[attr-defined] # noqa: F401
+        from coopqp.simulation import Disturbances  # type: ignore[attr-defined] # noqa: F401
     with pytest.raises(AttributeError, match="Did you mean 'QPController'"):
         coopqp.QPControler  # type: ignore[attr-defined] # noqa: B018
     with pytest.raises(AttributeError, match=r"Did you mean 'Disturbances' of coopqp\.simulation"):

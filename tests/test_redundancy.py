@@ -9,9 +9,10 @@ import pinocchio as pin
 import pytest
 
 from coopqp import Arm, Grasp, RobotCell
-from coopqp.control.lookahead.redundancy import LIMIT_MARGIN, TURNING_WAY, LimitAvoidance
+from coopqp.control.lookahead.redundancy import LimitAvoidance
 from coopqp.model import CellState
 from coopqp.model.chain import Chain
+from coopqp.native.constants import LIMIT_MARGIN, TURNING_WAY
 from coopqp.scenarios import robot_path
 from coopqp.spatial import Array
 

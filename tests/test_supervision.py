@@ -10,11 +10,10 @@ import pytest
 from marks import slow_but_first
 
 from coopqp import Cause, InvalidInputError, QPController, QPOptions, Status, SupervisionOptions
-from coopqp.control.monitoring import drift
 from coopqp.control.monitoring.drift import Drift
 from coopqp.control.monitoring.stress import StressWatch
 from coopqp.control.monitoring.supervision import Supervision, Watch
-from coopqp.native import available_kernels
+from coopqp.native import available_kernels, constants
 from coopqp.scenarios import mixed_cell, paper_lift
 from coopqp.spatial import Array
 
@@ -524,11 +523,11 @@ def test_the_drift_is_the_filters_of_its_derivation(rng: np.random.Generator) ->
 
     Towards 0 the drift goes as the filter says, away from it by a share of the way at most, and never past ``largest``.
     """
-    dt, noise, largest = 2.0 * drift._PERIOD, 1e-5, 2e-3
+    dt, noise, largest = 2.0 * constants.DRIFT_PERIOD, 1e-5, 2e-3
     found = Drift(2, largest)
-    x, P, Q = np.zeros(2), np.diag([0.0, drift._LAG**2]), np.diag([drift._WANDER**2 * dt, 0.0])
+    x, P, Q = np.zeros(2), np.diag([0.0, constants.LAG**2]), np.diag([constants.WANDER**2 * dt, 0.0])
     q, seen, speed, met = np.zeros(1), 0.0, 0.0, set()
-    new = dt / (drift._SMOOTHING + dt)
+    new = dt / (constants.SMOOTHING + dt)
     found.without(np.zeros((2, 6)), noise, q, 0.0)
     for i in range(1200):
         way = dt * (0.4 + 0.3 * np.sin(0.02 * i))
@@ -539,13 +538,13 @@ def test_the_drift_is_the_filters_of_its_derivation(rng: np.random.Generator) ->
         # the filter
         seen, speed, P = seen + new * (apart[0, 1] - seen), speed + new * (way / dt - speed), P + Q
         h = np.array([1.0, speed])
-        gain = P @ h / (h @ P @ h + (drift._FLOOR**2 + noise**2) * drift._SAMPLE / dt)
-        change, most = gain * (seen - h @ x), drift._LARGEST_SLOPE * way
+        gain = P @ h / (h @ P @ h + (constants.DRIFT_FLOOR**2 + noise**2) * constants.DRIFT_SAMPLE / dt)
+        change, most = gain * (seen - h @ x), constants.LARGEST_SLOPE * way
         wanted = x[0] + change[0]
         stop = min(x[0], 0.0), max(x[0], 0.0)
         b = float(np.clip(wanted, stop[0] - most, stop[1] + most))
         P = P - np.outer(gain, P @ h)
-        P[1, 1] = drift._LAG**2 if b != wanted else max(P[1, 1], drift._LEAST_LAG**2)
+        P[1, 1] = constants.LAG**2 if b != wanted else max(P[1, 1], constants.LEAST_LAG**2)
         met |= {"slowed"} if b != wanted else {"shrunk"} if abs(b) < abs(x[0]) else {"grown"}
         x = np.array([np.clip(b, -largest, largest), x[1] + change[1]])
         met |= {"largest"} if abs(x[0]) == largest else set()

@@ -43,7 +43,7 @@ class _Version(argparse.Action):
         from coopqp.solvers.choice import default_solver
 
         print(f"coopqp {metadata.version('coopqp')}")
-        print(f"kernels: {kernel_text()}; solver {default_solver()}")
+        print(f"kernel: {kernel_text()}; solver {default_solver()}")
         versions = {"python": platform.python_version(), **{name: metadata.version(name) for name in _SHOWN}}
         print(", ".join(f"{name} {version}" for name, version in versions.items()))
         parser.exit()

@@ -1,4 +1,4 @@
-"""The functions of ``_bounds.c`` in NumPy, for installations without a compiler. P pairs, reaches are (nv, P)."""
+"""The functions of ``bounds_module.cpp`` in NumPy, for installations without a compiler. P pairs, reaches (nv, P)."""
 
 from __future__ import annotations
 

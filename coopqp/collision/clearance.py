@@ -323,7 +323,7 @@ class Clearance:
         return lower
 
     def in_memory(self, memory: Mapping[str, Array], *, ahead: bool = False) -> RowsInMemory | None:
-        """The same for standing bodies, in C over the memory of a compiled step; None without a compiler.
+        """The same for standing bodies, compiled, over the memory of a compiled step; None without a compiler.
 
         Each step does a bounded share of what need not be known at once. Pairs that it did not look at keep a lower
         bound of their distance, which the joints' motion takes from.

@@ -15,7 +15,7 @@ from coopqp.native import compiled, warn_once
 from coopqp.spatial import Array
 
 #: The module for bounds and rows: compiled or plain.
-KERNEL: Any = compiled("distances") or bounds_plain
+KERNEL: Any = compiled() or bounds_plain
 
 if TYPE_CHECKING:
     from coopqp.collision.scene import CollisionScene
@@ -122,12 +122,12 @@ class Distances:
 
         Args:
             bounds: the bounds that it keeps up to date.
-            arrays, numbers: as ``nearby.c`` lists them, without those that are known here.
+            arrays, numbers: as ``nearby.cpp`` lists them, without those that are known here.
         """
         cell, results = self._cell, self._results
         normals = [result.normal for result in results]
         if any(normal.flags.owndata for normal in [*normals, self._data.J]):
-            return None  # C would read copies, and nobody writes them again
+            return None  # the core would read copies, and nobody writes them again
         model, geometry, placed = cell.model, self._geometry, self._placed
         q = pin.neutral(model)
         placing = (
@@ -182,8 +182,8 @@ class LowerBounds:
     Args:
         scene: the scene of the pairs.
         distances: the distances that are asked.
-        kernel: the code of the bounds, ``_bounds.c`` or :mod:`coopqp.collision.bounds_plain`; None for the fastest of
-            this installation.
+        kernel: the code of the bounds, ``bounds_module.cpp`` or :mod:`coopqp.collision.bounds_plain`; None for the
+            fastest of this installation.
 
     Warns:
         KernelWarning: there is no compiled kernel, and none was asked for.

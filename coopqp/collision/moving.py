@@ -12,13 +12,14 @@ import pinocchio as pin
 from coopqp.checks import as_vector
 from coopqp.collision.distances import Gradient
 from coopqp.constraints.velocity import MOST_ROWS, LabelledRows
-from coopqp.control.step.velocity_bounds import BRAKING_SHARE
 from coopqp.errors import UnknownNameError
 from coopqp.model.limits import BindingLimit, LimitKind
+from coopqp.native.constants import BRAKING_SHARE
 from coopqp.spatial import Array, as_placement
 
 if TYPE_CHECKING:
     from coopqp.collision.scene import CollisionScene
+
 
 #: Speed at which a body that gives way is asked to retreat, at most [m/s].
 _FASTEST_RETREAT = 0.5

@@ -213,8 +213,8 @@ class ControlStep(Shown):
         _set(self, "status", status)
 
     def __getattr__(self, name: str) -> Any:
-        # Python calls this for missing attributes only. C fills in the record, rate and status, and as the context the
-        # RecordReader that puts the record into words.
+        # Python calls this for missing attributes only. The core fills in the record, rate and status, and as the
+        # context the RecordReader that puts the record into words.
         if name == "_values":
             empty: dict[str, Any] = {}
             _set(self, "_values", empty)

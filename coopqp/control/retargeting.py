@@ -8,15 +8,13 @@ import numpy as np
 import pinocchio as pin
 
 from coopqp.control.lookahead.ramp_time import Effort
-from coopqp.paths.servo import AT_REST, ServoPath
-
-#: Rounding of a rate.
-_ROUNDING = 1e-9
+from coopqp.native.constants import RATE_TOLERANCE, STILL_OBJECT
+from coopqp.paths.servo import ServoPath
 
 
 def object_rests(loop: Any, path: ServoPath) -> bool:
     """Whether the object rests on its path; ``loop`` is a plain or a compiled one."""
-    return not np.abs(loop.rate * path.twist(loop.clock)).max() > AT_REST
+    return not np.abs(loop.rate * path.twist(loop.clock)).max() > STILL_OBJECT
 
 
 def go_over(loop: Any, path: ServoPath, effort: Effort, goal: pin.SE3, full: float) -> bool:
@@ -37,7 +35,7 @@ def go_over(loop: Any, path: ServoPath, effort: Effort, goal: pin.SE3, full: flo
             if rests:
                 return True
             kept, change = loop.try_step()
-            if kept >= rate - _ROUNDING and effort.admits(change):
+            if kept >= rate - RATE_TOLERANCE and effort.admits(change):
                 return True
             path.restore(way)
             loop.take_path()

@@ -28,7 +28,7 @@ from typing import Any, final
 import numpy as np
 import pinocchio as pin
 
-from coopqp.control.core import layout, minding_of
+from coopqp.control.core import minding_of
 from coopqp.control.core.relax_plain import AT, gives_way, minding_size, minding_views
 from coopqp.control.monitoring.stress import servo_wrenches
 from coopqp.errors import InvalidInputError
@@ -41,6 +41,7 @@ from coopqp.forces.stress import per_joint
 from coopqp.model.cell import RobotCell
 from coopqp.model.chain import Chain
 from coopqp.model.grasp import Grasp
+from coopqp.native.constants import LOOK_EVERY
 from coopqp.spatial import Array, skew
 
 #: Smaller shares of a stiffness count as 0.
@@ -60,7 +61,6 @@ _PRESS, _PRESS_LEAST, _PRESS_MOST, _PRESS_SPEED = 3.0, 1e-5, 5e-4, 5e-4
 _STIFFEST = (0.05, 20.0)
 #: Attributes that change.
 _VARYING = ("_pressed", "_pressing", "_waited", "_felt", "_grows", "_base")
-_LOOK_EVERY = layout.CONSTANTS["LOOK_EVERY"]
 #: A contact pushes with at least this share of the payload's weight, and this force [N], if nothing else is told.
 _CONTACT, _LEAST_CONTACT = 0.2, 25.0
 #: A direction is called by an axis from this cosine on.
@@ -88,7 +88,7 @@ class Relaxation:
         kernel: the code of a step, ``"compiled"`` or ``"plain"``.
 
     Attributes:
-        memory: numbers of :data:`coopqp.control.core.layout.MINDING`, and the vectors below.
+        memory: numbers of :data:`coopqp.native.layout.MINDING`, and the vectors below.
         internal: internal wrenches of the arms on the object beside the squeeze that is asked for, filtered (N, 6)
             [N, N·m], in the object frame; the next step changes it in place.
         seen: the last wrenches at the tools (N, 6) [N, N·m]; the next step changes it in place.
@@ -213,7 +213,7 @@ class Relaxation:
     # -- a step --------------------------------------------------------------------------------------------------
 
     def step(self, wrenches: Array | None, dt: float) -> int:
-        """Take wrenches at the tools, and move the grasps: ``relax.c``, which ``relax_plain.py`` says in NumPy.
+        """Take wrenches at the tools, and move the grasps: ``relax.cpp``, which ``relax_plain.py`` says in NumPy.
 
         Args:
             wrenches: (N, 6) [N, N·m], ``dt`` seconds after the last ones; None or NaN for missing ones.
@@ -244,7 +244,7 @@ class Relaxation:
         return f"{size:.0f} N have pushed it towards {towards} of the world (from {limit:.0f} N on)"
 
     def allow(self, dt: float) -> float:
-        """The largest rate of the object in this step: ``allow.c``, which ``allow_plain.py`` says in NumPy."""
+        """The largest rate of the object in this step: ``allow.cpp``, which ``allow_plain.py`` says in NumPy."""
         self._allow(self.memory, len(self._cell), dt)
         return self.memory.item(AT["ALLOWED"])
 
@@ -256,7 +256,7 @@ class Relaxation:
     @property
     def aged(self) -> bool:
         """The compliances have to be looked at again."""
-        return self.memory.item(AT["AGE"]) >= _LOOK_EVERY
+        return self.memory.item(AT["AGE"]) >= LOOK_EVERY
 
     # -- the wrenches --------------------------------------------------------------------------------------------
 

@@ -13,9 +13,9 @@ from typing import final
 
 import numpy as np
 
-from coopqp.control.monitoring.stress import STRUCTURE
 from coopqp.forces.internal import SHARE_LENGTH
 from coopqp.model.grasp import Grasp
+from coopqp.native.constants import STRUCTURE
 from coopqp.paths.path import TimeLaw
 from coopqp.spatial import Array
 

@@ -1,6 +1,6 @@
 """Kinematics of one arm at thousands of tool poses at once: inverse kinematics, singular values, limit margins.
 
-Compiled (``_batch.c``), or in NumPy where there was no compiler (:mod:`coopqp.model.batch_plain`).
+Compiled (``batch_module.cpp``), or in NumPy where there was no compiler (:mod:`coopqp.model.batch_plain`).
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from coopqp.model.links import joint_links
 from coopqp.native import compiled, warn_once
 from coopqp.spatial import Array, Placement, as_placement, as_placements, cross
 
-_COMPILED = compiled("kinematics")
+_COMPILED = compiled()
 _KERNELS: dict[str, Any] = {**({"compiled": _COMPILED} if _COMPILED else {}), "plain": batch_plain}
 
 #: Longest rows or columns that the compiled functions take.

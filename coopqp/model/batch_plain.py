@@ -1,6 +1,6 @@
-"""The functions of ``_batch.c`` in NumPy: all configurations at once, for installations without a compiler.
+"""The functions of ``batch_module.cpp`` in NumPy: all configurations at once, for installations without a compiler.
 
-Arrays are flat and hold the same numbers; the result is written into them. See ``_batch.c`` for their content.
+Arrays are flat and hold the same numbers; the result is written into them. See ``batch_module.cpp`` for their content.
 """
 
 from __future__ import annotations

@@ -22,14 +22,12 @@ import pinocchio as pin
 from coopqp.checks import read_only
 from coopqp.model.cell import RobotCell, of_cell
 from coopqp.model.grasp import Grasp
+from coopqp.native.constants import FAR_EDGE, LARGE_INVERSE
 from coopqp.spatial import Array, largest, log6_rows
 
 #: Singular values of A_k below this count as this in an inverse: limits and rate keep the command finite.
 SINGULAR_FLOOR = 1e-6
-#: Entries of an inverse beyond this send it to the singular value decomposition.
-_LARGE_INVERSE = 1e4
-#: The end of an arm's reach is no further than this, in units of its joints.
-_FAR_EDGE, _TINIEST = 1e3, float(np.finfo(float).tiny)
+_TINIEST = float(np.finfo(float).tiny)
 
 
 #: Below this the logarithm of an error is its linear part, to rounding [m, rad].
@@ -188,7 +186,7 @@ class Chain:
                 inverse: Array = np.asarray(np.linalg.inv(JT), dtype=np.float64)
             except np.linalg.LinAlgError:
                 return self._floored(g)
-            if largest(np.abs(inverse)) < _LARGE_INVERSE:
+            if largest(np.abs(inverse)) < LARGE_INVERSE:
                 return inverse
             return self._floored(g)
         return self._least_squares(g) if g.joints < 6 else self._redundant(g)
@@ -196,7 +194,7 @@ class Chain:
     def _least_squares(self, g: _Group) -> Array:
         """Inverse on the twists that arms with few joints can do; the rest of a twist is lost."""
         inverse = self._svd_inverse(g)
-        self.singular = self.singular or not np.abs(inverse).max() < _LARGE_INVERSE
+        self.singular = self.singular or not np.abs(inverse).max() < LARGE_INVERSE
         return inverse
 
     def _redundant(self, g: _Group) -> Array:
@@ -208,7 +206,7 @@ class Chain:
         except np.linalg.LinAlgError:
             return self._floored(g)
         inverse: Array = gram @ weighted
-        if largest(np.abs(inverse)) < _LARGE_INVERSE:
+        if largest(np.abs(inverse)) < LARGE_INVERSE:
             return inverse
         return self._floored(g)
 
@@ -263,7 +261,7 @@ class Chain:
         least, by ``J v = λ u``, and ``h = uᵀ (∂J/∂q v) v`` is how that changes: brackets of the joints' twists. At
         ``−λ/h`` times v the object turns back. Other singularities are passed without: h is 0 there, the edge far.
         """
-        out = np.full(self.nv, _FAR_EDGE)
+        out = np.full(self.nv, FAR_EDGE)
         for g in self._groups:
             if g.joints < 6:
                 continue
@@ -274,7 +272,7 @@ class Chain:
             own = v * JT  # twist that each joint makes
             before = own.cumsum(axis=1) - own  # twist of the links before it
             h = np.einsum("kij,kij->k", before @ (u[:, :, 0] @ _BRACKETS).reshape(-1, 6, 6), own)
-            size = np.maximum(np.abs(h), least * np.sqrt(least) / _FAR_EDGE + _TINIEST)
+            size = np.maximum(np.abs(h), least * np.sqrt(least) / FAR_EDGE + _TINIEST)
             out[g.columns] = (-least / np.copysign(size, h))[:, None] * v[:, :, 0]
         return out
 

@@ -19,10 +19,9 @@ from coopqp.model.branches import AT_LIMIT, all_turns, amount, find_branches
 from coopqp.model.cell import Arm, RobotCell
 from coopqp.model.chain import Chain
 from coopqp.model.grasp import Grasp
+from coopqp.native.constants import LONGEST_STEP
 from coopqp.spatial import Array, Placement, as_placement
 
-#: Largest Newton step of a joint [rad or m]; longer steps are scaled down.
-_LONGEST_STEP = 0.5
 _LAST = threading.local()
 
 
@@ -39,8 +38,8 @@ def newton(chain: Chain, target: pin.SE3, q: Array, *, tolerance: float, max_ite
         largest = np.abs(step).max()
         if not np.isfinite(largest):
             break
-        if largest > _LONGEST_STEP:
-            step *= _LONGEST_STEP / largest
+        if largest > LONGEST_STEP:
+            step *= LONGEST_STEP / largest
         q = pin.integrate(chain.cell.model, q, step)
         errors = chain.errors(chain.carried(q), target)
     return q, errors

@@ -11,8 +11,6 @@ from coopqp.checks import ArrayLike, as_floats
 from coopqp.errors import InvalidInputError
 from coopqp.spatial import Array
 
-#: Gain towards the motion, per second of the path's clock [1/s].
-ELBOW_GAIN = 5.0
 #: Samples of a motion that is smoothed, and the standard deviation of its mean as a share of the duration.
 _SAMPLES, _WIDTH = 60, 0.04
 

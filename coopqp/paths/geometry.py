@@ -20,11 +20,10 @@ import numpy as np
 import pinocchio as pin
 
 from coopqp.errors import InvalidInputError
+from coopqp.native.constants import TURN_LENGTH
 from coopqp.spatial import Array, as_placement, cross, rotations
 
 _Number = TypeVar("_Number", float, Array)
-#: A turn of 1 rad counts as this many metres.
-TURN_LENGTH = 0.3
 #: Twists per unit of s that differ by more than this make a corner [1, rad/m].
 _CORNER = 1e-9
 #: Largest value of a blend's ramp before its middle, as a share of its half length.

@@ -11,8 +11,18 @@ import pinocchio as pin
 
 from coopqp.checks import as_scalar, as_vector
 from coopqp.errors import InvalidInputError, said
+from coopqp.native.constants import (
+    FASTEST_PATH,
+    JUMP_WIDTH,
+    KINK_SHARE,
+    KINK_WIDTH,
+    LEAST_JUMP,
+    LEAST_KINK,
+    STEEP_SHARE,
+    STEEP_WIDTH,
+    TURN_LENGTH,
+)
 from coopqp.paths.elbows import Elbows
-from coopqp.paths.geometry import TURN_LENGTH
 from coopqp.paths.path import HoldPath, LinePath, ObjectPath, WaypointPath
 from coopqp.paths.servo import ServoPath
 from coopqp.paths.timed import TimedPath
@@ -22,21 +32,12 @@ from coopqp.spatial import Array, as_placement
 FARTHEST = 1e9
 #: Entries this large make a twist invalid [m/s, rad/s].
 FASTEST = 1e9
-#: A path that moves faster jumps [m/s].
-FASTEST_PATH = 20.0
 #: Breakpoints that are asked for, at most.
 _MOST_BREAKPOINTS = 10_000
 #: Length of the part of an endless path that is asked before anything moves [s].
 _LOOKED_AT = 1.0
 #: Clocks at which a path is asked, and the share of the distance between them over which its poses are compared.
 _PROBES, _SPAN_SHARE = 9, 1e-2
-#: A twist that changes by more than half of its change within so short a time jumps there [s], if the change is this
-#: large [m/s; 1 rad counts as TURN_LENGTH].
-_KINK_WIDTH, _KINK_SHARE, _LEAST_KINK = 2.5e-11, 0.5, 1e-9
-#: So does a pose within so short a time [s], if it changes by this much [m], and faster than FASTEST_PATH.
-_JUMP_WIDTH, _LEAST_JUMP = 1e-6, 5e-5
-#: It is too steep, and jumps not, if most of that needs more than this time [s], or than this share of the clock.
-_STEEP_WIDTH, _STEEP_SHARE = 2.5e-11, 1e-15
 #: A twist may differ from the poses' change by this share of both, and by this much besides [m/s, rad/s].
 _TWIST_SHARE, _TWIST_TOLERANCE = 0.1, 1e-3
 
@@ -184,30 +185,30 @@ class GuardedPath:
             return None
         low, high = self.twist(before), self.twist(after)
         whole = 0.0 if low is None or high is None else twist_distance(low, high)
-        if not whole > _LEAST_KINK:
+        if not whole > LEAST_KINK:
             return None
-        found = yield from _halved(self.twist, twist_distance, (before, low), (after, high), _KINK_WIDTH)
-        return found[0] if found is not None and found[1] > max(_KINK_SHARE * whole, _LEAST_KINK) else None
+        found = yield from _halved(self.twist, twist_distance, (before, low), (after, high), KINK_WIDTH)
+        return found[0] if found is not None and found[1] > max(KINK_SHARE * whole, LEAST_KINK) else None
 
     def jumps(self, before: float, after: float) -> Generator[None, None, tuple[float, float] | None]:
         """The clock between two others at which a user's path jumps [s], and by how far [m]; None if it does not.
 
-        Where it is only too steep the distance is negative: how far it moves within :data:`_JUMP_WIDTH`. The search
+        Where it is only too steep the distance is negative: how far it moves within :data:`JUMP_WIDTH`. The search
         pauses before every further pose that it asks for.
         """
         low, high = self.pose(before), self.pose(after)
         whole = 0.0 if low is None or high is None else pose_distance(low, high)
-        if not whole > max(FASTEST_PATH * (after - before), _LEAST_JUMP):
+        if not whole > max(FASTEST_PATH * (after - before), LEAST_JUMP):
             return None
-        wide = yield from _halved(self.pose, pose_distance, (before, low), (after, high), _JUMP_WIDTH)
-        if wide is None or not wide[1] > _KINK_SHARE * whole:
+        wide = yield from _halved(self.pose, pose_distance, (before, low), (after, high), JUMP_WIDTH)
+        if wide is None or not wide[1] > KINK_SHARE * whole:
             return None
         (start, low), (end, high), far = *wide[2], wide[1]
-        narrow = max(_STEEP_WIDTH, _STEEP_SHARE * end)
+        narrow = max(STEEP_WIDTH, STEEP_SHARE * end)
         found = yield from _halved(self.pose, pose_distance, (start, low), (end, high), narrow)
         if found is None:
             return None
-        return found[0], found[1] if found[1] > _KINK_SHARE * far else -far
+        return found[0], found[1] if found[1] > KINK_SHARE * far else -far
 
     def breakpoints(self) -> list[float]:
         """Clocks before the end at which the path says that its twist jumps [s], up to the first that it cannot say."""

@@ -9,20 +9,13 @@ import pinocchio as pin
 
 from coopqp.checks import as_scalar, as_vector
 from coopqp.errors import InvalidInputError
+from coopqp.native.constants import NOWHERE, SHORTEST_CHANGE, SPEEDS, STILL_OBJECT
 from coopqp.paths.path import ObjectPath
 from coopqp.spatial import Array, Placement, as_placement, axis_angle, for_twists
 
 #: Time in which the object reaches its full speed if the joints' accelerations are unknown [s].
 _RAMP = 0.2
-#: The shortest time in which the motion changes [s].
-_SHORTEST = 1e-4
-#: An object this slow rests [m/s, rad/s].
-AT_REST = 1e-6
-#: Shares of the full speed that are compared.
-_SPEEDS = 50
-_SHARES = np.arange(1, _SPEEDS + 1) / _SPEEDS
-#: Length of the shortest way [s, at full speed].
-_NOWHERE = 1e-9
+_SHARES = np.arange(1, SPEEDS + 1) / SPEEDS
 
 
 class _Way:
@@ -50,16 +43,16 @@ class _Way:
     def __init__(
         self, start: pin.SE3, twist: Array, goal: pin.SE3, *, speed: float, spin: float, effort: Array, stops: Array
     ) -> None:
-        rests = bool(np.abs(twist).max() <= AT_REST)
+        rests = bool(np.abs(twist).max() <= STILL_OBJECT)
         self.start, self.goal, self.twist = start, goal, np.zeros(6) if rests else twist
         self.begin = self.end = 0.0
         if rests:
             nominal, full = self._straight(speed, spin)
             self.end = float(np.fmin(np.abs(effort @ full), stops).max(initial=0.0))
-            self.duration = max(nominal + 0.5 * self.end, self.end, _SHORTEST)
+            self.duration = max(nominal + 0.5 * self.end, self.end, SHORTEST_CHANGE)
             return
         before = effort @ self.twist
-        self.begin = max(float(np.abs(before).max()), _SHORTEST)
+        self.begin = max(float(np.abs(before).max()), SHORTEST_CHANGE)
         share = 1.0
         for _ in range(4):  # the way begins where the present motion has died away
             nominal, full = self._straight(speed, spin)
@@ -67,9 +60,9 @@ class _Way:
             changes = np.abs(np.outer(_SHARES, after) - before).max(axis=1)
             fits = 0.5 * _SHARES * (changes + _SHARES * np.abs(after).max()) <= nominal
             i = int(np.flatnonzero(fits).max(initial=0))
-            share, self.begin = float(_SHARES[i]), max(float(changes[i]), _SHORTEST)
+            share, self.begin = float(_SHARES[i]), max(float(changes[i]), SHORTEST_CHANGE)
         nominal, full = self._straight(speed, spin)
-        self.end = max(share * float(np.abs(effort @ full).max()), _SHORTEST)
+        self.end = max(share * float(np.abs(effort @ full).max()), SHORTEST_CHANGE)
         ramps = self.begin + self.end
         self.duration = max(nominal / share + 0.5 * ramps, ramps)
 
@@ -90,7 +83,7 @@ class _Way:
         axis, angle = axis_angle(R.T @ self.goal.rotation)
         self.turn = angle * axis
         nominal = max(float(np.linalg.norm(self.line)) / speed, float(np.linalg.norm(self.turn)) / spin)
-        if nominal < _NOWHERE:
+        if nominal < NOWHERE:
             return 0.0, np.zeros(6)
         return nominal, np.concatenate([self.line, R @ self.turn]) / nominal
 

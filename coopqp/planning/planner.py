@@ -15,7 +15,8 @@ from coopqp.errors import InvalidInputError, UndecidedError, UnreachableError
 from coopqp.model.cell import RobotCell
 from coopqp.model.chain import moving_columns
 from coopqp.model.grasp import Grasp
-from coopqp.paths.geometry import TURN_LENGTH, PathGeometry, Straight, blended
+from coopqp.native.constants import TURN_LENGTH
+from coopqp.paths.geometry import PathGeometry, Straight, blended
 from coopqp.paths.path import LinePath, ObjectPath
 from coopqp.paths.timed import SpeedProfile, TimedPath
 from coopqp.planning.branch_checks import PathVerdict, follows

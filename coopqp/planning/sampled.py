@@ -8,7 +8,8 @@ from typing import Any, final
 import numpy as np
 
 from coopqp.errors import InvalidInputError
-from coopqp.paths.geometry import TURN_LENGTH, PathGeometry, Piece
+from coopqp.native.constants import TURN_LENGTH
+from coopqp.paths.geometry import PathGeometry, Piece
 from coopqp.paths.guarded import GuardedPath, twist_distance
 from coopqp.paths.path import ObjectPath
 from coopqp.spatial import Array

@@ -26,7 +26,7 @@ PATIENCE = 1.0
 #: Readings at rest whose mean the controller starts from.
 _REST_SAMPLES = 100
 #: An object off its path stands at a rate below this.
-_AT_REST = 1e-3
+_STANDSTILL = 1e-3
 #: Called during a run with the numbers of steps (done, total).
 ProgressCallback = Callable[[int, int], None]
 
@@ -143,7 +143,7 @@ def _asking(controller: Controller, plant: Plant) -> Callable[[Array], ControlSt
 def _stands(step: ControlStep) -> bool:
     """Whether the object waits for something that its operator did not ask for."""
     if step.status is Status.OFF_PATH:
-        return step.rate < _AT_REST
+        return step.rate < _STANDSTILL
     return step.status in (Status.BLOCKED, Status.HOLDING, Status.FAULT)
 
 

@@ -8,8 +8,9 @@ import numpy as np
 
 from coopqp.checks import as_options
 from coopqp.errors import MissingSolverError
+from coopqp.native.constants import LARGEST_X
 from coopqp.solvers.base import Outcome, QpSolver, SolverSettings, Workspace
-from coopqp.solvers.polish import REACH, finish
+from coopqp.solvers.polish import finish
 from coopqp.solvers.problem import INFINITE, Array, QpProblem, SolverStatus
 
 #: An answer this far from optimal is not worth a message.
@@ -39,9 +40,11 @@ class _Memory:
 
     def __init__(self, n: int, m: int) -> None:
         try:
-            from coopqp.control.core._native import least_distance
+            from coopqp.native._core import least_distance
         except ImportError as error:
-            raise MissingSolverError("ldp", "install a wheel of coopqp, or a C compiler before you build it") from error
+            raise MissingSolverError(
+                "ldp", "install a wheel of coopqp, or a C++ compiler before you build it"
+            ) from error
         self._least_distance = least_distance
         self.A, self.low, self.high = np.zeros((m, n)), np.full(m, -np.inf), np.full(m, np.inf)
         self.lb, self.ub, self.x, self.y = np.full(n, -np.inf), np.full(n, np.inf), np.zeros(n), np.zeros(m + n)
@@ -112,7 +115,7 @@ class LdpSolver(QpSolver):
         memory.A[:p], memory.A[p:] = problem.C, problem.A
         memory.low[:], memory.high[:] = work.lower[n:], work.upper[n:]
         memory.lb[:], memory.ub[:] = work.lower[:n], work.upper[:n]
-        code = memory.solve(REACH)
+        code = memory.solve(LARGEST_X)
         y = memory.y
         return _outcome(code, memory.x.copy(), np.concatenate([y[p + m :], y[: p + m]]))
 
@@ -132,7 +135,7 @@ class LdpSolver(QpSolver):
             np.divide(bounds - values, lengths, out=out)
             out[side * bounds >= INFINITE] = side * np.inf
         # ‖L‖ ≤ √n, as no pivot of H / s is above 1.
-        reach = n * REACH + float(np.linalg.norm(start)) * np.sqrt(n)
+        reach = n * LARGEST_X + float(np.linalg.norm(start)) * np.sqrt(n)
         code = memory.solve(reach)
         x = start + inverse.T @ memory.x
         outcome = _outcome(code, x, self._scale * memory.y[: n + p + m] / lengths)

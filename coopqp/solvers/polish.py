@@ -8,6 +8,7 @@ import eigenpy  # type: ignore[import-untyped]
 import numpy as np
 from numpy.typing import NDArray
 
+from coopqp.native.constants import LARGEST_X
 from coopqp.solvers.base import Outcome, Workspace
 from coopqp.solvers.problem import INFINITE, Array, QpProblem, SolverStatus
 
@@ -17,8 +18,6 @@ _EXACT, _EXACT_RELATIVE = 1e-13, 1e-10
 _NO_MULTIPLIER = 1e-8
 #: Largest number of tried active sets. If a few do not suffice, the solution was not near the optimum.
 _ROUNDS = 8
-#: Largest max |x| that a proof of infeasibility has to cover.
-REACH = 1e5
 #: Regularisation of the equations, taken out again by refinement: a handful of times where H is nearly singular on
 #: the directions that the active constraints leave free, as near a singularity.
 _DELTA = 1e-10
@@ -73,9 +72,9 @@ def finish(problem: QpProblem, work: Workspace, outcome: Outcome, accuracy: floa
         residual = _polish(problem, work, outcome, residual)
     if residual.absolute <= accuracy:
         outcome.status, outcome.message = SolverStatus.SOLVED, ""
-    elif outcome.status is SolverStatus.MAX_ITERATIONS and excluded_ball(problem, work, raw) > REACH:
+    elif outcome.status is SolverStatus.MAX_ITERATIONS and excluded_ball(problem, work, raw) > LARGEST_X:
         outcome.status = SolverStatus.INFEASIBLE
-        outcome.message = f"infeasible: the multipliers prove that no x up to {REACH:.0e} meets the constraints"
+        outcome.message = f"infeasible: the multipliers prove that no x up to {LARGEST_X:.0e} meets the constraints"
     elif outcome.status is SolverStatus.SOLVED:
         outcome.message = f"optimal to {residual.absolute:.1e} only"
     return residual.absolute

@@ -1,4 +1,4 @@
-"""Mutants of C: another comparison, sign, constant or connective, a statement left out; and how a copy is compiled."""
+"""Mutants of C++: another comparison, sign, constant or connective, a statement left out; how a copy is compiled."""
 
 from __future__ import annotations
 
@@ -36,12 +36,9 @@ _KINDS: dict[str, tuple[re.Pattern[str], dict[str, str]]] = {
 _DECLARES = re.compile(
     r"\s*(?:const|double|int|static|struct|char|size_t|Py_ssize_t|void|unsigned|return|for|if|[A-Z]\w* )"
 )
-#: Modules: their sources, and the folders of headers besides their own.
-PARTS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
-    "coopqp/control/core/_native": (("coopqp/control/core/module.c", "coopqp/control/core/unit.c"), ()),
-    "coopqp/model/_batch": (("coopqp/model/_batch.c", "coopqp/model/_values.c"), ()),
-    "coopqp/collision/_bounds": (("coopqp/collision/_bounds.c", "coopqp/collision/nearby.c"), ("coopqp/control/core",)),
-}
+#: The compiled module, and its sources besides those that others include.
+MODULE = "coopqp/native/_core"
+SOURCES = ("step_module.cpp", "batch_module.cpp", "bounds_module.cpp", "nearby.cpp", "unit.cpp", "values.cpp")
 
 
 def _quiet(source: str) -> str:
@@ -92,29 +89,20 @@ def write(source: str, kind: str, occurrence: int) -> str:
     return source[:start] + other + source[end:]
 
 
-def part_of(file: str) -> str:
-    """The compiled module that a source is part of."""
-    return next(part for part in PARTS if str(Path(part).parent) == str(Path(file).parent))
-
-
-def compile_part(folder: Path, part: str) -> bool:
-    """Compile one module of the copy in ``folder``, for this processor's plain arithmetic; False if it cannot be.
+def compile_copy(folder: Path) -> bool:
+    """Compile the module of the copy in ``folder``, for this processor's plain arithmetic; False if it cannot be.
 
     The functions for AVX2 are left out: a module without them takes its own.
     """
-    sources, headers = PARTS[part]
-    generated = folder / "build" / "generated"
+    generated, native = folder / "build" / "generated", (folder / MODULE).parent
     generated.mkdir(parents=True, exist_ok=True)
-    layout = subprocess.run(
-        [sys.executable, str(folder / "coopqp/control/core/layout.py")], capture_output=True, text=True, check=True
-    )
+    layout = subprocess.run([sys.executable, str(native / "header.py")], capture_output=True, text=True, check=True)
     (generated / "layout.h").write_text(layout.stdout, encoding="utf-8")
-    target = (folder / part).with_suffix(".abi3.so")
-    include = [str(generated), str((folder / part).parent), *(str(folder / h) for h in headers)]
+    include = [str(generated), sysconfig.get_paths()["include"]]
     done = subprocess.run(
-        ["cc", "-O1", "-w", "-shared", "-fPIC", "-fvisibility=hidden", "-DPy_LIMITED_API=0x030b0000",
-         *(f"-I{i}" for i in (*include, sysconfig.get_paths()["include"])),
-         *(str(folder / s) for s in sources), "-o", str(target), "-lm"],
+        ["c++", "-std=c++17", "-O1", "-w", "-shared", "-fPIC", "-fvisibility=hidden", "-DPy_LIMITED_API=0x030b0000",
+         *(f"-I{i}" for i in include), *(str(native / s) for s in SOURCES),
+         "-o", str((folder / MODULE).with_suffix(".abi3.so")), "-lm"],
         capture_output=True, text=True, check=False,
     )  # fmt: skip
     return done.returncode == 0

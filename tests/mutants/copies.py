@@ -79,14 +79,14 @@ for line in sys.stdin:
 
 
 class Copy:
-    """A copy of the tree, with the compiled modules for the processor's plain arithmetic."""
+    """A copy of the tree, with the compiled module for the processor's plain arithmetic."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
         shutil.copytree(
             ROOT, folder, ignore=shutil.ignore_patterns(".*", "out", "build", "dist", "__pycache__"), symlinks=True
         )
-        self.parts = [part for part in c.PARTS if c.compile_part(folder, part)]
+        self.compiled = c.compile_copy(folder)
         path = [str(folder / "tests" / "elsewhere"), str(folder)]
         self._environment = {
             **os.environ, "PYTHONPATH": os.pathsep.join(path), "HYPOTHESIS_PROFILE": "mutation",
@@ -135,13 +135,12 @@ class Copy:
         """A file has another text for a while; yields False if it does not compile."""
         file = self.folder / name
         source = file.read_text(encoding="utf-8")
-        part = c.part_of(name) if name.endswith(".c") else None
-        built = (self.folder / part).with_suffix(".abi3.so") if part else None
+        built = (self.folder / c.MODULE).with_suffix(".abi3.so") if name.endswith(".cpp") else None
         kept = built.read_bytes() if built else b""
         try:
             file.write_text(text, encoding="utf-8")
             self._forget(file)
-            yield part is None or c.compile_part(self.folder, part)
+            yield built is None or c.compile_copy(self.folder)
         finally:
             file.write_text(source, encoding="utf-8")
             self._forget(file)

@@ -34,6 +34,7 @@ from coopqp.control import Controller
 from coopqp.control.step.velocity_bounds import VelocityBox
 from coopqp.errors import UnreachableError
 from coopqp.model import CellState
+from coopqp.native.constants import RECOVERY_SHARE
 from coopqp.scenarios import Scenario, at_limit
 from coopqp.simulation import Monitor, MonitorTolerances, Verdict
 from coopqp.solvers import QpProblem, QpSolution, QpSolver, SolverStatus, make_solver
@@ -612,7 +613,7 @@ def ideal_return(task: Scenario, depths: dict[int, float], motion: dict[int, flo
     speed, acceleration = (
         np.asarray(x, dtype=float) for x in (task.cell.limits.velocity, task.cell.limits.acceleration)
     )
-    slow = VelocityBox.RECOVERY_SHARE * speed
+    slow = RECOVERY_SHARE * speed
     back = [alone_inside(abs(d), float(slow[j]), float(acceleration[j])) for j, d in depths.items()]
     others = [alone_inside(abs(d), float(speed[j]), float(acceleration[j])) for j, d in (motion or {}).items() if d]
     return max(back + others)

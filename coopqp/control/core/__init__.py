@@ -54,12 +54,12 @@ def make_loop(
 
 
 def minding_of(kernel: str) -> tuple[Relax, Allow]:
-    """Functions of a kernel for forces: the relaxation (``relax.c``), and the allowed rate (``allow.c``)."""
+    """Functions of a kernel for forces: the relaxation (``relax.cpp``), and the allowed rate (``allow.cpp``)."""
     if kernel == "plain":
         return relax_plain.relax, allow_plain.allow
-    from coopqp.control.core import _native
+    from coopqp.native import _core
 
-    return _native.relax, _native.allow
+    return _core.relax, _core.allow
 
 
 __all__ = ["make_loop", "minding_of"]

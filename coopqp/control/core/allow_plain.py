@@ -1,4 +1,4 @@
-"""The rate of the object that forces allow, in NumPy, as in ``allow.c``. See :mod:`coopqp.forces`."""
+"""The rate of the object that forces allow, in NumPy, as in ``allow.cpp``. See :mod:`coopqp.forces`."""
 
 from __future__ import annotations
 
@@ -6,17 +6,12 @@ import math
 
 import numpy as np
 
-from coopqp.control.core import layout
 from coopqp.control.core.relax_plain import AT, MOVING, SENSORS_FINE, minding_views
+from coopqp.native import layout
+from coopqp.native.constants import FIRMER, FRICTION_SLOWS, LEAST_CALM, RATE_FALLS, RATE_RISES, SLOW_RATE, SPARE_SQUEEZE
 from coopqp.spatial import Array
 
 NOTHING_MORE, BY_SENSOR, BY_REACH, BY_STAGE, BY_FRICTION, BY_FORCE, BY_CONTACT = range(len(layout.WHYS))
-_FALLS, _SLOW, _RISES, _LEAST_CALM, _FRICTION_SLOWS, _SPARE, _FIRMER = (
-    layout.CONSTANTS[name]
-    for name in (
-        "RATE_FALLS", "SLOW_RATE", "RATE_RISES", "LEAST_CALM", "FRICTION_SLOWS", "SPARE_SQUEEZE", "FIRMER",
-    )
-)  # fmt: skip
 
 
 def allow(memory: Array, arms: int, dt: float, /) -> None:
@@ -51,9 +46,9 @@ def _ease_cap(m: Array, cap: float, dt: float) -> None:
     stiffer the servos are.
     """
     now = m[AT["FORCE_CAP"]]
-    falls = max(now, _SLOW) / _FALLS
-    calm = max(1.0 - m[AT["SIZE"]] / m[AT["FORCE_SLOWS"]], _LEAST_CALM) / math.sqrt(max(m[AT["STIFFER"]], 1.0))
-    m[AT["FORCE_CAP"]] = min(max(cap, now - falls * dt), now + calm * dt / _RISES)
+    falls = max(now, SLOW_RATE) / RATE_FALLS
+    calm = max(1.0 - m[AT["SIZE"]] / m[AT["FORCE_SLOWS"]], LEAST_CALM) / math.sqrt(max(m[AT["STIFFER"]], 1.0))
+    m[AT["FORCE_CAP"]] = min(max(cap, now - falls * dt), now + calm * dt / RATE_RISES)
 
 
 def _friction_slows(m: Array, x: dict[str, Array], dt: float) -> bool:
@@ -63,9 +58,9 @@ def _friction_slows(m: Array, x: dict[str, Array], dt: float) -> bool:
     _press_harder(m, x, palms_need(x["palms"], x["seen"]), share, dt)
     m[AT["FRICTION_USED"]] += share * (min(used.max(), 2.0) - m[AT["FRICTION_USED"]])
     now = m[AT["FRICTION_USED"]]
-    if not now > _FRICTION_SLOWS:
+    if not now > FRICTION_SLOWS:
         return False
-    _ease_cap(m, max((1.0 - now) / (1.0 - _FRICTION_SLOWS), 0.0), dt)
+    _ease_cap(m, max((1.0 - now) / (1.0 - FRICTION_SLOWS), 0.0), dt)
     m[AT["WHY_ARM"]] = used.argmax()
     return True
 
@@ -74,9 +69,9 @@ def _press_harder(m: Array, x: dict[str, Array], needed: float, share: float, dt
     """Raise the squeeze where the load that is felt needs more; it never falls again."""
     most, pressed = m[AT["MOST_SQUEEZE"]], AT["PRESSED_WITH"]
     m[AT["NEEDED"]] += share * (min(needed, most) - m[AT["NEEDED"]])
-    wanted = min(_SPARE * m[AT["NEEDED"]], most)
+    wanted = min(SPARE_SQUEEZE * m[AT["NEEDED"]], most)
     if wanted > m[pressed]:
-        m[pressed] = min(wanted, m[pressed] + _FIRMER * dt)
+        m[pressed] = min(wanted, m[pressed] + FIRMER * dt)
         x["target"][:] = m[pressed] / m[AT["SQUEEZE"]] * x["squeezed"]
 
 

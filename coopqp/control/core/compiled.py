@@ -1,4 +1,4 @@
-"""The compiled loop: the plain loop's three calls over memory that Python and C share.
+"""The compiled loop: the plain loop's three calls over memory that Python and the core share.
 
 Python goes on from the same memory where the core leaves a step open: where the arms have to part or to brake, and
 where another solver than the core's own is asked for.
@@ -14,11 +14,10 @@ from typing import Any, final
 import numpy as np
 import pinocchio as pin
 
-import coopqp.control.core._native as native
+import coopqp.native._core as native
 from coopqp.constraints.cause import Cause
 from coopqp.constraints.rate import Knot
 from coopqp.constraints.velocity import ConstraintTrouble, Rows, no_rows
-from coopqp.control.core import layout
 from coopqp.control.core.memory import Memory, NotForTheCore, build_memory, put_options, same_kinematics
 from coopqp.control.interface import ControlStep, SolverReport, Status, amend
 from coopqp.control.monitoring.supervision import as_configuration, grasp_lengths
@@ -26,7 +25,6 @@ from coopqp.control.options import QPOptions
 from coopqp.control.step.constraint_set import Constraints
 from coopqp.control.step.decoding import STATUSES, RecordReader
 from coopqp.control.step.linearised import LinearisedAnswer, LinearisedStep, StepInput, is_long
-from coopqp.control.step.plain import MOST_TIGHTENINGS
 from coopqp.control.step.priorities import StepSolver
 from coopqp.control.step.velocity_bounds import VelocityBox
 from coopqp.errors import InvalidInputError
@@ -35,6 +33,8 @@ from coopqp.model.chain import Chain
 from coopqp.model.grasp import Grasp
 from coopqp.model.posture import Posture
 from coopqp.model.state import CellState
+from coopqp.native import layout
+from coopqp.native.constants import MOST_MINDING, MOST_TIGHTENINGS, SEGMENT
 from coopqp.paths.guarded import GuardedPath, is_known
 from coopqp.paths.path import ObjectPath
 from coopqp.paths.servo import ServoPath
@@ -159,7 +159,7 @@ class CompiledLoop:
 
     def take_minding(self, memory: Array, tell: Callable[[ControlStep], None]) -> Callable[..., Any] | None:
         """The core's step with wrenches: see :meth:`coopqp.QPController.take_minding`."""
-        if len(self.cell) > layout.CONSTANTS["MOST_MINDING"]:
+        if len(self.cell) > MOST_MINDING:
             return None
         self._core.bind_minding(memory, self._places, tell)
         step: Callable[..., Any] = self._core.step_minding
@@ -206,7 +206,7 @@ class CompiledLoop:
         """Take the way to a new target as :class:`coopqp.QPController` does; None where the definition has to say."""
         if self.constraints or self._guarded.elbows is not None:  # which the core's own numbers lack
             return None
-        numbers = np.empty(4 + layout.SEGMENT)
+        numbers = np.empty(4 + SEGMENT)
         target = np.concatenate([goal.rotation.ravel(), goal.translation])
         taken: int = self._core.go_over(target, numbers, path.speed, path.spin, full)
         if taken > 0:

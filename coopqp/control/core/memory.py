@@ -8,14 +8,15 @@ from typing import final
 import numpy as np
 
 from coopqp.constraints.velocity import MOST_ROWS
-from coopqp.control.core import layout
 from coopqp.control.lookahead.options import PlanLimits, PreviewOptions
 from coopqp.control.options import QPOptions
-from coopqp.control.step.velocity_bounds import LARGEST_MOVE, VelocityBox
+from coopqp.control.step.velocity_bounds import VelocityBox
 from coopqp.errors import ModelError
 from coopqp.model.cell import RobotCell, of_cell
 from coopqp.model.chain import Chain, moving_columns
 from coopqp.model.links import joint_links
+from coopqp.native import layout
+from coopqp.native.constants import LARGEST_MOVE, MOST_JOINTS
 from coopqp.spatial import Array
 
 _OPTIONS = {name: i for i, name in enumerate(layout.OPTIONS)}
@@ -118,8 +119,8 @@ def _arms(chain: Chain) -> tuple[list[int], list[int]]:
     columns = chain.moving_columns
     if any(len(c) < 6 for c in columns):
         raise NotForTheCore("an arm has fewer than six joints")
-    if any(len(c) > layout.MOST_JOINTS for c in columns):
-        raise NotForTheCore(f"an arm has more than {layout.MOST_JOINTS} joints")
+    if any(len(c) > MOST_JOINTS for c in columns):
+        raise NotForTheCore(f"an arm has more than {MOST_JOINTS} joints")
     if any((np.diff(c) != 1).any() for c in columns):
         raise NotForTheCore("the joints of an arm do not follow each other")
     return [int(c[0]) for c in columns], [len(c) for c in columns]

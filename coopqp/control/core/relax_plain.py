@@ -1,4 +1,4 @@
-"""The relaxation of forces, one step of it, in NumPy, as in ``relax.c``. See :mod:`coopqp.forces.admittance`."""
+"""The relaxation of forces, one step of it, in NumPy, as in ``relax.cpp``. See :mod:`coopqp.forces.admittance`."""
 
 from __future__ import annotations
 
@@ -8,7 +8,24 @@ from typing import Any
 import numpy as np
 
 from coopqp.checks import ArrayLike
-from coopqp.control.core import layout
+from coopqp.native import layout
+from coopqp.native.constants import (
+    CAREFUL_START,
+    CONTACT_FILTER,
+    CONTACT_LASTS,
+    CONTACT_SETTLES,
+    CORRECTION_FADES,
+    LATE_LOAD,
+    LET_GO,
+    MORE_THAN_AT_START,
+    MORE_THAN_INTERNAL,
+    SENSED_MOTION,
+    SERVO_PEAK,
+    SLOWEST_LESSON,
+    SOFTEST,
+    STRANGE_SERVOS,
+    TURN_LENGTH,
+)
 from coopqp.spatial import Array
 
 #: Index of each scalar in the memory of the relaxation.
@@ -16,19 +33,6 @@ AT = {name: i for i, name in enumerate(layout.MINDING)}
 HEARD, MISSED, SILENT = range(len(layout.HEARING))
 CHECKING, PRESSING, RELAXING, MOVING = range(len(layout.STAGES))
 SENSORS_FINE, SENSOR_SILENT, SENSOR_WRONG = range(len(layout.SENSORS))
-_CORRECTION_FADES = layout.CONSTANTS["CORRECTION_FADES"]
-_MORE_THAN_AT_START = layout.CONSTANTS["MORE_THAN_AT_START"]
-_SOFTEST = layout.CONSTANTS["SOFTEST"]
-_SENSED_MOTION = layout.CONSTANTS["SENSED_MOTION"]
-_CONTACT_FILTER, _CONTACT_SETTLES, _CONTACT_LASTS, _LATE_LOAD, _PEAK, _LET_GO = (
-    layout.CONSTANTS[name]
-    for name in ("CONTACT_FILTER", "CONTACT_SETTLES", "CONTACT_LASTS", "LATE_LOAD", "SERVO_PEAK", "LET_GO")
-)
-_MORE_THAN_INTERNAL = layout.CONSTANTS["MORE_THAN_INTERNAL"]
-_STRANGE, _CAREFUL, _SLOWEST_LESSON = (
-    layout.CONSTANTS[name] for name in ("STRANGE_SERVOS", "CAREFUL_START", "SLOWEST_LESSON")
-)
-_TURN_LENGTH = layout.CONSTANTS["TURN_LENGTH"]
 
 
 def minding_views(memory: Array, arms: int) -> dict[str, Array]:
@@ -66,7 +70,7 @@ def squeezes(memory: Array) -> bool:
     m = memory
     if m[AT["STAGE"]] != RELAXING or m[AT["HAS_PALMS"]]:
         return False
-    return bool(m[AT["SIZE"]] >= m[AT["FORCE_HOLDS"]] and m[AT["SIZE"]] > _MORE_THAN_AT_START * m[AT["START_SIZE"]])
+    return bool(m[AT["SIZE"]] >= m[AT["FORCE_HOLDS"]] and m[AT["SIZE"]] > MORE_THAN_AT_START * m[AT["START_SIZE"]])
 
 
 def relax(memory: Array, arms: int, wrenches: ArrayLike | None, dt: float, /) -> int:
@@ -75,7 +79,7 @@ def relax(memory: Array, arms: int, wrenches: ArrayLike | None, dt: float, /) ->
     heard = _feel(m, x, wrenches, dt)
     m[AT["AGE"]] += dt
     if m[AT["STAGE"]] == MOVING:  # the object is led to its path once the arms have relaxed
-        m[AT["CORRECTS"]] = min(m[AT["CORRECTS"]] + dt / _CORRECTION_FADES, 1.0)
+        m[AT["CORRECTS"]] = min(m[AT["CORRECTS"]] + dt / CORRECTION_FADES, 1.0)
     if heard == SILENT:
         if m[AT["SENSOR_FAULT"]] == SENSORS_FINE:
             most = int(x["silent"].argmax())
@@ -94,7 +98,7 @@ def relax(memory: Array, arms: int, wrenches: ArrayLike | None, dt: float, /) ->
 def _feel(m: Array, x: dict[str, Array], wrenches: ArrayLike | None, dt: float) -> int:
     w = np.full_like(x["seen"], np.nan) if wrenches is None else np.asarray(wrenches, dtype=float)
     fresh = np.isfinite(w).all(axis=1)
-    same = (w == x["seen"]).all(axis=1) & (m[AT["LAST_SPEED"]] > _SENSED_MOTION)  # while the arms move
+    same = (w == x["seen"]).all(axis=1) & (m[AT["LAST_SPEED"]] > SENSED_MOTION)  # while the arms move
     x["silent"][:] = np.where(fresh & ~same, 0.0, x["silent"] + dt)
     x["seen"][:] = np.where(fresh[:, None], w, x["seen"])
     now = (x["internal_of"] @ x["seen"].ravel()).reshape(-1, 6) - x["target"]
@@ -102,7 +106,7 @@ def _feel(m: Array, x: dict[str, Array], wrenches: ArrayLike | None, dt: float) 
     share = dt / (dt + m[AT["WRENCH_FILTER"]])
     x["internal"] += share * (now - x["internal"])
     x["felt"] += share * (x["seen"] - x["felt"])
-    m[AT["SIZE"]] = _largest(x["internal"], 1.0, _TURN_LENGTH)
+    m[AT["SIZE"]] = _largest(x["internal"], 1.0, TURN_LENGTH)
     if (x["silent"] > m[AT["WRENCH_SILENCE"]]).any():
         return SILENT
     return HEARD if fresh.all() else MISSED
@@ -128,24 +132,24 @@ def _find_contact(m: Array, x: dict[str, Array], dt: float) -> None:
         change = (velocity - travel[1]) / since
         travel[:2] = place, velocity
         travel[2] += dt / (dt + m[AT["WRENCH_FILTER"]]) * (change - travel[2])
-        m[haste] = max(float(np.linalg.norm(change)), m[haste] * _PEAK / (_PEAK + dt))
+        m[haste] = max(float(np.linalg.norm(change)), m[haste] * SERVO_PEAK / (SERVO_PEAK + dt))
     else:
         travel[0], travel[1:], m[haste] = place, 0.0, 0.0
     n = len(x["seen"])
     felt = np.einsum("kikj,kj->i", x["unfed_of"].reshape(n, 6, n, 6)[:, :3], x["seen"])
     now = m[AT["WEIGHT_X"] : AT["WEIGHT_Z"] + 1] + m[AT["LOAD_MASS"]] * travel[2] - R @ felt
-    push += dt / (dt + _CONTACT_FILTER) * (now - push)
+    push += dt / (dt + CONTACT_FILTER) * (now - push)
     if not moves:
-        base += dt / (dt + _CONTACT_SETTLES) * (now - base)
+        base += dt / (dt + CONTACT_SETTLES) * (now - base)
         return
     off = push - min(max(push @ base / max(base @ base, 1e-12), 0.0), 1.0) * base
     m[AT["PUSHED"]] = math.sqrt(off @ off)
-    limit = (_LET_GO if m[AT["TOUCHES"]] else 1.0) * m[AT["CONTACT_LIMIT"]]
-    clear = m[AT["TOUCHES"]] or (not m[AT["SUSPECTED"]] and m[AT["PUSHED"]] > _MORE_THAN_INTERNAL * m[AT["SHARPEST"]])
-    if clear and m[AT["PUSHED"]] - _LATE_LOAD * m[AT["LOAD_MASS"]] * m[haste] >= limit:
+    limit = (LET_GO if m[AT["TOUCHES"]] else 1.0) * m[AT["CONTACT_LIMIT"]]
+    clear = m[AT["TOUCHES"]] or (not m[AT["SUSPECTED"]] and m[AT["PUSHED"]] > MORE_THAN_INTERNAL * m[AT["SHARPEST"]])
+    if clear and m[AT["PUSHED"]] - LATE_LOAD * m[AT["LOAD_MASS"]] * m[haste] >= limit:
         if not m[AT["TOUCHES"]] or m[AT["PUSHED"]] >= m[AT["CONTACT_LIMIT"]]:
             last[:] = off
-        m[AT["TOUCHES"]] = _CONTACT_LASTS
+        m[AT["TOUCHES"]] = CONTACT_LASTS
     else:
         m[AT["TOUCHES"]] = max(m[AT["TOUCHES"]] - dt, 0.0)
     if m[AT["TOUCHES"]]:
@@ -154,14 +158,14 @@ def _find_contact(m: Array, x: dict[str, Array], dt: float) -> None:
 
 def _give_way(m: Array, x: dict[str, Array], dt: float, rate: float) -> None:
     o: dict[str, Any] = {name: m.item(i) for name, i in AT.items()}
-    size, soft, way = o["SIZE"], min(max(o["STIFFER"], _SOFTEST), 1.0), np.zeros_like(x["shift"])
+    size, soft, way = o["SIZE"], min(max(o["STIFFER"], SOFTEST), 1.0), np.zeros_like(x["shift"])
     asks = min(rate, o["ALLOWED"]) if o["AT_END"] else rate  # past its end a step says 1 again, however slow it came
     if size > o["DEAD_BAND"]:
         yields = (x["yields"] @ x["internal"].ravel()).reshape(-1, 6)
         way = (o["DEAD_BAND"] / size - 1.0) / (max(o["STIFFER"], 1.0) * o["RELAX_TIME"]) * yields
         # Softer servos than given are answered more slowly, and their drift is learned as much more slowly.
         # A slow object shows little of its drift, which would be learned with the square of the rate.
-        counts = min(max(rate, _SLOWEST_LESSON), 1.0)
+        counts = min(max(rate, SLOWEST_LESSON), 1.0)
         x["drift"] += rate * dt * soft / (counts * counts * o["DRIFT_TIME"]) * way
     if o["AT_END"]:  # soft servos, and slow objects, would unlearn slowly what the path has asked for
         x["drift"] *= 1.0 - rate * dt * (1.0 - soft * asks) / (o["DRIFT_TIME"] + dt)
@@ -186,9 +190,9 @@ def _wait_at_rest(m: Array, dt: float) -> None:
     if m[since] > m[AT["WAIT"]] and size < m[AT["MOVE_BELOW"]]:
         m[AT["STAGE"]], m[since] = MOVING, 0.0
         stiffer = m[AT["STIFFER"]]
-        softer = stiffer > _SOFTEST and stiffer * _STRANGE < 1.0  # or they do not answer at all
-        if not m[AT["HAS_PALMS"]] and (softer or stiffer > _STRANGE):  # the pads of palms yield, too
-            m[AT["FORCE_CAP"]] = min(m[AT["FORCE_CAP"]], _CAREFUL)
+        softer = stiffer > SOFTEST and stiffer * STRANGE_SERVOS < 1.0  # or they do not answer at all
+        if not m[AT["HAS_PALMS"]] and (softer or stiffer > STRANGE_SERVOS):  # the pads of palms yield, too
+            m[AT["FORCE_CAP"]] = min(m[AT["FORCE_CAP"]], CAREFUL_START)
 
 
 def _largest(rows: Array, linear: float, angular: float) -> float:

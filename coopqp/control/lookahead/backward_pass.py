@@ -12,14 +12,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from coopqp.native.constants import CROSSED, MOST_PIVOTS, STILL_SLOPE
 from coopqp.spatial import Array
-
-#: A bound of u counts from this slope on [rad/s or m/s, per unit of rate].
-STILL_SLOPE = 1e-12
-#: Newton steps of one program. Each takes another pair of lines.
-MOST_PIVOTS = 50
-#: Excess of the lower bound of u over the upper one, beyond rounding.
-CROSSED = 1e-13
 
 
 class Interval(NamedTuple):

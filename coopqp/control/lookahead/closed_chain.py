@@ -16,26 +16,22 @@ from coopqp.model.chain import Chain
 from coopqp.model.inverse_kinematics import newton
 from coopqp.model.limits import BindingLimit, LimitKind, joint_limit
 from coopqp.model.posture import Posture
-from coopqp.paths.elbows import ELBOW_GAIN
+from coopqp.native.constants import (
+    BEND_CHANGE,
+    BRANCH_WAY,
+    CONVERGED,
+    ELBOW_GAIN,
+    FINE_CELL,
+    JUST_BEFORE,
+    MOST_TRIES,
+    OTHER_BRANCH,
+    STARTING_STEPS,
+)
 from coopqp.paths.guarded import GuardedPath
 from coopqp.spatial import Array, largest
 
-#: Intervals shorter than this are not halved for a change of slope [s].
-_FINE_CELL = 1e-3
-#: A slope that changes by more than this share within a short interval belongs to another branch.
-_OTHER_BRANCH = 0.5
-#: Intervals are halved where q″ changes by more than this share of the accelerations.
-_BEND_CHANGE = 0.3
-#: Within this many of the longest way between knots from the end of its reach, an arm may already be past it.
-_BRANCH_WAY = 2.0
-#: The twist before a corner or the end is taken this much earlier [s].
-JUST_BEFORE = 1e-10
-#: Newton steps that the first knot may take, and that every other knot may take.
-_STARTING_STEPS, _MOST_TRIES = 8, 4
 #: Arms with fewer than six joints follow a path if Newton's method leaves no larger error [m, rad].
 _FOLLOWED = 1e-4
-#: Newton's method ends after a step shorter than this: the next would be of its square [rad or m].
-_CONVERGED = 1e-5
 
 
 class KnotRoom(NamedTuple):
@@ -114,7 +110,7 @@ class ChainAhead:
         pose = self._path.pose(clock)
         if pose is None:
             raise LookAheadTrouble(self._path.problem)
-        q, errors = newton(self._chain, pose, q, tolerance=1e-10, max_iter=_STARTING_STEPS)
+        q, errors = newton(self._chain, pose, q, tolerance=1e-10, max_iter=STARTING_STEPS)
         self.blind = self._beyond_few_joints(errors)
         if not np.abs(errors).max() < 1e-6 and not self.blind:
             arm = int(np.abs(errors).max(axis=1).argmax())
@@ -131,7 +127,7 @@ class ChainAhead:
         clock, options = last.clock + h, self._options
         bend = 0.0 * last.curvature if last.corner else last.curvature
         q = self._cell.moved(last.q, (bend * (0.5 * h) + last.slope) * h)
-        for _ in range(_MOST_TRIES):
+        for _ in range(MOST_TRIES):
             yield
             if not self._newton_step(clock, q):
                 return None
@@ -139,7 +135,7 @@ class ChainAhead:
             if not farthest < options.joint_step:
                 return None
             q = self._cell.moved(q, self._step)
-            if farthest < _CONVERGED:
+            if farthest < CONVERGED:
                 break
         else:
             return None
@@ -151,8 +147,8 @@ class ChainAhead:
             return None  # numbers overflow
         if h > options.shortest and not h * knot.fastest <= 1.5 * options.joint_step:
             return None
-        fine = h <= _FINE_CELL
-        if h > options.shortest and not knot.change <= (_OTHER_BRANCH if fine else options.slope_step) * knot.fastest:
+        fine = h <= FINE_CELL
+        if h > options.shortest and not knot.change <= (OTHER_BRANCH if fine else options.slope_step) * knot.fastest:
             return None
         if not fine and not self._bends_slowly(knot, last):
             return None
@@ -170,7 +166,7 @@ class ChainAhead:
         if rooms.item(rooms.argmin()) < 1.0 and ((rooms < 1.0) & (rooms < last.rooms)).any():
             return True
         ways = np.maximum.reduceat(np.maximum(np.abs(now), np.abs(then)), self._starts)
-        near = _BRANCH_WAY * self._options.joint_step
+        near = BRANCH_WAY * self._options.joint_step
         if not ways.item(ways.argmin()) < near:
             return False
         return bool(((ways < near) & (np.add.reduceat(now * then, self._starts) < 0.0)).any())
@@ -180,10 +176,10 @@ class ChainAhead:
         if last.span == 0.0 or last.corner:
             return True
         change = largest(np.abs(knot.curvature - last.curvature) / self._plan.acceleration)
-        if change <= _BEND_CHANGE:
+        if change <= BEND_CHANGE:
             return True  # at any rate
         z = largest_alone(knot.slope, knot.curvature, self._plan.acceleration, self._plan.slope_cap, knot.cap)
-        return change * z <= _BEND_CHANGE
+        return change * z <= BEND_CHANGE
 
     def _constrained(self, knot: Knot) -> Knot | None:
         """A knot under the further constraints; None where they allow no rate."""

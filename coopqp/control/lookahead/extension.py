@@ -12,25 +12,23 @@ from typing import final
 
 import numpy as np
 
-from coopqp.control.lookahead.closed_chain import JUST_BEFORE, ChainAhead, LookAheadTrouble
+from coopqp.control.lookahead.closed_chain import ChainAhead, LookAheadTrouble
 from coopqp.control.lookahead.horizon import Horizon, Knot
 from coopqp.control.lookahead.options import PlanLimits, PreviewOptions
 from coopqp.model.cell import RobotCell
 from coopqp.model.limits import BindingLimit, LimitKind, joint_limit
+from coopqp.native.constants import (
+    BESIDE_KINK,
+    GROWTH,
+    JUST_BEFORE,
+    KINK_CELL,
+    LONGEST_WAY,
+    MOST_KINKS,
+    MOST_KNOTS,
+    PASSABLE,
+    SAME_CLOCK,
+)
 from coopqp.paths.guarded import GuardedPath
-
-#: A singularity is passed where the rate's cap stays above this share of the cap that ends the path.
-_PASSABLE = 0.3
-#: An interval is longer than the one before by this factor at most.
-_GROWTH = 2.0
-#: Where an interval this short is too long, a user's path or its twist may jump [s]; number of such clocks kept.
-_KINK_CELL, MOST_KINKS = 2e-3, 64
-#: A twist by finite differences jumps a little before and after the path does [s].
-_BESIDE_KINK = 2e-5
-#: Clocks this close to each other are the same [s].
-_SAME_CLOCK = 1e-9
-#: Knots that are kept at most, and knots of a way past a singularity.
-_MOST_KNOTS, _LONGEST_WAY = 1024, 300
 
 
 @final
@@ -106,7 +104,7 @@ class Growth:
     def step(self) -> bool:
         """One piece of work: a control step need not make a whole knot. False where growth has to wait."""
         self.trouble = ""
-        if len(self._horizon.knots) + len(self._way) + 2 > _MOST_KNOTS:
+        if len(self._horizon.knots) + len(self._way) + 2 > MOST_KNOTS:
             return False
         try:
             if self._growing is None:
@@ -153,7 +151,7 @@ class Growth:
                 self._horizon.push(stop._replace(cap=0.0, binding=self._arm_limit(knot, LimitKind.SINGULARITY)))
                 return
         breakpoint_ = self.next_breakpoint(last.clock)
-        if abs(way[-1].clock - breakpoint_) < _SAME_CLOCK and breakpoint_ < self._duration:
+        if abs(way[-1].clock - breakpoint_) < SAME_CLOCK and breakpoint_ < self._duration:
             way[-1] = self._chain.corner(way[-1])
         for knot in way:
             self._horizon.push(knot)
@@ -165,7 +163,7 @@ class Growth:
         if last.fastest > 0.0:
             h = min(h, options.joint_step / last.fastest)
         if last.span > 0.0 and not last.corner:
-            h = min(h, _GROWTH * last.span)
+            h = min(h, GROWTH * last.span)
         breakpoint_ = self.next_breakpoint(last.clock)
         if last.clock + h > breakpoint_ - 1e-9:
             h = breakpoint_ - last.clock
@@ -175,7 +173,7 @@ class Growth:
         h, sought = min(h, half_way), False
         while True:
             knot = yield from self._chain.attempt(last, h)
-            if knot is None and self._path.own and h <= _KINK_CELL and not (self._way or self._chain.blind):
+            if knot is None and self._path.own and h <= KINK_CELL and not (self._way or self._chain.blind):
                 yield
                 self.jump = yield from self._path.jumps(last.clock, last.clock + h)
                 if self.jump is not None:
@@ -186,7 +184,7 @@ class Growth:
                     sought, kink = True, (yield from self._kink(last.clock, h))
                 if self.jump is not None:
                     return None
-                if kink is not None and kink <= last.clock + _SAME_CLOCK:
+                if kink is not None and kink <= last.clock + SAME_CLOCK:
                     return self._chain.corner(last)._replace(span=0.0)
                 if kink is not None:
                     h = kink - last.clock
@@ -203,7 +201,7 @@ class Growth:
         kink = yield from self._path.kinks(max(clock - JUST_BEFORE, 0.0), clock + h)
         if kink is not None:
             yield
-            self.jump = yield from self._path.jumps(kink - _BESIDE_KINK, kink + _BESIDE_KINK)
+            self.jump = yield from self._path.jumps(kink - BESIDE_KINK, kink + BESIDE_KINK)
         if kink is not None and self.jump is None:
             self._kinks = [*self._kinks[1 - MOST_KINKS :], kink]
         return kink
@@ -214,11 +212,11 @@ class Growth:
 
     def _past(self, knot: Knot) -> Generator[None, None, list[Knot]]:
         """The knots from ``knot``, near a singularity, to where the joints slow down; none if there is no way."""
-        least = (_PASSABLE * self._options.singular_rate) ** 2
+        least = (PASSABLE * self._options.singular_rate) ** 2
         end = self.next_breakpoint(knot.clock) - 1e-9
         way = self._way
         way.append(knot)
-        while len(way) < _LONGEST_WAY and way[-1].clock < end:
+        while len(way) < LONGEST_WAY and way[-1].clock < end:
             ahead = yield from self._next(way[-1])
             if ahead is None or not ahead.inside or ahead.uncapped < least or ahead.clock > end:
                 return []
@@ -231,7 +229,7 @@ class Growth:
         """First clock after ``clock`` at which the twist jumps, the end at the latest [s]."""
         after = self._duration
         for clocks in (self.breakpoints, self._kinks):
-            i = bisect_right(clocks, clock + _SAME_CLOCK)
+            i = bisect_right(clocks, clock + SAME_CLOCK)
             after = min(after, clocks[i]) if i < len(clocks) else after
         return after
 

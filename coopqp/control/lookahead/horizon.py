@@ -11,13 +11,8 @@ import numpy as np
 from coopqp.control.lookahead.backward_pass import Interval, Share, largest_square
 from coopqp.model.cell import RobotCell
 from coopqp.model.limits import BindingLimit, LimitKind, joint_limit
+from coopqp.native.constants import KNOTS_PER_PASS, LEAST_RATE, MOST_GUESSES, SHORT_OF, SHORTER
 from coopqp.spatial import Array
-
-#: Knots per backward pass.
-_KNOTS_PER_PASS = 4
-#: Guesses of the largest rate, the share by which they stay below a line's, its growth after a miss, and the
-#: smallest rate that is not 0.
-_MOST_GUESSES, _SHORT_OF, _SHORTER, _LEAST_RATE = 44, 1e-14, 4.0, 1e-9
 
 
 class Knot(NamedTuple):
@@ -112,7 +107,7 @@ class Horizon:
         self._fresh += 1
         if knot.cap == 0.0:
             self.complete = True  # nothing comes after a stop
-        if self.complete or self._fresh >= _KNOTS_PER_PASS:
+        if self.complete or self._fresh >= KNOTS_PER_PASS:
             self.look_back()
 
     def finish(self) -> None:
@@ -223,19 +218,19 @@ class Horizon:
         ``least`` is found at rate 1. K is linear between knots: the next guess is where σ² meets the line that makes
         it, or half way. After a miss guesses stay shorter: beside a clock a small rate has few digits.
         """
-        low, high, rate, short_of, cause = 0.0, 1.0, 1.0, _SHORT_OF, least.cause
-        for _ in range(_MOST_GUESSES):
+        low, high, rate, short_of, cause = 0.0, 1.0, 1.0, SHORT_OF, least.cause
+        for _ in range(MOST_GUESSES):
             guess = (1.0 - short_of) * least.met_by(rate)
             inside = low < guess < high
             rate = guess if inside else 0.5 * (low + high)
             least = self.least(clock, rate, dt)
             if rate * rate > least.square:
-                high, short_of = rate, short_of * (_SHORTER if inside else 1.0)
+                high, short_of = rate, short_of * (SHORTER if inside else 1.0)
                 continue
             low, cause = rate, least.cause
             if (1.0 - 2.0 * short_of) * least.met_by(rate) <= rate:
                 break
-        return low if low >= _LEAST_RATE else 0.0, cause
+        return low if low >= LEAST_RATE else 0.0, cause
 
     def least(self, clock: float, rate: float, dt: float) -> Least:
         """The least K of a step: in its middle, at its end, and at the knots on its way."""

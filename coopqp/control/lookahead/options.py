@@ -9,14 +9,11 @@ import numpy as np
 
 from coopqp.checks import Doc, as_count, documented, keep_scalars
 from coopqp.model.cell import RobotCell
+from coopqp.native.constants import STEPS_TO_EDGE, STEPS_TO_FULL_SPEED
 from coopqp.spatial import Array
 
-#: A joint without acceleration limit is planned to reach full speed in this many steps, and so is the rate.
-STEPS_TO_FULL_SPEED = 22
 #: Planned share of the largest change of the rate, under acceleration limits.
 _SHARE_OF_SLOPE = 0.9
-#: Least distance of an arm from the end of its reach, in steps of its joints to there, from rest or at full speed.
-_STEPS_TO_EDGE = 2
 
 
 @documented
@@ -103,7 +100,7 @@ class PlanLimits:
         limits, finite = cell.limits, np.isfinite(cell.limits.acceleration)
         speed = np.where(np.isfinite(limits.velocity), limits.velocity, 1.0)
         planned, accelerates = options.margin * limits.acceleration, bool(finite.any())
-        acceleration, time = np.where(finite, planned, speed / (STEPS_TO_FULL_SPEED * dt)), _STEPS_TO_EDGE * dt
+        acceleration, time = np.where(finite, planned, speed / (STEPS_TO_FULL_SPEED * dt)), STEPS_TO_EDGE * dt
         slope_cap = options.slope(accelerates=accelerates, dt=dt)
         return PlanLimits(
             np.where(finite, options.margin, 1.0) * limits.velocity,

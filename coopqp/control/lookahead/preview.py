@@ -24,17 +24,17 @@ from coopqp.control.lookahead.options import PlanLimits, PreviewOptions
 from coopqp.model.chain import Chain
 from coopqp.model.limits import BindingLimit, LimitKind, joint_limit
 from coopqp.model.posture import Posture
+from coopqp.native.constants import (
+    ASKED_PER_TIME,
+    LEAST_ASKED,
+    NEWTON_STEPS_AT_START,
+    SHORT_STEP,
+    STEPS_TO_ASK,
+    STEPS_TO_GROW,
+)
 from coopqp.paths.guarded import GuardedPath
 from coopqp.paths.path import ObjectPath
 from coopqp.spatial import Array
-
-#: A knot is begun this many steps before it is needed.
-_STEPS_TO_GROW = 8
-#: Newton steps that a reset may take.
-_NEWTON_STEPS_AT_START = 1000
-#: A user's path is asked up to this often in a step for what is ahead, more often in longer ones [1/s]. A knot of it
-#: is begun this many steps before it is needed.
-_LEAST_ASKED, _ASKED_PER_TIME, _SHORT_STEP, _STEPS_TO_ASK = 4, 6000.0, 0.002, 40
 
 
 @final
@@ -82,10 +82,8 @@ class PathPreview:
         self._chain = ChainAhead(chain, self._path, posture, plan, self.options, bound, evade)
         self._growth = Growth(chain.cell, self._path, self._chain, self.horizon, plan, self.options)
         self._begun = pin.neutral(chain.cell.model)
-        self._most_asked = (
-            _LEAST_ASKED + max(0, int(_ASKED_PER_TIME * (dt - _SHORT_STEP))) if self._path.own else math.inf
-        )
-        self._ahead_of_need = _STEPS_TO_ASK if self._path.own or bound is not None else _STEPS_TO_GROW
+        self._most_asked = LEAST_ASKED + max(0, int(ASKED_PER_TIME * (dt - SHORT_STEP))) if self._path.own else math.inf
+        self._ahead_of_need = STEPS_TO_ASK if self._path.own or bound is not None else STEPS_TO_GROW
         # Beside bodies growth goes on before the rate is no longer known to be free.
         self._early = 0.0 if bound is None else self._ahead_of_need * dt
         self._free_until = -np.inf  # clock until which the rate is known to be free
@@ -107,7 +105,7 @@ class PathPreview:
             self.trouble = str(trouble)
             return
         if not later:
-            self._extend(clock, self._dt, _NEWTON_STEPS_AT_START, math.inf)
+            self._extend(clock, self._dt, NEWTON_STEPS_AT_START, math.inf)
 
     @property
     def jump(self) -> tuple[float, float] | None:

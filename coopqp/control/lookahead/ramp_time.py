@@ -7,17 +7,12 @@ from typing import final
 import numpy as np
 import pinocchio as pin
 
-from coopqp.control.lookahead.options import STEPS_TO_FULL_SPEED, PlanLimits, PreviewOptions
+from coopqp.control.lookahead.options import PlanLimits, PreviewOptions
 from coopqp.model.cell import RobotCell
 from coopqp.model.chain import Chain
 from coopqp.model.grasp import Grasp
+from coopqp.native.constants import CHANGE_SHARE, LARGEST_JUMP
 from coopqp.spatial import Array
-
-#: Share of the accelerations for the plan of a change; the rest is for the curvature of the way.
-_SHARE = 0.7
-#: Share of its speed by which a joint without acceleration limit changes its velocity in the first step, at most: twice
-#: what is planned.
-_LARGEST_JUMP = 2.0 / STEPS_TO_FULL_SPEED
 
 
 @final
@@ -34,13 +29,13 @@ class Effort:
         self._cell, self._grasp = cell, grasp
         self._chain: Chain | None = None
         plan = PlanLimits.of(cell, options or PreviewOptions(), dt=dt)
-        self._acceleration = _SHARE * plan.acceleration
+        self._acceleration = CHANGE_SHARE * plan.acceleration
         limits = cell.limits
         speed = np.where(np.isfinite(limits.velocity), limits.velocity, 1.0)
         jumpy = ~np.isfinite(limits.acceleration)
         #: Time in which joints without acceleration limits stop from their full speed (nv,) [s]; 0 for the others.
         self.stops: Array = np.where(jumpy, speed / self._acceleration, 0.0)
-        self._jump = np.where(jumpy, _LARGEST_JUMP * speed, np.inf)
+        self._jump = np.where(jumpy, LARGEST_JUMP * speed, np.inf)
 
     def at(self, q: Array, T_world_object: pin.SE3) -> Array:
         """Seconds that each joint takes for a change by one unit (nv, 6) [s per m/s, s per rad/s], in world axes."""

@@ -8,12 +8,8 @@ import numpy as np
 import numpy.typing as npt
 
 from coopqp.model.chain import Chain
+from coopqp.native.constants import LEADS, LIMIT_MARGIN, TURNING_WAY
 from coopqp.spatial import Array
-
-#: Joints are kept this far inside their limits, and turn away from them within this way before [rad or m].
-LIMIT_MARGIN, TURNING_WAY = 0.003, 0.02
-#: Self-motion cannot lead a joint away if the joint's part in it is below this share.
-LEADS = 1e-4
 
 
 @final

@@ -1,4 +1,4 @@
-"""How far the commands lead the arms apart: the definition of the core's ``apart.c``.
+"""How far the commands lead the arms apart: the definition of the core's ``apart.cpp``.
 
 The arms' views O_k of the object should be one. Their errors without the mean are lengths at the grasps, turns
 included, as in the supervision. Two parts of them were asked for, and do not count as long as they are corrected: the
@@ -15,21 +15,13 @@ from typing import final
 
 import numpy as np
 
-from coopqp.control.core import layout
 from coopqp.control.monitoring.supervision import grasp_lengths
 from coopqp.model.grasp import Grasp
+from coopqp.native.constants import ALIKE, NO_MISMATCH, SAID_APART, TOGETHER_AGAIN
 from coopqp.spatial import Array
 
 #: Two arms that their commands part.
 PARTED = "arms {arm} and {other} are commanded {mm:.2g} mm apart"
-#: Distance from which a step says so [m].
-SAID_APART = layout.CONSTANTS["SAID_APART"]
-#: Arms whose distances are this close to each other's count as equally far: the first is named.
-_ALIKE = layout.CONSTANTS["ALIKE"]
-#: Held arms go on from this share of the distance at which they were held.
-_TOGETHER_AGAIN = layout.CONSTANTS["TOGETHER_AGAIN"]
-#: A smaller mismatch is none [m, rad].
-_NO_MISMATCH = layout.CONSTANTS["NO_MISMATCH"]
 
 
 @dataclass(eq=False)
@@ -80,12 +72,12 @@ class ChainWatch:
             square = float((mismatch * mismatch).sum())
             left = min(max(float((away * mismatch).sum()) / square, 0.0), 1.0) if square > 0.0 else 0.0
             away = away - left * mismatch
-            mismatch = left * mismatch if left * left * square > _NO_MISMATCH**2 else None
+            mismatch = left * mismatch if left * left * square > NO_MISMATCH**2 else None
         away = away.dot(self._at_grasps)
         distances = np.sqrt(np.einsum("ij,ij->i", away, away))
-        arm = int((distances * _ALIKE >= distances.max()).argmax())
+        arm = int((distances * ALIKE >= distances.max()).argmax())
         distance = float(distances[arm]) * n / (n - 1.0)
-        holds = not distance <= self._hold_from * (_TOGETHER_AGAIN if held else 1.0)
+        holds = not distance <= self._hold_from * (TOGETHER_AGAIN if held else 1.0)
         arms = (0, 0)
         if distance > SAID_APART:
             between = np.linalg.norm(away - away[arm], axis=1)

@@ -12,23 +12,18 @@ from typing import final
 
 import numpy as np
 
-from coopqp.control.core import layout
+from coopqp.native.constants import (
+    DRIFT_FLOOR,
+    DRIFT_PERIOD,
+    DRIFT_SAMPLE,
+    GROWS,
+    LAG,
+    LARGEST_SLOPE,
+    LEAST_LAG,
+    SMOOTHING,
+    WANDER,
+)
 from coopqp.spatial import Array, largest
-
-#: Standard deviations: drift within a second [m], lag of an arm [s], and the least one of an estimated lag [s].
-_WANDER, _LAG, _LEAST_LAG = 1e-3, 0.02, 1e-4
-#: Accuracy of the model of a deviation [m], and the time between independent samples [s].
-_FLOOR, _SAMPLE = 5e-4, 1e-3
-#: Distances and speed are smoothed alike [s]: a lagging arm does not follow a speed that jitters.
-_SMOOTHING = 0.1
-#: Period of the filter [s]; a longer step sets it.
-_PERIOD = 0.0045
-#: A drift grows by no more than this share of the arms' way, joints counted with a lever of 1 m; it may always shrink.
-_LARGEST_SLOPE = 0.02
-
-
-#: Closures of rigid grips also drift as fast as the object grows [m/s].
-_GROWS = layout.CONSTANTS["GROWS"]
 
 
 @final
@@ -52,7 +47,7 @@ class Drift:
         self._drift[:] = self._lag[:] = self._apart[:] = 0.0
         self._speed, self._since = 0.0, 0.0
         self._last: Array | None = None
-        self._bb, self._bc, self._cc = 0.0, 0.0, _LAG**2  # variances and covariance of drift and lag
+        self._bb, self._bc, self._cc = 0.0, 0.0, LAG**2  # variances and covariance of drift and lag
 
     def without(self, apart: Array, noise: float, commanded: Array, dt: float) -> Array:
         """Distances ``apart`` (N, 6) [m] without the drift.
@@ -66,10 +61,10 @@ class Drift:
         self._since += dt
         if self._last is None:
             self._last = commanded
-        elif self._since >= _PERIOD:
+        elif self._since >= DRIFT_PERIOD:
             way = largest(np.abs(commanded - self._last))  # joints counted with a lever of 1 m
             self._last = commanded
-            self._update(apart, noise, way / self._since, _LARGEST_SLOPE * way, self._since)
+            self._update(apart, noise, way / self._since, LARGEST_SLOPE * way, self._since)
             self._since = 0.0
         return apart - self._drift
 
@@ -82,19 +77,19 @@ class Drift:
         self._last, self.way = commanded, way
         off = apart - self._drift
         fastest = largest(np.abs(off))
-        self._drift += off * min((_LARGEST_SLOPE * way + _GROWS * dt) / max(fastest, 1e-300), 1.0)
+        self._drift += off * min((LARGEST_SLOPE * way + GROWS * dt) / max(fastest, 1e-300), 1.0)
         np.minimum(np.maximum(self._drift, -self._largest, out=self._drift), self._largest, out=self._drift)
         return apart - self._drift
 
     def _update(self, apart: Array, noise: float, speed: float, most: float, dt: float) -> None:
         """One step of the filter; the drift grows by no more than ``most`` [m]."""
-        new = dt / (_SMOOTHING + dt)
+        new = dt / (SMOOTHING + dt)
         self._apart += new * (apart - self._apart)
         self._speed += new * (speed - self._speed)
         s = self._speed
-        self._bb += _WANDER**2 * dt
+        self._bb += WANDER**2 * dt
         hb, hc = self._bb + self._bc * s, self._bc + self._cc * s  # P h with h = (1, s)
-        scale = 1.0 / (hb + hc * s + (_FLOOR**2 + noise**2) * _SAMPLE / dt)
+        scale = 1.0 / (hb + hc * s + (DRIFT_FLOOR**2 + noise**2) * DRIFT_SAMPLE / dt)
         surprise = self._apart - self._drift - s * self._lag
         change = scale * hb * surprise
         drift = self._drift
@@ -110,6 +105,6 @@ class Drift:
         self._lag += scale * hc * surprise
         self._bb = max(self._bb - scale * hb * hb, 0.0)
         self._bc -= scale * hb * hc
-        self._cc = max(self._cc - scale * hc * hc, _LEAST_LAG**2)
+        self._cc = max(self._cc - scale * hc * hc, LEAST_LAG**2)
         if too_fast:  # for a drift: the lag may have changed
-            self._cc = _LAG**2
+            self._cc = LAG**2

@@ -18,23 +18,23 @@ from typing import TYPE_CHECKING, final
 
 import numpy as np
 
-from coopqp.control.core import layout
 from coopqp.control.core.relax_plain import AT, RELAXING, SENSORS_FINE, minding_views
+from coopqp.native.constants import (
+    CAP_FALLS,
+    FEW_SAMPLES,
+    HASTE_FILTER,
+    LARGEST_SLOPE,
+    NOISE_TIME,
+    SERVO_HOLDS,
+    SERVO_LATE,
+    SERVO_PEAK,
+    SERVO_SLOWS,
+    SOFTEST,
+)
 from coopqp.spatial import Array, largest
 
 if TYPE_CHECKING:
     from coopqp.control.monitoring.supervision import Watch
-
-_SLOWS, _HOLDS, _LATE, _PEAK, _SOFTEST, _CAP_FALLS, _HASTE_FILTER = (
-    layout.CONSTANTS[name]
-    for name in ("SERVO_SLOWS", "SERVO_HOLDS", "SERVO_LATE", "SERVO_PEAK", "SOFTEST", "CAP_FALLS", "HASTE_FILTER")
-)
-#: A residual drifts by no more than this share of the arms' way.
-_SLOPE = layout.CONSTANTS["LARGEST_SLOPE"]
-#: Noise is averaged over this time [s].
-_NOISE_TIME = layout.CONSTANTS["NOISE_TIME"]
-#: Fewer samples than this tell nothing of the noise.
-_FEW_SAMPLES = 4
 
 
 @final
@@ -42,7 +42,7 @@ class ServoWatch:
     """The comparison with the wrenches, in the memory of the relaxation (:class:`coopqp.forces.Relaxation`).
 
     Args:
-        memory: numbers of :data:`coopqp.control.core.layout.MINDING`, and the vectors behind them.
+        memory: numbers of :data:`coopqp.native.layout.MINDING`, and the vectors behind them.
         names: of the arms.
     """
 
@@ -79,12 +79,12 @@ class ServoWatch:
 
         Returns the largest acceleration of late [rad/s² or m/s²], filtered: a single step of arms that relax is none.
         """
-        change = (velocity - filtered) / (_HASTE_FILTER + dt)
+        change = (velocity - filtered) / (HASTE_FILTER + dt)
         filtered += dt * change
         m, at = self._memory, AT["HASTE"]
         # While an arm is suspected the object slows down for that very reason, which must not excuse the arm.
         seen = 0.0 if m[AT["SUSPECTED"]] else float(np.abs(change).max())
-        m[at] = max(seen, m[at] * _PEAK / (_PEAK + dt))
+        m[at] = max(seen, m[at] * SERVO_PEAK / (SERVO_PEAK + dt))
         return m.item(at)
 
     def watch(
@@ -121,26 +121,26 @@ class ServoWatch:
         noise = math.sqrt(dt / (2.0 * filter_time + dt)) * m.item(AT["SERVO_NOISE"])  # this may be the first of a stall
         m[AT["SERVO_NOISE"]] = self._noise_seen(off, dt)
         x["off_servos"] += fresh * (off - x["off_servos"])
-        if m[AT["SERVO_SAMPLES"]] < _FEW_SAMPLES:
+        if m[AT["SERVO_SAMPLES"]] < FEW_SAMPLES:
             return 1.0, -1, 0.0
         apart = self._from_others @ x["off_servos"]
         drifted = apart - x["off_drift"]  # where the load is shared otherwise
-        x["off_drift"] += min(_SLOPE * way / max(float(np.abs(drifted).max()), 1e-300), 1.0) * drifted
+        x["off_drift"] += min(LARGEST_SLOPE * way / max(float(np.abs(drifted).max()), 1e-300), 1.0) * drifted
         apart = apart - x["off_drift"]
         far = np.linalg.norm(apart, axis=1)
         arm = int(far.argmax())
         # Softer servos than given deflect more for the same force; what their damping makes of it is as much larger.
-        soft = min(max(m.item(AT["STIFFER"]), _SOFTEST), 1.0)
-        worst = soft * (float(far[arm]) - margin * noise) - _LATE * hasty
-        m[AT["SUSPECTED"]] = worst > _SLOWS
-        return min(max((_HOLDS - worst) / (_HOLDS - _SLOWS), 0.0), 1.0), arm, float(far[arm])
+        soft = min(max(m.item(AT["STIFFER"]), SOFTEST), 1.0)
+        worst = soft * (float(far[arm]) - margin * noise) - SERVO_LATE * hasty
+        m[AT["SUSPECTED"]] = worst > SERVO_SLOWS
+        return min(max((SERVO_HOLDS - worst) / (SERVO_HOLDS - SERVO_SLOWS), 0.0), 1.0), arm, float(far[arm])
 
     def _bent(self, rotation: Array) -> Array:
         """By how much the arms stand off their commands for their wrenches, but for the sign (N, 6) [m, rad]."""
         m, x = self._memory, self._views
         load = rotation.T @ m[AT["WEIGHT_X"] : AT["WEIGHT_Z"] + 1]
         pushed = (x["unfed_of"] @ x["felt"].ravel() - x["carries"] @ load).reshape(-1, 6)
-        bent: Array = np.einsum("kij,kj->ki", x["compliances"], pushed) / max(m.item(AT["STIFFER"]), _SOFTEST)
+        bent: Array = np.einsum("kij,kj->ki", x["compliances"], pushed) / max(m.item(AT["STIFFER"]), SOFTEST)
         return bent
 
     def _noise_seen(self, off: Array, dt: float) -> float:
@@ -149,7 +149,7 @@ class ServoWatch:
         step = off - x["off_last"]
         bend = step - x["off_step"]
         x["off_last"][:], x["off_step"][:] = off, step
-        samples = m[AT["SERVO_SAMPLES"]] = min(m.item(AT["SERVO_SAMPLES"]) + 1.0, _NOISE_TIME / dt)
+        samples = m[AT["SERVO_SAMPLES"]] = min(m.item(AT["SERVO_SAMPLES"]) + 1.0, NOISE_TIME / dt)
         if samples > 2.0:  # the first differences are with nothing
             x["off_noise"] += (np.einsum("ij,ij->i", bend, bend) - x["off_noise"]) / max(samples - 2.0, 1.0)
         return math.sqrt(largest(x["off_noise"]) / 6.0)
@@ -157,6 +157,6 @@ class ServoWatch:
 
 def fall_gently(watch: Watch, last: float, dt: float) -> None:
     """Let the cap fall from the ``last`` one within a time: a jolt is a force of its own. A fault holds at once."""
-    least = last - dt / _CAP_FALLS
+    least = last - dt / CAP_FALLS
     if not watch.fault and least > watch.rate_cap:
         watch.rate_cap, watch.hold = least, False

@@ -20,19 +20,11 @@ import pinocchio as pin
 from coopqp.model.cell import RobotCell
 from coopqp.model.chain import Chain
 from coopqp.model.grasp import Grasp
+from coopqp.native.constants import AT_REST, SERVOS_SETTLED, STRAIGHT_BACK, STRUCTURE, TURN_LENGTH, UNBALANCED
 from coopqp.spatial import Array
 
-#: Compliance of links, gears and grips, beside the servos' [m/N]; 1 rad counts as 1 m. Keeps readings finite near
-#: singularities, where a servo's deflection does not depend on the force along the lost direction.
-STRUCTURE = 2e-9
 #: Weights of translation and rotation where directions of motion are compared [1, m/rad].
-_SCALE = np.array([1.0] * 3 + [0.3] * 3)
-#: Commanded joint velocities below this are rest [rad/s or m/s]; time at rest after which servos have settled [s].
-_STILL, _SETTLED = 1e-3, 0.2
-#: Wrenches cancel if their sum is below this share of the largest one.
-_UNBALANCED = 0.3
-#: An arm is the cause if the cosine between its way back (by the total wrench) and its motion exceeds this.
-_STRAIGHT_BACK = 0.95
+_SCALE = np.array([1.0] * 3 + [TURN_LENGTH] * 3)
 
 
 #: Attributes that never change.
@@ -89,17 +81,17 @@ class StressWatch:
         wrenches = servo_wrenches(C, bent)
         self.forces = np.linalg.norm(wrenches[:, :3], axis=1)
         self.behind = -1
-        if np.abs(velocity).max() > _STILL:
+        if np.abs(velocity).max() > AT_REST:
             self._way, self._rest = velocity, 0.0
             return
         self._rest += dt
         total = wrenches.sum(axis=0)
-        if self._rest > _SETTLED and np.linalg.norm(total[:3]) > _UNBALANCED * self.forces.max():
+        if self._rest > SERVOS_SETTLED and np.linalg.norm(total[:3]) > UNBALANCED * self.forces.max():
             back, way = C @ total, chain.twists(self._way) * _SCALE
             size = np.linalg.norm(back * _SCALE, axis=1) * np.linalg.norm(way, axis=1)
             straight = np.einsum("ij,ij->i", back * _SCALE, way) / np.maximum(size, 1e-300)
             k = int(straight.argmax())
-            if straight[k] > _STRAIGHT_BACK:
+            if straight[k] > STRAIGHT_BACK:
                 self.behind, self.gap = k, float(np.linalg.norm(back[k, :3]))
                 self.pull = float(np.linalg.norm((total - wrenches[k])[:3]))
 

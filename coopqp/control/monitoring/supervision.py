@@ -25,6 +25,19 @@ from coopqp.errors import InvalidInputError
 from coopqp.model.cell import RobotCell
 from coopqp.model.chain import moving_columns
 from coopqp.model.grasp import Grasp
+from coopqp.native.constants import (
+    CAUGHT_UP,
+    CAUGHT_UP_SHARE,
+    CIRCLE_TOLERANCE,
+    EQUALLY_FAR,
+    FAULT_SAMPLES,
+    FEW_SAMPLES,
+    FOLLOWS,
+    LET_GO,
+    MOST_LOST,
+    NOISE_TIME,
+    STILL_COMMAND,
+)
 from coopqp.spatial import Array, largest, skew
 
 
@@ -66,28 +79,8 @@ def refused_dt(dt: float, low: float, high: float) -> str:
     return f"dt is not accepted: {dt:g} s is outside [{low:g}, {high:g}] s"
 
 
-#: Commanded motion of an arm below this, within the samples that are looked at, says nothing of a stall [rad or m].
-_STILL = 1e-5
-#: An arm that moves by more than this share of its command follows it.
-_FOLLOWS = 0.5
-#: A stalled arm this close to its command again, or at this share of the largest gap, has caught up [rad or m].
-_CAUGHT_UP, _CAUGHT_UP_SHARE = 5e-4, 0.3
-#: The two numbers (cos, sin) of a continuous joint may be this far from the unit circle.
-_CIRCLE_TOLERANCE = 0.05
-#: A held object continues when the force falls below this share of its limit.
-_LET_GO = 0.5
 #: Least distance between a grasp and the grasps' centre that counts [m].
 _LEAST_REACH = 0.1
-#: Arms whose distances from their commands differ by less count as equally far [m].
-_EQUALLY_FAR = 1e-6
-#: Samples in a row that make a fault.
-_FAULT_SAMPLES = 2
-#: Equal samples in a row that count as lost; after more of them the arm counts as standing.
-_MOST_LOST = 3
-#: Noise is averaged over this time [s].
-_NOISE_TIME = 0.2
-#: Fewer samples than this tell nothing of the noise.
-_FEW_SAMPLES = 4
 
 
 #: Attributes of a Supervision that never change.
@@ -180,7 +173,7 @@ class Supervision:
             return q_command, f"q_measured[{worst}] is {measured[worst]}"
         for i in self._cell.position_index[self._turning].tolist():
             radius = math.hypot(measured.item(i), measured.item(i + 1))
-            if abs(radius - 1.0) > _CIRCLE_TOLERANCE:
+            if abs(radius - 1.0) > CIRCLE_TOLERANCE:
                 return q_command, f"q_measured[{i}] and [{i + 1}] are no cosine and sine (norm {radius:.3g})"
             if radius != 1.0:
                 measured = measured.copy() if measured is q else measured  # the caller's array stays as it is
@@ -263,7 +256,7 @@ class Supervision:
             same = np.logical_and.reduceat(numbers == self._seen, self._first_numbers)
             self._lost = (self._lost + 1) * same
             if np.count_nonzero(same):
-                lost = same & (self._lost <= _MOST_LOST)
+                lost = same & (self._lost <= MOST_LOST)
                 away[lost] = self._away[lost]
         self._seen = numbers
         return lost
@@ -285,15 +278,15 @@ class Supervision:
         self._count_far(away, self._from_others.dot(away) - (apart - out_of_step), lost)
         spread = np.einsum("ij,ij->i", out_of_step, out_of_step)
         worst = math.sqrt(largest(spread)) - o.noise_margin * noise
-        if worst <= o.slow_from or self._samples < _FEW_SAMPLES:
+        if worst <= o.slow_from or self._samples < FEW_SAMPLES:
             return
         spread = np.sqrt(spread)
         # Two arms are always equally far from each other: blame the arm that is farther from its command.
         own = np.where(spread >= 0.99 * spread.max(), np.linalg.norm(self._deviation, axis=1), -1.0)
-        candidates = own > own.max() - _EQUALLY_FAR  # of these the one that was named last, or the first
+        candidates = own > own.max() - EQUALLY_FAR  # of these the one that was named last, or the first
         arm = result.arm = self._arm if self._arm >= 0 and candidates[self._arm] else int(candidates.argmax())
         result.hold = worst >= o.hold_from
-        result.fault = worst >= o.fault_from and self._far >= _FAULT_SAMPLES
+        result.fault = worst >= o.fault_from and self._far >= FAULT_SAMPLES
         result.rate_cap = 0.0 if result.hold else (o.hold_from - worst) / (o.hold_from - o.slow_from)
         result.reason = f"arm {self._cell.arm_names[arm]} is {1e3 * spread[arm]:.2f} mm out of step with the others"
 
@@ -311,7 +304,7 @@ class Supervision:
         step = away - self._away
         bend = step - self._step
         self._away[:], self._step[:] = away, step
-        self._samples = min(self._samples + 1.0, _NOISE_TIME / dt)
+        self._samples = min(self._samples + 1.0, NOISE_TIME / dt)
         if self._samples > 2.0:  # the first differences are with nothing
             # With long steps the averaging time holds few samples: the latest then counts for all.
             self._noise += (np.einsum("ij,ij->i", bend, bend) - self._noise) / max(self._samples - 2.0, 1.0)
@@ -333,12 +326,12 @@ class Supervision:
         stalled = self._stalled
         if stalled.any():
             np.maximum(self._widest, gap, out=self._widest)
-            stalled &= gap >= np.maximum(_CAUGHT_UP, _CAUGHT_UP_SHARE * self._widest)
-        moving = told > _STILL
+            stalled &= gap >= np.maximum(CAUGHT_UP, CAUGHT_UP_SHARE * self._widest)
+        moving = told > STILL_COMMAND
         # With less of a gap it is not stalled but late: it may be turning round.
-        stands = moving & (moved < o.stall_share * told) & (gap >= _CAUGHT_UP)
+        stands = moving & (moved < o.stall_share * told) & (gap >= CAUGHT_UP)
         if len(past) == past.maxlen and stands.any():
-            follows = bool((moving & (moved > _FOLLOWS * told)).any())
+            follows = bool((moving & (moved > FOLLOWS * told)).any())
             self._silence = 0.0 if follows else self._silence + dt
             if follows or self._silence > o.silent_time:
                 self._widest[stands & ~stalled] = 0.0
@@ -382,7 +375,7 @@ class Supervision:
         stress.read(measured, commanded, dt)
         most = int(stress.forces.argmax())
         force = float(stress.forces[most])
-        self._pressed = force >= (_LET_GO * limit if self._pressed else limit)
+        self._pressed = force >= (LET_GO * limit if self._pressed else limit)
         if not self._pressed:
             return
         result.rate_cap, result.hold, names = 0.0, True, self._cell.arm_names

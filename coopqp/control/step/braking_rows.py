@@ -26,20 +26,16 @@ from coopqp.constraints.velocity import Rows
 from coopqp.model.chain import Chain
 from coopqp.model.limits import BindingLimit, LimitKind
 from coopqp.model.state import CellState
+from coopqp.native.constants import (
+    APPROACH_STEPS,
+    APPROACH_TIME,
+    BEND_SHARE,
+    EDGE_SHARE,
+    FASTEST_JOINT,
+    GIVES_WAY,
+    SINGULAR_MARGIN,
+)
 from coopqp.spatial import Array
-
-#: S, the share of the accelerations that braking together is planned with.
-EDGE_SHARE = 0.8
-#: Least singular value of a tool Jacobian that arms keep [m or 1].
-SINGULAR_MARGIN = 0.01
-#: η, the share of the accelerations that the chain's bend may take.
-BEND_SHARE = 0.4
-#: An edge is approached no faster than its room over this time [s], and over this many steps.
-APPROACH_TIME, APPROACH_STEPS = 0.05, 5.0
-#: How far a row gives way, per unit of a row of the rank CLEARANCE.
-GIVES_WAY = 0.1
-#: Stands for the speed of a joint without velocity limit.
-_FASTEST = 1e9
 
 
 @final
@@ -88,7 +84,9 @@ class BrakingRows:
         upper = np.concatenate([to_singular, up, [bend_bound]])
         lower = np.concatenate([np.full(n, -np.inf), -down, [-np.inf]])
         owner = -1 - np.append(np.arange(n + nv), n + nv + joint)
-        reach = np.minimum(np.maximum(speed, np.minimum(limits.velocity, speed + limits.acceleration * h)), _FASTEST)
+        reach = np.minimum(
+            np.maximum(speed, np.minimum(limits.velocity, speed + limits.acceleration * h)), FASTEST_JOINT
+        )
         some = np.abs(G) @ reach > np.minimum(upper, -lower)  # no admissible velocity breaks the others
         return Rows(G[some], lower[some], upper[some], np.full(int(some.sum()), GIVES_WAY), owner[some])
 

@@ -7,7 +7,6 @@ from typing import Any, final
 import numpy as np
 
 from coopqp.constraints.cause import Cause
-from coopqp.control.core import layout
 from coopqp.control.interface import NO_SOLVE, NOTHING, GivenUp, SolverReport, Status, off_path
 from coopqp.control.monitoring.commanded import PARTED
 from coopqp.control.monitoring.options import SupervisionOptions
@@ -18,6 +17,7 @@ from coopqp.model.cell import RobotCell
 from coopqp.model.grasp import Grasp
 from coopqp.model.limits import BindingLimit, LimitKind, joint_limit
 from coopqp.model.shapes import NearPair
+from coopqp.native import layout
 from coopqp.paths.guarded import jump
 from coopqp.paths.path import ObjectPath
 from coopqp.spatial import Array

@@ -16,16 +16,9 @@ from coopqp.control.step.formulations import StepTerms
 from coopqp.control.step.priorities import StepAnswer, StepSolver
 from coopqp.control.step.velocity_bounds import VelocityBox
 from coopqp.model.chain import Chain
+from coopqp.native.constants import BENT_STEP, EXTRA_AT_START, LONG_STEP, SETTLED
 from coopqp.spatial import Array, largest, log6_batch
 
-#: Linearisations that a first or long step may have beyond the others.
-EXTRA_AT_START = 3
-#: A step that moves a joint further than this is linearised again [rad or m].
-LONG_STEP = 0.03
-#: So is one whose linearisation errs by more than this, with a lever of 1 m [rad²].
-BENT_STEP = 1e-6
-#: Further linearisations end where the step misses its twists by less than this [m, rad].
-SETTLED = 1e-13
 #: Common twists that arms with few joints lack by less than this share, squared, close no chain: they would be large.
 CLOSING = 1e-3
 

@@ -22,7 +22,7 @@ from coopqp.control.lock import Turn
 from coopqp.control.lookahead.constraints import ConstraintsAhead
 from coopqp.control.lookahead.options import PlanLimits, PreviewOptions
 from coopqp.control.lookahead.preview import PathPreview
-from coopqp.control.monitoring.commanded import PARTED, SAID_APART, ChainWatch, among_arms, expected
+from coopqp.control.monitoring.commanded import PARTED, ChainWatch, among_arms, expected
 from coopqp.control.monitoring.servos import ServoWatch
 from coopqp.control.monitoring.supervision import Supervision, Watch
 from coopqp.control.options import QPOptions
@@ -40,16 +40,10 @@ from coopqp.model.grasp import Grasp, held_at
 from coopqp.model.limits import BindingLimit, LimitKind
 from coopqp.model.posture import Posture
 from coopqp.model.state import CellState
+from coopqp.native.constants import LEAST_PACE, MOST_TIGHTENINGS, NEGLIGIBLE, SAID_APART
 from coopqp.paths.guarded import GuardedPath, is_known, jump
 from coopqp.paths.path import ObjectPath
 from coopqp.spatial import Array
-
-#: Close to rest, the increment along the path is the mean over this share of a step.
-LEAST_PACE = 1e-3
-#: Further answers of a step whose command violates the constraints behind its rows.
-MOST_TIGHTENINGS = 3
-#: Square of an off-path twist that needs no braking distance [m²/s², rad²/s²].
-NEGLIGIBLE = 1e-10
 
 
 @final

@@ -11,19 +11,14 @@ from coopqp.constraints.velocity import Rows
 from coopqp.control.interface import NO_SOLVE, SolverReport
 from coopqp.control.options import QPOptions
 from coopqp.control.step.formulations import Answer, Pieces, StepProgram, StepTerms
-from coopqp.control.step.velocity_bounds import LIMIT_TOLERANCE, VelocityBox, rate_interval
+from coopqp.control.step.velocity_bounds import VelocityBox, rate_interval
 from coopqp.errors import InvalidInputError, said
 from coopqp.model.chain import Chain
+from coopqp.native.constants import AT_LIMIT, LIMIT_TOLERANCE, RESIDUE_TOLERANCE
 from coopqp.solvers.base import QpSolver
 from coopqp.solvers.choice import default_solver, make_solver
 from coopqp.solvers.problem import QpProblem, QpSolution, SolverStatus
 from coopqp.spatial import Array, largest
-
-#: A solver's excess over a limit up to this is clipped; more is a failure [rad/s or m/s].
-RESIDUE_TOLERANCE = 1e-5
-
-#: Distance within which a velocity stands at its limit [rad/s or m/s].
-_AT_LIMIT = 1e-7
 
 #: Cost of joint velocities in the second attempt at a chain that may part [1/(rad/s)²].
 _CALM = 1e-4
@@ -289,13 +284,13 @@ class StepSolver:
             above = np.concatenate([above, Gv - further.upper])
             below = np.concatenate([below, further.lower - Gv])
         room = np.maximum(above, below)
-        if room[room.argmax()] < -_AT_LIMIT:
+        if room[room.argmax()] < -AT_LIMIT:
             return ()
         broken = np.arange(room.size) >= v.size  # a further row that gave way
         return tuple(
             (int(row), sign)
             for sign, excess in ((1.0, above), (-1.0, below))
-            for row in np.flatnonzero((np.abs(excess) <= _AT_LIMIT) | (broken & (excess > 0.0)))
+            for row in np.flatnonzero((np.abs(excess) <= AT_LIMIT) | (broken & (excess > 0.0)))
         )
 
 

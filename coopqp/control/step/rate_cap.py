@@ -12,12 +12,11 @@ from coopqp.control.monitoring.supervision import Watch
 from coopqp.control.options import QPOptions
 from coopqp.control.speed_override import blind_brake
 from coopqp.control.step.state import LoopState, Observed
-from coopqp.control.step.velocity_bounds import BRAKING_SHARE, VelocityBox
+from coopqp.control.step.velocity_bounds import VelocityBox
 from coopqp.model.cell import RobotCell
 from coopqp.model.limits import BindingLimit, LimitKind, joint_limit
+from coopqp.native.constants import BRAKING_SHARE, RATE_ROUNDING
 
-#: A rate that rises by less stands still: a QP's zero has the solver's rounding.
-RATE_ROUNDING = 1e-12
 #: The limit that stands for the override.
 OVERRIDE = BindingLimit("", "", LimitKind.OVERRIDE)
 

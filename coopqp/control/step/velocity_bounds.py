@@ -13,22 +13,22 @@ import numpy as np
 
 from coopqp.model.cell import JointLimits, RobotCell
 from coopqp.model.limits import BindingLimit, LimitKind
+from coopqp.native.constants import (
+    BRAKING_SHARE,
+    HELD_SHARE,
+    HELD_SPEED,
+    INSIDE,
+    LARGEST_MOVE,
+    LIMIT_TOLERANCE,
+    RECOVERY_SHARE,
+    STILL_SLOPE,
+)
 from coopqp.spatial import Array, largest
 
-#: Velocities within this of a limit count as admissible, and are clipped [rad/s or m/s].
-LIMIT_TOLERANCE = 1e-9
-#: Per unit of rate, a joint slower than this stands still [rad/s or m/s].
-_STILL = 1e-12
 #: In place of an infinite position limit, where inf / inf would be NaN.
 _FAR = 1e100
-#: Share of the accelerations that braking together ahead of a limit is planned with, where there is no preview.
-BRAKING_SHARE = 0.8
 #: Factor on a joint's braking way that covers rounding.
 _AMPLE = 1.001
-#: A joint with neither a velocity nor an acceleration limit moves by no more than this in a step [rad or m].
-LARGEST_MOVE = 0.05
-#: A hold brakes such a joint to this speed [rad/s or m/s], and in each step to this share of the speed before.
-HELD_SPEED, HELD_SHARE = 1.0, 0.5
 #: Slope in place of 0 for a joint that stands still: a limit's tolerance over it is beyond _FAR.
 _TINY = 1e-200
 
@@ -42,11 +42,6 @@ class VelocityBox:
     position limit (``any_outside`` if there are some) and ``recovery`` the velocity that leads those back in (0
     elsewhere).
     """
-
-    #: Share of a joint's speed at which it is led back from outside its limits.
-    RECOVERY_SHARE = 0.2
-    #: How far inside its limit such a joint is led [rad or m].
-    INSIDE = 1e-5
 
     def __init__(self, cell: RobotCell, limits: JointLimits | None = None) -> None:
         limits = self.limits = cell.limits if limits is None else limits
@@ -115,8 +110,8 @@ class VelocityBox:
         up, down = self._ways
         np.logical_or(up < 0.0, down < 0.0, out=self.outside)
         # The signed way back in, and a little further: a joint led to the limit itself would only approach it.
-        way = np.where(self.outside, np.where(up < 0.0, up - self.INSIDE, self.INSIDE - down), 0.0)
-        share = self.RECOVERY_SHARE * np.where(np.isfinite(self._speed), self._speed, 1.0)
+        way = np.where(self.outside, np.where(up < 0.0, up - INSIDE, INSIDE - down), 0.0)
+        share = RECOVERY_SHARE * np.where(np.isfinite(self._speed), self._speed, 1.0)
         self.recovery[:] = np.clip(np.clip(way / dt, -share, share), self.lower, self.upper) * self.outside
         self.any_outside = bool(self.outside.any())
 
@@ -199,7 +194,7 @@ class VelocityBox:
 def rate_interval(base: Array, along: Array, lower: Array, upper: Array) -> tuple[float, float, int] | None:
     """Rates σ with ``lower ≤ base + σ along ≤ upper``: (low, high, joint that makes high); None if there are none."""
     first, last = lower - base, upper - base
-    still = np.abs(along) < _STILL
+    still = np.abs(along) < STILL_SLOPE
     slope = along
     if np.count_nonzero(still):
         # Inside, with the tolerance, they allow any rate, and outside none.

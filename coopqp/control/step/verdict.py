@@ -12,19 +12,10 @@ from coopqp.control.interface import NOTHING, GivenUp, Status, off_path
 from coopqp.control.lookahead.preview import PathPreview
 from coopqp.control.options import QPOptions
 from coopqp.control.step.linearised import LinearisedAnswer
-from coopqp.control.step.rate_cap import RATE_ROUNDING
 from coopqp.control.step.state import LoopState
 from coopqp.model.limits import BindingLimit, LimitKind
+from coopqp.native.constants import ARRIVING, RATE_ROUNDING, RESTING_SPEED, RESTING_SPIN, STILL_BLOCKED, STILL_SLOWED
 from coopqp.spatial import Array
-
-#: An object that comes to a stop for good counts as blocked from this many times the rate on.
-ARRIVING = 10.0
-#: A paused object that leaves its path faster does not rest yet [m/s], [rad/s].
-RESTING_SPEED, RESTING_SPIN = 1e-3, 1e-2
-#: A blocked object counts as blocked until it has gone on by this way of its clock [s],
-STILL_BLOCKED = 1e-5
-#: and a slowed one as slowed, where nothing is known ahead, until it has gone on at its full rate for this long [s].
-STILL_SLOWED = 0.05
 
 
 def slow_status(

@@ -1,0 +1,121 @@
+/* The memory of the look-ahead, and the functions that its files share.
+ *
+ * Knots lie in a ring, numbered from the one at or before the clock; `place` is where in the ring. COUNT of them are
+ * known. Behind these lie tentative ones: WAY knots of a way past a singularity, then the knot that is being tried. So
+ * all that a pause has to keep is in the state, and a copy of the state goes on as the original would. */
+
+#ifndef COOPQP_AHEAD_H
+#define COOPQP_AHEAD_H
+
+#include "functions.h"
+
+/* Outcome of one Newton step at the tried knot. CANNOT_SAY: a user's path, or a further constraint, fails. */
+enum Trial { PENDING, REJECTED, FOUND, CANNOT_SAY };
+
+static int count_ahead(const Core *c, int what) { return (int)c->ahead[what]; }
+
+static int place_of(const Core *c, int i) { return (count_ahead(c, HEAD) + i) % MOST_KNOTS; }
+
+static double *knot_in(const Core *c, int place) { return c->knots + (size_t)place * N_KNOT; }
+
+static double *knot(const Core *c, int i) { return knot_in(c, place_of(c, i)); }
+
+/* Vectors of knot i: knot_positions, knot_slope or knot_curvature. */
+static double *vector_of(const Core *c, double *vectors, int i) {
+    return vectors + (size_t)place_of(c, i) * (size_t)c->joints;
+}
+
+/* Joint motion from knot i to where each arm's reach ends. */
+static double *edges_of(const Core *c, int i) { return vector_of(c, c->knot_edges, i); }
+
+static void copy_knot(Core *c, int from, int to) {
+    const size_t bytes = sizeof(double) * (size_t)c->joints;
+    if (from == to) return;
+    memcpy(knot(c, to), knot(c, from), sizeof(double) * N_KNOT);
+    memcpy(vector_of(c, c->knot_positions, to), vector_of(c, c->knot_positions, from), bytes);
+    memcpy(vector_of(c, c->knot_slope, to), vector_of(c, c->knot_slope, from), bytes);
+    memcpy(vector_of(c, c->knot_curvature, to), vector_of(c, c->knot_curvature, from), bytes);
+    memcpy(edges_of(c, to), edges_of(c, from), bytes);
+}
+
+/* K_KIND, K_ARM, K_JOINT of a knot, or CAP_KIND, CAP_ARM, CAP_JOINT. */
+static void name_cause(double *cause, int kind, int arm, int joint) {
+    cause[0] = kind;
+    cause[1] = arm;
+    cause[2] = joint;
+}
+
+static int arm_of(const Core *c, int joint) {
+    int k = 0;
+    while (k + 1 < c->arms && c->arm_start[k + 1] <= joint) k++;
+    return k;
+}
+
+static double largest_size(const double *x, int n) {
+    double largest = 0.0;
+    for (int j = 0; j < n; j++) largest = maximum(largest, fabs(x[j]));
+    return largest;
+}
+
+/* -- sharing.cpp ---------------------------------------------------------------------------------------- */
+
+/* Largest z ≤ cap that some |u| ≤ SLOPE_CAP allows at knot i alone. */
+static double largest_alone(const Core *c, int i);
+/* Largest z at knot i from which z at the next knot can be in [0, K there], and its slope over K there; the joint
+ * whose acceleration makes it, or helps to, or −1. */
+static int find_share(Core *c, int i);
+
+/* -- horizon.cpp ---------------------------------------------------------------------------------------- */
+
+/* The first tentative knot becomes the last known one. */
+static void push_knot(Core *c);
+/* Nothing comes after the last knot. */
+static void finish_horizon(Core *c);
+/* Drop knots that another follows before `clock`. */
+static void leave_behind(Core *c, double clock);
+/* Number of the last knot at or before `clock`. */
+static int knot_before(const Core *c, double clock);
+/* Whether K is final along a step from `clock`: the end of the horizon does not make it. */
+static int reaches(const Core *c, double clock, double dt);
+/* q′ and q″ at a clock, from the knots around it. */
+static void joints_at(const Core *c, double clock, double *slope, double *curvature);
+/* Clock until which the known horizon lets the object go on at full rate, less a margin. */
+static double free_until(const Core *c, double margin);
+
+/* The least K of a step, its slope over the step's rate, and the knot that makes it. */
+struct Least {
+    double square, slope;
+    int cause;
+};
+
+static Least least_square(const Core *c, double clock, double rate, double dt);
+/* The largest rate below 1 that K admits for a step. `least` is the least K at rate 1, on return at the rate found. */
+static double largest_rate(const Core *c, double clock, double dt, Least *least);
+
+/* -- chain_ahead.cpp ------------------------------------------------------------------------------------ */
+
+/* The knot at a clock, at the commanded positions, as the first tentative one; 0 if the path fails. */
+static int first_knot(Core *c, double clock);
+/* One Newton step at knot `made`, `span` after knot `last`; rejected if the arms or their slopes do not follow. */
+static Trial try_knot(Core *c, int last, int made, double span, int iteration);
+/* Where the twist jumps at knot i: slopes after it, and the rate at which the joints can take the jump; 0 if the path
+ * fails. */
+static int turn_corner(Core *c, int i);
+/* The last known knot once more, as the first tentative one, where the path ends moving; 0 if that needs nothing. */
+static int end_moving(Core *c);
+
+/* The arm that is at the end of its reach at knot i, or −1. */
+static int stretched_arm(const Core *c, int i);
+
+/* -- redundancy.cpp ------------------------------------------------------------------------------------- */
+
+/* Lead the joints of redundant arm k away from their limits by its self-motion. */
+static void lead_away(const Core *c, int k, const double *jacobian, const double *positions, double *slope);
+
+/* -- growth.cpp ----------------------------------------------------------------------------------------- */
+
+/* One Newton step, so that no single control step has to make a whole knot; 0 where growth has to wait, −1 where the
+ * look-ahead fails. */
+static int work_ahead(Core *c);
+
+#endif

@@ -1,0 +1,369 @@
+/* The chain ahead of the clock: inverse kinematics and bounds of the rate at one clock, as a knot. The definition is
+ * coopqp/control/lookahead/closed_chain.py. */
+
+#include "ahead.h"
+
+struct Sketch {
+    double *carried, *errors, *w, *jacobian, *step, *wish, *after;
+};
+
+static Sketch sketch_of(const Core *c) {
+    const int n = c->arms, nv = c->joints;
+    double *carried = c->sketch, *errors = carried + 12 * n, *w = errors + 6 * n, *jacobian = w + 6 * n;
+    double *step = jacobian + 6 * nv;
+    return Sketch{carried, errors, w, jacobian, step, step + nv, step + 2 * nv};
+}
+
+/* w_k = −R e_k */
+static void twists_back(const Core *c, const double *R, const double *errors, double *w) {
+    for (int i = 0; i < 2 * c->arms; i++) {
+        const double e[3] = {-errors[3 * i], -errors[3 * i + 1], -errors[3 * i + 2]};
+        rotate(R, e, w + 3 * i);
+    }
+}
+
+/* Self-motion by which redundant arms keep clear of bodies; 0 if a constraint fails. */
+static int evade(Core *c, const double *positions, double *slope) {
+    const size_t size = sizeof(double) * (size_t)c->joints;
+    if (!c->evade || (c->options[CERTIFIED] != 0.0 && quiet_ahead(c, positions))) return 1;
+    memcpy(c->evading_positions, positions, size);
+    memcpy(c->evading_slope, slope, size);
+    if (!c->evade(c)) return 0;
+    memcpy(slope, c->evading_slope, size);
+    return 1;
+}
+
+/* Velocities wished for in the null-space at a clock: along the motion of the elbows that follows the path's numbers. */
+static void elbow_velocity(Core *c, double clock, const double *positions, double *v) {
+    const double *numbers = c->path_numbers, *t = numbers + 3 + (int)numbers[1] + SEGMENT * (int)numbers[2];
+    const int knots = (int)c->options[ELBOWS], nv = c->joints;
+    int i = 0;
+    for (int n = knots - 1; n > 1;) { /* the last knot not after the clock, but the end of no piece */
+        const int half = n / 2;
+        if (t[i + half] <= clock) i += half, n -= half;
+        else n = half;
+    }
+    const double h = t[i + 1] - t[i], u = minimum(maximum((clock - t[i]) / h, 0.0), 1.0);
+    const double *x = t + knots + i * nv, *s = x + knots * nv;
+    for (int j = 0; j < nv; j++) {
+        const double way = x[nv + j] - x[j], a = s[j], b = s[nv + j];
+        const double bend = 3.0 * way - h * (2.0 * a + b), twist = h * (a + b) - 2.0 * way;
+        const double at = x[j] + u * (h * a + u * (bend + u * twist));
+        v[j] = a + u * (2.0 * bend + 3.0 * u * twist) / h + ELBOW_GAIN * wrapped(c, j, at - positions[j]);
+    }
+}
+
+/* Newton's step from `positions` to the pose at `clock`, and q′ there; where the twist jumps, that before it. */
+static Trial newton_step(Core *c, double clock, double before, const double *positions, double *step, double *slope) {
+    const Sketch s = sketch_of(c);
+    double R[9], p[3], twist[6], along[6], size = 0.0;
+    if (!path_pose(c, clock, R, p) || !path_twist(c, maximum(minimum(clock, c->duration) - before, 0.0), twist))
+        return CANNOT_SAY;
+    carry_and_linearise(c, positions, p, s.carried, s.jacobian);
+    if (!errors_at(c, s.carried, R, p, s.errors)) return REJECTED;
+    twists_back(c, R, s.errors, s.w);
+    rotate(R, twist, along);
+    rotate(R, twist + 3, along + 3);
+    if (c->redundant && c->options[ELBOWS] > 0.0) elbow_velocity(c, clock, positions, s.wish);
+    else if (c->redundant) posture_velocity(c, positions, s.wish);
+    if (!two_velocities(c, s.jacobian, s.w, along, nullptr, c->redundant ? s.wish : nullptr, step, slope)) return REJECTED;
+    if (c->redundant && !evade(c, positions, slope)) return CANNOT_SAY;
+    for (int k = 0; c->redundant && !(c->options[ELBOWS] > 0.0) && k < c->arms; k++)
+        if (c->arm_size[k] > 6.0) lead_away(c, k, s.jacobian, positions, slope);
+    for (int j = 0; j < c->joints; j++) size += step[j] * step[j] + slope[j] * slope[j];
+    return size < INFINITY ? FOUND : REJECTED;
+}
+
+/* Least eigenvalue of a symmetric, positive semidefinite 6 × 6 matrix, and its eigenvector, by inverse iteration. */
+static double least_eigenvalue(double G[6][6], double *u) {
+    double trace = 0.0, before = 1.0, size = 1.0, inverse[6];
+    int least = 0;
+    for (int i = 0; i < 6; i++) trace += G[i][i];
+    for (int i = 0; i < 6; i++) { /* G = L D Lᵀ, L below the diagonal */
+        for (int j = 0; j < i; j++)
+            for (int k = 0; k < j; k++) G[i][j] -= G[i][k] * G[j][k] * inverse[k];
+        for (int j = 0; j < i; j++) G[i][i] -= G[i][j] * G[i][j] * inverse[j];
+        G[i][i] = maximum(G[i][i], EIGEN_ROUNDING * trace);
+        inverse[i] = 1.0 / G[i][i]; /* G[i][j] is an entry of L D */
+        if (G[i][i] < G[least][least]) least = i;
+        u[i] = 0.0;
+    }
+    u[least] = 1.0;
+    for (int iteration = 0; iteration < EIGEN_STEPS; iteration++) {
+        before = size, size = 0.0;
+        for (int i = 0; i < 6; i++) {
+            for (int k = 0; k < i; k++) u[i] -= G[i][k] * u[k];
+            u[i] *= inverse[i];
+        }
+        for (int i = 5; i >= 0; i--) {
+            for (int k = i + 1; k < 6; k++) u[i] -= G[k][i] * inverse[i] * u[k];
+            size += u[i] * u[i];
+        }
+    }
+    for (int i = 0; i < 6; i++) u[i] /= sqrt(size);
+    return sqrt(before / size);
+}
+
+/* Joint motion that takes arm k to where its reach ends, to first order: Chain.edges. */
+static void find_edge(const Core *c, int k, const double *jacobian, double *edge) {
+    const int start = (int)c->arm_start[k], n = (int)c->arm_size[k];
+    const double *JT = jacobian + 6 * start;
+    double G[6][6], u[6], before[6] = {0}, h = 0.0;
+    for (int i = 0; i < 6; i++)
+        for (int m = 0; m <= i; m++) {
+            G[i][m] = 0.0;
+            for (int j = 0; j < n; j++) G[i][m] += JT[6 * j + i] * JT[6 * j + m];
+        }
+    const double least = least_eigenvalue(G, u);
+    edge += start;
+    for (int j = 0; j < n; j++) {
+        const double *v = JT + 6 * j, *a = v + 3;
+        double first[3], second[3], turn[3];
+        edge[j] = dot3(v, u) + dot3(a, u + 3);
+        cross3(before + 3, v, first);
+        cross3(before, a, second);
+        cross3(before + 3, a, turn);
+        h += edge[j] * (dot3(first, u) + dot3(second, u) + dot3(turn, u + 3));
+        for (int i = 0; i < 6; i++) before[i] += edge[j] * v[i];
+    }
+    const double way = -least / copysign(maximum(fabs(h), least * sqrt(least) / FAR_EDGE), h);
+    for (int j = 0; j < n; j++) edge[j] *= way;
+}
+
+/* The edges of knot i, from the Jacobians of the latest Newton step; those that are far need not be exact. */
+static void find_edges(const Core *c, int i) {
+    double *edges = edges_of(c, i);
+    for (int k = 0; k < c->arms; k++) {
+        const int start = (int)c->arm_start[k], end = start + (int)c->arm_size[k];
+        const int far = c->least_pivot[k] > FAR_PIVOT && c->options[ROOM] <= FAR_ROOM;
+        if (!far) find_edge(c, k, sketch_of(c).jacobian, edges);
+        for (int j = start; far && j < end; j++) edges[j] = FAR_EDGE;
+    }
+}
+
+/* The way of arm k to the end of its reach, as a multiple of what its joints need. */
+static double room_of(const Core *c, int k, const double *edges) {
+    const int start = (int)c->arm_start[k], end = start + (int)c->arm_size[k];
+    double room = 0.0;
+    for (int j = start; j < end; j++) room = maximum(room, fabs(edges[j]) / c->plan_room[j]);
+    return room;
+}
+
+/* The arm that is at the end of its reach at knot i, or −1. */
+static int stretched_arm(const Core *c, int i) {
+    double least = 2.0;
+    int arm = -1;
+    for (int k = 0; k < c->arms; k++) {
+        const double room = room_of(c, k, edges_of(c, i));
+        if (room < least) least = room, arm = k;
+    }
+    return arm;
+}
+
+/* Whether an arm comes too close to where its reach ends, or is past it. */
+static int ends_reach(const Core *c, int last, int made) {
+    const double *then = edges_of(c, last), *now = edges_of(c, made), near = BRANCH_WAY * c->options[JOINT_STEP];
+    for (int k = 0; k < c->arms; k++) {
+        const int start = (int)c->arm_start[k], n = (int)c->arm_size[k];
+        const double room = room_of(c, k, now);
+        double product = 0.0;
+        if (room < 1.0 && room < room_of(c, k, then)) return 1;
+        for (int j = start; j < start + n; j++) product += now[j] * then[j];
+        if (product < 0.0 && largest_size(now + start, n) < near && largest_size(then + start, n) < near) return 1;
+    }
+    return 0;
+}
+
+/* Bounds of knot i from its positions and slope, and the slope of the knot before (−1 for none); 0 if they overflow. */
+static int bound_by_limits(Core *c, int before, int i, double clock, double span) {
+    const double *slope = vector_of(c, c->knot_slope, i), *x = vector_of(c, c->knot_positions, i), *o = c->options;
+    const double *then = before < 0 ? slope : vector_of(c, c->knot_slope, before);
+    double *k = knot(c, i), *curvature = vector_of(c, c->knot_curvature, i);
+    double fastest = 0.0, change = -INFINITY, by_speed = 0.0, by_bend = 0.0;
+    int j_speed = 0, j_bend = 0, inside = 1;
+    for (int j = 0; j < c->joints; j++) {
+        curvature[j] = (slope[j] - then[j]) / span;
+        const double bend = fabs(curvature[j]), speed = fabs(slope[j]);
+        /* Use of the joint's limits at full rate: z is at most 1 over the speed's square, and 1 over the curvature's. */
+        const double use_speed = speed * (1.0 / c->plan_speed[j]);
+        const double use_bend = bend * (1.0 / (o[CURVATURE_SHARE] * c->plan_acceleration[j]));
+        fastest = maximum(fastest, fabs(slope[j]));
+        change = maximum(change, bend * span - c->slope_change[j]);
+        if (use_speed > by_speed) by_speed = use_speed, j_speed = j;
+        if (use_bend > by_bend) by_bend = use_bend, j_bend = j;
+        inside &= x[j] <= c->high[j] && x[j] >= c->low[j];
+    }
+    /* Without acceleration limits the step itself finds the cap by speed; below the cap by curvature it changes slowly. */
+    const int capped = o[CAPS_SPEED] != 0.0;
+    const double square = by_speed * by_speed, cap = 1.0 / maximum(capped ? square : by_bend, 1.0);
+    memset(k, 0, sizeof(double) * N_KNOT);
+    k[K_CLOCK] = clock;
+    k[K_SPAN] = before < 0 ? 0.0 : span;
+    k[K_CAP] = cap;
+    k[K_UNCAPPED] = 1.0 / maximum(maximum(square, by_bend), 1.0);
+    k[K_FASTEST] = fastest;
+    k[K_CHANGE] = change;
+    k[K_INSIDE] = inside;
+    k[K_FALL] = k[K_RISE] = k[K_SINCE] = INFINITY;
+    name_cause(k + K_KIND, NONE, -1, -1);
+    name_cause(k + K_CAUSE_KIND, NONE, -1, -1);
+    const int j = capped ? j_speed : j_bend;
+    if (cap < 1.0) name_cause(k + K_KIND, capped ? VELOCITY : ACCELERATION, arm_of(c, j), j);
+    return cap > 0.0;
+}
+
+/* Put a knot under the further constraints; rejected if one allows no rate there: its number and the clock are kept. */
+static Trial constrain(Core *c, int made) {
+    double *k = knot(c, made);
+    if (!c->bound_knot) return FOUND;
+    const double *x = vector_of(c, c->knot_positions, made), *slope = vector_of(c, c->knot_slope, made);
+    if (c->options[CERTIFIED] != 0.0 && quiet_knot(c, x, slope, vector_of(c, c->knot_curvature, made), k[K_SPAN]))
+        return FOUND;
+    if (c->bound_knot(c, place_of(c, made))) return FOUND;
+    if (isnan(k[K_CAP])) return CANNOT_SAY;
+    c->ahead[BEYOND] = 1.0 + k[K_JOINT];
+    c->ahead[BEYOND_AT] = k[K_CLOCK];
+    return REJECTED;
+}
+
+/* Whether q″ has changed by a small share of the accelerations between the intervals before two knots. */
+static int bends_slowly(const Core *c, int last, int made) {
+    const double *k = knot(c, last);
+    if (k[K_SPAN] == 0.0 || k[K_CORNER] != 0.0) return 1;
+    const double *bend = vector_of(c, c->knot_curvature, made), *before = vector_of(c, c->knot_curvature, last);
+    double change = 0.0;
+    for (int j = 0; j < c->joints; j++) change = maximum(change, fabs(bend[j] - before[j]) / c->plan_acceleration[j]);
+    return change <= BEND_CHANGE || change * largest_alone(c, made) <= BEND_CHANGE;
+}
+
+static Trial try_knot(Core *c, int last, int made, double span, int iteration) {
+    const double *from = knot(c, last), *o = c->options, clock = from[K_CLOCK] + span;
+    double *x = vector_of(c, c->knot_positions, made), *step = sketch_of(c).step;
+    if (iteration == 0) {
+        const double *x0 = vector_of(c, c->knot_positions, last), *slope = vector_of(c, c->knot_slope, last);
+        const double *curvature = vector_of(c, c->knot_curvature, last);
+        const double bends = from[K_CORNER] == 0.0 ? 0.5 * span : 0.0;
+        for (int j = 0; j < c->joints; j++) x[j] = x0[j] + (curvature[j] * bends + slope[j]) * span;
+    }
+    const Trial found = newton_step(c, clock, JUST_BEFORE, x, step, vector_of(c, c->knot_slope, made));
+    if (found != FOUND) return found;
+    const double largest = largest_size(step, c->joints);
+    if (!(largest < o[JOINT_STEP])) return REJECTED;
+    for (int j = 0; j < c->joints; j++) x[j] += step[j];
+    if (!(largest < CONVERGED)) return iteration + 1 < MOST_TRIES ? PENDING : REJECTED;
+    if (!bound_by_limits(c, last, made, clock, span)) return REJECTED;
+    const double *k = knot(c, made);
+    if (span > o[SHORTEST] && !(span * k[K_FASTEST] <= 1.5 * o[JOINT_STEP])) return REJECTED;
+    const double most = span > FINE_CELL ? o[SLOPE_STEP] : OTHER_BRANCH;
+    if (span > o[SHORTEST] && !(k[K_CHANGE] <= most * k[K_FASTEST])) return REJECTED;
+    if (span > FINE_CELL && !bends_slowly(c, last, made)) return REJECTED;
+    find_edges(c, made);
+    if (ends_reach(c, last, made)) return REJECTED;
+    return constrain(c, made);
+}
+
+/* Largest σ² at which every joint can change its slope within one step; the joint that makes it. */
+static double jump_cap(const Core *c, const double *after, const double *before, int *joint) {
+    double least = INFINITY;
+    *joint = 0;
+    for (int j = 0; j < c->joints; j++) {
+        const double jump = fabs((after ? after[j] : 0.0) - before[j]);
+        if (!(jump > 1e-9) || !(c->plan_jump[j] / jump < least)) continue;
+        least = c->plan_jump[j] / jump;
+        *joint = j;
+    }
+    return least * least;
+}
+
+/* Where the twist jumps at knot i: slopes after it, and the rate at which the joints can take the jump. */
+static int turn_corner(Core *c, int i) {
+    const Sketch s = sketch_of(c);
+    double *k = knot(c, i), *slope = vector_of(c, c->knot_slope, i);
+    const double clock = k[K_CLOCK] + 1e-9, *x = vector_of(c, c->knot_positions, i);
+    const Trial found = newton_step(c, clock, JUST_BEFORE, x, s.step, s.after);
+    if (found == CANNOT_SAY) return 0;
+    if (found != FOUND) memset(s.after, 0, sizeof(double) * (size_t)c->joints);
+    if (c->accelerates) {
+        int joint = 0;
+        double fastest = 0.0;
+        for (int j = 0; j < c->joints; j++) {
+            const double use = fabs(s.after[j]) * (1.0 / c->plan_speed[j]);
+            if (use > fastest) fastest = use, joint = j;
+        }
+        if (1.0 / maximum(fastest * fastest, 1.0) < k[K_CAP]) {
+            k[K_CAP] = 1.0 / maximum(fastest * fastest, 1.0);
+            name_cause(k + K_KIND, VELOCITY, arm_of(c, joint), joint);
+        }
+        const double cap = jump_cap(c, s.after, slope, &joint);
+        if (cap < k[K_CAP]) {
+            k[K_CAP] = cap;
+            name_cause(k + K_KIND, ACCELERATION, arm_of(c, joint), joint);
+        }
+    }
+    memcpy(slope, s.after, sizeof(double) * (size_t)c->joints);
+    k[K_CORNER] = 1.0;
+    k[K_FASTEST] = largest_size(slope, c->joints);
+    return 1;
+}
+
+/* Where the path ends moving the joints have one step to stop in. */
+static int end_moving(Core *c) {
+    const int last = count_ahead(c, COUNT) - 1;
+    int joint;
+    if (!c->accelerates) return 0;
+    const double cap = jump_cap(c, nullptr, vector_of(c, c->knot_slope, last), &joint);
+    if (!(cap < knot(c, last)[K_CAP])) return 0;
+    copy_knot(c, last, last + 1);
+    knot(c, last + 1)[K_CAP] = cap;
+    knot(c, last + 1)[K_SPAN] = 0.0;
+    name_cause(knot(c, last + 1) + K_KIND, PATH_END, -1, -1);
+    return 1;
+}
+
+/* Newton's method from x to a pose; the arm that does not get there, or −1. */
+static int reach_pose(Core *c, const double *R, const double *p, double *x) {
+    static const double still[6] = {};
+    const Sketch s = sketch_of(c);
+    double largest = INFINITY;
+    int arm = 0;
+    for (int i = 0; i <= STARTING_STEPS; i++) {
+        carry_and_linearise(c, x, p, s.carried, s.jacobian);
+        for (int k = 0; k < c->arms; k++) s.errors[6 * k] = NAN;
+        const int known = errors_at(c, s.carried, R, p, s.errors);
+        largest = -1.0;
+        for (int k = c->arms - 1; k >= 0; k--) {
+            const double size = known || isfinite(s.errors[6 * k]) ? largest_size(s.errors + 6 * k, 6) : INFINITY;
+            if (size >= largest) largest = size, arm = k;
+        }
+        if (!known) break;
+        if (largest <= 1e-10 || i == STARTING_STEPS) break;
+        twists_back(c, R, s.errors, s.w);
+        if (!two_velocities(c, s.jacobian, s.w, still, nullptr, nullptr, s.step, s.after)) break;
+        const double length = largest_size(s.step, c->joints);
+        const double share = length > LONGEST_STEP ? LONGEST_STEP / length : 1.0;
+        for (int j = 0; j < c->joints; j++) x[j] += share * s.step[j];
+    }
+    return largest < 1e-6 ? -1 : arm;
+}
+
+/* The object rests there if the chain does not reach it. */
+static int first_knot(Core *c, double clock) {
+    double R[9], p[3], *x = vector_of(c, c->knot_positions, 0), *slope = vector_of(c, c->knot_slope, 0);
+    const size_t bytes = sizeof(double) * (size_t)c->joints;
+    if (!path_pose(c, clock, R, p)) return 0;
+    memcpy(x, c->positions, bytes);
+    const int arm = reach_pose(c, R, p, x);
+    memset(slope, 0, bytes);
+    if (arm >= 0) memset(c->least_pivot, 0, sizeof(double) * (size_t)c->arms);
+    if (arm < 0) {
+        const Trial found = newton_step(c, clock, 0.0, x, sketch_of(c).step, slope);
+        if (found == CANNOT_SAY) return 0;
+        if (found != FOUND) memset(slope, 0, bytes), memset(c->least_pivot, 0, sizeof(double) * (size_t)c->arms);
+    }
+    find_edges(c, 0);
+    bound_by_limits(c, -1, 0, clock, 1.0);
+    if (arm < 0) return 1;
+    knot(c, 0)[K_CAP] = 0.0;
+    name_cause(knot(c, 0) + K_KIND, REACH, arm, -1);
+    return 1;
+}

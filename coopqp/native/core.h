@@ -1,0 +1,86 @@
+/* The compiled step: what its files share. No Python here.
+ *
+ * layout.py lays out the memory, three blocks that Python owns: fields are members of Core. Vectors of joints have
+ * one number per joint [rad or m]; rotations are row major; twists are [linear; angular].
+ *
+ *   spatial.h        rotations, logarithm, exponential       kinematics.cpp   where the arms carry the object, Jacobians
+ *   paths.cpp        pose and twist of the object's path     chain.cpp        errors, corrections, joint velocities
+ *   limits.cpp       admissible velocities, rates            program.cpp      the condensed QP and its answer
+ *   ldp.cpp          least-distance programs                 watch.cpp        supervision, drift, forces
+ *   apart.cpp        arms that their commands part
+ *   braking.cpp      rows that brake all arms together where nothing is known ahead
+ *   preview.cpp      the path ahead of the clock, with       step.cpp         observe, propose, commit
+ *     horizon.cpp      knots, the largest rate at each         growth.cpp       more of them, one Newton step at a time
+ *     sharing.cpp      programs of the accelerations           chain_ahead.cpp  the chain at one clock
+ *     redundancy.cpp   self-motion at position limits        servo.cpp        new targets
+ *     quiet.cpp        where further constraints are quiet
+ *   minding.h        forces between the arms, with           relax.cpp        wrenches, and grasps that give way
+ *     allow.cpp        how fast the object may move for them
+ */
+
+#ifndef COOPQP_CORE_H
+#define COOPQP_CORE_H
+
+#include <float.h>
+#include <math.h>
+#include <stddef.h>
+#include <string.h>
+
+#include "layout.h"
+
+/* Unknowns of the condensed QP but for null-space motions: off-path twist, rate, shares of both corrections. */
+#define TWIST_AND_SHARES 9
+
+struct Core {
+    FIELDS
+    int arms, joints, nq, unknowns, rows, past; /* rows: further rows that fit; past: samples in `history` */
+    int redundant, accelerates, looks_ahead;
+    int users_path; /* the path is no one of the library: it may jump or bend where no breakpoint tells */
+    int given_rows, further_rows; /* of this step: by constraints, and with those that brake all arms together */
+    int asked;        /* how often a user's path was asked for what is ahead */
+    /* The path: duration, number of breakpoints, number of segments, breakpoints, segments of 29 numbers in the order of
+     * their starts. A path without segments is known to own_path. */
+    const double *path_numbers;
+    double duration;
+    double *minding; /* of the forces between the arms, see minding.h; nullptr where nobody minds them */
+    /* Calls into Python; 0 if they fail. `out` takes R (9) and p (3), or with `twist` six numbers. */
+    int (*own_path)(Core *c, double clock, int twist, double *out);
+    /* May lower cap and decrease of a new knot; nullptr for none. `slot` is its place in the ring. */
+    int (*bound_knot)(Core *c, int slot);
+    /* May add self-motion to `evading_slope` at `evading_positions`; nullptr for none. 0 if it fails. */
+    int (*evade)(Core *c);
+    /* Does a piece of what bodies ahead ask for; nullptr for none. 0 if there is nothing to do. */
+    int (*survey_ahead)(Core *c);
+};
+
+/* The core's functions, once for any processor and once for a newer one; see step.cpp and kinematics.cpp. */
+struct Arithmetic {
+    void (*start)(Core *c, const double *positions);
+    void (*start_path)(Core *c, double clock, double rate);
+    void (*observe)(Core *c, const double *q, const double *dt);
+    int (*propose)(Core *c);
+    int (*answer)(Core *c);
+    int (*commit)(Core *c);
+    int (*read)(Core *c, double cap);
+    int (*quiet)(const Core *c);
+    void (*expect_shift)(Core *c, const double *shift);
+    void (*carry)(const Core *c, const double *positions, double *carried);
+    void (*linearise)(const Core *c, const double *positions, const double *about, double *carried, double *jacobian);
+    int (*least_distance)(int n, int m, const double *A, const double *low, const double *high, const double *lb,
+                          const double *ub, double reach, double *x, double *y, double *work);
+    /* Go over to the way to a new target if the rate of its first step need not fall, or where the object rests: 1, with
+     * the path in `numbers`; 0 if not yet; −1 if an arm is singular. `full` is the largest rate asked for. */
+    int (*go_over)(Core *c, const double *goal, double speed, double spin, double full, double *numbers);
+    /* The relaxation of forces, in its own memory; see relax.cpp and allow.cpp. `wrenches` may be nullptr. */
+    int (*relax)(int arms, double *memory, const double *wrenches, double dt);
+    void (*allow)(int arms, double *memory, double dt);
+};
+
+namespace plain {
+extern const Arithmetic arithmetic;
+}
+namespace avx2 {
+extern const Arithmetic arithmetic;
+}
+
+#endif

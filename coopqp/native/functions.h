@@ -1,0 +1,112 @@
+/* Functions that the core's files share. The files are one unit, so that the compiler sees all of it. */
+
+#ifndef COOPQP_FUNCTIONS_H
+#define COOPQP_FUNCTIONS_H
+
+#include "core.h"
+#include "spatial.h"
+
+/* -- kinematics.cpp ------------------------------------------------------------------------------------ */
+
+/* Positions close to these are cheap from now on. */
+static void stay_near(Core *c, const double *positions);
+/* O_k: the object as each arm carries it, R (9) then p (3), 12 numbers per arm. */
+static void carry(const Core *c, const double *positions, double *carried);
+/* The same and Jᵀ (joints, 6): twist of the object as carried, at the point `about`, in world axes. */
+static void carry_and_linearise(const Core *c, const double *positions, const double *about, double *carried,
+                                double *jacobian);
+
+/* -- paths.cpp ----------------------------------------------------------------------------------------- */
+
+static int path_pose(Core *c, double clock, double *R, double *p);
+static int path_twist(Core *c, double clock, double *twist);
+/* log(T(τ)⁻¹ T(τ + span)) / span; `R`, `p` is T(τ). */
+static int path_increment(Core *c, double clock, double span, const double *R, const double *p, double *twist);
+/* Whether the path is a user's, which Python knows. */
+static int own_path(const Core *c);
+/* Whether the pose of a user's path, or its twist, may jump between two clocks; SEEK_FROM and SEEK_TO close in on it by
+ * halves. 0 if it does not, or the path fails. */
+static int begin_seeking(Core *c, int pose, double from, double to);
+static int seeks_on(const Core *c, int pose);
+/* Keep the half in which more happens; 0 if the path fails. */
+static int go_on_seeking(Core *c, int pose);
+/* By how much it jumps before SEEK_TO; 0 if it does not. */
+static double found_by_seeking(const Core *c, int pose);
+/* First clock after this one at which the twist jumps; the end of the path at the latest. */
+static double next_breakpoint(const Core *c, double clock);
+
+/* -- chain.cpp ----------------------------------------------------------------------------------------- */
+
+/* e_k = log(R⁻¹ O_k), 6 per arm; 0 near half a turn or for numbers that are not finite. */
+static int errors_at(const Core *c, const double *carried, const double *R, const double *p, double *errors);
+/* ē = Σ W_k e_k */
+static void common_error(const Core *c, const double *errors, double *common);
+/* Joint velocities v0, v1 for world twists about the point of the Jacobian: w0 has one per arm, w1 is common to all; near
+ * the null-space wishes u0, u1 (nullptr for none). 0 if an arm is singular. */
+static int two_velocities(const Core *c, const double *jacobian, const double *w0, const double *w1, const double *u0,
+                          const double *u1, double *v0, double *v1);
+
+/* -- watch.cpp ----------------------------------------------------------------------------------------- */
+
+/* Compare a sample with the command; lowers WATCH_CAP and sets HOLD, FAULTS, REASON… of the proposal.
+ * `positions` are measured, near the commanded ones; `q` is the configuration as measured; `away` (6 arms) is log of the
+ * object as measured from as commanded, per arm. */
+static void watch_sample(Core *c, const double *positions, const double *q, const double *away, double dt);
+static void watch_reset(Core *c);
+
+/* -- apart.cpp ----------------------------------------------------------------------------------------- */
+
+/* How far the commands lead the arms apart: APART, and a hold where it is too large. After the errors. */
+static void watch_chain(Core *c);
+/* Once a step is made. */
+static void chain_watched(Core *c);
+/* The grasps give way by these shifts (6 arms) from now on. */
+static void expect_shift(Core *c, const double *shift);
+
+/* -- quiet.cpp ----------------------------------------------------------------------------------------- */
+
+/* No further row binds the command, without asking for them. */
+static int quiet_step(const Core *c);
+/* No further constraint asks for anything ahead at x. */
+static int quiet_ahead(const Core *c, const double *x);
+/* No further constraint stops the object between the knot before and one at x, `span` after it. */
+static int quiet_knot(Core *c, const double *x, const double *slope, const double *curvature, double span);
+
+/* -- preview.cpp --------------------------------------------------------------------------------------- */
+
+/* Start at the commanded positions, on or near the path, and look ahead as far as a step needs; `later`: that is left
+ * to the steps. */
+static void preview_reset(Core *c, double clock, int later);
+/* The same behind `kept` knots, which stay in the ring: a copy of AHEAD goes on with them. */
+static void preview_try(Core *c, double clock, int kept, int later);
+/* Largest admissible rate at `clock` for a step of dt. CAP_KIND, CAP_ARM, CAP_JOINT of the proposal say what makes it. */
+static double preview_cap(Core *c, double clock, double dt);
+/* Largest rise of the rate near `clock` by further constraints [1/s]. */
+static double preview_rise(const Core *c, double clock, int *joint);
+/* D, the fastest fall of the rate near `clock` with which the joints still follow the path [1/s]; it may be negative. */
+static double preview_brake(const Core *c, double clock, double dt, double rate);
+/* Previewed positions and slopes at `clock`. */
+static void preview_reference(Core *c, double clock, double *positions, double *slope);
+
+/* -- posture (chain.cpp) ------------------------------------------------------------------------------- */
+
+/* Velocities that redundant arms wish for at these positions. */
+static void posture_velocity(Core *c, const double *positions, double *v);
+
+/* -- step.cpp ------------------------------------------------------------------------------------------ */
+
+/* Distance of two poses [m]; 1 rad counts as TURN_LENGTH. */
+static double pose_distance(const double *R0, const double *p0, const double *R1, const double *p1);
+/* The arms hold in this step: for a reason, with an arm (or an index) and a number. */
+static void refuse(Core *c, int reason, int index, double a);
+
+/* -- ldp.cpp ------------------------------------------------------------------------------------------- */
+
+/* Least ‖x‖² subject to  low ≤ A x ≤ high  and  lb ≤ x ≤ ub; bounds may be infinite, equal ones make an equality.
+ * Rows of A (m, n) should have unit norm. Returns the iterations (≥ 0) and in y (m + n) the multipliers of rows and
+ * bounds, positive at an upper one; −1 if no ‖x‖ ≤ reach is feasible: y then proves it; −2 if it gave up, bounds are
+ * crossed or numbers are not finite. `work` has room for 2 n (n + 3) numbers. */
+static int least_distance(int n, int m, const double *A, const double *low, const double *high, const double *lb,
+                          const double *ub, double reach, double *x, double *y, double *work);
+
+#endif

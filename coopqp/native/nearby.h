@@ -1,0 +1,15 @@
+/* The rows of a compiled step beside obstacles; see nearby.cpp. */
+
+#ifndef COOPQP_NEARBY_H
+#define COOPQP_NEARBY_H
+
+#include <Python.h>
+
+/* Add the functions of bounds_module.cpp and Nearby to the module; -1 and an exception if that fails. */
+int add_bounds(PyObject *module);
+/* Add the functions of batch_module.cpp, likewise. */
+int add_batch(PyObject *module);
+/* Add the type Nearby to the module; -1 and an exception if that fails. */
+int add_nearby(PyObject *module);
+
+#endif

@@ -1,0 +1,204 @@
+/* Pose and twist of the object's path: segments of 29 numbers
+ *   R(0) 0–8, p(0) 9–11, rotation vector 12–14, displacement 15–17, start 18, duration 19, time law 20 (0 linear,
+ *   1 quintic, 2 ramps), velocity 21–23 and angular velocity 24–26 that die away, times of both ramps 27–28
+ * as the library's own paths pack them, or a path that only its owner knows. */
+
+#include "functions.h"
+
+/* How far along a segment: u of its straight way, b of the motion that dies away, and their changes a second. */
+struct Place {
+    double u, rate, b, fading;
+};
+
+/* TimeLaw.value_at and slope_at */
+static Place on_law(double x, double quintic, double duration) {
+    Place at = {};
+    if (x >= 0.0 && x < 1.0) at.rate = (quintic != 0.0 ? 30.0 * x * x * (1.0 - x) * (1.0 - x) : 1.0) / duration;
+    if (x <= 0.0) return at;
+    at.u = quintic != 0.0 ? x * x * x * (10.0 + x * (6.0 * x - 15.0)) : x;
+    if (x >= 1.0 || at.u > 1.0) at.u = 1.0; /* by rounding; a NaN stays one */
+    return at;
+}
+
+/* _Way._shares */
+static Place on_ramps(double t, double T, double B, double E) {
+    const double peak = 1.0 / (T - 0.5 * (B + E)), left = T - t;
+    Place at = {};
+    if (t >= T) {
+        at.u = 1.0, at.b = 0.5 * B;
+        return at;
+    }
+    if (t < 0.0) return at;
+    at.b = t < B ? t - 0.5 * t * t / B : 0.5 * B;
+    at.fading = t < B ? 1.0 - t / B : 0.0;
+    if (left < E)
+        at.u = 1.0 - 0.5 * peak * left * left / E, at.rate = peak * left / E;
+    else if (t < B)
+        at.u = 0.5 * peak * t * t / B, at.rate = peak * t / B;
+    else
+        at.u = peak * (t - 0.5 * B), at.rate = peak;
+    return at;
+}
+
+static int has_ramps(const double *segment) { return segment[20] == 2.0; }
+
+static Place place_on(const double *segment, double clock) {
+    const double t = clock - segment[18];
+    if (has_ramps(segment)) return on_ramps(t, segment[19], segment[27], segment[28]);
+    return on_law(t / segment[19], segment[20], segment[19]);
+}
+
+static int count_of(const Core *c, int what) { return (int)c->path_numbers[what]; }
+
+/* The segment at a clock; `end` is where the next one begins. */
+static const double *segment_at(const Core *c, double clock, double *end) {
+    const int count = count_of(c, 2);
+    const double *segment = c->path_numbers + 3 + count_of(c, 1);
+    int i = 0;
+    while (i + 1 < count && segment[SEGMENT * (i + 1) + 18] <= clock) i++;
+    *end = i + 1 < count ? segment[SEGMENT * (i + 1) + 18] : INFINITY;
+    return segment + SEGMENT * i;
+}
+
+static double next_breakpoint(const Core *c, double clock) {
+    double after = c->duration;
+    for (int i = 0; i < count_of(c, 1); i++)
+        if (c->path_numbers[3 + i] > clock + SAME_CLOCK) {
+            after = minimum(after, c->path_numbers[3 + i]);
+            break;
+        }
+    for (int i = 0; i < (int)c->ahead[KINKS]; i++)
+        if (c->kinks[i] > clock + SAME_CLOCK) return minimum(after, c->kinks[i]);
+    return after;
+}
+
+static void pose_on(const double *segment, Place at, double *R, double *p) {
+    double w[3], E[9], before[9];
+    for (int i = 0; i < 3; i++) {
+        w[i] = at.u * segment[12 + i];
+        p[i] = segment[9 + i] + at.u * segment[15 + i];
+    }
+    exp3(w, E);
+    if (!has_ramps(segment)) {
+        multiply3(segment, E, R);
+        return;
+    }
+    multiply3(segment, E, before);
+    for (int i = 0; i < 3; i++) {
+        w[i] = at.b * segment[24 + i];
+        p[i] += at.b * segment[21 + i];
+    }
+    exp3(w, E);
+    multiply3(E, before, R);
+}
+
+static int path_pose(Core *c, double clock, double *R, double *p) {
+    if (count_of(c, 2)) {
+        double end;
+        const double *segment = segment_at(c, clock, &end);
+        pose_on(segment, place_on(segment, clock), R, p);
+        return 1;
+    }
+    double pose[12];
+    c->asked++;
+    if (!c->own_path || !c->own_path(c, clock, 0, pose)) return 0;
+    memcpy(R, pose, 9 * sizeof(double));
+    memcpy(p, pose + 9, 3 * sizeof(double));
+    return 1;
+}
+
+static int path_twist(Core *c, double clock, double *twist) {
+    if (!count_of(c, 2)) {
+        c->asked++;
+        return c->own_path && c->own_path(c, clock, 1, twist);
+    }
+    double end, R[9], p[3], velocity[3], fading[3] = {};
+    const double *segment = segment_at(c, clock, &end);
+    const Place at = place_on(segment, clock);
+    pose_on(segment, at, R, p);
+    for (int i = 0; i < 3; i++) velocity[i] = at.rate * segment[15 + i];
+    if (has_ramps(segment)) {
+        for (int i = 0; i < 3; i++) velocity[i] += at.fading * segment[21 + i];
+        rotate_back(R, segment + 24, fading);
+    }
+    rotate_back(R, velocity, twist);
+    for (int i = 0; i < 3; i++) twist[3 + i] = at.fading * fading[i] + at.rate * segment[12 + i];
+    return 1;
+}
+
+static double twist_distance(const double *a, const double *b) {
+    double d[6];
+    for (int i = 0; i < 6; i++) d[i] = b[i] - a[i];
+    return sqrt(dot3(d, d)) + TURN_LENGTH * sqrt(dot3(d + 3, d + 3));
+}
+
+static int own_path(const Core *c) { return c->users_path; }
+
+/* The twist of a user's path at a clock (6), or its pose, R (9) and p (3). */
+static int ask_own(Core *c, int pose, double clock, double *out) {
+    return pose ? path_pose(c, clock, out, out + 9) : path_twist(c, clock, out);
+}
+
+static double asked_distance(int pose, const double *a, const double *b) {
+    return pose ? pose_distance(a, a + 9, b, b + 9) : twist_distance(a, b);
+}
+
+static int begin_seeking(Core *c, int pose, double from, double to) {
+    double *a = c->ahead;
+    if (!ask_own(c, pose, from, c->seek_low) || !ask_own(c, pose, to, c->seek_high)) return 0;
+    a[SEEK_FROM] = from, a[SEEK_TO] = to, a[SEEK_WHOLE] = asked_distance(pose, c->seek_low, c->seek_high);
+    return a[SEEK_WHOLE] > (pose ? maximum(FASTEST_PATH * (to - from), LEAST_JUMP) : LEAST_KINK);
+}
+
+static int seeks_on(const Core *c, int pose) {
+    const double *a = c->ahead, narrow = maximum(STEEP_WIDTH, STEEP_SHARE * a[STEEP_AT]);
+    return a[SEEK_TO] - a[SEEK_FROM] > (!pose ? KINK_WIDTH : a[STEEP_BY] > 0.0 ? narrow : JUMP_WIDTH);
+}
+
+static int go_on_seeking(Core *c, int pose) {
+    double *a = c->ahead, middle[12];
+    const double clock = 0.5 * (a[SEEK_FROM] + a[SEEK_TO]);
+    if (!ask_own(c, pose, clock, middle) || !(a[SEEK_FROM] < clock && clock < a[SEEK_TO])) return 0;
+    if (asked_distance(pose, c->seek_low, middle) >= asked_distance(pose, middle, c->seek_high)) {
+        a[SEEK_TO] = clock;
+        memcpy(c->seek_high, middle, sizeof middle);
+    } else {
+        a[SEEK_FROM] = clock;
+        memcpy(c->seek_low, middle, sizeof middle);
+    }
+    return 1;
+}
+
+static double found_by_seeking(const Core *c, int pose) {
+    const double there = asked_distance(pose, c->seek_low, c->seek_high), share = KINK_SHARE * c->ahead[SEEK_WHOLE];
+    return there > (pose ? share : maximum(share, LEAST_KINK)) ? there : 0.0;
+}
+
+static int path_increment(Core *c, double clock, double span, const double *R, const double *p, double *twist) {
+    memset(twist, 0, 6 * sizeof(double));
+    if (!(span > 1e-12)) return 1;
+    double end;
+    const double *segment = count_of(c, 2) ? segment_at(c, clock, &end) : nullptr;
+    if (segment && clock + span <= end && !has_ramps(segment)) { /* log of one screw is known */
+        const double gain = place_on(segment, clock + span).u - place_on(segment, clock).u;
+        double step[3], omega[3];
+        rotate_back(R, segment + 15, step);
+        for (int i = 0; i < 3; i++) {
+            step[i] *= gain;
+            omega[i] = gain * segment[12 + i];
+        }
+        double t2 = dot3(omega, omega), t = sqrt(t2);
+        double third = t2 < 1e-4 ? 1.0 / 12 + t2 * (1.0 / 720 + t2 / 30240) : (1.0 - 0.5 * t / tan(0.5 * t)) / t2;
+        unroll(omega, third, step, twist);
+        memcpy(twist + 3, omega, sizeof omega);
+    } else {
+        double R1[9], p1[3], E[9], e[3];
+        if (!path_pose(c, clock + span, R1, p1)) return 0;
+        multiply3_back(R, R1, E);
+        for (int i = 0; i < 3; i++) p1[i] -= p[i];
+        rotate_back(R, p1, e);
+        if (!log6(E, e, twist)) return 0;
+    }
+    for (int i = 0; i < 6; i++) twist[i] /= span;
+    return 1;
+}

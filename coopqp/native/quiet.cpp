@@ -1,0 +1,37 @@
+/* Where further constraints are known to be quiet: Quiet in coopqp/constraints/velocity.py. */
+
+#include "functions.h"
+
+/* Σ reach (|x − centre| + h |v|) over the joints of the two arms where it is largest; without v for nullptr. */
+static double way_from(const Core *c, const double *x, const double *centre, const double *reach, const double *v, double h) {
+    double first = 0.0, second = 0.0;
+    for (int k = 0; k < c->arms; k++) {
+        const int start = (int)c->arm_start[k], end = start + (int)c->arm_size[k];
+        double way = 0.0;
+        for (int j = start; j < end; j++) way += reach[j] * (fabs(x[j] - centre[j]) + (v ? h * fabs(v[j]) : 0.0));
+        if (way > first)
+            second = first, first = way;
+        else
+            second = maximum(second, way);
+    }
+    return first + second;
+}
+
+/* No further row binds the command, without asking for them. */
+static int quiet_step(const Core *c) {
+    const double h = c->proposal[DT], share = minimum(c->loop[QUIET_APPROACH] * h, 1.0);
+    if (!(share > 0.0)) return 0;
+    return way_from(c, c->positions, c->quiet_centre, c->quiet_reach, c->command, h / share) < c->loop[QUIET_SLACK];
+}
+
+/* No further constraint asks for anything ahead at x. */
+static int quiet_ahead(const Core *c, const double *x) {
+    return way_from(c, x, c->quiet_ahead_centre, c->quiet_ahead_reach, nullptr, 0.0) < c->loop[QUIET_AHEAD];
+}
+
+/* No further constraint stops the object between the knot before and one at x, `span` after it. */
+static int quiet_knot(Core *c, const double *x, const double *slope, const double *curvature, double span) {
+    double *before = c->scratch;
+    for (int j = 0; j < c->joints; j++) before[j] = x[j] - (slope[j] - 0.5 * span * curvature[j]) * span;
+    return quiet_ahead(c, x) && quiet_ahead(c, before);
+}

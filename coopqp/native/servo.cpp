@@ -1,0 +1,157 @@
+/* Going over to a new target: the way there (coopqp/paths/servo.py defines it), and whether it is taken
+ * (QPController._go_over_by_definition). */
+
+#include "functions.h"
+
+/* Start of a way, and its unknowns. */
+struct Way {
+    double R[9], p[3];       /* the pose in motion */
+    double twist[6];         /* its velocity, in world axes */
+    const double *goal;      /* R (9), p (3) */
+    double speed, spin;      /* of the straight way */
+    double begin;            /* time in which the present motion dies away [s] */
+    double line[3], turn[3]; /* the straight way */
+    double full[6];          /* its twist at full speed, in world axes */
+};
+
+/* Set the straight way from where the present motion ends; its time at full speed [s]. */
+static double straight(Way *w) {
+    const double b = 0.5 * w->begin, spun[3] = {b * w->twist[3], b * w->twist[4], b * w->twist[5]};
+    double E[9], R[9], D[9];
+    exp3(spun, E);
+    multiply3(E, w->R, R);
+    multiply3_back(R, w->goal, D);
+    rotation_vector(D, w->turn);
+    for (int i = 0; i < 3; i++) w->line[i] = w->goal[9 + i] - w->p[i] - b * w->twist[i];
+    const double nominal = fmax(sqrt(dot3(w->line, w->line)) / w->speed, sqrt(dot3(w->turn, w->turn)) / w->spin);
+    memset(w->full, 0, sizeof w->full);
+    if (nominal < NOWHERE) return 0.0;
+    rotate(R, w->turn, w->full + 3);
+    for (int i = 0; i < 3; i++) w->full[i] = w->line[i] / nominal, w->full[3 + i] /= nominal;
+    return nominal;
+}
+
+/* Seconds that each joint takes for the present motion, and for the straight way at full speed; 0 if an arm is singular. */
+static int efforts(Core *c, const Way *w, const double *jacobian, double *before, double *after) {
+    double *present = sketch_of(c).w;
+    for (int i = 0; i < 6 * c->arms; i++) present[i] = w->twist[i % 6];
+    memset(before, 0, sizeof(double) * (size_t)c->joints);
+    memset(after, 0, sizeof(double) * (size_t)c->joints);
+    if (!two_velocities(c, jacobian, present, w->full, nullptr, nullptr, before, after)) return 0;
+    for (int j = 0; j < c->joints; j++) {
+        const double planned = CHANGE_SHARE * c->plan_acceleration[j];
+        before[j] /= planned, after[j] /= planned;
+    }
+    return 1;
+}
+
+/* The largest share of the full speed that leaves time to change the motion before and after. */
+static double largest_speed(const Core *c, const double *before, const double *after, double nominal, double *change) {
+    const double most = largest_size(after, c->joints);
+    for (int i = SPEEDS; i > 0; i--) {
+        const double share = (double)i / SPEEDS;
+        *change = 0.0;
+        for (int j = 0; j < c->joints; j++) *change = fmax(*change, fabs(share * after[j] - before[j]));
+        if (i == 1 || 0.5 * share * (*change + share * most) <= nominal) return share;
+    }
+    return 0.0;
+}
+
+/* The segment of a way that begins at a clock; 0 if an arm is singular. */
+static int way_to(Core *c, Way *w, double clock, double *segment) {
+    const Sketch s = sketch_of(c);
+    double *before = s.step, *after = s.after, end = 0.0, duration;
+    w->begin = 0.0;
+    carry_and_linearise(c, c->positions, w->p, nullptr, s.jacobian);
+    if (!(largest_size(w->twist, 6) > STILL_OBJECT)) {
+        memset(w->twist, 0, sizeof w->twist);
+        const double nominal = straight(w);
+        if (!efforts(c, w, s.jacobian, before, after)) return 0;
+        for (int j = 0; j < c->joints; j++)
+            if (!isfinite(c->acceleration[j])) { /* no joint stops from more than its full speed */
+                const double speed = isfinite(c->speed[j]) ? c->speed[j] : 1.0;
+                end = fmax(end, fmin(fabs(after[j]), speed / (CHANGE_SHARE * c->plan_acceleration[j])));
+            }
+        duration = fmax(fmax(nominal + 0.5 * end, end), SHORTEST_CHANGE);
+    } else {
+        double share = 1.0, nominal = 0.0, change = 0.0;
+        memset(w->full, 0, sizeof w->full);
+        if (!efforts(c, w, s.jacobian, before, after)) return 0;
+        w->begin = fmax(largest_size(before, c->joints), SHORTEST_CHANGE);
+        for (int pass = 0; pass < 4; pass++) { /* the way begins where the present motion has died away */
+            nominal = straight(w);
+            if (!efforts(c, w, s.jacobian, before, after)) return 0;
+            share = largest_speed(c, before, after, nominal, &change);
+            w->begin = fmax(change, SHORTEST_CHANGE);
+        }
+        nominal = straight(w);
+        if (!efforts(c, w, s.jacobian, before, after)) return 0;
+        end = fmax(share * largest_size(after, c->joints), SHORTEST_CHANGE);
+        duration = fmax(nominal / share + 0.5 * (w->begin + end), w->begin + end);
+    }
+    memcpy(segment, w->R, sizeof w->R);
+    memcpy(segment + 9, w->p, sizeof w->p);
+    memcpy(segment + 12, w->turn, sizeof w->turn);
+    memcpy(segment + 15, w->line, sizeof w->line);
+    segment[18] = clock, segment[19] = duration, segment[20] = 2.0;
+    memcpy(segment + 21, w->twist, sizeof w->twist);
+    segment[27] = w->begin, segment[28] = end;
+    return 1;
+}
+
+/* Whether a joint without acceleration limit jumps from its last velocity to another; nullptr for rest. */
+static int jumps(const Core *c, const double *velocity) {
+    for (int j = 0; j < c->joints; j++) {
+        const double speed = isfinite(c->speed[j]) ? c->speed[j] : 1.0;
+        const double change = fabs((velocity ? velocity[j] : 0.0) - c->velocity[j]);
+        if (!isfinite(c->acceleration[j]) && !(change <= LARGEST_JUMP * speed)) return 1;
+    }
+    return 0;
+}
+
+/* Try a path from the present clock on at a rate: 1 if its first step keeps to it, and no joint jumps; the joints may force
+ * a rate above the cap. What was known ahead stays in the ring. */
+static int admits(Core *c, const double *numbers, double rate, int needed) {
+    const int kept = count_ahead(c, COUNT) + count_ahead(c, WAY) + 2;
+    c->path_numbers = numbers;
+    c->loop[RATE] = rate, c->loop[RATE_SLOPE] = 0.0;
+    if (c->looks_ahead) preview_try(c, c->loop[CLOCK], kept, 0);
+    if (!needed) return 1;
+    observe(c, nullptr, nullptr);
+    c->further_rows = 0;
+    const int found = propose(c) < FILLED;
+    return found && fmin(c->proposal[CAP], c->proposal[NEW_RATE]) >= rate - RATE_TOLERANCE && !jumps(c, c->command);
+}
+
+static int go_over(Core *c, const double *goal, double speed, double spin, double full, double *numbers) {
+    const double clock = c->loop[CLOCK], now = c->loop[RATE], *present = c->path_numbers;
+    double ahead[N_AHEAD], loop[N_LOOP], twist[6], fastest = 0.0;
+    Way w = {};
+    w.goal = goal, w.speed = speed, w.spin = spin;
+    stay_near(c, c->positions);
+    if (!path_pose(c, clock, w.R, w.p) || !path_twist(c, clock, twist)) return -1;
+    for (int i = 0; i < 6; i++) fastest = fmax(fastest, fabs(now * twist[i]));
+    const int rests = !(fastest > STILL_OBJECT);
+    if (rests && jumps(c, nullptr)) return 0; /* self-motion goes on where the object rests; the new way begins at rest */
+    memcpy(ahead, c->ahead, sizeof ahead);
+    memcpy(loop, c->loop, sizeof loop);
+    for (int tries = 0; tries < (rests ? 1 : 2); tries++) {
+        const double rate = rests ? 0.0 : tries ? fmin(now, full) : full;
+        if (!rests && (!(rate > 0.0) || (tries && rate == full))) continue;
+        rotate(w.R, twist, w.twist);
+        rotate(w.R, twist + 3, w.twist + 3);
+        for (int i = 0; i < 6; i++) w.twist[i] *= rests ? 0.0 : now / rate;
+        double *segment = numbers + 4;
+        if (!way_to(c, &w, clock, segment)) return -1;
+        numbers[0] = c->duration, numbers[1] = numbers[2] = 1.0, numbers[3] = clock + segment[19];
+        const int taken = admits(c, numbers, rate, !rests);
+        memcpy(c->loop, loop, sizeof loop);
+        if (taken) {
+            c->loop[RATE] = rate, c->loop[RATE_SLOPE] = 0.0, c->ahead[KEPT] = 0.0;
+            return 1;
+        }
+        memcpy(c->ahead, ahead, sizeof ahead);
+        c->path_numbers = present;
+    }
+    return 0;
+}

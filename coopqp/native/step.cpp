@@ -1,0 +1,639 @@
+/* One step: observe the measurement, propose a command, commit it. See docs/derivations.md and the plain definition. */
+
+#include "functions.h"
+
+static void refuse(Core *c, int reason, int index, double a) {
+    double *p = c->proposal;
+    p[WATCH_CAP] = 0.0, p[HOLD] = 1.0;
+    p[REASON] = reason, p[REASON_ARM] = index, p[REASON_A] = a, p[REASON_B] = 0.0;
+}
+
+/* -- observe --------------------------------------------------------------------------------------------------------- */
+
+/* Positions (near the commanded ones) of a measured configuration; 0 if it is not believed. */
+static int believe(Core *c, const double *q, double *positions) {
+    double worst = 0.0;
+    int joint = 0;
+    for (int i = 0; i < c->nq; i++)
+        if (!isfinite(q[i])) {
+            refuse(c, NOT_FINITE, i, q[i]);
+            return 0;
+        }
+    for (int j = 0; j < c->joints; j++) {
+        const double *at = q + (int)c->q_index[j], x = c->positions[j];
+        positions[j] = at[0];
+        if (c->continuous[j] != 0.0) {
+            const double radius = sqrt(at[0] * at[0] + at[1] * at[1]);
+            if (!(fabs(radius - 1.0) <= CIRCLE_TOLERANCE)) {
+                refuse(c, OFF_CIRCLE, (int)c->q_index[j], radius);
+                return 0;
+            }
+            positions[j] = x + wrapped(c, j, atan2(at[1], at[0]) - x);
+        }
+        if (fabs(positions[j] - x) > worst) worst = fabs(positions[j] - x), joint = j;
+    }
+    if (worst > c->options[JOINT_JUMP]) {
+        refuse(c, JUMPED, joint, worst);
+        return 0;
+    }
+    return 1;
+}
+
+/* Where the arms hold the object, by their shares in the common error: the reference pose where the path has none. */
+static void hold_here(Core *c) {
+    double E[9], away[3], e[3], mean[6] = {0}, R[9], p[3];
+    const double *first = c->carried;
+    for (int k = 0; k < c->arms; k++) {
+        const double *O = c->carried + 12 * k;
+        double twist[6];
+        multiply3_back(first, O, E);
+        for (int i = 0; i < 3; i++) away[i] = O[9 + i] - first[9 + i];
+        rotate_back(first, away, e);
+        if (!log6(E, e, twist)) memset(twist, 0, sizeof twist);
+        for (int i = 0; i < 6; i++) mean[i] += c->shares[6 * k + i] * twist[i];
+    }
+    exp6(mean, R, p);
+    multiply3(first, R, c->R);
+    rotate(first, p, c->p);
+    for (int i = 0; i < 3; i++) c->p[i] += first[9 + i];
+}
+
+/* The object's error for the path correction: the commanded one plus the further measured error, which fades in slowly.
+ * While the arms hold it is 0: the measured error of an arm that does not move would lead the others away without end. */
+static int let_in(Core *c, const double *positions, const double *q) {
+    double *p = c->proposal, commanded[6];
+    const double h = p[DT];
+    const double corrects = c->minding ? c->minding[CORRECTS] : 1.0; /* arms that mind forces relax first */
+    if (!positions && !((c->loop[DRIFTED] != 0.0 || corrects < 1.0) && p[HOLD] == 0.0)) {
+        memset(c->measured, 0, 6 * sizeof(double));
+        return p[HOLD] != 0.0;
+    }
+    if (p[HAS_ERRORS] == 0.0) return 0;
+    common_error(c, c->errors, commanded);
+    if (positions) {
+        double *carried = c->measured_carried, *away = c->measured_away, found[6];
+        carry(c, positions, carried);
+        if (!errors_at(c, carried, c->R, c->p, away)) return 0;
+        common_error(c, away, found);
+        for (int i = 0; i < 6 * c->arms; i++) away[i] -= c->errors[i];
+        watch_sample(c, positions, q, away, h);
+        const double fresh = h / (h + c->options[MEASUREMENT_TIME]);
+        for (int i = 0; i < 6; i++) c->drift[i] += fresh * (found[i] - commanded[i] - c->drift[i]);
+        c->loop[DRIFTED] = 1.0;
+    }
+    const double share = p[HOLD] != 0.0 ? 0.0 : corrects * p[WATCH_CAP];
+    for (int i = 0; i < 6; i++) c->measured[i] = share * (commanded[i] + c->drift[i]);
+    return 1;
+}
+
+static double pose_distance(const double *R0, const double *p0, const double *R1, const double *p1) {
+    double trace = 0.0, square = 0.0;
+    for (int i = 0; i < 9; i++) trace += R0[i] * R1[i];
+    for (int i = 0; i < 3; i++) square += (p1[i] - p0[i]) * (p1[i] - p0[i]);
+    return sqrt(square) + TURN_LENGTH * acos(clamp(0.5 * (trace - 1.0), -1.0, 1.0));
+}
+
+/* The reference pose; of a user's own path also how far it jumps, in this step or since the last. 0 if the path fails. */
+static int ask_for_path(Core *c, double h, double *far) {
+    double R[9], p[3], *away = c->loop + AWAY;
+    if (!path_pose(c, c->loop[CLOCK], c->R, c->p)) return 0;
+    if (c->path_numbers[2] != 0.0) return 1;
+    if (!path_pose(c, c->loop[CLOCK] + h, R, p)) return 0;
+    const double now = pose_distance(c->R, c->p, c->carried, c->carried + 9); /* of the object as the first arm carries it */
+    *far = fmax(pose_distance(c->R, c->p, R, p), now - *away);
+    if (*far <= FASTEST_PATH * h) *away = now;
+    return 1;
+}
+
+/* Take one sample: q as measured (nullptr where commands are followed exactly), the step's length (NaN: nominal). */
+static void observe(Core *c, const double *q, const double *dt) {
+    double *p = c->proposal, *positions = c->measured_positions;
+    const double nominal = c->options[NOMINAL_DT];
+    memset(p, 0, N_PROPOSAL * sizeof(double));
+    p[DT] = nominal, p[WATCH_CAP] = 1.0, p[REASON_ARM] = p[BINDING_ROW] = p[CAP_ARM] = p[CAP_JOINT] = -1.0;
+    if (dt) {
+        if (*dt >= c->options[DT_LOW] * nominal && *dt <= c->options[DT_HIGH] * nominal)
+            p[DT] = *dt;
+        else
+            refuse(c, BAD_DT, -1, *dt);
+    }
+    if (q && !believe(c, q, positions)) q = nullptr;
+    stay_near(c, c->positions);
+    carry(c, c->positions, c->carried);
+    const int was_lost = c->loop[PATH_LOST] == 1.0;
+    c->loop[PATH_LOST] = was_lost ? 2.0 : 0.0; /* 2: found again */
+    double far = 0.0;
+    const int known = ask_for_path(c, p[DT], &far);
+    if (!known || far > FASTEST_PATH * p[DT]) {
+        c->loop[PATH_LOST] = 1.0;
+        c->loop[HAS_PREDICTED] = 0.0; /* that was from another reference */
+        q = nullptr;
+        hold_here(c);
+        refuse(c, known ? PATH_JUMPS : PATH_FAILED, -1, c->loop[CLOCK]);
+        p[REASON_B] = far;
+    }
+    if (c->loop[FAULT] != 0.0) {
+        refuse(c, (int)c->loop[FAULT], (int)c->loop[FAULT_ARM], c->loop[FAULT_A]);
+        p[REASON_B] = c->loop[FAULT_B], p[FAULTS] = 1.0;
+    }
+    p[HAS_ERRORS] = errors_at(c, c->carried, c->R, c->p, c->errors);
+    if (p[HAS_ERRORS] != 0.0) watch_chain(c);
+    p[HAS_MEASURED] = let_in(c, q ? positions : nullptr, q);
+}
+
+/* -- propose --------------------------------------------------------------------------------------------------------- */
+
+static void cap_rate(Core *c, double cap, int kind, int arm) {
+    double *p = c->proposal;
+    if (!(cap < p[CAP])) return;
+    p[CAP] = cap, p[CAP_KIND] = kind, p[CAP_ARM] = arm, p[CAP_JOINT] = -1.0;
+}
+
+/* The largest rate that the operator asks for. */
+static double rate_asked(const Core *c) { return c->loop[PAUSE] != 0.0 ? 0.0 : c->loop[OVERRIDDEN]; }
+
+/* The fastest fall of the rate where nothing is known ahead [1/s]: all joints brake together, on a straight path. */
+static double blind_brake(const Core *c) {
+    double tightest = 0.0;
+    for (int j = 0; j < c->joints; j++)
+        tightest = fmax(tightest, fabs(c->velocity[j]) / (BRAKING_SHARE * c->acceleration[j]));
+    return tightest > 0.0 ? c->loop[RATE] / tightest : INFINITY;
+}
+
+static int moves(const Core *c) {
+    for (int j = 0; j < c->joints; j++)
+        if (c->velocity[j] != 0.0) return 1;
+    return 0;
+}
+
+/* The largest rate by the override, reached as fast as the joints can follow. */
+static double reined_rate(const Core *c, double h) {
+    const double share = rate_asked(c), rate = c->loop[RATE];
+    double fall = c->options[REIN_SLOPE];
+    if (share >= rate || !moves(c)) return share;
+    if (c->accelerates && c->looks_ahead && c->ahead[COUNT] > 0.0)
+        fall = preview_brake(c, c->loop[CLOCK], h, rate);
+    else if (c->accelerates)
+        fall = blind_brake(c);
+    return fmax(share, rate - fall * h);
+}
+
+/* The null-space motion stops while the object is paused, and goes on after it. */
+static void ease_wishes(Core *c, double h) {
+    double *ease = c->loop + EASE;
+    const double change = c->options[REIN_SLOPE] * h;
+    if (rate_asked(c) < c->options[BLOCKED_RATE])
+        *ease = fmax(*ease - change, 0.0);
+    else if (*ease < 1.0)
+        *ease = fmin(*ease + change, 1.0);
+}
+
+/* The fastest rate that the path ahead, the supervision and the last rate allow, and its cause. */
+static void find_cap(Core *c) {
+    double *p = c->proposal;
+    const double h = p[DT], rate = c->loop[RATE];
+    p[CAP] = 1.0, p[LATE] = 0.0, p[KEEP] = 1.0;
+    if (c->loop[PATH_LOST] == 2.0) {
+        c->loop[PATH_LOST] = 0.0;
+        if (c->looks_ahead) preview_reset(c, c->loop[CLOCK], 1); /* the known horizon is void after the path has failed */
+    }
+    if (c->looks_ahead) p[CAP] = preview_cap(c, c->loop[CLOCK], h);
+    if (c->accelerates && (!c->looks_ahead || c->loop[CORRECTING] != 0.0)) {
+        int joint = -1;
+        p[KEEP] = brake_share(c, h, &joint);
+        p[LATE] = p[KEEP] < 1.0;
+        if (p[LATE] != 0.0 && !c->looks_ahead && p[KEEP] * rate < p[CAP]) {
+            cap_rate(c, p[KEEP] * rate, POSITION, arm_of(c, joint));
+            p[CAP_JOINT] = joint;
+        }
+    }
+    const int by_arm = p[REASON] >= OUT_OF_STEP_BY && p[REASON_ARM] >= 0.0; /* else it is an index, or nothing */
+    cap_rate(c, p[WATCH_CAP], by_arm ? OUT_OF_STEP : NONE, by_arm ? (int)p[REASON_ARM] : -1);
+    if (rate < 1.0 && c->options[LOOKS_AHEAD] != 0.0) {
+        int joint = -1;
+        const double most = c->looks_ahead ? preview_rise(c, c->loop[CLOCK], &joint) : INFINITY;
+        const double rise = fmin(c->options[RISE], most);
+        if (rate + rise * h < p[CAP] - RATE_ROUNDING) {
+            const int by_joint = joint >= 0 && !(most > c->options[RISE]);
+            cap_rate(c, rate + rise * h, by_joint ? ACCELERATION : NONE, -1);
+            if (by_joint) p[CAP_JOINT] = joint;
+        }
+    }
+    cap_rate(c, reined_rate(c, h), OVERRIDE, -1);
+}
+
+/* Limit the error that the path correction sees, so that the correction is `keep` of the last one. */
+static void brake_correction(Core *c, double keep) {
+    if (c->proposal[HAS_MEASURED] == 0.0 && c->proposal[HAS_ERRORS] != 0.0)
+        common_error(c, c->errors, c->measured);
+    for (int part = 0; part < 6; part += 3) {
+        const double now = c->options[PATH_GAIN] * sqrt(dot3(c->measured + part, c->measured + part));
+        const double last = sqrt(dot3(c->correcting + part, c->correcting + part));
+        const double allowed = c->loop[CORRECTING] != 0.0 ? keep * last : 0.0;
+        for (int i = part; now > allowed && i < part + 3; i++) c->measured[i] *= allowed / now;
+    }
+    c->proposal[HAS_MEASURED] = 1.0;
+}
+
+/* Joint velocities wished for in the null-space: along the preview, or by the posture's rule. */
+static void wish(Core *c) {
+    if (c->looks_ahead) {
+        preview_reference(c, c->loop[CLOCK], c->null_offset, c->null_along);
+        for (int j = 0; j < c->joints; j++)
+            c->null_offset[j] = c->options[POSTURE_GAIN] * (c->null_offset[j] - c->positions[j]);
+    } else {
+        memset(c->null_along, 0, sizeof(double) * (size_t)c->joints);
+        posture_velocity(c, c->positions, c->null_offset);
+    }
+    if (c->loop[EASE] < 1.0)
+        for (int j = 0; j < c->joints; j++) c->null_offset[j] *= c->loop[EASE];
+    if (c->proposal[HOLD] != 0.0) memset(c->null_offset, 0, sizeof(double) * (size_t)c->joints);
+}
+
+/* Mean twists of the object in a step of velocities v, as each arm carries it, in the world frame about the reference
+ * origin: log(O(q + h v) O(q)⁻¹) / h. */
+static int twists_made(Core *c, const double *v, double h) {
+    double *ahead = c->scratch, *after = ahead + c->joints;
+    for (int j = 0; j < c->joints; j++) ahead[j] = c->positions[j] + h * v[j];
+    carry(c, ahead, after);
+    for (int k = 0; k < c->arms; k++) {
+        const double *O = c->carried + 12 * k, *O1 = after + 12 * k;
+        double D[9], before[3], moved[3];
+        for (int i = 0; i < 3; i++) /* D = R₁ Rᵀ */
+            for (int m = 0; m < 3; m++) D[3 * i + m] = dot3(O1 + 3 * i, O + 3 * m);
+        for (int i = 0; i < 3; i++) before[i] = O[9 + i] - c->p[i];
+        rotate(D, before, moved);
+        for (int i = 0; i < 3; i++) moved[i] = O1[9 + i] - c->p[i] - moved[i];
+        if (!log6(D, moved, c->made + 6 * k)) return 0;
+        for (int i = 6 * k; i < 6 * k + 6; i++) c->made[i] /= h;
+    }
+    return 1;
+}
+
+/* b_k = A_k v less the twists made, of arm k, in the reference object frame. */
+static void defect(const Core *c, int k, const double *v, double *b) {
+    const int start = (int)c->arm_start[k], end = start + (int)c->arm_size[k];
+    double off[6];
+    for (int i = 0; i < 6; i++) {
+        off[i] = -c->made[6 * k + i];
+        for (int j = start; j < end; j++) off[i] += c->jacobian[6 * j + i] * v[j];
+    }
+    rotate_back(c->R, off, b);
+    rotate_back(c->R, off + 3, b + 3);
+}
+
+/* By how much the step that the command makes misses the twists that it was to make [m, rad]. */
+static double missed(const Core *c, double h) {
+    double most = 0.0, b[6];
+    for (int k = 0; k < c->arms; k++) {
+        defect(c, k, c->command, b);
+        for (int i = 0; i < 6; i++) most = fmax(most, fabs(b[i] - c->foresees[6 * k + i]));
+    }
+    return most * h;
+}
+
+static int settle_qp(Core *c, double cap) {
+    double *p = c->proposal;
+    box(c, p[DT]);
+    const int outside = lead_back(c, p[DT]);
+    p[OUTSIDE] = outside;
+    if (outside < 0 || !condense(c, cap)) return OPEN;
+    if (c->options[OWN_SOLVER] == 0.0) return FILLED;
+    int soft = 0;
+    for (int r = 0; r < c->further_rows; r++) soft |= c->further_soft[r] != 0.0;
+    int iterations = solve_condensed(c, cap, 0);
+    p[RELAXED] = 0.0;
+    if (iterations < 0 && soft) iterations = solve_condensed(c, cap, 1), p[RELAXED] = 1.0;
+    p[ITERATIONS] = iterations;
+    return iterations >= 0 && read_answer(c, cap) ? QP : OPEN;
+}
+
+/* The ranked answer at one linearisation: nominal, else the fastest rate on the path, else the QP. */
+static int settle(Core *c, double cap) {
+    double *p = c->proposal;
+    const double h = p[DT];
+    p[NEW_RATE] = cap, p[BINDING_ROW] = -1.0, p[BINDINGS] = 0.0;
+    p[GRASP_SHARE] = p[PATH_SHARE] = p[MADE] = 1.0, p[PARTING] = 0.0, p[BRAKED] = 0.0;
+    memset(c->off_path, 0, 6 * sizeof(double));
+    if (c->options[SHORTCUT] != 0.0 && nominal_command(c, cap)) {
+        if (well_inside(c, h) && further_admissible(c, LIMIT_TOLERANCE)) return NOMINAL;
+        if (box(c, h)) {
+            if (admissible(c) && further_admissible(c, LIMIT_TOLERANCE)) {
+                clip(c, INFINITY);
+                return NOMINAL;
+            }
+            if (ray(c, cap)) return RAY;
+            p[NEW_RATE] = cap, p[BINDING_ROW] = -1.0;
+        }
+    }
+    return settle_qp(c, cap);
+}
+
+/* Linearise at the middle of the way that joint velocities make; the middle is in `scratch`. */
+static void linearise_about(Core *c, const double *v) {
+    double *middle = c->scratch;
+    for (int j = 0; j < c->joints; j++) middle[j] = c->positions[j] + 0.5 * c->proposal[DT] * v[j];
+    carry_and_linearise(c, middle, c->p, nullptr, c->jacobian);
+}
+
+static int answered(int outcome) { return outcome != OPEN && outcome != FILLED; }
+
+/* Whether one linearisation is not enough for the command. */
+static int long_step(const Core *c) {
+    double change = 0.0, fastest = 0.0;
+    const double h = c->proposal[DT];
+    for (int j = 0; j < c->joints; j++) {
+        change = fmax(change, fabs(c->command[j] - c->guess[j]));
+        fastest = fmax(fastest, fabs(c->command[j]));
+    }
+    return fastest * h > LONG_STEP || change * h * fastest * h > BENT_STEP;
+}
+
+/* Linearise about the answer's own way until it settles, `least` times at least, and keep the answer that misses least:
+ * near singularities a further one may miss more. Where no answer is found the definition does the same with any
+ * solver. */
+static int settle_again(Core *c, double cap, int outcome, int least) {
+    const double h = c->proposal[DT];
+    const size_t joints = sizeof(double) * (size_t)c->joints, twists = 6 * sizeof(double) * (size_t)c->arms;
+    double smallest = INFINITY;
+    for (int done = 0;; done++) {
+        if (!answered(outcome) || !twists_made(c, c->command, h)) return OPEN;
+        const double miss = missed(c, h);
+        const int best = miss < smallest;
+        const int last = done == (int)EXTRA_AT_START || (done >= least && miss <= SETTLED);
+        if (best) {
+            smallest = miss;
+            memcpy(c->best_guess, c->guess, joints);
+            memcpy(c->best_offsets, c->offsets, twists);
+            memcpy(c->best_foresees, c->foresees, twists);
+        }
+        if (last && best) return outcome;
+        memcpy(c->guess, last ? c->best_guess : c->command, joints);
+        linearise_about(c, c->guess);
+        if (last) {
+            memcpy(c->offsets, c->best_offsets, twists);
+            memcpy(c->foresees, c->best_foresees, twists);
+            outcome = settle(c, cap);
+            return answered(outcome) ? outcome : OPEN;
+        }
+        for (int k = 0; k < c->arms; k++) {
+            defect(c, k, c->guess, c->foresees + 6 * k);
+            for (int i = 6 * k; i < 6 * k + 6; i++) c->offsets[i] = c->left_over[i] + c->foresees[i];
+        }
+        outcome = settle(c, cap);
+    }
+}
+
+/* No look-ahead covers the motion: none has one, or arms that give way have left their path. */
+static int brakes_together(const Core *c) {
+    return !c->looks_ahead || (c->options[LEAVES_PATH] != 0.0 && c->accelerates && c->loop[CORRECTING] != 0.0);
+}
+
+/* The ranked answer under the cap and the further rows; returns an outcome. */
+static int answer(Core *c) {
+    double *p = c->proposal, *start = c->first_guess;
+    const int first = c->loop[FIRST] != 0.0;
+    c->further_rows = c->given_rows;
+    if (brakes_together(c)) brake_together(c);
+    p[ROWS] = c->further_rows;
+    for (int j = 0; j < c->joints; j++) c->guess[j] = 2.0 * c->velocity[j] - c->before[j];
+    linearise_about(c, c->guess);
+    int outcome = settle(c, p[CAP]);
+    if (first && !answered(outcome)) outcome = OPEN;
+    if (answered(outcome)) {
+        const int again = long_step(c);
+        if (first) memcpy(start, c->command, sizeof(double) * (size_t)c->joints);
+        if (first || again) outcome = settle_again(c, p[CAP], outcome, again);
+        /* The velocities at the start and the middle of the first step serve as the velocities of two steps. */
+        for (int j = 0; first && j < c->joints; j++) c->stand_in[j] = 2.0 * start[j] - c->command[j];
+    }
+    return (int)(p[OUTCOME] = outcome);
+}
+
+/* Find the command; returns an outcome. Nothing of the state changes but the preview, which grows. */
+static int propose(Core *c) {
+    double *p = c->proposal;
+    const double h = p[DT], clock = c->loop[CLOCK], rest = c->duration - clock;
+    p[CAP_KIND] = NONE;
+    find_cap(c);
+    if (p[LATE] != 0.0) brake_correction(c, p[KEEP]);
+    if (rest < h * p[CAP]) p[CAP] = rest / h; /* the last step ends at the end */
+    /* The mean along the path has to see a corner that the step may reach. */
+    const int corner = c->looks_ahead && next_breakpoint(c, clock) <= clock + h * p[CAP];
+    /* Else at the rate that is expected: it goes on to change as it did. */
+    const double expected = c->loop[RATE] + c->loop[RATE_SLOPE] * h;
+    const double pace = corner ? p[CAP] : fmin(p[CAP], fmax(expected, 0.0));
+    p[SPAN] = fmin(h * fmax(pace, LEAST_PACE), rest);
+    if (c->loop[PATH_LOST] != 0.0 || !path_increment(c, clock, p[SPAN], c->R, c->p, c->along)) {
+        memset(c->along, 0, 6 * sizeof(double));
+        if (p[WATCH_CAP] > 0.0) refuse(c, PATH_FAILED, -1, clock);
+        p[CAP] = 0.0;
+    }
+    if (c->redundant) wish(c);
+    p[ROWS] = c->given_rows;
+    if (p[HAS_ERRORS] == 0.0) return (int)(p[OUTCOME] = OPEN);
+    corrections(c, h);
+    return answer(c);
+}
+
+/* -- commit ---------------------------------------------------------------------------------------------------------- */
+
+/* Entries of the record: what binds the step. Returns whether a position, an acceleration limit is among them. */
+static void write_bindings(Core *c, double *entries, int *position, int *acceleration) {
+    const double *p = c->proposal;
+    const int most = c->joints + c->rows;
+    int count = 0;
+    const int rows = p[OUTCOME] == RAY && p[BINDING_ROW] >= 0.0 ? 1 : (int)p[BINDINGS];
+    for (int i = 0; i < rows && count < most; i++, count++) {
+        const int single = p[OUTCOME] == RAY, row = (int)(single ? p[BINDING_ROW] : c->bindings[2 * i]);
+        const double side = single ? p[BINDING_SIDE] : c->bindings[2 * i + 1];
+        const int joint = row < c->joints;
+        entries[4 * count] = joint ? kind_of(c, row, side, p[DT]) : CONSTRAINT;
+        entries[4 * count + 1] = -1.0;
+        entries[4 * count + 2] = joint ? row : -1.0;
+        entries[4 * count + 3] = joint ? -1.0 : c->further_owner[row - c->joints];
+        if (!joint && c->further_owner[row - c->joints] < 0.0)
+            name_brake(c, (int)(-1.0 - c->further_owner[row - c->joints]), entries + 4 * count);
+    }
+    if (!count && p[CAP_KIND] != NONE) {
+        const int own = p[CAP_KIND] == CONSTRAINT;
+        const double cap[4] = {p[CAP_KIND], p[CAP_ARM], own ? -1.0 : p[CAP_JOINT], own ? p[CAP_JOINT] : -1.0};
+        memcpy(entries, cap, sizeof cap);
+        count = 1;
+    }
+    *position = *acceleration = 0;
+    for (int i = 0; i < count; i++) {
+        *position |= entries[4 * i] == POSITION;
+        *acceleration |= entries[4 * i] == ACCELERATION;
+    }
+    c->record[R_BINDINGS] = count;
+}
+
+static int slow_status(const Core *c, double rate, int position, int acceleration) {
+    const int rising = rate > c->loop[RATE] + RATE_ROUNDING, outside = any_outside(c);
+    const int ends = position || (c->looks_ahead && c->ahead[ENDS] != 0.0);
+    const int arriving = ends && !rising && !outside;
+    if (rate >= c->options[BLOCKED_RATE] * (arriving ? ARRIVING : 1.0)) return SLOWED;
+    /* The bound on its rise, or a part of the path that is not yet seen, keeps the rate small without a limit. From rest
+     * accelerations do: the rate then grows, or a joint is on its way back in. A rate that is small at a corner grows
+     * again after it. */
+    const double clock = c->loop[CLOCK], dt = c->options[NOMINAL_DT];
+    if (c->looks_ahead && !ends && rate > 0.0 && next_breakpoint(c, clock - dt) <= clock + dt) return SLOWED;
+    return c->record[R_BINDINGS] == 0.0 || (acceleration && (rising || outside)) ? SLOWED : BLOCKED;
+}
+
+/* The status that a step alone would say, or that of the last step, which lasts a moment. */
+static int lasting(Core *c, int found, double rate) {
+    const double h = c->proposal[DT], last = c->loop[SAID];
+    double more = 0.0, most = 0.0;
+    if (last == BLOCKED && found == SLOWED && c->record[R_BINDINGS] > 0.0)
+        more = rate * h, most = STILL_BLOCKED;
+    else if (last == SLOWED && found == TRACKING && !c->looks_ahead)
+        more = h, most = STILL_SLOWED;
+    if (more > 0.0 && c->loop[OUTDATED] + more <= most) {
+        c->loop[OUTDATED] += more;
+        return last == BLOCKED ? BLOCKED : SLOWED;
+    }
+    if (last != BLOCKED || found != BLOCKED) c->loop[OUTDATED] = 0.0;
+    return found;
+}
+
+/* How far the object is off its path [m], [rad], by the measurements; 0 within the options' bounds. */
+static int off_its_path(const Core *c, double *distance, double *angle) {
+    double e[6];
+    common_error(c, c->errors, e);
+    for (int i = 0; i < 6 && c->loop[DRIFTED] != 0.0; i++) e[i] += c->drift[i];
+    const double far = c->options[OFF_PATH_DISTANCE], wide = c->options[OFF_PATH_ANGLE];
+    double R[9], shift[3]; /* at most as long as the twist's */
+    if (!(dot3(e, e) > far * far) && !(dot3(e + 3, e + 3) > wide * wide)) return 0;
+    exp6(e, R, shift);
+    *distance = sqrt(dot3(shift, shift)), *angle = sqrt(dot3(e + 3, e + 3));
+    if (!(*distance > far)) *distance = 0.0;
+    if (!(*angle > wide)) *angle = 0.0;
+    return *distance > 0.0 || *angle > 0.0;
+}
+
+/* Whether an object whose clock stands rests; its errors are corrected. */
+static int rests(const Core *c) {
+    const double *off = c->off_path;
+    return sqrt(dot3(off, off)) <= RESTING_SPEED && sqrt(dot3(off + 3, off + 3)) <= RESTING_SPIN;
+}
+
+static void bind_override(Core *c, double *entries) {
+    static const double by_override[4] = {OVERRIDE, -1.0, -1.0, -1.0};
+    memcpy(entries, by_override, sizeof by_override);
+    c->record[R_BINDINGS] = 1.0;
+}
+
+/* Set the start of the next step. */
+static void move_on(Core *c, double rate, double clock_next) {
+    const double *p = c->proposal, h = p[DT];
+    const int by_qp = p[OUTCOME] == QP;
+    double twist[6], square = 0.0;
+    for (int i = 0; i < 6; i++) {
+        twist[i] = p[PATH_SHARE] * c->path[i] + c->off_path[i];
+        square += twist[i] * twist[i];
+    }
+    for (int k = 0; k < c->arms; k++)
+        for (int i = 0; i < 6; i++)
+            c->predicted[6 * k + i] =
+                c->errors[6 * k + i] + h * (p[GRASP_SHARE] * c->grasp[6 * k + i] + c->offsets[6 * k + i] + twist[i]);
+    if (by_qp || c->accelerates) {
+        c->loop[CORRECTING] = square > NEGLIGIBLE;
+        memcpy(c->correcting, twist, sizeof twist);
+    }
+    memcpy(c->foreseen, c->foresees, 6 * sizeof(double) * (size_t)c->arms);
+    const double *before = c->loop[FIRST] != 0.0 ? c->stand_in : c->velocity;
+    memmove(c->before, before, sizeof(double) * (size_t)c->joints);
+    memcpy(c->velocity, c->command, sizeof(double) * (size_t)c->joints);
+    for (int j = 0; j < c->joints; j++) c->positions[j] += h * c->command[j];
+    c->loop[HAS_PREDICTED] = p[PARTING] == 0.0 && p[BRAKED] == 0.0 && c->loop[PATH_LOST] == 0.0;
+    c->loop[RATE_SLOPE] = (rate - c->loop[RATE]) / h;
+    c->loop[LAST_DT] = h, c->loop[CLOCK] = clock_next, c->loop[RATE] = rate, c->loop[FIRST] = 0.0;
+}
+
+static void write_configuration(const Core *c, double *q) {
+    for (int j = 0; j < c->joints; j++) {
+        double *at = q + (int)c->q_index[j];
+        at[0] = c->positions[j];
+        if (c->continuous[j] != 0.0) at[0] = cos(c->positions[j]), at[1] = sin(c->positions[j]);
+    }
+}
+
+/* Move the state by the proposed command, and write the record. Returns the status. */
+static int commit(Core *c) {
+    double *p = c->proposal, *r = c->record;
+    double *q = r + N_RECORD, *velocity = q + c->nq, *q_next = velocity + c->joints, *off_path = q_next + c->nq;
+    const double h = p[DT], clock = c->loop[CLOCK], rate = clamp(p[NEW_RATE], 0.0, 1.0);
+    double clock_next = clock + rate * h;
+    if (c->duration - clock_next < 1e-9 * c->duration) clock_next = c->duration;
+    /* the last step needs the full rate */
+    const double share = rate >= 1.0 || (clock_next >= c->duration && p[HOLD] == 0.0) ? 1.0 : rate;
+    int position, acceleration, status = TRACKING;
+    write_bindings(c, off_path + 6, &position, &acceleration);
+    if (share <= 1.0 - 1e-6) status = slow_status(c, share, position, acceleration);
+    status = lasting(c, status, share);
+    if (rate_asked(c) < c->options[BLOCKED_RATE] && share < c->options[BLOCKED_RATE]) {
+        status = rests(c) ? PAUSED : SLOWED;
+        if (r[R_BINDINGS] == 0.0) bind_override(c, off_path + 6);
+    }
+    r[R_AWAY] = r[R_TURNED] = 0.0, r[R_MEASURED] = c->loop[DRIFTED];
+    if (p[HOLD] != 0.0 || p[BRAKED] != 0.0)
+        status = HOLDING;
+    else if (off_its_path(c, r + R_AWAY, r + R_TURNED))
+        status = OFF_PATH;
+    else if (status == PAUSED)
+        bind_override(c, off_path + 6); /* before any other reason to stop */
+    if (p[HOLD] != 0.0 && p[FAULTS] != 0.0) {
+        status = FAULTED;
+        if (c->loop[FAULT] == 0.0)
+            c->loop[FAULT] = p[REASON], c->loop[FAULT_ARM] = p[REASON_ARM], c->loop[FAULT_A] = p[REASON_A],
+            c->loop[FAULT_B] = p[REASON_B];
+    }
+    if (status == TRACKING && p[OUTCOME] != QP) r[R_BINDINGS] = 0.0;
+    const int stopped = status == SLOWED || status == BLOCKED;
+    for (int i = 0; i < (int)r[R_BINDINGS] && stopped && p[REASON] == NO_REASON; i++)
+        if (off_path[6 + 4 * i] == PATH_JUMP && c->ahead[JUMP_BY] != 0.0)
+            p[REASON] = PATH_JUMPS, p[REASON_A] = c->ahead[JUMP_AT], p[REASON_B] = c->ahead[JUMP_BY];
+    c->loop[SAID] = status;
+    r[R_DT] = h, r[R_CLOCK] = clock, r[R_CLOCK_NEXT] = clock_next, r[R_RATE] = share, r[R_STATUS] = status;
+    r[R_REASON] = p[REASON], r[R_REASON_ARM] = p[REASON_ARM], r[R_REASON_A] = p[REASON_A], r[R_REASON_B] = p[REASON_B];
+    r[R_GRASP_SHARE] = p[GRASP_SHARE], r[R_PATH_SHARE] = p[PATH_SHARE], r[R_PARTING] = p[PARTING];
+    r[R_OUTCOME] = p[OUTCOME], r[R_ITERATIONS] = p[ITERATIONS], r[R_APART] = p[APART];
+    memcpy(off_path, c->off_path, 6 * sizeof(double));
+    memcpy(velocity, c->command, sizeof(double) * (size_t)c->joints);
+    write_configuration(c, q);
+    chain_watched(c);
+    move_on(c, rate, clock_next);
+    ease_wishes(c, h);
+    write_configuration(c, q_next);
+    return status;
+}
+
+/* -- starting -------------------------------------------------------------------------------------------------------- */
+
+/* Start along a path at `clock`. */
+static void start_path(Core *c, double clock, double rate) {
+    c->loop[CLOCK] = clock, c->loop[FIRST] = 1.0, c->loop[HAS_PREDICTED] = 0.0;
+    c->loop[RATE] = rate, c->loop[RATE_SLOPE] = 0.0;
+    stay_near(c, c->positions); /* so that a restart repeats to the last bit */
+    c->loop[AWAY] = INFINITY;
+    c->loop[SAID] = TRACKING;
+    if (c->looks_ahead) preview_reset(c, clock, 0);
+}
+
+/* Start at rest at `positions`. */
+static void start(Core *c, const double *positions) {
+    const size_t size = sizeof(double) * (size_t)c->joints;
+    const double override = c->loop[OVERRIDDEN], pause = c->loop[PAUSE]; /* a start ends neither */
+    memset(c->loop, 0, N_LOOP * sizeof(double));
+    c->loop[OVERRIDDEN] = override, c->loop[PAUSE] = pause;
+    c->loop[EASE] = rate_asked(c) < c->options[BLOCKED_RATE] ? 0.0 : 1.0;
+    memmove(c->positions, positions, size);
+    memset(c->velocity, 0, size);
+    memset(c->before, 0, size);
+    memset(c->drift, 0, 6 * sizeof(double));
+    memset(c->correcting, 0, 6 * sizeof(double));
+    c->loop[LAST_DT] = c->options[NOMINAL_DT];
+    watch_reset(c);
+}

@@ -1,0 +1,41 @@
+/* The core as one unit: compiled for any processor and, where BUILD names another one, once more for a newer one. All of
+ * it stands in a namespace of that name: of two templates or inline functions alike the linker keeps one, and this one's
+ * instructions would run in the other build, too. */
+
+#include "core.h"
+
+#ifndef BUILD
+#define BUILD plain
+#endif
+
+namespace BUILD {
+
+#include "functions.h"
+
+#include "kinematics.cpp"
+#include "paths.cpp"
+#include "chain.cpp"
+#include "limits.cpp"
+#include "ldp.cpp"
+#include "program.cpp"
+#include "watch.cpp"
+#include "residual.cpp"
+#include "apart.cpp"
+#include "quiet.cpp"
+#include "sharing.cpp"
+#include "horizon.cpp"
+#include "redundancy.cpp"
+#include "chain_ahead.cpp"
+#include "growth.cpp"
+#include "preview.cpp"
+#include "braking.cpp"
+#include "step.cpp"
+#include "servo.cpp"
+#include "relax.cpp"
+#include "allow.cpp"
+
+const Arithmetic arithmetic = {start,       start_path, observe, propose,             answer,         commit,
+                               read_answer, quiet_step, expect_shift, carry, carry_and_linearise, least_distance,
+                               go_over,     relax,      allow};
+
+}  // namespace BUILD
