@@ -11,6 +11,7 @@ import coal
 import numpy as np
 import pinocchio as pin
 import pytest
+from convex import core_of, distance
 from matplotlib.image import imread
 
 from coopqp import InvalidInputError, Recording, load_cell_file
@@ -23,7 +24,6 @@ from coopqp.files.cellfile.hints import load_hints, unit_hints
 from coopqp.look import glance
 from coopqp.look.glance import shortfall
 from coopqp.look.viewer import CellViewer
-from coopqp.simulation.convex import core_of, distance
 
 CELLS = Path(__file__).parents[1] / "docs" / "examples" / "cells"
 CELL = """
