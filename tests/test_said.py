@@ -11,6 +11,7 @@ import coal
 import numpy as np
 import pinocchio as pin
 import pytest
+from convex import core_of, distance
 from matplotlib.image import imread
 
 from coopqp import InvalidInputError, Recording, load_cell_file
@@ -20,7 +21,6 @@ from coopqp.cli.terminal import Reporter
 from coopqp.files.cellfile import CELLS as PACKAGED
 from coopqp.files.cellfile import example_path
 from coopqp.files.cellfile.hints import load_hints, unit_hints
-from coopqp.simulation.evaluation.convex import core_of, distance
 from coopqp.visualization import cell_overview as glance
 from coopqp.visualization.cell_overview import shortfall
 from coopqp.visualization.viewer import CellViewer

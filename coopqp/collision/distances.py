@@ -34,8 +34,8 @@ _MOST_ASKED, _LEAST_ROOM = 20, 1e-9
 _MOST_ASKED_IN_STEP = 6
 
 
-def _request() -> coal.DistanceRequest:
-    """A new one, unlike Pinocchio's, keeps no guess: an answer does not depend on what was asked before."""
+def new_request() -> coal.DistanceRequest:
+    """What coal is asked for. Unlike Pinocchio's it keeps no guess: an answer does not depend on those before."""
     request = coal.DistanceRequest()
     request.enable_signed_distance = True
     request.gjk_tolerance = request.epa_tolerance = _TOLERANCE
@@ -43,7 +43,7 @@ def _request() -> coal.DistanceRequest:
     return request
 
 
-_REQUEST = _request()
+_REQUEST = new_request()
 
 Indices = npt.NDArray[np.intp]
 

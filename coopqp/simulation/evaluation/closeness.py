@@ -1,8 +1,8 @@
 """How close bodies came in a run, judged from its commanded configurations alone, between its steps, too.
 
-The controllers' distances play no part in it: bodies are placed by Pinocchio's kinematics, distances come from
-:mod:`coopqp.simulation.evaluation.convex`. The motion of two bodies between samples bounds the change of their
-distance, so few distances are computed.
+The controllers' bounds and rows play no part in it: bodies are placed by Pinocchio's kinematics, and coal is asked for
+the distances of two bodies. The motion of two bodies between samples bounds the change of their distance, so few
+distances are computed.
 """
 
 from __future__ import annotations
@@ -12,17 +12,18 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple, final
 
+import coal
 import numpy as np
 import pinocchio as pin
 
-from coopqp.collision.distances import Distances
+from coopqp.collision.distances import Distances, new_request
+from coopqp.collision.geometry import reach_of
 from coopqp.collision.scene import CollisionScene
 from coopqp.errors import InvalidInputError
 from coopqp.model.cell import RobotCell
 from coopqp.model.grasp import Grasp
 from coopqp.model.shapes import Body, Box, NearPair
 from coopqp.paths.scenario import Scenario
-from coopqp.simulation.evaluation.convex import Core, Point, core_of, separate
 from coopqp.simulation.recording.bodies import describe_bodies, describe_carried
 from coopqp.simulation.recording.recording import Recording
 from coopqp.spatial import Array
@@ -31,12 +32,12 @@ from coopqp.spatial import Array
 PARTS = 4
 #: A body's way between two samples is at most this many times the way that its placements show.
 _BENT = 1.05
-#: While a run is watched, a pair's distance is found no closer than that it suffices for this many such steps.
-_AHEAD = 10.0
 #: Largest number of samples that are judged; of longer runs every second, third, … sample is.
 MOST_JUDGED = 50_000
 #: Samples of the distances over a run.
 MOST_SAMPLES = 200
+#: Shapes with a radius about a point or a segment.
+_ROUND = (coal.Sphere, coal.Capsule)
 #: The least distance of a run is found to within this [m].
 RESOLUTION = 1e-6
 
@@ -79,21 +80,25 @@ class Closeness:
         shapes = list(built.geometry.geometryObjects)
         self._joints = [int(shape.parentJoint) for shape in shapes]
         self._T = [shape.placement.copy() for shape in shapes]
-        self._cores: list[Core] = [core_of(shape.geometry) for shape in shapes]
-        self._extent = np.array([core.extent for core in self._cores])
+        self._shapes = [shape.geometry for shape in shapes]
+        self._extent = np.array([reach_of(shape, np.eye(3), np.zeros(3)) for shape in self._shapes])
+        self._radius = [shape.radius if isinstance(shape, _ROUND) else 0.0 for shape in self._shapes]
+        self._request, self._result = new_request(), coal.DistanceResult()
         moving = set(built.moving)
         ends = [(int(pair.first), int(pair.second)) for pair in built.geometry.collisionPairs]
         self._pairs = [k for k, pair in enumerate(ends) if not moving & set(pair)]
         self._ends, self._labels, self.margins, self._inside = ends, built.labels, built.margins, built.inside
-        self._ways: list[Point | None] = [None] * len(ends)  # of each pair's last distance
         self._data = self._model.createData()
 
-    def at(self, q: Array, pair: int, *, enough: float = np.inf) -> float:
-        """Distance of a pair of shapes at a configuration (nq,) [m]; a lower bound if that is ``enough``."""
+    def at(self, q: Array, pair: int) -> float:
+        """Distance of a pair of shapes at a configuration (nq,) [m].
+
+        Shapes that overlap are no deeper in each other than the sum of their radii, those of spheres and capsules.
+        """
         pin.forwardKinematics(self._model, self._data, q)
         i, j = self._ends[pair]
         A, B = self._data.oMi[self._joints[i]] * self._T[i], self._data.oMi[self._joints[j]] * self._T[j]
-        return self._apart(pair, A.rotation, A.translation, B.rotation, B.translation, enough)
+        return self._apart(pair, A.rotation, A.translation, B.rotation, B.translation)
 
     def closest(self, q: Array, time: Array, *, to_margin: bool = False, without_start: bool = False) -> Closest | None:
         """The least distance of a run; None without pairs.
@@ -188,14 +193,12 @@ class Closeness:
             self._rooms -= way
             for k in np.flatnonzero(self._rooms < -tolerance):
                 required = float(self._least[k])
-                d = self._sampled(placed, int(k), t, required + _AHEAD * way[k])
+                d = self._sampled(placed, int(k), t)
                 self._rooms[k] = d - required
                 if d - required - way[k] < -tolerance and way[k] > 0.0:
                     turn = pin.difference(self._model, q[t - 1], q[t])
-                    for part in range(1, PARTS):  # closer than all before and than accepted, or not of interest
-                        enough = min(d, required - 0.5 * tolerance)
-                        between = pin.integrate(self._model, q[t - 1], part / PARTS * turn)
-                        d = min(d, self.at(between, int(k), enough=enough))
+                    for part in range(1, PARTS):
+                        d = min(d, self.at(pin.integrate(self._model, q[t - 1], part / PARTS * turn), int(k)))
                 room = d - required
                 if room < -tolerance:
                     found.append((t - 1, NearPair(*self._labels[k], room + required), -room))
@@ -245,16 +248,18 @@ class Closeness:
         i, j = self._ends[k]
         return _BENT * float(placed.way[end, i] - placed.way[first, i] + placed.way[end, j] - placed.way[first, j])
 
-    def _sampled(self, placed: _Placed, k: int, t: int, enough: float = np.inf) -> float:
+    def _sampled(self, placed: _Placed, k: int, t: int) -> float:
         i, j = self._ends[k]
         R, p = placed.R[t], placed.p[t]
-        return self._apart(k, R[i], p[i], R[j], p[j], enough)
+        return self._apart(k, R[i], p[i], R[j], p[j])
 
-    def _apart(self, k: int, Ra: Array, pa: Array, Rb: Array, pb: Array, enough: float) -> float:
-        """Distance of a pair, or a bound that is enough; the search begins along the direction of the last one."""
+    def _apart(self, k: int, Ra: Array, pa: Array, Rb: Array, pb: Array) -> float:
+        """Distance of a pair. The depth of an overlap is not always found: the radii bound it."""
         i, j = self._ends[k]
-        bound, self._ways[k] = separate(self._cores[i], self._cores[j], Ra, pa, Rb, pb, enough, self._ways[k])
-        return bound
+        A, B = coal.Transform3s(Ra, pa), coal.Transform3s(Rb, pb)
+        self._result.clear()
+        coal.distance(self._shapes[i], A, self._shapes[j], B, self._request, self._result)
+        return max(float(self._result.min_distance), -self._radius[i] - self._radius[j])
 
     def _place(self, q: Array) -> _Placed:
         """All bodies at configurations (T, nq)."""

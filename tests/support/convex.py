@@ -1,4 +1,4 @@
-"""Distances of convex bodies for the judges of a run: another way than the controllers', with a proof of each figure.
+"""Distances of convex bodies by another way than coal's, with a proof of each figure.
 
 A body is a core and a radius about it: a sphere is a point, a capsule a segment. The distance of two cores is the least
 norm over their difference A − B, whose furthest point in a direction is known. The method of P. Wolfe, "Finding the
