@@ -8,7 +8,6 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable
 from difflib import get_close_matches
-from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -36,10 +35,11 @@ def attach(
 
     def get_or_say(name: str) -> Any:
         if name not in names:
-            message = (
-                f"module {package!r} has no attribute {name!r}{'' if name.startswith('_') else _hint(package, name)}"
-            )
-            if _imports(sys._getframe(1)):
+            asking = sys._getframe(1)
+            machinery = asking.f_code.co_filename == "<frozen importlib._bootstrap>"  # it looks for a module next
+            hint = "" if machinery or name.startswith("_") else _hint(package, name)
+            message = f"module {package!r} has no attribute {name!r}{hint}"
+            if not machinery and _imports(asking):
                 raise ImportError(message, name=package, path=file)
             raise AttributeError(message, name=name, obj=sys.modules[package])
         try:
@@ -81,7 +81,7 @@ def _places() -> dict[str, str]:
     import ast
 
     root, places = Path(__file__).parent, dict[str, str]()
-    modules = [root / f"{name}.py" for name in ("errors", "native", "output", "spatial")]
+    modules = [root / name for name in ("errors.py", "native/__init__.py", "output.py", "spatial.py")]
     stubs = [root / "scenarios" / "__init__.py", *sorted(root.glob("*/__init__.pyi")), root / "__init__.pyi"]
     for file in (*modules, *stubs):  # the top last: it counts
         package = ".".join(("coopqp", *file.relative_to(root).with_suffix("").parts)).removesuffix(".__init__")
@@ -91,14 +91,3 @@ def _places() -> dict[str, str]:
             elif isinstance(node, ast.ImportFrom) and file in stubs and (node.level or "coopqp" in str(node.module)):
                 places |= {alias.name: package for alias in node.names}
     return places
-
-
-class Shown:
-    """An object with a picture in notebooks, which :mod:`coopqp.visualization.notebook` makes when it is asked for."""
-
-    __slots__ = ()
-
-    def _repr_html_(self) -> str | None:
-        """HTML without links to anything else; None, for the plain text, if it cannot be made."""
-        page: str | None = import_module("coopqp.visualization.notebook").html_of(self)
-        return page

@@ -5,14 +5,14 @@ The rules:
 * A line of code has something else on it than comments and docstrings. Python and native code count alike; stubs count.
 * The glue only carries data between Python and the compiled core: the files of ``GLUE``, without the list of constants.
   The numerical part is the rest of the native code.
-* A constant of the core (``CONSTANTS`` of the layout) stands twice if a Python module has a literal of its value at the
-  top of the module or of a class, under the constant's name with or without underscores before it, or under a name of
-  ``ALIASES``.
-* The names at the top are those of ``coopqp.__all__``, without ``__version__``.
+* A constant of the core (``coopqp/native/constants.py``) stands twice if a Python module has a literal of its
+  value at the top of the module or of a class, under the constant's name with or without underscores before it, or
+  under a name of ``ALIASES``.
+* The names at the top are those of ``coopqp.__all__``.
 * An import points up if it is of a package that the contract in ``pyproject.toml`` does not allow. Imports in
   functions, for types only and by ``import_module`` with a fixed name count. Each pair of modules counts once.
 * A circle is a set of modules that import each other, directly or through others. Packages that hand out names of
-  their modules on first use (``lazy_names``) import those modules. Python runs circles only because some of their
+  their modules on first use (their stubs) import those modules. Python runs circles only because some of their
   imports come late, in functions or for types: these are listed.
 """
 
@@ -35,22 +35,23 @@ ROOT = Path(__file__).resolve().parents[1]
 #: Endings of native code.
 NATIVE = (".c", ".h", ".cpp", ".hpp")
 #: Where the constants of the core are listed.
-LAYOUT = "coopqp/control/core/layout.py"
+CONSTANTS = "coopqp/native/constants.py"
 #: Files that only carry data to and from the compiled core.
 GLUE = (
-    "coopqp/native.py",
     "coopqp/control/step/decoding.py",
     "coopqp/control/core/__init__.py",
-    "coopqp/control/core/_native.pyi",
     "coopqp/control/core/compiled.py",
-    "coopqp/control/core/guards.h",
-    "coopqp/control/core/layout.py",
     "coopqp/control/core/memory.py",
-    "coopqp/control/core/minding_module.c",
-    "coopqp/control/core/module.c",
-    "coopqp/control/core/pointer.h",
-    "coopqp/collision/_bounds.c",
-    "coopqp/model/_batch.c",
+    "coopqp/native/__init__.py",
+    "coopqp/native/_core.pyi",
+    "coopqp/native/batch_module.cpp",
+    "coopqp/native/bounds_module.cpp",
+    "coopqp/native/guards.h",
+    "coopqp/native/header.py",
+    "coopqp/native/layout.py",
+    "coopqp/native/minding_module.cpp",
+    "coopqp/native/pointer.h",
+    "coopqp/native/step_module.cpp",
 )
 #: Other names of the core's constants in Python.
 ALIASES = {
@@ -174,23 +175,16 @@ def _number(node: ast.expr) -> float | None:
 
 
 def core_constants(root: Path) -> dict[str, float | None]:
-    """The constants that the layout lists."""
-    node = _constants_node(root)
-    pairs = zip(node.keys, node.values, strict=True)
-    return {ast.literal_eval(key): _number(value) for key, value in pairs if key is not None}
-
-
-def _constants_node(root: Path) -> ast.Dict:
-    node = next(value for name, value in _assigned(_module(root / LAYOUT).tree.body) if name == "CONSTANTS")
-    assert isinstance(node, ast.Dict)
-    return node
+    """The constants that the definition and the core share: names in capitals."""
+    assigned = _assigned(_module(root / CONSTANTS).tree.body)
+    return {name: _number(value) for name, value in assigned if name.isupper() and not name.startswith("_")}
 
 
 def constants_twice(root: Path) -> dict[str, list[str]]:
     """Constants of the core that stand in Python modules as well, and in which."""
     constants, found = core_constants(root), dict[str, list[str]]()
     for file in sources(root):
-        if file.suffix != ".py" or file == root / LAYOUT:
+        if file.suffix != ".py" or file == root / CONSTANTS:
             continue
         module = _module(file)
         scopes: list[ast.Module | ast.ClassDef] = [module.tree, *module.classes]
@@ -207,10 +201,10 @@ def constants_twice(root: Path) -> dict[str, list[str]]:
 
 
 def top_names(root: Path) -> list[str]:
-    """Public names at the top of the package."""
-    tree = _module(root / "coopqp" / "__init__.py").tree
-    names = next(ast.literal_eval(value) for name, value in _assigned(tree.body) if name == "__all__")
-    return sorted(set(names) - {"__version__"})
+    """Public names at the top of the package, as its stub lists them; modules are none."""
+    tree = _module(root / "coopqp" / "__init__.pyi").tree
+    found = [node for node in tree.body if isinstance(node, ast.ImportFrom) and node.module]
+    return sorted(alias.name for node in found for alias in node.names)
 
 
 def modules(root: Path) -> dict[str, Path]:
@@ -227,7 +221,16 @@ def imports(root: Path) -> Imports:
         if name == "coopqp":
             continue
         found[name] = {one for node in _module(file).imports for one in _imported(node, known)} - {name}
+        found[name] |= _handed_out(name, file.with_suffix(".pyi"), known)
     return found
+
+
+def _handed_out(name: str, stub: Path, known: dict[str, Path]) -> set[str]:
+    """The modules whose names a package hands out on first use: those that its stub lists."""
+    if stub.name != "__init__.pyi" or not stub.is_file():
+        return set()
+    listed = (node for node in _module(stub).tree.body if isinstance(node, ast.ImportFrom))
+    return known.keys() & {f"{name}.{node.module}" for node in listed}
 
 
 def _imported(node: ast.AST, known: dict[str, Path]) -> Iterator[str]:
@@ -241,11 +244,6 @@ def _imported(node: ast.AST, known: dict[str, Path]) -> Iterator[str]:
         called = node.func.id if isinstance(node.func, ast.Name) else node.func.attr
         if called == "import_module" and node.args and isinstance(node.args[0], ast.Constant):
             yield from known.keys() & {node.args[0].value}
-        elif called == "lazy_names":
-            keys = {
-                getattr(key, "value", None) for part in node.args if isinstance(part, ast.Dict) for key in part.keys
-            }
-            yield from known.keys() & keys
 
 
 def order(root: Path) -> dict[str, tuple[int, str]]:
@@ -336,8 +334,6 @@ def figures(root: Path = ROOT) -> dict[str, Any]:
     """Everything that is counted."""
     packages, glue, graph = package_lines(root), glue_lines(root), imports(root)
     around = circles(graph)
-    node = _constants_node(root)
-    listed = (node.end_lineno or node.lineno) - node.lineno + 1
     native = sum(lines.get("native", 0) for lines in packages.values())
     glue_native = sum(lines for name, lines in glue.items() if name.endswith(NATIVE))
     return {
@@ -345,7 +341,7 @@ def figures(root: Path = ROOT) -> dict[str, Any]:
         "native lines": native,
         "numerical native lines": native - glue_native,
         "lines by package": packages,
-        "glue lines": sum(glue.values()) - (listed if LAYOUT in glue else 0),
+        "glue lines": sum(glue.values()),
         "glue by file": glue,
         "constants": len(core_constants(root)),
         "constants twice": constants_twice(root),

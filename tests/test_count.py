@@ -11,7 +11,7 @@ import pytest
 sys.path.insert(0, str(Path(__file__).parent))
 import count
 
-from coopqp.control.core import layout
+from coopqp.native import constants
 
 PYTHON = '''"""What it does.
 
@@ -49,14 +49,14 @@ def tree(tmp_path: Path) -> Path:
     """A checkout of a package whose modules import each other upwards, aside and in a circle."""
     (tmp_path / "pyproject.toml").write_text(CONTRACT)
     for name, text in {
-        "__init__": '__all__ = ["Arm", "__version__"]\n',
+        "__init__": "",
         "low/base": "def get():\n    return import_module('coopqp.high.top')\n",
         "left/one": "import coopqp.low.base\nfrom coopqp.left import two\n",
         "left/two": "if TYPE_CHECKING:\n    from coopqp.left.one import One\n",
         "left/__init__": "",
         "right/other": "def late():\n    from coopqp.left.one import One\n",
         "high/top": "import coopqp.right.other\n",
-        "control/core/layout": "CONSTANTS = {\n    'SHARE': 0.5,\n    'STILL_COMMAND': -1e-5,\n    'OTHER': 3,\n}\n",
+        "native/constants": "SHARE = 0.5\nSTILL_COMMAND = -1e-5\nOTHER = 3\n_OWN = 4\n",
     }.items():
         file = tmp_path / "coopqp" / f"{name}.py"
         file.parent.mkdir(parents=True, exist_ok=True)
@@ -71,7 +71,7 @@ def test_lines_without_comments_and_docstrings_count() -> None:
 
 def test_a_constant_stands_twice_where_its_name_has_its_value_again(tree: Path) -> None:
     (tree / "coopqp" / "low" / "values.py").write_text(PYTHON)
-    (tree / "coopqp" / "low" / "same.py").write_text("SHARE = CONSTANTS['SHARE']\nOTHER = 4\n")
+    (tree / "coopqp" / "low" / "same.py").write_text("SHARE = constants.SHARE\nOTHER = 4\n")
     assert count.core_constants(tree) == {"SHARE": 0.5, "STILL_COMMAND": -1e-5, "OTHER": 3}
     assert count.constants_twice(tree) == {
         "SHARE": ["coopqp/low/values.py: SHARE"],
@@ -81,7 +81,7 @@ def test_a_constant_stands_twice_where_its_name_has_its_value_again(tree: Path) 
 
 def test_imports_in_functions_and_for_types_point_up_or_aside_and_close_circles(tree: Path) -> None:
     graph = count.imports(tree)
-    del graph["coopqp.control.core.layout"]
+    del graph["coopqp.native.constants"]
     assert count.upward(tree, graph) == [
         ("coopqp.low.base", "coopqp.high.top"),
         ("coopqp.right.other", "coopqp.left.one"),
@@ -110,7 +110,7 @@ def test_it_counts_this_package(tmp_path: Path, capsys: pytest.CaptureFixture[st
         + sum(lines for name, lines in found["glue by file"].items() if name.endswith(count.NATIVE))
         == found["native lines"]
     )
-    assert count.core_constants(count.ROOT) == layout.CONSTANTS
+    assert count.core_constants(count.ROOT) == {k: v for k, v in vars(constants).items() if k.isupper()}
 
 
 def test_each_file_of_the_glue_is_there() -> None:

@@ -52,7 +52,7 @@ if hasattr(made[0], "reset"):
     made[0].reset(lift.q_start)
     assert made[0].step().status.name == "TRACKING"
 """
-VERSION = "import sys; from coopqp.cli import cli; sys.exit(cli.main(['--version']))"
+VERSION = "import sys; from coopqp.cli.main import main; sys.exit(main(['--version']))"
 built = pytest.mark.skipif(len(available_kernels()) < 2, reason="there is no compiler here")
 
 

@@ -302,7 +302,7 @@ def test_the_default() -> None:
 
 def test_without_the_compiled_core(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "coopqp.native._core", None)
-    monkeypatch.setattr("coopqp.solvers.find_spec", lambda name: None if "_core" in name else object())
+    monkeypatch.setattr("coopqp.solvers.choice.find_spec", lambda name: None if "_core" in name else object())
     assert default_solver() == "daqp"
     assert "ldp" not in available_solvers()
     with pytest.raises(MissingExtraError, match="compiler"):

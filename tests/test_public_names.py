@@ -34,6 +34,7 @@ MODULES = ("coopqp.errors", "coopqp.native", "coopqp.output", "coopqp.spatial")
 PUBLIC = (*LAZY, *MODULES, "coopqp.scenarios")
 #: Scripts that measure the parts of a step.
 INSIDE = (
+    "benchmarks/behaviour.py",
     "benchmarks/peer",
     "benchmarks/collisions.py",
     "benchmarks/compare_peers.py",
@@ -100,7 +101,7 @@ def test_the_top_has_what_most_programs_need() -> None:
 
 def test_a_name_that_is_not_here_is_said_to_be_there() -> None:
     with pytest.raises(ImportError, match=r"'Disturbances'; it is in coopqp\.simulation"):
-        from coopqp.simulation import Disturbances  # type: ignore[attr-defined] # noqa: F401
+        from coopqp import Disturbances  # type: ignore[attr-defined] # noqa: F401
     with pytest.raises(AttributeError, match="Did you mean 'QPController'"):
         coopqp.QPControler  # type: ignore[attr-defined] # noqa: B018
     with pytest.raises(AttributeError, match=r"Did you mean 'Disturbances' of coopqp\.simulation"):

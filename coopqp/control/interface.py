@@ -13,13 +13,13 @@ import numpy as np
 
 from coopqp.checks import ArrayLike, read_only
 from coopqp.constraints.cause import Cause
-from coopqp.lazy import Shown
 from coopqp.model.cell import RobotCell
 from coopqp.model.grasp import Grasp
 from coopqp.model.limits import BindingLimit, LimitKind
 from coopqp.model.shapes import NearPair
 from coopqp.model.state import CellState
 from coopqp.paths.path import ObjectPath
+from coopqp.shown import Shown
 from coopqp.spatial import Array
 
 

@@ -4,10 +4,6 @@ from __future__ import annotations
 
 import enum
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
-
-if TYPE_CHECKING:
-    from coopqp.model.cell import RobotCell
 
 
 class LimitKind(enum.Enum):
@@ -66,9 +62,3 @@ class BindingLimit:
             return str(self.kind.value)  # the path's own
         joint = f" joint {self.joint}" if self.joint else ""
         return f"arm {self.arm}{joint}: {self.kind.value}"
-
-
-def joint_limit(cell: RobotCell, j: int, kind: LimitKind) -> BindingLimit:
-    """The limit of joint ``j`` of a cell, by name."""
-    arm, _, joint = cell.joint_names[j].partition("/")
-    return BindingLimit(arm, joint, kind)

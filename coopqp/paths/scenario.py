@@ -9,11 +9,11 @@ from typing import Any, final
 import numpy as np
 import pinocchio as pin
 
-from coopqp.lazy import Shown
 from coopqp.model.cell import RobotCell
 from coopqp.model.grasp import Grasp
 from coopqp.model.shapes import Body
 from coopqp.paths.path import ObjectPath
+from coopqp.shown import Shown
 from coopqp.spatial import Array
 
 

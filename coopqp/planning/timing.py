@@ -18,7 +18,7 @@ from coopqp.errors import InvalidInputError, UnreachableError
 from coopqp.model.branches import AT_LIMIT, amount
 from coopqp.model.cell import RobotCell, slides
 from coopqp.model.grasp import Grasp
-from coopqp.model.limits import BindingLimit, LimitKind, joint_limit
+from coopqp.model.limits import BindingLimit, LimitKind
 from coopqp.model.state import CellState
 from coopqp.paths.geometry import PathGeometry
 from coopqp.paths.guarded import is_known
@@ -303,7 +303,7 @@ def binding_limits(
         if owners[last] < 0:
             names.append(BindingLimit("", "", kinds[last], bounds[-1 - owners[last]].name))
             continue
-        names.append(joint_limit(cell, owners[last], kinds[last]))
+        names.append(cell.joint_limit(owners[last], kinds[last]))
     return names, most
 
 

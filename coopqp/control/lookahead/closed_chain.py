@@ -14,7 +14,7 @@ from coopqp.control.lookahead.options import PlanLimits, PreviewOptions
 from coopqp.control.lookahead.redundancy import LimitAvoidance
 from coopqp.model.chain import Chain
 from coopqp.model.inverse_kinematics import newton
-from coopqp.model.limits import BindingLimit, LimitKind, joint_limit
+from coopqp.model.limits import BindingLimit, LimitKind
 from coopqp.model.posture import Posture
 from coopqp.native.constants import (
     BEND_CHANGE,
@@ -249,9 +249,9 @@ class ChainAhead:
         binding = None
         if cap < 1.0:
             binding = (
-                joint_limit(self._cell, j_speed, LimitKind.VELOCITY)
+                self._cell.joint_limit(j_speed, LimitKind.VELOCITY)
                 if self._plan.accelerates
-                else joint_limit(self._cell, j_bend, LimitKind.ACCELERATION)
+                else self._cell.joint_limit(j_bend, LimitKind.ACCELERATION)
             )
         x = self._cell.positions(q)
         return Knot(
@@ -279,11 +279,11 @@ class ChainAhead:
             use_speed = np.abs(after) / self._plan.speed
             by_speed = 1.0 / max(float(use_speed.max()) ** 2, 1.0)
             if by_speed < cap:
-                cap, binding = by_speed, joint_limit(self._cell, int(use_speed.argmax()), LimitKind.VELOCITY)
+                cap, binding = by_speed, self._cell.joint_limit(int(use_speed.argmax()), LimitKind.VELOCITY)
             jump = self._jump_cap(after, knot.slope)
             if jump < cap:
                 j = int((np.abs(after - knot.slope) / self._plan.jump).argmax())
-                cap, binding = jump, joint_limit(self._cell, j, LimitKind.ACCELERATION)
+                cap, binding = jump, self._cell.joint_limit(j, LimitKind.ACCELERATION)
         fastest = largest(np.abs(after))
         return knot._replace(slope=after, cap=cap, binding=binding, corner=True, fastest=fastest)
 

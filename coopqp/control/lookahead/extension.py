@@ -16,7 +16,7 @@ from coopqp.control.lookahead.closed_chain import ChainAhead, LookAheadTrouble
 from coopqp.control.lookahead.horizon import Horizon, Knot
 from coopqp.control.lookahead.options import PlanLimits, PreviewOptions
 from coopqp.model.cell import RobotCell
-from coopqp.model.limits import BindingLimit, LimitKind, joint_limit
+from coopqp.model.limits import BindingLimit, LimitKind
 from coopqp.native.constants import (
     BESIDE_KINK,
     GROWTH,
@@ -247,7 +247,7 @@ class Growth:
         first = int(shares.argmin())
         j = int(crossed[first])
         at = self._knot_where(last, knot, j, float(limit[first]))
-        return at._replace(cap=0.0, span=at.clock - last.clock, binding=joint_limit(self._cell, j, LimitKind.POSITION))
+        return at._replace(cap=0.0, span=at.clock - last.clock, binding=self._cell.joint_limit(j, LimitKind.POSITION))
 
     def _knot_where(self, last: Knot, beyond: Knot, j: int, position: float) -> Knot:
         """The knot at which joint ``j`` is at ``position``, between two knots: regula falsi on the chain itself."""

@@ -10,7 +10,7 @@ import numpy as np
 
 from coopqp.control.lookahead.backward_pass import Interval, Share, largest_square
 from coopqp.model.cell import RobotCell
-from coopqp.model.limits import BindingLimit, LimitKind, joint_limit
+from coopqp.model.limits import BindingLimit, LimitKind
 from coopqp.native.constants import KNOTS_PER_PASS, LEAST_RATE, MOST_GUESSES, SHORT_OF, SHORTER
 from coopqp.spatial import Array
 
@@ -179,7 +179,7 @@ class Horizon:
             if share.ahead and (ahead.square < 1.0 or share.joint < 0):
                 cause, stops = ahead.cause, ahead.stops
             elif share.joint >= 0:
-                cause, stops = joint_limit(self._cell, share.joint, LimitKind.ACCELERATION), False
+                cause, stops = self._cell.joint_limit(share.joint, LimitKind.ACCELERATION), False
             else:
                 cause, stops = here.binding, here.cap == 0.0
             knots[i] = here._replace(square=square, cause=cause, stops=stops, share=share, since=since)

@@ -22,7 +22,7 @@ from coopqp.control.lookahead.extension import Growth
 from coopqp.control.lookahead.horizon import Horizon
 from coopqp.control.lookahead.options import PlanLimits, PreviewOptions
 from coopqp.model.chain import Chain
-from coopqp.model.limits import BindingLimit, LimitKind, joint_limit
+from coopqp.model.limits import BindingLimit, LimitKind
 from coopqp.model.posture import Posture
 from coopqp.native.constants import (
     ASKED_PER_TIME,
@@ -198,7 +198,7 @@ class PathPreview:
         j = int(share.argmax())
         if share[j] == 0.0 or 1.0 / share[j] >= rise:
             return rise, None
-        return 1.0 / float(share[j]), joint_limit(self._cell, j, LimitKind.ACCELERATION)
+        return 1.0 / float(share[j]), self._cell.joint_limit(j, LimitKind.ACCELERATION)
 
     def brake(self, clock: float, dt: float, rate: float) -> float:
         """D, the fastest fall of σ from ``rate`` with which the joints still follow the path [1/s]; it may be negative.

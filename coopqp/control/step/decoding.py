@@ -15,7 +15,7 @@ from coopqp.control.step.constraint_set import Constraints
 from coopqp.control.step.verdict import cause_of, too_close
 from coopqp.model.cell import RobotCell
 from coopqp.model.grasp import Grasp
-from coopqp.model.limits import BindingLimit, LimitKind, joint_limit
+from coopqp.model.limits import BindingLimit, LimitKind
 from coopqp.model.shapes import NearPair
 from coopqp.native import layout
 from coopqp.paths.guarded import jump
@@ -125,7 +125,7 @@ class RecordReader:
         if constraint >= 0:
             return self._constraints.labels[constraint]
         if joint >= 0:
-            return joint_limit(self.cell, joint, _KINDS[kind])
+            return self.cell.joint_limit(joint, _KINDS[kind])
         return BindingLimit(self.cell.arm_names[arm] if arm >= 0 else "", "", _KINDS[kind])
 
     def _read_given_up(self, r: Array) -> GivenUp:

@@ -14,7 +14,7 @@ from coopqp.control.speed_override import blind_brake
 from coopqp.control.step.state import LoopState, Observed
 from coopqp.control.step.velocity_bounds import VelocityBox
 from coopqp.model.cell import RobotCell
-from coopqp.model.limits import BindingLimit, LimitKind, joint_limit
+from coopqp.model.limits import BindingLimit, LimitKind
 from coopqp.native.constants import BRAKING_SHARE, RATE_ROUNDING
 
 #: The limit that stands for the override.
@@ -58,7 +58,7 @@ class RateCap:
         if self._box.accelerates and (blind or s.correcting is not None):
             keep, late = self._box.brake_share(self._cell.positions(s.q), s.v, h)
             if keep < 1.0 and blind and keep * s.rate < cap:
-                cap, binding = keep * s.rate, (joint_limit(self._cell, late, LimitKind.POSITION),)
+                cap, binding = keep * s.rate, (self._cell.joint_limit(late, LimitKind.POSITION),)
         if watch.rate_cap < cap:
             cap = watch.rate_cap
             out_of_step = BindingLimit(self._cell.arm_names[watch.arm], "", LimitKind.OUT_OF_STEP)

@@ -14,11 +14,11 @@ import numpy as np
 
 from coopqp.control.interface import Status
 from coopqp.errors import CoopqpError, OutputError, printable
-from coopqp.lazy import Shown
 from coopqp.model.cell import RobotCell
 from coopqp.model.grasp import Grasp
 from coopqp.model.limits import BindingLimit, LimitKind
 from coopqp.output import Interrupts, whole_file
+from coopqp.shown import Shown
 from coopqp.simulation.recording.rows import parts, read_archive, unpacked_bytes, write_archive
 from coopqp.simulation.recording.scene import read_cell
 from coopqp.spatial import Array
