@@ -107,7 +107,8 @@ class _Task(NamedTuple):
 def _task(name: str) -> _Task:
     """The task of a cell file or of a scenario."""
     from coopqp.collision.scene import CollisionScene
-    from coopqp.files.cellfile import TOML_SUFFIX, YAML_SUFFIXES, load_cell_task
+    from coopqp.files.cellfile import load_cell_task
+    from coopqp.files.cellfile.error import TOML_SUFFIX, YAML_SUFFIXES
     from coopqp.model.shapes import Body, Box
     from coopqp.scenarios import SCENARIOS
 

@@ -266,7 +266,7 @@ def _run_view(arguments: argparse.Namespace) -> int:
 
 def _is_cell(what: str) -> bool:
     """Whether a name is a cell file or a scenario; else it is a recording, or nothing."""
-    from coopqp.files.cellfile import TOML_SUFFIX, YAML_SUFFIXES
+    from coopqp.files.cellfile.error import TOML_SUFFIX, YAML_SUFFIXES
     from coopqp.scenarios import SCENARIOS
 
     return Path(what).suffix in (TOML_SUFFIX, *YAML_SUFFIXES) or what in SCENARIOS

@@ -78,7 +78,8 @@ def _show_warning(message: Any, category: type[Warning], *where: Any, **more: An
 
 def _ask_about_units(arguments: argparse.Namespace) -> None:
     """Numbers of a cell file that look like another unit are asked about before it is built: that may fail for them."""
-    from coopqp.files.cellfile import TOML_SUFFIX, YAML_SUFFIXES, require_readers
+    from coopqp.files.cellfile import require_readers
+    from coopqp.files.cellfile.error import TOML_SUFFIX, YAML_SUFFIXES
 
     file = Path(str(getattr(arguments, "cell", getattr(arguments, "what", ""))))
     if file.suffix not in (TOML_SUFFIX, *YAML_SUFFIXES) or getattr(arguments, "quiet", False):

@@ -52,7 +52,8 @@ def obtain_run(name: str, *, progress: ProgressCallback | None = None, meshes: b
         UnknownNameError: the name is neither a file nor a scenario.
         RecordingError, CellFileError, CoopqpError: the recording, the cell file or the run has an error.
     """
-    from coopqp.files.cellfile import TOML_SUFFIX, YAML_SUFFIXES, load_cell_file
+    from coopqp.files.cellfile import load_cell_file
+    from coopqp.files.cellfile.error import TOML_SUFFIX, YAML_SUFFIXES
     from coopqp.scenarios import SCENARIOS
 
     file = Path(name)

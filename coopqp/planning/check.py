@@ -10,7 +10,7 @@ from __future__ import annotations
 import copy
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any, Literal
 
 import numpy as np
 import pinocchio as pin
@@ -46,15 +46,49 @@ from coopqp.planning.segments import Segments, segments_of
 from coopqp.planning.starts import clear_rows, exact_start
 from coopqp.spatial import Array
 
-if TYPE_CHECKING:
-    from coopqp.planning.remedies import Remedy
-
 #: Most branches of a redundant arm that are judged; they are samples of its self-motion.
 _MOST_REDUNDANT = 8
 #: A knot within this share of a piece from its end is at the end.
 _AT_MARK = 1e-9
 #: A start whose tools are further from their places is refused [m, rad].
 _OFF_M, _OFF_RAD = 1e-3, np.deg2rad(0.5)
+
+
+Kind = Literal["branch", "roll", "shift", "base"]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Remedy:
+    """A change with which the arms follow the path; checked.
+
+    Attributes:
+        kind: ``"branch"`` (another start), ``"roll"`` (of tools about their z axes), ``"shift"`` (of the path) or
+            ``"base"`` (of bases).
+        text: the change, in words.
+        check: the check of the changed task: its ``cell``, ``grasp``, ``path`` and ``q_start`` hold the remedy.
+        shift: displacement of the path, or of each base (N, 3), in the world [m]; None for other kinds.
+        roll: roll of each tool (N,) [rad]; None for other kinds.
+    """
+
+    kind: Kind
+    text: str
+    check: PathCheck
+    shift: Array | None = None
+    roll: Array | None = None
+
+    def __str__(self) -> str:
+        return f"{self.text} ({self.check.verdict.value.lower()})"
+
+    def record(self) -> dict[str, Any]:
+        """The remedy as plain data for JSON."""
+        return {
+            "kind": self.kind,
+            "text": self.text,
+            "verdict": self.check.verdict.value,
+            "shift_m": None if self.shift is None else self.shift.tolist(),
+            "roll_rad": None if self.roll is None else self.roll.tolist(),
+            "q_start": None if self.check.q_start is None else self.check.q_start.tolist(),
+        }
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

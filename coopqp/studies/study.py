@@ -36,6 +36,7 @@ from coopqp.files.cellfile.text import read_tables
 from coopqp.scenarios import SCENARIOS
 from coopqp.simulation.evaluation.assessment import Tolerances
 from coopqp.simulation.simulate import PATIENCE
+from coopqp.studies.columns import FIGURES
 from coopqp.studies.drawing import DisturbancesTable
 from coopqp.studies.errors import StudyError
 
@@ -332,8 +333,6 @@ def _study(file: StudyFile, folder: Path) -> Study:
 
 def _check(study: Study) -> None:
     """Check each value of each axis and each case against the schema."""
-    from coopqp.studies.row import FIGURES
-
     if len(study) > MAX_ROWS:
         raise StudyError(f"{len(study)} rows; at most {MAX_ROWS} are run. Take fewer values.")
     for name in study.figures:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from coopqp.studies.row import FIGURES, OK
+from coopqp.studies.columns import FIGURES, OK
 from coopqp.studies.sweeping import Sweep
 from coopqp.studies.table import cell_text
 from coopqp.studies.units import name_and_unit

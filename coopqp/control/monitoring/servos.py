@@ -14,13 +14,12 @@ alone does not see a stalled arm, whose forces are relaxed; the servos do.
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, final
+from typing import final
 
 import numpy as np
 
 from coopqp.control.core.relax_plain import AT, RELAXING, SENSORS_FINE, minding_views
 from coopqp.native.constants import (
-    CAP_FALLS,
     FEW_SAMPLES,
     HASTE_FILTER,
     LARGEST_SLOPE,
@@ -32,9 +31,6 @@ from coopqp.native.constants import (
     SOFTEST,
 )
 from coopqp.spatial import Array, largest
-
-if TYPE_CHECKING:
-    from coopqp.control.monitoring.supervision import Watch
 
 
 @final
@@ -153,10 +149,3 @@ class ServoWatch:
         if samples > 2.0:  # the first differences are with nothing
             x["off_noise"] += (np.einsum("ij,ij->i", bend, bend) - x["off_noise"]) / max(samples - 2.0, 1.0)
         return math.sqrt(largest(x["off_noise"]) / 6.0)
-
-
-def fall_gently(watch: Watch, last: float, dt: float) -> None:
-    """Let the cap fall from the ``last`` one within a time: a jolt is a force of its own. A fault holds at once."""
-    least = last - dt / CAP_FALLS
-    if not watch.fault and least > watch.rate_cap:
-        watch.rate_cap, watch.hold = least, False

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -19,8 +18,9 @@ from coopqp.checks import NOT_NUMBERS, as_floats, as_scalar
 from coopqp.constraints.cause import Cause
 from coopqp.control.monitoring.drift import Drift
 from coopqp.control.monitoring.options import SupervisionOptions
-from coopqp.control.monitoring.servos import ServoWatch, fall_gently
+from coopqp.control.monitoring.servos import ServoWatch
 from coopqp.control.monitoring.stress import StressWatch
+from coopqp.control.monitoring.watch import Watch, fall_gently
 from coopqp.errors import InvalidInputError
 from coopqp.model.cell import RobotCell
 from coopqp.model.chain import moving_columns
@@ -39,31 +39,6 @@ from coopqp.native.constants import (
     STILL_COMMAND,
 )
 from coopqp.spatial import Array, largest, skew
-
-
-@dataclass(slots=True)
-class Watch:
-    """Result of the supervision in one step: a rate cap, and why it is below 1, in a sentence and in a word."""
-
-    rate_cap: float = 1.0
-    hold: bool = False
-    fault: bool = False
-    arm: int = -1
-    reason: str = ""
-    cause: Cause | None = None
-
-    @staticmethod
-    def holding(reason: str, cause: Cause = Cause.INPUT, *, fault: bool = False) -> Watch:
-        """The arms hold."""
-        return Watch(rate_cap=0.0, hold=True, fault=fault, reason=reason, cause=cause)
-
-    def lower(self, seen: Watch) -> None:
-        """Take another finding if it is stricter; a fault stays as it is."""
-        if self.fault:
-            return
-        if seen.rate_cap < self.rate_cap or seen.fault:
-            self.rate_cap, self.hold, self.fault = seen.rate_cap, seen.hold, seen.fault
-            self.arm, self.reason, self.cause = seen.arm, seen.reason, seen.cause
 
 
 def as_number(value: Any) -> float:

@@ -24,7 +24,8 @@ from coopqp.control.lookahead.options import PlanLimits, PreviewOptions
 from coopqp.control.lookahead.preview import PathPreview
 from coopqp.control.monitoring.commanded import PARTED, ChainWatch, among_arms, expected
 from coopqp.control.monitoring.servos import ServoWatch
-from coopqp.control.monitoring.supervision import Supervision, Watch
+from coopqp.control.monitoring.supervision import Supervision
+from coopqp.control.monitoring.watch import Watch
 from coopqp.control.options import QPOptions
 from coopqp.control.step.braking_rows import BrakingRows
 from coopqp.control.step.constraint_set import Constraints

@@ -8,7 +8,7 @@ import numpy as np
 
 from coopqp.control.lookahead.options import PreviewOptions
 from coopqp.control.lookahead.preview import PathPreview
-from coopqp.control.monitoring.supervision import Watch
+from coopqp.control.monitoring.watch import Watch
 from coopqp.control.options import QPOptions
 from coopqp.control.speed_override import blind_brake
 from coopqp.control.step.state import LoopState, Observed

@@ -10,7 +10,7 @@ import pinocchio as pin
 from coopqp.constraints.cause import Cause
 from coopqp.control.interface import Status
 from coopqp.control.monitoring.commanded import Apart
-from coopqp.control.monitoring.supervision import Watch
+from coopqp.control.monitoring.watch import Watch
 from coopqp.control.speed_override import Reins
 from coopqp.control.step.linearised import LinearisedAnswer, StepInput
 from coopqp.model.limits import BindingLimit

@@ -22,12 +22,12 @@ from coopqp.control.interface import Controller
 from coopqp.control.options import QPOptions
 from coopqp.control.qp import QPController
 from coopqp.errors import CoopqpError, InvalidInputError, MissingExtraError, StartWarning, UnknownNameError
-from coopqp.files.cellfile import CellFileError
 from coopqp.files.cellfile.bodies import build_scene
 from coopqp.files.cellfile.build_arm import build_arm, build_placement, build_stiffness, in_radians
+from coopqp.files.cellfile.error import CellFileError
 from coopqp.files.cellfile.explain import explain, in_words_of_the_file
 from coopqp.files.cellfile.schema import MAX_STEPS, CellFile, CommonErrorTable, StartTable
-from coopqp.files.cellfile.sensors import build_disturbances, known_sensors
+from coopqp.files.cellfile.sensors import build_disturbances, build_sensor
 from coopqp.files.cellfile.strict import build_options
 from coopqp.files.cellfile.text import read_tables
 from coopqp.forces.wrist_sensor import SensorMaps, WristSensor
@@ -409,3 +409,8 @@ def _common_error(table: CommonErrorTable) -> CommonError:
     if table.kind == "driver":
         return CommonError.driver(master=str(table.master), driver=str(table.driver))
     return CommonError.leaderless() if table.kind == "leaderless" else CommonError.per_axis(table.weights or [])
+
+
+def known_sensors(file: CellFile) -> dict[str, WristSensor]:
+    """What the file says of the sensors, by arm."""
+    return {arm.name: build_sensor(arm.sensor) for arm in file.arms if arm.sensor is not None}
