@@ -4,13 +4,13 @@ from .arm_starts import BranchAlongPath as BranchAlongPath
 from .branch_checks import BranchCheck as BranchCheck
 from .branch_checks import PathVerdict as PathVerdict
 from .check import PathCheck as PathCheck
+from .check import Remedy as Remedy
 from .check import check_path as check_path
 from .clearance import Bodies as Bodies
 from .clearance import ClearanceCheck as ClearanceCheck
 from .payload import Payload as Payload
 from .planner import Plan as Plan
 from .planner import plan as plan
-from .remedies import Remedy as Remedy
 from .remedies import find_remedies as find_remedies
 from .starts import ArmStart as ArmStart
 from .starts import Start as Start
