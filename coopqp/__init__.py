@@ -108,7 +108,7 @@ if TYPE_CHECKING:
     from coopqp.simulation.recording import Recording, RecordingError
     from coopqp.simulation.scene import SceneError, describe_object
     from coopqp.simulation.simulate import simulate
-    from coopqp.simulation.violations import Breach, MonitorTolerances, Verdict, Violation
+    from coopqp.simulation.violations import Breach, Verdict, Violation
     from coopqp.simulation.wrench_bounds import WrenchBounds
     from coopqp.spatial import Array, Placement, adjoint
     from coopqp.studies.errors import EngineError, StudyError
@@ -150,7 +150,7 @@ else:
             "coopqp.simulation.readings": "Readings read_run",
             "coopqp.simulation.recording": "Recording RecordingError",
             "coopqp.simulation.simulate": "simulate",
-            "coopqp.simulation.violations": "Breach MonitorTolerances Verdict Violation",
+            "coopqp.simulation.violations": "Breach Verdict Violation",
             "coopqp.simulation.wrench_bounds": "WrenchBounds",
             "coopqp.spatial": "Array Placement adjoint",
             "coopqp.task.common_error": "CommonError",
@@ -247,7 +247,6 @@ __all__ = [
     "MissingSolverError",
     "ModelError",
     "Monitor",
-    "MonitorTolerances",
     "Monitored",
     "NoStartError",
     "ObjectPath",

@@ -47,6 +47,7 @@ from coopqp import (
     write_report,
 )
 from coopqp.scenarios import Scenario, paper_lift, robot_arm
+from coopqp.simulation.monitor import COMMANDED
 
 LIFT = paper_lift()
 CELL, GRASP, PATH = LIFT.cell, LIFT.grasp, LIFT.path
@@ -90,7 +91,7 @@ def test_options_may_be_a_dictionary() -> None:
     assert pseudo.options == PseudoInverseOptions(reset_every=10)
     alone = IndependentQPController(CELL, GRASP, PATH, dt=0.01, options={"gain": 10})
     assert alone.options == IndependentQPOptions(gain=10.0)
-    assert Monitor(CELL, GRASP, tolerances={"chain_m": 1.0}).tolerances.chain_m == 1.0
+    assert Monitor(CELL, GRASP, tolerances={"chain_mm": 1.0}).tolerances == replace(COMMANDED, chain_mm=1.0)
     assert DisturbedPlant(CELL, GRASP, {"encoder_noise": 1e-4}).disturbances.encoder_noise == 1e-4
     recording = simulate(controller(), q_start=LIFT.q_start, duration=0.02)
     readings = read_run(CELL, recording)

@@ -41,7 +41,6 @@ from coopqp import (
     KinematicPlant,
     LinePath,
     Monitor,
-    MonitorTolerances,
     OsqpSettings,
     PhysicsOptions,
     PostureOptions,
@@ -56,6 +55,7 @@ from coopqp import (
     ServoPath,
     Status,
     SupervisionOptions,
+    Tolerances,
     WaypointPath,
     inverse_kinematics,
     plate_from_centroid,
@@ -308,7 +308,7 @@ OPTIONS = (
     RankWeights,
     PseudoInverseOptions,
     IndependentQPOptions,
-    MonitorTolerances,
+    Tolerances,
     Disturbances,
     PhysicsOptions,
     ForceOptions,
@@ -426,7 +426,7 @@ def test_accepted_options_of_forces_never_make_a_step_fail(catalogue: Any) -> No
     tried.row(catalogue, "options of forces that are accepted, then steps", FEW)
 
 
-LIMITS_ONLY = MonitorTolerances(chain_m=None, chain_rad=None, path_m=None, path_rad=None)
+LIMITS_ONLY = Tolerances(chain_mm=1e9, chain_deg=1e9, object_mm=1e9, object_deg=1e9)
 
 
 # -- time --------------------------------------------------------------------------------------------------------------

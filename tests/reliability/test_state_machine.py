@@ -23,12 +23,12 @@ from coopqp import (
     Grasp,
     LinePath,
     Monitor,
-    MonitorTolerances,
     QPController,
     QPOptions,
     RobotCell,
     ServoPath,
     Status,
+    Tolerances,
 )
 from coopqp.scenarios import Scenario, dual_arm7, fast_lift, mixed_cell
 
@@ -70,7 +70,7 @@ class AnyOrder(RuleBasedStateMachine):
         self.monitor = Monitor(
             self.cell,
             self.grasp,
-            tolerances=MonitorTolerances(chain_m=None, chain_rad=None, path_m=None, path_rad=None),
+            tolerances=Tolerances(chain_mm=1e9, chain_deg=1e9, object_mm=1e9, object_deg=1e9),
         )
 
     def _take(self, step: ControlStep) -> None:

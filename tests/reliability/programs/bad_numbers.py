@@ -22,7 +22,6 @@ from coopqp import (
     Cause,
     InvalidInputError,
     Monitor,
-    MonitorTolerances,
     ObjectPath,
     QPController,
     QPOptions,
@@ -100,8 +99,8 @@ class Poisoned:
     def __init__(self, scenario: Scenario, options: QPOptions, *, limits_only: bool = False) -> None:
         self.controller = QPController(scenario.cell, scenario.grasp, scenario.path, dt=scenario.dt, options=options)
         self.controller.reset(scenario.q_start)
-        chain = {"chain_m": None, "chain_rad": None} if limits_only else {}
-        self._tolerances = MonitorTolerances(path_m=None, path_rad=None, **chain)
+        chain = {"chain_mm": 1e9, "chain_deg": 1e9} if limits_only else {}
+        self._tolerances = {"object_mm": 1e9, "object_deg": 1e9, **chain}
         self.judge()
         self._poison = options.solver if isinstance(options.solver, Poison) else None
 
