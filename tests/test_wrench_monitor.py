@@ -105,7 +105,7 @@ def test_a_controller_that_minds_wrenches_is_judged_as_its_recording_is(task: Sc
         QPController(task.cell, task.grasp, task.path, dt=task.dt),
         {"stiffness": plant.stiffness, "payload": payload, "presses": False},
     )
-    tolerances = {"path_m": 5e-3}  # commands lead to where the measured object is on its path
+    tolerances = {"object_mm": 5.0}  # commands lead to where the measured object is on its path
     monitor = Monitor(task.cell, task.grasp, tolerances=tolerances, wrenches=WrenchBounds(internal_force=20.0))
     seen: list[Array] = []
     made = Monitored(inner, monitor)

@@ -37,9 +37,6 @@ from .evaluation.violations import (
     Breach as Breach,
 )
 from .evaluation.violations import (
-    MonitorTolerances as MonitorTolerances,
-)
-from .evaluation.violations import (
     Verdict as Verdict,
 )
 from .evaluation.violations import (

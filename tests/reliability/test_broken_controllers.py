@@ -307,7 +307,7 @@ def never_again() -> Spoil:
 def tears(make: Callable[[Scenario], Any]) -> bool:
     """True if the monitor sees the arms part on the way to a stretched elbow."""
     task = at_singularity("elbow", 1, acceleration=np.inf)
-    counts = judged(task, drive(make(task), task.q_start, 1200, rest=20), path_m=None, path_rad=None).counts
+    counts = judged(task, drive(make(task), task.q_start, 1200, rest=20), object_mm=1e9, object_deg=1e9).counts
     return Breach.CHAIN in counts
 
 

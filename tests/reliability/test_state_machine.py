@@ -29,7 +29,7 @@ from coopqp import (
 )
 from coopqp.model import CellState
 from coopqp.scenarios import Scenario, dual_arm7, fast_lift, mixed_cell
-from coopqp.simulation import Monitor, MonitorTolerances
+from coopqp.simulation import Monitor, Tolerances
 
 pytestmark = pytest.mark.filterwarnings("ignore::RuntimeWarning", "ignore::coopqp.errors.StartWarning")
 TASKS = (fast_lift(), dual_arm7(), mixed_cell())
@@ -69,7 +69,7 @@ class AnyOrder(RuleBasedStateMachine):
         self.monitor = Monitor(
             self.cell,
             self.grasp,
-            tolerances=MonitorTolerances(chain_m=None, chain_rad=None, path_m=None, path_rad=None),
+            tolerances=Tolerances(chain_mm=1e9, chain_deg=1e9, object_mm=1e9, object_deg=1e9),
         )
 
     def _take(self, step: ControlStep) -> None:

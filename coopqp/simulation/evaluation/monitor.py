@@ -8,6 +8,7 @@ come directly from Pinocchio's frames and limits from the cell. Use it to test y
 from __future__ import annotations
 
 import itertools
+import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -23,16 +24,21 @@ from coopqp.errors import InvalidInputError
 from coopqp.model.cell import RobotCell
 from coopqp.model.grasp import Grasp
 from coopqp.paths.path import ObjectPath
+from coopqp.simulation.evaluation.assessment import Tolerances
 from coopqp.simulation.evaluation.blocks import Block, faults_of, recorded_block, sound_steps
 from coopqp.simulation.evaluation.closeness import Closeness
 from coopqp.simulation.evaluation.object_gaps import ObjectGaps
 from coopqp.simulation.evaluation.readings import check_recording
-from coopqp.simulation.evaluation.violations import Breach, MonitorTolerances, Verdict, Violation, Worst
+from coopqp.simulation.evaluation.violations import Breach, Verdict, Violation, Worst
 from coopqp.simulation.evaluation.wrench_bounds import WrenchBounds, excesses
 from coopqp.simulation.evaluation.wrenches import read_loads
 from coopqp.simulation.recording.recording import Recording
 from coopqp.spatial import Array
 
+#: Accepted errors of commands, whose arms turn together more closely than measured ones.
+COMMANDED = Tolerances(chain_deg=math.degrees(1e-3), object_deg=math.degrees(1e-2))
+#: Rounding of limits [rad, m, rad/s or m/s; a share for accelerations], of commands that must be equal, of margins [m].
+POSITION, VELOCITY, ACCELERATION, SAME, MARGIN = 1e-9, 1e-9, 1e-6, 1e-9, 1e-6
 #: Accepted braking time of all arms together along a curved path, as a multiple of the slowest joint's braking time.
 _BRAKING_SLACK = 1.1
 
@@ -50,7 +56,7 @@ class Monitor:
         cell: cell with the true limits and kinematics, even if the controller assumes others.
         grasp: intended placements of the tools on the object.
         path: path of the object; by default the path in each step.
-        tolerances: accepted deviations.
+        tolerances: accepted errors of commands; :data:`COMMANDED` by default, also for what a dictionary leaves out.
         keep: number of violations stored with details; all are counted.
         kinematics: also judge the chain and the path; this doubles the cost of a step.
         scene: also judge the distances of its bodies, in steps and between them, by another way than a controller's.
@@ -63,7 +69,7 @@ class Monitor:
         grasp: Grasp,
         path: ObjectPath | None = None,
         *,
-        tolerances: MonitorTolerances | Mapping[str, Any] | None = None,
+        tolerances: Tolerances | Mapping[str, Any] | None = None,
         keep: int = 50,
         kinematics: bool = True,
         scene: CollisionScene | None = None,
@@ -75,7 +81,9 @@ class Monitor:
             self._bounds.check_arms(len(cell))
         self._closeness = None if scene is None else Closeness(scene)
         self.cell, self.grasp, self.path = cell, grasp, path
-        self.tolerances = as_options(MonitorTolerances, tolerances, "Monitor: tolerances")
+        self.tolerances = as_options(Tolerances, tolerances, "Monitor: tolerances")
+        if tolerances is None or isinstance(tolerances, Mapping):
+            self.tolerances = replace(COMMANDED, **(tolerances or {}))
         self._keep, self._kinematics = keep, kinematics
         self._shape_q, self._shape_v = (cell.nq,), (cell.nv,)
         self._gaps = ObjectGaps(cell, grasp)
@@ -317,29 +325,29 @@ class Monitor:
         before = np.maximum(x - self._upper, self._lower - x)
         outward = excess - np.maximum(before, 0.0)  # an outside joint must not move further out
         self._note(position=float(outward.max()))
-        self._joints(Breach.POSITION, outward, self.tolerances.position, ends)
+        self._joints(Breach.POSITION, outward, POSITION, ends)
 
     def _judge_rates(self, block: Block, v_before: Array, ends: Array) -> None:
         excess = np.abs(block.velocity) - self._speed
         self._note(velocity=float(excess.max()))
-        self._joints(Breach.VELOCITY, excess, self.tolerances.velocity, ends)
+        self._joints(Breach.VELOCITY, excess, VELOCITY, ends)
         if self._accelerates:
             with np.errstate(divide="ignore", invalid="ignore"):
                 share = np.abs(block.velocity - v_before) / (block.dt[:, None] * self._acceleration) - 1.0
             share[np.isnan(v_before)] = -1.0
             self._note(acceleration=float(share.max()))
-            self._joints(Breach.ACCELERATION, share, self.tolerances.acceleration, ends)
+            self._joints(Breach.ACCELERATION, share, ACCELERATION, ends)
 
     def _judge_continuity(self, block: Block, x: Array, x_next: Array, ends: Array) -> None:
         gap = np.abs(self._difference(x, x_next) - block.velocity * block.dt[:, None])
-        self._joints(Breach.CONTINUITY, gap, self.tolerances.consistency, ends, "q_next is not q + v dt")
+        self._joints(Breach.CONTINUITY, gap, SAME, ends, "q_next is not q + v dt")
         before = np.vstack([block.q[:1] if self._last_q is None else self._last_q[None, :], block.q_next[:-1]])
         jump = np.abs(self._difference(self._positions(before), x))
-        self._joints(Breach.CONTINUITY, jump, self.tolerances.consistency, ends, "q is not the last q_next")
+        self._joints(Breach.CONTINUITY, jump, SAME, ends, "q is not the last q_next")
         for j in self._turning:
             i = self._at[j]
             radius = np.abs(np.hypot(block.q_next[:, i], block.q_next[:, i + 1]) - 1.0)
-            self._all(Breach.CONTINUITY, radius - self.tolerances.consistency, ends, "off the unit circle")
+            self._all(Breach.CONTINUITY, radius - SAME, ends, "off the unit circle")
 
     def _difference(self, start: Array, end: Array) -> Array:
         d: Array = end - start
@@ -349,17 +357,16 @@ class Monitor:
         return d
 
     def _judge_clock(self, block: Block, ends: Array) -> None:
-        slack = self.tolerances.consistency
         rate, advance = block.rate, block.clock_next - block.clock
-        self._all(Breach.RATE, np.maximum(-rate, rate - 1.0) - slack, ends, "σ in [0, 1]")
+        self._all(Breach.RATE, np.maximum(-rate, rate - 1.0) - SAME, ends, "σ in [0, 1]")
         self._all(Breach.RATE, np.where(block.dt > 0.0, -1.0, 1.0), ends, "dt > 0")
-        self._all(Breach.CLOCK, -advance - slack, ends, "runs backwards")
+        self._all(Breach.CLOCK, -advance - SAME, ends, "runs backwards")
         # The last step may advance the clock by less than σ dt.
         ended = block.clock_next >= block.duration
         miss = np.where(ended, advance - rate * block.dt, np.abs(advance - rate * block.dt))
-        self._all(Breach.CLOCK, miss - slack * (1.0 + block.clock_next), ends, "does not advance by σ dt")
+        self._all(Breach.CLOCK, miss - SAME * (1.0 + block.clock_next), ends, "does not advance by σ dt")
         before = np.concatenate([[self._last_clock], block.clock_next[:-1]])
-        self._all(Breach.CLOCK, np.where(block.same_path, np.abs(block.clock - before), 0.0) - slack, ends, "jumps")
+        self._all(Breach.CLOCK, np.where(block.same_path, np.abs(block.clock - before), 0.0) - SAME, ends, "jumps")
 
     def _judge_holding(self, block: Block, v_before: Array, ends: Array) -> None:
         """A holding controller must come to rest within the braking time of the slowest joint."""
@@ -375,7 +382,7 @@ class Monitor:
                 self._may_take = _BRAKING_SLACK * float(fastest) + 2.0 * float(block.dt[i])
             self._held += float(block.dt[i])
             over = float(block.rate[i]) if self._held > self._may_take + 1e-9 else 0.0
-            if over > self.tolerances.consistency:
+            if over > SAME:
                 self._add(Violation(Breach.HOLDING, self._steps + i, float(ends[i]), amount=over, detail="σ"))
 
     def _judge_object(self, block: Block, ends: Array) -> None:
@@ -383,16 +390,16 @@ class Monitor:
         chain = len(self._gaps.first) - len(self.cell)  # first the pairs of two arms, then each arm and the path
         distance, angle = self._gaps.of(block.q_next, block.reference, block.shift)
         for breach, values, allowed, unit in (
-            (Breach.CHAIN, distance[:, :chain], t.chain_m, "m"),
-            (Breach.CHAIN, angle[:, :chain], t.chain_rad, "rad"),
-            (Breach.PATH, distance[:, chain:], t.path_m, "m"),
-            (Breach.PATH, angle[:, chain:], t.path_rad, "rad"),
+            (Breach.CHAIN, distance[:, :chain], 1e-3 * t.chain_mm, "m"),
+            (Breach.CHAIN, angle[:, :chain], math.radians(t.chain_deg), "rad"),
+            (Breach.PATH, distance[:, chain:], 1e-3 * t.object_mm, "m"),
+            (Breach.PATH, angle[:, chain:], math.radians(t.object_deg), "rad"),
         ):
             if values.size == 0:  # a single arm forms no chain
                 continue
             largest = float(values.max())
             self._note(**{f"{'chain' if breach is Breach.CHAIN else 'path'}_{unit}": largest})
-            if allowed is None or largest <= allowed:
+            if largest <= allowed:
                 continue
             worst = values.argmax(axis=1)
             for i in np.flatnonzero(~(values.max(axis=1) <= allowed)):
@@ -404,12 +411,12 @@ class Monitor:
     def _judge_clearance(self, closeness: Closeness, block: Block, ends: Array) -> None:
         if self._last_q is None or not np.array_equal(self._last_q, block.q[0]):
             closeness.start(block.q[0])
-        q, allowed = np.vstack([block.q[:1], block.q_next]), self.tolerances.clearance_m
-        for i, pair, missing in closeness.watch(q, tolerance=allowed):
+        q = np.vstack([block.q[:1], block.q_next])
+        for i, pair, missing in closeness.watch(q, tolerance=MARGIN):
             self._note(clearance_m=missing)
             self._add(
                 Violation(
-                    Breach.CLEARANCE, self._steps + i, float(ends[i]), amount=missing - allowed, detail=f"[m] {pair}"
+                    Breach.CLEARANCE, self._steps + i, float(ends[i]), amount=missing - MARGIN, detail=f"[m] {pair}"
                 )
             )
 
@@ -438,7 +445,7 @@ def check_run(
     recording: Recording,
     cell: RobotCell,
     *,
-    tolerances: MonitorTolerances | None = None,
+    tolerances: Tolerances | Mapping[str, Any] | None = None,
     scene: CollisionScene | None = None,
 ) -> Verdict:
     """Judge a recorded run by its commands, and by its loads where they were recorded.
@@ -446,7 +453,7 @@ def check_run(
     Args:
         recording: the run, which starts at rest.
         cell: cell with the true limits and kinematics.
-        tolerances: accepted deviations.
+        tolerances: as for :class:`Monitor`.
         scene: bodies whose distances are judged, too.
 
     Raises:

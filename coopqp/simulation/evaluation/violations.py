@@ -1,4 +1,4 @@
-"""Findings of a monitor: violations, accepted tolerances, and the verdict."""
+"""Findings of a monitor: violations, and the verdict."""
 
 from __future__ import annotations
 
@@ -8,11 +8,6 @@ from dataclasses import dataclass, field
 from types import MappingProxyType
 
 import numpy as np
-
-from coopqp.checks import keep_scalars
-
-#: Tolerances that cannot be switched off.
-_REQUIRED = ("position", "velocity", "acceleration", "consistency", "clearance_m")
 
 
 class Breach(enum.Enum):
@@ -65,43 +60,15 @@ class Violation:
 
 
 @dataclass(frozen=True, kw_only=True)
-class MonitorTolerances:
-    """Accepted deviations. None switches a check of the chain or the path off.
-
-    Attributes:
-        position: excess over a position limit [rad or m]; for a joint that is already outside, the further excess.
-        velocity: excess over a velocity limit [rad/s or m/s].
-        acceleration: excess over an acceleration limit, as a share of the limit.
-        consistency: difference of commands that must be equal [rad or m; s for clocks].
-        chain_m, chain_rad: difference of the commanded object poses of any two arms [m, rad].
-        path_m, path_rad: difference of any arm's commanded object pose and the path at the object's clock [m, rad].
-        clearance_m: how much closer bodies come than their margin [m].
-    """
-
-    position: float = 1e-9
-    velocity: float = 1e-9
-    acceleration: float = 1e-6
-    consistency: float = 1e-9
-    chain_m: float | None = 1e-4
-    chain_rad: float | None = 1e-3
-    path_m: float | None = 1e-3
-    path_rad: float | None = 1e-2
-    clearance_m: float = 1e-6
-
-    def __post_init__(self) -> None:
-        for name in self.__dataclass_fields__:
-            if getattr(self, name) is not None or name in _REQUIRED:
-                keep_scalars(self, name, open_low=False)
-
-
-@dataclass(frozen=True, kw_only=True)
 class Worst:
     """The largest values of a run, inside or outside the tolerances. A negative excess is the distance to the limit.
 
     Attributes:
         position, velocity: excess over a limit [rad or m, rad/s or m/s]; −inf without limits.
         acceleration: excess over a limit, as a share of the limit.
-        chain_m, chain_rad, path_m, path_rad, clearance_m: as in :class:`MonitorTolerances`.
+        chain_m, chain_rad: difference of the commanded object poses of any two arms [m, rad].
+        path_m, path_rad: difference of any arm's commanded object pose and the path at the object's clock [m, rad].
+        clearance_m: how much closer bodies come than their margin [m].
     """
 
     position: float = -np.inf

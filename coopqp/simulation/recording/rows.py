@@ -6,7 +6,9 @@ lie at multiples of 64 bytes, so that they are mapped into memory and read where
 
 from __future__ import annotations
 
+import math
 import mmap
+import shutil
 import struct
 import zipfile
 from collections.abc import Callable, Iterable, Iterator, Mapping
@@ -23,8 +25,6 @@ from coopqp.spatial import Array
 MOST_IN_MEMORY = 8 * 2**20
 #: Rows of a block, which is written at once, and of a part, which is read at once.
 BLOCK_ROWS = 4096
-#: Bytes that are copied at once.
-_COPIED = 2**20
 #: Arrays in an archive begin at multiples of this number of bytes.
 _ALIGNED = 64
 #: Mark of a filler in the head of an archive's entry, as zipalign writes it; head of an entry; field of its true size.
@@ -110,28 +110,22 @@ def parts(count: int, arrays: Iterable[npt.NDArray[Any]]) -> Iterator[slice]:
 def write_archive(
     stream: IO[bytes], arrays: Mapping[str, npt.NDArray[Any]], *, compress: bool, between: Callable[[], None]
 ) -> None:
-    """Write arrays as a ``.npz`` archive, part by part; ``between()`` is called between parts.
+    """Write arrays as a ``.npz`` archive, one ``.npy`` each; ``between()`` is called before each.
 
     Numbers of an archive that is not compressed can be mapped.
     """
     with zipfile.ZipFile(stream, "w", zipfile.ZIP_DEFLATED) as archive:
         for name, array in arrays.items():
-            plain = not compress and array.dtype.kind == "f"
+            between()
             entry = zipfile.ZipInfo(f"{name}.npy")
-            entry.compress_type = zipfile.ZIP_STORED if plain else zipfile.ZIP_DEFLATED
-            entry.external_attr = 0o644 << 16
-            if plain:
+            entry.compress_type, entry.external_attr = zipfile.ZIP_DEFLATED, 0o644 << 16
+            if array.dtype.kind == "f" and not compress:
+                entry.compress_type = zipfile.ZIP_STORED
                 size = -(stream.tell() + _HEAD + len(entry.filename) + _SIZES + 4) % _ALIGNED
                 entry.extra = struct.pack("<HH", _FILLER, size) + bytes(size)
             with archive.open(entry, "w", force_zip64=True) as member:
-                if array.ndim == 0 or array.dtype.kind != "f":
-                    np.lib.format.write_array(member, array, allow_pickle=False)
-                    continue
-                head = {"descr": "<f8", "fortran_order": False, "shape": array.shape}
-                np.lib.format.write_array_header_1_0(member, head)
-                for part in parts(len(array), [array]):
-                    between()
-                    member.write(np.ascontiguousarray(array[part], dtype="<f8").tobytes())
+                np.lib.format.write_array(member, array, allow_pickle=False)
+            release(array)
 
 
 def unpacked_bytes(file: Path) -> int:
@@ -157,54 +151,29 @@ def read_archive(file: Path, names: Iterable[str], perhaps: Iterable[str] = ()) 
 
 
 def _read_entry(archive: zipfile.ZipFile, entry: zipfile.ZipInfo, file: Path) -> npt.NDArray[Any]:
-    if entry.file_size <= MOST_IN_MEMORY:
-        return _read_into_memory(archive, entry)
     with archive.open(entry) as member:
-        shape, fortran, kind = _read_head(member)
-        if kind.kind != "f" or kind.itemsize != 8 or fortran:
-            return _read_into_memory(archive, entry)
-        begin = member.tell()
-        if min(shape) < 0 or _size(shape) != entry.file_size - begin:
+        head, begin = None, 0
+        if entry.file_size > MOST_IN_MEMORY and np.lib.format.read_magic(member) == (1, 0):
+            head, begin = np.lib.format.read_array_header_1_0(member), member.tell()
+        if head is None or head[1] or head[2] != np.dtype("<f8"):
+            member.seek(0)
+            array: npt.NDArray[Any] = np.lib.format.read_array(member, allow_pickle=False)
+            return array if array.ndim == 0 else read_only(array)
+        shape = head[0]
+        if min(shape) < 0 or 8 * math.prod(shape) != entry.file_size - begin:
             raise ValueError(f"'{entry.filename}' has {entry.file_size - begin} bytes for the shape {shape}")
         place = _place(file, entry) + begin
-        swapped = kind.newbyteorder("=") != kind
-        if entry.compress_type == zipfile.ZIP_STORED and place % 8 == 0 and not swapped:
-            if place + _size(shape) > file.stat().st_size:
-                raise ValueError(f"'{entry.filename}' ends behind the file")
+        if entry.compress_type == zipfile.ZIP_STORED and place % 8 == 0:
             return _mapped(file, place, shape)
         copy = _file_without_name()
-        while block := member.read(_COPIED):
-            copy.write(np.frombuffer(block, dtype=kind).astype("<f8").tobytes())
+        shutil.copyfileobj(member, copy)
         copy.flush()
         return _mapped(copy, 0, shape)
 
 
-def _read_into_memory(archive: zipfile.ZipFile, entry: zipfile.ZipInfo) -> npt.NDArray[Any]:
-    with archive.open(entry) as member:
-        array: npt.NDArray[Any] = np.lib.format.read_array(member, allow_pickle=False)
-        return array if array.ndim == 0 else read_only(array)
-
-
-def _read_head(member: IO[bytes]) -> tuple[tuple[int, ...], bool, np.dtype[Any]]:
-    """Shape, order and type of an array file."""
-    version = np.lib.format.read_magic(member)
-    read = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}.get(version)
-    if read is None:
-        raise ValueError(f"an array of the format {version}")
-    shape, fortran, kind = read(member)
-    return shape, bool(fortran), kind
-
-
-def _size(shape: tuple[int, ...]) -> int:
-    size = 8
-    for n in shape:
-        size *= n
-    return size
-
-
 def _place(file: Path, entry: zipfile.ZipInfo) -> int:
-    """Where the content of an entry begins in the file."""
+    """Where the content of an entry begins in the file: after its head, its name and what fills it up."""
     with file.open("rb") as stream:
         stream.seek(entry.header_offset + _HEAD - 4)
-        name, extra = struct.unpack("<HH", stream.read(4))
-    return entry.header_offset + _HEAD + int(name) + int(extra)
+        name, filler = struct.unpack("<HH", stream.read(4))
+    return int(entry.header_offset + _HEAD + name + filler)
