@@ -31,9 +31,10 @@ from coopqp.scenarios import paper_lift
 from coopqp.simulation import read_run
 from coopqp.studies import Cluster, Engine, EngineError, Local, Study, StudyError, load_study, run_rows, sweep
 from coopqp.studies import engines as engines_module
+from coopqp.studies.columns import FIGURES
 from coopqp.studies.drawing import DisturbancesTable, disturbances
 from coopqp.studies.journal import Journal, read_journal
-from coopqp.studies.row import FIGURES, RowTask
+from coopqp.studies.row import RowTask
 from coopqp.studies.study import put
 
 SMALL = """
