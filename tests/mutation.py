@@ -33,7 +33,7 @@ from mutants.equivalent import ANY, EQUIVALENT
 from mutants.reach import Reach, in_functions
 
 #: What is sampled: a package, or the C code of all of them.
-GROUPS = ("control", "planning", "model", "task", "collision", "forces", "studies", "files", "simulation", "C")
+GROUPS = ("control", "planning", "model", "paths", "collision", "forces", "studies", "files", "simulation", "C")
 #: Tests of the compiled code.
 CORE = "core and not slow"
 
