@@ -482,7 +482,7 @@ def test_the_monitor_finds_what_comes_too_close(lift: Scenario) -> None:
     scenario = plate_and_post()
     free = simulate(QPController(lift.cell, lift.grasp, scenario.path, dt=lift.dt), q_start=scenario.q_start)
     verdict = check_run(free, scenario.cell, scene=scene_of(scenario))
-    assert [breach.name for breach in verdict.counts] == ["CLEARANCE"]
+    assert [kind.name for kind in verdict.counts] == ["CLEARANCE"]
     assert "object and post" in str(verdict)
     monitor = Monitor(scenario.cell, scenario.grasp, scenario.path, scene=scene_of(scenario))
     controller = QPController(lift.cell, lift.grasp, scenario.path, dt=lift.dt)
@@ -804,7 +804,7 @@ def test_arms_evade_each_other(make: Any, margin: float, acceleration: float) ->
         QPController(scene.cell, scenario.grasp, scenario.path, dt=scenario.dt), q_start=scenario.q_start
     )
     judged = check_run(without, scene.cell, scene=scene)
-    assert [breach.name for breach in judged.counts] == ["CLEARANCE"]
+    assert [kind.name for kind in judged.counts] == ["CLEARANCE"]
 
 
 def test_without_comfort_an_elbow_stops_the_object_by_name() -> None:

@@ -14,7 +14,7 @@ from coopqp import InvalidInputError, QPController, Recording, simulate
 from coopqp.cli.main import main
 from coopqp.errors import StartWarning
 from coopqp.scenarios import LOADED, Scenario, paper_lift
-from coopqp.simulation import Breach, KinematicPlant, PhysicsPlant, check_run, judge, read_run, run_in_engine
+from coopqp.simulation import KinematicPlant, PhysicsPlant, ViolationKind, check_run, judge, read_run, run_in_engine
 from coopqp.simulation.evaluation.figures import run_figures
 
 #: The encoders of an arm whose base is off tell another place than that of its grasp.
@@ -74,21 +74,21 @@ def test_a_file_keeps_forces_and_runs_without_them_have_none(run: Recording, tas
 
 
 def test_torques_and_squeezing_beyond_their_limits_are_told(task: Scenario, run: Recording) -> None:
-    """Where the verdict says no, the monitor has found a breach, and else none."""
+    """Where the verdict says no, the monitor has found a kind, and else none."""
     asked = "Do the arms carry the load?", "Is the object held without squeezing?"
     assert all(verdict(task, run)[question] for question in asked)
     assert run.torques is not None
     most = np.abs(run.torques).max(axis=0)
     tight = [float(0.9 * x) if j == 1 else None for j, x in enumerate(most)]
-    for load, question, breach in (
-        ({"torque_limits": tight, "internal_force": None}, asked[0], Breach.TORQUE),
-        ({"torque_limits": None, "internal_force": 1e-3}, asked[1], Breach.SQUEEZE),
+    for load, question, kind in (
+        ({"torque_limits": tight, "internal_force": None}, asked[0], ViolationKind.TORQUE),
+        ({"torque_limits": None, "internal_force": 1e-3}, asked[1], ViolationKind.SQUEEZE),
     ):
         bad = replace(run, metadata={**run.metadata, "load": load})
         answers = verdict(task, bad)
         assert [q for q in asked if not answers[q]] == [question]
         found = check_run(bad, task.cell)
-        assert found.counts[breach] > 0
+        assert found.counts[kind] > 0
     assert check_run(run, task.cell).ok
 
 

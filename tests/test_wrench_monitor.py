@@ -16,13 +16,13 @@ from coopqp.forces import Grip, internal_wrenches, palm_use
 from coopqp.planning import Payload
 from coopqp.scenarios import Scenario, palm_box, paper_lift
 from coopqp.simulation import (
-    Breach,
     Disturbances,
     KinematicPlant,
     Monitor,
     Monitored,
     PhysicsPlant,
     Violation,
+    ViolationKind,
     WrenchBounds,
     check_run,
 )
@@ -44,9 +44,9 @@ def test_what_is_too_much_is_what_the_reports_say(task: Scenario, seed: int, siz
     w[:, :3] += rng.choice([0.0, 20.0]) * palms[0].normal
     found = excesses(WrenchBounds(internal_force=10.0, palms=palms), task.grasp, w)
     sizes = np.linalg.norm(internal_wrenches(w, task.grasp)[:, :3], axis=1)
-    squeezed = {e.arm: e.amount for e in found if e.breach is Breach.SQUEEZE}
+    squeezed = {e.arm: e.amount for e in found if e.kind is ViolationKind.SQUEEZE}
     assert squeezed == pytest.approx({k: s - 10.0 for k, s in enumerate(sizes) if s > 10.0})
-    slips = {e.arm: e.amount for e in found if e.breach is Breach.FRICTION}
+    slips = {e.arm: e.amount for e in found if e.kind is ViolationKind.FRICTION}
     assert slips == pytest.approx({k: use - 1.0 for k, use in enumerate(palm_use(palms, w)) if use > 1.0})
 
 
@@ -62,21 +62,23 @@ def test_wrenches_count_while_the_object_moves_and_arms_are_named(task: Scenario
 
     assert not judged(pushed), "nothing has moved yet"
     found = judged(pushed)
-    assert [(v.breach, v.arm, v.step) for v in found] == [(Breach.SQUEEZE, "slave_1", 1)]
+    assert [(v.kind, v.arm, v.step) for v in found] == [(ViolationKind.SQUEEZE, "slave_1", 1)]
     largest = np.linalg.norm(internal_wrenches(pushed, task.grasp)[1, :3])
     assert found[0].amount == pytest.approx(largest - 20.0)
     assert not judged(None)
     pushed[2] = np.nan
     assert not judged(pushed), "a wrench did not come"
-    assert [v.breach for v in judged(np.zeros((2, 6)))] == [Breach.FORM]
-    assert dict(monitor.verdict().counts) == {Breach.SQUEEZE: 1, Breach.FORM: 1}
+    assert [v.kind for v in judged(np.zeros((2, 6)))] == [ViolationKind.FORM]
+    assert dict(monitor.verdict().counts) == {ViolationKind.SQUEEZE: 1, ViolationKind.FORM: 1}
 
 
 def test_palms_are_judged_alone_and_bad_bounds_refused(task: Scenario) -> None:
     palms = (Grip(kind="palm", friction=0.5),) * 3
     w = np.zeros((3, 6))
     w[:, 2], w[2, 0], w[0, :] = 100.0, 60.0, np.nan
-    assert [(e.breach, e.arm) for e in excesses(WrenchBounds(palms=palms), task.grasp, w)] == [(Breach.FRICTION, 2)]
+    assert [(e.kind, e.arm) for e in excesses(WrenchBounds(palms=palms), task.grasp, w)] == [
+        (ViolationKind.FRICTION, 2)
+    ]
     for bad in ({"internal_force": 0.0}, {"palms": (Grip(),) * 3}, {"palms": palms[:2]}):
         with pytest.raises(InvalidInputError):
             Monitor(task.cell, task.grasp, wrenches=bad)
@@ -139,5 +141,5 @@ def test_a_recording_names_the_palm_whose_friction_runs_out() -> None:
     )
     assert check_run(run, task.cell).ok
     (found,) = check_run(loaded, task.cell).violations
-    assert (found.breach, found.step, found.arm) == (Breach.FRICTION, 20, task.cell.arm_names[1])
+    assert (found.kind, found.step, found.arm) == (ViolationKind.FRICTION, 20, task.cell.arm_names[1])
     assert found.amount == pytest.approx(0.5)

@@ -18,7 +18,7 @@ import pinocchio as pin
 from coopqp.checks import ArrayLike, Doc, as_options, as_scalar, documented, keep_scalars, require
 from coopqp.constraints.cause import Cause
 from coopqp.control.interface import NO_SOLVE, ControlStep, GivenUp, SolverReport, Status, short_text
-from coopqp.control.lock import Turn, alone
+from coopqp.control.lock import Lock, alone
 from coopqp.control.step.start import check_start
 from coopqp.control.step.velocity_bounds import VelocityBox
 from coopqp.errors import InvalidInputError
@@ -91,7 +91,7 @@ class IndependentQPController:
     ) -> None:
         require(grasp, Grasp, "IndependentQPController: grasp", "Give a Grasp of the placements.")
         grasp.check_arms(cell)
-        self._turn = Turn()
+        self._turn = Lock()
         self.cell, self.grasp, self.path = cell, grasp, path
         self.dt = as_scalar(dt, "IndependentQPController: dt")
         o = self.options = as_options(IndependentQPOptions, options, "IndependentQPController: options")

@@ -16,7 +16,7 @@ import pinocchio as pin
 from coopqp.checks import ArrayLike, Doc, as_count, as_options, as_scalar, as_vector, documented, keep_scalars, require
 from coopqp.constraints.cause import Cause
 from coopqp.control.interface import ControlStep, Status, short_text
-from coopqp.control.lock import Turn, alone
+from coopqp.control.lock import Lock, alone
 from coopqp.control.step.start import check_start
 from coopqp.errors import InvalidInputError, UnknownNameError, UnreachableError
 from coopqp.model.cell import RobotCell
@@ -95,7 +95,7 @@ class PseudoInverseController:
     ) -> None:
         require(grasp, Grasp, "PseudoInverseController: grasp", "Give a Grasp of the placements.")
         grasp.check_arms(cell)
-        self._turn = Turn()
+        self._turn = Lock()
         self.cell, self.grasp, self.path = cell, grasp, path
         self.dt = as_scalar(dt, "PseudoInverseController: dt")
         self.options = as_options(PseudoInverseOptions, options, "PseudoInverseController: options")

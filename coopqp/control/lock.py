@@ -16,7 +16,7 @@ _P = ParamSpec("_P")
 _R = TypeVar("_R")
 
 
-class Turn:
+class Lock:
     """Who works in a controller. The thread that already does may enter again; it ends as often as it began."""
 
     def __init__(self) -> None:
@@ -44,8 +44,8 @@ class Turn:
         """Whether another thread made the last step."""
         return self._stepper not in (None, threading.get_ident())
 
-    def __reduce__(self) -> tuple[type[Turn], tuple[()]]:
-        return Turn, ()
+    def __reduce__(self) -> tuple[type[Lock], tuple[()]]:
+        return Lock, ()
 
 
 class _Turns(Protocol):

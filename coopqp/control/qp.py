@@ -22,12 +22,12 @@ from coopqp.checks import NOT_NUMBERS, ArrayLike, as_options, as_scalar, require
 from coopqp.control.core import make_loop
 from coopqp.control.interface import ControlStep, Status, amend, brakes_for_target, short_text
 from coopqp.control.lock import alone
-from coopqp.control.lookahead.ramp_time import Effort
+from coopqp.control.lookahead.ramp_time import RampTime
 from coopqp.control.options import QPOptions
-from coopqp.control.retargeting import go_over, object_rests
+from coopqp.control.retargeting import object_rests, retarget_motion
 from coopqp.control.step.constraint_set import Constraints
 from coopqp.control.step.plain import PlainLoop
-from coopqp.control.step.start import check_start, held_command, odd_start, rate_into
+from coopqp.control.step.start import check_start, held_command, rate_into, start_warning
 from coopqp.errors import BusyError, InvalidInputError, StartWarning, StiffnessWarning
 from coopqp.model.cell import RobotCell
 from coopqp.model.grasp import Grasp, held_at
@@ -92,7 +92,7 @@ class QPController:
         self.constraints = self._checked.given
         self._loop = make_loop(cell, grasp, dt=self.dt, options=self.options, constraints=self._checked)
         self.kernel, self.solver = self._loop.kernel, self._loop.solver.name
-        self._effort = Effort(cell, grasp, self.options.preview, dt=self.dt)
+        self._effort = RampTime(cell, grasp, self.options.preview, dt=self.dt)
         self._started = self._outside = self._minded = False
         #: By how much the tools are elsewhere on the object than the grasp says (N, 6); None if they are not.
         self._shift: Array | None = None
@@ -227,7 +227,7 @@ class QPController:
         return 0.0 if self.paused else self.override
 
     def _odd(self, q: Array, pose: pin.SE3 | None) -> tuple[str, ...]:
-        return odd_start(self.cell, self.grasp, self.options.common_error.shares(self.cell), pose, q)
+        return start_warning(self.cell, self.grasp, self.options.common_error.shares(self.cell), pose, q)
 
     def _held_at(self, q: ArrayLike) -> pin.SE3:
         """Where the arms hold the object at ``q``: by their shares in the common error, from the first one's view."""
@@ -343,8 +343,8 @@ class QPController:
             return
         loop.set_reins(self._asked, paused=paused)
         full = 0.0 if paused else self._asked
-        taken = None if isinstance(loop, PlainLoop) else loop.go_over(path, goal, full)
-        if go_over(loop, path, self._effort, goal, full) if taken is None else taken:
+        taken = None if isinstance(loop, PlainLoop) else loop.retarget_motion(path, goal, full)
+        if retarget_motion(loop, path, self._effort, goal, full) if taken is None else taken:
             self._wanted = None
         elif np.isfinite(self.cell.limits.acceleration).any() or object_rests(loop, path):
             loop.set_reins(0.0, paused=paused)

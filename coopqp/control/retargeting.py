@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from coopqp.control.lookahead.ramp_time import Effort
+from coopqp.control.lookahead.ramp_time import RampTime
 from coopqp.native.constants import RATE_TOLERANCE, STILL_OBJECT
 from coopqp.paths.servo import ServoPath
 
@@ -17,7 +17,7 @@ def object_rests(loop: Any, path: ServoPath) -> bool:
     return not np.abs(loop.rate * path.twist(loop.clock)).max() > STILL_OBJECT
 
 
-def go_over(loop: Any, path: ServoPath, effort: Effort, goal: pin.SE3, full: float) -> bool:
+def retarget_motion(loop: Any, path: ServoPath, effort: RampTime, goal: pin.SE3, full: float) -> bool:
     """Take the way to a target if the first step keeps to its rate and no joint jumps. True if it is taken.
 
     The way begins at the full rate, or at the present one: then its twist is as much larger. If the object rests the

@@ -15,7 +15,7 @@ from coopqp.spatial import Array
 
 
 @dataclass(eq=False)
-class Reins:
+class SpeedOverride:
     """Override and pause, set by the operator, and the share of the null-space motion that has followed.
 
     Attributes:
@@ -33,9 +33,9 @@ class Reins:
         """The largest rate that is asked for."""
         return 0.0 if self.paused else self.override
 
-    def started(self, blocked_rate: float) -> Reins:
+    def started(self, blocked_rate: float) -> SpeedOverride:
         """The same at rest: a start ends neither a pause nor an override."""
-        return Reins(self.override, self.paused, 0.0 if self.share < blocked_rate else 1.0)
+        return SpeedOverride(self.override, self.paused, 0.0 if self.share < blocked_rate else 1.0)
 
     def advance(self, blocked_rate: float, change: float) -> None:
         """Raise or lower the share of the null-space motion by one step's amount."""

@@ -34,13 +34,13 @@ from .evaluation.monitored import Monitored as Monitored
 from .evaluation.readings import Readings as Readings
 from .evaluation.readings import read_run as read_run
 from .evaluation.violations import (
-    Breach as Breach,
-)
-from .evaluation.violations import (
     Verdict as Verdict,
 )
 from .evaluation.violations import (
     Violation as Violation,
+)
+from .evaluation.violations import (
+    ViolationKind as ViolationKind,
 )
 from .evaluation.wrench_bounds import WrenchBounds as WrenchBounds
 from .evaluation.wrenches import RunLoads as RunLoads

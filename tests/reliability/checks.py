@@ -433,7 +433,7 @@ def rough_steps(
         _interfere(controller, task, q, rng, judge, monitor, faulty=faulty)
     judge()
     verdict = monitor.verdict()
-    result.violations.update({breach.name: n for breach, n in verdict.counts.items()})
+    result.violations.update({kind.name: n for kind, n in verdict.counts.items()})
     for name, before in zip(("lower", "upper", "velocity", "acceleration"), limits, strict=True):
         result.violations["mutated"] += not np.array_equal(getattr(task.cell.limits, name), before)
     result.violations += Counter()  # drops zeros

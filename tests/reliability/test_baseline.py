@@ -12,18 +12,27 @@ from marks import slow_but_first
 
 from coopqp.baselines import PseudoInverseController
 from coopqp.scenarios import Scenario, at_limit, at_singularity, fast_lift, paper_lift
-from coopqp.simulation import Breach
+from coopqp.simulation import ViolationKind
 
-TASKS: dict[str, tuple[Callable[[], Scenario], set[Breach]]] = {
-    "the paper's lift": (paper_lift, {Breach.CHAIN}),
+TASKS: dict[str, tuple[Callable[[], Scenario], set[ViolationKind]]] = {
+    "the paper's lift": (paper_lift, {ViolationKind.CHAIN}),
     "faster than the joints": (
         lambda: limited(fast_lift(), acceleration=5.0),
-        {Breach.VELOCITY, Breach.ACCELERATION, Breach.CHAIN},
+        {ViolationKind.VELOCITY, ViolationKind.ACCELERATION, ViolationKind.CHAIN},
     ),
-    "into the joint limits": (at_limit, {Breach.POSITION, Breach.ACCELERATION, Breach.CHAIN, Breach.PATH}),
+    "into the joint limits": (
+        at_limit,
+        {ViolationKind.POSITION, ViolationKind.ACCELERATION, ViolationKind.CHAIN, ViolationKind.PATH},
+    ),
     "into a stretched elbow": (
         lambda: at_singularity("elbow", 1, acceleration=5.0),
-        {Breach.POSITION, Breach.VELOCITY, Breach.ACCELERATION, Breach.CHAIN, Breach.PATH},
+        {
+            ViolationKind.POSITION,
+            ViolationKind.VELOCITY,
+            ViolationKind.ACCELERATION,
+            ViolationKind.CHAIN,
+            ViolationKind.PATH,
+        },
     ),
 }
 
@@ -32,7 +41,7 @@ TASKS: dict[str, tuple[Callable[[], Scenario], set[Breach]]] = {
 def test_the_oracle_sees_what_the_baseline_breaks(name: str, catalogue: Any) -> None:
     build, expected = TASKS[name]
     task = build()
-    counts: dict[str, Counter[Breach]] = {}
+    counts: dict[str, Counter[ViolationKind]] = {}
     steps = 0
     for who, controller in (
         ("baseline", PseudoInverseController(task.cell, task.grasp, task.path, dt=task.dt)),
@@ -42,7 +51,7 @@ def test_the_oracle_sees_what_the_baseline_breaks(name: str, catalogue: Any) -> 
         counts[who] = Counter(judged(task, done).counts)
         steps += len(done)
     assert set(counts["baseline"]) >= expected, "an oracle that does not see these is worth nothing"
-    found = ", ".join(f"{n:,} {breach.value}" for breach, n in counts["baseline"].most_common())
+    found = ", ".join(f"{n:,} {kind.value}" for kind, n in counts["baseline"].most_common())
     catalogue.row(
         "A10",
         f"{name}: violations by the cooperative QP",

@@ -39,7 +39,7 @@ from coopqp.control.step import priorities as answers
 from coopqp.control.step.priorities import StepAnswer, StepSolver
 from coopqp.control.step.velocity_bounds import VelocityBox
 from coopqp.scenarios import Scenario, at_limit, at_singularity, fast_lift, mixed_cell, paper_lift
-from coopqp.simulation import Breach, Monitor, Monitored
+from coopqp.simulation import Monitor, Monitored, ViolationKind
 
 Spoil = Callable[[ControlStep, int], ControlStep]
 
@@ -264,7 +264,7 @@ class Feedback(Spoiled):
         return step if q_measured is None else step.replaced(q_next=q_measured + step.velocity * step.dt)
 
 
-def after_nan(controller: Any) -> tuple[set[Breach], int]:
+def after_nan(controller: Any) -> tuple[set[ViolationKind], int]:
     """Violations and number of holding steps after one measured configuration with NaN."""
     watched = Monitored(controller, Monitor(controller.cell, controller.grasp))
     watched.reset(lift().q_start)
@@ -308,7 +308,7 @@ def tears(make: Callable[[Scenario], Any]) -> bool:
     """True if the monitor sees the arms part on the way to a stretched elbow."""
     task = at_singularity("elbow", 1, acceleration=np.inf)
     counts = judged(task, drive(make(task), task.q_start, 1200, rest=20), object_mm=1e9, object_deg=1e9).counts
-    return Breach.CHAIN in counts
+    return ViolationKind.CHAIN in counts
 
 
 def damped(task: Scenario) -> PseudoInverseController:
@@ -352,20 +352,22 @@ def aside(step: ControlStep, i: int) -> ControlStep:
 def baseline_breaks() -> bool:
     task = fast_lift()
     controller = PseudoInverseController(task.cell, task.grasp, task.path, dt=task.dt)
-    return {Breach.VELOCITY, Breach.CHAIN} <= set(judged(task, drive(controller, task.q_start, 300)).counts)
+    return {ViolationKind.VELOCITY, ViolationKind.CHAIN} <= set(
+        judged(task, drive(controller, task.q_start, 300)).counts
+    )
 
 
 def off_the_path() -> bool:
     """The clock is ahead of the object."""
     task = lift()
     steps = [s.replaced(clock_next=s.clock_next + 0.1) for s in drive(cooperative(task), task.q_start, 200)]
-    return Breach.PATH in judged(task, steps).counts
+    return ViolationKind.PATH in judged(task, steps).counts
 
 
 def goes_on_while_holding() -> bool:
     task = lift()
     steps = [s.replaced(status=Status.HOLDING) for s in drive(cooperative(task), task.q_start, 200)]
-    return Breach.HOLDING in judged(task, steps).counts
+    return ViolationKind.HOLDING in judged(task, steps).counts
 
 
 def differs_between_runs() -> bool:
@@ -445,7 +447,7 @@ BROKEN: dict[str, Broken] = {
             answers, "_ask", lambda solver, problem: solver.solve(problem), lambda: fails_badly("raises RuntimeError")
         ),
     ),
-    "commands on from NaN": Broken("A6", lambda: Breach.NOT_FINITE in after_nan(kind(Feedback)(lift()))[0]),
+    "commands on from NaN": Broken("A6", lambda: ViolationKind.NOT_FINITE in after_nan(kind(Feedback)(lift()))[0]),
     "stays blocked": Broken("A7", lambda: stays_blocked(spoiled(never_again()))),
     "a damped inverse": Broken("A8", lambda: tears(damped)),
     "arms that know nothing of each other": Broken("A8", lambda: tears(alone)),

@@ -54,7 +54,7 @@ from coopqp.control import RankWeights
 from coopqp.model import CellState, plate_from_centroid, plate_from_points
 from coopqp.paths.path import ScrewParameters
 from coopqp.scenarios import mixed_cell, paper_lift
-from coopqp.simulation import Breach, Disturbances, KinematicPlant, Monitor, PhysicsOptions, Tolerances
+from coopqp.simulation import Disturbances, KinematicPlant, Monitor, PhysicsOptions, Tolerances, ViolationKind
 from coopqp.solvers import DaqpSettings, OsqpSettings, ProxqpSettings
 
 pytestmark = pytest.mark.filterwarnings("ignore::RuntimeWarning")
@@ -536,7 +536,7 @@ def test_a_step_answers_to_anything(kinds: list[str], catalogue: Any) -> None:
         monitor.observe_all([*steps, controller.step()])
         breaches = set(monitor.verdict().counts)
         if not kind.startswith("QP"):  # the controllers for comparison promise less
-            breaches -= {Breach.VELOCITY, Breach.POSITION, Breach.ACCELERATION}
+            breaches -= {ViolationKind.VELOCITY, ViolationKind.POSITION, ViolationKind.ACCELERATION}
         assert not breaches, monitor.verdict()
 
     tried.each(holds)

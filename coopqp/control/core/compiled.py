@@ -202,13 +202,13 @@ class CompiledLoop:
         kept[_LOOP["QUIET_AHEAD"]] = loop[_LOOP["QUIET_AHEAD"]]
         loop[:] = kept
 
-    def go_over(self, path: ServoPath, goal: pin.SE3, full: float) -> bool | None:
+    def retarget_motion(self, path: ServoPath, goal: pin.SE3, full: float) -> bool | None:
         """Take the way to a new target as :class:`coopqp.QPController` does; None where the definition has to say."""
         if self.constraints or self._guarded.elbows is not None:  # which the core's own numbers lack
             return None
         numbers = np.empty(4 + SEGMENT)
         target = np.concatenate([goal.rotation.ravel(), goal.translation])
-        taken: int = self._core.go_over(target, numbers, path.speed, path.spin, full)
+        taken: int = self._core.retarget_motion(target, numbers, path.speed, path.spin, full)
         if taken > 0:
             path.take(goal, numbers[4:])
         return None if taken < 0 else taken > 0

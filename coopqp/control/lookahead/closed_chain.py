@@ -9,7 +9,7 @@ import numpy as np
 import pinocchio as pin
 
 from coopqp.control.lookahead.backward_pass import largest_alone
-from coopqp.control.lookahead.horizon import Knot
+from coopqp.control.lookahead.horizon import GridPoint
 from coopqp.control.lookahead.options import PlanLimits, PreviewOptions
 from coopqp.control.lookahead.redundancy import LimitAvoidance
 from coopqp.model.chain import Chain
@@ -34,7 +34,7 @@ from coopqp.spatial import Array, largest
 _FOLLOWED = 1e-4
 
 
-class KnotRoom(NamedTuple):
+class KnotBounds(NamedTuple):
     """Bounds by further constraints at a knot.
 
     Attributes:
@@ -51,17 +51,17 @@ class KnotRoom(NamedTuple):
 
 #: Bounds by further constraints at a knot, from its clock, q, q′, q″ and the time since the knot before [s]. It may
 #: raise :class:`LookAheadTrouble`.
-KnotBound = Callable[[float, Array, Array, Array, float], KnotRoom]
+KnotBound = Callable[[float, Array, Array, Array, float], KnotBounds]
 #: Slopes (nv,) at (q, q′) with self-motion that keeps redundant arms clear of bodies ahead.
 Evade = Callable[[Array, Array], Array]
 
 
 class LookAheadTrouble(Exception):  # noqa: N818
-    """A user's path or a further constraint fails ahead of the clock. Growth waits; the next step asks again."""
+    """A user's path or a further constraint fails ahead of the clock. The extension waits; the next step asks again."""
 
 
 @final
-class ChainAhead:
+class ClosedChainAhead:
     """See the module's description.
 
     Args:
@@ -105,7 +105,7 @@ class ChainAhead:
         self.blind, self.beyond_at = False, np.inf
         self.beyond: BindingLimit | None = None
 
-    def first(self, q: Array, clock: float) -> Knot:
+    def first(self, q: Array, clock: float) -> GridPoint:
         """The knot at a clock, from a configuration near; the object rests there if the chain does not reach it."""
         pose = self._path.pose(clock)
         if pose is None:
@@ -122,7 +122,7 @@ class ChainAhead:
         self._slope[:] = 0.0
         return self._knot_at(clock, q, None)
 
-    def attempt(self, last: Knot, h: float) -> Generator[None, None, Knot | None]:
+    def attempt(self, last: GridPoint, h: float) -> Generator[None, None, GridPoint | None]:
         """The chain at ``last.clock + h``, or None if Newton's method or the joints' slopes do not follow."""
         clock, options = last.clock + h, self._options
         bend = 0.0 * last.curvature if last.corner else last.curvature
@@ -156,7 +156,7 @@ class ChainAhead:
             return None
         return self._constrained(knot)
 
-    def _ends_reach(self, knot: Knot, last: Knot) -> bool:
+    def _ends_reach(self, knot: GridPoint, last: GridPoint) -> bool:
         """Whether an arm comes too close to where its reach ends.
 
         Joint speeds do not tell the distance: on a way along the end no joint is fast. Within the distance that the
@@ -171,7 +171,7 @@ class ChainAhead:
             return False
         return bool(((ways < near) & (np.add.reduceat(now * then, self._starts) < 0.0)).any())
 
-    def _bends_slowly(self, knot: Knot, last: Knot) -> bool:
+    def _bends_slowly(self, knot: GridPoint, last: GridPoint) -> bool:
         """Whether q″ has changed by a small share of the accelerations since the interval before."""
         if last.span == 0.0 or last.corner:
             return True
@@ -181,7 +181,7 @@ class ChainAhead:
         z = largest_alone(knot.slope, knot.curvature, self._plan.acceleration, self._plan.slope_cap, knot.cap)
         return change * z <= BEND_CHANGE
 
-    def _constrained(self, knot: Knot) -> Knot | None:
+    def _constrained(self, knot: GridPoint) -> GridPoint | None:
         """A knot under the further constraints; None where they allow no rate."""
         if self._bound is None:
             return knot
@@ -234,7 +234,7 @@ class ChainAhead:
         wish: Array = slope + ELBOW_GAIN * pin.difference(self._cell.model, q, self._cell.configuration_of(x))
         return wish
 
-    def _knot_at(self, clock: float, q: Array, last: Knot | None) -> Knot:
+    def _knot_at(self, clock: float, q: Array, last: GridPoint | None) -> GridPoint:
         """Bounds at a configuration on the path, from the slopes there (of the last Newton step) and those before."""
         slope, edges = self._slope.copy(), self._chain.edges()[self._moving]
         before, span = (slope, 1.0) if last is None else (last.slope, clock - last.clock)
@@ -254,7 +254,7 @@ class ChainAhead:
                 else self._cell.joint_limit(j_bend, LimitKind.ACCELERATION)
             )
         x = self._cell.positions(q)
-        return Knot(
+        return GridPoint(
             clock=clock,
             q=q,
             slope=slope,
@@ -270,7 +270,7 @@ class ChainAhead:
             inside=bool(((x <= self._high) & (x >= self._low)).all()),
         )
 
-    def corner(self, knot: Knot) -> Knot:
+    def corner(self, knot: GridPoint) -> GridPoint:
         """A knot where the twist jumps: slopes after it, and the rate at which the joints can take the jump."""
         moves = self._newton_step(knot.clock + 1e-9, knot.q)
         after = self._slope.copy() if moves else np.zeros_like(knot.slope)
@@ -295,7 +295,7 @@ class ChainAhead:
             return np.inf
         return float((self._plan.jump[moving] / jump[moving]).min() ** 2)
 
-    def at_end(self, knot: Knot) -> Knot | None:
+    def at_end(self, knot: GridPoint) -> GridPoint | None:
         """The same knot where the path ends moving: the joints have one step to stop in; None if the cap suffices."""
         if not self._plan.accelerates:
             return None

@@ -6,7 +6,7 @@ from typing import final
 
 from coopqp.constraints.rate import Knot
 from coopqp.constraints.velocity import ConstraintTrouble
-from coopqp.control.lookahead.closed_chain import KnotRoom, LookAheadTrouble
+from coopqp.control.lookahead.closed_chain import KnotBounds, LookAheadTrouble
 from coopqp.control.step.constraint_set import Constraints
 from coopqp.model.cell import RobotCell
 from coopqp.model.state import CellState
@@ -27,7 +27,7 @@ class ConstraintsAhead:
     def __init__(self, cell: RobotCell, constraints: Constraints, curvature_share: float, *, dt: float) -> None:
         self._cell, self._constraints, self._curvature_share, self._dt = cell, constraints, curvature_share, dt
 
-    def bound(self, clock: float, q: Array, slope: Array, curvature: Array, span: float) -> KnotRoom:
+    def bound(self, clock: float, q: Array, slope: Array, curvature: Array, span: float) -> KnotBounds:
         """The rate that the constraints allow at a knot.
 
         Raises:
@@ -39,7 +39,7 @@ class ConstraintsAhead:
         except ConstraintTrouble as trouble:
             raise LookAheadTrouble(str(trouble)) from trouble
         binding = self._constraints.labels[found.which] if found.which >= 0 else None
-        return KnotRoom(found.cap, found.decrease, found.rise, binding)
+        return KnotBounds(found.cap, found.decrease, found.rise, binding)
 
     def evade(self, q: Array, slope: Array) -> Array:
         """Slopes (nv,) at ``q`` (nq,) with the self-motion that the constraints ask for.

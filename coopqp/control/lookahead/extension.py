@@ -1,6 +1,6 @@
-"""Growth of the horizon: knots as far on as the chain can be followed, one Newton step at a time.
+"""Extension of the horizon: knots as far on as the chain can be followed, one Newton step at a time.
 
-Growth ends at a position limit, at an impassable singularity, at the end of the reach, where a constraint allows no
+The extension ends at a position limit, at an impassable singularity, at the end of the reach, where a constraint allows no
 rate, and at the path's end.
 """
 
@@ -12,8 +12,8 @@ from typing import final
 
 import numpy as np
 
-from coopqp.control.lookahead.closed_chain import ChainAhead, LookAheadTrouble
-from coopqp.control.lookahead.horizon import Horizon, Knot
+from coopqp.control.lookahead.closed_chain import ClosedChainAhead, LookAheadTrouble
+from coopqp.control.lookahead.horizon import GridPoint, Horizon
 from coopqp.control.lookahead.options import PlanLimits, PreviewOptions
 from coopqp.model.cell import RobotCell
 from coopqp.model.limits import BindingLimit, LimitKind
@@ -32,7 +32,7 @@ from coopqp.paths.guarded import GuardedPath
 
 
 @final
-class Growth:
+class HorizonExtension:
     """See the module's description.
 
     Args:
@@ -54,7 +54,7 @@ class Growth:
         self,
         cell: RobotCell,
         path: GuardedPath,
-        chain: ChainAhead,
+        chain: ClosedChainAhead,
         horizon: Horizon,
         plan: PlanLimits,
         options: PreviewOptions,
@@ -64,7 +64,7 @@ class Growth:
         self._low, self._high = cell.limits.lower, cell.limits.upper
         self.breakpoints = list[float]()
         self._kinks, self._kinks_kept = list[float](), list[float]()
-        self._way = list[Knot]()  # past a singularity, while it is looked for
+        self._way = list[GridPoint]()  # past a singularity, while it is looked for
         self.trouble = ""
         self.jump: tuple[float, float] | None = None
         self.rest()
@@ -121,7 +121,7 @@ class Growth:
             return False
         return True
 
-    def _grow(self, last: Knot) -> Iterator[None]:
+    def _grow(self, last: GridPoint) -> Iterator[None]:
         """Add a knot; pauses before every piece of work."""
         if self._duration - last.clock <= 1e-12:
             end = self._chain.at_end(last)
@@ -156,7 +156,7 @@ class Growth:
         for knot in way:
             self._horizon.push(knot)
 
-    def _next(self, last: Knot) -> Generator[None, None, Knot | None]:
+    def _next(self, last: GridPoint) -> Generator[None, None, GridPoint | None]:
         """The knot after ``last``, as far on as the chain can be followed in one go; None where it cannot."""
         options = self._options
         h = min(options.cell, self._duration - last.clock)
@@ -206,11 +206,11 @@ class Growth:
             self._kinks = [*self._kinks[1 - MOST_KINKS :], kink]
         return kink
 
-    def _half_way(self, last: Knot) -> float:
+    def _half_way(self, last: GridPoint) -> float:
         """Half of the time from a knot to the clock at which a constraint allows no rate [s]."""
         return 0.5 * (self._chain.beyond_at - last.clock)
 
-    def _past(self, knot: Knot) -> Generator[None, None, list[Knot]]:
+    def _past(self, knot: GridPoint) -> Generator[None, None, list[GridPoint]]:
         """The knots from ``knot``, near a singularity, to where the joints slow down; none if there is no way."""
         least = (PASSABLE * self._options.singular_rate) ** 2
         end = self.next_breakpoint(knot.clock) - 1e-9
@@ -233,7 +233,7 @@ class Growth:
             after = min(after, clocks[i]) if i < len(clocks) else after
         return after
 
-    def _limit_crossing(self, last: Knot, knot: Knot) -> Knot | None:
+    def _limit_crossing(self, last: GridPoint, knot: GridPoint) -> GridPoint | None:
         """Where the first joint meets a position limit between two knots, as a knot at which the object rests."""
         x, ahead = self._cell.positions(last.q), self._cell.positions(knot.q)
         # A joint outside may come back in; only going further out is the end.
@@ -249,7 +249,7 @@ class Growth:
         at = self._knot_where(last, knot, j, float(limit[first]))
         return at._replace(cap=0.0, span=at.clock - last.clock, binding=self._cell.joint_limit(j, LimitKind.POSITION))
 
-    def _knot_where(self, last: Knot, beyond: Knot, j: int, position: float) -> Knot:
+    def _knot_where(self, last: GridPoint, beyond: GridPoint, j: int, position: float) -> GridPoint:
         """The knot at which joint ``j`` is at ``position``, between two knots: regula falsi on the chain itself."""
         positions = self._cell.positions
         start, end = last.clock, beyond.clock
@@ -271,7 +271,7 @@ class Growth:
                 start, miss_start = clock, miss
         return best
 
-    def _why_no_further(self, last: Knot) -> BindingLimit:
+    def _why_no_further(self, last: GridPoint) -> BindingLimit:
         """Why the chain cannot be followed past a knot: a user's path jumps there, or an arm's reach ends."""
         if self.jump is not None:
             return BindingLimit("", "", LimitKind.PATH_JUMP)
@@ -279,17 +279,17 @@ class Growth:
             return BindingLimit(self._cell.arm_names[int(last.rooms.argmin())], "", LimitKind.REACH)
         return self._arm_limit(last, LimitKind.REACH)
 
-    def _arm_limit(self, knot: Knot, kind: LimitKind) -> BindingLimit:
+    def _arm_limit(self, knot: GridPoint, kind: LimitKind) -> BindingLimit:
         """A limit of the arm whose joints are fastest at a knot."""
         share = np.abs(knot.slope) / np.where(np.isfinite(self._plan.speed), self._plan.speed, 1.0)
         return BindingLimit(self._cell.arm_names[self._cell.arm_of_joint(int(share.argmax()))], "", kind)
 
 
-def _whole(pieces: Generator[None, None, Knot | None]) -> Knot | None:
+def _whole(pieces: Generator[None, None, GridPoint | None]) -> GridPoint | None:
     """The result of work that pauses, without the pauses."""
     while True:
         try:
             next(pieces)
         except StopIteration as done:
-            knot: Knot | None = done.value
+            knot: GridPoint | None = done.value
             return knot

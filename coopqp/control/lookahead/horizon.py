@@ -15,7 +15,7 @@ from coopqp.native.constants import KNOTS_PER_PASS, LEAST_RATE, MOST_GUESSES, SH
 from coopqp.spatial import Array
 
 
-class Knot(NamedTuple):
+class GridPoint(NamedTuple):
     """The chain at one clock."""
 
     clock: float
@@ -40,7 +40,7 @@ class Knot(NamedTuple):
     share: Share | None = None  # how K follows from K at the next knot
     since: float = 0.0  # K at the next knot that it was found from
 
-    def __deepcopy__(self, memo: object) -> Knot:
+    def __deepcopy__(self, memo: object) -> GridPoint:
         return self  # nobody writes into its arrays
 
 
@@ -55,7 +55,7 @@ class Least(NamedTuple):
 
     square: float
     slope: float
-    cause: Knot
+    cause: GridPoint
 
     def met_by(self, rate: float) -> float:
         """The rate σ with ``σ² = K + slope (σ − rate)``."""
@@ -81,7 +81,7 @@ class Horizon:
 
     def __init__(self, cell: RobotCell, acceleration: Array, slope_cap: float, doubt: float) -> None:
         self._cell, self._acceleration, self._slope_cap, self._doubt = cell, acceleration, slope_cap, doubt
-        self.knots: deque[Knot] = deque()
+        self.knots: deque[GridPoint] = deque()
         self.known = self._fresh = 0  # knots since the last backward pass
         self.complete = False
 
@@ -90,18 +90,18 @@ class Horizon:
         self.knots.clear()
         self.known, self._fresh, self.complete = 0, 0, False
 
-    def memory(self) -> tuple[list[Knot], int, int, bool]:
+    def memory(self) -> tuple[list[GridPoint], int, int, bool]:
         """State for a copy."""
         return list(self.knots), self.known, self._fresh, self.complete
 
-    def restore(self, memory: tuple[list[Knot], int, int, bool]) -> None:
+    def restore(self, memory: tuple[list[GridPoint], int, int, bool]) -> None:
         """Go on from what :meth:`memory` returned."""
         knots, self.known, self._fresh, self.complete = memory
         self.knots = deque(knots)
 
     # -- from knot to knot ---------------------------------------------------------------------------------------
 
-    def push(self, knot: Knot) -> None:
+    def push(self, knot: GridPoint) -> None:
         """Add a knot."""
         self.knots.append(knot)
         self._fresh += 1
@@ -212,7 +212,7 @@ class Horizon:
 
     # -- the rate of a step --------------------------------------------------------------------------------------
 
-    def largest_rate(self, clock: float, dt: float, least: Least) -> tuple[float, Knot]:
+    def largest_rate(self, clock: float, dt: float, least: Least) -> tuple[float, GridPoint]:
         """The largest rate below 1 that K admits for a step, and the knot that makes it; 0 is always admissible.
 
         ``least`` is found at rate 1. K is linear between knots: the next guess is where σ² meets the line that makes
@@ -248,7 +248,7 @@ class Horizon:
                 least = Least(square, slope * part, made_by)
         return least
 
-    def _square_after(self, i: int, clock: float) -> tuple[float, float, Knot]:
+    def _square_after(self, i: int, clock: float) -> tuple[float, float, GridPoint]:
         """K between knot ``i`` and the next one, its slope over the clock, and the knot that makes it."""
         here = self.knots[i]
         if i + 1 == len(self.knots):

@@ -17,8 +17,8 @@ from typing import Any, final
 import numpy as np
 import pinocchio as pin
 
-from coopqp.control.lookahead.closed_chain import ChainAhead, Evade, KnotBound, LookAheadTrouble
-from coopqp.control.lookahead.extension import Growth
+from coopqp.control.lookahead.closed_chain import ClosedChainAhead, Evade, KnotBound, LookAheadTrouble
+from coopqp.control.lookahead.extension import HorizonExtension
 from coopqp.control.lookahead.horizon import Horizon
 from coopqp.control.lookahead.options import PlanLimits, PreviewOptions
 from coopqp.model.chain import Chain
@@ -79,8 +79,8 @@ class PathPreview:
         plan = self._plan = PlanLimits.of(chain.cell, self.options, dt=dt)
         self.accelerates = plan.accelerates
         self.horizon = Horizon(chain.cell, plan.acceleration, plan.slope_cap, self.options.doubt)
-        self._chain = ChainAhead(chain, self._path, posture, plan, self.options, bound, evade)
-        self._growth = Growth(chain.cell, self._path, self._chain, self.horizon, plan, self.options)
+        self._chain = ClosedChainAhead(chain, self._path, posture, plan, self.options, bound, evade)
+        self._growth = HorizonExtension(chain.cell, self._path, self._chain, self.horizon, plan, self.options)
         self._begun = pin.neutral(chain.cell.model)
         self._most_asked = LEAST_ASKED + max(0, int(ASKED_PER_TIME * (dt - SHORT_STEP))) if self._path.own else math.inf
         self._ahead_of_need = STEPS_TO_ASK if self._path.own or bound is not None else STEPS_TO_GROW

@@ -16,7 +16,7 @@ from coopqp.spatial import Array
 
 
 @final
-class Effort:
+class RampTime:
     """Times in which the joints change the object's motion.
 
     Args:

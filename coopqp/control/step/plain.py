@@ -18,7 +18,7 @@ import pinocchio as pin
 from coopqp.constraints.cause import Cause
 from coopqp.constraints.velocity import ConstraintTrouble, Rows, no_rows
 from coopqp.control.interface import NO_SOLVE, ControlStep, Status
-from coopqp.control.lock import Turn
+from coopqp.control.lock import Lock
 from coopqp.control.lookahead.constraints import ConstraintsAhead
 from coopqp.control.lookahead.options import PlanLimits, PreviewOptions
 from coopqp.control.lookahead.preview import PathPreview
@@ -64,7 +64,7 @@ class PlainLoop:
         self, cell: RobotCell, grasp: Grasp, *, dt: float, options: QPOptions, constraints: Constraints
     ) -> None:
         self.cell, self.grasp, self.dt, self.options, self._on_path = cell, grasp, dt, options, options
-        turn = Turn()
+        turn = Lock()
         self.hold, self.release = turn.hold, turn.release
         self.steps_here, self.steps_elsewhere = turn.steps_here, turn.steps_elsewhere
         self.constraints = constraints

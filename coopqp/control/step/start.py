@@ -85,7 +85,7 @@ def held_command(cell: RobotCell, q: Array, commanded: ArrayLike, largest: float
     return held
 
 
-def odd_start(cell: RobotCell, grasp: Grasp, shares: Array, pose: pin.SE3 | None, q: Array) -> tuple[str, ...]:
+def start_warning(cell: RobotCell, grasp: Grasp, shares: Array, pose: pin.SE3 | None, q: Array) -> tuple[str, ...]:
     """Sentences about joints outside limits, arms off the grasp, an object off its path; empty if all is well.
 
     Args:

@@ -11,7 +11,7 @@ from coopqp.constraints.cause import Cause
 from coopqp.control.interface import Status
 from coopqp.control.monitoring.commanded import Apart
 from coopqp.control.monitoring.watch import Watch
-from coopqp.control.speed_override import Reins
+from coopqp.control.speed_override import SpeedOverride
 from coopqp.control.step.linearised import LinearisedAnswer, StepInput
 from coopqp.model.limits import BindingLimit
 from coopqp.spatial import Array
@@ -70,7 +70,7 @@ class LoopState:
     fault: str = ""
     fault_arm: int = -1
     fault_cause: Cause | None = None
-    reins: Reins = field(default_factory=Reins)
+    reins: SpeedOverride = field(default_factory=SpeedOverride)
 
 
 @dataclass(eq=False)

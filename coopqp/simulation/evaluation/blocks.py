@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from coopqp.control.interface import ControlStep, Status
 from coopqp.model.cell import RobotCell
-from coopqp.simulation.evaluation.violations import Breach, Violation
+from coopqp.simulation.evaluation.violations import Violation, ViolationKind
 from coopqp.simulation.recording.recording import Recording
 from coopqp.spatial import Array
 
@@ -71,17 +71,17 @@ def faults_of(step: ControlStep, cell: RobotCell, number: int, now: float) -> li
     for name, size in (("q", cell.nq), ("q_next", cell.nq), ("velocity", cell.nv)):
         value = getattr(step, name)
         if not isinstance(value, np.ndarray) or value.dtype != np.float64 or value.shape != (size,):
-            faults.append(Violation(Breach.FORM, number, now, detail=f"{name} of shape ({size},)"))
+            faults.append(Violation(ViolationKind.FORM, number, now, detail=f"{name} of shape ({size},)"))
         elif not np.isfinite(value).all():
             bad = int(np.flatnonzero(~np.isfinite(value))[0])
             arm, _, joint = cell.joint_names[bad].partition("/") if name == "velocity" else ("", "", "")
-            faults.append(Violation(Breach.NOT_FINITE, number, now, arm, joint, np.nan, f"{name}[{bad}]"))
+            faults.append(Violation(ViolationKind.NOT_FINITE, number, now, arm, joint, np.nan, f"{name}[{bad}]"))
     for name in ("dt", "clock", "clock_next", "rate"):
         value = getattr(step, name)
         if not isinstance(value, float):
-            faults.append(Violation(Breach.FORM, number, now, detail=f"{name} is no float"))
+            faults.append(Violation(ViolationKind.FORM, number, now, detail=f"{name} is no float"))
         elif not np.isfinite(value):
-            faults.append(Violation(Breach.NOT_FINITE, number, now, amount=np.nan, detail=name))
+            faults.append(Violation(ViolationKind.NOT_FINITE, number, now, amount=np.nan, detail=name))
     if not isinstance(step.status, Status) or not isinstance(step.reason, str):
-        faults.append(Violation(Breach.FORM, number, now, detail="status or reason"))
+        faults.append(Violation(ViolationKind.FORM, number, now, detail="status or reason"))
     return faults

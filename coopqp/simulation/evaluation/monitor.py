@@ -29,7 +29,7 @@ from coopqp.simulation.evaluation.blocks import Block, faults_of, recorded_block
 from coopqp.simulation.evaluation.closeness import Closeness
 from coopqp.simulation.evaluation.object_gaps import ObjectGaps
 from coopqp.simulation.evaluation.readings import check_recording
-from coopqp.simulation.evaluation.violations import Breach, Verdict, Violation, Worst
+from coopqp.simulation.evaluation.violations import Verdict, Violation, ViolationKind, Worst
 from coopqp.simulation.evaluation.wrench_bounds import WrenchBounds, excesses
 from coopqp.simulation.evaluation.wrenches import read_loads
 from coopqp.simulation.recording.recording import Recording
@@ -103,7 +103,7 @@ class Monitor:
         """Forget everything. The next step starts from rest."""
         self._steps, self._time = 0, 0.0
         self._violations: list[Violation] = []
-        self._counts: Counter[Breach] = Counter()
+        self._counts: Counter[ViolationKind] = Counter()
         self._worst = Worst()
         self.restart()
 
@@ -135,8 +135,8 @@ class Monitor:
         before, moved = len(self._violations), self._moved
         self.observe_all([step], shifts=None if shift is None else [shift])
         if self._bounds is not None and wrenches is not None and moved:
-            for breach, arm, amount, unit in excesses(self._bounds, self.grasp, wrenches):
-                self.report(breach, arm=self.cell.arm_names[arm] if arm >= 0 else "", amount=amount, detail=unit)
+            for kind, arm, amount, unit in excesses(self._bounds, self.grasp, wrenches):
+                self.report(kind, arm=self.cell.arm_names[arm] if arm >= 0 else "", amount=amount, detail=unit)
         return tuple(self._violations[before:])
 
     def observe_all(
@@ -169,20 +169,20 @@ class Monitor:
                 f"shapes {[np.shape(shift) for shift in shifts]}", "Monitor: shift", f"Give one {wanted} for each step."
             )
 
-    def report(self, breach: Breach, *, arm: str = "", amount: float = 0.0, detail: str = "") -> None:
+    def report(self, kind: ViolationKind, *, arm: str = "", amount: float = 0.0, detail: str = "") -> None:
         """Add a violation found by the caller to the verdict."""
-        self._add(Violation(breach, max(self._steps - 1, 0), self._time, arm, "", amount, detail))
+        self._add(Violation(kind, max(self._steps - 1, 0), self._time, arm, "", amount, detail))
 
     def verdict(self) -> Verdict:
         """The verdict so far."""
         limits = self.cell.limits
         for name, kept in (("lower", self._lower), ("upper", self._upper), ("velocity", self._speed)):
             if not np.array_equal(getattr(limits, name), kept):
-                self.report(Breach.MUTATED, detail=f"the cell's limits: {name}")
+                self.report(ViolationKind.MUTATED, detail=f"the cell's limits: {name}")
         return Verdict(self._steps, tuple(self._violations), MappingProxyType(dict(self._counts)), self._worst)
 
     def _add(self, violation: Violation) -> None:
-        self._counts[violation.breach] += 1
+        self._counts[violation.kind] += 1
         if len(self._violations) < self._keep:
             self._violations.append(violation)
 
@@ -266,7 +266,7 @@ class Monitor:
                     last = end - 1
                     continue
                 for row in range(i, end):
-                    self._add(Violation(Breach.NOT_FINITE, row, float(r.time[row]), amount=np.nan))
+                    self._add(Violation(ViolationKind.NOT_FINITE, row, float(r.time[row]), amount=np.nan))
                 self._steps += end - i
                 self._lose()
         self._judge_loads(r)
@@ -280,18 +280,22 @@ class Monitor:
         for t, j in np.argwhere(loads.torque_use > 1.0):
             arm, _, joint = self.cell.joint_names[j].partition("/")
             excess = float(loads.torque_use[t, j] - 1.0)
-            self._add(Violation(Breach.TORQUE, int(t), float(loads.time[t]), arm, joint, excess, "share of the limit"))
+            self._add(
+                Violation(ViolationKind.TORQUE, int(t), float(loads.time[t]), arm, joint, excess, "share of the limit")
+            )
         squeezed = loads.internal > loads.internal_limit
         squeezed[: loads.moves] = False
         for t, k in np.argwhere(squeezed):
             excess = float(loads.internal[t, k] - loads.internal_limit)
-            self._add(Violation(Breach.SQUEEZE, int(t), float(loads.time[t]), self.cell.arm_names[k], "", excess, "N"))
+            self._add(
+                Violation(ViolationKind.SQUEEZE, int(t), float(loads.time[t]), self.cell.arm_names[k], "", excess, "N")
+            )
         if loads.palm_use is None:
             return
         for t, k in np.argwhere(loads.palm_use[loads.moves :] > 1.0):
             step, arm = int(t) + loads.moves, self.cell.arm_names[k]
             excess, unit = float(loads.palm_use[step, k] - 1.0), "share of the friction"
-            self._add(Violation(Breach.FRICTION, step, float(loads.time[step]), arm, "", excess, unit))
+            self._add(Violation(ViolationKind.FRICTION, step, float(loads.time[step]), arm, "", excess, unit))
 
     def _judge(self, block: Block) -> None:
         steps = len(block.dt)
@@ -325,29 +329,29 @@ class Monitor:
         before = np.maximum(x - self._upper, self._lower - x)
         outward = excess - np.maximum(before, 0.0)  # an outside joint must not move further out
         self._note(position=float(outward.max()))
-        self._joints(Breach.POSITION, outward, POSITION, ends)
+        self._joints(ViolationKind.POSITION, outward, POSITION, ends)
 
     def _judge_rates(self, block: Block, v_before: Array, ends: Array) -> None:
         excess = np.abs(block.velocity) - self._speed
         self._note(velocity=float(excess.max()))
-        self._joints(Breach.VELOCITY, excess, VELOCITY, ends)
+        self._joints(ViolationKind.VELOCITY, excess, VELOCITY, ends)
         if self._accelerates:
             with np.errstate(divide="ignore", invalid="ignore"):
                 share = np.abs(block.velocity - v_before) / (block.dt[:, None] * self._acceleration) - 1.0
             share[np.isnan(v_before)] = -1.0
             self._note(acceleration=float(share.max()))
-            self._joints(Breach.ACCELERATION, share, ACCELERATION, ends)
+            self._joints(ViolationKind.ACCELERATION, share, ACCELERATION, ends)
 
     def _judge_continuity(self, block: Block, x: Array, x_next: Array, ends: Array) -> None:
         gap = np.abs(self._difference(x, x_next) - block.velocity * block.dt[:, None])
-        self._joints(Breach.CONTINUITY, gap, SAME, ends, "q_next is not q + v dt")
+        self._joints(ViolationKind.CONTINUITY, gap, SAME, ends, "q_next is not q + v dt")
         before = np.vstack([block.q[:1] if self._last_q is None else self._last_q[None, :], block.q_next[:-1]])
         jump = np.abs(self._difference(self._positions(before), x))
-        self._joints(Breach.CONTINUITY, jump, SAME, ends, "q is not the last q_next")
+        self._joints(ViolationKind.CONTINUITY, jump, SAME, ends, "q is not the last q_next")
         for j in self._turning:
             i = self._at[j]
             radius = np.abs(np.hypot(block.q_next[:, i], block.q_next[:, i + 1]) - 1.0)
-            self._all(Breach.CONTINUITY, radius - SAME, ends, "off the unit circle")
+            self._all(ViolationKind.CONTINUITY, radius - SAME, ends, "off the unit circle")
 
     def _difference(self, start: Array, end: Array) -> Array:
         d: Array = end - start
@@ -358,15 +362,17 @@ class Monitor:
 
     def _judge_clock(self, block: Block, ends: Array) -> None:
         rate, advance = block.rate, block.clock_next - block.clock
-        self._all(Breach.RATE, np.maximum(-rate, rate - 1.0) - SAME, ends, "σ in [0, 1]")
-        self._all(Breach.RATE, np.where(block.dt > 0.0, -1.0, 1.0), ends, "dt > 0")
-        self._all(Breach.CLOCK, -advance - SAME, ends, "runs backwards")
+        self._all(ViolationKind.RATE, np.maximum(-rate, rate - 1.0) - SAME, ends, "σ in [0, 1]")
+        self._all(ViolationKind.RATE, np.where(block.dt > 0.0, -1.0, 1.0), ends, "dt > 0")
+        self._all(ViolationKind.CLOCK, -advance - SAME, ends, "runs backwards")
         # The last step may advance the clock by less than σ dt.
         ended = block.clock_next >= block.duration
         miss = np.where(ended, advance - rate * block.dt, np.abs(advance - rate * block.dt))
-        self._all(Breach.CLOCK, miss - SAME * (1.0 + block.clock_next), ends, "does not advance by σ dt")
+        self._all(ViolationKind.CLOCK, miss - SAME * (1.0 + block.clock_next), ends, "does not advance by σ dt")
         before = np.concatenate([[self._last_clock], block.clock_next[:-1]])
-        self._all(Breach.CLOCK, np.where(block.same_path, np.abs(block.clock - before), 0.0) - SAME, ends, "jumps")
+        self._all(
+            ViolationKind.CLOCK, np.where(block.same_path, np.abs(block.clock - before), 0.0) - SAME, ends, "jumps"
+        )
 
     def _judge_holding(self, block: Block, v_before: Array, ends: Array) -> None:
         """A holding controller must come to rest within the braking time of the slowest joint."""
@@ -383,30 +389,30 @@ class Monitor:
             self._held += float(block.dt[i])
             over = float(block.rate[i]) if self._held > self._may_take + 1e-9 else 0.0
             if over > SAME:
-                self._add(Violation(Breach.HOLDING, self._steps + i, float(ends[i]), amount=over, detail="σ"))
+                self._add(Violation(ViolationKind.HOLDING, self._steps + i, float(ends[i]), amount=over, detail="σ"))
 
     def _judge_object(self, block: Block, ends: Array) -> None:
         t = self.tolerances
         chain = len(self._gaps.first) - len(self.cell)  # first the pairs of two arms, then each arm and the path
         distance, angle = self._gaps.of(block.q_next, block.reference, block.shift)
-        for breach, values, allowed, unit in (
-            (Breach.CHAIN, distance[:, :chain], 1e-3 * t.chain_mm, "m"),
-            (Breach.CHAIN, angle[:, :chain], math.radians(t.chain_deg), "rad"),
-            (Breach.PATH, distance[:, chain:], 1e-3 * t.object_mm, "m"),
-            (Breach.PATH, angle[:, chain:], math.radians(t.object_deg), "rad"),
+        for kind, values, allowed, unit in (
+            (ViolationKind.CHAIN, distance[:, :chain], 1e-3 * t.chain_mm, "m"),
+            (ViolationKind.CHAIN, angle[:, :chain], math.radians(t.chain_deg), "rad"),
+            (ViolationKind.PATH, distance[:, chain:], 1e-3 * t.object_mm, "m"),
+            (ViolationKind.PATH, angle[:, chain:], math.radians(t.object_deg), "rad"),
         ):
             if values.size == 0:  # a single arm forms no chain
                 continue
             largest = float(values.max())
-            self._note(**{f"{'chain' if breach is Breach.CHAIN else 'path'}_{unit}": largest})
+            self._note(**{f"{'chain' if kind is ViolationKind.CHAIN else 'path'}_{unit}": largest})
             if largest <= allowed:
                 continue
             worst = values.argmax(axis=1)
             for i in np.flatnonzero(~(values.max(axis=1) <= allowed)):
-                k = self._gaps.second[worst[i]] if breach is Breach.CHAIN else worst[i]
+                k = self._gaps.second[worst[i]] if kind is ViolationKind.CHAIN else worst[i]
                 amount = float(values[i, worst[i]] - allowed)
                 arm = self.cell.arm_names[int(k)]
-                self._add(Violation(breach, self._steps + int(i), float(ends[i]), arm, "", amount, f"[{unit}]"))
+                self._add(Violation(kind, self._steps + int(i), float(ends[i]), arm, "", amount, f"[{unit}]"))
 
     def _judge_clearance(self, closeness: Closeness, block: Block, ends: Array) -> None:
         if self._last_q is None or not np.array_equal(self._last_q, block.q[0]):
@@ -416,7 +422,11 @@ class Monitor:
             self._note(clearance_m=missing)
             self._add(
                 Violation(
-                    Breach.CLEARANCE, self._steps + i, float(ends[i]), amount=missing - MARGIN, detail=f"[m] {pair}"
+                    ViolationKind.CLEARANCE,
+                    self._steps + i,
+                    float(ends[i]),
+                    amount=missing - MARGIN,
+                    detail=f"[m] {pair}",
                 )
             )
 
@@ -427,18 +437,18 @@ class Monitor:
         if any(not value <= getattr(w, name) for name, value in figures.items()):
             self._worst = replace(w, **{name: float(np.maximum(getattr(w, name), x)) for name, x in figures.items()})
 
-    def _joints(self, breach: Breach, amounts: Array, allowed: float, ends: Array, detail: str = "") -> None:
+    def _joints(self, kind: ViolationKind, amounts: Array, allowed: float, ends: Array, detail: str = "") -> None:
         """Add a violation for every joint with an amount (T, nv) above ``allowed``."""
         if amounts.max() <= allowed:
             return
         for i, j in np.argwhere(~(amounts <= allowed)):
             arm, joint = self._names[j]
-            self._add(Violation(breach, self._steps + int(i), float(ends[i]), arm, joint, float(amounts[i, j]), detail))
+            self._add(Violation(kind, self._steps + int(i), float(ends[i]), arm, joint, float(amounts[i, j]), detail))
 
-    def _all(self, breach: Breach, amounts: Array, ends: Array, detail: str) -> None:
+    def _all(self, kind: ViolationKind, amounts: Array, ends: Array, detail: str) -> None:
         """Add a violation of all arms for every amount (T,) above 0."""
         for i in np.flatnonzero(~(amounts <= 0.0)):
-            self._add(Violation(breach, self._steps + int(i), float(ends[i]), amount=float(amounts[i]), detail=detail))
+            self._add(Violation(kind, self._steps + int(i), float(ends[i]), amount=float(amounts[i]), detail=detail))
 
 
 def check_run(

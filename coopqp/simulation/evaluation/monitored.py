@@ -10,7 +10,7 @@ from coopqp.checks import ArrayLike
 from coopqp.control.interface import Controller, ControlStep
 from coopqp.paths.path import ObjectPath
 from coopqp.simulation.evaluation.monitor import Monitor
-from coopqp.simulation.evaluation.violations import Breach, Verdict
+from coopqp.simulation.evaluation.violations import Verdict, ViolationKind
 from coopqp.spatial import Array
 
 
@@ -77,7 +77,7 @@ class Monitored:
 
     def _unchanged(self, now: Any, before: Any, what: str) -> None:
         if isinstance(before, np.ndarray) and not np.array_equal(now, before, equal_nan=before.dtype.kind == "f"):
-            self.monitor.report(Breach.MUTATED, detail=what)
+            self.monitor.report(ViolationKind.MUTATED, detail=what)
 
 
 def _copy(value: Any) -> Any:

@@ -10,7 +10,7 @@ from types import MappingProxyType
 import numpy as np
 
 
-class Breach(enum.Enum):
+class ViolationKind(enum.Enum):
     """Kind of a violation."""
 
     FORM = "wrong shape or type"
@@ -36,7 +36,7 @@ class Violation:
     """One violation.
 
     Attributes:
-        breach: kind of the violation.
+        kind: kind of the violation.
         step: number of the step since the monitor's reset.
         time: time at the end of the step since the reset [s].
         arm, joint: names of the arm and the joint; empty if the violation concerns all.
@@ -45,7 +45,7 @@ class Violation:
         detail: explanation in words.
     """
 
-    breach: Breach
+    kind: ViolationKind
     step: int
     time: float
     arm: str = ""
@@ -56,7 +56,7 @@ class Violation:
     def __str__(self) -> str:
         who = f" {self.arm}{'/' if self.joint else ''}{self.joint}" if self.arm else ""
         more = f" ({self.detail})" if self.detail else ""
-        return f"step {self.step} ({self.time:.4f} s):{who} {self.breach.value}, {self.amount:.3g} too much{more}"
+        return f"step {self.step} ({self.time:.4f} s):{who} {self.kind.value}, {self.amount:.3g} too much{more}"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -94,7 +94,7 @@ class Verdict:
 
     steps: int
     violations: tuple[Violation, ...] = ()
-    counts: Mapping[Breach, int] = field(default_factory=lambda: MappingProxyType({}))
+    counts: Mapping[ViolationKind, int] = field(default_factory=lambda: MappingProxyType({}))
     worst: Worst = field(default_factory=Worst)
 
     @property
@@ -110,5 +110,5 @@ class Verdict:
         )
         if not self.counts:
             return f"kept: {figures}"
-        kinds = ", ".join(f"{n} x {breach.value}" for breach, n in self.counts.items())
+        kinds = ", ".join(f"{n} x {kind.value}" for kind, n in self.counts.items())
         return f"violated: {kinds}; {figures}\n" + "\n".join(f"  {v}" for v in self.violations)

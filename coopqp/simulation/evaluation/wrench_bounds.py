@@ -10,7 +10,7 @@ import numpy as np
 
 from coopqp.checks import NOT_NUMBERS, ArrayLike, as_floats, as_tuple, keep_scalars
 from coopqp.errors import InvalidInputError
-from coopqp.simulation.evaluation.violations import Breach
+from coopqp.simulation.evaluation.violations import ViolationKind
 from coopqp.spatial import Array
 
 if TYPE_CHECKING:
@@ -58,7 +58,7 @@ class WrenchBounds:
 class Excess(NamedTuple):
     """Excesses of wrenches: the kind, the arm's number (−1 for all), the excess, and its unit."""
 
-    breach: Breach
+    kind: ViolationKind
     arm: int
     amount: float
     unit: str
@@ -78,16 +78,16 @@ def excesses(bounds: WrenchBounds, grasp: Grasp, wrenches: ArrayLike) -> list[Ex
     except NOT_NUMBERS:
         w = np.zeros(0)
     if w.shape != (len(grasp), 6):
-        return [Excess(Breach.FORM, -1, 0.0, f"wrenches of shape ({len(grasp)}, 6)")]
+        return [Excess(ViolationKind.FORM, -1, 0.0, f"wrenches of shape ({len(grasp)}, 6)")]
     came = [bool(np.isfinite(own).all()) for own in w]
     out: list[Excess] = []
     if all(came) and bounds.internal_force < math.inf:
         over: Array = np.linalg.norm(_internal(grasp, w)[:, :3], axis=1) - bounds.internal_force
-        out += [Excess(Breach.SQUEEZE, int(k), float(over[k]), "N") for k in np.flatnonzero(over > 0.0)]
+        out += [Excess(ViolationKind.SQUEEZE, int(k), float(over[k]), "N") for k in np.flatnonzero(over > 0.0)]
     for k, palm in enumerate(bounds.palms or ()):
         used = _used(palm, w[k]) if came[k] else 0.0
         if used > 1.0:
-            out.append(Excess(Breach.FRICTION, k, used - 1.0, "share of the friction"))
+            out.append(Excess(ViolationKind.FRICTION, k, used - 1.0, "share of the friction"))
     return out
 
 
