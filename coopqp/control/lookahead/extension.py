@@ -1,7 +1,7 @@
 """Extension of the horizon: knots as far on as the chain can be followed, one Newton step at a time.
 
-The extension ends at a position limit, at an impassable singularity, at the end of the reach, where a constraint allows no
-rate, and at the path's end.
+The extension ends at a position limit, at an impassable singularity, at the end of the reach, where a constraint
+allows no rate, and at the path's end.
 """
 
 from __future__ import annotations
