@@ -14,7 +14,7 @@ import numpy as np
 from common import Record
 from recorded_qps import Recorded
 
-from coopqp import QpProblem, make_solver
+from coopqp.solvers import QpProblem, make_solver
 
 _PROXQP = {"eps_abs": 1e-9, "eps_rel": 0.0, "check_duality_gap": True, "eps_duality_gap_abs": 1e-9}
 _OSQP = {"eps_abs": 1e-7, "eps_rel": 1e-7, "max_iter": 4000}

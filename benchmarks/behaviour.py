@@ -37,23 +37,14 @@ import pinocchio as pin
 from behaviour_cases import CASES, DWELL, OUTSIDE, Key, Run, build, keys_of, way_back
 from common import Record
 
-from coopqp import (
-    Array,
-    Controller,
-    ControlStep,
-    IndependentQPController,
-    IndependentQPOptions,
-    PseudoInverseController,
-    QPController,
-    QPOptions,
-    StartWarning,
-    Status,
-    available_solvers,
-    limit_excess,
-    relative_positioning_error,
-    tool_placements,
-)
+from coopqp import ControlStep, QPController, QPOptions, Status
+from coopqp.baselines import IndependentQPController, IndependentQPOptions, PseudoInverseController
+from coopqp.control import Controller
+from coopqp.errors import StartWarning
 from coopqp.native.constants import RECOVERY_SHARE
+from coopqp.simulation import limit_excess, relative_positioning_error, tool_placements
+from coopqp.solvers import available_solvers
+from coopqp.spatial import Array
 
 #: Persistent QP solvers; the installed ones are run.
 KEPT = ("daqp", "proxqp", "osqp")

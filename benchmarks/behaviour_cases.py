@@ -9,7 +9,9 @@ from typing import Any, Literal, TypeAlias
 import numpy as np
 import pinocchio as pin
 
-from coopqp import Array, Grasp, LinePath, MissingExtraError, ObjectPath, RobotCell, TimeLaw
+from coopqp import Grasp, LinePath, ObjectPath, RobotCell
+from coopqp.errors import MissingExtraError
+from coopqp.paths import TimeLaw
 from coopqp.scenarios import (
     SCENARIOS,
     Scenario,
@@ -22,6 +24,7 @@ from coopqp.scenarios import (
     paper_lift,
     ring,
 )
+from coopqp.spatial import Array
 
 #: Plain values that identify a run of a case; the run is built from them.
 Key: TypeAlias = tuple[Any, ...]

@@ -9,7 +9,8 @@ import common  # first: it limits BLAS to one thread
 import numpy as np
 from common import Record
 
-from coopqp.planning import check_path, find_remedies
+from coopqp import check_path
+from coopqp.planning import find_remedies
 from coopqp.scenarios import at_limit, at_singularity, paper_lift, ring
 
 

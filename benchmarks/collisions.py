@@ -22,12 +22,11 @@ from common import Record
 from contestants import CACHE
 from peer_collisions import PEERS, peers
 
-from coopqp import Closeness, ControlStep, ObjectPath, QPController, QPOptions, check_run, simulate
-from coopqp.collision import Body, Box, Clearance, CollisionScene, Sphere
+from coopqp import Clearance, CollisionScene, ControlStep, ObjectPath, QPController, QPOptions, check_path, simulate
+from coopqp.collision import Body, Box, Sphere
 from coopqp.collision.distances import Distances
 from coopqp.model.chain import Chain
 from coopqp.model.inverse_kinematics import newton
-from coopqp.planning import check_path
 from coopqp.scenarios import (
     Scenario,
     dual_arm7,
@@ -41,6 +40,7 @@ from coopqp.scenarios import (
     random_posts,
     ring,
 )
+from coopqp.simulation import Closeness, check_run
 
 KEYS = (
     "case", "controller", "clearance_mm", "margin_mm", "chain_mm", "path_mm", "chain_slack", "finished", "status",

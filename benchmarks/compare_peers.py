@@ -32,9 +32,10 @@ import pinocchio as pin
 from common import Record
 from contestants import CACHE, PACES, PINS, Contestant, NotAvailable, hand_over, pinned, ratio
 
-from coopqp import QPOptions, available_kernels
+from coopqp import QPOptions
 from coopqp.model.cell import RobotCell
-from coopqp.simulation.metrics import tool_placements
+from coopqp.native import available_kernels
+from coopqp.simulation.evaluation.metrics import tool_placements
 from coopqp.spatial import Array
 
 #: Modes that --quick runs; all others need the full run.

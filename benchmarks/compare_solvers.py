@@ -20,7 +20,8 @@ from backend_alone import backend_alone
 from common import Record
 from recorded_qps import FORMS, Recorded, RecordedQp, export, record
 
-from coopqp import Array, GenericSettings, OsqpSettings, ProxqpSettings, QpSolver, available_solvers, make_solver
+from coopqp.solvers import GenericSettings, OsqpSettings, ProxqpSettings, QpSolver, available_solvers, make_solver
+from coopqp.spatial import Array
 
 KEYS = (
     "solver",

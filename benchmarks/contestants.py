@@ -20,7 +20,7 @@ import export_cell
 import numpy as np
 import peer_cases
 
-from coopqp.collision import CollisionScene
+from coopqp import CollisionScene
 
 HERE = Path(__file__).resolve().parent
 #: Default folder of the peers' environments.

@@ -15,8 +15,8 @@ from xml.etree.ElementTree import Element, SubElement, indent, tostring
 import numpy as np
 import pinocchio as pin
 
-from coopqp import Array, RobotCell
-from coopqp.collision import CollisionScene
+from coopqp import CollisionScene, RobotCell
+from coopqp.spatial import Array
 
 _TOKEN_INERTIA = {"ixx": "0.01", "iyy": "0.01", "izz": "0.01", "ixy": "0", "ixz": "0", "iyz": "0"}
 

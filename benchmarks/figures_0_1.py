@@ -1,7 +1,7 @@
 """The figures of a run as version 0.1 computed them: one sample, one pair of arms, one 3-vector at a time.
 
-A reference for the cost and for the values of :func:`coopqp.read_run`: Pinocchio's placements and frame Jacobians, and
-NumPy's SVD, no formula of coopqp.
+A reference for the cost and for the values of :func:`coopqp.simulation.read_run`: Pinocchio's placements and frame
+Jacobians, and NumPy's SVD, no formula of coopqp.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ Tools = Sequence[pin.SE3]
 
 
 def figures_0_1(cell: RobotCell, run: Recording) -> dict[str, Array]:
-    """The fields of :class:`coopqp.Readings` by name."""
+    """The fields of :class:`coopqp.simulation.Readings` by name."""
     X = tuple(pin.SE3(T) for T in run.T_object_tool)
     commanded, measured = placements(cell, run.q_command), placements(cell, run.q)
     chain = np.array([chain_error(T, X) for T in commanded])

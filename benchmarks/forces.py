@@ -33,32 +33,37 @@ import pinocchio as pin
 from common import Record
 
 from coopqp import (
-    Array,
-    CalibrationOptions,
-    CellState,
     ControlStep,
-    Disturbances,
     ForceController,
     ForceOptions,
     Grasp,
     HoldPath,
-    PhysicsPlant,
-    PseudoInverseController,
     QPController,
     QPOptions,
     Recording,
     RobotCell,
-    StartWarning,
     SupervisionOptions,
-    calibrate_runs,
     inverse_kinematics,
-    misplaced,
     simulate,
 )
-from coopqp.forces import LoadBound, LoadShare, internal_wrenches, load_use
+from coopqp.baselines import PseudoInverseController
+from coopqp.errors import StartWarning
+from coopqp.forces import CalibrationOptions, LoadBound, LoadShare, internal_wrenches, load_use
+from coopqp.model import CellState
 from coopqp.planning import Payload, time_path
 from coopqp.scenarios import Scenario, palm_box, paper_lift
-from coopqp.simulation import Replay, engine_plant, exact_motion, read_loads, run_in_engine
+from coopqp.simulation import (
+    Disturbances,
+    PhysicsPlant,
+    Replay,
+    calibrate_runs,
+    engine_plant,
+    exact_motion,
+    misplaced,
+    read_loads,
+    run_in_engine,
+)
+from coopqp.spatial import Array
 
 KEYS = (
     "case", "variant", "controller", "peak_N", "rest_N", "without_N", "slip_mm", "torque_use", "time_s", "finished",

@@ -36,8 +36,10 @@ import numpy as np
 from common import Record
 from peer_cases import NOISE, READ, options_of
 
-from coopqp import Array, ControlStep, QPController, Status, available_kernels
+from coopqp import ControlStep, QPController, Status
+from coopqp.native import available_kernels
 from coopqp.scenarios import Scenario, at_singularity
+from coopqp.spatial import Array
 
 ARMS = 3
 CASES = ("nominal", "measured", "watched", "slowed", "corner", "qp", "pole")

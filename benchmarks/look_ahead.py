@@ -17,7 +17,8 @@ import look_ahead_cases as cases
 import numpy as np
 from common import Record
 
-from coopqp import TimeLaw, WaypointPath
+from coopqp import WaypointPath
+from coopqp.paths import TimeLaw
 from coopqp.scenarios import Scenario
 
 KEYS = ("case", "number", "arms", "time_s", "ratio", "ratio_rate", "to_0_1", "chain_um", "path_um", "qp", "finished")

@@ -12,25 +12,16 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pinocchio as pin
 
-from coopqp import (
-    Array,
-    ControlStep,
-    Grasp,
-    LinePath,
-    QPController,
-    QPOptions,
-    RobotCell,
-    Status,
-    TimeLaw,
-    UnreachableError,
-    WaypointPath,
-    tool_placements,
-)
+from coopqp import ControlStep, Grasp, LinePath, QPController, QPOptions, RobotCell, Status, WaypointPath
+from coopqp.errors import UnreachableError
 from coopqp.model.chain import Chain
 from coopqp.model.inverse_kinematics import newton
+from coopqp.paths import TimeLaw
 from coopqp.scenarios import Scenario, at_limit, at_singularity, ring
 from coopqp.scenarios.arms import robot_arm
-from coopqp.simulation.metrics import object_poses, tool_matrices
+from coopqp.simulation import tool_placements
+from coopqp.simulation.evaluation.metrics import object_poses, tool_matrices
+from coopqp.spatial import Array
 
 #: Intervals of the grid that the fastest motion is found on.
 GRID = 500

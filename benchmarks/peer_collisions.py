@@ -16,10 +16,10 @@ from common import Record
 from contestants import Contestant, NotAvailable, hand_over
 from peer_cases import Case
 
-from coopqp import Closeness
-from coopqp.collision import CollisionScene
+from coopqp import CollisionScene
 from coopqp.model.chain import Chain
 from coopqp.scenarios import Scenario
+from coopqp.simulation import Closeness
 
 #: The peers, and their ways to hold an object: tools as constraints among each other, or as tasks of one weight.
 PEERS, MODES = ("pink", "mink"), ("hard daqp", "soft daqp")

@@ -24,30 +24,34 @@ import numpy as np
 import pinocchio as pin
 
 from coopqp import (
-    Array,
-    Controller,
     ControlStep,
-    Disturbances,
     Grasp,
-    PhysicsOptions,
-    PhysicsPlant,
-    PseudoInverseController,
-    PseudoInverseOptions,
     QPController,
     QPOptions,
     Recording,
     Status,
-    StressModel,
     SupervisionOptions,
-    TimeLaw,
-    at_tools,
-    misplaced,
-    relative_positioning_error,
     simulate,
+)
+from coopqp.baselines import PseudoInverseController, PseudoInverseOptions
+from coopqp.control import Controller
+from coopqp.forces import StressModel, at_tools
+from coopqp.paths import TimeLaw
+from coopqp.scenarios import Scenario, paper_lift
+from coopqp.simulation import (
+    Disturbances,
+    Interpolation,
+    Motion,
+    PhysicsOptions,
+    PhysicsPlant,
+    Replay,
+    exact_motion,
+    misplaced,
+    recorded_motion,
+    relative_positioning_error,
     tool_placements,
 )
-from coopqp.scenarios import Scenario, paper_lift
-from coopqp.simulation import Interpolation, Motion, Replay, exact_motion, recorded_motion
+from coopqp.spatial import Array
 
 PSEUDO_INVERSE, QP = "pseudo-inverse", "qp"
 ENGINE_STEP = 1e-3

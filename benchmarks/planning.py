@@ -17,23 +17,15 @@ import pinocchio as pin
 import user_cells
 from common import Record
 
-from coopqp import (
-    Array,
-    Grasp,
-    LinePath,
-    NoStartError,
-    ObjectPath,
-    QPController,
-    RobotCell,
-    Status,
-    read_run,
-    simulate,
-)
+from coopqp import Grasp, LinePath, ObjectPath, QPController, RobotCell, Status, find_start, simulate
+from coopqp.errors import NoStartError
 from coopqp.model.batch import ArmKinematics, batch_kernels
 from coopqp.model.chain import Chain
 from coopqp.model.inverse_kinematics import newton
-from coopqp.planning import find_start, time_path
+from coopqp.planning import time_path
 from coopqp.scenarios import paper_lift, ring
+from coopqp.simulation import read_run
+from coopqp.spatial import Array
 
 KEYS = (
     "case", "method", "arms", "time_s", "ratio", "tracking_share", "chain_mm", "path_mm", "plan_ms", "verdict",

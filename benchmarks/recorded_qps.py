@@ -13,10 +13,13 @@ import common  # first: it limits BLAS to one thread
 import numpy as np
 import peer_cases
 
-from coopqp import Array, QPController, QPOptions, QpProblem, QpSolver, make_solver
-from coopqp.control import Chain, Constraints, Outcome, PlainLoop, Proposal, StepProgram, VelocityBox, Workspace
-from coopqp.files import write_files
+from coopqp import QPController, QPOptions
+from coopqp.control import Constraints, PlainLoop, Proposal, StepProgram, VelocityBox
+from coopqp.model import Chain
+from coopqp.output import write_files
 from coopqp.scenarios import Scenario, at_singularity, fast_lift
+from coopqp.solvers import Outcome, QpProblem, QpSolver, Workspace, make_solver
+from coopqp.spatial import Array
 
 FORMS = ("condensed", "full")
 #: Description of each case.

@@ -26,19 +26,11 @@ import matplotlib.pyplot  # noqa: F401
 import numpy as np
 from common import Record
 
-from coopqp import (
-    QPController,
-    Recording,
-    WaypointPath,
-    check_run,
-    judge,
-    read_run,
-    simulate,
-    write_bag,
-    write_csv,
-    write_report,
-)
+from coopqp import QPController, Recording, WaypointPath, simulate
+from coopqp.files import write_bag, write_csv
 from coopqp.scenarios import paper_lift
+from coopqp.simulation import check_run, judge, read_run
+from coopqp.visualization import write_report
 
 KEYS = ("stage", "steps", "arms", "memory_MB", "target_MB", "cpu_s", "file_MB", "good")
 #: Target: resident memory of a stage above its start [MB], at any length of the run.

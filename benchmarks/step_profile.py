@@ -21,8 +21,12 @@ import numpy as np
 import peer_cases
 from common import Record
 
-from coopqp import Array, ControlStep, QPController, QpSolver, available_kernels
-from coopqp.control import Chain, LinearisedStep, PathPreview, PlainLoop, StepProgram, StepSolver, VelocityBox
+from coopqp import ControlStep, QPController
+from coopqp.control import LinearisedStep, PathPreview, PlainLoop, StepProgram, StepSolver, VelocityBox
+from coopqp.model import Chain
+from coopqp.native import available_kernels
+from coopqp.solvers import QpSolver
+from coopqp.spatial import Array
 
 KEYS = ("what", "case", "arms", "step_us", "core_us", "ratio", "met", "part", "p50_us", "share", "samples")
 #: Target: a step from Python in multiples of the core alone.

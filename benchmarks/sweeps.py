@@ -24,8 +24,9 @@ import numpy as np
 from common import Record
 from figures_0_1 import figures_0_1
 
-from coopqp import QPController, read_run, simulate
+from coopqp import QPController, simulate
 from coopqp.scenarios import paper_lift
+from coopqp.simulation import read_run
 from coopqp.studies import Cluster, Engine, Local, run_rows
 
 KEYS = ("case", "rows", "task_ms", "cost_ms", "ratio", "target")
@@ -153,7 +154,7 @@ def dask() -> Iterator[tuple[str, Callable[[], list[int]]]]:
 
 
 def workers_at(address: str) -> int:
-    from coopqp import EngineError
+    from coopqp.studies import EngineError
 
     try:
         return Cluster(address).workers

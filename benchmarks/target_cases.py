@@ -8,8 +8,9 @@ from dataclasses import dataclass, field
 import numpy as np
 import pinocchio as pin
 
-from coopqp import Array, QPController, ServoPath, Status
+from coopqp import QPController, ServoPath, Status
 from coopqp.scenarios import Scenario, dual_arm7, mixed_cell, panda_bar, paper_lift, ring, ur5_table
+from coopqp.spatial import Array
 
 CELLS: dict[str, Callable[[], Scenario]] = {
     "paper_lift": paper_lift,

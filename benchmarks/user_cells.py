@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from coopqp import Arm, Grasp, LinePath, RobotCell, robot_path
-from coopqp.scenarios import ROBOTS, robot_data_path
+from coopqp import Arm, Grasp, LinePath, RobotCell
+from coopqp.scenarios import ROBOTS, robot_data_path, robot_path
 
 DOWN = np.diag([1.0, -1.0, -1.0])
 FORWARD = np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]])

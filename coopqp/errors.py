@@ -43,6 +43,10 @@ class UnknownNameError(CoopqpError, KeyError):
         return type(self), (self.kind, self.name, self.available, self._where)
 
 
+class OutputError(CoopqpError):
+    """A file or folder cannot be written."""
+
+
 class ModelError(CoopqpError):
     """A robot model cannot be read, or no arm can be built from it."""
 

@@ -1,35 +1,49 @@
-"""Names that are imported on first use only, so that a package of many names stays fast to import.
+"""Names that are imported on first use only, so that a package of many names stays fast to import (PEP 562).
 
-Public names (PEP 562), and the pictures of objects in notebooks.
+The stub beside a package, ``__init__.pyi``, lists its names, for type checkers and for :func:`attach` alike.
 """
 
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Mapping
-from importlib import import_module
+from collections.abc import Callable
+from difflib import get_close_matches
+from pathlib import Path
 from typing import Any
+
+import lazy_loader  # type: ignore[import-untyped]
 
 from coopqp.errors import MissingExtraError
 
 
-def lazy_names(
-    package: str, places: Mapping[str, str], *, extra: tuple[str, ...] = ()
-) -> tuple[Callable[[str], Any], Callable[[], list[str]]]:
-    """``__getattr__`` and ``__dir__`` of a package with names from modules that are not imported yet.
+def attach(
+    package: str, file: str, *, extra: tuple[str, ...] = ()
+) -> tuple[Callable[[str], Any], Callable[[], list[str]], list[str]]:
+    """``__getattr__``, ``__dir__`` and ``__all__`` of a package whose names the stub beside ``file`` lists.
+
+    Modules that the stub lists are found as attributes, too, and are not in ``__all__``. A name that is not there is
+    an AttributeError, from an import an ImportError, that says which package has it.
 
     Args:
         package: its name.
-        places: the names that each module has, separated by spaces, by the name of the module.
+        file: its ``__init__.py``.
         extra: name of an extra, then the packages that it brings; a missing one is then a MissingExtraError.
     """
-    module_of = {name: module for module, names in places.items() for name in names.split()}
+    get, listed, names = lazy_loader.attach_stub(package, file)
+    beside = Path(file).parent
+    public = [name for name in names if not (beside / name).is_dir() and not (beside / f"{name}.py").is_file()]
 
-    def get(name: str) -> Any:
-        if name not in module_of:
-            raise AttributeError(f"module {package!r} has no attribute {name!r}", name=name, obj=sys.modules[package])
+    def get_or_say(name: str) -> Any:
+        if name not in names:
+            asking = sys._getframe(1)
+            machinery = asking.f_code.co_filename == "<frozen importlib._bootstrap>"  # it looks for a module next
+            hint = "" if machinery or name.startswith("_") else _hint(package, name)
+            message = f"module {package!r} has no attribute {name!r}{hint}"
+            if not machinery and _imports(asking):
+                raise ImportError(message, name=package, path=file)
+            raise AttributeError(message, name=name, obj=sys.modules[package])
         try:
-            value = getattr(import_module(module_of[name]), name)
+            value = get(name)
         except ModuleNotFoundError as error:
             if error.name not in extra[1:]:
                 raise
@@ -37,18 +51,43 @@ def lazy_names(
         setattr(sys.modules[package], name, value)
         return value
 
-    def listed() -> list[str]:
-        return sorted({*vars(sys.modules[package]), *module_of})
+    def all_listed() -> list[str]:
+        return sorted({*vars(sys.modules[package]), *listed()})
 
-    return get, listed
+    return get_or_say, all_listed, public
 
 
-class Shown:
-    """An object with a picture in notebooks. :mod:`coopqp.look.notebook` makes it when a notebook asks for it."""
+def _imports(frame: Any) -> bool:
+    """The frame is at ``from package import name``, which would replace the message of an AttributeError."""
+    import dis  # late: it imports much
 
-    __slots__ = ()
+    return dis.opname[frame.f_code.co_code[frame.f_lasti]] == "IMPORT_FROM" if frame.f_lasti >= 0 else False
 
-    def _repr_html_(self) -> str | None:
-        """HTML without links to anything else; None, for the plain text, if it cannot be made."""
-        page: str | None = import_module("coopqp.look.notebook").html_of(self)
-        return page
+
+def _hint(package: str, name: str) -> str:
+    """Where a name is that a package does not have, or the nearest name that it has."""
+    places = _places()
+    if found := places.get(name):
+        return f"; it is in {found}"
+    here = [other for other, place in places.items() if place == package]
+    for names in (here, places):
+        if near := get_close_matches(name, names, n=1):
+            return f". Did you mean {near[0]!r}{'' if names is here else f' of {places[near[0]]}'}?"
+    return ""
+
+
+def _places() -> dict[str, str]:
+    """The public package of every public name, read from the stubs, the scenarios and the modules at the top."""
+    import ast
+
+    root, places = Path(__file__).parent, dict[str, str]()
+    modules = [root / name for name in ("errors.py", "native/__init__.py", "output.py", "spatial.py")]
+    stubs = [root / "scenarios" / "__init__.py", *sorted(root.glob("*/__init__.pyi")), root / "__init__.pyi"]
+    for file in (*modules, *stubs):  # the top last: it counts
+        package = ".".join(("coopqp", *file.relative_to(root).with_suffix("").parts)).removesuffix(".__init__")
+        for node in ast.parse(file.read_text(encoding="utf-8")).body:
+            if isinstance(node, ast.ClassDef | ast.FunctionDef) and not node.name.startswith("_"):
+                places[node.name] = package
+            elif isinstance(node, ast.ImportFrom) and file in stubs and (node.level or "coopqp" in str(node.module)):
+                places |= {alias.name: package for alias in node.names}
+    return places

@@ -12,11 +12,7 @@ from pathlib import Path
 from types import FrameType
 from typing import IO, Any, final
 
-from coopqp.errors import CoopqpError
-
-
-class OutputError(CoopqpError):
-    """A file or folder cannot be written."""
+from coopqp.errors import OutputError
 
 
 def check_folder(folder: Path) -> None:
@@ -34,7 +30,9 @@ def check_below(folder: Path) -> None:
     """Raise OutputError unless ``folder`` lies below the working directory, links followed. Creates nothing."""
     try:
         place, here = folder.resolve(), Path.cwd().resolve()
-    except (OSError, RuntimeError) as error:  # links in a circle
+        if any(part.is_symlink() for part in (place, *place.parents)):  # links in a circle, from Python 3.13 on
+            raise OSError("its links lead nowhere")
+    except (OSError, RuntimeError) as error:  # links in a circle, before
         raise OutputError(f"cannot write into {folder}: {error}. Give another folder with --out.") from error
     if not place.is_relative_to(here):
         raise OutputError(

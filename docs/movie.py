@@ -15,19 +15,12 @@ import pinocchio as pin
 from matplotlib import font_manager
 from PIL import Image, ImageDraw, ImageFont
 
-from coopqp import (
-    Array,
-    IndependentQPController,
-    QPController,
-    Recording,
-    Scenario,
-    object_error,
-    read_run,
-    simulate,
-    tool_placements,
-)
-from coopqp.look import Solid, View, box_solid, cell_solids, render
-from coopqp.scenarios import paper_lift
+from coopqp import QPController, Recording, simulate
+from coopqp.baselines import IndependentQPController
+from coopqp.scenarios import Scenario, paper_lift
+from coopqp.simulation import object_error, read_run, tool_placements
+from coopqp.spatial import Array
+from coopqp.visualization import Solid, View, box_solid, cell_solids, render
 
 #: Frames per second, width of each half [px], and how long the last frame stays [ms].
 FPS, WIDTH, REST_MS = 10, 400, 1500

@@ -97,7 +97,7 @@ def run(program: str, into: Path) -> str:
     """
     command = [word.format(out=into) for word in shlex.split(program)]
     if command[0] == "coopqp":
-        command = ["python", "-c", "import sys; from coopqp.app.cli import main; sys.exit(main())", *command[1:]]
+        command = ["python", "-c", "import sys; from coopqp.cli.main import main; sys.exit(main())", *command[1:]]
     environment = {**os.environ, "MPLBACKEND": "Agg", "OMP_NUM_THREADS": "1", "PYTHONIOENCODING": "utf-8"}
     done = subprocess.run(
         [sys.executable, *command[1:]],

@@ -10,8 +10,10 @@ from pathlib import Path
 from browser import NAMES, Page, Picture, find_browser
 from PIL import Image
 
-from coopqp import QPController, Recording, describe_object, export_html, simulate
+from coopqp import QPController, Recording, simulate
 from coopqp.scenarios import at_limit
+from coopqp.simulation import describe_object
+from coopqp.visualization import export_html
 
 TRACK = "[class*=Slider-track]"
 

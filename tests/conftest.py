@@ -22,8 +22,9 @@ import pinocchio as pin
 import pytest
 from hypothesis import HealthCheck, Phase, settings
 
-from coopqp import Arm, PseudoInverseController, PseudoInverseOptions, Recording, RobotCell, robot_path, simulate
-from coopqp.scenarios import ROBOTS, Scenario, paper_lift
+from coopqp import Arm, Recording, RobotCell, simulate
+from coopqp.baselines import PseudoInverseController, PseudoInverseOptions
+from coopqp.scenarios import ROBOTS, Scenario, paper_lift, robot_path
 
 pytest_plugins = ["catalogue"]  # tests/reliability/catalogue.py, whose table ends every run
 

@@ -82,7 +82,7 @@ def main() -> int:
     assert "site-packages" in coopqp.__file__, coopqp.__file__
     wrong = {}
     if arguments.kernel:
-        found = coopqp.available_kernels()[0]
+        found = coopqp.native.available_kernels()[0]
         wrong["the kernel"] = "" if found == arguments.kernel else f"it is {found}"
     program = str(Path(sys.executable).with_name("coopqp"))
     with tempfile.TemporaryDirectory() as folder:

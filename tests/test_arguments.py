@@ -13,40 +13,33 @@ import pytest
 from coopqp import (
     Arm,
     CoopqpError,
-    DaqpSettings,
-    DisturbedPlant,
     Grasp,
     HoldPath,
-    IndependentQPController,
-    IndependentQPOptions,
     InvalidInputError,
-    KinematicPlant,
     LinePath,
-    Monitor,
-    PhysicsPlant,
     PreviewOptions,
-    ProxqpSettings,
-    PseudoInverseController,
-    PseudoInverseOptions,
     QPController,
     QPOptions,
-    RankWeights,
     RobotCell,
     ServoPath,
     WaypointPath,
-    adjoint,
-    describe_object,
-    export_html,
     inverse_kinematics,
-    judge,
     load_cell_file,
-    make_solver,
-    read_run,
-    robot_path,
     simulate,
-    write_report,
 )
-from coopqp.scenarios import Scenario, paper_lift, robot_arm
+from coopqp.baselines import (
+    IndependentQPController,
+    IndependentQPOptions,
+    PseudoInverseController,
+    PseudoInverseOptions,
+)
+from coopqp.control import RankWeights
+from coopqp.scenarios import Scenario, paper_lift, robot_arm, robot_path
+from coopqp.simulation import DisturbedPlant, KinematicPlant, Monitor, PhysicsPlant, describe_object, judge, read_run
+from coopqp.simulation.evaluation.monitor import COMMANDED
+from coopqp.solvers import DaqpSettings, ProxqpSettings, make_solver
+from coopqp.spatial import adjoint
+from coopqp.visualization import export_html, write_report
 
 LIFT = paper_lift()
 CELL, GRASP, PATH = LIFT.cell, LIFT.grasp, LIFT.path
@@ -90,7 +83,7 @@ def test_options_may_be_a_dictionary() -> None:
     assert pseudo.options == PseudoInverseOptions(reset_every=10)
     alone = IndependentQPController(CELL, GRASP, PATH, dt=0.01, options={"gain": 10})
     assert alone.options == IndependentQPOptions(gain=10.0)
-    assert Monitor(CELL, GRASP, tolerances={"chain_m": 1.0}).tolerances.chain_m == 1.0
+    assert Monitor(CELL, GRASP, tolerances={"chain_mm": 1.0}).tolerances == replace(COMMANDED, chain_mm=1.0)
     assert DisturbedPlant(CELL, GRASP, {"encoder_noise": 1e-4}).disturbances.encoder_noise == 1e-4
     recording = simulate(controller(), q_start=LIFT.q_start, duration=0.02)
     readings = read_run(CELL, recording)

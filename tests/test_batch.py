@@ -10,8 +10,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from coopqp import Arm, InvalidInputError, RobotCell, UnknownNameError, robot_path, scenarios
+from coopqp import Arm, InvalidInputError, RobotCell, scenarios
+from coopqp.errors import UnknownNameError
 from coopqp.model.batch import ArmKinematics, batch_kernels, singular_values
+from coopqp.scenarios import robot_path
 
 pytestmark = pytest.mark.core
 

@@ -18,23 +18,9 @@ import numpy as np
 import pytest
 from marks import slow_but_first
 
-from coopqp import (
-    BindingLimit,
-    ControlStep,
-    IndependentQPController,
-    IndependentQPOptions,
-    InvalidInputError,
-    LimitKind,
-    QpProblem,
-    QpSolution,
-    SolverStatus,
-    Status,
-    UnknownNameError,
-    chain_error,
-    limit_excess,
-    path_error,
-    tool_placements,
-)
+from coopqp import BindingLimit, ControlStep, InvalidInputError, LimitKind, Status
+from coopqp.baselines import IndependentQPController, IndependentQPOptions
+from coopqp.errors import UnknownNameError
 from coopqp.scenarios import (
     Scenario,
     at_limit,
@@ -45,7 +31,9 @@ from coopqp.scenarios import (
     mixed_cell,
     paper_lift,
 )
-from coopqp.simulation.metrics import chain_errors, errors_from, object_poses, tool_matrices
+from coopqp.simulation import chain_error, limit_excess, path_error, tool_placements
+from coopqp.simulation.evaluation.metrics import chain_errors, errors_from, object_poses, tool_matrices
+from coopqp.solvers import QpProblem, QpSolution, SolverStatus
 
 NIGHTLY = os.environ.get("HYPOTHESIS_PROFILE") == "nightly"
 BENCHMARKS = Path(__file__).parents[1] / "benchmarks"
@@ -76,7 +64,7 @@ def all_met(behaviour: Any, case: str, keys: Any, solver: str = "daqp") -> list[
 # -- the figures -------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.filterwarnings("ignore::coopqp.StartWarning")
+@pytest.mark.filterwarnings("ignore::coopqp.errors.StartWarning")
 @pytest.mark.parametrize("case", slow_but_first(["fast", "mismatch", "paper", "redundant", "mixed", "ring"]))
 def test_the_cooperative_qp_meets_its_figures(behaviour: Any, case: str) -> None:
     assert all_met(behaviour, case, behaviour.keys_of(case, quick=False))
@@ -102,7 +90,7 @@ def test_it_enters_dwells_in_and_leaves_singularities(behaviour: Any, arm: int) 
 
 
 @pytest.mark.slow
-@pytest.mark.filterwarnings("ignore::coopqp.StartWarning")
+@pytest.mark.filterwarnings("ignore::coopqp.errors.StartWarning")
 def test_it_comes_back_from_outside_a_limit(behaviour: Any) -> None:
     """Tests some runs; tests/reliability/test_outside.py tests every joint."""
     assert len(behaviour.keys_of("outside", quick=False)) == 72
@@ -111,7 +99,7 @@ def test_it_comes_back_from_outside_a_limit(behaviour: Any) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("solver", ["proxqp", "osqp"])
-@pytest.mark.filterwarnings("ignore::coopqp.StartWarning")
+@pytest.mark.filterwarnings("ignore::coopqp.errors.StartWarning")
 def test_other_solvers_behave_the_same(behaviour: Any, solver: str) -> None:
     all_met(behaviour, "fast", [(np.inf, False)], solver)
     all_met(behaviour, "outside", [(4, "lower", np.inf), (9, "upper", 5.0)], solver)
@@ -196,7 +184,7 @@ def test_the_judge_knows_the_right_joint(behaviour: Any) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.filterwarnings("ignore::coopqp.StartWarning")
+@pytest.mark.filterwarnings("ignore::coopqp.errors.StartWarning")
 def test_the_judge_of_joints_outside(behaviour: Any) -> None:
     run, steps = recorded(behaviour, "outside", (1, "upper", np.inf))
     record = behaviour.judge(run, steps)
@@ -211,7 +199,7 @@ def test_the_judge_of_joints_outside(behaviour: Any) -> None:
     assert "recovery_ratio" in " ".join(behaviour.missed_targets(run, never))
 
 
-@pytest.mark.filterwarnings("ignore::coopqp.StartWarning")
+@pytest.mark.filterwarnings("ignore::coopqp.errors.StartWarning")
 def test_a_mismatch_must_not_grow(behaviour: Any) -> None:
     run, steps = recorded(behaviour, "mismatch", (np.inf,))
     record = behaviour.judge(run, steps)

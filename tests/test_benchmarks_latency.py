@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from coopqp import available_kernels
+from coopqp.native import available_kernels
 
 BENCHMARKS = Path(__file__).resolve().parent.parent / "benchmarks"
 sys.path.insert(0, str(BENCHMARKS))

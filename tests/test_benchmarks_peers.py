@@ -15,9 +15,11 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from coopqp import QPController, Status, available_kernels, tool_placements
-from coopqp.collision import Body, CollisionScene, Hull
+from coopqp import CollisionScene, QPController, Status
+from coopqp.collision import Body, Hull
+from coopqp.native import available_kernels
 from coopqp.scenarios import plate_and_post
+from coopqp.simulation import tool_placements
 
 BENCHMARKS = Path(__file__).resolve().parent.parent / "benchmarks"
 sys.path[:0] = [str(BENCHMARKS), str(BENCHMARKS / "peers")]

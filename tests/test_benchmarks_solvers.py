@@ -9,7 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from coopqp import available_kernels, available_solvers, make_solver
+from coopqp.native import available_kernels
+from coopqp.solvers import available_solvers, make_solver
 
 BENCHMARKS = Path(__file__).resolve().parent.parent / "benchmarks"
 sys.path.insert(0, str(BENCHMARKS))

@@ -11,8 +11,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from coopqp import Disturbances, DisturbedPlant, PseudoInverseController, read_run, simulate
+from coopqp import simulate
+from coopqp.baselines import PseudoInverseController
 from coopqp.scenarios import Scenario, mixed_lift, paper_lift
+from coopqp.simulation import Disturbances, DisturbedPlant, read_run
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
 import sweeps

@@ -9,11 +9,12 @@ import pinocchio as pin
 import pytest
 from numpy.typing import NDArray
 
-from coopqp import Scenario
-from coopqp.planning import PathVerdict, check_path
+from coopqp import check_path
+from coopqp.paths.geometry import Blend, MotionBounds, PathGeometry, Piece, Straight, blended
+from coopqp.planning import PathVerdict
 from coopqp.planning.planner import some_timing
 from coopqp.planning.segments import segments_of
-from coopqp.task.geometry import Blend, MotionBounds, PathGeometry, Piece, Straight, blended
+from coopqp.scenarios import Scenario
 
 Array = NDArray[np.float64]
 

@@ -9,8 +9,9 @@ import pytest
 from marks import slow_but_first
 from wrapped import Opaque
 
-from coopqp import LimitKind, QPController, QPOptions, Status, available_kernels
-from coopqp.control.limits import VelocityBox
+from coopqp import LimitKind, QPController, QPOptions, Status
+from coopqp.control.step.velocity_bounds import VelocityBox
+from coopqp.native import available_kernels
 from coopqp.scenarios import Scenario, at_limit
 
 H = 0.002

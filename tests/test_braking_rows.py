@@ -12,22 +12,15 @@ import pinocchio as pin
 import pytest
 from wrapped import Opaque
 
-from coopqp import (
-    Array,
-    CellState,
-    LimitKind,
-    LinePath,
-    PreviewOptions,
-    QPController,
-    QPOptions,
-    Status,
-    available_kernels,
-)
-from coopqp.control.braking_rows import BrakingRows, bend, least_singular_value
-from coopqp.control.constraints import Rows
+from coopqp import LimitKind, LinePath, PreviewOptions, QPController, QPOptions, Status
+from coopqp.constraints.velocity import Rows
+from coopqp.control.lookahead.options import PlanLimits
+from coopqp.control.step.braking_rows import BrakingRows, bend, least_singular_value
+from coopqp.model import CellState
 from coopqp.model.chain import Chain
-from coopqp.planning.preview_options import PlanLimits
+from coopqp.native import available_kernels
 from coopqp.scenarios import Scenario, dual_arm7, five_joint_pair, mixed_cell, paper_lift, ring
+from coopqp.spatial import Array
 
 H = 0.002
 CELLS = [partial(ring, arms=2), dual_arm7, mixed_cell, five_joint_pair]

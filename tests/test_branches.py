@@ -9,10 +9,12 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from coopqp import Arm, CellState, Grasp, RobotCell, UnreachableError, inverse_kinematics, robot_path
+from coopqp import Arm, Grasp, RobotCell, inverse_kinematics
+from coopqp.errors import UnreachableError
+from coopqp.model import CellState
 from coopqp.model.batch import ArmKinematics, batch_kernels
 from coopqp.model.branches import all_turns, find_branches, turns_inside
-from coopqp.scenarios import Scenario
+from coopqp.scenarios import Scenario, robot_path
 
 UPPER_ARM, FOREARM, SHOULDER, WRIST = 0.450, 0.650, 0.420, 0.085
 

@@ -14,36 +14,35 @@ import pinocchio as pin
 import pytest
 
 from coopqp import (
-    Array,
-    Calibration,
-    CalibrationError,
-    CalibrationOptions,
-    CellState,
     CoopqpError,
-    Disturbances,
-    DisturbedPlant,
     Grasp,
     InvalidInputError,
-    PhysicsPlant,
     QPController,
     QPOptions,
     Recording,
     RobotCell,
     SupervisionOptions,
-    UnreachableError,
-    calibrate,
-    calibrate_runs,
-    chain_error,
     inverse_kinematics,
     load_cell_file,
     simulate,
 )
-from coopqp.app.cli import main
+from coopqp.cli.main import main
+from coopqp.errors import UnreachableError
 from coopqp.files import example_path
-from coopqp.forces import determining_motion, undetermined_by
-from coopqp.forces.closure import Closure
+from coopqp.forces import (
+    Calibration,
+    CalibrationError,
+    CalibrationOptions,
+    calibrate,
+    determining_motion,
+    undetermined_by,
+)
+from coopqp.forces.loop_residual import Closure
+from coopqp.model import CellState
 from coopqp.planning import PathVerdict
 from coopqp.scenarios import Scenario, paper_lift
+from coopqp.simulation import Disturbances, DisturbedPlant, PhysicsPlant, calibrate_runs, chain_error
+from coopqp.spatial import Array
 
 NOISE = 1e-4  # rad
 #: A base that is off by 1 mm and 0.1°.
@@ -388,7 +387,7 @@ def force(wrenches: Array, at_rest: Array) -> float:
 
 
 @pytest.mark.slow
-@pytest.mark.filterwarnings("ignore::coopqp.StartWarning")
+@pytest.mark.filterwarnings("ignore::coopqp.errors.StartWarning")
 def test_after_one_lift_the_next_one_squeezes_no_more(
     engine: Scenario, at_rest: Array, squeezed: tuple[Recording, Array]
 ) -> None:
@@ -400,7 +399,7 @@ def test_after_one_lift_the_next_one_squeezes_no_more(
 
 
 @pytest.mark.slow
-@pytest.mark.filterwarnings("ignore::coopqp.StartWarning")
+@pytest.mark.filterwarnings("ignore::coopqp.errors.StartWarning")
 @pytest.mark.parametrize(("noise", "most"), [(0.0, 1.0), (NOISE, 15.0)])
 @pytest.mark.parametrize("arm", ["master", "slave_1", "slave_2"])
 def test_each_base_off_in_turn(engine: Scenario, at_rest: Array, arm: str, noise: float, most: float) -> None:

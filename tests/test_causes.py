@@ -20,11 +20,10 @@ from coopqp import (
     QPOptions,
     Status,
     SupervisionOptions,
-    available_kernels,
 )
-from coopqp.control.reading import CAUSES
-from coopqp.control.verdict import cause_of
-from coopqp.native import layout
+from coopqp.control.step.decoding import CAUSES
+from coopqp.control.step.verdict import cause_of
+from coopqp.native import available_kernels, layout
 from coopqp.scenarios import Scenario, at_limit, at_singularity, paper_lift
 
 LIMIT, SINGULAR, NEAR, APART, REINS, JUMP = (

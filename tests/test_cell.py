@@ -20,20 +20,18 @@ from numpy.typing import NDArray
 import coopqp.model.arm
 from coopqp import (
     Arm,
-    CellState,
     CoopqpError,
     Grasp,
     HoldPath,
     InvalidInputError,
     JointLimits,
-    ModelError,
     QPController,
     RobotCell,
-    UnknownNameError,
-    robot_path,
 )
+from coopqp.errors import ModelError, UnknownNameError
+from coopqp.model import CellState
 from coopqp.model.cell import of_cell
-from coopqp.scenarios import ROBOT_NAMES, ROBOTS
+from coopqp.scenarios import ROBOT_NAMES, ROBOTS, robot_path
 
 Array = NDArray[np.float64]
 

@@ -20,35 +20,28 @@ from marks import slow_unless
 from ruamel.yaml import YAML
 
 from coopqp import (
-    CellFileError,
     CoopqpError,
     HoldPath,
-    IndependentQPOptions,
-    MissingExtraError,
-    PhysicsOptions,
-    PhysicsPlant,
     PostureOptions,
     PreviewOptions,
-    PseudoInverseOptions,
     QPOptions,
-    RankWeights,
     Recording,
     RobotCell,
     SupervisionOptions,
-    Tolerances,
-    UnknownNameError,
-    judge,
     load_cell_file,
-    read_run,
-    robot_path,
 )
-from coopqp.app.demo import run_method
+from coopqp.baselines import IndependentQPOptions, PseudoInverseOptions
 from coopqp.checks import meanings
+from coopqp.cli.demo import run_method
+from coopqp.control import RankWeights
+from coopqp.errors import MissingExtraError, UnknownNameError
+from coopqp.files import CellFileError
 from coopqp.files.cellfile import CELLS, example_path, json_schema, schema_text
 from coopqp.files.cellfile.build import CellRun
 from coopqp.files.cellfile.hints import grip_hints
 from coopqp.files.cellfile.text import read_tables
-from coopqp.scenarios import ROBOTS, Scenario, robot_file
+from coopqp.scenarios import ROBOTS, Scenario, robot_file, robot_path
+from coopqp.simulation import PhysicsOptions, PhysicsPlant, Tolerances, judge, read_run
 
 #: Options of types that a file cannot hold.
 NOT_IN_FILES = {(PostureOptions, "target"), (SupervisionOptions, "stiffness")}

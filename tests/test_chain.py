@@ -13,9 +13,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from coopqp import Arm, CellState, Grasp, RobotCell, adjoint, robot_path
+from coopqp import Arm, Grasp, RobotCell
+from coopqp.model import CellState
 from coopqp.model.chain import SINGULAR_FLOOR, Chain
-from coopqp.scenarios import Scenario
+from coopqp.scenarios import Scenario, robot_path
+from coopqp.spatial import adjoint
 
 Array = NDArray[np.float64]
 FEW = settings(max_examples=settings().max_examples // 4)  # each example builds two cells

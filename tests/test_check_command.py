@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from matplotlib.image import imread
 
-from coopqp.app import cli
-from coopqp.look.check_plots import check_figure
-from coopqp.planning import check_path
+from coopqp import check_path
+from coopqp.cli import main as cli
 from coopqp.scenarios import at_limit, dual_arm7, mixed_cell, paper_lift
+from coopqp.visualization.check_plots import check_figure
 
 CELL = """
 name = "one"

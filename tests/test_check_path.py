@@ -17,23 +17,34 @@ from wrapped import Opaque
 
 from coopqp import (
     Arm,
-    CellState,
     Grasp,
     HoldPath,
     InvalidInputError,
     LinePath,
-    NoStartError,
     ObjectPath,
     RobotCell,
     ServoPath,
     WaypointPath,
-    chain_error,
-    robot_path,
-    tool_placements,
+    check_path,
+    find_start,
+    plan,
 )
-from coopqp.planning import PathVerdict, check_path, find_remedies, find_start, plan
+from coopqp.errors import NoStartError
+from coopqp.model import CellState
+from coopqp.planning import PathVerdict, find_remedies
 from coopqp.planning.remedies import shifted, with_remedies
-from coopqp.scenarios import ROBOTS, Scenario, at_limit, at_singularity, mixed_cell, ring, robot_arm, scara_pair
+from coopqp.scenarios import (
+    ROBOTS,
+    Scenario,
+    at_limit,
+    at_singularity,
+    mixed_cell,
+    ring,
+    robot_arm,
+    robot_path,
+    scara_pair,
+)
+from coopqp.simulation import chain_error, tool_placements
 
 CERTIFIED, SAMPLED, UNDECIDED, INFEASIBLE = PathVerdict
 LOOSE = np.deg2rad(0.3)

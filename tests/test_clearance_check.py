@@ -13,15 +13,24 @@ import pytest
 from marks import slow_unless
 from wrapped import Opaque
 
-from coopqp import CellState, Closeness, InvalidInputError, QPController, load_cell_file, simulate
-from coopqp.app import cli
-from coopqp.collision import Body, Box, Clearance, CollisionScene, Sphere
-from coopqp.look.check_plots import check_figure
+from coopqp import (
+    Clearance,
+    CollisionScene,
+    InvalidInputError,
+    QPController,
+    check_path,
+    find_start,
+    load_cell_file,
+    simulate,
+)
+from coopqp.cli import main as cli
+from coopqp.collision import Body, Box, Sphere
+from coopqp.model import CellState
 from coopqp.model.chain import Chain
 from coopqp.model.inverse_kinematics import newton
-from coopqp.planning import PathCheck, PathVerdict, check_path, find_remedies, find_start
+from coopqp.planning import PathCheck, PathVerdict, find_remedies
+from coopqp.planning.joint_trajectories import CellWay
 from coopqp.planning.segments import segments_of
-from coopqp.planning.ways import CellWay
 from coopqp.scenarios import (
     Scenario,
     dual_arm7,
@@ -33,6 +42,8 @@ from coopqp.scenarios import (
     random_posts,
     ring,
 )
+from coopqp.simulation import Closeness
+from coopqp.visualization.check_plots import check_figure
 
 CERTIFIED, SAMPLED, UNDECIDED, INFEASIBLE = PathVerdict
 

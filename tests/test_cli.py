@@ -13,14 +13,17 @@ from pathlib import Path
 
 import pytest
 
-from coopqp import OutputError, __version__, available_kernels
-from coopqp.app import cli, demo
+from coopqp import __version__
+from coopqp.cli import demo
+from coopqp.cli import main as cli
+from coopqp.errors import OutputError
+from coopqp.native import available_kernels
 
 PICTURES = {"paper_lift.png", "figure5.png", "figure5_orientation.png", "joints.png"}
 
 
 def coopqp(*arguments: str, **options: object) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, "-c", "import sys; from coopqp.app.cli import main; sys.exit(main())", *arguments]
+    command = [sys.executable, "-c", "import sys; from coopqp.cli.main import main; sys.exit(main())", *arguments]
     return subprocess.run(command, capture_output=True, text=True, timeout=120, check=False, **options)  # type: ignore[call-overload,no-any-return]
 
 
@@ -213,7 +216,7 @@ def test_control_c_stops_a_run_without_a_traceback(tmp_path: Path) -> None:
     # In the background, the tests and their children may ignore Ctrl-C: the child restores the default handler.
     program = (
         "import signal, sys; signal.signal(signal.SIGINT, signal.default_int_handler);"
-        "from coopqp.app.cli import main; sys.exit(main())"
+        "from coopqp.cli.main import main; sys.exit(main())"
     )
     arguments = ["demo", "--steps", "200000", "--out", str(tmp_path / "new")]
     with subprocess.Popen([sys.executable, "-c", program, *arguments], stderr=subprocess.PIPE, text=True) as process:
@@ -232,7 +235,7 @@ def test_control_c_stops_a_run_without_a_traceback(tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_a_reader_that_leaves_is_no_error(tmp_path: Path) -> None:
     program = (
-        "import sys; from coopqp.app import cli, demo; demo.demo_pictures = lambda *_: {};"
+        "import sys; from coopqp.cli import main as cli, demo; demo.demo_pictures = lambda *_: {};"
         f"sys.exit(cli.main(['demo', '--steps', '2', '--out', {str(tmp_path)!r}]))"
     )
     with subprocess.Popen([sys.executable, "-c", program], stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
@@ -261,10 +264,10 @@ def test_ctrl_c_during_the_imports_ends_in_one_line() -> None:
 import sys
 class Interrupt:
     def find_spec(self, name, path=None, target=None):
-        if name == "coopqp.app.cli":
+        if name == "coopqp.cli.main":
             raise KeyboardInterrupt
 sys.meta_path.insert(0, Interrupt())
-from coopqp.app.start import main
+from coopqp.cli.start import main
 sys.exit(main())
 """
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=False)

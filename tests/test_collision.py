@@ -14,6 +14,7 @@ import eigenpy
 import numpy as np
 import pinocchio as pin
 import pytest
+from convex import core_of, distance
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from marks import slow_but_first, slow_unless
@@ -22,42 +23,27 @@ from wrapped import Opaque
 import coopqp.collision.bounds_plain as bounds_plain
 from coopqp import (
     Cause,
-    CellFileError,
-    CellState,
-    Closeness,
+    Clearance,
+    CollisionScene,
     InvalidInputError,
     LimitKind,
-    MissingExtraError,
-    Monitor,
     QPController,
     QPOptions,
     Status,
-    UnknownNameError,
-    available_kernels,
-    check_run,
-    judge,
+    check_path,
     load_cell_file,
-    read_run,
     simulate,
 )
-from coopqp.collision import (
-    Body,
-    Box,
-    Capsule,
-    Clearance,
-    CollisionScene,
-    Cylinder,
-    Hull,
-    Mesh,
-    PairRules,
-    Sphere,
-)
+from coopqp.collision import Body, Box, Capsule, Cylinder, Hull, Mesh, PairRules, Sphere
 from coopqp.collision.distances import KERNEL, Distances, LowerBounds
 from coopqp.collision.evasion import YIELDS, Evasion
-from coopqp.control.constraints import MOST_ROWS, ConstraintTrouble
+from coopqp.constraints.velocity import MOST_ROWS, ConstraintTrouble
+from coopqp.errors import MissingExtraError, UnknownNameError
+from coopqp.files import CellFileError
+from coopqp.model import CellState
 from coopqp.model.chain import Chain
-from coopqp.native import compiled
-from coopqp.planning import PathVerdict, check_path
+from coopqp.native import available_kernels, compiled
+from coopqp.planning import PathVerdict
 from coopqp.scenarios import (
     Scenario,
     dual_arm7,
@@ -70,8 +56,8 @@ from coopqp.scenarios import (
     plate_and_table,
     random_posts,
 )
-from coopqp.simulation.closeness import with_clearance
-from coopqp.simulation.convex import core_of, distance
+from coopqp.simulation import Closeness, Monitor, check_run, judge, read_run
+from coopqp.simulation.evaluation.closeness import with_clearance
 
 MARGIN = 0.02
 KERNELS = available_kernels()
@@ -111,15 +97,23 @@ def lid(scenario: Scenario, gap: float) -> Body:
 # -- distances -----------------------------------------------------------------------------------------------------
 
 
-def test_the_judges_distances_are_those_of_coal_by_another_way(lift: Scenario) -> None:
+def test_the_judges_distances_are_those_of_another_way_and_of_the_controllers(lift: Scenario) -> None:
     scene, rng = CollisionScene.of(plate_and_post(post="box"), margin=0.0), np.random.default_rng(1)
     distances, judge_ = Distances(scene), Closeness(scene)
+    shapes = list(scene.built.geometry.geometryObjects)
+    cores, ends = [core_of(shape.geometry) for shape in shapes], list(scene.built.geometry.collisionPairs)
+    data = scene.cell.model.createData()
     for _ in range(4):
         q = lift.q_start + rng.uniform(-0.3, 0.3, lift.cell.nq)
         d = distances.all(q)
-        for k in rng.permutation(len(d))[:60]:
+        pin.forwardKinematics(scene.cell.model, data, q)
+        for k in rng.permutation(len(d))[:60].tolist():
+            i, j = int(ends[k].first), int(ends[k].second)
+            A, B = (data.oMi[shapes[n].parentJoint] * shapes[n].placement for n in (i, j))
+            proved = distance(cores[i], cores[j], A.rotation, A.translation, B.rotation, B.translation)
+            assert judge_.at(q, k) == pytest.approx(proved, abs=1e-8)
             if d[k] > 1e-6:
-                assert judge_.at(q, int(k)) == pytest.approx(d[k], abs=1e-8)
+                assert judge_.at(q, k) == pytest.approx(d[k], abs=1e-8)
 
 
 @settings(deadline=None, max_examples=60)

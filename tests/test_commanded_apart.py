@@ -11,22 +11,22 @@ import numpy as np
 import pytest
 
 from coopqp import (
-    Array,
     Cause,
     ControlStep,
     Grasp,
     InvalidInputError,
-    Monitor,
-    PseudoInverseController,
     QPController,
     QPOptions,
     RobotCell,
     Status,
     SupervisionOptions,
-    available_kernels,
 )
-from coopqp.control.apart import ChainWatch
+from coopqp.baselines import PseudoInverseController
+from coopqp.control.monitoring.commanded import ChainWatch
+from coopqp.native import available_kernels
 from coopqp.scenarios import Scenario, five_joint_pair, paper_lift
+from coopqp.simulation import Monitor
+from coopqp.spatial import Array
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
 from promise_cases.chain_cells import Oracle

@@ -17,20 +17,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from coopqp import (
-    Recording,
-    RecordingError,
-    Tolerances,
-    judge,
-    load_cell_file,
-    read_run,
-    simulate,
-)
-from coopqp.app import cli, runs
+from coopqp import Recording, load_cell_file, simulate
+from coopqp.cli import main as cli
+from coopqp.cli import runs
 from coopqp.files.cellfile import CELLS, example_path
-from coopqp.look import plots, viewer
-from coopqp.simulation.assessment import why
-from coopqp.simulation.scene import read_cell
+from coopqp.simulation import RecordingError, Tolerances, judge, read_run
+from coopqp.simulation.evaluation.assessment import why
+from coopqp.simulation.recording.scene import read_cell
+from coopqp.visualization import plots, viewer
 
 SMALL = """
 name = "small {name}"
@@ -244,10 +238,10 @@ def test_ctrl_c_during_the_imports_is_an_interrupt(cell_file: Path) -> None:
         "    def find_spec(self, name, path=None, target=None):\n"
         "        if name == {module!r}: raise KeyboardInterrupt\n"
         "sys.meta_path.insert(0, Interrupt())\n"
-        "from coopqp.app.cli import main\n"
+        "from coopqp.cli.main import main\n"
         "sys.exit(main(['run', {cell!r}]))"
     )
-    for module in ("numpy", "pinocchio", "coopqp.simulation.assessment", "pydantic"):
+    for module in ("numpy", "pinocchio", "coopqp.simulation.evaluation.assessment", "pydantic"):
         program = code.format(module=module, cell=str(cell_file))
         done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False)
         assert (done.returncode, done.stdout, done.stderr) == (130, "", "coopqp: interrupted\n"), module
@@ -313,7 +307,7 @@ def test_view_serves_until_interrupted(
 
 def test_run_can_end_in_the_viewer(cell_file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     served: list[int] = []
-    monkeypatch.setattr("coopqp.app.commands._serve", lambda recording, **_: served.append(recording.n_steps))
+    monkeypatch.setattr("coopqp.cli.commands._serve", lambda recording, **_: served.append(recording.n_steps))
     assert cli.main(["run", str(cell_file), "--view", "--quiet"]) == 0
     assert served == [12]
 
@@ -331,7 +325,7 @@ def test_pages_and_tables_are_overwritten_with_force_only(
     recording_file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """What is named and exists is refused before any work; a report without a name gets a number."""
-    monkeypatch.setattr("coopqp.look.report.report_html", lambda *_, **__: "new")
+    monkeypatch.setattr("coopqp.visualization.report.report_html", lambda *_, **__: "new")
     what = str(tmp_path / "lift.npz")
     Path(what).write_bytes(recording_file.read_bytes())
     for name, command in {
@@ -462,7 +456,7 @@ def test_an_interrupt_leaves_no_partial_file_and_no_empty_folder(
     before = set(Path().rglob("*"))
     commands = {
         "coopqp.output.temporary_name": ["report", str(recording_file), "--out", "a/b/report.html"],
-        "coopqp.simulation.recording.write_archive": ["run", str(cell_file), "--out", "a/b"],
+        "coopqp.simulation.recording.recording.write_archive": ["run", str(cell_file), "--out", "a/b"],
         "coopqp.files.export._rename_inside": ["export", str(recording_file), "--bag", "c/d/bag"],
         "pathlib.Path.replace": ["export", str(recording_file), "--csv", "c/d/run.csv"],
     }
@@ -529,8 +523,8 @@ def test_a_name_of_dots_is_refused() -> None:
 @pytest.mark.slow
 def test_the_library_attaches_no_log_handler() -> None:
     code = (
-        "import logging; import coopqp.app.runs, coopqp.look.report, coopqp.files.export;"
-        "import coopqp.look.viewer, coopqp.files.cellfile.build;"
+        "import logging; import coopqp.cli.runs, coopqp.visualization.report, coopqp.files.export;"
+        "import coopqp.visualization.viewer, coopqp.files.cellfile.build;"
         "names = [n for n in logging.root.manager.loggerDict if n.startswith('coopqp')];"
         "assert not logging.root.handlers, logging.root.handlers;"
         "assert not any(logging.getLogger(n).handlers for n in names), names"
@@ -543,7 +537,7 @@ def test_the_library_attaches_no_log_handler() -> None:
 def test_only_what_is_used_is_imported() -> None:
     """`coopqp --help` needs no extra."""
     code = (
-        "import sys; from coopqp.app.cli import main\n"
+        "import sys; from coopqp.cli.main import main\n"
         "try: main(['--help'])\nexcept SystemExit: pass\n"
         "heavy = [m for m in ('viser', 'rosbags', 'pydantic', 'matplotlib', 'rich') if m in sys.modules]\n"
         "assert not heavy, heavy"

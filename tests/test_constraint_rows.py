@@ -16,9 +16,7 @@ from marks import slow_but_first, slow_unless
 from wrapped import Opaque
 
 from coopqp import (
-    Array,
     BindingLimit,
-    CellState,
     ControlStep,
     InvalidInputError,
     Knot,
@@ -26,21 +24,19 @@ from coopqp import (
     LinePath,
     QPController,
     QPOptions,
-    QpProblem,
-    QpSolution,
-    QpSolver,
     Rank,
     RateBound,
     RobotCell,
     ServoPath,
-    SolverStatus,
     Status,
     VelocityConstraint,
-    available_kernels,
-    make_solver,
 )
-from coopqp.control.constraints import LabelledRows, Quiet
+from coopqp.constraints.velocity import LabelledRows, Quiet
+from coopqp.model import CellState
+from coopqp.native import available_kernels
 from coopqp.scenarios import Scenario, dual_arm7, mixed_cell, paper_lift
+from coopqp.solvers import QpProblem, QpSolution, QpSolver, SolverStatus, make_solver
+from coopqp.spatial import Array
 
 EXAMPLE = runpy.run_path(str(Path(__file__).parents[1] / "docs" / "examples" / "16_constraints.py"))
 Box, SlowPoint, LittleEnergy = (EXAMPLE[name] for name in ("Box", "SlowPoint", "LittleEnergy"))

@@ -10,8 +10,6 @@ import pytest
 from marks import slow_but_first
 
 from coopqp import (
-    Array,
-    CellState,
     ControlStep,
     Grasp,
     InvalidInputError,
@@ -20,14 +18,15 @@ from coopqp import (
     QPController,
     QPOptions,
     Rank,
-    StallBound,
     Status,
-    available_kernels,
-    available_solvers,
-    chain_error,
-    tool_placements,
 )
+from coopqp.control import StallBound
+from coopqp.model import CellState
+from coopqp.native import available_kernels
 from coopqp.scenarios import Scenario, paper_lift
+from coopqp.simulation import chain_error, tool_placements
+from coopqp.solvers import available_solvers
+from coopqp.spatial import Array
 
 pytestmark = pytest.mark.parametrize("kernel", slow_but_first(available_kernels()))
 ACCELERATIONS = pytest.mark.parametrize("acceleration", [np.inf, 5.0])

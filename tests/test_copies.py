@@ -16,7 +16,6 @@ import pytest
 from marks import slow_unless
 
 from coopqp import (
-    Array,
     ControlStep,
     InvalidInputError,
     LinePath,
@@ -27,9 +26,10 @@ from coopqp import (
     Status,
     SupervisionOptions,
     WaypointPath,
-    available_kernels,
 )
+from coopqp.native import available_kernels
 from coopqp.scenarios import Scenario, at_limit, at_singularity, dual_arm7, five_joint_pair, mixed_cell, paper_lift
+from coopqp.spatial import Array
 
 KERNELS = available_kernels()
 WAYS: dict[str, Callable[[QPController], QPController]] = {

@@ -17,26 +17,23 @@ import pytest
 from marks import slow_but_first
 
 from coopqp import (
-    Array,
-    CellState,
     ControlStep,
     HoldPath,
     LinePath,
     ObjectPath,
     QPController,
     QPOptions,
-    QpProblem,
-    QpSolution,
-    QpSolver,
     RobotCell,
     ServoPath,
     SupervisionOptions,
     WaypointPath,
-    make_solver,
 )
-from coopqp.control.constraint_set import Constraints
+from coopqp.control.step.constraint_set import Constraints
+from coopqp.model import CellState
 from coopqp.native import layout
 from coopqp.scenarios import Scenario, at_limit, dual_arm7, mixed_cell, paper_lift, ring
+from coopqp.solvers import QpProblem, QpSolution, QpSolver, make_solver
+from coopqp.spatial import Array
 
 pytestmark = pytest.mark.core
 
@@ -203,7 +200,7 @@ def alike(a: QpProblem, b: QpProblem) -> None:
     np.testing.assert_allclose(one @ one.T, other @ other.T, **close)
 
 
-@pytest.mark.filterwarnings("ignore::coopqp.StartWarning")
+@pytest.mark.filterwarnings("ignore::coopqp.errors.StartWarning")
 @pytest.mark.skipif(native.GAP > 0, reason="it compares roundings, and the sanitized core is compiled for others")
 @pytest.mark.parametrize("acceleration", [np.inf, 20.0])
 @pytest.mark.parametrize("make", slow_but_first([paper_lift, dual_arm7, mixed_cell, lambda: ring(arms=5)]))

@@ -12,10 +12,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from coopqp import InvalidInputError, QPController, UnknownNameError, available_solvers
-from coopqp.app.demo import METHODS, DemoRun, check_demo, records_json, run_demo, run_method
+from coopqp import InvalidInputError, QPController
+from coopqp.cli.demo import METHODS, DemoRun, check_demo, records_json, run_demo, run_method
+from coopqp.errors import UnknownNameError
 from coopqp.scenarios import Scenario, paper_lift
-from coopqp.simulation import metrics
+from coopqp.simulation.evaluation import metrics
+from coopqp.solvers import available_solvers
 
 Runner = Callable[..., DemoRun]
 STEPS = (40, 400, 1000)

@@ -127,8 +127,8 @@ def test_notation_and_code_agree() -> None:
 def test_defaults_in_the_text_are_those_of_the_code() -> None:
     """After a change of a default, also change the pages: howto/gains, howto/why-slow, derivations, tutorials 2 and 5,
     reliability."""
-    from coopqp import OsqpSettings
-    from coopqp.control.ranks import RESIDUE_TOLERANCE
+    from coopqp.control.step.priorities import RESIDUE_TOLERANCE
+    from coopqp.solvers import OsqpSettings
 
     assert (RESIDUE_TOLERANCE, RECOVERY_SHARE, OsqpSettings().max_iter) == (1e-5, 0.2, 4000)
     o = coopqp.QPOptions()
@@ -161,7 +161,7 @@ def test_the_pages_build_without_warnings(tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_view_needs_nothing_but_the_extra(monkeypatch: pytest.MonkeyPatch) -> None:
     """``--view`` opens the viewer on the run; the test closes it at once."""
-    from coopqp.look import viewer
+    from coopqp.visualization import viewer
 
     opened = []
     monkeypatch.setattr(viewer.LiveViewer, "run", lambda self: opened.append(self.url))

@@ -10,26 +10,14 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from coopqp import (
-    Array,
-    CellState,
-    Disturbances,
-    ForceController,
-    Grasp,
-    InvalidInputError,
-    Monitored,
-    PhysicsOptions,
-    PhysicsPlant,
-    QPController,
-    RobotCell,
-    UnknownNameError,
-    UnreachableError,
-    simulate,
-)
+from coopqp import ForceController, Grasp, InvalidInputError, QPController, RobotCell, simulate
+from coopqp.errors import UnknownNameError, UnreachableError
 from coopqp.forces import internal_wrenches
+from coopqp.model import CellState
 from coopqp.scenarios import Scenario, palm_box, paper_lift, torque_lift
-from coopqp.simulation import engine_controller, engine_plant
+from coopqp.simulation import Disturbances, Monitored, PhysicsOptions, PhysicsPlant, engine_controller, engine_plant
 from coopqp.simulation.plants.drives import TorqueDrives
+from coopqp.spatial import Array
 
 OBSERVER = {"servo": "disturbance observer"}
 SENSED = {**OBSERVER, "wrist_sensors": True}

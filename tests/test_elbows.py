@@ -9,10 +9,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from coopqp import InvalidInputError, QPController, QPOptions, Status, available_kernels, simulate
-from coopqp.planning import PathVerdict, check_path
+from coopqp import InvalidInputError, QPController, QPOptions, Status, check_path, simulate
+from coopqp.native import available_kernels
+from coopqp.paths.elbows import Elbows
+from coopqp.planning import PathVerdict
 from coopqp.scenarios import Scenario, dual_arm7
-from coopqp.task.elbows import Elbows
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
 from promise_cases.proofs import redundant_task

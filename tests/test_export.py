@@ -17,22 +17,14 @@ import numpy as np
 import pytest
 from rosbags.typesys import Stores, get_typestore
 
-from coopqp import (
-    InvalidInputError,
-    MissingExtraError,
-    OutputError,
-    Recording,
-    RobotCell,
-    SceneError,
-    read_run,
-    write_bag,
-    write_csv,
-)
-from coopqp.files import export
+from coopqp import InvalidInputError, Recording, RobotCell
+from coopqp.errors import MissingExtraError, OutputError
+from coopqp.files import export, write_bag, write_csv
 from coopqp.files.export import csv_parts, csv_text, knot_velocities, topic_name
 from coopqp.scenarios import Scenario
-from coopqp.simulation import rows
-from coopqp.simulation.scene import describe_cell
+from coopqp.simulation import SceneError, read_run
+from coopqp.simulation.recording import rows
+from coopqp.simulation.recording.scene import describe_cell
 
 with warnings.catch_warnings():
     warnings.simplefilter("ignore", DeprecationWarning)

@@ -11,7 +11,7 @@ import pytest
 from marks import slow_but_first
 
 from coopqp import LinePath, QPController
-from coopqp.control.linearised import closing
+from coopqp.control.step.linearised import closing
 from coopqp.scenarios import Scenario, five_joint_pair, scara_pair
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))

@@ -14,34 +14,29 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from coopqp import (
-    Array,
     Cause,
-    CellState,
-    Disturbances,
     ForceController,
     ForceOptions,
     Grasp,
     HoldPath,
     InvalidInputError,
-    KinematicPlant,
-    PhysicsPlant,
-    PseudoInverseController,
     QPController,
     RobotCell,
-    StartWarning,
     Status,
-    StressModel,
-    available_kernels,
     inverse_kinematics,
-    misplaced,
     simulate,
 )
+from coopqp.baselines import PseudoInverseController
 from coopqp.control.core import minding_of
 from coopqp.control.core.relax_plain import minding_size, minding_views
-from coopqp.forces import Grip, internal_wrenches
-from coopqp.native import layout
+from coopqp.errors import StartWarning
+from coopqp.forces import Grip, StressModel, internal_wrenches
+from coopqp.model import CellState
+from coopqp.native import available_kernels, layout
 from coopqp.planning import Payload
 from coopqp.scenarios import Scenario, palm_box, paper_lift
+from coopqp.simulation import Disturbances, KinematicPlant, PhysicsPlant, misplaced
+from coopqp.spatial import Array
 
 STIFF = 2e4
 OFF = pin.SE3(pin.exp3(1e-4 * np.array([1.0, -0.5, 1.0])), 1e-4 * np.array([3.0, -2.0, 3.0]))
@@ -473,7 +468,7 @@ def lifted(
 
 
 @pytest.mark.slow
-@pytest.mark.filterwarnings("ignore::coopqp.StartWarning")
+@pytest.mark.filterwarnings("ignore::coopqp.errors.StartWarning")
 def test_an_arm_whose_base_is_off_squeezes_no_more(task: Scenario) -> None:
     """286 N without (``benchmarks/forces.py``)."""
     axis = np.ones(3) / np.sqrt(3.0)

@@ -10,23 +10,14 @@ import pinocchio as pin
 import pytest
 from marks import slow_but_first
 
-from coopqp import (
-    Array,
-    CellState,
-    Disturbances,
-    ForceController,
-    Grasp,
-    HoldPath,
-    PhysicsPlant,
-    QPController,
-    Status,
-    StressModel,
-    misplaced,
-    simulate,
-)
-from coopqp.forces.relaxation import yields_in_part
+from coopqp import ForceController, Grasp, HoldPath, QPController, Status, simulate
+from coopqp.forces import StressModel
+from coopqp.forces.admittance import yields_in_part
+from coopqp.model import CellState
 from coopqp.planning import Payload
 from coopqp.scenarios import Scenario, paper_lift
+from coopqp.simulation import Disturbances, PhysicsPlant, misplaced
+from coopqp.spatial import Array
 
 NONE, ALL = (0,) * 6, (1,) * 6
 #: A master, and slaves that mind all; one direction each; some, other ones per arm.
@@ -98,7 +89,7 @@ def test_with_all_directions_it_is_what_the_servos_yield() -> None:
     np.testing.assert_allclose(answered - answered[0], direct - direct[0], atol=1e-5 * np.abs(direct).max())
 
 
-@pytest.mark.filterwarnings("ignore::coopqp.StartWarning")
+@pytest.mark.filterwarnings("ignore::coopqp.errors.StartWarning")
 @pytest.mark.parametrize("kind", slow_but_first(KINDS))
 def test_in_the_engine_forces_relax_and_positions_stay(task: Scenario, kind: str) -> None:
     """A base off by 1 mm and 0.1°: what is minded relaxes, position-controlled directions keep to 1 µm; it goes on."""

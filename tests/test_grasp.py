@@ -12,9 +12,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from coopqp import CellState, Grasp, InvalidInputError, RobotCell, adjoint, plate_from_centroid, plate_from_points
+from coopqp import Grasp, InvalidInputError, RobotCell
+from coopqp.model import CellState, plate_from_centroid, plate_from_points
 from coopqp.model.grasp import THETA, held_at, triangle_frames
 from coopqp.scenarios import Scenario
+from coopqp.spatial import adjoint
 
 Array = NDArray[np.float64]
 RandomQ = Callable[[RobotCell, np.random.Generator], Array]

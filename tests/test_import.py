@@ -14,30 +14,30 @@ OPTIONAL = (
 )  # fmt: skip
 MODULES = (
     "coopqp",
-    "coopqp.simulation.assessment",
+    "coopqp.simulation.evaluation.assessment",
     "coopqp.model.cell",
     "coopqp.files.cellfile",
     "coopqp.model.chain",
-    "coopqp.app.cli",
-    "coopqp.control.command",
-    "coopqp.control.pseudo_inverse",
+    "coopqp.cli.main",
+    "coopqp.control.interface",
+    "coopqp.baselines.pseudo_inverse",
     "coopqp.control.qp",
     "coopqp.files.export",
     "coopqp.model.grasp",
-    "coopqp.model.inverse_kinematics",
-    "coopqp.control.limits",
-    "coopqp.simulation.metrics",
-    "coopqp.task.path",
+    "coopqp.inverse_kinematics",
+    "coopqp.control.step.velocity_bounds",
+    "coopqp.simulation.evaluation.metrics",
+    "coopqp.paths.path",
     "coopqp.simulation.plants",
-    "coopqp.look.report",
-    "coopqp.app.runs",
+    "coopqp.visualization.report",
+    "coopqp.cli.runs",
     "coopqp.scenarios",
-    "coopqp.simulation.scene",
-    "coopqp.simulation.simulate",
+    "coopqp.simulation.recording.scene",
+    "coopqp.simulate",
     "coopqp.spatial",
     "coopqp.model.state",
     "coopqp.studies",
-    "coopqp.look.viewer",
+    "coopqp.visualization.viewer",
 )
 
 CHECK = """
@@ -80,7 +80,8 @@ def test_a_control_program_starts_without_scipy() -> None:
     """SciPy's optimisers take longer to import than coopqp."""
     program = """
 import sys
-from coopqp import ForceController, Grasp, Monitor, QPController, Recording, RobotCell, simulate
+from coopqp import ForceController, Grasp, QPController, Recording, RobotCell, simulate
+from coopqp.simulation import Monitor
 from coopqp.scenarios import paper_lift
 assert not [name for name in sys.modules if name.startswith("scipy.")]
 """
@@ -99,7 +100,9 @@ def test_importing_says_nothing() -> None:
     assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
 
 
-@pytest.mark.parametrize("first", ["coopqp.collision.clearance", "coopqp.control.verdict", "coopqp.control.plain"])
+@pytest.mark.parametrize(
+    "first", ["coopqp.collision.clearance", "coopqp.control.step.verdict", "coopqp.control.step.plain"]
+)
 def test_no_room_has_to_be_imported_before_another(first: str) -> None:
     """The command imports bodies before controllers, programs the other way round."""
     done = subprocess.run([sys.executable, "-c", f"import {first}"], capture_output=True, text=True, check=False)

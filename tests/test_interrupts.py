@@ -13,10 +13,11 @@ import pytest
 from marks import slow_unless
 
 import coopqp.output
-from coopqp import Recording, write_bag, write_csv
-from coopqp.app.runs import write_products
+from coopqp import Recording
+from coopqp.cli.runs import write_products
+from coopqp.files import write_bag, write_csv
 from coopqp.output import Interrupts, whole_file, write_files
-from coopqp.simulation import recording, rows
+from coopqp.simulation.recording import recording, rows
 
 #: Files whose lines are interrupted.
 LINES = {coopqp.output.__file__, recording.__file__, rows.__file__, sys.modules[write_bag.__module__].__file__}

@@ -12,7 +12,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from coopqp import CellState, Grasp, InvalidInputError, RobotCell, UnreachableError, inverse_kinematics
+from coopqp import Grasp, InvalidInputError, RobotCell, inverse_kinematics
+from coopqp.errors import UnreachableError
+from coopqp.model import CellState
 from coopqp.scenarios import Scenario
 
 Array = NDArray[np.float64]

@@ -9,14 +9,15 @@ from importlib import metadata
 import pytest
 from marks import slow_but_first
 
-from coopqp import available_kernels
-from coopqp.native import MODULE
+from coopqp.native import MODULE, available_kernels
 
 WITHOUT = f"import sys; sys.modules[{MODULE!r}] = None\n"
 WARNED = """
 import warnings
-from coopqp import KernelWarning, QPController, available_kernels
-from coopqp.collision import Clearance, CollisionScene
+from coopqp import QPController
+from coopqp.errors import KernelWarning
+from coopqp.native import available_kernels
+from coopqp import Clearance, CollisionScene
 from coopqp.model.batch import ArmKinematics
 from coopqp.scenarios import paper_lift
 assert available_kernels() == ("plain",)
@@ -51,7 +52,7 @@ if hasattr(made[0], "reset"):
     made[0].reset(lift.q_start)
     assert made[0].step().status.name == "TRACKING"
 """
-VERSION = "import sys; from coopqp.app import cli; sys.exit(cli.main(['--version']))"
+VERSION = "import sys; from coopqp.cli.main import main; sys.exit(main(['--version']))"
 built = pytest.mark.skipif(len(available_kernels()) < 2, reason="there is no compiler here")
 
 

@@ -7,11 +7,12 @@ import pinocchio as pin
 import pytest
 from marks import slow_but_first
 
-from coopqp import HoldPath, LinePath, Scenario, UnreachableError, WaypointPath
+from coopqp import HoldPath, LinePath, WaypointPath
+from coopqp.errors import UnreachableError
 from coopqp.model.batch import ArmKinematics
+from coopqp.paths.geometry import PathGeometry, blended
 from coopqp.planning.knots import ArmKnots, Following, Motion, arm_knots, follow, spread_knots
-from coopqp.scenarios import dual_arm7, five_joint_pair, mixed_cell, paper_lift
-from coopqp.task.geometry import PathGeometry, blended
+from coopqp.scenarios import Scenario, dual_arm7, five_joint_pair, mixed_cell, paper_lift
 
 RNG = np.random.default_rng
 

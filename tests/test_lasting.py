@@ -10,16 +10,8 @@ import pinocchio as pin
 import pytest
 from marks import slow_unless
 
-from coopqp import (
-    ControlStep,
-    LinePath,
-    ObjectPath,
-    QPController,
-    QPOptions,
-    ServoPath,
-    Status,
-    available_kernels,
-)
+from coopqp import ControlStep, LinePath, ObjectPath, QPController, QPOptions, ServoPath, Status
+from coopqp.native import available_kernels
 from coopqp.scenarios import Scenario, mixed_cell, ring
 
 KERNELS = available_kernels()

@@ -12,29 +12,24 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from coopqp import (
+from coopqp import InvalidInputError, QPController, QPOptions
+from coopqp.baselines import IndependentQPController, IndependentQPOptions
+from coopqp.errors import MissingExtraError, MissingSolverError, UnknownNameError
+from coopqp.native.constants import LARGEST_X
+from coopqp.scenarios import fast_lift
+from coopqp.solvers import (
     DaqpSettings,
-    IndependentQPController,
-    IndependentQPOptions,
-    InvalidInputError,
-    MissingExtraError,
-    MissingSolverError,
-    QPController,
-    QPOptions,
     QpProblem,
     QpSolution,
     SolverStatus,
-    UnknownNameError,
     available_solvers,
+    default_solver,
     make_solver,
 )
-from coopqp.control.solvers import default_solver
-from coopqp.control.solvers.base import Workspace
-from coopqp.control.solvers.daqp import DaqpSolver
-from coopqp.control.solvers.polish import measure
-from coopqp.control.solvers.problem import INFINITE
-from coopqp.native.constants import LARGEST_X
-from coopqp.scenarios import fast_lift
+from coopqp.solvers.base import Workspace
+from coopqp.solvers.daqp import DaqpSolver
+from coopqp.solvers.polish import measure
+from coopqp.solvers.problem import INFINITE
 
 native = pytest.importorskip("coopqp.native._core", reason="the core is not compiled")
 pytestmark = pytest.mark.core
@@ -330,7 +325,7 @@ def test_the_default() -> None:
 
 def test_without_the_compiled_core(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "coopqp.native._core", None)
-    monkeypatch.setattr("coopqp.control.solvers.find_spec", lambda name: None if "_core" in name else object())
+    monkeypatch.setattr("coopqp.solvers.choice.find_spec", lambda name: None if "_core" in name else object())
     assert default_solver() == "daqp"
     assert "ldp" not in available_solvers()
     with pytest.raises(MissingExtraError, match="compiler"):

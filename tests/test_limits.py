@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from coopqp import BindingLimit, JointLimits, LimitKind, RobotCell
-from coopqp.control.limits import VelocityBox, rate_interval
+from coopqp.control.step.velocity_bounds import VelocityBox, rate_interval
 from coopqp.native.constants import LIMIT_TOLERANCE, RECOVERY_SHARE
 
 Array = NDArray[np.float64]

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from coopqp import LinePath, QPController, QPOptions
-from coopqp.control.linearised import averaging, bounded
+from coopqp.control.step.linearised import averaging, bounded
 from coopqp.model.chain import Chain
 from coopqp.scenarios import paper_lift
 

@@ -11,23 +11,14 @@ import pinocchio as pin
 import pytest
 from scipy.optimize import linprog, minimize
 
-from coopqp import (
-    Array,
-    CellState,
-    Grasp,
-    InvalidInputError,
-    LimitKind,
-    PhysicsOptions,
-    PhysicsPlant,
-    RobotCell,
-    UnknownNameError,
-    UnreachableError,
-    simulate,
-)
+from coopqp import Grasp, InvalidInputError, LimitKind, RobotCell, simulate
+from coopqp.errors import UnknownNameError, UnreachableError
 from coopqp.forces import Grip, LoadShare, load_use
+from coopqp.model import CellState
 from coopqp.planning import Payload
 from coopqp.scenarios import Scenario, paper_lift
-from coopqp.simulation import Replay, exact_motion
+from coopqp.simulation import PhysicsOptions, PhysicsPlant, Replay, exact_motion
+from coopqp.spatial import Array
 
 ROBOTS = ("rx90l", "arm6c", "arm7", "gantry7")
 LENGTH = 0.3

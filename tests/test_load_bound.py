@@ -9,21 +9,22 @@ import numpy as np
 import pytest
 
 from coopqp import (
-    Array,
-    CellState,
     InvalidInputError,
     Knot,
     LinePath,
     QPController,
     RateBound,
     Status,
-    UnreachableError,
     inverse_kinematics,
+    plan,
     simulate,
 )
+from coopqp.errors import UnreachableError
 from coopqp.forces import Grip, LoadBound, LoadShare, load_use
-from coopqp.planning import Payload, plan, time_path
+from coopqp.model import CellState
+from coopqp.planning import Payload, time_path
 from coopqp.scenarios import Scenario
+from coopqp.spatial import Array
 
 
 def box(scenario: Scenario, mass: float) -> Payload:

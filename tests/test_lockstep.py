@@ -16,8 +16,6 @@ from marks import slow_but_first, slow_unless
 
 from coopqp import (
     Arm,
-    Array,
-    CellState,
     ControlStep,
     Grasp,
     LimitKind,
@@ -32,9 +30,9 @@ from coopqp import (
     Status,
     SupervisionOptions,
     WaypointPath,
-    available_kernels,
-    robot_path,
 )
+from coopqp.model import CellState
+from coopqp.native import available_kernels
 from coopqp.scenarios import (
     LOADED,
     SCENARIOS,
@@ -46,8 +44,10 @@ from coopqp.scenarios import (
     mixed_cell,
     paper_lift,
     ring,
+    robot_path,
     scenario,
 )
+from coopqp.spatial import Array
 
 if "compiled" not in available_kernels():
     pytest.skip("there is no compiled core here", allow_module_level=True)
@@ -551,7 +551,7 @@ def halfway(task: Scenario) -> Scenario:
 # -- starts ----------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.filterwarnings("ignore::coopqp.StartWarning")
+@pytest.mark.filterwarnings("ignore::coopqp.errors.StartWarning")
 @pytest.mark.core
 @pytest.mark.parametrize("make", [paper_lift, dual_arm7, mixed_cell], ids=lambda make: make.__name__)
 @pytest.mark.parametrize("acceleration", [np.inf, 20.0])
@@ -571,7 +571,7 @@ def test_both_agree_while_joints_are_led_back(make: Callable[[], Scenario], acce
     assert ((x < lower) | (x > upper)).any()
 
 
-@pytest.mark.filterwarnings("ignore::coopqp.StartWarning")
+@pytest.mark.filterwarnings("ignore::coopqp.errors.StartWarning")
 @pytest.mark.slow
 @pytest.mark.core
 @pytest.mark.parametrize("off", [1e-4, 1e-3])
@@ -835,7 +835,7 @@ def test_both_agree_with_any_solver(solver: str) -> None:
         assert all(one.status is other.status for one, other in steps)
 
 
-@pytest.mark.filterwarnings("ignore::coopqp.StartWarning")
+@pytest.mark.filterwarnings("ignore::coopqp.errors.StartWarning")
 @pytest.mark.core
 def test_both_agree_where_the_chain_has_to_part() -> None:
     """A joint that may hardly move, and one that comes back from outside: no answer keeps the chain."""

@@ -10,19 +10,12 @@ import numpy as np
 import pytest
 from marks import slow_but_first
 
-from coopqp import (
-    Array,
-    ControlStep,
-    LinePath,
-    MissingExtraError,
-    ObjectPath,
-    QPController,
-    QPOptions,
-    Status,
-    available_kernels,
-)
-from coopqp.control.linearised import is_long
+from coopqp import ControlStep, LinePath, ObjectPath, QPController, QPOptions, Status
+from coopqp.control.step.linearised import is_long
+from coopqp.errors import MissingExtraError
+from coopqp.native import available_kernels
 from coopqp.scenarios import at_singularity, dual_arm7, mixed_cell, paper_lift
+from coopqp.spatial import Array
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
 from promise_cases import chain_cells

@@ -10,12 +10,14 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from coopqp import Array, LimitKind, ObjectPath, PostureOptions, PreviewOptions, TimeLaw, WaypointPath
+from coopqp import LimitKind, ObjectPath, PostureOptions, PreviewOptions, WaypointPath
+from coopqp.control.lookahead.preview import PathPreview
 from coopqp.model.chain import Chain
 from coopqp.model.inverse_kinematics import newton
-from coopqp.planning.preview import PathPreview
+from coopqp.model.posture import Posture
+from coopqp.paths import TimeLaw
 from coopqp.scenarios import Scenario, at_singularity, paper_lift
-from coopqp.task.posture import Posture
+from coopqp.spatial import Array
 
 DT = 0.002
 

@@ -13,13 +13,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from coopqp import (
-    CellState,
-    Grasp,
-    InvalidInputError,
-    LinePath,
-    Recording,
-    RobotCell,
+from coopqp import Grasp, InvalidInputError, LinePath, Recording, RobotCell
+from coopqp.model import CellState
+from coopqp.scenarios import Scenario
+from coopqp.simulation import (
     chain_error,
     limit_excess,
     object_error,
@@ -29,7 +26,6 @@ from coopqp import (
     relative_positioning_error,
     tool_placements,
 )
-from coopqp.scenarios import Scenario
 
 Array = NDArray[np.float64]
 

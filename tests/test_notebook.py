@@ -13,20 +13,9 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from coopqp import (
-    Arm,
-    HoldPath,
-    IndependentQPController,
-    LinePath,
-    PseudoInverseController,
-    QPController,
-    Recording,
-    RobotCell,
-    ServoPath,
-    Status,
-    robot_path,
-)
-from coopqp.scenarios import Scenario
+from coopqp import Arm, HoldPath, LinePath, QPController, Recording, RobotCell, ServoPath, Status
+from coopqp.baselines import IndependentQPController, PseudoInverseController
+from coopqp.scenarios import Scenario, robot_path
 
 MOST_BYTES = 250_000
 

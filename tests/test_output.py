@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from coopqp import OutputError
+from coopqp.errors import OutputError
 from coopqp.output import check_file, check_folder, write_files
 
 

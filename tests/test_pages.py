@@ -19,10 +19,12 @@ from pathlib import Path
 
 import pytest
 
-from coopqp import Tolerances, load_cell_file
-from coopqp.app import cli, demo
-from coopqp.look import plots
+from coopqp import load_cell_file
+from coopqp.cli import demo
+from coopqp.cli import main as cli
 from coopqp.scenarios import robot_file
+from coopqp.simulation import Tolerances
+from coopqp.visualization import plots
 
 ROOT = Path(__file__).parents[1]
 CELLS = ROOT / "docs" / "examples" / "cells"

@@ -9,10 +9,10 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from coopqp import ForceController, ForceOptions, InvalidInputError, PhysicsPlant, QPController, WrenchBounds, simulate
+from coopqp import ForceController, ForceOptions, InvalidInputError, QPController, simulate
 from coopqp.forces import Grip, least_squeeze, palm_use, squeeze_needed
 from coopqp.scenarios import Scenario, palm_box
-from coopqp.simulation import engine_controller, engine_plant
+from coopqp.simulation import PhysicsPlant, WrenchBounds, engine_controller, engine_plant
 from coopqp.simulation.engine import box_payload
 
 PALM = Grip(kind="palm", friction=0.6, radius=0.06)
@@ -98,7 +98,7 @@ def test_palms_that_would_lose_the_object_are_refused(task: Scenario) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.filterwarnings("ignore::coopqp.StartWarning")  # a base is off
+@pytest.mark.filterwarnings("ignore::coopqp.errors.StartWarning")  # a base is off
 def test_a_box_is_lifted_by_friction_alone() -> None:
     """With 1.2 times the least squeeze, real contacts, and a base off by 1 mm and 0.1°: it slips by 1 mm at most."""
     pytest.importorskip("mujoco")

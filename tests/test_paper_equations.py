@@ -12,23 +12,14 @@ import pinocchio as pin
 import pytest
 from numpy.typing import NDArray
 
-from coopqp import (
-    CellState,
-    Grasp,
-    LinePath,
-    Recording,
-    RobotCell,
-    adjoint,
-    inverse_kinematics,
-    object_error,
-    relative_orientation_error,
-    relative_positioning_error,
-    tool_placements,
-)
+from coopqp import Grasp, LinePath, Recording, RobotCell, inverse_kinematics
+from coopqp.model import CellState
 from coopqp.model.grasp import THETA, triangle_frames
+from coopqp.paths.path import ScrewParameters
 from coopqp.scenarios import Scenario
 from coopqp.scenarios.paper import BASE_DISTANCE_H, BASE_OFFSET_B, slave_base
-from coopqp.task.path import ScrewParameters
+from coopqp.simulation import object_error, relative_orientation_error, relative_positioning_error, tool_placements
+from coopqp.spatial import adjoint
 
 Array = NDArray[np.float64]
 EXACT = 1e-13

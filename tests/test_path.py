@@ -12,18 +12,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from coopqp import (
-    HoldPath,
-    InvalidInputError,
-    LinePath,
-    ObjectPath,
-    ServoPath,
-    TimeLaw,
-    UnknownNameError,
-    WaypointPath,
-    adjoint,
-)
-from coopqp.task.path import ScrewParameters, as_time_law
+from coopqp import HoldPath, InvalidInputError, LinePath, ObjectPath, ServoPath, WaypointPath
+from coopqp.errors import UnknownNameError
+from coopqp.paths import TimeLaw
+from coopqp.paths.path import ScrewParameters, as_time_law
+from coopqp.spatial import adjoint
 
 Array = NDArray[np.float64]
 

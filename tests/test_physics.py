@@ -15,35 +15,29 @@ import pytest
 
 from coopqp import (
     Arm,
-    Array,
-    CellState,
-    Controller,
     CoopqpError,
-    Disturbances,
     Grasp,
     HoldPath,
     InvalidInputError,
-    MissingExtraError,
-    ModelError,
     ObjectPath,
-    PhysicsError,
-    PhysicsOptions,
-    PhysicsPlant,
-    PseudoInverseController,
     QPController,
     QPOptions,
     Recording,
     RobotCell,
-    StressModel,
     SupervisionOptions,
     WaypointPath,
-    at_tools,
-    misplaced,
     simulate,
 )
+from coopqp.baselines import PseudoInverseController
+from coopqp.control import Controller
+from coopqp.errors import MissingExtraError, ModelError
+from coopqp.forces import StressModel, at_tools
+from coopqp.model import CellState
 from coopqp.scenarios import Scenario, paper_lift
-from coopqp.simulation import metrics
+from coopqp.simulation import Disturbances, PhysicsError, PhysicsOptions, PhysicsPlant, misplaced
+from coopqp.simulation.evaluation import metrics
 from coopqp.simulation.plants.replay import Motion, Replay, exact_motion, recorded_motion
+from coopqp.spatial import Array
 
 #: A base with an error of 1 mm and 0.1°, a grasp with an error of 2 mm.
 BASE_OFF = pin.SE3(pin.exp3(np.deg2rad(0.1) * np.ones(3) / np.sqrt(3)), 1e-3 * np.ones(3) / np.sqrt(3))
@@ -431,7 +425,7 @@ def closed_loop(
 @pytest.mark.slow
 @pytest.mark.parametrize("latched", [True, False])
 @pytest.mark.parametrize("off", [{"base": BASE_OFF}, {"grip": GRASP_OFF}], ids=["base", "grip"])
-@pytest.mark.filterwarnings("ignore::coopqp.StartWarning")
+@pytest.mark.filterwarnings("ignore::coopqp.errors.StartWarning")
 def test_held_for_ten_seconds_the_force_stays(paper: Scenario, off: dict[str, pin.SE3], latched: bool) -> None:
     force, recording = closed_loop(HoldPath(paper.path.pose(0.0), duration=10.0), latched=latched, **off)
     assert recording.finished
@@ -443,7 +437,7 @@ def test_held_for_ten_seconds_the_force_stays(paper: Scenario, off: dict[str, pi
 
 
 @pytest.mark.slow
-@pytest.mark.filterwarnings("ignore::coopqp.StartWarning")
+@pytest.mark.filterwarnings("ignore::coopqp.errors.StartWarning")
 def test_lifted_and_lowered_for_ten_seconds_the_force_does_not_wind_up(paper: Scenario) -> None:
     low, high = paper.path.pose(0.0), paper.path.pose(paper.path.duration)
     path = WaypointPath([low, high] * 3 + [low], durations=[10.0 / 6.0] * 6)

@@ -11,12 +11,10 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from coopqp import QPController, StudyError, simulate
-from coopqp.app import cli
-from coopqp.collision import CollisionScene
-from coopqp.planning import find_start
+from coopqp import CollisionScene, QPController, find_start, simulate
+from coopqp.cli import main as cli
 from coopqp.scenarios import paper_lift
-from coopqp.studies import CellPlaced, Goals, Placer, load_place_study
+from coopqp.studies import CellPlaced, Goals, Placer, StudyError, load_place_study
 
 LIFT = paper_lift()
 EXAMPLE = Path(__file__).parents[1] / "docs" / "examples" / "studies" / "h_and_b.toml"

@@ -13,19 +13,19 @@ from coopqp import (
     Grasp,
     InvalidInputError,
     LinePath,
-    NoStartError,
     QPController,
     RobotCell,
-    Scenario,
     TimedPath,
     WaypointPath,
     load_cell_file,
+    plan,
     simulate,
-    write_speed_profile,
 )
-from coopqp.app.cli import main
-from coopqp.planning import plan, time_path
-from coopqp.scenarios import dual_arm7
+from coopqp.cli.main import main
+from coopqp.errors import NoStartError
+from coopqp.planning import time_path
+from coopqp.scenarios import Scenario, dual_arm7
+from coopqp.visualization import write_speed_profile
 
 BAR = Path(__file__).parents[1] / "docs" / "examples" / "cells" / "bar.toml"
 
@@ -212,7 +212,7 @@ def test_exit_statuses(tmp_path: Path, capsys: pytest.CaptureFixture[str], monke
     assert main(["plan", str(bar_with(tmp_path, height="[0.0, 0.10, 4.0]")), "--out", out]) == 3
     assert "coopqp: no plan: arm" in capsys.readouterr().err
     import coopqp.planning.timing as timing
-    from coopqp import UndecidedError
+    from coopqp.errors import UndecidedError
 
     def fails(*_: Any) -> Any:
         raise UndecidedError("it failed")
@@ -225,7 +225,7 @@ def test_exit_statuses(tmp_path: Path, capsys: pytest.CaptureFixture[str], monke
 
 def test_paths_of_models_lead_from_the_new_folder(tmp_path: Path) -> None:
     """A cell file with URDF files of its own can be planned into any folder."""
-    from coopqp import robot_path
+    from coopqp.scenarios import robot_path
 
     robot = tmp_path / "cell" / "robots" / "arm.urdf"
     robot.parent.mkdir(parents=True)

@@ -13,20 +13,23 @@ import pytest
 from marks import slow_but_first
 
 from coopqp import (
+    Clearance,
+    CollisionScene,
     InvalidInputError,
     QPController,
     QPOptions,
-    Scenario,
     TimedPath,
-    UnreachableError,
+    check_path,
+    plan,
     simulate,
 )
-from coopqp.app.cli import main
-from coopqp.collision import Body, Box, Clearance, CollisionScene
-from coopqp.planning import PathVerdict, check_path, plan
+from coopqp.cli.main import main
+from coopqp.collision import Body, Box
+from coopqp.errors import UnreachableError
+from coopqp.paths.geometry import Straight, blended
+from coopqp.planning import PathVerdict
 from coopqp.planning.planner import some_timing
-from coopqp.scenarios import elbow_and_knob, forearms, plate_and_post
-from coopqp.task.geometry import Straight, blended
+from coopqp.scenarios import Scenario, elbow_and_knob, forearms, plate_and_post
 
 pytest.importorskip("toppra")
 

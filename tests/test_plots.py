@@ -15,20 +15,12 @@ from marks import slow_unless
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.text import Text
 
-from coopqp import (
-    Arm,
-    InvalidInputError,
-    MissingExtraError,
-    OutputError,
-    PseudoInverseController,
-    PseudoInverseOptions,
-    Recording,
-    RobotCell,
-    simulate,
-)
-from coopqp.look import plots, style
-from coopqp.look.joints import joint_figure
+from coopqp import Arm, InvalidInputError, Recording, RobotCell, simulate
+from coopqp.baselines import PseudoInverseController, PseudoInverseOptions
+from coopqp.errors import MissingExtraError, OutputError
 from coopqp.scenarios import Scenario, paper_lift
+from coopqp.visualization import plots, style
+from coopqp.visualization.joints import joint_figure
 
 
 @pytest.fixture(scope="module")
@@ -258,10 +250,10 @@ def test_saving_is_repeatable(lift: Scenario, one: Recording) -> None:
 
 @pytest.mark.slow
 def test_the_load_is_drawn_with_its_limits_and_where_it_is_too_heavy(lift: Scenario, tmp_path: Path) -> None:
-    from coopqp import write_load_use
     from coopqp.forces import Grip, LoadShare, load_use
-    from coopqp.look.loads import load_figure
     from coopqp.planning import Payload
+    from coopqp.visualization import write_load_use
+    from coopqp.visualization.loads import load_figure
 
     q = [lift.q_start] * 3
     for mass, grips, panels in ((20.0, None, 1), (90.0, [Grip(force=1e3)] * 3, 3)):

@@ -10,8 +10,6 @@ import pinocchio as pin
 import pytest
 
 from coopqp import (
-    Array,
-    CellState,
     ControlStep,
     HoldPath,
     InvalidInputError,
@@ -19,13 +17,12 @@ from coopqp import (
     QPController,
     QPOptions,
     RobotCell,
-    chain_error,
-    limit_excess,
-    path_error,
-    tool_placements,
 )
+from coopqp.model import CellState
+from coopqp.model.posture import Posture
 from coopqp.scenarios import Scenario, dual_arm7, mixed_cell, paper_lift
-from coopqp.task.posture import Posture
+from coopqp.simulation import chain_error, limit_excess, path_error, tool_placements
+from coopqp.spatial import Array
 
 
 def posture_of(cell: RobotCell, q: Array, **options: Any) -> Posture:

@@ -15,7 +15,6 @@ from marks import slow_but_first
 from wrapped import Opaque
 
 from coopqp import (
-    Array,
     BindingLimit,
     HoldPath,
     InvalidInputError,
@@ -28,18 +27,17 @@ from coopqp import (
     QPOptions,
     ServoPath,
     Status,
-    TimeLaw,
     WaypointPath,
-    available_kernels,
-    chain_error,
-    path_error,
-    tool_placements,
 )
+from coopqp.control.lookahead.preview import PathPreview
 from coopqp.model.chain import Chain
 from coopqp.model.inverse_kinematics import newton
-from coopqp.planning.preview import PathPreview
+from coopqp.model.posture import Posture
+from coopqp.native import available_kernels
+from coopqp.paths import TimeLaw
 from coopqp.scenarios import Scenario, at_limit, at_singularity, dual_arm7, mixed_cell, paper_lift
-from coopqp.task.posture import Posture
+from coopqp.simulation import chain_error, path_error, tool_placements
+from coopqp.spatial import Array
 
 pytestmark = pytest.mark.core
 

@@ -12,24 +12,15 @@ import numpy as np
 import pytest
 from marks import slow_but_first, slow_unless
 
-from coopqp import (
-    Array,
-    InvalidInputError,
-    PreviewOptions,
-    QPController,
-    QPOptions,
-    QpSolver,
-    RankWeights,
-    SolverSettings,
-    available_kernels,
-    make_solver,
-)
-from coopqp.control.command import NO_SOLVE
-from coopqp.control.constraints import Rows, no_rows
-from coopqp.control.forms import Answer, Pieces, StepProgram, StepTerms
-from coopqp.control.limits import VelocityBox
-from coopqp.control.ranks import StepAnswer, StepSolver, _least_broken
+from coopqp import InvalidInputError, PreviewOptions, QPController, QPOptions
+from coopqp.constraints.velocity import Rows, no_rows
+from coopqp.control import RankWeights
+from coopqp.control.interface import NO_SOLVE
+from coopqp.control.step.formulations import Answer, Pieces, StepProgram, StepTerms
+from coopqp.control.step.priorities import StepAnswer, StepSolver, _least_broken
+from coopqp.control.step.velocity_bounds import VelocityBox
 from coopqp.model.chain import Chain
+from coopqp.native import available_kernels
 from coopqp.scenarios import (
     LOADED,
     SCENARIOS,
@@ -41,6 +32,8 @@ from coopqp.scenarios import (
     paper_lift,
     scara_pair,
 )
+from coopqp.solvers import QpSolver, SolverSettings, make_solver
+from coopqp.spatial import Array
 
 #: Random boxes per recorded step.
 BOXES = 50 if os.environ.get("HYPOTHESIS_PROFILE") == "nightly" else 5

@@ -13,28 +13,29 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from coopqp import (
-    CellState,
     Grasp,
     HoldPath,
     InvalidInputError,
     LinePath,
-    PseudoInverseController,
-    PseudoInverseOptions,
     Recording,
     RobotCell,
     Status,
-    UnknownNameError,
     WaypointPath,
     inverse_kinematics,
+    simulate,
+)
+from coopqp.baselines import PseudoInverseController, PseudoInverseOptions
+from coopqp.errors import UnknownNameError
+from coopqp.model import CellState
+from coopqp.scenarios import Scenario
+from coopqp.scenarios.paper import BASE_DISTANCE_H, slave_base
+from coopqp.simulation import (
     limit_excess,
     object_error,
     relative_orientation_error,
     relative_positioning_error,
-    simulate,
     tool_placements,
 )
-from coopqp.scenarios import Scenario
-from coopqp.scenarios.paper import BASE_DISTANCE_H, slave_base
 
 Array = NDArray[np.float64]
 Baseline = Callable[..., Recording]

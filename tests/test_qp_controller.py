@@ -16,36 +16,28 @@ from marks import slow_but_first, slow_unless
 
 from coopqp import (
     Arm,
-    Array,
     CommonError,
     ControlStep,
     Grasp,
     HoldPath,
-    IndependentQPController,
     InvalidInputError,
     LimitKind,
     LinePath,
     ObjectPath,
     PostureOptions,
     PreviewOptions,
-    PseudoInverseController,
     QPController,
     QPOptions,
-    RankWeights,
     RobotCell,
     Status,
-    TimeLaw,
-    UnknownNameError,
     WaypointPath,
-    available_kernels,
-    chain_error,
     inverse_kinematics,
-    limit_excess,
-    object_error,
-    path_error,
-    relative_positioning_error,
-    tool_placements,
 )
+from coopqp.baselines import IndependentQPController, PseudoInverseController
+from coopqp.control import RankWeights
+from coopqp.errors import UnknownNameError
+from coopqp.native import available_kernels
+from coopqp.paths import TimeLaw
 from coopqp.scenarios import (
     LOADED,
     SCENARIOS,
@@ -61,6 +53,15 @@ from coopqp.scenarios import (
     scara_pair,
 )
 from coopqp.scenarios.paper import three_rx90l
+from coopqp.simulation import (
+    chain_error,
+    limit_excess,
+    object_error,
+    path_error,
+    relative_positioning_error,
+    tool_placements,
+)
+from coopqp.spatial import Array
 
 pytestmark = pytest.mark.core
 
@@ -240,7 +241,7 @@ def views(task: Scenario, steps: Sequence[ControlStep], arm: int) -> tuple[float
     return max(e[0] for e in errors), max(e[1] for e in errors)
 
 
-@pytest.mark.filterwarnings("ignore::coopqp.StartWarning")
+@pytest.mark.filterwarnings("ignore::coopqp.errors.StartWarning")
 @pytest.mark.parametrize("master", [0, 1, 2])
 def test_master_slave_the_object_is_where_the_master_carries_it(master: int) -> None:
     """The slaves correct all of a mismatch; the master's object pose never leaves the path."""
@@ -261,7 +262,7 @@ def test_master_slave_the_object_is_where_the_master_carries_it(master: int) -> 
     assert chain_of(task, steps)[-1] < 1e-6 * MM
 
 
-@pytest.mark.filterwarnings("ignore::coopqp.StartWarning")
+@pytest.mark.filterwarnings("ignore::coopqp.errors.StartWarning")
 def test_leaderless_all_arms_give_way_alike() -> None:
     task = with_mismatch(paper_lift(time_law=TimeLaw.QUINTIC), 1, SHIFT)
     steps = run(task, common_error=CommonError.leaderless(), path_gain=0.0)
@@ -272,7 +273,7 @@ def test_leaderless_all_arms_give_way_alike() -> None:
     assert off_path(task, corrected)[-1] < 1e-5 * MM  # the path gain then leads the object back
 
 
-@pytest.mark.filterwarnings("ignore::coopqp.StartWarning")
+@pytest.mark.filterwarnings("ignore::coopqp.errors.StartWarning")
 def test_driver_orients_and_master_positions() -> None:
     """The paper's mode I: the master determines the object's position, the driver its orientation."""
     task = with_mismatch(paper_lift(time_law=TimeLaw.QUINTIC), 0, (0, 0, 0), TURN)
@@ -291,7 +292,7 @@ def test_driver_orients_and_master_positions() -> None:
     assert views(task, other[-1:], 2)[1] == pytest.approx(np.linalg.norm(TURN), rel=0.02)
 
 
-@pytest.mark.filterwarnings("ignore::coopqp.StartWarning")
+@pytest.mark.filterwarnings("ignore::coopqp.errors.StartWarning")
 def test_weights_per_axis_are_what_the_strategies_are_made_of() -> None:
     task = with_mismatch(paper_lift(), 1, SHIFT, TURN)
     weights = np.zeros((3, 6))
@@ -314,7 +315,7 @@ def test_weights_that_do_not_fit(weights: Any) -> None:
 # -- drift and its correction ------------------------------------------------------------------------------------------
 
 
-@pytest.mark.filterwarnings("ignore::coopqp.StartWarning")
+@pytest.mark.filterwarnings("ignore::coopqp.errors.StartWarning")
 def test_a_step_never_corrects_more_than_the_whole_error() -> None:
     """K dt ≤ 1: with an absurd gain the mismatch is zero after one step and stays zero."""
     task = paper_lift()
@@ -326,7 +327,7 @@ def test_a_step_never_corrects_more_than_the_whole_error() -> None:
     assert errors.max() < 1e-8
 
 
-@pytest.mark.filterwarnings("ignore::coopqp.StartWarning")
+@pytest.mark.filterwarnings("ignore::coopqp.errors.StartWarning")
 @pytest.mark.parametrize("gain", [2.0, 20.0, 100.0])
 def test_the_mismatch_decays_with_the_gain(gain: float) -> None:
     task = paper_lift()
@@ -337,14 +338,14 @@ def test_the_mismatch_decays_with_the_gain(gain: float) -> None:
     assert np.abs(ratio - (1.0 - gain * 0.002)).max() < 2e-3
 
 
-@pytest.mark.filterwarnings("ignore::coopqp.StartWarning")
+@pytest.mark.filterwarnings("ignore::coopqp.errors.StartWarning")
 def test_without_gain_the_mismatch_stays() -> None:
     task = with_mismatch(paper_lift(time_law=TimeLaw.QUINTIC), 1, SHIFT)
     errors = chain_of(task, run(task, grasp_gain=0.0, path_gain=0.0))
     assert errors[-1] == pytest.approx(np.linalg.norm(SHIFT), rel=1e-3)
 
 
-@pytest.mark.filterwarnings("ignore::coopqp.StartWarning")
+@pytest.mark.filterwarnings("ignore::coopqp.errors.StartWarning")
 @pytest.mark.parametrize(("speed", "spin"), [(0.01, 1.0), (1.0, 0.01)])
 def test_corrections_are_bounded(speed: float, spin: float) -> None:
     task = paper_lift()
@@ -660,7 +661,7 @@ def test_an_arm_may_have_joints_that_do_not_move_its_tool() -> None:
     assert all(abs(s.velocity[7]) < 1e-9 for s in steps)
 
 
-@pytest.mark.filterwarnings("ignore::coopqp.StartWarning")
+@pytest.mark.filterwarnings("ignore::coopqp.errors.StartWarning")
 @pytest.mark.parametrize("acceleration", [np.inf, 5.0])
 def test_redundant_arms_come_back_from_outside(acceleration: float) -> None:
     """Redundancy could move these joints alone; every solver must handle it."""
@@ -694,7 +695,7 @@ def test_a_step_tells_what_binds() -> None:
     assert blocked.explain().startswith(f"The object cannot go on ({blocked.binding[0]}")
 
 
-@pytest.mark.filterwarnings("ignore::coopqp.StartWarning")
+@pytest.mark.filterwarnings("ignore::coopqp.errors.StartWarning")
 def test_readings_of_a_step_are_those_of_the_metrics() -> None:
     task = with_mismatch(paper_lift(), 1, SHIFT, TURN)
     controller = make(task)

@@ -11,12 +11,13 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from coopqp import Array, ObjectPath, PostureOptions, PreviewOptions
+from coopqp import ObjectPath, PostureOptions, PreviewOptions
+from coopqp.control.lookahead.preview import PathPreview
 from coopqp.model.chain import Chain
 from coopqp.model.inverse_kinematics import newton
-from coopqp.planning.preview import PathPreview
+from coopqp.model.posture import Posture
 from coopqp.scenarios import Scenario, dual_arm7, mixed_cell, paper_lift, ur5_table
-from coopqp.task.posture import Posture
+from coopqp.spatial import Array
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
 import target_cases as cases

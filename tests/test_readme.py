@@ -14,7 +14,8 @@ import pytest
 from markdown_it import MarkdownIt
 from PIL import Image
 
-from coopqp.app import cli, demo
+from coopqp.cli import demo
+from coopqp.cli import main as cli
 
 ROOT = Path(__file__).parents[1]
 README = (ROOT / "README.md").read_text(encoding="utf-8")

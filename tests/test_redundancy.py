@@ -8,10 +8,13 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from coopqp import Arm, Array, CellState, Grasp, RobotCell, robot_path
+from coopqp import Arm, Grasp, RobotCell
+from coopqp.control.lookahead.redundancy import LimitAvoidance
+from coopqp.model import CellState
 from coopqp.model.chain import Chain
 from coopqp.native.constants import LIMIT_MARGIN, TURNING_WAY
-from coopqp.planning.redundancy import LimitAvoidance
+from coopqp.scenarios import robot_path
+from coopqp.spatial import Array
 
 
 def eight_joints() -> RobotCell:

@@ -24,10 +24,10 @@ from coopqp import (
     ServoPath,
     Status,
     WaypointPath,
-    available_kernels,
 )
+from coopqp.native import available_kernels
 from coopqp.scenarios import Scenario, dual_arm7, mixed_cell, paper_lift, ring
-from coopqp.simulation import metrics
+from coopqp.simulation.evaluation import metrics
 
 KERNELS = available_kernels()
 #: Largest error of chain and path, from the commanded configuration [m].

@@ -10,8 +10,9 @@ import pinocchio as pin
 import pytest
 from numpy.typing import NDArray
 
-from coopqp import Arm, InvalidInputError, RobotCell, robot_path
-from coopqp.look.renderer import Solid, View, box_solid, cell_solids, mesh_of, render
+from coopqp import Arm, InvalidInputError, RobotCell
+from coopqp.scenarios import robot_path
+from coopqp.visualization.renderer import Solid, View, box_solid, cell_solids, mesh_of, render
 
 Array = NDArray[np.float64]
 

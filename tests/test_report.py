@@ -17,25 +17,19 @@ from coopqp import (
     BindingLimit,
     InvalidInputError,
     LimitKind,
-    MissingExtraError,
-    OutputError,
     QPController,
     Recording,
-    RecordingError,
     RobotCell,
-    SceneError,
     Status,
-    Tolerances,
-    describe_object,
-    judge,
-    read_run,
     simulate,
-    write_report,
 )
-from coopqp.look.report import report_html
-from coopqp.look.timeline import bound_limits, timeline_figure
+from coopqp.errors import MissingExtraError, OutputError
 from coopqp.scenarios import Scenario
-from coopqp.simulation.figures import run_figures, worst_status
+from coopqp.simulation import RecordingError, SceneError, Tolerances, describe_object, judge, read_run
+from coopqp.simulation.evaluation.figures import run_figures, worst_status
+from coopqp.visualization import write_report
+from coopqp.visualization.report import report_html
+from coopqp.visualization.timeline import bound_limits, timeline_figure
 
 
 @pytest.fixture(scope="module")
@@ -149,7 +143,7 @@ def test_a_recording_cannot_change_the_page(baseline: Callable[..., Recording]) 
 @pytest.mark.slow
 def test_long_runs_stay_small(slowed: Recording, monkeypatch: pytest.MonkeyPatch) -> None:
     """Thousands of samples, notes and settings."""
-    monkeypatch.setattr("coopqp.look.report.MAX_SVG_BYTES", 100_000)
+    monkeypatch.setattr("coopqp.visualization.report.MAX_SVG_BYTES", 100_000)
     k = 8
     T = slowed.n_steps
 
@@ -208,7 +202,7 @@ def test_a_missing_matplotlib_names_the_extra(
     def missing() -> None:
         raise MissingExtraError("plot", "matplotlib")
 
-    monkeypatch.setattr("coopqp.look.report.require_matplotlib", missing)
+    monkeypatch.setattr("coopqp.visualization.report.require_matplotlib", missing)
     with pytest.raises(MissingExtraError, match=r"coopqp\[plot\]"):
         report_html(baseline(40))
 

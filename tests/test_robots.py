@@ -13,8 +13,9 @@ import pinocchio as pin
 import pytest
 from numpy.typing import NDArray
 
-from coopqp import CoopqpError, MissingExtraError, UnknownNameError, robot_path
-from coopqp.scenarios import ROBOT_NAMES, ROBOTS, robot_arm, robot_file, robot_table
+from coopqp import CoopqpError
+from coopqp.errors import MissingExtraError, UnknownNameError
+from coopqp.scenarios import ROBOT_NAMES, ROBOTS, robot_arm, robot_file, robot_path, robot_table
 from coopqp.scenarios.arms import robot_data_path
 
 Array = NDArray[np.float64]

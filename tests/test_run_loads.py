@@ -10,23 +10,12 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from coopqp import (
-    Breach,
-    InvalidInputError,
-    KinematicPlant,
-    PhysicsPlant,
-    QPController,
-    Recording,
-    StartWarning,
-    check_run,
-    judge,
-    read_run,
-    simulate,
-)
-from coopqp.app.cli import main
+from coopqp import InvalidInputError, QPController, Recording, simulate
+from coopqp.cli.main import main
+from coopqp.errors import StartWarning
 from coopqp.scenarios import LOADED, Scenario, paper_lift
-from coopqp.simulation import run_in_engine
-from coopqp.simulation.figures import run_figures
+from coopqp.simulation import Breach, KinematicPlant, PhysicsPlant, check_run, judge, read_run, run_in_engine
+from coopqp.simulation.evaluation.figures import run_figures
 
 #: The encoders of an arm whose base is off tell another place than that of its grasp.
 OFF = {"base_off_lift": ["arm slave_2 started off its grasp"]}

@@ -11,19 +11,19 @@ import coal
 import numpy as np
 import pinocchio as pin
 import pytest
+from convex import core_of, distance
 from matplotlib.image import imread
 
 from coopqp import InvalidInputError, Recording, load_cell_file
-from coopqp.app import cli
-from coopqp.app.check import glance_at
-from coopqp.app.terminal import Reporter
+from coopqp.cli import main as cli
+from coopqp.cli.check import glance_at
+from coopqp.cli.terminal import Reporter
 from coopqp.files.cellfile import CELLS as PACKAGED
 from coopqp.files.cellfile import example_path
 from coopqp.files.cellfile.hints import load_hints, unit_hints
-from coopqp.look import glance
-from coopqp.look.glance import shortfall
-from coopqp.look.viewer import CellViewer
-from coopqp.simulation.convex import core_of, distance
+from coopqp.visualization import cell_overview as glance
+from coopqp.visualization.cell_overview import shortfall
+from coopqp.visualization.viewer import CellViewer
 
 CELLS = Path(__file__).parents[1] / "docs" / "examples" / "cells"
 CELL = """

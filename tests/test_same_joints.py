@@ -12,8 +12,9 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from coopqp import Arm, CellState, InvalidInputError, RobotCell
-from coopqp.app.cli import main
+from coopqp import Arm, InvalidInputError, RobotCell
+from coopqp.cli.main import main
+from coopqp.model import CellState
 from coopqp.scenarios import SCENARIOS
 
 #: Torsos of ten robots: kind and axis of each joint, from the base up.

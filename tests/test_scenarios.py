@@ -14,15 +14,9 @@ import pytest
 from marks import slow_but_first
 
 import coopqp.scenarios
-from coopqp import (
-    CellState,
-    InvalidInputError,
-    MissingExtraError,
-    UnknownNameError,
-    adjoint,
-    chain_error,
-    tool_placements,
-)
+from coopqp import InvalidInputError
+from coopqp.errors import MissingExtraError, UnknownNameError
+from coopqp.model import CellState
 from coopqp.model.chain import Chain
 from coopqp.model.inverse_kinematics import newton
 from coopqp.scenarios import (
@@ -43,6 +37,8 @@ from coopqp.scenarios import (
     wide_grasp,
 )
 from coopqp.scenarios.arms import robot_data_path
+from coopqp.simulation import chain_error, tool_placements
+from coopqp.spatial import adjoint
 
 #: Scenarios with a path that the arms can follow to its end at full rate.
 HARD = ("fast_lift", "at_limit", "at_singularity", "random_posts", "elbows", "forearms")

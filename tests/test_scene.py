@@ -15,20 +15,10 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from coopqp import (
-    Arm,
-    HoldPath,
-    Recording,
-    RobotCell,
-    SceneError,
-    ServoPath,
-    describe_object,
-    robot_path,
-    tool_placements,
-)
-from coopqp.look.renderer import cell_solids
-from coopqp.scenarios import ROBOT_NAMES, ROBOTS
-from coopqp.simulation.scene import (
+from coopqp import Arm, HoldPath, Recording, RobotCell, ServoPath
+from coopqp.scenarios import ROBOT_NAMES, ROBOTS, robot_path
+from coopqp.simulation import SceneError, describe_object, tool_placements
+from coopqp.simulation.recording.scene import (
     describe_cell,
     describe_path,
     named_meshes,
@@ -36,6 +26,7 @@ from coopqp.simulation.scene import (
     read_object,
     read_path,
 )
+from coopqp.visualization.renderer import cell_solids
 
 
 def _all_robots() -> RobotCell:

@@ -10,8 +10,9 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from coopqp import Array, InvalidInputError, UnknownNameError, load_cell_file
-from coopqp.app.cli import main
+from coopqp import InvalidInputError, load_cell_file
+from coopqp.cli.main import main
+from coopqp.errors import UnknownNameError
 from coopqp.files import example_path
 from coopqp.forces import WristSensor
 from coopqp.forces.presses import PressPlan, balanced
@@ -19,6 +20,7 @@ from coopqp.forces.sensor_findings import judge
 from coopqp.forces.sensor_fit import SensorFit
 from coopqp.forces.wrist_sensor import SensorMaps
 from coopqp.scenarios import paper_lift
+from coopqp.spatial import Array
 
 LIFT = paper_lift()
 DT, NOISE, LATE = 0.005, 1.0, 0.01

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.optimize import linprog
 
-from coopqp.planning.sharing import Interval, Share, largest_alone, largest_square
+from coopqp.control.lookahead.backward_pass import Interval, Share, largest_alone, largest_square
 
 pytestmark = pytest.mark.core
 DOUBT = 0.3

@@ -17,22 +17,20 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-import coopqp.simulation.recording
+import coopqp.simulation.recording.recording
 from coopqp import (
     ControlStep,
     CoopqpError,
     InvalidInputError,
-    KinematicPlant,
-    PseudoInverseController,
-    PseudoInverseOptions,
     QPController,
     Recording,
-    RecordingError,
     ServoPath,
     Status,
     simulate,
 )
+from coopqp.baselines import PseudoInverseController, PseudoInverseOptions
 from coopqp.scenarios import Scenario, at_limit
+from coopqp.simulation import KinematicPlant, RecordingError
 
 Array = NDArray[np.float64]
 MANY = settings(max_examples=4 * settings().max_examples)
@@ -309,9 +307,9 @@ def test_pickles_are_not_executed(run: Recording, tmp_path: Path) -> None:
 def test_a_bomb_is_not_unpacked(run: Recording, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     file = run.save(tmp_path / "run.npz")
     unpacked = sum(info.file_size for info in zipfile.ZipFile(file).infolist())
-    monkeypatch.setattr(coopqp.simulation.recording, "MAX_RECORDING_BYTES", unpacked)
+    monkeypatch.setattr(coopqp.simulation.recording.recording, "MAX_RECORDING_BYTES", unpacked)
     Recording.load(file)
-    monkeypatch.setattr(coopqp.simulation.recording, "MAX_RECORDING_BYTES", unpacked - 1)
+    monkeypatch.setattr(coopqp.simulation.recording.recording, "MAX_RECORDING_BYTES", unpacked - 1)
     with pytest.raises(RecordingError, match=f"unpacks to {unpacked} bytes"):
         Recording.load(file)
 

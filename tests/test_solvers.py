@@ -16,11 +16,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from coopqp import (
+from coopqp import InvalidInputError
+from coopqp.errors import MissingExtraError, UnknownNameError
+from coopqp.solvers import (
     DaqpSettings,
     GenericSettings,
-    InvalidInputError,
-    MissingExtraError,
     OsqpSettings,
     ProxqpSettings,
     QpProblem,
@@ -28,12 +28,11 @@ from coopqp import (
     QpSolver,
     SolverSettings,
     SolverStatus,
-    UnknownNameError,
     available_solvers,
     make_solver,
 )
-from coopqp.control.solvers.base import Outcome, Workspace
-from coopqp.control.solvers.polish import excluded_ball, finish, measure
+from coopqp.solvers.base import Outcome, Workspace
+from coopqp.solvers.polish import excluded_ball, finish, measure
 
 SEMIDEFINITE = [name for name in ("proxqp", "osqp", "daqp") if name in available_solvers()]
 KEPT = SEMIDEFINITE + [name for name in ("ldp",) if name in available_solvers()]
@@ -484,7 +483,7 @@ def test_hard_is_not_called_infeasible(name: str) -> None:
 _INVALID = """
     import json, sys, time
     import numpy as np
-    from coopqp.control.solvers import QpProblem, make_solver
+    from coopqp.solvers import QpProblem, make_solver
 
     fields = ("H", "g", "A", "b", "C", "l", "u", "lb", "ub")
     def good():
@@ -801,7 +800,7 @@ def test_import_is_light() -> None:
         import sys, types, pathlib
         import coopqp.errors
         before = set(sys.modules)
-        import coopqp.control.solvers
+        import coopqp.solvers
         heavy = {"osqp", "proxsuite", "daqp", "qpsolvers", "scipy"}
         print(sorted(heavy & (set(sys.modules) - before)))
     """
@@ -824,7 +823,7 @@ def test_names() -> None:
 
 def test_missing_package(monkeypatch: pytest.MonkeyPatch) -> None:
     real = importlib.util.find_spec
-    monkeypatch.setattr("coopqp.control.solvers.find_spec", lambda name: None if name == "daqp" else real(name))
+    monkeypatch.setattr("coopqp.solvers.choice.find_spec", lambda name: None if name == "daqp" else real(name))
     with pytest.raises(MissingExtraError, match="daqp"):
         make_solver("daqp")
     assert "daqp" not in available_solvers() or "daqp" not in KEPT

@@ -13,9 +13,9 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from numpy.typing import NDArray
 
-from coopqp import InvalidInputError, adjoint
+from coopqp import InvalidInputError
 from coopqp.checks import as_scalar, as_vector, read_only
-from coopqp.spatial import ROTATION_TOLERANCE, as_placement, as_placements, axis_angle, cross, log6_batch, skew
+from coopqp.spatial import ROTATION_TOLERANCE, adjoint, as_placement, as_placements, axis_angle, cross, log6_batch, skew
 
 Array = NDArray[np.float64]
 MANY = settings(max_examples=10 * settings().max_examples)

@@ -9,8 +9,10 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from coopqp import Array, ObjectPath, QPController, QPOptions, Status
+from coopqp import ObjectPath, QPController, QPOptions, Status
+from coopqp.native import available_kernels
 from coopqp.scenarios import paper_lift
+from coopqp.spatial import Array
 
 #: Questions to the path in a step of 2 ms: for its reference, for what is ahead, at a corner.
 MOST_ASKED = 12
@@ -61,7 +63,7 @@ def controller_on(kind: str, kernel: str, acceleration: float) -> tuple[QPContro
 @pytest.mark.parametrize("acceleration", [np.inf, 8.0])
 @pytest.mark.parametrize("kind", ["stairs", "ramps and stairs", "root", "kinks"])
 def test_a_step_asks_a_path_a_few_times_and_says_what_stops_it(kind: str, acceleration: float) -> None:
-    controller, path = controller_on(kind, "compiled", acceleration)
+    controller, path = controller_on(kind, available_kernels()[0], acceleration)
     unnamed = 0
     for _ in range(700):
         path.calls = 0
@@ -77,7 +79,7 @@ def test_a_step_asks_a_path_a_few_times_and_says_what_stops_it(kind: str, accele
         assert 0.49 < step.clock < 0.5
 
 
-@pytest.mark.parametrize("kernel", ["plain", "compiled"])
+@pytest.mark.parametrize("kernel", available_kernels())
 def test_a_path_that_starts_like_a_root_is_too_steep_and_jumps_not(kernel: str) -> None:
     for acceleration in (np.inf, 8.0):
         controller, path = controller_on("root", kernel, acceleration)
@@ -90,6 +92,7 @@ def test_a_path_that_starts_like_a_root_is_too_steep_and_jumps_not(kernel: str) 
 
 
 @pytest.mark.core
+@pytest.mark.skipif("compiled" not in available_kernels(), reason="nothing is compiled")
 @pytest.mark.parametrize("kind", ["ramps and stairs", "root", pytest.param("kinks", marks=pytest.mark.slow)])
 @pytest.mark.parametrize("acceleration", [np.inf, 8.0])
 def test_both_kernels_agree_on_paths_that_jump_and_bend(kind: str, acceleration: float) -> None:
@@ -100,7 +103,7 @@ def test_both_kernels_agree_on_paths_that_jump_and_bend(kind: str, acceleration:
         assert b.rate == pytest.approx(a.rate, abs=1e-9)
 
 
-@pytest.mark.parametrize("kernel", ["plain", "compiled"])
+@pytest.mark.parametrize("kernel", available_kernels())
 def test_a_path_that_fails_and_answers_again_is_looked_at_a_little_at_a_time(kernel: str) -> None:
     controller, path = controller_on("ramps and stairs", kernel, 8.0)
     share: Any = path._share

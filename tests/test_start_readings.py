@@ -8,18 +8,13 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from coopqp import (
-    Disturbances,
-    DisturbedPlant,
-    ForceController,
-    InvalidInputError,
-    QPController,
-    StiffnessWarning,
-    simulate,
-)
+from coopqp import ForceController, InvalidInputError, QPController, simulate
+from coopqp.errors import StiffnessWarning
+from coopqp.native import available_kernels
 from coopqp.scenarios import paper_lift, scara_pair
+from coopqp.simulation import Disturbances, DisturbedPlant
 
-pytestmark = pytest.mark.filterwarnings("ignore::coopqp.StiffnessWarning")
+pytestmark = pytest.mark.filterwarnings("ignore::coopqp.errors.StiffnessWarning")
 
 
 @pytest.mark.parametrize("make", [paper_lift, scara_pair])
@@ -65,7 +60,7 @@ def test_a_simulated_start_is_a_mean() -> None:
     assert np.abs(run.q_command[0] - task.q_start).max() < 0.3e-4  # one reading: up to 1e-4
 
 
-@pytest.mark.parametrize("kernel", ["compiled", "plain"])
+@pytest.mark.parametrize("kernel", available_kernels())
 def test_only_arms_that_are_measured_are_asked_for_their_stiffness(kernel: str) -> None:
     task = paper_lift()
     q, options = task.q_start, {"kernel": kernel}

@@ -17,29 +17,25 @@ from marks import slow_but_first
 
 from coopqp import (
     Arm,
-    CellFileError,
-    CellState,
     Grasp,
     HoldPath,
     InvalidInputError,
     LinePath,
-    NoStartError,
     QPController,
     QPOptions,
     RobotCell,
-    StartWarning,
-    UnknownNameError,
-    UnreachableError,
     WaypointPath,
-    available_kernels,
+    find_start,
     load_cell_file,
-    robot_path,
     simulate,
 )
+from coopqp.constraints.samples import sample_path
+from coopqp.errors import NoStartError, StartWarning, UnknownNameError, UnreachableError
+from coopqp.files import CellFileError
+from coopqp.model import CellState
 from coopqp.model.batch import ArmKinematics
-from coopqp.planning import find_start
-from coopqp.planning.samples import sample_path
-from coopqp.scenarios import Scenario, dual_arm7, mixed_cell, scara_pair
+from coopqp.native import available_kernels
+from coopqp.scenarios import Scenario, dual_arm7, mixed_cell, robot_path, scara_pair
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
 from user_cells import CELLS, build
@@ -300,7 +296,7 @@ def test_simulate_finds_a_start(paper: Scenario) -> None:
         simulate(QPController(paper.cell, paper.grasp, far, dt=0.02), duration=1.0)
 
 
-@pytest.mark.filterwarnings("ignore::coopqp.StartWarning")
+@pytest.mark.filterwarnings("ignore::coopqp.errors.StartWarning")
 @pytest.mark.parametrize("kernel", slow_but_first(available_kernels()))
 def test_a_start_outside_limits_is_said_until_the_arm_is_inside(paper: Scenario, kernel: Any) -> None:
     """The limit of one joint is 1° on the inner side of its start, or 20°."""

@@ -10,8 +10,11 @@ import pinocchio as pin
 import pytest
 from numpy.typing import NDArray
 
-from coopqp import CellState, InvalidInputError, RobotCell, UnknownNameError, adjoint
+from coopqp import InvalidInputError, RobotCell
+from coopqp.errors import UnknownNameError
+from coopqp.model import CellState
 from coopqp.scenarios import Scenario
+from coopqp.spatial import adjoint
 
 Array = NDArray[np.float64]
 RandomQ = Callable[[RobotCell, np.random.Generator], Array]

@@ -9,9 +9,12 @@ import pinocchio as pin
 import pytest
 
 import coopqp.forces.stress
-from coopqp import Array, CellState, Grasp, InvalidInputError, RobotCell, StressModel, at_tools
-from coopqp.control.stress_watch import StressWatch
+from coopqp import Grasp, InvalidInputError, RobotCell
+from coopqp.control.monitoring.stress import StressWatch
+from coopqp.forces import StressModel, at_tools
+from coopqp.model import CellState
 from coopqp.scenarios import Scenario
+from coopqp.spatial import Array
 
 #: Cells of arms with 6, 7, and fewer joints.
 ROBOTS = [("rx90l", "rx90l", "rx90l"), ("arm7", "rx90l"), ("arm7", "arm6c", "gantry7"), ("rx90l", "arm5", "scara4")]

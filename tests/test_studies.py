@@ -22,19 +22,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from coopqp import (
-    CoopqpError,
-    EngineError,
-    MissingExtraError,
-    OutputError,
-    PseudoInverseController,
-    StudyError,
-    read_run,
-    simulate,
-)
-from coopqp.app import cli, terminal
+from coopqp import CoopqpError, simulate
+from coopqp.baselines import PseudoInverseController
+from coopqp.cli import main as cli
+from coopqp.cli import terminal
+from coopqp.errors import MissingExtraError, OutputError
 from coopqp.scenarios import paper_lift
-from coopqp.studies import Cluster, Engine, Local, Study, load_study, run_rows, sweep
+from coopqp.simulation import read_run
+from coopqp.studies import Cluster, Engine, EngineError, Local, Study, StudyError, load_study, run_rows, sweep
 from coopqp.studies import engines as engines_module
 from coopqp.studies.drawing import DisturbancesTable, disturbances
 from coopqp.studies.journal import Journal, read_journal
@@ -409,7 +404,7 @@ def test_a_folder_with_another_study_is_refused(whole: Path, tmp_path: Path) -> 
 def start(*arguments: str, folder: Path, **options: Any) -> subprocess.Popen[str]:
     """A coordinator in a process of its own."""
     code = "import signal, sys; signal.signal(signal.SIGINT, signal.default_int_handler); "
-    code += "from coopqp.app.start import main; sys.exit(main())"
+    code += "from coopqp.cli.start import main; sys.exit(main())"
     environment = {**os.environ, "PYTHONIOENCODING": "utf-8"}
     return subprocess.Popen(
         [sys.executable, "-c", code, "sweep", str(study_file(folder)), *arguments],

@@ -9,21 +9,13 @@ import numpy as np
 import pytest
 from marks import slow_but_first
 
-from coopqp import (
-    Array,
-    Cause,
-    InvalidInputError,
-    QPController,
-    QPOptions,
-    Status,
-    SupervisionOptions,
-    available_kernels,
-)
-from coopqp.control.drift import Drift
-from coopqp.control.stress_watch import StressWatch
-from coopqp.control.supervision import Supervision, Watch
-from coopqp.native import constants
+from coopqp import Cause, InvalidInputError, QPController, QPOptions, Status, SupervisionOptions
+from coopqp.control.monitoring.drift import Drift
+from coopqp.control.monitoring.stress import StressWatch
+from coopqp.control.monitoring.supervision import Supervision, Watch
+from coopqp.native import available_kernels, constants
 from coopqp.scenarios import mixed_cell, paper_lift
+from coopqp.spatial import Array
 
 pytestmark = pytest.mark.core
 

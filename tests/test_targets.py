@@ -9,24 +9,16 @@ from typing import Any
 import numpy as np
 import pytest
 
-from coopqp import (
-    Array,
-    CellState,
-    CoopqpError,
-    Disturbances,
-    InvalidInputError,
-    LinePath,
-    PhysicsOptions,
-    Recording,
-    RobotCell,
-    TimeLaw,
-    UnreachableError,
-    simulate,
-)
+from coopqp import CoopqpError, InvalidInputError, LinePath, Recording, RobotCell, simulate
+from coopqp.errors import UnreachableError
+from coopqp.model import CellState
+from coopqp.paths import TimeLaw
 from coopqp.scenarios import Scenario
+from coopqp.simulation import Disturbances, PhysicsOptions
 from coopqp.simulation.plants.encoders import Encoders
 from coopqp.simulation.plants.replay import Replay, exact_motion, recorded_motion
 from coopqp.simulation.plants.targets import JointTargets
+from coopqp.spatial import Array
 
 
 def targets(cell: RobotCell, interpolation: Any = "cubic", lag: Any = (), stall: Any = ()) -> JointTargets:

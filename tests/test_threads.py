@@ -12,18 +12,12 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from coopqp import (
-    BusyError,
-    CoopqpError,
-    ForceController,
-    IndependentQPController,
-    ObjectPath,
-    PseudoInverseController,
-    QPController,
-    available_kernels,
-    make_solver,
-)
+from coopqp import CoopqpError, ForceController, ObjectPath, QPController
+from coopqp.baselines import IndependentQPController, PseudoInverseController
+from coopqp.errors import BusyError
+from coopqp.native import available_kernels
 from coopqp.scenarios import Scenario
+from coopqp.solvers import make_solver
 
 
 def minding_forces(*arguments: Any, dt: float, options: dict[str, Any]) -> ForceController:

@@ -12,7 +12,6 @@ import pytest
 from marks import slow_but_first
 
 from coopqp import (
-    CellState,
     HoldPath,
     InvalidInputError,
     LimitKind,
@@ -20,22 +19,23 @@ from coopqp import (
     ObjectPath,
     QPController,
     QPOptions,
-    Scenario,
     ServoPath,
     Status,
     TimedPath,
-    UnreachableError,
     WaypointPath,
-    available_kernels,
 )
-from coopqp.planning import PathGeometry, Payload, SpeedProfile, time_path
+from coopqp.errors import UnreachableError
+from coopqp.model import CellState
+from coopqp.native import available_kernels
+from coopqp.paths import PathGeometry, SpeedProfile
+from coopqp.paths.geometry import blended, piece_of
+from coopqp.planning import Payload, time_path
 from coopqp.planning.jerk import jerk_limited
 from coopqp.planning.knots import Knots, follow
 from coopqp.planning.parametrise import Limited, Lines, fastest, outermost
 from coopqp.planning.payload import torque_lines
 from coopqp.planning.timing import limits_along
-from coopqp.scenarios import dual_arm7, mixed_cell, paper_lift, ring
-from coopqp.task.geometry import blended, piece_of
+from coopqp.scenarios import Scenario, dual_arm7, mixed_cell, paper_lift, ring
 
 UM = 1e-6
 

@@ -5,8 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from coopqp import PseudoInverseController, QPController, judge, read_run, simulate
+from coopqp import QPController, simulate
+from coopqp.baselines import PseudoInverseController
 from coopqp.scenarios import abb_lift, kuka_lift, mixed_lift, paper_lift
+from coopqp.simulation import judge, read_run
 from coopqp.studies import Placer
 
 #: Baseline's ε_p at N = 400 [mm], least σ_min, and least joint margin [deg]; see docs/howto/bases.md.

@@ -19,14 +19,13 @@ from coopqp import (
     QPController,
     QPOptions,
     Recording,
-    StartWarning,
     Status,
-    available_kernels,
-    object_error,
     simulate,
-    tool_placements,
 )
+from coopqp.errors import StartWarning
+from coopqp.native import available_kernels
 from coopqp.scenarios import Scenario, dual_arm7, mixed_cell, paper_lift
+from coopqp.simulation import object_error, tool_placements
 
 KERNELS = available_kernels()
 

@@ -8,10 +8,10 @@ from pathlib import Path
 import pytest
 
 from coopqp.checks import meanings
-from coopqp.look import sweep_figure
 from coopqp.scenarios import SCENARIOS
 from coopqp.studies import Study, Sweep, load_study
 from coopqp.studies.units import name_and_unit
+from coopqp.visualization import sweep_figure
 
 PAPER = Path(inspect.getfile(SCENARIOS["paper_lift"])).with_name("cells") / "paper_lift.toml"
 PURE = {"friction", "assumed_mass", "assumed_payload"}

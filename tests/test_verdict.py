@@ -10,10 +10,10 @@ import pinocchio as pin
 import pytest
 
 from coopqp import BindingLimit, LimitKind, QPOptions, Status
-from coopqp.control.command import NOTHING, off_path
-from coopqp.control.loop_state import LoopState
-from coopqp.control.ranks import StepAnswer
-from coopqp.control.verdict import away_from_path, given_up, slow_status
+from coopqp.control.interface import NOTHING, off_path
+from coopqp.control.step.priorities import StepAnswer
+from coopqp.control.step.state import LoopState
+from coopqp.control.step.verdict import away_from_path, given_up, slow_status
 
 DT, BLOCKED_FROM = 0.01, 1e-3
 POSITION, ACCELERATION, VELOCITY = (

@@ -16,29 +16,17 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from coopqp import (
-    Arm,
-    InvalidInputError,
-    LiveViewer,
-    MissingExtraError,
-    OutputError,
-    Recording,
-    RobotCell,
-    SceneError,
-    Status,
-    describe_object,
-    export_html,
-    robot_path,
-    tool_placements,
-)
-from coopqp.collision import Body, Box, Capsule, CollisionScene, Cylinder, Hull, Sphere
-from coopqp.look import viewer
-from coopqp.look.stage import ALERT, FIELD_OF_VIEW, READOUT_SHARE, Stage
-from coopqp.look.viewer import readout
-from coopqp.scenarios import Scenario
-from coopqp.simulation.bodies import read_bodies
-from coopqp.simulation.closeness import with_clearance
-from coopqp.simulation.scene import describe_cell
+from coopqp import Arm, CollisionScene, InvalidInputError, Recording, RobotCell, Status
+from coopqp.collision import Body, Box, Capsule, Cylinder, Hull, Sphere
+from coopqp.errors import MissingExtraError, OutputError
+from coopqp.scenarios import Scenario, robot_path
+from coopqp.simulation import SceneError, describe_object, tool_placements
+from coopqp.simulation.evaluation.closeness import with_clearance
+from coopqp.simulation.recording.bodies import read_bodies
+from coopqp.simulation.recording.scene import describe_cell
+from coopqp.visualization import LiveViewer, export_html, viewer
+from coopqp.visualization.run_view import ALERT, FIELD_OF_VIEW, READOUT_SHARE, Stage
+from coopqp.visualization.viewer import readout
 
 
 class Node:

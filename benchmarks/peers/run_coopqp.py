@@ -13,7 +13,8 @@ import numpy as np
 import peer_cases
 from protocol import Array, Task, serve
 
-from coopqp import ControlStep, QPController, Status, available_kernels
+from coopqp import ControlStep, QPController, Status
+from coopqp.native import available_kernels
 
 _NO_COMMAND = (Status.HOLDING, Status.FAULT)
 

@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from coopqp import QPController
-from coopqp.collision import Body, Box, Capsule, Clearance, CollisionScene, Cylinder, Sphere
+from coopqp import Clearance, CollisionScene, QPController
+from coopqp.collision import Body, Box, Capsule, Cylinder, Sphere
 from coopqp.scenarios import Scenario, dual_arm7, mixed_cell, paper_lift, ring
 from promise_cases import Promise
 

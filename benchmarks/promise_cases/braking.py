@@ -17,7 +17,8 @@ import numpy as np
 import pinocchio as pin
 
 from coopqp import (
-    Array,
+    Clearance,
+    CollisionScene,
     ControlStep,
     Grasp,
     InvalidInputError,
@@ -28,8 +29,9 @@ from coopqp import (
     RobotCell,
     Status,
 )
-from coopqp.collision import Body, Box, Clearance, CollisionScene
+from coopqp.collision import Body, Box
 from coopqp.scenarios import Scenario, dual_arm7, mixed_cell, paper_lift, ring
+from coopqp.spatial import Array
 from promise_cases import Promise
 
 #: Accelerations [rad/s² or m/s²] under which each case is run.

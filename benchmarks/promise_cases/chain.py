@@ -8,8 +8,9 @@ from typing import Literal
 
 import numpy as np
 
-from coopqp import Array, ControlStep, LinePath, ObjectPath, QPController, Status
+from coopqp import ControlStep, LinePath, ObjectPath, QPController, Status
 from coopqp.scenarios import Scenario, at_singularity, five_joint_pair, scara_pair
+from coopqp.spatial import Array
 from promise_cases import Promise
 from promise_cases.chain_cells import Run, Task, few_joints, long_steps, run
 

@@ -8,8 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 import pinocchio as pin
 
-from coopqp import Arm, Array, ControlStep, Grasp, LinePath, ObjectPath, RobotCell, Status
+from coopqp import Arm, ControlStep, Grasp, LinePath, ObjectPath, RobotCell, Status
 from coopqp.scenarios import robot_arm
+from coopqp.spatial import Array
 
 SE3 = pin.SE3
 

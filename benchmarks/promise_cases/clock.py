@@ -9,8 +9,9 @@ from collections.abc import Iterator
 import numpy as np
 import pinocchio as pin
 
-from coopqp import Array, LinePath, ObjectPath, QPController, QPOptions, Status
+from coopqp import LinePath, ObjectPath, QPController, QPOptions, Status
 from coopqp.scenarios import paper_lift
+from coopqp.spatial import Array
 from promise_cases import Promise
 
 _DT, _STEPS, _RUNS = 0.002, 900, 8

@@ -11,18 +11,17 @@ import numpy as np
 import pinocchio as pin
 
 from coopqp import (
-    Array,
-    Disturbances,
     ForceController,
     ForceOptions,
     InvalidInputError,
-    PhysicsPlant,
     QPController,
     Status,
     SupervisionOptions,
 )
 from coopqp.planning import Payload
 from coopqp.scenarios import paper_lift
+from coopqp.simulation import Disturbances, PhysicsPlant
+from coopqp.spatial import Array
 from promise_cases import Promise
 
 #: Servos of an arm in the engine: kp [N·m/rad] and kd [N·m·s/rad], as the engine has them by default.

@@ -17,23 +17,25 @@ from numpy.typing import NDArray
 
 from coopqp import (
     Arm,
+    Clearance,
+    CollisionScene,
     CoopqpError,
     Grasp,
     InvalidInputError,
     LinePath,
-    MissingExtraError,
     QPController,
     RobotCell,
     Status,
-    UndecidedError,
-    UnreachableError,
     WaypointPath,
-    robot_path,
+    check_path,
+    plan,
     simulate,
 )
-from coopqp.collision import Body, Box, Clearance, CollisionScene, Sphere
-from coopqp.planning import PathCheck, PathGeometry, PathVerdict, check_path, plan
-from coopqp.scenarios import ROBOTS, SCENARIOS, dual_arm7
+from coopqp.collision import Body, Box, Sphere
+from coopqp.errors import MissingExtraError, UndecidedError, UnreachableError
+from coopqp.paths import PathGeometry
+from coopqp.planning import PathCheck, PathVerdict
+from coopqp.scenarios import ROBOTS, SCENARIOS, dual_arm7, robot_path
 from promise_cases import Promise
 
 Array = NDArray[np.float64]

@@ -10,10 +10,10 @@ import numpy as np
 import pinocchio as pin
 
 import coopqp
-from coopqp import Array
 from coopqp.forces import WristSensor
 from coopqp.planning import Payload
 from coopqp.scenarios import paper_lift
+from coopqp.spatial import Array
 from promise_cases import Promise
 
 #: Noise of forces [N]; of torques a tenth of it [N·m].
@@ -139,10 +139,10 @@ def run(fault: Fault, seed: int, *, longest: float = 8.0) -> tuple[bool, float, 
     """Whether a sensor was named, the largest force that was added, that in motion [N], and whether it finished."""
     lift = paper_lift(time_law="quintic")
     off = pin.SE3(pin.exp3(np.deg2rad(0.1) / np.sqrt(3.0) * np.ones(3)), 1e-3 / np.sqrt(3.0) * np.ones(3))
-    plant = coopqp.PhysicsPlant.of(
+    plant = coopqp.simulation.PhysicsPlant.of(
         lift,
         options={"grips": "where they are"},
-        disturbances=coopqp.Disturbances(base_offset={"slave_2": off}),
+        disturbances=coopqp.simulation.Disturbances(base_offset={"slave_2": off}),
     )
     payload = Payload(mass=lift.object_mass, centre=lift.T_object_body.translation)
     controller = coopqp.ForceController(

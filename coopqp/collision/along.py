@@ -20,7 +20,7 @@ from coopqp.collision.distances import Distances
 from coopqp.model.shapes import NearPair
 from coopqp.planning.branch_checks import PathVerdict
 from coopqp.planning.clearance import ClearanceCheck
-from coopqp.planning.ways import CellWay
+from coopqp.planning.joint_trajectories import CellWay
 from coopqp.spatial import Array
 
 if TYPE_CHECKING:

@@ -19,14 +19,14 @@ from coopqp.collision.distances import KERNEL, Distances, LowerBounds
 from coopqp.collision.evasion import Evasion
 from coopqp.collision.moving import MovingBodies
 from coopqp.collision.scene import CollisionScene
-from coopqp.control.cause import Cause
-from coopqp.control.constraints import MOST_ROWS, ConstraintTrouble, LabelledRows, Quiet, Rank, RowsInMemory
-from coopqp.control.verdict import too_close
+from coopqp.constraints.cause import Cause
+from coopqp.constraints.rate import Knot
+from coopqp.constraints.velocity import MOST_ROWS, ConstraintTrouble, LabelledRows, Quiet, Rank, RowsInMemory
+from coopqp.control.step.verdict import too_close
 from coopqp.errors import TooCloseError
 from coopqp.model.limits import BindingLimit, LimitKind
 from coopqp.model.shapes import NearPair
 from coopqp.model.state import CellState
-from coopqp.planning.rate_bounds import Knot
 from coopqp.spatial import Array, Placement, as_placement
 
 #: A start this far inside a margin is outside it but for rounding [m].

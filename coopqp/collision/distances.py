@@ -34,8 +34,8 @@ _MOST_ASKED, _LEAST_ROOM = 20, 1e-9
 _MOST_ASKED_IN_STEP = 6
 
 
-def _request() -> coal.DistanceRequest:
-    """A new one, unlike Pinocchio's, keeps no guess: an answer does not depend on what was asked before."""
+def new_request() -> coal.DistanceRequest:
+    """What coal is asked for. Unlike Pinocchio's it keeps no guess: an answer does not depend on those before."""
     request = coal.DistanceRequest()
     request.enable_signed_distance = True
     request.gjk_tolerance = request.epa_tolerance = _TOLERANCE
@@ -43,7 +43,7 @@ def _request() -> coal.DistanceRequest:
     return request
 
 
-_REQUEST = _request()
+_REQUEST = new_request()
 
 Indices = npt.NDArray[np.intp]
 
@@ -238,7 +238,7 @@ class LowerBounds:
             known.add(k)
 
     def certificate(self, spare: float = 0.0) -> tuple[Array, float]:
-        """Reach (nv,) and slack of a :class:`coopqp.control.constraints.Quiet` about :attr:`positions`.
+        """Reach (nv,) and slack of a :class:`coopqp.constraints.velocity.Quiet` about :attr:`positions`.
 
         A pair with room d and reach ρ keeps its margin where ``Σ ρ |δ| ≤ d``; all do where ``Σ max(ρ / d) |δ| ≤ 1``.
 

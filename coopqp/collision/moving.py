@@ -11,7 +11,7 @@ import pinocchio as pin
 
 from coopqp.checks import as_vector
 from coopqp.collision.distances import Gradient
-from coopqp.control.constraints import MOST_ROWS, LabelledRows
+from coopqp.constraints.velocity import MOST_ROWS, LabelledRows
 from coopqp.errors import UnknownNameError
 from coopqp.model.limits import BindingLimit, LimitKind
 from coopqp.native.constants import BRAKING_SHARE
@@ -19,6 +19,7 @@ from coopqp.spatial import Array, as_placement
 
 if TYPE_CHECKING:
     from coopqp.collision.scene import CollisionScene
+
 
 #: Speed at which a body that gives way is asked to retreat, at most [m/s].
 _FASTEST_RETREAT = 0.5
@@ -43,7 +44,7 @@ class MovingBodies:
 
     Args:
         scene: what may touch what.
-        approach, give_way, stopping: as in :class:`coopqp.collision.Clearance`.
+        approach, give_way, stopping: as in :class:`coopqp.Clearance`.
 
     Attributes:
         pairs: numbers of the pairs with a moving body (m,).

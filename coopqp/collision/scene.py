@@ -20,10 +20,10 @@ from coopqp.errors import InvalidInputError, UnknownNameError, shown
 from coopqp.model.cell import RobotCell
 from coopqp.model.grasp import Grasp
 from coopqp.model.shapes import Body, Box, NearPair
+from coopqp.paths.scenario import Scenario
 from coopqp.planning.clearance import ClearanceCheck
-from coopqp.planning.ways import CellWay
+from coopqp.planning.joint_trajectories import CellWay
 from coopqp.spatial import Array, as_placement
-from coopqp.task.scenario import Scenario
 
 #: Distance that is kept by default [m].
 DEFAULT_MARGIN = 0.01
@@ -146,7 +146,7 @@ class CollisionScene:
         return tuple(NearPair(*label, d) for label, d in sorted(found.items(), key=lambda item: item[1]))
 
     def along(self, way: CellWay, *, any_start: bool = False) -> ClearanceCheck:
-        """Distances along a way that is checked before the motion; see :func:`coopqp.planning.check_path`."""
+        """Distances along a way that is checked before the motion; see :func:`coopqp.check_path`."""
         from coopqp.collision.along import along
 
         return along(self, way, any_start=any_start)

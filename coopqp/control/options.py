@@ -9,14 +9,14 @@ from typing import Annotated, Any, Literal
 import numpy as np
 
 from coopqp.checks import Doc, as_count, as_options, documented, keep_scalars
-from coopqp.control.forms import RankWeights
-from coopqp.control.solvers import QpSolver
-from coopqp.control.starting import START_TOLERANCE_M, START_TOLERANCE_RAD
-from coopqp.control.supervision_options import SupervisionOptions
+from coopqp.control.lookahead.options import PreviewOptions
+from coopqp.control.monitoring.options import SupervisionOptions
+from coopqp.control.step.formulations import RankWeights
+from coopqp.control.step.start import START_TOLERANCE_M, START_TOLERANCE_RAD
 from coopqp.errors import InvalidInputError, UnknownNameError
-from coopqp.planning.preview_options import PreviewOptions
-from coopqp.task.common_error import CommonError
-from coopqp.task.posture import PostureOptions
+from coopqp.model.common_error import CommonError
+from coopqp.model.posture import PostureOptions
+from coopqp.solvers.base import QpSolver
 
 
 @documented

@@ -3,7 +3,7 @@
 A step observes (is the input plausible, are the arms in step), proposes (the rate that the path ahead allows, the
 wanted motion, and the strictly ranked answer: the nominal command if it is admissible; else the fastest rate on the
 path; else the QP; else the QP whose chain may part; else a synchronised brake) and commits. The compiled core does it
-where it can (:mod:`coopqp.control.core`); :mod:`coopqp.control.plain` is its definition. See docs/derivations.md.
+where it can (:mod:`coopqp.control.core`); :mod:`coopqp.control.step.plain` is its definition. See docs/derivations.md.
 """
 
 from __future__ import annotations
@@ -19,24 +19,24 @@ import numpy as np
 import pinocchio as pin
 
 from coopqp.checks import NOT_NUMBERS, ArrayLike, as_options, as_scalar, require
-from coopqp.control.command import ControlStep, Status, amend, brakes_for_target, short_text
-from coopqp.control.constraint_set import Constraints
 from coopqp.control.core import make_loop
-from coopqp.control.effort import Effort
-from coopqp.control.going_over import go_over, object_rests
+from coopqp.control.interface import ControlStep, Status, amend, brakes_for_target, short_text
+from coopqp.control.lock import alone
+from coopqp.control.lookahead.ramp_time import Effort
 from coopqp.control.options import QPOptions
-from coopqp.control.plain import PlainLoop
-from coopqp.control.starting import check_start, held_command, odd_start, rate_into
-from coopqp.control.turn import alone
+from coopqp.control.retargeting import go_over, object_rests
+from coopqp.control.step.constraint_set import Constraints
+from coopqp.control.step.plain import PlainLoop
+from coopqp.control.step.start import check_start, held_command, odd_start, rate_into
 from coopqp.errors import BusyError, InvalidInputError, StartWarning, StiffnessWarning
 from coopqp.model.cell import RobotCell
 from coopqp.model.grasp import Grasp, held_at
 from coopqp.model.state import CellState
+from coopqp.paths.elbows import Elbows
+from coopqp.paths.guarded import GuardedPath, is_known
+from coopqp.paths.path import HoldPath, ObjectPath
+from coopqp.paths.servo import ServoPath
 from coopqp.spatial import Array, Placement, as_placement
-from coopqp.task.elbows import Elbows
-from coopqp.task.guarded import GuardedPath, is_known
-from coopqp.task.path import HoldPath, ObjectPath
-from coopqp.task.servo import ServoPath
 
 
 @final

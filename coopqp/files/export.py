@@ -13,14 +13,14 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from coopqp.control.command import Status
-from coopqp.errors import InvalidInputError, MissingExtraError, printable
-from coopqp.forces.use import LoadUse
+from coopqp.control.interface import Status
+from coopqp.errors import InvalidInputError, MissingExtraError, OutputError, printable
+from coopqp.forces.utilisation import LoadUse
 from coopqp.model.cell import RobotCell, slides
 from coopqp.model.limits import BindingLimit
-from coopqp.output import OutputError, check_folder, folder_of, temporary_name, whole_file
-from coopqp.simulation.readings import check_recording, read_part
-from coopqp.simulation.recording import Recording
+from coopqp.output import check_folder, folder_of, temporary_name, whole_file
+from coopqp.simulation.evaluation.readings import check_recording, read_part
+from coopqp.simulation.recording.recording import Recording
 from coopqp.spatial import Array
 
 #: Most steps of one trajectory message. Longer ones are too large for memory and middleware.
@@ -34,7 +34,7 @@ def csv_text(recording: Recording, *, cell: RobotCell | None = None, load: LoadU
 
     Columns: time and the object's clock; rate, status and binding limits of the step that starts at the sample (empty
     in the last row); measured position, commanded position and commanded velocity of every joint; the path's pose
-    (position, quaternion); the errors of :class:`coopqp.Readings`. Units are in the names.
+    (position, quaternion); the errors of :class:`coopqp.simulation.Readings`. Units are in the names.
 
     Args:
         recording: the run.

@@ -19,7 +19,7 @@ import pinocchio as pin
 
 from coopqp.checks import as_count, as_scalar, require
 from coopqp.forces.cones import Cone, Cones
-from coopqp.forces.load import LoadShare
+from coopqp.forces.load_sharing import LoadShare
 from coopqp.spatial import Array
 
 #: Distance of the point that the search for a furthest point aims at, and largest accepted parameter; both in units in

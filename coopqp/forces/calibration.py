@@ -1,7 +1,7 @@
 """Calibration from a gripped run: where do the bases and the grips really stand? No sensor but the arms' encoders.
 
 While the arms hold one rigid object, the true chain is closed; the measured configurations show with which bases and
-grips it is (:mod:`coopqp.forces.closure`). Corrections x of all bases and grips minimise
+grips it is (:mod:`coopqp.forces.loop_residual`). Corrections x of all bases and grips minimise
 
     Σ_t |whitened r(q_t, x)|² + Σ_i (x_i / prior_i)²
 
@@ -20,7 +20,7 @@ import pinocchio as pin
 
 from coopqp.checks import NOT_NUMBERS, as_count, as_floats, as_options, keep_scalars
 from coopqp.errors import CoopqpError, InvalidInputError
-from coopqp.forces.closure import Closure
+from coopqp.forces.loop_residual import Closure
 from coopqp.model.cell import RobotCell
 from coopqp.model.grasp import Grasp
 from coopqp.spatial import Array
@@ -51,7 +51,7 @@ class CalibrationOptions:
 
     Attributes:
         encoder_noise: amplitude of the uniform noise of measured joint positions [rad or m], as in
-            :class:`coopqp.Disturbances`.
+            :class:`coopqp.simulation.Disturbances`.
         base_position, base_angle: errors of base placements [m, rad].
         grip_position, grip_angle: errors of the tools' placements on the object [m, rad].
         samples: configurations that are used at most, spread evenly.

@@ -4,7 +4,9 @@ Two questions: the y nearest to a target at a given λ, and the largest λ for w
 by planes that touch them (Kelley's cutting planes): a box first, then a plane where the last answer leaves a cone. The
 planes hold the cones inside. So an answer is optimal for the cones themselves once it leaves none of them by more than
 ``_EXCESS``; and planes without a common point prove that the cones have none. A cone of one row is two planes: exact
-from the start.
+from the start. Clarabel at 1e-10 gives the same answers, each side within its tolerance (norms to 1e-8, λ to 4e-8), in
+1 ms always, in place of 0.05 ms in the median and 60 ms at most; but polyhedra stay to be asked as well, so it would
+save no lines for one more dependency.
 """
 
 from __future__ import annotations
@@ -16,8 +18,9 @@ from typing import NamedTuple, final
 
 import numpy as np
 
-from coopqp.control.solvers import QpProblem, SolverStatus, make_solver
 from coopqp.errors import UndecidedError
+from coopqp.solvers.choice import make_solver
+from coopqp.solvers.problem import QpProblem, SolverStatus
 from coopqp.spatial import Array
 
 #: An answer may leave a cone, whose rows have unit norm at most, by this; x is scaled to about 1.

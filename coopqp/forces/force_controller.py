@@ -8,9 +8,9 @@ from typing import Any, final
 
 import numpy as np
 
+from coopqp.baselines.pseudo_inverse import PseudoInverseController
 from coopqp.checks import ArrayLike, as_options, as_scalar, require
-from coopqp.control.cause import Cause
-from coopqp.control.command import ControlStep, Status, amend, short_text
+from coopqp.constraints.cause import Cause
 from coopqp.control.core.allow_plain import BY_CONTACT, BY_FRICTION, BY_REACH, BY_SENSOR, BY_STAGE, NOTHING_MORE
 from coopqp.control.core.relax_plain import (
     AT,
@@ -22,19 +22,19 @@ from coopqp.control.core.relax_plain import (
     SENSOR_WRONG,
     squeezes,
 )
-from coopqp.control.pseudo_inverse import PseudoInverseController
+from coopqp.control.interface import ControlStep, Status, amend, short_text
+from coopqp.control.lock import alone
 from coopqp.control.qp import QPController
-from coopqp.control.turn import alone
 from coopqp.errors import InvalidInputError
+from coopqp.forces.admittance import Relaxation
 from coopqp.forces.force_options import ForceOptions
-from coopqp.forces.load import LoadShare
-from coopqp.forces.palms import least_squeeze
-from coopqp.forces.relaxation import Relaxation
+from coopqp.forces.frictional_contacts import least_squeeze
+from coopqp.forces.load_sharing import LoadShare
 from coopqp.forces.sensor_check import SensorCheck
 from coopqp.forces.sensor_findings import SensorJudgement
 from coopqp.forces.wrist_sensor import SensorMaps
+from coopqp.paths.path import ObjectPath
 from coopqp.spatial import Array, Placement
-from coopqp.task.path import ObjectPath
 
 #: Words for :data:`layout.STAGES`, in their order.
 _STAGES = (
@@ -51,7 +51,7 @@ _VARYING = ("_differences", "_compared", "_check", "_place", "_found", "_disturb
 
 @final
 class ForceController:
-    """A cooperative controller whose arms relax the forces between them, see :mod:`coopqp.forces.relaxation`.
+    """A cooperative controller whose arms relax the forces between them, see :mod:`coopqp.forces.admittance`.
 
     At first the object rests. The sensors are compared with the servos; the arms press a little, to learn how stiff
     they are; they relax. Then the object moves, more slowly where an internal force grows. Three causes hold the

@@ -16,8 +16,8 @@ import numpy as np
 from coopqp.forces.internal import SHARE_LENGTH
 from coopqp.model.grasp import Grasp
 from coopqp.native.constants import STRUCTURE
+from coopqp.paths.path import TimeLaw
 from coopqp.spatial import Array
-from coopqp.task.path import TimeLaw
 
 #: Force of a press [N], its torque beside the couples that balance it [N·m].
 PRESS_FORCE, PRESS_TORQUE = 6.0, 1.0

@@ -8,7 +8,7 @@ from typing import Any, final
 import numpy as np
 import pinocchio as pin
 
-from coopqp.control.stress_watch import servo_wrenches
+from coopqp.control.monitoring.stress import servo_wrenches
 from coopqp.forces.internal import load_shares
 from coopqp.forces.presses import PRESS_FORCE, REST_TIME, PressPlan, of_grip
 from coopqp.forces.sensor_findings import SensorJudgement, judge

@@ -18,10 +18,11 @@ import pinocchio as pin
 
 from coopqp.checks import ArrayLike, as_tuple, as_vector, require
 from coopqp.errors import InvalidInputError, UnknownNameError
-from coopqp.lazy import Shown
 from coopqp.model.arm import Arm
 from coopqp.model.joint_limits import LIMIT_FIELDS, JointLimits
+from coopqp.model.limits import BindingLimit, LimitKind
 from coopqp.model.same_joints import without_copies
+from coopqp.shown import Shown
 from coopqp.spatial import Array
 
 __all__ = ["Arm", "JointLimits", "RobotCell"]
@@ -111,6 +112,11 @@ class RobotCell(Shown):
         if not 0 <= arm < len(self.arms):
             raise UnknownNameError("arm", str(arm), (str(i) for i in range(len(self.arms))), "the cell")
         return arm
+
+    def joint_limit(self, j: int, kind: LimitKind) -> BindingLimit:
+        """The limit of the joint of velocity coordinate ``j``, by name."""
+        arm, _, joint = self.joint_names[j].partition("/")
+        return BindingLimit(arm, joint, kind)
 
     def arm_of_joint(self, j: int) -> int:
         """Index of the arm of velocity coordinate ``j``."""

@@ -1,4 +1,4 @@
-/* Rows that brake all arms together where no look-ahead does: coopqp/control/braking_rows.py. */
+/* Rows that brake all arms together where no look-ahead does: coopqp/control/step/braking_rows.py. */
 
 #include "functions.h"
 

@@ -1,5 +1,5 @@
 /* The chain ahead of the clock: inverse kinematics and bounds of the rate at one clock, as a knot. The definition is
- * coopqp/planning/chain_ahead.py. */
+ * coopqp/control/lookahead/closed_chain.py. */
 
 #include "ahead.h"
 

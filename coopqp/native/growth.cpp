@@ -1,5 +1,5 @@
 /* Growth of the horizon: knots as far on as the chain can be followed, one Newton step at a time. The definition is
- * coopqp/planning/growth.py. */
+ * coopqp/control/lookahead/extension.py. */
 
 #include "ahead.h"
 

@@ -1,4 +1,4 @@
-/* The known knots, K at each of them, and the largest rate that K admits for a step: coopqp/planning/horizon.py. */
+/* The known knots, K at each of them, and the largest rate that K admits for a step: coopqp/control/lookahead/horizon.py. */
 
 #include "ahead.h"
 

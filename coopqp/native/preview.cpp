@@ -1,5 +1,5 @@
 /* The path ahead of the object's clock: where limits and singularities bind, and how fast the object may go. The
- * definition, with the formulae, is coopqp/planning/preview.py. */
+ * definition, with the formulae, is coopqp/control/lookahead/preview.py. */
 
 #include "ahead.h"
 

@@ -1,4 +1,4 @@
-/* Where further constraints are known to be quiet: Quiet in coopqp/control/constraints.py. */
+/* Where further constraints are known to be quiet: Quiet in coopqp/constraints/velocity.py. */
 
 #include "functions.h"
 

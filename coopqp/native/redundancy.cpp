@@ -1,4 +1,4 @@
-/* Self-motion of redundant arms where a joint nears its position limit: coopqp/planning/redundancy.py. */
+/* Self-motion of redundant arms where a joint nears its position limit: coopqp/control/lookahead/redundancy.py. */
 
 #include "ahead.h"
 
@@ -13,7 +13,7 @@ static int self_motion(const Core *c, int k, const double *jacobian, int j, doub
            far_velocities(JT, scale, n, still, still, push, still, way, other) > 0.0;
 }
 
-/* Lead the joints of redundant arm k away from their limits by its self-motion: coopqp/planning/redundancy.py. */
+/* Lead the joints of redundant arm k away from their limits by its self-motion: coopqp/control/lookahead/redundancy.py. */
 static void lead_away(const Core *c, int k, const double *jacobian, const double *positions, double *slope) {
     const int start = (int)c->arm_start[k], n = (int)c->arm_size[k];
     double up[MOST_JOINTS], down[MOST_JOINTS], beyond[MOST_JOINTS], way[MOST_JOINTS], largest = 0.0;

@@ -1,5 +1,5 @@
 /* The relaxation of forces, one step of it: the filter on wrenches, and how the grasps give way. relax_plain.py says the
- * same in NumPy, coopqp/forces/relaxation.py says why. */
+ * same in NumPy, coopqp/forces/admittance.py says why. */
 
 #include "functions.h"
 #include "minding.h"

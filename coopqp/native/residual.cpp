@@ -1,4 +1,4 @@
-/* Arms whose servos do not stand where their wrenches say. coopqp/control/servo_watch.py is the definition, and says why. */
+/* Arms whose servos do not stand where their wrenches say. coopqp/control/monitoring/servos.py is the definition, and says why. */
 
 #include "functions.h"
 #include "minding.h"

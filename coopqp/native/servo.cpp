@@ -1,4 +1,4 @@
-/* Going over to a new target: the way there (coopqp/task/servo.py defines it), and whether it is taken
+/* Going over to a new target: the way there (coopqp/paths/servo.py defines it), and whether it is taken
  * (QPController._go_over_by_definition). */
 
 #include "functions.h"

@@ -1,4 +1,4 @@
-/* How fast the object may be at a knot: programs of z = σ² and u = σ̇. The definition is coopqp/planning/sharing.py. */
+/* How fast the object may be at a knot: programs of z = σ² and u = σ̇. The definition is coopqp/control/lookahead/backward_pass.py. */
 
 #include "ahead.h"
 

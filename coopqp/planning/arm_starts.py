@@ -8,9 +8,9 @@ import numpy as np
 import numpy.typing as npt
 import pinocchio as pin
 
+from coopqp.constraints.samples import PathSamples
 from coopqp.model.batch import ArmKinematics, Walks
 from coopqp.model.branches import AT_LIMIT, Branches, amount, find_branches
-from coopqp.planning.samples import PathSamples
 from coopqp.spatial import Array
 
 #: Good margin, as a share of a joint's half range, and good σ_min: the units of a branch's score.

@@ -9,13 +9,13 @@ import numpy as np
 import numpy.typing as npt
 import pinocchio as pin
 
+from coopqp.constraints.samples import PathSamples
 from coopqp.model.batch import ArmKinematics
 from coopqp.model.branches import AT_LIMIT, amount, find_branches
 from coopqp.planning.arm_starts import away_from_limits, why_it_ends
 from coopqp.planning.certificate import LEAST_SIGMA, exactness, prove
-from coopqp.planning.samples import PathSamples
+from coopqp.planning.joint_trajectories import ArmWay
 from coopqp.planning.segments import Indices, Segments
-from coopqp.planning.ways import ArmWay
 from coopqp.spatial import Array
 
 #: Knots: largest motion of a tool between them [m, rad], and least number of pieces of a segment.
@@ -30,7 +30,7 @@ _ASKED = 8
 
 
 class PathVerdict(enum.Enum):
-    """Verdict of :func:`coopqp.planning.check_path`, the best first."""
+    """Verdict of :func:`coopqp.check_path`, the best first."""
 
     CERTIFIED = "CERTIFIED"  #: proved at every point of the path
     SAMPLED = "SAMPLED"  #: followed at samples; nothing is proved between them
@@ -110,7 +110,7 @@ class ToolPath:
 
     @property
     def places(self) -> Array:
-        """Places of the knots (K,); see :mod:`coopqp.planning.ways`."""
+        """Places of the knots (K,); see :mod:`coopqp.planning.joint_trajectories`."""
         return self.clocks if self.segments is None else self.segment + self.share
 
 

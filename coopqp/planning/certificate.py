@@ -7,7 +7,7 @@ bounds the entries of ``|Y A(q + δ) − I|`` over all ``δ = t y``, ``|t| ≤ h
 of E is below 1, so the joints cannot leave this tube. E comes from the first derivatives of A, which are Lie brackets
 of its columns, and from a bound of the second ones. On a straight segment ν is constant; else ``D = h |Y ν'| + ½ h²
 (|Y_lin| ‖p‴‖ + |Y_ang| ‖ω″‖)``, with norms of the rows of Y and bounds over the interval
-(:meth:`coopqp.task.geometry.Piece.bounds`). A redundant arm gets one more row for each further joint: a combination of
+(:meth:`coopqp.paths.geometry.Piece.bounds`). A redundant arm gets one more row for each further joint: a combination of
 joints that moves at a constant rate along the interval.
 
 Source: the tube argument is that of interval methods for differential equations (Moore, Kearfott, Cloud: Introduction

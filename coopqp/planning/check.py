@@ -10,17 +10,22 @@ from __future__ import annotations
 import copy
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any, Literal
 
 import numpy as np
 import pinocchio as pin
 
 from coopqp.checks import ArrayLike, as_count
+from coopqp.constraints.samples import PathSamples, sample_path
 from coopqp.errors import InvalidInputError
 from coopqp.model.batch import ArmKinematics
 from coopqp.model.cell import RobotCell
 from coopqp.model.chain import Chain
 from coopqp.model.grasp import Grasp
+from coopqp.paths.elbows import Elbows
+from coopqp.paths.guarded import GuardedPath
+from coopqp.paths.path import ObjectPath
+from coopqp.paths.timed import TimedPath
 from coopqp.planning.arm_check import ArmCheck, UndecidedInterval, arm_record
 from coopqp.planning.arm_starts import ArmOnPath, BranchAlongPath, arm_on_path, trouble
 from coopqp.planning.branch_checks import (
@@ -36,18 +41,10 @@ from coopqp.planning.branch_checks import (
     worst,
 )
 from coopqp.planning.clearance import Bodies, ClearanceCheck, check_scene
-from coopqp.planning.samples import PathSamples, sample_path
+from coopqp.planning.joint_trajectories import CellWay
 from coopqp.planning.segments import Segments, segments_of
 from coopqp.planning.starts import clear_rows, exact_start
-from coopqp.planning.ways import CellWay
 from coopqp.spatial import Array
-from coopqp.task.elbows import Elbows
-from coopqp.task.guarded import GuardedPath
-from coopqp.task.path import ObjectPath
-from coopqp.task.timed import TimedPath
-
-if TYPE_CHECKING:
-    from coopqp.planning.remedies import Remedy
 
 #: Most branches of a redundant arm that are judged; they are samples of its self-motion.
 _MOST_REDUNDANT = 8
@@ -55,6 +52,43 @@ _MOST_REDUNDANT = 8
 _AT_MARK = 1e-9
 #: A start whose tools are further from their places is refused [m, rad].
 _OFF_M, _OFF_RAD = 1e-3, np.deg2rad(0.5)
+
+
+Kind = Literal["branch", "roll", "shift", "base"]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Remedy:
+    """A change with which the arms follow the path; checked.
+
+    Attributes:
+        kind: ``"branch"`` (another start), ``"roll"`` (of tools about their z axes), ``"shift"`` (of the path) or
+            ``"base"`` (of bases).
+        text: the change, in words.
+        check: the check of the changed task: its ``cell``, ``grasp``, ``path`` and ``q_start`` hold the remedy.
+        shift: displacement of the path, or of each base (N, 3), in the world [m]; None for other kinds.
+        roll: roll of each tool (N,) [rad]; None for other kinds.
+    """
+
+    kind: Kind
+    text: str
+    check: PathCheck
+    shift: Array | None = None
+    roll: Array | None = None
+
+    def __str__(self) -> str:
+        return f"{self.text} ({self.check.verdict.value.lower()})"
+
+    def record(self) -> dict[str, Any]:
+        """The remedy as plain data for JSON."""
+        return {
+            "kind": self.kind,
+            "text": self.text,
+            "verdict": self.check.verdict.value,
+            "shift_m": None if self.shift is None else self.shift.tolist(),
+            "roll_rad": None if self.roll is None else self.roll.tolist(),
+            "q_start": None if self.check.q_start is None else self.check.q_start.tolist(),
+        }
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -186,7 +220,7 @@ def check_path(
         cell, grasp, path: the arms, their grasps and the object's path.
         q_start: the start (nq,): only its branches are judged. By default every branch of each arm is judged, as in
             :func:`find_start`, and the best one is chosen.
-        scene: the bodies that keep distances, a :class:`coopqp.collision.CollisionScene` of the same cell; without it
+        scene: the bodies that keep distances, a :class:`coopqp.CollisionScene` of the same cell; without it
             distances play no part. Without a start branches are chosen that keep clear.
         effort: multiplies the number of seeds of the search for branches.
 

@@ -13,7 +13,7 @@ from coopqp.model.cell import RobotCell
 from coopqp.model.grasp import Grasp
 from coopqp.model.shapes import NearPair
 from coopqp.planning.branch_checks import PathVerdict
-from coopqp.planning.ways import CellWay
+from coopqp.planning.joint_trajectories import CellWay
 from coopqp.spatial import Array
 
 
@@ -104,7 +104,7 @@ class ClearanceCheck:
 
 
 class Bodies(Protocol):
-    """Bodies that keep distances, as a check uses them: :class:`coopqp.collision.CollisionScene`."""
+    """Bodies that keep distances, as a check uses them: :class:`coopqp.CollisionScene`."""
 
     @property
     def cell(self) -> RobotCell:

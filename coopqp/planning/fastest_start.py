@@ -15,11 +15,11 @@ from coopqp.model.batch import ArmKinematics
 from coopqp.model.cell import RobotCell
 from coopqp.model.chain import Chain
 from coopqp.model.grasp import Grasp
+from coopqp.paths.geometry import PathGeometry
 from coopqp.planning.arm_starts import BranchAlongPath
 from coopqp.planning.starts import ArmStart, Start, exact_start
 from coopqp.planning.timing import time_path
 from coopqp.spatial import Array
-from coopqp.task.geometry import PathGeometry
 
 #: Knots of a timing for comparison, and the share within which times count as equal.
 _KNOTS, _EQUAL = 60, 1e-3

@@ -16,9 +16,9 @@ from coopqp.errors import UnreachableError
 from coopqp.model.batch import ArmKinematics
 from coopqp.model.cell import RobotCell
 from coopqp.model.grasp import Grasp
+from coopqp.paths.geometry import PathGeometry
 from coopqp.planning.arm_starts import why_it_ends
 from coopqp.spatial import Array, cross_last
-from coopqp.task.geometry import PathGeometry
 
 #: A knot is reached within this [m, rad]; then Newton's method goes on to rounding.
 _REACHED, _EXACT = 1e-9, 1e-14
@@ -164,7 +164,7 @@ class Following:
                 end = why_it_ends(arm, found.q[last], here, ahead)
                 raise UnreachableError(
                     f"arm '{name}' follows the path only to {where}, {end}. "
-                    "Start from another branch (coopqp.planning.find_start), or move the path or the arm's base."
+                    "Start from another branch (coopqp.find_start), or move the path or the arm's base."
                 )
             self._coarse.append(found)
 

@@ -16,6 +16,9 @@ from coopqp.model.cell import RobotCell
 from coopqp.model.chain import moving_columns
 from coopqp.model.grasp import Grasp
 from coopqp.native.constants import TURN_LENGTH
+from coopqp.paths.geometry import PathGeometry, Straight, blended
+from coopqp.paths.path import LinePath, ObjectPath
+from coopqp.paths.timed import SpeedProfile, TimedPath
 from coopqp.planning.branch_checks import PathVerdict, follows
 from coopqp.planning.check import PathCheck, check_motion, check_path
 from coopqp.planning.clearance import Bodies, check_scene
@@ -24,9 +27,6 @@ from coopqp.planning.payload import Payload
 from coopqp.planning.starts import Start, find_start
 from coopqp.planning.timing import SHARE, geometry_of, timed_motion
 from coopqp.spatial import Array, Placement, as_placements
-from coopqp.task.geometry import PathGeometry, Straight, blended
-from coopqp.task.path import LinePath, ObjectPath
-from coopqp.task.timed import SpeedProfile, TimedPath
 
 #: Limits that bind for less than this share of the duration are not listed.
 _WORTH_SAYING = 0.01
@@ -101,7 +101,7 @@ def plan(
         starts: number of starts of each arm to compare by time; the fastest is taken. By default the one with the
             largest margins and singular values. Arms with more than six joints gain most: their starts differ in the
             elbow. Not with ``q_start``.
-        scene: the bodies that keep distances, a :class:`coopqp.collision.CollisionScene` of the same cell: the plan is
+        scene: the bodies that keep distances, a :class:`coopqp.CollisionScene` of the same cell: the plan is
             judged by :func:`check_path` and is given only if it is proved, or followed at samples. Not with ``starts``.
 
     Raises:

@@ -8,21 +8,21 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
-from typing import Any, Literal, final
+from dataclasses import replace
+from typing import Any, final
 
 import numpy as np
 import pinocchio as pin
 
+from coopqp.constraints.samples import PathSamples, sample_path
 from coopqp.model.batch import ArmKinematics
 from coopqp.model.cell import RobotCell
 from coopqp.model.grasp import Grasp
+from coopqp.paths.path import HoldPath, LinePath, ObjectPath, WaypointPath
 from coopqp.planning.arm_starts import arm_on_path, rolled
 from coopqp.planning.branch_checks import follows
-from coopqp.planning.check import PathCheck, check_path
-from coopqp.planning.samples import PathSamples, sample_path
+from coopqp.planning.check import PathCheck, Remedy, check_path
 from coopqp.spatial import Array
-from coopqp.task.path import HoldPath, LinePath, ObjectPath, WaypointPath
 
 #: Rolls of the tool [deg], in the order in which they are tried.
 _ROLLS = (180.0, 90.0, -90.0, 45.0, -45.0, 135.0, -135.0, *np.arange(-165.0, 180.0, 30.0).tolist())
@@ -34,42 +34,6 @@ _PLACES = [[distance * d for d in _DIRECTIONS] for distance in _DISTANCES]
 _MOST_PLACES = len(_DISTANCES) * len(_DIRECTIONS)
 #: Joints that move by less between two starts stay where they are [rad or m].
 _MOVED = 1e-3
-
-Kind = Literal["branch", "roll", "shift", "base"]
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Remedy:
-    """A change with which the arms follow the path; checked.
-
-    Attributes:
-        kind: ``"branch"`` (another start), ``"roll"`` (of tools about their z axes), ``"shift"`` (of the path) or
-            ``"base"`` (of bases).
-        text: the change, in words.
-        check: the check of the changed task: its ``cell``, ``grasp``, ``path`` and ``q_start`` hold the remedy.
-        shift: displacement of the path, or of each base (N, 3), in the world [m]; None for other kinds.
-        roll: roll of each tool (N,) [rad]; None for other kinds.
-    """
-
-    kind: Kind
-    text: str
-    check: PathCheck
-    shift: Array | None = None
-    roll: Array | None = None
-
-    def __str__(self) -> str:
-        return f"{self.text} ({self.check.verdict.value.lower()})"
-
-    def record(self) -> dict[str, Any]:
-        """The remedy as plain data for JSON."""
-        return {
-            "kind": self.kind,
-            "text": self.text,
-            "verdict": self.check.verdict.value,
-            "shift_m": None if self.shift is None else self.shift.tolist(),
-            "roll_rad": None if self.roll is None else self.roll.tolist(),
-            "q_start": None if self.check.q_start is None else self.check.q_start.tolist(),
-        }
 
 
 @final

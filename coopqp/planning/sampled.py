@@ -9,10 +9,10 @@ import numpy as np
 
 from coopqp.errors import InvalidInputError
 from coopqp.native.constants import TURN_LENGTH
+from coopqp.paths.geometry import PathGeometry, Piece
+from coopqp.paths.guarded import GuardedPath, twist_distance
+from coopqp.paths.path import ObjectPath
 from coopqp.spatial import Array
-from coopqp.task.geometry import PathGeometry, Piece
-from coopqp.task.guarded import GuardedPath, twist_distance
-from coopqp.task.path import ObjectPath
 
 #: Clocks at which a piece is measured, and nodes of its clock over s.
 _MEASURED, _NODES = 1001, 161

@@ -1,6 +1,6 @@
 """The geometry of paths as functions of the share of each segment: a proof in shares holds for every time law.
 
-A segment is a piece that tells bounds of its motion (:meth:`coopqp.task.geometry.Piece.bounds`): straight lines about
+A segment is a piece that tells bounds of its motion (:meth:`coopqp.paths.geometry.Piece.bounds`): straight lines about
 one axis each, blends, and pieces of a user's geometry that have them.
 """
 
@@ -14,9 +14,9 @@ import numpy as np
 import numpy.typing as npt
 import pinocchio as pin
 
+from coopqp.paths.geometry import MotionBounds, Piece, Straight
+from coopqp.paths.path import ObjectPath
 from coopqp.spatial import Array
-from coopqp.task.geometry import MotionBounds, Piece, Straight
-from coopqp.task.path import ObjectPath
 
 _NUMBERS = 29
 _X = np.arange(1, 12) / 12.0

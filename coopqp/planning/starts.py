@@ -12,6 +12,7 @@ import numpy as np
 import pinocchio as pin
 
 from coopqp.checks import NOT_NUMBERS, ArrayLike, as_count, as_floats, as_scalar
+from coopqp.constraints.samples import PathSamples, sample_path
 from coopqp.errors import InvalidInputError, NoStartError
 from coopqp.model.batch import ArmKinematics
 from coopqp.model.branches import amount
@@ -19,11 +20,10 @@ from coopqp.model.cell import RobotCell
 from coopqp.model.chain import Chain
 from coopqp.model.grasp import Grasp
 from coopqp.model.inverse_kinematics import newton
+from coopqp.paths.path import ObjectPath
 from coopqp.planning.arm_starts import ArmOnPath, BranchAlongPath, arm_on_path, rolled, trouble
 from coopqp.planning.clearance import Bodies, check_scene
-from coopqp.planning.samples import PathSamples, sample_path
 from coopqp.spatial import Array
-from coopqp.task.path import ObjectPath
 
 #: Rolls of the tool that are tried for a remedy [deg], the most usual first.
 _ROLLS = ((180.0,), (90.0, -90.0), (45.0, -45.0, 135.0, -135.0), tuple(np.arange(-165.0, 180.0, 30.0)))
@@ -129,7 +129,7 @@ def find_start(
         free_roll: angles [rad] by which an arm's tool may be turned about its own z axis, by the arm's name; 0 is
             always allowed. The grasp in the answer has the turned tools.
         q_near: further seed (nq,); positions of joints that do not move a tool are taken from it.
-        scene: the bodies that keep distances, a :class:`coopqp.collision.CollisionScene` of the same cell: a start is
+        scene: the bodies that keep distances, a :class:`coopqp.CollisionScene` of the same cell: a start is
             preferred from which all margins are kept along the path. Not together with ``free_roll``.
         effort: multiplies the number of seeds.
 

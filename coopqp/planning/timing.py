@@ -13,24 +13,23 @@ from typing import Any
 import numpy as np
 
 from coopqp.checks import ArrayLike, as_count, as_scalar, one_each, require
+from coopqp.constraints.rate import BoundTrouble, Knot, RateBound, lines_of
 from coopqp.errors import InvalidInputError, UnreachableError
 from coopqp.model.branches import AT_LIMIT, amount
 from coopqp.model.cell import RobotCell, slides
 from coopqp.model.grasp import Grasp
 from coopqp.model.limits import BindingLimit, LimitKind
 from coopqp.model.state import CellState
-from coopqp.planning.horizon import joint_limit
+from coopqp.paths.geometry import PathGeometry
+from coopqp.paths.guarded import is_known
+from coopqp.paths.path import ObjectPath
+from coopqp.paths.timed import SpeedProfile, TimedPath
 from coopqp.planning.jerk import jerk_limited, jerk_use, smoothed
 from coopqp.planning.knots import Following, Knots
 from coopqp.planning.parametrise import Limited, Lines, fastest, require_toppra
 from coopqp.planning.payload import Payload, torque_lines
-from coopqp.planning.rate_bounds import BoundTrouble, Knot, RateBound, lines_of
 from coopqp.planning.sampled import sampled_geometry
 from coopqp.spatial import Array
-from coopqp.task.geometry import PathGeometry
-from coopqp.task.guarded import is_known
-from coopqp.task.path import ObjectPath
-from coopqp.task.timed import SpeedProfile, TimedPath
 
 #: Planned share of the limits; the rest is for a controller's corrections.
 SHARE = 0.98
@@ -304,7 +303,7 @@ def binding_limits(
         if owners[last] < 0:
             names.append(BindingLimit("", "", kinds[last], bounds[-1 - owners[last]].name))
             continue
-        names.append(joint_limit(cell, owners[last], kinds[last]))
+        names.append(cell.joint_limit(owners[last], kinds[last]))
     return names, most
 
 
@@ -381,7 +380,7 @@ def _check_positions(cell: RobotCell, path: ObjectPath | PathGeometry, knots: Kn
     raise UnreachableError(
         f"arm {arm} leaves its position limits {at:.3g} m along the path{when}: {joint} goes "
         f"{amount(-float(margins[:, j].min()), slides=slides(cell)[j])} outside. Start from another branch "
-        "(coopqp.planning.find_start), or move the path or the arm's base."
+        "(coopqp.find_start), or move the path or the arm's base."
     )
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from coopqp.errors import UnknownNameError
+from coopqp.paths.scenario import EngineSettings, Scenario
 from coopqp.scenarios.arms import ROBOTS, robot_arm, robot_data_path, robot_file, robot_table
 from coopqp.scenarios.cells import dual_arm7, five_joint_pair, mixed_cell, ring, scara_pair
 from coopqp.scenarios.loads import LOADED, base_off_lift, heavy_lift, hot_plate, palm_box, torque_lift
@@ -14,13 +15,13 @@ from coopqp.scenarios.robot_data import panda_bar, ur5_table
 from coopqp.scenarios.robots import ROBOT_NAMES, robot_path
 from coopqp.scenarios.triads import abb_lift, kuka_lift, mixed_lift
 from coopqp.scenarios.troubles import at_limit, at_singularity
-from coopqp.task.scenario import Scenario
 
 __all__ = [
     "LOADED",
     "ROBOTS",
     "ROBOT_NAMES",
     "SCENARIOS",
+    "EngineSettings",
     "Scenario",
     "abb_lift",
     "at_limit",

@@ -10,12 +10,11 @@ import pinocchio as pin
 
 from coopqp.checks import as_scalar
 from coopqp.errors import UnknownNameError
-from coopqp.scenarios.cells import RX90L_NEAR, facing
+from coopqp.paths.path import LinePath
+from coopqp.paths.scenario import EngineSettings, Scenario
 from coopqp.scenarios.paper import paper_lift
-from coopqp.scenarios.stations import put_together
+from coopqp.scenarios.stations import STANCES, facing, put_together
 from coopqp.scenarios.units import Degrees, Kilograms, Metres, Newtons, Seconds
-from coopqp.task.path import LinePath
-from coopqp.task.scenario import EngineSettings, Scenario
 
 #: Age of the wrenches when they arrive [s].
 _LATE = {"wrench_latency": 0.01}
@@ -102,7 +101,7 @@ def torque_lift(
     """The paper's lift by torque-controlled arms whose drives take arms and plate for half as heavy as they are.
 
     Args:
-        servo, wrist_sensors, assumed_mass, assumed_payload: as in :class:`coopqp.PhysicsOptions`.
+        servo, wrist_sensors, assumed_mass, assumed_payload: as in :class:`coopqp.simulation.PhysicsOptions`.
         duration: duration of the path [s].
     """
     lift = paper_lift(time_law="quintic", duration=duration)
@@ -146,7 +145,7 @@ def palm_box(
         duration=duration,
         time_law="quintic",
     )
-    stations = facing("rx90l", 0.20, reach=0.80, height=0.60, near=RX90L_NEAR)
+    stations = facing("rx90l", 0.20, STANCES["rx90l"]._replace(height=0.60))
     made = put_together("palm_box", stations, path, dt=0.005, object_size=(0.40, 0.30, 0.30), object_mass=mass)
     off = {"right": _along_the_diagonal(1e-3, 0.1)} if base_off else {}
     palm = {"kind": "palm", "friction": friction, "radius": 0.06, "squeeze": 0.8 * squeeze}

@@ -13,14 +13,13 @@ from coopqp.collision.scene import CollisionScene
 from coopqp.errors import UnknownNameError
 from coopqp.model.inverse_kinematics import inverse_kinematics
 from coopqp.model.shapes import Body, Box, Capsule, Shape, Sphere
-from coopqp.scenarios.arms import robot_arm
-from coopqp.scenarios.cells import ARM7_NEAR, ARM7_TOOL, dual_arm7, mixed_cell, ring
+from coopqp.paths.path import LinePath, TimeLaw
+from coopqp.paths.scenario import Scenario
+from coopqp.scenarios.cells import dual_arm7, mixed_cell, ring
 from coopqp.scenarios.paper import paper_lift
 from coopqp.scenarios.stations import Station, put_together
 from coopqp.scenarios.units import Radians, Seconds
 from coopqp.spatial import Array
-from coopqp.task.path import LinePath, TimeLaw
-from coopqp.task.scenario import Scenario
 
 
 def plate_and_post(*, post: Literal["capsule", "box"] = "capsule", duration: Seconds = 3.0) -> Scenario:
@@ -97,18 +96,7 @@ def _side_by_side(
     path = LinePath.displaced(
         start, translation=translation, rotation=rotation, duration=duration, time_law=TimeLaw.QUINTIC
     )
-    stations = [
-        Station(
-            arm=robot_arm("arm7", name=arm),
-            point=(0.0, y, 0.0),
-            yaw=turn,
-            reach=0.50,
-            height=0.25,
-            near=ARM7_NEAR,
-            tool=ARM7_TOOL,
-        )
-        for arm, y, turn in (("left", half, -yaw), ("right", -half, yaw))
-    ]
+    stations = [Station("arm7", arm, (0.0, y), turn) for arm, y, turn in (("left", half, -yaw), ("right", -half, yaw))]
     return put_together(name, stations, path, object_size=(0.05, 2.0 * half, 0.05), object_mass=1.5)
 
 

@@ -14,10 +14,10 @@ import pinocchio as pin
 from coopqp.model.cell import RobotCell
 from coopqp.model.grasp import Grasp
 from coopqp.model.inverse_kinematics import inverse_kinematics
+from coopqp.paths.path import LinePath, TimeLaw
+from coopqp.paths.scenario import Scenario
 from coopqp.scenarios.arms import robot_arm
 from coopqp.scenarios.units import Metres, RadiansPerSecond, Seconds
-from coopqp.task.path import LinePath, TimeLaw
-from coopqp.task.scenario import Scenario
 
 #: Base distances of Eq. (3) [m].
 BASE_DISTANCE_H, BASE_OFFSET_B = 3.60, 0.50

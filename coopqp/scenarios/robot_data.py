@@ -5,11 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pinocchio as pin
 
-from coopqp.scenarios.arms import robot_arm
-from coopqp.scenarios.stations import DOWN, FORWARD_SIDEWAYS, Station, put_together
+from coopqp.paths.path import LinePath, TimeLaw
+from coopqp.paths.scenario import Scenario
+from coopqp.scenarios.stations import Station, facing, put_together
 from coopqp.scenarios.units import Seconds
-from coopqp.task.path import LinePath, TimeLaw
-from coopqp.task.scenario import Scenario
 
 
 def panda_bar(*, geometry: bool = True, duration: Seconds = 3.0, time_law: TimeLaw | str = TimeLaw.QUINTIC) -> Scenario:
@@ -23,7 +22,6 @@ def panda_bar(*, geometry: bool = True, duration: Seconds = 3.0, time_law: TimeL
     Raises:
         MissingExtraError: ``example-robot-data`` is not installed.
     """
-    panda = robot_arm("panda", geometry=geometry)
     path = LinePath.displaced(
         pin.SE3(np.eye(3), np.array([0.0, 0.0, 0.30])),
         translation=(0.06, 0.10, 0.20),
@@ -31,19 +29,9 @@ def panda_bar(*, geometry: bool = True, duration: Seconds = 3.0, time_law: TimeL
         duration=duration,
         time_law=time_law,
     )
-    stations = [
-        Station(
-            arm=panda.placed(pin.SE3.Identity(), name=name),
-            point=(x, 0.0, 0.0),
-            yaw=yaw,
-            reach=0.48,
-            height=0.30,
-            near=(0.0, -10.0, 0.0, -135.0, 0.0, 125.0, 45.0),
-            tool=DOWN,
-        )
-        for name, x, yaw in (("left", -0.40, 0.0), ("right", 0.40, 180.0))
-    ]
-    return put_together("panda_bar", stations, path, object_size=(1.00, 0.04, 0.04), object_mass=3.0)
+    return put_together(
+        "panda_bar", facing("panda", 0.40), path, object_size=(1.00, 0.04, 0.04), object_mass=3.0, geometry=geometry
+    )
 
 
 def ur5_table(*, geometry: bool = True, duration: Seconds = 3.0, time_law: TimeLaw | str = TimeLaw.QUINTIC) -> Scenario:
@@ -57,7 +45,6 @@ def ur5_table(*, geometry: bool = True, duration: Seconds = 3.0, time_law: TimeL
     Raises:
         MissingExtraError: ``example-robot-data`` is not installed.
     """
-    ur5 = robot_arm("ur5", geometry=geometry)
     path = LinePath.displaced(
         pin.SE3(np.eye(3), np.array([0.0, 0.0, 0.30])),
         translation=(0.08, 0.05, 0.15),
@@ -66,15 +53,9 @@ def ur5_table(*, geometry: bool = True, duration: Seconds = 3.0, time_law: TimeL
         time_law=time_law,
     )
     stations = [
-        Station(
-            arm=ur5.placed(pin.SE3.Identity(), name=f"ur5_{k + 1}"),
-            point=(x, y, 0.0),
-            yaw=-90.0 if y > 0.0 else 90.0,
-            reach=0.50,
-            height=0.30,
-            near=(-15.1, -86.1, 103.6, -17.6, 74.9, 0.0),
-            tool=FORWARD_SIDEWAYS,
-        )
+        Station("ur5", f"ur5_{k + 1}", (x, y), -90.0 if y > 0.0 else 90.0)
         for k, (x, y) in enumerate(((-0.5, -0.4), (0.5, -0.4), (0.5, 0.4), (-0.5, 0.4)))
     ]
-    return put_together("ur5_table", stations, path, object_size=(1.20, 0.80, 0.03), object_mass=12.0)
+    return put_together(
+        "ur5_table", stations, path, object_size=(1.20, 0.80, 0.03), object_mass=12.0, geometry=geometry
+    )

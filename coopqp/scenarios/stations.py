@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 import pinocchio as pin
@@ -11,9 +11,10 @@ import pinocchio as pin
 from coopqp.model.cell import Arm, RobotCell
 from coopqp.model.grasp import Grasp
 from coopqp.model.inverse_kinematics import inverse_kinematics
+from coopqp.paths.path import ObjectPath
+from coopqp.paths.scenario import Scenario
+from coopqp.scenarios.arms import robot_arm
 from coopqp.spatial import Array
-from coopqp.task.path import ObjectPath
-from coopqp.task.scenario import Scenario
 
 #: Tool orientation in the base frame: the tool points forward along x (a turn by 90° about y).
 FORWARD = np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]])
@@ -23,43 +24,74 @@ FORWARD_SIDEWAYS = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
 DOWN = np.diag([1.0, -1.0, -1.0])
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Station:
+class Stance(NamedTuple):
+    """How an arm stands to its grasp point.
+
+    Attributes:
+        reach: horizontal distance from the base's axis to the grasp point [m].
+        height: height of the tool above the base [m].
+        near: joint positions near the start (n,) [deg or m]; inverse kinematics makes them exact.
+        tool: orientation of the tool in the base frame, a rotation matrix (3, 3).
+    """
+
+    reach: float
+    height: float
+    near: tuple[float, ...]
+    tool: Array = FORWARD
+
+
+#: How each robot stands, unless a cell says otherwise. arm7 holds from above at a slant, the others from one side.
+STANCES = {
+    "rx90l": Stance(0.80, 0.30, (0.0, 38.0, 102.0, 0.0, -50.0, 0.0)),
+    "arm5": Stance(0.48, 0.25, (0.0, 10.0, 115.0, -35.0, 0.0)),
+    "arm6c": Stance(0.50, 0.30, (-19.0, 4.3, 113.0, 62.7, 71.0, -90.0)),
+    "arm7": Stance(0.50, 0.25, (0.0, 14.0, 0.0, 105.0, 0.0, 31.0, 0.0), pin.utils.rotate("y", np.deg2rad(150.0))),
+    "gantry7": Stance(0.60, 0.35, (0.0, 0.0, 45.0, 97.0, 0.0, -52.0, 0.0)),
+    "scara4": Stance(0.42, 0.12, (41.0, -91.0, -0.03, 50.0), DOWN),
+    "panda": Stance(0.48, 0.30, (0.0, -10.0, 0.0, -135.0, 0.0, 125.0, 45.0), DOWN),
+    "ur5": Stance(0.50, 0.30, (-15.1, -86.1, 103.6, -17.6, 74.9, 0.0), FORWARD_SIDEWAYS),
+}
+
+
+class Station(NamedTuple):
     """The place of one arm: an upright base that faces the object, and a grasp point.
 
     Attributes:
-        arm: the arm, with its name in the cell.
-        point: grasp point in the object frame at the start [m].
+        robot: name of the robot.
+        name: name of the arm in the cell.
+        point: grasp point in the object frame at the start, x and y [m].
         yaw: direction that the arm faces, about the world's z axis [deg].
-        reach: horizontal distance from the base's axis to the grasp point [m].
-        height: height of the tool above the base [m].
-        tool: orientation of the tool in the base frame, a rotation matrix (3, 3).
-        near: joint positions near the start (n,) [deg or m]; inverse kinematics makes them exact.
+        stance: how it stands; by default as in :data:`STANCES`.
     """
 
-    arm: Arm
-    point: tuple[float, float, float]
+    robot: str
+    name: str
+    point: tuple[float, float]
     yaw: float
-    reach: float
-    height: float
-    near: Sequence[float]
-    tool: Array = field(default_factory=lambda: FORWARD)
+    stance: Stance | None = None
 
-    def placed(self, T_world_object: pin.SE3) -> tuple[Arm, pin.SE3]:
-        """The arm at its base placement, and T_object_tool."""
-        turn = pin.utils.rotate("z", float(np.deg2rad(self.yaw)))
-        hold = T_world_object.act(np.array(self.point))
-        base = hold - turn @ np.array([self.reach, 0.0, self.height])
-        T_world_tool = pin.SE3(turn @ self.tool, hold)
-        return self.arm.placed(pin.SE3(turn, base)), T_world_object.actInv(T_world_tool)
 
-    @property
-    def near_positions(self) -> Array:
-        """:attr:`near` in radians; prismatic joints in metres."""
-        joints = list(self.arm.model.joints)[1:]  # the first is the world
-        prismatic = [joint.shortname().startswith("JointModelP") for joint in joints]
-        x = np.array(self.near, dtype=float)
-        return np.where(prismatic, x, np.deg2rad(x))
+def facing(robot: str, half: float, stance: Stance | None = None) -> list[Station]:
+    """Two arms of one kind that face each other, "left" at −half and "right" at +half [m] on the object's x axis."""
+    return [
+        Station(robot, name, (x, 0.0), yaw, stance) for name, x, yaw in (("left", -half, 0.0), ("right", half, 180.0))
+    ]
+
+
+def _placed(station: Station, stance: Stance, arm: Arm, T_world_object: pin.SE3) -> tuple[Arm, pin.SE3]:
+    """The arm of a station at its base placement, and T_object_tool."""
+    turn = pin.utils.rotate("z", float(np.deg2rad(station.yaw)))
+    hold = T_world_object.act(np.array([*station.point, 0.0]))
+    base = hold - turn @ np.array([stance.reach, 0.0, stance.height])
+    T_world_tool = pin.SE3(turn @ stance.tool, hold)
+    return arm.placed(pin.SE3(turn, base), name=station.name), T_world_object.actInv(T_world_tool)
+
+
+def _near(arm: Arm, near: tuple[float, ...]) -> Array:
+    """Positions in radians; of prismatic joints in metres."""
+    joints = list(arm.model.joints)[1:]  # the first is the world
+    prismatic = [joint.shortname().startswith("JointModelP") for joint in joints]
+    return np.where(prismatic, near, np.deg2rad(near))
 
 
 def put_together(
@@ -70,12 +102,21 @@ def put_together(
     dt: float = 0.002,
     object_size: tuple[float, float, float],
     object_mass: float,
+    geometry: bool = True,
 ) -> Scenario:
-    """Build a scenario of arms that stand around the object at the start of ``path``."""
+    """Build a scenario of arms that stand around the object at the start of ``path``.
+
+    ``geometry``: also load the meshes.
+    """
     start = path.pose(0.0)
-    arms, tools = zip(*(station.placed(start) for station in stations), strict=True)
+    robots = {robot: robot_arm(robot, geometry=geometry) for robot in {station.robot: None for station in stations}}
+    stances = [station.stance or STANCES[station.robot] for station in stations]
+    both = [_placed(one, stance, robots[one.robot], start) for one, stance in zip(stations, stances, strict=True)]
+    arms, tools = zip(*both, strict=True)
     cell, grasp = RobotCell(arms), Grasp(tools)
-    near = cell.configuration(np.concatenate([station.near_positions for station in stations]))
+    near = cell.configuration(
+        np.concatenate([_near(arm, stance.near) for arm, stance in zip(arms, stances, strict=True)])
+    )
     return Scenario(
         name=name,
         cell=cell,

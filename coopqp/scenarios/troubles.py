@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import Annotated, Literal
@@ -12,12 +13,11 @@ import pinocchio as pin
 from coopqp.checks import Array, Doc, as_scalar, as_vector
 from coopqp.errors import InvalidInputError, UnknownNameError
 from coopqp.model.state import CellState
-from coopqp.scenarios.arms import robot_arm
+from coopqp.paths.path import LinePath, TimeLaw
+from coopqp.paths.scenario import Scenario
 from coopqp.scenarios.paper import paper_lift
-from coopqp.scenarios.stations import Station, put_together
+from coopqp.scenarios.stations import Stance, Station, put_together
 from coopqp.scenarios.units import MetresPerSecond, Radians, RadiansPerSquareSecond
-from coopqp.task.path import LinePath, TimeLaw
-from coopqp.task.scenario import Scenario
 
 #: Kinds of singularity of :func:`at_singularity`.
 SINGULARITIES = ("wrist", "elbow", "reach")
@@ -91,20 +91,13 @@ def at_singularity(
         raise UnknownNameError("arm", str(arm), ("0", "1", "2"), "at_singularity")
     start = pin.SE3(np.eye(3), np.array([0.0, 0.0, 0.60]))
     still = LinePath(start, start, duration=1.0)
+    near = (0.0, 45.0, 70.0, 0.0, -25.0, 0.0)
+    led = Stance(0.80, 0.60, near) if kind == "wrist" else Stance(1.0, 0.30, near)
+    others = Stance(0.80, 0.30, (0.0, 38.0, 100.0, 0.0, -47.0, 0.0))
     stations = []
     for k, angle in enumerate((180.0, -60.0, 60.0)):
-        x, y = 0.45 * np.cos(np.deg2rad(angle)), 0.45 * np.sin(np.deg2rad(angle))
-        led = k == arm
-        stations.append(
-            Station(
-                arm=robot_arm("rx90l", name=f"arm_{k + 1}"),
-                point=(float(x), float(y), 0.0),
-                yaw=angle + 180.0,
-                reach=1.0 if led and kind != "wrist" else 0.80,
-                height=0.60 if led and kind == "wrist" else 0.30,
-                near=(0.0, 45.0, 70.0, 0.0, -25.0, 0.0) if led else (0.0, 38.0, 100.0, 0.0, -47.0, 0.0),
-            )
-        )
+        point = 0.45 * math.cos(math.radians(angle)), 0.45 * math.sin(math.radians(angle))
+        stations.append(Station("rx90l", f"arm_{k + 1}", point, angle + 180.0, led if k == arm else others))
     rest = put_together("at_singularity", stations, still, object_size=(0.90, 0.90, 0.03), object_mass=9.0)
     goal = _singular_goal(rest, kind, arm, start, as_scalar(miss, "at_singularity: miss", open_low=False))
     way, turn = goal.translation - start.translation, pin.log3(start.rotation.T @ goal.rotation)

@@ -14,11 +14,11 @@ from coopqp.forces.force_controller import ForceController
 from coopqp.forces.force_options import ForceOptions
 from coopqp.forces.sensor_findings import SensorFinding, SensorJudgement
 from coopqp.forces.wrist_sensor import WristSensor
+from coopqp.paths.path import HoldPath
+from coopqp.paths.scenario import Scenario
 from coopqp.planning.payload import Payload
 from coopqp.simulation.plants.physics import PhysicsPlant
 from coopqp.spatial import Array
-from coopqp.task.path import HoldPath
-from coopqp.task.scenario import Scenario
 
 #: Longest commissioning [s].
 _LONGEST = 30.0

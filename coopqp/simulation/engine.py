@@ -7,20 +7,20 @@ from typing import Any
 
 import numpy as np
 
-from coopqp.control.command import Controller
+from coopqp.control.interface import Controller
 from coopqp.control.options import QPOptions
 from coopqp.control.qp import QPController
 from coopqp.errors import InvalidInputError
 from coopqp.forces.force_controller import ForceController
 from coopqp.forces.force_options import ForceOptions
 from coopqp.forces.grips import Grip
-from coopqp.forces.load import LoadShare
+from coopqp.forces.load_sharing import LoadShare
+from coopqp.paths.scenario import EngineSettings, Scenario
 from coopqp.planning.payload import Payload
 from coopqp.simulation.plants.disturbances import Disturbances
 from coopqp.simulation.plants.physics import PhysicsPlant
-from coopqp.simulation.recording import Recording
+from coopqp.simulation.recording.recording import Recording
 from coopqp.simulation.simulate import ProgressCallback, simulate
-from coopqp.task.scenario import EngineSettings, Scenario
 
 
 def box_payload(scenario: Scenario, torque_share: float = 1.0) -> Payload:

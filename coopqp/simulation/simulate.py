@@ -10,15 +10,15 @@ import numpy as np
 
 from coopqp import planning
 from coopqp.checks import ArrayLike, as_scalar, read_only
-from coopqp.control.command import Controller, ControlStep, Status
+from coopqp.control.interface import Controller, ControlStep, Status
 from coopqp.errors import InvalidInputError
 from coopqp.model.cell import RobotCell
 from coopqp.model.limits import BindingLimit
-from coopqp.simulation.notes import Notes
 from coopqp.simulation.plants.kinematic import KinematicPlant, Plant
-from coopqp.simulation.recording import Recording, entries_of
-from coopqp.simulation.rows import Rows
-from coopqp.simulation.scene import describe_cell, describe_path
+from coopqp.simulation.recording.notes import Notes
+from coopqp.simulation.recording.recording import Recording, entries_of
+from coopqp.simulation.recording.rows import Rows
+from coopqp.simulation.recording.scene import describe_cell, describe_path
 from coopqp.spatial import Array
 
 #: Time until a run with a stopped object ends, by default [s].
@@ -53,10 +53,10 @@ def simulate(
         controller: the controller; it is reset at the plant's measured configuration. One with a true attribute
             ``minds_wrenches`` is asked as ``step(q, wrenches=…)``, as :class:`coopqp.ForceController` is.
         plant: the plant; by default an ideal :class:`KinematicPlant`.
-        q_start: start configuration (nq,); by default :func:`coopqp.planning.find_start` finds one.
+        q_start: start configuration (nq,); by default :func:`coopqp.find_start` finds one.
         duration: longest run [s]; by default ten times the path's duration, because a slowed object takes longer.
         settle: time that the run continues after the end of the path [s].
-        loads: record wrenches and torques of a plant that has them, as :class:`coopqp.PhysicsPlant`.
+        loads: record wrenches and torques of a plant that has them, as :class:`coopqp.simulation.PhysicsPlant`.
         patience: the run ends when the object was blocked, held, stopped or at rest off its path for this time [s];
             None for never. A pause does not count.
         progress: called as ``progress(steps done, steps of an unslowed run)``.

@@ -6,48 +6,6 @@ A sweep, in the order of its flow: ``study`` (a file of axes and draws gives row
 (one placement), ``placement`` (a file of axes, a map, a search).
 """
 
-from typing import TYPE_CHECKING
+from coopqp.lazy import attach
 
-from coopqp.lazy import lazy_names
-
-if TYPE_CHECKING:
-    from coopqp.studies.dispatch import run_rows
-    from coopqp.studies.engines import Cluster, Engine, Local
-    from coopqp.studies.errors import EngineError, StudyError
-    from coopqp.studies.placement import PlaceStudy, load_place_study
-    from coopqp.studies.placing import ArmPlaced, CellPlaced, Goals, Placer
-    from coopqp.studies.study import Study, load_study
-    from coopqp.studies.sweeping import Sweep, sweep
-else:
-    __getattr__, __dir__ = lazy_names(
-        __name__,
-        {
-            "coopqp.studies.engines": "Cluster Engine Local",
-            "coopqp.studies.errors": "EngineError StudyError",
-            "coopqp.studies.placement": "PlaceStudy load_place_study",
-            "coopqp.studies.placing": "ArmPlaced CellPlaced Goals Placer",
-            "coopqp.studies.study": "Study load_study",
-            "coopqp.studies.sweeping": "Sweep sweep",
-            "coopqp.studies.dispatch": "run_rows",
-        },
-        extra=("studies", "pydantic", "annotated_types"),
-    )
-
-__all__ = [
-    "ArmPlaced",
-    "CellPlaced",
-    "Cluster",
-    "Engine",
-    "EngineError",
-    "Goals",
-    "Local",
-    "PlaceStudy",
-    "Placer",
-    "Study",
-    "StudyError",
-    "Sweep",
-    "load_place_study",
-    "load_study",
-    "run_rows",
-    "sweep",
-]
+__getattr__, __dir__, __all__ = attach(__name__, __file__, extra=("studies", "pydantic", "annotated_types"))

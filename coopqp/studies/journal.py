@@ -12,7 +12,7 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any, final
 
-from coopqp.output import OutputError
+from coopqp.errors import OutputError
 from coopqp.studies.errors import StudyError
 
 try:

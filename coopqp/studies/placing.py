@@ -15,16 +15,16 @@ import pinocchio as pin
 
 from coopqp.checks import Doc, documented, keep_scalars
 from coopqp.collision.scene import CollisionScene
+from coopqp.constraints.samples import PathSamples, sample_path
 from coopqp.errors import InvalidInputError
 from coopqp.model.batch import ArmKinematics
 from coopqp.model.branches import amount
 from coopqp.model.cell import RobotCell
 from coopqp.model.grasp import Grasp
+from coopqp.paths.path import ObjectPath
+from coopqp.paths.scenario import Scenario
 from coopqp.planning.arm_starts import ArmOnPath, BranchAlongPath, arm_on_path, trouble
-from coopqp.planning.samples import PathSamples, sample_path
 from coopqp.spatial import Array
-from coopqp.task.path import ObjectPath
-from coopqp.task.scenario import Scenario
 
 #: Distances of a remedy [m]: steps, and the longest.
 _STEP, _FARTHEST = 0.02, 1.0

@@ -6,7 +6,6 @@ import functools
 import json
 import time
 import warnings
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, final
@@ -14,55 +13,31 @@ from typing import Any, final
 import numpy as np
 
 from coopqp.collision.scene import CollisionScene
-from coopqp.control.command import Controller, ControlStep
+from coopqp.control.interface import Controller, ControlStep
 from coopqp.errors import CoopqpError, StartWarning, said
 from coopqp.files.cellfile.build import build, controller_options, led, new_controller
 from coopqp.files.cellfile.schema import CellFile
 from coopqp.files.cellfile.strict import build_options
 from coopqp.model.cell import slides
 from coopqp.model.grasp import Grasp
+from coopqp.paths.scenario import Scenario
 from coopqp.scenarios import SCENARIOS
-from coopqp.simulation import metrics
-from coopqp.simulation.assessment import Tolerances, judge, why
-from coopqp.simulation.closeness import with_clearance
-from coopqp.simulation.figures import worst_status
+from coopqp.simulation.evaluation import metrics
+from coopqp.simulation.evaluation.assessment import Tolerances, judge, why
+from coopqp.simulation.evaluation.closeness import with_clearance
+from coopqp.simulation.evaluation.figures import worst_status
+from coopqp.simulation.evaluation.readings import Readings, read_run
 from coopqp.simulation.plants.disturbances import Disturbances
 from coopqp.simulation.plants.disturbed import DisturbedPlant
 from coopqp.simulation.plants.kinematic import KinematicPlant, Plant
 from coopqp.simulation.plants.physics import PhysicsPlant
 from coopqp.simulation.plants.physics_options import PhysicsOptions
-from coopqp.simulation.readings import Readings, read_run
-from coopqp.simulation.recording import Recording
+from coopqp.simulation.recording.recording import Recording
 from coopqp.simulation.simulate import simulate
 from coopqp.spatial import Array
+from coopqp.studies.columns import FAILED, OK
 from coopqp.studies.drawing import disturbances
 from coopqp.studies.study import ScenarioFile, Study
-from coopqp.task.scenario import Scenario
-
-#: Columns of a run's figures, and their meaning.
-FIGURES: Mapping[str, str] = {
-    "time_s": "time that the run took [s]",
-    "steps": "number of steps",
-    "rate_min": "smallest rate of the object's clock",
-    "eps_p_mm": "largest ε_p of the commands [mm]",
-    "eps_o_deg": "largest ε_o of the commands [deg]",
-    "chain_mm": "largest distance between the object poses of any two arms, as commanded [mm]",
-    "chain_deg": "the same as an angle [deg]",
-    "true_chain_mm": "the same, as the disturbed arms really stand [mm]",
-    "true_chain_deg": "the same as an angle [deg]",
-    "object_mm": "largest distance of the object from its path, as measured [mm]",
-    "object_deg": "the same as an angle [deg]",
-    "object_end_mm": "distance of the object from its path at the end [mm]",
-    "sigma_min": "smallest singular value of any arm's tool Jacobian",
-    "margin_deg": "least distance of a turning joint from its position limits [deg]",
-    "margin_mm": "least distance of a sliding joint from its position limits [mm]",
-    "speed_share": "largest joint speed, as a share of its limit",
-    "unrest_deg_per_s": "change of turning joints' commanded speeds from step to step, rms [deg/s]",
-    "closest_mm": "least distance of bodies, where the task has bodies that keep distances [mm]",
-}
-#: Columns before the figures.
-OUTCOMES = ("outcome", "reason", "status", "finished", "verdict")
-OK, FAILED, LOST = "ok", "failed", "lost"
 
 
 class _TooLongError(CoopqpError):

@@ -34,8 +34,9 @@ from coopqp.files.cellfile.schema import (
 from coopqp.files.cellfile.strict import Number, Table, problem
 from coopqp.files.cellfile.text import read_tables
 from coopqp.scenarios import SCENARIOS
-from coopqp.simulation.assessment import Tolerances
+from coopqp.simulation.evaluation.assessment import Tolerances
 from coopqp.simulation.simulate import PATIENCE
+from coopqp.studies.columns import FIGURES
 from coopqp.studies.drawing import DisturbancesTable
 from coopqp.studies.errors import StudyError
 
@@ -332,8 +333,6 @@ def _study(file: StudyFile, folder: Path) -> Study:
 
 def _check(study: Study) -> None:
     """Check each value of each axis and each case against the schema."""
-    from coopqp.studies.row import FIGURES
-
     if len(study) > MAX_ROWS:
         raise StudyError(f"{len(study)} rows; at most {MAX_ROWS} are run. Take fewer values.")
     for name in study.figures:
@@ -365,8 +364,8 @@ def versions() -> dict[str, str]:
     """The bits of a row depend on these: versions, the kernel, the solver."""
     import platform
 
-    from coopqp.control.solvers import default_solver
     from coopqp.native import kernel_text
+    from coopqp.solvers.choice import default_solver
 
     packages = {
         name: metadata.version(name) for name in ("coopqp", "pin", "numpy", "scipy", "daqp", "osqp", "proxsuite")

@@ -3,14 +3,10 @@
 import sys
 from pathlib import Path
 
-from coopqp import (
-    PseudoInverseController,
-    QPController,
-    relative_positioning_error,
-    simulate,
-    tool_placements,
-)
+from coopqp import QPController, simulate
+from coopqp.baselines import PseudoInverseController
 from coopqp.scenarios import paper_lift
+from coopqp.simulation import relative_positioning_error, tool_placements
 
 lift = paper_lift()  # three RX-90L, the plate they hold, its path of 3 s, and where they start
 
@@ -31,14 +27,14 @@ for N in (40, 400, 1000):
     print(f"N = {N}: {', '.join(errors)}")
 
 if "--view" in sys.argv:
-    from coopqp import LiveViewer
+    from coopqp.visualization import LiveViewer
 
     with LiveViewer(runs["QP"][-1]) as viewer:
         print("Open", viewer.url)
         viewer.run()
 
 if "--out" in sys.argv:
-    from coopqp.look import error_figure
+    from coopqp.visualization import error_figure
 
     figure = error_figure(lift.cell, runs)
     figure.savefig(Path(sys.argv[sys.argv.index("--out") + 1]) / "paper_drift.png", dpi=80)

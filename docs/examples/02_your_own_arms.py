@@ -6,18 +6,9 @@ from pathlib import Path
 import numpy as np
 import pinocchio as pin
 
-from coopqp import (
-    Arm,
-    Grasp,
-    LinePath,
-    QPController,
-    RobotCell,
-    inverse_kinematics,
-    judge,
-    read_run,
-    robot_path,
-    simulate,
-)
+from coopqp import Arm, Grasp, LinePath, QPController, RobotCell, inverse_kinematics, simulate
+from coopqp.scenarios import robot_path
+from coopqp.simulation import judge, read_run
 
 my_arm = robot_path("arm7")  # comes with coopqp; put the path of your URDF here: "my_arm.urdf"
 
@@ -57,14 +48,14 @@ for finding in judge(cell, recording, read_run(cell, recording)):
     print("yes" if finding.holds else "NO ", finding.question, finding.answer)
 
 if "--view" in sys.argv:
-    from coopqp import LiveViewer
+    from coopqp.visualization import LiveViewer
 
     with LiveViewer(recording) as viewer:
         print("Open", viewer.url)
         viewer.run()
 
 if "--out" in sys.argv:
-    from coopqp.look import motion_figure
+    from coopqp.visualization import motion_figure
 
     bar = {"object_size": (0.7, 0.05, 0.05), "T_object_body": pin.SE3.Identity()}
     figure = motion_figure(cell, recording, **bar, frames=2, azimuth=-60.0, pixels=500)

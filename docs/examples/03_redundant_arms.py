@@ -5,8 +5,9 @@ from pathlib import Path
 
 import numpy as np
 
-from coopqp import HoldPath, PostureOptions, QPController, QPOptions, read_run, simulate
+from coopqp import HoldPath, PostureOptions, QPController, QPOptions, simulate
 from coopqp.scenarios import dual_arm7
+from coopqp.simulation import read_run
 
 bar = dual_arm7()  # two arms of seven joints, a bar of 0.6 m
 out = bar.q_start + np.tile([0, 0, 0.5, 0, 0, 0, 0], 2)  # to be near [rad]; the bar decides
@@ -31,7 +32,7 @@ for name, (path, posture) in tasks.items():
     )
 
 if "--view" in sys.argv:
-    from coopqp import LiveViewer
+    from coopqp.visualization import LiveViewer
 
     with LiveViewer(recording) as viewer:
         print("Open", viewer.url)

@@ -5,8 +5,10 @@ from pathlib import Path
 
 import numpy as np
 
-from coopqp import IndependentQPController, QPController, read_run, simulate
+from coopqp import QPController, simulate
+from coopqp.baselines import IndependentQPController
 from coopqp.scenarios import at_limit
+from coopqp.simulation import read_run
 
 # The paper's cell, every joint fenced in to ±0.25 rad, at most 5 rad/s²; the path of 1 m
 # leads out of the fence.
@@ -25,7 +27,7 @@ recording = runs["cooperative"]
 print(recording.notes[-1])  # which arm, which joint, which limit
 
 if "--view" in sys.argv:
-    from coopqp import LiveViewer
+    from coopqp.visualization import LiveViewer
 
     with LiveViewer(recording) as viewer:
         print("Open", viewer.url)

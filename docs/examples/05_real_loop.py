@@ -7,8 +7,9 @@ from pathlib import Path
 
 import numpy as np
 
-from coopqp import Disturbances, DisturbedPlant, QPController, Status
+from coopqp import QPController, Status
 from coopqp.scenarios import paper_lift
+from coopqp.simulation import Disturbances, DisturbedPlant
 
 lift, dt = paper_lift(time_law="quintic"), 0.001
 cell = lift.cell.with_limits(acceleration=10.0)

@@ -6,8 +6,9 @@ from pathlib import Path
 import numpy as np
 import pinocchio as pin
 
-from coopqp import QPController, ServoPath, chain_error, object_error, tool_placements
+from coopqp import QPController, ServoPath
 from coopqp.scenarios import paper_lift
+from coopqp.simulation import chain_error, object_error, tool_placements
 
 lift = paper_lift()
 start = lift.path.pose(0.0)

@@ -5,8 +5,9 @@ from pathlib import Path
 
 import numpy as np
 
-from coopqp import QPController, QPOptions, read_run, simulate
+from coopqp import QPController, QPOptions, simulate
 from coopqp.scenarios import fast_lift
+from coopqp.simulation import read_run
 
 task = fast_lift()  # 0.6 m/s asked for, joints limited to 1 rad/s: mostly at a limit
 runs = {}

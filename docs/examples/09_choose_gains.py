@@ -6,15 +6,9 @@ from pathlib import Path
 import numpy as np
 import pinocchio as pin
 
-from coopqp import (
-    Disturbances,
-    DisturbedPlant,
-    HoldPath,
-    QPController,
-    QPOptions,
-    misplaced,
-)
+from coopqp import HoldPath, QPController, QPOptions
 from coopqp.scenarios import paper_lift
+from coopqp.simulation import Disturbances, DisturbedPlant, misplaced
 
 lift = paper_lift()
 hold = HoldPath(lift.path.pose(0.0), duration=0.5)

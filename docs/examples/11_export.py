@@ -7,7 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
-from coopqp import QPController, Recording, simulate, write_bag, write_csv
+from coopqp import QPController, Recording, simulate
+from coopqp.files import write_bag, write_csv
 from coopqp.scenarios import paper_lift
 
 lift = paper_lift()

@@ -5,17 +5,10 @@ from pathlib import Path
 
 import numpy as np
 
-from coopqp import (
-    PseudoInverseController,
-    PseudoInverseOptions,
-    QPController,
-    QPOptions,
-    WaypointPath,
-    relative_positioning_error,
-    simulate,
-    tool_placements,
-)
+from coopqp import QPController, QPOptions, WaypointPath, simulate
+from coopqp.baselines import PseudoInverseController, PseudoInverseOptions
 from coopqp.scenarios import paper_lift
+from coopqp.simulation import relative_positioning_error, tool_placements
 
 lift = paper_lift()
 down, up = lift.path.pose(0.0), lift.path.pose(lift.path.duration)

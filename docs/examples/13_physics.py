@@ -17,7 +17,7 @@ def pose(x, y, z, *, yaw=0.0, pitch=0.0):
 
 
 # 1. The cell of tutorial 2: two arms, a bar between them, a path.
-urdf = coopqp.robot_path("arm7")
+urdf = coopqp.scenarios.robot_path("arm7")
 arm = coopqp.Arm.from_urdf("left", urdf, tool_frame="tool", acceleration_limits=10)
 right = arm.placed(pose(0.8, 0, 0, yaw=180), name="right")
 cell = coopqp.RobotCell([arm.placed(pose(-0.8, 0, 0)), right])
@@ -34,28 +34,30 @@ for what, base in (
     ("as modelled", {}),
     ("right base 1 mm off", {"right": pose(0.001, 0, 0)}),
 ):
-    wrong = coopqp.Disturbances(base_offset=base)
+    wrong = coopqp.simulation.Disturbances(base_offset=base)
     bar = {"object_size": (0.6, 0.05, 0.05), "object_mass": 1.2}
-    plant = coopqp.PhysicsPlant(cell, grasp, **bar, disturbances=wrong)
+    plant = coopqp.simulation.PhysicsPlant(cell, grasp, **bar, disturbances=wrong)
     held = coopqp.Grasp.from_configuration(cell, plant.reset(q_start), nominal=grasp)
     controller = coopqp.QPController(cell, held, path, dt=0.002)
     run = coopqp.simulate(controller, plant, q_start=q_start, settle=0.5)
     # 3. What each arm does to the bar: by the engine, weight included, and by the servos,
     #    without what is fed forward.
-    model = coopqp.StressModel(cell, held, stiffness=plant.stiffness)
+    model = coopqp.forces.StressModel(cell, held, stiffness=plant.stiffness)
     read = {
         "engine": plant.wrenches(),
         "servos": model.from_servos(run.q_command[-1], run.q[-1]),
     }
     forces = [
-        f"{name} {np.linalg.norm(coopqp.at_tools(w, held)[:, :3], axis=1).round(1)} N"
+        f"{name} {np.linalg.norm(coopqp.forces.at_tools(w, held)[:, :3], axis=1).round(1)} N"
         for name, w in read.items()
     ]
     print(f"{what}: finished {run.finished}; {', '.join(forces)}")
 
 # 4. The paper's lift: an arm's servos stop at 1.2 s, and the others drag it along.
 lift = paper_lift(time_law="quintic")
-plant = coopqp.PhysicsPlant.of(lift, disturbances=coopqp.Disturbances(stall={"slave_1": 1.2}))
+plant = coopqp.simulation.PhysicsPlant.of(
+    lift, disturbances=coopqp.simulation.Disturbances(stall={"slave_1": 1.2})
+)
 
 
 def drag_along(stiffness):

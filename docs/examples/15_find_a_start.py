@@ -6,17 +6,9 @@ from pathlib import Path
 import numpy as np
 import pinocchio as pin
 
-from coopqp import (
-    Arm,
-    Grasp,
-    LinePath,
-    NoStartError,
-    QPController,
-    RobotCell,
-    robot_path,
-    simulate,
-)
-from coopqp.planning import find_start
+from coopqp import Arm, Grasp, LinePath, QPController, RobotCell, find_start, simulate
+from coopqp.errors import NoStartError
+from coopqp.scenarios import robot_path
 
 # Two arms face each other and hold a bar. A cable lets joints 4 and 6 of the left one turn
 # by ±100° only.
@@ -49,7 +41,7 @@ print("finished:", simulate(controller, q_start=found.q).finished)
 if "--out" in sys.argv:
     import matplotlib.pyplot as plt
 
-    from coopqp.look import View, box_solid, cell_solids, render
+    from coopqp.visualization import View, box_solid, cell_solids, render
 
     branches = found.arms[0].branches
     scenes = cell_solids(cell, [np.r_[branch.q, found.q[6:]] for branch in branches])

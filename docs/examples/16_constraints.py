@@ -6,8 +6,9 @@ from pathlib import Path
 import numpy as np
 import pinocchio as pin
 
-from coopqp import QPController, Rank, adjoint, simulate
+from coopqp import QPController, Rank, simulate
 from coopqp.scenarios import paper_lift
+from coopqp.spatial import adjoint
 
 g = 1.618  # AXES: through the corners of an icosahedron
 AXES = np.array([[0, 1, g], [0, 1, -g], [1, g, 0], [1, -g, 0], [g, 0, 1], [-g, 0, 1]]) / 1.902

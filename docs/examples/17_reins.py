@@ -3,8 +3,9 @@
 import sys
 from pathlib import Path
 
-from coopqp import QPController, Status, chain_error, path_error, tool_placements
+from coopqp import QPController, Status
 from coopqp.scenarios import paper_lift
+from coopqp.simulation import chain_error, path_error, tool_placements
 
 lift = paper_lift(time_law="quintic")
 cell = lift.cell.with_limits(acceleration=5.0)

@@ -6,8 +6,9 @@ from pathlib import Path
 import numpy as np
 import pinocchio as pin
 
-from coopqp import Arm, Grasp, LinePath, QPController, RobotCell, robot_path, simulate
-from coopqp.planning import check_path, find_remedies
+from coopqp import Arm, Grasp, LinePath, QPController, RobotCell, check_path, simulate
+from coopqp.planning import find_remedies
+from coopqp.scenarios import robot_path
 
 # Two arms face each other and carry a bar of 1 m to the side and up.
 DOWN = np.diag([1.0, -1.0, -1.0])

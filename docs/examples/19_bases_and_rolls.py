@@ -6,8 +6,9 @@ from pathlib import Path
 import numpy as np
 import pinocchio as pin
 
-from coopqp import Arm, Grasp, LinePath, RobotCell, robot_path
-from coopqp.planning import check_path, find_remedies
+from coopqp import Arm, Grasp, LinePath, RobotCell, check_path
+from coopqp.planning import find_remedies
+from coopqp.scenarios import robot_path
 
 DOWN = np.diag([1.0, -1.0, -1.0])
 arms = []

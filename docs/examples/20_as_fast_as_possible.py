@@ -6,9 +6,10 @@ from pathlib import Path
 import numpy as np
 import pinocchio as pin
 
-from coopqp import QPController, WaypointPath, read_run, simulate, write_speed_profile
-from coopqp.planning import plan
+from coopqp import QPController, WaypointPath, plan, simulate
 from coopqp.scenarios import dual_arm7
+from coopqp.simulation import read_run
+from coopqp.visualization import write_speed_profile
 
 # Two arms move a bar up, then across. Every joint accelerates by at most 5 rad/s².
 task = dual_arm7()

@@ -3,8 +3,8 @@
 import sys
 from pathlib import Path
 
-from coopqp import judge, load_cell_file, read_run
-from coopqp.planning import check_path
+from coopqp import check_path, load_cell_file
+from coopqp.simulation import judge, read_run
 
 CELLS = Path(__file__).parent / "cells"
 runs = {}
@@ -23,7 +23,7 @@ for name in ("two_ur10", "panda_and_ur5", "pandas_and_ur5s", "gantry_and_ur5"):
 if "--out" in sys.argv:
     import matplotlib.pyplot as plt
 
-    from coopqp.look import View, box_solid, cell_solids, render
+    from coopqp.visualization import View, box_solid, cell_solids, render
 
     figure, panels = plt.subplots(2, 2, figsize=(9, 6.4), layout="constrained")
     for panel, (name, (task, recording)) in zip(panels.flat, runs.items(), strict=True):

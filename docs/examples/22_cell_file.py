@@ -10,7 +10,7 @@ recording = task.run()
 print(f"finished: {recording.finished} after {recording.time[-1]:.2f} s; {recording.notes[0]}")
 
 if "--out" in sys.argv:
-    from coopqp.look import motion_figure
+    from coopqp.visualization import motion_figure
 
     bar = {
         "object_size": task.scenario.object_size,

@@ -9,9 +9,10 @@ from pathlib import Path
 import numpy as np
 import pinocchio as pin
 
-from coopqp import Closeness, QPController, check_run, simulate
-from coopqp.collision import Body, Box, Clearance, CollisionScene
+from coopqp import Clearance, CollisionScene, QPController, simulate
+from coopqp.collision import Body, Box
 from coopqp.scenarios import elbow_and_knob, plate_and_post
+from coopqp.simulation import Closeness, check_run
 
 curves = []
 for task in (plate_and_post(), elbow_and_knob()):

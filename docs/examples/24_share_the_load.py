@@ -5,10 +5,11 @@ from pathlib import Path
 
 import numpy as np
 
-from coopqp import QPController, simulate, write_load_use
+from coopqp import QPController, simulate
 from coopqp.forces import Grip, LoadBound, LoadShare, load_use
 from coopqp.planning import Payload, time_path
 from coopqp.scenarios import paper_lift
+from coopqp.visualization import write_load_use
 
 # The paper's plate, three arms with the motors' torques of their model, and an object of 53 kg.
 lift = paper_lift(time_law="quintic", duration=6.0)

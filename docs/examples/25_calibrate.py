@@ -12,7 +12,7 @@ from coopqp.forces import determining_motion
 from coopqp.scenarios import paper_lift
 
 warnings.simplefilter(
-    "ignore", coopqp.StartWarning
+    "ignore", coopqp.errors.StartWarning
 )  # the arms start where the closed grips put them
 lift = paper_lift(time_law="quintic")
 off = pin.SE3(
@@ -22,7 +22,7 @@ off = pin.SE3(
 
 def lifted(cell, grasp, disturbances):
     """A lift in the engine; the recording, and the wrenches at its end."""
-    plant = coopqp.PhysicsPlant.of(lift, disturbances=disturbances)
+    plant = coopqp.simulation.PhysicsPlant.of(lift, disturbances=disturbances)
     # This run squeezes on purpose: no supervision may stop it.
     watch = coopqp.SupervisionOptions(slow_from=0.005, hold_from=0.01, stall_samples=10_000)
     options = coopqp.QPOptions(supervision=watch)
@@ -37,12 +37,12 @@ def squeeze(wrenches):
 
 # 1. The base of one arm stands 1 mm and 0.1° off. The object is squeezed.
 load = lifted(lift.cell, lift.grasp, None)[1]
-wrong = coopqp.Disturbances(base_offset={"slave_2": off}, encoder_noise=1e-4)
+wrong = coopqp.simulation.Disturbances(base_offset={"slave_2": off}, encoder_noise=1e-4)
 run, wrenches = lifted(lift.cell, lift.grasp, wrong)
 print(f"before: {squeeze(wrenches):.0f} N at the end of the lift")
 
 # 2. Its measured configurations say where the base is. No force sensor, no tool but the arms.
-found = coopqp.calibrate_runs([run], cell=lift.cell)
+found = coopqp.simulation.calibrate_runs([run], cell=lift.cell)
 print(found.explain())
 
 # 3. The same lift with the corrected model.
@@ -56,6 +56,6 @@ left, verdict = len(motion.undetermined), motion.check.verdict.value
 print(f"tilts {tilts}°: {left} directions left, path {verdict}")
 
 if "--out" in sys.argv:
-    coopqp.write_calibration(
+    coopqp.visualization.write_calibration(
         found, Path(sys.argv[sys.argv.index("--out") + 1]) / "calibration.png", dpi=90
     )

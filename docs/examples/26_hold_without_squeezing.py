@@ -12,7 +12,7 @@ from coopqp.planning import Payload
 from coopqp.scenarios import paper_lift
 
 warnings.simplefilter(
-    "ignore", coopqp.StartWarning
+    "ignore", coopqp.errors.StartWarning
 )  # an arm starts off its grasp: that is the point
 lift = paper_lift(time_law="quintic")
 off = pin.SE3(
@@ -24,8 +24,10 @@ tolerant = coopqp.SupervisionOptions(slow_from=0.005, hold_from=0.01, stall_samp
 
 def lifted(relax, **sensors):
     """The controller, the run and the largest force of an arm at each step, one base off."""
-    wrong = coopqp.Disturbances(base_offset={"slave_2": off}, wrench_latency=0.01, **sensors)
-    plant = coopqp.PhysicsPlant.of(lift, disturbances=wrong)
+    wrong = coopqp.simulation.Disturbances(
+        base_offset={"slave_2": off}, wrench_latency=0.01, **sensors
+    )
+    plant = coopqp.simulation.PhysicsPlant.of(lift, disturbances=wrong)
     options = coopqp.QPOptions() if relax else coopqp.QPOptions(supervision=tolerant)
     controller = coopqp.QPController(
         lift.cell, lift.grasp, lift.path, dt=lift.dt, options=options

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
-from coopqp.look import save_figure, sweep_figure
 from coopqp.studies import Local, load_study, sweep
+from coopqp.visualization import save_figure, sweep_figure
 
 STUDIES = Path(__file__).parent / "studies"
 folder = Path(tempfile.mkdtemp())

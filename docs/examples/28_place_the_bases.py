@@ -5,10 +5,12 @@ from pathlib import Path
 
 import numpy as np
 
-from coopqp import PseudoInverseController, QPController, read_run, simulate
-from coopqp.look import placement_figure, save_figure
+from coopqp import QPController, simulate
+from coopqp.baselines import PseudoInverseController
 from coopqp.scenarios import abb_lift, kuka_lift, mixed_lift, paper_lift
+from coopqp.simulation import read_run
 from coopqp.studies import Placer, load_place_study
+from coopqp.visualization import placement_figure, save_figure
 
 study = load_place_study(Path(__file__).parent / "studies" / "h_and_b.toml")
 

@@ -25,8 +25,8 @@ held = ForceController(controller, ForceOptions(squeeze=200.0, **settings))
 if "--out" in sys.argv:
     from pathlib import Path
 
-    from coopqp.look import run_loads_figure
     from coopqp.simulation import read_loads, run_in_engine
+    from coopqp.visualization import run_loads_figure
 
     figure = run_loads_figure(box.cell, read_loads(box.cell, run_in_engine(box)))
     figure.savefig(Path(sys.argv[sys.argv.index("--out") + 1]) / "palms.png", dpi=80)

@@ -9,7 +9,7 @@ from coopqp.scenarios import torque_lift
 from coopqp.simulation import read_loads, run_in_engine
 
 # A plate that sank starts off its path.
-warnings.simplefilter("ignore", coopqp.StartWarning)
+warnings.simplefilter("ignore", coopqp.errors.StartWarning)
 
 # What the drives know of arms and plate is half of every mass.
 laws = {
@@ -22,7 +22,7 @@ drawn = {}
 for name, drives in laws.items():
     lift = torque_lift(duration=1.5, assumed_mass=0.5, assumed_payload=0.5, **drives)
     run = run_in_engine(lift)
-    loads, read = read_loads(lift.cell, run), coopqp.read_run(lift.cell, run)
+    loads, read = read_loads(lift.cell, run), coopqp.simulation.read_run(lift.cell, run)
     drawn[name] = loads.time, read.object_mm[1:], loads.internal.max(axis=1)
     print(
         f"{name}: off by {read.object_mm.max():.2f} mm at most,",

@@ -8,7 +8,8 @@ from typing import Any
 
 import pytest
 
-from coopqp import Recording, write_report
+from coopqp import Recording
+from coopqp.visualization import write_report
 
 
 @pytest.mark.slow

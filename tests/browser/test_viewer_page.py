@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from coopqp import LiveViewer, Recording, export_html
+from coopqp import Recording
+from coopqp.visualization import LiveViewer, export_html
 
 TRACK = "[class*=Slider-track]"
 

@@ -32,7 +32,7 @@ EQUIVALENT: dict[tuple[str, str, str], str] = {
                 "contiguous = bool(np.all(np.diff(flat) == 1)) if len(flat) > 1 else False",
             ): "one column is the same as a slice and by its index",
         },
-        "coopqp/control/limits.py": {
+        "coopqp/control/step/velocity_bounds.py": {
             (
                 "a, d = np.where(finite, self._acceleration, 1.0), np.where(finite, distance, 1.0)",
                 "a, d = np.where(finite, self._acceleration, 1.0), np.where(finite, distance, 2.0)",
@@ -53,7 +53,7 @@ EQUIVALENT: dict[tuple[str, str, str], str] = {
         ANY: {
             ("@dataclass(eq=False)", "@dataclass(eq=True)"): "nobody compares these, and none of them is a key",
         },
-        "coopqp/control/plain.py": {
+        "coopqp/control/step/plain.py": {
             (
                 "if by_qp or self._box.accelerates:",
                 "if not by_qp or self._box.accelerates:",
@@ -64,7 +64,7 @@ EQUIVALENT: dict[tuple[str, str, str], str] = {
                 "if self._preview is not None or preview is not None:",
             ): "a copy looks ahead where the original does",
         },
-        "coopqp/control/verdict.py": {
+        "coopqp/control/step/verdict.py": {
             (
                 "rising = rate > s.rate + RATE_ROUNDING",
                 "rising = rate >= s.rate + RATE_ROUNDING",
@@ -74,7 +74,7 @@ EQUIVALENT: dict[tuple[str, str, str], str] = {
                 "if rate == 2.0 and answer.exact and not restricted:",
             ): "the same record, built anew",
         },
-        "coopqp/control/ranks.py": {
+        "coopqp/control/step/priorities.py": {
             (
                 "if not largest(np.abs(v - clipped)) <= 2.0 * LIMIT_TOLERANCE "
                 "or not _keeps(further, v, 10.0 * LIMIT_TOLERANCE):",
@@ -96,13 +96,13 @@ EQUIVALENT: dict[tuple[str, str, str], str] = {
                 "if d >= tolerance_m or a > tolerance_rad:",
             ): "a distance of exactly the tolerance",
         },
-        "coopqp/planning/preview.py": {
+        "coopqp/control/lookahead/preview.py": {
             (
                 "if share[j] == 0.0 or 1.0 / share[j] >= rise:",
                 "if share[j] == 0.0 or 1.0 / share[j] > rise:",
             ): "two bounds that are exactly the same",
         },
-        "coopqp/planning/horizon.py": {
+        "coopqp/control/lookahead/horizon.py": {
             (
                 "if share is None or not since <= ahead.square <= share.until or ahead.square >= 1.0:",
                 "if share is None or not since < ahead.square <= share.until or ahead.square >= 1.0:",
@@ -112,7 +112,7 @@ EQUIVALENT: dict[tuple[str, str, str], str] = {
                 "low, high, rate, short_of, cause = 0.0, 1.0, 0.0, _SHORT_OF, least.cause",
             ): "the first guess alone: the search ends at the same rate",
         },
-        "coopqp/planning/growth.py": {
+        "coopqp/control/lookahead/extension.py": {
             (
                 "if abs(way[-1].clock - breakpoint_) < _SAME_CLOCK and breakpoint_ < self._duration:",
                 "if abs(way[-1].clock - breakpoint_) <= _SAME_CLOCK and breakpoint_ < self._duration:",
@@ -132,7 +132,7 @@ EQUIVALENT: dict[tuple[str, str, str], str] = {
                 "if miss * miss_end >= 0.0:",
             ): "a miss of exactly 0 has ended the search",
         },
-        "coopqp/planning/chain_ahead.py": {
+        "coopqp/control/lookahead/closed_chain.py": {
             (
                 "if not ways.item(ways.argmin()) < near:",
                 "if not ways.item(ways.argmin()) <= near:",
@@ -162,7 +162,7 @@ EQUIVALENT: dict[tuple[str, str, str], str] = {
                 "if not np.isfinite(ahead).any():",
             ): "where it is singular the arm ends in either case, and only its last knot is named",
         },
-        "coopqp/control/supervision.py": {
+        "coopqp/control/monitoring/supervision.py": {
             ("if o.let_in > 0.0:", "if o.let_in > -1.0:"): "with 0 no drift is let in, only later",
             (
                 "self._noise, self._samples, self._cap, self._arm = np.zeros(n), 0.0, 1.0, -1",

@@ -18,38 +18,32 @@ import pinocchio as pin
 
 from coopqp import (
     Cause,
-    CellState,
-    Controller,
     ControlStep,
     HoldPath,
     JointLimits,
     LinePath,
-    Monitor,
-    MonitorTolerances,
     ObjectPath,
     QPController,
     QPOptions,
-    QpProblem,
-    QpSolution,
-    QpSolver,
     ServoPath,
-    SolverStatus,
     Status,
-    UnreachableError,
-    Verdict,
     WaypointPath,
     inverse_kinematics,
-    make_solver,
 )
-from coopqp.control.limits import VelocityBox
+from coopqp.control import Controller
+from coopqp.control.step.velocity_bounds import VelocityBox
+from coopqp.errors import UnreachableError
+from coopqp.model import CellState
 from coopqp.native.constants import RECOVERY_SHARE
 from coopqp.scenarios import Scenario, at_limit
+from coopqp.simulation import Monitor, Verdict
+from coopqp.solvers import QpProblem, QpSolution, QpSolver, SolverStatus, make_solver
 
 Array: TypeAlias = npt.NDArray[np.float64]
 #: ``make(task, **options)`` builds a controller for a scenario.
 Maker: TypeAlias = Callable[..., Any]
 #: Tolerances of a verdict without checks of chain and path, which are only measured.
-WIDE: dict[str, Any] = {"chain_m": None, "chain_rad": None, "path_m": None, "path_rad": None}
+WIDE: dict[str, Any] = dict.fromkeys(("chain_mm", "chain_deg", "object_mm", "object_deg"), 1e9)
 
 
 def cooperative(task: Scenario, **options: Any) -> QPController:
@@ -77,7 +71,7 @@ def drive(controller: Controller, q: Any, steps: int, *, rest: int | None = None
 
 def judged(task: Scenario, steps: Iterable[ControlStep], **tolerances: Any) -> Verdict:
     """The monitor's verdict on a run from rest."""
-    monitor = Monitor(task.cell, task.grasp, tolerances=MonitorTolerances(**tolerances))
+    monitor = Monitor(task.cell, task.grasp, tolerances=tolerances)
     monitor.observe_all(list(steps))
     return monitor.verdict()
 
@@ -290,7 +284,7 @@ def fails_now(
     task: Scenario, controller: QPController, double: FaultySolver, steps: list[ControlStep], *, for_ever: bool
 ) -> Failure:
     """The solver of a controller fails after the ``steps`` that it has done."""
-    monitor, at = Monitor(task.cell, task.grasp, tolerances=MonitorTolerances(**WIDE)), len(steps)
+    monitor, at = Monitor(task.cell, task.grasp, tolerances=WIDE), len(steps)
     monitor.observe_all(steps)
     chain_before, steps = monitor.verdict().worst.chain_m, list(steps)
     v, dt, limits = steps[-1].velocity, task.dt, task.cell.limits
@@ -385,7 +379,7 @@ def rough_steps(
     overrides, pauses; and in a share ``measured`` of the time measured configurations with noise, jumps, NaN. The next
     event follows after at most ``stretch`` steps.
     """
-    result, monitor = Commands(), Monitor(task.cell, task.grasp, tolerances=MonitorTolerances(**WIDE), kinematics=False)
+    result, monitor = Commands(), Monitor(task.cell, task.grasp, tolerances=WIDE, kinematics=False)
     limits = [np.array(getattr(task.cell.limits, name)) for name in ("lower", "upper", "velocity", "acceleration")]
     block: list[ControlStep] = []
     handed: list[tuple[Array, bytes]] = []

@@ -21,24 +21,25 @@ from typing import Any
 
 import numpy as np
 
-from coopqp import CoopqpError, QPController, Recording, describe_object, judge, load_cell_file, read_run, simulate
+from coopqp import CoopqpError, QPController, Recording, load_cell_file, simulate
 from coopqp.files.cellfile import load_cell_task
 from coopqp.files.cellfile.text import read_tables
 from coopqp.files.export import csv_parts
-from coopqp.look.joints import joint_figure
-from coopqp.look.report import report_html
-from coopqp.look.stage import Stage
-from coopqp.look.timeline import timeline_figure
-from coopqp.look.viewer import readout
 from coopqp.scenarios import paper_lift
-from coopqp.simulation.assessment import why
-from coopqp.simulation.closeness import default_scene, with_clearance
-from coopqp.simulation.figures import run_figures
+from coopqp.simulation import describe_object, judge, read_run
+from coopqp.simulation.evaluation.assessment import why
+from coopqp.simulation.evaluation.closeness import default_scene, with_clearance
+from coopqp.simulation.evaluation.figures import run_figures
 from coopqp.studies import Study, load_place_study, load_study
 from coopqp.studies.journal import Journal
 from coopqp.studies.row import RowTask
 from coopqp.studies.sweeping import rows_found, table_of_rows
 from coopqp.studies.table import csv_bytes
+from coopqp.visualization.joints import joint_figure
+from coopqp.visualization.report import report_html
+from coopqp.visualization.run_view import Stage
+from coopqp.visualization.timeline import timeline_figure
+from coopqp.visualization.viewer import readout
 
 #: A small cell in TOML: every kind of table that reads without meshes.
 CELL = """

@@ -15,10 +15,11 @@ import coal
 import pinocchio as pin
 from damage import damaged, inside
 
-from coopqp import judge, load_cell_file, read_run
-from coopqp.app import cli
+from coopqp import load_cell_file
+from coopqp.cli import main as cli
 from coopqp.files.cellfile.build import CellRun
 from coopqp.files.cellfile.hints import unit_hints
+from coopqp.simulation import judge, read_run
 
 ROOT = Path(__file__).parents[2]
 #: One arm that lifts a box; its start is found.

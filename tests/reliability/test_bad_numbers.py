@@ -12,7 +12,7 @@ from typing import Any
 
 import pytest
 
-from coopqp import available_solvers
+from coopqp.solvers import available_solvers
 
 PROGRAM = Path(__file__).with_name("programs") / "bad_numbers.py"
 #: Time after which a solver counts as hanging [s]; all cases of a solver normally take about 10.

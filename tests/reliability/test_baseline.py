@@ -10,8 +10,9 @@ import pytest
 from checks import cooperative, drive, judged, limited
 from marks import slow_but_first
 
-from coopqp import Breach, PseudoInverseController
+from coopqp.baselines import PseudoInverseController
 from coopqp.scenarios import Scenario, at_limit, at_singularity, fast_lift, paper_lift
+from coopqp.simulation import Breach
 
 TASKS: dict[str, tuple[Callable[[], Scenario], set[Breach]]] = {
     "the paper's lift": (paper_lift, {Breach.CHAIN}),

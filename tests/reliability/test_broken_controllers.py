@@ -31,23 +31,15 @@ from checks import (
     solver_fails,
 )
 
-from coopqp import (
-    Breach,
-    ControlStep,
-    IndependentQPController,
-    Monitor,
-    Monitored,
-    PseudoInverseController,
-    PseudoInverseOptions,
-    ServoPath,
-    Status,
-)
-from coopqp.control import ranks as answers
-from coopqp.control.command import amend
-from coopqp.control.limits import VelocityBox
-from coopqp.control.ranks import StepAnswer, StepSolver
-from coopqp.control.supervision import Supervision
+from coopqp import ControlStep, ServoPath, Status
+from coopqp.baselines import IndependentQPController, PseudoInverseController, PseudoInverseOptions
+from coopqp.control.interface import amend
+from coopqp.control.monitoring.supervision import Supervision
+from coopqp.control.step import priorities as answers
+from coopqp.control.step.priorities import StepAnswer, StepSolver
+from coopqp.control.step.velocity_bounds import VelocityBox
 from coopqp.scenarios import Scenario, at_limit, at_singularity, fast_lift, mixed_cell, paper_lift
+from coopqp.simulation import Breach, Monitor, Monitored
 
 Spoil = Callable[[ControlStep, int], ControlStep]
 
@@ -315,7 +307,7 @@ def never_again() -> Spoil:
 def tears(make: Callable[[Scenario], Any]) -> bool:
     """True if the monitor sees the arms part on the way to a stretched elbow."""
     task = at_singularity("elbow", 1, acceleration=np.inf)
-    counts = judged(task, drive(make(task), task.q_start, 1200, rest=20), path_m=None, path_rad=None).counts
+    counts = judged(task, drive(make(task), task.q_start, 1200, rest=20), object_mm=1e9, object_deg=1e9).counts
     return Breach.CHAIN in counts
 
 
@@ -467,7 +459,7 @@ BROKEN: dict[str, Broken] = {
 
 
 @pytest.mark.slow
-@pytest.mark.filterwarnings("ignore::coopqp.StartWarning")
+@pytest.mark.filterwarnings("ignore::coopqp.errors.StartWarning")
 def test_every_broken_controller_is_caught(catalogue: Any) -> None:
     missed = [name for name, broken in BROKEN.items() if not broken.caught()]
     rows = sorted({broken.row for broken in BROKEN.values()}, key=lambda r: (r[0], int(r[1:] or 0)))
@@ -496,7 +488,7 @@ def test_nan_is_stopped_twice() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.filterwarnings("ignore::coopqp.StartWarning")
+@pytest.mark.filterwarnings("ignore::coopqp.errors.StartWarning")
 def test_the_sound_one_is_not(catalogue: Any) -> None:
     """The real controller passes the same checks."""
     checks: dict[str, Callable[[], bool]] = {

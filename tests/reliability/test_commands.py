@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 from checks import cooperative, limited, rough_steps
 
-from coopqp import Status, available_kernels
+from coopqp import Status
+from coopqp.native import available_kernels
 from coopqp.scenarios import Scenario, dual_arm7, five_joint_pair, mixed_cell, paper_lift, ring, scara_pair
 
 #: Tests that the steps are spread over, so that several processes can share them.
@@ -37,7 +38,7 @@ def rough_task(task: Scenario, rng: np.random.Generator) -> Scenario:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("part", [pytest.param(1, marks=pytest.mark.core), *range(2, PARTS + 1)])
-@pytest.mark.filterwarnings("ignore::coopqp.StartWarning")
+@pytest.mark.filterwarnings("ignore::coopqp.errors.StartWarning")
 def test_any_command_may_be_sent(
     part: int, count: Callable[[int], int], catalogue: Any, rng: np.random.Generator
 ) -> None:

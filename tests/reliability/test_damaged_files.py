@@ -9,8 +9,7 @@ from typing import Any
 import damage
 import pytest
 
-from coopqp import StudyError
-from coopqp.studies import load_study
+from coopqp.studies import StudyError, load_study
 from coopqp.studies.journal import Journal
 
 

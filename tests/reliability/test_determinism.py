@@ -97,7 +97,7 @@ def commands(task: Scenario, names: Sequence[str], options: QPOptions, steps: in
     return np.array([controller.step().velocity[columns] for _ in range(steps)])
 
 
-@pytest.mark.filterwarnings("ignore::coopqp.StartWarning")
+@pytest.mark.filterwarnings("ignore::coopqp.errors.StartWarning")
 @pytest.mark.slow
 @pytest.mark.parametrize("how", ["as it comes", pytest.param("a QP at every step", marks=pytest.mark.slow)])
 def test_the_order_of_the_arms_does_not_matter(

@@ -15,25 +15,23 @@ import pinocchio as pin
 import pytest
 
 from coopqp import (
-    Array,
     ControlStep,
-    Disturbances,
-    DisturbedPlant,
     Grasp,
     InvalidInputError,
     LimitKind,
     LinePath,
     ObjectPath,
     QPController,
-    StallBound,
     Status,
-    TimeLaw,
     WaypointPath,
     inverse_kinematics,
-    misplaced,
 )
+from coopqp.control import StallBound
+from coopqp.paths import TimeLaw
 from coopqp.scenarios import Scenario, dual_arm7, mixed_cell, paper_lift
-from coopqp.simulation.metrics import chain_errors
+from coopqp.simulation import Disturbances, DisturbedPlant, misplaced
+from coopqp.simulation.evaluation.metrics import chain_errors
+from coopqp.spatial import Array
 
 DT = 1e-3
 SPEED = 0.25
@@ -133,7 +131,7 @@ def drive(
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("noise", "target"), [(1e-4, 0.2), (1e-3, 1.0)])
-@pytest.mark.filterwarnings("ignore::coopqp.StartWarning")
+@pytest.mark.filterwarnings("ignore::coopqp.errors.StartWarning")
 def test_encoder_noise(tasks: list[Scenario], catalogue: Any, count: Any, noise: float, target: float) -> None:
     seeds = range(count(2))
     runs = [drive(task, Disturbances(encoder_noise=noise, seed=seed)) for task in tasks for seed in seeds]

@@ -14,20 +14,11 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from coopqp import (
-    Array,
-    ControlStep,
-    Disturbances,
-    Grasp,
-    PhysicsPlant,
-    QPController,
-    QPOptions,
-    Status,
-    StressModel,
-    SupervisionOptions,
-    misplaced,
-)
+from coopqp import ControlStep, Grasp, QPController, QPOptions, Status, SupervisionOptions
+from coopqp.forces import StressModel
 from coopqp.scenarios import Scenario, paper_lift
+from coopqp.simulation import Disturbances, PhysicsPlant, misplaced
+from coopqp.spatial import Array
 
 DT = 1e-3
 AXIS = np.ones(3) / np.sqrt(3.0)
@@ -124,7 +115,7 @@ def test_signals(lift: Scenario, catalogue: Any, name: str) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.filterwarnings("ignore::coopqp.StartWarning")
+@pytest.mark.filterwarnings("ignore::coopqp.errors.StartWarning")
 def test_a_grasp_that_is_off(lift: Scenario, catalogue: Any) -> None:
     run = drive(lift, grip={"slave_1": GRIP_OFF})
     assert run.smooth
@@ -135,7 +126,7 @@ def test_a_grasp_that_is_off(lift: Scenario, catalogue: Any) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.filterwarnings("ignore::coopqp.StartWarning")
+@pytest.mark.filterwarnings("ignore::coopqp.errors.StartWarning")
 def test_a_base_that_is_off(lift: Scenario, catalogue: Any) -> None:
     """During the lift the measured poses of the arms drift apart by up to 3 mm: a property of the cell, not a fault."""
     force, stopped, cases, longest = 0.0, 0, 0, 0.0

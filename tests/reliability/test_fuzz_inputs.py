@@ -26,43 +26,36 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from coopqp import (
-    Breach,
-    CellState,
     CommonError,
-    DaqpSettings,
-    Disturbances,
     ForceController,
     ForceOptions,
     Grasp,
     HoldPath,
-    IndependentQPController,
-    IndependentQPOptions,
     JointLimits,
-    KinematicPlant,
     LinePath,
-    Monitor,
-    MonitorTolerances,
-    OsqpSettings,
-    PhysicsOptions,
     PostureOptions,
     PreviewOptions,
-    ProxqpSettings,
-    PseudoInverseController,
-    PseudoInverseOptions,
     QPController,
     QPOptions,
-    RankWeights,
     RobotCell,
     ServoPath,
     Status,
     SupervisionOptions,
     WaypointPath,
     inverse_kinematics,
-    plate_from_centroid,
-    plate_from_points,
 )
+from coopqp.baselines import (
+    IndependentQPController,
+    IndependentQPOptions,
+    PseudoInverseController,
+    PseudoInverseOptions,
+)
+from coopqp.control import RankWeights
+from coopqp.model import CellState, plate_from_centroid, plate_from_points
+from coopqp.paths.path import ScrewParameters
 from coopqp.scenarios import mixed_cell, paper_lift
-from coopqp.task.path import ScrewParameters
+from coopqp.simulation import Breach, Disturbances, KinematicPlant, Monitor, PhysicsOptions, Tolerances
+from coopqp.solvers import DaqpSettings, OsqpSettings, ProxqpSettings
 
 pytestmark = pytest.mark.filterwarnings("ignore::RuntimeWarning")
 LIFT, MIXED = paper_lift(), mixed_cell()
@@ -308,7 +301,7 @@ OPTIONS = (
     RankWeights,
     PseudoInverseOptions,
     IndependentQPOptions,
-    MonitorTolerances,
+    Tolerances,
     Disturbances,
     PhysicsOptions,
     ForceOptions,
@@ -426,7 +419,7 @@ def test_accepted_options_of_forces_never_make_a_step_fail(catalogue: Any) -> No
     tried.row(catalogue, "options of forces that are accepted, then steps", FEW)
 
 
-LIMITS_ONLY = MonitorTolerances(chain_m=None, chain_rad=None, path_m=None, path_rad=None)
+LIMITS_ONLY = Tolerances(chain_mm=1e9, chain_deg=1e9, object_mm=1e9, object_deg=1e9)
 
 
 # -- time --------------------------------------------------------------------------------------------------------------

@@ -13,10 +13,12 @@ import pinocchio as pin
 import pytest
 from fuzzing import Tried, answer
 
-from coopqp import Arm, CellState, Grasp, LinePath, Monitor, MonitorTolerances, QPController, RobotCell
+from coopqp import Arm, Grasp, LinePath, QPController, RobotCell
+from coopqp.model import CellState
+from coopqp.simulation import Monitor, Tolerances
 
 pytestmark = pytest.mark.filterwarnings("ignore::RuntimeWarning")
-LIMITS_ONLY = MonitorTolerances(chain_m=None, chain_rad=None, path_m=None, path_rad=None)
+LIMITS_ONLY = Tolerances(chain_mm=1e9, chain_deg=1e9, object_mm=1e9, object_deg=1e9)
 
 NUMBERS = ["0", "1.5", "-1.5", "3", "nan", "inf", "-inf", "1e300", "-1e300", "1e-310", "", "abc", "1,5"]
 KINDS = ["revolute"] * 6 + ["continuous", "prismatic", "fixed", "floating", "planar", "mimic", "screw"]

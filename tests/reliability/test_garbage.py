@@ -14,7 +14,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from coopqp import QPController, QPOptions, SupervisionOptions, available_kernels
+from coopqp import QPController, QPOptions, SupervisionOptions
+from coopqp.native import available_kernels
 from coopqp.scenarios import Scenario, fast_lift, paper_lift
 
 

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 from checks import Return, cooperative, fenced_out, from_outside, ideal_return, shifted_together
 
-from coopqp import available_solvers
 from coopqp.scenarios import Scenario, dual_arm7, mixed_cell, paper_lift
+from coopqp.solvers import available_solvers
 
-pytestmark = pytest.mark.filterwarnings("ignore::coopqp.StartWarning")
+pytestmark = pytest.mark.filterwarnings("ignore::coopqp.errors.StartWarning")
 
 DEPTHS = (0.001, 0.01, 0.05, 0.2)  # [rad]
 LIMITED = {"velocity": 1.0}  # [rad/s]

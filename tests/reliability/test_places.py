@@ -10,7 +10,8 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from coopqp import ControlStep, Grasp, LinePath, QPController, QPOptions, RobotCell, available_kernels
+from coopqp import ControlStep, Grasp, LinePath, QPController, QPOptions, RobotCell
+from coopqp.native import available_kernels
 from coopqp.scenarios import Scenario, at_limit, at_singularity, dual_arm7, mixed_cell, paper_lift
 
 DT = 0.005

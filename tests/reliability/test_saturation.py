@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from checks import Sharing, cooperative, fenced_out, limited, needed_speeds, saturated, slows_together
 
-from coopqp import LinePath, ServoPath, available_solvers
+from coopqp import LinePath, ServoPath
 from coopqp.scenarios import (
     Scenario,
     at_limit,
@@ -23,6 +23,7 @@ from coopqp.scenarios import (
     paper_lift,
     ring,
 )
+from coopqp.solvers import available_solvers
 
 
 def at_limit_without_preview() -> tuple[Scenario, Any]:
@@ -65,7 +66,7 @@ SATURATING: dict[str, tuple[Callable[[], tuple[Scenario, Any]], dict[str, Any]]]
 
 
 @pytest.mark.slow
-@pytest.mark.filterwarnings("ignore::coopqp.StartWarning")
+@pytest.mark.filterwarnings("ignore::coopqp.errors.StartWarning")
 def test_limits_hold_after_clipping(count: Callable[[int], int], catalogue: Any) -> None:
     worst, solvers, steps = np.zeros(3), available_solvers(), 0
     for solver, (name, (build, options)) in itertools.product(solvers, SATURATING.items()):

@@ -23,8 +23,10 @@ import pytest
 from pydantic import BaseModel
 from ruamel.yaml import YAML
 
-from coopqp import CellFileError, OutputError, StartWarning, load_cell_file
-from coopqp.app.runs import output_folder
+from coopqp import load_cell_file
+from coopqp.cli.runs import output_folder
+from coopqp.errors import OutputError, StartWarning
+from coopqp.files import CellFileError
 from coopqp.files.cellfile.schema import CellFile
 
 #: Parts that the files are spread over, so that several processes can share them.

@@ -10,18 +10,9 @@ import numpy as np
 import pytest
 from hypothesis import settings
 
-from coopqp import (
-    ControlStep,
-    LimitKind,
-    LinePath,
-    Monitor,
-    MonitorTolerances,
-    QPController,
-    QPOptions,
-    Status,
-    Verdict,
-)
+from coopqp import ControlStep, LimitKind, LinePath, QPController, QPOptions, Status
 from coopqp.scenarios import Scenario, at_singularity, five_joint_pair, scara_pair
+from coopqp.simulation import Monitor, Tolerances, Verdict
 
 pytestmark = pytest.mark.slow
 
@@ -30,7 +21,7 @@ DWELL = 100
 #: Longest time there, and longest time back [s].
 LONGEST = 6.0
 NIGHTLY = settings.get_current_profile_name() == "nightly"
-NOTHING_ELSE = MonitorTolerances(chain_m=None, chain_rad=None, path_m=None, path_rad=None)
+NOTHING_ELSE = Tolerances(chain_mm=1e9, chain_deg=1e9, object_mm=1e9, object_deg=1e9)
 
 
 @dataclass(frozen=True)

@@ -13,18 +13,10 @@ import pytest
 from checks import FAULTS, REST, Failure, FaultySolver, cooperative, fails_now, judged, limited, set_off
 from marks import slow_but_first
 
-from coopqp import (
-    DaqpSettings,
-    ObjectPath,
-    OsqpSettings,
-    ProxqpSettings,
-    ServoPath,
-    SolverStatus,
-    Status,
-    available_kernels,
-    make_solver,
-)
+from coopqp import ObjectPath, ServoPath, Status
+from coopqp.native import available_kernels
 from coopqp.scenarios import Scenario, dual_arm7, fast_lift, five_joint_pair, mixed_cell, paper_lift, scara_pair
+from coopqp.solvers import DaqpSettings, OsqpSettings, ProxqpSettings, SolverStatus, make_solver
 
 
 def moving_target() -> tuple[Scenario, Any]:
@@ -86,7 +78,7 @@ def failed(name: str, kernel: str, cases: list[tuple[int, str, bool]]) -> Iterat
 
 
 @pytest.mark.slow
-@pytest.mark.filterwarnings("ignore::coopqp.StartWarning")
+@pytest.mark.filterwarnings("ignore::coopqp.errors.StartWarning")
 def test_it_holds_within_the_same_step(failures: list[tuple[bool, Failure]], catalogue: Any) -> None:
     catalogue.row(
         "A5",

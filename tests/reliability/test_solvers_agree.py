@@ -11,16 +11,10 @@ import numpy as np
 import pytest
 from checks import FaultySolver, cooperative
 
-from coopqp import (
-    QpProblem,
-    QpSolution,
-    SolverStatus,
-    Status,
-    available_kernels,
-    available_solvers,
-    make_solver,
-)
+from coopqp import Status
+from coopqp.native import available_kernels
 from coopqp.scenarios import fast_lift
+from coopqp.solvers import QpProblem, QpSolution, SolverStatus, available_solvers, make_solver
 
 BENCHMARKS = Path(__file__).parents[2] / "benchmarks"
 #: How far joint velocities may be apart [rad/s], and answers from optimal.

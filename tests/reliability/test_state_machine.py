@@ -1,7 +1,7 @@
 """Random sequences of good and bad steps, resets, new grasps, other limits, new targets, and the loss of an arm.
 
 After any sequence every command is finite, continues the last one and keeps the limits; the status is right, and while
-the object is tracked the arms stay in step. The monitor of coopqp.simulation.monitor judges.
+the object is tracked the arms stay in step. The monitor of coopqp.simulation.evaluation.monitor judges.
 """
 
 from __future__ import annotations
@@ -17,22 +17,21 @@ from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, precondition, rule, run_state_machine_as_test
 
 from coopqp import (
-    CellState,
     ControlStep,
     CoopqpError,
     Grasp,
     LinePath,
-    Monitor,
-    MonitorTolerances,
     QPController,
     QPOptions,
     RobotCell,
     ServoPath,
     Status,
 )
+from coopqp.model import CellState
 from coopqp.scenarios import Scenario, dual_arm7, fast_lift, mixed_cell
+from coopqp.simulation import Monitor, Tolerances
 
-pytestmark = pytest.mark.filterwarnings("ignore::RuntimeWarning", "ignore::coopqp.StartWarning")
+pytestmark = pytest.mark.filterwarnings("ignore::RuntimeWarning", "ignore::coopqp.errors.StartWarning")
 TASKS = (fast_lift(), dual_arm7(), mixed_cell())
 #: Number of machines in CI, and largest number of rules of each.
 MACHINES, RULES = 400, 12
@@ -70,7 +69,7 @@ class AnyOrder(RuleBasedStateMachine):
         self.monitor = Monitor(
             self.cell,
             self.grasp,
-            tolerances=MonitorTolerances(chain_m=None, chain_rad=None, path_m=None, path_rad=None),
+            tolerances=Tolerances(chain_mm=1e9, chain_deg=1e9, object_mm=1e9, object_deg=1e9),
         )
 
     def _take(self, step: ControlStep) -> None:

@@ -14,8 +14,6 @@ import pinocchio as pin
 import pytest
 
 from coopqp import (
-    Array,
-    CellState,
     ControlStep,
     InvalidInputError,
     LinePath,
@@ -23,12 +21,14 @@ from coopqp import (
     QPController,
     QPOptions,
     ServoPath,
-    StartWarning,
     Status,
-    available_kernels,
 )
+from coopqp.errors import StartWarning
+from coopqp.model import CellState
+from coopqp.native import available_kernels
 from coopqp.scenarios import Scenario, at_limit, at_singularity, dual_arm7, five_joint_pair, mixed_cell, paper_lift
-from coopqp.simulation.metrics import errors_from, object_poses, tool_matrices
+from coopqp.simulation.evaluation.metrics import errors_from, object_poses, tool_matrices
+from coopqp.spatial import Array
 
 KERNELS = available_kernels()
 #: What a status may not be beyond these distances [m, rad]; rounding decides within the last.

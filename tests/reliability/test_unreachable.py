@@ -10,8 +10,9 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from coopqp import ControlStep, Monitor, MonitorTolerances, QPController, QPOptions, ServoPath, Status, Verdict
+from coopqp import ControlStep, QPController, QPOptions, ServoPath, Status
 from coopqp.scenarios import Scenario, dual_arm7, mixed_cell, paper_lift
+from coopqp.simulation import Monitor, Verdict
 
 pytestmark = pytest.mark.slow
 
@@ -29,9 +30,9 @@ class Chase:
         self.start = scenario.path.pose(0.0)
         self.controller = QPController(scenario.cell, scenario.grasp, ServoPath(self.start), dt=scenario.dt)
         self.controller.reset(scenario.q_start)
-        nothing = {"chain_m": None, "chain_rad": None, "path_m": None, "path_rad": None}
+        nothing = dict.fromkeys(("chain_mm", "chain_deg", "object_mm", "object_deg"), 1e9)
         self.steps: list[ControlStep] = []
-        self.monitor = Monitor(scenario.cell, scenario.grasp, tolerances=MonitorTolerances(**nothing))
+        self.monitor = Monitor(scenario.cell, scenario.grasp, tolerances=nothing)
 
     def verdict(self) -> Verdict:
         """What the monitor says of all steps so far."""

@@ -13,7 +13,6 @@ import pinocchio as pin
 import pytest
 
 from coopqp import (
-    Array,
     ControlStep,
     InvalidInputError,
     LimitKind,
@@ -22,11 +21,12 @@ from coopqp import (
     QPController,
     QPOptions,
     Status,
-    available_kernels,
+    check_path,
 )
-from coopqp.planning import check_path
+from coopqp.native import available_kernels
 from coopqp.scenarios import Scenario, dual_arm7, mixed_cell, paper_lift
-from coopqp.simulation.metrics import chain_errors, errors_from, object_poses, tool_matrices
+from coopqp.simulation.evaluation.metrics import chain_errors, errors_from, object_poses, tool_matrices
+from coopqp.spatial import Array
 
 DT = 0.005
 #: A hold is judged until the arms have stood for this number of steps, or for this number of steps in all.

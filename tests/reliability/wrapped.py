@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import pinocchio as pin
 
-from coopqp import Array, ObjectPath
+from coopqp import ObjectPath
+from coopqp.spatial import Array
 
 
 class Opaque(ObjectPath):

@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
-from coopqp.control.constraint_set import Constraints
 from coopqp.control.core import allow_plain, relax_plain
 from coopqp.control.core.memory import NotForTheCore
 from coopqp.control.options import QPOptions
+from coopqp.control.step.constraint_set import Constraints
 from coopqp.errors import UnknownNameError
 from coopqp.model.cell import RobotCell
 from coopqp.model.grasp import Grasp
@@ -17,7 +17,7 @@ from coopqp.spatial import Array
 
 if TYPE_CHECKING:
     from coopqp.control.core.compiled import CompiledLoop
-    from coopqp.control.plain import PlainLoop
+    from coopqp.control.step.plain import PlainLoop
 
 #: Memory, arms, wrenches (N, 6) or None, dt; and memory, arms, dt.
 Relax = Callable[[Array, int, Array | None, float], int]
@@ -36,7 +36,7 @@ def make_loop(
         KernelWarning: there is no compiled kernel, and none was asked for by name.
     """
     # Both loops use the layout of this package: they are imported here, so that either may be imported first.
-    from coopqp.control.plain import PlainLoop
+    from coopqp.control.step.plain import PlainLoop
 
     kernels = available_kernels()
     if options.kernel != "auto" and options.kernel not in kernels:

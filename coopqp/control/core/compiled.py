@@ -15,30 +15,30 @@ import numpy as np
 import pinocchio as pin
 
 import coopqp.native._core as native
-from coopqp.control.cause import Cause
-from coopqp.control.command import ControlStep, SolverReport, Status, amend
-from coopqp.control.constraint_set import Constraints
-from coopqp.control.constraints import ConstraintTrouble, Rows, no_rows
+from coopqp.constraints.cause import Cause
+from coopqp.constraints.rate import Knot
+from coopqp.constraints.velocity import ConstraintTrouble, Rows, no_rows
 from coopqp.control.core.memory import Memory, NotForTheCore, build_memory, put_options, same_kinematics
-from coopqp.control.limits import VelocityBox
-from coopqp.control.linearised import LinearisedAnswer, LinearisedStep, StepInput, is_long
+from coopqp.control.interface import ControlStep, SolverReport, Status, amend
+from coopqp.control.monitoring.supervision import as_configuration, grasp_lengths
 from coopqp.control.options import QPOptions
-from coopqp.control.ranks import StepSolver
-from coopqp.control.reading import STATUSES, RecordReader
-from coopqp.control.supervision import as_configuration, grasp_lengths
+from coopqp.control.step.constraint_set import Constraints
+from coopqp.control.step.decoding import STATUSES, RecordReader
+from coopqp.control.step.linearised import LinearisedAnswer, LinearisedStep, StepInput, is_long
+from coopqp.control.step.priorities import StepSolver
+from coopqp.control.step.velocity_bounds import VelocityBox
 from coopqp.errors import InvalidInputError
 from coopqp.model.cell import RobotCell
 from coopqp.model.chain import Chain
 from coopqp.model.grasp import Grasp
+from coopqp.model.posture import Posture
 from coopqp.model.state import CellState
 from coopqp.native import layout
 from coopqp.native.constants import MOST_MINDING, MOST_TIGHTENINGS, SEGMENT
-from coopqp.planning.rate_bounds import Knot
+from coopqp.paths.guarded import GuardedPath, is_known
+from coopqp.paths.path import ObjectPath
+from coopqp.paths.servo import ServoPath
 from coopqp.spatial import Array
-from coopqp.task.guarded import GuardedPath, is_known
-from coopqp.task.path import ObjectPath
-from coopqp.task.posture import Posture
-from coopqp.task.servo import ServoPath
 
 _P = {name: i for i, name in enumerate(layout.PROPOSAL)}
 _LOOP = {name: i for i, name in enumerate(layout.LOOP)}
@@ -52,7 +52,7 @@ _QP, _FILLED, _OPEN, _ASK = (layout.OUTCOMES.index(name) for name in ("QP", "FIL
 
 @final
 class CompiledLoop:
-    """See :class:`coopqp.control.plain.PlainLoop`.
+    """See :class:`coopqp.control.step.plain.PlainLoop`.
 
     Args:
         cell, grasp, dt, options, constraints: as for the plain loop.

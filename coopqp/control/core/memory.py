@@ -7,16 +7,16 @@ from typing import final
 
 import numpy as np
 
-from coopqp.control.constraints import MOST_ROWS
-from coopqp.control.limits import VelocityBox
+from coopqp.constraints.velocity import MOST_ROWS
+from coopqp.control.lookahead.options import PlanLimits, PreviewOptions
 from coopqp.control.options import QPOptions
+from coopqp.control.step.velocity_bounds import VelocityBox
 from coopqp.errors import ModelError
 from coopqp.model.cell import RobotCell, of_cell
 from coopqp.model.chain import Chain, moving_columns
 from coopqp.model.links import joint_links
 from coopqp.native import layout
 from coopqp.native.constants import LARGEST_MOVE, MOST_JOINTS
-from coopqp.planning.preview_options import PlanLimits, PreviewOptions
 from coopqp.spatial import Array
 
 _OPTIONS = {name: i for i, name in enumerate(layout.OPTIONS)}

@@ -1,4 +1,4 @@
-"""The relaxation of forces, one step of it, in NumPy, as in ``relax.cpp``. See :mod:`coopqp.forces.relaxation`."""
+"""The relaxation of forces, one step of it, in NumPy, as in ``relax.cpp``. See :mod:`coopqp.forces.admittance`."""
 
 from __future__ import annotations
 

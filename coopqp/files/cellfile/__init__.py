@@ -10,21 +10,16 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from coopqp.checks import require
-from coopqp.errors import CoopqpError, MissingExtraError, UnknownNameError
+from coopqp.errors import MissingExtraError, UnknownNameError
+from coopqp.files.cellfile.error import CellFileError
 
 if TYPE_CHECKING:
     from coopqp.files.cellfile.build import CellRun, CellTask
 
 __all__ = ["CELLS", "CellFileError", "example_path", "json_schema", "load_cell_file", "load_cell_task", "schema_text"]
 
-#: Endings of cell files in TOML, and in YAML.
-TOML_SUFFIX, YAML_SUFFIXES = ".toml", (".yaml", ".yml")
 #: Stems of the cell files that come with coopqp.
 CELLS = ("paper_lift", "paper_baseline")
-
-
-class CellFileError(CoopqpError):
-    """A cell file is missing, is neither TOML nor YAML, or breaks the schema."""
 
 
 def example_path(name: str) -> Path:

@@ -14,44 +14,44 @@ import numpy as np
 import pinocchio as pin
 from pydantic import ValidationError
 
+from coopqp.baselines.independent import IndependentQPController, IndependentQPOptions
+from coopqp.baselines.pseudo_inverse import PseudoInverseController, PseudoInverseOptions
 from coopqp.collision.clearance import Clearance
 from coopqp.collision.scene import CollisionScene
-from coopqp.control.command import Controller
-from coopqp.control.independent import IndependentQPController, IndependentQPOptions
+from coopqp.control.interface import Controller
 from coopqp.control.options import QPOptions
-from coopqp.control.pseudo_inverse import PseudoInverseController, PseudoInverseOptions
 from coopqp.control.qp import QPController
-from coopqp.control.solvers import default_solver
 from coopqp.errors import CoopqpError, InvalidInputError, MissingExtraError, StartWarning, UnknownNameError
-from coopqp.files.cellfile import CellFileError
 from coopqp.files.cellfile.bodies import build_scene
 from coopqp.files.cellfile.build_arm import build_arm, build_placement, build_stiffness, in_radians
+from coopqp.files.cellfile.error import CellFileError
 from coopqp.files.cellfile.explain import explain, in_words_of_the_file
 from coopqp.files.cellfile.schema import MAX_STEPS, CellFile, CommonErrorTable, StartTable
-from coopqp.files.cellfile.sensors import build_disturbances, known_sensors
+from coopqp.files.cellfile.sensors import build_disturbances, build_sensor
 from coopqp.files.cellfile.strict import build_options
 from coopqp.files.cellfile.text import read_tables
 from coopqp.forces.wrist_sensor import SensorMaps, WristSensor
 from coopqp.model.branches import amount
 from coopqp.model.cell import RobotCell, slides
+from coopqp.model.common_error import CommonError
 from coopqp.model.grasp import Grasp
 from coopqp.model.inverse_kinematics import inverse_kinematics
 from coopqp.model.shapes import Body, Box
-from coopqp.planning.leading import led_path
+from coopqp.paths.path import HoldPath, LinePath, ObjectPath, WaypointPath
+from coopqp.paths.scenario import Scenario
+from coopqp.paths.timed import TimedPath
+from coopqp.planning.self_motion import led_path
 from coopqp.planning.starts import find_start
-from coopqp.simulation.assessment import Tolerances
-from coopqp.simulation.closeness import default_scene, with_clearance
+from coopqp.simulation.evaluation.assessment import Tolerances
+from coopqp.simulation.evaluation.closeness import default_scene, with_clearance
 from coopqp.simulation.plants.kinematic import KinematicPlant, Plant
 from coopqp.simulation.plants.physics import PhysicsPlant
 from coopqp.simulation.plants.physics_options import PhysicsOptions
-from coopqp.simulation.recording import Recording
-from coopqp.simulation.scene import describe_object
+from coopqp.simulation.recording.recording import Recording
+from coopqp.simulation.recording.scene import describe_object
 from coopqp.simulation.simulate import ProgressCallback, simulate
+from coopqp.solvers.choice import default_solver
 from coopqp.spatial import Array
-from coopqp.task.common_error import CommonError
-from coopqp.task.path import HoldPath, LinePath, ObjectPath, WaypointPath
-from coopqp.task.scenario import Scenario
-from coopqp.task.timed import TimedPath
 
 DEFAULT_DT = 0.002
 #: A start further than this from the positions of the file is told [rad], [m].
@@ -396,7 +396,7 @@ def controller_options(kind: str, table: Any) -> Any:
 def _solver_settings(solver: str, given: Mapping[str, Any]) -> Any:
     """The settings object of a QP solver."""
     name = _SOLVER_SETTINGS.get(solver, "GenericSettings")
-    settings = getattr(importlib.import_module(f"coopqp.control.solvers.{name.removesuffix('Settings').lower()}"), name)
+    settings = getattr(importlib.import_module(f"coopqp.solvers.{name.removesuffix('Settings').lower()}"), name)
     for key in given:
         if key not in settings.__dataclass_fields__ or key == "options":
             raise UnknownNameError("setting", key, (k for k in settings.__dataclass_fields__ if k != "options"), name)
@@ -409,3 +409,8 @@ def _common_error(table: CommonErrorTable) -> CommonError:
     if table.kind == "driver":
         return CommonError.driver(master=str(table.master), driver=str(table.driver))
     return CommonError.leaderless() if table.kind == "leaderless" else CommonError.per_axis(table.weights or [])
+
+
+def known_sensors(file: CellFile) -> dict[str, WristSensor]:
+    """What the file says of the sensors, by arm."""
+    return {arm.name: build_sensor(arm.sensor) for arm in file.arms if arm.sensor is not None}

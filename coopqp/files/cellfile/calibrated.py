@@ -9,8 +9,8 @@ from typing import Any
 import pinocchio as pin
 from pydantic import ValidationError
 
-from coopqp.files.cellfile import CellFileError
 from coopqp.files.cellfile.build import read
+from coopqp.files.cellfile.error import CellFileError
 from coopqp.files.cellfile.explain import explain
 from coopqp.files.cellfile.schema import CellFile
 from coopqp.files.cellfile.write import file_text, move_files, relative

@@ -12,7 +12,7 @@ from typing import Any
 from coopqp.errors import CoopqpError
 from coopqp.files.cellfile.build import CellRun
 from coopqp.files.cellfile.text import read_tables
-from coopqp.forces.load import LoadShare
+from coopqp.forces.load_sharing import LoadShare
 from coopqp.simulation.engine import box_payload
 
 #: Parts of π that are written in radians; a number this near to one of them is taken for it [share].

@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from annotated_types import Ge, Le, Len
 from pydantic import AfterValidator, Field, model_validator
 
-from coopqp.control.independent import IndependentQPOptions
+from coopqp.baselines.independent import IndependentQPOptions
+from coopqp.baselines.pseudo_inverse import PseudoInverseOptions
 from coopqp.control.options import QPOptions
-from coopqp.control.pseudo_inverse import PseudoInverseOptions
 from coopqp.errors import shown
 from coopqp.files.cellfile.basic import (
     MAX_ARMS,
@@ -36,7 +36,7 @@ from coopqp.files.cellfile.paths import check_inside
 from coopqp.files.cellfile.sensors import DisturbancesTable, SensorTable
 from coopqp.files.cellfile.strict import MAX_LIST, Number, Numbers, Table, problem, table_of
 from coopqp.scenarios.arms import ROBOTS
-from coopqp.simulation.assessment import Tolerances
+from coopqp.simulation.evaluation.assessment import Tolerances
 from coopqp.simulation.plants.physics_options import PhysicsOptions
 from coopqp.simulation.simulate import PATIENCE
 
@@ -247,7 +247,7 @@ class ObjectTable(Table):
 class CommonErrorTable(Table):
     """Weights that define the object pose from the views of the arms."""
 
-    kind: Literal["master", "leaderless", "driver", "per_axis"] = Field(description="see coopqp.task.common_error")
+    kind: Literal["master", "leaderless", "driver", "per_axis"] = Field(description="see coopqp.model.common_error")
     master: Name | None = Field(
         default=None, description="arm that defines the object pose (kind master) or its position (kind driver)"
     )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import numpy as np
 from annotated_types import Ge, Le, Len
@@ -12,9 +12,6 @@ from coopqp.files.cellfile.basic import Name
 from coopqp.files.cellfile.strict import Table
 from coopqp.forces.wrist_sensor import WristSensor
 from coopqp.simulation.plants.disturbances import Disturbances
-
-if TYPE_CHECKING:
-    from coopqp.files.cellfile.schema import CellFile
 
 _Size = Annotated[float, Ge(-1e6), Le(1e6)]
 _Three = Annotated[list[_Size], Len(3, 3)]
@@ -70,11 +67,6 @@ def sensor_table(sensor: WristSensor) -> dict[str, Any]:
         "bias_torque_nm": sensor.bias[3:].tolist(),
         "delay_s": sensor.delay,
     }
-
-
-def known_sensors(file: CellFile) -> dict[str, WristSensor]:
-    """What the file says of the sensors, by arm."""
-    return {arm.name: build_sensor(arm.sensor) for arm in file.arms if arm.sensor is not None}
 
 
 def build_disturbances(table: DisturbancesTable) -> Disturbances:

@@ -11,7 +11,7 @@ from ruamel.yaml import YAML
 from ruamel.yaml.error import MarkedYAMLError, YAMLError
 from ruamel.yaml.events import AliasEvent, CollectionEndEvent, CollectionStartEvent
 
-from coopqp.files.cellfile import YAML_SUFFIXES, CellFileError
+from coopqp.files.cellfile.error import YAML_SUFFIXES, CellFileError
 
 if sys.version_info >= (3, 11):
     import tomllib

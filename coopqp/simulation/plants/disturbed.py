@@ -15,10 +15,10 @@ import numpy as np
 import pinocchio as pin
 
 from coopqp.checks import ArrayLike, as_options, as_scalar, read_only
-from coopqp.control.command import ControlStep
+from coopqp.control.interface import ControlStep
 from coopqp.model.cell import RobotCell
 from coopqp.model.grasp import Grasp
-from coopqp.simulation.metrics import chain_error
+from coopqp.simulation.evaluation.metrics import chain_error
 from coopqp.simulation.plants.disturbances import Disturbances, misplaced
 from coopqp.simulation.plants.encoders import Encoders
 from coopqp.spatial import Array, as_placement

@@ -5,13 +5,13 @@ from __future__ import annotations
 from typing import Protocol, final
 
 from coopqp.checks import ArrayLike, require
-from coopqp.control.command import ControlStep
+from coopqp.control.interface import ControlStep
 from coopqp.model.cell import RobotCell
 from coopqp.spatial import Array
 
 
 class Plant(Protocol):
-    """The protocol of the plants of :func:`coopqp.simulation.simulate.simulate`."""
+    """The protocol of the plants of :func:`coopqp.simulate.simulate`."""
 
     def reset(self, q: ArrayLike) -> Array:
         """Put the cell at rest at ``q`` (nq,). Returns the measured configuration (nq,)."""

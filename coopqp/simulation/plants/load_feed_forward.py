@@ -9,7 +9,7 @@ import pinocchio as pin
 
 from coopqp.checks import as_vector, require
 from coopqp.errors import InvalidInputError, UnreachableError
-from coopqp.forces.load import LoadShare
+from coopqp.forces.load_sharing import LoadShare
 from coopqp.model.cell import RobotCell
 from coopqp.model.grasp import Grasp
 from coopqp.simulation.plants.physics_options import PhysicsOptions

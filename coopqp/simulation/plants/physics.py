@@ -16,12 +16,13 @@ import numpy as np
 import pinocchio as pin
 
 from coopqp.checks import ArrayLike, as_options, as_scalar, as_vector, read_only, require
-from coopqp.control.command import ControlStep
+from coopqp.control.interface import ControlStep
 from coopqp.errors import CoopqpError, InvalidInputError
 from coopqp.forces.grips import Grip
-from coopqp.forces.load import LoadShare
+from coopqp.forces.load_sharing import LoadShare
 from coopqp.model.cell import RobotCell
 from coopqp.model.grasp import Grasp
+from coopqp.paths.path import TimeLaw
 from coopqp.simulation.plants.disturbances import Disturbances
 from coopqp.simulation.plants.drives import TorqueDrives
 from coopqp.simulation.plants.encoders import Encoders
@@ -33,10 +34,9 @@ from coopqp.simulation.plants.physics_options import PhysicsOptions
 from coopqp.simulation.plants.targets import JointTargets
 from coopqp.simulation.plants.wrench_sensors import WrenchSensors
 from coopqp.spatial import Array, Placement, as_placement
-from coopqp.task.path import TimeLaw
 
 if TYPE_CHECKING:
-    from coopqp.task.scenario import Scenario
+    from coopqp.paths.scenario import Scenario
 
 __all__ = ["PhysicsError", "PhysicsOptions", "PhysicsPlant"]
 

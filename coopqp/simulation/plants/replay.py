@@ -10,18 +10,18 @@ import numpy as np
 import pinocchio as pin
 
 from coopqp.checks import as_scalar
-from coopqp.control.command import ControlStep, Status
+from coopqp.control.interface import ControlStep, Status
 from coopqp.errors import InvalidInputError
 from coopqp.model.cell import RobotCell
 from coopqp.model.chain import Chain
 from coopqp.model.grasp import Grasp
 from coopqp.model.inverse_kinematics import inverse_kinematics, newton
+from coopqp.paths.path import ObjectPath, TimeLaw, as_time_law
 from coopqp.simulation.plants.physics_options import Interpolation
 from coopqp.spatial import Array
-from coopqp.task.path import ObjectPath, TimeLaw, as_time_law
 
 if TYPE_CHECKING:
-    from coopqp.simulation.recording import Recording
+    from coopqp.simulation.recording.recording import Recording
 
 #: Function from the object's clock [s] to a configuration (nq,).
 Motion = Callable[[float], Array]
@@ -29,7 +29,7 @@ Motion = Callable[[float], Array]
 
 @final
 class Replay:
-    """A :class:`~coopqp.control.command.Controller` that commands a known motion q(τ), open loop.
+    """A :class:`~coopqp.control.interface.Controller` that commands a known motion q(τ), open loop.
 
     ``time_law="quintic"`` warps the clock τ: the configurations are the same, the start and the end are at rest.
 

@@ -18,23 +18,10 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from coopqp import (
-    Cause,
-    InvalidInputError,
-    Monitor,
-    MonitorTolerances,
-    ObjectPath,
-    QPController,
-    QPOptions,
-    QpProblem,
-    QpSolution,
-    QpSolver,
-    ServoPath,
-    SolverSettings,
-    Status,
-    make_solver,
-)
+from coopqp import Cause, InvalidInputError, ObjectPath, QPController, QPOptions, ServoPath, Status
 from coopqp.scenarios import Scenario, dual_arm7, fast_lift, scara_pair
+from coopqp.simulation import Monitor
+from coopqp.solvers import QpProblem, QpSolution, QpSolver, SolverSettings, make_solver
 
 BAD = {"NaN": np.nan, "+inf": np.inf, "-inf": -np.inf}
 #: Finite numbers at which solvers have been slow or have failed.
@@ -100,8 +87,8 @@ class Poisoned:
     def __init__(self, scenario: Scenario, options: QPOptions, *, limits_only: bool = False) -> None:
         self.controller = QPController(scenario.cell, scenario.grasp, scenario.path, dt=scenario.dt, options=options)
         self.controller.reset(scenario.q_start)
-        chain = {"chain_m": None, "chain_rad": None} if limits_only else {}
-        self._tolerances = MonitorTolerances(path_m=None, path_rad=None, **chain)
+        chain = {"chain_mm": 1e9, "chain_deg": 1e9} if limits_only else {}
+        self._tolerances = {"object_mm": 1e9, "object_deg": 1e9, **chain}
         self.judge()
         self._poison = options.solver if isinstance(options.solver, Poison) else None
 

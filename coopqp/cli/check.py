@@ -1,0 +1,188 @@
+"""The subcommand ``coopqp check``: can the arms follow the path, before anything moves?"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from coopqp.cli.terminal import Reporter, print_table, print_written, reporter
+from coopqp.errors import UnknownNameError, UnreachableError, printable
+
+if TYPE_CHECKING:
+    from coopqp.collision.scene import CollisionScene
+    from coopqp.model.cell import RobotCell
+    from coopqp.model.grasp import Grasp
+    from coopqp.model.shapes import Body
+    from coopqp.paths.path import ObjectPath
+    from coopqp.planning import PathCheck
+    from coopqp.spatial import Array
+    from coopqp.visualization.cell_overview import Glance
+
+#: Exit statuses.
+_FOLLOWS, _CANNOT, _UNDECIDED = 0, 3, 4
+#: File of the picture.
+_PICTURE = "check.png"
+
+
+def _add_check(commands: Any) -> None:
+    parser = commands.add_parser(
+        "check",
+        help="can the arms follow the path of a cell? A proof before the motion",
+        description="Judge whether the arms can follow the path inside their position limits, away from "
+        "singularities and, where the cell has bodies that keep distances, without coming too close; from the start of "
+        "the cell or from any start. Nothing moves.",
+        epilog="Exit status: 0 if the arms follow the path (certified: proved at every point; or sampled: at samples, "
+        "where there is no proof), 3 if an arm cannot or has no start, 4 if some interval is not decided, 2 for bad "
+        "input.",
+    )
+    parser.add_argument("cell", metavar="CELL", help="a cell file (.toml, .yaml) or the name of a scenario")
+    parser.add_argument("--remedies", action="store_true", help="search what helps: branch, roll, path, base")
+    parser.add_argument("--any-start", action="store_true", help="judge every branch, not only the start of the cell")
+    parser.add_argument("--branches", action="store_true", help="also print the table of branches of each arm")
+    parser.add_argument("--json", type=Path, metavar="FILE", help="also write the answer as JSON")
+    parser.add_argument(
+        "--out", type=Path, metavar="DIR", help=f"also draw margins and σ_min along the path: DIR/{_PICTURE}"
+    )
+    parser.add_argument("--force", action="store_true", help="overwrite what is there")
+    parser.add_argument("--quiet", action="store_true", help="print errors only")
+    parser.set_defaults(run=_run_check)
+
+
+def _run_check(arguments: argparse.Namespace) -> int:
+    from coopqp.planning import PathVerdict
+    from coopqp.planning.remedies import with_remedies
+
+    picture = None if arguments.out is None else arguments.out / _PICTURE
+    _check_outputs(arguments.json, picture, force=arguments.force)
+    with reporter(quiet=arguments.quiet) as report:
+        task = _task(arguments.cell)
+        check = _look(task, report, any_start=arguments.any_start)
+        if arguments.remedies and not check.feasible:
+            report.note("looking for remedies")
+            check = with_remedies(check)
+        files = _write(check, arguments.json, picture)
+    told = _unjudged(check, task.box)
+    if not arguments.quiet:
+        _print(check, told, branches=arguments.branches)
+        print_written(files, apart=True)
+    if check.feasible:
+        return _FOLLOWS
+    if arguments.quiet:
+        print("coopqp:", printable(check.explain().splitlines()[0]), file=sys.stderr)
+    return _CANNOT if check.verdict is PathVerdict.INFEASIBLE else _UNDECIDED
+
+
+def _unjudged(check: PathCheck, box: Body) -> str:
+    """Where distances play no part: the links and the object that overlap at the start; empty if none do."""
+    from coopqp.collision.pairs import ignored_line, pairs_said
+    from coopqp.simulation.evaluation.closeness import overlaps
+
+    if check.scene is not None or check.q_start is None:
+        return ""
+    found = overlaps(check.cell, check.grasp, box, check.q_start)
+    if not found:
+        return ""
+    return (
+        f"distances: not judged, since no table [collision] asks for it; but {pairs_said(found)} overlap at the "
+        "start. Is the object too large, or off its place? Where links touch by design, the file says so:\n"
+        f"  [collision]\n  {ignored_line(found)}"
+    )
+
+
+class _Task(NamedTuple):
+    """What is checked: a cell file or a scenario."""
+
+    name: str
+    cell: RobotCell
+    grasp: Grasp
+    path: ObjectPath
+    q_start: Array | None
+    scene: CollisionScene | None
+    box: Body
+    note: str  # a remark on the start
+
+
+def _task(name: str) -> _Task:
+    """The task of a cell file or of a scenario."""
+    from coopqp.collision.scene import CollisionScene
+    from coopqp.files.cellfile import load_cell_task
+    from coopqp.files.cellfile.error import TOML_SUFFIX, YAML_SUFFIXES
+    from coopqp.model.shapes import Body, Box
+    from coopqp.scenarios import SCENARIOS
+
+    if Path(name).suffix in (TOML_SUFFIX, *YAML_SUFFIXES):
+        task = load_cell_task(name)
+        q_start, note = None, ""
+        try:
+            q_start = task.exact_start()
+        except UnreachableError as error:
+            note = f"from the start of the file {error} Any start is judged."
+        return _Task(task.name, task.cell, task.grasp, task.path, q_start, task.scene, task.box, note)
+    if name not in SCENARIOS:
+        raise UnknownNameError("cell file (.toml, .yaml) or scenario", name, SCENARIOS)
+    s = SCENARIOS[name]()
+    scene = CollisionScene.of(s) if s.obstacles else None
+    box = Body("object", Box(s.object_size), s.T_object_body)
+    return _Task(s.name, s.cell, s.grasp, s.path, s.q_start, scene, box, "")
+
+
+def _look(task: _Task, report: Reporter, *, any_start: bool = False) -> PathCheck:
+    from coopqp.planning import check_path
+
+    if task.note:
+        report.note(task.note)
+    report.note("looking at the arms along the path")
+    q_start = None if any_start else task.q_start
+    return check_path(task.cell, task.grasp, task.path, q_start=q_start, scene=task.scene)
+
+
+def glance_at(name: str, report: Reporter) -> tuple[Glance, str]:
+    """A cell file or a scenario at a glance, and where distances play no part what overlaps at the start."""
+    from coopqp.visualization.cell_overview import glance
+
+    task = _task(name)
+    check = _look(task, report)
+    return glance(task.name, check, task.box, task.scene), _unjudged(check, task.box)
+
+
+def _check_outputs(record: Path | None, picture: Path | None, *, force: bool) -> None:
+    """Refuse what cannot be written, before any work is done."""
+    from coopqp.output import check_new
+
+    if picture is not None:
+        from coopqp.visualization.style import require_matplotlib
+
+        require_matplotlib()
+    for file in (record, picture):
+        if file is not None:
+            check_new(file, force=force)
+
+
+def _write(check: PathCheck, record: Path | None, picture: Path | None) -> list[Path]:
+    from coopqp.output import json_bytes, write_files
+
+    contents: dict[Path, bytes] = {}
+    if record is not None:
+        contents[record] = json_bytes(check.record())
+    if picture is not None:
+        from coopqp.visualization.check_plots import check_figure
+        from coopqp.visualization.style import figure_bytes
+
+        contents[picture] = figure_bytes(check_figure(check), dpi=110)
+    return write_files(contents) if contents else []
+
+
+def _print(check: PathCheck, told: str, *, branches: bool) -> None:
+    print(printable(check.verdict.value))
+    for line in [*check.explain().splitlines(), *told.splitlines()]:
+        print(printable(line))
+    if branches:
+        for arm in check.arms:
+            print(f"\narm {printable(arm.arm)}; * is judged")
+            rows = arm.table()
+            print_table(rows, numeric=[False, False, False, True, False])
+
+
+COMMANDS = (_add_check,)

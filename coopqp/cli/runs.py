@@ -1,0 +1,250 @@
+"""Runs by name, from a recording, a cell file or a scenario; and the files made from a run."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Callable, Iterable, Sequence
+from importlib import import_module
+from pathlib import Path
+
+from coopqp.collision.clearance import Clearance
+from coopqp.collision.scene import CollisionScene
+from coopqp.control.qp import QPController
+from coopqp.errors import OutputError, UnknownNameError
+from coopqp.model.posture import PostureOptions
+from coopqp.output import check_below, check_folder, check_unused, folder_of, numbered
+from coopqp.planning.self_motion import led_path
+from coopqp.simulation.engine import run_in_engine
+from coopqp.simulation.evaluation.closeness import default_scene, with_clearance
+from coopqp.simulation.recording.recording import Recording
+from coopqp.simulation.recording.scene import describe_object, read_object
+from coopqp.simulation.simulate import ProgressCallback, simulate
+
+#: Products of :func:`write_products` and their file names.
+PRODUCTS = {
+    "recording": ("recording.npz",),
+    "report": ("report.html",),
+    "plots": ("timeline.png", "joints.png", "motion.png", "loads.png"),
+    "page": ("view.html",),
+    "csv": ("run.csv",),
+    "bag": ("bag",),
+}
+
+
+#: Functions that raise MissingExtraError for products that need an extra: module and name.
+_NEEDS = {
+    "report": ("coopqp.visualization.style", "require_matplotlib"),
+    "plots": ("coopqp.visualization.style", "require_matplotlib"),
+    "page": ("coopqp.visualization.viewer", "require_viser"),
+    "bag": ("coopqp.files.export", "require_rosbags"),
+}
+
+
+def obtain_run(name: str, *, progress: ProgressCallback | None = None, meshes: bool = False) -> Recording:
+    """Load a recording (``.npz``), run a cell file (``.toml``, ``.yaml``), or run a scenario with the QP.
+
+    Args:
+        name: a file, or one of :data:`coopqp.scenarios.SCENARIOS`.
+        progress: as in :func:`coopqp.simulate.simulate`.
+        meshes: as in :meth:`Recording.load`.
+
+    Raises:
+        UnknownNameError: the name is neither a file nor a scenario.
+        RecordingError, CellFileError, CoopqpError: the recording, the cell file or the run has an error.
+    """
+    from coopqp.files.cellfile import load_cell_file
+    from coopqp.files.cellfile.error import TOML_SUFFIX, YAML_SUFFIXES
+    from coopqp.scenarios import SCENARIOS
+
+    file = Path(name)
+    if file.suffix in (TOML_SUFFIX, *YAML_SUFFIXES):
+        return load_cell_file(file).run(progress=progress)
+    if file.suffix == ".npz" or (file.exists() and name not in SCENARIOS):
+        return Recording.load(file, meshes=meshes)
+    if name not in SCENARIOS:
+        raise UnknownNameError("recording (.npz), cell file (.toml, .yaml) or scenario", name, SCENARIOS)
+    scenario = SCENARIOS[name]()
+    box = describe_object(scenario.object_size, scenario.T_object_body)
+    metadata = {"scenario": scenario.name, "method": "qp", "object": box}
+    scene, constraints = default_scene(scenario), []
+    if scenario.engine is not None:
+        run = run_in_engine(scenario, progress=progress, metadata=metadata)
+        return with_clearance(run, scene, avoided=False)
+    if scenario.obstacles:
+        scene = CollisionScene.of(scenario)
+        constraints = [Clearance(scene)]
+    path = led_path(
+        scenario.cell,
+        scenario.grasp,
+        scenario.path,
+        q_start=scenario.q_start,
+        posture=PostureOptions(),
+        scene=scene if constraints else None,
+    )
+    controller = QPController(scenario.cell, scenario.grasp, path, dt=scenario.dt, constraints=constraints)
+    run = simulate(controller, q_start=scenario.q_start, progress=progress, metadata=metadata)
+    return with_clearance(run, scene, avoided=bool(constraints))
+
+
+def output_folder(name: str, asked: str | None, products: Iterable[str], *, out: Path | None, force: bool) -> Path:
+    """The folder of a run. Nothing in it is overwritten, unless ``force``.
+
+    Args:
+        name: name of the run.
+        asked: folder that the cell file asks for, below the working directory.
+        products: names of :data:`PRODUCTS`.
+        out: folder of the option ``--out``: any folder.
+        force: overwrite what is there.
+
+    Raises:
+        UnknownNameError: no such product.
+        MissingExtraError: a product needs an extra that is not installed.
+        OutputError: the folder cannot be written, ``out`` already has one of the products, or without ``out`` a link
+            leads out of the working directory.
+    """
+    wanted = list(products)
+    for product in wanted:
+        if product not in PRODUCTS:
+            raise UnknownNameError("product", product, PRODUCTS)
+        if product in _NEEDS:
+            module, guard = _NEEDS[product]
+            getattr(import_module(module), guard)()
+    files = [file for product in wanted for file in PRODUCTS[product]]
+    folder = free_folder(name, asked, files, out=out, force=force)
+    if wanted:
+        check_folder(folder)
+    return folder
+
+
+def free_folder(name: str, asked: str | None, files: Sequence[str], *, out: Path | None, force: bool) -> Path:
+    """The folder for some files of a run; arguments and errors as in :func:`output_folder`."""
+    folder = out or Path(asked or Path("out") / safe_name(name))
+    if out is not None:
+        check_unused((folder / file for file in files), force=force)
+        return folder
+    if not force:
+        folder = numbered(folder, lambda place: any((place / file).exists() for file in files))
+    check_below(folder)
+    return folder
+
+
+def write_products(
+    recording: Recording,
+    folder: Path,
+    products: Iterable[str],
+    *,
+    tell: Callable[[str], None] | None = None,
+    force: bool = False,
+) -> list[Path]:
+    """Write products into a folder. Returns the files in the order of :data:`PRODUCTS`.
+
+    Args:
+        recording: the run.
+        folder: output folder; created if missing.
+        products: names of :data:`PRODUCTS`.
+        tell: called with a text for each stage.
+        force: overwrite what is there; by default it is an error.
+
+    Raises:
+        UnknownNameError, OutputError: as in :func:`output_folder`.
+        MissingExtraError: a product needs an extra that is not installed.
+    """
+    wanted = set(products)
+    output_folder("", None, wanted, out=folder, force=force)
+    if force and "bag" in wanted:
+        _remove_bag(folder / PRODUCTS["bag"][0])
+    say = tell or (lambda _: None)
+    makers: dict[str, Callable[[Recording, Path, Callable[[str], None]], list[Path]]] = {
+        "recording": lambda run, into, _: [save_recording(run, into / PRODUCTS["recording"][0])],
+        "report": _report,
+        "plots": _plots,
+        "page": _page,
+        "csv": _csv,
+        "bag": _bag,
+    }
+    return [file for name in PRODUCTS if name in wanted for file in makers[name](recording, folder, say)]
+
+
+def _remove_bag(bag: Path) -> None:
+    """Remove the folder of a bag. A folder with other files stays.
+
+    Raises:
+        OutputError: the folder has other files, or it cannot be removed.
+    """
+    if not bag.exists():
+        return
+    inside = {file.name for file in bag.iterdir()} if bag.is_dir() else {""}
+    if bag.is_symlink() or not inside <= {"metadata.yaml", f"{bag.name}.mcap"}:
+        raise OutputError(f"{bag} is no bag of coopqp and was not replaced. Give another folder.")
+    try:
+        shutil.rmtree(bag)
+    except OSError as error:
+        raise OutputError(f"cannot replace {bag}: {error.strerror}. Give another folder.") from error
+
+
+def save_recording(recording: Recording, file: Path) -> Path:
+    """Write a recording, and its folder."""
+    with folder_of(file):
+        return recording.save(file)
+
+
+def _report(recording: Recording, folder: Path, say: Callable[[str], None]) -> list[Path]:
+    from coopqp.visualization.report import write_report
+
+    return [write_report(recording, folder / PRODUCTS["report"][0], progress=say)]
+
+
+def _plots(recording: Recording, folder: Path, say: Callable[[str], None]) -> list[Path]:
+    from coopqp.output import write_files
+    from coopqp.simulation.evaluation.readings import read_run
+    from coopqp.simulation.evaluation.wrenches import read_loads
+    from coopqp.visualization import plots
+    from coopqp.visualization.joints import joint_figure
+    from coopqp.visualization.loads import run_loads_figure
+    from coopqp.visualization.style import figure_bytes
+    from coopqp.visualization.timeline import timeline_figure
+
+    say("drawing the pictures")
+    cell = recording.cell()
+    size, body = read_object(recording.metadata, recording.T_object_tool)
+    figures = {
+        "timeline.png": timeline_figure(recording, read_run(cell, recording)),
+        "joints.png": joint_figure(cell, recording),
+    }
+    if cell.visual_model().ngeoms:
+        figures["motion.png"] = plots.motion_figure(
+            cell, recording, object_size=(size[0], size[1], size[2]), T_object_body=body, pixels=600
+        )
+    loads = read_loads(cell, recording)
+    if loads is not None:
+        figures["loads.png"] = run_loads_figure(cell, loads)
+    return write_files({folder / name: figure_bytes(figure) for name, figure in figures.items()})
+
+
+def _page(recording: Recording, folder: Path, say: Callable[[str], None]) -> list[Path]:
+    from coopqp.visualization.viewer import export_html
+
+    say("building the 3D page")
+    return [export_html(recording, folder / PRODUCTS["page"][0])]
+
+
+def _csv(recording: Recording, folder: Path, say: Callable[[str], None]) -> list[Path]:
+    from coopqp.files.export import write_csv
+
+    say("writing the table")
+    return [write_csv(recording, folder / PRODUCTS["csv"][0])]
+
+
+def _bag(recording: Recording, folder: Path, say: Callable[[str], None]) -> list[Path]:
+    from coopqp.files.export import write_bag
+
+    say("writing the bag")
+    return [write_bag(recording, folder / PRODUCTS["bag"][0])]
+
+
+def safe_name(name: str) -> str:
+    """A valid folder name from a name: letters, digits, dots, dashes and underscores, no dot first."""
+    plain = "".join(c if c.isalnum() or c in "._-" else "_" for c in name).lstrip(".")
+    if not plain:
+        raise OutputError(f"'{name}' makes no name for a folder. Give one with --out.")
+    return plain

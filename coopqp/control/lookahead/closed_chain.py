@@ -1,0 +1,305 @@
+"""The chain ahead of the clock: inverse kinematics and bounds of the rate at one clock, as a knot."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Generator
+from typing import NamedTuple, final
+
+import numpy as np
+import pinocchio as pin
+
+from coopqp.control.lookahead.backward_pass import largest_alone
+from coopqp.control.lookahead.horizon import Knot
+from coopqp.control.lookahead.options import PlanLimits, PreviewOptions
+from coopqp.control.lookahead.redundancy import LimitAvoidance
+from coopqp.model.chain import Chain
+from coopqp.model.inverse_kinematics import newton
+from coopqp.model.limits import BindingLimit, LimitKind
+from coopqp.model.posture import Posture
+from coopqp.native.constants import (
+    BEND_CHANGE,
+    BRANCH_WAY,
+    CONVERGED,
+    ELBOW_GAIN,
+    FINE_CELL,
+    JUST_BEFORE,
+    MOST_TRIES,
+    OTHER_BRANCH,
+    STARTING_STEPS,
+)
+from coopqp.paths.guarded import GuardedPath
+from coopqp.spatial import Array, largest
+
+#: Arms with fewer than six joints follow a path if Newton's method leaves no larger error [m, rad].
+_FOLLOWED = 1e-4
+
+
+class KnotRoom(NamedTuple):
+    """Bounds by further constraints at a knot.
+
+    Attributes:
+        cap: largest σ²; negative where not even rest is admissible.
+        decrease, rise: largest changes of σ [1/s].
+        binding: the limit that makes the cap; None if none does.
+    """
+
+    cap: float
+    decrease: float
+    rise: float
+    binding: BindingLimit | None
+
+
+#: Bounds by further constraints at a knot, from its clock, q, q′, q″ and the time since the knot before [s]. It may
+#: raise :class:`LookAheadTrouble`.
+KnotBound = Callable[[float, Array, Array, Array, float], KnotRoom]
+#: Slopes (nv,) at (q, q′) with self-motion that keeps redundant arms clear of bodies ahead.
+Evade = Callable[[Array, Array], Array]
+
+
+class LookAheadTrouble(Exception):  # noqa: N818
+    """A user's path or a further constraint fails ahead of the clock. Growth waits; the next step asks again."""
+
+
+@final
+class ChainAhead:
+    """See the module's description.
+
+    Args:
+        chain: a workspace; its content is overwritten.
+        path: the object's path.
+        posture: null-space motion of redundant arms.
+        plan: planning limits.
+        options: settings.
+        bound: bound of the rate at a knot by further constraints.
+        evade: self-motion that keeps redundant arms clear of bodies ahead.
+
+    Attributes:
+        blind: arms with fewer than six joints cannot follow the path; nothing is known ahead.
+        beyond, beyond_at: a constraint that allows no rate, and the clock; None and infinite where none is known.
+    """
+
+    def __init__(
+        self,
+        chain: Chain,
+        path: GuardedPath,
+        posture: Posture,
+        plan: PlanLimits,
+        options: PreviewOptions,
+        bound: KnotBound | None,
+        evade: Evade | None = None,
+    ) -> None:
+        self._chain, self._path, self._posture, self._bound, self._evade = chain, path, posture, bound, evade
+        self._duration, self._options, self._plan = path.duration, options, plan
+        self._cell, self._avoidance = chain.cell, LimitAvoidance(chain)
+        self._low, self._high = chain.cell.limits.lower, chain.cell.limits.upper
+        #: The joints that move the tools, arm by arm, and the first index of each arm.
+        self._moving = np.concatenate(chain.moving_columns)
+        self._starts = np.cumsum([0, *(len(columns) for columns in chain.moving_columns[:-1])]).tolist()
+        self._moving_room = plan.room[self._moving]
+        self._step, self._slope = np.zeros(chain.nv), np.zeros(chain.nv)
+        self._errors = np.zeros((chain.n_arms, 6))
+        self.forget()
+
+    def forget(self) -> None:
+        """Nothing is known yet."""
+        self.blind, self.beyond_at = False, np.inf
+        self.beyond: BindingLimit | None = None
+
+    def first(self, q: Array, clock: float) -> Knot:
+        """The knot at a clock, from a configuration near; the object rests there if the chain does not reach it."""
+        pose = self._path.pose(clock)
+        if pose is None:
+            raise LookAheadTrouble(self._path.problem)
+        q, errors = newton(self._chain, pose, q, tolerance=1e-10, max_iter=STARTING_STEPS)
+        self.blind = self._beyond_few_joints(errors)
+        if not np.abs(errors).max() < 1e-6 and not self.blind:
+            arm = int(np.abs(errors).max(axis=1).argmax())
+            self._slope[:] = 0.0
+            reach = BindingLimit(self._cell.arm_names[arm], "", LimitKind.REACH)
+            return self._knot_at(clock, q, None)._replace(cap=0.0, binding=reach)
+        if self._newton_step(clock, q, before=0.0):
+            return self._knot_at(clock, q, None)
+        self._slope[:] = 0.0
+        return self._knot_at(clock, q, None)
+
+    def attempt(self, last: Knot, h: float) -> Generator[None, None, Knot | None]:
+        """The chain at ``last.clock + h``, or None if Newton's method or the joints' slopes do not follow."""
+        clock, options = last.clock + h, self._options
+        bend = 0.0 * last.curvature if last.corner else last.curvature
+        q = self._cell.moved(last.q, (bend * (0.5 * h) + last.slope) * h)
+        for _ in range(MOST_TRIES):
+            yield
+            if not self._newton_step(clock, q):
+                return None
+            farthest = largest(np.abs(self._step))
+            if not farthest < options.joint_step:
+                return None
+            q = self._cell.moved(q, self._step)
+            if farthest < CONVERGED:
+                break
+        else:
+            return None
+        if self._beyond_few_joints(self._errors):
+            self.blind = True
+            return None
+        knot = self._knot_at(clock, q, last)
+        if not knot.cap > 0.0:
+            return None  # numbers overflow
+        if h > options.shortest and not h * knot.fastest <= 1.5 * options.joint_step:
+            return None
+        fine = h <= FINE_CELL
+        if h > options.shortest and not knot.change <= (OTHER_BRANCH if fine else options.slope_step) * knot.fastest:
+            return None
+        if not fine and not self._bends_slowly(knot, last):
+            return None
+        if self._ends_reach(knot, last):
+            return None
+        return self._constrained(knot)
+
+    def _ends_reach(self, knot: Knot, last: Knot) -> bool:
+        """Whether an arm comes too close to where its reach ends.
+
+        Joint speeds do not tell the distance: on a way along the end no joint is fast. Within the distance that the
+        joints cover in two steps, a step would miss the end. Past it Newton's method is on another branch.
+        """
+        rooms, now, then = knot.rooms, knot.edges, last.edges
+        if rooms.item(rooms.argmin()) < 1.0 and ((rooms < 1.0) & (rooms < last.rooms)).any():
+            return True
+        ways = np.maximum.reduceat(np.maximum(np.abs(now), np.abs(then)), self._starts)
+        near = BRANCH_WAY * self._options.joint_step
+        if not ways.item(ways.argmin()) < near:
+            return False
+        return bool(((ways < near) & (np.add.reduceat(now * then, self._starts) < 0.0)).any())
+
+    def _bends_slowly(self, knot: Knot, last: Knot) -> bool:
+        """Whether q″ has changed by a small share of the accelerations since the interval before."""
+        if last.span == 0.0 or last.corner:
+            return True
+        change = largest(np.abs(knot.curvature - last.curvature) / self._plan.acceleration)
+        if change <= BEND_CHANGE:
+            return True  # at any rate
+        z = largest_alone(knot.slope, knot.curvature, self._plan.acceleration, self._plan.slope_cap, knot.cap)
+        return change * z <= BEND_CHANGE
+
+    def _constrained(self, knot: Knot) -> Knot | None:
+        """A knot under the further constraints; None where they allow no rate."""
+        if self._bound is None:
+            return knot
+        room = self._bound(knot.clock, knot.q, knot.slope, knot.curvature, knot.span)
+        if not room.cap > 0.0:
+            self.beyond, self.beyond_at = room.binding, knot.clock
+            return None
+        if room.cap < knot.cap:
+            knot = knot._replace(cap=room.cap, binding=room.binding)
+        return knot._replace(fall=room.decrease, rise=room.rise)
+
+    def _beyond_few_joints(self, errors: Array) -> bool:
+        """Whether the remaining errors (N, 6) are too large for arms with fewer than six joints."""
+        few = self._chain.deficient
+        return bool(few) and not np.abs(errors[list(few)]).max() < _FOLLOWED
+
+    def _newton_step(self, clock: float, q: Array, *, before: float = JUST_BEFORE) -> bool:
+        """Newton's step from ``q`` to the pose at ``clock``, and q′ there; False if singular.
+
+        q′ is that for the twist a moment ``before`` the clock [s], which tells the sides of a jump apart.
+        """
+        chain, path = self._chain, self._path
+        pose = path.pose(clock)
+        twist = None if pose is None else path.twist(max(min(clock, self._duration) - before, 0.0))
+        if pose is None or twist is None:
+            raise LookAheadTrouble(path.problem)
+        errors = self._errors = chain.errors(chain.carried(q), pose)
+        if not largest(np.abs(errors)) < np.inf:
+            return False
+        chain.linearise(q, about=pose.translation)
+        wanted = np.empty((chain.n_arms, 2, 6))  # of the step and of the slope, in world axes
+        wanted[:, 0], wanted[:, 1] = -errors, twist
+        wanted = wanted.reshape(-1, 3).dot(pose.rotation.T).reshape(wanted.shape)
+        step, slope = np.ascontiguousarray(chain.joint_columns(wanted.transpose(0, 2, 1)).T)
+        self._step, self._slope = step, slope
+        if chain.redundancy:
+            slope += chain.null_part(self._wish(clock, q))
+            if self._evade is not None:
+                slope[:] = self._evade(q, slope)
+            if self._path.elbows is None:
+                self._avoidance.lead_away(self._cell.positions(q), slope)
+        return bool(step @ step + slope @ slope < np.inf)
+
+    def _wish(self, clock: float, q: Array) -> Array:
+        """Null-space motion wished for (nv,), per second of the clock; the caller projects it."""
+        elbows = self._path.elbows
+        if elbows is None:
+            return self._posture.velocity(q)
+        x, slope = elbows.at(clock)
+        wish: Array = slope + ELBOW_GAIN * pin.difference(self._cell.model, q, self._cell.configuration_of(x))
+        return wish
+
+    def _knot_at(self, clock: float, q: Array, last: Knot | None) -> Knot:
+        """Bounds at a configuration on the path, from the slopes there (of the last Newton step) and those before."""
+        slope, edges = self._slope.copy(), self._chain.edges()[self._moving]
+        before, span = (slope, 1.0) if last is None else (last.slope, clock - last.clock)
+        speed, curvature = np.abs(slope), (slope - before) / span
+        bend = np.abs(curvature)
+        # Use of each joint's limits at full rate: z is at most 1 over the speed's square, and 1 over the curvature's.
+        use_speed, use_bend = speed / self._plan.speed, bend / (self._options.curvature_share * self._plan.acceleration)
+        j_speed, j_bend = int(use_speed.argmax()), int(use_bend.argmax())
+        by_speed, by_bend = float(use_speed[j_speed]) ** 2, float(use_bend[j_bend])
+        # Without acceleration limits the step itself finds the cap by speed; by curvature it changes slowly.
+        cap = 1.0 / max(by_speed if self._plan.accelerates else by_bend, 1.0)
+        binding = None
+        if cap < 1.0:
+            binding = (
+                self._cell.joint_limit(j_speed, LimitKind.VELOCITY)
+                if self._plan.accelerates
+                else self._cell.joint_limit(j_bend, LimitKind.ACCELERATION)
+            )
+        x = self._cell.positions(q)
+        return Knot(
+            clock=clock,
+            q=q,
+            slope=slope,
+            curvature=curvature,
+            span=0.0 if last is None else span,
+            cap=cap,
+            uncapped=1.0 / max(by_speed, by_bend, 1.0),
+            binding=binding,
+            fastest=largest(speed),
+            change=largest(bend * span - self._plan.slope_change),
+            edges=edges,
+            rooms=np.maximum.reduceat(np.abs(edges) / self._moving_room, self._starts),
+            inside=bool(((x <= self._high) & (x >= self._low)).all()),
+        )
+
+    def corner(self, knot: Knot) -> Knot:
+        """A knot where the twist jumps: slopes after it, and the rate at which the joints can take the jump."""
+        moves = self._newton_step(knot.clock + 1e-9, knot.q)
+        after = self._slope.copy() if moves else np.zeros_like(knot.slope)
+        cap, binding = knot.cap, knot.binding
+        if self._plan.accelerates:
+            use_speed = np.abs(after) / self._plan.speed
+            by_speed = 1.0 / max(float(use_speed.max()) ** 2, 1.0)
+            if by_speed < cap:
+                cap, binding = by_speed, self._cell.joint_limit(int(use_speed.argmax()), LimitKind.VELOCITY)
+            jump = self._jump_cap(after, knot.slope)
+            if jump < cap:
+                j = int((np.abs(after - knot.slope) / self._plan.jump).argmax())
+                cap, binding = jump, self._cell.joint_limit(j, LimitKind.ACCELERATION)
+        fastest = largest(np.abs(after))
+        return knot._replace(slope=after, cap=cap, binding=binding, corner=True, fastest=fastest)
+
+    def _jump_cap(self, after: Array, before: Array) -> float:
+        """Largest σ² at which every joint can change its slope within one step."""
+        jump = np.abs(after - before)
+        moving = jump > 1e-9
+        if not moving.any():
+            return np.inf
+        return float((self._plan.jump[moving] / jump[moving]).min() ** 2)
+
+    def at_end(self, knot: Knot) -> Knot | None:
+        """The same knot where the path ends moving: the joints have one step to stop in; None if the cap suffices."""
+        if not self._plan.accelerates:
+            return None
+        cap = self._jump_cap(np.zeros_like(knot.slope), knot.slope)
+        if cap >= knot.cap:
+            return None
+        return knot._replace(cap=cap, span=0.0, binding=BindingLimit("", "", LimitKind.PATH_END))

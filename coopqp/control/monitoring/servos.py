@@ -1,0 +1,151 @@
+"""Arms whose servos do not stand where their wrenches say, and distances of arms whose grasps give way.
+
+An arm of compliance C that pushes the object with ``w`` beside what its drives are fed forward stands ``C w / ρ`` off
+its command, with ρ the servos' real stiffness over the given one. Where it stands elsewhere,
+
+    ``r_k = away_k + C_k (w_k − S_k load) / ρ``,
+
+its servos do not hold it: it has stalled, or its grip slips. A lag that all arms have is in the mean of the others.
+Where the relaxation moves the grasps by d, a rigid grip keeps the arms from following, and the distance of the arms as
+measured from as commanded parts by −d. So the arms are out of step by ``a_k = away_k + (d_k − d_k(reset))`` only. That
+alone does not see a stalled arm, whose forces are relaxed; the servos do.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import final
+
+import numpy as np
+
+from coopqp.control.core.relax_plain import AT, RELAXING, SENSORS_FINE, minding_views
+from coopqp.native.constants import (
+    FEW_SAMPLES,
+    HASTE_FILTER,
+    LARGEST_SLOPE,
+    NOISE_TIME,
+    SERVO_HOLDS,
+    SERVO_LATE,
+    SERVO_PEAK,
+    SERVO_SLOWS,
+    SOFTEST,
+)
+from coopqp.spatial import Array, largest
+
+
+@final
+class ServoWatch:
+    """The comparison with the wrenches, in the memory of the relaxation (:class:`coopqp.forces.Relaxation`).
+
+    Args:
+        memory: numbers of :data:`coopqp.native.layout.MINDING`, and the vectors behind them.
+        names: of the arms.
+    """
+
+    def __init__(self, memory: Array, names: tuple[str, ...]) -> None:
+        self._memory, self._names, n = memory, names, len(names)
+        self._views = minding_views(memory, n)
+        self._from_others = (np.eye(n) - 1.0 / n) * (n / max(n - 1.0, 1.0))
+
+    @property
+    def minds(self) -> bool:
+        """Whether the grips are rigid, so that there is something to compare."""
+        return len(self._names) > 1 and self._memory.item(AT["RIGID"]) != 0.0
+
+    @property
+    def touches(self) -> bool:
+        """Whether the object touches something."""
+        return self._memory.item(AT["TOUCHES"]) != 0.0
+
+    @property
+    def corrects(self) -> float:
+        """Share of the path correction that is made: none before the arms have relaxed."""
+        return self._memory.item(AT["CORRECTS"])
+
+    @property
+    def shift(self) -> Array:
+        """The motion by which each grasp has given way since the start, in the object frame (N, 6) [m, rad]."""
+        moved: Array = self._views["shift"] - self._views["held"]
+        return moved
+
+    def hasten(self, velocity: Array, filtered: Array, dt: float) -> float:
+        """Take commanded velocities of the joints (nv,) [rad/s or m/s], ``dt`` [s] after the last.
+
+        ``filtered`` (nv,) follows them.
+
+        Returns the largest acceleration of late [rad/s² or m/s²], filtered: a single step of arms that relax is none.
+        """
+        change = (velocity - filtered) / (HASTE_FILTER + dt)
+        filtered += dt * change
+        m, at = self._memory, AT["HASTE"]
+        # While an arm is suspected the object slows down for that very reason, which must not excuse the arm.
+        seen = 0.0 if m[AT["SUSPECTED"]] else float(np.abs(change).max())
+        m[at] = max(seen, m[at] * SERVO_PEAK / (SERVO_PEAK + dt))
+        return m.item(at)
+
+    def watch(
+        self,
+        away: Array,
+        lengths: Array,
+        rotation: Array,
+        hasty: float,
+        *,
+        way: float,
+        dt: float,
+        filter_time: float,
+        margin: float,
+    ) -> tuple[float, int, float]:
+        """Compare one sample.
+
+        Args:
+            away: of the object as each arm carries it, measured from commanded, in its own frame (N, 6) [m, rad].
+            lengths: turns displacements of the object into lengths at the grasps (6, 6).
+            rotation: of the object (3, 3).
+            hasty: the largest acceleration of late [rad/s² or m/s²].
+            way: of the arms since the last sample [rad or m].
+            dt, filter_time: time since the last sample, time constant of the filter [s].
+            margin: noise floor, in root mean squares.
+
+        Returns:
+            The rate that is left, the arm that is farthest off, and by how much [m].
+        """
+        m, x = self._memory, self._views
+        if m[AT["STAGE"]] < RELAXING or m[AT["SENSOR_FAULT"]] != SENSORS_FINE:
+            return 1.0, -1, 0.0
+        off = (away + self._bent(rotation)) @ lengths
+        fresh = dt / (filter_time + dt)
+        noise = math.sqrt(dt / (2.0 * filter_time + dt)) * m.item(AT["SERVO_NOISE"])  # this may be the first of a stall
+        m[AT["SERVO_NOISE"]] = self._noise_seen(off, dt)
+        x["off_servos"] += fresh * (off - x["off_servos"])
+        if m[AT["SERVO_SAMPLES"]] < FEW_SAMPLES:
+            return 1.0, -1, 0.0
+        apart = self._from_others @ x["off_servos"]
+        drifted = apart - x["off_drift"]  # where the load is shared otherwise
+        x["off_drift"] += min(LARGEST_SLOPE * way / max(float(np.abs(drifted).max()), 1e-300), 1.0) * drifted
+        apart = apart - x["off_drift"]
+        far = np.linalg.norm(apart, axis=1)
+        arm = int(far.argmax())
+        # Softer servos than given deflect more for the same force; what their damping makes of it is as much larger.
+        soft = min(max(m.item(AT["STIFFER"]), SOFTEST), 1.0)
+        worst = soft * (float(far[arm]) - margin * noise) - SERVO_LATE * hasty
+        m[AT["SUSPECTED"]] = worst > SERVO_SLOWS
+        return min(max((SERVO_HOLDS - worst) / (SERVO_HOLDS - SERVO_SLOWS), 0.0), 1.0), arm, float(far[arm])
+
+    def _bent(self, rotation: Array) -> Array:
+        """By how much the arms stand off their commands for their wrenches, but for the sign (N, 6) [m, rad]."""
+        m, x = self._memory, self._views
+        load = rotation.T @ m[AT["WEIGHT_X"] : AT["WEIGHT_Z"] + 1]
+        pushed = (x["unfed_of"] @ x["felt"].ravel() - x["carries"] @ load).reshape(-1, 6)
+        bent: Array = np.einsum("kij,kj->ki", x["compliances"], pushed) / max(m.item(AT["STIFFER"]), SOFTEST)
+        return bent
+
+    def _noise_seen(self, off: Array, dt: float) -> float:
+        """The noise [m, rms], from second differences."""
+        m, x = self._memory, self._views
+        step = off - x["off_last"]
+        bend = step - x["off_step"]
+        x["off_last"][:], x["off_step"][:] = off, step
+        samples = m[AT["SERVO_SAMPLES"]] = min(m.item(AT["SERVO_SAMPLES"]) + 1.0, NOISE_TIME / dt)
+        if samples > 2.0:  # the first differences are with nothing
+            x["off_noise"] += (np.einsum("ij,ij->i", bend, bend) - x["off_noise"]) / max(samples - 2.0, 1.0)
+        return math.sqrt(largest(x["off_noise"]) / 6.0)

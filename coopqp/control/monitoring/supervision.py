@@ -1,0 +1,414 @@
+"""Supervision: comparison of measured with commanded configurations.
+
+An arm that lags or stalls pulls on the object that the others carry on. The watch compares, for every arm, the measured
+with the commanded pose of the object that it carries, and slows the object before the arms part too far.
+Deviations common to all arms do not count: they only displace the object.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from coopqp.checks import NOT_NUMBERS, as_floats, as_scalar
+from coopqp.constraints.cause import Cause
+from coopqp.control.monitoring.drift import Drift
+from coopqp.control.monitoring.options import SupervisionOptions
+from coopqp.control.monitoring.servos import ServoWatch
+from coopqp.control.monitoring.stress import StressWatch
+from coopqp.control.monitoring.watch import Watch, fall_gently
+from coopqp.errors import InvalidInputError
+from coopqp.model.cell import RobotCell
+from coopqp.model.chain import moving_columns
+from coopqp.model.grasp import Grasp
+from coopqp.native.constants import (
+    CAUGHT_UP,
+    CAUGHT_UP_SHARE,
+    CIRCLE_TOLERANCE,
+    EQUALLY_FAR,
+    FAULT_SAMPLES,
+    FEW_SAMPLES,
+    FOLLOWS,
+    LET_GO,
+    MOST_LOST,
+    NOISE_TIME,
+    STILL_COMMAND,
+)
+from coopqp.spatial import Array, largest, skew
+
+
+def as_number(value: Any) -> float:
+    """A float; NaN if the value is not a number."""
+    try:
+        return float(value)
+    except NOT_NUMBERS:
+        return math.nan
+
+
+def refused_dt(dt: float, low: float, high: float) -> str:
+    """Why a length of a step is not accepted [s]."""
+    return f"dt is not accepted: {dt:g} s is outside [{low:g}, {high:g}] s"
+
+
+#: Least distance between a grasp and the grasps' centre that counts [m].
+_LEAST_REACH = 0.1
+
+
+#: Attributes of a Supervision that never change.
+_FIXED = (
+    "_cell", "_options", "_stress", "_turning", "_from_others", "_starts", "_moving", "_at_grasps", "_numbers",
+    "_first_numbers", "servos",
+)  # fmt: skip
+
+
+class Supervision:
+    """Memory of the watch; one per controller."""
+
+    def __init__(self, cell: RobotCell, grasp: Grasp, options: SupervisionOptions) -> None:
+        self._cell, self._options = cell, options
+        self._stress = _stress_watch(cell, grasp, options)
+        self._pressed = False
+        self._turning = np.flatnonzero(cell.continuous)
+        n = len(cell)
+        #: Maps deviations of the arms to their differences from the mean of the others.
+        self._from_others = (np.eye(n) - 1.0 / n) * (n / max(n - 1.0, 1.0))
+        columns = moving_columns(cell)
+        self._starts = np.cumsum([0, *(len(c) for c in columns[:-1])]).tolist()
+        #: The joints that move the tools, arm by arm.
+        self._moving = np.concatenate(columns)
+        self._moves = np.zeros((3, len(self._moving)))
+        self._at_grasps = grasp_lengths(grasp)
+        self._deviation, self._away, self._step = (np.zeros((n, 6)) for _ in range(3))
+        self._noise, self._samples, self._cap, self._arm = np.zeros(n), 0.0, 1.0, -1
+        self._stalled = np.zeros(n, dtype=bool)
+        self._widest = np.zeros(n)
+        self._numbers, self._first_numbers = _numbers_of(cell, columns)
+        self._told: Array | None = None
+        self._past: deque[tuple[Array, Array]] = deque(maxlen=1 + (options.stall_samples or 1))
+        self._silence = 0.0
+        self._drift = Drift(n, options.let_in)
+        self._seen: Array | None = None
+        self._lost = np.zeros(n, dtype=int)
+        self._far = 0
+        #: Compares with the wrenches where forces are minded; None where they are not.
+        self.servos: ServoWatch | None = None
+        #: Commanded velocities of the joints, filtered, for it (nv,).
+        self._velocity = np.zeros(cell.nv)
+
+    def reset(self) -> None:
+        """Forget."""
+        self._deviation[:] = self._away[:] = self._step[:] = 0.0
+        self._noise[:] = 0.0
+        self._samples, self._cap, self._arm = 0.0, 1.0, -1
+        self._stalled[:] = False
+        self._widest[:] = 0.0
+        self._past.clear()
+        self._silence, self._told, self._far = 0.0, None, 0
+        self._drift.reset()
+        self._seen = None
+        self._lost[:] = 0
+        self._pressed = False
+        self._velocity = np.zeros(self._cell.nv)
+        if self._stress is not None:
+            self._stress.reset()
+
+    def memory(self) -> dict[str, Any]:
+        """The state of a copy."""
+        own = {name: value for name, value in vars(self).items() if name not in _FIXED}
+        return own | {"stress": None if self._stress is None else self._stress.memory()}
+
+    def restore(self, memory: dict[str, Any]) -> None:
+        """Go on from a copy of what :meth:`memory` returned."""
+        stress = memory.pop("stress")
+        vars(self).update(memory)
+        if self._stress is not None:
+            self._stress.restore(stress)
+
+    def accept_dt(self, dt: Any, nominal: float) -> str:
+        """Empty, or why ``dt`` is not accepted."""
+        low, high = (share * nominal for share in self._options.dt_range)
+        try:
+            as_scalar(dt, "dt", low=low, high=high, open_low=False)
+        except InvalidInputError:
+            return refused_dt(as_number(dt), low, high)
+        return ""
+
+    def accept_measurement(self, q: Any, q_command: Array) -> tuple[Array, str]:
+        """The measured configuration as an array, and why it is not believed (empty if it is)."""
+        measured, trouble = as_configuration(self._cell, q)
+        if measured is None:
+            return q_command, trouble
+        away = measured - q_command
+        worst = int(np.abs(away).argmax())  # NaN wins
+        if not math.isfinite(away.item(worst)):
+            return q_command, f"q_measured[{worst}] is {measured[worst]}"
+        for i in self._cell.position_index[self._turning].tolist():
+            radius = math.hypot(measured.item(i), measured.item(i + 1))
+            if abs(radius - 1.0) > CIRCLE_TOLERANCE:
+                return q_command, f"q_measured[{i}] and [{i + 1}] are no cosine and sine (norm {radius:.3g})"
+            if radius != 1.0:
+                measured = measured.copy() if measured is q else measured  # the caller's array stays as it is
+                measured[i : i + 2] /= radius
+        if self._turning.size:
+            told = self._cell.positions(q_command)
+            away = self._positions(measured, told) - told
+            worst = int(np.abs(away).argmax())
+        far = abs(away.item(worst))
+        if far > self._options.joint_jump:
+            return q_command, f"joint {self._cell.joint_names[worst]} is measured {far:.3g} rad (or m) from its command"
+        return measured, ""
+
+    def _positions(self, q: Array, near: Array | None) -> Array:
+        """One position per joint (nv,) [rad or m]; those of continuous joints within half a turn of ``near`` (nv,)."""
+        if not self._turning.size:
+            return q
+        x = self._cell.positions(q)
+        if near is None:
+            return x
+        turns = np.round((near[self._turning] - x[self._turning]) / (2.0 * np.pi))
+        x[self._turning] += 2.0 * np.pi * turns
+        return x
+
+    def watch(
+        self,
+        measured: Array,
+        commanded: Array,
+        away: Array,
+        dt: float,
+        velocity: Array | None = None,
+        rotation: Array | None = None,
+    ) -> Watch:
+        """Compare one sample.
+
+        Args:
+            measured, commanded: configurations at the same time (nq,).
+            away: of the object as each arm carries it, measured from commanded, in its own frame (N, 6) [m, rad].
+            dt: time since the last sample [s].
+            velocity, rotation: commanded velocities of the joints (nv,) and rotation of the object (3, 3); where
+                forces are minded only.
+        """
+        o, result = self._options, Watch()
+        servos = self.servos if self.servos is not None and self.servos.minds else None
+        given = away
+        told = self._told = self._positions(commanded, self._told)
+        found = self._positions(measured, told)
+        if len(away) > 1 and o.slow_from is not None:
+            away = (away if servos is None else away + servos.shift).dot(self._at_grasps)
+            lost = self._keep_where_lost(measured, away)
+            self._watch_distances(told, away, lost, dt, result, rigid=servos is not None)
+        if servos is not None:
+            fall_gently(result, self._cap, dt)
+        if servos is not None and o.slow_from is not None and velocity is not None and rotation is not None:
+            self._watch_servos(servos, given, velocity, rotation, dt, result)
+        if o.stall_samples is not None:
+            self._watch_stall(found, told, dt, result, rigid=servos is not None)
+        if self._stress is not None:
+            self._watch_stress(self._stress, measured, commanded, dt, result)
+        if o.recovery_time > 0.0:
+            allowed = self._cap + dt / o.recovery_time
+            if allowed < result.rate_cap:
+                result.rate_cap = allowed
+                if not result.reason:
+                    result.arm, result.reason = self._arm, f"arm {self._cell.arm_names[self._arm]} was out of step"
+            self._cap, self._arm = result.rate_cap, result.arm
+        result.cause = Cause.TRACKING if result.reason else None
+        if self.servos is not None and self.servos.touches and not result.fault:
+            return Watch.holding("the arms hold", Cause.CONTACT)
+        return result
+
+    def _keep_where_lost(self, measured: Array, away: Array) -> npt.NDArray[np.bool_]:
+        """Arms that have lost this sample (N,): their numbers equal the sample before to the last bit.
+
+        Its distance stays as it was.
+        """
+        numbers = measured[self._numbers]
+        lost = np.zeros(len(away), dtype=bool)
+        if self._seen is not None:
+            same = np.logical_and.reduceat(numbers == self._seen, self._first_numbers)
+            self._lost = (self._lost + 1) * same
+            if np.count_nonzero(same):
+                lost = same & (self._lost <= MOST_LOST)
+                away[lost] = self._away[lost]
+        self._seen = numbers
+        return lost
+
+    def _watch_distances(
+        self, told: Array, away: Array, lost: npt.NDArray[np.bool_], dt: float, result: Watch, *, rigid: bool
+    ) -> None:
+        """Deviation of each arm from the mean of the others that slows or stops the object."""
+        o = self._options
+        assert o.slow_from is not None
+        keep = o.filter_time / (o.filter_time + dt)
+        self._deviation += (1.0 - keep) * (away - self._deviation)
+        passed = math.sqrt(self._from_others.item(0) * (1.0 - keep) / (1.0 + keep))  # share of the noise
+        noise = passed * self._noise_seen(away, dt)
+        apart = out_of_step = self._from_others.dot(self._deviation)
+        if o.let_in > 0.0:
+            drift = self._drift
+            out_of_step = drift.followed(apart, told, dt) if rigid else drift.without(apart, noise, told, dt)
+        self._count_far(away, self._from_others.dot(away) - (apart - out_of_step), lost)
+        spread = np.einsum("ij,ij->i", out_of_step, out_of_step)
+        worst = math.sqrt(largest(spread)) - o.noise_margin * noise
+        if worst <= o.slow_from or self._samples < FEW_SAMPLES:
+            return
+        spread = np.sqrt(spread)
+        # Two arms are always equally far from each other: blame the arm that is farther from its command.
+        own = np.where(spread >= 0.99 * spread.max(), np.linalg.norm(self._deviation, axis=1), -1.0)
+        candidates = own > own.max() - EQUALLY_FAR  # of these the one that was named last, or the first
+        arm = result.arm = self._arm if self._arm >= 0 and candidates[self._arm] else int(candidates.argmax())
+        result.hold = worst >= o.hold_from
+        result.fault = worst >= o.fault_from and self._far >= FAULT_SAMPLES
+        result.rate_cap = 0.0 if result.hold else (o.hold_from - worst) / (o.hold_from - o.slow_from)
+        result.reason = f"arm {self._cell.arm_names[arm]} is {1e3 * spread[arm]:.2f} mm out of step with the others"
+
+    def _count_far(self, away: Array, unfiltered: Array, lost: npt.NDArray[np.bool_]) -> None:
+        """Count the samples in a row in which an arm is as far from the others as a fault needs.
+
+        A sample that the arm farthest from its command has lost says nothing.
+        """
+        if not lost[np.einsum("ij,ij->i", away, away).argmax()]:
+            far = largest(np.einsum("ij,ij->i", unfiltered, unfiltered)) >= self._options.fault_from**2
+            self._far = self._far + 1 if far else 0
+
+    def _noise_seen(self, away: Array, dt: float) -> float:
+        """The noise in unfiltered deviations [m, rms], from their second differences, which motion hardly has."""
+        step = away - self._away
+        bend = step - self._step
+        self._away[:], self._step[:] = away, step
+        self._samples = min(self._samples + 1.0, NOISE_TIME / dt)
+        if self._samples > 2.0:  # the first differences are with nothing
+            # With long steps the averaging time holds few samples: the latest then counts for all.
+            self._noise += (np.einsum("ij,ij->i", bend, bend) - self._noise) / max(self._samples - 2.0, 1.0)
+        return math.sqrt(largest(self._noise) / 6.0)
+
+    def _watch_stall(self, found: Array, told: Array, dt: float, result: Watch, *, rigid: bool) -> None:
+        """An arm that stands while another follows has stalled; where none follows, signals may just be late.
+
+        Of arms in rigid grips that mind forces their wrenches say more: here, only whether all have stopped.
+        """
+        o, past = self._options, self._past
+        measured, commanded = found[self._moving], told[self._moving]
+        past.append((measured, commanded))
+        before, moves = past[0], self._moves
+        np.subtract(commanded, before[1], out=moves[0])
+        np.subtract(measured, before[0], out=moves[1])
+        np.subtract(commanded, measured, out=moves[2])
+        told, moved, gap = np.maximum.reduceat(np.abs(moves, out=moves), self._starts, axis=1)
+        stalled = self._stalled
+        if stalled.any():
+            np.maximum(self._widest, gap, out=self._widest)
+            stalled &= gap >= np.maximum(CAUGHT_UP, CAUGHT_UP_SHARE * self._widest)
+        moving = told > STILL_COMMAND
+        # With less of a gap it is not stalled but late: it may be turning round.
+        stands = moving & (moved < o.stall_share * told) & (gap >= CAUGHT_UP)
+        if len(past) == past.maxlen and stands.any():
+            follows = bool((moving & (moved > FOLLOWS * told)).any())
+            self._silence = 0.0 if follows else self._silence + dt
+            if follows or self._silence > o.silent_time:
+                self._widest[stands & ~stalled] = 0.0
+                stalled |= stands
+        else:
+            self._silence = 0.0
+        if stalled.all() if rigid else stalled.any():
+            result.rate_cap, result.hold, result.arm = 0.0, True, int(stalled.argmax())
+            result.reason = f"arm {self._cell.arm_names[result.arm]} does not follow its command (stalled)"
+            if stalled.all():
+                result.reason = "no arm is seen to follow its command (all have stopped, or measurements are stale)"
+
+    def _watch_servos(
+        self, servos: ServoWatch, away: Array, velocity: Array, rotation: Array, dt: float, result: Watch
+    ) -> None:
+        """Arms whose servos do not stand where their wrenches say slow the object; one that has stalled holds it."""
+        o = self._options
+        hasty = servos.hasten(velocity, self._velocity, dt)
+        cap, arm, far = servos.watch(
+            away,
+            self._at_grasps,
+            rotation,
+            hasty,
+            way=self._drift.way,
+            dt=dt,
+            filter_time=o.filter_time,
+            margin=o.noise_margin,
+        )
+        if cap >= 1.0:
+            return
+        reason = f"arm {self._cell.arm_names[arm]} is {1e3 * far:.2f} mm from where its wrench puts its servos"
+        found = Watch(cap, hold=cap == 0.0, arm=arm, reason=reason, cause=Cause.TRACKING)
+        if cap > 0.0:
+            fall_gently(found, self._cap, dt)
+        if found.rate_cap < result.rate_cap:
+            result.lower(found)
+
+    def _watch_stress(self, stress: StressWatch, measured: Array, commanded: Array, dt: float, result: Watch) -> None:
+        """Arms that press too hard on the object hold it, until they press less than half as hard."""
+        limit = self._options.force_limit
+        stress.read(measured, commanded, dt)
+        most = int(stress.forces.argmax())
+        force = float(stress.forces[most])
+        self._pressed = force >= (LET_GO * limit if self._pressed else limit)
+        if not self._pressed:
+            return
+        result.rate_cap, result.hold, names = 0.0, True, self._cell.arm_names
+        if stress.behind < 0:
+            result.arm = most
+            result.reason = f"{force:.0f} N at the grasp of arm {names[most]} by its servos (limit {limit:g} N)"
+        else:
+            result.arm = stress.behind
+            result.reason = (
+                f"arm {names[result.arm]} does not follow its command: it hangs {1e3 * stress.gap:.2g} mm behind, "
+                f"and the others pull it with {stress.pull:.0f} N"
+            )
+
+
+def _numbers_of(cell: RobotCell, columns: tuple[npt.NDArray[np.intp], ...]) -> tuple[npt.NDArray[np.intp], list[int]]:
+    """Where in a configuration the numbers of the joints that move each arm's tool stand; where each arm's begin."""
+    numbers = []
+    for own in columns:
+        index = [[i, i + 1] if cell.continuous[j] else [i] for j, i in zip(own, cell.position_index[own], strict=True)]
+        numbers.append(np.concatenate(index).astype(np.intp))
+    return np.concatenate(numbers), np.cumsum([0, *(len(n) for n in numbers[:-1])]).tolist()
+
+
+def as_configuration(cell: RobotCell, q: Any) -> tuple[Array | None, str]:
+    """A measured configuration as an array (nq,), or None and the fault of its type or shape."""
+    try:
+        measured = q if type(q) is np.ndarray and q.dtype == np.float64 else as_floats(q)
+    except NOT_NUMBERS:
+        return None, f"q_measured is {type(q).__name__}, not {cell.nq} numbers"
+    if measured.shape != (cell.nq,):
+        return None, f"q_measured must have shape ({cell.nq},), got {measured.shape}"
+    return np.ascontiguousarray(measured), ""
+
+
+def grasp_lengths(grasp: Grasp) -> Array:
+    """Lᵀ (6, 6): ``d @ Lᵀ`` are the lengths at the grasps [m] of displacements d (…, 6) of the object [m, rad].
+
+    The first three are the displacement of the grasps' centre, the others the turn times the largest distance of a
+    grasp from it: if one arm turns the object, the grasps part by this length.
+    """
+    points = np.array([X.translation for X in grasp.T_object_tool])
+    centre = points.mean(axis=0)
+    reach = max(float(np.linalg.norm(points - centre, axis=1).max()), _LEAST_REACH)
+    L = np.eye(6)
+    L[:3, 3:] = -skew(centre)
+    L[3:, 3:] *= reach
+    return L.T
+
+
+def _stress_watch(cell: RobotCell, grasp: Grasp, options: SupervisionOptions) -> StressWatch | None:
+    if options.stiffness is None:
+        return None
+    size = np.size(options.stiffness)
+    if size not in (1, cell.nv):
+        raise InvalidInputError(
+            f"{size} numbers for {cell.nv} joints",
+            "SupervisionOptions: stiffness",
+            "Give one number, or one per joint.",
+        )
+    stiffness = np.broadcast_to(np.asarray(options.stiffness, dtype=float), (cell.nv,))
+    return StressWatch(cell, grasp, stiffness=stiffness, delay=options.servo_delay, filter_time=options.filter_time)

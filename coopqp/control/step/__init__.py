@@ -1,0 +1,1 @@
+"""One step: from the measured configuration to the command, as the definition in Python says it."""

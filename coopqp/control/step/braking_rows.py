@@ -1,0 +1,153 @@
+"""Rows that brake all arms together ahead of singularities and joint limits, where no look-ahead does.
+
+An edge e(q) ≥ 0 is what must not be crossed: the least singular value of an arm's tool Jacobian, less a margin, and the
+way of a joint to each of its limits. From the joint velocities v of the last step all joints come to rest together in
+the time ``T = max_j |v_j| / a_j``. The edge comes closer at ``s = max(−∇e·v, 0)``, so braking together slows it down
+by ``a_e = S s / T``. The next velocities v⁺ keep, with a step of length h,
+
+    −∇e·v⁺ ≤ max(min(e / max(0.05 s, 5 h), √(a_e² h² + 2 a_e e) − a_e h), (1 − h/T) s).
+
+The chain bends: an object that goes on with its twist makes joints accelerate by ``A⁻¹ Ȧ v``. Where that takes too
+large a share k of the accelerations, all joints slow down, for it falls with the square of their speed:
+
+    vᵀ W v⁺ ≤ max(√(η / k), 1 − h/T) vᵀ W v.
+
+Joints that brake together keep all rows, and so do joints at rest. See docs/derivations.md.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import final
+
+import numpy as np
+
+from coopqp.constraints.velocity import Rows
+from coopqp.model.chain import Chain
+from coopqp.model.limits import BindingLimit, LimitKind
+from coopqp.model.state import CellState
+from coopqp.native.constants import (
+    APPROACH_STEPS,
+    APPROACH_TIME,
+    BEND_SHARE,
+    EDGE_SHARE,
+    FASTEST_JOINT,
+    GIVES_WAY,
+    SINGULAR_MARGIN,
+)
+from coopqp.spatial import Array
+
+
+@final
+class BrakingRows:
+    """The rows of one chain.
+
+    Args:
+        chain: a workspace; its content is overwritten.
+        acceleration: of each joint, that braking together is planned with (nv,) [rad/s² or m/s²].
+
+    Attributes:
+        labels: names of the limits that rows stand for. ``Rows.owner`` counts them from the end: label i is −1 − i.
+    """
+
+    def __init__(self, chain: Chain, acceleration: Array) -> None:
+        cell = chain.cell
+        self._chain, self._acceleration = chain, acceleration
+        self._metric = np.where(np.isfinite(cell.limits.velocity), cell.limits.velocity, 1.0) ** -2.0
+        names = [name.partition("/")[::2] for name in cell.joint_names]
+        self.labels = (
+            *(BindingLimit(arm, "", LimitKind.SINGULARITY) for arm in cell.arm_names),
+            *(BindingLimit(arm, joint, LimitKind.POSITION) for arm, joint in names),
+            *(BindingLimit(arm, joint, LimitKind.ACCELERATION) for arm, joint in names),
+        )
+
+    def rows(self, q: Array, v: Array, h: float, about: Array) -> Rows:
+        """The rows that may bind the next velocities, v⁺.
+
+        Args:
+            q: commanded configuration (nq,).
+            v: joint velocities of the last step (nv,).
+            h: length of the next step [s].
+            about: origin of the object (3,) [m].
+        """
+        chain, limits, speed = self._chain, self._chain.cell.limits, np.abs(v)
+        chain.evaluate(q, about)
+        chain.invert()
+        x, T = self._chain.cell.positions(q), max(float((speed / self._acceleration).max()), h)
+        rooms, away = self._singular_edges(q, about)
+        to_singular, one = self._bounds(-away, rooms, v, h, T), np.eye(len(v))
+        up = self._bounds(one, limits.upper - x, v, h, T)
+        down = self._bounds(-one, x - limits.lower, v, h, T)
+        bent, bend_bound, joint = self._bend(v, h, T)
+        n, nv = len(rooms), len(v)
+        G = np.vstack([-away, one, bent])
+        upper = np.concatenate([to_singular, up, [bend_bound]])
+        lower = np.concatenate([np.full(n, -np.inf), -down, [-np.inf]])
+        owner = -1 - np.append(np.arange(n + nv), n + nv + joint)
+        reach = np.minimum(
+            np.maximum(speed, np.minimum(limits.velocity, speed + limits.acceleration * h)), FASTEST_JOINT
+        )
+        some = np.abs(G) @ reach > np.minimum(upper, -lower)  # no admissible velocity breaks the others
+        return Rows(G[some], lower[some], upper[some], np.full(int(some.sum()), GIVES_WAY), owner[some])
+
+    def _singular_edges(self, q: Array, about: Array) -> tuple[Array, Array]:
+        """Rooms of the arms to their singularities (N,), and gradients (N, nv)."""
+        chain = self._chain
+        rooms, away = np.empty(chain.n_arms), np.zeros((chain.n_arms, chain.nv))
+        for k, T in enumerate(CellState(chain.cell, q).T_world_tool):
+            columns = chain.moving_columns[k]
+            sigma, away[k, columns] = least_singular_value(moved_to(chain.rows()[columns], T.translation - about))
+            rooms[k] = sigma - SINGULAR_MARGIN
+        return rooms, away
+
+    def _bounds(self, towards: Array, rooms: Array, v: Array, h: float, T: float) -> Array:
+        """Largest ``towards v⁺`` (m,), for edges that come closer at ``towards v`` (m, nv) and have rooms (m,).
+
+        An edge that stands still may begin to move: a_e is what the joints' accelerations make of a step from rest.
+        """
+        room, s = np.maximum(rooms, 0.0), np.maximum(towards @ v, 0.0)
+        a = EDGE_SHARE * np.maximum(s, np.abs(towards) @ self._acceleration * h) / T
+        stopping = np.sqrt((a * h) ** 2 + 2.0 * a * room) - a * h
+        gentle = np.minimum(room / max(APPROACH_TIME, APPROACH_STEPS * h), stopping)
+        return np.maximum(gentle, (1.0 - h / T) * s)
+
+    def _bend(self, v: Array, h: float, T: float) -> tuple[Array, float, int]:
+        """The row by the chain's bend (nv,), its bound, and the joint that needs it."""
+        chain = self._chain
+        turning = np.array([bend(chain.rows()[columns], v[columns]) for columns in chain.moving_columns])
+        used = np.abs(chain.joint_velocities(turning, np.empty(chain.nv))) / self._acceleration
+        joint = int(used.argmax())
+        row = v * self._metric
+        size = math.sqrt(row @ v)
+        if not used[joint] > 0.5 * BEND_SHARE or not size > 0.0:
+            return row, np.inf, joint
+        return row / size, max(math.sqrt(BEND_SHARE / used[joint]), 1.0 - h / T) * size, joint
+
+
+def moved_to(JT: Array, way: Array) -> Array:
+    """Twists (n, 6) at a point that is ``way`` (3,) [m] further."""
+    return np.hstack([JT[:, :3] + np.cross(JT[:, 3:], way), JT[:, 3:]])
+
+
+def least_singular_value(JT: Array) -> tuple[float, Array]:
+    """The least singular value σ of J, and its gradient over the joints (n,), from rows of Jᵀ about the tool (n, 6).
+
+    ``∂σ/∂q_j = uᵀ (∂J/∂q_j) w`` with the singular vectors u and w. Joint j turns the twists of the joints after it. The
+    tool, about which twists are taken, moves too: of a joint before j the linear part turns with what j does to it.
+    """
+    U, s, Vt = np.linalg.svd(JT.T, full_matrices=False)
+    u, w = U[:, -1], Vt[-1]
+    linear, turn = JT[:, :3], JT[:, 3:]
+    before = np.cumsum(w[:, None] * turn, axis=0) - w[:, None] * turn
+    after = (w[:, None] * np.cross(linear, u[:3]))[::-1].cumsum(axis=0)[::-1]
+    spin = w[:, None] * np.cross(turn, u[3:])
+    after += spin[::-1].cumsum(axis=0)[::-1] - spin
+    return float(s[-1]), np.einsum("ij,ij->i", turn, after) + np.einsum("i,ji->j", u[:3], np.cross(before, linear))
+
+
+def bend(JT: Array, v: Array) -> Array:
+    """``J̇ v`` (6,) of an arm with rows Jᵀ (n, 6) about a point that moves with the object, and velocities v (n,)."""
+    linear, turn = JT[:, :3], v[:, None] * JT[:, 3:]
+    before = turn.cumsum(axis=0) - turn
+    moved = (v[:, None] * np.cross(2.0 * before + turn, linear)).sum(axis=0)
+    return np.concatenate([moved, np.cross(before, turn).sum(axis=0)])

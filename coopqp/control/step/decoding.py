@@ -1,0 +1,187 @@
+"""From a record of numbers to words: statuses, limits by name, reasons as sentences."""
+
+from __future__ import annotations
+
+from typing import Any, final
+
+import numpy as np
+
+from coopqp.constraints.cause import Cause
+from coopqp.control.interface import NO_SOLVE, NOTHING, GivenUp, SolverReport, Status, off_path
+from coopqp.control.monitoring.commanded import PARTED
+from coopqp.control.monitoring.options import SupervisionOptions
+from coopqp.control.monitoring.supervision import refused_dt
+from coopqp.control.step.constraint_set import Constraints
+from coopqp.control.step.verdict import cause_of, too_close
+from coopqp.model.cell import RobotCell
+from coopqp.model.grasp import Grasp
+from coopqp.model.limits import BindingLimit, LimitKind
+from coopqp.model.shapes import NearPair
+from coopqp.native import layout
+from coopqp.paths.guarded import jump
+from coopqp.paths.path import ObjectPath
+from coopqp.spatial import Array
+
+_R = {name: i for i, name in enumerate(layout.RECORD)}
+_KINDS = {code: LimitKind[name] for code, name in enumerate(layout.KINDS) if name != "NONE"}
+_REASONS = {name: code for code, name in enumerate(layout.REASONS)}
+#: Causes of reasons, by their codes: the arms, nothing that slows, or an input that cannot be used.
+_BY_ARMS = ("OUT_OF_STEP_BY", "WAS_OUT_OF_STEP", "STALLED", "ALL_STALLED", "FORCE", "HANGS_BEHIND", "OFF_SERVOS")
+CAUSES = {code: Cause.TRACKING if name in _BY_ARMS else Cause.INPUT for name, code in _REASONS.items()} | {
+    _REASONS["CHAIN_APART"]: None,
+    _REASONS["TOUCHING"]: Cause.CONTACT,
+    _REASONS["CHAIN_PARTED"]: Cause.COMMANDED_CHAIN,
+}
+STATUSES = tuple(Status[name.replace("FAULTED", "FAULT")] for name in layout.STATUSES)
+
+
+@final
+class RecordReader:
+    """Puts the numbers of the records of one controller on one path into words, for its steps.
+
+    Args:
+        cell, grasp, path: of the controller.
+        solver: name of the solver that a QP step used.
+        constraints: the further constraints.
+        dt: nominal length of a step [s].
+        supervision: its thresholds.
+
+    Attributes:
+        nq, nv: sizes of a configuration and of a velocity.
+        q_at, velocity_at, q_next_at, dt_at, clock_at, clock_next_at: where each value begins in a record [bytes].
+    """
+
+    def __init__(
+        self,
+        cell: RobotCell,
+        grasp: Grasp,
+        path: ObjectPath,
+        *,
+        solver: str,
+        constraints: Constraints,
+        dt: float,
+        supervision: SupervisionOptions,
+    ) -> None:
+        self.cell, self.grasp, self.path = cell, grasp, path
+        self._solver, self._constraints = solver, constraints
+        self._force_limit, self._dt_range = supervision.force_limit, [share * dt for share in supervision.dt_range]
+        self._q = len(layout.RECORD)
+        velocity = self._q + cell.nq
+        q_next = velocity + cell.nv
+        self._off_path = q_next + cell.nq
+        self.nq, self.nv = cell.nq, cell.nv
+        self.q_at, self.velocity_at, self.q_next_at = 8 * self._q, 8 * velocity, 8 * q_next
+        self.dt_at, self.clock_at, self.clock_next_at = 8 * _R["R_DT"], 8 * _R["R_CLOCK"], 8 * _R["R_CLOCK_NEXT"]
+
+    def read(self, record: bytes, name: str) -> Any:
+        """Value of the attribute ``name`` of :class:`coopqp.ControlStep`."""
+        if name in ("cell", "grasp"):
+            return getattr(self, name)
+        if name == "build_time_s":
+            return 0.0
+        return getattr(self, f"_read_{name}")(np.frombuffer(record))
+
+    def _read_reason(self, r: Array) -> str:
+        distance, angle = r.item(_R["R_AWAY"]), r.item(_R["R_TURNED"])
+        away = off_path(distance, angle) if distance > 0.0 or angle > 0.0 else ""
+        holds = STATUSES[int(r.item(_R["R_STATUS"]))] in (Status.HOLDING, Status.FAULT)
+        near = "" if holds else too_close(self._constraints.inside(self._q_of(r)))
+        return "; ".join(filter(None, (away, self._read_code(r), near)))
+
+    def _read_code(self, r: Array) -> str:
+        code = int(r.item(_R["R_REASON"]))
+        if code == _REASONS["NO_REASON"]:
+            return ""
+        given = r[_R["R_REASON_ARM"] : _R["R_REASON_B"] + 1].tolist()
+        if code == _REASONS["BAD_DT"]:
+            return refused_dt(given[1], *self._dt_range)
+        return reason(self.cell, self._force_limit, code, *given)
+
+    def _read_commanded_apart(self, r: Array) -> float:
+        return float(r.item(_R["R_APART"]))
+
+    def _read_cause(self, r: Array) -> Cause | None:
+        status, code = STATUSES[int(r.item(_R["R_STATUS"]))], int(r.item(_R["R_REASON"]))
+        watched = CAUSES[code] if code else None
+        return cause_of(status, watched, self._read_binding(r), measured=r.item(_R["R_MEASURED"]) != 0.0)
+
+    def _read_binding(self, r: Array) -> tuple[BindingLimit, ...]:
+        begin = self._off_path + 6
+        entries = r[begin : begin + 4 * int(r[_R["R_BINDINGS"]])].reshape(-1, 4)
+        binding = tuple(self.limit(*(int(x) for x in entry)) for entry in entries)
+        if not self._constraints:
+            return binding
+        q = self._q_of(r)
+        return tuple(dict.fromkeys((*self._constraints.inside(q), *self._constraints.measured(binding, q))))
+
+    def _q_of(self, r: Array) -> Array:
+        return r[self._q : self._q + self.nq]
+
+    def _read_clearance(self, r: Array) -> NearPair | None:
+        return self._constraints.nearest(self._q_of(r))
+
+    def limit(self, kind: int, arm: int, joint: int, constraint: int) -> BindingLimit:
+        """A limit by name."""
+        if constraint >= 0:
+            return self._constraints.labels[constraint]
+        if joint >= 0:
+            return self.cell.joint_limit(joint, _KINDS[kind])
+        return BindingLimit(self.cell.arm_names[arm] if arm >= 0 else "", "", _KINDS[kind])
+
+    def _read_given_up(self, r: Array) -> GivenUp:
+        off_path = tuple(r[self._off_path : self._off_path + 6].tolist())
+        lost = [1.0 - r.item(_R[name]) for name in ("R_GRASP_SHARE", "R_PATH_SHARE", "R_RATE")]
+        parting = r.item(_R["R_PARTING"])
+        if not (any(lost) or any(off_path) or parting):
+            return NOTHING
+        return GivenUp(chain=parting, grasp=lost[0], off_path=off_path, path=lost[1], rate=lost[2])
+
+    def _read_solver(self, r: Array) -> SolverReport:
+        if r[_R["R_OUTCOME"]] != layout.OUTCOMES.index("QP"):
+            return NO_SOLVE
+        return SolverReport(self._solver, "solved", int(r[_R["R_ITERATIONS"]]))
+
+
+_BOTH = (_REASONS["CHAIN_APART"], _REASONS["CHAIN_PARTED"])
+#: The sentence of each reason, by the joint or arm i and two numbers a and b. BAD_DT and PATH_JUMPS have their own.
+_SENTENCES = {
+    "NO_REASON": "",
+    "TOUCHING": "the arms hold",
+    "NOT_FINITE": "q_measured[{i}] is {a}",
+    "OFF_CIRCLE": "q_measured[{i}] and [{next}] are no cosine and sine (norm {a:.3g})",
+    "JUMPED": "joint {joint} is measured {a:.3g} rad (or m) from its command",
+    "ALL_STALLED": "no arm is seen to follow its command (all have stopped, or measurements are stale)",
+    "PATH_FAILED": "the path has no pose at its clock {a:.6g} s",
+    "LOOK_AHEAD_FAILED": "the path ahead of its clock {a:.6g} s cannot be asked",
+    "CONSTRAINT_FAILED": "a constraint cannot be asked",
+    "CHAIN_APART": PARTED,
+    "CHAIN_PARTED": PARTED,
+    "OUT_OF_STEP_BY": "arm {arm} is {mm:.2f} mm out of step with the others",
+    "WAS_OUT_OF_STEP": "arm {arm} was out of step",
+    "STALLED": "arm {arm} does not follow its command (stalled)",
+    "FORCE": "{a:.0f} N at the grasp of arm {arm} by its servos (limit {limit:g} N)",
+    "OFF_SERVOS": "arm {arm} is {mm:.2f} mm from where its wrench puts its servos",
+    "HANGS_BEHIND": (
+        "arm {arm} does not follow its command: it hangs {mm:.2g} mm behind, and the others pull it with {b:.0f} N"
+    ),
+}
+
+
+def reason(cell: RobotCell, force_limit: float, code: int, index: float, a: float, b: float) -> str:
+    """The sentence of a reason of :data:`layout.REASONS`."""
+    if code == _REASONS["PATH_JUMPS"]:
+        return jump(b, a)
+    i, other = int(index), int(b) if code in _BOTH else 0
+    arm, joint = (names[i] if i < len(names) else "" for names in (cell.arm_names, cell.joint_names))
+    values = {
+        "i": i,
+        "next": i + 1,
+        "arm": arm,
+        "joint": joint,
+        "other": cell.arm_names[other],
+        "a": a,
+        "b": b,
+        "mm": 1e3 * a,
+        "limit": force_limit,
+    }
+    return _SENTENCES[layout.REASONS[code]].format(**values)

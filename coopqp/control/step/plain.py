@@ -1,0 +1,480 @@
+"""The plain loop: the definition of a step in NumPy, written to be read. It runs where the core does not apply.
+
+``observe`` advances what is filtered, once a sample; ``propose`` finds the command; ``commit`` moves the state. A veto
+proposes again, with more rows or a lower cap on the rate.
+"""
+
+from __future__ import annotations
+
+import copy
+import math
+import time
+from collections.abc import Callable
+from typing import Any, final
+
+import numpy as np
+import pinocchio as pin
+
+from coopqp.constraints.cause import Cause
+from coopqp.constraints.velocity import ConstraintTrouble, Rows, no_rows
+from coopqp.control.interface import NO_SOLVE, ControlStep, Status
+from coopqp.control.lock import Turn
+from coopqp.control.lookahead.constraints import ConstraintsAhead
+from coopqp.control.lookahead.options import PlanLimits, PreviewOptions
+from coopqp.control.lookahead.preview import PathPreview
+from coopqp.control.monitoring.commanded import PARTED, ChainWatch, among_arms, expected
+from coopqp.control.monitoring.servos import ServoWatch
+from coopqp.control.monitoring.supervision import Supervision
+from coopqp.control.monitoring.watch import Watch
+from coopqp.control.options import QPOptions
+from coopqp.control.step.braking_rows import BrakingRows
+from coopqp.control.step.constraint_set import Constraints
+from coopqp.control.step.linearised import LinearisedAnswer, LinearisedStep, StepInput, averaging
+from coopqp.control.step.priorities import StepSolver
+from coopqp.control.step.rate_cap import OVERRIDE, RateCap
+from coopqp.control.step.state import LoopState, Observed, Proposal
+from coopqp.control.step.velocity_bounds import VelocityBox
+from coopqp.control.step.verdict import away_from_path, cause_of, given_up, lasting, rests, slow_status, too_close
+from coopqp.model.cell import RobotCell
+from coopqp.model.chain import Chain
+from coopqp.model.grasp import Grasp, held_at
+from coopqp.model.limits import BindingLimit, LimitKind
+from coopqp.model.posture import Posture
+from coopqp.model.state import CellState
+from coopqp.native.constants import LEAST_PACE, MOST_TIGHTENINGS, NEGLIGIBLE, SAID_APART
+from coopqp.paths.guarded import GuardedPath, is_known, jump
+from coopqp.paths.path import ObjectPath
+from coopqp.spatial import Array
+
+
+@final
+class PlainLoop:
+    """See the module's description.
+
+    Args:
+        cell, grasp: the arms, and how they hold the object.
+        dt: nominal length of a step [s].
+        options: settings.
+        constraints: further constraints.
+    """
+
+    kernel = "plain"
+
+    def __init__(
+        self, cell: RobotCell, grasp: Grasp, *, dt: float, options: QPOptions, constraints: Constraints
+    ) -> None:
+        self.cell, self.grasp, self.dt, self.options, self._on_path = cell, grasp, dt, options, options
+        turn = Turn()
+        self.hold, self.release = turn.hold, turn.release
+        self.steps_here, self.steps_elsewhere = turn.steps_here, turn.steps_elsewhere
+        self.constraints = constraints
+        self._chain, self._ahead_chain, self._box = Chain(cell, grasp), Chain(cell, grasp), VelocityBox(cell)
+        self._ahead_shift = np.zeros((len(cell), 6))
+        self._shares = options.common_error.shares(cell)
+        self._mean = averaging(self._shares)
+        self.solver = StepSolver(self._chain, self._box, options)
+        self._step = LinearisedStep(self._chain, self._box, self._shares, self.solver, options)
+        self._posture = Posture(cell, options.posture)
+        self._supervision = Supervision(cell, grasp, options.supervision)
+        self._chain_watch = ChainWatch(grasp, options.supervision.apart_from)
+        self._rate_cap = RateCap(cell, self._box, options, dt=dt)
+        self._restricted = tuple(cell.arm_names[k] for k in self._chain.deficient)
+        self._redundant = self._chain.redundancy > 0
+        self._no_rows = no_rows(cell.nv)
+        plan = PlanLimits.of(cell, options.preview or PreviewOptions(), dt=dt)
+        self._braking = BrakingRows(self._chain, plan.acceleration)
+        self._preview: PathPreview | None = None
+        self.state = LoopState(pin.neutral(cell.model), np.zeros(cell.nv), np.zeros(cell.nv))
+
+    # -- starting --------------------------------------------------------------------------------------------------
+
+    def follow(self, path: ObjectPath) -> None:
+        """Take a path; it begins with :meth:`start_path`."""
+        self.path, self._guarded = path, GuardedPath(path)
+        self._on_path = self.options.on(self._guarded.planned_share)
+        self._posture.take(self._on_path.posture)
+        self._ahead: tuple[float, pin.SE3] | None = None
+        self._preview = None
+        if self.options.preview is not None and self._guarded.known_ahead:
+            ahead = ConstraintsAhead(self.cell, self.constraints, self.options.preview.curvature_share, dt=self.dt)
+            preview = PathPreview(
+                self._ahead_chain,
+                path,
+                self._posture,
+                dt=self.dt,
+                options=self._on_path.preview,
+                bound=ahead.bound if self.constraints else None,
+                evade=ahead.evade if self.constraints.evades and not self._guarded.keeps_clear else None,
+                shift=self._ahead_shift,
+            )
+            self._preview = preview
+
+    def take_shift(self, shift: Array) -> Callable[[], bool]:
+        """The tools hold the object shifted by (N, 6) after each call of the returned function; False if not finite."""
+
+        def taken() -> bool:
+            if not np.isfinite(shift).all():
+                return False
+            self._chain.shift_grasp(shift)
+            self._ahead_shift[:] = shift
+            s, change = self.state, among_arms(self.state.grasp_shift - shift)
+            s.mismatch = change if s.mismatch is None else s.mismatch + change
+            s.asked_shift = -change if s.asked_shift is None else s.asked_shift - change
+            s.grasp_shift = shift.copy()
+            return True
+
+        return taken
+
+    #: Where the last step has asked for the object.
+    reference = pin.SE3.Identity()
+
+    def take_minding(self, memory: Array) -> None:
+        """Compare the arms with their wrenches, too, which the owner of ``memory`` puts there."""
+        self._supervision.servos = ServoWatch(memory, self.cell.arm_names)
+
+    def start(self, q: Array) -> None:
+        """Start at rest at ``q``; forget everything."""
+        self.solver.reset()
+        self._supervision.reset()
+        self._posture.reset(q)
+        reins = self.state.reins.started(self.options.blocked_rate)
+        still, shift = np.zeros(self.cell.nv), self.state.grasp_shift
+        self.state = LoopState(q, still, still.copy(), last_dt=self.dt, reins=reins, grasp_shift=shift)
+
+    def start_path(self, clock: float = 0.0, rate: float | None = None) -> None:
+        """Start along the path from ``clock`` on."""
+        s = self.state
+        s.clock, s.first, s.predicted, s.foreseen = clock, True, None, 0.0
+        s.away, s.status = math.inf, Status.TRACKING
+        s.rate, s.rate_slope = (0.0 if self._box.accelerates else s.reins.share) if rate is None else rate, 0.0
+        self.look_ahead_again()
+
+    def take_path(self) -> None:
+        """Forget the pose ahead: the path has changed."""
+        self._ahead = None
+
+    def look_ahead_again(self, rate: float | None = None) -> None:
+        """The path ahead has changed; the object moves along it at a rate."""
+        self.take_path()
+        if rate is not None:
+            self.state.rate, self.state.rate_slope = rate, 0.0
+        self._start_preview()
+
+    def _start_preview(self, *, later: bool = False) -> None:
+        if self._preview is not None:
+            self._preview.reset(self.state.q, self.state.clock, later=later)
+
+    def try_step(self) -> tuple[float, Array]:
+        """σ that a step from here keeps, its cap at most, and the change of the joints' velocities (nv,).
+
+        Nothing is committed, and samples in it count for nothing. The joints may force a rate above the cap.
+        """
+        proposal = self.propose(self.observe(None, None))
+        found = proposal.found.answer
+        return 0.0 if found.braked else min(proposal.given.cap, found.rate), found.velocity - self.state.v
+
+    def memory(self) -> Any:
+        """All that a copy of this loop needs beside its arguments and its path."""
+        preview = None if self._preview is None else self._preview.memory()
+        target = self._posture.target
+        return copy.deepcopy((self.state, self._supervision.memory(), preview, target))
+
+    def restore(self, memory: Any) -> None:
+        """Go on from what :meth:`memory` returned."""
+        self.state, supervision, preview, target = copy.deepcopy(memory)
+        self._supervision.restore(supervision)
+        self._posture.target = target
+        if self._preview is not None and preview is not None:
+            self._preview.restore(preview)
+
+    def set_reins(self, override: float, *, paused: bool) -> None:
+        """Set the override and the pause of the operator, from the next step on."""
+        self.state.reins.override, self.state.reins.paused = override, paused
+
+    @property
+    def reins(self) -> tuple[float, bool]:
+        """Override, and whether the object is paused."""
+        return self.state.reins.override, self.state.reins.paused
+
+    @property
+    def clock(self) -> float:
+        """The object's clock [s]."""
+        return self.state.clock
+
+    @property
+    def rate(self) -> float:
+        """σ of the last step."""
+        return self.state.rate
+
+    @property
+    def q(self) -> Array:
+        """Commanded configuration (nq,)."""
+        return self.state.q
+
+    @property
+    def velocity(self) -> Array:
+        """Commanded joint velocities of the last step (nv,)."""
+        return self.state.v
+
+    # -- observe ---------------------------------------------------------------------------------------------------
+
+    def observe(self, q_measured: Any, dt: Any) -> Observed:
+        """Take one sample: accept or refuse the inputs, and advance the filters."""
+        s, supervision, h, watch, lost = self.state, self._supervision, self.dt, Watch(), False
+        if dt is not None:
+            trouble = supervision.accept_dt(dt, self.dt)
+            if trouble:
+                watch = Watch.holding(trouble)
+            else:
+                h = float(dt)
+        measured = None
+        if q_measured is not None:
+            measured, trouble = supervision.accept_measurement(q_measured, s.q)
+            if trouble:
+                measured, watch = None, Watch.holding(trouble)
+        pose, carried = self._pose(s.clock), self._chain.carried(s.q)
+        trouble, s.away = self._guarded.trouble(s.clock, h, carried[0], s.away)
+        if trouble:
+            measured, watch, lost = None, Watch.holding(trouble), True
+            s.predicted, s.foreseen = None, 0.0  # from another reference
+            pose = held_at(self.grasp, self._shares, CellState(self.cell, s.q))
+        self.reference = pose
+        if s.fault:
+            watch = Watch(0.0, hold=True, fault=True, arm=s.fault_arm, reason=s.fault, cause=s.fault_cause)
+        poses = carried if measured is None else np.concatenate([carried, self._chain.carried(measured)])
+        errors = self._chain.errors(poses, pose)
+        n = len(carried)
+        seen = Observed(h, pose, carried, errors[:n], watch, lost=lost)
+        self._watch_chain(seen)
+        seen.measured = self._let_in(seen, measured, errors[n:])
+        return seen
+
+    def _pose_ahead(self, clock: float) -> pin.SE3 | None:
+        """The path's pose at a clock, kept: most often it is the next step's reference."""
+        if self._ahead is None or self._ahead[0] != clock or not is_known(self.path):
+            pose = self._guarded.pose(clock)
+            self._ahead = None if pose is None else (clock, pose)
+        return None if self._ahead is None else self._ahead[1]
+
+    def _pose(self, clock: float) -> pin.SE3:
+        pose = self._pose_ahead(clock)
+        return held_at(self.grasp, self._shares, CellState(self.cell, self.state.q)) if pose is None else pose
+
+    def _watch_chain(self, seen: Observed) -> None:
+        """Name arms that their commands lead apart; hold them where they are too far apart."""
+        s, watch = self.state, seen.watch
+        found = seen.apart = self._chain_watch.look(seen.errors, s.mismatch, started=s.started, held=s.chain_held)
+        if found.distance <= SAID_APART:
+            return
+        arm, other = (self.cell.arm_names[k] for k in found.arms)
+        reason = PARTED.format(arm=arm, other=other, mm=1e3 * found.distance)
+        if found.holds:
+            watch.lower(Watch.holding(reason, Cause.COMMANDED_CHAIN))
+        elif not watch.reason:
+            watch.reason = reason
+
+    def _let_in(self, seen: Observed, measured: Array | None, errors: Array) -> Array | None:
+        """The object's error for the path correction, from those as measured; None to use the commanded one.
+
+        It is the commanded error plus the further measured error, which fades in slowly. The correction shrinks as the
+        arms get out of step, and vanishes while they hold: the measured error of an arm that does not move would lead
+        the others away from it without end.
+        """
+        s, watch = self.state, seen.watch
+        if measured is not None:
+            away = errors - seen.errors
+            drift = np.zeros(6) if s.drift is None else s.drift
+            s.drift = drift + seen.h / (seen.h + self.options.measurement_time) * (self._mean.dot(away.ravel()) - drift)
+            watch.lower(self._supervision.watch(measured, s.q, away, seen.h, s.v, seen.pose.rotation))
+        servos = self._supervision.servos
+        corrects = 1.0 if servos is None else servos.corrects  # arms that mind forces relax first
+        if watch.hold or (s.drift is None and corrects == 1.0):
+            return np.zeros(6) if watch.hold else None
+        measured_error = self._mean.dot(seen.errors.ravel()) + (0.0 if s.drift is None else s.drift)
+        error: Array = corrects * watch.rate_cap * measured_error
+        return error
+
+    # -- propose ---------------------------------------------------------------------------------------------------
+
+    def propose(self, seen: Observed) -> Proposal:
+        """Find the command."""
+        s, h = self.state, seen.h
+        further = self._no_rows
+        if self.constraints.velocity:
+            try:
+                further = self.constraints.rows(s.q, h, blind=self._blind)
+            except ConstraintTrouble as trouble:
+                seen.watch.lower(Watch.holding(str(trouble), trouble.cause))
+                further = self._no_rows if trouble.rows is None else trouble.rows
+        if s.lost and not seen.lost:
+            self._start_preview(later=True)  # the known horizon is void after the path has failed
+        s.lost = seen.lost
+        cap, binding, late = self._rate_cap.find(s, seen, self._preview)
+        measured = seen.measured
+        if late < 1.0:
+            measured = self._brake_correction(late, seen)
+        rest = self._guarded.duration - s.clock
+        if rest < h * cap:
+            cap = rest / h  # the last step ends at the end
+        pace = min(cap, max(s.rate + s.rate_slope * h, 0.0))  # it goes on to change as it did
+        if self._preview is not None and self._preview.reaches_corner(s.clock, h * cap):
+            pace = cap  # the mean along the path has to see the corner
+        span = min(h * max(pace, LEAST_PACE), rest)
+        along = np.zeros(6)
+        if span > 1e-12 and not seen.lost:
+            ahead = self._pose_ahead(s.clock + span)
+            if ahead is None:
+                seen.watch.lower(Watch.holding(self._guarded.problem))
+                cap = 0.0
+            else:
+                along = np.asarray(pin.log6(seen.pose.actInv(ahead)).vector) / span
+        if self._brakes_together:
+            further = further.and_also(self._braking.rows(s.q, s.v, h, seen.carried[0, 3]))
+        null_along, null_offset = self._wishes(seen.watch.hold)
+        asked = None if s.predicted is None else s.asked_shift
+        given = StepInput(
+            s.q, self.cell.positions(s.q), seen.carried, seen.errors, s.v, s.v_before, h, cap, seen.pose, along,
+            measured, s.predicted, s.foreseen, s.last_dt, asked, null_along, null_offset, further, s.first,
+            seen.watch.hold,
+        )  # fmt: skip
+        return Proposal(seen, given, self._kept(given), binding)
+
+    @property
+    def _blind(self) -> bool:
+        """Whether nothing brakes ahead of further constraints."""
+        return self._preview is None or self._preview.blind
+
+    @property
+    def _brakes_together(self) -> bool:
+        """Whether no look-ahead covers the motion: none has one, or arms that give way have left their path."""
+        leaves = self.constraints.gives_way and self._box.accelerates and self.state.correcting is not None
+        return self._blind or leaves
+
+    def _kept(self, given: StepInput) -> LinearisedAnswer:
+        """The answer; again with tighter rows where it violates their constraints."""
+        found = self._step.answer(given)
+        for _ in range(MOST_TIGHTENINGS):
+            v = found.answer.velocity
+            rows = self.constraints.tightened(given.further, self.cell.moved(given.q, given.h * v), v, given.h)
+            if rows is None:
+                break
+            given.further = rows
+            found = self._step.answer(given)
+        return found
+
+    def _brake_correction(self, keep: float, seen: Observed) -> Array:
+        """The error that the path correction sees, limited so that the correction is ``keep`` of the last one."""
+        s = self.state
+        error = self._mean.dot(seen.errors.ravel()) if seen.measured is None else seen.measured.copy()
+        for part in (slice(0, 3), slice(3, 6)):
+            now = self.options.path_gain * float(np.linalg.norm(error[part]))
+            allowed = 0.0 if s.correcting is None else keep * float(np.linalg.norm(s.correcting[part]))
+            if now > allowed:
+                error[part] *= allowed / now
+        return error
+
+    def _wishes(self, hold: bool) -> tuple[Array, Array]:
+        """Joint velocities wished for in the null-space, per unit of rate and besides."""
+        s, nothing = self.state, np.zeros(self.cell.nv)
+        if not self._redundant:
+            return nothing, nothing
+        if self._preview is not None and not self._preview.blind:
+            q_ahead, slope = self._preview.reference(s.clock)
+            offset = self._on_path.posture.gain * pin.difference(self.cell.model, s.q, q_ahead)
+        else:
+            slope, offset = nothing, self._posture.velocity(s.q)
+        return slope, nothing if hold else s.reins.ease * offset
+
+    # -- commit ----------------------------------------------------------------------------------------------------
+
+    def commit(self, proposal: Proposal, began: float) -> ControlStep:
+        """Move the state by the proposed command."""
+        s, seen, found = self.state, proposal.observed, proposal.found
+        answer, watch, h, duration = found.answer, seen.watch, seen.h, self._guarded.duration
+        v, q, clock = answer.velocity, s.q, s.clock
+        q_next = self.cell.moved(q, h * v)
+        binding = proposal.binding
+        if answer.active:
+            binding = self.names(answer.active, h, proposal.given.further)
+        binding = self.constraints.measured(binding, q)
+        rate = min(max(float(answer.rate), 0.0), 1.0)
+        clock_next = clock + rate * h
+        if duration - clock_next < 1e-9 * duration:
+            clock_next = duration
+        # the last step needs less than the full rate, but nothing slows it
+        share = 1.0 if rate >= 1.0 or (clock_next >= duration and not watch.hold) else rate
+        status, by_qp = Status.TRACKING, answer.report is not NO_SOLVE
+        if share <= 1.0 - 1e-6:
+            status = slow_status(
+                s, share, binding, self._preview, self.options.blocked_rate, outside=self._box.any_outside, dt=self.dt
+            )
+        status = lasting(s, status, share, binding, h=h, blind=self._blind)
+        if s.reins.share < self.options.blocked_rate and share < self.options.blocked_rate:
+            status = Status.PAUSED if rests(answer.off_path) else Status.SLOWED
+            binding = binding or (OVERRIDE,)
+        away = away_from_path(s, found, self.options)
+        reason = watch.reason or answer.reason
+        if watch.hold or answer.braked:
+            status = Status.HOLDING
+        elif away:
+            status, reason = Status.OFF_PATH, "; ".join(filter(None, (away, reason)))
+        elif status is Status.PAUSED:
+            binding = (OVERRIDE,)  # whatever else would stop it
+        if inside := self.constraints.inside(q):
+            binding = tuple(dict.fromkeys((*inside, *binding)))
+            if not watch.hold:
+                reason = "; ".join(filter(None, (reason, too_close(inside))))
+        if watch.hold and watch.fault:
+            status, s.fault, s.fault_arm, s.fault_cause = Status.FAULT, watch.reason, watch.arm, watch.cause
+        stopped = status in (Status.SLOWED, Status.BLOCKED) and any(b.kind is LimitKind.PATH_JUMP for b in binding)
+        if stopped and not reason and self._preview is not None and self._preview.jump is not None:
+            clock_of_jump, far = self._preview.jump
+            reason = jump(far, clock_of_jump)
+        watched = Cause.SOLVER if answer.braked and not watch.hold else watch.cause
+        cause = cause_of(status, watched, binding, measured=s.drift is not None)
+        for array in (v, q_next):
+            array.flags.writeable = False  # the loop goes on from them
+        step = ControlStep(
+            cell=self.cell,
+            grasp=self.grasp,
+            path=self.path,
+            q=q,
+            velocity=v,
+            q_next=q_next,
+            dt=h,
+            clock=clock,
+            clock_next=clock_next,
+            rate=share,
+            status=status,
+            reason=reason,
+            cause=cause,
+            binding=inside if status is Status.TRACKING and not by_qp else binding,
+            given_up=given_up(found, share, self._restricted),
+            solver=answer.report,
+            commanded_apart=seen.apart.distance,
+            clearance=self.constraints.nearest(q),
+            build_time_s=time.perf_counter() - began - answer.report.time_s,
+        )
+        if by_qp or self._box.accelerates:
+            c = found.correction
+            s.correcting = c if c @ c > NEGLIGIBLE else None
+        foresees = answer.chain == 0.0 and not answer.braked and not seen.lost
+        s.predicted, s.foreseen = (found.predicted, found.foreseen) if foresees else (None, 0.0)
+        s.mismatch = expected(seen.apart.mismatch, proposal.given.asked if found.makes_up else None, found.closes)
+        s.started, s.asked_shift, s.chain_held = True, None, seen.apart.holds
+        s.v_before, s.v, s.q = found.stand_in, v, step.q_next
+        s.rate_slope, s.rate, s.clock = (rate - s.rate) / h, rate, clock_next
+        s.last_dt, s.first, s.status = h, False, status
+        s.reins.advance(self.options.blocked_rate, self._rate_cap.slope * h)
+        return step
+
+    def names(self, active: tuple[tuple[int, float], ...], h: float, further: Rows) -> tuple[BindingLimit, ...]:
+        """Rows of a step, by name."""
+        box, nv = self._box, self.cell.nv
+        return tuple(
+            box.binding(row, side, self.state.v, h) if row < nv else self._label(int(further.owner[row - nv]))
+            for row, side in active
+        )
+
+    def _label(self, owner: int) -> BindingLimit:
+        return self.constraints.labels[owner] if owner >= 0 else self._braking.labels[-1 - owner]

@@ -1,0 +1,87 @@
+"""The largest rate of a step along the path, and the limit that sets it."""
+
+from __future__ import annotations
+
+from typing import final
+
+import numpy as np
+
+from coopqp.control.lookahead.options import PreviewOptions
+from coopqp.control.lookahead.preview import PathPreview
+from coopqp.control.monitoring.watch import Watch
+from coopqp.control.options import QPOptions
+from coopqp.control.speed_override import blind_brake
+from coopqp.control.step.state import LoopState, Observed
+from coopqp.control.step.velocity_bounds import VelocityBox
+from coopqp.model.cell import RobotCell
+from coopqp.model.limits import BindingLimit, LimitKind
+from coopqp.native.constants import BRAKING_SHARE, RATE_ROUNDING
+
+#: The limit that stands for the override.
+OVERRIDE = BindingLimit("", "", LimitKind.OVERRIDE)
+
+
+@final
+class RateCap:
+    """The largest rate of a step of the plain loop.
+
+    Args:
+        cell: the arms.
+        box: limits of the joints, which brake ahead of them.
+        options: of the controller.
+        dt: nominal length of a step [s].
+
+    Attributes:
+        slope: change of σ by the override and by the null-space motion, where no joint says more [1/s].
+    """
+
+    def __init__(self, cell: RobotCell, box: VelocityBox, options: QPOptions, *, dt: float) -> None:
+        self._cell, self._box = cell, box
+        self.slope = (options.preview or PreviewOptions()).slope(accelerates=box.accelerates, dt=dt)
+        self._rise = None if options.preview is None else self.slope
+
+    def find(
+        self, s: LoopState, seen: Observed, preview: PathPreview | None
+    ) -> tuple[float, tuple[BindingLimit, ...], float]:
+        """The fastest rate that what is ahead, the supervision and the last rate allow, what makes it so, and the share
+        of their speed that joints keep if they have to brake now."""
+        watch, h = seen.watch, seen.h
+        cap, keep = 1.0, 1.0
+        binding: tuple[BindingLimit, ...] = ()
+        if preview is not None:
+            cap, ahead = preview.cap(s.clock, h)
+            if preview.trouble:
+                watch.lower(Watch.holding(preview.trouble))
+            if ahead is not None:
+                binding = (ahead,)
+        blind = preview is None or preview.blind
+        if self._box.accelerates and (blind or s.correcting is not None):
+            keep, late = self._box.brake_share(self._cell.positions(s.q), s.v, h)
+            if keep < 1.0 and blind and keep * s.rate < cap:
+                cap, binding = keep * s.rate, (self._cell.joint_limit(late, LimitKind.POSITION),)
+        if watch.rate_cap < cap:
+            cap = watch.rate_cap
+            out_of_step = BindingLimit(self._cell.arm_names[watch.arm], "", LimitKind.OUT_OF_STEP)
+            binding = () if watch.arm < 0 else (out_of_step,)
+        if s.rate < 1.0 and self._rise is not None:
+            most, limit = (np.inf, None) if preview is None else preview.rise(s.clock)
+            rise = s.rate + min(self._rise, most) * h
+            if rise < cap - RATE_ROUNDING:
+                cap, binding = rise, () if limit is None or most > self._rise else (limit,)
+        reined = self._reined(s, h, preview)
+        if reined < cap:
+            cap, binding = reined, (OVERRIDE,)
+        return cap, binding, keep
+
+    def _reined(self, s: LoopState, h: float, preview: PathPreview | None) -> float:
+        """The largest rate by the override, reached as fast as the joints can follow."""
+        share = s.reins.share
+        if share >= s.rate or not s.v.any():
+            return share
+        if not self._box.accelerates:
+            fall = self.slope
+        elif preview is None or preview.blind or not preview.knows:
+            fall = blind_brake(s.v, BRAKING_SHARE * self._box.limits.acceleration, s.rate)
+        else:
+            fall = preview.brake(s.clock, h, s.rate)
+        return max(share, s.rate - fall * h)

@@ -1,0 +1,148 @@
+"""Starts: do the arms hold the object at the beginning of its path, deviations worth a warning, and the first rate."""
+
+from __future__ import annotations
+
+import numpy as np
+import pinocchio as pin
+
+from coopqp.checks import ArrayLike, read_only
+from coopqp.errors import InvalidInputError
+from coopqp.model.branches import AT_LIMIT, amount
+from coopqp.model.cell import RobotCell, slides
+from coopqp.model.grasp import Grasp
+from coopqp.model.state import CellState
+from coopqp.paths.guarded import GuardedPath
+from coopqp.paths.path import ObjectPath
+from coopqp.spatial import Array
+
+#: Default of the largest accepted error of an arm at reset [m, rad].
+START_TOLERANCE_M, START_TOLERANCE_RAD = 0.02, np.deg2rad(3.0)
+#: Smallest deviation from grasp or path that a start reports [m, rad].
+_SAID_FROM = 5e-5, np.deg2rad(5e-3)
+#: A path with a square of its speed below this rests [m²/s²].
+_STILL = 1e-12
+
+
+def check_start(
+    cell: RobotCell,
+    grasp: Grasp,
+    path: ObjectPath,
+    q: ArrayLike,
+    *,
+    tolerance_m: float = START_TOLERANCE_M,
+    tolerance_rad: float = START_TOLERANCE_RAD,
+    clock: float = 0.0,
+) -> Array:
+    """Check that the arms hold the object where the path is at ``clock`` [s].
+
+    Returns:
+        ``q`` (nq,), or the mean of its rows (n, nq), as a read-only array.
+
+    Raises:
+        InvalidInputError: an arm does not; the message names the arm and its distance from the path.
+    """
+    configuration = cell.at_rest(q, "reset: q")
+    guarded = GuardedPath(path)
+    start = guarded.pose(clock)
+    if start is None:
+        raise InvalidInputError(guarded.problem, "reset", "A path needs a pose where it starts.")
+    where = f"its path at {clock:g} s" if clock > 0.0 else "the start of its path"
+    for name, O in zip(cell.arm_names, grasp.carried(CellState(cell, configuration)), strict=True):
+        error = pin.log6(start.actInv(O)).vector
+        d, a = float(np.linalg.norm(error[:3])), float(np.linalg.norm(error[3:]))
+        if d > tolerance_m or a > tolerance_rad:
+            raise InvalidInputError(
+                f"arm '{name}' holds the object {1e3 * d:.1f} mm and {np.rad2deg(a):.2f}° from {where} "
+                f"(tolerance {1e3 * tolerance_m:g} mm, {np.rad2deg(tolerance_rad):.3g}°)",
+                "reset: q",
+                "Start where the arms meet the grasp (coopqp.inverse_kinematics, coopqp.find_start), or widen "
+                "the start tolerance.",
+            )
+    return read_only(configuration)
+
+
+def held_command(cell: RobotCell, q: Array, commanded: ArrayLike, largest: float) -> Array:
+    """The configuration (nq,) that the robots hold, checked against the measured one.
+
+    Args:
+        cell: the arms.
+        q: measured configuration (nq,).
+        commanded: what the robots' controllers hold (nq,).
+        largest: largest distance of a joint from its command that is believed [rad or m].
+
+    Raises:
+        InvalidInputError: it is no configuration, or a joint is measured elsewhere.
+    """
+    held = cell.check_configuration(commanded, "reset: commanded")
+    away = np.abs(pin.difference(cell.model, held, q))
+    worst = int(away.argmax())
+    if away[worst] > largest:
+        raise InvalidInputError(
+            f"joint {cell.joint_names[worst]} is measured {away[worst]:.3g} rad (or m) from its command",
+            "reset: commanded",
+            "Give the targets that the robots hold at the time of the measurement, in the order of cell.joint_names.",
+        )
+    return held
+
+
+def odd_start(cell: RobotCell, grasp: Grasp, shares: Array, pose: pin.SE3 | None, q: Array) -> tuple[str, ...]:
+    """Sentences about joints outside limits, arms off the grasp, an object off its path; empty if all is well.
+
+    Args:
+        cell, grasp: the arms, and how they hold the object.
+        shares: of the arms in the common error (N, 6).
+        pose: the path's; None to judge the grasp only.
+        q: configuration (nq,).
+    """
+    found = [_outside_limits(cell, q)]
+    O = grasp.carried(CellState(cell, q))
+    reference = O[0] if pose is None else pose
+    errors = np.array([pin.log6(reference.actInv(other)).vector for other in O])
+    if 4.0 * np.abs(errors).max() < min(_SAID_FROM):  # no norm of a difference is larger
+        return tuple(words for words in found if words)
+    common = (shares * errors).sum(axis=0)
+    off = errors - common
+    worst = np.linalg.norm(off[:, :3], axis=1) / _SAID_FROM[0] + np.linalg.norm(off[:, 3:], axis=1) / _SAID_FROM[1]
+    arm = int(worst.argmax())
+    if _off(off[arm]):
+        found.append(f"arm {cell.arm_names[arm]} started off its grasp: it is {_off(off[arm])} off")
+    if pose is not None and _off(common):
+        found.append(f"the object started off its path: it is {_off(common)} off")
+    return tuple(words for words in found if words)
+
+
+def _outside_limits(cell: RobotCell, q: Array) -> str:
+    """The arm and the joint that is furthest outside its position limits, in words; empty if all are inside."""
+    x, limits = cell.positions(q), cell.limits
+    excess = np.maximum(limits.lower - x, x - limits.upper)
+    j = int(excess.argmax())
+    if not excess[j] > AT_LIMIT:
+        return ""
+    arm, _, joint = cell.joint_names[j].partition("/")
+    outside = amount(float(excess[j]), slides=slides(cell)[j])
+    return f"arm {arm} started outside its limits: {joint} is {outside} outside"
+
+
+def _off(error: Array) -> str:
+    """A distance and an angle in words; empty if both are below ``_SAID_FROM``."""
+    d, a = float(np.linalg.norm(error[:3])), float(np.linalg.norm(error[3:]))
+    parts = [f"{1e3 * d:.2f} mm"] if d > _SAID_FROM[0] else []
+    parts += [f"{np.rad2deg(a):.2f}°"] if a > _SAID_FROM[1] else []
+    return " and ".join(parts)
+
+
+def rate_into(rate: float, now: Array, ahead: Array, *, length: float) -> float | None:
+    """The rate on another path that comes closest to the object's present motion; None if it starts from rest.
+
+    Args:
+        rate: σ on the present path.
+        now, ahead: twists of both paths at rate 1, in the object's own frame (6,) [m/s, rad/s].
+        length: weighs rotation against translation [m].
+    """
+    metric = np.array([1.0] * 3 + [length**2] * 3)
+    before, square = float(now @ (metric * now)), float(ahead @ (metric * ahead))
+    if rate == 0.0 or (square < _STILL <= before):
+        return None
+    if before < _STILL and square < _STILL:  # both rest at any rate
+        return rate
+    return min(max(rate * float(ahead @ (metric * now)) / square, 0.0), 1.0)

@@ -1,0 +1,397 @@
+"""Relax the forces between the arms: the object stays on its path, the grasps in the controller give way.
+
+Wrist sensors tell the wrench ``w_k`` of each arm on the object. The load is shared with the least wrenches at the
+tools, S; the rest is internal: ``w_s = (I − S Σ) w``. A push ``w_s,k`` displaces arm k by
+``e_k = C_k w_s,k``, with the compliance of its servos ``C_k = A_k Kp⁻¹ A_kᵀ``. So its place on the object moves by
+
+    ``u_k = −(e_k − Σ_j s_j e_j) / (ρ T) + σ D_k,   d_k ← d_k + u_k dt,   X_k ← exp(d_k) X_k``
+
+with the shares s of the common error, so that the object stays. ρ is the servos' real stiffness over the given one.
+Where a base is off, the grasps have to move as the object does: D is what the path asks for at the full rate, learned
+in the time T_D, ``D_k ← D_k − σ (e_k − Σ_j s_j e_j) / (ρ T) dt / T_D``.
+
+Where arms mind forces in some directions only, F takes from the wrenches what they mind, and Fᵀ from the grasps what
+may move; the others keep their commanded places. Grasps that move by d change the internal wrenches by −G d, with the
+stiffness of the grip ``G = C⁻¹ − C⁻¹ Σᵀ (Σ C⁻¹ Σᵀ)⁻¹ Σ C⁻¹`` of all C_k together. So ``e = Fᵀ (F G Fᵀ)⁺ F w_s``: every
+force that is minded decays with T (all of them minded, that is C w_s again). C alone leaves forces that take up to 250
+times as long, where the master keeps its place: its own compliance is missing then.
+
+The loop is 1 / (T s) · exp(−d s). It is damped well if (d + dt) / T is at most 1/2, doubts about the servos included.
+"""
+
+from __future__ import annotations
+
+import copy
+import math
+from typing import Any, final
+
+import numpy as np
+import pinocchio as pin
+
+from coopqp.control.core import minding_of
+from coopqp.control.core.relax_plain import AT, gives_way, minding_size, minding_views
+from coopqp.control.monitoring.stress import servo_wrenches
+from coopqp.errors import InvalidInputError
+from coopqp.forces.force_options import ForceOptions
+from coopqp.forces.frictional_contacts import palm_rows, pressing
+from coopqp.forces.internal import load_shares
+from coopqp.forces.presses import of_grip
+from coopqp.forces.sensor_check import SensorCheck
+from coopqp.forces.stress import per_joint
+from coopqp.model.cell import RobotCell
+from coopqp.model.chain import Chain
+from coopqp.model.grasp import Grasp
+from coopqp.native.constants import LOOK_EVERY
+from coopqp.spatial import Array, skew
+
+#: Smaller shares of a stiffness count as 0.
+_LEAST_PART = 1e-9
+#: Metric of torques where the size of a wrench is told [m].
+_LENGTH = 0.3
+#: Largest (d + dt) / T with the doubt.
+_LARGEST_GAIN = 0.5
+#: The same with the delay that was measured: beyond it a sensor is late.
+_LATEST = 0.55
+#: The same where it relaxes more slowly for a sensor that is late, up to this delay [s].
+_SLOWED_GAIN, _TOO_LATE = 0.4, 0.15
+#: Pressing: force at which it ends [N], first and last distance [m], speed [m/s].
+_PRESS, _PRESS_LEAST, _PRESS_MOST, _PRESS_SPEED = 3.0, 1e-5, 5e-4, 5e-4
+#: Range of the measured ρ. Softer servos than given are not answered faster, as their damping need not be softer; but
+#: their deflection is judged by it.
+_STIFFEST = (0.05, 20.0)
+#: Attributes that change.
+_VARYING = ("_pressed", "_pressing", "_waited", "_felt", "_grows", "_base")
+#: A contact pushes with at least this share of the payload's weight, and this force [N], if nothing else is told.
+_CONTACT, _LEAST_CONTACT = 0.2, 25.0
+#: A direction is called by an axis from this cosine on.
+_ALONG = 0.95
+#: Time for which palms press steadily before the object moves [s], and the share of the squeeze that may be missing.
+_STEADY, _PRESSED = 0.5, 0.1
+#: The settings that a step needs, by their place in its memory.
+_SETTINGS = {
+    "WRENCH_FILTER": "filter_time", "DEAD_BAND": "dead_band", "RELAX_TIME": "relax_time", "DRIFT_TIME": "drift_time",
+    "RAMP_TIME": "ramp_time", "WRENCH_SILENCE": "silent_time",
+    "MOST_SPEED": "speed", "MOST_SPIN": "spin", "MOST_REACH": "reach", "MOST_TURN": "turn",
+    "FORCE_SLOWS": "slow_from", "FORCE_HOLDS": "hold_from", "SQUEEZE": "squeeze", "MOST_SQUEEZE": "most_squeeze",
+}  # fmt: skip
+
+
+@final
+class Relaxation:
+    """Internal wrenches, and how the grasps give way to them.
+
+    Args:
+        cell, grasp: the arms, and how they are told to hold the object.
+        options: settings.
+        dt: nominal length of a step [s].
+        shares: s, share of each arm in the object's pose (N, 6).
+        kernel: the code of a step, ``"compiled"`` or ``"plain"``.
+
+    Attributes:
+        memory: numbers of :data:`coopqp.native.layout.MINDING`, and the vectors below.
+        internal: internal wrenches of the arms on the object beside the squeeze that is asked for, filtered (N, 6)
+            [N, N·m], in the object frame; the next step changes it in place.
+        seen: the last wrenches at the tools (N, 6) [N, N·m]; the next step changes it in place.
+        shift: d, the motion by which each grasp has given way, in the object frame (N, 6) [m, rad]; the next step
+            changes it in place.
+        silent: time since each arm's last wrench (N,) [s]; the next step changes it in place.
+
+    Raises:
+        InvalidInputError: bad settings, also those with which forces would swing.
+    """
+
+    def __init__(
+        self, cell: RobotCell, grasp: Grasp, options: ForceOptions, *, dt: float, shares: Array, kernel: str
+    ) -> None:
+        self.options, n = options, len(cell)
+        if options.stiffness is None:
+            raise InvalidInputError("no stiffness", "ForceOptions", "Give the stiffness of the joint servos.")
+        gain = options.softness_doubt * (options.delay + dt) / options.relax_time
+        if gain > _LARGEST_GAIN * (1.0 + 1e-9):
+            raise InvalidInputError(
+                f"forces would swing: softness_doubt (delay + dt) / relax_time is {gain:.2f}, above {_LARGEST_GAIN:g}",
+                "ForceOptions",
+                f"Give a relax_time of at least {gain / _LARGEST_GAIN * options.relax_time:.3g} s.",
+            )
+        self._cell, self._grasp, self._chain = cell, grasp, Chain(cell, grasp)
+        self._softness = 1.0 / per_joint(options.stiffness, cell.nv, "ForceOptions: stiffness")
+        self._to_object, self._load_shares = load_shares(grasp)
+        total = np.tile(np.eye(6), n)
+        (self._relax, self._allow), self.memory = minding_of(kernel), np.zeros(minding_size(n))
+        self._put_settings()
+        views = minding_views(self.memory, n)
+        self.internal, self.shift, self.silent = views["internal"], views["shift"], views["silent"]
+        self.seen, self._yields, self._compliances = views["seen"], views["yields"], views["compliances"]
+        self._held, self._reference = views["held"], views["reference"]
+        # The wrenches that count, in the tools' axes. Palms answer with the twists of the whole wrench, so that they
+        # keep their real places in the other directions.
+        felt = np.zeros((6 * n, 6 * n))
+        for k, (X, mind) in enumerate(zip(grasp.T_object_tool, options.minded(n), strict=True)):
+            own = slice(6 * k, 6 * k + 6)
+            felt[own, own] = (X.actionInverse.T * mind) @ X.action.T
+        views["internal_of"][:] = felt @ (np.eye(6 * n) - self._load_shares @ total) @ self._to_object
+        if options.palms is not None:
+            press = options.squeeze * pressing(options.palms)
+            views["target"][:] = (views["internal_of"] @ press.ravel()).reshape(-1, 6)
+            views["squeezed"][:], views["palms"][:] = views["target"], palm_rows(options.palms)
+        self._put_load(views["unfed_of"], views["carries"], total)
+        #: F, where arms keep their places in some directions.
+        self._felt_part = None if options.palms is not None or options.minded(n).all() else felt
+        self._starting = self.memory.copy()
+        #: Maps displacements of the arms to displacements of their grasps.
+        self._relative = np.eye(6 * n) - np.tile(np.hstack([np.diag(s) for s in shares]), (n, 1))
+        if options.palms is not None:  # each arm makes up for what its own servos yield: the object stays where it is
+            self._relative = np.eye(6 * n)
+        points = np.array([X.translation for X in grasp.T_object_tool])
+        inward = np.concatenate([points.mean(axis=0) - points, np.zeros_like(points)], axis=1)
+        moves = self._relative if self._felt_part is None else self._relative @ self._felt_part.T
+        inward = (moves @ inward.ravel()).reshape(-1, 6)
+        #: How the grasps move where the arms press: towards each other.
+        self._inward = inward / max(float(np.linalg.norm(inward[:, :3], axis=1).max()), 1e-9)
+        self.begin(np.zeros((n, 6)))
+
+    def _put_settings(self) -> None:
+        o, m = self.options, self.memory
+        for place, name in _SETTINGS.items():
+            m[AT[place]] = getattr(o, name)
+        palms = o.palms is not None
+        m[AT["HAS_PALMS"]] = palms
+        m[AT["WAIT"]] = _STEADY if palms else 2.0 * o.relax_time
+        m[AT["PRESSED_BELOW"]] = _PRESSED * o.squeeze if palms else math.inf
+        m[AT["MOVE_BELOW"]] = max(o.move_below, 2.0 * o.dead_band, _PRESSED * o.squeeze)
+
+    def _put_load(self, unfed_of: Array, carries: Array, total: Array) -> None:
+        """What the drives are fed forward of the wrenches: the payload's weight, or the sum of all wrenches."""
+        payload, m = self.options.payload, self.memory
+        m[AT["RIGID"]] = self.options.palms is None
+        m[AT["CONTACT_LIMIT"]] = math.inf
+        if payload is None:
+            unfed_of[:] = (np.eye(len(total.T)) - self._load_shares @ total) @ self._to_object
+            return
+        unfed_of[:] = self._to_object
+        minding_views(m, len(self._cell))["centre"][:] = payload.centre
+        carries[:] = self._load_shares @ np.vstack([np.eye(3), skew(payload.centre)])
+        weight = m[AT["WEIGHT_X"] : AT["WEIGHT_Z"] + 1] = -payload.mass * self._cell.model.gravity.linear
+        m[AT["LOAD_MASS"]] = payload.mass
+        limit = self.options.contact_limit
+        least = max(_LEAST_CONTACT, _CONTACT * float(np.linalg.norm(weight)))
+        if self.options.palms is not None:  # a stand hides what the object weighs until it moves
+            least = math.inf
+        m[AT["CONTACT_LIMIT"]] = least if limit is None else limit
+
+    def begin(self, shift: Array) -> None:
+        """Forget everything; the grasps are shifted by ``shift`` (N, 6)."""
+        n, m = len(self._cell), self.memory
+        asked = m[AT["ASKED"]]
+        m[:] = self._starting
+        m[AT["ASKED"]], m[AT["STIFFER"]], self.shift[:], self._held[:] = asked, 1.0, shift, shift
+        m[AT["FORCE_CAP"]], m[AT["PRESSED_WITH"]] = 1.0, self.options.squeeze
+        m[AT["CORRECTS"]] = self.options.palms is not None
+        self._pressed = self._pressing = self._waited = 0.0
+        self._felt: Array | None = None
+        self._grows, self._base = np.zeros(6 * n), np.zeros((n, 6))
+
+    def kept(self) -> dict[str, Any]:
+        """The state of a copy."""
+        return {"memory": self.memory.copy(), **{name: getattr(self, name) for name in _VARYING}}
+
+    def restore(self, kept: dict[str, Any]) -> None:
+        """Go on from what :meth:`kept` returned."""
+        self.memory[:] = kept["memory"]
+        vars(self).update({name: copy.deepcopy(kept[name]) for name in _VARYING})
+
+    @property
+    def size(self) -> float:
+        """Size of the largest internal wrench [N]; a torque of 0.3 N·m counts as 1 N."""
+        return self.memory.item(AT["SIZE"])
+
+    @property
+    def stiffer(self) -> float:
+        """ρ."""
+        return self.memory.item(AT["STIFFER"])
+
+    # -- a step --------------------------------------------------------------------------------------------------
+
+    def step(self, wrenches: Array | None, dt: float) -> int:
+        """Take wrenches at the tools, and move the grasps: ``relax.cpp``, which ``relax_plain.py`` says in NumPy.
+
+        Args:
+            wrenches: (N, 6) [N, N·m], ``dt`` seconds after the last ones; None or NaN for missing ones.
+            dt: length of the step [s].
+
+        Returns:
+            ``HEARD``; ``MISSED`` if a wrench is missing, ``SILENT`` if one has been missing for too long.
+        """
+        return self._relax(self.memory, len(self._cell), wrenches, dt)
+
+    def refer(self, pose: pin.SE3, dt: float) -> None:
+        """The object was asked for at ``pose``, in a step of ``dt`` [s]."""
+        m = self.memory
+        m[AT["REFERENCE_DT"]], m[AT["ASKED_DT"]] = m[AT["ASKED_DT"]], dt
+        self._reference[:9], self._reference[9:] = pose.rotation.ravel(), pose.translation
+
+    def contact(self) -> str:
+        """The force and the direction of what touches the object, in words."""
+        force = minding_views(self.memory, len(self._cell))["push"][2]
+        size = float(np.linalg.norm(force))
+        way = force / max(size, 1e-9)
+        k = int(np.abs(way).argmax())
+        if abs(way[k]) > _ALONG:
+            towards = f"{'+-'[int(way[k] < 0.0)]}{'xyz'[k]}"
+        else:
+            towards = "({:.1f}, {:.1f}, {:.1f})".format(*(np.round(way, 1) + 0.0))  # no -0.0
+        limit = self.memory[AT["CONTACT_LIMIT"]]
+        return f"{size:.0f} N have pushed it towards {towards} of the world (from {limit:.0f} N on)"
+
+    def allow(self, dt: float) -> float:
+        """The largest rate of the object in this step: ``allow.cpp``, which ``allow_plain.py`` says in NumPy."""
+        self._allow(self.memory, len(self._cell), dt)
+        return self.memory.item(AT["ALLOWED"])
+
+    @property
+    def gives(self) -> bool:
+        """The grasps give way in the next step, unless a sensor is silent for too long."""
+        return gives_way(self.memory)
+
+    @property
+    def aged(self) -> bool:
+        """The compliances have to be looked at again."""
+        return self.memory.item(AT["AGE"]) >= LOOK_EVERY
+
+    # -- the wrenches --------------------------------------------------------------------------------------------
+
+    def off_servos(self, commanded: Array, measured: Array) -> Array:
+        """Differences of the sensors from the estimate by servos and feed-forward (N, 6).
+
+        Without a payload, the part that an ideal share of some load explains counts as fed forward.
+        """
+        R = self.look(measured)
+        turned = self._chain.twists(pin.difference(self._cell.model, measured, commanded)) @ R
+        off = self._to_object @ self.seen.ravel() - servo_wrenches(self._compliances, turned).ravel()
+        carried = self._carried(R) if self.options.palms is None else None  # palms do not carry it yet
+        load = off.reshape(-1, 6).sum(axis=0) if carried is None else carried
+        out: Array = (off - self._load_shares @ load).reshape(-1, 6)
+        return out
+
+    def _carried(self, R: Array) -> Array | None:
+        """The load that the drives carry by feed-forward, in the object frame (6,) [N, N·m]; None if it is not told."""
+        payload = self.options.payload
+        if payload is None:
+            return None
+        weight = -payload.mass * R[:3, :3].T @ self._cell.model.gravity.linear
+        return np.concatenate([weight, np.cross(payload.centre, weight)])
+
+    def sensor_check(self, q: Array, dt: float) -> SensorCheck | None:
+        """The check of the sensors by presses from rest at ``q`` (nq,); None where arms cannot press all ways."""
+        o = self.options
+        if not o.presses or o.palms is not None or self._felt_part is not None or self._chain.deficient:
+            return None
+        return SensorCheck(
+            self._cell,
+            self._grasp,
+            softness=self._softness,
+            q=q,
+            load=self._carried(self.look(q)),
+            tolerance=o.sensor_tolerance,
+            latest=_LATEST * o.relax_time - dt,
+        )
+
+    def look(self, q: Array) -> Array:
+        """Look at the compliances at ``q``. Returns blockdiag(R, R) of the object (6, 6)."""
+        chain = self._chain
+        O = chain.carried(q)[0]
+        chain.evaluate(q, about=O[3].copy())
+        R = np.zeros((6, 6))
+        R[:3, :3] = R[3:, 3:] = O[:3].T
+        self._compliances[:] = R.T @ chain.compliances(self._softness) @ R
+        if self._felt_part is not None:
+            self._yields[:] = self._relative @ yields_in_part(self._compliances, self._felt_part)
+        else:  # relative @ blockdiag(C)
+            for k, own in enumerate(self._compliances):
+                self._yields[:, 6 * k : 6 * k + 6] = self._relative[:, 6 * k : 6 * k + 6] @ own
+        self.memory[AT["AGE"]] = 0.0
+        return R
+
+    # -- motion of the grasps ------------------------------------------------------------------------------------
+
+    def press(self, dt: float) -> bool:
+        """Move the grasps together until a force is felt, wait for all of it, and learn ρ; true when that is done.
+
+        Forces may grow by themselves, where the object does: how fast is seen before, and is left out.
+        """
+        o = self.options
+        settled = o.delay + 4.0 * o.filter_time + 2.0 * dt
+        self._pressing += dt
+        felt = self._yields @ self.internal.ravel()
+        if self._felt is None:
+            self._felt = felt
+        if self._pressing <= settled:  # nothing is done yet
+            self._grows = (felt - self._felt) / self._pressing
+            self._base = self.internal.copy()
+            return False
+        felt_none = _size(self.internal - self._base) < _PRESS and self._pressed < _PRESS_MOST
+        if self._waited == 0.0 and (felt_none or self._pressed < _PRESS_LEAST):
+            self._pressed += dt * _PRESS_SPEED
+            self.shift += dt * _PRESS_SPEED * self._inward
+            return False
+        self._waited += dt
+        if self._waited <= settled:
+            return False
+        way = self._pressed * self._inward.ravel()
+        answer = felt - self._felt - self._pressing * self._grows
+        if way.any():  # some arm minds forces towards the others
+            self.memory[AT["STIFFER"]] = self.accepted(answer @ way / (way @ way))
+        return True
+
+    @staticmethod
+    def accepted(stiffer: float) -> float:
+        """A measured ρ within the range that is answered."""
+        return float(np.clip(stiffer, *_STIFFEST))
+
+    def slow_down(self, delay: float, dt: float) -> bool:
+        """Relax no faster than wrenches that come after ``delay`` [s] allow; false if that is too late for any pace."""
+        m, slower = self.memory, max((delay + dt) / (_SLOWED_GAIN * self.options.relax_time), 1.0)
+        for name in ("RELAX_TIME", "DRIFT_TIME", "WAIT"):
+            m[AT[name]] *= slower
+        return delay <= _TOO_LATE
+
+    def far(self, shift: Array) -> float:
+        """The largest shift of a grasp (N, 6), as a share of its reach."""
+        far, turned = np.linalg.norm(shift[:, :3], axis=1).max(), np.linalg.norm(shift[:, 3:], axis=1).max()
+        return float(max(far / self.options.reach, turned / self.options.turn))
+
+    def found(self, q: Array) -> Array:
+        """Where the arms hold the object at ``q``, as a shift of the grasps (N, 6).
+
+        Raises:
+            InvalidInputError: that is out of reach.
+        """
+        O = self._chain.carried(q)
+        errors = self._chain.errors(O, pin.SE3(O[0, :3].T, O[0, 3]))
+        shift: Array = (self._relative @ errors.ravel()).reshape(-1, 6)
+        if self.options.palms is not None:  # they slide, and keep their places
+            return shift if self.far(shift) < 1.0 else np.zeros_like(shift)
+        if not self.far(shift) < 1.0:
+            far, turned = np.linalg.norm(shift[:, :3], axis=1), np.linalg.norm(shift[:, 3:], axis=1)
+            o = self.options
+            k = int(np.maximum(far / o.reach, turned / o.turn).argmax())
+            raise InvalidInputError(
+                f"arm {self._cell.arm_names[k]} holds the object {1e3 * far[k]:.1f} mm and "
+                f"{math.degrees(turned[k]):.2f}° from its grasp, out of reach ({1e3 * o.reach:g} mm, "
+                f"{math.degrees(o.turn):.3g}°)",
+                "ForceController.reset: q",
+                "Correct the grasp or the base (coopqp calibrate), or give a larger ForceOptions(reach=, turn=).",
+            )
+        return shift
+
+
+def yields_in_part(compliances: Array, felt: Array) -> Array:
+    """Fᵀ (F G Fᵀ)⁺ F (6 N, 6 N), of the compliances C_k (N, 6, 6) and F (6 N, 6 N); see the module."""
+    G = of_grip(compliances)
+    out: Array = felt.T @ np.linalg.pinv(felt @ G @ felt.T, rcond=_LEAST_PART, hermitian=True) @ felt
+    return out
+
+
+def _size(wrenches: Array) -> float:
+    squares = (wrenches * wrenches).reshape(-1, 2, 3).sum(axis=2).max(axis=0)
+    return math.sqrt(max(squares[0], squares[1] / _LENGTH**2))

@@ -1,0 +1,165 @@
+"""The joints' ways along a checked path: positions at any place of it, and largest speeds between places.
+
+A place is the number of a segment plus the share of it, or the clock of a path without segments.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import final
+
+import numpy as np
+import numpy.typing as npt
+
+from coopqp.model.batch import ArmKinematics
+from coopqp.model.cell import RobotCell
+from coopqp.paths.path import ObjectPath
+from coopqp.planning.certificate import Proof, between
+from coopqp.planning.segments import Indices, Segments
+from coopqp.spatial import Array, as_placement
+
+#: Arms hold the object within this [m, rad].
+_EXACT = 1e-10
+
+
+@dataclass(frozen=True, eq=False)
+class ArmWay:
+    """The way of one arm: it holds exactly at its places, and between them reaches the tool's pose.
+
+    Attributes:
+        kinematics: the arm.
+        offset: T_object_tool (4, 4).
+        places: (I + 1,).
+        q: joint positions there (I + 1, n) [rad or m].
+        rates: largest speed of each joint between them (I, n) per place; infinite where nothing is proved.
+    """
+
+    kinematics: ArmKinematics
+    offset: Array
+    places: Array
+    q: Array
+    rates: Array
+
+    @staticmethod
+    def proved(kinematics: ArmKinematics, offset: Array, proof: Proof) -> ArmWay:
+        """The way of a proof."""
+        places = np.append(proof.segment + proof.low, proof.segment[-1] + proof.high[-1])
+        return ArmWay(kinematics, offset, places, np.vstack([proof.q_low, proof.q_high[-1:]]), proof.rate)
+
+    @staticmethod
+    def sampled(kinematics: ArmKinematics, offset: Array, places: Array, q: Array) -> ArmWay:
+        """The way through samples."""
+        return ArmWay(kinematics, offset, places, q, np.full((len(q) - 1, kinematics.n), np.inf))
+
+    def at(self, places: Array, T_world_object: Array) -> tuple[Array, npt.NDArray[np.bool_]]:
+        """Joint positions (M, n) at places (M,), where the object is at (M, 4, 4), and where they reach its pose."""
+        if len(self.places) == 1:
+            return np.tile(self.q, (len(places), 1)), np.ones(len(places), dtype=bool)
+        i = self._piece(places)
+        low, high = self.places[i], self.places[i + 1]
+        share = (places - low) / (high - low)
+        q, _, solved = between(self.kinematics, T_world_object @ self.offset, self.q[i], self.q[i + 1], share)
+        for end, there in ((0.0, self.q[i]), (1.0, self.q[i + 1])):
+            known = share == end
+            q[known], solved[known] = there[known], True
+        return q, solved
+
+    def motion(self, low: Array, high: Array) -> Array:
+        """Largest way of each joint (M, n) [rad or m] between places (M,) that no place of :attr:`places` parts."""
+        if len(self.places) == 1:
+            return np.zeros((len(low), self.kinematics.n))
+        out: Array = self.rates[self._piece(0.5 * (low + high))] * (high - low)[:, None]
+        return out
+
+    def _piece(self, places: Array) -> Indices:
+        i = np.searchsorted(self.places, places, side="right") - 1
+        out: Indices = np.clip(i, 0, len(self.places) - 2)
+        return out
+
+
+@final
+class CellWay:
+    """The ways of all arms of a cell.
+
+    Args:
+        cell, path: the arms, and the object's path.
+        segments: of the path; None if it has none.
+        arms: the way of each arm.
+        rest: positions (nv,) of joints that move no tool.
+
+    Attributes:
+        places: all places of the arms' ways, as far as all arms go (K,).
+        complete: they go to the end of the path.
+    """
+
+    def __init__(
+        self, cell: RobotCell, path: ObjectPath, segments: Segments | None, arms: Sequence[ArmWay], rest: Array
+    ) -> None:
+        self.cell, self._path, self._segments, self._arms = cell, path, segments, tuple(arms)
+        self._rest = rest
+        self._columns = [own.start + arm.kinematics.columns for own, arm in zip(cell.v_slices, self._arms, strict=True)]
+        end = min(float(arm.places[-1]) for arm in self._arms)
+        every = np.unique(np.concatenate([arm.places for arm in self._arms]))
+        self.places: Array = every[every <= end]
+        last = path.duration if segments is None else float(len(segments))
+        self.complete = end >= last or len(self.places) == 1
+
+    @property
+    def duration(self) -> float:
+        """Duration of the whole path [s]."""
+        return self._path.duration
+
+    def clocks(self, places: Array) -> Array:
+        """Clocks (M,) [s]."""
+        if self._segments is None:
+            return places
+        segment, share = self._split(places)
+        return self._segments.clocks(segment, share)
+
+    def positions(self, places: Array) -> tuple[Array, npt.NDArray[np.bool_]]:
+        """Joint positions (M, nv) [rad or m] at places (M,), and where they hold the object."""
+        T = self.poses(places)
+        x, solved = np.tile(self._rest, (len(places), 1)), np.ones(len(places), dtype=bool)
+        for columns, arm in zip(self._columns, self._arms, strict=True):
+            x[:, columns], found = arm.at(places, T)
+            solved &= found
+        return x, solved
+
+    def reached(self, x: Array, T_world_object: Array) -> Array | None:
+        """Joint positions (nv,) near ``x`` that hold the object at a pose (4, 4); None if there are none."""
+        out = x.copy()
+        for columns, arm in zip(self._columns, self._arms, strict=True):
+            answer = arm.kinematics.solve((T_world_object @ arm.offset)[None], x[None, columns], tolerance=_EXACT)
+            if not answer.residual[0] <= _EXACT:
+                return None
+            out[columns] = answer.q[0]
+        return out
+
+    def motion(self, low: Array, high: Array) -> Array:
+        """Largest way of each joint (M, nv) between places (M,) without a place between them; inf if not proved."""
+        out = np.zeros((len(low), self.cell.nv))
+        for columns, arm in zip(self._columns, self._arms, strict=True):
+            out[:, columns] = arm.motion(low, high)
+        return out
+
+    def object_motion(self, low: Array, high: Array) -> tuple[Array, Array]:
+        """Way of the object's origin [m] and its turn [rad] between places (M,) of one segment; inf if not known."""
+        if self._segments is None:
+            unknown = np.full(len(low), np.inf)
+            return unknown, unknown
+        s = self._split(0.5 * (low + high))[0]
+        motion = self._segments.bounds(s, low - s, high - s)
+        return motion.way * (high - low), motion.turn * (high - low)
+
+    def _split(self, places: Array) -> tuple[Indices, Array]:
+        assert self._segments is not None
+        segment = np.clip(np.floor(places).astype(np.intp), 0, len(self._segments) - 1)
+        return segment, places - segment
+
+    def poses(self, places: Array) -> Array:
+        """T_world_object (M, 4, 4) at places (M,)."""
+        if self._segments is not None:
+            return self._segments.poses(*self._split(places))
+        poses = [as_placement(self._path.pose(u), f"the path's pose at {u:g} s") for u in places.tolist()]
+        return np.array([T.homogeneous for T in poses])

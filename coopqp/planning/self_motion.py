@@ -1,0 +1,36 @@
+"""The elbows of redundant arms, led along the motion that the check of a path proves."""
+
+from __future__ import annotations
+
+from coopqp.checks import ArrayLike
+from coopqp.errors import CoopqpError
+from coopqp.model.cell import RobotCell
+from coopqp.model.chain import moving_columns
+from coopqp.model.grasp import Grasp
+from coopqp.model.posture import PostureOptions
+from coopqp.paths.path import ObjectPath
+from coopqp.planning.check import check_path
+from coopqp.planning.clearance import Bodies
+
+
+def led_path(
+    cell: RobotCell,
+    grasp: Grasp,
+    path: ObjectPath,
+    *,
+    q_start: ArrayLike,
+    posture: PostureOptions,
+    scene: Bodies | None = None,
+) -> ObjectPath:
+    """The path with elbows as :meth:`PathCheck.led_path` has them, for a run from a start.
+
+    The path itself without redundant arms; where a posture is asked for; where it was planned or has its elbows; and
+    where nothing is proved.
+    """
+    own = path.planned_share is not None or path.elbows is not None or posture.asks
+    if own or not path.known_ahead or all(len(columns) <= 6 for columns in moving_columns(cell)):
+        return path
+    try:
+        return check_path(cell, grasp, path, q_start=q_start, scene=scene).led_path()
+    except CoopqpError:  # a start that does not hold the object, for one: the run says so
+        return path

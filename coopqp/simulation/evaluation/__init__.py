@@ -1,0 +1,1 @@
+"""Verdicts on runs, by other ways than the controllers'."""

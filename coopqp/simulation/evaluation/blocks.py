@@ -1,0 +1,87 @@
+"""Consecutive steps as arrays, for a monitor that judges many at once; and faults in the form of a step."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TypeAlias
+
+import numpy as np
+import numpy.typing as npt
+
+from coopqp.control.interface import ControlStep, Status
+from coopqp.model.cell import RobotCell
+from coopqp.simulation.evaluation.violations import Breach, Violation
+from coopqp.simulation.recording.recording import Recording
+from coopqp.spatial import Array
+
+Flags: TypeAlias = npt.NDArray[np.bool_]
+
+
+@dataclass(frozen=True, eq=False)
+class Block:
+    """T consecutive steps as arrays."""
+
+    q: Array  # (T, nq)
+    q_next: Array  # (T, nq)
+    velocity: Array  # (T, nv)
+    dt: Array  # (T,)
+    clock: Array  # (T,)
+    clock_next: Array  # (T,)
+    rate: Array  # (T,)
+    holding: Flags  # (T,)
+    same_path: Flags  # (T,): the clock continues from the step before
+    reference: Array  # (T, 4, 4): pose of the path at clock_next
+    duration: Array  # (T,)
+    shift: Array | None = None  # (T, N, 6): of the grasps at q_next
+
+
+def sound_steps(r: Recording, part: slice) -> Flags:
+    """Whether the numbers of steps are finite."""
+    samples = slice(part.start, part.stop + 1)
+    sound = np.isfinite(r.q_command[samples]).all(axis=1) & np.isfinite(r.clock[samples])
+    sound &= np.isfinite(r.time[samples])
+    steps: Flags = sound[:-1] & sound[1:] & np.isfinite(r.velocity[part]).all(axis=1) & np.isfinite(r.rate[part])
+    return steps
+
+
+def recorded_block(r: Recording, start: int, end: int, *, goes_on: bool) -> Block:
+    """Steps from ``start`` up to ``end``; ``goes_on``: the first one continues the step before."""
+    cut, ends = slice(start, end), slice(start + 1, end + 1)
+    same_path = np.full(end - start, True)
+    same_path[0] = goes_on
+    return Block(
+        q=r.q_command[cut],
+        q_next=r.q_command[ends],
+        velocity=r.velocity[cut],
+        dt=np.diff(r.time[start : end + 1]),
+        clock=r.clock[cut],
+        clock_next=r.clock[ends],
+        rate=r.rate[cut],
+        holding=np.isin(r.status[cut], (Status.HOLDING.code, Status.FAULT.code)),
+        same_path=same_path,
+        reference=r.reference[ends],
+        duration=np.full(end - start, float(r.metadata.get("duration") or np.inf)),
+        shift=None if r.shift is None else r.shift[cut],
+    )
+
+
+def faults_of(step: ControlStep, cell: RobotCell, number: int, now: float) -> list[Violation]:
+    """Wrong shapes and types of a step, and numbers that are not finite."""
+    faults = []
+    for name, size in (("q", cell.nq), ("q_next", cell.nq), ("velocity", cell.nv)):
+        value = getattr(step, name)
+        if not isinstance(value, np.ndarray) or value.dtype != np.float64 or value.shape != (size,):
+            faults.append(Violation(Breach.FORM, number, now, detail=f"{name} of shape ({size},)"))
+        elif not np.isfinite(value).all():
+            bad = int(np.flatnonzero(~np.isfinite(value))[0])
+            arm, _, joint = cell.joint_names[bad].partition("/") if name == "velocity" else ("", "", "")
+            faults.append(Violation(Breach.NOT_FINITE, number, now, arm, joint, np.nan, f"{name}[{bad}]"))
+    for name in ("dt", "clock", "clock_next", "rate"):
+        value = getattr(step, name)
+        if not isinstance(value, float):
+            faults.append(Violation(Breach.FORM, number, now, detail=f"{name} is no float"))
+        elif not np.isfinite(value):
+            faults.append(Violation(Breach.NOT_FINITE, number, now, amount=np.nan, detail=name))
+    if not isinstance(step.status, Status) or not isinstance(step.reason, str):
+        faults.append(Violation(Breach.FORM, number, now, detail="status or reason"))
+    return faults

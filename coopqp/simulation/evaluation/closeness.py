@@ -1,0 +1,354 @@
+"""How close bodies came in a run, judged from its commanded configurations alone, between its steps, too.
+
+The controllers' bounds and rows play no part in it: bodies are placed by Pinocchio's kinematics, and coal is asked for
+the distances of two bodies. The motion of two bodies between samples bounds the change of their distance, so few
+distances are computed.
+"""
+
+from __future__ import annotations
+
+import heapq
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple, final
+
+import coal
+import numpy as np
+import pinocchio as pin
+
+from coopqp.collision.distances import Distances, new_request
+from coopqp.collision.geometry import reach_of
+from coopqp.collision.scene import CollisionScene
+from coopqp.errors import InvalidInputError
+from coopqp.model.cell import RobotCell
+from coopqp.model.grasp import Grasp
+from coopqp.model.shapes import Body, Box, NearPair
+from coopqp.paths.scenario import Scenario
+from coopqp.simulation.recording.bodies import describe_bodies, describe_carried
+from coopqp.simulation.recording.recording import Recording
+from coopqp.spatial import Array
+
+#: Number of parts of a step in which bodies may have been closest.
+PARTS = 4
+#: A body's way between two samples is at most this many times the way that its placements show.
+_BENT = 1.05
+#: Largest number of samples that are judged; of longer runs every second, third, … sample is.
+MOST_JUDGED = 50_000
+#: Samples of the distances over a run.
+MOST_SAMPLES = 200
+#: Shapes with a radius about a point or a segment.
+_ROUND = (coal.Sphere, coal.Capsule)
+#: The least distance of a run is found to within this [m].
+RESOLUTION = 1e-6
+
+
+@final
+@dataclass(frozen=True)
+class Closest:
+    """Where two bodies came closest.
+
+    Attributes:
+        pair: the bodies, and their distance [m].
+        time: when [s].
+        margin: the least distance that they are to keep [m].
+    """
+
+    pair: NearPair
+    time: float
+    margin: float
+
+    def __str__(self) -> str:
+        return f"{1e3 * self.pair.distance:.3g} mm, {self.pair.first} and {self.pair.second} at {self.time:.3g} s"
+
+
+class _Placed(NamedTuple):
+    R: Array  # (T, G, 3, 3)
+    p: Array  # (T, G, 3)
+    way: Array  # (T, G): largest motion of any of its points since the first sample [m]
+
+
+@final
+class Closeness:
+    """Judges one scene.
+
+    Args:
+        scene: the pairs that are judged, with their margins. Pairs with bodies that move by themselves are left out.
+    """
+
+    def __init__(self, scene: CollisionScene) -> None:
+        built, self._model = scene.built, scene.cell.model
+        shapes = list(built.geometry.geometryObjects)
+        self._joints = [int(shape.parentJoint) for shape in shapes]
+        self._T = [shape.placement.copy() for shape in shapes]
+        self._shapes = [shape.geometry for shape in shapes]
+        self._extent = np.array([reach_of(shape, np.eye(3), np.zeros(3)) for shape in self._shapes])
+        self._radius = [shape.radius if isinstance(shape, _ROUND) else 0.0 for shape in self._shapes]
+        self._request, self._result = new_request(), coal.DistanceResult()
+        moving = set(built.moving)
+        ends = [(int(pair.first), int(pair.second)) for pair in built.geometry.collisionPairs]
+        self._pairs = [k for k, pair in enumerate(ends) if not moving & set(pair)]
+        self._ends, self._labels, self.margins, self._inside = ends, built.labels, built.margins, built.inside
+        self._data = self._model.createData()
+
+    def at(self, q: Array, pair: int) -> float:
+        """Distance of a pair of shapes at a configuration (nq,) [m].
+
+        Shapes that overlap are no deeper in each other than the sum of their radii, those of spheres and capsules.
+        """
+        pin.forwardKinematics(self._model, self._data, q)
+        i, j = self._ends[pair]
+        A, B = self._data.oMi[self._joints[i]] * self._T[i], self._data.oMi[self._joints[j]] * self._T[j]
+        return self._apart(pair, A.rotation, A.translation, B.rotation, B.translation)
+
+    def closest(self, q: Array, time: Array, *, to_margin: bool = False, without_start: bool = False) -> Closest | None:
+        """The least distance of a run; None without pairs.
+
+        Args:
+            q: commanded configurations (T, nq).
+            time: time of each (T,) [s].
+            to_margin: the least distance less its margin instead.
+            without_start: leave out pairs of names that overlap at the first configuration.
+        """
+        placed = self._place(q)
+        least: tuple[float, int, float] | None = None
+        last = len(q) - 1
+        queue: list[tuple[float, int, int, int, float, float]] = []
+        left_out = self.overlapping(q[0]) if without_start else set()
+        for k in self._pairs:
+            if self._labels[k] in left_out:
+                continue
+            least_away = float(self._away(placed, k).min())
+            heapq.heappush(queue, (least_away - self._less(k, to_margin), k, -1, last, 0.0, 0.0))
+        while queue:
+            bound, k, first, end, d_first, d_end = heapq.heappop(queue)
+            if least is not None and bound >= least[0] - RESOLUTION:
+                break
+            less = self._less(k, to_margin)
+            found: list[tuple[float, float]] = []
+            if first < 0:
+                d_first, d_end = self._sampled(placed, k, 0), self._sampled(placed, k, last)
+                found = [(d_first, 0.0), (d_end, float(last))]
+                parts = [(0, last, d_first, d_end)]
+            elif end - first > 1:
+                middle = (first + end) // 2
+                d = self._sampled(placed, k, middle)
+                found = [(d, float(middle))]
+                parts = [(first, middle, d_first, d), (middle, end, d, d_end)]
+            else:
+                step = pin.difference(self._model, q[first], q[end])
+                for part in range(1, PARTS):
+                    share = part / PARTS
+                    found.append((self.at(pin.integrate(self._model, q[first], share * step), k), first + share))
+                parts = []
+            for d, where in found:
+                if least is None or d - less < least[0]:
+                    least = (d - less, k, where)
+            for a, b, d_a, d_b in parts:
+                if b > a:
+                    lower = 0.5 * (d_a + d_b - self._way(placed, k, a, b))
+                    heapq.heappush(queue, (min(lower, d_a, d_b) - less, k, a, b, d_a, d_b))
+        if least is None:
+            return None
+        value, k, where = least
+        at = float(np.interp(where, np.arange(len(time)), time))
+        pair = NearPair(*self._labels[k], value + self._less(k, to_margin))
+        return Closest(pair, at, float(self.margins[k]))
+
+    def overlapping(self, q: Array) -> set[tuple[str, str]]:
+        """Pairs of names that overlap at a configuration (nq,)."""
+        placed = self._place(q[None])
+        found = set()
+        for k in self._pairs:
+            if self._away(placed, k)[0] <= 0.0 and self._sampled(placed, k, 0) <= 0.0:
+                found.add(self._labels[k])
+        return found
+
+    def start(self, q: Array) -> None:
+        """Begin to :meth:`watch` at a configuration (nq,)."""
+        placed = self._place(q[None])
+        self._least = self.margins.copy()
+        self._rooms = np.full(len(self._least), np.inf)
+        for k in self._pairs:
+            self._rooms[k] = self._away(placed, k)[0] - self.margins[k]
+            if self._inside[k]:
+                self._least[k] = min(self.margins[k], self._sampled(placed, k, 0))
+
+    def watch(self, q: Array, *, tolerance: float) -> list[tuple[int, NearPair, float]]:
+        """Steps of a run in which pairs are closer than they may be, by more than a tolerance [m].
+
+        Pairs that may start inside their margin are to come no closer than they are at :meth:`start`.
+
+        Args:
+            q: commanded configurations (T + 1, nq); the first is the last one of the call before, or the start.
+            tolerance: accepted [m].
+
+        Returns:
+            number of the step, the pair with its least distance in the step, the missing distance [m].
+        """
+        placed, found = self._place(q), []
+        ends = np.array(self._ends)
+        for t in range(1, len(q)):
+            step = _BENT * (placed.way[t] - placed.way[t - 1])
+            way = step[ends[:, 0]] + step[ends[:, 1]]
+            self._rooms -= way
+            for k in np.flatnonzero(self._rooms < -tolerance):
+                required = float(self._least[k])
+                d = self._sampled(placed, int(k), t)
+                self._rooms[k] = d - required
+                if d - required - way[k] < -tolerance and way[k] > 0.0:
+                    turn = pin.difference(self._model, q[t - 1], q[t])
+                    for part in range(1, PARTS):
+                        d = min(d, self.at(pin.integrate(self._model, q[t - 1], part / PARTS * turn), int(k)))
+                room = d - required
+                if room < -tolerance:
+                    found.append((t - 1, NearPair(*self._labels[k], room + required), -room))
+        return found
+
+    def judged(self, left_out: Iterable[tuple[str, str]]) -> list[int]:
+        """Pairs of shapes, without the pairs of these names."""
+        names = set(left_out)
+        return [k for k in self._pairs if self._labels[k] not in names]
+
+    def over_time(self, q: Array, pairs: Sequence[int] | None = None) -> Array:
+        """Least distance at each configuration (T,) [m], to within 0.1 mm from above.
+
+        Args:
+            q: configurations (T, nq).
+            pairs: numbers of the pairs of shapes; all by default.
+        """
+        placed = self._place(q)
+        out = np.full(len(q), np.inf)
+        for k in self._pairs if pairs is None else pairs:
+            i, j = self._ends[k]
+            away, t = self._away(placed, k), 0
+            while t < len(q):
+                if away[t] >= out[t] - 1e-4:
+                    t += 1
+                    continue
+                d = self._sampled(placed, k, t)
+                out[t] = min(out[t], d)
+                # No distance is needed until the bodies may be as close as the closest pair.
+                way = placed.way[t:, i] + placed.way[t:, j] - placed.way[t, i] - placed.way[t, j]
+                closer = np.flatnonzero(d - _BENT * way < out[t:] - 1e-4)
+                later = closer[closer > 0]
+                t = t + int(later[0]) if later.size else len(q)
+        return out
+
+    def _less(self, k: int, to_margin: bool) -> float:
+        return float(self.margins[k]) if to_margin else 0.0
+
+    def _away(self, placed: _Placed, k: int) -> Array:
+        """Lower bound of the distance of a pair at each sample (T,) [m], by spheres about both bodies' origins."""
+        i, j = self._ends[k]
+        out: Array = np.linalg.norm(placed.p[:, i] - placed.p[:, j], axis=1) - self._extent[i] - self._extent[j]
+        return out
+
+    def _way(self, placed: _Placed, k: int, first: int, end: int) -> float:
+        """Largest motion of the two bodies of a pair against each other between two samples [m]."""
+        i, j = self._ends[k]
+        return _BENT * float(placed.way[end, i] - placed.way[first, i] + placed.way[end, j] - placed.way[first, j])
+
+    def _sampled(self, placed: _Placed, k: int, t: int) -> float:
+        i, j = self._ends[k]
+        R, p = placed.R[t], placed.p[t]
+        return self._apart(k, R[i], p[i], R[j], p[j])
+
+    def _apart(self, k: int, Ra: Array, pa: Array, Rb: Array, pb: Array) -> float:
+        """Distance of a pair. The depth of an overlap is not always found: the radii bound it."""
+        i, j = self._ends[k]
+        A, B = coal.Transform3s(Ra, pa), coal.Transform3s(Rb, pb)
+        self._result.clear()
+        coal.distance(self._shapes[i], A, self._shapes[j], B, self._request, self._result)
+        return max(float(self._result.min_distance), -self._radius[i] - self._radius[j])
+
+    def _place(self, q: Array) -> _Placed:
+        """All bodies at configurations (T, nq)."""
+        used, shape_joint = np.unique(self._joints, return_inverse=True)
+        placed = np.empty((len(q), len(used), 4, 4))
+        for row, out in zip(q, placed, strict=True):
+            pin.forwardKinematics(self._model, self._data, row)
+            for k, joint in enumerate(used.tolist()):
+                out[k] = self._data.oMi[joint].homogeneous
+        shapes = placed[:, shape_joint] @ np.array([T.homogeneous for T in self._T])
+        rotations, origins = shapes[..., :3, :3], shapes[..., :3, 3]
+        way = np.zeros((len(q), len(shape_joint)))
+        if len(q) > 1:
+            shift = np.linalg.norm(np.diff(origins, axis=0), axis=2)
+            # The chord of a turn: ‖R₁ − R₀‖ = 2√2 sin(θ/2); its arc θ is at most π/2 times 2 sin(θ/2).
+            turn = np.linalg.norm(np.diff(rotations, axis=0), axis=(2, 3)) / np.sqrt(2.0)
+            way[1:] = np.cumsum(shift + turn * self._extent, axis=0)
+        return _Placed(rotations, origins, way)
+
+
+def default_scene(scenario: Scenario) -> CollisionScene | None:
+    """The bodies of a scenario without margins, to judge runs by; None where its arms have no shapes."""
+    box = Body("object", Box(scenario.object_size), scenario.T_object_body)
+    return _plain_scene(scenario.cell, scenario.grasp, box, scenario.obstacles)
+
+
+def overlaps(cell: RobotCell, grasp: Grasp, box: Body, q: Array) -> list[tuple[str, str]]:
+    """Pairs of names among links and the object (a box) that overlap at a configuration (nq,), in their order."""
+    scene = _plain_scene(cell, grasp, box, ())
+    return [] if scene is None else sorted(Closeness(scene).overlapping(q))
+
+
+def _plain_scene(cell: RobotCell, grasp: Grasp, box: Body, obstacles: Sequence[Body]) -> CollisionScene | None:
+    if all(arm.collision is None or not arm.collision.ngeoms for arm in cell.arms):
+        return None
+    try:
+        return CollisionScene(cell=cell, grasp=grasp, carried=[box], obstacles=obstacles, margin=0.0)
+    except InvalidInputError:  # a shape of the description that no distance is defined for
+        return None
+
+
+def with_clearance(recording: Recording, scene: CollisionScene | None, *, avoided: bool) -> Recording:
+    """The recording with an entry ``clearance`` in its metadata: where bodies came closest.
+
+    Entries: ``closest_m``, ``between``, ``time_s``, ``margin_m``, ``avoided``, ``left_out`` (pairs of names that
+    overlap at the start of a run without avoidance: the distances of these are not judged), ``times_s``,
+    ``distances_m`` and ``points_m``, the nearest points of both bodies. Where all pairs are left out only ``avoided``
+    and ``left_out`` are there. ``notes`` are those of the scene. Entries ``bodies`` and ``carried`` hold what stands
+    in the world and what the object is made of.
+    """
+    if scene is None:
+        return recording
+    closeness = Closeness(scene)
+    every = -(-len(recording.time) // MOST_JUDGED)
+    q, time = recording.q_command[::every], recording.time[::every]
+    left_out = sorted(set() if avoided else closeness.overlapping(q[0]))
+    found = closeness.closest(q, time, without_start=not avoided)
+    drawn = {"bodies": describe_bodies(scene), "carried": describe_carried(scene, recording.metadata.get("object"))}
+    drawn = {key: entries for key, entries in drawn.items() if entries}
+    recording = replace(recording, metadata={**recording.metadata, **drawn})
+    entry: dict[str, Any] = {"avoided": avoided, "left_out": [list(pair) for pair in left_out]}
+    if scene.notes:
+        entry["notes"] = list(scene.notes)
+    if found is None:
+        return replace(recording, metadata={**recording.metadata, "clearance": entry}) if left_out else recording
+    rows = np.unique(np.linspace(0, len(q) - 1, MOST_SAMPLES).round().astype(int))
+    distances, points = _nearest(scene, closeness, q[rows], closeness.judged(left_out))
+    entry |= {
+        "closest_m": found.pair.distance,
+        "between": [found.pair.first, found.pair.second],
+        "time_s": found.time,
+        "margin_m": found.margin,
+        "times_s": time[rows].tolist(),
+        "distances_m": distances,
+        "points_m": points,
+    }
+    return replace(recording, metadata={**recording.metadata, "clearance": entry})
+
+
+def _nearest(
+    scene: CollisionScene, closeness: Closeness, q: Array, pairs: list[int]
+) -> tuple[list[float], list[list[list[float]]]]:
+    """The nearest pair at configurations (T, nq), for pictures: its distances (T,) [m], its points (T, 2, 3) [m].
+
+    The controllers' distances choose the pair; the judge says its distance.
+    """
+    distances, apart, points = Distances(scene), list[float](), []
+    for row in q:
+        k = pairs[int(distances.all(row)[pairs].argmin())]
+        apart.append(closeness.at(row, k))
+        points.append([point.tolist() for point in distances.nearest_points(k)])
+    return apart, points

@@ -1,0 +1,1 @@
+"""Runs as arrays: gathered, described, saved and loaded."""

@@ -1,0 +1,16 @@
+from .base import Outcome as Outcome
+from .base import QpSolver as QpSolver
+from .base import SolverSettings as SolverSettings
+from .base import Workspace as Workspace
+from .choice import available_solvers as available_solvers
+from .choice import default_solver as default_solver
+from .choice import make_solver as make_solver
+from .daqp import DaqpSettings as DaqpSettings
+from .generic import GenericSettings as GenericSettings
+from .generic import GenericSolver as GenericSolver
+from .ldp import LdpSettings as LdpSettings
+from .osqp import OsqpSettings as OsqpSettings
+from .problem import QpProblem as QpProblem
+from .problem import QpSolution as QpSolution
+from .problem import SolverStatus as SolverStatus
+from .proxqp import ProxqpSettings as ProxqpSettings

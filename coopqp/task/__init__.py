@@ -1,1 +1,0 @@
-"""The task: object paths, the common error, the posture of redundant arms."""

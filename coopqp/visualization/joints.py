@@ -1,0 +1,133 @@
+"""The joints of a run against their limits, one panel per arm. Needs the extra ``plot``."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from coopqp.model.cell import RobotCell
+from coopqp.simulation.recording.recording import Recording
+from coopqp.spatial import Array
+from coopqp.visualization.curves import drawn_rows
+from coopqp.visualization.style import (
+    COLOURS,
+    INK,
+    RED,
+    WIDTH,
+    add_legend,
+    hide_rest,
+    label,
+    legend_columns,
+    legend_height,
+    new_figure,
+    plain,
+)
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+#: Largest number of arms in a figure: those that come closest to a limit.
+MOST_ARMS = 12
+_SIZE = 9.5  # type of the legends [pt]
+_POSITION, _SPEED, _TITLE, _EDGE = 1.9, 1.6, 0.55, 1.3  # heights, and the width of the labels on the left [inches]
+
+
+def joint_figure(cell: RobotCell, recording: Recording) -> Figure:
+    """Joint positions (0 mid-range, ±1 the limits) and speeds (share of the limit), with panels and a legend per arm.
+
+    A cell of more than twelve arms shows those whose joints come closest to a limit.
+    """
+    limits = cell.limits
+
+    def positions(part: slice) -> Array:
+        q = cell.positions(recording.q_command[part])
+        with np.errstate(invalid="ignore"):
+            share: Array = (2.0 * q - limits.upper - limits.lower) / (limits.upper - limits.lower)
+        return share  # NaN without limit
+
+    times, position = drawn_rows(recording, len(recording.time), positions)
+    starts, speed = drawn_rows(
+        recording, recording.n_steps, lambda part: 100.0 * recording.velocity[part] / limits.velocity
+    )
+    starts, speed = np.append(starts, recording.time[-1]), np.concatenate([speed, speed[-1:]])
+    shown = _tightest(cell, position, speed)
+    columns = len(shown) if len(shown) <= 3 else 2 if len(shown) == 4 else 3
+    blocks = -(-len(shown) // columns)
+    width = WIDTH if columns > 1 else 7.0
+    names = {k: _names(cell, k) for k in shown}
+    fits = {k: legend_columns(names[k], (width - _EDGE) / columns, size=_SIZE) for k in shown}
+    legend = max(legend_height(names[k], fits[k], size=_SIZE) for k in shown)
+    some = len(shown) < len(cell)
+    height = blocks * (_TITLE + _POSITION + _SPEED + 0.45 + legend) + 0.3 * some
+    figure = new_figure(width, height, layout="constrained")
+    if some:
+        figure.suptitle(f"the {len(shown)} of {len(cell)} arms that come closest to a limit", fontsize=12, color=INK)
+    panels = figure.subplots(
+        3 * blocks, columns, squeeze=False, gridspec_kw={"height_ratios": [_POSITION, _SPEED, legend] * blocks}
+    )
+    reach = 1.15 * max(5.0, float(np.nanmax(np.abs(speed[:, _coordinates(cell, shown)]), initial=0.0)))
+    for place, k in enumerate(shown):
+        block, column = divmod(place, columns)
+        top, bottom, below = panels[3 * block : 3 * block + 3, column]
+        joints = range(*cell.v_slices[k].indices(cell.nv))
+        lines = _draw(top, bottom, (times, position[:, joints]), (starts, speed[:, joints]))
+        top.set_title(label(cell.arm_names[k], width=72 // (columns + 1)), fontsize=12, color=INK, fontweight="bold")
+        _axes(top, bottom, end=float(recording.time[-1]), reach=reach, first=column == 0)
+        add_legend(below, lines, names[k], fits[k], size=_SIZE)
+    hide_rest(panels, len(shown))
+    figure.align_ylabels(panels[:, 0])
+    return figure
+
+
+def _tightest(cell: RobotCell, position: Array, speed: Array) -> list[int]:
+    """The arms that are shown, in their order."""
+    if len(cell) <= MOST_ARMS:
+        return list(range(len(cell)))
+    used = np.fmax(np.abs(position).max(axis=0), 0.01 * np.abs(speed).max(axis=0, initial=0.0))
+    closest = [float(np.nanmax(used[s], initial=0.0)) for s in cell.v_slices]
+    return sorted(sorted(range(len(cell)), key=lambda k: -closest[k])[:MOST_ARMS])
+
+
+def _coordinates(cell: RobotCell, arms: list[int]) -> list[int]:
+    return [j for k in arms for j in range(*cell.v_slices[k].indices(cell.nv))]
+
+
+def _names(cell: RobotCell, arm: int) -> list[str]:
+    """The names of an arm's joints; those without position limits are marked."""
+    joints = cell.v_slices[arm]
+    bounded = np.isfinite(cell.limits.lower[joints]) & np.isfinite(cell.limits.upper[joints])
+    names = [name.split("/", 1)[1] for name in cell.joint_names[joints]]
+    return [label(name if has else f"{name} (no limit)") for name, has in zip(names, bounded, strict=True)]
+
+
+def _draw(top: Any, bottom: Any, positions: tuple[Array, Array], speeds: tuple[Array, Array]) -> list[Any]:
+    """Draw the curves of an arm. Returns its lines of speed: one for every joint, also without limits."""
+    (times, position), (starts, speed) = positions, speeds
+    lines = []
+    for i in range(position.shape[1]):
+        colour, dashes = COLOURS[i % len(COLOURS)], "-" if i < len(COLOURS) else "--"
+        top.plot(times, position[:, i], color=colour, ls=dashes, lw=1.7)
+        lines += bottom.step(starts, speed[:, i], where="post", color=colour, ls=dashes, lw=1.7)
+    return lines
+
+
+def _axes(top: Any, bottom: Any, *, end: float, reach: float, first: bool) -> None:
+    for panel, edge in ((top, 1.0), (bottom, 100.0)):
+        for side in (-edge, edge):
+            panel.axhline(side, color=RED, lw=1.4)
+        panel.axhline(0.0, color="#d6dae0", lw=0.8, zorder=0)
+        panel.set_xlim(0.0, max(end, 1e-9))
+        panel.locator_params(axis="x", nbins=4)
+        plain(panel)
+    top.set_ylim(-1.15, 1.15)
+    bottom.set_ylim(-reach, reach)
+    top.set_yticks([-1, -0.5, 0, 0.5, 1], ["lower limit", "", "mid-range", "", "upper limit"])
+    top.tick_params(labelbottom=False)
+    bottom.set_xlabel("time [s]", fontsize=11, color=INK)
+    if first:
+        top.set_ylabel("position", fontsize=11, color=INK)
+        bottom.set_ylabel("speed [% of limit]", fontsize=11, color=INK)
+    else:
+        top.tick_params(labelleft=False)
+        bottom.tick_params(labelleft=False)
