@@ -44,14 +44,15 @@ GLUE = (
     "coopqp/control/core/memory.py",
     "coopqp/native/__init__.py",
     "coopqp/native/_core.pyi",
-    "coopqp/native/batch_module.cpp",
-    "coopqp/native/bounds_module.cpp",
+    "coopqp/native/arrays.h",
+    "coopqp/native/binding.cpp",
+    "coopqp/native/distances_binding.cpp",
     "coopqp/native/guards.h",
     "coopqp/native/header.py",
+    "coopqp/native/kinematics_binding.cpp",
     "coopqp/native/layout.py",
-    "coopqp/native/minding_module.cpp",
     "coopqp/native/pointer.h",
-    "coopqp/native/step_module.cpp",
+    "coopqp/native/step_binding.cpp",
 )
 #: Other names of the core's constants in Python.
 ALIASES = {

@@ -6,6 +6,8 @@ tests/test_lockstep.py compares its steps with the plain definition.
 from __future__ import annotations
 
 import dataclasses
+import gc
+import weakref
 from collections.abc import Callable, Iterator
 from typing import Any
 
@@ -154,8 +156,8 @@ def test_it_follows_paths_as_they_say(arithmetic: str, paper: Scenario, rng: np.
             loop = loop_of(paper, arithmetic=arithmetic, path=path, dt=0.01, preview=None)
             core = core_of(loop)
             core.start_path(clock, 1.0)
-            core.observe()
-            core.propose()
+            core.observe(None, None)
+            core.propose(0, False)
             pose, span = path.pose(clock), proposal(loop, "SPAN")
             assert span == pytest.approx(0.01)
             np.testing.assert_allclose(loop.at["R"].reshape(3, 3), pose.rotation, rtol=0.0, atol=1e-14)
@@ -244,9 +246,9 @@ def test_a_proposal_leaves_the_state_alone(arithmetic: str, paper: Scenario) -> 
     core = core_of(loop)
     kept = ("positions", "velocity", "before", "predicted", "drift", "correcting", "watch", "loop")
     for i in range(60):
-        core.observe()
+        core.observe(None, None)
         before = {name: loop.at[name].copy() for name in kept}
-        outcomes = {core.propose(), core.propose(0, True)}  # again, as after a veto
+        outcomes = {core.propose(0, False), core.propose(0, True)}  # again, as after a veto
         assert len(outcomes) == 1
         for name in kept:
             np.testing.assert_array_equal(loop.at[name], before[name], err_msg=name)
@@ -267,15 +269,15 @@ def test_a_proposal_leaves_the_state_alone(arithmetic: str, paper: Scenario) -> 
 def test_a_joint_outside_its_limits_needs_a_qp(side: float, arithmetic: str, paper: Scenario) -> None:
     loop = loop_of(paper, arithmetic=arithmetic, dt=0.01)
     core = core_of(loop)
-    core.observe()
-    assert core.propose() == NOMINAL
+    core.observe(None, None)
+    assert core.propose(0, False) == NOMINAL
     limits, x = paper.cell.limits, paper.q_start.copy()
     lower, upper = np.array(limits.lower), np.array(limits.upper)
     (upper if side > 0.0 else lower)[4] = x[4] - side * 1e-6
     loop = loop_of(limited(paper, lower=lower, upper=upper), arithmetic=arithmetic, dt=0.01)
     core = core_of(loop)
-    core.observe()
-    assert core.propose() == QP
+    core.observe(None, None)
+    assert core.propose(0, False) == QP
     assert proposal(loop, "OUTSIDE") == 1.0
     assert side * core.commit().velocity[4] <= 0.0
 
@@ -388,20 +390,27 @@ def built(loop: Any) -> tuple[tuple[Array, ...], tuple[tuple[int, int], ...], tu
     return tuple(memory.blocks.values()), tuple(memory.places), sizes
 
 
+def core_with(blocks: tuple[Any, ...], places: Any, sizes: tuple[Any, ...]) -> Any:
+    return native.Core(*blocks, places, *sizes, False)
+
+
+@pytest.mark.filterwarnings("ignore:nanobind:RuntimeWarning")
 def test_a_core_is_built_once_and_before_it_is_used(paper: Scenario) -> None:
     blocks, places, sizes = built(loop_of(paper))
-    core = native.Core(blocks, places, sizes)
-    with pytest.raises(ValueError, match="built once"):
-        core.__init__(blocks, places, sizes)
+    core = core_with(blocks, places, sizes)
+    with pytest.raises(TypeError):
+        core.__init__(*blocks, places, *sizes, False)
     raw = native.Core.__new__(native.Core)
     for call in (
-        raw.step, raw.observe, raw.propose, raw.commit, lambda: raw.advance(1), lambda: raw.start(np.zeros(18)),
-        lambda: raw.start_path(0.0, 1.0), lambda: raw.read(1.0), lambda: raw.bind_knots(None),
-        lambda: raw.set_path(np.zeros(3), None, None, 1.0, False, False), lambda: raw.make_steps(int, None, ()),
-        lambda: raw.linearise(*[np.zeros(3)] * 4),
+        lambda: raw.step(None, None), lambda: raw.observe(None, None), lambda: raw.propose(0, False), raw.commit,
+        lambda: raw.advance(1, None), lambda: raw.start(np.zeros(18)),
+        lambda: raw.start_path(0.0, 1.0), lambda: raw.read(1.0), lambda: raw.bind_knots(None), raw.hold,
+        lambda: raw.set_path(np.zeros(3), None, np.zeros(12), 1.0, False, False),
+        lambda: raw.make_steps(int, None, ()), lambda: raw.linearise(*[np.zeros(3)] * 4),
     ):  # fmt: skip
-        with pytest.raises(RuntimeError, match="not built"):
+        with pytest.raises(TypeError):
             call()
+    gc.collect()
 
 
 def with_entry(things: tuple[Any, ...], i: int, thing: Any) -> tuple[Any, ...]:
@@ -410,7 +419,7 @@ def with_entry(things: tuple[Any, ...], i: int, thing: Any) -> tuple[Any, ...]:
 
 def test_memory_that_does_not_fit_is_refused(paper: Scenario) -> None:
     blocks, places, sizes = built(loop_of(paper))
-    native.Core(blocks, places, sizes)
+    core_with(blocks, places, sizes)
     for i, block in enumerate(blocks):
         frozen = block.copy()
         frozen.flags.writeable = False
@@ -419,24 +428,24 @@ def test_memory_that_does_not_fit_is_refused(paper: Scenario) -> None:
             np.zeros(2 * block.size)[::2], frozen, np.zeros(0), None, block.tolist(), b"", (0, 0),
         ):  # fmt: skip
             with pytest.raises((ValueError, TypeError, BufferError)):
-                native.Core(with_entry(blocks, i, bad), places, sizes)
+                core_with(with_entry(blocks, i, bad), places, sizes)
     for i in (0, len(layout.CONFIG), len(places) - 1):
         begin, end = places[i]
         for bad in ((begin, 10**9), (-1, end), (end, begin - 1), (begin,), None, (begin, np.nan), (2**70, end)):
             with pytest.raises((ValueError, TypeError, OverflowError)):
-                native.Core(blocks, with_entry(places, i, bad), sizes)
+                core_with(blocks, with_entry(places, i, bad), sizes)
     for bad in ((), places[:-1], (*places, places[-1])):
         with pytest.raises(ValueError, match="fit"):
-            native.Core(blocks, bad, sizes)
+            core_with(blocks, bad, sizes)
     for bad in ((), blocks[:-1], (*blocks, blocks[-1])):
-        with pytest.raises(ValueError, match="fit"):
-            native.Core(bad, places, sizes)
+        with pytest.raises(TypeError):
+            native.Core(*bad, places, *sizes, False)
     for i, bad in ((0, 0), (0, -1), (1, 5), (1, -18), (2, 17), (3, 8), (3, 10), (3, -9), (4, 0), (5, -1)):
         with pytest.raises(ValueError, match="fit"):
-            native.Core(blocks, places, with_entry(sizes, i, bad))
+            core_with(blocks, places, with_entry(sizes, i, bad))
     for bad in (None, (), sizes[:-1], with_entry(sizes, 0, 2.5), with_entry(sizes, 0, 2**40)):
         with pytest.raises((TypeError, OverflowError)):
-            native.Core(blocks, places, bad)
+            core_with(blocks, places, bad)
 
 
 @pytest.mark.parametrize(
@@ -451,7 +460,7 @@ def test_arms_that_do_not_lie_in_the_vectors_are_refused(field: str, value: floa
         begin, end = places[[name for name, _ in layout.CONFIG].index(field)]
         blocks[0][begin:end][i] = value
         with pytest.raises(ValueError, match="fit"):
-            native.Core(blocks, places, sizes)
+            core_with(blocks, places, sizes)
 
 
 def test_arguments_that_are_none_are_refused(paper: Scenario) -> None:
@@ -461,7 +470,7 @@ def test_arguments_that_are_none_are_refused(paper: Scenario) -> None:
     wrong: list[Any] = [q[:-1], q.astype(np.float32), q.tolist(), np.zeros(36)[::2], np.zeros((18, 2)), "q", 1.0, b"q"]
     for bad in wrong:
         for call in (
-            lambda x=bad: core.step(x, None), lambda x=bad: core.observe(x), lambda x=bad: core.start(x),
+            lambda x=bad: core.step(x, None), lambda x=bad: core.observe(x, None), lambda x=bad: core.start(x),
             lambda x=bad: core.advance(1, x), lambda x=bad: core.linearise(x, np.zeros(3), np.zeros(36), np.zeros(108)),
         ):  # fmt: skip
             with pytest.raises((ValueError, TypeError, BufferError)):
@@ -471,13 +480,13 @@ def test_arguments_that_are_none_are_refused(paper: Scenario) -> None:
             core.linearise(q, *(np.zeros(n) for n in sizes))
     frozen = np.zeros(36)
     frozen.flags.writeable = False
-    with pytest.raises((ValueError, BufferError)):
+    with pytest.raises(TypeError):
         core.linearise(q, np.zeros(3), frozen, np.zeros(108))
     for rows in (-1, 65, 10**12):
         with pytest.raises(ValueError, match="no room"):
-            core.propose(rows)
+            core.propose(rows, False)
     for call in (
-        lambda: core.propose("one"), lambda: core.read("cap"), lambda: core.advance("one"),
+        lambda: core.propose("one", False), lambda: core.read("cap"), lambda: core.advance("one", None),
         lambda: core.advance(1, 2, 3),
         lambda: core.start_path("now", 1.0), lambda: core.start_path(0.0), lambda: core.make_steps(1, None, ()),
         lambda: core.make_steps(ControlStep, None, [1]),
@@ -507,35 +516,63 @@ def test_paths_that_are_no_numbers_are_refused(paper: Scenario) -> None:
         None, "path",
     ):  # fmt: skip
         with pytest.raises((ValueError, TypeError)):
-            core.set_path(bad, None, None, 1.0, False, False)
+            core.set_path(bad, None, pose, 1.0, False, False)
     for bad in (None, np.zeros(11), np.zeros(12, dtype=np.float32), "pose"):
         with pytest.raises((ValueError, TypeError)):
             core.set_path(np.array([1.0, 0.0, 0.0]), lambda clock, twist: True, bad, 1.0, False, False)
-    core.set_path(good, None, None, paper.path.duration, True, False)  # the path that was refused has changed nothing
+    core.set_path(good, None, pose, paper.path.duration, True, False)  # the path that was refused has changed nothing
     core.set_path(np.array([1.0, 0.0, 0.0]), lambda clock, twist: False, pose, 1.0, False, True)
-    assert core.step() is None or core.step().status.name == "HOLDING"
+    assert core.step(None, None) is None or core.step(None, None).status.name == "HOLDING"
 
 
 def test_steps_without_python_in_between_are_the_same(paper: Scenario) -> None:
     one, many = loop_of(paper, dt=0.005), loop_of(paper, dt=0.005)
-    assert core_of(many).advance(50) == 50
+    assert core_of(many).advance(50, None) == 50
     for _ in range(50):
         one.step(None, None)
     np.testing.assert_array_equal(one.q, many.q)
     assert one.clock == many.clock
-    assert core_of(many).advance(0) == core_of(many).advance(-1) == 0
+    assert core_of(many).advance(0, None) == core_of(many).advance(-1, None) == 0
+
+
+def test_a_loop_that_nobody_holds_is_freed(paper: Scenario) -> None:
+    """It owns the core, which holds its methods."""
+    loop = loop_of(paper)
+    core_of(loop).bind_rows(loop._bound_knot, loop._bound_knot)
+    loop.step(None, None)
+    known = weakref.ref(loop)
+    del loop
+    gc.collect()
+    assert known() is None
+
+
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
+def test_functions_that_raise_count_as_failed_and_interrupts_end_the_call(paper: Scenario) -> None:
+    core = core_of(loop_of(paper))
+    pose = np.zeros(12)
+    for error, status in ((ValueError("no"), "HOLDING"), (KeyboardInterrupt(), None)):
+
+        def own(clock: float, twist: int, error: BaseException = error) -> bool:
+            raise error
+
+        core.set_path(np.array([1.0, 0.0, 0.0]), own, pose, 1.0, False, True)
+        if status is None:
+            with pytest.raises(KeyboardInterrupt):
+                core.step(None, None)
+        else:
+            assert core.step(None, None).status.name == status
 
 
 def test_memory_lives_as_long_as_its_core(paper: Scenario, make_cell: Callable[..., RobotCell]) -> None:
     """The core keeps its blocks: nothing else needs to."""
     blocks, places, sizes = built(loop_of(paper))
-    core = native.Core(blocks, places, sizes)
-    core.set_path(paper.path.packed(), None, None, paper.path.duration, False, False)
+    core = core_with(blocks, places, sizes)
+    core.set_path(paper.path.packed(), None, np.zeros(12), paper.path.duration, False, False)
     core.start(paper.q_start)
     core.start_path(0.0, 1.0)
     del blocks
     [np.full(100_000, np.nan) for _ in range(20)]  # would be written over what is free
-    records = [core.step() for _ in range(5)]
+    records = [core.step(None, None) for _ in range(5)]
     assert all(isinstance(record, bytes) for record in records)
     first = len(layout.RECORD)
     assert all(np.isfinite(np.frombuffer(record)[first : first + 54]).all() for record in records)

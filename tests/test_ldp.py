@@ -247,7 +247,7 @@ def core(problem: QpProblem, reach: float = LARGEST_X) -> tuple[int, np.ndarray,
     n, p = len(problem.g), len(problem.l)
     x, y = np.zeros(n), np.zeros(p + n)
     arrays = (problem.C, problem.l, problem.u, problem.lb, problem.ub, x, y, np.zeros(2 * n * (n + 3)))
-    return native.least_distance(tuple((a.ctypes.data, a.nbytes) for a in arrays), reach), x, y
+    return native.LeastDistance(*arrays).solve(reach), x, y
 
 
 @given(seed=SEEDS)
@@ -272,12 +272,35 @@ def test_numbers_that_are_none(bad: float) -> None:
     assert make_solver("ldp").solve(problem).status is SolverStatus.INVALID
 
 
-def test_the_core_tests_the_lengths_of_its_arrays() -> None:
-    x = np.zeros(2)
+def test_the_core_tests_its_arrays() -> None:
+    """What it is given is an array of the right kind and length: no address, which a wrong number would be."""
+    n, m = 3, 4
+    shapes = ((m, n), (m,), (m,), (n,), (n,), (n,), (m + n,), (2 * n * (n + 3),))
+    good = [np.zeros(shape) for shape in shapes]
+    assert native.LeastDistance(*good).solve(LARGEST_X) == 0
+    for i, array in enumerate(good):
+        with pytest.raises(ValueError, match="do not fit"):
+            native.LeastDistance(*good[:i], np.zeros(array.size + 1), *good[i + 1 :])
+        for bad in (
+            array.astype(np.float32),
+            np.zeros(2 * array.size)[::2],
+            array.tolist(),
+            array.ctypes.data,
+            7,
+            None,
+        ):
+            with pytest.raises(TypeError):
+                native.LeastDistance(*good[:i], bad, *good[i + 1 :])
+    for i in (5, 6, 7):
+        frozen = good[i].copy()
+        frozen.flags.writeable = False
+        with pytest.raises(TypeError):
+            native.LeastDistance(*good[:i], frozen, *good[i + 1 :])
+    with pytest.raises(TypeError):
+        native.LeastDistance()
+    nothing = [np.zeros(size) for size in (0, 0, 0, 0, 0, 0, 0, 0)]
     with pytest.raises(ValueError, match="do not fit"):
-        native.least_distance(((x.ctypes.data, x.nbytes),) * 8, LARGEST_X)
-    with pytest.raises(ValueError, match="8 buffers"):
-        native.least_distance((), LARGEST_X)
+        native.LeastDistance(*nothing)
 
 
 @pytest.mark.parametrize("diagonal", [[1.0, 0.0], [1.0, -1.0], [0.0, 0.0], [1.0, 1e-14]])

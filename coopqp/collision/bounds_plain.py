@@ -1,4 +1,4 @@
-"""The functions of ``bounds_module.cpp`` in NumPy, for installations without a compiler. P pairs, reaches (nv, P)."""
+"""The functions of ``distances_binding.cpp`` in NumPy, for where there is no compiler. P pairs, reaches (nv, P)."""
 
 from __future__ import annotations
 

@@ -182,7 +182,7 @@ class LowerBounds:
     Args:
         scene: the scene of the pairs.
         distances: the distances that are asked.
-        kernel: the code of the bounds, ``bounds_module.cpp`` or :mod:`coopqp.collision.bounds_plain`; None for the
+        kernel: the code of the bounds, ``distances_binding.cpp`` or :mod:`coopqp.collision.bounds_plain`; None for the
             fastest of this installation.
 
     Warns:

@@ -1,6 +1,6 @@
 """Kinematics of one arm at thousands of tool poses at once: inverse kinematics, singular values, limit margins.
 
-Compiled (``batch_module.cpp``), or in NumPy where there was no compiler (:mod:`coopqp.model.batch_plain`).
+Compiled (``kinematics_binding.cpp``), or in NumPy where there was no compiler (:mod:`coopqp.model.batch_plain`).
 """
 
 from __future__ import annotations

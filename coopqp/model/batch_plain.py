@@ -1,6 +1,7 @@
-"""The functions of ``batch_module.cpp`` in NumPy: all configurations at once, for installations without a compiler.
+"""The functions of ``kinematics_binding.cpp`` in NumPy: all configurations at once.
 
-Arrays are flat and hold the same numbers; the result is written into them. See ``batch_module.cpp`` for their content.
+Arrays are flat and hold the same numbers; the result is written into them. See ``kinematics_binding.cpp``
+for their content.
 """
 
 from __future__ import annotations

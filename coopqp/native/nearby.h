@@ -5,10 +5,6 @@
 
 #include <Python.h>
 
-/* Add the functions of bounds_module.cpp and Nearby to the module; -1 and an exception if that fails. */
-int add_bounds(PyObject *module);
-/* Add the functions of batch_module.cpp, likewise. */
-int add_batch(PyObject *module);
 /* Add the type Nearby to the module; -1 and an exception if that fails. */
 int add_nearby(PyObject *module);
 

@@ -28,7 +28,7 @@ class LdpSettings(SolverSettings):
 
 
 class _Memory:
-    """Arrays of one size of least-distance problem, and their addresses and lengths.
+    """Arrays of one size of least-distance problem.
 
     Attributes:
         A, low, high: rows (m, n) and their bounds (m,).
@@ -36,25 +36,23 @@ class _Memory:
         x, y: answer (n,), and multipliers of rows and bounds (m + n,).
     """
 
-    __slots__ = ("A", "_least_distance", "_work", "buffers", "high", "lb", "low", "ub", "x", "y")
+    __slots__ = ("A", "_program", "high", "lb", "low", "ub", "x", "y")
 
     def __init__(self, n: int, m: int) -> None:
         try:
-            from coopqp.native._core import least_distance
+            from coopqp.native._core import LeastDistance
         except ImportError as error:
             raise MissingSolverError(
                 "ldp", "install a wheel of coopqp, or a C++ compiler before you build it"
             ) from error
-        self._least_distance = least_distance
         self.A, self.low, self.high = np.zeros((m, n)), np.full(m, -np.inf), np.full(m, np.inf)
         self.lb, self.ub, self.x, self.y = np.full(n, -np.inf), np.full(n, np.inf), np.zeros(n), np.zeros(m + n)
-        self._work = np.zeros(2 * n * (n + 3))
-        arrays = (self.A, self.low, self.high, self.lb, self.ub, self.x, self.y, self._work)
-        self.buffers = tuple((array.ctypes.data, array.nbytes) for array in arrays)
+        work = np.zeros(2 * n * (n + 3))
+        self._program = LeastDistance(self.A, self.low, self.high, self.lb, self.ub, self.x, self.y, work)
 
     def solve(self, reach: float) -> int:
         """Fill x and y; returns the iterations, or the code of a failure."""
-        return self._least_distance(self.buffers, reach)
+        return self._program.solve(reach)
 
 
 class LdpSolver(QpSolver):

@@ -5,7 +5,6 @@ from __future__ import annotations
 import re
 import subprocess
 import sys
-import sysconfig
 from collections import defaultdict
 from pathlib import Path
 from typing import Any
@@ -36,9 +35,11 @@ _KINDS: dict[str, tuple[re.Pattern[str], dict[str, str]]] = {
 _DECLARES = re.compile(
     r"\s*(?:const|double|int|static|struct|char|size_t|Py_ssize_t|void|unsigned|return|for|if|[A-Z]\w* )"
 )
-#: The compiled module, and its sources besides those that others include.
-MODULE = "coopqp/native/_core"
-SOURCES = ("step_module.cpp", "batch_module.cpp", "bounds_module.cpp", "nearby.cpp", "unit.cpp", "values.cpp")
+#: Files that are compiled by themselves; they include the others.
+SOURCES = (
+    "binding.cpp", "step_binding.cpp", "kinematics_binding.cpp", "distances_binding.cpp", "nearby.cpp", "unit.cpp",
+    "values.cpp",
+)  # fmt: skip
 
 
 def _quiet(source: str) -> str:
@@ -90,19 +91,14 @@ def write(source: str, kind: str, occurrence: int) -> str:
 
 
 def compile_copy(folder: Path) -> bool:
-    """Compile the module of the copy in ``folder``, for this processor's plain arithmetic; False if it cannot be.
+    """Compile the module of the copy in ``folder``, what has changed of it; False if it cannot be.
 
-    The functions for AVX2 are left out: a module without them takes its own.
+    The arithmetic for AVX2 is left out: a module without it takes its own.
     """
-    generated, native = folder / "build" / "generated", (folder / MODULE).parent
-    generated.mkdir(parents=True, exist_ok=True)
-    layout = subprocess.run([sys.executable, str(native / "header.py")], capture_output=True, text=True, check=True)
-    (generated / "layout.h").write_text(layout.stdout, encoding="utf-8")
-    include = [str(generated), sysconfig.get_paths()["include"]]
-    done = subprocess.run(
-        ["c++", "-std=c++17", "-O1", "-w", "-shared", "-fPIC", "-fvisibility=hidden", "-DPy_LIMITED_API=0x030b0000",
-         *(f"-I{i}" for i in include), *(str(native / s) for s in SOURCES),
-         "-o", str((folder / MODULE).with_suffix(".abi3.so")), "-lm"],
-        capture_output=True, text=True, check=False,
-    )  # fmt: skip
-    return done.returncode == 0
+    build = folder / "build" / "mutant"
+    options = ("-DCMAKE_BUILD_TYPE=Release", "-DCMAKE_CXX_FLAGS_RELEASE=-O1 -DNDEBUG -w", "-DCOOPQP_AVX2=OFF")
+    commands = [["--build", str(build), "--parallel"], ["--install", str(build), "--prefix", str(folder)]]
+    if not (build / "CMakeCache.txt").exists():
+        commands.insert(0, ["-S", str(folder), "-B", str(build), f"-DPython_EXECUTABLE={sys.executable}", *options])
+    cmake = str(Path(sys.executable).with_name("cmake"))
+    return all(subprocess.run([cmake, *one], capture_output=True, check=False).returncode == 0 for one in commands)

@@ -503,7 +503,7 @@ class CompiledLoop:
 
 
 def _make_core(memory: Memory, arithmetic: str) -> Any:
-    blocks = tuple(memory.blocks.values())
+    config, state, work = memory.blocks.values()
     s = memory.sizes
     sizes = s["n"], s["nv"], s["nq"], s["unknowns"], s["past"], s["rows"]
-    return native.Core(blocks, tuple(memory.places), sizes, arithmetic == "plain")
+    return native.Core(config, state, work, memory.places, *sizes, arithmetic == "plain")

@@ -27,11 +27,10 @@ from coopqp.model.cell import RobotCell
 from coopqp.model.limits import BindingLimit, LimitKind
 from coopqp.model.shapes import NearPair
 from coopqp.model.state import CellState
+from coopqp.native.constants import STILL_SLOPE
 from coopqp.spatial import Array
 
 _EVERY: Any = slice(None)
-#: Per unit of rate, a row that changes by less does not bound the rate.
-_STILL = 1e-12
 #: Entries of rows this large are nonsense.
 _LARGEST = 1e9
 #: Rows whose largest entry is smaller are scaled to 1, for steps keep all rows with the same absolute tolerance; where
@@ -262,7 +261,7 @@ class Constraints:
             along = rows.G @ knot.slope
             room = np.where(along > 0.0, rows.upper, -rows.lower)
             with np.errstate(divide="ignore", invalid="ignore"):
-                rate = np.where(np.abs(along) > _STILL, room / np.abs(along), np.inf)
+                rate = np.where(np.abs(along) > STILL_SLOPE, room / np.abs(along), np.inf)
             worst = int(rate.argmin())
             if rate[worst] < 1.0:
                 cap, which = float(rate[worst] * abs(rate[worst])), int(rows.owner[worst])

@@ -20,7 +20,7 @@ START_TOLERANCE_M, START_TOLERANCE_RAD = 0.02, np.deg2rad(3.0)
 #: Smallest deviation from grasp or path that a start reports [m, rad].
 _SAID_FROM = 5e-5, np.deg2rad(5e-3)
 #: A path with a square of its speed below this rests [m²/s²].
-_STILL = 1e-12
+_RESTS = 1e-12
 
 
 def check_start(
@@ -141,8 +141,8 @@ def rate_into(rate: float, now: Array, ahead: Array, *, length: float) -> float 
     """
     metric = np.array([1.0] * 3 + [length**2] * 3)
     before, square = float(now @ (metric * now)), float(ahead @ (metric * ahead))
-    if rate == 0.0 or (square < _STILL <= before):
+    if rate == 0.0 or (square < _RESTS <= before):
         return None
-    if before < _STILL and square < _STILL:  # both rest at any rate
+    if before < _RESTS and square < _RESTS:  # both rest at any rate
         return rate
     return min(max(rate * float(ahead @ (metric * now)) / square, 0.0), 1.0)

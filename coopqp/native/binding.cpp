@@ -1,0 +1,11 @@
+/* The module coopqp.native._core. */
+
+#include "arrays.h"
+
+NB_MODULE(_core, m) {
+    m.doc() = "The compiled parts of coopqp.";
+    nb::set_leak_warnings(false); /* users would see them where their program ends */
+    bind_step(m);
+    bind_kinematics(m);
+    bind_distances(m);
+}

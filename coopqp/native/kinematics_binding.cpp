@@ -1,0 +1,143 @@
+/* Kinematics of one arm at many configurations, for Python: tool poses, Newton's method, walks along poses, derivatives
+ * along a way; singular values of many matrices (values.cpp). See arm.h for the layout of the numbers; batch_plain.py
+ * says the same in NumPy. */
+
+#include "arm.h"
+#include "arrays.h"
+#include "values.h"
+
+/* -- along poses ----------------------------------------------------------------------------------------------------- */
+
+/* Whether det J of an arm of six joints is negative; 0 for other arms. */
+static int orientation(const Arm *a, const double *q) {
+    double T[12], A[6 * MOST_JOINTS];
+    int order[6];
+    if (a->joints != 6) return 0;
+    place(a, q, T, A);
+    return eliminate(A, order);
+}
+
+/* Halfway between two poses: along the line, about one axis. */
+static void halfway(const double *from, const double *to, double *between) {
+    double D[9], w[3], R[9];
+    for (int i = 0; i < 3; i++)
+        for (int j = 0; j < 3; j++) D[3 * i + j] = dot3(to + 3 * i, from + 3 * j);
+    rotation_vector(D, w);
+    for (int i = 0; i < 3; i++) w[i] *= 0.5;
+    exp3(w, R);
+    multiply3(R, from, between);
+    for (int i = 0; i < 3; i++) between[9 + i] = 0.5 * (from[9 + i] + to[9 + i]);
+}
+
+/* From q at one pose to the next without a jump and without passing a singularity; halves the way where it has to. */
+static int step_to(const Arm *a, const double *from, const double *to, double *q, double tolerance, double longest,
+                   int halvings) {
+    double next[MOST_JOINTS], between[12], furthest = 0.0;
+    memcpy(next, q, sizeof(double) * (size_t)a->joints);
+    const double residual = solve(a, to, next, tolerance, 12, longest, 0.0);
+    for (int j = 0; j < a->joints; j++) furthest = maximum(furthest, fabs(next[j] - q[j]));
+    if (residual <= tolerance && furthest <= longest && orientation(a, next) == orientation(a, q)) {
+        memcpy(q, next, sizeof(double) * (size_t)a->joints);
+        return 1;
+    }
+    if (halvings <= 0) return 0;
+    halfway(from, to, between);
+    return step_to(a, from, between, q, tolerance, longest, halvings - 1) &&
+           step_to(a, between, to, q, tolerance, longest, halvings - 1);
+}
+
+/* The fastest that this processor can do. */
+static SingularValues *fastest(void) {
+#ifdef HAS_AVX2_ARITHMETIC
+    if (__builtin_cpu_supports("avx2") && __builtin_cpu_supports("fma")) return avx2::singular_values;
+#endif
+    return plain::singular_values;
+}
+
+/* -- Python ---------------------------------------------------------------------------------------------------------- */
+
+static Arm arm_of(const In &numbers) {
+    const Py_ssize_t joints = (numbers.size - 12) / PER_JOINT;
+    check_fit(joints >= 1 && joints <= MOST_JOINTS && numbers.size == PER_JOINT * joints + 12);
+    return {(int)joints, numbers.data, numbers.data + PER_JOINT * joints};
+}
+
+/* place(arm, q, poses, jacobians) */
+static void place_all(const In &arm, const In &q, Out &poses, Out &jacobians) {
+    const Arm a = arm_of(arm);
+    const Py_ssize_t count = poses.size / 12, n = a.joints;
+    check_fit(poses.size == 12 * count && q.size == n * count && jacobians.size == 6 * q.size);
+    for (Py_ssize_t i = 0; i < count; i++) place(&a, q.data + i * n, poses.data + 12 * i, jacobians.data + 6 * i * n);
+}
+
+/* solve(arm, poses, q, residuals, tolerance, steps, longest, damping) */
+static void solve_all(const In &arm, const In &poses, Out &q, Out &residuals, double tolerance, int steps, double longest,
+                      double damping) {
+    const Arm a = arm_of(arm);
+    const Py_ssize_t count = residuals.size, n = a.joints;
+    check_fit(poses.size == 12 * count && q.size == n * count);
+    nb::gil_scoped_release released;
+    for (Py_ssize_t i = 0; i < count; i++)
+        residuals.data[i] = solve(&a, poses.data + 12 * i, q.data + i * n, tolerance, steps, longest, damping);
+}
+
+/* derivatives(arm, q, twists, slopes of twists, slopes, curvatures) */
+static void derivatives_all(const In &arm, const In &q, const In &twists, const In &twist_slopes, Out &slopes,
+                            Out &curvatures) {
+    const Arm a = arm_of(arm);
+    const Py_ssize_t count = twists.size / 6, n = a.joints;
+    check_fit(n >= 6 && twists.size == 6 * count && twist_slopes.size == twists.size && q.size == n * count &&
+              slopes.size == q.size && curvatures.size == q.size);
+    nb::gil_scoped_release released;
+    for (Py_ssize_t i = 0, j = 0; i < count; i++, j += n)
+        derivatives(&a, q.data + j, twists.data + 6 * i, twist_slopes.data + 6 * i, slopes.data + j, curvatures.data + j);
+}
+
+/* singular_values(matrices, rows, columns, values) */
+static void singular_values_all(const In &matrices, int rows, int columns, Out &found) {
+    const int width = rows < columns ? rows : columns, length = rows < columns ? columns : rows;
+    check_fit(width >= 1 && width <= MOST_VALUES && length <= MOST_ROWS);
+    const Py_ssize_t count = found.size / width, size = (Py_ssize_t)rows * columns;
+    check_fit(found.size == width * count && matrices.size == size * count);
+    SingularValues *find = fastest();
+    nb::gil_scoped_release released;
+    for (Py_ssize_t i = 0; i < count; i += LANES) {
+        double spare[MOST_VALUES * LANES], *values[LANES];
+        const double *A[LANES];
+        for (int l = 0; l < LANES; l++) {
+            const int inside = i + l < count; /* lanes past the last matrix do it once more */
+            A[l] = matrices.data + (inside ? i + l : count - 1) * size;
+            values[l] = inside ? found.data + (i + l) * width : spare + MOST_VALUES * l;
+        }
+        find(A, rows, columns, values);
+    }
+}
+
+/* walk(arm, poses, q, reached, tolerance, longest, halvings) */
+static void walk_all(const In &arm, const In &path, Out &walked, Out &reached, double tolerance, double longest,
+                     int halvings) {
+    const Arm a = arm_of(arm);
+    const Py_ssize_t poses = path.size / 12, count = reached.size, n = a.joints;
+    check_fit(path.size == 12 * poses && poses > 0 && walked.size == count * poses * n);
+    nb::gil_scoped_release released;
+    for (Py_ssize_t i = 0; i < count; i++) {
+        double *q = walked.data + i * poses * n;
+        const size_t size = sizeof(double) * (size_t)n;
+        Py_ssize_t k = 1;
+        for (; k < poses; k++, q += n) {
+            memcpy(q + n, q, size);
+            const double *from = path.data + 12 * (k - 1);
+            if (!step_to(&a, from, from + 12, q + n, tolerance, longest, halvings)) break;
+        }
+        reached.data[i] = (double)(k - 1);
+        for (; k < poses; k++, q += n) memcpy(q + n, q, size);
+    }
+}
+
+void bind_kinematics(nb::module_ &m) {
+    m.def("place", place_all);
+    m.def("solve", solve_all);
+    m.def("derivatives", derivatives_all);
+    m.def("singular_values", singular_values_all);
+    m.def("walk", walk_all);
+}
