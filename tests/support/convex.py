@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from coopqp import Array
+from coopqp.spatial import Array
 
 #: Upper and lower bound of a distance differ by less [m].
 GAP = 1e-10
