@@ -243,7 +243,7 @@ def test_no_half_written_file(
         stream.write(b"half of it")
         raise error
 
-    monkeypatch.setattr(np.lib.format, "write_array_header_1_0", half)
+    monkeypatch.setattr(np.lib.format, "write_array", half)
     with pytest.raises(RecordingError if isinstance(error, OSError) else type(error)):
         run.save(file)
     assert [p.name for p in tmp_path.iterdir()] == (["run.npz"] if earlier else [])
