@@ -252,6 +252,11 @@ class PlainLoop:
         seen = Observed(h, pose, carried, errors[:n], watch, lost=lost)
         self._watch_chain(seen)
         seen.measured = self._let_in(seen, measured, errors[n:])
+        gain = min(self.options.path_gain, 1.0 / h)
+        servos, held = supervision.servos, seen.watch.hold and seen.watch.cause is not Cause.CONTACT
+        if servos is not None and servos.backs and not held and gain > 0.0:
+            way = servos.way_back(pose.rotation, self._mean.dot(seen.errors.ravel()), h)
+            seen.measured = way / -gain
         return seen
 
     def _pose_ahead(self, clock: float) -> pin.SE3 | None:

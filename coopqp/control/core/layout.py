@@ -154,6 +154,11 @@ CONSTANTS: dict[str, float] = {
     "CONTACT_FILTER": 0.002,  # time constant of the filter on what pushes the object [s]
     "CONTACT_LASTS": 0.5,  # the arms hold for this time after the last push: the object may have bounced off [s]
     "MORE_THAN_INTERNAL": 1.2,  # it pushes this much harder than the arms do each other: an arm that stops does not
+    "UNTIL_TOLD": 1e-9,  # and then on, until they are told to go on: what is left of that time [s]
+    "HEAD_ON": 0.5,  # least cosine between the way that the object came and the push by what it has met
+    "CONTACT_BACK": 0.01,  # then the object goes back as fast as it came, and at least at this speed [m/s],
+    "CONTACT_ROOM": 0.02,  # by no more than this [m],
+    "CONTACT_WAY": 0.2,  # and what it goes in this time [s]
     "CONTACT_SETTLES": 0.1,  # and on what pushes it before it moves
     "LATE_LOAD": 0.5,  # share of the inertia that may be late
     "CORRECTION_FADES": 0.5,  # time in which the path correction begins, once the arms have relaxed [s]
@@ -242,6 +247,7 @@ MINDING = (
     "RIGID", "WEIGHT_X", "WEIGHT_Y", "WEIGHT_Z", "HASTE", "SUSPECTED", "SERVO_SAMPLES", "SERVO_NOISE", "CORRECTS",
     "START_SIZE", "WAY_DONE",
     "LOAD_MASS", "CONTACT_LIMIT", "LOAD_HASTE", "TOUCHES", "PUSHED", "SHARPEST", "ASKED_DT", "REFERENCE_DT",
+    "CONTACT_LATE", "GOES_ON", "BACK_SPEED", "BACK_OWED", "BACK_FROM", "BACKS",
 )  # fmt: skip
 #: Stages of a run with forces, in this order.
 STAGES = ("CHECKING", "PRESSING", "RELAXING", "MOVING")
