@@ -154,6 +154,9 @@ CONSTANTS: dict[str, float] = {
     "CONTACT_FILTER": 0.002,  # time constant of the filter on what pushes the object [s]
     "CONTACT_LASTS": 0.5,  # the arms hold for this time after the last push: the object may have bounced off [s]
     "MORE_THAN_INTERNAL": 1.2,  # it pushes this much harder than the arms do each other: an arm that stops does not
+    "MORE_THAN_STOPPED": 1.5,  # or with this many times the impulse that stops it: an arm that stops does that, too,
+    "PUSHED_FOR": 0.01,  # and the limit for this time [s];
+    "PUSHES_FADE": 0.2,  # impulses and speeds are remembered for this time [s]
     "UNTIL_TOLD": 1e-9,  # and then on, until they are told to go on: what is left of that time [s]
     "HEAD_ON": 0.5,  # least cosine between the way that the object came and the push by what it has met
     "CONTACT_BACK": 0.01,  # then the object goes back as fast as it came, and at least at this speed [m/s],
@@ -247,7 +250,7 @@ MINDING = (
     "RIGID", "WEIGHT_X", "WEIGHT_Y", "WEIGHT_Z", "HASTE", "SUSPECTED", "SERVO_SAMPLES", "SERVO_NOISE", "CORRECTS",
     "START_SIZE", "WAY_DONE",
     "LOAD_MASS", "CONTACT_LIMIT", "LOAD_HASTE", "TOUCHES", "PUSHED", "SHARPEST", "ASKED_DT", "REFERENCE_DT",
-    "CONTACT_LATE", "GOES_ON", "BACK_SPEED", "BACK_OWED", "BACK_FROM", "BACKS",
+    "CONTACT_LATE", "GOES_ON", "BACK_SPEED", "BACK_OWED", "BACK_FROM", "BACKS", "LOAD_SPEED",
 )  # fmt: skip
 #: Stages of a run with forces, in this order.
 STAGES = ("CHECKING", "PRESSING", "RELAXING", "MOVING")

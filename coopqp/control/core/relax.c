@@ -150,13 +150,14 @@ static void contact(int arms, const Minding *f, double dt) {
         memset(travel + 3, 0, 6 * sizeof(double));
         m[LOAD_HASTE] = 0.0;
     } else {
-        double square = 0.0;
+        double square = 0.0, speed = 0.0;
         for (int i = 0; i < 3; i++) {
             const double velocity = (place[i] - travel[i]) / since, change = (velocity - travel[3 + i]) / since;
             travel[i] = place[i], travel[3 + i] = velocity;
             travel[6 + i] += dt / (dt + m[WRENCH_FILTER]) * (change - travel[6 + i]);
-            square += change * change;
+            square += change * change, speed += velocity * velocity;
         }
+        m[LOAD_SPEED] = fmax(sqrt(speed), m[LOAD_SPEED] * PUSHES_FADE / (PUSHES_FADE + dt));
         m[LOAD_HASTE] = fmax(sqrt(square), m[LOAD_HASTE] * SERVO_PEAK / (SERVO_PEAK + dt));
     }
     for (int k = 0; k < arms; k++)
@@ -174,7 +175,13 @@ static void contact(int arms, const Minding *f, double dt) {
     m[PUSHED] = sqrt(dot3(sum, sum));
     const double limit = (m[TOUCHES] != 0.0 ? LET_GO : 1.0) * m[CONTACT_LIMIT];
     const int clear = m[TOUCHES] != 0.0 || (m[SUSPECTED] == 0.0 && m[PUSHED] > MORE_THAN_INTERNAL * m[SHARPEST]);
-    if (clear && m[PUSHED] - LATE_LOAD * m[LOAD_MASS] * m[LOAD_HASTE] >= limit) {
+    double *impulse = push + 12;
+    for (int i = 0; i < 3; i++) {
+        impulse[i] *= PUSHES_FADE / (PUSHES_FADE + dt);
+        if (m[PUSHED] >= m[CONTACT_LIMIT]) impulse[i] += dt * sum[i];
+    }
+    const double stops = MORE_THAN_STOPPED * m[LOAD_MASS] * m[LOAD_SPEED] + PUSHED_FOR * m[CONTACT_LIMIT];
+    if ((clear || dot3(impulse, impulse) > stops * stops) && m[PUSHED] - LATE_LOAD * m[LOAD_MASS] * m[LOAD_HASTE] >= limit) {
         if (m[TOUCHES] <= UNTIL_TOLD) {
             turn_back(m, travel + 3, sum, push + 9);
             memset(push + 6, 0, sizeof sum);

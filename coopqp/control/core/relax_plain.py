@@ -24,6 +24,9 @@ _CONTACT_FILTER, _CONTACT_SETTLES, _CONTACT_LASTS, _LATE_LOAD, _PEAK, _LET_GO = 
     layout.CONSTANTS[name]
     for name in ("CONTACT_FILTER", "CONTACT_SETTLES", "CONTACT_LASTS", "LATE_LOAD", "SERVO_PEAK", "LET_GO")
 )
+_MORE_THAN_STOPPED, _PUSHED_FOR, _FADE = (
+    layout.CONSTANTS[name] for name in ("MORE_THAN_STOPPED", "PUSHED_FOR", "PUSHES_FADE")
+)
 _CONTACT_BACK, _CONTACT_ROOM, _CONTACT_WAY, _HEAD_ON, _UNTIL_TOLD = (
     layout.CONSTANTS[name] for name in ("CONTACT_BACK", "CONTACT_ROOM", "CONTACT_WAY", "HEAD_ON", "UNTIL_TOLD")
 )
@@ -44,7 +47,7 @@ def minding_views(memory: Array, arms: int) -> dict[str, Array]:
         ("felt", (arms, 6)), ("held", (arms, 6)), ("off_servos", (arms, 6)), ("off_last", (arms, 6)),
         ("off_step", (arms, 6)), ("off_drift", (arms, 6)), ("off_noise", (arms,)),
         ("compliances", (arms, 6, 6)), ("carries", (n, 3)), ("unfed_of", (n, n)),
-        ("reference", (12,)), ("centre", (3,)), ("travel", (3, 3)), ("push", (4, 3)),
+        ("reference", (12,)), ("centre", (3,)), ("travel", (3, 3)), ("push", (5, 3)),
     )  # fmt: skip
     for name, shape in shapes:
         size = math.prod(shape)
@@ -55,7 +58,7 @@ def minding_views(memory: Array, arms: int) -> dict[str, Array]:
 
 def minding_size(arms: int) -> int:
     """Size of the memory for a number of arms."""
-    return len(layout.MINDING) + 36 + (128 + 48) * arms + 108 * arms**2
+    return len(layout.MINDING) + 39 + (128 + 48) * arms + 108 * arms**2
 
 
 def gives_way(memory: Array) -> bool:
@@ -120,7 +123,7 @@ def _find_contact(m: Array, x: dict[str, Array], dt: float) -> None:
     if not m[AT["CONTACT_LIMIT"]] < math.inf:
         return
     R, travel, moves = x["reference"][:9].reshape(3, 3), x["travel"], m[AT["STAGE"]] >= MOVING
-    push, base, last, back = x["push"]
+    push, base, last, back, impulse = x["push"]
     place, since, haste = R @ x["centre"] + x["reference"][9:], max(m.item(AT["REFERENCE_DT"]), 1e-6), AT["LOAD_HASTE"]
     if moves:
         velocity = (place - travel[0]) / since
@@ -128,6 +131,7 @@ def _find_contact(m: Array, x: dict[str, Array], dt: float) -> None:
         travel[:2] = place, velocity
         travel[2] += dt / (dt + m[AT["WRENCH_FILTER"]]) * (change - travel[2])
         m[haste] = max(float(np.linalg.norm(change)), m[haste] * _PEAK / (_PEAK + dt))
+        m[AT["LOAD_SPEED"]] = max(math.sqrt(velocity @ velocity), m[AT["LOAD_SPEED"]] * _FADE / (_FADE + dt))
     else:
         travel[0], travel[1:], m[haste] = place, 0.0, 0.0
     n = len(x["seen"])
@@ -141,7 +145,13 @@ def _find_contact(m: Array, x: dict[str, Array], dt: float) -> None:
     m[AT["PUSHED"]] = math.sqrt(off @ off)
     limit = (_LET_GO if m[AT["TOUCHES"]] else 1.0) * m[AT["CONTACT_LIMIT"]]
     clear = m[AT["TOUCHES"]] or (not m[AT["SUSPECTED"]] and m[AT["PUSHED"]] > _MORE_THAN_INTERNAL * m[AT["SHARPEST"]])
-    if clear and m[AT["PUSHED"]] - _LATE_LOAD * m[AT["LOAD_MASS"]] * m[haste] >= limit:
+    impulse *= _FADE / (_FADE + dt)
+    if m[AT["PUSHED"]] >= m[AT["CONTACT_LIMIT"]]:
+        impulse += dt * off
+    stops = _MORE_THAN_STOPPED * m[AT["LOAD_MASS"]] * m[AT["LOAD_SPEED"]] + _PUSHED_FOR * m[AT["CONTACT_LIMIT"]]
+    if (clear or impulse @ impulse > stops * stops) and m[AT["PUSHED"]] - _LATE_LOAD * m[AT["LOAD_MASS"]] * m[
+        haste
+    ] >= limit:
         if m[AT["TOUCHES"]] <= _UNTIL_TOLD:
             _turn_back(m, travel[1], off, back)
             last[:] = 0.0
