@@ -23,6 +23,7 @@ from coopqp import (
     QPController,
     RobotCell,
     Status,
+    WaypointPath,
     inverse_kinematics,
     simulate,
 )
@@ -616,40 +617,100 @@ def test_forces_that_grow_by_themselves_end_the_presses(task: Scenario) -> None:
     assert forces[-1] < 10.0
 
 
+class Pushed:
+    """A ForceController whose object is pushed: by wrenches of arms that carry the payload, less the push."""
+
+    def __init__(self, task: Scenario, kernel: str, *, mass: float = 20.0, path: Any = None, acceleration: Any = None):
+        self.payload, self.mass = Payload(mass=20.0, centre=task.T_object_body.translation), mass
+        scale = np.tile([1.0, 1.0, 1.0, 0.1, 0.1, 0.1], 3)  # as the load is shared, so that nothing is internal
+        total = np.hstack([X.actionInverse.T for X in task.grasp.T_object_tool])
+        self.shares = scale[:, None] * np.linalg.pinv(total * scale)
+        self.rng, self.path = np.random.default_rng(0), path or task.path
+        cell = task.cell if acceleration is None else task.cell.with_limits(acceleration=acceleration)
+        options = {"kernel": kernel, "supervision": {"slow_from": None}}
+        inner = QPController(cell, task.grasp, self.path, dt=task.dt, options=options)
+        self.made = ForceController(inner, {"stiffness": STIFF, "payload": self.payload, "sensor_tolerance": 1e3})
+        self.made.reset(task.q_start)
+        self.cell, self.grasp, self.q, self.steps = cell, task.grasp, task.q_start, list[Any]()
+
+    def go(self, steps: int, push: Any = (0.0, 0.0, 0.0)) -> Any:
+        """Some steps; returns the last."""
+        for _ in range(steps):
+            R = self.path.pose(self.steps[-1].clock if self.steps else 0.0).rotation
+            force = R.T @ (np.array([0.0, 0.0, 9.81 * self.mass]) - push)
+            felt = (self.shares @ np.r_[force, np.cross(self.payload.centre, force)]).reshape(3, 6)
+            felt += 0.02 * self.rng.normal(size=(3, 6))
+            self.steps.append(self.made.step(self.q, wrenches=felt))
+            self.q = self.steps[-1].q_next
+        return self.steps[-1]
+
+    def at(self) -> Array:
+        """Where the first arm holds the object."""
+        out: Array = (CellState(self.cell, self.q).T_world_tool[0] * self.grasp.T_object_tool[0].inverse()).translation
+        return out
+
+
 @pytest.mark.parametrize("kernel", available_kernels())
 @pytest.mark.parametrize("way", [(0.0, 0.0, 1.0), (-0.6, 0.0, 0.8)])
 def test_a_push_on_the_object_holds_it_with_the_direction(kernel: str, way: Any, task: Scenario) -> None:
-    """Wrenches of arms that carry the payload, less what a table bears of it; also of a payload of another mass."""
-    payload = Payload(mass=20.0, centre=task.T_object_body.translation)
-    scale = np.tile([1.0, 1.0, 1.0, 0.1, 0.1, 0.1], 3)  # as the load is shared, so that nothing is internal
-    total = np.hstack([X.actionInverse.T for X in task.grasp.T_object_tool])
-    shares = scale[:, None] * np.linalg.pinv(total * scale)
-    rng = np.random.default_rng(0)
-
-    def felt(step: Any, mass: float, push: Array) -> Array:
-        R = task.path.pose(step.clock if step else 0.0).rotation
-        force = R.T @ (np.array([0.0, 0.0, 9.81 * mass]) - push)
-        out: Array = (shares @ np.r_[force, np.cross(payload.centre, force)]).reshape(3, 6)
-        return out + 0.02 * rng.normal(size=(3, 6))
-
+    """Also an object of another mass than told. It goes back, and rests until it is told to go on."""
     for mass in (20.0, 12.0) if kernel == "compiled" else (20.0,):
-        inner = QPController(
-            task.cell, task.grasp, task.path, dt=task.dt, options={"kernel": kernel, "supervision": {"slow_from": None}}
-        )
-        made = ForceController(inner, {"stiffness": STIFF, "payload": payload, "sensor_tolerance": 1e3})
-        made.reset(task.q_start)
-        step, q = None, task.q_start
-        for _ in range(300):
-            step = made.step(q, wrenches=felt(step, mass, np.zeros(3)))
-            q = step.q_next
-        assert step is not None
+        world = Pushed(task, kernel, mass=mass)
+        step = world.go(300)
         assert step.status is Status.TRACKING, step.reason
-        for _ in range(3):
-            step = made.step(q, wrenches=felt(step, mass, 60.0 * np.array(way)))
+        before = world.at()
+        step = world.go(3, 60.0 * np.array(way))
         assert step.status is Status.HOLDING
         assert step.cause is Cause.CONTACT
+        step = world.go(20)
         assert "N have pushed it towards " + ("+z" if way[2] == 1.0 else "(-0.6, 0.0, 0.8)") in step.reason
         np.testing.assert_allclose(step.velocity, 0.0, atol=1e-6)
+        assert 0.0 < (world.at() - before) @ way < 2e-3
+    step = world.go(150)
+    assert (step.status, step.cause) == (Status.HOLDING, Cause.CONTACT)
+    world.made.resume()
+    step = world.go(20)
+    assert step.status is not Status.HOLDING
+    assert step.rate > 0.0
+
+
+@pytest.mark.parametrize("acceleration", [None, 10.0])
+def test_an_object_that_meets_something_goes_back_the_way_it_came(acceleration: Any, task: Scenario) -> None:
+    """Against the push, not along it; within the limits, with the arms together, and no farther than there is room."""
+    start = task.path.pose(0.0)
+    down = pin.SE3(start.rotation, start.translation + np.array([0.0, 0.0, -0.08]))
+    ways = []
+    for kernel in available_kernels():
+        world = Pushed(task, kernel, path=WaypointPath([start, down], durations=[1.0]), acceleration=acceleration)
+        while world.go(1).clock < 0.5:
+            pass
+        before, n = world.at(), len(world.steps)
+        step = world.go(8 if kernel == "plain" else 80, [40.0, 0.0, 60.0])
+        assert step.cause is Cause.CONTACT
+        assert max(step.commanded_apart for step in world.steps) < 1e-5
+        limit = 1.0 + 1e-9
+        assert all(np.abs(step.velocity / world.cell.limits.velocity).max() < limit for step in world.steps)
+        moved = world.at() - before
+        if kernel == "compiled":
+            assert 0.02 < moved[2] < 0.02 + 0.2 * 0.15
+            np.testing.assert_allclose(step.velocity, 0.0, atol=1e-6)
+            assert abs(moved[0]) < 1e-3
+        ways.append([step.q_next for step in world.steps[: n + 8]])
+    if len(ways) > 1:
+        np.testing.assert_allclose(ways[0], ways[1], rtol=0.0, atol=1e-9)
+
+
+def test_what_holds_otherwise_does_not_go_back(task: Scenario) -> None:
+    """Wrenches that do not come any more say nothing of the push."""
+    world = Pushed(task, available_kernels()[0])
+    world.go(300)
+    step = world.go(3, [0.0, 0.0, 60.0])
+    assert step.cause is Cause.CONTACT
+    for _ in range(40):
+        step = world.made.step(world.q)
+        world.q = step.q_next
+    assert (step.status, step.cause) == (Status.HOLDING, Cause.SENSOR)
+    np.testing.assert_allclose(step.velocity, 0.0, atol=1e-6)
 
 
 def test_a_contact_limit_needs_to_know_the_payload() -> None:

@@ -103,7 +103,7 @@ class Relaxation:
     def __init__(
         self, cell: RobotCell, grasp: Grasp, options: ForceOptions, *, dt: float, shares: Array, kernel: str
     ) -> None:
-        self.options, n = options, len(cell)
+        self.options, self._dt, n = options, dt, len(cell)
         if options.stiffness is None:
             raise InvalidInputError("no stiffness", "ForceOptions", "Give the stiffness of the joint servos.")
         gain = options.softness_doubt * (options.delay + dt) / options.relax_time
@@ -172,7 +172,7 @@ class Relaxation:
         minding_views(m, len(self._cell))["centre"][:] = payload.centre
         carries[:] = self._load_shares @ np.vstack([np.eye(3), skew(payload.centre)])
         weight = m[AT["WEIGHT_X"] : AT["WEIGHT_Z"] + 1] = -payload.mass * self._cell.model.gravity.linear
-        m[AT["LOAD_MASS"]] = payload.mass
+        m[AT["LOAD_MASS"]], m[AT["CONTACT_LATE"]] = payload.mass, self.options.delay + self._dt
         limit = self.options.contact_limit
         least = max(_LEAST_CONTACT, _CONTACT * float(np.linalg.norm(weight)))
         if self.options.palms is not None:  # a stand hides what the object weighs until it moves

@@ -170,13 +170,15 @@ class ForceController:
             self._shifted()
 
     def follow(self, path: ObjectPath, *, clock: float = 0.0) -> None:
-        """Take another path; see :meth:`coopqp.QPController.follow`."""
+        """Take another path; see :meth:`coopqp.QPController.follow`. It ends a hold, as :meth:`resume` does."""
         self._qp.follow(path, clock=clock)
         self.path = path
+        self._memory[AT["GOES_ON"]] = 1.0
 
     def retarget(self, T_world_object: Placement) -> None:
-        """Move the target of a servo path; see :meth:`coopqp.QPController.retarget`."""
+        """Move the target of a servo path; see :meth:`coopqp.QPController.retarget`. It ends a hold, as resume does."""
         self._qp.retarget(T_world_object)
+        self._memory[AT["GOES_ON"]] = 1.0
 
     def set_override(self, share: float) -> None:
         """The largest rate of the object; see :meth:`coopqp.QPController.set_override`."""
@@ -187,8 +189,9 @@ class ForceController:
         self._qp.pause()
 
     def resume(self) -> None:
-        """Go on after :meth:`pause`."""
+        """Go on after :meth:`pause`, or after the object has touched something: half a second after the last push."""
         self._qp.resume()
+        self._memory[AT["GOES_ON"]] = 1.0
 
     # -- the wrenches --------------------------------------------------------------------------------------------
 
@@ -403,6 +406,8 @@ class ForceController:
             return None
         if why == BY_CONTACT and status is Status.HOLDING:
             return Cause.CONTACT
+        if why == BY_SENSOR and cause is Cause.CONTACT:
+            return Cause.SENSOR
         paused = isinstance(self.controller, QPController) and self.controller.paused
         if paused or cause not in (None, Cause.OPERATOR):  # forces lower the override
             return cause

@@ -68,9 +68,9 @@ static void allow(int arms, double *memory, double dt) {
     double *m = memory;
     int why = NOTHING_MORE;
     if (m[SENSOR_FAULT] != SENSORS_FINE) why = BY_SENSOR;
+    else if (m[TOUCHES] != 0.0) why = BY_CONTACT;
     else if (m[SATURATED] != 0.0 && m[SIZE] > m[FORCE_SLOWS]) why = BY_REACH;
     else if (m[STAGE] != MOVING) why = BY_STAGE;
-    else if (m[TOUCHES] != 0.0) why = BY_CONTACT;
     m[WHY] = why, m[ALLOWED] = 0.0;
     if (why != NOTHING_MORE) return;
     if (m[HAS_PALMS] != 0.0 && friction_slows(arms, &f, dt)) {

@@ -24,7 +24,7 @@ struct Minding {
     double *reference;                                                 /* 12: R and p of the object as asked for */
     double *centre;                                                    /* 3: of the payload, in the object */
     double *travel;                                                    /* its place, velocity and acceleration, 3 each */
-    double *push;                                                      /* 3 now, 3 before it moved, 3 of the last contact; see contact() */
+    double *push;                                                      /* 3 now, 3 before it moved, 3 of the last contact, the way back from it, the impulse; see contact() */
 };
 
 static inline Minding minding_of(int arms, double *memory) {
@@ -44,7 +44,7 @@ static inline Minding minding_of(int arms, double *memory) {
 }
 
 /* Numbers of the whole memory. */
-static inline ptrdiff_t minding_size(ptrdiff_t arms) { return N_MINDING + 33 + (128 + PALM) * arms + 108 * arms * arms; }
+static inline ptrdiff_t minding_size(ptrdiff_t arms) { return N_MINDING + 39 + (128 + PALM) * arms + 108 * arms * arms; }
 
 /* The grasps give way in this step, unless a sensor is silent for too long. */
 static inline int gives_way(const double *m) {

@@ -117,6 +117,24 @@ static void begin_to_correct(double *m, double dt) {
     if (m[STAGE] == MOVING) m[CORRECTS] = minimum(m[CORRECTS] + dt / CORRECTION_FADES, 1.0);
 }
 
+/* An object that has met something goes back the way that it came, which is free; a resting one the way it is pushed. As fast as
+ * it came, at first as far as it went before that was known. */
+static void turn_back(double *m, const double *velocity, const double *off, double *back) {
+    const double speed = sqrt(dot3(velocity, velocity)), size = sqrt(dot3(off, off));
+    const int against = -dot3(velocity, off) >= HEAD_ON * speed * size && speed > 0.0;
+    for (int i = 0; i < 3; i++) back[i] = against ? velocity[i] / -speed : off[i] / fmax(size, 1e-12);
+    m[BACK_SPEED] = maximum(speed, CONTACT_BACK);
+    m[BACK_OWED] = speed * m[CONTACT_LATE], m[BACK_FROM] = NAN, m[GOES_ON] = 0.0;
+}
+
+/* BACKS, the speed at which the object goes back now: until nothing pushes it any more. */
+static void go_back(double *m, const double *off, const double *back, double dt) {
+    const double most = m[BACK_SPEED] * dt;
+    if (dot3(back, off) >= LET_GO * m[CONTACT_LIMIT]) m[BACK_OWED] = maximum(m[BACK_OWED], most);
+    const double way = minimum(m[BACK_OWED], most);
+    m[BACK_OWED] -= way, m[BACKS] = way / dt;
+}
+
 /* What pushes the object, beside its weight and the arms: the sum of their wrenches, less its weight and inertia. What was
  * there before it moved is no contact, nor any less of it: a payload of another mass, or a table that it is lifted from. */
 static void contact(int arms, const Minding *f, double dt) {
@@ -132,13 +150,14 @@ static void contact(int arms, const Minding *f, double dt) {
         memset(travel + 3, 0, 6 * sizeof(double));
         m[LOAD_HASTE] = 0.0;
     } else {
-        double square = 0.0;
+        double square = 0.0, speed = 0.0;
         for (int i = 0; i < 3; i++) {
             const double velocity = (place[i] - travel[i]) / since, change = (velocity - travel[3 + i]) / since;
             travel[i] = place[i], travel[3 + i] = velocity;
             travel[6 + i] += dt / (dt + m[WRENCH_FILTER]) * (change - travel[6 + i]);
-            square += change * change;
+            square += change * change, speed += velocity * velocity;
         }
+        m[LOAD_SPEED] = fmax(sqrt(speed), m[LOAD_SPEED] * PUSHES_FADE / (PUSHES_FADE + dt));
         m[LOAD_HASTE] = fmax(sqrt(square), m[LOAD_HASTE] * SERVO_PEAK / (SERVO_PEAK + dt));
     }
     for (int k = 0; k < arms; k++)
@@ -156,13 +175,26 @@ static void contact(int arms, const Minding *f, double dt) {
     m[PUSHED] = sqrt(dot3(sum, sum));
     const double limit = (m[TOUCHES] != 0.0 ? LET_GO : 1.0) * m[CONTACT_LIMIT];
     const int clear = m[TOUCHES] != 0.0 || (m[SUSPECTED] == 0.0 && m[PUSHED] > MORE_THAN_INTERNAL * m[SHARPEST]);
-    if (clear && m[PUSHED] - LATE_LOAD * m[LOAD_MASS] * m[LOAD_HASTE] >= limit) {
-        if (m[TOUCHES] == 0.0 || m[PUSHED] >= m[CONTACT_LIMIT]) memcpy(push + 6, sum, sizeof sum);
-        m[TOUCHES] = CONTACT_LASTS;
-    } else {
-        m[TOUCHES] = maximum(m[TOUCHES] - dt, 0.0);
+    double *impulse = push + 12;
+    for (int i = 0; i < 3; i++) {
+        impulse[i] *= PUSHES_FADE / (PUSHES_FADE + dt);
+        if (m[PUSHED] >= m[CONTACT_LIMIT]) impulse[i] += dt * sum[i];
     }
-    if (m[TOUCHES] != 0.0) m[CORRECTS] = m[FORCE_CAP] = 0.0;
+    const double stops = MORE_THAN_STOPPED * m[LOAD_MASS] * m[LOAD_SPEED] + PUSHED_FOR * m[CONTACT_LIMIT];
+    if ((clear || dot3(impulse, impulse) > stops * stops) && m[PUSHED] - LATE_LOAD * m[LOAD_MASS] * m[LOAD_HASTE] >= limit) {
+        if (m[TOUCHES] <= UNTIL_TOLD) {
+            turn_back(m, travel + 3, sum, push + 9);
+            memset(push + 6, 0, sizeof sum);
+        }
+        if (dot3(sum, sum) > dot3(push + 6, push + 6)) memcpy(push + 6, sum, sizeof sum);
+        m[TOUCHES] = CONTACT_LASTS;
+    } else if (m[TOUCHES] != 0.0) {
+        m[TOUCHES] = maximum(m[TOUCHES] - dt, m[GOES_ON] != 0.0 ? 0.0 : UNTIL_TOLD);
+    }
+    m[BACKS] = 0.0;
+    if (m[TOUCHES] == 0.0) return;
+    m[CORRECTS] = m[FORCE_CAP] = 0.0;
+    go_back(m, sum, push + 9, dt);
 }
 
 /* Take wrenches, and move the grasps where they give way. Returns HEARD, MISSED or SILENT. */
@@ -182,7 +214,8 @@ static int relax(int arms, double *memory, const double *wrenches, double dt) {
     }
     contact(arms, &f, dt);
     if (m[STAGE] < RELAXING) m[START_SIZE] = maximum(m[START_SIZE], m[SIZE]);
-    if (gives) give_way(arms, &f, dt, m[STAGE] == MOVING ? m[LAST_RATE] : 0.0);
+    if (gives && m[BACKS] == 0.0) /* what pushes the object also pushes the arms against each other */
+        give_way(arms, &f, dt, m[STAGE] == MOVING ? m[LAST_RATE] : 0.0);
     if (m[STAGE] == RELAXING && m[SENSOR_FAULT] == SENSORS_FINE) wait_at_rest(m, dt);
     return heard;
 }

@@ -1,6 +1,7 @@
 /* One step: observe the measurement, propose a command, commit it. See docs/derivations.md and the plain definition. */
 
 #include "functions.h"
+#include "minding.h"
 
 static void refuse(Core *c, int reason, int index, double a) {
     double *p = c->proposal;
@@ -86,6 +87,23 @@ static int let_in(Core *c, const double *positions, const double *q) {
     return 1;
 }
 
+/* An object that touches something goes back, unless something else holds it. Returns whether it does. */
+static int goes_back(Core *c) {
+    const double *p = c->proposal;
+    double *m = c->minding, common[6], way[3];
+    if (!m || m[BACKS] == 0.0 || m[SENSOR_FAULT] != SENSORS_FINE) return 0;
+    const double gain = fmin(c->options[PATH_GAIN], 1.0 / p[DT]);
+    if ((p[HOLD] != 0.0 && p[REASON] != TOUCHING) || !(gain > 0.0) || p[HAS_ERRORS] == 0.0) return 0;
+    rotate_back(c->R, minding_of(c->arms, m).push + 9, way);
+    common_error(c, c->errors, common);
+    const double far = dot3(way, common);
+    if (isnan(m[BACK_FROM])) m[BACK_FROM] = far;
+    const double room = CONTACT_ROOM + CONTACT_WAY * m[BACK_SPEED] - (far - m[BACK_FROM]);
+    const double speed = minimum(m[BACKS], maximum(room, 0.0) / p[DT]);
+    for (int i = 0; i < 3; i++) c->measured[i] = -speed / gain * way[i], c->measured[3 + i] = 0.0;
+    return 1;
+}
+
 static double pose_distance(const double *R0, const double *p0, const double *R1, const double *p1) {
     double trace = 0.0, square = 0.0;
     for (int i = 0; i < 9; i++) trace += R0[i] * R1[i];
@@ -139,6 +157,7 @@ static void observe(Core *c, const double *q, const double *dt) {
     p[HAS_ERRORS] = errors_at(c, c->carried, c->R, c->p, c->errors);
     if (p[HAS_ERRORS] != 0.0) watch_chain(c);
     p[HAS_MEASURED] = let_in(c, q ? positions : nullptr, q);
+    if (goes_back(c)) p[HAS_MEASURED] = 1.0;
 }
 
 /* -- propose --------------------------------------------------------------------------------------------------------- */

@@ -21,12 +21,12 @@ def allow(memory: Array, arms: int, dt: float, /) -> None:
     m[AT["ALLOWED"]], why = 0.0, NOTHING_MORE
     if m[AT["SENSOR_FAULT"]] != SENSORS_FINE:
         why = BY_SENSOR
+    elif m[AT["TOUCHES"]]:
+        why = BY_CONTACT
     elif m[AT["SATURATED"]] and size > slows:
         why = BY_REACH
     elif m[AT["STAGE"]] != MOVING:
         why = BY_STAGE
-    elif m[AT["TOUCHES"]]:
-        why = BY_CONTACT
     m[AT["WHY"]] = why
     if why != NOTHING_MORE:
         return

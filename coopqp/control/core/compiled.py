@@ -208,7 +208,7 @@ class CompiledLoop:
             return None
         numbers = np.empty(4 + SEGMENT)
         target = np.concatenate([goal.rotation.ravel(), goal.translation])
-        taken: int = self._core.retarget_motion(target, numbers, path.speed, path.spin, full)
+        taken: int = self._core.go_over(target, numbers, path.speed, path.spin, full)
         if taken > 0:
             path.take(goal, numbers[4:])
         return None if taken < 0 else taken > 0

@@ -11,20 +11,28 @@ from coopqp.checks import ArrayLike
 from coopqp.native import layout
 from coopqp.native.constants import (
     CAREFUL_START,
+    CONTACT_BACK,
     CONTACT_FILTER,
     CONTACT_LASTS,
+    CONTACT_ROOM,
     CONTACT_SETTLES,
+    CONTACT_WAY,
     CORRECTION_FADES,
+    HEAD_ON,
     LATE_LOAD,
     LET_GO,
     MORE_THAN_AT_START,
     MORE_THAN_INTERNAL,
+    MORE_THAN_STOPPED,
+    PUSHED_FOR,
+    PUSHES_FADE,
     SENSED_MOTION,
     SERVO_PEAK,
     SLOWEST_LESSON,
     SOFTEST,
     STRANGE_SERVOS,
     TURN_LENGTH,
+    UNTIL_TOLD,
 )
 from coopqp.spatial import Array
 
@@ -45,7 +53,7 @@ def minding_views(memory: Array, arms: int) -> dict[str, Array]:
         ("felt", (arms, 6)), ("held", (arms, 6)), ("off_servos", (arms, 6)), ("off_last", (arms, 6)),
         ("off_step", (arms, 6)), ("off_drift", (arms, 6)), ("off_noise", (arms,)),
         ("compliances", (arms, 6, 6)), ("carries", (n, 3)), ("unfed_of", (n, n)),
-        ("reference", (12,)), ("centre", (3,)), ("travel", (3, 3)), ("push", (3, 3)),
+        ("reference", (12,)), ("centre", (3,)), ("travel", (3, 3)), ("push", (5, 3)),
     )  # fmt: skip
     for name, shape in shapes:
         size = math.prod(shape)
@@ -56,7 +64,7 @@ def minding_views(memory: Array, arms: int) -> dict[str, Array]:
 
 def minding_size(arms: int) -> int:
     """Size of the memory for a number of arms."""
-    return len(layout.MINDING) + 33 + (128 + 48) * arms + 108 * arms**2
+    return len(layout.MINDING) + 39 + (128 + 48) * arms + 108 * arms**2
 
 
 def gives_way(memory: Array) -> bool:
@@ -88,7 +96,7 @@ def relax(memory: Array, arms: int, wrenches: ArrayLike | None, dt: float, /) ->
     _find_contact(m, x, dt)
     if m[AT["STAGE"]] < RELAXING:  # an object that grows squeezes by itself
         m[AT["START_SIZE"]] = max(m[AT["START_SIZE"]], m[AT["SIZE"]])
-    if gives:
+    if gives and m[AT["BACKS"]] == 0.0:  # what pushes the object also pushes the arms against each other
         _give_way(m, x, dt, m.item(AT["LAST_RATE"]) if m[AT["STAGE"]] == MOVING else 0.0)
     if m[AT["STAGE"]] == RELAXING and m[AT["SENSOR_FAULT"]] == SENSORS_FINE:
         _wait_at_rest(m, dt)
@@ -120,12 +128,8 @@ def _find_contact(m: Array, x: dict[str, Array], dt: float) -> None:
     """
     if not m[AT["CONTACT_LIMIT"]] < math.inf:
         return
-    R, travel, (push, base, last), moves = (
-        x["reference"][:9].reshape(3, 3),
-        x["travel"],
-        x["push"],
-        m[AT["STAGE"]] >= MOVING,
-    )
+    R, travel, moves = x["reference"][:9].reshape(3, 3), x["travel"], m[AT["STAGE"]] >= MOVING
+    push, base, last, back, impulse = x["push"]
     place, since, haste = R @ x["centre"] + x["reference"][9:], max(m.item(AT["REFERENCE_DT"]), 1e-6), AT["LOAD_HASTE"]
     if moves:
         velocity = (place - travel[0]) / since
@@ -133,6 +137,9 @@ def _find_contact(m: Array, x: dict[str, Array], dt: float) -> None:
         travel[:2] = place, velocity
         travel[2] += dt / (dt + m[AT["WRENCH_FILTER"]]) * (change - travel[2])
         m[haste] = max(float(np.linalg.norm(change)), m[haste] * SERVO_PEAK / (SERVO_PEAK + dt))
+        m[AT["LOAD_SPEED"]] = max(
+            math.sqrt(velocity @ velocity), m[AT["LOAD_SPEED"]] * PUSHES_FADE / (PUSHES_FADE + dt)
+        )
     else:
         travel[0], travel[1:], m[haste] = place, 0.0, 0.0
     n = len(x["seen"])
@@ -146,14 +153,56 @@ def _find_contact(m: Array, x: dict[str, Array], dt: float) -> None:
     m[AT["PUSHED"]] = math.sqrt(off @ off)
     limit = (LET_GO if m[AT["TOUCHES"]] else 1.0) * m[AT["CONTACT_LIMIT"]]
     clear = m[AT["TOUCHES"]] or (not m[AT["SUSPECTED"]] and m[AT["PUSHED"]] > MORE_THAN_INTERNAL * m[AT["SHARPEST"]])
-    if clear and m[AT["PUSHED"]] - LATE_LOAD * m[AT["LOAD_MASS"]] * m[haste] >= limit:
-        if not m[AT["TOUCHES"]] or m[AT["PUSHED"]] >= m[AT["CONTACT_LIMIT"]]:
+    impulse *= PUSHES_FADE / (PUSHES_FADE + dt)
+    if m[AT["PUSHED"]] >= m[AT["CONTACT_LIMIT"]]:
+        impulse += dt * off
+    stops = MORE_THAN_STOPPED * m[AT["LOAD_MASS"]] * m[AT["LOAD_SPEED"]] + PUSHED_FOR * m[AT["CONTACT_LIMIT"]]
+    if (clear or impulse @ impulse > stops * stops) and m[AT["PUSHED"]] - LATE_LOAD * m[AT["LOAD_MASS"]] * m[
+        haste
+    ] >= limit:
+        if m[AT["TOUCHES"]] <= UNTIL_TOLD:
+            _turn_back(m, travel[1], off, back)
+            last[:] = 0.0
+        if off @ off > last @ last:
             last[:] = off
         m[AT["TOUCHES"]] = CONTACT_LASTS
-    else:
-        m[AT["TOUCHES"]] = max(m[AT["TOUCHES"]] - dt, 0.0)
+    elif m[AT["TOUCHES"]]:
+        m[AT["TOUCHES"]] = max(m[AT["TOUCHES"]] - dt, 0.0 if m[AT["GOES_ON"]] else UNTIL_TOLD)
+    m[AT["BACKS"]] = 0.0
     if m[AT["TOUCHES"]]:
         m[AT["CORRECTS"]] = m[AT["FORCE_CAP"]] = 0.0
+        _go_back(m, off, back, dt)
+
+
+def _turn_back(m: Array, velocity: Array, off: Array, back: Array) -> None:
+    """An object that has met something goes back the way that it came, which is free; or else the way it is pushed.
+
+    As fast as it came, at first as far as it went before that was known.
+    """
+    speed, size = math.sqrt(velocity @ velocity), math.sqrt(off @ off)
+    against = -(velocity @ off) >= HEAD_ON * speed * size and speed > 0.0
+    back[:] = velocity / -speed if against else off / max(size, 1e-12)
+    m[AT["BACK_SPEED"]] = max(speed, CONTACT_BACK)
+    m[AT["BACK_OWED"]], m[AT["BACK_FROM"]], m[AT["GOES_ON"]] = speed * m[AT["CONTACT_LATE"]], math.nan, 0.0
+
+
+def _go_back(m: Array, off: Array, back: Array, dt: float) -> None:
+    """BACKS, the speed at which the object goes back now: until nothing pushes it any more."""
+    most = m[AT["BACK_SPEED"]] * dt
+    if back @ off >= LET_GO * m[AT["CONTACT_LIMIT"]]:
+        m[AT["BACK_OWED"]] = max(m[AT["BACK_OWED"]], most)
+    way = min(m[AT["BACK_OWED"]], most)
+    m[AT["BACK_OWED"]] -= way
+    m[AT["BACKS"]] = way / dt
+
+
+def back_within_room(memory: Array, far: float, dt: float) -> float:
+    """The speed at which an object goes back that is ``far`` from its path in that direction [m], in limited room."""
+    m, begin = memory, AT["BACK_FROM"]
+    if math.isnan(m[begin]):
+        m[begin] = far
+    room = CONTACT_ROOM + CONTACT_WAY * m.item(AT["BACK_SPEED"]) - (far - m.item(begin))
+    return min(m.item(AT["BACKS"]), max(room, 0.0) / dt)
 
 
 def _give_way(m: Array, x: dict[str, Array], dt: float, rate: float) -> None:

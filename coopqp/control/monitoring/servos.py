@@ -14,11 +14,11 @@ alone does not see a stalled arm, whose forces are relaxed; the servos do.
 from __future__ import annotations
 
 import math
-from typing import final
+from typing import TYPE_CHECKING, final
 
 import numpy as np
 
-from coopqp.control.core.relax_plain import AT, RELAXING, SENSORS_FINE, minding_views
+from coopqp.control.core.relax_plain import AT, RELAXING, SENSORS_FINE, back_within_room, minding_views
 from coopqp.native.constants import (
     FEW_SAMPLES,
     HASTE_FILTER,
@@ -31,6 +31,9 @@ from coopqp.native.constants import (
     SOFTEST,
 )
 from coopqp.spatial import Array, largest
+
+if TYPE_CHECKING:
+    pass
 
 
 @final
@@ -56,6 +59,23 @@ class ServoWatch:
     def touches(self) -> bool:
         """Whether the object touches something."""
         return self._memory.item(AT["TOUCHES"]) != 0.0
+
+    @property
+    def backs(self) -> bool:
+        """Whether the object goes back from what it touches."""
+        return self._memory.item(AT["BACKS"]) != 0.0 and self._memory[AT["SENSOR_FAULT"]] == SENSORS_FINE
+
+    def way_back(self, rotation: Array, common: Array, dt: float) -> Array:
+        """The twist of the object with which it does, in its own frame (6,) [m/s, rad/s].
+
+        Args:
+            rotation: of the object on its path (3, 3).
+            common: how far it is from there (6,) [m, rad].
+            dt: length of the step [s].
+        """
+        way: Array = rotation.T @ self._views["push"][3]
+        speed = back_within_room(self._memory, float(way @ common[:3]), dt)
+        return np.concatenate([speed * way, np.zeros(3)])
 
     @property
     def corrects(self) -> float:

@@ -247,6 +247,11 @@ class PlainLoop:
         seen = Observed(h, pose, carried, errors[:n], watch, lost=lost)
         self._watch_chain(seen)
         seen.measured = self._let_in(seen, measured, errors[n:])
+        gain = min(self.options.path_gain, 1.0 / h)
+        servos, held = supervision.servos, seen.watch.hold and seen.watch.cause is not Cause.CONTACT
+        if servos is not None and servos.backs and not held and gain > 0.0:
+            way = servos.way_back(pose.rotation, self._mean.dot(seen.errors.ravel()), h)
+            seen.measured = way / -gain
         return seen
 
     def _pose_ahead(self, clock: float) -> pin.SE3 | None:
@@ -285,7 +290,8 @@ class PlainLoop:
             away = errors - seen.errors
             drift = np.zeros(6) if s.drift is None else s.drift
             s.drift = drift + seen.h / (seen.h + self.options.measurement_time) * (self._mean.dot(away.ravel()) - drift)
-            watch.lower(self._supervision.watch(measured, s.q, away, seen.h, s.v, seen.pose.rotation))
+            twist = self._twist(seen.carried[0])
+            watch.lower(self._supervision.watch(measured, s.q, away, seen.h, s.v, seen.pose.rotation, twist))
         servos = self._supervision.servos
         corrects = 1.0 if servos is None else servos.corrects  # arms that mind forces relax first
         if watch.hold or (s.drift is None and corrects == 1.0):
@@ -293,6 +299,14 @@ class PlainLoop:
         measured_error = self._mean.dot(seen.errors.ravel()) + (0.0 if s.drift is None else s.drift)
         error: Array = corrects * watch.rate_cap * measured_error
         return error
+
+    def _twist(self, carried: Array) -> Array:
+        """The twist of the object in the last step as commanded, in its own frame (6,) [m/s, rad/s]."""
+        s = self.state
+        before = self._chain.carried(self.cell.moved(s.q, -s.last_dt * s.v))[0]
+        now, last = (pin.SE3(O[:3].T, O[3]) for O in (carried, before))
+        twist: Array = np.asarray(pin.log6(last.actInv(now)).vector) / s.last_dt
+        return twist
 
     # -- propose ---------------------------------------------------------------------------------------------------
 
