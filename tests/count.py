@@ -24,6 +24,7 @@ import functools
 import io
 import json
 import re
+import runpy
 import sys
 import tokenize
 from collections import Counter
@@ -175,10 +176,10 @@ def _number(node: ast.expr) -> float | None:
     return value if isinstance(value, (int, float)) and not isinstance(value, bool) else None
 
 
-def core_constants(root: Path) -> dict[str, float | None]:
+def core_constants(root: Path) -> dict[str, float]:
     """The constants that the definition and the core share: names in capitals."""
-    assigned = _assigned(_module(root / CONSTANTS).tree.body)
-    return {name: _number(value) for name, value in assigned if name.isupper() and not name.startswith("_")}
+    found = runpy.run_path(str(root / CONSTANTS))
+    return {name: value for name, value in found.items() if name.isupper() and not name.startswith("_")}
 
 
 def constants_twice(root: Path) -> dict[str, list[str]]:
