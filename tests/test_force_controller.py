@@ -640,7 +640,9 @@ def test_a_push_on_the_object_holds_it_with_the_direction(kernel: str, way: Any,
         inner = QPController(
             task.cell, task.grasp, task.path, dt=task.dt, options={"kernel": kernel, "supervision": {"slow_from": None}}
         )
-        made = ForceController(inner, {"stiffness": STIFF, "payload": payload, "sensor_tolerance": 1e3})
+        made = ForceController(
+            inner, {"stiffness": STIFF, "payload": payload, "sensor_tolerance": 1e3, "presses": False}
+        )
         made.reset(task.q_start)
         step, q = None, task.q_start
         for _ in range(300):

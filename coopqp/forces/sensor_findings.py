@@ -152,14 +152,14 @@ def judge(
         for g, at in zip(gains[k], (0, 3), strict=True):
             maps[k, at : at + 3, at : at + 3] = (1.0 if abs(g - 1.0) < _AS_MEANT[1] else g) * rotations[k]
     alive = np.abs(gains) > _DEAD
-    at_rest = stiffer * servos[fit.arms]
+    at_rest = (stiffer * fit.stiffer[:, None] * servos)[fit.arms]
     felt = np.array([np.linalg.pinv(M) @ b for M, b in zip(maps, fit.offsets, strict=True)]) - at_rest
     in_order = np.zeros_like(felt)
     in_order[fit.arms] = felt
     load = (to_object @ in_order.ravel()).reshape(n, 6).sum(axis=0) if weight is None else weight
     carried = np.linalg.solve(to_object, shares @ load).reshape(n, 6)[fit.arms]
     biases = fit.offsets - np.einsum("kij,kj->ki", maps, at_rest + carried)
-    drifts = fit.slopes - np.einsum("kij,kj->ki", maps, stiffer * servo_slopes[fit.arms])
+    drifts = fit.slopes - np.einsum("kij,kj->ki", maps, (stiffer * fit.stiffer[:, None] * servo_slopes)[fit.arms])
     found = []
     for k, name in enumerate(names):
         undecided = bool(fit.misfit[k] > _MISFIT)
