@@ -22,6 +22,8 @@ from coopqp.spatial import Array
 _SCALES = (0.05, 2.0)
 #: By how much servos may push more than at the start, beside the presses [N]: then the arms have to relax first.
 _GROWN = 20.0
+#: Time of a step for one part of the fit [s]; a part takes about a millisecond.
+_PART_TIME = 2.5e-3
 #: Readings of noise alone count as this share of what the first press should cause.
 _HEARD = 0.1
 
@@ -102,7 +104,7 @@ class SensorCheck:
         if self._fit is None:
             heard = np.array(self._times), np.array(self._readings), np.array(self._motions)
             self._fit = SensorFit(*heard, self._at_rest, self._to_tools)
-        elif self.judgement is None and self._fit.go_on():
+        elif self.judgement is None and any(self._fit.go_on() for _ in range(max(int(dt / _PART_TIME), 1))):
             self.judgement = self._judge(self._fit)
         return np.zeros((len(self._cell), 6))
 

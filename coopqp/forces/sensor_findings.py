@@ -88,10 +88,12 @@ class SensorJudgement:
     Attributes:
         findings: one per sensor, in the order of the arms.
         stiffer: ρ, the servos' real stiffness over the one that is told.
+        arms_stiffer: the same of each arm beside ρ (N,), with a geometric mean of 1.
     """
 
     findings: tuple[SensorFinding, ...]
     stiffer: float
+    arms_stiffer: Array
 
     @property
     def fine(self) -> bool:
@@ -194,15 +196,21 @@ def judge(
                 late=alone and len(said) == 1,
             )
         )
-    return SensorJudgement(findings=tuple(found), stiffer=stiffer)
+    return SensorJudgement(findings=tuple(found), stiffer=stiffer, arms_stiffer=fit.stiffer)
 
 
 def _stiffness(fit: SensorFit, to_object: Array, weight: Array | None) -> float:
-    """ρ: what most sensors say, or what gives the weight that is known where they do not agree with it."""
+    """ρ: what most sensors say, or what gives the weight that is known where they do not agree with it.
+
+    Of two sensors without a weight, the one is right by which the servos are more as told.
+    """
     n = len(fit.arms)
     sizes: Array = np.abs(fit.gains[:, 0])
     alive = sizes > _DEAD * sizes.max()
-    most = float(np.median(sizes[alive])) if sizes.max() > 0.0 else 1.0
+    heard = sizes[alive & (sizes > 0.0)]
+    most = float(np.median(heard)) if len(heard) else 1.0
+    if n == 2 and len(heard):
+        most = float(heard[np.abs(np.log(heard)).argmin()])
     if weight is None or np.linalg.norm(weight[:3]) < _WEIGHS or not alive.all():
         return max(most, 1e-6)
     forces = np.zeros((n, 6))

@@ -12,7 +12,7 @@ gains follow in turn, for Y and for −Y. The best permutation of the sensors is
 
 Within the object all wrenches cancel, whatever the gains: so an arm that is softer than the others changes how forces
 and torques of all arms share a press, as no gain does. s is found together with R and the gains (Gauss-Newton), with a
-mean of about 0: stiffness that all arms share is ρ. Then times, R, gains and the permutation are found once more.
+mean of 0: stiffness that all arms share is ρ. Then times, R, gains and the permutation are found once more.
 """
 
 from __future__ import annotations
@@ -39,6 +39,8 @@ _TURNS, _STRIDE, _MOST = 8, 0.7, 3.0
 _SEEN = 1e-8
 #: Step of a difference quotient in s, and a change in a step below which s has settled.
 _STEP, _SETTLED = 1e-4, 1e-3
+#: What gains and axes that nothing tells are held by.
+_LITTLE = 1e-2
 #: Doubt in s before anything is heard: without a reason an arm is as stiff as the others.
 _DOUBT = 0.3
 
@@ -147,9 +149,8 @@ class SensorFit:
         """Sums of e e, e Y and Y Y of sensor k at an arm without what follows ė in any way; how ė explains both."""
         m = 6 * self._count
         gram, cross, yy, _ = self._found[int(self._late[k, arm])][k]
-        fast = np.asarray(np.linalg.pinv(gram[m:, m:], rcond=_SEEN, hermitian=True), dtype=float) @ np.hstack(
-            [gram[m:, :m], cross[m:]]
-        )
+        own = np.asarray(np.linalg.pinv(gram[m:, m:], rcond=_SEEN, hermitian=True), dtype=float)
+        fast = own @ np.hstack([gram[m:, :m], cross[m:]])
         return (
             gram[:m, :m] - gram[:m, m:] @ fast[:, :m],
             cross[:m] - gram[:m, m:] @ fast[:, m:],
@@ -227,38 +228,35 @@ class SensorFit:
     def _soften(self) -> None:
         """One step of Gauss-Newton for s, R and the logarithms of the gains of all sensors together."""
         n, m = self._count, 5 * self._count
-        slopes = np.array([(self._wrenches(self._s + _STEP * d) - self._maps) / _STEP for d in np.eye(n)])
-        H, b = np.zeros((m + n, m + n)), np.zeros(m + n)
+        apart = np.linalg.qr(np.hstack([np.ones((n, 1)), np.eye(n)[:, 1:]]))[0][:, 1:]  # all of mean 0
+        slopes = np.array([(self._wrenches(self._s + _STEP * d) - self._maps) / _STEP for d in apart.T])
+        H, b = np.zeros((m + n - 1, m + n - 1)), np.zeros(m + n - 1)
         for k, a in enumerate(self.arms):
             L, weights, (ee, ey, _, _) = self._reads(k), self._weigh[k], self._sits[k]
-            F, ways = L @ self._maps[a], np.zeros((5 + n, 6, 6 * n))
+            F, ways = L @ self._maps[a], np.zeros((4 + n, 6, 6 * n))
             ways[0, _FORCE], ways[1, _TORQUE] = F[_FORCE], F[_TORQUE]
             for j, e in enumerate(np.eye(3)):
                 for p in _PARTS:
                     ways[2 + j, p] = np.cross(e, F[p], axisb=0).T
             ways[5:] = L @ slopes[:, a]
-            at = np.r_[5 * k : 5 * k + 5, m : m + n]
+            at = np.r_[5 * k : 5 * k + 5, m : m + n - 1]
             weighed = weights[:, None] * ways
             H[np.ix_(at, at)] += np.einsum("cij,dij->cd", weighed @ ee, ways)
             b[at] += np.einsum("cij,ij->c", weighed, ey.T - F @ ee)
-        doubt = np.r_[np.full(m, 1e-2), np.full(n, _DOUBT**-2)]
-        b[m:] -= doubt[m:] * self._s
-        move = np.linalg.solve(H + np.diag(doubt), b)
+        b[m:] -= apart.T @ self._s / _DOUBT**2
+        move = np.linalg.solve(H + np.diag(np.r_[np.full(m, _LITTLE), np.full(n - 1, _DOUBT**-2)]), b)
         move *= min(1.0, _STRIDE / max(float(np.abs(move).max()), 1e-12))
         if float(np.abs(move).max()) < _SETTLED:
             while self._work[0][0] == "_soften":
                 self._work = self._work[1:]
-        before = self.rotations, self.gains, self._s
-        rest = self._rest()
-        for share in (1.0, 0.3, 0.1):
+        before, rest = (self.rotations, self.gains, self._s), self._rest()
+        for share in (1.0, 0.3, 0.1, 0.0):
             own = share * move[:m].reshape(n, 5)
             self.gains = before[1] * np.exp(own[:, :2])
             self.rotations = np.array([turn(w) @ R for w, R in zip(own[:, 2:], before[0], strict=True)])
-            self._take(np.clip(before[2] + share * move[m:], -_MOST, _MOST))
+            self._take(np.clip(before[2] + share * apart @ move[m:], -_MOST, _MOST))
             if self._rest() <= rest:
                 return
-        self.rotations, self.gains, s = before
-        self._take(s)
 
     def _reads(self, k: int) -> Array:
         """[g_f R, 0; 0, g_t R] of sensor k."""
