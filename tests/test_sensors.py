@@ -15,11 +15,11 @@ from coopqp import Array, InvalidInputError, UnknownNameError, load_cell_file
 from coopqp.app.cli import main
 from coopqp.files import example_path
 from coopqp.forces import WristSensor
-from coopqp.forces.presses import PressPlan, balanced, of_grip
+from coopqp.forces.presses import MOST_MOTION, MOST_TORQUE, PRESS_FORCE, PressPlan, balancing, of_grip
 from coopqp.forces.sensor_findings import SensorJudgement, judge
 from coopqp.forces.sensor_fit import SensorFit, cheapest
 from coopqp.forces.wrist_sensor import SensorMaps
-from coopqp.scenarios import paper_lift
+from coopqp.scenarios import Scenario, paper_lift, ring
 
 LIFT = paper_lift()
 DT, NOISE, LATE = 0.005, 1.0, 0.01
@@ -117,9 +117,19 @@ def test_the_cheapest_permutation(n: int) -> None:
     assert tuple(cheapest(costs)) == orders[int(np.argmin(sums))]
 
 
-def test_presses_cancel_within_the_object() -> None:
-    w = balanced(LIFT.grasp, 1, np.array([1.0, 2.0, 3.0, 0.1, 0.2, 0.3]))
-    np.testing.assert_allclose(w.sum(axis=0), 0.0, atol=1e-9)
+@pytest.mark.parametrize("task", [LIFT, ring(arms=2), ring(arms=5)], ids=lambda task: task.name)
+def test_presses_cancel_within_the_object_and_are_small(task: Scenario) -> None:
+    to_object = np.array([X.actionInverse.T for X in task.grasp.T_object_tool])
+    w = (balancing(task.grasp, 1) @ np.array([1.0, 2.0, 3.0, 0.1, 0.2, 0.3])).reshape(-1, 6)
+    np.testing.assert_allclose(np.einsum("kij,kj->i", to_object, w), 0.0, atol=1e-9)
+    soft = np.tile(np.diag([1e-5] * 3 + [1e-4] * 3), (len(task.grasp), 1, 1))
+    plan = PressPlan(task.grasp, soft)
+    presses = np.einsum("kij,tkj->tki", np.linalg.inv(soft @ to_object), plan.ways)
+    sizes = np.linalg.norm(presses.reshape(len(presses), -1, 2, 3), axis=3).max(axis=1)
+    far = np.linalg.norm(plan.ways[:, :, :3], axis=2).max(axis=1)
+    shares = np.array([sizes[:, 0] / PRESS_FORCE, sizes[:, 1] / MOST_TORQUE, far / MOST_MOTION])
+    np.testing.assert_allclose(shares[:, 1:].max(axis=0), 1.0)
+    assert shares[:, 0].max() < 0.3
 
 
 def test_known_sensors_are_corrected_and_bad_ones_refused() -> None:
