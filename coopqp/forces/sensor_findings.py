@@ -17,8 +17,9 @@ from coopqp.spatial import Array
 _DEAD, _GAINS = 0.2, (0.65, 1.35)
 #: Axes may be turned by this [rad], and forces may drift by this [N/s].
 _TURNED, _DRIFT = np.deg2rad(20.0), 2.0
-#: Axes turned by less than this [rad], and gains this close to 1, are as told: a fit is no better.
-_AS_MEANT = np.deg2rad(5.0), 0.08
+#: Axes turned by less than this [rad], and gains this close to 1, are as told: a fit is no better. Nor is it beyond
+#: so many standard deviations of the axes, up to this [rad].
+_AS_MEANT, _SURE, _UNSURE = (np.deg2rad(5.0), 0.08), 3.0, np.deg2rad(15.0)
 #: Share of lost samples, and of the readings that no arm explains, up to which a sensor is right.
 _LOST, _MISFIT = 0.45, 0.35
 #: Range of a gain that means N·mm.
@@ -148,11 +149,15 @@ def judge(
         load_doubt = np.abs(gains[:, 0] / middle[0] - 1.0)
         gains = gains / gains[:, :1] * float(middle[0])
     turned = np.array([np.linalg.norm(pin.log3(R)) for R in fit.rotations])
-    rotations = np.where(turned[:, None, None] < _AS_MEANT[0], np.eye(3), fit.rotations)
+    unsure = np.minimum(_SURE * fit.doubts, _UNSURE)
+    as_meant = turned < np.maximum(_AS_MEANT[0], unsure)
+    rotations = np.where(as_meant[:, None, None], np.eye(3), fit.rotations)
     maps = np.zeros((n, 6, 6))
     for k in range(n):
         for g, at in zip(gains[k], (0, 3), strict=True):
-            maps[k, at : at + 3, at : at + 3] = (1.0 if abs(g - 1.0) < _AS_MEANT[1] else g) * rotations[k]
+            maps[k, at : at + 3, at : at + 3] = (1.0 if abs(g - 1.0) < max(_AS_MEANT[1], unsure[k]) else g) * rotations[
+                k
+            ]
     alive = np.abs(gains) > _DEAD
     at_rest = (stiffer * fit.stiffer[:, None] * servos)[fit.arms]
     felt = np.array([np.linalg.pinv(M) @ b for M, b in zip(maps, fit.offsets, strict=True)]) - at_rest

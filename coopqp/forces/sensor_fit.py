@@ -68,6 +68,7 @@ class SensorFit:
         misfit: what the model leaves of each reading's changes beside noise, as a share (N,).
         noise: standard deviation of each sensor's forces and torques (N, 2) [N, N·m].
         lost: share of each sensor's samples that were lost (N,).
+        doubts: standard deviation of the axes of each sensor by its noise (N,) [rad].
     """
 
     def __init__(self, times: Array, readings: Array, motions: Array, compliances: Array, to_tools: Array) -> None:
@@ -279,11 +280,15 @@ class SensorFit:
         self.stiffer = np.exp(self._s)
         self.delays = np.array([_between(rests[k, a], late[k, a]) for k, a in enumerate(self.arms)])
         self.offsets, self.slopes, self.misfit = np.zeros((n, 6)), np.zeros((n, 6)), np.zeros(n)
+        self.doubts = np.zeros(n)
         for k, (a, (ee, ey, yy, fast)) in enumerate(zip(self.arms, self._sits, strict=True)):
             F = self._reads(k) @ self._maps[a]
             shape = np.vstack([F.T, fast[:, 6 * n :] - fast[:, : 6 * n] @ F.T])
             plain = self._found[int(late[k, a])][k][3]
             self.offsets[k], self.slopes[k] = plain[:, :6] - plain[:, 6:] @ shape
+            heard = sum(self._weigh[k][p.start] * (F[p] @ ee @ F[p].T) for p in _PARTS)
+            least = float(np.trace(heard) - np.linalg.norm(heard, 2))  # a turn does not show along its own axis
+            self.doubts[k] = 1.0 / np.sqrt(max(least, 1e-12))
             rest = np.diag(yy - 2.0 * F @ ey + F @ ee @ F.T)[_FORCE].sum()
             samples = int(self._heard[:, k].sum())
             noise = 3.0 * samples * self.noise[k, 0] ** 2
