@@ -61,21 +61,20 @@ class PressPlan:
         self.duration = REST_TIME + PRESS_TIME * len(self.ways) + REST_TIME
 
     @staticmethod
-    def _ways(grasp: Grasp, compliances: Array, arm: int, count: int, rng: np.random.Generator) -> list[Array]:
-        """Motions of all grasps (N, 6) for presses of an arm along square directions: those that may be the largest."""
-        best, largest, tools = list[Array](), -1.0, balancing(grasp, arm)
+    def _ways(grasp: Grasp, compliances: Array, arm: int, count: int, rng: np.random.Generator) -> Array:
+        """Motions of all grasps (count, N, 6) for presses of an arm along square directions that may be the largest."""
+        turns = np.linalg.qr(rng.normal(size=(_TRIED, 2, 3, 3)))[0][..., np.arange(count) % 3]
+        pushes = (turns * np.array([PRESS_FORCE, PRESS_TORQUE])[:, None, None]).reshape(_TRIED, 6, count)
+        wrenches = (balancing(grasp, arm) @ pushes).swapaxes(1, 2).reshape(_TRIED, count, -1, 6)
         yields = compliances @ np.array([X.actionInverse.T for X in grasp.T_object_tool])
-        for turns in np.linalg.qr(rng.normal(size=(_TRIED, 2, 3, 3)))[0]:
-            turned = turns[:, :, np.arange(count) % 3]
-            pushes = np.concatenate([PRESS_FORCE * turned[0], PRESS_TORQUE * turned[1]])
-            wrenches = (tools @ pushes).T.reshape(count, -1, 6)
-            ways = np.einsum("kij,tkj->tki", yields, wrenches)
-            forces, torques = np.linalg.norm(wrenches.reshape(count, -1, 2, 3), axis=3).max(axis=1).T
-            far = np.linalg.norm(ways[:, :, :3], axis=2).max(axis=1)
-            sizes = 1.0 / np.max([forces / PRESS_FORCE, torques / MOST_TORQUE, far / MOST_MOTION], axis=0)
-            if sizes.min() > largest:
-                best, largest = list(sizes[:, None, None] * ways), float(sizes.min())
-        return best
+        ways = np.einsum("kij,ntkj->ntki", yields, wrenches)
+        forces, torques, far = (
+            np.linalg.norm(part, axis=3).max(axis=2) for part in (wrenches[..., :3], wrenches[..., 3:], ways[..., :3])
+        )
+        sizes = 1.0 / np.max([forces / PRESS_FORCE, torques / MOST_TORQUE, far / MOST_MOTION], axis=0)
+        best = int(sizes.min(axis=1).argmax())
+        out: Array = sizes[best][:, None, None] * ways[best]
+        return out
 
     def shift(self, time: float, scale: float) -> Array:
         """Motion of each grasp (N, 6) [m, rad] at a time; ``scale`` is the size of all presses but the first."""
