@@ -138,7 +138,7 @@ def judge(
     """
     n = len(names)
     to_object, shares = load_shares(grasp)
-    stiffer = _stiffness(fit, to_object, weight)
+    stiffer = _stiffness(fit, to_object, servos, weight)
     gains = fit.gains / stiffer
     agree = unbalanced < _BALANCED and (fit.arms == np.arange(n)).all() and (fit.gains > 0.0).all()
     # How far servos and loads at rest are in doubt: what servos do that no model tells; sensors that differ as they do.
@@ -204,7 +204,7 @@ def judge(
     return SensorJudgement(findings=tuple(found), stiffer=stiffer, arms_stiffer=fit.stiffer)
 
 
-def _stiffness(fit: SensorFit, to_object: Array, weight: Array | None) -> float:
+def _stiffness(fit: SensorFit, to_object: Array, servos: Array, weight: Array | None) -> float:
     """ρ: what most sensors say, or what gives the weight that is known where they do not agree with it.
 
     Of two sensors without a weight, the one is right by which the servos are more as told.
@@ -221,6 +221,7 @@ def _stiffness(fit: SensorFit, to_object: Array, weight: Array | None) -> float:
     forces = np.zeros((n, 6))
     for k, a in enumerate(fit.arms):
         forces[a, :3] = fit.rotations[k].T @ fit.offsets[k, :3] / fit.gains[k, 0]
+        forces[a, :3] -= fit.stiffer[a] * servos[a, :3]  # what the drives carry, not the servos
     total = (to_object @ forces.ravel()).reshape(n, 6).sum(axis=0)[:3]
     size = float(np.linalg.norm(weight[:3]))
     along = float(total @ weight[:3]) / size
