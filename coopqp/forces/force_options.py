@@ -58,7 +58,7 @@ class ForceOptions:
     presses: Annotated[
         bool,
         Doc("arms press each other at the start, to find wrong sensors; or sensors are compared with servos at rest"),
-    ] = True
+    ] = False
     sensor_tolerance: Annotated[float, Doc("accepted difference of a sensor from its servos' estimate [N]")] = 10.0
     move_below: Annotated[float, Doc("internal force below which the object begins to move [N]")] = 5.0
     slow_from: Annotated[float, Doc("internal force from which on the object moves more slowly [N]")] = 20.0
