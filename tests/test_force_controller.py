@@ -31,7 +31,7 @@ from coopqp.baselines import PseudoInverseController
 from coopqp.control.core import minding_of
 from coopqp.control.core.relax_plain import minding_size, minding_views
 from coopqp.errors import StartWarning
-from coopqp.forces import Grip, StressModel, internal_wrenches
+from coopqp.forces import Grip, LoadShare, StressModel, internal_wrenches
 from coopqp.model import CellState
 from coopqp.native import available_kernels, layout
 from coopqp.planning import Payload
@@ -594,6 +594,47 @@ def test_late_wrenches_are_named_and_relaxed_more_slowly(task: Scenario) -> None
     assert made.sensors is not None
     assert made.sensors.latest == pytest.approx(0.12, abs=0.02)
     assert forces[-1] < 3.0 < 10.0 < forces[0]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("softer", [(0.1, 0.1, 0.1), (1.0, 1.0, 0.3), (2.0, 1.0, 1.0)])
+def test_presses_find_how_stiff_each_arm_is_and_blame_no_sensor(softer: tuple[float, ...]) -> None:
+    """They had: a sensor with 14 N too much at rest, or with torques that were 0.41 times the real ones."""
+    task = paper_lift(time_law="quintic")
+    told = PhysicsPlant.of(task)
+    each = np.repeat(softer, 6)
+    options = {"grips": "where they are", "stiffness": each * told.stiffness, "timestep": 5e-4}
+    options["damping"] = np.sqrt(each) * np.tile([3160.0, 3160.0, 1265.0, 167.0, 167.0, 71.0], 3)
+    plant = PhysicsPlant.of(task, options=options, disturbances=Disturbances(wrench_latency=0.01, wrench_noise=0.5))
+    payload = Payload(mass=task.object_mass, centre=task.T_object_body.translation)
+    inner = QPController(task.cell, task.grasp, task.path, dt=task.dt)
+    made = ForceController(inner, {"stiffness": told.stiffness, "payload": payload, "presses": True})
+    q = plant.reset(task.q_start)
+    made.reset(q)
+    for _ in range(800):
+        step = made.step(q, wrenches=plant.measured_wrenches())
+        if made.sensors is not None:
+            break
+        q = plant.apply(step)
+    assert made.sensors is not None
+    assert made.sensors.fine, made.sensors.explain()
+    assert step.status is not Status.HOLDING
+    np.testing.assert_allclose(made.sensors.stiffer * made.sensors.arms_stiffer, softer, rtol=0.3)
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore::coopqp.errors.StartWarning")
+def test_presses_blame_no_sensor_for_a_payload_that_is_told_wrong(task: Scenario) -> None:
+    """The servos bear the rest: half of it had been a gain of 2 of all sensors."""
+    half = Payload(mass=0.5 * task.object_mass, centre=task.T_object_body.translation)
+    load = LoadShare(task.cell, task.grasp, half, internal_force=50.0)
+    plant = PhysicsPlant.of(task, load=load, disturbances=Disturbances(wrench_latency=0.01))
+    inner = QPController(task.cell, task.grasp, task.path, dt=task.dt)
+    made = ForceController(inner, {"stiffness": plant.stiffness, "payload": half, "presses": True})
+    found = simulate(made, plant, q_start=task.q_start, duration=4.6)
+    assert made.sensors is not None
+    assert made.sensors.fine, made.sensors.explain()
+    assert Status.HOLDING not in found.statuses
 
 
 @pytest.mark.slow

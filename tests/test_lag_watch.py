@@ -5,8 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from coopqp import Array, Cause, ControlStep, QPController, Status, SupervisionOptions, available_kernels
+from coopqp import Cause, ControlStep, QPController, Status, SupervisionOptions
+from coopqp.native import available_kernels
 from coopqp.scenarios import paper_lift
+from coopqp.spatial import Array
 
 FOUND = "seems to have stopped in its grip"
 

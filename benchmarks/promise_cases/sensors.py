@@ -31,6 +31,8 @@ class Fault:
         drift: how fast a random force of each sensor grows [N/s].
         lost: share of lost samples.
         freeze: time from which on all repeat their last reading [s].
+        broken: share of samples in which one number of one sensor is ``broken_by``.
+        broken_by: NaN or infinite.
     """
 
     sensors: Mapping[str, WristSensor] = dataclasses.field(default_factory=dict)
@@ -38,6 +40,8 @@ class Fault:
     drift: float = 0.0
     lost: float = 0.0
     freeze: float = np.inf
+    broken: float = 0.0
+    broken_by: float = np.nan
 
 
 def turned(degrees: float, axis: int = 1) -> Array:
@@ -50,9 +54,14 @@ def one(arm: str = "slave_2", **sensor: Any) -> Fault:
     return Fault(sensors={arm: WristSensor(**{"delay": 0.01} | sensor)})
 
 
-def late(seconds: float) -> Fault:
-    """All sensors are late."""
-    return Fault(sensors={arm: WristSensor(delay=seconds) for arm in ARMS})
+def every(**sensor: Any) -> Fault:
+    """All sensors read otherwise, in the same way."""
+    return Fault(sensors={arm: WristSensor(**{"delay": 0.01} | sensor) for arm in ARMS})
+
+
+def swapped(one: str, other: str) -> Fault:
+    """Two sensors read the wrenches of each other's arms."""
+    return Fault(sensors={one: WristSensor(reads=other, delay=0.01), other: WristSensor(reads=one, delay=0.01)})
 
 
 #: Faults that are named, and errors that are tolerated.
@@ -62,20 +71,30 @@ NAMED: dict[str, Fault] = {
     "torques dead": one("slave_1", torque_gain=0.0),
     "dead": one(force_gain=0.0, torque_gain=0.0),
     "torques in N·mm": one("master", torque_gain=1000.0),
-    "slaves swapped": Fault(
-        sensors={"slave_1": WristSensor(reads="slave_2", delay=0.01), "slave_2": WristSensor(reads="slave_1")}
-    ),
+    "all flipped": every(force_gain=-1.0, torque_gain=-1.0),
+    "all torques flipped": every(torque_gain=-1.0),
+    "slaves swapped": swapped("slave_1", "slave_2"),
+    "master and slave_1 swapped": swapped("master", "slave_1"),
     "turned by 30°": one(rotation=turned(30.0)),
-    "all turned by 90°": Fault(sensors={arm: WristSensor(rotation=turned(90.0), delay=0.01) for arm in ARMS}),
+    "turned by 90°": one("master", rotation=turned(90.0)),
+    "turned by 180°": one("slave_1", rotation=turned(180.0)),
+    "turned by 30° about another axis": one("master", rotation=turned(30.0, axis=2)),
+    "all turned by 90°": every(rotation=turned(90.0)),
+    "all turned by 180°": every(rotation=turned(180.0)),
     "frozen at rest": Fault(freeze=0.3),
-    "frozen in motion": Fault(freeze=5.0),
+    "frozen in motion": Fault(freeze=6.0),
     "gain 0.5": one(force_gain=0.5, torque_gain=0.5),
     "gain 1.5": one("slave_1", force_gain=1.5, torque_gain=1.5),
+    "gain 2": one("master", force_gain=2.0, torque_gain=2.0),
     "bias 15 N": Fault(bias=15.0),
+    "bias 30 N": Fault(bias=30.0),
     "drift 3 N/s": Fault(drift=3.0),
+    "drift 10 N/s": Fault(drift=10.0),
     "60 % lost": Fault(lost=0.6),
-    "delay 30 ms": late(0.03),
-    "delay 120 ms": late(0.12),
+    "90 % lost": Fault(lost=0.9),
+    "delay 30 ms": every(delay=0.03),
+    "delay 50 ms": every(delay=0.05),
+    "delay 120 ms": every(delay=0.12),
 }
 TOLERATED: dict[str, Fault] = {
     "right": Fault(),
@@ -85,7 +104,9 @@ TOLERATED: dict[str, Fault] = {
     "bias 9 N": Fault(bias=9.0),
     "drift 1 N/s": Fault(drift=1.0),
     "30 % lost": Fault(lost=0.3),
-    "delay 20 ms": late(0.02),
+    "delay 20 ms": every(delay=0.02),
+    "20 % with a NaN": Fault(broken=0.2),
+    "5 % with an infinite number": Fault(broken=0.05, broken_by=np.inf),
 }
 
 
@@ -116,6 +137,8 @@ class Readings:
         out[:, :3] += self.fault.bias * self.ways[0] + self.fault.drift * time * self.ways[1]
         out += NOISE * np.array([1.0] * 3 + [0.1] * 3) * self.rng.normal(size=out.shape)
         out[self.rng.random(len(ARMS)) < self.fault.lost] = np.nan
+        if self.rng.random() < self.fault.broken:
+            out[self.rng.integers(len(ARMS)), self.rng.integers(6)] = self.fault.broken_by
         self.last = out
         return out
 
@@ -135,7 +158,7 @@ def beside_the_load(wrenches: Array, points: Array, rotations: Array) -> Array:
     return out
 
 
-def run(fault: Fault, seed: int, *, longest: float = 8.0) -> tuple[bool, float, float, bool]:
+def run(fault: Fault, seed: int, *, longest: float = 10.0) -> tuple[bool, float, float, bool]:
     """Whether a sensor was named, the largest force that was added, that in motion [N], and whether it finished."""
     lift = paper_lift(time_law="quintic")
     off = pin.SE3(pin.exp3(np.deg2rad(0.1) / np.sqrt(3.0) * np.ones(3)), 1e-3 / np.sqrt(3.0) * np.ones(3))

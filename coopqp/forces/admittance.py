@@ -60,7 +60,7 @@ _PRESS, _PRESS_LEAST, _PRESS_MOST, _PRESS_SPEED = 3.0, 1e-5, 5e-4, 5e-4
 #: their deflection is judged by it.
 _STIFFEST = (0.05, 20.0)
 #: Attributes that change.
-_VARYING = ("_pressed", "_pressing", "_waited", "_felt", "_grows", "_base")
+_VARYING = ("_pressed", "_pressing", "_waited", "_felt", "_grows", "_base", "_soft")
 #: A contact pushes with at least this share of the payload's weight, and this force [N], if nothing else is told.
 _CONTACT, _LEAST_CONTACT = 0.2, 25.0
 #: A direction is called by an axis from this cosine on.
@@ -187,6 +187,8 @@ class Relaxation:
         m[AT["ASKED"]], m[AT["STIFFER"]], self.shift[:], self._held[:] = asked, 1.0, shift, shift
         m[AT["FORCE_CAP"]], m[AT["PRESSED_WITH"]] = 1.0, self.options.squeeze
         m[AT["CORRECTS"]] = self.options.palms is not None
+        #: One over Kp, with the arms' stiffness against each other as it is found.
+        self._soft = self._softness
         self._pressed = self._pressing = self._waited = 0.0
         self._felt: Array | None = None
         self._grows, self._base = np.zeros(6 * n), np.zeros((n, 6))
@@ -284,7 +286,8 @@ class Relaxation:
     def sensor_check(self, q: Array, dt: float) -> SensorCheck | None:
         """The check of the sensors by presses from rest at ``q`` (nq,); None where arms cannot press all ways."""
         o = self.options
-        if not o.presses or o.palms is not None or self._felt_part is not None or self._chain.deficient:
+        alone = len(self._cell) < 2
+        if alone or not o.presses or o.palms is not None or self._felt_part is not None or self._chain.deficient:
             return None
         return SensorCheck(
             self._cell,
@@ -303,7 +306,7 @@ class Relaxation:
         chain.evaluate(q, about=O[3].copy())
         R = np.zeros((6, 6))
         R[:3, :3] = R[3:, 3:] = O[:3].T
-        self._compliances[:] = R.T @ chain.compliances(self._softness) @ R
+        self._compliances[:] = R.T @ chain.compliances(self._soft) @ R
         if self._felt_part is not None:
             self._yields[:] = self._relative @ yields_in_part(self._compliances, self._felt_part)
         else:  # relative @ blockdiag(C)
@@ -342,6 +345,12 @@ class Relaxation:
         if way.any():  # some arm minds forces towards the others
             self.memory[AT["STIFFER"]] = self.accepted(answer @ way / (way @ way))
         return True
+
+    def take_stiffness(self, stiffer: float, arms: Array, q: Array) -> None:
+        """Take ρ, and by how much each arm is stiffer than that (N,), at the configuration ``q``."""
+        self.memory[AT["STIFFER"]] = self.accepted(stiffer)
+        self._soft = self._softness / np.repeat(arms, [arm.model.nv for arm in self._cell.arms])
+        self.look(q)
 
     @staticmethod
     def accepted(stiffer: float) -> float:

@@ -337,7 +337,7 @@ class ForceController:
         if found is None:
             return
         self._found, self._check = found, None
-        m[AT["STIFFER"]] = self._relaxation.accepted(found.stiffer)
+        self._relaxation.take_stiffness(found.stiffer, found.arms_stiffer, self.controller.commanded)
         wrong = [k for k, finding in enumerate(found.findings) if not (finding.fine or finding.late)]
         if not wrong and not self._relaxation.slow_down(found.latest, self.dt):
             wrong = [k for k, finding in enumerate(found.findings) if finding.late]

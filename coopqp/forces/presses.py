@@ -3,7 +3,9 @@
 Arm k shall push the object with ``f``. The others balance it with the least wrenches at their tools, and each arm's
 place on the object moves by what its servos yield, ``e_j = C_j w_j``: the object stays where it is. Each press goes to
 one side, then to the other, and back. In two presses an arm pushes along two directions that are square to each other;
-its share of the other arms' presses adds more. So forces and torques of every sensor are seen from all sides.
+its share of the other arms' presses adds more. So forces and torques of every sensor are seen from all sides. No force
+in a press is above :data:`PRESS_FORCE`, no torque at a tool above :data:`MOST_TORQUE`,
+no motion above :data:`MOST_MOTION`.
 """
 
 from __future__ import annotations
@@ -19,14 +21,18 @@ from coopqp.native.constants import STRUCTURE
 from coopqp.paths.path import TimeLaw
 from coopqp.spatial import Array
 
-#: Force of a press [N], its torque beside the couples that balance it [N·m].
-PRESS_FORCE, PRESS_TORQUE = 6.0, 1.0
+#: Force of a press [N], its torque beside the couples that balance it [N·m], and the largest of these [N·m].
+PRESS_FORCE, PRESS_TORQUE, MOST_TORQUE = 6.0, 1.0, 3.0
+#: Largest motion of the object as a pressing arm sees it [m]: less than what counts as off its path.
+MOST_MOTION = 5e-4
 #: Size of the first press, which finds how stiff the servos are, as a share of the others.
 FIRST_PRESS = 0.2
 #: Length of a press [s], its ramp from rest to one side [s], and the rest before the first one [s].
 PRESS_TIME, RAMP_TIME, REST_TIME = 0.52, 0.16, 0.2
 #: Presses of all arms together, at least.
 _FEWEST = 6
+#: Pairs of ways that are tried for an arm.
+_TRIED = 12
 _SEED = 21
 
 
@@ -48,14 +54,27 @@ class PressPlan:
         each = max(2, math.ceil(_FEWEST / n))
         rng = np.random.default_rng(_SEED)
         order = [(k, i) for i in range(each) for k in range(n)]
-        turns = [np.linalg.qr(rng.normal(size=(2, 3, 3)))[0] for _ in range(n)]
-        ways = []
-        for k, i in order:
-            f = np.concatenate([PRESS_FORCE * turns[k][0][:, i % 3], PRESS_TORQUE * turns[k][1][:, i % 3]])
-            ways.append(np.einsum("kij,kj->ki", compliances, balanced(grasp, k, f)))
+        each_ways = [self._ways(grasp, compliances, k, each, rng) for k in range(n)]
+        ways = [each_ways[k][i] for k, i in order]
         self.ways = np.array([FIRST_PRESS * ways[0], *ways])
         self.ends_first = REST_TIME + PRESS_TIME
         self.duration = REST_TIME + PRESS_TIME * len(self.ways) + REST_TIME
+
+    @staticmethod
+    def _ways(grasp: Grasp, compliances: Array, arm: int, count: int, rng: np.random.Generator) -> Array:
+        """Motions of all grasps (count, N, 6) for presses of an arm along square directions that may be the largest."""
+        turns = np.linalg.qr(rng.normal(size=(_TRIED, 2, 3, 3)))[0][..., np.arange(count) % 3]
+        pushes = (turns * np.array([PRESS_FORCE, PRESS_TORQUE])[:, None, None]).reshape(_TRIED, 6, count)
+        wrenches = (balancing(grasp, arm) @ pushes).swapaxes(1, 2).reshape(_TRIED, count, -1, 6)
+        yields = compliances @ np.array([X.actionInverse.T for X in grasp.T_object_tool])
+        ways = np.einsum("kij,ntkj->ntki", yields, wrenches)
+        forces, torques, far = (
+            np.linalg.norm(part, axis=3).max(axis=2) for part in (wrenches[..., :3], wrenches[..., 3:], ways[..., :3])
+        )
+        sizes = 1.0 / np.max([forces / PRESS_FORCE, torques / MOST_TORQUE, far / MOST_MOTION], axis=0)
+        best = int(sizes.min(axis=1).argmax())
+        out: Array = sizes[best][:, None, None] * ways[best]
+        return out
 
     def shift(self, time: float, scale: float) -> Array:
         """Motion of each grasp (N, 6) [m, rad] at a time; ``scale`` is the size of all presses but the first."""
@@ -66,23 +85,17 @@ class PressPlan:
         return out
 
 
-def balanced(grasp: Grasp, arm: int, wrench: Array) -> Array:
-    """Wrenches of all arms on the object (N, 6) [N, N·m], in its frame, that cancel: one arm's, balanced by the others.
+def balancing(grasp: Grasp, arm: int) -> Array:
+    """Map (6 N, 6) from an arm's wrench at its tool to those of all arms at their tools: the others cancel it.
 
-    No force in them is above :data:`PRESS_FORCE`.
-
-    Args:
-        grasp: how the arms hold.
-        arm: who pushes.
-        wrench: with what, at its tool (6,) [N, N·m].
+    Theirs are the least ones.
     """
     metric = np.array([1.0] * 3 + [SHARE_LENGTH] * 3)
     to_object = [X.actionInverse.T for X in grasp.T_object_tool]
     scaled = np.hstack([A * metric for k, A in enumerate(to_object) if k != arm])
-    least = np.linalg.pinv(scaled) @ -(to_object[arm] @ wrench)
-    tools = np.insert((least.reshape(-1, 6) * metric), arm, wrench, axis=0)
-    tools *= PRESS_FORCE / max(float(np.linalg.norm(tools[:, :3], axis=1).max()), 1e-9)
-    return np.array([A @ w for A, w in zip(to_object, tools, strict=True)])
+    least = np.linalg.pinv(scaled) @ -to_object[arm]
+    others = metric[:, None] * least.reshape(-1, 6, 6)
+    return np.asarray(np.insert(others, arm, np.eye(6), axis=0).reshape(-1, 6))
 
 
 def _side(within: float) -> float:

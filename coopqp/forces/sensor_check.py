@@ -22,6 +22,8 @@ from coopqp.spatial import Array
 _SCALES = (0.05, 2.0)
 #: By how much servos may push more than at the start, beside the presses [N]: then the arms have to relax first.
 _GROWN = 20.0
+#: Time of a step for one part of the fit [s]; a part takes about a millisecond.
+_PART_TIME = 2.5e-3
 #: Readings of noise alone count as this share of what the first press should cause.
 _HEARD = 0.1
 
@@ -61,12 +63,13 @@ class SensorCheck:
         self._softness, self._load, self._tolerance, self._latest = softness, load, tolerance, latest
         compliances = self._compliances(q)
         self._plan = PressPlan(grasp, compliances)
-        self._stiffness = of_grip(compliances)
+        self._stiffness, self._at_rest = of_grip(compliances), compliances
         self._to_object = load_shares(grasp)[0]
-        self._to_tools = [X.action.T for X in grasp.T_object_tool]
+        self._to_tools = np.array([X.action.T for X in grasp.T_object_tool])
         self._time, self._scale = 0.0, 0.0
         self._times: list[float] = []
         self._readings: list[Array] = []
+        self._motions: list[Array] = []
         self._expected: list[Array] = []
         self._servos: list[Array] = []
         self._fit: SensorFit | None = None
@@ -99,8 +102,9 @@ class SensorCheck:
                 self._scale = self._size()
             return self._plan.shift(self._time, self._scale)
         if self._fit is None:
-            self._fit = SensorFit(np.array(self._times), np.array(self._readings), np.array(self._expected))
-        elif self.judgement is None and self._fit.go_on():
+            heard = np.array(self._times), np.array(self._readings), np.array(self._motions)
+            self._fit = SensorFit(*heard, self._at_rest, self._to_tools)
+        elif self.judgement is None and any(self._fit.go_on() for _ in range(max(int(dt / _PART_TIME), 1))):
             self.judgement = self._judge(self._fit)
         return np.zeros((len(self._cell), 6))
 
@@ -115,7 +119,7 @@ class SensorCheck:
         """The model is shared; what was heard is never changed, but grows."""
         other = object.__new__(SensorCheck)
         own = self.__getstate__()
-        own |= {name: list(own[name]) for name in ("_times", "_readings", "_expected", "_servos")}
+        own |= {name: list(own[name]) for name in ("_times", "_readings", "_motions", "_expected", "_servos")}
         other.__setstate__(own | {"_fit": copy.deepcopy(self._fit)})
         return other
 
@@ -139,6 +143,7 @@ class SensorCheck:
         bent = chain.twists(pin.difference(self._cell.model, measured, commanded)) @ self._R
         self._times.append(self._time)
         self._readings.append(np.full((n, 6), np.nan) if wrenches is None else np.array(wrenches))
+        self._motions.append(parted)
         self._expected.append(self._at_tools(caused))
         self._servos.append(self._at_tools(servo_wrenches(compliances, bent)))
 
@@ -183,7 +188,10 @@ class SensorCheck:
 
         By the readings, and by the presses with the gains that were found, which noise does not hide.
         """
-        caused = np.repeat(fit.gains, 3, axis=1) * np.array(self._expected)
+        G = of_grip(self._at_rest / fit.stiffer[:, None, None])
+        motions = np.array(self._motions)
+        wrenches = (motions.reshape(len(motions), -1) @ G.T).reshape(motions.shape)
+        caused = np.repeat(fit.gains, 3, axis=1) * np.einsum("kij,tkj->tki", self._to_tools, wrenches)
         told = (caused.reshape(len(caused), -1) @ self._to_object.T).reshape(caused.shape)[:, :, :3]
         by_gains = float(np.sqrt(told.sum(axis=1).var(axis=0).sum() / max(told.var(axis=0).sum(), 1e-12)))
         y = np.array(self._readings)

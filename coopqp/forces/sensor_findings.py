@@ -17,8 +17,9 @@ from coopqp.spatial import Array
 _DEAD, _GAINS = 0.2, (0.65, 1.35)
 #: Axes may be turned by this [rad], and forces may drift by this [N/s].
 _TURNED, _DRIFT = np.deg2rad(20.0), 2.0
-#: Axes turned by less than this [rad], and gains this close to 1, are as told: a fit is no better.
-_AS_MEANT = np.deg2rad(5.0), 0.08
+#: Axes turned by less than this [rad], and gains this close to 1, are as told: a fit is no better. Nor is it beyond
+#: so many standard deviations of the axes, up to this [rad].
+_AS_MEANT, _SURE, _UNSURE = (np.deg2rad(5.0), 0.08), 3.0, np.deg2rad(15.0)
 #: Share of lost samples, and of the readings that no arm explains, up to which a sensor is right.
 _LOST, _MISFIT = 0.45, 0.35
 #: Range of a gain that means N·mm.
@@ -88,10 +89,12 @@ class SensorJudgement:
     Attributes:
         findings: one per sensor, in the order of the arms.
         stiffer: ρ, the servos' real stiffness over the one that is told.
+        arms_stiffer: the same of each arm beside ρ (N,), with a geometric mean of 1.
     """
 
     findings: tuple[SensorFinding, ...]
     stiffer: float
+    arms_stiffer: Array
 
     @property
     def fine(self) -> bool:
@@ -135,7 +138,7 @@ def judge(
     """
     n = len(names)
     to_object, shares = load_shares(grasp)
-    stiffer = _stiffness(fit, to_object, weight)
+    stiffer = _stiffness(fit, to_object, servos, weight)
     gains = fit.gains / stiffer
     agree = unbalanced < _BALANCED and (fit.arms == np.arange(n)).all() and (fit.gains > 0.0).all()
     # How far servos and loads at rest are in doubt: what servos do that no model tells; sensors that differ as they do.
@@ -146,20 +149,24 @@ def judge(
         load_doubt = np.abs(gains[:, 0] / middle[0] - 1.0)
         gains = gains / gains[:, :1] * float(middle[0])
     turned = np.array([np.linalg.norm(pin.log3(R)) for R in fit.rotations])
-    rotations = np.where(turned[:, None, None] < _AS_MEANT[0], np.eye(3), fit.rotations)
+    unsure = np.minimum(_SURE * fit.doubts, _UNSURE)
+    as_meant = turned < np.maximum(_AS_MEANT[0], unsure)
+    rotations = np.where(as_meant[:, None, None], np.eye(3), fit.rotations)
     maps = np.zeros((n, 6, 6))
     for k in range(n):
         for g, at in zip(gains[k], (0, 3), strict=True):
-            maps[k, at : at + 3, at : at + 3] = (1.0 if abs(g - 1.0) < _AS_MEANT[1] else g) * rotations[k]
+            maps[k, at : at + 3, at : at + 3] = (1.0 if abs(g - 1.0) < max(_AS_MEANT[1], unsure[k]) else g) * rotations[
+                k
+            ]
     alive = np.abs(gains) > _DEAD
-    at_rest = stiffer * servos[fit.arms]
+    at_rest = (stiffer * fit.stiffer[:, None] * servos)[fit.arms]
     felt = np.array([np.linalg.pinv(M) @ b for M, b in zip(maps, fit.offsets, strict=True)]) - at_rest
     in_order = np.zeros_like(felt)
     in_order[fit.arms] = felt
     load = (to_object @ in_order.ravel()).reshape(n, 6).sum(axis=0) if weight is None else weight
     carried = np.linalg.solve(to_object, shares @ load).reshape(n, 6)[fit.arms]
     biases = fit.offsets - np.einsum("kij,kj->ki", maps, at_rest + carried)
-    drifts = fit.slopes - np.einsum("kij,kj->ki", maps, stiffer * servo_slopes[fit.arms])
+    drifts = fit.slopes - np.einsum("kij,kj->ki", maps, (stiffer * fit.stiffer[:, None] * servo_slopes)[fit.arms])
     found = []
     for k, name in enumerate(names):
         undecided = bool(fit.misfit[k] > _MISFIT)
@@ -194,20 +201,27 @@ def judge(
                 late=alone and len(said) == 1,
             )
         )
-    return SensorJudgement(findings=tuple(found), stiffer=stiffer)
+    return SensorJudgement(findings=tuple(found), stiffer=stiffer, arms_stiffer=fit.stiffer)
 
 
-def _stiffness(fit: SensorFit, to_object: Array, weight: Array | None) -> float:
-    """ρ: what most sensors say, or what gives the weight that is known where they do not agree with it."""
+def _stiffness(fit: SensorFit, to_object: Array, servos: Array, weight: Array | None) -> float:
+    """ρ: what most sensors say, or what gives the weight that is known where they do not agree with it.
+
+    Of two sensors without a weight, the one is right by which the servos are more as told.
+    """
     n = len(fit.arms)
     sizes: Array = np.abs(fit.gains[:, 0])
     alive = sizes > _DEAD * sizes.max()
-    most = float(np.median(sizes[alive])) if sizes.max() > 0.0 else 1.0
+    heard = sizes[alive & (sizes > 0.0)]
+    most = float(np.median(heard)) if len(heard) else 1.0
+    if n == 2 and len(heard):
+        most = float(heard[np.abs(np.log(heard)).argmin()])
     if weight is None or np.linalg.norm(weight[:3]) < _WEIGHS or not alive.all():
         return max(most, 1e-6)
     forces = np.zeros((n, 6))
     for k, a in enumerate(fit.arms):
         forces[a, :3] = fit.rotations[k].T @ fit.offsets[k, :3] / fit.gains[k, 0]
+        forces[a, :3] -= fit.stiffer[a] * servos[a, :3]  # what the drives carry, not the servos
     total = (to_object @ forces.ravel()).reshape(n, 6).sum(axis=0)[:3]
     size = float(np.linalg.norm(weight[:3]))
     along = float(total @ weight[:3]) / size

@@ -1,7 +1,7 @@
 """What a wrist sensor really reads, from presses: arm, axes, sign, gain, bias, drift and delay.
 
-Known motions of the grasps cause known wrenches W_a of the arms on the object, up to the servos' stiffness ρ. The
-sensor that is taken for arm i's reads
+Known motions e of the grasps cause wrenches ``W = G(s) e`` of the arms on the object, up to the servos' stiffness: that
+of arm k is ρ exp(s_k) times the one that is told. The sensor that is taken for arm i's reads
 
     ``Y_i(t) = ρ [g_f R, 0; 0, g_t R] V_a(t − δ) + b + c t + noise``,  ``V_a = W_a + τ Ẇ_a``
 
@@ -9,6 +9,10 @@ with the arm a that it sits at, its axes R (a proper rotation), the gains of for
 delay δ, and what the damping of the servos adds, τ = kd/kp, one for all. For each δ the sums of products are collected.
 Then τ and each δ leave the least rest with free matrices in place of g R. For every arm a the proper R (Kabsch) and the
 gains follow in turn, for Y and for −Y. The best permutation of the sensors is taken.
+
+Within the object all wrenches cancel, whatever the gains: so an arm that is softer than the others changes how forces
+and torques of all arms share a press, as no gain does. s is found together with R and the gains (Gauss-Newton), with a
+mean of 0: stiffness that all arms share is ρ. Then times, R, gains and the permutation are found once more.
 """
 
 from __future__ import annotations
@@ -17,8 +21,10 @@ import itertools
 from typing import Any, final
 
 import numpy as np
+import pinocchio as pin
 from numpy.typing import NDArray
 
+from coopqp.forces.presses import of_grip
 from coopqp.spatial import Array
 
 #: Delays that are tried [s], and values of τ [s].
@@ -27,6 +33,16 @@ LEADS = np.array([0.0, 0.008, 0.016, 0.024, 0.032, 0.04, 0.056, 0.076, 0.1, 0.13
 #: Part of a reading that the model may miss, and least noise of forces [N] and torques [N·m].
 _MODEL, _LEAST_NOISE = 0.05, np.array([0.1, 0.01])
 _PARTS = _FORCE, _TORQUE = slice(0, 3), slice(3, 6)
+#: Steps of Gauss-Newton for s, the largest change of an s in a step, and the largest s.
+_TURNS, _STRIDE, _MOST = 8, 0.7, 3.0
+#: Directions of ė that are smaller than this share of the largest [(m/s)²] are none.
+_SEEN = 1e-8
+#: Step of a difference quotient in s, and a change in a step below which s has settled.
+_STEP, _SETTLED = 1e-4, 1e-3
+#: What gains and axes that nothing tells are held by.
+_LITTLE = 1e-2
+#: Doubt in s before anything is heard: without a reason an arm is as stiff as the others.
+_DOUBT = 0.3
 
 
 @final
@@ -36,13 +52,15 @@ class SensorFit:
     Args:
         times: time of each sample (T,) [s].
         readings: of the sensors (T, N, 6) [N, N·m], NaN for lost ones.
-        expected: W, the wrenches that the presses cause with the stiffness that is told, in the tools' axes
-            (T, N, 6) [N, N·m].
+        motions: e, how far the grasps stand from each other as commanded, in the object's axes (T, N, 6) [m, rad].
+        compliances: C of each arm's servos at the object frame as told, in its axes (N, 6, 6) [m/N …].
+        to_tools: maps of wrenches from the object frame to each tool (N, 6, 6).
 
     Attributes:
         arms: index of the arm that each sensor sits at (N,).
         rotations: R of each sensor (N, 3, 3).
         gains: ρ g of forces and of torques (N, 2).
+        stiffer: exp(s), stiffness of each arm over the one that is told, beside ρ (N,).
         offsets: b in the middle of the time (N, 6) [N, N·m], with the wrenches at rest.
         slopes: c (N, 6) [N/s, N·m/s].
         delays: δ (N,) [s].
@@ -50,21 +68,37 @@ class SensorFit:
         misfit: what the model leaves of each reading's changes beside noise, as a share (N,).
         noise: standard deviation of each sensor's forces and torques (N, 2) [N, N·m].
         lost: share of each sensor's samples that were lost (N,).
+        doubts: standard deviation of the axes of each sensor by its noise (N,) [rad].
     """
 
-    def __init__(self, times: Array, readings: Array, expected: Array) -> None:
+    def __init__(self, times: Array, readings: Array, motions: Array, compliances: Array, to_tools: Array) -> None:
         self._count = n = readings.shape[1]
+        self._compliances, self._to_tools = compliances, to_tools
         t = times - 0.5 * (times[0] + times[-1])
         self._heard: NDArray[np.bool_] = np.asarray(np.isfinite(readings).all(axis=2))
         self._read = np.where(self._heard[:, :, None], readings, 0.0)
         self.lost = 1.0 - self._heard.mean(axis=0)
-        W = expected.reshape(len(t), 6 * n)
-        rate = np.gradient(W, t, axis=0)
-        self._t, self._regressors = t, np.hstack([W, rate])
+        e = motions.reshape(len(t), 6 * n)
+        self._t, self._regressors = t, np.hstack([e, np.gradient(e, t, axis=0)])
         self.noise = self._noise()
         self._found: list[list[tuple[Array, Array, Array, Array]]] = []
-        self._made: list[list[tuple[float, Array, Array]]] = []
-        self._done = 0
+        self._take(np.zeros(n))
+        pairs = list(itertools.product(range(n), range(n)))
+        round_: list[tuple[str, tuple[Any, ...]]] = [*(("_time", pair) for pair in pairs), ("_settle", ())]
+        round_ += [*(("_make", pair) for pair in pairs), ("_assign", ()), *[("_soften", ())] * _TURNS]
+        #: What is left to do: methods and their arguments.
+        self._work = [("_collect", tuple(DELAYS[i : i + 2])) for i in range(0, len(DELAYS), 2)]
+        self._work += [*round_, *round_, ("_conclude", ())]
+
+    def _take(self, s: Array) -> None:
+        """Take a stiffness of the arms."""
+        self._s, self._maps = s, self._wrenches(s)
+
+    def _wrenches(self, s: Array) -> Array:
+        """Maps from e to the wrenches at the tools (N, 6, 6 N), with stiffness exp(s)."""
+        n = self._count
+        out: Array = self._to_tools @ of_grip(self._compliances * np.exp(-s)[:, None, None]).reshape(n, 6, 6 * n)
+        return out
 
     def _noise(self) -> Array:
         """Noise of forces and torques (N, 2), from second differences of samples in a row."""
@@ -80,28 +114,24 @@ class SensorFit:
 
     def go_on(self) -> bool:
         """Do one more part of the work; true when all is done."""
-        i, n = self._done, self._count
-        self._done += 1
-        if i < len(DELAYS):
-            self._collect(DELAYS[i])
-        elif i == len(DELAYS):
-            self._time()
-        elif i <= len(DELAYS) + n:
-            k = i - len(DELAYS) - 1
-            self._made.append([self._fitted(k, a) for a in range(n)])
-        else:
-            self._conclude()
-            return True
-        return False
+        if self._work:
+            (name, given), *self._work = self._work
+            getattr(self, name)(*given)
+        return not self._work
 
-    def _collect(self, late: float) -> None:
-        """The sums of products with one delay."""
+    def _collect(self, *delays: float) -> None:
+        """The sums of products with some delays."""
+        for late in delays:
+            self._found.append(self._delayed(late))
+
+    def _delayed(self, late: float) -> list[tuple[Array, Array, Array, Array]]:
+        """The sums of products of each sensor with one delay."""
         at = np.interp(self._t - late, self._t, np.arange(len(self._t)))
         below = np.minimum(at.astype(int), len(self._t) - 2)
         share = (at - below)[:, None]
         x = (1.0 - share) * self._regressors[below] + share * self._regressors[below + 1]
         x = np.hstack([x, np.ones((len(x), 1)), self._t[:, None]])
-        self._found.append([self._sums(x[h], self._read[h, k]) for k, h in enumerate(self._heard.T)])
+        return [self._sums(x[h], self._read[h, k]) for k, h in enumerate(self._heard.T)]
 
     @staticmethod
     def _sums(x: Array, y: Array) -> tuple[Array, Array, Array, Array]:
@@ -116,13 +146,18 @@ class SensorFit:
             np.hstack([own @ cross[-2:], to_plain]),
         )
 
-    def _seen(self, gram: Array, cross: Array, arm: int, lead: Any) -> tuple[Array, Array]:
-        """Sums of V V (…, 6, 6) and V Y (…, 6, 6) of an arm, from those of W and Ẇ."""
-        a, b = slice(6 * arm, 6 * arm + 6), slice(6 * (self._count + arm), 6 * (self._count + arm) + 6)
-        both = gram[..., a, b]
-        vv: Array = gram[..., a, a] + lead * (both + both.swapaxes(-1, -2)) + lead**2 * gram[..., b, b]
-        vy: Array = cross[..., a, :] + lead * cross[..., b, :]
-        return vv, vy
+    def _still(self, k: int, arm: int) -> tuple[Array, Array, Array, Array]:
+        """Sums of e e, e Y and Y Y of sensor k at an arm without what follows ė in any way; how ė explains both."""
+        m = 6 * self._count
+        gram, cross, yy, _ = self._found[int(self._late[k, arm])][k]
+        own = np.asarray(np.linalg.pinv(gram[m:, m:], rcond=_SEEN, hermitian=True), dtype=float)
+        fast = own @ np.hstack([gram[m:, :m], cross[m:]])
+        return (
+            gram[:m, :m] - gram[:m, m:] @ fast[:, :m],
+            cross[:m] - gram[:m, m:] @ fast[:, m:],
+            yy - cross[m:].T @ fast[:, m:],
+            fast,
+        )
 
     def _weights(self, k: int, yy: Array) -> Array:
         """One over the variance of a sample, for forces and torques (2,)."""
@@ -131,64 +166,49 @@ class SensorFit:
         out: Array = 1.0 / (np.maximum(self.noise[k], _LEAST_NOISE) ** 2 + _MODEL**2 * sizes)
         return out
 
-    def _time(self) -> None:
+    def _time(self, k: int, arm: int) -> None:
+        """What free matrices leave of sensor k at an arm, for all τ and delays."""
+        n, m, leads = self._count, 6 * self._count, LEADS[:, None, None, None]
+        if k == 0 and arm == 0:
+            self._all_rests = np.zeros((n, n, len(LEADS), len(DELAYS)))
+        gram, cross, yy = (np.array([row[k][i] for row in self._found]) for i in range(3))
+        G = self._maps[arm]
+        still, both, fast = G @ gram[:, :m, :m] @ G.T, G @ gram[:, :m, m:] @ G.T, G @ gram[:, m:, m:] @ G.T
+        vv = still + leads * (both + both.swapaxes(-1, -2)) + leads**2 * fast
+        vy = G @ cross[:, :m] + leads * (G @ cross[:, m:])
+        for w, p in zip(self._weights(k, yy[0]), _PARTS, strict=True):
+            own, seen = vv[..., p, p], vy[..., p, p]
+            own = own + (1e-6 * np.trace(own, axis1=-2, axis2=-1) + 1e-12)[..., None, None] * np.eye(3)
+            explained = (seen * np.linalg.solve(own, seen)).sum(axis=(-2, -1))
+            self._all_rests[k, arm] += w * (np.trace(yy[:, p, p], axis1=-2, axis2=-1) - explained)
+
+    def _settle(self) -> None:
         """τ, and the delay of each sensor at each arm."""
-        n = self._count
-        rests = np.zeros((n, n, len(LEADS), len(DELAYS)))
-        leads = LEADS[:, None, None, None]
-        for k, a in itertools.product(range(n), range(n)):
-            gram, cross = (np.array([row[k][i] for row in self._found]) for i in (0, 1))
-            yy = np.array([row[k][2] for row in self._found])
-            vv, vy = self._seen(gram, cross, a, leads)
-            for w, p in zip(self._weights(k, yy[0]), _PARTS, strict=True):
-                own, seen = vv[..., p, p], vy[..., p, p]
-                own = own + (1e-6 * np.trace(own, axis1=-2, axis2=-1) + 1e-12)[..., None, None] * np.eye(3)
-                explained = (seen * np.linalg.solve(own, seen)).sum(axis=(-2, -1))
-                rests[k, a] += w * (np.trace(yy[:, p, p], axis1=-2, axis2=-1) - explained)
-        j = int(rests.min(axis=3).min(axis=1).sum(axis=0).argmin())
-        self.lead, self._rests = float(LEADS[j]), rests[:, :, j]
+        j = int(self._all_rests.min(axis=3).min(axis=1).sum(axis=0).argmin())
+        self.lead, self._rests = float(LEADS[j]), self._all_rests[:, :, j]
         self._late = self._rests.argmin(axis=2)
+        self._made: dict[tuple[int, int], tuple[float, Array, Array]] = {}
 
-    def _conclude(self) -> None:
-        """Which sensor sits at which arm, and what is left."""
-        from scipy.optimize import linear_sum_assignment  # here, since it takes long to import
-
-        n, made, late, rests = self._count, self._made, self._late, self._rests
-        costs = np.array([[m[0] for m in row] for row in made])
-        self.arms = linear_sum_assignment(costs)[1]
-        best = [made[k][a] for k, a in enumerate(self.arms)]
-        self.rotations = np.array([m[1] for m in best])
-        self.gains = np.array([m[2] for m in best])
-        self.delays = np.array([_between(rests[k, a], late[k, a]) for k, a in enumerate(self.arms)])
-        self.offsets, self.slopes, self.misfit = np.zeros((n, 6)), np.zeros((n, 6)), np.zeros(n)
-        for k, a in enumerate(self.arms):
-            sums = self._found[int(late[k, a])][k]
-            shape = np.zeros((sums[0].shape[0], 6))
-            for g, part in zip(self.gains[k], _PARTS, strict=True):
-                for place, factor in ((a, 1.0), (n + a, self.lead)):
-                    shape[6 * place + part.start : 6 * place + part.stop, part] = factor * g * self.rotations[k].T
-            level = sums[3][:, :6] - sums[3][:, 6:] @ shape
-            self.offsets[k], self.slopes[k] = level
-            rest = np.diag(sums[2] - 2.0 * sums[1].T @ shape + shape.T @ sums[0] @ shape)[_FORCE].sum()
-            samples = int(self._heard[:, k].sum())
-            noise = 3.0 * samples * self.noise[k, 0] ** 2
-            self.misfit[k] = max(rest - noise, 0.0) / max(np.trace(sums[2][_FORCE, _FORCE]), noise, 1e-12)
+    def _make(self, k: int, arm: int) -> None:
+        """R and gains of sensor k at an arm."""
+        self._made[k, arm] = self._fitted(k, arm)
 
     def _fitted(self, k: int, arm: int) -> tuple[float, Array, Array]:
         """Weighed rest of sensor k at an arm, R, and the gains."""
-        sums = self._found[int(self._late[k, arm])][k]
-        vv, vy = self._seen(sums[0], sums[1], arm, self.lead)
-        weights = self._weights(k, sums[2])
+        (ee, ey, yy, _), G = self._still(k, arm), self._maps[arm]
+        vv, vy = G @ ee @ G.T, G @ ey
+        weights = self._weights(k, yy)
         best: tuple[float, Array, Array] | None = None
         for signs in itertools.product((1.0, -1.0), repeat=2):
-            g, R = np.array(signs), np.eye(3)
-            for _ in range(8):
+            g, R, last = np.array(signs), np.eye(3), np.full(2, np.inf)
+            while np.abs(g - last).max() > 1e-3 * np.abs(g).max():
+                last = g
                 mixed = sum(w * s * vy[p, p] for w, s, p in zip(weights, g, _PARTS, strict=True))
                 R = proper(np.asarray(mixed).T)
                 g = np.array([np.trace(R @ vy[p, p]) / max(np.trace(vv[p, p]), 1e-12) for p in _PARTS])
                 g = np.where(g * signs > 0.0, g, 0.0)
             rest = sum(
-                w * (np.trace(sums[2][p, p]) - 2.0 * s * np.trace(R @ vy[p, p]) + s**2 * np.trace(vv[p, p]))
+                w * (np.trace(yy[p, p]) - 2.0 * s * np.trace(R @ vy[p, p]) + s**2 * np.trace(vv[p, p]))
                 for w, s, p in zip(weights, g, _PARTS, strict=True)
             )
             if best is None or rest < best[0]:
@@ -197,12 +217,109 @@ class SensorFit:
             return np.inf, np.eye(3), np.zeros(2)
         return best
 
+    def _assign(self) -> None:
+        """Which sensor sits at which arm."""
+        n = self._count
+        self.arms = cheapest(np.array([[self._made[k, a][0] for a in range(n)] for k in range(n)]))
+        best = [self._made[k, a] for k, a in enumerate(self.arms.tolist())]
+        self.rotations, self.gains = np.array([m[1] for m in best]), np.array([m[2] for m in best])
+        self._sits = [self._still(k, a) for k, a in enumerate(self.arms)]
+        self._weigh = [np.repeat(self._weights(k, sums[2]), 3) for k, sums in enumerate(self._sits)]
+
+    def _soften(self) -> None:
+        """One step of Gauss-Newton for s, R and the logarithms of the gains of all sensors together."""
+        n, m = self._count, 5 * self._count
+        apart = np.linalg.qr(np.hstack([np.ones((n, 1)), np.eye(n)[:, 1:]]))[0][:, 1:]  # all of mean 0
+        slopes = np.array([(self._wrenches(self._s + _STEP * d) - self._maps) / _STEP for d in apart.T])
+        H, b = np.zeros((m + n - 1, m + n - 1)), np.zeros(m + n - 1)
+        for k, a in enumerate(self.arms):
+            L, weights, (ee, ey, _, _) = self._reads(k), self._weigh[k], self._sits[k]
+            F, ways = L @ self._maps[a], np.zeros((4 + n, 6, 6 * n))
+            ways[0, _FORCE], ways[1, _TORQUE] = F[_FORCE], F[_TORQUE]
+            for j, e in enumerate(np.eye(3)):
+                for p in _PARTS:
+                    ways[2 + j, p] = np.cross(e, F[p], axisb=0).T
+            ways[5:] = L @ slopes[:, a]
+            at = np.r_[5 * k : 5 * k + 5, m : m + n - 1]
+            weighed = weights[:, None] * ways
+            H[np.ix_(at, at)] += np.einsum("cij,dij->cd", weighed @ ee, ways)
+            b[at] += np.einsum("cij,ij->c", weighed, ey.T - F @ ee)
+        b[m:] -= apart.T @ self._s / _DOUBT**2
+        move = np.linalg.solve(H + np.diag(np.r_[np.full(m, _LITTLE), np.full(n - 1, _DOUBT**-2)]), b)
+        move *= min(1.0, _STRIDE / max(float(np.abs(move).max()), 1e-12))
+        if float(np.abs(move).max()) < _SETTLED:
+            while self._work[0][0] == "_soften":
+                self._work = self._work[1:]
+        before, rest = (self.rotations, self.gains, self._s), self._rest()
+        for share in (1.0, 0.3, 0.1, 0.0):
+            own = share * move[:m].reshape(n, 5)
+            self.gains = before[1] * np.exp(own[:, :2])
+            self.rotations = np.array([turn(w) @ R for w, R in zip(own[:, 2:], before[0], strict=True)])
+            self._take(np.clip(before[2] + share * apart @ move[m:], -_MOST, _MOST))
+            if self._rest() <= rest:
+                return
+
+    def _reads(self, k: int) -> Array:
+        """[g_f R, 0; 0, g_t R] of sensor k."""
+        L = np.zeros((6, 6))
+        for g, p in zip(self.gains[k], _PARTS, strict=True):
+            L[p, p] = g * self.rotations[k]
+        return L
+
+    def _rest(self) -> float:
+        """The weighed rest of all sensors, and of the doubt in s."""
+        out = float(self._s @ self._s) / _DOUBT**2
+        for k, (a, (ee, ey, yy, _)) in enumerate(zip(self.arms, self._sits, strict=True)):
+            F = self._reads(k) @ self._maps[a]
+            out += float(self._weigh[k] @ (np.diag(yy) - 2.0 * (F * ey.T).sum(axis=1) + ((F @ ee) * F).sum(axis=1)))
+        return out
+
+    def _conclude(self) -> None:
+        """What is left."""
+        n, late, rests = self._count, self._late, self._rests
+        self.stiffer = np.exp(self._s)
+        self.delays = np.array([_between(rests[k, a], late[k, a]) for k, a in enumerate(self.arms)])
+        self.offsets, self.slopes, self.misfit = np.zeros((n, 6)), np.zeros((n, 6)), np.zeros(n)
+        self.doubts = np.zeros(n)
+        for k, (a, (ee, ey, yy, fast)) in enumerate(zip(self.arms, self._sits, strict=True)):
+            F = self._reads(k) @ self._maps[a]
+            shape = np.vstack([F.T, fast[:, 6 * n :] - fast[:, : 6 * n] @ F.T])
+            plain = self._found[int(late[k, a])][k][3]
+            self.offsets[k], self.slopes[k] = plain[:, :6] - plain[:, 6:] @ shape
+            heard = sum(self._weigh[k][p.start] * (F[p] @ ee @ F[p].T) for p in _PARTS)
+            least = float(np.trace(heard) - np.linalg.norm(heard, 2))  # a turn does not show along its own axis
+            self.doubts[k] = 1.0 / np.sqrt(max(least, 1e-12))
+            rest = np.diag(yy - 2.0 * F @ ey + F @ ee @ F.T)[_FORCE].sum()
+            samples = int(self._heard[:, k].sum())
+            noise = 3.0 * samples * self.noise[k, 0] ** 2
+            self.misfit[k] = max(rest - noise, 0.0) / max(np.trace(yy[_FORCE, _FORCE]), noise, 1e-12)
+
 
 def proper(M: Array) -> Array:
     """The proper rotation R (3, 3) of the largest trace(Rᵀ M)."""
     U, _, Vt = np.linalg.svd(M)
     out: Array = U @ np.diag([1.0, 1.0, np.sign(np.linalg.det(U @ Vt))]) @ Vt
     return out
+
+
+def turn(way: Array) -> Array:
+    """The rotation (3, 3) by a vector [rad]."""
+    return np.asarray(pin.exp3(way))
+
+
+def cheapest(costs: Array) -> NDArray[np.intp]:
+    """The permutation p (N,) of the least sum of costs[k, p[k]], by the sets of arms that are taken."""
+    n = len(costs)
+    best: dict[int, tuple[float, tuple[int, ...]]] = {0: (0.0, ())}
+    for row in costs:
+        then: dict[int, tuple[float, tuple[int, ...]]] = {}
+        for taken, (cost, order) in best.items():
+            for a in range(n):
+                both = taken | 1 << a
+                if both != taken and (both not in then or cost + row[a] < then[both][0]):
+                    then[both] = (cost + float(row[a]), (*order, a))
+        best = then
+    return np.array(best[(1 << n) - 1][1], dtype=np.intp)
 
 
 def _between(rests: Array, i: int) -> float:
