@@ -93,14 +93,18 @@ class _Distances:
     def __init__(self, task: _Cell) -> None:
         self._model, self._data = task.cell.model, task.cell.model.createData()
         geometry = task.cell.collision_model()
+        geometry.removeAllCollisionPairs()
         left_out = {frozenset(pair) for pair in task.scene.ignored}
-        links = list(geometry.geometryObjects)
+        links = [
+            (k, str(self._model.frames[shape.parentFrame].name))
+            for k, shape in enumerate(geometry.geometryObjects)
+            if shape.parentJoint > 0
+        ]
         for i, (radius, centre) in enumerate(task.posts):
             ball = pin.GeometryObject(f"post_{i}", 0, pin.SE3(np.eye(3), centre), coal.Sphere(radius))
             index = geometry.addGeometryObject(ball)
-            for k, link in enumerate(links):
-                name = self._model.frames[link.parentFrame].name
-                if frozenset((name, f"post_{i}")) not in left_out and link.parentJoint > 0:
+            for k, name in links:
+                if frozenset((name, f"post_{i}")) not in left_out:
                     geometry.addCollisionPair(pin.CollisionPair(k, index))
         self._geometry, self._placed = geometry, geometry.createData()
 

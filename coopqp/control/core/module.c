@@ -28,7 +28,7 @@ typedef struct {
     Py_buffer memory[3];   /* the blocks; released with the Core */
     double *own_pose;      /* where own_path leaves its numbers, 12 */
     PyObject *own_path, *bound_knot, *evasion;     /* callables; NULL for none */
-    PyObject *rows_of, *tightened;                 /* likewise: put further rows into the memory, and tighten them */
+    PyObject *clear, *rows_of, *tightened; /* likewise: no row can bind; put rows into the memory, and tighten them */
     PyObject *survey_here, *survey_ahead;          /* likewise: a piece of work on distances, once a step each */
     PyObject *path_buffer, *pose_buffer;           /* arrays whose memory is in use */
     PyObject *step_type, *context, *statuses;      /* what a step is made of */
@@ -136,6 +136,7 @@ static int core_traverse(PyObject *object, visitproc visit, void *arg) {
     Py_VISIT(self->own_path);
     Py_VISIT(self->bound_knot);
     Py_VISIT(self->evasion);
+    Py_VISIT(self->clear);
     Py_VISIT(self->rows_of);
     Py_VISIT(self->tightened);
     Py_VISIT(self->survey_here);
@@ -160,6 +161,7 @@ static int core_clear(PyObject *object) {
     Py_CLEAR(self->own_path);
     Py_CLEAR(self->bound_knot);
     Py_CLEAR(self->evasion);
+    Py_CLEAR(self->clear);
     Py_CLEAR(self->rows_of);
     Py_CLEAR(self->tightened);
     Py_CLEAR(self->survey_here);
@@ -303,13 +305,15 @@ static PyObject *core_bind_evasion(PyObject *object, PyObject *function) {
 
 static PyObject *core_bind_rows(PyObject *object, PyObject *args) {
     CoreObject *self = built(object);
-    PyObject *rows, *tightened;
-    if (!self || !PyArg_ParseTuple(args, "OO", &rows, &tightened)) return NULL;
+    PyObject *clear, *rows, *tightened;
+    if (!self || !PyArg_ParseTuple(args, "OOO", &clear, &rows, &tightened)) return NULL;
+    Py_INCREF(clear);
     Py_INCREF(rows);
     Py_INCREF(tightened);
+    Py_XDECREF(self->clear);
     Py_XDECREF(self->rows_of);
     Py_XDECREF(self->tightened);
-    self->rows_of = rows, self->tightened = tightened;
+    self->clear = clear, self->rows_of = rows, self->tightened = tightened;
     Py_RETURN_NONE;
 }
 
@@ -499,10 +503,12 @@ static PyObject *command(CoreObject *self) {
     Core *c = &self->core;
     c->given_rows = 0;
     int outcome = self->can->propose(c);
-    const int asks = c->options[CERTIFIED] != 0.0 && (outcome >= FILLED || !self->can->quiet(c));
-    if (asks && !self->interrupt[0]) c->proposal[OUTCOME] = outcome = answer_with_rows(self);
-    if (!asks && self->survey_here && !self->interrupt[0])
+    int asks = c->options[CERTIFIED] != 0.0 && (outcome >= FILLED || !self->can->quiet(c));
+    if (asks && outcome < FILLED && self->clear && !self->interrupt[0])
+        asks = number_of(self, self->clear, c->looks_ahead ? Py_False : Py_True) != 1;
+    else if (!asks && self->survey_here && !self->interrupt[0])
         number_of(self, self->survey_here, NULL);
+    if (asks && !self->interrupt[0]) c->proposal[OUTCOME] = outcome = answer_with_rows(self);
     if (interrupted(self)) return NULL;
     if (outcome < FILLED) return make_step(self, self->can->commit(c));
     self->handed = 1;
@@ -724,7 +730,7 @@ static PyMethodDef core_methods[] = {
     {"go_over", core_go_over, METH_VARARGS, "go_over(goal, numbers, speed, spin, full): to a new target."},
     {"bind_knots", core_bind_knots, METH_O, "bind_knots(function): called with the place of every new knot."},
     {"bind_evasion", core_bind_evasion, METH_O, "bind_evasion(function): may change evading_slope."},
-    {"bind_rows", core_bind_rows, METH_VARARGS, "bind_rows(rows, tightened): what step() asks for further rows."},
+    {"bind_rows", core_bind_rows, METH_VARARGS, "bind_rows(clear, rows, tightened): what step() asks for further rows."},
     {"bind_surveys", core_bind_surveys, METH_VARARGS, "bind_surveys(here, ahead): work that step() spreads."},
     {"make_steps", core_make_steps, METH_VARARGS, "make_steps(type, context, statuses): what step() returns."},
     {"linearise", core_linearise, METH_VARARGS, "linearise(positions, about, carried, jacobian)."},
