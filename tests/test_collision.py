@@ -342,23 +342,48 @@ def test_where_rows_in_memory_fail_the_definition_goes_on_and_interrupts_are_rai
         asked += 1
         raise RuntimeError("nothing is known")
 
-    failing._loop._core.bind_rows(fails, bool)
+    failing._loop._core.bind_rows(fails, fails, bool)
     for controller in (own, failing):
         controller.reset(scenario.q_start)
     for _ in range(36):
-        np.testing.assert_array_equal(own.step().q_next, failing.step().q_next)
+        # Rows that cannot bind take part in the definition's arithmetic alone: rounding.
+        np.testing.assert_allclose(own.step().q_next, failing.step().q_next, rtol=0.0, atol=1e-12)
     assert asked > 5
 
     def interrupted(_: bool) -> int:
         raise KeyboardInterrupt
 
-    failing._loop._core.bind_rows(interrupted, bool)
+    failing._loop._core.bind_rows(interrupted, interrupted, bool)
     own.step()  # near in this step, too
     with pytest.raises(KeyboardInterrupt):
         failing.step()
     failing.reset(scenario.q_start)
     assert failing._loop._core.hold() is None  # nobody works in it
     failing._loop._core.release()
+
+
+@pytest.mark.core
+@pytest.mark.skipif(len(KERNELS) < 2, reason="there is no compiler here")
+def test_a_command_is_shown_to_be_clear_without_asking_for_all_that_is_near() -> None:
+    """Commands of growing size: clear is said only where rows, asked for after it, are kept by the command."""
+    scenario = plate_and_post()
+    said = []
+    for size in np.geomspace(1e-3, 10.0, 25):
+        controller = QPController(
+            scenario.cell, scenario.grasp, scenario.path, dt=0.05, constraints=[Clearance(scene_of(scenario))]
+        )
+        controller.reset(scenario.q_start)
+        loop = controller._loop
+        rows = loop.constraints.given[0]._native[0]
+        rng = np.random.default_rng(3)
+        loop.at["command"][:] = size * rng.normal(size=scenario.cell.nv)
+        said.append(rows.clear(False))
+        count = rows.rows(False)
+        G = loop.at["further"][: count * scenario.cell.nv].reshape(count, scenario.cell.nv)
+        kept = bool((G @ loop.at["command"] >= loop.at["further_lower"][:count]).all())
+        assert kept or not said[-1]
+    assert said[0]
+    assert not said[-1]
 
 
 def test_distances_do_not_depend_on_what_was_asked_before() -> None:

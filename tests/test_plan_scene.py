@@ -118,15 +118,48 @@ def test_a_plan_beside_bodies_is_tracked_at_full_rate(kernel: str) -> None:
     assert slowed[1] > 0  # evading, it would be
 
 
-@pytest.mark.slow
-def test_elbows_that_have_to_evade_are_not_said_to_keep_clear() -> None:
+@pytest.mark.parametrize("kernel", slow_but_first(["auto", "plain"]))
+def test_elbows_that_have_to_evade_are_planned_to(kernel: str) -> None:
+    """Their least motion would touch the knob: another one is timed, and the run follows it at full rate."""
     task = elbow_and_knob()
     cell = task.cell.with_limits(acceleration=5.0)
     scene = CollisionScene.of(replace(task, cell=cell))
     made = plan(cell, task.grasp, task.path, q_start=task.q_start, scene=scene, knots=80)
     assert made.check is not None
-    assert made.check.feasible
-    assert not made.path.keeps_clear
+    assert made.check.verdict is PathVerdict.CERTIFIED
+    path = TimedPath.of_record(json.loads(json.dumps(made.path.record())))
+    assert path.keeps_clear
+    assert path.elbows is not None
+    assert made.path.elbows is not None
+    np.testing.assert_array_equal(path.elbows.packed(), made.path.elbows.packed())
+    controller = QPController(
+        cell, task.grasp, path, dt=0.004, constraints=[Clearance(scene)], options=QPOptions(kernel=kernel)
+    )
+    run = simulate(controller, q_start=made.q_start)
+    assert run.finished
+    assert (np.asarray(run.rate) >= 1.0 - 1e-9).all()
+    assert min(pair.distance for q in run.q[::10] for pair in scene.distances(q)) >= scene.margin
+    x = np.array([cell.positions(q) for q in run.q])
+    led = np.array([path.elbows.at(clock)[0] for clock in run.clock.tolist()])
+    assert np.abs(x - led).max() < 1e-4
+    least = plan(cell, task.grasp, task.path, q_start=task.q_start, knots=80).path
+    assert least.elbows is not None
+    assert np.abs(least.elbows.at(least.duration)[0] - path.elbows.at(path.duration)[0]).max() > 0.01
+    assert least.duration < path.duration
+
+
+def test_a_damaged_motion_of_elbows_is_refused() -> None:
+    task = forearms()
+    x = [task.cell.positions(task.q_start).tolist()] * 2
+    path = some_timing(
+        blended([Straight(np.eye(3), np.zeros(3), np.zeros(3), np.ones(3), 1.0)], distance=0.0, angle=0.0)
+    )
+    for clocks, slopes in (([0.0, 0.0], x), ([0.0, 1.0], x[:1]), ([0.0, 1.0], [[np.nan] * len(x[0])] * 2)):
+        record = {**path.record(), "elbows": {"clocks": clocks, "x": x, "slopes": slopes}}
+        with pytest.raises(InvalidInputError, match="Elbows"):
+            TimedPath.of_record(record)
+    with pytest.raises(InvalidInputError, match="the record of a timed path is damaged"):
+        TimedPath.of_record({**path.record(), "elbows": {"clocks": [0.0, 1.0]}})
 
 
 def test_a_scene_of_other_arms_and_starts_beside_a_scene_are_refused(paper: Scenario) -> None:

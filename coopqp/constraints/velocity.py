@@ -93,6 +93,10 @@ class RowsInMemory(Protocol):
         """Put the rows of this step, and where it is quiet, into the memory; how many."""
         ...
 
+    def clear(self, blind: bool, /) -> bool:
+        """Whether it is shown, by few distances, that no row can bind the command."""
+        ...
+
     def tightened(self) -> bool:
         """Raise lower bounds that the command breaks; whether it does."""
         ...

@@ -33,8 +33,13 @@ static int evade(Core *c, const double *positions, double *slope) {
     return 1;
 }
 
-/* Velocities wished for in the null-space at a clock: along the motion of the elbows that follows the path's numbers. */
-static void elbow_velocity(Core *c, double clock, const double *positions, double *v) {
+/* The motion of the elbows at a clock, which follows the path's numbers: joint j's position and speed. */
+typedef struct {
+    const double *x, *s;
+    double h, u;
+} ElbowPiece;
+
+static ElbowPiece elbow_piece(const Core *c, double clock) {
     const double *numbers = c->path_numbers, *t = numbers + 3 + (int)numbers[1] + SEGMENT * (int)numbers[2];
     const int knots = (int)c->options[ELBOWS], nv = c->joints;
     int i = 0;
@@ -43,14 +48,48 @@ static void elbow_velocity(Core *c, double clock, const double *positions, doubl
         if (t[i + half] <= clock) i += half, n -= half;
         else n = half;
     }
-    const double h = t[i + 1] - t[i], u = minimum(maximum((clock - t[i]) / h, 0.0), 1.0);
-    const double *x = t + knots + i * nv, *s = x + knots * nv;
-    for (int j = 0; j < nv; j++) {
-        const double way = x[nv + j] - x[j], a = s[j], b = s[nv + j];
-        const double bend = 3.0 * way - h * (2.0 * a + b), twist = h * (a + b) - 2.0 * way;
-        const double at = x[j] + u * (h * a + u * (bend + u * twist));
-        v[j] = a + u * (2.0 * bend + 3.0 * u * twist) / h + ELBOW_GAIN * wrapped(c, j, at - positions[j]);
+    const double h = t[i + 1] - t[i], *x = t + knots + i * nv;
+    return (ElbowPiece){x, x + knots * nv, h, minimum(maximum((clock - t[i]) / h, 0.0), 1.0)};
+}
+
+static double elbow(const Core *c, ElbowPiece at, int j, double *speed) {
+    const int nv = c->joints;
+    const double h = at.h, u = at.u, way = at.x[nv + j] - at.x[j], a = at.s[j], b = at.s[nv + j];
+    const double bend = 3.0 * way - h * (2.0 * a + b), twist = h * (a + b) - 2.0 * way;
+    *speed = a + u * (2.0 * bend + 3.0 * u * twist) / h;
+    return at.x[j] + u * (h * a + u * (bend + u * twist));
+}
+
+/* Whether the elbows go where they are led to, and not away from bodies. */
+static int led(const Core *c) { return c->redundant && c->options[ELBOWS] > 0.0 && !c->evade; }
+
+/* Velocities wished for in the null-space at a clock: along the motion of the elbows half a span later. */
+static void elbow_velocity(const Core *c, double clock, double span, const double *positions, double *v) {
+    const ElbowPiece at = elbow_piece(c, clock), later = elbow_piece(c, clock + 0.5 * span);
+    for (int j = 0; j < c->joints; j++) {
+        double speed;
+        const double x = elbow(c, at, j, &speed);
+        elbow(c, later, j, &speed);
+        v[j] = speed + ELBOW_GAIN * wrapped(c, j, x - positions[j]);
     }
+}
+
+/* Where the joints are expected a span after knot `last`: along its slope, or with the elbows that lead them. */
+static void expect(const Core *c, int last, double span, double *x) {
+    const double *from = knot(c, last), *x0 = vector_of(c, c->knot_positions, last);
+    if (led(c)) {
+        const ElbowPiece then = elbow_piece(c, from[K_CLOCK]), now = elbow_piece(c, from[K_CLOCK] + span);
+        const double pull = minimum(ELBOW_GAIN * span, 1.0);
+        for (int j = 0; j < c->joints; j++) {
+            double speed;
+            const double before = elbow(c, then, j, &speed), after = elbow(c, now, j, &speed);
+            x[j] = x0[j] + after - before + pull * wrapped(c, j, before - x0[j]);
+        }
+        return;
+    }
+    const double *slope = vector_of(c, c->knot_slope, last), *curvature = vector_of(c, c->knot_curvature, last);
+    const double bends = from[K_CORNER] == 0.0 ? 0.5 * span : 0.0;
+    for (int j = 0; j < c->joints; j++) x[j] = x0[j] + (curvature[j] * bends + slope[j]) * span;
 }
 
 /* Newton's step from `positions` to the pose at `clock`, and q′ there; where the twist jumps, that before it. */
@@ -64,7 +103,7 @@ static Trial newton_step(Core *c, double clock, double before, const double *pos
     twists_back(c, R, s.errors, s.w);
     rotate(R, twist, along);
     rotate(R, twist + 3, along + 3);
-    if (c->redundant && c->options[ELBOWS] > 0.0) elbow_velocity(c, clock, positions, s.wish);
+    if (c->redundant && c->options[ELBOWS] > 0.0) elbow_velocity(c, clock, 0.0, positions, s.wish);
     else if (c->redundant) posture_velocity(c, positions, s.wish);
     if (!two_velocities(c, s.jacobian, s.w, along, nullptr, c->redundant ? s.wish : nullptr, step, slope)) return REJECTED;
     if (c->redundant && !evade(c, positions, slope)) return CANNOT_SAY;
@@ -239,12 +278,7 @@ static int bends_slowly(const Core *c, int last, int made) {
 static Trial try_knot(Core *c, int last, int made, double span, int iteration) {
     const double *from = knot(c, last), *o = c->options, clock = from[K_CLOCK] + span;
     double *x = vector_of(c, c->knot_positions, made), *step = sketch_of(c).step;
-    if (iteration == 0) {
-        const double *x0 = vector_of(c, c->knot_positions, last), *slope = vector_of(c, c->knot_slope, last);
-        const double *curvature = vector_of(c, c->knot_curvature, last);
-        const double bends = from[K_CORNER] == 0.0 ? 0.5 * span : 0.0;
-        for (int j = 0; j < c->joints; j++) x[j] = x0[j] + (curvature[j] * bends + slope[j]) * span;
-    }
+    if (iteration == 0) expect(c, last, span, x);
     const Trial found = newton_step(c, clock, JUST_BEFORE, x, step, vector_of(c, c->knot_slope, made));
     if (found != FOUND) return found;
     const double largest = largest_size(step, c->joints);

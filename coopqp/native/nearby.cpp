@@ -38,9 +38,11 @@ enum {
 enum { IDLE, ASKING, DONE };
 
 /* Distances asked in a step ahead of need; the share of a certificate that is used when the next is begun; pairs are
- * asked ahead of a knot this far beyond the motion to it. Where less than NEEDED of the certificate of what is far is left
+ * asked ahead of a knot this far beyond the motion to it; so many where a command is shown to be clear. Where less than NEEDED of the certificate of what is far is left
  * the survey goes first. */
 #define ASKED_EARLY 2
+#define ASKED_TO_LAST 2
+#define ASKED_FOR_KNOT 3
 #define USED 0.5
 #define NEEDED 0.25
 #define WIDER 1.3
@@ -254,6 +256,52 @@ static PyObject *nearby_rows(PyObject *object, PyObject *blind_given) {
     return PyLong_FromSsize_t(s->binding);
 }
 
+/* Whether a way of the joints leaves every pair outside its margin: 1 if it does, 0 if not; -1 and an exception. */
+static int way_is_clear(Nearby *s, const double *x, const double *way) {
+    const Survey *survey = &s->survey;
+    int asked = 0;
+    if (!(left_at(&s->survey, x) > most_of_two(survey, survey->weights, way))) return 0;
+    for (Py_ssize_t i = 0; i < survey->closes; i++) {
+        const Py_ssize_t k = survey->close[i];
+        const double need = taken(survey, k, way);
+        if (s->at[ROOMS][k] > need) continue;
+        if (is_asked(s, k)) return 0;
+        asked++;
+        if (!place(s, x) || !ask_room(s, k)) return -1;
+        if (!(s->at[ROOMS][k] > need)) return 0;
+    }
+    for (; asked < ASKED_TO_LAST; asked++) { /* the next certificate lasts the longer */
+        const Py_ssize_t k = soonest_close(s);
+        if (k < 0 || is_asked(s, k)) break;
+        if (!place(s, x) || !ask_room(s, k)) return -1;
+    }
+    return 1;
+}
+
+/* clear(blind): whether no row can bind the command in memory, without asking for all that is near. */
+static PyObject *nearby_clear(PyObject *object, PyObject *blind_given) {
+    Nearby *s = as_built(object);
+    const int blind = s ? PyObject_IsTrue(blind_given) : -1;
+    if (blind < 0) return NULL;
+    const double dt = s->at[DT][0], own = s->number[BLIND_APPROACH], *x = s->at[POSITIONS];
+    const double approach = blind && own < 1.0 / dt ? own : 1.0 / dt;
+    notice_start(s);
+    set_watches(s, approach, s->number[blind ? BLIND_WATCH : WATCH]);
+    survey_now(&s->survey, x);
+    follow_close(&s->survey, x);
+    for (Py_ssize_t j = 0; j < s->joints; j++) s->next[j] = fabs(s->at[COMMAND][j]) / approach;
+    s->job = IDLE;
+    const int clear = way_is_clear(s, x, s->next);
+    if (clear < 0) return NULL;
+    if (clear) {
+        s->binding = 0;
+        put_certificate(s);
+        s->at[APPROACH][0] = blind ? own : INFINITY;
+        s->at[COUNTS][0] += 1.0, s->at[COUNTS][1] = 0.0;
+    }
+    return PyBool_FromLong(clear);
+}
+
 /* tightened(): raise lower bounds where the command leads closer than rows say; whether it does. */
 static PyObject *nearby_tightened(PyObject *object, PyObject *unused) {
     Nearby *s = as_built(object);
@@ -308,7 +356,7 @@ static int ask_for_knot(Nearby *s) {
         const Py_ssize_t k = survey->close[i];
         const double least = taken(survey, k, survey->way);
         if (is_asked(s, k) || !(s->at[ROOMS][k] < (least > s->number[EVADES] ? least : s->number[EVADES]))) continue;
-        if (asked++ == ASKED_EARLY) return 1;
+        if (asked++ == (s->pairs > PIECE * PIECES ? ASKED_FOR_KNOT : ASKED_EARLY)) return 1;
         if (!ask_room(s, k)) return -1;
     }
     return 0;
@@ -320,7 +368,8 @@ static PyObject *nearby_prepare(PyObject *object, PyObject *unused) {
     (void)unused;
     if (!s) return NULL;
     notice_start(s);
-    s->job = IDLE, s->lost = 1;
+    s->job = s->number[EVADES] >= 0.0 ? DONE : IDLE, s->lost = 1; /* ahead there is something to do after the next knot */
+    if (s->at[DT][0] > 0.0) set_watches(s, 1.0 / s->at[DT][0], s->number[WATCH]);
     survey_anew(&s->survey, s->at[AT]);
     if (!place(s, s->at[AT])) return NULL;
     Py_RETURN_NONE;
@@ -335,12 +384,13 @@ static PyObject *nearby_surveys(PyObject *object, PyObject *unused) {
     if (s->epoch != s->at[EPOCH][0]) Py_RETURN_FALSE;
     const int ahead = s->number[EVADES] >= 0.0;
     double *x = s->next;
-    memcpy(x, ahead ? s->at[AT] : s->at[POSITIONS], sizeof(double) * (size_t)s->joints);
+    for (Py_ssize_t j = 0; j < s->joints; j++) x[j] = ahead ? s->at[AT][j] + s->coming[j] : s->at[POSITIONS][j];
     const int soon = !ahead && s->at[SLACK][0] > 0.0 && (s->job == ASKING || used_at(s, x) > USED);
-    if (!(soon && left_at(&s->survey, x) > NEEDED) && survey_piece(&s->survey, x)) Py_RETURN_TRUE;
+    const int surveyed = !(soon && left_at(&s->survey, x) > NEEDED) && survey_piece(&s->survey, x);
+    const int large = s->pairs > PIECE * PIECES; /* a knot does not wait for one after the other */
+    if (surveyed && (!ahead || s->job == DONE || !large)) Py_RETURN_TRUE;
     if (s->job == IDLE) {
         if (!ahead && (s->at[SLACK][0] <= 0.0 || used_at(s, x) < USED)) Py_RETURN_FALSE;
-        for (Py_ssize_t j = 0; ahead && j < s->joints; j++) x[j] += s->coming[j];
         follow_close(&s->survey, x);
         s->job = ASKING, s->asked = 0;
         if (!place(s, x)) return NULL;
@@ -520,6 +570,7 @@ static void nearby_dealloc(PyObject *object) {
 
 static PyMethodDef methods[] = {
     {"rows", nearby_rows, METH_O, "rows(blind): put the rows of this step into its memory; how many."},
+    {"clear", nearby_clear, METH_O, "clear(blind): whether no row can bind the command in memory."},
     {"tightened", nearby_tightened, METH_NOARGS, "tightened(): raise bounds that the command breaks; whether it does."},
     {"doubtful", nearby_doubtful, METH_O, "doubtful(place): pairs that may be inside their margin on the way to a knot."},
     {"prepare", nearby_prepare, METH_NOARGS, "prepare(): look at all pairs where the joints start."},

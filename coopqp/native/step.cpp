@@ -254,9 +254,12 @@ static void brake_correction(Core *c, double keep) {
     c->proposal[HAS_MEASURED] = 1.0;
 }
 
-/* Joint velocities wished for in the null-space: along the preview, or by the posture's rule. */
+/* Joint velocities wished for in the null-space: along the elbows or the preview, or by the posture's rule. */
 static void wish(Core *c) {
-    if (c->looks_ahead) {
+    if (c->looks_ahead && led(c)) {
+        elbow_velocity(c, c->loop[CLOCK], c->proposal[SPAN], c->positions, c->null_along);
+        memset(c->null_offset, 0, sizeof(double) * (size_t)c->joints);
+    } else if (c->looks_ahead) {
         preview_reference(c, c->loop[CLOCK], c->null_offset, c->null_along);
         for (int j = 0; j < c->joints; j++)
             c->null_offset[j] = c->options[POSTURE_GAIN] * (c->null_offset[j] - c->positions[j]);

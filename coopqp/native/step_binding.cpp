@@ -23,7 +23,7 @@ static const Arithmetic *best() {
 
 /* Objects of Python that a Core holds: callables, empty for none, and what a step is made of. */
 enum {
-    OWN_PATH, BOUND_KNOT, EVADE, FURTHER_ROWS, TIGHTENED, SURVEY_HERE, SURVEY_AHEAD, /* put numbers into the memory */
+    OWN_PATH, BOUND_KNOT, EVADE, CLEAR, FURTHER_ROWS, TIGHTENED, SURVEY_HERE, SURVEY_AHEAD, /* put numbers into the memory */
     TELL,                                                                    /* of a step that forces say something of */
     STEP_TYPE, CONTEXT, STATUSES,
     OBJECTS
@@ -291,9 +291,12 @@ static int answer_with_rows(Loop *self) {
 static nb::object command(Loop *self) {
     self->given_rows = 0;
     int outcome = self->can->propose(self);
-    const bool asks = self->options[CERTIFIED] != 0.0 && (outcome >= FILLED || !self->can->quiet(self));
+    bool asks = self->options[CERTIFIED] != 0.0 && (outcome >= FILLED || !self->can->quiet(self));
+    if (asks && outcome < FILLED)
+        asks = asked(self, CLEAR, false, self->looks_ahead == 0) != 1; /* no row can bind */
+    else if (!asks)
+        asked(self, SURVEY_HERE, false);
     if (asks && !self->interrupt) self->proposal[OUTCOME] = outcome = answer_with_rows(self);
-    if (!asks) asked(self, SURVEY_HERE, false);
     raise_interrupt(self);
     if (outcome < FILLED) return make_step(self, self->can->commit(self));
     self->handed = true;
@@ -496,7 +499,8 @@ void bind_step(nb::module_ &m) {
         .def("bind_evasion",
              [](Loop &self, const Maybe &f) { self.evade = hold_object(self, EVADE, f) ? ask_evasion : nullptr; })
         .def("bind_rows",
-             [](Loop &self, const nb::object &rows, const nb::object &tightened) {
+             [](Loop &self, const nb::object &clear, const nb::object &rows, const nb::object &tightened) {
+                 hold_object(self, CLEAR, clear);
                  hold_object(self, FURTHER_ROWS, rows), hold_object(self, TIGHTENED, tightened);
              })
         .def("bind_surveys",

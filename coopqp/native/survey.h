@@ -46,9 +46,13 @@ static inline void way_between(const Survey *s, const double *a, const double *b
 
 /* The most room that a way takes from a pair. */
 static inline double taken(const Survey *s, Py_ssize_t k, const double *way) {
-    double most = 0.0;
-    for (Py_ssize_t i = s->first[k]; i < s->first[k + 1]; i++) most += s->own[i] * way[s->joint[i]];
-    return most;
+    double most[4] = {0}; /* sums that do not wait for each other */
+    const Py_ssize_t end = s->first[k + 1];
+    Py_ssize_t i = s->first[k];
+    for (; i + 4 <= end; i += 4)
+        for (int n = 0; n < 4; n++) most[n] += s->own[i + n] * way[s->joint[i + n]];
+    for (; i < end; i++) most[0] += s->own[i] * way[s->joint[i]];
+    return (most[0] + most[1]) + (most[2] + most[3]);
 }
 
 /* Each joint's weight becomes at least the pair's reach over its room; 0 if there is none beside what is spared. */

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import final
+from typing import Any, final
 
 import numpy as np
 
@@ -40,9 +41,26 @@ class Elbows:
         from scipy.interpolate import PchipInterpolator  # takes long to import
 
         at, rows = as_floats(clocks), as_floats(x)
-        if at.ndim != 1 or rows.ndim != 2 or not 2 <= len(at) == len(rows) or not (np.diff(at) > 0.0).all():
-            raise InvalidInputError("the clocks do not rise, one a row", "Elbows", "Give rising clocks [s].")
+        _check(at, rows)
         return Elbows(at, rows, PchipInterpolator(at, rows).derivative()(at))
+
+    def record(self) -> dict[str, list[Any]]:
+        """The motion as plain lists of numbers, from which :meth:`of_record` makes it again, bit for bit."""
+        return {"clocks": self.clocks.tolist(), "x": self.x.tolist(), "slopes": self.slopes.tolist()}
+
+    @staticmethod
+    def of_record(record: Mapping[str, Any]) -> Elbows:
+        """The motion that :meth:`record` describes.
+
+        Raises:
+            InvalidInputError: it describes none.
+            KeyError, TypeError, ValueError: it is no record.
+        """
+        clocks, x, slopes = (as_floats(record[name]) for name in ("clocks", "x", "slopes"))
+        if x.shape != slopes.shape or not (np.isfinite(x).all() and np.isfinite(slopes).all()):
+            raise InvalidInputError("positions and speeds differ in size", "Elbows", "Make it with Elbows.record.")
+        _check(clocks, x)
+        return Elbows(clocks, x, slopes)
 
     def smoothed(self) -> Elbows:
         """Nearly the same motion without its kinks, where joints would wait for their accelerations; the same ends."""
@@ -66,3 +84,9 @@ class Elbows:
     def packed(self) -> Array:
         """As numbers: the clocks, the positions and the slopes row by row."""
         return np.concatenate([self.clocks, self.x.ravel(), self.slopes.ravel()])
+
+
+def _check(clocks: Array, x: Array) -> None:
+    """Clocks (K,) that rise, and one row of positions (K, nv) each."""
+    if clocks.ndim != 1 or x.ndim != 2 or not 2 <= len(clocks) == len(x) or not (np.diff(clocks) > 0.0).all():
+        raise InvalidInputError("the clocks do not rise, one a row", "Elbows", "Give rising clocks [s].")

@@ -15,6 +15,7 @@ import pinocchio as pin
 from coopqp.checks import as_scalar, read_only
 from coopqp.errors import InvalidInputError, said
 from coopqp.model.limits import BindingLimit, LimitKind
+from coopqp.paths.elbows import Elbows
 from coopqp.paths.geometry import PathGeometry, piece_of
 from coopqp.paths.path import ObjectPath
 from coopqp.spatial import Array
@@ -105,6 +106,7 @@ class TimedPath(ObjectPath):
         profile: how fast; it ends where the geometry ends.
         planned_share: share of the joints' limits that it was planned with, in (0, 1]; None if it was not.
         keeps_clear: True if the planned motion of redundant arms is proved to keep clear of the bodies of a scene.
+        elbows: the planned motion of redundant arms, along which they are led; None: they move as little as they can.
 
     Attributes:
         profile: the speed profile.
@@ -120,6 +122,7 @@ class TimedPath(ObjectPath):
         *,
         planned_share: float | None = None,
         keeps_clear: bool = False,
+        elbows: Elbows | None = None,
     ) -> None:
         if abs(profile.s[-1] - geometry.length) > 1e-9 * geometry.length:
             raise InvalidInputError(
@@ -133,7 +136,7 @@ class TimedPath(ObjectPath):
         if planned_share is not None:
             self.planned_share = as_scalar(planned_share, "TimedPath: planned_share", high=1.0)
         self._geometry, self.profile, self.keeps_clear = geometry, profile, bool(keeps_clear)
-        self.duration = profile.duration
+        self.duration, self.elbows = profile.duration, elbows
         self._clocks, self._s = profile.clocks.tolist(), profile.s.tolist()
         self._speeds, self._slopes = np.sqrt(profile.squares).tolist(), profile.slopes.tolist()
 
@@ -143,7 +146,8 @@ class TimedPath(ObjectPath):
 
     def kept_clear(self) -> TimedPath:
         """The same path, whose planned motion is proved to keep clear."""
-        return TimedPath(self._geometry, self.profile, planned_share=self.planned_share, keeps_clear=True)
+        share, elbows = self.planned_share, self.elbows
+        return TimedPath(self._geometry, self.profile, planned_share=share, keeps_clear=True, elbows=elbows)
 
     def clocks(self, s: Array) -> Array:
         """Clocks (K,) [s] at which the path is at s (K,) [m]."""
@@ -187,6 +191,7 @@ class TimedPath(ObjectPath):
             "squares": self.profile.squares.tolist(),
             "planned_share": self.planned_share,
             "keeps_clear": self.keeps_clear,
+            "elbows": None if self.elbows is None else self.elbows.record(),
             "binding": self.profile.sections(),
         }
 
@@ -201,6 +206,7 @@ class TimedPath(ObjectPath):
             pieces = tuple(piece_of(np.asarray(piece, dtype=float)) for piece in record["pieces"])
             s, squares = (np.asarray(record[name], dtype=float) for name in ("s", "squares"))
             share, clear = record["planned_share"], bool(record.get("keeps_clear", False))
+            elbows = None if record.get("elbows") is None else Elbows.of_record(record["elbows"])
             profile = SpeedProfile(s, squares).bound_by(record.get("binding", ()))
         except InvalidInputError:
             raise
@@ -210,4 +216,4 @@ class TimedPath(ObjectPath):
             ) from error
         if not pieces:
             raise InvalidInputError("the record has no piece", "TimedPath", "Make it with TimedPath.record.")
-        return TimedPath(PathGeometry(pieces), profile, planned_share=share, keeps_clear=clear)
+        return TimedPath(PathGeometry(pieces), profile, planned_share=share, keeps_clear=clear, elbows=elbows)

@@ -23,6 +23,7 @@ from coopqp.model.cell import RobotCell
 from coopqp.model.chain import Chain
 from coopqp.model.grasp import Grasp
 from coopqp.paths.elbows import Elbows
+from coopqp.paths.geometry import PathGeometry
 from coopqp.paths.guarded import GuardedPath
 from coopqp.paths.path import ObjectPath
 from coopqp.paths.timed import TimedPath
@@ -133,12 +134,9 @@ class PathCheck:
         4 % of the duration, which saves time and keeps inside the limits. The path itself where nothing is proved,
         or where no arm has more than six joints.
         """
-        ways = [arm.chosen.way for arm in self.arms if arm.chosen is not None]
-        segments = segments_of(self.path)
-        redundant = any(len(arm.joints) > 6 for arm in self.arms)
-        if self.verdict is not PathVerdict.CERTIFIED or self.q_start is None or segments is None or not redundant:
+        way = self.proved_way()
+        if way is None or not any(len(arm.joints) > 6 for arm in self.arms):
             return self.path
-        way = CellWay(self.cell, self.path, segments, ways, self.cell.positions(self.q_start))
         clocks, first = np.unique(way.clocks(way.places), return_index=True)
         if len(clocks) < 2:
             return self.path
@@ -147,6 +145,18 @@ class PathCheck:
         path.elbows = elbows.smoothed() if self.clearance is None else elbows
         path.keeps_clear = path.keeps_clear or self.clearance is not None
         return path
+
+    def on(self, path: ObjectPath) -> PathCheck:
+        """The same answer for the same path, with more on it."""
+        return replace(self, path=path)
+
+    def proved_way(self) -> CellWay | None:
+        """The motion of all joints that is proved, over the places of the path; None where nothing is."""
+        ways = [arm.chosen.way for arm in self.arms if arm.chosen is not None]
+        segments = segments_of(self.path)
+        if self.verdict is not PathVerdict.CERTIFIED or self.q_start is None or segments is None:
+            return None
+        return CellWay(self.cell, self.path, segments, ways, self.cell.positions(self.q_start))
 
     def explain(self) -> str:
         """The verdict, a line per arm and one for distances, in sentences; then the remedies."""
@@ -256,7 +266,8 @@ def check_path(
 def check_motion(cell: RobotCell, grasp: Grasp, path: TimedPath, x: Array, scene: Bodies) -> PathCheck | None:
     """The verdict on one motion of all arms along a planned path, with the distances of a scene.
 
-    :func:`check_path` chooses a motion of the elbows of redundant arms; this is for a given one.
+    :func:`check_path` chooses a motion of the elbows of redundant arms; this is for a given one. Distances are looked
+    at where the arms' ways are proved.
 
     Args:
         cell, grasp, path: the arms, their grasps, and the path.
@@ -269,11 +280,7 @@ def check_motion(cell: RobotCell, grasp: Grasp, path: TimedPath, x: Array, scene
     segments, samples = segments_of(path), sample_path(path, grasp)
     if segments is None:
         return None
-    marks = path.geometry().marks
-    piece = np.clip(np.searchsorted(marks, path.profile.s, side="right") - 1, 0, len(marks) - 2)
-    places = piece + (path.profile.s - marks[piece]) / np.diff(marks)[piece]
-    whole = np.round(places)
-    places = np.where(np.abs(places - whole) < _AT_MARK, whole, places)
+    places = places_along(path.geometry(), path.profile.s)
     arms = []
     for own, arm, X in zip(cell.v_slices, cell.arms, grasp.T_object_tool, strict=True):
         kinematics = ArmKinematics(arm)
@@ -281,10 +288,19 @@ def check_motion(cell: RobotCell, grasp: Grasp, path: TimedPath, x: Array, scene
         branch = check_way(kinematics, tool, x[:, own.start + kinematics.columns])
         arms.append(_arm_check(kinematics, branch, [branch], None))
     clearance = None
-    if worst([arm.verdict for arm in arms]) is not PathVerdict.INFEASIBLE:
+    if worst([arm.verdict for arm in arms]) is PathVerdict.CERTIFIED:
         ways = [arm.chosen.way for arm in arms if arm.chosen is not None]
         clearance = scene.along(CellWay(cell, path, segments, ways, x[0]))
     return _judged(cell, grasp, path, arms, cell.configuration(x[0]), clearance, scene, given=True)
+
+
+def places_along(geometry: PathGeometry, s: Array) -> Array:
+    """Places (K,) of a planned path (:mod:`coopqp.planning.joint_trajectories`) at s (K,) along its geometry [m]."""
+    marks = geometry.marks
+    piece = np.clip(np.searchsorted(marks, s, side="right") - 1, 0, len(marks) - 2)
+    places = piece + (s - marks[piece]) / np.diff(marks)[piece]
+    whole = np.round(places)
+    return np.where(np.abs(places - whole) < _AT_MARK, whole, places)
 
 
 def _judged(

@@ -6,6 +6,7 @@ from :meth:`coopqp.model.batch.ArmKinematics.derivatives`.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import final
 
@@ -32,6 +33,11 @@ _EVEN = 0.3
 _FAR = 0.05
 #: Passes of a redundant arm's way, and the change that ends them [rad or m].
 _PASSES, _SETTLED = 60, 1e-11
+#: Derivatives of a led arm are differences over this share of the length.
+_DIFFERENCE = 2e-4
+
+#: Joint positions (K, nv) to which redundant arms are led, smooth over s (K,).
+Lead = Callable[[Array], Array]
 
 
 @dataclass(frozen=True, eq=False)
@@ -124,6 +130,29 @@ def spread_knots(
     return _derived(kinematics, T, V, dV, motion.s, q, len(T) - 1)
 
 
+def led_knots(
+    kinematics: ArmKinematics, T_object_tool: pin.SE3, geometry: PathGeometry, s: Array, lead: Lead
+) -> ArmKnots:
+    """Knots of a redundant arm at s (K,): at each Newton's method goes the least way from what ``lead`` says there.
+
+    So positions are a smooth function of s, and their derivatives are differences over neighbours.
+    """
+
+    def solved(at: Array) -> tuple[Array, Array]:
+        R, p = geometry.poses(at)
+        T = np.concatenate([(R @ T_object_tool.rotation).reshape(-1, 9), p + R @ T_object_tool.translation], axis=1)
+        return kinematics.newton(T, lead(at), tolerance=_EXACT, steps=12)
+
+    q, residual = solved(s)
+    far = ~(residual <= _REACHED)
+    away = _DIFFERENCE * geometry.length
+    middle = np.clip(s, away, geometry.length - away)
+    (before, _), (here, _), (after, _) = (solved(middle + step) for step in (-away, 0.0, away))
+    curvature = (after - 2.0 * here + before) / away**2
+    slope = (after - before) / (2.0 * away) + curvature * (s - middle)[:, None]
+    return ArmKnots(q, slope, curvature, int(far.argmax()) - 1 if far.any() else len(s) - 1)
+
+
 def hermite(s: Array, q: Array, slope: Array, at: Array) -> Array:
     """Cubic interpolation (M, n) of rows (K, n) with slopes at s (K,): a guess between knots, never a path."""
     i = np.clip(np.searchsorted(s, at, side="right") - 1, 0, len(s) - 2)
@@ -143,19 +172,22 @@ class Following:
         cell, grasp: the arms, and how they hold.
         geometry: without corners.
         x0: joint positions (nv,) near its start [rad or m].
+        lead: where redundant arms are led to; by default they move as little as they can.
 
     Raises:
         UnreachableError: an arm does not follow; the message names it, and where its way ends.
     """
 
-    def __init__(self, cell: RobotCell, grasp: Grasp, geometry: PathGeometry, x0: Array) -> None:
-        self._cell, self._grasp, self._geometry, self._x0 = cell, grasp, geometry, x0
+    def __init__(
+        self, cell: RobotCell, grasp: Grasp, geometry: PathGeometry, x0: Array, *, lead: Lead | None = None
+    ) -> None:
+        self._cell, self._grasp, self._geometry, self._x0, self._lead = cell, grasp, geometry, x0, lead
         self._arms = [ArmKinematics(arm) for arm in cell.arms]
         self._columns = [own.start + arm.columns for own, arm in zip(cell.v_slices, self._arms, strict=True)]
         self._first = Motion.of(geometry, merged(np.linspace(0.0, geometry.length, _FIRST_LOOK), self._within(_LOOKS)))
         self._coarse: list[ArmKnots] = []
         for name, arm, X, own in zip(cell.arm_names, self._arms, grasp.T_object_tool, self._columns, strict=True):
-            found = arm_knots(arm, X, self._first, x0[own])
+            found = self._led(arm, X, own, self._first.s) or arm_knots(arm, X, self._first, x0[own])
             if found.reached < len(self._first.s) - 1:
                 share = self._first.s[max(found.reached, 0)] / geometry.length
                 where = "its start" if found.reached < 0 else f"{100.0 * share:.0f} % of its way"
@@ -193,9 +225,16 @@ class Following:
         x = np.tile(self._x0, (len(s), 1))
         slope, curvature = np.zeros_like(x), np.zeros_like(x)
         for arm, X, own, known in zip(self._arms, self._grasp.T_object_tool, self._columns, self._coarse, strict=True):
-            found = spread_knots(arm, X, motion, self._first.s, known)
+            found = self._led(arm, X, own, s) or spread_knots(arm, X, motion, self._first.s, known)
             x[:, own], slope[:, own], curvature[:, own] = found.q, found.slope, found.curvature
         return Knots(s, x, slope, curvature)
+
+    def _led(self, arm: ArmKinematics, T_object_tool: pin.SE3, own: Array, s: Array) -> ArmKnots | None:
+        """Knots of an arm that is led; None for others."""
+        lead = self._lead
+        if lead is None or arm.n <= 6:
+            return None
+        return led_knots(arm, T_object_tool, self._geometry, s, lambda at: lead(at)[:, own])
 
     def with_marks(self, s: Array) -> Array:
         """s with the marks between pieces."""

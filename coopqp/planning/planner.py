@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import functools
 import itertools
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any, NoReturn
 
 import numpy as np
@@ -21,6 +22,7 @@ from coopqp.paths.path import LinePath, ObjectPath
 from coopqp.paths.timed import SpeedProfile, TimedPath
 from coopqp.planning.branch_checks import PathVerdict, follows
 from coopqp.planning.check import PathCheck, check_motion, check_path
+from coopqp.planning.clear_elbows import clear_plan
 from coopqp.planning.clearance import Bodies, check_scene
 from coopqp.planning.fastest_start import faster_start
 from coopqp.planning.payload import Payload
@@ -137,17 +139,25 @@ def plan(
             start = faster_start(cell, geometry, start, starts)
         q_start, grasp = start.q, start.grasp
     q = cell.check_configuration(q_start, f"{where}: q_start")
-    timed, x = timed_motion(
-        cell, grasp, geometry, q_start=q, payload=payload, bounds=bounds, jerk=jerk, share=share, knots=knots
-    )
+    timing = functools.partial(
+        timed_motion, cell, grasp, geometry, q_start=q, payload=payload, bounds=bounds, jerk=jerk, share=share,
+        knots=knots,
+    )  # fmt: skip
+    motion = timing()
+    timed = motion.path
     if scene is None:
         return Plan(q_start=q, grasp=grasp, path=timed, start=start)
-    if any(len(columns) > 6 for columns in moving_columns(cell)):
-        own = check_motion(cell, grasp, timed, x, scene)  # the elbows as they are planned
+    redundant = any(len(columns) > 6 for columns in moving_columns(cell))
+    if redundant:
+        own = check_motion(cell, grasp, timed, motion.x, scene)  # the elbows as they are planned
         if own is not None and own.verdict is PathVerdict.CERTIFIED:
             timed = timed.kept_clear()
-            return Plan(q_start=q, grasp=grasp, path=timed, start=start, check=replace(own, path=timed))
+            return Plan(q_start=q, grasp=grasp, path=timed, start=start, check=own.on(timed))
     check = check_path(cell, grasp, timed, q_start=q, scene=scene)
+    if redundant and check.verdict is not PathVerdict.INFEASIBLE:
+        clear = clear_plan(check, motion, scene, lambda lead: timing(lead=lead))
+        if clear is not None:
+            return Plan(q_start=q, grasp=grasp, path=clear[0], start=start, check=clear[1])
     if not check.feasible:
         _refuse(check, lines, blend, angle)
     return Plan(q_start=q, grasp=grasp, path=timed, start=start, check=check)

@@ -7,7 +7,7 @@ speed ṡ along them. In ``z = ṡ²`` and s̈ all limits are lines: ``q̇ = q�
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -17,15 +17,17 @@ from coopqp.constraints.rate import BoundTrouble, Knot, RateBound, lines_of
 from coopqp.errors import InvalidInputError, UnreachableError
 from coopqp.model.branches import AT_LIMIT, amount
 from coopqp.model.cell import RobotCell, slides
+from coopqp.model.chain import moving_columns
 from coopqp.model.grasp import Grasp
 from coopqp.model.limits import BindingLimit, LimitKind
 from coopqp.model.state import CellState
+from coopqp.paths.elbows import Elbows
 from coopqp.paths.geometry import PathGeometry
 from coopqp.paths.guarded import is_known
 from coopqp.paths.path import ObjectPath
 from coopqp.paths.timed import SpeedProfile, TimedPath
 from coopqp.planning.jerk import jerk_limited, jerk_use, smoothed
-from coopqp.planning.knots import Following, Knots
+from coopqp.planning.knots import Following, Knots, Lead
 from coopqp.planning.parametrise import Limited, Lines, fastest, require_toppra
 from coopqp.planning.payload import Payload, torque_lines
 from coopqp.planning.sampled import sampled_geometry
@@ -39,6 +41,8 @@ _EQUAL = 0.99
 _EXCESS, _ROUNDS = 2e-3, 6
 #: Room of a rate bound at rest, as a share of its coefficients, that counts as rounding.
 _LEAST_ROOM = 1e-9
+#: Knots of the elbows are left out where their motion is known this well without them [rad or m].
+_KNOWN = 1e-8
 #: Knots of a path, and least knots of a stretch between corners.
 KNOTS, LEAST_KNOTS = 400, 60
 JERK_KNOTS = 150
@@ -59,8 +63,8 @@ def time_path(
     """The fastest way along a path, from rest to rest, under the joints' velocity and acceleration limits.
 
     Only the geometry of ``path`` counts, not its time law. The object rests at its corners. Redundant arms
-    are planned with their least motion, ``Σ (q̇_j / v_j)²``; on a planned path a :class:`coopqp.QPController` moves
-    them so, too, without posture.
+    are planned with their least motion, ``Σ (q̇_j / v_j)²``; the path has it as its ``elbows``, and a
+    :class:`coopqp.QPController` leads them along it, without posture.
 
     Args:
         cell, grasp: the arms, and how they hold the object.
@@ -86,7 +90,22 @@ def time_path(
     """
     return timed_motion(
         cell, grasp, path, q_start=q_start, payload=payload, bounds=bounds, jerk=jerk, share=share, knots=knots
-    )[0]
+    ).path
+
+
+@dataclass(frozen=True, eq=False)
+class TimedMotion:
+    """A timed path and the motion of the joints it was timed with.
+
+    Attributes:
+        path: the path.
+        x: joint positions (K, nv) at the knots of its profile [rad or m].
+        slopes: their derivatives there with respect to s (K, nv).
+    """
+
+    path: TimedPath
+    x: Array
+    slopes: Array
 
 
 def timed_motion(
@@ -100,8 +119,12 @@ def timed_motion(
     jerk: ArrayLike | None,
     share: float,
     knots: int | None,
-) -> tuple[TimedPath, Array]:
-    """The path of :func:`time_path`, and the joint positions (K, nv) at the knots of its profile."""
+    lead: Lead | None = None,
+) -> TimedMotion:
+    """The path of :func:`time_path`, and its joint motion.
+
+    With ``lead`` redundant arms go where it leads them, at each s of the whole path, in place of their least motion.
+    """
     require_toppra()
     grasp.check_arms(cell)
     where = "time_path"
@@ -116,11 +139,11 @@ def timed_motion(
         require(payload, Payload, f"{where}: payload", "Give a Payload.")
     _check_limits(cell, where)
     s, squares, binding, use = [np.zeros(1)], [np.zeros(1)], list[BindingLimit | None](), list[Array]()
-    rows = list[Array]()
+    rows, slopes = list[Array](), list[Array]()
     mark, pace = 0.0, _pace(path, geometry)
     for stretch in geometry.stretches():
         own = max(LEAST_KNOTS, round(count * stretch.length / geometry.length))
-        following = Following(cell, grasp, stretch, x)
+        following = Following(cell, grasp, stretch, x, lead=None if lead is None else _beyond(lead, mark))
         own_s = following.spread(own, gather=jerks is not None)
         for _ in range(_ROUNDS):
             found = following.at(own_s)
@@ -143,12 +166,39 @@ def timed_motion(
         names, shares = binding_limits(cell, limited, z, None if jerks is None else share * jerks, bounds)
         s.append(mark + found.s[1:])
         squares.append(z[1:])
+        slopes.append(found.slope[1:] if rows else found.slope)
         rows.append(found.q[1:] if rows else found.q)
         binding += names
         use.append(shares)
         mark, x = mark + stretch.length, found.q[-1]
     profile = SpeedProfile(np.concatenate(s), np.concatenate(squares), tuple(binding), np.concatenate(use))
-    return TimedPath(geometry, profile, planned_share=share), np.vstack(rows)
+    q, q_slopes, elbows = np.vstack(rows), np.vstack(slopes), None
+    if any(len(columns) > 6 for columns in moving_columns(cell)):
+        elbows = _elbows(profile, q, q_slopes)
+    return TimedMotion(TimedPath(geometry, profile, planned_share=share, elbows=elbows), q, q_slopes)
+
+
+def _elbows(profile: SpeedProfile, x: Array, slopes: Array) -> Elbows:
+    """The motion of the joints over the path's clock, with no more knots than it takes."""
+    from scipy.interpolate import CubicHermiteSpline  # takes long to import
+
+    clocks, speeds = profile.clocks, np.sqrt(profile.squares)
+    speed = slopes * speeds[:, None]
+    kept = speeds == 0.0
+    while not kept.all():
+        knots = np.flatnonzero(kept)
+        known = CubicHermiteSpline(clocks[knots], x[knots], speed[knots])(clocks)
+        wrong = np.flatnonzero(np.abs(known - x).max(axis=1) > _KNOWN)
+        if not wrong.size:
+            break
+        gaps = np.unique(np.searchsorted(knots, wrong))
+        kept[(knots[gaps - 1] + knots[gaps]) // 2] = True
+    return Elbows(clocks[kept], x[kept], speed[kept])
+
+
+def _beyond(lead: Lead, mark: float) -> Lead:
+    """The lead by the s of a stretch that begins at a mark [m]."""
+    return lambda s: lead(mark + s)
 
 
 def _as_jerks(jerk: ArrayLike, nv: int, where: str) -> Array:

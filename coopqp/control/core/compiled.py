@@ -42,6 +42,8 @@ from coopqp.spatial import Array
 
 _P = {name: i for i, name in enumerate(layout.PROPOSAL)}
 _LOOP = {name: i for i, name in enumerate(layout.LOOP)}
+#: Pieces of work on bodies ahead that a start does at most.
+_SURVEYS_AT_START = 20
 _QUIET = [_LOOP["QUIET_SLACK"], _LOOP["QUIET_APPROACH"]]
 _KNOT = {name: i for i, name in enumerate(layout.KNOT)}
 _NOT_FINITE, _PATH_FAILED, _LOOK_AHEAD_FAILED, _CONSTRAINT_FAILED = (
@@ -102,14 +104,16 @@ class CompiledLoop:
         self._nan = np.full(cell.nq, math.nan)
         self._further = self._no_rows
         self._doubtful: Callable[[int], list[int] | None] | None = None
+        self._surveys_ahead: Callable[[], bool] = bool  # nothing is to be looked at
         if constraints:
             self._core.bind_knots(self._bound_knot)
         if self._certified is not None:
+            at["proposal"][_P["DT"]] = dt  # of the first step, for what it prepares
             rows = self._certified.in_memory(self._memory.of_rows())
             ahead = None if rows is None else self._certified.in_memory(self._memory.of_rows(), ahead=True)
             if rows is not None and ahead is not None:
-                self._doubtful = ahead.doubtful
-                self._core.bind_rows(rows.rows, rows.tightened)
+                self._doubtful, self._surveys_ahead = ahead.doubtful, ahead.surveys
+                self._core.bind_rows(rows.clear, rows.rows, rows.tightened)
                 self._core.bind_surveys(rows.surveys, ahead.surveys)
         self.step = self._core.step
         self.hold, self.release = self._core.hold, self._core.release
@@ -175,6 +179,9 @@ class CompiledLoop:
     def start_path(self, clock: float = 0.0, rate: float | None = None) -> None:
         """Along the path from ``clock`` on."""
         self._core.start_path(clock, self._starting_rate() if rate is None else rate)
+        for _ in range(_SURVEYS_AT_START):  # what the first steps would do of it
+            if not self._surveys_ahead():
+                break
 
     def _starting_rate(self) -> float:
         override, paused = self.reins

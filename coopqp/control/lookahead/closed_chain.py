@@ -125,8 +125,7 @@ class ClosedChainAhead:
     def attempt(self, last: GridPoint, h: float) -> Generator[None, None, GridPoint | None]:
         """The chain at ``last.clock + h``, or None if Newton's method or the joints' slopes do not follow."""
         clock, options = last.clock + h, self._options
-        bend = 0.0 * last.curvature if last.corner else last.curvature
-        q = self._cell.moved(last.q, (bend * (0.5 * h) + last.slope) * h)
+        q = self._cell.moved(last.q, self._expected(last, h))
         for _ in range(MOST_TRIES):
             yield
             if not self._newton_step(clock, q):
@@ -155,6 +154,18 @@ class ClosedChainAhead:
         if self._ends_reach(knot, last):
             return None
         return self._constrained(knot)
+
+    def _expected(self, last: GridPoint, h: float) -> Array:
+        """The joints' way (nv,) in ``h`` after a knot: along its slope, or with the elbows that lead them."""
+        elbows = self._path.elbows
+        if not self.led or elbows is None:
+            bend = 0.0 * last.curvature if last.corner else last.curvature
+            way: Array = (bend * (0.5 * h) + last.slope) * h
+            return way
+        before, after = elbows.at(last.clock)[0], elbows.at(last.clock + h)[0]
+        away = pin.difference(self._cell.model, last.q, self._cell.configuration_of(before))
+        led: Array = after - before + min(ELBOW_GAIN * h, 1.0) * away
+        return led
 
     def _ends_reach(self, knot: GridPoint, last: GridPoint) -> bool:
         """Whether an arm comes too close to where its reach ends.
@@ -218,19 +229,25 @@ class ClosedChainAhead:
         step, slope = np.ascontiguousarray(chain.joint_columns(wanted.transpose(0, 2, 1)).T)
         self._step, self._slope = step, slope
         if chain.redundancy:
-            slope += chain.null_part(self._wish(clock, q))
+            slope += chain.null_part(
+                self._posture.velocity(q) if path.elbows is None else self.elbow_velocity(clock, q)
+            )
             if self._evade is not None:
                 slope[:] = self._evade(q, slope)
             if self._path.elbows is None:
                 self._avoidance.lead_away(self._cell.positions(q), slope)
         return bool(step @ step + slope @ slope < np.inf)
 
-    def _wish(self, clock: float, q: Array) -> Array:
-        """Null-space motion wished for (nv,), per second of the clock; the caller projects it."""
+    @property
+    def led(self) -> bool:
+        """Whether the elbows go where they are led to, and not away from bodies."""
+        return self._path.elbows is not None and self._evade is None and bool(self._chain.redundancy)
+
+    def elbow_velocity(self, clock: float, q: Array, *, span: float = 0.0) -> Array:
+        """Null-space motion (nv,) along the elbows half a ``span`` later, per second of the clock; to be projected."""
         elbows = self._path.elbows
-        if elbows is None:
-            return self._posture.velocity(q)
-        x, slope = elbows.at(clock)
+        assert elbows is not None
+        x, slope = elbows.at(clock)[0], elbows.at(clock + 0.5 * span)[1]
         wish: Array = slope + ELBOW_GAIN * pin.difference(self._cell.model, q, self._cell.configuration_of(x))
         return wish
 

@@ -216,6 +216,10 @@ class PathPreview:
         fall = (self._plan.acceleration + bend * rate**2) / (speed + np.maximum(bend, 0.0) * (rate * dt) + ~moving)
         return float(fall[moving].min(initial=np.inf))
 
+    def led(self, clock: float, q: Array, span: float) -> Array | None:
+        """Null-space motion (nv,) of elbows that are led, over a step that takes ``span`` of the clock; or None."""
+        return self._chain.elbow_velocity(clock, q, span=span) if self._chain.led else None
+
     def reference(self, clock: float) -> tuple[Array, Array]:
         """Previewed configuration (nq,) and q′ (nv,) at ``clock``: what redundant arms follow."""
         if not self.knows:

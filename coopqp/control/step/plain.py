@@ -344,7 +344,7 @@ class PlainLoop:
                 along = np.asarray(pin.log6(seen.pose.actInv(ahead)).vector) / span
         if self._brakes_together:
             further = further.and_also(self._braking.rows(s.q, s.v, h, seen.carried[0, 3]))
-        null_along, null_offset = self._wishes(seen.watch.hold)
+        null_along, null_offset = self._wishes(span, hold=seen.watch.hold)
         asked = None if s.predicted is None else s.asked_shift
         given = StepInput(
             s.q, self.cell.positions(s.q), seen.carried, seen.errors, s.v, s.v_before, h, cap, seen.pose, along,
@@ -387,12 +387,15 @@ class PlainLoop:
                 error[part] *= allowed / now
         return error
 
-    def _wishes(self, hold: bool) -> tuple[Array, Array]:
+    def _wishes(self, span: float, *, hold: bool) -> tuple[Array, Array]:
         """Joint velocities wished for in the null-space, per unit of rate and besides."""
         s, nothing = self.state, np.zeros(self.cell.nv)
         if not self._redundant:
             return nothing, nothing
         if self._preview is not None and not self._preview.blind:
+            led = self._preview.led(s.clock, s.q, span)
+            if led is not None:
+                return led, nothing
             q_ahead, slope = self._preview.reference(s.clock)
             offset = self._on_path.posture.gain * pin.difference(self.cell.model, s.q, q_ahead)
         else:

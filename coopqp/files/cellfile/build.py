@@ -54,6 +54,8 @@ from coopqp.solvers.choice import default_solver
 from coopqp.spatial import Array
 
 DEFAULT_DT = 0.002
+#: Names of the numbers of elbows in a file, and in their record.
+ELBOWS = {"clocks_s": "clocks", "positions_rad": "x", "speeds_rad_per_s": "slopes"}
 #: A start further than this from the positions of the file is told [rad], [m].
 _NEAR_RAD, _NEAR_M = 0.35, 0.1
 
@@ -359,6 +361,8 @@ def _path(file: CellFile) -> ObjectPath:
     if path.kind == "timed":
         names = {"pieces": path.pieces, "s": path.s_m, "squares": path.squares, "planned_share": path.planned_share}
         names["keeps_clear"] = path.keeps_clear
+        if path.elbows is not None:
+            names["elbows"] = {own: getattr(path.elbows, name) for name, own in ELBOWS.items()}
         names["binding"] = [section.model_dump() for section in path.binding]
         return TimedPath.of_record(names)
     if path.kind == "hold":

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from coopqp.files.cellfile.build import DEFAULT_DT, CellRun
+from coopqp.files.cellfile.build import DEFAULT_DT, ELBOWS, CellRun
 from coopqp.files.cellfile.write import file_text, move_files
 from coopqp.planning.planner import Plan
 
@@ -31,6 +31,8 @@ def planned_text(run: CellRun, plan: Plan, *, folder: Path, into: Path) -> str:
         **({"keeps_clear": True} if record["keeps_clear"] else {}),
         "binding": record["binding"],
     }
+    if (elbows := record["elbows"]) is not None:
+        tables["path"]["elbows"] = {name: elbows[own] for name, own in ELBOWS.items()}
     x = cell.positions(plan.q_start)
     positions = {name: x[own].tolist() for name, own in zip(cell.arm_names, cell.v_slices, strict=True)}
     tables["start"] = {"positions_rad": positions, "inverse_kinematics": False}

@@ -185,6 +185,17 @@ class BindingTable(Table):
     limit: Literal["velocity", "acceleration", "torque", "jerk"] = Field(description="kind of the limit")
 
 
+Rows = Annotated[list[Annotated[list[float], Len(1, MAX_LIST)]], Len(2, MAX_LIST)]
+
+
+class ElbowsTable(Table):
+    """The planned motion of redundant arms, along which they are led."""
+
+    clocks_s: Annotated[list[float], Len(2, MAX_LIST)] = Field(description="times along the path")
+    positions_rad: Rows = Field(description="positions of all joints at each [rad or m]")
+    speeds_rad_per_s: Rows = Field(description="their speeds there [rad/s or m/s]")
+
+
 class TimedTable(Table):
     """A path with its speed profile, as `coopqp plan` writes it."""
 
@@ -200,6 +211,9 @@ class TimedTable(Table):
     keeps_clear: bool = Field(
         default=False,
         description="the planned motion is proved to keep clear of the bodies: redundant arms do not evade on it",
+    )
+    elbows: ElbowsTable | None = Field(
+        default=None, description="the planned motion of redundant arms, along which they are led"
     )
     binding: Annotated[list[BindingTable], Len(0, MAX_LIST)] = Field(
         default_factory=list, description="what limit binds when; it changes nothing"
