@@ -21,9 +21,9 @@ from coopqp.control.core import layout
 from coopqp.model.grasp import Grasp
 from coopqp.spatial import Array
 
-_FLOOR, _HOLDS, _LATE, _FOLLOWS, _SLOWEST, _LONGEST, _SETTLES = (
+_FLOOR, _HOLDS, _LATE, _SLOWEST, _LONGEST, _SETTLES = (
     layout.CONSTANTS[name]
-    for name in ("LAG_FLOOR", "LAG_HOLDS", "LAG_LATE", "LAG_FOLLOWS", "LAG_SLOWEST", "LONGEST_LAG", "LAG_SETTLES")
+    for name in ("LAG_FLOOR", "LAG_HOLDS", "LAG_LATE", "LAG_SLOWEST", "LONGEST_LAG", "LAG_SETTLES")
 )
 _SLOPE, _PEAK, _FILTER, _LET_GO = (
     layout.CONSTANTS[name] for name in ("LARGEST_SLOPE", "SERVO_PEAK", "HASTE_FILTER", "LET_GO")
@@ -83,9 +83,7 @@ class LagWatch:
             self._way = velocity / speed
         behind = -float(off @ self._way)
         lag = min(max(behind / speed, 0.0), _LONGEST) if moves else 0.0
-        margin = (
-            (_LET_GO if self._suspects else 1.0) * _FLOOR + noise + (_LATE + lag * (_FOLLOWS + 0.5 * lag)) * self._hasty
-        )
+        margin = (_LET_GO if self._suspects else 1.0) * _FLOOR + noise + (_LATE + 0.5 * lag * lag) * self._hasty
         explained = min(max(behind, self._low * speed), self._high * speed)
         rest = off + explained * self._way
         excess = math.sqrt(rest @ rest) - margin

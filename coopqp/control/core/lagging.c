@@ -73,7 +73,7 @@ static void watch_lag(Core *c, double dt, Seen *seen) {
     }
     const double lag = moves ? clamp(behind / speed, 0.0, LONGEST_LAG) : 0.0;
     const double margin = (w[LAG_SUSPECTS] != 0.0 ? LET_GO : 1.0) * LAG_FLOOR + w[LAG_NOISE] +
-                          (LAG_LATE + lag * (LAG_FOLLOWS + 0.5 * lag)) * hasty;
+                          (LAG_LATE + 0.5 * lag * lag) * hasty;
     unexplained(c, off, behind, speed, rest);
     const double excess = sqrt(square6(rest)) - margin;
     w[LAG_SUSPECTS] = excess > 0.0 && w[SAMPLES] >= FEW_SAMPLES;

@@ -173,7 +173,6 @@ CONSTANTS: dict[str, float] = {
     "LAG_FLOOR": 1e-3,  # arms that are farther from where any lag would put them have an arm that has stopped [m],
     "LAG_HOLDS": 5e-4,  # and are held from this on beyond it [m]
     "LAG_LATE": 2e-4,  # and per acceleration of the object [s²]
-    "LAG_FOLLOWS": 0.015,  # for which the lag makes itself felt this much later [s]
     "LAG_SLOWEST": 5e-3,  # slower objects show no lag [m/s]
     "LONGEST_LAG": 0.15,  # [s]
     "LAG_SETTLES": 0.1,  # what the deviation is at rest is averaged over this time [s]
