@@ -170,12 +170,6 @@ CONSTANTS: dict[str, float] = {
     "SERVO_LATE": 4e-4,  # and per acceleration of the joints, for what damping and late wrenches make of it [s²]
     "SERVO_PEAK": 0.05,  # an acceleration is remembered for this time [s]
     "HASTE_FILTER": 0.03,  # accelerations are filtered: a single step of arms that relax is none [s]
-    "LAG_FLOOR": 1e-3,  # arms that are farther from where any lag would put them have an arm that has stopped [m],
-    "LAG_HOLDS": 5e-4,  # and are held from this on beyond it [m]
-    "LAG_LATE": 2e-4,  # and per acceleration of the object [s²]
-    "LAG_SLOWEST": 5e-3,  # slower objects show no lag [m/s]
-    "LONGEST_LAG": 0.15,  # [s]
-    "LAG_SETTLES": 0.1,  # what the deviation is at rest is averaged over this time [s]
     "GROWS": 2e-3,  # closures of rigid grips also drift as fast as the object grows [m/s]
     "SOFTEST": 0.05,  # servos count as no softer than this share of what they are told to be
     "CAP_FALLS": 0.1,  # the cap by arms out of step falls from 1 to 0 in this time: a jolt is a force of its own [s]
@@ -216,7 +210,6 @@ WATCH = (
     "SAMPLES", "WATCH_RATE", "WATCH_ARM", "SILENCE", "PRESSED", "HAS_SEEN", "PAST_COUNT", "PAST_HEAD", "FAR_SAMPLES",
     "DRIFT_SPEED", "DRIFT_SINCE", "DRIFT_STARTED", "VAR_DRIFT", "COVARIANCE", "VAR_LAG",
     "REST", "HAS_COMMANDED", "BEHIND", "GAP", "PULL",
-    "LAG_LOW", "LAG_HIGH", "LAG_HASTE", "LAG_NOISE", "LAG_BEGUN", "LAG_SUSPECTS",
 )  # fmt: skip
 AHEAD = (
     "HEAD", "COUNT", "KNOWN", "FRESH", "COMPLETE", "ENDS", "FREE_UNTIL", "BEGIN_AT",
@@ -281,7 +274,7 @@ KINDS = (
 REASONS = (
     "NO_REASON", "BAD_DT", "NOT_FINITE", "OFF_CIRCLE", "JUMPED", "CHAIN_APART", "CHAIN_PARTED", "OUT_OF_STEP_BY",
     "WAS_OUT_OF_STEP", "STALLED", "ALL_STALLED", "FORCE", "HANGS_BEHIND", "PATH_FAILED", "PATH_JUMPS",
-    "LOOK_AHEAD_FAILED", "CONSTRAINT_FAILED", "OFF_SERVOS", "TOUCHING", "OFF_LAG",
+    "LOOK_AHEAD_FAILED", "CONSTRAINT_FAILED", "OFF_SERVOS", "TOUCHING",
 )  # fmt: skip
 
 #: The fields of each block: name and size.
@@ -290,7 +283,7 @@ CONFIG = (
     ("link_R", "9 * nv"), ("link_p", "3 * nv"), ("prismatic", "nv"), ("continuous", "nv"), ("q_index", "nv"),
     ("object_R", "9 * n"), ("object_p", "3 * n"), ("tool_p", "3 * n"),
     ("scale", "nv"), ("shares", "6 * n"), ("low", "nv"), ("high", "nv"), ("speed", "nv"), ("acceleration", "nv"),
-    ("unit", "unknowns"), ("at_grasps", "36"), ("levers", "3 * n"), ("softness", "nv"),
+    ("unit", "unknowns"), ("at_grasps", "36"), ("softness", "nv"),
     ("posture_cap", "nv"), ("posture_bounded", "nv"), ("posture_middle", "nv"),
     ("plan_speed", "nv"), ("plan_acceleration", "nv"), ("plan_jump", "nv"), ("plan_room", "nv"), ("slope_change", "nv"),
     ("most_move", "nv"),
@@ -305,7 +298,6 @@ STATE = (
     ("watch", str(len(WATCH))), ("deviation", "6 * n"), ("away", "6 * n"), ("away_step", "6 * n"), ("noise", "n"),
     ("stalled", "n"), ("widest", "n"), ("lost", "n"), ("seen", "nq"), ("history", "2 * nv * past"),
     ("slow_drift", "6 * n"), ("lag", "6 * n"), ("apart", "6 * n"), ("drift_last", "nv"),
-    ("lag_base", "6"), ("lag_told", "6"), ("lag_way", "6"),
     ("deflection", "nv"), ("way", "nv"), ("commanded", "nv"), ("forces", "n"),
     ("ahead", str(len(AHEAD))), ("ahead_R", "9 * n"), ("ahead_p", "3 * n"), ("kinks", str(MOST_KINKS)),
     ("seek_low", "12"), ("seek_high", "12"), ("told_velocity", "nv"),

@@ -9,7 +9,6 @@
 #include "ldp.c"
 #include "program.c"
 #include "watch.c"
-#include "lagging.c"
 #include "residual.c"
 #include "apart.c"
 #include "quiet.c"
