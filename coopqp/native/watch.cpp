@@ -232,7 +232,6 @@ static void watch_distances(Core *c, const double *q, const double *away_given, 
     count_far(c, away, apart, out_of_step, unfiltered);
     const double largest = sqrt(largest_square6(c, out_of_step));
     const double worst = largest - o[NOISE_MARGIN] * noise;
-    c->watch[LAG_NOISE] = o[NOISE_MARGIN] * noise / sqrt((double)c->arms) + fmax(worst, 0.0); /* see watch_lag() */
     if (worst <= o[SLOW_FROM] || c->watch[SAMPLES] < FEW_SAMPLES) return;
     const int arm = most_out_of_step(c, out_of_step, largest);
     hold_for(seen, OUT_OF_STEP_BY, arm, sqrt(square6(out_of_step + 6 * arm)), 0.0);
@@ -468,7 +467,6 @@ static void watch_forces(Core *c, const double *positions, double dt, Seen *seen
 /* Of arms that mind forces; see residual.cpp. */
 static void add_shift(const Core *c, double *away);
 static void watch_servos(Core *c, const double *away, double dt, Seen *seen);
-static void watch_lag(Core *c, double dt, Seen *seen);
 
 /* -- one sample ---------------------------------------------------------------------------------------------------- */
 
@@ -513,7 +511,6 @@ static void watch_sample(Core *c, const double *positions, const double *q, cons
         if (minds && o[SLOW_FROM] >= 0.0) watch_servos(c, away, dt, &seen);
         if (o[STALL_SAMPLES] > 0.0) watch_stall(c, positions, dt, minds, &seen);
         if (o[WATCHES_FORCE] != 0.0) watch_forces(c, positions, dt, &seen);
-        if (c->arms > 1 && !c->minding && o[WATCHES_FORCE] == 0.0 && o[SLOW_FROM] >= 0.0) watch_lag(c, dt, &seen);
         if (o[RECOVERY_TIME] > 0.0) recover(c, dt, &seen);
         if (c->minding && c->minding[TOUCHES] != 0.0 && !seen.fault) hold_for(&seen, TOUCHING, -1, 0.0, 0.0); /* at once */
     }
@@ -535,9 +532,6 @@ static void watch_reset(Core *c) {
     for (size_t i = 0; i < sizeof of_arms / sizeof *of_arms; i++) memset(of_arms[i], 0, arms);
     for (size_t i = 0; i < sizeof of_distances / sizeof *of_distances; i++) memset(of_distances[i], 0, 6 * arms);
     memset(c->told_velocity, 0, joints);
-    memset(c->lag_base, 0, 6 * sizeof(double));
-    memset(c->lag_told, 0, 6 * sizeof(double));
-    memset(c->lag_way, 0, 6 * sizeof(double));
     memset(c->deflection, 0, joints);
     memset(c->way, 0, joints);
 }

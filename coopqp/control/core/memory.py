@@ -9,7 +9,6 @@ import numpy as np
 
 from coopqp.constraints.velocity import MOST_ROWS
 from coopqp.control.lookahead.options import PlanLimits, PreviewOptions
-from coopqp.control.monitoring.lag import grasp_levers
 from coopqp.control.options import QPOptions
 from coopqp.control.step.velocity_bounds import VelocityBox
 from coopqp.errors import ModelError
@@ -99,7 +98,6 @@ def build_memory(
     at["speed"][:], at["acceleration"][:] = limits.velocity, limits.acceleration
     at["most_move"][:] = np.where(box.unlimited, LARGEST_MOVE, np.inf)
     at["at_grasps"][:] = at_grasps.ravel()
-    at["levers"][:] = grasp_levers(chain.grasp, at_grasps[5, 5]).ravel()
     stiffness = options.supervision.stiffness
     at["softness"][:] = 0.0 if stiffness is None else 1.0 / np.asarray(stiffness, dtype=float)
     posture = options.posture

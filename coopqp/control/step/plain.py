@@ -290,8 +290,7 @@ class PlainLoop:
             away = errors - seen.errors
             drift = np.zeros(6) if s.drift is None else s.drift
             s.drift = drift + seen.h / (seen.h + self.options.measurement_time) * (self._mean.dot(away.ravel()) - drift)
-            twist = self._twist(seen.carried[0])
-            watch.lower(self._supervision.watch(measured, s.q, away, seen.h, s.v, seen.pose.rotation, twist))
+            watch.lower(self._supervision.watch(measured, s.q, away, seen.h, s.v, seen.pose.rotation))
         servos = self._supervision.servos
         corrects = 1.0 if servos is None else servos.corrects  # arms that mind forces relax first
         if watch.hold or (s.drift is None and corrects == 1.0):
@@ -299,14 +298,6 @@ class PlainLoop:
         measured_error = self._mean.dot(seen.errors.ravel()) + (0.0 if s.drift is None else s.drift)
         error: Array = corrects * watch.rate_cap * measured_error
         return error
-
-    def _twist(self, carried: Array) -> Array:
-        """The twist of the object in the last step as commanded, in its own frame (6,) [m/s, rad/s]."""
-        s = self.state
-        before = self._chain.carried(self.cell.moved(s.q, -s.last_dt * s.v))[0]
-        now, last = (pin.SE3(O[:3].T, O[3]) for O in (carried, before))
-        twist: Array = np.asarray(pin.log6(last.actInv(now)).vector) / s.last_dt
-        return twist
 
     # -- propose ---------------------------------------------------------------------------------------------------
 
