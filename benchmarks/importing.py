@@ -25,8 +25,8 @@ CONTESTANTS = {
     "nothing": "",
     "pinocchio": "import pinocchio",
     "coopqp": "import coopqp",
-    "names": "from coopqp import Grasp, Monitor, QPController, Recording, RobotCell, simulate; "
-    "from coopqp.scenarios import paper_lift",
+    "names": "from coopqp import Grasp, QPController, Recording, RobotCell, simulate; "
+    "from coopqp.scenarios import paper_lift; from coopqp.simulation import Monitor",
 }
 ENVIRONMENT = {name: value for name, value in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"}
 

@@ -38,13 +38,16 @@ PROGRAMS: dict[str, tuple[str, set[str]]] = {
         "from coopqp.scenarios import robot_arm; assert robot_arm('panda').model.nv >= 7",
         {"robots"},
     ),
-    "the solver quadprog": ("from coopqp import make_solver; make_solver('quadprog')", {"solvers"}),
+    "the solver quadprog": ("from coopqp.solvers import make_solver; make_solver('quadprog')", {"solvers"}),
     "the physics": (
-        "from coopqp import PhysicsPlant; from coopqp.scenarios import paper_lift; l = paper_lift(); "
+        "from coopqp.simulation import PhysicsPlant; from coopqp.scenarios import paper_lift; l = paper_lift(); "
         "PhysicsPlant(l.cell, l.grasp, object_size=l.object_size, object_mass=l.object_mass).reset(l.q_start)",
         {"mujoco"},
     ),
-    "the public names": ("import coopqp; [getattr(coopqp, name) for name in coopqp.__all__]", set()),
+    "the public names": (
+        "import coopqp; [getattr(coopqp, name) for name in coopqp.__all__]; coopqp.simulation.Disturbances",
+        set(),
+    ),
 }
 
 
