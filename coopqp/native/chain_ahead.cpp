@@ -49,7 +49,7 @@ static ElbowPiece elbow_piece(const Core *c, double clock) {
         else n = half;
     }
     const double h = t[i + 1] - t[i], *x = t + knots + i * nv;
-    return (ElbowPiece){x, x + knots * nv, h, minimum(maximum((clock - t[i]) / h, 0.0), 1.0)};
+    return {x, x + knots * nv, h, minimum(maximum((clock - t[i]) / h, 0.0), 1.0)};
 }
 
 static double elbow(const Core *c, ElbowPiece at, int j, double *speed) {

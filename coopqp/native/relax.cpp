@@ -34,7 +34,7 @@ static double largest_entry(int arms, const double *x, int part) {
     return most;
 }
 
-/* Take wrenches (6 N; NULL for none) after a time. HEARD: all came; MISSED: some did not; SILENT: one has been missing
+/* Take wrenches (6 N; nullptr for none) after a time. HEARD: all came; MISSED: some did not; SILENT: one has been missing
  * for too long, or has not changed by a bit for as long while the arms move. */
 static int feel(int arms, const Minding *f, const double *wrenches, double dt) {
     const int n = 6 * arms;

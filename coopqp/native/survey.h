@@ -187,7 +187,7 @@ static inline void free_survey(Survey *s) {
 /* Memory of zeros for so many and one more; 0 without memory. */
 template <typename T>
 static int allocate(T *&out, Py_ssize_t count) {
-    return (out = static_cast<T *>(calloc((size_t)count + 1, sizeof(T)))) != NULL;
+    return (out = static_cast<T *>(calloc((size_t)count + 1, sizeof(T)))) != nullptr;
 }
 
 /* Over memory for rooms and joints, with reaches (joints, pairs); 0 without memory. */
