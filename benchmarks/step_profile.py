@@ -103,7 +103,7 @@ class Loop:
         """The same steps without Python's part."""
         loop: Any = self.controller._loop
         advance, n = loop._core.advance, len(readings)
-        if n != (advance(n) if readings[0] is None else sum(advance(1, reading) for reading in readings)):
+        if n != (advance(n, None) if readings[0] is None else sum(advance(1, reading) for reading in readings)):
             raise RuntimeError("the core left a step open")
 
 

@@ -538,7 +538,7 @@ def test_steps_without_python_in_between_are_the_same(paper: Scenario) -> None:
 def test_a_loop_that_nobody_holds_is_freed(paper: Scenario) -> None:
     """It owns the core, which holds its methods."""
     loop = loop_of(paper)
-    core_of(loop).bind_rows(loop._bound_knot, loop._bound_knot)
+    core_of(loop).bind_rows(loop._bound_knot, loop._bound_knot, loop._bound_knot)
     loop.step(None, None)
     known = weakref.ref(loop)
     del loop
