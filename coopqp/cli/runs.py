@@ -45,7 +45,7 @@ def obtain_run(name: str, *, progress: ProgressCallback | None = None, meshes: b
 
     Args:
         name: a file, or one of :data:`coopqp.scenarios.SCENARIOS`.
-        progress: as in :func:`coopqp.simulate.simulate`.
+        progress: as in :func:`coopqp.simulate`.
         meshes: as in :meth:`Recording.load`.
 
     Raises:

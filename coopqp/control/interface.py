@@ -339,7 +339,7 @@ def off_path(distance: float, angle: float) -> str:
 
 
 class Controller(Protocol):
-    """The protocol of the controllers of :func:`coopqp.simulate.simulate`."""
+    """The protocol of the controllers of :func:`coopqp.simulate`."""
 
     cell: RobotCell
     grasp: Grasp

@@ -1,4 +1,4 @@
-/* How far the commands lead the arms apart, as apart.py defines it. */
+/* How far the commands lead the arms apart, as commanded.py defines it. */
 
 #include "functions.h"
 

@@ -1,5 +1,5 @@
 /* Comparison of measured with commanded configurations: supervision, drift and forces, as supervision.py, drift.py and
- * stress_watch.py define them.
+ * stress.py define them.
  *
  * Positions are finite here, and comparisons that decide are written so that NaN holds. */
 

@@ -11,7 +11,7 @@ from coopqp.spatial import Array
 
 
 class Plant(Protocol):
-    """The protocol of the plants of :func:`coopqp.simulate.simulate`."""
+    """The protocol of the plants of :func:`coopqp.simulate`."""
 
     def reset(self, q: ArrayLike) -> Array:
         """Put the cell at rest at ``q`` (nq,). Returns the measured configuration (nq,)."""
