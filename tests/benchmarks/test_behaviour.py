@@ -9,11 +9,11 @@ import json
 import os
 import subprocess
 import sys
-from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import behaviour
 import numpy as np
 import pytest
 from marks import slow_but_first
@@ -36,7 +36,7 @@ from coopqp.simulation.evaluation.metrics import chain_errors, errors_from, obje
 from coopqp.solvers import QpProblem, QpSolution, SolverStatus
 
 NIGHTLY = os.environ.get("HYPOTHESIS_PROFILE") == "nightly"
-BENCHMARKS = Path(__file__).parents[1] / "benchmarks"
+BENCHMARKS = Path(__file__).parents[2] / "benchmarks"
 #: Keys and types of every flat record.
 CONTRACT = {
     "case", "controller", "solver", "chain_mm", "chain_deg", "path_mm", "path_deg", "failures", "finished", "rate_min",
@@ -44,17 +44,7 @@ CONTRACT = {
 }  # fmt: skip
 
 
-@pytest.fixture(scope="module")
-def behaviour() -> Iterator[Any]:
-    """The benchmark's module. The modules that it imports are in the same folder."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.syspath_prepend(str(BENCHMARKS))
-        import behaviour
-
-        yield behaviour
-
-
-def all_met(behaviour: Any, case: str, keys: Any, solver: str = "daqp") -> list[dict[str, Any]]:
+def all_met(case: str, keys: Any, solver: str = "daqp") -> list[dict[str, Any]]:
     records = [behaviour.run_one(case, key, "cooperative", solver) for key in keys]
     missed = {r["variant"]: r["missed"] for r in records if r["missed"]}
     assert not missed
@@ -66,49 +56,49 @@ def all_met(behaviour: Any, case: str, keys: Any, solver: str = "daqp") -> list[
 
 @pytest.mark.filterwarnings("ignore::coopqp.errors.StartWarning")
 @pytest.mark.parametrize("case", slow_but_first(["fast", "mismatch", "paper", "redundant", "mixed", "ring"]))
-def test_the_cooperative_qp_meets_its_figures(behaviour: Any, case: str) -> None:
-    assert all_met(behaviour, case, behaviour.keys_of(case, quick=False))
+def test_the_cooperative_qp_meets_its_figures(case: str) -> None:
+    assert all_met(case, behaviour.keys_of(case, quick=False))
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("tenth", range(5))
-def test_it_stops_at_limits_in_every_direction(behaviour: Any, tenth: int) -> None:
+def test_it_stops_at_limits_in_every_direction(tenth: int) -> None:
     keys = behaviour.keys_of("limit", quick=False)
     assert len(keys) >= 50
-    for record in all_met(behaviour, "limit", keys[tenth::5]):
+    for record in all_met("limit", keys[tenth::5]):
         assert record["named"]
         assert record["blocked_joint"]
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("arm", [0, 1, 2])
-def test_it_enters_dwells_in_and_leaves_singularities(behaviour: Any, arm: int) -> None:
+def test_it_enters_dwells_in_and_leaves_singularities(arm: int) -> None:
     keys = [key for key in behaviour.keys_of("singular", quick=False) if key[1] == arm]
     assert {key[0] for key in keys} == {"wrist", "elbow", "reach"}
     assert {key[2] for key in keys} == {np.inf, 5.0}
-    all_met(behaviour, "singular", keys)
+    all_met("singular", keys)
 
 
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore::coopqp.errors.StartWarning")
-def test_it_comes_back_from_outside_a_limit(behaviour: Any) -> None:
+def test_it_comes_back_from_outside_a_limit() -> None:
     """Tests some runs; tests/reliability/test_outside.py tests every joint."""
     assert len(behaviour.keys_of("outside", quick=False)) == 72
-    all_met(behaviour, "outside", behaviour.keys_of("outside", quick=not NIGHTLY))
+    all_met("outside", behaviour.keys_of("outside", quick=not NIGHTLY))
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("solver", ["proxqp", "osqp"])
 @pytest.mark.filterwarnings("ignore::coopqp.errors.StartWarning")
-def test_other_solvers_behave_the_same(behaviour: Any, solver: str) -> None:
-    all_met(behaviour, "fast", [(np.inf, False)], solver)
-    all_met(behaviour, "outside", [(4, "lower", np.inf), (9, "upper", 5.0)], solver)
-    all_met(behaviour, "singular", [("elbow", 1, 5.0, 0.0)], solver)
-    all_met(behaviour, "limit", [(3,)], solver)
+def test_other_solvers_behave_the_same(solver: str) -> None:
+    all_met("fast", [(np.inf, False)], solver)
+    all_met("outside", [(4, "lower", np.inf), (9, "upper", 5.0)], solver)
+    all_met("singular", [("elbow", 1, 5.0, 0.0)], solver)
+    all_met("limit", [(3,)], solver)
 
 
 @pytest.mark.slow
-def test_the_others_show_what_it_is_for(behaviour: Any) -> None:
+def test_the_others_show_what_it_is_for() -> None:
     """The baseline breaks limits and independent arms pull the object apart. The cooperative QP does neither."""
     key = (np.inf, True)
     baseline = behaviour.run_one("fast", key, "pseudo_inverse", "none")
@@ -126,14 +116,14 @@ def test_the_others_show_what_it_is_for(behaviour: Any) -> None:
 # -- the benchmark itself ----------------------------------------------------------------------------------------------
 
 
-def recorded(behaviour: Any, case: str, key: Any) -> tuple[Any, list[ControlStep]]:
+def recorded(case: str, key: Any) -> tuple[Any, list[ControlStep]]:
     run = behaviour.build(case, key)
     return run, behaviour.drive(run, behaviour.make_controller(run, "cooperative", "daqp"))
 
 
-def test_the_judge_sees_what_goes_wrong(behaviour: Any) -> None:
+def test_the_judge_sees_what_goes_wrong() -> None:
     """Each defect added to a good run shows in its figure and as a missed target."""
-    run, steps = recorded(behaviour, "fast", (np.inf, True))
+    run, steps = recorded("fast", (np.inf, True))
     assert not behaviour.missed_targets(run, behaviour.judge(run, steps))
 
     def broken(number: int, **changes: Any) -> Any:
@@ -160,8 +150,8 @@ def test_the_judge_sees_what_goes_wrong(behaviour: Any) -> None:
     assert "finished" in " ".join(behaviour.missed_targets(run, unfinished))
 
 
-def test_the_judges_figures_are_those_of_the_metrics(behaviour: Any) -> None:
-    run, steps = recorded(behaviour, "singular", ("elbow", 1, np.inf, 0.0))
+def test_the_judges_figures_are_those_of_the_metrics() -> None:
+    run, steps = recorded("singular", ("elbow", 1, np.inf, 0.0))
     record, task = behaviour.judge(run, steps), run.task
     tools = tool_placements(task.cell, [steps[0].q, *(s.q_next for s in steps)])
     chain = np.array([chain_error(T, task.grasp) for T in tools])
@@ -172,8 +162,8 @@ def test_the_judges_figures_are_those_of_the_metrics(behaviour: Any) -> None:
     assert angles == pytest.approx(np.rad2deg([chain[:, 1].max(), max(p[1] for p in path)]), abs=1e-9)
 
 
-def test_the_judge_knows_the_right_joint(behaviour: Any) -> None:
-    run, steps = recorded(behaviour, "limit", (0,))
+def test_the_judge_knows_the_right_joint() -> None:
+    run, steps = recorded("limit", (0,))
     assert behaviour.judge(run, steps)["named"] is True
     wrong = BindingLimit("slave_2", "joint_6", LimitKind.POSITION)
     assert behaviour.judge(run, [*steps[:-1], steps[-1].replaced(binding=(wrong,))])["named"] is False
@@ -185,8 +175,8 @@ def test_the_judge_knows_the_right_joint(behaviour: Any) -> None:
 
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore::coopqp.errors.StartWarning")
-def test_the_judge_of_joints_outside(behaviour: Any) -> None:
-    run, steps = recorded(behaviour, "outside", (1, "upper", np.inf))
+def test_the_judge_of_joints_outside() -> None:
+    run, steps = recorded("outside", (1, "upper", np.inf))
     record = behaviour.judge(run, steps)
     assert record["recovery_ratio"] <= 1.35
     assert record["limit_excess"] == 0.0
@@ -200,8 +190,8 @@ def test_the_judge_of_joints_outside(behaviour: Any) -> None:
 
 
 @pytest.mark.filterwarnings("ignore::coopqp.errors.StartWarning")
-def test_a_mismatch_must_not_grow(behaviour: Any) -> None:
-    run, steps = recorded(behaviour, "mismatch", (np.inf,))
+def test_a_mismatch_must_not_grow() -> None:
+    run, steps = recorded("mismatch", (np.inf,))
     record = behaviour.judge(run, steps)
     assert record["chain_mm"] == pytest.approx(5.0, abs=0.01)  # the initial error
     assert record["chain_final_mm"] < 1e-3
@@ -211,7 +201,7 @@ def test_a_mismatch_must_not_grow(behaviour: Any) -> None:
 
 
 @pytest.mark.slow
-def test_quick_runs_are_a_part_of_full_runs(behaviour: Any) -> None:
+def test_quick_runs_are_a_part_of_full_runs() -> None:
     for case in behaviour.CASES:
         assert set(behaviour.keys_of(case, quick=True)) <= set(behaviour.keys_of(case, quick=False)), case
     quick = behaviour.plan(behaviour.CASES, quick=True, solvers=("daqp", "proxqp", "osqp"))

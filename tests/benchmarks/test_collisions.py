@@ -3,14 +3,11 @@
 from __future__ import annotations
 
 import json
-import sys
 from pathlib import Path
 from typing import Any
 
-import pytest
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
 import collisions
+import pytest
 
 
 def record(case: str, controller: str = "clearance", **more: Any) -> dict[str, Any]:

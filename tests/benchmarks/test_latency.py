@@ -4,18 +4,13 @@ from __future__ import annotations
 
 import gc
 import json
-import sys
 from pathlib import Path
 
+import common  # noqa: F401
+import latency
 import pytest
 
 from coopqp.native import available_kernels
-
-BENCHMARKS = Path(__file__).resolve().parent.parent / "benchmarks"
-sys.path.insert(0, str(BENCHMARKS))
-
-import common  # noqa: E402, F401
-import latency  # noqa: E402
 
 CONTRACT = {"case", "kernel", "arms", "p50_us", "p99_us", "p999_us", "max_us", "gc_pause_ms"}
 

@@ -21,8 +21,8 @@ from coopqp.native import available_kernels
 from coopqp.scenarios import plate_and_post
 from coopqp.simulation import tool_placements
 
-BENCHMARKS = Path(__file__).resolve().parent.parent / "benchmarks"
-sys.path[:0] = [str(BENCHMARKS), str(BENCHMARKS / "peers")]
+BENCHMARKS = Path(__file__).parents[2] / "benchmarks"
+sys.path.insert(0, str(BENCHMARKS / "peers"))
 
 import common  # noqa: E402
 import compare_peers  # noqa: E402

@@ -3,22 +3,17 @@
 from __future__ import annotations
 
 import json
-import sys
 from pathlib import Path
 
+import common
+import compare_solvers
 import numpy as np
 import pytest
+import recorded_qps
+import step_profile
 
 from coopqp.native import available_kernels
 from coopqp.solvers import available_solvers, make_solver
-
-BENCHMARKS = Path(__file__).resolve().parent.parent / "benchmarks"
-sys.path.insert(0, str(BENCHMARKS))
-
-import common  # noqa: E402
-import compare_solvers  # noqa: E402
-import recorded_qps  # noqa: E402
-import step_profile  # noqa: E402
 
 CONTRACT = {
     *("solver", "mode", "form", "case", "arms", "p50_us", "p99_us", "p999_us", "max_us"),

@@ -4,21 +4,18 @@ from __future__ import annotations
 
 import json
 import math
-import sys
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
+import sweeps
+from figures_0_1 import figures_0_1
 
 from coopqp import simulate
 from coopqp.baselines import PseudoInverseController
 from coopqp.scenarios import Scenario, mixed_lift, paper_lift
 from coopqp.simulation import Disturbances, DisturbedPlant, read_run
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
-import sweeps
-from figures_0_1 import figures_0_1
 
 
 @pytest.mark.parametrize("lift", [paper_lift, mixed_lift])

@@ -128,7 +128,7 @@ def test_the_cell_files_that_come_with_coopqp_hold(name: str, capsys: pytest.Cap
     Path("cell.toml").write_text(capsys.readouterr().out, encoding="utf-8")
     assert cli.main(["run", "cell.toml", "--quiet"]) == 0
     assert capsys.readouterr() == ("", "")
-    page = (Path(__file__).parents[1] / "docs" / "howto" / "cell-file.md").read_text(encoding="utf-8")
+    page = (Path(__file__).parents[2] / "docs" / "howto" / "cell-file.md").read_text(encoding="utf-8")
     told = set(re.findall(r"`(out/paper_lift/[^`]+)`", page))
     assert len(told) == 2
     files = {file.as_posix() for file in Path().rglob("*") if file.is_file()} - {"cell.toml"}

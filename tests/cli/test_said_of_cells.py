@@ -25,7 +25,7 @@ from coopqp.visualization import cell_overview as glance
 from coopqp.visualization.cell_overview import shortfall
 from coopqp.visualization.viewer import CellViewer
 
-CELLS = Path(__file__).parents[1] / "docs" / "examples" / "cells"
+CELLS = Path(__file__).parents[2] / "docs" / "examples" / "cells"
 CELL = """
 name = "said"
 steps = {steps}

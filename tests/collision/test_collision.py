@@ -1000,7 +1000,7 @@ def test_a_body_that_nobody_moves_holds_by_name(lift: Scenario) -> None:
 
 # -- cell files ------------------------------------------------------------------------------------------------------
 
-BAR = Path(__file__).parents[1] / "docs" / "examples" / "cells" / "bar.toml"
+BAR = Path(__file__).parents[2] / "docs" / "examples" / "cells" / "bar.toml"
 TABLE = """
 [collision]
 margin_m = 0.02

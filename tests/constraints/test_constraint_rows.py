@@ -38,7 +38,7 @@ from coopqp.scenarios import Scenario, dual_arm7, mixed_cell, paper_lift
 from coopqp.solvers import QpProblem, QpSolution, QpSolver, SolverStatus, make_solver
 from coopqp.spatial import Array
 
-EXAMPLE = runpy.run_path(str(Path(__file__).parents[1] / "docs" / "examples" / "16_constraints.py"))
+EXAMPLE = runpy.run_path(str(Path(__file__).parents[2] / "docs" / "examples" / "16_constraints.py"))
 Box, SlowPoint, LittleEnergy = (EXAMPLE[name] for name in ("Box", "SlowPoint", "LittleEnergy"))
 KERNELS = available_kernels()
 ACCELERATIONS = (np.inf, 5.0)

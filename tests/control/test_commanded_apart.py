@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import sys
 import warnings
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from promise_cases.chain_cells import Oracle
 
 from coopqp import (
     Cause,
@@ -27,9 +26,6 @@ from coopqp.native import available_kernels
 from coopqp.scenarios import Scenario, five_joint_pair, paper_lift
 from coopqp.simulation import Monitor
 from coopqp.spatial import Array
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
-from promise_cases.chain_cells import Oracle
 
 KERNELS = available_kernels()
 

@@ -2,20 +2,16 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Callable
-from pathlib import Path
 
 import numpy as np
 import pytest
 from marks import slow_but_first
+from promise_cases import chain_cells
 
 from coopqp import LinePath, QPController
 from coopqp.control.step.linearised import closing
 from coopqp.scenarios import Scenario, five_joint_pair, scara_pair
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
-from promise_cases import chain_cells
 
 #: As far as the arms may be apart, as commanded [m].
 TOGETHER = 5e-5

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import dataclasses
-import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
 from marks import slow_but_first
+from promise_cases import chain_cells
 
 from coopqp import ControlStep, LinePath, ObjectPath, QPController, QPOptions, Status
 from coopqp.control.step.linearised import is_long
@@ -16,9 +15,6 @@ from coopqp.errors import MissingExtraError
 from coopqp.native import available_kernels
 from coopqp.scenarios import at_singularity, dual_arm7, mixed_cell, paper_lift
 from coopqp.spatial import Array
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
-from promise_cases import chain_cells
 
 KERNELS = available_kernels()
 

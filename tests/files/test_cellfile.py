@@ -45,7 +45,7 @@ from coopqp.simulation import PhysicsOptions, PhysicsPlant, Tolerances, judge, r
 
 #: Options of types that a file cannot hold.
 NOT_IN_FILES = {(PostureOptions, "target"), (SupervisionOptions, "stiffness")}
-EXAMPLES = sorted((Path(__file__).parents[1] / "docs" / "examples" / "cells").glob("*.toml"))
+EXAMPLES = sorted((Path(__file__).parents[2] / "docs" / "examples" / "cells").glob("*.toml"))
 PAPER = example_path("paper_lift").read_text()
 
 

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pinocchio as pin
 import pytest
+import target_cases as cases
 
 from coopqp import ObjectPath, PostureOptions, PreviewOptions
 from coopqp.control.lookahead.preview import PathPreview
@@ -18,9 +17,6 @@ from coopqp.model.inverse_kinematics import newton
 from coopqp.model.posture import Posture
 from coopqp.scenarios import Scenario, dual_arm7, mixed_cell, paper_lift, ur5_table
 from coopqp.spatial import Array
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
-import target_cases as cases
 
 CELLS = [paper_lift, dual_arm7, mixed_cell, ur5_table]
 

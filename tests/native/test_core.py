@@ -1,6 +1,6 @@
 """The compiled core by itself: the memory it is given, the numbers in it, and its two arithmetics.
 
-tests/test_lockstep.py compares its steps with the plain definition.
+tests/control/test_lockstep.py compares its steps with the plain definition.
 """
 
 from __future__ import annotations

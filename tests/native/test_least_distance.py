@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Iterator
-from pathlib import Path
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 import pytest
+import recorded_qps
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -33,7 +33,6 @@ from coopqp.solvers.problem import INFINITE
 
 native = pytest.importorskip("coopqp.native._core", reason="the core is not compiled")
 pytestmark = pytest.mark.core
-BENCHMARKS = Path(__file__).parents[1] / "benchmarks"
 OTHERS = [name for name in ("daqp", "quadprog") if name in available_solvers()]
 SEEDS = st.integers(0, 2**32 - 1)
 
@@ -201,18 +200,9 @@ def test_any_strictly_convex_cost(seed: int, spread: float) -> None:
         assert np.abs(make_solver(name).solve(problem).x - solution.x).max() <= 1e-7
 
 
-@pytest.fixture(name="recorded", scope="module")
-def _recorded() -> Iterator[Any]:
-    with pytest.MonkeyPatch.context() as patch:
-        patch.syspath_prepend(str(BENCHMARKS))
-        import recorded_qps
-
-        yield recorded_qps
-
-
 @pytest.mark.parametrize("case", ["corner", "near_singular", "outside", "redundant", "saturated"])
-def test_recorded_problems(recorded: Any, case: str) -> None:
-    for one in recorded.record(case, 3, 12)[0].qps:
+def test_recorded_problems(case: str) -> None:
+    for one in recorded_qps.record(case, 3, 12)[0].qps:
         solution = make_solver("ldp").solve(one.problem)
         assert residual(one.problem, solution) <= 1e-13
         for name in OTHERS:

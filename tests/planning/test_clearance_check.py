@@ -397,7 +397,7 @@ def test_the_command_judges_distances(tmp_path: Path, capsys: pytest.CaptureFixt
     assert "all margins are kept, which is proved; closest 23 mm, left/link_3 and knob" in capsys.readouterr().out
 
 
-BAR = Path(__file__).parents[1] / "docs" / "examples" / "cells" / "bar.toml"
+BAR = Path(__file__).parents[2] / "docs" / "examples" / "cells" / "bar.toml"
 TABLE = """
 [collision]
 margin_m = 0.005

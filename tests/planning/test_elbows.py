@@ -3,20 +3,16 @@
 from __future__ import annotations
 
 import pickle
-import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
+from promise_cases.proofs import redundant_task
 
 from coopqp import InvalidInputError, QPController, QPOptions, Status, check_path, simulate
 from coopqp.native import available_kernels
 from coopqp.paths.elbows import Elbows
 from coopqp.planning import PathVerdict
 from coopqp.scenarios import Scenario, dual_arm7
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
-from promise_cases.proofs import redundant_task
 
 
 @pytest.mark.parametrize(("seed", "kernel"), [(45, "compiled"), (73, "compiled"), (160, "plain")])

@@ -27,7 +27,7 @@ from coopqp.planning import time_path
 from coopqp.scenarios import Scenario, dual_arm7
 from coopqp.visualization import write_speed_profile
 
-BAR = Path(__file__).parents[1] / "docs" / "examples" / "cells" / "bar.toml"
+BAR = Path(__file__).parents[2] / "docs" / "examples" / "cells" / "bar.toml"
 
 
 def task(acceleration: float = 5.0) -> tuple[Scenario, Any]:

@@ -171,7 +171,7 @@ def test_a_scene_of_other_arms_and_starts_beside_a_scene_are_refused(paper: Scen
         plan(task.cell, task.grasp, path, scene=scene, starts=3)
 
 
-CELL = Path(__file__).parents[1] / "docs/examples/cells/bar.toml"
+CELL = Path(__file__).parents[2] / "docs/examples/cells/bar.toml"
 POST = """
 [collision]
 obstacles = [ { name = "post", shape = "box", size_m = [0.1, 0.1, 0.2], at = { xyz_m = [0.0, Y, 0.55] } } ]

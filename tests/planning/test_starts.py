@@ -5,7 +5,6 @@ from __future__ import annotations
 import copy
 import itertools
 import pickle
-import sys
 import warnings
 from pathlib import Path
 from typing import Any
@@ -14,6 +13,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from marks import slow_but_first
+from user_cells import CELLS, build
 
 from coopqp import (
     Arm,
@@ -36,9 +36,6 @@ from coopqp.model import CellState
 from coopqp.model.batch import ArmKinematics
 from coopqp.native import available_kernels
 from coopqp.scenarios import Scenario, dual_arm7, mixed_cell, robot_path, scara_pair
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
-from user_cells import CELLS, build
 
 TASKS = {"mixed_cell": mixed_cell, "dual_arm7": dual_arm7, "scara_pair": scara_pair}
 

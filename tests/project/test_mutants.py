@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-sys.path.insert(0, str(Path(__file__).parent))
+sys.path.insert(0, str(Path(__file__).parents[1]))
 from mutants import c
 from mutants.reach import Reach, in_functions
 
@@ -55,7 +55,7 @@ def test_each_kind_changes_one_place_of_the_code_and_no_text() -> None:
 
 
 def test_every_source_in_cpp_has_places_and_is_compiled_or_included() -> None:
-    files = list((Path(__file__).parents[1] / "coopqp").rglob("*.cpp"))
+    files = list((Path(__file__).parents[2] / "coopqp").rglob("*.cpp"))
     included = "".join(file.read_text(encoding="utf-8") for file in files)
     for file in files:
         assert file.parent.name == "native"

@@ -26,7 +26,7 @@ from coopqp.scenarios import robot_file
 from coopqp.simulation import Tolerances
 from coopqp.visualization import plots
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[2]
 CELLS = ROOT / "docs" / "examples" / "cells"
 PAGES = [ROOT / "README.md", ROOT / "benchmarks" / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
 BLOCK = re.compile(r"^```(\S+)[^\n]*\n(.*?)^```$", re.M | re.S)

@@ -16,7 +16,7 @@ import pytest
 
 import coopqp
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[2]
 PACKAGE = ROOT / "coopqp"
 #: Packages whose names a stub lists, imported on first use.
 LAZY = (

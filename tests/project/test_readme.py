@@ -17,7 +17,7 @@ from PIL import Image
 from coopqp.cli import demo
 from coopqp.cli import main as cli
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[2]
 README = (ROOT / "README.md").read_text(encoding="utf-8")
 
 

@@ -200,7 +200,7 @@ def test_round_trip(run: Recording, tmp_path: Path) -> None:
         assert getattr(loaded, name).dtype == np.float64
         with pytest.raises(ValueError, match="read-only"):
             getattr(loaded, name)[0] = 1.0
-    asked = ["wrenches", "torques", "shift"]  # tests/test_run_loads.py saves them
+    asked = ["wrenches", "torques", "shift"]  # test_recorded_loads.py saves them
     known = [*ARRAYS, "notes", "metadata", "meshes", *asked]
     assert [f.name for f in fields(Recording)] == known, "a new field is saved too"
 

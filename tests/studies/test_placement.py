@@ -17,7 +17,7 @@ from coopqp.scenarios import paper_lift
 from coopqp.studies import CellPlaced, Goals, Placer, StudyError, load_place_study
 
 LIFT = paper_lift()
-EXAMPLE = Path(__file__).parents[1] / "docs" / "examples" / "studies" / "h_and_b.toml"
+EXAMPLE = Path(__file__).parents[2] / "docs" / "examples" / "studies" / "h_and_b.toml"
 
 
 @pytest.fixture(scope="module")
