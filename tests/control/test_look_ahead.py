@@ -253,7 +253,7 @@ def test_no_step_looks_far_ahead_at_once(monkeypatch: pytest.MonkeyPatch) -> Non
     preview.reset(task.q_start, 0.0)
     newton_step, calls = preview._chain._newton_step, [0]
 
-    def counted(clock: float, q: Array, **options: Any) -> bool:
+    def counted(clock: float, q: Array, **options: Any) -> Any:
         calls[0] += 1
         return newton_step(clock, q, **options)
 
