@@ -1,6 +1,7 @@
-"""One step: limits, forms, ranks, supervision, and the controllers.
+"""One step: velocity bounds, QP, priorities, look-ahead, monitoring, and the controllers.
 
-What users need is in :mod:`coopqp`. The names here are parts of a step, for measurements of it.
+What users need is in :mod:`coopqp`. The names here are parts of a step, for measurements of it. docs/derivations.md has
+a table of the modules and of their counterparts in C++.
 """
 
 from coopqp.lazy import attach

@@ -92,15 +92,15 @@ class QPController:
         self.constraints = self._checked.given
         self._loop = make_loop(cell, grasp, dt=self.dt, options=self.options, constraints=self._checked)
         self.kernel, self.solver = self._loop.kernel, self._loop.solver.name
-        self._effort = RampTime(cell, grasp, self.options.preview, dt=self.dt)
+        self._ramp_time = RampTime(cell, grasp, self.options.preview, dt=self.dt)
         self._started = self._outside = self._minded = False
         #: By how much the tools are elsewhere on the object than the grasp says (N, 6); None if they are not.
         self._shift: Array | None = None
-        #: The target that the object goes over to as soon as it can, None if there is none; the object brakes until
-        #: then. And the override with which it goes on.
+        #: The target that the object is retargeted to as soon as it can be, None without one; the object brakes until
+        #: then. And the speed override with which it goes on.
         self._wanted: pin.SE3 | None = None
-        self._asked = 1.0
-        #: What the operator asked for from another thread than the one that steps: done in the next step.
+        self._next_override = 1.0
+        #: An operator's calls from another thread than the one that steps: made in the next step.
         self._waiting: deque[Callable[[], object]] = deque()
         self._take(path)
 
@@ -133,7 +133,7 @@ class QPController:
             self._fast = None
 
     def _soon(self, call: Callable[[], object]) -> None:
-        """Do what the operator asks for: at once, or in the next step where another thread steps this controller."""
+        """Make an operator's call: at once, or in the next step where another thread steps this controller."""
         loop = self._loop
         try:
             waits = loop.steps_elsewhere()
@@ -201,14 +201,14 @@ class QPController:
         self._checked.check(start, self.dt)
         if isinstance(self.path, ServoPath) and again:
             self.path.restart(path.pose(0.0))
-        odd = self._odd(start, GuardedPath(path).pose(clock))
+        warned = self._start_warnings(start, GuardedPath(path).pose(clock))
         self._loop.set_reins(self.override, paused=self.paused)
-        self._started, self._outside, self._wanted = True, bool(odd), None
+        self._started, self._outside, self._wanted = True, bool(warned), None
         self._loop.start(start)
         self._take(self.path)
         self._loop.start_path(clock, self._first_rate(clock))
-        if odd:
-            warnings.warn("; ".join(odd), StartWarning, stacklevel=3)
+        if warned:
+            warnings.warn("; ".join(warned), StartWarning, stacklevel=3)
         unknown = o.supervision.stiffness is None and not self._minded and len(self.cell) > 1
         if unknown and (commanded is not None or np.ndim(given) > 1):
             warnings.warn(
@@ -226,7 +226,7 @@ class QPController:
             return None
         return 0.0 if self.paused else self.override
 
-    def _odd(self, q: Array, pose: pin.SE3 | None) -> tuple[str, ...]:
+    def _start_warnings(self, q: Array, pose: pin.SE3 | None) -> tuple[str, ...]:
         return start_warning(self.cell, self.grasp, self.options.common_error.shares(self.cell), pose, q)
 
     def _held_at(self, q: ArrayLike) -> pin.SE3:
@@ -265,7 +265,7 @@ class QPController:
             return None
         return rate_into(loop.rate, now, ahead, length=self.options.weights.length)
 
-    # -- the reins -------------------------------------------------------------------------------------------------
+    # -- speed override and pause ----------------------------------------------------------------------------------
 
     def set_override(self, share: float) -> None:
         """The largest rate σ from now on: 1 for the path's own speed, 0 for rest.
@@ -279,7 +279,7 @@ class QPController:
         self._soon(lambda: self._override(share))
 
     def _override(self, share: float) -> None:
-        self._asked = share
+        self._next_override = share
         self._loop.set_reins(share, paused=self.paused)
 
     def pause(self) -> None:
@@ -301,7 +301,7 @@ class QPController:
     @property
     def override(self) -> float:
         """The largest rate σ that is asked for, while the object is not paused."""
-        return self._asked if self._wanted is not None else self._loop.reins[0]
+        return self._next_override if self._wanted is not None else self._loop.reins[0]
 
     @property
     def paused(self) -> bool:
@@ -328,12 +328,12 @@ class QPController:
     def _retarget(self, wanted: pin.SE3) -> None:
         if not isinstance(self.path, ServoPath):  # another path is followed since
             return
-        self._asked, self._wanted = self.override, wanted
+        self._next_override, self._wanted = self.override, wanted
         self._go_over()
         self._find_fast_step()
 
     def _go_over(self) -> None:
-        """Take the way to the wanted target as soon as it may be; until then brake on the present way."""
+        """Retarget: take the way to the wanted target as soon as it may be; until then brake on the present way."""
         loop, path, goal, paused = self._loop, self.path, self._wanted, self.paused
         assert isinstance(path, ServoPath)
         assert goal is not None
@@ -341,10 +341,10 @@ class QPController:
             path.set_target(goal, clock=0.0, rate=0.0)
             self._wanted = None
             return
-        loop.set_reins(self._asked, paused=paused)
-        full = 0.0 if paused else self._asked
+        loop.set_reins(self._next_override, paused=paused)
+        full = 0.0 if paused else self._next_override
         taken = None if isinstance(loop, PlainLoop) else loop.retarget_motion(path, goal, full)
-        if retarget_motion(loop, path, self._effort, goal, full) if taken is None else taken:
+        if retarget_motion(loop, path, self._ramp_time, goal, full) if taken is None else taken:
             self._wanted = None
         elif np.isfinite(self.cell.limits.acceleration).any() or object_rests(loop, path):
             loop.set_reins(0.0, paused=paused)
@@ -472,9 +472,9 @@ class QPController:
             brakes_for_target(step)
         if self._outside:  # it started there: say so until it is mended
             off_path = step.status is Status.OFF_PATH or step.status in (Status.HOLDING, Status.FAULT)
-            odd = self._odd(step.q, None if off_path else GuardedPath(self.path).pose(step.clock))
-            if odd or off_path:
-                amend(step, reason="; ".join(filter(None, (step.reason, *odd))))
+            warned = self._start_warnings(step.q, None if off_path else GuardedPath(self.path).pose(step.clock))
+            if warned or off_path:
+                amend(step, reason="; ".join(filter(None, (step.reason, *warned))))
             else:
                 self._outside = False
                 self._find_fast_step()
@@ -502,7 +502,7 @@ class QPController:
                 "QPController",
                 "Build both with the same QPOptions(kernel=…).",
             )
-        self._started, self._outside, self._wanted, self._asked = started, outside, wanted, asked
+        self._started, self._outside, self._wanted, self._next_override = started, outside, wanted, asked
         self._take(self.path)
         self._loop.restore(memory)
         if shift is not None:

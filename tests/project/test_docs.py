@@ -124,6 +124,18 @@ def test_notation_and_code_agree() -> None:
     np.testing.assert_allclose((ends[1] - ends[0]) / (2.0 * h), A_v, atol=1e-7)
 
 
+def test_the_definition_and_its_counterparts_are_where_the_table_says() -> None:
+    text = (DOCS / "derivations.md").read_text(encoding="utf-8")
+    table = text.partition("(counterparts)=")[2].partition("\n## Further rows")[0]
+    rows = [row.split("|")[2:4] for row in table.splitlines() if row.startswith("|")][2:]
+    package, python, native = Path(coopqp.__file__).parent, set[str](), set[str]()
+    for modules, files in rows:
+        python |= set(re.findall(r"`(.+?)`", modules))
+        native |= {f"native/{name}" for name in re.findall(r"`(.+?)`", files)}
+    assert len(python) == 20
+    assert [name for name in sorted(python | native) if not (package / name).is_file()] == []
+
+
 def test_defaults_in_the_text_are_those_of_the_code() -> None:
     """After a change of a default, also change the pages: howto/gains, howto/why-slow, derivations, tutorials 2 and 5,
     reliability."""

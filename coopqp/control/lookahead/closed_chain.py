@@ -85,7 +85,7 @@ class ClosedChainAhead:
         evade: self-motion that keeps redundant arms clear of bodies ahead.
 
     Attributes:
-        blind: arms with fewer than six joints cannot follow the path; nothing is known ahead.
+        no_horizon: arms with fewer than six joints cannot follow the path; nothing is known ahead.
         beyond, beyond_at: a constraint that allows no rate, and the clock; None and infinite where none is known.
     """
 
@@ -110,7 +110,7 @@ class ClosedChainAhead:
 
     def forget(self) -> None:
         """Nothing is known yet."""
-        self.blind, self.beyond_at = False, np.inf
+        self.no_horizon, self.beyond_at = False, np.inf
         self.beyond: BindingLimit | None = None
 
     def first(self, q: Array, clock: float) -> GridPoint:
@@ -119,8 +119,8 @@ class ClosedChainAhead:
         if pose is None:
             raise LookAheadTrouble(self._path.problem)
         q, errors = newton(self._chain, pose, q, tolerance=1e-10, max_iter=STARTING_STEPS)
-        self.blind = self._beyond_few_joints(errors)
-        if not np.abs(errors).max() < 1e-6 and not self.blind:
+        self.no_horizon = self._beyond_few_joints(errors)
+        if not np.abs(errors).max() < 1e-6 and not self.no_horizon:
             arm = int(np.abs(errors).max(axis=1).argmax())
             reach = BindingLimit(self._cell.arm_names[arm], "", LimitKind.REACH)
             return self._knot_at(clock, q, np.zeros(self._chain.nv), None)._replace(cap=0.0, binding=reach)
@@ -145,7 +145,7 @@ class ClosedChainAhead:
         else:
             return None
         if self._beyond_few_joints(step.errors):
-            self.blind = True
+            self.no_horizon = True
             return None
         knot = self._knot_at(clock, q, step.slope, last)
         if not knot.cap > 0.0:

@@ -130,7 +130,7 @@ class HorizonExtension:
             self._horizon.finish()
             return
         knot = yield from self._next(last)
-        if self._chain.blind:
+        if self._chain.no_horizon:
             return
         if knot is None and self._half_way(last) < 2.0 * self._options.shortest:
             self._horizon.push(last._replace(cap=0.0, span=0.0, binding=self._chain.beyond))
@@ -173,7 +173,7 @@ class HorizonExtension:
         h, sought = min(h, half_way), False
         while True:
             knot = yield from self._chain.attempt(last, h)
-            if knot is None and self._path.own and h <= KINK_CELL and not (self._way or self._chain.blind):
+            if knot is None and self._path.own and h <= KINK_CELL and not (self._way or self._chain.no_horizon):
                 yield
                 self.jump = yield from self._path.jumps(last.clock, last.clock + h)
                 if self.jump is not None:
@@ -190,7 +190,7 @@ class HorizonExtension:
                     h = kink - last.clock
                     continue
             h *= 0.5
-            if knot is not None or h < options.shortest or self._chain.blind:
+            if knot is not None or h < options.shortest or self._chain.no_horizon:
                 return knot
 
     def _kink(self, clock: float, h: float) -> Generator[None, None, float | None]:

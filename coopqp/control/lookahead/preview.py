@@ -125,15 +125,15 @@ class PathPreview:
         return len(self.horizon.knots) > 0
 
     @property
-    def blind(self) -> bool:
+    def no_horizon(self) -> bool:
         """Arms with fewer than six joints cannot follow the path; nothing is known ahead."""
-        return self._chain.blind
+        return self._chain.no_horizon
 
     def memory(self) -> Any:
         """State for a copy of this preview."""
         chain, growth = self._chain, self._growth
         return (
-            self.horizon.memory(), self.ends, chain.blind, chain.beyond, chain.beyond_at, self._free_until,
+            self.horizon.memory(), self.ends, chain.no_horizon, chain.beyond, chain.beyond_at, self._free_until,
             self._begun, self._taken, growth.memory(),
         )  # fmt: skip
 
@@ -141,8 +141,8 @@ class PathPreview:
         """Go on from what :meth:`memory` returned."""
         chain = self._chain
         (
-            horizon, self.ends, chain.blind, chain.beyond, chain.beyond_at, self._free_until, self._begun, self._taken,
-            growth,
+            horizon, self.ends, chain.no_horizon, chain.beyond, chain.beyond_at, self._free_until,
+            self._begun, self._taken, growth,
         ) = memory  # fmt: skip
         self._links.shift_grasp(self._taken)
         self.horizon.restore(horizon)
@@ -153,7 +153,7 @@ class PathPreview:
     def cap(self, clock: float, dt: float) -> tuple[float, BindingLimit | None]:
         """Largest admissible rate σ at ``clock`` for a step of ``dt``, and its cause if it is below 1."""
         self.trouble = ""
-        if self.blind:
+        if self.no_horizon:
             return 1.0, None
         if not self._growth.under_way:
             self._take_grasps()
@@ -237,11 +237,16 @@ class PathPreview:
         return q, slope
 
     def _extend(self, clock: float, dt: float, newton_steps: int, most_asked: float) -> None:
-        """Grow the horizon until K is final along a step, or by that many Newton steps, or questions to a path."""
+        """Extend the horizon until K is final along a step, by so many Newton steps and calls of a path at most."""
         self._path.asked = 0
         for _ in range(newton_steps):
             self.horizon.leave_behind(clock)
-            if self.horizon.complete or self.blind or self.horizon.reaches(clock, dt) or self._path.asked >= most_asked:
+            if (
+                self.horizon.complete
+                or self.no_horizon
+                or self.horizon.reaches(clock, dt)
+                or self._path.asked >= most_asked
+            ):
                 return
             if not self._growth.step():
                 self.trouble = self._growth.trouble

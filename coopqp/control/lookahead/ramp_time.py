@@ -1,4 +1,4 @@
-"""How long the joints take for a change of the object's motion."""
+"""Ramp times: how long the joints take for a change of the object's motion."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 """The plain loop: the definition of a step in NumPy, written to be read. It runs where the core does not apply.
 
 ``observe`` takes a sample and advances the filters; ``propose`` finds the command; ``commit`` moves the state. The
-core's counterparts are ``step.cpp`` and ``values.cpp``.
+core's counterpart is ``step.cpp``.
 """
 
 from __future__ import annotations
@@ -295,7 +295,7 @@ class PlainLoop:
         further = self._no_rows
         if self.constraints.velocity:
             try:
-                further = self.constraints.rows(s.q, h, blind=self._blind)
+                further = self.constraints.rows(s.q, h, blind=self._no_horizon)
             except ConstraintTrouble as trouble:
                 seen.watch.lower(Watch.holding(str(trouble), trouble.cause))
                 further = self._no_rows if trouble.rows is None else trouble.rows
@@ -331,15 +331,15 @@ class PlainLoop:
         return Proposal(seen, given, self._tightened(given), binding)
 
     @property
-    def _blind(self) -> bool:
-        """Whether nothing brakes ahead of further constraints."""
-        return self._preview is None or self._preview.blind
+    def _no_horizon(self) -> bool:
+        """Whether no look-ahead brakes for further constraints."""
+        return self._preview is None or self._preview.no_horizon
 
     @property
     def _brakes_together(self) -> bool:
         """Whether no look-ahead covers the motion: none has one, or arms that give way have left their path."""
         leaves = self.constraints.gives_way and self._box.accelerates and self.state.correcting is not None
-        return self._blind or leaves
+        return self._no_horizon or leaves
 
     def _tightened(self, given: StepInput) -> LinearisedAnswer:
         """The answer; again with tighter rows where it violates their constraints."""
@@ -369,7 +369,7 @@ class PlainLoop:
         s, nothing = self.state, np.zeros(self.cell.nv)
         if not self._redundant:
             return nothing, nothing
-        if self._preview is not None and not self._preview.blind:
+        if self._preview is not None and not self._preview.no_horizon:
             led = self._preview.led(s.clock, s.q, span)
             if led is not None:
                 return led, nothing
@@ -442,7 +442,7 @@ class PlainLoop:
         if share <= 1.0 - 1e-6:
             outside = self._box.any_outside
             status = slow_status(s, share, binding, preview, blocked_rate, outside=outside, dt=self.dt)
-        status = lasting(s, status, share, binding, h=seen.h, blind=self._blind)
+        status = lasting(s, status, share, binding, h=seen.h, no_horizon=self._no_horizon)
         if s.reins.share < blocked_rate and share < blocked_rate:
             status = Status.PAUSED if rests(answer.off_path) else Status.SLOWED
             binding = binding or (OVERRIDE,)

@@ -58,7 +58,7 @@ class RateCap:
                 watch.lower(Watch.holding(preview.trouble))
             if ahead is not None:
                 binding = (ahead,)
-        no_horizon = preview is None or preview.blind
+        no_horizon = preview is None or preview.no_horizon
         if self._box.accelerates and (no_horizon or s.correcting is not None):
             keep, late = self._box.brake_share(self._cell.positions(s.q), s.v, h)
             if keep < 1.0 and no_horizon and keep * s.rate < cap:
@@ -84,7 +84,7 @@ class RateCap:
             return share
         if not self._box.accelerates:
             fall = self.slope
-        elif preview is None or preview.blind or not preview.knows:
+        elif preview is None or preview.no_horizon or not preview.knows:
             fall = brake_without_horizon(s.v, BRAKING_SHARE * self._box.limits.acceleration, s.rate)
         else:
             fall = preview.brake(s.clock, h, s.rate)

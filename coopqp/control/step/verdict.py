@@ -44,16 +44,16 @@ def slow_status(
 
 
 def lasting(
-    s: LoopState, status: Status, rate: float, binding: tuple[BindingLimit, ...], *, h: float, blind: bool
+    s: LoopState, status: Status, rate: float, binding: tuple[BindingLimit, ...], *, h: float, no_horizon: bool
 ) -> Status:
     """``status``, or that of the last step, which lasts a moment: else it would flicker near rates of 0 and 1.
 
-    ``blind`` where no horizon is known ahead of a step of length ``h`` [s].
+    ``no_horizon`` where nothing is known ahead of a step of length ``h`` [s].
     """
     last, more, most = s.status, 0.0, 0.0
     if last is Status.BLOCKED and status is Status.SLOWED and binding:
         more, most = rate * h, STILL_BLOCKED
-    elif last is Status.SLOWED and status is Status.TRACKING and blind:
+    elif last is Status.SLOWED and status is Status.TRACKING and no_horizon:
         more, most = h, STILL_SLOWED
     if more > 0.0 and s.outdated + more <= most:
         s.outdated += more
