@@ -93,6 +93,12 @@ def paper() -> Scenario:
     return paper_lift()
 
 
+@pytest.fixture(scope="session")
+def lift() -> Scenario:
+    """The paper's lift, from rest to rest."""
+    return paper_lift(time_law="quintic")
+
+
 @functools.cache
 def _robot(robot: str) -> Arm:
     return Arm.from_urdf(robot, robot_path(robot), tool_frame=ROBOTS[robot].tool_frame, geometry=False)

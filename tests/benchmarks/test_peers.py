@@ -14,6 +14,7 @@ from xml.etree import ElementTree
 import numpy as np
 import pinocchio as pin
 import pytest
+from places import BENCHMARKS
 
 from coopqp import CollisionScene, QPController, Status
 from coopqp.collision import Body, Hull
@@ -21,16 +22,15 @@ from coopqp.native import available_kernels
 from coopqp.scenarios import plate_and_post
 from coopqp.simulation import tool_placements
 
-BENCHMARKS = Path(__file__).parents[2] / "benchmarks"
 sys.path.insert(0, str(BENCHMARKS / "peers"))
 
-import common  # noqa: E402
-import compare_peers  # noqa: E402
-import contestants  # noqa: E402
-import export_cell  # noqa: E402
-import peer_cases  # noqa: E402
-import protocol  # noqa: E402
-import scaling  # noqa: E402
+import common
+import compare_peers
+import contestants
+import export_cell
+import peer_cases
+import protocol
+import scaling
 
 TINY = compare_peers.Plan(arms=(3,), rounds=2, steps=4, round_s=0.05, behave_s=0.05, all_modes=False)
 

@@ -7,10 +7,10 @@ import json
 import re
 from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
+from places import ROOT
 
 from coopqp import InvalidInputError, QPController
 from coopqp.cli.demo import METHODS, DemoRun, check_demo, records_json, run_demo, run_method
@@ -159,7 +159,7 @@ def test_wider_grasps_drift_more() -> None:
 
 @pytest.mark.slow
 def test_the_table_of_the_readme_is_measured(run: Runner) -> None:
-    text = (Path(__file__).parents[2] / "README.md").read_text(encoding="utf-8")
+    text = (ROOT / "README.md").read_text(encoding="utf-8")
     rows = re.findall(r"^\| `(\w+)` \| (.+) \|$", text, flags=re.MULTILINE)
     assert [name for name, _ in rows] == list(METHODS)
     for name, cells in rows:

@@ -18,7 +18,8 @@ from convex import core_of, distance
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from marks import slow_but_first, slow_unless
-from wrapped import Opaque
+from places import BAR
+from user_paths import Opaque
 
 import coopqp.collision.bounds_plain as bounds_plain
 from coopqp import (
@@ -81,11 +82,6 @@ def run(scenario: Scenario, scene: CollisionScene, *, kernel: str = "auto", acce
     steps: list[Any] = []
     recording = simulate(controller, q_start=scenario.q_start, patience=0.2, observe=steps.append)
     return recording, steps, scene
-
-
-@pytest.fixture(scope="module")
-def lift() -> Scenario:
-    return paper_lift(time_law="quintic")
 
 
 def lid(scenario: Scenario, gap: float) -> Body:
@@ -1000,7 +996,6 @@ def test_a_body_that_nobody_moves_holds_by_name(lift: Scenario) -> None:
 
 # -- cell files ------------------------------------------------------------------------------------------------------
 
-BAR = Path(__file__).parents[2] / "docs" / "examples" / "cells" / "bar.toml"
 TABLE = """
 [collision]
 margin_m = 0.02

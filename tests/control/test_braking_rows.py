@@ -10,7 +10,7 @@ from itertools import pairwise
 import numpy as np
 import pinocchio as pin
 import pytest
-from wrapped import Opaque
+from user_paths import Opaque
 
 from coopqp import LimitKind, LinePath, PreviewOptions, QPController, QPOptions, Status
 from coopqp.constraints.velocity import Rows

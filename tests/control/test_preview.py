@@ -12,7 +12,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from marks import slow_but_first
-from wrapped import Opaque
+from user_paths import Jumping, Opaque
 
 from coopqp import (
     BindingLimit,
@@ -330,20 +330,6 @@ def test_of_two_limits_the_object_stops_at_the_first(order: int) -> None:
     assert rates[-1] < 1e-6
     assert clocks[-1] == pytest.approx(early, abs=1e-6)
     assert f"{binding.arm}/{binding.joint}" == task.cell.joint_names[first]
-
-
-class Jumping(ObjectPath):
-    """A user's path that jumps to another place."""
-
-    def __init__(self, inner: ObjectPath, since: float, by: Array) -> None:
-        self._inner, self.duration, self._since, self._by = inner, inner.duration, since, by
-
-    def pose(self, clock: float) -> pin.SE3:
-        pose = self._inner.pose(clock)
-        return pin.SE3(pose.rotation, pose.translation + (clock >= self._since) * self._by)
-
-    def twist(self, clock: float) -> Array:
-        return self._inner.twist(clock)
 
 
 @pytest.mark.parametrize("by", slow_but_first([(0.1, 0.0, 0.0), (0.0, 0.5, 0.5)]))

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 import pytest
+from places import CELL_FILES
 
 from coopqp import InvalidInputError, load_cell_file
 from coopqp.cli.main import main
@@ -172,7 +173,7 @@ def test_the_command_writes_what_it_finds_and_is_then_content(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     pytest.importorskip("mujoco")
-    text = (Path(__file__).parents[2] / "docs" / "examples" / "cells" / "lift_in_engine.toml").read_text()
+    text = (CELL_FILES / "lift_in_engine.toml").read_text()
     file, out, figures = tmp_path / "cell.toml", tmp_path / "better.toml", tmp_path / "figures.json"
     file.write_text(text + REAL)
     assert main(["sensors", str(file), "--out", str(out), "--json", str(figures)]) == 4
