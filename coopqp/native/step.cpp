@@ -574,7 +574,9 @@ static void move_on(Core *c, double rate, double clock_next) {
     memcpy(c->velocity, c->command, sizeof(double) * (size_t)c->joints);
     for (int j = 0; j < c->joints; j++) c->positions[j] += h * c->command[j];
     c->loop->has_predicted = p->parting == 0.0 && p->braked == 0.0 && c->loop->path_lost == 0.0;
-    c->loop->rate_slope = (rate - c->loop->rate) / h;
+    /* A start sets the rate, and where no acceleration is limited the first step may leave it by a jump: no slope. */
+    const int jumped = c->loop->first != 0.0 && !c->accelerates;
+    c->loop->rate_slope = jumped ? 0.0 : (rate - c->loop->rate) / h;
     c->loop->last_dt = h, c->loop->clock = clock_next, c->loop->rate = rate, c->loop->first = 0.0;
 }
 
