@@ -46,7 +46,7 @@ struct Core {
      * their starts. A path without segments is known to own_path. */
     const double *path_numbers;
     double duration;
-    double *minding; /* of the forces between the arms, see minding.h; nullptr where nobody minds them */
+    Minding *minding; /* of the forces between the arms, see minding.h; nullptr where nobody minds them */
     /* Calls into Python; 0 if they fail. `out` takes R (9) and p (3), or with `twist` six numbers. */
     int (*own_path)(Core *c, double clock, int twist, double *out);
     /* May lower cap and decrease of a new knot; nullptr for none. `slot` is its place in the ring. */
@@ -79,8 +79,8 @@ struct Arithmetic {
      * the path in `numbers`; 0 if not yet; −1 if an arm is singular. `full` is the largest rate asked for. */
     int (*go_over)(Core *c, const double *goal, double speed, double spin, double full, double *numbers);
     /* The relaxation of forces, in its own memory; see relax.cpp and allow.cpp. `wrenches` may be nullptr. */
-    int (*relax)(int arms, double *memory, const double *wrenches, double dt);
-    void (*allow)(int arms, double *memory, double dt);
+    int (*relax)(int arms, Minding *m, const double *wrenches, double dt);
+    void (*allow)(int arms, Minding *m, double dt);
 };
 
 namespace plain {

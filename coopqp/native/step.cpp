@@ -65,7 +65,7 @@ static int let_in(Core *c, const double *positions, const double *q) {
     Proposal *p = c->proposal;
     double commanded[6];
     const double h = p->dt;
-    const double corrects = c->minding ? c->minding[CORRECTS] : 1.0; /* arms that mind forces relax first */
+    const double corrects = c->minding ? c->minding->corrects : 1.0; /* arms that mind forces relax first */
     if (!positions && !((c->loop->drifted != 0.0 || corrects < 1.0) && p->hold == 0.0)) {
         memset(c->measured, 0, 6 * sizeof(double));
         return p->hold != 0.0;
@@ -91,16 +91,17 @@ static int let_in(Core *c, const double *positions, const double *q) {
 /* An object that touches something goes back, unless something else holds it. Returns whether it does. */
 static int goes_back(Core *c) {
     const Proposal *p = c->proposal;
-    double *m = c->minding, common[6], way[3];
-    if (!m || m[BACKS] == 0.0 || m[SENSOR_FAULT] != SENSORS_FINE) return 0;
+    Minding *m = c->minding;
+    double common[6], way[3];
+    if (!m || m->backs == 0.0 || m->sensor_fault != SENSORS_FINE) return 0;
     const double gain = fmin(c->options->path_gain, 1.0 / p->dt);
     if ((p->hold != 0.0 && p->reason != TOUCHING) || !(gain > 0.0) || p->has_errors == 0.0) return 0;
     rotate_back(c->R, minding_of(c->arms, m).push + 9, way);
     common_error(c, c->errors, common);
     const double far = dot3(way, common);
-    if (isnan(m[BACK_FROM])) m[BACK_FROM] = far;
-    const double room = CONTACT_ROOM + CONTACT_WAY * m[BACK_SPEED] - (far - m[BACK_FROM]);
-    const double speed = minimum(m[BACKS], maximum(room, 0.0) / p->dt);
+    if (isnan(m->back_from)) m->back_from = far;
+    const double room = CONTACT_ROOM + CONTACT_WAY * m->back_speed - (far - m->back_from);
+    const double speed = minimum(m->backs, maximum(room, 0.0) / p->dt);
     for (int i = 0; i < 3; i++) c->measured[i] = -speed / gain * way[i], c->measured[3 + i] = 0.0;
     return 1;
 }
