@@ -66,7 +66,7 @@ static int friction_slows(int arms, const MindingArrays *f, double dt) {
 /* Find the largest rate of the object now, `allowed`, and `why` it is less than the wanted rate. */
 static void allow(int arms, Minding *m, double dt) {
     const MindingArrays f = minding_of(arms, m);
-    int why = NOTHING_MORE;
+    Why why = NOTHING_MORE;
     if (m->sensor_fault != SENSORS_FINE) why = BY_SENSOR;
     else if (m->touches != 0.0) why = BY_CONTACT;
     else if (m->saturated != 0.0 && m->size > m->force_slows) why = BY_REACH;

@@ -240,8 +240,8 @@ def _value(size: str, symbols: dict[str, int]) -> int:
     return summed()
 
 
-#: Lists of codes, by what counts them in the header.
-LISTS = {
-    "OUTCOMES": OUTCOMES, "KINDS": KINDS, "REASONS": REASONS, "STATUSES": STATUSES,
-    "STAGES": STAGES, "HEARING": HEARING, "SENSORS": SENSORS, "WHYS": WHYS,
+#: Enumerations of the header, and their members in the order of their codes.
+ENUMS = {
+    "Outcome": OUTCOMES, "LimitKind": KINDS, "Reason": REASONS, "Status": STATUSES, "Stage": STAGES,
+    "Hearing": HEARING, "SensorFault": SENSORS, "Why": WHYS,
 }  # fmt: skip

@@ -36,13 +36,13 @@ static double largest_entry(int arms, const double *x, int part) {
 
 /* Take wrenches (6 N; nullptr for none) after a time. HEARD: all came; MISSED: some did not; SILENT: one has been missing
  * for too long, or has not changed by a bit for as long while the arms move. */
-static int feel(int arms, const MindingArrays *f, const double *wrenches, double dt) {
+static Hearing feel(int arms, const MindingArrays *f, const double *wrenches, double dt) {
     const int n = 6 * arms;
     Minding *m = f->m;
     double *silent = f->silent, *seen = f->seen, *internal = f->internal;
     const double share = dt / (dt + m->wrench_filter);
     const int moves = m->last_speed > SENSED_MOTION;
-    int heard = HEARD;
+    Hearing heard = HEARD;
     for (int k = 0; k < arms; k++) {
         const int fresh = wrenches && finite_numbers(wrenches + 6 * k, 6);
         const int same = fresh && moves && !memcmp(seen + 6 * k, wrenches + 6 * k, 6 * sizeof(double));
@@ -201,9 +201,10 @@ static void contact(int arms, const MindingArrays *f, double dt) {
 }
 
 /* Take wrenches, and move the grasps where they give way. Returns HEARD, MISSED or SILENT. */
-static int relax(int arms, Minding *m, const double *wrenches, double dt) {
+static Hearing relax(int arms, Minding *m, const double *wrenches, double dt) {
     const MindingArrays f = minding_of(arms, m);
-    const int gives = gives_way(m), heard = feel(arms, &f, wrenches, dt);
+    const int gives = gives_way(m);
+    const Hearing heard = feel(arms, &f, wrenches, dt);
     m->age += dt;
     begin_to_correct(m, dt);
     if (heard == SILENT) {

@@ -206,7 +206,7 @@ static void set_path(BoundCore &self, In &numbers, const Maybe &own, Out &pose, 
 }
 
 static void make_steps(BoundCore &self, const nb::type_object &type, const Maybe &context, const nb::tuple &statuses) {
-    check_fit(statuses.size() >= N_STATUSES, "a status is missing");
+    check_fit(statuses.size() > OFF_PATH, "a status is missing");
     self.objects[STEP_TYPE] = type, self.objects[STATUSES] = statuses;
     self.objects[CONTEXT] = context.value_or(nb::none());
 }

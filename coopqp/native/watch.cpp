@@ -8,11 +8,12 @@
 /* Finding of one sample: a cap of the rate, and why it is below 1. */
 struct Seen {
     double cap = 1.0;
-    int hold = 0, fault = 0, arm = -1, reason = NO_REASON;
+    int hold = 0, fault = 0, arm = -1;
+    Reason reason = NO_REASON;
     double a = 0.0, b = 0.0; /* numbers of the reason */
 };
 
-static void hold_for(Seen *seen, int reason, int arm, double a, double b) {
+static void hold_for(Seen *seen, Reason reason, int arm, double a, double b) {
     seen->cap = 0.0;
     seen->hold = 1;
     seen->arm = arm, seen->reason = reason;
