@@ -522,7 +522,7 @@ void bind_step(nb::module_ &m) {
         .def("solve", &LeastDistance::solve);
     m.def("relax", [](Out &memory, long arms, const InOrNone &wrenches, double dt) {
         check_minding(memory, arms);
-        return best()->relax((int)arms, reinterpret_cast<Minding *>(memory.data), wrenches_of(wrenches, (int)arms), dt);
+        return (int)best()->relax((int)arms, reinterpret_cast<Minding *>(memory.data), wrenches_of(wrenches, (int)arms), dt);
     });
     m.def("allow", [](Out &memory, long arms, double dt) {
         check_minding(memory, arms);
