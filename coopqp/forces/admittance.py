@@ -42,7 +42,7 @@ from coopqp.model.cell import RobotCell
 from coopqp.model.chain import Chain
 from coopqp.model.grasp import Grasp
 from coopqp.native.constants import LOOK_EVERY
-from coopqp.spatial import Array, skew
+from coopqp.spatial import Array, for_twists, skew
 
 #: Smaller shares of a stiffness count as 0.
 _LEAST_PART = 1e-9
@@ -309,9 +309,8 @@ class Relaxation:
         """Look at the compliances at ``q``. Returns blockdiag(R, R) of the object (6, 6)."""
         chain = self._chain
         O = chain.carried(q)[0]
-        chain.evaluate(q, about=O[3].copy())
-        R = np.zeros((6, 6))
-        R[:3, :3] = R[3:, 3:] = O[:3].T
+        chain.evaluate(q, about=O.translation)
+        R = for_twists(O.rotation)
         self._compliances[:] = R.T @ chain.compliances(self._soft) @ R
         if self._felt_part is not None:
             self._yields[:] = self._relative @ yields_in_part(self._compliances, self._felt_part)
@@ -382,7 +381,7 @@ class Relaxation:
             InvalidInputError: that is out of reach.
         """
         O = self._chain.carried(q)
-        errors = self._chain.errors(O, pin.SE3(O[0, :3].T, O[0, 3]))
+        errors = self._chain.errors(O, O[0])
         shift: Array = (self._relative @ errors.ravel()).reshape(-1, 6)
         if self.options.palms is not None:  # they slide, and keep their places
             return shift if self.far(shift) < 1.0 else np.zeros_like(shift)

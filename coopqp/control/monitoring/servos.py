@@ -30,7 +30,7 @@ from coopqp.native.constants import (
     SERVO_SLOWS,
     SOFTEST,
 )
-from coopqp.spatial import Array, largest
+from coopqp.spatial import Array
 
 if TYPE_CHECKING:
     pass
@@ -170,4 +170,4 @@ class ServoWatch:
         samples = m.servo_samples = min(m.servo_samples + 1.0, NOISE_TIME / dt)
         if samples > 2.0:  # the first differences are with nothing
             x["off_noise"] += (np.einsum("ij,ij->i", bend, bend) - x["off_noise"]) / max(samples - 2.0, 1.0)
-        return math.sqrt(largest(x["off_noise"]) / 6.0)
+        return math.sqrt(float(x["off_noise"].max()) / 6.0)
