@@ -56,6 +56,7 @@ class Memory:
             "G": at["further"], "owner": at["further_owner"], "dt": at["proposal"][dt : dt + 1],
             "quiet_slack": loop[i : i + 1], "quiet_approach": loop[i + 1 : i + 2],
             **{name: at[name] for name in ("quiet_ahead_centre", "quiet_ahead_reach", "knots")},
+            **{name: at[name] for name in ("evading_positions", "evading_slope")},
             **{f"knot_{name}": at[f"knot_{name}"] for name in ("positions", "slope", "curvature")},
             "quiet_ahead_slack": loop[ahead : ahead + 1], "quiet_ahead_approach": np.zeros(1),
             "knot_numbers": np.array([len(layout.KNOT), layout.KNOT.index("K_SPAN")], dtype=float),
