@@ -61,10 +61,8 @@ LEAST_CLEARANCE = 1e-9  # a clearance that counts as none [m]
 DEEPEST = -1.0  # where bodies overlap coal's search may fail, and answers the smallest number that there is [m]
 EVADES_EARLY = 0.05  # evasion begins this far beyond the comfort, gently [m]
 GENTLE = 0.1  # missing speed of a distance up to which evasion grows with its square [m/s]
-YIELDS = (
-    50.0  # a row of evasion that is broken by the inverse costs as much as a self-motion of 1: with 1000 arms swung
-)
-# past posts at many times their speeds, along slopes that the look-ahead cannot follow
+# With 1000 arms swung past posts at many times their speeds, along slopes that the look-ahead cannot follow.
+YIELDS = 50.0  # a row of evasion that is broken by the inverse costs as much as a self-motion of 1
 HELPS = 1e-6  # a self-motion that changes no distance by more does not help [m per unit of joint speed]
 SMALL_CLEARANCE = 1e-6  # a start this far inside a margin is outside it but for rounding [m]
 FARTHEST_POINT = 1e9  # nearest points beyond this are none: that search has failed [m]
