@@ -90,4 +90,12 @@ namespace avx2 {
 extern const Arithmetic arithmetic;
 }
 
+/* The best arithmetic that this processor can do. */
+inline const Arithmetic *best() {
+#ifdef HAS_AVX2_ARITHMETIC
+    if (__builtin_cpu_supports("avx2") && __builtin_cpu_supports("fma")) return &avx2::arithmetic;
+#endif
+    return &plain::arithmetic;
+}
+
 #endif

@@ -11,14 +11,6 @@
 #include "minding.h"
 #include "spatial.h"
 
-/* The best arithmetic that this processor can do. */
-static const Arithmetic *best() {
-#ifdef HAS_AVX2_ARITHMETIC
-    if (__builtin_cpu_supports("avx2") && __builtin_cpu_supports("fma")) return &avx2::arithmetic;
-#endif
-    return &plain::arithmetic;
-}
-
 /* Objects of Python that a Core holds: callables, empty for none, and what a step is made of. */
 enum {
     OWN_PATH, BOUND_KNOT, EVADE, CLEAR, FURTHER_ROWS, TIGHTENED, SURVEY_HERE, SURVEY_AHEAD, /* put numbers into the memory */
