@@ -1,6 +1,6 @@
 """Shared fixtures: Hypothesis profiles, cells that take time to build, and seeded random data.
 
-Profiles: ``ci`` (default, always the same examples), ``check`` (a fifth of the examples), ``nightly`` (ten times as
+Profiles: ``ci`` (default, always the same examples), ``check`` (a tenth of the examples), ``nightly`` (ten times as
 many examples, new ones every time) and ``mutation`` (as ``ci``, but a failure is not made smaller: that takes long).
 The variable HYPOTHESIS_PROFILE or ``pytest --hypothesis-profile`` selects the profile. A module that needs more
 examples multiplies the profile's number, so the nightly run grows by the same factor.
@@ -39,7 +39,7 @@ settings.register_profile(
 settings.register_profile(
     "nightly", parent=settings.get_profile("ci"), max_examples=2000, derandomize=False, print_blob=True
 )
-settings.register_profile("check", parent=settings.get_profile("ci"), max_examples=40)
+settings.register_profile("check", parent=settings.get_profile("ci"), max_examples=20)
 settings.register_profile("mutation", parent=settings.get_profile("ci"), phases=[Phase.explicit, Phase.generate])
 settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "ci"))
 

@@ -225,8 +225,9 @@ class TestProtocol:
 class TestAgainstPlaco:
     """coopqp's records, compared with a PlaCo whose times are known."""
 
-    @pytest.fixture
-    def records(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> list[dict[str, Any]]:
+    @pytest.fixture(scope="class")
+    @classmethod
+    def records(cls, tmp_path_factory: pytest.TempPathFactory) -> list[dict[str, Any]]:
         times = {("placo", "nominal"): 20.0, ("placo", "measured"): 40.0}
 
         class Fake:
@@ -251,9 +252,10 @@ class TestAgainstPlaco:
             def stop(self) -> None:
                 pass
 
-        monkeypatch.setattr(compare_peers, "Contestant", Fake)
         plan = replace(TINY, cases=peer_cases.COST)
-        return compare_peers.compare(["placo"], plan, tmp_path, install=False)
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(compare_peers, "Contestant", Fake)
+            return compare_peers.compare(["placo"], plan, tmp_path_factory.mktemp("peers"), install=False)
 
     def test_measured_by_measured_others_by_nominal(self, records: list[dict[str, Any]]) -> None:
         own = {(r["case"], r["pacing"]): r for r in records if r["peer"] == "coopqp"}

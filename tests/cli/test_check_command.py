@@ -106,6 +106,7 @@ def test_a_latched_grasp_is_judged_at_its_start(tmp_path: Path, capsys: pytest.C
     assert "arm a follows the path" in capsys.readouterr().out
 
 
+@pytest.mark.slow
 def test_the_picture_shows_each_joint_and_what_is_proved() -> None:
     task = paper_lift()
     figure = check_figure(check_path(task.cell, task.grasp, task.path, q_start=task.q_start))

@@ -10,6 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from marks import slow_but_first
 from places import ROOT
 
 from coopqp import InvalidInputError, QPController
@@ -63,7 +64,7 @@ def test_the_qp_keeps_the_chain_and_the_path(run: Runner, steps: int, bound: flo
     assert qp.status == "ok"
 
 
-@pytest.mark.parametrize("steps", [40, 400])
+@pytest.mark.parametrize("steps", slow_but_first([40, 400]))
 @pytest.mark.parametrize("solver", available_solvers())
 def test_every_solver_agrees(run: Runner, solver: str, steps: int) -> None:
     expected, other = run("qp", steps), run("qp", steps, solver)

@@ -255,7 +255,7 @@ def test_the_object_stops_at_any_wall(acceleration: float) -> None:
         assert any(b.name == "box" for b in run.last.binding), (i, run.last)
 
 
-@pytest.mark.parametrize("kernel", KERNELS)
+@pytest.mark.parametrize("kernel", slow_but_first(KERNELS))
 def test_a_wall_binds_by_name_on_the_way_to_a_target(kernel: str) -> None:
     task = paper_lift()
     start = task.path.pose(0.0)
@@ -322,7 +322,7 @@ def test_the_object_keeps_its_energy(acceleration: float, kernel: str) -> None:
     assert any(b.name == "energy" for s in run.steps for b in s.binding)
 
 
-@pytest.mark.parametrize("kernel", KERNELS)
+@pytest.mark.parametrize("kernel", slow_but_first(KERNELS))
 def test_motors_keep_their_torques(kernel: str) -> None:
     """Faster, the paper's lift would need more than gravity and a fifth of what it takes at full rate."""
     task = limited(paper_lift(time_law="quintic", duration=0.6), 20.0)
@@ -588,7 +588,7 @@ def test_both_kernels_agree(acceleration: float, shortcut: bool) -> None:
             q = task.cell.moved(other.q_next, rng.uniform(-1e-5, 1e-5, task.cell.nv)) if i > 100 else None
 
 
-@pytest.mark.parametrize("kernel", KERNELS)
+@pytest.mark.parametrize("kernel", slow_but_first(KERNELS))
 def test_a_deep_copy_has_constraints_of_its_own(kernel: str) -> None:
     task = limited(paper_lift(time_law="quintic"), 5.0)
     controller = built(task, kernel, dt=DT, constraints=all_kinds(task))

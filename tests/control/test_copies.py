@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 import pytest
-from marks import slow_unless
+from marks import slow_but_first, slow_unless
 from processes import output
 from runs import built, limited
 
@@ -150,7 +150,7 @@ def test_copying_leaves_the_original_alone(run: str, kernel: str) -> None:
         copy.copy(watched)
 
 
-@pytest.mark.parametrize("kernel", KERNELS)
+@pytest.mark.parametrize("kernel", slow_but_first(KERNELS))
 def test_a_copy_after_another_path_and_after_other_targets(kernel: str) -> None:
     task = limited(mixed_cell(), 10.0)
     controller = built(task, kernel, dt=DT)
@@ -167,7 +167,7 @@ def test_a_copy_after_another_path_and_after_other_targets(kernel: str) -> None:
         assert all(map(same, drive(servo, None, 0, 25, []), drive(other, None, 0, 25, [])))
 
 
-@pytest.mark.parametrize("kernel", KERNELS)
+@pytest.mark.parametrize("kernel", slow_but_first(KERNELS))
 @pytest.mark.parametrize("way", WAYS)
 def test_a_copy_shares_nothing_that_changes(way: str, kernel: str) -> None:
     """What the one does next, even a new target or a fault, does not reach the other."""

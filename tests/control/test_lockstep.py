@@ -328,9 +328,13 @@ def test_both_agree_in_short(mode: str) -> None:
 
 #: Scenarios whose arms have fewer than six joints, which the core leaves to the plain definition.
 FEW_JOINTS = ("five_joint_pair", "scara_pair")
+#: Cells of other robots, whose meshes are read.
+OTHER_ROBOTS = ("panda_bar", "ur5_table")
 
 
-@pytest.mark.parametrize("name", sorted(set(SCENARIOS) - set(LOADED)))
+@pytest.mark.parametrize(
+    "name", slow_unless(lambda name: name not in OTHER_ROBOTS, sorted(set(SCENARIOS) - set(LOADED)))
+)
 def test_the_core_takes_every_cell_whose_arms_have_six_joints_or_more(name: str) -> None:
     task = ready(name)
     few = min(arm.model.nv for arm in task.cell.arms) < 6
@@ -535,7 +539,7 @@ def halfway(task: Scenario) -> Scenario:
 @pytest.mark.filterwarnings("ignore::coopqp.errors.StartWarning")
 @pytest.mark.core
 @pytest.mark.parametrize("make", [paper_lift, dual_arm7, mixed_cell], ids=lambda make: make.__name__)
-@pytest.mark.parametrize("acceleration", [np.inf, 20.0])
+@pytest.mark.parametrize("acceleration", slow_but_first([20.0, np.inf]))
 def test_both_agree_while_joints_are_led_back(make: Callable[[], Scenario], acceleration: float) -> None:
     """Three joints are outside their limits, in both directions: the size of the QP changes during the run."""
     task = halfway(make())
@@ -717,7 +721,7 @@ def test_both_agree_on_moving_targets(acceleration: float, make: Callable[[], Sc
 
 
 @pytest.mark.core
-@pytest.mark.parametrize("acceleration", [np.inf, 10.0])
+@pytest.mark.parametrize("acceleration", slow_but_first([10.0, np.inf]))
 def test_both_agree_on_targets_that_change_while_the_object_turns(acceleration: float) -> None:
     """The object's frame is askew to the world, and both halves of its velocity are there as the way is changed."""
     task = limited_once(paper_lift, acceleration)
@@ -746,7 +750,7 @@ def test_both_agree_when_another_path_is_followed_in_motion() -> None:
 
 @pytest.mark.core
 @pytest.mark.parametrize("acceleration", [1e2, 1e3, 1e4, 1e6])
-@pytest.mark.parametrize("dt", [0.01, 0.06])
+@pytest.mark.parametrize("dt", slow_but_first([0.06, 0.01]))
 def test_both_agree_and_finish_however_far_joints_get_in_a_step(acceleration: float, dt: float) -> None:
     task = limited_once(paper_lift, acceleration)
     start, rng = task.path.pose(0.0), np.random.default_rng(5)

@@ -182,7 +182,7 @@ def test_shortcut_form_and_solver_change_nothing_that_matters(scenario: Callable
         assert excess(task, steps) == 0.0, way
 
 
-@pytest.mark.parametrize("kernel", available_kernels())
+@pytest.mark.parametrize("kernel", slow_but_first(available_kernels()))
 def test_kernels_agree(kernel: str) -> None:
     task = fast_lift()
     controller = built(task, kernel=kernel)
@@ -583,7 +583,9 @@ def test_what_arms_with_few_joints_cannot_do_is_left_out() -> None:
     assert heading == pytest.approx(0.3, abs=0.02)
 
 
-@pytest.mark.parametrize("scenario", [paper_lift, dual_arm7, mixed_cell, scara_pair])
+@pytest.mark.parametrize(
+    "scenario", slow_unless(lambda make: make is not scara_pair, [paper_lift, dual_arm7, mixed_cell, scara_pair])
+)
 def test_limits_may_be_missing(scenario: Callable[..., Scenario]) -> None:
     task = scenario()
     free = task.cell.with_limits(lower=-np.inf, upper=np.inf, velocity=np.inf, acceleration=np.inf)

@@ -178,7 +178,7 @@ def test_both_kernels_agree_under_any_override(name: str, acceleration: float) -
 
 
 @pytest.mark.core
-@pytest.mark.parametrize("kernel", KERNELS)
+@pytest.mark.parametrize("kernel", slow_but_first(KERNELS))
 @pytest.mark.parametrize("way", [copy.copy, copy.deepcopy, lambda c: pickle.loads(pickle.dumps(c))])
 def test_a_copy_keeps_the_reins(way: Callable[[QPController], QPController], kernel: str) -> None:
     task = limited(dual_arm7(), 5.0)
@@ -253,7 +253,7 @@ def test_a_servo_target_can_be_paused() -> None:
         assert steps[-1].clock > stopped
 
 
-@pytest.mark.parametrize("kernel", KERNELS)
+@pytest.mark.parametrize("kernel", slow_but_first(KERNELS))
 @pytest.mark.parametrize("acceleration", [np.inf, 5.0])
 @pytest.mark.parametrize("make", [paper_lift, dual_arm7])
 def test_a_target_is_reached_without_a_jump(make: Callable[[], Scenario], acceleration: float, kernel: str) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import subprocess
 
 import pytest
-from marks import slow_unless
+from marks import slow_but_first, slow_unless
 from processes import output, python
 
 OPTIONAL = (
@@ -94,7 +94,7 @@ def test_importing_says_nothing() -> None:
 
 
 @pytest.mark.parametrize(
-    "first", ["coopqp.collision.clearance", "coopqp.control.step.verdict", "coopqp.control.step.plain"]
+    "first", slow_but_first(["coopqp.collision.clearance", "coopqp.control.step.verdict", "coopqp.control.step.plain"])
 )
 def test_no_room_has_to_be_imported_before_another(first: str) -> None:
     """The command imports bodies before controllers, programs the other way round."""
