@@ -21,9 +21,9 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from hypothesis import HealthCheck, Phase, settings
+from runs import of_the_paper
 
 from coopqp import Arm, Recording, RobotCell, simulate
-from coopqp.baselines import PseudoInverseController, PseudoInverseOptions
 from coopqp.scenarios import ROBOTS, Scenario, paper_lift, robot_path
 
 pytest_plugins = ["catalogue"]  # tests/reliability/catalogue.py, whose table ends every run
@@ -144,13 +144,6 @@ def baseline(paper: Scenario) -> Callable[..., Recording]:
 
     @functools.cache
     def run(steps: int, **options: Any) -> Recording:
-        controller = PseudoInverseController(
-            paper.cell,
-            paper.grasp,
-            paper.path,
-            dt=paper.path.duration / steps,
-            options=PseudoInverseOptions(**options),
-        )
-        return simulate(controller, q_start=paper.q_start)
+        return simulate(of_the_paper(paper, steps, **options), q_start=paper.q_start)
 
     return run

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 import pytest
-from cells import on_another_joint
+from cells import grasp_at, on_another_joint
 from hypothesis import settings
 from marks import slow_but_first, slow_unless
 from runs import limited_once
@@ -19,7 +19,6 @@ from user_paths import Marked
 
 from coopqp import (
     ControlStep,
-    Grasp,
     LimitKind,
     LinePath,
     ObjectPath,
@@ -468,9 +467,9 @@ def test_a_step_that_differs_is_seen(lie: dict[str, Callable[[Any], Any]]) -> No
 
 def held(cell: RobotCell, q: Array) -> Scenario:
     """The arms hold one object where they happen to be."""
-    tools = CellState(cell, q).T_world_tool
-    path = LinePath.displaced(tools[0], translation=(0.01, -0.02, 0.015), rotation=(0.03, 0.02, -0.05), duration=2.0)
-    return Scenario("held", cell, Grasp(tuple(tools[0].actInv(X) for X in tools)), path, q, 0.01)
+    start = CellState(cell, q).T_world_tool[0]
+    path = LinePath.displaced(start, translation=(0.01, -0.02, 0.015), rotation=(0.03, 0.02, -0.05), duration=2.0)
+    return Scenario("held", cell, grasp_at(cell, q), path, q, 0.01)
 
 
 ROBOTS = [

@@ -4,14 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pinocchio as pin
 
 from coopqp import Arm, Grasp, RobotCell
+from coopqp.model import CellState
 from coopqp.planning import Payload
 from coopqp.scenarios import Scenario, robot_path
+from coopqp.spatial import Array
 
 
 def rx90l(name: str = "arm", **options: Any) -> Arm:
@@ -45,8 +48,37 @@ def with_mismatch(task: Scenario, arm: int, shift: Sequence[float], turn: Sequen
     return replace(task, grasp=Grasp(tuple(tools)))
 
 
+def grasp_at(cell: RobotCell, q: Array) -> Grasp:
+    """The grasp of arms that hold an object where they are; its frame is that of the first tool."""
+    T = CellState(cell, q).T_world_tool
+    return Grasp(tuple(T[0].actInv(X) for X in T))
+
+
 def box_of(task: Scenario, mass: float, **limits: Any) -> Payload:
     """The scenario's object as a homogeneous box of a mass [kg], with limits of its payload."""
     x, y, z = task.object_size
     inertia = mass / 12.0 * np.diag([y * y + z * z, x * x + z * z, x * x + y * y])
     return Payload(mass=mass, centre=task.T_object_body.translation, inertia=inertia, **limits)
+
+
+_ONE_ARM = """
+name = "one"
+{start}
+[[arms]]
+name = "a"
+robot = "rx90l"
+[grasp]
+kind = "{grasp}"
+{tools}
+[path]
+{path}
+duration_s = 1.0
+"""
+
+
+def one_arm_file(folder: Path, path: str, *, start: str = "", grasp: str = "tools") -> str:
+    """A cell file in a folder: one arm on a path, the lines of its table but for the duration."""
+    file = folder / "one.toml"
+    tools = "tools.a = {}" if grasp == "tools" else ""
+    file.write_text(_ONE_ARM.format(start=start, grasp=grasp, tools=tools, path=path), encoding="utf-8")
+    return str(file)

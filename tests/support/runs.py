@@ -8,6 +8,7 @@ from dataclasses import replace
 from typing import Any
 
 from coopqp import ControlStep, LinePath, ObjectPath, QPController, QPOptions, Status
+from coopqp.baselines import PseudoInverseController, PseudoInverseOptions
 from coopqp.control import Controller
 from coopqp.paths import TimeLaw
 from coopqp.scenarios import Scenario, paper_lift
@@ -71,6 +72,18 @@ def built(task: Scenario, kernel: str = "auto", **options: Any) -> QPController:
     made = cooperative(task, kernel, **options)
     made.reset(task.q_start)
     return made
+
+
+def of_the_paper(task: Scenario, steps: int, **options: Any) -> PseudoInverseController:
+    """The paper's algorithm with a number of steps on a scenario's path, before its first reset.
+
+    Args:
+        task: whose cell, grasp and path.
+        steps: how many the path takes.
+        options: of :class:`coopqp.baselines.PseudoInverseOptions`.
+    """
+    made = PseudoInverseOptions(**options)
+    return PseudoInverseController(task.cell, task.grasp, task.path, dt=task.path.duration / steps, options=made)
 
 
 def drive(
