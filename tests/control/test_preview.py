@@ -12,6 +12,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from marks import slow_but_first
+from runs import preview_of
 from user_paths import Jumping, Opaque
 
 from coopqp import (
@@ -21,7 +22,6 @@ from coopqp import (
     LimitKind,
     LinePath,
     ObjectPath,
-    PostureOptions,
     PreviewOptions,
     QPController,
     QPOptions,
@@ -29,10 +29,8 @@ from coopqp import (
     Status,
     WaypointPath,
 )
-from coopqp.control.lookahead.preview import PathPreview
 from coopqp.model.chain import Chain
 from coopqp.model.inverse_kinematics import newton
-from coopqp.model.posture import Posture
 from coopqp.native import available_kernels
 from coopqp.paths import TimeLaw
 from coopqp.scenarios import Scenario, at_limit, at_singularity, dual_arm7, mixed_cell, paper_lift
@@ -44,15 +42,6 @@ pytestmark = pytest.mark.core
 NIGHTLY = os.environ.get("HYPOTHESIS_PROFILE") == "nightly"
 DIRECTIONS = 40 if NIGHTLY else 6
 DT = 0.002
-
-
-def preview_of(task: Scenario, *, dt: float = DT, **options: Any) -> PathPreview:
-    posture = Posture(task.cell, PostureOptions())
-    posture.reset(task.q_start)
-    chain = Chain(task.cell, task.grasp)
-    preview = PathPreview(chain, task.path, posture, dt=dt, options=PreviewOptions(**options))
-    preview.reset(task.q_start, 0.0)
-    return preview
 
 
 class Joints:

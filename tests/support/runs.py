@@ -7,9 +7,12 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any
 
-from coopqp import ControlStep, LinePath, ObjectPath, QPController, QPOptions, Status
+from coopqp import ControlStep, LinePath, ObjectPath, PostureOptions, PreviewOptions, QPController, QPOptions, Status
 from coopqp.baselines import PseudoInverseController, PseudoInverseOptions
 from coopqp.control import Controller
+from coopqp.control.lookahead.preview import PathPreview
+from coopqp.model.chain import Chain
+from coopqp.model.posture import Posture
 from coopqp.paths import TimeLaw
 from coopqp.scenarios import Scenario, paper_lift
 
@@ -117,3 +120,18 @@ def drive(
         if rest is not None and waited >= rest:
             break
     return done
+
+
+def preview_of(task: Scenario, *, dt: float = 0.002, **options: Any) -> PathPreview:
+    """The look-ahead of a controller at a scenario's start, by itself.
+
+    Args:
+        task: whose cell, grasp, path and start.
+        dt: length of a step [s].
+        options: of :class:`coopqp.PreviewOptions`.
+    """
+    posture = Posture(task.cell, PostureOptions())
+    posture.reset(task.q_start)
+    preview = PathPreview(Chain(task.cell, task.grasp), task.path, posture, dt=dt, options=PreviewOptions(**options))
+    preview.reset(task.q_start, 0.0)
+    return preview

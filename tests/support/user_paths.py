@@ -45,6 +45,22 @@ class Marked(Opaque):
         return min(corner, self._mark) if clock < self._mark else corner
 
 
+class OnlyMarked(Opaque):
+    """It tells the clocks of its marks [s], and no corners.
+
+    Args:
+        path: whose poses.
+        marks: clocks at which there may be a corner [s].
+    """
+
+    def __init__(self, path: ObjectPath, *marks: float) -> None:
+        super().__init__(path)
+        self._marks = marks
+
+    def next_breakpoint(self, clock: float) -> float:
+        return min((mark for mark in self._marks if mark > clock), default=self.duration)
+
+
 class Jumping(Opaque):
     """A path that jumps, and says nothing of it.
 
