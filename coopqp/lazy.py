@@ -8,6 +8,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable
 from difflib import get_close_matches
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -55,6 +56,18 @@ def attach(
         return sorted({*vars(sys.modules[package]), *listed()})
 
     return get_or_say, all_listed, public
+
+
+def needed(module: str, extra: str, package: str) -> Any:
+    """A module of a package that an extra brings.
+
+    Raises:
+        MissingExtraError: it is not installed.
+    """
+    try:
+        return import_module(module)
+    except ImportError as error:
+        raise MissingExtraError(extra, package) from error
 
 
 def _imports(frame: Any) -> bool:

@@ -18,8 +18,7 @@ import numpy as np
 import pytest
 
 from coopqp import Recording, load_cell_file, simulate
-from coopqp.cli import main as cli
-from coopqp.cli import runs
+from coopqp.cli import main as cli, runs
 from coopqp.files.cellfile import CELLS, example_path
 from coopqp.simulation import RecordingError, Tolerances, judge, read_run
 from coopqp.simulation.evaluation.assessment import why

@@ -18,8 +18,7 @@ from coopqp import InvalidInputError, Recording, load_cell_file
 from coopqp.cli import main as cli
 from coopqp.cli.check import glance_at
 from coopqp.cli.terminal import Reporter
-from coopqp.files.cellfile import CELLS as PACKAGED
-from coopqp.files.cellfile import example_path
+from coopqp.files.cellfile import CELLS as PACKAGED, example_path
 from coopqp.files.cellfile.hints import load_hints, unit_hints
 from coopqp.visualization import cell_overview as glance
 from coopqp.visualization.cell_overview import shortfall

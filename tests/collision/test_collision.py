@@ -15,8 +15,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from convex import core_of, distance
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 from marks import slow_but_first, slow_unless
 from wrapped import Opaque
 

@@ -20,8 +20,7 @@ from pathlib import Path
 import pytest
 
 from coopqp import load_cell_file
-from coopqp.cli import demo
-from coopqp.cli import main as cli
+from coopqp.cli import demo, main as cli
 from coopqp.scenarios import robot_file
 from coopqp.simulation import Tolerances
 from coopqp.visualization import plots

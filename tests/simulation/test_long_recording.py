@@ -13,15 +13,13 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 from hypothesis.extra import numpy as arrays
 
 from coopqp import QPController, Recording, simulate
 from coopqp.scenarios import Scenario, at_limit
 from coopqp.simulation import Monitor, RecordingError, judge, read_run
-from coopqp.simulation.recording import recording as recordings
-from coopqp.simulation.recording import rows
+from coopqp.simulation.recording import recording as recordings, rows
 from coopqp.visualization import curves
 
 ARRAYS = ("time", "q", "q_command", "velocity", "clock", "rate", "status", "reference", "T_object_tool")

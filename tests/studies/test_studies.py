@@ -19,18 +19,26 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from coopqp import CoopqpError, simulate
 from coopqp.baselines import PseudoInverseController
-from coopqp.cli import main as cli
-from coopqp.cli import terminal
+from coopqp.cli import main as cli, terminal
 from coopqp.errors import MissingExtraError, OutputError
 from coopqp.scenarios import paper_lift
 from coopqp.simulation import read_run
-from coopqp.studies import Cluster, Engine, EngineError, Local, Study, StudyError, load_study, run_rows, sweep
-from coopqp.studies import engines as engines_module
+from coopqp.studies import (
+    Cluster,
+    Engine,
+    EngineError,
+    Local,
+    Study,
+    StudyError,
+    engines as engines_module,
+    load_study,
+    run_rows,
+    sweep,
+)
 from coopqp.studies.columns import FIGURES
 from coopqp.studies.drawing import DisturbancesTable, disturbances
 from coopqp.studies.journal import Journal, read_journal
