@@ -8,7 +8,6 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable
 from difflib import get_close_matches
-from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -65,9 +64,10 @@ def needed(module: str, extra: str, package: str) -> Any:
         MissingExtraError: it is not installed.
     """
     try:
-        return import_module(module)
+        __import__(module)
     except ImportError as error:
         raise MissingExtraError(extra, package) from error
+    return sys.modules[module]
 
 
 def _imports(frame: Any) -> bool:
