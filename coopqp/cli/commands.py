@@ -71,7 +71,7 @@ def _add_run(commands: Any) -> None:
 def _run_run(arguments: argparse.Namespace) -> int:
     from coopqp.cli import runs
     from coopqp.scenarios import SCENARIOS
-    from coopqp.simulation.evaluation.assessment import judge, why
+    from coopqp.simulation.evaluation.assessment import evaluate, why
     from coopqp.simulation.evaluation.figures import run_figures
     from coopqp.simulation.evaluation.readings import read_run
 
@@ -112,7 +112,7 @@ def _run_run(arguments: argparse.Namespace) -> int:
         files = runs.write_products(recording, folder, products, tell=report.note, force=arguments.force)
     cell = recording.cell(shapes=False)
     readings = read_run(cell, recording)
-    findings = judge(cell, recording, readings)
+    findings = evaluate(cell, recording, readings)
     if not arguments.quiet:
         _print_run(run_figures(cell, recording, readings), findings)
     print_written(files, apart=True, quiet=arguments.quiet)

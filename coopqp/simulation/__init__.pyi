@@ -1,5 +1,5 @@
 from .engine import engine_controller as engine_controller, engine_plant as engine_plant, run_in_engine as run_in_engine
-from .evaluation.assessment import Finding as Finding, Tolerances as Tolerances, judge as judge
+from .evaluation.assessment import Finding as Finding, Tolerances as Tolerances, evaluate as evaluate
 from .evaluation.calibration_runs import calibrate_runs as calibrate_runs
 from .evaluation.closeness import Closeness as Closeness, Closest as Closest
 from .evaluation.metrics import (

@@ -90,9 +90,9 @@ def legend_beside(axes: Axes, **options: Any) -> None:
     open_frame(axes)
 
 
-def arm_grid(shown: int) -> tuple[int, int, float]:
-    """Columns and blocks of rows for a block of panels an arm, and the width of the figure [inches]."""
-    columns = 2 if shown == 4 else min(3, shown) or 1
+def arm_grid(shown: int, *, most: int = 3) -> tuple[int, int, float]:
+    """Columns (at most so many) and blocks of rows for a block of panels an arm, and the figure's width [inches]."""
+    columns = min(most, shown) or 1
     return columns, max(-(-shown // columns), 1), WIDTH if columns > 1 else 7.0
 
 

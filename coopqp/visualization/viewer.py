@@ -334,7 +334,7 @@ class CellViewer(LiveViewer):
         self.stage = _glance_stage(self._server, found, sticks=self._sticks)
         gui = self._server.gui
         gui.configure_theme(show_share_button=False)
-        verdict, *lines = [*found.said(), *more.splitlines()]
+        verdict, *lines = [*found.lines(), *more.splitlines()]
         told = "\n\n".join(_plain(line) for line in lines)
         gui.add_markdown(f"**{_plain(found.name.replace('_', ' '))}**\n\n**{_plain(verdict)}**\n\n{told}")
         self._button = gui.add_button("Run", color="blue")
@@ -398,7 +398,7 @@ def export_glance(found: Glance, file: str | Path, *, more: str = "", sticks: bo
         serializer = server.get_scene_serializer()
         serializer.insert_sleep(1.0)
         document: str = serializer.as_html()
-    verdict, *lines = [*found.said(), *more.splitlines()]
+    verdict, *lines = [*found.lines(), *more.splitlines()]
     told = "<br>".join(html.escape(line) for line in lines)
     card = _CARD.format(title=html.escape(f"{found.name.replace('_', ' ')}: {verdict}"), subtitle=told)
     return _write_page(page, document, card)

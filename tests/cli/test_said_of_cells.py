@@ -172,7 +172,7 @@ def test_a_way_that_ends_is_shown_where_it_ends() -> None:
     found, _ = glance_at(cell("half.toml", dx=1.5), Reporter())
     assert 0.0 < found.clock < 0.6
     assert found.short["a"] < 1e-3
-    assert found.said()[0] == "INFEASIBLE"
+    assert found.lines()[0] == "INFEASIBLE"
 
 
 @pytest.mark.slow

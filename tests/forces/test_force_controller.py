@@ -497,7 +497,7 @@ def test_a_controller_of_a_user_gets_wrenches_if_it_says_so(task: Scenario) -> N
     """What wraps a controller is asked as the one within."""
 
     class Wrapped:
-        minds_wrenches = True
+        needs_wrenches = True
 
         def __init__(self, inner: ForceController) -> None:
             self.cell, self.grasp, self.path, self.dt = inner.cell, inner.grasp, inner.path, inner.dt
