@@ -30,7 +30,9 @@ def retarget_motion(loop: Any, path: ServoPath, ramp_time: RampTime, goal: pin.S
         return False
     for rate in (0.0,) if rests else dict.fromkeys((full, min(now, full))):
         if rests or rate > 0.0:
-            path.set_target(goal, clock=clock, rate=0.0 if rests else now / rate, effort=times, stops=ramp_time.stops)
+            path.set_target(
+                goal, clock=clock, rate=0.0 if rests else now / rate, ramp_times=times, stops=ramp_time.stops
+            )
             loop.look_ahead_again(rate=rate)
             if rests:
                 return True

@@ -59,6 +59,7 @@ class Memory:
             "G": at["further"], "owner": at["further_owner"], "dt": number("proposal", "dt"),
             "quiet_slack": number("loop", "quiet_slack"), "quiet_approach": number("loop", "quiet_approach"),
             **{name: at[name] for name in ("quiet_ahead_centre", "quiet_ahead_reach", "knots")},
+            **{name: at[name] for name in ("evading_positions", "evading_slope")},
             **{f"knot_{name}": at[f"knot_{name}"] for name in ("positions", "slope", "curvature")},
             "quiet_ahead_slack": number("loop", "quiet_ahead"), "quiet_ahead_approach": np.zeros(1),
             "knot_numbers": np.array([layout.SIZES["Knot"], layout.place(layout.Knot, "span")], dtype=float),

@@ -425,7 +425,9 @@ class PlainLoop:
         s.mismatch = expected(seen.apart.mismatch, shifted, linearised.closes)
         s.started, s.asked_shift, s.chain_held = True, None, seen.apart.holds
         s.v_before, s.v, s.q = linearised.stand_in, v, step.q_next
-        s.rate_slope, s.rate, s.clock = (rate - s.rate) / h, rate, clock_next
+        # A start sets the rate, and where no acceleration is limited the first step may leave it by a jump: no slope.
+        jumped = s.first and not self._box.accelerates
+        s.rate_slope, s.rate, s.clock = 0.0 if jumped else (rate - s.rate) / h, rate, clock_next
         s.last_dt, s.first, s.status = h, False, status
         s.reins.advance(self.options.blocked_rate, self._rate_cap.slope * h)
         return step
