@@ -82,7 +82,7 @@ def pytest_terminal_summary(terminalreporter: Any, config: pytest.Config) -> Non
 
 @pytest.fixture
 def rng(request: pytest.FixtureRequest) -> np.random.Generator:
-    """Random numbers with a seed for each test, the same in every run, and in whatever package's folder its file stands."""
+    """Random numbers with a seed for each test: the same in every run, and in any package's folder."""
     file, _, test = request.node.nodeid.partition("::")
     folder, _, name = file.rpartition("/")
     kept = folder if folder == "tests/reliability" else "tests"
