@@ -15,8 +15,7 @@ import pytest
 from processes import python
 
 from coopqp import __version__
-from coopqp.cli import demo
-from coopqp.cli import main as cli
+from coopqp.cli import demo, main as cli
 from coopqp.errors import OutputError
 from coopqp.native import available_kernels
 

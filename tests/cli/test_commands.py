@@ -17,10 +17,9 @@ from places import DOCS
 from processes import output, python
 
 from coopqp import Recording, load_cell_file, simulate
-from coopqp.cli import main as cli
-from coopqp.cli import runs
+from coopqp.cli import main as cli, runs
 from coopqp.files.cellfile import CELLS, example_path
-from coopqp.simulation import RecordingError, Tolerances, judge, read_run
+from coopqp.simulation import RecordingError, Tolerances, evaluate, read_run
 from coopqp.simulation.evaluation.assessment import why
 from coopqp.simulation.recording.scene import read_cell
 from coopqp.visualization import plots, viewer
@@ -199,7 +198,7 @@ def test_a_run_that_fails_says_why_where_and_since_when(case: str, capsys: pytes
         assert re.fullmatch(f"coopqp: failed: {message}", last), last
     recording = Recording.load("out0/recording.npz")  # the report says the same
     cell = read_cell(recording.metadata)
-    assert last == f"coopqp: failed: {why(judge(cell, recording, read_run(cell, recording)))[-1]}"
+    assert last == f"coopqp: failed: {why(evaluate(cell, recording, read_run(cell, recording)))[-1]}"
 
 
 def test_the_file_sets_the_tolerances(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

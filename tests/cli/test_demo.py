@@ -14,8 +14,9 @@ from marks import slow_but_first
 from places import ROOT
 
 from coopqp import InvalidInputError, QPController
-from coopqp.cli.demo import METHODS, DemoRun, check_demo, records_json, run_demo, run_method
+from coopqp.cli.demo import METHODS, DemoRun, check_demo, run_demo, run_method
 from coopqp.errors import UnknownNameError
+from coopqp.output import json_bytes
 from coopqp.scenarios import Scenario, paper_lift
 from coopqp.simulation.evaluation import metrics
 from coopqp.solvers import available_solvers
@@ -83,7 +84,7 @@ def test_every_joint_stays_inside_its_limits(paper: Scenario, run: Runner, metho
 
 def test_records_are_flat_and_keep_their_keys(run: Runner) -> None:
     runs = [run("pseudo_inverse", 40), run("qp", 40)]
-    records = json.loads(records_json(runs))
+    records = json.loads(json_bytes([run.record() for run in runs]))
     keys = ["method", "solver", "steps", "eps_p_mm", "eps_o_deg", "object_error_mm", "status"]
     assert [list(record) for record in records] == [keys, keys]
     assert records[0] == {
@@ -123,7 +124,7 @@ def test_a_run_that_does_not_arrive_is_not_ok(run: Runner) -> None:
 
 def test_a_figure_that_is_not_finite_is_null(run: Runner) -> None:
     broken = replace(run("pseudo_inverse", 40), eps_p_mm=np.nan)
-    assert json.loads(records_json([broken]))[0]["eps_p_mm"] is None
+    assert json.loads(json_bytes([broken.record()]))[0]["eps_p_mm"] is None
 
 
 def test_all_methods_run_in_order_with_progress(paper: Scenario) -> None:

@@ -19,8 +19,7 @@ from coopqp import InvalidInputError, Recording, load_cell_file
 from coopqp.cli import main as cli
 from coopqp.cli.check import glance_at
 from coopqp.cli.terminal import Reporter
-from coopqp.files.cellfile import CELLS as PACKAGED
-from coopqp.files.cellfile import example_path
+from coopqp.files.cellfile import CELLS as PACKAGED, example_path
 from coopqp.files.cellfile.hints import load_hints, unit_hints
 from coopqp.visualization import cell_overview as glance
 from coopqp.visualization.cell_overview import shortfall
@@ -173,7 +172,7 @@ def test_a_way_that_ends_is_shown_where_it_ends() -> None:
     found, _ = glance_at(cell("half.toml", dx=1.5), Reporter())
     assert 0.0 < found.clock < 0.6
     assert found.short["a"] < 1e-3
-    assert found.said()[0] == "INFEASIBLE"
+    assert found.lines()[0] == "INFEASIBLE"
 
 
 @pytest.mark.slow

@@ -15,8 +15,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from convex import core_of, distance
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 from marks import slow_but_first, slow_unless
 from places import BAR
 from runs import built
@@ -59,7 +58,7 @@ from coopqp.scenarios import (
     plate_and_table,
     random_posts,
 )
-from coopqp.simulation import Closeness, Monitor, check_run, judge, read_run
+from coopqp.simulation import Closeness, Monitor, check_run, evaluate, read_run
 from coopqp.simulation.evaluation.closeness import with_clearance
 
 MARGIN = 0.02
@@ -552,7 +551,7 @@ def test_the_verdict_says_where_it_was_closest(avoided: bool) -> None:
     controller = QPController(scenario.cell, scenario.grasp, scenario.path, dt=scenario.dt, constraints=constraints)
     recording = simulate(controller, q_start=scenario.q_start, patience=0.1)
     recording = with_clearance(recording, scene, avoided=avoided)
-    found = judge(scenario.cell, recording, read_run(scenario.cell, recording))[-1]
+    found = evaluate(scenario.cell, recording, read_run(scenario.cell, recording))[-1]
     assert found.holds is avoided
     said = "nothing touched: closest 20 mm, object and post at" if avoided else "object and post at"
     assert found.answer.startswith(said)
@@ -664,7 +663,7 @@ def test_a_hull_much_larger_than_its_mesh_is_named(tmp_path: Path) -> None:
     assert check.clearance.record()["notes"] == [said]
     run = simulate(QPController(task.cell, task.grasp, task.path, dt=0.05), q_start=task.q_start)
     run = with_clearance(run, scene, avoided=False)
-    assert said in next(f.answer for f in judge(task.cell, run, read_run(task.cell, run)) if "clear" in f.question)
+    assert said in next(f.answer for f in evaluate(task.cell, run, read_run(task.cell, run)) if "clear" in f.question)
     around = pin.SE3(np.eye(3), task.path.pose(0.0).translation - [0.2, 0.0, 0.0])
     scene = CollisionScene.of(task, obstacles=[replace(meshes[1], placement=around)])
     with pytest.raises(InvalidInputError, match=r"and pair overlap .* pair counts as the convex hull of its mesh"):
@@ -1033,7 +1032,7 @@ def test_a_cell_file_says_what_to_keep_away_from(tmp_path: Path) -> None:
     file.write_text(BAR.read_text(encoding="utf-8"), encoding="utf-8")
     free = load_cell_file(file).run()
     assert not free.metadata["clearance"]["avoided"]
-    assert judge(task.scenario.cell, free, read_run(task.scenario.cell, free))[-1].holds
+    assert evaluate(task.scenario.cell, free, read_run(task.scenario.cell, free))[-1].holds
 
 
 @pytest.mark.parametrize(

@@ -226,7 +226,7 @@ def test_no_step_looks_far_ahead_at_once(monkeypatch: pytest.MonkeyPatch) -> Non
     preview = preview_of(task)
     newton_step, calls = preview._chain._newton_step, [0]
 
-    def counted(clock: float, q: Array, **options: Any) -> bool:
+    def counted(clock: float, q: Array, **options: Any) -> Any:
         calls[0] += 1
         return newton_step(clock, q, **options)
 

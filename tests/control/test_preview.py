@@ -275,7 +275,7 @@ def test_every_arm_keeps_away_from_the_end_of_its_reach_by_what_joints_cover_in_
     preview = preview_of(at_singularity(kind, 1, acceleration=10.0), dt=0.05)
     while not preview.horizon.complete:
         assert preview._growth.step()
-    rooms = np.array([knot.rooms for knot in preview.horizon.knots])
+    rooms = np.array([knot.steps_to_reach_end for knot in preview.horizon.knots])
     assert 1.0 < rooms.min() < 2.0
     assert (rooms[-1] > 10.0).sum() == 2
     assert preview.horizon.knots[-1].binding == BindingLimit("arm_2", "", LimitKind.REACH)
@@ -293,7 +293,7 @@ def test_the_way_back_from_the_end_of_a_reach_is_free(kind: Any) -> None:
     preview = preview_of(replace(out, path=path, q_start=last.q), dt=0.05)
     while not preview.horizon.complete:
         assert preview._growth.step()
-    rooms = np.array([knot.rooms for knot in preview.horizon.knots])
+    rooms = np.array([knot.steps_to_reach_end for knot in preview.horizon.knots])
     assert rooms[0].min() < 1.0 < rooms[-1].min()
     assert (np.diff(rooms, axis=0).min(axis=0) < 0.0).any()
     assert preview.horizon.knots[-1].clock == path.duration

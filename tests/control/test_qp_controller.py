@@ -224,7 +224,7 @@ def test_master_slave_the_object_is_where_the_master_carries_it(master: int) -> 
                 duration=3.0,
             ),
         )
-    steps = run(task, common_error=CommonError.master(master))
+    steps = run(task, common_error=CommonError.leader(master))
     d, a = views(task, steps, master)
     assert d < 1e-3 * MM
     assert a < 1e-6
@@ -247,7 +247,7 @@ def test_driver_orients_and_master_positions() -> None:
     """The paper's mode I: the master determines the object's position, the driver its orientation."""
     task = with_mismatch(paper_lift(time_law=TimeLaw.QUINTIC), 0, (0, 0, 0), TURN)
     task = with_mismatch(task, 2, SHIFT)
-    strategy = CommonError.driver(master="master", driver="slave_2")
+    strategy = CommonError.driver(leader="master", driver="slave_2")
     steps = run(task, common_error=strategy, path_gain=0.0)
     positions, angles = zip(*(views(task, steps, k) for k in range(3)), strict=True)
     assert positions[0] < 0.05 * MM  # second order in the mismatch
@@ -256,7 +256,7 @@ def test_driver_orients_and_master_positions() -> None:
     assert positions[2] > 0.8 * np.linalg.norm(SHIFT)
     assert chain_of(task, steps)[-1] < 1e-6 * MM
     # With only a master, the driver turns to the master's orientation.
-    other = run(task, common_error=CommonError.master("master"), path_gain=0.0)
+    other = run(task, common_error=CommonError.leader("master"), path_gain=0.0)
     assert views(task, other, 0)[1] == pytest.approx(np.linalg.norm(TURN), rel=0.02)
     assert views(task, other[-1:], 2)[1] == pytest.approx(np.linalg.norm(TURN), rel=0.02)
 
@@ -267,7 +267,7 @@ def test_weights_per_axis_are_what_the_strategies_are_made_of() -> None:
     weights = np.zeros((3, 6))
     weights[0] = 1.0
     a = run(task, longest=50, common_error=CommonError.per_axis(weights))
-    b = run(task, longest=50, common_error=CommonError.master())
+    b = run(task, longest=50, common_error=CommonError.leader())
     assert all(np.array_equal(x.velocity, y.velocity) for x, y in zip(a, b, strict=True))
 
 
@@ -278,7 +278,7 @@ def test_weights_that_do_not_fit(weights: Any) -> None:
     with pytest.raises(InvalidInputError, match="CommonError"):
         built(paper_lift(), common_error=CommonError.per_axis(weights))
     with pytest.raises(UnknownNameError, match="Did you mean 'slave_1'"):
-        built(paper_lift(), common_error=CommonError.master("slave1"))
+        built(paper_lift(), common_error=CommonError.leader("slave1"))
 
 
 # -- drift and its correction ------------------------------------------------------------------------------------------

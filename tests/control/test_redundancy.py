@@ -55,8 +55,7 @@ def test_the_joint_that_is_worst_off_is_led_away_by_the_least_self_motion(
         chain.evaluate(q, np.zeros(3))
         chain.invert()
         before = rng.normal(size=cell.nv) * cell.limits.velocity
-        slope = before.copy()
-        avoidance.lead_away(x, slope)
+        slope = avoidance.led_away(x, before)
         down, up, beyond = wanted(cell, q, before)
         own, changed = self_motions(cell, q), (slope - before) / cell.limits.velocity
         worst = int(beyond.argmax())

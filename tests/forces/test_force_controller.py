@@ -10,8 +10,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 from marks import slow_but_first
 
 from coopqp import (
@@ -499,7 +498,7 @@ def test_a_controller_of_a_user_gets_wrenches_if_it_says_so(task: Scenario) -> N
     """What wraps a controller is asked as the one within."""
 
     class Wrapped:
-        minds_wrenches = True
+        needs_wrenches = True
 
         def __init__(self, inner: ForceController) -> None:
             self.cell, self.grasp, self.path, self.dt = inner.cell, inner.grasp, inner.path, inner.dt

@@ -14,8 +14,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from cells import rx90l
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 from numpy.typing import NDArray
 
 import coopqp.model.arm

@@ -72,7 +72,7 @@ def exhaustive(arm: Arm, X: pin.SE3, path: Any, rng: Any) -> bool:
 
 def way_inside(kinematics: ArmKinematics, poses: Any, starts: Any) -> bool:
     """Whether a way from one of these starts is inside the limits at some turn, and away from singularities."""
-    ways, reached = kinematics.ways(poses, starts)
+    ways, reached = kinematics.trajectories(poses, starts)
     for way in ways[reached == len(poses) - 1]:
         fits = []
         for j in range(kinematics.n):
@@ -248,7 +248,7 @@ def test_every_arm_without_a_start_is_named(paper: Scenario) -> None:
         ({"free_roll": {"master": ["round"]}}, InvalidInputError, r"free_roll\['master'\]"),
         ({"free_roll": {"master": [np.nan]}}, InvalidInputError, r"free_roll\['master'\]"),
         ({"q_near": np.zeros(3)}, InvalidInputError, "q_near"),
-        ({"effort": 0}, InvalidInputError, "effort"),
+        ({"seed_factor": 0}, InvalidInputError, "seed_factor"),
         ({"grasp": Grasp((np.eye(4),))}, InvalidInputError, "1 placements for 3 arms"),
     ],
 )

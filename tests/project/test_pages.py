@@ -21,8 +21,7 @@ import pytest
 from places import ROOT
 
 from coopqp import load_cell_file
-from coopqp.cli import demo
-from coopqp.cli import main as cli
+from coopqp.cli import demo, main as cli
 from coopqp.scenarios import robot_file
 from coopqp.simulation import Tolerances
 from coopqp.visualization import plots

@@ -15,8 +15,7 @@ from markdown_it import MarkdownIt
 from PIL import Image
 from places import ROOT
 
-from coopqp.cli import demo
-from coopqp.cli import main as cli
+from coopqp.cli import demo, main as cli
 
 README = (ROOT / "README.md").read_text(encoding="utf-8")
 

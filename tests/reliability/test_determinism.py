@@ -79,7 +79,7 @@ def test_the_order_of_the_arms_does_not_matter(
         task = with_mismatch(make(), 1, (0.0, 0.001, 0.0))  # which the controller corrects
         names = task.cell.arm_names
         orders = list(itertools.permutations(range(len(names))))[1:]
-        for common in (CommonError.master(names[0]), CommonError.leaderless()):
+        for common in (CommonError.leader(names[0]), CommonError.leaderless()):
             options = QPOptions(common_error=common, shortcut=how == "as it comes")
             first = commands(task, names, options, 150)
             for i in rng.permutation(len(orders))[: count(5)]:
