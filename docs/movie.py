@@ -41,14 +41,22 @@ def run(lift: Scenario, kind: type[QPController | IndependentQPController]) -> R
 
 
 def scenes(lift: Scenario, recording: Recording, times: Array) -> list[list[Solid]]:
-    """The arms and their plates at each time; after the end, as at the end."""
+    """The arms and their plates at each time; after the end, as at the end, the very same."""
     samples = np.minimum(np.searchsorted(recording.time, times), recording.n_steps)
+    samples, of_time = np.unique(samples, return_inverse=True)
     drawn = cell_solids(lift.cell, recording.q[samples])
     for scene, tools in zip(drawn, tool_placements(lift.cell, recording.q[samples]), strict=True):
         views = [T * X.inverse() * lift.T_object_body for T, X in zip(tools, lift.grasp.T_object_tool, strict=True)]
         apart = any(np.linalg.norm(pin.log6(views[0].actInv(view)).vector) > 1e-4 for view in views)
         scene += map(partial(box_solid, lift.object_size), views if apart else views[:1], COLOURS)
-    return drawn
+    return [drawn[i] for i in of_time]
+
+
+def drawn_once(side: list[list[Solid]], view: View) -> list[Array]:
+    """A picture of each scene; of scenes that are the same, one."""
+    scenes = {id(scene): scene for scene in side}
+    pictures = dict(zip(scenes, render(list(scenes.values()), view, width=WIDTH), strict=True))
+    return [pictures[id(scene)] for scene in side]
 
 
 def words(lift: Scenario, recording: Recording, chain: Array, time: float) -> list[tuple[str, str]]:
@@ -71,7 +79,7 @@ def film(file: Path) -> Path:
     times = np.arange(0.0, max(r.time[-1] for r in runs.values()) + 1.0 / FPS, 1.0 / FPS)
     sides = {name: scenes(lift, recording, times) for name, recording in runs.items()}
     view = View.around([scene for side in sides.values() for scene in side[::8]], azimuth=125.0, elevation=22.0)
-    pictures = {name: render(side, view, width=WIDTH) for name, side in sides.items()}
+    pictures = {name: drawn_once(side, view) for name, side in sides.items()}
     height = pictures["coopqp"][0].shape[0]
     font = {
         bold: ImageFont.truetype(

@@ -82,9 +82,11 @@ def pytest_terminal_summary(terminalreporter: Any, config: pytest.Config) -> Non
 
 @pytest.fixture
 def rng(request: pytest.FixtureRequest) -> np.random.Generator:
-    """Random numbers with a seed for each test, the same in every run and in whatever folder its file stands."""
+    """Random numbers with a seed for each test: the same in every run, and in any package's folder."""
     file, _, test = request.node.nodeid.partition("::")
-    return np.random.default_rng(zlib.crc32(f"tests/{file.rpartition('/')[2]}::{test}".encode()))
+    folder, _, name = file.rpartition("/")
+    kept = folder if folder == "tests/reliability" else "tests"
+    return np.random.default_rng(zlib.crc32(f"{kept}/{name}::{test}".encode()))
 
 
 @pytest.fixture(scope="session")

@@ -3,9 +3,10 @@
 Places are sampled in each package and in the C code. At each, one change is made (``mutants/python.py``,
 ``mutants/c.py``) in a copy of the tree, and tests run until one fails. Which ones: those in the folder that is named
 like the package, then those of the packages that import it; of both those that execute the line, the quickest and the
-most particular first, up to a number of seconds. The map of lines and tests is measured once, with coverage.py, and
-kept (``--map``; remove the file after larger changes); what a test does in another process is not in it. A mutant of C
-is compiled and meets the quick tests marked ``core``, those first that killed the most until then.
+most particular first, up to a number of seconds. The map of lines and tests is measured once, folder by folder as it is
+needed, with coverage.py, and kept (``--map``; remove the file after larger changes); what a test does in another
+process is not in it. A mutant of C is compiled and meets the quick tests marked ``core``, those first that killed the
+most until then.
 
 A mutant that survives lacks a test, or is equivalent: then ``mutants/equivalent.py`` says why. A mutant that makes the
 tests run for ever is killed by its share of processor time, which another program's work does not use up.
@@ -104,21 +105,43 @@ def chosen(group: str, number: int, seed: int) -> list[Mutant]:
 
 
 class Trial:
-    """Mutants meet their tests, in one copy."""
+    """Mutants meet their tests, in one copy.
 
-    def __init__(self, copy: Copy, reach: Reach, *, seconds: float, slow: bool, core: list[str]) -> None:
-        self._copy, self._reach, self._seconds, self._slow = copy, reach, seconds, slow
-        self._core, self._kills = core, Counter[str]()
+    Args:
+        copy: of the tree.
+        map_file: which test executes which line; what is missing is measured when it is asked for.
+        seconds: of tests that a mutant meets in each of the two lines.
+        slow: tests marked slow, too.
+    """
+
+    def __init__(self, copy: Copy, map_file: Path, *, seconds: float, slow: bool) -> None:
+        self._copy, self._reach, self._map_file, self._seconds = copy, Reach.of(map_file), map_file, seconds
+        self._marks = ("not slow", "slow") if slow else ("not slow",)
+        files = (f for f in (ROOT / "tests").rglob("test_*.py") if f.parent.name != "browser")
+        self._files = sorted(str(f.relative_to(ROOT)) for f in files)
+        self._core = [f for f in self._files if "mark.core" in (ROOT / f).read_text(encoding="utf-8")]
+        self._kills = Counter[str]()
 
     def test(self, mutant: Mutant) -> None:
         """Write the mutant, run its tests, put the file back."""
         started = time.monotonic()
-        with self._copy.changed(mutant.module, mutant.write(self._copy.folder)) as compiled:
-            mutant.killer = self._killer(mutant) if compiled else "the compiler"
+        for folders in folders_of(mutant.group) if mutant.group != "C" else [[]]:
+            for mark in self._marks if folders else ():  # before the file is changed
+                self._reach.measure(
+                    self._copy, [f for f in self._files if f.startswith(tuple(folders))], mark, self._map_file
+                )
+            with self._copy.changed(mutant.module, mutant.write(self._copy.folder)) as compiled:
+                mutant.killer = self._killer(mutant, folders) if compiled else "the compiler"
+            if mutant.killer:
+                break
         mutant.outcome = "killed" if mutant.killer else "equivalent" if mutant.why_equivalent else "survived"
         mutant.seconds = round(time.monotonic() - started, 1)
 
-    def _killer(self, mutant: Mutant) -> str:
+    def first_failure(self) -> str:
+        """The test of the compiled code that fails without any mutation, or ""."""
+        return self._copy.killer(self._core, "-m", CORE, limit=3600)
+
+    def _killer(self, mutant: Mutant, folders: list[str]) -> str:
         if mutant.group == "C":
             first = [name for name, _ in self._kills.most_common(12)]
             killer = self._copy.killer(first, limit=120) or self._copy.killer(self._core, "-m", CORE, limit=300)
@@ -127,12 +150,9 @@ class Trial:
             return killer
         source = (self._copy.folder / mutant.module).read_text(encoding="utf-8")
         line = source.splitlines()[mutant.line - 1] if mutant.line in in_functions(source) else ""
-        marks = () if self._slow else ("-m", "not slow")
-        for folders in folders_of(mutant.group):
-            tests = self._reach.tests(mutant.module, line, self._seconds, folders)
-            if killer := self._copy.killer(tests, *marks, limit=int(60 + 6 * self._seconds)):
-                return killer
-        return ""
+        tests = self._reach.tests(mutant.module, line, self._seconds, folders)
+        marks = ("-m", "not slow") if len(self._marks) == 1 else ()
+        return self._copy.killer(tests, *marks, limit=int(60 + 6 * self._seconds))
 
 
 def report(mutants: list[Mutant]) -> float:
@@ -185,17 +205,11 @@ def main() -> int:
     others = [m for m in kept if m.group not in args.only]
     mutants = [m for m in mutants if m.key not in known]
     print(f"{len(tested)} were killed before or are equivalent, {len(mutants)} are left", flush=True)
-    files = sorted(str(f.relative_to(ROOT)) for f in (ROOT / "tests").rglob("test_*.py") if f.parent.name != "browser")
-    asked = tuple(folder for group in args.only if group != "C" for line in folders_of(group) for folder in line)
     with tempfile.TemporaryDirectory() as folder:
-        copy, reach = Copy(Path(folder) / "tree"), Reach.of(args.map)
-        for mark in ("not slow", "slow") if args.slow else ("not slow",):
-            reach.measure(copy, [f for f in files if f.startswith(asked)], mark, args.map)
-        core = [f for f in files if "mark.core" in (ROOT / f).read_text(encoding="utf-8")]
-        if "C" in args.only and (killer := copy.killer(core, "-m", CORE, limit=3600)):
+        trial = Trial(Copy(Path(folder) / "tree"), args.map, seconds=args.seconds, slow=args.slow)
+        if "C" in args.only and (killer := trial.first_failure()):
             print(f"without any mutation {killer} fails")
             return 2
-        trial = Trial(copy, reach, seconds=args.seconds, slow=args.slow, core=core)
         for m in mutants:
             trial.test(m)
             tested.append(m)

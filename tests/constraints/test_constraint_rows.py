@@ -113,10 +113,10 @@ class Sighted:
     def tightened(self, rows: LabelledRows, q_next: Array, v: Array, dt: float) -> Array | None:
         return None
 
-    def in_memory(self, memory: Any) -> None:
+    def in_memory(self, memory: Any, *, ahead: bool = False) -> None:
         return None
 
-    def room(self, knot: Knot) -> int:
+    def stopping_pair(self, knot: Knot, among: Any = None) -> int:
         return -1
 
     def evaded(self, q: Array, slope: Array) -> Array:

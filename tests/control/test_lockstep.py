@@ -516,8 +516,9 @@ def test_both_agree_while_redundant_arms_avoid_limits(joint: int) -> None:
 @pytest.mark.parametrize("robot", ["rx90l", "arm7"])
 @pytest.mark.parametrize("arms", [2, 5, 12, 16])
 def test_both_agree_with_many_arms(arms: int, robot: Any) -> None:
+    task = ring(arms=arms, robot=robot)
     for mode in ("nominal", "one arm lags", "always a QP", "an arm stalls"):
-        run_in(mode, ring(arms=arms, robot=robot), 120)
+        run_in(mode, task, 120)
 
 
 def halfway(task: Scenario) -> Scenario:

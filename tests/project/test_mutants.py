@@ -76,9 +76,13 @@ def test_the_tests_of_a_line_come_first(line: str, seconds: float, tests: list[s
     assert reach.tests("m.py", f"    {line}" if line else "", seconds) == tests
 
 
-def test_the_tests_of_a_package_come_before_those_of_its_importers() -> None:
+def test_only_tests_in_the_folders_asked_for_are_chosen() -> None:
     reach = Reach({}, {}, {"m.py": ["tests/cli/test_a.py::b", "tests/forces/test_a.py::c"]})
     assert reach.tests("m.py", "", 9.0, ["tests/forces/"]) == ["tests/forces/test_a.py::c"]
+
+
+@pytest.mark.slow
+def test_the_tests_of_a_package_come_before_those_of_its_importers() -> None:
     own, second = folders_of("forces")
     assert own == ["tests/forces/"]
     assert {"tests/cli/", "tests/simulation/", "tests/reliability/"} <= {*second}
