@@ -22,7 +22,7 @@ faults = Disturbances(encoder_noise=2e-5, lag=dict.fromkeys(arms, 0.005), stall=
 robots = DisturbedPlant(cell, lift.grasp, faults)
 
 q = robots.reset(lift.q_start)
-controller.reset(lift.q_start)  # the last command; runs the preview, so before the loop
+controller.reset(lift.q_start)  # the last command; runs the look-ahead, so before the loop
 for _ in range(50):  # warm up caches and branch predictors, then start again
     controller.step(q)
 controller.reset(lift.q_start)

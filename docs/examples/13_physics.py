@@ -1,4 +1,4 @@
-"""Your cell in a physics engine: forces, and a watch.  python docs/examples/13_physics.py"""
+"""A physics engine, and force monitoring.  python docs/examples/13_physics.py"""
 
 import sys
 from pathlib import Path
@@ -61,7 +61,7 @@ plant = coopqp.simulation.PhysicsPlant.of(
 
 
 def drag_along(stiffness):
-    """The largest force of an arm after each step [N], with a watch if there is a stiffness."""
+    """The largest force of an arm after each step [N], monitored if there is a stiffness."""
     supervision = coopqp.SupervisionOptions(stiffness=stiffness, force_limit=300.0)
     options = coopqp.QPOptions(supervision=supervision)
     cell = lift.cell.with_limits(acceleration=10.0)

@@ -1,4 +1,4 @@
-"""Judge a run by its commands alone, then or later.  python docs/examples/14_monitor.py"""
+"""Evaluate a run by its commands alone, then or later.  python docs/examples/14_monitor.py"""
 
 from coopqp import QPController, simulate
 from coopqp.baselines import PseudoInverseController

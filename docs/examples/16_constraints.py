@@ -33,8 +33,8 @@ class Box:  # a VelocityConstraint
         J, p = T.rotation @ object_jacobian(self.grasp, state)[:3], T.translation
         return J, -self.speed(p - self.low, dt), self.speed(self.high - p, dt)
 
-    def speed(self, room, dt):  # from which the object can stop: v dt + v²/(2 a) = room
-        return np.sqrt((self.a * dt) ** 2 + 2 * self.a * np.maximum(room, 0)) - self.a * dt
+    def speed(self, distance, dt):  # from which the object can stop: v dt + v²/(2 a) = distance
+        return np.sqrt((self.a * dt) ** 2 + 2 * self.a * np.maximum(distance, 0)) - self.a * dt
 
 
 class SlowPoint:  # a VelocityConstraint

@@ -24,8 +24,8 @@ def lifted(cell, grasp, disturbances):
     """A lift in the engine; the recording, and the wrenches at its end."""
     plant = coopqp.simulation.PhysicsPlant.of(lift, disturbances=disturbances)
     # This run squeezes on purpose: no supervision may stop it.
-    watch = coopqp.SupervisionOptions(slow_from=0.005, hold_from=0.01, stall_samples=10_000)
-    options = coopqp.QPOptions(supervision=watch)
+    loose = coopqp.SupervisionOptions(slow_from=0.005, hold_from=0.01, stall_samples=10_000)
+    options = coopqp.QPOptions(supervision=loose)
     controller = coopqp.QPController(cell, grasp, lift.path, dt=lift.dt, options=options)
     q_start = coopqp.inverse_kinematics(cell, grasp, lift.path.pose(0.0), lift.q_start)
     return coopqp.simulate(controller, plant, q_start=q_start, settle=0.3), plant.wrenches()

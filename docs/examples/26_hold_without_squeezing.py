@@ -1,4 +1,4 @@
-"""Hold without squeezing.  python docs/examples/26_hold_without_squeezing.py [--out FOLDER]"""
+"""Relax internal forces.  python docs/examples/26_hold_without_squeezing.py [--out FOLDER]"""
 
 import sys
 import warnings

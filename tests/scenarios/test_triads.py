@@ -12,7 +12,7 @@ from coopqp.scenarios import abb_lift, kuka_lift, mixed_lift, paper_lift
 from coopqp.simulation import evaluate, read_run
 from coopqp.studies import Placer
 
-#: Baseline's ε_p at N = 400 [mm], least σ_min, and least joint margin [deg]; see docs/howto/bases.md.
+#: Baseline's ε_p at N = 400 [mm], least σ_min, and least joint margin [deg]; see docs/howto/place.md.
 TRIADS = {
     "paper_lift": (paper_lift, 0.871, 0.169, 56.4),
     "kuka_lift": (kuka_lift, 0.844, 0.210, 65.5),
