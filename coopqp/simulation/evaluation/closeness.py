@@ -1,8 +1,7 @@
-"""How close bodies came in a run, judged from its commanded configurations alone, between its steps, too.
+"""How close bodies came in a run, from its commanded configurations alone, also between its steps.
 
-The controllers' bounds and rows play no part in it: bodies are placed by Pinocchio's kinematics, and coal is asked for
-the distances of two bodies. The motion of two bodies between samples bounds the change of their distance, so few
-distances are computed.
+The controllers' bounds and rows play no part in it: bodies are placed by Pinocchio's kinematics, and coal computes the
+distance of two bodies. Their motion between samples bounds the change of their distance, so few distances are computed.
 """
 
 from __future__ import annotations
@@ -32,7 +31,7 @@ from coopqp.spatial import Array
 PARTS = 4
 #: A body's way between two samples is at most this many times the way that its placements show.
 _BENT = 1.05
-#: Largest number of samples that are judged; of longer runs every second, third, … sample is.
+#: Largest number of evaluated samples; of longer runs every second, third, … sample.
 MOST_JUDGED = 50_000
 #: Samples of the distances over a run.
 MOST_SAMPLES = 200
@@ -69,10 +68,10 @@ class _Placed(NamedTuple):
 
 @final
 class Closeness:
-    """Judges one scene.
+    """Distances of one scene over a run.
 
     Args:
-        scene: the pairs that are judged, with their margins. Pairs with bodies that move by themselves are left out.
+        scene: the pairs, with their margins. Pairs with bodies that move by themselves are left out.
     """
 
     def __init__(self, scene: CollisionScene) -> None:
@@ -281,7 +280,7 @@ class Closeness:
 
 
 def default_scene(scenario: Scenario) -> CollisionScene | None:
-    """The bodies of a scenario without margins, to judge runs by; None where its arms have no shapes."""
+    """The bodies of a scenario without margins, to evaluate runs; None where its arms have no shapes."""
     box = Body("object", Box(scenario.object_size), scenario.T_object_body)
     return _plain_scene(scenario.cell, scenario.grasp, box, scenario.obstacles)
 
@@ -344,7 +343,7 @@ def _nearest(
 ) -> tuple[list[float], list[list[list[float]]]]:
     """The nearest pair at configurations (T, nq), for pictures: its distances (T,) [m], its points (T, 2, 3) [m].
 
-    The controllers' distances choose the pair; the judge says its distance.
+    The controllers' distances choose the pair; its distance is that of ``closeness``.
     """
     distances, apart, points = Distances(scene.built), list[float](), []
     for row in q:

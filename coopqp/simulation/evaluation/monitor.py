@@ -27,7 +27,7 @@ from coopqp.paths.path import ObjectPath
 from coopqp.simulation.evaluation.assessment import Tolerances
 from coopqp.simulation.evaluation.blocks import Block, faults_of, recorded_block, sound_steps
 from coopqp.simulation.evaluation.closeness import Closeness
-from coopqp.simulation.evaluation.object_gaps import object_gaps
+from coopqp.simulation.evaluation.metrics import object_gaps
 from coopqp.simulation.evaluation.readings import check_recording
 from coopqp.simulation.evaluation.violations import Verdict, Violation, ViolationKind, Worst
 from coopqp.simulation.evaluation.wrench_bounds import WrenchBounds, excesses

@@ -18,7 +18,7 @@ from coopqp.spatial import Array
 class Monitored:
     """A controller with a monitor. The monitor judges every step, and detects changes of the caller's arrays.
 
-    A controller that needs wrenches gets them, and the monitor sees them, and by how much the grasps give way.
+    A controller that needs wrenches gets them. The monitor sees them, too, and by how much the grasps give way.
 
     Args:
         controller: the judged controller; use its other methods directly.
@@ -59,8 +59,8 @@ class Monitored:
     ) -> ControlStep:
         """Compute and judge the controller's step."""
         kept, felt = _copy(q_measured), _copy(wrenches)
-        minded = {"wrenches": wrenches} if self.needs_wrenches else {}
-        step: ControlStep = self._inner.step(q_measured, dt=dt, **minded)
+        more = {"wrenches": wrenches} if self.needs_wrenches else {}
+        step: ControlStep = self._inner.step(q_measured, dt=dt, **more)
         self._unchanged(q_measured, kept, "q_measured")
         self._unchanged(wrenches, felt, "wrenches")
         self.monitor.observe(step, wrenches=wrenches, shift=getattr(self, "shift", None))
