@@ -7,10 +7,11 @@ import json
 import re
 from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
+from marks import slow_but_first
+from places import ROOT
 
 from coopqp import InvalidInputError, QPController
 from coopqp.cli.demo import METHODS, DemoRun, check_demo, run_demo, run_method
@@ -64,7 +65,7 @@ def test_the_qp_keeps_the_chain_and_the_path(run: Runner, steps: int, bound: flo
     assert qp.status == "ok"
 
 
-@pytest.mark.parametrize("steps", [40, 400])
+@pytest.mark.parametrize("steps", slow_but_first([40, 400]))
 @pytest.mark.parametrize("solver", available_solvers())
 def test_every_solver_agrees(run: Runner, solver: str, steps: int) -> None:
     expected, other = run("qp", steps), run("qp", steps, solver)
@@ -160,7 +161,7 @@ def test_wider_grasps_drift_more() -> None:
 
 @pytest.mark.slow
 def test_the_table_of_the_readme_is_measured(run: Runner) -> None:
-    text = (Path(__file__).parents[2] / "README.md").read_text(encoding="utf-8")
+    text = (ROOT / "README.md").read_text(encoding="utf-8")
     rows = re.findall(r"^\| `(\w+)` \| (.+) \|$", text, flags=re.MULTILINE)
     assert [name for name, _ in rows] == list(METHODS)
     for name, cells in rows:

@@ -13,6 +13,7 @@ import pinocchio as pin
 import pytest
 from convex import core_of, distance
 from matplotlib.image import imread
+from places import CELL_FILES
 
 from coopqp import InvalidInputError, Recording, load_cell_file
 from coopqp.cli import main as cli
@@ -24,7 +25,6 @@ from coopqp.visualization import cell_overview as glance
 from coopqp.visualization.cell_overview import shortfall
 from coopqp.visualization.viewer import CellViewer
 
-CELLS = Path(__file__).parents[2] / "docs" / "examples" / "cells"
 CELL = """
 name = "said"
 steps = {steps}
@@ -250,17 +250,17 @@ def test_what_may_be_meant_is_not_asked_about(line: str) -> None:
 
 
 def test_no_cell_of_the_pages_is_asked_about() -> None:
-    files = [*CELLS.glob("*.toml"), *map(example_path, PACKAGED)]
+    files = [*CELL_FILES.glob("*.toml"), *map(example_path, PACKAGED)]
     assert len(files) > 6
     assert [hint for file in files for hint in unit_hints(file)] == []
 
 
 @pytest.mark.slow
 def test_a_mass_beyond_the_torques_is_asked_about(capsys: pytest.CaptureFixture[str]) -> None:
-    text = (CELLS / "lift_in_engine.toml").read_text(encoding="utf-8")
+    text = (CELL_FILES / "lift_in_engine.toml").read_text(encoding="utf-8")
     heavy = re.sub(r"mass_kg = [\d.]+", "mass_kg = 9000", text)
     assert heavy != text
-    assert not load_hints(load_cell_file(CELLS / "lift_in_engine.toml"))
+    assert not load_hints(load_cell_file(CELL_FILES / "lift_in_engine.toml"))
     Path("heavy.toml").write_text(heavy, encoding="utf-8")
     (said,) = load_hints(load_cell_file("heavy.toml"))
     assert "kilograms" in said

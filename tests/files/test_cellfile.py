@@ -17,6 +17,7 @@ import pinocchio as pin
 import pytest
 from hypothesis import given, settings, strategies as st
 from marks import slow_unless
+from places import CELL_FILES
 from ruamel.yaml import YAML
 
 from coopqp import (
@@ -46,7 +47,7 @@ from coopqp.simulation import PhysicsOptions, PhysicsPlant, Tolerances, evaluate
 
 #: Options of types that a file cannot hold.
 NOT_IN_FILES = {(PostureOptions, "target"), (SupervisionOptions, "stiffness")}
-EXAMPLES = sorted((Path(__file__).parents[2] / "docs" / "examples" / "cells").glob("*.toml"))
+EXAMPLES = sorted(CELL_FILES.glob("*.toml"))
 PAPER = example_path("paper_lift").read_text()
 
 

@@ -11,6 +11,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from hypothesis import given, strategies as st
+from marks import slow_but_first
 
 from coopqp import (
     Cause,
@@ -691,7 +692,7 @@ class Pushed:
         return out
 
 
-@pytest.mark.parametrize("kernel", available_kernels())
+@pytest.mark.parametrize("kernel", slow_but_first(available_kernels()))
 @pytest.mark.parametrize("way", [(0.0, 0.0, 1.0), (-0.6, 0.0, 0.8)])
 def test_a_push_on_the_object_holds_it_with_the_direction(kernel: str, way: Any, task: Scenario) -> None:
     """Also an object of another mass than told. It goes back, and rests until it is told to go on."""

@@ -13,7 +13,7 @@ import pinocchio as pin
 import pytest
 from scipy.interpolate import make_interp_spline
 from scipy.linalg.lapack import dgesv
-from wrapped import Opaque
+from user_paths import Opaque
 
 from coopqp import (
     Arm,

@@ -11,7 +11,8 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from marks import slow_unless
-from wrapped import Opaque
+from places import BAR
+from user_paths import Opaque
 
 from coopqp import (
     Clearance,
@@ -397,7 +398,6 @@ def test_the_command_judges_distances(tmp_path: Path, capsys: pytest.CaptureFixt
     assert "all margins are kept, which is proved; closest 23 mm, left/link_3 and knob" in capsys.readouterr().out
 
 
-BAR = Path(__file__).parents[2] / "docs" / "examples" / "cells" / "bar.toml"
 TABLE = """
 [collision]
 margin_m = 0.005

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 import pytest
+from cells import one_arm_file
 from marks import slow_but_first
 from user_cells import CELLS, build
 
@@ -326,27 +327,12 @@ def test_a_start_inside_limits_is_not_spoken_of(paper: Scenario) -> None:
     assert all(controller.step().reason == "" for _ in range(5))
 
 
-CELL_FILE = """
-name = "one"
-{start}
-[[arms]]
-name = "a"
-robot = "rx90l"
-[grasp]
-kind = "{grasp}"
-{tools}
-[path]
-kind = "hold"
-pose = {{ xyz_m = [{x}, 0.1, 0.6], rpy_deg = [0, 120, 0] }}
-duration_s = 1.0
-"""
+HOLD = """kind = "hold"
+pose = {{ xyz_m = [{x}, 0.1, 0.6], rpy_deg = [0, 120, 0] }}"""
 
 
-def cell_file(folder: Path, *, start: str = "", grasp: str = "tools", x: float = 0.7) -> Path:
-    file = folder / "one.toml"
-    tools = "tools.a = {}" if grasp == "tools" else ""
-    file.write_text(CELL_FILE.format(start=start, grasp=grasp, tools=tools, x=x), encoding="utf-8")
-    return file
+def cell_file(folder: Path, *, x: float = 0.7, **others: str) -> Path:
+    return Path(one_arm_file(folder, HOLD.format(x=x), **others))
 
 
 @pytest.mark.parametrize("start", ["", 'start = "auto"'])

@@ -13,11 +13,11 @@ from pathlib import Path
 import pytest
 from apart import run_apart
 from pictures import MOST_PIXELS, PROGRAMS, difference, drawn_alike
+from places import ROOT
 
 import coopqp
 from coopqp.native.constants import RECOVERY_SHARE
 
-ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"
 EXAMPLES = sorted((DOCS / "examples").glob("[0-9][0-9]_*.py"))
 PAGES = sorted(p for p in DOCS.rglob("*.md") if "_build" not in p.parts)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from marks import slow_but_first
 
 from coopqp import QPController, simulate
 from coopqp.baselines import PseudoInverseController
@@ -20,7 +21,7 @@ TRIADS = {
 }
 
 
-@pytest.mark.parametrize("name", TRIADS)
+@pytest.mark.parametrize("name", slow_but_first(TRIADS))
 def test_the_lift_ends_and_the_baseline_drifts_as_with_the_papers_arms(name: str) -> None:
     make, drift, *_ = TRIADS[name]
     lift = make()

@@ -102,13 +102,13 @@ class Pieces:
 
 @dataclass(frozen=True, eq=False)
 class Answer:
-    """A solved step: joint velocities and what was given up."""
+    """A solved step: joint velocities, path speed, and the slack of each priority (see :class:`GivenUp`)."""
 
     velocity: Array
     rate: float
-    grasp_share: float
-    path_share: float
-    off_path: Array
+    grasp_share: float = 1.0
+    path_share: float = 1.0
+    off_path: Array = field(default_factory=lambda: np.zeros(6))
     chain: float = 0.0
 
 
