@@ -63,19 +63,19 @@ class ArmCheck:
         b = self.chosen
         follow = sum(follows(x.verdict) for x in self.branches)
         if len(self.branches) > 1:
-            said = f"arm {self.arm}: {follow} of {len(self.branches)} branches follow the path"
+            text = f"arm {self.arm}: {follow} of {len(self.branches)} branches follow the path"
             open_ = sum(x.verdict is PathVerdict.UNDECIDED for x in self.branches)
-            said += f", {open_} {'is' if open_ == 1 else 'are'} not decided" if open_ else ""
+            text += f", {open_} {'is' if open_ == 1 else 'are'} not decided" if open_ else ""
         else:
-            said = f"arm {self.arm} {'follows the path' if follow else 'may not follow the path'}"
+            text = f"arm {self.arm} {'follows the path' if follow else 'may not follow the path'}"
         i, m = int(b.sigma_min.argmin()), int(b.manipulability.argmin())
-        said += (
+        text += (
             f"; least margin {self._margin(b)}; σ_min {b.sigma_min[i]:.3g} ({b.clocks[i]:.2f} s); "
             f"manipulability {b.manipulability[m]:.3g} ({b.clocks[m]:.2f} s)."
         )
         if b.why:
-            said += f" It {b.why}."
-        return said
+            text += f" It {b.why}."
+        return text
 
     def _margin(self, branch: BranchCheck) -> str:
         j = branch.tightest

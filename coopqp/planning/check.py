@@ -1,8 +1,8 @@
 """Can the arms follow a path? The verdict before the motion, per arm and for the whole cell.
 
 With the object's path given, each arm follows its own tool's path, so each arm is judged by itself; only distances
-between bodies concern all arms. The verdict is about the way, not about the speed: a joint that is too slow
-slows the object, it does not stop it.
+between bodies concern all arms. The verdict is about the trajectory, not about the speed: a joint that is too
+slow slows the object, it does not stop it.
 """
 
 from __future__ import annotations
@@ -134,14 +134,14 @@ class PathCheck:
         4 % of the duration, which saves time and keeps inside the limits. The path itself where nothing is proved,
         or where no arm has more than six joints.
         """
-        way = self.proved_trajectory()
-        if way is None or not any(len(arm.joints) > 6 for arm in self.arms):
+        trajectory = self.proved_trajectory()
+        if trajectory is None or not any(len(arm.joints) > 6 for arm in self.arms):
             return self.path
-        clocks, first = np.unique(way.clocks(way.places), return_index=True)
+        clocks, first = np.unique(trajectory.clocks(trajectory.places), return_index=True)
         if len(clocks) < 2:
             return self.path
         path = copy.copy(self.path)
-        elbows = Elbows.through(clocks, way.positions(way.places[first])[0])
+        elbows = Elbows.through(clocks, trajectory.positions(trajectory.places[first])[0])
         path.elbows = elbows.smoothed() if self.clearance is None else elbows
         path.keeps_clear = path.keeps_clear or self.clearance is not None
         return path
@@ -152,11 +152,11 @@ class PathCheck:
 
     def proved_trajectory(self) -> CellTrajectory | None:
         """The motion of all joints that is proved, over the places of the path; None where nothing is."""
-        ways = [arm.chosen.trajectory for arm in self.arms if arm.chosen is not None]
+        trajectories = [arm.chosen.trajectory for arm in self.arms if arm.chosen is not None]
         segments = segments_of(self.path)
         if self.verdict is not PathVerdict.CERTIFIED or self.q_start is None or segments is None:
             return None
-        return CellTrajectory(self.cell, self.path, segments, ways, self.cell.positions(self.q_start))
+        return CellTrajectory(self.cell, self.path, segments, trajectories, self.cell.positions(self.q_start))
 
     def explain(self) -> str:
         """The verdict, a line per arm and one for distances, in sentences; then the remedies."""
@@ -267,7 +267,7 @@ def check_motion(cell: RobotCell, grasp: Grasp, path: TimedPath, x: Array, scene
     """The verdict on one motion of all arms along a planned path, with the distances of a scene.
 
     :func:`check_path` chooses a motion of the elbows of redundant arms; this is for a given one. Distances are looked
-    at where the arms' ways are proved.
+    at where the arms' trajectories are proved.
 
     Args:
         cell, grasp, path: the arms, their grasps, and the path.
@@ -289,8 +289,8 @@ def check_motion(cell: RobotCell, grasp: Grasp, path: TimedPath, x: Array, scene
         arms.append(_arm_check(kinematics, branch, [branch], None))
     clearance = None
     if worst([arm.verdict for arm in arms]) is PathVerdict.CERTIFIED:
-        ways = [arm.chosen.trajectory for arm in arms if arm.chosen is not None]
-        clearance = scene.along(CellTrajectory(cell, path, segments, ways, x[0]))
+        trajectories = [arm.chosen.trajectory for arm in arms if arm.chosen is not None]
+        clearance = scene.along(CellTrajectory(cell, path, segments, trajectories, x[0]))
     return _judged(cell, grasp, path, arms, cell.configuration(x[0]), clearance, scene, given=True)
 
 
@@ -356,18 +356,18 @@ def _distances(
     *,
     any_start: bool,
 ) -> tuple[list[ArmCheck], ClearanceCheck]:
-    """Distances along the ways of the arms, or along others that their self-motion allows; and the arms on them."""
+    """Distances along the arms' trajectories, or along others that their self-motion allows; and the arms on them."""
 
-    def way_of(arms: list[ArmCheck]) -> CellTrajectory:
+    def trajectory_of(arms: list[ArmCheck]) -> CellTrajectory:
         return CellTrajectory(
             cell, path, segments, [arm.chosen.trajectory for arm in arms if arm.chosen is not None], rest
         )
 
-    way = way_of(arms)
-    found = scene.along(way, any_start=any_start)
-    if found.verdict is not PathVerdict.UNDECIDED or segments is None or not way.complete:
+    trajectory = trajectory_of(arms)
+    found = scene.along(trajectory, any_start=any_start)
+    if found.verdict is not PathVerdict.UNDECIDED or segments is None or not trajectory.complete:
         return arms, found
-    other = scene.evading(way)
+    other = scene.evading(trajectory)
     if other is None:
         return arms, found
     places, x = other
@@ -382,7 +382,7 @@ def _distances(
         evading.append(
             replace(arm, chosen=branch, branches=tuple(branch if b is arm.chosen else b for b in arm.branches))
         )
-    better = scene.along(way_of(evading), any_start=any_start)
+    better = scene.along(trajectory_of(evading), any_start=any_start)
     kept = all(new.verdict is old.verdict for new, old in zip(evading, arms, strict=True))
     return (evading, better) if kept and worst([better.verdict, found.verdict]) is found.verdict else (arms, found)
 
@@ -425,15 +425,15 @@ def _arm_check(
     kinematics: ArmKinematics, chosen: BranchCheck | None, branches: list[BranchCheck], found: ArmOnPath | None
 ) -> ArmCheck:
     name = kinematics.arm.name
-    said = ""
+    reason = ""
     if chosen is None:
         assert found is not None
-        said = trouble(found)
+        reason = trouble(found)
     elif chosen.verdict is PathVerdict.INFEASIBLE:
         best = max(branches, key=lambda branch: (branch.until, float(branch.margins.min())))
-        said = f"arm {name} {best.why}"
+        reason = f"arm {name} {best.why}"
         if len(branches) > 1:
-            said += f" (the best of its {len(branches)} branches)"
+            reason += f" (the best of its {len(branches)} branches)"
         chosen = best
     return ArmCheck(
         arm=name,
@@ -441,7 +441,7 @@ def _arm_check(
         slides=tuple(bool(x) for x in kinematics.slides),
         chosen=chosen,
         branches=tuple(branches),
-        trouble=said,
+        trouble=reason,
     )
 
 

@@ -177,15 +177,15 @@ def clear_rows(
     cell: RobotCell, grasp: Grasp, samples: PathSamples, options: Sequence[Sequence[Array]], scene: Bodies
 ) -> tuple[int, ...] | None:
     """Index of one start (n,) per arm, so that all margins are kept; None if there are none. The best come first."""
-    ways = []
+    trajectories = []
     for arm, own, X, starts in zip(cell.arms, cell.v_slices, grasp.T_object_tool, options, strict=True):
         kinematics = ArmKinematics(arm)
         walks = kinematics.walk(samples.tool_poses(X), np.array(starts).reshape(-1, kinematics.n))
         rest = np.clip(np.zeros(own.stop - own.start), cell.limits.lower[own], cell.limits.upper[own])
-        way = np.tile(rest, (*walks.q.shape[:2], 1))
-        way[:, :, kinematics.columns] = walks.q
-        ways.append(way)
-    return scene.clear_choice(ways)
+        trajectory = np.tile(rest, (*walks.q.shape[:2], 1))
+        trajectory[:, :, kinematics.columns] = walks.q
+        trajectories.append(trajectory)
+    return scene.clear_choice(trajectories)
 
 
 def _put_together(

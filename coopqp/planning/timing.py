@@ -1,7 +1,8 @@
 """Timing before the motion: the fastest way along a path under the joints' limits, as a path of its own.
 
-With the object's path given the joints' ways are known (:mod:`coopqp.planning.knots`). The remaining choice is the
-speed ṡ along them. In ``z = ṡ²`` and s̈ all limits are lines: ``q̇ = q′ ṡ``, ``q̈ = q′ s̈ + q″ z``, ``τ = a s̈ + b z + c``.
+With the object's path given the joint trajectories are known (:mod:`coopqp.planning.knots`). What remains to be chosen
+is the speed ṡ along them. In ``z = ṡ²`` and s̈ all limits are lines: ``q̇ = q′ ṡ``, ``q̈ = q′ s̈ + q″ z``,
+``τ = a s̈ + b z + c``.
 """
 
 from __future__ import annotations

@@ -321,8 +321,8 @@ class CellViewer(LiveViewer):
         gui = self._server.gui
         gui.configure_theme(show_share_button=False)
         verdict, *lines = [*found.lines(), *more.splitlines()]
-        told = "\n\n".join(_plain(line) for line in lines)
-        gui.add_markdown(f"**{_plain(found.name.replace('_', ' '))}**\n\n**{_plain(verdict)}**\n\n{told}")
+        text = "\n\n".join(_plain(line) for line in lines)
+        gui.add_markdown(f"**{_plain(found.name.replace('_', ' '))}**\n\n**{_plain(verdict)}**\n\n{text}")
         self._button = gui.add_button("Run", color="blue")
         self._button.on_click(lambda _: self._press())
         self._text = gui.add_markdown("")
@@ -336,12 +336,12 @@ class CellViewer(LiveViewer):
             return super().update(elapsed)
         if self._asked:
             self._asked, self._button.disabled = False, True
-            told = -1
+            percent_shown = -1
 
             def progress(done: int, planned: int) -> None:
-                nonlocal told
-                if (percent := 100 * done // max(planned, 1)) != told:
-                    told = percent
+                nonlocal percent_shown
+                if (percent := 100 * done // max(planned, 1)) != percent_shown:
+                    percent_shown = percent
                     self._text.content = f"running: {min(percent, 100)} %"
 
             try:
@@ -385,5 +385,5 @@ def export_glance(found: Glance, file: str | Path, *, more: str = "", sticks: bo
         serializer.insert_sleep(1.0)
         document: str = serializer.as_html()
     verdict, *lines = [*found.lines(), *more.splitlines()]
-    told = "<br>".join(html.escape(line) for line in lines)
-    return _write_page(page, document, f"{found.name.replace('_', ' ')}: {verdict}", told)
+    text = "<br>".join(html.escape(line) for line in lines)
+    return _write_page(page, document, f"{found.name.replace('_', ' ')}: {verdict}", text)

@@ -221,8 +221,8 @@ def _blame(recording: Recording, first: int, last: int) -> str:
         worst = sorted(seconds, key=lambda limit: (-seconds[limit], str(limit)))
         return " by " + ", ".join(map(str, worst[:MAX_BLAMED]))
     notes = [note.partition(": ") for note in recording.notes]
-    said = [text for step, _, text in notes if step.isdigit() and first <= int(step) < last]
-    return f": {said[-1].rstrip('.')}" if said else ""
+    reasons = [text for step, _, text in notes if step.isdigit() and first <= int(step) < last]
+    return f": {reasons[-1].rstrip('.')}" if reasons else ""
 
 
 def _positions(cell: RobotCell, recording: Recording) -> Finding:

@@ -73,8 +73,8 @@ def _in_turn(changes: list[_Change]) -> str:
     often = Counter(change.kind for change in changes)
     statuses = sorted({status for status, _ in often}, key=lambda status: -status.precedence)
     names = " and ".join(status.name for status in statuses)
-    said = max(often, key=lambda kind: (kind[0] is not Status.TRACKING, often[kind]))
-    text = next(change.text for change in changes if change.kind == said)
+    most = max(often, key=lambda kind: (kind[0] is not Status.TRACKING, often[kind]))
+    text = next(change.text for change in changes if change.kind == most)
     turns = f"{names} in turn" if len(statuses) > 1 else f"{names} for several reasons in turn"
     when = f"{len(changes)} changes from {changes[0].time:.3f} s to {changes[-1].time:.3f} s"
     return f"{changes[0].step}: {turns}, {when}; most often: {text}"
