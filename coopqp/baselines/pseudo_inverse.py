@@ -95,7 +95,7 @@ class PseudoInverseController:
     ) -> None:
         require(grasp, Grasp, "PseudoInverseController: grasp", "Give a Grasp of the placements.")
         grasp.check_arms(cell)
-        self._turn = Lock()
+        self._lock = Lock()
         self.cell, self.grasp, self.path = cell, grasp, path
         self.dt = as_scalar(dt, "PseudoInverseController: dt")
         self.options = as_options(PseudoInverseOptions, options, "PseudoInverseController: options")

@@ -1,4 +1,4 @@
-"""Result of a path check for one arm: the judged branch, its margins, and its obstacles."""
+"""Result of a path check for one arm: the checked branch, its margins, and its obstacles."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class ArmCheck:
         arm: its name.
         joints: names of the joints that move its tool, n of them.
         slides: True for prismatic joints (n,).
-        chosen: the branch that is judged; None if the arm does not reach its grasp at the start of the path.
+        chosen: the branch that is checked; None if the arm does not reach its grasp at the start of the path.
         branches: all branches at the start of the path, the best first; of a redundant arm the best samples. Only the
             given one if a start was given.
         trouble: why the arm cannot follow the path: a sentence; empty otherwise.

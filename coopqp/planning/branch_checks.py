@@ -97,7 +97,7 @@ class ToolPath:
         clocks, poses: clocks (K,) [s] and T_world_tool (K, 4, 4) of the knots.
         offset: T_object_tool (4, 4).
         segments, segment, share: the path and the place of each knot on it (K,); None if only samples are known.
-        end: duration of the path [s]; 0 if it is judged by its start alone.
+        end: duration of the path [s]; 0 if it is checked by its start alone.
     """
 
     clocks: Array

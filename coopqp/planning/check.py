@@ -1,6 +1,6 @@
 """Can the arms follow a path? The verdict before the motion, per arm and for the whole cell.
 
-With the object's path given, each arm follows its own tool's path, so each arm is judged by itself; only distances
+With the object's path given, each arm follows its own tool's path, so each arm is checked by itself; only distances
 between bodies concern all arms. The verdict is about the trajectory, not about the speed: a joint that is too
 slow slows the object, it does not stop it.
 """
@@ -47,7 +47,7 @@ from coopqp.planning.segments import Segments, segments_of
 from coopqp.planning.starts import clear_rows, exact_start
 from coopqp.spatial import Array
 
-#: Most branches of a redundant arm that are judged; they are samples of its self-motion.
+#: Most branches of a redundant arm that are checked; they are samples of its self-motion.
 _MOST_REDUNDANT = 8
 #: A knot within this share of a piece from its end is at the end.
 _AT_MARK = 1e-9
@@ -100,7 +100,7 @@ class PathCheck:
         verdict: the worst verdict of the arms and of their distances.
         intervals: intervals on which an arm is not decided, in the order of the arms.
         arms: result for each arm.
-        q_start: the start that is judged (nq,); None if an arm has none.
+        q_start: the start that is checked (nq,); None if an arm has none.
         cell, grasp, path: the task.
         given: True if the start was given.
         clearance: result for distances; None without a scene, or if an arm cannot follow the path.
@@ -130,7 +130,7 @@ class PathCheck:
     def led_path(self) -> ObjectPath:
         """The path with the motion of the elbows that is proved: a controller leads redundant arms along it.
 
-        From :attr:`q_start`, and with bodies that were judged clear of them. Without bodies the motion is smoothed over
+        From :attr:`q_start`, and clear of the bodies that were checked. Without bodies the motion is smoothed over
         4 % of the duration, which saves time and keeps inside the limits. The path itself where nothing is proved,
         or where no arm has more than six joints.
         """
@@ -160,8 +160,8 @@ class PathCheck:
 
     def explain(self) -> str:
         """The verdict, a line per arm and one for distances, in sentences; then the remedies."""
-        judged = self.clearance is not None
-        how = " and keep their distances" if judged else ""
+        has_scene = self.clearance is not None
+        how = " and keep their distances" if has_scene else ""
         head = {
             PathVerdict.CERTIFIED: f"The arms can follow the whole path{how}: this is proved at every point of it.",
             PathVerdict.SAMPLED: f"The arms follow the path{how} at samples; between them nothing is proved.",
@@ -228,7 +228,7 @@ def check_path(
 
     Args:
         cell, grasp, path: the arms, their grasps and the object's path.
-        q_start: the start (nq,): only its branches are judged. By default every branch of each arm is judged, as in
+        q_start: the start (nq,): only its branches are checked. By default every branch of each arm is checked, as in
             :func:`find_start`, and the best one is chosen.
         scene: the bodies that keep distances, a :class:`coopqp.CollisionScene` of the same cell; without it
             distances play no part. Without a start branches are chosen that keep clear.
@@ -260,7 +260,7 @@ def check_path(
         arms, clearance = _distances(
             cell, grasp, path, samples, segments, arms, scene, cell.positions(start), any_start=q_start is None
         )
-    return _judged(cell, grasp, path, arms, start, clearance, scene, given=q_start is not None)
+    return _result(cell, grasp, path, arms, start, clearance, scene, given=q_start is not None)
 
 
 def check_motion(cell: RobotCell, grasp: Grasp, path: TimedPath, x: Array, scene: Bodies) -> PathCheck | None:
@@ -291,7 +291,7 @@ def check_motion(cell: RobotCell, grasp: Grasp, path: TimedPath, x: Array, scene
     if worst([arm.verdict for arm in arms]) is PathVerdict.CERTIFIED:
         trajectories = [arm.chosen.trajectory for arm in arms if arm.chosen is not None]
         clearance = scene.along(CellTrajectory(cell, path, segments, trajectories, x[0]))
-    return _judged(cell, grasp, path, arms, cell.configuration(x[0]), clearance, scene, given=True)
+    return _result(cell, grasp, path, arms, cell.configuration(x[0]), clearance, scene, given=True)
 
 
 def places_along(geometry: PathGeometry, s: Array) -> Array:
@@ -303,7 +303,7 @@ def places_along(geometry: PathGeometry, s: Array) -> Array:
     return np.where(np.abs(places - whole) < _AT_MARK, whole, places)
 
 
-def _judged(
+def _result(
     cell: RobotCell,
     grasp: Grasp,
     path: ObjectPath,
@@ -314,7 +314,7 @@ def _judged(
     *,
     given: bool,
 ) -> PathCheck:
-    """The answer, from the judgements of the arms and of their distances."""
+    """The answer, from the results of the arms and of their distances."""
     verdict = worst([arm.verdict for arm in arms] + ([clearance.verdict] if clearance is not None else []))
     return PathCheck(
         verdict=verdict,
@@ -336,7 +336,7 @@ def _judged(
 
 
 def _clear(cell: RobotCell, grasp: Grasp, samples: PathSamples, arms: list[ArmCheck], scene: Bodies) -> list[ArmCheck]:
-    """Judgements with the best branches that keep clear of each other, if any do."""
+    """Results with the best branches that keep clear of each other, if any do."""
     options = [[b for b in arm.branches if b.verdict is not PathVerdict.INFEASIBLE] for arm in arms]
     choice = clear_rows(cell, grasp, samples, [[b.q[0] for b in own] for own in options], scene)
     if choice is None:
@@ -390,7 +390,7 @@ def _distances(
 def _every_branch(
     kinematics: ArmKinematics, samples: PathSamples, X: pin.SE3, tool: ToolPath, seed_factor: int
 ) -> ArmCheck:
-    """Judge all branches of an arm, or the best ones of a redundant arm."""
+    """Check all branches of an arm, or the best ones of a redundant arm."""
     found = arm_on_path(kinematics, samples, X, near=np.empty((0, kinematics.n)), seed_factor=seed_factor)
     rows: Sequence[BranchAlongPath] = found.branches
     if kinematics.n > 6:
@@ -405,7 +405,7 @@ def _every_branch(
 
 
 def _given_branch(kinematics: ArmKinematics, tool: ToolPath, positions: Array) -> ArmCheck:
-    """Judge the branch that begins at ``positions``."""
+    """Check the branch that begins at ``positions``."""
     exact = kinematics.solve(tool.poses[:1], positions[None], tolerance=1e-11, steps=8)
     T = kinematics.tool_poses(positions[None])[0]
     away = pin.log6(pin.SE3(T).actInv(pin.SE3(tool.poses[0]))).vector

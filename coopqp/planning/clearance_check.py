@@ -112,7 +112,7 @@ class Bodies(Protocol):
         ...
 
     def along(self, way: CellTrajectory, *, any_start: bool = False) -> ClearanceCheck:
-        """Judge a way; with ``any_start`` first the pairs that stay too close from every start."""
+        """Check a way; with ``any_start`` first the pairs that stay too close from every start."""
         ...
 
     def evading(self, way: CellTrajectory) -> tuple[Array, Array] | None:

@@ -104,7 +104,7 @@ def plan(
             largest margins and singular values. Arms with more than six joints gain most: their starts differ in the
             elbow. Not with ``q_start``.
         scene: the bodies that keep distances, a :class:`coopqp.CollisionScene` of the same cell: the plan is
-            judged by :func:`check_path` and is given only if it is proved, or followed at samples. Not with ``starts``.
+            checked by :func:`check_path`, and is given only if proved or followed at samples. Not with ``starts``.
 
     Raises:
         NoStartError: an arm has no start from which it follows the path.

@@ -122,7 +122,7 @@ def find_start(
     """Find a start configuration from which every arm follows the whole path inside its limits.
 
     All branches of each arm at the start of the path are found and walked along the path; the one with the largest
-    margins and singular values is taken. A path without an end, or not known ahead, is judged by its start alone.
+    margins and singular values is taken. A path without an end, or not known ahead, is checked by its start alone.
 
     Args:
         cell, grasp, path: the arms, their grasps and the object's path.

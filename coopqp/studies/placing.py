@@ -1,7 +1,7 @@
 """Where bases may stand: figures of each arm and of the cell at placements of the bases, given the object's path.
 
-Given the path, each arm follows its own tool's path, so arms are judged apart: moving the path by D is moving each base
-by −D. Only distances and the common time couple them. N bases are N small searches.
+Given the path, each arm follows its own tool's path, so arms are checked apart: to move the path by D is to move each
+base by −D. Only distances and the common time couple them. N bases are N small searches.
 """
 
 from __future__ import annotations
@@ -211,7 +211,7 @@ class CellPlaced:
 
 @final
 class Placer:
-    """Judges placements of the bases of one task.
+    """Checks placements of the bases of one task.
 
     Args:
         cell, grasp, path: the task.
@@ -253,10 +253,10 @@ class Placer:
             moved = PathSamples(self.samples.clocks, tuple(T_base_world * T for T in self.samples.poses))
             X = self.grasp.T_object_tool[k]
             found = arm_on_path(self.arms[k], moved, X, near=self._near[k], quick=quick)
-            self._found[key] = self._judged(found, moved.tool_poses(X))
+            self._found[key] = self._result(found, moved.tool_poses(X))
         return self._found[key]
 
-    def _judged(self, found: ArmOnPath, poses: Array) -> ArmPlaced:
+    def _result(self, found: ArmOnPath, poses: Array) -> ArmPlaced:
         kinematics, name = found.kinematics, found.kinematics.arm.name
         if not found.feasible:
             best = max(found.branches, key=lambda row: (row.inside, row.reached, row.margins.min()), default=None)

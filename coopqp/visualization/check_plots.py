@@ -37,7 +37,7 @@ _PROVED, _OPEN = "#dcefe1", "#f6d7b0"
 
 
 def check_figure(check: PathCheck) -> Figure:
-    """Margins and σ_min of the branch that is judged, one column per arm; at most six arms, the tightest.
+    """Margins and σ_min of the branch that is checked, one column per arm; at most six arms, the tightest.
 
     Margins are shares of a joint's half range: 100 % in its middle, 0 % at a limit. The background is green where the
     arm is proved to follow the path, and orange where it is not decided. Where distances were checked, the least one is

@@ -203,7 +203,7 @@ class Closeness:
                     found.append((t - 1, NearPair(*self._labels[k], room + required), -room))
         return found
 
-    def judged(self, left_out: Iterable[tuple[str, str]]) -> list[int]:
+    def pairs_without(self, left_out: Iterable[tuple[str, str]]) -> list[int]:
         """Pairs of shapes, without the pairs of these names."""
         names = set(left_out)
         return [k for k in self._pairs if self._labels[k] not in names]
@@ -304,7 +304,7 @@ def with_clearance(recording: Recording, scene: CollisionScene | None, *, avoide
     """The recording with an entry ``clearance`` in its metadata: where bodies came closest.
 
     Entries: ``closest_m``, ``between``, ``time_s``, ``margin_m``, ``avoided``, ``left_out`` (pairs of names that
-    overlap at the start of a run without avoidance: the distances of these are not judged), ``times_s``,
+    overlap at the start of a run without avoidance: the distances of these are not checked), ``times_s``,
     ``distances_m`` and ``points_m``, the nearest points of both bodies. Where all pairs are left out only ``avoided``
     and ``left_out`` are there. ``notes`` are those of the scene. Entries ``bodies`` and ``carried`` hold what stands
     in the world and what the object is made of.
@@ -325,7 +325,7 @@ def with_clearance(recording: Recording, scene: CollisionScene | None, *, avoide
     if found is None:
         return replace(recording, metadata={**recording.metadata, "clearance": entry}) if left_out else recording
     rows = np.unique(np.linspace(0, len(q) - 1, MOST_SAMPLES).round().astype(int))
-    distances, points = _nearest(scene, closeness, q[rows], closeness.judged(left_out))
+    distances, points = _nearest(scene, closeness, q[rows], closeness.pairs_without(left_out))
     entry |= {
         "closest_m": found.pair.distance,
         "between": [found.pair.first, found.pair.second],
