@@ -91,7 +91,7 @@ class IndependentQPController:
     ) -> None:
         require(grasp, Grasp, "IndependentQPController: grasp", "Give a Grasp of the placements.")
         grasp.check_arms(cell)
-        self._turn = Lock()
+        self._lock = Lock()
         self.cell, self.grasp, self.path = cell, grasp, path
         self.dt = as_scalar(dt, "IndependentQPController: dt")
         o = self.options = as_options(IndependentQPOptions, options, "IndependentQPController: options")

@@ -95,7 +95,7 @@ class PseudoInverseController:
     ) -> None:
         require(grasp, Grasp, "PseudoInverseController: grasp", "Give a Grasp of the placements.")
         grasp.check_arms(cell)
-        self._turn = Lock()
+        self._lock = Lock()
         self.cell, self.grasp, self.path = cell, grasp, path
         self.dt = as_scalar(dt, "PseudoInverseController: dt")
         self.options = as_options(PseudoInverseOptions, options, "PseudoInverseController: options")
@@ -123,12 +123,12 @@ class PseudoInverseController:
 
     @property
     def override(self) -> float:
-        """The rate σ that is asked for."""
+        """The speed override: the wanted rate σ."""
         return self._override
 
     @alone
     def set_override(self, share: float) -> None:
-        """The rate σ from the next step on: 1 for the path's own speed, 0 for rest.
+        """Set the speed override from the next step on: 1 for the path's own speed, 0 for rest.
 
         Raises:
             InvalidInputError: not a number from 0 to 1; the old one stays.
@@ -162,7 +162,7 @@ class PseudoInverseController:
         """None: there is no core to step with wrenches."""
 
     def accepted_dt(self, dt: Any) -> float:
-        """Length of a step that is asked for [s]: the nominal one where none is, or it is refused."""
+        """Length of the next step [s]: the nominal one where ``dt`` is None or no length."""
         try:
             return self.dt if dt is None else as_scalar(dt, "dt")
         except InvalidInputError:
@@ -170,7 +170,7 @@ class PseudoInverseController:
 
     @property
     def reference(self) -> pin.SE3:
-        """Where the last step has asked for the object."""
+        """Pose of the path at the end of the last step."""
         return self.path.pose(self._clock)
 
     @property

@@ -66,9 +66,9 @@ def _run_check(arguments: argparse.Namespace) -> int:
             report.note("looking for remedies")
             check = with_remedies(check)
         files = _write(check, arguments.json, picture)
-    told = _unjudged(check, task.box)
+    overlap = _unjudged(check, task.box)
     if not arguments.quiet:
-        _print(check, told, branches=arguments.branches)
+        _print(check, overlap, branches=arguments.branches)
         print_written(files, apart=True)
     if check.feasible:
         return _FOLLOWS
@@ -164,9 +164,9 @@ def _write(check: PathCheck, record: Path | None, picture: Path | None) -> list[
     return write_files(contents)
 
 
-def _print(check: PathCheck, told: str, *, branches: bool) -> None:
+def _print(check: PathCheck, overlap: str, *, branches: bool) -> None:
     print(printable(check.verdict.value))
-    for line in [*check.explain().splitlines(), *told.splitlines()]:
+    for line in [*check.explain().splitlines(), *overlap.splitlines()]:
         print(printable(line))
     if branches:
         for arm in check.arms:

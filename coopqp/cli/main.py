@@ -77,7 +77,7 @@ def _show_warning(message: Any, category: type[Warning], *where: Any, **more: An
 
 
 def _ask_about_units(arguments: argparse.Namespace) -> None:
-    """Numbers of a cell file that look like another unit are asked about before it is built: that may fail for them."""
+    """Print questions about numbers of a cell file that look like another unit, before it is built and may fail."""
     from coopqp.files.cellfile import require_readers
     from coopqp.files.cellfile.error import TOML_SUFFIX, YAML_SUFFIXES
 

@@ -149,20 +149,33 @@ def write_products(
         UnknownNameError, OutputError: as in :func:`output_folder`.
         MissingExtraError: a product needs an extra that is not installed.
     """
+    from coopqp.files.export import write_bag, write_csv
+    from coopqp.visualization.report import write_report
+    from coopqp.visualization.viewer import export_html
+
     wanted = set(products)
     output_folder("", None, wanted, out=folder, force=force)
     if force and "bag" in wanted:
         _remove_bag(folder / PRODUCTS["bag"][0])
     say = tell or (lambda _: None)
-    makers: dict[str, Callable[[Recording, Path, Callable[[str], None]], list[Path]]] = {
-        "recording": lambda run, into, _: [save_recording(run, into / PRODUCTS["recording"][0])],
-        "report": _report,
-        "plots": _plots,
-        "page": _page,
-        "csv": _csv,
-        "bag": _bag,
-    }
-    return [file for name in PRODUCTS if name in wanted for file in makers[name](recording, folder, say)]
+    place = {product: folder / names[0] for product, names in PRODUCTS.items()}
+    files: list[Path] = []
+    if "recording" in wanted:
+        files.append(save_recording(recording, place["recording"]))
+    if "report" in wanted:
+        files.append(write_report(recording, place["report"], progress=say))
+    if "plots" in wanted:
+        files += _plots(recording, folder, say)
+    if "page" in wanted:
+        say("building the 3D page")
+        files.append(export_html(recording, place["page"]))
+    if "csv" in wanted:
+        say("writing the table")
+        files.append(write_csv(recording, place["csv"]))
+    if "bag" in wanted:
+        say("writing the bag")
+        files.append(write_bag(recording, place["bag"]))
+    return files
 
 
 def _remove_bag(bag: Path) -> None:
@@ -186,12 +199,6 @@ def save_recording(recording: Recording, file: Path) -> Path:
     """Write a recording, and its folder."""
     with folder_of(file):
         return recording.save(file)
-
-
-def _report(recording: Recording, folder: Path, say: Callable[[str], None]) -> list[Path]:
-    from coopqp.visualization.report import write_report
-
-    return [write_report(recording, folder / PRODUCTS["report"][0], progress=say)]
 
 
 def _plots(recording: Recording, folder: Path, say: Callable[[str], None]) -> list[Path]:
@@ -219,27 +226,6 @@ def _plots(recording: Recording, folder: Path, say: Callable[[str], None]) -> li
     if loads is not None:
         figures["loads.png"] = run_loads_figure(cell, loads)
     return write_files({folder / name: figure_bytes(figure) for name, figure in figures.items()})
-
-
-def _page(recording: Recording, folder: Path, say: Callable[[str], None]) -> list[Path]:
-    from coopqp.visualization.viewer import export_html
-
-    say("building the 3D page")
-    return [export_html(recording, folder / PRODUCTS["page"][0])]
-
-
-def _csv(recording: Recording, folder: Path, say: Callable[[str], None]) -> list[Path]:
-    from coopqp.files.export import write_csv
-
-    say("writing the table")
-    return [write_csv(recording, folder / PRODUCTS["csv"][0])]
-
-
-def _bag(recording: Recording, folder: Path, say: Callable[[str], None]) -> list[Path]:
-    from coopqp.files.export import write_bag
-
-    say("writing the bag")
-    return [write_bag(recording, folder / PRODUCTS["bag"][0])]
 
 
 def safe_name(name: str) -> str:

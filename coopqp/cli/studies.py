@@ -204,8 +204,8 @@ def _at(placed: CellPlaced) -> str:
 def _print_place(best: CellPlaced, now: CellPlaced | None, remedies: tuple[str, ...], files: list[Path]) -> None:
     for title, placed in (("as built", now), ("best" if best.feasible else "nearest", best)):
         if placed is not None:
-            said = f"{placed.score:.3f} of good" if placed.feasible else "impossible"
-            print(f"{title}: {_at(placed)}: {said}")
+            score = f"{placed.score:.3f} of good" if placed.feasible else "impossible"
+            print(f"{title}: {_at(placed)}: {score}")
             print(*(f"  {printable(line)}" for line in placed.explain().splitlines()), sep="\n")
     for text in remedies:
         print(printable(text))

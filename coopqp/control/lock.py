@@ -50,18 +50,18 @@ class Lock:
 
 class _Locked(Protocol):
     @property
-    def _turn(self) -> Any: ...
+    def _lock(self) -> Any: ...
 
 
 _Self = TypeVar("_Self", bound=_Locked)
 
 
 def alone(method: Callable[Concatenate[_Self, _P], _R]) -> Callable[Concatenate[_Self, _P], _R]:
-    """A method of an object with a ``_turn`` that raises BusyError while another thread works in the object."""
+    """A method of an object with a ``_lock`` that raises BusyError while another thread works in the object."""
 
     @functools.wraps(method)
     def guarded(self: _Self, *arguments: _P.args, **options: _P.kwargs) -> _R:
-        lock = self._turn
+        lock = self._lock
         lock.hold()
         try:
             return method(self, *arguments, **options)

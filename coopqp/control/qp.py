@@ -105,7 +105,7 @@ class QPController:
         self._take(path)
 
     @property
-    def _turn(self) -> Any:
+    def _lock(self) -> Any:
         return self._loop
 
     def _take(self, path: ObjectPath) -> None:

@@ -128,8 +128,8 @@ class ForceController:
     # -- calls of the inner controller ---------------------------------------------------------------------------
 
     @property
-    def _turn(self) -> Any:
-        return self.controller._turn
+    def _lock(self) -> Any:
+        return self.controller._lock
 
     @property
     def _qp(self) -> QPController:

@@ -1,4 +1,4 @@
-"""The task: object paths, the common error, the posture of redundant arms."""
+"""Paths of the object: its pose and twist over the path parameter, their geometry, and ready scenarios."""
 
 from coopqp.lazy import attach
 

@@ -1,4 +1,4 @@
-"""A user's own path, asked with care: it may raise or return anything, and a step gets a pose or a reason."""
+"""A user's own path behind checks: it may raise or return anything, and a step gets a pose or a reason."""
 
 from __future__ import annotations
 
@@ -70,15 +70,15 @@ def jump(far: float, clock: float) -> str:
 def _halved(
     ask: Callable[[float], Any], distance: Callable[[Any, Any], float], before: Any, after: Any, width: float
 ) -> Generator[None, None, tuple[float, float, tuple[Any, Any]] | None]:
-    """Halve an interval, keep the half in which more happens, until it is short; pauses before every question.
+    """Halve an interval, keep the half in which the value changes more, until it is short; pauses before every call.
 
     Args:
-        ask, distance: what is asked at a clock, and how far two answers are apart.
-        before, after: clocks and answers at both ends.
+        ask, distance: the function of the clock that is searched, and the distance of two of its values.
+        before, after: clocks and values at both ends.
         width: what is short [s].
 
     Returns:
-        The clock of its end [s], how much happens in it, and clocks and answers at both ends; None if the path fails.
+        The clock of its end [s], the change in it, and clocks and values at both ends; None if the path fails.
     """
     (start, low), (end, high) = before, after
     while end - start > width:
@@ -106,7 +106,7 @@ class GuardedPath:
         elbows: a motion of redundant arms on it; None if it has none.
         problem: what was wrong with the last pose or twist; empty if nothing was.
         own: whether the path is a user's.
-        asked: how often a user's path was asked.
+        asked: number of calls of a user's path.
     """
 
     def __init__(self, path: ObjectPath) -> None:

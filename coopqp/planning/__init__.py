@@ -1,7 +1,4 @@
-"""Ahead of the clock and before the motion: the path preview, starts, the check of a path, and its timing.
-
-Import names for users from here.
-"""
+"""Before the motion: starts, the check of a path and its remedies, timing and plans."""
 
 from coopqp.lazy import attach
 

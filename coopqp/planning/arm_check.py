@@ -1,4 +1,4 @@
-"""Result of a path check for one arm: the judged branch, its margins, and its obstacles."""
+"""Result of a path check for one arm: the checked branch, its margins, and its obstacles."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class ArmCheck:
         arm: its name.
         joints: names of the joints that move its tool, n of them.
         slides: True for prismatic joints (n,).
-        chosen: the branch that is judged; None if the arm does not reach its grasp at the start of the path.
+        chosen: the branch that is checked; None if the arm does not reach its grasp at the start of the path.
         branches: all branches at the start of the path, the best first; of a redundant arm the best samples. Only the
             given one if a start was given.
         trouble: why the arm cannot follow the path: a sentence; empty otherwise.
@@ -63,19 +63,19 @@ class ArmCheck:
         b = self.chosen
         follow = sum(follows(x.verdict) for x in self.branches)
         if len(self.branches) > 1:
-            said = f"arm {self.arm}: {follow} of {len(self.branches)} branches follow the path"
+            text = f"arm {self.arm}: {follow} of {len(self.branches)} branches follow the path"
             open_ = sum(x.verdict is PathVerdict.UNDECIDED for x in self.branches)
-            said += f", {open_} {'is' if open_ == 1 else 'are'} not decided" if open_ else ""
+            text += f", {open_} {'is' if open_ == 1 else 'are'} not decided" if open_ else ""
         else:
-            said = f"arm {self.arm} {'follows the path' if follow else 'may not follow the path'}"
+            text = f"arm {self.arm} {'follows the path' if follow else 'may not follow the path'}"
         i, m = int(b.sigma_min.argmin()), int(b.manipulability.argmin())
-        said += (
+        text += (
             f"; least margin {self._margin(b)}; σ_min {b.sigma_min[i]:.3g} ({b.clocks[i]:.2f} s); "
             f"manipulability {b.manipulability[m]:.3g} ({b.clocks[m]:.2f} s)."
         )
         if b.why:
-            said += f" It {b.why}."
-        return said
+            text += f" It {b.why}."
+        return text
 
     def _margin(self, branch: BranchCheck) -> str:
         j = branch.tightest

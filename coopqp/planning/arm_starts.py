@@ -42,7 +42,7 @@ class BranchAlongPath:
         margins: least margin of each joint along the way (n,) [rad or m]; negative outside, inf without limits.
         clocks: clock at which each joint has its least margin (n,) [s].
         sigma_min: smallest singular value of the tool's Jacobian at each sample of the path (K,).
-        score: lesser of margin and σ_min, in shares of good values; the larger, the better.
+        score: the smaller of margin and σ_min, each divided by a good value; the best branch has the largest.
         end: why the way ends before the path does; empty if it does not.
     """
 

@@ -97,7 +97,7 @@ class ToolPath:
         clocks, poses: clocks (K,) [s] and T_world_tool (K, 4, 4) of the knots.
         offset: T_object_tool (4, 4).
         segments, segment, share: the path and the place of each knot on it (K,); None if only samples are known.
-        end: duration of the path [s]; 0 if it is judged by its start alone.
+        end: duration of the path [s]; 0 if it is checked by its start alone.
     """
 
     clocks: Array
@@ -150,10 +150,10 @@ def check_branches(kinematics: ArmKinematics, path: ToolPath, starts: Array) -> 
     exact = exactness(path.poses)
     first = kinematics.solve(path.poses[:1], starts, tolerance=exact, steps=8).q
     walks = kinematics.walk(path.poses, first, tolerance=exact)
-    ways = [walks.q[m, : int(walks.reached[m]) + 1] for m in range(len(starts))]
+    trajectories = [walks.q[m, : int(walks.reached[m]) + 1] for m in range(len(starts))]
     if kinematics.n > 6:
-        ways = [_inside(kinematics, path, way, exact) for way in ways]
-    return [check_trajectory(kinematics, path, way) for way in ways]
+        trajectories = [_inside(kinematics, path, trajectory, exact) for trajectory in trajectories]
+    return [check_trajectory(kinematics, path, trajectory) for trajectory in trajectories]
 
 
 def not_disproved(kinematics: ArmKinematics, path: ToolPath, branches: list[BranchCheck]) -> list[BranchCheck]:
@@ -183,13 +183,13 @@ def not_disproved(kinematics: ArmKinematics, path: ToolPath, branches: list[Bran
     ]
 
 
-def _inside(kinematics: ArmKinematics, path: ToolPath, way: Array, exact: float) -> Array:
-    """The way of a redundant arm (K, n); one that keeps away from the limits if this one leaves them or ends."""
-    if len(way) == len(path.poses) and kinematics.margins(way).min() >= -AT_LIMIT:
-        return way
-    if kinematics.margins(way[0]).min() < -AT_LIMIT:
-        return way
-    q = [way[0]]
+def _inside(kinematics: ArmKinematics, path: ToolPath, trajectory: Array, exact: float) -> Array:
+    """The trajectory of a redundant arm (K, n); if it leaves the limits or ends, one that keeps away from them."""
+    if len(trajectory) == len(path.poses) and kinematics.margins(trajectory).min() >= -AT_LIMIT:
+        return trajectory
+    if kinematics.margins(trajectory[0]).min() < -AT_LIMIT:
+        return trajectory
+    q = [trajectory[0]]
     for T in path.poses[1:]:
         answer = kinematics.solve(T[None], q[-1][None], tolerance=exact, steps=12, longest=_STRIDE)
         if answer.residual[0] > exact or np.abs(answer.q[0] - q[-1]).max() > _STRIDE:
@@ -202,7 +202,7 @@ def _inside(kinematics: ArmKinematics, path: ToolPath, way: Array, exact: float)
         q.append(exactly)
         if kinematics.margins(exactly).min() < -AT_LIMIT:
             break
-    return np.array(q) if len(q) >= len(way) or len(q) == len(path.poses) else way
+    return np.array(q) if len(q) >= len(trajectory) or len(q) == len(path.poses) else trajectory
 
 
 def check_trajectory(kinematics: ArmKinematics, path: ToolPath, q: Array) -> BranchCheck:
@@ -213,10 +213,10 @@ def check_trajectory(kinematics: ArmKinematics, path: ToolPath, q: Array) -> Bra
     sure, lost = np.ones(len(q), dtype=bool), np.empty(0)
     outside = kinematics.margins(q).min(axis=1) < -AT_LIMIT
     m = int(outside.argmax()) if outside.any() else len(q)  # knots until the first one outside
-    way = ArmTrajectory.sampled(kinematics, path.offset, path.places[: len(q)], q)
+    trajectory = ArmTrajectory.sampled(kinematics, path.offset, path.places[: len(q)], q)
     if path.segments is not None and kinematics.n >= 6 and m > 1:
         found = prove(kinematics, path.segments, path.offset, path.segment[:m], path.share[:m], q[:m])
-        way = ArmTrajectory.proved(kinematics, path.offset, found)
+        trajectory = ArmTrajectory.proved(kinematics, path.offset, found)
         shares = np.concatenate([found.low, found.high, 0.5 * (found.low + found.high)])
         low, high, middle = np.split(path.segments.clocks(np.tile(found.segment, 3), shares), 3)
         certified, undecided = (_merged(low[k], high[k]) for k in (found.proved, ~found.proved))
@@ -266,7 +266,7 @@ def check_trajectory(kinematics: ArmKinematics, path: ToolPath, q: Array) -> Bra
         certified=certified,
         undecided=undecided,
         sigma_bound=sigma_bound,
-        trajectory=way,
+        trajectory=trajectory,
     )
 
 

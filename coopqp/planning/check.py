@@ -1,8 +1,8 @@
 """Can the arms follow a path? The verdict before the motion, per arm and for the whole cell.
 
-With the object's path given, each arm follows its own tool's path, so each arm is judged by itself; only distances
-between bodies concern all arms. The verdict is about the way, not about the speed: a joint that is too slow
-slows the object, it does not stop it.
+With the object's path given, each arm follows its own tool's path, so each arm is checked by itself; only distances
+between bodies concern all arms. The verdict is about the trajectory, not about the speed: a joint that is too
+slow slows the object, it does not stop it.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ from coopqp.planning.segments import Segments, segments_of
 from coopqp.planning.starts import clear_rows, exact_start
 from coopqp.spatial import Array
 
-#: Most branches of a redundant arm that are judged; they are samples of its self-motion.
+#: Most branches of a redundant arm that are checked; they are samples of its self-motion.
 _MOST_REDUNDANT = 8
 #: A knot within this share of a piece from its end is at the end.
 _AT_MARK = 1e-9
@@ -100,7 +100,7 @@ class PathCheck:
         verdict: the worst verdict of the arms and of their distances.
         intervals: intervals on which an arm is not decided, in the order of the arms.
         arms: result for each arm.
-        q_start: the start that is judged (nq,); None if an arm has none.
+        q_start: the start that is checked (nq,); None if an arm has none.
         cell, grasp, path: the task.
         given: True if the start was given.
         clearance: result for distances; None without a scene, or if an arm cannot follow the path.
@@ -130,18 +130,18 @@ class PathCheck:
     def led_path(self) -> ObjectPath:
         """The path with the motion of the elbows that is proved: a controller leads redundant arms along it.
 
-        From :attr:`q_start`, and with bodies that were judged clear of them. Without bodies the motion is smoothed over
+        From :attr:`q_start`, and clear of the bodies that were checked. Without bodies the motion is smoothed over
         4 % of the duration, which saves time and keeps inside the limits. The path itself where nothing is proved,
         or where no arm has more than six joints.
         """
-        way = self.proved_trajectory()
-        if way is None or not any(len(arm.joints) > 6 for arm in self.arms):
+        trajectory = self.proved_trajectory()
+        if trajectory is None or not any(len(arm.joints) > 6 for arm in self.arms):
             return self.path
-        clocks, first = np.unique(way.clocks(way.places), return_index=True)
+        clocks, first = np.unique(trajectory.clocks(trajectory.places), return_index=True)
         if len(clocks) < 2:
             return self.path
         path = copy.copy(self.path)
-        elbows = Elbows.through(clocks, way.positions(way.places[first])[0])
+        elbows = Elbows.through(clocks, trajectory.positions(trajectory.places[first])[0])
         path.elbows = elbows.smoothed() if self.clearance is None else elbows
         path.keeps_clear = path.keeps_clear or self.clearance is not None
         return path
@@ -152,16 +152,16 @@ class PathCheck:
 
     def proved_trajectory(self) -> CellTrajectory | None:
         """The motion of all joints that is proved, over the places of the path; None where nothing is."""
-        ways = [arm.chosen.trajectory for arm in self.arms if arm.chosen is not None]
+        trajectories = [arm.chosen.trajectory for arm in self.arms if arm.chosen is not None]
         segments = segments_of(self.path)
         if self.verdict is not PathVerdict.CERTIFIED or self.q_start is None or segments is None:
             return None
-        return CellTrajectory(self.cell, self.path, segments, ways, self.cell.positions(self.q_start))
+        return CellTrajectory(self.cell, self.path, segments, trajectories, self.cell.positions(self.q_start))
 
     def explain(self) -> str:
         """The verdict, a line per arm and one for distances, in sentences; then the remedies."""
-        judged = self.clearance is not None
-        how = " and keep their distances" if judged else ""
+        has_scene = self.clearance is not None
+        how = " and keep their distances" if has_scene else ""
         head = {
             PathVerdict.CERTIFIED: f"The arms can follow the whole path{how}: this is proved at every point of it.",
             PathVerdict.SAMPLED: f"The arms follow the path{how} at samples; between them nothing is proved.",
@@ -228,7 +228,7 @@ def check_path(
 
     Args:
         cell, grasp, path: the arms, their grasps and the object's path.
-        q_start: the start (nq,): only its branches are judged. By default every branch of each arm is judged, as in
+        q_start: the start (nq,): only its branches are checked. By default every branch of each arm is checked, as in
             :func:`find_start`, and the best one is chosen.
         scene: the bodies that keep distances, a :class:`coopqp.CollisionScene` of the same cell; without it
             distances play no part. Without a start branches are chosen that keep clear.
@@ -260,14 +260,14 @@ def check_path(
         arms, clearance = _distances(
             cell, grasp, path, samples, segments, arms, scene, cell.positions(start), any_start=q_start is None
         )
-    return _judged(cell, grasp, path, arms, start, clearance, scene, given=q_start is not None)
+    return _result(cell, grasp, path, arms, start, clearance, scene, given=q_start is not None)
 
 
 def check_motion(cell: RobotCell, grasp: Grasp, path: TimedPath, x: Array, scene: Bodies) -> PathCheck | None:
     """The verdict on one motion of all arms along a planned path, with the distances of a scene.
 
     :func:`check_path` chooses a motion of the elbows of redundant arms; this is for a given one. Distances are looked
-    at where the arms' ways are proved.
+    at where the arms' trajectories are proved.
 
     Args:
         cell, grasp, path: the arms, their grasps, and the path.
@@ -289,9 +289,9 @@ def check_motion(cell: RobotCell, grasp: Grasp, path: TimedPath, x: Array, scene
         arms.append(_arm_check(kinematics, branch, [branch], None))
     clearance = None
     if worst([arm.verdict for arm in arms]) is PathVerdict.CERTIFIED:
-        ways = [arm.chosen.trajectory for arm in arms if arm.chosen is not None]
-        clearance = scene.along(CellTrajectory(cell, path, segments, ways, x[0]))
-    return _judged(cell, grasp, path, arms, cell.configuration(x[0]), clearance, scene, given=True)
+        trajectories = [arm.chosen.trajectory for arm in arms if arm.chosen is not None]
+        clearance = scene.along(CellTrajectory(cell, path, segments, trajectories, x[0]))
+    return _result(cell, grasp, path, arms, cell.configuration(x[0]), clearance, scene, given=True)
 
 
 def places_along(geometry: PathGeometry, s: Array) -> Array:
@@ -303,7 +303,7 @@ def places_along(geometry: PathGeometry, s: Array) -> Array:
     return np.where(np.abs(places - whole) < _AT_MARK, whole, places)
 
 
-def _judged(
+def _result(
     cell: RobotCell,
     grasp: Grasp,
     path: ObjectPath,
@@ -314,7 +314,7 @@ def _judged(
     *,
     given: bool,
 ) -> PathCheck:
-    """The answer, from the judgements of the arms and of their distances."""
+    """The answer, from the results of the arms and of their distances."""
     verdict = worst([arm.verdict for arm in arms] + ([clearance.verdict] if clearance is not None else []))
     return PathCheck(
         verdict=verdict,
@@ -336,7 +336,7 @@ def _judged(
 
 
 def _clear(cell: RobotCell, grasp: Grasp, samples: PathSamples, arms: list[ArmCheck], scene: Bodies) -> list[ArmCheck]:
-    """Judgements with the best branches that keep clear of each other, if any do."""
+    """Results with the best branches that keep clear of each other, if any do."""
     options = [[b for b in arm.branches if b.verdict is not PathVerdict.INFEASIBLE] for arm in arms]
     choice = clear_rows(cell, grasp, samples, [[b.q[0] for b in own] for own in options], scene)
     if choice is None:
@@ -356,18 +356,18 @@ def _distances(
     *,
     any_start: bool,
 ) -> tuple[list[ArmCheck], ClearanceCheck]:
-    """Distances along the ways of the arms, or along others that their self-motion allows; and the arms on them."""
+    """Distances along the arms' trajectories, or along others that their self-motion allows; and the arms on them."""
 
-    def way_of(arms: list[ArmCheck]) -> CellTrajectory:
+    def trajectory_of(arms: list[ArmCheck]) -> CellTrajectory:
         return CellTrajectory(
             cell, path, segments, [arm.chosen.trajectory for arm in arms if arm.chosen is not None], rest
         )
 
-    way = way_of(arms)
-    found = scene.along(way, any_start=any_start)
-    if found.verdict is not PathVerdict.UNDECIDED or segments is None or not way.complete:
+    trajectory = trajectory_of(arms)
+    found = scene.along(trajectory, any_start=any_start)
+    if found.verdict is not PathVerdict.UNDECIDED or segments is None or not trajectory.complete:
         return arms, found
-    other = scene.evading(way)
+    other = scene.evading(trajectory)
     if other is None:
         return arms, found
     places, x = other
@@ -382,7 +382,7 @@ def _distances(
         evading.append(
             replace(arm, chosen=branch, branches=tuple(branch if b is arm.chosen else b for b in arm.branches))
         )
-    better = scene.along(way_of(evading), any_start=any_start)
+    better = scene.along(trajectory_of(evading), any_start=any_start)
     kept = all(new.verdict is old.verdict for new, old in zip(evading, arms, strict=True))
     return (evading, better) if kept and worst([better.verdict, found.verdict]) is found.verdict else (arms, found)
 
@@ -390,7 +390,7 @@ def _distances(
 def _every_branch(
     kinematics: ArmKinematics, samples: PathSamples, X: pin.SE3, tool: ToolPath, seed_factor: int
 ) -> ArmCheck:
-    """Judge all branches of an arm, or the best ones of a redundant arm."""
+    """Check all branches of an arm, or the best ones of a redundant arm."""
     found = arm_on_path(kinematics, samples, X, near=np.empty((0, kinematics.n)), seed_factor=seed_factor)
     rows: Sequence[BranchAlongPath] = found.branches
     if kinematics.n > 6:
@@ -405,7 +405,7 @@ def _every_branch(
 
 
 def _given_branch(kinematics: ArmKinematics, tool: ToolPath, positions: Array) -> ArmCheck:
-    """Judge the branch that begins at ``positions``."""
+    """Check the branch that begins at ``positions``."""
     exact = kinematics.solve(tool.poses[:1], positions[None], tolerance=1e-11, steps=8)
     T = kinematics.tool_poses(positions[None])[0]
     away = pin.log6(pin.SE3(T).actInv(pin.SE3(tool.poses[0]))).vector
@@ -425,15 +425,15 @@ def _arm_check(
     kinematics: ArmKinematics, chosen: BranchCheck | None, branches: list[BranchCheck], found: ArmOnPath | None
 ) -> ArmCheck:
     name = kinematics.arm.name
-    said = ""
+    reason = ""
     if chosen is None:
         assert found is not None
-        said = trouble(found)
+        reason = trouble(found)
     elif chosen.verdict is PathVerdict.INFEASIBLE:
         best = max(branches, key=lambda branch: (branch.until, float(branch.margins.min())))
-        said = f"arm {name} {best.why}"
+        reason = f"arm {name} {best.why}"
         if len(branches) > 1:
-            said += f" (the best of its {len(branches)} branches)"
+            reason += f" (the best of its {len(branches)} branches)"
         chosen = best
     return ArmCheck(
         arm=name,
@@ -441,7 +441,7 @@ def _arm_check(
         slides=tuple(bool(x) for x in kinematics.slides),
         chosen=chosen,
         branches=tuple(branches),
-        trouble=said,
+        trouble=reason,
     )
 
 

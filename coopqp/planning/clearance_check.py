@@ -66,16 +66,16 @@ class ClearanceCheck:
         if self.stopped_by is None:
             return f"distances: {self.why}; closest sample {closest}."
         by = self.stopped_by
-        said = f"distances: {by.first} and {by.second} come inside their margin at {self.stop:.2f} s"
+        text = f"distances: {by.first} and {by.second} come inside their margin at {self.stop:.2f} s"
         if self.stop == 0.0:
             overlap = by.distance < 0.0
             size = f"overlapping by {_mm(-by.distance)}" if overlap else f"{_mm(by.distance)} apart"
-            said = f"distances: {by.first} and {by.second} start {size}, inside their margin"
+            text = f"distances: {by.first} and {by.second} start {size}, inside their margin"
             if overlap:
-                return f"{said}{self._so}."
+                return f"{text}{self._so}."
         if self.pair.distance <= 0.0:
-            return f"{said}; {self.pair.first} and {self.pair.second} touch at {self.clock:.2f} s{self._so}."
-        return f"{said}; closest {closest}{self._so}."
+            return f"{text}; {self.pair.first} and {self.pair.second} touch at {self.clock:.2f} s{self._so}."
+        return f"{text}; closest {closest}{self._so}."
 
     @property
     def _so(self) -> str:
@@ -112,7 +112,7 @@ class Bodies(Protocol):
         ...
 
     def along(self, way: CellTrajectory, *, any_start: bool = False) -> ClearanceCheck:
-        """Judge a way; with ``any_start`` first the pairs that stay too close from every start."""
+        """Check a way; with ``any_start`` first the pairs that stay too close from every start."""
         ...
 
     def evading(self, way: CellTrajectory) -> tuple[Array, Array] | None:

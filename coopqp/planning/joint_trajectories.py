@@ -1,4 +1,4 @@
-"""The joints' ways along a checked path: positions at any place of it, and largest speeds between places.
+"""Joint trajectories along a checked path: positions at any place of it, and largest speeds between places.
 
 A place is the number of a segment plus the share of it, or the clock of a path without segments.
 """
@@ -25,7 +25,7 @@ _EXACT = 1e-10
 
 @dataclass(frozen=True, eq=False)
 class ArmTrajectory:
-    """The way of one arm: it holds exactly at its places, and between them reaches the tool's pose.
+    """Joint trajectory of one arm: exact at its places; between them the tool's pose is reached.
 
     Attributes:
         kinematics: the arm.
@@ -43,13 +43,13 @@ class ArmTrajectory:
 
     @staticmethod
     def proved(kinematics: ArmKinematics, offset: Array, proof: Proof) -> ArmTrajectory:
-        """The way of a proof."""
+        """The trajectory of a proof."""
         places = np.append(proof.segment + proof.low, proof.segment[-1] + proof.high[-1])
         return ArmTrajectory(kinematics, offset, places, np.vstack([proof.q_low, proof.q_high[-1:]]), proof.rate)
 
     @staticmethod
     def sampled(kinematics: ArmKinematics, offset: Array, places: Array, q: Array) -> ArmTrajectory:
-        """The way through samples."""
+        """The trajectory through samples."""
         return ArmTrajectory(kinematics, offset, places, q, np.full((len(q) - 1, kinematics.n), np.inf))
 
     def at(self, places: Array, T_world_object: Array) -> tuple[Array, npt.NDArray[np.bool_]]:
@@ -66,7 +66,7 @@ class ArmTrajectory:
         return q, solved
 
     def motion(self, low: Array, high: Array) -> Array:
-        """Largest way of each joint (M, n) [rad or m] between places (M,) that no place of :attr:`places` parts."""
+        """Largest motion of each joint (M, n) [rad or m] between two places (M,), none of :attr:`places` between."""
         if len(self.places) == 1:
             return np.zeros((len(low), self.kinematics.n))
         out: Array = self.rates[self._piece(0.5 * (low + high))] * (high - low)[:, None]
@@ -80,16 +80,16 @@ class ArmTrajectory:
 
 @final
 class CellTrajectory:
-    """The ways of all arms of a cell.
+    """Joint trajectories of all arms of a cell.
 
     Args:
         cell, path: the arms, and the object's path.
         segments: of the path; None if it has none.
-        arms: the way of each arm.
+        arms: the trajectory of each arm.
         rest: positions (nv,) of joints that move no tool.
 
     Attributes:
-        places: all places of the arms' ways, as far as all arms go (K,).
+        places: all places of the arms' trajectories, up to the end of the shortest (K,).
         complete: they go to the end of the path.
     """
 
@@ -137,14 +137,14 @@ class CellTrajectory:
         return out
 
     def motion(self, low: Array, high: Array) -> Array:
-        """Largest way of each joint (M, nv) between places (M,) without a place between them; inf if not proved."""
+        """Largest motion of each joint (M, nv) between two places (M,) without a place between; inf if not proved."""
         out = np.zeros((len(low), self.cell.nv))
         for columns, arm in zip(self._columns, self._arms, strict=True):
             out[:, columns] = arm.motion(low, high)
         return out
 
     def object_motion(self, low: Array, high: Array) -> tuple[Array, Array]:
-        """Way of the object's origin [m] and its turn [rad] between places (M,) of one segment; inf if not known."""
+        """Motion of the object's origin [m] and its turn [rad] between places (M,) of one segment; inf if not known."""
         if self._segments is None:
             unknown = np.full(len(low), np.inf)
             return unknown, unknown

@@ -155,12 +155,9 @@ def led_knots(
 
 def hermite(s: Array, q: Array, slope: Array, at: Array) -> Array:
     """Cubic interpolation (M, n) of rows (K, n) with slopes at s (K,): a guess between knots, never a path."""
-    i = np.clip(np.searchsorted(s, at, side="right") - 1, 0, len(s) - 2)
-    h = (s[i + 1] - s[i])[:, None]
-    x = (at[:, None] - s[i][:, None]) / h
-    a, b = q[i], q[i + 1]
-    da, db = h * slope[i], h * slope[i + 1]
-    out: Array = a + x * (da + x * (3.0 * (b - a) - 2.0 * da - db + x * (da + db - 2.0 * (b - a))))
+    from scipy.interpolate import CubicHermiteSpline  # takes long to import
+
+    out: Array = CubicHermiteSpline(s, q, slope)(at)
     return out
 
 

@@ -104,7 +104,7 @@ def plan(
             largest margins and singular values. Arms with more than six joints gain most: their starts differ in the
             elbow. Not with ``q_start``.
         scene: the bodies that keep distances, a :class:`coopqp.CollisionScene` of the same cell: the plan is
-            judged by :func:`check_path` and is given only if it is proved, or followed at samples. Not with ``starts``.
+            checked by :func:`check_path`, and is given only if proved or followed at samples. Not with ``starts``.
 
     Raises:
         NoStartError: an arm has no start from which it follows the path.
@@ -133,8 +133,8 @@ def plan(
         raise InvalidInputError("starts to compare beside a scene", where, "Give one of both.")
     if q_start is None:
         # On a path of the user's the clocks of a message are the user's.
-        way = path if isinstance(path, ObjectPath) and blend == 0.0 else some_timing(geometry)
-        start = find_start(cell, grasp, way, free_roll=free_roll, scene=scene)
+        route = path if isinstance(path, ObjectPath) and blend == 0.0 else some_timing(geometry)
+        start = find_start(cell, grasp, route, free_roll=free_roll, scene=scene)
         if starts > 1:
             start = faster_start(cell, geometry, start, starts)
         q_start, grasp = start.q, start.grasp
@@ -168,16 +168,16 @@ def _refuse(check: PathCheck, lines: Sequence[Straight], blend: float, angle: fl
     troubles = [arm.explain() for arm in check.arms if not follows(arm.verdict)]
     if check.clearance is not None and not follows(check.clearance.verdict):
         troubles.append(check.clearance.explain())
-    said = f"the plan is {check.verdict.value.lower()}: {' '.join(troubles)}"
+    message = f"the plan is {check.verdict.value.lower()}: {' '.join(troubles)}"
     if lines:
         share = _clear_share(check, lines, blend, angle)
         turned = np.rad2deg(share * angle)
-        said += (
+        message += (
             f" With blends of at most {1e3 * share * blend:.1f} mm and {turned:.2f}° it keeps clear."
             if share > 0.0
             else " Without rounding its corners off it does not keep clear, either."
         )
-    raise (UnreachableError if check.verdict is PathVerdict.INFEASIBLE else UndecidedError)(said)
+    raise (UnreachableError if check.verdict is PathVerdict.INFEASIBLE else UndecidedError)(message)
 
 
 def _clear_share(check: PathCheck, lines: Sequence[Straight], blend: float, angle: float) -> float:

@@ -106,7 +106,7 @@ class _Search:
         self.arms = [ArmKinematics(arm) for arm in check.cell.arms]
         self.bad = [k for k, arm in enumerate(check.arms) if not follows(arm.verdict)]
         self._scores: dict[tuple[int, tuple[float, ...], float], float] = {}
-        self._said = ""  # verdict of the last check
+        self._verdict = ""  # verdict of the last check
 
     # -- a first look --------------------------------------------------------------------------------------------
 
@@ -129,7 +129,7 @@ class _Search:
         if scene is not None and (cell is not scene.cell or grasp is not self.check.grasp):
             scene = scene.of_cell(cell, grasp)
         answer = check_path(cell, grasp, path, scene=scene)
-        self._said = answer.verdict.value
+        self._verdict = answer.verdict.value
         return answer if answer.feasible else None
 
     # -- kinds ---------------------------------------------------------------------------------------------------
@@ -149,8 +149,8 @@ class _Search:
             tools = tuple(rolled(X, a) for X, a in zip(c.grasp.T_object_tool, angles, strict=True))
             answer = self._confirmed(c.cell, Grasp(tools), c.path)
             if answer is not None:
-                said = [f"of arm {c.cell.arm_names[k]} by {a:.0f}°" for k, a in zip(self.bad, choice, strict=True)]
-                return Remedy(kind="roll", text=f"roll the tool {' and '.join(said)}", check=answer, roll=angles)
+                changes = [f"of arm {c.cell.arm_names[k]} by {a:.0f}°" for k, a in zip(self.bad, choice, strict=True)]
+                return Remedy(kind="roll", text=f"roll the tool {' and '.join(changes)}", check=answer, roll=angles)
         return f"rolling tools: {self._in_vain()}"
 
     def shift(self) -> Remedy | str:
@@ -176,7 +176,7 @@ class _Search:
         return f"moving the path: no place of {_MOST_PLACES} up to {_DISTANCES[-1]:g} m away suits all arms at once"
 
     def _in_vain(self) -> str:
-        return f"a first look found some that all arms follow, but the check of the best says {self._said}"
+        return f"a first look found some that all arms follow, but the check of the best says {self._verdict}"
 
     def _nowhere(self, k: int) -> str:
         name = self.check.cell.arm_names[k]
@@ -203,8 +203,8 @@ class _Search:
                 shift[k], arms[k] = D, arms[k].placed(pin.SE3(base.rotation, base.translation + D))
             answer = self._confirmed(RobotCell(arms), c.grasp, c.path)
             if answer is not None:
-                said = [f"of arm {c.cell.arm_names[k]} by {_metres(shift[k])} m" for k in self.bad]
-                return Remedy(kind="base", text=f"move the base {' and '.join(said)}", check=answer, shift=shift)
+                changes = [f"of arm {c.cell.arm_names[k]} by {_metres(shift[k])} m" for k in self.bad]
+                return Remedy(kind="base", text=f"move the base {' and '.join(changes)}", check=answer, shift=shift)
         return f"moving bases: {self._in_vain()}"
 
 

@@ -15,7 +15,7 @@ import numpy.typing as npt
 import pinocchio as pin
 
 from coopqp.paths.geometry import MotionBounds, Piece, Straight
-from coopqp.paths.path import ObjectPath
+from coopqp.paths.path import ObjectPath, TimeLaw
 from coopqp.spatial import Array
 
 _NUMBERS = 29
@@ -90,10 +90,7 @@ class Segments:
         if self.when is not None:
             starts = np.cumsum(self.lengths) - self.lengths
             return self.when(starts[segment] + share * self.lengths[segment])
-        from scipy.special import betaincinv
-
-        # 10x³ − 15x⁴ + 6x⁵ is the regularised incomplete beta function of (3, 3).
-        x = np.where(self.quintic[segment], betaincinv(3.0, 3.0, share), share)
+        x = np.where(self.quintic[segment], TimeLaw.QUINTIC.inverse(share), share)
         out: Array = self.start[segment] + x * self.duration[segment]
         return out
 

@@ -122,7 +122,7 @@ def find_start(
     """Find a start configuration from which every arm follows the whole path inside its limits.
 
     All branches of each arm at the start of the path are found and walked along the path; the one with the largest
-    margins and singular values is taken. A path without an end, or not known ahead, is judged by its start alone.
+    margins and singular values is taken. A path without an end, or not known ahead, is checked by its start alone.
 
     Args:
         cell, grasp, path: the arms, their grasps and the object's path.
@@ -177,15 +177,15 @@ def clear_rows(
     cell: RobotCell, grasp: Grasp, samples: PathSamples, options: Sequence[Sequence[Array]], scene: Bodies
 ) -> tuple[int, ...] | None:
     """Index of one start (n,) per arm, so that all margins are kept; None if there are none. The best come first."""
-    ways = []
+    trajectories = []
     for arm, own, X, starts in zip(cell.arms, cell.v_slices, grasp.T_object_tool, options, strict=True):
         kinematics = ArmKinematics(arm)
         walks = kinematics.walk(samples.tool_poses(X), np.array(starts).reshape(-1, kinematics.n))
         rest = np.clip(np.zeros(own.stop - own.start), cell.limits.lower[own], cell.limits.upper[own])
-        way = np.tile(rest, (*walks.q.shape[:2], 1))
-        way[:, :, kinematics.columns] = walks.q
-        ways.append(way)
-    return scene.clear_choice(ways)
+        trajectory = np.tile(rest, (*walks.q.shape[:2], 1))
+        trajectory[:, :, kinematics.columns] = walks.q
+        trajectories.append(trajectory)
+    return scene.clear_choice(trajectories)
 
 
 def _put_together(

@@ -1,7 +1,8 @@
 """Timing before the motion: the fastest way along a path under the joints' limits, as a path of its own.
 
-With the object's path given the joints' ways are known (:mod:`coopqp.planning.knots`). The remaining choice is the
-speed ṡ along them. In ``z = ṡ²`` and s̈ all limits are lines: ``q̇ = q′ ṡ``, ``q̈ = q′ s̈ + q″ z``, ``τ = a s̈ + b z + c``.
+With the object's path given the joint trajectories are known (:mod:`coopqp.planning.knots`). What remains to be chosen
+is the speed ṡ along them. In ``z = ṡ²`` and s̈ all limits are lines: ``q̇ = q′ ṡ``, ``q̈ = q′ s̈ + q″ z``,
+``τ = a s̈ + b z + c``.
 """
 
 from __future__ import annotations
@@ -233,17 +234,16 @@ def geometry_of(path: ObjectPath | PathGeometry, where: str) -> PathGeometry:
 
 def use_between(limited: Limited, squares: Array) -> Array:
     """Share of the speeds and accelerations that is used between knots, by cubic interpolation of q′ (K − 1,)."""
-    knots = limited.knots
-    h = np.diff(knots.s)[:, None]
-    slope = 0.5 * np.diff(squares)[:, None] / h
-    a, b, da, db = knots.slope[:-1], knots.slope[1:], h * knots.curvature[:-1], h * knots.curvature[1:]
-    square, cube = 3.0 * (b - a) - 2.0 * da - db, da + db - 2.0 * (b - a)
-    lines = limited.acceleration
+    from scipy.interpolate import CubicHermiteSpline  # takes long to import
+
+    knots, lines = limited.knots, limited.acceleration
+    between, h = CubicHermiteSpline(knots.s, knots.slope, knots.curvature), np.diff(knots.s)
+    slope = 0.5 * np.diff(squares)[:, None] / h[:, None]
     most = np.zeros(len(h))
     for x in (0.25, 0.5, 0.75):
-        z = squares[:-1, None] + 2.0 * x * h * slope
-        q1 = a + x * (da + x * (square + x * cube))
-        q2 = (da + x * (2.0 * square + 3.0 * x * cube)) / h
+        at = knots.s[:-1] + x * h
+        z = squares[:-1, None] + 2.0 * x * h[:, None] * slope
+        q1, q2 = between(at), between(at, 1)
         acceleration = np.abs(q1 * slope + q2 * z)[:, lines.owner] / lines.bound
         speed = np.abs(q1) * np.sqrt(z) / limited.speed
         most = np.maximum(most, np.maximum(speed.max(axis=1), acceleration.max(axis=1, initial=0.0)))
@@ -282,12 +282,12 @@ def further_lines(
 ) -> Lines | None:
     """Rate bounds at knots as lines ``a s̈ + b ṡ² ≤ 1``, one row of each knot padded with zeros; None without bounds.
 
-    A bound is asked in the clock τ = P s of a run at constant speed: ``dq/dτ = q′/P``, ``σ = P ṡ``.
+    A bound is evaluated over the clock τ = P s of a run at constant speed: ``dq/dτ = q′/P``, ``σ = P ṡ``.
 
     Args:
         cell: the arms.
         bounds: the rate bounds.
-        knots: where they are asked, with derivatives with respect to s.
+        knots: where the bounds are evaluated, with derivatives with respect to s.
         share: share of the bounds that is used.
         mark: where the knots begin on the path [m].
         pace: P [s/m].

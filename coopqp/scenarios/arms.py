@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,8 +18,6 @@ from coopqp.scenarios.robots import robot_path
 from coopqp.spatial import Placement
 
 _PACKAGE = "example-robot-data"
-#: Franka's published joint acceleration limits [rad/s²].
-PANDA_ACCELERATION = (15.0, 7.5, 10.0, 12.5, 15.0, 20.0, 20.0)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -49,91 +48,16 @@ class Robot:
         return "robots" if self.file else ""
 
 
-def _made_up(joints: int) -> Robot:
-    return Robot(joints=joints, tool_frame="tool", licence="Apache-2.0", source="made up, coopqp")
+def _listed() -> dict[str, Robot]:
+    entries = json.loads((Path(__file__).parent / "robots" / "robots.json").read_text(encoding="utf-8"))
+    for entry in entries.values():
+        entry["locked"] = tuple(entry.get("locked", {}).items())
+        entry["acceleration"] = tuple(entry.get("acceleration", ()))
+    return {name: Robot(**entry) for name, entry in entries.items()}
 
 
-def _universal(file: str) -> Robot:
-    source = "Universal Robots, github.com/ros-industrial/universal_robot"
-    return Robot(joints=6, tool_frame="tool0", licence="BSD", source=source, file=f"ur_description/urdf/{file}.urdf")
-
-
-#: Every arm with a name of its own.
-ROBOTS: Mapping[str, Robot] = MappingProxyType(
-    {
-        "arm5": _made_up(5),
-        "arm6c": _made_up(6),
-        "arm7": _made_up(7),
-        "gantry7": _made_up(7),
-        "irb1600": Robot(joints=6, tool_frame="flange", licence="Apache-2.0", source="ABB IRB 1600-6/1.2, coopqp"),
-        "kr16_2": Robot(joints=6, tool_frame="flange", licence="Apache-2.0", source="KUKA KR 16-2, coopqp"),
-        "rx90l": Robot(joints=6, tool_frame="flange", licence="Apache-2.0", source="Stäubli RX-90L, coopqp"),
-        "scara4": _made_up(4),
-        "panda": Robot(
-            joints=7,
-            tool_frame="panda_hand_tcp",
-            licence="Apache-2.0",
-            source="Franka Emika, github.com/frankaemika/franka_ros",
-            file="panda_description/urdf/panda.urdf",
-            locked=(("panda_finger_joint1", 0.02), ("panda_finger_joint2", 0.02)),
-            acceleration=PANDA_ACCELERATION,
-        ),
-        "ur3": _universal("ur3_robot"),
-        "ur3_gripper": _universal("ur3_gripper"),
-        "ur3_limited": _universal("ur3_joint_limited_robot"),
-        "ur5": _universal("ur5_robot"),
-        "ur5_gripper": _universal("ur5_gripper"),
-        "ur5_limited": _universal("ur5_joint_limited_robot"),
-        "ur10": _universal("ur10_robot"),
-        "ur10_limited": _universal("ur10_joint_limited_robot"),
-        "kinova": Robot(
-            joints=6,
-            tool_frame="j2s6s200_end_effector",
-            licence="BSD",
-            source="Kinova Jaco 2, github.com/Kinovarobotics/kinova-ros",
-            file="kinova_description/robots/kinova.urdf",
-        ),
-        "so100": Robot(
-            joints=5,
-            tool_frame="gripper",
-            licence="Apache-2.0",
-            source="The Robot Studio, github.com/TheRobotStudio/SO-ARM100",
-            file="so_arm_description/urdf/so100.urdf",
-            locked=(("gripper", 0.0),),
-        ),
-        "so101": Robot(
-            joints=5,
-            tool_frame="gripper_frame_link",
-            licence="Apache-2.0",
-            source="The Robot Studio, github.com/TheRobotStudio/SO-ARM100",
-            file="so_arm_description/urdf/so101.urdf",
-            locked=(("gripper", 0.0),),
-        ),
-        "talos_left_arm": Robot(
-            joints=6,
-            tool_frame="wrist_left_ft_tool_link",
-            licence="Apache-2.0",
-            source="PAL Robotics, github.com/pal-robotics/talos_robot",
-            file="talos_data/robots/talos_left_arm.urdf",
-            locked=(("gripper_left_joint", 0.0),),
-        ),
-        "xarm7": Robot(
-            joints=7,
-            tool_frame="link_eef",
-            licence="BSD-3-Clause",
-            source="UFACTORY, github.com/xArm-Developer/xarm_ros2",
-            file="xarm_description/urdf/xarm7.urdf",
-        ),
-        "z1": Robot(
-            joints=6,
-            tool_frame="gripperStator",
-            licence="MPL-2.0",
-            source="Unitree, github.com/unitreerobotics/unitree_ros",
-            file="z1_description/urdf/z1.urdf",
-            locked=(("jointGripper", 0.0),),
-        ),
-    }
-)
+#: Every arm with a name of its own, listed in ``robots/robots.json``.
+ROBOTS: Mapping[str, Robot] = MappingProxyType(_listed())
 
 
 def robot_data_path(name: str) -> Path:

@@ -1,4 +1,4 @@
-"""The journal of a study: a line for every row that is there, on the disk before the next one is asked for.
+"""The journal of a study: a line for every finished row, which is on the disk before the next row is sent.
 
 A line is a JSON object whose last entry ``crc`` is the CRC-32 of the line without it: a line that was changed is found.
 """

@@ -98,7 +98,7 @@ class PlaceStudy:
     Attributes:
         name: its name.
         axes: the numbers that are varied.
-        placer: judges placements.
+        placer: checks placements.
         tables: where bases stand, by number of the arm.
         seed: seed of a search.
     """
@@ -185,7 +185,7 @@ def _number(entry: Any, values: Mapping[str, float]) -> float:
 
 
 def load_place_study(path: str | Path) -> PlaceStudy:
-    """Read and check a study of base placement (TOML or YAML). Nothing is judged yet.
+    """Read and check a study of base placement (TOML or YAML). Nothing is checked yet.
 
     Raises:
         StudyError: the file breaks the schema, or names an arm, an axis or a scenario that is not there.

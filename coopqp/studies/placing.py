@@ -1,7 +1,7 @@
 """Where bases may stand: figures of each arm and of the cell at placements of the bases, given the object's path.
 
-Given the path, each arm follows its own tool's path, so arms are judged apart: moving the path by D is moving each base
-by −D. Only distances and the common time couple them. N bases are N small searches.
+Given the path, each arm follows its own tool's path, so arms are checked apart: to move the path by D is to move each
+base by −D. Only distances and the common time couple them. N bases are N small searches.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ _STEP, _FARTHEST = 0.02, 1.0
 @documented
 @dataclass(frozen=True, kw_only=True)
 class Goals:
-    """Figures from which a placement is good. A share is a figure over its goal."""
+    """Thresholds of a good placement. A share is a figure divided by its threshold."""
 
     sigma_min: Annotated[float, Doc("smallest singular value of an arm's tool Jacobian")] = 0.2
     margin_deg: Annotated[float, Doc("distance of turning joints from their position limits [deg]")] = 60.0
@@ -59,7 +59,7 @@ class ArmPlaced:
         slides: whether it slides.
         times: least time of each part of the path by the speed limits (K−1,) [s]; empty if not feasible.
         q: joint positions at the start (n,) [rad or m]; empty if there is no branch.
-        shares: σ_min and margin over their goals; the least counts, then the other.
+        shares: σ_min and margin divided by their thresholds; arms are compared by the smaller share, then by the other.
         why: why it does not follow the path; empty if it does.
     """
 
@@ -99,7 +99,7 @@ class CellPlaced:
         values: the numbers that say where the bases stand.
         bases: T_world_base of each arm.
         arms: what was found for each arm.
-        clearance: least distance of bodies along the path [m]; NaN if it was not asked, or an arm does not follow.
+        clearance: least distance of bodies along the path [m]; NaN without a scene, or if an arm does not follow.
         near: the bodies at this distance.
         near_s: the path's clock where they do [s].
         goals: thresholds of a good placement.
@@ -135,7 +135,7 @@ class CellPlaced:
 
     @property
     def rank(self) -> tuple[float, ...]:
-        """The larger, the better: the shares from the worst on, so that a tie is broken by the next worst."""
+        """Order of placements, the largest is the best: the shares of all arms from the smallest on."""
         if not self.feasible:
             so_far = float(np.mean([arm.reach for arm in self.arms]))
             return (-2.0 + so_far if not self.follows else -1.0 + min(self.clearance, 0.0),)
@@ -211,7 +211,7 @@ class CellPlaced:
 
 @final
 class Placer:
-    """Judges placements of the bases of one task.
+    """Checks placements of the bases of one task.
 
     Args:
         cell, grasp, path: the task.
@@ -253,10 +253,10 @@ class Placer:
             moved = PathSamples(self.samples.clocks, tuple(T_base_world * T for T in self.samples.poses))
             X = self.grasp.T_object_tool[k]
             found = arm_on_path(self.arms[k], moved, X, near=self._near[k], quick=quick)
-            self._found[key] = self._judged(found, moved.tool_poses(X))
+            self._found[key] = self._result(found, moved.tool_poses(X))
         return self._found[key]
 
-    def _judged(self, found: ArmOnPath, poses: Array) -> ArmPlaced:
+    def _result(self, found: ArmOnPath, poses: Array) -> ArmPlaced:
         kinematics, name = found.kinematics, found.kinematics.arm.name
         if not found.feasible:
             best = max(found.branches, key=lambda row: (row.inside, row.reached, row.margins.min()), default=None)

@@ -156,7 +156,7 @@ def glance(name: str, check: PathCheck, box: Body, scene: CollisionScene | None)
 
 
 def _seeds(kinematics: ArmKinematics, arm: ArmCheck, clock: float) -> Array:
-    """Starts of the search: the judged way of the arm if it has one, else anywhere inside its limits."""
+    """Starts of the search: the checked way of the arm if it has one, else anywhere inside its limits."""
     if arm.chosen is not None:
         i = int(np.abs(arm.chosen.clocks - clock).argmin())
         return arm.chosen.q[i : i + 1]

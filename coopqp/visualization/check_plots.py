@@ -37,7 +37,7 @@ _PROVED, _OPEN = "#dcefe1", "#f6d7b0"
 
 
 def check_figure(check: PathCheck) -> Figure:
-    """Margins and σ_min of the branch that is judged, one column per arm; at most six arms, the tightest.
+    """Margins and σ_min of the branch that is checked, one column per arm; at most six arms, the tightest.
 
     Margins are shares of a joint's half range: 100 % in its middle, 0 % at a limit. The background is green where the
     arm is proved to follow the path, and orange where it is not decided. Where distances were checked, the least one is
@@ -125,8 +125,9 @@ def _distances(axes: Any, found: ClearanceCheck, end: float) -> None:
         axes.axvspan(found.clocks[0], found.clocks[-1], color=_PROVED, lw=0.0, zorder=0)
     for a, b in found.undecided:
         axes.axvspan(a, b, color=_OPEN, lw=0.0, zorder=0)
-    said = f"distances: {found.verdict.value.lower()}; closest {label(found.pair.first)} and {label(found.pair.second)}"
-    axes.set_title(said, fontsize=12, color=INK, fontweight="bold")
+    pair = " and ".join(label(name) for name in (found.pair.first, found.pair.second))
+    head = f"distances: {found.verdict.value.lower()}; closest {pair}"
+    axes.set_title(head, fontsize=12, color=INK, fontweight="bold")
     axes.set_xlabel("clock of the path [s]", fontsize=11, color=INK)
     axes.set_ylabel("least distance [mm]", fontsize=11, color=INK)
     axes.set_xlim(0.0, end)

@@ -37,32 +37,6 @@ MAX_VALUES = 40
 OPEN_NOTES = 15
 _HIDDEN = ("scene", "path", "binding", "object", "settings", "notes", "load")
 
-_STYLE = """
-:root { color-scheme: light; }
-body { font: 15px/1.5 system-ui, -apple-system, "Segoe UI", sans-serif; color: #222; background: #fff; margin: 0 auto;
-  max-width: 62rem; padding: 1.5rem 1.25rem 3rem; }
-h1 { font-size: 1.7rem; margin: 0 0 .2rem; } h2 { font-size: 1.15rem; margin: 2.2rem 0 .6rem; }
-p.sub { color: #5a616b; margin: 0 0 1.2rem; }
-p.verdict { display: inline-block; padding: .35rem .8rem; border-radius: 5px; font-weight: 600; margin: 0 0 .8rem; }
-p.good { background: #e2f3e6; color: #14532d; } p.bad { background: #fbe3e3; color: #7f1d1d; }
-table { border-collapse: collapse; width: 100%; } td, th { text-align: left; vertical-align: top;
-  padding: .32rem .8rem .32rem 0; border-bottom: 1px solid #e6e9ed; } th { font-weight: 600; }
-td.mark { width: 4.5rem; font-weight: 600; } td.yes { color: #166534; } td.no { color: #b00020; }
-td.n, th.n { text-align: right; font-variant-numeric: tabular-nums; white-space: nowrap; }
-td.key { white-space: nowrap; font-family: ui-monospace, monospace; font-size: .87em; }
-td.value { font-family: ui-monospace, monospace; font-size: .87em; overflow-wrap: anywhere; }
-dl { display: grid; grid-template-columns: repeat(auto-fill, minmax(12.5rem, 1fr)); gap: .8rem; margin: 0; }
-dl div { border: 1px solid #e6e9ed; border-radius: 6px; padding: .55rem .75rem; }
-dt { color: #5a616b; font-size: .88em; }
-dd { margin: 0; font-size: 1.25rem; font-weight: 600; } img { width: 100%; height: auto; }
-ol { padding-left: 0; list-style: none; margin: 0; }
-ol li { border-bottom: 1px solid #eef0f3; padding: .18rem 0; font-size: .92em; }
-ol li b { font-weight: 600; font-variant-numeric: tabular-nums; display: inline-block; min-width: 6.5em; }
-ol.why { margin-top: .8rem; } ol.why li { border: 0; color: #7f1d1d; font-weight: 600; }
-summary { cursor: pointer; padding: .4rem 0; } footer { margin-top: 2.5rem; color: #7a818b; font-size: .85em; }
-@media print { h2 { break-after: avoid; } img, table, dl { break-inside: avoid; } }
-"""
-
 
 def report_html(
     recording: Recording,
@@ -110,10 +84,11 @@ def report_html(
         _section("Notes of the run", _notes(recording)),
         f"<footer>coopqp {_text(metadata.version('coopqp'))}</footer>",
     ]
+    style = Path(__file__).with_suffix(".css").read_text(encoding="utf-8")
     return (
         "<!doctype html>\n<html lang=en><head><meta charset=utf-8>"
         '<meta name=viewport content="width=device-width, initial-scale=1">'
-        f"<title>{_text(title)}: report</title><style>{_STYLE}</style></head>\n<body>\n"
+        f"<title>{_text(title)}: report</title><style>\n{style}</style></head>\n<body>\n"
         + "\n".join(part for part in body if part)
         + "\n</body></html>\n"
     )

@@ -280,8 +280,8 @@ class Stage:
         if step < 0 or list(Status)[int(self.recording.status[step])] is Status.TRACKING:
             return ""
         notes = (note.partition(": ") for note in self.recording.notes)
-        told = [text for begun, _, text in notes if begun.isdigit() and int(begun) <= step]
-        return told[-1] if told else ""
+        reasons = [text for begun, _, text in notes if begun.isdigit() and int(begun) <= step]
+        return reasons[-1] if reasons else ""
 
     def _mark(self, limits: tuple[BindingLimit, ...]) -> None:
         """Colour the arms with binding limits (their joints strongest) and write the limits under their names.

@@ -37,11 +37,11 @@ def sweep_figure(sweep: Sweep) -> Figure:
     rows = [row for row in sweep.rows if row["outcome"] == OK]
     choices = {key: values for key, values in _choices(sweep).items() if len(values) > 1}
     along = max(choices, key=lambda key: (_is_numeric(choices[key]), len(choices[key])), default="")
-    said = {key: name_and_unit(study, key) for key in choices}
-    name_along, unit_along = said.pop(along, (along, ""))
+    units = {key: name_and_unit(study, key) for key in choices}
+    name_along, unit_along = units.pop(along, (along, ""))
     groups: dict[str, list[Mapping[str, Any]]] = {}
     for row in rows:
-        groups.setdefault(_name(row, said), []).append(row)
+        groups.setdefault(_name(row, units), []).append(row)
     names = list(groups)[:_MOST_LINES]
     panels = study.figures or ("chain_mm",)
     figure = new_figure(3.4 * max(2, len(panels)), 4.3, layout="constrained")
@@ -78,7 +78,7 @@ def sweep_figure(sweep: Sweep) -> Figure:
         axes.set_axisbelow(True)
         plain(axes)
     handles, _ = np.atleast_1d(top.axes)[0].get_legend_handles_labels()
-    if said and handles:
+    if units and handles:
         labels = [label(name, width=44) for name in names]
         add_legend(bottom.subplots(), handles, labels, legend_columns(labels, 3.4 * len(panels), size=9.5), size=9.5)
     drawn = study.draws * study.repeats
@@ -97,11 +97,11 @@ def _is_numeric(values: Sequence[Any]) -> bool:
     return all(isinstance(v, int | float) and not isinstance(v, bool) for v in values)
 
 
-def _name(row: Mapping[str, Any], said: Mapping[str, tuple[str, str]]) -> str:
+def _name(row: Mapping[str, Any], units: Mapping[str, tuple[str, str]]) -> str:
     """Values of a row, each with its name and unit."""
     return ", ".join(
         f"{name} {_short(row[key])} {unit}".rstrip() if key != "case" else str(row[key])
-        for key, (name, unit) in said.items()
+        for key, (name, unit) in units.items()
     )
 
 

@@ -137,8 +137,8 @@ def _draw_errors(axes: Any, recording: Recording, readings: Readings, tolerances
             times, errors = drawn(recording.time, np.maximum(error, 0.1 * _FLOOR))
             axes.plot(times, errors, color=colour, ls=dashes, lw=1.9)
             largest = max(largest, float(np.nanmax(errors, initial=0.0)))
-        said = f"{text}: below 1e-6 mm" if small else text
-        handles.append(Line2D([], [], color=colour, ls="none" if small else dashes, lw=1.9, label=said))
+        entry = f"{text}: below 1e-6 mm" if small else text
+        handles.append(Line2D([], [], color=colour, ls="none" if small else dashes, lw=1.9, label=entry))
     for name, text, colour in (("chain_mm", "arms", _ERRORS[1][2]), ("object_mm", "object", _ERRORS[2][2])):
         asked = getattr(tolerances, name)
         axes.axhline(asked, color=colour, lw=1.0, ls=(0, (8, 3)))

@@ -9,6 +9,7 @@ from __future__ import annotations
 import contextlib
 import html
 import io
+import string
 import textwrap
 import time
 from collections.abc import Callable, Iterator
@@ -37,23 +38,6 @@ PAUSE_AT_END = 1.5
 #: Redraws per second of the live viewer.
 LIVE_RATE = 30.0
 SPEEDS = ("0.1x", "0.25x", "0.5x", "1x", "2x", "5x", "10x")
-
-_CARD = """
-<style>
-#coopqp {{ position: fixed; left: 14px; top: 14px; z-index: 5; max-width: 25em; padding: 9px 13px; font: 13px/1.45
-  system-ui, sans-serif; color: #222; background: rgba(255, 255, 255, .88); border: 1px solid #dfe3e8;
-  border-radius: 6px; pointer-events: none; }}
-#coopqp b {{ font-size: 15px; }}
-@media (max-width: 1200px) {{ #coopqp {{ font-size: 12px; padding: 5px 9px; max-width: 60vw; }}
-  #coopqp span {{ display: none; }} }}
-#coopqp i {{ display: inline-block; width: 1.1em; height: .62em; margin-right: .45em; border-radius: 2px; }}
-</style>
-<div id="coopqp"><b>{title}</b><br>{subtitle}<span><br>
-<i style="background: #4c84bf"></i>the object (grey: its start and end)<br>
-<i style="background: #0072b2; height: .25em; vertical-align: .2em"></i>paths of its frame and of the grasps<br>
-<i style="background: #d61e1e"></i>an arm at a limit, named above it, or bodies too close<br>
-Drag to turn, scroll to zoom; the space bar plays and pauses.</span></div>
-"""
 
 
 def require_viser() -> Any:
@@ -193,11 +177,13 @@ def export_html(
                 progress(done, n_frames)
         document: str = serializer.as_html()
     name, made = title_of(recording)
-    card = _CARD.format(title=html.escape(name), subtitle=html.escape(made))
-    return _write_page(page, document, card)
+    return _write_page(page, document, name, html.escape(made))
 
 
-def _write_page(page: Path, document: str, card: str) -> Path:
+def _write_page(page: Path, document: str, title: str, subtitle: str) -> Path:
+    """Write a page with a card of a title, and of a subtitle in HTML."""
+    template = string.Template(Path(__file__).with_name("card.html").read_text(encoding="utf-8"))
+    card = template.substitute(title=html.escape(title), subtitle=subtitle)
     head, found, tail = document.rpartition("</body>")
     write_files({page: f"{head}{card}{found}{tail}".encode() if found else f"{document}{card}".encode()})
     return page
@@ -335,8 +321,8 @@ class CellViewer(LiveViewer):
         gui = self._server.gui
         gui.configure_theme(show_share_button=False)
         verdict, *lines = [*found.lines(), *more.splitlines()]
-        told = "\n\n".join(_plain(line) for line in lines)
-        gui.add_markdown(f"**{_plain(found.name.replace('_', ' '))}**\n\n**{_plain(verdict)}**\n\n{told}")
+        text = "\n\n".join(_plain(line) for line in lines)
+        gui.add_markdown(f"**{_plain(found.name.replace('_', ' '))}**\n\n**{_plain(verdict)}**\n\n{text}")
         self._button = gui.add_button("Run", color="blue")
         self._button.on_click(lambda _: self._press())
         self._text = gui.add_markdown("")
@@ -350,12 +336,12 @@ class CellViewer(LiveViewer):
             return super().update(elapsed)
         if self._asked:
             self._asked, self._button.disabled = False, True
-            told = -1
+            percent_shown = -1
 
             def progress(done: int, planned: int) -> None:
-                nonlocal told
-                if (percent := 100 * done // max(planned, 1)) != told:
-                    told = percent
+                nonlocal percent_shown
+                if (percent := 100 * done // max(planned, 1)) != percent_shown:
+                    percent_shown = percent
                     self._text.content = f"running: {min(percent, 100)} %"
 
             try:
@@ -399,6 +385,5 @@ def export_glance(found: Glance, file: str | Path, *, more: str = "", sticks: bo
         serializer.insert_sleep(1.0)
         document: str = serializer.as_html()
     verdict, *lines = [*found.lines(), *more.splitlines()]
-    told = "<br>".join(html.escape(line) for line in lines)
-    card = _CARD.format(title=html.escape(f"{found.name.replace('_', ' ')}: {verdict}"), subtitle=told)
-    return _write_page(page, document, card)
+    text = "<br>".join(html.escape(line) for line in lines)
+    return _write_page(page, document, f"{found.name.replace('_', ' ')}: {verdict}", text)

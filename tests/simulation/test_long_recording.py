@@ -163,7 +163,7 @@ def test_parts_are_judged_as_the_whole(run: Recording, scenario: Scenario, monke
 
 def judged(run: Recording, scenario: Scenario) -> set[Any]:
     monitor = Monitor(scenario.cell, run.grasp, keep=10_000)
-    return {(v.kind, v.step, v.arm, v.joint) for v in monitor.judge_recording(run).violations}
+    return {(v.kind, v.step, v.arm, v.joint) for v in monitor.check_recorded(run).violations}
 
 
 @given(

@@ -131,7 +131,7 @@ class CellRun:
         settings: contents of the file as plain data; its table ``output`` selects the files to write.
         stiffness: what the file says of the joint servos (nv,) [N·m/rad or N/m]; None if it says nothing. The options
             of a controller ``"qp"`` have it; for :class:`coopqp.ForceOptions`.
-        scene: the bodies whose distances are kept or judged; None without bodies.
+        scene: the bodies whose distances are kept or checked; None without bodies.
         file: the file, for messages.
     """
 

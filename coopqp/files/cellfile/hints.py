@@ -70,8 +70,8 @@ def _small(text: str) -> str:
 
 def _questions(data: Any) -> Iterator[str]:
     for place, key, numbers in _numbers(data, ""):
-        said = ", ".join(f"{x:g}" for x in numbers[:7])
-        shown = f"[{said}]" if len(numbers) > 1 else said
+        digits = ", ".join(f"{x:g}" for x in numbers[:7])
+        shown = f"[{digits}]" if len(numbers) > 1 else digits
         most = max(map(abs, numbers))
         if "_deg" in key or "_deg." in place:
             part = next((x for x in numbers for p in _PARTS if abs(abs(x) - p) < _NEAR * p), None)

@@ -1,1 +1,1 @@
-"""Verdicts on runs, by other ways than the controllers'."""
+"""Evaluation of runs, independent of the controllers."""

@@ -164,17 +164,17 @@ def _apart(recording: Recording) -> tuple[Finding, ...]:
         return ()
     try:
         left_out = [(str(first), str(second)) for first, second in entry["left_out"]]
-        judged = "closest_m" in entry
-        closest, at = (float(entry[key]) if judged else math.nan for key in ("closest_m", "time_s"))
-        names = " and ".join(map(str, entry["between"])) if judged else ""
-        margin = float(entry["margin_m"]) if judged and entry["avoided"] else 0.0
+        measured = "closest_m" in entry
+        closest, at = (float(entry[key]) if measured else math.nan for key in ("closest_m", "time_s"))
+        names = " and ".join(map(str, entry["between"])) if measured else ""
+        margin = float(entry["margin_m"]) if measured and entry["avoided"] else 0.0
         notes = [str(note) for note in entry.get("notes", ())]
     except (KeyError, TypeError, ValueError, OverflowError, AttributeError) as error:
         raise RecordingError(f"'clearance' in the recording's metadata is damaged ({error}).") from error
     where = f"{names} at {at:.3g} s"
     touched, inside = closest <= 0.0, closest < margin - MARGIN_ROUNDING
     texts = [f"{where} touched" if touched else f"nothing touched: closest {1e3 * closest:.3g} mm, {where}"][
-        : int(judged)
+        : int(measured)
     ]
     causes = [where if touched else f"{where}, inside the margin of {1e3 * margin:.3g} mm"][: int(touched or inside)]
     if left_out:
@@ -221,8 +221,8 @@ def _blame(recording: Recording, first: int, last: int) -> str:
         worst = sorted(seconds, key=lambda limit: (-seconds[limit], str(limit)))
         return " by " + ", ".join(map(str, worst[:MAX_BLAMED]))
     notes = [note.partition(": ") for note in recording.notes]
-    said = [text for step, _, text in notes if step.isdigit() and first <= int(step) < last]
-    return f": {said[-1].rstrip('.')}" if said else ""
+    reasons = [text for step, _, text in notes if step.isdigit() and first <= int(step) < last]
+    return f": {reasons[-1].rstrip('.')}" if reasons else ""
 
 
 def _positions(cell: RobotCell, recording: Recording) -> Finding:

@@ -1,4 +1,4 @@
-"""Consecutive steps as arrays, for a monitor that judges many at once; and faults in the form of a step."""
+"""Consecutive steps as arrays, for a monitor that checks many at once; and faults in the form of a step."""
 
 from __future__ import annotations
 

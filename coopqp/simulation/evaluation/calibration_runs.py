@@ -59,13 +59,13 @@ def calibrate_runs(
 
 
 def _check_gripped(run: Recording, gripped: bool | None, i: int) -> None:
-    said = run.metadata.get("gripped")
-    if said is False:
+    entry = run.metadata.get("gripped")
+    if entry is False:
         raise CalibrationError(
             f"recording {i}: the arms held no object ({run.metadata.get('plant', 'its plant')}); joints that just "
             "follow their commands say nothing of bases and grips. Record a run in which they hold one rigid object."
         )
-    if said is None and not gripped:
+    if entry is None and not gripped:
         raise CalibrationError(
             f"recording {i} does not say whether the arms held one object. If they did, say so (gripped=True, or the "
             "option --gripped)."

@@ -1,8 +1,7 @@
-"""How close bodies came in a run, judged from its commanded configurations alone, between its steps, too.
+"""How close bodies came in a run, from its commanded configurations alone, also between its steps.
 
-The controllers' bounds and rows play no part in it: bodies are placed by Pinocchio's kinematics, and coal is asked for
-the distances of two bodies. The motion of two bodies between samples bounds the change of their distance, so few
-distances are computed.
+The controllers' bounds and rows play no part in it: bodies are placed by Pinocchio's kinematics, and coal computes the
+distance of two bodies. Their motion between samples bounds the change of their distance, so few distances are computed.
 """
 
 from __future__ import annotations
@@ -32,7 +31,7 @@ from coopqp.spatial import Array
 PARTS = 4
 #: A body's way between two samples is at most this many times the way that its placements show.
 _BENT = 1.05
-#: Largest number of samples that are judged; of longer runs every second, third, … sample is.
+#: Largest number of evaluated samples; of longer runs every second, third, … sample.
 MOST_JUDGED = 50_000
 #: Samples of the distances over a run.
 MOST_SAMPLES = 200
@@ -69,10 +68,10 @@ class _Placed(NamedTuple):
 
 @final
 class Closeness:
-    """Judges one scene.
+    """Distances of one scene over a run.
 
     Args:
-        scene: the pairs that are judged, with their margins. Pairs with bodies that move by themselves are left out.
+        scene: the pairs, with their margins. Pairs with bodies that move by themselves are left out.
     """
 
     def __init__(self, scene: CollisionScene) -> None:
@@ -204,7 +203,7 @@ class Closeness:
                     found.append((t - 1, NearPair(*self._labels[k], room + required), -room))
         return found
 
-    def judged(self, left_out: Iterable[tuple[str, str]]) -> list[int]:
+    def pairs_without(self, left_out: Iterable[tuple[str, str]]) -> list[int]:
         """Pairs of shapes, without the pairs of these names."""
         names = set(left_out)
         return [k for k in self._pairs if self._labels[k] not in names]
@@ -281,7 +280,7 @@ class Closeness:
 
 
 def default_scene(scenario: Scenario) -> CollisionScene | None:
-    """The bodies of a scenario without margins, to judge runs by; None where its arms have no shapes."""
+    """The bodies of a scenario without margins, to evaluate runs; None where its arms have no shapes."""
     box = Body("object", Box(scenario.object_size), scenario.T_object_body)
     return _plain_scene(scenario.cell, scenario.grasp, box, scenario.obstacles)
 
@@ -305,7 +304,7 @@ def with_clearance(recording: Recording, scene: CollisionScene | None, *, avoide
     """The recording with an entry ``clearance`` in its metadata: where bodies came closest.
 
     Entries: ``closest_m``, ``between``, ``time_s``, ``margin_m``, ``avoided``, ``left_out`` (pairs of names that
-    overlap at the start of a run without avoidance: the distances of these are not judged), ``times_s``,
+    overlap at the start of a run without avoidance: the distances of these are not checked), ``times_s``,
     ``distances_m`` and ``points_m``, the nearest points of both bodies. Where all pairs are left out only ``avoided``
     and ``left_out`` are there. ``notes`` are those of the scene. Entries ``bodies`` and ``carried`` hold what stands
     in the world and what the object is made of.
@@ -326,7 +325,7 @@ def with_clearance(recording: Recording, scene: CollisionScene | None, *, avoide
     if found is None:
         return replace(recording, metadata={**recording.metadata, "clearance": entry}) if left_out else recording
     rows = np.unique(np.linspace(0, len(q) - 1, MOST_SAMPLES).round().astype(int))
-    distances, points = _nearest(scene, closeness, q[rows], closeness.judged(left_out))
+    distances, points = _nearest(scene, closeness, q[rows], closeness.pairs_without(left_out))
     entry |= {
         "closest_m": found.pair.distance,
         "between": [found.pair.first, found.pair.second],
@@ -344,7 +343,7 @@ def _nearest(
 ) -> tuple[list[float], list[list[list[float]]]]:
     """The nearest pair at configurations (T, nq), for pictures: its distances (T,) [m], its points (T, 2, 3) [m].
 
-    The controllers' distances choose the pair; the judge says its distance.
+    The controllers' distances choose the pair; its distance is that of ``closeness``.
     """
     distances, apart, points = Distances(scene.built), list[float](), []
     for row in q:

@@ -20,6 +20,8 @@ from coopqp.spatial import Array, cross
 
 #: Smaller errors [mm or deg] are rounding: texts say "below" instead of a number.
 ROUNDING = 1e-9
+#: Number of pairs of placements that are compared at once; bounds the memory.
+_LARGEST_TABLE = 200_000
 
 
 def error_text(value: float, unit: str = "") -> str:
@@ -190,6 +192,25 @@ def chain_errors(tools: Array, grasp: Grasp) -> tuple[Array, Array]:
     """Largest distance [m] and angle [rad] (…) between the object poses of any two arms."""
     distance, angle = gaps(object_poses(tools, grasp))
     return distance.max(axis=-1, initial=0.0), angle.max(axis=-1, initial=0.0)
+
+
+def object_gaps(cell: RobotCell, grasp: Grasp, q: Array, reference: Array, shift: Array | None) -> tuple[Array, Array]:
+    """Distances [m] and angles [rad] (T, P + N): first of the P pairs of two arms, then of each arm and the path.
+
+    Args:
+        cell, grasp: the arms, and how they hold.
+        q: configurations (T, nq).
+        reference: poses of the path (T, 4, 4).
+        shift: motion of the grasps (T, N, 6) [m, rad]; None where they stay.
+    """
+    poses = object_poses(without_shift(tool_matrices(cell, q), grasp, shift), grasp)
+    rows = max(1, _LARGEST_TABLE // (len(cell) * (len(cell) + 1) // 2))
+    found = []
+    for part in (slice(start, start + rows) for start in range(0, len(q), rows)):
+        pairs = zip(gaps(poses[part]), errors_from(poses[part], reference[part]), strict=True)
+        found.append([np.hstack(both) for both in pairs])
+    distance, angle = (np.vstack(parts) for parts in zip(*found, strict=True))
+    return distance, angle
 
 
 # -- one sample --------------------------------------------------------------------------------------------------------

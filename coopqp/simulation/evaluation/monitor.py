@@ -1,6 +1,6 @@
 """An independent monitor: checks that commands keep the limits, the chain, the path and the controller's promises.
 
-The monitor judges commands, and wrenches where it is given them, and shares no code with the controllers: kinematics
+The monitor checks commands, and wrenches where it is given them, and shares no code with the controllers: kinematics
 come directly from Pinocchio's frames and limits from the cell. Use it to test your own controller, after a run
 (:func:`check_run`) or during one (:class:`Monitor`, :class:`coopqp.simulation.Monitored`).
 """
@@ -27,7 +27,7 @@ from coopqp.paths.path import ObjectPath
 from coopqp.simulation.evaluation.assessment import Tolerances
 from coopqp.simulation.evaluation.blocks import Block, faults_of, recorded_block, sound_steps
 from coopqp.simulation.evaluation.closeness import Closeness
-from coopqp.simulation.evaluation.object_gaps import object_gaps
+from coopqp.simulation.evaluation.metrics import object_gaps
 from coopqp.simulation.evaluation.readings import check_recording
 from coopqp.simulation.evaluation.violations import Verdict, Violation, ViolationKind, Worst
 from coopqp.simulation.evaluation.wrench_bounds import WrenchBounds, excesses
@@ -50,7 +50,7 @@ _FLOAT = np.dtype(np.float64)
 
 @final
 class Monitor:
-    """Judges the commands of one controller, step by step or many steps at once.
+    """Checks the commands of one controller, step by step or many steps at once.
 
     Args:
         cell: cell with the true limits and kinematics, even if the controller assumes others.
@@ -58,9 +58,9 @@ class Monitor:
         path: path of the object; by default the path in each step.
         tolerances: accepted errors of commands; :data:`COMMANDED` by default, also for what a dictionary leaves out.
         keep: number of violations stored with details; all are counted.
-        kinematics: also judge the chain and the path; this doubles the cost of a step.
-        scene: also judge the distances of its bodies, in steps and between them, by another way than a controller's.
-        wrenches: also judge the wrenches that :meth:`observe` is given, from the first motion of the object on.
+        kinematics: also check the chain and the path; this doubles the cost of a step.
+        scene: also check the distances of its bodies, in steps and between them, by another way than a controller's.
+        wrenches: also check the wrenches that :meth:`observe` is given, from the first motion of the object on.
     """
 
     def __init__(
@@ -120,17 +120,17 @@ class Monitor:
     def observe(
         self, step: ControlStep, *, wrenches: ArrayLike | None = None, shift: Array | None = None
     ) -> tuple[Violation, ...]:
-        """Judge one step; return its violations.
+        """Check one step; return its violations.
 
         Args:
             step: the step.
             wrenches: wrenches of the arms on the object that the controller was given for the step, each at the origin
-                and in the axes of its tool (N, 6) [N, N·m]; judged by the monitor's ``wrenches``.
+                and in the axes of its tool (N, 6) [N, N·m]; checked by the monitor's ``wrenches``.
             shift: motion by which each grasp has given way in the step, in the object frame (N, 6) [m, rad]:
                 :attr:`coopqp.ForceController.shift`.
 
         Raises:
-            InvalidInputError: a shift of another shape; nothing is then judged.
+            InvalidInputError: a shift of another shape; nothing is then checked.
         """
         before, moved = len(self._violations), self._moved
         self.observe_all([step], shifts=None if shift is None else [shift])
@@ -142,10 +142,10 @@ class Monitor:
     def observe_all(
         self, steps: Sequence[ControlStep], *, shifts: Sequence[Array] | None = None
     ) -> tuple[Violation, ...]:
-        """Judge consecutive steps at once, at a lower cost per step; return their stored violations (see ``keep``).
+        """Check consecutive steps at once, at a lower cost per step; return their stored violations (see ``keep``).
 
         Raises:
-            InvalidInputError: not one shift (N, 6) for each step; nothing is then judged.
+            InvalidInputError: not one shift (N, 6) for each step; nothing is then checked.
         """
         if shifts is not None:
             self._check_shifts(shifts, len(steps))
@@ -156,10 +156,10 @@ class Monitor:
             if row is not None:
                 formed.append(row)
             else:
-                self._judge_rows(formed)
+                self._check_rows(formed)
                 self._refuse(step)
                 formed = []
-        self._judge_rows(formed)
+        self._check_rows(formed)
         return tuple(self._violations[before:])
 
     def _check_shifts(self, shifts: Sequence[Array], steps: int) -> None:
@@ -204,7 +204,7 @@ class Monitor:
         return q, q_next, velocity, dt, clock, clock_next, rate, status, step.path, step, shift
 
     def _refuse(self, step: ControlStep) -> None:
-        """Count the faults of a step. It is judged no further, and the next one is not compared with it."""
+        """Count the faults of a step. It is checked no further, and the next one is not compared with it."""
         for fault in faults_of(step, self.cell, self._steps, self._time):
             self._add(fault)
         self._steps += 1
@@ -215,7 +215,7 @@ class Monitor:
         self._last_q, self._last_path = None, None
         self._last_v, self._held = np.full(self.cell.nv, np.nan), 0.0
 
-    def _judge_rows(self, rows: Sequence[_Row]) -> None:
+    def _check_rows(self, rows: Sequence[_Row]) -> None:
         if not rows:
             return
         q, q_next, velocity, dt, clock, clock_next, rate, status, own, steps, shifts = zip(*rows, strict=True)
@@ -227,7 +227,7 @@ class Monitor:
         if not sound.all():
             for good, run in itertools.groupby(range(len(rows)), sound.__getitem__):
                 if good:
-                    self._judge_rows([rows[i] for i in run])
+                    self._check_rows([rows[i] for i in run])
                     continue
                 for i in run:
                     self._refuse(steps[i])
@@ -250,10 +250,10 @@ class Monitor:
             duration=np.array([p.duration for p in paths]),
             shift=None if shifts[0] is None else np.array(shifts),
         )
-        self._judge(block)
+        self._check(block)
 
-    def judge_recording(self, recording: Recording) -> Verdict:
-        """Judge a run; see :func:`check_run`."""
+    def check_recorded(self, recording: Recording) -> Verdict:
+        """Check a run; see :func:`check_run`."""
         r = recording
         last = -2  # the last sound step
         for part in r.parts(r.n_steps):
@@ -262,17 +262,17 @@ class Monitor:
             for good, run in itertools.groupby(sound.tolist()):
                 i, end = end, end + len(list(run))
                 if good:
-                    self._judge(recorded_block(r, i, end, goes_on=last == i - 1))
+                    self._check(recorded_block(r, i, end, goes_on=last == i - 1))
                     last = end - 1
                     continue
                 for row in range(i, end):
                     self._add(Violation(ViolationKind.NOT_FINITE, row, float(r.time[row]), amount=np.nan))
                 self._steps += end - i
                 self._lose()
-        self._judge_loads(r)
+        self._check_loads(r)
         return self.verdict()
 
-    def _judge_loads(self, r: Recording) -> None:
+    def _check_loads(self, r: Recording) -> None:
         """Torques of joints, and in motion internal forces and palms, where the run was recorded with them."""
         loads = read_loads(self.cell, r)
         if loads is None:
@@ -289,20 +289,20 @@ class Monitor:
                 arm, joint = owners[k]
                 self._add(Violation(kind, int(t), float(loads.time[t]), arm, joint, float(excess[t, k]), unit))
 
-    def _judge(self, block: Block) -> None:
+    def _check(self, block: Block) -> None:
         steps = len(block.dt)
         ends = self._time + np.cumsum(block.dt)
         x, x_next = self._positions(block.q), self._positions(block.q_next)
         v_before = np.vstack([self._last_v, block.velocity[:-1]])
-        self._judge_positions(x, x_next, ends)
-        self._judge_rates(block, v_before, ends)
-        self._judge_continuity(block, x, x_next, ends)
-        self._judge_clock(block, ends)
-        self._judge_holding(block, v_before, ends)
+        self._check_positions(x, x_next, ends)
+        self._check_rates(block, v_before, ends)
+        self._check_continuity(block, x, x_next, ends)
+        self._check_clock(block, ends)
+        self._check_holding(block, v_before, ends)
         if self._kinematics:
-            self._judge_object(block, ends)
+            self._check_object(block, ends)
         if self._closeness is not None:
-            self._judge_clearance(self._closeness, block, ends)
+            self._check_clearance(self._closeness, block, ends)
         self._steps += steps
         self._moved = self._moved or bool((block.rate > 0.0).any())
         self._time = float(ends[-1])
@@ -316,14 +316,14 @@ class Monitor:
             x[:, j] = np.arctan2(q[:, self._at[j] + 1], q[:, self._at[j]])
         return x
 
-    def _judge_positions(self, x: Array, x_next: Array, ends: Array) -> None:
+    def _check_positions(self, x: Array, x_next: Array, ends: Array) -> None:
         excess = np.maximum(x_next - self._upper, self._lower - x_next)
         before = np.maximum(x - self._upper, self._lower - x)
         outward = excess - np.maximum(before, 0.0)  # an outside joint must not move further out
         self._note(position=float(outward.max()))
         self._joints(ViolationKind.POSITION, outward, POSITION, ends)
 
-    def _judge_rates(self, block: Block, v_before: Array, ends: Array) -> None:
+    def _check_rates(self, block: Block, v_before: Array, ends: Array) -> None:
         excess = np.abs(block.velocity) - self._speed
         self._note(velocity=float(excess.max()))
         self._joints(ViolationKind.VELOCITY, excess, VELOCITY, ends)
@@ -334,7 +334,7 @@ class Monitor:
             self._note(acceleration=float(share.max()))
             self._joints(ViolationKind.ACCELERATION, share, ACCELERATION, ends)
 
-    def _judge_continuity(self, block: Block, x: Array, x_next: Array, ends: Array) -> None:
+    def _check_continuity(self, block: Block, x: Array, x_next: Array, ends: Array) -> None:
         gap = np.abs(self._difference(x, x_next) - block.velocity * block.dt[:, None])
         self._joints(ViolationKind.CONTINUITY, gap, SAME, ends, "q_next is not q + v dt")
         before = np.vstack([block.q[:1] if self._last_q is None else self._last_q[None, :], block.q_next[:-1]])
@@ -352,7 +352,7 @@ class Monitor:
             d[:, t] = np.arctan2(np.sin(d[:, t]), np.cos(d[:, t]))
         return d
 
-    def _judge_clock(self, block: Block, ends: Array) -> None:
+    def _check_clock(self, block: Block, ends: Array) -> None:
         rate, advance = block.rate, block.clock_next - block.clock
         self._all(ViolationKind.RATE, np.maximum(-rate, rate - 1.0) - SAME, ends, "σ in [0, 1]")
         self._all(ViolationKind.RATE, np.where(block.dt > 0.0, -1.0, 1.0), ends, "dt > 0")
@@ -366,7 +366,7 @@ class Monitor:
             ViolationKind.CLOCK, np.where(block.same_path, np.abs(block.clock - before), 0.0) - SAME, ends, "jumps"
         )
 
-    def _judge_holding(self, block: Block, v_before: Array, ends: Array) -> None:
+    def _check_holding(self, block: Block, v_before: Array, ends: Array) -> None:
         """A holding controller must come to rest within the braking time of the slowest joint."""
         if not block.holding.any():
             self._held = 0.0
@@ -383,7 +383,7 @@ class Monitor:
             if over > SAME:
                 self._add(Violation(ViolationKind.HOLDING, self._steps + i, float(ends[i]), amount=over, detail="σ"))
 
-    def _judge_object(self, block: Block, ends: Array) -> None:
+    def _check_object(self, block: Block, ends: Array) -> None:
         t = self.tolerances
         chain = len(self._second)
         distance, angle = object_gaps(self.cell, self.grasp, block.q_next, block.reference, block.shift)
@@ -406,7 +406,7 @@ class Monitor:
                 arm = self.cell.arm_names[int(k)]
                 self._add(Violation(kind, self._steps + int(i), float(ends[i]), arm, "", amount, f"[{unit}]"))
 
-    def _judge_clearance(self, closeness: Closeness, block: Block, ends: Array) -> None:
+    def _check_clearance(self, closeness: Closeness, block: Block, ends: Array) -> None:
         if self._last_q is None or not np.array_equal(self._last_q, block.q[0]):
             closeness.start(block.q[0])
         q = np.vstack([block.q[:1], block.q_next])
@@ -450,17 +450,17 @@ def check_run(
     tolerances: Tolerances | Mapping[str, Any] | None = None,
     scene: CollisionScene | None = None,
 ) -> Verdict:
-    """Judge a recorded run by its commands, and by its loads where they were recorded.
+    """Check a recorded run by its commands, and by its loads where they were recorded.
 
     Args:
         recording: the run, which starts at rest.
         cell: cell with the true limits and kinematics.
         tolerances: as for :class:`Monitor`.
-        scene: bodies whose distances are judged, too.
+        scene: bodies whose distances are checked, too.
 
     Raises:
         InvalidInputError: a recording of another cell.
     """
     check_recording(cell, recording)
     monitor = Monitor(cell, recording.grasp, tolerances=tolerances, scene=scene)
-    return monitor.judge_recording(recording)
+    return monitor.check_recorded(recording)

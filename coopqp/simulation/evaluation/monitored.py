@@ -1,4 +1,4 @@
-"""A controller whose every step is judged by a monitor."""
+"""A controller whose every step is checked by a monitor."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from coopqp.spatial import Array
 
 @final
 class Monitored:
-    """A controller with a monitor. The monitor judges every step, and detects changes of the caller's arrays.
+    """A controller with a monitor. The monitor checks every step, and detects changes of the caller's arrays.
 
-    A controller that needs wrenches gets them, and the monitor sees them, and by how much the grasps give way.
+    A controller that needs wrenches gets them. The monitor sees them, too, and by how much the grasps give way.
 
     Args:
-        controller: the judged controller; use its other methods directly.
+        controller: the checked controller; use its other methods directly.
         monitor: the monitor; by default a new one for the controller's cell and grasp.
     """
 
@@ -57,10 +57,10 @@ class Monitored:
     def step(
         self, q_measured: ArrayLike | None = None, *, wrenches: ArrayLike | None = None, dt: float | None = None
     ) -> ControlStep:
-        """Compute and judge the controller's step."""
+        """Compute and check the controller's step."""
         kept, felt = _copy(q_measured), _copy(wrenches)
-        minded = {"wrenches": wrenches} if self.needs_wrenches else {}
-        step: ControlStep = self._inner.step(q_measured, dt=dt, **minded)
+        more = {"wrenches": wrenches} if self.needs_wrenches else {}
+        step: ControlStep = self._inner.step(q_measured, dt=dt, **more)
         self._unchanged(q_measured, kept, "q_measured")
         self._unchanged(wrenches, felt, "wrenches")
         self.monitor.observe(step, wrenches=wrenches, shift=getattr(self, "shift", None))

@@ -86,7 +86,7 @@ class Verdict:
     """The result of a monitor.
 
     Attributes:
-        steps: number of judged steps.
+        steps: number of checked steps.
         violations: the first violations, at most ``keep`` of :class:`Monitor`.
         counts: total number of violations of each kind.
         worst: the largest values.
@@ -99,7 +99,7 @@ class Verdict:
 
     @property
     def ok(self) -> bool:
-        """True if at least one step was judged and nothing was violated."""
+        """True if at least one step was checked and nothing was violated."""
         return self.steps > 0 and not self.counts
 
     def __str__(self) -> str:

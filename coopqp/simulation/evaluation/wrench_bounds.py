@@ -71,7 +71,7 @@ def excesses(bounds: WrenchBounds, grasp: Grasp, wrenches: ArrayLike) -> list[Ex
         bounds: accepted wrenches.
         grasp: placements of the tools.
         wrenches: wrench of each arm on the object, at the origin and in the axes of its tool (N, 6) [N, N·m]; NaN for
-            a missing one. The internal forces are judged if none is missing.
+            a missing one. The internal forces are checked if none is missing.
     """
     try:
         w = as_floats(wrenches)

@@ -19,8 +19,8 @@ of c (:func:`coopqp.forces.internal_wrenches`) alone:
     d̃ = d̂ − Jᵀ internal(ĉ).
 
 Without wrist sensors c is read from the joints, c = J̄ᵀ d (J̄ dynamically consistent). An arm whose weight is wrong then
-counts as squeezing: its joints cannot tell. With sensors c = ŵ − w is measured, d − Jᵀc is the arm's own error, and the
-arm bears it alone.
+counts as squeezing: its joints cannot tell. With sensors c = ŵ − w is measured: d − Jᵀc is then the error of the arm's
+own model, which its own drives compensate.
 
 Sources: Spong, Hutchinson, Vidyasagar, Robot Modeling and Control, ch. 9; De Luca, Albu-Schäffer, Haddadin, Hirzinger
 (2006), the observer of generalized momentum, here with M̂ q̈ by differences; Khatib (1987) for J̄.

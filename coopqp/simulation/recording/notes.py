@@ -1,4 +1,4 @@
-"""Notes of a run about itself: one per change, and one for changes that go to and fro."""
+"""Notes of a run: one for each change of status or binding limits, and one for changes that alternate."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from coopqp.model.limits import BindingLimit
 
 #: Subject of a note.
 Kind = tuple[Status, tuple[BindingLimit, ...]]
-#: Changes that follow each other within this time belong together [s].
+#: Changes that follow each other within this time are one episode [s].
 _TOGETHER = 0.1
-#: So many changes between this many kinds at most go to and fro.
+#: An episode alternates from this number of changes on, between at most this number of kinds.
 _FEWEST_CHANGES, _MOST_KINDS = 6, 4
 
 
@@ -38,13 +38,13 @@ class Notes:
     def take(self, step: ControlStep) -> None:
         """One more step."""
         kind = (step.status, step.binding)
-        if kind != self._last or (not self._steps and step.reason):  # a start may be odd, and the step track
+        if kind != self._last or (not self._steps and step.reason):  # a start may have warnings while its step tracks
             self._changes.append(_Change(self._steps, self._time, kind, step.explain()))
             self._last = kind
         self._steps, self._time = self._steps + 1, self._time + step.dt
 
     def lines(self) -> tuple[str, ...]:
-        """``"step: explanation"`` for each change; changes to and fro within a tenth of a second make one line."""
+        """``"step: explanation"`` for each change; changes that alternate within a tenth of a second make one line."""
         lines, i = [], 0
         while i < len(self._changes):
             end = _episode(self._changes, i)
@@ -69,12 +69,12 @@ def _episode(changes: list[_Change], first: int) -> int:
 
 
 def _in_turn(changes: list[_Change]) -> str:
-    """One line for changes to and fro: the statuses, how often, from when to when, and the most frequent cause."""
+    """One line for changes that alternate: the statuses, how often, from when to when, and the most frequent cause."""
     often = Counter(change.kind for change in changes)
     statuses = sorted({status for status, _ in often}, key=lambda status: -status.precedence)
     names = " and ".join(status.name for status in statuses)
-    said = max(often, key=lambda kind: (kind[0] is not Status.TRACKING, often[kind]))
-    text = next(change.text for change in changes if change.kind == said)
+    most = max(often, key=lambda kind: (kind[0] is not Status.TRACKING, often[kind]))
+    text = next(change.text for change in changes if change.kind == most)
     turns = f"{names} in turn" if len(statuses) > 1 else f"{names} for several reasons in turn"
     when = f"{len(changes)} changes from {changes[0].time:.3f} s to {changes[-1].time:.3f} s"
     return f"{changes[0].step}: {turns}, {when}; most often: {text}"

@@ -51,8 +51,8 @@ class Recording(Shown):
         status: :attr:`Status.code` of each step (T,).
         reference: the path's pose at each sample, 4x4 matrices (T+1, 4, 4).
         T_object_tool: the grasp, (N, 4, 4).
-        notes: one entry ``"step: explanation"`` per change of status or binding limits; one for many
-            changes to and fro.
+        notes: one entry ``"step: explanation"`` per change of status or binding limits; one for many changes that
+            alternate.
         metadata: controller, solver, names of arms and joints; description of the cell and the path (``scene``,
             ``path``: :mod:`coopqp.simulation.recording.scene`); binding limits over time (``binding``); the plant, and
             whether the arms held one object at the end (``gripped``); entries of the caller.
@@ -254,7 +254,7 @@ _UNREADABLE = (
 )
 _ARRAYS = ("time", "q", "q_command", "velocity", "clock", "rate", "status", "reference", "T_object_tool")
 
-#: Arrays that a run has only if asked.
+#: Arrays of runs that were recorded with loads, or whose grasps give way.
 _OPTIONAL = ("wrenches", "torques", "shift")
 
 
