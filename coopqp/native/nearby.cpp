@@ -318,6 +318,12 @@ double Nearby::bounded(Py_ssize_t k, const double *x, double enough, double tole
     return own;
 }
 
+/* A rough bound of a clearance where close pairs are followed to. */
+double Nearby::Measured::operator()(Py_ssize_t k) const {
+    all->shapes.place(all->at.data);
+    return all->shapes.bound(k, INFINITY, ROUGH) - all->margins.data[k];
+}
+
 /* The same by coal. */
 double Nearby::asked(Py_ssize_t k, const double *x) {
     coal.place(x);
@@ -342,14 +348,14 @@ void Nearby::set_watches(double rate, double range) {
     }
     if (!(widest > survey.range)) return;
     survey.range = widest;
-    survey_anew(&survey, positions.data);
+    survey_anew(&survey, positions.data, measured);
 }
 
 /* What rows and clear begin with. */
 void Nearby::begin(bool blind) {
     job = IDLE;
     set_watches(approach_of(blind), blind ? WATCHED_BLIND : WATCHED);
-    survey_now(&survey, positions.data);
+    survey_now(&survey, positions.data, measured);
     follow(positions.data);
 }
 
@@ -495,7 +501,7 @@ void Nearby::prepare() {
     job = set.evades >= 0.0 ? DONE : IDLE; /* ahead there is something to do after the next knot */
     coal.lose();
     if (dt.data[0] > 0.0) set_watches(1.0 / dt.data[0], WATCHED);
-    survey_anew(&survey, at.data);
+    survey_anew(&survey, at.data, measured);
     sharpen(SHARPENED_AT_START);
 }
 
@@ -506,7 +512,7 @@ bool Nearby::surveys() {
     for (Py_ssize_t j = 0; j < joints; j++)
         x[j] = !ahead ? positions.data[j] : at.data[j] + (job == IDLE ? coming[(size_t)j] : 0.0);
     const bool soon = !ahead && slack.data[0] > 0.0 && (job == ASKING || used_at(x) > USED);
-    const bool surveyed = !(soon && left_at(&survey, x) > NEEDED) && survey_piece(&survey, x);
+    const bool surveyed = !(soon && left_at(&survey, x) > NEEDED) && survey_piece(&survey, x, measured);
     const bool large = pairs > PIECE * PIECES; /* a knot does not wait for one after the other */
     if (surveyed && (!ahead || job == DONE || !large)) return true;
     if (job == IDLE) {
@@ -530,9 +536,9 @@ std::optional<std::vector<Py_ssize_t>> Nearby::doubtful(Py_ssize_t place) {
     const double span = knots.data[place * size + (Py_ssize_t)knot_numbers.data[1]];
     double *way = next.data();
     for (Py_ssize_t j = 0; j < nv; j++) way[j] = BENT_WAY * fabs((0.5 * span * curvature[j] - slope[j]) * span);
-    survey_now(&survey, x);
+    survey_now(&survey, x, measured);
     follow(x);
-    if (left_at(&survey, x) < most_of_two(&survey, survey.weights.data(), way)) survey_anew(&survey, x);
+    if (left_at(&survey, x) < most_of_two(&survey, survey.weights.data(), way)) survey_anew(&survey, x, measured);
     std::optional<std::vector<Py_ssize_t>> found;
     if (most_of_two(&survey, survey.weights.data(), way) <= left_at(&survey, x)) {
         found.emplace();
@@ -551,7 +557,7 @@ bool Nearby::evade() {
     const double *x = evading_positions.data, comfort = set.evades - EVADES_EARLY;
     std::vector<double> row((size_t)joints);
     bool any = false;
-    survey_now(&survey, x);
+    survey_now(&survey, x, measured);
     follow(x);
     evasion.begin();
     for (const Py_ssize_t k : survey.close) {

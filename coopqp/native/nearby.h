@@ -119,6 +119,11 @@ public:
 private:
     enum Job { IDLE, ASKING, DONE }; /* work that is spread: none, pairs are looked at, all is done */
 
+    struct Measured {
+        Nearby *all;
+        double operator()(Py_ssize_t k) const;
+    } measured = {this};
+
     double bounded(Py_ssize_t k, const double *x, double enough, double tolerance);
     double asked(Py_ssize_t k, const double *x);
     bool is_sharp(Py_ssize_t k) const { return sharp[(size_t)k] == sharp_stamp; }
