@@ -553,16 +553,29 @@ std::optional<std::vector<Py_ssize_t>> Nearby::doubtful(Py_ssize_t place) {
     return found;
 }
 
+/* The least speed of a distance that is so far beyond the comfort. */
+double Nearby::least_speed_of(double spare) const {
+    return -set.approach * spare / maximum(SMALL_CLEARANCE, 1.0 - maximum(0.0, spare) / EVADES_EARLY);
+}
+
 bool Nearby::evade() {
     const double *x = evading_positions.data, comfort = set.evades - EVADES_EARLY;
     std::vector<double> row((size_t)joints);
     bool any = false;
     survey_now(&survey, x, measured);
     follow(x);
-    evasion.begin();
+    near.clear();
+    for (size_t j = 0; j < row.size(); j++) row[j] = fabs(evading_slope.data[j]);
     for (const Py_ssize_t k : survey.close) {
+        if (!(bounded(k, x, set.evades, ROUGH) < set.evades)) continue;
+        near.push_back(k);
+        any = any || least_speed_of(clearances.data[k] - comfort) > -taken(&survey, k, row.data());
+    }
+    if (!any) return true; /* no pair can lack speed, whatever its gradient is */
+    any = false;
+    evasion.begin();
+    for (const Py_ssize_t k : near) {
         double ends[6], speed = 0.0;
-        if (!(bounded(k, x, set.evades, SHARP) < set.evades)) continue;
         double clearance = shapes.gap(k, ends) - margins.data[k];
         if (isnan(ends[3])) clearance = asked(k, x), coal.ends(k, ends);
         if (!(clearance < set.evades)) continue;
@@ -573,8 +586,7 @@ bool Nearby::evade() {
             row[j] = own ? kind * (dot3(ends, own) + dot3(turn, own + 3)) : 0.0;
             speed += row[j] * evading_slope.data[j];
         }
-        const double spare = clearance - comfort, near_by = 1.0 - maximum(0.0, spare) / EVADES_EARLY;
-        const double lacks = -set.approach * spare / maximum(SMALL_CLEARANCE, near_by) - speed;
+        const double lacks = least_speed_of(clearance - comfort) - speed;
         const double first = clamp(lacks, 0.0, GENTLE);
         evasion.add(row, lacks - first + first * first / (2.0 * GENTLE));
         any = any || lacks > 0.0;

@@ -139,6 +139,7 @@ private:
     double used_at(const double *x);
     bool look_for_certificate();
     bool look_for_knot();
+    double least_speed_of(double spare) const;
 
     Settings set;
     Coal coal;
