@@ -25,6 +25,7 @@
  * is left, the survey goes first. Pairs are looked at ahead of a knot this far beyond the motion to it. */
 #define USED 0.5
 #define NEEDED 0.25
+#define MOST_NEEDED 0.9
 #define WIDER 1.3
 
 /* -- coal ------------------------------------------------------------------------------------------------------------ */
@@ -511,8 +512,14 @@ bool Nearby::surveys() {
     double *x = next.data();
     for (Py_ssize_t j = 0; j < joints; j++)
         x[j] = !ahead ? positions.data[j] : at.data[j] + (job == IDLE ? coming[(size_t)j] : 0.0);
+    double share = SURVEYS_AGAIN;
+    if (ahead) { /* the next knot needs what the motion to it takes */
+        for (size_t j = 0; j < coming.size(); j++) survey.way[j] = WIDER * fabs(coming[j]);
+        share = maximum(share, most_of_two(&survey, survey.weights.data(), survey.way.data()));
+        share = minimum(share, MOST_NEEDED);
+    }
     const bool soon = !ahead && slack.data[0] > 0.0 && (job == ASKING || used_at(x) > USED);
-    const bool surveyed = !(soon && left_at(&survey, x) > NEEDED) && survey_piece(&survey, x, measured);
+    const bool surveyed = !(soon && left_at(&survey, x) > NEEDED) && survey_piece(&survey, x, share, measured);
     const bool large = pairs > PIECE * PIECES; /* a knot does not wait for one after the other */
     if (surveyed && (!ahead || job == DONE || !large)) return true;
     if (job == IDLE) {
@@ -547,7 +554,7 @@ std::optional<std::vector<Py_ssize_t>> Nearby::doubtful(Py_ssize_t place) {
             if (bounded(k, x, maximum(set.evades, least), SHARP) < least) found->push_back(k);
         }
     }
-    put_certificate();
+    slack.data[0] = -1.0; /* every knot is looked at: from it the next one is prepared */
     for (Py_ssize_t j = 0; j < nv; j++) coming[(size_t)j] = slope[j] * span;
     job = IDLE;
     return found;

@@ -15,8 +15,9 @@
 
 #include "bounds.h"
 
-/* Pairs that one piece of a survey looks at, and the largest number of pieces; shares of the certificate that are left where a survey begins, and where
- * it is finished at once; a close pair is close no longer beyond this many times the range. */
+/* Pairs that one piece of a survey looks at, and the largest number of pieces; shares of the certificate that are left
+ * where a survey begins, and where it is finished at once; a close pair is close no longer beyond this many times the
+ * range. */
 #define PIECE 256
 #define PIECES 10
 #define SURVEYS_AGAIN 0.5
@@ -144,10 +145,11 @@ static void go_on(Survey *s, Py_ssize_t pairs, Measured &&measured) {
     if (s->cursor == s->pairs) end_survey(s);
 }
 
-/* A piece of a survey at x, if one is under way or due; whether there was anything to do. */
+/* A piece of a survey at x, if one is under way, or due because no more than a share is left; whether there was anything
+ * to do. */
 template <typename Measured>
-static bool survey_piece(Survey *s, const double *x, Measured &&measured) {
-    if (!s->under_way && left_at(s, x) > SURVEYS_AGAIN) return false;
+static bool survey_piece(Survey *s, const double *x, double share, Measured &&measured) {
+    if (!s->under_way && left_at(s, x) > share) return false;
     if (!s->under_way) begin_survey(s, x);
     go_on(s, s->pairs / PIECES > PIECE ? s->pairs / PIECES : PIECE, measured);
     return true;
