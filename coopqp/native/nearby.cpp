@@ -295,10 +295,16 @@ Nearby::Nearby(const nb::dict &arrays, const Settings &settings, Coal &&coal_giv
 }
 
 void Nearby::placement(const In &x, Py_ssize_t i, Out &found) {
-    check_fit(x.size == joints && found.size == 12);
+    check_fit(x.size == joints && found.size == 12 && i >= 0 && (size_t)i < shapes.size());
     shapes.place(x.data);
     const Shape &s = shapes.placed((size_t)i);
     memcpy(found.data, s.R, sizeof s.R), memcpy(found.data + 9, s.p, sizeof s.p);
+}
+
+double Nearby::bound(const In &x, Py_ssize_t k) {
+    check_fit(x.size == joints && k >= 0 && k < pairs);
+    shapes.place(x.data);
+    return shapes.bound(k, INFINITY, SHARP);
 }
 
 /* -- clearances ------------------------------------------------------------------------------------------------------ */
