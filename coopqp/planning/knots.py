@@ -19,7 +19,7 @@ from coopqp.model.cell import RobotCell
 from coopqp.model.grasp import Grasp
 from coopqp.paths.geometry import PathGeometry
 from coopqp.planning.arm_starts import why_it_ends
-from coopqp.spatial import Array, cross_last
+from coopqp.spatial import Array, cross
 
 #: A knot is reached within this [m, rad]; then Newton's method goes on to rounding.
 _REACHED, _EXACT = 1e-9, 1e-14
@@ -95,9 +95,9 @@ class Motion:
         r = self.R @ X.translation
         T = np.concatenate([(self.R @ X.rotation).reshape(-1, 9), self.p + r], axis=1)
         V, dV = self.V.copy(), self.slope.copy()
-        whirl = cross_last(V[:, 3:], r)
+        whirl = cross(V[:, 3:], r)
         V[:, :3] += whirl
-        dV[:, :3] += cross_last(dV[:, 3:], r) + cross_last(V[:, 3:], whirl)
+        dV[:, :3] += cross(dV[:, 3:], r) + cross(V[:, 3:], whirl)
         return T, V, dV
 
 
@@ -112,7 +112,7 @@ def arm_knots(kinematics: ArmKinematics, T_object_tool: pin.SE3, motion: Motion,
     if not residual[0] <= _REACHED:
         nothing = np.zeros((len(T), len(q0)))
         return ArmKnots(nothing + q0, nothing, nothing, -1)
-    ways, last = kinematics.ways(T, first, tolerance=_REACHED)
+    ways, last = kinematics.trajectories(T, first, tolerance=_REACHED)
     q, reached = ways[0], int(last[0])
     q[: reached + 1] = kinematics.newton(T[: reached + 1], q[: reached + 1], tolerance=_EXACT, steps=2)[0]
     return _derived(kinematics, T, V, dV, motion.s, q, reached)

@@ -10,7 +10,8 @@ from itertools import pairwise
 import numpy as np
 import pinocchio as pin
 import pytest
-from wrapped import Opaque
+from marks import slow_but_first
+from user_paths import Opaque
 
 from coopqp import LimitKind, LinePath, PreviewOptions, QPController, QPOptions, Status
 from coopqp.constraints.velocity import Rows
@@ -47,7 +48,7 @@ def test_the_gradient_of_a_singularity_and_the_bend_are_their_differences(
         for k, columns in enumerate(chain.moving_columns):
             T = state.T_world_tool[k]
             chain.evaluate(q, T.translation)
-            sigma, gradient = least_singular_value(chain.rows()[columns])
+            sigma, gradient = least_singular_value(chain.jacobians[k])
             assert sigma == pytest.approx(state.sigma_min[k], abs=1e-12)
             around = [
                 [CellState(cell, cell.moved(q, sign * eps * np.eye(cell.nv)[j])).sigma_min[k] for sign in (1.0, -1.0)]
@@ -57,9 +58,7 @@ def test_the_gradient_of_a_singularity_and_the_bend_are_their_differences(
             at = rng.normal(size=3)
             chain.evaluate(q, T.act(at))
             after, before = (tool_twist(task, cell.moved(q, sign * eps * v), k, columns, v, at) for sign in (1.0, -1.0))
-            np.testing.assert_allclose(
-                bend(chain.rows()[columns], v[columns]), (after - before) / (2.0 * eps), atol=2e-7
-            )
+            np.testing.assert_allclose(bend(chain.jacobians[k], v[columns]), (after - before) / (2.0 * eps), atol=2e-7)
 
 
 def braking(task: Scenario) -> BrakingRows:
@@ -131,7 +130,7 @@ def apart(task: Scenario, q: Array) -> float:
     return float(np.linalg.norm(origins - origins[0], axis=1).max())
 
 
-@pytest.mark.parametrize("kernel", available_kernels())
+@pytest.mark.parametrize("kernel", slow_but_first(available_kernels()))
 @pytest.mark.parametrize(("number", "acceleration"), [(0, np.inf), (1, 5.0)])
 def test_a_path_that_is_not_known_ahead_runs_out_of_reach_and_the_arms_stay_together(
     kernel: str, number: int, acceleration: float

@@ -10,8 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 from numpy.typing import NDArray
 
 from coopqp import BindingLimit, JointLimits, LimitKind, RobotCell
@@ -48,7 +47,7 @@ def random_box(rng: np.random.Generator, n: int, *, unlimited: float = 0.2) -> V
 
 
 def limits_of(box: VelocityBox) -> JointLimits:
-    return box._cell.limits
+    return box.limits
 
 
 def random_positions(box: VelocityBox, rng: np.random.Generator) -> Array:

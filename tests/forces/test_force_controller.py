@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
+from marks import slow_but_first
 
 from coopqp import (
     Cause,
@@ -29,7 +29,7 @@ from coopqp import (
 )
 from coopqp.baselines import PseudoInverseController
 from coopqp.control.core import minding_of
-from coopqp.control.core.relax_plain import minding_size, minding_views
+from coopqp.control.core.relax_plain import minding_scalars, minding_size, minding_views
 from coopqp.errors import StartWarning
 from coopqp.forces import Grip, LoadShare, StressModel, internal_wrenches
 from coopqp.model import CellState
@@ -304,17 +304,18 @@ def test_core_and_definition_agree_about_what_minds_forces(arms: int, seed: int)
     """In each stage, with and without palms: dead bands, ends of the reach, wrenches that do not come, faults."""
     if len(available_kernels()) < 2:
         pytest.skip("one kernel")
-    rng, places = np.random.default_rng(seed), {name: i for i, name in enumerate(layout.MINDING)}
+    rng, size = np.random.default_rng(seed), layout.SIZES["Minding"]
     compiled = rng.uniform(-1.0, 1.0, minding_size(arms))
-    compiled[: len(places)] = rng.uniform(0.05, 2.0, len(places))
+    compiled[:size] = rng.uniform(0.05, 2.0, size)
+    scalars = minding_scalars(compiled)
     for name, value in {
-        "MOST_REACH": compiled[places["MOST_REACH"]] * 10.0 ** rng.integers(-2, 2),
-        "FORCE_SLOWS": 0.5, "FORCE_HOLDS": rng.choice([1.0, 50.0]), "SATURATED": 0.0, "STEPPED": rng.random() < 0.9,
-        "STAGE": rng.integers(len(layout.STAGES)), "HAS_PALMS": rng.random() < 0.5, "SENSOR_ARM": 0.0,
-        "SENSOR_FAULT": rng.choice([0, 0, 0, 0, layout.SENSORS.index("SENSOR_WRONG")]), "FORCE_CAP": rng.random(),
-        "WAIT": rng.choice([0.15, 10.0]), "WHY": 0.0, "WHY_ARM": 0.0, "MOST_SQUEEZE": rng.choice([0.0, 30.0]),
+        "most_reach": scalars.most_reach * 10.0 ** rng.integers(-2, 2),
+        "force_slows": 0.5, "force_holds": rng.choice([1.0, 50.0]), "saturated": 0.0, "stepped": rng.random() < 0.9,
+        "stage": rng.integers(len(layout.STAGES)), "has_palms": rng.random() < 0.5, "sensor_arm": 0.0,
+        "sensor_fault": rng.choice([0, 0, 0, 0, layout.SENSORS.index("SENSOR_WRONG")]), "force_cap": rng.random(),
+        "wait": rng.choice([0.15, 10.0]), "why": 0.0, "why_arm": 0.0, "most_squeeze": rng.choice([0.0, 30.0]),
     }.items():  # fmt: skip
-        compiled[places[name]] = value
+        setattr(scalars, name, value)
     views = minding_views(compiled, arms)
     views["silent"][:] = 0.0
     if rng.random() < 0.5:  # palms that press
@@ -331,7 +332,7 @@ def test_core_and_definition_agree_about_what_minds_forces(arms: int, seed: int)
         allow(compiled, arms, 0.1)
         allow_plain(plain, arms, 0.1)
         np.testing.assert_allclose(compiled, plain, rtol=1e-11, atol=1e-11)
-        compiled[places["LAST_RATE"]] = plain[places["LAST_RATE"]] = rng.random()
+        scalars.last_rate = minding_scalars(plain).last_rate = rng.random()
 
 
 FAULTS = ("none", "noise", "lost", "late", "silent", "wrong", "out of reach", "palms", "lags")
@@ -497,7 +498,7 @@ def test_a_controller_of_a_user_gets_wrenches_if_it_says_so(task: Scenario) -> N
     """What wraps a controller is asked as the one within."""
 
     class Wrapped:
-        minds_wrenches = True
+        needs_wrenches = True
 
         def __init__(self, inner: ForceController) -> None:
             self.cell, self.grasp, self.path, self.dt = inner.cell, inner.grasp, inner.path, inner.dt
@@ -691,7 +692,7 @@ class Pushed:
         return out
 
 
-@pytest.mark.parametrize("kernel", available_kernels())
+@pytest.mark.parametrize("kernel", slow_but_first(available_kernels()))
 @pytest.mark.parametrize("way", [(0.0, 0.0, 1.0), (-0.6, 0.0, 0.8)])
 def test_a_push_on_the_object_holds_it_with_the_direction(kernel: str, way: Any, task: Scenario) -> None:
     """Also an object of another mass than told. It goes back, and rests until it is told to go on."""
