@@ -12,7 +12,7 @@ import numpy as np
 import pinocchio as pin
 
 from coopqp import Clearance, CollisionScene, QPController
-from coopqp.collision import Body, Box, Capsule, Cylinder, Sphere
+from coopqp.collision import Body, Box, Capsule, Cylinder, NearPair, Sphere
 from coopqp.scenarios import Scenario, dual_arm7, mixed_cell, paper_lift, ring
 from promise_cases import Promise
 
@@ -24,7 +24,8 @@ _CELLS: dict[str, Callable[[], Scenario]] = {
     "2 redundant": dual_arm7,
 }
 _COUNTS = (1, 10, 100)
-_DT, _MARGIN, _CLEAR = 0.002, 0.005, 0.1
+#: Step [s]; margin, how far bodies are from the arms at the start, and how far outside the margin they pass [m].
+_DT, _MARGIN, _CLEAR, _PASSES = 0.002, 0.005, 0.1, 0.005
 
 
 def _body(rng: np.random.Generator, number: int, middle: Any) -> Body:
@@ -36,20 +37,36 @@ def _body(rng: np.random.Generator, number: int, middle: Any) -> Body:
     return Body(f"body {number}", shapes[number % 4], pin.SE3(pin.exp3(rng.normal(size=3)), place))
 
 
+def _motion(task: Scenario) -> Iterator[Any]:
+    """Configurations of the run without bodies, every 100 ms."""
+    controller = QPController(task.cell, task.grasp, task.path, dt=_DT)
+    controller.reset(task.q_start)
+    for i in range(round(1.5 * task.path.duration / _DT)):
+        step = controller.step()
+        if i % 50 == 0 or step.finished:
+            yield step.q_next
+        if step.finished:
+            break
+
+
 def _beside(task: Scenario, count: int, seed: int) -> CollisionScene:
-    """A scene with that many bodies, none of them near where the arms start."""
+    """A scene with that many bodies, none of them near where the arms start or in the way of the run without them."""
     rng, middle = np.random.default_rng(seed), task.path.pose(0.0).translation
     ignored = [("object", arm) for arm in task.cell.arm_names]
     bodies = [_body(rng, i, middle) for i in range(4 * count + 4)]
     scene = CollisionScene.of(task, obstacles=bodies, margin=_MARGIN, ignored=ignored)
-    pairs = scene.distances(task.q_start)
-    near = {pair.second for pair in pairs if pair.distance < _CLEAR} | {
-        pair.first for pair in pairs if pair.distance < _CLEAR
-    }
+    near = _within(scene.distances(task.q_start), _CLEAR)
+    for q in _motion(task):
+        near |= _within(scene.distances(q), _MARGIN + _PASSES)
     clear = [body for body in bodies if body.name not in near][:count]
     scene = CollisionScene.of(task, obstacles=clear, margin=_MARGIN, ignored=ignored)
     touch = [(p.first, p.second) for p in scene.distances(task.q_start) if p.distance < _MARGIN + 1e-4]
     return CollisionScene.of(task, obstacles=clear, margin=_MARGIN, ignored=[*ignored, *touch])
+
+
+def _within(pairs: Sequence[NearPair], distance: float) -> set[str]:
+    """Names of pairs that are closer."""
+    return {name for pair in pairs if pair.distance < distance for name in (pair.first, pair.second)}
 
 
 def _times(task: Scenario, scenes: Sequence[CollisionScene | None], runs: int) -> list[tuple[Any, bool]]:

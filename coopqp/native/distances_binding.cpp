@@ -96,5 +96,6 @@ void bind_distances(nb::module_ &m) {
         .def("prepare", &Nearby::prepare)
         .def("surveys", &Nearby::surveys)
         .def("evade", &Nearby::evade)
-        .def("placement", &Nearby::placement);
+        .def("placement", &Nearby::placement)
+        .def("bound", &Nearby::bound);
 }

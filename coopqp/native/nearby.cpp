@@ -25,6 +25,7 @@
  * is left, the survey goes first. Pairs are looked at ahead of a knot this far beyond the motion to it. */
 #define USED 0.5
 #define NEEDED 0.25
+#define MOST_NEEDED 0.9
 #define WIDER 1.3
 
 /* -- coal ------------------------------------------------------------------------------------------------------------ */
@@ -294,10 +295,16 @@ Nearby::Nearby(const nb::dict &arrays, const Settings &settings, Coal &&coal_giv
 }
 
 void Nearby::placement(const In &x, Py_ssize_t i, Out &found) {
-    check_fit(x.size == joints && found.size == 12);
+    check_fit(x.size == joints && found.size == 12 && i >= 0 && (size_t)i < shapes.size());
     shapes.place(x.data);
     const Shape &s = shapes.placed((size_t)i);
     memcpy(found.data, s.R, sizeof s.R), memcpy(found.data + 9, s.p, sizeof s.p);
+}
+
+double Nearby::bound(const In &x, Py_ssize_t k) {
+    check_fit(x.size == joints && k >= 0 && k < pairs);
+    shapes.place(x.data);
+    return shapes.bound(k, INFINITY, SHARP);
 }
 
 /* -- clearances ------------------------------------------------------------------------------------------------------ */
@@ -316,6 +323,12 @@ double Nearby::bounded(Py_ssize_t k, const double *x, double enough, double tole
     own = maximum(own, shapes.bound(k, enough + margins.data[k], tolerance) - margins.data[k]);
     if (own < enough && tolerance <= SHARP) sharp[(size_t)k] = sharp_stamp;
     return own;
+}
+
+/* A rough bound of a clearance where close pairs are followed to. */
+double Nearby::Measured::operator()(Py_ssize_t k) const {
+    all->shapes.place(all->at.data);
+    return all->shapes.bound(k, INFINITY, ROUGH) - all->margins.data[k];
 }
 
 /* The same by coal. */
@@ -342,14 +355,14 @@ void Nearby::set_watches(double rate, double range) {
     }
     if (!(widest > survey.range)) return;
     survey.range = widest;
-    survey_anew(&survey, positions.data);
+    survey_anew(&survey, positions.data, measured);
 }
 
 /* What rows and clear begin with. */
 void Nearby::begin(bool blind) {
     job = IDLE;
     set_watches(approach_of(blind), blind ? WATCHED_BLIND : WATCHED);
-    survey_now(&survey, positions.data);
+    survey_now(&survey, positions.data, measured);
     follow(positions.data);
 }
 
@@ -495,7 +508,7 @@ void Nearby::prepare() {
     job = set.evades >= 0.0 ? DONE : IDLE; /* ahead there is something to do after the next knot */
     coal.lose();
     if (dt.data[0] > 0.0) set_watches(1.0 / dt.data[0], WATCHED);
-    survey_anew(&survey, at.data);
+    survey_anew(&survey, at.data, measured);
     sharpen(SHARPENED_AT_START);
 }
 
@@ -505,8 +518,14 @@ bool Nearby::surveys() {
     double *x = next.data();
     for (Py_ssize_t j = 0; j < joints; j++)
         x[j] = !ahead ? positions.data[j] : at.data[j] + (job == IDLE ? coming[(size_t)j] : 0.0);
+    double share = SURVEYS_AGAIN;
+    if (ahead) { /* the next knot needs what the motion to it takes */
+        for (size_t j = 0; j < coming.size(); j++) survey.way[j] = WIDER * fabs(coming[j]);
+        share = maximum(share, most_of_two(&survey, survey.weights.data(), survey.way.data()));
+        share = minimum(share, MOST_NEEDED);
+    }
     const bool soon = !ahead && slack.data[0] > 0.0 && (job == ASKING || used_at(x) > USED);
-    const bool surveyed = !(soon && left_at(&survey, x) > NEEDED) && survey_piece(&survey, x);
+    const bool surveyed = !(soon && left_at(&survey, x) > NEEDED) && survey_piece(&survey, x, share, measured);
     const bool large = pairs > PIECE * PIECES; /* a knot does not wait for one after the other */
     if (surveyed && (!ahead || job == DONE || !large)) return true;
     if (job == IDLE) {
@@ -530,9 +549,9 @@ std::optional<std::vector<Py_ssize_t>> Nearby::doubtful(Py_ssize_t place) {
     const double span = knots.data[place * size + (Py_ssize_t)knot_numbers.data[1]];
     double *way = next.data();
     for (Py_ssize_t j = 0; j < nv; j++) way[j] = BENT_WAY * fabs((0.5 * span * curvature[j] - slope[j]) * span);
-    survey_now(&survey, x);
+    survey_now(&survey, x, measured);
     follow(x);
-    if (left_at(&survey, x) < most_of_two(&survey, survey.weights.data(), way)) survey_anew(&survey, x);
+    if (left_at(&survey, x) < most_of_two(&survey, survey.weights.data(), way)) survey_anew(&survey, x, measured);
     std::optional<std::vector<Py_ssize_t>> found;
     if (most_of_two(&survey, survey.weights.data(), way) <= left_at(&survey, x)) {
         found.emplace();
@@ -541,22 +560,35 @@ std::optional<std::vector<Py_ssize_t>> Nearby::doubtful(Py_ssize_t place) {
             if (bounded(k, x, maximum(set.evades, least), SHARP) < least) found->push_back(k);
         }
     }
-    put_certificate();
+    slack.data[0] = -1.0; /* every knot is looked at: from it the next one is prepared */
     for (Py_ssize_t j = 0; j < nv; j++) coming[(size_t)j] = slope[j] * span;
     job = IDLE;
     return found;
+}
+
+/* The least speed of a distance that is so far beyond the comfort. */
+double Nearby::least_speed_of(double spare) const {
+    return -set.approach * spare / maximum(SMALL_CLEARANCE, 1.0 - maximum(0.0, spare) / EVADES_EARLY);
 }
 
 bool Nearby::evade() {
     const double *x = evading_positions.data, comfort = set.evades - EVADES_EARLY;
     std::vector<double> row((size_t)joints);
     bool any = false;
-    survey_now(&survey, x);
+    survey_now(&survey, x, measured);
     follow(x);
-    evasion.begin();
+    near.clear();
+    for (size_t j = 0; j < row.size(); j++) row[j] = fabs(evading_slope.data[j]);
     for (const Py_ssize_t k : survey.close) {
+        if (!(bounded(k, x, set.evades, ROUGH) < set.evades)) continue;
+        near.push_back(k);
+        any = any || least_speed_of(clearances.data[k] - comfort) > -taken(&survey, k, row.data());
+    }
+    if (!any) return true; /* no pair can lack speed, whatever its gradient is */
+    any = false;
+    evasion.begin();
+    for (const Py_ssize_t k : near) {
         double ends[6], speed = 0.0;
-        if (!(bounded(k, x, set.evades, SHARP) < set.evades)) continue;
         double clearance = shapes.gap(k, ends) - margins.data[k];
         if (isnan(ends[3])) clearance = asked(k, x), coal.ends(k, ends);
         if (!(clearance < set.evades)) continue;
@@ -567,8 +599,7 @@ bool Nearby::evade() {
             row[j] = own ? kind * (dot3(ends, own) + dot3(turn, own + 3)) : 0.0;
             speed += row[j] * evading_slope.data[j];
         }
-        const double spare = clearance - comfort, near_by = 1.0 - maximum(0.0, spare) / EVADES_EARLY;
-        const double lacks = -set.approach * spare / maximum(SMALL_CLEARANCE, near_by) - speed;
+        const double lacks = least_speed_of(clearance - comfort) - speed;
         const double first = clamp(lacks, 0.0, GENTLE);
         evasion.add(row, lacks - first + first * first / (2.0 * GENTLE));
         any = any || lacks > 0.0;

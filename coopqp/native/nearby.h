@@ -49,6 +49,7 @@ public:
     Shapes(const In &axes, const In &carriers, const In &shapes, const std::vector<In> &corners, const In &pairs);
     size_t joints() const { return joint.size(); }
     size_t pairs() const { return first.size(); }
+    size_t size() const { return shape.size(); }
     void place(const double *x);
     /* A lower bound of the distance of a pair where the shapes are placed: `enough`, or as good as `tolerance`. */
     double bound(Py_ssize_t k, double enough, double tolerance);
@@ -115,9 +116,16 @@ public:
     bool evade();
     /* The placement of a shape at positions x, by these kinematics. */
     void placement(const In &x, Py_ssize_t shape, Out &found);
+    /* A sharp lower bound of the distance of a pair at positions x. */
+    double bound(const In &x, Py_ssize_t pair);
 
 private:
     enum Job { IDLE, ASKING, DONE }; /* work that is spread: none, pairs are looked at, all is done */
+
+    struct Measured {
+        Nearby *all;
+        double operator()(Py_ssize_t k) const;
+    } measured = {this};
 
     double bounded(Py_ssize_t k, const double *x, double enough, double tolerance);
     double asked(Py_ssize_t k, const double *x);
@@ -134,6 +142,7 @@ private:
     double used_at(const double *x);
     bool look_for_certificate();
     bool look_for_knot();
+    double least_speed_of(double spare) const;
 
     Settings set;
     Coal coal;

@@ -31,6 +31,9 @@ struct BoundCore : Core {
     unsigned long busy = 0;      /* the thread that works here; 0 for none */
     unsigned long stepper = 0;   /* the thread that made the last step; 0 for none */
     int entered = 0;             /* how often it has entered and not left */
+    bool knot_asked = false;     /* in this step: about bodies */
+    bool surveyed = false;       /* bodies ahead, in this step */
+    bool waited = false;         /* in the step before, work on bodies where the joints are */
     bool handed = false;         /* a step is left open: the next entry is the same one's */
     std::optional<nb::python_error> interrupt; /* until the call ends */
 #ifdef GUARDED
@@ -171,9 +174,16 @@ static int ask_path(Core *c, double clock, int twist, double *out) {
     return 1;
 }
 
-static int ask_knot(Core *c, int slot) { return filled_in(c, BOUND_KNOT, slot); }
+static int ask_knot(Core *c, int slot) {
+    loop_of(c)->knot_asked = true;
+    return filled_in(c, BOUND_KNOT, slot);
+}
 static int ask_evasion(Core *c) { return filled_in(c, EVADE); }
-static int ask_survey(Core *c) { return filled_in(c, SURVEY_AHEAD); }
+static int ask_survey(Core *c) {
+    const int good = filled_in(c, SURVEY_AHEAD);
+    loop_of(c)->surveyed |= good != 0;
+    return good;
+}
 
 /* Hold an object, or none. */
 static bool hold_object(BoundCore &self, int which, const Maybe &given) {
@@ -285,13 +295,15 @@ static int answer_with_rows(BoundCore *self) {
 
 /* The step for the observed sample. None if the answer is left open: then a call that finishes it has to follow. */
 static nb::object command(BoundCore *self) {
-    self->given_rows = 0;
+    self->given_rows = 0, self->knot_asked = self->surveyed = false;
     int outcome = self->can->propose(self);
     bool asks = self->options->certified != 0.0 && (outcome >= FILLED || !self->can->quiet(self));
     if (asks && outcome < FILLED)
         asks = asked(self, CLEAR, false, self->looks_ahead == 0) != 1; /* no row can bind */
-    else if (!asks)
-        asked(self, SURVEY_HERE, false);
+    else if (!asks) { /* not every piece of work on bodies in one step */
+        self->waited = self->knot_asked || (self->surveyed && !self->waited);
+        if (!self->waited) asked(self, SURVEY_HERE, false);
+    }
     if (asks && !self->interrupt) self->proposal->outcome = outcome = answer_with_rows(self);
     raise_interrupt(self);
     if (outcome < FILLED) return make_step(self, self->can->commit(self));

@@ -15,13 +15,15 @@
 
 #include "bounds.h"
 
-/* Pairs that one piece of a survey looks at, and the largest number of pieces; shares of the certificate that are left where a survey begins, and where
- * it is finished at once; a close pair is close no longer beyond this many times the range. */
+/* Pairs that one piece of a survey looks at, and the largest number of pieces; shares of the certificate that are left
+ * where a survey begins, and where it is finished at once; a close pair is close no longer beyond this many times the
+ * range. */
 #define PIECE 256
 #define PIECES 10
 #define SURVEYS_AGAIN 0.5
 #define NEARLY_USED 0.02
 #define LEAVES 1.2
+#define MEASURING 20 /* a pair that is measured counts as so many */
 
 struct Survey {
     using Vector = std::vector<double>;
@@ -116,45 +118,58 @@ static inline void end_survey(Survey *s) {
     s->reference = s->centre = s->goal, s->weights = s->made;
 }
 
-/* Look at some more pairs. */
-static inline void go_on(Survey *s, Py_ssize_t pairs) {
-    const Py_ssize_t end = s->pairs - s->cursor < pairs ? s->pairs : s->cursor + pairs;
+/* Look at some more pairs. `measured(k)` is a lower bound of a pair's clearance where the joints are `at`; it is asked for
+ * pairs that may be close by now. */
+template <typename Measured>
+static void go_on(Survey *s, Py_ssize_t pairs, Measured &&measured) {
     way_between(s, s->goal.data(), s->reference.data(), s->way.data());
     way_between(s, s->goal.data(), s->at, s->back.data());
-    for (; s->cursor < end; s->cursor++) {
+    for (; s->cursor < s->pairs && pairs > 0; s->cursor++, pairs--) {
         const Py_ssize_t k = s->cursor;
+        double &clearance = s->clearances[k];
         if (s->is_close[(size_t)k]) continue;
-        s->clearances[k] -= taken(s, k, s->way.data());
-        if (s->clearances[k] - s->spare > s->range) {
-            weigh(s, k, s->made.data());
-        } else {
-            s->clearances[k] -= taken(s, k, s->back.data());
-            s->close.push_back(k), s->is_close[(size_t)k] = 1;
+        clearance -= taken(s, k, s->way.data());
+        if (!(clearance - s->spare > s->range)) {
+            const double back = taken(s, k, s->back.data()), here = clearance - back, found = measured(k);
+            const double most = found > here ? found : here; /* where the joints are `at` */
+            if (most - back > clearance) clearance = most - back;
+            pairs -= MEASURING;
+            if (!(clearance - s->spare > s->range)) {
+                clearance = most;
+                s->close.push_back(k), s->is_close[(size_t)k] = 1;
+                continue;
+            }
         }
+        weigh(s, k, s->made.data());
     }
     if (s->cursor == s->pairs) end_survey(s);
 }
 
-/* A piece of a survey at x, if one is under way or due; whether there was anything to do. */
-static inline bool survey_piece(Survey *s, const double *x) {
-    if (!s->under_way && left_at(s, x) > SURVEYS_AGAIN) return false;
+/* A piece of a survey at x, if one is under way, or due because no more than a share is left; whether there was anything
+ * to do. */
+template <typename Measured>
+static bool survey_piece(Survey *s, const double *x, double share, Measured &&measured) {
+    if (!s->under_way && left_at(s, x) > share) return false;
     if (!s->under_way) begin_survey(s, x);
-    go_on(s, s->pairs / PIECES > PIECE ? s->pairs / PIECES : PIECE);
+    go_on(s, s->pairs / PIECES > PIECE ? s->pairs / PIECES : PIECE, measured);
     return true;
 }
 
 /* A whole survey at x. */
-static inline void survey_anew(Survey *s, const double *x) {
-    if (s->under_way) go_on(s, s->pairs);
+template <typename Measured>
+static void survey_anew(Survey *s, const double *x, Measured &&measured) {
+    const Py_ssize_t every = s->pairs * (1 + MEASURING);
+    if (s->under_way) go_on(s, every, measured);
     begin_survey(s, x);
-    go_on(s, s->pairs);
+    go_on(s, every, measured);
 }
 
 /* A certificate that holds at x, at once if need be. */
-static inline void survey_now(Survey *s, const double *x) {
+template <typename Measured>
+static void survey_now(Survey *s, const double *x, Measured &&measured) {
     if (left_at(s, x) > NEARLY_USED) return;
-    if (s->under_way) go_on(s, s->pairs);
-    if (left_at(s, x) <= NEARLY_USED) survey_anew(s, x);
+    if (s->under_way) go_on(s, s->pairs * (1 + MEASURING), measured);
+    if (left_at(s, x) <= NEARLY_USED) survey_anew(s, x, measured);
 }
 
 /* All clearances hold where the joints are `at`. */

@@ -291,6 +291,35 @@ def test_rows_in_memory_are_those_of_the_definition(scenario: Scenario) -> None:
 
 @pytest.mark.core
 @pytest.mark.skipif(len(KERNELS) < 2, reason="there is no compiler here")
+def test_the_core_bounds_distances_from_below_and_closely(lift: Scenario) -> None:
+    """Shapes of every kind, placed at random, against coal: also after searches that began elsewhere."""
+    rng, cell = np.random.default_rng(5), lift.cell
+    shapes = [
+        Box((0.1, 0.2, 0.3)), Sphere(0.1), Capsule(0.05, 0.3), Cylinder(0.1, 0.2), Cylinder(0.2, 0.02),
+        Hull(rng.normal(size=(30, 3)) * 0.1),
+    ]  # fmt: skip
+    middle = lift.path.pose(0.0).translation
+    bodies = [
+        Body(f"body {i}", shape, pin.SE3(pin.exp3(rng.normal(size=3)), middle + 0.7 * rng.normal(size=3)))
+        for i, shape in enumerate(shapes)
+    ]
+    held = [Body("held", Hull(rng.normal(size=(12, 3)) * 0.1))]
+    scene = CollisionScene(cell=cell, grasp=lift.grasp, margin=0.0, obstacles=bodies, carried=held)
+    nearby, distances = Clearance(scene).in_memory(rows_memory(cell.nv, MOST_ROWS)), Distances(scene.built)
+    start, apart = cell.positions(lift.q_start), 0
+    for _ in range(20):
+        x = start + rng.uniform(-1.0, 1.0, cell.nv)
+        d = distances.all(cell.configuration(x))
+        found = np.array([nearby.bound(x, k) for k in range(len(d))])
+        assert (found <= d + 1e-8).all()
+        clear = d > 1e-3
+        assert (found[clear] >= d[clear] - 1e-3 * d[clear] - 1e-4).all()
+        apart += int(clear.sum())
+    assert apart > 1000
+
+
+@pytest.mark.core
+@pytest.mark.skipif(len(KERNELS) < 2, reason="there is no compiler here")
 def test_rows_in_memory_refuse_what_does_not_fit(lift: Scenario) -> None:
     clearance, memory = Clearance(scene_of(lift, margin=0.0)), rows_memory(lift.cell.nv, 4)
     for name in memory:
