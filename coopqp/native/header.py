@@ -36,12 +36,13 @@ def header(constants: ModuleType, layout: ModuleType) -> str:
         size = ctypes.sizeof(kind) // 8
         lines += ["", f"struct {name} {{ {members} }};"]
         lines.append(f'static_assert(std::is_trivially_copyable<{name}>::value && sizeof({name}) == {size} * 8, "");')
-    lines += ["", "/* Every field of the three blocks, in their order: its type and its name. */"]
-    for block, fields in layout.BLOCKS:
+    lines += ["", "/* Every field of the three blocks, in their order: its type, its name, how many numbers it has. */"]
+    for block, fields in layout.BLOCKS.items():
         lines.append(f"#define {block}_FIELDS(FIELD) \\")
-        lines += [f"    FIELD({layout.kind_of(size)}, {name}) \\" for name, size in fields]
+        for name, size in fields:
+            kind = size.split()[0] if size.split()[0] in layout.STRUCTS else "double"
+            lines.append(f"    FIELD({kind}, {name}, {size.replace(kind, str(layout.SIZES.get(kind)))}) \\")
         lines.append("")
-    lines += [f"#define FIELDS_IN_ALL {sum(len(fields) for _, fields in layout.BLOCKS)}"]
     return "\n".join([*lines, "", "#endif", ""])
 
 
