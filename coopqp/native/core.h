@@ -1,6 +1,6 @@
 /* The compiled step: what its files share. No Python here.
  *
- * layout.py lays out the memory, three blocks that Python owns: fields are members of Core. Vectors of joints have
+ * layout.py lists the memory, three blocks in one piece that each Core owns: fields are members of Core. Vectors of joints have
  * one number per joint [rad or m]; rotations are row major; twists are [linear; angular].
  *
  *   spatial.h        rotations, logarithm, exponential       kinematics.cpp   where the arms carry the object, Jacobians

@@ -1,5 +1,5 @@
 /* Under the address sanitizer the fields of the memory stand apart, and nobody may touch what is between them while the
- * core runs. Python owns the memory and copies whole blocks of it: there the gaps are open. */
+ * core runs. Python copies whole blocks of it: there the gaps are open. */
 
 #ifndef COOPQP_GUARDS_H
 #define COOPQP_GUARDS_H

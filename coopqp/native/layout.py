@@ -145,12 +145,6 @@ WORK = _fields(
 BLOCKS = {"CONFIG": CONFIG, "STATE": STATE, "WORK": WORK}
 
 
-def place(kind: Any, member: str) -> int:
-    """Where a member stands in its struct."""
-    begin: int = getattr(kind, member).offset // 8
-    return begin
-
-
 def members(struct: Any) -> set[str]:
     """Names of the members of a struct."""
     return {name for name, _ in struct._fields_}

@@ -49,18 +49,17 @@ class Memory:
         at, own = self.at, ("positions", "command", "quiet_centre", "quiet_reach")
         found = {name: at[name] for name in own} | {name: at[f"further_{name}"] for name in ("lower", "upper", "soft")}
 
-        def number(field: str, member: str) -> Array:
-            begin = layout.place(layout.STRUCTS[field.capitalize()], member)
-            return at[field][begin : begin + 1]
+        def number(struct: Any, member: str) -> Array:
+            return np.frombuffer(struct, count=1, offset=getattr(type(struct), member).offset)
 
         return found | {
-            "G": at["further"], "owner": at["further_owner"], "dt": number("proposal", "dt"),
-            "quiet_slack": number("loop", "quiet_slack"), "quiet_approach": number("loop", "quiet_approach"),
+            "G": at["further"], "owner": at["further_owner"], "dt": number(self.proposal, "dt"),
+            "quiet_slack": number(self.loop, "quiet_slack"), "quiet_approach": number(self.loop, "quiet_approach"),
             **{name: at[name] for name in ("quiet_ahead_centre", "quiet_ahead_reach", "knots")},
             **{name: at[name] for name in ("evading_positions", "evading_slope")},
             **{f"knot_{name}": at[f"knot_{name}"] for name in ("positions", "slope", "curvature")},
-            "quiet_ahead_slack": number("loop", "quiet_ahead"), "quiet_ahead_approach": np.zeros(1),
-            "knot_numbers": np.array([layout.SIZES["Knot"], layout.place(layout.Knot, "span")], dtype=float),
+            "quiet_ahead_slack": number(self.loop, "quiet_ahead"), "quiet_ahead_approach": np.zeros(1),
+            "knot_numbers": np.array([layout.SIZES["Knot"], layout.Knot.span.offset / 8]),
         }  # fmt: skip
 
 
