@@ -44,7 +44,6 @@ GLUE = (
     "coopqp/control/core/compiled.py",
     "coopqp/control/core/memory.py",
     "coopqp/native/__init__.py",
-    "coopqp/native/_core.pyi",
     "coopqp/native/arrays.h",
     "coopqp/native/binding.cpp",
     "coopqp/native/distances_binding.cpp",

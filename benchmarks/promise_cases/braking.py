@@ -212,7 +212,7 @@ def without_rows(controller: QPController) -> None:
     if controller.kernel == "plain":
         loop._braking.rows = lambda *_: loop._no_rows
     else:
-        loop._numbers.leaves_path = 0.0
+        loop._memory.options.leaves_path = 0.0
 
 
 def distance_to(scene: CollisionScene) -> Callable[[Array, pin.SE3], float]:

@@ -81,3 +81,27 @@ static void allow(int arms, Minding *m, double dt) {
     m->why = m->force_cap >= m->asked ? NOTHING_MORE : BY_FORCE;
     m->allowed = minimum(m->force_cap, m->asked);
 }
+
+/* -- around a step --------------------------------------------------------------------------------------------------- */
+
+/* Before a step of dt (one that observe() refuses counts as the nominal one): the grasps give way to wrenches, and the object
+ * is as fast as forces let it be. */
+static void mind(Core *c, const double *wrenches, double dt) {
+    const double nominal = c->options->nominal_dt;
+    const double length = dt >= c->options->dt_low * nominal && dt <= c->options->dt_high * nominal ? dt : nominal;
+    relax(c->arms, c->minding, wrenches, length);
+    allow(c->arms, c->minding, length);
+    move_grasp(c, minding_of(c->arms, c->minding).shift);
+    c->loop->overridden = c->minding->allowed;
+}
+
+/* After it: what it asked the object and the arms for. */
+static void minded(Core *c) {
+    Minding *m = c->minding;
+    double *reference = minding_of(c->arms, m).reference;
+    m->reference_dt = m->asked_dt, m->asked_dt = c->record->dt;
+    memcpy(reference, c->R, 9 * sizeof(double));
+    memcpy(reference + 9, c->p, 3 * sizeof(double));
+    m->at_end = !(c->record->clock_next > c->record->clock);
+    m->last_rate = c->record->rate, m->last_speed = largest_size(vectors_of(c->record) + c->nq, c->joints);
+}

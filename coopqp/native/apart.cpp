@@ -103,3 +103,19 @@ static void expect_shift(Core *c, const double *shift) {
     }
     c->loop->mismatch = c->loop->shift_asked = 1.0;
 }
+
+static int move_grasp(Core *c, const double *shift) {
+    for (int i = 0; i < 6 * c->arms; i++)
+        if (!isfinite(shift[i])) return 0;
+    for (int k = 0; k < c->arms; k++) {
+        const double *place = c->places + 12 * k;
+        double back[6], R[9], p[3];
+        for (int i = 0; i < 6; i++) back[i] = -shift[6 * k + i];
+        exp6(back, R, p);
+        multiply3(place, R, c->object_R + 9 * k);
+        rotate(place, p, c->object_p + 3 * k);
+        for (int i = 0; i < 3; i++) c->object_p[3 * k + i] += place[9 + i];
+    }
+    expect_shift(c, shift);
+    return 1;
+}

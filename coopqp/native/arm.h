@@ -236,4 +236,44 @@ static void derivatives(const Arm *a, const double *q, const double *V, const do
     for (int j = 0; j < a->joints; j++) curvature[j] = turn[j] + weight_of(a, j) * dot6(jacobian + 6 * j, dy);
 }
 
+/* -- along poses ----------------------------------------------------------------------------------------------------- */
+
+/* Whether det J of an arm of six joints is negative; 0 for other arms. */
+static int orientation(const Arm *a, const double *q) {
+    double T[12], A[6 * MOST_JOINTS];
+    int order[6];
+    if (a->joints != 6) return 0;
+    place(a, q, T, A);
+    return eliminate(A, order);
+}
+
+/* Halfway between two poses: along the line, about one axis. */
+static void halfway(const double *from, const double *to, double *between) {
+    double D[9], w[3], R[9];
+    for (int i = 0; i < 3; i++)
+        for (int j = 0; j < 3; j++) D[3 * i + j] = dot3(to + 3 * i, from + 3 * j);
+    rotation_vector(D, w);
+    for (int i = 0; i < 3; i++) w[i] *= 0.5;
+    exp3(w, R);
+    multiply3(R, from, between);
+    for (int i = 0; i < 3; i++) between[9 + i] = 0.5 * (from[9 + i] + to[9 + i]);
+}
+
+/* From q at one pose to the next without a jump and without passing a singularity; halves the way where it has to. */
+static int step_to(const Arm *a, const double *from, const double *to, double *q, double tolerance, double longest,
+                   int halvings) {
+    double next[MOST_JOINTS], between[12], furthest = 0.0;
+    memcpy(next, q, sizeof(double) * (size_t)a->joints);
+    const double residual = solve(a, to, next, tolerance, 12, longest, 0.0);
+    for (int j = 0; j < a->joints; j++) furthest = maximum(furthest, fabs(next[j] - q[j]));
+    if (residual <= tolerance && furthest <= longest && orientation(a, next) == orientation(a, q)) {
+        memcpy(q, next, sizeof(double) * (size_t)a->joints);
+        return 1;
+    }
+    if (halvings <= 0) return 0;
+    halfway(from, to, between);
+    return step_to(a, from, between, q, tolerance, longest, halvings - 1) &&
+           step_to(a, between, to, q, tolerance, longest, halvings - 1);
+}
+
 #endif

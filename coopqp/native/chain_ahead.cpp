@@ -323,7 +323,7 @@ static int turn_corner(Core *c, int i) {
     const Trial found = newton_step(c, clock, JUST_BEFORE, x, s.step, s.after);
     if (found == CANNOT_SAY) return 0;
     if (found != FOUND) memset(s.after, 0, sizeof(double) * (size_t)c->joints);
-    if (c->accelerates) {
+    if (accelerates(c)) {
         int joint = 0;
         double fastest = 0.0;
         for (int j = 0; j < c->joints; j++) {
@@ -350,7 +350,7 @@ static int turn_corner(Core *c, int i) {
 static int end_moving(Core *c) {
     const int last = (int)c->ahead->count - 1;
     int joint;
-    if (!c->accelerates) return 0;
+    if (!accelerates(c)) return 0;
     const double cap = jump_cap(c, nullptr, vector_of(c, c->knot_slope, last), &joint);
     if (!(cap < knot(c, last)->cap)) return 0;
     copy_knot(c, last, last + 1);

@@ -1,6 +1,6 @@
 /* The compiled step: what its files share. No Python here.
  *
- * layout.py lays out the memory, three blocks that Python owns: fields are members of Core. Vectors of joints have
+ * layout.py lists the memory, three blocks in one piece that each Core owns: fields are members of Core. Vectors of joints have
  * one number per joint [rad or m]; rotations are row major; twists are [linear; angular].
  *
  *   spatial.h        rotations, logarithm, exponential       kinematics.cpp   where the arms carry the object, Jacobians
@@ -31,16 +31,21 @@
 /* Unknowns of the condensed QP but for null-space motions: off-path twist, rate, shares of both corrections. */
 #define TWIST_AND_SHARES 9
 
+/* Whether no row can bind; how many rows there are; whether the command has made them tighter; to look around. */
+enum Question { ASK_CLEAR, ASK_ROWS, ASK_TIGHTER, ASK_SURVEY };
+
 struct Core {
-#define MEMBER(type, name) type *name;
+#define MEMBER(type, name, size) type *name;
     CONFIG_FIELDS(MEMBER)
     STATE_FIELDS(MEMBER)
     WORK_FIELDS(MEMBER)
 #undef MEMBER
     int arms, joints, nq, unknowns, rows, past; /* rows: further rows that fit; past: samples in `history` */
-    int redundant, accelerates, looks_ahead;
+    int redundant, looks_ahead;
     int users_path; /* the path is no one of the library: it may jump or bend where no breakpoint tells */
     int given_rows, further_rows; /* of this step: by constraints, and with those that brake all arms together */
+    int knot_asked, surveyed; /* in this step: what bodies bound at a knot, a piece of what they ask for ahead */
+    int waited;               /* in the step before: work on bodies where the joints are */
     int asked;        /* how often a user's path was asked for what is ahead */
     /* The path: duration, number of breakpoints, number of segments, breakpoints, segments of 29 numbers in the order of
      * their starts. A path without segments is known to own_path. */
@@ -53,9 +58,17 @@ struct Core {
     int (*bound_knot)(Core *c, int slot);
     /* May add self-motion to `evading_slope` at `evading_positions`; nullptr for none. 0 if it fails. */
     int (*evade)(Core *c);
+    /* Asks further constraints, whose rows go into the memory; −1 if they fail. */
+    long (*ask)(Core *c, Question question);
     /* Does a piece of what bodies ahead ask for; nullptr for none. 0 if there is nothing to do. */
     int (*survey_ahead)(Core *c);
 };
+
+/* Some joint has an acceleration limit. */
+static inline bool accelerates(const Core *c) { return c->options->accelerates != 0.0; }
+
+/* Rows that constraints may give; those that brake all arms together come after them. */
+static inline long most_given(const Core *c) { return c->rows - (1 + c->arms + c->joints); }
 
 /* The vectors of a record. */
 static inline double *vectors_of(Record *record) { return reinterpret_cast<double *>(record + 1); }
@@ -70,7 +83,10 @@ struct Arithmetic {
     Status (*commit)(Core *c);
     int (*read)(Core *c, double cap);
     int (*quiet)(const Core *c);
-    void (*expect_shift)(Core *c, const double *shift);
+    Outcome (*settle_step)(Core *c);
+    int (*move_grasp)(Core *c, const double *shift);
+    void (*mind)(Core *c, const double *wrenches, double dt);
+    void (*minded)(Core *c);
     void (*carry)(const Core *c, const double *positions, double *carried);
     void (*linearise)(const Core *c, const double *positions, const double *about, double *carried, double *jacobian);
     int (*least_distance)(int n, int m, const double *A, const double *low, const double *high, const double *lb,

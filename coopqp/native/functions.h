@@ -60,8 +60,8 @@ static void watch_reset(Core *c);
 static void watch_chain(Core *c);
 /* Once a step is made. */
 static void chain_watched(Core *c);
-/* The grasps give way by these shifts (6 arms) from now on. */
-static void expect_shift(Core *c, const double *shift);
+/* Each tool has moved by exp of its shift (6 arms) from its place, in the object frame; 0 if one is not finite. */
+static int move_grasp(Core *c, const double *shift);
 
 /* -- quiet.cpp ----------------------------------------------------------------------------------------- */
 

@@ -2,16 +2,14 @@
 
 Scalars are members of structs of doubles. Every field is an array of float64, or of such structs, in one of three
 blocks: ``CONFIG`` never changes, ``STATE`` is all that one step hands to the next (a copy of it is a copy of the
-controller), ``WORK`` is scratch. Sizes are written in the symbols of :func:`sizes`.
+controller), ``WORK`` is scratch. Sizes are written in n arms, nv joints, nq numbers of a configuration, the unknowns of
+the condensed QP without slacks, samples of the past, further rows, and in ``scratch`` of the largest QP.
 """
 
 from __future__ import annotations
 
 import ctypes
-import functools
 from typing import Any
-
-from coopqp.native.constants import MOST_KINKS, MOST_KNOTS
 
 #: The structs by name, in the order of the header.
 STRUCTS: dict[str, Any] = {}
@@ -110,134 +108,46 @@ REASONS = (
     "LOOK_AHEAD_FAILED", "CONSTRAINT_FAILED", "OFF_SERVOS", "TOUCHING",
 )  # fmt: skip
 
-#: The fields of each block: name and size. A size that begins with a struct is of a field of such structs.
-CONFIG = (
-    ("arm_start", "n"), ("arm_size", "n"),
-    ("link_R", "9 * nv"), ("link_p", "3 * nv"), ("prismatic", "nv"), ("continuous", "nv"), ("q_index", "nv"),
-    ("object_R", "9 * n"), ("object_p", "3 * n"), ("tool_p", "3 * n"),
-    ("scale", "nv"), ("shares", "6 * n"), ("low", "nv"), ("high", "nv"), ("speed", "nv"), ("acceleration", "nv"),
-    ("unit", "unknowns"), ("at_grasps", "36"), ("softness", "nv"),
-    ("posture_cap", "nv"), ("posture_bounded", "nv"), ("posture_middle", "nv"),
-    ("plan_speed", "nv"), ("plan_acceleration", "nv"), ("plan_jump", "nv"), ("plan_room", "nv"), ("slope_change", "nv"),
-    ("most_move", "nv"),
-    ("options", "Options"),
-)  # fmt: skip
-STATE = (
-    ("loop", "Loop"), ("positions", "nv"), ("velocity", "nv"), ("before", "nv"), ("predicted", "6 * n"),
-    ("foreseen", "6 * n"),
-    ("mismatch", "6 * n"), ("grasp_shift", "6 * n"), ("asked_shift", "6 * n"), ("drift", "6"), ("correcting", "6"),
-    ("posture_target", "nv"),
-    ("quiet_centre", "nv"), ("quiet_reach", "nv"), ("quiet_ahead_centre", "nv"), ("quiet_ahead_reach", "nv"),
-    ("watch", "Watch"), ("deviation", "6 * n"), ("away", "6 * n"), ("away_step", "6 * n"), ("noise", "n"),
-    ("stalled", "n"), ("widest", "n"), ("lost", "n"), ("seen", "nq"), ("history", "2 * nv * past"),
-    ("slow_drift", "6 * n"), ("lag", "6 * n"), ("apart", "6 * n"), ("drift_last", "nv"),
-    ("deflection", "nv"), ("way", "nv"), ("commanded", "nv"), ("forces", "n"),
-    ("ahead", "Ahead"), ("ahead_R", "9 * n"), ("ahead_p", "3 * n"), ("kinks", "kinks"),
-    ("seek_low", "12"), ("seek_high", "12"), ("told_velocity", "nv"),
-    ("knots", "Knot * knots"), ("knot_positions", "nv * knots"), ("knot_slope", "nv * knots"),
-    ("knot_curvature", "nv * knots"), ("knot_edges", "nv * knots"),
-)  # fmt: skip
-WORK = (
-    ("proposal", "Proposal"), ("near_x", "nv"), ("near_sin", "nv"), ("near_cos", "nv"), ("carried", "12 * n"),
-    ("jacobian", "6 * nv"), ("R", "9"), ("p", "3"), ("along", "6"), ("path", "6"), ("measured", "6"),
-    ("measured_positions", "nv"), ("measured_carried", "12 * n"), ("measured_away", "6 * n"),
-    ("measured_moved", "6 * n"),
-    ("posture_work", "7 * nv"), ("common", "6"), ("errors", "6 * n"), ("grasp", "6 * n"), ("offsets", "6 * n"),
-    ("left_over", "6 * n"), ("foresees", "6 * n"), ("made", "6 * n"), ("best_offsets", "6 * n"),
-    ("best_foresees", "6 * n"), ("best_guess", "nv"),
-    ("null_along", "nv"), ("null_offset", "nv"), ("command", "nv"), ("stand_in", "nv"), ("guess", "nv"),
-    ("first_guess", "nv"), ("along_velocity", "nv"), ("off_path", "6"), ("lower", "nv"), ("upper", "nv"),
-    ("recovery", "nv"), ("outside", "nv"), ("further", "nv * rows"), ("further_lower", "rows"),
-    ("further_upper", "rows"), ("further_soft", "rows"), ("further_owner", "rows"), ("base", "nv + rows"),
-    ("columns", "(nv + rows) * unknowns"), ("x", "unknowns + nv + rows"), ("bindings", "4 * (nv + rows)"),
-    ("record", "Record + 2 * nq + nv + 6 + 4 * (nv + rows)"), ("sketch", "24 * n + 9 * nv"),
-    ("least_pivot", "n"),
-    ("lines", "3 * (4 * nv + 4)"),
-    ("evading_positions", "nv"), ("evading_slope", "nv"),
-    ("scratch", "scratch"),
-)  # fmt: skip
 
-BLOCKS = (("CONFIG", CONFIG), ("STATE", STATE), ("WORK", WORK))
+def _fields(text: str) -> tuple[tuple[str, str], ...]:
+    """Names and sizes of fields."""
+    return tuple((name, size) for name, _, size in (field.strip().partition(" ") for field in text.split(";")))
 
 
-def kind_of(size: str) -> str:
-    """What a field of this size is an array of, in C++."""
-    first = size.split()[0]
-    return first if first in STRUCTS else "double"
+#: The fields of each block: name and size, in C++. A size that begins with a struct is of a field of such structs.
+CONFIG = _fields(
+    "arm_start n; arm_size n; link_R 9 * nv; link_p 3 * nv; prismatic nv; continuous nv; q_index nv; object_R 9 * n; "
+    "object_p 3 * n; tool_p 3 * n; scale nv; places 12 * n; shares 6 * n; low nv; high nv; speed nv; acceleration nv; "
+    "unit unknowns; at_grasps 36; softness nv; posture_cap nv; posture_bounded nv; posture_middle nv; plan_speed nv; "
+    "plan_acceleration nv; plan_jump nv; plan_room nv; slope_change nv; most_move nv; options Options"
+)
+STATE = _fields(
+    "loop Loop; positions nv; velocity nv; before nv; predicted 6 * n; foreseen 6 * n; mismatch 6 * n; "
+    "grasp_shift 6 * n; asked_shift 6 * n; drift 6; correcting 6; posture_target nv; quiet_centre nv; quiet_reach nv; "
+    "quiet_ahead_centre nv; quiet_ahead_reach nv; watch Watch; deviation 6 * n; away 6 * n; away_step 6 * n; noise n; "
+    "stalled n; widest n; lost n; seen nq; history 2 * nv * past; slow_drift 6 * n; lag 6 * n; apart 6 * n; "
+    "drift_last nv; deflection nv; way nv; commanded nv; forces n; ahead Ahead; ahead_R 9 * n; ahead_p 3 * n; "
+    "kinks MOST_KINKS; seek_low 12; seek_high 12; told_velocity nv; knots Knot * MOST_KNOTS; "
+    "knot_positions nv * MOST_KNOTS; knot_slope nv * MOST_KNOTS; knot_curvature nv * MOST_KNOTS; "
+    "knot_edges nv * MOST_KNOTS"
+)
+WORK = _fields(
+    "proposal Proposal; own_pose 12; near_x nv; near_sin nv; near_cos nv; carried 12 * n; jacobian 6 * nv; R 9; p 3; "
+    "along 6; path 6; measured 6; measured_positions nv; measured_carried 12 * n; measured_away 6 * n; "
+    "measured_moved 6 * n; posture_work 7 * nv; common 6; errors 6 * n; grasp 6 * n; offsets 6 * n; left_over 6 * n; "
+    "foresees 6 * n; made 6 * n; best_offsets 6 * n; best_foresees 6 * n; best_guess nv; null_along nv; "
+    "null_offset nv; command nv; stand_in nv; guess nv; first_guess nv; along_velocity nv; off_path 6; lower nv; "
+    "upper nv; recovery nv; outside nv; further nv * rows; further_lower rows; further_upper rows; further_soft rows; "
+    "further_owner rows; base nv + rows; columns (nv + rows) * unknowns; x unknowns + nv + rows; "
+    "bindings 4 * (nv + rows); record Record + 2 * nq + nv + 6 + 4 * (nv + rows); sketch 24 * n + 9 * nv; "
+    "least_pivot n; lines 3 * (4 * nv + 4); evading_positions nv; evading_slope nv; scratch scratch"
+)
+BLOCKS = {"CONFIG": CONFIG, "STATE": STATE, "WORK": WORK}
 
 
-def sizes(*, n: int, nv: int, nq: int, unknowns: int, past: int, rows: int) -> dict[str, int]:
-    """The symbols that sizes of fields are written in.
-
-    Args:
-        n, nv, nq: arms, joints, numbers of a configuration.
-        unknowns: of the condensed QP without the slacks of recovery and relaxation.
-        past: samples in which a stall is looked for.
-        rows: further rows that constraints may have; those that brake all arms together come after them.
-    """
-    rows += 1 + n + nv
-    x, m = unknowns + nv + rows, 2 * nv + rows  # unknowns and rows of the largest QP
-    scratch = x * m + 3 * (m + x) + 2 * x * (x + 3) + 64 * n + 8 * nv
-    return {
-        "n": n, "nv": nv, "nq": nq, "unknowns": unknowns, "past": past, "rows": rows, "knots": MOST_KNOTS,
-        "kinks": MOST_KINKS, "scratch": scratch, **SIZES,
-    }  # fmt: skip
-
-
-def views(fields: dict[str, Any]) -> dict[str, Any]:
-    """Structs over the memory of the fields that are made of them; of several of a kind a sequence."""
-    kinds = {name: STRUCTS.get(size.split()[0]) for _, block in BLOCKS for name, size in block}
-    return {
-        name: (kind * (array.size // SIZES[kind.__name__]) if name == "knots" else kind).from_buffer(array)
-        for name, array in fields.items()
-        if (kind := kinds[name]) is not None
-    }
-
-
-def place(kind: Any, member: str) -> int:
-    """Where a member stands in its struct."""
-    begin: int = getattr(kind, member).offset // 8
-    return begin
-
-
-def offsets(block: tuple[tuple[str, str], ...], symbols: dict[str, int], *, gap: int = 0) -> dict[str, tuple[int, int]]:
-    """Where each field of a block begins and ends, with a gap of unused numbers after each."""
-    return dict(_offsets(block, tuple(symbols.items()), gap))
-
-
-@functools.lru_cache(maxsize=64)
-def _offsets(
-    block: tuple[tuple[str, str], ...], sizes: tuple[tuple[str, int], ...], gap: int
-) -> dict[str, tuple[int, int]]:
-    symbols = dict(sizes)
-    places, begin = {}, 0
-    for name, size in block:
-        end = begin + _value(size, symbols)
-        places[name] = (begin, end)
-        begin = end + gap
-    return places
-
-
-def _value(size: str, symbols: dict[str, int]) -> int:
-    """Value of a sum of products of symbols, numbers and bracketed sums, such as ``6 + 4 * (nv + rows)``."""
-    words = size.replace("(", "( ").replace(")", " )").split()
-
-    def product() -> int:
-        total = 1
-        while True:
-            word = words.pop(0)
-            total *= summed() if word == "(" else symbols[word] if word in symbols else int(word)
-            if not words or words[0] != "*":
-                return total
-            words.pop(0)
-
-    def summed() -> int:
-        total = product()
-        while words and words.pop(0) == "+":
-            total += product()
-        return total
-
-    return summed()
+def members(struct: Any) -> set[str]:
+    """Names of the members of a struct."""
+    return {name for name, _ in struct._fields_}
 
 
 #: Enumerations of the header, and their members in the order of their codes.

@@ -119,7 +119,7 @@ static double preview_rise(const Core *c, double clock, int *joint) {
     if (!count) return INFINITY;
     const int i = knot_before(c, clock), ahead = i + 1 < count ? i + 1 : i;
     const double rise = minimum(knot(c, i)->rise, knot(c, ahead)->rise);
-    if (c->accelerates) return rise;
+    if (accelerates(c)) return rise;
     const double *slope = vector_of(c, c->knot_slope, i), *next = vector_of(c, c->knot_slope, ahead);
     double most = 0.0;
     int tightest = 0;

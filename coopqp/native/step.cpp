@@ -193,9 +193,9 @@ static double reined_rate(const Core *c, double h) {
     const double share = rate_asked(c), rate = c->loop->rate;
     double fall = c->options->rein_slope;
     if (share >= rate || !moves(c)) return share;
-    if (c->accelerates && c->looks_ahead && c->ahead->count > 0.0)
+    if (accelerates(c) && c->looks_ahead && c->ahead->count > 0.0)
         fall = preview_brake(c, c->loop->clock, h, rate);
-    else if (c->accelerates)
+    else if (accelerates(c))
         fall = blind_brake(c);
     return fmax(share, rate - fall * h);
 }
@@ -220,7 +220,7 @@ static void find_cap(Core *c) {
         if (c->looks_ahead) preview_reset(c, c->loop->clock, 1); /* the known horizon is void after the path has failed */
     }
     if (c->looks_ahead) p->cap = preview_cap(c, c->loop->clock, h);
-    if (c->accelerates && (!c->looks_ahead || c->loop->correcting != 0.0)) {
+    if (accelerates(c) && (!c->looks_ahead || c->loop->correcting != 0.0)) {
         int joint = -1;
         p->keep = brake_share(c, h, &joint);
         p->late = p->keep < 1.0;
@@ -411,7 +411,7 @@ static Outcome settle_again(Core *c, double cap, Outcome outcome, int least) {
 
 /* No look-ahead covers the motion: none has one, or arms that give way have left their path. */
 static int brakes_together(const Core *c) {
-    return !c->looks_ahead || (c->options->leaves_path != 0.0 && c->accelerates && c->loop->correcting != 0.0);
+    return !c->looks_ahead || (c->options->leaves_path != 0.0 && accelerates(c) && c->loop->correcting != 0.0);
 }
 
 /* The ranked answer under the cap and the further rows; returns an outcome. */
@@ -464,6 +464,38 @@ static Outcome propose(Core *c) {
     }
     corrections(c, h);
     return answer(c);
+}
+
+/* The outcome with all further rows, tightened if the command breaks their constraints; ASK where the definition
+ * has to say. */
+static Outcome answer_with_rows(Core *c) {
+    const long rows = c->ask(c, ASK_ROWS);
+    if (rows < 0 || rows > most_given(c)) return ASK;
+    c->given_rows = (int)rows;
+    Outcome outcome = answer(c);
+    for (int i = 0; rows && i < (int)MOST_TIGHTENINGS && outcome < FILLED; i++) {
+        const long tighter = c->ask(c, ASK_TIGHTER);
+        if (tighter < 0) return ASK;
+        if (!tighter) break;
+        outcome = answer(c);
+    }
+    return outcome < FILLED ? outcome : ASK;
+}
+
+/* Find the command for the observed sample, asking for rows where they may bind. */
+static Outcome settle_step(Core *c) {
+    c->given_rows = c->knot_asked = c->surveyed = 0;
+    const Outcome outcome = propose(c);
+    if (c->options->certified == 0.0) return outcome;
+    if (outcome < FILLED && quiet_step(c)) { /* not every piece of work on bodies in one step */
+        c->waited = c->knot_asked || (c->surveyed && !c->waited);
+        if (!c->waited) c->ask(c, ASK_SURVEY);
+        return outcome;
+    }
+    if (outcome < FILLED && c->ask(c, ASK_CLEAR) == 1) return outcome;
+    const Outcome found = answer_with_rows(c);
+    c->proposal->outcome = found;
+    return found;
 }
 
 /* -- commit ---------------------------------------------------------------------------------------------------------- */
@@ -569,7 +601,7 @@ static void move_on(Core *c, double rate, double clock_next) {
         for (int i = 0; i < 6; i++)
             c->predicted[6 * k + i] =
                 c->errors[6 * k + i] + h * (p->grasp_share * c->grasp[6 * k + i] + c->offsets[6 * k + i] + twist[i]);
-    if (by_qp || c->accelerates) {
+    if (by_qp || accelerates(c)) {
         c->loop->correcting = square > NEGLIGIBLE;
         memcpy(c->correcting, twist, sizeof twist);
     }
@@ -580,7 +612,7 @@ static void move_on(Core *c, double rate, double clock_next) {
     for (int j = 0; j < c->joints; j++) c->positions[j] += h * c->command[j];
     c->loop->has_predicted = p->parting == 0.0 && p->braked == 0.0 && c->loop->path_lost == 0.0;
     /* A start sets the rate, and where no acceleration is limited the first step may leave it by a jump: no slope. */
-    const int jumped = c->loop->first != 0.0 && !c->accelerates;
+    const int jumped = c->loop->first != 0.0 && !accelerates(c);
     c->loop->rate_slope = jumped ? 0.0 : (rate - c->loop->rate) / h;
     c->loop->last_dt = h, c->loop->clock = clock_next, c->loop->rate = rate, c->loop->first = 0.0;
 }

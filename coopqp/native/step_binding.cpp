@@ -1,43 +1,47 @@
-/* The core for Python. A Core works on three blocks of memory that it shares with Python: arrays that it holds as long as
- * it lives, and it is told where each field begins. */
+/* The core for Python. A Core owns its memory: arrays of Python are views of the fields, which live as long as any of them. */
 
+#include <nanobind/ndarray.h>
 #include <nanobind/stl/optional.h>
-#include <nanobind/stl/pair.h>
-#include <nanobind/stl/vector.h>
+
+#include <vector>
 
 #include "arrays.h"
 #include "core.h"
 #include "guards.h"
 #include "minding.h"
-#include "spatial.h"
 
 /* Objects of Python that a Core holds: callables, empty for none, and what a step is made of. */
-enum {
-    OWN_PATH, BOUND_KNOT, EVADE, CLEAR, FURTHER_ROWS, TIGHTENED, SURVEY_HERE, SURVEY_AHEAD, /* put numbers into the memory */
+enum Held {
+    OWN_PATH, BOUND_KNOT, EVADE, SURVEY_AHEAD, CLEAR, FURTHER_ROWS, TIGHTENED, SURVEY_HERE, /* put numbers into the memory */
     TELL,                                                                    /* of a step that forces say something of */
-    STEP_TYPE, CONTEXT, STATUSES,
+    STEP_TYPE, CONTEXT, STATUS_NAMES,
     OBJECTS
+};
+static const char *const HELD[OBJECTS] = {"own_path", "bound_knot", "evade", "survey_ahead", "clear", "further_rows",
+                                          "tightened", "survey_here", "tell", "step_type", "context", "status_names"};
+
+struct Field {
+    const char *name;
+    size_t begin, size;
 };
 
 struct BoundCore : Core {
     const Arithmetic *can = nullptr;
-    Out memory[3];               /* the blocks */
+    std::vector<Field> fields;   /* in `memory` */
+    Field state_block = {};      /* all that is the state */
+    double *memory = nullptr;
+    nb::capsule owner;           /* of the memory: no array holds the core, which would be a cycle that nobody sees */
     In path_array;               /* numbers of the path; or of the way to a new target: */
-    Out way_array, pose_array;   /* pose: where own_path leaves its numbers, 12 */
-    Out minding_array;           /* relaxation of forces, also the core's */
-    In places_array;             /* of the tools */
+    Out way_array, minding_array; /* relaxation of forces, also the core's */
     nb::object minding_given;    /* the object of `minding_array` */
     nb::object objects[OBJECTS];
     unsigned long busy = 0;      /* the thread that works here; 0 for none */
     unsigned long stepper = 0;   /* the thread that made the last step; 0 for none */
     int entered = 0;             /* how often it has entered and not left */
-    bool knot_asked = false;     /* in this step: about bodies */
-    bool surveyed = false;       /* bodies ahead, in this step */
-    bool waited = false;         /* in the step before, work on bodies where the joints are */
     bool handed = false;         /* a step is left open: the next entry is the same one's */
     std::optional<nb::python_error> interrupt; /* until the call ends */
 #ifdef GUARDED
-    Guards guards = {};
+    const Arithmetic *unguarded = nullptr;
 #endif
 
     BoundCore() : Core{} {}
@@ -45,71 +49,89 @@ struct BoundCore : Core {
 
 using Maybe = std::optional<nb::object>; /* None, too */
 
-static BoundCore *loop_of(Core *c) { return static_cast<BoundCore *>(c); }
+static BoundCore *bound(const Core *c) { return static_cast<BoundCore *>(const_cast<Core *>(c)); }
 
 #ifdef GUARDED
-static Guards *guards_of(const Core *c) { return &loop_of(const_cast<Core *>(c))->guards; }
+static const Arithmetic *unguarded(const Core *c) { return bound(c)->unguarded; }
+
+static void guard(const Core *c, bool closed) {
+    for (const Field &field : bound(c)->fields) guard_gap(bound(c)->memory + field.begin + field.size, closed);
+}
 #endif
+
+static long ask_constraints(Core *c, Question question);
 
 /* -- memory ---------------------------------------------------------------------------------------------------------- */
 
-using Places = std::vector<std::pair<Py_ssize_t, Py_ssize_t>>;
-
-/* Find every field in the blocks; false if they do not fit. */
-static bool place_fields(BoundCore *self, const Places &places) {
+/* Lay out the fields in one piece of memory that is zero, with a gap after each. */
+static void lay_out(BoundCore *self) {
+    const size_t n = self->arms, nv = self->joints, nq = self->nq, unknowns = self->unknowns, past = self->past;
+    const size_t rows = self->rows, x = unknowns + nv + rows, m = 2 * nv + rows; /* unknowns and rows of the largest QP */
+    const size_t scratch = x * m + 3 * (m + x) + 2 * x * (x + 3) + 64 * n + 8 * nv;
+    size_t end = 0;
+#define ADD(type, name, count) self->fields.push_back({#name, end, (count)}), end += self->fields.back().size + GAP;
+    CONFIG_FIELDS(ADD)
+    const size_t state = end;
+    STATE_FIELDS(ADD)
+    self->state_block = {"state", state, end - state};
+    WORK_FIELDS(ADD)
+    self->memory = static_cast<double *>(calloc(end, sizeof(double)));
+    if (!self->memory) throw std::bad_alloc();
+    self->owner = nb::capsule(self->memory, [](void *memory) noexcept { free(memory); });
     size_t i = 0;
-    bool good = places.size() == FIELDS_IN_ALL;
-    const auto place = [&](const Out &memory) -> double * {
-        if (!good) return nullptr;
-        const auto [begin, end] = places[i];
-        good = begin >= 0 && end >= begin && end <= memory.size - GAP;
-#ifdef GUARDED
-        if (good) self->guards.end[i] = memory.data + end;
-#endif
-        i++;
-        return memory.data + begin;
-    };
-#define PLACE_IN(block, type, name) self->name = reinterpret_cast<type *>(place(self->memory[block]));
-#define PLACE_CONFIG(type, name) PLACE_IN(0, type, name)
-#define PLACE_STATE(type, name) PLACE_IN(1, type, name)
-#define PLACE_WORK(type, name) PLACE_IN(2, type, name)
-    CONFIG_FIELDS(PLACE_CONFIG)
-    STATE_FIELDS(PLACE_STATE)
-    WORK_FIELDS(PLACE_WORK)
-    return good;
+#define PLACE(type, name, count) self->name = reinterpret_cast<type *>(self->memory + self->fields[i++].begin);
+    CONFIG_FIELDS(PLACE) STATE_FIELDS(PLACE) WORK_FIELDS(PLACE)
 }
 
-/* Whether the arms' joints lie inside the vectors, and there are as many unknowns as they make. */
-static bool consistent(Core *c) {
+/* A view of each field, and of all that is the state. */
+static nb::dict fields_of(const BoundCore &self) {
+    nb::dict found;
+    const auto add = [&](const Field &field) {
+        double *begin = self.memory + field.begin;
+        found[field.name] = nb::ndarray<nb::numpy, double, nb::ndim<1>>(begin, {field.size}, self.owner);
+    };
+    for (const Field &field : self.fields) add(field);
+    add(self.state_block);
+    return found;
+}
+
+/* Take how the joints are shared out; false if an arm's do not lie inside the vectors, or make other unknowns. */
+static bool take_joints(Core *c, const In &start, const In &size, const In &q_index, const In &continuous) {
     int unknowns = TWIST_AND_SHARES;
     for (int k = 0; k < c->arms; k++) {
-        const double start = c->arm_start[k], size = c->arm_size[k];
-        if (!(start >= 0 && size >= 6 && size <= MOST_JOINTS && start + size <= c->joints)) return false;
-        unknowns += (int)size - 6;
+        const double first = c->arm_start[k] = start.data[k], count = c->arm_size[k] = size.data[k];
+        if (!(first >= 0 && count >= 6 && count <= MOST_JOINTS && first + count <= c->joints)) return false;
+        unknowns += (int)count - 6;
     }
     for (int j = 0; j < c->joints; j++) {
-        const double at = c->q_index[j], width = c->continuous[j] != 0.0 ? 2 : 1;
+        const double at = c->q_index[j] = q_index.data[j], width = (c->continuous[j] = continuous.data[j]) != 0.0 ? 2 : 1;
         if (!(at >= 0 && at + width <= c->nq)) return false;
-        c->accelerates = c->accelerates || isfinite(c->acceleration[j]);
     }
     c->redundant = unknowns > TWIST_AND_SHARES;
     return unknowns == c->unknowns;
 }
 
-static void build(BoundCore *self, Out &config, Out &state, Out &work, const Places &places, int arms, int joints, int nq,
-                  int unknowns, int past, int rows, bool plain_arithmetic) {
+static void build(BoundCore *self, const In &arm_start, const In &arm_size, const In &q_index, const In &continuous, int nq,
+                  int unknowns, int past, int given_rows, bool plain_arithmetic) {
     static const double nowhere[3] = {1.0, 0.0, 0.0};
+    const Py_ssize_t arms = arm_start.size, joints = q_index.size, most = 10000;
+    const char *unfit = "the sizes do not fit together";
+    check_fit(arms >= 1 && arm_size.size == arms && joints >= 6 && joints <= most && continuous.size == joints &&
+                  nq >= joints && nq <= 2 * joints && unknowns >= TWIST_AND_SHARES && unknowns <= TWIST_AND_SHARES + joints &&
+                  past >= 1 && past <= most && given_rows >= 0 && given_rows <= most, unfit);
     new (self) BoundCore();
-    self->memory[0] = std::move(config), self->memory[1] = std::move(state), self->memory[2] = std::move(work);
-    self->arms = arms, self->joints = joints, self->nq = nq;
-    self->unknowns = unknowns, self->past = past, self->rows = rows;
-    if (arms < 1 || joints < 6 || nq < joints || past < 1 || rows < 0 || !place_fields(self, places) ||
-        !consistent(self)) {
+    self->arms = (int)arms, self->joints = (int)joints, self->nq = nq, self->unknowns = unknowns, self->past = past;
+    self->rows = given_rows + 1 + self->arms + self->joints; /* those that brake all arms together come last */
+    lay_out(self);
+    if (!take_joints(self, arm_start, arm_size, q_index, continuous)) {
         self->~BoundCore();
-        throw nb::value_error("the memory does not fit together");
+        throw nb::value_error(unfit);
     }
-    self->duration = 1.0, self->path_numbers = nowhere;
-    self->can = guarded(self, plain_arithmetic ? &plain::arithmetic : best());
+    self->duration = 1.0, self->path_numbers = nowhere, self->ask = ask_constraints;
+    self->can = plain_arithmetic ? &plain::arithmetic : best();
+#ifdef GUARDED
+    self->unguarded = self->can, self->can = guarded(self->can);
+#endif
 }
 
 /* Functions of the loop that owns the Core make a cycle, which the collector has to see. */
@@ -154,9 +176,9 @@ static long asked(BoundCore *self, int which, bool yes_or_no, Args... args) {
 /* The same of a function that fills in the memory: whether it succeeded. */
 template <typename... Args>
 static int filled_in(Core *c, int which, Args... args) {
-    guard(c, 0);
-    const int good = asked(loop_of(c), which, true, args...) > 0;
-    guard(c, 1);
+    guard(c, false);
+    const int good = asked(bound(c), which, true, args...) > 0;
+    guard(c, true);
     return good;
 }
 
@@ -170,59 +192,70 @@ static void raise_interrupt(BoundCore *self) {
 
 static int ask_path(Core *c, double clock, int twist, double *out) {
     if (!filled_in(c, OWN_PATH, clock, twist)) return 0;
-    memcpy(out, loop_of(c)->pose_array.data, (size_t)(twist ? 6 : 12) * sizeof(double));
+    memcpy(out, c->own_pose, (size_t)(twist ? 6 : 12) * sizeof(double));
     return 1;
 }
 
 static int ask_knot(Core *c, int slot) {
-    loop_of(c)->knot_asked = true;
+    c->knot_asked = 1;
     return filled_in(c, BOUND_KNOT, slot);
 }
 static int ask_evasion(Core *c) { return filled_in(c, EVADE); }
 static int ask_survey(Core *c) {
     const int good = filled_in(c, SURVEY_AHEAD);
-    loop_of(c)->surveyed |= good != 0;
+    c->surveyed |= good;
     return good;
 }
 
-/* Hold an object, or none. */
-static bool hold_object(BoundCore &self, int which, const Maybe &given) {
-    self.objects[which] = given.value_or(nb::object());
-    return given.has_value();
+static long ask_constraints(Core *c, Question question) {
+    guard(c, false);
+    const bool looks = question == ASK_CLEAR || question == ASK_ROWS;
+    const int which = CLEAR + (question - ASK_CLEAR);
+    const long found = looks ? asked(bound(c), which, false, c->looks_ahead == 0) : asked(bound(c), which, false);
+    guard(c, true);
+    return found;
 }
 
-/* set_path(numbers, own, pose, duration, looks_ahead, users): own(clock, twist) writes into pose. */
-static void set_path(BoundCore &self, In &numbers, const Maybe &own, Out &pose, double duration, bool looks_ahead,
-                     bool users) {
+/* bind(evade=…, tell=None, …): objects by their names in HELD; None for none. */
+static void bind(BoundCore &self, const nb::kwargs &given) {
+    for (const auto &[name, object] : given) {
+        const char *const *found = HELD;
+        while (found < HELD + OBJECTS && strcmp(*found, nb::cast<const char *>(name))) found++;
+        check_fit(found < HELD + OBJECTS, "a Core holds nothing of that name");
+        self.objects[found - HELD] = object.is_none() ? nb::object() : nb::borrow(object);
+    }
+    nb::object &type = self.objects[STEP_TYPE], &names = self.objects[STATUS_NAMES];
+    const bool good = !type || (PyType_Check(type.ptr()) && nb::isinstance<nb::tuple>(names) && nb::len(names) > OFF_PATH);
+    if (!good) type.reset();
+    check_fit(good, "a step has a type, and a status of each code");
+    self.own_path = self.objects[OWN_PATH] ? ask_path : nullptr;
+    self.bound_knot = self.objects[BOUND_KNOT] ? ask_knot : nullptr;
+    self.evade = self.objects[EVADE] ? ask_evasion : nullptr;
+    self.survey_ahead = self.objects[SURVEY_AHEAD] ? ask_survey : nullptr;
+}
+
+/* set_path(numbers, duration, looks_ahead, users): own_path is bound before where the numbers say little. */
+static void set_path(BoundCore &self, In &numbers, double duration, bool looks_ahead, bool users) {
     const double *found = numbers.data;
-    const bool asks = own.has_value();
-    check_fit(numbers.size >= 3 && found[1] >= 0 && found[1] < 1e6 && found[2] >= (asks ? 0 : 1) && found[2] < 1e6 &&
-                  numbers.size >= 3 + (Py_ssize_t)found[1] + SEGMENT * (Py_ssize_t)found[2] +
+    check_fit(numbers.size >= 3 && found[1] >= 0 && found[1] < 1e6 && found[2] >= (self.own_path ? 0 : 1) &&
+                  found[2] < 1e6 && numbers.size >= 3 + (Py_ssize_t)found[1] + SEGMENT * (Py_ssize_t)found[2] +
                                       (Py_ssize_t)self.options->elbows * (1 + 2 * self.joints),
               "the numbers are no path");
-    check_fit(pose.size == 12, "a pose has 12 numbers");
-    self.path_array = std::move(numbers), self.pose_array = std::move(pose);
-    self.own_path = hold_object(self, OWN_PATH, own) ? ask_path : nullptr;
+    self.path_array = std::move(numbers);
     self.path_numbers = found;
     self.duration = duration, self.looks_ahead = looks_ahead, self.users_path = users;
-}
-
-static void make_steps(BoundCore &self, const nb::type_object &type, const Maybe &context, const nb::tuple &statuses) {
-    check_fit(statuses.size() > OFF_PATH, "a status is missing");
-    self.objects[STEP_TYPE] = type, self.objects[STATUSES] = statuses;
-    self.objects[CONTEXT] = context.value_or(nb::none());
 }
 
 /* -- steps ----------------------------------------------------------------------------------------------------------- */
 
 /* One sample: q (or none) and dt, any object: without one it is the nominal one, and what is no number is a NaN, which is
  * refused with its reason. */
-static void observe(BoundCore *self, const InOrNone &q, const Maybe &dt) {
+static void observe(BoundCore &self, const InOrNone &q, const Maybe &dt) {
     double length = NAN;
-    check_fit(!q.data || q.size == self->nq, "expected an array of float64 of the right length");
+    check_fit(!q.data || q.size == self.nq, "expected an array of float64 of the right length");
     if (dt && !nb::try_cast(*dt, length)) length = NAN;
-    self->can->observe(self, q.data, dt ? &length : nullptr);
-    raise_interrupt(self);
+    self.can->observe(&self, q.data, dt ? &length : nullptr);
+    raise_interrupt(&self);
 }
 
 /* Names of the attributes that a step is made with. */
@@ -233,94 +266,67 @@ static void set_past_class(nb::handle object, PyObject *name, nb::handle value) 
     if (!value || PyObject_GenericSetAttr(object.ptr(), name, value.ptr()) < 0) throw nb::python_error();
 }
 
-/* A ControlStep from the record; its numbers as bytes where there is no such class. */
-static nb::object make_step(BoundCore *self, int status) {
-    const Py_ssize_t count = (Py_ssize_t)sizeof(Record) / 8 + 2 * self->nq + self->joints + 6 + 4 * (Py_ssize_t)self->record->bindings;
-    nb::bytes record((const void *)self->record, (size_t)count * sizeof(double));
-    nb::handle type = self->objects[STEP_TYPE];
+/* Move on, and make a ControlStep from the record; its numbers as bytes where there is no such class. */
+static nb::object commit(BoundCore &self) {
+    const Status status = self.can->commit(&self);
+    const int vectors = 2 * self.nq + self.joints + 6 + 4 * (int)self.record->bindings;
+    nb::bytes record(static_cast<const void *>(self.record), sizeof(Record) + (size_t)vectors * sizeof(double));
+    nb::handle type = self.objects[STEP_TYPE];
     if (!type) return record;
-    nb::object step = nb::steal(PyType_GenericAlloc((PyTypeObject *)type.ptr(), 0));
-    if (!step) throw nb::python_error();
-    set_past_class(step, record_name, record);
-    set_past_class(step, context_name, self->objects[CONTEXT]);
-    set_past_class(step, status_name, PyTuple_GetItem(self->objects[STATUSES].ptr(), status));
-    set_past_class(step, rate_name, nb::float_(self->record->rate));
-    return step;
+    nb::object made = nb::steal(PyType_GenericAlloc((PyTypeObject *)type.ptr(), 0));
+    if (!made) throw nb::python_error();
+    set_past_class(made, record_name, record);
+    set_past_class(made, context_name, self.objects[CONTEXT]);
+    set_past_class(made, status_name, PyTuple_GetItem(self.objects[STATUS_NAMES].ptr(), status));
+    set_past_class(made, rate_name, nb::float_(self.record->rate));
+    return made;
 }
 
 /* One thread at a time; the one that already works here may enter again. Other threads get a BusyError. */
-static void enter(BoundCore *self) {
+static void enter(BoundCore &self) {
     const unsigned long me = PyThread_get_thread_ident();
-    if (self->busy && self->busy != me) {
+    if (self.busy && self.busy != me) {
         PyErr_SetNone(nb::module_::import_("coopqp.errors").attr("BusyError").ptr());
         throw nb::python_error();
     }
-    self->busy = me;
-    self->entered += !self->handed;
-    self->handed = false;
+    self.busy = me;
+    self.entered += !self.handed;
+    self.handed = false;
 }
 
-static void leave(BoundCore *self) {
-    if (self->entered > 0) self->entered--;
-    if (!self->entered) self->busy = 0;
+static void leave(BoundCore &self) {
+    if (self.entered > 0) self.entered--;
+    if (!self.entered) self.busy = 0;
 }
 
 /* The thread that steps works here as long as this lives, and on where a step is left open. */
 struct Stepping {
-    BoundCore *loop;
-    explicit Stepping(BoundCore *self) : loop(self) { enter(self), self->stepper = self->busy; }
+    BoundCore &core;
+    explicit Stepping(BoundCore &self) : core(self) { enter(self), self.stepper = self.busy; }
     ~Stepping() {
-        if (!loop->handed) leave(loop);
+        if (!core.handed) leave(core);
     }
 };
 
-/* Rows that constraints may give; those that brake all arms together come after them. */
-static long most_given(const Core *c) { return c->rows - (1 + c->arms + c->joints); }
-
-/* The outcome with all further rows, tightened if the command breaks their constraints; ASK where the definition
- * has to say. */
-static int answer_with_rows(BoundCore *self) {
-    const long rows = asked(self, FURTHER_ROWS, false, self->looks_ahead == 0);
-    if (rows < 0 || rows > most_given(self)) return ASK;
-    self->given_rows = (int)rows;
-    int outcome = self->can->answer(self);
-    for (int i = 0; rows && i < (int)MOST_TIGHTENINGS && outcome < FILLED; i++) {
-        const long tighter = asked(self, TIGHTENED, false);
-        if (tighter < 0) return ASK;
-        if (!tighter) break;
-        outcome = self->can->answer(self);
-    }
-    return outcome < FILLED ? outcome : ASK;
-}
-
 /* The step for the observed sample. None if the answer is left open: then a call that finishes it has to follow. */
-static nb::object command(BoundCore *self) {
-    self->given_rows = 0, self->knot_asked = self->surveyed = false;
-    int outcome = self->can->propose(self);
-    bool asks = self->options->certified != 0.0 && (outcome >= FILLED || !self->can->quiet(self));
-    if (asks && outcome < FILLED)
-        asks = asked(self, CLEAR, false, self->looks_ahead == 0) != 1; /* no row can bind */
-    else if (!asks) { /* not every piece of work on bodies in one step */
-        self->waited = self->knot_asked || (self->surveyed && !self->waited);
-        if (!self->waited) asked(self, SURVEY_HERE, false);
-    }
-    if (asks && !self->interrupt) self->proposal->outcome = outcome = answer_with_rows(self);
-    raise_interrupt(self);
-    if (outcome < FILLED) return make_step(self, self->can->commit(self));
-    self->handed = true;
+static nb::object command(BoundCore &self) {
+    const Outcome outcome = self.can->settle_step(&self);
+    raise_interrupt(&self);
+    if (outcome < FILLED) return commit(self);
+    self.handed = true;
     return nb::none();
 }
 
 static nb::object step(BoundCore &self, const InOrNone &q, const Maybe &dt) {
-    Stepping here(&self);
-    observe(&self, q, dt);
-    return command(&self);
+    Stepping here(self);
+    observe(self, q, dt);
+    return command(self);
 }
 
 static int propose(BoundCore &self, long rows, bool again) {
     check_fit(rows >= 0 && rows <= most_given(&self), "there is no room for so many rows");
     self.given_rows = (int)rows;
-    const int outcome = again ? self.can->answer(&self) : self.can->propose(&self);
+    const Outcome outcome = again ? self.can->answer(&self) : self.can->propose(&self);
     raise_interrupt(&self);
     return outcome;
 }
@@ -337,6 +343,16 @@ static Py_ssize_t advance(BoundCore &self, Py_ssize_t steps, const InOrNone &q) 
     }
     raise_interrupt(&self);
     return done;
+}
+
+static void start(BoundCore &self, const In &positions) {
+    check_fit(positions.size == self.joints);
+    self.can->start(&self, positions.data);
+}
+
+static void start_path(BoundCore &self, double clock, double rate) {
+    self.can->start_path(&self, clock, rate);
+    raise_interrupt(&self);
 }
 
 /* go_over(goal, numbers, speed, spin, full): 1 if the way in `numbers` is taken from now on; see core.h. */
@@ -360,27 +376,10 @@ static void linearise(BoundCore &self, const In &positions, const In &about, Out
     self.can->linearise(&self, positions.data, about.data, carried.data, jacobian.data);
 }
 
-/* The tools have the places (R, p) of their last joints on the object, 12 each, and each has moved by exp of its shift,
- * 6 each, in the object frame: object_R, object_p = place · exp(−shift). False if a shift is not finite. */
-static bool move_grasp(Core *c, const double *places, const double *shift) {
-    for (int i = 0; i < 6 * c->arms; i++)
-        if (!isfinite(shift[i])) return false;
-    for (int k = 0; k < c->arms; k++) {
-        const double *place = places + 12 * k;
-        double back[6], R[9], p[3];
-        for (int i = 0; i < 6; i++) back[i] = -shift[6 * k + i];
-        exp6(back, R, p);
-        multiply3(place, R, c->object_R + 9 * k);
-        rotate(place, p, c->object_p + 3 * k);
-        for (int i = 0; i < 3; i++) c->object_p[3 * k + i] += place[9 + i];
-    }
-    best()->expect_shift(c, shift);
-    return true;
-}
-
-static bool shift_grasp(BoundCore &self, const In &places, const In &shift) {
-    check_fit(places.size == 12 * self.arms && shift.size == 6 * self.arms);
-    return move_grasp(&self, places.data, shift.data);
+/* Each tool has moved by exp of its shift (6 numbers an arm) from its place, in the object frame. False if one is not finite. */
+static bool shift_grasp(BoundCore &self, const In &shift) {
+    check_fit(shift.size == 6 * self.arms);
+    return self.can->move_grasp(&self, shift.data) != 0;
 }
 
 /* -- steps with wrenches: they are checked and taken, then the step follows ------------------------------------------- */
@@ -396,30 +395,13 @@ static void check_minding(const Out &memory, long arms) {
     check_fit(memory.size == minding_size(arms));
 }
 
-/* bind_minding(memory, places, tell): for step_minding; tell(step) puts words into it. */
-static void bind_minding(BoundCore &self, nb::object memory, In &places, nb::object tell) {
+/* bind_minding(memory): for step_minding. */
+static void bind_minding(BoundCore &self, nb::object memory) {
     Out forces;
     if (!forces.take(memory.ptr())) throw nb::type_error("expected an array of float64");
     check_minding(forces, self.arms);
-    check_fit(places.size == 12 * self.arms);
-    self.minding_array = std::move(forces), self.places_array = std::move(places);
+    self.minding_array = std::move(forces), self.minding_given = std::move(memory);
     self.minding = reinterpret_cast<Minding *>(self.minding_array.data);
-    self.minding_given = std::move(memory), self.objects[TELL] = std::move(tell);
-}
-
-/* The length of a step for the relaxation of forces: a dt that observe() refuses counts as the nominal one. */
-static double length_of(const Core *c, const Maybe &dt) {
-    const double nominal = c->options->nominal_dt;
-    double length = NAN;
-    if (!dt || !nb::try_cast(*dt, length)) return nominal;
-    return length >= c->options->dt_low * nominal && length <= c->options->dt_high * nominal ? length : nominal;
-}
-
-/* Largest size of n velocities. */
-static double fastest(int n, const double *velocity) {
-    double most = 0.0;
-    for (int i = 0; i < n; i++) most = maximum(most, fabs(velocity[i]));
-    return most;
 }
 
 /* step_minding(memory, q, dt, wrenches): a step of a controller that minds forces: the grasps move, the object is as fast
@@ -427,25 +409,20 @@ static double fastest(int n, const double *velocity) {
  * have to be looked at: nothing has changed then. */
 static nb::object step_minding(BoundCore &self, nb::handle memory, const InOrNone &q, const Maybe &dt,
                                const InOrNone &wrenches) {
-    Stepping here(&self);
-    Minding *m = self.minding;
+    Stepping here(self);
+    const Minding *m = self.minding;
     if (!memory.is(self.minding_given) || !gives_way(m) || m->age >= LOOK_EVERY) return nb::bool_(false);
-    const double *felt = wrenches_of(wrenches, self.arms), length = length_of(&self, dt);
+    const double *felt = wrenches_of(wrenches, self.arms);
+    double length = NAN;
     check_fit(!q.data || q.size == self.nq);
-    self.can->relax(self.arms, m, felt, length);
-    self.can->allow(self.arms, m, length);
-    move_grasp(&self, self.places_array.data, minding_of(self.arms, m).shift);
-    self.loop->overridden = m->allowed;
-    observe(&self, q, dt);
-    nb::object step = command(&self);
-    if (self.handed) return step;
-    m->reference_dt = m->asked_dt, m->asked_dt = self.record->dt;
-    memcpy(minding_of(self.arms, m).reference, self.R, 9 * sizeof(double));
-    memcpy(minding_of(self.arms, m).reference + 9, self.p, 3 * sizeof(double));
-    m->at_end = !(self.record->clock_next > self.record->clock);
-    m->last_rate = self.record->rate, m->last_speed = fastest(self.joints, vectors_of(self.record) + self.nq);
-    if (m->why != NOTHING_MORE) self.objects[TELL](step);
-    return step;
+    if (dt && !nb::try_cast(*dt, length)) length = NAN;
+    self.can->mind(&self, felt, length);
+    observe(self, q, dt);
+    nb::object made = command(self);
+    if (self.handed) return made;
+    self.can->minded(&self);
+    if (m->why != NOTHING_MORE) self.objects[TELL](made);
+    return made;
 }
 
 /* -- least-distance programs by themselves --------------------------------------------------------------------------- */
@@ -477,46 +454,25 @@ void bind_step(nb::module_ &m) {
     record_name = PyUnicode_InternFromString("_record"), context_name = PyUnicode_InternFromString("_context");
     status_name = PyUnicode_InternFromString("status"), rate_name = PyUnicode_InternFromString("rate");
     m.attr("GAP") = GAP;
-    nb::class_<BoundCore>(m, "Core", nb::type_slots(slots), "The compiled step over memory that Python owns.")
+    nb::class_<BoundCore>(m, "Core", nb::type_slots(slots), "The compiled step, and its memory.")
         .def("__init__", build)
+        .def("fields", fields_of)
+        .def("bind", bind)
         .def("step", step) /* observe, propose, commit; None if the answer is open */
-        .def("hold", [](BoundCore &self) { enter(&self); })
-        .def("release", [](BoundCore &self) { leave(&self); })
+        .def("hold", enter)
+        .def("release", leave)
         .def("steps_here", [](BoundCore &self) { self.stepper = PyThread_get_thread_ident(); })
         .def("steps_elsewhere",
              [](BoundCore &self) { return self.stepper && self.stepper != PyThread_get_thread_ident(); })
-        .def("observe", [](BoundCore &self, const InOrNone &q, const Maybe &dt) { observe(&self, q, dt); })
+        .def("observe", observe)
         .def("propose", propose)
         .def("read", [](BoundCore &self, double cap) { return self.can->read(&self, cap) != 0; })
-        .def("commit", [](BoundCore &self) { return make_step(&self, self.can->commit(&self)); })
+        .def("commit", commit)
         .def("advance", advance)
-        .def("start",
-             [](BoundCore &self, const In &positions) {
-                 check_fit(positions.size == self.joints);
-                 self.can->start(&self, positions.data);
-             })
-        .def("start_path",
-             [](BoundCore &self, double clock, double rate) {
-                 self.can->start_path(&self, clock, rate);
-                 raise_interrupt(&self);
-             })
+        .def("start", start)
+        .def("start_path", start_path)
         .def("set_path", set_path)
         .def("go_over", go_over)
-        .def("bind_knots",
-             [](BoundCore &self, const Maybe &f) { self.bound_knot = hold_object(self, BOUND_KNOT, f) ? ask_knot : nullptr; })
-        .def("bind_evasion",
-             [](BoundCore &self, const Maybe &f) { self.evade = hold_object(self, EVADE, f) ? ask_evasion : nullptr; })
-        .def("bind_rows",
-             [](BoundCore &self, const nb::object &clear, const nb::object &rows, const nb::object &tightened) {
-                 hold_object(self, CLEAR, clear);
-                 hold_object(self, FURTHER_ROWS, rows), hold_object(self, TIGHTENED, tightened);
-             })
-        .def("bind_surveys",
-             [](BoundCore &self, const nb::object &here, const nb::object &ahead) {
-                 hold_object(self, SURVEY_HERE, here), hold_object(self, SURVEY_AHEAD, ahead);
-                 self.survey_ahead = ask_survey;
-             })
-        .def("make_steps", make_steps)
         .def("linearise", linearise)
         .def("shift_grasp", shift_grasp)
         .def("bind_minding", bind_minding)

@@ -52,7 +52,8 @@ class _Memory:
 
     def solve(self, reach: float) -> int:
         """Fill x and y; returns the iterations, or the code of a failure."""
-        return self._program.solve(reach)
+        found: int = self._program.solve(reach)
+        return found
 
 
 class LdpSolver(QpSolver):

@@ -369,7 +369,7 @@ def test_where_rows_in_memory_fail_the_definition_goes_on_and_interrupts_are_rai
         asked += 1
         raise RuntimeError("nothing is known")
 
-    failing._loop._core.bind_rows(fails, fails, bool)
+    failing._loop._core.bind(clear=fails, further_rows=fails, tightened=bool)
     for controller in (own, failing):
         controller.reset(scenario.q_start)
     for _ in range(36):
@@ -380,7 +380,7 @@ def test_where_rows_in_memory_fail_the_definition_goes_on_and_interrupts_are_rai
     def interrupted(_: bool) -> int:
         raise KeyboardInterrupt
 
-    failing._loop._core.bind_rows(interrupted, interrupted, bool)
+    failing._loop._core.bind(clear=interrupted, further_rows=interrupted, tightened=bool)
     own.step()  # near in this step, too
     with pytest.raises(KeyboardInterrupt):
         failing.step()

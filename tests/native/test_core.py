@@ -24,11 +24,11 @@ from coopqp import (
     ObjectPath,
     QPController,
     QPOptions,
-    RobotCell,
     ServoPath,
     SupervisionOptions,
     WaypointPath,
 )
+from coopqp.control.step import decoding
 from coopqp.control.step.constraint_set import Constraints
 from coopqp.model import CellState
 from coopqp.native import layout
@@ -77,7 +77,7 @@ def core_of(loop: Any) -> Any:
 
 
 def proposal(loop: Any, name: str) -> float:
-    value: float = getattr(layout.views(loop.at)["proposal"], name.lower())
+    value: float = getattr(loop._proposal, name.lower())
     return value
 
 
@@ -376,35 +376,37 @@ def test_a_measurement_that_is_none_holds(value: float, paper: Scenario) -> None
 # -- memory and arguments ----------------------------------------------------------------------------------------------
 
 
-def built(loop: Any) -> tuple[tuple[Array, ...], tuple[tuple[int, int], ...], tuple[int, ...]]:
+#: Arguments of a Core: arrays of the arms and the joints, then sizes.
+Built = tuple[Any, ...]
+
+
+def built(loop: Any) -> Built:
     """Arguments of a Core like the loop's own."""
-    from coopqp.control.core.memory import Memory
+    arrays = (loop.at[name].copy() for name in ("arm_start", "arm_size", "q_index", "continuous"))
+    return (*arrays, loop.cell.nq, loop.at["unit"].size, 5, 64, False)
 
-    cell = loop.cell
-    sizes = len(cell), cell.nv, cell.nq, loop.at["unit"].size, 5, 64
-    memory = Memory(**dict(zip(("n", "nv", "nq", "unknowns", "past"), sizes, strict=False)), gap=native.GAP)
+
+def core_with(arguments: Built, loop: Any) -> Any:
+    """A core with the constants of a loop."""
+    core = native.Core(*arguments)
+    fields = core.fields()
     for name, _ in layout.CONFIG:
-        memory.at[name][:] = loop.at[name]
-    return tuple(memory.blocks.values()), tuple(memory.places), sizes
-
-
-def core_with(blocks: tuple[Any, ...], places: Any, sizes: tuple[Any, ...]) -> Any:
-    return native.Core(*blocks, places, *sizes, False)
+        fields[name][:] = loop.at[name]
+    return core
 
 
 @pytest.mark.filterwarnings("ignore:nanobind:RuntimeWarning")
 def test_a_core_is_built_once_and_before_it_is_used(paper: Scenario) -> None:
-    blocks, places, sizes = built(loop_of(paper))
-    core = core_with(blocks, places, sizes)
+    arguments = built(loop_of(paper))
+    core = native.Core(*arguments)
     with pytest.raises(TypeError):
-        core.__init__(*blocks, places, *sizes, False)
+        core.__init__(*arguments)
     raw = native.Core.__new__(native.Core)
     for call in (
         lambda: raw.step(None, None), lambda: raw.observe(None, None), lambda: raw.propose(0, False), raw.commit,
         lambda: raw.advance(1, None), lambda: raw.start(np.zeros(18)),
-        lambda: raw.start_path(0.0, 1.0), lambda: raw.read(1.0), lambda: raw.bind_knots(None), raw.hold,
-        lambda: raw.set_path(np.zeros(3), None, np.zeros(12), 1.0, False, False),
-        lambda: raw.make_steps(int, None, ()), lambda: raw.linearise(*[np.zeros(3)] * 4),
+        lambda: raw.start_path(0.0, 1.0), lambda: raw.read(1.0), lambda: raw.bind(tell=None), raw.hold,
+        lambda: raw.set_path(np.zeros(3), 1.0, False, False), raw.fields, lambda: raw.linearise(*[np.zeros(3)] * 4),
     ):  # fmt: skip
         with pytest.raises(TypeError):
             call()
@@ -415,35 +417,41 @@ def with_entry(things: tuple[Any, ...], i: int, thing: Any) -> tuple[Any, ...]:
     return (*things[:i], thing, *things[i + 1 :])
 
 
-def test_memory_that_does_not_fit_is_refused(paper: Scenario) -> None:
-    blocks, places, sizes = built(loop_of(paper))
-    core_with(blocks, places, sizes)
-    for i, block in enumerate(blocks):
-        frozen = block.copy()
-        frozen.flags.writeable = False
+def test_sizes_that_do_not_fit_are_refused(paper: Scenario) -> None:
+    arguments = built(loop_of(paper))
+    for i, array in enumerate(arguments[:4]):
+        for bad in (array[:-1].copy(), np.zeros(array.size + 1), np.zeros(0)):
+            with pytest.raises(ValueError, match="fit"):
+                native.Core(*with_entry(arguments, i, bad))
         for bad in (
-            block[:-1].copy(), block.astype(np.float32), np.zeros(block.size, dtype=np.int64),
-            np.zeros(2 * block.size)[::2], frozen, np.zeros(0), None, block.tolist(), b"", (0, 0),
+            array.astype(np.float32), np.zeros(array.size, dtype=np.int64), np.zeros(2 * array.size)[::2],
+            None, array.tolist(), b"", (0, 0),
         ):  # fmt: skip
             with pytest.raises((ValueError, TypeError, BufferError)):
-                core_with(with_entry(blocks, i, bad), places, sizes)
-    for i in (0, len(layout.CONFIG), len(places) - 1):
-        begin, end = places[i]
-        for bad in ((begin, 10**9), (-1, end), (end, begin - 1), (begin,), None, (begin, np.nan), (2**70, end)):
-            with pytest.raises((ValueError, TypeError, OverflowError)):
-                core_with(blocks, with_entry(places, i, bad), sizes)
-    for bad in ((), places[:-1], (*places, places[-1])):
+                native.Core(*with_entry(arguments, i, bad))
+    for i, bad in ((4, 17), (4, 37), (4, -1), (5, 8), (5, 10), (5, -9), (6, 0), (6, 10**9), (7, -1), (7, 10**9)):
         with pytest.raises(ValueError, match="fit"):
-            core_with(blocks, bad, sizes)
-    for bad in ((), blocks[:-1], (*blocks, blocks[-1])):
+            native.Core(*with_entry(arguments, i, bad))
+    for i in range(4, 8):
+        for bad in (None, (), 2.5, 2**40):
+            with pytest.raises((TypeError, OverflowError)):
+                native.Core(*with_entry(arguments, i, bad))
+    for bad in ((), arguments[:-1], (*arguments, 1)):
         with pytest.raises(TypeError):
-            native.Core(*bad, places, *sizes, False)
-    for i, bad in ((0, 0), (0, -1), (1, 5), (1, -18), (2, 17), (3, 8), (3, 10), (3, -9), (4, 0), (5, -1)):
-        with pytest.raises(ValueError, match="fit"):
-            core_with(blocks, places, with_entry(sizes, i, bad))
-    for bad in (None, (), sizes[:-1], with_entry(sizes, 0, 2.5), with_entry(sizes, 0, 2**40)):
-        with pytest.raises((TypeError, OverflowError)):
-            core_with(blocks, places, bad)
+            native.Core(*bad)
+
+
+def test_fields_are_zero_at_first_and_do_not_overlap(paper: Scenario) -> None:
+    fields = native.Core(*built(loop_of(paper))).fields()
+    state = fields.pop("state")
+    given = ("arm_start", "arm_size", "q_index", "continuous")
+    assert not any(array.any() for name, array in fields.items() if name not in given)
+    assert [*fields] == [name for block in layout.BLOCKS.values() for name, _ in block]
+    for i, array in enumerate(fields.values()):
+        array[:] = i
+    assert all((array == i).all() for i, array in enumerate(fields.values()))
+    assert all(np.shares_memory(fields[name], state) == (block == "STATE") for block in layout.BLOCKS for name, _ in
+               layout.BLOCKS[block] if fields[name].size)  # fmt: skip
 
 
 @pytest.mark.parametrize(
@@ -452,13 +460,13 @@ def test_memory_that_does_not_fit_is_refused(paper: Scenario) -> None:
      ("arm_size", np.nan), ("arm_size", 17.0), ("q_index", -1.0), ("q_index", 18.0), ("q_index", np.nan)],
 )  # fmt: skip
 def test_arms_that_do_not_lie_in_the_vectors_are_refused(field: str, value: float, paper: Scenario) -> None:
-    loop = loop_of(paper)
+    arguments = built(loop_of(paper))
+    which = ("arm_start", "arm_size", "q_index").index(field)
     for i in (0, -1):
-        blocks, places, sizes = built(loop)
-        begin, end = places[[name for name, _ in layout.CONFIG].index(field)]
-        blocks[0][begin:end][i] = value
+        bad = arguments[which].copy()
+        bad[i] = value
         with pytest.raises(ValueError, match="fit"):
-            core_with(blocks, places, sizes)
+            native.Core(*with_entry(arguments, which, bad))
 
 
 def test_arguments_that_are_none_are_refused(paper: Scenario) -> None:
@@ -486,13 +494,17 @@ def test_arguments_that_are_none_are_refused(paper: Scenario) -> None:
     for call in (
         lambda: core.propose("one", False), lambda: core.read("cap"), lambda: core.advance("one", None),
         lambda: core.advance(1, 2, 3),
-        lambda: core.start_path("now", 1.0), lambda: core.start_path(0.0), lambda: core.make_steps(1, None, ()),
-        lambda: core.make_steps(ControlStep, None, [1]),
+        lambda: core.start_path("now", 1.0), lambda: core.start_path(0.0), lambda: core.bind(1),
     ):  # fmt: skip
         with pytest.raises(TypeError):
             call()
-    with pytest.raises(ValueError, match="a status is missing"):
-        core.make_steps(ControlStep, None, ())
+    statuses = decoding.STATUSES
+    for bad in ((1, statuses), (ControlStep, ()), (ControlStep, [*statuses])):
+        with pytest.raises(ValueError, match="a status of each code"):
+            core.bind(**dict(zip(("step_type", "status_names"), bad, strict=True)))
+    with pytest.raises(ValueError, match="nothing of that name"):
+        core.bind(steps=None)
+    core.bind(step_type=ControlStep, status_names=statuses)
     read_only = q.copy()
     read_only.flags.writeable = False
     assert core.linearise(read_only, np.zeros(3), np.zeros(36), np.zeros(108)) is None
@@ -504,7 +516,6 @@ def test_arguments_that_are_none_are_refused(paper: Scenario) -> None:
 def test_paths_that_are_no_numbers_are_refused(paper: Scenario) -> None:
     core = core_of(loop_of(paper))
     good = paper.path.packed()
-    pose = np.zeros(12)
     for bad in (
         np.zeros(0), np.zeros(2), np.array([1.0, 0.0, 0.0]), good[:-1], np.array([1.0, 0.0, 1.0]),
         good.astype(np.float32),
@@ -514,12 +525,10 @@ def test_paths_that_are_no_numbers_are_refused(paper: Scenario) -> None:
         None, "path",
     ):  # fmt: skip
         with pytest.raises((ValueError, TypeError)):
-            core.set_path(bad, None, pose, 1.0, False, False)
-    for bad in (None, np.zeros(11), np.zeros(12, dtype=np.float32), "pose"):
-        with pytest.raises((ValueError, TypeError)):
-            core.set_path(np.array([1.0, 0.0, 0.0]), lambda clock, twist: True, bad, 1.0, False, False)
-    core.set_path(good, None, pose, paper.path.duration, True, False)  # the path that was refused has changed nothing
-    core.set_path(np.array([1.0, 0.0, 0.0]), lambda clock, twist: False, pose, 1.0, False, True)
+            core.set_path(bad, 1.0, False, False)
+    core.set_path(good, paper.path.duration, True, False)  # the path that was refused has changed nothing
+    core.bind(own_path=lambda clock, twist: False)
+    core.set_path(np.array([1.0, 0.0, 0.0]), 1.0, False, True)
     assert core.step(None, None) is None or core.step(None, None).status.name == "HOLDING"
 
 
@@ -536,7 +545,7 @@ def test_steps_without_python_in_between_are_the_same(paper: Scenario) -> None:
 def test_a_loop_that_nobody_holds_is_freed(paper: Scenario) -> None:
     """It owns the core, which holds its methods."""
     loop = loop_of(paper)
-    core_of(loop).bind_rows(loop._bound_knot, loop._bound_knot, loop._bound_knot)
+    core_of(loop).bind(clear=loop._bound_knot, further_rows=loop._bound_knot, tightened=loop._bound_knot)
     loop.step(None, None)
     known = weakref.ref(loop)
     del loop
@@ -547,13 +556,13 @@ def test_a_loop_that_nobody_holds_is_freed(paper: Scenario) -> None:
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
 def test_functions_that_raise_count_as_failed_and_interrupts_end_the_call(paper: Scenario) -> None:
     core = core_of(loop_of(paper))
-    pose = np.zeros(12)
     for error, status in ((ValueError("no"), "HOLDING"), (KeyboardInterrupt(), None)):
 
         def own(clock: float, twist: int, error: BaseException = error) -> bool:
             raise error
 
-        core.set_path(np.array([1.0, 0.0, 0.0]), own, pose, 1.0, False, True)
+        core.bind(own_path=own)
+        core.set_path(np.array([1.0, 0.0, 0.0]), 1.0, False, True)
         if status is None:
             with pytest.raises(KeyboardInterrupt):
                 core.step(None, None)
@@ -561,16 +570,21 @@ def test_functions_that_raise_count_as_failed_and_interrupts_end_the_call(paper:
             assert core.step(None, None).status.name == status
 
 
-def test_memory_lives_as_long_as_its_core(paper: Scenario, make_cell: Callable[..., RobotCell]) -> None:
-    """The core keeps its blocks: nothing else needs to."""
-    blocks, places, sizes = built(loop_of(paper))
-    core = core_with(blocks, places, sizes)
-    core.set_path(paper.path.packed(), None, np.zeros(12), paper.path.duration, False, False)
+def test_memory_lives_as_long_as_its_core_or_a_view(paper: Scenario) -> None:
+    """The core keeps its memory: nothing else needs to. So does each view."""
+    loop = loop_of(paper)
+    core = core_with(built(loop), loop)
+    core.set_path(paper.path.packed(), paper.path.duration, False, False)
     core.start(paper.q_start)
     core.start_path(0.0, 1.0)
-    del blocks
+    view = core.fields()["positions"]
     [np.full(100_000, np.nan) for _ in range(20)]  # would be written over what is free
     records = [core.step(None, None) for _ in range(5)]
     assert all(isinstance(record, bytes) for record in records)
     first = layout.SIZES["Record"]
     assert all(np.isfinite(np.frombuffer(record)[first : first + 54]).all() for record in records)
+    kept = view.copy()
+    del core
+    gc.collect()
+    [np.full(100_000, np.nan) for _ in range(20)]
+    np.testing.assert_array_equal(view, kept)

@@ -6,7 +6,6 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 from coopqp.control.core import allow_plain, relax_plain
-from coopqp.control.core.memory import NotForTheCore
 from coopqp.control.options import QPOptions
 from coopqp.control.step.constraint_set import Constraints
 from coopqp.errors import UnknownNameError
@@ -22,6 +21,10 @@ if TYPE_CHECKING:
 #: Memory, arms, wrenches (N, 6) or None, dt; and memory, arms, dt.
 Relax = Callable[[Array, int, Array | None, float], int]
 Allow = Callable[[Array, int, float], None]
+
+
+class NotForTheCore(Exception):  # noqa: N818
+    """The cell has something that the core does not know; the plain loop runs it. No user sees it."""
 
 
 def make_loop(
@@ -62,4 +65,4 @@ def minding_of(kernel: str) -> tuple[Relax, Allow]:
     return _core.relax, _core.allow
 
 
-__all__ = ["make_loop", "minding_of"]
+__all__ = ["NotForTheCore", "make_loop", "minding_of"]

@@ -14,17 +14,17 @@ from typing import Any, final
 import numpy as np
 import pinocchio as pin
 
-import coopqp.native._core as native
 from coopqp.constraints.cause import Cause
 from coopqp.constraints.rate import Knot
 from coopqp.constraints.velocity import ConstraintTrouble, Rows, no_rows
-from coopqp.control.core.memory import Memory, NotForTheCore, build_memory, put_options, same_kinematics
+from coopqp.control.core import NotForTheCore
+from coopqp.control.core.memory import build_memory, put_options, same_kinematics
 from coopqp.control.interface import ControlStep, SolverReport, Status, amend
-from coopqp.control.monitoring.supervision import as_configuration, grasp_lengths
+from coopqp.control.monitoring.supervision import as_configuration
 from coopqp.control.options import QPOptions
 from coopqp.control.step.constraint_set import Constraints
 from coopqp.control.step.decoding import STATUSES, RecordReader
-from coopqp.control.step.linearised import LinearisedAnswer, LinearisedStep, StepInput, is_long
+from coopqp.control.step.linearised import LinearisedStep, StepInput, is_long
 from coopqp.control.step.priorities import StepSolver
 from coopqp.control.step.velocity_bounds import VelocityBox
 from coopqp.errors import InvalidInputError
@@ -45,6 +45,11 @@ _SURVEYS_AT_START = 20
 _NOT_FINITE, _PATH_FAILED, _LOOK_AHEAD_FAILED, _CONSTRAINT_FAILED = (
     layout.REASONS.index(name) for name in ("NOT_FINITE", "PATH_FAILED", "LOOK_AHEAD_FAILED", "CONSTRAINT_FAILED")
 )
+#: Fields that the definition answers from.
+_GIVEN = (
+    "R", "p", "positions", "velocity", "before", "predicted", "foreseen", "asked_shift", "along", "measured",
+    "null_along", "null_offset",
+)  # fmt: skip
 _QP, _FILLED, _OPEN, _ASK = (layout.OUTCOMES.index(name) for name in ("QP", "FILLED", "OPEN", "ASK"))
 
 
@@ -81,23 +86,18 @@ class CompiledLoop:
         self.solver = StepSolver(chain, box, options)
         self._chain, self._box, self._definition = chain, box, LinearisedStep(chain, box, shares, self.solver, options)
         unit = self.solver.program.units
-        self._memory = build_memory(chain, box, shares, unit, grasp_lengths(grasp), options, dt, gap=native.GAP)
-        at = self.at = self._memory.at
-        self._loop, self._proposal, self._knots = (self._memory.views[name] for name in ("loop", "proposal", "knots"))
-        #: Placement of the object on each arm's last joint without a shift: R, p.
-        self._places = np.hstack([at["object_R"].reshape(-1, 9), at["object_p"].reshape(-1, 3)])
+        memory = self._memory = build_memory(chain, box, shares, unit, options, dt, arithmetic=arithmetic)
+        self.at, self._core, self._loop, self._proposal = memory.at, memory.core, memory.loop, memory.proposal
         self._shift: Array | None = None
-        numbers = self._numbers = self._memory.views["options"]
+        numbers = memory.options
         numbers.own_solver = self.solver.name == "ldp"
         self._certified = constraints.certified
         numbers.certified = self._certified is not None
         numbers.leaves_path = constraints.gives_way
         self._loop.overridden = self._loop.ease = 1.0
-        self._core = _make_core(self._memory, arithmetic)
         if not same_kinematics(chain, self._core.linearise):
             raise NotForTheCore("the core's kinematics of this robot are not Pinocchio's")
         self._target = Posture(cell, options.posture).target
-        self._pose_out = np.zeros(12)
         self._no_rows = no_rows(cell.nv)
         self._nan = np.full(cell.nq, math.nan)
         self._further = self._no_rows
@@ -105,15 +105,15 @@ class CompiledLoop:
         self._surveys_ahead: Callable[[], bool] = bool  # nothing is to be looked at
         self._evades: Callable[[], bool] | None = self._evade if constraints.evades else None
         if constraints:
-            self._core.bind_knots(self._bound_knot)
+            self._core.bind(bound_knot=self._bound_knot)
         if self._certified is not None:
             self._proposal.dt = dt  # of the first step, for what it prepares
             rows = self._certified.in_memory(self._memory.of_rows())
             ahead = None if rows is None else self._certified.in_memory(self._memory.of_rows(), ahead=True)
             if rows is not None and ahead is not None:
                 self._doubtful, self._surveys_ahead, self._evades = ahead.doubtful, ahead.surveys, ahead.evade
-                self._core.bind_rows(rows.clear, rows.rows, rows.tightened)
-                self._core.bind_surveys(rows.surveys, ahead.surveys)
+                self._core.bind(clear=rows.clear, further_rows=rows.rows, tightened=rows.tightened)
+                self._core.bind(survey_here=rows.surveys, survey_ahead=ahead.surveys)
         self.step = self._core.step
         self.hold, self.release = self._core.hold, self._core.release
         self.steps_here, self.steps_elsewhere = self._core.steps_here, self._core.steps_elsewhere
@@ -129,13 +129,13 @@ class CompiledLoop:
         self._guarded = GuardedPath(path)
         put_options(self._memory, self._chain, self._box, self.options.on(self._guarded.planned_share), self.dt)
         elbows = self._guarded.elbows
-        self._numbers.elbows = 0 if elbows is None else len(elbows.clocks)
-        self._core.bind_evasion(None if self._guarded.keeps_clear else self._evades)
+        self._memory.options.elbows = 0 if elbows is None else len(elbows.clocks)
         self._reader = RecordReader(
             self.cell, self.grasp, path, solver=self.solver.name, constraints=self.constraints,
             dt=self.dt, supervision=self.options.supervision,
         )  # fmt: skip
-        self._core.make_steps(ControlStep, self._reader, STATUSES)
+        evades = None if self._guarded.keeps_clear else self._evades
+        self._core.bind(step_type=ControlStep, context=self._reader, status_names=STATUSES, evade=evades)
         self.take_path()
 
     def take_path(self) -> None:
@@ -148,12 +148,13 @@ class CompiledLoop:
             numbers = np.array([duration, len(breakpoints), 0.0, *breakpoints])
         if path.elbows is not None:
             numbers = np.concatenate([numbers, path.elbows.packed()])
-        self._core.set_path(numbers, own, self._pose_out, duration, looks_ahead, not is_known(self.path))
+        self._core.bind(own_path=own)
+        self._core.set_path(numbers, duration, looks_ahead, not is_known(self.path))
 
     def take_shift(self, shift: Array) -> Callable[[], bool]:
         """Returns a function that reads ``shift`` (N, 6) and moves the grasps; it returns False if not finite."""
         self._shift = shift
-        return functools.partial(self._core.shift_grasp, self._places, shift)
+        return functools.partial(self._core.shift_grasp, shift)
 
     @property
     def reference(self) -> pin.SE3:
@@ -164,7 +165,8 @@ class CompiledLoop:
         """The core's step with wrenches: see :meth:`coopqp.QPController.take_minding`."""
         if len(self.cell) > MOST_MINDING:
             return None
-        self._core.bind_minding(memory, self._places, tell)
+        self._core.bind(tell=tell)
+        self._core.bind_minding(memory)
         step: Callable[..., Any] = self._core.step_minding
         return step
 
@@ -188,14 +190,12 @@ class CompiledLoop:
 
     def set_reins(self, override: float, *, paused: bool) -> None:
         """Set override and pause from the next step on."""
-        loop = self._loop
-        loop.overridden, loop.pause = override, paused
+        self._loop.overridden, self._loop.pause = override, paused
 
     @property
     def reins(self) -> tuple[float, bool]:
         """Override, and whether the object is paused."""
-        loop = self._loop
-        return loop.overridden, bool(loop.pause)
+        return self._loop.overridden, bool(self._loop.pause)
 
     def look_ahead_again(self, rate: float | None = None) -> None:
         """The path ahead has changed; the object moves along it at a rate."""
@@ -213,8 +213,7 @@ class CompiledLoop:
         if self.constraints or self._guarded.elbows is not None:  # which the core's own numbers lack
             return None
         numbers = np.empty(4 + SEGMENT)
-        target = np.concatenate([goal.rotation.ravel(), goal.translation])
-        taken: int = self._core.go_over(target, numbers, path.speed, path.spin, full)
+        taken: int = self._core.go_over(_numbers_of(goal), numbers, path.speed, path.spin, full)
         if taken > 0:
             path.take(goal, numbers[4:])
         return None if taken < 0 else taken > 0
@@ -230,7 +229,7 @@ class CompiledLoop:
 
     def memory(self) -> Any:
         """All that a copy of this loop needs beside its arguments and its path."""
-        return self._memory.blocks["STATE"].copy()
+        return self.at["state"].copy()
 
     def restore(self, memory: Any) -> None:
         """Go on from what :meth:`memory` returned.
@@ -238,7 +237,7 @@ class CompiledLoop:
         Raises:
             InvalidInputError: it comes from another version.
         """
-        state = self._memory.blocks["STATE"]
+        state = self.at["state"]
         if memory.shape != state.shape:
             raise InvalidInputError("its memory is of another version", "QPController", "Build and reset a new one.")
         state[:] = memory
@@ -268,16 +267,10 @@ class CompiledLoop:
     # -- callbacks of the core -------------------------------------------------------------------------------------
 
     def _ask_path(self, clock: float, twist: int) -> bool:
-        if twist:
-            found = self._guarded.twist(clock)
-            if found is None:
-                return self._cannot_say(self._guarded.problem)
-            self._pose_out[:6] = found
-            return True
-        pose = self._guarded.pose(clock)
-        if pose is None:
+        found = self._guarded.twist(clock) if twist else self._guarded.pose(clock)
+        if found is None:
             return self._cannot_say(self._guarded.problem)
-        self._pose_out[:9], self._pose_out[9:] = pose.rotation.ravel(), pose.translation
+        self.at["own_pose"][: 6 if twist else 12] = found if twist else _numbers_of(found)
         return True
 
     def _cannot_say(self, why: str) -> bool:
@@ -294,7 +287,7 @@ class CompiledLoop:
         doubtful = None if self._doubtful is None else self._doubtful(slot)
         if doubtful is not None and not doubtful:
             return True
-        at, nv, numbers = self.at, self.cell.nv, self._knots[slot]
+        at, nv, numbers = self.at, self.cell.nv, self._memory.knots[slot]
         vectors = slice(nv * slot, nv * slot + nv)
         q = self.cell.configuration_of(at["knot_positions"][vectors])
         slope, curvature = (at[f"knot_{name}"][vectors].copy() for name in ("slope", "curvature"))
@@ -431,8 +424,11 @@ class CompiledLoop:
         """The condensed QP that the core has filled in, by a solver of the user's choice."""
         at, p = self.at, self._proposal
         further = self._all_rows()
-        rows, unknowns = self.cell.nv + len(further), self._memory.sizes["unknowns"]
-        self._show_box()
+        rows, unknowns = self.cell.nv + len(further), self.solver.program.units.size
+        box = self._box  # the definition's, as the core has found it
+        box.lower[:], box.upper[:], box.recovery[:] = at["lower"], at["upper"], at["recovery"]
+        box.outside[:] = at["outside"] != 0.0
+        box.any_outside = bool(box.outside.any())
         base, columns = at["base"][:rows], at["columns"][: rows * unknowns].reshape(rows, unknowns)
         x, report = self.solver.solve_filled(base, columns, at["unit"], p.cap, further)
         if x is None:
@@ -441,68 +437,44 @@ class CompiledLoop:
         p.outcome = _QP if self._core.read(p.cap) else _OPEN
         return int(p.outcome), report
 
-    def _show_box(self) -> None:
-        """The core's box in the definition's."""
-        box, at = self._box, self.at
-        box.lower[:], box.upper[:], box.recovery[:] = at["lower"], at["upper"], at["recovery"]
-        box.outside[:] = at["outside"] != 0.0
-        box.any_outside = bool(box.outside.any())
-
     def _by_definition(self) -> tuple[SolverReport, str]:
         """Answer this step by the plain definition, in the core's memory."""
-        at, p, loop = self.at, self._proposal, self._loop
+        at, p, box = self.at, self._proposal, self._box
         if self._shift is not None:
             self._chain.shift_grasp(self._shift)
         given = self._given()
         found = self._definition.answer(given)
-        self._put_answer(found)
-        p.outcome = _QP
-        at["errors"][:], at["grasp"][:] = given.errors.ravel(), found.terms.grasp_corrections.ravel()
-        at["offsets"][:], at["path"][:] = found.terms.offsets.ravel(), found.terms.path_correction
-        at["foresees"][:] = found.foreseen.ravel()
-        at["stand_in"][:] = found.stand_in if loop.first else at["velocity"]
-        return found.answer.report, found.answer.reason
-
-    def _given(self) -> StepInput:
-        at, p, loop, n = self.at, self._proposal, self._loop, len(self.cell)
-        predicted = at["predicted"].reshape(n, 6).copy() if loop.has_predicted else None
-        pose, carried = pin.SE3(at["R"].reshape(3, 3).copy(), at["p"].copy()), self._chain.carried(self.q)
-        return StepInput(
-            q=self.q,
-            positions=at["positions"].copy(),
-            carried=carried,
-            errors=self._chain.errors(carried, pose),
-            v=at["velocity"].copy(),
-            v_before=at["before"].copy(),
-            h=p.dt,
-            cap=p.cap,
-            pose=pose,
-            along=at["along"].copy(),
-            measured=at["measured"].copy() if p.has_measured else None,
-            predicted=predicted,
-            foreseen=0.0 if predicted is None else at["foreseen"].reshape(n, 6).copy(),
-            last_dt=loop.last_dt,
-            asked=at["asked_shift"].reshape(n, 6).copy() if predicted is not None and loop.shift_asked else None,
-            null_along=at["null_along"].copy(),
-            null_offset=at["null_offset"].copy(),
-            further=self._all_rows(),
-            first=bool(loop.first),
-            hold=bool(p.hold),
-        )
-
-    def _put_answer(self, found: LinearisedAnswer) -> None:
-        at, p, answer = self.at, self._proposal, found.answer
-        at["command"][:], at["off_path"][:] = answer.velocity, answer.off_path
-        at["lower"][:], at["upper"][:] = self._box.lower, self._box.upper
+        terms, answer = found.terms, found.answer
+        for name, value in {
+            "command": answer.velocity, "off_path": answer.off_path, "lower": box.lower, "upper": box.upper,
+            "errors": given.errors, "grasp": terms.grasp_corrections, "offsets": terms.offsets,
+            "path": terms.path_correction, "foresees": found.foreseen,
+            "stand_in": found.stand_in if given.first else given.v,
+        }.items():  # fmt: skip
+            at[name][:] = np.ravel(value)
         p.new_rate, p.grasp_share, p.path_share = answer.rate, answer.grasp_share, answer.path_share
         p.parting, p.braked, p.binding_row, p.bindings = answer.chain, answer.braked, -1.0, len(answer.active)
         p.iterations, p.closes, p.made = answer.report.iterations, found.closes, found.makes_up
-        for i, (row, side) in enumerate(answer.active):
-            at["bindings"][2 * i : 2 * i + 2] = row, side
+        at["bindings"][: 2 * len(answer.active)] = np.ravel(answer.active)
+        p.outcome = _QP
+        return answer.report, answer.reason
+
+    def _given(self) -> StepInput:
+        p, loop = self._proposal, self._loop
+        at = {name: self.at[name].copy() for name in _GIVEN}
+        predicted, foreseen, asked = (at[name].reshape(-1, 6) for name in ("predicted", "foreseen", "asked_shift"))
+        known, pose = bool(loop.has_predicted), pin.SE3(at["R"].reshape(3, 3), at["p"])
+        carried = self._chain.carried(self.q)
+        return StepInput(
+            q=self.q, positions=at["positions"], carried=carried, errors=self._chain.errors(carried, pose),
+            v=at["velocity"], v_before=at["before"], h=p.dt, cap=p.cap, pose=pose, along=at["along"],
+            measured=at["measured"] if p.has_measured else None, predicted=predicted if known else None,
+            foreseen=foreseen if known else 0.0, last_dt=loop.last_dt,
+            asked=asked if known and loop.shift_asked else None, null_along=at["null_along"],
+            null_offset=at["null_offset"], further=self._all_rows(), first=bool(loop.first), hold=bool(p.hold),
+        )  # fmt: skip
 
 
-def _make_core(memory: Memory, arithmetic: str) -> Any:
-    config, state, work = memory.blocks.values()
-    s = memory.sizes
-    sizes = s["n"], s["nv"], s["nq"], s["unknowns"], s["past"], s["rows"]
-    return native.Core(config, state, work, memory.places, *sizes, arithmetic == "plain")
+def _numbers_of(pose: pin.SE3) -> Array:
+    """R (9), p (3)."""
+    return np.concatenate([pose.rotation.ravel(), pose.translation])

@@ -1,4 +1,4 @@
-"""The memory of one compiled loop: three blocks of numbers, and views of their fields by name."""
+"""The core of one compiled loop, with views of the fields of its memory by name."""
 
 from __future__ import annotations
 
@@ -7,8 +7,11 @@ from typing import Any, final
 
 import numpy as np
 
+import coopqp.native._core as native
 from coopqp.constraints.velocity import MOST_ROWS
+from coopqp.control.core import NotForTheCore
 from coopqp.control.lookahead.options import PlanLimits, PreviewOptions
+from coopqp.control.monitoring.supervision import grasp_lengths
 from coopqp.control.options import QPOptions
 from coopqp.control.step.velocity_bounds import VelocityBox
 from coopqp.errors import ModelError
@@ -16,106 +19,83 @@ from coopqp.model.cell import RobotCell, of_cell
 from coopqp.model.chain import Chain, moving_columns
 from coopqp.model.links import joint_links
 from coopqp.native import layout
-from coopqp.native.constants import LARGEST_MOVE, MOST_JOINTS
+from coopqp.native.constants import LARGEST_MOVE, MOST_JOINTS, MOST_KNOTS
 from coopqp.spatial import Array
-
-
-class NotForTheCore(Exception):  # noqa: N818
-    """The cell has something that the core does not know; the plain loop runs it. No user sees it."""
 
 
 @final
 class Memory:
-    """Blocks ``CONFIG``, ``STATE`` and ``WORK``; ``at[name]`` is the view of a field, ``gap`` numbers before the next.
+    """A core, and views of its memory: ``at[name]`` is a field, and ``options``, ``loop``, … are its structs.
 
-    Attributes:
-        sizes: symbols of the layout.
-        places: where each field begins and ends in its block, in the layout's order.
+    Args:
+        chain: the arms and their grasp.
+        unknowns: of the condensed QP without the slacks of recovery and relaxation.
+        past: samples in which a stall is looked for.
+        arithmetic: ``"plain"`` for instructions that every processor has.
     """
 
-    def __init__(self, *, n: int, nv: int, nq: int, unknowns: int, past: int, gap: int = 0) -> None:
-        self.sizes = layout.sizes(n=n, nv=nv, nq=nq, unknowns=unknowns, past=past, rows=MOST_ROWS)
-        self.at: dict[str, Array] = {}
-        self.places: list[tuple[int, int]] = []
-        self.blocks: dict[str, Array] = {}
-        for block, fields in layout.BLOCKS:
-            places = layout.offsets(fields, self.sizes, gap=gap)
-            memory = self.blocks[block] = np.zeros(max(end for _, end in places.values()) + gap)
-            self.places += places.values()
-            self.at.update({name: memory[begin:end] for name, (begin, end) in places.items()})
-        #: Fields of structs, with their members as attributes; ``knots`` is a sequence of them.
-        self.views: dict[str, Any] = layout.views(self.at)
+    def __init__(self, chain: Chain, *, unknowns: int, past: int, arithmetic: str = "auto") -> None:
+        cell, plain = chain.cell, arithmetic == "plain"
+        joints = (np.array(x, dtype=float) for x in (*_arms(chain), cell.position_index, cell.continuous))
+        self.core: Any = native.Core(*joints, cell.nq, unknowns, past, MOST_ROWS, plain)
+        self.at: dict[str, Array] = self.core.fields()
+        self.options, self.loop, self.proposal = (
+            layout.STRUCTS[name.capitalize()].from_buffer(self.at[name]) for name in ("options", "loop", "proposal")
+        )
+        self.knots = (layout.Knot * MOST_KNOTS).from_buffer(self.at["knots"])
 
     def of_rows(self) -> dict[str, Array]:
         """Inputs of further rows, and the places of the rows and of their quiet regions."""
         at, own = self.at, ("positions", "command", "quiet_centre", "quiet_reach")
         found = {name: at[name] for name in own} | {name: at[f"further_{name}"] for name in ("lower", "upper", "soft")}
 
-        def number(field: str, member: str) -> Array:
-            begin = layout.place(type(self.views[field]), member)
-            return at[field][begin : begin + 1]
+        def number(struct: Any, member: str) -> Array:
+            return np.frombuffer(struct, count=1, offset=getattr(type(struct), member).offset)
 
         return found | {
-            "G": at["further"], "owner": at["further_owner"], "dt": number("proposal", "dt"),
-            "quiet_slack": number("loop", "quiet_slack"), "quiet_approach": number("loop", "quiet_approach"),
+            "G": at["further"], "owner": at["further_owner"], "dt": number(self.proposal, "dt"),
+            "quiet_slack": number(self.loop, "quiet_slack"), "quiet_approach": number(self.loop, "quiet_approach"),
             **{name: at[name] for name in ("quiet_ahead_centre", "quiet_ahead_reach", "knots")},
             **{name: at[name] for name in ("evading_positions", "evading_slope")},
             **{f"knot_{name}": at[f"knot_{name}"] for name in ("positions", "slope", "curvature")},
-            "quiet_ahead_slack": number("loop", "quiet_ahead"), "quiet_ahead_approach": np.zeros(1),
-            "knot_numbers": np.array([layout.SIZES["Knot"], layout.place(layout.Knot, "span")], dtype=float),
+            "quiet_ahead_slack": number(self.loop, "quiet_ahead"), "quiet_ahead_approach": np.zeros(1),
+            "knot_numbers": np.array([layout.SIZES["Knot"], layout.Knot.span.offset / 8]),
         }  # fmt: skip
 
 
 def build_memory(
-    chain: Chain,
-    box: VelocityBox,
-    shares: Array,
-    unit: Array,
-    at_grasps: Array,
-    options: QPOptions,
-    dt: float,
-    *,
-    gap: int,
+    chain: Chain, box: VelocityBox, shares: Array, unit: Array, options: QPOptions, dt: float, *, arithmetic: str
 ) -> Memory:
-    """The memory of a loop, its constants filled in.
+    """The core of a loop and its memory, the constants filled in.
 
     Raises:
         NotForTheCore: a joint type, or an order of joints, that the core does not know.
     """
-    cell = chain.cell
-    starts, counts = _arms(chain)
-    memory = Memory(
-        n=len(cell),
-        nv=cell.nv,
-        nq=cell.nq,
-        unknowns=unit.size,
-        past=1 + (options.supervision.stall_samples or 1),
-        gap=gap,
-    )
+    cell, past = chain.cell, 1 + (options.supervision.stall_samples or 1)
+    memory = Memory(chain, unknowns=unit.size, past=past, arithmetic=arithmetic)
     at, limits = memory.at, cell.limits
-    at["arm_start"][:], at["arm_size"][:] = starts, counts
     _put_links(chain, at)
     at["near_cos"][:] = 1.0  # of position 0
-    at["continuous"][:], at["q_index"][:] = cell.continuous, cell.position_index
-    at["scale"][:], at["shares"][:], at["unit"][:] = chain.scale, shares.ravel(), unit
-    at["low"][:], at["high"][:] = limits.lower, limits.upper
-    at["speed"][:], at["acceleration"][:] = limits.velocity, limits.acceleration
-    at["most_move"][:] = np.where(box.unlimited, LARGEST_MOVE, np.inf)
-    at["at_grasps"][:] = at_grasps.ravel()
-    stiffness = options.supervision.stiffness
-    at["softness"][:] = 0.0 if stiffness is None else 1.0 / np.asarray(stiffness, dtype=float)
-    posture = options.posture
+    stiffness, posture = options.supervision.stiffness, options.posture
     bounded = np.isfinite(limits.lower) & np.isfinite(limits.upper)
-    at["posture_cap"][:] = posture.speed_share * np.where(np.isfinite(limits.velocity), limits.velocity, 1.0)
-    at["posture_bounded"][:] = bounded
-    at["posture_middle"][bounded] = 0.5 * (limits.lower[bounded] + limits.upper[bounded])
+    fields = {
+        "scale": chain.scale, "shares": shares.ravel(), "unit": unit, "low": limits.lower, "high": limits.upper,
+        "speed": limits.velocity, "acceleration": limits.acceleration,
+        "most_move": np.where(box.unlimited, LARGEST_MOVE, np.inf), "at_grasps": grasp_lengths(chain.grasp).ravel(),
+        "softness": 0.0 if stiffness is None else 1.0 / np.asarray(stiffness, dtype=float),
+        "posture_cap": posture.speed_share * np.where(np.isfinite(limits.velocity), limits.velocity, 1.0),
+        "posture_bounded": bounded,
+        "posture_middle": np.where(bounded, (limits.lower, limits.upper), 0.0).mean(axis=0),
+    }  # fmt: skip
+    for name, value in fields.items():
+        at[name][:] = value
     put_options(memory, chain, box, options, dt)
     return memory
 
 
 def put_options(memory: Memory, chain: Chain, box: VelocityBox, options: QPOptions, dt: float) -> None:
     """Put the settings of a path into the memory; what belongs to the solver stays."""
-    numbers = memory.views["options"]
+    numbers = memory.options
     _put_plan(chain, memory.at, numbers, options, dt)
     _put_options(numbers, box, options, dt)
 
@@ -140,6 +120,7 @@ def _put_links(chain: Chain, at: dict[str, Array]) -> None:
         Y = cell.T_joint_tool[k] * chain.grasp.T_object_tool[k].inverse()
         object_R[k], object_p[k] = (turned.T @ Y.rotation).ravel(), turned.T @ Y.translation
         tool_p[k] = turned.T @ cell.T_joint_tool[k].translation
+    at["places"][:] = np.hstack([object_R, object_p]).ravel()  # of the object without a shift
 
 
 @of_cell
@@ -173,29 +154,20 @@ def _put_plan(chain: Chain, at: dict[str, Array], numbers: Any, options: QPOptio
 
 def _put_options(numbers: Any, box: VelocityBox, o: QPOptions, dt: float) -> None:
     s, p, w = o.supervision, o.preview, o.weights
-    low, high = s.dt_range
+    for source in (o, o.posture, s) if p is None else (o, o.posture, s, p):
+        for name in layout.members(numbers) & vars(source).keys():  # many have the core's names
+            if isinstance(value := getattr(source, name), (int, float)):
+                setattr(numbers, name, value)
+    slope = (p or PreviewOptions()).slope(accelerates=box.accelerates, dt=dt)
     values: dict[str, float] = {
-        "nominal_dt": dt, "grasp_gain": o.grasp_gain, "path_gain": o.path_gain,
-        "correction_speed": o.correction_speed, "correction_spin": o.correction_spin,
-        "measurement_time": o.measurement_time, "shortcut": o.shortcut, "accelerates": box.accelerates,
-        "recovery_unit": w.recovery**-0.5, "relax_unit": w.clearance**-0.5, "blocked_rate": o.blocked_rate,
-        "rein_slope": (p or PreviewOptions()).slope(accelerates=box.accelerates, dt=dt),
-        "off_path_distance": o.off_path_distance, "off_path_angle": o.off_path_angle,
-        "posture_gain": o.posture.gain, "centring": o.posture.centring, "manipulability": o.posture.manipulability,
-        "slow_from": -1.0 if s.slow_from is None else s.slow_from, "hold_from": s.hold_from, "let_in": s.let_in,
-        "noise_margin": s.noise_margin, "recovery_time": s.recovery_time, "fault_from": s.fault_from,
-        "stall_samples": s.stall_samples or 0, "stall_share": s.stall_share, "silent_time": s.silent_time,
-        "filter_time": s.filter_time, "dt_low": low, "dt_high": high, "joint_jump": s.joint_jump,
-        "watches_force": s.stiffness is not None, "force_limit": s.force_limit, "servo_delay": s.servo_delay,
+        "nominal_dt": dt, "accelerates": box.accelerates, "recovery_unit": w.recovery**-0.5,
+        "relax_unit": w.clearance**-0.5, "rein_slope": slope, "posture_gain": o.posture.gain,
+        "slow_from": -1.0 if s.slow_from is None else s.slow_from, "stall_samples": s.stall_samples or 0,
+        "dt_low": s.dt_range[0], "dt_high": s.dt_range[1], "watches_force": s.stiffness is not None,
         "apart_hold": math.inf if s.apart_from is None else s.apart_from,
     }  # fmt: skip
     if p is not None:
-        values |= {
-            "rise": p.slope(accelerates=box.accelerates, dt=dt), "looks_ahead": 1.0, "caps_speed": box.accelerates,
-            "cell": p.cell, "joint_step": p.joint_step,
-            "slope_step": p.slope_step, "shortest": p.shortest, "curvature_share": p.curvature_share, "doubt": p.doubt,
-            "singular_rate": p.singular_rate, "newton_steps": p.newton_steps,
-        }  # fmt: skip
+        values |= {"rise": slope, "looks_ahead": 1.0, "caps_speed": box.accelerates}
     for name, value in values.items():
         setattr(numbers, name, value)
 

@@ -173,15 +173,5 @@ def reason(cell: RobotCell, force_limit: float, code: int, index: float, a: floa
         return jump(b, a)
     i, other = int(index), int(b) if code in _BOTH else 0
     arm, joint = (names[i] if i < len(names) else "" for names in (cell.arm_names, cell.joint_names))
-    values = {
-        "i": i,
-        "next": i + 1,
-        "arm": arm,
-        "joint": joint,
-        "other": cell.arm_names[other],
-        "a": a,
-        "b": b,
-        "mm": 1e3 * a,
-        "limit": force_limit,
-    }
-    return _SENTENCES[layout.REASONS[code]].format(**values)
+    words = {"arm": arm, "joint": joint, "other": cell.arm_names[other], "limit": force_limit}
+    return _SENTENCES[layout.REASONS[code]].format(i=i, next=i + 1, a=a, b=b, mm=1e3 * a, **words)
