@@ -180,7 +180,56 @@ def stalls(quick: bool) -> Iterator[Promise]:
     yield Promise("an arm of a QPController stops, stiffness told: time until HOLDING", worst[False], 25.0, "ms")
 
 
+def untold(duration: float, at: float | None, arm: str, rng: np.random.Generator) -> tuple[float, bool]:
+    """A lift by a QPController that knows neither stiffness nor wrenches; an arm stops ``at`` a time, or none does.
+
+    Servos, mass, lag, base, noise and accelerations are at random. Returns the time until HOLDING after that [s], and
+    whether an arm was said to have stopped before.
+    """
+    task = replace(paper_lift(time_law="quintic", duration=duration), object_mass=float(rng.uniform(5.0, 20.0)))
+    softer, lag = float(np.exp(rng.uniform(np.log(0.3), np.log(10.0)))), float(rng.choice([0.0, 0.005, 0.01, 0.02]))
+    off_arm, accelerations = str(rng.choice(task.cell.arm_names)), (np.inf, 10.0, 30.0)
+    cell = task.cell.with_limits(acceleration=accelerations[int(rng.integers(3))])
+    disturbances = Disturbances(
+        lag=dict.fromkeys(cell.arm_names, lag) if lag else {},
+        base_offset={off_arm: off(1.0, 0.1)} if rng.random() < 0.5 else {},
+        encoder_noise=1e-4 if rng.random() < 0.5 else 0.0,
+        stall={} if at is None else {arm: at},
+    )
+    servos = {"stiffness": softer * np.tile(STIFFNESS, 3), "damping": np.sqrt(softer) * np.tile(DAMPING, 3)}
+    plant = PhysicsPlant.of(task, options={"grips": "where they are", **servos}, disturbances=disturbances)
+    made, q, now, false = QPController(cell, task.grasp, task.path, dt=task.dt), plant.reset(task.q_start), 0.0, False
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        made.reset(q)
+    begin = np.inf if at is None else at
+    while now < (duration + 0.5 if at is None else at + 0.2):
+        step = made.step(q)
+        if now >= begin and step.status is Status.HOLDING:
+            return now - begin, false
+        false |= now < begin and ("stopped" in step.reason or "stalled" in step.reason)
+        q = plant.apply(step)
+        now += step.dt
+    return np.inf, false
+
+
+def stalls_untold(quick: bool) -> Iterator[Promise]:
+    """A gripped arm stops, seen by measured configurations alone."""
+    rng, late, said, sound = np.random.default_rng(11), [], 0, 4 if quick else 32
+    for i in range(4 if quick else 24):
+        duration = float(rng.choice([1.0, 1.5, 2.0, 3.0]))
+        arm = ("master", "slave_1", "slave_2")[i % 3]
+        found, false = untold(duration, duration * float(rng.uniform(0.25, 0.75)), arm, rng)
+        late.append(1e3 * found)
+        said += false
+    case = "an arm of a QPController stops, stiffness not told"
+    yield Promise(f"{case}: time until HOLDING", max(late), 100.0, "ms")
+    for _ in range(sound):
+        said += untold(float(rng.choice([1.0, 1.5, 2.0, 3.0])), None, "", rng)[1]
+    yield Promise(f"{case}: of {sound} without a stop and {len(late)} before it, said to have stopped", said, 1.0, "")
+
+
 def promises(quick: bool) -> Iterator[Promise]:
     """The promises of this module; ``quick`` for a part of the cases."""
-    for part in (lifts, disturbed, starts, stalls):
+    for part in (lifts, disturbed, starts, stalls, stalls_untold):
         yield from part(quick)

@@ -36,6 +36,7 @@ WATCH = (
     "SAMPLES", "WATCH_RATE", "WATCH_ARM", "SILENCE", "PRESSED", "HAS_SEEN", "PAST_COUNT", "PAST_HEAD", "FAR_SAMPLES",
     "DRIFT_SPEED", "DRIFT_SINCE", "DRIFT_STARTED", "VAR_DRIFT", "COVARIANCE", "VAR_LAG",
     "REST", "HAS_COMMANDED", "BEHIND", "GAP", "PULL",
+    "LAG_LOW", "LAG_HIGH", "LAG_HASTE", "LAG_NOISE", "LAG_BEGUN", "LAG_SUSPECTS",
 )  # fmt: skip
 AHEAD = (
     "HEAD", "COUNT", "KNOWN", "FRESH", "COMPLETE", "ENDS", "FREE_UNTIL", "BEGIN_AT",
@@ -100,7 +101,7 @@ KINDS = (
 REASONS = (
     "NO_REASON", "BAD_DT", "NOT_FINITE", "OFF_CIRCLE", "JUMPED", "CHAIN_APART", "CHAIN_PARTED", "OUT_OF_STEP_BY",
     "WAS_OUT_OF_STEP", "STALLED", "ALL_STALLED", "FORCE", "HANGS_BEHIND", "PATH_FAILED", "PATH_JUMPS",
-    "LOOK_AHEAD_FAILED", "CONSTRAINT_FAILED", "OFF_SERVOS", "TOUCHING",
+    "LOOK_AHEAD_FAILED", "CONSTRAINT_FAILED", "OFF_SERVOS", "TOUCHING", "OFF_LAG",
 )  # fmt: skip
 
 #: The fields of each block: name and size.
@@ -109,7 +110,7 @@ CONFIG = (
     ("link_R", "9 * nv"), ("link_p", "3 * nv"), ("prismatic", "nv"), ("continuous", "nv"), ("q_index", "nv"),
     ("object_R", "9 * n"), ("object_p", "3 * n"), ("tool_p", "3 * n"),
     ("scale", "nv"), ("shares", "6 * n"), ("low", "nv"), ("high", "nv"), ("speed", "nv"), ("acceleration", "nv"),
-    ("unit", "unknowns"), ("at_grasps", "36"), ("softness", "nv"),
+    ("unit", "unknowns"), ("at_grasps", "36"), ("levers", "3 * n"), ("softness", "nv"),
     ("posture_cap", "nv"), ("posture_bounded", "nv"), ("posture_middle", "nv"),
     ("plan_speed", "nv"), ("plan_acceleration", "nv"), ("plan_jump", "nv"), ("plan_room", "nv"), ("slope_change", "nv"),
     ("most_move", "nv"),
@@ -124,6 +125,7 @@ STATE = (
     ("watch", str(len(WATCH))), ("deviation", "6 * n"), ("away", "6 * n"), ("away_step", "6 * n"), ("noise", "n"),
     ("stalled", "n"), ("widest", "n"), ("lost", "n"), ("seen", "nq"), ("history", "2 * nv * past"),
     ("slow_drift", "6 * n"), ("lag", "6 * n"), ("apart", "6 * n"), ("drift_last", "nv"),
+    ("lag_base", "6"), ("lag_told", "6"), ("lag_way", "6"),
     ("deflection", "nv"), ("way", "nv"), ("commanded", "nv"), ("forces", "n"),
     ("ahead", str(len(AHEAD))), ("ahead_R", "9 * n"), ("ahead_p", "3 * n"), ("kinks", str(MOST_KINKS)),
     ("seek_low", "12"), ("seek_high", "12"), ("told_velocity", "nv"),

@@ -232,6 +232,7 @@ static void watch_distances(Core *c, const double *q, const double *away_given, 
     count_far(c, away, apart, out_of_step, unfiltered);
     const double largest = sqrt(largest_square6(c, out_of_step));
     const double worst = largest - o[NOISE_MARGIN] * noise;
+    c->watch[LAG_NOISE] = o[NOISE_MARGIN] * noise / sqrt((double)c->arms) + fmax(worst, 0.0); /* see watch_lag() */
     if (worst <= o[SLOW_FROM] || c->watch[SAMPLES] < FEW_SAMPLES) return;
     const int arm = most_out_of_step(c, out_of_step, largest);
     hold_for(seen, OUT_OF_STEP_BY, arm, sqrt(square6(out_of_step + 6 * arm)), 0.0);
@@ -243,8 +244,14 @@ static void watch_distances(Core *c, const double *q, const double *away_given, 
 
 /* -- stalls -------------------------------------------------------------------------------------------------------- */
 
-/* Keep this sample in the ring; the oldest one. */
-static const double *remember(Core *c, const double *positions) {
+/* The sample so many samples before the last one, or the oldest. */
+static const double *sample_before(const Core *c, int samples) {
+    const int count = (int)c->watch[PAST_COUNT], last = (int)c->watch[PAST_HEAD] + c->past - 1;
+    return c->history + 2 * (size_t)c->joints * (size_t)((last - (samples < count ? samples : count - 1)) % c->past);
+}
+
+/* Keep this sample in the ring. */
+static void remember(Core *c, const double *positions) {
     double *w = c->watch;
     const size_t joints = (size_t)c->joints;
     double *slot = c->history + 2 * joints * (size_t)w[PAST_HEAD];
@@ -252,7 +259,20 @@ static const double *remember(Core *c, const double *positions) {
     memcpy(slot + joints, c->positions, sizeof(double) * joints);
     w[PAST_HEAD] = w[PAST_HEAD] + 1.0 < c->past ? w[PAST_HEAD] + 1.0 : 0.0;
     w[PAST_COUNT] = fmin(w[PAST_COUNT] + 1.0, c->past);
-    return c->history + (w[PAST_COUNT] < c->past ? 0 : 2 * joints * (size_t)w[PAST_HEAD]);
+}
+
+/* The least of the largest motions that the joints of arm k were commanded to make in as many samples, now or up to LAG ago: one
+ * of them is what a late arm should have made. */
+static double least_told(const Core *c, int k, double told) {
+    const int start = (int)c->arm_start[k], end = start + (int)c->arm_size[k], samples = (int)c->options[STALL_SAMPLES];
+    const int late = fmin(c->past - 1, c->watch[PAST_COUNT] - 1.0) - samples;
+    for (int i = 1; i <= late; i++) {
+        const double *from = sample_before(c, samples + i) + c->joints, *to = sample_before(c, i) + c->joints;
+        double most = 0.0;
+        for (int j = start; j < end; j++) most = fmax(most, fabs(to[j] - from[j]));
+        told = fmin(told, most);
+    }
+    return told;
 }
 
 /* Largest motions of the joints of arm k since an older sample, as commanded and measured, and what lies between. */
@@ -287,13 +307,17 @@ static void note_stalls(Core *c, const double *told, const double *moved, const 
     int any = 0, follows = 0;
     for (int k = 0; k < c->arms; k++) {
         int moving = told[k] > STILL_COMMAND;
-        /* With less of a gap it is not stalled but late: it may be turning round. */
+        /* With less of a gap it is not stalled but late; so it is where it turns round a little later than told. */
         int still = moving && moved[k] < o[STALL_SHARE] * told[k] && gap[k] >= CAUGHT_UP;
+        if (still) {
+            const double least = least_told(c, k, told[k]);
+            still = least > STILL_COMMAND && moved[k] < o[STALL_SHARE] * least;
+        }
         stands[k] = still;
         any |= still;
         follows |= moving && moved[k] > FOLLOWS * told[k];
     }
-    const int full = c->watch[PAST_COUNT] >= c->past;
+    const int full = c->watch[PAST_COUNT] > o[STALL_SAMPLES];
     *silence = full && any && !follows ? *silence + dt : 0.0;
     if (!full || !any || !(follows || *silence > o[SILENT_TIME])) return;
     for (int k = 0; k < c->arms; k++) {
@@ -306,7 +330,8 @@ static void note_stalls(Core *c, const double *told, const double *moved, const 
 /* Of arms in rigid grips that mind forces, their wrenches say more: here, only whether all have stopped. */
 static void watch_stall(Core *c, const double *positions, double dt, int rigid, Seen *seen) {
     double *told = c->scratch, *moved = told + c->arms, *gap = moved + c->arms;
-    const double *before = remember(c, positions);
+    remember(c, positions);
+    const double *before = sample_before(c, (int)c->options[STALL_SAMPLES]);
     for (int k = 0; k < c->arms; k++) moves_of(c, k, positions, before, told + k, moved + k, gap + k);
     let_go_who_caught_up(c, gap);
     note_stalls(c, told, moved, gap, dt);
@@ -467,6 +492,7 @@ static void watch_forces(Core *c, const double *positions, double dt, Seen *seen
 /* Of arms that mind forces; see residual.cpp. */
 static void add_shift(const Core *c, double *away);
 static void watch_servos(Core *c, const double *away, double dt, Seen *seen);
+static void watch_lag(Core *c, double dt, Seen *seen);
 
 /* -- one sample ---------------------------------------------------------------------------------------------------- */
 
@@ -511,6 +537,7 @@ static void watch_sample(Core *c, const double *positions, const double *q, cons
         if (minds && o[SLOW_FROM] >= 0.0) watch_servos(c, away, dt, &seen);
         if (o[STALL_SAMPLES] > 0.0) watch_stall(c, positions, dt, minds, &seen);
         if (o[WATCHES_FORCE] != 0.0) watch_forces(c, positions, dt, &seen);
+        if (c->arms > 1 && !c->minding && o[WATCHES_FORCE] == 0.0 && o[SLOW_FROM] >= 0.0) watch_lag(c, dt, &seen);
         if (o[RECOVERY_TIME] > 0.0) recover(c, dt, &seen);
         if (c->minding && c->minding[TOUCHES] != 0.0 && !seen.fault) hold_for(&seen, TOUCHING, -1, 0.0, 0.0); /* at once */
     }
@@ -532,6 +559,9 @@ static void watch_reset(Core *c) {
     for (size_t i = 0; i < sizeof of_arms / sizeof *of_arms; i++) memset(of_arms[i], 0, arms);
     for (size_t i = 0; i < sizeof of_distances / sizeof *of_distances; i++) memset(of_distances[i], 0, 6 * arms);
     memset(c->told_velocity, 0, joints);
+    memset(c->lag_base, 0, 6 * sizeof(double));
+    memset(c->lag_told, 0, 6 * sizeof(double));
+    memset(c->lag_way, 0, 6 * sizeof(double));
     memset(c->deflection, 0, joints);
     memset(c->way, 0, joints);
 }

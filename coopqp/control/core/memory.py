@@ -9,6 +9,7 @@ import numpy as np
 
 from coopqp.constraints.velocity import MOST_ROWS
 from coopqp.control.lookahead.options import PlanLimits, PreviewOptions
+from coopqp.control.monitoring.lag import grasp_levers, kept_samples
 from coopqp.control.options import QPOptions
 from coopqp.control.step.velocity_bounds import VelocityBox
 from coopqp.errors import ModelError
@@ -85,7 +86,7 @@ def build_memory(
         nv=cell.nv,
         nq=cell.nq,
         unknowns=unit.size,
-        past=1 + (options.supervision.stall_samples or 1),
+        past=kept_samples(options.supervision, dt),
         gap=gap,
     )
     at, limits = memory.at, cell.limits
@@ -98,6 +99,7 @@ def build_memory(
     at["speed"][:], at["acceleration"][:] = limits.velocity, limits.acceleration
     at["most_move"][:] = np.where(box.unlimited, LARGEST_MOVE, np.inf)
     at["at_grasps"][:] = at_grasps.ravel()
+    at["levers"][:] = grasp_levers(chain.grasp, at_grasps[5, 5]).ravel()
     stiffness = options.supervision.stiffness
     at["softness"][:] = 0.0 if stiffness is None else 1.0 / np.asarray(stiffness, dtype=float)
     posture = options.posture

@@ -17,6 +17,7 @@ import numpy.typing as npt
 from coopqp.checks import NOT_NUMBERS, as_floats, as_scalar
 from coopqp.constraints.cause import Cause
 from coopqp.control.monitoring.drift import Drift
+from coopqp.control.monitoring.lag import OFF_LAG, LagWatch, excess_cap, kept_samples, least_told
 from coopqp.control.monitoring.options import SupervisionOptions
 from coopqp.control.monitoring.servos import ServoWatch
 from coopqp.control.monitoring.stress import StressWatch
@@ -66,9 +67,9 @@ _FIXED = (
 
 
 class Supervision:
-    """Memory of the watch; one per controller."""
+    """Memory of the watch; one per controller, with steps of about ``dt`` [s]."""
 
-    def __init__(self, cell: RobotCell, grasp: Grasp, options: SupervisionOptions) -> None:
+    def __init__(self, cell: RobotCell, grasp: Grasp, options: SupervisionOptions, *, dt: float = math.inf) -> None:
         self._cell, self._options = cell, options
         self._stress = _stress_watch(cell, grasp, options)
         self._pressed = False
@@ -88,9 +89,10 @@ class Supervision:
         self._widest = np.zeros(n)
         self._numbers, self._first_numbers = _numbers_of(cell, columns)
         self._told: Array | None = None
-        self._past: deque[tuple[Array, Array]] = deque(maxlen=1 + (options.stall_samples or 1))
+        self._past: deque[tuple[Array, Array]] = deque(maxlen=kept_samples(options, dt))
         self._silence = 0.0
         self._drift = Drift(n, options.let_in)
+        self._lag, self._quiet = LagWatch(grasp, self._at_grasps.item(5, 5)), 0.0
         self._seen: Array | None = None
         self._lost = np.zeros(n, dtype=int)
         self._far = 0
@@ -109,6 +111,7 @@ class Supervision:
         self._past.clear()
         self._silence, self._told, self._far = 0.0, None, 0
         self._drift.reset()
+        self._lag.reset()
         self._seen = None
         self._lost[:] = 0
         self._pressed = False
@@ -181,6 +184,7 @@ class Supervision:
         dt: float,
         velocity: Array | None = None,
         rotation: Array | None = None,
+        twist: Array | None = None,
     ) -> Watch:
         """Compare one sample.
 
@@ -190,6 +194,7 @@ class Supervision:
             dt: time since the last sample [s].
             velocity, rotation: commanded velocities of the joints (nv,) and rotation of the object (3, 3); where
                 forces are minded only.
+            twist: commanded twist of the object in its own frame (6,) [m/s, rad/s]; without it no lag is looked for.
         """
         o, result = self._options, Watch()
         servos = self.servos if self.servos is not None and self.servos.minds else None
@@ -208,6 +213,8 @@ class Supervision:
             self._watch_stall(found, told, dt, result, rigid=servos is not None)
         if self._stress is not None:
             self._watch_stress(self._stress, measured, commanded, dt, result)
+        if twist is not None and self.servos is None and self._stress is None and o.slow_from is not None:
+            self._watch_lag(twist, dt, result)
         if o.recovery_time > 0.0:
             allowed = self._cap + dt / o.recovery_time
             if allowed < result.rate_cap:
@@ -253,6 +260,7 @@ class Supervision:
         self._count_far(away, self._from_others.dot(away) - (apart - out_of_step), lost)
         spread = np.einsum("ij,ij->i", out_of_step, out_of_step)
         worst = math.sqrt(largest(spread)) - o.noise_margin * noise
+        self._quiet = o.noise_margin * noise / math.sqrt(len(away)) + max(worst, 0.0)
         if worst <= o.slow_from or self._samples < FEW_SAMPLES:
             return
         spread = np.sqrt(spread)
@@ -293,7 +301,8 @@ class Supervision:
         o, past = self._options, self._past
         measured, commanded = found[self._moving], told[self._moving]
         past.append((measured, commanded))
-        before, moves = past[0], self._moves
+        samples, moves = o.stall_samples or 1, self._moves
+        before = past[max(len(past) - 1 - samples, 0)]
         np.subtract(commanded, before[1], out=moves[0])
         np.subtract(measured, before[0], out=moves[1])
         np.subtract(commanded, measured, out=moves[2])
@@ -303,9 +312,12 @@ class Supervision:
             np.maximum(self._widest, gap, out=self._widest)
             stalled &= gap >= np.maximum(CAUGHT_UP, CAUGHT_UP_SHARE * self._widest)
         moving = told > STILL_COMMAND
-        # With less of a gap it is not stalled but late: it may be turning round.
+        # With less of a gap it is not stalled but late; so it is where it turns round a little later than told.
         stands = moving & (moved < o.stall_share * told) & (gap >= CAUGHT_UP)
-        if len(past) == past.maxlen and stands.any():
+        if len(past) > samples and stands.any():
+            least = least_told([row for _, row in past], self._starts, samples)
+            stands &= (least > STILL_COMMAND) & (moved < o.stall_share * least)
+        if len(past) > samples and stands.any():
             follows = bool((moving & (moved > FOLLOWS * told)).any())
             self._silence = 0.0 if follows else self._silence + dt
             if follows or self._silence > o.silent_time:
@@ -343,6 +355,17 @@ class Supervision:
             fall_gently(found, self._cap, dt)
         if found.rate_cap < result.rate_cap:
             result.lower(found)
+
+    def _watch_lag(self, twist: Array, dt: float, result: Watch) -> None:
+        """Arms that are where no lag would put them all slow the object, and hold it."""
+        if len(self._deviation) < 2:
+            return
+        velocity, settled = twist.dot(self._at_grasps), self._samples >= FEW_SAMPLES
+        excess, arm = self._lag.look(self._deviation.mean(axis=0), velocity, self._quiet, dt, settled=settled)
+        cap = excess_cap(excess)
+        if arm >= 0 and cap < result.rate_cap:
+            reason = OFF_LAG.format(arm=self._cell.arm_names[arm], mm=1e3 * excess)
+            result.lower(Watch(cap, hold=cap == 0.0, arm=arm, reason=reason, cause=Cause.TRACKING))
 
     def _watch_stress(self, stress: StressWatch, measured: Array, commanded: Array, dt: float, result: Watch) -> None:
         """Arms that press too hard on the object hold it, until they press less than half as hard."""

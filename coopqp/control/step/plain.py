@@ -75,7 +75,7 @@ class PlainLoop:
         self.solver = StepSolver(self._chain, self._box, options)
         self._step = LinearisedStep(self._chain, self._box, self._shares, self.solver, options)
         self._posture = Posture(cell, options.posture)
-        self._supervision = Supervision(cell, grasp, options.supervision)
+        self._supervision = Supervision(cell, grasp, options.supervision, dt=dt)
         self._chain_watch = ChainWatch(grasp, options.supervision.apart_from)
         self._rate_cap = RateCap(cell, self._box, options, dt=dt)
         self._restricted = tuple(cell.arm_names[k] for k in self._chain.deficient)
@@ -290,7 +290,8 @@ class PlainLoop:
             away = errors - seen.errors
             drift = np.zeros(6) if s.drift is None else s.drift
             s.drift = drift + seen.h / (seen.h + self.options.measurement_time) * (self._mean.dot(away.ravel()) - drift)
-            watch.lower(self._supervision.watch(measured, s.q, away, seen.h, s.v, seen.pose.rotation))
+            twist = self._twist(seen.carried[0])
+            watch.lower(self._supervision.watch(measured, s.q, away, seen.h, s.v, seen.pose.rotation, twist))
         servos = self._supervision.servos
         corrects = 1.0 if servos is None else servos.corrects  # arms that mind forces relax first
         if watch.hold or (s.drift is None and corrects == 1.0):
@@ -298,6 +299,14 @@ class PlainLoop:
         measured_error = self._mean.dot(seen.errors.ravel()) + (0.0 if s.drift is None else s.drift)
         error: Array = corrects * watch.rate_cap * measured_error
         return error
+
+    def _twist(self, carried: Array) -> Array:
+        """The twist of the object in the last step as commanded, in its own frame (6,) [m/s, rad/s]."""
+        s = self.state
+        before = self._chain.carried(self.cell.moved(s.q, -s.last_dt * s.v))[0]
+        now, last = (pin.SE3(O[:3].T, O[3]) for O in (carried, before))
+        twist: Array = np.asarray(pin.log6(last.actInv(now)).vector) / s.last_dt
+        return twist
 
     # -- propose ---------------------------------------------------------------------------------------------------
 
