@@ -43,7 +43,7 @@ test: $(VENV)/.installed
 # scenario and every mode.
 test-nightly: $(VENV)/.installed
 	@mkdir -p out
-	HYPOTHESIS_PROFILE=nightly $(PYTEST) tests/reliability tests/test_lockstep.py --timeout 36000 --reliability-json=out/reliability.json
+	HYPOTHESIS_PROFILE=nightly $(PYTEST) tests/reliability tests/control/test_lockstep.py --timeout 36000 --reliability-json=out/reliability.json
 
 lint: $(VENV)/.installed
 	$(BIN)/ruff check .

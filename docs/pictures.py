@@ -4,8 +4,9 @@
     python docs/pictures.py figure5.png     draw one, and those that come with it
     python docs/pictures.py --check         draw them elsewhere, and say how much they differ
 
-A new picture is one more line in PROGRAMS. `tests/test_pictures.py` draws all of them and compares. Other versions of
-what draws them change letters and edges: DRAWN_WITH holds the versions, and only with these pixels are compared.
+A new picture is one more line in PROGRAMS. `tests/project/test_pictures.py` draws all of them and compares. Other
+versions of what draws them change letters and edges: DRAWN_WITH holds the versions, and only with these pixels are
+compared.
 """
 
 from __future__ import annotations

@@ -82,8 +82,9 @@ def pytest_terminal_summary(terminalreporter: Any, config: pytest.Config) -> Non
 
 @pytest.fixture
 def rng(request: pytest.FixtureRequest) -> np.random.Generator:
-    """Random numbers with a seed for each test, the same in every run."""
-    return np.random.default_rng(zlib.crc32(request.node.nodeid.encode()))
+    """Random numbers with a seed for each test, the same in every run and in whatever folder its file stands."""
+    file, _, test = request.node.nodeid.partition("::")
+    return np.random.default_rng(zlib.crc32(f"tests/{file.rpartition('/')[2]}::{test}".encode()))
 
 
 @pytest.fixture(scope="session")

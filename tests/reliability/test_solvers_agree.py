@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Iterator
-from pathlib import Path
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 import pytest
+import recorded_qps
 from checks import FaultySolver, cooperative
 
 from coopqp import Status
@@ -16,7 +16,6 @@ from coopqp.native import available_kernels
 from coopqp.scenarios import fast_lift
 from coopqp.solvers import QpProblem, QpSolution, SolverStatus, available_solvers, make_solver
 
-BENCHMARKS = Path(__file__).parents[2] / "benchmarks"
 #: How far joint velocities may be apart [rad/s], and answers from optimal.
 #: Of answers as the arms get them, after the polish; at the border of feasibility some come without one.
 TARGET = {"ldp": 1e-8, "daqp": 1e-8, "quadprog": 1e-8, "proxqp": 1e-6, "osqp": 1e-3}
@@ -94,23 +93,13 @@ class Tally:
                 )
 
 
-@pytest.fixture(name="recorded", scope="module")
-def _recorded() -> Iterator[Any]:
-    """The benchmark's module. The modules that it imports are in the same folder."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.syspath_prepend(str(BENCHMARKS))
-        import recorded_qps
-
-        yield recorded_qps
-
-
 @pytest.mark.slow
-def test_on_recorded_problems(recorded: Any, count: Callable[[int], int], catalogue: Any) -> None:
+def test_on_recorded_problems(count: Callable[[int], int], catalogue: Any) -> None:
     tally, full = Tally(), Tally()
     for case in CASES:
         solvers = {name: make_solver(name) for name in SOLVERS}  # kept along a recording, as in a loop
         dense = {name: make_solver(name) for name in SOLVERS if name not in ("ldp", "quadprog")}  # H is singular
-        for small, whole in zip(*(form.qps for form in recorded.record(case, 3, count(25))), strict=True):
+        for small, whole in zip(*(form.qps for form in recorded_qps.record(case, 3, count(25))), strict=True):
             best = tally.compare(small.problem, solvers, small.velocity)
             full.compare(whole.problem, dense, whole.velocity, None if best is None else small.velocity(best))
     assert tally.cases == full.cases >= 20 * len(CASES)

@@ -5,15 +5,11 @@ All seeds run in benchmarks/targets.py; here there is one, and every night ten, 
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-
-sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
 import target_cases as cases
 
 pytestmark = pytest.mark.slow

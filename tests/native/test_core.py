@@ -1,0 +1,578 @@
+"""The compiled core by itself: the memory it is given, the numbers in it, and its two arithmetics.
+
+tests/control/test_lockstep.py compares its steps with the plain definition.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import gc
+import weakref
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from marks import slow_but_first
+
+from coopqp import (
+    ControlStep,
+    HoldPath,
+    LinePath,
+    ObjectPath,
+    QPController,
+    QPOptions,
+    RobotCell,
+    ServoPath,
+    SupervisionOptions,
+    WaypointPath,
+)
+from coopqp.control.step.constraint_set import Constraints
+from coopqp.model import CellState
+from coopqp.native import layout
+from coopqp.scenarios import Scenario, at_limit, dual_arm7, mixed_cell, paper_lift, ring
+from coopqp.solvers import QpProblem, QpSolution, QpSolver, make_solver
+from coopqp.spatial import Array
+
+pytestmark = pytest.mark.core
+
+
+native = pytest.importorskip("coopqp.native._core", reason="the core is not compiled")
+compiled = pytest.importorskip("coopqp.control.core.compiled", reason="the core is not compiled")
+
+#: The one that this processor runs, and the one that any can.
+ARITHMETICS = ("auto", "plain")
+NOMINAL, RAY, QP, FILLED, OPEN, ASK = range(len(layout.OUTCOMES))
+SCENARIOS = [paper_lift, dual_arm7, mixed_cell, at_limit]
+
+
+def loop_of(
+    task: Scenario,
+    *,
+    arithmetic: str = "auto",
+    path: ObjectPath | None = None,
+    dt: float | None = None,
+    **options: Any,
+) -> Any:
+    """A compiled loop at the start of the scenario."""
+    loop = compiled.CompiledLoop(
+        task.cell,
+        task.grasp,
+        dt=dt or task.dt,
+        options=QPOptions(**options),
+        constraints=Constraints(task.cell, ()),
+        arithmetic=arithmetic,
+    )
+    loop.follow(path or task.path)
+    loop.start(task.q_start)
+    loop.start_path()
+    return loop
+
+
+def core_of(loop: Any) -> Any:
+    """The loop's core: ``step`` is a method of it."""
+    return loop.step.__self__
+
+
+def proposal(loop: Any, name: str) -> float:
+    value: float = loop.at["proposal"][layout.PROPOSAL.index(name)]
+    return value
+
+
+def limited(task: Scenario, **limits: Any) -> Scenario:
+    return dataclasses.replace(task, cell=task.cell.with_limits(**limits))
+
+
+# -- two arithmetics ---------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("acceleration", [np.inf, 5.0])
+@pytest.mark.parametrize("shortcut", [True, False])
+@pytest.mark.parametrize("make", [*SCENARIOS, lambda: ring(arms=5)])
+def test_both_arithmetics_agree(make: Callable[[], Scenario], shortcut: bool, acceleration: float) -> None:
+    task = limited(make(), acceleration=acceleration)
+    rng, dt = np.random.default_rng(2), max(task.dt, 0.005)
+    watched = SupervisionOptions(stiffness=2e4)
+    loops = [loop_of(task, arithmetic=a, dt=dt, shortcut=shortcut, supervision=watched) for a in ARITHMETICS]
+    q = None
+    for i in range(120):
+        done = [loop.step(q, None) or loop.finish() for loop in loops]
+        np.testing.assert_allclose(done[0].velocity, done[1].velocity, rtol=0.0, atol=1e-9, err_msg=f"step {i}")
+        assert done[0].rate == pytest.approx(done[1].rate, abs=1e-8)
+        assert done[0].status is done[1].status
+        if i % 3 == 0:
+            q = pin.integrate(task.cell.model, done[1].q_next, rng.uniform(-1e-5, 1e-5, task.cell.nv))
+
+
+# -- what it computes --------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("arithmetic", ARITHMETICS)
+@pytest.mark.parametrize("make", [*SCENARIOS, lambda: ring(arms=5)])
+def test_where_the_object_is_carried_and_how_it_moves(
+    make: Callable[[], Scenario], arithmetic: str, random_q: Callable[..., Array], rng: np.random.Generator
+) -> None:
+    """Poses are the grasp's, and Jacobians the twists about a point of those poses' changes."""
+    task = make()
+    cell, core, h = task.cell, core_of(loop_of(task, arithmetic=arithmetic)), 1e-6
+    carried, jacobian, nothing = np.zeros(12 * len(cell)), np.zeros((cell.nv, 6)), np.zeros((cell.nv, 6))
+    for _ in range(20):
+        x, v, about = cell.positions(random_q(cell, rng)), rng.standard_normal(cell.nv), rng.standard_normal(3)
+        core.linearise(x, about, carried, jacobian)
+        expected = task.grasp.carried(CellState(cell, cell.configuration(x)))
+        for one, O in zip(carried.reshape(-1, 12), expected, strict=True):
+            np.testing.assert_allclose(one[:9].reshape(3, 3), O.rotation, rtol=0.0, atol=1e-13)
+            np.testing.assert_allclose(one[9:], O.translation, rtol=0.0, atol=1e-13)
+        ends = []
+        for sign in (-1.0, 1.0):
+            core.linearise(x + sign * h * v, about, carried, nothing)
+            ends.append(carried.reshape(-1, 12).copy())
+        point = pin.SE3(np.eye(3), about)
+        for k, s in enumerate(cell.v_slices):
+            before, after = (pin.SE3(e[k, :9].reshape(3, 3), e[k, 9:]) for e in ends)
+            moved = pin.log6(point.inverse() * after * before.inverse() * point).vector / (2.0 * h)
+            np.testing.assert_allclose(v[s] @ jacobian[s], moved, rtol=0.0, atol=1e-7)
+
+
+def random_paths(rng: np.random.Generator) -> Iterator[ObjectPath]:
+    for turn in (0.0, 1e-9, 1e-3, 1.0):
+        for law in ("linear", "quintic"):
+            poses = [pin.SE3.Random() for _ in range(2)]
+            poses += [poses[1] * pin.exp6(np.concatenate([rng.standard_normal(3), turn * rng.standard_normal(3)]))]
+            yield LinePath(poses[1], poses[2], duration=2.0, time_law=law)
+            yield WaypointPath(poses, durations=[1.2, 0.8], time_law=law)
+    yield HoldPath(pin.SE3.Random(), duration=2.0)
+    servo = ServoPath(pin.SE3.Random(), speed=1.0, spin=2.0)
+    servo.set_target(pin.SE3.Random(), clock=0.3)
+    yield servo
+
+
+@pytest.mark.parametrize("arithmetic", slow_but_first(ARITHMETICS))
+def test_it_follows_paths_as_they_say(arithmetic: str, paper: Scenario, rng: np.random.Generator) -> None:
+    pin.seed(5)
+    for path in random_paths(rng):
+        for clock in (0.3, 0.7, 1.195, 1.3, float(rng.uniform(0.3, 1.9))):
+            loop = loop_of(paper, arithmetic=arithmetic, path=path, dt=0.01, preview=None)
+            core = core_of(loop)
+            core.start_path(clock, 1.0)
+            core.observe(None, None)
+            core.propose(0, False)
+            pose, span = path.pose(clock), proposal(loop, "SPAN")
+            assert span == pytest.approx(0.01)
+            np.testing.assert_allclose(loop.at["R"].reshape(3, 3), pose.rotation, rtol=0.0, atol=1e-14)
+            np.testing.assert_allclose(loop.at["p"], pose.translation, rtol=0.0, atol=1e-14)
+            np.testing.assert_allclose(loop.at["along"], path.increment(clock, span), rtol=0.0, atol=1e-11)
+
+
+class Shown(QpSolver):
+    """ProxQP, that keeps the problems it is shown. It is the most exact solver: both loops stay in one state."""
+
+    name = "shown"
+
+    def __init__(self) -> None:
+        self.solver, self.problems = make_solver("proxqp"), list[QpProblem]()
+        self.settings = self.solver.settings
+
+    def solve(self, problem: QpProblem) -> QpSolution:
+        copies = {f.name: getattr(problem, f.name).copy() for f in dataclasses.fields(problem)}
+        self.problems.append(QpProblem(**copies))
+        return self.solver.solve(problem)
+
+    def _solve(self, problem: QpProblem, work: Any) -> Any:
+        raise NotImplementedError("solve() asks ProxQP")
+
+    def _forget(self) -> None:
+        self.solver.reset()
+
+
+def alike(a: QpProblem, b: QpProblem) -> None:
+    """All is equal, for states that differ by rounding, but the bases of null-spaces: only their spans are."""
+    close = {"rtol": 1e-7, "atol": 1e-7}
+    for name in ("H", "g", "b", "l", "u", "lb", "ub"):
+        np.testing.assert_allclose(getattr(a, name), getattr(b, name), **close, err_msg=name)
+    own = a.g.size - len(a.b)  # then those of joints that are led back
+    for name in ("A", "C"):
+        one, other = getattr(a, name), getattr(b, name)
+        np.testing.assert_allclose(one[:, :9], other[:, :9], **close, err_msg=name)
+        np.testing.assert_allclose(one[:, own:], other[:, own:], **close, err_msg=name)
+    one, other = a.C[:, 9:own], b.C[:, 9:own]
+    np.testing.assert_allclose(one @ one.T, other @ other.T, **close)
+
+
+@pytest.mark.filterwarnings("ignore::coopqp.errors.StartWarning")
+@pytest.mark.skipif(native.GAP > 0, reason="it compares roundings, and the sanitized core is compiled for others")
+@pytest.mark.parametrize("acceleration", [np.inf, 20.0])
+@pytest.mark.parametrize("make", slow_but_first([paper_lift, dual_arm7, mixed_cell, lambda: ring(arms=5)]))
+def test_its_qp_is_that_of_the_program(make: Callable[[], Scenario], acceleration: float) -> None:
+    """With joints outside their limits, and while they come back."""
+    task, path = make(), make().path
+    assert isinstance(path, LinePath)
+    # At full speed from the start: a direction hardly moved along is one of rounding.
+    task = dataclasses.replace(task, path=LinePath(path.start, path.goal, duration=path.duration, time_law="linear"))
+    x, limits = task.cell.positions(task.q_start), task.cell.limits
+    lower, upper = np.array(limits.lower), np.array(limits.upper)
+    upper[1], lower[8] = x[1] - 2e-3, x[8] + 5e-4
+    task = limited(task, lower=lower, upper=upper, velocity=np.minimum(limits.velocity, 1.0), acceleration=acceleration)
+    shown = Shown(), Shown()
+    loops = [
+        QPController(
+            task.cell, task.grasp, task.path, dt=0.005,
+            options=QPOptions(kernel=kernel, shortcut=False, solver=solver),
+        )
+        for kernel, solver in zip(("compiled", "plain"), shown, strict=True)
+    ]  # fmt: skip
+    for loop in loops:
+        loop.reset(task.q_start)
+    sizes = set()
+    q = None
+    for i in range(40):
+        done = [loop.step(q) for loop in loops]
+        q = done[1].q_next if i % 2 else None
+        if i:  # the first step has more than one; of a long one the definition solves all again
+            assert min(len(solver.problems) for solver in shown) >= 1
+            alike(shown[0].problems[-1], shown[1].problems[-1])
+            sizes.add(len(shown[0].problems[-1].b))
+        for solver in shown:
+            solver.problems.clear()
+    assert sizes >= {0, 1}
+
+
+@pytest.mark.parametrize("arithmetic", ARITHMETICS)
+def test_a_proposal_leaves_the_state_alone(arithmetic: str, paper: Scenario) -> None:
+    """And a step moves it by the command."""
+    task = limited(paper, velocity=0.1)
+    loop = loop_of(task, arithmetic=arithmetic, dt=0.01)
+    core = core_of(loop)
+    kept = ("positions", "velocity", "before", "predicted", "drift", "correcting", "watch", "loop")
+    for i in range(60):
+        core.observe(None, None)
+        before = {name: loop.at[name].copy() for name in kept}
+        outcomes = {core.propose(0, False), core.propose(0, True)}  # again, as after a veto
+        assert len(outcomes) == 1
+        for name in kept:
+            np.testing.assert_array_equal(loop.at[name], before[name], err_msg=name)
+        if outcomes == {OPEN}:
+            loop.finish(OPEN)
+            continue
+        step = core.commit()
+        np.testing.assert_array_equal(loop.at["velocity"], step.velocity)
+        np.testing.assert_allclose(loop.at["positions"], before["positions"] + 0.01 * step.velocity, atol=1e-15)
+        np.testing.assert_array_equal(loop.q, step.q_next)
+        if i:
+            np.testing.assert_array_equal(loop.at["before"], before["velocity"])
+        assert loop.clock == step.clock_next
+
+
+@pytest.mark.parametrize("arithmetic", ARITHMETICS)
+@pytest.mark.parametrize("side", [1.0, -1.0])
+def test_a_joint_outside_its_limits_needs_a_qp(side: float, arithmetic: str, paper: Scenario) -> None:
+    loop = loop_of(paper, arithmetic=arithmetic, dt=0.01)
+    core = core_of(loop)
+    core.observe(None, None)
+    assert core.propose(0, False) == NOMINAL
+    limits, x = paper.cell.limits, paper.q_start.copy()
+    lower, upper = np.array(limits.lower), np.array(limits.upper)
+    (upper if side > 0.0 else lower)[4] = x[4] - side * 1e-6
+    loop = loop_of(limited(paper, lower=lower, upper=upper), arithmetic=arithmetic, dt=0.01)
+    core = core_of(loop)
+    core.observe(None, None)
+    assert core.propose(0, False) == QP
+    assert proposal(loop, "OUTSIDE") == 1.0
+    assert side * core.commit().velocity[4] <= 0.0
+
+
+@pytest.mark.parametrize("arithmetic", ARITHMETICS)
+@pytest.mark.parametrize(
+    "angles",
+    [{4: 0.0}, {2: 0.0}, dict.fromkeys(range(6), 0.0)],
+    ids=["wrist", "elbow", "all"],
+)
+def test_a_singular_arm_is_left_to_the_definition(angles: dict[int, float], arithmetic: str, paper: Scenario) -> None:
+    loop = loop_of(paper, arithmetic=arithmetic, preview=None)
+    x = paper.q_start.copy()
+    x[list(angles)] = list(angles.values())
+    core_of(loop).start(x)
+    core_of(loop).start_path(0.0, 1.0)
+    with np.errstate(all="raise"):
+        assert loop.step(None, None) is None
+    assert proposal(loop, "OUTCOME") == OPEN
+    step = loop.finish()
+    assert np.isfinite(step.velocity).all()
+    assert np.abs(step.velocity).max() <= paper.cell.limits.velocity.max() + 1e-9
+
+
+# -- numbers that are none ---------------------------------------------------------------------------------------------
+
+#: What the core counts with: whole numbers, which only its own code writes.
+COUNTS = {
+    "arm_start", "arm_size", "q_index", "continuous", "prismatic", "bounds", "history", "ahead", "lost",
+    "options/NEWTON_STEPS", "options/STALL_SAMPLES", "options/OWN_SOLVER",
+    "loop/FAULT", "loop/FAULT_ARM", "watch/WATCH_ARM", "watch/PAST_COUNT", "watch/PAST_HEAD", "watch/BEHIND",
+    "knots/K_KIND", "knots/K_ARM", "knots/K_JOINT",
+}  # fmt: skip
+#: Fields whose entries have names.
+NAMED = {"options": layout.OPTIONS, "loop": layout.LOOP, "watch": layout.WATCH, "knots": layout.KNOT}
+
+
+def places() -> Iterator[str]:
+    """Every field of the constants and of the state, and every entry with a name."""
+    for name, _ in (*layout.CONFIG, *layout.STATE):
+        for place in [f"{name}/{entry}" for entry in NAMED[name]] if name in NAMED else [name]:
+            if place not in COUNTS:
+                yield place
+
+
+def fill(loop: Any, place: str, value: float) -> None:
+    name, _, entry = place.partition("/")
+    if entry:
+        loop.at[name][NAMED[name].index(entry) :: len(NAMED[name])] = value
+    else:
+        loop.at[name][:] = value
+
+
+def safe(step: ControlStep, lower: Array, upper: Array) -> None:
+    assert np.isfinite(step.velocity).all()
+    assert np.isfinite(step.q_next).all()
+    assert ((step.velocity >= lower - 1e-9) & (step.velocity <= upper + 1e-9)).all()
+    assert 0.0 <= step.rate <= 1.0
+
+
+@pytest.mark.parametrize("place", [*places()])
+def test_a_number_that_is_none_is_never_commanded(place: str, paper: Scenario) -> None:
+    """Wherever it stands in the memory: a step is left open, or its command is finite and within the limits."""
+    task = limited(paper, acceleration=10.0)
+    speed = np.full(18, np.inf) if place == "speed" else task.cell.limits.velocity
+    for arithmetic in ARITHMETICS:
+        loop = loop_of(task, arithmetic=arithmetic, dt=0.005, supervision=SupervisionOptions(stiffness=2e4))
+        q = None
+        for _ in range(6):
+            step = loop.step(q, None) or loop.finish()
+            q = step.q_next
+        kept = {name: numbers.copy() for name, numbers in loop.at.items()}
+        for value in (np.nan, np.inf, -np.inf, 1e300):
+            for name, numbers in kept.items():
+                loop.at[name][:] = numbers
+            fill(loop, place, value)
+            for measured in (None, q):
+                step = loop.step(measured, None)
+                if step is None:
+                    break
+                safe(step, -speed, speed)
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
+def test_a_measurement_that_is_none_holds(value: float, paper: Scenario) -> None:
+    for arithmetic in ARITHMETICS:
+        loop = loop_of(paper, arithmetic=arithmetic)
+        for i in range(18):
+            q = paper.q_start.copy()
+            q[i] = value
+            step = loop.step(q, None) or loop.finish()
+            assert step.status.name == "HOLDING"
+            assert step.reason == f"q_measured[{i}] is {value}"
+            assert np.isfinite(step.velocity).all()
+        assert (loop.step(None, value) or loop.finish()).reason.startswith("dt is not accepted")
+
+
+# -- memory and arguments ----------------------------------------------------------------------------------------------
+
+
+def built(loop: Any) -> tuple[tuple[Array, ...], tuple[tuple[int, int], ...], tuple[int, ...]]:
+    """Arguments of a Core like the loop's own."""
+    from coopqp.control.core.memory import Memory
+
+    cell = loop.cell
+    sizes = len(cell), cell.nv, cell.nq, loop.at["unit"].size, 5, 64
+    memory = Memory(**dict(zip(("n", "nv", "nq", "unknowns", "past"), sizes, strict=False)), gap=native.GAP)
+    for name, _ in layout.CONFIG:
+        memory.at[name][:] = loop.at[name]
+    return tuple(memory.blocks.values()), tuple(memory.places), sizes
+
+
+def core_with(blocks: tuple[Any, ...], places: Any, sizes: tuple[Any, ...]) -> Any:
+    return native.Core(*blocks, places, *sizes, False)
+
+
+@pytest.mark.filterwarnings("ignore:nanobind:RuntimeWarning")
+def test_a_core_is_built_once_and_before_it_is_used(paper: Scenario) -> None:
+    blocks, places, sizes = built(loop_of(paper))
+    core = core_with(blocks, places, sizes)
+    with pytest.raises(TypeError):
+        core.__init__(*blocks, places, *sizes, False)
+    raw = native.Core.__new__(native.Core)
+    for call in (
+        lambda: raw.step(None, None), lambda: raw.observe(None, None), lambda: raw.propose(0, False), raw.commit,
+        lambda: raw.advance(1, None), lambda: raw.start(np.zeros(18)),
+        lambda: raw.start_path(0.0, 1.0), lambda: raw.read(1.0), lambda: raw.bind_knots(None), raw.hold,
+        lambda: raw.set_path(np.zeros(3), None, np.zeros(12), 1.0, False, False),
+        lambda: raw.make_steps(int, None, ()), lambda: raw.linearise(*[np.zeros(3)] * 4),
+    ):  # fmt: skip
+        with pytest.raises(TypeError):
+            call()
+    gc.collect()
+
+
+def with_entry(things: tuple[Any, ...], i: int, thing: Any) -> tuple[Any, ...]:
+    return (*things[:i], thing, *things[i + 1 :])
+
+
+def test_memory_that_does_not_fit_is_refused(paper: Scenario) -> None:
+    blocks, places, sizes = built(loop_of(paper))
+    core_with(blocks, places, sizes)
+    for i, block in enumerate(blocks):
+        frozen = block.copy()
+        frozen.flags.writeable = False
+        for bad in (
+            block[:-1].copy(), block.astype(np.float32), np.zeros(block.size, dtype=np.int64),
+            np.zeros(2 * block.size)[::2], frozen, np.zeros(0), None, block.tolist(), b"", (0, 0),
+        ):  # fmt: skip
+            with pytest.raises((ValueError, TypeError, BufferError)):
+                core_with(with_entry(blocks, i, bad), places, sizes)
+    for i in (0, len(layout.CONFIG), len(places) - 1):
+        begin, end = places[i]
+        for bad in ((begin, 10**9), (-1, end), (end, begin - 1), (begin,), None, (begin, np.nan), (2**70, end)):
+            with pytest.raises((ValueError, TypeError, OverflowError)):
+                core_with(blocks, with_entry(places, i, bad), sizes)
+    for bad in ((), places[:-1], (*places, places[-1])):
+        with pytest.raises(ValueError, match="fit"):
+            core_with(blocks, bad, sizes)
+    for bad in ((), blocks[:-1], (*blocks, blocks[-1])):
+        with pytest.raises(TypeError):
+            native.Core(*bad, places, *sizes, False)
+    for i, bad in ((0, 0), (0, -1), (1, 5), (1, -18), (2, 17), (3, 8), (3, 10), (3, -9), (4, 0), (5, -1)):
+        with pytest.raises(ValueError, match="fit"):
+            core_with(blocks, places, with_entry(sizes, i, bad))
+    for bad in (None, (), sizes[:-1], with_entry(sizes, 0, 2.5), with_entry(sizes, 0, 2**40)):
+        with pytest.raises((TypeError, OverflowError)):
+            core_with(blocks, places, bad)
+
+
+@pytest.mark.parametrize(
+    ("field", "value"),
+    [("arm_start", -1.0), ("arm_start", 13.0), ("arm_start", np.nan), ("arm_size", 5.0), ("arm_size", 1e9),
+     ("arm_size", np.nan), ("arm_size", 17.0), ("q_index", -1.0), ("q_index", 18.0), ("q_index", np.nan)],
+)  # fmt: skip
+def test_arms_that_do_not_lie_in_the_vectors_are_refused(field: str, value: float, paper: Scenario) -> None:
+    loop = loop_of(paper)
+    for i in (0, -1):
+        blocks, places, sizes = built(loop)
+        begin, end = places[[name for name, _ in layout.CONFIG].index(field)]
+        blocks[0][begin:end][i] = value
+        with pytest.raises(ValueError, match="fit"):
+            core_with(blocks, places, sizes)
+
+
+def test_arguments_that_are_none_are_refused(paper: Scenario) -> None:
+    """By an error of Python's, and the next step is as if nothing had been asked."""
+    loop, other = loop_of(paper), loop_of(paper)
+    core, q = core_of(loop), paper.q_start
+    wrong: list[Any] = [q[:-1], q.astype(np.float32), q.tolist(), np.zeros(36)[::2], np.zeros((18, 2)), "q", 1.0, b"q"]
+    for bad in wrong:
+        for call in (
+            lambda x=bad: core.step(x, None), lambda x=bad: core.observe(x, None), lambda x=bad: core.start(x),
+            lambda x=bad: core.advance(1, x), lambda x=bad: core.linearise(x, np.zeros(3), np.zeros(36), np.zeros(108)),
+        ):  # fmt: skip
+            with pytest.raises((ValueError, TypeError, BufferError)):
+                call()
+    for sizes in ((2, 36, 108), (3, 35, 108), (3, 36, 107)):
+        with pytest.raises(ValueError, match="right length"):
+            core.linearise(q, *(np.zeros(n) for n in sizes))
+    frozen = np.zeros(36)
+    frozen.flags.writeable = False
+    with pytest.raises(TypeError):
+        core.linearise(q, np.zeros(3), frozen, np.zeros(108))
+    for rows in (-1, 65, 10**12):
+        with pytest.raises(ValueError, match="no room"):
+            core.propose(rows, False)
+    for call in (
+        lambda: core.propose("one", False), lambda: core.read("cap"), lambda: core.advance("one", None),
+        lambda: core.advance(1, 2, 3),
+        lambda: core.start_path("now", 1.0), lambda: core.start_path(0.0), lambda: core.make_steps(1, None, ()),
+        lambda: core.make_steps(ControlStep, None, [1]),
+    ):  # fmt: skip
+        with pytest.raises(TypeError):
+            call()
+    with pytest.raises(ValueError, match="a status is missing"):
+        core.make_steps(ControlStep, None, ())
+    read_only = q.copy()
+    read_only.flags.writeable = False
+    assert core.linearise(read_only, np.zeros(3), np.zeros(36), np.zeros(108)) is None
+    for _ in range(5):
+        a, b = (one.step(read_only, None) for one in (loop, other))
+        np.testing.assert_array_equal(a.velocity, b.velocity)
+
+
+def test_paths_that_are_no_numbers_are_refused(paper: Scenario) -> None:
+    core = core_of(loop_of(paper))
+    good = paper.path.packed()
+    pose = np.zeros(12)
+    for bad in (
+        np.zeros(0), np.zeros(2), np.array([1.0, 0.0, 0.0]), good[:-1], np.array([1.0, 0.0, 1.0]),
+        good.astype(np.float32),
+        np.array([1.0, -1.0, 1.0, *good[3:]]), np.array([1.0, np.nan, 1.0, *good[3:]]), np.array([1.0, 0.0, np.nan]),
+        np.array([1.0, 1e300, 1.0, *good[3:]]), np.array([1.0, 0.0, 1e300, *good[3:]]),
+        np.array([1.0, 5.0, 1.0, *good[3:]]),
+        None, "path",
+    ):  # fmt: skip
+        with pytest.raises((ValueError, TypeError)):
+            core.set_path(bad, None, pose, 1.0, False, False)
+    for bad in (None, np.zeros(11), np.zeros(12, dtype=np.float32), "pose"):
+        with pytest.raises((ValueError, TypeError)):
+            core.set_path(np.array([1.0, 0.0, 0.0]), lambda clock, twist: True, bad, 1.0, False, False)
+    core.set_path(good, None, pose, paper.path.duration, True, False)  # the path that was refused has changed nothing
+    core.set_path(np.array([1.0, 0.0, 0.0]), lambda clock, twist: False, pose, 1.0, False, True)
+    assert core.step(None, None) is None or core.step(None, None).status.name == "HOLDING"
+
+
+def test_steps_without_python_in_between_are_the_same(paper: Scenario) -> None:
+    one, many = loop_of(paper, dt=0.005), loop_of(paper, dt=0.005)
+    assert core_of(many).advance(50, None) == 50
+    for _ in range(50):
+        one.step(None, None)
+    np.testing.assert_array_equal(one.q, many.q)
+    assert one.clock == many.clock
+    assert core_of(many).advance(0, None) == core_of(many).advance(-1, None) == 0
+
+
+def test_a_loop_that_nobody_holds_is_freed(paper: Scenario) -> None:
+    """It owns the core, which holds its methods."""
+    loop = loop_of(paper)
+    core_of(loop).bind_rows(loop._bound_knot, loop._bound_knot, loop._bound_knot)
+    loop.step(None, None)
+    known = weakref.ref(loop)
+    del loop
+    gc.collect()
+    assert known() is None
+
+
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
+def test_functions_that_raise_count_as_failed_and_interrupts_end_the_call(paper: Scenario) -> None:
+    core = core_of(loop_of(paper))
+    pose = np.zeros(12)
+    for error, status in ((ValueError("no"), "HOLDING"), (KeyboardInterrupt(), None)):
+
+        def own(clock: float, twist: int, error: BaseException = error) -> bool:
+            raise error
+
+        core.set_path(np.array([1.0, 0.0, 0.0]), own, pose, 1.0, False, True)
+        if status is None:
+            with pytest.raises(KeyboardInterrupt):
+                core.step(None, None)
+        else:
+            assert core.step(None, None).status.name == status
+
+
+def test_memory_lives_as_long_as_its_core(paper: Scenario, make_cell: Callable[..., RobotCell]) -> None:
+    """The core keeps its blocks: nothing else needs to."""
+    blocks, places, sizes = built(loop_of(paper))
+    core = core_with(blocks, places, sizes)
+    core.set_path(paper.path.packed(), None, np.zeros(12), paper.path.duration, False, False)
+    core.start(paper.q_start)
+    core.start_path(0.0, 1.0)
+    del blocks
+    [np.full(100_000, np.nan) for _ in range(20)]  # would be written over what is free
+    records = [core.step(None, None) for _ in range(5)]
+    assert all(isinstance(record, bytes) for record in records)
+    first = len(layout.RECORD)
+    assert all(np.isfinite(np.frombuffer(record)[first : first + 54]).all() for record in records)

@@ -1,0 +1,83 @@
+"""The parts of tests/mutation.py that need no other package: what is changed in C, and which tests are chosen."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import pytest
+
+sys.path.insert(0, str(Path(__file__).parents[1]))
+from mutants import c
+from mutants.reach import Reach, in_functions
+
+SOURCE = """/* if (a < b) nothing; */
+#define TWICE(x) (2 * (x))
+static const char *TEXT = "a < b && c";
+
+static double share(double a, double b) {
+    double sum = 0.5; // a < b
+    if (a < b && b > 0.0) return -a;
+    for (int i = 0; i < 3; i++) sum += a * b;
+    clear(&sum);
+    return fmin(sum, b - a);
+}
+"""
+#: Of each kind the lines that it makes of this source.
+CHANGED = {
+    "comparison": ["a >= b &&", "b <= 0.0)", "i >= 3;"],
+    "connective": ["a < b || b > 0.0"],
+    "sign": ["b + a)"],
+    "update": ["sum -= a * b"],
+    "factor": ["+= a / b"],
+    "minus": ["return a;"],
+    "extreme": ["fmax(sum"],
+    "constant": ["sum = 0.5 * 2", "b > 2.0", "int i = 1;", "i < 4;"],
+    "statement": ["i++);", "    ;"],
+}
+
+
+def test_each_kind_changes_one_place_of_the_code_and_no_text() -> None:
+    found: dict[str, list[tuple[int, str]]] = {}
+    for place, ways in c.sites(SOURCE).items():
+        for kind, occurrence in ways:
+            changed = c.write(SOURCE, kind, occurrence)
+            lines = [(a, b) for a, b in zip(SOURCE.splitlines(), changed.splitlines(), strict=True) if a != b]
+            assert len(lines) == 1, (kind, lines)
+            assert SOURCE.splitlines()[place[0] - 1] == lines[0][0]
+            assert place[0] > 5
+            found.setdefault(kind, []).append((occurrence, lines[0][1]))
+    assert set(found) == set(CHANGED)
+    for kind, parts in CHANGED.items():
+        assert len(found[kind]) == len(parts), (kind, found[kind])
+        for part, (_, line) in zip(parts, sorted(found[kind]), strict=True):
+            assert part in line
+
+
+def test_every_source_in_cpp_has_places_and_is_compiled_or_included() -> None:
+    files = list((Path(__file__).parents[2] / "coopqp").rglob("*.cpp"))
+    included = "".join(file.read_text(encoding="utf-8") for file in files)
+    for file in files:
+        assert file.parent.name == "native"
+        assert file.name in c.SOURCES or f'#include "{file.name}"' in included
+        assert c.sites(file.read_text(encoding="utf-8")) or file.stat().st_size < 2500, file
+    assert {*c.SOURCES} < {file.name for file in files}
+
+
+ALL = ["quick", "long", "other", "last"]
+
+
+@pytest.mark.parametrize(
+    ("line", "seconds", "tests"), [("x = 1", 9.0, ALL[:3]), ("x = 1", 99.0, ALL), ("", 1.0, ["other", "last", "quick"])]
+)
+def test_the_tests_of_a_line_come_first(line: str, seconds: float, tests: list[str]) -> None:
+    took = {"quick": 1.0, "long": 5.0, "other": 2.0, "last": 7.0}
+    reach = Reach(took, {"m.py": {"x = 1": ["quick", "long"]}}, {"m.py": ["other", "last", "quick"]})
+    assert reach.tests("m.py", f"    {line}" if line else "", seconds) == tests
+
+
+def test_lines_of_functions() -> None:
+    assert in_functions("A = 1\ndef f():\n    return 2\nclass B:\n    c = 3\n    def g(self):\n        x = 4\n") == {
+        3,
+        7,
+    }
