@@ -265,7 +265,7 @@ static void remember(Core *c, const double *positions) {
  * of them is what a late arm should have made. */
 static double least_told(const Core *c, int k, double told) {
     const int start = (int)c->arm_start[k], end = start + (int)c->arm_size[k], samples = (int)c->options[STALL_SAMPLES];
-    const int late = fmin(c->past - 1, c->watch[PAST_COUNT] - 1.0) - samples;
+    const int late = (int)c->watch[PAST_COUNT] - 1 - samples;
     for (int i = 1; i <= late; i++) {
         const double *from = sample_before(c, samples + i) + c->joints, *to = sample_before(c, i) + c->joints;
         double most = 0.0;

@@ -54,7 +54,8 @@ class SupervisionOptions:
         int | None,
         Doc(
             "number of samples in which an arm moves less than stall_share of its command, while another "
-            "follows its own, until it has stalled (once a joint is 0.5 mrad or 0.5 mm from its command)"
+            "follows its own, until it has stalled (once a joint is 0.5 mrad or 0.5 mm from its command); an arm that "
+            "turned round or began to move within 20 ms before may just be late"
         ),
     ] = 4
     stall_share: Annotated[
