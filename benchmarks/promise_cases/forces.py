@@ -53,12 +53,13 @@ def shares(points: Array) -> Array:
 
 @dataclass
 class Run:
-    """What a run showed: internal forces [N], rates, statuses with times [s], and the step that ended the path."""
+    """What a run showed: internal forces [N], statuses with times [s], when it began to move, and when it ended."""
 
     force: Array
     time: Array
     status: list[Status]
     reason: list[str]
+    begins: float
     finished: float
 
     @property
@@ -86,7 +87,7 @@ class Run:
 
 def lift(
     duration: float, *, mass: float = 20.0, softer: float = 1.0, relax: bool = True, grips: str = "where they are",
-    watch: float = SETTLED + 0.1, until: float = 9.0, stiffness_told: bool = False, **disturbances: Any,
+    watch: float = SETTLED + 0.1, until: float = 13.0, stiffness_told: bool = False, **disturbances: Any,
 ) -> Run:  # fmt: skip
     """The paper's lift in the engine; without ``relax`` by the QPController alone."""
     task = replace(paper_lift(time_law="quintic", duration=duration), object_mass=mass)
@@ -102,7 +103,7 @@ def lift(
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         controller.reset(q)
-    force, time, status, reason, ended, now = [], [], [], [], np.inf, 0.0
+    force, time, status, reason, begins, ended, now = [], [], [], [], np.inf, np.inf, 0.0
     while now < min(until, ended + watch):
         step = controller.step(q, wrenches=plant.measured_wrenches()) if relax else controller.step(q)
         q = plant.apply(step)
@@ -114,8 +115,9 @@ def lift(
         time.append(now)
         status.append(step.status)
         reason.append(step.reason)
+        begins = now if step.rate > 0.0 and not np.isfinite(begins) else begins
         ended = now if step.finished and not np.isfinite(ended) else ended
-    return Run(np.array(force), np.array(time), status, reason, ended)
+    return Run(np.array(force), np.array(time), status, reason, begins, ended)
 
 
 def lifts(quick: bool) -> Iterator[Promise]:
@@ -154,7 +156,7 @@ def starts(quick: bool) -> Iterator[Promise]:
     for grips, bound in (("where they are", 12.0), ("grasp", 30.0)):
         arms = ("slave_2",) if quick else ("master", "slave_1", "slave_2")
         peak = max(
-            lift(3.0, grips=grips, base_offset={a: off(1.0, 0.1)}, wrench_latency=0.01, until=1.0).peak for a in arms
+            lift(3.0, grips=grips, base_offset={a: off(1.0, 0.1)}, wrench_latency=0.01, until=5.5).peak for a in arms
         )
         yield Promise(f"base 1 mm and 0.1° off, grips {grips}: from the first command on", peak, bound, "N")
     accepted = 0
@@ -168,11 +170,13 @@ def starts(quick: bool) -> Iterator[Promise]:
 
 
 def stalls(quick: bool) -> Iterator[Promise]:
-    """A gripped arm stops."""
+    """A gripped arm stops, at some times after the object has begun to move."""
     worst = {True: 0.0, False: 0.0}
     for relax in (True, False):
+        begins = lift(2.0, relax=relax, until=6.0).begins
         for arm in ("slave_2",) if quick else ("master", "slave_1", "slave_2"):
-            for at in (1.2,) if quick else (1.1, 1.4, 1.6):
+            for after in (0.8,) if quick else (0.5, 0.8, 1.1, 1.4):
+                at = begins + after
                 run = lift(2.0, relax=relax, stall={arm: at}, until=at + 0.15, stiffness_told=not relax)
                 held = [t for t, s in zip(run.time, run.status, strict=True) if t > at and s is Status.HOLDING]
                 worst[relax] = max(worst[relax], 1e3 * (held[0] - at) if held else np.inf)

@@ -310,6 +310,7 @@ class ForceController:
                 self._compare(q)
             else:
                 self._check, self._place = check, self.shift
+                self._relaxation.wait_for(None, self.dt)
                 self._go_on(PRESSING)
             if m[AT["SENSOR_FAULT"]]:
                 return
@@ -330,6 +331,7 @@ class ForceController:
         shift = check.press(w, self.controller.commanded, q, dt)
         if check.disturbed:  # sensors are compared with the servos, and the arms relax from where they are
             self._check, self._disturbed = None, True
+            self._relaxation.wait_for(0.0, self.dt)
             self._go_on(CHECKING)
             return
         self._relaxation.shift[:] = self._place + shift
@@ -337,6 +339,7 @@ class ForceController:
         if found is None:
             return
         self._found, self._check = found, None
+        self._relaxation.wait_for(max(finding.lost for finding in found.findings), self.dt)
         self._relaxation.take_stiffness(found.stiffer, found.arms_stiffer, self.controller.commanded)
         wrong = [k for k, finding in enumerate(found.findings) if not (finding.fine or finding.late)]
         if not wrong and not self._relaxation.slow_down(found.latest, self.dt):
